@@ -1,0 +1,70 @@
+# Every target sets up what it needs first, and only once: a virtual environment in the clone, from requirements.lock.
+SHELL := /bin/bash
+.SHELLFLAGS := -eu -o pipefail -c
+.DEFAULT_GOAL := help
+
+PYTHON ?= python3
+TORCH_BACKEND ?= cpu
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+INPUT ?=
+OUTPUT ?= demo-output
+TESTS ?=
+# Two workers on two cores; more would only add set-up.
+TEST_WORKERS ?= 2
+
+# A folder of wheels that pip is told of (PIP_FIND_LINKS) may hold a CPU build of torch; else take PyTorch's own CPU index.
+ifneq ($(wildcard $(PIP_FIND_LINKS)),)
+export UV_FIND_LINKS := $(PIP_FIND_LINKS)
+TORCH_SOURCE :=
+else
+TORCH_SOURCE := --torch-backend $(TORCH_BACKEND)
+endif
+
+.PHONY: help setup demo test check format openapi lock bench clean
+
+help:  ## this list
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
+
+setup: $(READY)  ## the virtual environment
+
+$(READY): requirements.lock pyproject.toml
+	@echo "== setting up $(VENV) (once; some minutes on a slow line)"
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and f"Python 3.11 or newer is needed, found {sys.version.split()[0]}; call make PYTHON=...")'
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	@test -x $(BIN)/uv || $(BIN)/python -m pip install -q uv
+	@$(BIN)/uv pip install -q --python $(BIN)/python $(TORCH_SOURCE) -r requirements.lock
+	@$(BIN)/uv pip install -q --python $(BIN)/python --no-deps -e .
+	@touch $@
+
+demo: $(READY)  ## a tree goes in over HTTP and comes out swaying (INPUT=file for your own)
+	@$(BIN)/python -m recipes.demo $(if $(INPUT),--input "$(INPUT)") --output "$(OUTPUT)"
+
+test: $(READY)  ## the test suite, without the slow marks
+	@$(BIN)/python -m pytest -q -n $(TEST_WORKERS) --dist worksteal -m "not slow and not gpu" $(TESTS)
+
+check: $(READY)  ## format, lint, types, imports, openapi drift
+	@$(BIN)/ruff format --check .
+	@$(BIN)/ruff check .
+	@$(BIN)/mypy
+	@$(BIN)/lint-imports --no-cache
+	@$(BIN)/python -m service.openapi --check openapi/openapi.json
+
+format: $(READY)  ## rewrite the code as `check` wants it
+	@$(BIN)/ruff format .
+	@$(BIN)/ruff check --fix .
+
+openapi: $(READY)  ## write openapi/openapi.json
+	@$(BIN)/python -m service.openapi --write openapi/openapi.json
+
+bench: $(READY)  ## every benchmark, one JSON object a line
+	@$(BIN)/python -m benchmarks
+
+lock:  ## resolve pyproject.toml anew; CUDA's packages are left out, torch's own build brings them where it needs them
+	@$(BIN)/uv pip compile -q --universal --no-emit-index-url --no-emit-find-links --no-annotate --no-header --extra dev --python-version 3.11 pyproject.toml \
+	  | grep -vE '^(nvidia-|cuda-|triton)' | sed -E 's/^(torch==[0-9.]+).*/\1/' | awk '!seen[$$0]++' > requirements.lock.new
+	@mv requirements.lock.new requirements.lock
+
+clean:  ## the environment and every cache
+	@rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache

@@ -1,0 +1,57 @@
+"""What can go wrong that a caller can act on.
+
+    DynamicTreeError
+    ├── InputError              what was given cannot be used
+    │   ├── MeshError           the geometry: empty, not finite, flat, too large
+    │   └── FormatError         the file: not the format, truncated, refers outside itself
+    ├── CheckpointError         a model file that does not fit the code
+    ├── NumericsError           a result that is not finite or not stable
+    └── Cancelled               the caller asked to stop
+
+Each class has a `code` (stable, kebab-case), by which the service chooses status and problem type. A message says what was
+found, what is allowed, and what to change.
+"""
+
+from typing import ClassVar
+
+
+class DynamicTreeError(Exception):
+    """Root of the tree; catch this to catch all that the library raises on purpose."""
+
+    code: ClassVar[str] = "dynamictree-error"
+
+
+class InputError(DynamicTreeError):
+    """What was given cannot be used."""
+
+    code = "invalid-input"
+
+
+class MeshError(InputError):
+    """Geometry that is empty, not finite, without extent, or too large."""
+
+    code = "invalid-geometry"
+
+
+class FormatError(InputError):
+    """A file that is not of its format, is truncated, or refers outside itself."""
+
+    code = "unsupported-format"
+
+
+class CheckpointError(DynamicTreeError):
+    """A model file that does not fit the code."""
+
+    code = "model-error"
+
+
+class NumericsError(DynamicTreeError):
+    """A result that is not finite, or an integration that is not stable."""
+
+    code = "numerics-error"
+
+
+class Cancelled(DynamicTreeError):
+    """The caller asked to stop; raised out of a progress callback."""
+
+    code = "canceled"

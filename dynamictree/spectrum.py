@@ -1,0 +1,127 @@
+"""The sparse voxel spectrum: K frequencies of motion a voxel, and the way to motion and back. Paper section 3.2.
+
+A coefficient is a length in metres (`norm="forward"`). The displacement at frame n, time n / fps, is
+
+    d_n = Re Σ_k w_k c_k exp(2πi k n / T),    w_k = 1 for k = 0 and, T even, for k = T / 2, else 2.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from jaxtyping import Complex64, Float32, Float64
+
+from dynamictree.errors import InputError
+from dynamictree.voxel.grid import VoxelGrid
+
+NUM_FREQUENCIES = 16  # K, paper section 3.2
+NUM_FRAMES = 100  # T, paper section 5
+FPS = 24.0  # Blender's default, in which the paper's dataset was baked
+
+Rest = Literal["unloaded", "first-frame", "mean"]
+RESTS: tuple[Rest, ...] = get_args(Rest)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wind:
+    """The wind that a motion was made for."""
+
+    speed_m_s: float = 5.0
+    direction_deg: float = 0.0  # where it blows to, from +X towards +Y
+    gust: float = 0.3  # standard deviation of the speed over its mean
+
+
+@dataclass(frozen=True, kw_only=True)
+class SparseVoxelSpectrum:
+    """One spectrum a voxel, in the order of `grid.coords`."""
+
+    grid: VoxelGrid
+    coefficients: Complex64[np.ndarray, "V K 3"]  # [m]
+    fps: float = FPS
+    num_frames: int = NUM_FRAMES
+    rest: Rest = "unloaded"  # what zero displacement means; by default c_0 is the lean
+    model: str = ""
+    seed: int = 0
+    wind: Wind | None = None
+    source_sha256: str = ""
+
+    def __post_init__(self) -> None:
+        if len(self.coefficients) != len(self.grid):
+            raise InputError(
+                f"{len(self.coefficients)} rows of coefficients for {len(self.grid)} voxels; they must be equal"
+            )
+        if not 1 <= self.num_frequencies <= self.num_frames // 2 + 1:
+            allowed = f"1 to {self.num_frames // 2 + 1} are allowed with {self.num_frames} frames"
+            raise InputError(f"the spectrum has {self.num_frequencies} frequencies; {allowed}")
+        if not (np.isfinite(self.fps) and self.fps > 0):
+            raise InputError(f"fps is {self.fps}; it must be positive and finite")
+        if not np.isfinite(self.coefficients).all():
+            raise InputError("the spectrum holds values that are not finite")
+
+    @property
+    def num_frequencies(self) -> int:
+        """K."""
+        return int(self.coefficients.shape[1])
+
+    @property
+    def period_s(self) -> float:
+        """Length of the loop [s]."""
+        return self.num_frames / self.fps
+
+    @property
+    def frequencies_hz(self) -> Float64[np.ndarray, " K"]:
+        """Frequency of each bin, k / period [Hz]."""
+        return np.arange(self.num_frequencies) / self.period_s
+
+
+def bin_weights(num_frequencies: int, num_frames: int) -> Float32[np.ndarray, " K"]:
+    """w_k: how often a bin of the half spectrum stands in the whole one."""
+    weights = np.full(num_frequencies, 2.0, np.float32)
+    weights[0] = 1.0
+    if num_frames % 2 == 0 and num_frequencies > num_frames // 2:
+        weights[num_frames // 2] = 1.0
+    return weights
+
+
+def from_motion(
+    displacement: Float32[np.ndarray, "T N 3"], num_frequencies: int = NUM_FREQUENCIES
+) -> Complex64[np.ndarray, "N K 3"]:
+    """The first K coefficients of each point's motion [m]. Undone by `to_motion` when K = T // 2 + 1."""
+    # norm="forward": a coefficient is a length in metres, whatever the number of frames
+    spectrum = np.fft.rfft(displacement, axis=0, norm="forward")[:num_frequencies]  # [K, N, 3]
+    return np.ascontiguousarray(spectrum.transpose(1, 0, 2).astype(np.complex64))
+
+
+def to_motion(
+    coefficients: Complex64[np.ndarray, "N K 3"], num_frames: int = NUM_FRAMES
+) -> Float32[np.ndarray, "T N 3"]:
+    """Displacement of each point at every frame of one period [m]. iFFT of paper eq. 1."""
+    spectrum = coefficients.transpose(1, 0, 2)  # [K, N, 3]
+    return np.fft.irfft(spectrum, n=num_frames, axis=0, norm="forward").astype(np.float32)
+
+
+def displacement_at(
+    coefficients: Complex64[np.ndarray, "N K 3"], phase: float, num_frames: int = NUM_FRAMES
+) -> Float32[np.ndarray, "N 3"]:
+    """Displacement at one phase of the loop (0 and 1 are the same), between the frames too [m]."""
+    turn = bin_weights(coefficients.shape[1], num_frames) * np.exp(
+        2j * np.pi * phase * np.arange(coefficients.shape[1])
+    )
+    displacement: Float32[np.ndarray, "N 3"] = np.einsum("nkc,k->nc", coefficients, turn.astype(np.complex64)).real
+    return displacement
+
+
+def iter_motion(
+    coefficients: Complex64[np.ndarray, "N K 3"], phases: Float64[np.ndarray, " M"], num_frames: int = NUM_FRAMES
+) -> Iterator[Float32[np.ndarray, "N 3"]]:
+    """One frame of displacement after another, never the whole motion in memory [m]."""
+    num_points, num_frequencies, _ = coefficients.shape
+    # real part of a complex sum as one real product: [cos, -sin] · [re, im]
+    stacked = np.concatenate([coefficients.real, coefficients.imag], axis=1)  # [N, 2K, 3]
+    stacked = np.ascontiguousarray(stacked.transpose(1, 0, 2)).reshape(2 * num_frequencies, num_points * 3)
+    weights = bin_weights(num_frequencies, num_frames)
+    for phase in phases:
+        angle = 2 * np.pi * phase * np.arange(num_frequencies)
+        turn = np.concatenate([weights * np.cos(angle), -weights * np.sin(angle)]).astype(np.float32)
+        yield (turn @ stacked).reshape(num_points, 3)
