@@ -8,8 +8,8 @@
     ├── NumericsError           a result that is not finite or not stable
     └── Cancelled               the caller asked to stop
 
-Each class has a `code` (stable, kebab-case), by which the service chooses status and problem type. A message says what was
-found, what is allowed, and what to change.
+Each class has a `code` (stable, kebab-case), by which the service chooses status and problem type. A message says
+what was found, what is allowed, and what to change.
 """
 
 from typing import ClassVar

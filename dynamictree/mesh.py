@@ -64,7 +64,7 @@ def validate_mesh(mesh: TriangleMesh) -> TriangleMesh:
     """Give the mesh back if the method can work on it.
 
     Raises:
-        MeshError: no faces, a value that is not finite, a face that names no vertex, no extent, or too much of anything.
+        MeshError: no faces, a value that is not finite, a face that names no vertex, no extent, too much of anything.
     """
     if mesh.num_faces == 0 or mesh.num_vertices < 3:
         found = f"{mesh.num_vertices} vertices and {mesh.num_faces} faces"

@@ -63,7 +63,10 @@ class VoxelGrid:
 
     def coords_of(self, points: Float32[np.ndarray, "N 3"]) -> Int32[np.ndarray, "N 3"]:
         """Index of the voxel that each point lies in, occupied or not; may be outside of the cube."""
-        return np.floor((points - np.asarray(self.origin_m)) / self.voxel_size_m).astype(np.int32)
+        coords: Int32[np.ndarray, "N 3"] = np.floor((points - np.asarray(self.origin_m)) / self.voxel_size_m).astype(
+            np.int32
+        )
+        return coords
 
     def rows_of(self, coords: Int32[np.ndarray, "N 3"]) -> Int32[np.ndarray, " N"]:
         """Row in `coords` of each voxel index, or -1 where that voxel is not occupied."""
