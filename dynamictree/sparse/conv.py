@@ -1,0 +1,72 @@
+"""3³ convolution over occupied voxels only (submanifold), as one small matrix product a neighbour direction."""
+
+import math
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from dynamictree.sparse.level import CENTRE, SparseLevel
+
+
+class SubmanifoldConv(nn.Module):
+    """A dense 3³ convolution's values at the occupied voxels, where empty voxels count as zero.
+
+    Axes between the rows and the channels (frequencies) are carried along: one gather serves all of them.
+    """
+
+    def __init__(self, in_channels: int, out_channels: int, *, bias: bool = True) -> None:
+        super().__init__()
+        bound = 1 / math.sqrt(27 * in_channels)  # torch's default for a dense 3³ kernel
+        self.weight = nn.Parameter(torch.empty(27, in_channels, out_channels).uniform_(-bound, bound))
+        self.bias = nn.Parameter(torch.zeros(out_channels)) if bias else None
+
+    def forward(self, features: Float[Tensor, "V *inner C"], level: SparseLevel) -> Float[Tensor, "V *inner D"]:
+        """Convolve every sample of the batch."""
+        convolved: Tensor = _PairwiseConv.apply(features, self.weight, level)  # type: ignore[no-untyped-call]
+        return convolved if self.bias is None else convolved + self.bias
+
+
+class _PairwiseConv(torch.autograd.Function):
+    """Gather, multiply, add, one neighbour direction after another; gradients by the same walk over the pairs.
+
+    Faster on a CPU than one [V, 27 C] gather, because a tree's voxels have 4 to 10 of 27 neighbours.
+    """
+
+    @staticmethod
+    def forward(ctx: torch.autograd.function.FunctionCtx, *inputs: object) -> Tensor:
+        features, weight, level = inputs
+        assert isinstance(features, Tensor)
+        assert isinstance(weight, Tensor)
+        assert isinstance(level, SparseLevel)
+        ctx.save_for_backward(features, weight)
+        ctx.level = level  # type: ignore[attr-defined]
+        return _walk(features, weight, level)
+
+    @staticmethod
+    def backward(ctx: torch.autograd.function.FunctionCtx, *gradients: Tensor) -> tuple[Tensor | None, Tensor, None]:
+        features, weight = ctx.saved_tensors  # type: ignore[attr-defined]
+        level: SparseLevel = ctx.level  # type: ignore[attr-defined]
+        gradient = gradients[0].contiguous()
+        # what flows out through tap i flows back through the opposite tap
+        to_features = _walk(gradient, weight.flip(0).transpose(1, 2), level) if ctx.needs_input_grad[0] else None  # type: ignore[attr-defined]
+        to_weight = torch.empty_like(weight)
+        torch.mm(_flat(features).T, _flat(gradient), out=to_weight[CENTRE])
+        for tap, (first, second) in enumerate(level.pairs):
+            torch.mm(_flat(features[second]).T, _flat(gradient[first]), out=to_weight[tap])
+            torch.mm(_flat(features[first]).T, _flat(gradient[second]), out=to_weight[26 - tap])
+        return to_features, to_weight, None
+
+
+def _walk(features: Tensor, weight: Tensor, level: SparseLevel) -> Tensor:
+    shape = (*features.shape[1:-1], weight.shape[-1])
+    out = (_flat(features) @ weight[CENTRE]).view(-1, *shape)  # [V, *inner, D]
+    for tap, (first, second) in enumerate(level.pairs):
+        if len(first):
+            out.index_add_(0, first, (_flat(features[second]) @ weight[tap]).view(-1, *shape))
+            out.index_add_(0, second, (_flat(features[first]) @ weight[26 - tap]).view(-1, *shape))
+    return out
+
+
+def _flat(features: Tensor) -> Tensor:
+    return features.reshape(-1, features.shape[-1])

@@ -1,0 +1,126 @@
+"""Which voxels exist and which touch: built once a grid, shared by all layers and all sampling steps.
+
+The rows of a batch are its samples one after another. A level holds, for 13 of the 26 directions, the pairs of rows
+(a, b) with coords[b] = coords[a] + offset; the other 13 directions are the same pairs read backwards.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import torch
+from jaxtyping import Int64
+from torch import Tensor
+
+OFFSETS: tuple[tuple[int, int, int], ...] = tuple((x, y, z) for x, y, z in product((-1, 0, 1), repeat=3))
+"""The 27 taps of a 3³ kernel, in the order of a dense kernel's memory; tap 26 - i is the opposite of tap i."""
+CENTRE = 13
+
+Pair = tuple[Int64[Tensor, " _"], Int64[Tensor, " _"]]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SparseLevel:
+    """The occupied voxels of one or several grids of one resolution."""
+
+    coords: Int64[Tensor, "V 3"]
+    sizes: tuple[int, ...]  # voxels of each sample
+    pairs: tuple[Pair, ...]  # one for each of OFFSETS[:13]
+
+    def __len__(self) -> int:
+        return len(self.coords)
+
+    @property
+    def sample_slices(self) -> list[slice]:
+        """The rows of each sample."""
+        ends = torch.tensor(self.sizes).cumsum(0).tolist()
+        return [slice(end - size, end) for size, end in zip(self.sizes, ends, strict=True)]
+
+    @property
+    def sample_of_row(self) -> Int64[Tensor, " V"]:
+        """Index of the sample that each row belongs to."""
+        sizes = torch.tensor(self.sizes, device=self.coords.device)
+        return torch.repeat_interleave(torch.arange(len(sizes), device=self.coords.device), sizes)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Pyramid:
+    """A grid and its coarser ones, each voxel twice as large: level l + 1 holds the parents of level l, no more."""
+
+    levels: tuple[SparseLevel, ...]
+    parents: tuple[Int64[Tensor, " _"], ...]  # row in level l + 1 of each voxel of level l
+
+
+def sparse_level(coords: Int64[Tensor, "V 3"]) -> SparseLevel:
+    """The neighbour pairs of one sample's voxels, which may come in any order."""
+    return SparseLevel(coords=coords, sizes=(len(coords),), pairs=_neighbour_pairs(coords))
+
+
+def pyramid(coords: Int64[Tensor, "V 3"], num_levels: int) -> Pyramid:
+    """One sample's grid and `num_levels` - 1 coarser ones."""
+    levels = [sparse_level(coords)]
+    parents = []
+    for _ in range(num_levels - 1):
+        coarse, parent = torch.unique(levels[-1].coords // 2, dim=0, return_inverse=True)
+        parents.append(parent)
+        levels.append(sparse_level(coarse))
+    return Pyramid(levels=tuple(levels), parents=tuple(parents))
+
+
+def batch_levels(levels: Sequence[SparseLevel]) -> SparseLevel:
+    """Several samples as one batch; no pair crosses from one to another."""
+    starts = _starts([len(level) for level in levels])
+    pairs = tuple(
+        (
+            torch.cat([level.pairs[tap][0] + start for level, start in zip(levels, starts, strict=True)]),
+            torch.cat([level.pairs[tap][1] + start for level, start in zip(levels, starts, strict=True)]),
+        )
+        for tap in range(CENTRE)
+    )
+    sizes = tuple(size for level in levels for size in level.sizes)
+    return SparseLevel(coords=torch.cat([level.coords for level in levels]), sizes=sizes, pairs=pairs)
+
+
+def batch_pyramids(pyramids: Sequence[Pyramid]) -> Pyramid:
+    """Several samples' pyramids of equal depth as one."""
+    levels = tuple(batch_levels(same) for same in zip(*(one.levels for one in pyramids), strict=True))
+    parents = []
+    for depth in range(len(levels) - 1):
+        starts = _starts([len(one.levels[depth + 1]) for one in pyramids])
+        parents.append(torch.cat([one.parents[depth] + start for one, start in zip(pyramids, starts, strict=True)]))
+    return Pyramid(levels=levels, parents=tuple(parents))
+
+
+def turn_level(level: SparseLevel, axes: tuple[int, int, int], signs: tuple[int, int, int]) -> SparseLevel:
+    """The same voxels seen from elsewhere: new axis i is old axis `axes[i]` times `signs[i]`. Rows keep their order."""
+    pairs: list[Pair | None] = [None] * CENTRE
+    for (first, second), offset in zip(level.pairs, OFFSETS, strict=False):
+        turned = tuple(sign * offset[axis] for axis, sign in zip(axes, signs, strict=True))
+        tap = OFFSETS.index((turned[0], turned[1], turned[2]))
+        pairs[min(tap, 26 - tap)] = (first, second) if tap < CENTRE else (second, first)
+    coords = torch.stack([sign * level.coords[:, axis] for axis, sign in zip(axes, signs, strict=True)], dim=1)
+    return SparseLevel(coords=coords, sizes=level.sizes, pairs=tuple(pair for pair in pairs if pair is not None))
+
+
+def turn_pyramid(grids: Pyramid, axes: tuple[int, int, int], signs: tuple[int, int, int]) -> Pyramid:
+    """`turn_level` of every level: a turn by 90° or a mirror, exact and without building the pairs again."""
+    return Pyramid(levels=tuple(turn_level(level, axes, signs) for level in grids.levels), parents=grids.parents)
+
+
+def _neighbour_pairs(coords: Int64[Tensor, "V 3"]) -> tuple[Pair, ...]:
+    shifted = coords - coords.amin(dim=0) + 1  # a border of one, so that no neighbour's key wraps around
+    span = int(shifted.amax()) + 2
+    strides = torch.tensor([span * span, span, 1], device=coords.device)
+    keys, order = (shifted * strides).sum(dim=1).sort()
+    rows = torch.arange(len(coords), device=coords.device)
+    pairs = []
+    for offset in OFFSETS[:CENTRE]:
+        wanted = (shifted * strides).sum(dim=1) + int((torch.tensor(offset, device=coords.device) * strides).sum())
+        found = torch.searchsorted(keys, wanted).clamp_max(len(keys) - 1)
+        hit = keys[found] == wanted
+        pairs.append((rows[hit], order[found[hit]]))
+    return tuple(pairs)
+
+
+def _starts(sizes: Sequence[int]) -> list[int]:
+    return [sum(sizes[:index]) for index in range(len(sizes))]

@@ -1,0 +1,25 @@
+"""Between a level and the next coarser one, onto grids that exist already: topology is never invented."""
+
+import torch
+from jaxtyping import Float, Int64
+from torch import Tensor
+
+
+def average_pool(
+    features: Float[Tensor, "V ..."], parents: Int64[Tensor, " V"], num_coarse: int
+) -> Float[Tensor, "W ..."]:
+    """Mean over the occupied children of each coarse voxel."""
+    children = torch.bincount(parents, minlength=num_coarse).to(features.dtype)
+    total = features.new_zeros(num_coarse, *features.shape[1:]).index_add(0, parents, features)
+    return total / children.view(-1, *[1] * (features.dim() - 1))
+
+
+def max_pool(features: Float[Tensor, "V C"], parents: Int64[Tensor, " V"], num_coarse: int) -> Float[Tensor, "W C"]:
+    """Largest value among the occupied children of each coarse voxel."""
+    lowest = features.new_full((num_coarse, features.shape[1]), -torch.inf)
+    return lowest.scatter_reduce(0, parents[:, None].expand_as(features), features, "amax")
+
+
+def upsample(features: Float[Tensor, "W ..."], parents: Int64[Tensor, " V"]) -> Float[Tensor, "V ..."]:
+    """Give each voxel what its parent has (nearest)."""
+    return features.index_select(0, parents)
