@@ -1,0 +1,1 @@
+"""4DTree: trees that grow, and sway, from a seed."""

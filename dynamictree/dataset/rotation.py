@@ -1,0 +1,48 @@
+"""Unit quaternions (wxyz) by component, `[4, ...]`: what a chain of small turns needs."""
+
+import numpy as np
+from jaxtyping import Float32
+
+
+def turn_of(vector: Float32[np.ndarray, "3 *batch"]) -> Float32[np.ndarray, "4 *batch"]:
+    """Quaternion of a rotation vector [rad]."""
+    angle = np.sqrt((vector * vector).sum(axis=0))
+    half = 0.5 * np.sinc(angle / (2 * np.pi))  # sin(angle / 2) / angle
+    return np.concatenate([np.cos(angle / 2)[None], half * vector]).astype(np.float32)
+
+
+def product(
+    first: Float32[np.ndarray, "4 *batch"], second: Float32[np.ndarray, "4 *batch"]
+) -> Float32[np.ndarray, "4 *batch"]:
+    """Hamilton's product: `second` is done first."""
+    a, b, c, d = first
+    w, x, y, z = second
+    return np.stack(
+        [
+            a * w - b * x - c * y - d * z,
+            a * x + b * w + c * z - d * y,
+            a * y - b * z + c * w + d * x,
+            a * z + b * y - c * x + d * w,
+        ]
+    )
+
+
+def to_matrix(quaternion: Float32[np.ndarray, "4 *batch"]) -> Float32[np.ndarray, "3 3 *batch"]:
+    """Rotation less the identity."""
+    w, x, y, z = quaternion
+    rows = [
+        [-2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), -2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), -2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row) for row in rows])
+
+
+def carried(
+    quaternion: Float32[np.ndarray, "4 *batch"], vector: Float32[np.ndarray, "3 *any"]
+) -> Float32[np.ndarray, "3 *batch"]:
+    """A vector turned by each quaternion."""
+    x, y, z = vector
+    matrix = to_matrix(quaternion)
+    turned = matrix[:, 0] * x + matrix[:, 1] * y + matrix[:, 2] * z
+    return (turned + vector).astype(np.float32)

@@ -1,0 +1,105 @@
+"""One animated tree of the dataset, from its seed alone."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Complex64, Int8
+
+from dynamictree.dataset.sapling import Tree, grow_tree
+from dynamictree.dataset.skeleton import Skeleton, skeleton_of
+from dynamictree.dataset.species import SPECIES, Species
+from dynamictree.dataset.wind import sway, vertex_spectrum
+from dynamictree.errors import InputError
+from dynamictree.mesh import TriangleMesh
+from dynamictree.spectrum import NUM_FREQUENCIES, SparseVoxelSpectrum, Wind
+from dynamictree.voxel.voxelize import SurfaceVoxels, surface_average, voxelize
+
+VERSION = 1  # of the generator: a seed means the same tree as long as this stands
+SPEED_M_S = (2.0, 10.0)
+GUST = (0.15, 0.45)
+HELD_OUT_WEIGHT = 1 / 3  # species that are only for evaluation come up more rarely
+VALIDATION_EVERY = 20  # seeds
+
+Split = Literal["train", "validation", "unseen-species"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sample:
+    """A tree, its wind, and how it moves."""
+
+    seed: int
+    species: str
+    split: Split
+    wind: Wind
+    mesh: TriangleMesh
+    part: Int8[np.ndarray, " N"]  # stem level, or `sapling.LEAF`
+    skeleton: Skeleton
+    coefficients: Complex64[np.ndarray, "N K 3"]  # of every vertex [m]; zero is the tree without wind
+
+
+def make_sample(seed: int, species: str | None = None, *, wind: Wind | None = None) -> Sample:
+    """Grow and move the tree of a seed; the same bytes whenever and wherever.
+
+    Args:
+        seed: 0 or more.
+        species: name in `SPECIES`; by default drawn from the seed.
+        wind: by default drawn from the seed.
+
+    Raises:
+        InputError: no such species, or a negative seed.
+    """
+    chosen, own_wind, tree, rng = _drawn(seed, species, wind)
+    motion = sway(tree, own_wind, rng)
+    return Sample(
+        seed=seed,
+        species=chosen.name,
+        split=split_of(seed, chosen),
+        wind=own_wind,
+        mesh=tree.mesh,
+        part=tree.part,
+        skeleton=skeleton_of(tree.stems),
+        coefficients=vertex_spectrum(motion, tree.mesh.vertices, tree.node, NUM_FREQUENCIES),
+    )
+
+
+def split_of(seed: int, species: Species) -> Split:
+    """Which part of the dataset a tree belongs to."""
+    if species.held_out:
+        return "unseen-species"
+    return "validation" if seed % VALIDATION_EVERY == 0 else "train"
+
+
+def voxel_spectrum(sample: Sample, resolution: int = 128) -> tuple[SurfaceVoxels, SparseVoxelSpectrum]:
+    """The sample's motion on its voxel grid: in each voxel the mean of the surface inside."""
+    voxels = voxelize(sample.mesh, resolution)
+    weights = surface_average(sample.mesh, voxels.grid)  # [V, N]
+    count, num_frequencies, _ = sample.coefficients.shape
+    flat = sample.coefficients.reshape(count, -1).view(np.float32)  # [N, 6K]
+    averaged = np.ascontiguousarray(weights.astype(np.float32) @ flat).view(np.complex64)
+    spectrum = SparseVoxelSpectrum(
+        grid=voxels.grid,
+        coefficients=averaged.reshape(-1, num_frequencies, 3),
+        model=f"4dtree-{VERSION}",
+        seed=sample.seed,
+        wind=sample.wind,
+    )
+    return voxels, spectrum
+
+
+def _drawn(seed: int, species: str | None, wind: Wind | None) -> tuple[Species, Wind, Tree, np.random.Generator]:
+    if seed < 0:
+        raise InputError(f"the seed is {seed}; it must be 0 or more")
+    if species is not None and species not in SPECIES:
+        raise InputError(f"there is no species {species!r}; choose one of {', '.join(SPECIES)}")
+    rng = np.random.default_rng([VERSION, seed])
+    names = list(SPECIES)
+    weights = np.array([HELD_OUT_WEIGHT if SPECIES[name].held_out else 1.0 for name in names])
+    drawn = names[int(rng.choice(len(names), p=weights / weights.sum()))]
+    own_wind = Wind(
+        speed_m_s=round(float(rng.uniform(*SPEED_M_S)), 3),
+        direction_deg=round(float(rng.uniform(0, 360)), 2),
+        gust=round(float(rng.uniform(*GUST)), 4),
+    )
+    chosen = SPECIES[species or drawn]
+    return chosen, wind or own_wind, grow_tree(chosen, rng), rng
