@@ -26,7 +26,7 @@ class Leaves:
     ring: Float32[np.ndarray, " Q"]
 
 
-def grow_leaves(foliage: Foliage, stems: Stems, level: int, rng: np.random.Generator) -> Leaves:
+def grow_leaves(foliage: Foliage, height_m: float, stems: Stems, level: int, rng: np.random.Generator) -> Leaves:
     """Leaves along every stem of one level, in a spiral; a frond's leaflets in two rows."""
     own = 1 - np.maximum(stems.first / stems.segments, 0.15)
     longest = np.percentile(stems.length_m, 80)
@@ -48,7 +48,7 @@ def grow_leaves(foliage: Foliage, stems: Stems, level: int, rng: np.random.Gener
     down = np.where(step > 0.999, 0.25 * down, down)  # the last leaf goes on where the stem ends
     axis = unit(along * np.cos(down)[:, None] + side * np.sin(down)[:, None])
     axis = unit(axis + foliage.droop * rng.uniform(0.5, 1.5, (len(row), 1)) * DOWN)
-    length = foliage.size_m * rng.uniform(0.7, 1.3, len(row))
+    length = foliage.size * height_m * rng.uniform(0.7, 1.3, len(row))
     axis[:, 2] = np.where(low[:, 2] + 1.2 * length * axis[:, 2] < 0, np.abs(axis[:, 2]), axis[:, 2])  # off the ground
     flat = across(axis)  # level, so that the card faces up
     normal = turned(np.cross(axis, flat).astype(np.float32), axis, rng.normal(0, 0.5, len(row)).astype(np.float32))
@@ -73,26 +73,16 @@ CARD = {  # (along the axis, across, off the plane), in lengths and widths; fold
 
 
 def cards(leaves: Leaves, foliage: Foliage) -> Surface:
-    """The leaves' surface; node q is leaf q. A cluster is two sprays that cross."""
+    """The leaves' surface; node q is leaf q. A card of a cluster is a spray."""
     outline = CARD[{"leaf": "leaf", "frond": "blade"}.get(foliage.kind, "spray")]
     spokes = np.int32([[0, i, i + 1] for i in range(1, len(outline) - 1)])
-    normals = [leaves.normal]
-    if foliage.kind == "cluster":
-        quarter = np.full(len(leaves.axis), np.pi / 2, np.float32)
-        normals.append(turned(leaves.normal, leaves.axis, quarter))
-    vertices, faces, nodes, offset = [], [], [], 0
-    for normal in normals:
-        side = np.cross(normal, leaves.axis)
-        frame = np.stack([leaves.axis, side * foliage.aspect, normal], axis=1)  # [Q, 3, 3]
-        placed = leaves.base[:, None] + leaves.length_m[:, None, None] * np.einsum("pa,qax->qpx", outline, frame)
-        vertices.append(placed.reshape(-1, 3))
-        faces.append((offset + np.arange(len(frame))[:, None, None] * len(outline) + spokes).reshape(-1, 3))
-        nodes.append(np.repeat(np.arange(len(frame)), len(outline)))
-        offset += len(vertices[-1])
-    every = np.concatenate(vertices).astype(np.float32)
-    every[:, 2] = np.maximum(every[:, 2], LOWEST_M)
+    side = np.cross(leaves.normal, leaves.axis)
+    frame = np.stack([leaves.axis, side * foliage.aspect, leaves.normal], axis=1)  # [Q, 3, 3]
+    placed = leaves.base[:, None] + leaves.length_m[:, None, None] * np.einsum("pa,qax->qpx", outline, frame)
+    placed[:, :, 2] = np.maximum(placed[:, :, 2], LOWEST_M)
+    count = len(frame)
     return Surface(
-        vertices=every,
-        faces=np.concatenate(faces).astype(np.int32),
-        node=np.concatenate(nodes).astype(np.int32),
+        vertices=placed.reshape(-1, 3).astype(np.float32),
+        faces=(np.arange(count)[:, None, None] * len(outline) + spokes).reshape(-1, 3).astype(np.int32),
+        node=np.repeat(np.arange(count, dtype=np.int32), len(outline)),
     )

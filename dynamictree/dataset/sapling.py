@@ -35,10 +35,10 @@ def grow_tree(species: Species, rng: np.random.Generator) -> Tree:
         stems.append(grow_children(own, depth, stems[-1], rng))
     leaves = []
     if own.foliage.kind != "none":
-        leaves.append(grow_leaves(own.foliage, stems[-1], len(stems) - 1, rng))
+        leaves.append(grow_leaves(own.foliage, own.height_m[0], stems[-1], len(stems) - 1, rng))
         if len(stems) > 2:
             thin = replace(own.foliage, count=own.foliage.count * THIN_SHARE)
-            leaves.append(grow_leaves(thin, stems[-2], len(stems) - 2, rng))
+            leaves.append(grow_leaves(thin, own.height_m[0], stems[-2], len(stems) - 2, rng))
     return _surface(own, tuple(stems), tuple(leaves))
 
 

@@ -44,7 +44,7 @@ class Foliage:
 
     kind: LeafKind = "leaf"
     count: float = 8.0  # on a stem of full length
-    size_m: float = 0.3  # length of a card
+    size: float = 0.035  # length of a card, of the tree's height
     aspect: float = 0.6  # width over length
     down: float = 50.0  # degrees from the stem
     droop: float = 0.2  # bend towards the ground, 0 to 1
@@ -91,7 +91,7 @@ class Species:
             )
             for depth, level in enumerate(self.levels)
         )
-        foliage = replace(self.foliage, count=key(self.foliage.count), size_m=rest(self.foliage.size_m))
+        foliage = replace(self.foliage, count=key(self.foliage.count), size=rest(self.foliage.size))
         height = float(rng.uniform(*self.height_m))
         return replace(
             self,
@@ -117,7 +117,7 @@ def _presets() -> tuple[Species, ...]:
                 Level(length=0.42, count=24, segments=7, sides=6, curve=-30, curve_var=50, down=62, down_var=-20),
                 Level(length=0.42, count=9, segments=4, sides=4, curve=-20, curve_var=50, down=48),
             ),
-            foliage=Foliage(kind="cluster", count=5, size_m=0.5, aspect=0.75),
+            foliage=Foliage(kind="cluster", count=3.6, size=0.045, aspect=0.7),
         ),
         Species(
             name="spreading-broadleaf",
@@ -131,7 +131,7 @@ def _presets() -> tuple[Species, ...]:
                 Level(length=0.5, count=20, segments=8, sides=6, curve=-25, curve_var=70, down=70, splits=0.06),
                 Level(length=0.4, count=9, segments=4, sides=4, curve=-10, curve_var=60, down=50),
             ),
-            foliage=Foliage(kind="cluster", count=5, size_m=0.5, aspect=0.8, color=(0.15, 0.28, 0.07)),
+            foliage=Foliage(kind="cluster", count=2.6, size=0.04, aspect=0.75, color=(0.15, 0.28, 0.07)),
         ),
         Species(
             name="maple",
@@ -145,7 +145,7 @@ def _presets() -> tuple[Species, ...]:
                 Level(length=0.45, count=22, segments=7, sides=6, curve=-45, curve_var=50, down=55, tropism=0.4),
                 Level(length=0.45, count=9, segments=4, sides=4, curve=-20, curve_var=60, down=50, tropism=0.2),
             ),
-            foliage=Foliage(kind="leaf", count=9, size_m=0.32, aspect=0.9, color=(0.36, 0.2, 0.05)),
+            foliage=Foliage(kind="leaf", count=5, size=0.036, aspect=0.75, color=(0.36, 0.2, 0.05)),
         ),
         Species(
             name="weeping",
@@ -160,7 +160,7 @@ def _presets() -> tuple[Species, ...]:
                 Level(length=0.42, count=18, segments=8, sides=5, curve=20, curve_back=70, curve_var=50, down=50),
                 Level(length=0.8, count=12, segments=7, sides=3, curve=20, curve_var=20, down=55, tropism=-2.6),
             ),
-            foliage=Foliage(kind="leaf", count=11, size_m=0.28, aspect=0.3, down=30, droop=0.8),
+            foliage=Foliage(kind="leaf", count=7, size=0.032, aspect=0.3, down=30, droop=0.8),
         ),
         Species(
             name="columnar",
@@ -173,7 +173,7 @@ def _presets() -> tuple[Species, ...]:
                 Level(length=0.26, count=46, segments=5, sides=4, curve=-20, curve_var=20, down=30, tropism=1.2),
                 Level(length=0.3, count=6, segments=3, sides=3, curve=0, curve_var=30, down=35, tropism=0.6),
             ),
-            foliage=Foliage(kind="cluster", count=4, size_m=0.45, aspect=0.6, color=(0.13, 0.27, 0.07)),
+            foliage=Foliage(kind="cluster", count=3.0, size=0.026, aspect=0.6, color=(0.13, 0.27, 0.07)),
         ),
         Species(
             name="conical-conifer",
@@ -186,7 +186,7 @@ def _presets() -> tuple[Species, ...]:
                 Level(length=0.32, count=60, segments=5, sides=4, curve=-25, curve_var=15, down=95, down_var=-20),
                 Level(length=0.3, count=8, segments=2, sides=3, curve=-10, curve_var=20, down=55, rotate=180),
             ),
-            foliage=Foliage(kind="needle", count=4, size_m=0.42, aspect=0.5, droop=0.35, color=(0.05, 0.16, 0.06)),
+            foliage=Foliage(kind="needle", count=3.2, size=0.034, aspect=0.4, droop=0.35, color=(0.05, 0.16, 0.06)),
         ),
         Species(
             name="spire-conifer",
@@ -199,7 +199,7 @@ def _presets() -> tuple[Species, ...]:
                 Level(length=0.17, count=75, segments=4, sides=4, curve=40, curve_back=-30, curve_var=12, down=105),
                 Level(length=0.35, count=6, segments=2, sides=3, curve=20, curve_var=20, down=60, rotate=180),
             ),
-            foliage=Foliage(kind="needle", count=4, size_m=0.4, aspect=0.45, droop=0.5, color=(0.05, 0.14, 0.08)),
+            foliage=Foliage(kind="needle", count=3.5, size=0.03, aspect=0.45, droop=0.5, color=(0.05, 0.14, 0.08)),
         ),
         Species(
             name="pine",
@@ -213,7 +213,7 @@ def _presets() -> tuple[Species, ...]:
                 Level(length=0.34, count=28, segments=6, sides=5, curve=-40, curve_var=60, down=85, down_var=-15),
                 Level(length=0.38, count=8, segments=3, sides=3, curve=-40, curve_var=40, down=55, tropism=0.6),
             ),
-            foliage=Foliage(kind="needle", count=5, size_m=0.38, aspect=0.8, down=40, color=(0.07, 0.19, 0.08)),
+            foliage=Foliage(kind="needle", count=4.5, size=0.034, aspect=0.7, down=40, color=(0.07, 0.19, 0.08)),
         ),
         Species(
             name="palm",
@@ -227,7 +227,7 @@ def _presets() -> tuple[Species, ...]:
                 replace(trunk, segments=14, curve=-12, curve_var=35, taper=0.3),
                 Level(length=0.36, count=22, segments=9, sides=4, curve=75, curve_var=15, down=65, down_var=45),
             ),
-            foliage=Foliage(kind="frond", count=44, size_m=0.6, aspect=0.14, down=60, droop=0.5),
+            foliage=Foliage(kind="frond", count=30, size=0.075, aspect=0.12, down=60, droop=0.5),
         ),
         Species(
             name="shrub",
@@ -238,10 +238,10 @@ def _presets() -> tuple[Species, ...]:
             flare=0.1,
             levels=(
                 Level(length=0.95, count=7, segments=7, sides=5, curve=25, curve_var=50, down=28, length_var=0.2),
-                Level(length=0.4, count=12, segments=5, sides=4, curve=-20, curve_var=60, down=50, tropism=0.4),
+                Level(length=0.42, count=24, segments=5, sides=4, curve=-20, curve_var=60, down=50, tropism=0.4),
                 Level(length=0.45, count=5, segments=3, sides=3, curve=0, curve_var=50, down=50),
             ),
-            foliage=Foliage(kind="leaf", count=7, size_m=0.13, aspect=0.6),
+            foliage=Foliage(kind="leaf", count=5, size=0.042, aspect=0.5),
         ),
         Species(
             name="sapling",
@@ -255,7 +255,7 @@ def _presets() -> tuple[Species, ...]:
                 Level(length=0.38, count=20, segments=6, sides=4, curve=-30, curve_var=50, down=50, tropism=0.5),
                 Level(length=0.35, count=5, segments=3, sides=3, curve=0, curve_var=50, down=50),
             ),
-            foliage=Foliage(kind="leaf", count=9, size_m=0.1, aspect=0.6, droop=0.4, color=(0.24, 0.4, 0.1)),
+            foliage=Foliage(kind="leaf", count=7, size=0.05, aspect=0.5, droop=0.4, color=(0.24, 0.4, 0.1)),
         ),
         Species(
             name="bare-winter",
@@ -284,7 +284,7 @@ def _presets() -> tuple[Species, ...]:
                 Level(length=0.3, count=34, segments=6, sides=5, curve=10, curve_back=50, curve_var=40, down=48),
                 Level(length=0.5, count=8, segments=4, sides=3, curve=40, curve_var=40, down=45, tropism=-0.6),
             ),
-            foliage=Foliage(kind="leaf", count=8, size_m=0.32, aspect=0.6, droop=0.5, color=(0.28, 0.38, 0.08)),
+            foliage=Foliage(kind="leaf", count=6, size=0.028, aspect=0.6, droop=0.5, color=(0.28, 0.38, 0.08)),
         ),
         Species(
             name="acacia",
@@ -292,13 +292,13 @@ def _presets() -> tuple[Species, ...]:
             shape="inverse-conical",
             base_size=0.52,
             ratio=0.026,
-            base_splits=3.0,
+            base_splits=2.5,
             levels=(
-                replace(trunk, segments=8, splits=0.1, split_angle=40, curve_var=45, curve_back=30),
-                Level(length=0.62, count=12, segments=8, sides=6, curve=25, curve_back=55, curve_var=45, down=58),
+                replace(trunk, segments=8, splits=0.06, split_angle=42, curve_var=30),
+                Level(length=0.5, count=16, segments=7, sides=5, curve=25, curve_back=50, curve_var=30, down=58),
                 Level(length=0.45, count=10, segments=4, sides=4, curve=0, curve_var=50, down=60, rotate=180),
             ),
-            foliage=Foliage(kind="cluster", count=5, size_m=0.42, aspect=0.9, down=70, droop=0.05),
+            foliage=Foliage(kind="cluster", count=3, size=0.036, aspect=0.8, down=70, droop=0.05),
         ),
     )
 

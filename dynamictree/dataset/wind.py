@@ -32,7 +32,7 @@ LEAF_LEAN_RAD = np.deg2rad(6.0)
 MAX_LEAN_RAD = np.deg2rad(20.0)  # approached, never passed
 DAMPING_RATIO = 0.15  # of a tree in leaf, mostly aerodynamic
 TURBULENCE_EXPONENT = 0.5  # a_k ~ k^-0.5: wakes in the crown make the spectrum flatter than the free stream's
-PHASE_SPREAD_RAD = 0.3  # a bin and a level: how far a stem's phase strays from its parent's
+PHASE_SPREAD_RAD = 0.12  # a bin and a level: how far a stem's phase strays from its parent's
 ACROSS = np.float32([1.0, 0.5, 0.35])  # drive along the wind, level across it, and vertical
 
 

@@ -1,0 +1,163 @@
+"""Shards: files of some trees each, the same bytes for the same seeds. safetensors, so that any language reads them.
+
+Tensors of tree SEED are named `SEED/name`, the seed in seven digits:
+
+    vertices float32 [N, 3] (m) · faces int32 [F, 3] · part int8 [N] (stem level, 9 is leaf)
+    skeleton.position, .radius, .parent, .level, .stem, .stem_length_m
+    r128.coords int16 [V, 3] · r128.normals float16 [V, 3] · r128.spectrum float16 [V, K, 3, 2] (re, im; m), and so on
+    vertex_spectrum float16 [N, K, 3, 2], on request
+
+The one metadata entry `4dtree` is JSON: version, fps, num_frames, and a record of each tree (seed, species, split, wind, grids).
+"""
+
+import json
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from typing import BinaryIO
+
+import numpy as np
+import safetensors.numpy
+from jaxtyping import Complex64, Float16
+
+from dynamictree.dataset.sample import VERSION, Sample, Split, voxel_spectrum
+from dynamictree.dataset.skeleton import Skeleton
+from dynamictree.errors import FormatError
+from dynamictree.spectrum import FPS, NUM_FRAMES, SparseVoxelSpectrum, Wind
+from dynamictree.voxel.grid import VoxelGrid
+from dynamictree.voxel.voxelize import SurfaceVoxels
+
+METADATA = "4dtree"
+
+
+@dataclass(frozen=True, kw_only=True)
+class StoredTree:
+    """One tree as it lies in a shard: the grids first, the mesh when asked."""
+
+    seed: int
+    species: str
+    split: Split
+    wind: Wind
+    tensors: dict[str, np.ndarray]
+    grids: dict[int, tuple[tuple[float, float, float], float]]  # resolution: origin and voxel size [m]
+
+    def voxels(self, resolution: int = 128) -> SurfaceVoxels:
+        """Where the surface is, at one of the stored resolutions."""
+        origin_m, voxel_size_m = self.grids[resolution]
+        grid = VoxelGrid(
+            coords=self.tensors[f"r{resolution}.coords"].astype(np.int32),
+            origin_m=origin_m,
+            voxel_size_m=voxel_size_m,
+            resolution=resolution,
+        )
+        return SurfaceVoxels(grid=grid, normals=self.tensors[f"r{resolution}.normals"].astype(np.float32))
+
+    def spectrum(self, resolution: int = 128) -> SparseVoxelSpectrum:
+        """How it moves, at one of the stored resolutions."""
+        return SparseVoxelSpectrum(
+            grid=self.voxels(resolution).grid,
+            coefficients=unpacked(self.tensors[f"r{resolution}.spectrum"]),
+            model=f"{METADATA}-{VERSION}",
+            seed=self.seed,
+            wind=self.wind,
+        )
+
+    def skeleton(self) -> Skeleton:
+        """Nodes and their parents."""
+        fields = ("position", "radius", "parent", "level", "stem", "stem_length_m")
+        return Skeleton(**{name: self.tensors[f"skeleton.{name}"] for name in fields})
+
+
+def packed(coefficients: Complex64[np.ndarray, "N K 3"]) -> Float16[np.ndarray, "N K 3 2"]:
+    """Complex to float16 (re, im)."""
+    return np.ascontiguousarray(coefficients).view(np.float32).reshape(*coefficients.shape, 2).astype(np.float16)
+
+
+def unpacked(pairs: Float16[np.ndarray, "N K 3 2"]) -> Complex64[np.ndarray, "N K 3"]:
+    """Undo `packed`, up to float16."""
+    return np.ascontiguousarray(pairs.astype(np.float32)).view(np.complex64)[..., 0]
+
+
+def store(sample: Sample, *, resolutions: tuple[int, ...], vertex_spectrum: bool = False) -> StoredTree:
+    """What a shard keeps of a sample."""
+    tensors: dict[str, np.ndarray] = {
+        "vertices": sample.mesh.vertices,
+        "faces": sample.mesh.faces,
+        "part": sample.part,
+        **{f"skeleton.{name}": value for name, value in asdict(sample.skeleton).items()},
+    }
+    grids = {}
+    for resolution in resolutions:
+        voxels, spectrum = voxel_spectrum(sample, resolution)
+        tensors[f"r{resolution}.coords"] = voxels.grid.coords.astype(np.int16)
+        tensors[f"r{resolution}.normals"] = voxels.normals.astype(np.float16)
+        tensors[f"r{resolution}.spectrum"] = packed(spectrum.coefficients)
+        grids[resolution] = (voxels.grid.origin_m, voxels.grid.voxel_size_m)
+    if vertex_spectrum:
+        tensors["vertex_spectrum"] = packed(sample.coefficients)
+    return StoredTree(
+        seed=sample.seed,
+        species=sample.species,
+        split=sample.split,
+        wind=sample.wind,
+        tensors=tensors,
+        grids=grids,
+    )
+
+
+def write_shard(trees: list[StoredTree], stream: BinaryIO) -> None:
+    """Write trees in the order given."""
+    records = [
+        {
+            "seed": tree.seed,
+            "species": tree.species,
+            "split": tree.split,
+            "wind": asdict(tree.wind),
+            "grids": {str(resolution): [list(origin), size] for resolution, (origin, size) in tree.grids.items()},
+        }
+        for tree in trees
+    ]
+    head = {"version": VERSION, "fps": FPS, "num_frames": NUM_FRAMES, "trees": records}
+    tensors = {
+        f"{tree.seed:07d}/{name}": np.ascontiguousarray(value)
+        for tree in trees
+        for name, value in tree.tensors.items()
+    }
+    # one entry only: safetensors gives several in no fixed order
+    stream.write(safetensors.numpy.save(tensors, metadata={METADATA: json.dumps(head, sort_keys=True)}))
+
+
+def iter_shard(path: str, *, names: tuple[str, ...] | None = None) -> Iterator[StoredTree]:
+    """Trees of a shard one by one, each read when its turn comes.
+
+    Args:
+        path: of the file; a shard is mapped, not read whole.
+        names: tensors wanted, all by default.
+
+    Raises:
+        FormatError: not a shard of this version.
+    """
+    try:
+        source = safetensors.safe_open(path, framework="numpy")
+    except safetensors.SafetensorError as error:
+        raise FormatError(f"{path} is no safetensors file ({error}); write it again") from error
+    with source as shard:
+        head = json.loads((shard.metadata() or {}).get(METADATA, "{}"))
+        if head.get("version") != VERSION:
+            raise FormatError(
+                f"{path} is a shard of version {head.get('version')}; this program reads {VERSION}; generate it again"
+            )
+        keys = list(shard.keys())
+        for record in head["trees"]:
+            prefix = f"{record['seed']:07d}/"
+            wanted = [key for key in keys if key.startswith(prefix) and (names is None or key[8:] in names)]
+            yield StoredTree(
+                seed=record["seed"],
+                species=record["species"],
+                split=record["split"],
+                wind=Wind(**record["wind"]),
+                tensors={key[8:]: shard.get_tensor(key) for key in wanted},
+                grids={
+                    int(resolution): ((origin[0], origin[1], origin[2]), size)
+                    for resolution, (origin, size) in record["grids"].items()
+                },
+            )
