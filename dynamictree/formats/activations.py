@@ -1,0 +1,42 @@
+"""How 3DGS files keep opacity, scale and colour: as what the optimiser saw before its activations."""
+
+import numpy as np
+from jaxtyping import Float, Float32
+from scipy.special import expit, logit
+
+from dynamictree.gaussian.harmonics import SH_0
+
+MIN_SCALE = 1e-10
+"""Flat axes are written as this, not as zero, whose logarithm is not finite [the file's unit]."""
+MAX_LOG_SCALE = 80.0  # float32 ends at exp(88); more is no length but an overflow
+
+
+def opacity_from_logit(values: Float[np.ndarray, " G"]) -> Float32[np.ndarray, " G"]:
+    """Sigmoid."""
+    return expit(values.astype(np.float32))
+
+
+def logit_from_opacity(opacity: Float32[np.ndarray, " G"]) -> Float32[np.ndarray, " G"]:
+    """Undoes `opacity_from_logit`; 0 and 1, which have no finite logit, become the nearest that have."""
+    tiny = np.finfo(np.float32).eps / 2
+    return logit(np.clip(opacity, tiny, 1 - tiny)).astype(np.float32)
+
+
+def scales_from_log(values: Float[np.ndarray, "G 3"]) -> Float32[np.ndarray, "G 3"]:
+    """Exponential; what would overflow becomes infinite, which validation refuses."""
+    return np.exp(np.where(values > MAX_LOG_SCALE, np.inf, values)).astype(np.float32)
+
+
+def log_from_scales(scales: Float32[np.ndarray, "G 3"]) -> Float32[np.ndarray, "G 3"]:
+    """Undoes `scales_from_log`."""
+    return np.log(np.maximum(scales, np.float32(MIN_SCALE)))
+
+
+def harmonic_from_color(color: Float[np.ndarray, "G 3"]) -> Float32[np.ndarray, "G 3"]:
+    """The first harmonic's coefficient of a colour in [0, 1] that is the same from everywhere."""
+    return ((color - 0.5) / SH_0).astype(np.float32)
+
+
+def color_from_harmonic(coefficient: Float32[np.ndarray, "G 3"]) -> Float32[np.ndarray, "G 3"]:
+    """Undoes `harmonic_from_color`; may leave [0, 1]."""
+    return coefficient * np.float32(SH_0) + np.float32(0.5)

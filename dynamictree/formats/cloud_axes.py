@@ -1,0 +1,63 @@
+"""How clouds change axes and units: from a file's to metres and +Z up, and back."""
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from dynamictree.errors import InputError
+from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.gaussian.harmonics import turn_sh
+from dynamictree.gaussian.rotation import matrix_quaternions, quaternion_products
+
+# rows are where the file's axes go; +Y is glTF's, −Y that of a scene reconstructed from photos (x right, y down)
+_TO_Z_UP = {
+    "+X": ((0, 1, 0), (0, 0, 1), (1, 0, 0)),
+    "-X": ((0, 0, 1), (0, 1, 0), (-1, 0, 0)),
+    "+Y": ((1, 0, 0), (0, 0, -1), (0, 1, 0)),
+    "-Y": ((1, 0, 0), (0, 0, 1), (0, -1, 0)),
+    "+Z": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
+    "-Z": ((1, 0, 0), (0, -1, 0), (0, 0, -1)),
+}
+
+
+def up_rotation(up_axis: str) -> Float64[np.ndarray, "3 3"]:
+    """Matrix that takes a file's axes to +Z up.
+
+    Raises:
+        InputError: an axis that is none of ±X, ±Y, ±Z.
+    """
+    if up_axis not in _TO_Z_UP:
+        raise InputError(f"up_axis is {up_axis!r}; choose from {', '.join(_TO_Z_UP)}")
+    return np.array(_TO_Z_UP[up_axis], np.float64)
+
+
+def to_z_up(cloud: GaussianCloud, *, up_axis: str, unit_m: float) -> GaussianCloud:
+    """Turn and scale a cloud as its file has it.
+
+    Raises:
+        InputError: an unknown axis, or a unit that is not a positive length.
+    """
+    if not (np.isfinite(unit_m) and unit_m > 0):
+        raise InputError(f"unit_m is {unit_m}; it must be positive and finite")
+    turned = transformed(cloud, up_rotation(up_axis), unit_m)
+    return replace(turned, source_up_axis=up_axis, source_scale=unit_m)
+
+
+def to_source_axes(cloud: GaussianCloud) -> GaussianCloud:
+    """Undo `to_z_up`: as the source's file would have it, so that what we write lies where the capture lay."""
+    return transformed(cloud, up_rotation(cloud.source_up_axis).T, 1 / cloud.source_scale)
+
+
+def transformed(cloud: GaussianCloud, rotation: Float64[np.ndarray, "3 3"], scale: float) -> GaussianCloud:
+    """The cloud turned, then scaled about the origin. Harmonics turn with it."""
+    if scale == 1 and np.array_equal(rotation, np.eye(3)):
+        return cloud
+    turn = matrix_quaternions(rotation[None]).astype(np.float32)
+    return replace(
+        cloud,
+        means=(cloud.means @ rotation.T * scale).astype(np.float32),
+        quaternions=quaternion_products(turn, cloud.quaternions),
+        scales=(cloud.scales * scale).astype(np.float32),
+        sh=turn_sh(cloud.sh, rotation[None]),
+    )

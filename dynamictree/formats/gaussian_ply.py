@@ -1,0 +1,117 @@
+"""3DGS PLY files, as Kerbl et al. 2023 wrote them: read by property name in any order, with SH degree 0 to 3."""
+
+import re
+from typing import BinaryIO
+
+import numpy as np
+from jaxtyping import Float32, Shaped
+
+from dynamictree.errors import FormatError
+from dynamictree.formats.activations import (
+    log_from_scales,
+    logit_from_opacity,
+    opacity_from_logit,
+    scales_from_log,
+)
+from dynamictree.formats.cloud_axes import to_source_axes, to_z_up
+from dynamictree.formats.ply_table import PlyHeader, read_elements, read_header
+from dynamictree.gaussian.cloud import GaussianCloud, check_count, validate_cloud
+from dynamictree.gaussian.rotation import unit_quaternions
+
+UP_AXIS = "-Y"
+"""A scene reconstructed from photos has y downward, as its first camera had."""
+_NORMALS = ("nx", "ny", "nz")
+_POSITION = ("x", "y", "z")
+_COLOR = ("f_dc_0", "f_dc_1", "f_dc_2")
+_SCALE = ("scale_0", "scale_1", "scale_2")
+_ROTATION = ("rot_0", "rot_1", "rot_2", "rot_3")
+REQUIRED = (*_POSITION, *_COLOR, "opacity", *_SCALE, *_ROTATION)
+
+
+def read_gaussian_ply(stream: BinaryIO, *, up_axis: str = UP_AXIS, unit_m: float = 1.0) -> GaussianCloud:
+    """Read a trained splat.
+
+    Raises:
+        FormatError: not a PLY file, properties missing (they are named), or shorter than its header says.
+        InputError: values that are not finite, nothing visible, too many Gaussians.
+    """
+    header = read_header(stream)
+    return read_gaussian_rows(stream, header, up_axis=up_axis, unit_m=unit_m)
+
+
+def read_gaussian_rows(stream: BinaryIO, header: PlyHeader, *, up_axis: str, unit_m: float) -> GaussianCloud:
+    """The same, from behind the header."""
+    vertex = header.element("vertex")
+    names = vertex.names if vertex else frozenset[str]()
+    missing = [name for name in REQUIRED if name not in names]
+    if vertex is None or missing:
+        raise FormatError(f"the PLY file is no Gaussian splat: its vertices have no {', '.join(missing)}")
+    check_count(vertex.count)
+    rest = rest_names(names)
+    (rows,) = read_elements(stream, header, "vertex")
+    num_rest = len(rest) // 3
+    sh = np.empty((len(rows), 1 + num_rest, 3), np.float32)
+    sh[:, 0] = _columns(rows, _COLOR)
+    # channel-major: all of red, then green, then blue
+    for index, name in enumerate(rest):
+        sh[:, 1 + index % num_rest, index // num_rest] = rows[name]
+    cloud = GaussianCloud(
+        means=_columns(rows, _POSITION),
+        quaternions=unit_quaternions(_columns(rows, _ROTATION)),
+        scales=scales_from_log(_columns(rows, _SCALE)),
+        opacity=opacity_from_logit(rows["opacity"].astype(np.float32)),
+        sh=sh,
+    )
+    return to_z_up(validate_cloud(cloud), up_axis=up_axis, unit_m=unit_m)
+
+
+def write_gaussian_ply(cloud: GaussianCloud, stream: BinaryIO) -> None:
+    """Write what every splat viewer reads, in the source's axes and units; undone by `read_gaussian_ply`."""
+    stream.write(ply_header(cloud.num_gaussians, cloud.sh.shape[1]))
+    stream.write(ply_rows(to_source_axes(cloud)).data)
+
+
+def ply_header(num_gaussians: int, num_harmonics: int) -> bytes:
+    """Header of the file that `ply_rows` is the body of."""
+    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {num_gaussians}"]
+    lines += [f"property float {name}" for name in property_names(num_harmonics)]
+    return ("\n".join([*lines, "end_header"]) + "\n").encode()
+
+
+def property_names(num_harmonics: int) -> list[str]:
+    """Names in the order of Kerbl et al."""
+    rest = [f"f_rest_{i}" for i in range(3 * (num_harmonics - 1))]
+    return [*_POSITION, *_NORMALS, *_COLOR, *rest, "opacity", *_SCALE, *_ROTATION]
+
+
+def ply_rows(cloud: GaussianCloud) -> Float32[np.ndarray, "G P"]:
+    """Body of the file, of a cloud in the file's axes and units. Normals are zero, as in Kerbl et al."""
+    num_rest = cloud.sh.shape[1] - 1
+    rows = np.zeros((cloud.num_gaussians, 17 + 3 * num_rest), "<f4")
+    rows[:, 0:3] = cloud.means
+    rows[:, 6:9] = cloud.sh[:, 0]
+    for channel in range(3):
+        rows[:, 9 + channel * num_rest : 9 + (channel + 1) * num_rest] = cloud.sh[:, 1:, channel]
+    rows[:, -8] = logit_from_opacity(cloud.opacity)
+    rows[:, -7:-4] = log_from_scales(cloud.scales)
+    rows[:, -4:] = cloud.quaternions
+    return rows
+
+
+def rest_names(names: frozenset[str]) -> list[str]:
+    """The properties f_rest_0, f_rest_1, … in order.
+
+    Raises:
+        FormatError: their number is not that of a whole SH degree from 0 to 3.
+    """
+    count = sum(1 for name in names if re.fullmatch(r"f_rest_\d+", name))
+    rest = [f"f_rest_{i}" for i in range(count)]
+    if count not in (0, 9, 24, 45) or not names.issuperset(rest):
+        raise FormatError(
+            f"the splat has {count} properties f_rest_*; 0, 9, 24 or 45, numbered from 0, are allowed (SH degree 0 to 3)"
+        )
+    return rest
+
+
+def _columns(rows: Shaped[np.ndarray, " G"], names: tuple[str, ...]) -> Float32[np.ndarray, "G columns"]:
+    return np.stack([rows[name].astype(np.float32) for name in names], axis=1)

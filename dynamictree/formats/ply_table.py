@@ -1,0 +1,183 @@
+"""PLY files as tables: a header, then for each element its rows of named scalars.
+
+Only what clouds need: lists (faces) are recognised in the header and refused as data.
+"""
+
+import io
+import os
+from dataclasses import dataclass
+from typing import BinaryIO
+
+import numpy as np
+from jaxtyping import Shaped
+
+from dynamictree.errors import FormatError
+
+_MAX_HEADER = 65_536  # bytes; the largest in use, 3DGS with SH 3, is 1.5 kB
+_TYPES = {
+    "char": "i1",
+    "int8": "i1",
+    "uchar": "u1",
+    "uint8": "u1",
+    "short": "i2",
+    "int16": "i2",
+    "ushort": "u2",
+    "uint16": "u2",
+    "int": "i4",
+    "int32": "i4",
+    "uint": "u4",
+    "uint32": "u4",
+    "float": "f4",
+    "float32": "f4",
+    "double": "f8",
+    "float64": "f8",
+}
+_BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "<"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlyElement:
+    """One table of the file."""
+
+    name: str
+    count: int
+    properties: tuple[tuple[str, str], ...]  # name and numpy type without byte order; "list" for lists
+
+    @property
+    def names(self) -> frozenset[str]:
+        """Names of the properties."""
+        return frozenset(name for name, _ in self.properties)
+
+    @property
+    def has_lists(self) -> bool:
+        """Whether rows differ in length."""
+        return any(kind == "list" for _, kind in self.properties)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlyHeader:
+    """What the file says of itself; the data begin where the stream stands after `read_header`."""
+
+    encoding: str
+    elements: tuple[PlyElement, ...]
+
+    def element(self, name: str) -> PlyElement | None:
+        """The element of that name, if there is one."""
+        return next((element for element in self.elements if element.name == name), None)
+
+
+def read_header(stream: BinaryIO) -> PlyHeader:
+    """Read up to and with `end_header`.
+
+    Raises:
+        FormatError: not a PLY file, or a header that breaks the format's rules.
+    """
+    lines = _header_lines(stream)
+    encoding, elements = "", list[PlyElement]()
+    for line in lines:
+        words = line.split()
+        if not words or words[0] in ("comment", "obj_info"):
+            continue
+        if words[0] == "format" and len(words) == 3 and words[1] in _BYTE_ORDERS:
+            encoding = words[1]
+        elif words[0] == "element" and len(words) == 3 and words[2].isdecimal() and len(words[2]) <= 12:
+            elements.append(PlyElement(name=words[1], count=int(words[2]), properties=()))
+        elif words[0] == "property" and elements and _is_property(words):
+            kind = "list" if words[1] == "list" else _TYPES[words[1]]
+            last = elements[-1]
+            if words[-1] in last.names:
+                raise FormatError(
+                    f"the PLY header names property {words[-1]!r} of {last.name!r} twice; names must differ"
+                )
+            properties = (*last.properties, (words[-1], kind))
+            elements[-1] = PlyElement(name=last.name, count=last.count, properties=properties)
+        else:
+            raise FormatError(f"the PLY header has a line that is not understood: {line[:80]!r}")
+    if not encoding or not elements:
+        raise FormatError("the PLY header names no format or no element; it needs both")
+    return PlyHeader(encoding=encoding, elements=tuple(elements))
+
+
+def read_elements(stream: BinaryIO, header: PlyHeader, *names: str) -> list[Shaped[np.ndarray, " rows"]]:
+    """The rows of some elements, as structured arrays in this machine's byte order; the file is read no further.
+
+    Raises:
+        FormatError: the file is shorter than its header says, or an element with lists stands before or among them.
+    """
+    wanted = dict[str, Shaped[np.ndarray, " rows"]]()
+    order = _BYTE_ORDERS[header.encoding]
+    for element in header.elements:
+        if len(wanted) == len(names):
+            break
+        if element.has_lists:
+            raise FormatError(f"element {element.name!r} of the PLY file has lists; a cloud has single numbers only")
+        layout = np.dtype([(name, order + kind) for name, kind in element.properties])
+        rows = (
+            _ascii_rows(stream, element, layout)
+            if header.encoding == "ascii"
+            else _binary_rows(stream, element, layout)
+        )
+        if element.name in names:
+            wanted[element.name] = rows
+    return [wanted[name] for name in names]
+
+
+def remaining_bytes(stream: BinaryIO) -> int:
+    """From where a seekable stream stands to its end."""
+    here = stream.tell()
+    end = stream.seek(0, os.SEEK_END)
+    stream.seek(here)
+    return end - here
+
+
+def _binary_rows(stream: BinaryIO, element: PlyElement, layout: np.dtype[np.void]) -> Shaped[np.ndarray, " rows"]:
+    needed, found = element.count * layout.itemsize, remaining_bytes(stream)
+    if needed > found:
+        raise FormatError(
+            f"the PLY header says {element.count:,} rows of {layout.itemsize} bytes in {element.name!r}, {needed:,} bytes, "
+            f"but {found:,} are left in the file; it is truncated or its header is wrong"
+        )
+    rows = np.frombuffer(stream.read(needed), layout)
+    return rows.astype(layout.newbyteorder("="), copy=False)
+
+
+def _ascii_rows(stream: BinaryIO, element: PlyElement, layout: np.dtype[np.void]) -> Shaped[np.ndarray, " rows"]:
+    shortest = element.count * 2 * len(element.properties)  # a digit and a space a number
+    if shortest > remaining_bytes(stream) + 1:
+        raise FormatError(
+            f"the PLY header says {element.count:,} rows in {element.name!r}, at least {shortest:,} bytes, "
+            f"but {remaining_bytes(stream):,} are left in the file; it is truncated or its header is wrong"
+        )
+    text = b"".join(stream.readline() for _ in range(element.count))
+    try:
+        rows = np.loadtxt(io.BytesIO(text), layout, ndmin=1, comments=None) if element.count else np.empty(0, layout)
+    except ValueError as error:
+        raise FormatError(f"element {element.name!r} of the PLY file does not fit its header: {error}") from error
+    if len(rows) != element.count:
+        raise FormatError(
+            f"element {element.name!r} of the PLY file has {len(rows):,} rows, its header says {element.count:,}"
+        )
+    return rows
+
+
+def _header_lines(stream: BinaryIO) -> list[str]:
+    if stream.readline(8).strip() != b"ply":
+        raise FormatError("the file does not begin with 'ply'; it is no PLY file")
+    lines, size = list[str](), 4
+    while True:
+        line = stream.readline(_MAX_HEADER)
+        size += len(line)
+        if not line.endswith(b"\n") or size > _MAX_HEADER:
+            raise FormatError(
+                f"the PLY header has no end within {_MAX_HEADER:,} bytes; the file is truncated or no PLY"
+            )
+        text = line.decode("latin-1").strip()
+        if text == "end_header":
+            return lines
+        lines.append(text)
+
+
+def _is_property(words: list[str]) -> bool:
+    if words[1] == "list":
+        return len(words) == 5 and words[2] in _TYPES and words[3] in _TYPES
+    return len(words) == 3 and words[1] in _TYPES

@@ -1,0 +1,101 @@
+"""`*.spectrum.safetensors`: a sparse voxel spectrum, readable wherever safetensors is. See docs/formats.md."""
+
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Literal
+
+import numpy as np
+
+from dynamictree.errors import FormatError, NumericsError
+from dynamictree.formats.stream import ByteReader, ByteWriter
+from dynamictree.formats.tensor_file import (
+    MAX_FRAMES,
+    grid_metadata,
+    integer,
+    number,
+    number_fields,
+    read_grid,
+    read_tensors,
+    take_tensor,
+    write_tensors,
+)
+from dynamictree.spectrum import RESTS, Rest, SparseVoxelSpectrum, Wind
+
+FORMAT = "sparse-voxel-spectrum"
+VERSION = "1"
+MAX_TEXT_CHARS = 200  # of the model's name
+
+
+def write_spectrum(
+    spectrum: SparseVoxelSpectrum, stream: ByteWriter, *, dtype: Literal["float16", "float32"] = "float16"
+) -> None:
+    """Write; float16 keeps three digits of each coefficient and halves the file.
+
+    Raises:
+        NumericsError: a coefficient is not finite, or larger than float16 can hold.
+    """
+    limit = float(np.finfo(dtype).max)
+    parts = np.stack([spectrum.coefficients.real, spectrum.coefficients.imag], axis=-1)  # [V, K, 3, 2]
+    largest = float(np.abs(parts).max())
+    if not largest <= limit:
+        raise NumericsError(
+            f"the largest coefficient is {largest:.4g} m; {dtype} holds at most {limit:.4g}; the spectrum has diverged"
+        )
+    metadata = {
+        "format": FORMAT,
+        "version": VERSION,
+        **grid_metadata(spectrum.grid),
+        "fps": repr(float(spectrum.fps)),
+        "num_frames": str(spectrum.num_frames),
+        "rest": spectrum.rest,
+        "model": spectrum.model,
+        "seed": str(spectrum.seed),
+        "wind": json.dumps(asdict(spectrum.wind) if spectrum.wind else None),
+        "source_sha256": spectrum.source_sha256,
+    }
+    write_tensors(stream, {"coords": spectrum.grid.coords, "coefficients": parts.astype(dtype)}, metadata)
+
+
+def read_spectrum(stream: ByteReader) -> SparseVoxelSpectrum:
+    """Read; undoes `write_spectrum` to the precision of its dtype.
+
+    Raises:
+        InputError: the file is no spectrum of a known version, or anything in it is out of range.
+    """
+    tensors, metadata = read_tensors(stream, file_format=FORMAT, version=VERSION)
+    grid = read_grid(tensors, metadata)
+    parts = take_tensor(tensors, "coefficients", dtypes=("float16", "float32"), shape=(len(grid), None, 3, 2))
+    coefficients = np.ascontiguousarray(parts, np.float32).view(np.complex64)[..., 0]  # [V, K, 3]
+    return SparseVoxelSpectrum(
+        grid=grid,
+        coefficients=coefficients,
+        fps=number(metadata, "fps"),
+        num_frames=integer(metadata, "num_frames", low=1, high=MAX_FRAMES),
+        rest=_rest(metadata),
+        model=_text(metadata, "model", rf"[^\x00-\x1f]{{0,{MAX_TEXT_CHARS}}}"),
+        seed=integer(metadata, "seed", low=-(2**63), high=2**64 - 1),
+        wind=_wind(metadata),
+        source_sha256=_text(metadata, "source_sha256", r"([0-9a-f]{64})?"),
+    )
+
+
+def _rest(metadata: Mapping[str, str]) -> Rest:
+    rest = metadata.get("rest", "unloaded")
+    if rest not in RESTS:
+        raise FormatError(f"metadata 'rest' is {rest[:80]!r}; {', '.join(RESTS)} are allowed")
+    return rest
+
+
+def _wind(metadata: Mapping[str, str]) -> Wind | None:
+    if metadata.get("wind", "null") == "null":
+        return None
+    return Wind(**number_fields(metadata, "wind", ("speed_m_s", "direction_deg", "gust")))
+
+
+def _text(metadata: Mapping[str, str], name: str, allowed: str) -> str:
+    text = metadata.get(name, "")
+    if not re.fullmatch(allowed, text):
+        raise FormatError(f"metadata {name!r} is {text[:80]!r}; what matches {allowed} is allowed")
+    return text

@@ -1,0 +1,51 @@
+""".splat files: 32 bytes a Gaussian, no header. Position 3 × f32, scale 3 × f32, RGBA 4 × u8, rotation wxyz 4 × u8."""
+
+from typing import BinaryIO
+
+import numpy as np
+
+from dynamictree.errors import FormatError
+from dynamictree.formats.activations import color_from_harmonic, harmonic_from_color
+from dynamictree.formats.cloud_axes import to_source_axes, to_z_up
+from dynamictree.formats.ply_table import remaining_bytes
+from dynamictree.gaussian.cloud import GaussianCloud, check_count, validate_cloud
+from dynamictree.gaussian.rotation import unit_quaternions
+
+UP_AXIS = "-Y"
+_RECORD = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("rotation", "u1", 4)])
+
+
+def read_splat(stream: BinaryIO, *, up_axis: str = UP_AXIS, unit_m: float = 1.0) -> GaussianCloud:
+    """Read a cloud of degree 0.
+
+    Raises:
+        FormatError: the size is no multiple of 32 bytes.
+        InputError: values that are not finite, nothing visible, too many Gaussians.
+    """
+    size = remaining_bytes(stream)
+    if size % _RECORD.itemsize:
+        raise FormatError(
+            f"the .splat file is {size:,} bytes; a whole number of {_RECORD.itemsize}-byte records is needed"
+        )
+    check_count(size // _RECORD.itemsize)
+    rows = np.frombuffer(stream.read(size), _RECORD)
+    color = rows["rgba"][:, :3] / np.float32(255)
+    cloud = GaussianCloud(
+        means=rows["mean"].astype(np.float32),
+        quaternions=unit_quaternions((rows["rotation"].astype(np.float32) - 128) / 128),
+        scales=rows["scale"].astype(np.float32),
+        opacity=rows["rgba"][:, 3].astype(np.float32) / np.float32(255),
+        sh=harmonic_from_color(color)[:, None],
+    )
+    return to_z_up(validate_cloud(cloud), up_axis=up_axis, unit_m=unit_m)
+
+
+def write_splat(cloud: GaussianCloud, stream: BinaryIO) -> None:
+    """Write in the source's axes and units. Colour, opacity and rotation are rounded to 8 bits, harmonics above 0 left out."""
+    source = to_source_axes(cloud.with_sh_degree(0))
+    rows = np.empty(source.num_gaussians, _RECORD)
+    rows["mean"], rows["scale"] = source.means, source.scales
+    rows["rgba"][:, :3] = np.clip(np.rint(color_from_harmonic(source.sh[:, 0]) * 255), 0, 255)
+    rows["rgba"][:, 3] = np.clip(np.rint(source.opacity * 255), 0, 255)
+    rows["rotation"] = np.clip(np.rint(source.quaternions * 128 + 128), 0, 255)
+    stream.write(rows.tobytes())

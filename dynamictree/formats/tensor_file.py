@@ -1,0 +1,174 @@
+"""safetensors with a version and a grid in the metadata: what spectrum and voxel files share."""
+
+import json
+import math
+from collections.abc import Mapping
+
+import numpy as np
+from jaxtyping import Shaped
+from safetensors import SafetensorError, deserialize
+
+from dynamictree.errors import FormatError
+from dynamictree.formats.stream import ByteReader, ByteWriter, read_all
+from dynamictree.voxel.grid import VoxelGrid
+
+MAX_FILE_BYTES = 1 << 30
+MAX_FRAMES = 1_000_000
+MAX_RESOLUTION = 4096  # its keys still fit int64 many times over
+
+_DTYPES = {"F16": np.float16, "F32": np.float32, "I32": np.int32}
+_NAMES = {np.dtype(dtype).name: name for name, dtype in _DTYPES.items()}
+_MAX_FIELD_CHARS = 4096  # of a metadata field; a hostile one must not exhaust the JSON parser
+
+
+def read_tensors(
+    stream: ByteReader, *, file_format: str, version: str
+) -> tuple[dict[str, Shaped[np.ndarray, "..."]], dict[str, str]]:
+    """Tensors and metadata of a file that says that it is of this format and version.
+
+    Raises:
+        FormatError: not safetensors, too large, another format, an unknown version, a dtype of no use here.
+    """
+    content = read_all(stream, MAX_FILE_BYTES)
+    try:
+        described = deserialize(content)  # type: ignore[no-untyped-call]
+    except SafetensorError as error:
+        raise FormatError(f"not a {file_format} file: safetensors finds {error}") from error
+    # deserialize has checked that the header is there, is JSON and fits the bytes
+    header = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
+    metadata: dict[str, str] = header.get("__metadata__") or {}
+    for name, expected in (("format", file_format), ("version", version)):
+        if metadata.get(name) != expected:
+            found = str(metadata.get(name))[:80]
+            raise FormatError(f"the file's {name} is {found!r}; this reader knows {expected!r}")
+    tensors = {}
+    for name, entry in described:
+        if entry["dtype"] not in _DTYPES:
+            raise FormatError(f"tensor {name[:80]!r} is of {entry['dtype']}; {', '.join(_DTYPES)} are allowed")
+        tensors[name] = np.frombuffer(entry["data"], _DTYPES[entry["dtype"]]).reshape(entry["shape"])
+    return tensors, metadata
+
+
+def write_tensors(
+    stream: ByteWriter, tensors: Mapping[str, Shaped[np.ndarray, "..."]], metadata: Mapping[str, str]
+) -> None:
+    """The same values give the same bytes, which safetensors' own writer does not: it shuffles the metadata."""
+    header: dict[str, object] = {"__metadata__": dict(metadata)}
+    start = 0
+    ordered = sorted(tensors.items(), key=lambda item: (-item[1].itemsize, item[0]))  # so that all are aligned
+    for name, tensor in ordered:
+        span = [start, start + tensor.nbytes]
+        header[name] = {"dtype": _NAMES[tensor.dtype.name], "shape": list(tensor.shape), "data_offsets": span}
+        start += tensor.nbytes
+    text = json.dumps(header, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 8)
+    stream.write(len(text).to_bytes(8, "little") + text)
+    for _, tensor in ordered:
+        stream.write(np.ascontiguousarray(tensor).tobytes())
+
+
+def take_tensor(
+    tensors: Mapping[str, Shaped[np.ndarray, "..."]],
+    name: str,
+    *,
+    dtypes: tuple[str, ...],
+    shape: tuple[int | None, ...],
+) -> Shaped[np.ndarray, "..."]:
+    """One tensor of a file, checked; None in `shape` stands for any length.
+
+    Raises:
+        FormatError: it is missing, or of another dtype or shape, or holds values that are not finite.
+    """
+    if name not in tensors:
+        raise FormatError(f"the file has no tensor {name!r}; it has {sorted(tensors)[:8]}")
+    tensor = tensors[name]
+    fits = len(shape) == tensor.ndim and all(
+        want in (None, found) for want, found in zip(shape, tensor.shape, strict=True)
+    )
+    if tensor.dtype.name not in dtypes or not fits:
+        allowed = f"{' or '.join(dtypes)} {['any' if n is None else n for n in shape]}"
+        raise FormatError(f"tensor {name!r} is {tensor.dtype.name} {list(tensor.shape)}; {allowed} is allowed")
+    if tensor.dtype.kind == "f" and not np.isfinite(tensor).all():
+        raise FormatError(f"tensor {name!r} holds {int((~np.isfinite(tensor)).sum())} values that are not finite")
+    return tensor
+
+
+def grid_metadata(grid: VoxelGrid) -> dict[str, str]:
+    """The grid's frame as strings; undone by `read_grid`."""
+    return {
+        "resolution": str(grid.resolution),
+        "origin_m": json.dumps(grid.origin_m),
+        "voxel_size_m": repr(float(grid.voxel_size_m)),
+    }
+
+
+def read_grid(tensors: Mapping[str, Shaped[np.ndarray, "..."]], metadata: Mapping[str, str]) -> VoxelGrid:
+    """The grid of a file.
+
+    Raises:
+        FormatError: a field is missing or out of range.
+        InputError: the voxels are none, outside of the cube, not unique or not in order.
+    """
+    coords = take_tensor(tensors, "coords", dtypes=("int32",), shape=(None, 3))
+    x, y, z = number_list(metadata, "origin_m", 3)
+    return VoxelGrid(
+        coords=coords,
+        origin_m=(x, y, z),
+        voxel_size_m=number(metadata, "voxel_size_m"),
+        resolution=integer(metadata, "resolution", low=1, high=MAX_RESOLUTION),
+    )
+
+
+def number(metadata: Mapping[str, str], name: str) -> float:
+    """A finite number."""
+    return _finite(_parsed(metadata, name), name)
+
+
+def number_list(metadata: Mapping[str, str], name: str, length: int) -> list[float]:
+    """A JSON list of finite numbers."""
+    values = _parsed(metadata, name)
+    if not isinstance(values, list) or len(values) != length:
+        raise FormatError(f"metadata {name!r} is {_shortened(values)}; a list of {length} numbers is allowed")
+    return [_finite(value, name) for value in values]
+
+
+def number_fields(metadata: Mapping[str, str], name: str, keys: tuple[str, ...]) -> dict[str, float]:
+    """A JSON object of finite numbers under exactly these keys."""
+    values = _parsed(metadata, name)
+    if not isinstance(values, dict) or set(values) != set(keys):
+        raise FormatError(f"metadata {name!r} is {_shortened(values)}; an object with {', '.join(keys)} is allowed")
+    return {key: _finite(values[key], f"{name}.{key}") for key in keys}
+
+
+def integer(metadata: Mapping[str, str], name: str, *, low: int, high: int) -> int:
+    """A whole number within bounds."""
+    value = _parsed(metadata, name)
+    if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
+        raise FormatError(f"metadata {name!r} is {_shortened(value)}; a whole number from {low} to {high} is allowed")
+    return value
+
+
+def _parsed(metadata: Mapping[str, str], name: str) -> object:
+    text = metadata.get(name, "")
+    if not 0 < len(text) <= _MAX_FIELD_CHARS:
+        raise FormatError(f"metadata {name!r} has {len(text)} characters; 1 to {_MAX_FIELD_CHARS} are allowed")
+    try:
+        value: object = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise FormatError(f"metadata {name!r} is {_shortened(text)}, which is not JSON") from error
+    return value
+
+
+def _finite(value: object, name: str) -> float:
+    if (
+        isinstance(value, bool)
+        or not isinstance(value, int | float)
+        or not abs(value) < 1e300
+        or not math.isfinite(value)
+    ):
+        raise FormatError(f"metadata {name!r} holds {_shortened(value)}; a finite number is allowed")
+    return float(value)
+
+
+def _shortened(value: object) -> str:
+    return repr(value)[:80]

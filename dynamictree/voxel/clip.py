@@ -1,0 +1,143 @@
+"""Cut triangles along a grid: how much of each lies in each voxel, exactly.
+
+A triangle is cut into slabs along x, each slab's polygon along y, each of those along z. The range of the next cut is
+that of the polygon at hand, so only voxels that the triangle meets are visited. A corner is six numbers: its position
+in voxels and its barycentric coordinates, which are cut along with it and so stay exact on needles.
+"""
+
+from dataclasses import dataclass
+from typing import no_type_check
+
+import numba
+import numpy as np
+from jaxtyping import Float32, Float64, Int32, Int64
+
+_MAX_CORNERS = 12  # a triangle cut by six planes has at most nine
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurfacePieces:
+    """Parts of faces, one for each voxel that a face passes through, in the order of faces."""
+
+    keys: Int64[np.ndarray, " P"]  # of the voxel, (x R + y) R + z
+    faces: Int32[np.ndarray, " P"]
+    areas: Float64[np.ndarray, " P"]  # in squared voxels; 0 where the face only touches the voxel
+    centroids: Float32[np.ndarray, "P 3"]  # barycentric in the face
+
+
+def cut_faces(corners: Float64[np.ndarray, "F 3 3"], resolution: int) -> SurfacePieces:
+    """Cut triangles whose corners are given in voxels, all within 0 to resolution."""
+    counts = np.zeros(len(corners), np.int64)
+    nothing = (np.zeros(0, np.int64), np.zeros(0, np.int32), np.zeros(0), np.zeros((0, 3), np.float32))
+    _cut_all(corners, resolution, counts, counts, False, *nothing)
+    ends = np.cumsum(counts)
+    total = int(ends[-1])
+    keys, faces = np.empty(total, np.int64), np.empty(total, np.int32)
+    areas, centroids = np.empty(total), np.empty((total, 3), np.float32)
+    _cut_all(corners, resolution, counts, ends - counts, True, keys, faces, areas, centroids)
+    return SurfacePieces(keys=keys, faces=faces, areas=areas, centroids=centroids)
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _cut(polygon, count, axis, bound, sign, out):
+    """Keep the side where sign * (x - bound) >= 0 (Sutherland and Hodgman 1974); gives the number of corners left."""
+    kept = 0
+    for i in range(count):
+        j = i + 1 if i + 1 < count else 0
+        here = sign * (polygon[i, axis] - bound)
+        there = sign * (polygon[j, axis] - bound)
+        if here >= 0:
+            for c in range(6):
+                out[kept, c] = polygon[i, c]
+            kept += 1
+        if here * there < 0:
+            share = here / (here - there)
+            for c in range(6):
+                out[kept, c] = polygon[i, c] + share * (polygon[j, c] - polygon[i, c])
+            out[kept, axis] = bound
+            kept += 1
+    return kept
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _slab(polygon, count, axis, index, scratch, out):
+    """Keep index <= x <= index + 1."""
+    kept = _cut(polygon, count, axis, float(index), 1.0, scratch)
+    return _cut(scratch, kept, axis, index + 1.0, -1.0, out)
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _range(polygon, count, axis):
+    """First and last voxel index along one axis; what lies in a boundary plane belongs to the voxel above it."""
+    low, high = polygon[0, axis], polygon[0, axis]
+    for i in range(1, count):
+        low, high = min(low, polygon[i, axis]), max(high, polygon[i, axis])
+    return int(np.floor(low)), int(np.floor(high))
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _area(polygon, count):
+    """Area of a flat polygon, as a fan from its first corner, and the barycentric coordinates of its centroid."""
+    total, weighted_0, weighted_1, weighted_2 = 0.0, 0.0, 0.0, 0.0
+    for i in range(1, count - 1):
+        ax, bx = polygon[i, 0] - polygon[0, 0], polygon[i + 1, 0] - polygon[0, 0]
+        ay, by = polygon[i, 1] - polygon[0, 1], polygon[i + 1, 1] - polygon[0, 1]
+        az, bz = polygon[i, 2] - polygon[0, 2], polygon[i + 1, 2] - polygon[0, 2]
+        nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+        area = 0.5 * np.sqrt(nx * nx + ny * ny + nz * nz)
+        total += area
+        weighted_0 += area * (polygon[0, 3] + polygon[i, 3] + polygon[i + 1, 3])
+        weighted_1 += area * (polygon[0, 4] + polygon[i, 4] + polygon[i + 1, 4])
+        weighted_2 += area * (polygon[0, 5] + polygon[i, 5] + polygon[i + 1, 5])
+    if total > 0:
+        return total, weighted_0 / (3 * total), weighted_1 / (3 * total), weighted_2 / (3 * total)
+    return 0.0, polygon[0, 3], polygon[0, 4], polygon[0, 5]
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _cut_one(triangle, face, resolution, start, write, keys, faces, areas, centroids):
+    scratch, in_x = np.empty((_MAX_CORNERS, 6)), np.empty((_MAX_CORNERS, 6))
+    in_xy, in_xyz = np.empty((_MAX_CORNERS, 6)), np.empty((_MAX_CORNERS, 6))
+    polygon = np.zeros((3, 6))
+    for i in range(3):
+        polygon[i, 3 + i] = 1.0
+        for c in range(3):
+            polygon[i, c] = triangle[i, c]
+    place = start
+    first_x, last_x = _range(polygon, 3, 0)
+    for x in range(first_x, last_x + 1):
+        count_x = _slab(polygon, 3, 0, x, scratch, in_x)
+        if count_x == 0:
+            continue
+        first_y, last_y = _range(in_x, count_x, 1)
+        for y in range(first_y, last_y + 1):
+            count_y = _slab(in_x, count_x, 1, y, scratch, in_xy)
+            if count_y == 0:
+                continue
+            first_z, last_z = _range(in_xy, count_y, 2)
+            for z in range(first_z, last_z + 1):
+                count_z = _slab(in_xy, count_y, 2, z, scratch, in_xyz)
+                if count_z == 0:
+                    continue
+                if write:
+                    area, centroid_0, centroid_1, centroid_2 = _area(in_xyz, count_z)
+                    areas[place] = area
+                    keys[place] = (x * resolution + y) * resolution + z
+                    faces[place] = face
+                    centroids[place, 0], centroids[place, 1], centroids[place, 2] = centroid_0, centroid_1, centroid_2
+                place += 1
+    return place - start
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _cut_all(corners, resolution, counts, starts, write, keys, faces, areas, centroids):
+    for face in range(len(corners)):
+        found = _cut_one(corners[face], face, resolution, starts[face], write, keys, faces, areas, centroids)
+        if not write:
+            counts[face] = found

@@ -1,0 +1,86 @@
+"""Which voxels hang together, and how far along the tree each is from its root."""
+
+import numpy as np
+import scipy.sparse
+from jaxtyping import Float32, Int64
+from scipy.sparse.csgraph import connected_components, dijkstra
+from scipy.spatial import cKDTree
+
+from dynamictree.voxel.grid import VoxelGrid
+
+ROOT_SHARE = 0.02
+"""Of the tree's height: voxels this near to its foot are its root."""
+
+_STEPS = np.array([(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)], np.int32)
+_HALF_OF_STEPS = _STEPS[14:]  # one of each pair of opposite directions
+
+_FIRST_NEIGHBOURS = 16
+"""Looked at first when a component seeks the nearest voxel of another; doubled until one is found."""
+
+
+def voxel_graph(grid: VoxelGrid) -> scipy.sparse.csr_array:
+    """Distances [V, V] between voxels that touch by face, edge or corner, made connected [m].
+
+    Parts that touch no other are joined to their nearest neighbour part by the shortest gap, until all is one.
+    """
+    starts, ends = [], []
+    for step in _HALF_OF_STEPS:
+        neighbours = grid.rows_of(grid.coords + step)
+        found = np.flatnonzero(neighbours >= 0)
+        starts.append(found)
+        ends.append(neighbours[found].astype(np.int64))
+    graph = _graph(grid, np.concatenate(starts), np.concatenate(ends))
+    while True:
+        num_parts, part = connected_components(graph, directed=False)
+        if num_parts == 1:
+            return graph
+        bridge_starts, bridge_ends = _shortest_gaps(grid, part.astype(np.int64))
+        coo = graph.tocoo()
+        graph = _graph(grid, np.concatenate([coo.row, bridge_starts]), np.concatenate([coo.col, bridge_ends]))
+
+
+def root_distance(graph: scipy.sparse.csr_array, grid: VoxelGrid) -> Float32[np.ndarray, " V"]:
+    """Length of the shortest way along the graph to the tree's root [m]."""
+    height = grid.coords[:, 2]
+    roots = np.flatnonzero(height <= height.min() + ROOT_SHARE * np.ptp(height))
+    distance: Float32[np.ndarray, " V"] = dijkstra(graph, directed=False, indices=roots, min_only=True).astype(
+        np.float32
+    )
+    return distance
+
+
+def _graph(grid: VoxelGrid, starts: Int64[np.ndarray, " E"], ends: Int64[np.ndarray, " E"]) -> scipy.sparse.csr_array:
+    """Both directions of every edge, each once, in a fixed order."""
+    low, high = np.minimum(starts, ends).astype(np.int64), np.maximum(starts, ends).astype(np.int64)
+    keys = np.unique(low * len(grid) + high)
+    low, high = keys // len(grid), keys % len(grid)
+    lengths = np.linalg.norm((grid.coords[low] - grid.coords[high]) * grid.voxel_size_m, axis=1).astype(np.float32)
+    rows, columns = np.concatenate([low, high]), np.concatenate([high, low])
+    both = scipy.sparse.coo_array((np.tile(lengths, 2), (rows, columns)), shape=(len(grid), len(grid)))
+    return both.tocsr()
+
+
+def _shortest_gaps(
+    grid: VoxelGrid, part: Int64[np.ndarray, " V"]
+) -> tuple[Int64[np.ndarray, " B"], Int64[np.ndarray, " B"]]:
+    """From every part but the largest, the pair of voxels that lies nearest to another part (a round of Borůvka's)."""
+    tree = cKDTree(grid.coords)
+    sizes = np.bincount(part)
+    largest = int(np.argmax(sizes))
+    seeking = np.flatnonzero(part != largest)
+    count = _FIRST_NEIGHBOURS
+    starts, ends = [], []
+    while len(seeking):
+        distances, neighbours = tree.query(grid.coords[seeking], k=min(count, len(grid)))
+        neighbour = np.asarray(neighbours)
+        distance = np.where(part[neighbour] == part[seeking][:, None], np.inf, distances)  # [M, count]
+        best = np.argmin(distance, axis=1)
+        gap = distance[np.arange(len(seeking)), best]
+        order = np.lexsort((seeking, gap, part[seeking]))  # the first of each part is its shortest gap
+        first = order[np.unique(part[seeking][order], return_index=True)[1]]
+        first = first[np.isfinite(gap[first])]
+        starts.append(seeking[first])
+        ends.append(neighbour[first, best[first]])
+        seeking = seeking[~np.isin(part[seeking], part[seeking[first]])]
+        count *= 2
+    return np.concatenate(starts).astype(np.int64), np.concatenate(ends).astype(np.int64)

@@ -1,0 +1,167 @@
+"""The surface of a mesh as occupied voxels, and vertex values as means over the surface in each. Paper section 3.3."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse
+from jaxtyping import Bool, Float32, Float64, Int64
+
+from dynamictree.errors import InputError, MeshError
+from dynamictree.mesh import TriangleMesh
+from dynamictree.voxel.clip import SurfacePieces, cut_faces
+from dynamictree.voxel.grid import VoxelGrid, grid_frame
+
+MIN_RESOLUTION, MAX_RESOLUTION = 32, 512
+MAX_PIECES = 60_000_000
+"""Of faces in voxels: 2 GB. A mesh at the caps of `mesh.py` has about 10 million at 512³."""
+
+_LEAST_AREA = 1e-16
+"""Of the cube's face. A smaller piece of surface is rounding: a face that only touches the voxel."""
+
+_CANCELLED = 0.2
+"""Length of a mean of unit normals below which the surface in a voxel is two-sided, such as a leaf card with a back."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurfaceVoxels:
+    """What the network sees of a tree: where its surface is and which way it faces."""
+
+    grid: VoxelGrid
+    normals: Float32[np.ndarray, "V 3"]  # unit length
+
+
+def voxelize(mesh: TriangleMesh, resolution: int = 128) -> SurfaceVoxels:
+    """The voxels that hold a piece of the surface, with the mean normal of the surface in each.
+
+    A voxel is half-open: what lies in the plane between two belongs to the upper one. Where the two sides of a thin
+    card cancel in the mean, the normal is the direction that the pieces share, turned away from the tree's middle.
+
+    Args:
+        mesh: with finite vertices; faces without area are passed over.
+        resolution: voxels along the cube's edge, 32 to 512.
+
+    Raises:
+        InputError: the resolution is out of range.
+        MeshError: the mesh has no surface, or more of it than `MAX_PIECES`.
+    """
+    if not MIN_RESOLUTION <= resolution <= MAX_RESOLUTION:
+        raise InputError(f"the resolution is {resolution}; {MIN_RESOLUTION} to {MAX_RESOLUTION} are allowed")
+    if mesh.num_faces == 0:
+        raise MeshError("the mesh has no faces; at least 1 triangle is needed")
+    origin_m, voxel_size_m = grid_frame(mesh.vertices[np.unique(mesh.faces)], resolution)
+    if voxel_size_m <= 0:
+        raise MeshError("all faces lie in one point; the mesh needs an extent")
+    pieces = _surface_pieces(mesh, origin_m, voxel_size_m, resolution)
+    keys, rows = np.unique(pieces.keys, return_inverse=True)
+    coords = np.stack([keys // resolution**2, keys // resolution % resolution, keys % resolution], axis=1)
+    grid = VoxelGrid(
+        coords=coords.astype(np.int32), origin_m=origin_m, voxel_size_m=voxel_size_m, resolution=resolution
+    )
+    return SurfaceVoxels(grid=grid, normals=_mean_normals(mesh, grid, pieces, rows))
+
+
+def surface_average(mesh: TriangleMesh, grid: VoxelGrid) -> scipy.sparse.csr_array:
+    """Weights [V, N] that turn values at vertices into their mean over the surface in each voxel; rows sum to 1.
+
+    Exact for values that are linear on each face. Paper appendix A averages the vertices of a voxel instead, which
+    leaves voxels in the middle of large faces without a value.
+
+    Raises:
+        InputError: a voxel of the grid holds none of the mesh's surface.
+    """
+    pieces = _surface_pieces(mesh, grid.origin_m, grid.voxel_size_m, grid.resolution)
+    keys = grid.keys
+    rows = np.minimum(np.searchsorted(keys, pieces.keys), len(keys) - 1)
+    held = keys[rows] == pieces.keys
+    rows = np.repeat(rows[held], 3)
+    columns = mesh.faces[pieces.faces[held]].ravel()
+    weights = (pieces.areas[held, None] * pieces.centroids[held]).ravel()
+    total = np.bincount(rows, weights, minlength=len(grid))
+    if (total <= 0).any():
+        row = int(np.argmin(total))
+        raise InputError(
+            f"voxel {grid.coords[row].tolist()} holds none of the mesh's surface; voxelize this mesh to get its grid"
+        )
+    average = scipy.sparse.coo_array((weights / total[rows], (rows, columns)), shape=(len(grid), mesh.num_vertices))
+    return average.tocsr().astype(np.float32)
+
+
+def _surface_pieces(
+    mesh: TriangleMesh, origin_m: tuple[float, float, float], voxel_size_m: float, resolution: int
+) -> SurfacePieces:
+    """Pieces of faces in voxels, and each corner of a face in its voxel with the least weight that still counts."""
+    in_voxels = (mesh.vertices.astype(np.float64) - origin_m) / voxel_size_m  # [N, 3]
+    corners = in_voxels[mesh.faces]  # [F, 3, 3]
+    inside = ((corners >= 0) & (corners < resolution)).all(axis=(1, 2))
+    solid = np.flatnonzero(inside & _has_area(corners, resolution))
+    if len(solid) == 0:
+        raise MeshError("no face of the mesh has an area inside the grid; they are lines or points")
+    corners = corners[solid]
+    _refuse_too_much(corners)
+    pieces = cut_faces(corners, resolution)
+    least = _LEAST_AREA * resolution**2
+    kept = pieces.areas > least
+    x, y, z = np.floor(corners).astype(np.int64).reshape(-1, 3).T
+    corner_keys: Int64[np.ndarray, " C"] = (x * resolution + y) * resolution + z
+    return SurfacePieces(
+        keys=np.concatenate([pieces.keys[kept], corner_keys]),
+        faces=np.concatenate([solid[pieces.faces[kept]], np.repeat(solid, 3)]).astype(np.int32),
+        areas=np.concatenate([pieces.areas[kept], np.full(len(corner_keys), least)]),
+        centroids=np.concatenate([pieces.centroids[kept], np.tile(np.eye(3, dtype=np.float32), (len(solid), 1))]),
+    )
+
+
+def _has_area(corners: Float64[np.ndarray, "F 3 3"], resolution: int) -> Bool[np.ndarray, " F"]:
+    doubled = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    enough: Bool[np.ndarray, " F"] = doubled > 2 * _LEAST_AREA * resolution**2
+    return enough
+
+
+def _refuse_too_much(corners: Float64[np.ndarray, "F 3 3"]) -> None:
+    """Bound the number of pieces by area and extent before any is made."""
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum() / 2
+    extent = np.ptp(corners, axis=1).sum()
+    expected = 1.5 * area + extent + len(corners)  # a plane in general position meets 1.5 voxels a squared voxel
+    if expected > MAX_PIECES:
+        raise MeshError(
+            f"the faces would be cut into about {expected:.2g} pieces; at most {MAX_PIECES:.2g} are allowed; take a "
+            "lower resolution, or a mesh whose large faces do not lie on top of one another"
+        )
+
+
+def _mean_normals(
+    mesh: TriangleMesh, grid: VoxelGrid, pieces: SurfacePieces, rows: Int64[np.ndarray, " P"]
+) -> Float32[np.ndarray, "V 3"]:
+    a, b, c = (mesh.vertices[mesh.faces[:, i]].astype(np.float64) for i in range(3))
+    cross = np.cross(b - a, c - a)
+    unit = cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), np.finfo(np.float64).tiny)
+    normals = unit[pieces.faces]  # [P, 3]
+    num_voxels = len(grid)
+    total = np.bincount(rows, pieces.areas, minlength=num_voxels)
+    mean = np.stack([np.bincount(rows, pieces.areas * normals[:, i], num_voxels) for i in range(3)], axis=1)
+    length = np.linalg.norm(mean, axis=1) / total
+    two_sided = np.flatnonzero(length < _CANCELLED)
+    if len(two_sided):
+        mean[two_sided] = _shared_direction(grid, pieces, rows, normals, two_sided)
+    unit_mean: Float32[np.ndarray, "V 3"] = (mean / np.linalg.norm(mean, axis=1, keepdims=True)).astype(np.float32)
+    return unit_mean
+
+
+def _shared_direction(
+    grid: VoxelGrid,
+    pieces: SurfacePieces,
+    rows: Int64[np.ndarray, " P"],
+    normals: Float64[np.ndarray, "P 3"],
+    voxels: Int64[np.ndarray, " M"],
+) -> Float64[np.ndarray, "M 3"]:
+    """First principal axis of the normals in each of some voxels, whichever their sign."""
+    place = np.full(len(grid), -1)
+    place[voxels] = np.arange(len(voxels))
+    chosen = place[rows] >= 0
+    outer = normals[chosen, :, None] * normals[chosen, None, :] * pieces.areas[chosen, None, None]  # [P, 3, 3]
+    scatter = np.zeros((len(voxels), 3, 3))
+    np.add.at(scatter, place[rows[chosen]], outer)
+    axis = np.linalg.eigh(scatter)[1][:, :, 2]
+    outward = grid.centres_m[voxels].astype(np.float64) - grid.centres_m.mean(axis=0, dtype=np.float64)
+    towards: Float64[np.ndarray, "M 3"] = axis * np.where((axis * outward).sum(axis=1, keepdims=True) < 0, -1.0, 1.0)
+    return towards

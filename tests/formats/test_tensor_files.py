@@ -1,0 +1,226 @@
+"""Spectrum and voxel files: read undoes write, and nothing in a hostile file gets through."""
+
+import io
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from safetensors.numpy import save
+
+from dynamictree.errors import FormatError, InputError, NumericsError
+from dynamictree.formats import tensor_file
+from dynamictree.formats.spectrum_file import read_spectrum, write_spectrum
+from dynamictree.formats.voxels_file import read_voxels, write_voxels
+from dynamictree.spectrum import SparseVoxelSpectrum, Wind
+from dynamictree.voxel.grid import VoxelGrid
+from dynamictree.voxel.voxelize import SurfaceVoxels
+
+GOLDEN = Path(__file__).parent.parent / "golden"
+
+
+def small_spectrum(rng: np.random.Generator, num_voxels: int = 50) -> SparseVoxelSpectrum:
+    grid = VoxelGrid.from_coords(
+        rng.integers(0, 64, (num_voxels, 3)).astype(np.int32),
+        origin_m=(-1.5, 0.1, 1 / 3),
+        voxel_size_m=0.1234567890123,
+        resolution=64,
+    )
+    parts = 0.1 * rng.normal(size=(len(grid), 16, 3, 2)).astype(np.float16).astype(np.float32)
+    return SparseVoxelSpectrum(
+        grid=grid,
+        coefficients=parts.astype(np.float16).astype(np.float32).view(np.complex64)[..., 0],
+        fps=30.0,
+        num_frames=120,
+        rest="mean",
+        model="small-1",
+        seed=2**40,
+        wind=Wind(speed_m_s=7.5, direction_deg=-90.0, gust=0.2),
+        source_sha256="0123456789abcdef" * 4,
+    )
+
+
+def written(spectrum: SparseVoxelSpectrum, dtype: str = "float16") -> bytes:
+    stream = io.BytesIO()
+    write_spectrum(spectrum, stream, dtype=dtype)  # type: ignore[arg-type]
+    return stream.getvalue()
+
+
+def with_changes(content: bytes, tensors: Mapping[str, np.ndarray | None], metadata: Mapping[str, str | None]) -> bytes:
+    """The same file with some tensors or fields replaced, or taken out where None."""
+    from safetensors.numpy import load
+
+    header = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
+    all_metadata = header["__metadata__"] | dict(metadata)
+    all_tensors = load(content) | dict(tensors)
+    return save(
+        {name: value for name, value in all_tensors.items() if value is not None},
+        {name: value for name, value in all_metadata.items() if value is not None},
+    )
+
+
+def assert_same(found: SparseVoxelSpectrum, expected: SparseVoxelSpectrum) -> None:
+    np.testing.assert_array_equal(found.grid.coords, expected.grid.coords)
+    np.testing.assert_array_equal(found.coefficients, expected.coefficients)
+    assert replace(found, grid=expected.grid, coefficients=expected.coefficients) == expected
+    assert found.grid.origin_m == expected.grid.origin_m
+    assert found.grid.voxel_size_m == expected.grid.voxel_size_m
+    assert found.grid.resolution == expected.grid.resolution
+
+
+@pytest.mark.parametrize("dtype", ["float16", "float32"])
+def test_read_undoes_write(rng: np.random.Generator, dtype: str) -> None:
+    spectrum = small_spectrum(rng)
+    assert_same(read_spectrum(io.BytesIO(written(spectrum, dtype))), spectrum)
+
+
+def test_a_spectrum_without_wind_or_source_survives(rng: np.random.Generator) -> None:
+    spectrum = replace(small_spectrum(rng), wind=None, source_sha256="", model="")
+    assert_same(read_spectrum(io.BytesIO(written(spectrum))), spectrum)
+
+
+def test_the_same_spectrum_gives_the_same_bytes(rng: np.random.Generator) -> None:
+    spectrum = small_spectrum(rng)
+    assert written(spectrum) == written(spectrum)
+
+
+def test_7000_voxels_take_less_than_one_and_a_half_megabytes(rng: np.random.Generator) -> None:
+    assert len(written(small_spectrum(rng, 7000))) < 1_500_000
+
+
+def test_the_golden_file_of_version_1_stays_readable() -> None:
+    with (GOLDEN / "spectrum-v1.safetensors").open("rb") as stream:
+        assert_same(read_spectrum(stream), small_spectrum(np.random.default_rng(1)))
+
+
+def test_what_float16_cannot_hold_is_not_written(rng: np.random.Generator) -> None:
+    spectrum = small_spectrum(rng)
+    spectrum.coefficients[3, 2, 1] = 1e5
+    with pytest.raises(NumericsError, match="float16 holds at most"):
+        written(spectrum)
+    assert read_spectrum(io.BytesIO(written(spectrum, "float32"))).coefficients[3, 2, 1] == 1e5
+
+
+def test_values_that_became_infinite_are_not_written(rng: np.random.Generator) -> None:
+    spectrum = small_spectrum(rng)
+    spectrum.coefficients[3, 2, 1] = np.nan
+    with pytest.raises(NumericsError):
+        written(spectrum, "float32")
+
+
+@pytest.mark.parametrize(
+    ("tensors", "metadata", "message"),
+    [
+        ({}, {"format": "surface-voxels"}, "format"),
+        ({}, {"format": None}, "format"),
+        ({}, {"version": "2"}, "version is '2'"),
+        ({"coords": None}, {}, "no tensor 'coords'"),
+        ({"coords": np.zeros((4, 2), np.int32)}, {}, r"\[4, 2\]"),
+        ({"coords": np.zeros((4, 3), np.float32)}, {}, "float32"),
+        ({"coords": np.zeros((4, 3), np.int64)}, {}, "I64"),
+        ({"coords": np.zeros((0, 3), np.int32)}, {}, "empty"),
+        ({"coords": np.zeros((2, 3), np.int32)}, {}, "unique"),
+        ({"coords": np.array([[0, 0, 64]], np.int32)}, {}, "0 to 63"),
+        ({"coords": np.array([[0, 0, -1]], np.int32)}, {}, "-1"),
+        ({"coords": np.array([[0, 0, 1]], np.int32)}, {}, r"\[1, 'any', 3, 2\]"),
+        ({"coefficients": np.full((50, 16, 3, 2), np.nan, np.float16)}, {}, "not finite"),
+        ({"coefficients": np.full((50, 16, 3, 2), np.inf, np.float32)}, {}, "not finite"),
+        ({"coefficients": np.zeros((50, 0, 3, 2), np.float16)}, {}, "0 frequencies"),
+        ({}, {"num_frames": "20"}, "16 frequencies"),
+        ({}, {"num_frames": "1e9"}, "num_frames"),
+        ({}, {"num_frames": "true"}, "num_frames"),
+        ({}, {"num_frames": "9" * 4000}, "num_frames"),
+        ({}, {"num_frames": "9" * 5000}, "5000 characters"),
+        ({}, {"num_frames": None}, "0 characters"),
+        ({}, {"fps": "0"}, "fps"),
+        ({}, {"fps": "NaN"}, "fps"),
+        ({}, {"fps": "[24]"}, "fps"),
+        ({}, {"resolution": "0"}, "resolution"),
+        ({}, {"resolution": "100000"}, "resolution"),
+        ({}, {"voxel_size_m": "-1"}, "voxel_size_m"),
+        ({}, {"voxel_size_m": "Infinity"}, "voxel_size_m"),
+        ({}, {"voxel_size_m": "9" * 400}, "voxel_size_m"),
+        ({}, {"origin_m": "[0, 0]"}, "origin_m"),
+        ({}, {"origin_m": '{"x": 0}'}, "origin_m"),
+        ({}, {"origin_m": '[0, 0, "a"]'}, "origin_m"),
+        ({}, {"origin_m": "[0, 0,"}, "not JSON"),
+        ({}, {"origin_m": "[" * 4000}, "not JSON"),
+        ({}, {"rest": "lying"}, "rest"),
+        ({}, {"seed": "0.5"}, "seed"),
+        ({}, {"wind": "[]"}, "wind"),
+        ({}, {"wind": '{"speed_m_s": 1}'}, "wind"),
+        ({}, {"wind": '{"speed_m_s": 1, "direction_deg": NaN, "gust": 1}'}, "wind"),
+        ({}, {"model": "a\nb"}, "model"),
+        ({}, {"model": "a" * 201}, "model"),
+        ({}, {"source_sha256": "xyz"}, "source_sha256"),
+    ],
+)
+def test_a_spectrum_file_that_was_tampered_with_is_refused(
+    tensors: Mapping[str, np.ndarray | None], metadata: Mapping[str, str | None], message: str
+) -> None:
+    content = written(small_spectrum(np.random.default_rng(1)))
+    with pytest.raises(InputError, match=message):
+        read_spectrum(io.BytesIO(with_changes(content, tensors, metadata)))
+
+
+def test_what_is_not_safetensors_is_refused(rng: np.random.Generator) -> None:
+    content = written(small_spectrum(rng))
+    for broken in (b"", b"glTF", content[:100], content[:-1], b"\xff" * 100):
+        with pytest.raises(FormatError, match="safetensors"):
+            read_spectrum(io.BytesIO(broken))
+
+
+def test_a_file_without_metadata_is_refused() -> None:
+    with pytest.raises(FormatError, match="format is 'None'"):
+        read_spectrum(io.BytesIO(save({"coords": np.zeros((1, 3), np.int32)})))
+
+
+def test_a_file_over_the_cap_is_refused(monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator) -> None:
+    monkeypatch.setattr(tensor_file, "MAX_FILE_BYTES", 1000)
+    with pytest.raises(FormatError, match="1,000 bytes"):
+        read_spectrum(io.BytesIO(written(small_spectrum(rng))))
+
+
+def test_mutated_spectrum_files_raise_nothing_but_input_errors(rng: np.random.Generator) -> None:
+    content = np.frombuffer(written(small_spectrum(rng, 5)), np.uint8)
+    refused = 0
+    for _ in range(400):
+        mutated = content.copy()
+        for place in rng.integers(0, len(content), rng.integers(1, 4)):
+            mutated[place] = rng.integers(0, 256)
+        try:
+            read_spectrum(io.BytesIO(mutated.tobytes()))
+        except InputError:
+            refused += 1
+    assert 50 < refused < 400
+
+
+def small_voxels(rng: np.random.Generator) -> SurfaceVoxels:
+    grid = small_spectrum(rng).grid
+    normals = rng.normal(size=(len(grid), 3))
+    return SurfaceVoxels(grid=grid, normals=(normals / np.linalg.norm(normals, axis=1)[:, None]).astype(np.float32))
+
+
+def test_read_voxels_undoes_write_voxels(rng: np.random.Generator) -> None:
+    voxels, stream = small_voxels(rng), io.BytesIO()
+    write_voxels(voxels, stream)
+    stream.seek(0)
+    found = read_voxels(stream)
+    np.testing.assert_array_equal(found.grid.coords, voxels.grid.coords)
+    np.testing.assert_array_equal(found.normals, voxels.normals)
+    assert found.grid.origin_m == voxels.grid.origin_m
+
+
+@pytest.mark.parametrize("normals", [np.full((50, 3), 5, np.float32), np.zeros((3, 3), np.float32)])
+def test_normals_that_are_none_are_refused(normals: np.ndarray) -> None:
+    voxels, stream = small_voxels(np.random.default_rng(1)), io.BytesIO()
+    write_voxels(voxels, stream)
+    with pytest.raises(FormatError, match="normal"):
+        read_voxels(io.BytesIO(with_changes(stream.getvalue(), {"normals": normals}, {})))
+
+
+def test_a_spectrum_is_no_voxel_file(rng: np.random.Generator) -> None:
+    with pytest.raises(FormatError, match="'surface-voxels'"):
+        read_voxels(io.BytesIO(written(small_spectrum(rng))))

@@ -1,0 +1,62 @@
+"""voxel_graph and root_distance."""
+
+import numpy as np
+import pytest
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial.distance import cdist
+
+from dynamictree.voxel.graph import root_distance, voxel_graph
+from dynamictree.voxel.grid import VoxelGrid
+
+
+def grid_of(coords: list[list[int]] | np.ndarray, resolution: int = 32) -> VoxelGrid:
+    return VoxelGrid.from_coords(
+        np.asarray(coords, np.int32), origin_m=(0.0, 0.0, 0.0), voxel_size_m=0.5, resolution=resolution
+    )
+
+
+def test_edges_are_those_of_a_slow_search_over_26_neighbours(rng: np.random.Generator) -> None:
+    grid = grid_of(rng.integers(0, 6, (150, 3)))  # dense enough to hang together
+    steps = np.abs(grid.coords[:, None] - grid.coords[None]).max(axis=2)
+    distances = cdist(grid.centres_m, grid.centres_m)
+    expected = np.where(steps == 1, distances, 0)
+    np.testing.assert_allclose(voxel_graph(grid).toarray(), expected, rtol=1e-6)
+
+
+def test_a_graph_of_many_parts_is_made_one_by_shortest_gaps(rng: np.random.Generator) -> None:
+    grid = grid_of(rng.integers(0, 32, (300, 3)))
+    graph = voxel_graph(grid)
+    assert connected_components(graph, directed=False)[0] == 1
+    assert (abs(graph - graph.T) > 0).nnz == 0
+    # a bridge is never longer than the longest edge of the minimum spanning tree of all voxels
+    from scipy.sparse.csgraph import minimum_spanning_tree
+
+    longest = minimum_spanning_tree(cdist(grid.centres_m, grid.centres_m)).max()
+    assert graph.max() == pytest.approx(longest, rel=1e-6)
+
+
+def test_two_large_parts_are_joined_by_one_bridge() -> None:
+    line = [[x, 0, 0] for x in range(10)]
+    far = [[x, 0, 0] for x in range(14, 32)]
+    graph = voxel_graph(grid_of(line + far))
+    assert graph.nnz == 2 * (9 + 17 + 1)
+    assert graph.max() == pytest.approx(5 * 0.5)
+
+
+def test_root_distance_follows_the_tree_and_not_the_air() -> None:
+    up = [[0, 0, z] for z in range(20)]
+    over = [[x, 0, 19] for x in range(1, 6)]
+    hanging = [[6, 0, z] for z in range(5, 20)]
+    grid = grid_of(up + over + hanging)
+    distance = root_distance(voxel_graph(grid), grid)
+    tip = int(grid.rows_of(np.array([[6, 0, 5]], np.int32))[0])
+    corners_cut = 2 * (2**0.5 - 2)  # the two turns of the way go over an edge
+    assert distance[tip] == pytest.approx(0.5 * (19 + 6 + 14 + corners_cut), rel=1e-5)
+    assert distance[int(grid.rows_of(np.array([[0, 0, 0]], np.int32))[0])] == 0
+
+
+def test_one_voxel_is_a_graph_and_its_own_root() -> None:
+    grid = grid_of([[3, 3, 3]])
+    graph = voxel_graph(grid)
+    assert graph.nnz == 0
+    np.testing.assert_array_equal(root_distance(graph, grid), [0])

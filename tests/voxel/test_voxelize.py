@@ -1,0 +1,197 @@
+"""voxelize: the occupied voxels are exactly those that the surface passes through."""
+
+import numpy as np
+import pytest
+
+from dynamictree.errors import InputError, MeshError
+from dynamictree.mesh import TriangleMesh
+from dynamictree.voxel import voxelize as voxelize_module
+from dynamictree.voxel.grid import VoxelGrid
+from dynamictree.voxel.voxelize import surface_average, voxelize
+
+
+def soup(rng: np.random.Generator, num_faces: int, size: float) -> TriangleMesh:
+    centres = rng.uniform(-1, 1, (num_faces, 1, 3))
+    vertices = (centres + size * rng.normal(size=(num_faces, 3, 3))).reshape(-1, 3).astype(np.float32)
+    return TriangleMesh(vertices=vertices, faces=np.arange(3 * num_faces, dtype=np.int32).reshape(-1, 3))
+
+
+def square(z: float = 0.0, flip: bool = False) -> TriangleMesh:
+    vertices = np.array([[0, 0, z], [1, 0, z], [1, 1, z], [0, 1, z]], np.float32)
+    faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+    return TriangleMesh(vertices=vertices, faces=np.ascontiguousarray(faces[:, ::-1]) if flip else faces)
+
+
+def merged(*meshes: TriangleMesh) -> TriangleMesh:
+    starts = np.cumsum([0, *(m.num_vertices for m in meshes)])
+    faces = np.concatenate([m.faces + start for m, start in zip(meshes, starts[:-1], strict=True)]).astype(np.int32)
+    return TriangleMesh(vertices=np.concatenate([m.vertices for m in meshes]), faces=faces)
+
+
+def dense_samples(mesh: TriangleMesh, step_m: float) -> np.ndarray:
+    """Points on every face, no further than about a step apart, its corners among them."""
+    points = []
+    for a, b, c in mesh.vertices[mesh.faces].astype(np.float64):
+        count = int(np.ceil(max(np.linalg.norm(b - a), np.linalg.norm(c - a), np.linalg.norm(c - b)) / step_m)) + 1
+        u, v = np.meshgrid(np.linspace(0, 1, count + 1), np.linspace(0, 1, count + 1))
+        u, v = u[u + v <= 1 + 1e-12], v[u + v <= 1 + 1e-12]
+        points.append(a + u[:, None] * (b - a) + v[:, None] * (c - a))
+    return np.concatenate(points)
+
+
+def separated(corners: np.ndarray, low: np.ndarray) -> bool:
+    """Whether an axis separates a triangle from the unit box at `low` (the oracle: Akenine-Möller 2001)."""
+    centred = corners - low - 0.5
+    edges = np.roll(centred, -1, axis=0) - centred
+    axes = [*np.eye(3), np.cross(edges[0], edges[1]), *(np.cross(e, axis) for e in edges for axis in np.eye(3))]
+    return any(
+        (centred @ axis).min() > 0.5 * np.abs(axis).sum() or (centred @ axis).max() < -0.5 * np.abs(axis).sum()
+        for axis in axes
+    )
+
+
+@pytest.mark.parametrize("size", [0.03, 0.3, 1.0])
+def test_every_sampled_surface_point_lies_in_an_occupied_voxel(rng: np.random.Generator, size: float) -> None:
+    mesh = soup(rng, 40, size)
+    grid = voxelize(mesh, 64).grid
+    points = dense_samples(mesh, grid.voxel_size_m / 6)
+    in_voxels = (points - grid.origin_m) / grid.voxel_size_m
+    clear = (np.abs(in_voxels - np.round(in_voxels)) > 1e-6).all(axis=1)  # not within rounding of a boundary
+    assert (grid.rows_of(np.floor(in_voxels[clear]).astype(np.int32)) >= 0).all()
+
+
+@pytest.mark.parametrize("size", [0.05, 0.5])
+def test_occupied_voxels_are_those_that_the_separating_axis_test_finds(rng: np.random.Generator, size: float) -> None:
+    mesh = soup(rng, 12, size)
+    grid = voxelize(mesh, 32).grid
+    expected = set()
+    for corners in (mesh.vertices[mesh.faces].astype(np.float64) - grid.origin_m) / grid.voxel_size_m:
+        low, high = np.floor(corners.min(axis=0)).astype(int), np.floor(corners.max(axis=0)).astype(int)
+        box = np.stack(np.meshgrid(*(np.arange(a, b + 1) for a, b in zip(low, high, strict=True)), indexing="ij"), -1)
+        expected |= {tuple(int(i) for i in voxel) for voxel in box.reshape(-1, 3) if not separated(corners, voxel)}
+    assert {tuple(voxel) for voxel in grid.coords.tolist()} == expected
+
+
+def test_finer_grids_nest_in_coarser_ones(rng: np.random.Generator) -> None:
+    mesh = soup(rng, 60, 0.2)
+    fine, coarse = voxelize(mesh, 128).grid, voxelize(mesh, 32).grid
+    pooled = VoxelGrid.from_coords(
+        fine.coords // 4, origin_m=coarse.origin_m, voxel_size_m=coarse.voxel_size_m, resolution=32
+    )
+    np.testing.assert_array_equal(pooled.coords, coarse.coords)
+    assert fine.origin_m == coarse.origin_m
+    assert fine.voxel_size_m * 4 == pytest.approx(coarse.voxel_size_m, rel=1e-15)
+
+
+@pytest.mark.parametrize("resolution", [32, 64, 128, 256, 512])
+def test_every_resolution_holds_every_vertex(rng: np.random.Generator, resolution: int) -> None:
+    mesh = soup(rng, 30, 0.05)
+    grid = voxelize(mesh, resolution).grid
+    assert grid.resolution == resolution
+    assert (grid.rows_of(grid.coords_of(mesh.vertices)) >= 0).all()
+
+
+def test_a_surface_in_a_boundary_plane_fills_one_layer() -> None:
+    mesh = merged(square(0.0), square(1.0))
+    grid = voxelize(mesh, 32).grid
+    assert len(np.unique(grid.coords[:, 2])) == 2
+
+
+def test_surface_average_gives_linear_values_at_the_middle_of_the_surface_in_each_voxel() -> None:
+    mesh = square()
+    grid = voxelize(mesh, 32).grid
+    middle = surface_average(mesh, grid) @ mesh.vertices
+    inner = ((grid.coords[:, :2] > grid.coords[:, :2].min()) & (grid.coords[:, :2] < grid.coords[:, :2].max())).all(1)
+    assert inner.sum() > 800
+    np.testing.assert_allclose(middle[inner][:, :2], grid.centres_m[inner][:, :2], atol=1e-6)
+
+
+def test_surface_average_weighs_by_area(rng: np.random.Generator) -> None:
+    mesh = soup(rng, 30, 0.3)
+    grid = voxelize(mesh, 32).grid
+    average = surface_average(mesh, grid)
+    values = rng.normal(size=(mesh.num_vertices, 2))
+    points = np.concatenate([_evenly(mesh.vertices[face].astype(np.float64), 120) for face in mesh.faces])
+    sampled = np.concatenate([_evenly(values[face], 120) for face in mesh.faces])
+    a, b, c = mesh.vertices[mesh.faces].astype(np.float64).transpose(1, 0, 2)
+    areas = np.repeat(np.linalg.norm(np.cross(b - a, c - a), axis=1), 120**2)
+    rows = grid.rows_of(np.floor((points - grid.origin_m) / grid.voxel_size_m).astype(np.int32))
+    counted = np.bincount(rows, minlength=len(grid)) > 400  # enough samples for 2 %
+    weight = np.bincount(rows, areas, len(grid))
+    expected = np.stack(
+        [np.bincount(rows, areas * sampled[:, i], len(grid)) / np.maximum(weight, 1e-30) for i in (0, 1)], 1
+    )
+    assert counted.sum() > 200
+    np.testing.assert_allclose((average @ values)[counted], expected[counted], atol=0.05)
+    np.testing.assert_allclose(average.sum(axis=1), 1, atol=1e-6)
+
+
+def _evenly(corners: np.ndarray, count: int) -> np.ndarray:
+    """count² midpoints of equal parts of a triangle, of values given at its corners."""
+    i, j = np.meshgrid((np.arange(count) + 0.5) / count, (np.arange(count) + 0.5) / count)
+    root = np.sqrt(i.ravel())
+    shares = np.stack([1 - root, root * (1 - j.ravel()), root * j.ravel()], axis=1)
+    return shares @ corners
+
+
+def test_normals_are_unit_and_follow_the_winding() -> None:
+    for flip, sign in ((False, 1), (True, -1)):
+        normals = voxelize(square(flip=flip), 32).normals
+        np.testing.assert_allclose(normals, np.tile([0, 0, sign], (len(normals), 1)), atol=1e-6)
+
+
+def test_the_sides_of_a_two_sided_card_do_not_cancel() -> None:
+    card = merged(square(), square(flip=True))
+    normals = voxelize(card, 32).normals
+    np.testing.assert_allclose(np.abs(normals @ [0, 0, 1]), 1, atol=1e-6)
+
+
+def test_normals_average_by_area() -> None:
+    wall = TriangleMesh(
+        vertices=np.array([[0, 0, 0], [0, 1, 0], [0, 1, 1], [0, 0, 1]], np.float32),
+        faces=np.array([[0, 1, 2], [0, 2, 3]], np.int32),
+    )
+    voxels = voxelize(merged(square(), wall), 32)
+    corner = np.linalg.norm(voxels.normals - np.array([0.5**0.5, 0, 0.5**0.5]), axis=1) < 0.3
+    assert 25 <= corner.sum() <= 40  # the row of voxels where floor and wall meet
+
+
+def test_resolution_out_of_range_is_refused() -> None:
+    for resolution in (31, 513):
+        with pytest.raises(InputError, match="32 to 512"):
+            voxelize(square(), resolution)
+
+
+def test_a_mesh_without_faces_is_refused() -> None:
+    with pytest.raises(MeshError, match="no faces"):
+        voxelize(TriangleMesh(vertices=np.ones((3, 3), np.float32), faces=np.zeros((0, 3), np.int32)))
+
+
+def test_faces_in_one_point_are_refused() -> None:
+    with pytest.raises(MeshError, match="one point"):
+        voxelize(TriangleMesh(vertices=np.ones((3, 3), np.float32), faces=np.array([[0, 1, 2]], np.int32)))
+
+
+def test_faces_on_a_line_are_refused() -> None:
+    line = np.array([[0, 0, 0], [1, 1, 1], [2, 2, 2]], np.float32)
+    with pytest.raises(MeshError, match="area"):
+        voxelize(TriangleMesh(vertices=line, faces=np.array([[0, 1, 2]], np.int32)))
+
+
+def test_more_surface_than_memory_allows_is_refused_before_it_is_cut(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(voxelize_module, "MAX_PIECES", 1000)
+    with pytest.raises(MeshError, match="at most 1e\\+03"):
+        voxelize(square(), 128)
+
+
+def test_surface_average_refuses_a_voxel_without_surface() -> None:
+    mesh = square()
+    grid = voxelize(mesh, 32).grid
+    stray = VoxelGrid.from_coords(
+        np.concatenate([grid.coords, [[5, 5, 31]]]).astype(np.int32),
+        origin_m=grid.origin_m,
+        voxel_size_m=grid.voxel_size_m,
+        resolution=32,
+    )
+    with pytest.raises(InputError, match=r"voxel \[5, 5, 31\]"):
+        surface_average(mesh, stray)
