@@ -6,6 +6,7 @@
     │   └── FormatError         the file: not the format, truncated, refers outside itself
     ├── CheckpointError         a model file that does not fit the code
     ├── NumericsError           a result that is not finite or not stable
+    │   └── UnstableTimestep    an integrator's step is too long; `max_dt_s` is the longest
     └── Cancelled               the caller asked to stop
 
 Each class has a `code` (stable, kebab-case), by which the service chooses status and problem type. A message says
@@ -49,6 +50,16 @@ class NumericsError(DynamicTreeError):
     """A result that is not finite, or an integration that is not stable."""
 
     code = "numerics-error"
+
+
+class UnstableTimestep(NumericsError):
+    """A time step at which an integrator diverges."""
+
+    code = "unstable-timestep"
+
+    def __init__(self, message: str, *, max_dt_s: float) -> None:
+        super().__init__(message)
+        self.max_dt_s = max_dt_s  # the longest stable step [s]; 0 where none is
 
 
 class Cancelled(DynamicTreeError):

@@ -1,0 +1,1 @@
+"""The spectrum as a modal basis: how the tree answers a push."""

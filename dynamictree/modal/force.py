@@ -1,0 +1,236 @@
+"""What pushes the tree, as generalised force a step: linear in every force, additive over them.
+
+A force of F newtons at the points p pushes coordinate k with f_k = Σ_p conj(φ_k(p)) · F_p joules. Time is cut into
+steps, and each step gets the force's mean over it, so an impulse keeps its newton-seconds whatever dt is.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Complex128, Float64, Int32
+
+from dynamictree.errors import InputError
+from dynamictree.modal.step import State
+from dynamictree.modal.system import ModalSystem
+from dynamictree.voxel.grid import VoxelGrid
+
+Vector = tuple[float, float, float]
+
+AIR_DENSITY_KG_M3 = 1.2
+DRAG_COEFFICIENT = 0.25  # crowns in leaf measure 0.2 to 0.4 at 10 m/s; half the surface or more lies in the lee
+REACH_VOXELS = 3.0  # a point further from every voxel's centre lies outside of the tree
+STIFF_SHARE = 0.02  # a direction that gives way by this share of the softest is dragged half of the way
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contact:
+    """Voxels that a force is spread over; the weights sum to 1, the first row is where it is aimed."""
+
+    rows: Int32[np.ndarray, " P"]
+    weights: Float64[np.ndarray, " P"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Impulse:
+    """A knock: so many newton-seconds, spread evenly over its duration (0 is within one step)."""
+
+    at: Contact
+    impulse_n_s: Vector
+    start_s: float = 0.0
+    duration_s: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drag:
+    """A pull that is held, then let go: a force, or the displacement that the force would hold it at."""
+
+    at: Contact
+    force_n: Vector | None = None
+    displacement_m: Vector | None = None
+    start_s: float = 0.0
+    duration_s: float | None = None  # None is held for good: a rest load
+
+
+@dataclass(frozen=True, kw_only=True)
+class WindField:
+    """Air that moves over the whole tree: samples of its velocity, evenly spaced over the duration."""
+
+    velocity_m_s: Float64[np.ndarray, "S 3"]
+    start_s: float = 0.0
+    duration_s: float | None = None
+
+
+Force = Impulse | Drag | WindField
+
+
+def contact_at_voxel(grid: VoxelGrid, row: int) -> Contact:
+    """One voxel, by its row in the spectrum.
+
+    Raises:
+        InputError: there is no such row.
+    """
+    if not 0 <= row < len(grid):
+        raise InputError(f"voxel {row} does not exist; the spectrum has voxels 0 to {len(grid) - 1}")
+    return Contact(rows=np.array([row], np.int32), weights=np.ones(1))
+
+
+def contact_at_point(grid: VoxelGrid, point_m: Vector, *, radius_m: float = 0.0) -> Contact:
+    """The voxel nearest to a point, or evenly all whose centres lie within a radius of it.
+
+    Raises:
+        InputError: the point is not finite, or no voxel is near.
+    """
+    if not (np.isfinite(point_m).all() and np.isfinite(radius_m) and radius_m >= 0):
+        raise InputError(f"point_m {point_m} with radius_m {radius_m}; both must be finite, the radius not negative")
+    distance = np.linalg.norm(grid.centres_m - np.asarray(point_m), axis=1)  # [V]
+    nearest = int(np.argmin(distance))
+    reach = max(radius_m, REACH_VOXELS * grid.voxel_size_m)
+    if distance[nearest] > reach:
+        centre = [round(float(x), 3) for x in grid.centres_m[nearest]]
+        raise InputError(
+            f"point {list(point_m)} lies outside of the tree: the nearest voxel, {centre}, is "
+            f"{distance[nearest]:.3g} m away, {reach:.3g} m is allowed; aim nearer or give a larger radius_m"
+        )
+    within = np.flatnonzero(distance <= radius_m)
+    rows = np.concatenate([[nearest], within[within != nearest]]).astype(np.int32)
+    return Contact(rows=rows, weights=np.full(len(rows), 1 / len(rows)))
+
+
+def generalised_force(
+    system: ModalSystem, force: Force, *, dt_s: float, num_frames: int
+) -> Complex128[np.ndarray, "T M"]:
+    """f_k, the mean over each of the steps [J].
+
+    Raises:
+        InputError: a vector or a time is not finite, or a drag asks for what the tree cannot do.
+    """
+    match force:
+        case Impulse():
+            vector = _finite("impulse_n_s", force.impulse_n_s)
+            rate = _impulse_rate(force, dt_s, num_frames)
+            return np.asarray(rate[:, None] * _at_contact(system, force.at, vector))
+        case Drag():
+            share = _share_of_steps(force.start_s, force.duration_s, dt_s, num_frames)
+            return np.asarray(share[:, None] * _at_contact(system, force.at, drag_force_n(system, force)))
+        case WindField():
+            return _wind(system, force, dt_s, num_frames)
+
+
+def drag_force_n(system: ModalSystem, drag: Drag) -> Float64[np.ndarray, " 3"]:
+    """The force of a drag [N]; for a displacement, the one under which the point rests there.
+
+    A point gives way in some directions only (a branch bends, it does not stretch), so the compliance is inverted
+    with Tikhonov's damping: along the soft directions the point goes the whole way, along the stiff ones hardly.
+
+    Raises:
+        InputError: neither or both of force and displacement are given, or nothing moves at the point.
+    """
+    if (drag.force_n is None) == (drag.displacement_m is None):
+        raise InputError("a drag has either force_n or displacement_m; give exactly one of them")
+    if drag.force_n is not None:
+        return _finite("force_n", drag.force_n)
+    assert drag.displacement_m is not None
+    wanted = _finite("displacement_m", drag.displacement_m)
+    give = compliance(system, drag.at)
+    if np.trace(give) <= 0:
+        raise InputError("the tree does not move at the point that is dragged; aim higher, or at a branch")
+    softness, axes = np.linalg.eigh(give)
+    damped = softness / (softness**2 + (STIFF_SHARE * softness[-1]) ** 2)  # [N/m]
+    return np.asarray(axes @ (damped * (axes.T @ wanted)))
+
+
+def compliance(system: ModalSystem, at: Contact) -> Float64[np.ndarray, "3 3"]:
+    """Static displacement at a contact over the force there, Σ_k Re(φ_k φ_kᴴ) / (m ω_k²) [m/N]."""
+    shape = _shape_at(system, at)  # [M, 3]
+    softness = (shape / system.stiffness[:, None]).T @ shape.conj()
+    return np.asarray(softness.real)
+
+
+def equilibrium(system: ModalSystem, generalised_n_m: Complex128[np.ndarray, "G M"]) -> State:
+    """The shape in which the tree rests under a load that is there for good, q_k = f_k / (m ω_k²)."""
+    return State(q=generalised_n_m / system.stiffness, q_dot=np.zeros_like(generalised_n_m))
+
+
+def davis_state(system: ModalSystem, force: Impulse | Drag, *, gain: float = 1.0) -> State:
+    """Davis et al. 2015, section 4.3: |z_k| = α|φ_k·d|, arg z_k = −arg(φ_k·d), a further −π/2 for an impulse.
+
+    z = q − i q̇/ω, and a held drag has no rate, so its phase says q; an impulse's q is 0 and its rate along the push.
+    Not additive: d is a direction, and the gain alone says how strong. Here α = gain / max_k|φ_k·d|².
+
+    Raises:
+        InputError: the force has no direction, or nothing moves along it.
+    """
+    vector = force.impulse_n_s if isinstance(force, Impulse) else force.displacement_m or force.force_n
+    assert vector is not None
+    along = _finite("direction", vector)
+    length = float(np.linalg.norm(along))
+    moved = _shape_at(system, force.at) @ (along / max(length, np.finfo(np.float64).tiny))  # φ·d, [M]
+    largest = float(np.abs(moved).max())
+    if largest == 0:
+        raise InputError(f"nothing moves along {list(vector)} at the contact; choose another direction or point")
+    z = gain / largest**2 * np.abs(moved) * np.exp(-1j * np.angle(moved))
+    zero = np.zeros_like(z)
+    if isinstance(force, Impulse):
+        return State(q=zero[None], q_dot=(system.omega * z)[None])
+    return State(q=z[None], q_dot=zero[None])
+
+
+def _shape_at(system: ModalSystem, at: Contact) -> Complex128[np.ndarray, "M 3"]:
+    return np.asarray(np.einsum("p,pmc->mc", at.weights, system.shapes[at.rows].astype(np.complex128)))
+
+
+def _at_contact(system: ModalSystem, at: Contact, vector: Float64[np.ndarray, " 3"]) -> Complex128[np.ndarray, " M"]:
+    pushed: Complex128[np.ndarray, " M"] = _shape_at(system, at).conj() @ vector
+    return pushed
+
+
+def _wind(system: ModalSystem, wind: WindField, dt_s: float, num_frames: int) -> Complex128[np.ndarray, "T M"]:
+    """½ρ C A |v| v on every voxel; a surface voxel shows a quarter of its face to any side, as a convex body does."""
+    velocity = np.asarray(wind.velocity_m_s, np.float64)
+    if len(velocity) == 0:
+        raise InputError("the wind has no samples; give at least one velocity")
+    _finite("wind_m_s", velocity.ravel())
+    area = system.grid.voxel_size_m**2 / 4
+    pressure = AIR_DENSITY_KG_M3 / 2 * DRAG_COEFFICIENT * area * np.linalg.norm(velocity, axis=1, keepdims=True)
+    per_voxel_n = pressure * velocity  # [S, 3]
+    share = _share_of_steps(wind.start_s, wind.duration_s, dt_s, num_frames)
+    times = (np.arange(num_frames) + 0.5) * dt_s - wind.start_s
+    span = num_frames * dt_s - wind.start_s if wind.duration_s is None else wind.duration_s
+    at_samples = np.linspace(0, max(span, dt_s), len(velocity))
+    blowing = np.stack([np.interp(times, at_samples, axis) for axis in per_voxel_n.T], axis=1)  # [T, 3]
+    everywhere = system.shapes.sum(axis=0, dtype=np.complex128)  # Σ_p φ_k(p), [M, 3]
+    pushed: Complex128[np.ndarray, "T M"] = (share[:, None] * blowing) @ everywhere.conj().T
+    return pushed
+
+
+def _impulse_rate(force: Impulse, dt_s: float, num_frames: int) -> Float64[np.ndarray, " T"]:
+    """How much of the impulse falls into each step, a second [1/s]."""
+    if force.duration_s > 0:
+        return _share_of_steps(force.start_s, force.duration_s, dt_s, num_frames) / force.duration_s
+    _check_times(force.start_s, force.duration_s)
+    step = np.floor(force.start_s / dt_s + 1e-9)  # a start on a step's border belongs to the step that begins there
+    rate: Float64[np.ndarray, " T"] = (np.arange(num_frames) == step) / dt_s
+    return rate
+
+
+def _share_of_steps(
+    start_s: float, duration_s: float | None, dt_s: float, num_frames: int
+) -> Float64[np.ndarray, " T"]:
+    """The share of each step during which a force acts."""
+    _check_times(start_s, duration_s)
+    begin = np.arange(num_frames) * dt_s
+    end_s = np.inf if duration_s is None else start_s + duration_s
+    overlap = np.minimum(begin + dt_s, end_s) - np.maximum(begin, start_s)
+    return np.asarray(np.clip(overlap / dt_s, 0, 1))
+
+
+def _check_times(start_s: float, duration_s: float | None) -> None:
+    if not np.isfinite(start_s) or not (duration_s is None or (np.isfinite(duration_s) and duration_s >= 0)):
+        raise InputError(f"start_s {start_s}, duration_s {duration_s}: both must be finite, the duration not negative")
+
+
+def _finite(name: str, values: Vector | Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
+    vector = np.asarray(values, np.float64)
+    if not np.isfinite(vector).all():
+        raise InputError(f"{name} is {vector.tolist()}; every component must be finite")
+    return vector
