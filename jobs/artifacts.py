@@ -1,0 +1,164 @@
+"""The bytes: content-addressed, written once, whole or not at all. A folder on one machine, object storage on many."""
+
+import os
+import secrets
+import shutil
+from collections.abc import Iterator
+from hashlib import sha256
+from pathlib import Path
+from typing import Protocol
+from urllib.parse import unquote, urlsplit
+
+import obstore
+from obstore.store import ObjectStore, from_url
+
+CHUNK_BYTES = 1024 * 1024
+
+
+class ArtifactStore(Protocol):
+    """Where bytes lie under their sha256."""
+
+    def put(self, path: Path, digest: str) -> None:
+        """Keep a file's bytes; atomic, and harmless where they are there already."""
+
+    def read(self, digest: str, *, start: int = 0, stop: int | None = None) -> Iterator[bytes]:
+        """Bytes from `start` up to `stop`, in chunks. FileNotFoundError where there are none."""
+
+    def fetch(self, digest: str, path: Path) -> None:
+        """Make the bytes readable at a path. FileNotFoundError where there are none."""
+
+    def exists(self, digest: str) -> bool:
+        """Whether the bytes are there."""
+
+    def delete(self, digest: str) -> None:
+        """Forget the bytes; harmless where there are none."""
+
+    def free_bytes(self) -> int | None:
+        """Room left [bytes]; None where that has no meaning. What is wrong with the storage passes through."""
+
+
+class FolderArtifacts:
+    """A folder. Written beside, synced, renamed."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        root.mkdir(parents=True, exist_ok=True)
+
+    def put(self, path: Path, digest: str) -> None:
+        """Keep a file's bytes."""
+        target = self._path(digest)
+        if target.exists():
+            return
+        target.parent.mkdir(parents=True, exist_ok=True)
+        beside = target.with_name(f".{digest}.{secrets.token_hex(8)}")
+        try:
+            with path.open("rb") as source, beside.open("xb") as copy:
+                shutil.copyfileobj(source, copy, CHUNK_BYTES)
+                copy.flush()
+                os.fsync(copy.fileno())
+            beside.chmod(0o444)
+            beside.replace(target)
+        finally:
+            beside.unlink(missing_ok=True)
+        folder = os.open(target.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+
+    def read(self, digest: str, *, start: int = 0, stop: int | None = None) -> Iterator[bytes]:
+        """Bytes from `start` up to `stop`, in chunks."""
+        with self._path(digest).open("rb") as stream:
+            stream.seek(start)
+            left = (os.fstat(stream.fileno()).st_size if stop is None else stop) - start
+            while left > 0 and (chunk := stream.read(min(left, CHUNK_BYTES))):
+                left -= len(chunk)
+                yield chunk
+
+    def fetch(self, digest: str, path: Path) -> None:
+        """Make the bytes readable at a path: a link, no copy."""
+        if not self.exists(digest):
+            raise FileNotFoundError(f"no bytes with sha256 {digest}")
+        path.unlink(missing_ok=True)
+        path.symlink_to(self._path(digest))
+
+    def exists(self, digest: str) -> bool:
+        """Whether the bytes are there."""
+        return self._path(digest).exists()
+
+    def delete(self, digest: str) -> None:
+        """Forget the bytes."""
+        self._path(digest).unlink(missing_ok=True)
+
+    def free_bytes(self) -> int | None:
+        """Room left on the folder's disk [bytes]."""
+        return shutil.disk_usage(self.root).free
+
+    def _path(self, digest: str) -> Path:
+        return self.root / digest[:2] / digest
+
+
+class ObjectArtifacts:
+    """Object storage behind obstore: S3, GCS, Azure, memory. A put is atomic there, small or multipart."""
+
+    def __init__(self, objects: ObjectStore) -> None:
+        self.objects = objects
+
+    def put(self, path: Path, digest: str) -> None:
+        """Keep a file's bytes."""
+        obstore.put(self.objects, _key(digest), path)
+
+    def read(self, digest: str, *, start: int = 0, stop: int | None = None) -> Iterator[bytes]:
+        """Bytes from `start` up to `stop`, in chunks."""
+        end = obstore.head(self.objects, _key(digest))["size"] if stop is None else stop
+        if end <= start:
+            return
+        response = obstore.get(self.objects, _key(digest), options={"range": (start, end)})
+        for chunk in response.stream(min_chunk_size=CHUNK_BYTES):
+            yield bytes(chunk)
+
+    def fetch(self, digest: str, path: Path) -> None:
+        """Make the bytes readable at a path: a download."""
+        with path.open("wb") as target:
+            for chunk in self.read(digest):
+                target.write(chunk)
+
+    def exists(self, digest: str) -> bool:
+        """Whether the bytes are there."""
+        try:
+            obstore.head(self.objects, _key(digest))
+        except FileNotFoundError:
+            return False
+        return True
+
+    def delete(self, digest: str) -> None:
+        """Forget the bytes."""
+        obstore.delete(self.objects, _key(digest))
+
+    def free_bytes(self) -> int | None:
+        """No bound is known; asks for an object, so that a storage that is away is noticed."""
+        self.exists("0" * 64)
+        return None
+
+
+def open_artifacts(url: str) -> ArtifactStore:
+    """The store that a URL names: `file:///folder`, or any scheme of obstore (`s3://bucket/prefix`)."""
+    parts = urlsplit(url)
+    if parts.scheme == "file":
+        return FolderArtifacts(Path(unquote(parts.path)))
+    return ObjectArtifacts(from_url(url))
+
+
+def hash_file(path: Path) -> tuple[str, int]:
+    """A file's sha256 and size [bytes]."""
+    digest = sha256()
+    size = 0
+    with path.open("rb") as stream:
+        while chunk := stream.read(CHUNK_BYTES):
+            digest.update(chunk)
+            size += len(chunk)
+    return digest.hexdigest(), size
+
+
+def _key(digest: str) -> str:
+    return f"{digest[:2]}/{digest}"

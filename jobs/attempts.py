@@ -1,0 +1,192 @@
+"""What a worker does to the job that it runs. Every write names the attempt: that is the fence."""
+
+from dataclasses import asdict
+
+import sqlalchemy as sa
+
+from jobs import tables as t
+from jobs.database import upsert
+from jobs.errors import FencedError
+from jobs.records import Claim, OutputFile
+from jobs.states import JobState, JobType
+from jobs.store import Store, end, new_id, read_job
+
+
+def claim(store: Store, job_id: str, attempt: int, *, owner: str, lease_s: float) -> Claim | None:
+    """Take the right to run an attempt, if it is still to be run and nobody holds it. Compare and set."""
+    now = store.clock()
+    with store.writing() as connection:
+        free = (t.jobs.c.id == job_id) & (t.jobs.c.attempt == attempt) & t.jobs.c.lease_owner.is_(None)
+        waiting = free & t.jobs.c.state.in_([JobState.QUEUED, JobState.RUNNING])
+        taken = {
+            "state": JobState.RUNNING,
+            "lease_owner": owner,
+            "lease_until": now + lease_s,
+            "started_at": sa.func.coalesce(t.jobs.c.started_at, now),
+            "version": t.jobs.c.version + 1,
+        }
+        if connection.execute(t.jobs.update().where(waiting).values(**taken)).rowcount == 0:
+            return None
+        connection.execute(t.outbox.delete().where(t.outbox.c.job_id == job_id))
+        return Claim(job=read_job(connection, job_id), owner=owner)
+
+
+def renew(store: Store, held: Claim, *, lease_s: float) -> None:
+    """Prolong the lease.
+
+    Raises:
+        FencedError: it is no longer ours.
+    """
+    with store.writing() as connection:
+        change = t.jobs.update().where(_ours(held)).values(lease_until=store.clock() + lease_s)
+        if connection.execute(change).rowcount == 0:
+            raise _fenced(held)
+
+
+def canceling(store: Store, held: Claim) -> bool:
+    """Whether someone asked this job to stop.
+
+    Raises:
+        FencedError: the attempt is no longer ours.
+    """
+    with store.reading() as connection:
+        state = connection.execute(sa.select(t.jobs.c.state).where(_ours(held))).scalar_one_or_none()
+    if state is None:
+        raise _fenced(held)
+    return bool(state == JobState.CANCELING)
+
+
+def start_stage(store: Store, held: Claim, stage: JobType) -> None:
+    """Mark a stage as running."""
+    now = store.clock()
+    with store.writing() as connection:
+        _touch(connection, held)
+        row = (t.stages.c.job_id == held.job.id) & (t.stages.c.name == stage)
+        values = {"state": "running", "progress": 0.0, "started_at": now}
+        connection.execute(t.stages.update().where(row).values(**values))
+
+
+def report_progress(store: Store, held: Claim, stage: JobType, progress: float) -> None:
+    """Tell how much of a stage is done, a share in [0, 1]."""
+    with store.writing() as connection:
+        _touch(connection, held)
+        row = (t.stages.c.job_id == held.job.id) & (t.stages.c.name == stage) & (t.stages.c.state == "running")
+        connection.execute(t.stages.update().where(row).values(progress=min(max(progress, 0.0), 1.0)))
+
+
+def publish_stage(
+    store: Store,
+    held: Claim,
+    stage: JobType,
+    files: tuple[OutputFile, ...],
+    *,
+    key: str,
+    cached: bool,
+    retention_s: float,
+) -> None:
+    """Offer what a stage made and remember it for other jobs, if the attempt is still ours.
+
+    Raises:
+        FencedError: it is not; nothing is published.
+    """
+    now = store.clock()
+    with store.writing() as connection:
+        _touch(connection, held)
+        for file in files:
+            row = {
+                "id": new_id(),
+                "job_id": held.job.id,
+                "stage": stage,
+                "created_at": now,
+                "expires_at": now + retention_s,
+            }
+            connection.execute(t.artifacts.insert().values(**row, **asdict(file)))
+        entry = {"key": key, "stage": stage, "files": [asdict(file) for file in files], "used_at": now}
+        upsert(connection, t.stage_cache, entry)
+        done = {"state": "succeeded", "progress": 1.0, "cached": cached, "finished_at": now}
+        row_of = (t.stages.c.job_id == held.job.id) & (t.stages.c.name == stage)
+        connection.execute(t.stages.update().where(row_of).values(**done))
+
+
+def cached_stage(store: Store, key: str) -> tuple[OutputFile, ...] | None:
+    """What the same stage made of the same inputs before."""
+    with store.reading() as connection:
+        files = connection.execute(
+            sa.select(t.stage_cache.c.files).where(t.stage_cache.c.key == key)
+        ).scalar_one_or_none()
+    return None if files is None else tuple(OutputFile(**file) for file in files)
+
+
+def touch_blob(store: Store, sha256: str, num_bytes: int) -> None:
+    """Tell that these bytes are about to be referred to, so that retention leaves them for an hour."""
+    with store.writing() as connection:
+        upsert(connection, t.blobs, {"sha256": sha256, "bytes": num_bytes, "touched_at": store.clock()})
+
+
+def succeed(store: Store, held: Claim) -> JobState:
+    """End the attempt well; where a cancel came first, the job is canceled. Gives the final state."""
+    with store.writing() as connection:
+        if _state(connection, held) == JobState.CANCELING:
+            end(connection, held.job.id, JobState.CANCELED, now=store.clock())
+            return JobState.CANCELED
+        end(connection, held.job.id, JobState.SUCCEEDED, now=store.clock())
+        return JobState.SUCCEEDED
+
+
+def fail(store: Store, held: Claim, *, code: str, message: str) -> JobState:
+    """End the attempt with an error; where a cancel came first, the job is canceled. Gives the final state."""
+    with store.writing() as connection:
+        if _state(connection, held) == JobState.CANCELING:
+            end(connection, held.job.id, JobState.CANCELED, now=store.clock())
+            return JobState.CANCELED
+        end(connection, held.job.id, JobState.FAILED, now=store.clock(), error_code=code, error_message=message)
+        return JobState.FAILED
+
+
+def finish_cancel(store: Store, held: Claim) -> None:
+    """End the attempt because it was asked to stop."""
+    with store.writing() as connection:
+        _state(connection, held)
+        end(connection, held.job.id, JobState.CANCELED, now=store.clock())
+
+
+def hand_back(store: Store, held: Claim) -> None:
+    """Give the attempt up so that another worker begins the next one; no loss is counted."""
+    with store.writing() as connection:
+        if _state(connection, held) == JobState.CANCELING:
+            end(connection, held.job.id, JobState.CANCELED, now=store.clock())
+            return
+        begin_next_attempt(connection, held.job.id, held.attempt, now=store.clock())
+
+
+def begin_next_attempt(connection: sa.Connection, job_id: str, attempt: int, **values: object) -> None:
+    """Raise the fence and put the message for the next attempt into the outbox."""
+    now = values.pop("now")
+    free = {"attempt": attempt + 1, "lease_owner": None, "lease_until": None, "version": t.jobs.c.version + 1}
+    this = (t.jobs.c.id == job_id) & (t.jobs.c.attempt == attempt)
+    connection.execute(t.jobs.update().where(this).values(**free, **values))
+    running = (t.stages.c.job_id == job_id) & (t.stages.c.state == "running")
+    connection.execute(t.stages.update().where(running).values(state="queued", progress=0.0))
+    connection.execute(t.outbox.insert().values(job_id=job_id, attempt=attempt + 1, created_at=now))
+
+
+def _ours(held: Claim) -> sa.ColumnElement[bool]:
+    mine = (t.jobs.c.id == held.job.id) & (t.jobs.c.attempt == held.attempt) & (t.jobs.c.lease_owner == held.owner)
+    return mine & t.jobs.c.state.in_([JobState.RUNNING, JobState.CANCELING])
+
+
+def _touch(connection: sa.Connection, held: Claim) -> None:
+    change = t.jobs.update().where(_ours(held)).values(version=t.jobs.c.version + 1)
+    if connection.execute(change).rowcount == 0:
+        raise _fenced(held)
+
+
+def _state(connection: sa.Connection, held: Claim) -> JobState:
+    _touch(connection, held)
+    return JobState(connection.execute(sa.select(t.jobs.c.state).where(t.jobs.c.id == held.job.id)).scalar_one())
+
+
+def _fenced(held: Claim) -> FencedError:
+    return FencedError(
+        f"attempt {held.attempt} of job {held.job.id} is no longer ours; another one began, or the job ended"
+    )

@@ -1,0 +1,57 @@
+"""Engines for the job store: SQLite in WAL mode on one machine, PostgreSQL on many."""
+
+import sqlite3
+from collections.abc import Mapping
+from pathlib import Path
+
+import sqlalchemy as sa
+from sqlalchemy import event
+from sqlalchemy.dialects import postgresql, sqlite
+from sqlalchemy.engine import make_url
+
+BUSY_TIMEOUT_S = 10.0
+
+
+def open_engine(url: str) -> sa.Engine:
+    """Make an engine whose transactions may write from their first statement on."""
+    if make_url(url).get_backend_name() != "sqlite":
+        return sa.create_engine(_with_psycopg(url), pool_pre_ping=True, pool_size=10, max_overflow=30)
+    database = make_url(url).database
+    if database:
+        Path(database).parent.mkdir(parents=True, exist_ok=True)
+    engine = sa.create_engine(url, connect_args={"timeout": BUSY_TIMEOUT_S}, pool_size=10, max_overflow=50)
+    event.listen(engine, "connect", _configure_sqlite)
+    event.listen(engine, "begin", _begin_sqlite)
+    return engine
+
+
+def _with_psycopg(url: str) -> str:
+    return url.replace("postgresql://", "postgresql+psycopg://", 1) if url.startswith("postgresql://") else url
+
+
+def _configure_sqlite(connection: sqlite3.Connection, _record: object) -> None:
+    connection.isolation_level = None  # transactions are begun by _begin_sqlite, never by the driver
+    connection.execute("PRAGMA journal_mode=WAL")
+    connection.execute("PRAGMA synchronous=FULL")  # an accepted job survives a power cut
+    connection.execute("PRAGMA foreign_keys=ON")
+
+
+def _begin_sqlite(connection: sa.Connection) -> None:
+    # IMMEDIATE: a reader that turns writer half-way would get SQLITE_BUSY at once, without the timeout
+    reading = connection.get_execution_options().get("reading", False)
+    connection.exec_driver_sql("BEGIN" if reading else "BEGIN IMMEDIATE")
+
+
+def upsert(
+    connection: sa.Connection,
+    table: sa.Table,
+    values: Mapping[str, object],
+    *,
+    only_if: sa.ColumnElement[bool] | None = None,
+) -> bool:
+    """Insert a row, or change the one with its primary key if `only_if` holds there; tell whether either was done."""
+    insert = postgresql.insert if connection.dialect.name == "postgresql" else sqlite.insert
+    keys = [column.name for column in table.primary_key.columns]
+    changes = {name: value for name, value in values.items() if name not in keys}
+    statement = insert(table).values(values).on_conflict_do_update(index_elements=keys, set_=changes, where=only_if)
+    return connection.execute(statement).rowcount == 1

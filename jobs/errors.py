@@ -1,0 +1,49 @@
+"""What the job store refuses.
+
+    JobsError
+    ├── NotFoundError       no such asset, job or artefact
+    ├── GoneError           there was one; it expired or was deleted
+    ├── ConflictError       the state forbids it
+    ├── FencedError         another attempt owns the job; this one must stop
+    └── SettingsError       the settings cannot be used
+
+Each class has a `code` (stable, kebab-case), by which the service chooses status and problem type.
+"""
+
+from typing import ClassVar
+
+
+class JobsError(Exception):
+    """Root of the tree."""
+
+    code: ClassVar[str] = "jobs-error"
+
+
+class NotFoundError(JobsError):
+    """No such asset, job or artefact."""
+
+    code = "not-found"
+
+
+class GoneError(JobsError):
+    """There was one; it expired or was deleted."""
+
+    code = "expired"
+
+
+class ConflictError(JobsError):
+    """The state of the thing forbids it."""
+
+    code = "conflict"
+
+
+class FencedError(JobsError):
+    """Another attempt owns the job, or it has ended; whoever gets this must stop and publish nothing."""
+
+    code = "fenced"
+
+
+class SettingsError(JobsError):
+    """The settings cannot be used."""
+
+    code = "invalid-settings"

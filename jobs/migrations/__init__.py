@@ -1,0 +1,34 @@
+"""Versions of the job store's tables, and the way from each to the next (alembic)."""
+
+from pathlib import Path
+
+import sqlalchemy as sa
+
+from jobs.tables import HEAD
+
+_LOCK = 7_305_112  # any fixed number: PostgreSQL's advisory lock while one process migrates
+
+
+def migrate(engine: sa.Engine) -> None:
+    """Bring the tables to `HEAD`. Safe to call from many processes at once; cheap where nothing is to be done."""
+    with engine.begin() as connection:
+        if _revision(connection) == HEAD:
+            return
+        if engine.dialect.name == "postgresql":
+            connection.execute(sa.select(sa.func.pg_advisory_xact_lock(_LOCK)))
+        if _revision(connection) == HEAD:
+            return
+        # alembic takes 0.2 s to import, which a start with nothing to do should not pay
+        from alembic import command
+        from alembic.config import Config
+
+        config = Config()
+        config.set_main_option("script_location", str(Path(__file__).parent))
+        config.attributes["connection"] = connection
+        command.upgrade(config, "head")
+
+
+def _revision(connection: sa.Connection) -> str | None:
+    if not sa.inspect(connection).has_table("alembic_version"):
+        return None
+    return connection.execute(sa.text("SELECT version_num FROM alembic_version")).scalar_one_or_none()

@@ -1,0 +1,112 @@
+"""Rows of the store, as the rest of the code sees them. Times are seconds since 1970."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from jobs.states import TERMINAL, AssetKind, JobState, JobType, StageState
+
+Json = None | bool | int | float | str | Sequence["Json"] | Mapping[str, "Json"]
+"""What a JSON column holds."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AssetPart:
+    """One file of an asset: the mesh, an MTL or texture beside it, or one photo."""
+
+    name: str
+    sha256: str
+    bytes: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class AssetRecord:
+    """What someone uploaded, checked."""
+
+    id: str
+    kind: AssetKind
+    fingerprint: str  # sha256 over everything that decides what the asset means
+    parts: tuple[AssetPart, ...]  # the mesh first; photos in the order sent
+    prepared: AssetPart | None  # the mesh in metres and +Z up, written by the parser's process; None for photos
+    summary: Mapping[str, Json]
+    created_at: float
+    expires_at: float
+    deleted_at: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class StageRecord:
+    """One stage of one job."""
+
+    name: JobType
+    state: StageState = "queued"
+    progress: float = 0.0  # share in [0, 1]
+    cached: bool = False
+    started_at: float | None = None
+    finished_at: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class JobRecord:
+    """One job. `version` rises with every change; the ETag is made of it."""
+
+    id: str
+    type: JobType
+    state: JobState
+    asset_id: str
+    preset: str
+    seed: int
+    params: Mapping[str, Json]
+    queue: str
+    stages: tuple[StageRecord, ...] = field(default=())
+    attempt: int = 1
+    version: int = 1
+    error_code: str | None = None
+    error_message: str | None = None
+    start_deadline: float | None = None
+    retry_of: str | None = None
+    created_at: float
+    started_at: float | None = None
+    finished_at: float | None = None
+
+    @property
+    def terminal(self) -> bool:
+        """Whether the state is final."""
+        return self.state in TERMINAL
+
+
+@dataclass(frozen=True, kw_only=True)
+class OutputFile:
+    """A file that a stage made, its bytes already in the artefact store under their hash."""
+
+    name: str
+    media_type: str
+    sha256: str
+    bytes: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArtifactRecord:
+    """A file that a job offers."""
+
+    id: str
+    job_id: str
+    stage: JobType
+    name: str
+    media_type: str
+    sha256: str
+    bytes: int
+    created_at: float
+    expires_at: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Claim:
+    """The right to run one attempt of a job. Whoever holds it renews the lease, or loses it."""
+
+    job: JobRecord
+    owner: str
+
+    @property
+    def attempt(self) -> int:
+        """The fence: what another attempt has begun, this one may not publish."""
+        return self.job.attempt

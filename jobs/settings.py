@@ -1,0 +1,137 @@
+"""Settings of a process, read once from the environment (`DYNAMICTREE_…`) and handed on. See docs/settings.md."""
+
+import os
+from hashlib import sha256
+from pathlib import Path
+from tempfile import gettempdir
+from typing import Literal, Self
+
+from pydantic import Field, ValidationError, model_validator
+from pydantic_settings import BaseSettings, SettingsConfigDict
+
+from jobs.errors import SettingsError
+
+MIB = 1024**2
+GIB = 1024**3
+DAY_S = 86400.0
+
+SOCKET_PATH_LIMIT = 100
+"""Linux allows 107 bytes for a unix socket's path."""
+
+
+class Settings(BaseSettings):
+    """One process's settings. URLs that are unset mean the embedded default in the state folder."""
+
+    model_config = SettingsConfigDict(env_prefix="DYNAMICTREE_", frozen=True, extra="forbid", env_ignore_empty=True)
+
+    state_dir: Path = Path("state")
+    database_url: str | None = None
+    redis_url: str | None = None
+    artifacts_url: str | None = None
+
+    queue: str = Field(default="cpu", pattern=r"^[a-z][a-z0-9-]{0,30}$")
+    lease_s: float = Field(default=60.0, gt=0)
+    heartbeat_s: float = Field(default=10.0, gt=0)
+    max_lost_attempts: int = Field(default=2, ge=0, le=20)
+    visibility_timeout_s: int = Field(default=7200, ge=1)
+    restore_interval_s: int = Field(default=10, ge=1)
+    soft_time_limit_s: int = Field(default=3300, ge=1)
+    time_limit_s: int = Field(default=3600, ge=1)
+    worker_threads: int = Field(default_factory=lambda: os.cpu_count() or 1, ge=1)
+    worker_tasks_per_child: int = Field(default=50, ge=1)
+    worker_memory_kib: int = Field(default=8_000_000, ge=100_000)
+    progress_interval_s: float = Field(default=0.5, ge=0)
+    shutdown_grace_s: float = Field(default=20.0, ge=0)
+
+    housekeeper_lease_s: float = Field(default=10.0, gt=0)
+    outbox_interval_s: float = Field(default=0.1, gt=0)
+    reaper_interval_s: float = Field(default=1.0, gt=0)
+    resend_s: float = Field(default=60.0, gt=0)
+    retention_interval_s: float = Field(default=60.0, gt=0)
+    artifact_retention_s: float = Field(default=7 * DAY_S, gt=0)
+    asset_retention_s: float = Field(default=30 * DAY_S, gt=0)
+    job_retention_s: float = Field(default=30 * DAY_S, gt=0)
+
+    max_json_bytes: int = Field(default=1 * MIB, ge=1024)
+    max_interact_bytes: int = Field(default=256 * 1024, ge=1024)
+    max_multipart_bytes: int = Field(default=1 * GIB, ge=1024)
+    max_queued_jobs: int = Field(default=1000, ge=1)
+    max_parsers: int = Field(default=2, ge=1)
+    min_free_bytes: int = Field(default=1 * GIB, ge=0)
+    upload_idle_s: float = Field(default=60.0, gt=0)
+    parser_memory_bytes: int = Field(default=8 * GIB, ge=256 * MIB)
+    parser_cpu_s: int = Field(default=120, ge=1)
+    spectrum_cache_bytes: int = Field(default=256 * MIB, ge=0)
+    cors_origins: tuple[str, ...] = ()
+    log_level: Literal["DEBUG", "INFO", "WARNING", "ERROR"] = "INFO"
+
+    @model_validator(mode="after")
+    def _times_in_order(self) -> Self:
+        if self.heartbeat_s * 2 > self.lease_s:
+            raise ValueError(
+                f"heartbeat_s is {self.heartbeat_s:g}; at most half of lease_s ({self.lease_s:g}) is allowed"
+            )
+        if self.soft_time_limit_s > self.time_limit_s:
+            raise ValueError(
+                f"soft_time_limit_s is {self.soft_time_limit_s}; at most time_limit_s ({self.time_limit_s}) is allowed"
+            )
+        return self
+
+    @property
+    def resolved_database_url(self) -> str:
+        """SQLAlchemy's URL of the job store."""
+        return self.database_url or f"sqlite:///{self.state_dir.resolve() / 'jobs.sqlite'}"
+
+    @property
+    def redis_socket(self) -> Path:
+        """Where the embedded server listens; a temporary folder where the state folder's path is too long."""
+        path = self.state_dir.resolve() / "redis" / "redis.sock"
+        if len(os.fsencode(path)) <= SOCKET_PATH_LIMIT:
+            return path
+        return Path(gettempdir()) / f"dynamictree-{sha256(os.fsencode(path)).hexdigest()[:16]}.sock"
+
+    @property
+    def resolved_redis_url(self) -> str:
+        """redis-py's URL of the broker."""
+        return self.redis_url or f"unix://{self.redis_socket}?db=0"
+
+    @property
+    def broker_url(self) -> str:
+        """Celery's URL of the broker; its word for a unix socket differs from redis-py's."""
+        url = self.resolved_redis_url
+        if url.startswith("unix://"):
+            return url.replace("unix://", "redis+socket://", 1).replace("?db=", "?virtual_host=")
+        return url
+
+    @property
+    def resolved_artifacts_url(self) -> str:
+        """Folder or bucket of the bytes."""
+        return self.artifacts_url or (self.state_dir.resolve() / "artifacts").as_uri()
+
+    @property
+    def scratch_dir(self) -> Path:
+        """Half-received uploads and half-made results; emptied at start."""
+        return self.state_dir.resolve() / "scratch"
+
+
+def read_settings(**overrides: object) -> Settings:
+    """Read the environment, and files of the folder that DYNAMICTREE_SECRETS_DIR names (one file a setting).
+
+    Raises:
+        SettingsError: a value is not allowed.
+    """
+    secrets = os.environ.get("DYNAMICTREE_SECRETS_DIR")
+    try:
+        return Settings(_secrets_dir=secrets, **overrides)  # type: ignore[arg-type]
+    except ValidationError as error:
+        found = "; ".join(f"DYNAMICTREE_{'_'.join(map(str, e['loc'])).upper()}: {e['msg']}" for e in error.errors())
+        raise SettingsError(f"{found}; see docs/settings.md") from error
+
+
+def unknown_variables() -> list[str]:
+    """Variables of the environment with our prefix that are no setting: most likely a typo."""
+    known = {f"DYNAMICTREE_{name.upper()}" for name in Settings.model_fields} | {
+        "DYNAMICTREE_SECRETS_DIR",
+        "DYNAMICTREE_SAMPLES",
+    }
+    return sorted(name for name in os.environ if name.startswith("DYNAMICTREE_") and name not in known)

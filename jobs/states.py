@@ -1,0 +1,54 @@
+"""The states of a job, and the stages that each type of job runs."""
+
+from enum import StrEnum
+from typing import Literal, get_args
+
+from jobs.errors import ConflictError
+
+
+class JobState(StrEnum):
+    """Where a job is. The last four are final."""
+
+    QUEUED = "queued"
+    RUNNING = "running"
+    CANCELING = "canceling"
+    SUCCEEDED = "succeeded"
+    FAILED = "failed"
+    CANCELED = "canceled"
+    ABORTED = "aborted"  # not started before its deadline
+
+
+TRANSITIONS: dict[JobState, frozenset[JobState]] = {
+    JobState.QUEUED: frozenset({JobState.RUNNING, JobState.CANCELING, JobState.ABORTED}),
+    JobState.RUNNING: frozenset({JobState.SUCCEEDED, JobState.FAILED, JobState.CANCELING}),
+    JobState.CANCELING: frozenset({JobState.CANCELED}),
+    JobState.SUCCEEDED: frozenset(),
+    JobState.FAILED: frozenset(),
+    JobState.CANCELED: frozenset(),
+    JobState.ABORTED: frozenset(),
+}
+TERMINAL = frozenset(state for state, following in TRANSITIONS.items() if not following)
+ACTIVE = frozenset(JobState) - TERMINAL
+
+JobType = Literal["reconstruct", "voxelize", "diffuse", "animate"]
+JOB_TYPES: tuple[JobType, ...] = get_args(JobType)
+AssetKind = Literal["mesh", "photos"]
+ASSET_KINDS: tuple[AssetKind, ...] = get_args(AssetKind)
+StageState = Literal["queued", "running", "succeeded", "failed", "canceled"]
+
+
+def states_before(target: JobState) -> frozenset[JobState]:
+    """The states from which a job may come to `target`; a compare-and-set names them."""
+    return frozenset(state for state, following in TRANSITIONS.items() if target in following)
+
+
+def stages_of(job_type: JobType, asset_kind: AssetKind) -> tuple[JobType, ...]:
+    """The stages of a job, first to last: what it asks for, and what that needs upstream.
+
+    Raises:
+        ConflictError: a mesh cannot be reconstructed.
+    """
+    if job_type == "reconstruct" and asset_kind != "photos":
+        raise ConflictError(f"a reconstruct job needs an asset of photos, this one is a {asset_kind}; ask for animate")
+    first = 0 if asset_kind == "photos" else 1
+    return JOB_TYPES[first : JOB_TYPES.index(job_type) + 1]

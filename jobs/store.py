@@ -1,0 +1,278 @@
+"""The truth about assets, jobs, stages and artefacts. SQLAlchemy on SQLite or PostgreSQL.
+
+What a worker does to a running job is in `attempts.py`, what the housekeeper does in `upkeep.py`.
+"""
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict
+
+import sqlalchemy as sa
+from ulid import ULID
+
+from jobs import tables as t
+from jobs.database import open_engine
+from jobs.errors import ConflictError, GoneError, NotFoundError
+from jobs.migrations import migrate
+from jobs.records import ArtifactRecord, AssetPart, AssetRecord, JobRecord, StageRecord
+from jobs.states import ACTIVE, JobState, JobType, states_before
+
+
+def new_id() -> str:
+    """A ULID: sorts by the time it was made."""
+    return str(ULID())
+
+
+class Store:
+    """One process's way to the job store."""
+
+    def __init__(self, engine: sa.Engine, *, clock: Callable[[], float] = time.time) -> None:
+        self.engine = engine
+        self.clock = clock
+
+    @classmethod
+    def open(cls, url: str, *, clock: Callable[[], float] = time.time) -> "Store":
+        """Connect, and bring the tables up to date."""
+        engine = open_engine(url)
+        migrate(engine)
+        return cls(engine, clock=clock)
+
+    def close(self) -> None:
+        """Drop the pooled connections."""
+        self.engine.dispose()
+
+    @contextmanager
+    def reading(self) -> Iterator[sa.Connection]:
+        """A transaction that only reads; on SQLite it blocks no writer."""
+        with self.engine.connect().execution_options(reading=True) as connection, connection.begin():
+            yield connection
+
+    @contextmanager
+    def writing(self) -> Iterator[sa.Connection]:
+        """A transaction that may write."""
+        with self.engine.begin() as connection:
+            yield connection
+
+    # -- assets
+
+    def add_asset(self, asset: AssetRecord) -> tuple[AssetRecord, bool]:
+        """Keep an asset, or give the one that is there with the same fingerprint; tell whether it is new."""
+        with self.writing() as connection:
+            same = t.assets.c.live_fingerprint == asset.fingerprint
+            row = connection.execute(sa.select(t.assets).where(same)).one_or_none()
+            if row is not None:
+                connection.execute(t.assets.update().where(same).values(expires_at=asset.expires_at))
+                return _asset(row, expires_at=asset.expires_at), False
+            values = asdict(asset) | {"live_fingerprint": asset.fingerprint}
+            connection.execute(t.assets.insert().values(**values))
+            return asset, True
+
+    def find_asset(self, fingerprint: str) -> AssetRecord | None:
+        """The living asset of this fingerprint."""
+        with self.reading() as connection:
+            row = connection.execute(
+                sa.select(t.assets).where(t.assets.c.live_fingerprint == fingerprint)
+            ).one_or_none()
+        return None if row is None else _asset(row)
+
+    def asset(self, asset_id: str) -> AssetRecord:
+        """One asset.
+
+        Raises:
+            NotFoundError, GoneError: there is none, or it was deleted or has expired.
+        """
+        with self.reading() as connection:
+            row = connection.execute(sa.select(t.assets).where(t.assets.c.id == asset_id)).one_or_none()
+        if row is None:
+            raise NotFoundError(f"there is no asset {asset_id}")
+        asset = _asset(row)
+        if asset.deleted_at is not None:
+            raise GoneError(f"asset {asset_id} was deleted or has expired; upload it again")
+        return asset
+
+    def delete_asset(self, asset_id: str) -> None:
+        """Forget an asset; its bytes go with the next retention run.
+
+        Raises:
+            ConflictError: a job that has not ended needs it.
+        """
+        self.asset(asset_id)
+        with self.writing() as connection:
+            active = t.jobs.c.state.in_(ACTIVE) & (t.jobs.c.asset_id == asset_id)
+            job_id = connection.execute(sa.select(t.jobs.c.id).where(active).limit(1)).scalar_one_or_none()
+            if job_id is not None:
+                raise ConflictError(f"asset {asset_id} is in use by job {job_id}; cancel it or wait for its end")
+            gone = {"live_fingerprint": None, "deleted_at": self.clock()}
+            connection.execute(t.assets.update().where(t.assets.c.id == asset_id).values(**gone))
+
+    # -- jobs
+
+    def add_job(self, job: JobRecord, *, stages: tuple[JobType, ...]) -> JobRecord:
+        """Keep a new job, its stages, and the message that will tell a worker, in one transaction.
+
+        Raises:
+            GoneError: its asset has gone in the meantime.
+        """
+        row = {
+            c.name: getattr(job, c.name)
+            for c in t.jobs.columns
+            if c.name not in {"lease_owner", "lease_until", "lost_stages", "client_id", "body_sha256"}
+        }
+        with self.writing() as connection:
+            alive = (t.assets.c.id == job.asset_id) & t.assets.c.deleted_at.is_(None)
+            if connection.execute(sa.select(t.assets.c.id).where(alive)).one_or_none() is None:
+                raise GoneError(f"asset {job.asset_id} was deleted or has expired; upload it again")
+            connection.execute(t.jobs.insert().values(**row, lost_stages=[]))
+            add_stages(connection, job.id, stages)
+            connection.execute(t.outbox.insert().values(job_id=job.id, attempt=job.attempt, created_at=job.created_at))
+        return self.job(job.id)
+
+    def job(self, job_id: str) -> JobRecord:
+        """One job with its stages.
+
+        Raises:
+            NotFoundError: there is none.
+        """
+        with self.reading() as connection:
+            return read_job(connection, job_id)
+
+    def jobs(
+        self,
+        *,
+        state: JobState | None = None,
+        job_type: JobType | None = None,
+        before: str | None = None,
+        limit: int = 20,
+    ) -> list[JobRecord]:
+        """Jobs, newest first, those older than the id `before`."""
+        query = sa.select(t.jobs).order_by(t.jobs.c.id.desc()).limit(limit)
+        if state is not None:
+            query = query.where(t.jobs.c.state == state)
+        if job_type is not None:
+            query = query.where(t.jobs.c.type == job_type)
+        if before is not None:
+            query = query.where(t.jobs.c.id < before)
+        with self.reading() as connection:
+            rows = connection.execute(query).all()
+            wanted = t.stages.c.job_id.in_([row.id for row in rows])
+            stages: dict[str, list[StageRecord]] = {}
+            for row in connection.execute(sa.select(t.stages).where(wanted).order_by(t.stages.c.position)):
+                stages.setdefault(row.job_id, []).append(_stage(row))
+        return [_job(row, tuple(stages.get(row.id, ()))) for row in rows]
+
+    def queue_position(self, job: JobRecord) -> int | None:
+        """How many jobs of the same queue were there before this one; None once it has begun."""
+        if job.state != JobState.QUEUED:
+            return None
+        ahead = (t.jobs.c.state == JobState.QUEUED) & (t.jobs.c.queue == job.queue) & (t.jobs.c.id < job.id)
+        with self.reading() as connection:
+            return connection.execute(sa.select(sa.func.count()).where(ahead)).scalar_one()
+
+    def count_jobs(self, state: JobState) -> int:
+        """How many jobs are in a state."""
+        with self.reading() as connection:
+            return connection.execute(sa.select(sa.func.count()).where(t.jobs.c.state == state)).scalar_one()
+
+    def cancel(self, job_id: str) -> JobRecord:
+        """Ask a job to stop. One that no worker holds is canceled at once; asking again changes nothing.
+
+        Raises:
+            ConflictError: it has ended otherwise.
+        """
+        with self.writing() as connection:
+            job = read_job(connection, job_id)
+            if job.state in {JobState.CANCELING, JobState.CANCELED}:
+                return job
+            if not move(connection, job_id, JobState.CANCELING):
+                raise ConflictError(f"job {job_id} has {job.state}; only a queued or running job can be canceled")
+            held = connection.execute(sa.select(t.jobs.c.lease_owner).where(t.jobs.c.id == job_id)).scalar_one()
+            if held is None:
+                end(connection, job_id, JobState.CANCELED, now=self.clock())
+            return read_job(connection, job_id)
+
+    # -- artefacts
+
+    def artifacts_of(self, job_id: str) -> list[ArtifactRecord]:
+        """What a job offers so far, in the order it was made."""
+        query = sa.select(t.artifacts).where(t.artifacts.c.job_id == job_id).order_by(t.artifacts.c.id)
+        with self.reading() as connection:
+            return [ArtifactRecord(**row._mapping) for row in connection.execute(query)]
+
+    def artifact(self, artifact_id: str) -> ArtifactRecord:
+        """One artefact.
+
+        Raises:
+            NotFoundError, GoneError: there is none, or it has expired.
+        """
+        with self.reading() as connection:
+            row = connection.execute(sa.select(t.artifacts).where(t.artifacts.c.id == artifact_id)).one_or_none()
+        if row is None:
+            raise NotFoundError(f"there is no artefact {artifact_id}")
+        artifact = ArtifactRecord(**row._mapping)
+        if artifact.expires_at <= self.clock():
+            raise GoneError(f"artefact {artifact_id} has expired; run the job again")
+        return artifact
+
+    def check(self) -> None:
+        """Touch the database; what is wrong with it passes through."""
+        with self.reading() as connection:
+            connection.execute(sa.select(1))
+
+
+def move(connection: sa.Connection, job_id: str, target: JobState, **values: object) -> bool:
+    """Compare and set: bring a job to a state that its present one allows, or tell that it does not."""
+    allowed = (t.jobs.c.id == job_id) & t.jobs.c.state.in_(states_before(target))
+    change = t.jobs.update().where(allowed).values(state=target, version=t.jobs.c.version + 1, **values)
+    return connection.execute(change).rowcount == 1
+
+
+def end(connection: sa.Connection, job_id: str, target: JobState, *, now: float, **values: object) -> bool:
+    """Bring a job to a final state: lease given up, message withdrawn, stages closed."""
+    if not move(connection, job_id, target, finished_at=now, lease_owner=None, lease_until=None, **values):
+        return False
+    of_job = t.stages.c.job_id == job_id
+    left = {JobState.FAILED: "failed"}.get(target, "canceled")
+    connection.execute(
+        t.stages.update().where(of_job & (t.stages.c.state == "running")).values(state=left, finished_at=now)
+    )
+    connection.execute(t.stages.update().where(of_job & (t.stages.c.state == "queued")).values(state="canceled"))
+    connection.execute(t.outbox.delete().where(t.outbox.c.job_id == job_id))
+    return True
+
+
+def add_stages(connection: sa.Connection, job_id: str, names: tuple[JobType, ...]) -> None:
+    """Write a job's stages, all queued."""
+    rows = [
+        {"job_id": job_id, "name": name, "position": i, "state": "queued", "progress": 0.0, "cached": False}
+        for i, name in enumerate(names)
+    ]
+    connection.execute(t.stages.insert(), rows)
+
+
+def read_job(connection: sa.Connection, job_id: str) -> JobRecord:
+    """One job with its stages, as this transaction sees it."""
+    row = connection.execute(sa.select(t.jobs).where(t.jobs.c.id == job_id)).one_or_none()
+    if row is None:
+        raise NotFoundError(f"there is no job {job_id}")
+    query = sa.select(t.stages).where(t.stages.c.job_id == job_id).order_by(t.stages.c.position)
+    return _job(row, tuple(_stage(stage) for stage in connection.execute(query)))
+
+
+def _asset(row: sa.Row[tuple[object, ...]], **changes: float) -> AssetRecord:
+    values = dict(row._mapping) | changes
+    del values["live_fingerprint"]
+    values["parts"] = tuple(AssetPart(**part) for part in values["parts"])
+    values["prepared"] = values["prepared"] and AssetPart(**values["prepared"])
+    return AssetRecord(**values)
+
+
+def _stage(row: sa.Row[tuple[object, ...]]) -> StageRecord:
+    values: Mapping[str, object] = {k: v for k, v in row._mapping.items() if k not in {"job_id", "position"}}
+    return StageRecord(**values)  # type: ignore[arg-type]
+
+
+def _job(row: sa.Row[tuple[object, ...]], stages: tuple[StageRecord, ...]) -> JobRecord:
+    hidden = {"lease_owner", "lease_until", "lost_stages", "client_id", "body_sha256"}
+    values = {k: v for k, v in row._mapping.items() if k not in hidden}
+    return JobRecord(**values | {"stages": stages, "state": JobState(values["state"])})

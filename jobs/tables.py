@@ -1,0 +1,115 @@
+"""Tables of the job store. `migrations/` makes them; a test holds the two equal. Times are seconds since 1970."""
+
+import sqlalchemy as sa
+
+HEAD = "0001"
+"""The newest revision in `migrations/versions`."""
+
+metadata = sa.MetaData()
+_id = sa.String(64)
+_hash = sa.String(64)
+
+assets = sa.Table(
+    "assets",
+    metadata,
+    sa.Column("id", _id, primary_key=True),
+    sa.Column("kind", sa.String(16), nullable=False),
+    sa.Column("fingerprint", _hash, nullable=False),
+    sa.Column("live_fingerprint", _hash, unique=True),  # null once deleted, so that the same bytes may come again
+    sa.Column("parts", sa.JSON, nullable=False),
+    sa.Column("prepared", sa.JSON),
+    sa.Column("summary", sa.JSON, nullable=False),
+    sa.Column("created_at", sa.Double, nullable=False),
+    sa.Column("expires_at", sa.Double, nullable=False, index=True),
+    sa.Column("deleted_at", sa.Double),
+)
+
+jobs = sa.Table(
+    "jobs",
+    metadata,
+    sa.Column("id", _id, primary_key=True),
+    sa.Column("type", sa.String(16), nullable=False),
+    sa.Column("state", sa.String(16), nullable=False),
+    sa.Column("asset_id", _id, sa.ForeignKey("assets.id"), nullable=False, index=True),
+    sa.Column("preset", sa.String(64), nullable=False),
+    sa.Column("seed", sa.BigInteger, nullable=False),
+    sa.Column("params", sa.JSON, nullable=False),
+    sa.Column("queue", sa.String(32), nullable=False),
+    sa.Column("attempt", sa.Integer, nullable=False),
+    sa.Column("version", sa.Integer, nullable=False),
+    sa.Column("lease_owner", sa.String(128)),
+    sa.Column("lease_until", sa.Double),
+    sa.Column("lost_stages", sa.JSON, nullable=False),  # the stage that each lost attempt died in
+    sa.Column("error_code", sa.String(64)),
+    sa.Column("error_message", sa.Text),
+    sa.Column("client_id", sa.String(128), unique=True),
+    sa.Column("body_sha256", _hash),
+    sa.Column("start_deadline", sa.Double),
+    sa.Column("retry_of", _id),
+    sa.Column("created_at", sa.Double, nullable=False, index=True),
+    sa.Column("started_at", sa.Double),
+    sa.Column("finished_at", sa.Double, index=True),
+    sa.Index("ix_jobs_state_lease", "state", "lease_until"),
+)
+
+stages = sa.Table(
+    "stages",
+    metadata,
+    sa.Column("job_id", _id, sa.ForeignKey("jobs.id", ondelete="CASCADE"), primary_key=True),
+    sa.Column("name", sa.String(16), primary_key=True),
+    sa.Column("position", sa.Integer, nullable=False),
+    sa.Column("state", sa.String(16), nullable=False),
+    sa.Column("progress", sa.Double, nullable=False),
+    sa.Column("cached", sa.Boolean, nullable=False),
+    sa.Column("started_at", sa.Double),
+    sa.Column("finished_at", sa.Double),
+)
+
+artifacts = sa.Table(
+    "artifacts",
+    metadata,
+    sa.Column("id", _id, primary_key=True),
+    sa.Column("job_id", _id, sa.ForeignKey("jobs.id", ondelete="CASCADE"), nullable=False),
+    sa.Column("stage", sa.String(16), nullable=False),
+    sa.Column("name", sa.String(255), nullable=False),
+    sa.Column("media_type", sa.String(128), nullable=False),
+    sa.Column("sha256", _hash, nullable=False, index=True),
+    sa.Column("bytes", sa.BigInteger, nullable=False),
+    sa.Column("created_at", sa.Double, nullable=False),
+    sa.Column("expires_at", sa.Double, nullable=False, index=True),
+    sa.UniqueConstraint("job_id", "name"),
+)
+
+stage_cache = sa.Table(
+    "stage_cache",
+    metadata,
+    sa.Column("key", _hash, primary_key=True),
+    sa.Column("stage", sa.String(16), nullable=False),
+    sa.Column("files", sa.JSON, nullable=False),
+    sa.Column("used_at", sa.Double, nullable=False, index=True),
+)
+
+outbox = sa.Table(
+    "outbox",
+    metadata,
+    sa.Column("job_id", _id, sa.ForeignKey("jobs.id", ondelete="CASCADE"), primary_key=True),
+    sa.Column("attempt", sa.Integer, primary_key=True),
+    sa.Column("created_at", sa.Double, nullable=False),
+    sa.Column("sent_at", sa.Double, index=True),
+)
+
+blobs = sa.Table(
+    "blobs",
+    metadata,
+    sa.Column("sha256", _hash, primary_key=True),
+    sa.Column("bytes", sa.BigInteger, nullable=False),
+    sa.Column("touched_at", sa.Double, nullable=False, index=True),
+)
+
+leases = sa.Table(
+    "leases",
+    metadata,
+    sa.Column("name", sa.String(128), primary_key=True),
+    sa.Column("owner", sa.String(128), nullable=False),
+    sa.Column("until", sa.Double, nullable=False),
+)

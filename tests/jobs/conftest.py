@@ -1,0 +1,66 @@
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from jobs.records import AssetPart, AssetRecord, JobRecord
+from jobs.states import JobState, JobType, stages_of
+from jobs.store import Store, new_id
+
+
+@dataclass
+class Clock:
+    """A clock that stands until it is told to move."""
+
+    now: float = 1_000_000.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def store(tmp_path: Path, clock: Clock) -> Iterator[Store]:
+    opened = Store.open(f"sqlite:///{tmp_path / 'jobs.sqlite'}", clock=clock)
+    yield opened
+    opened.close()
+
+
+@pytest.fixture
+def asset(store: Store, clock: Clock) -> AssetRecord:
+    return store.add_asset(make_asset(clock.now))[0]
+
+
+def make_asset(now: float, fingerprint: str = "f" * 64) -> AssetRecord:
+    part = AssetPart(name="tree.ply", sha256="a" * 64, bytes=10)
+    return AssetRecord(
+        id=new_id(),
+        kind="mesh",
+        fingerprint=fingerprint,
+        parts=(part,),
+        prepared=AssetPart(name="mesh.safetensors", sha256="b" * 64, bytes=20),
+        summary={"vertices": 4},
+        created_at=now,
+        expires_at=now + 1000,
+    )
+
+
+def add_job(store: Store, asset: AssetRecord, job_type: JobType = "diffuse", **values: object) -> JobRecord:
+    job = JobRecord(
+        id=new_id(),
+        type=job_type,
+        state=JobState.QUEUED,
+        asset_id=asset.id,
+        preset="small",
+        seed=0,
+        params={},
+        queue="cpu",
+        created_at=store.clock(),
+        **values,
+    )
+    return store.add_job(job, stages=stages_of(job_type, asset.kind))

@@ -1,0 +1,55 @@
+from pathlib import Path
+
+import pytest
+from pydantic import ValidationError
+
+from jobs.errors import SettingsError
+from jobs.settings import Settings, read_settings, unknown_variables
+
+
+def test_settings_come_from_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DYNAMICTREE_LEASE_S", "30")
+    assert read_settings().lease_s == 30
+
+
+def test_a_secret_comes_from_a_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "dynamictree_database_url").write_text("postgresql://tree@host/jobs")
+    monkeypatch.setenv("DYNAMICTREE_SECRETS_DIR", str(tmp_path))
+    assert read_settings().resolved_database_url == "postgresql://tree@host/jobs"
+
+
+def test_a_bad_value_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DYNAMICTREE_LEASE_S", "-1")
+    with pytest.raises(SettingsError, match="DYNAMICTREE_LEASE_S"):
+        read_settings()
+
+
+@pytest.mark.parametrize("times", [{"heartbeat_s": 40}, {"soft_time_limit_s": 9999}])
+def test_times_must_be_in_order(times: dict[str, float]) -> None:
+    with pytest.raises(SettingsError, match="allowed"):
+        read_settings(**times)
+
+
+def test_settings_are_frozen_and_closed() -> None:
+    with pytest.raises(ValidationError):
+        Settings().lease_s = 1  # type: ignore[misc]
+    with pytest.raises(SettingsError, match="LEESE_S"):
+        read_settings(leese_s=5)
+
+
+def test_a_variable_that_is_no_setting_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DYNAMICTREE_LEESE_S", "5")
+    assert unknown_variables() == ["DYNAMICTREE_LEESE_S"]
+
+
+def test_urls_default_to_the_state_folder(tmp_path: Path) -> None:
+    settings = Settings(state_dir=tmp_path)
+    assert settings.resolved_database_url == f"sqlite:///{tmp_path / 'jobs.sqlite'}"
+    assert settings.broker_url == f"redis+socket://{tmp_path / 'redis' / 'redis.sock'}?virtual_host=0"
+    assert Settings(redis_url="redis://host:6379/1").broker_url == "redis://host:6379/1"
+
+
+def test_a_socket_path_stays_below_the_systems_limit(tmp_path: Path) -> None:
+    deep = Settings(state_dir=tmp_path / ("x" * 120))
+    assert len(str(deep.redis_socket)) <= 100
+    assert deep.redis_socket == Settings(state_dir=tmp_path / ("x" * 120)).redis_socket

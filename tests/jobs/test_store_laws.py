@@ -1,0 +1,306 @@
+"""Compare-and-set, the fence, the lease: laws that make delivery at least once and publication exactly once."""
+
+import itertools
+import threading
+
+import pytest
+
+from jobs import attempts, upkeep
+from jobs.errors import ConflictError, FencedError, GoneError, NotFoundError
+from jobs.records import AssetRecord, Claim, OutputFile
+from jobs.states import TERMINAL, TRANSITIONS, JobState, stages_of, states_before
+from jobs.store import Store, end, move
+from tests.jobs.conftest import Clock, add_job, make_asset
+
+FILE = OutputFile(name="tree.voxels.safetensors", media_type="application/octet-stream", sha256="c" * 64, bytes=5)
+
+
+def claim(store: Store, job_id: str, attempt: int = 1, owner: str = "worker-1") -> Claim:
+    claimed = attempts.claim(store, job_id, attempt, owner=owner, lease_s=60)
+    assert claimed is not None
+    return claimed
+
+
+def publish(store: Store, held: Claim) -> None:
+    attempts.publish_stage(store, held, "voxelize", (FILE,), key="k" * 64, cached=False, retention_s=100)
+
+
+def test_every_transition_that_is_not_drawn_is_refused(store: Store, asset: AssetRecord) -> None:
+    for source, target in itertools.product(JobState, JobState):
+        job = add_job(store, asset)
+        with store.writing() as connection:
+            path = {
+                JobState.QUEUED: [],
+                JobState.RUNNING: ["running"],
+                JobState.CANCELING: ["canceling"],
+                JobState.SUCCEEDED: ["running", "succeeded"],
+                JobState.FAILED: ["running", "failed"],
+                JobState.CANCELED: ["canceling", "canceled"],
+                JobState.ABORTED: ["aborted"],
+            }[source]
+            assert all(move(connection, job.id, JobState(step)) for step in path)
+            assert move(connection, job.id, target) == (target in TRANSITIONS[source])
+
+
+def test_terminal_is_final() -> None:
+    assert all(not (states_before(target) & TERMINAL) for target in JobState)
+
+
+def test_one_of_many_claims_wins(store: Store, asset: AssetRecord) -> None:
+    job = add_job(store, asset)
+    won: list[Claim | None] = []
+
+    def take(number: int) -> None:
+        won.append(attempts.claim(store, job.id, 1, owner=f"worker-{number}", lease_s=60))
+
+    threads = [threading.Thread(target=take, args=(number,)) for number in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(won) == 8
+    assert sum(claimed is not None for claimed in won) == 1
+
+
+def test_a_stale_attempt_publishes_nothing(store: Store, asset: AssetRecord, clock: Clock) -> None:
+    job = add_job(store, asset)
+    old = claim(store, job.id)
+    attempts.start_stage(store, old, "voxelize")
+    clock.now += 61
+    assert upkeep.reap(store, max_lost_attempts=2) == [(job.id, JobState.RUNNING)]
+    new = claim(store, job.id, attempt=2, owner="worker-2")
+    for act in (
+        lambda: publish(store, old),
+        lambda: attempts.succeed(store, old),
+        lambda: attempts.fail(store, old, code="x", message="y"),
+        lambda: attempts.renew(store, old, lease_s=60),
+        lambda: attempts.canceling(store, old),
+        lambda: attempts.report_progress(store, old, "voxelize", 0.5),
+    ):
+        with pytest.raises(FencedError, match="attempt 1"):
+            act()
+    assert store.artifacts_of(job.id) == []
+    publish(store, new)
+    assert [a.sha256 for a in store.artifacts_of(job.id)] == [FILE.sha256]
+
+
+def test_a_renewed_lease_is_not_reaped(store: Store, asset: AssetRecord, clock: Clock) -> None:
+    held = claim(store, add_job(store, asset).id)
+    for _ in range(5):
+        clock.now += 50
+        attempts.renew(store, held, lease_s=60)
+        assert upkeep.reap(store, max_lost_attempts=2) == []
+
+
+def test_a_message_of_an_old_attempt_is_dropped(store: Store, asset: AssetRecord, clock: Clock) -> None:
+    job = add_job(store, asset)
+    claim(store, job.id)
+    assert attempts.claim(store, job.id, 1, owner="worker-2", lease_s=60) is None  # a duplicate, lease alive
+    clock.now += 61
+    upkeep.reap(store, max_lost_attempts=2)
+    assert attempts.claim(store, job.id, 1, owner="worker-2", lease_s=60) is None
+    assert store.job(job.id).attempt == 2
+
+
+@pytest.mark.parametrize(
+    ("stages", "code"), [(["voxelize"] * 3, "poison-input"), ([None, "voxelize", None], "worker-lost")]
+)
+def test_attempts_are_capped(
+    store: Store, asset: AssetRecord, clock: Clock, stages: list[str | None], code: str
+) -> None:
+    job = add_job(store, asset)
+    for attempt, stage in enumerate(stages, start=1):
+        held = claim(store, job.id, attempt=attempt)
+        if stage == "voxelize":
+            attempts.start_stage(store, held, "voxelize")
+        clock.now += 61
+        upkeep.reap(store, max_lost_attempts=2)
+    ended = store.job(job.id)
+    assert (ended.state, ended.error_code) == (JobState.FAILED, code)
+    assert "3 workers were lost" in (ended.error_message or "")
+
+
+def test_work_handed_back_counts_no_loss(store: Store, asset: AssetRecord) -> None:
+    job = add_job(store, asset)
+    for attempt in range(1, 6):
+        attempts.hand_back(store, claim(store, job.id, attempt=attempt))
+    assert store.job(job.id).attempt == 6
+    assert [m.attempt for m in upkeep.unsent(store)] == [6]
+
+
+def test_a_queued_job_is_canceled_at_once(store: Store, asset: AssetRecord) -> None:
+    job = add_job(store, asset)
+    assert store.cancel(job.id).state == JobState.CANCELED
+    assert store.cancel(job.id).state == JobState.CANCELED
+    assert upkeep.unsent(store) == []
+    assert attempts.claim(store, job.id, 1, owner="w", lease_s=60) is None
+
+
+def test_a_running_job_is_canceled_by_its_worker(store: Store, asset: AssetRecord) -> None:
+    job = add_job(store, asset)
+    held = claim(store, job.id)
+    assert not attempts.canceling(store, held)
+    assert store.cancel(job.id).state == JobState.CANCELING
+    assert attempts.canceling(store, held)
+    attempts.finish_cancel(store, held)
+    ended = store.job(job.id)
+    assert ended.state == JobState.CANCELED
+    assert {stage.state for stage in ended.stages} == {"canceled"}
+
+
+@pytest.mark.parametrize("way", ["succeed", "fail", "hand-back", "lost"])
+def test_a_cancel_wins_over_the_end(store: Store, asset: AssetRecord, clock: Clock, way: str) -> None:
+    job = add_job(store, asset)
+    held = claim(store, job.id)
+    store.cancel(job.id)
+    if way == "succeed":
+        assert attempts.succeed(store, held) == JobState.CANCELED
+    elif way == "fail":
+        assert attempts.fail(store, held, code="x", message="y") == JobState.CANCELED
+    elif way == "hand-back":
+        attempts.hand_back(store, held)
+    else:
+        clock.now += 61
+        upkeep.reap(store, max_lost_attempts=2)
+    assert store.job(job.id).state == JobState.CANCELED
+
+
+def test_an_ended_job_cannot_be_canceled(store: Store, asset: AssetRecord) -> None:
+    job = add_job(store, asset)
+    attempts.succeed(store, claim(store, job.id))
+    with pytest.raises(ConflictError, match="has succeeded"):
+        store.cancel(job.id)
+
+
+def test_a_job_and_its_message_are_one(store: Store, asset: AssetRecord, clock: Clock) -> None:
+    job = add_job(store, asset)
+    message = upkeep.unsent(store)[0]
+    assert message.args == (job.id, 1)
+    upkeep.mark_sent(store, message)
+    assert upkeep.unsent(store) == []
+    clock.now += 10
+    assert upkeep.unclaimed(store, sent_before=clock.now) == [message]
+    claim(store, job.id)
+    assert upkeep.unclaimed(store, sent_before=clock.now) == []
+
+
+def test_a_job_is_aborted_at_its_start_deadline(store: Store, asset: AssetRecord, clock: Clock) -> None:
+    late = add_job(store, asset, start_deadline=clock.now + 5)
+    begun = add_job(store, asset, start_deadline=clock.now + 5)
+    claim(store, begun.id)
+    clock.now += 6
+    assert upkeep.abort_overdue(store) == 1
+    assert store.job(late.id).state == JobState.ABORTED
+    assert store.job(begun.id).state == JobState.RUNNING
+
+
+def test_one_process_holds_a_lease(store: Store, clock: Clock) -> None:
+    assert upkeep.hold_lease(store, "housekeeper", owner="a", lease_s=10)
+    assert upkeep.hold_lease(store, "housekeeper", owner="a", lease_s=10)
+    assert not upkeep.hold_lease(store, "housekeeper", owner="b", lease_s=10)
+    assert upkeep.living(store, "house") == ["housekeeper"]
+    clock.now += 11
+    assert upkeep.hold_lease(store, "housekeeper", owner="b", lease_s=10)
+    upkeep.release_lease(store, "housekeeper", owner="a")
+    assert upkeep.living(store, "house") == ["housekeeper"]
+    upkeep.release_lease(store, "housekeeper", owner="b")
+    assert upkeep.living(store, "house") == []
+
+
+def test_the_same_fingerprint_is_the_same_asset(store: Store, clock: Clock) -> None:
+    first, new = store.add_asset(make_asset(clock.now))
+    assert new
+    clock.now += 100
+    second, new = store.add_asset(make_asset(clock.now))
+    assert not new
+    assert (second.id, second.expires_at) == (first.id, clock.now + 1000)
+    store.delete_asset(first.id)
+    third, new = store.add_asset(make_asset(clock.now))
+    assert new
+    assert third.id != first.id
+
+
+def test_an_asset_in_use_is_not_deleted(store: Store, asset: AssetRecord) -> None:
+    job = add_job(store, asset)
+    with pytest.raises(ConflictError, match=job.id):
+        store.delete_asset(asset.id)
+    store.cancel(job.id)
+    store.delete_asset(asset.id)
+    with pytest.raises(GoneError):
+        store.asset(asset.id)
+    with pytest.raises(GoneError):
+        add_job(store, asset)
+
+
+def test_what_was_never_there_is_not_found(store: Store) -> None:
+    for read in (store.asset, store.job, store.artifact, store.cancel, store.delete_asset):
+        with pytest.raises(NotFoundError):
+            read("01ARZ3NDEKTSV4RRFFQ69G5FAV")
+
+
+def test_the_next_job_reads_what_a_stage_made(store: Store, asset: AssetRecord, clock: Clock) -> None:
+    assert attempts.cached_stage(store, "k" * 64) is None
+    held = claim(store, add_job(store, asset).id)
+    attempts.start_stage(store, held, "voxelize")
+    publish(store, held)
+    publish_again = claim(store, add_job(store, asset).id)
+    publish(store, publish_again)
+    assert attempts.cached_stage(store, "k" * 64) == (FILE,)
+    assert store.job(held.job.id).stages[0].state == "succeeded"
+
+
+def test_an_artifact_expires(store: Store, asset: AssetRecord, clock: Clock) -> None:
+    held = claim(store, add_job(store, asset).id)
+    publish(store, held)
+    artifact = store.artifacts_of(held.job.id)[0]
+    assert store.artifact(artifact.id) == artifact
+    clock.now += 101
+    with pytest.raises(GoneError):
+        store.artifact(artifact.id)
+
+
+def test_retention_keeps_what_is_referred_to(store: Store, asset: AssetRecord, clock: Clock) -> None:
+    held = claim(store, add_job(store, asset).id)
+    for digest in ("a" * 64, "b" * 64, FILE.sha256, "d" * 64):
+        attempts.touch_blob(store, digest, 5)
+    publish(store, held)
+    assert upkeep.unreferenced_blobs(store) == []  # all too young
+    attempts.succeed(store, held)
+    clock.now += upkeep.BLOB_GRACE_S + 1
+    assert upkeep.unreferenced_blobs(store) == ["d" * 64]
+    upkeep.forget_blob(store, "d" * 64)
+    upkeep.forget_expired(store, job_retention_s=10, cache_retention_s=10)
+    with pytest.raises(GoneError):
+        store.asset(asset.id)
+    with pytest.raises(NotFoundError):
+        store.job(held.job.id)
+    assert sorted(upkeep.unreferenced_blobs(store)) == ["a" * 64, "b" * 64, FILE.sha256]
+
+
+def test_jobs_come_newest_first_in_pages(store: Store, asset: AssetRecord) -> None:
+    ids = sorted((add_job(store, asset).id for _ in range(5)), reverse=True)
+    assert [job.id for job in store.jobs(limit=3)] == ids[:3]
+    assert [job.id for job in store.jobs(before=ids[2], limit=3)] == ids[3:]
+    assert store.jobs(state=JobState.RUNNING) == []
+    assert len(store.jobs(job_type="diffuse")) == 5
+    assert [store.queue_position(store.job(job_id)) for job_id in reversed(ids)] == [0, 1, 2, 3, 4]
+    claim(store, ids[0])
+    assert store.queue_position(store.job(ids[0])) is None
+    assert store.count_jobs(JobState.QUEUED) == 4
+    assert len(store.jobs()[0].stages) == 2
+
+
+def test_a_final_state_is_written_once(store: Store, asset: AssetRecord) -> None:
+    held = claim(store, add_job(store, asset).id)
+    attempts.succeed(store, held)
+    with store.writing() as connection:
+        assert not end(connection, held.job.id, JobState.FAILED, now=1.0)
+    with pytest.raises(FencedError):
+        attempts.succeed(store, held)
+
+
+def test_stages_run_what_they_need_upstream() -> None:
+    assert stages_of("animate", "photos") == ("reconstruct", "voxelize", "diffuse", "animate")
+    assert stages_of("diffuse", "mesh") == ("voxelize", "diffuse")
+    with pytest.raises(ConflictError, match="photos"):
+        stages_of("reconstruct", "mesh")
