@@ -4,12 +4,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Complex64, Int8
+from jaxtyping import Complex64, Float32, Int8, Int32
 
 from dynamictree.dataset.sapling import Tree, grow_tree
 from dynamictree.dataset.skeleton import Skeleton, skeleton_of
 from dynamictree.dataset.species import SPECIES, Species
-from dynamictree.dataset.wind import sway, vertex_spectrum
+from dynamictree.dataset.wind import Sway, sway, vertex_spectrum
 from dynamictree.errors import InputError
 from dynamictree.mesh import TriangleMesh
 from dynamictree.spectrum import NUM_FREQUENCIES, SparseVoxelSpectrum, Wind
@@ -34,23 +34,30 @@ class Sample:
     wind: Wind
     mesh: TriangleMesh
     part: Int8[np.ndarray, " N"]  # stem level, or `sapling.LEAF`
+    node: Int32[np.ndarray, " N"]  # whose motion a vertex follows
     skeleton: Skeleton
+    motion: Sway  # of the nodes, every frame
     coefficients: Complex64[np.ndarray, "N K 3"]  # of every vertex [m]; zero is the tree without wind
 
+    def displacement(self) -> Float32[np.ndarray, "T N 3"]:
+        """Every vertex at every frame, with what lies beyond the K frequencies [m]."""
+        return self.motion.vertices(self.mesh.vertices, self.node)
 
-def make_sample(seed: int, species: str | None = None, *, wind: Wind | None = None) -> Sample:
+
+def make_sample(seed: int, species: str | None = None, *, wind: Wind | None = None, loop: bool = True) -> Sample:
     """Grow and move the tree of a seed; the same bytes whenever and wherever.
 
     Args:
         seed: 0 or more.
         species: name in `SPECIES`; by default drawn from the seed.
         wind: by default drawn from the seed.
+        loop: whether all gusts lie on bins of the period, so that the last frame leads to the first.
 
     Raises:
         InputError: no such species, or a negative seed.
     """
     chosen, own_wind, tree, rng = _drawn(seed, species, wind)
-    motion = sway(tree, own_wind, rng)
+    motion = sway(tree, own_wind, rng, loop=loop)
     return Sample(
         seed=seed,
         species=chosen.name,
@@ -58,7 +65,9 @@ def make_sample(seed: int, species: str | None = None, *, wind: Wind | None = No
         wind=own_wind,
         mesh=tree.mesh,
         part=tree.part,
+        node=tree.node,
         skeleton=skeleton_of(tree.stems),
+        motion=motion,
         coefficients=vertex_spectrum(motion, tree.mesh.vertices, tree.node, NUM_FREQUENCIES),
     )
 

@@ -1,6 +1,6 @@
 """Shards: files of some trees each, the same bytes for the same seeds. safetensors, so that any language reads them.
 
-Tensors of tree SEED are named `SEED/name`, the seed in seven digits:
+Tensors of tree SEED are named `SEED/name`, the seed in seven digits or more:
 
     vertices float32 [N, 3] (m) · faces int32 [F, 3] · part int8 [N] (stem level, 9 is leaf)
     skeleton.position, .radius, .parent, .level, .stem, .stem_length_m
@@ -149,13 +149,13 @@ def iter_shard(path: str, *, names: tuple[str, ...] | None = None) -> Iterator[S
         keys = list(shard.keys())
         for record in head["trees"]:
             prefix = f"{record['seed']:07d}/"
-            wanted = [key for key in keys if key.startswith(prefix) and (names is None or key[8:] in names)]
+            own = [key.removeprefix(prefix) for key in keys if key.startswith(prefix)]
             yield StoredTree(
                 seed=record["seed"],
                 species=record["species"],
                 split=record["split"],
                 wind=Wind(**record["wind"]),
-                tensors={key[8:]: shard.get_tensor(key) for key in wanted},
+                tensors={name: shard.get_tensor(prefix + name) for name in own if names is None or name in names},
                 grids={
                     int(resolution): ((origin[0], origin[1], origin[2]), size)
                     for resolution, (origin, size) in record["grids"].items()

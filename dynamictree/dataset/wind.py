@@ -44,6 +44,18 @@ class Sway:
     turn: Float32[np.ndarray, "T B 3 3"]  # rotation less the identity
     position: Float32[np.ndarray, "B 3"]  # of nodes at rest [m]
 
+    def every(self, step: int) -> "Sway":
+        """Leave out all but each `step`-th frame."""
+        return Sway(shift=self.shift[::step], turn=self.turn[::step], position=self.position)
+
+    def vertices(
+        self, rest: Float32[np.ndarray, "N 3"], node: Int32[np.ndarray, " N"]
+    ) -> Float32[np.ndarray, "T N 3"]:
+        """Displacement of vertices, each with its node, at every frame [m]."""
+        offset = rest - self.position[node]
+        frames = zip(self.shift, self.turn, strict=True)
+        return np.stack([shift[node] + np.einsum("nxy,ny->nx", turn[node], offset) for shift, turn in frames])
+
 
 @dataclass(frozen=True, kw_only=True)
 class Gusts:
@@ -323,15 +335,3 @@ def vertex_spectrum(
     for k in range(num_frequencies):
         out[:, k] = shift[k, node] + np.einsum("nxy,ny->nx", turn[k, node], offset)
     return out
-
-
-def vertex_motion(
-    motion: Sway, vertices: Float32[np.ndarray, "N 3"], node: Int32[np.ndarray, " N"]
-) -> Float32[np.ndarray, "T N 3"]:
-    """Displacement of every vertex at every frame [m]."""
-    offset = vertices - motion.position[node]
-    frames = [
-        shift[node] + np.einsum("nxy,ny->nx", turn[node], offset)
-        for shift, turn in zip(motion.shift, motion.turn, strict=True)
-    ]
-    return np.stack(frames)

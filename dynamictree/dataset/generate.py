@@ -1,0 +1,214 @@
+"""Bake a dataset into a folder, shard by shard. A shard depends on its number and the recipe, on nothing else.
+
+Shard i takes its trees from the seeds `first_seed + i · 4 · trees_per_shard` and up, those that the filter and the
+review let through. Beside each shard lies a record (JSON) with its sha256; a shard with a fitting record is not made
+again, so a run that was cut off goes on, and machines may share the work. The manifest is the records put together.
+"""
+
+import hashlib
+import io
+import json
+import multiprocessing
+import os
+from collections import Counter
+from collections.abc import Callable, Mapping
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+from threadpoolctl import threadpool_limits
+
+from dynamictree.dataset.card import write_card
+from dynamictree.dataset.filter import Limits, measure, rejections
+from dynamictree.dataset.review import Verdict
+from dynamictree.dataset.sample import VERSION, make_sample
+from dynamictree.dataset.shards import StoredTree, store, write_shard
+from dynamictree.errors import InputError
+
+SEEDS_A_TREE = 4  # a shard gives up when so many times its trees were tried
+PAPER_TREES = 8786  # paper appendix A
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recipe:
+    """All that decides the bytes of a dataset."""
+
+    trees: int = PAPER_TREES  # accepted
+    first_seed: int = 0
+    trees_per_shard: int = 25
+    resolutions: tuple[int, ...] = (128,)
+    vertex_spectrum: bool = False
+    loop: bool = True
+    limits: Limits = Limits()
+    review: Mapping[int, Verdict] = field(default_factory=dict)
+
+    @property
+    def num_shards(self) -> int:
+        """How many files there will be."""
+        return -(-self.trees // self.trees_per_shard)
+
+    def shard_seeds(self, index: int) -> range:
+        """The seeds that a shard may use."""
+        start = self.first_seed + index * SEEDS_A_TREE * self.trees_per_shard
+        return range(start, start + SEEDS_A_TREE * self.trees_per_shard)
+
+    def shard_trees(self, index: int) -> int:
+        """How many accepted trees a shard holds; the last may hold fewer."""
+        return min(self.trees_per_shard, self.trees - index * self.trees_per_shard)
+
+    def of_shard(self, index: int) -> dict[str, object]:
+        """What decides the bytes of one shard, as JSON would give it back."""
+        seeds = self.shard_seeds(index)
+        decided = {
+            "version": VERSION,
+            "seeds": [seeds.start, seeds.stop],
+            "trees": self.shard_trees(index),
+            "resolutions": list(self.resolutions),
+            "vertex_spectrum": self.vertex_spectrum,
+            "loop": self.loop,
+            "limits": asdict(self.limits),
+            "review": {str(seed): self.review[seed] for seed in sorted(self.review) if seed in seeds},
+        }
+        return decided
+
+
+def shard_name(index: int) -> str:
+    """File name without its ending."""
+    return f"4dtree-{index:05d}"
+
+
+def generate(
+    recipe: Recipe,
+    folder: Path,
+    *,
+    workers: int = 1,
+    part: tuple[int, int] = (0, 1),
+    on_shard: Callable[[int, int], None] = lambda done, total: None,
+) -> dict[str, object]:
+    """Bake the shards that are not there yet, and write the manifest and the card.
+
+    Args:
+        recipe: what to bake.
+        folder: made if it is not there.
+        workers: processes; the bytes do not depend on their number.
+        part: (i, n): only every n-th shard, from the i-th on; run once a machine.
+        on_shard: called with the number of trees done and wanted, of this part.
+
+    Returns:
+        The manifest.
+
+    Raises:
+        InputError: a part that does not exist, or limits that let too few trees through.
+    """
+    index, count = part
+    if not 0 <= index < count:
+        raise InputError(f"the part is {index}/{count}; 0/{count} to {count - 1}/{count} are allowed")
+    folder.mkdir(parents=True, exist_ok=True)
+    mine = range(index, recipe.num_shards, count)
+    wanted = sum(recipe.shard_trees(shard) for shard in mine)
+    missing = [shard for shard in mine if not is_baked(recipe, shard, folder)]
+    done = wanted - sum(recipe.shard_trees(shard) for shard in missing)
+    on_shard(done, wanted)
+    # fork would copy the threads' locks of numba and BLAS
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(max_workers=workers, mp_context=context) as pool:
+        waiting = {pool.submit(bake_shard, recipe, shard, folder): shard for shard in missing}
+        for future in as_completed(waiting):
+            future.result()
+            done += recipe.shard_trees(waiting[future])
+            on_shard(done, wanted)
+    manifest = manifest_of(recipe, folder)
+    _write(folder / "manifest.json", json.dumps(manifest, indent=1, sort_keys=True).encode())
+    _write(folder / "README.md", write_card(manifest).encode())
+    return manifest
+
+
+def bake_shard(recipe: Recipe, index: int, folder: Path) -> None:
+    """Make one shard and its record."""
+    trees: list[StoredTree] = []
+    verdicts: list[tuple[str, ...]] = []
+    rejected: dict[str, list[str]] = {}
+    with threadpool_limits(1):  # the other cores bake other shards, and BLAS sums in one order
+        for seed in recipe.shard_seeds(index):
+            if len(trees) == recipe.shard_trees(index):
+                break
+            broken: tuple[str, ...] | None = ("curation",) if recipe.review.get(seed) == "reject" else None
+            if broken is None:
+                sample = make_sample(seed, loop=recipe.loop)
+                accepted = recipe.review.get(seed) == "accept"
+                broken = () if accepted else measure(sample, recipe.limits).broken(recipe.limits)
+            verdicts.append(broken)
+            if broken:
+                rejected[str(seed)] = list(broken)
+            else:
+                trees.append(store(sample, resolutions=recipe.resolutions, vertex_spectrum=recipe.vertex_spectrum))
+    if len(trees) < recipe.shard_trees(index):
+        raise InputError(
+            f"only {len(trees)} of {len(verdicts)} trees of shard {index} passed the filter, {recipe.shard_trees(index)} are "
+            f"needed; rejected by rule: {rejections(verdicts)}; widen the limits or shorten the review"
+        )
+    content = io.BytesIO()
+    write_shard(trees, content)
+    _write(folder / f"{shard_name(index)}.safetensors", content.getvalue())
+    record = {
+        "file": f"{shard_name(index)}.safetensors",
+        "sha256": hashlib.sha256(content.getvalue()).hexdigest(),
+        "bytes": len(content.getvalue()),
+        "recipe": recipe.of_shard(index),
+        "trees": [
+            {"seed": tree.seed, "species": tree.species, "split": tree.split, **sizes_of(tree)} for tree in trees
+        ],
+        "rejected": rejected,
+        "verdicts": rejections(verdicts),
+    }
+    _write(folder / f"{shard_name(index)}.json", json.dumps(record, sort_keys=True).encode())
+
+
+def sizes_of(tree: StoredTree) -> dict[str, int]:
+    """How large a tree is."""
+    voxels = {f"voxels_{size}": len(tree.tensors[f"r{size}.coords"]) for size in tree.grids}
+    return {"vertices": len(tree.tensors["vertices"]), "faces": len(tree.tensors["faces"]), **voxels}
+
+
+def is_baked(recipe: Recipe, index: int, folder: Path) -> bool:
+    """Whether a shard lies in the folder, made by this recipe."""
+    record, shard = folder / f"{shard_name(index)}.json", folder / f"{shard_name(index)}.safetensors"
+    if not (record.exists() and shard.exists()):
+        return False
+    told = json.loads(record.read_bytes())
+    return bool(told["recipe"] == recipe.of_shard(index) and told["bytes"] == shard.stat().st_size)
+
+
+def manifest_of(recipe: Recipe, folder: Path) -> dict[str, object]:
+    """Put the records in the folder together; `complete` tells whether all shards are there."""
+    baked = [index for index in range(recipe.num_shards) if is_baked(recipe, index, folder)]
+    records = [json.loads((folder / f"{shard_name(index)}.json").read_bytes()) for index in baked]
+    verdicts: Counter[str] = Counter()
+    for record in records:
+        verdicts.update(record["verdicts"])
+    trees = [tree for record in records for tree in record["trees"]]
+    return {
+        "format": "4dtree",
+        "version": VERSION,
+        "complete": len(baked) == recipe.num_shards,
+        "trees": len(trees),
+        "bytes": sum(record["bytes"] for record in records),
+        "resolutions": list(recipe.resolutions),
+        "vertex_spectrum": recipe.vertex_spectrum,
+        "loop": recipe.loop,
+        "limits": asdict(recipe.limits),
+        "verdicts": dict(sorted(verdicts.items())),
+        "species": dict(sorted(Counter(tree["species"] for tree in trees).items())),
+        "splits": dict(sorted(Counter(tree["split"] for tree in trees).items())),
+        "mean_vertices": round(sum(tree["vertices"] for tree in trees) / max(len(trees), 1), 1),
+        "shards": [
+            {"file": record["file"], "sha256": record["sha256"], "trees": len(record["trees"])} for record in records
+        ],
+    }
+
+
+def _write(path: Path, content: bytes) -> None:
+    """All of it, or nothing: a reader never sees half a file."""
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
+    unfinished.write_bytes(content)
+    unfinished.replace(path)

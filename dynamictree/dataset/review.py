@@ -1,0 +1,45 @@
+"""A person's verdicts on trees: a plain text file, one line a tree, `SEED accept` or `SEED reject`. Paper appendix A, step 3."""
+
+from collections.abc import Iterable, Mapping
+from typing import BinaryIO, Literal, get_args
+
+from dynamictree.errors import FormatError
+
+Verdict = Literal["accept", "reject"]
+VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
+HEADER = "# SEED accept|reject, and what you like after it; `dynamictree dataset generate --review` honours this file\n"
+
+
+def read_review(stream: BinaryIO) -> dict[int, Verdict]:
+    """Verdict by seed; what follows a # or the verdict is a note.
+
+    Raises:
+        FormatError: a line that is no verdict; the message gives its number.
+    """
+    verdicts: dict[int, Verdict] = {}
+    try:
+        text = stream.read().decode()
+    except UnicodeDecodeError as error:
+        raise FormatError(f"the review file is no text ({error}); write it in UTF-8") from error
+    for number, line in enumerate(text.splitlines(), start=1):
+        words = line.split("#")[0].split()
+        if not words:
+            continue
+        verdict = next((known for known in VERDICTS if len(words) > 1 and words[1] == known), None)
+        if not words[0].isdigit() or verdict is None:
+            raise FormatError(f"line {number} of the review file is {line!r}; write `SEED accept` or `SEED reject`")
+        verdicts[int(words[0])] = verdict
+    return verdicts
+
+
+def write_review(verdicts: Mapping[int, Verdict], stream: BinaryIO, *, notes: Mapping[int, str] | None = None) -> None:
+    """Write verdicts in the order of seeds."""
+    stream.write(HEADER.encode())
+    for seed in sorted(verdicts):
+        note = (notes or {}).get(seed, "")
+        stream.write(f"{seed} {verdicts[seed]} {note}".rstrip().encode() + b"\n")
+
+
+def all_accepted(seeds: Iterable[int]) -> dict[int, Verdict]:
+    """The review that a sheet starts with."""
+    return dict.fromkeys(seeds, "accept")
