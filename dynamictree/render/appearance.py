@@ -1,0 +1,190 @@
+"""What the surface of a mesh looks like: colours, textures with cut-outs, and clay where it has neither."""
+
+from io import BytesIO
+from typing import NamedTuple, no_type_check
+
+import numpy as np
+from jaxtyping import Bool, Float32, Int32, UInt8
+from PIL import Image
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from dynamictree.errors import FormatError
+from dynamictree.mesh import Material, TriangleMesh
+from dynamictree.render.kernel import compiled
+
+_TEXTURE_SIDE_PX = 1024  # larger textures are reduced: more than a picture of this renderer shows
+_MAX_TEXTURE_PIXELS = 64_000_000
+_NUM_LEVELS = 11  # 1024 down to 1
+_WOOD, _LEAF = (0.235, 0.180, 0.135), (0.180, 0.270, 0.095)  # linear: clay for a mesh that has no colours
+_LEAF_FACES = 32  # a separate piece of at most so many faces counts as a leaf
+_LEAF_TRANSMISSION = 0.5  # of the light on a leaf's far side
+
+
+class Appearance(NamedTuple):
+    """The mesh's looks as arrays that a kernel takes; colours are linear."""
+
+    uv: Float32[np.ndarray, "N 2"]
+    vertex_rgb: Float32[np.ndarray, "N 3"]
+    face_material: Int32[np.ndarray, " F"]
+    material_rgb: Float32[np.ndarray, "M 3"]
+    material_alpha: Float32[np.ndarray, " M"]
+    cutoff: Float32[np.ndarray, " M"]  # alpha below it is cut out; 0 is opaque
+    transmission: Float32[np.ndarray, " M"]  # share of the sun that shines through
+    texture_levels: Int32[np.ndarray, "M L 3"]  # first texel, width, height of each mip level; width 0 where none
+    texels: Float32[np.ndarray, "P 4"]  # RGB times alpha, and alpha
+
+
+def appearance_of(mesh: TriangleMesh) -> Appearance:
+    """Collect the mesh's colours; give it two clays, wood and leaf, if it has none.
+
+    Raises:
+        FormatError: a texture is not a picture, or too large.
+    """
+    has_colors = mesh.vertex_colors is not None or any(
+        material.texture_png is not None or material.base_color != Material().base_color for material in mesh.materials
+    )
+    if has_colors:
+        materials = mesh.materials or (Material(base_color=(1.0, 1.0, 1.0, 1.0)),)
+        face_material = mesh.face_material if mesh.face_material is not None else np.zeros(mesh.num_faces, np.int32)
+    else:
+        materials = (Material(base_color=(*_WOOD, 1.0)), Material(base_color=(*_LEAF, 1.0)))
+        face_material = foliage_faces(mesh.faces, mesh.num_vertices).astype(np.int32)
+    textured = [_mip_levels(material.texture_png) for material in materials]
+    levels = np.zeros((len(materials), _NUM_LEVELS, 3), np.int32)
+    texels, num_texels = [np.zeros((1, 4), np.float32)], 1
+    for row, images in enumerate(textured):
+        for level, image in enumerate(images):
+            levels[row, level] = num_texels, image.shape[1], image.shape[0]
+            texels.append(image.reshape(-1, 4))
+            num_texels += image.shape[0] * image.shape[1]
+    colors = mesh.vertex_colors
+    vertex_rgb = np.ones((mesh.num_vertices, 3), np.float32) if colors is None else linear(colors[:, :3])
+    base = np.array([material.base_color for material in materials], np.float32)
+    cutoff = np.array([material.alpha_cutoff or 0 for material in materials], np.float32)
+    leafy = [_is_leafy(material) for material in materials] if has_colors else [False, True]
+    return Appearance(
+        uv=np.zeros((mesh.num_vertices, 2), np.float32) if mesh.uv is None else np.array(mesh.uv, np.float32),
+        vertex_rgb=vertex_rgb,
+        face_material=np.array(face_material, np.int32),
+        material_rgb=np.ascontiguousarray(base[:, :3]),
+        material_alpha=np.ascontiguousarray(base[:, 3]),
+        cutoff=cutoff,
+        transmission=np.where(leafy, _LEAF_TRANSMISSION, 0).astype(np.float32),
+        texture_levels=levels,
+        texels=np.concatenate(texels),
+    )
+
+
+def _is_leafy(material: Material) -> bool:
+    """Cards are cut out; others say it in their name."""
+    named = any(word in material.name.lower() for word in ("leaf", "leaves", "foliage", "needle"))
+    return named or material.alpha_cutoff is not None
+
+
+def foliage_faces(faces: Int32[np.ndarray, "F 3"], num_vertices: int) -> Bool[np.ndarray, " F"]:
+    """Whether each face belongs to a small separate piece, as leaves do."""
+    corners = faces.T
+    links = coo_array(
+        (
+            np.ones(2 * len(faces), bool),
+            (np.concatenate([corners[0], corners[1]]), np.concatenate([corners[1], corners[2]])),
+        ),
+        shape=(num_vertices, num_vertices),
+    )
+    num_pieces, piece = connected_components(links, directed=False)
+    size = np.bincount(piece[corners[0]], minlength=num_pieces)
+    small = size <= _LEAF_FACES
+    if small[size > 0].all():  # nothing but pieces: a mesh without shared vertices tells nothing
+        return np.zeros(len(faces), bool)
+    leaves: Bool[np.ndarray, " F"] = small[piece[corners[0]]]
+    return leaves
+
+
+def linear(srgb: UInt8[np.ndarray, "*shape"]) -> Float32[np.ndarray, "*shape"]:
+    """SRGB bytes to linear light in [0, 1]; IEC 61966-2-1."""
+    value = np.arange(256) / 255
+    table = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4).astype(np.float32)
+    light: Float32[np.ndarray, "*shape"] = table[srgb]
+    return light
+
+
+def _mip_levels(texture: bytes | None) -> list[Float32[np.ndarray, "H W 4"]]:
+    if texture is None:
+        return []
+    try:
+        with Image.open(BytesIO(texture)) as image:
+            if image.width * image.height > _MAX_TEXTURE_PIXELS:
+                found = f"{image.width} x {image.height} pixels"
+                raise FormatError(f"a texture has {found}; at most {_MAX_TEXTURE_PIXELS:,} are allowed; reduce it")
+            pixels = np.array(image.convert("RGBA"))
+    except (OSError, Image.DecompressionBombError) as error:
+        raise FormatError(f"a texture of {len(texture):,} bytes is no picture that can be read: {error}") from error
+    rgba = np.concatenate([linear(pixels[..., :3]), pixels[..., 3:].astype(np.float32) / 255], axis=2)
+    rgba[..., :3] *= rgba[..., 3:]
+    levels = [rgba]
+    while max(levels[-1].shape[:2]) > 1:
+        levels.append(_halved(levels[-1]))
+    too_large = [level for level in levels if max(level.shape[:2]) > _TEXTURE_SIDE_PX]
+    return levels[len(too_large) :]
+
+
+def _halved(image: Float32[np.ndarray, "H W 4"]) -> Float32[np.ndarray, "h w 4"]:
+    height, width = image.shape[:2]
+    padded = np.pad(image, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
+    blocks = padded.reshape(-(-height // 2), 2, -(-width // 2), 2, 4)
+    return np.ascontiguousarray(blocks.mean(axis=(1, 3)))
+
+
+@compiled
+@no_type_check
+def _uv_at(appearance, corners, a, b, c):
+    total = a + b + c
+    ua, ub, uc = appearance.uv[corners[0]], appearance.uv[corners[1]], appearance.uv[corners[2]]
+    return (a * ua[0] + b * ub[0] + c * uc[0]) / total, (a * ua[1] + b * ub[1] + c * uc[1]) / total
+
+
+@compiled
+@no_type_check
+def alpha_at(appearance, corners, material, level, a, b, c):
+    """Alpha of the nearest texel, at barycentric coordinates times any factor."""
+    offset, width, height = appearance.texture_levels[material, level]
+    alpha = appearance.material_alpha[material]
+    if width == 0:
+        return alpha
+    u, v = _uv_at(appearance, corners, a, b, c)
+    x, y = int(np.floor(u * width)) % width, int(np.floor(v * height)) % height
+    return alpha * appearance.texels[offset + y * width + x, 3]
+
+
+@compiled
+@no_type_check
+def albedo_at(appearance, corners, material, level, a, b, c):
+    """Linear colour: vertex colours times base colour times the texture, bilinear."""
+    total = a + b + c
+    ca, cb, cc = (
+        appearance.vertex_rgb[corners[0]],
+        appearance.vertex_rgb[corners[1]],
+        appearance.vertex_rgb[corners[2]],
+    )
+    base = appearance.material_rgb[material]
+    red = base[0] * (a * ca[0] + b * cb[0] + c * cc[0]) / total
+    green = base[1] * (a * ca[1] + b * cb[1] + c * cc[1]) / total
+    blue = base[2] * (a * ca[2] + b * cb[2] + c * cc[2]) / total
+    offset, width, height = appearance.texture_levels[material, level]
+    if width == 0:
+        return red, green, blue
+    u, v = _uv_at(appearance, corners, a, b, c)
+    x, y = u * width - 0.5, v * height - 0.5
+    left, top = int(np.floor(x)), int(np.floor(y))
+    fx, fy = x - left, y - top
+    texel_red, texel_green, texel_blue, alpha = 0.0, 0.0, 0.0, 1e-6
+    for step in range(4):
+        dx, dy = step % 2, step // 2
+        weight = (fx if dx else 1 - fx) * (fy if dy else 1 - fy)
+        texel = appearance.texels[offset + (top + dy) % height * width + (left + dx) % width]
+        texel_red += weight * texel[0]
+        texel_green += weight * texel[1]
+        texel_blue += weight * texel[2]
+        alpha += weight * texel[3]
+    return red * texel_red / alpha, green * texel_green / alpha, blue * texel_blue / alpha

@@ -1,0 +1,76 @@
+"""Where a picture is taken from."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Float64
+
+_MARGIN = 1.06  # of the tightest framing
+
+
+@dataclass(frozen=True, kw_only=True)
+class Camera:
+    """A pinhole camera. Its axes are x right, y down, z forward, as in OpenCV and COLMAP; the world's are +Z up.
+
+    Focal length and principal point are shares of the picture, so that one camera takes pictures of any size.
+    """
+
+    position_m: Float64[np.ndarray, "3"]
+    world_to_camera: Float64[np.ndarray, "3 3"]  # rows: right, down, forward in the world
+    focal: float  # in picture heights
+    centre: tuple[float, float] = (0.5, 0.5)  # principal point, as shares of width and height
+
+    @classmethod
+    def look_at(
+        cls,
+        position_m: Float[np.ndarray, "3"],
+        target_m: Float[np.ndarray, "3"],
+        *,
+        up: tuple[float, float, float] = (0.0, 0.0, 1.0),
+        vertical_fov_deg: float = 32.0,
+    ) -> "Camera":
+        """Look from one point to another, the horizon level."""
+        forward = np.asarray(target_m, np.float64) - position_m
+        forward /= np.linalg.norm(forward)
+        right = np.cross(forward, up)
+        right /= np.linalg.norm(right)
+        rotation = np.stack([right, np.cross(forward, right), forward])  # [3, 3]
+        focal = 0.5 / np.tan(np.radians(vertical_fov_deg) / 2)
+        return cls(position_m=np.asarray(position_m, np.float64), world_to_camera=rotation, focal=float(focal))
+
+    @classmethod
+    def orbit(
+        cls,
+        points: Float[np.ndarray, "N 3"],
+        *,
+        azimuth_deg: float = 25.0,
+        elevation_deg: float = 8.0,
+        vertical_fov_deg: float = 32.0,
+        aspect: float = 1.0,
+    ) -> "Camera":
+        """Stand as near as holds all points in the picture, aimed at the middle of their bounding box.
+
+        Azimuth 0 stands at −Y and looks along +Y, so that +X is to the right; it grows anticlockwise seen from above.
+        Points are in metres; the aspect is the picture's width over its height.
+        """
+        low, high = points.min(axis=0).astype(np.float64), points.max(axis=0).astype(np.float64)
+        target = (low + high) / 2
+        azimuth, elevation = np.radians([azimuth_deg, elevation_deg])
+        away = np.array([np.sin(azimuth) * np.cos(elevation), -np.cos(azimuth) * np.cos(elevation), np.sin(elevation)])
+        aimed = cls.look_at(target + away, target, vertical_fov_deg=vertical_fov_deg)
+        x, y, z = aimed.world_to_camera @ (points - target).T  # [N] each
+        half_height = 0.5 / aimed.focal / _MARGIN  # tangent of the half angle that the points may fill
+        # a point at depth d + z is inside where |y| <= (d + z) * half_height, and so for x
+        distance = float(np.maximum(np.abs(y) / half_height - z, np.abs(x) / (half_height * aspect) - z).max())
+        return cls.look_at(target + away * distance, target, vertical_fov_deg=vertical_fov_deg)
+
+    def intrinsics_px(self, width: int, height: int) -> Float64[np.ndarray, "3 3"]:
+        """Camera axes to pixels, pixel centres at half-integers."""
+        focal = self.focal * height
+        return np.array([[focal, 0, self.centre[0] * width], [0, focal, self.centre[1] * height], [0, 0, 1.0]])
+
+    def project(self, points: Float[np.ndarray, "N 3"], width: int, height: int) -> Float64[np.ndarray, "N 3"]:
+        """Pixel x and y, and depth along the axis [m]; what is behind the camera has a negative depth."""
+        in_camera = (points - self.position_m) @ self.world_to_camera.T  # [N, 3]
+        in_picture = in_camera @ self.intrinsics_px(width, height).T  # [N, 3], times the depth
+        return np.concatenate([in_picture[:, :2] / in_picture[:, 2:], in_picture[:, 2:]], axis=1)

@@ -1,0 +1,189 @@
+"""How much of the sun and of the sky a point sees.
+
+The sun casts shadows from a depth map. The sky is dimmed as leaves dim it in a crown (Beer and Lambert): the surface in
+a coarse grid is an optical density, through which a few directions are followed. Both are
+soft, and the same in every run.
+"""
+
+from typing import NamedTuple, no_type_check
+
+import numpy as np
+from jaxtyping import Float32, Float64, Int32
+
+from dynamictree.render.appearance import Appearance
+from dynamictree.render.kernel import compiled, in_bands
+from dynamictree.render.raster import rasterise, screen_triangles
+
+_SUN_MAP = 768  # texels a side
+_PENUMBRA = 2.6  # texels of the sun's map: how far around a point the looks for its share of the sun reach
+_PHASES = 16
+MAX_LOOKS = 8
+_SKY_CELLS = 44  # along the largest extent
+_SKY_BORDER = 0.35  # of the largest extent, at the sides: the ground's contact shadow reaches so far
+_SKY_DIRECTIONS = ((90.0, 1), (55.0, 5), (25.0, 5))  # elevation in degrees, how many around
+
+
+def _look_patterns() -> Float32[np.ndarray, "P L 2"]:
+    """Offsets on a disc, each pattern turned and spread differently; the first half of each covers the disc too."""
+    number = np.arange(_PHASES * MAX_LOOKS).reshape(MAX_LOOKS, _PHASES).T  # [P, L]
+    radius = _PENUMBRA * np.sqrt((number + 0.5) / number.size)
+    turn = number * np.pi * (3 - np.sqrt(5))  # the golden angle
+    return np.stack([radius * np.cos(turn), radius * np.sin(turn)], axis=2).astype(np.float32)
+
+
+class SunMap(NamedTuple):
+    """Depth of what the sun sees first."""
+
+    axes: Float64[np.ndarray, "3 3"]  # rows: right, up, towards the sun
+    low: Float64[np.ndarray, "2"]  # corner of the map along the first two [m]
+    texels_per_m: float
+    nearness: Float32[np.ndarray, "S S"]  # along the third [m]
+    looks: Float32[np.ndarray, "P L 2"]  # where around a point to look [texels]
+
+
+class SkyVolume(NamedTuple):
+    """Share of the sky seen from the cells of a grid."""
+
+    low: Float64[np.ndarray, "3"]  # centre of the first cell [m]
+    cell_m: float
+    share: Float32[np.ndarray, "X Y Z"]
+
+
+def sun_map(
+    vertices: Float32[np.ndarray, "N 3"],
+    faces: Int32[np.ndarray, "F 3"],
+    appearance: Appearance,
+    sun: Float64[np.ndarray, "3"],
+) -> SunMap:
+    """Look at the mesh from the sun, whose direction is a unit vector."""
+    right = np.cross((0.0, 1.0, 0.0) if abs(sun[2]) > 0.99 else (0.0, 0.0, 1.0), sun)
+    right /= np.linalg.norm(right)
+    axes = np.stack([right, np.cross(sun, right), sun])  # [3, 3]
+    seen = vertices @ axes.T  # [N, 3]
+    low = seen[:, :2].min(axis=0)
+    texels_per_m = (_SUN_MAP - 2) / float(np.ptp(seen[:, :2], axis=0).max())
+    homogeneous = np.concatenate([(seen[:, :2] - low) * texels_per_m + 1, np.ones((len(seen), 1))], axis=1)
+    triangles = screen_triangles(homogeneous, faces, appearance, width=_SUN_MAP, height=_SUN_MAP)
+    nearness = np.ascontiguousarray(seen[:, 2].astype(np.float32))
+    visible = rasterise(triangles, faces, nearness, appearance, width=_SUN_MAP, height=_SUN_MAP)
+    return SunMap(axes, low - 1 / texels_per_m, texels_per_m, visible.nearness, _look_patterns())
+
+
+def sky_volume(vertices: Float32[np.ndarray, "N 3"], faces: Int32[np.ndarray, "F 3"]) -> SkyVolume:
+    """Follow some directions through the mesh, taken as a cloud of small leaves."""
+    low, high = vertices.min(axis=0).astype(np.float64), vertices.max(axis=0).astype(np.float64)
+    extent = float((high - low).max())
+    cell_m = extent / _SKY_CELLS
+    border = np.array([_SKY_BORDER * extent, _SKY_BORDER * extent, cell_m])
+    low, high = low - border, high + border
+    size = np.ceil((high - low) / cell_m).astype(int) + 1
+    depth = np.zeros(tuple(size.tolist()), np.float32)
+    _splat_area(vertices, faces, low, cell_m, depth)
+    directions, weights = _sky_directions()
+    shares = np.ones((len(directions), *depth.shape), np.float32)
+    in_bands(_follow_directions, len(directions), directions, depth, shares)
+    share = np.einsum("d,dxyz->xyz", weights, shares).astype(np.float32)
+    return SkyVolume(low=low, cell_m=cell_m, share=share)
+
+
+def _sky_directions() -> tuple[Float64[np.ndarray, "D 3"], Float32[np.ndarray, " D"]]:
+    directions, weights = [], []
+    for elevation_deg, number in _SKY_DIRECTIONS:
+        elevation = np.radians(elevation_deg)
+        for turn in 2 * np.pi * (np.arange(number) + elevation_deg / 90) / number:
+            flat = np.cos(elevation)
+            directions.append([flat * np.cos(turn), flat * np.sin(turn), np.sin(elevation)])
+            weights.append(np.sin(elevation))  # a level surface's share of the light from there
+    return np.array(directions), (np.array(weights) / np.sum(weights)).astype(np.float32)
+
+
+@compiled
+@no_type_check
+def _splat_area(vertices, faces, low, cell_m, depth):
+    for f in range(len(faces)):
+        a, b, c = vertices[faces[f, 0]], vertices[faces[f, 1]], vertices[faces[f, 2]]
+        ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+        vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+        area = 0.5 * np.sqrt((uy * vz - uz * vy) ** 2 + (uz * vx - ux * vz) ** 2 + (ux * vy - uy * vx) ** 2)
+        longest = np.sqrt(max(ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz))
+        cuts = min(max(int(np.ceil(longest / cell_m)), 1), 2 * _SKY_CELLS)
+        # leaves that point anywhere show half of their area; per cell face this is an optical depth
+        amount = np.float32(0.5 * area / (cell_m * cell_m) / (cuts * cuts))
+        for i in range(cuts):
+            for j in range(cuts):
+                # centroids of the cuts² equal triangles: i + j + 1 <= cuts are upright, the others mirrored
+                s, t = (i + 1 / 3) / cuts, (j + 1 / 3) / cuts
+                if i + j >= cuts:
+                    s, t = (i + 2 / 3 - 0.0) / cuts, (j + 2 / 3 - 0.0) / cuts
+                    s, t = 1 - s, 1 - t
+                x = int((a[0] + s * ux + t * vx - low[0]) / cell_m + 0.5)
+                y = int((a[1] + s * uy + t * vy - low[1]) / cell_m + 0.5)
+                z = int((a[2] + s * uz + t * vz - low[2]) / cell_m + 0.5)
+                depth[x, y, z] += amount
+
+
+@compiled
+@no_type_check
+def _follow_directions(first, end, directions, depth, shares):
+    size_x, size_y, size_z = depth.shape
+    above = np.empty((size_x, size_y), np.float32)
+    for d in range(first, end):
+        step = 1 / directions[d, 2]
+        shift_x, shift_y = directions[d, 0] * step, directions[d, 1] * step
+        left, front = int(np.floor(shift_x)), int(np.floor(shift_y))
+        fx, fy = np.float32(shift_x - left), np.float32(shift_y - front)
+        share = shares[d]
+        for z in range(size_z - 2, -1, -1):
+            for x in range(size_x):
+                for y in range(size_y):
+                    above[x, y] = share[x, y, z + 1] * np.exp(-depth[x, y, z + 1] * np.float32(step))
+            for x in range(size_x):
+                for y in range(size_y):
+                    total = np.float32(0)
+                    for corner in range(4):
+                        dx, dy = corner % 2, corner // 2
+                        weight = (fx if dx else 1 - fx) * (fy if dy else 1 - fy)
+                        column, row = x + left + dx, y + front + dy
+                        inside = 0 <= column < size_x and 0 <= row < size_y
+                        total += weight * (above[column, row] if inside else np.float32(1))
+                    share[x, y, z] = total
+
+
+@compiled
+@no_type_check
+def sun_share(sun, x, y, z, phase, num_looks):
+    """Share of the sun at a point [m]: some looks into the map around it, in one of the patterns."""
+    axes = sun.axes
+    u = ((axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z) - sun.low[0]) * sun.texels_per_m
+    v = ((axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z) - sun.low[1]) * sun.texels_per_m
+    near = axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z + 1.5 / sun.texels_per_m
+    size = len(sun.nearness)
+    reach = _PENUMBRA + 1
+    if u < -reach or v < -reach or u > size + reach or v > size + reach:
+        return 1.0
+    lit = num_looks
+    for look in range(num_looks):
+        around = sun.looks[phase % _PHASES, look]
+        column, row = int(u + around[0] + 4) - 4, int(v + around[1] + 4) - 4
+        if 0 <= column < size and 0 <= row < size and sun.nearness[row, column] > near:
+            lit -= 1
+    return lit / num_looks
+
+
+@compiled
+@no_type_check
+def sky_share(sky, x, y, z):
+    """Share of the sky at a point [m], trilinear; 1 outside of the grid."""
+    size_x, size_y, size_z = sky.share.shape
+    gx, gy, gz = (x - sky.low[0]) / sky.cell_m, (y - sky.low[1]) / sky.cell_m, (z - sky.low[2]) / sky.cell_m
+    if not (0 <= gx < size_x - 1 and 0 <= gy < size_y - 1 and gz < size_z - 1):
+        return 1.0
+    gz = max(gz, 0.0)
+    i, j, k = int(gx), int(gy), int(gz)
+    fx, fy, fz = gx - i, gy - j, gz - k
+    total = 0.0
+    for corner in range(8):
+        dx, dy, dz = corner % 2, corner // 2 % 2, corner // 4
+        weight = (fx if dx else 1 - fx) * (fy if dy else 1 - fy) * (fz if dz else 1 - fz)
+        total += weight * sky.share[i + dx, j + dy, k + dz]
+    return total

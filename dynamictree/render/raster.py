@@ -1,0 +1,166 @@
+"""Which face each sample of a picture sees: a z-buffer over homogeneous triangles, without clipping.
+
+A triangle's corners a, b, c in homogeneous picture coordinates make a matrix; its inverse takes a sample (x, y, 1) to
+barycentric coordinates over depth. The sample lies inside where all three are positive, also when the triangle reaches
+behind the camera (Olano and Greer, "Triangle scan conversion using 2D homogeneous coordinates", 1997).
+"""
+
+from typing import NamedTuple, no_type_check
+
+import numpy as np
+from jaxtyping import Float32, Float64, Int32
+
+from dynamictree.render.appearance import Appearance, alpha_at
+from dynamictree.render.kernel import compiled, in_bands
+
+_WIDE = 6  # columns from which on it pays to compute where a row enters and leaves a triangle
+
+
+class ScreenTriangles(NamedTuple):
+    """Faces made ready for the loop over samples."""
+
+    barycentric: Float64[np.ndarray, "F 9"]  # rows of the inverse: what (x, y, 1) is multiplied with
+    bounds: Int32[np.ndarray, "F 4"]  # first and end column, first and end row; empty where nothing is seen
+    level: Int32[np.ndarray, " F"]  # of the texture, 0 is full size
+
+
+class Visible(NamedTuple):
+    """What the z-buffer holds."""
+
+    nearness: Float32[np.ndarray, "H W"]  # of the nearest surface: 1 / depth, or minus the depth in a parallel view
+    face: Int32[np.ndarray, "H W"]  # -1 where there is none
+
+
+def screen_triangles(
+    homogeneous: Float64[np.ndarray, "N 3"],
+    faces: Int32[np.ndarray, "F 3"],
+    appearance: Appearance,
+    *,
+    width: int,
+    height: int,
+) -> ScreenTriangles:
+    """Prepare faces whose corners are (x w, y w, w), x and y in samples; w = 1 in a parallel view."""
+    triangles = ScreenTriangles(
+        barycentric=np.zeros((len(faces), 9)),
+        bounds=np.zeros((len(faces), 4), np.int32),
+        level=np.zeros(len(faces), np.int32),
+    )
+    in_bands(_prepare_faces, len(faces), homogeneous, faces, appearance, width, height, triangles)
+    return triangles
+
+
+def rasterise(
+    triangles: ScreenTriangles,
+    faces: Int32[np.ndarray, "F 3"],
+    nearness: Float32[np.ndarray, " N"],
+    appearance: Appearance,
+    *,
+    width: int,
+    height: int,
+) -> Visible:
+    """Find the nearest face at every sample; of equally near ones the first.
+
+    The vertices' nearness is blended by the barycentric coordinates: 1 in perspective, minus the depth without.
+    """
+    visible = Visible(np.full((height, width), -np.inf, np.float32), np.full((height, width), -1, np.int32))
+    in_bands(_raster_rows, height, triangles, faces, nearness, appearance, visible)
+    return visible
+
+
+@compiled
+@no_type_check
+def _prepare_faces(first, end, homogeneous, faces, appearance, width, height, triangles):
+    for f in range(first, end):
+        i, j, k = faces[f]
+        ax, ay, aw = homogeneous[i]
+        bx, by, bw = homogeneous[j]
+        cx, cy, cw = homogeneous[k]
+        if aw <= 0 and bw <= 0 and cw <= 0:
+            continue
+        p0, p1, p2 = by * cw - bw * cy, bw * cx - bx * cw, bx * cy - by * cx
+        q0, q1, q2 = cy * aw - cw * ay, cw * ax - cx * aw, cx * ay - cy * ax
+        r0, r1, r2 = ay * bw - aw * by, aw * bx - ax * bw, ax * by - ay * bx
+        determinant = ax * p0 + ay * p1 + aw * p2
+        if determinant == 0:
+            continue
+        scale = 1 / determinant
+        row = triangles.barycentric[f]
+        row[0], row[1], row[2] = p0 * scale, p1 * scale, p2 * scale
+        row[3], row[4], row[5] = q0 * scale, q1 * scale, q2 * scale
+        row[6], row[7], row[8] = r0 * scale, r1 * scale, r2 * scale
+        left, right, top, bottom = 0.0, float(width), 0.0, float(height)
+        if aw > 0 and bw > 0 and cw > 0:
+            xs, ys = (ax / aw, bx / bw, cx / cw), (ay / aw, by / bw, cy / cw)
+            left, right = max(left, min(xs)), min(right, max(xs))
+            top, bottom = max(top, min(ys)), min(bottom, max(ys))
+            twice_area = abs(determinant / (aw * bw * cw))
+            triangles.level[f] = _texture_level(appearance, faces[f], appearance.face_material[f], twice_area)
+        if left <= right and top <= bottom:
+            bounds = triangles.bounds[f]
+            bounds[0], bounds[1] = int(np.ceil(left - 0.5)), int(np.floor(right - 0.5)) + 1
+            bounds[2], bounds[3] = int(np.ceil(top - 0.5)), int(np.floor(bottom - 0.5)) + 1
+            bounds[1], bounds[3] = min(bounds[1], width), min(bounds[3], height)
+
+
+@compiled
+@no_type_check
+def _texture_level(appearance, corners, material, twice_area):
+    levels = appearance.texture_levels[material]
+    if levels[0, 1] == 0:
+        return 0
+    ua, va = appearance.uv[corners[0]]
+    ub, vb = appearance.uv[corners[1]]
+    uc, vc = appearance.uv[corners[2]]
+    texels = abs((ub - ua) * (vc - va) - (uc - ua) * (vb - va)) * levels[0, 1] * levels[0, 2]
+    level = 0
+    # one level down quarters the texels; stop at about one texel a sample
+    while level + 1 < len(levels) and levels[level + 1, 1] > 0 and texels > 2 * twice_area:
+        texels /= 4
+        level += 1
+    return level
+
+
+@compiled
+@no_type_check
+def _inside_columns(m, offsets, left, right):
+    """Columns that may lie inside: where all three coordinates are positive, and one more at each end."""
+    low, high = float(left), float(right)
+    for edge in range(3):
+        slope, offset = m[3 * edge], offsets[edge]
+        if slope > 0:
+            low = max(low, -offset / slope - 1.5)
+        elif slope < 0:
+            high = min(high, -offset / slope + 1.5)
+    return int(min(low, float(right))), int(max(min(np.ceil(high), float(right)), 0.0))
+
+
+@compiled
+@no_type_check
+def _raster_rows(first, end, triangles, faces, nearness, appearance, visible):
+    for f in range(len(faces)):
+        left, right, top, bottom = triangles.bounds[f]
+        top, bottom = max(top, first), min(bottom, end)
+        if left >= right or top >= bottom:
+            continue
+        m = triangles.barycentric[f]
+        material = appearance.face_material[f]
+        cutoff = appearance.cutoff[material]
+        na, nb, nc = nearness[faces[f, 0]], nearness[faces[f, 1]], nearness[faces[f, 2]]
+        for row in range(top, bottom):
+            y = row + 0.5
+            a0, b0, c0 = m[1] * y + m[2], m[4] * y + m[5], m[7] * y + m[8]
+            from_column, to_column = left, right
+            if right - left > _WIDE:
+                from_column, to_column = _inside_columns(m, (a0, b0, c0), left, right)
+            for column in range(from_column, to_column):
+                x = column + 0.5
+                a, b, c = m[0] * x + a0, m[3] * x + b0, m[6] * x + c0
+                if a < 0 or b < 0 or c < 0:
+                    continue
+                near = np.float32(a * na + b * nb + c * nc)
+                if near <= visible.nearness[row, column]:
+                    continue
+                if cutoff > 0 and alpha_at(appearance, faces[f], material, triangles.level[f], a, b, c) < cutoff:
+                    continue
+                visible.nearness[row, column] = near
+                visible.face[row, column] = f

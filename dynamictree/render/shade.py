@@ -1,0 +1,193 @@
+"""From what each sample sees to a picture: Lambert's law under a sun and a sky, a ground below, a sky behind."""
+
+from typing import NamedTuple, no_type_check
+
+import numpy as np
+from jaxtyping import Float64, Int32
+
+from dynamictree.render.appearance import Appearance, albedo_at
+from dynamictree.render.kernel import compiled
+from dynamictree.render.light import MAX_LOOKS, SkyVolume, SunMap, sky_share, sun_share
+
+# linear light: the whole is about 1 on a level white surface
+_SUN = (1.28, 1.13, 0.90)
+_SKY = (0.42, 0.47, 0.55)
+_BOUNCE = (0.26, 0.24, 0.21)  # from the ground, on what faces down
+_GROUND = (0.46, 0.465, 0.45)
+_HORIZON, _ZENITH = (0.80, 0.84, 0.88), (0.36, 0.53, 0.78)
+
+
+class Scene(NamedTuple):
+    """A mesh in its light."""
+
+    vertices: Float64[np.ndarray, "N 3"]
+    normals: Float64[np.ndarray, "N 3"]
+    faces: Int32[np.ndarray, "F 3"]
+    appearance: Appearance
+    sun_direction: Float64[np.ndarray, "3"]
+    sun: SunMap
+    sky: SkyVolume
+    shadows: bool
+    ground: bool
+    centre: Float64[np.ndarray, "3"]  # of the mesh's footprint, on the ground [m]
+    radius_m: float  # of the mesh around it
+
+
+class View(NamedTuple):
+    """A camera with a size of picture."""
+
+    position: Float64[np.ndarray, "3"]
+    ray: Float64[np.ndarray, "3 3"]  # (x, y, 1) in samples to a direction in the world
+    supersampling: int
+
+
+def vertex_normals(vertices: Float64[np.ndarray, "N 3"], faces: Int32[np.ndarray, "F 3"]) -> Float64[np.ndarray, "N 3"]:
+    """Mean normal of the faces around each vertex, by area; not of unit length."""
+    a, b, c = vertices[faces[:, 0]], vertices[faces[:, 1]], vertices[faces[:, 2]]
+    crosses = np.cross(b - a, c - a)  # [F, 3], twice the area long
+    normals = np.zeros_like(vertices)
+    for axis in range(3):
+        for corner in range(3):
+            normals[:, axis] += np.bincount(faces[:, corner], crosses[:, axis], minlength=len(vertices))
+    return normals
+
+
+@compiled
+@no_type_check
+def shade_rows(first, end, picture, visible_face, triangles, scene, view):
+    """Fill rows of the picture: the mean light of the samples of each pixel, as sRGB bytes.
+
+    Where all samples see one face, the light is taken once, in the middle.
+    """
+    n = view.supersampling
+    for row in range(first, end):
+        for column in range(picture.shape[1]):
+            # neighbouring pixels look at the sun in other patterns: a penumbra has noise instead of rings
+            phase = row * 5 + column * 7
+            top, left = row * n, column * n
+            face = visible_face[top, left]
+            alike = True
+            for sample in range(1, n * n):
+                alike = alike and visible_face[top + sample // n, left + sample % n] == face
+            if alike:
+                at = (left + 0.5 * n, top + 0.5 * n)
+                red, green, blue = _sample_light(at, face, triangles, scene, view, phase, MAX_LOOKS)
+            else:
+                red, green, blue = 0.0, 0.0, 0.0
+                for sample in range(n * n):
+                    y, x = top + sample // n, left + sample % n
+                    at = (x + 0.5, y + 0.5)
+                    r, g, b = _sample_light(at, visible_face[y, x], triangles, scene, view, phase + sample, 3)
+                    red, green, blue = red + r / (n * n), green + g / (n * n), blue + b / (n * n)
+            picture[row, column, 0] = _srgb_byte(red)
+            picture[row, column, 1] = _srgb_byte(green)
+            picture[row, column, 2] = _srgb_byte(blue)
+
+
+@compiled
+@no_type_check
+def _srgb_byte(light):
+    value = min(max(light, 0.0), 1.0)
+    value = 12.92 * value if value <= 0.0031308 else 1.055 * value ** (1 / 2.4) - 0.055
+    return np.uint8(255 * value + 0.5)
+
+
+@compiled
+@no_type_check
+def _sample_light(at, face, triangles, scene, view, phase, num_looks):
+    x, y = at
+    ray = view.ray
+    dx = ray[0, 0] * x + ray[0, 1] * y + ray[0, 2]
+    dy = ray[1, 0] * x + ray[1, 1] * y + ray[1, 2]
+    dz = ray[2, 0] * x + ray[2, 1] * y + ray[2, 2]
+    length = np.sqrt(dx * dx + dy * dy + dz * dz)
+    dx, dy, dz = dx / length, dy / length, dz / length
+    if face >= 0:
+        m = triangles.barycentric[face]
+        a, b, c = m[0] * x + m[1] * y + m[2], m[3] * x + m[4] * y + m[5], m[6] * x + m[7] * y + m[8]
+        return _surface_light(face, triangles.level[face], a, b, c, (dx, dy, dz), scene, phase, num_looks)
+    up = max(dz, 0.0)
+    share = 1 - np.exp(-4 * up)
+    back = (
+        _HORIZON[0] + share * (_ZENITH[0] - _HORIZON[0]),
+        _HORIZON[1] + share * (_ZENITH[1] - _HORIZON[1]),
+        _HORIZON[2] + share * (_ZENITH[2] - _HORIZON[2]),
+    )
+    if not scene.ground or dz >= 0 or view.position[2] <= scene.centre[2]:
+        return back
+    distance = (scene.centre[2] - view.position[2]) / dz
+    return _ground_light(
+        view.position[0] + distance * dx, view.position[1] + distance * dy, back, scene, phase, num_looks
+    )
+
+
+@compiled
+@no_type_check
+def _ground_light(x, y, back, scene, phase, num_looks):
+    z = scene.centre[2]
+    away = np.sqrt((x - scene.centre[0]) ** 2 + (y - scene.centre[1]) ** 2) / scene.radius_m
+    haze = min(max((away - 1.5) / 7.5, 0.0), 1.0)
+    haze = haze * haze * (3 - 2 * haze)
+    lit, open_sky = 1.0, 1.0
+    if scene.shadows and haze < 1:
+        lit = sun_share(scene.sun, x, y, z, phase, num_looks)
+        open_sky = sky_share(scene.sky, x, y, z)
+    lit *= scene.sun_direction[2]
+    return (
+        back[0] * haze + (1 - haze) * _GROUND[0] * (_SUN[0] * lit + _SKY[0] * open_sky),
+        back[1] * haze + (1 - haze) * _GROUND[1] * (_SUN[1] * lit + _SKY[1] * open_sky),
+        back[2] * haze + (1 - haze) * _GROUND[2] * (_SUN[2] * lit + _SKY[2] * open_sky),
+    )
+
+
+@compiled
+@no_type_check
+def _blend(values, corners, a, b, c):
+    p, q, r = values[corners[0]], values[corners[1]], values[corners[2]]
+    return a * p[0] + b * q[0] + c * r[0], a * p[1] + b * q[1] + c * r[1], a * p[2] + b * q[2] + c * r[2]
+
+
+@compiled
+@no_type_check
+def _surface_normal(corners, a, b, c, direction, scene):
+    """Smooth normal, or the face's own where the two differ by more than 60 degrees; turned to the viewer."""
+    p, q, r = scene.vertices[corners[0]], scene.vertices[corners[1]], scene.vertices[corners[2]]
+    ux, uy, uz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
+    vx, vy, vz = r[0] - p[0], r[1] - p[1], r[2] - p[2]
+    fx, fy, fz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    face_length = np.sqrt(fx * fx + fy * fy + fz * fz) + 1e-300
+    fx, fy, fz = fx / face_length, fy / face_length, fz / face_length
+    nx, ny, nz = _blend(scene.normals, corners, a, b, c)
+    length = np.sqrt(nx * nx + ny * ny + nz * nz) + 1e-300
+    nx, ny, nz = nx / length, ny / length, nz / length
+    if nx * fx + ny * fy + nz * fz < 0.5:
+        nx, ny, nz = fx, fy, fz
+    side = -1.0 if fx * direction[0] + fy * direction[1] + fz * direction[2] > 0 else 1.0
+    return side * nx, side * ny, side * nz
+
+
+@compiled
+@no_type_check
+def _surface_light(face, level, a, b, c, direction, scene, phase, num_looks):
+    corners = scene.faces[face]
+    total = a + b + c
+    a, b, c = a / total, b / total, c / total
+    material = scene.appearance.face_material[face]
+    red, green, blue = albedo_at(scene.appearance, corners, material, level, a, b, c)
+    nx, ny, nz = _surface_normal(corners, a, b, c, direction, scene)
+    x, y, z = _blend(scene.vertices, corners, a, b, c)
+    toward = scene.sun_direction
+    facing = nx * toward[0] + ny * toward[1] + nz * toward[2]
+    lit, open_sky = 1.0, 1.0
+    if scene.shadows:
+        offset = (2.0 if facing > 0 else -2.0) / scene.sun.texels_per_m
+        lit = sun_share(scene.sun, x + offset * nx, y + offset * ny, z + offset * nz, phase, num_looks)
+        cell = scene.sky.cell_m
+        open_sky = sky_share(scene.sky, x + cell * nx, y + cell * ny, z + cell * nz)
+    direct = lit * (facing if facing > 0 else -facing * scene.appearance.transmission[material])
+    dome = 0.5 + 0.5 * nz
+    return (
+        red * (_SUN[0] * direct + open_sky * (_SKY[0] * dome + _BOUNCE[0] * (1 - dome))),
+        green * (_SUN[1] * direct + open_sky * (_SKY[1] * dome + _BOUNCE[1] * (1 - dome))),
+        blue * (_SUN[2] * direct + open_sky * (_SKY[2] * dome + _BOUNCE[2] * (1 - dome))),
+    )

@@ -1,0 +1,95 @@
+"""Moving pictures: MP4 through ffmpeg, animated WebP and GIF through Pillow."""
+
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from contextlib import suppress
+from itertools import chain
+from typing import Literal, get_args
+
+import numpy as np
+from jaxtyping import UInt8
+from PIL import Image, TiffImagePlugin
+
+from dynamictree.errors import DynamicTreeError, InputError
+from dynamictree.formats.stream import ByteWriter
+
+VideoFormat = Literal["mp4", "webp", "gif"]
+VIDEO_FORMATS: tuple[VideoFormat, ...] = get_args(VideoFormat)
+
+_MAX_FPS = {"mp4": 240.0, "webp": 100.0, "gif": 50.0}  # viewers slow GIFs down whose frames last less than 0.02 s
+
+
+def write_animation(
+    frames: Iterator[UInt8[np.ndarray, "H W 3"]], stream: ByteWriter, *, fps: float, format: VideoFormat
+) -> None:
+    """Write pictures of one size as a film, one at a time; WebP and GIF repeat for ever.
+
+    Raises:
+        DynamicTreeError: ffmpeg failed; the message holds its own.
+        InputError: no frames, frames of several sizes, or frames a second that the format cannot hold.
+    """
+    if not 0 < fps <= _MAX_FPS[format]:
+        raise InputError(f"fps is {fps}; above 0 and at most {_MAX_FPS[format]:g} are allowed for {format}")
+    first = next(frames, None)
+    if first is None:
+        raise InputError("there are no frames; at least one is needed")
+    same_size = _of_one_size(chain([first], frames), first.shape)
+    if format == "mp4":
+        _write_mp4(same_size, first.shape, stream, fps)
+    else:
+        _write_pillow(same_size, stream, fps, format)
+
+
+def _of_one_size(
+    frames: Iterator[UInt8[np.ndarray, "H W 3"]], shape: tuple[int, ...]
+) -> Iterator[UInt8[np.ndarray, "H W 3"]]:
+    for number, frame in enumerate(frames):
+        if frame.shape != shape:
+            found = f"frame {number} is {frame.shape[1]} x {frame.shape[0]} pixels"
+            raise InputError(f"{found}, the first is {shape[1]} x {shape[0]}; all must be of one size")
+        yield frame
+
+
+def _write_mp4(
+    frames: Iterator[UInt8[np.ndarray, "H W 3"]], shape: tuple[int, ...], stream: ByteWriter, fps: float
+) -> None:
+    import imageio_ffmpeg  # the extra `video`; only this format needs it
+
+    # yuv420p halves the colour's resolution and wants even sides: one pixel of edge is repeated where a side is odd
+    even = "pad=ceil(iw/2)*2:ceil(ih/2)*2"
+    source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{shape[1]}x{shape[0]}", "-r", f"{fps:.6f}", "-i", "-"]
+    coded = ["-an", "-vf", even, "-c:v", "libx264", "-crf", "18", "-preset", "medium", "-pix_fmt", "yuv420p"]
+    with tempfile.NamedTemporaryFile(suffix=".mp4") as film, tempfile.TemporaryFile() as log:
+        # a seekable file, so that the index can go to the front and browsers start before the end
+        command = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-loglevel", "error", *source, *coded]
+        command += ["-threads", "2", "-movflags", "+faststart", film.name]
+        with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=log) as encoder:
+            assert encoder.stdin is not None
+            with suppress(BrokenPipeError):  # ffmpeg gave up; its log tells why
+                for frame in frames:
+                    encoder.stdin.write(np.ascontiguousarray(frame).tobytes())
+                encoder.stdin.close()
+        if encoder.returncode != 0:
+            log.seek(0)
+            raise DynamicTreeError(
+                f"ffmpeg ended with {encoder.returncode}: {log.read().decode(errors='replace')[-500:]}"
+            )
+        shutil.copyfileobj(film, stream)
+
+
+def _write_pillow(
+    frames: Iterator[UInt8[np.ndarray, "H W 3"]], stream: ByteWriter, fps: float, format: VideoFormat
+) -> None:
+    # Pillow wants all frames in memory or in one file of many pages; the file keeps memory small
+    with tempfile.TemporaryFile() as spool:
+        with TiffImagePlugin.AppendingTiffWriter(spool) as pages:
+            for frame in frames:
+                Image.fromarray(frame).save(pages, format="TIFF")
+                pages.newFrame()
+        spool.seek(0)
+        with Image.open(spool) as pages, tempfile.TemporaryFile() as film:
+            pages.save(film, format=format.upper(), save_all=True, duration=1000 / fps, loop=0, quality=80, method=3)
+            film.seek(0)
+            shutil.copyfileobj(film, stream)

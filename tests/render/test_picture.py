@@ -1,0 +1,220 @@
+from dataclasses import replace
+from io import BytesIO
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from dynamictree.errors import FormatError, InputError, MeshError
+from dynamictree.mesh import Material, TriangleMesh
+from dynamictree.render import Camera, Look, Renderer, render_mesh, write_png
+from dynamictree.render import shade as light
+from dynamictree.render.appearance import foliage_faces, linear
+from tests.render.conftest import facing_card
+from tests.render.test_raster import cast_rays
+
+FRONT = Camera.look_at(np.array([0.0, -6, 0]), np.zeros(3), vertical_fov_deg=35.0)
+PLAIN = Look(width=64, height=64, ground=False, shadows=False)
+
+
+def png_of(pixels: np.ndarray) -> bytes:
+    stream = BytesIO()
+    Image.fromarray(pixels).save(stream, format="PNG")
+    return stream.getvalue()
+
+
+def psnr_db(first: np.ndarray, second: np.ndarray) -> float:
+    error = np.mean((first.astype(np.float64) - second) ** 2)
+    return float(10 * np.log10(255**2 / error)) if error > 0 else np.inf
+
+
+def srgb(value: np.ndarray) -> np.ndarray:
+    clipped = np.clip(value, 0, 1)
+    return np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * clipped ** (1 / 2.4) - 0.055) * 255
+
+
+def slow_picture(mesh: TriangleMesh, camera: Camera, size: int, sun: tuple[float, float, float]) -> np.ndarray:
+    """Ray casting in float64, one sample a pixel: flat Lambert of the face under sun and sky; no shadows, no ground."""
+    _, face = cast_rays(mesh, camera, size)
+    a, b, c = (mesh.vertices[mesh.faces[:, corner]].astype(np.float64) for corner in range(3))
+    normals = np.cross(b - a, c - a)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals[((a - camera.position_m) * normals).sum(axis=1) > 0] *= -1
+    albedo = linear(mesh.vertex_colors[mesh.faces[:, 0], :3])
+    direct = np.clip(normals @ (np.array(sun) / np.linalg.norm(sun)), 0, None)[:, None]
+    dome = (0.5 + 0.5 * normals[:, 2])[:, None]
+    lit = albedo * (direct * light._SUN + dome * light._SKY + (1 - dome) * light._BOUNCE)
+    column, row = np.meshgrid(np.arange(size) + 0.5, np.arange(size) + 0.5)
+    rays = np.stack([column, row, np.ones_like(row)], axis=2) @ np.linalg.inv(camera.intrinsics_px(size, size)).T
+    rays = rays @ camera.world_to_camera
+    up = np.clip(rays[..., 2] / np.linalg.norm(rays, axis=2), 0, None)[..., None]
+    sky = light._HORIZON + (1 - np.exp(-4 * up)) * (np.array(light._ZENITH) - light._HORIZON)
+    return srgb(np.where((face >= 0)[..., None], lit[face], sky))
+
+
+def test_agrees_with_a_slow_exact_picture(two_balls):
+    flat = replace(
+        two_balls,  # no shared vertices, so that smooth normals are the faces' own
+        vertices=two_balls.vertices[two_balls.faces.ravel()],
+        vertex_colors=two_balls.vertex_colors[two_balls.faces.ravel()],
+        faces=np.arange(two_balls.num_faces * 3, dtype=np.int32).reshape(-1, 3),
+    )
+    camera = Camera.orbit(flat.vertices, azimuth_deg=-20.0, elevation_deg=15.0)
+    look = replace(PLAIN, width=96, height=96, supersampling=1)
+    assert psnr_db(render_mesh(flat, camera, look=look), slow_picture(flat, camera, 96, look.sun_direction)) > 45
+
+
+def test_supersampling_is_the_mean_of_a_finer_picture(two_balls):
+    camera = Camera.orbit(two_balls.vertices)
+    coarse = Renderer(two_balls, PLAIN).picture(camera=camera)
+    fine = Renderer(two_balls, replace(PLAIN, width=128, height=128, supersampling=1)).picture(camera=camera)
+    mean = srgb(linear(fine).reshape(64, 2, 64, 2, 3).mean(axis=(1, 3)))
+    assert psnr_db(coarse, mean) > 40
+
+
+def test_the_nearer_surface_hides_the_farther(two_balls):
+    picture = render_mesh(two_balls, Camera.orbit(two_balls.vertices, azimuth_deg=0.0), look=PLAIN).astype(int)
+    x, y, _ = Camera.orbit(two_balls.vertices, azimuth_deg=0.0).project(np.array([[0.2, -1.6, 1.2]]), 64, 64)[0]
+    red, _, blue = picture[int(y), int(x)]
+    assert red > 2 * blue
+    behind = render_mesh(two_balls, Camera.orbit(two_balls.vertices, azimuth_deg=180.0), look=PLAIN).astype(int)
+    x, y, _ = Camera.orbit(two_balls.vertices, azimuth_deg=180.0).project(np.array([[-0.3, 1.4, 1.2]]), 64, 64)[0]
+    red, _, blue = behind[int(y), int(x)]
+    assert blue > 2 * red
+
+
+def test_a_card_is_cut_out_where_its_texture_is_clear():
+    vertices, faces, uv = facing_card()
+    texture = np.zeros((16, 16, 4), np.uint8)
+    texture[:, :8] = [0, 200, 0, 255]  # the left half is green, the right half clear
+    leaf = Material(base_color=(1.0, 1.0, 1.0, 1.0), texture_png=png_of(texture), alpha_cutoff=0.5)
+    card = TriangleMesh(vertices=vertices, faces=faces, uv=uv, face_material=np.zeros(2, np.int32), materials=(leaf,))
+    behind = Renderer(card, PLAIN)
+    face = behind.buffers(FRONT).face
+    left, right = face[32, 16:31], face[32, 33:48]
+    assert (left >= 0).all()
+    assert (right == -1).all()
+    opaque = Renderer(replace(card, materials=(replace(leaf, alpha_cutoff=None),)), PLAIN)
+    assert (opaque.buffers(FRONT).face[32, 33:48] >= 0).all()
+
+
+def test_a_texture_lies_as_its_coordinates_say():
+    vertices, faces, uv = facing_card()
+    texture = np.zeros((2, 2, 3), np.uint8)
+    texture[0, 0], texture[0, 1], texture[1, 0], texture[1, 1] = [255, 0, 0], [0, 255, 0], [0, 0, 255], [255, 255, 0]
+    texture = np.repeat(np.repeat(texture, 64, axis=0), 64, axis=1)
+    material = Material(base_color=(1.0, 1.0, 1.0, 1.0), texture_png=png_of(texture))
+    card = TriangleMesh(
+        vertices=vertices, faces=faces, uv=uv, face_material=np.zeros(2, np.int32), materials=(material,)
+    )
+    picture = Renderer(card, PLAIN).picture(camera=FRONT).astype(int)
+    above_left, above_right, below_left, below_right = (
+        picture[24, 24],
+        picture[24, 40],
+        picture[40, 24],
+        picture[40, 40],
+    )
+    assert above_left.argmax() == 0
+    assert above_left[1] < 60
+    assert above_right.argmax() == 1
+    assert above_right[0] < 60
+    assert below_left.argmax() == 2
+    assert min(below_right[:2]) > 2 * below_right[2]
+
+
+def test_both_sides_of_a_card_are_lit():
+    vertices, faces, _ = facing_card()
+    white = (Material(base_color=(1.0, 1.0, 1.0, 1.0)),)
+    front = TriangleMesh(vertices=vertices, faces=faces, face_material=np.zeros(2, np.int32), materials=white)
+    back = replace(front, faces=np.ascontiguousarray(faces[:, ::-1]))
+    camera = Camera.orbit(vertices, azimuth_deg=17.0)
+    pictures = [Renderer(mesh, PLAIN).picture(camera=camera).astype(int) for mesh in (front, back)]
+    assert np.abs(pictures[0] - pictures[1]).max() <= 1
+
+
+def test_the_shadow_falls_away_from_the_sun():
+    roof = np.array([[-1, -1, 2], [1, -1, 2], [1, 1, 2], [-1, 1, 2], [0, 0, 0], [0.01, 0, 0], [0, 0, 0.01]], np.float32)
+    mesh = TriangleMesh(vertices=roof, faces=np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6]], np.int32))
+    look = Look(width=160, height=160, sun_direction=(-1.0, 0.0, 1.0))
+    camera = Camera.look_at(np.array([0.0, -16, 9]), np.array([0.0, 0, 0]))
+    lit, dark = Renderer(mesh, replace(look, shadows=False)), Renderer(mesh, look)
+    fall = lit.picture(camera=camera).astype(int).sum(axis=2) - dark.picture(camera=camera).astype(int).sum(axis=2)
+    # the sun stands 45 degrees high in −X: the shadow of the roof, 2 m up, lies 2 m along +X
+    (x, y, _), (mirrored_x, mirrored_y, _) = camera.project(np.array([[2.0, 0, 0], [-2.5, 0, 0]]), 160, 160)
+    assert fall[int(y), int(x)] > 120
+    assert fall[int(mirrored_y), int(mirrored_x)] < 30
+
+
+def test_under_a_crown_the_ground_sees_less_sky(two_balls):
+    renderer = Renderer(two_balls, Look(width=64, height=64))
+    under = light.sky_share(renderer._sky, -0.3, 0.5, 0.1)
+    beside = light.sky_share(renderer._sky, 1.8, -1.9, 0.1)
+    assert under < 0.6 < 0.85 < beside
+    assert light.sky_share(renderer._sky, 50.0, 0.0, 0.0) == 1
+
+
+def test_two_pictures_are_the_same_byte_for_byte(two_balls):
+    assert np.array_equal(render_mesh(two_balls), render_mesh(two_balls))
+
+
+def test_rows_are_those_of_the_whole_picture(two_balls):
+    renderer = Renderer(two_balls, PLAIN)
+    whole = renderer.picture()
+    assert np.array_equal(renderer.picture(rows=range(20, 44)), whole[20:44])
+
+
+def test_a_displacement_moves_what_is_seen(two_balls):
+    renderer = Renderer(two_balls, PLAIN)
+    shift = np.tile(np.float32([0.3, 0, 0]), (two_balls.num_vertices, 1))
+    moved = renderer.picture(shift, camera=FRONT)
+    other = replace(two_balls, vertices=two_balls.vertices + shift)
+    assert np.array_equal(moved, Renderer(other, PLAIN).picture(camera=FRONT))
+    assert not np.array_equal(moved, renderer.picture(camera=FRONT))
+
+
+def test_a_mesh_without_colours_gets_clay_for_wood_and_for_leaves(two_balls):
+    bare = replace(two_balls, vertex_colors=None)
+    leaves = foliage_faces(bare.faces, bare.num_vertices)
+    assert leaves[-1]
+    assert not leaves[:-1].any()
+    red, green, blue = render_mesh(bare, look=PLAIN)[32, 32].astype(int)
+    assert red > green > blue  # wood is brown
+
+
+def test_separate_triangles_alone_do_not_make_a_mesh_of_leaves(two_balls):
+    faces = np.arange(two_balls.num_faces * 3, dtype=np.int32).reshape(-1, 3)
+    assert not foliage_faces(faces, faces.size).any()
+
+
+def test_a_png_holds_the_picture(two_balls):
+    picture, stream = render_mesh(two_balls, look=PLAIN), BytesIO()
+    write_png(picture, stream)
+    stream.seek(0)
+    with Image.open(stream) as image:
+        assert image.format == "PNG"
+        assert np.array_equal(np.asarray(image), picture)
+
+
+@pytest.mark.parametrize("size", [{"width": 0}, {"height": 5000}, {"supersampling": 9}])
+def test_refuses_a_picture_of_no_or_too_large_size(size):
+    with pytest.raises(InputError, match="allowed"):
+        Look(**size)
+
+
+def test_refuses_a_mesh_without_faces(two_balls):
+    with pytest.raises(MeshError, match="0 faces"):
+        render_mesh(replace(two_balls, faces=np.zeros((0, 3), np.int32)))
+
+
+def test_refuses_a_texture_that_is_no_picture(two_balls):
+    broken = Material(texture_png=b"\x89PNG but then nothing")
+    textured = replace(two_balls, materials=(broken,), face_material=np.zeros(two_balls.num_faces, np.int32))
+    with pytest.raises(FormatError, match="no picture"):
+        render_mesh(textured)
+
+
+def test_refuses_a_texture_of_too_many_pixels(two_balls):
+    huge = Material(texture_png=png_of(np.zeros((8001, 8001), np.uint8)))
+    textured = replace(two_balls, materials=(huge,), face_material=np.zeros(two_balls.num_faces, np.int32))
+    with pytest.raises(FormatError, match="8001 x 8001"):
+        render_mesh(textured)

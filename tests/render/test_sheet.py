@@ -1,0 +1,70 @@
+import numpy as np
+import pytest
+
+from dynamictree.render import Camera, amplitude_colors, preview_sheet, sway_amplitude
+from dynamictree.render.sheet import _slice_window, _space_time_slice
+from dynamictree.spectrum import from_motion, to_motion
+
+
+def swaying(mesh, amplitude_m: float) -> np.ndarray:
+    """Every vertex sways along x twice a loop, by its height."""
+    time = np.arange(100) / 100
+    height = mesh.vertices[:, 2] / mesh.vertices[:, 2].max()
+    motion = np.zeros((100, mesh.num_vertices, 3), np.float32)
+    motion[:, :, 0] = amplitude_m * np.sin(4 * np.pi * time)[:, None] * height
+    return from_motion(motion)
+
+
+def test_sway_is_the_root_mean_square_about_the_mean_place(rng):
+    coefficients = (rng.normal(size=(7, 16, 3)) + 1j * rng.normal(size=(7, 16, 3))).astype(np.complex64)
+    coefficients[:, 0] = coefficients[:, 0].real
+    motion = to_motion(coefficients, 100)
+    rms = np.sqrt(((motion - motion.mean(axis=0)) ** 2).sum(axis=2).mean(axis=0))
+    assert np.allclose(sway_amplitude(coefficients, 100), rms, rtol=1e-5)
+
+
+def test_colours_run_from_still_to_most():
+    colors = amplitude_colors(np.float32([0.0, 0.5, 1.0])).astype(int)
+    assert colors[0, 2] > colors[0, 0]
+    assert colors[2, 0] > 2 * colors[2, 2]
+    assert (amplitude_colors(np.zeros(3, np.float32))[:, :3] == amplitude_colors(np.float32([0, 1]))[0, :3]).all()
+
+
+def test_the_slice_shows_movement_where_there_is_some_and_straight_lines_where_not(two_balls):
+    camera = Camera.orbit(two_balls.vertices)
+    moving, still = swaying(two_balls, 0.15), np.zeros((two_balls.num_vertices, 16, 3), np.complex64)
+    for coefficients, moves in ((moving, True), (still, False)):
+        _, window = _slice_window(two_balls, sway_amplitude(coefficients), camera)
+        stacked = _space_time_slice(two_balls, coefficients, 100, window)
+        assert stacked.shape[0] == 100
+        changes = np.abs(stacked.astype(int) - stacked[:1]).max(axis=2) > 30
+        assert changes.any() == moves
+        # twice a loop: half a loop later the line shows the same
+        assert np.abs(stacked[:50].astype(int) - stacked[50:]).max() <= 40
+
+
+def test_a_sheet_has_every_part(two_balls):
+    sheet = preview_sheet(two_balls, swaying(two_balls, 0.15))
+    assert sheet.dtype == np.uint8
+    assert sheet.shape[1] == 1280
+    still, sway, time_slice, strip = (
+        sheet[40:800, :800],
+        sheet[40:400, 800:],
+        sheet[460:820, 800:],
+        sheet[-220:],
+    )
+    for part in (still, sway, time_slice, strip):
+        assert part.std() > 10
+    frames = strip.reshape(len(strip), 8, 160, 3)
+    assert np.abs(frames[:, 0].astype(int) - frames[:, 1]).max() > 60
+    assert np.abs(frames[:, 0].astype(int) - frames[:, 4]).max() < 40  # half a loop later: the same place
+
+
+@pytest.mark.parametrize("amplitude_m", [1e-4, 0.15, 3.0])
+def test_the_slice_window_lies_inside_the_picture(two_balls, amplitude_m):
+    coefficients = swaying(two_balls, amplitude_m)
+    camera = Camera.orbit(two_balls.vertices)
+    (first, last, row), window = _slice_window(two_balls, sway_amplitude(coefficients), camera)
+    assert 0 <= first < last <= 800
+    assert 0 <= row < 800
+    assert window.focal / camera.focal == pytest.approx(800 / (last - first), rel=0.02)
