@@ -79,9 +79,7 @@ def grow_trunks(species: Species, rng: np.random.Generator) -> Stems:
     azimuth = np.arange(count) * np.deg2rad(137.5) + rng.uniform(0, 2 * np.pi)
     away = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(count)], axis=1).astype(np.float32)
     lean = np.deg2rad(level.down * rng.uniform(0.2, 1, count) if count > 1 else rng.normal(0, 1.5, count))
-    directions = turned(
-        np.tile(np.float32([[0, 0, 1]]), (count, 1)), unit(np.cross(np.float32([0, 0, 1]), away)), lean
-    )
+    directions = turned(np.tile(np.float32([[0, 0, 1]]), (count, 1)), unit(np.cross(np.float32([0, 0, 1]), away)), lean)
     lengths = height * level.length * (1 + level.length_var * rng.uniform(-1, 1, count) * (count > 1))
     radii = lengths * species.ratio
     spread = 0.0 if count == 1 else 2.2 * radii.max()

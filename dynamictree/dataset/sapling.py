@@ -71,7 +71,7 @@ def _surface(species: Species, stems: tuple[Stems, ...], leaves: tuple[Leaves, .
         leaves=leaves,
         mesh=mesh,
         part=np.repeat(np.int8(labels), sizes),
-        node=np.concatenate(
-            [surface.node + start for surface, start in zip(surfaces, first_node, strict=True)]
-        ).astype(np.int32),
+        node=np.concatenate([surface.node + start for surface, start in zip(surfaces, first_node, strict=True)]).astype(
+            np.int32
+        ),
     )

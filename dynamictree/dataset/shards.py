@@ -118,9 +118,7 @@ def write_shard(trees: list[StoredTree], stream: BinaryIO) -> None:
     ]
     head = {"version": VERSION, "fps": FPS, "num_frames": NUM_FRAMES, "trees": records}
     tensors = {
-        f"{tree.seed:07d}/{name}": np.ascontiguousarray(value)
-        for tree in trees
-        for name, value in tree.tensors.items()
+        f"{tree.seed:07d}/{name}": np.ascontiguousarray(value) for tree in trees for name, value in tree.tensors.items()
     }
     # one entry only: safetensors gives several in no fixed order
     stream.write(safetensors.numpy.save(tensors, metadata={METADATA: json.dumps(head, sort_keys=True)}))

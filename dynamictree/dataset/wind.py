@@ -48,9 +48,7 @@ class Sway:
         """Leave out all but each `step`-th frame."""
         return Sway(shift=self.shift[::step], turn=self.turn[::step], position=self.position)
 
-    def vertices(
-        self, rest: Float32[np.ndarray, "N 3"], node: Int32[np.ndarray, " N"]
-    ) -> Float32[np.ndarray, "T N 3"]:
+    def vertices(self, rest: Float32[np.ndarray, "N 3"], node: Int32[np.ndarray, " N"]) -> Float32[np.ndarray, "T N 3"]:
         """Displacement of vertices, each with its node, at every frame [m]."""
         offset = rest - self.position[node]
         frames = zip(self.shift, self.turn, strict=True)
@@ -79,12 +77,8 @@ def gusts_of(wind: Wind, rng: np.random.Generator, *, loop: bool = True) -> Gust
     if not loop:
         bins = bins + rng.uniform(-0.5, 0.5, len(bins))
     heading = np.deg2rad(wind.direction_deg)
-    axes = np.float32(
-        [[np.cos(heading), np.sin(heading), 0], [-np.sin(heading), np.cos(heading), 0], [0, 0, 1]]
-    )
-    return Gusts(
-        wind=wind, bins=bins, phase=rng.uniform(0, 2 * np.pi, (len(bins), 3)).astype(np.float32), axes=axes
-    )
+    axes = np.float32([[np.cos(heading), np.sin(heading), 0], [-np.sin(heading), np.cos(heading), 0], [0, 0, 1]])
+    return Gusts(wind=wind, bins=bins, phase=rng.uniform(0, 2 * np.pi, (len(bins), 3)).astype(np.float32), axes=axes)
 
 
 def stem_bin(length_m: Float32[np.ndarray, " M"]) -> Float64[np.ndarray, " M"]:
@@ -126,9 +120,7 @@ class _Moving:
     linear_turn: Complex64[np.ndarray, "R M J 3"]
 
 
-def sway(
-    tree: Tree, wind: Wind, rng: np.random.Generator, *, num_frames: int = NUM_FRAMES, loop: bool = True
-) -> Sway:
+def sway(tree: Tree, wind: Wind, rng: np.random.Generator, *, num_frames: int = NUM_FRAMES, loop: bool = True) -> Sway:
     """Move a tree in the wind for `num_frames` frames at 24 fps."""
     gusts = gusts_of(wind, rng, loop=loop)
     clock = _clock(gusts, num_frames)
