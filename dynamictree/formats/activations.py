@@ -19,7 +19,8 @@ def opacity_from_logit(values: Float[np.ndarray, " G"]) -> Float32[np.ndarray, "
 def logit_from_opacity(opacity: Float32[np.ndarray, " G"]) -> Float32[np.ndarray, " G"]:
     """Undoes `opacity_from_logit`; 0 and 1, which have no finite logit, become the nearest that have."""
     tiny = np.finfo(np.float32).eps / 2
-    return logit(np.clip(opacity, tiny, 1 - tiny)).astype(np.float32)
+    result: Float32[np.ndarray, " G"] = logit(np.clip(opacity, tiny, 1 - tiny)).astype(np.float32)
+    return result
 
 
 def scales_from_log(values: Float[np.ndarray, "G 3"]) -> Float32[np.ndarray, "G 3"]:
@@ -29,7 +30,8 @@ def scales_from_log(values: Float[np.ndarray, "G 3"]) -> Float32[np.ndarray, "G 
 
 def log_from_scales(scales: Float32[np.ndarray, "G 3"]) -> Float32[np.ndarray, "G 3"]:
     """Undoes `scales_from_log`."""
-    return np.log(np.maximum(scales, np.float32(MIN_SCALE)))
+    result: Float32[np.ndarray, "G 3"] = np.log(np.maximum(scales, np.float32(MIN_SCALE)))
+    return result
 
 
 def harmonic_from_color(color: Float[np.ndarray, "G 3"]) -> Float32[np.ndarray, "G 3"]:

@@ -6,30 +6,10 @@ import numpy as np
 from jaxtyping import Float64
 
 from dynamictree.errors import InputError
+from dynamictree.formats.axes import up_rotation
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.harmonics import turn_sh
 from dynamictree.gaussian.rotation import matrix_quaternions, quaternion_products
-
-# rows are where the file's axes go; +Y is glTF's, −Y that of a scene reconstructed from photos (x right, y down)
-_TO_Z_UP = {
-    "+X": ((0, 1, 0), (0, 0, 1), (1, 0, 0)),
-    "-X": ((0, 0, 1), (0, 1, 0), (-1, 0, 0)),
-    "+Y": ((1, 0, 0), (0, 0, -1), (0, 1, 0)),
-    "-Y": ((1, 0, 0), (0, 0, 1), (0, -1, 0)),
-    "+Z": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
-    "-Z": ((1, 0, 0), (0, -1, 0), (0, 0, -1)),
-}
-
-
-def up_rotation(up_axis: str) -> Float64[np.ndarray, "3 3"]:
-    """Matrix that takes a file's axes to +Z up.
-
-    Raises:
-        InputError: an axis that is none of ±X, ±Y, ±Z.
-    """
-    if up_axis not in _TO_Z_UP:
-        raise InputError(f"up_axis is {up_axis!r}; choose from {', '.join(_TO_Z_UP)}")
-    return np.array(_TO_Z_UP[up_axis], np.float64)
 
 
 def to_z_up(cloud: GaussianCloud, *, up_axis: str, unit_m: float) -> GaussianCloud:

@@ -1,7 +1,6 @@
 """3DGS PLY files, as Kerbl et al. 2023 wrote them: read by property name in any order, with SH degree 0 to 3."""
 
 import re
-from typing import BinaryIO
 
 import numpy as np
 from jaxtyping import Float32, Shaped
@@ -15,6 +14,8 @@ from dynamictree.formats.activations import (
 )
 from dynamictree.formats.cloud_axes import to_source_axes, to_z_up
 from dynamictree.formats.ply_table import PlyHeader, read_elements, read_header
+from dynamictree.formats.seekable import SeekableReader
+from dynamictree.formats.stream import ByteWriter
 from dynamictree.gaussian.cloud import GaussianCloud, check_count, validate_cloud
 from dynamictree.gaussian.rotation import unit_quaternions
 
@@ -28,7 +29,7 @@ _ROTATION = ("rot_0", "rot_1", "rot_2", "rot_3")
 REQUIRED = (*_POSITION, *_COLOR, "opacity", *_SCALE, *_ROTATION)
 
 
-def read_gaussian_ply(stream: BinaryIO, *, up_axis: str = UP_AXIS, unit_m: float = 1.0) -> GaussianCloud:
+def read_gaussian_ply(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: float = 1.0) -> GaussianCloud:
     """Read a trained splat.
 
     Raises:
@@ -39,7 +40,7 @@ def read_gaussian_ply(stream: BinaryIO, *, up_axis: str = UP_AXIS, unit_m: float
     return read_gaussian_rows(stream, header, up_axis=up_axis, unit_m=unit_m)
 
 
-def read_gaussian_rows(stream: BinaryIO, header: PlyHeader, *, up_axis: str, unit_m: float) -> GaussianCloud:
+def read_gaussian_rows(stream: SeekableReader, header: PlyHeader, *, up_axis: str, unit_m: float) -> GaussianCloud:
     """The same, from behind the header."""
     vertex = header.element("vertex")
     names = vertex.names if vertex else frozenset[str]()
@@ -65,10 +66,10 @@ def read_gaussian_rows(stream: BinaryIO, header: PlyHeader, *, up_axis: str, uni
     return to_z_up(validate_cloud(cloud), up_axis=up_axis, unit_m=unit_m)
 
 
-def write_gaussian_ply(cloud: GaussianCloud, stream: BinaryIO) -> None:
+def write_gaussian_ply(cloud: GaussianCloud, stream: ByteWriter) -> None:
     """Write what every splat viewer reads, in the source's axes and units; undone by `read_gaussian_ply`."""
     stream.write(ply_header(cloud.num_gaussians, cloud.sh.shape[1]))
-    stream.write(ply_rows(to_source_axes(cloud)).data)
+    stream.write(ply_rows(to_source_axes(cloud)).tobytes())
 
 
 def ply_header(num_gaussians: int, num_harmonics: int) -> bytes:
@@ -107,9 +108,7 @@ def rest_names(names: frozenset[str]) -> list[str]:
     count = sum(1 for name in names if re.fullmatch(r"f_rest_\d+", name))
     rest = [f"f_rest_{i}" for i in range(count)]
     if count not in (0, 9, 24, 45) or not names.issuperset(rest):
-        raise FormatError(
-            f"the splat has {count} properties f_rest_*; 0, 9, 24 or 45, numbered from 0, are allowed (SH degree 0 to 3)"
-        )
+        raise FormatError(f"the splat has {count} properties f_rest_*; 0, 9, 24 or 45, numbered from 0, are allowed")
     return rest
 
 

@@ -4,14 +4,13 @@ Only what clouds need: lists (faces) are recognised in the header and refused as
 """
 
 import io
-import os
 from dataclasses import dataclass
-from typing import BinaryIO
 
 import numpy as np
 from jaxtyping import Shaped
 
 from dynamictree.errors import FormatError
+from dynamictree.formats.seekable import SeekableReader, remaining_bytes
 
 _MAX_HEADER = 65_536  # bytes; the largest in use, 3DGS with SH 3, is 1.5 kB
 _TYPES = {
@@ -41,7 +40,7 @@ class PlyElement:
 
     name: str
     count: int
-    properties: tuple[tuple[str, str], ...]  # name and numpy type without byte order; "list" for lists
+    properties: tuple[tuple[str, str], ...]  # name and numpy type without byte order; "list u1 i4" for lists
 
     @property
     def names(self) -> frozenset[str]:
@@ -51,7 +50,7 @@ class PlyElement:
     @property
     def has_lists(self) -> bool:
         """Whether rows differ in length."""
-        return any(kind == "list" for _, kind in self.properties)
+        return any(kind.startswith("list") for _, kind in self.properties)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,7 +65,7 @@ class PlyHeader:
         return next((element for element in self.elements if element.name == name), None)
 
 
-def read_header(stream: BinaryIO) -> PlyHeader:
+def read_header(stream: SeekableReader) -> PlyHeader:
     """Read up to and with `end_header`.
 
     Raises:
@@ -83,7 +82,7 @@ def read_header(stream: BinaryIO) -> PlyHeader:
         elif words[0] == "element" and len(words) == 3 and words[2].isdecimal() and len(words[2]) <= 12:
             elements.append(PlyElement(name=words[1], count=int(words[2]), properties=()))
         elif words[0] == "property" and elements and _is_property(words):
-            kind = "list" if words[1] == "list" else _TYPES[words[1]]
+            kind = " ".join(["list", *(_TYPES[w] for w in words[2:4])]) if words[1] == "list" else _TYPES[words[1]]
             last = elements[-1]
             if words[-1] in last.names:
                 raise FormatError(
@@ -98,7 +97,7 @@ def read_header(stream: BinaryIO) -> PlyHeader:
     return PlyHeader(encoding=encoding, elements=tuple(elements))
 
 
-def read_elements(stream: BinaryIO, header: PlyHeader, *names: str) -> list[Shaped[np.ndarray, " rows"]]:
+def read_elements(stream: SeekableReader, header: PlyHeader, *names: str) -> list[Shaped[np.ndarray, " rows"]]:
     """The rows of some elements, as structured arrays in this machine's byte order; the file is read no further.
 
     Raises:
@@ -122,26 +121,18 @@ def read_elements(stream: BinaryIO, header: PlyHeader, *names: str) -> list[Shap
     return [wanted[name] for name in names]
 
 
-def remaining_bytes(stream: BinaryIO) -> int:
-    """From where a seekable stream stands to its end."""
-    here = stream.tell()
-    end = stream.seek(0, os.SEEK_END)
-    stream.seek(here)
-    return end - here
-
-
-def _binary_rows(stream: BinaryIO, element: PlyElement, layout: np.dtype[np.void]) -> Shaped[np.ndarray, " rows"]:
+def _binary_rows(stream: SeekableReader, element: PlyElement, layout: np.dtype[np.void]) -> Shaped[np.ndarray, " rows"]:
     needed, found = element.count * layout.itemsize, remaining_bytes(stream)
     if needed > found:
         raise FormatError(
-            f"the PLY header says {element.count:,} rows of {layout.itemsize} bytes in {element.name!r}, {needed:,} bytes, "
-            f"but {found:,} are left in the file; it is truncated or its header is wrong"
+            f"the PLY header says {element.count:,} rows of {layout.itemsize} bytes in {element.name!r}, {needed:,} "
+            f"bytes, but {found:,} are left in the file; it is truncated or its header is wrong"
         )
     rows = np.frombuffer(stream.read(needed), layout)
     return rows.astype(layout.newbyteorder("="), copy=False)
 
 
-def _ascii_rows(stream: BinaryIO, element: PlyElement, layout: np.dtype[np.void]) -> Shaped[np.ndarray, " rows"]:
+def _ascii_rows(stream: SeekableReader, element: PlyElement, layout: np.dtype[np.void]) -> Shaped[np.ndarray, " rows"]:
     shortest = element.count * 2 * len(element.properties)  # a digit and a space a number
     if shortest > remaining_bytes(stream) + 1:
         raise FormatError(
@@ -160,7 +151,7 @@ def _ascii_rows(stream: BinaryIO, element: PlyElement, layout: np.dtype[np.void]
     return rows
 
 
-def _header_lines(stream: BinaryIO) -> list[str]:
+def _header_lines(stream: SeekableReader) -> list[str]:
     if stream.readline(8).strip() != b"ply":
         raise FormatError("the file does not begin with 'ply'; it is no PLY file")
     lines, size = list[str](), 4

@@ -1,13 +1,12 @@
 """.splat files: 32 bytes a Gaussian, no header. Position 3 × f32, scale 3 × f32, RGBA 4 × u8, rotation wxyz 4 × u8."""
 
-from typing import BinaryIO
-
 import numpy as np
 
 from dynamictree.errors import FormatError
 from dynamictree.formats.activations import color_from_harmonic, harmonic_from_color
 from dynamictree.formats.cloud_axes import to_source_axes, to_z_up
-from dynamictree.formats.ply_table import remaining_bytes
+from dynamictree.formats.seekable import SeekableReader, remaining_bytes
+from dynamictree.formats.stream import ByteWriter
 from dynamictree.gaussian.cloud import GaussianCloud, check_count, validate_cloud
 from dynamictree.gaussian.rotation import unit_quaternions
 
@@ -15,7 +14,7 @@ UP_AXIS = "-Y"
 _RECORD = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("rotation", "u1", 4)])
 
 
-def read_splat(stream: BinaryIO, *, up_axis: str = UP_AXIS, unit_m: float = 1.0) -> GaussianCloud:
+def read_splat(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: float = 1.0) -> GaussianCloud:
     """Read a cloud of degree 0.
 
     Raises:
@@ -40,8 +39,8 @@ def read_splat(stream: BinaryIO, *, up_axis: str = UP_AXIS, unit_m: float = 1.0)
     return to_z_up(validate_cloud(cloud), up_axis=up_axis, unit_m=unit_m)
 
 
-def write_splat(cloud: GaussianCloud, stream: BinaryIO) -> None:
-    """Write in the source's axes and units. Colour, opacity and rotation are rounded to 8 bits, harmonics above 0 left out."""
+def write_splat(cloud: GaussianCloud, stream: ByteWriter) -> None:
+    """Write in the source's axes and units. Colour, opacity and rotation become bytes, harmonics above 0 go."""
     source = to_source_axes(cloud.with_sh_degree(0))
     rows = np.empty(source.num_gaussians, _RECORD)
     rows["mean"], rows["scale"] = source.means, source.scales

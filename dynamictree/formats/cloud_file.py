@@ -1,0 +1,93 @@
+"""Clouds of any kind, by the type of their file."""
+
+from collections.abc import Callable
+from typing import Literal, get_args
+
+from dynamictree.errors import FormatError
+from dynamictree.formats import compressed_ply, gaussian_ply, gltf_gaussian, point_cloud, splat, spz
+from dynamictree.formats.glb_table import listed, member, read_glb
+from dynamictree.formats.ply_table import read_header
+from dynamictree.formats.seekable import SeekableReader
+from dynamictree.gaussian.cloud import GaussianCloud
+
+CloudKind = Literal["gaussians", "compressed-gaussians", "points", "mesh"]
+CloudType = Literal["ply", "splat", "spz", "glb", "xyz", "txt", "csv", "asc", "pts", "las", "laz"]
+CLOUD_TYPES: tuple[CloudType, ...] = get_args(CloudType)
+
+_READERS: dict[str, tuple[Callable[..., GaussianCloud], str]] = {
+    "splat": (splat.read_splat, splat.UP_AXIS),
+    "spz": (spz.read_spz, spz.UP_AXIS),
+    "glb": (gltf_gaussian.read_gltf_gaussian, gltf_gaussian.UP_AXIS),
+    **dict.fromkeys(("xyz", "txt", "csv", "asc", "pts"), (point_cloud.read_points_text, point_cloud.UP_AXIS)),
+    **dict.fromkeys(("las", "laz"), (point_cloud.read_las, point_cloud.UP_AXIS)),
+}
+
+
+def read_cloud(
+    stream: SeekableReader, *, file_type: str, up_axis: str | None = None, unit_m: float | None = None
+) -> GaussianCloud:
+    """Read a splat or a scan, in metres and +Z up.
+
+    Args:
+        stream: stands at the file's start.
+        file_type: the file name's ending, without a dot and in lower case.
+        up_axis: the file's; by default its format's habit: −Y for splats, +Y for SPZ and GLB, +Z for scans.
+        unit_m: metres a unit of the file, by default 1.
+
+    Raises:
+        FormatError: a type that is not understood, or a file that is not of its type.
+        InputError: what the file holds cannot be used.
+    """
+    unit = 1.0 if unit_m is None else unit_m
+    if file_type == "ply":
+        return _read_ply(stream, up_axis, unit)
+    if file_type not in _READERS:
+        raise FormatError(f"no cloud is read from .{file_type[:20]} files; choose from {', '.join(CLOUD_TYPES)}")
+    read, usual_up = _READERS[file_type]
+    return read(stream, up_axis=up_axis or usual_up, unit_m=unit)
+
+
+def cloud_kind(stream: SeekableReader, *, file_type: str) -> CloudKind:
+    """What a file holds, told by its header alone; the stream is left at its start.
+
+    PLY and GLB may hold a mesh or a cloud: a PLY with faces, and a GLB without splats, are meshes.
+
+    Raises:
+        FormatError: a type that is not understood, or a header that breaks its format's rules.
+    """
+    stream.seek(0)
+    if file_type == "ply":
+        kind = _ply_kind(stream)
+    elif file_type == "glb":
+        primitives = [p for mesh in listed(read_glb(stream).document, "meshes") for p in listed(mesh, "primitives")]
+        splats = any(gltf_gaussian.EXTENSION in member(primitive, "extensions") for primitive in primitives)
+        kind = "gaussians" if splats else "mesh"
+    elif file_type in _READERS:
+        kind = "gaussians" if file_type in ("splat", "spz") else "points"
+    else:
+        kind = "mesh"
+    stream.seek(0)
+    return kind
+
+
+def _ply_kind(stream: SeekableReader) -> CloudKind:
+    header = read_header(stream)
+    vertex, face = header.element("vertex"), header.element("face")
+    if compressed_ply.is_compressed(header):
+        return "compressed-gaussians"
+    if vertex and (vertex.names & {"f_dc_0", "scale_0", "rot_0"}):
+        return "gaussians"
+    return "mesh" if face and face.count > 0 else "points"
+
+
+def _read_ply(stream: SeekableReader, up_axis: str | None, unit_m: float) -> GaussianCloud:
+    start = stream.tell()
+    kind = _ply_kind(stream)
+    stream.seek(start)
+    if kind == "mesh":
+        raise FormatError("the PLY file has faces; it is a mesh, not a cloud; send it as a mesh")
+    if kind == "points":
+        return point_cloud.read_points_ply(stream, up_axis=up_axis or point_cloud.UP_AXIS, unit_m=unit_m)
+    if kind == "compressed-gaussians":
+        return compressed_ply.read_compressed_ply(stream, up_axis=up_axis or gaussian_ply.UP_AXIS, unit_m=unit_m)
+    return gaussian_ply.read_gaussian_ply(stream, up_axis=up_axis or gaussian_ply.UP_AXIS, unit_m=unit_m)

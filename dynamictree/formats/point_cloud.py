@@ -1,0 +1,166 @@
+"""Point clouds of scans: PLY without faces, XYZ text, LAS and LAZ. A Gaussian a point, sized by its neighbours."""
+
+import io
+
+import numpy as np
+from jaxtyping import Float32, Float64, UInt8
+from scipy.spatial import KDTree
+
+from dynamictree.errors import FormatError, InputError
+from dynamictree.formats.activations import harmonic_from_color
+from dynamictree.formats.cloud_axes import to_z_up
+from dynamictree.formats.ply_table import PlyHeader, read_elements, read_header
+from dynamictree.formats.seekable import SeekableReader, remaining_bytes
+from dynamictree.gaussian.cloud import MAX_GAUSSIANS, GaussianCloud, check_count, validate_cloud
+
+UP_AXIS = "+Z"
+"""Surveying instruments stand level and count heights upward."""
+_COLORS = (("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue"), ("r", "g", "b"))
+_NUM_NEIGHBOURS = 3  # Kerbl et al. 2023, section 5.2: a Gaussian as wide as its three nearest neighbours are far
+_LARGEST_SPACING = 4.0  # in medians: a stray point stays small
+_OPACITY = 0.9  # surfaces that were scanned are solid; below 1, neighbours blend
+_GREY = (120, 130, 105)  # sRGB of points that come without colour
+_MAX_OFFSET_SIZES = 100.0  # in extents: farther from the origin, float32 would round what was measured
+_LAS_HEADER = 227  # bytes, the shortest
+
+
+def read_points_ply(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: float = 1.0) -> GaussianCloud:
+    """Read x, y, z and, if there, a colour, of the vertices of a PLY file.
+
+    Raises:
+        FormatError: not PLY, no positions, shorter than its header says.
+        InputError: values that are not finite, too many points, all at one place.
+    """
+    return read_points_rows(stream, read_header(stream), up_axis=up_axis, unit_m=unit_m)
+
+
+def read_points_rows(stream: SeekableReader, header: PlyHeader, *, up_axis: str, unit_m: float) -> GaussianCloud:
+    """The same, from behind the header."""
+    vertex = header.element("vertex")
+    if vertex is None or not vertex.names.issuperset("xyz"):
+        raise FormatError("the PLY file has no vertices with x, y and z; it is no point cloud")
+    check_count(vertex.count)
+    (rows,) = read_elements(stream, header, "vertex")
+    points = np.stack([rows[name].astype(np.float64) for name in "xyz"], axis=1)
+    names = next((names for names in _COLORS if vertex.names.issuperset(names)), None)
+    colors = None if names is None else np.stack([_byte_color(rows[name]) for name in names], axis=1)
+    return to_z_up(cloud_of_points(points, colors), up_axis=up_axis, unit_m=unit_m)
+
+
+def read_points_text(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: float = 1.0) -> GaussianCloud:
+    """Read lines of x y z, divided by blanks, commas or semicolons; of six or more columns the last three are a colour.
+
+    A first line that is not numbers, and lines that begin with # or //, are passed over.
+
+    Raises:
+        FormatError: lines that are not numbers, or of less than three.
+        InputError: values that are not finite, too many points, all at one place.
+    """
+    size = remaining_bytes(stream)
+    if size > 100 * MAX_GAUSSIANS:
+        raise InputError(f"the text is {size:,} bytes; at most {MAX_GAUSSIANS:,} points are allowed; decimate it first")
+    content = stream.read().translate(bytes.maketrans(b",;\t", b"   "))
+    lines = [line for line in content.splitlines() if line.strip() and not line.lstrip().startswith((b"#", b"//"))]
+    if lines and not _is_numbers(lines[0]):
+        lines = lines[1:]
+    check_count(len(lines))
+    try:
+        table = np.loadtxt(io.BytesIO(b"\n".join(lines)), np.float64, ndmin=2, comments=None)
+    except ValueError as error:
+        raise FormatError(f"the file is no table of numbers: {error}") from error
+    if table.shape[1] < 3:
+        raise FormatError(f"the lines have {table.shape[1]} numbers; at least x, y and z are needed")
+    colors = _byte_color(table[:, -3:]) if table.shape[1] >= 6 and _looks_like_color(table[:, -3:]) else None
+    return to_z_up(cloud_of_points(table[:, :3], colors), up_axis=up_axis, unit_m=unit_m)
+
+
+def read_las(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: float = 1.0) -> GaussianCloud:
+    """Read LAS, or LAZ, with colours if the points have them.
+
+    Raises:
+        FormatError: not LAS, truncated, damaged.
+        InputError: too many points, all at one place.
+    """
+    import laspy  # type: ignore[import-untyped]
+
+    size = remaining_bytes(stream)
+    if size < _LAS_HEADER:
+        raise FormatError(f"the file is {size} bytes; a LAS header alone is {_LAS_HEADER}; it is truncated")
+    try:
+        with laspy.open(stream, closefd=False) as reader:
+            check_count(reader.header.point_count)
+            las = reader.read()
+    except (laspy.LaspyException, ValueError, OSError, RuntimeError) as error:
+        raise FormatError(f"the LAS file cannot be read: {error}") from error
+    check_count(len(las.points))
+    points = np.stack([np.asarray(las.x), np.asarray(las.y), np.asarray(las.z)], axis=1).astype(np.float64)
+    colors = None
+    if {"red", "green", "blue"} <= set(las.point_format.dimension_names):
+        colors = _byte_color(np.stack([las.red, las.green, las.blue], axis=1).astype(np.float64))
+    return to_z_up(cloud_of_points(points, colors), up_axis=up_axis, unit_m=unit_m)
+
+
+def cloud_of_points(
+    points: Float64[np.ndarray, "G 3"], colors: UInt8[np.ndarray, "G 3"] | None = None
+) -> GaussianCloud:
+    """A round Gaussian a point, as wide as its neighbours are far; points far from the origin are moved to it.
+
+    Raises:
+        InputError: a value that is not finite, or all points at one place.
+    """
+    check_count(len(points))
+    if not np.isfinite(points).all():
+        index = int(np.argmin(np.isfinite(points).all(axis=1)))
+        raise InputError(f"point {index} is at {points[index].tolist()}; positions must be finite; remove it")
+    extent = float(np.ptp(points, axis=0).max())
+    if extent == 0:
+        raise InputError(f"all {len(points):,} points are at one place; the cloud needs an extent")
+    if np.abs(points).max() > _MAX_OFFSET_SIZES * extent:
+        points = points - np.floor(points.mean(axis=0))
+    scales = np.repeat(_spacing(points)[:, None], 3, axis=1)
+    if colors is None:
+        colors = np.tile(np.array(_GREY, np.uint8), (len(points), 1))
+    return validate_cloud(
+        GaussianCloud(
+            means=points.astype(np.float32),
+            quaternions=np.tile(np.array([1, 0, 0, 0], np.float32), (len(points), 1)),
+            scales=scales,
+            opacity=np.full(len(points), _OPACITY, np.float32),
+            sh=harmonic_from_color(colors / np.float32(255))[:, None],
+        )
+    )
+
+
+def _spacing(points: Float64[np.ndarray, "G 3"]) -> Float32[np.ndarray, " G"]:
+    """Half of the root mean square distance to the nearest points, not more than a few medians [the points' unit]."""
+    num_neighbours = min(_NUM_NEIGHBOURS, len(points) - 1)
+    distances = np.asarray(KDTree(points).query(points, num_neighbours + 1, workers=-1)[0])  # [G, 1 + neighbours]
+    spacing = np.sqrt((distances[:, 1:] ** 2).mean(axis=1))
+    typical = np.median(spacing[spacing > 0]) if (spacing > 0).any() else np.ptp(points, axis=0).max()
+    result: Float32[np.ndarray, " G"] = (0.5 * np.clip(spacing, 0.1 * typical, _LARGEST_SPACING * typical)).astype(
+        np.float32
+    )
+    return result
+
+
+def _byte_color(values: np.ndarray) -> UInt8[np.ndarray, "..."]:
+    """Colours of 16 bits and of floats in [0, 1] to 8 bits; which they are is told by the largest."""
+    largest = float(values.max(initial=0))
+    if values.dtype.kind == "f" and largest <= 1:
+        values = values * 255.0
+    elif largest > 255:
+        values = values / 257.0
+    result: UInt8[np.ndarray, ...] = np.clip(np.nan_to_num(values), 0, 255).astype(np.uint8)
+    return result
+
+
+def _looks_like_color(values: Float64[np.ndarray, "G 3"]) -> bool:
+    return bool(values.min() >= 0 and values.max() <= 65_535)
+
+
+def _is_numbers(line: bytes) -> bool:
+    try:
+        [float(word) for word in line.split()]
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,227 @@
+"""SPZ files of Niantic Labs: a cloud rounded to 16 to 20 bytes a Gaussian and its harmonics to 8 bits, then compressed.
+
+Versions 2 and 3 are one gzip stream, version 4 a plain header and a zstandard stream an attribute. Axes are +Y up.
+"""
+
+import struct
+import zlib
+
+import numpy as np
+import zstandard
+from jaxtyping import Float32, Float64, Num, UInt8
+
+from dynamictree.errors import FormatError
+from dynamictree.formats.activations import (
+    color_from_harmonic,
+    harmonic_from_color,
+    log_from_scales,
+    scales_from_log,
+)
+from dynamictree.formats.axes import up_rotation
+from dynamictree.formats.cloud_axes import to_source_axes, to_z_up, transformed
+from dynamictree.formats.seekable import SeekableReader
+from dynamictree.formats.stream import ByteWriter
+from dynamictree.gaussian.cloud import GaussianCloud, check_count, validate_cloud
+from dynamictree.gaussian.harmonics import SH_0
+from dynamictree.gaussian.rotation import unit_quaternions
+
+UP_AXIS = "+Y"
+_MAGIC = 0x5053474E  # "NGSP"
+_LEGACY_HEADER = struct.Struct("<IIIBBBB")
+_HEADER = struct.Struct("<IIIBBBBI12x")
+_COLOR_SCALE = 0.15  # of the first harmonic's coefficient over the colour's range
+_SMALLEST_THREE = (1 << 9) - 1  # steps of the magnitude of a quaternion's smaller component
+_SH_BITS = {1: 5, 2: 4, 3: 4}  # precision by degree, as the reference writes
+_MAX_RATIO = 1032  # the most that deflate can gain
+
+
+def read_spz(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: float = 1.0) -> GaussianCloud:
+    """Read version 2, 3 or 4; extensions are passed over.
+
+    Raises:
+        FormatError: not SPZ, an unknown version, damaged or truncated.
+        InputError: nothing visible, too many Gaussians.
+    """
+    head = stream.read(_HEADER.size)
+    if head[:2] == b"\x1f\x8b":
+        cloud = _read_gzip(head + stream.read())
+    elif len(head) == _HEADER.size and head[:4] == b"NGSP":
+        cloud = _read_zstandard(head, stream)
+    else:
+        raise FormatError("the file begins neither with 'NGSP' nor as gzip; it is no SPZ file, or truncated")
+    return to_z_up(validate_cloud(cloud), up_axis=up_axis, unit_m=unit_m)
+
+
+def write_spz(cloud: GaussianCloud, stream: ByteWriter) -> None:
+    """Write version 3, which every reader knows, in the source's units and +Y up.
+
+    Positions are rounded to 1/4096 of a unit, or coarser where they reach beyond ±2048.
+    """
+    source = transformed(to_source_axes(cloud), _source_to_spz(cloud.source_up_axis), 1.0)
+    reach = max(float(np.abs(source.means).max()), 1e-30)
+    fractional_bits = int(np.clip(np.floor(np.log2((2**23 - 1) / reach)), 0, 12))
+    header = _LEGACY_HEADER.pack(_MAGIC, 3, source.num_gaussians, source.sh_degree, fractional_bits, 0, 0)
+    body = b"".join(part.tobytes() for part in _packed(source, fractional_bits))
+    packer = zlib.compressobj(6, zlib.DEFLATED, 16 + zlib.MAX_WBITS)
+    stream.write(packer.compress(header + body) + packer.flush())
+
+
+def _source_to_spz(source_up_axis: str) -> Float64[np.ndarray, "3 3"]:
+    result: Float64[np.ndarray, "3 3"] = up_rotation(UP_AXIS).T @ up_rotation(source_up_axis)
+    return result
+
+
+def _read_gzip(content: bytes) -> GaussianCloud:
+    unpacker = zlib.decompressobj(16 + zlib.MAX_WBITS)
+    try:
+        head = unpacker.decompress(content, _LEGACY_HEADER.size)
+        if len(head) < _LEGACY_HEADER.size:
+            raise FormatError("the SPZ file ends within its header; it is truncated")
+        magic, version, count, degree, fractional_bits, _, _ = _LEGACY_HEADER.unpack(head)
+        if magic != _MAGIC or version not in (2, 3):
+            raise FormatError(f"the gzip stream is no SPZ file of version 2 or 3 (magic {magic:#x}, version {version})")
+        sizes = _sizes(count, degree, version)
+        if sum(sizes) > len(content) * _MAX_RATIO:
+            raise FormatError(f"the SPZ header says {count:,} Gaussians, more than {len(content):,} bytes can hold")
+        body = unpacker.decompress(unpacker.unconsumed_tail, sum(sizes))
+    except zlib.error as error:
+        raise FormatError(f"the SPZ file is damaged: {error}") from error
+    if len(body) < sum(sizes):
+        raise FormatError(f"the SPZ file ends after {len(body):,} of {sum(sizes):,} bytes; it is truncated")
+    parts = np.split(np.frombuffer(body, np.uint8), np.cumsum(sizes)[:-1])
+    return _unpacked(parts, fractional_bits, version)
+
+
+def _read_zstandard(head: bytes, stream: SeekableReader) -> GaussianCloud:
+    _, version, count, degree, fractional_bits, _, num_streams, table_offset = _HEADER.unpack(head)
+    if version != 4:
+        raise FormatError(f"the SPZ file is of version {version}; 2, 3 and 4 are understood")
+    sizes = _sizes(count, degree, version)
+    content = head + stream.read()
+    expected_streams = 6 if degree else num_streams  # a writer may leave out the empty stream of harmonics
+    if num_streams not in (5, 6) or num_streams != expected_streams or table_offset < _HEADER.size:
+        raise FormatError(
+            f"the SPZ header names {num_streams} streams at byte {table_offset}; six behind the header are needed"
+        )
+    table_end = table_offset + 16 * num_streams
+    if table_end > len(content):
+        raise FormatError(f"the SPZ file ends after {len(content):,} bytes, within its table; it is truncated")
+    table = np.frombuffer(content[table_offset:table_end], "<u8").reshape(num_streams, 2).astype(object)
+    parts, place = list[UInt8[np.ndarray, "..."]](), table_end
+    for (packed_size, size), expected in zip(table, sizes, strict=False):
+        if size != expected or place + packed_size > len(content):
+            raise FormatError(
+                f"an SPZ stream is {size:,} bytes, or runs past the file's end; {count:,} Gaussians need {expected:,}"
+            )
+        parts.append(_decompressed(content[place : place + packed_size], expected))
+        place += packed_size
+    return _unpacked([*parts, np.empty(0, np.uint8)][:6], fractional_bits, version)
+
+
+def _decompressed(packed: bytes, size: int) -> UInt8[np.ndarray, " bytes"]:
+    if size == 0:
+        return np.empty(0, np.uint8)
+    try:
+        with zstandard.ZstdDecompressor().stream_reader(packed) as reader:
+            content = reader.read(size)
+    except zstandard.ZstdError as error:
+        raise FormatError(f"the SPZ file is damaged: {error}") from error
+    if len(content) < size:
+        raise FormatError(f"an SPZ stream ends after {len(content):,} of {size:,} bytes; the file is truncated")
+    return np.frombuffer(content, np.uint8)
+
+
+def _sizes(count: int, degree: int, version: int) -> list[int]:
+    """Bytes of positions, alphas, colours, scales, rotations, harmonics."""
+    if degree > 3:
+        raise FormatError(f"the SPZ file has harmonics of degree {degree}; 0 to 3 are understood")
+    check_count(count)
+    rotation = 3 if version == 2 else 4
+    return [9 * count, count, 3 * count, 3 * count, rotation * count, 3 * ((degree + 1) ** 2 - 1) * count]
+
+
+def _unpacked(parts: list[UInt8[np.ndarray, "..."]], fractional_bits: int, version: int) -> GaussianCloud:
+    if fractional_bits > 23:
+        raise FormatError(f"the SPZ header gives positions {fractional_bits} fractional bits; they have 24 bits in all")
+    positions, alphas, colors, scales, rotations, harmonics = parts
+    count = len(alphas)
+    low, middle, high = positions.reshape(count, 3, 3).astype(np.int32).transpose(2, 0, 1)
+    fixed = (low | middle << 8 | high << 16) << 8 >> 8  # sign extension
+    color = (colors.reshape(count, 3) / np.float32(255) - 0.5) / _COLOR_SCALE * SH_0 + 0.5
+    rest = (harmonics.reshape(count, -1, 3).astype(np.float32) - 128) / 128
+    quaternions = _first_three(rotations) if version == 2 else _smallest_three(rotations)
+    return GaussianCloud(
+        means=(fixed / np.float64(1 << fractional_bits)).astype(np.float32),
+        quaternions=unit_quaternions(quaternions),
+        scales=scales_from_log(scales.reshape(count, 3) / np.float32(16) - 10),
+        opacity=alphas / np.float32(255),
+        sh=np.concatenate([harmonic_from_color(color)[:, None], rest], axis=1),
+    )
+
+
+def _packed(cloud: GaussianCloud, fractional_bits: int) -> list[UInt8[np.ndarray, "..."]]:
+    fixed = np.rint(cloud.means.astype(np.float64) * (1 << fractional_bits)).astype(np.int32)
+    positions = np.stack([fixed & 0xFF, fixed >> 8 & 0xFF, fixed >> 16 & 0xFF], axis=2)  # [G, 3, 3]
+    color = (color_from_harmonic(cloud.sh[:, 0]) - 0.5) / SH_0 * _COLOR_SCALE + 0.5
+    harmonics = [
+        _coarse(cloud.sh[:, degree**2 : (degree + 1) ** 2], _SH_BITS[degree])
+        for degree in range(1, cloud.sh_degree + 1)
+    ]
+    rest = np.concatenate([np.empty((cloud.num_gaussians, 0, 3)), *harmonics], axis=1)
+    return [
+        _bytes(positions),
+        _bytes(cloud.opacity * 255),
+        _bytes(color * 255),
+        _bytes((log_from_scales(cloud.scales) + 10) * 16),
+        _packed_smallest_three(cloud.quaternions),
+        _bytes(rest),
+    ]
+
+
+def _bytes(values: Num[np.ndarray, "G ..."]) -> UInt8[np.ndarray, "G bytes"]:
+    result: UInt8[np.ndarray, "G bytes"] = np.clip(np.rint(values), 0, 255).astype(np.uint8).reshape(len(values), -1)
+    return result
+
+
+def _coarse(coefficients: Float32[np.ndarray, "G D 3"], bits: int) -> Float32[np.ndarray, "G D 3"]:
+    """Rounded so that fewer values occur and compression gains; zero stays zero."""
+    bucket = 1 << 8 - bits
+    result: Float32[np.ndarray, "G D 3"] = (
+        (np.rint(coefficients * 128 + 128) + bucket // 2) // bucket * bucket
+    ).astype(np.float32)
+    return result
+
+
+def _first_three(packed: UInt8[np.ndarray, " bytes"]) -> Float32[np.ndarray, "G 4"]:
+    xyz = packed.reshape(-1, 3) / np.float32(127.5) - 1
+    w = np.sqrt(np.maximum(0, 1 - (xyz * xyz).sum(axis=1)))
+    return np.concatenate([w[:, None], xyz], axis=1).astype(np.float32)
+
+
+def _smallest_three(packed: UInt8[np.ndarray, " bytes"]) -> Float32[np.ndarray, "G 4"]:
+    """Two bits name the largest of x, y, z, w; ten bits (sign, magnitude) are each of the others, the last lowest."""
+    bits = packed.view("<u4").astype(np.uint32)
+    largest = (bits >> 30).astype(np.intp)
+    rows = np.arange(len(bits))
+    xyzw = np.zeros((len(bits), 4), np.float32)
+    for place in (3, 2, 1, 0):
+        stored = largest != place
+        magnitude = (bits & _SMALLEST_THREE) / np.float32(_SMALLEST_THREE * np.sqrt(2))
+        value = np.where(bits >> 9 & 1, -magnitude, magnitude)
+        xyzw[stored, place] = value[stored]
+        bits = np.where(stored, bits >> 10, bits)
+    xyzw[rows, largest] = np.sqrt(np.maximum(0, 1 - (xyzw * xyzw).sum(axis=1)))
+    return xyzw[:, [3, 0, 1, 2]]
+
+
+def _packed_smallest_three(quaternions: Float32[np.ndarray, "G 4"]) -> UInt8[np.ndarray, "G 4"]:
+    xyzw = quaternions[:, [1, 2, 3, 0]]
+    largest = np.argmax(np.abs(xyzw), axis=1)
+    xyzw = xyzw * np.where(xyzw[np.arange(len(xyzw)), largest] < 0, -1, 1)[:, None]
+    bits = largest.astype(np.uint32)
+    for place in range(4):
+        magnitude = np.minimum(np.rint(np.abs(xyzw[:, place]) * np.sqrt(2) * _SMALLEST_THREE), _SMALLEST_THREE)
+        value = magnitude.astype(np.uint32) | (xyzw[:, place] < 0).astype(np.uint32) << 9
+        bits = np.where(largest != place, bits << 10 | value, bits).astype(np.uint32)
+    result: UInt8[np.ndarray, "G 4"] = bits.astype("<u4").view(np.uint8).reshape(-1, 4)
+    return result

@@ -1,0 +1,159 @@
+"""Laws of the cloud formats: what is written is read again, as exactly as the format can hold it."""
+
+import io
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+import pytest
+
+from dynamictree.formats.cloud_axes import to_source_axes, to_z_up
+from dynamictree.formats.cloud_file import cloud_kind, read_cloud
+from dynamictree.formats.gaussian_ply import property_names, write_gaussian_ply
+from dynamictree.formats.gltf_gaussian import write_gltf_gaussian
+from dynamictree.formats.splat import write_splat
+from dynamictree.formats.spz import write_spz
+from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.gaussian.harmonics import harmonics
+from dynamictree.gaussian.rotation import quaternion_matrices
+
+Write = Callable[[GaussianCloud, BinaryIO], None]
+
+
+def make_cloud(rng: np.random.Generator, *, degree: int, up_axis: str = "-Y", unit_m: float = 1.0) -> GaussianCloud:
+    count = 300
+    quaternions = rng.normal(size=(count, 4))
+    cloud = GaussianCloud(
+        means=rng.normal(size=(count, 3)).astype(np.float32),
+        quaternions=(quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)).astype(np.float32),
+        scales=np.exp(rng.normal(size=(count, 3)) - 3).astype(np.float32),
+        opacity=rng.uniform(0.01, 0.99, count).astype(np.float32),
+        sh=(rng.uniform(-0.9, 0.9, size=(count, (degree + 1) ** 2, 3))).astype(np.float32),
+    )
+    return replace(cloud, source_up_axis=up_axis, source_scale=unit_m)
+
+
+def covariances(cloud: GaussianCloud) -> np.ndarray:
+    rotations = quaternion_matrices(cloud.quaternions.astype(np.float64))
+    return rotations * cloud.scales[:, None, :] ** 2 @ rotations.transpose(0, 2, 1)
+
+
+def read_back(cloud: GaussianCloud, write: Write, file_type: str) -> GaussianCloud:
+    stream = io.BytesIO()
+    write(cloud, stream)
+    assert cloud_kind(stream, file_type=file_type) == "gaussians"
+    up_axis = cloud.source_up_axis if file_type in ("ply", "splat") else None
+    return read_cloud(stream, file_type=file_type, up_axis=up_axis, unit_m=cloud.source_scale)
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+@pytest.mark.parametrize(("write", "file_type"), [(write_gaussian_ply, "ply"), (write_gltf_gaussian, "glb")])
+def test_ply_and_glb_keep_every_value(rng: np.random.Generator, degree: int, write: Write, file_type: str) -> None:
+    cloud = make_cloud(rng, degree=degree, unit_m=0.01)
+    again = read_back(cloud, write, file_type)
+    for name in ("means", "scales", "opacity", "sh"):
+        np.testing.assert_allclose(getattr(again, name), getattr(cloud, name), rtol=2e-5, atol=2e-6)
+    np.testing.assert_allclose(covariances(again), covariances(cloud), rtol=1e-4, atol=1e-7)
+
+
+def test_splat_keeps_positions_and_scales_and_rounds_the_rest(rng: np.random.Generator) -> None:
+    cloud = make_cloud(rng, degree=2)
+    again = read_back(cloud, write_splat, "splat")
+    np.testing.assert_allclose(again.means, cloud.means, atol=1e-6)
+    np.testing.assert_allclose(again.scales, cloud.scales, rtol=1e-6)
+    np.testing.assert_allclose(again.opacity, cloud.opacity, atol=0.5 / 255 + 1e-6)
+    np.testing.assert_allclose(again.sh[:, 0], cloud.sh[:, 0], atol=0.5 / 255 / 0.282 + 1e-6)
+    cosine = np.abs((again.quaternions * cloud.quaternions).sum(axis=1))
+    assert np.degrees(2 * np.arccos(np.minimum(cosine, 1))).max() < 1.5
+    assert again.sh_degree == 0
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_spz_stays_within_its_rounding(rng: np.random.Generator, degree: int) -> None:
+    cloud = make_cloud(rng, degree=degree)
+    again = read_back(cloud, write_spz, "spz")
+    up = replace(again, source_up_axis="-Y")
+    np.testing.assert_allclose(up.means, cloud.means, atol=0.5 / 4096 + 1e-6)
+    np.testing.assert_allclose(np.log(up.scales), np.log(cloud.scales), atol=1 / 32 + 1e-5)
+    np.testing.assert_allclose(up.opacity, cloud.opacity, atol=0.5 / 255 + 1e-6)
+    np.testing.assert_allclose(up.sh[:, 0], cloud.sh[:, 0], atol=0.5 / 255 / 0.15 + 1e-6)
+    rest = up.sh[:, 1:] - cloud.sh[:, 1:]
+    assert degree == 0 or np.sqrt((rest**2).mean()) < 0.125 / np.sqrt(12) * 1.2  # a bucket of 4 bits, evenly filled
+    assert np.abs((covariances(up) - covariances(cloud)) / cloud.scales.max(axis=1)[:, None, None] ** 2).max() < 0.08
+
+
+def test_spz_holds_clouds_that_reach_far(rng: np.random.Generator) -> None:
+    cloud = make_cloud(rng, degree=0)
+    far = replace(cloud, means=cloud.means * 20_000)
+    again = read_back(far, write_spz, "spz")
+    np.testing.assert_allclose(again.means, far.means, atol=0.01)
+
+
+def test_a_ply_is_read_by_name_in_any_order(rng: np.random.Generator) -> None:
+    cloud = make_cloud(rng, degree=1)
+    stream = io.BytesIO()
+    write_gaussian_ply(cloud, stream)
+    names = property_names(4)
+    body = np.frombuffer(stream.getvalue().split(b"end_header\n", 1)[1], "<f4").reshape(-1, len(names))
+    order = [i for i in rng.permutation(len(names)) if not names[i].startswith("n")]
+    header = ["ply", "format binary_big_endian 1.0", "comment shuffled", f"element vertex {len(body)}"]
+    header += [f"property float {names[i]}" for i in order] + ["end_header\n"]
+    shuffled = io.BytesIO("\n".join(header).encode() + body[:, order].astype(">f4").tobytes())
+    again = read_cloud(shuffled, file_type="ply")
+    np.testing.assert_allclose(again.means, cloud.means, atol=1e-6)
+    np.testing.assert_allclose(again.sh, cloud.sh, atol=1e-6)
+    np.testing.assert_allclose(again.opacity, cloud.opacity, atol=1e-6)
+
+
+@pytest.mark.parametrize("up_axis", ["+X", "-X", "+Y", "-Y", "+Z", "-Z"])
+def test_axes_and_units_are_undone_and_colours_turn_with_them(rng: np.random.Generator, up_axis: str) -> None:
+    source = make_cloud(rng, degree=3, up_axis="+Z")
+    cloud = to_z_up(source, up_axis=up_axis, unit_m=0.1)
+    again = to_source_axes(cloud)
+    np.testing.assert_allclose(again.means, source.means, atol=1e-6)
+    np.testing.assert_allclose(again.sh, source.sh, atol=1e-5)
+    np.testing.assert_allclose(covariances(again), covariances(source), atol=1e-6)
+    up = np.zeros(3)
+    up["XYZ".index(up_axis[1])] = 1 if up_axis[0] == "+" else -1
+    seen_from_above = harmonics(np.array([[0.0, 0.0, 1.0]]), 3) @ cloud.sh
+    np.testing.assert_allclose(seen_from_above, harmonics(up[None], 3) @ source.sh, atol=1e-5)
+    highest = int(np.argmax(source.means @ up))
+    assert int(np.argmax(cloud.means[:, 2])) == highest
+
+
+def test_a_file_written_again_is_the_same_file(rng: np.random.Generator) -> None:
+    first, second = io.BytesIO(), io.BytesIO()
+    write_splat(make_cloud(rng, degree=0), first)
+    first.seek(0)
+    write_splat(read_cloud(first, file_type="splat"), second)
+    ours, again = (np.frombuffer(s.getvalue(), np.uint8).reshape(-1, 32) for s in (first, second))
+    np.testing.assert_array_equal(again[:, :28], ours[:, :28])
+    assert np.abs(again[:, 28:].astype(int) - ours[:, 28:]).max() <= 1
+
+
+@pytest.mark.parametrize(
+    ("name", "count", "degree"),
+    [
+        ("splat/tree_10k.splat", 10_000, 0),
+        ("splat/train_1000_sh3.ply", 1_000, 3),
+        ("splat/khr_conformance_matrix.glb", 15, 3),
+        ("scan/tls_tree_1.txt", 30_826, 0),
+    ],
+)
+def test_every_real_cloud_is_read(samples: Path, name: str, count: int, degree: int) -> None:
+    with (samples / name).open("rb") as stream:
+        cloud = read_cloud(stream, file_type=name.rsplit(".", 1)[1])
+    assert (cloud.num_gaussians, cloud.sh_degree) == (count, degree)
+    if "tree" in name:
+        assert np.ptp(cloud.means[:, 2]) > np.ptp(cloud.means[:, :2], axis=0).max()  # it stands
+
+
+def test_the_conformance_matrix_reads_the_same_value_from_every_type(samples: Path) -> None:
+    with (samples / "splat/khr_conformance_matrix.glb").open("rb") as stream:
+        cloud = read_cloud(stream, file_type="glb")
+    np.testing.assert_allclose(cloud.opacity[[0, 9, 10]], 0.25, atol=2e-3)
+    np.testing.assert_allclose(covariances(cloud)[:3], covariances(cloud)[[0, 0, 0]], rtol=1e-3)
+    np.testing.assert_allclose(cloud.means, np.tile([[1, -3, 2]], (15, 1)))
+    np.testing.assert_allclose(np.log(cloud.scales[4]), [1, -2, 3], rtol=1e-5)

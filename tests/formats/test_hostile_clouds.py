@@ -1,0 +1,301 @@
+"""What a cloud file may claim, and what it is told."""
+
+import gzip
+import io
+import json
+import struct
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from dynamictree.errors import FormatError, InputError
+from dynamictree.formats.cloud_file import cloud_kind, read_cloud
+from dynamictree.formats.compressed_ply import read_compressed_ply
+from dynamictree.formats.gaussian_ply import property_names, write_gaussian_ply
+from dynamictree.formats.gltf_gaussian import EXTENSION, write_gltf_gaussian
+from dynamictree.formats.spz import write_spz
+from dynamictree.gaussian.cloud import GaussianCloud
+
+ASCII = b"ply\nformat ascii 1.0\n"
+XYZ = b"property int x\nproperty int y\nproperty int z\nend_header\n"
+HEAD = "ply\nformat binary_little_endian 1.0\n"
+NAMES = property_names(1)
+
+
+def make_cloud(count: int = 10) -> GaussianCloud:
+    rng = np.random.default_rng(0)
+    return GaussianCloud(
+        means=rng.normal(size=(count, 3)).astype(np.float32),
+        quaternions=np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)),
+        scales=np.full((count, 3), 0.1, np.float32),
+        opacity=np.full(count, 0.5, np.float32),
+        sh=np.zeros((count, 4, 3), np.float32),
+    )
+
+
+def read(content: bytes, file_type: str) -> GaussianCloud:
+    return read_cloud(io.BytesIO(content), file_type=file_type)
+
+
+def written(write: Callable[[GaussianCloud, io.BytesIO], None], count: int = 10) -> bytes:
+    stream = io.BytesIO()
+    write(make_cloud(count), stream)
+    return stream.getvalue()
+
+
+def ply(count: int, names: list[str], body: bytes = b"") -> bytes:
+    lines = [f"property float {name}" for name in names]
+    return (HEAD + f"element vertex {count}\n" + "\n".join(lines) + "\nend_header\n").encode() + body
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (ply(1_000, NAMES), r"1,000 rows of 68 bytes in 'vertex', 68,000 bytes, but 0 are left"),
+        (ply(10**11, NAMES), "100,000,000,000 Gaussians"),
+        (ply(50_000_000, NAMES), "50,000,000 Gaussians"),
+        (ply(0, NAMES), "empty"),
+        (ply(1, [n for n in NAMES if n not in ("rot_3", "opacity")], bytes(60)), "have no opacity, rot_3"),
+        (ply(1, [*NAMES, "f_rest_0"], bytes(72)), "1 properties f_rest"),
+        (ply(1, [*NAMES, *(f"f_rest_{i + 1}" for i in range(9))], bytes(104)), "9 properties f_rest"),
+        (ply(1, NAMES, np.full(17, np.nan, "<f4").tobytes()), "not finite|rotation has a length"),
+        (ply(1, NAMES, np.full(17, 100, "<f4").tobytes()), "scales of 1 Gaussians are not finite"),
+        (ply(1, NAMES, np.full(17, -20, "<f4").tobytes()), "nothing is visible"),
+        (ply(1, NAMES, bytes(68)), "rotation has a length"),
+        (b"no ply at all\n", "begin with 'ply'"),
+        (b"ply\n" + b"comment " + b"x" * 100_000 + b"\n", "no end within 65,536"),
+        (b"ply\nformat binary_little_endian 1.0\nelement vertex 1\n", "no end within"),
+        (b"ply\nend_header\n", "names no format"),
+        (HEAD.encode() + b"element vertex -3\nend_header\n", "not understood: 'element vertex -3'"),
+        (HEAD.encode() + b"element vertex 1\nproperty quad x\nend_header\n", "not understood: 'property quad x'"),
+        (ply(1, ["x", "x"]), "'x' of 'vertex' twice"),
+        (
+            (HEAD + "element early 1\nproperty list uchar int i\n").encode() + ply(1, NAMES)[len(HEAD) :],
+            "'early' of the PLY file has lists",
+        ),
+        (ASCII + b"element vertex 9\n" + XYZ + b"1 2 3\n",
+         "9 rows in 'vertex', at least 54 bytes"),
+        (ASCII + b"element vertex 1\n" + XYZ + b"1 2 a\n",
+         "does not fit its header"),
+        (ASCII + b"element vertex 2\n" + XYZ + b"1 2 3\n"
+         b"        \n", "has 1 rows, its header says 2"),
+        (HEAD.encode() + b"element vertex 3\nproperty float x\nelement face 1\nproperty list uchar int i\nend_header\n",
+         "it is a mesh"),
+    ],
+)  # fmt: skip
+def test_a_ply_that_lies_is_told_where(content: bytes, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        read(content, "ply")
+
+
+def test_missing_properties_are_named_when_read_as_a_splat() -> None:
+    from dynamictree.formats.gaussian_ply import read_gaussian_ply
+
+    with pytest.raises(FormatError, match="no f_dc_0, f_dc_1, f_dc_2, opacity"):
+        read_gaussian_ply(io.BytesIO(ply(1, ["x", "y", "z"], bytes(12))))
+
+
+def test_a_splat_of_a_broken_size_is_refused() -> None:
+    with pytest.raises(FormatError, match="33 bytes"):
+        read(bytes(33), "splat")
+    with pytest.raises(InputError, match="empty"):
+        read(b"", "splat")
+
+
+def spz(
+    version: int, count: int, degree: int, *, fractional: int = 12, magic: int = 0x5053474E, body: bytes = b""
+) -> bytes:
+    return gzip.compress(struct.pack("<IIIBBBB", magic, version, count, degree, fractional, 0, 0) + body)
+
+
+def spz4(count: int, streams: int, table_offset: int, rest: bytes, *, version: int = 4, degree: int = 0) -> bytes:
+    return b"NGSP" + struct.pack("<IIBBBBI12x", version, count, degree, 12, 0, streams, table_offset) + rest
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "neither with 'NGSP' nor as gzip"),
+        (spz(3, 4_000_000, 3), "more than .* bytes can hold"),
+        (spz(3, 50_000_000, 0), "50,000,000 Gaussians"),
+        (spz(3, 100, 0), "ends after 0 of 2,000 bytes"),
+        (spz(9, 1, 0), "version 9"),
+        (spz(3, 1, 0, magic=7), "no SPZ file"),
+        (spz(3, 1, 4, body=bytes(100)), "degree 4"),
+        (spz(3, 1, 0, fractional=30, body=bytes(20)), "30 fractional bits"),
+        (gzip.compress(b"abc"), "within its header"),
+        (spz(3, 1, 0)[:12], "truncated|within its header"),
+        (b"\x1f\x8b\x08\x00" + bytes(60), "damaged|within its header"),
+        (spz4(1, 5, 32, b"", version=5), "version 5"),
+        (spz4(1, 9, 32, b""), "9 streams at byte 32"),
+        (spz4(1, 6, 32, b""), "within its table"),
+        (spz4(1, 6, 32, struct.pack("<12Q", *[5, 9] * 6)), "runs past the file's end"),
+        (spz4(1, 6, 32, struct.pack("<12Q", *[5, 8] * 6) + bytes(64)), "an SPZ stream is 8 bytes"),
+        (spz4(1, 6, 32, struct.pack("<12Q", *[9, 9] * 6) + bytes(64)), "damaged"),
+    ],
+)
+def test_an_spz_that_lies_is_told_where(content: bytes, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        read(content, "spz")
+
+
+def test_an_spz_stream_that_ends_early_is_refused() -> None:
+    import zstandard
+
+    packed = zstandard.ZstdCompressor(write_content_size=False).compress(bytes(5))
+    sizes = struct.pack("<2Q", len(packed), 9) + struct.pack("<10Q", *[0, 0] * 5)
+    with pytest.raises(FormatError, match="ends after 5 of 9"):
+        read(spz4(1, 6, 32, sizes + packed), "spz")
+
+
+def test_a_damaged_gzip_is_refused() -> None:
+    content = bytearray(written(write_spz, 1000))
+    content[40:60] = bytes(20)
+    with pytest.raises(FormatError, match=r"damaged|truncated"):
+        read(bytes(content), "spz")
+
+
+def changed_glb(change: Callable[[dict[str, object]], None]) -> bytes:
+    content = written(write_gltf_gaussian)
+    length = struct.unpack("<I", content[12:16])[0]
+    document = json.loads(content[20 : 20 + length])
+    change(document)
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    rest = content[20 + length :]
+    return b"glTF" + struct.pack("<IIII", 2, 20 + len(text) + len(rest), len(text), 0x4E4F534A) + text + rest
+
+
+def _set(document: object, path: str, value: object) -> None:
+    *parents, last = [int(key) if key.isdecimal() else key for key in path.split("/")]
+    for key in parents:
+        document = document[key]  # type: ignore[index]
+    document[last] = value  # type: ignore[index]
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        ("accessors/0/count", 10**12, "rows, its buffer"),
+        ("bufferViews/0/byteLength", 5, "needs 120 bytes of a view of 5"),
+        ("accessors/0/count", "ten", "'count' .* a whole number"),
+        ("accessors/0/componentType", 7, "of type 7 VEC3"),
+        ("accessors/0/bufferView", 99, "buffer view 99"),
+        ("accessors/2/type", "SCALAR", r"\(10, 1\); \(10, 3\) is needed"),
+        ("bufferViews/0/byteOffset", 10**9, "the buffer has"),
+        ("meshes/0/primitives/0/mode", 4, "not of points"),
+        ("meshes/0/primitives/0/extensions", {}, "no primitive with KHR"),
+        ("meshes/0/primitives/0/attributes", {"POSITION": 0, f"{EXTENSION}:SH_DEGREE_0_COEF_0": 1}, r"\(10, 4\)"),
+        ("meshes/0/primitives/0/attributes", {"POSITION": 77}, "accessor 77"),
+        ("meshes/0/primitives/0/attributes", {"POSITION": 0}, "0 harmonics"),
+        (
+            "meshes/0/primitives/0/attributes",
+            {"POSITION": 0, f"{EXTENSION}:SH_DEGREE_0_COEF_0": 0},
+            "no attribute KHR_gaussian_splatting:ROTATION",
+        ),
+        ("meshes/0/primitives/0/attributes", [], "'attributes' .* no object"),
+        ("nodes/0/mesh", 3, "mesh 3 of 1"),
+        ("nodes/0/scale", [1, 2, 1], "mirrors, shears or stretches"),
+        ("nodes/0/scale", [1, 2], "3 numbers"),
+        ("nodes/0/children", [0], "no tree"),
+        ("scene", 5, "scene 5 of 1"),
+        ("scenes", 5, "no list"),
+        ("nodes", [5], "no list of objects"),
+    ],
+)
+def test_a_glb_that_lies_is_told_where(path: str, value: object, message: str) -> None:
+    with pytest.raises(FormatError, match=message):
+        read(changed_glb(lambda document: _set(document, path, value)), "glb")
+
+
+def test_a_glb_placed_by_its_node_is_read_where_it_stands() -> None:
+    matrix = [0, 0, -2, 0, 0, 2, 0, 0, 2, 0, 0, 0, 1, 2, 3, 1]  # columns: a quarter turn about y, twice as large
+    moved = read(changed_glb(lambda document: _set(document, "nodes/0/matrix", matrix)), "glb")
+    as_parts = read(
+        changed_glb(
+            lambda document: _set(
+                document,
+                "nodes/0",
+                {"mesh": 0, "translation": [1, 2, 3], "rotation": [0, 0.5**0.5, 0, 0.5**0.5], "scale": [2, 2, 2]},
+            )
+        ),
+        "glb",
+    )
+    plain = read(written(write_gltf_gaussian), "glb")
+    x, y, z = plain.means.T
+    np.testing.assert_allclose(moved.means, np.stack([2 * -y + 1, 2 * x - 3, 2 * z + 2], axis=1), atol=1e-5)
+    np.testing.assert_allclose(as_parts.means, moved.means, atol=1e-5)
+    np.testing.assert_allclose(moved.scales, plain.scales * 2, rtol=1e-5)
+
+
+def test_linear_colours_become_display_colours() -> None:
+    def change(document: dict[str, object]) -> None:
+        _set(document, f"meshes/0/primitives/0/extensions/{EXTENSION}/colorSpace", "lin_rec709_display")
+
+    grey = read(changed_glb(change), "glb").sh[0, 0, 0] * 0.28209479 + 0.5
+    np.testing.assert_allclose(grey, 0.735357, atol=1e-5)  # sRGB of linear 0.5, IEC 61966-2-1
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"glTF", "does not begin as GLB"),
+        (b"glTF" + struct.pack("<II", 2, 12), "before its JSON"),
+        (b"glTF" + struct.pack("<IIII", 2, 20, 1000, 0x4E4F534A), "1,000 bytes"),
+        (b"glTF" + struct.pack("<IIII", 2, 24, 4, 0x4E4F534A) + b"[[[[", "cannot be read"),
+        (b"glTF" + struct.pack("<IIII", 2, 24, 4, 0x4E4F534A) + b"[1] ", "no object"),
+    ],
+)
+def test_a_broken_glb_is_refused(content: bytes, message: str) -> None:
+    with pytest.raises(FormatError, match=message):
+        read(content, "glb")
+
+
+def test_a_glb_of_meshes_is_told_apart() -> None:
+    content = changed_glb(lambda document: _set(document, "meshes/0/primitives/0/extensions", {}))
+    assert cloud_kind(io.BytesIO(content), file_type="glb") == "mesh"
+    assert cloud_kind(io.BytesIO(b""), file_type="obj") == "mesh"
+
+
+def compressed(vertices: int, chunks: int, *, bounds: bool = True) -> bytes:
+    names = ("x", "y", "z", "scale_x", "scale_y", "scale_z")
+    bounds_names = [f"{side}_{name}" for side in ("min", "max") for name in names] if bounds else ["min_x"]
+    header = HEAD + f"element chunk {chunks}\n" + "".join(f"property float {name}\n" for name in bounds_names)
+    packed = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
+    header += f"element vertex {vertices}\n" + "".join(f"property uint {name}\n" for name in packed) + "end_header\n"
+    low_high = np.repeat(np.array([-1.0, 1.0]), 6) * 2
+    body = np.tile(low_high.astype("<f4"), chunks).tobytes()
+    packed_rows = np.tile(np.array([0xFFFFFFFF, 512 << 20 | 512 << 10 | 512, 0, 0x80FF00FF], "<u4"), vertices)
+    return header.encode() + body + packed_rows.tobytes()
+
+
+def test_a_compressed_ply_is_unpacked() -> None:
+    cloud = read_cloud(io.BytesIO(compressed(300, 2)), file_type="ply", up_axis="+Z")
+    np.testing.assert_allclose(cloud.means, 2)
+    np.testing.assert_allclose(cloud.scales, np.exp(-2), rtol=1e-5)
+    np.testing.assert_allclose(cloud.opacity, 1)
+    np.testing.assert_allclose(cloud.sh[0, 0] * 0.28209479 + 0.5, [128 / 255, 1, 0], atol=1e-5)
+    np.testing.assert_allclose(cloud.quaternions[0], [1, 0, 0, 0], atol=2e-3)
+
+
+def test_a_compressed_ply_that_lies_is_refused() -> None:
+    with pytest.raises(FormatError, match="2 chunks"):
+        read(compressed(10, 2), "ply")
+    with pytest.raises(FormatError, match="bounds or packed"):
+        read(compressed(10, 1, bounds=False), "ply")
+    with pytest.raises(FormatError, match="truncated"):
+        read(compressed(10, 1)[:-1], "ply")
+    with pytest.raises(FormatError, match="no compressed splat"):
+        read_compressed_ply(io.BytesIO(written(write_gaussian_ply)))
+
+
+def test_types_axes_and_units_that_do_not_exist_are_refused() -> None:
+    with pytest.raises(FormatError, match=r"no cloud is read from \.obj"):
+        read(b"", "obj")
+    content = written(write_gaussian_ply)
+    with pytest.raises(InputError, match="up_axis"):
+        read_cloud(io.BytesIO(content), file_type="ply", up_axis="Y")
+    for unit_m in (0.0, -1.0, float("inf")):
+        with pytest.raises(InputError, match="unit_m"):
+            read_cloud(io.BytesIO(content), file_type="ply", unit_m=unit_m)

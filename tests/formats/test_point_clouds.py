@@ -1,0 +1,126 @@
+"""Scans become Gaussians as wide as their points are apart."""
+
+import io
+
+import laspy  # type: ignore[import-untyped]
+import numpy as np
+import pytest
+
+from dynamictree.errors import FormatError, InputError
+from dynamictree.formats.cloud_file import cloud_kind, read_cloud
+from dynamictree.formats.point_cloud import cloud_of_points
+from dynamictree.gaussian.harmonics import SH_0
+
+
+def _lattice(spacing: float, count: int = 8) -> np.ndarray:
+    return np.stack(np.meshgrid(*[np.arange(count) * spacing] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def _las(points: np.ndarray, colors: np.ndarray | None, *, packed: bool) -> io.BytesIO:
+    header = laspy.LasHeader(point_format=3 if colors is not None else 0, version="1.2")
+    header.offsets, header.scales = np.floor(points.min(axis=0)), np.full(3, 0.001)
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = points.T
+    if colors is not None:
+        las.red, las.green, las.blue = (colors * 257).T
+    stream = io.BytesIO()
+    las.write(stream, do_compress=packed)
+    stream.seek(0)
+    return stream
+
+
+def test_a_gaussian_is_half_as_wide_as_its_neighbours_are_far() -> None:
+    cloud = cloud_of_points(_lattice(0.2))
+    np.testing.assert_allclose(cloud.scales, 0.1, rtol=1e-5)
+    assert cloud.sh_degree == 0
+
+
+def test_a_stray_point_stays_small() -> None:
+    points = np.concatenate([_lattice(0.2), [[100.0, 0.0, 0.0]]])
+    assert cloud_of_points(points).scales[-1, 0] < 0.5
+
+
+def test_points_at_one_place_among_others_keep_a_size() -> None:
+    points = np.concatenate([_lattice(0.2), np.zeros((5, 3))])
+    assert cloud_of_points(points).scales.min() > 0
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_las_and_laz_keep_positions_and_colours(rng: np.random.Generator, packed: bool) -> None:
+    points = _lattice(0.2) + np.array(
+        [500_000, 5_300_000, 400]
+    )  # as surveys have it: float32 alone would round to 0.5 m
+    colors = rng.integers(0, 256, (len(points), 3))
+    stream = _las(points, colors, packed=packed)
+    assert cloud_kind(stream, file_type="laz") == "points"
+    cloud = read_cloud(stream, file_type="laz" if packed else "las")
+    moved = points - np.floor(points.mean(axis=0))
+    np.testing.assert_allclose(cloud.means, moved, atol=1e-3)
+    np.testing.assert_allclose(cloud.sh[:, 0] * SH_0 + 0.5, colors / 255, atol=1e-6)
+
+
+def test_las_without_colours_is_grey() -> None:
+    cloud = read_cloud(_las(_lattice(0.2), None, packed=False), file_type="las")
+    assert np.unique(cloud.sh, axis=0).shape[0] == 1
+
+
+def test_text_is_read_with_any_delimiter_header_and_colours() -> None:
+    points = _lattice(0.5, 3)
+    rows = np.concatenate([points, np.full((27, 1), 0.7), np.tile([10, 20, 30], (27, 1))], axis=1)
+    for delimiter in (" ", ",", ";", "\t"):
+        lines = [delimiter.join(f"{value:g}" for value in row) for row in rows]
+        text = "\n".join(["# a comment", "x y z i r g b", *lines, ""]).encode()
+        cloud = read_cloud(io.BytesIO(text), file_type="xyz")
+        np.testing.assert_allclose(cloud.means, points, atol=1e-6)
+        np.testing.assert_allclose(cloud.sh[0, 0] * SH_0 + 0.5, np.array([10, 20, 30]) / 255, atol=1e-6)
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "binary_little_endian"])
+def test_a_ply_without_faces_is_a_point_cloud(encoding: str) -> None:
+    points = _lattice(0.5, 3)
+    layout = [("x", "<f8"), ("y", "<f8"), ("z", "<f8"), ("red", "u1"), ("green", "u1"), ("blue", "u1")]
+    rows = np.zeros(27, layout)
+    rows["x"], rows["y"], rows["z"] = points.T
+    rows["green"] = 255
+    header = [f"ply\nformat {encoding} 1.0\nelement vertex 27"]
+    header += [f"property {'uchar' if kind == 'u1' else 'double'} {name}" for name, kind in layout]
+    header += ["element face 0\nproperty list uchar int vertex_indices\nend_header\n"]
+    body = "\n".join(" ".join(str(v) for v in row) for row in rows).encode() if encoding == "ascii" else rows.tobytes()
+    stream = io.BytesIO("\n".join(header).encode() + body)
+    assert cloud_kind(stream, file_type="ply") == "points"
+    cloud = read_cloud(stream, file_type="ply")
+    np.testing.assert_allclose(cloud.means, points, atol=1e-6)
+    np.testing.assert_allclose(cloud.sh[0, 0] * SH_0 + 0.5, [0, 1, 0], atol=1e-6)
+
+
+def test_points_that_are_no_cloud_are_refused() -> None:
+    with pytest.raises(InputError, match="at one place"):
+        cloud_of_points(np.zeros((10, 3)))
+    with pytest.raises(InputError, match="point 3"):
+        cloud_of_points(np.where(np.arange(10)[:, None] == 3, np.nan, _lattice(1.0)[:10]))
+    with pytest.raises(InputError, match="empty"):
+        read_cloud(io.BytesIO(b"# nothing\n"), file_type="txt")
+    with pytest.raises(FormatError, match="2 numbers"):
+        read_cloud(io.BytesIO(b"1 2\n3 4\n"), file_type="txt")
+    with pytest.raises(FormatError, match="no table"):
+        read_cloud(io.BytesIO(b"1 2 3\n3 4 abc\n"), file_type="txt")
+    with pytest.raises(FormatError, match="x, y and z"):
+        read_cloud(
+            io.BytesIO(b"ply\nformat ascii 1.0\nelement vertex 1\nproperty int x\nend_header\n1\n"), file_type="ply"
+        )
+
+
+def test_a_text_larger_than_any_cloud_is_refused_unread(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dynamictree.formats.point_cloud.MAX_GAUSSIANS", 1)
+    with pytest.raises(InputError, match="at most 1 points"):
+        read_cloud(io.BytesIO(b"1 2 3\n" * 100), file_type="txt")
+
+
+def test_las_that_is_none_or_ends_early_is_refused() -> None:
+    with pytest.raises(FormatError, match="truncated"):
+        read_cloud(io.BytesIO(b"LASF"), file_type="las")
+    with pytest.raises(FormatError, match="cannot be read"):
+        read_cloud(io.BytesIO(b"nothing of the kind" * 100), file_type="las")
+    content = _las(_lattice(0.2), None, packed=True).getvalue()
+    with pytest.raises(FormatError, match="cannot be read"):
+        read_cloud(io.BytesIO(content[:400]), file_type="laz")

@@ -1,0 +1,69 @@
+"""What a cloud must be, and its levels of detail."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dynamictree.errors import InputError
+from dynamictree.gaussian.cloud import MAX_GAUSSIANS, GaussianCloud, area_m2, check_count, look_level, validate_cloud
+
+
+def make_cloud(rng: np.random.Generator, count: int = 100, degree: int = 1) -> GaussianCloud:
+    quaternions = rng.normal(size=(count, 4))
+    return GaussianCloud(
+        means=rng.normal(size=(count, 3)).astype(np.float32),
+        quaternions=(quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)).astype(np.float32),
+        scales=np.exp(rng.normal(size=(count, 3)) - 3).astype(np.float32),
+        opacity=rng.uniform(0.05, 0.95, count).astype(np.float32),
+        sh=(rng.normal(size=(count, (degree + 1) ** 2, 3)) * 0.3).astype(np.float32),
+    )
+
+
+@pytest.mark.parametrize("name", ["means", "quaternions", "scales", "opacity", "sh"])
+def test_values_that_are_not_finite_are_refused_by_name_and_place(rng: np.random.Generator, name: str) -> None:
+    cloud = make_cloud(rng)
+    values = getattr(cloud, name).copy()
+    values[7] = np.nan
+    with pytest.raises(InputError, match=f"{name} of 1 Gaussians are not finite, the first is Gaussian 7"):
+        validate_cloud(replace(cloud, **{name: values}))
+
+
+def test_a_cloud_of_which_nothing_is_seen_is_refused(rng: np.random.Generator) -> None:
+    cloud = make_cloud(rng)
+    with pytest.raises(InputError, match="nothing is visible"):
+        validate_cloud(replace(cloud, opacity=np.zeros_like(cloud.opacity)))
+
+
+def test_an_empty_and_a_too_large_cloud_are_refused() -> None:
+    with pytest.raises(InputError, match="empty"):
+        check_count(0)
+    with pytest.raises(InputError, match="50,000,000"):
+        check_count(50_000_000)
+    check_count(MAX_GAUSSIANS)
+
+
+def test_negative_scales_and_broken_degrees_are_refused(rng: np.random.Generator) -> None:
+    cloud = make_cloud(rng)
+    with pytest.raises(InputError, match="negative"):
+        validate_cloud(replace(cloud, scales=-cloud.scales))
+    with pytest.raises(InputError, match="5 harmonics"):
+        validate_cloud(replace(cloud, sh=np.zeros((cloud.num_gaussians, 5, 3), np.float32)))
+
+
+def test_a_level_of_detail_covers_the_same_area(rng: np.random.Generator) -> None:
+    cloud = make_cloud(rng, 1000)
+    light = look_level(cloud, 0.25)
+    assert light.num_gaussians == 250
+    np.testing.assert_allclose(area_m2(light).sum(), area_m2(cloud).sum(), rtol=1e-4)
+    assert look_level(cloud, 1.0) is cloud
+    for share in (0.0, 1.5, float("nan")):
+        with pytest.raises(InputError, match="level of detail"):
+            look_level(cloud, share)
+
+
+def test_a_lower_degree_keeps_the_lower_harmonics(rng: np.random.Generator) -> None:
+    cloud = make_cloud(rng, degree=3)
+    assert cloud.sh_degree == 3
+    np.testing.assert_array_equal(cloud.with_sh_degree(1).sh, cloud.sh[:, :4])
+    assert cloud.with_sh_degree(1).with_sh_degree(3).sh_degree == 1

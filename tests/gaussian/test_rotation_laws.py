@@ -1,0 +1,82 @@
+"""Laws of rotations and of harmonics under them."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from scipy.special import sph_harm_y
+
+from dynamictree.errors import InputError
+from dynamictree.gaussian.harmonics import harmonics, turn_sh
+from dynamictree.gaussian.rotation import (
+    matrix_quaternions,
+    polar_rotations,
+    quaternion_matrices,
+    quaternion_products,
+    unit_quaternions,
+)
+
+
+def _rotations(rng: np.random.Generator, count: int) -> np.ndarray:
+    """Rotations at random, with none, tiny ones and half turns among them."""
+    some = Rotation.random(count - 5, rng=rng).as_matrix()
+    near = Rotation.from_rotvec(rng.normal(size=(1, 3)) * 1e-9).as_matrix()
+    half = Rotation.from_rotvec(np.pi * np.eye(3)).as_matrix()
+    return np.concatenate([some, near, half, np.eye(3)[None]])
+
+
+def _directions(rng: np.random.Generator, count: int) -> np.ndarray:
+    directions = rng.normal(size=(count, 3))
+    return directions / np.linalg.norm(directions, axis=1, keepdims=True)
+
+
+def test_a_matrix_becomes_a_quaternion_and_back(rng: np.random.Generator) -> None:
+    rotations = _rotations(rng, 200)
+    quaternions = matrix_quaternions(rotations)
+    assert (quaternions[:, 0] >= 0).all()
+    np.testing.assert_allclose(quaternion_matrices(quaternions), rotations, atol=1e-12)
+    scipy_wxyz = Rotation.from_matrix(rotations).as_quat(canonical=True)[:, [3, 0, 1, 2]]
+    np.testing.assert_allclose(np.abs((quaternions * scipy_wxyz).sum(axis=1)), 1, atol=1e-12)
+
+
+def test_the_product_turns_by_the_right_one_first(rng: np.random.Generator) -> None:
+    left, right = _rotations(rng, 50), _rotations(rng, 50)[::-1].copy()
+    product = quaternion_products(matrix_quaternions(left), matrix_quaternions(right))
+    np.testing.assert_allclose(quaternion_matrices(product), left @ right, atol=1e-12)
+
+
+def test_the_polar_rotation_is_the_nearest_one_and_never_a_mirror(rng: np.random.Generator) -> None:
+    rotations = _rotations(rng, 100)
+    stretch = rng.normal(size=(100, 3, 3)) * 0.3
+    stretch = np.eye(3) + (stretch + stretch.transpose(0, 2, 1)) / 4
+    np.testing.assert_allclose(polar_rotations(rotations @ stretch), rotations, atol=1e-9)
+    mirrored = polar_rotations(np.diag([1.0, 2.0, -0.1])[None])
+    np.testing.assert_allclose(mirrored, np.diag([1.0, 1.0, 1.0])[None], atol=1e-12)
+
+
+def test_a_quaternion_without_length_is_refused() -> None:
+    with pytest.raises(InputError, match="Gaussian 1"):
+        unit_quaternions(np.array([[2, 0, 0, 0], [0, 0, 0, 0]], np.float32))
+
+
+def test_harmonics_are_those_of_scipy(rng: np.random.Generator) -> None:
+    directions = _directions(rng, 64)
+    theta, phi = np.arccos(directions[:, 2]), np.arctan2(directions[:, 1], directions[:, 0])
+    values = harmonics(directions, 3)
+    for degree in range(4):
+        for order in range(-degree, degree + 1):
+            complex_value = sph_harm_y(degree, abs(order), theta, phi)
+            part = complex_value.real if order >= 0 else complex_value.imag
+            expected = part * (1 if order == 0 else np.sqrt(2))
+            np.testing.assert_allclose(values[:, degree**2 + degree + order], expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_turned_harmonics_show_the_same_to_an_eye_that_turned(rng: np.random.Generator, degree: int) -> None:
+    rotations = _rotations(rng, 40)
+    sh = rng.normal(size=(40, (degree + 1) ** 2, 3)).astype(np.float32)
+    turned = turn_sh(sh, rotations)
+    directions = _directions(rng, 20)
+    for i, rotation in enumerate(rotations):
+        before = harmonics(directions, degree) @ sh[i]
+        after = harmonics(directions @ rotation.T, degree) @ turned[i]
+        np.testing.assert_allclose(after, before, atol=2e-5)
