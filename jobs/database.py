@@ -50,8 +50,21 @@ def upsert(
     only_if: sa.ColumnElement[bool] | None = None,
 ) -> bool:
     """Insert a row, or change the one with its primary key if `only_if` holds there; tell whether either was done."""
-    insert = postgresql.insert if connection.dialect.name == "postgresql" else sqlite.insert
     keys = [column.name for column in table.primary_key.columns]
     changes = {name: value for name, value in values.items() if name not in keys}
-    statement = insert(table).values(values).on_conflict_do_update(index_elements=keys, set_=changes, where=only_if)
+    statement = (
+        _insert(connection, table)
+        .values(values)
+        .on_conflict_do_update(index_elements=keys, set_=changes, where=only_if)
+    )
     return connection.execute(statement).rowcount == 1
+
+
+def insert_new(connection: sa.Connection, table: sa.Table, values: Mapping[str, object], *, unique: str) -> bool:
+    """Insert a row unless one has the same value in a unique column; tell whether it was."""
+    statement = _insert(connection, table).values(values).on_conflict_do_nothing(index_elements=[unique])
+    return connection.execute(statement).rowcount == 1
+
+
+def _insert(connection: sa.Connection, table: sa.Table) -> "postgresql.Insert | sqlite.Insert":
+    return postgresql.insert(table) if connection.dialect.name == "postgresql" else sqlite.insert(table)

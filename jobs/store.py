@@ -12,7 +12,7 @@ import sqlalchemy as sa
 from ulid import ULID
 
 from jobs import tables as t
-from jobs.database import open_engine
+from jobs.database import insert_new, open_engine
 from jobs.errors import ConflictError, GoneError, NotFoundError
 from jobs.migrations import migrate
 from jobs.records import ArtifactRecord, AssetPart, AssetRecord, JobRecord, StageRecord
@@ -59,14 +59,12 @@ class Store:
     def add_asset(self, asset: AssetRecord) -> tuple[AssetRecord, bool]:
         """Keep an asset, or give the one that is there with the same fingerprint; tell whether it is new."""
         with self.writing() as connection:
-            same = t.assets.c.live_fingerprint == asset.fingerprint
-            row = connection.execute(sa.select(t.assets).where(same)).one_or_none()
-            if row is not None:
-                connection.execute(t.assets.update().where(same).values(expires_at=asset.expires_at))
-                return _asset(row, expires_at=asset.expires_at), False
             values = asdict(asset) | {"live_fingerprint": asset.fingerprint}
-            connection.execute(t.assets.insert().values(**values))
-            return asset, True
+            if insert_new(connection, t.assets, values, unique="live_fingerprint"):
+                return asset, True
+            same = t.assets.c.live_fingerprint == asset.fingerprint
+            connection.execute(t.assets.update().where(same).values(expires_at=asset.expires_at))
+            return _asset(connection.execute(sa.select(t.assets).where(same)).one()), False
 
     def find_asset(self, fingerprint: str) -> AssetRecord | None:
         """The living asset of this fingerprint."""
@@ -259,8 +257,8 @@ def read_job(connection: sa.Connection, job_id: str) -> JobRecord:
     return _job(row, tuple(_stage(stage) for stage in connection.execute(query)))
 
 
-def _asset(row: sa.Row[tuple[object, ...]], **changes: float) -> AssetRecord:
-    values = dict(row._mapping) | changes
+def _asset(row: sa.Row[tuple[object, ...]]) -> AssetRecord:
+    values = dict(row._mapping)
     del values["live_fingerprint"]
     values["parts"] = tuple(AssetPart(**part) for part in values["parts"])
     values["prepared"] = values["prepared"] and AssetPart(**values["prepared"])

@@ -1,0 +1,78 @@
+"""The child process that reads what strangers send: how it is called, what it answers. It is `worker.parse`."""
+
+import asyncio
+import os
+import signal
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from jobs.settings import Settings
+from jobs.states import AssetKind
+
+CHILD = ("-m", "worker.parse")
+MAX_ANSWER_BYTES = 64 * 1024
+
+
+class ParseRequest(BaseModel):
+    """What the child is asked to read. The first file is the mesh, the others stand beside it."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    kind: AssetKind
+    names: tuple[str, ...]
+    paths: tuple[Path, ...]
+    prepared: Path  # where the mesh goes, in metres and +Z up
+    up_axis: str | None = None
+    unit_m: float | None = None
+    memory_bytes: int
+    cpu_s: int
+
+
+class ParseAnswer(BaseModel):
+    """What the child found: a summary, or why it cannot be used."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    summary: Mapping[str, str | float | int | list[float] | None] | None = None
+    code: str | None = None
+    message: str = ""
+
+
+async def parse(request: ParseRequest, settings: Settings) -> ParseAnswer:
+    """Run the child. Whatever happens to it, there is an answer, and no process is left."""
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    child = await asyncio.create_subprocess_exec(
+        sys.executable,
+        *CHILD,
+        stdin=asyncio.subprocess.PIPE,
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.DEVNULL,
+        env=environment,
+        start_new_session=True,
+    )
+    try:
+        # a child that sleeps uses no CPU time, so the wall clock is bounded too
+        sent = request.model_dump_json().encode()
+        answered, _ = await asyncio.wait_for(child.communicate(sent), settings.parser_cpu_s * 2)
+    except TimeoutError:
+        answered = b""
+    finally:
+        if child.returncode is None:
+            os.killpg(child.pid, signal.SIGKILL)
+            await child.wait()
+    try:
+        return ParseAnswer.model_validate_json(answered[:MAX_ANSWER_BYTES])
+    except ValidationError:
+        return _no_answer(child.returncode, settings)
+
+
+def _no_answer(returncode: int | None, settings: Settings) -> ParseAnswer:
+    ended = f"signal {-returncode}" if returncode is not None and returncode < 0 else f"exit code {returncode}"
+    allowed = f"{settings.parser_cpu_s} s of one core and {settings.parser_memory_bytes:,} bytes of memory"
+    return ParseAnswer(
+        code="input-too-costly",
+        message=f"reading the file ended with {ended}; {allowed} are allowed; decimate or repair it",
+    )

@@ -1,0 +1,67 @@
+"""The application: routes, middleware, one context."""
+
+import logging
+import threading
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from importlib.metadata import version
+
+import sqlalchemy as sa
+from fastapi import FastAPI, Request
+from fastapi.middleware.cors import CORSMiddleware
+from fastapi.responses import Response
+
+from jobs.settings import Settings, read_settings
+from service import artifacts, assets, catalogue, health, jobs, problems, spectra
+from service.context import Context
+from service.middleware import BodyLimit, RequestFrame
+
+ROUTERS = (assets.router, jobs.router, artifacts.router, spectra.router, catalogue.router, health.router)
+"""A module a resource; a new one is added here."""
+
+logger = logging.getLogger(__name__)
+
+
+def create_app(settings: Settings | None = None) -> FastAPI:
+    """Build the application; settings are read from the environment unless given."""
+    context = Context(settings or read_settings())
+    app = FastAPI(
+        title="DynamicTree Service",
+        version=version("dynamictree"),
+        summary="Captured trees that move.",
+        lifespan=_lifespan,
+        docs_url=None,
+        redoc_url=None,
+        openapi_url="/openapi.json",
+        separate_input_output_schemas=False,
+    )
+    app.state.context = context
+    for router in ROUTERS:
+        app.include_router(router)
+    problems.install(app)
+    app.add_exception_handler(sa.exc.OperationalError, _on_database_away)
+    app.add_middleware(BodyLimit, settings=context.settings)
+    if context.settings.cors_origins:
+        app.add_middleware(CORSMiddleware, allow_origins=list(context.settings.cors_origins), allow_methods=["*"])
+    app.add_middleware(RequestFrame)
+    return app
+
+
+@asynccontextmanager
+async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
+    context: Context = app.state.context
+    context.store.check()
+    # numba takes a second; the first request that needs it should not wait so long, nor the start
+    threading.Thread(target=_warm_up, name="warm-up", daemon=True).start()
+    yield
+    context.close()
+
+
+def _warm_up() -> None:
+    import dynamictree.pipeline  # noqa: F401
+
+
+async def _on_database_away(request: Request, error: Exception) -> Response:
+    logger.error("the database is away", exc_info=error)
+    detail = "the database does not answer; nothing was changed"
+    return problems.problem_response("storage-unavailable", detail, request_id=problems.request_id_of(request))

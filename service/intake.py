@@ -1,0 +1,195 @@
+"""From received files to an asset: which file is the mesh, is it known already, can it be used."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from hashlib import sha256
+from pathlib import Path, PurePosixPath
+
+from starlette.concurrency import run_in_threadpool
+
+from jobs.artifacts import hash_file
+from jobs.attempts import touch_blob
+from jobs.parser import ParseRequest, parse
+from jobs.records import AssetPart, AssetRecord, Json
+from jobs.states import AssetKind
+from jobs.store import new_id
+from service.archives import is_zip, unpack
+from service.context import Context
+from service.multipart import Form, ReceivedFile
+from service.problems import ProblemError
+
+MESH_SUFFIXES = (".obj", ".ply", ".glb", ".gltf", ".stl")
+PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp")
+MIN_PHOTOS = 8
+MAX_PHOTOS = 300
+MAX_PHOTO_BYTES = 30 * 1024**2
+UP_AXES = ("+X", "-X", "+Y", "-Y", "+Z", "-Z")
+FIELDS = ("kind", "up_axis", "unit_m")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Upload:
+    """Files that make one asset, the mesh first, and how to read them."""
+
+    kind: AssetKind
+    files: tuple[ReceivedFile, ...]
+    up_axis: str | None
+    unit_m: float | None
+
+    @property
+    def fingerprint(self) -> str:
+        """sha256 over all that decides what the asset means; names count, because files name one another."""
+        meaning = [self.kind, self.up_axis, self.unit_m, [[_beside(file.name), file.sha256] for file in self.files]]
+        return sha256(json.dumps(meaning).encode()).hexdigest()
+
+
+def sort_out(form: Form, folder: Path) -> Upload:
+    """Tell mesh, companions and photos apart; unpack a zip.
+
+    Raises:
+        ProblemError: a field or the set of files is not allowed.
+    """
+    up_axis, unit_m = _options(form.fields)
+    files = form.files
+    if len(files) == 1 and is_zip(files[0].path):
+        files = unpack(files[0], folder)
+    if not files:
+        raise ProblemError("validation-failed", "the form has no file; send at least one part with a filename")
+    kind = form.fields.get("kind") or ("photos" if all(_suffix(file) in PHOTO_SUFFIXES for file in files) else "mesh")
+    if kind == "photos":
+        return Upload(kind="photos", files=_photos(files), up_axis=None, unit_m=None)
+    return Upload(kind="mesh", files=_mesh_first(files), up_axis=up_axis, unit_m=unit_m)
+
+
+def _options(fields: dict[str, str]) -> tuple[str | None, float | None]:
+    unknown = sorted(set(fields) - set(FIELDS))
+    if unknown:
+        raise _field(unknown[0], "unknown-field", f"there is no field {unknown[0]!r}; {', '.join(FIELDS)} are known")
+    if fields.get("kind", "mesh") not in ("mesh", "photos"):
+        raise _field("kind", "not-allowed", f"kind is {fields['kind']!r}; mesh or photos are allowed")
+    up_axis = fields.get("up_axis")
+    if up_axis is not None and up_axis not in UP_AXES:
+        raise _field("up_axis", "not-allowed", f"up_axis is {up_axis!r}; {', '.join(UP_AXES)} are allowed")
+    unit_m = None
+    if "unit_m" in fields:
+        try:
+            unit_m = float(fields["unit_m"])
+        except ValueError as error:
+            raise _field("unit_m", "not-a-number", f"unit_m is {fields['unit_m']!r}; give metres a unit") from error
+        if not 1e-6 <= unit_m <= 1e6:
+            raise _field("unit_m", "out-of-range", f"unit_m is {unit_m:g}; 1e-6 to 1e6 metres a unit are allowed")
+    return up_axis, unit_m
+
+
+def _photos(files: list[ReceivedFile]) -> tuple[ReceivedFile, ...]:
+    if not MIN_PHOTOS <= len(files) <= MAX_PHOTOS:
+        raise ProblemError("invalid-input", f"there are {len(files)} photos; {MIN_PHOTOS} to {MAX_PHOTOS} are allowed")
+    for file in files:
+        if _suffix(file) not in PHOTO_SUFFIXES:
+            raise _unsupported(file, PHOTO_SUFFIXES)
+        if file.bytes > MAX_PHOTO_BYTES:
+            found = f"photo {file.name!r} has {file.bytes:,} bytes; at most {MAX_PHOTO_BYTES:,} are allowed"
+            raise ProblemError("payload-too-large", found)
+    return tuple(files)
+
+
+def _mesh_first(files: list[ReceivedFile]) -> tuple[ReceivedFile, ...]:
+    meshes = [file for file in files if _suffix(file) in MESH_SUFFIXES]
+    if not meshes:
+        raise _unsupported(files[0], MESH_SUFFIXES)
+    if len(meshes) > 1:
+        found = ", ".join(repr(file.name) for file in meshes[:5])
+        raise ProblemError(
+            "invalid-input", f"there are {len(meshes)} meshes ({found}); send one, and what it names beside it"
+        )
+    return (meshes[0], *(file for file in files if file is not meshes[0]))
+
+
+async def admit(context: Context, upload: Upload, folder: Path) -> tuple[AssetRecord, bool]:
+    """Read the files in the parser's process, keep their bytes, and keep the asset; tell whether it is new.
+
+    Raises:
+        ProblemError: they cannot be used.
+    """
+    store = context.store
+    expires_at = store.clock() + context.settings.asset_retention_s
+    known = await run_in_threadpool(store.find_asset, upload.fingerprint)
+    if known is not None:
+        return await run_in_threadpool(store.add_asset, replace(known, expires_at=expires_at))
+    prepared = folder / "prepared"
+    request = ParseRequest(
+        kind=upload.kind,
+        names=tuple(_beside(file.name) for file in upload.files),
+        paths=tuple(_named(file) for file in upload.files),
+        prepared=prepared,
+        up_axis=upload.up_axis,
+        unit_m=upload.unit_m,
+        memory_bytes=context.settings.parser_memory_bytes,
+        cpu_s=context.settings.parser_cpu_s,
+    )
+    async with context.parsing:
+        answer = await parse(request, context.settings)
+    if answer.summary is None:
+        raise ProblemError(answer.code or "invalid-input", answer.message)
+    made = prepared if upload.kind == "mesh" else None
+    return await run_in_threadpool(_keep, context, upload, made, answer.summary, expires_at)
+
+
+def _keep(
+    context: Context, upload: Upload, prepared: Path | None, summary: Mapping[str, Json], expires_at: float
+) -> tuple[AssetRecord, bool]:
+    parts = tuple(AssetPart(name=_beside(file.name), sha256=file.sha256, bytes=file.bytes) for file in upload.files)
+    mesh = None
+    if prepared is not None:
+        digest, size = hash_file(prepared)
+        mesh = AssetPart(name="mesh.safetensors", sha256=digest, bytes=size)
+    located = [(file.path, part) for file, part in zip(upload.files, parts, strict=True)]
+    if prepared is not None and mesh is not None:
+        located.append((prepared, mesh))
+    for path, part in located:
+        touch_blob(context.store, part.sha256, part.bytes)
+        context.artifacts.put(path, part.sha256)
+    return context.store.add_asset(
+        AssetRecord(
+            id=new_id(),
+            kind=upload.kind,
+            fingerprint=upload.fingerprint,
+            parts=parts,
+            prepared=mesh,
+            summary=summary,
+            created_at=context.store.clock(),
+            expires_at=expires_at,
+        )
+    )
+
+
+def _beside(name: str) -> str:
+    """The name by which another file may mean this one: relative, with forward slashes."""
+    return str(PurePosixPath(name.replace("\\", "/")))
+
+
+def _suffix(file: ReceivedFile) -> str:
+    return PurePosixPath(file.name).suffix.lower()
+
+
+def _named(file: ReceivedFile) -> Path:
+    """The file under a name with its suffix, by which readers choose their format."""
+    if _suffix(file) not in MESH_SUFFIXES + PHOTO_SUFFIXES:
+        return file.path
+    path = file.path.with_suffix(_suffix(file))
+    path.hardlink_to(file.path)
+    return path
+
+
+def _field(name: str, code: str, detail: str) -> ProblemError:
+    return ProblemError(
+        "validation-failed", detail, errors=[{"pointer": f"form:{name}", "code": code, "detail": detail}]
+    )
+
+
+def _unsupported(file: ReceivedFile, suffixes: tuple[str, ...]) -> ProblemError:
+    accepted = ", ".join(suffix.lstrip(".") for suffix in suffixes)
+    return ProblemError(
+        "unsupported-format", f"{file.name!r} is of no format that is accepted; send {accepted}, or a zip"
+    )

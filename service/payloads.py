@@ -1,0 +1,316 @@
+"""Bodies of requests and responses: what the OpenAPI page shows. Unknown fields are refused."""
+
+import math
+from datetime import UTC, datetime
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+
+from jobs.records import ArtifactRecord, AssetRecord, JobRecord
+from jobs.states import AssetKind, JobState, JobType, StageState
+from service.problems import problem_body
+
+MAX_SEED = 2**53 - 1
+"""The largest integer that every JSON reader keeps exact."""
+
+MAX_FRAMES = 600
+
+
+def _finite(value: float) -> float:
+    if not math.isfinite(value):
+        raise ValueError("must be finite")
+    return value
+
+
+Finite = Annotated[float, AfterValidator(_finite)]
+
+
+class Payload(BaseModel):
+    """Root of all bodies."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class WindPayload(Payload):
+    """The wind that the motion is generated for."""
+
+    speed_m_s: Finite = Field(default=5.0, ge=0, le=40, description="mean speed [m/s]")
+    direction_deg: Finite = Field(default=0.0, ge=-360, le=360, description="where it blows to, from +X towards +Y [°]")
+    gust: Finite = Field(default=0.3, ge=0, le=1, description="standard deviation of the speed over its mean")
+
+
+class ReconstructParams(Payload):
+    """Photos to mesh: nothing to choose yet."""
+
+
+class VoxelizeParams(Payload):
+    """Surface to voxels."""
+
+    resolution: Literal[32, 64, 128, 256, 512] = Field(default=128, description="voxels along the cube's side")
+
+
+class DiffuseParams(Payload):
+    """Shape to spectrum."""
+
+    wind: WindPayload = Field(default_factory=WindPayload)
+    num_steps: int | None = Field(default=None, ge=1, le=1000, description="sampler steps; the preset's own if unset")
+
+
+class AnimateParams(DiffuseParams):
+    """Spectrum to motion, and the files that show it."""
+
+    num_frames: int | None = Field(default=None, ge=1, le=MAX_FRAMES, description="one period if unset")
+    fps: Finite = Field(default=24.0, ge=1, le=240, description="frames a second; never changes the speed")
+    speed: Finite = Field(default=1.0, ge=0.01, le=100, description="times the natural speed")
+    loop: bool = Field(default=True, description="refuse a number of frames that is no whole number of periods")
+    formats: tuple[Literal["ply", "glb", "motion", "png"], ...] = Field(
+        default=("ply", "glb", "png"), min_length=1, max_length=4, description="files to make"
+    )
+
+
+class _JobRequest(Payload):
+    asset_id: str = Field(max_length=64, description="what POST /v1/assets gave")
+    preset: str = Field(default="small", max_length=64, description="the model, see GET /v1/presets")
+    seed: int = Field(default=0, ge=0, le=MAX_SEED, description="the same seed gives the same motion")
+
+
+class ReconstructRequest(_JobRequest):
+    """Photos to a mesh."""
+
+    type: Literal["reconstruct"]
+    params: ReconstructParams = Field(default_factory=ReconstructParams)
+
+
+class VoxelizeRequest(_JobRequest):
+    """To the occupied voxels and their normals."""
+
+    type: Literal["voxelize"]
+    params: VoxelizeParams = Field(default_factory=VoxelizeParams)
+
+
+class DiffuseRequest(_JobRequest):
+    """To the spectrum."""
+
+    type: Literal["diffuse"]
+    params: DiffuseParams = Field(default_factory=DiffuseParams)
+
+
+class AnimateRequest(_JobRequest):
+    """To the motion."""
+
+    type: Literal["animate"]
+    params: AnimateParams = Field(default_factory=AnimateParams)
+
+
+JobRequest = Annotated[
+    ReconstructRequest | VoxelizeRequest | DiffuseRequest | AnimateRequest, Field(discriminator="type")
+]
+
+Time = Annotated[datetime, Field(description="RFC 3339, UTC")]
+
+
+class PartPayload(Payload):
+    """One file of an asset."""
+
+    name: str
+    sha256: str
+    bytes: int
+
+
+class AssetPayload(Payload):
+    """An upload that was read and can be used."""
+
+    id: str
+    kind: AssetKind
+    parts: list[PartPayload]
+    summary: dict[str, str | int | float | list[float] | None] = Field(
+        description="what was found in it; lengths in metres"
+    )
+    created_at: Time
+    expires_at: Time
+
+
+class StagePayload(Payload):
+    """One stage of a job."""
+
+    name: JobType
+    state: StageState
+    progress: float = Field(ge=0, le=1)
+    cached: bool = Field(description="taken from an earlier job with the same inputs")
+    started_at: Time | None
+    finished_at: Time | None
+
+
+class FieldErrorPayload(Payload):
+    """One field that is wrong."""
+
+    pointer: str = Field(description="JSON pointer into the body, or where:name")
+    code: str
+    detail: str
+
+
+class Problem(BaseModel):
+    """RFC 9457. Some problems have members of their own besides."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+    type: str = Field(description="urn:dynamictree:problem:CODE")
+    title: str
+    status: int
+    detail: str
+    code: str
+    request_id: str | None
+    retryable: bool
+    suggestion: str
+    errors: list[FieldErrorPayload]
+
+
+class ResultPayload(Payload):
+    """Where the products are."""
+
+    mesh_id: str | None = Field(description="artefact of the reconstructed mesh")
+    voxels_id: str | None
+    spectrum_id: str | None = Field(description="for /v1/spectra and /v1/interact")
+    artifacts_url: str
+
+
+class JobPayload(Payload):
+    """A job as it is now."""
+
+    id: str
+    type: JobType
+    state: JobState
+    asset_id: str
+    preset: str
+    seed: int
+    params: dict[str, object]
+    attempt: int
+    progress: float = Field(ge=0, le=1, description="mean over the stages")
+    queue_position: int | None = Field(description="jobs before this one; null once it has begun")
+    eta_s: float | None = Field(description="null where it is not known")
+    stages: list[StagePayload]
+    result: ResultPayload | None = Field(description="what is there so far; null before the first product")
+    error: Problem | None
+    retry_of: str | None
+    created_at: Time
+    started_at: Time | None
+    finished_at: Time | None
+
+
+class JobListPayload(Payload):
+    """A page of jobs, newest first."""
+
+    data: list[JobPayload]
+    next_cursor: str | None
+
+
+class ArtifactPayload(Payload):
+    """A file to download."""
+
+    id: str
+    name: str
+    stage: JobType
+    media_type: str
+    bytes: int
+    sha256: str
+    url: str
+    created_at: Time
+    expires_at: Time
+
+
+class ManifestPayload(Payload):
+    """What a job offers."""
+
+    job_id: str
+    complete: bool = Field(description="whether the job has succeeded and nothing will be added")
+    artifacts: list[ArtifactPayload]
+
+
+def time_of(seconds: float) -> datetime:
+    """Seconds since 1970 as a time."""
+    return datetime.fromtimestamp(seconds, UTC)
+
+
+def _maybe_time(seconds: float | None) -> datetime | None:
+    return None if seconds is None else time_of(seconds)
+
+
+def asset_payload(asset: AssetRecord) -> AssetPayload:
+    """An asset as it is told."""
+    return AssetPayload(
+        id=asset.id,
+        kind=asset.kind,
+        parts=[PartPayload(name=part.name, sha256=part.sha256, bytes=part.bytes) for part in asset.parts],
+        summary=dict(asset.summary),
+        created_at=time_of(asset.created_at),
+        expires_at=time_of(asset.expires_at),
+    )
+
+
+def job_payload(job: JobRecord, artifacts: list[ArtifactRecord], queue_position: int | None) -> JobPayload:
+    """A job as it is told."""
+    stages = [
+        StagePayload(
+            name=stage.name,
+            state=stage.state,
+            progress=stage.progress,
+            cached=stage.cached,
+            started_at=_maybe_time(stage.started_at),
+            finished_at=_maybe_time(stage.finished_at),
+        )
+        for stage in job.stages
+    ]
+    error = None
+    if job.error_code is not None:
+        error = Problem.model_validate(problem_body(job.error_code, job.error_message or "", request_id=None))
+    return JobPayload(
+        id=job.id,
+        type=job.type,
+        state=job.state,
+        asset_id=job.asset_id,
+        preset=job.preset,
+        seed=job.seed,
+        params=dict(job.params),
+        attempt=job.attempt,
+        progress=sum(stage.progress for stage in stages) / len(stages),
+        queue_position=queue_position,
+        eta_s=None,
+        stages=stages,
+        result=_result(job, artifacts),
+        error=error,
+        retry_of=job.retry_of,
+        created_at=time_of(job.created_at),
+        started_at=_maybe_time(job.started_at),
+        finished_at=_maybe_time(job.finished_at),
+    )
+
+
+def _result(job: JobRecord, artifacts: list[ArtifactRecord]) -> ResultPayload | None:
+    if not artifacts:
+        return None
+    by_stage = {artifact.stage: artifact.id for artifact in artifacts}
+    return ResultPayload(
+        mesh_id=by_stage.get("reconstruct"),
+        voxels_id=by_stage.get("voxelize"),
+        spectrum_id=by_stage.get("diffuse"),
+        artifacts_url=f"/v1/jobs/{job.id}/artifacts",
+    )
+
+
+def manifest_payload(job: JobRecord, artifacts: list[ArtifactRecord]) -> ManifestPayload:
+    """A job's manifest as it is told."""
+    listed = [
+        ArtifactPayload(
+            id=artifact.id,
+            name=artifact.name,
+            stage=artifact.stage,
+            media_type=artifact.media_type,
+            bytes=artifact.bytes,
+            sha256=artifact.sha256,
+            url=f"/v1/artifacts/{artifact.id}",
+            created_at=time_of(artifact.created_at),
+            expires_at=time_of(artifact.expires_at),
+        )
+        for artifact in artifacts
+    ]
+    return ManifestPayload(job_id=job.id, complete=job.state == JobState.SUCCEEDED, artifacts=listed)

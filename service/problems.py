@@ -1,0 +1,225 @@
+"""Errors as RFC 9457 problem objects: one shape, one table from code to status."""
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TypedDict
+
+import orjson
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from starlette.exceptions import HTTPException
+from starlette.responses import Response
+
+from dynamictree.errors import DynamicTreeError
+from jobs.errors import JobsError
+from jobs.states import JOB_TYPES
+
+logger = logging.getLogger(__name__)
+
+MEDIA_TYPE = "application/problem+json"
+TYPE_PREFIX = "urn:dynamictree:problem:"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kind:
+    """What is the same for every problem of one code."""
+
+    status: int
+    title: str
+    suggestion: str
+    retryable: bool = False
+
+
+KINDS: dict[str, Kind] = {
+    "validation-failed": Kind(
+        status=422, title="The request is not valid", suggestion="Mend the fields named in errors."
+    ),
+    "invalid-input": Kind(status=422, title="The input cannot be used", suggestion="Change what detail names."),
+    "invalid-geometry": Kind(
+        status=422,
+        title="The geometry cannot be used",
+        suggestion="Repair the mesh as detail says, and upload it again.",
+    ),
+    "archive-rejected": Kind(
+        status=422,
+        title="The archive is refused",
+        suggestion="Send a flat zip of the mesh and the files that it names.",
+    ),
+    "input-too-costly": Kind(
+        status=422, title="The input takes too much to read", suggestion="Simplify or decimate it, and upload it again."
+    ),
+    "numerics-error": Kind(
+        status=422, title="The result is not finite", suggestion="Use smaller forces or time steps."
+    ),
+    "unstable-timestep": Kind(status=422, title="The time step is not stable", suggestion="Use at most max_dt_s."),
+    "bad-request": Kind(status=400, title="The request cannot be read", suggestion="Send well-formed HTTP and JSON."),
+    "not-found": Kind(status=404, title="There is no such thing", suggestion="Check the id and the path."),
+    "method-not-allowed": Kind(status=405, title="The method is not allowed here", suggestion="See the Allow header."),
+    "not-acceptable": Kind(
+        status=406, title="No such representation", suggestion="Accept a media type that detail names."
+    ),
+    "request-timeout": Kind(
+        status=408, title="The upload stood still", suggestion="Send it again on a steady line.", retryable=True
+    ),
+    "conflict": Kind(status=409, title="The state forbids it", suggestion="Look at the state, then decide again."),
+    "expired": Kind(status=410, title="It is gone", suggestion="Make it again."),
+    "payload-too-large": Kind(status=413, title="The body is too large", suggestion="See GET /v1/limits."),
+    "unsupported-format": Kind(
+        status=415, title="The format is not supported", suggestion="See GET /v1/limits for formats."
+    ),
+    "range-not-satisfiable": Kind(status=416, title="The range is outside", suggestion="Ask for bytes below the size."),
+    "internal-error": Kind(
+        status=500,
+        title="The service failed",
+        suggestion="Try again; report the request_id if it stays.",
+        retryable=True,
+    ),
+    "model-error": Kind(status=500, title="The model cannot be used", suggestion="Tell the operator."),
+    "queue-full": Kind(status=503, title="Too many jobs wait", suggestion="Try again later.", retryable=True),
+    "disk-full": Kind(status=503, title="The storage is full", suggestion="Try again later.", retryable=True),
+    "storage-unavailable": Kind(status=503, title="A storage is away", suggestion="Try again later.", retryable=True),
+    # failures of jobs; their status is that of a GET which shows them nowhere but in the job's `error`
+    "canceled": Kind(status=409, title="The job was canceled", suggestion="Create it again."),
+    "out-of-memory": Kind(status=500, title="Out of memory", suggestion="Simplify the input, or ask for less."),
+    "time-limit": Kind(status=500, title="The job took too long", suggestion="Simplify the input, or ask for less."),
+    "worker-lost": Kind(status=500, title="The worker was lost", suggestion="Create the job again.", retryable=True),
+    "poison-input": Kind(status=500, title="The input takes every worker down", suggestion="Simplify the input."),
+    "reconstruction-failed": Kind(
+        status=422, title="The photos do not fit together", suggestion="Take more photos, with more overlap."
+    ),
+    "start-deadline": Kind(
+        status=503, title="Not started in time", suggestion="Ask later, or with a later deadline.", retryable=True
+    ),
+}
+
+_BY_STATUS = {
+    400: "bad-request",
+    404: "not-found",
+    405: "method-not-allowed",
+    413: "payload-too-large",
+    422: "validation-failed",
+}
+
+
+class FieldError(TypedDict):
+    """One field that is wrong."""
+
+    pointer: str
+    code: str
+    detail: str
+
+
+class ProblemError(HTTPException):
+    """A request that is refused. An HTTPException, so that FastAPI's body parser lets it pass."""
+
+    def __init__(
+        self,
+        code: str,
+        detail: str,
+        *,
+        errors: Sequence[FieldError] = (),
+        headers: Mapping[str, str] | None = None,
+        extra: Mapping[str, object] | None = None,
+    ) -> None:
+        super().__init__(KINDS[code].status, detail, headers)
+        self.code = code
+        self.errors = errors
+        self.extra = extra or {}
+
+
+def problem_body(
+    code: str, detail: str, *, request_id: str | None, errors: Sequence[FieldError] = ()
+) -> dict[str, object]:
+    """The problem object of a code."""
+    kind = KINDS[code]
+    return {
+        "type": TYPE_PREFIX + code,
+        "title": kind.title,
+        "status": kind.status,
+        "detail": detail,
+        "code": code,
+        "request_id": request_id,
+        "retryable": kind.retryable,
+        "suggestion": kind.suggestion,
+        "errors": list(errors),
+    }
+
+
+def problem_response(
+    code: str,
+    detail: str,
+    *,
+    request_id: str | None,
+    errors: Sequence[FieldError] = (),
+    headers: Mapping[str, str] | None = None,
+    extra: Mapping[str, object] | None = None,
+) -> Response:
+    """The response that tells a problem."""
+    body = problem_body(code, detail, request_id=request_id, errors=errors) | dict(extra or {})
+    sent = dict(headers or {})
+    if KINDS[code].status == 503:
+        sent.setdefault("Retry-After", "5")
+    return Response(orjson.dumps(body), KINDS[code].status, sent, MEDIA_TYPE)
+
+
+def known_code(error: Exception) -> str:
+    """The code of an exception of ours, or `internal-error`."""
+    code = getattr(error, "code", "internal-error") if isinstance(error, DynamicTreeError | JobsError) else None
+    return code if code in KINDS else "internal-error"
+
+
+def install(app: FastAPI) -> None:
+    """Answer every exception that a route may raise with a problem. What is not known is answered by the middleware."""
+    app.add_exception_handler(HTTPException, _on_http)
+    app.add_exception_handler(RequestValidationError, _on_validation)
+    app.add_exception_handler(DynamicTreeError, _on_ours)
+    app.add_exception_handler(JobsError, _on_ours)
+
+
+async def _on_http(request: Request, error: Exception) -> Response:
+    assert isinstance(error, HTTPException)
+    if isinstance(error, ProblemError):
+        code, errors, extra = error.code, error.errors, error.extra
+    else:
+        code, errors, extra = _BY_STATUS.get(error.status_code, "bad-request"), (), {}
+    return problem_response(
+        code, str(error.detail), request_id=request_id_of(request), errors=errors, headers=error.headers, extra=extra
+    )
+
+
+async def _on_validation(request: Request, error: Exception) -> Response:
+    assert isinstance(error, RequestValidationError)
+    errors: list[FieldError] = [
+        {
+            "pointer": _pointer(item["loc"]),
+            "code": item["type"].replace("_", "-"),
+            "detail": item["msg"],
+        }
+        for item in error.errors()
+    ]
+    detail = "; ".join(f"{item['pointer']}: {item['detail']}" for item in errors)
+    return problem_response("validation-failed", detail, request_id=request_id_of(request), errors=errors)
+
+
+def _pointer(location: Sequence[str | int]) -> str:
+    where, *steps = location
+    if where != "body":
+        return f"{where}:{steps[-1]}"
+    if steps and (steps[0] in JOB_TYPES or isinstance(steps[0], int)):
+        steps = steps[1:]  # pydantic's name of the union's branch, or a place in broken JSON: no step in the body
+    return "".join("/" + str(step).replace("~", "~0").replace("/", "~1") for step in steps)
+
+
+async def _on_ours(request: Request, error: Exception) -> Response:
+    code = known_code(error)
+    if KINDS[code].status == 500:
+        logger.error("request failed", exc_info=error)
+        return problem_response(code, "The cause was logged.", request_id=request_id_of(request))
+    return problem_response(code, str(error), request_id=request_id_of(request))
+
+
+def request_id_of(request: Request) -> str | None:
+    """The id that the middleware gave this request."""
+    value: object = request.scope.get("dynamictree.request_id")
+    return value if isinstance(value, str) else None

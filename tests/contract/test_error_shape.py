@@ -1,0 +1,139 @@
+"""One error body, whatever goes wrong and wherever."""
+
+from pathlib import Path
+
+import pytest
+import sqlalchemy as sa
+from fastapi.routing import APIRoute
+from fastapi.testclient import TestClient
+
+from dynamictree.errors import CheckpointError
+from jobs.settings import Settings
+from jobs.store import new_id
+from service.app import create_app
+from service.problems import KINDS, known_code
+
+MEMBERS = {"type", "title", "status", "detail", "code", "request_id", "retryable", "suggestion", "errors"}
+
+
+def assert_problem(response: object, status: int, code: str) -> None:
+    assert response.status_code == status, response.text  # type: ignore[attr-defined]
+    assert response.headers["Content-Type"] == "application/problem+json"  # type: ignore[attr-defined]
+    body = response.json()  # type: ignore[attr-defined]
+    assert body.keys() >= MEMBERS
+    assert (body["status"], body["code"], body["type"]) == (status, code, f"urn:dynamictree:problem:{code}")
+    assert body["request_id"] == response.headers["X-Request-Id"]  # type: ignore[attr-defined]
+    assert response.headers["X-Content-Type-Options"] == "nosniff"  # type: ignore[attr-defined]
+
+
+@pytest.fixture(scope="module")
+def client(tmp_path_factory: pytest.TempPathFactory) -> TestClient:
+    settings = Settings(state_dir=tmp_path_factory.mktemp("state"), max_json_bytes=2048)
+    app = create_app(settings)
+
+    @app.get("/boom")
+    def boom() -> None:
+        raise ZeroDivisionError("a secret")
+
+    @app.get("/model")
+    def model() -> None:
+        raise CheckpointError("a secret")
+
+    @app.get("/database")
+    def database() -> None:
+        raise sa.exc.OperationalError("SELECT secret", {}, Exception("away"))
+
+    return TestClient(app, raise_server_exceptions=False)
+
+
+def test_an_unknown_path(client: TestClient) -> None:
+    assert_problem(client.get("/v1/nothing"), 404, "not-found")
+
+
+def test_a_wrong_method(client: TestClient) -> None:
+    response = client.put("/v1/jobs")
+    assert_problem(response, 405, "method-not-allowed")
+    assert response.headers["Allow"]
+
+
+@pytest.mark.parametrize(
+    "path", ["/v1/assets/{}", "/v1/jobs/{}", "/v1/jobs/{}/artifacts", "/v1/artifacts/{}", "/v1/spectra/{}"]
+)
+@pytest.mark.parametrize("id", [new_id(), "x", "..", "%00", "ü"])
+def test_an_unknown_id(client: TestClient, path: str, id: str) -> None:
+    if id == "..":
+        id = "%2e%2e"
+    assert_problem(client.get(path.format(id)), 404, "not-found")
+
+
+def test_a_body_that_is_no_json(client: TestClient) -> None:
+    headers = {"Content-Type": "application/json"}
+    for content in (b"{", b"\xff\xfe", b""):
+        assert_problem(client.post("/v1/jobs", content=content, headers=headers), 422, "validation-failed")
+
+
+def test_a_body_that_is_too_large(client: TestClient) -> None:
+    assert_problem(client.post("/v1/jobs", json={"type": "x" * 4000}), 413, "payload-too-large")
+
+
+def test_a_body_that_does_not_tell_its_length_is_counted(client: TestClient) -> None:
+    chunks = (b" " * 1000 for _ in range(4))
+    headers = {"Content-Type": "application/json"}
+    assert_problem(client.post("/v1/jobs", content=chunks, headers=headers), 413, "payload-too-large")
+
+
+def test_a_length_that_is_no_number(client: TestClient) -> None:
+    response = client.post("/v1/jobs", content=b"{}", headers={"Content-Length": "-5"})
+    assert_problem(response, 413, "payload-too-large")
+
+
+def test_a_form_that_is_none(client: TestClient) -> None:
+    assert_problem(client.post("/v1/assets", json={}), 415, "unsupported-format")
+
+
+def test_what_nobody_expected_is_withheld(client: TestClient, caplog: pytest.LogCaptureFixture) -> None:
+    response = client.get("/boom")
+    assert_problem(response, 500, "internal-error")
+    assert "secret" not in response.text
+    assert "a secret" in caplog.text
+
+
+def test_an_error_of_ours_has_its_code(client: TestClient) -> None:
+    response = client.get("/model")
+    assert_problem(response, 500, "model-error")
+    assert "secret" not in response.text
+
+
+def test_a_database_that_is_away(client: TestClient) -> None:
+    response = client.get("/database")
+    assert_problem(response, 503, "storage-unavailable")
+    assert response.headers["Retry-After"]
+
+
+def test_a_request_id_is_kept_if_it_is_one(client: TestClient) -> None:
+    assert client.get("/livez", headers={"X-Request-Id": "abc-1"}).headers["X-Request-Id"] == "abc-1"
+    assert len(client.get("/livez", headers={"X-Request-Id": "a b"}).headers["X-Request-Id"]) == 26
+
+
+def test_an_unknown_code_is_internal() -> None:
+    assert known_code(ZeroDivisionError()) == "internal-error"
+    assert all(200 <= kind.status < 600 and kind.suggestion for kind in KINDS.values())
+
+
+def test_every_route_documents_problems(client: TestClient) -> None:
+    for path, methods in client.app.openapi()["paths"].items():  # type: ignore[attr-defined]
+        for method, operation in methods.items():
+            if path in {"/boom", "/model", "/database"}:
+                continue
+            assert operation["operationId"], (path, method)
+            refused = {status: page for status, page in operation["responses"].items() if status >= "400"}
+            assert {"400", "413", "500", "503"} <= refused.keys(), (path, method)
+            for status, page in refused.items():
+                if (path, status) != ("/readyz", "503"):
+                    assert list(page["content"]) == ["application/problem+json"], (path, method, status)
+
+
+def test_every_route_is_versioned_or_at_the_root() -> None:
+    app = create_app(Settings(state_dir=Path("unused")))
+    paths = {route.path for route in app.routes if isinstance(route, APIRoute)}
+    assert all(path.startswith("/v1/") for path in paths - {"/livez", "/readyz"})

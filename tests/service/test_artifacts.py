@@ -1,0 +1,92 @@
+from hashlib import sha256
+
+import pytest
+from fastapi.testclient import TestClient
+
+from jobs.records import AssetRecord
+from service.context import Context
+from service.ranges import ByteRange, UnsatisfiableRangeError, matches, parse_range
+from tests.service.conftest import hold, publish
+from tests.service.test_jobs import create
+
+CONTENT = bytes(range(256)) * 20_000
+
+
+@pytest.fixture
+def url(client: TestClient, asset: AssetRecord, context: Context) -> str:
+    job = create(client, asset)
+    publish(context, hold(context, str(job["id"])), "voxelize", "tree.voxels.safetensors", CONTENT)
+    manifest = client.get(f"/v1/jobs/{job['id']}/artifacts").json()
+    return str(manifest["artifacts"][0]["url"])
+
+
+def test_the_whole_file_comes_with_its_hash(client: TestClient, url: str) -> None:
+    response = client.get(url)
+    assert response.content == CONTENT
+    assert response.headers["ETag"] == f'"{sha256(CONTENT).hexdigest()}"'
+    assert "tree.voxels.safetensors" in response.headers["Content-Disposition"]
+    head = client.head(url)
+    assert (head.status_code, head.content) == (200, b"")
+    assert head.headers["Content-Length"] == str(len(CONTENT))
+
+
+@pytest.mark.parametrize(
+    ("asked", "part"),
+    [
+        ("bytes=0-0", slice(0, 1)),
+        ("bytes=100-1999999", slice(100, 2_000_000)),
+        ("bytes=5000000-", slice(5_000_000, None)),
+        ("bytes=-7", slice(-7, None)),
+        ("bytes=0-99999999999", slice(0, None)),
+    ],
+)
+def test_a_range_gives_those_bytes(client: TestClient, url: str, asked: str, part: slice) -> None:
+    response = client.get(url, headers={"Range": asked})
+    assert response.status_code == 206
+    assert response.content == CONTENT[part]
+    start = part.indices(len(CONTENT))[0]
+    assert response.headers["Content-Range"] == f"bytes {start}-{start + len(response.content) - 1}/{len(CONTENT)}"
+
+
+@pytest.mark.parametrize("asked", ["bytes=0-1,5-6", "bytes=5-1", "lines=1-2", "bytes=-", "bytes=x-y"])
+def test_what_is_no_single_range_gives_the_whole(client: TestClient, url: str, asked: str) -> None:
+    response = client.get(url, headers={"Range": asked})
+    assert (response.status_code, len(response.content)) == (200, len(CONTENT))
+
+
+@pytest.mark.parametrize("asked", [f"bytes={len(CONTENT)}-", "bytes=-0", "bytes=9999999999999999999999-"])
+def test_a_range_past_the_end_is_refused(client: TestClient, url: str, asked: str) -> None:
+    response = client.get(url, headers={"Range": asked})
+    assert (response.status_code, response.json()["code"]) == (416, "range-not-satisfiable")
+    assert response.headers["Content-Range"] == f"bytes */{len(CONTENT)}"
+
+
+def test_conditions_hold(client: TestClient, url: str) -> None:
+    etag = client.head(url).headers["ETag"]
+    assert client.get(url, headers={"If-None-Match": etag}).status_code == 304
+    assert client.head(url, headers={"If-None-Match": f'"x", {etag}'}).status_code == 304
+    assert client.get(url, headers={"If-None-Match": '"x"'}).status_code == 200
+    assert client.get(url, headers={"Range": "bytes=0-4", "If-Range": etag}).status_code == 206
+    assert client.get(url, headers={"Range": "bytes=0-4", "If-Range": '"x"'}).status_code == 200
+
+
+def test_bytes_that_were_removed_are_gone(client: TestClient, url: str, context: Context) -> None:
+    context.artifacts.delete(sha256(CONTENT).hexdigest())
+    assert client.get(url).status_code == 410
+
+
+def test_voxels_are_no_spectrum(client: TestClient, url: str) -> None:
+    response = client.get(url.replace("artifacts", "spectra"))
+    assert (response.status_code, response.json()["code"]) == (404, "not-found")
+    assert "voxels" in response.json()["detail"]
+
+
+def test_ranges_parse() -> None:
+    assert parse_range(None, 10) is None
+    assert parse_range("bytes=2-3", 10) == ByteRange(start=2, stop=4)
+    assert parse_range("bytes=-20", 10) == ByteRange(start=0, stop=10)
+    with pytest.raises(UnsatisfiableRangeError):
+        parse_range("bytes=0-", 0)
+    assert matches("*", '"a"')
+    assert matches('W/"a"', '"a"')
+    assert not matches(None, '"a"')

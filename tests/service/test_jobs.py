@@ -1,0 +1,157 @@
+import pytest
+from fastapi.testclient import TestClient
+
+from jobs.attempts import fail, report_progress, start_stage, succeed
+from jobs.records import AssetRecord
+from jobs.store import new_id
+from service.context import Context
+from tests.service.conftest import hold, publish
+
+
+def create(client: TestClient, asset: AssetRecord, **body: object) -> dict[str, object]:
+    response = client.post("/v1/jobs", json={"type": "voxelize", "asset_id": asset.id, **body})
+    assert response.status_code == 202, response.text
+    return response.json()  # type: ignore[no-any-return]
+
+
+def test_a_job_is_accepted_and_told(client: TestClient, asset: AssetRecord) -> None:
+    response = client.post(
+        "/v1/jobs", json={"type": "voxelize", "asset_id": asset.id, "seed": 7, "params": {"resolution": 64}}
+    )
+    assert response.status_code == 202
+    job = response.json()
+    assert response.headers["Location"] == f"/v1/jobs/{job['id']}"
+    assert response.headers["Retry-After"] == "1"
+    assert (job["state"], job["seed"], job["params"], job["attempt"]) == ("queued", 7, {"resolution": 64}, 1)
+    assert job["queue_position"] == 0
+    assert [stage["name"] for stage in job["stages"]] == ["voxelize"]
+    assert client.get(f"/v1/jobs/{job['id']}").json() == job
+
+
+def test_a_poll_tells_progress_and_then_that_nothing_changed(
+    client: TestClient, asset: AssetRecord, context: Context
+) -> None:
+    url = f"/v1/jobs/{create(client, asset)['id']}"
+    held = hold(context, url.rsplit("/", 1)[1])
+    start_stage(context.store, held, "voxelize")
+    report_progress(context.store, held, "voxelize", 0.25)
+    first = client.get(url)
+    assert first.json()["progress"] == 0.25
+    again = client.get(url, headers={"If-None-Match": first.headers["ETag"]})
+    assert (again.status_code, again.content) == (304, b"")
+    report_progress(context.store, held, "voxelize", 0.5)
+    assert client.get(url, headers={"If-None-Match": first.headers["ETag"]}).json()["progress"] == 0.5
+
+
+def test_products_appear_stage_by_stage(client: TestClient, asset: AssetRecord, context: Context) -> None:
+    url = f"/v1/jobs/{create(client, asset)['id']}"
+    held = hold(context, url.rsplit("/", 1)[1])
+    publish(context, held, "voxelize", "tree.voxels.safetensors", b"voxels")
+    manifest = client.get(url + "/artifacts").json()
+    assert not manifest["complete"]
+    succeed(context.store, held)
+    job = client.get(url).json()
+    assert (job["state"], job["progress"]) == ("succeeded", 1.0)
+    assert "Retry-After" not in client.get(url).headers
+    manifest = client.get(job["result"]["artifacts_url"]).json()
+    assert manifest["complete"]
+    assert [(a["name"], a["bytes"], a["id"]) for a in manifest["artifacts"]] == [
+        ("tree.voxels.safetensors", 6, job["result"]["voxels_id"])
+    ]
+
+
+def test_a_failed_job_carries_a_problem(client: TestClient, asset: AssetRecord, context: Context) -> None:
+    url = f"/v1/jobs/{create(client, asset)['id']}"
+    fail(context.store, hold(context, url.rsplit("/", 1)[1]), code="out-of-memory", message="found, allowed")
+    job = client.get(url).json()
+    assert job["state"] == "failed"
+    assert (job["error"]["code"], job["error"]["detail"]) == ("out-of-memory", "found, allowed")
+    assert job["error"]["suggestion"]
+
+
+def test_cancel_is_accepted_twice_and_refused_after_the_end(
+    client: TestClient, asset: AssetRecord, context: Context
+) -> None:
+    url = f"/v1/jobs/{create(client, asset)['id']}"
+    assert client.post(url + "/cancel").json()["state"] == "canceled"
+    assert client.post(url + "/cancel").status_code == 202
+    url = f"/v1/jobs/{create(client, asset)['id']}"
+    held = hold(context, url.rsplit("/", 1)[1])
+    assert client.post(url + "/cancel").json()["state"] == "canceling"
+    succeed(context.store, held)
+    assert client.get(url).json()["state"] == "canceled"
+    url = f"/v1/jobs/{create(client, asset)['id']}"
+    succeed(context.store, hold(context, url.rsplit("/", 1)[1]))
+    assert client.post(url + "/cancel").json()["code"] == "conflict"
+
+
+def test_the_list_is_paged_by_cursor_and_filtered(client: TestClient, asset: AssetRecord) -> None:
+    ids = sorted((create(client, asset)["id"] for _ in range(5)), reverse=True)
+    client.post(f"/v1/jobs/{ids[0]}/cancel")
+    seen: list[str] = []
+    url: str | None = "/v1/jobs?limit=2"
+    while url:
+        response = client.get(url)
+        seen += [job["id"] for job in response.json()["data"]]
+        url = response.links["next"]["url"] if "next" in response.links else None
+        assert (response.json()["next_cursor"] is None) == (url is None)
+    assert seen == ids
+    assert [job["id"] for job in client.get("/v1/jobs?state=canceled").json()["data"]] == ids[:1]
+    assert client.get("/v1/jobs?type=animate").json()["data"] == []
+
+
+@pytest.mark.parametrize(
+    ("body", "pointer"),
+    [
+        ({"type": "fly"}, ""),
+        ({"seed": -1}, "/voxelize/seed"),
+        ({"params": {"resolution": 100}}, "/voxelize/params/resolution"),
+        ({"params": {"resolutoin": 64}}, "/voxelize/params/resolutoin"),
+        ({"colour": "red"}, "/voxelize/colour"),
+        ({"type": "animate", "params": {"formats": []}}, "/animate/params/formats"),
+        ({"type": "animate", "params": {"fps": 1e9}}, "/animate/params/fps"),
+        ({"type": "diffuse", "params": {"wind": {"speed_m_s": -1}}}, "/diffuse/params/wind/speed_m_s"),
+        ({"type": "diffuse", "preset": "no-such-model"}, "/preset"),
+    ],
+)
+def test_a_wrong_field_is_named(client: TestClient, asset: AssetRecord, body: dict[str, object], pointer: str) -> None:
+    response = client.post("/v1/jobs", json={"type": "voxelize", "asset_id": asset.id} | body)
+    assert response.status_code == 422
+    problem = response.json()
+    assert problem["code"] == "validation-failed"
+    expected = pointer.replace("/voxelize", "").replace("/animate", "").replace("/diffuse", "")
+    assert [error["pointer"] for error in problem["errors"]] == [expected]
+
+
+def test_a_job_needs_an_asset_of_its_kind(client: TestClient, asset: AssetRecord) -> None:
+    reconstruct = client.post("/v1/jobs", json={"type": "reconstruct", "asset_id": asset.id})
+    assert (reconstruct.status_code, reconstruct.json()["code"]) == (409, "conflict")
+    for unknown in (new_id(), "nonsense"):
+        assert client.post("/v1/jobs", json={"type": "voxelize", "asset_id": unknown}).status_code == 404
+    client.delete(f"/v1/assets/{asset.id}")
+    assert client.post("/v1/jobs", json={"type": "voxelize", "asset_id": asset.id}).status_code == 410
+
+
+def test_a_full_queue_refuses(client: TestClient, asset: AssetRecord, context: Context) -> None:
+    full = context.settings.model_copy(update={"max_queued_jobs": 1})
+    client.app.state.context.__dict__["settings"] = full  # type: ignore[attr-defined]
+    create(client, asset)
+    response = client.post("/v1/jobs", json={"type": "voxelize", "asset_id": asset.id})
+    assert (response.status_code, response.json()["code"]) == (503, "queue-full")
+    assert response.headers["Retry-After"]
+
+
+def test_a_full_disk_refuses(client: TestClient, asset: AssetRecord, context: Context) -> None:
+    full = context.settings.model_copy(update={"min_free_bytes": 1 << 60})
+    client.app.state.context.__dict__["settings"] = full  # type: ignore[attr-defined]
+    response = client.post("/v1/jobs", json={"type": "voxelize", "asset_id": asset.id})
+    assert (response.status_code, response.json()["code"]) == (503, "disk-full")
+    assert client.get("/readyz").json()["storage"] == "full"
+
+
+def test_an_asset_in_use_is_kept(client: TestClient, asset: AssetRecord) -> None:
+    job = create(client, asset)
+    assert client.delete(f"/v1/assets/{asset.id}").status_code == 409
+    client.post(f"/v1/jobs/{job['id']}/cancel")
+    assert client.delete(f"/v1/assets/{asset.id}").status_code == 204
+    assert client.get(f"/v1/assets/{asset.id}").status_code == 410
