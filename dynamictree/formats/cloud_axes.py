@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from dynamictree.errors import InputError
-from dynamictree.formats.axes import up_rotation
+from dynamictree.formats.axes import up_rotation as up_rotation
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.harmonics import turn_sh
 from dynamictree.gaussian.rotation import matrix_quaternions, quaternion_products

@@ -22,14 +22,14 @@ _MAX_FIELD_CHARS = 4096  # of a metadata field; a hostile one must not exhaust t
 
 
 def read_tensors(
-    stream: ByteReader, *, file_format: str, version: str
+    stream: ByteReader, *, file_format: str, version: str, max_bytes: int = MAX_FILE_BYTES
 ) -> tuple[dict[str, Shaped[np.ndarray, "..."]], dict[str, str]]:
     """Tensors and metadata of a file that says that it is of this format and version.
 
     Raises:
         FormatError: not safetensors, too large, another format, an unknown version, a dtype of no use here.
     """
-    content = read_all(stream, MAX_FILE_BYTES)
+    content = read_all(stream, max_bytes)
     try:
         described = deserialize(content)  # type: ignore[no-untyped-call]
     except SafetensorError as error:
@@ -53,18 +53,23 @@ def write_tensors(
     stream: ByteWriter, tensors: Mapping[str, Shaped[np.ndarray, "..."]], metadata: Mapping[str, str]
 ) -> None:
     """The same values give the same bytes, which safetensors' own writer does not: it shuffles the metadata."""
-    header: dict[str, object] = {"__metadata__": dict(metadata)}
-    start = 0
     ordered = sorted(tensors.items(), key=lambda item: (-item[1].itemsize, item[0]))  # so that all are aligned
-    for name, tensor in ordered:
-        span = [start, start + tensor.nbytes]
-        header[name] = {"dtype": _NAMES[tensor.dtype.name], "shape": list(tensor.shape), "data_offsets": span}
-        start += tensor.nbytes
-    text = json.dumps(header, separators=(",", ":")).encode()
-    text += b" " * (-len(text) % 8)
-    stream.write(len(text).to_bytes(8, "little") + text)
+    stream.write(file_head({name: (tensor.dtype.name, tensor.shape) for name, tensor in ordered}, metadata))
     for _, tensor in ordered:
         stream.write(np.ascontiguousarray(tensor).tobytes())
+
+
+def file_head(tensors: Mapping[str, tuple[str, tuple[int, ...]]], metadata: Mapping[str, str]) -> bytes:
+    """All that stands before the tensors' bytes, which follow in the order given here."""
+    header: dict[str, object] = {"__metadata__": dict(metadata)}
+    start = 0
+    for name, (dtype, shape) in tensors.items():
+        end = start + np.dtype(dtype).itemsize * math.prod(shape)
+        header[name] = {"dtype": _NAMES[dtype], "shape": list(shape), "data_offsets": [start, end]}
+        start = end
+    text = json.dumps(header, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 8)
+    return len(text).to_bytes(8, "little") + text
 
 
 def take_tensor(

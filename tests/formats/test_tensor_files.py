@@ -177,10 +177,11 @@ def test_a_file_without_metadata_is_refused() -> None:
         read_spectrum(io.BytesIO(save({"coords": np.zeros((1, 3), np.int32)})))
 
 
-def test_a_file_over_the_cap_is_refused(monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator) -> None:
-    monkeypatch.setattr(tensor_file, "MAX_FILE_BYTES", 1000)
+def test_a_file_over_the_cap_is_refused(rng: np.random.Generator) -> None:
     with pytest.raises(FormatError, match="1,000 bytes"):
-        read_spectrum(io.BytesIO(written(small_spectrum(rng))))
+        tensor_file.read_tensors(
+            io.BytesIO(written(small_spectrum(rng))), file_format="sparse-voxel-spectrum", version="1", max_bytes=1000
+        )
 
 
 def test_mutated_spectrum_files_raise_nothing_but_input_errors(rng: np.random.Generator) -> None:

@@ -1,0 +1,136 @@
+"""Meshes as GLB: +Y up, metres, one primitive a material over one list of vertices, in the mesh's vertex order."""
+
+import json
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float32, Shaped, UInt8
+
+from dynamictree.formats.axes import vertices_in_source_axes
+from dynamictree.formats.stream import ByteWriter
+from dynamictree.mesh import Material, TriangleMesh
+
+GENERATOR = "dynamictree"
+
+_FLOAT, _UINT16, _UINT32 = 5126, 5123, 5125
+_VERTEX_BUFFER, _INDEX_BUFFER = 34962, 34963
+_TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
+_COMPONENTS = {"float32": _FLOAT, "uint16": _UINT16, "uint32": _UINT32}
+_SRGB_LINEAR_END = 0.04045  # IEC 61966-2-1
+
+
+@dataclass(kw_only=True)
+class GlbWriter:
+    """The document under construction and the bytes of its one buffer."""
+
+    root: dict[str, list[object]] = field(default_factory=dict)
+    chunks: list[bytes] = field(default_factory=list)
+    num_bytes: int = 0
+
+    def append(self, name: str, entry: object) -> int:
+        """Add to a list of the document; gives the index there."""
+        entries = self.root.setdefault(name, [])
+        entries.append(entry)
+        return len(entries) - 1
+
+    def add_view(self, content: bytes, target: int | None = None) -> int:
+        """Add bytes, padded to four; gives the view's index."""
+        view = {"buffer": 0, "byteOffset": self.num_bytes, "byteLength": len(content)}
+        padded = content + b"\0" * (-len(content) % 4)
+        self.chunks.append(padded)
+        self.num_bytes += len(padded)
+        return self.append("bufferViews", view | ({} if target is None else {"target": target}))
+
+    def add_accessor(
+        self,
+        elements: Shaped[np.ndarray, "count width"],
+        *,
+        target: int | None = None,
+        bounds: bool = False,
+        normalized: bool = False,
+    ) -> int:
+        """Add an array; gives the accessor's index."""
+        accessor: dict[str, object] = {
+            "bufferView": self.add_view(np.ascontiguousarray(elements).tobytes(), target),
+            "componentType": _COMPONENTS[elements.dtype.name],
+            "count": len(elements),
+            "type": _TYPES[elements.shape[1]],
+        }
+        if bounds:
+            accessor |= {"min": elements.min(axis=0).tolist(), "max": elements.max(axis=0).tolist()}
+        if normalized:
+            accessor["normalized"] = True
+        return self.append("accessors", accessor)
+
+    def finish(self, stream: ByteWriter) -> None:
+        """Write the file."""
+        buffers = [{"byteLength": self.num_bytes}]
+        scene: dict[str, object] = {"scene": 0, "scenes": [{"nodes": [0]}]}
+        root = {"asset": {"version": "2.0", "generator": GENERATOR}, **scene, **self.root, "buffers": buffers}
+        text = json.dumps(root, separators=(",", ":")).encode()
+        text += b" " * (-len(text) % 4)
+        length = 12 + 8 + len(text) + 8 + self.num_bytes
+        stream.write(b"glTF" + b"".join(n.to_bytes(4, "little") for n in (2, length, len(text))) + b"JSON" + text)
+        stream.write(self.num_bytes.to_bytes(4, "little") + b"BIN\0")
+        for chunk in self.chunks:
+            stream.write(chunk)
+
+
+def write_glb(mesh: TriangleMesh, stream: ByteWriter) -> None:
+    """Write a mesh at rest, with its materials, textures and colours."""
+    writer = GlbWriter()
+    add_mesh(writer, mesh, targets=[])
+    writer.append("nodes", {"mesh": 0, "name": "tree"})
+    writer.finish(stream)
+
+
+def add_mesh(writer: GlbWriter, mesh: TriangleMesh, *, targets: list[dict[str, int]]) -> None:
+    """Add the mesh with morph targets, given as accessors, that all of its primitives share."""
+    attributes = {
+        "POSITION": writer.add_accessor(vertices_in_source_axes(mesh, "+Y"), target=_VERTEX_BUFFER, bounds=True)
+    }
+    if mesh.uv is not None:
+        attributes["TEXCOORD_0"] = writer.add_accessor(mesh.uv, target=_VERTEX_BUFFER)
+    if mesh.vertex_colors is not None:
+        colors = _linear_colors(mesh.vertex_colors)
+        attributes["COLOR_0"] = writer.add_accessor(colors, target=_VERTEX_BUFFER, normalized=True)
+    materials = [writer.append("materials", _material(writer, material)) for material in mesh.materials]
+    face_material = np.zeros(mesh.num_faces, np.int32) if mesh.face_material is None else mesh.face_material
+    primitives = []
+    for number in np.unique(face_material):
+        corners = mesh.faces[face_material == number].reshape(-1, 1).astype(np.uint32)
+        primitive: dict[str, object] = {
+            "attributes": attributes,
+            "indices": writer.add_accessor(corners, target=_INDEX_BUFFER),
+        }
+        if materials:
+            primitive["material"] = materials[int(number)]
+        if targets:
+            primitive["targets"] = targets
+        primitives.append(primitive)
+    writer.append("meshes", {"name": "tree", "primitives": primitives})
+
+
+def _material(writer: GlbWriter, material: Material) -> dict[str, object]:
+    surface: dict[str, object] = {
+        "baseColorFactor": list(material.base_color),
+        "metallicFactor": 0.0,
+        "roughnessFactor": 1.0,
+    }
+    if material.texture_png is not None:
+        image = writer.append("images", {"bufferView": writer.add_view(material.texture_png), "mimeType": "image/png"})
+        surface["baseColorTexture"] = {"index": writer.append("textures", {"source": image})}
+    entry: dict[str, object] = {"pbrMetallicRoughness": surface, "doubleSided": material.double_sided}
+    if material.name:
+        entry["name"] = material.name
+    if material.alpha_cutoff is not None:
+        entry |= {"alphaMode": "MASK", "alphaCutoff": material.alpha_cutoff}
+    return entry
+
+
+def _linear_colors(colors: UInt8[np.ndarray, "N 4"]) -> Shaped[np.ndarray, "N 4"]:
+    """SRGB bytes to the linear 16 bits that glTF asks for; bytes would lose the dark shades."""
+    rgba: Float32[np.ndarray, "N 4"] = colors.astype(np.float32) / 255
+    rgb = rgba[:, :3]
+    rgba[:, :3] = np.where(rgb <= _SRGB_LINEAR_END, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    return np.round(rgba * 65535).astype(np.uint16)

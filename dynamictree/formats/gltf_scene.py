@@ -1,0 +1,133 @@
+"""Nodes of a glTF scene: which mesh stands where, and skins at rest."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from dynamictree.errors import FormatError
+from dynamictree.formats.gltf_document import GltfDocument
+from dynamictree.formats.json_fields import (
+    JsonObject,
+    index_field,
+    index_list,
+    numbers_field,
+    object_field,
+    object_list,
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeshInstance:
+    """One mesh of the scene, at one place; `joints` are the matrices of its skin, which then place it alone."""
+
+    mesh: JsonObject
+    transform: Float64[np.ndarray, "4 4"]
+    joints: Float64[np.ndarray, "J 4 4"] | None
+
+
+def mesh_instances(document: GltfDocument) -> Iterator[MeshInstance]:
+    """The meshes of the default scene, parents before children, in the order of the file.
+
+    Raises:
+        FormatError: a node that is its own ancestor or has two parents, or a matrix that is none.
+    """
+    nodes, meshes = object_list(document.root, "nodes"), object_list(document.root, "meshes")
+    skins = object_list(document.root, "skins")
+    world = _world_transforms(document, nodes)
+    for index, transform in world.items():
+        mesh = index_field(nodes[index], "mesh", meshes, "meshes")
+        if mesh is None:
+            continue
+        skin = index_field(nodes[index], "skin", skins, "skins")
+        joints = None if skin is None else _joint_matrices(document, skins[skin], world)
+        for placed in _instance_transforms(document, nodes[index]):
+            yield MeshInstance(mesh=meshes[mesh], transform=transform @ placed, joints=joints)
+
+
+def _world_transforms(document: GltfDocument, nodes: list[JsonObject]) -> dict[int, Float64[np.ndarray, "4 4"]]:
+    scenes = object_list(document.root, "scenes")
+    scene = index_field(document.root, "scene", scenes, "scenes")
+    if scenes:
+        roots = index_list(scenes[scene or 0], "nodes", nodes)
+    else:
+        children = {child for node in nodes for child in index_list(node, "children", nodes)}
+        roots = [index for index in range(len(nodes)) if index not in children]
+    world: dict[int, Float64[np.ndarray, "4 4"]] = {}
+    waiting = [(root, np.eye(4)) for root in reversed(roots)]
+    while waiting:
+        index, above = waiting.pop()
+        if index in world:
+            raise FormatError(f"node {index} is reached twice, from two parents or from below itself; nodes are a tree")
+        world[index] = above @ _local_transform(nodes[index])
+        waiting += [(child, world[index]) for child in reversed(index_list(nodes[index], "children", nodes))]
+    return world
+
+
+def _local_transform(node: JsonObject) -> Float64[np.ndarray, "4 4"]:
+    if "matrix" in node:
+        stored: Float64[np.ndarray, "4 4"] = np.array(numbers_field(node, "matrix", 16, ())).reshape(4, 4)
+        return stored.T  # by columns
+    return _compose(
+        np.array([numbers_field(node, "translation", 3, (0.0, 0.0, 0.0))]),
+        np.array([numbers_field(node, "rotation", 4, (0.0, 0.0, 0.0, 1.0))]),
+        np.array([numbers_field(node, "scale", 3, (1.0, 1.0, 1.0))]),
+    )[0]
+
+
+def _instance_transforms(document: GltfDocument, node: JsonObject) -> Float64[np.ndarray, "I 4 4"]:
+    """Places of EXT_mesh_gpu_instancing, or the one place of a plain node."""
+    extension = object_field(object_field(node, "extensions"), "EXT_mesh_gpu_instancing")
+    attributes = object_field(extension, "attributes")
+    parts = {}
+    for name, width in (("TRANSLATION", 3), ("ROTATION", 4), ("SCALE", 3)):
+        accessor = index_field(attributes, name, document.accessors, "accessors")
+        if accessor is not None:
+            parts[name] = document.accessor(accessor).astype(np.float64)
+            if parts[name].shape[1] != width:
+                raise FormatError(f"EXT_mesh_gpu_instancing has {name} of {parts[name].shape[1]} numbers, not {width}")
+    if not parts:
+        return np.eye(4)[None]
+    count = {len(part) for part in parts.values()}
+    if len(count) != 1:
+        raise FormatError(f"EXT_mesh_gpu_instancing has attributes of different lengths, {sorted(count)}")
+    (length,) = count
+    return _compose(
+        parts.get("TRANSLATION", np.zeros((length, 3))),
+        parts.get("ROTATION", np.tile([0.0, 0.0, 0.0, 1.0], (length, 1))),
+        parts.get("SCALE", np.ones((length, 3))),
+    )
+
+
+def _compose(
+    translation: Float64[np.ndarray, "I 3"], rotation: Float64[np.ndarray, "I 4"], scale: Float64[np.ndarray, "I 3"]
+) -> Float64[np.ndarray, "I 4 4"]:
+    """Translation · rotation · scale; quaternions are xyzw."""
+    length = np.linalg.norm(rotation, axis=1, keepdims=True)
+    if not (length > 0).all():
+        raise FormatError("a rotation of the file is a quaternion of length 0")
+    x, y, z, w = (rotation / length).T
+    matrices = np.tile(np.eye(4), (len(translation), 1, 1))
+    matrices[:, 0, :3] = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)], axis=1)
+    matrices[:, 1, :3] = np.stack([2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)], axis=1)
+    matrices[:, 2, :3] = np.stack([2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)], axis=1)
+    matrices[:, :3, :3] *= scale[:, None, :]
+    matrices[:, :3, 3] = translation
+    return matrices
+
+
+def _joint_matrices(
+    document: GltfDocument, skin: JsonObject, world: dict[int, Float64[np.ndarray, "4 4"]]
+) -> Float64[np.ndarray, "J 4 4"]:
+    joints = index_list(skin, "joints", object_list(document.root, "nodes"))
+    if not joints or not set(joints) <= set(world):
+        raise FormatError("a skin has no joints, or joints that are not in the scene")
+    placed = np.stack([world[joint] for joint in joints])
+    inverse = index_field(skin, "inverseBindMatrices", document.accessors, "accessors")
+    if inverse is None:
+        return placed
+    bind = document.accessor(inverse).astype(np.float64)
+    if bind.shape != (len(joints), 16):
+        raise FormatError(f"a skin has {len(joints)} joints and inverse bind matrices of shape {list(bind.shape)}")
+    return placed @ bind.reshape(-1, 4, 4).transpose(0, 2, 1)

@@ -1,0 +1,109 @@
+"""Mesh files of every kind that is read, and how a file is told by its first bytes."""
+
+import re
+from collections.abc import Mapping
+
+from dynamictree.errors import FormatError
+from dynamictree.formats.axes import mesh_to_z_up
+from dynamictree.formats.gltf_reader import read_gltf
+from dynamictree.formats.obj_reader import read_obj
+from dynamictree.formats.ply_mesh_reader import read_ply_mesh
+from dynamictree.formats.stl_reader import is_ascii_stl, read_stl
+from dynamictree.formats.stream import ByteReader, read_all
+from dynamictree.mesh import TriangleMesh, validate_mesh
+
+MESH_TYPES = ("obj", "ply", "glb", "gltf", "stl")
+MAX_FILE_BYTES = 1 << 30
+ACCEPTED = "a triangle mesh as OBJ, PLY with faces, STL, glTF or GLB is accepted"
+
+_GLTF_UP_AXIS, _GLTF_UNIT_M = "+Y", 1.0  # glTF 2.0 specification, 3.4
+_NOT_MESHES = {
+    "las": "a laser scan (LAS or LAZ)",
+    "points": "a point cloud as text",
+    "splat": "a Gaussian splat",
+    "spz": "a Gaussian splat (SPZ)",
+    "zip": "a ZIP archive",
+    "png": "a PNG image",
+    "jpeg": "a JPEG image",
+    "safetensors": "a safetensors file",
+}
+_MAGIC = (
+    (b"glTF", "glb"),
+    (b"ply\n", "ply"),
+    (b"ply\r", "ply"),
+    (b"LASF", "las"),
+    (b"PK\x03\x04", "zip"),
+    (b"\x89PNG\r\n\x1a\n", "png"),
+    (b"\xff\xd8\xff", "jpeg"),
+)
+_OBJ_LINE = re.compile(rb"^[ \t]*(v|vt|vn|f|o|g|s|usemtl|mtllib)[ \t]+\S", re.MULTILINE)
+_POINT_LINE = re.compile(rb"^[ \t]*[-+0-9.eE]+([ \t,;]+[-+0-9.eE]+){2,}[ \t]*\r?$", re.MULTILINE)
+
+
+def read_mesh(
+    stream: ByteReader,
+    *,
+    file_type: str,
+    up_axis: str | None = None,
+    unit_m: float | None = None,
+    companions: Mapping[str, bytes] | None = None,
+) -> TriangleMesh:
+    """Read a mesh that the method can work on, in metres and +Z up.
+
+    Args:
+        stream: the file's bytes.
+        file_type: one of `MESH_TYPES`, such as `sniff_file_type` gives.
+        up_axis: the file's own, such as "+Y"; None takes glTF's, or works it out (see `axes.py`).
+        unit_m: metres a unit of the file; None takes glTF's, or works it out.
+        companions: content of the files that the mesh may name (MTL, textures, buffers), by the names it uses.
+
+    Raises:
+        InputError: the file cannot be read, is no mesh, or is one that the method cannot work on.
+    """
+    if file_type not in MESH_TYPES:
+        what = _NOT_MESHES.get(file_type, f"of type {file_type[:20]!r}")
+        raise FormatError(f"the file is {what}; {ACCEPTED}")
+    content = read_all(stream, MAX_FILE_BYTES)
+    beside = companions or {}
+    if file_type in ("glb", "gltf"):
+        mesh = read_gltf(content, companions=beside)
+        up_axis, unit_m = up_axis or _GLTF_UP_AXIS, unit_m or _GLTF_UNIT_M
+    elif file_type == "obj":
+        mesh = read_obj(content, companions=beside)
+    elif file_type == "ply":
+        mesh = read_ply_mesh(content, companions=beside)
+    else:
+        mesh = read_stl(content)
+    validate_mesh(mesh)  # before its values are used to find axis and unit
+    return validate_mesh(mesh_to_z_up(mesh, up_axis=up_axis, unit_m=unit_m))
+
+
+def sniff_file_type(head: bytes, filename: str = "") -> str:
+    """What a file is by its first kilobyte or more; the name's ending counts only where the bytes do not tell.
+
+    Gives one of `MESH_TYPES`, or `las`, `points`, `splat`, `spz`, `zip`, `png`, `jpeg`, `safetensors`.
+
+    Raises:
+        FormatError: it is none of these.
+    """
+    for magic, kind in _MAGIC:
+        if head.startswith(magic):
+            return kind
+    ending = filename.rpartition(".")[2].lower()
+    if head[:2] == b"\x1f\x8b" and ending == "spz":
+        return "spz"
+    if head[8:9] == b"{" and int.from_bytes(head[:8], "little") < 1 << 32:
+        return "safetensors"
+    start = head.lstrip(b"\xef\xbb\xbf \t\r\n")
+    if start.startswith(b"{") and (b'"asset"' in head or ending == "gltf"):
+        return "gltf"
+    if is_ascii_stl(head) or (ending == "stl" and len(head) >= 84):
+        return "stl"
+    if ending == "splat":
+        return "splat"
+    text = b"\0" not in head
+    if text and ending != "txt" and _OBJ_LINE.search(head):
+        return "obj"
+    if text and _POINT_LINE.search(head):
+        return "points"
+    raise FormatError(f"the file {filename[:80]!r} begins with {head[:8]!r}, which is of no known format; {ACCEPTED}")

@@ -1,0 +1,49 @@
+"""Join the parts of a file into one mesh, in their order."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float32, Int32, UInt8
+
+from dynamictree.mesh import Material, TriangleMesh
+
+_WHITE = 255
+_DEFAULT_MATERIAL = Material(name="default", base_color=(1.0, 1.0, 1.0, 1.0), double_sided=False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeshPart:
+    """One primitive of a file; `vertices_of` is the earlier part whose vertices it uses, if it brings none."""
+
+    vertices: Float32[np.ndarray, "N 3"]
+    faces: Int32[np.ndarray, "F 3"]
+    uv: Float32[np.ndarray, "N 2"] | None
+    vertex_colors: UInt8[np.ndarray, "N 4"] | None
+    material: int  # -1: none
+    vertices_of: int | None = None
+
+
+def join_parts(parts: Sequence[MeshPart], materials: tuple[Material, ...]) -> TriangleMesh:
+    """One mesh; what has no material gets a white one, a vertex without texture place 0, one without colour white."""
+    own = [part for part in parts if part.vertices_of is None]
+    starts: list[int] = []
+    total = 0
+    for part in parts:
+        starts.append(total if part.vertices_of is None else starts[part.vertices_of])
+        total += len(part.vertices) if part.vertices_of is None else 0
+    has_uv, has_colors = any(p.uv is not None for p in own), any(p.vertex_colors is not None for p in own)
+    uv = [np.zeros((len(p.vertices), 2), np.float32) if p.uv is None else p.uv for p in own]
+    colors = [
+        np.full((len(p.vertices), 4), _WHITE, np.uint8) if p.vertex_colors is None else p.vertex_colors for p in own
+    ]
+    default = len(materials)
+    face_material = [np.full(len(p.faces), p.material if p.material >= 0 else default, np.int32) for p in parts]
+    return TriangleMesh(
+        vertices=np.concatenate([part.vertices for part in own]),
+        faces=np.concatenate([part.faces + np.int32(start) for part, start in zip(parts, starts, strict=True)]),
+        uv=np.concatenate(uv) if has_uv else None,
+        vertex_colors=np.concatenate(colors) if has_colors else None,
+        face_material=None if not materials else np.concatenate(face_material),
+        materials=(*materials, _DEFAULT_MATERIAL) if materials and any(p.material < 0 for p in parts) else materials,
+    )

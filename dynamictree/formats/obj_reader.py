@@ -1,0 +1,233 @@
+"""Wavefront OBJ with its MTL and textures, which are looked up only among the files that were sent along.
+
+Vertices follow the `v` lines. A vertex with several texture coordinates keeps its first; copies with the others
+follow after the last `v`. Polygons are cut into fans. Normals are not kept: they follow from the faces.
+"""
+
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float64, Int32, Int64, UInt8
+
+from dynamictree.errors import FormatError, MeshError
+from dynamictree.formats.texture import texture_as_png
+from dynamictree.mesh import MAX_FACES, MAX_VERTICES, Material, TriangleMesh
+
+logger = logging.getLogger(__name__)
+
+_CUTOFF = 0.5  # of a material with a map_d
+
+
+@dataclass(kw_only=True)
+class _Statements:
+    """The lines of a file by their keyword, corners and faces still text."""
+
+    vertices: list[bytes] = field(default_factory=list)
+    texture_places: list[bytes] = field(default_factory=list)
+    corners: list[tuple[bytes, int, int]] = field(default_factory=list)  # token, number of v and vt lines above it
+    face_sizes: list[int] = field(default_factory=list)
+    face_materials: list[int] = field(default_factory=list)
+    material_names: dict[str, int] = field(default_factory=dict)
+    libraries: list[str] = field(default_factory=list)
+
+
+def read_obj(content: bytes, *, companions: Mapping[str, bytes]) -> TriangleMesh:
+    """Read, in the file's own axes and units. A library or texture that was not sent along leaves its default.
+
+    Raises:
+        FormatError: a line that cannot be read, a face that names what is not there, a damaged texture.
+        MeshError: no faces, or more than `mesh.py` allows.
+    """
+    lines = content.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines()
+    statements = _sort_lines(lines)
+    if not statements.face_sizes:
+        raise MeshError(
+            f"the OBJ file has {len(statements.vertices):,} vertices and no faces; a triangle mesh is needed"
+        )
+    table = _numbers(statements.vertices, "v", (3, 4, 6, 7))
+    places = _numbers(statements.texture_places, "vt", (1, 2, 3)) if statements.texture_places else None
+    rows, place_rows = _corner_rows(statements, len(table), 0 if places is None else len(places))
+    original, place_of, corners = _split_by_texture(rows, place_rows, len(table))
+    faces, source_face = fans(corners, np.array(statements.face_sizes))
+    materials = _materials(statements, companions)
+    uv = None
+    if places is not None:
+        uv = np.zeros((len(original), 2), np.float32)
+        placed = place_of >= 0
+        uv[placed, : min(places.shape[1], 2)] = places[place_of[placed], :2]
+        uv[placed, 1] = 1 - uv[placed, 1]  # v upward in OBJ
+    return TriangleMesh(
+        vertices=table[original, :3].astype(np.float32),
+        faces=faces,
+        uv=uv,
+        vertex_colors=_colors(table, original),
+        face_material=np.array(statements.face_materials, np.int32)[source_face] if materials else None,
+        materials=materials,
+    )
+
+
+def _sort_lines(lines: list[bytes]) -> _Statements:
+    found = _Statements()
+    material = -1
+    num_triangles = 0
+    for line in lines:
+        keyword, _, rest = line.strip().partition(b" ")
+        if keyword == b"v":
+            found.vertices.append(rest)
+        elif keyword == b"vt":
+            found.texture_places.append(rest)
+        elif keyword == b"f":
+            tokens = rest.split()
+            if len(tokens) < 3:
+                raise FormatError(f"a face of the OBJ file has {len(tokens)} corners; at least 3 are needed")
+            num_triangles += len(tokens) - 2
+            if num_triangles > MAX_FACES or len(found.vertices) > MAX_VERTICES:
+                raise MeshError(
+                    f"the OBJ file has more than {MAX_FACES:,} triangles or {MAX_VERTICES:,} vertices; decimate it"
+                )
+            found.corners += [(token, len(found.vertices), len(found.texture_places)) for token in tokens]
+            found.face_sizes.append(len(tokens))
+            if material < 0:
+                material = found.material_names.setdefault("", len(found.material_names))
+            found.face_materials.append(material)
+        elif keyword == b"usemtl":
+            name = rest.strip().decode("utf-8", "replace")[:200]
+            material = found.material_names.setdefault(name, len(found.material_names))
+        elif keyword == b"mtllib":
+            found.libraries.append(rest.strip().decode("utf-8", "replace"))
+    return found
+
+
+def _numbers(lines: list[bytes], keyword: str, widths: tuple[int, ...]) -> Float64[np.ndarray, "n width"]:
+    width = len(lines[0].split())
+    tokens = b" ".join(lines).split()
+    if width not in widths or len(tokens) != width * len(lines):
+        odd = next((i for i, line in enumerate(lines) if len(line.split()) != width), 0)
+        raise FormatError(
+            f"line {odd + 1} of the `{keyword}` lines of the OBJ file is {lines[odd][:60]!r}; "
+            f"{', '.join(map(str, widths))} numbers are allowed, the same on all lines"
+        )
+    try:
+        return np.array(tokens, dtype=np.bytes_).astype(np.float64).reshape(-1, width)
+    except ValueError as error:
+        raise FormatError(f"a `{keyword}` line of the OBJ file holds what is no number: {error}") from error
+
+
+def _corner_rows(
+    statements: _Statements, num_vertices: int, num_places: int
+) -> tuple[Int64[np.ndarray, " C"], Int64[np.ndarray, " C"]]:
+    """Row of the vertex and of the texture place of every corner; -1 where it has no place."""
+    known: dict[tuple[bytes, int, int], tuple[int, int]] = {}
+    rows, places = np.empty(len(statements.corners), np.int64), np.empty(len(statements.corners), np.int64)
+    for i, corner in enumerate(statements.corners):
+        token, vertices_above, places_above = corner
+        key = corner if b"-" in token else (token, 0, 0)  # negative numbers count back from where they stand
+        if key not in known:
+            parts = token.split(b"/")
+            place = parts[1] if len(parts) > 1 else b""
+            vertex = _resolve(parts[0], vertices_above, num_vertices, token)
+            known[key] = (vertex, _resolve(place, places_above, num_places, token) if place else -1)
+        rows[i], places[i] = known[key]
+    return rows, places
+
+
+def _resolve(number: bytes, above: int, count: int, token: bytes) -> int:
+    digits = number.removeprefix(b"-")
+    if not digits.isdigit() or len(digits) > 9:
+        raise FormatError(f"a face of the OBJ file has the corner {token[:40]!r}, which is not understood")
+    row = above - int(digits) if number.startswith(b"-") else int(digits) - 1
+    if not 0 <= row < count:
+        raise FormatError(f"a face of the OBJ file has the corner {token[:40]!r}, but there are {count} to choose from")
+    return row
+
+
+def _split_by_texture(
+    rows: Int64[np.ndarray, " C"], places: Int64[np.ndarray, " C"], num_vertices: int
+) -> tuple[Int64[np.ndarray, " N"], Int64[np.ndarray, " N"], Int32[np.ndarray, " C"]]:
+    """Source row and texture place of each vertex that is made, and the vertex at each corner."""
+    pairs, first, inverse = np.unique(np.stack([rows, places], 1), axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(first, kind="stable")  # in the order of faces
+    owner = np.full(num_vertices, -1, np.int64)
+    by_vertex = pairs[order, 0]
+    vertex, position = np.unique(by_vertex, return_index=True)
+    owner[vertex] = order[position]  # the pair that a vertex came with first
+    is_copy = np.ones(len(pairs), bool)
+    is_copy[owner[vertex]] = False
+    copies = order[is_copy[order]]
+    if num_vertices + len(copies) > MAX_VERTICES:
+        raise MeshError(f"the OBJ file needs {num_vertices + len(copies):,} vertices; {MAX_VERTICES:,} are allowed")
+    made = np.empty(len(pairs), np.int32)
+    made[owner[vertex]] = vertex
+    made[copies] = num_vertices + np.arange(len(copies))
+    place_of = np.full(num_vertices + len(copies), -1, np.int64)
+    place_of[made] = pairs[:, 1]
+    return np.concatenate([np.arange(num_vertices), pairs[copies, 0]]), place_of, made[inverse.ravel()]
+
+
+def fans(
+    corners: Int32[np.ndarray, " C"], sizes: Int64[np.ndarray, " P"]
+) -> tuple[Int32[np.ndarray, "F 3"], Int64[np.ndarray, " F"]]:
+    """Triangles of polygons that lie one after the other, and the polygon of each."""
+    polygon = np.repeat(np.arange(len(sizes)), sizes - 2)
+    start = (np.cumsum(sizes) - sizes)[polygon]
+    step = np.arange(len(polygon)) - np.repeat(np.cumsum(sizes - 2) - (sizes - 2), sizes - 2)
+    faces = np.stack([corners[start], corners[start + step + 1], corners[start + step + 2]], axis=1)
+    return faces.astype(np.int32), polygon
+
+
+def _colors(table: Float64[np.ndarray, "n width"], rows: Int64[np.ndarray, " N"]) -> UInt8[np.ndarray, "N 4"] | None:
+    """Colours after the position, in [0, 1], as some scanners write them."""
+    if table.shape[1] < 6:
+        return None
+    rgb = np.clip(np.nan_to_num(table[rows, -3:]), 0, 1)
+    return np.concatenate([np.round(rgb * 255), np.full((len(rows), 1), 255)], axis=1).astype(np.uint8)
+
+
+def _materials(statements: _Statements, companions: Mapping[str, bytes]) -> tuple[Material, ...]:
+    if set(statements.material_names) == {""}:
+        return ()
+    described: dict[str, Material] = {}
+    for library in statements.libraries:
+        if library in companions:
+            described |= _read_mtl(companions[library], companions)
+        else:
+            logger.warning("a material library was not sent along", extra={"library": library[:200]})
+    return tuple(described.get(name, Material(name=name)) for name in statements.material_names)
+
+
+def _read_mtl(content: bytes, companions: Mapping[str, bytes]) -> dict[str, Material]:
+    fields: dict[str, dict[str, str]] = {}
+    current: dict[str, str] = {}
+    for line in content.decode("utf-8", "replace").splitlines():
+        keyword, _, rest = line.strip().partition(" ")
+        if keyword == "newmtl":
+            current = fields.setdefault(rest.strip()[:200], {})
+        elif keyword:
+            current[keyword] = rest.strip()
+    return {name: _material(name, entry, companions) for name, entry in fields.items()}
+
+
+def _material(name: str, entry: Mapping[str, str], companions: Mapping[str, bytes]) -> Material:
+    red, green, blue = _floats(entry.get("Kd", "0.8 0.8 0.8"), 3, "Kd")
+    opaque = _floats(entry["d"], 1, "d")[0] if "d" in entry else 1 - _floats(entry.get("Tr", "0"), 1, "Tr")[0]
+    texture = entry.get("map_Kd", "").split(" ")[-1].replace("\\", "/").removeprefix("./")  # options come before it
+    if texture and texture not in companions:
+        logger.warning("a texture was not sent along", extra={"texture": texture[:200]})
+    return Material(
+        name=name,
+        base_color=(red, green, blue, opaque),
+        texture_png=texture_as_png(companions[texture], texture[:80]) if texture in companions else None,
+        alpha_cutoff=_CUTOFF if "map_d" in entry else None,
+    )
+
+
+def _floats(text: str, count: int, keyword: str) -> list[float]:
+    try:
+        values = [float(token) for token in text.split()[:count]]
+    except ValueError as error:
+        raise FormatError(f"{keyword} of a material is {text[:60]!r}; {count} numbers are needed") from error
+    if len(values) != count:
+        raise FormatError(f"{keyword} of a material is {text[:60]!r}; {count} numbers are needed")
+    return [min(max(value, 0.0), 1.0) for value in values]

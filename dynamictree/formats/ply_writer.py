@@ -1,0 +1,45 @@
+"""Meshes as binary PLY: metres, +Z up, texture coordinates as s and t, colours as bytes."""
+
+import numpy as np
+from jaxtyping import Float32
+
+from dynamictree.formats.stream import ByteWriter
+from dynamictree.mesh import TriangleMesh
+
+
+def write_ply(mesh: TriangleMesh, stream: ByteWriter) -> None:
+    """Write vertices, texture coordinates, colours and faces; materials have no place in PLY."""
+    stream.write(ply_head(mesh))
+    stream.write(ply_vertices(mesh, mesh.vertices))
+    stream.write(ply_faces(mesh))
+
+
+def ply_head(mesh: TriangleMesh) -> bytes:
+    """The header."""
+    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {mesh.num_vertices}"]
+    lines += [f"property float {name}" for name in "xyz"]
+    lines += [f"property float {name}" for name in "st" if mesh.uv is not None]
+    lines += [f"property uchar {name}" for name in ("red", "green", "blue", "alpha") if mesh.vertex_colors is not None]
+    lines += [f"element face {mesh.num_faces}", "property list uchar int vertex_indices", "end_header"]
+    return "\n".join(lines).encode() + b"\n"
+
+
+def ply_vertices(mesh: TriangleMesh, positions: Float32[np.ndarray, "N 3"]) -> bytes:
+    """The mesh's vertices at other positions."""
+    fields: list[tuple[str, str, tuple[int]]] = [("position", "<f4", (3,))]
+    fields += [("uv", "<f4", (2,))] if mesh.uv is not None else []
+    fields += [("color", "u1", (4,))] if mesh.vertex_colors is not None else []
+    rows = np.empty(mesh.num_vertices, fields)
+    rows["position"] = positions
+    if mesh.uv is not None:
+        rows["uv"] = mesh.uv * np.array([1, -1], np.float32) + np.array([0, 1], np.float32)  # t upward
+    if mesh.vertex_colors is not None:
+        rows["color"] = mesh.vertex_colors
+    return rows.tobytes()
+
+
+def ply_faces(mesh: TriangleMesh) -> bytes:
+    """The mesh's triangles."""
+    rows = np.empty(mesh.num_faces, [("count", "u1"), ("corners", "<i4", 3)])
+    rows["count"], rows["corners"] = 3, mesh.faces
+    return rows.tobytes()

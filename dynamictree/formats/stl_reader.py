@@ -1,0 +1,72 @@
+"""STL, binary and ASCII. Its triangles share no vertices; equal positions are made one, in their order in the file."""
+
+import numpy as np
+from jaxtyping import Float32
+
+from dynamictree.errors import FormatError, MeshError
+from dynamictree.mesh import MAX_FACES, TriangleMesh
+
+_HEADER_BYTES = 84
+_RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+
+
+def read_stl(content: bytes) -> TriangleMesh:
+    """Read, in the file's own axes and units.
+
+    Raises:
+        FormatError: truncated, or neither kind of STL.
+        MeshError: more faces than `mesh.py` allows.
+    """
+    corners = _ascii_corners(content) if is_ascii_stl(content) else _binary_corners(content)
+    # adding zero makes -0 and 0 the same bytes
+    positions, first, inverse = np.unique(
+        np.ascontiguousarray(corners.reshape(-1, 3) + np.float32(0)).view("V12").ravel(),
+        return_index=True,
+        return_inverse=True,
+    )
+    order = np.argsort(first, kind="stable")
+    rank = np.empty(len(order), np.int32)
+    rank[order] = np.arange(len(order))
+    vertices = positions[order].view(np.float32).reshape(-1, 3)
+    return TriangleMesh(vertices=vertices, faces=rank[inverse.ravel()].reshape(-1, 3))
+
+
+def is_ascii_stl(head: bytes) -> bool:
+    """Whether it begins as ASCII STL; some binary files begin with `solid` too, but have no facet soon after."""
+    return head.lstrip()[:5].lower() == b"solid" and b"facet" in head[:1024].lower()
+
+
+def _binary_corners(content: bytes) -> Float32[np.ndarray, "F 3 3"]:
+    if len(content) < _HEADER_BYTES:
+        raise FormatError(f"the STL file has {len(content)} bytes; its header alone has {_HEADER_BYTES}")
+    count = int.from_bytes(content[80:84], "little")
+    _refuse_too_many(count)
+    needed = _HEADER_BYTES + count * _RECORD.itemsize
+    if needed > len(content):
+        raise FormatError(
+            f"the STL header says {count:,} faces, {needed:,} bytes, but {len(content):,} are there; "
+            "it is truncated or no STL"
+        )
+    records = np.frombuffer(content, _RECORD, count, _HEADER_BYTES)
+    return np.ascontiguousarray(records["corners"]).astype(np.float32)
+
+
+def _ascii_corners(content: bytes) -> Float32[np.ndarray, "F 3 3"]:
+    words = content.lower().split(b"vertex")
+    _refuse_too_many((len(words) - 1) // 3)
+    numbers = [word.split(maxsplit=3)[:3] for word in words[1:]]
+    if len(numbers) % 3 or any(len(row) != 3 for row in numbers):
+        raise FormatError(
+            "the ASCII STL file has facets that have not three vertices of three numbers; it is truncated"
+        )
+    try:
+        corners = np.array(numbers, dtype=np.bytes_).astype(np.float64) if numbers else np.zeros((0, 3))
+    except ValueError as error:
+        raise FormatError(f"the ASCII STL file has a vertex that is no number: {error}") from error
+    with np.errstate(over="ignore"):
+        return corners.astype(np.float32).reshape(-1, 3, 3)
+
+
+def _refuse_too_many(count: int) -> None:
+    if count > MAX_FACES:
+        raise MeshError(f"the STL file has {count:,} faces; at most {MAX_FACES:,} are allowed; decimate it first")

@@ -1,0 +1,36 @@
+"""Images that a mesh file brings: decoded once under a cap, kept as PNG."""
+
+import io
+import warnings
+
+from PIL import Image, UnidentifiedImageError
+
+from dynamictree.errors import FormatError
+
+MAX_PIXELS = 50_000_000
+_FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TGA")
+
+
+def texture_as_png(content: bytes, name: str) -> bytes:
+    """The image as PNG; a sound PNG passes unchanged.
+
+    Raises:
+        FormatError: no image of a known format, damaged, or of more than `MAX_PIXELS`.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # our own cap is checked below
+            image = Image.open(io.BytesIO(content), formats=_FORMATS)
+        width, height = image.size
+        if width * height > MAX_PIXELS:
+            raise FormatError(f"texture {name!r} has {width} x {height} pixels; at most {MAX_PIXELS:,} are allowed")
+        image.load()
+    except (UnidentifiedImageError, Image.DecompressionBombError) as error:
+        raise FormatError(f"texture {name!r} is no image of {', '.join(_FORMATS)}; convert it") from error
+    except (OSError, SyntaxError, ValueError, EOFError, IndexError, TypeError) as error:  # what Pillow's decoders raise
+        raise FormatError(f"texture {name!r} is damaged: {str(error)[:120]}") from error
+    if image.format == "PNG" and image.mode in ("RGB", "RGBA", "L", "LA", "P"):
+        return content
+    stream = io.BytesIO()
+    image.convert("RGBA" if "A" in image.getbands() else "RGB").save(stream, "PNG")
+    return stream.getvalue()

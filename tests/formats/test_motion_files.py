@@ -1,0 +1,204 @@
+"""PLY sequences, motion files and animated GLBs hold the motion that the spectrum tells."""
+
+import io
+import itertools
+import zipfile
+from collections.abc import Iterator
+
+import numpy as np
+import pygltflib
+import pytest
+import trimesh
+
+from dynamictree.errors import FormatError, InputError
+from dynamictree.formats.glb_motion import MorphSummary, write_motion_glb
+from dynamictree.formats.mesh_file import read_mesh
+from dynamictree.formats.motion_file import read_motion, write_motion
+from dynamictree.formats.ply_sequence import iter_ply_sequence_zip
+from dynamictree.mesh import TriangleMesh
+from dynamictree.spectrum import from_motion, iter_motion, to_motion
+from tests.formats.meshes import trunk_and_crown
+from tests.formats.test_tensor_files import with_changes
+
+
+def sway(rng: np.random.Generator, mesh: TriangleMesh, num_frequencies: int = 16) -> np.ndarray:
+    """A spectrum that falls with frequency and grows with height."""
+    shape = (mesh.num_vertices, num_frequencies, 3)
+    falling = 0.3 / (1 + np.arange(num_frequencies))[None, :, None] ** 1.5
+    raw = rng.normal(size=shape) + 1j * rng.normal(size=shape)
+    return (0.1 * raw * falling * mesh.vertices[:, 2, None, None]).astype(np.complex64)
+
+
+def animated(mesh: TriangleMesh, coefficients: np.ndarray, **options: int) -> tuple[bytes, MorphSummary]:
+    stream = io.BytesIO()
+    summary = write_motion_glb(mesh, coefficients, stream, **options)
+    return stream.getvalue(), summary
+
+
+def accessor(document: pygltflib.GLTF2, index: int) -> np.ndarray:
+    """Read with pygltflib's document, not with our reader."""
+    entry = document.accessors[index]
+    view = document.bufferViews[entry.bufferView]
+    width = {"SCALAR": 1, "VEC2": 2, "VEC3": 3}[entry.type]
+    blob = document.binary_blob()
+    assert entry.componentType == 5126
+    return np.frombuffer(blob, "<f4", entry.count * width, view.byteOffset).reshape(-1, width)
+
+
+def played(content: bytes) -> tuple[np.ndarray, np.ndarray]:
+    """Times and displacement at every key, +Z up, as an engine adds targets up."""
+    document = pygltflib.GLTF2().load_from_bytes(content)
+    sampler = document.animations[0].samplers[0]
+    assert sampler.interpolation == "LINEAR"
+    targets = [accessor(document, target["POSITION"]) for target in document.meshes[0].primitives[0].targets]
+    for primitive in document.meshes[0].primitives:
+        assert primitive.targets == document.meshes[0].primitives[0].targets
+    keys = accessor(document, sampler.output).reshape(-1, len(targets))
+    moved = np.einsum("tm,mnc->tnc", keys, np.stack(targets))
+    return accessor(document, sampler.input)[:, 0], np.stack([moved[..., 0], -moved[..., 2], moved[..., 1]], axis=-1)
+
+
+@pytest.mark.parametrize("num_frames", [100, 61])
+def test_31_targets_are_exact_at_the_keys_and_the_last_equals_the_first(
+    rng: np.random.Generator, num_frames: int
+) -> None:
+    mesh = trunk_and_crown(rng)
+    coefficients = sway(rng, mesh)
+    content, summary = animated(mesh, coefficients, num_frames=num_frames)
+    times, displacement = played(content)
+    expected = to_motion(coefficients, num_frames)
+    assert summary.num_targets == 31
+    assert summary.num_keys == num_frames + 1 == len(times)
+    assert summary.relative_error == 0
+    np.testing.assert_allclose(displacement[:-1], expected, atol=2e-6 * np.abs(expected).max())
+    np.testing.assert_array_equal(displacement[-1], displacement[0])
+    np.testing.assert_allclose(times, np.arange(num_frames + 1) / 24, rtol=1e-6)
+
+
+def test_a_whole_spectrum_of_an_even_period_is_exact_too(rng: np.random.Generator) -> None:
+    mesh = trunk_and_crown(rng)
+    motion = rng.normal(size=(20, mesh.num_vertices, 3)).astype(np.float32)
+    content, _ = animated(mesh, from_motion(motion, 11), num_frames=20)
+    np.testing.assert_allclose(played(content)[1][:-1], motion, atol=1e-5)
+
+
+def test_the_reduced_variant_is_as_wrong_as_it_says_and_less_than_dropping_bins(rng: np.random.Generator) -> None:
+    mesh = trunk_and_crown(rng)
+    coefficients = sway(rng, mesh)
+    content, summary = animated(mesh, coefficients, num_targets=8)
+    motion = to_motion(coefficients)
+    missing = played(content)[1][:-1] - motion
+    assert summary.num_targets == 8
+    assert summary.relative_error == pytest.approx(np.sqrt((missing**2).sum() / (motion**2).sum()), rel=1e-3)
+    assert summary.rms_error_m == pytest.approx(np.sqrt((missing**2).sum(axis=2).mean()), rel=1e-3)
+    seven = to_motion(coefficients[:, :4]) - motion  # 7 targets
+    assert 0 < summary.relative_error < np.sqrt((seven**2).sum() / (motion**2).sum())
+
+
+def test_a_motion_of_rank_8_is_exact_with_8_targets(rng: np.random.Generator) -> None:
+    mesh = trunk_and_crown(rng)
+    coefficients = sway(rng, mesh)
+    coefficients[:, 5:] = 0
+    coefficients[:, 4].imag = 0
+    content, summary = animated(mesh, coefficients, num_targets=8)
+    expected = to_motion(coefficients)
+    np.testing.assert_allclose(played(content)[1][:-1], expected, atol=1e-5 * np.abs(expected).max())
+    assert summary.relative_error < 1e-5
+
+
+def test_a_still_tree_has_no_error(rng: np.random.Generator) -> None:
+    mesh = trunk_and_crown(rng)
+    _, summary = animated(mesh, np.zeros((mesh.num_vertices, 16, 3), np.complex64))
+    assert summary.relative_error == 0
+
+
+@pytest.mark.parametrize("num_targets", [0, 32])
+def test_a_number_of_targets_out_of_range_is_refused(rng: np.random.Generator, num_targets: int) -> None:
+    mesh = trunk_and_crown(rng)
+    with pytest.raises(InputError, match="1 to 31"):
+        animated(mesh, sway(rng, mesh), num_targets=num_targets)
+
+
+def test_an_animated_glb_keeps_the_look_and_is_read_by_others(rng: np.random.Generator) -> None:
+    mesh = trunk_and_crown(rng)
+    content, _ = animated(mesh, sway(rng, mesh))
+    found = read_mesh(io.BytesIO(content), file_type="glb")
+    np.testing.assert_array_equal(found.vertices, mesh.vertices)
+    np.testing.assert_array_equal(found.faces, mesh.faces)
+    np.testing.assert_array_equal(found.uv, mesh.uv)
+    np.testing.assert_array_equal(found.vertex_colors, mesh.vertex_colors)
+    assert found.materials == mesh.materials
+    scene = trimesh.load_scene(io.BytesIO(content), file_type="glb")
+    assert sum(len(part.faces) for part in scene.geometry.values()) == mesh.num_faces
+
+
+def unzipped(mesh: TriangleMesh, frames: Iterator[np.ndarray]) -> zipfile.ZipFile:
+    return zipfile.ZipFile(io.BytesIO(b"".join(iter_ply_sequence_zip(mesh, frames))))
+
+
+def test_every_frame_of_the_zip_is_the_mesh_at_that_frame(rng: np.random.Generator) -> None:
+    mesh = trunk_and_crown(rng)
+    coefficients = sway(rng, mesh)
+    archive = unzipped(mesh, iter_motion(coefficients, np.arange(5) / 100))
+    assert archive.testzip() is None  # checksums
+    assert archive.namelist() == [f"frame_{n:04d}.ply" for n in range(5)]
+    for name, displacement in zip(archive.namelist(), to_motion(coefficients)[:5], strict=True):
+        found = read_mesh(io.BytesIO(archive.read(name)), file_type="ply", up_axis="+Z", unit_m=1.0)
+        np.testing.assert_allclose(found.vertices, mesh.vertices + displacement, atol=1e-5)
+        np.testing.assert_array_equal(found.faces, mesh.faces)
+        np.testing.assert_array_equal(found.vertex_colors, mesh.vertex_colors)
+
+
+def test_frames_of_the_zip_are_read_by_trimesh(rng: np.random.Generator) -> None:
+    mesh = trunk_and_crown(rng)
+    archive = unzipped(mesh, iter([np.zeros((mesh.num_vertices, 3), np.float32)]))
+    found = trimesh.load_mesh(archive.open("frame_0000.ply"), file_type="ply", process=False)
+    np.testing.assert_allclose(found.vertices, mesh.vertices)
+
+
+def test_the_zip_streams_one_frame_at_a_time_and_is_the_same_each_time(rng: np.random.Generator) -> None:
+    mesh = trunk_and_crown(rng)
+    asked = 0
+
+    def frames() -> Iterator[np.ndarray]:
+        nonlocal asked
+        for _ in range(1000):
+            asked += 1
+            yield np.zeros((mesh.num_vertices, 3), np.float32)
+
+    chunks = iter_ply_sequence_zip(mesh, frames())
+    next(chunks)
+    assert asked == 1
+    once, again = (b"".join(iter_ply_sequence_zip(mesh, itertools.islice(frames(), 3))) for _ in range(2))
+    assert once == again
+
+
+def test_the_zip_is_stored_as_zip64_without_descriptors(rng: np.random.Generator) -> None:
+    mesh = trunk_and_crown(rng)
+    archive = unzipped(mesh, iter([np.zeros((mesh.num_vertices, 3), np.float32)] * 2))
+    for entry in archive.infolist():
+        assert entry.compress_type == zipfile.ZIP_STORED
+        assert entry.extract_version == 45
+        assert entry.flag_bits == 0
+        assert entry.date_time == (1980, 1, 1, 0, 0, 0)
+
+
+def test_read_motion_undoes_write_motion(rng: np.random.Generator) -> None:
+    mesh, stream = trunk_and_crown(rng), io.BytesIO()
+    displacement = rng.normal(size=(7, mesh.num_vertices, 3)).astype(np.float32)
+    write_motion(mesh, iter(displacement), stream, num_frames=7, fps=24.0)
+    stream.seek(0)
+    found = read_motion(stream)
+    np.testing.assert_array_equal(found.displacement, displacement)
+    np.testing.assert_array_equal(found.vertices, mesh.vertices)
+    np.testing.assert_array_equal(found.faces, mesh.faces)
+    assert found.fps == 24.0
+
+
+def test_a_motion_whose_faces_name_no_vertex_is_refused(rng: np.random.Generator) -> None:
+    mesh, stream = trunk_and_crown(rng), io.BytesIO()
+    write_motion(mesh, iter(np.zeros((1, mesh.num_vertices, 3), np.float32)), stream, num_frames=1, fps=24.0)
+    for face in ([0, 1, mesh.num_vertices], [-1, 0, 1]):
+        changed = with_changes(stream.getvalue(), {"faces": np.array([face], np.int32)}, {})
+        with pytest.raises(FormatError, match="beyond"):
+            read_motion(io.BytesIO(changed))

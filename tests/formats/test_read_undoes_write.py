@@ -1,0 +1,111 @@
+"""Mesh files: read undoes write, vertex order included."""
+
+import io
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dynamictree.formats.gltf import write_glb
+from dynamictree.formats.mesh_file import read_mesh, sniff_file_type
+from dynamictree.formats.obj_writer import write_obj
+from dynamictree.formats.ply_writer import write_ply
+from dynamictree.mesh import TriangleMesh
+from tests.formats.meshes import trunk_and_crown
+
+shapes = given(
+    seed=st.integers(0, 2**32),
+    sizes=st.tuples(st.integers(3, 40), st.integers(1, 60)),
+    has=st.tuples(*[st.booleans()] * 2),
+)
+
+
+def random_mesh(seed: int, sizes: tuple[int, int], has: tuple[bool, bool]) -> TriangleMesh:
+    rng = np.random.default_rng(seed)
+    num_vertices, num_faces = sizes
+    return TriangleMesh(
+        vertices=(rng.normal(size=(num_vertices, 3)) * 10.0 ** rng.integers(-2, 2)).astype(np.float32),
+        faces=rng.integers(0, num_vertices, (num_faces, 3)).astype(np.int32),
+        uv=rng.uniform(0, 1, (num_vertices, 2)).astype(np.float32) if has[0] else None,
+        vertex_colors=rng.integers(0, 256, (num_vertices, 4)).astype(np.uint8) if has[1] else None,
+    )
+
+
+@settings(max_examples=25, deadline=None)
+@shapes
+def test_glb(seed: int, sizes: tuple[int, int], has: tuple[bool, bool]) -> None:
+    mesh, stream = random_mesh(seed, sizes, has), io.BytesIO()
+    write_glb(mesh, stream)
+    found = read_mesh(io.BytesIO(stream.getvalue()), file_type="glb")
+    assert_geometry(found, mesh)
+    assert_optional(found.uv, mesh.uv, atol=0)
+    assert_optional(found.vertex_colors, mesh.vertex_colors, atol=0)
+
+
+@settings(max_examples=25, deadline=None)
+@shapes
+def test_ply(seed: int, sizes: tuple[int, int], has: tuple[bool, bool]) -> None:
+    mesh, stream = random_mesh(seed, sizes, has), io.BytesIO()
+    write_ply(mesh, stream)
+    found = read_mesh(io.BytesIO(stream.getvalue()), file_type="ply", up_axis="+Z", unit_m=1.0)
+    assert_geometry(found, mesh)
+    assert_optional(found.uv, mesh.uv, atol=1e-6)
+    assert_optional(found.vertex_colors, mesh.vertex_colors, atol=0)
+
+
+@settings(max_examples=25, deadline=None)
+@shapes
+def test_obj(seed: int, sizes: tuple[int, int], has: tuple[bool, bool]) -> None:
+    mesh, stream = random_mesh(seed, sizes, has), io.BytesIO()
+    write_obj(mesh, stream)
+    found = read_mesh(io.BytesIO(stream.getvalue()), file_type="obj", up_axis="+Z", unit_m=1.0)
+    assert_geometry(found, mesh)
+    if mesh.uv is not None:
+        assert found.uv is not None
+        used = np.unique(mesh.faces)
+        np.testing.assert_allclose(found.uv[used], mesh.uv[used], atol=1e-6)
+
+
+def assert_geometry(found: TriangleMesh, expected: TriangleMesh) -> None:
+    np.testing.assert_array_equal(found.vertices, expected.vertices)
+    np.testing.assert_array_equal(found.faces, expected.faces)
+
+
+def assert_optional(found: np.ndarray | None, expected: np.ndarray | None, *, atol: float) -> None:
+    if expected is None:
+        assert found is None
+    else:
+        assert found is not None
+        np.testing.assert_allclose(found, expected, atol=atol)
+
+
+def test_glb_keeps_materials_and_textures(rng: np.random.Generator) -> None:
+    mesh, stream = trunk_and_crown(rng), io.BytesIO()
+    write_glb(mesh, stream)
+    found = read_mesh(io.BytesIO(stream.getvalue()), file_type="glb")
+    assert found.materials == mesh.materials
+    assert_optional(found.face_material, mesh.face_material, atol=0)
+    assert_geometry(found, mesh)
+
+
+def test_obj_keeps_materials_and_textures(rng: np.random.Generator) -> None:
+    mesh, stream = trunk_and_crown(rng), io.BytesIO()
+    companions = write_obj(mesh, stream, library="tree.mtl")
+    found = read_mesh(io.BytesIO(stream.getvalue()), file_type="obj", up_axis="+Z", companions=companions)
+    assert found.materials == mesh.materials
+    assert_optional(found.face_material, mesh.face_material, atol=0)
+
+
+def test_an_obj_without_its_library_keeps_the_names_of_its_materials(rng: np.random.Generator) -> None:
+    stream = io.BytesIO()
+    write_obj(trunk_and_crown(rng), stream, library="tree.mtl")
+    found = read_mesh(io.BytesIO(stream.getvalue()), file_type="obj", up_axis="+Z")
+    assert [material.name for material in found.materials] == ["bark", "leaf"]
+
+
+@pytest.mark.parametrize("kind", ["glb", "ply", "obj"])
+def test_what_is_written_is_told_by_its_first_bytes(rng: np.random.Generator, kind: str) -> None:
+    stream = io.BytesIO()
+    {"glb": write_glb, "ply": write_ply, "obj": write_obj}[kind](trunk_and_crown(rng), stream)
+    assert sniff_file_type(stream.getvalue()[:1024]) == kind
