@@ -1,0 +1,1 @@
+"""One module a figure. `python -m benchmarks NAME` prints one JSON object: value, unit, target, sizes, device, …"""

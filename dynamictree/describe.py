@@ -1,0 +1,53 @@
+"""What a file holds, in a few named facts: `dynamictree info` and the service's metadata say the same."""
+
+from typing import Any
+
+import numpy as np
+
+from dynamictree.mesh import TriangleMesh
+from dynamictree.spectrum import SparseVoxelSpectrum
+from dynamictree.voxel.grid import VoxelGrid
+
+
+def describe_mesh(mesh: TriangleMesh) -> dict[str, Any]:
+    """Counts, extent [m] and how the source's axes and units were read."""
+    return {
+        "num_vertices": mesh.num_vertices,
+        "num_faces": mesh.num_faces,
+        "num_materials": len(mesh.materials),
+        "extent_m": np.ptp(mesh.vertices.astype(np.float64), axis=0).round(4).tolist(),
+        "source_up_axis": mesh.source_up_axis,
+        "source_scale": mesh.source_scale,
+    }
+
+
+def describe_grid(grid: VoxelGrid) -> dict[str, Any]:
+    """Counts and place of a voxel grid [m]."""
+    centres = grid.centres_m.astype(np.float64)
+    low, high = centres.min(axis=0), centres.max(axis=0)
+    return {
+        "num_voxels": len(grid),
+        "resolution": grid.resolution,
+        "voxel_size_m": grid.voxel_size_m,
+        "bounds_m": [low.round(4).tolist(), high.round(4).tolist()],
+        "up_axis": "+Z",
+    }
+
+
+def describe_spectrum(spectrum: SparseVoxelSpectrum) -> dict[str, Any]:
+    """The grid's facts, the frequencies [Hz], the loop [s], and how the motion came about."""
+    wind = spectrum.wind
+    return describe_grid(spectrum.grid) | {
+        "num_frequencies": spectrum.num_frequencies,
+        "frequencies_hz": spectrum.frequencies_hz.round(6).tolist(),
+        "num_frames": spectrum.num_frames,
+        "fps": spectrum.fps,
+        "period_s": spectrum.period_s,
+        "rest": spectrum.rest,
+        "model": spectrum.model,
+        "seed": spectrum.seed,
+        "wind": None
+        if wind is None
+        else {"speed_m_s": wind.speed_m_s, "direction_deg": wind.direction_deg, "gust": wind.gust},
+        "source_sha256": spectrum.source_sha256,
+    }

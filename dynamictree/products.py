@@ -1,0 +1,166 @@
+"""What a motion is written as: which frames, and one writer a product."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import BinaryIO
+
+import numpy as np
+from jaxtyping import Complex64, Float32, Float64
+
+from dynamictree.errors import InputError
+from dynamictree.formats.glb_motion import write_motion_glb
+from dynamictree.formats.motion_file import write_motion
+from dynamictree.formats.ply_sequence import iter_ply_sequence_zip
+from dynamictree.mesh import TriangleMesh
+from dynamictree.spectrum import iter_motion
+
+FILE_NAMES = {
+    "ply": "motion.ply.zip",
+    "glb": "tree.glb",
+    "glb-reduced": "tree-8-targets.glb",
+    "motion": "motion.safetensors",
+    "png": "preview.png",
+    "webp": "preview.webp",
+    "mp4": "preview.mp4",
+}
+"""Of each format."""
+DEFAULT_FORMATS = ("ply", "glb", "png")
+REDUCED_TARGETS = 8  # morph targets that glTF asks every engine to support
+MAX_FRAMES = 600
+
+Report = Callable[[float], None]
+"""Gets the share done in [0, 1]; what it raises passes through."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AnimateOptions:
+    """Which frames of the motion are written, and as what. Frame n shows the spectrum at time n · speed / fps.
+
+    `num_frames=None` is one period. fps never changes the speed of the motion.
+    """
+
+    num_frames: int | None = None
+    fps: float = 24.0  # [1/s]
+    speed: float = 1.0
+    loop: bool = True
+    formats: tuple[str, ...] = DEFAULT_FORMATS
+
+    def __post_init__(self) -> None:
+        unknown = [name for name in self.formats if name not in FILE_NAMES]
+        if unknown or not self.formats:
+            raise InputError(f"formats are {list(self.formats)}; choose from {', '.join(FILE_NAMES)}")
+        if not 1 <= self.fps <= 240:
+            raise InputError(f"fps is {self.fps:g}; 1 to 240 frames a second are allowed")
+        if not 0.01 <= self.speed <= 100:
+            raise InputError(f"speed is {self.speed:g}; 0.01 to 100 times the natural speed are allowed")
+        if self.num_frames is not None and not 1 <= self.num_frames <= MAX_FRAMES:
+            raise InputError(f"num_frames is {self.num_frames}; 1 to {MAX_FRAMES} are allowed")
+
+    def phases(self, period_s: float) -> Float64[np.ndarray, " M"]:
+        """Place in the loop of every frame, in periods.
+
+        Raises:
+            InputError: `loop` is set and the frames are not a whole number of periods, or there are too many.
+        """
+        period_frames = self.fps * period_s / self.speed
+        num_frames = max(round(period_frames), 1) if self.num_frames is None else self.num_frames
+        if self.loop and not _is_whole(num_frames / period_frames):
+            raise InputError(
+                f"{num_frames} frames at {self.fps:g} fps and speed {self.speed:g} are {num_frames / period_frames:.4g}"
+                f" periods of {period_s:.4g} s, so the loop would jump; {_nearest_loops(num_frames, period_frames)}"
+            )
+        if num_frames > MAX_FRAMES:
+            raise InputError(f"one period is {num_frames} frames; at most {MAX_FRAMES} are allowed: lower fps")
+        return np.arange(num_frames) / period_frames
+
+
+def _is_whole(periods: float) -> bool:
+    return round(periods) >= 1 and abs(periods - round(periods)) < 1e-6
+
+
+def _nearest_loops(num_frames: int, period_frames: float) -> str:
+    loops = [count for count in range(1, MAX_FRAMES + 1) if _is_whole(count / period_frames)]
+    if not loops:
+        return f"no number of frames up to {MAX_FRAMES} makes a loop at this fps and speed: take fps 24 or loop=false"
+    below = [count for count in loops if count < num_frames][-1:]
+    above = [count for count in loops if count > num_frames][:1]
+    return f"{' or '.join(map(str, below + above))} frames make a loop; or take loop=false"
+
+
+@dataclass(frozen=True, kw_only=True)
+class SwayingMesh:
+    """A mesh, its vertices' spectrum, and the frames of it that are asked for."""
+
+    mesh: TriangleMesh
+    coefficients: Complex64[np.ndarray, "N K 3"]  # [m]
+    num_frames: int  # T of the spectrum
+    loop_fps: float  # frames of the spectrum that go by in a second of the file's time
+    phases: Float64[np.ndarray, " M"]  # of the frames to write, in periods
+    fps: float  # of the frames to write
+
+    def frames(self, report: Report) -> Iterator[Float32[np.ndarray, "N 3"]]:
+        """One frame of displacement after another [m]."""
+        for done, frame in enumerate(iter_motion(self.coefficients, self.phases, self.num_frames)):
+            report(done / len(self.phases))
+            yield frame
+
+
+def write_product(name: str, sway: SwayingMesh, stream: BinaryIO, report: Report) -> None:
+    """Write one of `FILE_NAMES` to an open file."""
+    _WRITERS[name](sway, stream, report)
+    report(1.0)
+
+
+def _write_ply(sway: SwayingMesh, stream: BinaryIO, report: Report) -> None:
+    stream.writelines(iter_ply_sequence_zip(sway.mesh, sway.frames(report)))
+
+
+def _write_motion(sway: SwayingMesh, stream: BinaryIO, report: Report) -> None:
+    write_motion(sway.mesh, sway.frames(report), stream, num_frames=len(sway.phases), fps=sway.fps)
+
+
+def _write_glb(sway: SwayingMesh, stream: BinaryIO, report: Report) -> None:
+    write_motion_glb(sway.mesh, sway.coefficients, stream, num_frames=sway.num_frames, fps=sway.loop_fps)
+
+
+def _write_reduced_glb(sway: SwayingMesh, stream: BinaryIO, report: Report) -> None:
+    num_targets = min(REDUCED_TARGETS, 2 * sway.coefficients.shape[1] - 1)
+    write_motion_glb(
+        sway.mesh,
+        sway.coefficients,
+        stream,
+        num_frames=sway.num_frames,
+        fps=sway.loop_fps,
+        num_targets=num_targets,
+    )
+
+
+def _write_png(sway: SwayingMesh, stream: BinaryIO, report: Report) -> None:
+    from dynamictree.render import preview_sheet, write_png
+
+    write_png(preview_sheet(sway.mesh, sway.coefficients, num_frames=sway.num_frames), stream)
+
+
+def _write_webp(sway: SwayingMesh, stream: BinaryIO, report: Report) -> None:
+    from dynamictree.render import Renderer, write_animation
+
+    pictures = map(Renderer(sway.mesh).picture, sway.frames(report))
+    write_animation(pictures, stream, fps=sway.fps, format="webp")
+
+
+def _write_mp4(sway: SwayingMesh, stream: BinaryIO, report: Report) -> None:
+    from dynamictree.render import Renderer, write_animation
+
+    pictures = map(Renderer(sway.mesh).picture, sway.frames(report))
+    write_animation(pictures, stream, fps=sway.fps, format="mp4")
+
+
+_WRITERS: dict[str, Callable[[SwayingMesh, BinaryIO, Report], None]] = {
+    "ply": _write_ply,
+    "glb": _write_glb,
+    "glb-reduced": _write_reduced_glb,
+    "motion": _write_motion,
+    "png": _write_png,
+    "webp": _write_webp,
+    "mp4": _write_mp4,
+}

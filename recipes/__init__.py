@@ -1,0 +1,1 @@
+"""Scripts that show the whole way, run by the tests."""

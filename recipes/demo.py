@@ -1,0 +1,183 @@
+"""A tree mesh goes in over HTTP and comes out swaying: what `make demo` runs.
+
+Starts `dynamictree serve` on a free port with its embedded Redis, SQLite and local folder; uploads a tree; polls;
+downloads every product; pushes a branch through /v1/interact; stops the service.
+"""
+
+import argparse
+import hashlib
+import json
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from safetensors.numpy import load_file
+
+SPECIES = "broadleaf-round"
+SEED = 7
+START_TIMEOUT_S = 120.0  # a cold disk alone can take half a minute over the first imports
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--input", type=Path, help="a mesh of yours: OBJ, PLY, GLB, glTF or STL")
+    parser.add_argument("--output", type=Path, default=Path("demo-output"), help="folder for the products")
+    arguments = parser.parse_args()
+    output: Path = arguments.output
+    output.mkdir(parents=True, exist_ok=True)
+    mesh_path = arguments.input or grow_demo_tree(output / "input.glb")
+    began = time.perf_counter()
+    with (
+        tempfile.TemporaryDirectory(prefix="dynamictree-demo-") as state,
+        served(Path(state), output / "serve.log") as url,
+    ):
+        ready_s = time.perf_counter() - began
+        with httpx.Client(base_url=url, timeout=60) as client:
+            job = animate(client, mesh_path)
+            paths = download(client, job, output)
+            answer = push_branch(client, job, paths["spectrum"])
+    print(f"\n  serve to ready   {ready_s:6.1f} s")
+    for stage in job["stages"]:
+        print(f"  {stage['name']:<16} {stage['seconds']:6.1f} s{'  (cached)' if stage['cached'] else ''}")
+    print(
+        f"  push a branch    {answer['seconds'] * 1e3:6.1f} ms for {answer['num_frames']} frames, tip swings {answer['swing_m'] * 100:.1f} cm"
+    )
+    print(f"  all              {time.perf_counter() - began:6.1f} s\n")
+    for path in [*paths.values(), output / "push.json"]:
+        print(f"  {path}  {path.stat().st_size / 1e6:.2f} MB")
+
+
+def grow_demo_tree(path: Path) -> Path:
+    """Write a tree from the project's own generator."""
+    from dynamictree.dataset.sample import make_mesh
+    from dynamictree.formats.gltf import write_glb
+
+    print(f"== growing a tree: species {SPECIES}, seed {SEED}")
+    with path.open("wb") as stream:
+        write_glb(make_mesh(SEED, species=SPECIES), stream)
+    return path
+
+
+@contextmanager
+def served(state: Path, log_path: Path) -> Iterator[str]:
+    """A service of its own on a free port; gives its address, and stops it at the end."""
+    command = [
+        sys.executable,
+        "-m",
+        "dynamictree.cli",
+        "serve",
+        "--host",
+        "127.0.0.1",
+        "--port",
+        "0",
+        "--state-dir",
+        str(state),
+    ]
+    print("== starting the service")
+    with log_path.open("w") as log:
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, text=True)
+        try:
+            yield wait_ready(process, log_path)
+        finally:
+            process.send_signal(signal.SIGTERM)
+            process.wait(timeout=60)
+    print("== stopped the service")
+
+
+def wait_ready(process: subprocess.Popen[str], log_path: Path) -> str:
+    """Read the service's standard output up to its line `ready http://…`."""
+    deadline = time.monotonic() + START_TIMEOUT_S
+    assert process.stdout is not None
+    for line in process.stdout:
+        if line.startswith("ready "):
+            return line.split()[1]
+        if time.monotonic() > deadline:
+            break
+    raise SystemExit(f"the service did not start; its log is {log_path}")
+
+
+def animate(client: httpx.Client, mesh_path: Path) -> dict[str, Any]:
+    """Upload the mesh, ask for its motion, poll until it is there."""
+    print(f"== uploading {mesh_path} ({mesh_path.stat().st_size / 1e6:.2f} MB)")
+    with mesh_path.open("rb") as stream:
+        asset = checked(client.post("/v1/assets", files={"file": (mesh_path.name, stream)}))
+    request = {"type": "animate", "asset_id": asset["id"], "seed": SEED, "params": {"formats": ["ply", "glb", "png"]}}
+    job = checked(client.post("/v1/jobs", json=request))
+    columns = (
+        TextColumn("{task.description:<12}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns) as progress:
+        bars: dict[str, Any] = {}
+        while job["state"] in ("queued", "running"):
+            response = client.get(f"/v1/jobs/{job['id']}", headers={"Prefer": "wait=1"})
+            job = checked(response)
+            for stage in job["stages"]:
+                bar = bars.setdefault(stage["name"], progress.add_task(stage["name"], total=1.0))
+                progress.update(bar, completed=1.0 if stage["state"] == "succeeded" else stage["progress"])
+            time.sleep(float(response.headers.get("Retry-After", "1")))
+    if job["state"] != "succeeded":
+        raise SystemExit(f"the job {job['state']}: {json.dumps(job['error'], indent=2)}")
+    return job
+
+
+def download(client: httpx.Client, job: dict[str, Any], folder: Path) -> dict[str, Path]:
+    """Fetch every artefact of the job and compare it with the manifest's sha256."""
+    paths = {}
+    for artifact in checked(client.get(f"/v1/jobs/{job['id']}/artifacts"))["artifacts"]:
+        path = folder / artifact["name"]
+        digest = hashlib.sha256()
+        with client.stream("GET", artifact["url"]) as response, path.open("wb") as stream:
+            response.raise_for_status()
+            for chunk in response.iter_bytes():
+                digest.update(chunk)
+                stream.write(chunk)
+        if digest.hexdigest() != artifact["sha256"]:
+            raise SystemExit(
+                f"{path} does not match the manifest: {digest.hexdigest()} instead of {artifact['sha256']}"
+            )
+        paths[artifact["name"]] = path
+    return paths
+
+
+def push_branch(client: httpx.Client, job: dict[str, Any], spectrum_path: Path, output: Path) -> dict[str, Any]:
+    """Give the voxel farthest from the trunk's axis a push of one newton second, and see how far it swings."""
+    tensors = load_file(spectrum_path)
+    centred = tensors["coords"] - tensors["coords"].mean(axis=0)
+    tip = int(np.argmax(np.linalg.norm(centred[:, :2], axis=1)))
+    impulse = {"kind": "impulse", "at": {"voxel": tip}, "impulse_n_s": [0.0, 1.0, 0.0], "start_s": 0.0}
+    request = {
+        "spectrum_id": job["result"]["spectrum_id"],
+        "forces": [impulse],
+        "dt_s": 1 / 60,
+        "num_frames": 120,
+        "output": "voxels",
+    }
+    began = time.perf_counter()
+    answer = checked(client.post("/v1/interact", json=request))
+    seconds = time.perf_counter() - began
+    output.write_text(json.dumps(answer))
+    return {"seconds": seconds, "num_frames": request["num_frames"], "answer": answer, "tip": tip}
+
+
+def checked(response: httpx.Response) -> dict[str, Any]:
+    """Give the body, or end with the problem that the service told."""
+    if response.is_error:
+        raise SystemExit(f"{response.request.method} {response.request.url}: {response.status_code}\n{response.text}")
+    body: dict[str, Any] = response.json()
+    return body
+
+
+if __name__ == "__main__":
+    main()

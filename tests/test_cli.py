@@ -1,0 +1,92 @@
+"""The command line as a user or a script meets it: real processes, real files."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from safetensors.numpy import load_file
+
+from dynamictree.dataset.sample import make_sample
+from dynamictree.formats.ply_writer import write_ply
+
+
+def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "dynamictree.cli", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=170)
+
+
+@pytest.fixture(scope="module")
+def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("cli") / "tree.ply"
+    with path.open("wb") as stream:
+        write_ply(make_sample(3, "sapling").mesh, stream)
+    return path
+
+
+def test_every_command_has_help_for_every_option() -> None:
+    names = ["animate", "dataset", "diffuse", "evaluate", "info", "interact", "reconstruct", "serve", "train", "voxelize"]
+    overview = run("--help")
+    assert all(name in overview.stdout for name in names), overview.stdout + overview.stderr
+
+
+def test_animate_writes_every_product_and_says_so_in_json(tree: Path, tmp_path: Path) -> None:
+    answer = run("animate", tree, "-o", tmp_path / "out", "--format", "ply,glb,motion,png", "--seed", 1, "--json")
+    assert answer.returncode == 0, answer.stderr
+    files = {Path(name).name for name in json.loads(answer.stdout)["files"]}
+    assert files == {"motion.ply.zip", "tree.glb", "motion.safetensors", "preview.png", "tree.spectrum.safetensors"}
+    motion = load_file(tmp_path / "out" / "motion.safetensors")
+    assert motion["displacement"].shape == (100, len(motion["vertices"]), 3)
+    assert np.isfinite(motion["displacement"]).all()
+
+
+def test_the_same_seed_gives_the_same_spectrum_and_another_seed_another(tree: Path, tmp_path: Path) -> None:
+    files = {}
+    for name, seed in [("a", 1), ("b", 1), ("c", 2)]:
+        files[name] = tmp_path / f"{name}.spectrum.safetensors"
+        assert run("diffuse", tree, "-o", files[name], "--seed", seed, "--resolution", 64).returncode == 0
+    assert files["a"].read_bytes() == files["b"].read_bytes()
+    assert files["a"].read_bytes() != files["c"].read_bytes()
+
+
+def test_voxelize_then_info_tells_what_was_written(tree: Path, tmp_path: Path) -> None:
+    voxels = tmp_path / "tree.voxels.safetensors"
+    made = json.loads(run("voxelize", tree, "-o", voxels, "--resolution", 64, "--json").stdout)
+    told = json.loads(run("info", voxels, "--json").stdout)
+    assert told["num_voxels"] == made["num_voxels"] > 100
+    assert told["resolution"] == 64
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "found"),
+    [
+        ("tree.obj", b"v 0 0 0\nv 1 0 0\n", "0 faces"),
+        ("tree.glb", b"glTF\x02\x00\x00\x00\xff\xff\x00\x00", "truncated"),
+        ("tree.doc", b"hello", "doc"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_2_and_leaves_nothing(
+    tmp_path: Path, name: str, content: bytes, found: str
+) -> None:
+    source, output = tmp_path / name, tmp_path / "out"
+    source.write_bytes(content)
+    answer = run("animate", source, "-o", output)
+    assert answer.returncode == 2
+    assert len(answer.stderr.strip().splitlines()) == 1
+    assert found in answer.stderr
+    assert not output.exists()
+
+
+def test_frames_that_make_no_loop_are_refused_with_the_nearest_that_do(tree: Path, tmp_path: Path) -> None:
+    answer = run("animate", tree, "-o", tmp_path / "out", "--frames", "90")
+    assert answer.returncode == 2
+    assert "100" in answer.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    answer = run("info", tmp_path / "none.obj")
+    assert answer.returncode == 2
+    assert "none.obj" in answer.stderr
