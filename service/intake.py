@@ -95,7 +95,8 @@ def _photos(files: list[ReceivedFile]) -> tuple[ReceivedFile, ...]:
 
 
 def _mesh_first(files: list[ReceivedFile]) -> tuple[ReceivedFile, ...]:
-    meshes = [file for file in files if _suffix(file) in MESH_SUFFIXES]
+    # a file alone is the mesh whatever its name: its bytes tell
+    meshes = [file for file in files if len(files) == 1 or _suffix(file) in MESH_SUFFIXES]
     if not meshes:
         raise _unsupported(files[0], MESH_SUFFIXES)
     if len(meshes) > 1:
@@ -121,7 +122,7 @@ async def admit(context: Context, upload: Upload, folder: Path) -> tuple[AssetRe
     request = ParseRequest(
         kind=upload.kind,
         names=tuple(_beside(file.name) for file in upload.files),
-        paths=tuple(_named(file) for file in upload.files),
+        paths=tuple(file.path for file in upload.files),
         prepared=prepared,
         up_axis=upload.up_axis,
         unit_m=upload.unit_m,
@@ -171,15 +172,6 @@ def _beside(name: str) -> str:
 
 def _suffix(file: ReceivedFile) -> str:
     return PurePosixPath(file.name).suffix.lower()
-
-
-def _named(file: ReceivedFile) -> Path:
-    """The file under a name with its suffix, by which readers choose their format."""
-    if _suffix(file) not in MESH_SUFFIXES + PHOTO_SUFFIXES:
-        return file.path
-    path = file.path.with_suffix(_suffix(file))
-    path.hardlink_to(file.path)
-    return path
 
 
 def _field(name: str, code: str, detail: str) -> ProblemError:

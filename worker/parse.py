@@ -11,6 +11,7 @@ from dynamictree.errors import DynamicTreeError
 from jobs.parser import ParseAnswer, ParseRequest
 
 MAX_FILES = 512
+HEAD_BYTES = 64 * 1024
 MAX_PIXELS = 50_000_000
 MIN_PHOTO_PIXELS = 320 * 240
 PHOTO_FORMATS = ("JPEG", "PNG", "TIFF", "WEBP")
@@ -46,11 +47,16 @@ def _mesh(request: ParseRequest) -> ParseAnswer:
     import numpy as np
 
     from dynamictree.formats.mesh_bundle import write_mesh_bundle
-    from dynamictree.pipeline import load_mesh
+    from dynamictree.formats.mesh_file import read_mesh, sniff_file_type
 
     main_path, *others = request.paths
-    companions = dict(zip(request.names[1:], others, strict=True))
-    mesh = load_mesh(main_path, companions=companions, up_axis=request.up_axis, unit_m=request.unit_m)
+    companions = {name: path.read_bytes() for name, path in zip(request.names[1:], others, strict=True)}
+    with main_path.open("rb") as source:
+        file_type = sniff_file_type(source.read(HEAD_BYTES), request.names[0])
+        source.seek(0)
+        mesh = read_mesh(
+            source, file_type=file_type, up_axis=request.up_axis, unit_m=request.unit_m, companions=companions
+        )
     with request.prepared.open("xb") as stream:
         write_mesh_bundle(mesh, stream)
     low, high = np.min(mesh.vertices, axis=0), np.max(mesh.vertices, axis=0)

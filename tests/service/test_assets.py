@@ -1,0 +1,216 @@
+import io
+import zipfile
+from pathlib import Path
+
+import pytest
+from fastapi.testclient import TestClient
+from PIL import Image
+
+from dynamictree.formats.mesh_bundle import read_mesh_bundle
+from service.context import Context
+
+OBJ = b"""mtllib tree.mtl
+v 0 0 0
+v 1 0 0
+v 0 0 2
+v 1 1 2
+usemtl bark
+f 1 2 3
+f 2 3 4
+"""
+MTL = b"newmtl bark\nKd 0.5 0.25 0.1\n"
+
+
+def send(client: TestClient, *files: tuple[str, bytes], **fields: str) -> object:
+    parts = [("file", (name, content)) for name, content in files]
+    return client.post("/v1/assets", files=parts, data=fields)
+
+
+def zipped(*entries: tuple[str, bytes]) -> bytes:
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in entries:
+            archive.writestr(name, content)
+    return packed.getvalue()
+
+
+def photo(number: int, size: tuple[int, int] = (400, 300)) -> bytes:
+    stream = io.BytesIO()
+    Image.new("RGB", size, (number, 100, 50)).save(stream, "JPEG")
+    return stream.getvalue()
+
+
+def left_behind(context: Context) -> list[Path]:
+    return list(context.settings.scratch_dir.rglob("*"))
+
+
+def test_a_mesh_becomes_an_asset(client: TestClient, context: Context) -> None:
+    response = send(client, ("tree.obj", OBJ), ("tree.mtl", MTL), up_axis="+Z", unit_m="2")
+    assert response.status_code == 201, response.text
+    asset = response.json()
+    assert response.headers["Location"] == f"/v1/assets/{asset['id']}"
+    assert (asset["summary"]["num_vertices"], asset["summary"]["num_faces"]) == (4, 2)
+    assert asset["summary"]["extent_m"] == [2.0, 2.0, 4.0]
+    assert [part["name"] for part in asset["parts"]] == ["tree.obj", "tree.mtl"]
+    assert client.get(response.headers["Location"]).json() == asset
+    kept = context.store.asset(asset["id"]).prepared
+    assert kept is not None
+    mesh = read_mesh_bundle(io.BytesIO(b"".join(context.artifacts.read(kept.sha256))))
+    assert mesh.materials[0].name == "bark"
+    assert left_behind(context) == []
+
+
+def test_the_same_files_are_the_same_asset(client: TestClient) -> None:
+    first = send(client, ("tree.obj", OBJ), ("tree.mtl", MTL))
+    again = send(client, ("tree.obj", OBJ), ("tree.mtl", MTL))
+    other = send(client, ("tree.obj", OBJ), ("tree.mtl", MTL), unit_m="2")
+    packed = send(client, ("all.zip", zipped(("tree.obj", OBJ), ("tree.mtl", MTL))))
+    assert (first.status_code, again.status_code, other.status_code, packed.status_code) == (201, 200, 201, 200)
+    assert first.json()["id"] == again.json()["id"] == packed.json()["id"]
+    assert other.json()["id"] != first.json()["id"]
+
+
+def test_photos_become_one_asset(client: TestClient) -> None:
+    response = send(client, *((f"p{i}.jpg", photo(i)) for i in range(8)))
+    assert response.status_code == 201, response.text
+    assert (response.json()["kind"], response.json()["summary"]["num_photos"]) == ("photos", 8)
+
+
+BAD_MESHES = {
+    "not a mesh": (("tree.obj", b"hello world\n"), 415),
+    "empty": (("tree.obj", b""), 415),
+    "no faces": (("tree.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\n"), 422),
+    "not finite": (("tree.obj", OBJ.replace(b"v 1 0 0", b"v nan 0 0")), 422),
+    "no extent": (("tree.obj", b"v 1 1 1\n" * 3 + b"f 1 2 3\n"), 422),
+    "truncated GLB": (("tree.glb", b"glTF\x02\x00\x00\x00\xff\x00\x00\x00\x10"), 415),
+    "points": (("scan.txt", b"0.1 0.2 0.3\n" * 50), 415),
+    "splat": (("tree.splat", bytes(64)), 415),
+}
+
+
+@pytest.mark.parametrize("what", BAD_MESHES)
+def test_a_bad_mesh_is_refused(client: TestClient, context: Context, what: str) -> None:
+    file, status = BAD_MESHES[what]
+    response = send(client, file)
+    assert response.status_code == status, response.text
+    assert response.json()["code"] in {"unsupported-format", "invalid-geometry"}
+    assert left_behind(context) == []
+
+
+def test_a_photo_is_checked(client: TestClient) -> None:
+    good = [(f"p{i}.jpg", photo(i)) for i in range(7)]
+    assert send(client, *good).json()["code"] == "invalid-input"
+    assert send(client, *good, ("p7.jpg", b"no photo")).json()["code"] == "unsupported-format"
+    assert "damaged" in send(client, *good, ("p7.jpg", photo(7)[:400])).json()["detail"]
+    assert "pixels" in send(client, *good, ("p7.jpg", photo(7, (20, 20)))).json()["detail"]
+    assert send(client, *good, ("p7.txt", photo(7)), kind="photos").json()["code"] == "unsupported-format"
+
+
+BAD_ZIPS = {
+    "outside": [("../tree.obj", OBJ)],
+    "absolute": [("/tree.obj", OBJ)],
+    "drive": [("C:/tree.obj", OBJ)],
+    "nested": [("tree.obj", OBJ), ("more.zip", zipped(("a", b"b")))],
+    "bomb": [("tree.obj", OBJ), ("zeros", bytes(50_000_000))],
+    "many": [(f"f{i}", b"x") for i in range(501)],
+    "none": [],
+}
+
+
+@pytest.mark.parametrize("what", BAD_ZIPS)
+def test_a_bad_zip_is_rejected(client: TestClient, context: Context, what: str) -> None:
+    response = send(client, ("all.zip", zipped(*BAD_ZIPS[what])))
+    assert (response.status_code, response.json()["code"]) == (422, "archive-rejected")
+    assert left_behind(context) == []
+
+
+def test_a_zip_with_a_link_a_twin_or_damage_is_rejected(client: TestClient) -> None:
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w") as archive:
+        link = zipfile.ZipInfo("tree.obj")
+        link.external_attr = 0o120777 << 16
+        archive.writestr(link, "/etc/passwd")
+    assert "symbolic link" in send(client, ("all.zip", packed.getvalue())).json()["detail"]
+    twin = zipped(("tree.obj", OBJ), ("tref.obj", OBJ)).replace(b"tref", b"tree")
+    assert "twice" in send(client, ("all.zip", twin)).json()["detail"]
+    whole = bytearray(zipped(("tree.obj", OBJ * 100)))
+    whole[60:80] = bytes(20)
+    assert send(client, ("all.zip", bytes(whole))).json()["code"] == "archive-rejected"
+
+
+def test_a_zip_that_declares_too_little_is_rejected(client: TestClient) -> None:
+    packed = zipped(("tree.obj", OBJ * 50))
+    size = len(OBJ * 50).to_bytes(4, "little")
+    assert packed.count(size) == 2
+    response = send(client, ("all.zip", packed.replace(size, (10).to_bytes(4, "little"))))
+    assert response.json()["code"] == "archive-rejected"
+
+
+@pytest.mark.parametrize(
+    ("fields", "pointer"),
+    [
+        ({"kind": "video"}, "form:kind"),
+        ({"up_axis": "up"}, "form:up_axis"),
+        ({"unit_m": "foot"}, "form:unit_m"),
+        ({"unit_m": "nan"}, "form:unit_m"),
+        ({"colour": "red"}, "form:colour"),
+    ],
+)
+def test_a_wrong_option_is_named(client: TestClient, fields: dict[str, str], pointer: str) -> None:
+    response = send(client, ("tree.obj", OBJ), **fields)
+    assert response.status_code == 422
+    assert [error["pointer"] for error in response.json()["errors"]] == [pointer]
+
+
+def test_which_file_is_the_mesh_must_be_clear(client: TestClient) -> None:
+    assert "2 meshes" in send(client, ("a.obj", OBJ), ("b.ply", OBJ)).json()["detail"]
+    assert send(client, ("a.mtl", MTL), ("b.txt", b"x")).json()["code"] == "unsupported-format"
+    assert client.post("/v1/assets", files={"kind": (None, "mesh")}).json()["code"] == "validation-failed"
+
+
+def raw(client: TestClient, body: bytes) -> object:
+    headers = {"Content-Type": "multipart/form-data; boundary=B"}
+    return client.post("/v1/assets", content=body, headers=headers)
+
+
+@pytest.mark.parametrize(
+    ("body", "code"),
+    [
+        (b'--B\r\nContent-Disposition: form-data; name="file"; filename="a.obj"\r\n\r\nv 0', "bad-request"),
+        (b"no boundary", "bad-request"),
+        (b"--B\r\nContent-Disposition: form-data\r\n\r\nx\r\n--B--\r\n", "bad-request"),
+        (b'--B\r\nContent-Disposition: form-data; name="kind"\r\n\r\n\xff\r\n--B--\r\n', "bad-request"),
+        (b'--B\r\nContent-Disposition: form-data; name="kind"\r\n\r\na\0b\r\n--B--\r\n', "bad-request"),
+        (
+            b'--B\r\nContent-Disposition: form-data; name="kind"\r\n\r\n' + b"x" * 5000 + b"\r\n--B--\r\n",
+            "payload-too-large",
+        ),
+        (
+            b'--B\r\nContent-Disposition: form-data; name="kind"\r\n\r\nmesh\r\n' * 321 + b"--B--\r\n",
+            "payload-too-large",
+        ),
+    ],
+)
+def test_a_broken_form_is_refused(client: TestClient, context: Context, body: bytes, code: str) -> None:
+    response = raw(client, body)
+    assert response.json()["code"] == code, response.text
+    assert left_behind(context) == []
+
+
+def test_a_parser_that_takes_too_much_is_ended(client: TestClient, context: Context) -> None:
+    small = context.settings.model_copy(update={"parser_memory_bytes": 64 * 1024**2})
+    client.app.state.context.__dict__["settings"] = small  # type: ignore[attr-defined]
+    response = send(client, ("tree.obj", OBJ))
+    assert (response.status_code, response.json()["code"]) == (422, "input-too-costly")
+    assert left_behind(context) == []
+
+
+def test_every_sample_mesh_is_taken(client: TestClient, samples: Path) -> None:
+    glb = samples / "mesh" / "tree-lime.glb"
+    assert send(client, (glb.name, glb.read_bytes())).status_code == 201
+    folder = samples / "mesh" / "quaternius_common_tree"
+    files = sorted(folder.iterdir())
+    assert send(client, *((file.name, file.read_bytes()) for file in files)).status_code == 201
+    scan = samples / "scan" / "tls_tree_1.txt"
+    refused = send(client, (scan.name, scan.read_bytes()))
+    assert (refused.status_code, "is accepted" in refused.json()["detail"]) == (415, True)
