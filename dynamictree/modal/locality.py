@@ -1,0 +1,97 @@
+"""What a poke may reach: the modes are the whole tree's, so each group of forces is given a weight a voxel.
+
+    u(p) = Σ_g w_g(p) Re Σ_k φ_k(p) q_{g,k},        w_g(p) = exp(−(c_g(p) / falloff)²)
+
+The cost c_g(p) is the length of the cheapest way from the poked voxel to p along the tree, where
+
+- going outward from where the push began is free: what the poked branch carries rides with it;
+- going towards the root costs its length: ancestors move less, the nearer to the root the less;
+- going outward again, after any way rootward, costs `OUTWARD` times its length: other branches barely move;
+- going around a stem costs `SIDEWAYS` times its length: a stem's faces move together.
+
+Twigs that touch are no way: an edge between voxels that the wind moves differently is longer by how much they differ.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse
+from jaxtyping import Float32, Float64, Int
+from scipy.sparse.csgraph import dijkstra
+
+from dynamictree.errors import InputError
+from dynamictree.modal.system import ModalSystem
+from dynamictree.voxel.graph import root_distance, voxel_graph
+
+OUTWARD = 4.0
+SIDEWAYS = 0.25
+STRANGER = 1000.0  # an edge is as many times longer whose ends move as unlike as strangers do
+FALLOFF_SHARE = 0.12  # of the tree's height: the default falloff
+REACH = 3.0  # falloffs, beyond which a weight (1e-4) is zero
+
+
+@dataclass(frozen=True, kw_only=True)
+class Branching:
+    """The tree as ways between its voxels; prepared once a spectrum, asked once a poke."""
+
+    ways: scipy.sparse.csr_array  # [2V, 2V]; rows V to 2V - 1 are the same voxels after a way towards the root
+    height_m: float
+
+    @property
+    def falloff_m(self) -> float:
+        """What a poke that names no falloff gets [m]."""
+        return FALLOFF_SHARE * self.height_m
+
+
+def branching(system: ModalSystem) -> Branching:
+    """Read from voxels and their motion which way the tree grows."""
+    edges = voxel_graph(system.grid).tocoo()
+    start, end = edges.row, edges.col
+    length = edges.data * (1 + STRANGER * strangeness(system, start, end))  # [E]
+    num_voxels = len(system.grid)
+    stretched = scipy.sparse.csr_array((length, (start, end)), shape=(num_voxels, num_voxels))
+    out = root_distance(stretched, system.grid).astype(np.float64)
+    rise = out[end] - out[start]
+    outward, rootward = np.maximum(rise, 0), np.maximum(-rise, 0)
+    around = SIDEWAYS * np.maximum(length - np.abs(rise), 0) + 1e-6  # a stored zero would be no edge
+    begun = rise >= 0
+    rows = np.concatenate([start[begun], start[~begun], start + num_voxels])
+    columns = np.concatenate([end[begun], end[~begun] + num_voxels, end + num_voxels])
+    costs = np.concatenate([around[begun], (rootward + around)[~begun], rootward + OUTWARD * outward + around])
+    ways = scipy.sparse.csr_array((costs, (rows, columns)), shape=(2 * num_voxels, 2 * num_voxels))
+    return Branching(ways=ways, height_m=float(np.ptp(system.grid.centres_m[:, 2])) + system.grid.voxel_size_m)
+
+
+def poke_weights(tree: Branching, seed_voxel: int, falloff_m: float) -> Float32[np.ndarray, " V"]:
+    """How much each voxel takes part in the answer to a push at one: 1 there and outward of it.
+
+    Raises:
+        InputError: no such voxel, or the falloff is no length.
+    """
+    num_voxels = tree.ways.shape[0] // 2
+    if not 0 <= seed_voxel < num_voxels:
+        raise InputError(f"voxel {seed_voxel} does not exist; the spectrum has voxels 0 to {num_voxels - 1}")
+    if not (np.isfinite(falloff_m) and falloff_m > 0):
+        raise InputError(f"falloff_m is {falloff_m}; it must be positive and finite")
+    cost = dijkstra(tree.ways, indices=np.array([seed_voxel]), limit=REACH * falloff_m)[0]  # [2V]
+    nearest = np.minimum(cost[:num_voxels], cost[num_voxels:])
+    weights: Float32[np.ndarray, " V"] = np.exp(-((nearest / falloff_m) ** 2)).astype(np.float32)
+    return weights
+
+
+def strangeness(
+    system: ModalSystem, start: Int[np.ndarray, " E"], end: Int[np.ndarray, " E"]
+) -> Float64[np.ndarray, " E"]:
+    """How unlike two voxels move: (|φ_a − φ_b|² / |φ_a||φ_b|)², at most 1, with all modes scaled to one strength.
+
+    The slow modes are the trunk's, which all twigs share; it is by the fast ones that two twigs differ. Of touching
+    voxels on dataset trees, those of one stem have a median of 0.003 before the square, those of two branches 1.
+    """
+    strength = np.sqrt((np.abs(system.shapes) ** 2).mean(axis=(0, 2), keepdims=True))  # [1, M, 1]
+    scaled = system.shapes / np.maximum(strength, np.finfo(np.float32).tiny)
+    flat = scaled.reshape(len(system.grid), -1).view(np.float32)  # [V, 6M]
+    norm = np.linalg.norm(flat, axis=1)
+    apart = np.linalg.norm(flat[start] - flat[end], axis=1)
+    similar = np.maximum(norm[start] * norm[end], np.finfo(np.float32).tiny)
+    unlike: Float64[np.ndarray, " E"] = (np.minimum(apart**2 / similar, 1) ** 2).astype(np.float64)
+    return unlike

@@ -1,0 +1,75 @@
+"""From bones to a mesh: which bones carry each vertex."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse
+from jaxtyping import Float32, Int32
+from scipy.sparse.csgraph import connected_components
+
+from dynamictree.mesh import TriangleMesh, edges_of
+from dynamictree.modal.skeleton import Bones
+from dynamictree.voxel.devoxelize import VoxelInterpolation
+
+BONES_A_VERTEX = 6
+STIFF_VOXELS = 8.0  # a part of the mesh that is smaller moves as one: a leaf keeps its shape
+SPREAD = 25  # edges over which a vertex shares its bones; a part then follows its own stem, not what touches it
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoneAttachment:
+    """Each vertex' bones and their weights, which sum to 1."""
+
+    rows: Int32[np.ndarray, "N W"]
+    weights: Float32[np.ndarray, "N W"]
+
+
+def attach_mesh(
+    bones: Bones, interpolation: VoxelInterpolation, mesh: TriangleMesh, *, voxel_size_m: float
+) -> BoneAttachment:
+    """Give each vertex the bones of its voxels, spread along the mesh's own edges."""
+    num_vertices, width = interpolation.rows.shape
+    points = np.repeat(np.arange(num_vertices), width)
+    shape = (num_vertices, len(bones.parent))
+    carried = scipy.sparse.csr_array(
+        (interpolation.weights.ravel(), (points, bones.bone_of_voxel[interpolation.rows.ravel()])), shape=shape
+    )
+    start, end = edges_of(mesh.faces).T
+    loops = np.arange(num_vertices)
+    pairs = (np.concatenate([start, end, loops]), np.concatenate([end, start, loops]))
+    graph = scipy.sparse.csr_array((np.ones(len(pairs[0]), np.float32), pairs), shape=(num_vertices, num_vertices))
+    spread = scipy.sparse.diags_array(1 / graph.sum(axis=1)) @ graph
+    carried = _stiffen(carried, graph, mesh, STIFF_VOXELS * voxel_size_m)
+    for _ in range(SPREAD):
+        carried = spread @ carried
+    return _strongest(carried.tocsr())
+
+
+def _stiffen(
+    carried: scipy.sparse.csr_array, graph: scipy.sparse.csr_array, mesh: TriangleMesh, size_m: float
+) -> scipy.sparse.csr_array:
+    """One mean for all vertices of a connected part that is small."""
+    num_parts, part = connected_components(graph, directed=False)
+    low, high = np.full((num_parts, 3), np.inf), np.full((num_parts, 3), -np.inf)
+    np.minimum.at(low, part, mesh.vertices)
+    np.maximum.at(high, part, mesh.vertices)
+    small = ((high - low).max(axis=1) < size_m)[part]  # [N]
+    every = np.arange(len(part))
+    member = scipy.sparse.csr_array((np.ones(small.sum()), (every[small], part[small])), shape=(len(part), num_parts))
+    mean = scipy.sparse.diags_array(1 / np.maximum(member.sum(axis=0), 1)) @ (member.T @ carried)
+    kept = scipy.sparse.diags_array((~small).astype(np.float64)) @ carried
+    together: scipy.sparse.csr_array = (member @ mean + kept).tocsr()
+    return together
+
+
+def _strongest(carried: scipy.sparse.csr_array) -> BoneAttachment:
+    num_vertices = carried.shape[0]
+    point = np.repeat(np.arange(num_vertices), np.diff(carried.indptr))
+    order = np.lexsort((carried.indices, -carried.data, point))
+    rank = np.arange(len(point)) - carried.indptr[point]
+    kept = rank < BONES_A_VERTEX
+    rows = np.zeros((num_vertices, BONES_A_VERTEX), np.int32)
+    weights = np.zeros((num_vertices, BONES_A_VERTEX), np.float32)
+    rows[point[kept], rank[kept]] = carried.indices[order][kept]
+    weights[point[kept], rank[kept]] = carried.data[order][kept]
+    return BoneAttachment(rows=rows, weights=weights / weights.sum(axis=1, keepdims=True))

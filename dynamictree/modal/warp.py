@@ -1,0 +1,114 @@
+"""Large pushes: bend where plain modes would stretch.
+
+A mode moves each point along a straight line, so a branch that is pushed far grows longer. Here the plain answer
+turns bones instead. The centre of bone b wants to go by u_b = Σ_g w_g(b) Re Σ_k φ_k(b) q_{g,k}, w and φ the means
+over its voxels; with r its reach from its parent a at rest, it turns by the smallest rotation that carries r along,
+
+    θ_b = r × (u_b − u_a) / (|r|² + h²),        R_b = exp [θ_b]×,        h a voxel's size,
+
+about its joint, the parent's centre, which the parent carries:
+
+    joint'_b = joint'_a + R_a (joint_b − joint_a),        x' = joint'_b + R_b (x − joint_b).
+
+To first order that is the plain answer less its stretching along the bones; bones never change their length.
+"""
+
+from dataclasses import dataclass
+from typing import no_type_check
+
+import numba
+import numpy as np
+from jaxtyping import Complex128, Float32, Int32
+
+from dynamictree.modal.skeleton import Bones
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pose:
+    """Where every bone stands: x' = rotation (x - joint) + place."""
+
+    rotation: Float32[np.ndarray, "B 3 3"]
+    place_m: Float32[np.ndarray, "B 3"]  # joint'
+
+
+def bone_weights(bones: Bones, weights: Float32[np.ndarray, "G V"]) -> Float32[np.ndarray, "G B"]:
+    """Mean weight of each bone's voxels, a group a row."""
+    count = np.bincount(bones.bone_of_voxel, minlength=len(bones.parent))
+    total = np.stack([np.bincount(bones.bone_of_voxel, row, minlength=len(bones.parent)) for row in weights])
+    return np.asarray((total / count).astype(np.float32))
+
+
+def bone_turns(
+    bones: Bones, weights: Float32[np.ndarray, "G B"], q: Complex128[np.ndarray, "G M"]
+) -> Float32[np.ndarray, "B 3"]:
+    """θ: how far each bone turns [rad]."""
+    coordinates = (weights[:, :, None] * q[:, None, :]).sum(axis=0).astype(np.complex64)  # Σ_g w_g q_g, [B, M]
+    moved = (coordinates[:, None, :] @ bones.shapes)[:, 0].real  # u, [B, 3]
+    above = np.where(bones.parent < 0, np.arange(len(bones.parent)), bones.parent)
+    turns = np.cross(bones.reach_m, moved - moved[above]) / bones.lever_m2[:, None]
+    return np.asarray(turns.astype(np.float32))
+
+
+def pose(bones: Bones, turns: Float32[np.ndarray, "B 3"]) -> Pose:
+    """Turn every bone and carry its children along."""
+    rotation, place = _pose(bones.parent, bones.joint_m, turns)
+    return Pose(rotation=rotation, place_m=place)
+
+
+def bend(
+    bones: Bones,
+    posed: Pose,
+    points: Float32[np.ndarray, "N 3"],
+    rows: Int32[np.ndarray, "N W"],
+    weights: Float32[np.ndarray, "N W"],
+) -> Float32[np.ndarray, "N 3"]:
+    """Displacement of points, each the weighted mean of where its bones `rows` would carry it [m]."""
+    # x' = Σ w (R x + t) with t = joint' - R joint
+    shift = posed.place_m - np.einsum("bij,bj->bi", posed.rotation, bones.joint_m)
+    return np.asarray(_bend(posed.rotation, shift.astype(np.float32), points, rows, weights))
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _pose(parent: np.ndarray, joint: np.ndarray, turns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    rotation = np.empty((len(parent), 3, 3), np.float32)
+    place = np.empty((len(parent), 3), np.float32)
+    for b in range(len(parent)):
+        x, y, z = turns[b]
+        angle = np.sqrt(x * x + y * y + z * z)
+        # Rodrigues: R = cos a I + (sin a / a) [θ]× + (1 - cos a)/a² θ θᵀ
+        c = np.cos(angle)
+        s = np.sin(angle) / angle if angle > 1e-4 else 1 - angle * angle / 6
+        d = (1 - c) / (angle * angle) if angle > 1e-2 else 0.5 - angle * angle / 24
+        rotation[b, 0] = (c + d * x * x, d * x * y - s * z, d * x * z + s * y)
+        rotation[b, 1] = (d * x * y + s * z, c + d * y * y, d * y * z - s * x)
+        rotation[b, 2] = (d * x * z - s * y, d * y * z + s * x, c + d * z * z)
+        a = parent[b]
+        if a < 0:
+            place[b] = joint[b]
+            continue
+        for i in range(3):
+            place[b, i] = place[a, i]
+            for j in range(3):
+                place[b, i] += rotation[a, i, j] * (joint[b, j] - joint[a, j])
+    return rotation, place
+
+
+@numba.njit(cache=True, parallel=True, fastmath=True)
+@no_type_check
+def _bend(
+    rotation: np.ndarray, shift: np.ndarray, points: np.ndarray, rows: np.ndarray, weights: np.ndarray
+) -> np.ndarray:
+    moved = np.empty_like(points)
+    for n in numba.prange(len(points)):
+        x, y, z = points[n]
+        for i in range(3):
+            total = np.float32(0)
+            for j in range(rows.shape[1]):
+                w = weights[n, j]
+                if w > 0:
+                    b = rows[n, j]
+                    r = rotation[b, i]
+                    total += w * (r[0] * x + r[1] * y + r[2] * z + shift[b, i])
+            moved[n, i] = total - points[n, i]
+    return moved
