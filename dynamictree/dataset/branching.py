@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float32, Int32
+from jaxtyping import Float, Float32, Int32
 
 from dynamictree.dataset.species import Level, Shape, Species
 
@@ -14,13 +14,13 @@ CHILD_TO_PARENT_RADIUS = 0.8  # a child's first ring stays inside its parent's t
 
 @dataclass(frozen=True, kw_only=True)
 class Stems:
-    """All stems of one level, a row each, R segments between R + 1 rings.
+    """All stems of one level, a row each, R segments between P = R + 1 rings.
 
     A stem that split off another of its level shares that one's rings before `first`.
     """
 
-    points: Float32[np.ndarray, "M R+1 3"]  # ring centres [m]
-    radii: Float32[np.ndarray, "M R+1"]  # [m]
+    points: Float32[np.ndarray, "M P 3"]  # ring centres [m]
+    radii: Float32[np.ndarray, "M P"]  # [m]
     first: Int32[np.ndarray, " M"]  # first ring of its own
     parent: Int32[np.ndarray, " M"]  # row one level up, or, where first > 0, of this level; -1 is the ground
     parent_ring: Float32[np.ndarray, " M"]  # place on the parent, in rings
@@ -30,7 +30,7 @@ class Stems:
     @property
     def segments(self) -> int:
         """R."""
-        return self.points.shape[1] - 1
+        return len(self.radii[0]) - 1
 
 
 def shape_ratio(shape: Shape, place: Float32[np.ndarray, " M"]) -> Float32[np.ndarray, " M"]:
@@ -51,23 +51,26 @@ def shape_ratio(shape: Shape, place: Float32[np.ndarray, " M"]) -> Float32[np.nd
 
 
 def turned(
-    vectors: Float32[np.ndarray, "M 3"], axes: Float32[np.ndarray, "M 3"], angles: Float32[np.ndarray, " M"]
+    vectors: Float[np.ndarray, "M 3"], axes: Float[np.ndarray, "M 3"], angles: Float[np.ndarray, " M"]
 ) -> Float32[np.ndarray, "M 3"]:
     """Vectors turned about unit axes by angles [rad]. Rodrigues."""
     cosine, sine = np.cos(angles)[:, None], np.sin(angles)[:, None]
     along = (vectors * axes).sum(axis=1, keepdims=True) * axes
-    return (vectors * cosine + np.cross(axes, vectors) * sine + along * (1 - cosine)).astype(np.float32)
+    moved: Float32[np.ndarray, "M 3"] = vectors * cosine + np.cross(axes, vectors) * sine + along * (1 - cosine)
+    return moved.astype(np.float32)
 
 
-def unit(vectors: Float32[np.ndarray, "M 3"]) -> Float32[np.ndarray, "M 3"]:
+def unit(vectors: Float[np.ndarray, "... 3"]) -> Float32[np.ndarray, "... 3"]:
     """Vectors of length 1."""
-    return (vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9)).astype(np.float32)
+    length = np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9)
+    shortened: Float32[np.ndarray, ...] = vectors / length
+    return shortened.astype(np.float32)
 
 
-def across(directions: Float32[np.ndarray, "M 3"]) -> Float32[np.ndarray, "M 3"]:
+def across(directions: Float[np.ndarray, "M 3"]) -> Float32[np.ndarray, "M 3"]:
     """A unit vector square to each direction; level where that can be."""
     steep = np.abs(directions[:, 2:]) > 0.999
-    reference = np.where(steep, np.float32([[1, 0, 0]]), np.float32([[0, 0, 1]]))
+    reference = np.where(steep, np.array([[1, 0, 0]], np.float32), np.array([[0, 0, 1]], np.float32))
     return unit(np.cross(reference, directions))
 
 
@@ -79,7 +82,8 @@ def grow_trunks(species: Species, rng: np.random.Generator) -> Stems:
     azimuth = np.arange(count) * np.deg2rad(137.5) + rng.uniform(0, 2 * np.pi)
     away = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(count)], axis=1).astype(np.float32)
     lean = np.deg2rad(level.down * rng.uniform(0.2, 1, count) if count > 1 else rng.normal(0, 1.5, count))
-    directions = turned(np.tile(np.float32([[0, 0, 1]]), (count, 1)), unit(np.cross(np.float32([0, 0, 1]), away)), lean)
+    up = np.tile(np.array([0, 0, 1], np.float32), (count, 1))
+    directions = turned(up, unit(np.cross(up, away)), lean.astype(np.float32))
     lengths = height * level.length * (1 + level.length_var * rng.uniform(-1, 1, count) * (count > 1))
     radii = lengths * species.ratio
     spread = 0.0 if count == 1 else 2.2 * radii.max()
@@ -107,7 +111,7 @@ def grow_children(species: Species, depth: int, parents: Stems, rng: np.random.G
     radius_here = parents.radii[row, segment] * (1 - share[:, 0]) + parents.radii[row, segment + 1] * share[:, 0]
 
     relative = ring / parents.segments  # 0 at the parent's base, 1 at its tip
-    whole = parents.length_m[row] * parents.segments / (parents.segments - parents.first[row])
+    whole = (parents.length_m * parents.segments / (parents.segments - parents.first))[row].astype(np.float32)
     length = _child_length(species, depth, relative, whole, rng)
     down = _down_angle(species, depth, relative, rng)
     start = np.concatenate([[True], row[1:] != row[:-1]])
@@ -163,8 +167,11 @@ def _child_length(
     spread = 1 + level.length_var * rng.uniform(-1, 1, len(relative))
     if depth == 1:
         place = np.clip((1 - relative) / (1 - species.base_size), 0, 1).astype(np.float32)
-        return (whole * level.length * shape_ratio(species.shape, place) * spread).astype(np.float32)
-    return (whole * level.length * (1 - 0.6 * relative) * spread).astype(np.float32)
+        along = shape_ratio(species.shape, place)
+    else:
+        along = 1 - 0.6 * relative
+    length: Float32[np.ndarray, " M"] = (whole * level.length * along * spread).astype(np.float32)
+    return length
 
 
 def _down_angle(

@@ -21,9 +21,9 @@ Made by `dynamictree dataset generate` (generator version {version}); {state}. E
 
 ## How it was made
 
-Branching after Weber and Penn (1995) with {num_species} species; key parameters (number and length of branches, height, angle,
-leaf count) are drawn widely, the others perturbed a little. Every stem is a damped oscillator that gusts and its parent's
-motion drive. {seen:,} trees were made; the filter let {accepted:,} through.
+Branching after Weber and Penn (1995) with {num_species} species; key parameters (number of branches and leaves, height,
+angles, thickness) are drawn widely, the others perturbed a little. Every stem is a damped oscillator that gusts and its
+parent's motion drive. {seen:,} trees were made; the filter let {accepted:,} through.
 
 | rule | rejected | share |
 |---|---|---|
@@ -35,12 +35,13 @@ motion drive. {seen:,} trees were made; the filter let {accepted:,} through.
 
 ## Reading it
 
-`dynamictree.dataset.shards.iter_shard(path)`, or any safetensors reader: tensor `SEED/name`, the seed in seven digits; names, shapes and
-units stand in that module. `manifest.json` holds each shard's sha256.
+`dynamictree.dataset.shards.iter_shard(path)`, or any safetensors reader: tensor `SEED/name`, the seed in seven digits;
+names, shapes and units stand in that module. `manifest.json` holds each shard's sha256.
 
 ## What it is not
 
-Procedural trees in a procedural wind: no measured trees, no collisions, no leaves that break off, one wind for the whole tree.
+Procedural trees in a procedural wind: no measured trees, no collisions, no leaves that
+break off, one wind for the whole tree.
 """
 
 

@@ -4,14 +4,11 @@ import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from dynamictree.errors import InputError
-
-if TYPE_CHECKING:
-    from dynamictree.dataset.filter import Limits
 
 app = typer.Typer(
     no_args_is_help=True, help="4DTree: animated trees from seeds; generate, filter, sheet, stats, export."
@@ -102,7 +99,7 @@ def filter_trees(
     from dynamictree.dataset.filter import Limits, measure, rejections
     from dynamictree.dataset.sample import make_sample
 
-    limits: Limits = Limits(
+    limits = Limits(
         high_frequency=high_frequency,
         root_motion=root_motion,
         edge_stretch=edge_stretch,

@@ -26,6 +26,9 @@ class Limits:
     self_explosion: float = 0.22  # largest displacement, of the height
 
 
+DEFAULT_LIMITS = Limits()
+
+
 @dataclass(frozen=True, kw_only=True)
 class Measures:
     """What the rules look at."""
@@ -46,10 +49,10 @@ class Measures:
         return tuple(rule for rule, found, allowed in checks if not found <= allowed)
 
 
-def measure(sample: Sample, limits: Limits = Limits(), *, frame_step: int = 10) -> Measures:  # noqa: B008
+def measure(sample: Sample, limits: Limits = DEFAULT_LIMITS, *, frame_step: int = 10) -> Measures:
     """Measure a sample: energies on its nodes at every frame, the rest on its vertices at every `frame_step`-th."""
     step = sample.motion.every(frame_step)
-    displacement = step.vertices(sample.mesh.vertices, sample.node)
+    displacement = step.displacement(sample.mesh.vertices, sample.node)
     return Measures(
         high_frequency=high_frequency_energy(sample.motion.shift, fps=FPS, above_hz=limits.above_hz),
         root_motion=root_motion(sample.mesh.vertices, displacement),

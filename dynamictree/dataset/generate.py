@@ -19,7 +19,7 @@ from pathlib import Path
 from threadpoolctl import threadpool_limits
 
 from dynamictree.dataset.card import write_card
-from dynamictree.dataset.filter import Limits, measure, rejections
+from dynamictree.dataset.filter import DEFAULT_LIMITS, Limits, measure, rejections
 from dynamictree.dataset.review import Verdict
 from dynamictree.dataset.sample import VERSION, make_sample
 from dynamictree.dataset.shards import StoredTree, store, write_shard
@@ -39,7 +39,7 @@ class Recipe:
     resolutions: tuple[int, ...] = (128,)
     vertex_spectrum: bool = False
     loop: bool = True
-    limits: Limits = Limits()
+    limits: Limits = DEFAULT_LIMITS
     review: Mapping[int, Verdict] = field(default_factory=dict)
 
     @property
@@ -144,8 +144,8 @@ def bake_shard(recipe: Recipe, index: int, folder: Path) -> None:
                 trees.append(store(sample, resolutions=recipe.resolutions, vertex_spectrum=recipe.vertex_spectrum))
     if len(trees) < recipe.shard_trees(index):
         raise InputError(
-            f"only {len(trees)} of {len(verdicts)} trees of shard {index} passed the filter, {recipe.shard_trees(index)} are "
-            f"needed; rejected by rule: {rejections(verdicts)}; widen the limits or shorten the review"
+            f"only {len(trees)} of {len(verdicts)} trees of shard {index} passed the filter, "
+            f"{recipe.shard_trees(index)} are needed; by rule: {rejections(verdicts)}; widen the limits"
         )
     content = io.BytesIO()
     write_shard(trees, content)

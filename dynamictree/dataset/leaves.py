@@ -10,7 +10,7 @@ from dynamictree.dataset.species import Foliage
 from dynamictree.dataset.tubes import Surface
 
 LOWEST_M = 0.01  # leaves lie on the ground, and do not touch z = 0, where only the roots are
-DOWN = np.float32([[0, 0, -1]])
+DOWN = np.array([[0, 0, -1]], np.float32)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,16 +66,18 @@ def grow_leaves(foliage: Foliage, height_m: float, stems: Stems, level: int, rng
 
 
 CARD = {  # (along the axis, across, off the plane), in lengths and widths; folded along the midrib
-    "leaf": np.float32([[0, 0, 0], [0.45, 0.5, 0.06], [1, 0, 0], [0.45, -0.5, 0.06]]),
-    "blade": np.float32([[0, 0.35, 0], [0.6, 0.5, 0.03], [1, 0, -0.08], [0.6, -0.5, 0.03], [0, -0.35, 0]]),
-    "spray": np.float32([[0, 0, 0], [0.35, 0.5, 0.05], [1, 0.28, -0.05], [1, -0.28, -0.05], [0.35, -0.5, 0.05]]),
+    "leaf": np.array([[0, 0, 0], [0.45, 0.5, 0.06], [1, 0, 0], [0.45, -0.5, 0.06]], np.float32),
+    "blade": np.array([[0, 0.35, 0], [0.6, 0.5, 0.03], [1, 0, -0.08], [0.6, -0.5, 0.03], [0, -0.35, 0]], np.float32),
+    "spray": np.array(
+        [[0, 0, 0], [0.35, 0.5, 0.05], [1, 0.28, -0.05], [1, -0.28, -0.05], [0.35, -0.5, 0.05]], np.float32
+    ),
 }
 
 
 def cards(leaves: Leaves, foliage: Foliage) -> Surface:
     """The leaves' surface; node q is leaf q. A card of a cluster is a spray."""
     outline = CARD[{"leaf": "leaf", "frond": "blade"}.get(foliage.kind, "spray")]
-    spokes = np.int32([[0, i, i + 1] for i in range(1, len(outline) - 1)])
+    spokes = np.array([[0, corner, corner + 1] for corner in range(1, len(outline) - 1)], np.int32)
     side = np.cross(leaves.normal, leaves.axis)
     frame = np.stack([leaves.axis, side * foliage.aspect, leaves.normal], axis=1)  # [Q, 3, 3]
     placed = leaves.base[:, None] + leaves.length_m[:, None, None] * np.einsum("pa,qax->qpx", outline, frame)

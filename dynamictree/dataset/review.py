@@ -1,16 +1,17 @@
-"""A person's verdicts on trees: a plain text file, one line a tree, `SEED accept` or `SEED reject`. Paper appendix A, step 3."""
+"""A person's verdicts on trees: lines of `SEED accept` or `SEED reject`. Paper appendix A, step 3."""
 
 from collections.abc import Iterable, Mapping
-from typing import BinaryIO, Literal, get_args
+from typing import Literal, get_args
 
 from dynamictree.errors import FormatError
+from dynamictree.formats.stream import ByteReader, ByteWriter
 
 Verdict = Literal["accept", "reject"]
 VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
 HEADER = "# SEED accept|reject, and what you like after it; `dynamictree dataset generate --review` honours this file\n"
 
 
-def read_review(stream: BinaryIO) -> dict[int, Verdict]:
+def read_review(stream: ByteReader) -> dict[int, Verdict]:
     """Verdict by seed; what follows a # or the verdict is a note.
 
     Raises:
@@ -32,7 +33,9 @@ def read_review(stream: BinaryIO) -> dict[int, Verdict]:
     return verdicts
 
 
-def write_review(verdicts: Mapping[int, Verdict], stream: BinaryIO, *, notes: Mapping[int, str] | None = None) -> None:
+def write_review(
+    verdicts: Mapping[int, Verdict], stream: ByteWriter, *, notes: Mapping[int, str] | None = None
+) -> None:
     """Write verdicts in the order of seeds."""
     stream.write(HEADER.encode())
     for seed in sorted(verdicts):

@@ -4,16 +4,14 @@ import numpy as np
 from jaxtyping import Float32
 
 
-def turn_of(vector: Float32[np.ndarray, "3 *batch"]) -> Float32[np.ndarray, "4 *batch"]:
+def turn_of(vector: Float32[np.ndarray, "3 ..."]) -> Float32[np.ndarray, "4 ..."]:
     """Quaternion of a rotation vector [rad]."""
     angle = np.sqrt((vector * vector).sum(axis=0))
     half = 0.5 * np.sinc(angle / (2 * np.pi))  # sin(angle / 2) / angle
     return np.concatenate([np.cos(angle / 2)[None], half * vector]).astype(np.float32)
 
 
-def product(
-    first: Float32[np.ndarray, "4 *batch"], second: Float32[np.ndarray, "4 *batch"]
-) -> Float32[np.ndarray, "4 *batch"]:
+def product(first: Float32[np.ndarray, "4 ..."], second: Float32[np.ndarray, "4 ..."]) -> Float32[np.ndarray, "4 ..."]:
     """Hamilton's product: `second` is done first."""
     a, b, c, d = first
     w, x, y, z = second
@@ -27,7 +25,7 @@ def product(
     )
 
 
-def to_matrix(quaternion: Float32[np.ndarray, "4 *batch"]) -> Float32[np.ndarray, "3 3 *batch"]:
+def to_matrix(quaternion: Float32[np.ndarray, "4 ..."]) -> Float32[np.ndarray, "3 3 ..."]:
     """Rotation less the identity."""
     w, x, y, z = quaternion
     rows = [
@@ -38,11 +36,19 @@ def to_matrix(quaternion: Float32[np.ndarray, "4 *batch"]) -> Float32[np.ndarray
     return np.stack([np.stack(row) for row in rows])
 
 
+def cross(first: Float32[np.ndarray, "3 ..."], second: Float32[np.ndarray, "3 ..."]) -> Float32[np.ndarray, "3 ..."]:
+    """Vector product."""
+    a, b, c = first
+    x, y, z = second
+    return np.stack([b * z - c * y, c * x - a * z, a * y - b * x])
+
+
 def carried(
-    quaternion: Float32[np.ndarray, "4 *batch"], vector: Float32[np.ndarray, "3 *any"]
-) -> Float32[np.ndarray, "3 *batch"]:
+    quaternion: Float32[np.ndarray, "4 ..."], vector: Float32[np.ndarray, "3 ..."]
+) -> Float32[np.ndarray, "3 ..."]:
     """A vector turned by each quaternion."""
     x, y, z = vector
     matrix = to_matrix(quaternion)
     turned = matrix[:, 0] * x + matrix[:, 1] * y + matrix[:, 2] * z
-    return (turned + vector).astype(np.float32)
+    moved: Float32[np.ndarray, "3 ..."] = (turned + vector).astype(np.float32)
+    return moved

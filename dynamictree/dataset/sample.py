@@ -6,10 +6,11 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Complex64, Float32, Int8, Int32
 
+from dynamictree.dataset.motion import Sway, vertex_spectrum
 from dynamictree.dataset.sapling import Tree, grow_tree
 from dynamictree.dataset.skeleton import Skeleton, skeleton_of
 from dynamictree.dataset.species import SPECIES, Species
-from dynamictree.dataset.wind import Sway, sway, vertex_spectrum
+from dynamictree.dataset.wind import sway
 from dynamictree.errors import InputError
 from dynamictree.mesh import TriangleMesh
 from dynamictree.spectrum import NUM_FREQUENCIES, SparseVoxelSpectrum, Wind
@@ -41,7 +42,7 @@ class Sample:
 
     def displacement(self) -> Float32[np.ndarray, "T N 3"]:
         """Every vertex at every frame, with what lies beyond the K frequencies [m]."""
-        return self.motion.vertices(self.mesh.vertices, self.node)
+        return self.motion.displacement(self.mesh.vertices, self.node)
 
 
 def make_sample(seed: int, species: str | None = None, *, wind: Wind | None = None, loop: bool = True) -> Sample:

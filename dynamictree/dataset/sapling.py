@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Int32, Int8
+from jaxtyping import Int8, Int32
 
 from dynamictree.dataset.branching import Stems, grow_children, grow_trunks
 from dynamictree.dataset.leaves import Leaves, cards, grow_leaves
@@ -53,7 +53,9 @@ def _surface(species: Species, stems: tuple[Stems, ...], leaves: tuple[Leaves, .
     sizes = [len(surface.vertices) for surface in surfaces]
     first_vertex = np.cumsum([0, *sizes[:-1]])
     first_node = np.cumsum([0, *num_nodes[:-1]])
-    material = np.repeat(np.int32([label == LEAF for label in labels]), [len(surface.faces) for surface in surfaces])
+    material = np.repeat(
+        np.array([label == LEAF for label in labels], np.int32), [len(surface.faces) for surface in surfaces]
+    )
     mesh = TriangleMesh(
         vertices=np.concatenate([surface.vertices for surface in surfaces]),
         faces=np.concatenate(
@@ -70,7 +72,7 @@ def _surface(species: Species, stems: tuple[Stems, ...], leaves: tuple[Leaves, .
         stems=stems,
         leaves=leaves,
         mesh=mesh,
-        part=np.repeat(np.int8(labels), sizes),
+        part=np.repeat(np.array(labels, np.int8), sizes),
         node=np.concatenate([surface.node + start for surface, start in zip(surfaces, first_node, strict=True)]).astype(
             np.int32
         ),

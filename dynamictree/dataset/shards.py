@@ -7,13 +7,12 @@ Tensors of tree SEED are named `SEED/name`, the seed in seven digits or more:
     r128.coords int16 [V, 3] · r128.normals float16 [V, 3] · r128.spectrum float16 [V, K, 3, 2] (re, im; m), and so on
     vertex_spectrum float16 [N, K, 3, 2], on request
 
-The one metadata entry `4dtree` is JSON: version, fps, num_frames, and a record of each tree (seed, species, split, wind, grids).
+The one metadata entry `4dtree` is JSON: version, fps, num_frames, and of each tree seed, species, split, wind, grids.
 """
 
 import json
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
-from typing import BinaryIO
 
 import numpy as np
 import safetensors.numpy
@@ -22,6 +21,7 @@ from jaxtyping import Complex64, Float16
 from dynamictree.dataset.sample import VERSION, Sample, Split, voxel_spectrum
 from dynamictree.dataset.skeleton import Skeleton
 from dynamictree.errors import FormatError
+from dynamictree.formats.stream import ByteWriter
 from dynamictree.spectrum import FPS, NUM_FRAMES, SparseVoxelSpectrum, Wind
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import SurfaceVoxels
@@ -104,7 +104,7 @@ def store(sample: Sample, *, resolutions: tuple[int, ...], vertex_spectrum: bool
     )
 
 
-def write_shard(trees: list[StoredTree], stream: BinaryIO) -> None:
+def write_shard(trees: list[StoredTree], stream: ByteWriter) -> None:
     """Write trees in the order given."""
     records = [
         {

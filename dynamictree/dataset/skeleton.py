@@ -24,7 +24,7 @@ class Skeleton:
 def skeleton_of(levels: tuple[Stems, ...]) -> Skeleton:
     """Lay all levels' rings out as one list of nodes. A stem's first ring hangs on its parent's ring just below."""
     parts: list[tuple[np.ndarray, ...]] = []
-    above = np.zeros((0, 0), np.int32)
+    above: Int32[np.ndarray, "M P"] = np.zeros((0, 0), np.int32)
     num_nodes = num_stems = 0
     for depth, stems in enumerate(levels):
         own = own_rings(stems)

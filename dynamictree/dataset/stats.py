@@ -1,13 +1,14 @@
 """What the trees of a dataset are like, stem by stem: lengths, radii, frequencies and amplitudes by level."""
 
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import BinaryIO
 
 import numpy as np
 from jaxtyping import Float32, Int8
 
 from dynamictree.dataset.sample import Sample
+from dynamictree.formats.stream import ByteWriter
 from dynamictree.spectrum import FPS, NUM_FREQUENCIES
 
 
@@ -101,7 +102,7 @@ def numbers_of(tables: Sequence[StemTable]) -> dict[str, object]:
     }
 
 
-def draw_plots(tables: Sequence[StemTable], stream: BinaryIO) -> None:
+def draw_plots(tables: Sequence[StemTable], stream: ByteWriter) -> None:
     """Four plots as one PNG: heights, lengths by level, frequency and amplitude against length."""
     from matplotlib.figure import Figure
 
@@ -133,4 +134,6 @@ def draw_plots(tables: Sequence[StemTable], stream: BinaryIO) -> None:
             axes.scatter(length[chosen], values[chosen], s=3, alpha=0.3, label=f"level {depth}")
         axes.set(xscale="log", yscale="log", xlabel="stem length [m]", ylabel=title)
         axes.legend()
-    figure.savefig(stream, format="png", dpi=100)
+    content = io.BytesIO()
+    figure.savefig(content, format="png", dpi=100)
+    stream.write(content.getvalue())

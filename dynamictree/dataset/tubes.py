@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int32
+from jaxtyping import Bool, Float32, Int32, Int64
 
 from dynamictree.dataset.branching import Stems, across, unit
 
@@ -17,12 +17,12 @@ class Surface:
     node: Int32[np.ndarray, " N"]
 
 
-def own_rings(stems: Stems) -> Bool[np.ndarray, "M R+1"]:
+def own_rings(stems: Stems) -> Bool[np.ndarray, "M P"]:
     """Which rings of the table are a stem's own, and so are nodes, counted row by row."""
     return np.arange(stems.segments + 1) >= stems.first[:, None]
 
 
-def ring_axes(stems: Stems) -> tuple[Float32[np.ndarray, "M R+1 3"], Float32[np.ndarray, "M R+1 3"]]:
+def ring_axes(stems: Stems) -> tuple[Float32[np.ndarray, "M P 3"], Float32[np.ndarray, "M P 3"]]:
     """Two unit vectors that span each ring, carried along the stem without twist."""
     segment = unit(np.diff(stems.points, axis=1))  # [M, R, 3]
     tangent = unit(np.concatenate([segment[:, :1], segment[:, 1:] + segment[:, :-1], segment[:, -1:]], axis=1))
@@ -39,14 +39,14 @@ def tubes(stems: Stems, *, on_ground: bool = False) -> Surface:
     own, sides = own_rings(stems), stems.sides
     side, other = ring_axes(stems)
     if on_ground:
-        side[:, 0], other[:, 0] = np.float32([1, 0, 0]), np.float32([0, 1, 0])
-        turn = np.arctan2((side[:, 1, 1]), side[:, 1, 0])  # line the ground ring up with the next
+        side[:, 0], other[:, 0] = [1, 0, 0], [0, 1, 0]
+        turn = np.arctan2(side[:, 1, 1], side[:, 1, 0])  # line the ground ring up with the next
         side[:, 0] = np.stack([np.cos(turn), np.sin(turn), np.zeros_like(turn)], axis=1)
         other[:, 0] = np.stack([-np.sin(turn), np.cos(turn), np.zeros_like(turn)], axis=1)
     angle = 2 * np.pi * np.arange(sides, dtype=np.float32) / sides
-    around = np.cos(angle)[:, None] * side[:, :, None] + np.sin(angle)[:, None] * other[:, :, None]  # [M, R+1, S, 3]
+    around = np.cos(angle)[:, None] * side[:, :, None] + np.sin(angle)[:, None] * other[:, :, None]  # [M, P, S, 3]
     vertices = stems.points[:, :, None] + stems.radii[:, :, None, None] * around
-    node = np.cumsum(own).reshape(own.shape) - 1  # [M, R+1]
+    node = np.cumsum(own).reshape(own.shape) - 1  # [M, P]
     faces = _walls(node[:, :-1][own[:, :-1]], sides)
     tips = _fan(node[:, -1], sides)
     return Surface(
@@ -56,7 +56,7 @@ def tubes(stems: Stems, *, on_ground: bool = False) -> Surface:
     )
 
 
-def _walls(lower: Int32[np.ndarray, " B"] | np.ndarray, sides: int) -> Int32[np.ndarray, "F 3"] | np.ndarray:
+def _walls(lower: Int64[np.ndarray, " B"], sides: int) -> Int64[np.ndarray, "F 3"]:
     """Two triangles a side of each segment, from ring node `lower` to the next."""
     here = np.arange(sides)
     after = (here + 1) % sides
@@ -65,7 +65,8 @@ def _walls(lower: Int32[np.ndarray, " B"] | np.ndarray, sides: int) -> Int32[np.
     return np.stack([np.stack([a, b, d], -1), np.stack([a, d, c], -1)], axis=2).reshape(-1, 3)
 
 
-def _fan(rings: Int32[np.ndarray, " M"] | np.ndarray, sides: int) -> Int32[np.ndarray, "F 3"] | np.ndarray:
+def _fan(rings: Int64[np.ndarray, " M"], sides: int) -> Int64[np.ndarray, "F 3"]:
     """Close the ring nodes given."""
     spoke = np.stack([np.zeros(sides - 2, int), np.arange(1, sides - 1), np.arange(2, sides)], axis=1)  # [S-2, 3]
-    return (rings[:, None, None] * sides + spoke).reshape(-1, 3)
+    fans: Int64[np.ndarray, "M S 3"] = rings[:, None, None] * sides + spoke
+    return fans.reshape(-1, 3)

@@ -1,0 +1,58 @@
+"""Rigid motions of nodes, and what follows from them for vertices: displacement and spectrum."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Complex64, Float32, Int32
+
+from dynamictree.spectrum import NUM_FREQUENCIES
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sway:
+    """Every node's rigid motion at every frame; a vertex at offset o from its node moves by shift + (turn) o."""
+
+    shift: Float32[np.ndarray, "T B 3"]  # [m]
+    turn: Float32[np.ndarray, "T B 3 3"]  # rotation less the identity
+    position: Float32[np.ndarray, "B 3"]  # of nodes at rest [m]
+
+    def every(self, step: int) -> "Sway":
+        """Leave out all but each `step`-th frame."""
+        return Sway(shift=self.shift[::step], turn=self.turn[::step], position=self.position)
+
+    def displacement(
+        self, vertices: Float32[np.ndarray, "N 3"], node: Int32[np.ndarray, " N"]
+    ) -> Float32[np.ndarray, "T N 3"]:
+        """Displacement of vertices, each with its node, at every frame [m]."""
+        offset = vertices - self.position[node]
+        frames = zip(self.shift, self.turn, strict=True)
+        return np.stack([shift[node] + np.einsum("nxy,ny->nx", turn[node], offset) for shift, turn in frames])
+
+
+def node_spectrum(
+    motion: Sway, num_frequencies: int = NUM_FREQUENCIES
+) -> tuple[Complex64[np.ndarray, "K B 3"], Complex64[np.ndarray, "K B 3 3"]]:
+    """Transform of the nodes' motions: the first bins of shift and turn, in which a vertex's is linear."""
+    frames, nodes = motion.shift.shape[:2]
+    turning = -2j * np.pi * np.arange(num_frequencies)[:, None] * np.arange(frames) / frames
+    transform = (np.exp(turning) / frames).astype(np.complex64)
+    series = np.concatenate([motion.shift.reshape(frames, -1), motion.turn.reshape(frames, -1)], axis=1)
+    both = np.concatenate([transform.real, transform.imag]) @ series  # [2K, 12 B]: one real product, no complex copy
+    hat = both[:num_frequencies] + 1j * both[num_frequencies:]
+    split = 3 * nodes
+    return hat[:, :split].reshape(-1, nodes, 3), hat[:, split:].reshape(-1, nodes, 3, 3)
+
+
+def vertex_spectrum(
+    motion: Sway,
+    vertices: Float32[np.ndarray, "N 3"],
+    node: Int32[np.ndarray, " N"],
+    num_frequencies: int = NUM_FREQUENCIES,
+) -> Complex64[np.ndarray, "N K 3"]:
+    """Spectrum of every vertex [m]; that of its motion, without making the motion."""
+    shift, turn = node_spectrum(motion, num_frequencies)
+    offset = vertices - motion.position[node]
+    spectrum = np.empty((len(vertices), num_frequencies, 3), np.complex64)
+    for k in range(num_frequencies):
+        spectrum[:, k] = shift[k, node] + np.einsum("nxy,ny->nx", turn[k, node], offset)
+    return spectrum
