@@ -14,7 +14,7 @@ So the answer in metres to a force in newtons does not change when the spectrum 
 and for a single mode m is the modal mass of the textbook.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Complex64, Complex128, Float32, Float64
@@ -23,7 +23,7 @@ from dynamictree.errors import InputError
 from dynamictree.spectrum import SparseVoxelSpectrum, bin_weights
 from dynamictree.voxel.grid import VoxelGrid
 
-MASS_KG = 100.0  # the moving part of a tree of some 8 m: its crown
+MASS_KG_M3 = 0.2  # green mass over height³ where none is given: 25 kg at 5 m, 200 kg at 10 m, 1.6 t at 20 m
 DAMPING_RATIO = 0.05  # trees in leaf measure 0.02 to 0.1
 
 
@@ -35,12 +35,18 @@ class ModalSystem:
     shapes: Complex64[np.ndarray, "V M 3"]  # φ [m], bins 1 to K - 1
     omega: Float64[np.ndarray, " M"]  # [rad/s]
     damping_ratio: Float64[np.ndarray, " M"]  # ζ
-    modal_mass: float  # m [kg m²]
+    mass_kg: float
+    sway_m2: float  # mean_p Σ_k |φ_k(p)|² / 2
 
     @property
     def num_modes(self) -> int:
         """M."""
         return len(self.omega)
+
+    @property
+    def modal_mass(self) -> float:
+        """Generalised force over generalised acceleration, m [kg m²]."""
+        return self.mass_kg * self.sway_m2
 
     @property
     def stiffness(self) -> Float64[np.ndarray, " M"]:
@@ -51,34 +57,46 @@ class ModalSystem:
 def modal_system(
     spectrum: SparseVoxelSpectrum,
     *,
-    mass_kg: float = MASS_KG,
+    mass_kg: float | None = None,
     damping_ratio: float | Float64[np.ndarray, " M"] = DAMPING_RATIO,
 ) -> ModalSystem:
     """Read a spectrum as oscillators.
 
     Args:
         spectrum: K >= 2 bins; the first is the lean and no mode.
-        mass_kg: mass that moves [kg], spread evenly over the voxels.
+        mass_kg: mass that moves [kg], spread evenly over the voxels; by default `MASS_KG_M3` times the height cubed.
         damping_ratio: ζ, one for all modes or one a mode (see `rayleigh_damping`).
 
     Raises:
         InputError: the spectrum does not move, or mass or damping is not a physical one.
     """
-    if not (np.isfinite(mass_kg) and mass_kg > 0):
-        raise InputError(f"mass_kg is {mass_kg}; it must be positive and finite")
     omega = 2 * np.pi * spectrum.frequencies_hz[1:]  # [M]
-    zeta = np.asarray(damping_ratio, np.float64)
-    if zeta.shape not in {(), omega.shape}:
-        raise InputError(f"{zeta.shape} damping ratios for {len(omega)} modes; give one, or one a mode")
-    zeta = np.broadcast_to(zeta, omega.shape)
-    if not (np.isfinite(zeta).all() and (zeta >= 0).all()):
-        raise InputError(f"damping_ratio is {damping_ratio}; it must be finite and not negative")
     weights = bin_weights(spectrum.num_frequencies, spectrum.num_frames)
     shapes = np.ascontiguousarray((spectrum.coefficients * weights[:, None])[:, 1:])  # [V, M, 3]
-    power = float((np.abs(shapes) ** 2).sum(dtype=np.float64)) / (2 * len(shapes))  # mean_p Σ_k |φ|² / 2 [m²]
-    if power == 0:
+    sway = float((np.abs(shapes) ** 2).sum(dtype=np.float64)) / (2 * len(shapes))
+    if sway == 0:
         raise InputError("every coefficient above bin 0 is zero; a spectrum that does not move has no modes")
-    return ModalSystem(grid=spectrum.grid, shapes=shapes, omega=omega, damping_ratio=zeta, modal_mass=mass_kg * power)
+    height = (int(np.ptp(spectrum.grid.coords[:, 2])) + 1) * spectrum.grid.voxel_size_m
+    return ModalSystem(
+        grid=spectrum.grid,
+        shapes=shapes,
+        omega=omega,
+        damping_ratio=_damping(damping_ratio, len(omega)),
+        mass_kg=MASS_KG_M3 * height**3 if mass_kg is None else _mass(mass_kg),
+        sway_m2=sway,
+    )
+
+
+def with_physics(
+    system: ModalSystem, *, mass_kg: float | None, damping_ratio: float | Float64[np.ndarray, " M"]
+) -> ModalSystem:
+    """The same modes with another mass (None keeps it) and damping; shares the shapes.
+
+    Raises:
+        InputError: mass or damping is not a physical one.
+    """
+    mass = system.mass_kg if mass_kg is None else _mass(mass_kg)
+    return replace(system, mass_kg=mass, damping_ratio=_damping(damping_ratio, system.num_modes))
 
 
 def rayleigh_damping(omega: Float64[np.ndarray, " M"], *, alpha: float, beta: float) -> Float64[np.ndarray, " M"]:
@@ -97,3 +115,18 @@ def displacement(
     coordinates = np.concatenate([q.real, -q.imag], axis=1).astype(np.float32)  # [T, 2M]
     moved = coordinates @ stacked.reshape(2 * num_modes, num_points * 3)
     return np.asarray(moved.reshape(len(q), num_points, 3))
+
+
+def _mass(mass_kg: float) -> float:
+    if not (np.isfinite(mass_kg) and mass_kg > 0):
+        raise InputError(f"mass_kg is {mass_kg}; it must be positive and finite")
+    return mass_kg
+
+
+def _damping(damping_ratio: float | Float64[np.ndarray, " M"], num_modes: int) -> Float64[np.ndarray, " M"]:
+    zeta = np.asarray(damping_ratio, np.float64)
+    if zeta.shape not in {(), (num_modes,)}:
+        raise InputError(f"{zeta.shape} damping ratios for {num_modes} modes; give one, or one a mode")
+    if not (np.isfinite(zeta).all() and (zeta >= 0).all()):
+        raise InputError(f"damping_ratio is {damping_ratio}; it must be finite and not negative")
+    return np.broadcast_to(zeta, num_modes)

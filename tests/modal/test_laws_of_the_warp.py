@@ -82,13 +82,13 @@ def test_a_small_push_is_the_plain_answer(forked, q):
 
 
 def test_a_bone_that_no_group_reaches_does_not_turn(forked, q):
-    system, bones, parts = forked
+    system, bones, _ = forked
     weights = np.ones((1, len(system.grid)), np.float32)
     weights[0, system.grid.coords[:, 0] < 25] = 0
     per_bone = bone_weights(bones, weights)
     turns = bone_turns(bones, per_bone, q)
     still = (per_bone[0] == 0) & (per_bone[0][bones.parent] == 0)
-    assert still.sum() >= 2
+    assert still.any()
     np.testing.assert_allclose(turns[still], 0, atol=1e-6)
 
 
