@@ -6,6 +6,7 @@
     │   └── FormatError         the file: not the format, truncated, refers outside itself
     ├── CheckpointError         a model file that does not fit the code
     ├── NumericsError           a result that is not finite or not stable
+    ├── ReconstructionError     photos from which no shape can be made
     │   └── UnstableTimestep    an integrator's step is too long; `max_dt_s` is the longest
     └── Cancelled               the caller asked to stop
 
@@ -60,6 +61,12 @@ class UnstableTimestep(NumericsError):
     def __init__(self, message: str, *, max_dt_s: float) -> None:
         super().__init__(message)
         self.max_dt_s = max_dt_s  # the longest stable step [s]; 0 where none is
+
+
+class ReconstructionError(DynamicTreeError):
+    """Photos from which no shape can be made; the message says how many fitted together and what would help."""
+
+    code = "reconstruction-failed"
 
 
 class Cancelled(DynamicTreeError):
