@@ -12,11 +12,19 @@ from fastapi.middleware.cors import CORSMiddleware
 from fastapi.responses import Response
 
 from jobs.settings import Settings, read_settings
-from service import artifacts, assets, catalogue, health, jobs, problems, spectra
+from service import artifacts, assets, catalogue, health, interact, jobs, problems, spectra
 from service.context import Context
 from service.middleware import BodyLimit, RequestFrame
 
-ROUTERS = (assets.router, jobs.router, artifacts.router, spectra.router, catalogue.router, health.router)
+ROUTERS = (
+    assets.router,
+    jobs.router,
+    artifacts.router,
+    spectra.router,
+    interact.router,
+    catalogue.router,
+    health.router,
+)
 """A module a resource; a new one is added here."""
 
 logger = logging.getLogger(__name__)

@@ -5,7 +5,7 @@ import threading
 from collections import OrderedDict
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import redis
 from fastapi import Depends, Request
@@ -14,6 +14,9 @@ from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.artifacts import ArtifactStore, open_artifacts
 from jobs.settings import Settings
 from jobs.store import Store
+
+if TYPE_CHECKING:
+    from service.trees import ReadyTrees
 
 REDIS_TIMEOUT_S = 2.0
 
@@ -66,6 +69,13 @@ class Context:
     def spectra(self) -> SpectrumCache:
         """Spectra in memory."""
         return SpectrumCache(self.settings.spectrum_cache_bytes)
+
+    @cached_property
+    def trees(self) -> "ReadyTrees":
+        """Trees made ready to be pushed."""
+        from service.trees import ReadyTrees
+
+        return ReadyTrees(self.settings.spectrum_cache_bytes)
 
     @cached_property
     def parsing(self) -> asyncio.Semaphore:

@@ -148,7 +148,7 @@ def _checked_id(asset_id: str) -> str:
 
 def _require_loop(params: AnimateParams) -> None:
     # numba comes with the pipeline; loaded at start-up, not with this module
-    from dynamictree.pipeline import AnimateOptions
+    from dynamictree.products import AnimateOptions
     from dynamictree.spectrum import FPS, NUM_FRAMES
 
     options = AnimateOptions(

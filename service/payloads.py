@@ -6,9 +6,10 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
+from jobs.products import MESH, SPECTRUM, VOXELS
 from jobs.records import ArtifactRecord, AssetRecord, JobRecord
 from jobs.states import AssetKind, JobState, JobType, StageState
-from service.problems import problem_body
+from service.problems import KINDS, problem_body
 
 MAX_SEED = 2**53 - 1
 """The largest integer that every JSON reader keeps exact."""
@@ -262,7 +263,8 @@ def job_payload(job: JobRecord, artifacts: list[ArtifactRecord], queue_position:
     ]
     error = None
     if job.error_code is not None:
-        error = Problem.model_validate(problem_body(job.error_code, job.error_message or "", request_id=None))
+        code = job.error_code if job.error_code in KINDS else "internal-error"
+        error = Problem.model_validate(problem_body(code, job.error_message or "", request_id=None))
     return JobPayload(
         id=job.id,
         type=job.type,
@@ -288,11 +290,11 @@ def job_payload(job: JobRecord, artifacts: list[ArtifactRecord], queue_position:
 def _result(job: JobRecord, artifacts: list[ArtifactRecord]) -> ResultPayload | None:
     if not artifacts:
         return None
-    by_stage = {artifact.stage: artifact.id for artifact in artifacts}
+    ids = {artifact.name: artifact.id for artifact in artifacts}
     return ResultPayload(
-        mesh_id=by_stage.get("reconstruct"),
-        voxels_id=by_stage.get("voxelize"),
-        spectrum_id=by_stage.get("diffuse"),
+        mesh_id=ids.get(MESH),
+        voxels_id=ids.get(VOXELS),
+        spectrum_id=ids.get(SPECTRUM),
         artifacts_url=f"/v1/jobs/{job.id}/artifacts",
     )
 

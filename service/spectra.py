@@ -10,6 +10,7 @@ from dynamictree.formats.spectrum_file import read_spectrum
 from dynamictree.mesh import TriangleMesh
 from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.errors import GoneError, NotFoundError
+from jobs.products import MESH_BUNDLE, SPECTRUM
 from jobs.records import ArtifactRecord
 from service.context import Context, Ctx
 from service.payloads import Payload, WindPayload
@@ -49,7 +50,7 @@ def spectrum_artifact(context: Context, spectrum_id: str) -> ArtifactRecord:
         NotFoundError, GoneError: there is none, it is of another kind, or it has expired.
     """
     artifact = context.store.artifact(spectrum_id)
-    if artifact.stage != "diffuse":
+    if artifact.name != SPECTRUM:
         raise NotFoundError(f"artefact {spectrum_id} is no spectrum but {artifact.name}")
     return artifact
 
@@ -83,7 +84,7 @@ def load_source_mesh(context: Context, spectrum_id: str) -> TriangleMesh:
 
     artifact = spectrum_artifact(context, spectrum_id)
     asset = context.store.asset(context.store.job(artifact.job_id).asset_id)
-    made = [other for other in context.store.artifacts_of(artifact.job_id) if other.name == "mesh.safetensors"]
+    made = [other for other in context.store.artifacts_of(artifact.job_id) if other.name == MESH_BUNDLE]
     if asset.prepared is not None:
         digest = asset.prepared.sha256
     elif made:

@@ -1,0 +1,15 @@
+"""Names of the files that stages make, and what each is."""
+
+from pathlib import PurePosixPath
+
+MESH = "mesh.ply"  # reconstructed, to look at
+MESH_BUNDLE = "mesh.safetensors"  # reconstructed, for the stages after
+VOXELS = "tree.voxels.safetensors"
+SPECTRUM = "tree.spectrum.safetensors"
+
+_MEDIA_TYPES = {".zip": "application/zip", ".glb": "model/gltf-binary", ".png": "image/png"}
+
+
+def media_type(name: str) -> str:
+    """What a file is, by the end of its name."""
+    return _MEDIA_TYPES.get(PurePosixPath(name).suffix, "application/octet-stream")

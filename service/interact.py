@@ -1,0 +1,186 @@
+"""/v1/interact: push a tree. Nothing is kept between calls: state goes in, state comes out."""
+
+import json
+from io import BytesIO
+from typing import Annotated
+
+import numpy as np
+import orjson
+from fastapi import APIRouter, Header
+from fastapi.responses import Response
+from pydantic import Field
+from safetensors.numpy import save
+
+from dynamictree.errors import UnstableTimestep
+from dynamictree.modal.locality import default_falloff_m
+from dynamictree.modal.response import Answer, group_forces, respond
+from dynamictree.modal.system import ModalSystem, with_physics
+from service.accept import JSON, NPZ, SAFETENSORS, chosen
+from service.context import Context, Ctx
+from service.forces import (
+    MAX_GROUPS,
+    Complex,
+    InteractRequest,
+    LocalityPayload,
+    Output,
+    StatePayload,
+    library_force,
+    locality_payload,
+    pairs,
+    state_payload,
+    with_state,
+)
+from service.payloads import Payload
+from service.problems import ProblemError
+from service.routing import refusals
+from service.trees import ReadyTree, bone_ties, ready_tree, vertex_ties, with_mesh
+
+router = APIRouter(prefix="/v1/interact", tags=["interact"])
+
+MAX_DISPLACEMENT_BYTES = 128 * 1024**2
+"""Of one answer in voxels or vertices: 110 frames of 100,000 vertices."""
+
+
+class GroupPayload(Payload):
+    """One group's modal coordinates."""
+
+    locality: LocalityPayload | None = Field(description="null: the whole tree")
+    q: list[list[Complex]] = Field(description="[frames, K]; index = frequency bin, bin 0 is no mode and 0")
+
+
+class InteractPayload(Payload):
+    """Modal coordinates. With φ_k = 2c_k of the spectrum, u(p) = Σ_g w_g(p) Re Σ_k φ_k(p) q_{g,k}."""
+
+    spectrum_id: str
+    output: Output
+    integrator: str
+    dt_s: float
+    num_frames: int
+    frequencies_hz: list[float]
+    mass_kg: float
+    modal_mass_kg_m2: float = Field(description="m of m (q̈ + 2ζω q̇ + ω² q) = Σ conj(φ)·F")
+    groups: list[GroupPayload]
+    final_state: StatePayload = Field(description="the next call's initial_state")
+
+
+@router.post(
+    "",
+    operation_id="interact",
+    response_model=InteractPayload,
+    responses=refusals("not-found", "not-acceptable", "expired", "unstable-timestep")
+    | {
+        200: {
+            "description": "modal coordinates; voxels and vertices in binary only (see docs/interaction.md)",
+            "content": {kind: {"schema": {"type": "string", "format": "binary"}} for kind in (SAFETENSORS, NPZ)},
+        }
+    },
+)
+def interact(body: InteractRequest, context: Ctx, accept: Annotated[str | None, Header()] = None) -> Response:
+    """Push a tree, and read how it swings."""
+    offered = (JSON, SAFETENSORS, NPZ) if body.output == "modal" else (SAFETENSORS, NPZ)
+    media_type = chosen(accept, offered)
+    ready = ready_tree(context, context.trees, body.spectrum_id)
+    system, answer = answer_of(body, ready, context)
+    if media_type == JSON:
+        return Response(orjson.dumps(_told(body, system, answer), option=orjson.OPT_SERIALIZE_NUMPY), 200, None, JSON)
+    arrays = _arrays(answer)
+    if body.output in ("voxels", "vertices"):
+        arrays["displacement"] = _displacement(body, ready, context, answer)
+    return Response(_packed(arrays, _facts(body, system), media_type), 200, None, media_type)
+
+
+def answer_of(body: InteractRequest, ready: ReadyTree, context: Context) -> tuple[ModalSystem, Answer]:
+    """Let the tree answer a request.
+
+    Raises:
+        InputError, NumericsError, ProblemError: the request cannot be met.
+    """
+    if body.output == "gaussians":
+        found = "this spectrum's source is a mesh; output gaussians needs a splat. Ask for vertices, voxels or modal"
+        raise ProblemError("invalid-input", found)
+    system = with_physics(ready.tree.system, mass_kg=body.mass_kg, damping_ratio=body.damping_ratio)
+    forces = [
+        library_force(force, system.grid, lambda: with_mesh(context, ready, body.spectrum_id)) for force in body.forces
+    ]
+    falloff = None if body.locality == "none" else body.falloff_m or default_falloff_m(system)
+    groups = group_forces(forces, falloff_m=falloff)
+    start = body.start
+    if body.initial_state is None:
+        begin = start
+    else:
+        groups, begin = with_state(groups, body.initial_state, system.num_modes)
+    if len(groups) > MAX_GROUPS:
+        raise ProblemError("validation-failed", f"{len(groups)} groups of forces; at most {MAX_GROUPS} are allowed")
+    try:
+        answer = respond(
+            system, groups, dt_s=body.dt_s, num_frames=body.num_frames, integrator=body.integrator, start=begin
+        )
+    except UnstableTimestep as error:
+        raise ProblemError(error.code, str(error), extra={"max_dt_s": error.max_dt_s}) from error
+    return system, answer
+
+
+def _displacement(body: InteractRequest, ready: ReadyTree, context: Context, answer: Answer) -> np.ndarray:
+    """[T, V or N, 3] in metres."""
+    if body.output == "voxels":
+        _refuse_large(body.num_frames, len(ready.tree.system.grid))
+        return ready.tree.voxels(answer, warp=body.warp)
+    mesh = with_mesh(context, ready, body.spectrum_id)
+    _refuse_large(body.num_frames, mesh.num_vertices)
+    if body.warp:
+        return ready.tree.bent(answer, mesh.vertices, bone_ties(ready, mesh))
+    ties = vertex_ties(ready, mesh)
+    return np.stack([ties.apply(frame) for frame in ready.tree.voxels(answer)])
+
+
+def _refuse_large(num_frames: int, num_points: int) -> None:
+    wanted = 12 * num_frames * num_points
+    if wanted > MAX_DISPLACEMENT_BYTES:
+        fits = MAX_DISPLACEMENT_BYTES // (12 * num_points)
+        raise ProblemError(
+            "validation-failed",
+            f"{num_frames} frames of {num_points:,} points are {wanted:,} bytes; "
+            f"{MAX_DISPLACEMENT_BYTES:,} are allowed: ask for {fits} frames at a time, or for modal",
+        )
+
+
+def _facts(body: InteractRequest, system: ModalSystem) -> dict[str, object]:
+    return {
+        "spectrum_id": body.spectrum_id,
+        "output": body.output,
+        "integrator": body.integrator,
+        "dt_s": body.dt_s,
+        "num_frames": body.num_frames,
+        "frequencies_hz": [0.0, *(system.omega / (2 * np.pi)).tolist()],
+        "mass_kg": system.mass_kg,
+        "modal_mass_kg_m2": system.modal_mass,
+    }
+
+
+def _told(body: InteractRequest, system: ModalSystem, answer: Answer) -> dict[str, object]:
+    told = pairs(answer.q)  # [T, G, K, 2]
+    groups = [
+        {"locality": locality_payload(group.locality), "q": np.ascontiguousarray(told[:, index])}
+        for index, group in enumerate(answer.groups)
+    ]
+    return _facts(body, system) | {"groups": groups, "final_state": state_payload(answer.groups, answer.final)}
+
+
+def _arrays(answer: Answer) -> dict[str, np.ndarray]:
+    localities = [group.locality for group in answer.groups]
+    return {
+        "q": np.ascontiguousarray(pairs(answer.q).transpose(1, 0, 2, 3)),  # [G, T, K, 2]
+        "final_q": pairs(answer.final.q),
+        "final_q_dot": pairs(answer.final.q_dot),
+        "seed_voxel": np.array([-1 if at is None else at.seed_voxel for at in localities], np.int32),
+        "falloff_m": np.array([0.0 if at is None else at.falloff_m for at in localities]),
+    }
+
+
+def _packed(arrays: dict[str, np.ndarray], facts: dict[str, object], media_type: str) -> bytes:
+    told = {name: value if isinstance(value, str) else json.dumps(value) for name, value in facts.items()}
+    if media_type == SAFETENSORS:
+        return save({name: np.ascontiguousarray(array) for name, array in arrays.items()}, told)
+    stream = BytesIO()
+    np.savez(stream, **arrays, facts=np.array(json.dumps(told)))
+    return stream.getvalue()

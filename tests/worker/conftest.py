@@ -1,0 +1,97 @@
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dynamictree.formats.mesh_bundle import write_mesh_bundle
+from dynamictree.mesh import TriangleMesh
+from jobs.artifacts import hash_file, open_artifacts
+from jobs.attempts import claim
+from jobs.records import AssetPart, AssetRecord, Claim, JobRecord
+from jobs.settings import Settings
+from jobs.states import JobState, JobType, stages_of
+from jobs.store import Store, new_id
+from worker.runtime import Runtime
+from worker.watch import Watch
+
+
+@pytest.fixture
+def here(tmp_path: Path) -> Iterator[Runtime]:
+    settings = Settings(state_dir=tmp_path / "state", lease_s=3, heartbeat_s=0.2, progress_interval_s=0)
+    store = Store.open(settings.resolved_database_url)
+    artifacts = open_artifacts(settings.resolved_artifacts_url)
+    yield Runtime(settings=settings, store=store, artifacts=artifacts, owner="test:1")
+    store.close()
+
+
+def wedge(height_m: float = 2.0) -> TriangleMesh:
+    """A closed tetrahedron that stands on the ground."""
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0.3, 0.3, height_m]], np.float32)
+    faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]], np.int32)
+    return TriangleMesh(vertices=vertices, faces=faces)
+
+
+@pytest.fixture
+def asset(here: Runtime, tmp_path: Path) -> AssetRecord:
+    packed = BytesIO()
+    write_mesh_bundle(wedge(), packed)
+    path = tmp_path / "mesh.safetensors"
+    path.write_bytes(packed.getvalue())
+    digest, size = hash_file(path)
+    here.artifacts.put(path, digest)
+    part = AssetPart(name="mesh.safetensors", sha256=digest, bytes=size)
+    now = here.store.clock()
+    record = AssetRecord(
+        id=new_id(),
+        kind="mesh",
+        fingerprint=digest,
+        parts=(part,),
+        prepared=part,
+        summary={},
+        created_at=now,
+        expires_at=now + 1000,
+    )
+    return here.store.add_asset(record)[0]
+
+
+PARAMS = {
+    "voxelize": {"resolution": 32},
+    "diffuse": {"wind": {"speed_m_s": 5.0, "direction_deg": 0.0, "gust": 0.3}, "num_steps": 2},
+    "animate": {
+        "wind": {"speed_m_s": 5.0, "direction_deg": 0.0, "gust": 0.3},
+        "num_steps": 2,
+        "num_frames": None,
+        "fps": 24.0,
+        "speed": 1.0,
+        "loop": True,
+        "formats": ["ply", "motion"],
+    },
+}
+
+
+def add_job(here: Runtime, asset: AssetRecord, job_type: JobType = "voxelize", **params: object) -> JobRecord:
+    job = JobRecord(
+        id=new_id(),
+        type=job_type,
+        state=JobState.QUEUED,
+        asset_id=asset.id,
+        preset="small",
+        seed=0,
+        params=PARAMS[job_type] | params,  # type: ignore[arg-type]
+        queue="cpu",
+        created_at=here.store.clock(),
+    )
+    return here.store.add_job(job, stages=stages_of(job_type, asset.kind))
+
+
+def hold(here: Runtime, job: JobRecord, attempt: int = 1) -> Claim:
+    held = claim(here.store, job.id, attempt, owner=here.owner, lease_s=here.settings.lease_s)
+    assert held is not None
+    return held
+
+
+def watch(here: Runtime, held: Claim, stopping: Callable[[], bool] = lambda: False) -> Watch:
+    return Watch(here, replace(held), stopping=stopping)

@@ -1,0 +1,210 @@
+"""One attempt of a job, in this process, on the real store and the real stages."""
+
+import time
+from dataclasses import replace
+from hashlib import sha256
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+from celery.exceptions import SoftTimeLimitExceeded
+
+from dynamictree.errors import Cancelled, CheckpointError, MeshError
+from dynamictree.formats.spectrum_file import write_spectrum
+from dynamictree.formats.voxels_file import read_voxels
+from dynamictree.spectrum import SparseVoxelSpectrum
+from jobs.artifacts import hash_file
+from jobs.attempts import hand_back, publish_stage, start_stage, succeed
+from jobs.errors import FencedError, GoneError
+from jobs.products import MESH_BUNDLE, SPECTRUM, VOXELS
+from jobs.records import AssetRecord, Claim, OutputFile
+from jobs.states import JobState, JobType
+from jobs.upkeep import reap
+from tests.worker.conftest import add_job, hold, watch
+from worker.attempt import model_sha256, run_stages, stage_key
+from worker.runtime import Presence, Runtime
+from worker.tasks import end_attempt
+from worker.watch import HandedBack
+
+
+def run(here: Runtime, held: Claim) -> None:
+    with watch(here, held) as watching:
+        run_stages(here, watching)
+    succeed(here.store, held)
+
+
+def content(here: Runtime, job_id: str, name: str) -> bytes:
+    found = {artifact.name: artifact for artifact in here.store.artifacts_of(job_id)}
+    return b"".join(here.artifacts.read(found[name].sha256))
+
+
+def with_spectrum(here: Runtime, asset: AssetRecord, tmp_path: Path, **params: object) -> Claim:
+    """Attempt 2 of an animate job; attempt 1 had made voxels and a spectrum, and was handed back."""
+    voxels_job = add_job(here, asset)
+    run(here, hold(here, voxels_job))
+    grid = read_voxels(BytesIO(content(here, voxels_job.id, VOXELS))).grid
+    coefficients = np.zeros((len(grid), 16, 3), np.complex64)
+    coefficients[:, 1, 0] = 0.05 * grid.centres_m[:, 2]
+    job = add_job(here, asset, "animate", **params)
+    held = hold(here, job)
+    stages: tuple[tuple[JobType, str, bytes], ...] = (
+        ("voxelize", VOXELS, content(here, voxels_job.id, VOXELS)),
+        ("diffuse", SPECTRUM, packed(SparseVoxelSpectrum(grid=grid, coefficients=coefficients))),
+    )
+    for stage, name, made in stages:
+        path = tmp_path / name
+        path.write_bytes(made)
+        digest, size = hash_file(path)
+        here.artifacts.put(path, digest)
+        start_stage(here.store, held, stage)
+        file = OutputFile(name=name, media_type="application/octet-stream", sha256=digest, bytes=size)
+        publish_stage(here.store, held, stage, (file,), key=digest, cached=False, retention_s=100)
+    hand_back(here.store, held)
+    return hold(here, job, attempt=2)
+
+
+def packed(spectrum: SparseVoxelSpectrum) -> bytes:
+    stream = BytesIO()
+    write_spectrum(spectrum, stream)
+    return stream.getvalue()
+
+
+def test_a_voxelize_job_makes_a_voxel_file(here: Runtime, asset: AssetRecord) -> None:
+    job = add_job(here, asset)
+    run(here, hold(here, job))
+    voxels = read_voxels(BytesIO(content(here, job.id, VOXELS)))
+    assert voxels.grid.resolution == 32
+    assert here.store.job(job.id).state == JobState.SUCCEEDED
+    assert list(here.settings.scratch_dir.iterdir()) == []
+
+
+def test_the_same_stage_runs_once(here: Runtime, asset: AssetRecord) -> None:
+    first, second, other = add_job(here, asset), add_job(here, asset), add_job(here, asset, resolution=64)
+    for job in (first, second, other):
+        run(here, hold(here, job))
+    assert [here.store.job(job.id).stages[0].cached for job in (first, second, other)] == [False, True, False]
+    assert content(here, first.id, VOXELS) == content(here, second.id, VOXELS)
+    assert content(here, other.id, VOXELS) != content(here, first.id, VOXELS)
+
+
+def test_a_cached_stage_whose_bytes_are_gone_runs_again(here: Runtime, asset: AssetRecord) -> None:
+    first, second = add_job(here, asset), add_job(here, asset)
+    run(here, hold(here, first))
+    made = content(here, first.id, VOXELS)
+    here.artifacts.delete(sha256(made).hexdigest())
+    run(here, hold(here, second))
+    assert not here.store.job(second.id).stages[0].cached
+    assert content(here, second.id, VOXELS) == made
+
+
+def test_the_next_attempt_goes_on_where_the_last_one_was(here: Runtime, asset: AssetRecord, tmp_path: Path) -> None:
+    held = with_spectrum(here, asset, tmp_path)
+    run(here, held)
+    job = here.store.job(held.job.id)
+    assert (job.state, job.attempt) == (JobState.SUCCEEDED, 2)
+    artifacts = here.store.artifacts_of(job.id)
+    assert [artifact.name for artifact in artifacts] == [VOXELS, SPECTRUM, "motion.ply.zip", "motion.safetensors"]
+    for artifact in artifacts:
+        assert sha256(content(here, job.id, artifact.name)).hexdigest() == artifact.sha256
+
+
+def test_a_cancel_is_honoured_at_the_next_step(here: Runtime, asset: AssetRecord, tmp_path: Path) -> None:
+    held = with_spectrum(here, asset, tmp_path)
+    with watch(here, held) as watching:
+        watching.report("animate", 0.1)
+        here.store.cancel(held.job.id)
+        with pytest.raises(Cancelled) as raised:
+            run_stages(here, watching)
+    end_attempt(here, held, raised.value)
+    assert here.store.job(held.job.id).state == JobState.CANCELED
+    assert list(here.settings.scratch_dir.iterdir()) == []
+
+
+def test_a_worker_that_stops_hands_its_job_back(here: Runtime, asset: AssetRecord, tmp_path: Path) -> None:
+    held = with_spectrum(here, asset, tmp_path)
+    with watch(here, held, stopping=lambda: True) as watching, pytest.raises(HandedBack) as raised:
+        run_stages(here, watching)
+    end_attempt(here, held, raised.value)
+    job = here.store.job(held.job.id)
+    assert (job.state, job.attempt) == (JobState.RUNNING, 3)
+    run(here, hold(here, job, attempt=3))
+
+
+def test_the_heartbeat_keeps_the_lease(here: Runtime, asset: AssetRecord) -> None:
+    short = Runtime(
+        settings=here.settings.model_copy(update={"lease_s": 1.0}),
+        store=here.store,
+        artifacts=here.artifacts,
+        owner=here.owner,
+    )
+    held = hold(short, add_job(here, asset))
+    with watch(short, held) as watching:
+        time.sleep(1.5)
+        assert reap(here.store, max_lost_attempts=2) == []
+        watching.check()
+    time.sleep(1.2)
+    assert len(reap(here.store, max_lost_attempts=2)) == 1
+
+
+def test_a_lost_lease_stops_the_attempt(here: Runtime, asset: AssetRecord) -> None:
+    held = hold(here, add_job(here, asset))
+    with watch(here, held) as watching:
+        hand_back(here.store, held)
+        time.sleep(0.5)
+        with pytest.raises(FencedError, match="was lost"):
+            watching.check()
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "told"),
+    [
+        (MeshError("found, allowed"), "invalid-geometry", "found, allowed"),
+        (GoneError("it was deleted"), "expired", "it was deleted"),
+        (MemoryError(), "out-of-memory", "memory"),
+        (SoftTimeLimitExceeded(), "time-limit", "3300 s"),
+        (ZeroDivisionError("a secret"), "internal-error", "logged"),
+    ],
+)
+def test_an_error_is_written_as_code_and_message(
+    here: Runtime, asset: AssetRecord, error: Exception, code: str, told: str
+) -> None:
+    job = add_job(here, asset)
+    end_attempt(here, hold(here, job), error)
+    ended = here.store.job(job.id)
+    assert (ended.state, ended.error_code) == (JobState.FAILED, code)
+    assert told in (ended.error_message or "")
+    assert "secret" not in (ended.error_message or "")
+
+
+def test_a_loop_that_would_jump_fails_with_what_is_allowed(here: Runtime, asset: AssetRecord, tmp_path: Path) -> None:
+    held = with_spectrum(here, asset, tmp_path, num_frames=37)
+    with watch(here, held) as watching, pytest.raises(Exception, match="period") as raised:
+        run_stages(here, watching)
+    end_attempt(here, held, raised.value)
+    assert here.store.job(held.job.id).error_code == "invalid-input"
+
+
+def test_a_key_changes_with_what_decides_the_stage(here: Runtime, asset: AssetRecord) -> None:
+    job = add_job(here, asset)
+    key = stage_key(job, "voxelize", {MESH_BUNDLE: "a"})
+    assert stage_key(replace(job, seed=5, id="other"), "voxelize", {MESH_BUNDLE: "a", VOXELS: "b"}) == key
+    assert stage_key(replace(job, params={"resolution": 64}), "voxelize", {MESH_BUNDLE: "a"}) != key
+    assert stage_key(job, "voxelize", {MESH_BUNDLE: "c"}) != key
+
+
+def test_a_model_that_is_not_there_is_named() -> None:
+    with pytest.raises(CheckpointError, match="no-such"):
+        model_sha256("no-such")
+
+
+def test_a_worker_says_that_it_is_there(here: Runtime) -> None:
+    from jobs.upkeep import living
+
+    presence = Presence(here)
+    deadline = time.monotonic() + 10
+    while not living(here.store, "worker:") and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert living(here.store, "worker:") == ["worker:test:1"]
+    presence.leave()
+    assert living(here.store, "worker:") == []

@@ -1,0 +1,62 @@
+"""The Celery application. It carries (job_id, attempt) and nothing else; the store is the truth.
+
+Started with `celery -A worker.app worker`.
+"""
+
+import logging
+import multiprocessing
+
+from celery import Celery, signals
+
+from jobs.settings import Settings, read_settings
+
+stopping = multiprocessing.Event()
+"""Set in every process of this worker when it was asked to stop; made before the pool forks."""
+
+
+def make_app(settings: Settings) -> Celery:
+    """Build the application. Why each setting is as it is: docs/decisions/service.md."""
+    app = Celery("dynamictree", broker=settings.broker_url, include=["worker.tasks"])
+    app.conf.update(
+        task_ignore_result=True,
+        task_acks_late=True,
+        worker_prefetch_multiplier=1,
+        task_reject_on_worker_lost=False,
+        task_acks_on_failure_or_timeout=True,
+        task_soft_time_limit=settings.soft_time_limit_s,
+        task_time_limit=settings.time_limit_s,
+        task_default_queue=settings.queue,
+        task_store_errors_even_if_ignored=False,
+        broker_transport_options={
+            "visibility_timeout": settings.visibility_timeout_s,
+            "unacked_restore_interval": settings.restore_interval_s,
+            "unacked_restore_throttle": 1,
+            "socket_keepalive": not settings.broker_url.startswith("redis+socket"),
+            "health_check_interval": 30,
+        },
+        broker_connection_retry_on_startup=True,
+        broker_connection_max_retries=None,
+        worker_cancel_long_running_tasks_on_connection_loss=False,
+        worker_proc_alive_timeout=60,
+        worker_max_tasks_per_child=settings.worker_tasks_per_child,
+        worker_max_memory_per_child=settings.worker_memory_kib,
+        worker_hijack_root_logger=False,
+        worker_redirect_stdouts=False,
+        worker_send_task_events=False,
+        accept_content=["json"],
+        task_serializer="json",
+    )
+    return app
+
+
+app = make_app(read_settings())
+
+
+@signals.setup_logging.connect  # type: ignore[untyped-decorator]
+def _set_up_logging(**_: object) -> None:
+    logging.basicConfig(level=read_settings().log_level, format="%(asctime)s %(levelname)s %(name)s %(message)s")
+
+
+@signals.worker_shutting_down.connect  # type: ignore[untyped-decorator]
+def _tell_children(**_: object) -> None:
+    stopping.set()

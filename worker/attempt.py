@@ -1,0 +1,161 @@
+"""One attempt of a job: stage after stage, each from the cache if the same was made before."""
+
+import json
+import logging
+import shutil
+from collections.abc import Iterable, Mapping
+from functools import cache, partial
+from hashlib import sha256
+from importlib import resources
+from importlib.metadata import version
+from pathlib import Path
+
+from dynamictree.errors import CheckpointError
+from jobs.artifacts import hash_file
+from jobs.attempts import cached_stage, publish_stage, start_stage, touch_blob
+from jobs.products import MESH_BUNDLE, SPECTRUM, VOXELS, media_type
+from jobs.records import AssetRecord, JobRecord, OutputFile
+from jobs.states import JobType
+from worker.runtime import Runtime
+from worker.watch import Watch
+
+logger = logging.getLogger(__name__)
+
+STAGE_VERSION = "1"
+"""Part of every stage's key; raised when a stage makes something else of the same inputs."""
+
+PHOTOS = "photos"
+INPUTS: dict[JobType, tuple[str, ...]] = {
+    "reconstruct": (PHOTOS,),
+    "voxelize": (MESH_BUNDLE,),
+    "diffuse": (VOXELS,),
+    "animate": (SPECTRUM, MESH_BUNDLE),
+}
+PARAMS: dict[JobType, tuple[str, ...]] = {
+    "reconstruct": (),
+    "voxelize": ("resolution",),
+    "diffuse": ("wind", "num_steps"),
+    "animate": ("num_frames", "fps", "speed", "loop", "formats"),
+}
+"""The files and parameters that change what a stage makes."""
+
+
+def run_stages(here: Runtime, watch: Watch) -> None:
+    """Run what is left to run. Whatever a stage raises passes through."""
+    # numba and the formats come in with the first job, so that a worker is there at once
+    from worker.stages import STAGES, StageInput, photo_name
+
+    job = watch.held.job
+    asset = here.store.asset(job.asset_id)
+    folder = here.settings.scratch_dir / f"job-{job.id}-{job.attempt}"
+    shutil.rmtree(folder, ignore_errors=True)
+    inputs = folder / "inputs"
+    inputs.mkdir(parents=True)
+    try:
+        files = _fetch_mesh(here, asset, inputs)
+        photos = tuple(_fetch_photos(here, asset, inputs, photo_name))
+        hashes = dict.fromkeys((MESH_BUNDLE, PHOTOS), asset.fingerprint)
+        for stage in job.stages:
+            watch.check()
+            made = _finished(here, job, stage.name)
+            key = "" if made else stage_key(job, stage.name, hashes)
+            made = made or _from_cache(here, watch, stage.name, key)
+            if made is None:
+                start_stage(here.store, watch.held, stage.name)
+                own = folder / stage.name
+                own.mkdir()
+                given = StageInput(
+                    job=job, folder=own, files=files, photos=photos, report=partial(watch.report, stage.name)
+                )
+                made = _keep(here, STAGES[stage.name](given))
+                _publish(here, watch, stage.name, made, key=key, cached=False)
+            for file in made:
+                here.artifacts.fetch(file.sha256, inputs / file.name)
+                files[file.name] = inputs / file.name
+                hashes[file.name] = file.sha256
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def stage_key(job: JobRecord, stage: JobType, hashes: Mapping[str, str]) -> str:
+    """sha256 over all that decides what a stage makes: the files that go in, parameters, seed, model, code."""
+    inputs = {name: hashes[name] for name in INPUTS[stage]}
+    params = {name: job.params.get(name) for name in PARAMS[stage]}
+    meaning: list[object] = [stage, STAGE_VERSION, version("dynamictree"), inputs, params]
+    if stage == "diffuse":
+        meaning += [job.seed, job.preset, model_sha256(job.preset)]
+    return sha256(json.dumps(meaning, sort_keys=True).encode()).hexdigest()
+
+
+@cache
+def model_sha256(preset: str) -> str:
+    """Hash of a preset's weights.
+
+    Raises:
+        CheckpointError: there are none.
+    """
+    weights = resources.files("dynamictree") / "weights" / f"{preset}.safetensors"
+    if not weights.is_file():
+        raise CheckpointError(f"this worker has no weights of the preset {preset!r}; install a version that ships them")
+    with weights.open("rb") as stream:
+        return sha256(stream.read()).hexdigest()
+
+
+def _fetch_mesh(here: Runtime, asset: AssetRecord, inputs: Path) -> dict[str, Path]:
+    if asset.prepared is None:
+        return {}
+    path = inputs / MESH_BUNDLE
+    here.artifacts.fetch(asset.prepared.sha256, path)
+    return {MESH_BUNDLE: path}
+
+
+def _fetch_photos(here: Runtime, asset: AssetRecord, inputs: Path, name_of: object) -> Iterable[Path]:
+    if asset.kind != "photos":
+        return
+    assert callable(name_of)
+    folder = inputs / "photos"
+    folder.mkdir()
+    for index, part in enumerate(asset.parts):
+        path = folder / name_of(index, part.name)
+        here.artifacts.fetch(part.sha256, path)
+        yield path
+
+
+def _finished(here: Runtime, job: JobRecord, stage: JobType) -> tuple[OutputFile, ...] | None:
+    """What an earlier attempt of the same job published."""
+    if not any(known.name == stage and known.state == "succeeded" for known in job.stages):
+        return None
+    made = [artifact for artifact in here.store.artifacts_of(job.id) if artifact.stage == stage]
+    return tuple(OutputFile(name=a.name, media_type=a.media_type, sha256=a.sha256, bytes=a.bytes) for a in made)
+
+
+def _from_cache(here: Runtime, watch: Watch, stage: JobType, key: str) -> tuple[OutputFile, ...] | None:
+    """What any job made of the same inputs, if its bytes are all there."""
+    files = cached_stage(here.store, key)
+    if files is None:
+        return None
+    for file in files:
+        touch_blob(here.store, file.sha256, file.bytes)
+    if not all(here.artifacts.exists(file.sha256) for file in files):
+        return None
+    start_stage(here.store, watch.held, stage)
+    _publish(here, watch, stage, files, key=key, cached=True)
+    return files
+
+
+def _keep(here: Runtime, paths: Iterable[Path]) -> tuple[OutputFile, ...]:
+    made = []
+    for path in paths:
+        digest, size = hash_file(path)
+        touch_blob(here.store, digest, size)
+        here.artifacts.put(path, digest)
+        made.append(OutputFile(name=path.name, media_type=media_type(path.name), sha256=digest, bytes=size))
+    return tuple(made)
+
+
+def _publish(
+    here: Runtime, watch: Watch, stage: JobType, files: tuple[OutputFile, ...], *, key: str, cached: bool
+) -> None:
+    retention_s = here.settings.artifact_retention_s
+    publish_stage(here.store, watch.held, stage, files, key=key, cached=cached, retention_s=retention_s)
+    logger.info("stage %s of job %s published", stage, watch.held.job.id, extra={"cached": cached})

@@ -1,0 +1,150 @@
+"""What somebody has to do every second: send messages, take jobs from the dead, forget what is old.
+
+`python -m worker.housekeeper`. Many may run; the one that holds the lease acts.
+"""
+
+import logging
+import os
+import shutil
+import signal
+import socket
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import redis
+import sqlalchemy as sa
+from celery import Celery
+from kombu.exceptions import OperationalError
+from obstore.exceptions import BaseError as StorageError
+
+from jobs.artifacts import ArtifactStore, open_artifacts
+from jobs.messages import RUN_JOB, RunJob
+from jobs.settings import Settings, read_settings
+from jobs.store import Store
+from jobs.upkeep import (
+    abort_overdue,
+    forget_blob,
+    forget_expired,
+    hold_lease,
+    mark_sent,
+    reap,
+    release_lease,
+    unclaimed,
+    unreferenced_blobs,
+    unsent,
+)
+
+logger = logging.getLogger(__name__)
+
+LEASE = "housekeeper"
+SCRATCH_AGE_S = 86400.0
+AWAY = (sa.exc.SQLAlchemyError, OperationalError, redis.RedisError, StorageError, OSError)
+"""What may be away for a while. The duty is done at its next turn."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Housekeeper:
+    """The duties, and what they need."""
+
+    settings: Settings
+    store: Store
+    artifacts: ArtifactStore
+    queue: Celery
+    redis: redis.Redis
+
+    def send(self) -> None:
+        """Send what no worker was told yet."""
+        for message in unsent(self.store):
+            self._send(message)
+
+    def send_again(self) -> None:
+        """Send what was lost with the queue: told long ago, not begun, and no longer in there."""
+        for message in unclaimed(self.store, sent_before=self.store.clock() - self.settings.resend_s):
+            if self.redis.llen(message.queue) == 0:
+                logger.warning("message for job %s was lost; sent again", message.job_id)
+                self._send(message)
+
+    def reap(self) -> None:
+        """Take jobs from workers that are gone, and end those that nobody began in time."""
+        for job_id, state in reap(self.store, max_lost_attempts=self.settings.max_lost_attempts):
+            logger.warning("job %s was left by its worker; it is %s now", job_id, state)
+        abort_overdue(self.store)
+
+    def forget(self) -> None:
+        """Drop what is past its time, and bytes that nothing refers to."""
+        settings = self.settings
+        forget_expired(
+            self.store, job_retention_s=settings.job_retention_s, cache_retention_s=settings.artifact_retention_s
+        )
+        for digest in unreferenced_blobs(self.store):
+            self.artifacts.delete(digest)
+            forget_blob(self.store, digest)
+        if settings.scratch_dir.is_dir():
+            for left in settings.scratch_dir.iterdir():
+                if time.time() - left.stat().st_mtime > SCRATCH_AGE_S:
+                    shutil.rmtree(left, ignore_errors=True)
+
+    def _send(self, message: RunJob) -> None:
+        self.queue.send_task(RUN_JOB, args=message.args, queue=message.queue, retry=False)
+        mark_sent(self.store, message)
+
+
+def open_housekeeper(settings: Settings) -> Housekeeper:
+    """Connect to store, bytes and queue."""
+    from worker.app import make_app
+
+    return Housekeeper(
+        settings=settings,
+        store=Store.open(settings.resolved_database_url),
+        artifacts=open_artifacts(settings.resolved_artifacts_url),
+        queue=make_app(settings),
+        redis=redis.Redis.from_url(settings.resolved_redis_url, socket_timeout=5, socket_connect_timeout=5),
+    )
+
+
+def run(keeper: Housekeeper, stopped: threading.Event) -> None:
+    """Do every duty in its turn, while the lease is ours, until stopped."""
+    settings, owner = keeper.settings, f"{socket.gethostname()}:{os.getpid()}"
+    turns: list[tuple[Callable[[], None], float]] = [
+        (keeper.send, settings.outbox_interval_s),
+        (keeper.reap, settings.reaper_interval_s),
+        (keeper.send_again, min(settings.resend_s, 5.0)),
+        (keeper.forget, settings.retention_interval_s),
+    ]
+    due = [0.0] * len(turns)
+    ours, renew_at = False, 0.0
+    while not stopped.wait(settings.outbox_interval_s):
+        now = time.monotonic()
+        if now >= renew_at:
+            ours = _attempt(lambda: hold_lease(keeper.store, LEASE, owner=owner, lease_s=settings.housekeeper_lease_s))
+            renew_at = now + settings.housekeeper_lease_s / 3
+        for index, (duty, interval_s) in enumerate(turns):
+            if ours and now >= due[index]:
+                _attempt(duty)
+                due[index] = now + interval_s
+    _attempt(lambda: release_lease(keeper.store, LEASE, owner=owner))
+
+
+def _attempt(duty: Callable[[], bool | None]) -> bool:
+    """Do it; what is away will be there again. Tell whether the duty said yes."""
+    try:
+        return bool(duty())
+    except AWAY:
+        logger.warning("the housekeeper could not do its duty; it tries again", exc_info=True)
+        return False
+
+
+def main() -> None:
+    """Run until SIGTERM or SIGINT."""
+    settings = read_settings()
+    logging.basicConfig(level=settings.log_level, format="%(asctime)s %(levelname)s %(name)s %(message)s")
+    stopped = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: stopped.set())
+    run(open_housekeeper(settings), stopped)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,100 @@
+"""The four stages of a job: files in, files out. What each needs is read from files, so that any worker can go on."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+from dynamictree import pipeline
+from dynamictree.formats.mesh_bundle import read_mesh_bundle, write_mesh_bundle
+from dynamictree.formats.spectrum_file import read_spectrum, write_spectrum
+from dynamictree.formats.voxels_file import read_voxels, write_voxels
+from dynamictree.mesh import TriangleMesh
+from dynamictree.products import AnimateOptions
+from dynamictree.spectrum import Wind
+from jobs.products import MESH, MESH_BUNDLE, SPECTRUM, VOXELS
+from jobs.records import JobRecord
+from jobs.states import JobType
+
+
+@dataclass(frozen=True, kw_only=True)
+class StageInput:
+    """What a stage gets."""
+
+    job: JobRecord
+    folder: Path  # its own, empty
+    files: dict[str, Path]  # what earlier stages made, and the asset's mesh as MESH_BUNDLE
+    photos: tuple[Path, ...]
+    report: Callable[[float], None]  # share done in [0, 1]; raises when the stage should stop
+
+
+def reconstruct(given: StageInput) -> Iterable[Path]:
+    """Photos to mesh."""
+    path = pipeline.reconstruct(given.photos, given.folder, given.report)
+    with (given.folder / MESH_BUNDLE).open("xb") as stream:
+        write_mesh_bundle(pipeline.load_mesh(path, up_axis="+Z", unit_m=1.0), stream)
+    return path.replace(given.folder / MESH), given.folder / MESH_BUNDLE
+
+
+def voxelize(given: StageInput) -> Iterable[Path]:
+    """Mesh to voxels."""
+    given.report(0.0)
+    resolution = given.job.params.get("resolution", pipeline.RESOLUTION)
+    assert isinstance(resolution, int)
+    voxels = pipeline.voxelize(_mesh(given), resolution=resolution)
+    with (given.folder / VOXELS).open("xb") as stream:
+        write_voxels(voxels, stream)
+    return [given.folder / VOXELS]
+
+
+def diffuse(given: StageInput) -> Iterable[Path]:
+    """Voxels to spectrum."""
+    given.report(0.0)
+    with given.files[VOXELS].open("rb") as stream:
+        voxels = read_voxels(stream)
+    steps = given.job.params["num_steps"]
+    assert steps is None or isinstance(steps, int)
+    spectrum = pipeline.diffuse(
+        voxels,
+        preset=given.job.preset,
+        seed=given.job.seed,
+        wind=Wind(**given.job.params["wind"]),  # type: ignore[arg-type]
+        num_steps=steps,
+        on_step=lambda done, total: given.report(done / total),
+    )
+    with (given.folder / SPECTRUM).open("xb") as stream:
+        write_spectrum(spectrum, stream)
+    return [given.folder / SPECTRUM]
+
+
+def animate(given: StageInput) -> Iterable[Path]:
+    """Spectrum to motion, in the files that were asked for."""
+    given.report(0.0)
+    with given.files[SPECTRUM].open("rb") as stream:
+        spectrum = read_spectrum(stream)
+    made = pipeline.animate(_mesh(given), spectrum, animate_options(given.job), given.folder, given.report)
+    return made.values()
+
+
+def animate_options(job: JobRecord) -> AnimateOptions:
+    """What an animate job asks for."""
+    names = ("num_frames", "fps", "speed", "loop")
+    formats = tuple(job.params["formats"])  # type: ignore[arg-type]
+    return AnimateOptions(**{name: job.params[name] for name in names}, formats=formats)  # type: ignore[arg-type]
+
+
+STAGES: dict[JobType, Callable[[StageInput], Iterable[Path]]] = {
+    "reconstruct": reconstruct,
+    "voxelize": voxelize,
+    "diffuse": diffuse,
+    "animate": animate,
+}
+
+
+def photo_name(index: int, name: str) -> str:
+    """A file name for a photo: in the order sent, with the suffix by which readers choose."""
+    return f"{index:04d}{PurePosixPath(name).suffix.lower()}"
+
+
+def _mesh(given: StageInput) -> TriangleMesh:
+    with given.files[MESH_BUNDLE].open("rb") as stream:
+        return read_mesh_bundle(stream)

@@ -1,0 +1,85 @@
+"""The one task. A job's error crosses no queue: it goes into the store as (code, message)."""
+
+import logging
+from dataclasses import replace
+
+from celery import Task, signals
+from celery.exceptions import SoftTimeLimitExceeded
+
+from dynamictree.errors import Cancelled, DynamicTreeError
+from jobs.attempts import claim, fail, finish_cancel, hand_back, succeed
+from jobs.errors import FencedError, GoneError, NotFoundError
+from jobs.messages import RUN_JOB
+from jobs.records import Claim
+from worker.app import app, stopping
+from worker.attempt import run_stages
+from worker.runtime import Presence, Runtime, runtime
+from worker.watch import HandedBack, Watch
+
+logger = logging.getLogger(__name__)
+
+
+class JobTask(Task):  # type: ignore[misc]
+    """Writes how an attempt ended, when it did not end well."""
+
+    throws = (Cancelled, FencedError, HandedBack, DynamicTreeError, GoneError)  # expected; logged without a traceback
+
+    def on_failure(
+        self, exc: BaseException, task_id: str, args: tuple[str, int], kwargs: dict[str, object], einfo: object
+    ) -> None:
+        """Called by Celery in the process that ran the task."""
+        here = runtime()
+        job_id, attempt = args
+        try:
+            held = Claim(job=replace(here.store.job(job_id), attempt=attempt), owner=here.owner)
+            end_attempt(here, held, exc)
+        except (FencedError, NotFoundError) as error:
+            logger.info("the end of an attempt was not written: %s", error)
+
+
+def end_attempt(here: Runtime, held: Claim, error: BaseException) -> None:
+    """Write what an exception means for the job."""
+    store = here.store
+    match error:
+        case Cancelled():
+            finish_cancel(store, held)
+        case HandedBack():
+            hand_back(store, held)
+        case DynamicTreeError() | GoneError():
+            fail(store, held, code=error.code, message=str(error))
+        case MemoryError():
+            fail(store, held, code="out-of-memory", message="the worker's memory did not suffice; simplify the input")
+        case SoftTimeLimitExceeded():
+            allowed = f"{here.settings.soft_time_limit_s} s are allowed"
+            fail(store, held, code="time-limit", message=f"the job took too long; {allowed}; simplify the input")
+        case _:
+            logger.error("job %s failed", held.job.id, exc_info=error)
+            fail(store, held, code="internal-error", message="The cause was logged.")
+
+
+@app.task(base=JobTask, name=RUN_JOB)  # type: ignore[untyped-decorator]
+def run_job(job_id: str, attempt: int) -> None:
+    """Run one attempt of a job, unless another worker does, or did."""
+    here = runtime()
+    held = claim(here.store, job_id, attempt, owner=here.owner, lease_s=here.settings.lease_s)
+    if held is None:
+        logger.info("attempt %s of job %s is not to be run", attempt, job_id)
+        return
+    with Watch(here, held, stopping=stopping.is_set) as watch:
+        run_stages(here, watch)
+    state = succeed(here.store, held)
+    logger.info("job %s has %s", job_id, state)
+
+
+_present: list[Presence] = []
+
+
+@signals.worker_process_init.connect  # type: ignore[untyped-decorator]
+def _arrive(**_: object) -> None:
+    _present.append(Presence(runtime()))
+
+
+@signals.worker_process_shutdown.connect  # type: ignore[untyped-decorator]
+def _leave(**_: object) -> None:
+    while _present:
+        _present.pop().leave()
