@@ -11,7 +11,7 @@ import json
 import multiprocessing
 import os
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -109,18 +109,29 @@ def generate(
     missing = [shard for shard in mine if not is_baked(recipe, shard, folder)]
     done = wanted - sum(recipe.shard_trees(shard) for shard in missing)
     on_shard(done, wanted)
+    for shard in _baking(recipe, missing, folder, workers):
+        done += recipe.shard_trees(shard)
+        on_shard(done, wanted)
+    manifest = manifest_of(recipe, folder)
+    _write(folder / "manifest.json", json.dumps(manifest, indent=1, sort_keys=True).encode())
+    _write(folder / "README.md", write_card(manifest).encode())
+    return manifest
+
+
+def _baking(recipe: Recipe, missing: list[int], folder: Path, workers: int) -> Iterator[int]:
+    """Bake shards here or in processes; give each one's number when it is done."""
+    if workers == 1:
+        for shard in missing:
+            bake_shard(recipe, shard, folder)
+            yield shard
+        return
     # fork would copy the threads' locks of numba and BLAS
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(max_workers=workers, mp_context=context) as pool:
         waiting = {pool.submit(bake_shard, recipe, shard, folder): shard for shard in missing}
         for future in as_completed(waiting):
             future.result()
-            done += recipe.shard_trees(waiting[future])
-            on_shard(done, wanted)
-    manifest = manifest_of(recipe, folder)
-    _write(folder / "manifest.json", json.dumps(manifest, indent=1, sort_keys=True).encode())
-    _write(folder / "README.md", write_card(manifest).encode())
-    return manifest
+            yield waiting[future]
 
 
 def bake_shard(recipe: Recipe, index: int, folder: Path) -> None:
