@@ -171,7 +171,7 @@ def state_payload(groups: tuple[ForceGroup, ...], state: State) -> dict[str, obj
 
 def locality_payload(locality: Locality | None) -> dict[str, object] | None:
     """A locality as it is told."""
-    return locality and {"seed_voxel": locality.seed_voxel, "falloff_m": locality.falloff_m}
+    return None if locality is None else {"seed_voxel": locality.seed_voxel, "falloff_m": locality.falloff_m}
 
 
 def pairs(q: np.ndarray) -> np.ndarray:
@@ -200,7 +200,7 @@ def _contact(at: AtPayload, grid: VoxelGrid, mesh: Callable[[], TriangleMesh]) -
 
 
 def _locality(payload: LocalityPayload | None) -> Locality | None:
-    return payload and Locality(seed_voxel=payload.seed_voxel, falloff_m=payload.falloff_m)
+    return None if payload is None else Locality(seed_voxel=payload.seed_voxel, falloff_m=payload.falloff_m)
 
 
 def _coordinates(group: GroupStatePayload | None, num_modes: int) -> np.ndarray:

@@ -13,7 +13,8 @@ from safetensors.numpy import save
 
 from dynamictree.errors import UnstableTimestep
 from dynamictree.modal.locality import default_falloff_m
-from dynamictree.modal.response import Answer, group_forces, respond
+from dynamictree.modal.response import Answer, Start, group_forces, respond
+from dynamictree.modal.step import State
 from dynamictree.modal.system import ModalSystem, with_physics
 from service.accept import JSON, NPZ, SAFETENSORS, chosen
 from service.context import Context, Ctx
@@ -104,10 +105,8 @@ def answer_of(body: InteractRequest, ready: ReadyTree, context: Context) -> tupl
     ]
     falloff = None if body.locality == "none" else body.falloff_m or default_falloff_m(system)
     groups = group_forces(forces, falloff_m=falloff)
-    start = body.start
-    if body.initial_state is None:
-        begin = start
-    else:
+    begin: Start | State = body.start
+    if body.initial_state is not None:
         groups, begin = with_state(groups, body.initial_state, system.num_modes)
     if len(groups) > MAX_GROUPS:
         raise ProblemError("validation-failed", f"{len(groups)} groups of forces; at most {MAX_GROUPS} are allowed")
@@ -182,5 +181,5 @@ def _packed(arrays: dict[str, np.ndarray], facts: dict[str, object], media_type:
     if media_type == SAFETENSORS:
         return save({name: np.ascontiguousarray(array) for name, array in arrays.items()}, told)
     stream = BytesIO()
-    np.savez(stream, **arrays, facts=np.array(json.dumps(told)))
+    np.savez(stream, allow_pickle=False, **arrays, facts=np.array(json.dumps(told)))
     return stream.getvalue()

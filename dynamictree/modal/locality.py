@@ -35,12 +35,12 @@ class Branching:
     """The tree as ways between its voxels; prepared once a spectrum, asked once a poke."""
 
     ways: scipy.sparse.csr_array  # [2V, 2V]; rows V to 2V - 1 are the same voxels after a way towards the root
-    height_m: float
 
-    @property
-    def falloff_m(self) -> float:
-        """What a poke that names no falloff gets [m]."""
-        return FALLOFF_SHARE * self.height_m
+
+def default_falloff_m(system: ModalSystem) -> float:
+    """What a poke that names no falloff gets [m]."""
+    levels = int(np.ptp(system.grid.coords[:, 2])) + 1
+    return FALLOFF_SHARE * levels * system.grid.voxel_size_m
 
 
 def branching(system: ModalSystem) -> Branching:
@@ -59,7 +59,7 @@ def branching(system: ModalSystem) -> Branching:
     columns = np.concatenate([end[begun], end[~begun] + num_voxels, end + num_voxels])
     costs = np.concatenate([around[begun], (rootward + around)[~begun], rootward + OUTWARD * outward + around])
     ways = scipy.sparse.csr_array((costs, (rows, columns)), shape=(2 * num_voxels, 2 * num_voxels))
-    return Branching(ways=ways, height_m=float(np.ptp(system.grid.centres_m[:, 2])) + system.grid.voxel_size_m)
+    return Branching(ways=ways)
 
 
 def poke_weights(tree: Branching, seed_voxel: int, falloff_m: float) -> Float32[np.ndarray, " V"]:

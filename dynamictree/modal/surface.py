@@ -9,7 +9,6 @@ from scipy.sparse.csgraph import connected_components
 
 from dynamictree.mesh import TriangleMesh, edges_of
 from dynamictree.modal.skeleton import Bones
-from dynamictree.voxel.devoxelize import VoxelInterpolation
 
 BONES_A_VERTEX = 6
 STIFF_VOXELS = 8.0  # a part of the mesh that is smaller moves as one: a leaf keeps its shape
@@ -25,15 +24,18 @@ class BoneAttachment:
 
 
 def attach_mesh(
-    bones: Bones, interpolation: VoxelInterpolation, mesh: TriangleMesh, *, voxel_size_m: float
+    bones: Bones,
+    mesh: TriangleMesh,
+    *,
+    rows: Int32[np.ndarray, "N M"],
+    weights: Float32[np.ndarray, "N M"],
+    voxel_size_m: float,
 ) -> BoneAttachment:
-    """Give each vertex the bones of its voxels, spread along the mesh's own edges."""
-    num_vertices, width = interpolation.rows.shape
+    """Give each vertex the bones of its voxels (`rows` and `weights`), spread along the mesh's own edges."""
+    num_vertices, width = rows.shape
     points = np.repeat(np.arange(num_vertices), width)
     shape = (num_vertices, len(bones.parent))
-    carried = scipy.sparse.csr_array(
-        (interpolation.weights.ravel(), (points, bones.bone_of_voxel[interpolation.rows.ravel()])), shape=shape
-    )
+    carried = scipy.sparse.csr_array((weights.ravel(), (points, bones.bone_of_voxel[rows.ravel()])), shape=shape)
     start, end = edges_of(mesh.faces).T
     loops = np.arange(num_vertices)
     pairs = (np.concatenate([start, end, loops]), np.concatenate([end, start, loops]))

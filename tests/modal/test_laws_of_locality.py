@@ -6,7 +6,7 @@ import pytest
 from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.errors import InputError
 from dynamictree.modal.force import Impulse, contact_at_voxel, generalised_force
-from dynamictree.modal.locality import branching, poke_weights, strangeness
+from dynamictree.modal.locality import branching, default_falloff_m, poke_weights, strangeness
 from dynamictree.modal.step import State, exact_step, run
 from dynamictree.modal.system import displacement, modal_system
 from tests.modal.trees import fork
@@ -89,7 +89,7 @@ def test_the_poked_branch_of_a_grown_tree_keeps_the_energy():
     velocity = np.diff(displacement(system.shapes, frames[:, 0]), axis=0)
     energy = (velocity**2).sum(axis=(0, 2))
     tree = branching(system)
-    local = energy * poke_weights(tree, row, tree.falloff_m) ** 2
+    local = energy * poke_weights(tree, row, default_falloff_m(system)) ** 2
     assert energy[~inside].sum() > 0.8 * energy.sum()
     assert local[~inside].sum() < 0.05 * local.sum()
 

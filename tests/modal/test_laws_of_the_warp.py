@@ -114,7 +114,9 @@ def test_a_strong_drag_bends_a_grown_tree_and_does_not_stretch_it():
     q = q * 0.2 * mesh.height_m / np.linalg.norm(displacement(system.shapes, q)[0, top])
 
     bones, interpolation = bones_of(system), smooth(voxels.grid, mesh)
-    carried = attach_mesh(bones, interpolation, mesh, voxel_size_m=voxels.grid.voxel_size_m)
+    carried = attach_mesh(
+        bones, mesh, rows=interpolation.rows, weights=interpolation.weights, voxel_size_m=voxels.grid.voxel_size_m
+    )
     bent = bend(bones, posed(bones, q), mesh.vertices, carried.rows, carried.weights)
     plain = interpolation.apply(displacement(system.shapes, q)[0])
 

@@ -1,0 +1,367 @@
+"""The contract of /v1/interact, on a fork of voxels and the mesh of a grown tree."""
+
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fastapi.testclient import TestClient
+from safetensors.numpy import load
+
+from dynamictree.dataset.sample import make_sample, voxel_spectrum
+from dynamictree.formats.mesh_bundle import write_mesh_bundle
+from dynamictree.formats.spectrum_file import write_spectrum
+from dynamictree.modal.force import Drag, Impulse, contact_at_voxel
+from dynamictree.modal.locality import default_falloff_m
+from dynamictree.modal.response import InteractiveTree, group_forces, respond
+from dynamictree.modal.system import modal_system
+from dynamictree.spectrum import SparseVoxelSpectrum
+from jobs.artifacts import hash_file
+from jobs.attempts import succeed
+from jobs.records import AssetPart, AssetRecord, JobRecord
+from jobs.states import JobState
+from jobs.store import new_id
+from service.context import Context
+from service.forces import MAX_FORCES
+from tests.service.conftest import hold, publish
+
+
+ASSET_ID = "01ARZ3NDEKTSV4RRFFQ69G5FAV"
+
+
+@pytest.fixture(scope="module")
+def grown():
+    return make_sample(4, "columnar")
+
+
+@pytest.fixture(scope="module")
+def spectrum(grown) -> SparseVoxelSpectrum:
+    return voxel_spectrum(grown, 32)[1]
+
+
+@pytest.fixture
+def spectrum_id(client: TestClient, context: Context, grown, spectrum: SparseVoxelSpectrum, tmp_path: Path) -> str:
+    bundle = tmp_path / "mesh.safetensors"
+    with bundle.open("wb") as stream:
+        write_mesh_bundle(grown.mesh, stream)
+    digest, size = hash_file(bundle)
+    context.artifacts.put(bundle, digest)
+    now = context.store.clock()
+    part = AssetPart(name="tree.glb", sha256=digest, bytes=size)
+    asset = AssetRecord(
+        id=ASSET_ID,
+        kind="mesh",
+        fingerprint="e" * 64,
+        parts=(part,),
+        prepared=part,
+        summary={},
+        created_at=now,
+        expires_at=now + 500,
+    )
+    job = JobRecord(
+        id=new_id(),
+        type="diffuse",
+        state=JobState.QUEUED,
+        asset_id=context.store.add_asset(asset)[0].id,
+        preset="small",
+        seed=0,
+        params={},
+        queue="cpu",
+        created_at=now,
+    )
+    context.store.add_job(job, stages=("voxelize", "diffuse"))
+    held = hold(context, job.id)
+    publish(context, held, "voxelize", "tree.voxels.safetensors", b"voxels")
+    file = io.BytesIO()
+    write_spectrum(spectrum, file, dtype="float32")
+    publish(context, held, "diffuse", "tree.spectrum.safetensors", file.getvalue())
+    succeed(context.store, held)
+    return str(client.get(f"/v1/jobs/{job.id}").json()["result"]["spectrum_id"])
+
+
+@pytest.fixture
+def poke(spectrum: SparseVoxelSpectrum) -> dict[str, object]:
+    top = int(np.argmax(spectrum.grid.coords[:, 2]))
+    return {"kind": "impulse", "at": {"voxel": top}, "impulse_n_s": [3.0, 1.0, 0.0]}
+
+
+def post(client: TestClient, spectrum_id: str, *forces: object, accept: str | None = None, **options: object):
+    headers = {} if accept is None else {"Accept": accept}
+    body = {"spectrum_id": spectrum_id, "forces": list(forces), **options}
+    return client.post("/v1/interact", json=body, headers=headers)
+
+
+def coordinates(group: dict) -> np.ndarray:
+    """Complex [frames, K]."""
+    return np.array(group["q"]) @ [1, 1j]
+
+
+def test_the_answer_is_the_librarys(client: TestClient, spectrum_id: str, spectrum: SparseVoxelSpectrum) -> None:
+    force = {"kind": "drag", "at": {"voxel": 40}, "force_n": [0.0, 20.0, 0.0], "start_s": 0.05, "duration_s": 0.2}
+    told = post(
+        client, spectrum_id, force, mass_kg=80.0, damping_ratio=0.1, dt_s=0.02, num_frames=30, falloff_m=0.9
+    ).json()
+    drag = Drag(at=contact_at_voxel(spectrum.grid, 40), force_n=(0.0, 20.0, 0.0), start_s=0.05, duration_s=0.2)
+    system = modal_system(spectrum, mass_kg=80.0, damping_ratio=0.1)
+    answer = respond(system, group_forces([drag], falloff_m=0.9), dt_s=0.02, num_frames=30)
+    q = coordinates(told["groups"][0])
+    assert q.shape == (30, 16)
+    assert not q[:, 0].any()
+    np.testing.assert_allclose(q[:, 1:], answer.q[:, 0], rtol=1e-9)
+    assert told["groups"][0]["locality"] == {"seed_voxel": 40, "falloff_m": 0.9}
+    assert told["modal_mass_kg_m2"] == pytest.approx(system.modal_mass)
+    np.testing.assert_allclose(told["frequencies_hz"], spectrum.frequencies_hz)
+
+
+def test_state_in_and_state_out_join_calls(client: TestClient, spectrum_id: str, poke: dict) -> None:
+    wind = {"kind": "wind", "wind_m_s": [[3.0, 0.0, 0.0], [6.0, 0.0, 0.0]], "duration_s": 0.25}
+    whole = post(client, spectrum_id, poke, wind, num_frames=40).json()
+    first = post(client, spectrum_id, poke, wind, num_frames=20).json()
+    second = post(
+        client, spectrum_id, wind | {"start_s": -20 / 60}, num_frames=20, initial_state=first["final_state"]
+    ).json()
+    by_place = {json.dumps(group["locality"]): coordinates(group) for group in second["groups"]}
+    for group, begun in zip(whole["groups"], first["groups"], strict=True):
+        joined = np.concatenate([coordinates(begun), by_place[json.dumps(group["locality"])]])
+        np.testing.assert_allclose(joined, coordinates(group), rtol=1e-9, atol=1e-12)
+
+
+def test_the_same_request_gives_the_same_bytes(client: TestClient, spectrum_id: str, poke: dict) -> None:
+    assert post(client, spectrum_id, poke).content == post(client, spectrum_id, poke).content
+
+
+@pytest.mark.parametrize("media_type", ["application/vnd.safetensors", "application/x-npz"])
+def test_binary_and_json_say_the_same(client: TestClient, spectrum_id: str, poke: dict, media_type: str) -> None:
+    told = post(client, spectrum_id, poke, accept="application/json").json()
+    response = post(client, spectrum_id, poke, accept=media_type)
+    assert response.headers["Content-Type"] == media_type
+    arrays = read_binary(response)
+    np.testing.assert_allclose(arrays["q"][0] @ [1, 1j], coordinates(told["groups"][0]), rtol=1e-12)
+    final = told["final_state"]["groups"][0]
+    np.testing.assert_allclose(arrays["final_q_dot"][0], final["q_dot"], rtol=1e-12)
+    assert arrays["seed_voxel"].tolist() == [final["locality"]["seed_voxel"]]
+    assert arrays["falloff_m"].tolist() == [final["locality"]["falloff_m"]]
+
+
+def read_binary(response) -> dict[str, np.ndarray]:
+    assert response.status_code == 200, response.text
+    if response.headers["Content-Type"] == "application/x-npz":
+        with np.load(io.BytesIO(response.content), allow_pickle=False) as arrays:
+            return dict(arrays)
+    return load(response.content)
+
+
+@pytest.mark.parametrize("locality", ["none", "geodesic"])
+@pytest.mark.parametrize("warp", [False, True])
+def test_voxels_are_the_librarys(
+    client: TestClient, spectrum_id: str, spectrum: SparseVoxelSpectrum, poke: dict, locality: str, warp: bool
+) -> None:
+    options = {"output": "voxels", "locality": locality, "warp": warp, "num_frames": 5}
+    arrays = read_binary(post(client, spectrum_id, poke, accept="*/*", **options))
+    tree = InteractiveTree(modal_system(spectrum))
+    at = contact_at_voxel(spectrum.grid, poke["at"]["voxel"])
+    falloff = None if locality == "none" else default_falloff_m(tree.system)
+    groups = group_forces([Impulse(at=at, impulse_n_s=(3.0, 1.0, 0.0))], falloff_m=falloff)
+    expected = tree.voxels(respond(tree.system, groups, dt_s=1 / 60, num_frames=5), warp=warp)
+    np.testing.assert_allclose(arrays["displacement"], expected, atol=1e-7)
+    assert np.abs(expected).max() > 1e-5
+
+
+@pytest.mark.parametrize("warp", [False, True])
+def test_vertices_come_in_the_meshs_order(
+    client: TestClient, spectrum_id: str, grown, spectrum: SparseVoxelSpectrum, poke: dict, warp: bool
+) -> None:
+    options = {"num_frames": 8, "locality": "none", "warp": warp}
+    vertices = read_binary(post(client, spectrum_id, poke, accept="*/*", output="vertices", **options))["displacement"]
+    voxels = read_binary(post(client, spectrum_id, poke, accept="*/*", output="voxels", **options))["displacement"]
+    assert vertices.shape == (8, grown.mesh.num_vertices, 3)
+    # a vertex moves about as the voxel does in which it lies
+    own = spectrum.grid.rows_of(spectrum.grid.coords_of(grown.mesh.vertices))
+    difference = np.linalg.norm(vertices[-1] - voxels[-1][own], axis=1)
+    assert np.median(difference) < 0.2 * np.linalg.norm(voxels[-1], axis=1).max()
+
+
+def test_a_push_at_a_vertex_is_a_push_at_its_place(client: TestClient, spectrum_id: str, grown, poke: dict) -> None:
+    index = int(np.argmax(grown.mesh.vertices[:, 2]))
+    by_vertex = post(client, spectrum_id, poke | {"at": {"vertex": index, "radius_m": 1.0}})
+    by_point = post(
+        client, spectrum_id, poke | {"at": {"point_m": grown.mesh.vertices[index].tolist(), "radius_m": 1.0}}
+    )
+    assert by_vertex.status_code == 200
+    assert by_vertex.json()["groups"] == by_point.json()["groups"]
+
+
+def test_a_radius_about_a_voxel_is_about_its_centre(
+    client: TestClient, spectrum_id: str, spectrum: SparseVoxelSpectrum, poke: dict
+) -> None:
+    centre = spectrum.grid.centres_m[poke["at"]["voxel"]].tolist()
+    by_voxel = post(client, spectrum_id, poke | {"at": poke["at"] | {"radius_m": 1.0}}).json()
+    by_point = post(client, spectrum_id, poke | {"at": {"point_m": centre, "radius_m": 1.0}}).json()
+    assert by_voxel["groups"] == by_point["groups"]
+
+
+def refusal(response, status: int, code: str) -> dict:
+    assert response.headers["Content-Type"] == "application/problem+json"
+    problem = response.json()
+    assert (response.status_code, problem["code"]) == (status, code), problem
+    return problem
+
+
+def test_an_unknown_spectrum_is_not_found(client: TestClient, poke: dict) -> None:
+    refusal(post(client, "01ARZ3NDEKTSV4RRFFQ69G5FAV", poke), 404, "not-found")
+
+
+def test_what_is_no_spectrum_is_not_found(client: TestClient, spectrum_id: str, context: Context, poke: dict) -> None:
+    job = context.store.artifact(spectrum_id).job_id
+    voxels = next(a.id for a in context.store.artifacts_of(job) if a.stage == "voxelize")
+    refusal(post(client, voxels, poke), 404, "not-found")
+
+
+def test_an_unstable_step_is_refused_with_the_longest_stable_one(
+    client: TestClient, spectrum_id: str, poke: dict
+) -> None:
+    problem = refusal(post(client, spectrum_id, poke, integrator="explicit-euler"), 422, "unstable-timestep")
+    longest = problem["max_dt_s"]
+    assert 0 < longest < 1 / 60
+    assert post(client, spectrum_id, poke, integrator="explicit-euler", dt_s=longest).status_code == 200
+
+
+@pytest.mark.parametrize(
+    ("accept", "options"),
+    [("text/html", {}), ("application/json;q=0", {}), ("application/json", {"output": "voxels"})],
+)
+def test_an_unacceptable_accept_is_refused(
+    client: TestClient, spectrum_id: str, poke: dict, accept: str, options: dict
+) -> None:
+    refusal(post(client, spectrum_id, poke, accept=accept, **options), 406, "not-acceptable")
+
+
+def test_a_broken_accept_is_refused(client: TestClient, spectrum_id: str, poke: dict) -> None:
+    refusal(post(client, spectrum_id, poke, accept="application/json;q=much"), 400, "bad-request")
+
+
+@pytest.mark.parametrize(
+    ("accept", "given"),
+    [
+        (None, "application/json"),
+        ("*/*", "application/json"),
+        ("application/json;q=0.5, application/x-npz", "application/x-npz"),
+        ("application/*;q=0.1, application/vnd.safetensors;q=0.2", "application/vnd.safetensors"),
+        ("*/*, application/json;q=0", "application/vnd.safetensors"),
+    ],
+)
+def test_the_best_accepted_type_is_given(
+    client: TestClient, spectrum_id: str, poke: dict, accept: str | None, given: str
+) -> None:
+    assert post(client, spectrum_id, poke, accept=accept).headers["Content-Type"] == given
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"at": {"point_m": [500.0, 0.0, 0.0]}}, "outside of the tree"),
+        ({"at": {"voxel": 10**8}}, "does not exist"),
+        ({"at": {"vertex": 10**8}}, "does not exist"),
+    ],
+)
+def test_a_place_that_is_none_is_refused(
+    client: TestClient, spectrum_id: str, poke: dict, change: dict, words: str
+) -> None:
+    assert words in refusal(post(client, spectrum_id, poke | change), 422, "invalid-input")["detail"]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"impulse_n_s": [1e400, 0.0, 0.0]}, "finite"),
+        ({"impulse_n_s": [1e9, 0.0, 0.0]}, "1000000"),
+        ({"impulse_n_s": None}, "exactly one of impulse_n_s"),
+        ({"force_n": [1.0, 0.0, 0.0]}, "exactly one of impulse_n_s"),
+        ({"kind": "drag"}, "exactly one of force_n, displacement_m"),
+        ({"at": None}, "need at"),
+        ({"at": {"voxel": 1, "vertex": 1}}, "exactly one of point_m"),
+        ({"kind": "wind", "impulse_n_s": None, "wind_m_s": [1.0, 0.0, 0.0]}, "takes none"),
+        ({"kind": "wind", "impulse_n_s": None, "at": None, "wind_m_s": []}, "1 to 600"),
+        ({"sideways": 1}, "Extra inputs"),
+    ],
+)
+def test_a_force_that_is_none_is_refused(
+    client: TestClient, spectrum_id: str, poke: dict, change: dict, words: str
+) -> None:
+    body = json.dumps({"spectrum_id": spectrum_id, "forces": [poke | change]}).replace("Infinity", "1e400")
+    response = client.post("/v1/interact", content=body, headers={"Content-Type": "application/json"})
+    assert words in refusal(response, 422, "validation-failed")["detail"]
+
+
+@pytest.mark.parametrize(
+    ("options", "limit"),
+    [({"num_frames": 601}, "600"), ({"dt_s": 0}, "0"), ({"damping_ratio": -1}, "0"), ({"mass_kg": 0}, "0")],
+)
+def test_a_number_beyond_its_limit_is_refused_with_the_limit(
+    client: TestClient, spectrum_id: str, poke: dict, options: dict, limit: str
+) -> None:
+    assert limit in refusal(post(client, spectrum_id, poke, **options), 422, "validation-failed")["detail"]
+
+
+def test_too_many_forces_are_refused_with_the_limit(client: TestClient, spectrum_id: str, poke: dict) -> None:
+    problem = refusal(post(client, spectrum_id, *[poke] * (MAX_FORCES + 1)), 422, "validation-failed")
+    assert str(MAX_FORCES) in problem["detail"]
+
+
+def test_an_answer_that_is_too_large_is_refused_with_what_fits(
+    client: TestClient, spectrum_id: str, poke: dict, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("service.interact.MAX_DISPLACEMENT_BYTES", 1_000_000)
+    for output in ("voxels", "vertices"):
+        response = post(client, spectrum_id, poke, accept="*/*", output=output, num_frames=600)
+        assert "frames at a time" in refusal(response, 422, "validation-failed")["detail"]
+
+
+@pytest.mark.parametrize(
+    ("state", "words"),
+    [
+        ([{"locality": None, "q": [[0, 0]], "q_dot": [[0, 0]]}], "16 bins"),
+        ([{"locality": None, "q": [[0, 0]] * 16, "q_dot": [[0, 0]] * 16}] * 2, "same locality"),
+        (
+            [
+                {"locality": {"seed_voxel": n, "falloff_m": 1.0}, "q": [[0, 0]] * 16, "q_dot": [[0, 0]] * 16}
+                for n in range(64)
+            ],
+            "at most 64",
+        ),
+    ],
+)
+def test_a_state_that_is_none_is_refused(
+    client: TestClient, spectrum_id: str, poke: dict, state: list, words: str
+) -> None:
+    response = post(client, spectrum_id, poke, initial_state={"groups": state})
+    assert words in refusal(response, 422, "validation-failed")["detail"]
+
+
+def test_gaussians_of_a_mesh_are_refused(client: TestClient, spectrum_id: str, poke: dict) -> None:
+    problem = refusal(post(client, spectrum_id, poke, accept="*/*", output="gaussians"), 422, "invalid-input")
+    assert "splat" in problem["detail"]
+
+
+def test_vertices_are_gone_with_their_asset_and_voxels_are_not(
+    client: TestClient, spectrum_id: str, context: Context, poke: dict, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert post(client, spectrum_id, poke, accept="*/*", output="vertices", num_frames=2).status_code == 200
+    context.store.delete_asset(ASSET_ID)
+    refusal(post(client, spectrum_id, poke, accept="*/*", output="vertices", num_frames=2), 410, "expired")
+    assert post(client, spectrum_id, poke, accept="*/*", output="voxels", num_frames=2).status_code == 200
+    now = context.store.clock()
+    monkeypatch.setattr(context.store, "clock", lambda: now + 10_000)
+    refusal(post(client, spectrum_id, poke), 410, "expired")
+
+
+def test_the_memory_for_trees_is_bounded(client: TestClient, spectrum_id: str, context: Context, poke: dict) -> None:
+    post(client, spectrum_id, poke)
+    ready = context.trees.get(spectrum_id)
+    assert ready is not None
+    for number in range(5):
+        context.trees.max_bytes = 3 * ready.num_bytes
+        context.trees.put(f"other-{number}", ready)
+    assert len(context.trees) == 3
+    assert context.trees.get(spectrum_id) is None
