@@ -1,0 +1,187 @@
+"""Which face carries which Gaussian. After GaMeS (Waczyńska et al. 2024), but captured Gaussians are kept as they are.
+
+A Gaussian hangs on the surface point nearest to it: barycentric weights in its face, and an offset that turns with the
+face. Gaussians far from every face, or outside of the part that is to move, hang on nothing and stay still.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float32, Int32
+
+from dynamictree.errors import InputError
+from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.gaussian.nearest import nearest_faces
+from dynamictree.gaussian.rotation import quaternion_matrices
+from dynamictree.mesh import TriangleMesh
+
+STILL = -1
+FLOATER_SHARE = 0.04
+"""Farther from the surface than this share of the mesh's extent, a Gaussian is a floater and stays still."""
+_THINNEST = 1e-4  # height of a face over its longest edge; thinner ones have no direction to turn with
+
+
+@dataclass(frozen=True, kw_only=True)
+class Binding:
+    """A cloud at rest and what carries it. Corner 0 to 1 is the longest edge of each triangle."""
+
+    cloud: GaussianCloud
+    vertices: Float32[np.ndarray, "N 3"]  # of the mesh at rest [m]
+    triangles: Int32[np.ndarray, "U 3"]  # faces that carry something
+    face_of: Int32[np.ndarray, " G"]  # row of `triangles`, or STILL
+    weights: Float32[np.ndarray, "G 3"]  # barycentric
+
+    def __post_init__(self) -> None:
+        if len(self.face_of) != self.cloud.num_gaussians or len(self.weights) != self.cloud.num_gaussians:
+            raise InputError(f"the binding has {len(self.face_of)} rows for {self.cloud.num_gaussians} Gaussians")
+        if self.face_of.min() < STILL or self.face_of.max() >= len(self.triangles):
+            raise InputError(f"the binding names face {self.face_of.max()} of {len(self.triangles)}")
+        if len(self.triangles) and not 0 <= self.triangles.min() <= self.triangles.max() < len(self.vertices):
+            raise InputError(f"the binding's faces name vertices outside of the {len(self.vertices)} of the mesh")
+
+    @property
+    def moving(self) -> Bool[np.ndarray, " G"]:
+        """Which Gaussians hang on a face."""
+        result: Bool[np.ndarray, " G"] = self.face_of != STILL
+        return result
+
+
+def bind(
+    cloud: GaussianCloud,
+    mesh: TriangleMesh,
+    *,
+    mask: Bool[np.ndarray, " G"] | None = None,
+    max_distance_m: float | None = None,
+) -> Binding:
+    """Hang each Gaussian of a capture on its nearest face.
+
+    Args:
+        cloud: kept whole, in its order.
+        mesh: at rest, where the cloud is [m].
+        mask: which Gaussians may move; all by default.
+        max_distance_m: farther ones stay still; by default a share of the mesh's extent.
+
+    Raises:
+        InputError: nothing is left to move, or the mesh has no face that is a triangle at all.
+    """
+    if max_distance_m is None:
+        max_distance_m = FLOATER_SHARE * float(np.ptp(mesh.vertices, axis=0).max())
+    if not max_distance_m > 0:
+        raise InputError(f"max_distance_m is {max_distance_m:g}; it must be positive")
+    triangles = longest_edge_first(mesh.vertices, solid_faces(mesh))
+    found = nearest_faces(cloud.means, mesh.vertices, triangles, max_distance_m)
+    face_of = np.where(mask, found.faces, STILL).astype(np.int32) if mask is not None else found.faces
+    if (face_of == STILL).all():
+        raise InputError(
+            f"no Gaussian is within {max_distance_m:.3g} m of the mesh and in the part that moves; "
+            "are cloud and mesh in the same axes and units?"
+        )
+    return _compact(cloud, mesh.vertices, triangles, face_of, found.weights)
+
+
+def bind_to_faces(
+    cloud: GaussianCloud, mesh: TriangleMesh, faces: Int32[np.ndarray, " G"], weights: Float32[np.ndarray, "G 3"]
+) -> Binding:
+    """Hang each Gaussian on a face that is known, such as the one it was made from."""
+    rolled = longest_edge_first(mesh.vertices, mesh.faces)
+    shift = np.argmax(rolled[:, :1] == mesh.faces, axis=1)  # [F]
+    rolled_weights = np.take_along_axis(weights, (shift[faces][:, None] + np.arange(3)) % 3, axis=1)
+    return _compact(cloud, mesh.vertices, rolled, faces, np.ascontiguousarray(rolled_weights))
+
+
+def pseudo_mesh(cloud: GaussianCloud, *, reach: float = 1.0) -> TriangleMesh:
+    """A triangle a Gaussian, for clouds that no mesh fits: μ, μ + s₂ R₂, μ + s₃ R₃, s₂ and s₃ the larger scales.
+
+    GaMeS section 3.3. Displacement is wanted at its 3 G vertices; `bind_to_pseudo_mesh` hangs the cloud on it.
+    """
+    axes = quaternion_matrices(cloud.quaternions) * cloud.scales[:, None, :] * np.float32(reach)  # columns [G, 3, 3]
+    order = np.argsort(-cloud.scales, axis=1)  # largest first
+    first, second = (np.take_along_axis(axes, order[:, None, i : i + 1], axis=2)[:, :, 0] for i in (0, 1))
+    corners = np.stack([cloud.means, cloud.means + first, cloud.means + second], axis=1)  # [G, 3, 3]
+    faces = np.arange(3 * cloud.num_gaussians, dtype=np.int32).reshape(-1, 3)
+    return TriangleMesh(vertices=np.ascontiguousarray(corners.reshape(-1, 3)), faces=faces)
+
+
+def bind_to_pseudo_mesh(
+    cloud: GaussianCloud, mesh: TriangleMesh, *, mask: Bool[np.ndarray, " G"] | None = None
+) -> Binding:
+    """Hang each Gaussian on its own triangle of `pseudo_mesh`; those without extent stay still."""
+    weights = np.tile(np.array([1, 0, 0], np.float32), (cloud.num_gaussians, 1))
+    own = bind_to_faces(cloud, mesh, np.arange(cloud.num_gaussians, dtype=np.int32), weights)
+    keep = _is_solid(mesh.vertices, mesh.faces)
+    if mask is not None:
+        keep &= mask
+    return _compact(
+        cloud, mesh.vertices, own.triangles, np.where(keep, own.face_of, STILL).astype(np.int32), own.weights
+    )
+
+
+def in_box(
+    cloud: GaussianCloud, low_m: tuple[float, float, float], high_m: tuple[float, float, float]
+) -> Bool[np.ndarray, " G"]:
+    """Which Gaussians' means lie in a box: a tree in a scene, without ground and pot.
+
+    Raises:
+        InputError: the box is empty, or nothing is in it.
+    """
+    low, high = np.asarray(low_m), np.asarray(high_m)
+    if not (low < high).all():
+        raise InputError(f"the box runs from {low_m} to {high_m}; its low corner must be below its high one in x, y, z")
+    inside = np.asarray(((cloud.means >= low) & (cloud.means <= high)).all(axis=1))
+    if not inside.any():
+        bounds = cloud.means.min(axis=0).round(3).tolist(), cloud.means.max(axis=0).round(3).tolist()
+        raise InputError(
+            f"no Gaussian is in the box from {low_m} to {high_m}; the cloud is from {bounds[0]} to {bounds[1]}"
+        )
+    return inside
+
+
+def solid_faces(mesh: TriangleMesh) -> Int32[np.ndarray, "U 3"]:
+    """The faces that are triangles, not lines or points.
+
+    Raises:
+        InputError: there are none.
+    """
+    faces = mesh.faces[_is_solid(mesh.vertices, mesh.faces)]
+    if len(faces) == 0:
+        raise InputError(f"none of the mesh's {mesh.num_faces} faces has an area; a face to hang on is needed")
+    result: Int32[np.ndarray, "U 3"] = faces
+    return result
+
+
+def longest_edge_first(
+    vertices: Float32[np.ndarray, "N 3"], faces: Int32[np.ndarray, "F 3"]
+) -> Int32[np.ndarray, "F 3"]:
+    """The same faces, the same way round, from another corner."""
+    corners = vertices[faces]
+    lengths = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)  # of edges 01, 12, 20
+    start = np.argmax(lengths, axis=1)
+    return np.take_along_axis(faces, (start[:, None] + np.arange(3)) % 3, axis=1).astype(np.int32)
+
+
+def _is_solid(vertices: Float32[np.ndarray, "N 3"], faces: Int32[np.ndarray, "F 3"]) -> Bool[np.ndarray, " F"]:
+    corners = vertices[longest_edge_first(vertices, faces)].astype(np.float64)
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    area = np.linalg.norm(np.cross(first, second), axis=1)
+    result: Bool[np.ndarray, " F"] = area > _THINNEST * (first * first).sum(axis=1)
+    return result
+
+
+def _compact(
+    cloud: GaussianCloud,
+    vertices: Float32[np.ndarray, "N 3"],
+    triangles: Int32[np.ndarray, "F 3"],
+    face_of: Int32[np.ndarray, " G"],
+    weights: Float32[np.ndarray, "G 3"],
+) -> Binding:
+    """Keep only the triangles that carry something."""
+    used, row = np.unique(face_of[face_of != STILL], return_inverse=True)
+    compacted = np.full(len(face_of), STILL, np.int32)
+    compacted[face_of != STILL] = row
+    return Binding(
+        cloud=cloud,
+        vertices=vertices,
+        triangles=np.ascontiguousarray(triangles[used]),
+        face_of=compacted,
+        weights=np.where((face_of != STILL)[:, None], weights, 0).astype(np.float32),
+    )

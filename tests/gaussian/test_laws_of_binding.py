@@ -1,0 +1,267 @@
+"""Laws of what hangs on a mesh, and of how it moves with it."""
+
+import io
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from dynamictree.errors import InputError
+from dynamictree.gaussian.binding import (
+    STILL,
+    Binding,
+    bind,
+    bind_to_faces,
+    bind_to_pseudo_mesh,
+    in_box,
+    pseudo_mesh,
+    solid_faces,
+)
+from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.gaussian.deform import Deformer, Pose, deform_slowly, posed, shape_error
+from dynamictree.gaussian.deform_kernel import MAX_STRETCH
+from dynamictree.gaussian.harmonics import harmonics, turn_sh
+from dynamictree.gaussian.nearest import nearest_faces
+from dynamictree.gaussian.rotation import quaternion_matrices
+from dynamictree.gaussian.turn import harmonic_values, turn_sh_fast
+from dynamictree.mesh import TriangleMesh
+
+
+@pytest.fixture(scope="module")
+def mesh() -> TriangleMesh:
+    """A bent sheet, 5 m from the origin."""
+    x, y = np.meshgrid(np.linspace(0, 2, 24), np.linspace(0, 2, 24), indexing="ij")
+    vertices = np.stack([x + 5, y, 0.3 * np.sin(3 * x) * np.cos(2 * y)], axis=-1).reshape(-1, 3).astype(np.float32)
+    i = np.arange(24 * 24, dtype=np.int32).reshape(24, 24)
+    lower = np.stack([i[:-1, :-1], i[1:, :-1], i[1:, 1:]], axis=-1).reshape(-1, 3)
+    upper = np.stack([i[:-1, :-1], i[1:, 1:], i[:-1, 1:]], axis=-1).reshape(-1, 3)
+    return TriangleMesh(vertices=vertices, faces=np.concatenate([lower, upper]))
+
+
+@pytest.fixture(scope="module")
+def cloud(mesh: TriangleMesh) -> GaussianCloud:
+    rng = np.random.default_rng(5)
+    count = 1000  # no whole number of blocks
+    quaternions = rng.normal(size=(count, 4))
+    near = mesh.vertices[rng.integers(0, mesh.num_vertices, count)] + rng.normal(size=(count, 3)) * 0.01
+    return GaussianCloud(
+        means=near.astype(np.float32),
+        quaternions=(quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)).astype(np.float32),
+        scales=np.exp(rng.normal(size=(count, 3)) - 5).astype(np.float32),
+        opacity=rng.uniform(0.1, 1, count).astype(np.float32),
+        sh=rng.normal(size=(count, 16, 3)).astype(np.float32),
+    )
+
+
+@pytest.fixture(scope="module")
+def binding(cloud: GaussianCloud, mesh: TriangleMesh) -> Binding:
+    return bind(cloud, mesh)
+
+
+def covariances(pose: Pose | GaussianCloud) -> np.ndarray:
+    axes = quaternion_matrices(pose.quaternions.astype(np.float64)) * pose.scales[:, None, :]
+    return axes @ axes.transpose(0, 2, 1)
+
+
+def sway(vertices: np.ndarray) -> np.ndarray:
+    return (0.3 * np.sin(2 * vertices[:, [1, 2, 0]])).astype(np.float32)
+
+
+def test_at_rest_the_cloud_comes_back(binding: Binding, cloud: GaussianCloud) -> None:
+    pose = Deformer(binding).pose(np.zeros_like(binding.vertices))
+    np.testing.assert_allclose(pose.means, cloud.means, rtol=2e-7, atol=1e-6)
+    np.testing.assert_allclose(pose.quaternions, cloud.quaternions, atol=5e-7)
+    np.testing.assert_allclose(pose.scales, cloud.scales, rtol=5e-7)
+    back = posed(cloud, pose)
+    np.testing.assert_allclose(back.sh, cloud.sh, atol=2e-5)
+    assert back.opacity is cloud.opacity
+
+
+@pytest.mark.parametrize("turn", ["random", "half", "tiny"])
+def test_a_rigid_motion_moves_it_rigidly_colours_too(binding: Binding, cloud: GaussianCloud, turn: str) -> None:
+    vector = {"random": [0.7, -1.1, 2.0], "half": [0, np.pi, 0], "tiny": [1e-6, 0, 0]}[turn]
+    rotation, shift = Rotation.from_rotvec(vector).as_matrix(), np.array([1.0, -2.0, 3.0])
+    displacement = (binding.vertices @ rotation.T + shift - binding.vertices).astype(np.float32)
+    moved = posed(cloud, Deformer(binding).pose(displacement))
+    np.testing.assert_allclose(moved.means, cloud.means @ rotation.T + shift, atol=1e-5)
+    np.testing.assert_allclose(moved.scales, cloud.scales, rtol=1e-4)
+    np.testing.assert_allclose(covariances(moved), rotation @ covariances(cloud) @ rotation.T, rtol=1e-3, atol=2e-7)
+    eye = np.array([[0.6, 0.0, 0.8]])
+    seen = np.einsum("dh,ghc->gdc", harmonics(eye, 3), cloud.sh)
+    seen_after = np.einsum("dh,ghc->gdc", harmonics(eye @ rotation.T, 3), moved.sh)
+    np.testing.assert_allclose(seen_after, seen, atol=2e-3)
+
+
+def test_a_whole_stretch_scales_what_lies_in_the_face(mesh: TriangleMesh) -> None:
+    flat = mesh.with_vertices((mesh.vertices * [1, 1, 0]).astype(np.float32))
+    one = GaussianCloud(
+        means=np.array([[6.0, 1.0, 0.05]], np.float32),
+        quaternions=np.array([[1, 0, 0, 0]], np.float32),
+        scales=np.array([[0.1, 0.2, 0.3]], np.float32),
+        opacity=np.ones(1, np.float32),
+        sh=np.zeros((1, 1, 3), np.float32),
+    )
+    pose = Deformer(bind(one, flat)).pose((flat.vertices * [1, 0, 0]).astype(np.float32))  # twice as long in x
+    np.testing.assert_allclose(pose.means, [[12.0, 1.0, 0.05]], atol=1e-5)
+    np.testing.assert_allclose(pose.scales, [[0.2, 0.2, 0.3]], rtol=1e-5)
+    np.testing.assert_allclose(np.abs(pose.quaternions), [[1, 0, 0, 0]], atol=1e-6)
+
+
+def test_fast_and_slow_agree(binding: Binding, rng: np.random.Generator) -> None:
+    deformer = Deformer(binding)
+    for displacement in (
+        sway(binding.vertices),
+        rng.normal(size=binding.vertices.shape).astype(np.float32),
+        (binding.vertices * [0, -1, -1]).astype(np.float32),  # all onto a line
+        -binding.vertices,  # all onto a point
+    ):
+        fast, slow = deformer.pose(displacement), deform_slowly(binding, displacement)
+        np.testing.assert_allclose(fast.means, slow.means, atol=3e-6)
+        np.testing.assert_allclose(fast.scales, slow.scales, rtol=2e-3)
+        np.testing.assert_allclose(np.abs((fast.quaternions * slow.quaternions).sum(axis=1)), 1, atol=1e-4)
+
+
+def test_no_motion_blows_a_gaussian_up(binding: Binding, cloud: GaussianCloud, rng: np.random.Generator) -> None:
+    deformer = Deformer(binding)
+    for size in (1e-3, 1.0, 1e3):
+        displacement = (rng.normal(size=binding.vertices.shape) * size).astype(np.float32)
+        pose = deformer.pose(displacement)
+        assert (pose.scales <= cloud.scales * MAX_STRETCH * 1.00001).all()
+        assert (pose.scales >= cloud.scales / MAX_STRETCH * 0.99999).all()
+        np.testing.assert_allclose(np.linalg.norm(pose.quaternions, axis=1), 1, atol=1e-4)
+    for collapsed in (-binding.vertices, (binding.vertices * [0, -1, -1]).astype(np.float32)):
+        pose = deformer.pose(collapsed)
+        assert (pose.scales <= cloud.scales * 1.01).all()
+        np.testing.assert_allclose(np.linalg.norm(pose.quaternions, axis=1), 1, atol=1e-5)
+        offset = (
+            np.linalg.norm(deform_slowly(binding, np.zeros_like(collapsed)).means - cloud.means, axis=1).max() + 0.1
+        )
+        line = pose.means * [0, 1, 1] if collapsed is not -binding.vertices else pose.means
+        assert np.abs(line[:, 1:]).max() < offset
+
+
+def test_a_motion_is_without_jumps(binding: Binding) -> None:
+    deformer = Deformer(binding)
+    angles = np.linspace(0, np.pi * 0.95, 60)
+    before = None
+    for angle in angles:
+        rotation = Rotation.from_rotvec([0, angle, 0]).as_matrix()
+        pose = deformer.pose((binding.vertices @ rotation.T - binding.vertices).astype(np.float32))
+        if before is not None:
+            assert np.abs(pose.quaternions - before).max() < 0.1
+        before = pose.quaternions
+
+
+def test_the_shape_error_is_nothing_for_rigid_motion_and_stretch_along_axes(binding: Binding) -> None:
+    rotation = Rotation.from_rotvec([0.4, 1.0, -0.2]).as_matrix()
+    rigid = (binding.vertices @ rotation.T - binding.vertices).astype(np.float32)
+    assert shape_error(binding, rigid).max() < 1e-3
+    swayed = shape_error(binding, sway(binding.vertices))
+    assert 0.001 < np.median(swayed) < 0.5
+
+
+def test_floaters_and_what_the_mask_leaves_out_stay_still(cloud: GaussianCloud, mesh: TriangleMesh) -> None:
+    means = cloud.means.copy()
+    means[:10] += [0, 0, 3]
+    scene = replace(cloud, means=means)
+    mask = in_box(scene, (4.9, -1.0, -1.0), (6.0, 3.0, 5.0))
+    binding = bind(scene, mesh, mask=mask)
+    assert (binding.face_of[:10] == STILL).all()
+    assert (binding.face_of[~mask] == STILL).all()
+    assert (binding.face_of[mask & (np.arange(1000) >= 10)] != STILL).all()
+    pose = Deformer(binding).pose(sway(mesh.vertices))
+    still = ~binding.moving
+    np.testing.assert_array_equal(pose.means[still], scene.means[still])
+    np.testing.assert_array_equal(pose.scales[still], scene.scales[still])
+    np.testing.assert_array_equal(pose.quaternions[still], scene.quaternions[still])
+    assert np.abs(pose.means[binding.moving] - scene.means[binding.moving]).max() > 0.05
+
+
+def test_the_nearest_face_is_the_nearest(rng: np.random.Generator) -> None:
+    shape = trimesh.creation.icosphere(subdivisions=2)
+    sliver = np.array([[3, 0, 0], [3, 0, 1e-5], [9, 1, 0.0]])  # a face through many cells
+    vertices = np.concatenate([shape.vertices, sliver]).astype(np.float32)
+    faces = np.concatenate([shape.faces, [[len(shape.vertices) + i for i in range(3)]]]).astype(np.int32)
+    points = (rng.normal(size=(400, 3)) * [3, 1, 1] + [1, 0, 0]).astype(np.float32)
+    whole = trimesh.Trimesh(vertices, faces, process=False)
+    _, distances, _ = trimesh.proximity.closest_point_naive(whole, points)
+    found = nearest_faces(points, vertices, faces, 2.0)
+    near = distances < 2.0 - 1e-6
+    np.testing.assert_array_equal(found.faces >= 0, near)
+    corners = vertices[faces[found.faces[near]]]
+    places = np.einsum("gc,gcx->gx", found.weights[near], corners)
+    np.testing.assert_allclose(np.linalg.norm(places - points[near], axis=1), distances[near], atol=1e-5)
+    np.testing.assert_allclose(found.weights[near].sum(axis=1), 1, atol=1e-5)
+
+
+def test_gaussians_made_on_a_face_stay_on_it(
+    mesh: TriangleMesh, cloud: GaussianCloud, rng: np.random.Generator
+) -> None:
+    faces = rng.integers(0, mesh.num_faces, cloud.num_gaussians).astype(np.int32)
+    weights = rng.dirichlet([1, 1, 1], cloud.num_gaussians).astype(np.float32)
+    on_faces = replace(cloud, means=np.einsum("gc,gcx->gx", weights, mesh.vertices[mesh.faces[faces]]))
+    binding = bind_to_faces(on_faces, mesh, faces, weights)
+    moved = mesh.vertices + sway(mesh.vertices)
+    pose = Deformer(binding).pose(sway(mesh.vertices))
+    np.testing.assert_allclose(pose.means, np.einsum("gc,gcx->gx", weights, moved[mesh.faces[faces]]), atol=3e-6)
+
+
+def test_every_gaussian_can_carry_itself(cloud: GaussianCloud) -> None:
+    own = pseudo_mesh(cloud)
+    assert own.num_faces == cloud.num_gaussians
+    mask = np.arange(cloud.num_gaussians) % 2 == 0
+    binding = bind_to_pseudo_mesh(cloud, own, mask=mask)
+    np.testing.assert_array_equal(binding.moving, mask)
+    rotation = Rotation.from_rotvec([0.3, 0.2, 1.0]).as_matrix()
+    pose = Deformer(binding).pose((own.vertices @ rotation.T - own.vertices).astype(np.float32))
+    np.testing.assert_allclose(pose.means[mask], (cloud.means @ rotation.T)[mask], atol=1e-5)
+    np.testing.assert_array_equal(pose.means[~mask], cloud.means[~mask])
+
+
+def test_what_cannot_be_bound_is_told(cloud: GaussianCloud, mesh: TriangleMesh, binding: Binding) -> None:
+    far = replace(cloud, means=cloud.means + np.float32(100))
+    with pytest.raises(InputError, match="same axes and units"):
+        bind(far, mesh)
+    with pytest.raises(InputError, match="max_distance_m is -1"):
+        bind(cloud, mesh, max_distance_m=-1.0)
+    line = TriangleMesh(vertices=np.eye(3, dtype=np.float32), faces=np.array([[0, 1, 1]], np.int32))
+    with pytest.raises(InputError, match="none of the mesh's 1 faces"):
+        solid_faces(line)
+    with pytest.raises(InputError, match="low corner"):
+        in_box(cloud, (0, 0, 0), (1, 0, 1))
+    with pytest.raises(InputError, match="no Gaussian is in the box"):
+        in_box(cloud, (-2, -2, -2), (-1, -1, -1))
+    with pytest.raises(InputError, match="displacement is of 3 vertices"):
+        Deformer(binding).pose(np.zeros((3, 3), np.float32))
+    with pytest.raises(InputError, match="rows for"):
+        replace(binding, face_of=binding.face_of[:5])
+    with pytest.raises(InputError, match="names face"):
+        replace(binding, face_of=binding.face_of + len(binding.triangles))
+    with pytest.raises(InputError, match="outside of the"):
+        replace(binding, triangles=binding.triangles + mesh.num_vertices)
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_fast_harmonics_agree_with_slow_ones(rng: np.random.Generator, degree: int) -> None:
+    sh = rng.normal(size=(50, (degree + 1) ** 2, 3)).astype(np.float32)
+    quaternions = Rotation.random(50, rng=rng).as_quat()[:, [3, 0, 1, 2]].astype(np.float32)
+    quaternions[0] = [1, 0, 0, 0]
+    fast = turn_sh_fast(sh, quaternions)
+    np.testing.assert_allclose(fast, turn_sh(sh, quaternion_matrices(quaternions)), atol=2e-5)
+    np.testing.assert_array_equal(fast[0], sh[0])
+    directions = quaternion_matrices(quaternions)[:, 0]
+    values = np.zeros((50, 16), np.float32)
+    for direction, row in zip(directions, values, strict=True):
+        harmonic_values(degree, *direction, row)
+    np.testing.assert_allclose(values[:, : (degree + 1) ** 2], harmonics(directions, degree), atol=1e-6)
+
+
+def test_importing_clouds_loads_no_compiler() -> None:
+    import subprocess
+    import sys
+
+    code = "import sys, dynamictree.formats.cloud_file; print('numba' in sys.modules, 'torch' in sys.modules)"
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert io.StringIO(found.stdout).read().strip() == "False False"
