@@ -31,16 +31,16 @@ def claim(store: Store, job_id: str, attempt: int, *, owner: str, lease_s: float
         return Claim(job=read_job(connection, job_id), owner=owner)
 
 
-def renew(store: Store, held: Claim, *, lease_s: float) -> None:
+def renew(store: Store, job_id: str, attempt: int, *, owner: str, lease_s: float) -> None:
     """Prolong the lease.
 
     Raises:
         FencedError: it is no longer ours.
     """
     with store.writing() as connection:
-        change = t.jobs.update().where(_ours(held)).values(lease_until=store.clock() + lease_s)
+        change = t.jobs.update().where(_held(job_id, attempt, owner)).values(lease_until=store.clock() + lease_s)
         if connection.execute(change).rowcount == 0:
-            raise _fenced(held)
+            raise _fenced(job_id, attempt)
 
 
 def canceling(store: Store, held: Claim) -> bool:
@@ -52,7 +52,7 @@ def canceling(store: Store, held: Claim) -> bool:
     with store.reading() as connection:
         state = connection.execute(sa.select(t.jobs.c.state).where(_ours(held))).scalar_one_or_none()
     if state is None:
-        raise _fenced(held)
+        raise _fenced(held.job.id, held.attempt)
     return bool(state == JobState.CANCELING)
 
 
@@ -171,14 +171,18 @@ def begin_next_attempt(connection: sa.Connection, job_id: str, attempt: int, **v
 
 
 def _ours(held: Claim) -> sa.ColumnElement[bool]:
-    mine = (t.jobs.c.id == held.job.id) & (t.jobs.c.attempt == held.attempt) & (t.jobs.c.lease_owner == held.owner)
+    return _held(held.job.id, held.attempt, held.owner)
+
+
+def _held(job_id: str, attempt: int, owner: str) -> sa.ColumnElement[bool]:
+    mine = (t.jobs.c.id == job_id) & (t.jobs.c.attempt == attempt) & (t.jobs.c.lease_owner == owner)
     return mine & t.jobs.c.state.in_([JobState.RUNNING, JobState.CANCELING])
 
 
 def _touch(connection: sa.Connection, held: Claim) -> None:
     change = t.jobs.update().where(_ours(held)).values(version=t.jobs.c.version + 1)
     if connection.execute(change).rowcount == 0:
-        raise _fenced(held)
+        raise _fenced(held.job.id, held.attempt)
 
 
 def _state(connection: sa.Connection, held: Claim) -> JobState:
@@ -186,7 +190,5 @@ def _state(connection: sa.Connection, held: Claim) -> JobState:
     return JobState(connection.execute(sa.select(t.jobs.c.state).where(t.jobs.c.id == held.job.id)).scalar_one())
 
 
-def _fenced(held: Claim) -> FencedError:
-    return FencedError(
-        f"attempt {held.attempt} of job {held.job.id} is no longer ours; another one began, or the job ended"
-    )
+def _fenced(job_id: str, attempt: int) -> FencedError:
+    return FencedError(f"attempt {attempt} of job {job_id} is no longer ours; another one began, or the job ended")

@@ -1,6 +1,7 @@
 """The one task. A job's error crosses no queue: it goes into the store as (code, message)."""
 
 import logging
+import threading
 from dataclasses import replace
 
 from celery import Task, signals
@@ -13,7 +14,7 @@ from jobs.messages import RUN_JOB
 from jobs.records import Claim
 from worker.app import app, stopping
 from worker.attempt import run_stages
-from worker.runtime import Presence, Runtime, runtime
+from worker.runtime import Runtime, close_runtime, load_heavy_modules, runtime
 from worker.watch import HandedBack, Watch
 
 logger = logging.getLogger(__name__)
@@ -71,15 +72,12 @@ def run_job(job_id: str, attempt: int) -> None:
     logger.info("job %s has %s", job_id, state)
 
 
-_present: list[Presence] = []
-
-
 @signals.worker_process_init.connect  # type: ignore[untyped-decorator]
 def _arrive(**_: object) -> None:
-    _present.append(Presence(runtime()))
+    runtime()
+    threading.Thread(target=load_heavy_modules, name="warm-up", daemon=True).start()
 
 
 @signals.worker_process_shutdown.connect  # type: ignore[untyped-decorator]
 def _leave(**_: object) -> None:
-    while _present:
-        _present.pop().leave()
+    close_runtime(runtime())

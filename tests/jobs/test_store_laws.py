@@ -73,7 +73,7 @@ def test_a_stale_attempt_publishes_nothing(store: Store, asset: AssetRecord, clo
         lambda: publish(store, old),
         lambda: attempts.succeed(store, old),
         lambda: attempts.fail(store, old, code="x", message="y"),
-        lambda: attempts.renew(store, old, lease_s=60),
+        lambda: attempts.renew(store, job.id, 1, owner="worker-1", lease_s=60),
         lambda: attempts.canceling(store, old),
         lambda: attempts.report_progress(store, old, "voxelize", 0.5),
     ):
@@ -88,7 +88,7 @@ def test_a_renewed_lease_is_not_reaped(store: Store, asset: AssetRecord, clock: 
     held = claim(store, add_job(store, asset).id)
     for _ in range(5):
         clock.now += 50
-        attempts.renew(store, held, lease_s=60)
+        attempts.renew(store, held.job.id, 1, owner=held.owner, lease_s=60)
         assert upkeep.reap(store, max_lost_attempts=2) == []
 
 

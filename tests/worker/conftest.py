@@ -8,23 +8,22 @@ import pytest
 
 from dynamictree.formats.mesh_bundle import write_mesh_bundle
 from dynamictree.mesh import TriangleMesh
-from jobs.artifacts import hash_file, open_artifacts
+from jobs.artifacts import hash_file
 from jobs.attempts import claim
 from jobs.records import AssetPart, AssetRecord, Claim, JobRecord
 from jobs.settings import Settings
 from jobs.states import JobState, JobType, stages_of
-from jobs.store import Store, new_id
-from worker.runtime import Runtime
+from jobs.store import new_id
+from worker.runtime import Runtime, close_runtime, open_runtime
 from worker.watch import Watch
 
 
 @pytest.fixture
 def here(tmp_path: Path) -> Iterator[Runtime]:
     settings = Settings(state_dir=tmp_path / "state", lease_s=3, heartbeat_s=0.2, progress_interval_s=0)
-    store = Store.open(settings.resolved_database_url)
-    artifacts = open_artifacts(settings.resolved_artifacts_url)
-    yield Runtime(settings=settings, store=store, artifacts=artifacts, owner="test:1")
-    store.close()
+    opened = open_runtime(settings)
+    yield opened
+    close_runtime(opened)
 
 
 def wedge(height_m: float = 2.0) -> TriangleMesh:

@@ -1,0 +1,150 @@
+"""Renews a lease from a process of its own: a kernel that keeps the interpreter's lock for a minute costs no job.
+
+`python -m worker.heartbeat`, started by `Heartbeat`. The first line on stdin says who and how often, each further one
+which attempt is held; at the end of stdin, that is when the worker is gone however it went, it stops.
+"""
+
+import json
+import logging
+import os
+import select
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+
+import sqlalchemy as sa
+
+from jobs.attempts import renew
+from jobs.errors import FencedError
+from jobs.records import Claim
+from jobs.settings import Settings
+from jobs.store import Store
+from jobs.upkeep import hold_lease, release_lease
+
+logger = logging.getLogger(__name__)
+
+READY = b"beats\n"
+PRESENCE_S = 5.0
+"""How often a worker says that it is there; it is missed after three times as long."""
+
+
+class Heartbeat:
+    """The worker's end: which attempt it holds."""
+
+    def __init__(self, settings: Settings, owner: str) -> None:
+        self._first: dict[str, str | int | float] = {
+            "database_url": settings.resolved_database_url,
+            "owner": owner,
+            "lease_s": settings.lease_s,
+            "heartbeat_s": settings.heartbeat_s,
+        }
+        self._process = self._start()
+        self._beats = False
+
+    @property
+    def pid(self) -> int:
+        """The process that beats."""
+        return self._process.pid
+
+    def hold(self, held: Claim) -> None:
+        """Renew this attempt's lease from now on. Waits until the process beats; starts it again if it has died."""
+        if self._process.poll() is not None:
+            self._end()
+            self._process, self._beats = self._start(), False
+        if not self._beats:
+            assert self._process.stdout is not None
+            self._beats = self._process.stdout.readline() == READY
+        self._tell({"job_id": held.job.id, "attempt": held.attempt})
+
+    def drop(self) -> None:
+        """Renew no lease any more."""
+        self._tell({})
+
+    def leave(self) -> None:
+        """End the process; the store is told that this worker is gone."""
+        self._end()
+
+    def _start(self) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-m", "worker.heartbeat"]
+        process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        assert process.stdin is not None
+        process.stdin.write(json.dumps(self._first).encode() + b"\n")
+        process.stdin.flush()
+        return process
+
+    def _end(self) -> None:
+        try:
+            self._process.communicate()
+        except BrokenPipeError:
+            self._process.wait()
+
+    def _tell(self, message: dict[str, str | int]) -> None:
+        assert self._process.stdin is not None
+        try:
+            self._process.stdin.write(json.dumps(message).encode() + b"\n")
+            self._process.stdin.flush()
+        except BrokenPipeError:
+            logger.error("the heartbeat's process has died; the lease runs out")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Beat:
+    """The process's end: what one turn does."""
+
+    store: Store
+    owner: str
+    lease_s: float
+
+    def renew(self, job_id: str, attempt: int) -> bool:
+        """Prolong an attempt's lease; tell whether it is worth trying again."""
+        try:
+            renew(self.store, job_id, attempt, owner=self.owner, lease_s=self.lease_s)
+        except FencedError:
+            return False
+        except sa.exc.SQLAlchemyError:
+            # the lease runs on for a while; if the database stays away, the reaper decides
+            logger.warning("the lease could not be renewed", exc_info=True)
+        return True
+
+    def say_present(self) -> None:
+        """Tell that the worker is there."""
+        try:
+            hold_lease(self.store, f"worker:{self.owner}", owner=self.owner, lease_s=3 * PRESENCE_S)
+        except sa.exc.SQLAlchemyError:
+            logger.warning("the database is away; this worker cannot say that it is there", exc_info=True)
+
+
+def main() -> None:
+    """Beat until stdin ends."""
+    logging.basicConfig(format="%(asctime)s %(levelname)s %(name)s %(message)s")
+    first = json.loads(sys.stdin.buffer.readline())
+    store = Store.open(first["database_url"])
+    beat = Beat(store=store, owner=first["owner"], lease_s=first["lease_s"])
+    held: dict[str, str | int] = {}
+    present_at = renewed_at = -1e9
+    pending = b""
+    while True:
+        now = time.monotonic()
+        if held and now - renewed_at >= first["heartbeat_s"]:
+            held = held if beat.renew(str(held["job_id"]), int(held["attempt"])) else {}
+            renewed_at = now
+        if now - present_at >= PRESENCE_S:
+            beat.say_present()
+            if present_at < 0:
+                sys.stdout.buffer.write(READY)
+                sys.stdout.buffer.flush()
+            present_at = now
+        if not select.select([0], [], [], min(first["heartbeat_s"], PRESENCE_S))[0]:
+            continue
+        pending += (received := os.read(0, 65536))
+        if not received:
+            break
+        *lines, pending = pending.split(b"\n")
+        if lines:
+            held = json.loads(lines[-1])
+    release_lease(store, f"worker:{first['owner']}", owner=first["owner"])
+
+
+if __name__ == "__main__":
+    main()
