@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 import safetensors.numpy
-from jaxtyping import Complex64, Float16
+from jaxtyping import Complex64, Float16, Float32
 
 from dynamictree.dataset.sample import VERSION, Sample, Split, voxel_spectrum
 from dynamictree.dataset.skeleton import Skeleton
@@ -69,7 +69,24 @@ class StoredTree:
 
 def packed(coefficients: Complex64[np.ndarray, "N K 3"]) -> Float16[np.ndarray, "N K 3 2"]:
     """Complex to float16 (re, im)."""
-    return np.ascontiguousarray(coefficients).view(np.float32).reshape(*coefficients.shape, 2).astype(np.float16)
+    return to_half(np.ascontiguousarray(coefficients).view(np.float32)).reshape(*coefficients.shape, 2)
+
+
+def to_half(values: Float32[np.ndarray, "..."]) -> Float16[np.ndarray, "..."]:
+    """`values.astype(np.float16)`, up to five times as fast where many are below 6e-5, as coefficients are.
+
+    Integer arithmetic on the bits, after "Half-precision conversion" by F. Giesen; numpy takes a slow path there.
+    """
+    bits = values.view(np.uint32)
+    magnitude = bits & np.uint32(0x7FFFFFFF)
+    assert not (magnitude >= np.uint32(143 << 23)).any(), "a value of 65536 or more has no float16"
+    half = np.array(0.5, np.float32).view(np.uint32)
+    small = (magnitude.view(np.float32) + np.float32(0.5)).view(np.uint32) - half  # the sum's rounding does the work
+    even = (magnitude >> np.uint32(13)) & np.uint32(1)  # ties go to even
+    large = (magnitude + np.uint32(0xC8000FFF) + even) >> np.uint32(13)
+    sign = (bits >> np.uint32(16)) & np.uint32(0x8000)
+    chosen: Float16[np.ndarray, ...] = np.where(magnitude < np.uint32(113 << 23), small, large) | sign
+    return chosen.astype(np.uint16).view(np.float16)
 
 
 def unpacked(pairs: Float16[np.ndarray, "N K 3 2"]) -> Complex64[np.ndarray, "N K 3"]:

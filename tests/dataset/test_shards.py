@@ -10,7 +10,7 @@ import safetensors.numpy
 from dynamictree.dataset.filter import Limits
 from dynamictree.dataset.generate import Recipe, bake_shard, generate, is_baked, manifest_of, shard_name
 from dynamictree.dataset.sample import VALIDATION_EVERY, make_sample, split_of, voxel_spectrum
-from dynamictree.dataset.shards import iter_shard, packed, store, unpacked, write_shard
+from dynamictree.dataset.shards import iter_shard, packed, store, to_half, unpacked, write_shard
 from dynamictree.dataset.species import SPECIES
 from dynamictree.errors import FormatError, InputError
 
@@ -90,6 +90,14 @@ def test_reading_undoes_writing(sapling, tmp_path):
 def test_unpacking_undoes_packing(rng):
     whole = (rng.integers(-9, 9, (4, 5, 3)) + 1j * rng.integers(-9, 9, (4, 5, 3))).astype(np.complex64)
     np.testing.assert_array_equal(unpacked(packed(whole)), whole)
+
+
+def test_the_fast_half_is_numpys(rng):
+    scales = np.float32(10.0) ** np.arange(-12, 5, dtype=np.float32)
+    values = np.concatenate([(rng.normal(size=5000) * scale).astype(np.float32) for scale in scales])
+    values = np.concatenate([values, np.array([0.0, -0.0, 2**-14, 2**-24, 2**-25, 65503.0, 1.00048828125], np.float32)])
+    values = values[np.abs(values) < 65504]
+    np.testing.assert_array_equal(to_half(values).view(np.uint16), values.astype(np.float16).view(np.uint16))
 
 
 def test_only_the_tensors_asked_for_are_read(baked):
