@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.force import Contact, Drag, Force, Impulse, WindField, contact_at_point, contact_at_voxel
-from dynamictree.modal.response import ForceGroup, Locality, Start
+from dynamictree.modal.response import ForceGroup, Locality, Start, with_bin_zero
 from dynamictree.modal.step import Integrator, State
 from dynamictree.modal.system import DAMPING_RATIO
 from dynamictree.voxel.grid import VoxelGrid
@@ -163,7 +163,7 @@ def state_payload(groups: tuple[ForceGroup, ...], state: State) -> dict[str, obj
     """The state as it is told, as a `StatePayload` reads it."""
     return {
         "groups": [
-            {"locality": locality_payload(group.locality), "q": pairs(q), "q_dot": pairs(q_dot)}
+            {"locality": locality_payload(group.locality), "q": with_bin_zero(q), "q_dot": with_bin_zero(q_dot)}
             for group, q, q_dot in zip(groups, state.q, state.q_dot, strict=True)
         ]
     }
@@ -172,13 +172,6 @@ def state_payload(groups: tuple[ForceGroup, ...], state: State) -> dict[str, obj
 def locality_payload(locality: Locality | None) -> dict[str, object] | None:
     """A locality as it is told."""
     return None if locality is None else {"seed_voxel": locality.seed_voxel, "falloff_m": locality.falloff_m}
-
-
-def pairs(q: np.ndarray) -> np.ndarray:
-    """[..., M] complex to [..., K, 2] real: bin 0, which is no mode, put in front."""
-    told = np.zeros((*q.shape[:-1], q.shape[-1] + 1, 2))
-    told[..., 1:, 0], told[..., 1:, 1] = q.real, q.imag
-    return told
 
 
 def _contact(at: AtPayload, grid: VoxelGrid, mesh: Callable[[], TriangleMesh]) -> Contact:

@@ -13,7 +13,7 @@ from safetensors.numpy import save
 
 from dynamictree.errors import UnstableTimestep
 from dynamictree.modal.locality import default_falloff_m
-from dynamictree.modal.response import Answer, Start, group_forces, respond
+from dynamictree.modal.response import Answer, Start, answer_tensors, group_forces, respond, with_bin_zero
 from dynamictree.modal.step import State
 from dynamictree.modal.system import ModalSystem, with_physics
 from service.accept import JSON, NPZ, SAFETENSORS, chosen
@@ -27,7 +27,6 @@ from service.forces import (
     StatePayload,
     library_force,
     locality_payload,
-    pairs,
     state_payload,
     with_state,
 )
@@ -84,7 +83,7 @@ def interact(body: InteractRequest, context: Ctx, accept: Annotated[str | None, 
     system, answer = answer_of(body, ready, context)
     if media_type == JSON:
         return Response(orjson.dumps(_told(body, system, answer), option=orjson.OPT_SERIALIZE_NUMPY), 200, None, JSON)
-    arrays = _arrays(answer)
+    arrays = answer_tensors(answer)
     if body.output in ("voxels", "vertices"):
         arrays["displacement"] = _displacement(body, ready, context, answer)
     return Response(_packed(arrays, _facts(body, system), media_type), 200, None, media_type)
@@ -123,11 +122,11 @@ def _displacement(body: InteractRequest, ready: ReadyTree, context: Context, ans
     """[T, V or N, 3] in metres."""
     if body.output == "voxels":
         _refuse_large(body.num_frames, len(ready.tree.system.grid))
-        return ready.tree.voxels(answer, warp=body.warp)
+        return np.stack(list(ready.tree.voxels(answer, warp=body.warp)))
     mesh = with_mesh(context, ready, body.spectrum_id)
     _refuse_large(body.num_frames, mesh.num_vertices)
     if body.warp:
-        return ready.tree.bent(answer, mesh.vertices, bone_ties(ready, mesh))
+        return np.stack(list(ready.tree.bent(answer, mesh.vertices, bone_ties(ready, mesh))))
     ties = vertex_ties(ready, mesh)
     return np.stack([ties.apply(frame) for frame in ready.tree.voxels(answer)])
 
@@ -157,23 +156,12 @@ def _facts(body: InteractRequest, system: ModalSystem) -> dict[str, object]:
 
 
 def _told(body: InteractRequest, system: ModalSystem, answer: Answer) -> dict[str, object]:
-    told = pairs(answer.q)  # [T, G, K, 2]
+    told = with_bin_zero(answer.q)  # [T, G, K, 2]
     groups = [
         {"locality": locality_payload(group.locality), "q": np.ascontiguousarray(told[:, index])}
         for index, group in enumerate(answer.groups)
     ]
     return _facts(body, system) | {"groups": groups, "final_state": state_payload(answer.groups, answer.final)}
-
-
-def _arrays(answer: Answer) -> dict[str, np.ndarray]:
-    localities = [group.locality for group in answer.groups]
-    return {
-        "q": np.ascontiguousarray(pairs(answer.q).transpose(1, 0, 2, 3)),  # [G, T, K, 2]
-        "final_q": pairs(answer.final.q),
-        "final_q_dot": pairs(answer.final.q_dot),
-        "seed_voxel": np.array([-1 if at is None else at.seed_voxel for at in localities], np.int32),
-        "falloff_m": np.array([0.0 if at is None else at.falloff_m for at in localities]),
-    }
 
 
 def _packed(arrays: dict[str, np.ndarray], facts: dict[str, object], media_type: str) -> bytes:

@@ -1,12 +1,12 @@
 """From forces to motion: who is pushed together, how it swings, where every voxel goes."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal, get_args
 
 import numpy as np
-from jaxtyping import Complex128, Float32
+from jaxtyping import Complex128, Float32, Float64
 
 from dynamictree.errors import InputError
 from dynamictree.modal.force import Force, WindField, davis_state, equilibrium, generalised_force
@@ -18,6 +18,7 @@ from dynamictree.modal.system import ModalSystem, displacement
 
 Start = Literal["rest", "held", "davis"]
 STARTS: tuple[Start, ...] = get_args(Start)
+FRAMES_AT_ONCE = 32  # of plain superposition: one matrix product, 15 MB at 40,000 voxels
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,30 +73,53 @@ class InteractiveTree:
         ]
         return np.stack(rows) if rows else np.zeros((0, len(everywhere)), np.float32)
 
-    def voxels(self, answer: Answer, *, warp: bool = False) -> Float32[np.ndarray, "T V 3"]:
-        """Displacement of every voxel at every frame [m]."""
+    def voxels(self, answer: Answer, *, warp: bool = False) -> Iterator[Float32[np.ndarray, "V 3"]]:
+        """Displacement of every voxel, frame after frame [m]."""
+        grid = self.system.grid
         if warp:
-            points = self.system.grid.centres_m
-            own = BoneAttachment(rows=self.bones.bone_of_voxel[:, None], weights=np.ones((len(points), 1), np.float32))
-            return self.bent(answer, points, own)
+            own = BoneAttachment(rows=self.bones.bone_of_voxel[:, None], weights=np.ones((len(grid), 1), np.float32))
+            yield from self.bent(answer, grid.centres_m, own)
+            return
         weights = self.weights(answer.groups)
-        moved = np.zeros((len(answer.q), len(self.system.grid), 3), np.float32)
-        for index, row in enumerate(weights):
-            moved += row[:, None] * displacement(self.system.shapes, answer.q[:, index])
-        return moved
+        for first in range(0, len(answer.q), FRAMES_AT_ONCE):
+            some = answer.q[first : first + FRAMES_AT_ONCE]
+            moved = np.zeros((len(some), len(grid), 3), np.float32)
+            for index, row in enumerate(weights):
+                moved += row[:, None] * displacement(self.system.shapes, some[:, index])
+            yield from moved
 
     def bent(
         self, answer: Answer, points: Float32[np.ndarray, "N 3"], attachment: BoneAttachment
-    ) -> Float32[np.ndarray, "T N 3"]:
-        """Displacement of points that bones carry, at every frame [m]."""
-        from dynamictree.modal.warp import bend, bone_turns, bone_weights, pose
+    ) -> Iterator[Float32[np.ndarray, "N 3"]]:
+        """Displacement of points that bones carry, frame after frame [m]."""
+        from dynamictree.modal.warp import bend, bone_turns, bone_weights, pose  # brings numba
 
         per_bone = bone_weights(self.bones, self.weights(answer.groups))
-        moved = np.empty((len(answer.q), len(points), 3), np.float32)
-        for n, q in enumerate(answer.q):
+        for q in answer.q:
             stance = pose(self.bones, bone_turns(self.bones, per_bone, q))
-            moved[n] = bend(self.bones, stance, points, attachment.rows, attachment.weights)
-        return moved
+            yield bend(self.bones, stance, points, attachment.rows, attachment.weights)
+
+
+def with_bin_zero(q: Complex128[np.ndarray, "*rows M"]) -> Float64[np.ndarray, "*rows K 2"]:
+    """Coordinates as they are told: real and imaginary parts by frequency bin; bin 0 is no mode and 0."""
+    told = np.zeros((*q.shape[:-1], q.shape[-1] + 1, 2))
+    told[..., 1:, 0], told[..., 1:, 1] = q.real, q.imag
+    return told
+
+
+def answer_tensors(answer: Answer) -> dict[str, np.ndarray]:
+    """An answer as the tensors of a file: `q` [G, T, K, 2], `final_q` and `final_q_dot` [G, K, 2], and localities.
+
+    `seed_voxel` is -1 and `falloff_m` 0 for a group that moves the whole tree.
+    """
+    places = [group.locality for group in answer.groups]
+    return {
+        "q": np.ascontiguousarray(with_bin_zero(answer.q).transpose(1, 0, 2, 3)),
+        "final_q": with_bin_zero(answer.final.q),
+        "final_q_dot": with_bin_zero(answer.final.q_dot),
+        "seed_voxel": np.array([-1 if at is None else at.seed_voxel for at in places], np.int32),
+        "falloff_m": np.array([0.0 if at is None else at.falloff_m for at in places]),
+    }
 
 
 def group_forces(forces: Sequence[Force], *, falloff_m: float | None) -> tuple[ForceGroup, ...]:

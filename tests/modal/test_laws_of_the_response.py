@@ -5,12 +5,17 @@ import pytest
 
 from dynamictree.errors import InputError
 from dynamictree.modal.force import Drag, Impulse, WindField, contact_at_voxel
-from dynamictree.modal.response import ForceGroup, InteractiveTree, Locality, group_forces, respond
+from dynamictree.modal.response import ForceGroup, InteractiveTree, Locality, answer_tensors, group_forces, respond
 from dynamictree.modal.step import State
 from dynamictree.modal.system import displacement, modal_system, with_physics
 from tests.modal.trees import fork
 
 DT_S = 1 / 60
+
+
+def voxels(tree, answer, *, warp=False):
+    """Every frame at once, [T, V, 3]."""
+    return np.stack(list(tree.voxels(answer, warp=warp)))
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +34,7 @@ def test_without_locality_and_warp_it_is_plain_superposition(tree):
     groups = group_forces(forces, falloff_m=None)
     assert [group.locality for group in groups] == [None]
     answer = respond(tree.system, groups, dt_s=DT_S, num_frames=30)
-    np.testing.assert_allclose(tree.voxels(answer), displacement(tree.system.shapes, answer.q[:, 0]), atol=1e-6)
+    np.testing.assert_allclose(voxels(tree, answer), displacement(tree.system.shapes, answer.q[:, 0]), atol=1e-6)
 
 
 def test_forces_at_one_voxel_are_one_group_and_wind_is_the_whole_trees(tree):
@@ -46,7 +51,7 @@ def test_the_poked_branch_swings_and_the_other_barely(tree):
     groups = group_forces([knock(tree, parts["right"][-1])], falloff_m=0.5)
     answer = respond(tree.system, groups, dt_s=DT_S, num_frames=60)
     for warp in (False, True):
-        swing = np.abs(tree.voxels(answer, warp=warp)).max(axis=(0, 2))
+        swing = np.abs(voxels(tree, answer, warp=warp)).max(axis=(0, 2))
         assert swing[parts["left"][5:]].max() < 0.05 * swing[parts["right"][-1]]
 
 
@@ -54,7 +59,7 @@ def test_groups_add_up_in_space(tree):
     tree, parts = tree
     forces = [knock(tree, parts["right"][-1]), knock(tree, parts["left"][-2])]
     both, *apart = [
-        tree.voxels(respond(tree.system, group_forces(chosen, falloff_m=0.5), dt_s=DT_S, num_frames=20))
+        voxels(tree, respond(tree.system, group_forces(chosen, falloff_m=0.5), dt_s=DT_S, num_frames=20))
         for chosen in (forces, forces[:1], forces[1:])
     ]
     np.testing.assert_allclose(both, apart[0] + apart[1], atol=1e-6)
@@ -65,7 +70,7 @@ def test_it_settles(tree):
     answer = respond(
         tree.system, group_forces([knock(tree, parts["right"][-1])], falloff_m=0.5), dt_s=0.1, num_frames=600
     )
-    swing = np.abs(tree.voxels(answer)[:, parts["right"][-1]]).max(axis=1)
+    swing = np.abs(voxels(tree, answer)[:, parts["right"][-1]]).max(axis=1)
     assert swing[-50:].max() < 0.05 * swing.max()
 
 
@@ -125,5 +130,17 @@ def test_other_physics_on_the_same_modes_is_the_system_made_with_them(tree):
 def test_nothing_pushed_is_nothing_moved(tree):
     tree, _ = tree
     answer = respond(tree.system, (), dt_s=DT_S, num_frames=5)
-    assert tree.voxels(answer).shape == (5, len(tree.system.grid), 3)
-    assert not tree.voxels(answer).any()
+    assert voxels(tree, answer).shape == (5, len(tree.system.grid), 3)
+    assert not voxels(tree, answer).any()
+
+
+def test_told_coordinates_begin_with_bin_zero(tree):
+    tree, parts = tree
+    answer = respond(
+        tree.system, group_forces([knock(tree, parts["right"][-1])], falloff_m=0.5), dt_s=DT_S, num_frames=5
+    )
+    tensors = answer_tensors(answer)
+    assert tensors["q"].shape == (1, 5, tree.system.num_modes + 1, 2)
+    assert not tensors["q"][:, :, 0].any()
+    np.testing.assert_array_equal(tensors["q"][0, :, 1:] @ [1, 1j], answer.q[:, 0])
+    assert tensors["seed_voxel"].tolist() == [parts["right"][-1]]

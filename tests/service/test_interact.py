@@ -26,7 +26,6 @@ from service.context import Context
 from service.forces import MAX_FORCES
 from tests.service.conftest import hold, publish
 
-
 ASSET_ID = "01ARZ3NDEKTSV4RRFFQ69G5FAV"
 
 
@@ -163,7 +162,7 @@ def test_voxels_are_the_librarys(
     at = contact_at_voxel(spectrum.grid, poke["at"]["voxel"])
     falloff = None if locality == "none" else default_falloff_m(tree.system)
     groups = group_forces([Impulse(at=at, impulse_n_s=(3.0, 1.0, 0.0))], falloff_m=falloff)
-    expected = tree.voxels(respond(tree.system, groups, dt_s=1 / 60, num_frames=5), warp=warp)
+    expected = np.stack(list(tree.voxels(respond(tree.system, groups, dt_s=1 / 60, num_frames=5), warp=warp)))
     np.testing.assert_allclose(arrays["displacement"], expected, atol=1e-7)
     assert np.abs(expected).max() > 1e-5
 

@@ -1,0 +1,233 @@
+"""`dynamictree interact`: push a tree and write how it swings."""
+
+import json
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, BinaryIO
+
+import typer
+
+from dynamictree.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from dynamictree.mesh import TriangleMesh
+    from dynamictree.modal.force import Contact, Force
+    from dynamictree.modal.response import Answer, InteractiveTree
+    from dynamictree.modal.system import ModalSystem
+
+FORMATS = ("modal", "motion", "ply")
+FILE_NAMES = {"modal": "modal.safetensors", "motion": "motion.safetensors", "ply": "frames-ply.zip"}
+
+Vector = tuple[float, float, float]
+
+
+def interact(
+    spectrum: Annotated[Path, typer.Argument(help="A *.spectrum.safetensors that `diffuse` or `animate` wrote.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the products; made if it is not there.")],
+    mesh: Annotated[
+        Path | None, typer.Option(help="The mesh that the spectrum was made for; motion and ply need it.")
+    ] = None,
+    formats: Annotated[
+        str, typer.Option("--format", help="Comma-separated: modal (coordinates), motion, ply.")
+    ] = "modal",
+    impulse: Annotated[Vector | None, typer.Option(help="A knock at the place [N s], x y z.")] = None,
+    force: Annotated[Vector | None, typer.Option(help="A pull at the place [N], x y z.")] = None,
+    displacement: Annotated[
+        Vector | None, typer.Option(help="A pull that would hold the place so far off [m], x y z.")
+    ] = None,
+    wind: Annotated[Vector | None, typer.Option(help="Wind over the whole tree [m/s], x y z.")] = None,
+    point: Annotated[Vector | None, typer.Option(help="The place [m], x y z, +Z up; the top if none is given.")] = None,
+    voxel: Annotated[int | None, typer.Option(min=0, help="The place as a row of the spectrum's voxels.")] = None,
+    radius: Annotated[float, typer.Option(min=0, max=1000, help="Spread the push over this radius [m].")] = 0.0,
+    start: Annotated[float, typer.Option(min=0, max=1e6, help="When the push begins [s].")] = 0.0,
+    duration: Annotated[
+        float | None, typer.Option(min=0, max=1e6, help="How long it lasts [s]; a knock one frame, others to the end.")
+    ] = None,
+    held: Annotated[bool, typer.Option(help="Begin in equilibrium with the pull, to be let go.")] = False,
+    frames: Annotated[int, typer.Option(min=1, max=6000, help="Frames to write.")] = 120,
+    fps: Annotated[float, typer.Option(min=1, max=1000, help="Frames a second, each one step.")] = 60.0,
+    damping: Annotated[float, typer.Option(min=0, max=2, help="Damping ratio; 1 is critical.")] = 0.05,
+    mass: Annotated[
+        float | None, typer.Option(min=1e-6, max=1e6, help="Mass that moves [kg]; by the tree's height if not given.")
+    ] = None,
+    integrator: Annotated[str, typer.Option(help="exact, symplectic-euler or explicit-euler.")] = "exact",
+    local: Annotated[bool, typer.Option(help="A push reaches its branch, less its ancestors, others barely.")] = True,
+    falloff: Annotated[
+        float | None, typer.Option(min=1e-6, max=1e6, help="Reach of a push [m]; 12 % of the height if not given.")
+    ] = None,
+    warp: Annotated[bool, typer.Option(help="Bend under large pushes instead of stretching.")] = False,
+    up_axis: Annotated[
+        str | None, typer.Option(help="Up axis of the mesh: +X, -X, +Y, -Y, +Z or -Z; detected if not given.")
+    ] = None,
+    unit_m: Annotated[float | None, typer.Option(help="Metres a unit of the mesh, > 0; detected if not given.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")] = False,
+) -> None:
+    """Push a tree: spectrum + forces → modal coordinates, moving mesh."""
+    from dynamictree.formats.spectrum_file import read_spectrum
+    from dynamictree.modal.locality import default_falloff_m
+    from dynamictree.modal.response import InteractiveTree, group_forces, respond
+    from dynamictree.modal.step import INTEGRATORS
+    from dynamictree.modal.system import modal_system
+
+    wanted = _formats(formats, has_mesh=mesh is not None)
+    chosen = next((name for name in INTEGRATORS if name == integrator), None)
+    if chosen is None:
+        raise InputError(f"there is no integrator {integrator!r}; choose one of {', '.join(INTEGRATORS)}")
+    with _opened(spectrum) as stream:
+        system = modal_system(read_spectrum(stream), mass_kg=mass, damping_ratio=damping)
+    at = _contact(system, point, voxel, radius)
+    forces = _forces(at, impulse=impulse, force=force, displacement=displacement, wind=wind, times=(start, duration))
+    groups = group_forces(forces, falloff_m=(falloff or default_falloff_m(system)) if local else None)
+    answer = respond(
+        system, groups, dt_s=1 / fps, num_frames=frames, integrator=chosen, start="held" if held else "rest"
+    )
+    tree = InteractiveTree(system)
+    source = None if mesh is None else _read_mesh(mesh, up_axis=up_axis, unit_m=unit_m)
+    files = _write(tree, answer, source, output, wanted=wanted, fps=fps, warp=warp)
+    facts = {
+        "files": [str(path) for path in files],
+        "num_frames": frames,
+        "groups": len(groups),
+        "mass_kg": system.mass_kg,
+        "place_m": [round(float(x), 4) for x in system.grid.centres_m[at.rows[0]]],
+    }
+    _tell(facts, as_json=as_json)
+
+
+def _formats(formats: str, *, has_mesh: bool) -> tuple[str, ...]:
+    wanted = tuple(name.strip() for name in formats.split(","))
+    unknown = [name for name in wanted if name not in FORMATS]
+    if unknown:
+        raise InputError(f"there is no format {unknown[0]!r}; choose from {', '.join(FORMATS)}")
+    if not has_mesh and set(wanted) != {"modal"}:
+        raise InputError(f"the formats {formats} move a mesh; name it with --mesh, or ask for modal alone")
+    return wanted
+
+
+def _contact(system: "ModalSystem", point: Vector | None, voxel: int | None, radius_m: float) -> "Contact":
+    from dynamictree.modal.force import contact_at_point, contact_at_voxel
+
+    if point is not None and voxel is not None:
+        raise InputError("the place is given twice; give --point or --voxel")
+    if point is None:
+        row = int(system.grid.coords[:, 2].argmax()) if voxel is None else voxel
+        at = contact_at_voxel(system.grid, row)
+        if radius_m == 0:
+            return at
+        x, y, z = system.grid.centres_m[row].tolist()
+        point = (x, y, z)
+    return contact_at_point(system.grid, point, radius_m=radius_m)
+
+
+def _forces(
+    at: "Contact",
+    *,
+    impulse: Vector | None,
+    force: Vector | None,
+    displacement: Vector | None,
+    wind: Vector | None,
+    times: tuple[float, float | None],
+) -> "list[Force]":
+    import numpy as np
+
+    from dynamictree.modal.force import Drag, Impulse, WindField
+
+    start_s, duration_s = times
+    forces: list[Force] = []
+    if impulse is not None:
+        forces.append(Impulse(at=at, impulse_n_s=impulse, start_s=start_s, duration_s=duration_s or 0.0))
+    if force is not None:
+        forces.append(Drag(at=at, force_n=force, start_s=start_s, duration_s=duration_s))
+    if displacement is not None:
+        forces.append(Drag(at=at, displacement_m=displacement, start_s=start_s, duration_s=duration_s))
+    if wind is not None:
+        forces.append(WindField(velocity_m_s=np.array([wind]), start_s=start_s, duration_s=duration_s))
+    if not forces:
+        raise InputError("nothing pushes the tree; give --impulse, --force, --displacement or --wind")
+    return forces
+
+
+def _write(
+    tree: "InteractiveTree",
+    answer: "Answer",
+    mesh: "TriangleMesh | None",
+    folder: Path,
+    *,
+    wanted: tuple[str, ...],
+    fps: float,
+    warp: bool,
+) -> list[Path]:
+    """Write every product beside its place first, and move it there when it is whole."""
+    from dynamictree.formats.motion_file import write_motion
+    from dynamictree.formats.ply_sequence import iter_ply_sequence_zip
+
+    folder.mkdir(parents=True, exist_ok=True)
+    files = []
+    for name in wanted:
+        path = folder / FILE_NAMES[name]
+        with tempfile.TemporaryDirectory(prefix=".partial-", dir=folder) as partial:
+            made = Path(partial) / path.name
+            with made.open("wb") as stream:
+                if name == "modal":
+                    stream.write(_modal_file(answer, fps))
+                elif mesh is not None and name == "motion":
+                    frames = _vertex_frames(tree, answer, mesh, warp=warp)
+                    write_motion(mesh, frames, stream, num_frames=len(answer.q), fps=fps)
+                elif mesh is not None:
+                    for chunk in iter_ply_sequence_zip(mesh, _vertex_frames(tree, answer, mesh, warp=warp)):
+                        stream.write(chunk)
+            made.replace(path)
+        files.append(path)
+    return files
+
+
+def _modal_file(answer: "Answer", fps: float) -> bytes:
+    """Coordinates and final state, as /v1/interact gives them."""
+    from safetensors.numpy import save
+
+    from dynamictree.modal.response import answer_tensors
+
+    return save(answer_tensors(answer), {"fps": repr(fps)})
+
+
+def _vertex_frames(
+    tree: "InteractiveTree", answer: "Answer", mesh: "TriangleMesh", *, warp: bool
+) -> "Iterator[np.ndarray]":
+    """Displacement of the mesh's vertices, frame after frame [m]."""
+    from dynamictree.modal.surface import attach_mesh
+    from dynamictree.voxel.devoxelize import smooth
+
+    grid = tree.system.grid
+    ties = smooth(grid, mesh)
+    if not warp:
+        yield from (ties.apply(moved) for moved in tree.voxels(answer))
+        return
+    carried = attach_mesh(tree.bones, mesh, rows=ties.rows, weights=ties.weights, voxel_size_m=grid.voxel_size_m)
+    yield from tree.bent(answer, mesh.vertices, carried)
+
+
+def _read_mesh(path: Path, *, up_axis: str | None, unit_m: float | None) -> "TriangleMesh":
+    from dynamictree.formats.mesh_file import read_mesh, sniff_file_type
+
+    with _opened(path) as stream:
+        file_type = sniff_file_type(stream.read(4096), path.name)
+        stream.seek(0)
+        return read_mesh(stream, file_type=file_type, up_axis=up_axis, unit_m=unit_m)
+
+
+def _opened(path: Path) -> BinaryIO:
+    try:
+        return path.open("rb")
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror}") from None
+
+
+def _tell(facts: dict[str, Any], *, as_json: bool) -> None:
+    if as_json:
+        typer.echo(json.dumps(facts))
+        return
+    for name, value in facts.items():
+        typer.echo(f"{name}: {', '.join(map(str, value)) if isinstance(value, list) else value}")

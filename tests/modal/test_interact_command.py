@@ -1,0 +1,93 @@
+"""The command `dynamictree interact`."""
+
+import json
+import sys
+import zipfile
+
+import numpy as np
+import pytest
+from safetensors.numpy import load_file
+
+from dynamictree.cli import main
+from dynamictree.dataset.sample import make_sample, voxel_spectrum
+from dynamictree.formats.mesh_file import read_mesh
+from dynamictree.formats.motion_file import read_motion
+from dynamictree.formats.obj_writer import write_obj
+from dynamictree.formats.spectrum_file import write_spectrum
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("tree")
+    sample = make_sample(4, "columnar")
+    with (folder / "tree.spectrum.safetensors").open("wb") as stream:
+        write_spectrum(voxel_spectrum(sample, 32)[1], stream)
+    with (folder / "tree.obj").open("wb") as stream:
+        write_obj(sample.mesh, stream)
+    return folder
+
+
+def call(monkeypatch, folder, *arguments):
+    argv = ["dynamictree", "interact", str(folder / "tree.spectrum.safetensors"), *map(str, arguments)]
+    monkeypatch.setattr(sys, "argv", argv)
+    with pytest.raises(SystemExit) as ended:
+        main()
+    return ended.value.code
+
+
+@pytest.mark.parametrize("warp", [[], ["--warp", "--no-local"]])
+def test_a_push_writes_coordinates_and_a_moving_mesh(monkeypatch, capsys, tmp_path, folder, warp):
+    code = call(
+        monkeypatch, folder, "-o", tmp_path, "--mesh", folder / "tree.obj", "--format", "modal,motion,ply",
+        "--displacement", -0.5, 0, 0, "--up-axis", "+Z", "--held", "--duration", 0.1, "--frames", 12, "--json", *warp,
+    )  # fmt: skip
+    facts = json.loads(capsys.readouterr().out)
+    assert code in (0, None)
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "frames-ply.zip",
+        "modal.safetensors",
+        "motion.safetensors",
+    ]
+    assert facts["num_frames"] == 12
+    assert load_file(tmp_path / "modal.safetensors")["q"].shape == (1, 12, 16, 2)
+    with (tmp_path / "motion.safetensors").open("rb") as stream:
+        motion = read_motion(stream)
+    with (folder / "tree.obj").open("rb") as stream:
+        np.testing.assert_allclose(
+            motion.vertices, read_mesh(stream, file_type="obj", up_axis="+Z").vertices, atol=1e-6
+        )
+    # what is held stays, and swings once it is let go after 6 frames
+    np.testing.assert_allclose(motion.displacement[5], motion.displacement[0], atol=1e-5)
+    assert np.abs(motion.displacement[11] - motion.displacement[0]).max() > 1e-3
+    with zipfile.ZipFile(tmp_path / "frames-ply.zip") as archive:
+        assert len(archive.namelist()) == 12
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], "nothing pushes"),
+        (["--impulse", 1, 0, 0, "--format", "glb"], "no format 'glb'"),
+        (["--impulse", 1, 0, 0, "--format", "motion"], "--mesh"),
+        (["--impulse", 1, 0, 0, "--integrator", "verlet"], "no integrator"),
+        (["--impulse", 1, 0, 0, "--integrator", "explicit-euler"], "diverges"),
+        (["--impulse", 1, 0, 0, "--point", 99, 0, 0], "outside of the tree"),
+        (["--impulse", 1, 0, 0, "--point", 0, 0, 0, "--voxel", 3], "given twice"),
+        (["--impulse", 1, 0, 0, "--mesh", "nowhere.obj", "--format", "ply"], "cannot be read"),
+    ],
+)
+def test_what_cannot_be_done_is_one_line_and_leaves_nothing(monkeypatch, capsys, tmp_path, folder, arguments, words):
+    assert call(monkeypatch, folder, "-o", tmp_path / "out", *arguments) == 2
+    told = capsys.readouterr().err
+    assert words in told
+    assert told.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_every_kind_of_push_and_place_is_taken(monkeypatch, capsys, tmp_path, folder):
+    code = call(
+        monkeypatch, folder, "-o", tmp_path, "--impulse", 1, 0, 0, "--force", 0, 5, 0, "--wind", 4, 0, 0,
+        "--voxel", 400, "--radius", 1.0, "--frames", 3, "--no-local",
+    )  # fmt: skip
+    assert code in (0, None)
+    assert "groups: 1" in capsys.readouterr().out
