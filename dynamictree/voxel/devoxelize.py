@@ -1,6 +1,6 @@
 """From voxels back to points: the voxels that each takes its spectrum from. Dev(.) in paper eq. 1."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse
@@ -8,6 +8,7 @@ from jaxtyping import Float32, Int32, Shaped
 from scipy.spatial import cKDTree
 
 from dynamictree.mesh import TriangleMesh, edges_of
+from dynamictree.voxel.fit import SMOOTHNESS, SurfaceFit, fit_surface
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import surface_average
 
@@ -16,24 +17,32 @@ MAX_VOXELS_PER_POINT = 8
 
 @dataclass(frozen=True, kw_only=True)
 class VoxelInterpolation:
-    """Each point's voxels and their weights, which sum to 1; prepared once a mesh, applied to any values."""
+    """Prepared once a mesh, applied to any values.
+
+    `rows` and `weights` tell which voxels each point hangs on; the weights are not negative and sum to 1. With a `fit`,
+    values are not their plain mean, but the smoothest that the voxels allow.
+    """
 
     rows: Int32[np.ndarray, "N M"]  # into the grid's coords
     weights: Float32[np.ndarray, "N M"]
     num_voxels: int
+    fit: SurfaceFit | None = None
 
     def apply(self, values: Shaped[np.ndarray, "V ..."]) -> Shaped[np.ndarray, "N ..."]:
-        """Values at voxels to values at points, real or complex."""
+        """Values at voxels to values at points, single precision, real or complex."""
+        flat = np.ascontiguousarray(values).reshape(self.num_voxels, -1)
+        parts = flat.view(np.float32) if flat.dtype == np.complex64 else flat.astype(np.float32, copy=False)
+        result = self._mean(parts) if self.fit is None else self.fit.solve(parts)  # [N, D]
+        whole = np.ascontiguousarray(result).view(np.complex64 if flat.dtype == np.complex64 else np.float32)
+        return whole.reshape(len(self.rows), *values.shape[1:])
+
+    def _mean(self, values: Float32[np.ndarray, "V D"]) -> Float32[np.ndarray, "N D"]:
         num_points, width = self.rows.shape
         ends = np.arange(0, num_points * width + 1, width)
         matrix = scipy.sparse.csr_array(
             (self.weights.ravel(), self.rows.ravel(), ends), shape=(num_points, self.num_voxels)
         )
-        flat = np.ascontiguousarray(values).reshape(self.num_voxels, -1)
-        is_complex = np.iscomplexobj(flat)
-        result = matrix @ (flat.view(flat.real.dtype) if is_complex else flat)
-        result = result.view(flat.dtype) if is_complex else result.astype(flat.dtype, copy=False)
-        return np.asarray(result.reshape(num_points, *values.shape[1:]))
+        return np.asarray(matrix @ values)
 
 
 def nearest(grid: VoxelGrid, points: Float32[np.ndarray, "N 3"]) -> VoxelInterpolation:
@@ -48,15 +57,22 @@ def nearest(grid: VoxelGrid, points: Float32[np.ndarray, "N 3"]) -> VoxelInterpo
     )
 
 
-def smooth(grid: VoxelGrid, mesh: TriangleMesh) -> VoxelInterpolation:
-    """Each vertex takes from the voxels that its faces and its neighbours' faces pass through, by area.
+def smooth(grid: VoxelGrid, mesh: TriangleMesh, *, smoothness: float = SMOOTHNESS) -> VoxelInterpolation:
+    """The smoothest motion of the mesh whose mean over the surface in each voxel is the voxel's, see `fit.py`.
 
-    Only surface that hangs together is asked: a twig that passes close by has no part in it.
+    Only surface that hangs together is asked: a twig that passes close by has no part in it. `rows` and `weights` are
+    the voxels that a vertex's faces and its neighbours' faces pass through, by area.
+
+    Args:
+        grid: of this mesh, from `voxelize`.
+        mesh: at rest.
+        smoothness: how much an uneven motion costs against a mean that is not the voxel's; more evens out noise.
 
     Raises:
         InputError: a voxel of the grid holds none of the mesh's surface.
     """
-    shares = _rows_to_one(surface_average(mesh, grid).T.tocsr())  # [N, V]
+    average = surface_average(mesh, grid)
+    shares = _rows_to_one(average.T.tocsr())  # [N, V]
     start, end = edges_of(mesh.faces).T
     pairs = np.concatenate([start, end]), np.concatenate([end, start])
     neighbours = scipy.sparse.coo_array((np.ones(len(pairs[0]), np.float32), pairs), shape=(mesh.num_vertices,) * 2)
@@ -66,7 +82,7 @@ def smooth(grid: VoxelGrid, mesh: TriangleMesh) -> VoxelInterpolation:
     if len(loose):
         interpolation.rows[loose, 0] = nearest(grid, mesh.vertices[loose]).rows[:, 0]
         interpolation.weights[loose, 0] = 1
-    return interpolation
+    return replace(interpolation, fit=fit_surface(mesh, grid, average, smoothness=smoothness))
 
 
 def _rows_to_one(matrix: scipy.sparse.csr_array) -> scipy.sparse.csr_array:

@@ -2,7 +2,7 @@
 
 import numpy as np
 import scipy.sparse
-from jaxtyping import Float32, Int64
+from jaxtyping import Float32, Int64, Shaped
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import cKDTree
 
@@ -34,7 +34,7 @@ def voxel_graph(grid: VoxelGrid) -> scipy.sparse.csr_array:
         num_parts, part = connected_components(graph, directed=False)
         if num_parts == 1:
             return graph
-        bridge_starts, bridge_ends = _shortest_gaps(grid, part.astype(np.int64))
+        bridge_starts, bridge_ends = shortest_gaps(grid.coords, part.astype(np.int64))
         coo = graph.tocoo()
         graph = _graph(grid, np.concatenate([coo.row, bridge_starts]), np.concatenate([coo.col, bridge_ends]))
 
@@ -60,18 +60,17 @@ def _graph(grid: VoxelGrid, starts: Int64[np.ndarray, " E"], ends: Int64[np.ndar
     return both.tocsr()
 
 
-def _shortest_gaps(
-    grid: VoxelGrid, part: Int64[np.ndarray, " V"]
+def shortest_gaps(
+    points: Shaped[np.ndarray, "V 3"], part: Int64[np.ndarray, " V"]
 ) -> tuple[Int64[np.ndarray, " B"], Int64[np.ndarray, " B"]]:
-    """From every part but the largest, the pair of voxels that lies nearest to another part (a round of Borůvka's)."""
-    tree = cKDTree(grid.coords)
-    sizes = np.bincount(part)
-    largest = int(np.argmax(sizes))
+    """From every part but the largest, the pair of points nearest to another part: a round of Borůvka's algorithm."""
+    tree = cKDTree(points)
+    largest = int(np.argmax(np.bincount(part)))
     seeking = np.flatnonzero(part != largest)
     count = _FIRST_NEIGHBOURS
     starts, ends = [], []
     while len(seeking):
-        distances, neighbours = tree.query(grid.coords[seeking], k=min(count, len(grid)))
+        distances, neighbours = tree.query(points[seeking], k=min(count, len(points)))
         neighbour = np.asarray(neighbours)
         distance = np.where(part[neighbour] == part[seeking][:, None], np.inf, distances)  # [M, count]
         best = np.argmin(distance, axis=1)

@@ -51,7 +51,7 @@ def voxelize(mesh: TriangleMesh, resolution: int = 128) -> SurfaceVoxels:
     origin_m, voxel_size_m = grid_frame(mesh.vertices[np.unique(mesh.faces)], resolution)
     if voxel_size_m <= 0:
         raise MeshError("all faces lie in one point; the mesh needs an extent")
-    pieces = _surface_pieces(mesh, origin_m, voxel_size_m, resolution)
+    pieces = surface_pieces(mesh, origin_m, voxel_size_m, resolution)
     keys, rows = np.unique(pieces.keys, return_inverse=True)
     coords = np.stack([keys // resolution**2, keys // resolution % resolution, keys % resolution], axis=1)
     grid = VoxelGrid(
@@ -69,7 +69,7 @@ def surface_average(mesh: TriangleMesh, grid: VoxelGrid) -> scipy.sparse.csr_arr
     Raises:
         InputError: a voxel of the grid holds none of the mesh's surface.
     """
-    pieces = _surface_pieces(mesh, grid.origin_m, grid.voxel_size_m, grid.resolution)
+    pieces = surface_pieces(mesh, grid.origin_m, grid.voxel_size_m, grid.resolution)
     keys = grid.keys
     rows = np.minimum(np.searchsorted(keys, pieces.keys), len(keys) - 1)
     held = keys[rows] == pieces.keys
@@ -86,7 +86,7 @@ def surface_average(mesh: TriangleMesh, grid: VoxelGrid) -> scipy.sparse.csr_arr
     return average.tocsr().astype(np.float32)
 
 
-def _surface_pieces(
+def surface_pieces(
     mesh: TriangleMesh, origin_m: tuple[float, float, float], voxel_size_m: float, resolution: int
 ) -> SurfacePieces:
     """Pieces of faces in voxels, and each corner of a face in its voxel with the least weight that still counts."""
