@@ -47,14 +47,17 @@ class Heartbeat:
         """The process that beats."""
         return self._process.pid
 
-    def hold(self, held: Claim) -> None:
-        """Renew this attempt's lease from now on. Waits until the process beats; starts it again if it has died."""
+    def wait(self) -> None:
+        """Wait until the process beats; start it again if it has died. To be done before a lease is taken."""
         if self._process.poll() is not None:
             self._end()
             self._process, self._beats = self._start(), False
         if not self._beats:
             assert self._process.stdout is not None
             self._beats = self._process.stdout.readline() == READY
+
+    def hold(self, held: Claim) -> None:
+        """Renew this attempt's lease from now on."""
         self._tell({"job_id": held.job.id, "attempt": held.attempt})
 
     def drop(self) -> None:

@@ -62,6 +62,7 @@ def end_attempt(here: Runtime, held: Claim, error: BaseException) -> None:
 def run_job(job_id: str, attempt: int) -> None:
     """Run one attempt of a job, unless another worker does, or did."""
     here = runtime()
+    here.heartbeat.wait()
     held = claim(here.store, job_id, attempt, owner=here.owner, lease_s=here.settings.lease_s)
     if held is None:
         logger.info("attempt %s of job %s is not to be run", attempt, job_id)

@@ -87,6 +87,7 @@ def add_job(here: Runtime, asset: AssetRecord, job_type: JobType = "voxelize", *
 
 
 def hold(here: Runtime, job: JobRecord, attempt: int = 1) -> Claim:
+    here.heartbeat.wait()
     held = claim(here.store, job.id, attempt, owner=here.owner, lease_s=here.settings.lease_s)
     assert held is not None
     return held

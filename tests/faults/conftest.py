@@ -1,0 +1,115 @@
+"""The whole service as a user starts it, with short leases."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+import httpx
+import pytest
+
+from jobs.settings import Settings
+from jobs.store import Store
+
+T = TypeVar("T")
+
+SHORT = {
+    "DYNAMICTREE_LEASE_S": "3",
+    "DYNAMICTREE_HEARTBEAT_S": "0.5",
+    "DYNAMICTREE_VISIBILITY_TIMEOUT_S": "15",
+    "DYNAMICTREE_RESTORE_INTERVAL_S": "2",
+    "DYNAMICTREE_REAPER_INTERVAL_S": "0.2",
+    "DYNAMICTREE_HOUSEKEEPER_LEASE_S": "3",
+    "DYNAMICTREE_RESEND_S": "5",
+    "DYNAMICTREE_PROGRESS_INTERVAL_S": "0",
+    "DYNAMICTREE_MIN_FREE_BYTES": "0",
+}
+
+
+@dataclass
+class Service:
+    """`dynamictree serve`, running."""
+
+    process: subprocess.Popen[str]
+    client: httpx.Client
+    settings: Settings
+    seconds_to_ready: float
+
+    def store(self) -> Store:
+        return Store.open(self.settings.resolved_database_url)
+
+    def worker_pid(self) -> int:
+        """The process in which a task runs."""
+        from jobs.upkeep import living
+
+        store = self.store()
+        names = wait_for(lambda: living(store, "worker:"), "a worker")
+        store.close()
+        return int(names[-1].rsplit(":", 1)[1])
+
+    def upload(self, name: str, content: bytes) -> str:
+        response = self.client.post("/v1/assets", files={"file": (name, content)})
+        assert response.status_code in {200, 201}, response.text
+        return str(response.json()["id"])
+
+    def create(self, **body: object) -> str:
+        response = self.client.post("/v1/jobs", json=body)
+        assert response.status_code == 202, response.text
+        return response.headers["Location"]
+
+    def finish(self, url: str, timeout_s: float = 60) -> dict[str, object]:
+        """Poll a job until it has ended."""
+
+        def ended() -> dict[str, object] | None:
+            job: dict[str, object] = self.client.get(url).json()
+            return job if job["state"] in {"succeeded", "failed", "canceled", "aborted"} else None
+
+        return wait_for(ended, f"the end of {url}", timeout_s)
+
+
+def wait_for(ask: Callable[[], T | None], what: str, timeout_s: float = 60) -> T:
+    deadline = time.monotonic() + timeout_s
+    while time.monotonic() < deadline:
+        answer = ask()
+        if answer:
+            return answer
+        time.sleep(0.02)
+    raise AssertionError(f"{what} did not come within {timeout_s} s")
+
+
+def start(state_dir: Path, **environment: str) -> Service:
+    command = [sys.executable, "-m", "dynamictree.cli", "serve", "--port", "0", "--json", "--state-dir", str(state_dir)]
+    log = (state_dir.parent / "serve.log").open("ab")
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=log, text=True, env=os.environ | SHORT | environment
+    )
+    log.close()
+    assert process.stdout is not None
+    line = process.stdout.readline()
+    assert line, (state_dir.parent / "serve.log").read_text()[-4000:]
+    ready = json.loads(line)
+    settings = Settings(state_dir=state_dir)
+    client = httpx.Client(base_url=ready["url"], timeout=30)
+    return Service(process, client, settings, ready["seconds"])
+
+
+def stop(service: Service) -> int:
+    service.client.close()
+    service.process.send_signal(signal.SIGTERM)
+    code = service.process.wait(60)
+    assert service.process.stdout is not None
+    service.process.stdout.close()
+    return code
+
+
+@pytest.fixture(scope="session")
+def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+    running = start(tmp_path_factory.mktemp("service") / "state")
+    yield running
+    assert stop(running) == 0

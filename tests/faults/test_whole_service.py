@@ -1,0 +1,170 @@
+"""Real uvicorn, real Valkey, real Celery worker, over HTTP; and what happens when one of them is killed."""
+
+import io
+import os
+import signal
+import subprocess
+import sys
+import time
+from hashlib import sha256
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+
+from dynamictree.formats.voxels_file import read_voxels
+from service.catalogue import preset_sizes
+from tests.faults.conftest import SHORT, Service, start, stop, wait_for
+
+needs_weights = pytest.mark.skipif(
+    "small" not in preset_sizes(), reason="dynamictree/weights/small.safetensors is not there"
+)
+
+
+def bumpy_sphere(rings: int, seed: int = 0) -> bytes:
+    """A closed surface of rings² quads as OBJ; more rings, more work."""
+    rng = np.random.default_rng(seed)
+    around = np.linspace(0, 2 * np.pi, rings, endpoint=False)
+    down = np.linspace(0.05, np.pi - 0.05, rings)
+    radius = 1 + 0.05 * rng.standard_normal((rings, rings))
+    x = radius * np.sin(down)[:, None] * np.cos(around)
+    y = radius * np.sin(down)[:, None] * np.sin(around)
+    z = radius * np.cos(down)[:, None] + 1.2
+    vertices = np.stack([x, y, z], axis=-1).reshape(-1, 3)
+    i, j = np.meshgrid(np.arange(rings - 1), np.arange(rings), indexing="ij")
+    corner, right = i * rings + j, i * rings + (j + 1) % rings
+    quads = np.stack([corner, right, right + rings, corner + rings], axis=-1).reshape(-1, 4) + 1
+    lines = ["v {:.5f} {:.5f} {:.5f}".format(*v) for v in vertices.tolist()]
+    lines += ["f {} {} {} {}".format(*q) for q in quads.tolist()]
+    return "\n".join(lines).encode()
+
+
+def assert_exactly_once(service: Service, url: str) -> None:
+    """Every name once, every file whole, every hash right."""
+    manifest = service.client.get(url + "/artifacts").json()
+    names = [artifact["name"] for artifact in manifest["artifacts"]]
+    assert len(set(names)) == len(names)
+    assert manifest["complete"]
+    for artifact in manifest["artifacts"]:
+        content = service.client.get(artifact["url"]).content
+        assert (len(content), sha256(content).hexdigest()) == (artifact["bytes"], artifact["sha256"])
+        half = len(content) // 2
+        etag = f'"{artifact["sha256"]}"'
+        rest = service.client.get(artifact["url"], headers={"Range": f"bytes={half}-", "If-Range": etag})
+        assert (rest.status_code, rest.content) == (206, content[half:])
+
+
+def test_the_service_is_ready(service: Service) -> None:
+    told = service.client.get("/readyz").json()
+    assert set(told.values()) == {"ready", "ok"}
+
+
+def test_a_mesh_goes_in_and_voxels_come_out(service: Service) -> None:
+    asset_id = service.upload("tree.obj", bumpy_sphere(20))
+    url = service.create(type="voxelize", asset_id=asset_id, params={"resolution": 64})
+    job = service.finish(url)
+    assert (job["state"], job["attempt"]) == ("succeeded", 1), job
+    assert_exactly_once(service, url)
+    voxels_id = job["result"]["voxels_id"]  # type: ignore[index]
+    voxels = read_voxels(io.BytesIO(service.client.get(f"/v1/artifacts/{voxels_id}").content))
+    assert voxels.grid.resolution == 64
+    again = service.finish(service.create(type="voxelize", asset_id=asset_id, params={"resolution": 64}, seed=9))
+    assert again["stages"][0]["cached"]  # type: ignore[index]
+
+
+def test_a_killed_worker_loses_no_job(service: Service) -> None:
+    asset_id = service.upload("big.obj", bumpy_sphere(150))
+    pid = service.worker_pid()
+    url = service.create(type="voxelize", asset_id=asset_id, params={"resolution": 256})
+    wait_for(lambda: service.client.get(url).json()["stages"][0]["state"] == "running", "the stage")
+    parent = psutil.Process(pid).parent()
+    assert parent is not None
+    os.killpg(os.getpgid(parent.pid), signal.SIGKILL)  # the worker and its pool
+    job = service.finish(url)
+    assert (job["state"], job["attempt"]) == ("succeeded", 2), job
+    assert_exactly_once(service, url)
+
+
+def test_a_killed_pool_process_loses_no_job(service: Service) -> None:
+    asset_id = service.upload("big.obj", bumpy_sphere(150, seed=1))
+    url = service.create(type="voxelize", asset_id=asset_id, params={"resolution": 256})
+    wait_for(lambda: service.client.get(url).json()["stages"][0]["state"] == "running", "the stage")
+    os.kill(service.worker_pid(), signal.SIGKILL)
+    job = service.finish(url)
+    assert (job["state"], job["attempt"]) == ("succeeded", 2), job
+    assert_exactly_once(service, url)
+
+
+def test_a_killed_redis_loses_no_job(service: Service) -> None:
+    asset_id = service.upload("tree.obj", bumpy_sphere(30, seed=2))
+    server = next(c for c in psutil.Process(service.process.pid).children() if "valkey" in c.name())
+    urls = [service.create(type="voxelize", asset_id=asset_id, params={"resolution": r}) for r in (32, 64)]
+    server.kill()
+    urls.append(service.create(type="voxelize", asset_id=asset_id, params={"resolution": 128}))
+    for url in urls:
+        assert service.finish(url)["state"] == "succeeded"
+        assert_exactly_once(service, url)
+    wait_for(lambda: service.client.get("/readyz").status_code == 200, "readiness")
+
+
+@needs_weights
+def test_a_mesh_goes_in_and_a_motion_comes_out(service: Service) -> None:
+    asset_id = service.upload("tree.obj", bumpy_sphere(20))
+    params = {"num_steps": 3, "formats": ["ply", "glb", "motion", "png"]}
+    url = service.create(type="animate", asset_id=asset_id, seed=3, params=params)
+    job = service.finish(url)
+    assert (job["state"], job["attempt"]) == ("succeeded", 1), job
+    assert [stage["progress"] for stage in job["stages"]] == [1, 1, 1]  # type: ignore[attr-defined]
+    assert_exactly_once(service, url)
+    names = {a["name"] for a in service.client.get(url + "/artifacts").json()["artifacts"]}
+    assert names >= {"motion.ply.zip", "tree.glb", "motion.safetensors", "preview.png", "tree.spectrum.safetensors"}
+    spectrum = service.client.get(f"/v1/spectra/{job['result']['spectrum_id']}").json()  # type: ignore[index]
+    assert (spectrum["num_frequencies"], spectrum["seed"], spectrum["up_axis"]) == (16, 3, "+Z")
+
+
+@needs_weights
+def test_a_cancel_is_honoured_within_a_step(service: Service) -> None:
+    asset_id = service.upload("tree.obj", bumpy_sphere(60, seed=4))
+    url = service.create(type="diffuse", asset_id=asset_id, params={"num_steps": 1000})
+    stage = wait_for(
+        lambda: next(
+            (s for s in service.client.get(url).json()["stages"] if s["progress"] and s["name"] == "diffuse"), None
+        ),
+        "a step",
+    )
+    assert service.client.post(url + "/cancel").json()["state"] == "canceling"
+    job = service.finish(url, timeout_s=10)
+    assert job["state"] == "canceled"
+    reached = job["stages"][1]["progress"]  # type: ignore[index]
+    assert reached - stage["progress"] < 0.1
+
+
+def test_a_stop_hands_the_job_back_and_a_start_goes_on(tmp_path: Path) -> None:
+    first = start(tmp_path / "state")
+    asset_id = first.upload("big.obj", bumpy_sphere(150, seed=5))
+    urls = [first.create(type="voxelize", asset_id=asset_id, params={"resolution": r}) for r in (256, 128)]
+    wait_for(lambda: first.client.get(urls[0]).json()["state"] == "running", "the job")
+    began = time.monotonic()
+    assert stop(first) == 0
+    assert time.monotonic() - began < 25
+    second = start(tmp_path / "state")
+    for url in urls:
+        assert second.finish(url)["state"] == "succeeded"
+        assert_exactly_once(second, url)
+    locked = subprocess.run(
+        [sys.executable, "-m", "dynamictree.cli", "serve", "--port", "0", "--state-dir", str(tmp_path / "state")],
+        capture_output=True,
+        text=True,
+        env=os.environ | SHORT,
+        timeout=60,
+        check=False,
+    )
+    assert (locked.returncode, locked.stderr.count("\n")) == (2, 1)
+    assert "in use" in locked.stderr
+    children = psutil.Process(second.process.pid).children(recursive=True)
+    second.client.close()
+    second.process.kill()
+    second.process.communicate()
+    _, alive = psutil.wait_procs(children, timeout=30)
+    assert alive == []
