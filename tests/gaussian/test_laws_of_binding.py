@@ -230,13 +230,13 @@ def test_what_cannot_be_bound_is_told(cloud: GaussianCloud, mesh: TriangleMesh, 
     with pytest.raises(InputError, match="none of the mesh's 1 faces"):
         solid_faces(line)
     with pytest.raises(InputError, match="low corner"):
-        in_box(cloud, (0, 0, 0), (1, 0, 1))
+        in_box(cloud, (0.0, 0.0, 0.0), (1.0, 0.0, 1.0))
     with pytest.raises(InputError, match="no Gaussian is in the box"):
-        in_box(cloud, (-2, -2, -2), (-1, -1, -1))
+        in_box(cloud, (-2.0, -2.0, -2.0), (-1.0, -1.0, -1.0))
     with pytest.raises(InputError, match="displacement is of 3 vertices"):
         Deformer(binding).pose(np.zeros((3, 3), np.float32))
     with pytest.raises(InputError, match="rows for"):
-        replace(binding, face_of=binding.face_of[:5])
+        replace(binding, face_of=binding.face_of[:5], weights=binding.weights[:5])
     with pytest.raises(InputError, match="names face"):
         replace(binding, face_of=binding.face_of + len(binding.triangles))
     with pytest.raises(InputError, match="outside of the"):

@@ -1,0 +1,181 @@
+"""The loops of `rasterize`: project Gaussians, list them by tiles, blend the tiles."""
+
+from typing import no_type_check
+
+import numba
+import numpy as np
+
+from dynamictree.gaussian.turn import harmonic_values
+
+TILE = 16  # pixels along; a row of a tile is one vector of 16 floats
+NEAR_M = 0.02
+"""Nearer to the camera's plane nothing is drawn [m]."""
+BLUR_PX2 = 0.3
+"""Variance that every ellipse is widened by, the pixel's own (Kerbl et al. 2023) [px²]."""
+MIN_ALPHA = 1 / 255
+MAX_ALPHA = 0.99  # both Kerbl et al. 2023, appendix C
+WIDEST = 1.3  # times the half picture: beyond, the projection's slope is held (Kerbl et al.'s own code does so)
+_OPAQUE = np.float32(1e-4)  # of the light left: a tile is done, Kerbl et al. 2023, section 6
+
+_HALF, _ONE, _TWO = np.float32(0.5), np.float32(1), np.float32(2)
+_NEAR, _BLUR = np.float32(NEAR_M), np.float32(BLUR_PX2)
+_MIN, _MAX = np.float32(MIN_ALPHA), np.float32(MAX_ALPHA)
+_SIZE = TILE * TILE
+_EXP = tuple(np.float32(c) for c in (1 / 120, 1 / 24, 1 / 6, 1 / 2, 1, 1))
+_SIXTEENTH = np.float32(1 / 16)
+
+_compiled = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+
+
+@_compiled
+@no_type_check
+def project(first, end, means, quaternions, scales, opacity, sh, rest, view, antialias, turned, ellipses, bounds):
+    """Ellipse (centre, conic, opacity), colour and depth of each Gaussian, and the pixels where it shows."""
+    degree = round(np.sqrt(sh.shape[1])) - 1
+    values = np.empty(16, np.float32)
+    axes = np.empty((3, 3), np.float32)
+    for g in range(first, end):
+        dx, dy, dz = means[g, 0] - view[9], means[g, 1] - view[10], means[g, 2] - view[11]
+        x = view[0] * dx + view[1] * dy + view[2] * dz
+        y = view[3] * dx + view[4] * dy + view[5] * dz
+        z = view[6] * dx + view[7] * dy + view[8] * dz
+        if z < _NEAR:
+            continue
+        _scaled_axes(quaternions[g], scales[g], axes)
+        per_z = view[12] / z
+        slope_x, slope_y = min(max(x / z, -view[17]), view[17]), min(max(y / z, -view[18]), view[18])
+        xx, xy, yy = np.float32(0), np.float32(0), np.float32(0)
+        for i in range(3):
+            ax, ay, az = axes[0, i], axes[1, i], axes[2, i]
+            depth = view[6] * ax + view[7] * ay + view[8] * az
+            px = (view[0] * ax + view[1] * ay + view[2] * az - slope_x * depth) * per_z
+            py = (view[3] * ax + view[4] * ay + view[5] * az - slope_y * depth) * per_z
+            xx, xy, yy = xx + px * px, xy + px * py, yy + py * py
+        sharp = max(xx * yy - xy * xy, np.float32(0))
+        xx, yy = xx + _BLUR, yy + _BLUR
+        determinant = xx * yy - xy * xy
+        shown = opacity[g]
+        if antialias:
+            shown = shown * np.sqrt(sharp / determinant)
+        if shown < _MIN:
+            continue
+        reach = _TWO * np.log(shown / _MIN)  # squared, in standard deviations: where alpha falls below the least
+        column, row = x * per_z + view[13], y * per_z + view[14]
+        wide, high = np.sqrt(reach * xx), np.sqrt(reach * yy)
+        left, right = int(np.ceil(column - wide - _HALF)), int(np.floor(column + wide - _HALF)) + 1
+        top, bottom = int(np.ceil(row - high - _HALF)), int(np.floor(row + high - _HALF)) + 1
+        left, right, top, bottom = max(left, 0), min(right, int(view[15])), max(top, 0), min(bottom, int(view[16]))
+        if left >= right or top >= bottom:
+            continue
+        bounds[g, 0], bounds[g, 1], bounds[g, 2], bounds[g, 3] = left, right, top, bottom
+        per = _ONE / determinant
+        ellipses[g, 0], ellipses[g, 1] = column, row
+        ellipses[g, 2], ellipses[g, 3], ellipses[g, 4] = yy * per, -xy * per, xx * per
+        ellipses[g, 5], ellipses[g, 9] = shown, z
+        length = np.sqrt(dx * dx + dy * dy + dz * dz)
+        dx, dy, dz = dx / length, dy / length, dz / length
+        if turned and degree > 0:
+            dx, dy, dz = _turned_back(quaternions[g], rest[g], dx, dy, dz)
+        harmonic_values(degree, dx, dy, dz, values)
+        for c in range(3):
+            color = _HALF
+            for h in range(sh.shape[1]):
+                color += values[h] * sh[g, h, c]
+            ellipses[g, 6 + c] = max(color, np.float32(0))
+
+
+@_compiled
+@no_type_check
+def _scaled_axes(q, scale, axes):
+    w, x, y, z = q[0], q[1], q[2], q[3]
+    a, b, c = scale[0], scale[1], scale[2]
+    axes[0, 0], axes[1, 1] = a * (_ONE - _TWO * (y * y + z * z)), b * (_ONE - _TWO * (x * x + z * z))
+    axes[1, 0], axes[0, 1] = a * _TWO * (x * y + w * z), b * _TWO * (x * y - w * z)
+    axes[2, 0], axes[0, 2] = a * _TWO * (x * z - w * y), c * _TWO * (x * z + w * y)
+    axes[2, 1], axes[1, 2] = b * _TWO * (y * z + w * x), c * _TWO * (y * z - w * x)
+    axes[2, 2] = c * (_ONE - _TWO * (x * x + y * y))
+
+
+@_compiled
+@no_type_check
+def _turned_back(now, rest, dx, dy, dz):
+    """A direction as the Gaussian sees it, had it not turned: by the inverse of now · rest⁻¹."""
+    w = now[0] * rest[0] + now[1] * rest[1] + now[2] * rest[2] + now[3] * rest[3]
+    x = now[0] * rest[1] - now[1] * rest[0] + now[2] * rest[3] - now[3] * rest[2]
+    y = now[0] * rest[2] - now[2] * rest[0] + now[3] * rest[1] - now[1] * rest[3]
+    z = now[0] * rest[3] - now[3] * rest[0] + now[1] * rest[2] - now[2] * rest[1]
+    cx, cy, cz = _TWO * (y * dz - z * dy), _TWO * (z * dx - x * dz), _TWO * (x * dy - y * dx)
+    return dx + w * cx + y * cz - z * cy, dy + w * cy + z * cx - x * cz, dz + w * cz + x * cy - y * cx
+
+
+@_compiled
+@no_type_check
+def list_tiles(nearest_first, bounds, columns, place, order, write):
+    """Count, or list, each Gaussian in the tiles that its bounds touch."""
+    for i in range(len(nearest_first)):
+        g = nearest_first[i]
+        for row in range(bounds[g, 2] // TILE, (bounds[g, 3] - 1) // TILE + 1):
+            for column in range(bounds[g, 0] // TILE, (bounds[g, 1] - 1) // TILE + 1):
+                tile = row * columns + column
+                if write:
+                    order[place[tile]] = g
+                place[tile] += 1
+
+
+@_compiled
+@no_type_check
+def blend(first, end, ellipses, bounds, order, starts, picture):
+    """Front to back, tile by tile: picture holds colour, depth and what is left of the light."""
+    height, width = picture.shape[0], picture.shape[1]
+    columns = -(-width // TILE)
+    b = np.empty(5 * _SIZE, np.float32)  # red, green, blue, depth, light left
+    for tile in range(first, end):
+        left, top = tile % columns * TILE, tile // columns * TILE
+        b[: 4 * _SIZE] = 0
+        b[4 * _SIZE :] = 1
+        for i in range(starts[tile], starts[tile + 1]):
+            g = order[i]
+            from_row, to_row = max(bounds[g, 2] - top, 0), min(bounds[g, 3] - top, TILE)
+            _blend_one(ellipses[g], np.float32(left) + _HALF, np.float32(top) + _HALF, from_row, to_row, b)
+            if i % 16 == 15 and _is_opaque(b):
+                break
+        for row in range(min(TILE, height - top)):
+            for column in range(min(TILE, width - left)):
+                for c in range(5):
+                    picture[top + row, left + column, c] = b[c * _SIZE + row * TILE + column]
+
+
+@_compiled
+@no_type_check
+def _blend_one(e, left, top, from_row, to_row, b):
+    across, down = left - e[0], top - e[1]
+    for row in range(from_row, to_row):
+        dy = down + np.float32(row)
+        constant, slope = -_HALF * e[4] * dy * dy, -e[3] * dy
+        start = row * TILE
+        for j in range(TILE):
+            dx = across + np.float32(j)
+            y = (constant + dx * (slope - _HALF * e[2] * dx)) * _SIXTEENTH
+            # exp(16 y): a polynomial, squared four times; to 5e-5 where alpha is not below its least
+            y = max(y, -_ONE)
+            p = ((((_EXP[0] * y + _EXP[1]) * y + _EXP[2]) * y + _EXP[3]) * y + _EXP[4]) * y + _EXP[5]
+            p = p * p
+            p = p * p
+            p = p * p
+            alpha = min(e[5] * (p * p), _MAX)
+            alpha = alpha if alpha >= _MIN else np.float32(0)
+            shown = alpha * b[4 * _SIZE + start + j]
+            b[start + j] += shown * e[6]
+            b[_SIZE + start + j] += shown * e[7]
+            b[2 * _SIZE + start + j] += shown * e[8]
+            b[3 * _SIZE + start + j] += shown * e[9]
+            b[4 * _SIZE + start + j] -= shown
+
+
+@_compiled
+@no_type_check
+def _is_opaque(b):
+    most = np.float32(0)
+    for j in range(_SIZE):
+        most = max(most, b[4 * _SIZE + j])
+    return most < _OPAQUE

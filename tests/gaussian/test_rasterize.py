@@ -1,0 +1,134 @@
+"""The picture of a cloud: against the slow exact one, and by laws of its own."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from dynamictree.errors import InputError
+from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.gaussian.deform import Pose, posed
+from dynamictree.gaussian.harmonics import SH_0
+from dynamictree.gaussian.rasterize import render_cloud, render_slowly
+from dynamictree.gaussian.rotation import matrix_quaternions, quaternion_products
+from dynamictree.render.camera import Camera
+
+
+@pytest.fixture(scope="module")
+def cloud() -> GaussianCloud:
+    rng = np.random.default_rng(3)
+    count = 400
+    quaternions = rng.normal(size=(count, 4))
+    return GaussianCloud(
+        means=(rng.normal(size=(count, 3)) * 0.6).astype(np.float32),
+        quaternions=(quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)).astype(np.float32),
+        scales=np.exp(rng.normal(size=(count, 3)) * 0.7 - 3).astype(np.float32),
+        opacity=rng.uniform(0.1, 1, count).astype(np.float32),
+        sh=(rng.normal(size=(count, 16, 3)) * 0.4).astype(np.float32),
+    )
+
+
+@pytest.fixture(scope="module")
+def camera() -> Camera:
+    return Camera.look_at(np.array([0.5, -4.0, 0.7]), np.zeros(3))
+
+
+def decibels(found: np.ndarray, expected: np.ndarray) -> float:
+    return float(-10 * np.log10(max(np.square(found - expected).mean(), 1e-20)))
+
+
+@pytest.mark.parametrize("antialias", [True, False])
+@pytest.mark.parametrize("size", [(96, 80), (53, 41)])
+def test_fast_and_slow_pictures_agree(
+    cloud: GaussianCloud, camera: Camera, antialias: bool, size: tuple[int, int]
+) -> None:
+    width, height = size
+    fast = render_cloud(cloud, camera, width=width, height=height, antialias=antialias)
+    slow = render_slowly(cloud, camera, width=width, height=height, antialias=antialias)
+    assert decibels(fast.color, slow.color) > 80
+    assert decibels(fast.alpha, slow.alpha) > 80
+    seen = slow.alpha > 0.05
+    np.testing.assert_allclose(fast.depth[seen], slow.depth[seen], rtol=1e-3)
+    whole = render_slowly(cloud, camera, width=width, height=height, antialias=antialias, min_alpha=0.0)
+    assert decibels(fast.color, whole.color) > 45
+    assert decibels(fast.alpha, whole.alpha) > 45
+
+
+def one(scale: float, *, at: tuple[float, ...] = (0, 0, 0), color: float = 1.0) -> GaussianCloud:
+    return GaussianCloud(
+        means=np.array([at], np.float32),
+        quaternions=np.array([[1, 0, 0, 0]], np.float32),
+        scales=np.full((1, 3), scale, np.float32),
+        opacity=np.ones(1, np.float32),
+        sh=np.full((1, 1, 3), (color - 0.5) / SH_0, np.float32),
+    )
+
+
+def joined(*clouds: GaussianCloud) -> GaussianCloud:
+    names = ("means", "quaternions", "scales", "opacity", "sh")
+    return replace(clouds[0], **{name: np.concatenate([getattr(cloud, name) for cloud in clouds]) for name in names})
+
+
+def test_a_gaussian_is_where_the_camera_projects_it(camera: Camera) -> None:
+    point = np.array([[0.3, 0.2, 0.4]])
+    picture = render_cloud(one(0.05, at=(0.3, 0.2, 0.4)), camera, width=120, height=90)
+    rows, columns = np.mgrid[:90, :120] + 0.5
+    total = picture.alpha.sum()
+    x, y, depth = camera.project(point, 120, 90)[0]
+    np.testing.assert_allclose(
+        [(picture.alpha * columns).sum() / total, (picture.alpha * rows).sum() / total], [x, y], atol=0.05
+    )
+    np.testing.assert_allclose(picture.depth[int(y), int(x)], depth, rtol=1e-5)
+    assert np.isinf(picture.depth[0, 0])
+
+
+def test_the_nearer_hides_the_farther(camera: Camera) -> None:
+    white_near = joined(one(0.3, color=0.0), one(0.3, at=(0.1, -0.8, 0.1), color=1.0))
+    both_ways = [white_near, white_near.subset(np.array([1, 0]))]
+    for cloud in both_ways:
+        picture = render_cloud(cloud, camera, width=64, height=64).over((0.0, 0.0, 0.0))
+        assert picture[32, 32].min() > 250
+
+
+def test_what_is_behind_or_beside_the_camera_is_not_seen(camera: Camera) -> None:
+    picture = render_cloud(joined(one(0.1, at=(0, -9, 0)), one(0.1, at=(50, 0, 0))), camera, width=64, height=64)
+    assert picture.alpha.max() == 0
+    np.testing.assert_array_equal(picture.over((0.2, 0.4, 0.6))[0, 0], [51, 102, 153])
+
+
+def test_antialiasing_keeps_the_light_of_what_is_small(camera: Camera) -> None:
+    """Seen from so far that it is a tenth of a pixel, a Gaussian's light falls with its area, as it should."""
+    small = one(0.002)
+    far_with, far_without = (
+        render_cloud(small, camera, width=64, height=64, antialias=antialias).alpha.sum() for antialias in (True, False)
+    )
+    focal = camera.intrinsics_px(64, 64)[0, 0]
+    expected = 2 * np.pi * (0.002 * focal / np.linalg.norm(camera.position_m)) ** 2  # integral of the sharp one [px²]
+    assert abs(far_with - expected) < 0.5 * expected or far_with == 0
+    assert far_without > 20 * expected
+    near = Camera.look_at(camera.position_m / 400, np.zeros(3))
+    sums = [render_cloud(small, near, width=64, height=64, antialias=a).alpha.sum() for a in (True, False)]
+    np.testing.assert_allclose(sums[0], sums[1], rtol=0.02)
+
+
+def test_turned_back_views_show_what_turned_harmonics_show(cloud: GaussianCloud, camera: Camera) -> None:
+    turn = matrix_quaternions(Rotation.from_rotvec([0.2, 1.3, -0.5]).as_matrix()[None]).astype(np.float32)
+    pose = Pose(means=cloud.means, quaternions=quaternion_products(turn, cloud.quaternions), scales=cloud.scales)
+    in_renderer = render_cloud(cloud, camera, width=80, height=64, pose=pose)
+    as_written = render_cloud(posed(cloud, pose), camera, width=80, height=64)
+    assert decibels(in_renderer.color, as_written.color) > 90
+    not_turned = render_cloud(replace(cloud, quaternions=pose.quaternions), camera, width=80, height=64)
+    assert decibels(not_turned.color, as_written.color) < 40
+
+
+def test_the_picture_does_not_depend_on_the_order_of_the_cloud(cloud: GaussianCloud, camera: Camera) -> None:
+    shuffled = cloud.subset(np.random.default_rng(0).permutation(cloud.num_gaussians))
+    pictures = [render_cloud(c, camera, width=80, height=64) for c in (cloud, shuffled)]
+    np.testing.assert_allclose(pictures[0].color, pictures[1].color, atol=1e-5)
+
+
+def test_sizes_out_of_bounds_are_refused(cloud: GaussianCloud, camera: Camera) -> None:
+    for width, height in ((0, 10), (10_000, 10_000)):
+        with pytest.raises(InputError, match="the picture is"):
+            render_cloud(cloud, camera, width=width, height=height)
