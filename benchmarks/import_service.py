@@ -1,0 +1,22 @@
+"""How long a new process needs to import the service, files in the page cache."""
+
+import subprocess
+import sys
+
+from benchmarks._machine import device, timed, versions
+
+TARGET_S = 0.7
+
+
+def run() -> dict[str, object]:
+    seconds = timed(lambda: subprocess.run([sys.executable, "-c", "import service.app"], check=True))
+    bare = timed(lambda: subprocess.run([sys.executable, "-c", ""], check=True))
+    return {
+        "value": round(seconds["median_s"], 3),
+        "unit": "s",
+        "target": TARGET_S,
+        "of_which_bare_python_s": round(bare["median_s"], 3),
+        "runs": 5,
+        "device": device(),
+        "versions": versions("fastapi", "pydantic", "sqlalchemy"),
+    }
