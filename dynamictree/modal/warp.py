@@ -16,11 +16,11 @@ To first order that is the plain answer less its stretching along the bones; bon
 from dataclasses import dataclass
 from typing import no_type_check
 
-import numba
 import numpy as np
 from jaxtyping import Complex128, Float32, Int32
 
 from dynamictree.modal.skeleton import Bones
+from dynamictree.render.kernel import compiled, in_bands
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,12 +65,14 @@ def bend(
     """Displacement of points, each the weighted mean of where its bones `rows` would carry it [m]."""
     # x' = Σ w (R x + t) with t = joint' - R joint
     shift = posed.place_m - np.einsum("bij,bj->bi", posed.rotation, bones.joint_m)
-    return np.asarray(_bend(posed.rotation, shift.astype(np.float32), points, rows, weights))
+    moved = np.empty_like(points)
+    in_bands(_bend, len(points), posed.rotation, shift.astype(np.float32), points, rows, weights, moved)
+    return moved
 
 
-@numba.njit(cache=True)
+@compiled
 @no_type_check
-def _pose(parent: np.ndarray, joint: np.ndarray, turns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _pose(parent, joint, turns):
     rotation = np.empty((len(parent), 3, 3), np.float32)
     place = np.empty((len(parent), 3), np.float32)
     for b in range(len(parent)):
@@ -94,13 +96,10 @@ def _pose(parent: np.ndarray, joint: np.ndarray, turns: np.ndarray) -> tuple[np.
     return rotation, place
 
 
-@numba.njit(cache=True, parallel=True, fastmath=True)
+@compiled
 @no_type_check
-def _bend(
-    rotation: np.ndarray, shift: np.ndarray, points: np.ndarray, rows: np.ndarray, weights: np.ndarray
-) -> np.ndarray:
-    moved = np.empty_like(points)
-    for n in numba.prange(len(points)):
+def _bend(first, end, rotation, shift, points, rows, weights, moved):
+    for n in range(first, end):
         x, y, z = points[n]
         for i in range(3):
             total = np.float32(0)
@@ -111,4 +110,3 @@ def _bend(
                     r = rotation[b, i]
                     total += w * (r[0] * x + r[1] * y + r[2] * z + shift[b, i])
             moved[n, i] = total - points[n, i]
-    return moved

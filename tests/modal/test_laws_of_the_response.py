@@ -5,9 +5,11 @@ import pytest
 
 from dynamictree.errors import InputError
 from dynamictree.modal.force import Drag, Impulse, WindField, contact_at_voxel
+from dynamictree.modal.frames import VertexFrames
 from dynamictree.modal.response import ForceGroup, InteractiveTree, Locality, answer_tensors, group_forces, respond
 from dynamictree.modal.step import State
 from dynamictree.modal.system import displacement, modal_system, with_physics
+from dynamictree.voxel.devoxelize import VoxelInterpolation
 from tests.modal.trees import fork
 
 DT_S = 1 / 60
@@ -144,3 +146,17 @@ def test_told_coordinates_begin_with_bin_zero(tree):
     assert not tensors["q"][:, :, 0].any()
     np.testing.assert_array_equal(tensors["q"][0, :, 1:] @ [1, 1j], answer.q[:, 0])
     assert tensors["seed_voxel"].tolist() == [parts["right"][-1]]
+
+
+@pytest.mark.parametrize("local", [False, True])
+def test_the_fast_frame_is_the_slow_one(tree, rng, local):
+    tree, _ = tree
+    system, num_voxels = tree.system, len(tree.system.grid)
+    rows = rng.integers(0, num_voxels, (500, 4)).astype(np.int32)
+    weights = rng.random((500, 4)).astype(np.float32)
+    q = rng.normal(size=(2, system.num_modes, 2)).view(np.complex128)[..., 0]
+    reach = rng.random((2, num_voxels)).astype(np.float32) if local else np.ones((2, num_voxels), np.float32)
+    slow = np.einsum("gv,gvc->vc", reach, displacement(system.shapes, q))
+    expected = VoxelInterpolation(rows=rows, weights=weights, num_voxels=num_voxels).apply(slow)
+    fast = VertexFrames(system, rows, weights).displacement(q, reach if local else None)
+    np.testing.assert_allclose(fast, expected, atol=1e-5 * np.abs(expected).max())
