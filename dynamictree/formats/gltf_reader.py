@@ -86,7 +86,7 @@ def _placed_parts(document: GltfDocument, drawn: list[tuple[MeshInstance, JsonOb
         extension = object_field(primitive, "extensions").get("KHR_draco_mesh_compression")
         attributes = object_field(primitive, "attributes")
         material = index_field(primitive, "material", materials, "materials")
-        placement = "" if material is None else texture_placement(materials[material])
+        placement = texture_placement({} if material is None else materials[material])
         key = (id(instance), repr(sorted(attributes.items())), placement)
         part = _part(document, instance, primitive, material)
         if extension is None and key in shared:

@@ -67,8 +67,10 @@ def _world_transforms(document: GltfDocument, nodes: list[JsonObject]) -> dict[i
 
 def _local_transform(node: JsonObject) -> Float64[np.ndarray, "4 4"]:
     if "matrix" in node:
-        stored: Float64[np.ndarray, "4 4"] = np.array(numbers_field(node, "matrix", 16, ())).reshape(4, 4)
-        return stored.T  # by columns
+        by_columns: Float64[np.ndarray, "4 4"] = np.array(numbers_field(node, "matrix", 16, ())).reshape(
+            4, 4, order="F"
+        )
+        return by_columns
     return _compose(
         np.array([numbers_field(node, "translation", 3, (0.0, 0.0, 0.0))]),
         np.array([numbers_field(node, "rotation", 4, (0.0, 0.0, 0.0, 1.0))]),

@@ -46,6 +46,8 @@ def read_obj(content: bytes, *, companions: Mapping[str, bytes]) -> TriangleMesh
         raise MeshError(
             f"the OBJ file has {len(statements.vertices):,} vertices and no faces; a triangle mesh is needed"
         )
+    if not statements.vertices:
+        raise FormatError("the OBJ file has faces but no vertices; it is damaged")
     table = _numbers(statements.vertices, "v", (3, 4, 6, 7))
     places = _numbers(statements.texture_places, "vt", (1, 2, 3)) if statements.texture_places else None
     rows, place_rows = _corner_rows(statements, len(table), 0 if places is None else len(places))

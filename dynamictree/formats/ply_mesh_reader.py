@@ -3,6 +3,7 @@
 import io
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float32, Int32, Int64, Shaped, UInt8
@@ -102,7 +103,7 @@ def _uniform_polygons(
     if at * face.count > len(content):
         return None
     rows = np.frombuffer(content, np.dtype(fields), face.count)
-    for (count_name, *_), (_, _, shape) in zip(fields[:-1], fields[1:], strict=True):
+    for (count_name, *_), (_, _, shape) in pairwise(fields):
         if shape and (rows[count_name] != shape[0]).any():
             return None
     length = rows[name].shape[1]
@@ -116,10 +117,12 @@ def _mixed_polygons(
 ) -> tuple[Int32[np.ndarray, " C"], Int64[np.ndarray, " P"]]:
     """Face by face, for files that mix triangles and larger polygons."""
     corners, sizes = [], np.empty(face.count, np.int64)
-    layout = [(label, *(np.dtype(order + t) for t in kind.split() if t != "list")) for label, kind in face.properties]
+    layout = [
+        (label, [np.dtype(order + name) for name in kind.split() if name != "list"]) for label, kind in face.properties
+    ]
     at = 0
     for row in range(face.count):
-        for label, *types in layout:
+        for label, types in layout:
             length = _list_length(content, at, types[0]) if len(types) == 2 else 1
             at += types[0].itemsize if len(types) == 2 else 0
             end = at + length * types[-1].itemsize

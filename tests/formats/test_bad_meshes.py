@@ -1,0 +1,465 @@
+"""What is no mesh, or one that the method cannot work on, is refused with what was found and what is allowed."""
+
+import io
+
+import numpy as np
+import pytest
+
+from dynamictree import mesh as mesh_module
+from dynamictree.errors import FormatError, InputError, MeshError
+from dynamictree.formats import gltf_reader, obj_reader, ply_mesh_reader, stl_reader
+from dynamictree.formats.gltf import write_glb
+from dynamictree.formats.mesh_file import MESH_TYPES, read_mesh, sniff_file_type
+from dynamictree.formats.obj_writer import write_obj
+from dynamictree.formats.ply_writer import write_ply
+from dynamictree.mesh import TriangleMesh
+from tests.formats.meshes import gltf_bytes, image_bytes, triangle_gltf, trunk_and_crown
+
+Changes = dict[str, object]
+
+
+def read(content: bytes, file_type: str, **companions: bytes) -> TriangleMesh:
+    return read_mesh(io.BytesIO(content), file_type=file_type, companions=companions)
+
+
+def written(mesh: TriangleMesh, file_type: str) -> bytes:
+    stream = io.BytesIO()
+    {"glb": write_glb, "ply": write_ply, "obj": write_obj}[file_type](mesh, stream)
+    return stream.getvalue()
+
+
+def stl(triangles: list[list[list[float]]], count: int | None = None) -> bytes:
+    record = np.zeros(len(triangles), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+    record["corners"] = np.reshape(triangles, (-1, 3, 3))
+    return b"\0" * 80 + (len(triangles) if count is None else count).to_bytes(4, "little") + record.tobytes()
+
+
+def ply(vertices: str, faces: str, *, num_vertices: int = 3, num_faces: int = 1, kind: str = "uchar int") -> bytes:
+    return (
+        f"ply\nformat ascii 1.0\nelement vertex {num_vertices}\nproperty float x\nproperty float y\nproperty float z\n"
+        f"element face {num_faces}\nproperty list {kind} vertex_indices\nend_header\n{vertices}{faces}"
+    ).encode()
+
+
+TRIANGLE = "0 0 0\n1 0 0\n0 0 1\n"
+
+
+@pytest.mark.parametrize("file_type", MESH_TYPES)
+def test_an_empty_file_is_refused(file_type: str) -> None:
+    with pytest.raises(InputError):
+        read(b"", file_type)
+
+
+@pytest.mark.parametrize("file_type", MESH_TYPES)
+@pytest.mark.parametrize("content", [b"hello world\n" * 40, bytes(range(256)) * 4, image_bytes("JPEG")])
+def test_what_is_no_mesh_is_refused(file_type: str, content: bytes) -> None:
+    with pytest.raises(InputError):
+        read(content, file_type)
+
+
+@pytest.mark.parametrize("file_type", ["glb", "ply", "obj"])
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_vertices_that_are_not_finite_are_refused(rng: np.random.Generator, file_type: str, bad: float) -> None:
+    mesh = trunk_and_crown(rng)
+    content = written(mesh, file_type)
+    if file_type == "obj":
+        content = content.replace(b"v ", b"v %s " % str(bad).encode(), 1).replace(b" ", b" ", 1)
+        first, _, rest = content.partition(b"\n")
+        content = b" ".join(first.split()[:4]) + b"\n" + rest
+    else:
+        first_vertex = mesh.vertices[0] if file_type == "ply" else mesh.vertices[0][[0, 2, 1]] * [1, 1, -1]
+        assert first_vertex.astype("<f4").tobytes() in content
+        content = content.replace(first_vertex.astype("<f4").tobytes(), np.array([bad] * 3, "<f4").tobytes(), 1)
+    with pytest.raises(MeshError, match="not finite"):
+        read(content, file_type)
+
+
+@pytest.mark.parametrize("file_type", ["glb", "ply", "obj"])
+def test_a_mesh_of_no_extent_is_refused(rng: np.random.Generator, file_type: str) -> None:
+    mesh = trunk_and_crown(rng)
+    point = mesh.with_vertices(np.zeros_like(mesh.vertices))
+    with pytest.raises(MeshError, match="one point"):
+        read(written(point, file_type), file_type)
+
+
+@pytest.mark.parametrize("file_type", ["glb", "ply"])
+def test_a_truncated_file_is_refused_wherever_it_ends(rng: np.random.Generator, file_type: str) -> None:
+    content = written(trunk_and_crown(rng), file_type)
+    for length in np.linspace(0, len(content) - 5, 60).astype(int):
+        with pytest.raises(InputError):
+            read(content[:length], file_type)
+
+
+@pytest.mark.parametrize(
+    ("module", "file_type"),
+    [(gltf_reader, "glb"), (ply_mesh_reader, "ply"), (obj_reader, "obj"), (stl_reader, "stl")],
+)
+def test_too_many_faces_are_refused(
+    monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator, module: object, file_type: str
+) -> None:
+    content = (
+        stl([[[0, 0, 0], [1, 0, 0], [0, 0, 1]]] * 20)
+        if file_type == "stl"
+        else written(trunk_and_crown(rng), file_type)
+    )
+    monkeypatch.setattr(module, "MAX_FACES", 15)
+    with pytest.raises(MeshError, match="15"):
+        read(content, file_type)
+
+
+def test_ten_million_faces_are_refused_by_the_header_alone() -> None:
+    with pytest.raises(MeshError, match="10,000,000"):
+        read(stl([], 10_000_000), "stl")
+    with pytest.raises(MeshError, match="10,000,000"):
+        read(ply(TRIANGLE, "3 0 1 2\n", num_faces=10_000_000), "ply")
+    root, binary = triangle_gltf()
+    root["accessors"] = [
+        {"componentType": 5126, "count": 3, "type": "VEC3"},
+        {"componentType": 5125, "count": 12_000_003, "type": "SCALAR"},  # without a view: zeros, at no cost of bytes
+    ]
+    with pytest.raises(InputError, match="12000003"):
+        read(gltf_bytes(root, binary), "glb")
+
+
+def test_instances_count_against_the_cap() -> None:
+    nodes = [{"mesh": 0, "translation": [i, 0, 0]} for i in range(1000)]
+    accessors = [
+        {"componentType": 5126, "count": 3000, "type": "VEC3"},
+        {"componentType": 5125, "count": 3, "type": "SCALAR"},
+    ]
+    root, binary = triangle_gltf(nodes=nodes, scenes=[{"nodes": list(range(1000))}], accessors=accessors)
+    with pytest.raises(MeshError, match="3,000,000 vertices"):
+        read(gltf_bytes(root, binary), "glb")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"asset": {"version": "1.0"}}, "glTF 1.0"),
+        ({"asset": {}}, "glTF none"),
+        ({"asset": 3}, "asset is 3"),
+        ({"extensionsRequired": ["EXT_meshopt_compression"]}, "EXT_meshopt_compression"),
+        ({"extensionsRequired": ["KHR_texture_basisu", "VENDOR_x"]}, "KHR_texture_basisu, VENDOR_x"),
+        ({"extensionsRequired": [3]}, "a string"),
+        ({"meshes": []}, "has none"),
+        ({"meshes": [{"primitives": []}]}, "no triangles"),
+        ({"meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "mode": 0}]}]}, "no triangles"),
+        ({"meshes": [{"primitives": [{"attributes": {}}]}]}, "no POSITION"),
+        ({"meshes": [{"primitives": [{"attributes": {"POSITION": 1}}]}]}, "POSITION has 1 numbers"),
+        ({"meshes": [{"primitives": [{"attributes": {"POSITION": 7}}]}]}, "0 to 1"),
+        ({"meshes": [{"primitives": [{"attributes": {"POSITION": -1}}]}]}, "0 to 1"),
+        ({"meshes": [{"primitives": [{"attributes": {"POSITION": 0, "TEXCOORD_0": 0}}]}]}, "TEXCOORD_0"),
+        ({"meshes": [{"primitives": [{"attributes": {"POSITION": 0, "COLOR_0": 1}}]}]}, "COLOR_0"),
+        ({"meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 0}]}]}, "no whole numbers"),
+        ({"meshes": [{"primitives": 3}]}, "a list"),
+        ({"nodes": [{"mesh": 0, "children": [0]}]}, "reached twice"),
+        ({"nodes": [{"children": [1, 1]}, {"mesh": 0}]}, "reached twice"),
+        ({"nodes": [{"children": [1]}, {"children": [0], "mesh": 0}]}, "reached twice"),
+        ({"nodes": [{"mesh": 0, "rotation": [0, 0, 0, 0]}]}, "length 0"),
+        ({"nodes": [{"mesh": 0, "translation": [0, 0]}]}, "3 are needed"),
+        ({"nodes": [{"mesh": 0, "translation": [0, 0, "x"]}]}, "finite number"),
+        ({"nodes": [{"mesh": 0, "matrix": [1] * 15}]}, "16 are needed"),
+        ({"nodes": [{"mesh": 0, "skin": 0}], "skins": [{"joints": []}]}, "no joints"),
+        ({"nodes": [{"mesh": 0, "skin": 0}], "skins": [{"joints": [0]}]}, "no JOINTS_0"),
+        ({"nodes": [{"mesh": 0, "skin": 0}], "skins": [{"joints": [0], "inverseBindMatrices": 0}]}, "inverse bind"),
+        ({"scenes": [{"nodes": [4]}]}, "0 to 0"),
+        ({"buffers": [{"byteLength": 43}]}, None),
+        ({"buffers": [{"byteLength": 4300}]}, "says 4300 bytes"),
+        ({"buffers": [{"byteLength": 42, "uri": "tree.bin"}]}, "'tree.bin' outside itself"),
+        ({"buffers": [{"byteLength": 42, "uri": "/etc/passwd"}]}, "outside itself"),
+        ({"buffers": [{"byteLength": 42, "uri": "../../x"}]}, "outside itself"),
+        ({"buffers": [{"byteLength": 42, "uri": "http://127.0.0.1/x"}]}, "outside itself"),
+        ({"buffers": [{"byteLength": 42, "uri": "data:application/octet-stream;base64,***"}]}, "not base64"),
+        ({"buffers": [{"byteLength": 42}, {"byteLength": 1}]}, "neither a uri"),
+        ({"bufferViews": [{"buffer": 0, "byteLength": 36}, {"byteLength": 6}]}, "names no buffer"),
+        ({"bufferViews": [{"buffer": 0, "byteOffset": 40, "byteLength": 36}] * 2}, "ends at byte 76"),
+        ({"bufferViews": [{"buffer": 0, "byteLength": 30}] * 2}, "ends at byte 36"),
+        ({"bufferViews": [{"buffer": 0, "byteLength": 36, "byteStride": 4}] * 2}, "4 bytes apart"),
+        ({"materials": [{"alphaMode": "GLOW"}]}, "GLOW"),
+        ({"materials": [{"pbrMetallicRoughness": {"baseColorFactor": [1, 1]}}]}, "4 are needed"),
+    ],
+)  # fmt: skip
+def test_a_gltf_that_breaks_the_rules_is_refused(changes: Changes, message: str | None) -> None:
+    root, binary = triangle_gltf(**changes)
+    if message is None:
+        assert read(gltf_bytes(root, binary), "glb").num_faces == 1  # padding of the chunk may be counted
+        return
+    with pytest.raises(InputError, match=message):
+        read(gltf_bytes(root, binary), "glb")
+
+
+@pytest.mark.parametrize(
+    ("accessor", "message"),
+    [
+        ({"type": "VEC9"}, "VEC9"),
+        ({"componentType": 9}, "componentType is 9"),
+        ({"count": 1 << 50}, "count is"),
+        ({"count": -1}, "count is"),
+        ({"count": "3"}, "count is"),
+        ({"byteOffset": 1}, "ends at byte 37"),
+        ({"sparse": {"count": 4}}, "count is 4"),
+        ({"sparse": {"count": 1, "indices": {"componentType": 5121}, "values": {}}}, "names no bufferView"),
+        (
+            {"sparse": {"count": 1, "indices": {"componentType": 5126, "bufferView": 0}, "values": {"bufferView": 0}}},
+            "outside of its 3",
+        ),
+    ],
+)
+def test_an_accessor_that_breaks_the_rules_is_refused(accessor: Changes, message: str) -> None:
+    root, binary = triangle_gltf()
+    accessors = root["accessors"]
+    assert isinstance(accessors, list)
+    accessors[0] |= accessor
+    with pytest.raises(InputError, match=message):
+        read(gltf_bytes(root, binary), "glb")
+
+
+def test_skin_weights_that_name_no_joint_are_refused() -> None:
+    attributes = {"POSITION": 0, "JOINTS_0": 0, "WEIGHTS_0": 0}
+    root, binary = triangle_gltf(
+        nodes=[{"mesh": 0, "skin": 0}], skins=[{"joints": [0]}], meshes=[{"primitives": [{"attributes": attributes}]}]
+    )
+    with pytest.raises(FormatError, match="joints beyond its 1"):
+        read(gltf_bytes(root, binary), "glb")
+
+
+def test_gpu_instances_that_do_not_agree_are_refused() -> None:
+    for attributes, message in (
+        ({"TRANSLATION": 0, "SCALE": 2}, "different lengths"),
+        ({"ROTATION": 0}, "3 numbers, not 4"),
+    ):
+        instancing = {"EXT_mesh_gpu_instancing": {"attributes": attributes}}
+        root, binary = triangle_gltf(nodes=[{"mesh": 0, "extensions": instancing}])
+        accessors = root["accessors"]
+        assert isinstance(accessors, list)
+        accessors.append({"componentType": 5126, "count": 2, "type": "VEC3"})
+        with pytest.raises(FormatError, match=message):
+            read(gltf_bytes(root, binary), "glb")
+
+
+def test_a_draco_stream_that_is_none_is_refused() -> None:
+    for extension, message in (
+        ({}, "no POSITION|no bufferView"),
+        ({"attributes": {}}, "no bufferView"),
+        ({"bufferView": 0}, "Draco"),
+    ):
+        primitive = {"attributes": {"POSITION": 0}, "extensions": {"KHR_draco_mesh_compression": {"x": 1} | extension}}
+        root, binary = triangle_gltf(meshes=[{"primitives": [primitive]}])
+        with pytest.raises(FormatError, match=message):
+            read(gltf_bytes(root, binary), "glb")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"glTF" + b"\0" * 8, "truncated"),
+        (b"glTF" + (1).to_bytes(4, "little") + b"\0" * 20, "GLB version 1"),
+        (b"glTF" + (2).to_bytes(4, "little") + (999).to_bytes(4, "little") + b"\0" * 20, "says that it has 999"),
+        (b"glTF" + (2).to_bytes(4, "little") + (28).to_bytes(4, "little") + b"\0" * 16, "no JSON chunk"),
+        (b"glTF" + (2).to_bytes(4, "little") + (28).to_bytes(4, "little") + b"\xff" * 16, "ends at byte"),
+    ],
+)
+def test_a_broken_glb_container_is_refused(content: bytes, message: str) -> None:
+    with pytest.raises(FormatError, match=message):
+        read(content, "glb")
+
+
+def test_json_that_is_none_or_too_deep_is_refused() -> None:
+    for text in (b"{", b"[]", b"[" * 100_000, b'{"asset": nope}'):
+        with pytest.raises(FormatError, match="JSON"):
+            read(text, "gltf")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"v 0 0 0\nv 1 0 0\nv 0 1 0\n", "no faces"),
+        (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2\n", "2 corners"),
+        (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n", "'4'"),
+        (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\n", "'0'"),
+        (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf -4 -2 -1\n", "'-4'"),
+        (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf a b c\n", "'a'"),
+        (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1/1 2/1 3/1\n", "0 to choose"),
+        (b"v 0 0 0\nv 1 0\nv 0 1 0\nf 1 2 3\n", "line 2"),
+        (b"v 0 0 0\nv 1 0 x\nv 0 1 0\nf 1 2 3\n", "no number"),
+        (b"v 0\nv 1\nv 0\nf 1 2 3\n", "line 1"),
+        (b"f 1 2 3\n", "no vertices"),
+        (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 99999999999 2 3\n", "not understood"),
+    ],
+)
+def test_an_obj_that_breaks_the_rules_is_refused(content: bytes, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        read(content, "obj")
+
+
+def test_a_damaged_library_or_texture_is_refused(rng: np.random.Generator) -> None:
+    stream = io.BytesIO()
+    companions = write_obj(trunk_and_crown(rng), stream, library="tree.mtl")
+    library = companions["tree.mtl"]
+    texture = image_bytes(size=(64, 64))
+    for changed, message in (
+        ({"tree.mtl": library.replace(b"Kd 0", b"Kd x", 1)}, "Kd"),
+        ({"tree.mtl": library.replace(b"d 1\n", b"d\n", 1)}, "1 numbers"),
+        ({"tree_1.png": b"no image"}, "no image of"),
+        ({"tree_1.png": texture[:60]}, "damaged"),
+    ):
+        with pytest.raises(FormatError, match=message):
+            read_mesh(io.BytesIO(stream.getvalue()), file_type="obj", companions=companions | changed)
+
+
+def test_a_texture_of_too_many_pixels_is_refused(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dynamictree.formats.texture.MAX_PIXELS", 15)
+    with pytest.raises(FormatError, match="4 x 4 pixels"):
+        read(written(trunk_and_crown(rng), "glb"), "glb")
+
+
+def test_an_obj_with_too_many_texture_seams_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(obj_reader, "MAX_VERTICES", 4)
+    seams = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 1\nf 1/1 2/1 3/1\nf 1/2 2/2 3/2\n"
+    with pytest.raises(MeshError, match="needs 6 vertices"):
+        read(seams, "obj")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (stl([[[0, 0, 0], [1, 0, 0], [0, 0, 1]]], 3), "truncated or no STL"),
+        (b"\0" * 50, "header alone"),
+        (b"solid\nfacet normal 0 0 0\nvertex 0 0 0\nvertex 1 0 0\n", "three vertices"),
+        (b"solid\nfacet\nvertex 0 0 0\nvertex 1 0 x\nvertex 0 1 0\n", "no number"),
+        (b"solid\nfacet normal\nendsolid\n", "0 faces"),
+    ],
+)
+def test_an_stl_that_breaks_the_rules_is_refused(content: bytes, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        read(content, "stl")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (ply(TRIANGLE, "3 0 1 3\n"), "beyond its 3"),
+        (ply(TRIANGLE, "3 0 1 -1\n"), "beyond its 3"),
+        (ply(TRIANGLE, "2 0 1\n"), "2 corners"),
+        (ply(TRIANGLE, "3 0 1\n"), "fewer than its list says"),
+        (ply(TRIANGLE, "x 0 1\n"), "no count"),
+        (ply(TRIANGLE, "3 0 1 x\n"), "no whole number"),
+        (ply(TRIANGLE, "3 0 1 2\n", num_vertices=2_000_001), "2,000,001 vertices"),
+        (ply(TRIANGLE, "", num_faces=0), "point cloud"),
+        (ply(TRIANGLE, "3 0 1 2\n").replace(b"vertex_indices", b"corners"), "no vertex_indices"),
+        (ply(TRIANGLE, "3 0 1 2\n").replace(b"property float z", b"property float w"), "with x, y and z"),
+        (
+            b"ply\nformat ascii 1.0\nelement face 1\nproperty list uchar int vertex_indices\nelement vertex 3\n"
+            b"property float x\nproperty float y\nproperty float z\nend_header\n3 0 1 2\n" + TRIANGLE.encode(),
+            "before its vertices",
+        ),
+    ],
+)
+def test_a_ply_that_breaks_the_rules_is_refused(content: bytes, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        read(content, "ply")
+
+
+@pytest.mark.parametrize(
+    ("kind", "body", "message"),
+    [
+        ("uchar int", b"", "end before"),
+        ("uchar int", b"\x03\0\0\0\0", "ends 8 bytes after"),
+        ("uchar int", b"\x02" + b"\0" * 8, "2 corners"),
+        ("int int", b"\xff\xff\xff\xff", "corners"),
+        ("float int", b"\0" * 16, "count is no whole number"),
+        ("uchar float", b"\x03" + b"\0" * 12, "no index"),
+        ("uchar uint", b"\x03" + b"\xff" * 12, "no index"),
+    ],
+)
+def test_a_binary_ply_that_breaks_the_rules_is_refused(kind: str, body: bytes, message: str) -> None:
+    head = ply("", "", kind=kind).replace(b"ascii", b"binary_little_endian")
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 0, 1]], "<f4").tobytes()
+    with pytest.raises(InputError, match=message):
+        read(head + vertices + body, "ply")
+
+
+def test_a_mixed_binary_ply_with_a_face_of_two_corners_is_refused() -> None:
+    head = ply("", "", num_faces=2).replace(b"ascii", b"binary_little_endian")
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 0, 1]], "<f4").tobytes()
+    with pytest.raises(FormatError, match="face 1 of the PLY file has 2 corners"):
+        read(head + vertices + b"\x03" + bytes(12) + b"\x02" + bytes(8), "ply")
+
+
+def test_a_splat_is_refused_by_name() -> None:
+    names = ["x", "y", "z", "f_dc_0", "rot_0"]
+    head = "ply\nformat binary_little_endian 1.0\nelement vertex 1\n" + "".join(f"property float {n}\n" for n in names)
+    with pytest.raises(FormatError, match="Gaussian splat"):
+        read(head.encode() + b"end_header\n" + bytes(20), "ply")
+
+
+@pytest.mark.parametrize("file_type", ["las", "points", "splat", "zip", "jpeg", "fbx"])
+def test_other_kinds_of_file_are_refused_with_what_is_accepted(file_type: str) -> None:
+    with pytest.raises(FormatError, match="OBJ, PLY with faces, STL, glTF or GLB"):
+        read(b"", file_type)
+
+
+@pytest.mark.parametrize("unit_m", [0.0, -1.0, np.nan, np.inf])
+def test_a_unit_that_is_no_length_is_refused(rng: np.random.Generator, unit_m: float) -> None:
+    with pytest.raises(InputError, match="unit_m"):
+        read_mesh(io.BytesIO(written(trunk_and_crown(rng), "ply")), file_type="ply", unit_m=unit_m)
+
+
+def test_an_axis_that_is_none_is_refused(rng: np.random.Generator) -> None:
+    with pytest.raises(InputError, match="up_axis is 'up'"):
+        read_mesh(io.BytesIO(written(trunk_and_crown(rng), "ply")), file_type="ply", up_axis="up")
+
+
+@pytest.mark.parametrize(
+    ("head", "name", "expected"),
+    [
+        (b"glTF\x02\0\0\0", "x", "glb"),
+        (b"ply\nformat", "x", "ply"),
+        (b"ply\r\nformat", "x.txt", "ply"),
+        (b'{"asset": {"version": "2.0"}}', "x", "gltf"),
+        (b'  {\n "scene": 0', "x.gltf", "gltf"),
+        (b"solid x\n facet normal", "x", "stl"),
+        (b"\0" * 84, "a.STL", "stl"),
+        (b"# made by\nv 0 0 1\n", "x", "obj"),
+        (b"mtllib a.mtl\no tree\n", "x.obj", "obj"),
+        (b"0.1 0.2 0.3\n1 2 3\n", "cloud.txt", "points"),
+        (b"1,2,3\n", "cloud.xyz", "points"),
+        (b"LASF\0", "x", "las"),
+        (b"PK\x03\x04", "x", "zip"),
+        (b"\x89PNG\r\n\x1a\n", "x", "png"),
+        (b"\xff\xd8\xff\xe0", "x", "jpeg"),
+        (b"\0" * 64, "x.splat", "splat"),
+        (b"\x1f\x8b\x08", "x.spz", "spz"),
+        (b"\x40\0\0\0\0\0\0\0{", "x", "safetensors"),
+    ],
+)
+def test_files_are_told_by_their_first_bytes(head: bytes, name: str, expected: str) -> None:
+    assert sniff_file_type(head, name) == expected
+
+
+@pytest.mark.parametrize("head", [b"", b"hello", b"\0\x01\x02", b"MZ\x90"])
+def test_what_is_of_no_known_kind_is_refused(head: bytes) -> None:
+    with pytest.raises(FormatError, match="no known format"):
+        sniff_file_type(head, "x.exe")
+
+
+@pytest.mark.parametrize("file_type", ["glb", "ply", "obj", "stl"])
+def test_mutated_files_raise_nothing_but_input_errors(
+    rng: np.random.Generator, file_type: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in (gltf_reader, ply_mesh_reader, obj_reader, stl_reader, mesh_module):
+        monkeypatch.setattr(module, "MAX_FACES", 10_000)  # so that a mutated count does not cost a second
+    mesh = trunk_and_crown(rng, num_sides=4)
+    triangles = mesh.vertices[mesh.faces].tolist()
+    content = np.frombuffer(stl(triangles) if file_type == "stl" else written(mesh, file_type), np.uint8)
+    head = min(1600, len(content))
+    refused = 0
+    for _ in range(300):
+        mutated = content.copy()
+        places = np.concatenate([rng.integers(0, len(content), 2), rng.integers(0, head, 3)])
+        mutated[places] = rng.integers(0, 256, len(places))
+        try:
+            read(mutated[: rng.integers(1, len(content)) if rng.random() < 0.2 else None].tobytes(), file_type)
+        except InputError:
+            refused += 1
+    assert refused > 30
