@@ -55,12 +55,17 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     return app
 
 
+def serving_app() -> FastAPI:
+    """Build the application for a server: what takes a second to load comes in beside the first requests."""
+    app = create_app()
+    threading.Thread(target=_warm_up, name="warm-up", daemon=True).start()
+    return app
+
+
 @asynccontextmanager
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     context: Context = app.state.context
     context.store.check()
-    # numba takes a second; the first request that needs it should not wait so long, nor the start
-    threading.Thread(target=_warm_up, name="warm-up", daemon=True).start()
     yield
     context.close()
 

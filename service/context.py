@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated
 
-import redis
 from fastapi import Depends, Request
 
 from dynamictree.spectrum import SparseVoxelSpectrum
@@ -16,6 +15,8 @@ from jobs.settings import Settings
 from jobs.store import Store
 
 if TYPE_CHECKING:
+    from redis import Redis
+
     from service.trees import ReadyTrees
 
 REDIS_TIMEOUT_S = 2.0
@@ -83,11 +84,13 @@ class Context:
         return asyncio.Semaphore(self.settings.max_parsers)
 
     @cached_property
-    def redis(self) -> redis.Redis:
+    def redis(self) -> "Redis":
         """The broker, only to ask whether it is there."""
+        from redis import Redis
+
         url = self.settings.resolved_redis_url
         timeouts = {"socket_timeout": REDIS_TIMEOUT_S, "socket_connect_timeout": REDIS_TIMEOUT_S}
-        return redis.Redis.from_url(url, **timeouts)
+        return Redis.from_url(url, **timeouts)
 
     def close(self) -> None:
         """Drop every connection."""

@@ -4,7 +4,6 @@ import logging
 from typing import Literal
 
 import obstore.exceptions
-import redis
 import sqlalchemy as sa
 from fastapi import APIRouter, Response, status
 
@@ -73,9 +72,11 @@ def _database(context: Context) -> tuple[Check, list[str]]:
 
 
 def _redis(context: Context) -> Check:
+    from redis import RedisError
+
     try:
         context.redis.ping()
-    except redis.RedisError:
+    except RedisError:
         logger.warning("redis is away", exc_info=True)
         return "unavailable"
     return "ok"

@@ -16,6 +16,7 @@ import threading
 import time
 import urllib.error
 import urllib.request
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Annotated
 
@@ -55,25 +56,24 @@ def serve(
 ) -> None:
     """Run the whole service on this machine until it is stopped."""
     given: dict[str, object] = {"state_dir": state_dir, "worker_threads": threads}
-    try:
-        settings = read_settings(**{name: value for name, value in given.items() if value is not None})
-        lock = lock_state(settings)
-        listening = listen(host, port)
-    except (SettingsError, OSError) as error:
-        typer.echo(f"dynamictree serve: {error}", err=True)
-        raise typer.Exit(2) from error
-    logging.basicConfig(level=settings.log_level, format="%(asctime)s %(levelname)s %(name)s %(message)s")
-    shutil.rmtree(settings.scratch_dir, ignore_errors=True)
-    Store.open(settings.resolved_database_url).close()
-    stopped = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: stopped.set())
-    shown = f"[{host}]" if ":" in host else host
-    url = f"http://{shown}:{listening.getsockname()[1]}"
-    announcer = Announcer(url, as_json=as_json)
-    Supervisor(plans(settings, listening)).run(stopped, on_poll=announcer.poll)
-    listening.close()
-    lock.close()
+    with ExitStack() as held:
+        try:
+            settings = read_settings(**{name: value for name, value in given.items() if value is not None})
+            held.enter_context(closing(LockedFile(settings.state_dir.resolve() / "serve.lock")))
+            listening = held.enter_context(closing(listen(host, port)))
+        except (SettingsError, OSError) as error:
+            typer.echo(f"dynamictree serve: {error}", err=True)
+            raise typer.Exit(2) from error
+        logging.basicConfig(level=settings.log_level, format="%(asctime)s %(levelname)s %(name)s %(message)s")
+        logging.getLogger("alembic").setLevel("WARNING")
+        shutil.rmtree(settings.scratch_dir, ignore_errors=True)
+        Store.open(settings.resolved_database_url).close()
+        stopped = threading.Event()
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, lambda *_: stopped.set())
+        shown = f"[{host}]" if ":" in host else host
+        announcer = Announcer(f"http://{shown}:{listening.getsockname()[1]}", as_json=as_json)
+        Supervisor(plans(settings, listening)).run(stopped, on_poll=announcer.poll)
 
 
 def plans(settings: Settings, listening: socket.socket) -> list[ChildPlan]:
@@ -96,7 +96,7 @@ def plans(settings: Settings, listening: socket.socket) -> list[ChildPlan]:
         settings.log_level,
     ]
     fd = listening.fileno()
-    uvicorn = [sys.executable, "-m", "uvicorn", "service.app:create_app", "--factory", "--fd", str(fd)]
+    uvicorn = [sys.executable, "-m", "uvicorn", "service.app:serving_app", "--factory", "--fd", str(fd)]
     uvicorn += ["--log-level", settings.log_level.lower(), "--no-access-log", "--timeout-graceful-shutdown", "5"]
     uvicorn += ["--no-server-header"]
     started = [
@@ -148,21 +148,15 @@ def listen(host: str, port: int) -> socket.socket:
     return opened
 
 
-def lock_state(settings: Settings) -> "LockedFile":
-    """Take the state folder for this process.
+class LockedFile:
+    """A file that one process holds; the lock goes with the process, however it ends.
 
     Raises:
         OSError: another process has it.
     """
-    folder = settings.state_dir.resolve()
-    folder.mkdir(parents=True, exist_ok=True)
-    return LockedFile(folder / "serve.lock")
-
-
-class LockedFile:
-    """A file that one process holds; the lock goes with the process, however it ends."""
 
     def __init__(self, path: Path) -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
         self._stream = path.open("a")
         try:
             fcntl.flock(self._stream, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -31,7 +31,7 @@ def make_app(settings: Settings) -> Celery:
             "visibility_timeout": settings.visibility_timeout_s,
             "unacked_restore_interval": settings.restore_interval_s,
             "unacked_restore_throttle": 1,
-            "socket_keepalive": not settings.broker_url.startswith("redis+socket"),
+            "socket_keepalive": True,
             "health_check_interval": 30,
         },
         broker_connection_retry_on_startup=True,

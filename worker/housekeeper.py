@@ -40,6 +40,7 @@ logger = logging.getLogger(__name__)
 
 LEASE = "housekeeper"
 SCRATCH_AGE_S = 86400.0
+REDIS_TIMEOUT_S = 2.0
 AWAY = (sa.exc.SQLAlchemyError, OperationalError, redis.RedisError, StorageError, OSError)
 """What may be away for a while. The duty is done at its next turn."""
 
@@ -95,12 +96,18 @@ def open_housekeeper(settings: Settings) -> Housekeeper:
     """Connect to store, bytes and queue."""
     from worker.app import make_app
 
+    queue = make_app(settings)
+    # a Redis that is away must not keep the other duties waiting, nor the lease
+    once = {"max_retries": 1, "interval_start": 0, "interval_step": 0, "interval_max": 0}
+    queue.conf.broker_transport_options |= once | {"socket_timeout": REDIS_TIMEOUT_S}
     return Housekeeper(
         settings=settings,
         store=Store.open(settings.resolved_database_url),
         artifacts=open_artifacts(settings.resolved_artifacts_url),
-        queue=make_app(settings),
-        redis=redis.Redis.from_url(settings.resolved_redis_url, socket_timeout=5, socket_connect_timeout=5),
+        queue=queue,
+        redis=redis.Redis.from_url(
+            settings.resolved_redis_url, socket_timeout=REDIS_TIMEOUT_S, socket_connect_timeout=REDIS_TIMEOUT_S
+        ),
     )
 
 

@@ -3,7 +3,7 @@ import sys
 
 import pytest
 
-HEAVY = {"torch", "numba", "trimesh", "scipy", "celery", "alembic", "pycolmap", "skimage"}
+HEAVY = {"torch", "numba", "trimesh", "celery", "alembic", "pycolmap", "skimage"}
 
 
 @pytest.mark.parametrize("module", ["service.app", "service.serve", "service.doctor", "jobs.store"])

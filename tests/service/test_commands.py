@@ -1,0 +1,87 @@
+"""`serve` and `doctor` as commands."""
+
+import json
+import socket
+from pathlib import Path
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from jobs.settings import Settings
+from service.doctor import doctor, examine
+from service.serve import LockedFile, listen, plans, serve
+
+app = typer.Typer()
+app.command("serve")(serve)
+app.command("doctor")(doctor)
+
+
+def test_the_doctor_tells_what_is_there(tmp_path: Path) -> None:
+    done = CliRunner().invoke(app, ["doctor", "--state-dir", str(tmp_path / "state"), "--json"])
+    findings = {finding["name"]: finding for finding in json.loads(done.stdout)}
+    assert {findings[name]["verdict"] for name in ("python", "state", "database", "redis", "storage")} == {"ok"}
+    assert done.exit_code == 0
+    plain = CliRunner().invoke(app, ["doctor", "--state-dir", str(tmp_path / "state")])
+    assert len(plain.stdout.splitlines()) == len(findings)
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        ("redis", {"redis_url": "redis://127.0.0.1:1/0"}),
+        ("database", {"database_url": "postgresql://tree:secret@127.0.0.1:1/tree"}),
+        ("storage", {"artifacts_url": "nonsense://bucket"}),
+        ("state", {"state_dir": Path("/proc/nowhere")}),
+        ("state", {"min_free_bytes": 1 << 60}),
+    ],
+)
+def test_the_doctor_tells_what_is_not(tmp_path: Path, name: str, changes: dict[str, object]) -> None:
+    settings = Settings(**{"state_dir": tmp_path, **changes})  # type: ignore[arg-type]
+    finding = next(found for found in examine(settings) if found.name == name)
+    assert finding.verdict == "error"
+    assert "secret" not in finding.detail.replace("***", "")
+
+
+def test_the_doctor_exits_with_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DYNAMICTREE_REDIS_URL", "redis://127.0.0.1:1/0")
+    monkeypatch.setenv("DYNAMICTREE_LEESE_S", "1")
+    done = CliRunner().invoke(app, ["doctor", "--state-dir", str(tmp_path)])
+    assert done.exit_code == 1
+    assert "DYNAMICTREE_LEESE_S" in done.stdout
+
+
+@pytest.mark.parametrize("command", ["serve", "doctor"])
+def test_a_bad_setting_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str) -> None:
+    monkeypatch.setenv("DYNAMICTREE_LEASE_S", "-1")
+    done = CliRunner().invoke(app, [command, "--state-dir", str(tmp_path)])
+    assert done.exit_code == 2
+    assert done.stderr.count("\n") == 1
+    assert "DYNAMICTREE_LEASE_S" in done.stderr
+
+
+def test_a_port_that_is_taken_is_named(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        done = CliRunner().invoke(app, ["serve", "--port", str(port), "--state-dir", str(tmp_path)])
+    assert done.exit_code == 2
+    assert f"port {port}" in done.stderr
+
+
+def test_a_state_folder_has_one_owner(tmp_path: Path) -> None:
+    held = LockedFile(tmp_path / "serve.lock")
+    with pytest.raises(OSError, match="in use"):
+        LockedFile(tmp_path / "serve.lock")
+    held.close()
+    LockedFile(tmp_path / "serve.lock").close()
+
+
+def test_where_redis_has_a_url_none_is_started(tmp_path: Path) -> None:
+    listening = listen("127.0.0.1", 0)
+    own = plans(Settings(state_dir=tmp_path), listening)
+    other = plans(Settings(state_dir=tmp_path, redis_url="redis://host/0"), listening)
+    listening.close()
+    assert [plan.name for plan in own] == ["redis", "api", "worker", "housekeeper"]
+    assert [plan.name for plan in other] == ["api", "worker", "housekeeper"]
+    assert "--maxmemory-policy noeviction" in " ".join(own[0].command)
+    assert "--appendonly yes" in " ".join(own[0].command)

