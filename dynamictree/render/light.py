@@ -49,6 +49,11 @@ class SkyVolume(NamedTuple):
     share: Float32[np.ndarray, "X Y Z"]
 
 
+# what pictures without shadows are given; never looked at
+BARE_SUN = SunMap(np.eye(3), np.zeros(2), 1.0, np.zeros((1, 1), np.float32), _look_patterns())
+OPEN_SKY = SkyVolume(np.zeros(3), 1.0, np.ones((1, 1, 1), np.float32))
+
+
 def sun_map(
     vertices: Float32[np.ndarray, "N 3"],
     faces: Int32[np.ndarray, "F 3"],

@@ -14,7 +14,7 @@ from dynamictree.mesh import TriangleMesh, validate_mesh
 from dynamictree.render.appearance import appearance_of
 from dynamictree.render.camera import Camera
 from dynamictree.render.kernel import in_bands
-from dynamictree.render.light import SkyVolume, SunMap, sky_volume, sun_map
+from dynamictree.render.light import BARE_SUN, OPEN_SKY, SkyVolume, SunMap, sky_volume, sun_map
 from dynamictree.render.raster import ScreenTriangles, Visible, rasterise, screen_triangles
 from dynamictree.render.shade import Scene, View, shade_rows, vertex_normals
 
@@ -66,7 +66,7 @@ class Renderer:
         self._radius_m = float(np.linalg.norm(high - low)) / 2
         sun = np.array(self.look.sun_direction, np.float64)
         self._sun_direction = sun / np.linalg.norm(sun)
-        self._sky: SkyVolume = sky_volume(mesh.vertices, mesh.faces)
+        self._sky: SkyVolume = sky_volume(mesh.vertices, mesh.faces) if self.look.shadows else OPEN_SKY
         self._sun: SunMap = self._shadow_of(mesh.vertices)
 
     def picture(
@@ -121,6 +121,8 @@ class Renderer:
         return Buffers(depth_m=depth, normals=picture, face=visible.face)
 
     def _shadow_of(self, vertices: Float32[np.ndarray, "N 3"]) -> SunMap:
+        if not self.look.shadows:
+            return BARE_SUN
         return sun_map(vertices, self.mesh.faces, self._appearance, self._sun_direction)
 
     def _see(

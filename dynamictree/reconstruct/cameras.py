@@ -1,0 +1,100 @@
+"""The process that finds cameras: started, listened to, and ended when the caller wants no more of it."""
+
+import json
+import os
+import selectors
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import asdict
+from pathlib import Path
+
+from dynamictree.errors import ReconstructionError
+from dynamictree.reconstruct.photos import Photo
+from dynamictree.reconstruct.views import SparseModel, read_model
+
+MIN_REGISTERED = 5
+_LISTEN_S = 0.25  # between two chances for the caller to stop
+_MERCY_S = 3.0  # from SIGTERM to SIGKILL
+_TIME_LIMIT_S = 3600.0
+_SHARES = {"features": (0.0, 0.5), "matches": (0.5, 0.4), "cameras": (0.9, 0.08), "undistort": (0.98, 0.02)}
+
+ADVICE = (
+    "take sharp photos of a thing that stands still, in even light, from all around, one every 10 to 20 degrees, "
+    "so that neighbours share two thirds of what they show"
+)
+
+
+def find_cameras(
+    photos: Sequence[Photo],
+    folder: Path,
+    *,
+    on_progress: Callable[[float], None] = lambda done: None,
+    time_limit_s: float = _TIME_LIMIT_S,
+) -> SparseModel:
+    """Register the photos that lie in `folder/photos`; what the callback raises ends the process and passes through.
+
+    Raises:
+        ReconstructionError: too few photos fit together, or the process failed or took too long.
+    """
+    job = json.dumps({"folder": str(folder), "photos": [asdict(photo) for photo in photos]})
+    command = [sys.executable, "-m", "dynamictree.reconstruct.mapping"]
+    with (
+        (folder / "mapping.log").open("w+b") as log,
+        subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, start_new_session=True
+        ) as child,
+    ):
+        try:
+            assert child.stdin is not None
+            child.stdin.write(job.encode())
+            child.stdin.close()
+            _listen(child, on_progress, time.monotonic() + time_limit_s)
+            child.wait(_MERCY_S)
+        finally:
+            _end(child)
+        if child.returncode != 0:
+            raise ReconstructionError(f"the search for cameras ended with {child.returncode}: {_last_line(log.name)}")
+    model = read_model(folder, {photo.name: photo.source for photo in photos})
+    registered = len(model.views) if model is not None else 0
+    if model is None or registered < MIN_REGISTERED:
+        found = f"{registered} of {len(photos)} photos fit together"
+        raise ReconstructionError(f"{found}; at least {MIN_REGISTERED} must; {ADVICE}")
+    return model
+
+
+def _listen(child: subprocess.Popen[bytes], on_progress: Callable[[float], None], until_s: float) -> None:
+    assert child.stdout is not None
+    done = 0.0
+    with selectors.DefaultSelector() as selector:
+        selector.register(child.stdout, selectors.EVENT_READ)
+        while True:
+            on_progress(done)
+            if time.monotonic() > until_s:
+                raise ReconstructionError(f"the search for cameras took too long; give fewer photos, or {ADVICE}")
+            if not selector.select(_LISTEN_S):
+                continue
+            line = child.stdout.readline()
+            if not line:
+                return
+            step, part, total = json.loads(line)
+            start, share = _SHARES[step]
+            done = max(done, start + share * part / total)
+
+
+def _end(child: subprocess.Popen[bytes]) -> None:
+    """End the process and all that it started, gently first; one that is done is left alone."""
+    for signal_number in (signal.SIGTERM, signal.SIGKILL):
+        if child.poll() is not None:
+            return
+        os.killpg(child.pid, signal_number)
+        with suppress(subprocess.TimeoutExpired):
+            child.wait(_MERCY_S)
+
+
+def _last_line(log: str) -> str:
+    lines = Path(log).read_text(errors="replace").strip().splitlines()
+    return lines[-1][-300:] if lines else "it wrote no reason"

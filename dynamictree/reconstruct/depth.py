@@ -1,0 +1,134 @@
+"""Depth maps of all views, coarse for the whole pictures and fine for what is to be meshed."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float32
+from PIL import Image
+from scipy.spatial import cKDTree
+
+from dynamictree.reconstruct.fusion import Box
+from dynamictree.reconstruct.stereo import (
+    DepthRange,
+    Hypotheses,
+    StereoView,
+    agreed_depths,
+    match_view,
+    neighbours_of,
+)
+from dynamictree.reconstruct.views import SparseModel, View
+
+COARSE_SIDE_PX, FINE_SIDE_PX = 256, 720
+_COARSE_ITERATIONS, _FINE_ITERATIONS = 3, 2
+_DEPTH_PERCENTILES, _DEPTH_SLACK = (1.0, 99.0), 1.25  # of a view's points
+_MIN_POINTS = 12  # that a view must see to be matched
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthMaps:
+    """What the views agree on, and the planes that it came from."""
+
+    views: list[StereoView]
+    neighbours: list[list[int]]
+    planes: list[Hypotheses]
+    depths: list[Float32[np.ndarray, "H W"]]  # 0 where unknown [units of the cameras]
+
+
+def coarse_depths(model: SparseModel, on_view: Callable[[int, int], None]) -> DepthMaps:
+    """Match whole pictures, from the depth of the nearest point that structure from motion has seen."""
+    views = [stereo_view(view, COARSE_SIDE_PX) for view in model.views]
+    positions = np.array([view.position for view in views])
+    neighbours = neighbours_of(positions, model.points, model.seen)
+    planes = []
+    for number, view in enumerate(views):
+        on_view(number, len(views))
+        planes.append(_matched(model, views, neighbours, number, _sparse_guess(model, view, number)))
+    return _agreed(views, neighbours, planes)
+
+
+def fine_depths(model: SparseModel, coarse: DepthMaps, box: Box, on_view: Callable[[int, int], None]) -> DepthMaps:
+    """Match again at a higher resolution, only where a ray meets the box."""
+    views = [stereo_view(view, FINE_SIDE_PX) for view in model.views]
+    planes = []
+    for number, view in enumerate(views):
+        on_view(number, len(views))
+        guess = _enlarged(coarse.planes[number], view.grey.shape)
+        mask = rays_through(view, box)
+        planes.append(_matched(model, views, coarse.neighbours, number, guess, mask, _FINE_ITERATIONS))
+    return _agreed(views, coarse.neighbours, planes)
+
+
+def stereo_view(view: View, side_px: int) -> StereoView:
+    """A grey picture of at most that many pixels a side."""
+    picture = Image.fromarray(view.image).convert("L")
+    picture.thumbnail((side_px, side_px), Image.Resampling.LANCZOS)
+    grey = np.asarray(picture, np.float32) / 255
+    rotation, position = view.camera.world_to_camera, view.camera.position_m
+    to_pixel = view.camera.intrinsics_px(grey.shape[1], grey.shape[0]) @ rotation
+    return StereoView(
+        grey=np.ascontiguousarray(grey),
+        to_pixel=np.concatenate([to_pixel, -(to_pixel @ position)[:, None]], axis=1),
+        to_ray=np.ascontiguousarray(np.linalg.inv(to_pixel)),
+        position=np.ascontiguousarray(position),
+    )
+
+
+def rays_through(view: StereoView, box: Box) -> Bool[np.ndarray, "H W"]:
+    """Whether each pixel's ray meets the box (slabs)."""
+    height, width = view.grey.shape
+    column, row = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    rays = np.stack([column, row, np.ones_like(row)], axis=2) @ view.to_ray.T  # [H, W, 3]
+    rays = np.where(np.abs(rays) < 1e-12, 1e-12, rays)
+    first, second = (box.low - view.position) / rays, (box.high - view.position) / rays
+    enter, leave = np.minimum(first, second).max(axis=2), np.maximum(first, second).min(axis=2)
+    meets: Bool[np.ndarray, "H W"] = leave > np.maximum(enter, 0)
+    return meets
+
+
+def _matched(
+    model: SparseModel,
+    views: list[StereoView],
+    neighbours: list[list[int]],
+    number: int,
+    guess: Hypotheses,
+    mask: Bool[np.ndarray, "H W"] | None = None,
+    num_iterations: int = _COARSE_ITERATIONS,
+) -> Hypotheses:
+    points = model.points[model.seen[model.seen[:, 0] == number, 1]]
+    if len(points) < _MIN_POINTS or not neighbours[number]:
+        return guess
+    depth = points @ views[number].to_pixel[2, :3] + views[number].to_pixel[2, 3]
+    low, high = np.percentile(depth, _DEPTH_PERCENTILES)
+    bounds = DepthRange(nearest=float(low) / _DEPTH_SLACK, farthest=float(high) * _DEPTH_SLACK)
+    others = [views[other] for other in neighbours[number]]
+    chosen = np.ones(views[number].grey.shape, bool) if mask is None else mask
+    return match_view(views[number], others, guess, bounds, chosen, num_iterations=num_iterations, seed=number)
+
+
+def _sparse_guess(model: SparseModel, view: StereoView, number: int) -> Hypotheses:
+    height, width = view.grey.shape
+    points = model.points[model.seen[model.seen[:, 0] == number, 1]]
+    in_picture = np.concatenate([points, np.ones((len(points), 1))], axis=1) @ view.to_pixel.T
+    in_picture = in_picture[in_picture[:, 2] > 0]
+    inverse = np.ones((height, width), np.float32)
+    if len(in_picture):
+        column, row = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+        pixels = np.stack([column.ravel(), row.ravel()], axis=1)
+        nearest = cKDTree(in_picture[:, :2] / in_picture[:, 2:]).query(pixels)[1]
+        inverse = (1 / in_picture[nearest, 2]).reshape(height, width).astype(np.float32)
+    return Hypotheses(inverse, np.zeros((height, width, 2), np.float32), np.full((height, width), 3, np.float32))
+
+
+def _enlarged(planes: Hypotheses, shape: tuple[int, ...]) -> Hypotheses:
+    rows = (np.arange(shape[0]) * planes.inverse.shape[0]) // shape[0]
+    columns = (np.arange(shape[1]) * planes.inverse.shape[1]) // shape[1]
+    nearest = np.ix_(rows, columns)
+    slope = planes.slope[nearest] * np.float32(planes.inverse.shape[1] / shape[1])
+    return Hypotheses(planes.inverse[nearest], slope, np.full(shape, 3, np.float32))
+
+
+def _agreed(views: list[StereoView], neighbours: list[list[int]], planes: list[Hypotheses]) -> DepthMaps:
+    least = 2 if len(views) > 6 else 1
+    depths = agreed_depths(views, planes, neighbours, min_agreeing=least)
+    return DepthMaps(views=views, neighbours=neighbours, planes=planes, depths=depths)

@@ -1,0 +1,206 @@
+"""Cameras by pycolmap (BSD), in a process of its own: `python -m dynamictree.reconstruct.mapping` with a job on stdin.
+
+SIFT, matching, incremental mapping and undistortion run in native code that listens to nobody; the caller ends it by
+ending the process. Progress goes to stdout, one JSON array a line: step, done, total.
+"""
+
+import json
+import os
+import resource
+import sys
+from collections.abc import Iterator
+from itertools import combinations
+from pathlib import Path
+from typing import TypedDict
+
+import numpy as np
+import pycolmap
+
+MAX_MEMORY_BYTES = 12 * 2**30
+EXHAUSTIVE_UP_TO = 60  # photos; beyond, each is matched with the next ones and with some at growing distances
+_NEXT_PHOTOS = 8
+_MAX_FEATURES = 6000
+_PAIRS_AT_ONCE = 12
+_SEED = 1
+_POSE_INLIERS = ((30, 0.25), (15, 0.1))  # COLMAP's defaults; then, measured on 16 photos of an orbit: 14 instead of 8
+_ENOUGH = 0.9  # of the photos
+_LEAST_POINTS = 50  # that a photo must see; those of that orbit see 200 and more
+
+
+class MappingPhoto(TypedDict):
+    """A prepared photo, as JSON carries it."""
+
+    name: str
+    width: int
+    height: int
+    focal_px: float | None
+
+
+class MappingJob(TypedDict):
+    """What to map, as JSON carries it."""
+
+    folder: str  # `photos/` lies in it; the rest is written there
+    photos: list[MappingPhoto]
+
+
+def map_photos(job: MappingJob) -> None:
+    """From photos to undistorted photos with cameras: `undistorted/`, `views.json`, `points.npz`."""
+    folder, photos = Path(job["folder"]), job["photos"]
+    database, images = folder / "features.db", folder / "photos"
+    threads = len(os.sched_getaffinity(0))
+    _extract(database, images, photos, threads)
+    pairs = pairs_to_match(len(photos))
+    matching = pycolmap.FeatureMatchingOptions()
+    matching.num_threads, matching.use_gpu = threads, False
+    for first in range(0, len(pairs), _PAIRS_AT_ONCE):
+        _tell("matches", first, len(pairs))
+        chunk = pairs[first : first + _PAIRS_AT_ONCE]
+        listing = folder / "pairs.txt"
+        listing.write_text("".join(f"{photos[i]['name']} {photos[j]['name']}\n" for i, j in chunk))
+        pairing = pycolmap.ImportedPairingOptions(match_list_path=str(listing))
+        pycolmap.match_image_pairs(database, matching, pairing, device=pycolmap.Device.cpu)
+    _tell("matches", len(pairs), len(pairs))
+    model = _map(folder, len(photos), threads)
+    if model is not None:
+        _write_model(folder, model, threads)
+
+
+def pairs_to_match(number: int) -> list[tuple[int, int]]:
+    """All pairs of a small set; in a large one, taken in order along a path, near ones and some far ones."""
+    if number <= EXHAUSTIVE_UP_TO:
+        return list(combinations(range(number), 2))
+    steps = [*range(1, _NEXT_PHOTOS + 1), *(2**power for power in range(4, number.bit_length()))]
+    return sorted({(i, i + step) for step in steps for i in range(number - step)})
+
+
+def _tell(step: str, done: int, total: int) -> None:
+    sys.stdout.write(json.dumps([step, done, total]) + "\n")
+    sys.stdout.flush()
+
+
+def _extract(database: Path, images: Path, photos: list[MappingPhoto], threads: int) -> None:
+    """SIFT by groups of photos of one size and focal length, which share a camera."""
+    extraction = pycolmap.FeatureExtractionOptions()
+    extraction.num_threads, extraction.use_gpu = threads, False
+    extraction.sift.max_num_features = _MAX_FEATURES
+    done = 0
+    for photo, names in _camera_groups(photos):
+        reader = pycolmap.ImageReaderOptions(camera_model="SIMPLE_RADIAL")
+        if photo["focal_px"] is not None:
+            values = (photo["focal_px"], photo["width"] / 2, photo["height"] / 2, 0.0)
+            reader.camera_params = ",".join(str(value) for value in values)
+        for chunk in (names[:1], *(names[first : first + threads] for first in range(1, len(names), threads))):
+            _tell("features", done, len(photos))
+            pycolmap.extract_features(
+                database,
+                images,
+                chunk,
+                pycolmap.CameraMode.SINGLE,
+                reader,
+                extraction,
+                device=pycolmap.Device.cpu,
+            )
+            done += len(chunk)
+            with pycolmap.Database.open(database) as opened:
+                reader.existing_camera_id = max(camera.camera_id for camera in opened.read_all_cameras())
+    _tell("features", done, len(photos))
+
+
+def _camera_groups(photos: list[MappingPhoto]) -> Iterator[tuple[MappingPhoto, list[str]]]:
+    groups: dict[tuple[int, int, float | None], list[MappingPhoto]] = {}
+    for photo in photos:
+        groups.setdefault((photo["width"], photo["height"], photo["focal_px"]), []).append(photo)
+    for group in groups.values():
+        yield group[0], [photo["name"] for photo in group]
+
+
+def _map(folder: Path, number: int, threads: int) -> pycolmap.Reconstruction | None:
+    """The model of most photos: by COLMAP's own thresholds or, where they leave out many, by lower ones."""
+    best = None
+    for min_inliers, min_ratio in _POSE_INLIERS:
+        models = _map_once(folder, number, threads, min_inliers, min_ratio)
+        for model in models.values():
+            _leave_out_loose(model)
+        best = max([*models.values(), *([best] if best else [])], key=_num_registered, default=None)
+        if best is not None and _num_registered(best) >= _ENOUGH * number:
+            break
+    return best
+
+
+def _leave_out_loose(model: pycolmap.Reconstruction) -> None:
+    """Take out photos that hang on few points: their cameras may be anywhere."""
+    for image in list(model.images.values()):
+        if image.has_pose and image.num_points3D < _LEAST_POINTS:
+            model.deregister_frame(image.frame_id)
+
+
+def _num_registered(model: pycolmap.Reconstruction) -> int:
+    return int(model.num_reg_images())
+
+
+def _map_once(
+    folder: Path, number: int, threads: int, min_inliers: int, min_ratio: float
+) -> dict[int, pycolmap.Reconstruction]:
+    options = pycolmap.IncrementalPipelineOptions()
+    options.mapper.abs_pose_min_num_inliers, options.mapper.abs_pose_min_inlier_ratio = min_inliers, min_ratio
+    options.num_threads, options.random_seed, options.mapper.random_seed = threads, _SEED, _SEED
+    options.min_model_size = 3
+    options.multiple_models = True
+    registered = [2]
+
+    def count() -> None:
+        registered[0] += 1
+        _tell("cameras", min(registered[0], number), number)
+
+    sparse = folder / "sparse"
+    sparse.mkdir(exist_ok=True)
+    _tell("cameras", 0, number)
+    models: dict[int, pycolmap.Reconstruction] = pycolmap.incremental_mapping(
+        folder / "features.db", folder / "photos", sparse, options, next_image_callback=count
+    )
+    _tell("cameras", number, number)
+    return models
+
+
+def _write_model(folder: Path, model: pycolmap.Reconstruction, threads: int) -> None:
+    _tell("undistort", 0, 1)
+    chosen, undistorted = folder / "chosen", folder / "undistorted"
+    chosen.mkdir(exist_ok=True)
+    model.write(chosen)
+    pycolmap.undistort_images(undistorted, chosen, folder / "photos", num_threads=threads, jpeg_quality=95)
+    pinholes = pycolmap.Reconstruction(undistorted / "sparse")
+    point_row = {point_id: row for row, point_id in enumerate(pinholes.points3D)}
+    views: list[dict[str, object]] = []
+    seen: list[tuple[int, int]] = []
+    for image in sorted(pinholes.images.values(), key=lambda image: image.name):
+        if not image.has_pose:
+            continue
+        camera = pinholes.cameras[image.camera_id]
+        pose = image.cam_from_world()
+        seen += [(len(views), point_row[point.point3D_id]) for point in image.get_observation_points2D()]
+        views.append(
+            {
+                "name": image.name,
+                "rotation": pose.rotation.matrix().tolist(),
+                "translation": pose.translation.tolist(),
+                "width": camera.width,
+                "height": camera.height,
+                "focal_px": [camera.focal_length_x, camera.focal_length_y],
+                "principal_px": [camera.principal_point_x, camera.principal_point_y],
+            }
+        )
+    points = list(pinholes.points3D.values())
+    np.savez(
+        folder / "points.npz",
+        positions=np.array([point.xyz for point in points]).reshape(-1, 3),
+        colors=np.array([point.color for point in points], np.uint8).reshape(-1, 3),
+        seen=np.array(seen, np.int64).reshape(-1, 2),
+    )
+    error_px = model.compute_mean_reprojection_error()
+    (folder / "views.json").write_text(json.dumps({"reprojection_error_px": error_px, "views": views}))
+    _tell("undistort", 1, 1)
+
+
+if __name__ == "__main__":
+    resource.setrlimit(resource.RLIMIT_AS, (MAX_MEMORY_BYTES, MAX_MEMORY_BYTES))
+    map_photos(json.load(sys.stdin))

@@ -1,0 +1,355 @@
+"""Depth of every pixel by PatchMatch stereo (Bleyer 2011; checkerboard of Galliani 2015), on the CPU.
+
+A hypothesis is the inverse depth at a pixel and its change a pixel to the right and down: on a plane inverse depth is
+affine in the picture, so a hypothesis moves to a neighbour by adding, and a pixel to another view by a homography.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple, no_type_check
+
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, Int32, Int64
+
+from dynamictree.render.kernel import compiled, in_bands
+
+_NUM_NEIGHBOURS = 4
+_PATCH_REACH, _PATCH_STEP = 4, 2  # pixels: 25 samples in a square of 9
+_PATCH_SIDE = 2 * _PATCH_REACH // _PATCH_STEP + 1
+_TRIALS = 8  # a pixel and sweep: four neighbours, four changes
+_FLAT = np.float32(1e-5)  # variance of grey below which nothing can be compared
+_HALF = np.float32(0.5)
+_GREY_FALLOFF = 0.08  # of the weight of samples unlike the centre: keeps patches on one side of an edge
+_STEEPEST = 3.0  # tangent of the angle between a surface and the picture
+_ANGLES_DEG = (4.0, 12.0, 35.0)  # between rays to a point: least, best, most
+_MAX_COST = 0.55  # 1 − correlation
+_REPROJECTION_PX, _DEPTH_SHARE = 1.5, 0.012  # how well two views must agree
+
+
+class StereoView(NamedTuple):
+    """A grey picture and the two ways between its pixels and the world."""
+
+    grey: Float32[np.ndarray, "H W"]
+    to_pixel: Float64[np.ndarray, "3 4"]  # world to pixel times depth
+    to_ray: Float64[np.ndarray, "3 3"]  # pixel to direction in the world, of depth 1
+    position: Float64[np.ndarray, "3"]
+
+
+class Hypotheses(NamedTuple):
+    """One plane a pixel."""
+
+    inverse: Float32[np.ndarray, "H W"]  # 1 / depth
+    slope: Float32[np.ndarray, "H W 2"]  # its change to the right and down
+    cost: Float32[np.ndarray, "H W"]  # 1 − correlation; 2 where nothing could be compared
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthRange:
+    """Where surfaces may lie [units of the cameras]."""
+
+    nearest: float
+    farthest: float
+
+
+class _Matching(NamedTuple):
+    """What the sweeps over one view read."""
+
+    grey: Float32[np.ndarray, "H W"]
+    greys: Float32[np.ndarray, "S h w"]  # of the neighbours, padded to one size
+    sizes: Int32[np.ndarray, "S 2"]
+    turn: Float32[np.ndarray, "S 3 3"]  # a pixel of inverse depth ρ maps to turn (x, y, 1) + shift ρ
+    shift: Float32[np.ndarray, "S 3"]
+    limits: Float32[np.ndarray, "3"]  # least and most inverse depth, steepest slope over inverse depth
+
+
+def match_view(
+    reference: StereoView,
+    neighbours: list[StereoView],
+    first_guess: Hypotheses,
+    bounds: DepthRange,
+    mask: Bool[np.ndarray, "H W"],
+    *,
+    num_iterations: int = 4,
+    seed: int = 0,
+) -> Hypotheses:
+    """Find the planes on which a view looks most like its neighbours, where the mask is set."""
+    greys = np.zeros((len(neighbours), *np.max([view.grey.shape for view in neighbours], axis=0)), np.float32)
+    for row, view in enumerate(neighbours):
+        greys[row, : view.grey.shape[0], : view.grey.shape[1]] = view.grey
+    focal_px = 1 / np.linalg.norm(reference.to_ray[:, 0])
+    limits = [1 / bounds.farthest, 1 / bounds.nearest, _STEEPEST / focal_px]
+    matching = _Matching(
+        grey=reference.grey,
+        greys=greys,
+        sizes=np.array([view.grey.shape for view in neighbours], np.int32),
+        turn=np.array([view.to_pixel[:, :3] @ reference.to_ray for view in neighbours], np.float32),
+        shift=np.array([view.to_pixel @ np.append(reference.position, 1) for view in neighbours], np.float32),
+        limits=np.array(limits, np.float32),
+    )
+    hypotheses = Hypotheses(
+        np.clip(first_guess.inverse, matching.limits[0], matching.limits[1]),
+        first_guess.slope.copy(),
+        np.full(mask.shape, 3, np.float32),
+    )
+    for sweep in range(2 * num_iterations):
+        in_bands(_sweep_rows, len(mask), matching, mask, sweep, seed, hypotheses)
+    return hypotheses
+
+
+def neighbours_of(
+    positions: Float64[np.ndarray, "V 3"], points: Float64[np.ndarray, "P 3"], seen: Int64[np.ndarray, "M 2"]
+) -> list[list[int]]:
+    """For each view the others that see the same points at a good angle, best first."""
+    visible = np.zeros((len(positions), len(points)), bool)
+    visible[seen[:, 0], seen[:, 1]] = True
+    rays = points[None] - positions[:, None]  # [V, P, 3]
+    rays /= np.linalg.norm(rays, axis=2, keepdims=True)
+    low, best, high = np.radians(_ANGLES_DEG)
+    chosen = []
+    for view in range(len(positions)):
+        both = visible & visible[view]
+        angle = np.arccos(np.clip(np.einsum("vpc,pc->vp", rays, rays[view]), -1, 1))
+        good = np.where(angle < best, (angle - low) / (best - low), (high - angle) / (high - best)).clip(0.02, 1)
+        score = (good * both).sum(axis=1)
+        score[view] = 0
+        order = np.argsort(-score, kind="stable")
+        chosen.append([int(other) for other in order[:_NUM_NEIGHBOURS] if score[other] > 0])
+    return chosen
+
+
+def agreed_depths(
+    views: list[StereoView], found: list[Hypotheses], neighbours: list[list[int]], *, min_agreeing: int
+) -> list[Float32[np.ndarray, "H W"]]:
+    """Depth maps [units of the cameras] that hold only what enough neighbours confirm; 0 elsewhere."""
+    depths = []
+    for view, others in enumerate(neighbours):
+        votes = np.zeros(found[view].inverse.shape, np.int32)
+        for other in others:
+            in_bands(
+                _agree_rows,
+                len(votes),
+                found[view].inverse,
+                found[other].inverse,
+                views[view].to_ray,
+                views[view].position,
+                views[view].to_pixel,
+                views[other].to_ray,
+                views[other].position,
+                views[other].to_pixel,
+                votes,
+            )
+        sure = (votes >= min_agreeing) & (found[view].cost < _MAX_COST)
+        depths.append(np.where(sure, 1 / found[view].inverse, 0).astype(np.float32))
+    return depths
+
+
+@compiled
+@no_type_check
+def _chance(x, y, number):
+    """A number in [0, 1) that depends on nothing but where and when it is drawn."""
+    bits = np.uint32(x) * np.uint32(0x9E3779B1) ^ np.uint32(y) * np.uint32(0x85EBCA77)
+    bits ^= np.uint32(number) * np.uint32(0xC2B2AE3D)
+    bits = (bits ^ (bits >> np.uint32(15))) * np.uint32(0x2C1B3C6D)
+    bits = (bits ^ (bits >> np.uint32(12))) * np.uint32(0x297A2D39)
+    bits = bits ^ (bits >> np.uint32(15))
+    return np.float32(bits & np.uint32(0xFFFFFF)) / np.float32(0x1000000)
+
+
+@compiled
+@no_type_check
+def _sweep_rows(first, end, matching, mask, sweep, seed, hypotheses):
+    """Every second pixel takes over from pixels of the other colour, then tries changes of its own."""
+    grey = matching.grey
+    height, width = grey.shape
+    least, most, steepest = matching.limits[0], matching.limits[1], matching.limits[2]
+    samples = _PATCH_SIDE * _PATCH_SIDE
+    scratch = (
+        np.empty(samples, np.float32),
+        np.empty(samples, np.float32),
+        np.empty(len(matching.greys), np.float32),
+    )
+    spread = np.float32(0.5) ** np.float32(sweep // 2)
+    reach = 1 if sweep % 4 < 2 else 5
+    for y in range(first, end):
+        for x in range((y + sweep) % 2, width, 2):
+            if not mask[y, x]:
+                continue
+            mean, variance = _reference_patch(grey, x, y, scratch[0], scratch[1])
+            if variance < _FLAT:
+                hypotheses.cost[y, x] = 1
+                continue
+            inverse, right, down = hypotheses.inverse[y, x], hypotheses.slope[y, x, 0], hypotheses.slope[y, x, 1]
+            best = hypotheses.cost[y, x]
+            if best > 2:
+                best = _cost((x, y), (inverse, right, down), matching, scratch, mean, variance)
+            for trial in range(_TRIALS):
+                new_inverse, new_right, new_down = inverse, right, down
+                if trial < 4:
+                    dx = reach * (1 if trial == 0 else -1 if trial == 1 else 0)
+                    dy = reach * (1 if trial == 2 else -1 if trial == 3 else 0)
+                    if not (0 <= x + dx < width and 0 <= y + dy < height):
+                        continue
+                    new_right, new_down = hypotheses.slope[y + dy, x + dx, 0], hypotheses.slope[y + dy, x + dx, 1]
+                    new_inverse = (
+                        hypotheses.inverse[y + dy, x + dx] - np.float32(dx) * new_right - np.float32(dy) * new_down
+                    )
+                else:
+                    number = (seed * 64 + sweep) * 64 + trial * 4
+                    wide = np.float32(0.3) if trial == 4 and sweep < 4 else spread * np.float32(0.08)
+                    new_inverse += wide * (most - least) * (_chance(x, y, number) - _HALF)
+                    if trial != 5:
+                        tilt = np.float32(2) * steepest * inverse * spread
+                        new_right += tilt * (_chance(x, y, number + 1) - _HALF)
+                        new_down += tilt * (_chance(x, y, number + 2) - _HALF)
+                limit = steepest * new_inverse
+                if not least <= new_inverse <= most or abs(new_right) > limit or abs(new_down) > limit:
+                    continue
+                cost = _cost((x, y), (new_inverse, new_right, new_down), matching, scratch, mean, variance)
+                if cost < best:
+                    best, inverse, right, down = cost, new_inverse, new_right, new_down
+            hypotheses.cost[y, x], hypotheses.inverse[y, x] = best, inverse
+            hypotheses.slope[y, x, 0], hypotheses.slope[y, x, 1] = right, down
+
+
+@compiled
+@no_type_check
+def _reference_patch(grey, x, y, patch, weight):
+    """Samples around a pixel, their weights by likeness to it, weighted mean and variance."""
+    height, width = grey.shape
+    centre = grey[y, x]
+    number = 0
+    total, mean, square = np.float32(0), np.float32(0), np.float32(0)
+    for dy in range(-_PATCH_REACH, _PATCH_REACH + 1, _PATCH_STEP):
+        for dx in range(-_PATCH_REACH, _PATCH_REACH + 1, _PATCH_STEP):
+            value = grey[min(max(y + dy, 0), height - 1), min(max(x + dx, 0), width - 1)]
+            near = np.exp(-abs(value - centre) * np.float32(1 / _GREY_FALLOFF))
+            patch[number], weight[number] = value, near
+            total += near
+            mean += near * value
+            square += near * value * value
+            number += 1
+    mean /= total
+    for index in range(number):
+        weight[index] /= total
+    return mean, square / total - mean * mean
+
+
+@compiled
+@no_type_check
+def _cost(at, plane, matching, scratch, mean, variance):
+    """1 − weighted correlation, the mean over the better half of the neighbours."""
+    x, y = at
+    inverse, right, down = plane
+    patch, weight, costs = scratch
+    number = len(matching.greys)
+    for view in range(number):
+        costs[view] = _cost_in_view(
+            matching.greys[view],
+            matching.sizes[view],
+            matching.turn[view],
+            matching.shift[view],
+            x,
+            y,
+            inverse,
+            right,
+            down,
+            patch,
+            weight,
+            mean,
+            variance,
+        )
+    keep = (number + 1) // 2
+    total = np.float32(0)
+    for _ in range(keep):
+        least = 0
+        for view in range(1, number):
+            if costs[view] < costs[least]:
+                least = view
+        total += costs[least]
+        costs[least] = 9.0
+    return total / np.float32(keep)
+
+
+@compiled
+@no_type_check
+def _cost_in_view(grey, size, turn, shift, x, y, inverse, right, down, patch, weight, mean, variance):
+    # homogeneous pixel at the patch's first sample, and its change from sample to sample
+    px, py = np.float32(x) + _HALF - np.float32(_PATCH_REACH), np.float32(y) + _HALF - np.float32(_PATCH_REACH)
+    start = inverse - np.float32(_PATCH_REACH) * (right + down)
+    u0 = turn[0, 0] * px + turn[0, 1] * py + turn[0, 2] + shift[0] * start
+    v0 = turn[1, 0] * px + turn[1, 1] * py + turn[1, 2] + shift[1] * start
+    w0 = turn[2, 0] * px + turn[2, 1] * py + turn[2, 2] + shift[2] * start
+    step = np.float32(_PATCH_STEP)
+    ux, uy = step * (turn[0, 0] + shift[0] * right), step * (turn[0, 1] + shift[0] * down)
+    vx, vy = step * (turn[1, 0] + shift[1] * right), step * (turn[1, 1] + shift[1] * down)
+    wx, wy = step * (turn[2, 0] + shift[2] * right), step * (turn[2, 1] + shift[2] * down)
+    for corner in range(4):  # where they are inside, all samples are
+        i, j = np.float32(corner % 2 * (_PATCH_SIDE - 1)), np.float32(corner // 2 * (_PATCH_SIDE - 1))
+        w = w0 + i * wx + j * wy
+        if w <= 0:
+            return np.float32(2)
+        u, v = (u0 + i * ux + j * uy) / w - _HALF, (v0 + i * vx + j * vy) / w - _HALF
+        if u < 0 or v < 0 or u >= size[1] - 1 or v >= size[0] - 1:
+            return np.float32(2)
+    number = 0
+    total, square, product = np.float32(0), np.float32(0), np.float32(0)
+    for j in range(_PATCH_SIDE):
+        u, v, w = u0 + np.float32(j) * uy, v0 + np.float32(j) * vy, w0 + np.float32(j) * wy
+        for _ in range(_PATCH_SIDE):
+            scale = np.float32(1) / w
+            column, row = u * scale - _HALF, v * scale - _HALF
+            left, top = max(int(column), 0), max(int(row), 0)
+            fx, fy = column - np.float32(left), row - np.float32(top)
+            above = grey[top, left] + fx * (grey[top, left + 1] - grey[top, left])
+            below = grey[top + 1, left] + fx * (grey[top + 1, left + 1] - grey[top + 1, left])
+            value = above + fy * (below - above)
+            share = weight[number] * value
+            total += share
+            square += share * value
+            product += share * patch[number]
+            number += 1
+            u, v, w = u + ux, v + vx, w + wx
+    other_variance = square - total * total
+    if other_variance < _FLAT:
+        return np.float32(1)
+    return np.float32(1) - (product - total * mean) / np.sqrt(variance * other_variance)
+
+
+@compiled
+@no_type_check
+def _agree_rows(first, end, inverse, other, ray, position, to_pixel, other_ray, other_position, other_to_pixel, votes):
+    """Vote where the other view's depth leads back to the same pixel at the same depth."""
+    height, width = other.shape
+    for y in range(first, end):
+        for x in range(inverse.shape[1]):
+            depth = 1.0 / inverse[y, x]
+            px, py, pz = _walk(ray, position, x + 0.5, y + 0.5, depth)
+            u, v, w = _project(other_to_pixel, px, py, pz)
+            if w <= 0:
+                continue
+            column, row = int(np.floor(u)), int(np.floor(v))
+            if not (0 <= column < width and 0 <= row < height):
+                continue
+            px, py, pz = _walk(other_ray, other_position, u, v, 1.0 / other[row, column])
+            back_u, back_v, back_depth = _project(to_pixel, px, py, pz)
+            off = (back_u - x - 0.5) ** 2 + (back_v - y - 0.5) ** 2
+            if back_depth > 0 and off < _REPROJECTION_PX**2 and abs(back_depth - depth) < _DEPTH_SHARE * depth:
+                votes[y, x] += 1
+
+
+@compiled
+@no_type_check
+def _walk(ray, position, u, v, depth):
+    return (
+        position[0] + depth * (ray[0, 0] * u + ray[0, 1] * v + ray[0, 2]),
+        position[1] + depth * (ray[1, 0] * u + ray[1, 1] * v + ray[1, 2]),
+        position[2] + depth * (ray[2, 0] * u + ray[2, 1] * v + ray[2, 2]),
+    )
+
+
+@compiled
+@no_type_check
+def _project(to_pixel, x, y, z):
+    w = to_pixel[2, 0] * x + to_pixel[2, 1] * y + to_pixel[2, 2] * z + to_pixel[2, 3]
+    u = to_pixel[0, 0] * x + to_pixel[0, 1] * y + to_pixel[0, 2] * z + to_pixel[0, 3]
+    v = to_pixel[1, 0] * x + to_pixel[1, 1] * y + to_pixel[1, 2] * z + to_pixel[1, 3]
+    return (u / w, v / w, w) if w > 0 else (0.0, 0.0, w)

@@ -1,0 +1,148 @@
+"""From cameras to a coloured mesh that stands on the ground: where, how deep, how joined, in what colours."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import fast_simplification
+import numpy as np
+from jaxtyping import Float32, UInt8
+from scipy.sparse import coo_array
+from scipy.spatial import cKDTree
+
+from dynamictree.errors import ReconstructionError
+from dynamictree.mesh import TriangleMesh, edges_of
+from dynamictree.reconstruct.cameras import ADVICE
+from dynamictree.reconstruct.depth import coarse_depths, fine_depths
+from dynamictree.reconstruct.fusion import Box, Surface, above, fuse, largest_piece
+from dynamictree.reconstruct.stage import find_stage
+from dynamictree.reconstruct.views import SparseModel, View
+from dynamictree.render import Look, Renderer
+from dynamictree.render.shade import vertex_normals
+
+MAX_FACES = 120_000
+_COARSE_VOXELS, _FINE_VOXELS = 128, 240  # along the longest side
+_GROUND_CUT = 0.02  # of the region's radius: what is lower counts as ground
+_MAX_VIEWS = 80  # that are matched, evenly chosen: bounds time and memory
+_LEAST_FACES = 200
+_SMOOTHING = (0.5, -0.53)  # Taubin's pair of steps, which smooths and does not shrink
+_SMOOTHING_ROUNDS = 4
+_COLOR_SIDE_PX = 640
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shape:
+    """A mesh, and the model turned and scaled with it."""
+
+    mesh: TriangleMesh
+    model: SparseModel
+    ground_found: bool
+
+
+def find_shape(
+    model: SparseModel, *, height_m: float, on_progress: Callable[[float], None] = lambda done: None
+) -> Shape:
+    """Mesh what the cameras look at, cut from the ground and its surroundings, scaled to a height.
+
+    Raises:
+        ReconstructionError: the views agree on no surface.
+    """
+    stage = find_stage(model, np.random.default_rng(0))
+    model = model.transformed(1 / stage.radius, stage.rotation, stage.origin)
+    matched = _evenly_chosen(model)
+    coarse = coarse_depths(matched, lambda done, total: on_progress(0.45 * done / total))
+    region = Box(low=np.array([-1.0, -1.0, -0.1]), high=np.array([1.0, 1.0, 2.0]))
+    cut = _GROUND_CUT if stage.ground_found else -np.inf
+    found = largest_piece(above(fuse(coarse.views, coarse.depths, region, resolution=_COARSE_VOXELS), cut))
+    _check(found, model)
+    box = Box(low=found.vertices.min(axis=0).astype(np.float64), high=found.vertices.max(axis=0).astype(np.float64))
+    box = box.padded(0.04 * float((box.high - box.low).max()))
+    fine = fine_depths(matched, coarse, box, lambda done, total: on_progress(0.45 + 0.45 * done / total))
+    on_progress(0.9)
+    surface = largest_piece(above(fuse(fine.views, fine.depths, box, resolution=_FINE_VOXELS), cut))
+    _check(surface, model)
+    surface = _smoothed(_decimated(surface))
+    bottom = surface.vertices.min(axis=0).astype(np.float64)
+    middle = np.median(surface.vertices, axis=0).astype(np.float64)
+    origin = np.array([middle[0], middle[1], bottom[2]])
+    scale = height_m / float(np.ptp(surface.vertices[:, 2]))
+    model = model.transformed(scale, np.eye(3), origin)
+    vertices = (scale * (surface.vertices - origin)).astype(np.float32)
+    mesh = TriangleMesh(vertices=vertices, faces=surface.faces)
+    on_progress(0.94)
+    return Shape(
+        mesh=replace(mesh, vertex_colors=photo_colors(mesh, model.views)), model=model, ground_found=stage.ground_found
+    )
+
+
+def photo_colors(mesh: TriangleMesh, views: tuple[View, ...]) -> UInt8[np.ndarray, "N 4"]:
+    """Mean colour of each vertex in the photos that see it, those that look at it squarely first.
+
+    A vertex that no photo sees takes the colour of the nearest that one does.
+    """
+    normals = vertex_normals(mesh.vertices.astype(np.float64), mesh.faces)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    total, weight = np.zeros((mesh.num_vertices, 3)), np.zeros(mesh.num_vertices)
+    slack = 0.01 * mesh.height_m
+    renderers: dict[tuple[int, int], Renderer] = {}
+    for view in views:
+        shrink = min(1.0, _COLOR_SIDE_PX / max(view.image.shape[:2]))
+        width, height = round(view.image.shape[1] * shrink), round(view.image.shape[0] * shrink)
+        if (width, height) not in renderers:
+            renderers[width, height] = Renderer(mesh, Look(width=width, height=height, shadows=False))
+        nearest = renderers[width, height].buffers(view.camera).depth_m
+        x, y, depth = view.camera.project(mesh.vertices, width, height).T
+        inside = (depth > 0) & (x >= 0) & (y >= 0) & (x < width) & (y < height)
+        column, row = np.where(inside, x, 0).astype(int), np.where(inside, y, 0).astype(int)
+        toward = view.camera.position_m - mesh.vertices
+        toward /= np.linalg.norm(toward, axis=1, keepdims=True)
+        squarely = np.clip((normals * toward).sum(axis=1), 0, 1) ** 2
+        share = np.where(inside & (depth < nearest[row, column] + slack), squarely, 0)
+        at = np.minimum((np.stack([y, x]) / shrink).astype(int), np.array(view.image.shape[:2])[:, None] - 1)
+        at = np.where(inside, at, 0)
+        total += share[:, None] * view.image[at[0], at[1]]
+        weight += share
+    seen = weight > 1e-3
+    color = np.full((mesh.num_vertices, 4), 255, np.uint8)
+    color[seen, :3] = (total[seen] / weight[seen, None]).round()
+    if seen.any() and not seen.all():
+        nearest_seen = cKDTree(mesh.vertices[seen]).query(mesh.vertices[~seen])[1]
+        color[~seen] = color[seen][nearest_seen]
+    return color
+
+
+def _evenly_chosen(model: SparseModel) -> SparseModel:
+    number = len(model.views)
+    if number <= _MAX_VIEWS:
+        return model
+    chosen = np.linspace(0, number - 1, _MAX_VIEWS).round().astype(int)
+    row_of = np.full(number, -1)
+    row_of[chosen] = np.arange(len(chosen))
+    seen = model.seen[row_of[model.seen[:, 0]] >= 0]
+    seen = np.stack([row_of[seen[:, 0]], seen[:, 1]], axis=1)
+    return replace(model, views=tuple(model.views[view] for view in chosen), seen=seen)
+
+
+def _check(surface: Surface, model: SparseModel) -> None:
+    if len(surface.faces) < _LEAST_FACES:
+        found = f"{len(model.views)} photos fit together, but they agree on {len(surface.faces)} triangles of surface"
+        raise ReconstructionError(f"{found}; at least {_LEAST_FACES} are needed; {ADVICE}")
+
+
+def _decimated(surface: Surface) -> Surface:
+    if len(surface.faces) <= MAX_FACES:
+        return surface
+    vertices, faces = fast_simplification.simplify(surface.vertices, surface.faces, target_count=MAX_FACES)
+    return Surface(vertices.astype(np.float32), faces.astype(np.int32))
+
+
+def _smoothed(surface: Surface) -> Surface:
+    edges = edges_of(surface.faces)
+    both = np.concatenate([edges, edges[:, ::-1]])
+    number = len(surface.vertices)
+    links = coo_array((np.ones(len(both), np.float32), (both[:, 0], both[:, 1])), shape=(number, number)).tocsr()
+    degree = np.maximum(links.sum(axis=1), 1)[:, None]
+    vertices: Float32[np.ndarray, "N 3"] = surface.vertices
+    for _ in range(_SMOOTHING_ROUNDS):
+        for step in _SMOOTHING:
+            vertices = vertices + np.float32(step) * (links @ vertices / degree - vertices)
+    return Surface(vertices.astype(np.float32), surface.faces)

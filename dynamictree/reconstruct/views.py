@@ -1,0 +1,75 @@
+"""Registered photos: an undistorted picture and its camera each, and the points that they share."""
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64, Int64, UInt8
+from PIL import Image
+
+from dynamictree.render.camera import Camera
+
+
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """One registered photo."""
+
+    source: str  # the photo's name as given
+    image: UInt8[np.ndarray, "H W 3"]  # undistorted
+    camera: Camera
+
+
+@dataclass(frozen=True, kw_only=True)
+class SparseModel:
+    """What structure from motion gives: views and points, in a frame and a unit of its own."""
+
+    views: tuple[View, ...]
+    points: Float64[np.ndarray, "P 3"]
+    colors: UInt8[np.ndarray, "P 3"]
+    seen: Int64[np.ndarray, "M 2"]  # pairs of a view's and a point's row
+    reprojection_error_px: float
+
+    def transformed(
+        self, scale: float, rotation: Float64[np.ndarray, "3 3"], origin: Float64[np.ndarray, "3"]
+    ) -> "SparseModel":
+        """The same in the frame x' = scale · rotation · (x − origin)."""
+        views = tuple(
+            replace(
+                view,
+                camera=replace(
+                    view.camera,
+                    position_m=scale * rotation @ (view.camera.position_m - origin),
+                    world_to_camera=view.camera.world_to_camera @ rotation.T,
+                ),
+            )
+            for view in self.views
+        )
+        return replace(self, views=views, points=scale * (self.points - origin) @ rotation.T)
+
+
+def read_model(folder: Path, sources: dict[str, str]) -> SparseModel | None:
+    """Read what `mapping` wrote; None where no two photos fitted together. `sources` gives each photo's own name."""
+    if not (folder / "views.json").exists():
+        return None
+    told = json.loads((folder / "views.json").read_text())
+    with np.load(folder / "points.npz", allow_pickle=False) as arrays:
+        positions, colors, seen = arrays["positions"], arrays["colors"], arrays["seen"]
+    views = []
+    for view in told["views"]:
+        rotation = np.array(view["rotation"])
+        camera = Camera(
+            position_m=-rotation.T @ np.array(view["translation"]),
+            world_to_camera=rotation,
+            focal=float(np.mean(view["focal_px"])) / view["height"],
+            centre=(view["principal_px"][0] / view["width"], view["principal_px"][1] / view["height"]),
+        )
+        with Image.open(folder / "undistorted" / "images" / view["name"]) as image:
+            views.append(View(source=sources[view["name"]], image=np.array(image.convert("RGB")), camera=camera))
+    return SparseModel(
+        views=tuple(views),
+        points=positions,
+        colors=colors,
+        seen=seen,
+        reprojection_error_px=float(told["reprojection_error_px"]),
+    )

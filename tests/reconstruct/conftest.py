@@ -1,0 +1,82 @@
+"""Photos of a thing whose shape and cameras are known: taken by the project's own renderer."""
+
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.ndimage import zoom
+
+from dynamictree.mesh import Material, TriangleMesh
+from dynamictree.render import Camera, Look, Renderer
+
+WIDTH, HEIGHT = 400, 300
+
+
+@dataclass(frozen=True, kw_only=True)
+class Orbit:
+    """A stump on a patterned ground, and photos from around it."""
+
+    stump: TriangleMesh
+    cameras: tuple[Camera, ...]
+    photos: tuple[Path, ...]
+
+
+def patterned_png(rng: np.random.Generator, tint: tuple[int, int, int], side: int = 512) -> bytes:
+    """Noise of several scales, so that a picture has corners near and far."""
+    noise = sum(zoom(rng.normal(size=(side // cell, side // cell)), cell, order=1) for cell in (4, 8, 16, 64))
+    grey = np.clip(0.55 + 0.13 * noise, 0.05, 1)[..., None]
+    stream = BytesIO()
+    Image.fromarray((grey * tint).astype(np.uint8)).save(stream, format="PNG")
+    return stream.getvalue()
+
+
+def stump_and_ground(rng: np.random.Generator) -> tuple[TriangleMesh, TriangleMesh]:
+    """A bulging column with a flat top, 1.2 m high, alone and with 6 m of ground."""
+    turn, level = np.meshgrid(np.linspace(0, 1, 97), np.linspace(0, 1, 41), indexing="ij")
+    radius = (0.42 + 0.06 * np.sin(6 * np.pi * turn) - 0.12 * level) * np.minimum(1, 6 * (1 - level) ** 0.5)
+    angle = 2 * np.pi * turn
+    points = np.stack([radius * np.cos(angle), radius * np.sin(angle), 1.2 * level], axis=2).reshape(-1, 3)
+    index = np.arange(97 * 41).reshape(97, 41)
+    a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
+    faces = np.concatenate([np.stack([a, b, c], axis=2), np.stack([a, c, d], axis=2)]).reshape(-1, 3).astype(np.int32)
+    bark = Material(base_color=(1.0, 1.0, 1.0, 1.0), texture_png=patterned_png(rng, (230, 190, 140)))
+    lawn = Material(base_color=(1.0, 1.0, 1.0, 1.0), texture_png=patterned_png(rng, (170, 210, 150), side=1024))
+    stump = TriangleMesh(
+        vertices=points.astype(np.float32),
+        faces=faces,
+        uv=np.stack([turn, 1 - 0.5 * level], axis=2).reshape(-1, 2).astype(np.float32),
+        face_material=np.zeros(len(faces), np.int32),
+        materials=(bark, lawn),
+    )
+    corners = 3 * np.float32([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    ground = np.int32([[0, 1, 2], [0, 2, 3]]) + len(points)
+    assert stump.uv is not None
+    both = TriangleMesh(
+        vertices=np.concatenate([stump.vertices, corners]),
+        faces=np.concatenate([faces, ground]),
+        uv=np.concatenate([stump.uv, np.float32([[0, 1], [1, 1], [1, 0], [0, 0]])]),
+        face_material=np.concatenate([np.zeros(len(faces), np.int32), np.ones(2, np.int32)]),
+        materials=stump.materials,
+    )
+    return stump, both
+
+
+@pytest.fixture(scope="session")
+def orbit(tmp_path_factory: pytest.TempPathFactory) -> Orbit:
+    """Fourteen photos from around and a little above."""
+    stump, scene = stump_and_ground(np.random.default_rng(5))
+    renderer = Renderer(scene, Look(width=WIDTH, height=HEIGHT, ground=False))
+    folder = tmp_path_factory.mktemp("photos")
+    cameras, photos = [], []
+    for number in range(14):
+        turn = np.radians(number * 360 / 14)
+        position = np.array([2.9 * np.cos(turn), 2.9 * np.sin(turn), 1.3 + 0.3 * (number % 2)])
+        camera = Camera.look_at(position, np.array([0.0, 0, 0.5]), vertical_fov_deg=38.0)
+        path = folder / f"photo_{number:02d}.jpg"
+        Image.fromarray(renderer.picture(camera=camera)).save(path, quality=95)
+        cameras.append(camera)
+        photos.append(path)
+    return Orbit(stump=stump, cameras=tuple(cameras), photos=tuple(photos))

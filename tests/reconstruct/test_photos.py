@@ -1,0 +1,116 @@
+import struct
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from dynamictree.errors import FormatError, InputError
+from dynamictree.reconstruct.photos import LONG_SIDE_PX, MAX_PHOTO_BYTES, prepare_photos
+
+
+def save_photo(path: Path, size: tuple[int, int] = (400, 300), **options: object) -> Path:
+    rng = np.random.default_rng(len(path.name))
+    pixels = rng.integers(0, 255, (size[1], size[0], 3)).astype(np.uint8)
+    Image.fromarray(pixels).save(path, **options)
+    return path
+
+
+@pytest.fixture
+def eight(tmp_path: Path) -> list[Path]:
+    return [save_photo(tmp_path / f"{number}.jpg") for number in range(8)]
+
+
+def declared_png(path: Path, width: int, height: int) -> Path:
+    """A PNG whose header declares a size that its content has not."""
+
+    def chunk(name: bytes, content: bytes) -> bytes:
+        return struct.pack(">I", len(content)) + name + content + struct.pack(">I", zlib.crc32(name + content))
+
+    head = chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + head + chunk(b"IDAT", zlib.compress(b"\0" * 64)) + chunk(b"IEND", b""))
+    return path
+
+
+def test_photos_keep_their_order_and_are_reduced(tmp_path, eight):
+    eight[3] = save_photo(tmp_path / "large.png", (2400, 1200))
+    told = []
+    prepared = prepare_photos(eight, tmp_path / "out", on_photo=lambda done, total: told.append((done, total)))
+    assert [photo.source for photo in prepared] == [path.name for path in eight]
+    assert (prepared[3].width, prepared[3].height) == (LONG_SIDE_PX, LONG_SIDE_PX // 2)
+    assert (prepared[0].width, prepared[0].height) == (400, 300)
+    assert told == [(number, 8) for number in range(9)]
+    for photo in prepared:
+        with Image.open(tmp_path / "out" / photo.name) as image:
+            assert image.format == "JPEG"
+            assert image.size == (photo.width, photo.height)
+
+
+def test_exif_turns_the_photo_gives_its_focal_length_and_is_left_behind(tmp_path, eight):
+    exif = Image.Exif()
+    exif[0x0112] = 6  # the camera was held upright: turn by 90 degrees
+    exif.get_ifd(0x8769)[0xA405] = 50  # focal length in 35 mm film
+    exif.get_ifd(0x8825)[1] = "N"  # GPS
+    eight[0] = save_photo(tmp_path / "turned.jpg", exif=exif)
+    photo = prepare_photos(eight, tmp_path / "out")[0]
+    assert (photo.width, photo.height) == (300, 400)
+    assert photo.focal_px == pytest.approx(50 / 36 * 400)
+    with Image.open(tmp_path / "out" / photo.name) as image:
+        assert not dict(image.getexif())
+    assert b"Exif" not in (tmp_path / "out" / photo.name).read_bytes()
+
+
+def test_a_photo_without_exif_has_no_focal_length(tmp_path, eight):
+    assert prepare_photos(eight, tmp_path / "out")[0].focal_px is None
+
+
+@pytest.mark.parametrize("number", [0, 1, 7, 301])
+def test_refuses_too_few_and_too_many(tmp_path, eight, number):
+    with pytest.raises(InputError, match=f"^{number} photos were given; 8 to 300"):
+        prepare_photos((eight * 50)[:number], tmp_path / "out")
+
+
+def test_refuses_what_is_no_photo(tmp_path, eight):
+    eight[2].write_text("solid tree")
+    with pytest.raises(FormatError, match=r"2\.jpg is neither JPEG nor PNG"):
+        prepare_photos(eight, tmp_path / "out")
+
+
+def test_refuses_another_format_of_picture(tmp_path, eight):
+    eight[2] = save_photo(tmp_path / "tree.bmp")
+    with pytest.raises(FormatError, match="neither JPEG nor PNG"):
+        prepare_photos(eight, tmp_path / "out")
+
+
+def test_refuses_a_truncated_jpeg(tmp_path, eight):
+    eight[5].write_bytes(eight[5].read_bytes()[:9000])
+    with pytest.raises(FormatError, match=r"5\.jpg cannot be decoded"):
+        prepare_photos(eight, tmp_path / "out")
+
+
+@pytest.mark.parametrize("size", [(9000, 9000), (10100, 10100), (100_000, 100_000), (8000, 100)])
+def test_refuses_a_declared_size_before_decoding(tmp_path, eight, size):
+    eight[1] = declared_png(tmp_path / "bomb.png", *size)
+    with pytest.raises(FormatError, match=r"bomb\.png.*allowed"):
+        prepare_photos(eight, tmp_path / "out")
+
+
+def test_refuses_a_file_of_too_many_bytes(tmp_path, eight):
+    with eight[6].open("r+b") as stream:
+        stream.truncate(MAX_PHOTO_BYTES + 1)
+    with pytest.raises(FormatError, match=r"6\.jpg has 67,108,865 bytes"):
+        prepare_photos(eight, tmp_path / "out")
+
+
+def test_what_the_callback_raises_passes_through(tmp_path, eight):
+    class Stopped(Exception):
+        pass
+
+    def stop(done: int, total: int) -> None:
+        if done == 3:
+            raise Stopped
+
+    with pytest.raises(Stopped):
+        prepare_photos(eight, tmp_path / "out", on_photo=stop)
+    assert len(list((tmp_path / "out").iterdir())) == 3

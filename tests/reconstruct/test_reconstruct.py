@@ -1,0 +1,174 @@
+"""Photos in, mesh out, through the real structure from motion."""
+
+import io
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.spatial import cKDTree
+
+from dynamictree.errors import Cancelled, InputError, ReconstructionError
+from dynamictree.formats.mesh_file import read_mesh
+from dynamictree.reconstruct import reconstruct
+from dynamictree.reconstruct.cameras import find_cameras
+from dynamictree.reconstruct.mapping import pairs_to_match
+from dynamictree.reconstruct.photos import prepare_photos
+from tests.reconstruct.conftest import Orbit
+
+
+def aligned(found: np.ndarray, true: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+    """Scale, rotation and shift that best take found points to true ones (Umeyama 1991)."""
+    middle_found, middle_true = found.mean(axis=0), true.mean(axis=0)
+    u, sizes, vt = np.linalg.svd((true - middle_true).T @ (found - middle_found))
+    flip = np.diag([1, 1, np.sign(np.linalg.det(u @ vt))])
+    rotation = u @ flip @ vt
+    scale = (sizes * np.diag(flip)).sum() / ((found - middle_found) ** 2).sum()
+    return scale, rotation, middle_true - scale * rotation @ middle_found
+
+
+@pytest.fixture(scope="module")
+def found(orbit: Orbit, tmp_path_factory: pytest.TempPathFactory):
+    folder = tmp_path_factory.mktemp("reconstruction")
+    shares: list[float] = []
+    result = reconstruct(orbit.photos, folder, height_m=1.2, on_progress=shares.append)
+    return folder, result, shares
+
+
+def test_the_cameras_are_where_the_photos_were_taken(found, orbit):
+    _, result, _ = found
+    assert result.report["num_registered"] >= 12
+    assert result.report["reprojection_error_px"] < 1
+    number = {path.name: row for row, path in enumerate(orbit.photos)}
+    true = np.array([orbit.cameras[number[view.source]].position_m for view in result.views])
+    positions = np.array([view.camera.position_m for view in result.views])
+    scale, rotation, shift = aligned(positions, true)
+    assert np.linalg.norm(scale * positions @ rotation.T + shift - true, axis=1).max() < 0.03
+    assert rotation[2, 2] > np.cos(np.radians(2))  # +Z is up
+    assert result.report["ground_found"]
+    assert scale == pytest.approx(1, rel=0.05)  # the height was given
+
+
+def test_the_mesh_is_the_thing_without_its_ground(found, orbit):
+    _, result, _ = found
+    number = {path.name: row for row, path in enumerate(orbit.photos)}
+    true_positions = np.array([orbit.cameras[number[view.source]].position_m for view in result.views])
+    scale, rotation, shift = aligned(np.array([view.camera.position_m for view in result.views]), true_positions)
+    vertices = scale * result.mesh.vertices @ rotation.T + shift
+    surface = orbit.stump.vertices[orbit.stump.faces].mean(axis=1)
+    seen = surface[surface[:, 2] > 0.06]
+    near = 0.03 * 1.2
+    precision = (cKDTree(surface).query(vertices)[0] < near).mean()
+    recall = (cKDTree(vertices).query(seen)[0] < near).mean()
+    assert precision > 0.9
+    assert recall > 0.85
+    assert result.mesh.vertices[:, 2].min() == pytest.approx(0, abs=1e-5)
+    assert result.mesh.height_m == pytest.approx(1.2, rel=1e-3)
+
+
+def test_files_hold_what_was_found(found, orbit):
+    folder, result, shares = found
+    assert sorted(path.name for path in folder.iterdir()) == ["cameras.json", "mesh.ply", "report.json", "report.png"]
+    mesh = read_mesh(io.BytesIO((folder / "mesh.ply").read_bytes()), file_type="ply", up_axis="+Z", unit_m=1.0)
+    assert np.allclose(mesh.vertices, result.mesh.vertices)
+    assert np.array_equal(mesh.vertex_colors, result.mesh.vertex_colors)
+    report = json.loads((folder / "report.json").read_text())
+    assert report == result.report
+    assert report["scale"] == "given"
+    assert report["num_registered"] + len(report["left_out"]) == len(orbit.photos)
+    cameras = json.loads((folder / "cameras.json").read_text())["cameras"]
+    assert [camera["photo"] for camera in cameras] == [view.source for view in result.views]
+    with Image.open(folder / "report.png") as picture:
+        # left the photo, right the mesh from there: the thing itself must look alike
+        pixels = np.asarray(picture).astype(float)
+    half = pixels.shape[1] // 2
+    photo, drawn = pixels[: pixels.shape[0] // 2, :half], pixels[: pixels.shape[0] // 2, half:]
+    thing = np.abs(drawn - drawn[2, 2]).sum(axis=2) > 60
+    assert 0.05 < thing.mean() < 0.5
+    assert np.abs(photo[thing].mean(axis=0) - drawn[thing].mean(axis=0)).max() < 60
+    assert shares == sorted(shares)
+    assert shares[0] == 0
+    assert shares[-1] == 1
+
+
+def test_a_callback_ends_the_process_at_once_and_leaves_nothing(orbit, tmp_path):
+    def stop(done: float) -> None:
+        if done > 0.05:
+            stopped_at.append(time.monotonic())
+            raise Cancelled("enough")
+
+    stopped_at: list[float] = []
+    with pytest.raises(Cancelled):
+        reconstruct(orbit.photos, tmp_path, on_progress=stop)
+    assert time.monotonic() - stopped_at[0] < 5
+    assert list(tmp_path.iterdir()) == []
+    children = Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children").read_text().split()
+    commands = [Path(f"/proc/{child}/cmdline").read_bytes() for child in children if Path(f"/proc/{child}").exists()]
+    assert not any(b"reconstruct.mapping" in command for command in commands)
+
+
+def test_photos_that_share_nothing_are_told_so(tmp_path, rng):
+    paths = []
+    for number in range(8):
+        coarse = rng.integers(0, 255, (40, 54, 3)).astype(np.uint8)
+        paths.append(tmp_path / f"{number}.png")
+        Image.fromarray(coarse).resize((432, 320), Image.Resampling.BICUBIC).save(paths[-1])
+    out = tmp_path / "out"
+    out.mkdir()
+    with pytest.raises(ReconstructionError, match=r"^\d of 8 photos fit together; at least 5 must; take sharp photos"):
+        reconstruct(paths, out)
+    assert list(out.iterdir()) == []
+
+
+def test_a_search_that_takes_too_long_is_ended(orbit, tmp_path):
+    prepared = prepare_photos(orbit.photos, tmp_path / "photos")
+    start = time.monotonic()
+    with pytest.raises(ReconstructionError, match="took too long"):
+        find_cameras(prepared, tmp_path, time_limit_s=0.5)
+    assert time.monotonic() - start < 10
+
+
+def test_a_search_that_dies_tells_why(orbit, tmp_path):
+    prepared = prepare_photos(orbit.photos, tmp_path / "photos")
+    (tmp_path / "photos" / prepared[0].name).unlink()
+    with pytest.raises(ReconstructionError, match="the search for cameras ended with"):
+        find_cameras(prepared, tmp_path)
+
+
+@pytest.mark.parametrize("height_m", [0.0, -2.0, float("nan"), 1e6])
+def test_refuses_a_height_that_no_tree_has(orbit, tmp_path, height_m):
+    with pytest.raises(InputError, match="height_m is"):
+        reconstruct(orbit.photos, tmp_path, height_m=height_m)
+
+
+def test_importing_it_loads_no_pycolmap():
+    code = "import sys, dynamictree.reconstruct; assert 'pycolmap' not in sys.modules and 'torch' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_few_photos_are_all_paired_and_many_form_a_chain():
+    assert len(pairs_to_match(20)) == 20 * 19 // 2
+    many = pairs_to_match(300)
+    assert len(set(many)) == len(many) < 4000
+    assert all(first < second for first, second in many)
+    assert {(first, first + 1) for first in range(299)} <= set(many)
+    assert (0, 256) in many
+
+
+@pytest.mark.slow
+def test_real_photos_of_a_thing_on_a_carpet(samples, tmp_path):
+    photos = sorted((samples / "photos" / "banana").glob("*.JPG"))
+    result = reconstruct(photos, tmp_path)
+    assert result.report["num_registered"] >= 13
+    assert result.report["ground_found"]
+    assert result.report["scale"] == "unknown"
+    assert result.mesh.height_m == pytest.approx(1.0, rel=1e-3)
+    yellow = result.mesh.vertex_colors[:, :3].astype(int)
+    assert (yellow[:, 0] - yellow[:, 2] > 25).mean() > 0.6  # bananas, not carpet
+    length = float(np.ptp(result.mesh.vertices, axis=0).max())
+    assert 1.3 < length < 3.0  # of the height

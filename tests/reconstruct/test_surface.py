@@ -1,0 +1,210 @@
+"""Stereo, fusion and colours on pictures whose cameras and depths are exact."""
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.spatial import cKDTree
+
+from dynamictree.errors import ReconstructionError
+from dynamictree.mesh import TriangleMesh
+from dynamictree.reconstruct.depth import rays_through, stereo_view
+from dynamictree.reconstruct.fusion import Box, Surface, above, fuse, largest_piece
+from dynamictree.reconstruct.stage import find_stage
+from dynamictree.reconstruct.stereo import DepthRange, Hypotheses, agreed_depths, match_view, neighbours_of
+from dynamictree.reconstruct.surface import find_shape, photo_colors
+from dynamictree.reconstruct.views import SparseModel, View
+from dynamictree.render import Look, Renderer
+from tests.reconstruct.conftest import Orbit
+
+SIDE = 220
+
+
+def views_of(orbit: Orbit) -> tuple[View, ...]:
+    views = []
+    for path, camera in zip(orbit.photos, orbit.cameras, strict=True):
+        with Image.open(path) as image:
+            views.append(View(source=path.name, image=np.array(image), camera=camera))
+    return tuple(views)
+
+
+def exact_depths(orbit: Orbit, shape: tuple[int, int]) -> list[np.ndarray]:
+    renderer = Renderer(orbit.stump, Look(width=shape[1], height=shape[0]))
+    depths = [renderer.buffers(camera).depth_m for camera in orbit.cameras]
+    return [np.where(np.isfinite(depth), depth, 0).astype(np.float32) for depth in depths]
+
+
+def model_of(orbit: Orbit, rng: np.random.Generator) -> SparseModel:
+    """Points on the stump and on the ground, as structure from motion would give them."""
+    on_stump = orbit.stump.vertices[rng.integers(0, orbit.stump.num_vertices, 600)].astype(np.float64)
+    on_ground = np.concatenate([rng.uniform(-2, 2, (400, 2)), np.zeros((400, 1))], axis=1)
+    points = np.concatenate([on_stump, on_ground]) + rng.normal(scale=0.002, size=(1000, 3))
+    views = views_of(orbit)
+    seen = np.stack(np.meshgrid(np.arange(len(views)), np.arange(1000), indexing="ij"), axis=2).reshape(-1, 2)
+    return SparseModel(
+        views=views,
+        points=points,
+        colors=np.zeros((1000, 3), np.uint8),
+        seen=seen[rng.random(len(seen)) < 0.4],
+        reprojection_error_px=0.5,
+    )
+
+
+def test_stereo_finds_the_depth_that_the_renderer_has(orbit):
+    views = [stereo_view(view, SIDE) for view in views_of(orbit)[:3]]
+    height, width = views[0].grey.shape
+    guess = Hypotheses(
+        np.full((height, width), 1 / 3, np.float32),  # 3 m everywhere; the truth runs from 2.4 to 8
+        np.zeros((height, width, 2), np.float32),
+        np.full((height, width), 3, np.float32),
+    )
+    bounds = DepthRange(nearest=1.5, farthest=6.0)
+    everywhere = np.ones((height, width), bool)
+    others = [[1, 2], [0, 2], [0, 1]]
+    planes = [match_view(views[v], [views[o] for o in others[v]], guess, bounds, everywhere, seed=v) for v in range(3)]
+    agreed = agreed_depths(views, planes, others, min_agreeing=1)[0]
+    truth = exact_depths(orbit, (height, width))[0]
+    inner = truth > 0
+    inner[:-4] &= inner[4:]
+    inner[:, 4:-4] &= inner[:, 8:] & inner[:, :-8]
+    sure = inner & (agreed > 0)
+    assert sure.sum() > 0.6 * inner.sum()
+    assert np.median(np.abs(agreed - truth)[sure] / truth[sure]) < 0.003
+    assert np.percentile(np.abs(agreed - truth)[sure] / truth[sure], 90) < 0.02
+
+
+def test_stereo_is_the_same_in_every_run_and_leaves_the_masked_alone(orbit):
+    views = [stereo_view(view, 120) for view in views_of(orbit)[:2]]
+    shape = views[0].grey.shape
+    guess = Hypotheses(
+        np.full(shape, 0.3, np.float32), np.zeros((*shape, 2), np.float32), np.full(shape, 3, np.float32)
+    )
+    mask = np.zeros(shape, bool)
+    mask[30:60, 40:80] = True
+    bounds = DepthRange(nearest=1.5, farthest=6.0)
+    runs = [match_view(views[0], [views[1]], guess, bounds, mask, num_iterations=2) for _ in range(2)]
+    assert np.array_equal(runs[0].inverse, runs[1].inverse)
+    assert (runs[0].inverse[~mask] == np.float32(0.3)).all()
+    assert (runs[0].cost[mask] <= 2).all()
+
+
+def test_neighbours_see_the_same_points_from_a_little_aside():
+    turns = np.radians([0, 1, 12, 40, 90])
+    positions = np.stack([5 * np.cos(turns), 5 * np.sin(turns), np.zeros(5)], axis=1)
+    points = np.random.default_rng(0).normal(scale=0.3, size=(50, 3))
+    seen = np.array([(view, point) for view in range(4) for point in range(50)])
+    neighbours = neighbours_of(positions, points, seen)
+    assert neighbours[0][0] == 2
+    assert 4 not in neighbours[0]  # shares no point
+    assert neighbours[4] == []
+
+
+def test_exact_depths_fuse_to_the_surface_with_faces_outward(orbit):
+    views = [stereo_view(view, SIDE) for view in views_of(orbit)]
+    depths = exact_depths(orbit, views[0].grey.shape)
+    box = Box(low=np.array([-0.7, -0.7, 0.0]), high=np.array([0.7, 0.7, 1.4]))
+    surface = largest_piece(fuse(views, depths, box, resolution=70))
+    true_surface = orbit.stump.vertices[orbit.stump.faces].mean(axis=1)
+    distance = cKDTree(true_surface).query(surface.vertices)[0]
+    assert np.percentile(distance, 95) < 2.0 * 1.4 / 70
+    side = true_surface[(true_surface[:, 2] > 0.1) & (true_surface[:, 2] < 1.1)]
+    assert np.percentile(cKDTree(surface.vertices).query(side)[0], 95) < 2.0 * 1.4 / 70
+    a, b, c = (surface.vertices[surface.faces[:, corner]] for corner in range(3))
+    outward = (np.cross(b - a, c - a)[:, :2] * a[:, :2]).sum(axis=1) > 0
+    upright = (a[:, 2] > 0.1) & (a[:, 2] < 1.0)
+    assert outward[upright].mean() > 0.98
+
+
+def test_depths_that_see_nothing_fuse_to_nothing(orbit):
+    views = [stereo_view(view, 60) for view in views_of(orbit)]
+    empty = [np.zeros(view.grey.shape, np.float32) for view in views]
+    far = [np.full(view.grey.shape, 50, np.float32) for view in views]
+    box = Box(low=np.full(3, -1.0), high=np.full(3, 1.0))
+    for depths in (empty, far):
+        assert len(fuse(views, depths, box, resolution=20).faces) == 0
+
+
+def test_pieces_are_kept_by_size_and_cut_by_height():
+    strip = np.stack([np.arange(12), np.arange(12) % 2, np.zeros(12)], axis=1)
+    faces = np.stack([np.arange(10), np.arange(1, 11), np.arange(2, 12)], axis=1)
+    lone = np.float32([[50, 0, 5], [51, 0, 5], [50, 1, 5]])
+    both = Surface(
+        np.concatenate([strip, lone]).astype(np.float32), np.concatenate([faces, [[12, 13, 14]]]).astype(np.int32)
+    )
+    assert len(largest_piece(both, at_least=0.5).faces) == 10
+    assert len(largest_piece(both, at_least=0.05).faces) == 11
+    high = above(both, 1.0)
+    assert np.array_equal(high.vertices, lone)
+    assert np.array_equal(high.faces, [[0, 1, 2]])
+    assert len(largest_piece(above(both, 9.0)).faces) == 0
+
+
+def test_a_ray_meets_the_box_where_the_box_is_seen(orbit):
+    view = stereo_view(views_of(orbit)[0], SIDE)
+    box = Box(low=np.array([-0.45, -0.45, 0.0]), high=np.array([0.45, 0.45, 1.2]))
+    mask = rays_through(view, box)
+    seen = exact_depths(orbit, view.grey.shape)[0] > 0
+    assert mask[seen].mean() > 0.98
+    assert mask.mean() < 3 * seen.mean()
+
+
+def test_the_stage_stands_on_the_ground_whatever_the_frame(orbit, rng):
+    model = model_of(orbit, rng)
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    turn *= np.sign(np.linalg.det(turn))
+    moved = model.transformed(0.37, turn, np.array([3.0, -2, 5]))
+    stage = find_stage(moved, np.random.default_rng(0))
+    assert stage.ground_found
+    assert stage.up @ (turn @ [0, 0, 1]) > np.cos(np.radians(1))
+    ground = 0.37 * turn @ (np.array([0.0, 0, 0]) - [3.0, -2, 5])
+    assert abs((stage.origin - ground) @ stage.up) < 0.01 * 0.37
+    assert np.linalg.norm(stage.origin - ground) < 0.25 * 0.37
+    upright = moved.transformed(1 / stage.radius, stage.rotation, stage.origin)
+    assert all(view.camera.position_m[2] > 0 for view in upright.views)
+    assert all(-view.camera.world_to_camera[1, 2] > 0.5 for view in upright.views)
+
+
+def test_without_ground_up_is_the_cameras_own(orbit, rng):
+    model = model_of(orbit, rng)
+    keep = np.flatnonzero(model.points[:, 2] > 0.05)[:40]
+    few = SparseModel(
+        views=model.views,
+        points=model.points[keep],
+        colors=model.colors[keep],
+        seen=np.zeros((0, 2), np.int64),
+        reprojection_error_px=0.5,
+    )
+    stage = find_stage(few, np.random.default_rng(0))
+    assert not stage.ground_found
+    assert stage.up[2] > 0.95
+
+
+def test_colours_are_those_of_the_photos_that_see_a_vertex(orbit):
+    plain = TriangleMesh(vertices=orbit.stump.vertices, faces=orbit.stump.faces)
+    view = views_of(orbit)[0]
+    height, width = view.image.shape[:2]
+    x, y, depth = view.camera.project(plain.vertices, width, height).T
+    nearest = Renderer(plain, Look(width=width, height=height)).buffers(view.camera).depth_m
+    visible = depth < nearest[y.astype(int), x.astype(int)] + 0.001
+    inner = visible & (plain.vertices[:, :2] @ view.camera.position_m[:2] > 0.7) & (plain.vertices[:, 2] < 1.1)
+    assert inner.sum() > 300
+    one = photo_colors(plain, (view,))
+    assert np.array_equal(one[inner, :3], view.image[y[inner].astype(int), x[inner].astype(int)])
+    assert (one[:, 3] == 255).all()
+    # those behind take over a colour that is seen
+    seen = {tuple(color) for color in view.image.reshape(-1, 3).tolist()}
+    assert all(tuple(color) in seen for color in one[~visible, :3].tolist())
+    # more photos blend, so a vertex keeps to what the photos around it show
+    many = photo_colors(plain, views_of(orbit)).astype(int)
+    assert np.abs(many[inner, :3].mean(axis=0) - one[inner, :3].mean(axis=0)).max() < 60
+
+
+def test_photos_without_any_pattern_show_no_surface(orbit, rng):
+    model = model_of(orbit, rng)
+    blank = tuple(
+        View(source=view.source, image=np.full((90, 120, 3), 128, np.uint8), camera=view.camera) for view in model.views
+    )
+    plain = SparseModel(
+        views=blank, points=model.points, colors=model.colors, seen=model.seen, reprojection_error_px=0.5
+    )
+    with pytest.raises(ReconstructionError, match=r"14 photos fit together, but they agree on 0 triangles"):
+        find_shape(plain, height_m=1.0)
