@@ -1,0 +1,90 @@
+"""A cloud that moves: what hangs on the mesh, frame by frame, never the whole motion in memory."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Complex64, Float32, Float64
+
+from dynamictree.errors import InputError
+from dynamictree.gaussian.binding import STILL, Binding
+from dynamictree.gaussian.cloud import GaussianCloud, level_rows, look_level
+from dynamictree.gaussian.deform import Deformer, Pose, posed
+from dynamictree.spectrum import displacement_at, iter_motion
+
+
+@dataclass(frozen=True, kw_only=True)
+class AnimatedSplat:
+    """A bound cloud and the spectrum of its mesh's vertices: all that a player needs, a few MB beside the cloud."""
+
+    binding: Binding
+    coefficients: Complex64[np.ndarray, "N K 3"]  # of the binding's vertices [m]
+    num_frames: int  # T of the spectrum
+    fps: float
+
+    def __post_init__(self) -> None:
+        if len(self.coefficients) != len(self.binding.vertices):
+            raise InputError(
+                f"the spectrum is of {len(self.coefficients)} vertices, the mesh has {len(self.binding.vertices)}"
+            )
+        if not 1 <= self.coefficients.shape[1] <= self.num_frames // 2 + 1:
+            raise InputError(f"{self.coefficients.shape[1]} frequencies do not fit in {self.num_frames} frames")
+        if not (np.isfinite(self.fps) and self.fps > 0):
+            raise InputError(f"fps is {self.fps}; it must be positive and finite")
+
+    @property
+    def period_s(self) -> float:
+        """Length of the loop [s]."""
+        return self.num_frames / self.fps
+
+    def displacement(self, phase: float) -> Float32[np.ndarray, "N 3"]:
+        """Of the mesh's vertices, at one place in the loop; 0 and 1 are the same [m]."""
+        return displacement_at(self.coefficients, phase, self.num_frames)
+
+    def displacements(self, phases: Float64[np.ndarray, " M"]) -> Iterator[Float32[np.ndarray, "N 3"]]:
+        """The same, one after another [m]."""
+        return iter_motion(self.coefficients, phases, self.num_frames)
+
+
+def iter_poses(binding: Binding, displacements: Iterable[Float32[np.ndarray, "N 3"]]) -> Iterator[Pose]:
+    """One pose a frame; the displacements of the mesh's vertices are asked for one by one [m]."""
+    deformer = Deformer(binding)
+    for displacement in displacements:
+        yield deformer.pose(displacement)
+
+
+def iter_splat_frames(binding: Binding, displacements: Iterable[Float32[np.ndarray, "N 3"]]) -> Iterator[GaussianCloud]:
+    """One cloud a frame, colours turned with their Gaussians: the paper's output."""
+    for pose in iter_poses(binding, displacements):
+        yield posed(binding.cloud, pose)
+
+
+def lighter(binding: Binding, *, share: float = 1.0, sh_degree: int = 3) -> Binding:
+    """The same motion of a lighter cloud: fewer Gaussians (see `cloud.look_level`), fewer harmonics.
+
+    Raises:
+        InputError: the share is not in (0, 1], or no such degree.
+    """
+    if not 0 <= sh_degree <= 3:
+        raise InputError(f"sh_degree is {sh_degree}; 0 to 3 are allowed")
+    cloud = look_level(binding.cloud, share).with_sh_degree(sh_degree)
+    if cloud.num_gaussians == binding.cloud.num_gaussians:
+        return replace(binding, cloud=cloud)
+    rows = level_rows(binding.cloud, share)
+    return replace(binding, cloud=cloud, face_of=binding.face_of[rows], weights=binding.weights[rows])
+
+
+def without_idle_vertices(splat: AnimatedSplat) -> AnimatedSplat:
+    """Only the vertices and faces that carry something: what is worth storing."""
+    binding = splat.binding
+    faces, face_row = np.unique(binding.face_of[binding.moving], return_inverse=True)
+    used, corner = np.unique(binding.triangles[faces], return_inverse=True)
+    face_of = binding.face_of.copy()
+    face_of[face_of != STILL] = face_row
+    compact = replace(
+        binding,
+        vertices=np.ascontiguousarray(binding.vertices[used]),
+        triangles=corner.reshape(-1, 3).astype(np.int32),
+        face_of=face_of,
+    )
+    return replace(splat, binding=compact, coefficients=np.ascontiguousarray(splat.coefficients[used]))

@@ -1,0 +1,132 @@
+"""A mesh of what a cloud covers, for captures that come without: opacity on a grid, then marching cubes.
+
+The condition of the network only needs which voxels the tree occupies, and binding only a face near each Gaussian.
+"""
+
+from typing import no_type_check
+
+import numpy as np
+from jaxtyping import Float32, UInt8
+from scipy.spatial import KDTree
+
+from dynamictree.errors import InputError
+from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.gaussian.harmonics import SH_0
+from dynamictree.gaussian.rotation import quaternion_matrices
+from dynamictree.mesh import TriangleMesh
+from dynamictree.render.kernel import compiled, in_bands
+
+CELLS_ALONG = 256
+"""Grid cells along the largest extent: two a voxel of the paper's 128³ grid."""
+LEVEL = 0.3
+"""Of the opacity that a lone opaque Gaussian reaches; SuGaR takes its surface there too."""
+MAX_FACES = 100_000
+_LEAST_SIGMA = 0.5  # cells: thinner Gaussians are widened so that none falls between the cells
+_REACH = 2.5  # standard deviations; beyond, a Gaussian adds less than a sixth of the level
+_BORDER = 3  # empty cells around, so that the surface closes
+_STRAYS = 0.002  # of Gaussians at each end of an axis, if they lie far out, do not widen the grid
+_FAR_OUT = 0.1  # of the extent of the others
+
+
+def mesh_of_cloud(cloud: GaussianCloud, *, cells_along: int = CELLS_ALONG, max_faces: int = MAX_FACES) -> TriangleMesh:
+    """A closed surface around the Gaussians, coloured as they are.
+
+    Raises:
+        InputError: nothing is opaque enough to have a surface.
+    """
+    import fast_simplification
+    from skimage.measure import marching_cubes
+
+    visible = cloud.subset(cloud.opacity >= LEVEL * 0.5) if (cloud.opacity >= LEVEL * 0.5).any() else cloud
+    low, high = _bounds(visible)
+    cell = float((high - low).max()) / cells_along
+    if not cell > 0:
+        raise InputError("all Gaussians are at one place; a surface needs an extent")
+    origin = low - _BORDER * cell
+    shape = np.ceil((high - origin) / cell).astype(np.int64) + _BORDER
+    density = opacity_grid(visible, origin.astype(np.float32), cell, (int(shape[0]), int(shape[1]), int(shape[2])))
+    if density.max() <= LEVEL:
+        raise InputError(f"the cloud is nowhere denser than {density.max():.2g}; a surface needs more than {LEVEL}")
+    density[[0, -1]] = density[:, [0, -1]] = density[:, :, [0, -1]] = 0
+    points, faces, _, _ = marching_cubes(density, LEVEL)  # type: ignore[no-untyped-call]
+    faces = np.ascontiguousarray(faces[:, ::-1], np.int32)  # outward: opacity falls that way
+    if len(faces) > max_faces:
+        points, faces = fast_simplification.simplify(
+            np.ascontiguousarray(points, np.float32), faces, target_count=max_faces
+        )
+    vertices = (points * cell + origin + 0.5 * cell).astype(np.float32)
+    return TriangleMesh(
+        vertices=vertices,
+        faces=faces.astype(np.int32),
+        vertex_colors=_colors(visible, vertices),
+        source_up_axis=cloud.source_up_axis,
+        source_scale=cloud.source_scale,
+    )
+
+
+def opacity_grid(
+    cloud: GaussianCloud, origin: Float32[np.ndarray, "3"], cell: float, shape: tuple[int, int, int]
+) -> Float32[np.ndarray, "X Y Z"]:
+    """Σ opacity · exp(-½ dᵀ Σ⁻¹ d) at the cells' centres, Gaussians no thinner than half a cell."""
+    axes = quaternion_matrices(cloud.quaternions)
+    sigma = np.maximum(cloud.scales / np.float32(cell), np.float32(_LEAST_SIGMA))  # in cells
+    precision = (axes / sigma[:, None, :] ** 2) @ axes.transpose(0, 2, 1)  # [G, 3, 3]
+    spread = np.sqrt(((axes * sigma[:, None, :]) ** 2).sum(axis=2))  # of each along x, y, z [G, 3]
+    centres = (cloud.means - origin) / np.float32(cell) - np.float32(0.5)
+    density = np.zeros(shape, np.float32)
+    in_bands(
+        _splat_slices,
+        shape[0],
+        centres,
+        np.ascontiguousarray(precision),
+        spread * np.float32(_REACH),
+        cloud.opacity,
+        density,
+    )
+    return density
+
+
+@compiled
+@no_type_check
+def _splat_slices(first, end, centres, precision, reach, opacity, density):
+    """Add every Gaussian to the slices of x that are this band's."""
+    for g in range(len(centres)):
+        cx, cy, cz = centres[g]
+        from_x, to_x = max(int(np.ceil(cx - reach[g, 0])), first), min(int(np.floor(cx + reach[g, 0])) + 1, end)
+        if from_x >= to_x:
+            continue
+        from_y, to_y = (
+            max(int(np.ceil(cy - reach[g, 1])), 0),
+            min(int(np.floor(cy + reach[g, 1])) + 1, density.shape[1]),
+        )
+        from_z, to_z = (
+            max(int(np.ceil(cz - reach[g, 2])), 0),
+            min(int(np.floor(cz + reach[g, 2])) + 1, density.shape[2]),
+        )
+        p = precision[g]
+        for x in range(from_x, to_x):
+            dx = x - cx
+            for y in range(from_y, to_y):
+                dy = y - cy
+                constant = p[0, 0] * dx * dx + p[1, 1] * dy * dy + 2 * p[0, 1] * dx * dy
+                slope = 2 * (p[0, 2] * dx + p[1, 2] * dy)
+                for z in range(from_z, to_z):
+                    dz = z - cz
+                    distance = constant + dz * (slope + p[2, 2] * dz)
+                    if distance < 6.25:  # _REACH squared
+                        density[x, y, z] += opacity[g] * np.exp(-0.5 * distance)
+
+
+def _bounds(cloud: GaussianCloud) -> tuple[Float32[np.ndarray, "3"], Float32[np.ndarray, "3"]]:
+    """Low and high corner of what the grid must hold."""
+    low, high = (np.quantile(cloud.means, q, axis=0) for q in (_STRAYS, 1 - _STRAYS))
+    margin = _FAR_OUT * (high - low).max()
+    lowest, highest = cloud.means.min(axis=0), cloud.means.max(axis=0)
+    return np.maximum(lowest, low - margin).astype(np.float32), np.minimum(highest, high + margin).astype(np.float32)
+
+
+def _colors(cloud: GaussianCloud, vertices: Float32[np.ndarray, "N 3"]) -> UInt8[np.ndarray, "N 4"]:
+    """SRGB of the Gaussian whose mean is nearest, as seen on average from all around."""
+    nearest = np.asarray(KDTree(cloud.means).query(vertices)[1])
+    color = np.clip(cloud.sh[nearest, 0] * SH_0 + 0.5, 0, 1) * 255
+    return np.concatenate([np.rint(color), np.full((len(vertices), 1), 255)], axis=1).astype(np.uint8)

@@ -1,0 +1,168 @@
+"""A cloud in motion, as PLY files in an archive and as one compact file."""
+
+import io
+import tracemalloc
+import zipfile
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from safetensors.numpy import load, save
+
+from dynamictree.errors import FormatError, InputError, NumericsError
+from dynamictree.formats.animated_splat import read_animated_splat, write_animated_splat
+from dynamictree.formats.cloud_file import read_cloud
+from dynamictree.formats.splat_sequence import iter_splat_sequence_zip, splat_sequence_bytes
+from dynamictree.gaussian.animate import AnimatedSplat, iter_splat_frames, lighter, without_idle_vertices
+from dynamictree.gaussian.binding import bind
+from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.gaussian.deform import Deformer
+from dynamictree.mesh import TriangleMesh
+
+
+@pytest.fixture(scope="module")
+def splat() -> AnimatedSplat:
+    """A sheet of a capture with −Y up, in centimetres; one corner is far from every Gaussian."""
+    rng = np.random.default_rng(8)
+    x, y = np.meshgrid(np.linspace(0, 2, 20), np.linspace(0, 2, 20), indexing="ij")
+    vertices = np.stack([x, y, 0.2 * np.sin(2 * x)], axis=-1).reshape(-1, 3).astype(np.float32)
+    i = np.arange(400, dtype=np.int32).reshape(20, 20)
+    faces = np.stack([i[:-1, :-1], i[1:, :-1], i[1:, 1:]], axis=-1).reshape(-1, 3)
+    mesh = TriangleMesh(vertices=vertices, faces=faces)
+    count = 500
+    quaternions = rng.normal(size=(count, 4))
+    cloud = GaussianCloud(
+        means=(vertices[rng.integers(0, 300, count)] + rng.normal(size=(count, 3)) * 0.01).astype(np.float32),
+        quaternions=(quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)).astype(np.float32),
+        scales=np.exp(rng.normal(size=(count, 3)) - 4).astype(np.float32),
+        opacity=rng.uniform(0.1, 0.9, count).astype(np.float32),
+        sh=rng.normal(size=(count, 16, 3)).astype(np.float32),
+        source_up_axis="-Y",
+        source_scale=0.01,
+    )
+    coefficients = (rng.normal(size=(2, 400, 3, 3)) * 0.02).astype(np.float32)
+    smooth = np.sin(vertices[:, :1, None] * 2) * (coefficients[0, :1] + 1j * coefficients[1, :1])
+    return AnimatedSplat(binding=bind(cloud, mesh), coefficients=smooth.astype(np.complex64), num_frames=20, fps=24.0)
+
+
+def frames_of(splat: AnimatedSplat, count: int = 4) -> Iterator[np.ndarray]:
+    return splat.displacements(np.arange(count) / splat.num_frames)
+
+
+@pytest.mark.parametrize("degree", [0, 2, 3])
+def test_the_archive_holds_the_frames_where_the_capture_lay(splat: AnimatedSplat, degree: int) -> None:
+    binding = lighter(splat.binding, sh_degree=degree)
+    content = b"".join(iter_splat_sequence_zip(binding, frames_of(splat), first_number=7))
+    assert len(content) == splat_sequence_bytes(binding, 4, first_number=7)
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        assert archive.testzip() is None
+        assert archive.namelist() == [f"frame_{n:04d}.ply" for n in range(7, 11)]
+        read = [
+            read_cloud(io.BytesIO(archive.read(name)), file_type="ply", up_axis="-Y", unit_m=0.01)
+            for name in archive.namelist()
+        ]
+    for found, expected in zip(read, iter_splat_frames(binding, frames_of(splat)), strict=True):
+        np.testing.assert_allclose(found.means, expected.means, atol=2e-6)
+        np.testing.assert_allclose(found.scales, expected.scales, rtol=1e-4)
+        np.testing.assert_allclose(found.opacity, expected.opacity, atol=1e-6)
+        np.testing.assert_allclose(np.abs((found.quaternions * expected.quaternions).sum(axis=1)), 1, atol=1e-5)
+        np.testing.assert_allclose(found.sh, expected.sh, atol=2e-4)
+    assert np.abs(read[3].means - read[0].means).max() > 1e-3
+
+
+def test_the_archive_is_streamed(splat: AnimatedSplat) -> None:
+    """Memory does not grow with the number of frames."""
+    peaks = []
+    for count in (2, 40):
+        tracemalloc.start()
+        for _ in iter_splat_sequence_zip(splat.binding, frames_of(splat, count)):
+            pass
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < 1.3 * peaks[0]
+
+
+def test_the_compact_file_plays_the_same_motion(splat: AnimatedSplat) -> None:
+    stream = io.BytesIO()
+    write_animated_splat(splat, stream)
+    stream.seek(0)
+    again = read_animated_splat(stream)
+    assert (again.num_frames, again.fps) == (splat.num_frames, splat.fps)
+    assert len(again.binding.vertices) < len(splat.binding.vertices)
+    assert again.binding.cloud.source_up_axis == "-Y"
+    for phase in (0.0, 0.31, 0.77):
+        ours = Deformer(splat.binding).pose(splat.displacement(phase))
+        theirs = Deformer(again.binding).pose(again.displacement(phase))
+        np.testing.assert_allclose(theirs.means, ours.means, atol=5e-4)  # float16 of centimetres
+        np.testing.assert_allclose(theirs.scales, ours.scales, rtol=1e-2)
+    np.testing.assert_allclose(again.binding.cloud.sh, splat.binding.cloud.sh, atol=2e-3)
+
+
+def test_what_carries_nothing_is_left_out(splat: AnimatedSplat) -> None:
+    compact = without_idle_vertices(splat)
+    assert len(compact.coefficients) == len(compact.binding.vertices) == len(np.unique(compact.binding.triangles))
+    before, after = (Deformer(s.binding).pose(s.displacement(0.4)) for s in (splat, compact))
+    np.testing.assert_allclose(after.means, before.means, atol=1e-6)
+
+
+def test_a_lighter_motion_is_of_the_same_gaussians(splat: AnimatedSplat) -> None:
+    light = lighter(splat.binding, share=0.2, sh_degree=1)
+    assert light.cloud.num_gaussians == 100
+    assert light.cloud.sh_degree == 1
+    whole = Deformer(splat.binding).pose(splat.displacement(0.3)).means
+    few = Deformer(light).pose(splat.displacement(0.3)).means
+    distance = np.linalg.norm(few[:, None] - whole[None], axis=2).min(axis=1)
+    assert distance.max() < 1e-6
+    with pytest.raises(InputError, match="sh_degree is 4"):
+        lighter(splat.binding, sh_degree=4)
+
+
+def changed(splat: AnimatedSplat, name: str, value: np.ndarray | None, **metadata: str) -> io.BytesIO:
+    stream = io.BytesIO()
+    write_animated_splat(splat, stream)
+    content = stream.getvalue()
+    tensors = dict(load(content))
+    length = int.from_bytes(content[:8], "little")
+    import json
+
+    known = json.loads(content[8 : 8 + length])["__metadata__"] | metadata
+    if value is None:
+        tensors.pop(name, None)
+    else:
+        tensors[name] = value
+    return io.BytesIO(save(tensors, known))
+
+
+def test_compact_files_that_lie_are_refused(splat: AnimatedSplat) -> None:
+    one = without_idle_vertices(splat).binding
+    count = one.cloud.num_gaussians
+    for name, value, message in (
+        ("means", None, "empty"),
+        ("sh", np.zeros((count, 5, 3), np.float32), "5 harmonics"),
+        ("weights", np.full((count, 3), 9, np.float16), "leave 0 to 1"),
+        ("face_of", np.full(count, 10**6, np.int32), "names face"),
+        ("triangles", one.triangles + 10**6, "outside of the"),
+        ("coefficients", None, "no tensor 'coefficients'"),
+        ("coefficients", np.zeros((len(one.vertices), 99, 3, 2), np.float16), "99 frequencies"),
+        ("opacity", np.zeros(count, np.float16), "nothing is visible"),
+    ):
+        with pytest.raises(InputError, match=message):
+            read_animated_splat(changed(splat, name, value))
+    for key, text, message in (
+        ("source_up_axis", "sideways", "up_axis"),
+        ("source_scale", "-1", "source_scale"),
+        ("fps", "0", "fps"),
+        ("version", "2", "version"),
+    ):
+        with pytest.raises(InputError, match=message):
+            read_animated_splat(changed(splat, "", None, **{key: text}))
+
+
+def test_a_motion_that_does_not_fit_is_refused(splat: AnimatedSplat) -> None:
+    with pytest.raises(InputError, match="spectrum is of 7 vertices"):
+        replace(splat, coefficients=splat.coefficients[:7])
+    with pytest.raises(NumericsError, match="largest of coefficients"):
+        write_animated_splat(replace(splat, coefficients=splat.coefficients * np.float32(1e7)), io.BytesIO())
+    with pytest.raises(FormatError, match="not a animated-splat file"):
+        read_animated_splat(io.BytesIO(b"abc"))

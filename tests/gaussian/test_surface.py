@@ -1,0 +1,168 @@
+"""Meshes of clouds, and clouds of meshes."""
+
+from dataclasses import replace
+from io import BytesIO
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+from dynamictree.errors import InputError
+from dynamictree.gaussian.binding import bind
+from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.gaussian.deform import Deformer
+from dynamictree.gaussian.from_mesh import PER_FACE, face_shapes, splats_of_mesh
+from dynamictree.gaussian.harmonics import SH_0
+from dynamictree.gaussian.rotation import quaternion_matrices
+from dynamictree.gaussian.surface import mesh_of_cloud, opacity_grid
+from dynamictree.mesh import Material, TriangleMesh
+
+
+def sphere_cloud(rng: np.random.Generator, *, opacity: float = 0.9) -> GaussianCloud:
+    """Points on a sphere of radius 1 around (3, 0, 0)."""
+    count = 4000
+    directions = rng.normal(size=(count, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    return GaussianCloud(
+        means=(directions + np.array([3, 0, 0])).astype(np.float32),
+        quaternions=np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)),
+        scales=np.full((count, 3), 0.03, np.float32),
+        opacity=np.full(count, opacity, np.float32),
+        sh=np.full((count, 1, 3), 0.3 / SH_0, np.float32),
+    )
+
+
+def plane(side: int = 6) -> TriangleMesh:
+    """A level square of 1 m, whose texture coordinates are its x and y."""
+    x, y = np.meshgrid(*[np.linspace(0, 1, side)] * 2, indexing="ij")
+    vertices = np.stack([x, y, 0 * x], axis=-1).reshape(-1, 3).astype(np.float32)
+    i = np.arange(side * side, dtype=np.int32).reshape(side, side)
+    lower = np.stack([i[:-1, :-1], i[1:, :-1], i[1:, 1:]], axis=-1).reshape(-1, 3)
+    upper = np.stack([i[:-1, :-1], i[1:, 1:], i[:-1, 1:]], axis=-1).reshape(-1, 3)
+    return TriangleMesh(vertices=vertices, faces=np.concatenate([lower, upper]), uv=vertices[:, :2].copy())
+
+
+def textured(material: Material) -> TriangleMesh:
+    mesh = plane()
+    return replace(mesh, face_material=np.zeros(mesh.num_faces, np.int32), materials=(material,))
+
+
+def png(pixels: np.ndarray) -> bytes:
+    stream = BytesIO()
+    Image.fromarray(pixels.astype(np.uint8)).save(stream, "PNG")
+    return stream.getvalue()
+
+
+def test_the_surface_lies_around_the_gaussians(rng: np.random.Generator) -> None:
+    cloud = sphere_cloud(rng)
+    mesh = mesh_of_cloud(cloud, cells_along=64)
+    shape = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    assert shape.is_watertight
+    radii = np.linalg.norm(mesh.vertices - [3, 0, 0], axis=1)
+    assert 0.85 < radii.min() < radii.max() < 1.15
+    assert (shape.face_normals * (shape.triangles_center - [3, 0, 0])).sum(axis=1)[
+        radii[mesh.faces].min(axis=1) > 1
+    ].min() > 0
+    np.testing.assert_array_equal(mesh.vertex_colors, np.tile([204, 204, 204, 255], (mesh.num_vertices, 1)))
+    assert bind(cloud, mesh).moving.all()
+
+
+def test_a_large_surface_is_simplified(rng: np.random.Generator) -> None:
+    assert mesh_of_cloud(sphere_cloud(rng), cells_along=64, max_faces=2000).num_faces <= 2000
+
+
+def test_the_grid_holds_the_opacity_of_each_gaussian() -> None:
+    one = GaussianCloud(
+        means=np.array([[0.5, 0.5, 0.5]], np.float32),
+        quaternions=np.array([[np.cos(0.3), 0, 0, np.sin(0.3)]], np.float32),
+        scales=np.array([[0.3, 0.1, 0.001]], np.float32),
+        opacity=np.array([0.8], np.float32),
+        sh=np.zeros((1, 1, 3), np.float32),
+    )
+    grid = opacity_grid(one, np.zeros(3, np.float32), 0.1, (10, 10, 10))
+    places = (np.stack(np.meshgrid(*[np.arange(10)] * 3, indexing="ij"), axis=-1) + 0.5) * 0.1 - 0.5
+    own = places @ quaternion_matrices(one.quaternions.astype(np.float64))[0] / [0.3, 0.1, 0.05]  # half a cell at least
+    distance = (own**2).sum(axis=-1)
+    expected = np.where(distance < 2.5**2, 0.8 * np.exp(-0.5 * distance), 0)
+    np.testing.assert_allclose(grid, expected, atol=1e-4)
+
+
+def test_what_has_no_surface_is_told(rng: np.random.Generator) -> None:
+    with pytest.raises(InputError, match="nowhere denser"):
+        mesh_of_cloud(sphere_cloud(rng, opacity=0.01).subset(np.arange(10)), cells_along=32)
+    cloud = sphere_cloud(rng)
+    with pytest.raises(InputError, match="at one place"):
+        mesh_of_cloud(replace(cloud, means=np.zeros_like(cloud.means)))
+
+
+def test_far_strays_do_not_coarsen_the_surface(rng: np.random.Generator) -> None:
+    cloud = sphere_cloud(rng)
+    means = cloud.means.copy()
+    means[:3] += 1000
+    mesh = mesh_of_cloud(replace(cloud, means=means), cells_along=64)
+    assert np.ptp(mesh.vertices, axis=0).max() < 3
+
+
+def test_gaussians_of_a_mesh_cover_it_evenly(rng: np.random.Generator) -> None:
+    mesh = plane()
+    splat = splats_of_mesh(mesh, at_least=0, rng=rng)
+    assert splat.cloud.num_gaussians == PER_FACE * mesh.num_faces
+    np.testing.assert_array_equal(np.bincount(splat.binding.face_of), PER_FACE)
+    np.testing.assert_allclose(splat.cloud.means[:, 2], 0, atol=1e-6)
+    normals = quaternion_matrices(splat.cloud.quaternions)[:, :, 0]
+    np.testing.assert_allclose(np.abs(normals[:, 2]), 1, atol=1e-5)  # the flat axis stands on the face
+    assert (splat.cloud.scales[:, 0] < 0.05 * splat.cloud.scales[:, 1:].min(axis=1)).all()
+    pose = Deformer(splat.binding).pose(np.zeros_like(mesh.vertices))
+    np.testing.assert_allclose(pose.means, splat.cloud.means, atol=1e-6)
+    many = splats_of_mesh(mesh, at_least=5000, rng=rng).cloud
+    assert 4900 < many.num_gaussians <= 5000
+    counts = np.histogram2d(*many.means[:, :2].T, bins=5)[0]
+    assert counts.std() < 0.2 * counts.mean()
+
+
+def test_face_shapes_are_those_of_games(rng: np.random.Generator) -> None:
+    corners = rng.normal(size=(20, 3, 3))
+    rotations, scales = face_shapes(corners)
+    middle = corners.mean(axis=1)
+    second = corners[:, 1] - middle
+    np.testing.assert_allclose(rotations[:, :, 1], second / np.linalg.norm(second, axis=1, keepdims=True), atol=1e-12)
+    np.testing.assert_allclose(rotations @ rotations.transpose(0, 2, 1), np.tile(np.eye(3), (20, 1, 1)), atol=1e-9)
+    np.testing.assert_allclose(np.linalg.det(rotations), 1, atol=1e-9)
+    ratio = scales[:, 1] / scales[:, 2]
+    width = np.abs(np.einsum("fx,fx->f", corners[:, 2] - middle, rotations[:, :, 2]))
+    np.testing.assert_allclose(ratio, np.linalg.norm(second, axis=1) / width, rtol=1e-6)
+
+
+def test_colours_come_from_the_texture(rng: np.random.Generator) -> None:
+    left_red = np.zeros((8, 8, 3))
+    left_red[:, :4, 0], left_red[:, 4:, 2] = 255, 255
+    mesh = textured(Material(base_color=(1.0, 1.0, 1.0, 1.0), texture_png=png(left_red)))
+    cloud = splats_of_mesh(mesh, at_least=2000, rng=rng).cloud
+    color = cloud.sh[:, 0] * SH_0 + 0.5
+    x = cloud.means[:, 0]
+    inner = (np.abs(x - 0.5) > 0.15) & (np.abs(x - 0.5) < 0.35)  # the texture repeats beyond its edge
+    np.testing.assert_allclose(color[inner, 0], x[inner] < 0.5, atol=0.05)
+    np.testing.assert_allclose(color[inner, 2], x[inner] > 0.5, atol=0.05)
+
+
+def test_colours_come_from_the_vertices(rng: np.random.Generator) -> None:
+    mesh = plane()
+    mesh = replace(mesh, vertex_colors=np.tile(np.array([30, 200, 90, 255], np.uint8), (mesh.num_vertices, 1)))
+    cloud = splats_of_mesh(mesh, at_least=0, rng=rng).cloud
+    np.testing.assert_allclose(cloud.sh[:, 0] * SH_0 + 0.5, np.tile(np.array([30, 200, 90]) / 255, (250, 1)), atol=0.01)
+
+
+def test_holes_of_a_texture_have_no_gaussians(rng: np.random.Generator) -> None:
+    half = np.full((8, 8, 4), 255)
+    half[:, :4, 3] = 0
+    mesh = textured(Material(texture_png=png(half), alpha_cutoff=0.5))
+    cloud = splats_of_mesh(mesh, at_least=2000, rng=rng).cloud
+    assert cloud.means[:, 0].min() > 0.45
+    with pytest.raises(InputError, match="transparent on every face"):
+        splats_of_mesh(textured(Material(texture_png=png(np.zeros((4, 4, 4))), alpha_cutoff=0.5)), at_least=0, rng=rng)
+
+
+def test_too_many_a_face_are_refused(rng: np.random.Generator) -> None:
+    with pytest.raises(InputError, match="per_face is 0"):
+        splats_of_mesh(plane(), per_face=0, rng=rng)
