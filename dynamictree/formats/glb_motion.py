@@ -11,7 +11,7 @@ from jaxtyping import Complex64, Float32, Float64
 
 from dynamictree.errors import InputError
 from dynamictree.formats.axes import up_rotation
-from dynamictree.formats.gltf import GlbWriter, add_mesh
+from dynamictree.formats.gltf import VERTEX_BUFFER, GlbWriter, add_mesh
 from dynamictree.formats.stream import ByteWriter
 from dynamictree.mesh import TriangleMesh
 from dynamictree.spectrum import FPS, NUM_FRAMES, bin_weights
@@ -54,7 +54,10 @@ def write_motion_glb(
     basis, weights, lost = _reduced(basis, weights, num_targets or len(basis))
     writer = GlbWriter()
     rotation = up_rotation("+Y").astype(np.float32)
-    accessors = [{"POSITION": writer.add_accessor(target.reshape(-1, 3) @ rotation, bounds=True)} for target in basis]
+    accessors = [
+        {"POSITION": writer.add_accessor(target.reshape(-1, 3) @ rotation, target=VERTEX_BUFFER, bounds=True)}
+        for target in basis
+    ]
     add_mesh(writer, mesh, targets=accessors)
     keys = np.concatenate([weights, weights[:1]]).astype(np.float32)  # [T + 1, targets]
     times = (np.arange(num_frames + 1) / fps).astype(np.float32)

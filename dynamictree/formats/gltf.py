@@ -13,7 +13,7 @@ from dynamictree.mesh import Material, TriangleMesh
 GENERATOR = "dynamictree"
 
 _FLOAT, _UINT16, _UINT32 = 5126, 5123, 5125
-_VERTEX_BUFFER, _INDEX_BUFFER = 34962, 34963
+VERTEX_BUFFER, _INDEX_BUFFER = 34962, 34963
 _TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 _COMPONENTS = {"float32": _FLOAT, "uint16": _UINT16, "uint32": _UINT32}
 _SRGB_LINEAR_END = 0.04045  # IEC 61966-2-1
@@ -87,13 +87,13 @@ def write_glb(mesh: TriangleMesh, stream: ByteWriter) -> None:
 def add_mesh(writer: GlbWriter, mesh: TriangleMesh, *, targets: list[dict[str, int]]) -> None:
     """Add the mesh with morph targets, given as accessors, that all of its primitives share."""
     attributes = {
-        "POSITION": writer.add_accessor(vertices_in_source_axes(mesh, "+Y"), target=_VERTEX_BUFFER, bounds=True)
+        "POSITION": writer.add_accessor(vertices_in_source_axes(mesh, "+Y"), target=VERTEX_BUFFER, bounds=True)
     }
     if mesh.uv is not None:
-        attributes["TEXCOORD_0"] = writer.add_accessor(mesh.uv, target=_VERTEX_BUFFER)
+        attributes["TEXCOORD_0"] = writer.add_accessor(mesh.uv, target=VERTEX_BUFFER)
     if mesh.vertex_colors is not None:
         colors = _linear_colors(mesh.vertex_colors)
-        attributes["COLOR_0"] = writer.add_accessor(colors, target=_VERTEX_BUFFER, normalized=True)
+        attributes["COLOR_0"] = writer.add_accessor(colors, target=VERTEX_BUFFER, normalized=True)
     materials = [writer.append("materials", _material(writer, material)) for material in mesh.materials]
     face_material = np.zeros(mesh.num_faces, np.int32) if mesh.face_material is None else mesh.face_material
     primitives = []

@@ -67,15 +67,13 @@ def _world_transforms(document: GltfDocument, nodes: list[JsonObject]) -> dict[i
 
 def _local_transform(node: JsonObject) -> Float64[np.ndarray, "4 4"]:
     if "matrix" in node:
-        by_columns: Float64[np.ndarray, "4 4"] = np.array(numbers_field(node, "matrix", 16, ())).reshape(
-            4, 4, order="F"
-        )
-        return by_columns
-    return _compose(
+        return np.array(numbers_field(node, "matrix", 16, ())).reshape(4, 4, order="F")  # stored by columns
+    local: Float64[np.ndarray, "4 4"] = _compose(
         np.array([numbers_field(node, "translation", 3, (0.0, 0.0, 0.0))]),
         np.array([numbers_field(node, "rotation", 4, (0.0, 0.0, 0.0, 1.0))]),
         np.array([numbers_field(node, "scale", 3, (1.0, 1.0, 1.0))]),
     )[0]
+    return local
 
 
 def _instance_transforms(document: GltfDocument, node: JsonObject) -> Float64[np.ndarray, "I 4 4"]:

@@ -89,11 +89,11 @@ def _edge_ties(
 def _bridges(mesh: TriangleMesh, grid: VoxelGrid, part: Int32[np.ndarray, " N"]) -> scipy.sparse.csr_array:
     """Rows (x of a small part's nearest vertex - x of the larger part's surface there), times h over the gap [B, N]."""
     small = _small_parts(mesh, part, SMALL_PART_VOXELS * grid.voxel_size_m)
+    seeking = np.flatnonzero(small[part])
+    if small.all() or len(seeking) == 0:
+        return scipy.sparse.csr_array((0, mesh.num_vertices))
     pieces = surface_pieces(mesh, grid.origin_m, grid.voxel_size_m, grid.resolution)
     large = np.flatnonzero(~small[part[mesh.faces[pieces.faces, 0]]])
-    seeking = np.flatnonzero(small[part])
-    if len(large) == 0 or len(seeking) == 0:
-        return scipy.sparse.csr_array((0, mesh.num_vertices))
     corners = mesh.faces[pieces.faces[large]]  # [P, 3]
     places = np.einsum("pi,pic->pc", pieces.centroids[large], mesh.vertices[corners])
     gap, nearest = (np.asarray(found) for found in cKDTree(places).query(mesh.vertices[seeking]))
