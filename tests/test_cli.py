@@ -27,7 +27,18 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_every_command_has_help_for_every_option() -> None:
-    names = ["animate", "dataset", "diffuse", "evaluate", "info", "interact", "reconstruct", "serve", "train", "voxelize"]
+    names = [
+        "animate",
+        "dataset",
+        "diffuse",
+        "evaluate",
+        "info",
+        "interact",
+        "reconstruct",
+        "serve",
+        "train",
+        "voxelize",
+    ]
     overview = run("--help")
     assert all(name in overview.stdout for name in names), overview.stdout + overview.stderr
 

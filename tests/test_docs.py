@@ -7,7 +7,9 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
-NAMES = sorted(set(re.findall(r"`((?:dynamictree|jobs|service|worker)(?:\.\w+)+)`", (ROOT / "docs/paper_map.md").read_text())))
+NAMES = sorted(
+    set(re.findall(r"`((?:dynamictree|jobs|service|worker)(?:\.\w+)+)`", (ROOT / "docs/paper_map.md").read_text()))
+)
 
 
 @pytest.mark.parametrize("name", NAMES)
