@@ -1,0 +1,120 @@
+"""What the benchmarks of interaction share: a grown tree with many vertices and Gaussians, and honest timing."""
+
+import os
+import platform
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import version
+
+import numpy as np
+
+from dynamictree.dataset.sample import make_sample, voxel_spectrum
+from dynamictree.gaussian.binding import Binding, bind_to_faces
+from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.mesh import TriangleMesh, edges_of
+from dynamictree.modal.system import ModalSystem, modal_system
+from dynamictree.spectrum import SparseVoxelSpectrum
+
+SEED, SPECIES = 9, "columnar"
+NUM_VERTICES = 100_000
+NUM_GAUSSIANS = 500_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """One tree, its spectrum at 128³, and its mesh made finer."""
+
+    mesh: TriangleMesh
+    spectrum: SparseVoxelSpectrum
+    system: ModalSystem
+
+
+def scene() -> Scene:
+    sample = make_sample(SEED, SPECIES)
+    _, spectrum = voxel_spectrum(sample)
+    mesh = _subdivided(sample.mesh)
+    while mesh.num_vertices < NUM_VERTICES:
+        mesh = _split(mesh, min(NUM_VERTICES, mesh.num_vertices + mesh.num_faces))
+    return Scene(mesh=mesh, spectrum=spectrum, system=modal_system(spectrum))
+
+
+def gaussians_on(mesh: TriangleMesh, count: int = NUM_GAUSSIANS) -> Binding:
+    """Gaussians strewn over the surface by area, bound to their faces."""
+    rng = np.random.default_rng(1)
+    corners = mesh.vertices[mesh.faces].astype(np.float64)
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    faces = rng.choice(len(area), count, p=area / area.sum()).astype(np.int32)
+    weights = rng.dirichlet([1, 1, 1], count)
+    quaternions = rng.normal(size=(count, 4))
+    cloud = GaussianCloud(
+        means=np.einsum("gc,gcx->gx", weights, corners[faces]).astype(np.float32),
+        quaternions=(quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)).astype(np.float32),
+        scales=rng.uniform(0.002, 0.02, (count, 3)).astype(np.float32),
+        opacity=np.full(count, 0.9, np.float32),
+        sh=np.zeros((count, 1, 3), np.float32),
+    )
+    return bind_to_faces(cloud, mesh, faces, weights.astype(np.float32))
+
+
+def timed(call: Callable[[], object], *, repeats: int = 60, warm_up: int = 5) -> dict[str, float]:
+    """Median and p90 of one call [ms]; `cpu_ms` is its processor time over the cores, however busy they are."""
+    for _ in range(warm_up):
+        call()
+    marks, processor = [], []
+    for _ in range(repeats):
+        begin, spent = time.perf_counter(), time.process_time()
+        call()
+        marks.append((time.perf_counter() - begin) * 1e3)
+        processor.append((time.process_time() - spent) * 1e3 / len(os.sched_getaffinity(0)))
+    return {
+        "median_ms": round(statistics.median(marks), 4),
+        "p90_ms": round(statistics.quantiles(marks, n=10)[-1], 4),
+        "best_ms": round(min(marks), 4),
+        "cpu_ms": round(statistics.median(processor), 4),
+    }
+
+
+def machine() -> dict[str, object]:
+    """Where it was measured, and how busy that was."""
+    return {
+        "device": f"{platform.machine()}, {os.cpu_count()} cores",
+        "load": round(os.getloadavg()[0], 2),
+        "versions": {name: version(name) for name in ("numpy", "scipy", "numba")}
+        | {"python": platform.python_version()},
+    }
+
+
+def _subdivided(mesh: TriangleMesh) -> TriangleMesh:
+    """Every edge halved, every face four."""
+    edges = edges_of(mesh.faces)
+    middle = (mesh.vertices[edges[:, 0]] + mesh.vertices[edges[:, 1]]) / 2
+    keys = edges[:, 0].astype(np.int64) << 32 | edges[:, 1]
+
+    def between(a: int, b: int) -> np.ndarray:
+        pair = np.sort(mesh.faces[:, [a, b]], axis=1).astype(np.int64)
+        return np.searchsorted(keys, pair[:, 0] << 32 | pair[:, 1]) + mesh.num_vertices
+
+    ab, bc, ca = between(0, 1), between(1, 2), between(2, 0)
+    a, b, c = mesh.faces.T
+    faces = [np.stack(three, axis=1) for three in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
+    return TriangleMesh(
+        vertices=np.concatenate([mesh.vertices, middle]).astype(np.float32),
+        faces=np.concatenate(faces).astype(np.int32),
+    )
+
+
+def _split(mesh: TriangleMesh, num_vertices: int) -> TriangleMesh:
+    """So many vertices: the largest faces cut in three at their middle."""
+    corners = mesh.vertices[mesh.faces]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    order = np.argsort(-area, kind="stable")
+    cut, whole = np.split(order, [num_vertices - mesh.num_vertices])
+    middle = np.arange(mesh.num_vertices, num_vertices)
+    a, b, c = mesh.faces[cut].T
+    faces = [np.stack(three, axis=1) for three in ((a, b, middle), (b, c, middle), (c, a, middle))]
+    return TriangleMesh(
+        vertices=np.concatenate([mesh.vertices, corners[cut].mean(axis=1)]).astype(np.float32),
+        faces=np.concatenate([mesh.faces[whole], *faces]).astype(np.int32),
+    )

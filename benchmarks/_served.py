@@ -1,0 +1,114 @@
+"""The real API in a process of its own, with one spectrum to push."""
+
+import io
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import httpx
+
+from dynamictree.formats.mesh_bundle import write_mesh_bundle
+from dynamictree.formats.spectrum_file import write_spectrum
+from dynamictree.mesh import TriangleMesh
+from dynamictree.spectrum import SparseVoxelSpectrum
+from jobs.artifacts import hash_file
+from jobs.attempts import claim, publish_stage, start_stage, succeed
+from jobs.records import AssetPart, AssetRecord, JobRecord, OutputFile
+from jobs.settings import Settings
+from jobs.states import JobState
+from jobs.store import new_id
+from service.context import Context
+
+START_S = 90.0
+
+
+@contextmanager
+def serving(state: Path, spectrum: SparseVoxelSpectrum, mesh: TriangleMesh) -> Iterator[tuple[str, str, int]]:
+    """Base URL, spectrum id and process id of an API that knows this tree."""
+    spectrum_id = published(Context(Settings(state_dir=state)), spectrum, mesh)
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    url = f"http://127.0.0.1:{port}"
+    command = [sys.executable, "-m", "uvicorn", "service.app:create_app", "--factory", "--port", str(port)]
+    quiet = ["--log-level", "warning", "--no-access-log", "--loop", "uvloop", "--http", "httptools"]
+    process = subprocess.Popen([*command, *quiet], env=os.environ | {"DYNAMICTREE_STATE_DIR": str(state)})
+    try:
+        _wait(url)
+        yield url, spectrum_id, process.pid
+    finally:
+        process.terminate()
+        process.wait(timeout=30)
+
+
+def published(context: Context, spectrum: SparseVoxelSpectrum, mesh: TriangleMesh) -> str:
+    """Put a tree into the store as a finished job does; gives the spectrum's id."""
+    context.settings.state_dir.mkdir(parents=True, exist_ok=True)
+    now = context.store.clock()
+    bundle, file = io.BytesIO(), io.BytesIO()
+    write_mesh_bundle(mesh, bundle)
+    write_spectrum(spectrum, file)
+    digest, size = _kept(context, "mesh.safetensors", bundle.getvalue())
+    part = AssetPart(name="mesh.safetensors", sha256=digest, bytes=size)
+    asset = AssetRecord(
+        id=new_id(),
+        kind="mesh",
+        fingerprint=digest,
+        parts=(part,),
+        prepared=part,
+        summary={},
+        created_at=now,
+        expires_at=now + 1e6,
+    )
+    job = JobRecord(
+        id=new_id(),
+        type="diffuse",
+        state=JobState.QUEUED,
+        asset_id=context.store.add_asset(asset)[0].id,
+        preset="small",
+        seed=0,
+        params={},
+        queue="cpu",
+        created_at=now,
+    )
+    context.store.add_job(job, stages=("diffuse",))
+    held = claim(context.store, job.id, 1, owner="benchmark", lease_s=60)
+    assert held is not None
+    digest, size = _kept(context, "tree.spectrum.safetensors", file.getvalue())
+    made = OutputFile(
+        name="tree.spectrum.safetensors", media_type="application/octet-stream", sha256=digest, bytes=size
+    )
+    start_stage(context.store, held, "diffuse")
+    publish_stage(context.store, held, "diffuse", (made,), key=digest, cached=False, retention_s=1e6)
+    succeed(context.store, held)
+    return next(artifact.id for artifact in context.store.artifacts_of(job.id))
+
+
+def processor_s(process_id: int) -> float:
+    """Processor time that a process has used so far, user and system [s]; Linux."""
+    after_name = Path(f"/proc/{process_id}/stat").read_text().rpartition(")")[2].split()
+    return (int(after_name[11]) + int(after_name[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def _kept(context: Context, name: str, content: bytes) -> tuple[str, int]:
+    path = context.settings.state_dir / name
+    path.write_bytes(content)
+    digest, size = hash_file(path)
+    context.artifacts.put(path, digest)
+    return digest, size
+
+
+def _wait(url: str) -> None:
+    deadline = time.monotonic() + START_S
+    while time.monotonic() < deadline:
+        try:
+            if httpx.get(url + "/livez", timeout=2).status_code == 200:
+                return
+        except httpx.TransportError:
+            time.sleep(0.1)
+    raise TimeoutError(f"the API did not answer within {START_S:g} s")

@@ -1,0 +1,108 @@
+"""/v1/interact over real HTTP: p50 and p99 of 60 frames of coordinates, at 100 requests/s and with 1, 10, 100 clients.
+
+The load is made on the same two cores. At 100 requests/s a request is timed from when it was due, so waiting counts.
+The server's processor time a request tells what others that use the machine cannot hide.
+"""
+
+import asyncio
+import tempfile
+import time
+from pathlib import Path
+
+import httpx
+import numpy as np
+
+from benchmarks._interaction import machine, scene
+from benchmarks._served import processor_s, serving
+
+TARGET_P50_MS, TARGET_P99_MS = 5.0, 20.0
+RATE_HZ, RATE_S = 100.0, 4.0
+REQUESTS = {1: 100, 10: 200, 100: 300}
+BINARY = "application/vnd.safetensors"
+
+
+def run() -> dict[str, object]:
+    made = scene()
+    top = int(np.argmax(made.spectrum.grid.coords[:, 2]))
+    with (
+        tempfile.TemporaryDirectory() as state,
+        serving(Path(state), made.spectrum, made.mesh) as (url, spectrum_id, server),
+    ):
+        push = {"kind": "impulse", "at": {"voxel": top}, "impulse_n_s": [5.0, 1.0, 0.0]}
+        body = {"spectrum_id": spectrum_id, "forces": [push], "num_frames": 60}
+        figures = asyncio.run(_measure(url + "/v1/interact", body, server))
+    steady = figures["at 100 requests/s, json"]
+    return {
+        "value": steady["p50_ms"],
+        "unit": "ms",
+        "target": TARGET_P50_MS,
+        "p99": steady["p99_ms"],
+        "target_p99": TARGET_P99_MS,
+        "rows": figures,
+        "sizes": {"frames": 60, "modes": 15, "voxels": len(made.spectrum.grid)},
+        **machine(),
+    }
+
+
+async def _measure(url: str, body: dict[str, object], server: int) -> dict[str, dict[str, float]]:
+    limits = httpx.Limits(max_connections=128, max_keepalive_connections=128)
+    figures = {}
+    async with httpx.AsyncClient(limits=limits, timeout=60) as client:
+        for name, accept in (("json", "application/json"), ("binary", BINARY)):
+            headers = {"Accept": accept}
+
+            async def push(headers: dict[str, str] = headers) -> None:
+                response = await client.post(url, json=body, headers=headers)
+                assert response.status_code == 200, response.text
+
+            for _ in range(20):
+                await push()
+            spent, asked = processor_s(server), int(RATE_HZ * RATE_S)
+            figures[f"at 100 requests/s, {name}"] = await _steady(push)
+            cpu_ms = (processor_s(server) - spent) / asked * 1e3
+            figures[f"at 100 requests/s, {name}"]["server_cpu_ms_a_request"] = round(cpu_ms, 2)
+            for clients, requests in REQUESTS.items():
+                figures[f"{clients} clients, {name}"] = await _closed(push, clients, requests)
+    return figures
+
+
+async def _steady(push) -> dict[str, float]:
+    """A request every 10 ms, whether or not the ones before have been answered."""
+    waits: list[float] = []
+    begin = time.perf_counter()
+
+    async def one(due: float) -> None:
+        await push()
+        waits.append(time.perf_counter() - due)
+
+    running = []
+    for number in range(int(RATE_HZ * RATE_S)):
+        due = begin + number / RATE_HZ
+        await asyncio.sleep(max(0.0, due - time.perf_counter()))
+        running.append(asyncio.create_task(one(due)))
+    await asyncio.gather(*running)
+    return _figures(waits, time.perf_counter() - begin)
+
+
+async def _closed(push, clients: int, requests: int) -> dict[str, float]:
+    """So many clients, each asking again as soon as it was answered."""
+    waits: list[float] = []
+    begin = time.perf_counter()
+
+    async def one() -> None:
+        for _ in range(requests // clients):
+            sent = time.perf_counter()
+            await push()
+            waits.append(time.perf_counter() - sent)
+
+    await asyncio.gather(*(one() for _ in range(clients)))
+    return _figures(waits, time.perf_counter() - begin)
+
+
+def _figures(waits: list[float], seconds: float) -> dict[str, float]:
+    p50, p99 = np.percentile(waits, [50, 99]) * 1e3
+    return {
+        "p50_ms": round(float(p50), 2),
+        "p99_ms": round(float(p99), 2),
+        "requests_s": round(len(waits) / seconds, 1),
+    }
