@@ -39,15 +39,15 @@ def dense_samples(mesh: TriangleMesh, step_m: float) -> np.ndarray:
     return np.concatenate(points)
 
 
-def separated(corners: np.ndarray, low: np.ndarray) -> bool:
-    """Whether an axis separates a triangle from the unit box at `low` (the oracle: Akenine-Möller 2001)."""
-    centred = corners - low - 0.5
-    edges = np.roll(centred, -1, axis=0) - centred
+def separated(corners: np.ndarray, lows: np.ndarray) -> np.ndarray:
+    """Whether an axis separates a triangle from each unit box at `lows` (the oracle: Akenine-Möller 2001)."""
+    edges = np.roll(corners, -1, axis=0) - corners
     axes = [*np.eye(3), np.cross(edges[0], edges[1]), *(np.cross(e, axis) for e in edges for axis in np.eye(3))]
-    return any(
-        (centred @ axis).min() > 0.5 * np.abs(axis).sum() or (centred @ axis).max() < -0.5 * np.abs(axis).sum()
-        for axis in axes
-    )
+    apart = np.zeros(len(lows), bool)
+    for axis in axes:
+        reach, middle = 0.5 * np.abs(axis).sum(), (lows + 0.5) @ axis
+        apart |= ((corners @ axis).min() - middle > reach) | ((corners @ axis).max() - middle < -reach)
+    return apart
 
 
 @pytest.mark.parametrize("size", [0.03, 0.3, 1.0])
@@ -68,7 +68,8 @@ def test_occupied_voxels_are_those_that_the_separating_axis_test_finds(rng: np.r
     for corners in (mesh.vertices[mesh.faces].astype(np.float64) - grid.origin_m) / grid.voxel_size_m:
         low, high = np.floor(corners.min(axis=0)).astype(int), np.floor(corners.max(axis=0)).astype(int)
         box = np.stack(np.meshgrid(*(np.arange(a, b + 1) for a, b in zip(low, high, strict=True)), indexing="ij"), -1)
-        expected |= {tuple(int(i) for i in voxel) for voxel in box.reshape(-1, 3) if not separated(corners, voxel)}
+        voxels = box.reshape(-1, 3)
+        expected |= {tuple(voxel) for voxel in voxels[~separated(corners, voxels)].tolist()}
     assert {tuple(voxel) for voxel in grid.coords.tolist()} == expected
 
 
