@@ -35,9 +35,9 @@ class Payload(BaseModel):
 class WindPayload(Payload):
     """The wind that the motion is generated for."""
 
-    speed_m_s: Finite = Field(default=5.0, ge=0, le=40, description="mean speed [m/s]")
+    speed_m_s: Finite = Field(default=5.0, ge=0, le=30, description="mean speed [m/s]")
     direction_deg: Finite = Field(default=0.0, ge=-360, le=360, description="where it blows to, from +X towards +Y [°]")
-    gust: Finite = Field(default=0.3, ge=0, le=1, description="standard deviation of the speed over its mean")
+    gust: Finite = Field(default=0.3, ge=0, le=2, description="standard deviation of the speed over its mean")
 
 
 class ReconstructParams(Payload):

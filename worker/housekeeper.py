@@ -41,6 +41,7 @@ logger = logging.getLogger(__name__)
 LEASE = "housekeeper"
 SCRATCH_AGE_S = 86400.0
 REDIS_TIMEOUT_S = 2.0
+AWAY_PAUSE_S = 1.0
 AWAY = (sa.exc.SQLAlchemyError, OperationalError, redis.RedisError, StorageError, OSError)
 """What may be away for a while. The duty is done at its next turn."""
 
@@ -125,21 +126,20 @@ def run(keeper: Housekeeper, stopped: threading.Event) -> None:
     while not stopped.wait(settings.outbox_interval_s):
         now = time.monotonic()
         if now >= renew_at:
-            ours = _attempt(lambda: hold_lease(keeper.store, LEASE, owner=owner, lease_s=settings.housekeeper_lease_s))
+            ours = _done(lambda: hold_lease(keeper.store, LEASE, owner=owner, lease_s=settings.housekeeper_lease_s))
             renew_at = now + settings.housekeeper_lease_s / 3
         for index, (duty, interval_s) in enumerate(turns):
             if ours and now >= due[index]:
-                _attempt(duty)
-                due[index] = now + interval_s
-    _attempt(lambda: release_lease(keeper.store, LEASE, owner=owner))
+                due[index] = now + (interval_s if _done(duty) else max(interval_s, AWAY_PAUSE_S))
+    _done(lambda: release_lease(keeper.store, LEASE, owner=owner))
 
 
-def _attempt(duty: Callable[[], bool | None]) -> bool:
-    """Do it; what is away will be there again. Tell whether the duty said yes."""
+def _done(duty: Callable[[], bool | None]) -> bool:
+    """Do it, and tell whether it could be done; what is away will be there again."""
     try:
-        return bool(duty())
-    except AWAY:
-        logger.warning("the housekeeper could not do its duty; it tries again", exc_info=True)
+        return duty() is not False
+    except AWAY as error:
+        logger.warning("something is away, the housekeeper tries again: %s: %s", type(error).__name__, error)
         return False
 
 
