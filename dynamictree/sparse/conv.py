@@ -23,8 +23,14 @@ class SubmanifoldConv(nn.Module):
 
     def forward(self, features: Float[Tensor, "V *inner C"], level: SparseLevel) -> Float[Tensor, "V *inner D"]:
         """Convolve every sample of the batch."""
-        convolved: Tensor = _PairwiseConv.apply(features, self.weight, level)  # type: ignore[no-untyped-call]
-        return convolved if self.bias is None else convolved + self.bias
+        weight: Tensor = self.weight
+        bias: Tensor | None = self.bias
+        if torch.is_autocast_enabled(features.device.type):
+            lower = torch.get_autocast_dtype(features.device.type)
+            features, weight = features.to(lower), weight.to(lower)
+            bias = None if bias is None else bias.to(lower)
+        convolved: Tensor = _PairwiseConv.apply(features, weight, level)  # type: ignore[no-untyped-call]
+        return convolved if bias is None else convolved + bias
 
 
 class _PairwiseConv(torch.autograd.Function):
@@ -53,8 +59,14 @@ class _PairwiseConv(torch.autograd.Function):
         to_weight = torch.empty_like(weight)
         torch.mm(_flat(features).T, _flat(gradient), out=to_weight[CENTRE])
         for tap, (first, second) in enumerate(level.pairs):
-            torch.mm(_flat(features[second]).T, _flat(gradient[first]), out=to_weight[tap])
-            torch.mm(_flat(features[first]).T, _flat(gradient[second]), out=to_weight[26 - tap])
+            torch.mm(
+                _flat(features.index_select(0, second)).T, _flat(gradient.index_select(0, first)), out=to_weight[tap]
+            )
+            torch.mm(
+                _flat(features.index_select(0, first)).T,
+                _flat(gradient.index_select(0, second)),
+                out=to_weight[26 - tap],
+            )
         return to_features, to_weight, None
 
 
@@ -63,8 +75,8 @@ def _walk(features: Tensor, weight: Tensor, level: SparseLevel) -> Tensor:
     out = (_flat(features) @ weight[CENTRE]).view(-1, *shape)  # [V, *inner, D]
     for tap, (first, second) in enumerate(level.pairs):
         if len(first):
-            out.index_add_(0, first, (_flat(features[second]) @ weight[tap]).view(-1, *shape))
-            out.index_add_(0, second, (_flat(features[first]) @ weight[26 - tap]).view(-1, *shape))
+            out.index_add_(0, first, (_flat(features.index_select(0, second)) @ weight[tap]).view(-1, *shape))
+            out.index_add_(0, second, (_flat(features.index_select(0, first)) @ weight[26 - tap]).view(-1, *shape))
     return out
 
 

@@ -4,6 +4,8 @@ import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
 
+from dynamictree.sparse.level import Pyramid
+
 
 def average_pool(
     features: Float[Tensor, "V ..."], parents: Int64[Tensor, " V"], num_coarse: int
@@ -12,6 +14,13 @@ def average_pool(
     children = torch.bincount(parents, minlength=num_coarse).to(features.dtype)
     total = features.new_zeros(num_coarse, *features.shape[1:]).index_add(0, parents, features)
     return total / children.view(-1, *[1] * (features.dim() - 1))
+
+
+def pool_to(features: Float[Tensor, "V ..."], grids: Pyramid, top: int) -> Float[Tensor, "W ..."]:
+    """`average_pool` from the finest level up to level `top`."""
+    for parents, level in zip(grids.parents[:top], grids.levels[1:], strict=False):
+        features = average_pool(features, parents, len(level))
+    return features
 
 
 def max_pool(features: Float[Tensor, "V C"], parents: Int64[Tensor, " V"], num_coarse: int) -> Float[Tensor, "W C"]:

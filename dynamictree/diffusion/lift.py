@@ -1,0 +1,96 @@
+"""Between the fine voxels and the coarser nodes that the diffusion runs on; and noise that is smooth along the tree.
+
+All three are sparse matrices of a tree, made once: `pool` (mean over a node's voxels), `lift` (back, smooth, and only
+over voxels that touch) and a `NoiseBasis` (rows of unit length, so that white numbers in give unit variance out).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float32, Int64
+from scipy.sparse import csr_array, diags_array, eye_array
+from torch import Tensor
+from torch.nn import functional
+
+from dynamictree.sparse.level import Pyramid, SparseLevel
+
+LIFT_STEPS = 2
+"""Steps of diffusion over touching voxels that turn the nearest node's value into a smooth field."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SparseRows:
+    """A sparse matrix [V, W] in the form that `embedding_bag` multiplies with."""
+
+    columns: Int64[Tensor, " E"]
+    starts: Int64[Tensor, " V"]
+    weights: Float32[Tensor, " E"]
+    num_columns: int
+
+    def apply(self, values: Float32[Tensor, "W ..."]) -> Float32[Tensor, "V ..."]:
+        """Matrix times values."""
+        flat = values.reshape(self.num_columns, -1)
+        product = functional.embedding_bag(
+            self.columns, flat, self.starts, mode="sum", per_sample_weights=self.weights.to(flat.dtype)
+        )
+        return product.view(len(self.starts), *values.shape[1:])
+
+
+def sparse_rows(matrix: csr_array) -> SparseRows:
+    """Take a scipy matrix over to torch."""
+    return SparseRows(
+        columns=torch.from_numpy(matrix.indices.astype(np.int64)),
+        starts=torch.from_numpy(matrix.indptr[:-1].astype(np.int64)),
+        weights=torch.from_numpy(matrix.data.astype(np.float32)),
+        num_columns=matrix.shape[1],
+    )
+
+
+def touching(level: SparseLevel) -> csr_array:
+    """Adjacency of the 26 neighbours with the voxel itself, rows summing to one."""
+    first = torch.cat([pair[0] for pair in level.pairs]).numpy()
+    second = torch.cat([pair[1] for pair in level.pairs]).numpy()
+    ones = np.ones(2 * len(first), np.float32)
+    shape = (len(level), len(level))
+    ends = (np.concatenate([first, second]), np.concatenate([second, first]))
+    return _row_normalised(csr_array(csr_array((ones, ends), shape=shape) + eye_array(len(level), format="csr")))
+
+
+def link_matrices(links: Int64[Tensor, "L 2"], size: int) -> tuple[csr_array, csr_array]:
+    """Mean over what bears a row, and mean over what it bears; rows without any stay zero."""
+    rows, bearers = links.numpy().T
+    down = csr_array((np.ones(len(rows), np.float32), (rows, bearers)), shape=(size, size))
+    return _row_normalised(down), _row_normalised(csr_array(down.T))
+
+
+def raise_matrix(grids: Pyramid, coarse: int, fine: int, *, steps: int = LIFT_STEPS) -> csr_array:
+    """[V_fine, V_coarse]: nearest, smoothed by `steps` at every level on the way; rows sum to one."""
+    matrix = csr_array(eye_array(len(grids.levels[coarse]), format="csr", dtype=np.float32))
+    for depth in range(coarse - 1, fine - 1, -1):
+        matrix = csr_array(matrix[grids.parents[depth].numpy()])
+        smooth = touching(grids.levels[depth])
+        for _ in range(steps):
+            matrix = csr_array(smooth @ matrix)
+    return matrix
+
+
+def pool_matrix(grids: Pyramid, coarse: int, fine: int) -> csr_array:
+    """[V_coarse, V_fine]: mean over the fine voxels of each coarse one."""
+    ancestor = torch.arange(len(grids.levels[fine]))
+    for depth in range(fine, coarse):
+        ancestor = grids.parents[depth][ancestor]
+    ones = np.ones(len(ancestor), np.float32)
+    shape = (len(grids.levels[coarse]), len(ancestor))
+    return _row_normalised(csr_array((ones, (ancestor.numpy(), np.arange(len(ancestor)))), shape=shape))
+
+
+def unit_rows(matrix: csr_array) -> csr_array:
+    """Rows of unit length: white numbers of variance one in, numbers of variance one out."""
+    lengths = np.sqrt(np.asarray(matrix.multiply(matrix).sum(axis=1)).ravel())
+    return csr_array(diags_array(1 / lengths) @ matrix)
+
+
+def _row_normalised(matrix: csr_array) -> csr_array:
+    sums = np.asarray(matrix.sum(axis=1)).ravel()
+    return csr_array(diags_array((1 / np.where(sums > 0, sums, 1)).astype(np.float32)) @ matrix)

@@ -1,0 +1,88 @@
+"""What a voxel grid tells of the stems in it: the shortest paths to the root, read as a branching structure."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float32, Int32
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+
+from dynamictree.voxel.grid import VoxelGrid
+
+ROOT_SHARE = 0.02
+"""Voxels in the lowest 2 % of the height are roots."""
+MAX_SKIPS = 12
+"""Stems that `skip_short` goes down at most."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Skeleton:
+    """Each voxel's place on the stem that it belongs to. A stem goes on into the child that reaches furthest."""
+
+    parent: Int32[np.ndarray, " V"]  # next voxel towards the root; a root is its own
+    distance_m: Float32[np.ndarray, " V"]  # along the tree to the root [m]
+    reach_m: Float32[np.ndarray, " V"]  # from here to the furthest tip beyond [m]
+    num_beyond: Float32[np.ndarray, " V"]  # voxels whose way to the root passes here, this one included
+    stem_start_m: Float32[np.ndarray, " V"]  # distance_m where the voxel's stem begins [m]
+    stem_length_m: Float32[np.ndarray, " V"]  # [m]
+    level: Float32[np.ndarray, " V"]  # stems passed on the way from the root; 0 on the trunk
+    base: Int32[
+        np.ndarray, " V"
+    ]  # the voxel on the stem before, from which this voxel's stem grows; a root's is itself
+
+
+def root_rows(grid: VoxelGrid) -> Int32[np.ndarray, " _"]:
+    """Rows of the voxels that stand in the ground."""
+    height = grid.coords[:, 2] - grid.coords[:, 2].min()
+    return np.flatnonzero(height <= ROOT_SHARE * max(int(height.max()), 1)).astype(np.int32)
+
+
+def skeleton_of(grid: VoxelGrid, graph: csr_array) -> Skeleton:
+    """Read the stems off the graph of touching voxels (edges in metres, connected)."""
+    roots = root_rows(grid)
+    distance, parent, _ = dijkstra(graph, indices=roots, min_only=True, return_predecessors=True)
+    order = np.argsort(distance, kind="stable").tolist()
+    parents = np.where(parent < 0, np.arange(len(grid)), parent).tolist()
+    tip, beyond, heir = _gather_from_tips(order, parents, distance)
+    start, length, level = [0.0] * len(grid), [0.0] * len(grid), [0.0] * len(grid)
+    base = list(range(len(grid)))
+    for row in order:
+        up = parents[row]
+        if up == row:
+            length[row] = tip[row]
+        elif heir[up] == row:
+            start[row], length[row], level[row], base[row] = start[up], length[up], level[up], base[up]
+        else:
+            start[row], length[row], level[row] = distance[up], tip[row] - distance[up], level[up] + 1
+            base[row] = up
+    columns = [np.asarray(column, np.float32) for column in (distance, beyond, start, length, level)]
+    return Skeleton(
+        parent=np.asarray(parents, np.int32),
+        distance_m=columns[0],
+        reach_m=(np.asarray(tip) - distance).astype(np.float32),
+        num_beyond=columns[1],
+        stem_start_m=columns[2],
+        stem_length_m=columns[3],
+        level=columns[4],
+        base=np.asarray(base, np.int32),
+    )
+
+
+def skip_short(skeleton: Skeleton, rows: Int32[np.ndarray, " V"], length_m: float) -> Int32[np.ndarray, " V"]:
+    """From each row down to the first stem that is at least so long [m]: a leaf's voxels make stems of their own."""
+    for _ in range(MAX_SKIPS):
+        rows = np.where(skeleton.stem_length_m[rows] < length_m, skeleton.base[rows], rows)
+    return rows
+
+
+def _gather_from_tips(
+    order: list[int], parents: list[int], distance: np.ndarray
+) -> tuple[list[float], list[float], list[int]]:
+    tip, beyond, heir = distance.tolist(), [1.0] * len(order), [-1] * len(order)
+    for row in reversed(order):
+        up = parents[row]
+        if up != row:
+            beyond[up] += beyond[row]
+            if heir[up] < 0 or tip[row] > tip[up]:
+                tip[up], heir[up] = max(tip[row], tip[up]), row
+    return tip, beyond, heir

@@ -1,0 +1,75 @@
+"""Preset `small`: amplitude network, denoiser of the whitened spectrum, and the numbers between them.
+
+A spectrum over the height is c = A · (lift(s u) + ρ n): u has unit variance and lives on the nodes (level `top` of the
+pyramid, 32³ of a 128³ grid), s is how much of the whitened motion the nodes hold, a frequency and an axis, and n the
+smooth noise that stands for what is smaller than a node, ρ² its share.
+"""
+
+from dataclasses import asdict, dataclass, field
+
+import torch
+from jaxtyping import Complex64, Float32
+from torch import Tensor, nn
+
+from dynamictree.diffusion.amplitude import AmplitudeNetwork
+from dynamictree.diffusion.denoiser import Denoiser, DenoiserShape
+from dynamictree.diffusion.noise import NUM_SCALES
+
+AXES = 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class SmallPreset:
+    """Everything that the weights depend on."""
+
+    resolution: int = 128
+    num_frequencies: int = 16
+    top: int = 2
+    amplitude_width: int = 256
+    amplitude_depth: int = 2
+    denoiser: DenoiserShape = field(default_factory=DenoiserShape)
+    sigma_min: float = 0.02
+    sigma_max: float = 10.0
+
+    def to_json(self) -> dict[str, object]:
+        """Plain values."""
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, values: dict[str, object]) -> "SmallPreset":
+        """Undo `to_json` after a way through JSON."""
+        stored = values["denoiser"]
+        assert isinstance(stored, dict), f"the denoiser has no shape: {stored}"
+        return cls(**{**values, "denoiser": DenoiserShape(**stored)})  # type: ignore[arg-type]
+
+
+class SmallNetwork(nn.Module):
+    """The two networks, and what was measured on the training set between their trainings."""
+
+    noise_shares: Tensor  # [J, S]
+    node_scale: Tensor  # [J, 3], s
+    residual_share: Tensor  # [J, 3], ρ²
+
+    def __init__(self, preset: SmallPreset) -> None:
+        super().__init__()
+        self.preset = preset
+        moving = preset.num_frequencies - 1
+        self.amplitude = AmplitudeNetwork(
+            num_frequencies=preset.num_frequencies,
+            width=preset.amplitude_width,
+            depth=preset.amplitude_depth,
+        )
+        self.denoiser = Denoiser(num_frequencies=preset.num_frequencies, shape=preset.denoiser)
+        self.register_buffer("noise_shares", torch.full((moving, NUM_SCALES), 1 / NUM_SCALES))
+        self.register_buffer("node_scale", torch.ones(moving, AXES))
+        self.register_buffer("residual_share", torch.zeros(moving, AXES))
+
+
+def pack_channels(spectrum: Complex64[Tensor, "*batch 3"]) -> Float32[Tensor, "*batch 6"]:
+    """Complex (x, y, z) to (re x, re y, re z, im x, im y, im z), the order that the networks see."""
+    return torch.cat([spectrum.real, spectrum.imag], dim=-1)
+
+
+def unpack_channels(channels: Float32[Tensor, "*batch 6"]) -> Complex64[Tensor, "*batch 3"]:
+    """Undo `pack_channels`."""
+    return torch.complex(channels[..., :3].contiguous(), channels[..., 3:].contiguous())

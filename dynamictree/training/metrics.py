@@ -1,0 +1,126 @@
+"""How near a motion is to the true one, by vertex. Plain functions of coefficients [N, K, 3] in metres."""
+
+import numpy as np
+from jaxtyping import Complex64, Float32, Float64, Int32
+
+from dynamictree.spectrum import bin_weights, to_motion
+
+FLOOR = 1e-5
+"""Sizes below this share of the tree's height are taken for it, so that what stands still has a logarithm."""
+ROOT_SHARE = 0.02
+"""Vertices in the lowest 2 % of the height are roots."""
+
+
+def amplitude(coefficients: Complex64[np.ndarray, "N K 3"]) -> Float64[np.ndarray, " N"]:
+    """a(p) = √(Σ_{k≥1} 2 |c_k|²): root of twice the variance of the displacement [m]."""
+    power = np.abs(coefficients[:, 1:].astype(np.complex128)) ** 2
+    size: Float64[np.ndarray, " N"] = np.sqrt(2 * power.sum(axis=(1, 2)))
+    return size
+
+
+def log_amplitude_agreement(
+    guess: Complex64[np.ndarray, "N K 3"], truth: Complex64[np.ndarray, "N K 3"], height_m: float
+) -> tuple[float, float]:
+    """Correlation and RMSE of ln a over vertices, the tree's median difference taken off first."""
+    floor = FLOOR * height_m
+    left, right = (np.log(np.maximum(amplitude(one), floor)) for one in (guess, truth))
+    difference = left - right
+    rmse = np.sqrt(np.mean((difference - np.median(difference)) ** 2))
+    return float(np.corrcoef(left, right)[0, 1]), float(rmse)
+
+
+def log_spectral_distance(
+    guess: Complex64[np.ndarray, "N K 3"], truth: Complex64[np.ndarray, "N K 3"], height_m: float
+) -> float:
+    """Mean over vertices of the RMS over k ≥ 1 of the difference of ln |c_k|."""
+    logs = [np.log(np.linalg.norm(one[:, 1:], axis=2) + FLOOR * height_m) for one in (guess, truth)]
+    return float(np.sqrt(((logs[0] - logs[1]) ** 2).mean(axis=1)).mean())
+
+
+def centroid(coefficients: Complex64[np.ndarray, "N K 3"]) -> Float64[np.ndarray, " N"]:
+    """Mean bin of each vertex's motion, weighted by its energy: Σ k |c_k|² / Σ |c_k|²."""
+    power = (np.abs(coefficients[:, 1:].astype(np.complex128)) ** 2).sum(axis=2)
+    bins = np.arange(1, power.shape[1] + 1)
+    mean: Float64[np.ndarray, " N"] = (power * bins).sum(axis=1) / np.maximum(power.sum(axis=1), 1e-30)
+    return mean
+
+
+def centroid_correlation(guess: Complex64[np.ndarray, "N K 3"], truth: Complex64[np.ndarray, "N K 3"]) -> float:
+    """Correlation of `centroid` over the vertices that move."""
+    moving = amplitude(truth) > 0.01 * amplitude(truth).max()
+    return float(np.corrcoef(centroid(guess)[moving], centroid(truth)[moving])[0, 1])
+
+
+def roughness(coefficients: Complex64[np.ndarray, "N K 3"], edges: Int32[np.ndarray, "E 2"]) -> float:
+    """Mean over edges of |c_i − c_j| over the mean of |c_i|, all k ≥ 1 stacked."""
+    moving = coefficients[:, 1:].reshape(len(coefficients), -1)
+    steps = np.linalg.norm(moving[edges[:, 0]] - moving[edges[:, 1]], axis=1)
+    return float(steps.mean() / np.linalg.norm(moving, axis=1).mean())
+
+
+def phase_agreement(coefficients: Complex64[np.ndarray, "N K 3"], edges: Int32[np.ndarray, "E 2"]) -> float:
+    """Mean over edges of Re ⟨c_i, c_j⟩ / (|c_i| |c_j|), 1 where neighbours move as one."""
+    moving = coefficients[:, 1:].reshape(len(coefficients), -1)
+    first, second = moving[edges[:, 0]], moving[edges[:, 1]]
+    sizes = np.linalg.norm(first, axis=1) * np.linalg.norm(second, axis=1)
+    product = (first * second.conj()).real.sum(axis=1)
+    return float((product[sizes > 0] / sizes[sizes > 0]).mean())
+
+
+def energy_by_frequency(coefficients: Complex64[np.ndarray, "N K 3"]) -> Float64[np.ndarray, " J"]:
+    """Share of the motion's energy at each k ≥ 1."""
+    power = (np.abs(coefficients[:, 1:].astype(np.complex128)) ** 2).sum(axis=(0, 2))
+    shares: Float64[np.ndarray, " J"] = power / power.sum()
+    return shares
+
+
+def edge_stretch(
+    coefficients: Complex64[np.ndarray, "N K 3"],
+    vertices: Float32[np.ndarray, "N 3"],
+    edges: Int32[np.ndarray, "E 2"],
+    *,
+    num_frames: int = 100,
+) -> tuple[float, float]:
+    """Median and 99th percentile of |length / length at rest − 1| over all edges and frames."""
+    rest = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
+    edges, rest = edges[rest > 0], rest[rest > 0]
+    across = (vertices[edges[:, 0]] - vertices[edges[:, 1]]).astype(np.float32)
+    stretches = [
+        np.abs(np.linalg.norm(across + frame[edges[:, 0]] - frame[edges[:, 1]], axis=1) / rest - 1)
+        for frame in to_motion(coefficients, num_frames)
+    ]
+    median, extreme = np.percentile(np.concatenate(stretches), [50, 99])
+    return float(median), float(extreme)
+
+
+def root_share(coefficients: Complex64[np.ndarray, "N K 3"], vertices: Float32[np.ndarray, "N 3"]) -> float:
+    """Largest displacement that a root could reach, over the tree's height."""
+    height = np.ptp(vertices[:, 2])
+    roots = coefficients[vertices[:, 2] <= vertices[:, 2].min() + ROOT_SHARE * height]
+    weights = bin_weights(coefficients.shape[1], 100)[:, None]
+    bound = np.linalg.norm((np.abs(roots) * weights).sum(axis=1), axis=1)
+    return float(bound.max() / height)
+
+
+def loop_jump(coefficients: Complex64[np.ndarray, "N K 3"], *, num_frames: int = 100) -> float:
+    """Largest step from the last frame to the first over the largest step inside the loop; no jump up to 1."""
+    motion = to_motion(coefficients, num_frames)
+    inside = np.linalg.norm(np.diff(motion, axis=0), axis=2).max()
+    return float(np.linalg.norm(motion[0] - motion[-1], axis=1).max() / inside)
+
+
+def downwind_lean(
+    coefficients: Complex64[np.ndarray, "N K 3"], vertices: Float32[np.ndarray, "N 3"], direction_deg: float
+) -> float:
+    """Mean displacement downwind of the upper half, over the tree's height."""
+    height = np.ptp(vertices[:, 2])
+    upper = vertices[:, 2] > vertices[:, 2].min() + height / 2
+    angle = np.deg2rad(direction_deg)
+    lean = coefficients[upper, 0].real @ np.array([np.cos(angle), np.sin(angle), 0])
+    return float(lean.mean() / height)
+
+
+def relative_difference(one: Complex64[np.ndarray, "N K 3"], other: Complex64[np.ndarray, "N K 3"]) -> float:
+    """|one − other| over the mean of their sizes, k ≥ 1; √2 where they have nothing in common."""
+    sizes = np.sqrt((np.abs(one[:, 1:]) ** 2).sum() * (np.abs(other[:, 1:]) ** 2).sum())
+    return float(np.sqrt((np.abs(one[:, 1:] - other[:, 1:]) ** 2).sum() / sizes))

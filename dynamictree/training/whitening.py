@@ -1,0 +1,80 @@
+"""Between the two trainings: what the amplitude network leaves over is put on the nodes and measured."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Complex64, Float32
+from torch import Tensor
+
+from dynamictree.diffusion.condition import TreeCondition, coarsen_condition, wind_vector
+from dynamictree.diffusion.lift import raise_matrix, sparse_rows
+from dynamictree.diffusion.mixer import Neighbourhood, neighbourhood
+from dynamictree.diffusion.noise import NoiseBasis, fit_shares, noise_basis
+from dynamictree.diffusion.small import SmallNetwork
+from dynamictree.sparse.pool import pool_to
+from dynamictree.spectrum import Wind
+from dynamictree.training.examples import Example
+
+WHITE_SHARE = 0.4
+"""Of the noise: white beside what is fitted to the data, so that data and noise are told apart by smoothness too."""
+NUM_MEASURED = 24
+"""Trees that scales and shares are measured on."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class WhiteExample:
+    """What the denoiser learns from: a tree's whitened spectrum on its nodes."""
+
+    nodes: TreeCondition
+    wind: Wind
+    whitened: Complex64[Tensor, "W J 3"]
+    log_amplitude: Float32[Tensor, "W J 3"]
+    noise: NoiseBasis
+    around: Neighbourhood
+
+
+@torch.no_grad()
+def whiten(network: SmallNetwork, example: Example) -> tuple[Complex64[Tensor, "V J 3"], Float32[Tensor, "V J 3"]]:
+    """C / A at every voxel for k >= 1, and ln A."""
+    _, log_amplitude = network.amplitude.of_tree(example.tree, wind_vector([example.wind]))
+    return example.spectrum[:, 1:] * (-log_amplitude).exp(), log_amplitude
+
+
+@torch.no_grad()
+def measure(network: SmallNetwork, examples: Iterable[Example], rng: np.random.Generator) -> None:
+    """Set the network's node scale, residual share and noise shares."""
+    top = network.preset.top
+    nodes, trees, power = [], [], []
+    for example in examples:
+        field, _ = whiten(network, example)
+        pooled = pool_to(field, example.tree.grids, top)
+        lift = sparse_rows(raise_matrix(example.tree.grids, top, 0))
+        lifted = torch.view_as_complex(lift.apply(torch.view_as_real(pooled)))
+        power.append(torch.stack([lifted.abs().square().mean(dim=0), pooled.abs().square().mean(dim=0)]))
+        nodes.append(pooled)
+        trees.append(coarsen_condition(example.tree, top))
+    share, pooled_power = torch.stack(power).mean(dim=0)
+    network.node_scale.copy_((pooled_power / 2).sqrt())  # real and imaginary part of variance one each
+    network.residual_share.copy_((1 - share).clamp(0, 1))
+    unit = [(pooled / network.node_scale).numpy() for pooled in nodes]
+    fitted = torch.from_numpy(fit_shares(unit, trees, rng)) * (1 - WHITE_SHARE)
+    fitted[:, 0] += WHITE_SHARE
+    network.noise_shares.copy_(fitted)
+
+
+@torch.no_grad()
+def white_example(network: SmallNetwork, example: Example) -> WhiteExample:
+    """One tree for the denoiser's training."""
+    field, log_amplitude = whiten(network, example)
+    grids, top = example.tree.grids, network.preset.top
+    nodes = coarsen_condition(example.tree, top)
+    return WhiteExample(
+        nodes=nodes,
+        wind=example.wind,
+        whitened=pool_to(field, grids, top) / network.node_scale,
+        log_amplitude=pool_to(log_amplitude, grids, top),
+        noise=noise_basis(nodes),
+        around=neighbourhood(nodes),
+    )

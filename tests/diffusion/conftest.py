@@ -1,0 +1,33 @@
+import numpy as np
+import pytest
+
+from dynamictree.diffusion.condition import TreeCondition, tree_condition
+from dynamictree.voxel.grid import VoxelGrid
+from dynamictree.voxel.voxelize import SurfaceVoxels
+
+
+def line(start: tuple[float, float, float], end: tuple[float, float, float]) -> np.ndarray:
+    count = int(3 * max(abs(b - a) for a, b in zip(start, end, strict=True))) + 1
+    return np.linspace(start, end, count).round().astype(np.int32)
+
+
+@pytest.fixture(scope="session")
+def fork() -> VoxelGrid:
+    """A trunk of 60 voxels that stands at (64, 64), and two branches, one long and one short."""
+    coords = [
+        line((64, 64, 1), (64, 64, 60)),
+        line((64, 64, 40), (30, 64, 90)),
+        line((64, 64, 50), (64, 80, 70)),
+    ]
+    return VoxelGrid.from_coords(np.concatenate(coords), origin_m=(-6.4, -6.4, 0.0), voxel_size_m=0.1, resolution=128)
+
+
+@pytest.fixture(scope="session")
+def voxels(fork: VoxelGrid) -> SurfaceVoxels:
+    normals = np.random.default_rng(0).standard_normal((len(fork), 3)).astype(np.float32)
+    return SurfaceVoxels(grid=fork, normals=normals / np.linalg.norm(normals, axis=1, keepdims=True))
+
+
+@pytest.fixture(scope="session")
+def tree(voxels: SurfaceVoxels) -> TreeCondition:
+    return tree_condition(voxels.grid, voxels.normals)

@@ -1,0 +1,90 @@
+"""What the network sees turns with the tree, and tells the stems apart."""
+
+import numpy as np
+import pytest
+import torch
+
+from dynamictree.diffusion.amplitude import amplitude_inputs, mirror_inputs
+from dynamictree.diffusion.condition import (
+    TreeCondition,
+    batch_conditions,
+    coarsen_condition,
+    node_features,
+    tree_condition,
+    turn_condition,
+    wind_vector,
+)
+from dynamictree.diffusion.skeleton import skeleton_of
+from dynamictree.spectrum import Wind
+from dynamictree.training.sides import SIDES, crosswind_sign, is_mirror, turn_wind
+from dynamictree.voxel.graph import voxel_graph
+from dynamictree.voxel.grid import VoxelGrid
+from dynamictree.voxel.voxelize import SurfaceVoxels
+
+WIND = wind_vector([Wind(speed_m_s=7.0, direction_deg=37.0, gust=0.2)])
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_inputs_turn_with_tree_and_wind(tree: TreeCondition, side: tuple[tuple[int, ...], tuple[int, ...]]) -> None:
+    axes, signs = side
+    turned = amplitude_inputs(turn_condition(tree, axes, signs), turn_wind(WIND, axes, signs))
+    straight = amplitude_inputs(tree, WIND)
+    torch.testing.assert_close(turned, mirror_inputs(straight) if is_mirror(axes, signs) else straight)
+    assert crosswind_sign(axes, signs).tolist() == [1, -1 if is_mirror(axes, signs) else 1, 1]
+
+
+def test_half_of_the_sides_are_mirrors() -> None:
+    assert sum(is_mirror(*side) for side in SIDES) == 4
+
+
+def test_a_turned_tree_is_measured_like_the_tree_turned(voxels: SurfaceVoxels, tree: TreeCondition) -> None:
+    axes, signs = (1, 0, 2), (-1, 1, 1)
+    coords = voxels.grid.coords[:, [1, 0, 2]] * np.array(signs) + np.array([127, 0, 0])
+    grid = VoxelGrid.from_coords(coords.astype(np.int32), origin_m=(-6.4, -6.4, 0.0), voxel_size_m=0.1, resolution=128)
+    rows = grid.rows_of(coords.astype(np.int32))
+    normals = np.empty_like(voxels.normals)
+    normals[rows] = voxels.normals[:, [1, 0, 2]] * np.array(signs, np.float32)
+    measured = tree_condition(grid, normals)
+    turned = turn_condition(tree, axes, signs)
+    heights = [0, 1, 2, 3, 4]  # what does not depend on which of two equally short ways to the root is taken
+    torch.testing.assert_close(measured.scalars[rows][:, heights], turned.scalars[:, heights], atol=2e-3, rtol=1e-3)
+    torch.testing.assert_close(measured.vectors[rows][:, [0, 3]], turned.vectors[:, [0, 3]], atol=1e-5, rtol=1e-4)
+
+
+def test_a_batch_is_its_trees(tree: TreeCondition) -> None:
+    other = turn_condition(tree, (0, 1, 2), (-1, 1, 1))
+    winds = torch.cat([WIND, wind_vector([Wind(direction_deg=200.0)])])
+    together = amplitude_inputs(batch_conditions([tree, other]), winds)
+    apart = torch.cat([amplitude_inputs(tree, winds[:1]), amplitude_inputs(other, winds[1:])])
+    torch.testing.assert_close(together, apart)
+    links = batch_conditions([tree, other]).links
+    assert (links[: len(tree.links)] == tree.links).all()
+    assert (links[len(tree.links) :] == tree.links + len(tree.scalars)).all()
+
+
+def test_nodes_carry_their_voxels_mean_and_the_links_between_them(tree: TreeCondition) -> None:
+    nodes = coarsen_condition(tree, 2)
+    owner = tree.grids.parents[1][tree.grids.parents[0]]
+    features, coarse = node_features(tree, WIND), node_features(nodes, WIND)
+    children = [torch.isin(tree.grids.parents[0], torch.where(tree.grids.parents[1] == 3)[0])]
+    assert (owner[children[0]] == 3).all()
+    assert coarse[3, 0] == pytest.approx(float(features[owner == 3, 0].mean()), abs=0.02)
+    assert (nodes.links[:, 0] != nodes.links[:, 1]).all()
+    assert set(map(tuple, nodes.links.tolist())) <= set(map(tuple, owner[tree.links].tolist()))
+
+
+def test_the_skeleton_finds_the_stems_of_a_fork(fork: VoxelGrid) -> None:
+    skeleton = skeleton_of(fork, voxel_graph(fork))
+    tips = {
+        name: int(fork.rows_of(np.array([at], np.int32))[0])
+        for name, at in {"trunk": (64, 64, 60), "long": (30, 64, 90), "short": (64, 80, 70)}.items()
+    }
+    # the root goes on into the branch that reaches furthest; the trunk's own end and the short branch leave it
+    assert skeleton.level[tips["long"]] == 0
+    assert skeleton.level[tips["trunk"]] >= 1
+    assert skeleton.level[tips["short"]] >= 1
+    assert skeleton.reach_m[tips["long"]] == 0
+    root = int(fork.rows_of(np.array([(64, 64, 2)], np.int32))[0])
+    assert skeleton.num_beyond[root] >= len(fork) - 3
+    assert skeleton.stem_length_m[tips["long"]] == pytest.approx(skeleton.distance_m[tips["long"]])
+    assert fork.coords[skeleton.base[tips["short"]], 0] == 64
