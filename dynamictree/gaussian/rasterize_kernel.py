@@ -148,27 +148,28 @@ def blend(first, end, ellipses, bounds, order, starts, picture):
 @_compiled
 @no_type_check
 def _blend_one(e, left, top, from_row, to_row, b):
-    across, down = left - e[0], top - e[1]
+    across, down, half_a, cross, half_c = left - e[0], top - e[1], _HALF * e[2], e[3], _HALF * e[4]
+    opacity, red, green, blue, depth = e[5], e[6], e[7], e[8], e[9]
     for row in range(from_row, to_row):
         dy = down + np.float32(row)
-        constant, slope = -_HALF * e[4] * dy * dy, -e[3] * dy
+        constant, slope = -half_c * dy * dy, -cross * dy
         start = row * TILE
         for j in range(TILE):
             dx = across + np.float32(j)
-            y = (constant + dx * (slope - _HALF * e[2] * dx)) * _SIXTEENTH
+            y = (constant + dx * (slope - half_a * dx)) * _SIXTEENTH
             # exp(16 y): a polynomial, squared four times; to 5e-5 where alpha is not below its least
             y = max(y, -_ONE)
             p = ((((_EXP[0] * y + _EXP[1]) * y + _EXP[2]) * y + _EXP[3]) * y + _EXP[4]) * y + _EXP[5]
             p = p * p
             p = p * p
             p = p * p
-            alpha = min(e[5] * (p * p), _MAX)
+            alpha = min(opacity * (p * p), _MAX)
             alpha = alpha if alpha >= _MIN else np.float32(0)
             shown = alpha * b[4 * _SIZE + start + j]
-            b[start + j] += shown * e[6]
-            b[_SIZE + start + j] += shown * e[7]
-            b[2 * _SIZE + start + j] += shown * e[8]
-            b[3 * _SIZE + start + j] += shown * e[9]
+            b[start + j] += shown * red
+            b[_SIZE + start + j] += shown * green
+            b[2 * _SIZE + start + j] += shown * blue
+            b[3 * _SIZE + start + j] += shown * depth
             b[4 * _SIZE + start + j] -= shown
 
 

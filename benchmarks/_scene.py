@@ -1,0 +1,30 @@
+"""What the Gaussian benchmarks measure on."""
+
+import os
+import platform
+
+import numba
+import numpy as np
+
+from dynamictree.mesh import TriangleMesh
+
+
+def sheet(num_faces: int) -> TriangleMesh:
+    """A wavy sheet of 4 m: every face different, none large."""
+    side = round((num_faces / 2) ** 0.5) + 1
+    x, y = np.meshgrid(*[np.linspace(0, 4, side)] * 2, indexing="ij")
+    vertices = np.stack([x, y, 0.3 * np.sin(3 * x) * np.cos(2 * y)], axis=-1).reshape(-1, 3).astype(np.float32)
+    i = np.arange(side * side, dtype=np.int32).reshape(side, side)
+    lower = np.stack([i[:-1, :-1], i[1:, :-1], i[1:, 1:]], axis=-1).reshape(-1, 3)
+    upper = np.stack([i[:-1, :-1], i[1:, 1:], i[:-1, 1:]], axis=-1).reshape(-1, 3)
+    # neighbours in space are neighbours in the file, as modellers write them
+    return TriangleMesh(vertices=vertices, faces=np.stack([lower, upper], axis=1).reshape(-1, 3))
+
+
+def describe() -> dict[str, object]:
+    """Where it ran, and how busy it was: timings with a load above 0 are not to be trusted."""
+    return {
+        "device": f"{platform.machine()}, {len(os.sched_getaffinity(0))} cores",
+        "versions": {"python": platform.python_version(), "numpy": np.__version__, "numba": numba.__version__},
+        "load_before": round(os.getloadavg()[0], 1),
+    }
