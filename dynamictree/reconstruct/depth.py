@@ -55,7 +55,9 @@ def fine_depths(model: SparseModel, coarse: DepthMaps, box: Box, on_view: Callab
         on_view(number, len(views))
         guess = _enlarged(coarse.planes[number], view.grey.shape)
         mask = rays_through(view, box)
-        planes.append(_matched(model, views, coarse.neighbours, number, guess, mask, _FINE_ITERATIONS))
+        planes.append(
+            _matched(model, views, coarse.neighbours, number, guess, mask=mask, num_iterations=_FINE_ITERATIONS)
+        )
     return _agreed(views, coarse.neighbours, planes)
 
 
@@ -92,6 +94,7 @@ def _matched(
     neighbours: list[list[int]],
     number: int,
     guess: Hypotheses,
+    *,
     mask: Bool[np.ndarray, "H W"] | None = None,
     num_iterations: int = _COARSE_ITERATIONS,
 ) -> Hypotheses:

@@ -36,6 +36,15 @@ class Surface(NamedTuple):
     faces: Int32[np.ndarray, "F 3"]
 
 
+class _Volume(NamedTuple):
+    """Sums over views, to be divided by the weight."""
+
+    distance: Float32[np.ndarray, "X Y Z"]  # in truncation bands, positive outside
+    weight: Float32[np.ndarray, "X Y Z"]
+    low: Float64[np.ndarray, "3"]
+    voxel: float
+
+
 _NOTHING = Surface(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32))
 
 
@@ -45,8 +54,9 @@ def fuse(views: list[StereoView], depths: list[Float32[np.ndarray, "H W"]], box:
     size = np.maximum(np.ceil((box.high - box.low) / voxel).astype(int), 2)
     distance = np.zeros(tuple(size.tolist()), np.float32)
     weight = np.zeros_like(distance)
+    volume = _Volume(distance, weight, box.low, voxel)
     for view, depth in zip(views, depths, strict=True):
-        in_bands(_integrate, len(distance), distance, weight, box.low, voxel, view.to_pixel, depth)
+        in_bands(_integrate, len(distance), volume, view.to_pixel, depth)
     known = weight > 0
     distance = np.where(known, distance / np.maximum(weight, 1e-9), 1)
     # a cell is meshed where all its corners are known; skimage names a cell by its highest corner
@@ -83,8 +93,9 @@ def _with_faces(surface: Surface, chosen: Int64[np.ndarray, " C"]) -> Surface:
 
 @compiled
 @no_type_check
-def _integrate(first, end, distance, weight, low, voxel, to_pixel, depth):
+def _integrate(first, end, volume, to_pixel, depth):
     """Blend one view into slabs of the grid: positive before its surface, negative just behind, unknown farther on."""
+    distance, weight, low, voxel = volume
     _, size_y, size_z = distance.shape
     height, width = depth.shape
     band = _TRUNCATION * voxel

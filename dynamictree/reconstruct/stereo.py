@@ -127,14 +127,8 @@ def agreed_depths(
             in_bands(
                 _agree_rows,
                 len(votes),
-                found[view].inverse,
-                found[other].inverse,
-                views[view].to_ray,
-                views[view].position,
-                views[view].to_pixel,
-                views[other].to_ray,
-                views[other].position,
-                views[other].to_pixel,
+                (found[view].inverse, views[view]),
+                (found[other].inverse, views[other]),
                 votes,
             )
         sure = (votes >= min_agreeing) & (found[view].cost < _MAX_COST)
@@ -162,25 +156,23 @@ def _sweep_rows(first, end, matching, mask, sweep, seed, hypotheses):
     height, width = grey.shape
     least, most, steepest = matching.limits[0], matching.limits[1], matching.limits[2]
     samples = _PATCH_SIDE * _PATCH_SIDE
-    scratch = (
-        np.empty(samples, np.float32),
-        np.empty(samples, np.float32),
-        np.empty(len(matching.greys), np.float32),
-    )
+    values, weight = np.empty(samples, np.float32), np.empty(samples, np.float32)
+    costs = np.empty(len(matching.greys), np.float32)
     spread = np.float32(0.5) ** np.float32(sweep // 2)
     reach = 1 if sweep % 4 < 2 else 5
     for y in range(first, end):
         for x in range((y + sweep) % 2, width, 2):
             if not mask[y, x]:
                 continue
-            mean, variance = _reference_patch(grey, x, y, scratch[0], scratch[1])
+            mean, variance = _reference_patch(grey, x, y, values, weight)
             if variance < _FLAT:
                 hypotheses.cost[y, x] = 1
                 continue
+            patch = (values, weight, mean, variance)
             inverse, right, down = hypotheses.inverse[y, x], hypotheses.slope[y, x, 0], hypotheses.slope[y, x, 1]
             best = hypotheses.cost[y, x]
             if best > 2:
-                best = _cost((x, y), (inverse, right, down), matching, scratch, mean, variance)
+                best = _cost((x, y), (inverse, right, down), matching, patch, costs)
             for trial in range(_TRIALS):
                 new_inverse, new_right, new_down = inverse, right, down
                 if trial < 4:
@@ -203,7 +195,7 @@ def _sweep_rows(first, end, matching, mask, sweep, seed, hypotheses):
                 limit = steepest * new_inverse
                 if not least <= new_inverse <= most or abs(new_right) > limit or abs(new_down) > limit:
                     continue
-                cost = _cost((x, y), (new_inverse, new_right, new_down), matching, scratch, mean, variance)
+                cost = _cost((x, y), (new_inverse, new_right, new_down), matching, patch, costs)
                 if cost < best:
                     best, inverse, right, down = cost, new_inverse, new_right, new_down
             hypotheses.cost[y, x], hypotheses.inverse[y, x] = best, inverse
@@ -212,7 +204,7 @@ def _sweep_rows(first, end, matching, mask, sweep, seed, hypotheses):
 
 @compiled
 @no_type_check
-def _reference_patch(grey, x, y, patch, weight):
+def _reference_patch(grey, x, y, values, weight):
     """Samples around a pixel, their weights by likeness to it, weighted mean and variance."""
     height, width = grey.shape
     centre = grey[y, x]
@@ -222,7 +214,7 @@ def _reference_patch(grey, x, y, patch, weight):
         for dx in range(-_PATCH_REACH, _PATCH_REACH + 1, _PATCH_STEP):
             value = grey[min(max(y + dy, 0), height - 1), min(max(x + dx, 0), width - 1)]
             near = np.exp(-abs(value - centre) * np.float32(1 / _GREY_FALLOFF))
-            patch[number], weight[number] = value, near
+            values[number], weight[number] = value, near
             total += near
             mean += near * value
             square += near * value * value
@@ -235,28 +227,11 @@ def _reference_patch(grey, x, y, patch, weight):
 
 @compiled
 @no_type_check
-def _cost(at, plane, matching, scratch, mean, variance):
+def _cost(at, plane, matching, patch, costs):
     """1 − weighted correlation, the mean over the better half of the neighbours."""
-    x, y = at
-    inverse, right, down = plane
-    patch, weight, costs = scratch
-    number = len(matching.greys)
+    number = len(costs)
     for view in range(number):
-        costs[view] = _cost_in_view(
-            matching.greys[view],
-            matching.sizes[view],
-            matching.turn[view],
-            matching.shift[view],
-            x,
-            y,
-            inverse,
-            right,
-            down,
-            patch,
-            weight,
-            mean,
-            variance,
-        )
+        costs[view] = _cost_in_view(view, at, plane, matching, patch)
     keep = (number + 1) // 2
     total = np.float32(0)
     for _ in range(keep):
@@ -271,7 +246,11 @@ def _cost(at, plane, matching, scratch, mean, variance):
 
 @compiled
 @no_type_check
-def _cost_in_view(grey, size, turn, shift, x, y, inverse, right, down, patch, weight, mean, variance):
+def _cost_in_view(view, at, plane, matching, patch):
+    x, y = at
+    inverse, right, down = plane
+    value_of, weight, mean, variance = patch
+    grey, size, turn, shift = matching.greys[view], matching.sizes[view], matching.turn[view], matching.shift[view]
     # homogeneous pixel at the patch's first sample, and its change from sample to sample
     px, py = np.float32(x) + _HALF - np.float32(_PATCH_REACH), np.float32(y) + _HALF - np.float32(_PATCH_REACH)
     start = inverse - np.float32(_PATCH_REACH) * (right + down)
@@ -305,7 +284,7 @@ def _cost_in_view(grey, size, turn, shift, x, y, inverse, right, down, patch, we
             share = weight[number] * value
             total += share
             square += share * value
-            product += share * patch[number]
+            product += share * value_of[number]
             number += 1
             u, v, w = u + ux, v + vx, w + wx
     other_variance = square - total * total
@@ -316,21 +295,22 @@ def _cost_in_view(grey, size, turn, shift, x, y, inverse, right, down, patch, we
 
 @compiled
 @no_type_check
-def _agree_rows(first, end, inverse, other, ray, position, to_pixel, other_ray, other_position, other_to_pixel, votes):
+def _agree_rows(first, end, this, that, votes):
     """Vote where the other view's depth leads back to the same pixel at the same depth."""
+    (inverse, view), (other, other_view) = this, that
     height, width = other.shape
     for y in range(first, end):
         for x in range(inverse.shape[1]):
             depth = 1.0 / inverse[y, x]
-            px, py, pz = _walk(ray, position, x + 0.5, y + 0.5, depth)
-            u, v, w = _project(other_to_pixel, px, py, pz)
+            px, py, pz = _walk(view, x + 0.5, y + 0.5, depth)
+            u, v, w = _project(other_view.to_pixel, px, py, pz)
             if w <= 0:
                 continue
             column, row = int(np.floor(u)), int(np.floor(v))
             if not (0 <= column < width and 0 <= row < height):
                 continue
-            px, py, pz = _walk(other_ray, other_position, u, v, 1.0 / other[row, column])
-            back_u, back_v, back_depth = _project(to_pixel, px, py, pz)
+            px, py, pz = _walk(other_view, u, v, 1.0 / other[row, column])
+            back_u, back_v, back_depth = _project(view.to_pixel, px, py, pz)
             off = (back_u - x - 0.5) ** 2 + (back_v - y - 0.5) ** 2
             if back_depth > 0 and off < _REPROJECTION_PX**2 and abs(back_depth - depth) < _DEPTH_SHARE * depth:
                 votes[y, x] += 1
@@ -338,7 +318,8 @@ def _agree_rows(first, end, inverse, other, ray, position, to_pixel, other_ray, 
 
 @compiled
 @no_type_check
-def _walk(ray, position, u, v, depth):
+def _walk(view, u, v, depth):
+    ray, position = view.to_ray, view.position
     return (
         position[0] + depth * (ray[0, 0] * u + ray[0, 1] * v + ray[0, 2]),
         position[1] + depth * (ray[1, 0] * u + ray[1, 1] * v + ray[1, 2]),

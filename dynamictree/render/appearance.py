@@ -138,7 +138,8 @@ def _halved(image: Float32[np.ndarray, "H W 4"]) -> Float32[np.ndarray, "h w 4"]
 
 @compiled
 @no_type_check
-def _uv_at(appearance, corners, a, b, c):
+def _uv_at(appearance, corners, weights):
+    a, b, c = weights
     total = a + b + c
     ua, ub, uc = appearance.uv[corners[0]], appearance.uv[corners[1]], appearance.uv[corners[2]]
     return (a * ua[0] + b * ub[0] + c * uc[0]) / total, (a * ua[1] + b * ub[1] + c * uc[1]) / total
@@ -146,21 +147,22 @@ def _uv_at(appearance, corners, a, b, c):
 
 @compiled
 @no_type_check
-def alpha_at(appearance, corners, material, level, a, b, c):
+def alpha_at(appearance, corners, material, level, weights):
     """Alpha of the nearest texel, at barycentric coordinates times any factor."""
     offset, width, height = appearance.texture_levels[material, level]
     alpha = appearance.material_alpha[material]
     if width == 0:
         return alpha
-    u, v = _uv_at(appearance, corners, a, b, c)
+    u, v = _uv_at(appearance, corners, weights)
     x, y = int(np.floor(u * width)) % width, int(np.floor(v * height)) % height
     return alpha * appearance.texels[offset + y * width + x, 3]
 
 
 @compiled
 @no_type_check
-def albedo_at(appearance, corners, material, level, a, b, c):
+def albedo_at(appearance, corners, material, level, weights):
     """Linear colour: vertex colours times base colour times the texture, bilinear."""
+    a, b, c = weights
     total = a + b + c
     ca, cb, cc = (
         appearance.vertex_rgb[corners[0]],
@@ -174,7 +176,7 @@ def albedo_at(appearance, corners, material, level, a, b, c):
     offset, width, height = appearance.texture_levels[material, level]
     if width == 0:
         return red, green, blue
-    u, v = _uv_at(appearance, corners, a, b, c)
+    u, v = _uv_at(appearance, corners, weights)
     x, y = u * width - 0.5, v * height - 0.5
     left, top = int(np.floor(x)), int(np.floor(y))
     fx, fy = x - left, y - top

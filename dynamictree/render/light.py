@@ -156,8 +156,9 @@ def _follow_directions(first, end, directions, depth, shares):
 
 @compiled
 @no_type_check
-def sun_share(sun, x, y, z, phase, num_looks):
+def sun_share(sun, x, y, z, looks):
     """Share of the sun at a point [m]: some looks into the map around it, in one of the patterns."""
+    phase, num_looks = looks
     axes = sun.axes
     u = ((axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z) - sun.low[0]) * sun.texels_per_m
     v = ((axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z) - sun.low[1]) * sun.texels_per_m

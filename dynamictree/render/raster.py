@@ -160,7 +160,7 @@ def _raster_rows(first, end, triangles, faces, nearness, appearance, visible):
                 near = np.float32(a * na + b * nb + c * nc)
                 if near <= visible.nearness[row, column]:
                     continue
-                if cutoff > 0 and alpha_at(appearance, faces[f], material, triangles.level[f], a, b, c) < cutoff:
+                if cutoff > 0 and alpha_at(appearance, faces[f], material, triangles.level[f], (a, b, c)) < cutoff:
                     continue
                 visible.nearness[row, column] = near
                 visible.face[row, column] = f

@@ -71,13 +71,13 @@ def shade_rows(first, end, picture, visible_face, triangles, scene, view):
                 alike = alike and visible_face[top + sample // n, left + sample % n] == face
             if alike:
                 at = (left + 0.5 * n, top + 0.5 * n)
-                red, green, blue = _sample_light(at, face, triangles, scene, view, phase, MAX_LOOKS)
+                red, green, blue = _sample_light(at, face, triangles, scene, view, (phase, MAX_LOOKS))
             else:
                 red, green, blue = 0.0, 0.0, 0.0
                 for sample in range(n * n):
                     y, x = top + sample // n, left + sample % n
                     at = (x + 0.5, y + 0.5)
-                    r, g, b = _sample_light(at, visible_face[y, x], triangles, scene, view, phase + sample, 3)
+                    r, g, b = _sample_light(at, visible_face[y, x], triangles, scene, view, (phase + sample, 3))
                     red, green, blue = red + r / (n * n), green + g / (n * n), blue + b / (n * n)
             picture[row, column, 0] = _srgb_byte(red)
             picture[row, column, 1] = _srgb_byte(green)
@@ -94,7 +94,7 @@ def _srgb_byte(light):
 
 @compiled
 @no_type_check
-def _sample_light(at, face, triangles, scene, view, phase, num_looks):
+def _sample_light(at, face, triangles, scene, view, looks):
     x, y = at
     ray = view.ray
     dx = ray[0, 0] * x + ray[0, 1] * y + ray[0, 2]
@@ -105,7 +105,7 @@ def _sample_light(at, face, triangles, scene, view, phase, num_looks):
     if face >= 0:
         m = triangles.barycentric[face]
         a, b, c = m[0] * x + m[1] * y + m[2], m[3] * x + m[4] * y + m[5], m[6] * x + m[7] * y + m[8]
-        return _surface_light(face, triangles.level[face], a, b, c, (dx, dy, dz), scene, phase, num_looks)
+        return _surface_light(face, triangles.level[face], (a, b, c), (dx, dy, dz), scene, looks)
     up = max(dz, 0.0)
     share = 1 - np.exp(-4 * up)
     back = (
@@ -116,21 +116,19 @@ def _sample_light(at, face, triangles, scene, view, phase, num_looks):
     if not scene.ground or dz >= 0 or view.position[2] <= scene.centre[2]:
         return back
     distance = (scene.centre[2] - view.position[2]) / dz
-    return _ground_light(
-        view.position[0] + distance * dx, view.position[1] + distance * dy, back, scene, phase, num_looks
-    )
+    return _ground_light(view.position[0] + distance * dx, view.position[1] + distance * dy, back, scene, looks)
 
 
 @compiled
 @no_type_check
-def _ground_light(x, y, back, scene, phase, num_looks):
+def _ground_light(x, y, back, scene, looks):
     z = scene.centre[2]
     away = np.sqrt((x - scene.centre[0]) ** 2 + (y - scene.centre[1]) ** 2) / scene.radius_m
     haze = min(max((away - 1.5) / 7.5, 0.0), 1.0)
     haze = haze * haze * (3 - 2 * haze)
     lit, open_sky = 1.0, 1.0
     if scene.shadows and haze < 1:
-        lit = sun_share(scene.sun, x, y, z, phase, num_looks)
+        lit = sun_share(scene.sun, x, y, z, looks)
         open_sky = sky_share(scene.sky, x, y, z)
     lit *= scene.sun_direction[2]
     return (
@@ -142,14 +140,15 @@ def _ground_light(x, y, back, scene, phase, num_looks):
 
 @compiled
 @no_type_check
-def _blend(values, corners, a, b, c):
+def _blend(values, corners, weights):
+    a, b, c = weights
     p, q, r = values[corners[0]], values[corners[1]], values[corners[2]]
     return a * p[0] + b * q[0] + c * r[0], a * p[1] + b * q[1] + c * r[1], a * p[2] + b * q[2] + c * r[2]
 
 
 @compiled
 @no_type_check
-def _surface_normal(corners, a, b, c, direction, scene):
+def _surface_normal(corners, weights, direction, scene):
     """Smooth normal, or the face's own where the two differ by more than 60 degrees; turned to the viewer."""
     p, q, r = scene.vertices[corners[0]], scene.vertices[corners[1]], scene.vertices[corners[2]]
     ux, uy, uz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
@@ -157,7 +156,7 @@ def _surface_normal(corners, a, b, c, direction, scene):
     fx, fy, fz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
     face_length = np.sqrt(fx * fx + fy * fy + fz * fz) + 1e-300
     fx, fy, fz = fx / face_length, fy / face_length, fz / face_length
-    nx, ny, nz = _blend(scene.normals, corners, a, b, c)
+    nx, ny, nz = _blend(scene.normals, corners, weights)
     length = np.sqrt(nx * nx + ny * ny + nz * nz) + 1e-300
     nx, ny, nz = nx / length, ny / length, nz / length
     if nx * fx + ny * fy + nz * fz < 0.5:
@@ -168,20 +167,21 @@ def _surface_normal(corners, a, b, c, direction, scene):
 
 @compiled
 @no_type_check
-def _surface_light(face, level, a, b, c, direction, scene, phase, num_looks):
+def _surface_light(face, level, weights, direction, scene, looks):
     corners = scene.faces[face]
+    a, b, c = weights
     total = a + b + c
-    a, b, c = a / total, b / total, c / total
+    weights = (a / total, b / total, c / total)
     material = scene.appearance.face_material[face]
-    red, green, blue = albedo_at(scene.appearance, corners, material, level, a, b, c)
-    nx, ny, nz = _surface_normal(corners, a, b, c, direction, scene)
-    x, y, z = _blend(scene.vertices, corners, a, b, c)
+    red, green, blue = albedo_at(scene.appearance, corners, material, level, weights)
+    nx, ny, nz = _surface_normal(corners, weights, direction, scene)
+    x, y, z = _blend(scene.vertices, corners, weights)
     toward = scene.sun_direction
     facing = nx * toward[0] + ny * toward[1] + nz * toward[2]
     lit, open_sky = 1.0, 1.0
     if scene.shadows:
         offset = (2.0 if facing > 0 else -2.0) / scene.sun.texels_per_m
-        lit = sun_share(scene.sun, x + offset * nx, y + offset * ny, z + offset * nz, phase, num_looks)
+        lit = sun_share(scene.sun, x + offset * nx, y + offset * ny, z + offset * nz, looks)
         cell = scene.sky.cell_m
         open_sky = sky_share(scene.sky, x + cell * nx, y + cell * ny, z + cell * nz)
     direct = lit * (facing if facing > 0 else -facing * scene.appearance.transmission[material])
