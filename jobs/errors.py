@@ -4,6 +4,7 @@
     ├── NotFoundError       no such asset, job or artefact
     ├── GoneError           there was one; it expired or was deleted
     ├── ConflictError       the state forbids it
+    ├── ReusedKeyError      the client's key means another request
     ├── FencedError         another attempt owns the job; this one must stop
     └── SettingsError       the settings cannot be used
 
@@ -35,6 +36,12 @@ class ConflictError(JobsError):
     """The state of the thing forbids it."""
 
     code = "conflict"
+
+
+class ReusedKeyError(JobsError):
+    """The client's key means a request with another body."""
+
+    code = "idempotency-key-reused"
 
 
 class FencedError(JobsError):

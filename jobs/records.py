@@ -64,6 +64,7 @@ class JobRecord:
     error_message: str | None = None
     start_deadline: float | None = None
     retry_of: str | None = None
+    fresh_from: JobType | None = None  # this stage and those after it take nothing from the cache
     created_at: float
     started_at: float | None = None
     finished_at: float | None = None
@@ -72,6 +73,15 @@ class JobRecord:
     def terminal(self) -> bool:
         """Whether the state is final."""
         return self.state in TERMINAL
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClientKey:
+    """What a client calls its request, so that sending it twice makes one job."""
+
+    key: str
+    body_sha256: str
+    expires_s: float | None = None  # after which the key may mean another job [s]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,10 +13,13 @@ from ulid import ULID
 
 from jobs import tables as t
 from jobs.database import insert_new, open_engine
-from jobs.errors import ConflictError, GoneError, NotFoundError
+from jobs.errors import ConflictError, GoneError, NotFoundError, ReusedKeyError
 from jobs.migrations import migrate
-from jobs.records import ArtifactRecord, AssetPart, AssetRecord, JobRecord, StageRecord
+from jobs.records import ArtifactRecord, AssetPart, AssetRecord, ClientKey, JobRecord, StageRecord
 from jobs.states import ACTIVE, JobState, JobType, states_before
+
+HIDDEN = frozenset({"lease_owner", "lease_until", "lost_stages", "client_key", "body_sha256"})
+"""Columns of a job that its record does not show."""
 
 
 def new_id() -> str:
@@ -106,25 +109,52 @@ class Store:
 
     # -- jobs
 
-    def add_job(self, job: JobRecord, *, stages: tuple[JobType, ...]) -> JobRecord:
-        """Keep a new job, its stages, and the message that will tell a worker, in one transaction.
+    def add_job(
+        self, job: JobRecord, *, stages: tuple[JobType, ...], client_key: ClientKey | None = None
+    ) -> tuple[JobRecord, bool]:
+        """Keep a new job, its stages and the message for a worker, in one transaction; tell whether it is new.
 
         Raises:
             GoneError: its asset has gone in the meantime.
+            ReusedKeyError: the client's key means a job with another body.
         """
-        row = {
-            c.name: getattr(job, c.name)
-            for c in t.jobs.columns
-            if c.name not in {"lease_owner", "lease_until", "lost_stages", "client_id", "body_sha256"}
-        }
+        row: dict[str, object] = {c.name: getattr(job, c.name) for c in t.jobs.columns if c.name not in HIDDEN}
+        row |= {"lost_stages": []}
         with self.writing() as connection:
             alive = (t.assets.c.id == job.asset_id) & t.assets.c.deleted_at.is_(None)
             if connection.execute(sa.select(t.assets.c.id).where(alive)).one_or_none() is None:
                 raise GoneError(f"asset {job.asset_id} was deleted or has expired; upload it again")
-            connection.execute(t.jobs.insert().values(**row, lost_stages=[]))
+            if client_key is None:
+                connection.execute(t.jobs.insert().values(**row))
+            else:
+                self._free_key(connection, client_key)
+                row |= {"client_key": client_key.key, "body_sha256": client_key.body_sha256}
+                if not insert_new(connection, t.jobs, row, unique="client_key"):
+                    return read_job(connection, _same_job(connection, client_key)), False
             add_stages(connection, job.id, stages)
             connection.execute(t.outbox.insert().values(job_id=job.id, attempt=job.attempt, created_at=job.created_at))
-        return self.job(job.id)
+            return read_job(connection, job.id), True
+
+    def _free_key(self, connection: sa.Connection, client_key: ClientKey) -> None:
+        if client_key.expires_s is not None:
+            old = (t.jobs.c.client_key == client_key.key) & (t.jobs.c.created_at < self.clock() - client_key.expires_s)
+            connection.execute(t.jobs.update().where(old).values(client_key=None))
+
+    def stage_seconds(self, stage: JobType, *, limit: int = 50) -> list[float]:
+        """How long a stage took lately where it was really run [s]."""
+        ran = (t.stages.c.name == stage) & (t.stages.c.state == "succeeded") & t.stages.c.cached.is_(False)
+        columns = (t.stages.c.started_at, t.stages.c.finished_at)
+        query = sa.select(*columns).where(ran).order_by(t.stages.c.finished_at.desc()).limit(limit)
+        with self.reading() as connection:
+            return [row.finished_at - row.started_at for row in connection.execute(query)]
+
+    def stage_bytes(self, stage: JobType, *, limit: int = 50) -> list[int]:
+        """How much a stage made lately, job by job."""
+        total = sa.func.sum(t.artifacts.c.bytes)
+        newest = sa.func.max(t.artifacts.c.created_at).desc()
+        query = sa.select(total).where(t.artifacts.c.stage == stage).group_by(t.artifacts.c.job_id)
+        with self.reading() as connection:
+            return [int(value) for value in connection.execute(query.order_by(newest).limit(limit)).scalars()]
 
     def job(self, job_id: str) -> JobRecord:
         """One job with its stages.
@@ -257,6 +287,14 @@ def read_job(connection: sa.Connection, job_id: str) -> JobRecord:
     return _job(row, tuple(_stage(stage) for stage in connection.execute(query)))
 
 
+def _same_job(connection: sa.Connection, client_key: ClientKey) -> str:
+    query = sa.select(t.jobs.c.id, t.jobs.c.body_sha256).where(t.jobs.c.client_key == client_key.key)
+    row = connection.execute(query).one()
+    if row.body_sha256 != client_key.body_sha256:
+        raise ReusedKeyError(f"the same key was sent with another body before, for job {row.id}; use a new key")
+    return str(row.id)
+
+
 def _asset(row: sa.Row[tuple[object, ...]]) -> AssetRecord:
     values = dict(row._mapping)
     del values["live_fingerprint"]
@@ -271,6 +309,5 @@ def _stage(row: sa.Row[tuple[object, ...]]) -> StageRecord:
 
 
 def _job(row: sa.Row[tuple[object, ...]], stages: tuple[StageRecord, ...]) -> JobRecord:
-    hidden = {"lease_owner", "lease_until", "lost_stages", "client_id", "body_sha256"}
-    values = {k: v for k, v in row._mapping.items() if k not in hidden}
+    values = {k: v for k, v in row._mapping.items() if k not in HIDDEN}
     return JobRecord(**values | {"stages": stages, "state": JobState(values["state"])})

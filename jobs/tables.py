@@ -42,10 +42,11 @@ jobs = sa.Table(
     sa.Column("lost_stages", sa.JSON, nullable=False),  # the stage that each lost attempt died in
     sa.Column("error_code", sa.String(64)),
     sa.Column("error_message", sa.Text),
-    sa.Column("client_id", sa.String(128), unique=True),
+    sa.Column("client_key", sa.String(160), unique=True),  # what the client named this request
     sa.Column("body_sha256", _hash),
     sa.Column("start_deadline", sa.Double),
     sa.Column("retry_of", _id),
+    sa.Column("fresh_from", sa.String(16)),  # this stage and those after it take nothing from the cache
     sa.Column("created_at", sa.Double, nullable=False, index=True),
     sa.Column("started_at", sa.Double),
     sa.Column("finished_at", sa.Double, index=True),

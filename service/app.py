@@ -12,16 +12,18 @@ from fastapi.middleware.cors import CORSMiddleware
 from fastapi.responses import Response
 
 from jobs.settings import Settings, read_settings
-from service import artifacts, assets, catalogue, health, interact, jobs, problems, spectra
+from service import artifacts, assets, catalogue, events, health, interact, jobs, modes, problems, spectra
 from service.context import Context
 from service.middleware import BodyLimit, RequestFrame
 
 ROUTERS = (
     assets.router,
     jobs.router,
+    events.router,
     artifacts.router,
     spectra.router,
     interact.router,
+    modes.router,
     catalogue.router,
     health.router,
 )

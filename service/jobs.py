@@ -1,11 +1,14 @@
-"""/v1/jobs: ask for a product, look how far it is, stop it, list what it made."""
+"""/v1/jobs: ask for a product, look how far it is, stop it, run it again, list what it made."""
 
+from collections.abc import Callable
 from hashlib import sha256
-from typing import Annotated
+from statistics import median
+from typing import Annotated, TypeVar
 
-from fastapi import APIRouter, Header, Query, Request, Response, status
+from fastapi import APIRouter, Header, Path, Query, Request, Response, status
 
-from jobs.records import ArtifactRecord, JobRecord
+from jobs.errors import ConflictError, ReusedKeyError
+from jobs.records import ArtifactRecord, AssetRecord, ClientKey, JobRecord
 from jobs.states import JobState, JobType, stages_of
 from jobs.store import new_id
 from service.assets import require_room
@@ -13,10 +16,12 @@ from service.catalogue import require_preset
 from service.context import Context, Ctx
 from service.payloads import (
     AnimateParams,
+    EstimatePayload,
     JobListPayload,
     JobPayload,
     JobRequest,
     ManifestPayload,
+    RetryRequest,
     job_payload,
     manifest_payload,
 )
@@ -28,40 +33,104 @@ router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 
 POLL_AFTER_S = 1
 MAX_PAGE = 100
+KEY_EXPIRES_S = 86400.0
+_REFUSALS = ("not-found", "conflict", "expired", "idempotency-key-reused", "queue-full", "disk-full")
+_ACCEPTED = {
+    "description": "Accepted",
+    **headers(Location="the job", Retry_After="seconds until it is worth a look"),
+}
+Number = TypeVar("Number", int, float)
 
 
 @router.post(
     "",
     operation_id="createJob",
     status_code=status.HTTP_202_ACCEPTED,
-    responses=refusals("not-found", "conflict", "expired", "queue-full", "disk-full")
-    | {202: {"description": "Accepted", **headers(Location="the job", Retry_After="seconds until it is worth a look")}},
+    response_model=JobPayload,
+    responses=refusals(*_REFUSALS)
+    | {200: {"description": "validate_only: it would be accepted", "model": EstimatePayload}, 202: _ACCEPTED},
 )
-def create_job(body: JobRequest, response: Response, context: Ctx) -> JobPayload:
+def create_job(
+    body: JobRequest,
+    response: Response,
+    context: Ctx,
+    validate_only: Annotated[
+        bool, Query(description="only tell whether it would be accepted, and what it takes")
+    ] = False,
+    idempotency_key: Annotated[
+        str | None, Header(min_length=1, max_length=128, description="the same key within 24 h gives the same job")
+    ] = None,
+) -> JobPayload | Response:
     """Ask for voxels, a spectrum, a motion, or a mesh of photos. What that needs runs first, or is cached."""
-    require_room(context)
-    store = context.store
-    asset = store.asset(_checked_id(body.asset_id))
-    stages = stages_of(body.type, asset.kind)
-    if "diffuse" in stages:
-        require_preset(body.preset)
-    if isinstance(body.params, AnimateParams):
-        _require_loop(body.params)
-    if store.count_jobs(JobState.QUEUED) >= context.settings.max_queued_jobs:
-        raise ProblemError("queue-full", f"{context.settings.max_queued_jobs} jobs wait already, which is the limit")
+    asset, stages = _checked(context, body)
+    if validate_only:
+        told = EstimatePayload(
+            est_seconds=_sum_of_medians(stages, context.store.stage_seconds),
+            est_bytes=_sum_of_medians(stages, context.store.stage_bytes),
+        )
+        return Response(told.model_dump_json(), media_type="application/json")
+    key = None
+    if idempotency_key is not None:
+        key = ClientKey(key=f"post:{idempotency_key}", body_sha256=_fingerprint(body), expires_s=KEY_EXPIRES_S)
+    return _accept(context, _record(context, body, asset), stages, key, response)
+
+
+@router.put(
+    "/{client_id}",
+    operation_id="putJob",
+    status_code=status.HTTP_202_ACCEPTED,
+    responses=refusals(*_REFUSALS)
+    | {200: {"description": "The same was sent before; the same job", "model": JobPayload}, 202: _ACCEPTED},
+)
+def put_job(
+    client_id: Annotated[
+        str, Path(pattern=r"^[A-Za-z0-9._-]{1,128}$", description="the client's own name for the job")
+    ],
+    body: JobRequest,
+    response: Response,
+    context: Ctx,
+) -> JobPayload:
+    """Create a job under a name of the client's; sending it again is harmless. The job's id is in the answer."""
+    asset, stages = _checked(context, body)
+    key = ClientKey(key=f"put:{client_id}", body_sha256=_fingerprint(body))
+    try:
+        return _accept(context, _record(context, body, asset), stages, key, response)
+    except ReusedKeyError as error:
+        raise ConflictError(str(error)) from error
+
+
+@router.post(
+    "/{id}/retry",
+    operation_id="retryJob",
+    status_code=status.HTTP_202_ACCEPTED,
+    responses=refusals(*_REFUSALS) | {202: _ACCEPTED},
+)
+def retry_job(id: Id, response: Response, context: Ctx, body: RetryRequest | None = None) -> JobPayload:
+    """Run a job that has ended again, as a new job."""
+    old = context.store.job(id)
+    if not old.terminal:
+        raise ConflictError(f"job {id} is {old.state}; only one that has ended can be run again")
+    from_stage = body.from_stage if body is not None else None
+    stages = tuple(stage.name for stage in old.stages)
+    if from_stage is not None and from_stage not in stages:
+        detail = f"job {id} has no stage {from_stage}; it has {', '.join(stages)}"
+        errors = [{"pointer": "/from_stage", "code": "unknown-stage", "detail": detail}]
+        raise ProblemError("validation-failed", detail, errors=errors)  # type: ignore[arg-type]
+    _require_place(context)
     job = JobRecord(
         id=new_id(),
-        type=body.type,
+        type=old.type,
         state=JobState.QUEUED,
-        asset_id=asset.id,
-        preset=body.preset,
-        seed=body.seed,
-        params=body.params.model_dump(mode="json"),
+        asset_id=context.store.asset(old.asset_id).id,
+        preset=old.preset,
+        seed=old.seed,
+        params=old.params,
         queue=context.settings.queue,
-        created_at=store.clock(),
+        retry_of=old.id,
+        fresh_from=from_stage,
+        created_at=context.store.clock(),
     )
-    response.headers["Location"] = f"/v1/jobs/{job.id}"
-    return _told(context, store.add_job(job, stages=stages), response)
+    return _accept(context, job, stages, None, response)
 
 
 @router.get("", operation_id="listJobs", responses=refusals())
@@ -101,11 +170,11 @@ def get_job(
     id: Id, response: Response, context: Ctx, if_none_match: Annotated[str | None, Header()] = None
 ) -> JobPayload | Response:
     """A job: state, stages, progress, place in the queue, products, error."""
-    told = _told(context, context.store.job(id), response)
+    payload = tell(context, context.store.job(id), response)
     if matches(if_none_match, response.headers["ETag"]):
         kept = {name: response.headers[name] for name in ("ETag", "Retry-After") if name in response.headers}
         return Response(status_code=status.HTTP_304_NOT_MODIFIED, headers=kept)
-    return told
+    return payload
 
 
 @router.post(
@@ -116,7 +185,7 @@ def get_job(
 )
 def cancel_job(id: Id, response: Response, context: Ctx) -> JobPayload:
     """Stop a job: at once while it waits, within one sampler step while it runs. Asking again changes nothing."""
-    return _told(context, context.store.cancel(id), response)
+    return tell(context, context.store.cancel(id), response)
 
 
 @router.get("/{id}/artifacts", operation_id="listArtifacts", responses=refusals("not-found"))
@@ -125,13 +194,57 @@ def list_artifacts(id: Id, context: Ctx) -> ManifestPayload:
     return manifest_payload(context.store.job(id), context.store.artifacts_of(id))
 
 
-def _told(context: Context, job: JobRecord, response: Response) -> JobPayload:
+def tell(context: Context, job: JobRecord, response: Response) -> JobPayload:
+    """A job as it is told, with the headers that go with it."""
     position = context.store.queue_position(job)
-    payload = job_payload(job, _artifacts(context, job), position)
     response.headers["ETag"] = '"' + sha256(f"{job.id} {job.version} {position}".encode()).hexdigest()[:32] + '"'
     if not job.terminal:
         response.headers["Retry-After"] = str(POLL_AFTER_S)
-    return payload
+    return job_payload(job, _artifacts(context, job), position)
+
+
+def _checked(context: Context, body: JobRequest) -> tuple[AssetRecord, tuple[JobType, ...]]:
+    """The asset and the stages of a request that can be taken."""
+    _require_place(context)
+    if len(body.asset_id) != 26 or not body.asset_id.isalnum() or not body.asset_id.isascii():
+        raise ProblemError("not-found", f"there is no asset {body.asset_id!r}; POST /v1/assets gives ids")
+    asset = context.store.asset(body.asset_id)
+    stages = stages_of(body.type, asset.kind)
+    if "diffuse" in stages:
+        require_preset(body.preset)
+    if isinstance(body.params, AnimateParams):
+        _require_loop(body.params)
+    return asset, stages
+
+
+def _record(context: Context, body: JobRequest, asset: AssetRecord) -> JobRecord:
+    now = context.store.clock()
+    return JobRecord(
+        id=new_id(),
+        type=body.type,
+        state=JobState.QUEUED,
+        asset_id=asset.id,
+        preset=body.preset,
+        seed=body.seed,
+        params=body.params.model_dump(mode="json"),
+        queue=context.settings.queue,
+        start_deadline=None if body.start_deadline_s is None else now + body.start_deadline_s,
+        created_at=now,
+    )
+
+
+def _accept(
+    context: Context, job: JobRecord, stages: tuple[JobType, ...], key: ClientKey | None, response: Response
+) -> JobPayload:
+    kept, new = context.store.add_job(job, stages=stages, client_key=key)
+    response.headers["Location"] = f"/v1/jobs/{kept.id}"
+    if not new and key is not None and key.key.startswith("put:"):
+        response.status_code = status.HTTP_200_OK
+    return tell(context, kept, response)
+
+
+def _fingerprint(body: JobRequest) -> str:
+    return sha256(body.model_dump_json().encode()).hexdigest()
 
 
 def _artifacts(context: Context, job: JobRecord) -> list[ArtifactRecord]:
@@ -140,14 +253,19 @@ def _artifacts(context: Context, job: JobRecord) -> list[ArtifactRecord]:
     return context.store.artifacts_of(job.id)
 
 
-def _checked_id(asset_id: str) -> str:
-    if len(asset_id) != 26 or not asset_id.isalnum() or not asset_id.isascii():
-        raise ProblemError("not-found", f"there is no asset {asset_id!r}; POST /v1/assets gives ids")
-    return asset_id
+def _sum_of_medians(stages: tuple[JobType, ...], history: Callable[[JobType], list[Number]]) -> Number | None:
+    seen = [history(stage) for stage in stages]
+    return sum(median(values) for values in seen) if all(seen) else None  # type: ignore[return-value]
+
+
+def _require_place(context: Context) -> None:
+    require_room(context)
+    if context.store.count_jobs(JobState.QUEUED) >= context.settings.max_queued_jobs:
+        raise ProblemError("queue-full", f"{context.settings.max_queued_jobs} jobs wait already, which is the limit")
 
 
 def _require_loop(params: AnimateParams) -> None:
-    # numba comes with the pipeline; loaded at start-up, not with this module
+    # numba comes with the products; loaded beside the first requests, not with this module
     from dynamictree.products import AnimateOptions
     from dynamictree.spectrum import FPS, NUM_FRAMES
 

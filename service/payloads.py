@@ -73,6 +73,9 @@ class _JobRequest(Payload):
     asset_id: str = Field(max_length=64, description="what POST /v1/assets gave")
     preset: str = Field(default="small", max_length=64, description="the model, see GET /v1/presets")
     seed: int = Field(default=0, ge=0, le=MAX_SEED, description="the same seed gives the same motion")
+    start_deadline_s: Finite | None = Field(
+        default=None, gt=0, le=604_800, description="aborted if no worker has begun by then [s]"
+    )
 
 
 class ReconstructRequest(_JobRequest):
@@ -193,9 +196,26 @@ class JobPayload(Payload):
     result: ResultPayload | None = Field(description="what is there so far; null before the first product")
     error: Problem | None
     retry_of: str | None
+    start_deadline_at: Time | None
     created_at: Time
     started_at: Time | None
     finished_at: Time | None
+
+
+class EstimatePayload(Payload):
+    """A request that would be accepted, and what it would take."""
+
+    valid: Literal[True] = True
+    est_seconds: float | None = Field(description="median of this service's own history [s]; null without one")
+    est_bytes: int | None = Field(description="of all products, likewise")
+
+
+class RetryRequest(Payload):
+    """How to run a job again."""
+
+    from_stage: JobType | None = Field(
+        default=None, description="this stage and those after it run anew; without it, what is cached is taken"
+    )
 
 
 class JobListPayload(Payload):
@@ -281,6 +301,7 @@ def job_payload(job: JobRecord, artifacts: list[ArtifactRecord], queue_position:
         result=_result(job, artifacts),
         error=error,
         retry_of=job.retry_of,
+        start_deadline_at=_maybe_time(job.start_deadline),
         created_at=time_of(job.created_at),
         started_at=_maybe_time(job.started_at),
         finished_at=_maybe_time(job.finished_at),

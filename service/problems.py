@@ -63,6 +63,9 @@ KINDS: dict[str, Kind] = {
         status=408, title="The upload stood still", suggestion="Send it again on a steady line.", retryable=True
     ),
     "conflict": Kind(status=409, title="The state forbids it", suggestion="Look at the state, then decide again."),
+    "idempotency-key-reused": Kind(
+        status=422, title="The key means another request", suggestion="Use a new Idempotency-Key."
+    ),
     "expired": Kind(status=410, title="It is gone", suggestion="Make it again."),
     "payload-too-large": Kind(status=413, title="The body is too large", suggestion="See GET /v1/limits."),
     "unsupported-format": Kind(

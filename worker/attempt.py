@@ -15,7 +15,7 @@ from jobs.artifacts import hash_file
 from jobs.attempts import cached_stage, publish_stage, start_stage, touch_blob
 from jobs.products import MESH_BUNDLE, SPECTRUM, VOXELS, media_type
 from jobs.records import AssetRecord, JobRecord, OutputFile
-from jobs.states import JobType
+from jobs.states import JOB_TYPES, JobType
 from worker.runtime import Runtime
 from worker.watch import Watch
 
@@ -59,7 +59,8 @@ def run_stages(here: Runtime, watch: Watch) -> None:
             watch.check()
             made = _finished(here, job, stage.name)
             key = "" if made else stage_key(job, stage.name, hashes)
-            made = made or _from_cache(here, watch, stage.name, key)
+            if made is None and not _fresh(job, stage.name):
+                made = _from_cache(here, watch, stage.name, key)
             if made is None:
                 start_stage(here.store, watch.held, stage.name)
                 own = folder / stage.name
@@ -119,6 +120,11 @@ def _fetch_photos(here: Runtime, asset: AssetRecord, inputs: Path, name_of: obje
         path = folder / name_of(index, part.name)
         here.artifacts.fetch(part.sha256, path)
         yield path
+
+
+def _fresh(job: JobRecord, stage: JobType) -> bool:
+    """Whether the client asked to run this stage anew."""
+    return job.fresh_from is not None and JOB_TYPES.index(stage) >= JOB_TYPES.index(job.fresh_from)
 
 
 def _finished(here: Runtime, job: JobRecord, stage: JobType) -> tuple[OutputFile, ...] | None:

@@ -63,4 +63,4 @@ def add_job(store: Store, asset: AssetRecord, job_type: JobType = "diffuse", **v
         created_at=store.clock(),
         **values,
     )
-    return store.add_job(job, stages=stages_of(job_type, asset.kind))
+    return store.add_job(job, stages=stages_of(job_type, asset.kind))[0]

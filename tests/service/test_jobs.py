@@ -1,10 +1,15 @@
+import json
+import threading
+
 import pytest
 from fastapi.testclient import TestClient
 
 from jobs.attempts import fail, report_progress, start_stage, succeed
 from jobs.records import AssetRecord
 from jobs.store import new_id
+from jobs.upkeep import abort_overdue
 from service.context import Context
+from service.jobs import KEY_EXPIRES_S
 from tests.service.conftest import hold, publish
 
 
@@ -155,3 +160,83 @@ def test_an_asset_in_use_is_kept(client: TestClient, asset: AssetRecord) -> None
     client.post(f"/v1/jobs/{job['id']}/cancel")
     assert client.delete(f"/v1/assets/{asset.id}").status_code == 204
     assert client.get(f"/v1/assets/{asset.id}").status_code == 410
+
+
+def test_an_idempotency_key_makes_one_job(client: TestClient, asset: AssetRecord, context: Context) -> None:
+    body = {"type": "voxelize", "asset_id": asset.id}
+    first, again = (client.post("/v1/jobs", json=body, headers={"Idempotency-Key": "k"}) for _ in range(2))
+    assert (first.status_code, again.status_code) == (202, 202)
+    assert first.json()["id"] == again.json()["id"]
+    other = client.post("/v1/jobs", json=body | {"seed": 5}, headers={"Idempotency-Key": "k"})
+    assert (other.status_code, other.json()["code"]) == (422, "idempotency-key-reused")
+    now = context.store.clock()
+    context.store.clock = lambda: now + KEY_EXPIRES_S + 1
+    later = client.post("/v1/jobs", json=body | {"seed": 5}, headers={"Idempotency-Key": "k"})
+    assert later.json()["id"] != first.json()["id"]
+
+
+def test_putting_a_job_twice_makes_one(client: TestClient, asset: AssetRecord) -> None:
+    body = {"type": "voxelize", "asset_id": asset.id}
+    first, again = (client.put("/v1/jobs/my-tree.1", json=body) for _ in range(2))
+    assert (first.status_code, again.status_code) == (202, 200)
+    assert first.json() == again.json()
+    assert first.headers["Location"] == again.headers["Location"] == f"/v1/jobs/{first.json()['id']}"
+    assert client.put("/v1/jobs/my-tree.1", json=body | {"seed": 5}).json()["code"] == "conflict"
+    assert client.put("/v1/jobs/my-tree.2", json=body).json()["id"] != first.json()["id"]
+    assert client.put("/v1/jobs/my%20tree", json=body).status_code == 422
+
+
+def test_an_ended_job_runs_again_as_a_new_one(client: TestClient, asset: AssetRecord, context: Context) -> None:
+    old = create(client, asset, seed=3)
+    url = f"/v1/jobs/{old['id']}/retry"
+    assert client.post(url).status_code == 409
+    fail(context.store, hold(context, str(old["id"])), code="out-of-memory", message="found, allowed")
+    new = client.post(url, json={"from_stage": "voxelize"})
+    assert new.status_code == 202
+    assert (new.json()["retry_of"], new.json()["seed"]) == (old["id"], 3)
+    assert context.store.job(new.json()["id"]).fresh_from == "voxelize"
+    assert context.store.job(client.post(url).json()["id"]).fresh_from is None
+    unknown = client.post(url, json={"from_stage": "animate"})
+    assert [error["pointer"] for error in unknown.json()["errors"]] == ["/from_stage"]
+
+
+def test_a_request_can_be_tried_first(client: TestClient, asset: AssetRecord, context: Context) -> None:
+    body = {"type": "voxelize", "asset_id": asset.id}
+    blank = client.post("/v1/jobs?validate_only=true", json=body)
+    assert (blank.status_code, blank.json()) == (200, {"valid": True, "est_seconds": None, "est_bytes": None})
+    assert client.get("/v1/jobs").json()["data"] == []
+    assert client.post("/v1/jobs?validate_only=true", json=body | {"seed": -1}).status_code == 422
+    for size in (10, 20, 60):
+        held = hold(context, str(create(client, asset)["id"]))
+        publish(context, held, "voxelize", "tree.voxels.safetensors", bytes(size))
+    told = client.post("/v1/jobs?validate_only=true", json=body).json()
+    assert told["est_bytes"] == 20
+    assert 0 < told["est_seconds"] < 10
+
+
+def test_a_start_deadline_is_kept(client: TestClient, asset: AssetRecord, context: Context) -> None:
+    job = create(client, asset, start_deadline_s=60)
+    assert job["start_deadline_at"] > job["created_at"]  # type: ignore[operator]
+    now = context.store.clock()
+    context.store.clock = lambda: now + 61
+    assert abort_overdue(context.store) == 1
+    ended = client.get(f"/v1/jobs/{job['id']}").json()
+    assert (ended["state"], ended["error"]["code"]) == ("aborted", "start-deadline")
+
+
+def test_a_job_is_followed_by_its_events(client: TestClient, asset: AssetRecord, context: Context) -> None:
+    job = create(client, asset)
+    held = hold(context, str(job["id"]))
+    publish(context, held, "voxelize", "tree.voxels.safetensors", b"voxels")
+    url = f"/v1/jobs/{job['id']}/events"
+    timer = threading.Timer(0.5, lambda: succeed(context.store, held))
+    timer.start()
+    told = client.get(url)
+    timer.join()
+    assert told.headers["Content-Type"].startswith("text/event-stream")
+    events = [dict(line.split(": ", 1) for line in event.splitlines()) for event in told.text.strip().split("\n\n")]
+    assert [json.loads(event["data"])["state"] for event in events] == ["running", "succeeded"]
+    rest = client.get(url, headers={"Last-Event-ID": events[0]["id"]})
+    assert rest.text.count("event: job") == 1
+    assert client.get(url, headers={"Last-Event-ID": events[1]["id"]}).text == ""
+    assert client.get(f"/v1/jobs/{new_id()}/events").status_code == 404

@@ -71,7 +71,14 @@ PARAMS = {
 }
 
 
-def add_job(here: Runtime, asset: AssetRecord, job_type: JobType = "voxelize", **params: object) -> JobRecord:
+def add_job(
+    here: Runtime,
+    asset: AssetRecord,
+    job_type: JobType = "voxelize",
+    *,
+    fresh_from: JobType | None = None,
+    **params: object,
+) -> JobRecord:
     job = JobRecord(
         id=new_id(),
         type=job_type,
@@ -81,9 +88,10 @@ def add_job(here: Runtime, asset: AssetRecord, job_type: JobType = "voxelize", *
         seed=0,
         params=PARAMS[job_type] | params,  # type: ignore[arg-type]
         queue="cpu",
+        fresh_from=fresh_from,
         created_at=here.store.clock(),
     )
-    return here.store.add_job(job, stages=stages_of(job_type, asset.kind))
+    return here.store.add_job(job, stages=stages_of(job_type, asset.kind))[0]
 
 
 def hold(here: Runtime, job: JobRecord, attempt: int = 1) -> Claim:

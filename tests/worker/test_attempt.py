@@ -91,6 +91,13 @@ def test_the_same_stage_runs_once(here: Runtime, asset: AssetRecord) -> None:
     assert content(here, other.id, VOXELS) != content(here, first.id, VOXELS)
 
 
+def test_a_stage_runs_anew_where_that_is_asked(here: Runtime, asset: AssetRecord) -> None:
+    run(here, hold(here, add_job(here, asset)))
+    job = add_job(here, asset, fresh_from="voxelize")
+    run(here, hold(here, job))
+    assert not here.store.job(job.id).stages[0].cached
+
+
 def test_a_cached_stage_whose_bytes_are_gone_runs_again(here: Runtime, asset: AssetRecord) -> None:
     first, second = add_job(here, asset), add_job(here, asset)
     run(here, hold(here, first))

@@ -63,7 +63,7 @@ def add_job(keeper: Housekeeper) -> JobRecord:
         queue="cpu",
         created_at=now,
     )
-    return keeper.store.add_job(job, stages=("voxelize",))
+    return keeper.store.add_job(job, stages=("voxelize",))[0]
 
 
 def test_a_job_is_sent_once(keeper: Housekeeper) -> None:

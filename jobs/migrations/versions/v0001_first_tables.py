@@ -66,10 +66,11 @@ def upgrade() -> None:
         sa.Column("lost_stages", sa.JSON(), nullable=False),
         sa.Column("error_code", sa.String(length=64), nullable=True),
         sa.Column("error_message", sa.Text(), nullable=True),
-        sa.Column("client_id", sa.String(length=128), nullable=True),
+        sa.Column("client_key", sa.String(length=160), nullable=True),
         sa.Column("body_sha256", sa.String(length=64), nullable=True),
         sa.Column("start_deadline", sa.Double(), nullable=True),
         sa.Column("retry_of", sa.String(length=64), nullable=True),
+        sa.Column("fresh_from", sa.String(length=16), nullable=True),
         sa.Column("created_at", sa.Double(), nullable=False),
         sa.Column("started_at", sa.Double(), nullable=True),
         sa.Column("finished_at", sa.Double(), nullable=True),
@@ -78,7 +79,7 @@ def upgrade() -> None:
             ["assets.id"],
         ),
         sa.PrimaryKeyConstraint("id"),
-        sa.UniqueConstraint("client_id"),
+        sa.UniqueConstraint("client_key"),
     )
     op.create_index(op.f("ix_jobs_asset_id"), "jobs", ["asset_id"], unique=False)
     op.create_index(op.f("ix_jobs_created_at"), "jobs", ["created_at"], unique=False)
