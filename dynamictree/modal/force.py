@@ -19,7 +19,7 @@ Vector = tuple[float, float, float]
 AIR_DENSITY_KG_M3 = 1.2
 DRAG_COEFFICIENT = 0.25  # crowns in leaf measure 0.2 to 0.4 at 10 m/s; half the surface or more lies in the lee
 REACH_VOXELS = 3.0  # a point further from every voxel's centre lies outside of the tree
-STIFF_SHARE = 0.02  # a direction that gives way by this share of the softest is dragged half of the way
+STIFF_SHARE = 0.1  # a direction that gives way by this share of the softest is dragged half of the way
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,0 +1,84 @@
+"""A grown tree that the service knows, and how it is pushed: fixtures of the tests of interaction."""
+
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fastapi.testclient import TestClient
+
+from dynamictree.dataset.sample import make_sample, voxel_spectrum
+from dynamictree.formats.mesh_bundle import write_mesh_bundle
+from dynamictree.formats.spectrum_file import write_spectrum
+from dynamictree.spectrum import SparseVoxelSpectrum
+from jobs.artifacts import hash_file
+from jobs.attempts import succeed
+from jobs.records import AssetPart, AssetRecord, JobRecord
+from jobs.states import JobState
+from jobs.store import new_id
+from service.context import Context
+from tests.service.conftest import hold, publish
+
+ASSET_ID = "01ARZ3NDEKTSV4RRFFQ69G5FAV"
+
+
+@pytest.fixture(scope="module")
+def grown():
+    return make_sample(4, "columnar")
+
+
+@pytest.fixture(scope="module")
+def spectrum(grown) -> SparseVoxelSpectrum:
+    return voxel_spectrum(grown, 32)[1]
+
+
+@pytest.fixture
+def spectrum_id(client: TestClient, context: Context, grown, spectrum: SparseVoxelSpectrum, tmp_path: Path) -> str:
+    bundle = tmp_path / "mesh.safetensors"
+    with bundle.open("wb") as stream:
+        write_mesh_bundle(grown.mesh, stream)
+    digest, size = hash_file(bundle)
+    context.artifacts.put(bundle, digest)
+    now = context.store.clock()
+    part = AssetPart(name="tree.glb", sha256=digest, bytes=size)
+    asset = AssetRecord(
+        id=ASSET_ID,
+        kind="mesh",
+        fingerprint="e" * 64,
+        parts=(part,),
+        prepared=part,
+        summary={},
+        created_at=now,
+        expires_at=now + 500,
+    )
+    job = JobRecord(
+        id=new_id(),
+        type="diffuse",
+        state=JobState.QUEUED,
+        asset_id=context.store.add_asset(asset)[0].id,
+        preset="small",
+        seed=0,
+        params={},
+        queue="cpu",
+        created_at=now,
+    )
+    context.store.add_job(job, stages=("voxelize", "diffuse"))
+    held = hold(context, job.id)
+    publish(context, held, "voxelize", "tree.voxels.safetensors", b"voxels")
+    file = io.BytesIO()
+    write_spectrum(spectrum, file, dtype="float32")
+    publish(context, held, "diffuse", "tree.spectrum.safetensors", file.getvalue())
+    succeed(context.store, held)
+    return str(client.get(f"/v1/jobs/{job.id}").json()["result"]["spectrum_id"])
+
+
+@pytest.fixture
+def poke(spectrum: SparseVoxelSpectrum) -> dict[str, object]:
+    top = int(np.argmax(spectrum.grid.coords[:, 2]))
+    return {"kind": "impulse", "at": {"voxel": top}, "impulse_n_s": [3.0, 1.0, 0.0]}
+
+
+def post(client: TestClient, spectrum_id: str, *forces: object, accept: str | None = None, **options: object):
+    headers = {} if accept is None else {"Accept": accept}
+    body = {"spectrum_id": spectrum_id, "forces": list(forces), **options}
+    return client.post("/v1/interact", json=body, headers=headers)

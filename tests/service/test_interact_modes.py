@@ -1,0 +1,146 @@
+"""Modes for clients: the references of `recipes` give what the server gives."""
+
+# ruff: noqa: F811
+
+import json
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fastapi.testclient import TestClient
+from safetensors.numpy import load
+
+from dynamictree.spectrum import SparseVoxelSpectrum
+from recipes.modes_reference import Modes
+from tests.service.pushed import grown, poke, post, spectrum, spectrum_id  # noqa: F401
+
+REFERENCE = Path(__file__).parents[2] / "recipes" / "modes_reference.mjs"
+DRIVER = """
+import { readFileSync } from "node:fs";
+import { Modes } from "REFERENCE";
+const [modesPath, requestPath] = process.argv.slice(2);
+const file = readFileSync(modesPath);
+const modes = new Modes(file.buffer.slice(file.byteOffset, file.byteOffset + file.byteLength));
+const { q, weights } = JSON.parse(readFileSync(requestPath, "utf8"));
+const { rotation, place } = modes.poses(q, weights);
+const told = { voxels: modes.voxels(q, weights), rotation, place };
+console.log(JSON.stringify(told, (_, value) => (ArrayBuffer.isView(value) ? Array.from(value) : value)));
+"""
+
+
+@pytest.fixture
+def modes(client: TestClient, spectrum_id: str) -> bytes:
+    response = client.get(f"/v1/spectra/{spectrum_id}/modes")
+    assert (response.status_code, response.headers["Content-Type"]) == (200, "application/vnd.safetensors")
+    return response.content
+
+
+def evaluated(client: TestClient, spectrum_id: str, *forces: object, **options: object):
+    """Last frame's coordinates [G, K, 2] and weights [G, V], as a client gets them."""
+    told = post(client, spectrum_id, *forces, **options).json()
+    q = np.array([group["q"][-1] for group in told["groups"]])
+    weights = [reach(client, spectrum_id, group["locality"]) for group in told["groups"]]
+    length = max((len(row) for row in weights if row is not None), default=0)
+    return q, weights, length
+
+
+def reach(client: TestClient, spectrum_id: str, locality: dict | None) -> np.ndarray | None:
+    if locality is None:
+        return None
+    response = client.get(f"/v1/spectra/{spectrum_id}/reach", params=locality)
+    assert response.status_code == 200, response.text
+    return np.frombuffer(response.content, np.uint8) / 255
+
+
+def weights_of(rows: list, num_voxels: int) -> np.ndarray:
+    return np.stack([np.ones(num_voxels) if row is None else row for row in rows])
+
+
+def pushes(poke: dict, spectrum: SparseVoxelSpectrum) -> list[dict]:
+    """Two places and wind: two local groups, one that moves the whole tree."""
+    side = int(np.argmax(np.abs(spectrum.grid.coords[:, 0] - 16)))
+    return [
+        poke | {"impulse_n_s": [40.0, 10.0, 0.0]},
+        poke | {"at": {"voxel": side}, "impulse_n_s": [0.0, 30.0, 0.0]},
+        {"kind": "wind", "wind_m_s": [12.0, 0.0, 0.0]},
+    ]
+
+
+@pytest.mark.parametrize("locality", ["none", "geodesic"])
+def test_the_python_reference_gives_the_servers_voxels(
+    client: TestClient, spectrum_id: str, spectrum: SparseVoxelSpectrum, poke: dict, modes: bytes, locality: str
+) -> None:
+    options = {"num_frames": 12, "locality": locality, "falloff_m": 2.0}
+    forces = pushes(poke, spectrum)
+    response = post(client, spectrum_id, *forces, accept="*/*", output="voxels", **options)
+    expected = load(response.content)["displacement"][-1]
+    q, rows, _ = evaluated(client, spectrum_id, *forces, **options)
+    moved = Modes(modes).voxels(q, weights_of(rows, len(expected)))
+    # 16 bits a mode shape, 8 a weight
+    np.testing.assert_allclose(moved, expected, atol=4e-3 * np.abs(expected).max())
+    assert len(q) == (1 if locality == "none" else 3)
+
+
+def test_the_python_reference_bends_as_the_server_does(
+    client: TestClient, spectrum_id: str, spectrum: SparseVoxelSpectrum, poke: dict, modes: bytes
+) -> None:
+    options = {"num_frames": 12, "falloff_m": 2.0}
+    forces = pushes(poke, spectrum)
+    response = post(client, spectrum_id, *forces, accept="*/*", output="voxels", warp=True, **options)
+    expected = load(response.content)["displacement"][-1]
+    q, rows, _ = evaluated(client, spectrum_id, *forces, **options)
+    reference = Modes(modes)
+    rotation, place = reference.poses(q, weights_of(rows, len(expected)))
+    bone, points = reference.file["bone_of_voxel"], spectrum.grid.centres_m
+    arm = points - reference.file["bone_joint_m"][bone]
+    moved = np.einsum("vij,vj->vi", rotation[bone], arm) + place[bone] - points
+    np.testing.assert_allclose(moved, expected, atol=1e-2 * np.abs(expected).max())
+
+
+def test_the_javascript_reference_is_the_python_one(
+    client: TestClient, spectrum_id: str, spectrum: SparseVoxelSpectrum, poke: dict, modes: bytes, tmp_path: Path
+) -> None:
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("node is not installed: the JavaScript reference needs it")
+    q, rows, num_voxels = evaluated(client, spectrum_id, *pushes(poke, spectrum), num_frames=12, falloff_m=2.0)
+    weights = weights_of(rows, num_voxels)
+    (tmp_path / "modes").write_bytes(modes)
+    request = {"q": q.reshape(len(q), -1).tolist(), "weights": weights.tolist()}
+    (tmp_path / "request.json").write_text(json.dumps(request))
+    (tmp_path / "driver.mjs").write_text(DRIVER.replace("REFERENCE", REFERENCE.as_uri()))
+    command = [node, str(tmp_path / "driver.mjs"), str(tmp_path / "modes"), str(tmp_path / "request.json")]
+    told = json.loads(subprocess.run(command, check=True, capture_output=True, timeout=60).stdout)
+    reference = Modes(modes)
+    rotation, place = reference.poses(q, weights)
+    np.testing.assert_allclose(np.reshape(told["voxels"], (-1, 3)), reference.voxels(q, weights), atol=1e-6)
+    np.testing.assert_allclose(np.reshape(told["rotation"], (-1, 3, 3)), rotation, atol=1e-6)
+    np.testing.assert_allclose(np.reshape(told["place"], (-1, 3)), place, atol=1e-5)
+
+
+def test_shapes_are_twice_the_coefficients_to_a_part_in_thirty_thousand(
+    spectrum: SparseVoxelSpectrum, modes: bytes
+) -> None:
+    reference = Modes(modes)
+    shapes = reference.shapes @ [1, 1j]
+    expected = 2 * spectrum.coefficients
+    expected[:, 0] = 0
+    worst = np.abs(shapes - expected).max(axis=(0, 2))
+    assert (worst <= reference.file["scale_m"] * 0.75 + 1e-12).all()
+    assert np.array_equal(reference.file["coords"], spectrum.grid.coords)
+    np.testing.assert_allclose(reference.file["frequencies_hz"], spectrum.frequencies_hz, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("query", "code"),
+    [("seed_voxel=99999999&falloff_m=1", "invalid-input"), ("seed_voxel=0&falloff_m=nan", "validation-failed")],
+)
+def test_a_reach_that_is_none_is_refused(client: TestClient, spectrum_id: str, query: str, code: str) -> None:
+    response = client.get(f"/v1/spectra/{spectrum_id}/reach?{query}")
+    assert (response.status_code, response.json()["code"]) == (422, code)
+
+
+def test_modes_of_what_is_no_spectrum_are_not_found(client: TestClient) -> None:
+    assert client.get("/v1/spectra/01ARZ3NDEKTSV4RRFFQ69G5FAV/modes").status_code == 404
