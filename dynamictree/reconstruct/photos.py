@@ -17,6 +17,7 @@ LONG_SIDE_PX = 1200  # to which photos are reduced: two cores match a pair in a 
 
 _EXIF_IFD, _FOCAL_35MM = 0x8769, 0xA405
 _FILM_WIDTH_MM = 36.0
+_FOCAL_RANGE_MM = (8, 800)  # EXIF says 0 for unknown, and anything after some editors
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +69,7 @@ def _prepare(path: Path, folder: Path, name: str) -> Photo:
             found = f"{path.name} has {image.width} x {image.height} pixels"
             allowed = f"at least {MIN_SIDE_PX} a side and at most {MAX_PHOTO_PIXELS:,} in all are allowed"
             raise FormatError(f"{found}; {allowed}")
-        focal_35mm = image.getexif().get_ifd(_EXIF_IFD).get(_FOCAL_35MM)
+        focal_35mm = _focal_35mm(image)
         image.draft("RGB", (LONG_SIDE_PX, LONG_SIDE_PX))  # a JPEG is decoded at the next larger of 1/2, 1/4, 1/8
         try:
             upright = ImageOps.exif_transpose(image).convert("RGB")
@@ -77,5 +78,12 @@ def _prepare(path: Path, folder: Path, name: str) -> Photo:
     if max(upright.size) > LONG_SIDE_PX:
         upright.thumbnail((LONG_SIDE_PX, LONG_SIDE_PX), Image.Resampling.LANCZOS)
     upright.save(folder / name, format="JPEG", quality=95, subsampling=0, exif=b"")
-    focal_px = float(focal_35mm) / _FILM_WIDTH_MM * max(upright.size) if focal_35mm else None
+    focal_px = None if focal_35mm is None else focal_35mm / _FILM_WIDTH_MM * max(upright.size)
     return Photo(source=path.name, name=name, width=upright.width, height=upright.height, focal_px=focal_px)
+
+
+def _focal_35mm(image: Image.Image) -> float | None:
+    focal = image.getexif().get_ifd(_EXIF_IFD).get(_FOCAL_35MM)
+    if isinstance(focal, int) and _FOCAL_RANGE_MM[0] <= focal <= _FOCAL_RANGE_MM[1]:
+        return float(focal)
+    return None

@@ -66,7 +66,10 @@ def sun_map(
     axes = np.stack([right, np.cross(sun, right), sun])  # [3, 3]
     seen = vertices @ axes.T  # [N, 3]
     low = seen[:, :2].min(axis=0)
-    texels_per_m = (_SUN_MAP - 2) / float(np.ptp(seen[:, :2], axis=0).max())
+    across = max(
+        float(np.ptp(seen[:, :2], axis=0).max()), 1e-6 * float(np.ptp(seen[:, 2]))
+    )  # a stick to the sun has none
+    texels_per_m = (_SUN_MAP - 2) / across
     homogeneous = np.concatenate([(seen[:, :2] - low) * texels_per_m + 1, np.ones((len(seen), 1))], axis=1)
     triangles = screen_triangles(homogeneous, faces, appearance, width=_SUN_MAP, height=_SUN_MAP)
     nearness = np.ascontiguousarray(seen[:, 2].astype(np.float32))

@@ -65,6 +65,14 @@ def test_a_photo_without_exif_has_no_focal_length(tmp_path, eight):
     assert prepare_photos(eight, tmp_path / "out")[0].focal_px is None
 
 
+@pytest.mark.parametrize("focal", [0, 60000, "fifty"])
+def test_a_focal_length_that_no_lens_has_is_not_believed(tmp_path, eight, focal):
+    exif = Image.Exif()
+    exif.get_ifd(0x8769)[0xA405] = focal
+    eight[0] = save_photo(tmp_path / "odd.jpg", exif=exif)
+    assert prepare_photos(eight, tmp_path / "out")[0].focal_px is None
+
+
 @pytest.mark.parametrize("number", [0, 1, 7, 301])
 def test_refuses_too_few_and_too_many(tmp_path, eight, number):
     with pytest.raises(InputError, match=f"^{number} photos were given; 8 to 300"):
