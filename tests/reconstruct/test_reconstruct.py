@@ -21,6 +21,8 @@ from dynamictree.reconstruct.mapping import pairs_to_match
 from dynamictree.reconstruct.photos import prepare_photos
 from tests.reconstruct.conftest import Orbit
 
+pytestmark = pytest.mark.timeout(600)  # half a minute on two free cores; native code that other work may starve
+
 
 def aligned(found: np.ndarray, true: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
     """Scale, rotation and shift that best take found points to true ones (Umeyama 1991)."""
