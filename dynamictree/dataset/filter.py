@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float32, Int32
 
 from dynamictree.dataset.sample import Sample
+from dynamictree.dataset.threads import single_thread
 from dynamictree.mesh import edges_of
 from dynamictree.spectrum import FPS
 
@@ -66,7 +67,9 @@ def high_frequency_energy(displacement: Float32[np.ndarray, "T N 3"], *, fps: fl
     frames = len(displacement)
     series = displacement.reshape(frames, -1)
     turn = np.exp(-2j * np.pi * np.outer(np.arange(frames // 2 + 1), np.arange(frames)) / frames)
-    power = ((turn.real.astype(np.float32) @ series) ** 2 + (turn.imag.astype(np.float32) @ series) ** 2).sum(axis=1)
+    with single_thread():
+        real, imaginary = turn.real.astype(np.float32) @ series, turn.imag.astype(np.float32) @ series
+    power = (real**2 + imaginary**2).sum(axis=1)
     frequency_hz = np.fft.rfftfreq(frames, d=1 / fps)
     total = power[1:].sum()
     return float(power[frequency_hz > above_hz].sum() / total) if total != 0 else 0.0

@@ -16,8 +16,6 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from threadpoolctl import threadpool_limits
-
 from dynamictree.dataset.card import write_card
 from dynamictree.dataset.filter import DEFAULT_LIMITS, Limits, measure, rejections
 from dynamictree.dataset.review import Verdict
@@ -139,20 +137,19 @@ def bake_shard(recipe: Recipe, index: int, folder: Path) -> None:
     trees: list[StoredTree] = []
     verdicts: list[tuple[str, ...]] = []
     rejected: dict[str, list[str]] = {}
-    with threadpool_limits(1):  # the other cores bake other shards, and BLAS sums in one order
-        for seed in recipe.shard_seeds(index):
-            if len(trees) == recipe.shard_trees(index):
-                break
-            broken: tuple[str, ...] | None = ("curation",) if recipe.review.get(seed) == "reject" else None
-            if broken is None:
-                sample = make_sample(seed, loop=recipe.loop)
-                accepted = recipe.review.get(seed) == "accept"
-                broken = () if accepted else measure(sample, recipe.limits).broken(recipe.limits)
-            verdicts.append(broken)
-            if broken:
-                rejected[str(seed)] = list(broken)
-            else:
-                trees.append(store(sample, resolutions=recipe.resolutions, vertex_spectrum=recipe.vertex_spectrum))
+    for seed in recipe.shard_seeds(index):
+        if len(trees) == recipe.shard_trees(index):
+            break
+        broken: tuple[str, ...] | None = ("curation",) if recipe.review.get(seed) == "reject" else None
+        if broken is None:
+            sample = make_sample(seed, loop=recipe.loop)
+            accepted = recipe.review.get(seed) == "accept"
+            broken = () if accepted else measure(sample, recipe.limits).broken(recipe.limits)
+        verdicts.append(broken)
+        if broken:
+            rejected[str(seed)] = list(broken)
+        else:
+            trees.append(store(sample, resolutions=recipe.resolutions, vertex_spectrum=recipe.vertex_spectrum))
     if len(trees) < recipe.shard_trees(index):
         raise InputError(
             f"only {len(trees)} of {len(verdicts)} trees of shard {index} passed the filter, "

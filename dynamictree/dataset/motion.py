@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Complex64, Float32, Int32
 
+from dynamictree.dataset.threads import single_thread
 from dynamictree.spectrum import NUM_FREQUENCIES
 
 
@@ -37,7 +38,8 @@ def node_spectrum(
     turning = -2j * np.pi * np.arange(num_frequencies)[:, None] * np.arange(frames) / frames
     transform = (np.exp(turning) / frames).astype(np.complex64)
     series = np.concatenate([motion.shift.reshape(frames, -1), motion.turn.reshape(frames, -1)], axis=1)
-    both = np.concatenate([transform.real, transform.imag]) @ series  # [2K, 12 B]: one real product, no complex copy
+    with single_thread():
+        both = np.concatenate([transform.real, transform.imag]) @ series  # [2K, 12 B]: real, no complex copy
     hat = both[:num_frequencies] + 1j * both[num_frequencies:]
     split = 3 * nodes
     return hat[:, :split].reshape(-1, nodes, 3), hat[:, split:].reshape(-1, nodes, 3, 3)

@@ -25,6 +25,7 @@ from dynamictree.dataset.oscillator import (
 )
 from dynamictree.dataset.rotation import carried, cross, product, to_matrix, turn_of
 from dynamictree.dataset.sapling import Tree
+from dynamictree.dataset.threads import single_thread
 from dynamictree.dataset.tubes import own_rings
 from dynamictree.spectrum import NUM_FRAMES, Wind
 
@@ -71,11 +72,12 @@ def sway(tree: Tree, wind: Wind, rng: np.random.Generator, *, num_frames: int = 
     ticks = clock(gusts, num_frames)
     levels: list[_Moving] = []
     motions = []
-    for stems in tree.stems:
-        levels.append(_move(stems, levels[-1] if levels else None, gusts, ticks, rng))
-        motions.append(_ring_motion(stems, levels[-1]))
-    for leaves in tree.leaves:
-        motions.append(_flutter(leaves, levels[leaves.level], gusts, ticks, rng))
+    with single_thread():
+        for stems in tree.stems:
+            levels.append(_move(stems, levels[-1] if levels else None, gusts, ticks, rng))
+            motions.append(_ring_motion(stems, levels[-1]))
+        for leaves in tree.leaves:
+            motions.append(_flutter(leaves, levels[leaves.level], gusts, ticks, rng))
     return Sway(
         shift=np.concatenate([motion.shift for motion in motions], axis=1),
         turn=np.concatenate([motion.turn for motion in motions], axis=1),
