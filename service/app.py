@@ -12,7 +12,7 @@ from fastapi.middleware.cors import CORSMiddleware
 from fastapi.responses import Response
 
 from jobs.settings import Settings, read_settings
-from service import artifacts, assets, catalogue, events, health, interact, jobs, modes, problems, spectra
+from service import artifacts, assets, catalogue, events, health, interact, jobs, modes, problems, spectra, stream
 from service.context import Context
 from service.middleware import BodyLimit, RequestFrame
 
@@ -23,6 +23,7 @@ ROUTERS = (
     artifacts.router,
     spectra.router,
     interact.router,
+    stream.router,
     modes.router,
     catalogue.router,
     health.router,

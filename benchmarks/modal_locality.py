@@ -1,0 +1,143 @@
+"""What a poke reaches, and what a large push stretches, on grown trees.
+
+Share of the kinetic energy outside of the poked stem, what it carries and its ancestors, with and without locality; and
+the 99th percentile of edge stretch where the top is held at 20 % of the height, with plain modes and bent.
+"""
+
+import numpy as np
+import scipy.sparse
+
+from benchmarks._interaction import machine
+from dynamictree.dataset.sample import Sample, make_sample, voxel_spectrum
+from dynamictree.dataset.skeleton import Skeleton
+from dynamictree.mesh import edges_of
+from dynamictree.modal.force import Drag, Impulse, compliance, contact_at_voxel, equilibrium, generalised_force
+from dynamictree.modal.locality import branching, default_falloff_m, poke_weights
+from dynamictree.modal.skeleton import bones_of
+from dynamictree.modal.step import State, exact_step
+from dynamictree.modal.step import run as run_modes
+from dynamictree.modal.surface import attach_mesh
+from dynamictree.modal.system import ModalSystem, displacement, modal_system
+from dynamictree.modal.warp import bend, bone_turns, pose
+from dynamictree.voxel.devoxelize import smooth
+from dynamictree.voxel.voxelize import surface_average
+
+TARGET = 0.05
+TREES = ((3, "round-broadleaf"), (4, "maple"), (5, "conical-conifer"), (6, "weeping"), (9, "columnar"))
+POKES_A_LEVEL = 4
+TOP_SHARE = 0.2  # of the height
+
+
+def run() -> dict[str, object]:
+    rows = {}
+    for seed, species in TREES:
+        sample = make_sample(seed, species)
+        _, spectrum = voxel_spectrum(sample)
+        system = modal_system(spectrum)
+        rows[species] = _pokes(sample, system) | _push(sample, system)
+    local = [share for row in rows.values() for share in row["local"]]
+    everywhere = [share for row in rows.values() for share in row["all_modes"]]
+    return {
+        "value": round(float(np.mean(local)), 4),
+        "unit": "share of kinetic energy outside of the poked branch and its ancestors",
+        "target": TARGET,
+        "worst": max(local),
+        "within_target": round(float(np.mean(np.array(local) <= TARGET)), 3),
+        "all_modes": round(float(np.mean(everywhere)), 4),
+        "edge_stretch_p99_at_20_percent": {
+            kind: [row[f"stretch_{kind}"] for row in rows.values()] for kind in ("plain", "bent")
+        },
+        "trees": rows,
+        **machine(),
+    }
+
+
+def _pokes(sample: Sample, system: ModalSystem) -> dict[str, list[float]]:
+    stems, tree, rng = sample.skeleton, branching(system), np.random.default_rng(0)
+    owner = _stem_of_voxels(sample, system)
+    shares: dict[str, list[float]] = {"all_modes": [], "local": []}
+    for level in (1, 2):
+        candidates = np.intersect1d(stems.stem[stems.level == level], owner)
+        for poked in rng.choice(candidates, POKES_A_LEVEL, replace=False):
+            own = np.flatnonzero(owner == poked)
+            base = stems.position[np.flatnonzero(stems.stem == poked)[0]]
+            row = int(own[np.argmax(((system.grid.centres_m[own] - base) ** 2).sum(axis=1))])  # its tip
+            inside = _line_of(stems, int(poked))[owner]
+            energy = _kinetic(system, row)
+            weighed = energy * poke_weights(tree, row, default_falloff_m(system)) ** 2
+            shares["all_modes"].append(round(float(energy[~inside].sum() / energy.sum()), 4))
+            shares["local"].append(round(float(weighed[~inside].sum() / weighed.sum()), 4))
+    return shares
+
+
+def _stem_of_voxels(sample: Sample, system: ModalSystem) -> np.ndarray:
+    """The stem that most of a voxel's surface is of; a leaf is its stem's."""
+    stems, nodes = sample.skeleton, sample.motion.position
+    stem_of_node = np.empty(len(nodes), np.int64)
+    stem_of_node[: len(stems.stem)] = stems.stem
+    grown = np.flatnonzero(stems.parent >= 0)
+    start, along = stems.position[stems.parent[grown]], stems.position[grown] - stems.position[stems.parent[grown]]
+    for leaf in range(len(stems.stem), len(nodes)):  # its base lies on its stem's axis
+        arm = nodes[leaf] - start
+        share = np.clip((arm * along).sum(axis=1) / np.maximum((along**2).sum(axis=1), 1e-12), 0, 1)
+        gap = ((arm - share[:, None] * along) ** 2).sum(axis=1)
+        stem_of_node[leaf] = stems.stem[grown[np.argmin(gap)]]
+    stem = stem_of_node[sample.node]
+    member = scipy.sparse.csr_array((np.ones(len(stem)), (np.arange(len(stem)), stem)))
+    shares = (surface_average(sample.mesh, system.grid) @ member).tocsr()  # [V, S]
+    return np.asarray(shares.argmax(axis=1)).ravel()
+
+
+def _kinetic(system: ModalSystem, row: int) -> np.ndarray:
+    """Energy of each voxel over two seconds after a knock, up to a factor."""
+    at = contact_at_voxel(system.grid, row)
+    softest = np.linalg.eigh(compliance(system, at))[1][:, 2]
+    knock = Impulse(at=at, impulse_n_s=tuple((5 * softest).tolist()))
+    pushed = generalised_force(system, knock, dt_s=1 / 30, num_frames=60)[:, None] / system.modal_mass
+    frames, _ = run_modes(exact_step(system, 1 / 30), State.at_rest(1, system.num_modes), pushed)
+    velocity = np.diff(displacement(system.shapes, frames[:, 0]), axis=0)
+    return (velocity.astype(np.float64) ** 2).sum(axis=(0, 2))
+
+
+def _push(sample: Sample, system: ModalSystem) -> dict[str, float]:
+    mesh, grid = sample.mesh, system.grid
+    top = int(np.argmax(grid.centres_m[:, 2]))
+    at = contact_at_voxel(grid, top)
+    softest = np.linalg.eigh(compliance(system, at))[1][:, 2]
+    q = equilibrium(
+        system, generalised_force(system, Drag(at=at, force_n=tuple(softest.tolist())), dt_s=0.1, num_frames=1)
+    ).q
+    q = q * TOP_SHARE * mesh.height_m / np.linalg.norm(displacement(system.shapes, q)[0, top])
+    bones, ties = bones_of(system), smooth(grid, mesh)
+    carried = attach_mesh(bones, mesh, rows=ties.rows, weights=ties.weights, voxel_size_m=grid.voxel_size_m)
+    stance = pose(bones, bone_turns(bones, np.ones((1, len(bones.parent)), np.float32), q))
+    bent = bend(bones, stance, mesh.vertices, carried.rows, carried.weights)
+    start, end = edges_of(mesh.faces).T
+    rest = np.linalg.norm(mesh.vertices[start] - mesh.vertices[end], axis=1)
+
+    def stretch(moved: np.ndarray) -> float:
+        now = np.linalg.norm((mesh.vertices + moved)[start] - (mesh.vertices + moved)[end], axis=1)
+        return round(float(np.percentile(np.abs(now / rest - 1)[rest > 1e-4], 99)), 4)
+
+    return {
+        "stretch_plain": stretch(ties.apply(displacement(system.shapes, q)[0])),
+        "stretch_bent": stretch(bent),
+        "top_moved_share": round(float(np.linalg.norm(bent[np.argmax(mesh.vertices[:, 2])]) / mesh.height_m), 3),
+    }
+
+
+def _line_of(stems: Skeleton, poked: int) -> np.ndarray:
+    """Whether each stem is the poked one, carried by it, or an ancestor of it."""
+    above = np.full(len(stems.stem_length_m), -1)
+    crossing = (stems.parent >= 0) & (stems.stem[stems.parent] != stems.stem)
+    above[stems.stem[crossing]] = stems.stem[stems.parent[crossing]]
+
+    def line(stem: int) -> set[int]:
+        found = set()
+        while stem >= 0:
+            found.add(stem)
+            stem = int(above[stem])
+        return found
+
+    up = line(poked)
+    return np.array([stem in up or poked in line(stem) for stem in range(len(above))])

@@ -1,0 +1,182 @@
+"""The stream: a drag that goes on."""
+
+# ruff: noqa: F811
+
+import numpy as np
+import pytest
+from fastapi.testclient import TestClient
+from starlette.websockets import WebSocketDisconnect
+
+from dynamictree.modal.force import Drag, Impulse, contact_at_voxel
+from dynamictree.modal.response import group_forces, respond
+from dynamictree.modal.system import modal_system
+from dynamictree.spectrum import SparseVoxelSpectrum
+from service import stream
+from tests.service.pushed import grown, poke, spectrum, spectrum_id  # noqa: F401
+
+URL = "/v1/interact/stream"
+
+
+def opened(socket, spectrum_id: str, **options: object) -> dict:
+    socket.send_json({"type": "open", "spectrum_id": spectrum_id, **options})
+    told = socket.receive_json()
+    assert told["type"] == "opened", told
+    return told
+
+
+def frames(socket, count: int) -> list[dict]:
+    """Frames as a client takes them that keeps up."""
+    taken = []
+    while len(taken) < count:
+        told = socket.receive_json()
+        assert told["type"] == "frame", told
+        socket.send_json({"type": "ack", "frame": told["frame"]})
+        taken.append(told)
+    return taken
+
+
+def pull(vector: list[float], voxel: int = 40) -> dict:
+    return {"type": "force", "force": {"kind": "drag", "at": {"voxel": voxel}, "force_n": vector}}
+
+
+def coordinates(frame: dict, group: int = 0) -> np.ndarray:
+    return np.array(frame["groups"][group]["q"]) @ [1, 1j]
+
+
+def test_frames_are_those_of_the_library(client: TestClient, spectrum_id: str, spectrum: SparseVoxelSpectrum) -> None:
+    with client.websocket_connect(URL) as socket:
+        told = opened(socket, spectrum_id, rate_hz=50, mass_kg=80.0, falloff_m=1.0, damping_ratio=0.1)
+        socket.send_json(pull([0.0, 20.0, 0.0]))
+        taken = frames(socket, 12)
+    system = modal_system(spectrum, mass_kg=80.0, damping_ratio=0.1)
+    assert told["modal_mass_kg_m2"] == pytest.approx(system.modal_mass)
+    drag = Drag(at=contact_at_voxel(spectrum.grid, 40), force_n=(0.0, 20.0, 0.0))
+    expected = respond(system, group_forces([drag], falloff_m=1.0), dt_s=1 / 50, num_frames=2000).q[:, 0]
+    for frame in taken:
+        np.testing.assert_allclose(coordinates(frame)[1:], expected[frame["frame"]], rtol=1e-9)
+        assert frame["groups"][0]["locality"] == {"seed_voxel": 40, "falloff_m": 1.0}
+    assert [frame["frame"] for frame in taken] == sorted({frame["frame"] for frame in taken})
+
+
+def test_a_knock_is_one(client: TestClient, spectrum_id: str, spectrum: SparseVoxelSpectrum, poke: dict) -> None:
+    with client.websocket_connect(URL) as socket:
+        opened(socket, spectrum_id, locality="none")
+        socket.send_json({"type": "force", "force": poke})
+        taken = frames(socket, 5)
+    at = contact_at_voxel(spectrum.grid, poke["at"]["voxel"])
+    groups = group_forces([Impulse(at=at, impulse_n_s=tuple(poke["impulse_n_s"]))], falloff_m=None)
+    expected = respond(modal_system(spectrum), groups, dt_s=1 / 60, num_frames=2000).q[:, 0]
+    for frame in taken:
+        np.testing.assert_allclose(coordinates(frame)[1:], expected[frame["frame"]], rtol=1e-9)
+        assert frame["groups"][0]["locality"] is None
+
+
+def test_a_new_pointer_replaces_the_old_and_release_lets_it_settle(
+    client: TestClient, spectrum_id: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(stream, "SETTLED_M", 0.02)
+    with client.websocket_connect(URL) as socket:
+        opened(socket, spectrum_id, damping_ratio=1.0)
+        socket.send_json(pull([5.0, 0.0, 0.0]))
+        socket.send_json(pull([0.0, 5.0, 0.0]))
+        frames(socket, 5)
+        socket.send_json({"type": "release"})
+        for _ in range(2000):
+            told = socket.receive_json()
+            if told["type"] == "rest":
+                break
+            socket.send_json({"type": "ack", "frame": told["frame"]})
+        assert told["type"] == "rest"
+        # it goes on where it was asked to
+        socket.send_json({"type": "force", "force": {"kind": "wind", "wind_m_s": [8.0, 0.0, 0.0]}})
+        assert frames(socket, 1)[0]["frame"] > told["frame"]
+
+
+def test_who_does_not_acknowledge_gets_few_frames_and_then_the_newest(client: TestClient, spectrum_id: str) -> None:
+    with client.websocket_connect(URL) as socket:
+        opened(socket, spectrum_id, rate_hz=120)
+        socket.send_json(pull([5.0, 0.0, 0.0]))
+        unread = [socket.receive_json() for _ in range(stream.WINDOW)]
+        assert [frame["frame"] for frame in unread] == list(range(1, stream.WINDOW + 1))
+        socket.send_json({"type": "release", "kind": "wind"})  # nothing: it only takes a while
+        socket.send_json({"type": "nonsense"})
+        assert socket.receive_json()["type"] == "problem"  # and no frame came before it
+        _wait_for(20 / 120)
+        socket.send_json({"type": "ack", "frame": stream.WINDOW})
+        socket.send_json({"type": "ack", "frame": 10**9})
+        newest = socket.receive_json()
+        assert newest["frame"] > stream.WINDOW + 1
+        assert newest["skipped"] == newest["frame"] - stream.WINDOW - 1
+
+
+def _wait_for(seconds: float) -> None:
+    import time
+
+    time.sleep(seconds)
+
+
+@pytest.mark.parametrize(
+    ("message", "code"),
+    [
+        ({"type": "force", "force": {"kind": "drag"}}, "validation-failed"),
+        ({"type": "sing"}, "validation-failed"),
+        (pull([1.0, 0.0, 0.0], voxel=10**8), "invalid-input"),
+        (
+            {"type": "force", "force": {"kind": "wind", "wind_m_s": [1.0, 0.0, 0.0], "duration_s": 1.0}},
+            "validation-failed",
+        ),
+    ],
+)
+def test_a_bad_message_is_told_and_the_stream_goes_on(
+    client: TestClient, spectrum_id: str, message: dict, code: str
+) -> None:
+    with client.websocket_connect(URL) as socket:
+        opened(socket, spectrum_id)
+        socket.send_json(message)
+        told = socket.receive_json()
+        assert (told["type"], told["code"]) == ("problem", code)
+        assert told["detail"]
+        socket.send_json(pull([1.0, 0.0, 0.0]))
+        assert frames(socket, 1)
+
+
+def test_places_that_swing_are_bounded(client: TestClient, spectrum_id: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stream, "MAX_GROUPS", 2)
+    with client.websocket_connect(URL) as socket:
+        opened(socket, spectrum_id, damping_ratio=0.0, rate_hz=1)
+        for voxel in (40, 41, 42):
+            force = {"kind": "impulse", "at": {"voxel": voxel}, "impulse_n_s": [50.0, 0.0, 0.0]}
+            socket.send_json({"type": "force", "force": force})
+        told = [socket.receive_json() for _ in range(2)]
+        assert [one["code"] for one in told if one["type"] == "problem"] == ["validation-failed"]
+
+
+@pytest.mark.parametrize(
+    ("first", "code"),
+    [
+        ({"type": "open", "spectrum_id": "01ARZ3NDEKTSV4RRFFQ69G5FAV"}, "not-found"),
+        ({"type": "open", "spectrum_id": "x", "rate_hz": 1e9}, "validation-failed"),
+        ({"type": "ack", "frame": 1}, "validation-failed"),
+    ],
+)
+def test_a_bad_first_message_is_told_and_ends_it(client: TestClient, first: dict, code: str) -> None:
+    with client.websocket_connect(URL) as socket:
+        socket.send_json(first)
+        assert socket.receive_json()["code"] == code
+        with pytest.raises(WebSocketDisconnect) as closed:
+            socket.receive_json()
+        assert closed.value.code == stream.INVALID
+
+
+def test_silence_and_shouting_end_it(client: TestClient, spectrum_id: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stream, "OPEN_S", 0.05)
+    monkeypatch.setattr(stream, "IDLE_S", 0.05)
+    for code, say in ((stream.INVALID, None), (stream.DONE, "open"), (stream.TOO_LARGE, "shout")):
+        with client.websocket_connect(URL) as socket:
+            if say == "open":
+                opened(socket, spectrum_id)
+            elif say == "shout":
+                socket.send_text("a" * (stream.MAX_MESSAGE + 1))
+            with pytest.raises(WebSocketDisconnect) as closed:
+                socket.receive_json()
+            assert closed.value.code == code
