@@ -63,7 +63,7 @@ class Service:
         assert response.status_code == 202, response.text
         return response.headers["Location"]
 
-    def finish(self, url: str, timeout_s: float = 60) -> dict[str, object]:
+    def finish(self, url: str, timeout_s: float = 120) -> dict[str, object]:
         """Poll a job until it has ended."""
 
         def ended() -> dict[str, object] | None:
@@ -73,7 +73,7 @@ class Service:
         return wait_for(ended, f"the end of {url}", timeout_s)
 
 
-def wait_for(ask: Callable[[], T | None], what: str, timeout_s: float = 60) -> T:
+def wait_for(ask: Callable[[], T | None], what: str, timeout_s: float = 120) -> T:
     deadline = time.monotonic() + timeout_s
     while time.monotonic() < deadline:
         answer = ask()
