@@ -16,7 +16,7 @@ from dynamictree.gaussian.rotation import quaternion_matrices
 from dynamictree.mesh import TriangleMesh
 
 STILL = -1
-FLOATER_SHARE = 0.04
+FLOATER_SHARE = 0.06
 """Farther from the surface than this share of the mesh's extent, a Gaussian is a floater and stays still."""
 _THINNEST = 1e-4  # height of a face over its longest edge; thinner ones have no direction to turn with
 
