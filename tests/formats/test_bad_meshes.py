@@ -2,6 +2,7 @@
 
 import io
 
+import DracoPy
 import numpy as np
 import pytest
 
@@ -249,6 +250,18 @@ def test_a_draco_stream_that_is_none_is_refused() -> None:
             read(gltf_bytes(root, binary), "glb")
 
 
+def test_a_draco_stream_of_points_is_refused() -> None:
+    stream = DracoPy.encode(np.eye(3))
+    root, binary = triangle_gltf(buffers=[{"byteLength": 44 + len(stream)}])
+    assert isinstance(root["bufferViews"], list)
+    root["bufferViews"].append({"buffer": 0, "byteOffset": 44, "byteLength": len(stream)})
+    extension = {"bufferView": 2, "attributes": {"POSITION": 0}}
+    primitive = {"attributes": {"POSITION": 0}, "extensions": {"KHR_draco_mesh_compression": extension}}
+    root["meshes"] = [{"primitives": [primitive]}]
+    with pytest.raises(FormatError, match="holds no mesh"):
+        read(gltf_bytes(root, binary + b"\0\0" + stream), "glb")
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [
@@ -384,6 +397,12 @@ def test_a_mixed_binary_ply_with_a_face_of_two_corners_is_refused() -> None:
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 0, 1]], "<f4").tobytes()
     with pytest.raises(FormatError, match="face 1 of the PLY file has 2 corners"):
         read(head + vertices + b"\x03" + bytes(12) + b"\x02" + bytes(8), "ply")
+
+
+def test_polygons_that_make_too_many_triangles_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ply_mesh_reader, "MAX_FACES", 3)
+    with pytest.raises(MeshError, match="4 triangles"):
+        read(ply(TRIANGLE, "6 0 1 2 0 1 2\n"), "ply")
 
 
 def test_a_splat_is_refused_by_name() -> None:

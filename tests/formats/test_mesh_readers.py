@@ -310,8 +310,20 @@ def test_draco_is_decoded(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(found.uv, mesh.uv, atol=1e-2)
 
 
+def test_whole_numbers_may_be_written_with_a_point() -> None:
+    assert read_gltf(nodes=[{"mesh": 0.0}]).num_faces == 1
+
+
 def test_required_extensions_of_the_look_alone_do_not_matter() -> None:
     assert read_gltf(extensionsRequired=["KHR_materials_unlit", "KHR_lights_punctual"]).num_faces == 1
+
+
+def test_an_obj_whose_texture_was_not_sent_along_keeps_its_colour(rng: np.random.Generator) -> None:
+    stream = io.BytesIO()
+    library = write_obj(trunk_and_crown(rng), stream, library="tree.mtl")["tree.mtl"]
+    mesh = read(stream.getvalue(), "obj", companions={"tree.mtl": library})
+    assert mesh.materials[1].texture_png is None
+    assert mesh.materials[1].base_color == (0.1, 0.5, 0.1, 1.0)
 
 
 def test_obj_polygons_seams_negative_numbers_and_colours() -> None:
