@@ -118,7 +118,7 @@ class InteractRequest(Payload):
     )
     initial_state: StatePayload | None = Field(default=None, description="final_state of an earlier call")
     locality: Literal["none", "geodesic"] = Field(default="geodesic", description="what a push may reach")
-    falloff_m: Finite | None = Field(default=None, gt=0, le=LARGEST, description="[m]; 12 % of the height if unset")
+    falloff_m: Finite | None = Field(default=None, gt=0, le=LARGEST, description="[m]; 15 % of the height if unset")
     warp: bool = Field(default=False, description="bend, do not stretch; changes voxels and vertices, not modal")
     output: Output = "modal"
 

@@ -56,7 +56,7 @@ def interact(
     integrator: Annotated[str, typer.Option(help="exact, symplectic-euler or explicit-euler.")] = "exact",
     local: Annotated[bool, typer.Option(help="A push reaches its branch, less its ancestors, others barely.")] = True,
     falloff: Annotated[
-        float | None, typer.Option(min=1e-6, max=1e6, help="Reach of a push [m]; 12 % of the height if not given.")
+        float | None, typer.Option(min=1e-6, max=1e6, help="Reach of a push [m]; 15 % of the height if not given.")
     ] = None,
     warp: Annotated[bool, typer.Option(help="Bend under large pushes instead of stretching.")] = False,
     up_axis: Annotated[
