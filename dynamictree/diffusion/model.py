@@ -22,7 +22,7 @@ from dynamictree.voxel.voxelize import SurfaceVoxels
 
 FORMAT, VERSION = "dynamictree-small", "1"
 NUM_STEPS = 8
-MAX_VOXELS = 60_000
+MAX_VOXELS = 150_000
 """At the network's own resolution; the dataset's trees have 8,000 to 35,000. Memory and time grow linearly."""
 SPEEDS_M_S = (0.0, 30.0)
 GUSTS = (0.0, 2.0)
