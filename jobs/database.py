@@ -57,13 +57,19 @@ def upsert(
         .values(values)
         .on_conflict_do_update(index_elements=keys, set_=changes, where=only_if)
     )
-    return connection.execute(statement).rowcount == 1
+    return _touched_a_row(connection, table, statement)
 
 
 def insert_new(connection: sa.Connection, table: sa.Table, values: Mapping[str, object], *, unique: str) -> bool:
     """Insert a row unless one has the same value in a unique column; tell whether it was."""
     statement = _insert(connection, table).values(values).on_conflict_do_nothing(index_elements=[unique])
-    return connection.execute(statement).rowcount == 1
+    return _touched_a_row(connection, table, statement)
+
+
+def _touched_a_row(connection: sa.Connection, table: sa.Table, statement: "postgresql.Insert | sqlite.Insert") -> bool:
+    # rowcount tells nothing of an INSERT on PostgreSQL
+    returned = connection.execute(statement.returning(*table.primary_key.columns))
+    return returned.one_or_none() is not None
 
 
 def _insert(connection: sa.Connection, table: sa.Table) -> "postgresql.Insert | sqlite.Insert":
