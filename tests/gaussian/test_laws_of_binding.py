@@ -123,6 +123,14 @@ def test_fast_and_slow_agree(binding: Binding, rng: np.random.Generator) -> None
         np.testing.assert_allclose(np.abs((fast.quaternions * slow.quaternions).sum(axis=1)), 1, atol=1e-4)
 
 
+def test_a_pose_can_be_written_to_memory_that_is_there(binding: Binding) -> None:
+    out = np.full((binding.cloud.num_gaussians, 10), np.nan, np.float32)
+    deformer = Deformer(binding)
+    pose = deformer.pose(sway(binding.vertices), out=out)
+    assert np.shares_memory(pose.means, out)
+    np.testing.assert_array_equal(pose.means, deformer.pose(sway(binding.vertices)).means)
+
+
 def test_no_motion_blows_a_gaussian_up(binding: Binding, cloud: GaussianCloud, rng: np.random.Generator) -> None:
     deformer = Deformer(binding)
     for size in (1e-3, 1.0, 1e3):
