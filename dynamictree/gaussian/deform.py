@@ -65,7 +65,7 @@ class Deformer:
 
         Args:
             displacement: of every vertex from its rest [m].
-            out: memory to write to, which the pose then shows; fresh memory a frame costs a quarter of the time.
+            out: memory to write to, which the pose then shows; fresh by default.
 
         Raises:
             InputError: the displacement is not that of the mesh's vertices.
