@@ -40,12 +40,14 @@ def scene() -> Scene:
     return Scene(mesh=mesh, spectrum=spectrum, system=modal_system(spectrum))
 
 
-def gaussians_on(mesh: TriangleMesh, count: int = NUM_GAUSSIANS) -> Binding:
-    """Gaussians strewn over the surface by area, bound to their faces."""
+def gaussians_on(mesh: TriangleMesh, count: int = NUM_GAUSSIANS, *, in_face_order: bool = True) -> Binding:
+    """Gaussians strewn over the surface by area, bound to their faces; in the faces' order or in any."""
     rng = np.random.default_rng(1)
     corners = mesh.vertices[mesh.faces].astype(np.float64)
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     faces = rng.choice(len(area), count, p=area / area.sum()).astype(np.int32)
+    if in_face_order:
+        faces.sort()
     weights = rng.dirichlet([1, 1, 1], count)
     quaternions = rng.normal(size=(count, 4))
     cloud = GaussianCloud(

@@ -2,6 +2,7 @@
 
 from typing import no_type_check
 
+import numba
 import numpy as np
 from jaxtyping import Complex128, Float32, Int32
 
@@ -10,7 +11,7 @@ from dynamictree.render.kernel import compiled, in_bands
 
 
 class VertexFrames:
-    """Plain superposition, prepared once: voxels by one real product, vertices by their voxels' weights.
+    """Plain superposition, prepared once: voxels by real products, vertices by their voxels' weights.
 
     `displacement` gives what `VoxelInterpolation.apply` gives of `system.displacement`, a few times faster.
     """
@@ -20,7 +21,7 @@ class VertexFrames:
     ) -> None:
         num_voxels, num_modes, _ = system.shapes.shape
         stacked = np.concatenate([system.shapes.real, -system.shapes.imag], axis=1)  # Re φq = Re φ Re q - Im φ Im q
-        self._shapes = np.ascontiguousarray(stacked.transpose(1, 0, 2)).reshape(2 * num_modes, 3 * num_voxels)
+        self._shapes = np.ascontiguousarray(stacked.transpose(0, 2, 1)).reshape(3 * num_voxels, 2 * num_modes)
         self._rows = np.ascontiguousarray(rows)
         self._weights = np.ascontiguousarray(weights)
 
@@ -35,13 +36,27 @@ class VertexFrames:
         """
         coordinates = np.concatenate([q.real, q.imag], axis=1).astype(np.float32)  # [G, 2M]
         if reach is None:
-            voxels = (coordinates.sum(axis=0) @ self._shapes).reshape(-1, 3)
-        else:
-            per_group = (coordinates @ self._shapes).reshape(len(q), -1, 3)
-            voxels = np.einsum("gv,gvc->vc", reach, per_group)
+            coordinates = coordinates.sum(axis=0, keepdims=True)
+            reach = np.ones((1, len(self._shapes) // 3), np.float32)
+        voxels = np.zeros((len(self._shapes) // 3, 3), np.float32)
+        in_bands(_superpose, len(voxels), self._shapes, coordinates, reach, voxels)
         moved = np.empty((len(self._rows), 3), np.float32)
         in_bands(_gather, len(moved), voxels, self._rows, self._weights, moved)
         return moved
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
+@no_type_check
+def _superpose(first, end, shapes, coordinates, reach, voxels):
+    for v in range(first, end):
+        for group in range(len(coordinates)):
+            row = coordinates[group]
+            for c in range(3):
+                shape = shapes[3 * v + c]
+                total = np.float32(0)
+                for k in range(len(row)):  # a sum in any order, so in vector registers
+                    total += shape[k] * row[k]
+                voxels[v, c] += reach[group, v] * total
 
 
 @compiled
