@@ -10,6 +10,7 @@ from fastapi import APIRouter, Header
 from fastapi.responses import Response
 from pydantic import Field
 from safetensors.numpy import save
+from starlette.concurrency import run_in_threadpool
 
 from dynamictree.errors import UnstableTimestep
 from dynamictree.modal.locality import default_falloff_m
@@ -33,12 +34,16 @@ from service.forces import (
 from service.payloads import Payload
 from service.problems import ProblemError
 from service.routing import refusals
-from service.trees import ReadyTree, bone_ties, ready_tree, vertex_ties, with_mesh
+from service.trees import ReadyTree, bone_ties, living_tree, ready_tree, vertex_ties, with_mesh
 
 router = APIRouter(prefix="/v1/interact", tags=["interact"])
 
 MAX_DISPLACEMENT_BYTES = 128 * 1024**2
 """Of one answer in voxels or vertices: 110 frames of 100,000 vertices."""
+
+
+SHORT = 256
+"""Frames times groups that are answered at once; longer answers go to a thread."""
 
 
 class GroupPayload(Payload):
@@ -75,11 +80,28 @@ class InteractPayload(Payload):
         }
     },
 )
-def interact(body: InteractRequest, context: Ctx, accept: Annotated[str | None, Header()] = None) -> Response:
+async def interact(body: InteractRequest, context: Ctx, accept: Annotated[str | None, Header()] = None) -> Response:
     """Push a tree, and read how it swings."""
     offered = (JSON, SAFETENSORS, NPZ) if body.output == "modal" else (SAFETENSORS, NPZ)
     media_type = chosen(accept, offered)
-    ready = ready_tree(context, context.trees, body.spectrum_id)
+    ready = living_tree(context, context.trees, body.spectrum_id)
+    if ready is not None and _is_short(body):
+        return _response(body, ready, context, media_type)  # 1 to 3 ms: a thread would cost as much again
+    return await run_in_threadpool(_prepared_response, body, context, media_type)
+
+
+def _is_short(body: InteractRequest) -> bool:
+    """Whether an answer takes a few milliseconds and reads nothing."""
+    at_vertices = any(force.at is not None and force.at.vertex is not None for force in body.forces)
+    groups = len(body.forces) + (0 if body.initial_state is None else len(body.initial_state.groups))
+    return body.output == "modal" and not at_vertices and body.num_frames * max(groups, 1) <= SHORT
+
+
+def _prepared_response(body: InteractRequest, context: Context, media_type: str) -> Response:
+    return _response(body, ready_tree(context, context.trees, body.spectrum_id), context, media_type)
+
+
+def _response(body: InteractRequest, ready: ReadyTree, context: Context, media_type: str) -> Response:
     system, answer = answer_of(body, ready, context)
     if media_type == JSON:
         return Response(orjson.dumps(_told(body, system, answer), option=orjson.OPT_SERIALIZE_NUMPY), 200, None, JSON)

@@ -24,6 +24,7 @@ class ReadyTree:
     """A tree, and its source mesh once something on it was asked for."""
 
     tree: InteractiveTree
+    expires_at: float  # of the spectrum
     mesh: TriangleMesh | None = None
     interpolation: "VoxelInterpolation | None" = None
     attachment: BoneAttachment | None = None
@@ -67,12 +68,19 @@ def ready_tree(context: Context, trees: ReadyTrees, spectrum_id: str) -> ReadyTr
     Raises:
         NotFoundError, GoneError: there is none, or it has expired.
     """
-    spectrum_artifact(context, spectrum_id)  # expired ones are not answered from memory
-    kept = trees.get(spectrum_id)
+    kept = living_tree(context, trees, spectrum_id)
     if kept is None:
-        kept = ReadyTree(InteractiveTree(modal_system(load_spectrum(context, spectrum_id))))
+        artifact = spectrum_artifact(context, spectrum_id)
+        tree = InteractiveTree(modal_system(load_spectrum(context, spectrum_id)))
+        kept = ReadyTree(tree, artifact.expires_at)
         trees.put(spectrum_id, kept)
     return kept
+
+
+def living_tree(context: Context, trees: ReadyTrees, spectrum_id: str) -> ReadyTree | None:
+    """The tree of a spectrum if it is kept in memory and has not expired; asks no store."""
+    kept = trees.get(spectrum_id)
+    return kept if kept is not None and context.store.clock() < kept.expires_at else None
 
 
 def with_mesh(context: Context, ready: ReadyTree, spectrum_id: str) -> TriangleMesh:
