@@ -32,6 +32,9 @@ ROUTERS = (
 
 logger = logging.getLogger(__name__)
 
+WARM_UP_AFTER_S = 3.0
+"""Worker and housekeeper start beside the API; numba can wait until they are there."""
+
 
 def create_app(settings: Settings | None = None) -> FastAPI:
     """Build the application; settings are read from the environment unless given."""
@@ -59,9 +62,11 @@ def create_app(settings: Settings | None = None) -> FastAPI:
 
 
 def serving_app() -> FastAPI:
-    """Build the application for a server: what takes a second to load comes in beside the first requests."""
+    """Build the application for a server: what takes a second to load comes in once the start is over."""
     app = create_app()
-    threading.Thread(target=_warm_up, name="warm-up", daemon=True).start()
+    warm_up = threading.Timer(WARM_UP_AFTER_S, _warm_up)
+    warm_up.daemon = True
+    warm_up.start()
     return app
 
 

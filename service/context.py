@@ -100,8 +100,8 @@ class Context:
             self.redis.close()
 
 
-def context_of(request: Request) -> Context:
-    """The context of the application that serves this request."""
+async def context_of(request: Request) -> Context:
+    """The context of the application that serves this request. Async: a plain function would cost a thread."""
     context: Context = request.app.state.context
     return context
 

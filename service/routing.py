@@ -41,7 +41,7 @@ def headers(**described: str) -> Mapping[str, Any]:
     }
 
 
-def _known_shape(id: Annotated[str, Path(description="a ULID, as the service gave it")]) -> str:
+async def _known_shape(id: Annotated[str, Path(description="a ULID, as the service gave it")]) -> str:
     if not _ULID.fullmatch(id):
         raise ProblemError("not-found", f"there is nothing with the id {id[:64]!r}; ids have 26 letters and digits")
     return id

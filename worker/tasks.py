@@ -76,7 +76,12 @@ def run_job(job_id: str, attempt: int) -> None:
 @signals.worker_process_init.connect  # type: ignore[untyped-decorator]
 def _arrive(**_: object) -> None:
     runtime()
-    threading.Thread(target=load_heavy_modules, name="warm-up", daemon=True).start()
+    threading.Thread(target=_warm_up, name="warm-up", daemon=True).start()
+
+
+def _warm_up() -> None:
+    runtime().heartbeat.wait()  # first be there, then be quick
+    load_heavy_modules()
 
 
 @signals.worker_process_shutdown.connect  # type: ignore[untyped-decorator]

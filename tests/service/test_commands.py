@@ -68,6 +68,13 @@ def test_a_port_that_is_taken_is_named(tmp_path: Path) -> None:
     assert f"port {port}" in done.stderr
 
 
+def test_connections_do_not_wait_for_acknowledgements() -> None:
+    listening = listen("127.0.0.1", 0)
+    with socket.create_connection(listening.getsockname()), listening.accept()[0] as accepted:
+        assert accepted.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+    listening.close()
+
+
 def test_a_state_folder_has_one_owner(tmp_path: Path) -> None:
     held = LockedFile(tmp_path / "serve.lock")
     with pytest.raises(OSError, match="in use"):
