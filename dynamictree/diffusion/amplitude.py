@@ -108,16 +108,24 @@ def mirror_inputs(inputs: Float32[Tensor, "R I"]) -> Float32[Tensor, "R I"]:
 
 def amplitude_loss(
     lean: Float32[Tensor, "R 3"], log_amplitude: Float32[Tensor, "R J 3"], spectrum: Complex64[Tensor, "R K 3"]
-) -> tuple[Float32[Tensor, ""], Float32[Tensor, ""]]:
-    """Mean squared error of ln A against ln |c|, and the lean's squared error over its mean square.
+) -> tuple[Float32[Tensor, ""], Float32[Tensor, ""], Float32[Tensor, ""]]:
+    """Squared errors: of ln A against ln |c|, of ln a, and of the lean over its mean square; a² = Σ A² is all motion.
 
-    In logarithms every voxel and every frequency counts alike; what E ln |c| lacks to ln A is measured afterwards.
+    In logarithms every voxel and every frequency counts alike; what E ln |c| lacks to ln A is measured afterwards. The
+    second term adds what is seen most: the frequencies that carry the motion.
 
     Args:
         lean: c_0 over the height.
         log_amplitude: ln A over the height.
         spectrum: the truth over the height, in the wind's frame.
     """
-    size = (spectrum[:, 1:].abs().square() + FLOOR**2).log() / 2  # [R, J, 3]
+    power = spectrum[:, 1:].abs().square()  # [R, J, 3]
+    size = (power + FLOOR**2).log() / 2
+    total = (power.sum(dim=(1, 2)) + FLOOR**2).log() / 2
+    guessed = (2 * log_amplitude).exp().sum(dim=(1, 2)).log() / 2
     truth = spectrum[:, 0].real
-    return (log_amplitude - size).square().mean(), (lean - truth).square().sum() / truth.square().sum()
+    return (
+        (log_amplitude - size).square().mean(),
+        (guessed - total).square().mean(),
+        (lean - truth).square().sum() / truth.square().sum(),
+    )

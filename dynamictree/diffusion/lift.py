@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float32, Int64
+from jaxtyping import Float, Float32, Int64
 from scipy.sparse import csr_array, diags_array, eye_array
 from torch import Tensor
 from torch.nn import functional
@@ -28,7 +28,7 @@ class SparseRows:
     weights: Float32[Tensor, " E"]
     num_columns: int
 
-    def apply(self, values: Float32[Tensor, "W ..."]) -> Float32[Tensor, "V ..."]:
+    def apply(self, values: Float[Tensor, "W ..."]) -> Float[Tensor, "V ..."]:
         """Matrix times values."""
         flat = values.reshape(self.num_columns, -1)
         product = functional.embedding_bag(

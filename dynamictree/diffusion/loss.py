@@ -1,6 +1,11 @@
 """The losses, as functions of numbers. A loss is a few lines."""
 
-from jaxtyping import Float32
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float32, Int64
+from scipy.spatial import cKDTree
 from torch import Tensor
 
 
@@ -12,3 +17,48 @@ def denoising_loss(
     """EDM's weighted squared error, λ = (1 + σ²) / σ²: every noise level weighs the same. Karras et al. 2022, eq. 2."""
     weight = (1 + sigma.square()) / sigma.square()
     return (weight * (denoised - clean).square()).mean(dim=(0, 2))
+
+
+def noise_loss(predicted: Float32[Tensor, "V C"], noise: Float32[Tensor, "V C"]) -> Float32[Tensor, ""]:
+    """L_DM, paper eq. 2."""
+    return (predicted - noise).square().mean()
+
+
+@dataclass(frozen=True, kw_only=True)
+class LocalSmoothness:
+    """Weights of L_LSS, paper eq. 3; values from its section 6."""
+
+    num_neighbours: int = 5
+    falloff: float = 0.5  # alpha [1/m]
+    imaginary_weight: float = 0.5  # lambda
+
+
+def local_smoothness(
+    spectrum: Float32[Tensor, "V 6"],
+    neighbours: Int64[Tensor, "V M"],
+    distances: Float32[Tensor, "V M"],
+    *,
+    weights: LocalSmoothness,
+) -> Float32[Tensor, ""]:
+    """L_LSS, paper eq. 3: what each voxel differs from its nearest ones by.
+
+    Args:
+        spectrum: real parts of x, y, z, then imaginary ones.
+        neighbours: rows of each voxel's nearest voxels.
+        distances: to them [m].
+        weights: the paper's constants.
+    """
+    difference = spectrum[:, None] - spectrum[neighbours]  # [V, M, 6]
+    real = torch.linalg.vector_norm(difference[..., :3], dim=-1)
+    imaginary = torch.linalg.vector_norm(difference[..., 3:], dim=-1)
+    near = torch.exp(-weights.falloff * distances)
+    loss: Tensor = (near * (real + weights.imaginary_weight * imaginary)).sum(dim=1).mean()
+    return loss
+
+
+def nearest_voxels(
+    centres_m: Float32[np.ndarray, "V 3"], num_neighbours: int
+) -> tuple[Int64[Tensor, "V M"], Float32[Tensor, "V M"]]:
+    """Rows of each voxel's nearest ones, itself left out, and their distances [m]."""
+    distances, rows = map(np.asarray, cKDTree(centres_m).query(centres_m, k=num_neighbours + 1))
+    return torch.from_numpy(rows[:, 1:].astype(np.int64)), torch.from_numpy(distances[:, 1:].astype(np.float32))

@@ -62,8 +62,8 @@ def amplitude_step(network: AmplitudeNetwork, rows: AmplitudeRows, rng: np.rando
     if rng.random() < 0.5:
         inputs, spectrum = mirror_inputs(inputs), spectrum * torch.tensor([1.0, -1.0, 1.0])
     lean, log_amplitude = network(inputs, rows.wind[chosen])
-    logarithmic, leaning = amplitude_loss(lean.float(), log_amplitude.float(), spectrum)
-    return logarithmic + LEAN_WEIGHT * leaning
+    logarithmic, overall, leaning = amplitude_loss(lean.float(), log_amplitude.float(), spectrum)
+    return logarithmic + overall + LEAN_WEIGHT * leaning
 
 
 def denoising_step(

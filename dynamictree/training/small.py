@@ -27,11 +27,9 @@ class SmallTraining:
     num_seeds: int = 500  # those of species and splits that are for training are used
     preset: SmallPreset = field(default_factory=SmallPreset)
     amplitude: Pace = field(
-        default_factory=lambda: Pace(num_steps=2000, learning_rate=2e-3, weight_decay=1e-2, ema_decay=0.995, bf16=True)
+        default_factory=lambda: Pace(num_steps=3000, learning_rate=2e-3, weight_decay=1e-2, ema_decay=0.995, bf16=True)
     )
-    denoiser: Pace = field(
-        default_factory=lambda: Pace(num_steps=2600, learning_rate=1.5e-3, ema_decay=0.995, bf16=True)
-    )
+    denoiser: Pace = field(default_factory=lambda: Pace(num_steps=1600, learning_rate=2e-3, ema_decay=0.995, bf16=True))
     num_processes: int = 2  # that make trees
 
 

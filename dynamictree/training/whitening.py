@@ -17,7 +17,7 @@ from dynamictree.sparse.pool import pool_to
 from dynamictree.spectrum import Wind
 from dynamictree.training.examples import Example
 
-WHITE_SHARE = 0.4
+WHITE_SHARE = 0.7
 """Of the noise: white beside what is fitted to the data, so that data and noise are told apart by smoothness too."""
 NUM_MEASURED = 24
 """Trees that scales and shares are measured on."""
@@ -52,7 +52,7 @@ def measure(network: SmallNetwork, examples: Iterable[Example], rng: np.random.G
         pooled = pool_to(field, example.tree.grids, top)
         lift = sparse_rows(raise_matrix(example.tree.grids, top, 0))
         lifted = torch.view_as_complex(lift.apply(torch.view_as_real(pooled)))
-        power.append(torch.stack([lifted.abs().square().mean(dim=0), pooled.abs().square().mean(dim=0)]))
+        power.append(torch.stack([one.abs().square().mean(dim=0) for one in (lifted, pooled)]))
         nodes.append(pooled)
         trees.append(coarsen_condition(example.tree, top))
     share, pooled_power = torch.stack(power).mean(dim=0)

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+import torch
 
 from dynamictree.diffusion.condition import TreeCondition, tree_condition
 from dynamictree.voxel.grid import VoxelGrid
@@ -31,3 +32,9 @@ def voxels(fork: VoxelGrid) -> SurfaceVoxels:
 @pytest.fixture(scope="session")
 def tree(voxels: SurfaceVoxels) -> TreeCondition:
     return tree_condition(voxels.grid, voxels.normals)
+
+
+@pytest.fixture(autouse=True, scope="session")
+def one_thread() -> None:
+    """Small tensors gain nothing from threads, and lose much where the machine is shared."""
+    torch.set_num_threads(1)

@@ -100,10 +100,10 @@ def test_what_the_model_does_not_serve_is_refused(model: TreeMotionModel, voxels
     blank = SurfaceVoxels(grid=coarse, normals=np.zeros((len(coarse), 3), np.float32))
     with pytest.raises(InputError, match="accepts 128, 256 and 512"):
         model.generate(blank, wind=WIND, seed=0)
-    full = np.argwhere(np.ones((40, 40, 40), bool)).astype(np.int32)
+    full = np.argwhere(np.ones((54, 54, 54), bool)).astype(np.int32)
     assert len(full) > MAX_VOXELS
     block = VoxelGrid.from_coords(full, origin_m=(0.0, 0.0, 0.0), voxel_size_m=0.1, resolution=128)
-    with pytest.raises(InputError, match="64,000 voxels; at most 60,000"):
+    with pytest.raises(InputError, match="157,464 voxels; at most 150,000"):
         model.generate(SurfaceVoxels(grid=block, normals=np.zeros((len(block), 3), np.float32)), wind=WIND, seed=0)
     for wind, reason in (
         (replace(WIND, speed_m_s=31.0), "speed is 31"),
