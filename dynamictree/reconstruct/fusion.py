@@ -5,7 +5,7 @@ from typing import NamedTuple, no_type_check
 
 import numpy as np
 from jaxtyping import Float32, Float64, Int32, Int64
-from scipy.ndimage import maximum_filter, minimum_filter
+from scipy.ndimage import label, maximum_filter, minimum_filter
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from skimage.measure import marching_cubes
@@ -13,6 +13,7 @@ from skimage.measure import marching_cubes
 from dynamictree.reconstruct.stereo import StereoView
 from dynamictree.render.kernel import compiled, in_bands
 
+_SPECK_FACES = 24  # a piece of fewer is noise
 _TRUNCATION = 3.0  # voxels on both sides of a surface
 _CARVE_WEIGHT = 0.25  # of a view that looks through a voxel, against one that sees a surface there
 
@@ -69,16 +70,26 @@ def fuse(views: list[StereoView], depths: list[Float32[np.ndarray, "H W"]], box:
     return Surface((box.low + (vertices + 0.5) * voxel).astype(np.float32), faces.astype(np.int32))
 
 
-def largest_piece(surface: Surface, *, at_least: float = 0.05) -> Surface:
-    """The connected piece of most faces, and others that have that share of its faces."""
+def main_cluster(surface: Surface, gap: float) -> Surface:
+    """The largest group of pieces that lie closer together than about the gap; specks count for nothing.
+
+    Leaves and twigs seldom hang together in a mesh of photos, but they are near one another.
+    """
     if len(surface.faces) == 0:
         return surface
     number = len(surface.vertices)
     start, end = surface.faces[:, [0, 1]].ravel(), surface.faces[:, [1, 2]].ravel()
     links = coo_array((np.ones(len(start), bool), (start, end)), shape=(number, number))
     piece_of_face = connected_components(links, directed=False)[1][surface.faces[:, 0]]
-    sizes = np.bincount(piece_of_face)
-    return _with_faces(surface, np.flatnonzero((sizes >= at_least * sizes.max())[piece_of_face]))
+    kept = np.flatnonzero((np.bincount(piece_of_face) >= _SPECK_FACES)[piece_of_face])
+    if len(kept) == 0:
+        return _NOTHING
+    centres = surface.vertices[surface.faces[kept]].mean(axis=1)
+    cells = ((centres - centres.min(axis=0)) / gap).astype(int)
+    occupied = np.zeros(cells.max(axis=0) + 1, bool)
+    occupied[tuple(cells.T)] = True
+    group = label(occupied, structure=np.ones((3, 3, 3)))[0][tuple(cells.T)]
+    return _with_faces(surface, kept[group == np.bincount(group).argmax()])
 
 
 def above(surface: Surface, height: float) -> Surface:

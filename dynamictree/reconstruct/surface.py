@@ -13,7 +13,7 @@ from dynamictree.errors import ReconstructionError
 from dynamictree.mesh import TriangleMesh, edges_of
 from dynamictree.reconstruct.cameras import ADVICE
 from dynamictree.reconstruct.depth import coarse_depths, fine_depths
-from dynamictree.reconstruct.fusion import Box, Surface, above, fuse, largest_piece
+from dynamictree.reconstruct.fusion import Box, Surface, above, fuse, main_cluster
 from dynamictree.reconstruct.stage import find_stage
 from dynamictree.reconstruct.views import SparseModel, View
 from dynamictree.render import Look, Renderer
@@ -22,6 +22,8 @@ from dynamictree.render.shade import vertex_normals
 MAX_FACES = 120_000
 _COARSE_VOXELS, _FINE_VOXELS = 128, 240  # along the longest side
 _GROUND_CUT = 0.02  # of the region's radius: what is lower counts as ground
+_GAP = 0.06  # of the region's radius: what is nearer to the rest belongs to it
+_BOX_MARGIN = 0.08  # of the coarse shape's extent: thin ends show in the fine maps only
 _MAX_VIEWS = 80  # that are matched, evenly chosen: bounds time and memory
 _LEAST_FACES = 200
 _SMOOTHING = (0.5, -0.53)  # Taubin's pair of steps, which smooths and does not shrink
@@ -52,13 +54,13 @@ def find_shape(
     coarse = coarse_depths(matched, lambda done, total: on_progress(0.45 * done / total))
     region = Box(low=np.array([-1.0, -1.0, -0.1]), high=np.array([1.0, 1.0, 2.0]))
     cut = _GROUND_CUT if stage.ground_found else -np.inf
-    found = largest_piece(above(fuse(coarse.views, coarse.depths, region, resolution=_COARSE_VOXELS), cut))
+    found = main_cluster(above(fuse(coarse.views, coarse.depths, region, resolution=_COARSE_VOXELS), cut), _GAP)
     _check(found, model)
     box = Box(low=found.vertices.min(axis=0).astype(np.float64), high=found.vertices.max(axis=0).astype(np.float64))
-    box = box.padded(0.04 * float((box.high - box.low).max()))
+    box = box.padded(_BOX_MARGIN * float((box.high - box.low).max()))
     fine = fine_depths(matched, coarse, box, lambda done, total: on_progress(0.45 + 0.45 * done / total))
     on_progress(0.9)
-    surface = largest_piece(above(fuse(fine.views, fine.depths, box, resolution=_FINE_VOXELS), cut))
+    surface = main_cluster(above(fuse(fine.views, fine.depths, box, resolution=_FINE_VOXELS), cut), _GAP)
     _check(surface, model)
     surface = _smoothed(_decimated(surface))
     bottom = surface.vertices.min(axis=0).astype(np.float64)

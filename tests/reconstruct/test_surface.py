@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 from dynamictree.errors import ReconstructionError
 from dynamictree.mesh import TriangleMesh
 from dynamictree.reconstruct.depth import rays_through, stereo_view
-from dynamictree.reconstruct.fusion import Box, Surface, above, fuse, largest_piece
+from dynamictree.reconstruct.fusion import Box, Surface, above, fuse, main_cluster
 from dynamictree.reconstruct.stage import find_stage
 from dynamictree.reconstruct.stereo import DepthRange, Hypotheses, agreed_depths, match_view, neighbours_of
 from dynamictree.reconstruct.surface import find_shape, photo_colors
@@ -102,7 +102,7 @@ def test_exact_depths_fuse_to_the_surface_with_faces_outward(orbit):
     views = [stereo_view(view, SIDE) for view in views_of(orbit)]
     depths = exact_depths(orbit, views[0].grey.shape)
     box = Box(low=np.array([-0.7, -0.7, 0.0]), high=np.array([0.7, 0.7, 1.4]))
-    surface = largest_piece(fuse(views, depths, box, resolution=70))
+    surface = main_cluster(fuse(views, depths, box, resolution=70), 0.05)
     true_surface = orbit.stump.vertices[orbit.stump.faces].mean(axis=1)
     distance = cKDTree(true_surface).query(surface.vertices)[0]
     assert np.percentile(distance, 95) < 2.0 * 1.4 / 70
@@ -123,19 +123,34 @@ def test_depths_that_see_nothing_fuse_to_nothing(orbit):
         assert len(fuse(views, depths, box, resolution=20).faces) == 0
 
 
-def test_pieces_are_kept_by_size_and_cut_by_height():
-    strip = np.stack([np.arange(12), np.arange(12) % 2, np.zeros(12)], axis=1)
-    faces = np.stack([np.arange(10), np.arange(1, 11), np.arange(2, 12)], axis=1)
-    lone = np.float32([[50, 0, 5], [51, 0, 5], [50, 1, 5]])
-    both = Surface(
-        np.concatenate([strip, lone]).astype(np.float32), np.concatenate([faces, [[12, 13, 14]]]).astype(np.int32)
-    )
-    assert len(largest_piece(both, at_least=0.5).faces) == 10
-    assert len(largest_piece(both, at_least=0.05).faces) == 11
-    high = above(both, 1.0)
-    assert np.array_equal(high.vertices, lone)
-    assert np.array_equal(high.faces, [[0, 1, 2]])
-    assert len(largest_piece(above(both, 9.0)).faces) == 0
+def strip(start: float, num_faces: int, height: float) -> Surface:
+    """A band of triangles along x, half a metre a triangle."""
+    number = num_faces + 2
+    vertices = np.stack([start + 0.5 * np.arange(number), np.arange(number) % 2, np.full(number, height)], axis=1)
+    faces = np.stack([np.arange(num_faces), np.arange(1, num_faces + 1), np.arange(2, num_faces + 2)], axis=1)
+    return Surface(vertices.astype(np.float32), faces.astype(np.int32))
+
+
+def together(*surfaces: Surface) -> Surface:
+    starts = np.cumsum([0, *(len(surface.vertices) for surface in surfaces[:-1])])
+    faces = [surface.faces + start for surface, start in zip(surfaces, starts, strict=True)]
+    return Surface(np.concatenate([s.vertices for s in surfaces]), np.concatenate(faces).astype(np.int32))
+
+
+def test_pieces_that_are_near_stay_and_far_ones_and_specks_go():
+    trunk, twig, speck, rock = strip(0, 100, 0), strip(52, 30, 2), strip(20, 5, 1), strip(200, 60, 0)
+    kept = main_cluster(together(trunk, twig, speck, rock), gap=3.0)
+    assert np.array_equal(kept.vertices, np.concatenate([trunk.vertices, twig.vertices]))
+    assert len(kept.faces) == 130
+    assert len(main_cluster(together(trunk, twig, rock), gap=0.6).faces) == 100
+    assert len(main_cluster(speck, gap=3.0).faces) == 0
+
+
+def test_what_lies_low_is_cut():
+    high = above(together(strip(0, 10, 0.5), strip(0, 12, 2)), 1.0)
+    assert np.array_equal(high.vertices, strip(0, 12, 2).vertices)
+    assert np.array_equal(high.faces, strip(0, 12, 2).faces)
+    assert len(main_cluster(above(high, 9.0), 1.0).faces) == 0
 
 
 def test_a_ray_meets_the_box_where_the_box_is_seen(orbit):
