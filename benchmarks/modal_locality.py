@@ -115,11 +115,21 @@ def _push(sample: Sample, system: ModalSystem) -> dict[str, float]:
     q = equilibrium(
         system, generalised_force(system, Drag(at=at, force_n=tuple(softest.tolist())), dt_s=0.1, num_frames=1)
     ).q
-    q = q * TOP_SHARE * mesh.height_m / np.linalg.norm(displacement(system.shapes, q)[0, top])
     bones, ties = bones_of(system), smooth(grid, mesh)
     carried = attach_mesh(bones, mesh, rows=ties.rows, weights=ties.weights, voxel_size_m=grid.voxel_size_m)
-    stance = pose(bones, bone_turns(bones, np.ones((1, len(bones.parent)), np.float32), q))
-    bent = bend(bones, stance, mesh.vertices, carried.rows, carried.weights)
+    everywhere, highest = np.ones((1, len(bones.parent)), np.float32), int(np.argmax(mesh.vertices[:, 2]))
+
+    def bent_by(strength: float) -> np.ndarray:
+        stance = pose(bones, bone_turns(bones, everywhere, strength * q))
+        return bend(bones, stance, mesh.vertices, carried.rows, carried.weights)
+
+    wanted = TOP_SHARE * mesh.height_m
+    plain = ties.apply(displacement(system.shapes, q)[0])
+    plain *= wanted / np.linalg.norm(plain[highest])
+    strength = wanted / float(np.linalg.norm(displacement(system.shapes, q)[0, top]))
+    for _ in range(6):  # on its arc the top comes less far: push until it is there
+        strength *= wanted / float(np.linalg.norm(bent_by(strength)[highest]))
+    bent = bent_by(strength)
     start, end = edges_of(mesh.faces).T
     rest = np.linalg.norm(mesh.vertices[start] - mesh.vertices[end], axis=1)
 
@@ -128,9 +138,9 @@ def _push(sample: Sample, system: ModalSystem) -> dict[str, float]:
         return round(float(np.percentile(np.abs(now / rest - 1)[rest > 1e-4], 99)), 4)
 
     return {
-        "stretch_plain": stretch(ties.apply(displacement(system.shapes, q)[0])),
+        "stretch_plain": stretch(plain),
         "stretch_bent": stretch(bent),
-        "top_moved_share": round(float(np.linalg.norm(bent[np.argmax(mesh.vertices[:, 2])]) / mesh.height_m), 3),
+        "top_moved_share": round(float(np.linalg.norm(bent[highest]) / mesh.height_m), 3),
     }
 
 

@@ -15,9 +15,9 @@ from dynamictree.modal.locality import STRANGER, strangeness
 from dynamictree.modal.system import ModalSystem
 from dynamictree.voxel.graph import ROOT_SHARE, voxel_graph
 
-BONE_VOXELS = 6.0  # length of a bone, in voxels
+BONE_VOXELS = 10.0  # length of a bone, in voxels
 APART = 0.125  # strangeness above which touching voxels are no neighbours
-SMALLEST_NODE = 8  # voxels; smaller ones, mostly single leaves, are part of their parent
+SMALLEST_NODE = 24  # voxels; smaller ones, mostly single leaves and twigs, are part of their parent
 SOFTENING_VOXELS = 1.0  # a bone much shorter than this does not turn: its direction is chance
 
 

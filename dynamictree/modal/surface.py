@@ -11,8 +11,8 @@ from dynamictree.mesh import TriangleMesh, edges_of
 from dynamictree.modal.skeleton import Bones
 
 BONES_A_VERTEX = 6
-STIFF_VOXELS = 8.0  # a part of the mesh that is smaller moves as one: a leaf keeps its shape
-SPREAD = 25  # edges over which a vertex shares its bones; a part then follows its own stem, not what touches it
+STIFF_VOXELS = 12.0  # a part of the mesh that is smaller moves as one: a leaf keeps its shape
+SPREAD = 80  # edges over which a vertex shares its bones; a part then follows its own stem, not what touches it
 
 
 @dataclass(frozen=True, kw_only=True)
