@@ -10,6 +10,7 @@ import os
 import select
 import subprocess
 import sys
+import threading
 import time
 from dataclasses import dataclass
 
@@ -41,6 +42,7 @@ class Heartbeat:
         }
         self._process = self._start()
         self._beats = False
+        self._waiting = threading.Lock()
 
     @property
     def pid(self) -> int:
@@ -49,12 +51,13 @@ class Heartbeat:
 
     def wait(self) -> None:
         """Wait until the process beats; start it again if it has died. To be done before a lease is taken."""
-        if self._process.poll() is not None:
-            self._end()
-            self._process, self._beats = self._start(), False
-        if not self._beats:
-            assert self._process.stdout is not None
-            self._beats = self._process.stdout.readline() == READY
+        with self._waiting:  # it says so once; of two threads that read, one would wait for ever
+            if self._process.poll() is not None:
+                self._end()
+                self._process, self._beats = self._start(), False
+            if not self._beats:
+                assert self._process.stdout is not None
+                self._beats = self._process.stdout.readline() == READY
 
     def hold(self, held: Claim) -> None:
         """Renew this attempt's lease from now on."""

@@ -3,6 +3,7 @@
 import os
 import signal
 import sys
+import threading
 import time
 from dataclasses import replace
 from hashlib import sha256
@@ -218,6 +219,15 @@ def test_a_worker_says_that_it_is_there(here: Runtime) -> None:
     assert living(here.store, "worker:") == [f"worker:{here.owner}"]
     here.heartbeat.leave()
     assert living(here.store, "worker:") == []
+
+
+def test_many_may_wait_for_the_first_beat(here: Runtime) -> None:
+    threads = [threading.Thread(target=here.heartbeat.wait, daemon=True) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(60)
+    assert not any(thread.is_alive() for thread in threads)
 
 
 def test_a_heartbeat_that_died_starts_again(
