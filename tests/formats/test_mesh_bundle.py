@@ -1,0 +1,60 @@
+"""A mesh that one process hands to another arrives as it was."""
+
+import io
+import json
+
+import numpy as np
+import pytest
+from safetensors.numpy import load, save
+
+from dynamictree.errors import FormatError, MeshError
+from dynamictree.formats.mesh_bundle import VERSION, read_mesh_bundle, write_mesh_bundle
+from dynamictree.mesh import Material, TriangleMesh
+
+
+def leaf(**changes: object) -> TriangleMesh:
+    fields = {
+        "vertices": np.array([[0, 0, 0], [1, 0, 0], [0, 1, 2]], np.float32),
+        "faces": np.array([[0, 1, 2]], np.int32),
+        "uv": np.array([[0, 0], [1, 0], [0, 1]], np.float32),
+        "vertex_colors": np.array([[1, 2, 3, 4]] * 3, np.uint8),
+        "face_material": np.array([1], np.int32),
+        "materials": (Material(name="bark"), Material(name="leaf", texture_png=b"\x89PNG", alpha_cutoff=0.5)),
+        "source_up_axis": "+Y",
+        "source_scale": 0.01,
+    }
+    return TriangleMesh(**fields | changes)  # type: ignore[arg-type]
+
+
+def written(mesh: TriangleMesh) -> bytes:
+    stream = io.BytesIO()
+    write_mesh_bundle(mesh, stream)
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize("absent", [(), ("uv", "vertex_colors", "face_material")])
+def test_read_undoes_write(absent: tuple[str, ...]) -> None:
+    mesh = leaf(**dict.fromkeys(absent))
+    back = read_mesh_bundle(io.BytesIO(written(mesh)))
+    for name in ("vertices", "faces", "uv", "vertex_colors", "face_material"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(mesh, name))
+    assert (back.materials, back.source_up_axis, back.source_scale) == (mesh.materials, "+Y", 0.01)
+
+
+def test_another_version_is_refused() -> None:
+    tensors = load(written(leaf()))
+    rest = json.loads(tensors["rest"].tobytes()) | {"version": VERSION + 1}
+    tensors["rest"] = np.frombuffer(json.dumps(rest).encode(), np.uint8)
+    with pytest.raises(FormatError, match="version"):
+        read_mesh_bundle(io.BytesIO(save(tensors)))
+
+
+@pytest.mark.parametrize("content", [b"", b"nonsense", save({"vertices": np.zeros((3, 3), np.float32)})])
+def test_what_is_no_bundle_is_refused(content: bytes) -> None:
+    with pytest.raises(FormatError, match="mesh bundle"):
+        read_mesh_bundle(io.BytesIO(content))
+
+
+def test_a_mesh_that_cannot_be_used_is_refused() -> None:
+    with pytest.raises(MeshError):
+        read_mesh_bundle(io.BytesIO(written(leaf(vertices=np.full((3, 3), np.nan, np.float32)))))
