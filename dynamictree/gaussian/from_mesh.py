@@ -123,10 +123,10 @@ def _sample_faces(first, end, appearance, mesh_faces, faces, level, weights, rgb
     for g in range(first, end):
         f = faces[g]
         material = appearance.face_material[f]
-        a, b, c = weights[g, 0], weights[g, 1], weights[g, 2]
-        color = albedo_at(appearance, mesh_faces[f], material, level[f], a, b, c)
+        place = (weights[g, 0], weights[g, 1], weights[g, 2])
+        color = albedo_at(appearance, mesh_faces[f], material, level[f], place)
         rgba[g, 0], rgba[g, 1], rgba[g, 2] = color[0], color[1], color[2]
-        rgba[g, 3] = alpha_at(appearance, mesh_faces[f], material, level[f], a, b, c)
+        rgba[g, 3] = alpha_at(appearance, mesh_faces[f], material, level[f], place)
 
 
 def _even_weights(counts: Int32[np.ndarray, " F"], rng: np.random.Generator) -> Float32[np.ndarray, "G 3"]:
