@@ -55,7 +55,9 @@ class LazyGroup(TyperGroup):
         if not isinstance(loaded, typer.Typer):
             loaded, function = typer.Typer(add_completion=False), loaded
             loaded.command(cmd_name)(function)
-        return typer.main.get_command(loaded)
+        command = typer.main.get_command(loaded)
+        command.name = cmd_name
+        return command
 
 
 Report = Callable[[str, float], None]
