@@ -63,7 +63,7 @@ def field_matrices(nodes: TreeCondition) -> tuple[csr_array, ...]:
 
 
 def fit_shares(
-    spectra: list[Complex64[np.ndarray, "W J C"]], trees: list[TreeCondition], rng: np.random.Generator
+    spectra: list[Complex64[np.ndarray, "_ J C"]], trees: list[TreeCondition], rng: np.random.Generator
 ) -> Float64[np.ndarray, "J S"]:
     """Shares of the scales, by least squares over pairs of nodes: the data's covariance against each field's."""
     covariances, products = [], []

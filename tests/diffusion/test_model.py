@@ -172,3 +172,11 @@ def test_in_the_shipped_model_roots_stay(shipped: TreeMotionModel, voxels: Surfa
     low = voxels.grid.coords[:, 2] <= voxels.grid.coords[:, 2].min() + 1
     bound = np.linalg.norm(np.abs(coefficients[low]), axis=2).sum(axis=1)
     assert bound.max() < 0.005 * height_m
+
+
+def test_generating_leaves_the_number_of_threads_as_it_was(model: TreeMotionModel, voxels: SurfaceVoxels) -> None:
+    during: list[int] = []
+    torch.set_num_threads(2)
+    model.generate(voxels, wind=WIND, seed=0, num_steps=1, on_step=lambda *_: during.append(torch.get_num_threads()))
+    assert (during, torch.get_num_threads()) == ([1], 2)
+    torch.set_num_threads(1)
