@@ -58,6 +58,7 @@ def test_an_unknown_preset_is_refused(commands: Typer, tmp_path: Path) -> None:
     assert "'huge'" in str(result.exception)
 
 
+@pytest.mark.slow
 def test_training_ends_in_weights_that_load_and_goes_on_where_it_was(commands: Typer, tmp_path: Path) -> None:
     seeds = "8"
     arguments = ["train", str(tmp_path), "--seeds", seeds, "--amplitude-steps", "2", "--json"]
