@@ -19,8 +19,9 @@ from pathlib import Path
 from dynamictree.dataset.card import write_card
 from dynamictree.dataset.filter import DEFAULT_LIMITS, Limits, measure, rejections
 from dynamictree.dataset.review import Verdict
-from dynamictree.dataset.sample import VERSION, make_sample
+from dynamictree.dataset.sample import VERSION, Sample, make_sample
 from dynamictree.dataset.shards import StoredTree, store, write_shard
+from dynamictree.dataset.stats import table_facts, tables_of
 from dynamictree.errors import InputError
 
 SEEDS_A_TREE = 4  # a shard gives up when so many times its trees were tried
@@ -135,21 +136,25 @@ def _baking(recipe: Recipe, missing: list[int], folder: Path, workers: int) -> I
 def bake_shard(recipe: Recipe, index: int, folder: Path) -> None:
     """Make one shard and its record."""
     trees: list[StoredTree] = []
+    told: list[dict[str, object]] = []
     verdicts: list[tuple[str, ...]] = []
-    rejected: dict[str, list[str]] = {}
+    rejected: dict[str, dict[str, object]] = {}
     for seed in recipe.shard_seeds(index):
         if len(trees) == recipe.shard_trees(index):
             break
-        broken: tuple[str, ...] | None = ("curation",) if recipe.review.get(seed) == "reject" else None
-        if broken is None:
-            sample = make_sample(seed, loop=recipe.loop)
-            accepted = recipe.review.get(seed) == "accept"
-            broken = () if accepted else measure(sample, recipe.limits).broken(recipe.limits)
+        if recipe.review.get(seed) == "reject":
+            verdicts.append(("curation",))
+            rejected[str(seed)] = {"rules": ["curation"]}
+            continue
+        sample = make_sample(seed, loop=recipe.loop)
+        measures = measure(sample, recipe.limits)
+        broken = () if recipe.review.get(seed) == "accept" else measures.broken(recipe.limits)
         verdicts.append(broken)
         if broken:
-            rejected[str(seed)] = list(broken)
+            rejected[str(seed)] = {"rules": list(broken), "species": sample.species, "measures": asdict(measures)}
         else:
             trees.append(store(sample, resolutions=recipe.resolutions, vertex_spectrum=recipe.vertex_spectrum))
+            told.append({**facts_of(sample, trees[-1]), "measures": asdict(measures)})
     if len(trees) < recipe.shard_trees(index):
         raise InputError(
             f"only {len(trees)} of {len(verdicts)} trees of shard {index} passed the filter, "
@@ -163,19 +168,24 @@ def bake_shard(recipe: Recipe, index: int, folder: Path) -> None:
         "sha256": hashlib.sha256(content.getvalue()).hexdigest(),
         "bytes": len(content.getvalue()),
         "recipe": recipe.of_shard(index),
-        "trees": [
-            {"seed": tree.seed, "species": tree.species, "split": tree.split, **sizes_of(tree)} for tree in trees
-        ],
+        "trees": told,
         "rejected": rejected,
         "verdicts": rejections(verdicts),
     }
     _write(folder / f"{shard_name(index)}.json", json.dumps(record, sort_keys=True).encode())
 
 
-def sizes_of(tree: StoredTree) -> dict[str, int]:
-    """How large a tree is."""
-    voxels = {f"voxels_{size}": len(tree.tensors[f"r{size}.coords"]) for size in tree.grids}
-    return {"vertices": len(tree.tensors["vertices"]), "faces": len(tree.tensors["faces"]), **voxels}
+def facts_of(sample: Sample, tree: StoredTree) -> dict[str, object]:
+    """What a record tells of a tree, so that `filter` and `stats` need not make it again."""
+    return {
+        "seed": sample.seed,
+        "species": sample.species,
+        "split": sample.split,
+        "vertices": sample.mesh.num_vertices,
+        "faces": sample.mesh.num_faces,
+        **{f"voxels_{size}": len(tree.tensors[f"r{size}.coords"]) for size in tree.grids},
+        "stems": table_facts(tables_of(sample)),
+    }
 
 
 def is_baked(recipe: Recipe, index: int, folder: Path) -> bool:

@@ -1,20 +1,23 @@
 """What the trees of a dataset are like, stem by stem: lengths, radii, frequencies and amplitudes by level."""
 
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, Int8
+from jaxtyping import Float32, Int8, Int32
 
 from dynamictree.dataset.sample import Sample
 from dynamictree.formats.stream import ByteWriter
 from dynamictree.spectrum import FPS, NUM_FREQUENCIES
 
+MEASURED = ("length_m", "radius_m", "frequency_hz", "amplitude_rad")
+
 
 @dataclass(frozen=True, kw_only=True)
 class StemTable:
-    """A row a stem, and what concerns the whole tree."""
+    """A row a stem, or a row a level, and what concerns the whole tree."""
 
     level: Int8[np.ndarray, " S"]
     length_m: Float32[np.ndarray, " S"]
@@ -23,6 +26,7 @@ class StemTable:
         np.ndarray, " S"
     ]  # where the tip's turning against the base is fastest; 0 if it does not turn
     amplitude_rad: Float32[np.ndarray, " S"]  # root mean square of that turning
+    count: Int32[np.ndarray, " S"]  # stems that a row stands for, as their median
     height_m: float
     species: str
     wind_speed_m_s: float
@@ -46,10 +50,37 @@ def tables_of(sample: Sample) -> StemTable:
         radius_m=skeleton.radius[base],
         frequency_hz=frequency_hz,
         amplitude_rad=amplitude_rad,
+        count=np.ones(len(tip), np.int32),
         height_m=sample.mesh.height_m,
         species=sample.species,
         wind_speed_m_s=sample.wind.speed_m_s,
         first_bins_share=first_bins_share(sample.motion.shift),
+    )
+
+
+def table_facts(table: StemTable) -> dict[str, object]:
+    """A table as JSON, the median of each level. Undone by `table_of`, but for the stems' own values."""
+    levels = [np.flatnonzero(table.level == depth) for depth in range(int(table.level.max()) + 1)]
+    columns = {name: [round(float(np.median(getattr(table, name)[rows])), 6) for rows in levels] for name in MEASURED}
+    return {
+        "count": [len(rows) for rows in levels],
+        **columns,
+        "height_m": round(table.height_m, 4),
+        "first_bins_share": round(table.first_bins_share, 9),
+        "wind_speed_m_s": table.wind_speed_m_s,
+    }
+
+
+def table_of(species: str, facts: Mapping[str, Any]) -> StemTable:
+    """The table of `table_facts`: a row a level."""
+    return StemTable(
+        level=np.arange(len(facts["count"]), dtype=np.int8),
+        count=np.array(facts["count"], np.int32),
+        **{name: np.array(facts[name], np.float32) for name in MEASURED},
+        height_m=facts["height_m"],
+        species=species,
+        wind_speed_m_s=facts["wind_speed_m_s"],
+        first_bins_share=facts["first_bins_share"],
     )
 
 
@@ -83,10 +114,8 @@ def first_bins_share(displacement: Float32[np.ndarray, "T N 3"], num_frequencies
 def numbers_of(tables: Sequence[StemTable]) -> dict[str, object]:
     """Medians by level and over trees."""
     level = np.concatenate([table.level for table in tables])
-    columns = {
-        name: np.concatenate([getattr(table, name) for table in tables])
-        for name in ("length_m", "radius_m", "frequency_hz", "amplitude_rad")
-    }
+    count = np.concatenate([table.count for table in tables])
+    columns = {name: np.concatenate([getattr(table, name) for table in tables]) for name in MEASURED}
     heights = [table.height_m for table in tables]
     return {
         "trees": len(tables),
@@ -94,7 +123,7 @@ def numbers_of(tables: Sequence[StemTable]) -> dict[str, object]:
         "first_bins_share": float(np.median([table.first_bins_share for table in tables])),
         "levels": {
             str(depth): {
-                "stems_a_tree": float((level == depth).sum() / len(tables)),
+                "stems_a_tree": float(count[level == depth].sum() / len(tables)),
                 **{name: float(np.median(column[level == depth])) for name, column in columns.items()},
             }
             for depth in range(int(level.max()) + 1)

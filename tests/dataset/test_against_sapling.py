@@ -35,6 +35,7 @@ def sapling_table(path: Path) -> StemTable:
         radius_m=np.array([ring.mean() for ring in near], np.float32),
         frequency_hz=frequency,
         amplitude_rad=amplitude,
+        count=np.ones(len(first), np.int32),
         height_m=float(np.ptp(rest[:, 2])),
         species=path.stem,
         wind_speed_m_s=5.0,

@@ -176,7 +176,7 @@ def test_another_recipe_is_baked_anew(baked):
 def test_rejected_trees_are_replaced_by_the_next(baked, tmp_path):
     bake_shard(replace(TINY, review={40: "reject"}), 0, tmp_path)
     record = json.loads((tmp_path / f"{shard_name(0)}.json").read_bytes())
-    assert record["rejected"] == {"40": ["curation"]}
+    assert record["rejected"] == {"40": {"rules": ["curation"]}}
     assert [tree["seed"] for tree in record["trees"]] == [41, 42]
     assert record["verdicts"]["curation"] == 1
 
