@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 PLUGIN_GROUP = "dynamictree.commands"
 OWN_COMMANDS = {
     "dataset": "dynamictree.dataset.commands:app",
-    "evaluate": "dynamictree.training.commands:evaluate",
+    "evaluate": "dynamictree.training.evaluate_command:evaluate",
     "interact": "dynamictree.modal.commands:interact",
     "train": "dynamictree.training.commands:train",
 }

@@ -14,7 +14,8 @@ from dynamictree.diffusion.model import TreeMotionModel, load_model, write_netwo
 from dynamictree.diffusion.small import SmallNetwork, SmallPreset
 from dynamictree.errors import InputError
 from dynamictree.training.baselines import fit_by_height, nearest_tree, noise_only, regression
-from dynamictree.training.commands import evaluate, train
+from dynamictree.training.commands import train
+from dynamictree.training.evaluate_command import evaluate
 from dynamictree.training.examples import Example, cached_example, is_training_seed, make_example
 from dynamictree.training.trees import iter_judged
 

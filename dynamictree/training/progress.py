@@ -1,0 +1,26 @@
+"""What a long command tells while it works: a bar a part, on standard error."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+OnStep = Callable[[str, int, int, float], None]
+"""Told the part, how much of it is done, how much there is, and a loss (0 where there is none)."""
+
+
+@contextmanager
+def bars(*, quiet: bool) -> Iterator[OnStep]:
+    """A progress bar a part; nothing where a program reads."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), disable=quiet) as progress:
+        tasks: dict[str, TaskID] = {}
+
+        def on_step(part: str, done: int, total: int, loss: float) -> None:
+            if part not in tasks:
+                tasks[part] = progress.add_task(part, total=total)
+            described = f"{part} {loss:.3f}" if loss else part
+            progress.update(tasks[part], completed=done, description=described)
+
+        yield on_step
