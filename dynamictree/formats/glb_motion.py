@@ -4,7 +4,7 @@ d_n = Re Σ_k w_k c_k e^{2πikn/T} = Re c_0 + Σ_{k≥1} w_k (cos(2πkn/T) Re c_
 targets carry the motion, exact at every key. Engines need only support 8; the reduced variant is the best of 8.
 """
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from jaxtyping import Complex64, Float32, Float64
@@ -28,6 +28,7 @@ class MorphSummary:
     num_keys: int
     relative_error: float  # root mean square of what is missing over that of the motion
     rms_error_m: float  # over all vertices and frames
+    max_error_m: float  # of any vertex at any frame
 
 
 def write_motion_glb(
@@ -42,7 +43,8 @@ def write_motion_glb(
     """Write one period with `num_frames` + 1 linear keys, the last equal to the first.
 
     `coefficients` are the spectrum of each vertex [m], `num_frames` is T, `fps` the keys a second of the file's time.
-    `num_targets=None` writes all 2K - 1; fewer are chosen so that the squared error is the least possible.
+    `num_targets=None` writes all 2K - 1; fewer are chosen so that the squared error is the least possible, which the
+    file tells in its `asset.extras`.
 
     Raises:
         InputError: the number of targets is out of range.
@@ -51,8 +53,16 @@ def write_motion_glb(
     if num_targets is not None and not 1 <= num_targets <= 2 * num_frequencies - 1:
         raise InputError(f"num_targets is {num_targets}; 1 to {2 * num_frequencies - 1} are allowed for this spectrum")
     basis, weights = _targets(coefficients), _key_weights(num_frequencies, num_frames)
-    basis, weights, lost = _reduced(basis, weights, num_targets or len(basis))
-    writer = GlbWriter()
+    whole, all_weights = basis, weights
+    basis, weights, (total, missing) = _reduced(whole, all_weights, num_targets or len(whole))
+    summary = MorphSummary(
+        num_targets=len(basis),
+        num_keys=num_frames + 1,
+        relative_error=float(np.sqrt(missing / total)) if total > 0 else 0.0,
+        rms_error_m=float(np.sqrt(missing / (num_frames * len(coefficients)))),
+        max_error_m=_furthest(whole, all_weights, basis, weights),
+    )
+    writer = GlbWriter(extras=asdict(summary))
     rotation = up_rotation("+Y").astype(np.float32)
     accessors = [
         {"POSITION": writer.add_accessor(target.reshape(-1, 3) @ rotation, target=VERTEX_BUFFER, bounds=True)}
@@ -70,13 +80,7 @@ def write_motion_glb(
     writer.append("nodes", {"mesh": 0, "name": "tree"})
     writer.append("animations", {"name": "sway", "samplers": [sampler], "channels": [channel]})
     writer.finish(stream)
-    total, missing = lost
-    return MorphSummary(
-        num_targets=len(basis),
-        num_keys=len(keys),
-        relative_error=float(np.sqrt(missing / total)) if total > 0 else 0.0,
-        rms_error_m=float(np.sqrt(missing / (num_frames * len(coefficients)))),
-    )
+    return summary
 
 
 def _targets(coefficients: Complex64[np.ndarray, "N K 3"]) -> Float32[np.ndarray, "M N3"]:
@@ -108,3 +112,19 @@ def _reduced(
     targets = (u[:, :count].T @ weights).astype(np.float32) @ basis
     scale = np.abs(u[:, :count]).max(axis=0)  # weights then stay within -1 and 1
     return targets * scale[:, None].astype(np.float32), u[:, :count] / scale, (total, float((s[count:] ** 2).sum()))
+
+
+def _furthest(
+    basis: Float32[np.ndarray, "M N3"],
+    weights: Float64[np.ndarray, "T M"],
+    few: Float32[np.ndarray, "R N3"],
+    few_weights: Float64[np.ndarray, "T R"],
+) -> float:
+    """The largest distance between the same vertex at the same frame, with all targets and with a few [m]."""
+    if few is basis:
+        return 0.0
+    largest = 0.0
+    for row, few_row in zip(weights.astype(np.float32), few_weights.astype(np.float32), strict=True):
+        gap = (row @ basis - few_row @ few).reshape(-1, 3)
+        largest = max(largest, float((gap**2).sum(axis=1).max()))
+    return float(np.sqrt(largest))

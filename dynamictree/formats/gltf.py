@@ -1,6 +1,7 @@
 """Meshes as GLB: +Y up, metres, one primitive a material over one list of vertices, in the mesh's vertex order."""
 
 import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -26,6 +27,7 @@ class GlbWriter:
     root: dict[str, list[object]] = field(default_factory=dict)
     chunks: list[bytes] = field(default_factory=list)
     num_bytes: int = 0
+    extras: dict[str, object] = field(default_factory=dict)  # of the asset
 
     def append(self, name: str, entry: object) -> int:
         """Add to a list of the document; gives the index there."""
@@ -66,7 +68,9 @@ class GlbWriter:
         """Write the file."""
         buffers = [{"byteLength": self.num_bytes}]
         scene: dict[str, object] = {"scene": 0, "scenes": [{"nodes": [0]}]}
-        root = {"asset": {"version": "2.0", "generator": GENERATOR}, **scene, **self.root, "buffers": buffers}
+        extras = {"extras": self.extras} if self.extras else {}
+        asset = {"version": "2.0", "generator": GENERATOR, **extras}
+        root = {"asset": asset, **scene, **self.root, "buffers": buffers}
         text = json.dumps(root, separators=(",", ":")).encode()
         text += b" " * (-len(text) % 4)
         length = 12 + 8 + len(text) + 8 + self.num_bytes
@@ -79,21 +83,28 @@ class GlbWriter:
 def write_glb(mesh: TriangleMesh, stream: ByteWriter) -> None:
     """Write a mesh at rest, with its materials, textures and colours."""
     writer = GlbWriter()
-    add_mesh(writer, mesh, targets=[])
+    add_mesh(writer, mesh)
     writer.append("nodes", {"mesh": 0, "name": "tree"})
     writer.finish(stream)
 
 
-def add_mesh(writer: GlbWriter, mesh: TriangleMesh, *, targets: list[dict[str, int]]) -> None:
-    """Add the mesh with morph targets, given as accessors, that all of its primitives share."""
+def add_mesh(
+    writer: GlbWriter,
+    mesh: TriangleMesh,
+    *,
+    targets: Sequence[dict[str, int]] = (),
+    more_attributes: Mapping[str, int] | None = None,
+) -> None:
+    """Add the mesh with morph targets and further attributes, given as accessors, that all of its primitives share."""
     attributes = {
         "POSITION": writer.add_accessor(vertices_in_source_axes(mesh, "+Y"), target=VERTEX_BUFFER, bounds=True)
     }
     if mesh.uv is not None:
         attributes["TEXCOORD_0"] = writer.add_accessor(mesh.uv, target=VERTEX_BUFFER)
     if mesh.vertex_colors is not None:
-        colors = _linear_colors(mesh.vertex_colors)
+        colors = linear_colors(mesh.vertex_colors)
         attributes["COLOR_0"] = writer.add_accessor(colors, target=VERTEX_BUFFER, normalized=True)
+    attributes |= more_attributes or {}
     materials = [writer.append("materials", _material(writer, material)) for material in mesh.materials]
     face_material = np.zeros(mesh.num_faces, np.int32) if mesh.face_material is None else mesh.face_material
     primitives = []
@@ -106,7 +117,7 @@ def add_mesh(writer: GlbWriter, mesh: TriangleMesh, *, targets: list[dict[str, i
         if materials:
             primitive["material"] = materials[int(number)]
         if targets:
-            primitive["targets"] = targets
+            primitive["targets"] = list(targets)
         primitives.append(primitive)
     writer.append("meshes", {"name": "tree", "primitives": primitives})
 
@@ -128,7 +139,7 @@ def _material(writer: GlbWriter, material: Material) -> dict[str, object]:
     return entry
 
 
-def _linear_colors(colors: UInt8[np.ndarray, "N 4"]) -> Shaped[np.ndarray, "N 4"]:
+def linear_colors(colors: UInt8[np.ndarray, "N 4"]) -> Shaped[np.ndarray, "N 4"]:
     """SRGB bytes to the linear 16 bits that glTF asks for; bytes would lose the dark shades."""
     rgba: Float32[np.ndarray, "N 4"] = colors.astype(np.float32) / 255
     rgb = rgba[:, :3]
