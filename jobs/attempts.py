@@ -7,6 +7,7 @@ import sqlalchemy as sa
 from jobs import tables as t
 from jobs.database import upsert
 from jobs.errors import FencedError
+from jobs.joblog import note
 from jobs.records import Claim, OutputFile
 from jobs.states import JobState, JobType
 from jobs.store import Store, end, new_id, read_job
@@ -28,6 +29,7 @@ def claim(store: Store, job_id: str, attempt: int, *, owner: str, lease_s: float
         if connection.execute(t.jobs.update().where(waiting).values(**taken)).rowcount == 0:
             return None
         connection.execute(t.outbox.delete().where(t.outbox.c.job_id == job_id))
+        note(connection, job_id, "begun by a worker", at=now, attempt=attempt)
         return Claim(job=read_job(connection, job_id), owner=owner)
 
 
@@ -64,6 +66,7 @@ def start_stage(store: Store, held: Claim, stage: JobType) -> None:
         row = (t.stages.c.job_id == held.job.id) & (t.stages.c.name == stage)
         values = {"state": "running", "progress": 0.0, "started_at": now}
         connection.execute(t.stages.update().where(row).values(**values))
+        note(connection, held.job.id, "stage begun", at=now, stage=stage)
 
 
 def report_progress(store: Store, held: Claim, stage: JobType, progress: float) -> None:
@@ -106,6 +109,8 @@ def publish_stage(
         done = {"state": "succeeded", "progress": 1.0, "cached": cached, "finished_at": now}
         row_of = (t.stages.c.job_id == held.job.id) & (t.stages.c.name == stage)
         connection.execute(t.stages.update().where(row_of).values(**done))
+        size = sum(file.bytes for file in files)
+        note(connection, held.job.id, "stage done", at=now, stage=stage, cached=cached, bytes=size)
 
 
 def cached_stage(store: Store, key: str) -> tuple[OutputFile, ...] | None:
@@ -168,6 +173,10 @@ def begin_next_attempt(connection: sa.Connection, job_id: str, attempt: int, **v
     running = (t.stages.c.job_id == job_id) & (t.stages.c.state == "running")
     connection.execute(t.stages.update().where(running).values(state="queued", progress=0.0))
     connection.execute(t.outbox.insert().values(job_id=job_id, attempt=attempt + 1, created_at=now))
+    assert isinstance(now, float)
+    lost = "lost_stages" in values
+    text = "lost by its worker" if lost else "handed back by its worker"
+    note(connection, job_id, text, at=now, level="warning" if lost else "info", attempt=attempt)
 
 
 def _ours(held: Claim) -> sa.ColumnElement[bool]:

@@ -5,6 +5,7 @@
     ├── GoneError           there was one; it expired or was deleted
     ├── ConflictError       the state forbids it
     ├── ReusedKeyError      the client's key means another request
+    ├── QuotaError          the owner has as much as is allowed
     ├── FencedError         another attempt owns the job; this one must stop
     └── SettingsError       the settings cannot be used
 
@@ -42,6 +43,12 @@ class ReusedKeyError(JobsError):
     """The client's key means a request with another body."""
 
     code = "idempotency-key-reused"
+
+
+class QuotaError(JobsError):
+    """The owner has as much as is allowed."""
+
+    code = "too-many-active-jobs"
 
 
 class FencedError(JobsError):

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from jobs.states import TERMINAL, AssetKind, JobState, JobType, StageState
+from jobs.states import TERMINAL, AssetKind, JobState, JobType, Priority, StageState
 
 Json = None | bool | int | float | str | Sequence["Json"] | Mapping[str, "Json"]
 """What a JSON column holds."""
@@ -23,6 +23,7 @@ class AssetRecord:
     """What someone uploaded, checked."""
 
     id: str
+    owner: str = ""  # empty where no key was asked for
     kind: AssetKind
     fingerprint: str  # sha256 over everything that decides what the asset means
     parts: tuple[AssetPart, ...]  # the mesh first; photos in the order sent
@@ -31,6 +32,11 @@ class AssetRecord:
     created_at: float
     expires_at: float
     deleted_at: float | None = None
+
+    @property
+    def bytes(self) -> int:
+        """What was sent."""
+        return sum(part.bytes for part in self.parts)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,6 +56,7 @@ class JobRecord:
     """One job. `version` rises with every change; the ETag is made of it."""
 
     id: str
+    owner: str = ""
     type: JobType
     state: JobState
     asset_id: str
@@ -57,6 +64,10 @@ class JobRecord:
     seed: int
     params: Mapping[str, Json]
     queue: str
+    priority: Priority = "normal"
+    webhook_id: str | None = None  # told when the job ends, besides those who asked for all
+    request_id: str | None = None  # of the request that made it
+    traceparent: str | None = None  # W3C trace context of that request
     stages: tuple[StageRecord, ...] = field(default=())
     attempt: int = 1
     version: int = 1

@@ -34,6 +34,7 @@ JobType = Literal["reconstruct", "voxelize", "diffuse", "animate"]
 JOB_TYPES: tuple[JobType, ...] = get_args(JobType)
 AssetKind = Literal["mesh", "photos"]
 ASSET_KINDS: tuple[AssetKind, ...] = get_args(AssetKind)
+Priority = Literal["high", "normal", "low"]
 StageState = Literal["queued", "running", "succeeded", "failed", "canceled"]
 
 
@@ -52,3 +53,13 @@ def stages_of(job_type: JobType, asset_kind: AssetKind) -> tuple[JobType, ...]:
         raise ConflictError(f"a reconstruct job needs an asset of photos, this one is a {asset_kind}; ask for animate")
     first = 0 if asset_kind == "photos" else 1
     return JOB_TYPES[first : JOB_TYPES.index(job_type) + 1]
+
+
+def queue_of(base: str, priority: Priority) -> str:
+    """The queue of a priority: workers empty `cpu-high` before `cpu`, and that before `cpu-low`."""
+    return base if priority == "normal" else f"{base}-{priority}"
+
+
+def queues_of(base: str) -> tuple[str, ...]:
+    """The queues that a worker of `base` listens to, first served first."""
+    return tuple(queue_of(base, priority) for priority in ("high", "normal", "low"))

@@ -6,17 +6,20 @@ What a worker does to a running job is in `attempts.py`, what the housekeeper do
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from hashlib import sha256
 
 import sqlalchemy as sa
 from ulid import ULID
 
 from jobs import tables as t
 from jobs.database import insert_new, open_engine
-from jobs.errors import ConflictError, GoneError, NotFoundError, ReusedKeyError
+from jobs.errors import ConflictError, GoneError, NotFoundError, QuotaError, ReusedKeyError
+from jobs.joblog import Level, LogLine, lines, note
 from jobs.migrations import migrate
 from jobs.records import ArtifactRecord, AssetPart, AssetRecord, ClientKey, JobRecord, StageRecord
 from jobs.states import ACTIVE, JobState, JobType, states_before
+from jobs.webhooks import announce
 
 HIDDEN = frozenset({"lease_owner", "lease_until", "lost_stages", "client_key", "body_sha256"})
 """Columns of a job that its record does not show."""
@@ -28,11 +31,20 @@ def new_id() -> str:
 
 
 class Store:
-    """One process's way to the job store."""
+    """One process's way to the job store; with an owner, it knows only what is theirs."""
 
-    def __init__(self, engine: sa.Engine, *, clock: Callable[[], float] = time.time) -> None:
+    def __init__(self, engine: sa.Engine, *, clock: Callable[[], float] = time.time, owner: str | None = None) -> None:
         self.engine = engine
         self.clock = clock
+        self.owner = owner
+
+    def for_owner(self, owner: str) -> "Store":
+        """The same store, as one owner may see it: what is someone else's is not there."""
+        return Store(self.engine, clock=self.clock, owner=owner)
+
+    def mine(self, table: sa.Table) -> sa.ColumnElement[bool]:
+        """The rows that this store knows."""
+        return sa.true() if self.owner is None else table.c.owner == self.owner
 
     @classmethod
     def open(cls, url: str, *, clock: Callable[[], float] = time.time) -> "Store":
@@ -62,10 +74,12 @@ class Store:
     def add_asset(self, asset: AssetRecord) -> tuple[AssetRecord, bool]:
         """Keep an asset, or give the one that is there with the same fingerprint; tell whether it is new."""
         with self.writing() as connection:
-            values = asdict(asset) | {"live_fingerprint": asset.fingerprint}
+            asset = replace(asset, owner=self.owner or "")
+            live = self._live(asset.fingerprint)
+            values = asdict(asset) | {"live_fingerprint": live, "bytes": asset.bytes}
             if insert_new(connection, t.assets, values, unique="live_fingerprint"):
                 return asset, True
-            same = t.assets.c.live_fingerprint == asset.fingerprint
+            same = t.assets.c.live_fingerprint == live
             connection.execute(t.assets.update().where(same).values(expires_at=asset.expires_at))
             return _asset(connection.execute(sa.select(t.assets).where(same)).one()), False
 
@@ -73,9 +87,13 @@ class Store:
         """The living asset of this fingerprint."""
         with self.reading() as connection:
             row = connection.execute(
-                sa.select(t.assets).where(t.assets.c.live_fingerprint == fingerprint)
+                sa.select(t.assets).where(t.assets.c.live_fingerprint == self._live(fingerprint))
             ).one_or_none()
         return None if row is None else _asset(row)
+
+    def _live(self, fingerprint: str) -> str:
+        """What is unique among living assets: each owner has assets of their own, their bytes are shared."""
+        return sha256(f"{self.owner} {fingerprint}".encode()).hexdigest() if self.owner else fingerprint
 
     def asset(self, asset_id: str) -> AssetRecord:
         """One asset.
@@ -84,7 +102,8 @@ class Store:
             NotFoundError, GoneError: there is none, or it was deleted or has expired.
         """
         with self.reading() as connection:
-            row = connection.execute(sa.select(t.assets).where(t.assets.c.id == asset_id)).one_or_none()
+            this = (t.assets.c.id == asset_id) & self.mine(t.assets)
+            row = connection.execute(sa.select(t.assets).where(this)).one_or_none()
         if row is None:
             raise NotFoundError(f"there is no asset {asset_id}")
         asset = _asset(row)
@@ -110,14 +129,21 @@ class Store:
     # -- jobs
 
     def add_job(
-        self, job: JobRecord, *, stages: tuple[JobType, ...], client_key: ClientKey | None = None
+        self,
+        job: JobRecord,
+        *,
+        stages: tuple[JobType, ...],
+        client_key: ClientKey | None = None,
+        max_active: int | None = None,
     ) -> tuple[JobRecord, bool]:
         """Keep a new job, its stages and the message for a worker, in one transaction; tell whether it is new.
 
         Raises:
             GoneError: its asset has gone in the meantime.
             ReusedKeyError: the client's key means a job with another body.
+            QuotaError: the owner has `max_active` jobs that have not ended.
         """
+        job = replace(job, owner=self.owner or "")
         row: dict[str, object] = {c.name: getattr(job, c.name) for c in t.jobs.columns if c.name not in HIDDEN}
         row |= {"lost_stages": []}
         with self.writing() as connection:
@@ -125,15 +151,30 @@ class Store:
             if connection.execute(sa.select(t.assets.c.id).where(alive)).one_or_none() is None:
                 raise GoneError(f"asset {job.asset_id} was deleted or has expired; upload it again")
             if client_key is None:
+                self._require_quota(connection, max_active)
                 connection.execute(t.jobs.insert().values(**row))
             else:
+                if self.owner:
+                    client_key = replace(client_key, key=f"{self.owner}:{client_key.key}")
                 self._free_key(connection, client_key)
                 row |= {"client_key": client_key.key, "body_sha256": client_key.body_sha256}
                 if not insert_new(connection, t.jobs, row, unique="client_key"):
                     return read_job(connection, _same_job(connection, client_key)), False
+                self._require_quota(connection, max_active, counted=1)
+            note(connection, job.id, "accepted", at=job.created_at, request_id=job.request_id)
             add_stages(connection, job.id, stages)
             connection.execute(t.outbox.insert().values(job_id=job.id, attempt=job.attempt, created_at=job.created_at))
             return read_job(connection, job.id), True
+
+    def _require_quota(self, connection: sa.Connection, max_active: int | None, *, counted: int = 0) -> None:
+        if max_active is None:
+            return
+        if connection.dialect.name == "postgresql":  # one owner's jobs are counted one after another
+            connection.execute(sa.select(sa.func.pg_advisory_xact_lock(sa.func.hashtext(self.owner or ""))))
+        active = t.jobs.c.state.in_(ACTIVE) & (t.jobs.c.owner == (self.owner or ""))
+        found = connection.execute(sa.select(sa.func.count()).where(active)).scalar_one() - counted
+        if found >= max_active:
+            raise QuotaError(f"{found} of your jobs have not ended, {max_active} are allowed; wait for one, or cancel")
 
     def _free_key(self, connection: sa.Connection, client_key: ClientKey) -> None:
         if client_key.expires_s is not None:
@@ -160,10 +201,51 @@ class Store:
         """One job with its stages.
 
         Raises:
-            NotFoundError: there is none.
+            NotFoundError, GoneError: there is none, or its record has expired.
         """
         with self.reading() as connection:
-            return read_job(connection, job_id)
+            return self._read_job(connection, job_id)
+
+    def _read_job(self, connection: sa.Connection, job_id: str) -> JobRecord:
+        try:
+            job = read_job(connection, job_id)
+        except NotFoundError:
+            tomb = (t.tombstones.c.id == job_id) & self.mine(t.tombstones)
+            if connection.execute(sa.select(t.tombstones.c.id).where(tomb)).one_or_none() is not None:
+                raise GoneError(f"the record of job {job_id} has expired; create it again") from None
+            raise
+        if self.owner is not None and job.owner != self.owner:
+            raise NotFoundError(f"there is no job {job_id}")
+        return job
+
+    def job_log(self, job_id: str, *, after: int = 0, limit: int = 100) -> list[LogLine]:
+        """What happened to a job, oldest first.
+
+        Raises:
+            NotFoundError, GoneError: there is none, or its record has expired.
+        """
+        with self.reading() as connection:
+            self._read_job(connection, job_id)
+            return lines(connection, job_id, after=after, limit=limit)
+
+    def job_versions(self, job_ids: list[str]) -> dict[str, tuple[int, bool]]:
+        """Version of each job, and whether it has ended; none of those that are gone."""
+        columns = (t.jobs.c.id, t.jobs.c.version, t.jobs.c.state)
+        found = {}
+        with self.reading() as connection:
+            for start in range(0, len(job_ids), 500):  # SQLite takes 999 values a statement in old builds
+                query = sa.select(*columns).where(t.jobs.c.id.in_(job_ids[start : start + 500]))
+                for row in connection.execute(query):
+                    found[row.id] = (row.version, JobState(row.state) not in ACTIVE)
+        return found
+
+    def run_seconds(self, *, limit: int = 50) -> list[float]:
+        """How long jobs lately took a worker, from start to end [s]."""
+        ran = (t.jobs.c.state == JobState.SUCCEEDED) & t.jobs.c.started_at.is_not(None)
+        columns = (t.jobs.c.started_at, t.jobs.c.finished_at)
+        query = sa.select(*columns).where(ran).order_by(t.jobs.c.finished_at.desc()).limit(limit)
+        with self.reading() as connection:
+            return [row.finished_at - row.started_at for row in connection.execute(query)]
 
     def jobs(
         self,
@@ -174,7 +256,7 @@ class Store:
         limit: int = 20,
     ) -> list[JobRecord]:
         """Jobs, newest first, those older than the id `before`."""
-        query = sa.select(t.jobs).order_by(t.jobs.c.id.desc()).limit(limit)
+        query = sa.select(t.jobs).where(self.mine(t.jobs)).order_by(t.jobs.c.id.desc()).limit(limit)
         if state is not None:
             query = query.where(t.jobs.c.state == state)
         if job_type is not None:
@@ -209,11 +291,12 @@ class Store:
             ConflictError: it has ended otherwise.
         """
         with self.writing() as connection:
-            job = read_job(connection, job_id)
+            job = self._read_job(connection, job_id)
             if job.state in {JobState.CANCELING, JobState.CANCELED}:
                 return job
             if not move(connection, job_id, JobState.CANCELING):
                 raise ConflictError(f"job {job_id} has {job.state}; only a queued or running job can be canceled")
+            note(connection, job_id, "asked to stop", at=self.clock())
             held = connection.execute(sa.select(t.jobs.c.lease_owner).where(t.jobs.c.id == job_id)).scalar_one()
             if held is None:
                 end(connection, job_id, JobState.CANCELED, now=self.clock())
@@ -234,7 +317,10 @@ class Store:
             NotFoundError, GoneError: there is none, or it has expired.
         """
         with self.reading() as connection:
-            row = connection.execute(sa.select(t.artifacts).where(t.artifacts.c.id == artifact_id)).one_or_none()
+            query = sa.select(t.artifacts).where(t.artifacts.c.id == artifact_id)
+            if self.owner is not None:
+                query = query.join(t.jobs, t.jobs.c.id == t.artifacts.c.job_id).where(self.mine(t.jobs))
+            row = connection.execute(query).one_or_none()
         if row is None:
             raise NotFoundError(f"there is no artefact {artifact_id}")
         artifact = ArtifactRecord(**row._mapping)
@@ -266,6 +352,10 @@ def end(connection: sa.Connection, job_id: str, target: JobState, *, now: float,
     )
     connection.execute(t.stages.update().where(of_job & (t.stages.c.state == "queued")).values(state="canceled"))
     connection.execute(t.outbox.delete().where(t.outbox.c.job_id == job_id))
+    level: Level = "error" if target == JobState.FAILED else "info"
+    detail = {"code": values["error_code"], "detail": values["error_message"]} if "error_code" in values else {}
+    note(connection, job_id, str(target), at=now, level=level, **detail)  # type: ignore[arg-type]
+    announce(connection, job_id, target, now=now)
     return True
 
 
@@ -297,7 +387,7 @@ def _same_job(connection: sa.Connection, client_key: ClientKey) -> str:
 
 def _asset(row: sa.Row[tuple[object, ...]]) -> AssetRecord:
     values = dict(row._mapping)
-    del values["live_fingerprint"]
+    del values["live_fingerprint"], values["bytes"]
     values["parts"] = tuple(AssetPart(**part) for part in values["parts"])
     values["prepared"] = values["prepared"] and AssetPart(**values["prepared"])
     return AssetRecord(**values)

@@ -2,17 +2,33 @@
 
 import sqlalchemy as sa
 
-HEAD = "0001"
+HEAD = "0002"
 """The newest revision in `migrations/versions`."""
 
 metadata = sa.MetaData()
 _id = sa.String(64)
 _hash = sa.String(64)
 
+api_keys = sa.Table(
+    "api_keys",
+    metadata,
+    sa.Column("id", _id, primary_key=True),
+    sa.Column("owner", _id, nullable=False, index=True),
+    sa.Column("name", sa.String(128), nullable=False),
+    sa.Column("digest", _hash, nullable=False, unique=True),  # sha256 of the key, which is nowhere
+    sa.Column("scopes", sa.JSON, nullable=False),
+    sa.Column("limits", sa.JSON, nullable=False),  # what differs from the settings
+    sa.Column("created_at", sa.Double, nullable=False),
+    sa.Column("expires_at", sa.Double),
+    sa.Column("revoked_at", sa.Double),
+)
+
 assets = sa.Table(
     "assets",
     metadata,
     sa.Column("id", _id, primary_key=True),
+    sa.Column("owner", _id, nullable=False, server_default="", index=True),  # empty where no key was asked for
+    sa.Column("bytes", sa.BigInteger, nullable=False, server_default="0"),
     sa.Column("kind", sa.String(16), nullable=False),
     sa.Column("fingerprint", _hash, nullable=False),
     sa.Column("live_fingerprint", _hash, unique=True),  # null once deleted, so that the same bytes may come again
@@ -28,6 +44,7 @@ jobs = sa.Table(
     "jobs",
     metadata,
     sa.Column("id", _id, primary_key=True),
+    sa.Column("owner", _id, nullable=False, server_default=""),
     sa.Column("type", sa.String(16), nullable=False),
     sa.Column("state", sa.String(16), nullable=False),
     sa.Column("asset_id", _id, sa.ForeignKey("assets.id"), nullable=False, index=True),
@@ -35,6 +52,10 @@ jobs = sa.Table(
     sa.Column("seed", sa.BigInteger, nullable=False),
     sa.Column("params", sa.JSON, nullable=False),
     sa.Column("queue", sa.String(32), nullable=False),
+    sa.Column("priority", sa.String(16), nullable=False, server_default="normal"),
+    sa.Column("webhook_id", _id),
+    sa.Column("request_id", sa.String(128)),  # of the request that made it
+    sa.Column("traceparent", sa.String(64)),
     sa.Column("attempt", sa.Integer, nullable=False),
     sa.Column("version", sa.Integer, nullable=False),
     sa.Column("lease_owner", sa.String(128)),
@@ -51,6 +72,7 @@ jobs = sa.Table(
     sa.Column("started_at", sa.Double),
     sa.Column("finished_at", sa.Double, index=True),
     sa.Index("ix_jobs_state_lease", "state", "lease_until"),
+    sa.Index("ix_jobs_owner_id", "owner", "id"),
 )
 
 stages = sa.Table(
@@ -113,4 +135,78 @@ leases = sa.Table(
     sa.Column("name", sa.String(128), primary_key=True),
     sa.Column("owner", sa.String(128), nullable=False),
     sa.Column("until", sa.Double, nullable=False),
+)
+
+uploads = sa.Table(
+    "uploads",
+    metadata,
+    sa.Column("id", _id, primary_key=True),
+    sa.Column("owner", _id, nullable=False, server_default="", index=True),
+    sa.Column("state", sa.String(16), nullable=False),
+    sa.Column("filename", sa.String(255), nullable=False),
+    sa.Column("options", sa.JSON, nullable=False),  # how to read it: kind, up_axis, unit_m
+    sa.Column("length", sa.BigInteger),  # null while an address does not tell
+    sa.Column("received", sa.BigInteger, nullable=False),
+    sa.Column("sha256", _hash),  # as promised; as found once it is whole
+    sa.Column("source_url", sa.Text),
+    sa.Column("make_asset", sa.Boolean, nullable=False),  # without being asked for it
+    sa.Column("writer", sa.String(64)),  # the request that may write
+    sa.Column("lease_until", sa.Double),
+    sa.Column("asset_id", _id),
+    sa.Column("error_code", sa.String(64)),
+    sa.Column("error_message", sa.Text),
+    sa.Column("created_at", sa.Double, nullable=False),
+    sa.Column("expires_at", sa.Double, nullable=False, index=True),
+)
+
+webhook_endpoints = sa.Table(
+    "webhook_endpoints",
+    metadata,
+    sa.Column("id", _id, primary_key=True),
+    sa.Column("owner", _id, nullable=False, server_default="", index=True),
+    sa.Column("url", sa.Text, nullable=False),
+    sa.Column("events", sa.JSON, nullable=False),
+    sa.Column("secret", sa.String(128), nullable=False),
+    sa.Column("old_secret", sa.String(128)),  # signs too, until its time is over
+    sa.Column("old_secret_until", sa.Double),
+    sa.Column("disabled_reason", sa.String(255)),
+    sa.Column("created_at", sa.Double, nullable=False),
+)
+
+deliveries = sa.Table(
+    "deliveries",
+    metadata,
+    sa.Column("id", _id, primary_key=True),
+    sa.Column("endpoint_id", _id, sa.ForeignKey("webhook_endpoints.id", ondelete="CASCADE"), nullable=False),
+    sa.Column("job_id", _id, nullable=False),
+    sa.Column("event", sa.String(32), nullable=False),
+    sa.Column("message_id", _id, nullable=False),  # the same for a replay, so that the receiver may know it
+    sa.Column("payload", sa.Text, nullable=False),
+    sa.Column("state", sa.String(16), nullable=False),
+    sa.Column("log", sa.JSON, nullable=False),
+    sa.Column("next_at", sa.Double, index=True),  # null once it is over
+    sa.Column("traceparent", sa.String(64)),
+    sa.Column("created_at", sa.Double, nullable=False, index=True),
+    sa.Index("ix_deliveries_endpoint_id_id", "endpoint_id", "id"),
+)
+
+job_logs = sa.Table(
+    "job_logs",
+    metadata,
+    sa.Column("id", sa.BigInteger().with_variant(sa.Integer, "sqlite"), primary_key=True),
+    sa.Column("job_id", _id, sa.ForeignKey("jobs.id", ondelete="CASCADE"), nullable=False),
+    sa.Column("at", sa.Double, nullable=False),
+    sa.Column("level", sa.String(16), nullable=False),
+    sa.Column("message", sa.Text, nullable=False),
+    sa.Column("fields", sa.JSON, nullable=False),
+    sa.Index("ix_job_logs_job_id_id", "job_id", "id"),
+)
+
+tombstones = sa.Table(
+    "tombstones",
+    metadata,
+    sa.Column("id", _id, primary_key=True),
+    sa.Column("owner", _id, nullable=False),
+    sa.Column("kind", sa.String(16), nullable=False),
+    sa.Column("gone_at", sa.Double, nullable=False, index=True),
 )

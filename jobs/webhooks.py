@@ -1,0 +1,297 @@
+"""Who wants to be told when a job ends, and what was told to whom. Signed as Standard Webhooks asks."""
+
+import base64
+import hmac
+import json
+import secrets
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
+from hashlib import sha256
+from typing import TYPE_CHECKING, Literal, get_args
+
+import sqlalchemy as sa
+from ulid import ULID
+
+from jobs import tables as t
+from jobs.errors import ConflictError, NotFoundError
+from jobs.states import JobState
+
+if TYPE_CHECKING:
+    from jobs.store import Store
+
+Event = Literal["job.succeeded", "job.failed", "job.canceled", "job.aborted"]
+EVENTS: tuple[Event, ...] = get_args(Event)
+DeliveryState = Literal["pending", "delivered", "failed"]
+SECRET_PREFIX = "whsec_"
+SECRET_BYTES = 24
+MAX_ENDPOINTS = 20
+ROTATION_OVERLAP_S = 86400.0
+"""So long an old secret signs beside the new one."""
+
+RETRY_S = (0.0, 5.0, 300.0, 1800.0, 7200.0, 18000.0, 36000.0, 50400.0, 72000.0, 86400.0)
+"""Seconds from one attempt to the next: the schedule that Standard Webhooks proposes."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Endpoint:
+    """An address that is told."""
+
+    id: str
+    owner: str
+    url: str
+    events: tuple[Event, ...]  # of every job; none: only of jobs that name this endpoint
+    secret: str = field(repr=False)
+    old_secret: str | None = field(default=None, repr=False)
+    old_secret_until: float | None = None
+    disabled_reason: str | None = None
+    created_at: float
+
+    def signing_secrets(self, now: float) -> tuple[str, ...]:
+        """The secrets that sign at a time, the newest first."""
+        if self.old_secret is None or self.old_secret_until is None or self.old_secret_until <= now:
+            return (self.secret,)
+        return self.secret, self.old_secret
+
+
+@dataclass(frozen=True, kw_only=True)
+class Try:
+    """One attempt to tell."""
+
+    at: float
+    status: int | None  # none where no answer came
+    detail: str
+    seconds: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Delivery:
+    """One message for one endpoint."""
+
+    id: str
+    endpoint_id: str
+    job_id: str
+    event: Event
+    message_id: str
+    payload: str
+    state: DeliveryState
+    log: tuple[Try, ...]
+    next_at: float | None
+    traceparent: str | None
+    created_at: float
+
+
+def new_secret() -> str:
+    """A signing secret."""
+    return SECRET_PREFIX + base64.b64encode(secrets.token_bytes(SECRET_BYTES)).decode()
+
+
+def signature(signing_secrets: Sequence[str], message_id: str, timestamp: int, body: str) -> str:
+    """The header `webhook-signature`: one signature a secret."""
+    signed = f"{message_id}.{timestamp}.{body}".encode()
+    keys = [base64.b64decode(secret.removeprefix(SECRET_PREFIX)) for secret in signing_secrets]
+    return " ".join("v1," + base64.b64encode(hmac.digest(key, signed, sha256().name)).decode() for key in keys)
+
+
+# -- endpoints
+
+
+def add_endpoint(store: "Store", url: str, events: Sequence[Event]) -> Endpoint:
+    """Keep a new endpoint, with a new secret.
+
+    Raises:
+        ConflictError: there are too many.
+    """
+    made = Endpoint(
+        id=str(ULID()),
+        owner=store.owner or "",
+        url=url,
+        events=tuple(events),
+        secret=new_secret(),
+        created_at=store.clock(),
+    )
+    with store.writing() as connection:
+        mine = sa.select(sa.func.count()).where(t.webhook_endpoints.c.owner == made.owner)
+        if connection.execute(mine).scalar_one() >= MAX_ENDPOINTS:
+            raise ConflictError(f"there are {MAX_ENDPOINTS} webhook endpoints, which is the limit; delete one")
+        connection.execute(t.webhook_endpoints.insert().values(**asdict(made)))
+    return made
+
+
+def endpoints(store: "Store") -> list[Endpoint]:
+    """The endpoints, oldest first."""
+    with store.reading() as connection:
+        query = sa.select(t.webhook_endpoints).where(store.mine(t.webhook_endpoints)).order_by(t.webhook_endpoints.c.id)
+        return [_endpoint(row) for row in connection.execute(query)]
+
+
+def endpoint(store: "Store", endpoint_id: str) -> Endpoint:
+    """One endpoint.
+
+    Raises:
+        NotFoundError: there is none.
+    """
+    with store.reading() as connection:
+        return _read_endpoint(connection, store, endpoint_id)
+
+
+def change_endpoint(store: "Store", endpoint_id: str, **values: object) -> Endpoint:
+    """Change an endpoint's address, events or secrets.
+
+    Raises:
+        NotFoundError: there is none.
+    """
+    with store.writing() as connection:
+        _read_endpoint(connection, store, endpoint_id)
+        if values:
+            this = t.webhook_endpoints.c.id == endpoint_id
+            connection.execute(t.webhook_endpoints.update().where(this).values(**values))
+        return _read_endpoint(connection, store, endpoint_id)
+
+
+def rotate_secret(store: "Store", endpoint_id: str) -> Endpoint:
+    """Give an endpoint a new secret; the old one signs too for `ROTATION_OVERLAP_S`.
+
+    Raises:
+        NotFoundError: there is none.
+    """
+    old = endpoint(store, endpoint_id)
+    until = store.clock() + ROTATION_OVERLAP_S
+    return change_endpoint(store, endpoint_id, secret=new_secret(), old_secret=old.secret, old_secret_until=until)
+
+
+def delete_endpoint(store: "Store", endpoint_id: str) -> None:
+    """Forget an endpoint and its deliveries.
+
+    Raises:
+        NotFoundError: there is none.
+    """
+    with store.writing() as connection:
+        _read_endpoint(connection, store, endpoint_id)
+        connection.execute(t.webhook_endpoints.delete().where(t.webhook_endpoints.c.id == endpoint_id))
+
+
+def _read_endpoint(connection: sa.Connection, store: "Store", endpoint_id: str) -> Endpoint:
+    this = (t.webhook_endpoints.c.id == endpoint_id) & store.mine(t.webhook_endpoints)
+    row = connection.execute(sa.select(t.webhook_endpoints).where(this)).one_or_none()
+    if row is None:
+        raise NotFoundError(f"there is no webhook endpoint {endpoint_id}")
+    return _endpoint(row)
+
+
+def _endpoint(row: sa.Row[tuple[object, ...]]) -> Endpoint:
+    values: dict[str, object] = dict(row._mapping)
+    return Endpoint(**values | {"events": tuple(values["events"])})  # type: ignore[arg-type]
+
+
+# -- deliveries
+
+
+def announce(connection: sa.Connection, job_id: str, state: JobState, *, now: float) -> None:
+    """Write down that a job has ended, for everyone who wants to know. In the transaction that ends it."""
+    job = connection.execute(sa.select(t.jobs).where(t.jobs.c.id == job_id)).one()
+    wanted = (t.webhook_endpoints.c.owner == job.owner) & t.webhook_endpoints.c.disabled_reason.is_(None)
+    event = f"job.{state}"
+    payload = {
+        "type": event,
+        "timestamp": datetime.fromtimestamp(now, UTC).isoformat(),
+        "data": {
+            "id": job_id,
+            "type": job.type,
+            "state": state,
+            "asset_id": job.asset_id,
+            "retry_of": job.retry_of,
+            "error_code": job.error_code,
+            "url": f"/v1/jobs/{job_id}",
+        },
+    }
+    for row in connection.execute(sa.select(t.webhook_endpoints).where(wanted)).all():
+        if event in row.events or row.id == job.webhook_id:
+            made = {
+                "id": str(ULID()),
+                "endpoint_id": row.id,
+                "job_id": job_id,
+                "event": event,
+                "message_id": f"msg_{ULID()}",
+                "payload": json.dumps(payload, separators=(",", ":")),
+                "state": "pending",
+                "log": [],
+                "next_at": now,
+                "traceparent": job.traceparent,
+                "created_at": now,
+            }
+            connection.execute(t.deliveries.insert().values(**made))
+
+
+def deliveries(store: "Store", endpoint_id: str, *, before: str | None, limit: int) -> list[Delivery]:
+    """What was told to an endpoint, newest first.
+
+    Raises:
+        NotFoundError: there is no such endpoint.
+    """
+    endpoint(store, endpoint_id)
+    query = sa.select(t.deliveries).where(t.deliveries.c.endpoint_id == endpoint_id)
+    if before is not None:
+        query = query.where(t.deliveries.c.id < before)
+    with store.reading() as connection:
+        return [_delivery(row) for row in connection.execute(query.order_by(t.deliveries.c.id.desc()).limit(limit))]
+
+
+def replay(store: "Store", endpoint_id: str, delivery_id: str) -> Delivery:
+    """Tell it again at once: a new delivery of the same message.
+
+    Raises:
+        NotFoundError: there is no such endpoint or delivery.
+    """
+    now = store.clock()
+    with store.writing() as connection:
+        _read_endpoint(connection, store, endpoint_id)
+        this = (t.deliveries.c.id == delivery_id) & (t.deliveries.c.endpoint_id == endpoint_id)
+        row = connection.execute(sa.select(t.deliveries).where(this)).one_or_none()
+        if row is None:
+            raise NotFoundError(f"there is no delivery {delivery_id} to endpoint {endpoint_id}")
+        anew = {"id": str(ULID()), "state": "pending", "log": [], "next_at": now, "created_at": now}
+        connection.execute(t.deliveries.insert().values(**dict(row._mapping) | anew))
+        return _delivery(connection.execute(sa.select(t.deliveries).where(t.deliveries.c.id == anew["id"])).one())
+
+
+def claim_due(store: "Store", *, lease_s: float, limit: int) -> list[tuple[Delivery, Endpoint]]:
+    """Deliveries whose time has come, each ours for `lease_s`: nobody else tells them meanwhile."""
+    now = store.clock()
+    due = sa.select(t.deliveries.c.id, t.deliveries.c.next_at).where(t.deliveries.c.next_at <= now)
+    with store.reading() as connection:
+        found = connection.execute(due.order_by(t.deliveries.c.next_at).limit(limit)).all()
+    if not found:
+        return []
+    claimed = []
+    with store.writing() as connection:
+        for row in found:
+            this = (t.deliveries.c.id == row.id) & (t.deliveries.c.next_at == row.next_at)
+            if connection.execute(t.deliveries.update().where(this).values(next_at=now + lease_s)).rowcount:
+                told = connection.execute(sa.select(t.deliveries).where(t.deliveries.c.id == row.id)).one()
+                whom = t.webhook_endpoints.c.id == told.endpoint_id
+                to = connection.execute(sa.select(t.webhook_endpoints).where(whom)).one()
+                claimed.append((_delivery(told), _endpoint(to)))
+    return claimed
+
+
+def record_try(store: "Store", delivery: Delivery, made: Try, *, retry_s: Sequence[float] = RETRY_S) -> DeliveryState:
+    """Write down how an attempt went, and when the next one is due. 410 disables the endpoint."""
+    log = [*(asdict(earlier) for earlier in delivery.log), asdict(made)]
+    delivered = made.status is not None and 200 <= made.status < 300
+    over = delivered or made.status == 410 or len(log) >= len(retry_s)
+    state: DeliveryState = "delivered" if delivered else "failed" if over else "pending"
+    next_at = None if over else made.at + retry_s[len(log)]
+    with store.writing() as connection:
+        this = t.deliveries.c.id == delivery.id
+        connection.execute(t.deliveries.update().where(this).values(state=state, log=log, next_at=next_at))
+        if made.status == 410:
+            whom = t.webhook_endpoints.c.id == delivery.endpoint_id
+            reason = {"disabled_reason": "the address answered 410 Gone"}
+            connection.execute(t.webhook_endpoints.update().where(whom).values(**reason))
+    return state
+
+
+def _delivery(row: sa.Row[tuple[object, ...]]) -> Delivery:
+    log = tuple(Try(**made) for made in row._mapping["log"])
+    return Delivery(**dict(row._mapping) | {"log": log})
