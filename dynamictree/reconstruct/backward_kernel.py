@@ -1,0 +1,291 @@
+"""The loops of `gradient`: from the gradient of a picture back to the Gaussians that were blended into it.
+
+`rasterize_kernel` read backwards. A tile walks its list front to back a second time: what lies behind a Gaussian is the
+finished pixel less what came before, so nothing of the forward pass but the picture is kept.
+"""
+
+from typing import no_type_check
+
+import numba
+import numpy as np
+
+from dynamictree.gaussian.rasterize_kernel import BLUR_PX2, MAX_ALPHA, MIN_ALPHA, TILE
+from dynamictree.gaussian.turn import harmonic_values
+
+ENTRY = 10
+"""Gradients of a Gaussian in one tile: centre (2), conic (3), shown opacity, colour (3), depth."""
+
+_HALF, _ONE, _TWO, _ZERO = np.float32(0.5), np.float32(1), np.float32(2), np.float32(0)
+_MIN, _MAX, _BLUR = np.float32(MIN_ALPHA), np.float32(MAX_ALPHA), np.float32(BLUR_PX2)
+_OPAQUE = np.float32(1e-4)  # as in `rasterize_kernel`
+_SIZE = TILE * TILE
+# unsigned, so that no index can wrap around and LLVM makes vectors of the loop
+_LANES = np.uint32(TILE)
+_TO_COME, _RED, _GREEN, _BLUE, _DEPTH = (np.uint32(plane * _SIZE) for plane in range(1, 6))
+_EXP = tuple(np.float32(c) for c in (1 / 120, 1 / 24, 1 / 6, 1 / 2, 1, 1))
+_SIXTEENTH = np.float32(1 / 16)
+_SH = tuple(
+    np.float32(c)
+    for c in (
+        0.4886025119029199,
+        1.0925484305920792,
+        0.31539156525252005,
+        0.5462742152960396,
+        0.5900435899266435,
+        2.890611442640554,
+        0.4570457994644658,
+        0.3731763325901154,
+        1.445305721320277,
+    )
+)
+_THREE, _FOUR, _SIX = np.float32(3), np.float32(4), np.float32(6)
+
+_compiled = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz", "reassoc"})
+
+
+@_compiled
+@no_type_check
+def blend_back(first, end, ellipses, bounds, order, starts, picture, gradient, entries):
+    """Gradient of each listed Gaussian in each tile; of a picture of colour, depth and light left, and its gradient."""
+    height, width = picture.shape[0], picture.shape[1]
+    columns = -(-width // TILE)
+    b = np.empty(6 * _SIZE, np.float32)  # light left, what is to come, gradients of red, green, blue, depth
+    for tile in range(first, end):
+        left, top = tile % columns * TILE, tile // columns * TILE
+        b[:] = 0
+        for row in range(min(TILE, height - top)):
+            for column in range(min(TILE, width - left)):
+                to_come = _ZERO
+                place = row * TILE + column
+                for c in range(5):
+                    to_come += picture[top + row, left + column, c] * gradient[top + row, left + column, c]
+                for c in range(4):
+                    b[(2 + c) * _SIZE + place] = gradient[top + row, left + column, c]
+                b[place], b[_SIZE + place] = _ONE, to_come
+        for i in range(starts[tile], starts[tile + 1]):
+            g = order[i]
+            from_row, to_row = max(bounds[g, 2] - top, 0), min(bounds[g, 3] - top, TILE)
+            _one_back(ellipses[g], np.float32(left) + _HALF, np.float32(top) + _HALF, from_row, to_row, b, entries[i])
+            if i % 16 == 15 and _is_opaque(b):
+                break
+
+
+@_compiled
+@no_type_check
+def _one_back(e, left, top, from_row, to_row, b, out):
+    across, down, half_a, cross, half_c = left - e[0], top - e[1], _HALF * e[2], e[3], _HALF * e[4]
+    opacity, red, green, blue, depth = e[5], e[6], e[7], e[8], e[9]
+    sum_h, sum_x, sum_y, sum_xx, sum_xy, sum_yy = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
+    sum_r, sum_g, sum_b, sum_d = _ZERO, _ZERO, _ZERO, _ZERO
+    for row in range(from_row, to_row):
+        dy = down + np.float32(row)
+        constant, slope = -half_c * dy * dy, -cross * dy
+        start = np.uint32(row * TILE)
+        h0, h1, h2 = _ZERO, _ZERO, _ZERO
+        for j in range(_LANES):
+            dx = across + np.float32(j)
+            y = (constant + dx * (slope - half_a * dx)) * _SIXTEENTH
+            y = max(y, -_ONE)
+            p = ((((_EXP[0] * y + _EXP[1]) * y + _EXP[2]) * y + _EXP[3]) * y + _EXP[4]) * y + _EXP[5]
+            p = p * p
+            p = p * p
+            p = p * p
+            whole = opacity * (p * p)
+            alpha = min(whole, _MAX)
+            alpha = alpha if alpha >= _MIN else _ZERO
+            light = b[start + j]
+            red_g, green_g = b[_RED + start + j], b[_GREEN + start + j]
+            blue_g, depth_g = b[_BLUE + start + j], b[_DEPTH + start + j]
+            value = red * red_g + green * green_g + blue * blue_g + depth * depth_g
+            shown = alpha * light
+            behind = b[_TO_COME + start + j] - shown * value
+            b[_TO_COME + start + j] = behind
+            b[start + j] = light - shown
+            h = shown * value - behind * alpha / (_ONE - alpha)  # d/d ln(alpha)
+            h = h if whole < _MAX else _ZERO
+            h0 += h
+            h1 += h * dx
+            h2 += h * dx * dx
+            sum_r += shown * red_g
+            sum_g += shown * green_g
+            sum_b += shown * blue_g
+            sum_d += shown * depth_g
+        sum_h += h0
+        sum_x += h1
+        sum_xx += h2
+        sum_y += h0 * dy
+        sum_xy += h1 * dy
+        sum_yy += h0 * dy * dy
+    out[0], out[1] = e[2] * sum_x + e[3] * sum_y, e[3] * sum_x + e[4] * sum_y
+    out[2], out[3], out[4] = -_HALF * sum_xx, -sum_xy, -_HALF * sum_yy
+    out[5] = sum_h / opacity
+    out[6], out[7], out[8], out[9] = sum_r, sum_g, sum_b, sum_d
+
+
+@_compiled
+@no_type_check
+def _is_opaque(b):
+    most = np.float32(0)
+    for j in range(_SIZE):
+        most = max(most, b[j])
+    return most < _OPAQUE
+
+
+@_compiled
+@no_type_check
+def gather(order, entries, gradients):
+    """Sum over the tiles that list a Gaussian, in the order of the tiles: the same with any number of threads."""
+    for i in range(len(order)):
+        g = order[i]
+        for c in range(ENTRY):
+            gradients[g, c] += entries[i, c]
+
+
+@_compiled
+@no_type_check
+def project_back(
+    first, end, means, quaternions, scales, opacity, sh, view, antialias, bounds, ellipses, gradients, out
+):
+    """From gradients of ellipses to those of mean, quaternion, ln scale, logit opacity (11 numbers), and harmonics."""
+    to_cloud, to_sh = out
+    degree = round(np.sqrt(sh.shape[1])) - 1
+    values, slopes = np.empty(16, np.float32), np.zeros((16, 3), np.float32)
+    axes, axes_g = np.empty((3, 3), np.float32), np.empty((3, 3), np.float32)
+    for g in range(first, end):
+        if bounds[g, 1] <= bounds[g, 0]:
+            continue
+        e_g = gradients[g]
+        dx, dy, dz = means[g, 0] - view[9], means[g, 1] - view[10], means[g, 2] - view[11]
+        x = view[0] * dx + view[1] * dy + view[2] * dz
+        y = view[3] * dx + view[4] * dy + view[5] * dz
+        z = view[6] * dx + view[7] * dy + view[8] * dz
+        _rotation(quaternions[g], axes)
+        per_z = view[12] / z
+        slope_x, slope_y = min(max(x / z, -view[17]), view[17]), min(max(y / z, -view[18]), view[18])
+        xx, xy, yy = _ZERO, _ZERO, _ZERO
+        for i in range(3):
+            px, py, _ = _half_axis(axes, scales[g, i], i, view, slope_x, slope_y, per_z)
+            xx, xy, yy = xx + px * px, xy + px * py, yy + py * py
+        sharp = max(xx * yy - xy * xy, _ZERO)
+        wide_x, wide_y = xx + _BLUR, yy + _BLUR
+        whole = wide_x * wide_y - xy * xy
+        # conic = inverse of the blurred covariance: dΣ = −Q dQ Q
+        a, b, c = wide_y / whole, -xy / whole, wide_x / whole
+        ga, gb, gc = e_g[2], _HALF * e_g[3], e_g[4]
+        m00, m01 = a * ga + b * gb, a * gb + b * gc
+        m10, m11 = b * ga + c * gb, b * gb + c * gc
+        xx_g, yy_g = -(m00 * a + m01 * b), -(m10 * b + m11 * c)
+        xy_g = -(m00 * b + m01 * c) - (m10 * a + m11 * b)
+        shown = ellipses[g, 5]
+        if antialias:
+            share = _HALF * e_g[5] * shown
+            xx_g += share * (yy / sharp - a)
+            yy_g += share * (xx / sharp - c)
+            xy_g += share * _TWO * (xy / whole - xy / sharp)
+        to_cloud[g, 10] += e_g[5] * shown * (_ONE - opacity[g])  # of the logit
+        per_z_g = e_g[0] * x + e_g[1] * y
+        x_g, y_g, z_g = e_g[0] * per_z, e_g[1] * per_z, e_g[9]
+        slope_x_g, slope_y_g = _ZERO, _ZERO
+        for i in range(3):
+            px, py, w = _half_axis(axes, scales[g, i], i, view, slope_x, slope_y, per_z)
+            px_g, py_g = _TWO * xx_g * px + xy_g * py, _TWO * yy_g * py + xy_g * px
+            per_z_g += (px_g * px + py_g * py) / per_z
+            u_g, v_g = px_g * per_z, py_g * per_z
+            w_g = -u_g * slope_x - v_g * slope_y
+            slope_x_g, slope_y_g = slope_x_g - u_g * w, slope_y_g - v_g * w
+            along = _ZERO
+            for k in range(3):
+                axis_g = view[k] * u_g + view[3 + k] * v_g + view[6 + k] * w_g
+                axes_g[k, i] = axis_g * scales[g, i]
+                along += axis_g * axes[k, i]
+            to_cloud[g, 7 + i] += along * scales[g, i]  # of the logarithm
+        z_g -= per_z_g * per_z / z
+        if slope_x == x / z:
+            x_g, z_g = x_g + slope_x_g / z, z_g - slope_x_g * slope_x / z
+        if slope_y == y / z:
+            y_g, z_g = y_g + slope_y_g / z, z_g - slope_y_g * slope_y / z
+        _rotation_back(quaternions[g], axes_g, to_cloud[g])
+        length = np.sqrt(dx * dx + dy * dy + dz * dz)
+        dx, dy, dz = dx / length, dy / length, dz / length
+        harmonic_values(degree, dx, dy, dz, values)
+        harmonic_slopes(degree, dx, dy, dz, slopes)
+        tx, ty, tz = _ZERO, _ZERO, _ZERO
+        for k in range(3):
+            color_g = e_g[6 + k] if ellipses[g, 6 + k] > _ZERO else _ZERO
+            for h in range(sh.shape[1]):
+                to_sh[g, h, k] += color_g * values[h]
+                strength = color_g * sh[g, h, k]
+                tx, ty, tz = tx + strength * slopes[h, 0], ty + strength * slopes[h, 1], tz + strength * slopes[h, 2]
+        outward = tx * dx + ty * dy + tz * dz
+        for k in range(3):
+            to_cloud[g, k] += view[k] * x_g + view[3 + k] * y_g + view[6 + k] * z_g
+        to_cloud[g, 0] += (tx - outward * dx) / length
+        to_cloud[g, 1] += (ty - outward * dy) / length
+        to_cloud[g, 2] += (tz - outward * dz) / length
+
+
+@_compiled
+@no_type_check
+def _half_axis(axes, scale, i, view, slope_x, slope_y, per_z):
+    """A Gaussian's axis in the picture, and its depth before that."""
+    ax, ay, az = scale * axes[0, i], scale * axes[1, i], scale * axes[2, i]
+    w = view[6] * ax + view[7] * ay + view[8] * az
+    px = (view[0] * ax + view[1] * ay + view[2] * az - slope_x * w) * per_z
+    py = (view[3] * ax + view[4] * ay + view[5] * az - slope_y * w) * per_z
+    return px, py, w
+
+
+@_compiled
+@no_type_check
+def _rotation(q, axes):
+    w, x, y, z = q[0], q[1], q[2], q[3]
+    axes[0, 0], axes[1, 1] = _ONE - _TWO * (y * y + z * z), _ONE - _TWO * (x * x + z * z)
+    axes[1, 0], axes[0, 1] = _TWO * (x * y + w * z), _TWO * (x * y - w * z)
+    axes[2, 0], axes[0, 2] = _TWO * (x * z - w * y), _TWO * (x * z + w * y)
+    axes[2, 1], axes[1, 2] = _TWO * (y * z + w * x), _TWO * (y * z - w * x)
+    axes[2, 2] = _ONE - _TWO * (x * x + y * y)
+
+
+@_compiled
+@no_type_check
+def _rotation_back(q, m, out):
+    """To the quaternion as an unconstrained one that is made a unit before use: no part along itself."""
+    w, x, y, z = q[0], q[1], q[2], q[3]
+    w_g = _TWO * (x * (m[2, 1] - m[1, 2]) + y * (m[0, 2] - m[2, 0]) + z * (m[1, 0] - m[0, 1]))
+    x_g = _TWO * (y * (m[1, 0] + m[0, 1]) + z * (m[2, 0] + m[0, 2]) + w * (m[2, 1] - m[1, 2]))
+    y_g = _TWO * (x * (m[1, 0] + m[0, 1]) + z * (m[2, 1] + m[1, 2]) + w * (m[0, 2] - m[2, 0]))
+    z_g = _TWO * (x * (m[2, 0] + m[0, 2]) + y * (m[2, 1] + m[1, 2]) + w * (m[1, 0] - m[0, 1]))
+    x_g -= _FOUR * x * (m[1, 1] + m[2, 2])
+    y_g -= _FOUR * y * (m[0, 0] + m[2, 2])
+    z_g -= _FOUR * z * (m[0, 0] + m[1, 1])
+    along = w_g * w + x_g * x + y_g * y + z_g * z
+    out[3] += w_g - along * w
+    out[4] += x_g - along * x
+    out[5] += y_g - along * y
+    out[6] += z_g - along * z
+
+
+@_compiled
+@no_type_check
+def harmonic_slopes(degree, x, y, z, out):
+    """Derivatives of `turn.harmonic_values` by the direction's x, y and z."""
+    if degree >= 1:
+        out[1, 1], out[2, 2], out[3, 0] = -_SH[0], _SH[0], -_SH[0]
+    if degree >= 2:
+        out[4, 0], out[4, 1] = _SH[1] * y, _SH[1] * x
+        out[5, 1], out[5, 2] = -_SH[1] * z, -_SH[1] * y
+        out[6, 0], out[6, 1], out[6, 2] = -_TWO * _SH[2] * x, -_TWO * _SH[2] * y, _FOUR * _SH[2] * z
+        out[7, 0], out[7, 2] = -_SH[1] * z, -_SH[1] * x
+        out[8, 0], out[8, 1] = _TWO * _SH[3] * x, -_TWO * _SH[3] * y
+    if degree >= 3:
+        xx, yy, zz = x * x, y * y, z * z
+        out[9, 0], out[9, 1] = -_SIX * _SH[4] * x * y, -_THREE * _SH[4] * (xx - yy)
+        out[10, 0], out[10, 1], out[10, 2] = _SH[5] * y * z, _SH[5] * x * z, _SH[5] * x * y
+        out[11, 0], out[11, 1] = _TWO * _SH[6] * x * y, -_SH[6] * (_FOUR * zz - xx - _THREE * yy)
+        out[11, 2] = -_TWO * _FOUR * _SH[6] * y * z
+        out[12, 0], out[12, 1] = -_SIX * _SH[7] * x * z, -_SIX * _SH[7] * y * z
+        out[12, 2] = _SH[7] * (_SIX * zz - _THREE * xx - _THREE * yy)
+        out[13, 0], out[13, 1] = -_SH[6] * (_FOUR * zz - _THREE * xx - yy), _TWO * _SH[6] * x * y
+        out[13, 2] = -_TWO * _FOUR * _SH[6] * x * z
+        out[14, 0], out[14, 1], out[14, 2] = _TWO * _SH[8] * x * z, -_TWO * _SH[8] * y * z, _SH[8] * (xx - yy)
+        out[15, 0], out[15, 1] = -_THREE * _SH[4] * (xx - yy), _SIX * _SH[4] * x * y

@@ -1,0 +1,133 @@
+"""Gradients of pictures of Gaussians, against autograd of the slow twin and against finite differences."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scipy.ndimage import gaussian_filter
+
+from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.gaussian.rasterize import render_cloud
+from dynamictree.reconstruct.gradient import Gradients, Shapes, draw, gradients_of
+from dynamictree.render.camera import Camera
+from tests.reconstruct.slow_splat import Leaves, draw_slowly
+
+WIDTH, HEIGHT = 41, 35  # no whole number of tiles
+FIELDS = ("means", "quaternions", "log_scales", "logit_opacity", "sh")
+CAMERA = Camera.look_at(np.array([0.3, -2.0, 0.4]), np.zeros(3), vertical_fov_deg=30.0)
+NEAR = Camera.look_at(np.array([0.1, -0.45, 0.05]), np.zeros(3), vertical_fov_deg=60.0)  # some beyond the widest slope
+
+
+def leaves_of(rng: np.random.Generator, *, number: int = 14, degree: int = 1) -> dict[str, np.ndarray]:
+    turns = rng.normal(size=(number, 4))
+    return {
+        "means": rng.uniform(-0.5, 0.5, (number, 3)),
+        "quaternions": turns / np.linalg.norm(turns, axis=1, keepdims=True),
+        "log_scales": np.log(rng.uniform(0.03, 0.2, (number, 3))),
+        "logit_opacity": rng.normal(size=number) + 1,
+        "sh": 0.3 * rng.normal(size=(number, (degree + 1) ** 2, 3)),
+    }
+
+
+def shapes_of(leaves: dict[str, np.ndarray]) -> Shapes:
+    return Shapes(
+        means=leaves["means"].astype(np.float32),
+        quaternions=leaves["quaternions"].astype(np.float32),
+        scales=np.exp(leaves["log_scales"]).astype(np.float32),
+        opacity=(1 / (1 + np.exp(-leaves["logit_opacity"]))).astype(np.float32),
+        sh=leaves["sh"].astype(np.float32),
+    )
+
+
+def smooth_noise(rng: np.random.Generator) -> np.ndarray:
+    return gaussian_filter(rng.normal(size=(HEIGHT, WIDTH, 5)), (3, 3, 0)).astype(np.float32)
+
+
+@pytest.mark.parametrize("camera", [CAMERA, NEAR], ids=["far", "near"])
+@pytest.mark.parametrize(("degree", "antialias"), [(0, True), (1, False), (2, True), (3, True)])
+def test_gradients_are_autograds_of_the_slow_twin(rng, camera, degree, antialias):
+    values = leaves_of(rng, degree=degree)
+    drawing = draw(shapes_of(values), camera, width=WIDTH, height=HEIGHT, antialias=antialias)
+    leaves = Leaves(**{name: torch.tensor(value, requires_grad=True) for name, value in values.items()})
+    picture = draw_slowly(leaves, camera, width=WIDTH, height=HEIGHT, antialias=antialias)
+    assert np.abs(picture.detach().numpy() - drawing.picture).max() < 2e-5
+    gradient = smooth_noise(rng)
+    (picture * torch.tensor(gradient)).sum().backward()
+    found = gradients_of(drawing, gradient)
+    for name in FIELDS:
+        true = getattr(leaves, name).grad.numpy()
+        assert np.abs(true).max() > 1e-3, name
+        assert np.abs(getattr(found, name) - true).max() < 3e-4 * np.abs(true).max(), name
+
+
+def test_gradients_are_finite_differences(rng):
+    values = leaves_of(rng, number=6, degree=2)
+    weights = smooth_noise(rng)
+
+    def loss(changed: dict[str, np.ndarray]) -> float:
+        picture = draw(shapes_of(changed), CAMERA, width=WIDTH, height=HEIGHT).picture
+        return float((picture.astype(np.float64) * weights).sum())
+
+    found = gradients_of(draw(shapes_of(values), CAMERA, width=WIDTH, height=HEIGHT), weights)
+    for name in FIELDS:
+        direction = rng.normal(size=values[name].shape)
+        if name == "quaternions":  # along the unit sphere
+            along = (direction * values[name]).sum(axis=1, keepdims=True)
+            direction = direction - along * values[name]
+        step = 2e-3
+        ahead, back = ({**values, name: values[name] + sign * step * direction} for sign in (1, -1))
+        slope = (loss(ahead) - loss(back)) / (2 * step)
+        # what falls below the least alpha is cut off: a jump that differences see and the gradient does not
+        assert (getattr(found, name) * direction).sum() == pytest.approx(slope, rel=0.05, abs=0.02), name
+
+
+def test_the_picture_is_the_renderers(rng):
+    shapes = shapes_of(leaves_of(rng, number=200, degree=3))
+    drawing = draw(shapes, CAMERA, width=97, height=64)
+    cloud = GaussianCloud(
+        means=shapes.means, quaternions=shapes.quaternions, scales=shapes.scales, opacity=shapes.opacity, sh=shapes.sh
+    )
+    picture = render_cloud(cloud, CAMERA, width=97, height=64)
+    assert np.array_equal(drawing.picture[..., :3], picture.color)
+    assert np.array_equal(1 - drawing.picture[..., 4], picture.alpha)
+
+
+def test_what_is_not_seen_has_no_gradient(rng):
+    values = leaves_of(rng, number=30)
+    behind = np.arange(30) % 2 == 0
+    values["means"][behind] += CAMERA.position_m * 2
+    found = gradients_of(draw(shapes_of(values), CAMERA, width=WIDTH, height=HEIGHT), smooth_noise(rng))
+    for name in FIELDS:
+        rows = getattr(found, name).reshape(30, -1)
+        assert not rows[behind].any()
+        assert rows[~behind].any()
+
+
+def test_gradients_do_not_depend_on_the_number_of_threads(rng, monkeypatch):
+    shapes = shapes_of(leaves_of(rng, number=300))
+    weights = smooth_noise(rng)
+
+    def once() -> Gradients:
+        return gradients_of(draw(shapes, CAMERA, width=WIDTH, height=HEIGHT), weights)
+
+    several = once()
+    monkeypatch.setattr("os.sched_getaffinity", lambda _: {0})
+    alone = once()
+    assert all(np.array_equal(getattr(several, name), getattr(alone, name)) for name in (*FIELDS, "centres_px"))
+
+
+def test_light_that_is_used_up_ends_a_tiles_list(rng):
+    """A thousand layers: gradients stay finite, and the hindmost get none."""
+    number = 1000
+    depth = np.linspace(0, 1, number)
+    flat = replace(
+        shapes_of(leaves_of(rng, number=number)),
+        means=np.stack([np.zeros(number), depth, np.zeros(number)], axis=1).astype(np.float32),
+        scales=np.full((number, 3), 2.0, np.float32),
+        opacity=np.full(number, 0.9, np.float32),
+    )
+    found = gradients_of(draw(flat, CAMERA, width=WIDTH, height=HEIGHT), smooth_noise(rng))
+    assert all(np.isfinite(getattr(found, name)).all() for name in FIELDS)
+    assert not found.means[-900:].any()
+    assert found.means[0].any()
