@@ -1,0 +1,123 @@
+"""Exports as other people's tools read them: displacement at every key, +Z up [m]. Nothing of ours reads here."""
+
+import io
+import json
+import tempfile
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pygltflib
+
+WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+COMPONENTS = {5123: "<u2", 5125: "<u4", 5126: "<f4"}
+
+
+def accessor(document: pygltflib.GLTF2, index: int) -> np.ndarray:
+    entry = document.accessors[index]
+    view = document.bufferViews[entry.bufferView]
+    width = WIDTHS[entry.type]
+    blob = document.binary_blob()
+    count = entry.count * width
+    return np.frombuffer(blob, COMPONENTS[entry.componentType], count, view.byteOffset).reshape(-1, width)
+
+
+def z_up(vectors: np.ndarray) -> np.ndarray:
+    return np.stack([vectors[..., 0], -vectors[..., 2], vectors[..., 1]], axis=-1)
+
+
+def told(content: bytes) -> dict[str, Any]:
+    """`asset.extras` of a GLB."""
+    extras: dict[str, Any] = pygltflib.GLTF2().load_from_bytes(content).asset.extras
+    return extras
+
+
+def played_morphs(content: bytes) -> np.ndarray:
+    """A GLB's morph targets, weighted as its animation has them: [T + 1, N, 3]."""
+    document = pygltflib.GLTF2().load_from_bytes(content)
+    targets = [accessor(document, target["POSITION"]) for target in document.meshes[0].primitives[0].targets]
+    keys = accessor(document, document.animations[0].samplers[0].output).reshape(-1, len(targets))
+    return z_up(np.einsum("tm,mnc->tnc", keys, np.stack(targets)))
+
+
+def played_skin(content: bytes) -> np.ndarray:
+    """A GLB's skin, posed as its animation has it: [T + 1, N, 3]. glTF 2.0, sections 3.7.3 and 3.11."""
+    document = pygltflib.GLTF2().load_from_bytes(content)
+    attributes, skin = document.meshes[0].primitives[0].attributes, document.skins[0]
+    rest = accessor(document, attributes.POSITION).astype(np.float64)
+    joints, weights = accessor(document, attributes.JOINTS_0), accessor(document, attributes.WEIGHTS_0)
+    inverse = accessor(document, skin.inverseBindMatrices).reshape(-1, 4, 4).swapaxes(1, 2).astype(np.float64)
+    world = _world_matrices(document)
+    matrices = np.stack([world[node] for node in skin.joints], axis=1) @ inverse  # [T + 1, B, 4, 4]
+    homogeneous = np.concatenate([rest, np.ones((len(rest), 1))], axis=1)
+    moved = [
+        np.einsum("nj,njik,nk->ni", weights, frame[joints], homogeneous, optimize=True)[:, :3] for frame in matrices
+    ]
+    return z_up(np.stack(moved) - rest)
+
+
+def _world_matrices(document: pygltflib.GLTF2) -> dict[int, np.ndarray]:
+    """Matrix of every node at every key: [T + 1, 4, 4]."""
+    animation = document.animations[0]
+    moving: dict[tuple[int, str], np.ndarray] = {}
+    for channel in animation.channels:
+        keys = accessor(document, animation.samplers[channel.sampler].output)
+        moving[channel.target.node, channel.target.path] = keys.astype(np.float64)
+    num_keys = len(next(iter(moving.values())))
+    world: dict[int, np.ndarray] = {}
+
+    def visit(node: int, above: np.ndarray) -> None:
+        entry = document.nodes[node]
+        local = np.broadcast_to(np.eye(4), (num_keys, 4, 4)).copy()
+        local[:, :3, 3] = moving.get((node, "translation"), entry.translation or (0, 0, 0))
+        if (node, "rotation") in moving:
+            local[:, :3, :3] = _rotations(moving[node, "rotation"])
+        world[node] = above @ local
+        for child in entry.children or []:
+            visit(child, world[node])
+
+    for root in document.scenes[document.scene].nodes:
+        visit(root, np.broadcast_to(np.eye(4), (num_keys, 4, 4)))
+    return world
+
+
+def _rotations(xyzw: np.ndarray) -> np.ndarray:
+    x, y, z, w = xyzw.T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), 2, 0)
+
+
+def played_usdz(path: Path) -> np.ndarray:
+    """Points of every time code less those of rest: [T, N, 3]."""
+    from pxr import Usd, UsdGeom
+
+    stage = Usd.Stage.Open(str(path))
+    surfaces = [prim for prim in stage.Traverse() if prim.IsA(UsdGeom.Mesh)]
+    points = UsdGeom.Mesh(surfaces[0]).GetPointsAttr()
+    assert points.GetTimeSamples() == list(range(int(stage.GetEndTimeCode()) + 1))
+    rest = np.array(points.Get())
+    return np.stack([np.array(points.Get(code)) for code in points.GetTimeSamples()]) - rest
+
+
+def played_vertex_texture(content: bytes) -> np.ndarray:
+    """What a vertex shader looks up, frame by frame: [T, N, 3]. Needs OpenEXR."""
+    import OpenEXR
+
+    archive = zipfile.ZipFile(io.BytesIO(content))
+    facts = json.loads(archive.read(archive.namelist()[0]))
+    with tempfile.TemporaryDirectory() as folder:
+        picture = archive.extract(facts["texture"], folder)
+        texels = OpenEXR.File(picture).channels()["RGB"].pixels.astype(np.float32)
+    document = pygltflib.GLTF2().load_from_bytes(archive.read(facts["mesh"]))
+    u, v = accessor(document, document.meshes[0].primitives[0].attributes.TEXCOORD_1).T
+    assert texels.shape == (facts["height"], facts["width"], 3)
+    frames = []
+    for frame in range(facts["num_frames"]):
+        row = np.floor((v + frame * facts["rows_per_frame"] / facts["height"]) * facts["height"]).astype(int)
+        frames.append(texels[row, np.floor(u * facts["width"]).astype(int)])
+    return z_up(np.stack(frames))

@@ -1,0 +1,117 @@
+"""A motion as a GLB with a skeleton: joints that turn and slide, four of them a vertex, keys of one period.
+
+What engines play most cheaply, at the price of an error, which the file tells in its `asset.extras`.
+"""
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from jaxtyping import Float32, Int32
+
+from dynamictree.formats.axes import up_rotation
+from dynamictree.formats.gltf import VERTEX_BUFFER, GlbWriter, add_mesh
+from dynamictree.formats.stream import ByteWriter
+from dynamictree.gaussian.rotation import matrix_quaternions
+from dynamictree.mesh import TriangleMesh
+
+JOINTS_A_VERTEX = 4  # glTF 2.0, section 3.7.3.3: what every engine is asked to support
+
+
+@dataclass(frozen=True, kw_only=True)
+class Skin:
+    """Rigid motion of B joints over T frames: x' = Σ_j weights_j (rotation_j x + translation_j)."""
+
+    parent: Int32[np.ndarray, " B"]  # -1 at the root; parents come before children
+    joint_m: Float32[np.ndarray, "B 3"]  # where a joint is at rest
+    rows: Int32[np.ndarray, "N 4"]
+    weights: Float32[np.ndarray, "N 4"]  # sum to 1
+    rotation: Float32[np.ndarray, "T B 3 3"]
+    translation_m: Float32[np.ndarray, "T B 3"]
+
+    def displacement(self, vertices: Float32[np.ndarray, "N 3"], frame: int) -> Float32[np.ndarray, "N 3"]:
+        """Where the joints carry the vertices of rest, less where they were [m]."""
+        moved = np.zeros_like(vertices)
+        for rows, weights in zip(self.rows.T, self.weights.T, strict=True):
+            turned = np.einsum("nij,nj->ni", self.rotation[frame, rows], vertices) + self.translation_m[frame, rows]
+            moved += weights[:, None] * turned
+        return np.asarray(moved - vertices)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SkinSummary:
+    """What was written, and how far it is from the motion."""
+
+    num_joints: int
+    num_keys: int
+    relative_error: float  # root mean square of what is missing over that of the motion
+    rms_error_m: float  # over all vertices and frames
+    max_error_m: float  # of any vertex at any frame
+
+
+def write_skinned_glb(mesh: TriangleMesh, skin: Skin, summary: SkinSummary, stream: ByteWriter, *, fps: float) -> None:
+    """Write one period with T + 1 linear keys, the last equal to the first; exact at the keys, as the skin has them."""
+    writer = GlbWriter(extras=asdict(summary))
+    used = skin.weights > 0
+    attributes = {
+        "JOINTS_0": writer.add_accessor(np.where(used, skin.rows, 0).astype(np.uint16), target=VERTEX_BUFFER),
+        "WEIGHTS_0": writer.add_accessor(np.where(used, skin.weights, 0).astype(np.float32), target=VERTEX_BUFFER),
+    }
+    add_mesh(writer, mesh, more_attributes=attributes)
+    writer.append("nodes", {"mesh": 0, "skin": 0, "name": "tree"})
+    turn = up_rotation("+Y")  # file to +Z up
+    rest = skin.joint_m.astype(np.float64) @ turn
+    first = 2  # node of joint 0
+    _add_joints(writer, skin.parent, rest, first)
+    writer.append("scenes", {"nodes": [0, 1]})
+    turned = turn.T @ skin.rotation.astype(np.float64) @ turn  # [T, B, 3, 3]
+    place = np.einsum("tbij,bj->tbi", turned, rest) + skin.translation_m.astype(np.float64) @ turn
+    rotation, translation = _relative_to_parents(skin.parent, turned, place)
+    times = (np.arange(len(place) + 1) / fps).astype(np.float32)
+    clock = writer.add_accessor(times[:, None], bounds=True)
+    samplers, channels = list[object](), list[object]()
+    for joint in range(len(skin.parent)):
+        keys = {"rotation": _steady(matrix_quaternions(rotation[:, joint])), "translation": translation[:, joint]}
+        for path, values in keys.items():
+            looped = np.concatenate([values, values[:1]]).astype(np.float32)
+            channels.append({"sampler": len(samplers), "target": {"node": first + joint, "path": path}})
+            samplers.append({"input": clock, "output": writer.add_accessor(looped), "interpolation": "LINEAR"})
+    writer.append("animations", {"name": "sway", "samplers": samplers, "channels": channels})
+    writer.finish(stream)
+
+
+def _add_joints(writer: GlbWriter, parent: Int32[np.ndarray, " B"], rest: np.ndarray, first: int) -> None:
+    """A node a joint under one that holds them all, and the skin."""
+    children: list[list[int]] = [[] for _ in parent]
+    for joint, above in enumerate(parent.tolist()):
+        if above >= 0:
+            children[above].append(first + joint)
+    roots = [first + joint for joint in np.flatnonzero(parent < 0).tolist()]
+    writer.append("nodes", {"name": "skeleton", "children": roots})
+    offset = rest - np.where(parent[:, None] >= 0, rest[parent], 0)
+    for joint, below in enumerate(children):
+        node: dict[str, object] = {"name": f"joint_{joint}", "translation": offset[joint].tolist()}
+        writer.append("nodes", node | ({"children": below} if below else {}))
+    inverse = np.tile(np.eye(4, dtype=np.float32), (len(rest), 1, 1))
+    inverse[:, 3, :3] = -rest  # column-major, as glTF has it
+    matrices = writer.add_accessor(inverse.reshape(-1, 16))
+    joints = list(range(first, first + len(rest)))
+    writer.append("skins", {"inverseBindMatrices": matrices, "joints": joints, "skeleton": 1})
+
+
+def _relative_to_parents(
+    parent: Int32[np.ndarray, " B"], rotation: np.ndarray, place: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Each joint's rotation [T, B, 3, 3] and place [T, B, 3] as its parent sees it."""
+    has, above = parent >= 0, np.maximum(parent, 0)
+    outer = np.where(has[:, None, None], rotation[:, above], np.eye(3)).swapaxes(-1, -2)
+    origin = np.where(has[:, None], place[:, above], 0)
+    return outer @ rotation, np.einsum("tbij,tbj->tbi", outer, place - origin)
+
+
+def _steady(wxyz: np.ndarray) -> np.ndarray:
+    """As x, y, z, w, of the two signs the one nearer to the frame before."""
+    xyzw = wxyz[:, [1, 2, 3, 0]]
+    turns = (xyzw[1:] * xyzw[:-1]).sum(axis=1) < 0
+    sign = np.where(np.cumsum(turns) % 2 == 1, -1.0, 1.0)
+    xyzw[1:] *= sign[:, None]
+    return np.asarray(xyzw / np.linalg.norm(xyzw, axis=1, keepdims=True))

@@ -1,0 +1,147 @@
+"""A motion as USD: a mesh whose points have a time sample a frame, with its materials and textures, in one USDZ.
+
++Z up, metres, vertices in the source's order. Needs usd-core, the extra `usd`.
+"""
+
+import shutil
+import tempfile
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from jaxtyping import Float32
+
+from dynamictree.formats.gltf import linear_colors
+from dynamictree.mesh import Material, TriangleMesh
+
+_ROOT, _SURFACE, _LOOKS = "/Tree", "/Tree/Surface", "/Tree/Looks"
+
+
+def write_motion_usdz(
+    mesh: TriangleMesh, frames: Iterable[Float32[np.ndarray, "N 3"]], stream: BinaryIO, *, fps: float
+) -> None:
+    """Write displacements [m], a time code a frame, from 0."""
+    from pxr import Sdf
+
+    with tempfile.TemporaryDirectory(prefix="dynamictree-usd-") as folder:
+        textures = _texture_files(mesh, Path(folder))
+        layer = Path(folder) / "tree.usdc"
+        _write_layer(mesh, frames, layer, fps, textures)
+        archive = Sdf.ZipFileWriter.CreateNew(str(Path(folder) / "tree.usdz"))
+        archive.AddFile(str(layer), layer.name)
+        for name in textures.values():
+            archive.AddFile(str(Path(folder) / name), name)
+        archive.Save()
+        with (Path(folder) / "tree.usdz").open("rb") as written:
+            shutil.copyfileobj(written, stream)
+
+
+def _texture_files(mesh: TriangleMesh, folder: Path) -> dict[int, str]:
+    """Textures beside the layer, by the numbers of their materials."""
+    names = {}
+    for number, material in enumerate(mesh.materials):
+        if material.texture_png is not None:
+            names[number] = f"texture_{number}.png"
+            (folder / names[number]).write_bytes(material.texture_png)
+    return names
+
+
+def _write_layer(
+    mesh: TriangleMesh, frames: Iterable[Float32[np.ndarray, "N 3"]], path: Path, fps: float, textures: dict[int, str]
+) -> None:
+    from pxr import Kind, Usd, UsdGeom
+
+    stage = Usd.Stage.CreateNew(str(path))
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    stage.SetTimeCodesPerSecond(fps)
+    stage.SetFramesPerSecond(fps)
+    root = UsdGeom.Xform.Define(stage, _ROOT)
+    stage.SetDefaultPrim(root.GetPrim())
+    Usd.ModelAPI(root).SetKind(Kind.Tokens.component)
+    _define_surface(stage, mesh)
+    last = _set_points(stage, mesh, frames)
+    stage.SetStartTimeCode(0)
+    stage.SetEndTimeCode(last)
+    for number, material in enumerate(mesh.materials):
+        _define_material(stage, number, material, textures.get(number))
+    stage.Save()
+
+
+def _define_surface(stage: Any, mesh: TriangleMesh) -> None:
+    from pxr import Sdf, UsdGeom, UsdShade, Vt
+
+    surface = UsdGeom.Mesh.Define(stage, _SURFACE)
+    surface.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(mesh.num_faces, 3, np.int32)))
+    surface.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(np.ascontiguousarray(mesh.faces.ravel())))
+    surface.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    surface.CreateDoubleSidedAttr(True)
+    if mesh.uv is not None:
+        upward = np.stack([mesh.uv[:, 0], 1 - mesh.uv[:, 1]], axis=1)  # USD's t points up, glTF's v down
+        st = UsdGeom.PrimvarsAPI(surface).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex)
+        st.Set(Vt.Vec2fArray.FromNumpy(np.ascontiguousarray(upward)))
+    if mesh.vertex_colors is not None:
+        colors = (linear_colors(mesh.vertex_colors)[:, :3] / 65535).astype(np.float32)
+        surface.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex).Set(
+            Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(colors))
+        )
+    if not mesh.materials:
+        return
+    binding = UsdShade.MaterialBindingAPI.Apply(surface.GetPrim())
+    binding.Bind(UsdShade.Material.Define(stage, f"{_LOOKS}/Material_0"))
+    face_material = np.zeros(mesh.num_faces, np.int32) if mesh.face_material is None else mesh.face_material
+    for number in np.unique(face_material).tolist():
+        chosen = np.flatnonzero(face_material == number).astype(np.int32)
+        part = binding.CreateMaterialBindSubset(f"Part_{number}", Vt.IntArray.FromNumpy(chosen))
+        looks = UsdShade.Material.Define(stage, f"{_LOOKS}/Material_{number}")
+        UsdShade.MaterialBindingAPI.Apply(part.GetPrim()).Bind(looks)
+
+
+def _set_points(stage: Any, mesh: TriangleMesh, frames: Iterable[Float32[np.ndarray, "N 3"]]) -> int:
+    """Write every frame; gives the last one's time code. The default is the tree at rest."""
+    from pxr import Gf, UsdGeom, Vt
+
+    surface = UsdGeom.Mesh.Get(stage, _SURFACE)
+    points, extent = surface.CreatePointsAttr(), surface.CreateExtentAttr()
+    points.Set(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(mesh.vertices)))
+    frame = 0
+    for frame, displacement in enumerate(frames):
+        moved = mesh.vertices + displacement
+        low, high = moved.min(axis=0).tolist(), moved.max(axis=0).tolist()
+        points.Set(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(moved)), frame)
+        extent.Set(Vt.Vec3fArray([Gf.Vec3f(*low), Gf.Vec3f(*high)]), frame)
+    return frame
+
+
+def _define_material(stage: Any, number: int, material: Material, texture: str | None) -> None:
+    """Base color, as glTF has it, as a UsdPreviewSurface."""
+    from pxr import Gf, Sdf, UsdShade
+
+    looks = UsdShade.Material.Define(stage, f"{_LOOKS}/Material_{number}")
+    preview = UsdShade.Shader.Define(stage, f"{_LOOKS}/Material_{number}/Preview")
+    preview.CreateIdAttr("UsdPreviewSurface")
+    preview.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(1.0)
+    preview.CreateInput("metallic", Sdf.ValueTypeNames.Float).Set(0.0)
+    diffuse = preview.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
+    diffuse.Set(Gf.Vec3f(*material.base_color[:3]))
+    if texture is not None:
+        reader = UsdShade.Shader.Define(stage, f"{_LOOKS}/Material_{number}/Coordinates")
+        reader.CreateIdAttr("UsdPrimvarReader_float2")
+        reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
+        image = UsdShade.Shader.Define(stage, f"{_LOOKS}/Material_{number}/Texture")
+        image.CreateIdAttr("UsdUVTexture")
+        image.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(Sdf.AssetPath(texture))
+        image.CreateInput("sourceColorSpace", Sdf.ValueTypeNames.Token).Set("sRGB")
+        image.CreateInput("scale", Sdf.ValueTypeNames.Float4).Set(Gf.Vec4f(*material.base_color))
+        for side in ("wrapS", "wrapT"):
+            image.CreateInput(side, Sdf.ValueTypeNames.Token).Set("repeat")
+        image.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(
+            reader.CreateOutput("result", Sdf.ValueTypeNames.Float2)
+        )
+        diffuse.ConnectToSource(image.CreateOutput("rgb", Sdf.ValueTypeNames.Float3))
+        if material.alpha_cutoff is not None:
+            opacity = preview.CreateInput("opacity", Sdf.ValueTypeNames.Float)
+            opacity.ConnectToSource(image.CreateOutput("a", Sdf.ValueTypeNames.Float))
+            preview.CreateInput("opacityThreshold", Sdf.ValueTypeNames.Float).Set(material.alpha_cutoff)
+    looks.CreateSurfaceOutput().ConnectToSource(preview.CreateOutput("surface", Sdf.ValueTypeNames.Token))

@@ -1,0 +1,118 @@
+"""A motion as a vertex animation texture: what engines play in the vertex shader, instance by instance.
+
+A ZIP of `tree.glb` (at rest; its second texture coordinates say where in the texture a vertex is), `displacement.exr`
+(half floats, metres, glTF's axes) and `vat.json`. A frame takes `rows_per_frame` rows of texels, frame 0 on top.
+"""
+
+import io
+import json
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float16, Float32
+
+from dynamictree.errors import InputError
+from dynamictree.formats.axes import up_rotation
+from dynamictree.formats.exr import write_exr
+from dynamictree.formats.gltf import VERTEX_BUFFER, GlbWriter, add_mesh
+from dynamictree.formats.stored_zip import iter_stored_zip
+from dynamictree.mesh import TriangleMesh
+
+VERSION = 1
+MAX_SIDE = 8192  # texels; what Unreal takes without further settings, and every desktop GPU
+
+
+@dataclass(frozen=True, kw_only=True)
+class TextureLayout:
+    """Where a vertex and a frame are: texel (n % width, frame · rows_per_frame + n // width)."""
+
+    width: int
+    rows_per_frame: int
+    num_frames: int
+
+    @property
+    def height(self) -> int:
+        """Rows of the texture."""
+        return self.rows_per_frame * self.num_frames
+
+
+def texture_layout(num_vertices: int, num_frames: int) -> TextureLayout:
+    """The narrowest texture, its width a power of two, that is no higher than `MAX_SIDE`, and rather square.
+
+    Raises:
+        InputError: there is none.
+    """
+    for width in (256, 512, 1024, 2048, 4096, MAX_SIDE):
+        rows = -(-num_vertices // width)
+        if rows * num_frames <= width or (width == MAX_SIDE and rows * num_frames <= MAX_SIDE):
+            return TextureLayout(width=width, rows_per_frame=rows, num_frames=num_frames)
+    allowed = MAX_SIDE * (MAX_SIDE // num_frames)
+    raise InputError(
+        f"a texture of {MAX_SIDE} x {MAX_SIDE} holds {allowed:,} vertices at {num_frames} frames; the mesh has "
+        f"{num_vertices:,}: decimate it, or ask for fewer frames"
+    )
+
+
+def iter_vertex_texture_zip(
+    mesh: TriangleMesh, frames: Iterable[Float32[np.ndarray, "N 3"]], *, num_frames: int, fps: float, loop: bool
+) -> Iterator[bytes]:
+    """Chunks of the archive; `frames` are displacements [m].
+
+    Raises:
+        InputError: the mesh and its frames do not fit into one texture.
+    """
+    layout = texture_layout(mesh.num_vertices, num_frames)
+    texels = np.zeros((num_frames, layout.rows_per_frame * layout.width, 3), np.float16)
+    rotation = up_rotation("+Y").astype(np.float32)
+    largest = 0.0
+    for number, displacement in enumerate(frames):
+        texels[number, : mesh.num_vertices] = (displacement @ rotation).astype(np.float16)
+        largest = max(largest, float(np.abs(displacement).max()))
+    facts = {
+        "format": "vertex-animation-texture",
+        "version": VERSION,
+        "mesh": "tree.glb",
+        "texture": "displacement.exr",
+        "num_vertices": mesh.num_vertices,
+        "width": layout.width,
+        "height": layout.height,
+        "rows_per_frame": layout.rows_per_frame,
+        "num_frames": num_frames,
+        "fps": fps,
+        "duration_s": num_frames / fps,
+        "loop": loop,
+        "unit": "m",
+        "axes": "+Y up, right-handed, as in glTF",
+        "lookup": "TEXCOORD_1 is a vertex' texel in frame 0; add frame * rows_per_frame / height to v",
+        "max_displacement_m": largest,
+        "half_float_error_m": float(np.spacing(np.float16(largest))) / 2,
+    }
+    yield from iter_stored_zip(
+        [
+            ("vat.json", [json.dumps(facts, indent=1).encode()]),
+            ("tree.glb", [_rest(mesh, layout)]),
+            ("displacement.exr", [_picture(texels.reshape(layout.height, layout.width, 3))]),
+        ]
+    )
+
+
+def _rest(mesh: TriangleMesh, layout: TextureLayout) -> bytes:
+    number = np.arange(mesh.num_vertices)
+    column, row = number % layout.width, number // layout.width
+    lookup = np.stack([(column + 0.5) / layout.width, (row + 0.5) / layout.height], axis=1).astype(np.float32)
+    writer = GlbWriter()
+    attributes = {"TEXCOORD_1": writer.add_accessor(lookup, target=VERTEX_BUFFER)}
+    if mesh.uv is None:  # glTF numbers its texture coordinates without gaps
+        attributes["TEXCOORD_0"] = writer.add_accessor(np.zeros_like(lookup), target=VERTEX_BUFFER)
+    add_mesh(writer, mesh, more_attributes=attributes)
+    writer.append("nodes", {"mesh": 0, "name": "tree"})
+    stream = io.BytesIO()
+    writer.finish(stream)
+    return stream.getvalue()
+
+
+def _picture(texels: Float16[np.ndarray, "H W 3"]) -> bytes:
+    stream = io.BytesIO()
+    write_exr(texels, stream)
+    return stream.getvalue()

@@ -1,0 +1,136 @@
+"""What engines open holds the motion that the spectrum tells: read by pygltflib, pxr and OpenEXR."""
+
+import io
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pytest
+from pxr import Usd, UsdGeom, UsdShade, UsdValidation
+
+from benchmarks._played import played_skin, played_usdz, played_vertex_texture, told
+from dynamictree.errors import InputError
+from dynamictree.formats.exr import write_exr
+from dynamictree.formats.glb_skin import Skin, SkinSummary, write_skinned_glb
+from dynamictree.formats.usd_motion import write_motion_usdz
+from dynamictree.formats.vertex_texture import MAX_SIDE, iter_vertex_texture_zip, texture_layout
+from dynamictree.gaussian.rotation import quaternion_matrices, unit_quaternions
+from dynamictree.mesh import TriangleMesh
+from tests.formats.meshes import trunk_and_crown
+
+
+def frames_of(mesh: TriangleMesh, rng: np.random.Generator, num_frames: int = 7) -> np.ndarray:
+    return rng.normal(scale=0.1, size=(num_frames, mesh.num_vertices, 3)).astype(np.float32)
+
+
+def texture_zip(mesh: TriangleMesh, frames: np.ndarray) -> bytes:
+    return b"".join(iter_vertex_texture_zip(mesh, iter(frames), num_frames=len(frames), fps=24.0, loop=True))
+
+
+@pytest.mark.parametrize(("height", "width"), [(1, 1), (15, 3), (16, 5), (33, 64)])
+def test_openexr_reads_the_halves_that_were_written(
+    tmp_path: Path, rng: np.random.Generator, height: int, width: int
+) -> None:
+    noise = rng.normal(size=(height, width, 3)).astype(np.float16)
+    for name, pixels in {"noise": noise, "flat": np.zeros_like(noise)}.items():  # the first does not get smaller
+        path = tmp_path / f"{name}.exr"
+        with path.open("wb") as stream:
+            write_exr(pixels, stream)
+        read = OpenEXR.File(str(path))
+        np.testing.assert_array_equal(read.channels()["RGB"].pixels, pixels)
+        assert read.header()["compression"] == OpenEXR.ZIP_COMPRESSION
+
+
+def test_a_vertex_texture_holds_every_frame_to_half_a_half(rng: np.random.Generator) -> None:
+    mesh = trunk_and_crown(rng)
+    frames = frames_of(mesh, rng)
+    seen = played_vertex_texture(texture_zip(mesh, frames))
+    assert np.abs(seen - frames).max() <= np.spacing(np.float16(np.abs(frames).max())) / 2
+    assert np.abs(seen - frames).max() > 0
+
+
+def test_a_mesh_without_texture_places_has_its_lookup_in_the_second_set(rng: np.random.Generator) -> None:
+    whole = trunk_and_crown(rng)
+    mesh = TriangleMesh(vertices=whole.vertices, faces=whole.faces)
+    frames = frames_of(mesh, rng, 3)
+    np.testing.assert_allclose(played_vertex_texture(texture_zip(mesh, frames)), frames, atol=2e-3)
+
+
+@pytest.mark.parametrize("num_vertices", [3, 256, 257, 8_000, 100_000, 600_000])
+def test_a_texture_is_no_larger_than_engines_take_and_has_a_texel_for_all(num_vertices: int) -> None:
+    layout = texture_layout(num_vertices, 100)
+    assert layout.width <= MAX_SIDE
+    assert layout.height <= MAX_SIDE
+    assert (layout.rows_per_frame - 1) * layout.width < num_vertices <= layout.rows_per_frame * layout.width
+
+
+def test_what_no_texture_holds_is_refused_with_what_one_would_hold() -> None:
+    with pytest.raises(InputError, match=r"663,552 vertices at 100 frames; the mesh has 700,000"):
+        texture_layout(700_000, 100)
+
+
+def problems_of(stage: Usd.Stage) -> list[str]:
+    validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+    assert len(validators) > 20
+    return [error.GetMessage() for error in UsdValidation.ValidationContext(validators).Validate(stage)]
+
+
+def test_usd_holds_every_frame_and_passes_its_validators(tmp_path: Path, rng: np.random.Generator) -> None:
+    mesh = trunk_and_crown(rng)
+    frames = frames_of(mesh, rng)
+    path = tmp_path / "tree.usdz"
+    with path.open("wb") as stream:
+        write_motion_usdz(mesh, iter(frames), stream, fps=30.0)
+    np.testing.assert_allclose(played_usdz(path), frames, atol=1e-6)
+    stage = Usd.Stage.Open(str(path))
+    assert problems_of(stage) == []
+    assert (stage.GetTimeCodesPerSecond(), UsdGeom.GetStageUpAxis(stage)) == (30.0, "Z")
+    assert zipfile.ZipFile(path).namelist() == ["tree.usdc", "texture_1.png"]
+
+
+def test_usd_binds_each_face_to_its_material(tmp_path: Path, rng: np.random.Generator) -> None:
+    mesh = trunk_and_crown(rng)
+    assert mesh.face_material is not None
+    path = tmp_path / "tree.usdz"
+    with path.open("wb") as stream:
+        write_motion_usdz(mesh, iter(frames_of(mesh, rng, 1)), stream, fps=24.0)
+    stage = Usd.Stage.Open(str(path))
+    found = np.full(mesh.num_faces, -1)
+    for prim in stage.Traverse():
+        if prim.IsA(UsdGeom.Subset):
+            bound, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()
+            found[list(UsdGeom.Subset(prim).GetIndicesAttr().Get())] = int(bound.GetPath().name.split("_")[1])
+    np.testing.assert_array_equal(found, mesh.face_material)
+
+
+def test_the_validators_would_see_a_broken_stage(tmp_path: Path) -> None:
+    stage = Usd.Stage.CreateNew(str(tmp_path / "broken.usda"))
+    UsdGeom.Mesh.Define(stage, "/Tree")
+    assert problems_of(stage)
+
+
+def random_skin(mesh: TriangleMesh, rng: np.random.Generator, num_frames: int = 5) -> Skin:
+    """Three joints in a row that turn far."""
+    weights = rng.uniform(size=(mesh.num_vertices, 4)).astype(np.float32)
+    weights[:, 3] = 0
+    turns = unit_quaternions(rng.normal(size=(num_frames * 3, 4)).astype(np.float32))
+    return Skin(
+        parent=np.array([-1, 0, 1], np.int32),
+        joint_m=rng.normal(size=(3, 3)).astype(np.float32),
+        rows=np.tile(np.array([0, 1, 2, 0], np.int32), (mesh.num_vertices, 1)),
+        weights=weights / weights.sum(axis=1, keepdims=True),
+        rotation=quaternion_matrices(turns).reshape(num_frames, 3, 3, 3),
+        translation_m=rng.normal(size=(num_frames, 3, 3)).astype(np.float32),
+    )
+
+
+def test_a_skinned_glb_poses_its_vertices_as_the_skin_does(rng: np.random.Generator) -> None:
+    mesh = trunk_and_crown(rng)
+    skin = random_skin(mesh, rng)
+    summary = SkinSummary(num_joints=3, num_keys=6, relative_error=0.5, rms_error_m=0.25, max_error_m=0.75)
+    stream = io.BytesIO()
+    write_skinned_glb(mesh, skin, summary, stream, fps=24.0)
+    expected = np.stack([skin.displacement(mesh.vertices, frame) for frame in (0, 1, 2, 3, 4, 0)])
+    np.testing.assert_allclose(played_skin(stream.getvalue()), expected, atol=2e-5)
+    assert told(stream.getvalue())["max_error_m"] == 0.75
