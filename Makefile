@@ -22,7 +22,7 @@ else
 TORCH_SOURCE := --torch-backend $(TORCH_BACKEND)
 endif
 
-.PHONY: help setup demo test check format openapi lock bench clean
+.PHONY: help setup demo test scale-out check format openapi lock bench clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -43,6 +43,9 @@ demo: $(READY)  ## a tree goes in over HTTP and comes out swaying (INPUT=file fo
 
 test: $(READY)  ## the test suite, without the slow marks
 	@$(BIN)/python -m pytest -q -n $(TEST_WORKERS) --dist worksteal -m "not slow and not gpu" $(TESTS)
+
+scale-out: $(READY)  ## API and two workers as processes of their own on PostgreSQL, Redis and S3, all real (1 min)
+	@$(BIN)/python -m pytest -q tests/faults/test_many_machines.py
 
 check: $(READY)  ## format, lint, types, imports, openapi drift
 	@$(BIN)/ruff format --check .

@@ -60,7 +60,7 @@ class Child:
             stdin=subprocess.DEVNULL,
             stdout=sys.stderr.fileno(),
             start_new_session=True,
-            preexec_fn=_die_with_parent,  # noqa: PLW1509 (the supervisor has no threads)
+            preexec_fn=die_with_parent,  # noqa: PLW1509 (the supervisor has no threads)
         )
         self._started_at = time.monotonic()
         logger.info("%s runs as process %s", self.plan.name, self._process.pid)
@@ -131,6 +131,7 @@ class Supervisor:
             stopped.wait(0.02)
 
 
-def _die_with_parent() -> None:
+def die_with_parent() -> None:
+    """Ask the kernel for SIGTERM when the parent ends, however it ends; to be called in the child."""
     if _LIBC is not None:
         _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)

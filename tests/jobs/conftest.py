@@ -1,8 +1,4 @@
-import os
 import shutil
-import subprocess
-import tempfile
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,8 +9,7 @@ from jobs.records import AssetPart, AssetRecord, JobRecord
 from jobs.states import JobState, JobType, stages_of
 from jobs.store import Store, new_id
 from jobs.tables import metadata
-
-NOBODY = 65534
+from tests.servers import postgres
 
 
 @dataclass
@@ -35,26 +30,11 @@ def clock() -> Clock:
 @pytest.fixture(scope="session")
 def postgres_url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """A PostgreSQL of our own on a unix socket; skipped where none is installed."""
-    found = sorted(Path("/usr/lib/postgresql").glob("*/bin/initdb")) or [Path(shutil.which("initdb") or "initdb")]
-    if not found[-1].is_file():
-        pytest.skip("PostgreSQL is not installed")
-    folder = Path(tempfile.mkdtemp(prefix="pg-"))  # short: a socket's path may have 107 bytes
-    user: list[str] = []
-    if os.getuid() == 0:  # PostgreSQL refuses to run as root
-        os.chown(folder, NOBODY, NOBODY)
-        user = ["setpriv", f"--reuid={NOBODY}", f"--regid={NOBODY}", "--clear-groups"]
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": folder}
-    subprocess.run([*user, found[-1], "-D", folder / "data", "-U", "tree", "-A", "trust"], check=True, **quiet)
-    options = ["-D", folder / "data", "-k", folder, "-h", "", "-c", "fsync=off"]
-    server = subprocess.Popen([*user, found[-1].with_name("postgres"), *options], **quiet)
-    url = f"postgresql://tree@/postgres?host={folder}"
-    deadline = time.monotonic() + 60
-    while not (folder / ".s.PGSQL.5432").exists() and time.monotonic() < deadline:
-        time.sleep(0.05)
+    server, url = postgres(tmp_path_factory.mktemp("postgres"))
+    server.start()
     yield url
-    server.terminate()
-    server.wait()
-    shutil.rmtree(folder)
+    server.stop()
+    shutil.rmtree(server.cwd or "")
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])
