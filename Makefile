@@ -35,7 +35,7 @@ $(READY): requirements.lock pyproject.toml
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@test -x $(BIN)/uv || $(BIN)/python -m pip install -q uv
 	@$(BIN)/uv pip install -q --python $(BIN)/python $(TORCH_SOURCE) -r requirements.lock
-	@$(BIN)/uv pip install -q --python $(BIN)/python --no-deps -e .
+	@$(BIN)/uv pip install -q --python $(BIN)/python --no-deps -e . -e ./client
 	@touch $@
 
 demo: $(READY)  ## a tree goes in over HTTP and comes out swaying (INPUT=file for your own)
@@ -53,13 +53,15 @@ check: $(READY)  ## format, lint, types, imports, openapi drift
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports --no-cache
 	@$(BIN)/python -m service.openapi --check openapi/openapi.json
+	@$(BIN)/python client/generate.py --check
 
 format: $(READY)  ## rewrite the code as `check` wants it
 	@$(BIN)/ruff format .
 	@$(BIN)/ruff check --fix .
 
-openapi: $(READY)  ## write openapi/openapi.json
+openapi: $(READY)  ## write openapi/openapi.json, and of it the client's models and operations
 	@$(BIN)/python -m service.openapi --write openapi/openapi.json
+	@$(BIN)/python client/generate.py --write
 
 bench: $(READY)  ## every benchmark, one JSON object a line
 	@$(BIN)/python -m benchmarks

@@ -1,0 +1,221 @@
+"""The asynchronous client."""
+
+import asyncio
+import time
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self, TypeVar
+from uuid import uuid4
+
+import httpx
+
+from dynamictree_client import operations
+from dynamictree_client.call import Call
+from dynamictree_client.errors import JobEndedError, UnreachableError, WaitTimeoutError, problem_of
+from dynamictree_client.files import PathLike, bytes_there, chosen_files, finish, form_of, place_of
+from dynamictree_client.models import (
+    AnimateParams,
+    AnimateRequest,
+    Artifact,
+    Asset,
+    Interact,
+    InteractRequest,
+    Job,
+)
+from dynamictree_client.retries import Retries, retry_after_s
+
+T = TypeVar("T")
+POLL_S = 1.0  # where the service does not say when to ask again
+ENDED = ("succeeded", "failed", "canceled", "aborted")
+
+
+class AsyncClient:
+    """A service at an address. Requests that may be are sent again, as `retries` says.
+
+    `transport` is httpx'; by default the network.
+    """
+
+    def __init__(
+        self,
+        base_url: str = "http://127.0.0.1:8000",
+        *,
+        api_key: str | None = None,
+        timeout_s: float = 60.0,
+        retries: Retries | None = None,
+        transport: httpx.AsyncBaseTransport | None = None,
+    ) -> None:
+        headers = {} if api_key is None else {"Authorization": f"Bearer {api_key}"}
+        self._http = httpx.AsyncClient(base_url=base_url, headers=headers, timeout=timeout_s, transport=transport)
+        self._retries = retries or Retries()
+
+    async def __aenter__(self) -> Self:
+        await self._http.__aenter__()
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        await self._http.__aexit__(kind, error, trace)
+
+    async def aclose(self) -> None:
+        """Close the connections."""
+        await self._http.aclose()
+
+    async def send(self, call: Call[T]) -> T:
+        """Send any operation: `send(operations.get_job(id))`.
+
+        Raises:
+            ProblemError: the service refuses it, or fails.
+            UnreachableError: it cannot be reached.
+        """
+        return call.read(await self._exchange(call.arguments, repeatable=call.repeatable))
+
+    async def upload(
+        self,
+        paths: PathLike | Sequence[PathLike],
+        *,
+        kind: str | None = None,
+        up_axis: str | None = None,
+        unit_m: float | None = None,
+    ) -> Asset:
+        """Send a mesh and what it names, photos, a splat, or a folder of them. The same files are the same asset."""
+        files = chosen_files(paths)
+        given = {"kind": kind, "up_axis": up_axis, "unit_m": None if unit_m is None else repr(unit_m)}
+        fields = {name: value for name, value in given.items() if value is not None}
+        call: Call[Asset] = Call(method="POST", path="/v1/assets", answer=Asset)
+        with ExitStack() as stack:
+            response = await self._exchange(lambda: call.arguments() | form_of(files, fields, stack), repeatable=True)
+        return call.read(response)
+
+    async def animate(
+        self,
+        source: Asset | PathLike,
+        params: AnimateParams | None = None,
+        *,
+        seed: int = 0,
+        preset: str = "small",
+    ) -> Job:
+        """Ask for the motion of an asset, or of a file that is sent first."""
+        asset = source if isinstance(source, Asset) else await self.upload(source)
+        request = AnimateRequest(
+            type="animate", asset_id=asset.id, params=params or AnimateParams(), seed=seed, preset=preset
+        )
+        return await self.create_job(request)
+
+    async def create_job(self, request: Any) -> Job:
+        """Create a job of a request of `models`; sent again with the same key if the answer is lost."""
+        call = operations.create_job(request, idempotency_key=uuid4().hex)
+        job = await self.send(call)
+        assert isinstance(job, Job)  # an estimate only comes where one is asked for
+        return job
+
+    async def wait(
+        self, job: Job | str, *, timeout_s: float | None = None, on_progress: Callable[[Job], None] | None = None
+    ) -> Job:
+        """Ask until a job has ended, as often as the service likes; `on_progress` gets every answer.
+
+        Raises:
+            JobEndedError: it did not succeed.
+            WaitTimeoutError: it has not ended after so long.
+        """
+        call = operations.get_job(job if isinstance(job, str) else job.id)
+        give_up = time.monotonic() + (float("inf") if timeout_s is None else timeout_s)
+        while True:
+            response = await self._exchange(call.arguments, repeatable=True)
+            now = call.read(response)
+            if on_progress is not None:
+                on_progress(now)
+            if now.state in ENDED:
+                break
+            asked = retry_after_s(response)
+            pause = POLL_S if asked is None else asked
+            if time.monotonic() + pause > give_up:
+                raise WaitTimeoutError(f"job {now.id} is {now.state} after {timeout_s} s; it goes on")
+            await asyncio.sleep(pause)
+        if now.state != "succeeded":
+            raise JobEndedError(now)
+        return now
+
+    async def artifacts(self, job: Job | str) -> list[Artifact]:
+        """Every file that a job has made so far."""
+        manifest = await self.send(operations.list_artifacts(job if isinstance(job, str) else job.id))
+        return manifest.artifacts
+
+    async def download(self, artifact: Artifact, path: PathLike) -> Path:
+        """Fetch a file, go on where an earlier attempt broke off, and check its hash.
+
+        Raises:
+            IntegrityError: its bytes are not those that the service announced.
+        """
+        path = Path(path)
+        part = path.with_name(f"{path.name}.part")
+        attempt = 1
+        while (there := bytes_there(part, artifact)) < artifact.bytes or not part.exists():
+            try:
+                outcome: httpx.Response | httpx.TransportError = await self._fetch_rest(artifact, part, there)
+                if isinstance(outcome, httpx.Response) and not outcome.is_error:
+                    break
+            except httpx.TransportError as error:
+                outcome = error
+            attempt = 1 if bytes_there(part, artifact) > there else attempt + 1
+            await self._pause(attempt, outcome, repeatable=True)
+        return finish(part, artifact, path)
+
+    async def download_all(
+        self, job: Job | str, folder: PathLike, *, names: Iterable[str] | None = None
+    ) -> dict[str, Path]:
+        """Fetch every file of a job, or those of these names, into a folder; give their places by name."""
+        wanted = None if names is None else set(names)
+        Path(folder).mkdir(parents=True, exist_ok=True)
+        return {
+            artifact.name: await self.download(artifact, place_of(artifact, Path(folder)))
+            for artifact in await self.artifacts(job)
+            if wanted is None or artifact.name in wanted
+        }
+
+    async def interact(self, request: InteractRequest) -> Interact:
+        """Push a tree, and get its modes' coordinates."""
+        answer = await self.send(operations.interact(request, accept="application/json"))
+        assert isinstance(answer, Interact)
+        return answer
+
+    async def modes(self, spectrum_id: str) -> bytes:
+        """A spectrum's modes, as a safetensors file."""
+        return await self.send(operations.get_modes(spectrum_id))
+
+    async def _exchange(self, arguments: Callable[[], dict[str, Any]], *, repeatable: bool) -> httpx.Response:
+        attempt = 1
+        while True:
+            outcome: httpx.Response | httpx.TransportError
+            try:
+                outcome = await self._http.request(**arguments())
+            except httpx.TransportError as error:
+                outcome = error
+            if isinstance(outcome, httpx.Response) and not outcome.is_error:
+                return outcome
+            await self._pause(attempt, outcome, repeatable=repeatable)
+            attempt += 1
+
+    async def _pause(self, attempt: int, outcome: httpx.Response | httpx.TransportError, *, repeatable: bool) -> None:
+        """Wait before the next attempt, or tell why there is none."""
+        wait_s = self._retries.wait_s(attempt, outcome, repeatable=repeatable)
+        if wait_s is not None:
+            await asyncio.sleep(wait_s)
+        elif isinstance(outcome, httpx.Response):
+            raise problem_of(outcome)
+        else:
+            raise UnreachableError(f"{self._http.base_url} cannot be reached: {outcome!r}") from outcome
+
+    async def _fetch_rest(self, artifact: Artifact, part: Path, there: int) -> httpx.Response:
+        """Append what is missing. A response that is no error has been written whole."""
+        headers = {"Range": f"bytes={there}-", "If-Range": f'"{artifact.sha256}"'} if there else {}
+        async with self._http.stream("GET", artifact.url, headers=headers) as response:
+            if response.is_error:
+                await response.aread()
+                return response
+            with part.open("ab" if response.status_code == 206 else "wb") as stream:
+                async for chunk in response.aiter_bytes():
+                    stream.write(chunk)
+            return response

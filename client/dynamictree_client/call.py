@@ -1,0 +1,72 @@
+"""One request and the type of its answer, before anything is sent: what both clients share."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Generic, TypeVar
+from urllib.parse import quote
+
+import httpx
+from pydantic import BaseModel, TypeAdapter
+
+from dynamictree_client.errors import problem_of
+
+T = TypeVar("T")
+IDEMPOTENT = ("GET", "HEAD", "PUT", "DELETE", "OPTIONS")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Call(Generic[T]):
+    """An operation with its arguments; `Client.send` sends it."""
+
+    method: str
+    path: str
+    answer: Any  # the type T, at run time
+    query: Mapping[str, object] = field(default_factory=dict)
+    headers: Mapping[str, object] = field(default_factory=dict)
+    body: BaseModel | None = None
+    content: bytes | None = None
+    content_type: str | None = None
+
+    @property
+    def repeatable(self) -> bool:
+        """Whether sending it twice does no more than sending it once."""
+        return self.method in IDEMPOTENT or self.headers.get("idempotency-key") is not None
+
+    def arguments(self) -> dict[str, Any]:
+        """What httpx' `request` is given."""
+        headers = {name: str(value) for name, value in self.headers.items() if value is not None}
+        query = {name: _told(value) for name, value in self.query.items() if value is not None}
+        given: dict[str, Any] = {"method": self.method, "url": self.path, "params": query, "headers": headers}
+        if self.body is not None:
+            given["content"] = self.body.model_dump_json(exclude_unset=True).encode()
+            headers["content-type"] = "application/json"
+        elif self.content is not None:
+            given["content"] = self.content
+            headers["content-type"] = self.content_type or "application/octet-stream"
+        return given
+
+    def read(self, response: httpx.Response) -> T:
+        """The answer of a response.
+
+        Raises:
+            ProblemError: it tells a problem.
+        """
+        if response.is_error:
+            raise problem_of(response)
+        if self.answer is None or response.status_code == 304:
+            return None  # type: ignore[return-value]
+        if response.headers.get("content-type", "").startswith("application/json"):
+            found: T = TypeAdapter(self.answer).validate_json(response.content)
+            return found
+        return response.content  # type: ignore[return-value]
+
+
+def path_of(template: str, arguments: Mapping[str, str]) -> str:
+    """A path with its arguments in place, whatever they hold."""
+    for name, value in arguments.items():
+        template = template.replace("{" + name + "}", quote(str(value), safe=""))
+    return template
+
+
+def _told(value: object) -> str:
+    return str(value).lower() if isinstance(value, bool) else str(value)

@@ -1,0 +1,130 @@
+"""What goes wrong, as exceptions.
+
+ClientError
+├── ProblemError              the service told a problem (RFC 9457); `problem` holds it
+│   ├── InvalidRequestError   mend the request or the input: 400, 405, 406, 411 to 417, 422, 428
+│   ├── AccessError           the key is missing, wrong, or may not do this: 401, 403
+│   ├── NotFoundError         404
+│   ├── ConflictError         the state forbids it: 409
+│   ├── GoneError             410
+│   ├── TooBusyError          try again later, as `retry_after_s` says: 408, 423, 425, 429, 503
+│   └── ServiceFaultError     the service failed: 500 and above
+├── UnreachableError          the service cannot be reached, or the line broke
+├── JobEndedError             a job that was waited for did not succeed; `job` holds it, its `error` says why
+├── WaitTimeoutError          it did not end in time
+└── IntegrityError            bytes are not those that the service announced
+"""
+
+from typing import Any
+
+import httpx
+
+from dynamictree_client.models import Job, Problem
+
+
+class ClientError(Exception):
+    """Root of all."""
+
+
+class ProblemError(ClientError):
+    """The service told a problem."""
+
+    def __init__(self, problem: Problem, response: httpx.Response) -> None:
+        super().__init__(f"{problem.code}: {problem.detail} {problem.suggestion}".strip())
+        self.problem = problem
+        self.response = response
+
+    @property
+    def code(self) -> str:
+        """What went wrong, in a word, as `not-found`."""
+        return self.problem.code
+
+    @property
+    def retry_after_s(self) -> float | None:
+        """When the service would like to be asked again [s]."""
+        from dynamictree_client.retries import retry_after_s
+
+        return retry_after_s(self.response)
+
+
+class InvalidRequestError(ProblemError):
+    """Mend the request or the input."""
+
+
+class AccessError(ProblemError):
+    """The key is missing, wrong, or may not do this."""
+
+
+class NotFoundError(ProblemError):
+    """There is no such thing."""
+
+
+class ConflictError(ProblemError):
+    """The state forbids it."""
+
+
+class GoneError(ProblemError):
+    """It was there, and is no more."""
+
+
+class TooBusyError(ProblemError):
+    """Try again later."""
+
+
+class ServiceFaultError(ProblemError):
+    """The service failed."""
+
+
+class UnreachableError(ClientError):
+    """The service cannot be reached, or the line broke."""
+
+
+class JobEndedError(ClientError):
+    """A job did not succeed."""
+
+    def __init__(self, job: Job) -> None:
+        why = f": {job.error.code}: {job.error.detail} {job.error.suggestion}" if job.error else ""
+        super().__init__(f"job {job.id} {job.state}{why}")
+        self.job = job
+
+
+class WaitTimeoutError(ClientError):
+    """A job did not end in time; it goes on."""
+
+
+class IntegrityError(ClientError):
+    """Bytes are not those that the service announced."""
+
+
+_BY_STATUS: dict[int, type[ProblemError]] = {
+    401: AccessError,
+    403: AccessError,
+    404: NotFoundError,
+    408: TooBusyError,
+    409: ConflictError,
+    410: GoneError,
+    423: TooBusyError,
+    425: TooBusyError,
+    429: TooBusyError,
+    503: TooBusyError,
+}
+
+
+def problem_of(response: httpx.Response) -> ProblemError:
+    """The exception that a response tells; a proxy's page becomes a problem of its own."""
+    status = response.status_code
+    kind = _BY_STATUS.get(status, ServiceFaultError if status >= 500 else InvalidRequestError)
+    if response.headers.get("content-type", "").startswith("application/problem+json"):
+        return kind(Problem.model_validate_json(response.content), response)
+    told: dict[str, Any] = {
+        "type": "about:blank",
+        "title": response.reason_phrase,
+        "status": status,
+        "detail": f"HTTP {status} {response.reason_phrase} without a problem: {response.text[:200]!r}.",
+        "code": f"http-{status}",
+        "request_id": None,
+        "retryable": status in (502, 503, 504),
+        "suggestion": "Is there a proxy between?",
+        "errors": [],
+    }
+    return kind(Problem.model_validate(told), response)

@@ -1,0 +1,73 @@
+"""Files that are sent and received."""
+
+import hashlib
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path, PurePosixPath, PureWindowsPath
+from typing import BinaryIO
+
+from dynamictree_client.errors import ClientError, IntegrityError
+from dynamictree_client.models import Artifact
+
+PathLike = str | Path
+
+
+def chosen_files(paths: PathLike | Sequence[PathLike]) -> list[Path]:
+    """The files to send: those named, and all of a folder that is named.
+
+    Raises:
+        ClientError: there are none.
+    """
+    named = [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
+    chosen = [file for path in named for file in (sorted(path.iterdir()) if path.is_dir() else [path])]
+    missing = [str(file) for file in chosen if not file.is_file()]
+    if missing or not chosen:
+        raise ClientError(f"no files to send: {', '.join(missing or map(str, named))}; name a mesh, or photos")
+    return chosen
+
+
+def form_of(files: Sequence[Path], fields: dict[str, str], stack: ExitStack) -> dict[str, object]:
+    """A multipart form as httpx takes it; the stack closes the files."""
+    opened: list[tuple[str, tuple[str, BinaryIO]]] = [
+        ("file", (file.name, stack.enter_context(file.open("rb")))) for file in files
+    ]
+    return {"files": opened, "data": fields}
+
+
+def place_of(artifact: Artifact, folder: Path) -> Path:
+    """Where a file of that name goes.
+
+    Raises:
+        IntegrityError: the name leads elsewhere.
+    """
+    name = artifact.name
+    if name in ("", ".", "..") or PurePosixPath(name).name != name or PureWindowsPath(name).name != name:
+        raise IntegrityError(f"the service names a file {name!r}; that is no plain name, so it is not written")
+    return folder / name
+
+
+def bytes_there(part: Path, artifact: Artifact) -> int:
+    """How much of a download that broke off is there; what is too much is thrown away."""
+    size = part.stat().st_size if part.exists() else 0
+    if size > artifact.bytes:
+        part.unlink()
+        return 0
+    return size
+
+
+def finish(part: Path, artifact: Artifact, path: Path) -> Path:
+    """Give a whole download its name.
+
+    Raises:
+        IntegrityError: its bytes are not those that the service announced; they are thrown away.
+    """
+    with part.open("rb") as stream:
+        found = hashlib.file_digest(stream, "sha256").hexdigest()
+    if found != artifact.sha256:
+        size = part.stat().st_size
+        part.unlink()
+        raise IntegrityError(
+            f"{artifact.name} has sha256 {found} and {size:,} bytes; {artifact.sha256} and {artifact.bytes:,} were "
+            "announced: download it again"
+        )
+    return part.replace(path)

@@ -1,0 +1,177 @@
+"""A function an operation: what is sent, and what comes back. Made by client/generate.py; do not edit."""
+
+from typing import Literal
+
+from dynamictree_client.call import Call, path_of
+from dynamictree_client.models import (
+    AnimateRequest,
+    Asset,
+    DiffuseRequest,
+    Estimate,
+    Interact,
+    InteractRequest,
+    Job,
+    JobList,
+    JobState,
+    Limits,
+    Live,
+    Manifest,
+    PresetList,
+    Ready,
+    ReconstructRequest,
+    RetryRequest,
+    Spectrum,
+    VoxelizeRequest,
+)
+
+
+def create_asset(content: bytes) -> Call[Asset]:
+    """Upload a mesh or a batch of photos."""
+    return Call(method="POST", path="/v1/assets", answer=Asset, content=content, content_type="multipart/form-data")
+
+
+def get_asset(id: str) -> Call[Asset]:
+    """What was uploaded, and what was found in it."""
+    return Call(method="GET", path=path_of("/v1/assets/{id}", {"id": id}), answer=Asset)
+
+
+def delete_asset(id: str) -> Call[None]:
+    """Forget an upload. What was made of it stays until it expires."""
+    return Call(method="DELETE", path=path_of("/v1/assets/{id}", {"id": id}), answer=None)
+
+
+def create_job(
+    body: ReconstructRequest | VoxelizeRequest | DiffuseRequest | AnimateRequest,
+    *,
+    validate_only: bool | None = None,
+    idempotency_key: str | None = None,
+) -> Call[Job | Estimate]:
+    """Ask for voxels, a spectrum, a motion, or a mesh of photos. What that needs runs first, or is cached."""
+    return Call(
+        method="POST",
+        path="/v1/jobs",
+        answer=Job | Estimate,
+        query={"validate_only": validate_only},
+        headers={"idempotency-key": idempotency_key},
+        body=body,
+    )
+
+
+def list_jobs(
+    *,
+    state: JobState | None = None,
+    type: Literal["reconstruct", "voxelize", "diffuse", "animate"] | None = None,
+    cursor: str | None = None,
+    limit: int | None = None,
+) -> Call[JobList]:
+    """Jobs, newest first."""
+    return Call(
+        method="GET",
+        path="/v1/jobs",
+        answer=JobList,
+        query={"state": state, "type": type, "cursor": cursor, "limit": limit},
+    )
+
+
+def put_job(client_id: str, body: ReconstructRequest | VoxelizeRequest | DiffuseRequest | AnimateRequest) -> Call[Job]:
+    """Create a job under a name of the client's; sending it again is harmless. The job's id is in the answer."""
+    return Call(method="PUT", path=path_of("/v1/jobs/{client_id}", {"client_id": client_id}), answer=Job, body=body)
+
+
+def retry_job(id: str, body: RetryRequest | None = None) -> Call[Job]:
+    """Run a job that has ended again, as a new job."""
+    return Call(method="POST", path=path_of("/v1/jobs/{id}/retry", {"id": id}), answer=Job, body=body)
+
+
+def get_job(id: str, *, if_none_match: str | None = None) -> Call[Job]:
+    """A job: state, stages, progress, place in the queue, products, error."""
+    return Call(
+        method="GET", path=path_of("/v1/jobs/{id}", {"id": id}), answer=Job, headers={"if-none-match": if_none_match}
+    )
+
+
+def cancel_job(id: str) -> Call[Job]:
+    """Stop a job: at once while it waits, within one sampler step while it runs. Asking again changes nothing."""
+    return Call(method="POST", path=path_of("/v1/jobs/{id}/cancel", {"id": id}), answer=Job)
+
+
+def list_artifacts(id: str) -> Call[Manifest]:
+    """The files that a job made so far, with their hashes. Stages that finished stay, whatever came after them."""
+    return Call(method="GET", path=path_of("/v1/jobs/{id}/artifacts", {"id": id}), answer=Manifest)
+
+
+def stream_job(id: str, *, last_event_id: str | None = None) -> Call[bytes]:
+    """Follow a job. Each event is the whole job, so that who comes back late misses nothing that matters."""
+    return Call(
+        method="GET",
+        path=path_of("/v1/jobs/{id}/events", {"id": id}),
+        answer=bytes,
+        headers={"last-event-id": last_event_id},
+    )
+
+
+def get_artifact(
+    id: str, *, range: str | None = None, if_range: str | None = None, if_none_match: str | None = None
+) -> Call[bytes]:
+    """Download a file, or go on with a download."""
+    return Call(
+        method="GET",
+        path=path_of("/v1/artifacts/{id}", {"id": id}),
+        answer=bytes,
+        headers={"range": range, "if-range": if_range, "if-none-match": if_none_match},
+    )
+
+
+def head_artifact(id: str, *, if_none_match: str | None = None) -> Call[bytes]:
+    """Size, hash and type of a file."""
+    return Call(
+        method="HEAD",
+        path=path_of("/v1/artifacts/{id}", {"id": id}),
+        answer=bytes,
+        headers={"if-none-match": if_none_match},
+    )
+
+
+def get_spectrum(id: str) -> Call[Spectrum]:
+    """What a spectrum is: frequencies, voxels, bounds, model. The coefficients are the artefact's bytes."""
+    return Call(method="GET", path=path_of("/v1/spectra/{id}", {"id": id}), answer=Spectrum)
+
+
+def interact(body: InteractRequest, *, accept: str | None = None) -> Call[Interact | bytes]:
+    """Push a tree, and read how it swings."""
+    return Call(method="POST", path="/v1/interact", answer=Interact | bytes, headers={"accept": accept}, body=body)
+
+
+def get_modes(id: str) -> Call[bytes]:
+    """Mode shapes in 16 bits, and the bones of the warp. With the coordinates of /v1/interact they give every voxel."""
+    return Call(method="GET", path=path_of("/v1/spectra/{id}/modes", {"id": id}), answer=bytes)
+
+
+def get_reach(id: str, *, seed_voxel: int, falloff_m: float) -> Call[bytes]:
+    """How much each voxel takes part in a group of forces: w_g, a byte a voxel, in the order of the modes' coords."""
+    return Call(
+        method="GET",
+        path=path_of("/v1/spectra/{id}/reach", {"id": id}),
+        answer=bytes,
+        query={"seed_voxel": seed_voxel, "falloff_m": falloff_m},
+    )
+
+
+def list_presets() -> Call[PresetList]:
+    """The models that diffuse and animate jobs may name."""
+    return Call(method="GET", path="/v1/presets", answer=PresetList)
+
+
+def get_limits() -> Call[Limits]:
+    """Sizes, numbers and formats that are allowed."""
+    return Call(method="GET", path="/v1/limits", answer=Limits)
+
+
+def get_liveness() -> Call[Live]:
+    """Whether the process answers."""
+    return Call(method="GET", path="/livez", answer=Live)
+
+
+def get_readiness() -> Call[Ready]:
+    """Whether jobs can be taken and run."""
+    return Call(method="GET", path="/readyz", answer=Ready)

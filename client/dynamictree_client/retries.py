@@ -1,0 +1,50 @@
+"""When a request is sent again, and how long to wait before."""
+
+import random
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from email.utils import parsedate_to_datetime
+
+import httpx
+
+_NOT_DONE = (429, 503)  # refused before anything was done, so that any request may come again
+_UNKNOWN = (408, 500, 502, 504)  # something may have been done
+
+
+@dataclass(frozen=True, kw_only=True)
+class Retries:
+    """At most `attempts` in all. Without a Retry-After the wait doubles from `first_wait_s`, half of it by chance."""
+
+    attempts: int = 5
+    first_wait_s: float = 0.5
+    longest_wait_s: float = 60.0  # a Retry-After above it is not waited for
+    draw: Callable[[], float] = random.random
+
+    def wait_s(self, attempt: int, outcome: httpx.Response | httpx.TransportError, *, repeatable: bool) -> float | None:
+        """Seconds to wait after the attempt of that number (from 1); None: it stays as it is."""
+        if attempt >= self.attempts:
+            return None
+        backoff: float = min(self.first_wait_s * 2 ** (attempt - 1), self.longest_wait_s) * (0.5 + 0.5 * self.draw())
+        if not isinstance(outcome, httpx.Response):
+            never_sent = isinstance(outcome, httpx.ConnectError | httpx.ConnectTimeout | httpx.PoolTimeout)
+            return backoff if repeatable or never_sent else None
+        again = outcome.status_code in _NOT_DONE or (repeatable and outcome.status_code in _UNKNOWN)
+        if not again:
+            return None
+        asked = retry_after_s(outcome)
+        if asked is None:
+            return backoff
+        return asked if asked <= self.longest_wait_s else None
+
+
+def retry_after_s(response: httpx.Response) -> float | None:
+    """What the Retry-After header asks for, in either of its forms; None where there is none that can be read."""
+    header: str = response.headers.get("retry-after", "").strip()
+    if header.isdecimal():
+        return float(header)
+    try:
+        moment = parsedate_to_datetime(header)
+    except ValueError:
+        return None
+    return max((moment.replace(tzinfo=moment.tzinfo or UTC) - datetime.now(UTC)).total_seconds(), 0.0)

@@ -1,0 +1,235 @@
+"""What the client has of openapi.json: `models.py`, `operations.py`, and `synchronous.py` of `asynchronous.py`.
+
+`python client/generate.py --write` rewrites them, `--check` tells which are not as they would be written.
+"""
+
+import argparse
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).parent
+PACKAGE = HERE / "dynamictree_client"
+PAGE = HERE.parent / "openapi" / "openapi.json"
+HEAD = '"""{what} Made by client/generate.py; do not edit."""\n\n'
+
+Schema = dict[str, Any]
+_PLAIN = {"string": "str", "integer": "int", "number": "float", "boolean": "bool", "null": "None"}
+
+# one token of the asynchronous client a line, and what it is in the other
+_SYNCHRONOUS = [
+    (r"\bAsyncClient\b", "Client"),
+    (r"\bAsyncIterator\b", "Iterator"),
+    (r"\basync (def|with|for) ", r"\1 "),
+    (r"\bawait ", ""),
+    (r"\b__a(enter|exit)__\b", r"__\1__"),
+    (r"\baclose\b", "close"),
+    (r"\ba(iter_raw|iter_bytes|iter_lines|read)\b", r"\1"),
+    (r"\bAsyncBaseTransport\b", "BaseTransport"),
+    (r"\basynccontextmanager\b", "contextmanager"),
+    (r"\basyncio\.sleep\b", "time.sleep"),
+    (r"^import asyncio$", "import time"),
+    (r"\basynchronous\b", "blocking"),
+]
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    choice = parser.add_mutually_exclusive_group(required=True)
+    choice.add_argument("--write", action="store_true")
+    choice.add_argument("--check", action="store_true")
+    chosen = parser.parse_args(arguments)
+    stale = [path for path, text in generated().items() if not path.exists() or path.read_text() != text]
+    if chosen.write:
+        for path in stale:
+            path.write_text(generated()[path])
+        return 0
+    for path in stale:
+        print(f"{path} is not what openapi.json and asynchronous.py make of it: run make openapi", file=sys.stderr)
+    return 1 if stale else 0
+
+
+def generated() -> dict[Path, str]:
+    """Every file that is made, and what it should hold."""
+    page = json.loads(PAGE.read_text())
+    made = {
+        "models.py": models(page["components"]["schemas"]),
+        "operations.py": operations(page),
+        "synchronous.py": synchronous((PACKAGE / "asynchronous.py").read_text()),
+    }
+    return {PACKAGE / name: formatted(text, name) for name, text in made.items()}
+
+
+def formatted(text: str, name: str) -> str:
+    ruff = [sys.executable, "-m", "ruff"]
+    at = str(PACKAGE / name)
+    sorted_text = _piped([*ruff, "check", "-q", "--select", "I,F401", "--fix-only", "--stdin-filename", at, "-"], text)
+    return _piped([*ruff, "format", "-q", "--stdin-filename", at, "-"], sorted_text)
+
+
+def _piped(command: list[str], text: str) -> str:
+    return subprocess.run(command, input=text, capture_output=True, text=True, check=True).stdout
+
+
+def class_name(name: str) -> str:
+    return name.removesuffix("Payload")
+
+
+def models(schemas: dict[str, Schema]) -> str:
+    lines = [HEAD.format(what="What requests and answers hold."), "from datetime import datetime\n"]
+    lines += ["from typing import Any, Literal\n\nfrom pydantic import BaseModel, ConfigDict\n\n\n"]
+    lines += [
+        'class Model(BaseModel):\n    """Root of all. What a newer service adds is passed over."""\n\n'
+        '    model_config = ConfigDict(frozen=True, extra="ignore", defer_build=True)\n\n\n'
+    ]
+    for name, schema in schemas.items():
+        if schema.get("type") != "object":
+            lines.append(
+                f"{class_name(name)} = {python_type(schema)}\n{_quoted(schema.get('description', name))}\n\n\n"
+            )
+    for name, schema in schemas.items():
+        if schema.get("type") == "object":
+            lines += _model(name, schema)
+    return "".join(lines)
+
+
+def _model(name: str, schema: Schema) -> list[str]:
+    lines = [f"class {class_name(name)}(Model):\n    {_quoted(schema.get('description', name))}\n\n"]
+    if schema.get("additionalProperties") is True:
+        lines.append('    model_config = ConfigDict(frozen=True, extra="allow", defer_build=True)\n\n')
+    for field, kind in schema.get("properties", {}).items():
+        optional = field not in schema.get("required", [])
+        default = f" = {_default(kind)}" if optional else ""
+        about = kind.get("description")
+        lines.append(
+            f"    {field}: {field_type(kind, optional=optional)}{default}" + (f"  # {about}" if about else "") + "\n"
+        )
+    return [*lines, "\n\n"]
+
+
+def _default(schema: Schema) -> str:
+    """What the service takes where nothing is sent."""
+    default = schema.get("default")
+    if isinstance(default, list):
+        return repr(default)  # pydantic copies it
+    return "None" if isinstance(default, dict) else repr(default)
+
+
+def _quoted(text: str) -> str:
+    told = " ".join(text.split())
+    return f'"""{told}"""'
+
+
+def field_type(schema: Schema, *, optional: bool) -> str:
+    """As an annotation, quoted where it names a class that may come later; what is unset and has no default is None."""
+    told = python_type(schema)
+    if optional and not isinstance(schema.get("default"), str | int | float | list) and "None" not in told:
+        told = f"{told} | None"
+    names_a_class = re.search(r"\b[A-Z]\w+", re.sub(r"Literal\[[^]]*\]|\bAny\b|\bNone\b", "", told))
+    return f'"{told}"' if names_a_class else told
+
+
+def python_type(schema: Schema) -> str:
+    if "$ref" in schema:
+        return class_name(schema["$ref"].rsplit("/", 1)[1])
+    if "const" in schema:
+        return f"Literal[{schema['const']!r}]"
+    if "enum" in schema:
+        return f"Literal[{', '.join(map(repr, schema['enum']))}]"
+    for union in ("anyOf", "oneOf"):
+        if union in schema:
+            return " | ".join(dict.fromkeys(map(python_type, schema[union])))
+    if "allOf" in schema and len(schema["allOf"]) == 1:
+        return python_type(schema["allOf"][0])
+    kind = schema.get("type")
+    if kind == "array" and "prefixItems" in schema:
+        return f"tuple[{', '.join(map(python_type, schema['prefixItems']))}]"
+    if kind == "array":
+        return f"list[{python_type(schema.get('items', {}))}]"
+    if kind == "object":
+        more = schema.get("additionalProperties")
+        return f"dict[str, {python_type(more) if isinstance(more, dict) and more else 'Any'}]"
+    if kind == "string" and schema.get("format") == "date-time":
+        return "datetime"
+    if kind == "string" and (schema.get("format") == "binary" or "contentMediaType" in schema):
+        return "bytes"
+    return _PLAIN.get(str(kind), "Any")
+
+
+def operations(page: Schema) -> str:
+    lines = [HEAD.format(what="A function an operation: what is sent, and what comes back.")]
+    lines += ["from datetime import datetime\nfrom typing import Any, Literal\n\n"]
+    lines += ["from dynamictree_client.call import Call, path_of\n"]
+    names = sorted({class_name(name) for name in page["components"]["schemas"]})
+    lines += [f"from dynamictree_client.models import ({', '.join(names)})\n\n\n"]
+    for path, item in page["paths"].items():
+        for method, operation in item.items():
+            if method in ("get", "head", "post", "put", "patch", "delete", "options"):
+                lines += _operation(path, method, item.get("parameters", []), operation)
+    return "".join(lines)
+
+
+def _operation(path: str, method: str, shared: list[Schema], operation: Schema) -> list[str]:
+    parameters = [*shared, *operation.get("parameters", [])]
+    body = operation.get("requestBody", {}).get("content", {}).get("application/json")
+    raw = None if body else next(iter(operation.get("requestBody", {}).get("content", {})), None)
+    needed, options, places = list[str](), list[str](), dict[str, list[str]]({"path": [], "query": [], "header": []})
+    for parameter in parameters:
+        if parameter["in"] not in places:
+            continue
+        argument = snake(parameter["name"])
+        kind = python_type(parameter.get("schema", {}))
+        if parameter.get("required"):
+            (needed if parameter["in"] == "path" else options).append(f"{argument}: {kind}")
+        else:
+            options.append(f"{argument}: {kind.removesuffix(' | None')} | None = None")
+        places[parameter["in"]].append(f"{parameter['name']!r}: {argument}")
+    sent = ""
+    if body:
+        optional = not operation["requestBody"].get("required")
+        kind = python_type(body["schema"]).removesuffix(" | None")
+        needed.append(f"body: {kind} | None = None" if optional else f"body: {kind}")
+        sent = ", body=body"
+    elif raw:
+        needed.append("content: bytes")
+        sent = f", content=content, content_type={raw!r}"
+    answer = _answer(operation["responses"])
+    signature = ", ".join([*needed, *(["*", *options] if options else [])])
+    at = f"path_of({path!r}, {{{', '.join(places['path'])}}})" if places["path"] else repr(path)
+    more = "".join(
+        f", {to}={{{', '.join(places[of])}}}" for of, to in (("query", "query"), ("header", "headers")) if places[of]
+    )
+    told = operation.get("description") or operation.get("summary", "")
+    return [
+        f"def {snake(operation['operationId'])}({signature}) -> Call[{answer}]:\n    {_quoted(told)}\n",
+        f"    return Call(method={method.upper()!r}, path={at}, answer={answer}{more}{sent})\n\n\n",
+    ]
+
+
+def _answer(responses: dict[str, Schema]) -> str:
+    """Type of what a success holds: models of JSON, else bytes, else nothing."""
+    good = [response for status, response in responses.items() if status.startswith("2")]
+    content = [pair for response in good for pair in response.get("content", {}).items()]
+    kinds = [python_type(entry.get("schema", {})) for media, entry in content if media == "application/json"]
+    if any(media != "application/json" for media, _ in content):
+        kinds.append("bytes")
+    return " | ".join(dict.fromkeys(kinds)) or "None"
+
+
+def snake(name: str) -> str:
+    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).replace("-", "_").lower()
+
+
+def synchronous(source: str) -> str:
+    """The same client, blocking."""
+    _, _, rest = source.partition('"""\n')  # its docstring is one line
+    for pattern, other in _SYNCHRONOUS:
+        rest = re.sub(pattern, other, rest, flags=re.MULTILINE)
+    return HEAD.format(what="The blocking client.") + rest.lstrip("\n")
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
