@@ -21,7 +21,7 @@ def run() -> dict[str, object]:
     sh = np.random.default_rng(0).normal(size=(binding.cloud.num_gaussians, 16, 3)).astype(np.float32)
     binding = replace(binding, cloud=replace(binding.cloud, sh=sh))
     frames = [(0.2 * np.sin(mesh.vertices[:, [1, 2, 0]] + n)).astype(np.float32) for n in range(NUM_FRAMES)]
-    size = splat_sequence_bytes(binding, NUM_FRAMES)
+    size = splat_sequence_bytes(binding.cloud.num_gaussians, 3, NUM_FRAMES)
     for _ in iter_splat_sequence_zip(binding, frames[:1]):
         pass  # compiled
     sequence = _rate(iter_splat_sequence_zip(binding, frames))

@@ -10,6 +10,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, BinaryIO
@@ -20,8 +21,10 @@ from typer.core import TyperGroup
 from dynamictree.errors import DynamicTreeError, InputError
 
 if TYPE_CHECKING:
+    from dynamictree.gaussian.capture import Box, Capture
     from dynamictree.mesh import TriangleMesh
     from dynamictree.pipeline import OnStep
+    from dynamictree.products import AnimateOptions
 
 PLUGIN_GROUP = "dynamictree.commands"
 OWN_COMMANDS = {
@@ -72,8 +75,24 @@ app = typer.Typer(
     help="Captured trees that move: a sparse voxel spectrum from a tree's shape.",
 )
 
-MeshPath = Annotated[
-    Path, typer.Argument(help="A mesh: OBJ (with its MTL and textures beside it), PLY, GLB, glTF or STL.")
+SourcePath = Annotated[
+    Path,
+    typer.Argument(
+        help="A mesh: OBJ (with its MTL and textures beside it), PLY, GLB, glTF or STL. Or a splat: PLY, .splat, SPZ, "
+        "GLB. Or a scan: PLY without faces, XYZ text, LAS, LAZ."
+    ),
+]
+BoxCorners = Annotated[
+    str | None,
+    typer.Option(
+        "--box", help="Of a splat or scan, only what is inside moves: x,y,z,x,y,z of low and high corner [m, +Z up]."
+    ),
+]
+MaskPath = Annotated[
+    Path | None, typer.Option("--mask", help="Of a splat or scan: .npy, one bool a Gaussian, true where it may move.")
+]
+BesidePath = Annotated[
+    Path | None, typer.Option("--mesh", help="Of a splat or scan: a mesh that lies where it lies, to hang it on.")
 ]
 UpAxis = Annotated[
     str | None, typer.Option(help="Up axis of the input: +X, -X, +Y, -Y, +Z or -Z; detected if not given.")
@@ -101,8 +120,9 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object inst
 
 @app.command()
 def animate(
-    source: MeshPath,
+    source: SourcePath,
     output: OutputFolder,
+    first_frame: Annotated[int, typer.Option(min=0, max=599, help="Number of the first frame to write.")] = 0,
     frames: Annotated[
         int | None, typer.Option(min=1, help="Frames to write, 1 to 600; one period if not given.")
     ] = None,
@@ -111,7 +131,26 @@ def animate(
     ] = 24.0,
     speed: Annotated[float, typer.Option(min=0.01, max=100, help="Times the natural speed.")] = 1.0,
     loop: Annotated[bool, typer.Option(help="Whole periods only, so that the last frame leads to the first.")] = True,
-    formats: Annotated[str, typer.Option("--format", help="Comma-separated: ply, glb, motion, png.")] = "ply,glb,png",
+    formats: Annotated[
+        str | None,
+        typer.Option(
+            "--format",
+            help="Comma-separated: ply, glb, glb-reduced, motion (of the mesh), splat-ply, splat (of the splat), png, "
+            "webp, mp4. If not given ply,glb,png for a mesh; splat,png for a splat or scan.",
+        ),
+    ] = None,
+    share: Annotated[float, typer.Option(help="Share of a splat's Gaussians to keep, above 0 to 1.")] = 1.0,
+    sh_degree: Annotated[int, typer.Option(min=0, max=3, help="Highest degree of a splat's harmonics to keep.")] = 3,
+    side_px: Annotated[int, typer.Option(min=64, max=1080, help="Side of the pictures [px].")] = 512,
+    azimuth: Annotated[
+        float, typer.Option(min=-360, max=360, help="Where the camera stands [degrees], 0 at -Y, then to +X.")
+    ] = 25.0,
+    elevation: Annotated[float, typer.Option(min=-30, max=80, help="How high it stands [degrees].")] = 8.0,
+    orbit: Annotated[bool, typer.Option(help="The camera goes around once while the frames go by.")] = False,
+    ground: Annotated[bool, typer.Option(help="Draw a floor.")] = True,
+    box: BoxCorners = None,
+    mask: MaskPath = None,
+    mesh_beside: BesidePath = None,
     resolution: Resolution = 128,
     preset: Preset = "small",
     seed: Seed = 0,
@@ -123,17 +162,32 @@ def animate(
     unit_m: UnitM = None,
     as_json: AsJson = False,
 ) -> None:
-    """Make a tree sway: mesh → voxels → spectrum → motion files."""
+    """Make a tree sway: mesh or splat → voxels → spectrum → motion files."""
     from dynamictree import pipeline
     from dynamictree.formats.spectrum_file import write_spectrum
-    from dynamictree.products import AnimateOptions
+    from dynamictree.products import DEFAULT_CLOUD_FORMATS, DEFAULT_FORMATS, AnimateOptions
+    from dynamictree.render.shot import Shot
     from dynamictree.spectrum import Wind
 
+    shot = Shot(side_px=side_px, azimuth_deg=azimuth, elevation_deg=elevation, orbit=orbit, ground=ground)
+    named = None if formats is None else tuple(name.strip() for name in formats.split(","))
     options = AnimateOptions(
-        num_frames=frames, fps=fps, speed=speed, loop=loop, formats=tuple(name.strip() for name in formats.split(","))
+        first_frame=first_frame,
+        num_frames=frames,
+        fps=fps,
+        speed=speed,
+        loop=loop,
+        formats=named or DEFAULT_FORMATS,
+        share=share,
+        sh_degree=sh_degree,
+        shot=shot,
     )
     wind = Wind(speed_m_s=wind_speed, direction_deg=wind_direction, gust=gust)
-    mesh = _read_mesh(source, up_axis=up_axis, unit_m=unit_m)
+    box_m = _box(box)
+    mesh, capture = _read_source(source, up_axis=up_axis, unit_m=unit_m, box_m=box_m, mask=mask, beside=mesh_beside)
+    if capture is not None:
+        options = replace(options, formats=named or DEFAULT_CLOUD_FORMATS)
+        _tell_size(capture, options, quiet=as_json)
     with _progress(quiet=as_json) as report, _published(output) as folder:
         voxels = pipeline.voxelize(mesh, resolution=resolution)
         report("voxelize", 1.0)
@@ -142,15 +196,24 @@ def animate(
         )
         with (folder / "tree.spectrum.safetensors").open("wb") as stream:
             write_spectrum(spectrum, stream)
-        pipeline.animate(mesh, spectrum, options, folder, lambda done: report("animate", done))
+        pipeline.animate(
+            mesh,
+            spectrum,
+            options,
+            folder,
+            lambda done: report("animate", done),
+            capture=capture,
+            box_m=box_m,
+        )
         names = sorted(path.name for path in folder.iterdir())
     _tell({"files": [str(output / name) for name in names], "num_voxels": len(spectrum.grid)}, as_json=as_json)
 
 
 @app.command()
 def voxelize(
-    source: MeshPath,
+    source: SourcePath,
     output: OutputFile,
+    box: BoxCorners = None,
     resolution: Resolution = 128,
     up_axis: UpAxis = None,
     unit_m: UnitM = None,
@@ -160,7 +223,8 @@ def voxelize(
     from dynamictree import pipeline
     from dynamictree.formats.voxels_file import write_voxels
 
-    voxels = pipeline.voxelize(_read_mesh(source, up_axis=up_axis, unit_m=unit_m), resolution=resolution)
+    mesh, _ = _read_source(source, up_axis=up_axis, unit_m=unit_m, box_m=_box(box))
+    voxels = pipeline.voxelize(mesh, resolution=resolution)
     with _published(output.parent) as folder, (folder / output.name).open("wb") as stream:
         write_voxels(voxels, stream)
     _tell(
@@ -170,8 +234,11 @@ def voxelize(
 
 @app.command()
 def diffuse(
-    source: Annotated[Path, typer.Argument(help="A mesh, or a *.voxels.safetensors that `voxelize` wrote.")],
+    source: Annotated[
+        Path, typer.Argument(help="A mesh, a splat, a scan, or a *.voxels.safetensors that `voxelize` wrote.")
+    ],
     output: OutputFile,
+    box: BoxCorners = None,
     resolution: Resolution = 128,
     preset: Preset = "small",
     seed: Seed = 0,
@@ -193,7 +260,8 @@ def diffuse(
         with _opened(source) as stream:
             voxels = read_voxels(stream)
     else:
-        voxels = pipeline.voxelize(_read_mesh(source, up_axis=up_axis, unit_m=unit_m), resolution=resolution)
+        mesh, _ = _read_source(source, up_axis=up_axis, unit_m=unit_m, box_m=_box(box))
+        voxels = pipeline.voxelize(mesh, resolution=resolution)
     wind = Wind(speed_m_s=wind_speed, direction_deg=wind_direction, gust=gust)
     with _progress(quiet=as_json) as report:
         on_step = _steps(report, "diffuse")
@@ -223,13 +291,14 @@ def reconstruct(
 
 @app.command()
 def info(
-    source: Annotated[Path, typer.Argument(help="A mesh, voxel or spectrum file.")],
+    source: Annotated[Path, typer.Argument(help="A mesh, splat, scan, voxel or spectrum file.")],
     up_axis: UpAxis = None,
     unit_m: UnitM = None,
     as_json: AsJson = False,
 ) -> None:
     """Say what a file holds."""
-    from dynamictree.describe import describe_grid, describe_mesh, describe_spectrum
+    from dynamictree import pipeline
+    from dynamictree.describe import describe_capture, describe_grid, describe_mesh, describe_spectrum
     from dynamictree.formats.spectrum_file import read_spectrum
     from dynamictree.formats.voxels_file import read_voxels
 
@@ -239,6 +308,8 @@ def info(
     elif source.name.endswith(".voxels.safetensors"):
         with _opened(source) as stream:
             _tell(describe_grid(read_voxels(stream).grid), as_json=as_json)
+    elif _is_cloud(source):
+        _tell(describe_capture(pipeline.load_capture(source, up_axis=up_axis, unit_m=unit_m)), as_json=as_json)
     else:
         _tell(describe_mesh(_read_mesh(source, up_axis=up_axis, unit_m=unit_m)), as_json=as_json)
 
@@ -293,6 +364,59 @@ def _opened(path: Path) -> Iterator[BinaryIO]:
         raise InputError(f"{path} cannot be read: {error.strerror}") from None
     with stream:
         yield stream
+
+
+def _read_source(
+    path: Path,
+    *,
+    up_axis: str | None,
+    unit_m: float | None,
+    box_m: "Box | None" = None,
+    mask: Path | None = None,
+    beside: Path | None = None,
+) -> "tuple[TriangleMesh, Capture | None]":
+    """The mesh that a file holds; or the cloud, and the mesh that carries what of it moves."""
+    from dynamictree import pipeline
+    from dynamictree.gaussian.capture import carrying_mesh
+
+    if not _is_cloud(path):
+        if box_m is not None or mask is not None or beside is not None:
+            raise InputError(f"{path} is a mesh; --box, --mask and --mesh are for splats and scans")
+        return _read_mesh(path, up_axis=up_axis, unit_m=unit_m), None
+    for other in (mask, beside):
+        if other is not None:
+            with _opened(other):
+                pass
+    capture = pipeline.load_capture(path, up_axis=up_axis, unit_m=unit_m, mask=mask, mesh=beside)
+    return carrying_mesh(capture, box_m), capture
+
+
+def _is_cloud(path: Path) -> bool:
+    from dynamictree.formats.source_file import source_kind
+
+    with _opened(path) as stream:
+        return source_kind(stream, path.name)[0] == "cloud"
+
+
+def _box(corners: str | None) -> "Box | None":
+    if corners is None:
+        return None
+    try:
+        x0, y0, z0, x1, y1, z1 = (float(value) for value in corners.split(","))
+    except ValueError:
+        raise InputError(f"--box is {corners!r}; six numbers are needed: x,y,z,x,y,z of low and high corner") from None
+    return (x0, y0, z0), (x1, y1, z1)
+
+
+def _tell_size(capture: "Capture", options: "AnimateOptions", *, quiet: bool) -> None:
+    """Say how large a sequence of splats will be, before it is made."""
+    from dynamictree.spectrum import FPS, NUM_FRAMES
+    from dynamictree.splat_products import describe_sequence
+
+    if "splat-ply" in options.formats:
+        told = describe_sequence(capture.cloud, len(options.phases(NUM_FRAMES / FPS)), options)
+        if not quiet:
+            print(f"splat-ply: {told}", file=sys.stderr)
 
 
 def _read_mesh(path: Path, *, up_axis: str | None, unit_m: float | None) -> "TriangleMesh":

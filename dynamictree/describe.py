@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from dynamictree.gaussian.capture import Capture
 from dynamictree.mesh import TriangleMesh
 from dynamictree.spectrum import SparseVoxelSpectrum
 from dynamictree.voxel.grid import VoxelGrid
@@ -18,6 +19,21 @@ def describe_mesh(mesh: TriangleMesh) -> dict[str, Any]:
         "extent_m": np.ptp(mesh.vertices.astype(np.float64), axis=0).round(4).tolist(),
         "source_up_axis": mesh.source_up_axis,
         "source_scale": mesh.source_scale,
+    }
+
+
+def describe_capture(capture: Capture) -> dict[str, Any]:
+    """Counts, place [m] and how the source's axes and units were read."""
+    cloud = capture.cloud
+    low, high = cloud.means.min(axis=0).astype(np.float64), cloud.means.max(axis=0).astype(np.float64)
+    return {
+        "num_gaussians": cloud.num_gaussians,
+        "sh_degree": cloud.sh_degree,
+        "num_movable": cloud.num_gaussians if capture.mask is None else int(capture.mask.sum()),
+        "extent_m": (high - low).round(4).tolist(),
+        "low_m": low.round(4).tolist(),
+        "source_up_axis": cloud.source_up_axis,
+        "source_scale": cloud.source_scale,
     }
 
 

@@ -1,21 +1,41 @@
-"""The method in a page: photos → mesh → voxels → spectrum → motion and its files. Paper figure 2, left to right.
+"""The method in a page: photos or splat → mesh → voxels → spectrum → motion and its files. Paper figure 2.
 
 Importing this module loads no torch; the functions that need a network or a picture load what they need.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
-from jaxtyping import Complex64
+from jaxtyping import Complex64, UInt8
 
 from dynamictree.errors import InputError
 from dynamictree.formats.mesh_file import read_mesh, sniff_file_type
+from dynamictree.formats.source_file import read_capture, source_kind
+from dynamictree.gaussian.binding import Binding
+from dynamictree.gaussian.capture import Box, Capture, bind_capture
 from dynamictree.mesh import TriangleMesh
-from dynamictree.products import FILE_NAMES, AnimateOptions, SwayingMesh, write_product
+from dynamictree.products import (
+    FILE_NAMES,
+    PICTURE_FILE_NAMES,
+    SPLAT_FILE_NAMES,
+    AnimateOptions,
+    SwayingMesh,
+    iter_mesh_pictures,
+    write_mesh_product,
+)
 from dynamictree.spectrum import SparseVoxelSpectrum, Wind
+from dynamictree.splat_products import (
+    SwayingSplat,
+    iter_splat_pictures,
+    lighter_splat,
+    sequence_bytes,
+    splat_sheet,
+    write_splat_product,
+)
 from dynamictree.voxel import devoxelize
 from dynamictree.voxel.voxelize import SurfaceVoxels
 from dynamictree.voxel.voxelize import voxelize as voxelize_surface
@@ -45,6 +65,35 @@ def load_mesh(
         file_type = sniff_file_type(stream.read(4096), path.name)
         stream.seek(0)
         return read_mesh(stream, file_type=file_type, up_axis=up_axis, unit_m=unit_m, companions=beside)
+
+
+def load_capture(
+    path: Path,
+    *,
+    up_axis: str | None = None,
+    unit_m: float | None = None,
+    mask: Path | None = None,
+    mesh: Path | None = None,
+) -> Capture:
+    """Read a splat or scan, a mask of what may move, and a mesh that lies where the cloud lies.
+
+    Raises:
+        InputError: one of them cannot be read, or they do not fit together.
+    """
+    with ExitStack() as opened:
+        stream = opened.enter_context(path.open("rb"))
+        _, file_type = source_kind(stream, path.name)
+        return read_capture(
+            stream,
+            file_type=file_type,
+            up_axis=up_axis,
+            unit_m=unit_m,
+            mask=None if mask is None else opened.enter_context(mask.open("rb")),
+            mesh=None if mesh is None else (mesh.name, opened.enter_context(mesh.open("rb"))),
+            companions=None
+            if mesh is None
+            else {name: other.read_bytes() for name, other in companions_beside(mesh).items()},
+        )
 
 
 def reconstruct(photos: Sequence[Path], folder: Path, on_progress: OnProgress | None = None) -> Path:
@@ -95,32 +144,102 @@ def animate(
     options: AnimateOptions,
     folder: Path,
     on_progress: OnProgress | None = None,
+    *,
+    capture: Capture | None = None,
+    box_m: Box | None = None,
 ) -> dict[str, Path]:
     """Write the asked products of one motion into a folder; give their paths by format.
 
+    Where a capture is given, pictures and splats show it; else splats are made from the mesh.
     `on_progress` gets the share done in [0, 1]; what it raises passes through.
 
     Raises:
-        InputError: the frames do not make a loop, though one is asked for.
+        InputError: the frames do not make a loop, though one is asked for; the capture is not where the mesh is;
+            or a sequence of splats would be too large.
     """
+    phases = options.phases(spectrum.period_s)
+    binding = _binding(mesh, options, capture, box_m)
+    if binding is not None and "splat-ply" in options.formats:
+        sequence_bytes(binding.cloud.num_gaussians, binding.cloud.sh_degree, len(phases), options)
     sway = SwayingMesh(
         mesh=mesh,
         coefficients=vertex_spectrum(mesh, spectrum),
         num_frames=spectrum.num_frames,
         loop_fps=spectrum.fps * options.speed,
-        phases=options.phases(spectrum.period_s),
+        phases=phases,
         fps=options.fps,
+        first_frame=options.first_frame,
     )
+    splat = None if binding is None else lighter_splat(SwayingSplat(binding=binding, sway=sway), options)
+    return _write_products(sway, splat, options, folder, on_progress or (lambda done: None), shown=capture is not None)
+
+
+def _binding(mesh: TriangleMesh, options: AnimateOptions, capture: Capture | None, box_m: Box | None) -> Binding | None:
+    """What was captured, hung on the mesh; or Gaussians in the mesh's faces, the same in every run, if asked for."""
+    from dynamictree.gaussian.from_mesh import splats_of_mesh
+
+    if capture is not None:
+        return bind_capture(capture, mesh, box_m)
+    if SPLAT_FILE_NAMES.keys().isdisjoint(options.formats):
+        return None
+    return splats_of_mesh(mesh, rng=np.random.default_rng(0)).binding
+
+
+def _write_products(
+    sway: SwayingMesh,
+    splat: SwayingSplat | None,
+    options: AnimateOptions,
+    folder: Path,
+    on_progress: OnProgress,
+    *,
+    shown: bool,
+) -> dict[str, Path]:
     paths = {name: folder / FILE_NAMES[name] for name in options.formats}
-    for place, (name, path) in enumerate(paths.items()):
+    films = [name for name in paths if name in PICTURE_FILE_NAMES and (name != "png" or shown)]
+    done = 0
 
-        def report(done: float, place: int = place) -> None:
-            if on_progress is not None:
-                on_progress((place + done) / len(paths))
+    def report(share: float) -> None:
+        on_progress((done + share) / len(paths))
 
+    for name, path in paths.items():
+        if name in films:
+            continue
         with path.open("wb") as stream:
-            write_product(name, sway, stream, report)
+            if name in SPLAT_FILE_NAMES:
+                assert splat is not None
+                write_splat_product(name, splat, stream, report)
+            elif name == "png":
+                _write_sheet(sway, stream)
+            else:
+                write_mesh_product(name, sway, stream, report)
+        done += 1
+        report(0.0)
+    if films:
+        pictures = iter_splat_pictures(splat, options.shot, report) if splat and shown else None
+        _write_films(
+            pictures or iter_mesh_pictures(sway, options.shot, report), {n: paths[n] for n in films}, options.fps
+        )
+        on_progress(1.0)
     return paths
+
+
+def _write_films(pictures: Iterator[UInt8[np.ndarray, "H W 3"]], paths: Mapping[str, Path], fps: float) -> None:
+    """Every product that shows the same pictures; they are drawn once."""
+    from dynamictree.render import spooled, write_animation, write_png
+
+    with spooled(pictures) as film:
+        for name, path in paths.items():
+            with path.open("wb") as stream:
+                if name == "png":
+                    write_png(splat_sheet(film), stream)
+                else:
+                    write_animation(iter(film), stream, fps=fps, format="webp" if name == "webp" else "mp4")
+
+
+def _write_sheet(sway: SwayingMesh, stream: BinaryIO) -> None:
+    from dynamictree.render import preview_sheet, write_png
+
+    write_png(preview_sheet(sway.mesh, sway.coefficients, num_frames=sway.num_frames), stream)
 
 
 def companions_beside(path: Path) -> dict[str, Path]:

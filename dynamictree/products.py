@@ -1,30 +1,39 @@
-"""What a motion is written as: which frames, and one writer a product."""
+"""What a motion is written as: which frames, of what, and one writer a product of a mesh."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import BinaryIO
 
 import numpy as np
-from jaxtyping import Complex64, Float32, Float64
+from jaxtyping import Complex64, Float32, Float64, UInt8
 
 from dynamictree.errors import InputError
 from dynamictree.formats.glb_motion import write_motion_glb
 from dynamictree.formats.motion_file import write_motion
 from dynamictree.formats.ply_sequence import iter_ply_sequence_zip
 from dynamictree.mesh import TriangleMesh
+from dynamictree.render.shot import Shot
 from dynamictree.spectrum import iter_motion
 
-FILE_NAMES = {
+MESH_FILE_NAMES = {
     "ply": "motion.ply.zip",
     "glb": "tree.glb",
     "glb-reduced": "tree-8-targets.glb",
     "motion": "motion.safetensors",
+}
+SPLAT_FILE_NAMES = {
+    "splat-ply": "splat.ply.zip",
+    "splat": "tree.animated-splat.safetensors",
+}
+PICTURE_FILE_NAMES = {
     "png": "preview.png",
     "webp": "preview.webp",
     "mp4": "preview.mp4",
 }
+FILE_NAMES = MESH_FILE_NAMES | SPLAT_FILE_NAMES | PICTURE_FILE_NAMES
 """Of each format."""
 DEFAULT_FORMATS = ("ply", "glb", "png")
+DEFAULT_CLOUD_FORMATS = ("splat", "png")
 REDUCED_TARGETS = 8  # morph targets that glTF asks every engine to support
 MAX_FRAMES = 600
 
@@ -36,14 +45,19 @@ Report = Callable[[float], None]
 class AnimateOptions:
     """Which frames of the motion are written, and as what. Frame n shows the spectrum at time n · speed / fps.
 
-    `num_frames=None` is one period. fps never changes the speed of the motion.
+    `num_frames=None` is one period. fps never changes the speed of the motion. `share` and `sh_degree` make splats
+    lighter: the share of the Gaussians that is kept, and the highest degree of their harmonics.
     """
 
+    first_frame: int = 0
     num_frames: int | None = None
     fps: float = 24.0  # [1/s]
     speed: float = 1.0
     loop: bool = True
     formats: tuple[str, ...] = DEFAULT_FORMATS
+    share: float = 1.0
+    sh_degree: int = 3
+    shot: Shot = field(default_factory=Shot)
 
     def __post_init__(self) -> None:
         unknown = [name for name in self.formats if name not in FILE_NAMES]
@@ -55,6 +69,12 @@ class AnimateOptions:
             raise InputError(f"speed is {self.speed:g}; 0.01 to 100 times the natural speed are allowed")
         if self.num_frames is not None and not 1 <= self.num_frames <= MAX_FRAMES:
             raise InputError(f"num_frames is {self.num_frames}; 1 to {MAX_FRAMES} are allowed")
+        if not 0 <= self.first_frame < MAX_FRAMES:
+            raise InputError(f"first_frame is {self.first_frame}; 0 to {MAX_FRAMES - 1} are allowed")
+        if not 0 < self.share <= 1:
+            raise InputError(f"share is {self.share:g}; above 0 and at most 1 of the Gaussians is allowed")
+        if not 0 <= self.sh_degree <= 3:
+            raise InputError(f"sh_degree is {self.sh_degree}; 0 to 3 are allowed")
 
     def phases(self, period_s: float) -> Float64[np.ndarray, " M"]:
         """Place in the loop of every frame, in periods.
@@ -71,7 +91,7 @@ class AnimateOptions:
             )
         if num_frames > MAX_FRAMES:
             raise InputError(f"one period is {num_frames} frames; at most {MAX_FRAMES} are allowed: lower fps")
-        return np.arange(num_frames) / period_frames
+        return (self.first_frame + np.arange(num_frames)) / period_frames
 
 
 def _is_whole(periods: float) -> bool:
@@ -97,6 +117,7 @@ class SwayingMesh:
     loop_fps: float  # frames of the spectrum that go by in a second of the file's time
     phases: Float64[np.ndarray, " M"]  # of the frames to write, in periods
     fps: float  # of the frames to write
+    first_frame: int = 0  # number of the first in the names of the files
 
     def frames(self, report: Report) -> Iterator[Float32[np.ndarray, "N 3"]]:
         """One frame of displacement after another [m]."""
@@ -105,14 +126,23 @@ class SwayingMesh:
             yield frame
 
 
-def write_product(name: str, sway: SwayingMesh, stream: BinaryIO, report: Report) -> None:
-    """Write one of `FILE_NAMES` to an open file."""
+def write_mesh_product(name: str, sway: SwayingMesh, stream: BinaryIO, report: Report) -> None:
+    """Write one of `MESH_FILE_NAMES` to an open file."""
     _WRITERS[name](sway, stream, report)
-    report(1.0)
+
+
+def iter_mesh_pictures(sway: SwayingMesh, shot: Shot, report: Report) -> Iterator[UInt8[np.ndarray, "H W 3"]]:
+    """The mesh, frame by frame."""
+    from dynamictree.render import Look, Renderer
+
+    renderer = Renderer(sway.mesh, Look(width=shot.side_px, height=shot.side_px, ground=shot.ground))
+    cameras = shot.cameras(sway.mesh.vertices, len(sway.phases))
+    for frame, camera in zip(sway.frames(report), cameras, strict=True):
+        yield renderer.picture(frame, camera=camera)
 
 
 def _write_ply(sway: SwayingMesh, stream: BinaryIO, report: Report) -> None:
-    stream.writelines(iter_ply_sequence_zip(sway.mesh, sway.frames(report)))
+    stream.writelines(iter_ply_sequence_zip(sway.mesh, sway.frames(report), first_number=sway.first_frame))
 
 
 def _write_motion(sway: SwayingMesh, stream: BinaryIO, report: Report) -> None:
@@ -135,32 +165,9 @@ def _write_reduced_glb(sway: SwayingMesh, stream: BinaryIO, report: Report) -> N
     )
 
 
-def _write_png(sway: SwayingMesh, stream: BinaryIO, report: Report) -> None:
-    from dynamictree.render import preview_sheet, write_png
-
-    write_png(preview_sheet(sway.mesh, sway.coefficients, num_frames=sway.num_frames), stream)
-
-
-def _write_webp(sway: SwayingMesh, stream: BinaryIO, report: Report) -> None:
-    from dynamictree.render import Renderer, write_animation
-
-    pictures = map(Renderer(sway.mesh).picture, sway.frames(report))
-    write_animation(pictures, stream, fps=sway.fps, format="webp")
-
-
-def _write_mp4(sway: SwayingMesh, stream: BinaryIO, report: Report) -> None:
-    from dynamictree.render import Renderer, write_animation
-
-    pictures = map(Renderer(sway.mesh).picture, sway.frames(report))
-    write_animation(pictures, stream, fps=sway.fps, format="mp4")
-
-
 _WRITERS: dict[str, Callable[[SwayingMesh, BinaryIO, Report], None]] = {
     "ply": _write_ply,
     "glb": _write_glb,
     "glb-reduced": _write_reduced_glb,
     "motion": _write_motion,
-    "png": _write_png,
-    "webp": _write_webp,
-    "mp4": _write_mp4,
 }

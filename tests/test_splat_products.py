@@ -2,6 +2,7 @@
 
 import io
 import zipfile
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,23 +10,34 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from dynamictree.errors import InputError
+from dynamictree import pipeline
+from dynamictree.errors import FormatError, InputError
 from dynamictree.formats.animated_splat import read_animated_splat
+from dynamictree.formats.axes import up_rotation
+from dynamictree.formats.cloud_bundle import read_cloud_bundle, write_cloud_bundle
 from dynamictree.formats.cloud_file import read_cloud
+from dynamictree.formats.ply_writer import write_ply
 from dynamictree.formats.splat import write_splat
+from dynamictree.gaussian.capture import Capture, carrying_mesh, moving_part
 from dynamictree.gaussian.cloud import GaussianCloud
-from dynamictree.products import SwayingMesh
-from dynamictree.splat_products import SplatOptions, animate_splat, load_cloud, mesh_of_moving_part, moving_part
+from dynamictree.products import AnimateOptions
+from dynamictree.render.shot import Shot
+from dynamictree.spectrum import SparseVoxelSpectrum
+from dynamictree.splat_products import describe_sequence, sequence_bytes
+from dynamictree.voxel.voxelize import voxelize
+
+BOX = ((-0.3, -0.3, -0.1), (0.3, 0.3, 1.1))
+SMALL = Shot(side_px=128)
 
 
 @pytest.fixture(scope="module")
-def cloud() -> GaussianCloud:
+def capture() -> Capture:
     """A post of 1 m, and a pot beside it."""
     rng = np.random.default_rng(2)
     angle, height = rng.random(3000) * 2 * np.pi, rng.random(3000)
     post = np.stack([0.1 * np.cos(angle), 0.1 * np.sin(angle), height], axis=1)
     post[2000:] = post[2000:] * [1, 1, 0.2] + [1, 0, 0]
-    return GaussianCloud(
+    cloud = GaussianCloud(
         means=post.astype(np.float32),
         quaternions=np.tile(np.array([1, 0, 0, 0], np.float32), (3000, 1)),
         scales=np.full((3000, 3), 0.02, np.float32),
@@ -33,73 +45,168 @@ def cloud() -> GaussianCloud:
         sh=rng.normal(size=(3000, 1, 3)).astype(np.float32),
         source_up_axis="-Y",
     )
-
-
-BOX = SplatOptions(formats=("ply", "splat", "png"), box_m=((-0.3, -0.3, -0.1), (0.3, 0.3, 1.1)))
+    return Capture(cloud=cloud)
 
 
 @pytest.fixture(scope="module")
-def sway(cloud: GaussianCloud) -> SwayingMesh:
-    mesh = mesh_of_moving_part(cloud, BOX)
-    coefficients = np.zeros((mesh.num_vertices, 2, 3), np.complex64)
-    coefficients[:, 1, 0] = 0.05 * mesh.vertices[:, 2] ** 2
-    return SwayingMesh(
-        mesh=mesh, coefficients=coefficients, num_frames=4, loop_fps=24.0, phases=np.arange(4) / 4, fps=24.0
-    )
+def spectrum(capture: Capture) -> SparseVoxelSpectrum:
+    """Sways along +X as the square of the height, four frames a loop."""
+    grid = voxelize(carrying_mesh(capture, BOX), 32).grid
+    coefficients = np.zeros((len(grid), 2, 3), np.complex64)
+    coefficients[:, 1, 0] = 0.05 * grid.centres_m[:, 2] ** 2
+    return SparseVoxelSpectrum(grid=grid, coefficients=coefficients, fps=24.0, num_frames=4, model="test")
 
 
-def test_all_products_show_one_motion(cloud: GaussianCloud, sway: SwayingMesh, tmp_path: Path) -> None:
+def animated(
+    capture: Capture, spectrum: SparseVoxelSpectrum, folder: Path, options: AnimateOptions, done: list[float]
+) -> dict[str, Path]:
+    mesh = carrying_mesh(capture, BOX)
+    return pipeline.animate(mesh, spectrum, options, folder, done.append, capture=capture, box_m=BOX)
+
+
+def test_all_products_show_one_motion(capture: Capture, spectrum: SparseVoxelSpectrum, tmp_path: Path) -> None:
     done: list[float] = []
-    paths = animate_splat(cloud, sway, BOX, tmp_path, done.append)
+    options = AnimateOptions(formats=("splat-ply", "splat", "png", "glb"), shot=SMALL)
+    paths = animated(capture, spectrum, tmp_path, options, done)
     assert done == sorted(done)
     assert done[-1] == 1
-    with zipfile.ZipFile(paths["ply"]) as archive:
+    with zipfile.ZipFile(paths["splat-ply"]) as archive:
         frames = [read_cloud(io.BytesIO(archive.read(name)), file_type="ply") for name in archive.namelist()]
     assert len(frames) == 4
-    tree = moving_part(cloud, BOX)
+    cloud, tree = capture.cloud, moving_part(capture, BOX)
     np.testing.assert_array_equal(tree, np.arange(3000) < 2000)
     for frame in frames:
         np.testing.assert_allclose(frame.means[~tree], cloud.means[~tree], atol=1e-6)  # the pot stays
     moved = frames[0].means[tree] - cloud.means[tree]
     expected = 0.1 * cloud.means[tree, 2] ** 2  # w c cos 0, w = 2
     assert np.abs(moved[:, 0] - expected).max() < 0.015
+    assert paths["splat-ply"].stat().st_size == sequence_bytes(3000, 0, 4, options)
     with paths["splat"].open("rb") as stream:
         assert read_animated_splat(stream).binding.cloud.num_gaussians == 3000
     with Image.open(paths["png"]) as picture:
         pixels = np.asarray(picture).astype(int)
-    assert pixels.shape == (512, 1024, 3)
-    slices = pixels[:, 512:]
-    assert np.abs(slices[0] - slices[256]).max() > 50  # left, then right
+    assert pixels.shape == (160, 256, 3)
+    slices = pixels[:128, 128:]
+    assert np.abs(slices[0] - slices[64]).max() > 50  # left, then right
 
 
-def test_a_lighter_product_is_asked_for(cloud: GaussianCloud, sway: SwayingMesh, tmp_path: Path) -> None:
-    paths = animate_splat(cloud, sway, replace(BOX, formats=("splat",), share=0.1, sh_degree=0), tmp_path)
-    with paths["splat"].open("rb") as stream:
-        assert read_animated_splat(stream).binding.cloud.num_gaussians == 300
+def test_a_part_of_the_motion_and_of_the_cloud_is_asked_for(
+    capture: Capture, spectrum: SparseVoxelSpectrum, tmp_path: Path
+) -> None:
+    options = AnimateOptions(
+        formats=("splat-ply",), first_frame=2, num_frames=1, loop=False, share=0.1, sh_degree=0, shot=SMALL
+    )
+    paths = animated(capture, spectrum, tmp_path, options, [])
+    with zipfile.ZipFile(paths["splat-ply"]) as archive:
+        assert archive.namelist() == ["frame_0002.ply"]
+        frame = read_cloud(io.BytesIO(archive.read("frame_0002.ply")), file_type="ply")
+    assert frame.num_gaussians == 300
+    top = frame.means[(frame.means[:, 2] > 0.9) & (frame.means[:, 0] < 0.5)]
+    assert top[:, 0].mean() < -0.05  # half a loop on: to the left
+    assert paths["splat-ply"].stat().st_size == sequence_bytes(3000, 0, 1, options)
+    assert "300 Gaussians" in describe_sequence(capture.cloud, 1, options)
 
 
-def test_a_film_is_made(cloud: GaussianCloud, sway: SwayingMesh, tmp_path: Path) -> None:
+def test_a_film_is_made(capture: Capture, spectrum: SparseVoxelSpectrum, tmp_path: Path) -> None:
     pytest.importorskip("imageio_ffmpeg")
-    few = cloud.subset(np.arange(0, 3000, 3))
-    paths = animate_splat(few, sway, replace(BOX, formats=("mp4", "webp")), tmp_path)
+    options = AnimateOptions(formats=("mp4", "webp"), shot=replace(SMALL, orbit=True, ground=False))
+    paths = animated(capture, spectrum, tmp_path, options, [])
     assert b"ftyp" in paths["mp4"].read_bytes()[:12]
     with Image.open(paths["webp"]) as film:
         assert getattr(film, "n_frames", 1) == 4
 
 
-def test_a_cloud_is_read_by_its_ending(cloud: GaussianCloud, tmp_path: Path) -> None:
-    path = tmp_path / "tree.SPLAT"
-    with path.open("wb") as stream:
-        write_splat(cloud, stream)
-    np.testing.assert_allclose(load_cloud(path).means, cloud.means, atol=1e-6)
+def test_a_mesh_becomes_a_splat_that_moves(capture: Capture, spectrum: SparseVoxelSpectrum, tmp_path: Path) -> None:
+    mesh = carrying_mesh(capture, BOX)
+    paths = pipeline.animate(mesh, spectrum, AnimateOptions(formats=("splat", "webp"), shot=SMALL), tmp_path)
+    with paths["splat"].open("rb") as stream:
+        splat = read_animated_splat(stream)
+    assert splat.binding.cloud.num_gaussians >= 5 * mesh.num_faces * 0.9
+    assert splat.binding.moving.all()
 
 
-def test_what_cannot_be_written_is_told(
-    cloud: GaussianCloud, sway: SwayingMesh, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.fixture
+def files(capture: Capture, tmp_path: Path) -> Iterator[dict[str, Path]]:
+    """The capture, its mesh in the same axes, and a mask, as someone sends them."""
+    made = {"cloud": tmp_path / "tree.SPLAT", "mesh": tmp_path / "mesh.ply", "mask": tmp_path / "mask.npy"}
+    with made["cloud"].open("wb") as stream:
+        write_splat(capture.cloud, stream)
+    mesh = carrying_mesh(capture, BOX)
+    turned = mesh.with_vertices(np.ascontiguousarray(mesh.vertices @ up_rotation("-Y").astype(np.float32)))
+    with made["mesh"].open("wb") as stream:
+        write_ply(turned, stream)
+    np.save(made["mask"], np.arange(3000) < 2000)
+    return made
+
+
+def test_a_capture_is_read_with_what_came_with_it(capture: Capture, files: dict[str, Path]) -> None:
+    read = pipeline.load_capture(files["cloud"], mask=files["mask"], mesh=files["mesh"])
+    np.testing.assert_allclose(read.cloud.means, capture.cloud.means, atol=1e-6)
+    assert read.mesh is not None
+    np.testing.assert_allclose(read.mesh.vertices, carrying_mesh(capture, BOX).vertices, atol=1e-5)
+    assert carrying_mesh(read) is read.mesh
+    np.testing.assert_array_equal(moving_part(read), moving_part(capture, BOX))
+    packed = io.BytesIO()
+    write_cloud_bundle(read, packed)
+    packed.seek(0)
+    again = read_cloud_bundle(packed)
+    for name in ("means", "quaternions", "scales", "opacity", "sh"):
+        np.testing.assert_array_equal(getattr(again.cloud, name), getattr(read.cloud, name))
+    np.testing.assert_array_equal(again.mask, read.mask)
+    assert again.mesh is not None
+    np.testing.assert_array_equal(again.mesh.vertices, read.mesh.vertices)
+
+
+@pytest.mark.parametrize(
+    ("mask", "found"),
+    [
+        (b"no mask", "no .npy file"),
+        (np.zeros(3000, np.bool_), "lets no Gaussian move"),
+        (np.ones(2999, np.bool_), "2,999 values for 3,000"),
+        (np.full(3000, 2, np.uint8), "0 or 1"),
+        (np.ones((3000, 1), np.bool_), "one row"),
+        (np.ones(5_005_000, np.uint8), "a byte a Gaussian"),
+    ],
+)
+def test_a_bad_mask_is_refused(files: dict[str, Path], mask: bytes | np.ndarray, found: str) -> None:
+    if isinstance(mask, bytes):
+        files["mask"].write_bytes(mask)
+    else:
+        np.save(files["mask"], mask)
+    with pytest.raises(InputError, match=found):
+        pipeline.load_capture(files["cloud"], mask=files["mask"])
+
+
+def test_what_does_not_fit_together_is_refused(capture: Capture, files: dict[str, Path], tmp_path: Path) -> None:
+    with pytest.raises(FormatError, match="send one cloud"):
+        pipeline.load_capture(files["cloud"], mesh=files["cloud"])
+    pot = replace(capture, mask=np.arange(3000) >= 2000)
+    with pytest.raises(InputError, match="no Gaussian of the mask is in the box"):
+        moving_part(pot, BOX)
+    sog = tmp_path / "tree.sog"
+    sog.write_bytes(b"PK\x03\x04")
+    with pytest.raises(FormatError, match="SOG files are not read"):
+        pipeline.load_capture(sog)
+
+
+@pytest.mark.parametrize(
+    ("options", "found"),
+    [
+        ({"formats": ("gif",)}, "formats are"),
+        ({"share": 0.0}, "share is 0"),
+        ({"sh_degree": 4}, "sh_degree is 4"),
+        ({"first_frame": 600}, "first_frame is 600"),
+    ],
+)
+def test_an_option_out_of_bounds_is_told(options: dict[str, object], found: str) -> None:
+    with pytest.raises(InputError, match=found):
+        AnimateOptions(**options)  # type: ignore[arg-type]
+
+
+def test_too_large_a_sequence_is_refused_before_it_is_made(
+    capture: Capture, spectrum: SparseVoxelSpectrum, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with pytest.raises(InputError, match=r"formats are \['glb'\]"):
-        SplatOptions(formats=("glb",))
     monkeypatch.setattr("dynamictree.splat_products.MAX_SEQUENCE_BYTES", 1000)
     with pytest.raises(InputError, match="ask for fewer frames"):
-        animate_splat(cloud, sway, BOX, tmp_path)
+        animated(capture, spectrum, tmp_path, AnimateOptions(formats=("splat-ply",)), [])
     assert not list(tmp_path.iterdir())

@@ -16,7 +16,7 @@ MAX_FILE_BYTES = 1 << 30
 MAX_FRAMES = 1_000_000
 MAX_RESOLUTION = 4096  # its keys still fit int64 many times over
 
-_DTYPES = {"F16": np.float16, "F32": np.float32, "I32": np.int32}
+_DTYPES = {"F16": np.float16, "F32": np.float32, "I32": np.int32, "U8": np.uint8}
 _NAMES = {np.dtype(dtype).name: name for name, dtype in _DTYPES.items()}
 _MAX_FIELD_CHARS = 4096  # of a metadata field; a hostile one must not exhaust the JSON parser
 

@@ -113,9 +113,14 @@ def look_level(cloud: GaussianCloud, share: float) -> GaussianCloud:
     return replace(kept, scales=kept.scales * growth)
 
 
+def level_count(num_gaussians: int, share: float) -> int:
+    """How many Gaussians a level of detail keeps."""
+    return max(1, round(num_gaussians * share))
+
+
 def level_rows(cloud: GaussianCloud, share: float) -> Int[np.ndarray, " M"]:
     """Which Gaussians a level of detail keeps, in ascending order."""
-    count = max(1, round(cloud.num_gaussians * share))
+    count = level_count(cloud.num_gaussians, share)
     visible = area_m2(cloud) * cloud.opacity
     return np.sort(np.argpartition(-visible, count - 1)[:count])
 

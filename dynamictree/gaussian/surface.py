@@ -7,6 +7,7 @@ from typing import no_type_check
 
 import numpy as np
 from jaxtyping import Float32, UInt8
+from scipy.ndimage import binary_dilation, label
 from scipy.spatial import KDTree
 
 from dynamictree.errors import InputError
@@ -24,6 +25,7 @@ MAX_FACES = 100_000
 _LEAST_SIGMA = 0.5  # cells: thinner Gaussians are widened so that none falls between the cells
 _REACH = 2.5  # standard deviations; beyond, a Gaussian adds less than a sixth of the level
 _BORDER = 3  # empty cells around, so that the surface closes
+_BRIDGED = 2  # cells: gaps of up to twice as many in a hollow capture count as closed
 _STRAYS = 0.002  # of Gaussians at each end of an axis, if they lie far out, do not widen the grid
 _FAR_OUT = 0.1  # of the extent of the others
 
@@ -48,6 +50,7 @@ def mesh_of_cloud(cloud: GaussianCloud, *, cells_along: int = CELLS_ALONG, max_f
     if density.max() <= LEVEL:
         raise InputError(f"the cloud is nowhere denser than {density.max():.2g}; a surface needs more than {LEVEL}")
     density[[0, -1]] = density[:, [0, -1]] = density[:, :, [0, -1]] = 0
+    _fill(density)
     points, faces, _, _ = marching_cubes(density, LEVEL)  # type: ignore[no-untyped-call]
     faces = np.ascontiguousarray(faces[:, ::-1], np.int32)  # outward: opacity falls that way
     if len(faces) > max_faces:
@@ -62,6 +65,25 @@ def mesh_of_cloud(cloud: GaussianCloud, *, cells_along: int = CELLS_ALONG, max_f
         source_up_axis=cloud.source_up_axis,
         source_scale=cloud.source_scale,
     )
+
+
+def _fill(density: Float32[np.ndarray, "X Y Z"]) -> None:
+    """Make what a surface encloses solid: captures are hollow, and a trunk would have a second surface inside.
+
+    Gaps of a few cells are bridged. Below, where no camera and no beam reaches, a surface may be open; a floor
+    closes it.
+    """
+    within = density > LEVEL
+    margin = _BRIDGED + 1  # so that what is outside stays in one piece
+    wall = binary_dilation(np.pad(within, margin), iterations=_BRIDGED)
+    floor = int(np.flatnonzero(within.any(axis=(0, 1)))[0])
+    wall[:, :, : floor + margin + 1] = True
+    regions, _ = label(~wall)
+    enclosed = ~wall & (regions != regions[0, 0, -1])
+    # as far as the wall was thickened, the inside begins earlier
+    inside = binary_dilation(enclosed, iterations=_BRIDGED + 1)[margin:-margin, margin:-margin, margin:-margin]
+    inside[:, :, :floor] = False
+    np.maximum(density, np.float32(2 * LEVEL), out=density, where=inside & ~within)
 
 
 def opacity_grid(

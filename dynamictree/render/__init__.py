@@ -1,20 +1,25 @@
 """Pictures of meshes on the CPU: a rasteriser in numba, no GL and no GPU."""
 
 from dynamictree.render.camera import Camera
+from dynamictree.render.ground import Backdrop
 from dynamictree.render.picture import Buffers, Look, Renderer, render_mesh, write_png
 from dynamictree.render.sheet import amplitude_colors, preview_sheet, sway_amplitude
-from dynamictree.render.video import VIDEO_FORMATS, VideoFormat, write_animation
+from dynamictree.render.shot import Shot
+from dynamictree.render.video import VIDEO_FORMATS, VideoFormat, spooled, write_animation
 
 __all__ = [
     "VIDEO_FORMATS",
+    "Backdrop",
     "Buffers",
     "Camera",
     "Look",
     "Renderer",
+    "Shot",
     "VideoFormat",
     "amplitude_colors",
     "preview_sheet",
     "render_mesh",
+    "spooled",
     "sway_amplitude",
     "write_animation",
     "write_png",

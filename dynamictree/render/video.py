@@ -4,7 +4,7 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from itertools import chain
 from typing import Literal, get_args
 
@@ -40,6 +40,25 @@ def write_animation(
         _write_mp4(same_size, first.shape, stream, fps)
     else:
         _write_pillow(same_size, stream, fps, format)
+
+
+@contextmanager
+def spooled(frames: Iterator[UInt8[np.ndarray, "H W 3"]]) -> Iterator[UInt8[np.ndarray, "T H W 3"]]:
+    """Pictures of one size on disk, for those who go through them more than once; gone at the end.
+
+    Raises:
+        InputError: no frames.
+    """
+    with tempfile.TemporaryFile() as spool:
+        shape: tuple[int, ...] = ()
+        count = 0
+        for frame in frames:
+            spool.write(np.ascontiguousarray(frame).tobytes())
+            shape, count = frame.shape, count + 1
+        if count == 0:
+            raise InputError("there are no frames; at least one is needed")
+        spool.flush()
+        yield np.memmap(spool, np.uint8, "r", shape=(count, *shape))
 
 
 def _of_one_size(

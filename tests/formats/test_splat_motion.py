@@ -54,7 +54,7 @@ def frames_of(splat: AnimatedSplat, count: int = 4) -> Iterator[np.ndarray]:
 def test_the_archive_holds_the_frames_where_the_capture_lay(splat: AnimatedSplat, degree: int) -> None:
     binding = lighter(splat.binding, sh_degree=degree)
     content = b"".join(iter_splat_sequence_zip(binding, frames_of(splat), first_number=7))
-    assert len(content) == splat_sequence_bytes(binding, 4, first_number=7)
+    assert len(content) == splat_sequence_bytes(binding.cloud.num_gaussians, binding.cloud.sh_degree, 4, first_number=7)
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         assert archive.testzip() is None
         assert archive.namelist() == [f"frame_{n:04d}.ply" for n in range(7, 11)]

@@ -1,0 +1,58 @@
+"""`cloud.safetensors`: a `Capture` as one process hands it to another, in metres and +Z up.
+
+Internal: written by the process that parses an upload, read by those that must not parse it again.
+"""
+
+from io import BytesIO
+
+import numpy as np
+from jaxtyping import Shaped
+
+from dynamictree.formats.mesh_bundle import read_mesh_bundle, write_mesh_bundle
+from dynamictree.formats.stream import ByteReader, ByteWriter
+from dynamictree.formats.tensor_file import number, read_tensors, take_tensor, write_tensors
+from dynamictree.gaussian.capture import Capture
+from dynamictree.gaussian.cloud import GaussianCloud
+
+FORMAT, VERSION = "cloud-bundle", "1"
+MAX_BYTES = 3 << 30
+_SHAPES: dict[str, tuple[int | None, ...]] = {
+    "means": (None, 3),
+    "quaternions": (None, 4),
+    "scales": (None, 3),
+    "opacity": (None,),
+    "sh": (None, None, 3),
+}
+
+
+def write_cloud_bundle(capture: Capture, stream: ByteWriter) -> None:
+    """Write everything, exactly."""
+    cloud = capture.cloud
+    tensors: dict[str, Shaped[np.ndarray, ...]] = {name: getattr(cloud, name) for name in _SHAPES}
+    if capture.mask is not None:
+        tensors["mask"] = capture.mask.astype(np.uint8)
+    if capture.mesh is not None:
+        packed = BytesIO()
+        write_mesh_bundle(capture.mesh, packed)
+        tensors["mesh"] = np.frombuffer(packed.getvalue(), np.uint8)
+    told = {"source_up_axis": cloud.source_up_axis, "source_scale": repr(float(cloud.source_scale))}
+    write_tensors(stream, tensors, {"format": FORMAT, "version": VERSION} | told)
+
+
+def read_cloud_bundle(stream: ByteReader) -> Capture:
+    """Undo `write_cloud_bundle`.
+
+    Raises:
+        FormatError: it is no such file, or of another version.
+        InputError: what is in it cannot be used.
+    """
+    tensors, metadata = read_tensors(stream, file_format=FORMAT, version=VERSION, max_bytes=MAX_BYTES)
+    parts = {name: take_tensor(tensors, name, dtypes=("float32",), shape=shape) for name, shape in _SHAPES.items()}
+    mask = take_tensor(tensors, "mask", dtypes=("uint8",), shape=(None,)) if "mask" in tensors else None
+    return Capture(
+        cloud=GaussianCloud(
+            **parts, source_up_axis=metadata["source_up_axis"], source_scale=number(metadata, "source_scale")
+        ),
+        mask=None if mask is None else mask.astype(np.bool_),
+        mesh=read_mesh_bundle(BytesIO(tensors["mesh"].tobytes())) if "mesh" in tensors else None,
+    )

@@ -1,0 +1,30 @@
+"""Which Gaussians of a cloud may move, as NumPy's `.npy`: one bool or 0 and 1 a Gaussian, in the cloud's order."""
+
+import numpy as np
+from jaxtyping import Bool
+
+from dynamictree.errors import FormatError
+from dynamictree.formats.seekable import SeekableReader, remaining_bytes
+from dynamictree.gaussian.cloud import MAX_GAUSSIANS
+
+_MAX_HEADER_BYTES = 4096
+
+
+def read_mask(stream: SeekableReader) -> Bool[np.ndarray, " G"]:
+    """Read a mask.
+
+    Raises:
+        FormatError: no `.npy` file, too large, or not one row of bools or of 0 and 1.
+    """
+    size = remaining_bytes(stream)
+    if size > MAX_GAUSSIANS + _MAX_HEADER_BYTES:
+        raise FormatError(f"the mask is {size:,} bytes; a byte a Gaussian, at most {MAX_GAUSSIANS:,}, is allowed")
+    try:
+        mask = np.lib.format.read_array(stream, allow_pickle=False, max_header_size=_MAX_HEADER_BYTES)
+    except (ValueError, EOFError, MemoryError) as error:
+        raise FormatError(f"the mask is no .npy file: {str(error)[:200]}") from error
+    if mask.dtype.name not in ("bool", "uint8") or mask.ndim != 1 or (mask.size and mask.max() > 1):
+        found = f"{mask.dtype.name} {list(mask.shape)}"
+        raise FormatError(f"the mask is {found}; one row of bool, or of uint8 that are 0 or 1, is allowed")
+    result: Bool[np.ndarray, " G"] = mask.astype(np.bool_)
+    return result

@@ -1,0 +1,88 @@
+"""What someone sends as the shape of a tree: a mesh, or a cloud with a mask or a mesh beside it."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from io import BytesIO
+from typing import Literal
+
+from dynamictree.errors import FormatError
+from dynamictree.formats.cloud_file import CLOUD_TYPES, cloud_kind, read_cloud
+from dynamictree.formats.mask_file import read_mask
+from dynamictree.formats.mesh_file import read_mesh, sniff_file_type
+from dynamictree.formats.seekable import SeekableReader
+from dynamictree.gaussian.capture import Capture
+
+SourceKind = Literal["mesh", "cloud"]
+ONLY_CLOUDS = ("splat", "spz", "las", "laz")
+"""Endings that mean a cloud whatever stands beside it."""
+MASK_NAME = "mask.npy"
+HEAD_BYTES = 64 * 1024
+_SOG = "SOG files are not read: no library is kept for them; convert it with `splat-transform tree.sog tree.ply`"
+
+
+def source_kind(stream: SeekableReader, name: str) -> tuple[SourceKind, str]:
+    """Whether a file is a mesh or a cloud, and its type for the readers; the stream is left at its start.
+
+    Raises:
+        FormatError: it is neither, or a header breaks its format's rules.
+    """
+    ending = name.rpartition(".")[2].lower()
+    if ending == "sog":
+        raise FormatError(_SOG)
+    if ending in ("splat", "spz"):
+        return "cloud", ending
+    stream.seek(0)
+    file_type = sniff_file_type(stream.read(HEAD_BYTES), name)
+    stream.seek(0)
+    if file_type in ("points", "las"):
+        return "cloud", "txt" if file_type == "points" else "las"
+    if file_type in ("ply", "glb") and cloud_kind(stream, file_type=file_type) != "mesh":
+        return "cloud", file_type
+    return "mesh", file_type
+
+
+def read_capture(
+    stream: SeekableReader,
+    *,
+    file_type: str,
+    up_axis: str | None = None,
+    unit_m: float | None = None,
+    mask: SeekableReader | None = None,
+    mesh: tuple[str, SeekableReader] | None = None,
+    companions: Mapping[str, bytes] | None = None,
+) -> Capture:
+    """Read a cloud and what came with it, in metres and +Z up.
+
+    Args:
+        stream: the cloud's file, at its start.
+        file_type: such as `source_kind` gives.
+        up_axis: the file's; its format's habit if unset.
+        unit_m: metres a unit of the file, by default 1.
+        mask: which Gaussians may move (`MASK_NAME`).
+        mesh: name and content of a mesh that lies where the cloud lies, in the same axes and units.
+        companions: files that the mesh may name.
+
+    Raises:
+        InputError: one of the files cannot be read, or they do not fit together.
+    """
+    assert file_type in CLOUD_TYPES
+    cloud = read_cloud(stream, file_type=file_type, up_axis=up_axis, unit_m=unit_m)
+    capture = Capture(cloud=cloud, mask=None if mask is None else read_mask(mask))
+    if mesh is None:
+        return capture
+    name, content = mesh
+    kind, mesh_type = source_kind(content, name)
+    if kind != "mesh":
+        raise FormatError(
+            f"{name!r} is a cloud, and so is the file beside it; send one cloud, and a mesh if you have one"
+        )
+    return replace(
+        capture,
+        mesh=read_mesh(
+            BytesIO(content.read()),
+            file_type=mesh_type,
+            up_axis=cloud.source_up_axis,
+            unit_m=cloud.source_scale,
+            companions=companions,
+        ),
+    )
