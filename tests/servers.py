@@ -49,7 +49,7 @@ class Server:
                 start_new_session=True,
                 preexec_fn=die_with_parent,  # noqa: PLW1509 (it only calls the kernel)
             )
-        _yield_as_we_do(self.process.pid)
+        yield_as_we_do(self.process.pid)
         if wait:
             self.wait_ready()
 
@@ -88,7 +88,7 @@ class Server:
         return self.log.read_text(errors="replace")[-4000:]
 
 
-def _yield_as_we_do(pid: int) -> None:
+def yield_as_we_do(pid: int) -> None:
     """Give a new session our session's niceness; Linux schedules sessions, and each begins at 0."""
     ours = Path("/proc/self/autogroup")
     with suppress(OSError):

@@ -1,0 +1,227 @@
+"""An hour of everyday traffic, and what every process weighs meanwhile.
+
+`python -m tests.faults.soak --minutes 60`: `dynamictree serve` as a user starts it, with a short retention so that a
+steady state is reached. Prints a line a minute and a summary; exits with 1 if a process grew or an answer was wrong.
+"""
+
+import argparse
+import json
+import random
+import statistics
+import sys
+import tempfile
+import time
+from collections import Counter, defaultdict
+from contextlib import suppress
+from dataclasses import dataclass, field
+from hashlib import sha256
+from pathlib import Path
+
+import httpx
+import numpy as np
+import psutil
+
+from tests.faults.conftest import Service, start, stop
+from tests.faults.shapes import bumpy_sphere
+from tests.servers import yield_as_we_do
+
+SAMPLE_S = 15.0
+WARM_SHARE = 0.25
+"""The first quarter is left out: models, caches and pools fill."""
+
+GROWTH_SHARE, GROWTH_MIB = 0.08, 16.0
+"""What the line through a process's samples may rise in an hour, whichever is more."""
+
+SETTINGS = {
+    "DYNAMICTREE_LEASE_S": "60",
+    "DYNAMICTREE_HEARTBEAT_S": "10",
+    "DYNAMICTREE_WORKER_THREADS": "1",
+    "DYNAMICTREE_SPECTRUM_CACHE_BYTES": str(8 * 2**20),  # full within the warm-up
+    "DYNAMICTREE_ARTIFACT_RETENTION_S": "300",
+    "DYNAMICTREE_ASSET_RETENTION_S": "300",
+    "DYNAMICTREE_JOB_RETENTION_S": "300",
+    "DYNAMICTREE_RETENTION_INTERVAL_S": "20",
+    "DYNAMICTREE_WORKER_TASKS_PER_CHILD": "1000",  # no fresh process hides a leak
+}
+ENDED = {"succeeded", "failed", "canceled", "aborted"}
+PARAMS = {"num_steps": 3, "formats": ["motion", "ply"]}
+
+
+def role(process: psutil.Process) -> str:
+    """What a process of the service does, by its command."""
+    words = " ".join(process.cmdline())
+    if "valkey" in words:
+        return "redis"
+    for name, sign in (
+        ("api", "uvicorn"),
+        ("heartbeat", "worker.heartbeat"),
+        ("housekeeper", "worker.housekeeper"),
+        ("parser", "worker.parse"),
+    ):
+        if sign in words:
+            return name
+    if "celery" in words:
+        parent = process.parent()
+        return "pool" if parent is not None and "celery" in " ".join(parent.cmdline()) else "worker"
+    return "serve" if "dynamictree.cli" in words else "other"
+
+
+@dataclass(kw_only=True)
+class Scales:
+    """Memory of every role over time. USS where it can be read: what ends with the process."""
+
+    at_s: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
+    mib: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
+    files: dict[str, list[int]] = field(default_factory=lambda: defaultdict(list))
+
+    def weigh(self, root: int, now_s: float) -> None:
+        main = psutil.Process(root)
+        for process in [main, *main.children(recursive=True)]:
+            with suppress(psutil.NoSuchProcess, psutil.AccessDenied):
+                name = role(process)
+                if name in ("parser", "other"):
+                    continue
+                self.at_s[name].append(now_s)
+                self.mib[name].append(process.memory_full_info().uss / 2**20)
+                self.files[name].append(process.num_fds())
+
+    def slopes(self, until_s: float) -> dict[str, dict[str, float]]:
+        """Line through each role's samples after the warm-up."""
+        told = {}
+        for name, weights in self.mib.items():
+            at, mib = np.array(self.at_s[name]), np.array(weights)
+            late = at > until_s * WARM_SHARE
+            if late.sum() < 3:
+                continue
+            slope, _ = np.polyfit(at[late] / 3600, mib[late], 1)
+            told[name] = {
+                "mib": round(float(np.median(mib[late])), 1),
+                "mib_first": round(float(mib[late][0]), 1),
+                "mib_last": round(float(mib[late][-1]), 1),
+                "slope_mib_per_h": round(float(slope), 2),
+                "files": max(self.files[name]),
+                "samples": int(late.sum()),
+            }
+        return told
+
+
+@dataclass(kw_only=True)
+class Traffic:
+    """One user after the other."""
+
+    service: Service
+    rng: random.Random
+    answers: Counter[str] = field(default_factory=Counter)
+    states: Counter[str] = field(default_factory=Counter)
+    wrong: list[str] = field(default_factory=list)
+    poll_ms: list[float] = field(default_factory=list)
+
+    def visit(self) -> None:
+        """Upload, ask, poll, fetch, push; sometimes wrongly, sometimes with a change of mind."""
+        mesh = bumpy_sphere(20 + self.rng.randrange(10), seed=self.rng.randrange(1 << 30), width=0.2)
+        asset = self.ask("POST", "/v1/assets", {201}, files={"file": ("tree.obj", mesh)}).json()
+        body = {"type": "animate", "asset_id": asset["id"], "seed": self.rng.randrange(99), "params": PARAMS}
+        url = self.ask("POST", "/v1/jobs", {202}, json=body).headers["Location"]
+        if self.rng.random() < 0.1:
+            self.ask("POST", url + "/cancel", {202, 409})
+        job = self.finish(url)
+        self.states[str(job["state"])] += 1
+        for artifact in self.ask("GET", url + "/artifacts", {200}).json()["artifacts"]:
+            content = self.ask("GET", artifact["url"], {200}).content
+            if sha256(content).hexdigest() != artifact["sha256"]:
+                self.wrong.append(f"{artifact['name']} differs from its hash")
+        if job["state"] == "succeeded":
+            self.push(str(job["result"]["spectrum_id"]))  # type: ignore[index]
+        self.ask("GET", "/v1/jobs?limit=50", {200})
+        self.ask("GET", "/v1/jobs/01AAAAAAAAAAAAAAAAAAAAAAAA", {404})
+        self.ask("POST", "/v1/jobs", {422}, json={"type": "nothing"})
+        self.ask("POST", "/v1/assets", {415, 422}, files={"file": ("tree.obj", self.rng.randbytes(2000))})
+
+    def push(self, spectrum_id: str) -> None:
+        force = {"kind": "impulse", "at": {"point_m": [0, 0, 1.5], "radius_m": 1}, "impulse_n_s": [1, 0, 0]}
+        body = {"spectrum_id": spectrum_id, "forces": [force], "dt_s": 1 / 60, "num_frames": 60}
+        self.ask("POST", "/v1/interact", {200}, json=body)
+
+    def finish(self, url: str) -> dict[str, object]:
+        while True:
+            began = time.monotonic()
+            job: dict[str, object] = self.ask("GET", url, {200}).json()
+            self.poll_ms.append(1000 * (time.monotonic() - began))
+            if job["state"] in ENDED:
+                return job
+            time.sleep(0.3)
+
+    def ask(self, method: str, path: str, expected: set[int], **content: object) -> httpx.Response:
+        response = self.service.client.request(method, path, **content)  # type: ignore[arg-type]
+        self.answers[str(response.status_code)] += 1
+        if response.status_code not in expected:
+            self.wrong.append(f"{method} {path}: {response.status_code} {response.text[:300]}")
+        return response
+
+
+def run(folder: Path, *, minutes: float, seed: int, pause_s: float) -> dict[str, object]:
+    """Let it run so long, and tell what was seen."""
+    service = start(folder / "state", **SETTINGS)
+    for child in psutil.Process(service.process.pid).children():
+        yield_as_we_do(child.pid)
+    scales, traffic = Scales(), Traffic(service=service, rng=random.Random(seed))
+    began = weighed = told = time.monotonic()
+    visits = 0
+    try:
+        while (now := time.monotonic()) - began < minutes * 60:
+            traffic.visit()
+            visits += 1
+            if now - weighed >= SAMPLE_S:
+                weighed = now
+                scales.weigh(service.process.pid, now - began)
+            if now - told >= 60:
+                told = now
+                latest = {name: round(mib[-1], 1) for name, mib in scales.mib.items()}
+                tell({"minute": round((now - began) / 60, 1), "visits": visits, "mib": latest})
+            time.sleep(pause_s)
+        state_mib = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()) / 2**20
+    finally:
+        code = stop(service)
+    slopes = scales.slopes(minutes * 60)
+    grown = [
+        name for name, seen in slopes.items() if seen["slope_mib_per_h"] > max(GROWTH_MIB, GROWTH_SHARE * seen["mib"])
+    ]
+    return {
+        "minutes": minutes,
+        "seed": seed,
+        "visits": visits,
+        "states": dict(traffic.states),
+        "answers": dict(traffic.answers),
+        "poll_p50_ms": round(statistics.median(traffic.poll_ms), 1),
+        "poll_p99_ms": round(float(np.percentile(traffic.poll_ms, 99)), 1),
+        "state_folder_mib": round(state_mib, 1),
+        "memory": slopes,
+        "grown": grown,
+        "wrong": traffic.wrong[:20],
+        "num_wrong": len(traffic.wrong),
+        "exit": code,
+    }
+
+
+def tell(what: dict[str, object]) -> None:
+    sys.stdout.write(json.dumps(what) + "\n")
+    sys.stdout.flush()
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--minutes", type=float, default=60)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--pause", type=float, default=5, help="seconds between two users")
+    parser.add_argument("--keep", type=Path, help="folder for state and log; a temporary one if unset")
+    given = parser.parse_args()
+    folder = given.keep or Path(tempfile.mkdtemp(prefix="soak-"))
+    folder.mkdir(parents=True, exist_ok=True)
+    told = run(folder, minutes=given.minutes, seed=given.seed, pause_s=given.pause)
+    tell(told)
+    if told["grown"] or told["num_wrong"] or told["exit"]:
+        sys.exit(f"grown: {told['grown']}, wrong answers: {told['num_wrong']}, exit {told['exit']}; see {folder}")
+
+
+if __name__ == "__main__":
+    main()
