@@ -12,7 +12,21 @@ from fastapi.middleware.cors import CORSMiddleware
 from fastapi.responses import Response
 
 from jobs.settings import Settings, read_settings
-from service import artifacts, assets, catalogue, events, health, interact, jobs, modes, problems, spectra, stream
+from service import (
+    artifacts,
+    assets,
+    catalogue,
+    events,
+    health,
+    interact,
+    jobs,
+    modes,
+    pages,
+    problems,
+    spectra,
+    stream,
+    surface,
+)
 from service.context import Context
 from service.middleware import BodyLimit, RequestFrame
 
@@ -25,6 +39,8 @@ ROUTERS = (
     interact.router,
     stream.router,
     modes.router,
+    surface.router,
+    pages.router,
     catalogue.router,
     health.router,
 )

@@ -13,6 +13,7 @@ from service.accept import SAFETENSORS
 from service.context import Ctx
 from service.forces import LARGEST
 from service.routing import Id, refusals
+from service.spectra import load_spectrum
 from service.trees import ready_tree
 
 router = APIRouter(prefix="/v1/spectra", tags=["spectra"])
@@ -35,7 +36,9 @@ BYTES = "application/octet-stream"
 def get_modes(id: Id, context: Ctx) -> Response:
     """Mode shapes in 16 bits, and the bones of the warp. With the coordinates of /v1/interact they give every voxel."""
     tree = ready_tree(context, context.trees, id).tree
-    content = save(mode_tensors(tree.system, tree.bones), mode_metadata(tree.system) | {"spectrum_id": id})
+    lean = np.ascontiguousarray(load_spectrum(context, id).coefficients[:, 0].real)
+    tensors = mode_tensors(tree.system, tree.bones) | {"lean_m": lean}
+    content = save(tensors, mode_metadata(tree.system) | {"spectrum_id": id})
     return Response(content, 200, {"Cache-Control": "private, max-age=86400"}, SAFETENSORS)
 
 

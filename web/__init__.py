@@ -1,0 +1,1 @@
+"""The viewer: what a browser gets at `/`. Plain ES modules, vendored libraries, example trees; no build step."""

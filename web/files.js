@@ -1,0 +1,98 @@
+// The panel's files: what a job has made, what is being made, what could be.
+
+import { hasEnded } from "./client.js";
+import { $, button, element, size } from "./page.js";
+
+const NAMES = {
+  "tree.glb": "Animated GLB", "tree-8-targets.glb": "Animated GLB, 8 targets", "motion.ply.zip": "PLY sequence", "motion.safetensors": "Motion, every frame",
+  "tree.spectrum.safetensors": "Spectrum", "tree.voxels.safetensors": "Voxels", "tree.animated-splat.safetensors": "Animated splat",
+  "mesh.ply": "Reconstructed mesh", "preview.png": "Preview picture", "preview.webp": "Preview, animated", "preview.mp4": "Preview, video",
+};
+const FORMATS = { glb: "GLB", "glb-reduced": "GLB, 8 targets", ply: "PLY sequence", motion: "Motion", png: "Picture", webp: "WebP", mp4: "MP4", splat: "Splat", usd: "USD" };
+const INNER = new Set(["mesh.safetensors"]); // for the stages after
+const ORDER = ["animate", "diffuse", "reconstruct", "voxelize"];
+
+export class Files {
+  constructor(client, { onProblem }) {
+    Object.assign(this, { client, onProblem });
+    this.clear();
+    $("more").ontoggle = () => $("more").open && this._offer();
+  }
+
+  clear() {
+    this.listed = new Map(); // by name
+    this.making = new Map(); // job id to its last state
+    this.job = null;
+    $("artifacts").replaceChildren();
+    $("more").open = false;
+  }
+
+  /** Take a job's state: while it runs its bar is shown, then its files. */
+  async follow(job) {
+    this.job ??= job;
+    const owner = this.job;
+    if (hasEnded(job)) this.making.delete(job.id);
+    else this.making.set(job.id, job);
+    const made = job.result ? await this.client.artifacts(job.id).catch(() => []) : [];
+    if (owner !== this.job) return; // another tree is on the stage by now
+    for (const artifact of made) if (!INNER.has(artifact.name)) this.listed.set(artifact.name, artifact);
+    this._show();
+  }
+
+  _show() {
+    const rank = ({ stage, name }) => [ORDER.indexOf(stage), name].join(" ");
+    const all = [...this.listed.values()].sort((a, b) => (rank(a) < rank(b) ? -1 : 1));
+    const items = all.map((artifact) => element("li", {}, this._link(artifact)));
+    for (const { progress, params } of this.making.values()) {
+      const wanted = (params.formats ?? []).map((format) => FORMATS[format] ?? format).join(", ");
+      items.unshift(element("li", { className: "making" }, `Writing ${wanted}`, element("progress", { max: 1, value: progress })));
+    }
+    $("artifacts").replaceChildren(...items);
+  }
+
+  _link({ name, bytes, url }) {
+    const link = element("a", { href: url, download: name }, element("b", {}, NAMES[name] ?? name), element("small", {}, size(bytes)), element("small", {}, name));
+    // a link sends no key
+    if (this.client.key) link.onclick = (event) => { event.preventDefault(); this._save(name, url); };
+    return link;
+  }
+
+  async _save(name, url) {
+    try {
+      const blob = URL.createObjectURL(new Blob([await this.client.bytes(url)]));
+      element("a", { href: blob, download: name }).click();
+      setTimeout(() => URL.revokeObjectURL(blob), 60_000);
+    } catch (error) {
+      this.onProblem(error);
+    }
+  }
+
+  /** Formats that the service's own description knows and that are not there yet. */
+  async _offer() {
+    try {
+      this.known ??= formatsOf(await this.client.json("GET", "/openapi.json"));
+    } catch (error) {
+      return this.onProblem(error);
+    }
+    const buttons = this.known.map((format) => element("li", {}, button(FORMATS[format] ?? format.toUpperCase(), (event) => this._make(format, event.target))));
+    $("more-formats").replaceChildren(...buttons);
+  }
+
+  async _make(format, pressed) {
+    pressed.disabled = true;
+    const { type, asset_id, preset, seed, params } = this.job;
+    try {
+      const job = await this.client.createJob({ type, asset_id, preset, seed, params: { ...params, formats: [format] } });
+      await this.client.wait(job.id, { onJob: (now) => this.follow(now) });
+    } catch (error) {
+      if (error.job) this.follow(error.job);
+      this.onProblem(error);
+    }
+    pressed.disabled = false;
+  }
+}
+
+function formatsOf(description) {
+  const { formats } = description.components.schemas.AnimateParams.properties;
+  return formats.items?.enum ?? formats.anyOf?.flatMap((option) => option.items?.enum ?? []) ?? [];
+}
