@@ -40,7 +40,13 @@ STAGES = ("voxelize", "diffuse", "animate")
 VICTIMS = {"worker": 6, "pool": 5, "heartbeat": 1, "api": 5, "redis": 4, "housekeeper": 2, "redis+worker": 2}
 """Who is killed, and how often in comparison."""
 
-LAWS_S = 300.0
+BETWEEN_SHARE = 0.1
+"""Kills that wait for no stage: while a worker starts, while a job is sent or handed out."""
+
+PATIENCE_S = 60.0
+"""How long a kill waits for a stage of its choice."""
+
+LAWS_S = 600.0
 """After the last kill everything that was accepted must have ended within so long."""
 
 _PUBLISHED = re.compile(r"stage (\w+) of job (\w+) published")
@@ -70,11 +76,12 @@ class Client(threading.Thread):
         turn = 0
         asset_id = ""
         while not self.stopped.is_set():
-            if turn % 5 == 0:
+            if turn % 2 == 0:
                 mesh = bumpy_sphere(24 + self.rng.randrange(8), seed=self.rng.randrange(1 << 30), width=0.2)
                 asset_id = self.ask("POST", "/v1/assets", files={"file": ("tree.obj", mesh)})["id"]
             name = f"client-{self.number}-{turn}"
-            body = {"type": "animate", "asset_id": asset_id, "seed": turn, "params": PARAMS}
+            kind = self.rng.choice(list(PARAMS))
+            body = {"type": kind, "asset_id": asset_id, "seed": turn, "params": PARAMS[kind]}
             made = self.ask("PUT", f"/v1/jobs/{name}", json=body)
             url = f"/v1/jobs/{made['id']}"
             with self.ledger.lock:
@@ -111,7 +118,16 @@ class Client(threading.Thread):
             time.sleep(0.5)
 
 
-PARAMS = {"num_steps": 4, "formats": ["motion"]}
+PARAMS: dict[str, dict[str, object]] = {
+    "voxelize": {"resolution": 256},
+    "diffuse": {"num_steps": 4},
+    "animate": {"num_steps": 4, "formats": ["motion"]},
+}
+MADE = {
+    "voxelize": {"tree.voxels.safetensors"},
+    "diffuse": {"tree.voxels.safetensors", "tree.spectrum.safetensors"},
+    "animate": {"tree.voxels.safetensors", "tree.spectrum.safetensors", "motion.safetensors"},
+}
 
 
 @dataclass(kw_only=True)
@@ -129,7 +145,7 @@ class Murderer:
         """One kill, at a random point of a random stage."""
         victim = self.rng.choices(list(VICTIMS), list(VICTIMS.values()))[0]
         stage = self.rng.choice(STAGES)
-        owner = self.await_stage(stage)
+        owner = None if self.rng.random() < BETWEEN_SHARE else self.await_stage(stage)
         self.stages[stage if owner else "between"] += 1
         time.sleep(self.rng.random() * 0.6)
         for part in victim.split("+"):
@@ -142,7 +158,7 @@ class Murderer:
         running = sa.select(t.jobs.c.lease_owner).join(t.stages, t.stages.c.job_id == t.jobs.c.id)
         running = running.where((t.stages.c.name == stage) & (t.stages.c.state == "running"))
         running = running.where(t.jobs.c.lease_owner.is_not(None) & (t.jobs.c.lease_until > sa.bindparam("now")))
-        deadline = time.monotonic() + 12
+        deadline = time.monotonic() + PATIENCE_S
         while time.monotonic() < deadline:
             with self.engine.connect() as connection:
                 owner = connection.execute(running.limit(1), {"now": time.time() + 1}).scalar_one_or_none()
@@ -216,17 +232,18 @@ def broken_laws(ledger: Ledger, engine: sa.Engine, http: httpx.Client, logs: Ite
             broken.append(f"{name} was {seen['state']} and is {None if now is None else now.state}")
         if seen["state"] not in ("succeeded", "canceled"):
             broken.append(f"{name} has {seen['state']}: {seen['error']}")
-        broken += broken_artifacts(http, ledger.accepted[name], whole=seen["state"] == "succeeded")
+        wanted = MADE[str(seen["type"])] if seen["state"] == "succeeded" else None
+        broken += broken_artifacts(http, ledger.accepted[name], wanted)
     published = Counter(match.groups() for text in logs for match in _PUBLISHED.finditer(text))
     broken += [f"stage {stage} of job {job} was published {n} times" for (stage, job), n in published.items() if n > 1]
     return broken
 
 
-def broken_artifacts(http: httpx.Client, url: str, *, whole: bool) -> list[str]:
+def broken_artifacts(http: httpx.Client, url: str, wanted: set[str] | None) -> list[str]:
     manifest = http.get(url + "/artifacts").json()
     names = [artifact["name"] for artifact in manifest["artifacts"]]
-    wanted = {"tree.voxels.safetensors", "tree.spectrum.safetensors", "motion.safetensors"}
-    broken = [f"{url} offers {names}"] if len(set(names)) < len(names) or (whole and set(names) != wanted) else []
+    twice = len(set(names)) < len(names)
+    broken = [f"{url} offers {names}"] if twice or (wanted is not None and set(names) != wanted) else []
     for artifact in manifest["artifacts"]:
         content = http.get(artifact["url"]).content
         if (len(content), sha256(content).hexdigest()) != (artifact["bytes"], artifact["sha256"]):
@@ -311,6 +328,7 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=30, help="kill no more after so long")
     parser.add_argument("--keep", type=Path, help="folder for logs and products; a temporary one if unset")
     given = parser.parse_args()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit("stopped"))  # and so end what was started
     folder = given.keep or Path(tempfile.mkdtemp(prefix="faults-"))
     folder.mkdir(parents=True, exist_ok=True)
     told = run(folder, kills=given.kills, seed=given.seed, clients=given.clients, minutes=given.minutes)

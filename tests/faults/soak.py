@@ -7,6 +7,7 @@ steady state is reached. Prints a line a minute and a summary; exits with 1 if a
 import argparse
 import json
 import random
+import signal
 import statistics
 import sys
 import tempfile
@@ -215,6 +216,7 @@ def main() -> None:
     parser.add_argument("--pause", type=float, default=5, help="seconds between two users")
     parser.add_argument("--keep", type=Path, help="folder for state and log; a temporary one if unset")
     given = parser.parse_args()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit("stopped"))  # and so end what was started
     folder = given.keep or Path(tempfile.mkdtemp(prefix="soak-"))
     folder.mkdir(parents=True, exist_ok=True)
     told = run(folder, minutes=given.minutes, seed=given.seed, pause_s=given.pause)
