@@ -1,5 +1,6 @@
 """The bytes: content-addressed, written once, whole or not at all. A folder on one machine, object storage on many."""
 
+import errno
 import os
 import secrets
 import shutil
@@ -52,10 +53,7 @@ class FolderArtifacts:
         target.parent.mkdir(parents=True, exist_ok=True)
         beside = target.with_name(f".{digest}.{secrets.token_hex(8)}")
         try:
-            with path.open("rb") as source, beside.open("xb") as copy:
-                shutil.copyfileobj(source, copy, CHUNK_BYTES)
-                copy.flush()
-                os.fsync(copy.fileno())
+            _link_or_copy(path, beside)
             beside.chmod(0o444)
             beside.replace(target)
         finally:
@@ -96,6 +94,21 @@ class FolderArtifacts:
 
     def _path(self, digest: str) -> Path:
         return self.root / digest[:2] / digest
+
+
+def _link_or_copy(path: Path, beside: Path) -> None:
+    """Whoever puts a file writes it no more, so on the same disk a second name for it will do."""
+    try:
+        beside.hardlink_to(path.resolve())
+    except OSError as error:
+        if error.errno not in {errno.EXDEV, errno.EPERM, errno.EMLINK, errno.EOPNOTSUPP}:
+            raise
+        shutil.copyfile(path, beside)
+    descriptor = os.open(beside, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 class ObjectArtifacts:

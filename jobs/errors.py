@@ -7,6 +7,7 @@
     ├── ReusedKeyError      the client's key means another request
     ├── QuotaError          the owner has as much as is allowed
     ├── FencedError         another attempt owns the job; this one must stop
+    ├── OutboundError       an address that may not be called, or that does not answer
     └── SettingsError       the settings cannot be used
 
 Each class has a `code` (stable, kebab-case), by which the service chooses status and problem type.
@@ -55,6 +56,12 @@ class FencedError(JobsError):
     """Another attempt owns the job, or it has ended; whoever gets this must stop and publish nothing."""
 
     code = "fenced"
+
+
+class OutboundError(JobsError):
+    """An address that may not be called, or that does not answer."""
+
+    code = "fetch-failed"
 
 
 class SettingsError(JobsError):

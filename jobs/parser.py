@@ -17,14 +17,15 @@ MAX_ANSWER_BYTES = 64 * 1024
 
 
 class ParseRequest(BaseModel):
-    """What the child is asked to read. The first file is the mesh, the others stand beside it."""
+    """What the child is asked to read. The models are first, the others stand beside them."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    kind: AssetKind
+    kind: AssetKind  # whether a model is a mesh or a cloud is told by its bytes
+    num_models: int = 1
     names: tuple[str, ...]
     paths: tuple[Path, ...]
-    prepared: Path  # where the mesh goes, in metres and +Z up
+    prepared: Path  # where the mesh or cloud goes, in metres and +Z up
     up_axis: str | None = None
     unit_m: float | None = None
     memory_bytes: int
@@ -36,6 +37,7 @@ class ParseAnswer(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
+    kind: AssetKind | None = None
     summary: Mapping[str, str | float | int | list[float] | None] | None = None
     code: str | None = None
     message: str = ""

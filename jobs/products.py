@@ -4,10 +4,17 @@ from pathlib import PurePosixPath
 
 MESH = "mesh.ply"  # reconstructed, to look at
 MESH_BUNDLE = "mesh.safetensors"  # reconstructed, for the stages after
+CLOUD_BUNDLE = "cloud.safetensors"  # a splat or scan as it was read, for the stages that move it
 VOXELS = "tree.voxels.safetensors"
 SPECTRUM = "tree.spectrum.safetensors"
 
-_MEDIA_TYPES = {".zip": "application/zip", ".glb": "model/gltf-binary", ".png": "image/png"}
+_MEDIA_TYPES = {
+    ".zip": "application/zip",
+    ".glb": "model/gltf-binary",
+    ".png": "image/png",
+    ".webp": "image/webp",
+    ".mp4": "video/mp4",
+}
 
 
 def media_type(name: str) -> str:

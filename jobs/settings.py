@@ -15,6 +15,9 @@ MIB = 1024**2
 GIB = 1024**3
 DAY_S = 86400.0
 
+RETRY_S = (0.0, 5.0, 300.0, 1800.0, 7200.0, 18000.0, 36000.0, 50400.0, 72000.0, 86400.0)
+"""Seconds from one attempt to tell a webhook to the next: the schedule that Standard Webhooks proposes."""
+
 SOCKET_PATH_LIMIT = 100
 """Linux allows 107 bytes for a unix socket's path."""
 
@@ -29,7 +32,7 @@ class Settings(BaseSettings):
     redis_url: str | None = None
     artifacts_url: str | None = None
 
-    queue: str = Field(default="cpu", pattern=r"^[a-z][a-z0-9-]{0,30}$")
+    queue: str = Field(default="cpu", pattern=r"^[a-z][a-z0-9-]{0,25}$")
     lease_s: float = Field(default=60.0, gt=0)
     heartbeat_s: float = Field(default=10.0, gt=0)
     max_lost_attempts: int = Field(default=2, ge=0, le=20)
@@ -62,6 +65,22 @@ class Settings(BaseSettings):
     parser_memory_bytes: int = Field(default=8 * GIB, ge=256 * MIB)
     parser_cpu_s: int = Field(default=120, ge=1)
     spectrum_cache_bytes: int = Field(default=256 * MIB, ge=0)
+    max_upload_bytes: int = Field(default=4 * GIB, ge=1024)
+    upload_retention_s: float = Field(default=DAY_S, gt=0)
+    max_fetches: int = Field(default=2, ge=1)
+    fetch_time_s: float = Field(default=600.0, gt=0)
+    outbound_hosts: tuple[str, ...] = ()
+    webhook_timeout_s: float = Field(default=15.0, gt=0)
+    webhook_retry_s: tuple[float, ...] = Field(default=RETRY_S, min_length=1, max_length=20)
+    webhook_retention_s: float = Field(default=30 * DAY_S, gt=0)
+    keys: Literal["loopback", "required", "none"] = "loopback"
+    limit_active_jobs: int = Field(default=25, ge=1)
+    limit_bytes: int = Field(default=50 * 10**9, ge=1)
+    limit_creates_per_min: int = Field(default=60, ge=1)
+    limit_reads_per_min: int = Field(default=600, ge=1)
+    limit_chunks_per_min: int = Field(default=6000, ge=1)
+    limit_interact_per_s: int = Field(default=20, ge=1)
+    hosts: tuple[str, ...] = ()
     cors_origins: tuple[str, ...] = ()
     log_level: Literal["DEBUG", "INFO", "WARNING", "ERROR"] = "INFO"
 

@@ -32,7 +32,7 @@ ACTIVE = frozenset(JobState) - TERMINAL
 
 JobType = Literal["reconstruct", "voxelize", "diffuse", "animate"]
 JOB_TYPES: tuple[JobType, ...] = get_args(JobType)
-AssetKind = Literal["mesh", "photos"]
+AssetKind = Literal["mesh", "photos", "cloud"]
 ASSET_KINDS: tuple[AssetKind, ...] = get_args(AssetKind)
 Priority = Literal["high", "normal", "low"]
 StageState = Literal["queued", "running", "succeeded", "failed", "canceled"]
@@ -46,12 +46,16 @@ def states_before(target: JobState) -> frozenset[JobState]:
 def stages_of(job_type: JobType, asset_kind: AssetKind) -> tuple[JobType, ...]:
     """The stages of a job, first to last: what it asks for, and what that needs upstream.
 
+    Photos and clouds first become a mesh.
+
     Raises:
         ConflictError: a mesh cannot be reconstructed.
     """
-    if job_type == "reconstruct" and asset_kind != "photos":
-        raise ConflictError(f"a reconstruct job needs an asset of photos, this one is a {asset_kind}; ask for animate")
-    first = 0 if asset_kind == "photos" else 1
+    if job_type == "reconstruct" and asset_kind == "mesh":
+        raise ConflictError(
+            "a reconstruct job needs an asset of photos or a cloud, this one is a mesh; ask for animate"
+        )
+    first = 1 if asset_kind == "mesh" else 0
     return JOB_TYPES[first : JOB_TYPES.index(job_type) + 1]
 
 

@@ -126,6 +126,20 @@ class Store:
             gone = {"live_fingerprint": None, "deleted_at": self.clock()}
             connection.execute(t.assets.update().where(t.assets.c.id == asset_id).values(**gone))
 
+    def kept_bytes(self) -> int:
+        """What the owner's assets, uploads and products take [bytes]."""
+        now = self.clock()
+        live = t.assets.c.deleted_at.is_(None) & self.mine(t.assets)
+        sums = (
+            sa.select(sa.func.sum(t.assets.c.bytes)).where(live),
+            sa.select(sa.func.sum(t.uploads.c.length)).where(t.uploads.c.asset_id.is_(None) & self.mine(t.uploads)),
+            sa.select(sa.func.sum(t.artifacts.c.bytes))
+            .join(t.jobs, t.jobs.c.id == t.artifacts.c.job_id)
+            .where((t.artifacts.c.expires_at > now) & self.mine(t.jobs)),
+        )
+        with self.reading() as connection:
+            return sum(int(connection.execute(query).scalar_one() or 0) for query in sums)
+
     # -- jobs
 
     def add_job(

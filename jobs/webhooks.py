@@ -29,9 +29,6 @@ MAX_ENDPOINTS = 20
 ROTATION_OVERLAP_S = 86400.0
 """So long an old secret signs beside the new one."""
 
-RETRY_S = (0.0, 5.0, 300.0, 1800.0, 7200.0, 18000.0, 36000.0, 50400.0, 72000.0, 86400.0)
-"""Seconds from one attempt to the next: the schedule that Standard Webhooks proposes."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Endpoint:
@@ -275,7 +272,7 @@ def claim_due(store: "Store", *, lease_s: float, limit: int) -> list[tuple[Deliv
     return claimed
 
 
-def record_try(store: "Store", delivery: Delivery, made: Try, *, retry_s: Sequence[float] = RETRY_S) -> DeliveryState:
+def record_try(store: "Store", delivery: Delivery, made: Try, *, retry_s: Sequence[float]) -> DeliveryState:
     """Write down how an attempt went, and when the next one is due. 410 disables the endpoint."""
     log = [*(asdict(earlier) for earlier in delivery.log), asdict(made)]
     delivered = made.status is not None and 200 <= made.status < 300

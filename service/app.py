@@ -1,5 +1,6 @@
 """The application: routes, middleware, one context."""
 
+import asyncio
 import logging
 import threading
 from collections.abc import AsyncIterator
@@ -26,11 +27,14 @@ from service import (
     spectra,
     stream,
     surface,
+    uploads,
 )
 from service.context import Context
+from service.doors import Doors
 from service.middleware import BodyLimit, RequestFrame
 
 ROUTERS = (
+    uploads.router,
     assets.router,
     jobs.router,
     events.router,
@@ -45,6 +49,27 @@ ROUTERS = (
     health.router,
 )
 """A module a resource; a new one is added here."""
+
+EXPOSED = (
+    "ETag",
+    "Location",
+    "Link",
+    "Retry-After",
+    "RateLimit",
+    "RateLimit-Policy",
+    "X-Request-Id",
+    "Content-Range",
+    "Upload-Offset",
+    "Upload-Length",
+    "Upload-Expires",
+    "Upload-Metadata",
+    "Tus-Resumable",
+    "Tus-Version",
+    "Tus-Extension",
+    "Tus-Max-Size",
+    "Tus-Checksum-Algorithm",
+)
+"""Headers that a page of an allowed origin may read."""
 
 logger = logging.getLogger(__name__)
 
@@ -71,8 +96,15 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     problems.install(app)
     app.add_exception_handler(sa.exc.OperationalError, _on_database_away)
     app.add_middleware(BodyLimit, settings=context.settings)
+    app.add_middleware(Doors, context=context)
     if context.settings.cors_origins:
-        app.add_middleware(CORSMiddleware, allow_origins=list(context.settings.cors_origins), allow_methods=["*"])
+        app.add_middleware(
+            CORSMiddleware,
+            allow_origins=list(context.settings.cors_origins),
+            allow_methods=["*"],
+            allow_headers=["*"],
+            expose_headers=EXPOSED,
+        )
     app.add_middleware(RequestFrame)
     return app
 
@@ -90,7 +122,10 @@ def serving_app() -> FastAPI:
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     context: Context = app.state.context
     context.store.check()
+    ingest = asyncio.create_task(context.ingest.run())
     yield
+    ingest.cancel()
+    await asyncio.gather(ingest, return_exceptions=True)
     context.close()
 
 

@@ -3,20 +3,27 @@
 import asyncio
 import threading
 from collections import OrderedDict
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Generic, TypeVar
 
-from fastapi import Depends, Request
+from fastapi import Depends
+from starlette.requests import HTTPConnection
 
 from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.artifacts import ArtifactStore, open_artifacts
+from jobs.outbound import Outbound
+from jobs.parts import PartStore, open_parts
 from jobs.settings import Settings
 from jobs.store import Store
+from service.callers import ANYONE, CALLER, Caller
+from service.receiving import Receivers
 
 if TYPE_CHECKING:
     from redis import Redis
 
+    from service.ingest import Ingest
     from service.trees import ReadyTrees
 
 REDIS_TIMEOUT_S = 2.0
@@ -50,40 +57,99 @@ class SpectrumCache:
         return sum(kept.coefficients.nbytes + kept.grid.coords.nbytes for kept in self._spectra.values())
 
 
+T = TypeVar("T")
+_MAKING = threading.RLock()
+
+
+class _Shared(Generic[T]):
+    """A property that is made at its first use, once for a context and every view of it."""
+
+    def __init__(self, make: Callable[[Any], T]) -> None:
+        self.make = make
+        self.__doc__ = make.__doc__
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = name
+
+    def __get__(self, seen: "Context", owner: type) -> T:
+        whole = seen.whole or seen
+        with _MAKING:
+            if self.name not in whole.__dict__:
+                whole.__dict__[self.name] = self.make(whole)
+        made: T = whole.__dict__[self.name]
+        seen.__dict__[self.name] = made
+        return made
+
+
 @dataclass(frozen=True)
 class Context:
-    """One process's settings and connections, opened at their first use."""
+    """One process's settings and connections, opened at their first use; or what one caller may see of them."""
 
     settings: Settings
+    caller: Caller = ANYONE
+    whole: "Context | None" = None
+
+    def seen_by(self, caller: Caller) -> "Context":
+        """The context as a caller may see it: what others own is not there."""
+        return self if caller.owner is None else replace(self, caller=caller, whole=self)
+
+    def for_owner(self, owner: str) -> "Context":
+        """The context as one owner may see it, whoever asks; the empty owner has what was made without a key."""
+        return self.seen_by(Caller(owner=owner))
 
     @cached_property
     def store(self) -> Store:
         """The job store."""
+        if self.whole is not None:
+            assert self.caller.owner is not None
+            return self.whole.store.for_owner(self.caller.owner)
         return Store.open(self.settings.resolved_database_url)
 
-    @cached_property
+    @_Shared
+    def parts(self) -> PartStore:
+        """Uploads that are not whole yet."""
+        return open_parts(self.settings.resolved_artifacts_url)
+
+    @_Shared
+    def receivers(self) -> Receivers:
+        """Requests that write uploads."""
+        return Receivers()
+
+    @_Shared
+    def ingest(self) -> "Ingest":
+        """What makes assets without being waited for."""
+        from service.ingest import Ingest
+
+        return Ingest(self)
+
+    @_Shared
+    def outbound(self) -> Outbound:
+        """The way to addresses that clients name."""
+        return Outbound(private_hosts=self.settings.outbound_hosts)
+
+    @_Shared
     def artifacts(self) -> ArtifactStore:
         """The bytes."""
         return open_artifacts(self.settings.resolved_artifacts_url)
 
-    @cached_property
+    @_Shared
     def spectra(self) -> SpectrumCache:
         """Spectra in memory."""
         return SpectrumCache(self.settings.spectrum_cache_bytes)
 
-    @cached_property
+    @_Shared
     def trees(self) -> "ReadyTrees":
         """Trees made ready to be pushed."""
         from service.trees import ReadyTrees
 
         return ReadyTrees(self.settings.spectrum_cache_bytes)
 
-    @cached_property
+    @_Shared
     def parsing(self) -> asyncio.Semaphore:
         """How many uploads may be read at once."""
         return asyncio.Semaphore(self.settings.max_parsers)
 
-    @cached_property
+    @_Shared
     def redis(self) -> "Redis":
         """The broker, only to ask whether it is there."""
         from redis import Redis
@@ -100,10 +166,11 @@ class Context:
             self.redis.close()
 
 
-async def context_of(request: Request) -> Context:
-    """The context of the application that serves this request. Async: a plain function would cost a thread."""
-    context: Context = request.app.state.context
-    return context
+async def context_of(connection: HTTPConnection) -> Context:
+    """The context of the application, as the caller may see it. Async: a plain function would cost a thread."""
+    context: Context = connection.app.state.context
+    caller: Caller = connection.scope.get(CALLER, ANYONE)
+    return context.seen_by(caller)
 
 
 Ctx = Annotated[Context, Depends(context_of)]

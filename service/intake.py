@@ -11,8 +11,9 @@ from starlette.concurrency import run_in_threadpool
 from jobs.artifacts import hash_file
 from jobs.attempts import touch_blob
 from jobs.parser import ParseRequest, parse
+from jobs.products import CLOUD_BUNDLE, MESH_BUNDLE
 from jobs.records import AssetPart, AssetRecord, Json
-from jobs.states import AssetKind
+from jobs.states import ASSET_KINDS, AssetKind
 from jobs.store import new_id
 from service.archives import is_zip, unpack
 from service.context import Context
@@ -20,6 +21,9 @@ from service.multipart import Form, ReceivedFile
 from service.problems import ProblemError
 
 MESH_SUFFIXES = (".obj", ".ply", ".glb", ".gltf", ".stl")
+POINT_SUFFIXES = (".xyz", ".txt", ".csv", ".asc", ".pts")
+CLOUD_SUFFIXES = (".ply", ".splat", ".spz", ".glb", ".las", ".laz", *POINT_SUFFIXES)
+MASK_NAME = "mask.npy"
 PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp")
 MIN_PHOTOS = 8
 MAX_PHOTOS = 300
@@ -30,9 +34,10 @@ FIELDS = ("kind", "up_axis", "unit_m")
 
 @dataclass(frozen=True, kw_only=True)
 class Upload:
-    """Files that make one asset, the mesh first, and how to read them."""
+    """Files that make one asset, the models first, and how to read them."""
 
-    kind: AssetKind
+    kind: AssetKind  # whether a model is a mesh or a cloud is told by its bytes
+    num_models: int = 1
     files: tuple[ReceivedFile, ...]
     up_axis: str | None
     unit_m: float | None
@@ -45,29 +50,36 @@ class Upload:
 
 
 def sort_out(form: Form, folder: Path) -> Upload:
-    """Tell mesh, companions and photos apart; unpack a zip.
+    """Tell models, companions and photos apart; unpack a zip.
 
     Raises:
         ProblemError: a field or the set of files is not allowed.
     """
-    up_axis, unit_m = _options(form.fields)
+    up_axis, unit_m = reading_options(form.fields)
     files = form.files
-    if len(files) == 1 and is_zip(files[0].path):
+    if len(files) == 1 and is_zip(files[0].path) and _suffix(files[0]) != ".sog":
         files = unpack(files[0], folder)
     if not files:
         raise ProblemError("validation-failed", "the form has no file; send at least one part with a filename")
     kind = form.fields.get("kind") or ("photos" if all(_suffix(file) in PHOTO_SUFFIXES for file in files) else "mesh")
     if kind == "photos":
         return Upload(kind="photos", files=_photos(files), up_axis=None, unit_m=None)
-    return Upload(kind="mesh", files=_mesh_first(files), up_axis=up_axis, unit_m=unit_m)
+    models = _models(files)
+    beside = tuple(file for file in files if file not in models)
+    return Upload(kind="mesh", num_models=len(models), files=(*models, *beside), up_axis=up_axis, unit_m=unit_m)
 
 
-def _options(fields: dict[str, str]) -> tuple[str | None, float | None]:
+def reading_options(fields: Mapping[str, str]) -> tuple[str | None, float | None]:
+    """Up axis and unit of a form's fields.
+
+    Raises:
+        ProblemError: a field is unknown or not allowed.
+    """
     unknown = sorted(set(fields) - set(FIELDS))
     if unknown:
         raise _field(unknown[0], "unknown-field", f"there is no field {unknown[0]!r}; {', '.join(FIELDS)} are known")
-    if fields.get("kind", "mesh") not in ("mesh", "photos"):
-        raise _field("kind", "not-allowed", f"kind is {fields['kind']!r}; mesh or photos are allowed")
+    if fields.get("kind", "mesh") not in ASSET_KINDS:
+        raise _field("kind", "not-allowed", f"kind is {fields['kind']!r}; {', '.join(ASSET_KINDS)} are allowed")
     up_axis = fields.get("up_axis")
     if up_axis is not None and up_axis not in UP_AXES:
         raise _field("up_axis", "not-allowed", f"up_axis is {up_axis!r}; {', '.join(UP_AXES)} are allowed")
@@ -94,17 +106,24 @@ def _photos(files: list[ReceivedFile]) -> tuple[ReceivedFile, ...]:
     return tuple(files)
 
 
-def _mesh_first(files: list[ReceivedFile]) -> tuple[ReceivedFile, ...]:
-    # a file alone is the mesh whatever its name: its bytes tell
-    meshes = [file for file in files if len(files) == 1 or _suffix(file) in MESH_SUFFIXES]
-    if not meshes:
-        raise _unsupported(files[0], MESH_SUFFIXES)
-    if len(meshes) > 1:
-        found = ", ".join(repr(file.name) for file in meshes[:5])
+def _models(files: list[ReceivedFile]) -> tuple[ReceivedFile, ...]:
+    """The mesh or cloud, or a cloud and a mesh."""
+    if len(files) == 1:
+        return (files[0],)  # whatever its name: its bytes tell
+    certain = [file for file in files if _suffix(file) in {*MESH_SUFFIXES, *CLOUD_SUFFIXES} - {*POINT_SUFFIXES}]
+    points = [file for file in files if _suffix(file) in POINT_SUFFIXES]
+    models = certain or points  # text beside a model is a note or a licence
+    if certain and points and all(_suffix(file) != ".txt" for file in points):
+        models = certain + points
+    if not models:
+        raise _unsupported(files[0], (*MESH_SUFFIXES, *CLOUD_SUFFIXES))
+    if len(models) > 2:
+        found = ", ".join(repr(file.name) for file in models[:5])
         raise ProblemError(
-            "invalid-input", f"there are {len(meshes)} meshes ({found}); send one, and what it names beside it"
+            "invalid-input",
+            f"there are {len(models)} meshes or clouds ({found}); send one, or a cloud and a mesh in the same place",
         )
-    return (meshes[0], *(file for file in files if file is not meshes[0]))
+    return tuple(models)
 
 
 async def admit(context: Context, upload: Upload, folder: Path) -> tuple[AssetRecord, bool]:
@@ -121,6 +140,7 @@ async def admit(context: Context, upload: Upload, folder: Path) -> tuple[AssetRe
     prepared = folder / "prepared"
     request = ParseRequest(
         kind=upload.kind,
+        num_models=upload.num_models,
         names=tuple(_beside(file.name) for file in upload.files),
         paths=tuple(file.path for file in upload.files),
         prepared=prepared,
@@ -133,8 +153,9 @@ async def admit(context: Context, upload: Upload, folder: Path) -> tuple[AssetRe
         answer = await parse(request, context.settings)
     if answer.summary is None:
         raise ProblemError(answer.code or "invalid-input", answer.message)
-    made = prepared if upload.kind == "mesh" else None
-    return await run_in_threadpool(_keep, context, upload, made, answer.summary, expires_at)
+    kind = answer.kind or upload.kind
+    made = None if kind == "photos" else prepared
+    return await run_in_threadpool(_keep, context, replace(upload, kind=kind), made, answer.summary, expires_at)
 
 
 def _keep(
@@ -144,7 +165,8 @@ def _keep(
     mesh = None
     if prepared is not None:
         digest, size = hash_file(prepared)
-        mesh = AssetPart(name="mesh.safetensors", sha256=digest, bytes=size)
+        name = MESH_BUNDLE if upload.kind == "mesh" else CLOUD_BUNDLE
+        mesh = AssetPart(name=name, sha256=digest, bytes=size)
     located = [(file.path, part) for file, part in zip(upload.files, parts, strict=True)]
     if prepared is not None and mesh is not None:
         located.append((prepared, mesh))
@@ -155,7 +177,7 @@ def _keep(
         AssetRecord(
             id=new_id(),
             kind=upload.kind,
-            fingerprint=upload.fingerprint,
+            fingerprint=replace(upload, kind="photos" if upload.kind == "photos" else "mesh").fingerprint,
             parts=parts,
             prepared=mesh,
             summary=summary,

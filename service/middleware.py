@@ -20,6 +20,7 @@ SECURITY_HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Content-Security-Policy": "default-src 'none'; frame-ancestors 'none'",
 }
+TUS_VERSION = "1.0.0"
 _REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,128}")
 
 
@@ -45,6 +46,8 @@ class RequestFrame:
                 started = True
                 headers = MutableHeaders(scope=message)
                 headers["X-Request-Id"] = request_id
+                if scope["path"].startswith("/v1/uploads"):
+                    headers["Tus-Resumable"] = TUS_VERSION
                 for name, value in SECURITY_HEADERS.items():
                     headers.setdefault(name, value)
             await send(message)
@@ -90,7 +93,8 @@ class BodyLimit:
             if counted < 0:
                 return await receive()
             try:
-                message = await asyncio.wait_for(receive(), self.settings.upload_idle_s)
+                async with asyncio.timeout(self.settings.upload_idle_s):
+                    message = await receive()
             except TimeoutError as error:
                 waited = f"no byte of the body came for {self.settings.upload_idle_s:g} s"
                 raise ProblemError("request-timeout", waited, headers={"Connection": "close"}) from error
@@ -111,6 +115,8 @@ def body_limit(path: str, settings: Settings) -> int:
     """How many bytes a body may have."""
     if path == "/v1/assets":
         return settings.max_multipart_bytes
+    if path == "/v1/uploads" or path.startswith("/v1/uploads/"):
+        return settings.max_upload_bytes
     if path.startswith("/v1/interact"):
         return settings.max_interact_bytes
     return settings.max_json_bytes

@@ -2,13 +2,14 @@
 
 import math
 from datetime import UTC, datetime
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from jobs.products import MESH, SPECTRUM, VOXELS
 from jobs.records import ArtifactRecord, AssetRecord, JobRecord
 from jobs.states import AssetKind, JobState, JobType, StageState
+from jobs.uploads import UploadRecord, UploadState
 from service.problems import KINDS, problem_body
 
 MAX_SEED = 2**53 - 1
@@ -40,33 +41,61 @@ class WindPayload(Payload):
     gust: Finite = Field(default=0.3, ge=0, le=2, description="standard deviation of the speed over its mean")
 
 
+Box = tuple[tuple[Finite, Finite, Finite], tuple[Finite, Finite, Finite]]
+
+
+Format = Literal["ply", "glb", "glb-reduced", "motion", "splat-ply", "splat", "png", "webp", "mp4"]
+
+
 class ReconstructParams(Payload):
-    """Photos to mesh: nothing to choose yet."""
+    """Photos or a cloud to a mesh."""
+
+    box_m: Box | None = Field(
+        default=None, description="of a cloud, only what is inside moves: low and high corner [m], +Z up; all if unset"
+    )
 
 
-class VoxelizeParams(Payload):
+class VoxelizeParams(ReconstructParams):
     """Surface to voxels."""
 
     resolution: Literal[32, 64, 128, 256, 512] = Field(default=128, description="voxels along the cube's side")
 
 
-class DiffuseParams(Payload):
+class DiffuseParams(ReconstructParams):
     """Shape to spectrum."""
 
     wind: WindPayload = Field(default_factory=WindPayload)
     num_steps: int | None = Field(default=None, ge=1, le=1000, description="sampler steps; the preset's own if unset")
 
 
-class AnimateParams(DiffuseParams):
-    """Spectrum to motion, and the files that show it."""
+class ShotPayload(Payload):
+    """From where the pictures are taken."""
 
+    side_px: int = Field(default=512, ge=64, le=1080)
+    azimuth_deg: Finite = Field(default=25.0, ge=-360, le=360, description="0 stands at -Y; grows towards +X [°]")
+    elevation_deg: Finite = Field(default=8.0, ge=-30, le=80, description="[°]")
+    orbit: bool = Field(default=False, description="goes around once while the frames go by")
+    ground: bool = Field(default=True, description="a floor with a shadow")
+
+
+class AnimateParams(DiffuseParams):
+    """Spectrum to motion, and the files that show it. `share` and `sh_degree` make splats lighter."""
+
+    first_frame: int = Field(default=0, ge=0, lt=MAX_FRAMES)
     num_frames: int | None = Field(default=None, ge=1, le=MAX_FRAMES, description="one period if unset")
     fps: Finite = Field(default=24.0, ge=1, le=240, description="frames a second; never changes the speed")
     speed: Finite = Field(default=1.0, ge=0.01, le=100, description="times the natural speed")
     loop: bool = Field(default=True, description="refuse a number of frames that is no whole number of periods")
-    formats: tuple[Literal["ply", "glb", "motion", "png"], ...] = Field(
-        default=("ply", "glb", "png"), min_length=1, max_length=4, description="files to make"
+    formats: tuple[Format, ...] | None = Field(
+        default=None,
+        min_length=1,
+        max_length=16,
+        description="files to make; ply, glb and png of a mesh or photos, splat and png of a cloud if unset. "
+        "png comes with every motion",
     )
+    share: Finite = Field(default=1.0, gt=0, le=1, description="of a splat's Gaussians that are kept")
+    sh_degree: int = Field(default=3, ge=0, le=3, description="of a splat's harmonics, at most")
+    shot: ShotPayload = Field(default_factory=ShotPayload)
 
 
 class _JobRequest(Payload):
@@ -130,6 +159,45 @@ class AssetPayload(Payload):
     summary: dict[str, str | int | float | list[float] | None] = Field(
         description="what was found in it; lengths in metres"
     )
+    created_at: Time
+    expires_at: Time
+
+
+class AssetRequest(Payload):
+    """What to make an asset of: uploads that are whole, or an address."""
+
+    upload_ids: list[Annotated[str, Field(pattern="^[0-9A-HJKMNP-TV-Z]{26}$")]] | None = Field(
+        default=None, min_length=1, max_length=320, description="a mesh and what it names, photos, or one zip"
+    )
+    url: str | None = Field(default=None, max_length=2048, description="https; fetched once, redirects are checked too")
+    sha256: str | None = Field(default=None, pattern="^[0-9a-f]{64}$", description="of the file at the address")
+    filename: str | None = Field(default=None, min_length=1, max_length=255, description="the address' own if unset")
+    kind: AssetKind | None = Field(default=None, description="by name if unset")
+    up_axis: Literal["+X", "-X", "+Y", "-Y", "+Z", "-Z"] | None = Field(
+        default=None, description="the format's own if unset"
+    )
+    unit_m: Finite | None = Field(default=None, ge=1e-6, le=1e6, description="metres a unit")
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        if (self.upload_ids is None) == (self.url is None):
+            raise ValueError("give either upload_ids or url")
+        if self.url is None and (self.sha256 or self.filename):
+            raise ValueError("sha256 and filename go with url; those of uploads are in Upload-Metadata")
+        return self
+
+
+class UploadPayload(Payload):
+    """A file that comes in pieces, or from an address."""
+
+    id: str
+    state: UploadState = Field(description="receiving or fetching; received; ready with an asset; failed")
+    filename: str
+    bytes_received: int
+    length: int | None = Field(description="null while an address does not tell")
+    sha256: str | None = Field(description="as promised")
+    asset_id: str | None
+    error: "Problem | None"
     created_at: Time
     expires_at: Time
 
@@ -208,6 +276,7 @@ class EstimatePayload(Payload):
     valid: Literal[True] = True
     est_seconds: float | None = Field(description="median of this service's own history [s]; null without one")
     est_bytes: int | None = Field(description="of all products, likewise")
+    format_bytes: dict[str, int] = Field(description="of the products whose size is known before they are made")
 
 
 class RetryRequest(Payload):
@@ -268,6 +337,29 @@ def asset_payload(asset: AssetRecord) -> AssetPayload:
     )
 
 
+def upload_payload(upload: UploadRecord, size: int) -> UploadPayload:
+    """An upload as it is told, with the bytes that are there."""
+    return UploadPayload(
+        id=upload.id,
+        state=upload.state,
+        filename=upload.filename,
+        bytes_received=size,
+        length=upload.length,
+        sha256=upload.sha256,
+        asset_id=upload.asset_id,
+        error=_problem(upload.error_code, upload.error_message),
+        created_at=time_of(upload.created_at),
+        expires_at=time_of(upload.expires_at),
+    )
+
+
+def _problem(code: str | None, message: str | None) -> Problem | None:
+    if code is None:
+        return None
+    known = code if code in KINDS else "internal-error"
+    return Problem.model_validate(problem_body(known, message or "", request_id=None))
+
+
 def job_payload(job: JobRecord, artifacts: list[ArtifactRecord], queue_position: int | None) -> JobPayload:
     """A job as it is told."""
     stages = [
@@ -281,10 +373,6 @@ def job_payload(job: JobRecord, artifacts: list[ArtifactRecord], queue_position:
         )
         for stage in job.stages
     ]
-    error = None
-    if job.error_code is not None:
-        code = job.error_code if job.error_code in KINDS else "internal-error"
-        error = Problem.model_validate(problem_body(code, job.error_message or "", request_id=None))
     return JobPayload(
         id=job.id,
         type=job.type,
@@ -299,7 +387,7 @@ def job_payload(job: JobRecord, artifacts: list[ArtifactRecord], queue_position:
         eta_s=None,
         stages=stages,
         result=_result(job, artifacts),
-        error=error,
+        error=_problem(job.error_code, job.error_message),
         retry_of=job.retry_of,
         start_deadline_at=_maybe_time(job.start_deadline),
         created_at=time_of(job.created_at),

@@ -54,6 +54,8 @@ KINDS: dict[str, Kind] = {
     ),
     "unstable-timestep": Kind(status=422, title="The time step is not stable", suggestion="Use at most max_dt_s."),
     "bad-request": Kind(status=400, title="The request cannot be read", suggestion="Send well-formed HTTP and JSON."),
+    "unauthorized": Kind(status=401, title="A key is needed", suggestion="Ask the operator for a key."),
+    "forbidden": Kind(status=403, title="That is not allowed", suggestion="Ask the operator, or see docs/keys.md."),
     "not-found": Kind(status=404, title="There is no such thing", suggestion="Check the id and the path."),
     "method-not-allowed": Kind(status=405, title="The method is not allowed here", suggestion="See the Allow header."),
     "not-acceptable": Kind(
@@ -63,6 +65,23 @@ KINDS: dict[str, Kind] = {
         status=408, title="The upload stood still", suggestion="Send it again on a steady line.", retryable=True
     ),
     "conflict": Kind(status=409, title="The state forbids it", suggestion="Look at the state, then decide again."),
+    "upload-offset-conflict": Kind(
+        status=409, title="The upload stands elsewhere", suggestion="Ask where with HEAD, and go on from there."
+    ),
+    "precondition-failed": Kind(status=412, title="The protocol is another one", suggestion="Speak tus 1.0.0."),
+    "checksum-mismatch": Kind(
+        status=460, title="The bytes are not those of the checksum", suggestion="Send them again.", retryable=True
+    ),
+    "fetch-failed": Kind(
+        status=422, title="The address could not be fetched", suggestion="Check it, or upload the file itself."
+    ),
+    "quota-exceeded": Kind(
+        status=429, title="Too much is stored", suggestion="Delete uploads, or wait until products expire."
+    ),
+    "too-many-active-jobs": Kind(
+        status=429, title="Too many of your jobs run", suggestion="Wait for one to end.", retryable=True
+    ),
+    "rate-limited": Kind(status=429, title="Too many requests", suggestion="Wait as Retry-After says.", retryable=True),
     "idempotency-key-reused": Kind(
         status=422, title="The key means another request", suggestion="Use a new Idempotency-Key."
     ),
@@ -161,7 +180,7 @@ def problem_response(
     """The response that tells a problem."""
     body = problem_body(code, detail, request_id=request_id, errors=errors) | dict(extra or {})
     sent = dict(headers or {})
-    if KINDS[code].status == 503:
+    if KINDS[code].status in {429, 503}:
         sent.setdefault("Retry-After", "5")
     return Response(orjson.dumps(body), KINDS[code].status, sent, MEDIA_TYPE)
 

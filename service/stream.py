@@ -41,7 +41,7 @@ from dynamictree.modal.response import Locality, group_forces, with_bin_zero
 from dynamictree.modal.step import State, Step, exact_step, run
 from dynamictree.modal.system import DAMPING_RATIO, ModalSystem, with_physics
 from jobs.errors import JobsError
-from service.context import Context
+from service.context import Context, context_of
 from service.forces import LARGEST, MAX_GROUPS, ForcePayload, library_force, locality_payload
 from service.payloads import Finite, Payload
 from service.problems import ProblemError, known_code, problem_body
@@ -179,7 +179,7 @@ class Session:
 async def stream(socket: WebSocket) -> None:
     """Follow a pointer; see this module's docstring."""
     await socket.accept()
-    context: Context = socket.app.state.context
+    context = await context_of(socket)
     try:
         opened = await _open(socket, context)
         if opened is None:

@@ -73,14 +73,19 @@ def ready_tree(context: Context, trees: ReadyTrees, spectrum_id: str) -> ReadyTr
         artifact = spectrum_artifact(context, spectrum_id)
         tree = InteractiveTree(modal_system(load_spectrum(context, spectrum_id)))
         kept = ReadyTree(tree, artifact.expires_at)
-        trees.put(spectrum_id, kept)
+        trees.put(_key(context, spectrum_id), kept)
     return kept
 
 
 def living_tree(context: Context, trees: ReadyTrees, spectrum_id: str) -> ReadyTree | None:
     """The tree of a spectrum if it is kept in memory and has not expired; asks no store."""
-    kept = trees.get(spectrum_id)
+    kept = trees.get(_key(context, spectrum_id))
     return kept if kept is not None and context.store.clock() < kept.expires_at else None
+
+
+def _key(context: Context, spectrum_id: str) -> str:
+    """An owner finds only what they were allowed to load."""
+    return f"{context.caller.owner or ''}/{spectrum_id}"
 
 
 def with_mesh(context: Context, ready: ReadyTree, spectrum_id: str) -> TriangleMesh:

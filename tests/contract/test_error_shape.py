@@ -42,7 +42,7 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> TestClient:
     def database() -> None:
         raise sa.exc.OperationalError("SELECT secret", {}, Exception("away"))
 
-    return TestClient(app, raise_server_exceptions=False)
+    return TestClient(app, "http://localhost", raise_server_exceptions=False)
 
 
 def test_an_unknown_path(client: TestClient) -> None:
@@ -87,7 +87,7 @@ def test_a_length_that_is_no_number(client: TestClient) -> None:
 
 
 def test_a_form_that_is_none(client: TestClient) -> None:
-    assert_problem(client.post("/v1/assets", json={}), 415, "unsupported-format")
+    assert_problem(client.post("/v1/assets", content=b"x"), 415, "unsupported-format")
 
 
 def test_what_nobody_expected_is_withheld(client: TestClient, caplog: pytest.LogCaptureFixture) -> None:

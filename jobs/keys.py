@@ -1,0 +1,100 @@
+"""API keys: shown once, kept as a hash, revoked by id. A key acts for its owner; an owner may have many."""
+
+import secrets
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from hashlib import sha256
+from typing import Literal, get_args
+
+import sqlalchemy as sa
+
+from jobs import tables as t
+from jobs.errors import NotFoundError
+from jobs.store import Store, new_id
+
+PREFIX = "dt_"
+Scope = Literal["read", "write", "interact", "high-priority"]
+SCOPES: tuple[Scope, ...] = get_args(Scope)
+Limit = Literal["active_jobs", "bytes", "creates_per_min", "reads_per_min", "chunks_per_min", "interact_per_s"]
+LIMITS: tuple[Limit, ...] = get_args(Limit)
+"""Each is a setting `limit_…`; a key may have its own."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class KeyRecord:
+    """A key, without the key."""
+
+    id: str
+    owner: str
+    name: str
+    digest: str
+    scopes: tuple[Scope, ...]
+    limits: Mapping[Limit, int]
+    created_at: float
+    expires_at: float | None = None
+    revoked_at: float | None = None
+
+    def valid(self, now: float) -> bool:
+        """Whether it opens anything at a time."""
+        return self.revoked_at is None and (self.expires_at is None or now < self.expires_at)
+
+
+def create_key(
+    store: Store,
+    *,
+    name: str,
+    owner: str | None = None,
+    scopes: tuple[Scope, ...] = SCOPES,
+    limits: Mapping[Limit, int] | None = None,
+    expires_s: float | None = None,
+) -> tuple[KeyRecord, str]:
+    """Make a key; the second value is the key itself, which is kept nowhere."""
+    key = PREFIX + secrets.token_urlsafe(32)
+    made_id, now = new_id(), store.clock()
+    record = KeyRecord(
+        id=made_id,
+        owner=owner or made_id,
+        name=name,
+        digest=digest_of(key),
+        scopes=scopes,
+        limits=limits or {},
+        created_at=now,
+        expires_at=None if expires_s is None else now + expires_s,
+    )
+    with store.writing() as connection:
+        connection.execute(t.api_keys.insert().values(**asdict(record)))
+    return record, key
+
+
+def digest_of(key: str) -> str:
+    """What is kept of a key. It has 256 random bits, so a plain hash cannot be guessed back."""
+    return sha256(key.encode()).hexdigest()
+
+
+def find_key(store: Store, digest: str) -> KeyRecord | None:
+    """The key of a hash, valid or not."""
+    with store.reading() as connection:
+        row = connection.execute(sa.select(t.api_keys).where(t.api_keys.c.digest == digest)).one_or_none()
+    return None if row is None else _key(row)
+
+
+def keys(store: Store) -> list[KeyRecord]:
+    """Every key, oldest first."""
+    with store.reading() as connection:
+        return [_key(row) for row in connection.execute(sa.select(t.api_keys).order_by(t.api_keys.c.id))]
+
+
+def revoke_key(store: Store, key_id: str) -> None:
+    """Let a key open nothing any more. What its owner made stays.
+
+    Raises:
+        NotFoundError: there is no such key, or it was revoked before.
+    """
+    living = (t.api_keys.c.id == key_id) & t.api_keys.c.revoked_at.is_(None)
+    with store.writing() as connection:
+        if connection.execute(t.api_keys.update().where(living).values(revoked_at=store.clock())).rowcount == 0:
+            raise NotFoundError(f"there is no living key {key_id}; `dynamictree keys list` shows the ids")
+
+
+def _key(row: sa.Row[tuple[object, ...]]) -> KeyRecord:
+    return KeyRecord(**dict(row._mapping) | {"scopes": tuple(row._mapping["scopes"])})

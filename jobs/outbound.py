@@ -1,0 +1,169 @@
+"""Requests that go out because a stranger asked: an address is looked up once, checked, connected to as checked."""
+
+import asyncio
+import ipaddress
+import socket
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+from urllib.parse import SplitResult, urljoin, urlsplit
+
+from jobs.errors import OutboundError
+
+if TYPE_CHECKING:
+    import httpx
+
+Address = ipaddress.IPv4Address | ipaddress.IPv6Address
+Lookup = Callable[[str, int], Awaitable[list[str]]]
+
+CONNECT_S = 10.0
+READ_S = 30.0
+MAX_REDIRECTS = 3
+MAX_URL_CHARS = 2048
+_EMBEDS_V4 = (  # IPv6 addresses that mean an IPv4 address, and where it stands in them
+    (ipaddress.ip_network("64:ff9b::/96"), 0),
+    (ipaddress.ip_network("2002::/16"), 80),
+)
+_NEVER = frozenset({ipaddress.ip_address("168.63.129.16")})  # public by number, inside of a cloud by meaning
+
+
+async def look_up(host: str, port: int) -> list[str]:
+    """Addresses of a name, from the system."""
+    found = await asyncio.get_running_loop().getaddrinfo(host, port, type=socket.SOCK_STREAM)
+    return [str(entry[4][0]) for entry in found]
+
+
+def is_public(address: Address) -> bool:
+    """Whether an address is one that anybody in the world may call."""
+    if isinstance(address, ipaddress.IPv6Address):
+        if address.ipv4_mapped is not None:
+            return is_public(address.ipv4_mapped)
+        if address.teredo is not None or address.is_site_local:
+            return False
+        for network, shift in _EMBEDS_V4:
+            if address in network:
+                return is_public(ipaddress.IPv4Address((int(address) >> shift) & 0xFFFF_FFFF))
+    return address.is_global and not address.is_multicast and address not in _NEVER
+
+
+@dataclass(frozen=True, kw_only=True)
+class Target:
+    """Where a request goes: a URL, and the one address that was checked for it."""
+
+    url: str
+    parts: SplitResult
+    address: str
+
+    @property
+    def pinned_url(self) -> str:
+        """The URL with the address in the place of the name."""
+        shown = f"[{self.address}]" if ":" in self.address else self.address
+        port = f":{self.parts.port}" if self.parts.port is not None else ""
+        return self.parts._replace(netloc=shown + port, fragment="").geturl()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outbound:
+    """The way out. `private_hosts` (host or host:port) may be private and may speak plain HTTP."""
+
+    private_hosts: tuple[str, ...] = ()
+    look_up: Lookup = field(default=look_up)
+
+    async def check(self, url: str) -> Target:
+        """Look a URL's name up and check where it leads.
+
+        Raises:
+            OutboundError: it is no URL that may be called, or leads to a private address.
+        """
+        parts = self.check_form(url)
+        host, port = parts.hostname or "", parts.port or (443 if parts.scheme == "https" else 80)
+        try:
+            found = await asyncio.wait_for(self.look_up(host, port), CONNECT_S)
+        except (OSError, UnicodeError, TimeoutError) as error:
+            raise OutboundError(f"the name {host!r} cannot be looked up") from error
+        addresses = [ipaddress.ip_address(text.partition("%")[0]) for text in found]
+        if not addresses:
+            raise OutboundError(f"the name {host!r} has no address")
+        if not self._private_allowed(parts) and not all(map(is_public, addresses)):
+            raise OutboundError(f"{host!r} leads to an address that is not public; see the setting outbound_hosts")
+        return Target(url=url, parts=parts, address=str(addresses[0]))
+
+    def check_form(self, url: str) -> SplitResult:
+        """Check what can be told without looking the name up.
+
+        Raises:
+            OutboundError: it is no URL that may be called.
+        """
+        try:
+            parts = urlsplit(url)
+            port = parts.port
+        except ValueError as error:
+            raise OutboundError(f"the URL cannot be read: {error}") from error
+        if len(url) > MAX_URL_CHARS or not url.isascii() or any(ord(letter) <= 32 for letter in url):
+            raise OutboundError(f"a URL has at most {MAX_URL_CHARS} printable ASCII characters; encode the others")
+        if not parts.hostname or parts.username is not None or parts.password is not None:
+            raise OutboundError("the URL needs a host, and must not carry a user or password")
+        if self._private_allowed(parts) and parts.scheme in {"http", "https"}:
+            return parts
+        if parts.scheme != "https" or port not in {None, 443}:
+            raise OutboundError(f"only https on port 443 is allowed, found {parts.scheme}, port {port or 'default'}")
+        return parts
+
+    def _private_allowed(self, parts: SplitResult) -> bool:
+        return parts.hostname in self.private_hosts or f"{parts.hostname}:{parts.port}" in self.private_hosts
+
+    @asynccontextmanager
+    async def send(
+        self, target: Target, method: str, *, headers: Mapping[str, str], content: bytes | None = None
+    ) -> "AsyncIterator[httpx.Response]":
+        """Make one request to the checked address, follow nothing; the body is the caller's to read.
+
+        Raises:
+            OutboundError: no answer came.
+        """
+        import httpx
+
+        timeout = httpx.Timeout(READ_S, connect=CONNECT_S)
+        # no proxy, no credentials of this machine; the certificate is the name's, though the address is called
+        async with httpx.AsyncClient(timeout=timeout, trust_env=False, follow_redirects=False) as client:
+            request = client.build_request(
+                method,
+                target.pinned_url,
+                headers={"Accept-Encoding": "identity", **headers, "Host": target.parts.netloc},
+                content=content,
+                extensions={"sni_hostname": target.parts.hostname},
+            )
+            try:
+                response = await client.send(request, stream=True)
+            except httpx.HTTPError as error:
+                raise OutboundError(f"{target.parts.hostname} does not answer: {_told(error)}") from error
+            try:
+                yield response
+            except httpx.HTTPError as error:
+                raise OutboundError(f"{target.parts.hostname} broke off: {_told(error)}") from error
+            finally:
+                await response.aclose()
+
+    @asynccontextmanager
+    async def get(self, url: str) -> "AsyncIterator[httpx.Response]":
+        """GET a URL, following at most `MAX_REDIRECTS` redirects, each checked as the first address was.
+
+        Raises:
+            OutboundError: it may not be called, or what answers is no file.
+        """
+        for _ in range(MAX_REDIRECTS + 1):
+            target = await self.check(url)
+            async with self.send(target, "GET", headers={"Accept": "*/*"}) as response:
+                if response.is_redirect:
+                    url = urljoin(url, response.headers.get("location", ""))
+                    continue
+                if response.status_code != 200:
+                    raise OutboundError(f"{target.parts.hostname} answered {response.status_code}; 200 is needed")
+                yield response
+                return
+        raise OutboundError(f"there were more than {MAX_REDIRECTS} redirects; give the last address itself")
+
+
+def _told(error: Exception) -> str:
+    return str(error) or type(error).__name__

@@ -1,0 +1,129 @@
+"""Rows of uploads: what is coming, how much of it is there, and what became of it."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Literal
+
+import sqlalchemy as sa
+
+from jobs import tables as t
+from jobs.errors import ConflictError, GoneError, NotFoundError
+from jobs.records import Json
+from jobs.store import Store
+
+UploadState = Literal["receiving", "fetching", "received", "ready", "failed"]
+"""Bytes come from a client, or from an address; all are there; an asset was made; it could not be."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class UploadRecord:
+    """One file that someone sends in pieces, or that is fetched from an address."""
+
+    id: str
+    owner: str = ""
+    state: UploadState
+    filename: str
+    options: Mapping[str, Json]
+    length: int | None
+    received: int = 0
+    sha256: str | None = None  # as promised; as found once it is whole
+    source_url: str | None = None
+    make_asset: bool = False  # without being asked for it
+    writer: str | None = None  # the request that may write
+    lease_until: float | None = None  # of the process that fetches, or makes the asset
+    asset_id: str | None = None
+    error_code: str | None = None
+    error_message: str | None = None
+    created_at: float
+    expires_at: float
+
+
+def add_upload(store: Store, upload: UploadRecord) -> UploadRecord:
+    """Keep a new upload."""
+    upload = replace(upload, owner=store.owner or "")
+    with store.writing() as connection:
+        connection.execute(t.uploads.insert().values(**asdict(upload)))
+    return upload
+
+
+def upload(store: Store, upload_id: str) -> UploadRecord:
+    """One upload.
+
+    Raises:
+        NotFoundError, GoneError: there is none, or it has expired.
+    """
+    with store.reading() as connection:
+        return _read(connection, store, upload_id)
+
+
+def change_upload(store: Store, upload_id: str, *, was: tuple[UploadState, ...] = (), **values: object) -> UploadRecord:
+    """Change an upload, if it is still in one of the states `was`.
+
+    Raises:
+        NotFoundError, GoneError: there is none, or it has expired.
+        ConflictError: it has gone on.
+    """
+    with store.writing() as connection:
+        found = _read(connection, store, upload_id)
+        if was and found.state not in was:
+            raise ConflictError(f"upload {upload_id} is {found.state}, not {' or '.join(was)}")
+        if values:
+            connection.execute(t.uploads.update().where(t.uploads.c.id == upload_id).values(**values))
+        return _read(connection, store, upload_id)
+
+
+def delete_upload(store: Store, upload_id: str) -> None:
+    """Forget an upload; its bytes are the caller's to delete.
+
+    Raises:
+        NotFoundError, GoneError: there is none, or it has expired.
+    """
+    with store.writing() as connection:
+        _bury(connection, _read(connection, store, upload_id), now=store.clock())
+
+
+def claim_uploads(store: Store, *, lease_s: float, limit: int) -> list[UploadRecord]:
+    """Uploads that a process should work on by itself and that none does, each ours for `lease_s`."""
+    now = store.clock()
+    waiting = (t.uploads.c.state == "fetching") | ((t.uploads.c.state == "received") & t.uploads.c.make_asset)
+    free = t.uploads.c.lease_until.is_(None) | (t.uploads.c.lease_until < now)
+    with store.reading() as connection:
+        query = sa.select(t.uploads.c.id).where(waiting & free).order_by(t.uploads.c.id).limit(limit)
+        ids = list(connection.execute(query).scalars())
+    claimed = []
+    for upload_id in ids:
+        with store.writing() as connection:
+            this = (t.uploads.c.id == upload_id) & waiting & free
+            if connection.execute(t.uploads.update().where(this).values(lease_until=now + lease_s)).rowcount:
+                row = connection.execute(sa.select(t.uploads).where(t.uploads.c.id == upload_id)).one()
+                claimed.append(UploadRecord(**row._mapping))
+    return claimed
+
+
+def bury_expired(store: Store, *, limit: int = 100) -> list[str]:
+    """Forget uploads past their time; gives the ids of those whose bytes are to be deleted."""
+    now = store.clock()
+    buried = []
+    with store.writing() as connection:
+        old = sa.select(t.uploads).where(t.uploads.c.expires_at < now).limit(limit)
+        for row in connection.execute(old).all():
+            _bury(connection, UploadRecord(**row._mapping), now=now)
+            buried.append(row.id)
+    return buried
+
+
+def _bury(connection: sa.Connection, record: UploadRecord, *, now: float) -> None:
+    connection.execute(t.uploads.delete().where(t.uploads.c.id == record.id))
+    tomb = {"id": record.id, "owner": record.owner, "kind": "upload", "gone_at": now}
+    connection.execute(t.tombstones.insert().values(**tomb))
+
+
+def _read(connection: sa.Connection, store: Store, upload_id: str) -> UploadRecord:
+    this = (t.uploads.c.id == upload_id) & store.mine(t.uploads)
+    row = connection.execute(sa.select(t.uploads).where(this)).one_or_none()
+    if row is not None and row.expires_at > store.clock():
+        return UploadRecord(**row._mapping)
+    tomb = sa.select(t.tombstones.c.id).where((t.tombstones.c.id == upload_id) & store.mine(t.tombstones))
+    if row is not None or connection.execute(tomb).one_or_none() is not None:
+        raise GoneError(f"upload {upload_id} was removed or has expired; begin it anew")
+    raise NotFoundError(f"there is no upload {upload_id}")

@@ -1,0 +1,29 @@
+"""Who asks, what they may do, and how much of it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from jobs.keys import LIMITS, SCOPES, KeyRecord, Limit, Scope
+from jobs.settings import Settings
+
+CALLER = "dynamictree.caller"
+"""Where the doors leave the caller in a request's scope."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Caller:
+    """Who asks. Without an owner: whoever reaches a service that asks for no key; they may see everything."""
+
+    owner: str | None = None
+    key_id: str = ""
+    scopes: tuple[Scope, ...] = SCOPES
+    limits: Mapping[Limit, int] = field(default_factory=dict)  # none where no key is asked for
+
+
+ANYONE = Caller()
+
+
+def caller_of(key: KeyRecord, settings: Settings) -> Caller:
+    """The caller that a key means; its own limits go before the settings'."""
+    limits: dict[Limit, int] = {name: getattr(settings, f"limit_{name}") for name in LIMITS}
+    return Caller(owner=key.owner, key_id=key.id, scopes=key.scopes, limits=limits | dict(key.limits))

@@ -1,0 +1,205 @@
+"""The tus protocol at /v1/uploads, request by request. A real client and broken connections: test_uploads_served.py."""
+
+import base64
+import hashlib
+import time
+from pathlib import Path
+
+import pytest
+from fastapi.testclient import TestClient
+
+from jobs.uploads import bury_expired
+from service.context import Context
+from tests.service.test_assets import MTL, OBJ, left_behind, zipped
+
+TUS = {"Tus-Resumable": "1.0.0"}
+BYTES = TUS | {"Content-Type": "application/offset+octet-stream"}
+
+
+def metadata(**values: str) -> str:
+    return ",".join(f"{name} {base64.b64encode(value.encode()).decode()}" for name, value in values.items())
+
+
+def begin(client: TestClient, length: int, **values: str) -> str:
+    sent = TUS | {"Upload-Length": str(length), "Upload-Metadata": metadata(**values)}
+    response = client.post("/v1/uploads", headers=sent)
+    assert response.status_code == 201, response.text
+    assert response.headers["Tus-Resumable"] == "1.0.0"
+    return str(response.headers["Location"])
+
+
+def append(client: TestClient, url: str, offset: int, content: bytes, **headers: str) -> object:
+    return client.patch(url, content=content, headers=BYTES | {"Upload-Offset": str(offset)} | headers)
+
+
+def whole(client: TestClient, content: bytes, **values: str) -> str:
+    url = begin(client, len(content), **values)
+    assert append(client, url, 0, content).status_code == 204
+    return url.rpartition("/")[2]
+
+
+def test_the_protocol_is_told(client: TestClient) -> None:
+    told = client.options("/v1/uploads")
+    assert told.status_code == 204
+    assert told.headers["Tus-Version"] == "1.0.0"
+    extensions = {"creation", "creation-with-upload", "checksum", "expiration", "termination"}
+    assert set(told.headers["Tus-Extension"].split(",")) == extensions
+    assert "sha1" in told.headers["Tus-Checksum-Algorithm"].split(",")
+    assert int(told.headers["Tus-Max-Size"]) == 4 * 1024**3
+
+
+def test_pieces_become_an_upload_and_uploads_an_asset(client: TestClient, context: Context) -> None:
+    url = begin(client, len(OBJ), filename="tree.obj")
+    for start in range(0, len(OBJ), 40):
+        assert client.head(url, headers=TUS).headers["Upload-Offset"] == str(start)
+        sent = append(client, url, start, OBJ[start : start + 40])
+        assert (sent.status_code, sent.headers["Upload-Offset"]) == (204, str(min(start + 40, len(OBJ))))
+        assert sent.headers["Upload-Expires"].endswith("GMT")
+    stands = client.head(url, headers=TUS)
+    assert stands.headers["Cache-Control"] == "no-store"
+    assert stands.headers["Upload-Length"] == str(len(OBJ))
+    assert stands.headers["Upload-Metadata"] == metadata(filename="tree.obj")
+    ids = [url.rpartition("/")[2], whole(client, MTL, filename="tree.mtl")]
+    assert client.get(url).json()["state"] == "received"
+    made = client.post("/v1/assets", json={"upload_ids": ids, "unit_m": 2})
+    assert made.status_code == 201, made.text
+    assert made.json()["summary"]["extent_m"] == [2.0, 2.0, 4.0]
+    assert [part["name"] for part in made.json()["parts"]] == ["tree.obj", "tree.mtl"]
+    assert made.json()["parts"][0]["sha256"] == hashlib.sha256(OBJ).hexdigest()
+    told = client.get(url).json()
+    assert (told["state"], told["asset_id"]) == ("ready", made.json()["id"])
+    again = client.post("/v1/assets", json={"upload_ids": ids, "unit_m": 2})
+    assert (again.status_code, again.json()["id"]) == (200, made.json()["id"])
+    files = [("file", ("tree.obj", OBJ)), ("file", ("tree.mtl", MTL))]
+    assert client.post("/v1/assets", files=files, data={"unit_m": "2"}).json()["id"] == made.json()["id"]
+    assert left_behind(context) == []
+    assert context.parts.size(ids[0]) == 0
+
+
+def test_an_upload_may_ask_for_its_asset(client: TestClient) -> None:
+    packed = zipped(("tree.obj", OBJ), ("tree.mtl", MTL))
+    sent = TUS | {"Upload-Length": str(len(packed)), "Upload-Metadata": metadata(filename="a.zip", asset="auto")}
+    url = client.post("/v1/uploads", content=packed, headers=BYTES | sent).headers["Location"]
+    told = client.get(url, headers={"Prefer": "wait=30"}).json()
+    assert told["state"] == "ready"
+    assert client.get(f"/v1/assets/{told['asset_id']}").json()["summary"]["num_vertices"] == 4
+
+
+def test_an_upload_that_is_no_tree_says_so(client: TestClient) -> None:
+    id = whole(client, b"hello world\n", filename="tree.obj", asset="auto")
+    told = client.get(f"/v1/uploads/{id}", headers={"Prefer": "wait=30"}).json()
+    assert (told["state"], told["asset_id"], told["error"]["code"]) == ("failed", None, "unsupported-format")
+    assert client.post("/v1/assets", json={"upload_ids": [id]}).status_code == 415
+
+
+def test_an_upload_goes_on_where_it_stands_and_nowhere_else(client: TestClient) -> None:
+    url = begin(client, 10)
+    assert append(client, url, 0, b"12345").status_code == 204
+    for offset in (0, 4, 6):
+        refused = append(client, url, offset, b"x")
+        assert (refused.status_code, refused.json()["code"]) == (409, "upload-offset-conflict")
+        assert refused.headers["Upload-Offset"] == "5"
+    beyond = append(client, url, 5, b"678901")
+    assert (beyond.status_code, beyond.json()["code"]) == (413, "payload-too-large")
+    assert client.head(url, headers=TUS).headers["Upload-Offset"] == "5"
+    assert append(client, url, 5, b"67890").status_code == 204
+    assert append(client, url, 10, b"").status_code == 204
+    assert append(client, url, 5, b"67890").status_code == 409
+
+
+@pytest.mark.parametrize("algorithm", ["sha1", "sha256"])
+def test_bytes_that_are_not_those_of_their_checksum_are_dropped(client: TestClient, algorithm: str) -> None:
+    url = begin(client, 10)
+    assert append(client, url, 0, b"12345").status_code == 204
+    right = f"{algorithm} {base64.b64encode(hashlib.new(algorithm, b'67890').digest()).decode()}"
+    wrong = append(client, url, 5, b"6789x", **{"Upload-Checksum": right})
+    assert (wrong.status_code, wrong.json()["code"]) == (460, "checksum-mismatch")
+    assert client.head(url, headers=TUS).headers["Upload-Offset"] == "5"
+    assert append(client, url, 5, b"67890", **{"Upload-Checksum": right}).status_code == 204
+    for header in ("md4 AAAA", "sha1 not-base64!"):
+        assert append(client, url, 10, b"", **{"Upload-Checksum": header}).status_code == 400
+
+
+def test_a_promised_sha256_is_checked(client: TestClient) -> None:
+    url = begin(client, 5, sha256=hashlib.sha256(b"12345").hexdigest())
+    assert append(client, url, 0, b"1234x").status_code == 460
+    assert client.head(url, headers=TUS).headers["Upload-Offset"] == "0"
+    assert append(client, url, 0, b"12345").status_code == 204
+
+
+@pytest.mark.parametrize(
+    ("headers", "status"),
+    [
+        ({}, 412),
+        ({"Tus-Resumable": "0.2.2", "Upload-Length": "1"}, 412),
+        (TUS, 400),
+        (TUS | {"Upload-Length": "-1"}, 400),
+        (TUS | {"Upload-Length": "0"}, 422),
+        (TUS | {"Upload-Length": str(5 * 1024**3)}, 413),
+        (TUS | {"Upload-Length": "5", "Upload-Metadata": "filename %%%"}, 422),
+        (TUS | {"Upload-Length": "5", "Upload-Metadata": metadata(kind="video")}, 422),
+        (TUS | {"Upload-Length": "5", "Upload-Metadata": metadata(sha256="abc")}, 422),
+        (TUS | {"Upload-Length": "5", "Upload-Metadata": metadata(asset="later")}, 422),
+        (TUS | {"Upload-Length": "5", "Upload-Metadata": metadata(filename="x" * 300)}, 422),
+        (TUS | {"Upload-Length": "5", "Upload-Metadata": "a " + "A" * 9000}, 400),
+    ],
+)
+def test_a_wrong_beginning_is_refused(client: TestClient, headers: dict[str, str], status: int) -> None:
+    assert client.post("/v1/uploads", headers=headers).status_code == status
+
+
+def test_a_wrong_continuation_is_refused(client: TestClient) -> None:
+    url = begin(client, 5)
+    assert client.patch(url, content=b"1", headers=TUS | {"Upload-Offset": "0"}).status_code == 415
+    assert client.patch(url, content=b"1", headers=BYTES).status_code == 400
+    assert client.patch(url, content=b"1", headers=BYTES | {"Upload-Offset": "x"}).status_code == 400
+    assert client.head(url).status_code == 412
+    unknown = "/v1/uploads/01ARZ3NDEKTSV4RRFFQ69G5FAV"
+    assert append(client, unknown, 0, b"1").status_code == 404
+    assert client.head(unknown, headers=TUS).status_code == 404
+    early = client.post("/v1/assets", json={"upload_ids": [url.rpartition("/")[2]]})
+    assert (early.status_code, early.json()["code"]) == (409, "conflict")
+
+
+def test_a_client_that_may_not_send_patch_says_so_in_a_header(client: TestClient) -> None:
+    url = begin(client, 5)
+    instead = BYTES | {"Upload-Offset": "0", "X-HTTP-Method-Override": "PATCH"}
+    assert client.post(url, content=b"12345", headers=instead).status_code == 204
+    assert client.post(url, headers=TUS | {"X-HTTP-Method-Override": "DELETE"}).status_code == 204
+
+
+def test_an_upload_that_is_given_up_is_gone(client: TestClient, context: Context) -> None:
+    url = begin(client, 5)
+    append(client, url, 0, b"123")
+    assert client.delete(url, headers=TUS).status_code == 204
+    for response in (client.head(url, headers=TUS), client.get(url), append(client, url, 3, b"45")):
+        assert response.status_code == 410  # type: ignore[attr-defined]
+    assert context.parts.size(url.rpartition("/")[2]) == 0
+
+
+def test_an_upload_that_is_left_expires(client: TestClient, context: Context) -> None:
+    url = begin(client, 5)
+    append(client, url, 0, b"123")
+    later = time.time() + context.settings.upload_retention_s + 10
+    context.store.clock = lambda: later
+    assert client.head(url, headers=TUS).status_code == 410
+    assert bury_expired(context.store) == [url.rpartition("/")[2]]
+    assert client.get(url).status_code == 410
+
+
+def test_a_full_disk_takes_no_upload(client: TestClient, context: Context, tmp_path: Path) -> None:
+    context.__dict__["settings"] = context.settings.model_copy(update={"min_free_bytes": 1 << 60})
+    response = client.post("/v1/uploads", headers=TUS | {"Upload-Length": "5"})
+    assert (response.status_code, response.json()["code"]) == (503, "disk-full")
+
+
+@pytest.mark.parametrize(
+    "body",
+    [{}, {"upload_ids": [], "kind": "mesh"}, {"upload_ids": ["x"]}, {"url": "https://a.example", "upload_ids": []}],
+)
+def test_an_asset_has_one_source(client: TestClient, body: dict[str, object]) -> None:
+    response = client.post("/v1/assets", json=body)
+    assert (response.status_code, response.json()["code"]) == (422, "validation-failed")
+    too_long = b"{" + b" " * 2_000_000 + b"}"
+    refused = client.post("/v1/assets", content=too_long, headers={"Content-Type": "application/json"})
+    assert refused.status_code == 413
