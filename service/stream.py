@@ -25,6 +25,7 @@ are left out, so that a slow client sees fewer frames, not old ones.
 import asyncio
 import logging
 import time
+from collections import deque
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
@@ -106,7 +107,7 @@ class Session:
     step: Step
     falloff_m: float | None
     frame: int = 0
-    acked: int = 0
+    under_way: deque[int] = field(default_factory=deque)  # frames that were sent and not acknowledged
     skipped: int = 0
     states: dict[Locality | None, State] = field(default_factory=dict)
     held: dict[str, tuple[Locality | None, np.ndarray]] = field(default_factory=dict)  # kind to acceleration [M]
@@ -152,6 +153,11 @@ class Session:
             self.states[locality] = moved
             if not any(at == locality for at, _ in self.held.values()) and self._settled(moved):
                 del self.states[locality]
+
+    def drawn(self, frame: int) -> None:
+        """Take an acknowledgement of every frame up to this one."""
+        while self.under_way and self.under_way[0] <= frame:
+            self.under_way.popleft()
 
     def told(self) -> dict[str, object]:
         """The frame as it is sent."""
@@ -231,7 +237,7 @@ async def _receive(socket: WebSocket, context: Context, spectrum_id: str, ready:
             elif isinstance(message, ReleaseMessage):
                 session.held.pop(message.kind, None)
             else:
-                session.acked = min(max(session.acked, message.frame), session.frame)
+                session.drawn(message.frame)
         except TimeoutError:
             await socket.close(DONE, f"nothing was heard for {IDLE_S:g} s")
             return
@@ -250,7 +256,8 @@ async def _send_frames(socket: WebSocket, session: Session) -> None:
             await session.woken.wait()
             due = time.monotonic()
         session.tick()
-        if session.frame - session.acked <= WINDOW:
+        if len(session.under_way) < WINDOW:
+            session.under_way.append(session.frame)
             await _send(socket, session.told())
             session.skipped = 0
         else:

@@ -16,7 +16,8 @@ from service.context import Context
 
 @pytest.fixture
 def settings(tmp_path: Path) -> Settings:
-    return Settings(state_dir=tmp_path / "state", parser_cpu_s=60)
+    # starlette opens its WebSockets as testserver, whatever the base
+    return Settings(state_dir=tmp_path / "state", parser_cpu_s=60, hosts=("testserver",))
 
 
 @pytest.fixture
