@@ -77,7 +77,7 @@ class Client(threading.Thread):
         asset_id = ""
         while not self.stopped.is_set():
             if turn % 2 == 0:
-                mesh = bumpy_sphere(24 + self.rng.randrange(8), seed=self.rng.randrange(1 << 30), width=0.2)
+                mesh = bumpy_sphere(24 + self.rng.randrange(8), seed=self.rng.randrange(1 << 30), width=0.05)
                 asset_id = self.ask("POST", "/v1/assets", files={"file": ("tree.obj", mesh)})["id"]
             name = f"client-{self.number}-{turn}"
             kind = self.rng.choice(list(PARAMS))
@@ -99,7 +99,7 @@ class Client(threading.Thread):
                 with self.ledger.lock:
                     self.ledger.ended[name] = job
                 return
-            time.sleep(0.2)
+            time.sleep(0.5)
 
     def ask(self, method: str, path: str, *, allowed: tuple[int, ...] = (200, 201, 202), **content: object) -> dict:
         """Ask until there is an answer; a 5xx other than 503 is a broken law."""
@@ -120,8 +120,8 @@ class Client(threading.Thread):
 
 PARAMS: dict[str, dict[str, object]] = {
     "voxelize": {"resolution": 256},
-    "diffuse": {"num_steps": 4},
-    "animate": {"num_steps": 4, "formats": ["motion"]},
+    "diffuse": {"num_steps": 3},
+    "animate": {"num_steps": 3, "formats": ["motion"]},
 }
 MADE = {
     "voxelize": {"tree.voxels.safetensors"},
@@ -164,7 +164,7 @@ class Murderer:
                 owner = connection.execute(running.limit(1), {"now": time.time() + 1}).scalar_one_or_none()
             if owner is not None:
                 return int(owner.rsplit(":", 1)[1])
-            time.sleep(0.03)
+            time.sleep(0.08)
         return None
 
     def kill(self, part: str, owner: int | None) -> None:
