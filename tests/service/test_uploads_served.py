@@ -1,0 +1,137 @@
+"""Uploads against a real server: a tus client that is not ours, connections that break, a server that is killed."""
+
+import gc
+import hashlib
+import io
+import socket
+import time
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import httpx
+import numpy as np
+import pytest
+from tusclient.client import TusClient
+
+from tests.servers import Server, api, object_storage
+from tests.service.test_uploads import BYTES, TUS
+
+LENGTH = 24_000_000
+CONTENT = np.random.default_rng(5).bytes(LENGTH)
+
+
+@contextmanager
+def forgiven() -> Iterator[None]:
+    """The client leaves its connections to the garbage collector."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ResourceWarning)
+        yield
+        gc.collect()
+
+
+@pytest.fixture(scope="module", params=["folder", "objects"])
+def server(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Server, str]]:
+    folder = tmp_path_factory.mktemp("uploads")
+    environment = {"DYNAMICTREE_STATE_DIR": str(folder / "state")}
+    storage = None
+    if request.param == "objects":
+        storage, more = object_storage(folder)
+        storage.start()
+        environment |= more
+    running, url = api(folder, environment)
+    running.start()
+    yield running, url
+    running.stop()
+    if storage is not None:
+        storage.stop()
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("sent") / "tree.bin"
+    path.write_bytes(CONTENT)
+    return path
+
+
+def begin(url: str) -> str:
+    promised = hashlib.sha256(CONTENT).hexdigest()
+    with forgiven(), io.BytesIO(CONTENT) as stream:
+        made = TusClient(url + "/v1/uploads").uploader(
+            file_stream=stream, metadata={"filename": "tree.bin", "sha256": promised}
+        )
+        created: str = made.create_url()
+        del made
+    return created
+
+
+def send_part(url: str, offset: int, stop: int) -> socket.socket:
+    """Promise the whole rest, send up to `stop`, and leave the connection open."""
+    where = urlsplit(url)
+    connection = socket.create_connection((where.hostname, where.port))
+    told = BYTES | {"Host": where.netloc, "Upload-Offset": str(offset), "Content-Length": str(LENGTH - offset)}
+    head = f"PATCH {where.path} HTTP/1.1\r\n" + "".join(f"{name}: {value}\r\n" for name, value in told.items()) + "\r\n"
+    connection.sendall(head.encode() + CONTENT[offset:stop])
+    return connection
+
+
+def stands_at(url: str) -> int:
+    return int(httpx.head(url, headers=TUS).headers["Upload-Offset"])
+
+
+def wait_until_at(url: str, least: int) -> int:
+    deadline = time.monotonic() + 30
+    while (found := stands_at(url)) < least:
+        assert time.monotonic() < deadline, f"{url} stands at {found}, {least} were sent"
+        time.sleep(0.05)
+    return found
+
+
+def finish(url: str, file: Path, **options: object) -> None:
+    """Go on with the tus client, which asks where the upload stands."""
+    with forgiven(), file.open("rb") as stream:
+        TusClient("").uploader(file_stream=stream, url=url, **options).upload()
+    told = httpx.get(url).json()
+    assert (told["state"], told["bytes_received"]) == ("received", LENGTH)
+
+
+def test_a_tus_client_sends_a_file_in_pieces_with_checksums(server: tuple[Server, str], file: Path) -> None:
+    url = begin(server[1])
+    finish(url, file, chunk_size=5_000_000, upload_checksum=True)
+
+
+def test_an_upload_goes_on_at_the_byte_after_a_connection_that_broke(server: tuple[Server, str], file: Path) -> None:
+    url = begin(server[1])
+    send_part(url, 0, 9_000_001).close()
+    assert wait_until_at(url, 9_000_001) == 9_000_001
+    finish(url, file)
+
+
+def test_a_new_connection_takes_over_from_one_that_hangs(server: tuple[Server, str], file: Path) -> None:
+    url = begin(server[1])
+    hanging = send_part(url, 0, 7_000_001)
+    time.sleep(1)  # what was sent is on its way
+    began = time.monotonic()
+    refused = httpx.patch(url, content=b"", headers=BYTES | {"Upload-Offset": "0"})
+    assert refused.status_code == 409
+    assert refused.headers["Upload-Offset"] == "7000001"
+    finish(url, file)
+    assert time.monotonic() - began < 20
+    hanging.close()
+
+
+def test_an_upload_goes_on_after_the_server_was_killed(server: tuple[Server, str], file: Path) -> None:
+    running, base = server
+    url = begin(base)
+    hanging = send_part(url, 0, 20_000_001)
+    deadline = time.monotonic() + 30
+    while stands_at(url) == 0:
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    running.kill()
+    hanging.close()
+    running.start()
+    assert 0 < stands_at(url) <= 20_000_001
+    finish(url, file)
