@@ -1,13 +1,20 @@
 """`dynamictree evaluate`."""
 
 import json
-from typing import Annotated, Any
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dynamictree.training.progress import bars
+from dynamictree.errors import InputError
+from dynamictree.training.progress import OnStep, bars
+
+if TYPE_CHECKING:
+    from dynamictree.training.clip import ImageEmbedder
 
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
+RIVALS = ("sapling",)
 
 
 def evaluate(
@@ -19,45 +26,152 @@ def evaluate(
     steps: Annotated[
         int | None, typer.Option(min=1, max=1000, help="Of the sampler; the preset's own if not given.")
     ] = None,
+    samples: Annotated[
+        Path | None,
+        typer.Option(
+            envvar="DYNAMICTREE_SAMPLES",
+            exists=True,
+            file_okay=False,
+            help="Folder of trees (.npz) that Blender's Sapling add-on baked: a third group.",
+        ),
+    ] = None,
+    rival: Annotated[
+        str | None, typer.Option(help="Instead, move the same meshes by our model and by a rival: sapling.")
+    ] = None,
+    classifier: Annotated[
+        bool, typer.Option(help="Instead, train a classifier to tell generated motions from true ones (long).")
+    ] = False,
+    classifier_trees: Annotated[int, typer.Option(min=20, max=100_000, help="Of each side.")] = 200,
+    max_voxels: Annotated[
+        int, typer.Option(min=1000, max=150_000, help="Leave larger trees out of the classifier, on both sides.")
+    ] = 150_000,
+    clip: Annotated[
+        Path | None,
+        typer.Option(help="CLIP's ViT-B/32 (model.safetensors, or its folder), for CLIP-I and CLIP-T.", exists=True),
+    ] = None,
     threads: Annotated[int, typer.Option(min=1, max=256, help="Of this process.")] = 2,
     as_json: AsJson = False,
 ) -> None:
     """Judge a model on trees that no training saw, beside what it must beat: a table, or JSON."""
     import torch
 
-    from dynamictree.training.evaluation import METHODS, evaluate_model
-
     torch.set_num_threads(threads)
+    if rival is not None and rival not in RIVALS:
+        raise InputError(f"there is no rival {rival!r}; choose {', '.join(RIVALS)}")
+    if rival is not None and classifier:
+        raise InputError("--rival and --classifier are two runs; give one of them")
+    files, embedder = _sapling(samples), _embedder(clip)
     with bars(quiet=as_json) as on_step:
-        report = evaluate_model(
-            model,
-            num_trees=trees,
-            num_known=known_trees,
-            first_seed=first_seed,
-            seed=seed,
-            num_steps=steps,
-            on_step=on_step,
-        )
+        if rival is not None:
+            report = _compare(model, trees, seed, files, embedder, on_step)
+        elif classifier:
+            from dynamictree.training.classifier import classify
+
+            report = classify(model, num_trees=classifier_trees, max_voxels=max_voxels, seed=seed, on_step=on_step)
+        else:
+            from dynamictree.training.evaluation import evaluate_model
+
+            report = evaluate_model(
+                model,
+                num_trees=trees,
+                num_known=known_trees,
+                first_seed=first_seed,
+                seed=seed,
+                num_steps=steps,
+                sapling=files,
+                embedder=embedder,
+                on_step=on_step,
+            )
     if as_json:
         typer.echo(json.dumps(report))
-        return
-    _print_table(report, METHODS)
+    elif rival is not None:
+        print_rivals(report)
+    elif classifier:
+        print_classifier(report)
+    else:
+        print_figures(report)
 
 
-def _print_table(report: dict[str, Any], methods: dict[str, str]) -> None:
+def _sapling(folder: Path | None) -> Sequence[Path]:
+    """The add-on's trees, or one line that there are none."""
+    from dynamictree.training.sapling_file import sapling_files
+
+    if folder is None:
+        typer.echo("no trees of the Sapling add-on: give their folder with --samples to judge on them too", err=True)
+        return ()
+    return sapling_files(folder)
+
+
+def _embedder(weights: Path | None) -> "ImageEmbedder | None":
+    """CLIP, or one line that there is none."""
+    from dynamictree.training.clip import load_clip
+
+    if weights is None:
+        typer.echo("CLIP-I and CLIP-T are left out: give ViT-B/32's weights with --clip to have them", err=True)
+        return None
+    return load_clip(weights)
+
+
+def _compare(
+    model: str,
+    trees: int,
+    seed: int,
+    files: Sequence[Path],
+    embedder: "ImageEmbedder | None",
+    on_step: OnStep,
+) -> dict[str, Any]:
+    from dynamictree.training.rivalry import compare
+
+    return compare(model, num_trees=trees, seed=seed, sapling=files, embedder=embedder, on_step=on_step)
+
+
+def print_figures(report: dict[str, Any]) -> None:
+    """Figures by group, targets, and whether the model passes."""
+    for group, rows in report["groups"].items():
+        _print_columns(f"{group}: mean over {report['trees'][group]} trees", rows)
+    for group, rows in report.get("clip", {}).items():
+        _print_columns(f"{group}: CLIP", rows)
+    seeds = report["seed_difference"]
+    typer.echo(f"difference between two seeds {seeds['model']:.2f}, between two true winds {seeds['truth']:.2f}")
+    for target in report["targets"]:
+        verdict = "met" if target["met"] else f"missed by {target['missed_by']:.3f}"
+        better = ", ".join(target["better_baselines"]) or "none"
+        name = target["figure"].replace("_", " ")
+        typer.echo(f"{name} {target['wanted']}: {target['found']:.3f}, {verdict}; better baselines: {better}")
+    verdict = "passes" if report["passes"] else "does not pass"
+    typer.echo(f"{report['model']} {verdict}: {report['rule']}")
+
+
+def print_rivals(report: dict[str, Any]) -> None:
+    """The contest by set of trees."""
+    from dynamictree.training.rivalry import CONTESTANTS
+
+    for kind, rows in report["sets"].items():
+        _print_columns(f"{kind}: mean over {report['trees'][kind]} trees", rows)
+    for name, meaning in CONTESTANTS.items():
+        typer.echo(f"{name}: {meaning}")
+
+
+def print_classifier(report: dict[str, Any]) -> None:
+    """How often it was right, and whether that counts."""
+    for kind, found in report["right"].items():
+        typer.echo(f"true motion told from {kind} in {100 * found:.1f} % of cases")
+    verdict = "valid" if report["valid"] else "not valid"
+    typer.echo(f"{verdict}: {report['rule']}; {report['trees']} trees a side, {report['mean_voxels']:,.0f} voxels each")
+
+
+def _print_columns(title: str, rows: Mapping[str, Mapping[str, float]]) -> None:
+    """A column a method, a row a figure."""
     from rich.console import Console
     from rich.table import Table
 
+    table = Table()
+    table.add_column("figure", no_wrap=True)
+    for method in rows:
+        table.add_column(method, justify="right")
+    for figure in next(iter(rows.values())):
+        told = (f"{of_method[figure]:.3f}" if figure in of_method else "" for of_method in rows.values())
+        table.add_row(figure.replace("_", " "), *told)
+    typer.echo(title)
     console = Console()
-    for group, rows in report["groups"].items():
-        table = Table(title=f"{group}: mean over {report['trees']} trees", title_justify="left")
-        table.add_column("figure")
-        for method in methods:
-            table.add_column(method, justify="right")
-        for figure in next(iter(rows.values())):
-            table.add_row(figure.replace("_", " "), *(f"{rows[method][figure]:.3f}" for method in methods))
-        console.print(table)
-    seeds = report["seed_difference"]
-    console.print(f"difference between two seeds {seeds['model']:.2f}, between two true winds {seeds['truth']:.2f}")
-    verdict = "passes" if report["passes"] else "does not pass"
-    console.print(f"{report['model']} {verdict}: {report['rule']}")
+    Console(width=max(console.width, 140)).print(table)

@@ -1,33 +1,24 @@
 """The model and what it must beat, on trees that no training saw: one row of figures a method."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
+from itertools import chain
+from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
-from jaxtyping import Complex64
+from jaxtyping import Complex64, Float64
 
 from dynamictree.diffusion.model import TreeMotionModel, load_model
-from dynamictree.mesh import edges_of
 from dynamictree.training.baselines import ByHeight, fit_by_height, nearest_tree, noise_only, regression
+from dynamictree.training.clip import ImageEmbedder, motion_distances
 from dynamictree.training.examples import Example, is_training_seed, make_example
-from dynamictree.training.metrics import (
-    amplitude,
-    centroid_correlation,
-    downwind_lean,
-    edge_stretch,
-    energy_by_frequency,
-    log_amplitude_agreement,
-    log_spectral_distance,
-    loop_jump,
-    phase_agreement,
-    relative_difference,
-    root_share,
-    roughness,
-)
-from dynamictree.training.trees import Group, JudgedTree, iter_judged
-from dynamictree.voxel.devoxelize import smooth
-from dynamictree.voxel.voxelize import surface_average
+from dynamictree.training.metrics import energy_by_frequency, relative_difference
+from dynamictree.training.progress import OnStep
+from dynamictree.training.ruler import Ruler, judge
+from dynamictree.training.targets import RULE, passes, targets_of
+from dynamictree.training.trees import Group, JudgedTree, iter_judged, iter_sapling
+from dynamictree.voxel.inextensible import bending
 
 METHODS = {
     "model": "the diffusion model",
@@ -38,81 +29,32 @@ METHODS = {
     "representation": "the truth through the voxels and back",
     "second wind": "the same tree in other gusts: what chance alone makes",
 }
-
-
-MAX_ROUGHNESS_ERROR = 0.5
-RULE = (
-    "log-amplitude RMSE below the by-height mean's, and roughness within 50 % of the truth's, "
-    "on seen and on unseen species"
-)
+SEEN_BY_CLIP = ("truth", "model", "by-height mean")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Figures:
-    """One method on one tree. Ratios are to the truth's own figure."""
+class Knowledge:
+    """The model, and what the baselines know."""
 
-    log_amplitude_correlation: float
-    log_amplitude_rmse: float
-    log_spectral_distance: float
-    centroid_correlation: float
-    roughness_ratio: float
-    energy_distance: float  # half the sum of |differences| of the shares of energy by frequency
-    size_ratio: float  # median of a over the truth's
-    stretch_median: float
-    stretch_p99: float
-    root_share: float  # of the height
-    loop_jump: float  # over the largest step inside
-    lean_ratio: float
-    phase_agreement: float
-    phase_agreement_truth: float
-
-
-def judge(guess: Complex64[np.ndarray, "N K 3"], tree: JudgedTree) -> Figures:
-    """Every figure of one motion."""
-    vertices, height_m = tree.mesh.vertices, tree.mesh.height_m
-    edges = edges_of(tree.mesh.faces)
-    correlation, rmse = log_amplitude_agreement(guess, tree.truth, height_m)
-    median, extreme = edge_stretch(guess, vertices, edges)
-    lean = [downwind_lean(one, vertices, tree.wind.direction_deg) for one in (guess, tree.truth)]
-    return Figures(
-        log_amplitude_correlation=correlation,
-        log_amplitude_rmse=rmse,
-        log_spectral_distance=log_spectral_distance(guess, tree.truth, height_m),
-        centroid_correlation=centroid_correlation(guess, tree.truth),
-        roughness_ratio=roughness(guess, edges) / roughness(tree.truth, edges),
-        energy_distance=float(np.abs(energy_by_frequency(guess) - energy_by_frequency(tree.truth)).sum() / 2),
-        size_ratio=float(np.median(amplitude(guess)) / np.median(amplitude(tree.truth))),
-        stretch_median=median,
-        stretch_p99=extreme,
-        root_share=root_share(guess, vertices),
-        loop_jump=loop_jump(guess),
-        lean_ratio=lean[0] / lean[1],
-        phase_agreement=phase_agreement(guess, edges),
-        phase_agreement_truth=phase_agreement(tree.truth, edges),
-    )
+    model: TreeMotionModel
+    by_height: ByHeight
+    examples: Sequence[Example]
 
 
 def iter_motions(
-    tree: JudgedTree,
-    model: TreeMotionModel,
-    by_height: ByHeight,
-    known: Sequence[Example],
-    *,
-    seed: int,
-    num_steps: int | None = None,
+    ruler: Ruler, known: Knowledge, *, seed: int, num_steps: int | None = None
 ) -> Iterator[tuple[str, Complex64[np.ndarray, "N K 3"]]]:
     """Each method's motion of the tree's vertices [m]."""
+    tree, model = ruler.tree, known.model
     rng = np.random.default_rng([seed, 1])
-    interpolation = smooth(tree.voxels.grid, tree.mesh)
+    interpolation = bending(tree.voxels.grid, tree.mesh)
     generated = model.generate(tree.voxels, wind=tree.wind, seed=seed, num_steps=num_steps).coefficients
     yield "model", interpolation.apply(generated)
     yield "regression", interpolation.apply(regression(model, tree.voxels, tree.wind, rng))
     yield "noise only", interpolation.apply(noise_only(model, tree.voxels, tree.wind, seed))
-    yield "by-height mean", interpolation.apply(by_height.spectrum(tree.voxels.grid, tree.wind, rng))
-    yield "nearest tree", interpolation.apply(nearest_tree(tree.voxels, tree.wind, known))
-    flat = tree.truth.reshape(len(tree.truth), -1).view(np.float32)
-    voxels = (surface_average(tree.mesh, tree.voxels.grid).astype(np.float32) @ flat).view(np.complex64)
-    yield "representation", interpolation.apply(np.ascontiguousarray(voxels).reshape(-1, *tree.truth.shape[1:]))
+    yield "by-height mean", interpolation.apply(known.by_height.spectrum(tree.voxels.grid, tree.wind, rng))
+    yield "nearest tree", interpolation.apply(nearest_tree(tree.voxels, tree.wind, known.examples))
+    yield "representation", interpolation.apply(ruler.on_voxels(tree.truth))
     yield "second wind", tree.second
 
 
@@ -130,49 +72,120 @@ def evaluate_model(
     first_seed: int,
     seed: int,
     num_steps: int | None = None,
-    on_step: Callable[[str, int, int, float], None] | None = None,
+    sapling: Sequence[Path] = (),
+    embedder: ImageEmbedder | None = None,
+    on_step: OnStep = lambda part, done, total, loss: None,
 ) -> dict[str, Any]:
-    """Mean figures a group and method, and whether the model passes: see RULE."""
+    """Mean figures a group and method, the targets, and whether the model passes.
+
+    Args:
+        name: of a shipped model, or a file.
+        num_trees: of each group.
+        num_known: training trees that the baselines know.
+        first_seed: of those.
+        seed: of the generated motions.
+        num_steps: of the sampler.
+        sapling: files of trees that Blender's add-on baked, a third group.
+        embedder: CLIP, for CLIP-I and CLIP-T of the model, the truth and the by-height mean.
+        on_step: told the group, the trees done and their number.
+    """
     model = load_model(name)
-    known: list[Example] = []
-    candidate = first_seed
-    while len(known) < num_known:
-        if is_training_seed(candidate):
-            known.append(make_example(candidate, model.network.preset.resolution))
-            _tell(on_step, "training trees", len(known), num_known)
-        candidate += 1
-    by_height = fit_by_height(known)
-    groups: dict[str, dict[str, dict[str, float]]] = {}
-    differences = []
-    for group in get_args(Group):
-        rows: dict[str, list[dict[str, float]]] = {method: [] for method in METHODS}
-        for index, tree in enumerate(iter_judged(group, num_trees, resolution=model.network.preset.resolution)):
-            for method, motion in iter_motions(tree, model, by_height, known, seed=seed, num_steps=num_steps):
-                rows[method].append(asdict(judge(motion, tree)))
-            if index == 0:
-                differences.append(seed_difference(tree, model))
-            _tell(on_step, group, index + 1, num_trees)
-        groups[group] = {
-            method: {figure: float(np.mean([one[figure] for one in of_method])) for figure in of_method[0]}
-            for method, of_method in rows.items()
-        }
-    between = np.mean(differences, axis=0)
+    examples = known_examples(model.network.preset.resolution, num_known, first_seed, on_step)
+    known = Knowledge(model=model, by_height=fit_by_height(examples), examples=examples)
+    told = {
+        group: judge_group(judged, known, seed=seed, num_steps=num_steps, embedder=embedder, on_step=on_step)
+        for group in get_args(Group)
+        if (judged := judged_trees(group, num_trees, sapling, model.network.preset.resolution)).count
+    }
+    between = np.mean([one.seed_difference for one in told.values()], axis=0)
     return {
         "model": model.name,
-        "trees": num_trees,
-        "groups": groups,
+        "trees": {group: one.count for group, one in told.items()},
+        "groups": {group: one.figures for group, one in told.items()},
+        "energy_by_frequency": {group: one.energies for group, one in told.items()},
+        **({"clip": {group: one.clip for group, one in told.items()}} if embedder is not None else {}),
         "seed_difference": {"model": float(between[0]), "truth": float(between[1])},
+        "targets": targets_of(told["unseen-species"].figures),
         "rule": RULE,
-        "passes": all(_passes(of_group) for of_group in groups.values()),
+        "passes": all(passes(one.figures) for group, one in told.items() if group != "sapling"),
     }
 
 
-def _passes(methods: dict[str, dict[str, float]]) -> bool:
-    model, baseline = methods["model"], methods["by-height mean"]
-    better = model["log_amplitude_rmse"] < baseline["log_amplitude_rmse"]
-    return better and abs(model["roughness_ratio"] - 1) <= MAX_ROUGHNESS_ERROR
+@dataclass(frozen=True, kw_only=True)
+class Told:
+    """A group's means by method."""
+
+    count: int
+    figures: dict[str, dict[str, float]]
+    energies: dict[str, list[float]]
+    clip: dict[str, dict[str, float]]
+    seed_difference: tuple[float, float]
 
 
-def _tell(on_step: Callable[[str, int, int, float], None] | None, part: str, done: int, total: int) -> None:
-    if on_step is not None:
-        on_step(part, done, total, 0.0)
+def judge_group(
+    judged: "JudgedGroup",
+    known: Knowledge,
+    *,
+    seed: int,
+    num_steps: int | None,
+    embedder: ImageEmbedder | None,
+    on_step: OnStep,
+) -> Told:
+    """Every method on every tree of a group."""
+    rows: dict[str, list[dict[str, float]]] = {}
+    clip: dict[str, list[dict[str, float]]] = {}
+    shares: dict[str, list[Float64[np.ndarray, " J"]]] = {}
+    difference = (0.0, 0.0)
+    for index, tree in enumerate(judged.trees):
+        ruler = Ruler.of(tree)
+        motions = chain([("truth", tree.truth)], iter_motions(ruler, known, seed=seed, num_steps=num_steps))
+        for method, motion in motions:
+            shares.setdefault(method, []).append(energy_by_frequency(motion))
+            if method != "truth":
+                rows.setdefault(method, []).append(asdict(judge(motion, ruler)))
+            if embedder is not None and method in SEEN_BY_CLIP:
+                near, smooth_in_time = motion_distances(embedder, tree.mesh, motion)
+                clip.setdefault(method, []).append({"clip_i": near, "clip_t": smooth_in_time})
+        if index == 0:
+            difference = seed_difference(tree, known.model)
+        on_step(judged.group, index + 1, judged.count, 0.0)
+    return Told(
+        count=judged.count,
+        figures={method: mean_of(of_method) for method, of_method in rows.items()},
+        energies={method: np.mean(one, axis=0).round(5).tolist() for method, one in shares.items()},
+        clip={method: mean_of(of_method) for method, of_method in clip.items()},
+        seed_difference=difference,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class JudgedGroup:
+    """Trees, made as they are asked for, and their number."""
+
+    group: Group
+    trees: Iterator[JudgedTree]
+    count: int
+
+
+def judged_trees(group: Group, num_trees: int, sapling: Sequence[Path], resolution: int) -> JudgedGroup:
+    """A group's trees."""
+    if group == "sapling":
+        return JudgedGroup(group=group, trees=iter_sapling(sapling, resolution=resolution), count=len(sapling))
+    return JudgedGroup(group=group, trees=iter_judged(group, num_trees, resolution=resolution), count=num_trees)
+
+
+def known_examples(resolution: int, count: int, first_seed: int, on_step: OnStep) -> list[Example]:
+    """The first `count` training trees from a seed on."""
+    known: list[Example] = []
+    candidate = first_seed
+    while len(known) < count:
+        if is_training_seed(candidate):
+            known.append(make_example(candidate, resolution))
+            on_step("training trees", len(known), count, 0.0)
+        candidate += 1
+    return known
+
+
+def mean_of(rows: Sequence[dict[str, float]]) -> dict[str, float]:
+    """Mean of each figure over trees."""
+    return {figure: float(np.mean([one[figure] for one in rows])) for figure in rows[0]}

@@ -1,8 +1,10 @@
 """How near a motion is to the true one, by vertex. Plain functions of coefficients [N, K, 3] in metres."""
 
 import numpy as np
-from jaxtyping import Complex64, Float32, Float64, Int32
+import torch
+from jaxtyping import Complex64, Float32, Float64, Int32, Int64
 
+from dynamictree.diffusion.loss import LocalSmoothness, local_smoothness
 from dynamictree.spectrum import bin_weights, to_motion
 
 FLOOR = 1e-5
@@ -65,6 +67,22 @@ def phase_agreement(coefficients: Complex64[np.ndarray, "N K 3"], edges: Int32[n
     sizes = np.linalg.norm(first, axis=1) * np.linalg.norm(second, axis=1)
     product = (first * second.conj()).real.sum(axis=1)
     return float((product[sizes > 0] / sizes[sizes > 0]).mean())
+
+
+def smoothness_loss(
+    coefficients: Complex64[np.ndarray, "V K 3"],
+    neighbours: Int64[torch.Tensor, "V M"],
+    distances: Float32[torch.Tensor, "V M"],
+) -> float:
+    """L_LSS, paper eq. 3, of voxels and the nearest to each, over k ≥ 1 and over the mean size: 0 where all are alike.
+
+    The paper's loss is in metres; over the size, a motion that is only smaller is no smoother.
+    """
+    moving = torch.from_numpy(np.ascontiguousarray(coefficients[:, 1:].transpose(1, 0, 2)))  # [J, V, 3]
+    parts = torch.cat([moving.real, moving.imag], dim=2)
+    weights = LocalSmoothness()
+    loss = sum(float(local_smoothness(part, neighbours, distances, weights=weights)) for part in parts)
+    return loss / float(moving.abs().square().sum(dim=2).sqrt().mean(dim=1).sum())
 
 
 def energy_by_frequency(coefficients: Complex64[np.ndarray, "N K 3"]) -> Float64[np.ndarray, " J"]:

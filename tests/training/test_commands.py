@@ -1,4 +1,4 @@
-"""`train` and `evaluate` from end to end, with networks small enough for a test."""
+"""`train` from end to end, with networks small enough for a test."""
 
 import json
 from pathlib import Path
@@ -10,12 +10,11 @@ from typer import Typer
 from typer.testing import CliRunner
 
 from dynamictree.diffusion.denoiser import DenoiserShape
-from dynamictree.diffusion.model import TreeMotionModel, load_model, write_network
+from dynamictree.diffusion.model import TreeMotionModel, load_model
 from dynamictree.diffusion.small import SmallNetwork, SmallPreset
 from dynamictree.errors import InputError
 from dynamictree.training.baselines import fit_by_height, nearest_tree, noise_only, regression
 from dynamictree.training.commands import train
-from dynamictree.training.evaluate_command import evaluate
 from dynamictree.training.examples import Example, cached_example, is_training_seed, make_example
 from dynamictree.training.trees import iter_judged
 
@@ -26,7 +25,6 @@ SEED = 1005
 def commands() -> Typer:
     app = Typer(pretty_exceptions_enable=False)
     app.command()(train)
-    app.command()(evaluate)
     return app
 
 
@@ -110,21 +108,3 @@ def test_baselines_are_what_they_say(example: Example, tiny: SmallNetwork) -> No
     assert np.abs(np.exp(1j * (angles - angles[0])) - 1).max() < 1e-3  # one phase a frequency
     noise = noise_only(model, tree.voxels, tree.wind, 0)
     assert np.abs(noise_only(model, tree.voxels, tree.wind, 1) - noise).max() > 0
-
-
-def test_evaluation_judges_the_truth_itself_as_good_and_an_untrained_network_as_not(
-    commands: Typer, tiny: SmallNetwork, tmp_path: Path
-) -> None:
-    write_network(tiny, tmp_path / "tiny.safetensors")
-    arguments = ["evaluate", "--model", str(tmp_path / "tiny.safetensors"), "--trees", "1", "--known-trees", "2"]
-    result = CliRunner().invoke(
-        commands, [*arguments, "--steps", "1", "--threads", "1", "--json"], catch_exceptions=False
-    )
-    report = json.loads(result.stdout)
-    assert set(report["groups"]) == {"seen-species", "unseen-species"}
-    for rows in report["groups"].values():
-        assert rows["representation"]["log_amplitude_correlation"] > 0.99
-        assert rows["second wind"]["log_amplitude_rmse"] < 0.15
-        assert rows["second wind"]["roughness_ratio"] == pytest.approx(1, abs=0.1)
-        assert rows["representation"]["log_amplitude_rmse"] < rows["by-height mean"]["log_amplitude_rmse"]
-    assert report["passes"] is False

@@ -1,0 +1,71 @@
+"""What the small model is held to: on unseen species, by vertex after devoxelisation."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+Methods = Mapping[str, Mapping[str, float]]
+"""Figures by method."""
+
+BASELINES = ("regression", "noise only", "by-height mean", "nearest tree")
+MAX_ROUGHNESS_ERROR = 0.5
+RULE = (
+    "log-amplitude RMSE below the by-height mean's, and roughness within 50 % of the truth's, "
+    "on seen and on unseen species"
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Target:
+    """A bound on one figure."""
+
+    figure: str
+    sense: Literal["at least", "at most", "within"]
+    bound: float
+
+    def error(self, value: float) -> float:
+        """By how much a value misses; 0 where it does not."""
+        return max(0.0, self.badness(value) - (-self.bound if self.sense == "at least" else self.bound))
+
+    def badness(self, value: float) -> float:
+        """Grows as a value gets worse; `within` is a distance to 1."""
+        return {"at least": -value, "at most": value, "within": abs(value - 1)}[self.sense]
+
+
+TARGETS = (
+    Target(figure="log_amplitude_correlation", sense="at least", bound=0.93),
+    Target(figure="log_amplitude_rmse", sense="at most", bound=0.25),
+    Target(figure="centroid_correlation", sense="at least", bound=0.8),
+    Target(figure="roughness_ratio", sense="within", bound=0.2),
+    Target(figure="stretch_p99", sense="at most", bound=0.05),
+    Target(figure="root_share", sense="at most", bound=0.005),
+    Target(figure="loop_jump", sense="at most", bound=1.0),
+)
+
+
+def targets_of(methods: Methods) -> list[dict[str, object]]:
+    """Each target: what was found, whether it is met, by how much it is missed, and which baselines do better."""
+    told: list[dict[str, object]] = []
+    for target in TARGETS:
+        found = methods["model"][target.figure]
+        better = [
+            name for name in BASELINES if target.badness(methods[name][target.figure]) < target.badness(found) - 1e-9
+        ]
+        told.append(
+            {
+                "figure": target.figure,
+                "wanted": f"{target.sense} {target.bound:g}" + (" of 1" if target.sense == "within" else ""),
+                "found": found,
+                "met": target.error(found) == 0,
+                "missed_by": target.error(found),
+                "better_baselines": better,
+            }
+        )
+    return told
+
+
+def passes(methods: Methods) -> bool:
+    """Whether the weights may ship: RULE."""
+    model, baseline = methods["model"], methods["by-height mean"]
+    better = model["log_amplitude_rmse"] < baseline["log_amplitude_rmse"]
+    return better and abs(model["roughness_ratio"] - 1) <= MAX_ROUGHNESS_ERROR

@@ -1,0 +1,40 @@
+from pathlib import Path
+
+import pytest
+import torch
+from typer import Typer
+
+from dynamictree.diffusion.denoiser import DenoiserShape
+from dynamictree.diffusion.model import write_network
+from dynamictree.diffusion.small import SmallNetwork, SmallPreset
+from dynamictree.training.evaluate_command import evaluate
+from dynamictree.training.trees import JudgedTree, iter_judged
+
+
+@pytest.fixture(autouse=True, scope="session")
+def one_thread() -> None:
+    """Small tensors gain nothing from threads, and lose much where the machine is shared."""
+    torch.set_num_threads(1)
+
+
+@pytest.fixture(scope="session")
+def untrained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Weights of a tiny network that never learnt."""
+    torch.manual_seed(0)
+    shape = DenoiserShape(width=8, embedding=8, num_blocks=1)
+    path = tmp_path_factory.mktemp("weights") / "tiny.safetensors"
+    write_network(SmallNetwork(SmallPreset(amplitude_width=8, amplitude_depth=1, denoiser=shape)), path)
+    return path
+
+
+@pytest.fixture(scope="session")
+def palm() -> JudgedTree:
+    """The smallest of the first unseen trees."""
+    return min(iter_judged("unseen-species", 3), key=lambda tree: len(tree.voxels.grid))
+
+
+@pytest.fixture
+def commands() -> Typer:
+    app = Typer(pretty_exceptions_enable=False)
+    app.command()(evaluate)
+    return app
