@@ -22,7 +22,7 @@ else
 TORCH_SOURCE := --torch-backend $(TORCH_BACKEND)
 endif
 
-.PHONY: help setup demo test scale-out check format openapi lock bench clean
+.PHONY: help setup demo test js-tools scale-out check format openapi lock bench clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -54,6 +54,16 @@ check: $(READY)  ## format, lint, types, imports, openapi drift
 	@$(BIN)/lint-imports --no-cache
 	@$(BIN)/python -m service.openapi --check openapi/openapi.json
 	@$(BIN)/python client/generate.py --check
+
+# Judges that are not ours, of GLB, OpenAPI and TypeScript; their tests are slow ones and skip without them.
+JS_TOOLS := .cache/js-tools
+js-tools: $(JS_TOOLS)/.ready  ## gltf-validator, spectral and TypeScript, from npm
+
+$(JS_TOOLS)/.ready: tests/js/package.json
+	@mkdir -p $(JS_TOOLS)
+	@cp tests/js/package.json $(JS_TOOLS)/
+	@cd $(JS_TOOLS) && npm install --no-audit --no-fund --no-package-lock --ignore-scripts --loglevel=error
+	@touch $@
 
 format: $(READY)  ## rewrite the code as `check` wants it
 	@$(BIN)/ruff format .

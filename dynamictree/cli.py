@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from dynamictree.gaussian.capture import Box, Capture
     from dynamictree.mesh import TriangleMesh
     from dynamictree.pipeline import OnStep
-    from dynamictree.products import AnimateOptions
+    from dynamictree.products import AnimateOptions, Facts
 
 PLUGIN_GROUP = "dynamictree.commands"
 OWN_COMMANDS = {
@@ -135,8 +135,8 @@ def animate(
         str | None,
         typer.Option(
             "--format",
-            help="Comma-separated: ply, glb, glb-reduced, motion (of the mesh), splat-ply, splat (of the splat), png, "
-            "webp, mp4. If not given ply,glb,png for a mesh; splat,png for a splat or scan.",
+            help="Comma-separated: ply, glb, glb-reduced, glb-skinned, usd, vat, motion (of the mesh), splat-ply, "
+            "splat (of the splat), png, webp, mp4. If not given ply,glb,png for a mesh; splat,png for a splat or scan.",
         ),
     ] = None,
     share: Annotated[float, typer.Option(help="Share of a splat's Gaussians to keep, above 0 to 1.")] = 1.0,
@@ -165,7 +165,7 @@ def animate(
     """Make a tree sway: mesh or splat → voxels → spectrum → motion files."""
     from dynamictree import pipeline
     from dynamictree.formats.spectrum_file import write_spectrum
-    from dynamictree.products import DEFAULT_CLOUD_FORMATS, DEFAULT_FORMATS, AnimateOptions
+    from dynamictree.products import DEFAULT_CLOUD_FORMATS, DEFAULT_FORMATS, FILE_NAMES, AnimateOptions, Facts
     from dynamictree.render.shot import Shot
     from dynamictree.spectrum import Wind
 
@@ -184,6 +184,7 @@ def animate(
     )
     wind = Wind(speed_m_s=wind_speed, direction_deg=wind_direction, gust=gust)
     box_m = _box(box)
+    inexact = dict[str, Facts]()
     mesh, capture = _read_source(source, up_axis=up_axis, unit_m=unit_m, box_m=box_m, mask=mask, beside=mesh_beside)
     if capture is not None:
         options = replace(options, formats=named or DEFAULT_CLOUD_FORMATS)
@@ -204,9 +205,20 @@ def animate(
             lambda done: report("animate", done),
             capture=capture,
             box_m=box_m,
+            on_facts=lambda name, facts: inexact.update({FILE_NAMES[name]: facts}),
         )
         names = sorted(path.name for path in folder.iterdir())
-    _tell({"files": [str(output / name) for name in names], "num_voxels": len(spectrum.grid)}, as_json=as_json)
+    told: dict[str, Any] = {"files": [str(output / name) for name in names], "num_voxels": len(spectrum.grid)}
+    if inexact:
+        told["inexact"] = inexact if as_json else [_off_by(name, facts) for name, facts in inexact.items()]
+    _tell(told, as_json=as_json)
+
+
+def _off_by(name: str, facts: "Facts") -> str:
+    return (
+        f"{name} is off by {1e3 * facts['rms_error_m']:.3g} mm rms ({facts['relative_error']:.2%} of the motion), "
+        f"{1e3 * facts['max_error_m']:.3g} mm at most"
+    )
 
 
 @app.command()

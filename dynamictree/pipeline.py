@@ -15,14 +15,15 @@ from jaxtyping import Complex64, UInt8
 from dynamictree.errors import InputError
 from dynamictree.formats.mesh_file import read_mesh, sniff_file_type
 from dynamictree.formats.source_file import read_capture, source_kind
-from dynamictree.gaussian.binding import Binding
-from dynamictree.gaussian.capture import Box, Capture, bind_capture
+from dynamictree.gaussian.binding import Binding, bind_capture
+from dynamictree.gaussian.capture import Box, Capture
 from dynamictree.mesh import TriangleMesh
 from dynamictree.products import (
     FILE_NAMES,
     PICTURE_FILE_NAMES,
     SPLAT_FILE_NAMES,
     AnimateOptions,
+    Facts,
     SwayingMesh,
     iter_mesh_pictures,
     write_mesh_product,
@@ -36,7 +37,7 @@ from dynamictree.splat_products import (
     splat_sheet,
     write_splat_product,
 )
-from dynamictree.voxel import devoxelize
+from dynamictree.voxel.inextensible import bending
 from dynamictree.voxel.voxelize import SurfaceVoxels
 from dynamictree.voxel.voxelize import voxelize as voxelize_surface
 
@@ -50,6 +51,8 @@ COMPANION_SUFFIXES = (".mtl", ".bin", ".png", ".jpg", ".jpeg")
 
 OnStep = Callable[[int, int], None]
 OnProgress = Callable[[float], None]
+OnFacts = Callable[[str, Facts], None]
+"""Gets a format, and what its file has to tell of itself."""
 
 
 def load_mesh(
@@ -133,9 +136,8 @@ def diffuse(
 
 
 def vertex_spectrum(mesh: TriangleMesh, spectrum: SparseVoxelSpectrum) -> Complex64[np.ndarray, "N K 3"]:
-    """Each vertex's share of the voxels' spectrum [m]. Dev(.) of paper eq. 1, smooth."""
-    coefficients: Complex64[np.ndarray, "N K 3"] = devoxelize.smooth(spectrum.grid, mesh).apply(spectrum.coefficients)
-    return coefficients
+    """Each vertex's share of the voxels' spectrum [m]. Dev(.) of paper eq. 1, smooth and without stretch."""
+    return bending(spectrum.grid, mesh).apply(spectrum.coefficients)
 
 
 def animate(
@@ -147,11 +149,13 @@ def animate(
     *,
     capture: Capture | None = None,
     box_m: Box | None = None,
+    on_facts: OnFacts | None = None,
 ) -> dict[str, Path]:
     """Write the asked products of one motion into a folder; give their paths by format.
 
     Where a capture is given, pictures and splats show it; else splats are made from the mesh.
-    `on_progress` gets the share done in [0, 1]; what it raises passes through.
+    `on_progress` gets the share done in [0, 1]; what it raises passes through. `on_facts` gets what a product that is
+    not exact tells of its error.
 
     Raises:
         InputError: the frames do not make a loop, though one is asked for; the capture is not where the mesh is;
@@ -169,9 +173,17 @@ def animate(
         phases=phases,
         fps=options.fps,
         first_frame=options.first_frame,
+        loop=options.loop,
+        spectrum=spectrum,
     )
     splat = None if binding is None else lighter_splat(SwayingSplat(binding=binding, sway=sway), options)
-    return _write_products(sway, splat, options, folder, on_progress or (lambda done: None), shown=capture is not None)
+    written = _write_products(
+        sway, splat, options, folder, on_progress or (lambda done: None), shown=capture is not None
+    )
+    for name, facts in written.items():
+        if facts and on_facts is not None:
+            on_facts(name, facts)
+    return {name: folder / FILE_NAMES[name] for name in written}
 
 
 def _binding(mesh: TriangleMesh, options: AnimateOptions, capture: Capture | None, box_m: Box | None) -> Binding | None:
@@ -193,7 +205,8 @@ def _write_products(
     on_progress: OnProgress,
     *,
     shown: bool,
-) -> dict[str, Path]:
+) -> dict[str, Facts]:
+    told: dict[str, Facts] = {name: {} for name in options.formats}
     paths = {name: folder / FILE_NAMES[name] for name in options.formats}
     films = [name for name in paths if name in PICTURE_FILE_NAMES and (name != "png" or shown)]
     done = 0
@@ -211,7 +224,7 @@ def _write_products(
             elif name == "png":
                 _write_sheet(sway, stream)
             else:
-                write_mesh_product(name, sway, stream, report)
+                told[name] = write_mesh_product(name, sway, stream, report)
         done += 1
         report(0.0)
     if films:
@@ -220,7 +233,7 @@ def _write_products(
             pictures or iter_mesh_pictures(sway, options.shot, report), {n: paths[n] for n in films}, options.fps
         )
         on_progress(1.0)
-    return paths
+    return told
 
 
 def _write_films(pictures: Iterator[UInt8[np.ndarray, "H W 3"]], paths: Mapping[str, Path], fps: float) -> None:

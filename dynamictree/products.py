@@ -1,7 +1,7 @@
 """What a motion is written as: which frames, of what, and one writer a product of a mesh."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import BinaryIO
 
 import numpy as np
@@ -13,12 +13,15 @@ from dynamictree.formats.motion_file import write_motion
 from dynamictree.formats.ply_sequence import iter_ply_sequence_zip
 from dynamictree.mesh import TriangleMesh
 from dynamictree.render.shot import Shot
-from dynamictree.spectrum import iter_motion
+from dynamictree.spectrum import SparseVoxelSpectrum, iter_motion
 
 MESH_FILE_NAMES = {
     "ply": "motion.ply.zip",
     "glb": "tree.glb",
     "glb-reduced": "tree-8-targets.glb",
+    "glb-skinned": "tree-skinned.glb",
+    "usd": "tree.usdz",
+    "vat": "tree.vat.zip",
     "motion": "motion.safetensors",
 }
 SPLAT_FILE_NAMES = {
@@ -39,6 +42,8 @@ MAX_FRAMES = 600
 
 Report = Callable[[float], None]
 """Gets the share done in [0, 1]; what it raises passes through."""
+Facts = dict[str, int | float]
+"""What a product has to tell of itself: how far it is from the motion. Empty where it is exact."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,6 +123,8 @@ class SwayingMesh:
     phases: Float64[np.ndarray, " M"]  # of the frames to write, in periods
     fps: float  # of the frames to write
     first_frame: int = 0  # number of the first in the names of the files
+    loop: bool = True  # whether the frames are whole periods
+    spectrum: SparseVoxelSpectrum | None = None  # of the voxels; what a skeleton is found in
 
     def frames(self, report: Report) -> Iterator[Float32[np.ndarray, "N 3"]]:
         """One frame of displacement after another [m]."""
@@ -126,9 +133,13 @@ class SwayingMesh:
             yield frame
 
 
-def write_mesh_product(name: str, sway: SwayingMesh, stream: BinaryIO, report: Report) -> None:
-    """Write one of `MESH_FILE_NAMES` to an open file."""
-    _WRITERS[name](sway, stream, report)
+def write_mesh_product(name: str, sway: SwayingMesh, stream: BinaryIO, report: Report) -> Facts:
+    """Write one of `MESH_FILE_NAMES` to an open file.
+
+    Raises:
+        InputError: there is no skeleton in the spectrum, or no texture that holds the motion.
+    """
+    return _WRITERS[name](sway, stream, report) or {}
 
 
 def iter_mesh_pictures(sway: SwayingMesh, shot: Shot, report: Report) -> Iterator[UInt8[np.ndarray, "H W 3"]]:
@@ -153,9 +164,9 @@ def _write_glb(sway: SwayingMesh, stream: BinaryIO, report: Report) -> None:
     write_motion_glb(sway.mesh, sway.coefficients, stream, num_frames=sway.num_frames, fps=sway.loop_fps)
 
 
-def _write_reduced_glb(sway: SwayingMesh, stream: BinaryIO, report: Report) -> None:
+def _write_reduced_glb(sway: SwayingMesh, stream: BinaryIO, report: Report) -> Facts:
     num_targets = min(REDUCED_TARGETS, 2 * sway.coefficients.shape[1] - 1)
-    write_motion_glb(
+    summary = write_motion_glb(
         sway.mesh,
         sway.coefficients,
         stream,
@@ -163,11 +174,41 @@ def _write_reduced_glb(sway: SwayingMesh, stream: BinaryIO, report: Report) -> N
         fps=sway.loop_fps,
         num_targets=num_targets,
     )
+    return asdict(summary)
 
 
-_WRITERS: dict[str, Callable[[SwayingMesh, BinaryIO, Report], None]] = {
+def _write_skinned_glb(sway: SwayingMesh, stream: BinaryIO, report: Report) -> Facts:
+    from dynamictree.formats.glb_skin import write_skinned_glb
+    from dynamictree.modal.skinning import skin_of
+
+    assert sway.spectrum is not None
+    skin, summary = skin_of(sway.spectrum, sway.mesh, sway.coefficients)
+    write_skinned_glb(sway.mesh, skin, summary, stream, fps=sway.loop_fps)
+    return asdict(summary)
+
+
+def _write_usdz(sway: SwayingMesh, stream: BinaryIO, report: Report) -> None:
+    from dynamictree.formats.usd_motion import write_motion_usdz
+
+    write_motion_usdz(sway.mesh, sway.frames(report), stream, fps=sway.fps)
+
+
+def _write_vertex_texture(sway: SwayingMesh, stream: BinaryIO, report: Report) -> None:
+    from dynamictree.formats.vertex_texture import iter_vertex_texture_zip
+
+    num_frames = len(sway.phases)
+    chunks = iter_vertex_texture_zip(
+        sway.mesh, sway.frames(report), num_frames=num_frames, fps=sway.fps, loop=sway.loop
+    )
+    stream.writelines(chunks)
+
+
+_WRITERS: dict[str, Callable[[SwayingMesh, BinaryIO, Report], Facts | None]] = {
     "ply": _write_ply,
     "glb": _write_glb,
     "glb-reduced": _write_reduced_glb,
+    "glb-skinned": _write_skinned_glb,
+    "usd": _write_usdz,
+    "vat": _write_vertex_texture,
     "motion": _write_motion,
 }

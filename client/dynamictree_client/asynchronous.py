@@ -159,8 +159,9 @@ class AsyncClient:
                     break
             except httpx.TransportError as error:
                 outcome = error
-            attempt = 1 if bytes_there(part, artifact) > there else attempt + 1
+            attempt = 1 if bytes_there(part, artifact) > there else attempt
             await self._pause(attempt, outcome, repeatable=True)
+            attempt += 1
         return finish(part, artifact, path)
 
     async def download_all(
@@ -210,12 +211,14 @@ class AsyncClient:
 
     async def _fetch_rest(self, artifact: Artifact, part: Path, there: int) -> httpx.Response:
         """Append what is missing. A response that is no error has been written whole."""
-        headers = {"Range": f"bytes={there}-", "If-Range": f'"{artifact.sha256}"'} if there else {}
+        headers = {"Accept-Encoding": "identity"}  # a range is one of the bytes that are hashed
+        if there:
+            headers |= {"Range": f"bytes={there}-", "If-Range": f'"{artifact.sha256}"'}
         async with self._http.stream("GET", artifact.url, headers=headers) as response:
             if response.is_error:
                 await response.aread()
                 return response
             with part.open("ab" if response.status_code == 206 else "wb") as stream:
-                async for chunk in response.aiter_bytes():
+                async for chunk in response.aiter_raw():
                     stream.write(chunk)
             return response

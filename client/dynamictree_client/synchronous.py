@@ -158,8 +158,9 @@ class Client:
                     break
             except httpx.TransportError as error:
                 outcome = error
-            attempt = 1 if bytes_there(part, artifact) > there else attempt + 1
+            attempt = 1 if bytes_there(part, artifact) > there else attempt
             self._pause(attempt, outcome, repeatable=True)
+            attempt += 1
         return finish(part, artifact, path)
 
     def download_all(self, job: Job | str, folder: PathLike, *, names: Iterable[str] | None = None) -> dict[str, Path]:
@@ -207,12 +208,14 @@ class Client:
 
     def _fetch_rest(self, artifact: Artifact, part: Path, there: int) -> httpx.Response:
         """Append what is missing. A response that is no error has been written whole."""
-        headers = {"Range": f"bytes={there}-", "If-Range": f'"{artifact.sha256}"'} if there else {}
+        headers = {"Accept-Encoding": "identity"}  # a range is one of the bytes that are hashed
+        if there:
+            headers |= {"Range": f"bytes={there}-", "If-Range": f'"{artifact.sha256}"'}
         with self._http.stream("GET", artifact.url, headers=headers) as response:
             if response.is_error:
                 response.read()
                 return response
             with part.open("ab" if response.status_code == 206 else "wb") as stream:
-                for chunk in response.iter_bytes():
+                for chunk in response.iter_raw():
                     stream.write(chunk)
             return response

@@ -1,0 +1,294 @@
+"""What the client does when the service is busy, the line breaks, or bytes are wrong."""
+
+import asyncio
+import hashlib
+from datetime import UTC, datetime, timedelta
+from email.utils import format_datetime
+from pathlib import Path
+
+import httpx
+import pytest
+from dynamictree_client import (
+    AccessError,
+    AsyncClient,
+    Client,
+    ClientError,
+    ConflictError,
+    GoneError,
+    IntegrityError,
+    InvalidRequestError,
+    JobEndedError,
+    NotFoundError,
+    Retries,
+    ServiceFaultError,
+    TooBusyError,
+    UnreachableError,
+    WaitTimeoutError,
+    operations,
+)
+from dynamictree_client.models import Artifact, Job
+from dynamictree_client.retries import retry_after_s
+
+from tests.client.broken_line import Handler, broken_line
+
+QUICK = Retries(attempts=4, first_wait_s=0.0)
+CONTENT = bytes(range(256)) * 64
+
+
+def artifact(**changes: object) -> Artifact:
+    told = {
+        "id": "A",
+        "name": "tree.glb",
+        "stage": "animate",
+        "media_type": "model/gltf-binary",
+        "bytes": len(CONTENT),
+        "sha256": hashlib.sha256(CONTENT).hexdigest(),
+        "url": "/v1/artifacts/A",
+        "created_at": "2026-01-01T00:00:00Z",
+        "expires_at": "2026-01-02T00:00:00Z",
+    }
+    return Artifact.model_validate(told | changes)
+
+
+def job(state: str, **changes: object) -> bytes:
+    moment = "2026-01-01T00:00:00Z"
+    told = dict.fromkeys(Job.model_fields) | {
+        "id": "J",
+        "type": "animate",
+        "state": state,
+        "asset_id": "A",
+        "preset": "small",
+        "seed": 0,
+        "params": {},
+        "attempt": 1,
+        "progress": 0.5,
+        "stages": [],
+        "created_at": moment,
+    }
+    return Job.model_construct(**(told | changes)).model_dump_json(warnings=False).encode()
+
+
+def test_a_busy_service_is_asked_again_when_it_says() -> None:
+    def answer(number: int, handler: Handler) -> None:
+        if number < 3:
+            handler.problem(503, "queue-full", Retry_After="0")
+        else:
+            handler.reply(200, b'{"status": "ok"}')
+
+    with broken_line(answer) as line, Client(line.url, retries=Retries(first_wait_s=1000.0)) as client:
+        assert client.send(operations.get_liveness()).status == "ok"
+    assert len(line.asked) == 3
+
+
+def test_a_service_that_wants_to_be_left_alone_for_long_is_not_waited_for() -> None:
+    with broken_line(lambda number, handler: handler.problem(429, "rate-limited", Retry_After="3600")) as line:
+        with Client(line.url, retries=QUICK) as client, pytest.raises(TooBusyError) as caught:
+            client.send(operations.get_liveness())
+        assert caught.value.retry_after_s == 3600
+        assert caught.value.code == "rate-limited"
+    assert len(line.asked) == 1
+
+
+@pytest.mark.parametrize(
+    ("status", "kind"),
+    [
+        (400, InvalidRequestError),
+        (401, AccessError),
+        (403, AccessError),
+        (404, NotFoundError),
+        (409, ConflictError),
+        (410, GoneError),
+        (422, InvalidRequestError),
+        (501, ServiceFaultError),
+        (503, TooBusyError),
+    ],
+)
+def test_a_problem_is_an_exception_of_its_kind(status: int, kind: type[Exception]) -> None:
+    with (
+        broken_line(lambda number, handler: handler.problem(status, "some-code")) as line,
+        Client(line.url, retries=Retries(attempts=1)) as client,
+        pytest.raises(kind, match="some-code: d s"),
+    ):
+        client.send(operations.get_job("J"))
+
+
+def test_a_proxys_page_is_a_problem_too() -> None:
+    with (
+        broken_line(lambda number, handler: handler.reply(502, b"<h1>Bad Gateway</h1>", "text/html")) as line,
+        Client(line.url, retries=QUICK) as client,
+    ):
+        with pytest.raises(ServiceFaultError, match=r"http-502: .*Bad Gateway"):
+            client.send(operations.get_liveness())
+        assert len(line.asked) == QUICK.attempts
+
+
+def test_what_may_have_been_done_is_only_repeated_where_that_does_no_harm() -> None:
+    with (
+        broken_line(lambda number, handler: handler.problem(500, "internal-error")) as line,
+        Client(line.url, retries=QUICK) as client,
+    ):
+        with pytest.raises(ServiceFaultError):
+            client.send(operations.cancel_job("J"))
+        assert len(line.asked) == 1
+        with pytest.raises(ServiceFaultError):
+            client.animate(path_of_a_mesh(line.url, client))
+        created = [asked for asked in line.asked if asked.path == "/v1/jobs"]
+        assert len(created) == QUICK.attempts
+        assert len({asked.headers["idempotency-key"] for asked in created}) == 1
+
+
+def path_of_a_mesh(url: str, client: Client) -> object:
+    from dynamictree_client.models import Asset
+
+    return Asset.model_construct(id="A")
+
+
+def test_nobody_there_is_told_with_the_address() -> None:
+    with (
+        Client("http://127.0.0.1:9", retries=QUICK) as client,
+        pytest.raises(UnreachableError, match=r"127\.0\.0\.1:9"),
+    ):
+        client.send(operations.get_liveness())
+
+
+def test_a_download_that_breaks_off_goes_on_where_it_was(tmp_path: Path) -> None:
+    def answer(number: int, handler: Handler) -> None:
+        start = int(handler.headers.get("range", "bytes=0-").removeprefix("bytes=").removesuffix("-"))
+        whole = CONTENT[start:]
+        if number < 4:
+            handler.break_off(whole[:5000], announced=len(whole), status=206 if start else 200)
+        else:
+            handler.reply(206, whole, "application/octet-stream", Content_Range=f"bytes {start}-/{len(CONTENT)}")
+
+    with broken_line(answer) as line, Client(line.url, retries=QUICK) as client:
+        path = client.download(artifact(), tmp_path / "tree.glb")
+    assert path.read_bytes() == CONTENT
+    assert [asked.headers.get("range") for asked in line.asked] == [None, "bytes=5000-", "bytes=10000-", "bytes=15000-"]
+    assert line.asked[1].headers["if-range"] == f'"{artifact().sha256}"'
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_download_of_an_earlier_process_goes_on(tmp_path: Path) -> None:
+    (tmp_path / "tree.glb.part").write_bytes(CONTENT[:100])
+
+    def answer(number: int, handler: Handler) -> None:
+        handler.reply(206, CONTENT[100:], "application/octet-stream")
+
+    async def fetch(url: str) -> Path:
+        async with AsyncClient(url) as client:
+            return await client.download(artifact(), tmp_path / "tree.glb")
+
+    with broken_line(answer) as line:
+        assert asyncio.run(fetch(line.url)).read_bytes() == CONTENT
+    assert line.asked[0].headers["range"] == "bytes=100-"
+
+
+def test_what_is_too_long_is_begun_anew_and_what_is_all_there_is_not_fetched(tmp_path: Path) -> None:
+    part = tmp_path / "tree.glb.part"
+    part.write_bytes(CONTENT + b"!")
+    with (
+        broken_line(lambda number, handler: handler.reply(200, CONTENT, "application/octet-stream")) as line,
+        Client(line.url) as client,
+    ):
+        client.download(artifact(), tmp_path / "tree.glb").replace(part)
+        assert client.download(artifact(), tmp_path / "tree.glb").read_bytes() == CONTENT
+    assert len(line.asked) == 1
+    assert "range" not in line.asked[0].headers
+
+
+def test_wrong_bytes_are_thrown_away(tmp_path: Path) -> None:
+    wrong = bytes(len(CONTENT))
+    with (
+        broken_line(lambda number, handler: handler.reply(200, wrong, "application/octet-stream")) as line,
+        Client(line.url) as client,
+        pytest.raises(IntegrityError, match=hashlib.sha256(wrong).hexdigest()),
+    ):
+        client.download(artifact(), tmp_path / "tree.glb")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_download_that_never_gets_on_is_given_up(tmp_path: Path) -> None:
+    with (
+        broken_line(lambda number, handler: handler.break_off(b"", announced=len(CONTENT))) as line,
+        Client(line.url, retries=QUICK) as client,
+        pytest.raises(UnreachableError),
+    ):
+        client.download(artifact(), tmp_path / "tree.glb")
+    assert len(line.asked) == QUICK.attempts
+
+
+@pytest.mark.parametrize("name", ["../evil", "/etc/evil", "a\\b", "..", ""])
+def test_a_file_is_never_written_elsewhere(tmp_path: Path, name: str) -> None:
+    manifest = {"job_id": "J", "complete": True, "artifacts": [artifact(name=name).model_dump(mode="json")]}
+    body = __import__("json").dumps(manifest).encode()
+    with (
+        broken_line(lambda number, handler: handler.reply(200, body)) as line,
+        Client(line.url) as client,
+        pytest.raises(IntegrityError, match="no plain name"),
+    ):
+        client.download_all("J", tmp_path / "out")
+    assert len(line.asked) == 1
+
+
+def test_waiting_asks_as_often_as_the_service_likes_and_tells_every_answer() -> None:
+    states = ["queued", "running", "succeeded"]
+
+    def answer(number: int, handler: Handler) -> None:
+        handler.reply(200, job(states[number - 1]), Retry_After="0")
+
+    seen = list[str]()
+    with broken_line(answer) as line, Client(line.url) as client:
+        assert client.wait("J", on_progress=lambda now: seen.append(now.state)).state == "succeeded"
+    assert seen == states
+
+
+@pytest.mark.parametrize("state", ["failed", "canceled", "aborted"])
+def test_a_job_that_does_not_succeed_is_an_exception_that_says_why(state: str) -> None:
+    error = {"type": "t", "title": "t", "status": 500, "detail": "It broke.", "code": "worker-lost", "request_id": None}
+    error |= {"retryable": True, "suggestion": "Again.", "errors": []}
+    with (
+        broken_line(lambda number, handler: handler.reply(200, job(state, error=error))) as line,
+        Client(line.url) as client,
+        pytest.raises(JobEndedError, match=rf"job J {state}: worker-lost: It broke\. Again\.") as caught,
+    ):
+        client.wait("J")
+    assert caught.value.job.state == state
+
+
+def test_waiting_ends_in_time() -> None:
+    with (
+        broken_line(lambda number, handler: handler.reply(200, job("running"), Retry_After="30")) as line,
+        Client(line.url) as client,
+        pytest.raises(WaitTimeoutError, match="job J is running after 2 s"),
+    ):
+        client.wait("J", timeout_s=2)
+    assert len(line.asked) == 1
+
+
+def test_nothing_to_send_is_told_before_anything_is_sent(tmp_path: Path) -> None:
+    with Client("http://127.0.0.1:9", retries=QUICK) as client:
+        with pytest.raises(ClientError, match="no files to send"):
+            client.upload(tmp_path)
+        with pytest.raises(ClientError, match=r"missing\.glb"):
+            client.upload(tmp_path / "missing.glb")
+
+
+def test_retry_after_is_read_in_both_of_its_forms() -> None:
+    def asked(value: str) -> float | None:
+        return retry_after_s(httpx.Response(503, headers={"Retry-After": value}))
+
+    assert asked("7") == 7
+    assert asked("soon") is None
+    in_a_minute = format_datetime(datetime.now(UTC) + timedelta(minutes=1), usegmt=True)
+    assert asked(in_a_minute) == pytest.approx(60, abs=2)
+    assert asked("Wed, 21 Oct 2015 07:28:00 GMT") == 0
+    assert retry_after_s(httpx.Response(503)) is None
+
+
+def test_without_being_told_the_wait_doubles_up_to_a_limit() -> None:
+    retries = Retries(attempts=100, first_wait_s=1.0, longest_wait_s=8.0, draw=lambda: 1.0)
+    broken = httpx.ReadError("x")
+    assert [retries.wait_s(n, broken, repeatable=True) for n in (1, 2, 3, 4, 5)] == [1, 2, 4, 8, 8]
+    assert retries.wait_s(1, broken, repeatable=False) is None
+    assert retries.wait_s(1, httpx.ConnectError("x"), repeatable=False) == 1
+    assert retries.wait_s(100, broken, repeatable=True) is None

@@ -1,0 +1,59 @@
+"""The client follows openapi.json."""
+
+import importlib.util
+import json
+from pathlib import Path
+
+import dynamictree_client
+import httpx
+import pytest
+from dynamictree_client import operations
+from dynamictree_client.errors import ProblemError, problem_of
+
+from service.problems import KINDS, problem_body
+
+ROOT = Path(__file__).parents[2]
+SPEC = importlib.util.spec_from_file_location("generate", ROOT / "client" / "generate.py")
+assert SPEC is not None
+assert SPEC.loader is not None
+generate = importlib.util.module_from_spec(SPEC)
+SPEC.loader.exec_module(generate)
+
+
+def test_what_is_made_of_the_page_is_as_it_would_be_made_now() -> None:
+    assert generate.main(["--check"]) == 0
+
+
+def test_a_page_that_changed_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:  # type: ignore[no-untyped-def]
+    page = json.loads(generate.PAGE.read_text())
+    page["components"]["schemas"]["JobPayload"]["properties"]["mood"] = {"type": "string"}
+    (tmp_path / "openapi.json").write_text(json.dumps(page))
+    monkeypatch.setattr(generate, "PAGE", tmp_path / "openapi.json")
+    assert generate.main(["--check"]) == 1
+    assert "models.py" in capsys.readouterr().err
+
+
+def test_every_operation_of_the_page_can_be_called() -> None:
+    page = json.loads(generate.PAGE.read_text())
+    methods = [
+        operation for item in page["paths"].values() for operation in item.values() if "operationId" in operation
+    ]
+    assert len(methods) > 20
+    for operation in methods:
+        assert callable(getattr(operations, generate.snake(operation["operationId"]))), operation["operationId"]
+
+
+@pytest.mark.parametrize("code", KINDS)
+def test_every_problem_of_the_service_is_an_exception_that_holds_it(code: str) -> None:
+    body = problem_body(code, "detail", request_id="r")
+    response = httpx.Response(KINDS[code].status, json=body, headers={"content-type": "application/problem+json"})
+    error = problem_of(response)
+    assert error.code == code
+    assert type(error) is not ProblemError
+    assert error.problem.model_dump() == body
+
+
+def test_the_public_names_are_exact() -> None:
+    public = {name for name in vars(dynamictree_client) if not name.startswith("_")}
+    modules = {"asynchronous", "call", "errors", "files", "retries", "synchronous", "commands"}
+    assert public - modules == set(dynamictree_client.__all__)
