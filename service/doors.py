@@ -27,6 +27,7 @@ REMEMBERED_S = 2.0
 MAX_REMEMBERED = 10_000
 OVERRIDABLE = frozenset({"PATCH", "DELETE"})
 POLICY_VIOLATION = 1008
+PROTOCOL_KEY = "bearer."
 
 
 class Doors:
@@ -125,6 +126,10 @@ def _bearer(headers: Headers) -> str:
     kind, _, key = headers.get("authorization", "").partition(" ")
     if kind.lower() == "bearer" and key.strip():
         return key.strip()
+    # a page cannot give its WebSockets headers, only protocols
+    for protocol in headers.get("sec-websocket-protocol", "").split(","):
+        if protocol.strip().startswith(PROTOCOL_KEY):
+            return protocol.strip().removeprefix(PROTOCOL_KEY)
     raise _unauthorized("a key is required; send it as Authorization: Bearer KEY")
 
 

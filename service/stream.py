@@ -20,6 +20,9 @@ The server sends
 
 The tree moves in real time whatever the line does. At most `WINDOW` frames are under way unacknowledged; further ones
 are left out, so that a slow client sees fewer frames, not old ones.
+
+Where a key is required, a page in a browser offers the protocols `dynamictree` and `bearer.KEY`; others send
+Authorization.
 """
 
 import asyncio
@@ -59,6 +62,7 @@ SETTLED_M = 1e-4  # no voxel moves further
 LATE_S = 0.25  # after a longer stall the clock begins anew
 
 INVALID, TOO_LARGE, DONE = 1008, 1009, 1000
+PROTOCOL = "dynamictree"
 
 
 class OpenMessage(Payload):
@@ -184,7 +188,8 @@ class Session:
 @router.websocket("/stream")
 async def stream(socket: WebSocket) -> None:
     """Follow a pointer; see this module's docstring."""
-    await socket.accept()
+    # a browser insists that one of the protocols that it offers is taken; the other one is its key
+    await socket.accept(PROTOCOL if PROTOCOL in socket.scope["subprotocols"] else None)
     context = await context_of(socket)
     try:
         opened = await _open(socket, context)

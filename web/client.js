@@ -226,7 +226,8 @@ export class Push {
 
   _connect() {
     const base = this.client.base || globalThis.location.origin;
-    const socket = new this.client._WebSocket(`${base.replace(/^http/, "ws")}/v1/interact/stream`);
+    const protocols = this.client.key ? ["dynamictree", `bearer.${this.client.key}`] : [];
+    const socket = new this.client._WebSocket(`${base.replace(/^http/, "ws")}/v1/interact/stream`, protocols);
     const gone = () => {
       if (this._socket !== socket) return;
       this._socket = null;

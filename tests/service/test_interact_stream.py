@@ -11,7 +11,11 @@ from dynamictree.modal.force import Drag, Impulse, contact_at_voxel
 from dynamictree.modal.response import group_forces, respond
 from dynamictree.modal.system import modal_system
 from dynamictree.spectrum import SparseVoxelSpectrum
+from jobs.keys import create_key
+from jobs.settings import Settings
 from service import stream
+from service.app import create_app
+from service.context import Context
 from tests.service.pushed import grown, poke, spectrum, spectrum_id  # noqa: F401
 
 URL = "/v1/interact/stream"
@@ -179,3 +183,16 @@ def test_silence_and_shouting_end_it(client: TestClient, spectrum_id: str, monke
             with pytest.raises(WebSocketDisconnect) as closed:
                 socket.receive_json()
             assert closed.value.code == code
+
+
+def test_a_page_sends_its_key_as_a_protocol(settings: Settings, context: Context, spectrum_id: str) -> None:
+    _, key = create_key(context.store, name="page")
+    locked = create_app(settings.model_copy(update={"keys": "required"}))
+    with TestClient(locked, "http://localhost") as client:
+        offered = [stream.PROTOCOL, f"bearer.{key}"]
+        with client.websocket_connect(URL, subprotocols=offered) as socket:
+            assert socket.accepted_subprotocol == stream.PROTOCOL
+            socket.send_json({"type": "open", "spectrum_id": spectrum_id})
+            assert socket.receive_json()["code"] == "not-found"  # it is in, but this tree is another owner's
+        with pytest.raises(WebSocketDisconnect), client.websocket_connect(URL, subprotocols=[stream.PROTOCOL]):
+            raise AssertionError("the stream was opened without a key")
