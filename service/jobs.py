@@ -8,7 +8,7 @@ from typing import Annotated, TypeVar
 from fastapi import APIRouter, Header, Path, Query, Request, Response, status
 
 from jobs.errors import ConflictError, ReusedKeyError
-from jobs.records import ArtifactRecord, AssetRecord, ClientKey, JobRecord
+from jobs.records import ArtifactRecord, AssetRecord, ClientKey, JobRecord, Json
 from jobs.states import JobState, JobType, stages_of
 from jobs.store import new_id
 from service.assets import require_room
@@ -67,6 +67,7 @@ def create_job(
         told = EstimatePayload(
             est_seconds=_sum_of_medians(stages, context.store.stage_seconds),
             est_bytes=_sum_of_medians(stages, context.store.stage_bytes),
+            format_bytes=_format_bytes(body, asset),
         )
         return Response(told.model_dump_json(), media_type="application/json")
     key = None
@@ -212,8 +213,10 @@ def _checked(context: Context, body: JobRequest) -> tuple[AssetRecord, tuple[Job
     stages = stages_of(body.type, asset.kind)
     if "diffuse" in stages:
         require_preset(body.preset)
-    if isinstance(body.params, AnimateParams):
-        _require_loop(body.params)
+    if body.params.box_m is not None and asset.kind != "cloud":
+        detail = f"asset {asset.id} is of kind {asset.kind}; only of a cloud a part may move"
+        raise _bad_field("/params/box_m", "not-allowed", detail)
+    require_room(context, sum(_format_bytes(body, asset).values()))
     return asset, stages
 
 
@@ -226,7 +229,7 @@ def _record(context: Context, body: JobRequest, asset: AssetRecord) -> JobRecord
         asset_id=asset.id,
         preset=body.preset,
         seed=body.seed,
-        params=body.params.model_dump(mode="json"),
+        params=_resolved(body, asset),
         queue=context.settings.queue,
         start_deadline=None if body.start_deadline_s is None else now + body.start_deadline_s,
         created_at=now,
@@ -264,16 +267,44 @@ def _require_place(context: Context) -> None:
         raise ProblemError("queue-full", f"{context.settings.max_queued_jobs} jobs wait already, which is the limit")
 
 
-def _require_loop(params: AnimateParams) -> None:
+def _resolved(body: JobRequest, asset: AssetRecord) -> dict[str, Json]:
+    """What the worker is told: the formats of this kind of asset where none are asked for, and always a picture."""
+    params: dict[str, Json] = body.params.model_dump(mode="json")
+    if isinstance(body.params, AnimateParams):
+        params["formats"] = list(_formats(body.params, asset))
+    return params
+
+
+def _formats(params: AnimateParams, asset: AssetRecord) -> tuple[str, ...]:
+    from dynamictree.products import DEFAULT_CLOUD_FORMATS, DEFAULT_FORMATS
+
+    named = params.formats or (DEFAULT_CLOUD_FORMATS if asset.kind == "cloud" else DEFAULT_FORMATS)
+    return tuple(dict.fromkeys((*named, "png")))
+
+
+def _format_bytes(body: JobRequest, asset: AssetRecord) -> dict[str, int]:
+    """Products whose size is known beforehand.
+
+    Raises:
+        InputError: frames that make no loop, or a sequence of splats that would be too large.
+    """
+    if not isinstance(body.params, AnimateParams):
+        return {}
     # numba comes with the products; loaded beside the first requests, not with this module
     from dynamictree.products import AnimateOptions
     from dynamictree.spectrum import FPS, NUM_FRAMES
+    from dynamictree.splat_products import sequence_bytes
 
-    options = AnimateOptions(
-        num_frames=params.num_frames,
-        fps=params.fps,
-        speed=params.speed,
-        loop=params.loop,
-        formats=params.formats,
-    )
-    options.phases(NUM_FRAMES / FPS)
+    given = body.params.model_dump(include={"first_frame", "num_frames", "fps", "speed", "loop", "share", "sh_degree"})
+    options = AnimateOptions(**given, formats=_formats(body.params, asset))
+    num_frames = len(options.phases(NUM_FRAMES / FPS))
+    if "splat-ply" not in options.formats or asset.kind != "cloud":
+        return {}
+    count, degree = asset.summary["num_gaussians"], asset.summary["sh_degree"]
+    assert isinstance(count, int)
+    assert isinstance(degree, int)
+    return {"splat-ply": sequence_bytes(count, degree, num_frames, options)}
+
+
+def _bad_field(pointer: str, code: str, detail: str) -> ProblemError:
+    return ProblemError("validation-failed", detail, errors=[{"pointer": pointer, "code": code, "detail": detail}])

@@ -85,7 +85,7 @@ def load_source_mesh(context: Context, spectrum_id: str) -> TriangleMesh:
     artifact = spectrum_artifact(context, spectrum_id)
     asset = context.store.asset(context.store.job(artifact.job_id).asset_id)
     made = [other for other in context.store.artifacts_of(artifact.job_id) if other.name == MESH_BUNDLE]
-    if asset.prepared is not None:
+    if asset.prepared is not None and asset.kind == "mesh":
         digest = asset.prepared.sha256
     elif made:
         digest = made[0].sha256

@@ -13,7 +13,7 @@ from pathlib import Path
 from dynamictree.errors import CheckpointError
 from jobs.artifacts import hash_file
 from jobs.attempts import cached_stage, publish_stage, start_stage, touch_blob
-from jobs.products import MESH_BUNDLE, SPECTRUM, VOXELS, media_type
+from jobs.products import CLOUD_BUNDLE, MESH_BUNDLE, SPECTRUM, VOXELS, media_type
 from jobs.records import AssetRecord, JobRecord, OutputFile
 from jobs.states import JOB_TYPES, JobType
 from worker.runtime import Runtime
@@ -21,21 +21,32 @@ from worker.watch import Watch
 
 logger = logging.getLogger(__name__)
 
-STAGE_VERSION = "1"
+STAGE_VERSION = "2"
 """Part of every stage's key; raised when a stage makes something else of the same inputs."""
 
-PHOTOS = "photos"
+SOURCE = "source"
 INPUTS: dict[JobType, tuple[str, ...]] = {
-    "reconstruct": (PHOTOS,),
+    "reconstruct": (SOURCE,),
     "voxelize": (MESH_BUNDLE,),
     "diffuse": (VOXELS,),
-    "animate": (SPECTRUM, MESH_BUNDLE),
+    "animate": (SPECTRUM, MESH_BUNDLE, CLOUD_BUNDLE),
 }
 PARAMS: dict[JobType, tuple[str, ...]] = {
-    "reconstruct": (),
+    "reconstruct": ("box_m",),
     "voxelize": ("resolution",),
     "diffuse": ("wind", "num_steps"),
-    "animate": ("num_frames", "fps", "speed", "loop", "formats"),
+    "animate": (
+        "first_frame",
+        "num_frames",
+        "fps",
+        "speed",
+        "loop",
+        "formats",
+        "share",
+        "sh_degree",
+        "shot",
+        "box_m",
+    ),
 }
 """The files and parameters that change what a stage makes."""
 
@@ -52,9 +63,9 @@ def run_stages(here: Runtime, watch: Watch) -> None:
     inputs = folder / "inputs"
     inputs.mkdir(parents=True)
     try:
-        files = _fetch_mesh(here, asset, inputs)
+        files = _fetch_prepared(here, asset, inputs)
         photos = tuple(_fetch_photos(here, asset, inputs, photo_name))
-        hashes = dict.fromkeys((MESH_BUNDLE, PHOTOS), asset.fingerprint)
+        hashes = dict.fromkeys((MESH_BUNDLE, CLOUD_BUNDLE, SOURCE), asset.fingerprint)
         for stage in job.stages:
             watch.check()
             made = _finished(here, job, stage.name)
@@ -102,12 +113,13 @@ def model_sha256(preset: str) -> str:
         return sha256(stream.read()).hexdigest()
 
 
-def _fetch_mesh(here: Runtime, asset: AssetRecord, inputs: Path) -> dict[str, Path]:
+def _fetch_prepared(here: Runtime, asset: AssetRecord, inputs: Path) -> dict[str, Path]:
+    """The mesh or cloud that the parser wrote."""
     if asset.prepared is None:
         return {}
-    path = inputs / MESH_BUNDLE
-    here.artifacts.fetch(asset.prepared.sha256, path)
-    return {MESH_BUNDLE: path}
+    name = CLOUD_BUNDLE if asset.kind == "cloud" else MESH_BUNDLE
+    here.artifacts.fetch(asset.prepared.sha256, inputs / name)
+    return {name: inputs / name}
 
 
 def _fetch_photos(here: Runtime, asset: AssetRecord, inputs: Path, name_of: object) -> Iterable[Path]:

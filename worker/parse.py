@@ -6,12 +6,14 @@ It gives up what it does not need (memory, time, open files, core dumps) before 
 import os
 import resource
 import sys
+from collections.abc import Mapping
+from contextlib import ExitStack
+from pathlib import Path, PurePosixPath
 
 from dynamictree.errors import DynamicTreeError
 from jobs.parser import ParseAnswer, ParseRequest
 
 MAX_FILES = 512
-HEAD_BYTES = 64 * 1024
 MAX_PIXELS = 50_000_000
 MIN_PHOTO_PIXELS = 320 * 240
 PHOTO_FORMATS = ("JPEG", "PNG", "TIFF", "WEBP")
@@ -24,7 +26,7 @@ def main() -> None:
     answer_to = os.dup(1)
     os.dup2(2, 1)  # what a library prints is no answer
     try:
-        answer = _photos(request) if request.kind == "photos" else _mesh(request)
+        answer = _photos(request) if request.kind == "photos" else _model(request)
     except DynamicTreeError as error:
         answer = ParseAnswer(code=error.code, message=str(error))
     except (MemoryError, RecursionError) as error:
@@ -42,18 +44,61 @@ def _limit(request: ParseRequest) -> None:
     resource.setrlimit(resource.RLIMIT_NOFILE, (MAX_FILES, MAX_FILES))
 
 
-def _mesh(request: ParseRequest) -> ParseAnswer:
-    # numpy and trimesh come in only now, under the limits
+def _model(request: ParseRequest) -> ParseAnswer:
+    """A mesh, a cloud, or both."""
+    # numpy comes in only now, under the limits
+    from dynamictree.formats.source_file import source_kind
+
+    files = dict(zip(request.names, request.paths, strict=True))
+    models = {}
+    for name in request.names[: request.num_models]:
+        with files[name].open("rb") as stream:
+            models[name] = source_kind(stream, name)
+    clouds = [name for name, (kind, _) in models.items() if kind == "cloud"]
+    meshes = [name for name in models if name not in clouds]
+    if len(clouds) > 1 or len(meshes) > 1:
+        found = ", ".join(repr(name) for name in models)
+        return _unusable(
+            f"there are 2 {'clouds' if clouds else 'meshes'} ({found}); send one, and what it names beside it"
+        )
+    beside = {name: path for name, path in files.items() if name not in models}
+    if clouds:
+        return _cloud(request, clouds[0], models[clouds[0]][1], meshes[0] if meshes else None, beside)
+    return _mesh(request, meshes[0], models[meshes[0]][1], beside)
+
+
+def _cloud(
+    request: ParseRequest, name: str, file_type: str, mesh: str | None, beside: Mapping[str, Path]
+) -> ParseAnswer:
+    from dynamictree.describe import describe_capture
+    from dynamictree.formats.cloud_bundle import write_cloud_bundle
+    from dynamictree.formats.source_file import MASK_NAME, read_capture
+
+    paths = dict(zip(request.names, request.paths, strict=True))
+    masks = [path for other, path in beside.items() if PurePosixPath(other).name == MASK_NAME]
+    with ExitStack() as opened:
+        capture = read_capture(
+            opened.enter_context(paths[name].open("rb")),
+            file_type=file_type,
+            up_axis=request.up_axis,
+            unit_m=request.unit_m,
+            mask=opened.enter_context(masks[0].open("rb")) if masks else None,
+            mesh=None if mesh is None else (mesh, opened.enter_context(paths[mesh].open("rb"))),
+            companions=None if mesh is None else {other: path.read_bytes() for other, path in beside.items()},
+        )
+    with request.prepared.open("xb") as stream:
+        write_cloud_bundle(capture, stream)
+    return ParseAnswer(kind="cloud", summary=describe_capture(capture))
+
+
+def _mesh(request: ParseRequest, name: str, file_type: str, beside: Mapping[str, Path]) -> ParseAnswer:
     import numpy as np
 
     from dynamictree.formats.mesh_bundle import write_mesh_bundle
-    from dynamictree.formats.mesh_file import read_mesh, sniff_file_type
+    from dynamictree.formats.mesh_file import read_mesh
 
-    main_path, *others = request.paths
-    companions = {name: path.read_bytes() for name, path in zip(request.names[1:], others, strict=True)}
-    with main_path.open("rb") as source:
-        file_type = sniff_file_type(source.read(HEAD_BYTES), request.names[0])
-        source.seek(0)
+    companions = {other: path.read_bytes() for other, path in beside.items()}
+    with dict(zip(request.names, request.paths, strict=True))[name].open("rb") as source:
         mesh = read_mesh(
             source, file_type=file_type, up_axis=request.up_axis, unit_m=request.unit_m, companions=companions
         )
@@ -61,6 +106,7 @@ def _mesh(request: ParseRequest) -> ParseAnswer:
         write_mesh_bundle(mesh, stream)
     low, high = np.min(mesh.vertices, axis=0), np.max(mesh.vertices, axis=0)
     return ParseAnswer(
+        kind="mesh",
         summary={
             "num_vertices": mesh.num_vertices,
             "num_faces": mesh.num_faces,
@@ -69,7 +115,7 @@ def _mesh(request: ParseRequest) -> ParseAnswer:
             "low_m": [float(value) for value in low],
             "source_up_axis": mesh.source_up_axis,
             "source_scale": mesh.source_scale,
-        }
+        },
     )
 
 

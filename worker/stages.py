@@ -5,13 +5,17 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from dynamictree import pipeline
+from dynamictree.formats.cloud_bundle import read_cloud_bundle
 from dynamictree.formats.mesh_bundle import read_mesh_bundle, write_mesh_bundle
+from dynamictree.formats.ply_writer import write_ply
 from dynamictree.formats.spectrum_file import read_spectrum, write_spectrum
 from dynamictree.formats.voxels_file import read_voxels, write_voxels
+from dynamictree.gaussian.capture import Box, Capture, carrying_mesh
 from dynamictree.mesh import TriangleMesh
 from dynamictree.products import AnimateOptions
+from dynamictree.render.shot import Shot
 from dynamictree.spectrum import Wind
-from jobs.products import MESH, MESH_BUNDLE, SPECTRUM, VOXELS
+from jobs.products import CLOUD_BUNDLE, MESH, MESH_BUNDLE, SPECTRUM, VOXELS
 from jobs.records import JobRecord
 from jobs.states import JobType
 
@@ -22,17 +26,32 @@ class StageInput:
 
     job: JobRecord
     folder: Path  # its own, empty
-    files: dict[str, Path]  # what earlier stages made, and the asset's mesh as MESH_BUNDLE
+    files: dict[str, Path]  # what earlier stages made; the asset's mesh as MESH_BUNDLE, or its cloud as CLOUD_BUNDLE
     photos: tuple[Path, ...]
     report: Callable[[float], None]  # share done in [0, 1]; raises when the stage should stop
 
 
 def reconstruct(given: StageInput) -> Iterable[Path]:
-    """Photos to mesh."""
+    """Photos or a cloud to a mesh."""
+    if CLOUD_BUNDLE in given.files:
+        return _mesh_of_cloud(given)
     path = pipeline.reconstruct(given.photos, given.folder, given.report)
     with (given.folder / MESH_BUNDLE).open("xb") as stream:
         write_mesh_bundle(pipeline.load_mesh(path, up_axis="+Z", unit_m=1.0), stream)
     return path.replace(given.folder / MESH), given.folder / MESH_BUNDLE
+
+
+def _mesh_of_cloud(given: StageInput) -> Iterable[Path]:
+    """The mesh that came with a cloud, or one of the part that moves."""
+    given.report(0.0)
+    capture = _capture(given)
+    assert capture is not None
+    mesh = carrying_mesh(capture, _box(given))
+    with (given.folder / MESH).open("xb") as stream:
+        write_ply(mesh, stream)
+    with (given.folder / MESH_BUNDLE).open("xb") as stream:
+        write_mesh_bundle(mesh, stream)
+    return given.folder / MESH, given.folder / MESH_BUNDLE
 
 
 def voxelize(given: StageInput) -> Iterable[Path]:
@@ -71,15 +90,25 @@ def animate(given: StageInput) -> Iterable[Path]:
     given.report(0.0)
     with given.files[SPECTRUM].open("rb") as stream:
         spectrum = read_spectrum(stream)
-    made = pipeline.animate(_mesh(given), spectrum, animate_options(given.job), given.folder, given.report)
+    made = pipeline.animate(
+        _mesh(given),
+        spectrum,
+        animate_options(given.job),
+        given.folder,
+        given.report,
+        capture=_capture(given),
+        box_m=_box(given),
+    )
     return made.values()
 
 
 def animate_options(job: JobRecord) -> AnimateOptions:
     """What an animate job asks for."""
-    names = ("num_frames", "fps", "speed", "loop")
+    names = ("first_frame", "num_frames", "fps", "speed", "loop", "share", "sh_degree")
+    given = {name: job.params[name] for name in names if name in job.params}
+    shot = Shot(**job.params.get("shot", {}))  # type: ignore[arg-type]
     formats = tuple(job.params["formats"])  # type: ignore[arg-type]
-    return AnimateOptions(**{name: job.params[name] for name in names}, formats=formats)  # type: ignore[arg-type]
+    return AnimateOptions(**given, formats=formats, shot=shot)  # type: ignore[arg-type]
 
 
 STAGES: dict[JobType, Callable[[StageInput], Iterable[Path]]] = {
@@ -93,6 +122,21 @@ STAGES: dict[JobType, Callable[[StageInput], Iterable[Path]]] = {
 def photo_name(index: int, name: str) -> str:
     """A file name for a photo: in the order sent, with the suffix by which readers choose."""
     return f"{index:04d}{PurePosixPath(name).suffix.lower()}"
+
+
+def _capture(given: StageInput) -> Capture | None:
+    if CLOUD_BUNDLE not in given.files:
+        return None
+    with given.files[CLOUD_BUNDLE].open("rb") as stream:
+        return read_cloud_bundle(stream)
+
+
+def _box(given: StageInput) -> Box | None:
+    box = given.job.params.get("box_m")
+    if box is None:
+        return None
+    low, high = box  # type: ignore[misc]
+    return tuple(low), tuple(high)  # type: ignore[arg-type]
 
 
 def _mesh(given: StageInput) -> TriangleMesh:

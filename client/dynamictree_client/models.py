@@ -17,15 +17,24 @@ JobState = Literal["queued", "running", "canceling", "succeeded", "failed", "can
 
 
 class AnimateParams(Model):
-    """Spectrum to motion, and the files that show it."""
+    """Spectrum to motion, and the files that show it. `share` and `sh_degree` make splats lighter."""
 
+    box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = (
+        None  # of a cloud, only what is inside moves: low and high corner [m], +Z up; all if unset
+    )
     wind: "Wind | None" = None
     num_steps: int | None = None  # sampler steps; the preset's own if unset
+    first_frame: int = 0
     num_frames: int | None = None  # one period if unset
     fps: float = 24.0  # frames a second; never changes the speed
     speed: float = 1.0  # times the natural speed
     loop: bool = True  # refuse a number of frames that is no whole number of periods
-    formats: list[Literal["ply", "glb", "motion", "png"]] = ["ply", "glb", "png"]  # files to make
+    formats: list[Literal["ply", "glb", "glb-reduced", "motion", "splat-ply", "splat", "png", "webp", "mp4"]] | None = (
+        None  # files to make; ply, glb and png of a mesh or photos, splat and png of a cloud if unset. png comes with every motion
+    )
+    share: float = 1.0  # of a splat's Gaussians that are kept
+    sh_degree: int = 3  # of a splat's harmonics, at most
+    shot: "Shot | None" = None
 
 
 class AnimateRequest(Model):
@@ -57,7 +66,7 @@ class Asset(Model):
     """An upload that was read and can be used."""
 
     id: str
-    kind: Literal["mesh", "photos"]
+    kind: Literal["mesh", "photos", "cloud"]
     parts: "list[Part]"
     summary: dict[str, str | int | float | list[float] | None]  # what was found in it; lengths in metres
     created_at: datetime  # RFC 3339, UTC
@@ -76,6 +85,9 @@ class At(Model):
 class DiffuseParams(Model):
     """Shape to spectrum."""
 
+    box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = (
+        None  # of a cloud, only what is inside moves: low and high corner [m], +Z up; all if unset
+    )
     wind: "Wind | None" = None
     num_steps: int | None = None  # sampler steps; the preset's own if unset
 
@@ -97,6 +109,7 @@ class Estimate(Model):
     valid: Literal[True] = True
     est_seconds: float | None  # median of this service's own history [s]; null without one
     est_bytes: int | None  # of all products, likewise
+    format_bytes: dict[str, int]  # of the products whose size is known before they are made
 
 
 class FieldError(Model):
@@ -296,7 +309,11 @@ class Ready(Model):
 
 
 class ReconstructParams(Model):
-    """Photos to mesh: nothing to choose yet."""
+    """Photos or a cloud to a mesh."""
+
+    box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = (
+        None  # of a cloud, only what is inside moves: low and high corner [m], +Z up; all if unset
+    )
 
 
 class ReconstructRequest(Model):
@@ -325,6 +342,16 @@ class RetryRequest(Model):
     from_stage: Literal["reconstruct", "voxelize", "diffuse", "animate"] | None = (
         None  # this stage and those after it run anew; without it, what is cached is taken
     )
+
+
+class Shot(Model):
+    """From where the pictures are taken."""
+
+    side_px: int = 512
+    azimuth_deg: float = 25.0  # 0 stands at -Y; grows towards +X [°]
+    elevation_deg: float = 8.0  # [°]
+    orbit: bool = False  # goes around once while the frames go by
+    ground: bool = True  # a floor with a shadow
 
 
 class Spectrum(Model):
@@ -368,9 +395,29 @@ class State(Model):
     groups: "list[GroupState]"
 
 
+class Upload(Model):
+    """A file that comes in pieces, or from an address."""
+
+    id: str
+    state: Literal[
+        "receiving", "fetching", "received", "ready", "failed"
+    ]  # receiving or fetching; received; ready with an asset; failed
+    filename: str
+    bytes_received: int
+    length: int | None  # null while an address does not tell
+    sha256: str | None  # as promised
+    asset_id: str | None
+    error: "Problem | None"
+    created_at: datetime  # RFC 3339, UTC
+    expires_at: datetime  # RFC 3339, UTC
+
+
 class VoxelizeParams(Model):
     """Surface to voxels."""
 
+    box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = (
+        None  # of a cloud, only what is inside moves: low and high corner [m], +Z up; all if unset
+    )
     resolution: Literal[32, 64, 128, 256, 512] = 128  # voxels along the cube's side
 
 

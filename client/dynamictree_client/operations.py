@@ -1,6 +1,6 @@
 """A function an operation: what is sent, and what comes back. Made by client/generate.py; do not edit."""
 
-from typing import Literal
+from typing import Any, Literal
 
 from dynamictree_client.call import Call, path_of
 from dynamictree_client.models import (
@@ -21,13 +21,95 @@ from dynamictree_client.models import (
     ReconstructRequest,
     RetryRequest,
     Spectrum,
+    Upload,
     VoxelizeRequest,
 )
 
 
-def create_asset(content: bytes) -> Call[Asset]:
-    """Upload a mesh or a batch of photos."""
-    return Call(method="POST", path="/v1/assets", answer=Asset, content=content, content_type="multipart/form-data")
+def get_upload_protocol() -> Call[None]:
+    """What of tus is spoken here."""
+    return Call(method="OPTIONS", path="/v1/uploads", answer=None)
+
+
+def create_upload(
+    content: bytes,
+    *,
+    tus_resumable: str | None = None,
+    upload_length: str | None = None,
+    upload_metadata: str | None = None,
+    content_type: str | None = None,
+    upload_checksum: str | None = None,
+) -> Call[None]:
+    """Begin an upload; its first bytes may come with it."""
+    return Call(
+        method="POST",
+        path="/v1/uploads",
+        answer=None,
+        headers={
+            "Tus-Resumable": tus_resumable,
+            "upload-length": upload_length,
+            "upload-metadata": upload_metadata,
+            "content-type": content_type,
+            "Upload-Checksum": upload_checksum,
+        },
+        content=content,
+        content_type="application/offset+octet-stream",
+    )
+
+
+def head_upload(id: str, *, tus_resumable: str | None = None) -> Call[None]:
+    """Where an upload stands."""
+    return Call(
+        method="HEAD",
+        path=path_of("/v1/uploads/{id}", {"id": id}),
+        answer=None,
+        headers={"Tus-Resumable": tus_resumable},
+    )
+
+
+def append_to_upload(
+    id: str,
+    content: bytes,
+    *,
+    tus_resumable: str | None = None,
+    upload_offset: str | None = None,
+    content_type: str | None = None,
+    upload_checksum: str | None = None,
+) -> Call[None]:
+    """Append to an upload. What came before a connection breaks is kept, unless it has a checksum of its own."""
+    return Call(
+        method="PATCH",
+        path=path_of("/v1/uploads/{id}", {"id": id}),
+        answer=None,
+        headers={
+            "Tus-Resumable": tus_resumable,
+            "upload-offset": upload_offset,
+            "content-type": content_type,
+            "Upload-Checksum": upload_checksum,
+        },
+        content=content,
+        content_type="application/offset+octet-stream",
+    )
+
+
+def get_upload(id: str, *, prefer: str | None = None) -> Call[Upload]:
+    """An upload: how much is there, and the asset once there is one. Prefer: wait=N waits until that is settled."""
+    return Call(method="GET", path=path_of("/v1/uploads/{id}", {"id": id}), answer=Upload, headers={"prefer": prefer})
+
+
+def delete_upload(id: str, *, tus_resumable: str | None = None) -> Call[None]:
+    """Give an upload up. An asset that was made of it stays."""
+    return Call(
+        method="DELETE",
+        path=path_of("/v1/uploads/{id}", {"id": id}),
+        answer=None,
+        headers={"Tus-Resumable": tus_resumable},
+    )
+
+
+def create_asset(body: dict[str, Any]) -> Call[Asset | Upload]:
+    """Send a mesh or photos, name uploads that hold them, or an address to fetch them from; that takes a while."""
+    return Call(method="POST", path="/v1/assets", answer=Asset | Upload, body=body)
 
 
 def get_asset(id: str) -> Call[Asset]:
@@ -155,6 +237,16 @@ def get_reach(id: str, *, seed_voxel: int, falloff_m: float) -> Call[bytes]:
         answer=bytes,
         query={"seed_voxel": seed_voxel, "falloff_m": falloff_m},
     )
+
+
+def get_asset_surface(id: str) -> Call[bytes]:
+    """A mesh as it was read: metres, +Z up. Something to look at while its job runs."""
+    return Call(method="GET", path=path_of("/v1/assets/{id}/surface", {"id": id}), answer=bytes)
+
+
+def get_surface(id: str) -> Call[bytes]:
+    """The source mesh, its vertices' motion in 16 bits, and the bones that carry them."""
+    return Call(method="GET", path=path_of("/v1/spectra/{id}/surface", {"id": id}), answer=bytes)
 
 
 def list_presets() -> Call[PresetList]:

@@ -4,7 +4,6 @@ import io
 
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
-from scipy.spatial import KDTree
 
 from dynamictree.errors import FormatError, InputError
 from dynamictree.formats.activations import harmonic_from_color
@@ -133,6 +132,8 @@ def cloud_of_points(
 
 def _spacing(points: Float64[np.ndarray, "G 3"]) -> Float32[np.ndarray, " G"]:
     """Half of the root mean square distance to the nearest points, not more than a few medians [the points' unit]."""
+    from scipy.spatial import KDTree  # 0.3 s that readers of other formats do without
+
     num_neighbours = min(_NUM_NEIGHBOURS, len(points) - 1)
     distances = np.asarray(KDTree(points).query(points, num_neighbours + 1, workers=-1)[0])  # [G, 1 + neighbours]
     spacing = np.sqrt((distances[:, 1:] ** 2).mean(axis=1))

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Int32
 
 from dynamictree.errors import InputError
+from dynamictree.gaussian.capture import Box, Capture, moving_part
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.nearest import nearest_faces
 from dynamictree.gaussian.rotation import quaternion_matrices
@@ -79,6 +80,15 @@ def bind(
     return _compact(cloud, mesh.vertices, triangles, face_of, found.weights)
 
 
+def bind_capture(capture: Capture, mesh: TriangleMesh, box_m: Box | None = None) -> Binding:
+    """Hang the part of a capture that moves on the mesh; the rest stays still.
+
+    Raises:
+        InputError: the cloud is not where the mesh is.
+    """
+    return bind(capture.cloud, mesh, mask=moving_part(capture, box_m))
+
+
 def bind_to_faces(
     cloud: GaussianCloud, mesh: TriangleMesh, faces: Int32[np.ndarray, " G"], weights: Float32[np.ndarray, "G 3"]
 ) -> Binding:
@@ -114,26 +124,6 @@ def bind_to_pseudo_mesh(
     return _compact(
         cloud, mesh.vertices, own.triangles, np.where(keep, own.face_of, STILL).astype(np.int32), own.weights
     )
-
-
-def in_box(
-    cloud: GaussianCloud, low_m: tuple[float, float, float], high_m: tuple[float, float, float]
-) -> Bool[np.ndarray, " G"]:
-    """Which Gaussians' means lie in a box: a tree in a scene, without ground and pot.
-
-    Raises:
-        InputError: the box is empty, or nothing is in it.
-    """
-    low, high = np.asarray(low_m), np.asarray(high_m)
-    if not (low < high).all():
-        raise InputError(f"the box runs from {low_m} to {high_m}; its low corner must be below its high one in x, y, z")
-    inside = np.asarray(((cloud.means >= low) & (cloud.means <= high)).all(axis=1))
-    if not inside.any():
-        bounds = cloud.means.min(axis=0).round(3).tolist(), cloud.means.max(axis=0).round(3).tolist()
-        raise InputError(
-            f"no Gaussian is in the box from {low_m} to {high_m}; the cloud is from {bounds[0]} to {bounds[1]}"
-        )
-    return inside
 
 
 def solid_faces(mesh: TriangleMesh) -> Int32[np.ndarray, "U 3"]:

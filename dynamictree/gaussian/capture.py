@@ -6,8 +6,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from dynamictree.errors import InputError
-from dynamictree.gaussian.binding import Binding, bind, in_box
-from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.gaussian.cloud import GaussianCloud, in_box
 from dynamictree.mesh import TriangleMesh
 
 Box = tuple[tuple[float, float, float], tuple[float, float, float]]
@@ -57,12 +56,3 @@ def carrying_mesh(capture: Capture, box_m: Box | None = None) -> TriangleMesh:
 
     moving = moving_part(capture, box_m)
     return capture.mesh or mesh_of_cloud(capture.cloud.subset(moving))
-
-
-def bind_capture(capture: Capture, mesh: TriangleMesh, box_m: Box | None = None) -> Binding:
-    """Hang the part that moves on the mesh; the rest stays still.
-
-    Raises:
-        InputError: the cloud is not where the mesh is.
-    """
-    return bind(capture.cloud, mesh, mask=moving_part(capture, box_m))

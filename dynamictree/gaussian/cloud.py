@@ -94,6 +94,26 @@ def validate_cloud(cloud: GaussianCloud) -> GaussianCloud:
     return cloud
 
 
+def in_box(
+    cloud: GaussianCloud, low_m: tuple[float, float, float], high_m: tuple[float, float, float]
+) -> Bool[np.ndarray, " G"]:
+    """Which Gaussians' means lie in a box: a tree in a scene, without ground and pot.
+
+    Raises:
+        InputError: the box is empty, or nothing is in it.
+    """
+    low, high = np.asarray(low_m), np.asarray(high_m)
+    if not (low < high).all():
+        raise InputError(f"the box runs from {low_m} to {high_m}; its low corner must be below its high one in x, y, z")
+    inside = np.asarray(((cloud.means >= low) & (cloud.means <= high)).all(axis=1))
+    if not inside.any():
+        bounds = cloud.means.min(axis=0).round(3).tolist(), cloud.means.max(axis=0).round(3).tolist()
+        raise InputError(
+            f"no Gaussian is in the box from {low_m} to {high_m}; the cloud is from {bounds[0]} to {bounds[1]}"
+        )
+    return inside
+
+
 def look_level(cloud: GaussianCloud, share: float) -> GaussianCloud:
     """A lighter cloud of about `share` of the Gaussians that looks alike from afar: level of detail.
 

@@ -15,11 +15,10 @@ from dynamictree.gaussian.binding import (
     bind,
     bind_to_faces,
     bind_to_pseudo_mesh,
-    in_box,
     pseudo_mesh,
     solid_faces,
 )
-from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.gaussian.cloud import GaussianCloud, in_box
 from dynamictree.gaussian.deform import Deformer, Pose, deform_slowly, posed, shape_error
 from dynamictree.gaussian.deform_kernel import MAX_STRETCH
 from dynamictree.gaussian.harmonics import harmonics, turn_sh

@@ -302,5 +302,6 @@ def test_a_final_state_is_written_once(store: Store, asset: AssetRecord) -> None
 def test_stages_run_what_they_need_upstream() -> None:
     assert stages_of("animate", "photos") == ("reconstruct", "voxelize", "diffuse", "animate")
     assert stages_of("diffuse", "mesh") == ("voxelize", "diffuse")
+    assert stages_of("voxelize", "cloud") == ("reconstruct", "voxelize")
     with pytest.raises(ConflictError, match="photos"):
         stages_of("reconstruct", "mesh")

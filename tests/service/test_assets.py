@@ -83,8 +83,6 @@ BAD_MESHES = {
     "not finite": (("tree.obj", OBJ.replace(b"v 1 0 0", b"v nan 0 0")), 422),
     "no extent": (("tree.obj", b"v 1 1 1\n" * 3 + b"f 1 2 3\n"), 422),
     "truncated GLB": (("tree.glb", b"glTF\x02\x00\x00\x00\xff\x00\x00\x00\x10"), 415),
-    "points": (("scan.txt", b"0.1 0.2 0.3\n" * 50), 415),
-    "splat": (("tree.splat", bytes(64)), 415),
 }
 
 
@@ -211,6 +209,3 @@ def test_every_sample_mesh_is_taken(client: TestClient, samples: Path) -> None:
     folder = samples / "mesh" / "quaternius_common_tree"
     files = sorted(folder.iterdir())
     assert send(client, *((file.name, file.read_bytes()) for file in files)).status_code == 201
-    scan = samples / "scan" / "tls_tree_1.txt"
-    refused = send(client, (scan.name, scan.read_bytes()))
-    assert (refused.status_code, "is accepted" in refused.json()["detail"]) == (415, True)

@@ -1,0 +1,182 @@
+"""Splats and scans as assets, and what a job on them may ask for."""
+
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fastapi.testclient import TestClient
+
+from dynamictree.formats.cloud_bundle import read_cloud_bundle
+from dynamictree.formats.gaussian_ply import write_gaussian_ply
+from dynamictree.formats.obj_writer import write_obj
+from dynamictree.formats.splat import write_splat
+from dynamictree.gaussian.capture import Capture, carrying_mesh
+from dynamictree.gaussian.cloud import GaussianCloud
+from jobs.states import stages_of
+from service.context import Context
+from tests.service.test_assets import left_behind, send, zipped
+
+
+def post_cloud(count: int = 400, *, degree: int = 0) -> GaussianCloud:
+    """A hollow post, one metre high, as a trained splat has it: −Y up."""
+    rng = np.random.default_rng(3)
+    angle = rng.random(count) * 2 * np.pi
+    return GaussianCloud(
+        means=np.stack([0.1 * np.cos(angle), 0.1 * np.sin(angle), rng.random(count)], axis=1).astype(np.float32),
+        quaternions=np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)),
+        scales=np.full((count, 3), 0.03, np.float32),
+        opacity=np.full(count, 0.9, np.float32),
+        sh=rng.normal(size=(count, (degree + 1) ** 2, 3)).astype(np.float32),
+        source_up_axis="-Y",
+    )
+
+
+def ply_of(cloud: GaussianCloud) -> bytes:
+    stream = BytesIO()
+    write_gaussian_ply(cloud, stream)
+    return stream.getvalue()
+
+
+def splat_of(cloud: GaussianCloud) -> bytes:
+    stream = BytesIO()
+    write_splat(cloud, stream)
+    return stream.getvalue()
+
+
+def mask_of(values: np.ndarray) -> bytes:
+    stream = BytesIO()
+    np.save(stream, values)
+    return stream.getvalue()
+
+
+def kept(context: Context, asset_id: str) -> Capture:
+    prepared = context.store.asset(asset_id).prepared
+    assert prepared is not None
+    return read_cloud_bundle(BytesIO(b"".join(context.artifacts.read(prepared.sha256))))
+
+
+def test_a_splat_becomes_an_asset(client: TestClient, context: Context) -> None:
+    cloud = post_cloud(degree=1)
+    response = send(client, ("tree.ply", ply_of(cloud)))
+    assert response.status_code == 201, response.text
+    asset = response.json()
+    assert (asset["kind"], asset["summary"]["num_gaussians"], asset["summary"]["sh_degree"]) == ("cloud", 400, 1)
+    assert asset["summary"]["source_up_axis"] == "-Y"
+    np.testing.assert_allclose(kept(context, asset["id"]).cloud.means, cloud.means, atol=1e-6)
+    again = send(client, ("tree.ply", ply_of(cloud)))
+    assert (again.status_code, again.json()["id"], again.json()["kind"]) == (200, asset["id"], "cloud")
+    assert left_behind(context) == []
+
+
+def test_mask_and_mesh_come_with_a_splat(client: TestClient, context: Context) -> None:
+    cloud = post_cloud()
+    mesh = carrying_mesh(Capture(cloud=cloud))
+    turned = mesh.with_vertices(np.ascontiguousarray(mesh.vertices[:, [0, 2, 1]] * np.array([1, -1, 1], np.float32)))
+    obj = BytesIO()
+    write_obj(turned, obj)
+    mask = np.arange(400) < 300
+    files = (("mesh.obj", obj.getvalue()), ("tree.splat", splat_of(cloud)), ("mask.npy", mask_of(mask)))
+    for sent in (files, (("all.zip", zipped(*files)),)):
+        asset = send(client, *sent).json()
+        assert (asset["kind"], asset["summary"]["num_movable"]) == ("cloud", 300)
+        capture = kept(context, asset["id"])
+        assert capture.mesh is not None
+        np.testing.assert_allclose(capture.mesh.vertices, mesh.vertices, atol=1e-4)
+        np.testing.assert_array_equal(capture.mask, mask)
+
+
+def test_a_note_beside_a_mesh_is_no_scan(client: TestClient) -> None:
+    obj = b"v 0 0 0\nv 1 0 0\nv 0 0 1\nf 1 2 3\n"
+    assert send(client, ("tree.obj", obj), ("license.txt", b"1 2 3\n")).json()["kind"] == "mesh"
+    points = b"".join(b"%d %d %d\n" % (n, n % 7, n % 5) for n in range(100))
+    assert send(client, ("tree.xyz", points)).json()["kind"] == "cloud"
+
+
+HEADER = b"ply\nformat binary_little_endian 1.0\nelement vertex %d\n"
+FLOATS = b"".join(b"property float %s\n" % name.encode() for name in ("x", "y", "z", "f_dc_0", "opacity"))
+
+
+def with_values(**values: float) -> bytes:
+    cloud = post_cloud()
+    changed = {name: np.full_like(getattr(cloud, name), value) for name, value in values.items()}
+    return ply_of(GaussianCloud(**{**cloud.__dict__, **changed}))
+
+
+BAD_CLOUDS = {
+    "properties missing": ("a.ply", HEADER % 1 + FLOATS + b"end_header\n" + bytes(20), 415, "f_dc_1, f_dc_2"),
+    "shorter than it says": ("a.ply", ply_of(post_cloud())[:-100], 415, "bytes"),
+    "fifty million": ("a.ply", ply_of(post_cloud()).replace(b"vertex 400", b"vertex 50000000"), 422, "at most 5,000"),
+    "a count beyond the file": ("a.ply", ply_of(post_cloud()).replace(b"vertex 400", b"vertex 4000000"), 415, "bytes"),
+    "not finite": ("a.ply", with_values(means=np.nan), 422, "not finite"),
+    "nothing visible": ("a.ply", with_values(opacity=0.0), 422, "nothing is visible"),
+    "zeros": ("a.splat", bytes(64), 422, "nothing is visible"),
+    "half a record": ("a.splat", splat_of(post_cloud())[:-5], 415, "32"),
+    "SOG": ("tree.sog", zipped(("meta.json", b"{}")), 415, "SOG files are not read"),
+    "one place": ("scan.txt", b"0.1 0.2 0.3\n" * 50, 422, "at one place"),
+    "no numbers": ("scan.xyz", b"1 2 3\n1 2 x\n", 415, "numbers"),
+    "no LAS": ("scan.las", b"LASF" + bytes(300), 415, "LAS"),
+    "no SPZ": ("tree.spz", b"\x1f\x8b" + bytes(50), 415, ""),
+    "empty": ("a.ply", ply_of(post_cloud()).replace(b"vertex 400", b"vertex 0"), 415, ""),
+}
+
+
+@pytest.mark.parametrize("what", ["properties missing", "fifty million", "not finite", "nothing visible", "SOG"])
+def test_a_bad_cloud_is_refused_and_nothing_stays(client: TestClient, context: Context, what: str) -> None:
+    name, content, status, found = BAD_CLOUDS[what]
+    response = send(client, (name, content))
+    assert response.status_code == status, response.text
+    assert response.headers["content-type"] == "application/problem+json"
+    assert found in response.json()["detail"]
+    assert left_behind(context) == []
+
+
+def test_two_clouds_are_one_too_many(client: TestClient) -> None:
+    cloud = splat_of(post_cloud())
+    assert "2 clouds" in send(client, ("a.splat", cloud), ("b.splat", cloud)).json()["detail"]
+    assert "3 meshes or clouds" in send(client, *((f"{n}.splat", cloud) for n in "abc")).json()["detail"]
+    bad_mask = send(client, ("a.splat", cloud), ("mask.npy", mask_of(np.ones(3, np.bool_))))
+    assert "3 values for 400" in bad_mask.json()["detail"]
+
+
+@pytest.fixture
+def cloud_id(client: TestClient) -> str:
+    identity: str = send(client, ("tree.ply", ply_of(post_cloud(degree=1)))).json()["id"]
+    return identity
+
+
+def test_a_job_on_a_cloud_makes_its_mesh_first(client: TestClient, cloud_id: str) -> None:
+    body = {"type": "animate", "asset_id": cloud_id, "params": {"box_m": [[-1, -1, 0], [1, 1, 2]]}}
+    job = client.post("/v1/jobs", json=body).json()
+    assert [stage["name"] for stage in job["stages"]] == list(stages_of("animate", "cloud"))
+    assert job["params"]["formats"] == ["splat", "png"]
+    assert job["params"]["box_m"] == [[-1, -1, 0], [1, 1, 2]]
+    assert client.post("/v1/jobs", json={"type": "reconstruct", "asset_id": cloud_id}).status_code == 202
+
+
+def test_the_size_of_a_sequence_is_told_before_it_is_made(client: TestClient, cloud_id: str) -> None:
+    params = {"formats": ["splat-ply"], "num_frames": 10, "loop": False, "share": 0.5, "sh_degree": 0}
+    body = {"type": "animate", "asset_id": cloud_id, "params": params}
+    told = client.post("/v1/jobs?validate_only=true", json=body).json()
+    header = len(ply_of(post_cloud(200)).split(b"end_header\n")[0]) + len(b"end_header\n")
+    assert told["format_bytes"]["splat-ply"] == pytest.approx(10 * (200 * 68 + header), rel=0.02)
+
+
+def test_what_does_not_fit_is_refused_when_asked(
+    client: TestClient, cloud_id: str, context: Context, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mesh_id = send(client, ("tree.obj", b"v 0 0 0\nv 1 0 0\nv 0 0 1\nf 1 2 3\n")).json()["id"]
+    box = {"box_m": [[0, 0, 0], [1, 1, 1]]}
+    refused = client.post("/v1/jobs", json={"type": "voxelize", "asset_id": mesh_id, "params": box})
+    assert [error["pointer"] for error in refused.json()["errors"]] == ["/params/box_m"]
+    body = {"type": "animate", "asset_id": cloud_id, "params": {"formats": ["splat-ply"]}}
+    monkeypatch.setattr("dynamictree.splat_products.MAX_SEQUENCE_BYTES", 1000)
+    refused = client.post("/v1/jobs", json=body)
+    assert (refused.status_code, refused.json()["code"]) == (422, "invalid-input")
+    assert "fewer frames" in refused.json()["detail"]
+
+
+def test_every_sample_cloud_is_taken(client: TestClient, samples: Path) -> None:
+    for path in (*sorted((samples / "splat").iterdir()), *sorted((samples / "scan").iterdir())):
+        response = send(client, (path.name, path.read_bytes()))
+        assert (response.status_code, response.json()["kind"]) == (201, "cloud"), response.text
