@@ -102,3 +102,14 @@ def edges_of(faces: Int32[np.ndarray, "F 3"]) -> Int32[np.ndarray, "E 2"]:
     pairs = np.sort(pairs, axis=1)
     keys = np.unique(pairs[:, 0].astype(np.int64) << 32 | pairs[:, 1])
     return np.stack([keys >> 32, keys & 0xFFFFFFFF], axis=1).astype(np.int32)
+
+
+def weld(mesh: TriangleMesh) -> tuple[TriangleMesh, Int32[np.ndarray, " N"]]:
+    """Make vertices at exactly one place one vertex, as files split them at seams of texture or shading.
+
+    Returns:
+        The bare surface, in the order of the places, and the vertex in it of each of the mesh's own.
+    """
+    places, vertex = np.unique(mesh.vertices, axis=0, return_inverse=True)
+    vertex = vertex.ravel().astype(np.int32)
+    return TriangleMesh(vertices=places, faces=vertex[mesh.faces]), vertex

@@ -7,7 +7,7 @@ import scipy.sparse
 from jaxtyping import Float32, Int32, Shaped
 from scipy.spatial import cKDTree
 
-from dynamictree.mesh import TriangleMesh, edges_of
+from dynamictree.mesh import TriangleMesh, edges_of, weld
 from dynamictree.voxel.fit import SMOOTHNESS, SurfaceFit, fit_surface
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import surface_average
@@ -27,12 +27,13 @@ class VoxelInterpolation:
     weights: Float32[np.ndarray, "N M"]
     num_voxels: int
     fit: SurfaceFit | None = None
+    fitted: Int32[np.ndarray, " N"] | None = None  # of the fit's vertices the one that each point is
 
     def apply(self, values: Shaped[np.ndarray, "V ..."]) -> Shaped[np.ndarray, "N ..."]:
         """Values at voxels to values at points, single precision, real or complex."""
         flat = np.ascontiguousarray(values).reshape(self.num_voxels, -1)
         parts = flat.view(np.float32) if flat.dtype == np.complex64 else flat.astype(np.float32, copy=False)
-        result = self._mean(parts) if self.fit is None else self.fit.solve(parts)  # [N, D]
+        result = self._mean(parts) if self.fit is None else self.fit.solve(parts)[self.fitted]  # [N, D]
         whole = np.ascontiguousarray(result).view(np.complex64 if flat.dtype == np.complex64 else np.float32)
         return whole.reshape(len(self.rows), *values.shape[1:])
 
@@ -61,7 +62,7 @@ def smooth(grid: VoxelGrid, mesh: TriangleMesh, *, smoothness: float = SMOOTHNES
     """The smoothest motion of the mesh whose mean over the surface in each voxel is the voxel's, see `fit.py`.
 
     Only surface that hangs together is asked: a twig that passes close by has no part in it. `rows` and `weights` are
-    the voxels that a vertex's faces and its neighbours' faces pass through, by area.
+    the voxels that a vertex's faces and its neighbours' faces pass through, by area. Vertices at one place move as one.
 
     Args:
         grid: of this mesh, from `voxelize`.
@@ -71,6 +72,7 @@ def smooth(grid: VoxelGrid, mesh: TriangleMesh, *, smoothness: float = SMOOTHNES
     Raises:
         InputError: a voxel of the grid holds none of the mesh's surface.
     """
+    mesh, vertex = weld(mesh)
     average = surface_average(mesh, grid)
     shares = _rows_to_one(average.T.tocsr())  # [N, V]
     start, end = edges_of(mesh.faces).T
@@ -82,7 +84,13 @@ def smooth(grid: VoxelGrid, mesh: TriangleMesh, *, smoothness: float = SMOOTHNES
     if len(loose):
         interpolation.rows[loose, 0] = nearest(grid, mesh.vertices[loose]).rows[:, 0]
         interpolation.weights[loose, 0] = 1
-    return replace(interpolation, fit=fit_surface(mesh, grid, average, smoothness=smoothness))
+    return replace(
+        interpolation,
+        rows=interpolation.rows[vertex],
+        weights=interpolation.weights[vertex],
+        fit=fit_surface(mesh, grid, average, smoothness=smoothness),
+        fitted=vertex,
+    )
 
 
 def _rows_to_one(matrix: scipy.sparse.csr_array) -> scipy.sparse.csr_array:

@@ -1,10 +1,8 @@
 """Which voxels hang together, and how far along the tree each is from its root."""
 
 import numpy as np
-import scipy.sparse
+import scipy  # its parts come in when they are used: the service starts without them
 from jaxtyping import Float32, Int64, Shaped
-from scipy.sparse.csgraph import connected_components, dijkstra
-from scipy.spatial import cKDTree
 
 from dynamictree.voxel.grid import VoxelGrid
 
@@ -18,11 +16,13 @@ _FIRST_NEIGHBOURS = 16
 """Looked at first when a component seeks the nearest voxel of another; doubled until one is found."""
 
 
-def voxel_graph(grid: VoxelGrid) -> scipy.sparse.csr_array:
+def voxel_graph(grid: VoxelGrid) -> "scipy.sparse.csr_array":
     """Distances [V, V] between voxels that touch by face, edge or corner, made connected [m].
 
     Parts that touch no other are joined to their nearest neighbour part by the shortest gap, until all is one.
     """
+    from scipy.sparse.csgraph import connected_components
+
     starts, ends = [], []
     for step in _HALF_OF_STEPS:
         neighbours = grid.rows_of(grid.coords + step)
@@ -39,8 +39,10 @@ def voxel_graph(grid: VoxelGrid) -> scipy.sparse.csr_array:
         graph = _graph(grid, np.concatenate([coo.row, bridge_starts]), np.concatenate([coo.col, bridge_ends]))
 
 
-def root_distance(graph: scipy.sparse.csr_array, grid: VoxelGrid) -> Float32[np.ndarray, " V"]:
+def root_distance(graph: "scipy.sparse.csr_array", grid: VoxelGrid) -> Float32[np.ndarray, " V"]:
     """Length of the shortest way along the graph to the tree's root [m]."""
+    from scipy.sparse.csgraph import dijkstra
+
     height = grid.coords[:, 2]
     roots = np.flatnonzero(height <= height.min() + ROOT_SHARE * np.ptp(height))
     distance: Float32[np.ndarray, " V"] = dijkstra(graph, directed=False, indices=roots, min_only=True).astype(
@@ -49,7 +51,7 @@ def root_distance(graph: scipy.sparse.csr_array, grid: VoxelGrid) -> Float32[np.
     return distance
 
 
-def _graph(grid: VoxelGrid, starts: Int64[np.ndarray, " E"], ends: Int64[np.ndarray, " E"]) -> scipy.sparse.csr_array:
+def _graph(grid: VoxelGrid, starts: Int64[np.ndarray, " E"], ends: Int64[np.ndarray, " E"]) -> "scipy.sparse.csr_array":
     """Both directions of every edge, each once, in a fixed order."""
     low, high = np.minimum(starts, ends).astype(np.int64), np.maximum(starts, ends).astype(np.int64)
     keys = np.unique(low * len(grid) + high)
@@ -64,6 +66,8 @@ def shortest_gaps(
     points: Shaped[np.ndarray, "V 3"], part: Int64[np.ndarray, " V"]
 ) -> tuple[Int64[np.ndarray, " B"], Int64[np.ndarray, " B"]]:
     """From every part but the largest, the pair of points nearest to another part: a round of Borůvka's algorithm."""
+    from scipy.spatial import cKDTree
+
     tree = cKDTree(points)
     largest = int(np.argmax(np.bincount(part)))
     seeking = np.flatnonzero(part != largest)

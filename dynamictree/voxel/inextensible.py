@@ -1,0 +1,173 @@
+"""Vertex motion that bends but hardly stretches: what a generated spectrum needs after devoxelisation.
+
+Neighbouring voxels of a generated spectrum differ by noise, and a short edge between them would stretch. Minimised over
+the vertices' motion x(t), with x⁰(t) as it was, is the mean over the loop of
+
+    Σ_i |x_i - x⁰_i|²  +  Σ_ij (h / l_ij)² (μ (|e_ij + x_i - x_j| - l_ij)² + ν |x_i - x_j|²)
+
+with h the voxels' edge, e_ij an edge at rest and l_ij its length: elongation costs much, turning little. By Gauss and
+Newton: first for the mean pose alone (k = 0), then for all frequencies, linear along the edges of the mean pose.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse
+from jaxtyping import Complex64, Float32, Float64, Int32
+
+from dynamictree.mesh import TriangleMesh, edges_of, weld
+from dynamictree.voxel.devoxelize import VoxelInterpolation, smooth
+from dynamictree.voxel.grid import VoxelGrid
+
+ELONGATION = 30.0
+"""μ, see docs/decisions/core.md."""
+TURNING = 0.3
+"""ν: keeps short edges from spinning."""
+
+_ROUNDS = 2  # of Gauss and Newton
+_CG_STEPS = 60
+_CG_VERTICES = 40_000  # larger meshes get fewer steps: their edges are shorter, and stretch is more local
+_MIN_CG_STEPS = 12
+_SHORTEST_EDGE = 0.01  # in voxels; shorter ones hold no harder
+_FRAMES_PER_BIN = 4  # elongation has twice the motion's bandwidth
+_EDGES_AT_ONCE = 50_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class BendingMotion:
+    """From a spectrum of voxels to the motion of a mesh's vertices; prepared once for any spectra."""
+
+    mesh: TriangleMesh
+    interpolation: VoxelInterpolation
+    voxel_size_m: float
+
+    def apply(self, coefficients: Complex64[np.ndarray, "V K 3"]) -> Complex64[np.ndarray, "N K 3"]:
+        """Spectra at voxels to spectra at vertices [m]."""
+        return hold_lengths(self.mesh, self.interpolation.apply(coefficients), self.voxel_size_m)
+
+
+def bending(grid: VoxelGrid, mesh: TriangleMesh) -> BendingMotion:
+    """Dev(.) of paper eq. 1 as we use it: `smooth`, then `hold_lengths`."""
+    return BendingMotion(mesh=mesh, interpolation=smooth(grid, mesh), voxel_size_m=grid.voxel_size_m)
+
+
+def hold_lengths(
+    mesh: TriangleMesh, coefficients: Complex64[np.ndarray, "N K 3"], voxel_size_m: float
+) -> Complex64[np.ndarray, "N K 3"]:
+    """Take stretch off a motion of the mesh's vertices [m]; what is at one place moves as one.
+
+    The solver takes a fixed number of steps, so the same input gives the same bits.
+    """
+    welded, vertex = weld(mesh)
+    net = _net(welded, voxel_size_m)
+    first = np.unique(vertex, return_index=True)[1]
+    motion = np.ascontiguousarray(coefficients[first].transpose(0, 2, 1))  # [n, 3, K]
+    steps = max(_MIN_CG_STEPS, min(_CG_STEPS, _CG_STEPS * _CG_VERTICES // len(first)))
+
+    mean = np.ascontiguousarray(motion[:, :, :1])
+    pose = _held(net, mean, mean, steps)
+    held = _held(net, np.concatenate([pose, motion[:, :, 1:]], axis=2), motion, steps)
+    return np.ascontiguousarray(held.transpose(0, 2, 1)[vertex])
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Net:
+    """The edges of a mesh as springs."""
+
+    edges: Int32[np.ndarray, "E 2"]
+    across: Float32[np.ndarray, "E 3"]  # at rest [m]
+    length: Float32[np.ndarray, " E"]  # at rest [m]
+    scale: Float32[np.ndarray, " E"]  # h / l
+    turning: scipy.sparse.csr_array  # [3n, 3n] the part of the system that no pose changes
+
+    def strain(self, pose: Complex64[np.ndarray, "n 3 1"]) -> scipy.sparse.csr_array:
+        """Elongation of each edge along its direction in a pose, times h / l, by displacement [E, 3n]."""
+        across = self.across + pose.real[self.edges[:, 0], :, 0] - pose.real[self.edges[:, 1], :, 0]
+        pull = across * (self.scale / np.linalg.norm(across, axis=1))[:, None]
+        columns = 3 * self.edges[:, :, None] + np.arange(3)  # [E, 2, 3]
+        values = np.stack([pull, -pull], axis=1)
+        ends = np.arange(0, values.size + 1, 6)
+        shape = (len(across), self.turning.shape[0])
+        return scipy.sparse.csr_array((values.ravel(), columns.ravel(), ends), shape=shape)
+
+    def missing(self, motion: Complex64[np.ndarray, "n 3 K"]) -> Complex64[np.ndarray, "E K"]:
+        """What each edge is too short, times h / l, over the loop."""
+        num_frequencies = motion.shape[2]
+        lacking = np.empty((len(self.edges), num_frequencies), np.complex64)
+        for start in range(0, len(self.edges), _EDGES_AT_ONCE):
+            some = slice(start, start + _EDGES_AT_ONCE)
+            relative = motion[self.edges[some, 0]] - motion[self.edges[some, 1]]
+            frames = np.fft.irfft(relative, n=_FRAMES_PER_BIN * num_frequencies, axis=2, norm="forward")
+            length = np.linalg.norm(frames + self.across[some, :, None], axis=1)
+            short = self.scale[some, None] * (self.length[some, None] - length)
+            lacking[some] = np.fft.rfft(short, axis=1, norm="forward")[:, :num_frequencies]
+        return lacking
+
+
+def _net(mesh: TriangleMesh, voxel_size_m: float) -> _Net:
+    edges = edges_of(mesh.faces)
+    across = mesh.vertices[edges[:, 0]] - mesh.vertices[edges[:, 1]]
+    length = np.linalg.norm(across, axis=1)
+    edges, across, length = edges[length > 0], across[length > 0], length[length > 0]
+    scale = np.float32(voxel_size_m) / np.maximum(length, np.float32(_SHORTEST_EDGE * voxel_size_m))
+    pairs = np.concatenate([edges[:, 0], edges[:, 1]]), np.concatenate([edges[:, 1], edges[:, 0]])
+    ties = scipy.sparse.coo_array((np.tile(TURNING * scale**2, 2), pairs), shape=(mesh.num_vertices,) * 2).tocsr()
+    turning = scipy.sparse.diags_array(1 + np.asarray(ties.sum(axis=1)).ravel()) - ties
+    each_axis = scipy.sparse.kron(turning, scipy.sparse.eye_array(3)).astype(np.float32).tocsr()
+    return _Net(edges=edges, across=across, length=length, scale=scale, turning=each_axis)
+
+
+def _held(
+    net: _Net, motion: Complex64[np.ndarray, "n 3 K"], wanted: Complex64[np.ndarray, "n 3 K"], steps: int
+) -> Complex64[np.ndarray, "n 3 K"]:
+    """Rounds from `motion` towards the motion nearest to the wanted one, as long as each takes off elongation."""
+    missing = net.missing(motion)
+    for _ in range(_ROUNDS):
+        strain = net.strain(motion[:, :, :1])
+        system = (net.turning + ELONGATION * (strain.T @ strain)).tocsr()
+        now = motion.view(np.float32).reshape(3 * len(motion), -1)  # [3n, 2K]
+        pull = strain @ now + missing.view(np.float32)
+        right = wanted.view(np.float32).reshape(now.shape) + ELONGATION * (strain.T @ pull)
+        solved = _conjugate_gradients(system, right, now, steps)
+        tried = np.ascontiguousarray(solved).view(np.complex64).reshape(motion.shape)
+        left = net.missing(tried)
+        if np.linalg.norm(left) >= np.linalg.norm(missing):
+            break
+        motion, missing = tried, left
+    return motion
+
+
+def _conjugate_gradients(
+    system: scipy.sparse.csr_array,
+    right: Float32[np.ndarray, "M D"],
+    start: Float32[np.ndarray, "M D"],
+    steps: int,
+) -> Float32[np.ndarray, "M D"]:
+    """Solve for all columns at once, preconditioned by the diagonal (Saad, Iterative Methods, algorithm 9.1)."""
+    inverse = (1 / system.diagonal())[:, None]
+    solution = start.copy()
+    residual = right - system @ solution
+    preconditioned = inverse * residual
+    direction = preconditioned.copy()
+    product = _dots(residual, preconditioned)
+    for _ in range(steps):
+        image = system @ direction
+        step = _ratio(product, _dots(direction, image))
+        solution += step * direction
+        residual -= step * image
+        preconditioned = inverse * residual
+        former, product = product, _dots(residual, preconditioned)
+        direction *= _ratio(product, former)
+        direction += preconditioned
+    return solution
+
+
+def _dots(one: Float32[np.ndarray, "M D"], other: Float32[np.ndarray, "M D"]) -> Float64[np.ndarray, " D"]:
+    products: Float64[np.ndarray, " D"] = np.einsum("md,md->d", one, other, dtype=np.float64)
+    return products
+
+
+def _ratio(above: Float64[np.ndarray, " D"], below: Float64[np.ndarray, " D"]) -> Float32[np.ndarray, " D"]:
+    """Quotients, 0 where nothing is left to divide by."""
+    ratios: Float64[np.ndarray, " D"] = np.divide(above, below, out=np.zeros_like(above), where=below > 0)
+    return ratios.astype(np.float32)
