@@ -146,8 +146,7 @@ def gather(order, entries, gradients):
 def project_back(
     first, end, means, quaternions, scales, opacity, sh, view, antialias, bounds, ellipses, gradients, out
 ):
-    """From gradients of ellipses to those of mean, quaternion, ln scale, logit opacity (11 numbers), and harmonics."""
-    to_cloud, to_sh = out
+    """From gradients of ellipses to those of mean, quaternion, ln scale, logit opacity (11 numbers), then harmonics."""
     degree = round(np.sqrt(sh.shape[1])) - 1
     values, slopes = np.empty(16, np.float32), np.zeros((16, 3), np.float32)
     axes, axes_g = np.empty((3, 3), np.float32), np.empty((3, 3), np.float32)
@@ -182,7 +181,7 @@ def project_back(
             xx_g += share * (yy / sharp - a)
             yy_g += share * (xx / sharp - c)
             xy_g += share * _TWO * (xy / whole - xy / sharp)
-        to_cloud[g, 10] += e_g[5] * shown * (_ONE - opacity[g])  # of the logit
+        out[g, 10] += e_g[5] * shown * (_ONE - opacity[g])  # of the logit
         per_z_g = e_g[0] * x + e_g[1] * y
         x_g, y_g, z_g = e_g[0] * per_z, e_g[1] * per_z, e_g[9]
         slope_x_g, slope_y_g = _ZERO, _ZERO
@@ -198,13 +197,13 @@ def project_back(
                 axis_g = view[k] * u_g + view[3 + k] * v_g + view[6 + k] * w_g
                 axes_g[k, i] = axis_g * scales[g, i]
                 along += axis_g * axes[k, i]
-            to_cloud[g, 7 + i] += along * scales[g, i]  # of the logarithm
+            out[g, 7 + i] += along * scales[g, i]  # of the logarithm
         z_g -= per_z_g * per_z / z
         if slope_x == x / z:
             x_g, z_g = x_g + slope_x_g / z, z_g - slope_x_g * slope_x / z
         if slope_y == y / z:
             y_g, z_g = y_g + slope_y_g / z, z_g - slope_y_g * slope_y / z
-        _rotation_back(quaternions[g], axes_g, to_cloud[g])
+        _rotation_back(quaternions[g], axes_g, out[g])
         length = np.sqrt(dx * dx + dy * dy + dz * dz)
         dx, dy, dz = dx / length, dy / length, dz / length
         harmonic_values(degree, dx, dy, dz, values)
@@ -213,15 +212,15 @@ def project_back(
         for k in range(3):
             color_g = e_g[6 + k] if ellipses[g, 6 + k] > _ZERO else _ZERO
             for h in range(sh.shape[1]):
-                to_sh[g, h, k] += color_g * values[h]
+                out[g, 11 + 3 * h + k] += color_g * values[h]
                 strength = color_g * sh[g, h, k]
                 tx, ty, tz = tx + strength * slopes[h, 0], ty + strength * slopes[h, 1], tz + strength * slopes[h, 2]
         outward = tx * dx + ty * dy + tz * dz
         for k in range(3):
-            to_cloud[g, k] += view[k] * x_g + view[3 + k] * y_g + view[6 + k] * z_g
-        to_cloud[g, 0] += (tx - outward * dx) / length
-        to_cloud[g, 1] += (ty - outward * dy) / length
-        to_cloud[g, 2] += (tz - outward * dz) / length
+            out[g, k] += view[k] * x_g + view[3 + k] * y_g + view[6 + k] * z_g
+        out[g, 0] += (tx - outward * dx) / length
+        out[g, 1] += (ty - outward * dy) / length
+        out[g, 2] += (tz - outward * dz) / length
 
 
 @_compiled

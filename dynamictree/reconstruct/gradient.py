@@ -30,11 +30,7 @@ class Shapes:
 class Gradients:
     """Of a loss, by what is optimised. Zero for what the camera does not see."""
 
-    means: Float32[np.ndarray, "G 3"]
-    quaternions: Float32[np.ndarray, "G 4"]  # without a part along the quaternion
-    log_scales: Float32[np.ndarray, "G 3"]
-    logit_opacity: Float32[np.ndarray, " G"]
-    sh: Float32[np.ndarray, "G H 3"]
+    table: Float32[np.ndarray, "G P"]  # mean, quaternion, ln scales, logit of the opacity, harmonics by channel
     centres_px: Float32[np.ndarray, "G 2"]  # by the place in the picture, which decides on densification
 
 
@@ -87,8 +83,11 @@ def draw(shapes: Shapes, camera: Camera, *, width: int, height: int, antialias: 
     )
 
 
-def gradients_of(drawing: Drawing, gradient: Float32[np.ndarray, "H W 5"]) -> Gradients:
-    """The backward pass, from the gradient of a loss by the drawing's picture."""
+def gradients_of(drawing: Drawing, gradient: Float32[np.ndarray, "H W 5"], *, width: int = 0) -> Gradients:
+    """The backward pass, from the gradient of a loss by the drawing's picture.
+
+    A table of that width has zeros for harmonics that were not drawn.
+    """
     entries = np.zeros((len(drawing.order), ENTRY), np.float32)
     ellipses, bounds = drawing.ellipses, drawing.bounds
     lists = (drawing.order, drawing.starts)
@@ -97,7 +96,7 @@ def gradients_of(drawing: Drawing, gradient: Float32[np.ndarray, "H W 5"]) -> Gr
     number = len(shapes.means)
     of_ellipses = np.zeros((number, ENTRY), np.float32)
     gather(drawing.order, entries, of_ellipses)
-    to_cloud, to_sh = np.zeros((number, 11), np.float32), np.zeros_like(shapes.sh)
+    table = np.zeros((number, max(width, 11 + shapes.sh[0].size)), np.float32)
     in_bands(
         project_back,
         number,
@@ -111,16 +110,9 @@ def gradients_of(drawing: Drawing, gradient: Float32[np.ndarray, "H W 5"]) -> Gr
         bounds,
         ellipses,
         of_ellipses,
-        (to_cloud, to_sh),
+        table,
     )
-    return Gradients(
-        means=to_cloud[:, :3],
-        quaternions=to_cloud[:, 3:7],
-        log_scales=to_cloud[:, 7:10],
-        logit_opacity=to_cloud[:, 10],
-        sh=to_sh,
-        centres_px=of_ellipses[:, :2],
-    )
+    return Gradients(table=table, centres_px=of_ellipses[:, :2])
 
 
 def _view(camera: Camera, width: int, height: int) -> Float32[np.ndarray, "19"]:

@@ -1,0 +1,100 @@
+"""More Gaussians where the picture pulls at them, fewer where nothing is seen. Kerbl et al. 2023, section 5."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float32, Int64
+
+from dynamictree.gaussian.rotation import quaternion_matrices
+from dynamictree.reconstruct.adam import AdamState
+from dynamictree.reconstruct.splat_table import LOG_SCALE, LOGIT, MEAN, QUATERNION
+
+_SMALLER = np.float32(np.log(1.6))  # φ of Kerbl et al.: halves of a split Gaussian are narrower by it
+
+
+@dataclass(frozen=True, kw_only=True)
+class DensityRules:
+    """When Gaussians are made and taken away; Kerbl et al.'s numbers."""
+
+    pull: float = 2e-4  # mean gradient of the loss by the place, in half pictures, above which one is not enough
+    large: float = 0.01  # of the extent: a larger one is split, a smaller one gets a twin
+    min_opacity: float = 0.005
+    too_large: float = 0.1  # of the extent
+    max_gaussians: int = 60_000
+
+
+class Pull:
+    """Mean length of the gradient by the place in the picture, over the views that see a Gaussian."""
+
+    def __init__(self, number: int) -> None:
+        self.total = np.zeros(number, np.float32)
+        self.times = np.zeros(number, np.float32)
+
+    def add(
+        self, centres_px: Float32[np.ndarray, "G 2"], seen: Bool[np.ndarray, " G"], width: int, height: int
+    ) -> None:
+        """One view more."""
+        half_width, half_height = np.float32(0.5 * width), np.float32(0.5 * height)
+        self.total += np.hypot(half_width * centres_px[:, 0], half_height * centres_px[:, 1])
+        self.times += seen
+
+    @property
+    def mean(self) -> Float32[np.ndarray, " G"]:
+        """Zero for what was never seen."""
+        return self.total / np.maximum(self.times, 1)
+
+
+def densified(
+    table: Float32[np.ndarray, "G P"],
+    moments: AdamState,
+    pull: Float32[np.ndarray, " G"],
+    rules: DensityRules,
+    *,
+    extent: float,
+    rng: np.random.Generator,
+) -> tuple[Float32[np.ndarray, "G2 P"], AdamState]:
+    """Split the large and twin the small among those that are pulled at most, within the budget; then prune."""
+    largest = np.exp(table[:, LOG_SCALE].max(axis=1))
+    kept = (_opacity(table) > rules.min_opacity) & (largest < rules.too_large * extent)
+    room = rules.max_gaussians - int(kept.sum())
+    chosen = np.flatnonzero(kept & (pull > rules.pull))
+    if len(chosen) > max(room, 0):
+        chosen = chosen[np.argsort(-pull[chosen], kind="stable")[: max(room, 0)]]
+    split = chosen[largest[chosen] > rules.large * extent]
+    twins = table[np.setdiff1d(chosen, split)]
+    halves = np.concatenate([_half(table[split], rng), _half(table[split], rng)])
+    kept[split] = False
+    new = np.concatenate([twins, halves])
+    rows = np.flatnonzero(kept)
+    return np.concatenate([table[rows], new]), moments.rows(rows, len(new))
+
+
+def fainter(table: Float32[np.ndarray, "G P"], moments: AdamState, opacity: float = 0.01) -> None:
+    """Opacity reset, in place: what is needed becomes opaque again, what floats before the cameras does not."""
+    limit = np.float32(np.log(opacity / (1 - opacity)))
+    table[:, LOGIT] = np.minimum(table[:, LOGIT], limit)
+    moments.first[:, LOGIT] = 0
+    moments.second[:, LOGIT] = 0
+
+
+def without(
+    table: Float32[np.ndarray, "G P"], moments: AdamState, kept: Bool[np.ndarray, " G"]
+) -> tuple[Float32[np.ndarray, "M P"], AdamState]:
+    """Some Gaussians only."""
+    rows: Int64[np.ndarray, " M"] = np.flatnonzero(kept)
+    return table[rows], moments.rows(rows, 0)
+
+
+def _half(rows: Float32[np.ndarray, "S P"], rng: np.random.Generator) -> Float32[np.ndarray, "S P"]:
+    """A narrower Gaussian at a random place of each."""
+    half = rows.copy()
+    if len(rows):
+        offset = rng.normal(size=(len(rows), 3)) * np.exp(rows[:, LOG_SCALE])
+        half[:, MEAN] += np.einsum("gij,gj->gi", quaternion_matrices(rows[:, QUATERNION]), offset).astype(np.float32)
+    half[:, LOG_SCALE] -= _SMALLER
+    return half
+
+
+def _opacity(table: Float32[np.ndarray, "G P"]) -> Float32[np.ndarray, " G"]:
+    opacity: Float32[np.ndarray, " G"] = 1 / (1 + np.exp(-table[:, LOGIT]))
+    return opacity

@@ -1,0 +1,242 @@
+"""Gaussians that look like the photos. Kerbl et al. 2023, with a schedule made for two cores.
+
+Coarse to fine: the first steps see small pictures, which cost little; Mip-Splatting's filter makes what is learned
+there hold at every size. Some photos are held out; the best picture of them ends the work early.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import Bool, Float32
+from PIL import Image
+
+from dynamictree.reconstruct.adam import AdamState, adam_step
+from dynamictree.reconstruct.densify import DensityRules, Pull, densified, fainter
+from dynamictree.reconstruct.gradient import draw, gradients_of
+from dynamictree.reconstruct.picture_loss import SSIM_SHARE, picture_loss, psnr
+from dynamictree.reconstruct.splat_table import LOG_SCALE, LOGIT, MEAN, QUATERNION, REST, shapes_of, unit_quaternions
+from dynamictree.render.camera import Camera
+
+
+@dataclass(frozen=True, kw_only=True)
+class Target:
+    """What a camera should see."""
+
+    camera: Camera
+    photo: Float32[np.ndarray, "H W 3"]  # display space, in [0, 1]
+    alpha: Float32[np.ndarray, "H W"] | None = None  # where given, the photo is cut out by it
+    depth: Float32[np.ndarray, "H W"] | None = None  # 0 where unknown
+
+
+@dataclass(frozen=True, kw_only=True)
+class Schedule:
+    """How long, how fine, how fast. Rates are Kerbl et al.'s; steps are a tenth of theirs."""
+
+    num_steps: int = 3000
+    side_px: int = 640  # of the finest pictures
+    coarser: tuple[tuple[float, int], ...] = ((0.25, 4), (0.55, 2))  # until this share of the steps, smaller by this
+    position_rates: tuple[float, float] = (1.6e-4, 1.6e-6)  # of the extent, first and last
+    color_rate: float = 2.5e-3
+    opacity_rate: float = 0.05
+    scale_rate: float = 5e-3
+    turn_rate: float = 1e-3
+    sh_degree: int = 1
+    degree_every: int = 500  # steps, until one more is used
+    densify: tuple[float, float] = (0.1, 0.6)  # between these shares of the steps
+    densify_every: int = 100
+    reset_at: float | None = 0.35
+    depth_share: float = 0.1  # of the loss, at first; falls to a hundredth of it
+    rules: DensityRules = field(default_factory=DensityRules)
+    check_every: int = 250
+    patience: int = 3  # checks at full size without a better picture, until it ends
+
+
+@dataclass(frozen=True, kw_only=True)
+class SplatProgress:
+    """Everything that a run needs to go on."""
+
+    table: Float32[np.ndarray, "G P"]
+    moments: AdamState
+    step: int
+    best_psnr: float = -np.inf  # of the held-out photos, at full size
+    best: Float32[np.ndarray, "B P"] | None = None
+    checks: tuple[tuple[int, int, float], ...] = ()  # step, number of Gaussians, PSNR of held-out photos [dB]
+
+    @property
+    def result(self) -> Float32[np.ndarray, "R P"]:
+        """The Gaussians that showed the held-out photos best, or the last ones."""
+        return self.table if self.best is None else self.best
+
+
+def optimise(
+    start: SplatProgress,
+    targets: Sequence[Target],
+    held_out: Sequence[Target],
+    schedule: Schedule,
+    *,
+    extent: float,
+    still: Bool[np.ndarray, " S"] | None = None,
+    on_step: Callable[[SplatProgress], None] = lambda progress: None,
+) -> SplatProgress:
+    """Move, split and prune Gaussians until they look like the photos; `on_step` may save, or raise to stop."""
+    levels = _Levels(targets, held_out, schedule)
+    progress = start
+    pull = Pull(len(start.table))
+    while progress.step < schedule.num_steps and not _worn_out(progress, schedule):
+        on_step(progress)
+        rng = np.random.default_rng([1, progress.step])
+        shrink = _shrink(schedule, progress.step)
+        target = levels.target(progress.step, shrink)
+        degree = min(schedule.sh_degree, progress.step // schedule.degree_every)
+        moments = _one_step(progress, target, pull, schedule, degree=degree, extent=extent, rng=rng)
+        progress = replace(progress, moments=moments, step=progress.step + 1)
+        share = progress.step / schedule.num_steps
+        if schedule.densify[0] <= share < schedule.densify[1] and progress.step % schedule.densify_every == 0:
+            rules = replace(schedule.rules, max_gaussians=schedule.rules.max_gaussians // shrink)
+            table, moments = densified(progress.table, progress.moments, pull.mean, rules, extent=extent, rng=rng)
+            progress = replace(progress, table=table, moments=moments)
+            pull = Pull(len(table))
+        if schedule.reset_at is not None and progress.step == round(schedule.reset_at * schedule.num_steps):
+            fainter(progress.table, progress.moments)
+        if held_out and progress.step % schedule.check_every == 0:
+            progress = _checked(progress, levels, schedule, degree)
+    return progress
+
+
+def _one_step(
+    progress: SplatProgress,
+    target: Target,
+    pull: Pull,
+    schedule: Schedule,
+    *,
+    degree: int,
+    extent: float,
+    rng: np.random.Generator,
+) -> AdamState:
+    height, width = target.photo.shape[:2]
+    drawing = draw(shapes_of(progress.table, degree), target.camera, width=width, height=height)
+    behind = rng.random(3, np.float32) if target.alpha is not None else np.zeros(3, np.float32)
+    wanted = target.photo
+    if target.alpha is not None:
+        wanted = target.photo * target.alpha[..., None] + behind * (1 - target.alpha[..., None])
+    light = drawing.picture[..., 4]
+    shown = drawing.picture[..., :3] + behind * light[..., None]
+    loss = picture_loss(_planes(shown), _planes(wanted), ssim_share=SSIM_SHARE)
+    gradient = np.zeros_like(drawing.picture)
+    gradient[..., :3] = loss.gradient.transpose(1, 2, 0)
+    gradient[..., 4] = gradient[..., :3] @ behind
+    if target.depth is not None and schedule.depth_share > 0:
+        share = schedule.depth_share * 0.01 ** (progress.step / schedule.num_steps)
+        _add_depth(gradient, drawing.picture, target.depth, share)
+    found = gradients_of(drawing, gradient, width=progress.table.shape[1])
+    seen = drawing.bounds[:, 1] > drawing.bounds[:, 0]
+    pull.add(found.centres_px, seen, width, height)
+    rates = _rates(schedule, progress.step, progress.table.shape[1], extent)
+    moments = adam_step(progress.table, found.table, progress.moments, rates)
+    unit_quaternions(progress.table)
+    return moments
+
+
+def _add_depth(
+    gradient: Float32[np.ndarray, "H W 5"],
+    picture: Float32[np.ndarray, "H W 5"],
+    depth: Float32[np.ndarray, "H W"],
+    share: float,
+) -> None:
+    """Gradient of the mean relative error of depth where one is known: Σ w (z − z*) / z*, so opacity is left alone."""
+    known = depth > 0
+    per = np.where(known, 1 / np.where(known, depth, 1), 0).astype(np.float32)
+    error = picture[..., 3] * per - (1 - picture[..., 4]) * known
+    slope = np.sign(error) * np.float32(share / max(known.sum(), 1))
+    gradient[..., 3] += slope * per
+    gradient[..., 4] += slope * known
+
+
+def _rates(schedule: Schedule, step: int, width: int, extent: float) -> Float32[np.ndarray, " P"]:
+    first, last = schedule.position_rates
+    rates = np.full(width, schedule.color_rate, np.float32)
+    rates[REST:] /= 20
+    rates[MEAN] = extent * first * (last / first) ** (step / schedule.num_steps)
+    rates[QUATERNION], rates[LOG_SCALE], rates[LOGIT] = schedule.turn_rate, schedule.scale_rate, schedule.opacity_rate
+    return rates
+
+
+def _shrink(schedule: Schedule, step: int) -> int:
+    share = step / schedule.num_steps
+    return next((smaller for until, smaller in schedule.coarser if share < until), 1)
+
+
+def _worn_out(progress: SplatProgress, schedule: Schedule) -> bool:
+    """Whether the last checks at full size were all worse than one before them."""
+    full = [value for step, _, value in progress.checks if _shrink(schedule, step - 1) == 1]
+    since = len(full) - 1 - int(np.argmax(full)) if full else 0
+    return since >= schedule.patience
+
+
+def _checked(progress: SplatProgress, levels: "_Levels", schedule: Schedule, degree: int) -> SplatProgress:
+    found = held_out_psnr(progress.table, levels.held_out, degree)
+    progress = replace(progress, checks=(*progress.checks, (progress.step, len(progress.table), found)))
+    if _shrink(schedule, progress.step) > 1 or found <= progress.best_psnr:
+        return progress
+    return replace(progress, best_psnr=found, best=progress.table.copy())
+
+
+def held_out_psnr(table: Float32[np.ndarray, "G P"], targets: Sequence[Target], sh_degree: int) -> float:
+    """Mean over the photos [dB]."""
+    return float(np.mean([psnr(drawn(table, target, sh_degree), cut_out(target)) for target in targets]))
+
+
+def drawn(table: Float32[np.ndarray, "G P"], target: Target, sh_degree: int) -> Float32[np.ndarray, "H W 3"]:
+    """What the Gaussians show of a target, before black."""
+    height, width = target.photo.shape[:2]
+    picture = draw(shapes_of(table, sh_degree), target.camera, width=width, height=height).picture
+    shown: Float32[np.ndarray, "H W 3"] = np.clip(picture[..., :3], 0, 1)
+    return shown
+
+
+def cut_out(target: Target) -> Float32[np.ndarray, "H W 3"]:
+    """A target's photo before black."""
+    return target.photo if target.alpha is None else target.photo * target.alpha[..., None]
+
+
+def _planes(picture: Float32[np.ndarray, "H W 3"]) -> Float32[np.ndarray, "3 H W"]:
+    return np.ascontiguousarray(picture.transpose(2, 0, 1))
+
+
+class _Levels:
+    """The photos at every size that is used, and which comes next: each once, then in another order."""
+
+    def __init__(self, targets: Sequence[Target], held_out: Sequence[Target], schedule: Schedule) -> None:
+        self.held_out = [smaller(target, schedule.side_px) for target in held_out]
+        sides = {1: schedule.side_px, **{by: schedule.side_px // by for _, by in schedule.coarser}}
+        self._targets = {by: [smaller(target, side) for target in targets] for by, side in sides.items()}
+
+    def target(self, step: int, shrink: int) -> Target:
+        targets = self._targets[shrink]
+        turn, place = divmod(step, len(targets))
+        return targets[int(np.random.default_rng([2, turn]).permutation(len(targets))[place])]
+
+
+def smaller(target: Target, side_px: int) -> Target:
+    """The same with at most that many pixels a side."""
+    height, width = target.photo.shape[:2]
+    by = min(1.0, side_px / max(height, width))
+    if by == 1:
+        return target
+    size = (round(width * by), round(height * by))
+    channels = [_resized(target.photo[..., c], size) for c in range(3)]
+    alpha = None if target.alpha is None else _resized(target.alpha, size)
+    depth = None if target.depth is None else _nearest(target.depth, size)
+    return replace(target, photo=np.stack(channels, axis=2), alpha=alpha, depth=depth)
+
+
+def _resized(plane: Float32[np.ndarray, "H W"], size: tuple[int, int]) -> Float32[np.ndarray, "h w"]:
+    picture = Image.fromarray(np.ascontiguousarray(plane)).resize(size, Image.Resampling.BOX)
+    return np.array(picture, np.float32)
+
+
+def _nearest(plane: Float32[np.ndarray, "H W"], size: tuple[int, int]) -> Float32[np.ndarray, "h w"]:
+    rows = (np.arange(size[1]) * plane.shape[0]) // size[1]
+    columns = (np.arange(size[0]) * plane.shape[1]) // size[0]
+    return np.ascontiguousarray(plane[np.ix_(rows, columns)])
