@@ -1,7 +1,7 @@
 """`dynamictree dataset`: generate, filter, sheet, stats, export."""
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,6 +15,10 @@ app = typer.Typer(
 )
 
 Folder = Annotated[Path, typer.Argument(help="Folder of the dataset.")]
+BakedFolder = Annotated[
+    Path | None,
+    typer.Argument(help="A baked folder: all its trees, from its records. Trees from seeds if not given.", exists=True),
+]
 FirstSeed = Annotated[int, typer.Option(min=0, max=2**40, help="Seed of the first tree.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
 Workers = Annotated[int, typer.Option(min=1, max=256, help="Processes; the bytes do not depend on their number.")]
@@ -84,7 +88,8 @@ def generate(
 
 @app.command(name="filter")
 def filter_trees(
-    trees: Annotated[int, typer.Option(min=1, max=1_000_000, help="Trees to look at.")] = 100,
+    folder: BakedFolder = None,
+    trees: Annotated[int, typer.Option(min=1, max=1_000_000, help="Trees to look at, from seeds.")] = 100,
     first_seed: FirstSeed = 0,
     species: SpeciesName = None,
     high_frequency: HighFrequency = 0.001,
@@ -97,6 +102,7 @@ def filter_trees(
     from dataclasses import asdict
 
     from dynamictree.dataset.filter import Limits, measure, rejections
+    from dynamictree.dataset.records import iter_seen
     from dynamictree.dataset.sample import make_sample
 
     limits = Limits(
@@ -105,11 +111,17 @@ def filter_trees(
         edge_stretch=edge_stretch,
         self_explosion=self_explosion,
     )
-    measures = []
-    with _progress("filter", quiet=as_json) as report:
-        for index in range(trees):
-            measures.append(measure(make_sample(first_seed + index, species), limits))
-            report(index + 1, trees)
+    if folder is not None:
+        measures = [tree.measures for tree in iter_seen(folder) if species in (None, tree.species)]
+        trees = len(measures)
+        if trees == 0:
+            raise InputError(f"no tree in {folder} is of species {species!r}; leave --species out to see all")
+    else:
+        measures = []
+        with _progress("filter", quiet=as_json) as report:
+            for index in range(trees):
+                measures.append(measure(make_sample(first_seed + index, species), limits))
+                report(index + 1, trees)
     counts = rejections(one.broken(limits) for one in measures)
     rates = {f"rejected {rule}": f"{count} of {trees} ({100 * count / trees:.2f} %)" for rule, count in counts.items()
              if rule not in ("seen", "accepted")}  # fmt: skip
@@ -124,6 +136,7 @@ def filter_trees(
 @app.command()
 def sheet(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the pages and the review file.")],
+    folder: BakedFolder = None,
     trees: Annotated[int, typer.Option(min=1, max=100_000, help="Trees to draw.")] = 24,
     first_seed: FirstSeed = 0,
     species: SpeciesName = None,
@@ -131,23 +144,27 @@ def sheet(
     as_json: AsJson = False,
 ) -> None:
     """Draw pages of trees with motion strips, and a review file to mark trees as rejected in."""
+    from dynamictree.dataset.records import iter_seen
     from dynamictree.dataset.review import all_accepted, write_review
     from dynamictree.dataset.sample import make_sample
     from dynamictree.dataset.sheet import page
     from dynamictree.render import write_png
 
     output.mkdir(parents=True, exist_ok=True)
-    seeds = range(first_seed, first_seed + trees)
+    seeds: Sequence[int] = range(first_seed, first_seed + trees)
+    if folder is not None:
+        kept = (tree for tree in iter_seen(folder) if not tree.broken and species in (None, tree.species))
+        seeds = [tree.seed for tree in kept if tree.seed >= first_seed][:trees]
     notes: dict[int, str] = {}
     files = []
     with _progress("sheet", quiet=as_json) as report:
-        for start in range(0, trees, rows):
+        for start in range(0, len(seeds), rows):
             samples = [make_sample(seed, species) for seed in seeds[start : start + rows]]
             notes |= {sample.seed: sample.species for sample in samples}
             files.append(output / f"sheet-{start // rows:04d}.png")
             with files[-1].open("wb") as stream:
                 write_png(page(samples), stream)
-            report(min(start + rows, trees), trees)
+            report(min(start + rows, len(seeds)), len(seeds))
     review = output / "review.txt"
     if not review.exists():  # never write over what a person wrote
         with review.open("wb") as stream:
@@ -158,22 +175,30 @@ def sheet(
 @app.command()
 def stats(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for stats.json and the plots.")],
-    trees: Annotated[int, typer.Option(min=1, max=100_000, help="Trees to measure.")] = 100,
+    folder: BakedFolder = None,
+    trees: Annotated[int, typer.Option(min=1, max=100_000, help="Trees to measure, from seeds.")] = 100,
     first_seed: FirstSeed = 0,
     species: SpeciesName = None,
     plots: Annotated[bool, typer.Option(help="Draw plots (needs the extra `plots`).")] = True,
     as_json: AsJson = False,
 ) -> None:
     """Measure heights, lengths, frequencies and amplitudes by level, with plots."""
+    from dynamictree.dataset.records import iter_seen
     from dynamictree.dataset.sample import make_sample
     from dynamictree.dataset.stats import draw_plots, numbers_of, tables_of
 
     output.mkdir(parents=True, exist_ok=True)
-    tables = []
-    with _progress("stats", quiet=as_json) as report:
-        for index in range(trees):
-            tables.append(tables_of(make_sample(first_seed + index, species)))
-            report(index + 1, trees)
+    if folder is not None:
+        seen = (tree.stems for tree in iter_seen(folder) if species in (None, tree.species))
+        tables = [stems for stems in seen if stems is not None]
+        if not tables:
+            raise InputError(f"no tree in {folder} is of species {species!r}; leave --species out to see all")
+    else:
+        tables = []
+        with _progress("stats", quiet=as_json) as report:
+            for index in range(trees):
+                tables.append(tables_of(make_sample(first_seed + index, species)))
+                report(index + 1, trees)
     numbers = numbers_of(tables)
     (output / "stats.json").write_text(json.dumps(numbers, indent=1))
     files = [output / "stats.json"]

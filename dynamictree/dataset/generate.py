@@ -11,10 +11,12 @@ import json
 import multiprocessing
 import os
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+
+import numpy as np
 
 from dynamictree.dataset.card import write_card
 from dynamictree.dataset.filter import DEFAULT_LIMITS, Limits, measure, rejections
@@ -194,7 +196,8 @@ def is_baked(recipe: Recipe, index: int, folder: Path) -> bool:
     if not (record.exists() and shard.exists()):
         return False
     told = json.loads(record.read_bytes())
-    return bool(told["recipe"] == recipe.of_shard(index) and told["bytes"] == shard.stat().st_size)
+    measured = all("measures" in tree for tree in told["trees"])  # an earlier program told none
+    return bool(measured and told["recipe"] == recipe.of_shard(index) and told["bytes"] == shard.stat().st_size)
 
 
 def manifest_of(recipe: Recipe, folder: Path) -> dict[str, object]:
@@ -211,17 +214,37 @@ def manifest_of(recipe: Recipe, folder: Path) -> dict[str, object]:
         "complete": len(baked) == recipe.num_shards,
         "trees": len(trees),
         "bytes": sum(record["bytes"] for record in records),
+        "wanted": recipe.trees,
+        "first_seed": recipe.first_seed,
+        "trees_per_shard": recipe.trees_per_shard,
         "resolutions": list(recipe.resolutions),
         "vertex_spectrum": recipe.vertex_spectrum,
         "loop": recipe.loop,
         "limits": asdict(recipe.limits),
+        "reviewed": bool(recipe.review),
         "verdicts": dict(sorted(verdicts.items())),
         "species": dict(sorted(Counter(tree["species"] for tree in trees).items())),
         "splits": dict(sorted(Counter(tree["split"] for tree in trees).items())),
+        "measures": spread_of([tree["measures"] for tree in trees]),
         "mean_vertices": round(sum(tree["vertices"] for tree in trees) / max(len(trees), 1), 1),
+        "mean_voxels": {
+            str(size): round(sum(tree[f"voxels_{size}"] for tree in trees) / max(len(trees), 1), 1)
+            for size in recipe.resolutions
+        },
         "shards": [
             {"file": record["file"], "sha256": record["sha256"], "trees": len(record["trees"])} for record in records
         ],
+    }
+
+
+def spread_of(measures: Sequence[Mapping[str, float]]) -> dict[str, dict[str, float]]:
+    """Median, 99th percentile and largest value of each measure."""
+    return {
+        name: {
+            label: float(np.percentile([one[name] for one in measures], at))
+            for label, at in (("p50", 50), ("p99", 99), ("max", 100))
+        }
+        for name in (measures[0] if measures else ())
     }
 
 

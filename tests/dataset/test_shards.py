@@ -166,6 +166,16 @@ def test_the_manifest_tells_what_is_there(baked):
     assert sum(manifest["species"].values()) == sum(manifest["splits"].values()) == 3
 
 
+def test_a_shard_whose_record_tells_no_measures_is_baked_anew(baked, tmp_path):
+    for ending in (".safetensors", ".json"):
+        (tmp_path / f"{shard_name(0)}{ending}").write_bytes((baked / f"{shard_name(0)}{ending}").read_bytes())
+    assert is_baked(TINY, 0, tmp_path)
+    record = json.loads((tmp_path / f"{shard_name(0)}.json").read_bytes())
+    del record["trees"][0]["measures"]
+    (tmp_path / f"{shard_name(0)}.json").write_text(json.dumps(record))
+    assert not is_baked(TINY, 0, tmp_path)
+
+
 def test_another_recipe_is_baked_anew(baked):
     assert is_baked(TINY, 0, baked)
     assert not is_baked(replace(TINY, resolutions=(64,)), 0, baked)
@@ -201,8 +211,11 @@ def test_the_card_tells_trees_rules_and_species(baked, tmp_path):
     generate(replace(TINY, trees=2), baked)
     card = (baked / "README.md").read_text()
     assert "2 animated trees" in card
-    assert "| self-explosion |" in card
-    assert "32³" in card
+    assert "| self-explosion | 0 | 0.00 % |" in card
+    assert "| 0.22 |" in card
+    assert "voxels at 32³" in card
+    options = "--trees 2 --first-seed 40 --trees-per-shard 2 --resolution 32 --high-frequency 0.001 --root-motion 0.001"
+    assert f"dynamictree dataset generate FOLDER {options} --edge-stretch 0.02 --self-explosion 0.22" in card
 
 
 def test_a_shard_can_be_written_to_any_stream(sapling):
