@@ -13,12 +13,11 @@ from dynamictree.formats.animated_splat import write_animated_splat
 from dynamictree.formats.splat_sequence import iter_splat_sequence_zip, splat_sequence_bytes
 from dynamictree.gaussian.animate import AnimatedSplat, iter_poses, lighter
 from dynamictree.gaussian.binding import Binding
-from dynamictree.gaussian.cloud import GaussianCloud, area_m2, level_count
+from dynamictree.gaussian.cloud import MAX_SEQUENCE_BYTES, GaussianCloud, area_m2, level_count
 from dynamictree.products import AnimateOptions, Report, SwayingMesh
 from dynamictree.render.camera import Camera
 from dynamictree.render.shot import Shot
 
-MAX_SEQUENCE_BYTES = 64 * 1024**3  # of an archive; a lower degree, fewer Gaussians or frames make it smaller
 PREVIEW_GAUSSIANS = 200_000
 """Of a larger cloud its level of detail is drawn: 0.2 s a picture on two cores."""
 _STRIP = 8  # pictures in the row below

@@ -5,7 +5,7 @@ from importlib import resources
 from fastapi import APIRouter
 from pydantic import Field
 
-from service import archives, intake
+from service import archives, forces, intake, interact
 from service.context import Ctx
 from service.payloads import MAX_FRAMES, Payload
 from service.problems import FieldError, ProblemError
@@ -31,6 +31,7 @@ class LimitsPayload(Payload):
     """What is refused beyond. Sizes in bytes."""
 
     mesh_formats: list[str]
+    cloud_formats: list[str]
     photo_formats: list[str]
     max_json_bytes: int
     max_interact_bytes: int
@@ -43,6 +44,11 @@ class LimitsPayload(Payload):
     max_vertices: int
     max_faces: int
     max_frames: int
+    max_gaussians: int
+    max_sequence_bytes: int = Field(description="of a sequence of splats")
+    max_forces: int = Field(description="of one push")
+    max_force_groups: int = Field(description="places that swing at once")
+    max_displacement_bytes: int = Field(description="of one answer in voxels, vertices or Gaussians")
     max_queued_jobs: int
     artifact_retention_s: float = Field(description="artefacts are kept so long [s]")
     asset_retention_s: float = Field(description="uploads are kept so long after their last use [s]")
@@ -82,11 +88,13 @@ def list_presets() -> PresetListPayload:
 @router.get("/limits", operation_id="getLimits", responses=refusals())
 def get_limits(context: Ctx) -> LimitsPayload:
     """Sizes, numbers and formats that are allowed."""
+    from dynamictree.gaussian.cloud import MAX_GAUSSIANS, MAX_SEQUENCE_BYTES
     from dynamictree.mesh import MAX_FACES, MAX_VERTICES
 
     settings = context.settings
     return LimitsPayload(
         mesh_formats=[suffix.lstrip(".") for suffix in intake.MESH_SUFFIXES],
+        cloud_formats=[suffix.lstrip(".") for suffix in intake.CLOUD_SUFFIXES],
         photo_formats=[suffix.lstrip(".") for suffix in intake.PHOTO_SUFFIXES],
         max_json_bytes=settings.max_json_bytes,
         max_interact_bytes=settings.max_interact_bytes,
@@ -99,6 +107,11 @@ def get_limits(context: Ctx) -> LimitsPayload:
         max_vertices=MAX_VERTICES,
         max_faces=MAX_FACES,
         max_frames=MAX_FRAMES,
+        max_gaussians=MAX_GAUSSIANS,
+        max_sequence_bytes=MAX_SEQUENCE_BYTES,
+        max_forces=forces.MAX_FORCES,
+        max_force_groups=forces.MAX_GROUPS,
+        max_displacement_bytes=interact.MAX_DISPLACEMENT_BYTES,
         max_queued_jobs=settings.max_queued_jobs,
         artifact_retention_s=settings.artifact_retention_s,
         asset_retention_s=settings.asset_retention_s,

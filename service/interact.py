@@ -1,6 +1,7 @@
 """/v1/interact: push a tree. Nothing is kept between calls: state goes in, state comes out."""
 
 import json
+from collections.abc import Iterator
 from io import BytesIO
 from typing import Annotated
 
@@ -8,11 +9,13 @@ import numpy as np
 import orjson
 from fastapi import APIRouter, Header
 from fastapi.responses import Response
+from jaxtyping import Float32
 from pydantic import Field
 from safetensors.numpy import save
 from starlette.concurrency import run_in_threadpool
 
 from dynamictree.errors import UnstableTimestep
+from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.locality import default_falloff_m
 from dynamictree.modal.response import Answer, Start, answer_tensors, group_forces, respond, with_bin_zero
 from dynamictree.modal.step import State
@@ -34,12 +37,12 @@ from service.forces import (
 from service.payloads import Payload
 from service.problems import ProblemError
 from service.routing import refusals
-from service.trees import ReadyTree, bone_ties, living_tree, ready_tree, vertex_ties, with_mesh
+from service.trees import ReadyTree, bone_ties, living_tree, moving_gaussians, ready_tree, vertex_ties, with_mesh
 
 router = APIRouter(prefix="/v1/interact", tags=["interact"])
 
 MAX_DISPLACEMENT_BYTES = 128 * 1024**2
-"""Of one answer in voxels or vertices: 110 frames of 100,000 vertices."""
+"""Of one answer in voxels, vertices or Gaussians: 110 frames of 100,000 vertices, 33 of 100,000 Gaussians."""
 
 
 SHORT = 256
@@ -75,7 +78,7 @@ class InteractPayload(Payload):
     responses=refusals("not-found", "not-acceptable", "expired", "unstable-timestep")
     | {
         200: {
-            "description": "modal coordinates; voxels and vertices in binary only (see docs/interaction.md)",
+            "description": "modal coordinates; voxels, vertices and gaussians in binary only (see docs/interaction.md)",
             "content": {kind: {"schema": {"type": "string", "format": "binary"}} for kind in (SAFETENSORS, NPZ)},
         }
     },
@@ -106,7 +109,9 @@ def _response(body: InteractRequest, ready: ReadyTree, context: Context, media_t
     if media_type == JSON:
         return Response(orjson.dumps(_told(body, system, answer), option=orjson.OPT_SERIALIZE_NUMPY), 200, None, JSON)
     arrays = answer_tensors(answer)
-    if body.output in ("voxels", "vertices"):
+    if body.output == "gaussians":
+        arrays |= _gaussians(body, ready, context, answer)
+    elif body.output != "modal":
         arrays["displacement"] = _displacement(body, ready, context, answer)
     return Response(_packed(arrays, _facts(body, system), media_type), 200, None, media_type)
 
@@ -117,9 +122,6 @@ def answer_of(body: InteractRequest, ready: ReadyTree, context: Context) -> tupl
     Raises:
         InputError, NumericsError, ProblemError: the request cannot be met.
     """
-    if body.output == "gaussians":
-        found = "this spectrum's source is a mesh; output gaussians needs a splat. Ask for vertices, voxels or modal"
-        raise ProblemError("invalid-input", found)
     system = with_physics(ready.tree.system, mass_kg=body.mass_kg, damping_ratio=body.damping_ratio)
     forces = [
         library_force(force, system.grid, lambda: with_mesh(context, ready, body.spectrum_id)) for force in body.forces
@@ -143,20 +145,46 @@ def answer_of(body: InteractRequest, ready: ReadyTree, context: Context) -> tupl
 def _displacement(body: InteractRequest, ready: ReadyTree, context: Context, answer: Answer) -> np.ndarray:
     """[T, V or N, 3] in metres."""
     if body.output == "voxels":
-        _refuse_large(body.num_frames, len(ready.tree.system.grid))
+        _refuse_large(body.num_frames, len(ready.tree.system.grid), 12)
         return np.stack(list(ready.tree.voxels(answer, warp=body.warp)))
     mesh = with_mesh(context, ready, body.spectrum_id)
-    _refuse_large(body.num_frames, mesh.num_vertices)
+    _refuse_large(body.num_frames, mesh.num_vertices, 12)
+    return np.stack(list(_iter_vertices(body, ready, mesh, answer)))
+
+
+def _iter_vertices(
+    body: InteractRequest, ready: ReadyTree, mesh: TriangleMesh, answer: Answer
+) -> Iterator[Float32[np.ndarray, "N 3"]]:
+    """Displacement of the mesh's vertices, frame after frame [m]."""
     if body.warp:
-        return np.stack(list(ready.tree.bent(answer, mesh.vertices, bone_ties(ready, mesh))))
-    ties = vertex_ties(ready, mesh)
-    return np.stack([ties.apply(frame) for frame in ready.tree.voxels(answer)])
+        yield from ready.tree.bent(answer, mesh.vertices, bone_ties(ready, mesh))
+    else:
+        ties = vertex_ties(ready, mesh)
+        for frame in ready.tree.voxels(answer):
+            yield ties.apply(frame)
 
 
-def _refuse_large(num_frames: int, num_points: int) -> None:
-    wanted = 12 * num_frames * num_points
+def _gaussians(body: InteractRequest, ready: ReadyTree, context: Context, answer: Answer) -> dict[str, np.ndarray]:
+    """Where the Gaussians are that move: `rows` [M] in the cloud, `means`, `quaternions`, `scales` [T, M, 3 or 4]."""
+    moving = moving_gaussians(context, ready, body.spectrum_id)
+    _refuse_large(body.num_frames, len(moving.rows), 40)
+    mesh = with_mesh(context, ready, body.spectrum_id)
+    posed = np.empty((body.num_frames, len(moving.rows), 10), np.float32)
+    with moving.alone:
+        for out, frame in zip(posed, _iter_vertices(body, ready, mesh, answer), strict=True):
+            moving.deformer.pose(frame, out=out)
+    return {
+        "rows": moving.rows,
+        "means": posed[..., 0:3],
+        "quaternions": posed[..., 3:7],
+        "scales": posed[..., 7:10],
+    }
+
+
+def _refuse_large(num_frames: int, num_points: int, bytes_a_point: int) -> None:
+    wanted = bytes_a_point * num_frames * num_points
     if wanted > MAX_DISPLACEMENT_BYTES:
-        fits = MAX_DISPLACEMENT_BYTES // (12 * num_points)
+        fits = MAX_DISPLACEMENT_BYTES // (bytes_a_point * num_points)
         raise ProblemError(
             "validation-failed",
             f"{num_frames} frames of {num_points:,} points are {wanted:,} bytes; "

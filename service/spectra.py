@@ -4,9 +4,10 @@ from io import BytesIO
 from typing import Annotated
 
 from fastapi import APIRouter, Depends
-from pydantic import Field
+from pydantic import Field, TypeAdapter
 
 from dynamictree.formats.spectrum_file import read_spectrum
+from dynamictree.gaussian.capture import Box, Capture
 from dynamictree.mesh import TriangleMesh
 from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.errors import GoneError, NotFoundError
@@ -14,6 +15,7 @@ from jobs.products import MESH_BUNDLE, SPECTRUM
 from jobs.records import ArtifactRecord
 from service.context import Context, Ctx
 from service.payloads import Payload, WindPayload
+from service.problems import ProblemError
 from service.routing import Id, refusals
 
 router = APIRouter(prefix="/v1/spectra", tags=["spectra"])
@@ -95,6 +97,28 @@ def load_source_mesh(context: Context, spectrum_id: str) -> TriangleMesh:
         return read_mesh_bundle(BytesIO(b"".join(context.artifacts.read(digest))))
     except FileNotFoundError as error:
         raise GoneError(f"the mesh of spectrum {spectrum_id} was removed; upload it again") from error
+
+
+def load_source_cloud(context: Context, spectrum_id: str) -> tuple[Capture, Box | None]:
+    """The cloud that a spectrum was made for, and the box of its job: only what is inside moves.
+
+    Raises:
+        NotFoundError, GoneError: there is no such spectrum, or its asset has expired.
+        ProblemError: the source is no cloud.
+    """
+    from dynamictree.formats.cloud_bundle import read_cloud_bundle
+
+    job = context.store.job(spectrum_artifact(context, spectrum_id).job_id)
+    asset = context.store.asset(job.asset_id)
+    if asset.kind != "cloud" or asset.prepared is None:
+        found = f"this spectrum's source is of kind {asset.kind}; output gaussians needs a cloud"
+        raise ProblemError("invalid-input", f"{found}. Ask for vertices, voxels or modal")
+    try:
+        capture = read_cloud_bundle(BytesIO(b"".join(context.artifacts.read(asset.prepared.sha256))))
+    except FileNotFoundError as error:
+        raise GoneError(f"the cloud of spectrum {spectrum_id} was removed; upload it again") from error
+    low_high = TypeAdapter(Box | None).validate_python(job.params.get("box_m"))
+    return capture, low_high
 
 
 @router.get("/{id}", operation_id="getSpectrum", responses=refusals("not-found", "expired"))

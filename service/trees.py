@@ -2,21 +2,35 @@
 
 import threading
 from collections import OrderedDict
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Int32
 
 from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.response import InteractiveTree
 from dynamictree.modal.surface import BoneAttachment, attach_mesh
 from dynamictree.modal.system import modal_system
 from service.context import Context
-from service.spectra import load_source_mesh, load_spectrum, spectrum_artifact
+from service.spectra import load_source_cloud, load_source_mesh, load_spectrum, spectrum_artifact
 
 if TYPE_CHECKING:
+    from dynamictree.gaussian.deform import Deformer  # brings numba
     from dynamictree.voxel.devoxelize import VoxelInterpolation  # brings numba, which only vertices need
 
 BYTES_A_VOXEL = 1500  # modes, and the graph that displacements need; measured at K = 16
 BYTES_A_VERTEX = 250  # the mesh, and what ties it to voxels and bones
+BYTES_A_GAUSSIAN = 250  # at rest, and laid out for the deformer
+
+
+@dataclass(frozen=True)
+class MovingGaussians:
+    """Those of a cloud that hang on the mesh. The deformer is one pose's at a time."""
+
+    rows: Int32[np.ndarray, " M"]  # in the cloud
+    deformer: "Deformer"
+    alone: threading.Lock = field(default_factory=threading.Lock)
 
 
 @dataclass
@@ -28,12 +42,15 @@ class ReadyTree:
     mesh: TriangleMesh | None = None
     interpolation: "VoxelInterpolation | None" = None
     attachment: BoneAttachment | None = None
+    gaussians: MovingGaussians | None = None
 
     @property
     def num_bytes(self) -> int:
         """About what it takes [bytes]."""
         vertices = 0 if self.mesh is None else self.mesh.num_vertices
-        return BYTES_A_VOXEL * len(self.tree.system.grid) + BYTES_A_VERTEX * vertices
+        gaussians = 0 if self.gaussians is None else len(self.gaussians.rows)
+        known = BYTES_A_VERTEX * vertices + BYTES_A_GAUSSIAN * gaussians
+        return BYTES_A_VOXEL * len(self.tree.system.grid) + known
 
 
 @dataclass
@@ -108,6 +125,31 @@ def vertex_ties(ready: ReadyTree, mesh: TriangleMesh) -> "VoxelInterpolation":
     if ready.interpolation is None:
         ready.interpolation = smooth(ready.tree.system.grid, mesh)
     return ready.interpolation
+
+
+def moving_gaussians(context: Context, ready: ReadyTree, spectrum_id: str) -> MovingGaussians:
+    """What of the source cloud moves, hung on the mesh that was made of it.
+
+    Raises:
+        GoneError: the asset has expired.
+        ProblemError: the source is no cloud.
+    """
+    from dynamictree.gaussian.binding import bind_capture
+    from dynamictree.gaussian.deform import Deformer
+
+    mesh = with_mesh(context, ready, spectrum_id)
+    if ready.gaussians is None:
+        capture, box = load_source_cloud(context, spectrum_id)
+        binding = bind_capture(capture, mesh, box)
+        rows = np.flatnonzero(binding.moving).astype(np.int32)
+        moving = replace(
+            binding,
+            cloud=binding.cloud.subset(rows).with_sh_degree(0),
+            face_of=binding.face_of[rows],
+            weights=binding.weights[rows],
+        )
+        ready.gaussians = MovingGaussians(rows, Deformer(moving))
+    return ready.gaussians
 
 
 def bone_ties(ready: ReadyTree, mesh: TriangleMesh) -> BoneAttachment:

@@ -29,9 +29,25 @@ class AnimateParams(Model):
     fps: float = 24.0  # frames a second; never changes the speed
     speed: float = 1.0  # times the natural speed
     loop: bool = True  # refuse a number of frames that is no whole number of periods
-    formats: list[Literal["ply", "glb", "glb-reduced", "motion", "splat-ply", "splat", "png", "webp", "mp4"]] | None = (
-        None  # files to make; ply, glb and png of a mesh or photos, splat and png of a cloud if unset. png comes with every motion
-    )
+    formats: (
+        list[
+            Literal[
+                "ply",
+                "glb",
+                "glb-reduced",
+                "glb-skinned",
+                "usd",
+                "vat",
+                "motion",
+                "splat-ply",
+                "splat",
+                "png",
+                "webp",
+                "mp4",
+            ]
+        ]
+        | None
+    ) = None  # files to make; ply, glb and png of a mesh or photos, splat and png of a cloud if unset. png comes with every motion
     share: float = 1.0  # of a splat's Gaussians that are kept
     sh_degree: int = 3  # of a splat's harmonics, at most
     shot: "Shot | None" = None
@@ -58,6 +74,9 @@ class Artifact(Model):
     bytes: int
     sha256: str
     url: str
+    facts: dict[str, int | float] | None = (
+        None  # where a file is not exact, how far it is from the motion; [m] as _m says
+    )
     created_at: datetime  # RFC 3339, UTC
     expires_at: datetime  # RFC 3339, UTC
 
@@ -222,6 +241,7 @@ class Limits(Model):
     """What is refused beyond. Sizes in bytes."""
 
     mesh_formats: list[str]
+    cloud_formats: list[str]
     photo_formats: list[str]
     max_json_bytes: int
     max_interact_bytes: int
@@ -234,6 +254,11 @@ class Limits(Model):
     max_vertices: int
     max_faces: int
     max_frames: int
+    max_gaussians: int
+    max_sequence_bytes: int  # of a sequence of splats
+    max_forces: int  # of one push
+    max_force_groups: int  # places that swing at once
+    max_displacement_bytes: int  # of one answer in voxels, vertices or Gaussians
     max_queued_jobs: int
     artifact_retention_s: float  # artefacts are kept so long [s]
     asset_retention_s: float  # uploads are kept so long after their last use [s]

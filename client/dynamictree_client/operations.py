@@ -155,14 +155,9 @@ def list_jobs(
     )
 
 
-def put_job(client_id: str, body: ReconstructRequest | VoxelizeRequest | DiffuseRequest | AnimateRequest) -> Call[Job]:
+def put_job(id: str, body: ReconstructRequest | VoxelizeRequest | DiffuseRequest | AnimateRequest) -> Call[Job]:
     """Create a job under a name of the client's; sending it again is harmless. The job's id is in the answer."""
-    return Call(method="PUT", path=path_of("/v1/jobs/{client_id}", {"client_id": client_id}), answer=Job, body=body)
-
-
-def retry_job(id: str, body: RetryRequest | None = None) -> Call[Job]:
-    """Run a job that has ended again, as a new job."""
-    return Call(method="POST", path=path_of("/v1/jobs/{id}/retry", {"id": id}), answer=Job, body=body)
+    return Call(method="PUT", path=path_of("/v1/jobs/{id}", {"id": id}), answer=Job, body=body)
 
 
 def get_job(id: str, *, if_none_match: str | None = None) -> Call[Job]:
@@ -170,6 +165,11 @@ def get_job(id: str, *, if_none_match: str | None = None) -> Call[Job]:
     return Call(
         method="GET", path=path_of("/v1/jobs/{id}", {"id": id}), answer=Job, headers={"if-none-match": if_none_match}
     )
+
+
+def retry_job(id: str, body: RetryRequest | None = None) -> Call[Job]:
+    """Run a job that has ended again, as a new job."""
+    return Call(method="POST", path=path_of("/v1/jobs/{id}/retry", {"id": id}), answer=Job, body=body)
 
 
 def cancel_job(id: str) -> Call[Job]:

@@ -9,6 +9,8 @@ from dynamictree.errors import InputError
 
 MAX_GAUSSIANS = 5_000_000
 """What a worker of 8 GB reads and animates; a 5 M cloud of SH degree 3 is 1.2 GB."""
+MAX_SEQUENCE_BYTES = 64 * 1024**3
+"""Of an archive of a cloud's motion; a lower degree, fewer Gaussians or frames make it smaller."""
 MIN_OPACITY = 1 / 255
 """Below, no renderer of 3DGS draws anything: its own threshold (Kerbl et al. 2023, appendix C)."""
 SH_DEGREES = {1: 0, 4: 1, 9: 2, 16: 3}  # number of harmonics H = (degree + 1)² → degree

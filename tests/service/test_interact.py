@@ -269,7 +269,7 @@ def test_a_state_that_is_none_is_refused(
 
 def test_gaussians_of_a_mesh_are_refused(client: TestClient, spectrum_id: str, poke: dict) -> None:
     problem = refusal(post(client, spectrum_id, poke, accept="*/*", output="gaussians"), 422, "invalid-input")
-    assert "splat" in problem["detail"]
+    assert "needs a cloud" in problem["detail"]
 
 
 def test_vertices_are_gone_with_their_asset_and_voxels_are_not(

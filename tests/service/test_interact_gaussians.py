@@ -1,0 +1,129 @@
+"""Output `gaussians` of /v1/interact: a cloud that was sent moves as its mesh does."""
+
+# ruff: noqa: F811
+
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fastapi.testclient import TestClient
+from safetensors.numpy import load
+
+from dynamictree.formats.cloud_bundle import write_cloud_bundle
+from dynamictree.formats.mesh_bundle import write_mesh_bundle
+from dynamictree.formats.spectrum_file import write_spectrum
+from dynamictree.gaussian.binding import bind
+from dynamictree.gaussian.capture import Capture
+from dynamictree.gaussian.deform import Deformer
+from dynamictree.gaussian.from_mesh import splats_of_mesh
+from dynamictree.spectrum import SparseVoxelSpectrum
+from jobs.artifacts import hash_file
+from jobs.attempts import succeed
+from jobs.records import AssetPart, AssetRecord, JobRecord
+from jobs.states import JobState
+from jobs.store import new_id
+from service.context import Context
+from tests.service.conftest import hold, publish
+from tests.service.pushed import grown, poke, post, spectrum  # noqa: F401
+
+
+@pytest.fixture(scope="module")
+def capture(grown) -> Capture:
+    cloud = splats_of_mesh(grown.mesh, per_face=1, at_least=0, rng=np.random.default_rng(0)).cloud
+    rows = np.random.default_rng(1).permutation(cloud.num_gaussians)[:2000]
+    return Capture(cloud=cloud.subset(rows), mask=np.arange(2000) % 4 > 0)
+
+
+@pytest.fixture
+def cloud_spectrum(
+    context: Context, grown, capture: Capture, spectrum: SparseVoxelSpectrum, client: TestClient, tmp_path: Path
+) -> str:
+    path = tmp_path / "cloud.safetensors"
+    with path.open("wb") as stream:
+        write_cloud_bundle(capture, stream)
+    digest, size = hash_file(path)
+    context.artifacts.put(path, digest)
+    now = context.store.clock()
+    part = AssetPart(name=path.name, sha256=digest, bytes=size)
+    asset = AssetRecord(
+        id=new_id(),
+        kind="cloud",
+        fingerprint="c" * 64,
+        parts=(part,),
+        prepared=part,
+        summary={},
+        created_at=now,
+        expires_at=now + 500,
+    )
+    top = float(capture.cloud.means[:, 2].max())
+    job = JobRecord(
+        id=new_id(),
+        type="diffuse",
+        state=JobState.QUEUED,
+        asset_id=context.store.add_asset(asset)[0].id,
+        preset="small",
+        seed=0,
+        params={"box_m": [[-50, -50, -50], [50, 50, top - 0.5]]},
+        queue="cpu",
+        created_at=now,
+    )
+    context.store.add_job(job, stages=("reconstruct", "voxelize", "diffuse"))
+    held = hold(context, job.id)
+    mesh, file = BytesIO(), BytesIO()
+    write_mesh_bundle(grown.mesh, mesh)
+    write_spectrum(spectrum, file, dtype="float32")
+    publish(context, held, "reconstruct", "mesh.safetensors", mesh.getvalue())
+    publish(context, held, "voxelize", "tree.voxels.safetensors", b"voxels")
+    publish(context, held, "diffuse", "tree.spectrum.safetensors", file.getvalue())
+    succeed(context.store, held)
+    return str(client.get(f"/v1/jobs/{job.id}").json()["result"]["spectrum_id"])
+
+
+@pytest.mark.parametrize("warp", [False, True])
+def test_gaussians_move_as_the_vertices_do(
+    client: TestClient, cloud_spectrum: str, capture: Capture, grown, poke: dict, warp: bool
+) -> None:
+    asked = {"accept": "application/vnd.safetensors", "num_frames": 3, "dt_s": 0.2, "warp": warp}
+    answer = post(client, cloud_spectrum, poke, output="gaussians", **asked)
+    assert answer.status_code == 200, answer.text
+    told = load(answer.content)
+    vertices = load(post(client, cloud_spectrum, poke, output="vertices", **asked).content)["displacement"]
+    low = capture.cloud.means[:, 2] <= capture.cloud.means[:, 2].max() - 0.5
+    np.testing.assert_array_equal(told["rows"], np.flatnonzero(low & (np.arange(2000) % 4 > 0)))
+    binding = bind(capture.cloud, grown.mesh)
+    for frame in range(3):
+        pose = Deformer(binding).pose(vertices[frame])
+        for name in ("means", "quaternions", "scales"):
+            np.testing.assert_allclose(told[name][frame], getattr(pose, name)[told["rows"]], atol=1e-5)
+    assert np.abs(told["means"][2] - told["means"][0]).max() > 1e-4
+    np.testing.assert_array_equal(told["q"].shape[:2], (1, 3))
+
+
+def test_too_many_gaussians_are_refused_with_what_fits(
+    client: TestClient, cloud_spectrum: str, poke: dict, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("service.interact.MAX_DISPLACEMENT_BYTES", 100_000)
+    refused = post(client, cloud_spectrum, poke, accept="*/*", output="gaussians", num_frames=60)
+    assert (refused.status_code, "frames at a time" in refused.json()["detail"]) == (422, True)
+
+
+def test_gaussians_are_gone_with_their_asset(
+    client: TestClient, cloud_spectrum: str, context: Context, poke: dict
+) -> None:
+    asset_id = context.store.job(context.store.artifact(cloud_spectrum).job_id).asset_id
+    prepared = context.store.asset(asset_id).prepared
+    assert prepared is not None
+    context.artifacts.delete(prepared.sha256)
+    refused = post(client, cloud_spectrum, poke, accept="*/*", output="gaussians", num_frames=2)
+    assert (refused.status_code, refused.json()["code"]) == (410, "expired")
+    context.store.delete_asset(asset_id)
+    refused = post(client, cloud_spectrum, poke, accept="*/*", output="gaussians", num_frames=2)
+    assert (refused.status_code, refused.json()["code"]) == (410, "expired")
+
+
+def test_the_limits_of_pushes_are_told(client: TestClient) -> None:
+    limits = client.get("/v1/limits").json()
+    assert (limits["max_forces"], limits["max_force_groups"]) == (32, 64)
+    assert limits["max_displacement_bytes"] == 128 * 1024**2
+    assert "splat" in limits["cloud_formats"]
