@@ -82,12 +82,15 @@ def _sway_picture(
     colored = replace(
         mesh,
         vertex_colors=amplitude_colors(amplitude),
-        materials=tuple(
-            replace(material, base_color=(1.0, 1.0, 1.0, material.base_color[3])) for material in mesh.materials
-        )
-        or (Material(base_color=(1.0, 1.0, 1.0, 1.0)),),
+        materials=tuple(_bare(material) for material in mesh.materials) or (_bare(Material()),),
     )
     return Renderer(colored, Look(width=_SIDE_PX, height=height, shadows=False)).picture(camera=camera)
+
+
+def _bare(material: Material) -> Material:
+    """White; a texture stays only where it cuts the face out."""
+    texture = None if material.alpha_cutoff is None else material.texture_png
+    return replace(material, base_color=(1.0, 1.0, 1.0, material.base_color[3]), texture_png=texture)
 
 
 def _slice_window(
