@@ -1,6 +1,9 @@
 """Zips from outside: entries checked before they are read, bytes counted while they are."""
 
+import errno
+import lzma
 import stat
+import struct
 import zipfile
 import zlib
 from hashlib import sha256
@@ -13,6 +16,19 @@ MAX_ENTRIES = 500
 MAX_RATIO = 100
 MAX_UNPACKED_BYTES = 4 * 1024**3
 CHUNK_BYTES = 1024 * 1024
+UNREADABLE = (
+    zipfile.BadZipFile,
+    zlib.error,
+    lzma.LZMAError,
+    struct.error,
+    NotImplementedError,
+    RuntimeError,
+    EOFError,
+    ValueError,
+    OverflowError,
+)
+"""What zipfile raises where a file lies."""
+
 ARCHIVE_SUFFIXES = frozenset({".zip", ".tar", ".gz", ".tgz", ".7z", ".rar", ".xz", ".bz2", ".zst"})
 
 
@@ -37,11 +53,17 @@ def unpack(archive: ReceivedFile, folder: Path) -> list[ReceivedFile]:
             for number, entry in enumerate(entries):
                 files.append(_unpack_one(opened, entry, folder / f"entry-{number}", left))
                 left -= files[-1].bytes
-    except (zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, EOFError) as error:
-        raise _rejected(
-            f"the zip cannot be read: {error}; pack it again without a password, deflated or stored"
-        ) from error
+    except OSError as error:
+        if error.errno != errno.EINVAL:  # a full disk is ours; an entry before the file's start is the sender's
+            raise
+        raise _unreadable(error) from error
+    except UNREADABLE as error:
+        raise _unreadable(error) from error
     return files
+
+
+def _unreadable(error: Exception) -> ProblemError:
+    return _rejected(f"the zip cannot be read: {error}; pack it again without a password, deflated or stored")
 
 
 def _check(entries: list[zipfile.ZipInfo], archive_bytes: int) -> None:

@@ -8,6 +8,7 @@ from jaxtyping import Float32, Float64, UInt8
 from dynamictree.errors import FormatError, InputError
 from dynamictree.formats.activations import harmonic_from_color
 from dynamictree.formats.cloud_axes import to_z_up
+from dynamictree.formats.las_header import HEADER_BYTES, check_las_header
 from dynamictree.formats.ply_table import PlyHeader, read_elements, read_header
 from dynamictree.formats.seekable import SeekableReader, remaining_bytes
 from dynamictree.gaussian.cloud import MAX_GAUSSIANS, GaussianCloud, check_count, validate_cloud
@@ -20,7 +21,6 @@ _LARGEST_SPACING = 4.0  # in medians: a stray point stays small
 _OPACITY = 0.9  # surfaces that were scanned are solid; below 1, neighbours blend
 _GREY = (120, 130, 105)  # sRGB of points that come without colour
 _MAX_OFFSET_SIZES = 100.0  # in extents: farther from the origin, float32 would round what was measured
-_LAS_HEADER = 227  # bytes, the shortest
 
 
 def read_points_ply(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: float = 1.0) -> GaussianCloud:
@@ -83,10 +83,11 @@ def read_las(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: float = 
     import laspy  # type: ignore[import-untyped]
 
     size = remaining_bytes(stream)
-    if size < _LAS_HEADER:
-        raise FormatError(f"the file is {size} bytes; a LAS header alone is {_LAS_HEADER}; it is truncated")
+    if size < HEADER_BYTES:
+        raise FormatError(f"the file is {size} bytes; a LAS header alone is {HEADER_BYTES}; it is truncated")
+    check_las_header(stream, size)
     try:
-        with laspy.open(stream, closefd=False) as reader:
+        with laspy.open(stream, closefd=False, laz_backend=laspy.LazBackend.Lazrs) as reader:  # its one-thread twin
             check_count(reader.header.point_count)
             las = reader.read()
     except (laspy.LaspyException, ValueError, OSError, RuntimeError) as error:

@@ -119,8 +119,40 @@ def test_a_text_larger_than_any_cloud_is_refused_unread(monkeypatch: pytest.Monk
 def test_las_that_is_none_or_ends_early_is_refused() -> None:
     with pytest.raises(FormatError, match="truncated"):
         read_cloud(io.BytesIO(b"LASF"), file_type="las")
-    with pytest.raises(FormatError, match="cannot be read"):
+    with pytest.raises(FormatError, match="no LAS file"):
         read_cloud(io.BytesIO(b"nothing of the kind" * 100), file_type="las")
     content = _las(_lattice(0.2), None, packed=True).getvalue()
-    with pytest.raises(FormatError, match="cannot be read"):
+    with pytest.raises(FormatError, match="cannot be read|listed at byte"):
         read_cloud(io.BytesIO(content[:400]), file_type="laz")
+
+
+@pytest.mark.parametrize(
+    ("packed", "at", "told", "message"),
+    [
+        (False, 96, b"\xff\xff\xff\x7f", "points begin at byte 2,147,483,647"),
+        (False, 100, b"\xff\xff\xff\xff", "4,294,967,295 records"),  # laspy would read each of them
+        (True, -1, b"\xff\xff\xff\x7f", "2,147,483,647 chunks"),  # lazrs would make room for them, and abort
+        (True, -2, b"\xff\xff\xff\x7f", "chunks of the LAZ file are listed at byte"),
+    ],
+)
+def test_a_las_header_may_not_claim_what_the_file_has_no_room_for(
+    packed: bool, at: int, told: bytes, message: str
+) -> None:
+    content = bytearray(_las(_lattice(0.2), None, packed=packed).getvalue())
+    points_at = int.from_bytes(content[96:100], "little")
+    at = {-1: int.from_bytes(content[points_at : points_at + 8], "little") + 4, -2: points_at}.get(at, at)
+    content[at : at + len(told)] = told
+    with pytest.raises(FormatError, match=message):
+        read_cloud(io.BytesIO(bytes(content)), file_type="las")
+
+
+def test_a_las_1_4_header_may_not_claim_extended_records() -> None:
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = _lattice(0.2).T
+    stream = io.BytesIO()
+    las.write(stream)
+    content = bytearray(stream.getvalue())
+    content[243:247] = b"\xff\xff\xff\x0f"
+    with pytest.raises(FormatError, match="268,435,455 extended records"):
+        read_cloud(io.BytesIO(bytes(content)), file_type="las")
