@@ -11,6 +11,7 @@ READY := $(VENV)/.ready
 INPUT ?=
 OUTPUT ?= demo-output
 TESTS ?=
+FUZZ_STATE ?= .fuzz
 # Two workers on two cores; more would only add set-up.
 TEST_WORKERS ?= 2
 
@@ -34,7 +35,7 @@ $(READY): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and f"Python 3.11 or newer is needed, found {sys.version.split()[0]}; call make PYTHON=...")'
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@test -x $(BIN)/uv || $(BIN)/python -m pip install -q uv
-	@$(BIN)/uv pip install -q --python $(BIN)/python $(TORCH_SOURCE) -r requirements.lock
+	@$(BIN)/uv pip install -q --compile-bytecode --python $(BIN)/python $(TORCH_SOURCE) -r requirements.lock
 	@$(BIN)/uv pip install -q --python $(BIN)/python --no-deps -e . -e ./client
 	@touch $@
 
@@ -46,6 +47,15 @@ test: $(READY)  ## the test suite, without the slow marks
 
 scale-out: $(READY)  ## API and two workers as processes of their own on PostgreSQL, Redis and S3, all real (1 min)
 	@$(BIN)/python -m pytest -q tests/faults/test_many_machines.py
+
+faults: $(READY)  ## kill API, workers and Redis 200 times under load, then look what was lost (20 min)
+	@$(BIN)/python -m tests.faults.kills --kills 200 --minutes 120
+
+fuzz: $(READY)  ## 10,000 mutated files of every format, each in a fork (10 min); goes on where it was stopped
+	@$(BIN)/python -m tests.fuzz --files 10000 --state "$(FUZZ_STATE)"
+
+soak: $(READY)  ## an hour of traffic, and what every process weighs meanwhile
+	@$(BIN)/python -m tests.faults.soak --minutes 60
 
 check: $(READY)  ## format, lint, types, imports, openapi drift
 	@$(BIN)/ruff format --check .
