@@ -15,9 +15,8 @@ Twigs that touch are no way: an edge between voxels that the wind moves differen
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse
+import scipy  # its parts come in when they are used: the service starts without them
 from jaxtyping import Float32, Float64, Int
-from scipy.sparse.csgraph import dijkstra
 
 from dynamictree.errors import InputError
 from dynamictree.modal.system import ModalSystem
@@ -34,7 +33,7 @@ REACH = 3.0  # falloffs, beyond which a weight (1e-4) is zero
 class Branching:
     """The tree as ways between its voxels; prepared once a spectrum, asked once a poke."""
 
-    ways: scipy.sparse.csr_array  # [2V, 2V]; rows V to 2V - 1 are the same voxels after a way towards the root
+    ways: "scipy.sparse.csr_array"  # [2V, 2V]; rows V to 2V - 1 are the same voxels after a way towards the root
 
 
 def default_falloff_m(system: ModalSystem) -> float:
@@ -73,6 +72,8 @@ def poke_weights(tree: Branching, seed_voxel: int, falloff_m: float) -> Float32[
         raise InputError(f"voxel {seed_voxel} does not exist; the spectrum has voxels 0 to {num_voxels - 1}")
     if not (np.isfinite(falloff_m) and falloff_m > 0):
         raise InputError(f"falloff_m is {falloff_m}; it must be positive and finite")
+    from scipy.sparse.csgraph import dijkstra
+
     cost = dijkstra(tree.ways, indices=np.array([seed_voxel]), limit=REACH * falloff_m)[0]  # [2V]
     nearest = np.minimum(cost[:num_voxels], cost[num_voxels:])
     weights: Float32[np.ndarray, " V"] = np.exp(-((nearest / falloff_m) ** 2)).astype(np.float32)

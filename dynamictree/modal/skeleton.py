@@ -7,9 +7,8 @@ Bones turn and do not stretch, so what is built on them bends however far it is 
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse
+import scipy  # its parts come in when they are used: the service starts without them
 from jaxtyping import Complex64, Float32, Int32, Int64
-from scipy.sparse.csgraph import connected_components, dijkstra
 
 from dynamictree.modal.locality import STRANGER, strangeness
 from dynamictree.modal.system import ModalSystem
@@ -59,6 +58,8 @@ def bones_of(system: ModalSystem) -> Bones:
 
 def _nodes(system: ModalSystem) -> tuple[Int32[np.ndarray, " V"], Int32[np.ndarray, " B"]]:
     """Which node each voxel is of, and each node's parent; nodes in order of their distance from the root."""
+    from scipy.sparse.csgraph import connected_components, dijkstra
+
     grid = system.grid
     edges = voxel_graph(grid).tocoo()
     strange = strangeness(system, edges.row, edges.col)

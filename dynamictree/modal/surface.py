@@ -3,9 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse
+import scipy  # its parts come in when they are used: the service starts without them
 from jaxtyping import Float32, Int32
-from scipy.sparse.csgraph import connected_components
 
 from dynamictree.mesh import TriangleMesh, edges_of
 from dynamictree.modal.skeleton import Bones
@@ -48,9 +47,11 @@ def attach_mesh(
 
 
 def _stiffen(
-    carried: scipy.sparse.csr_array, graph: scipy.sparse.csr_array, mesh: TriangleMesh, size_m: float
-) -> scipy.sparse.csr_array:
+    carried: "scipy.sparse.csr_array", graph: "scipy.sparse.csr_array", mesh: TriangleMesh, size_m: float
+) -> "scipy.sparse.csr_array":
     """One mean for all vertices of a connected part that is small."""
+    from scipy.sparse.csgraph import connected_components
+
     num_parts, part = connected_components(graph, directed=False)
     low, high = np.full((num_parts, 3), np.inf), np.full((num_parts, 3), -np.inf)
     np.minimum.at(low, part, mesh.vertices)
@@ -64,7 +65,7 @@ def _stiffen(
     return together
 
 
-def _strongest(carried: scipy.sparse.csr_array) -> BoneAttachment:
+def _strongest(carried: "scipy.sparse.csr_array") -> BoneAttachment:
     num_vertices = carried.shape[0]
     point = np.repeat(np.arange(num_vertices), np.diff(carried.indptr))
     order = np.lexsort((carried.indices, -carried.data, point))
