@@ -10,6 +10,7 @@ import io
 import json
 import multiprocessing
 import os
+import threading
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -128,11 +129,23 @@ def _baking(recipe: Recipe, missing: list[int], folder: Path, workers: int) -> I
         return
     # fork would copy the threads' locks of numba and BLAS
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(max_workers=workers, mp_context=context) as pool:
+    with ProcessPoolExecutor(max_workers=workers, mp_context=context, initializer=_end_with_parent) as pool:
         waiting = {pool.submit(bake_shard, recipe, shard, folder): shard for shard in missing}
         for future in as_completed(waiting):
             future.result()
             yield waiting[future]
+
+
+def _end_with_parent() -> None:
+    """A worker whose parent was killed would bake on for nobody."""
+    parent = multiprocessing.parent_process()
+
+    def wait() -> None:
+        assert parent is not None
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()
 
 
 def bake_shard(recipe: Recipe, index: int, folder: Path) -> None:

@@ -1,9 +1,13 @@
 import hashlib
 import io
 import json
+import subprocess
+import sys
+import time
 from dataclasses import asdict, replace
 
 import numpy as np
+import psutil
 import pytest
 import safetensors.numpy
 
@@ -223,3 +227,33 @@ def test_a_shard_can_be_written_to_any_stream(sapling):
     for stream in (first, second):
         write_shard([store(sapling, resolutions=(32,))], stream)
     assert first.getvalue() == second.getvalue()
+
+
+def test_workers_end_with_a_killed_parent(tmp_path):
+    program = [
+        sys.executable,
+        "-m",
+        "dynamictree.cli",
+        "dataset",
+        "generate",
+        str(tmp_path),
+        "--trees",
+        "400",
+        "--workers",
+        "2",
+    ]
+    parent = subprocess.Popen(program, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        workers = []
+        until = time.monotonic() + 60
+        while len(workers) < 2 and time.monotonic() < until:
+            time.sleep(0.1)
+            children = psutil.Process(parent.pid).children()
+            workers = [child for child in children if "spawn_main" in " ".join(child.cmdline())]
+        assert len(workers) == 2
+    finally:
+        parent.kill()
+        parent.wait()
+    gone, alive = psutil.wait_procs(workers, timeout=60)
+    assert not alive
+    assert len(gone) == 2
