@@ -43,7 +43,7 @@ def mesh_of_cloud(cloud: GaussianCloud, *, cells_along: int = CELLS_ALONG, max_f
     low, high = _bounds(visible)
     cell = float((high - low).max()) / cells_along
     if not cell > 0:
-        raise InputError("all Gaussians are at one place; a surface needs an extent")
+        raise InputError("all Gaussians are points at one place; a surface needs an extent")
     origin = low - _BORDER * cell
     shape = np.ceil((high - origin) / cell).astype(np.int64) + _BORDER
     density = opacity_grid(visible, origin.astype(np.float32), cell, (int(shape[0]), int(shape[1]), int(shape[2])))
@@ -141,6 +141,9 @@ def _splat_slices(first, end, centres, precision, reach, opacity, density):
 
 def _bounds(cloud: GaussianCloud) -> tuple[Float32[np.ndarray, "3"], Float32[np.ndarray, "3"]]:
     """Low and high corner of what the grid must hold."""
+    reach = np.float32(_REACH) * cloud.scales.max(axis=1, keepdims=True)
+    if np.ptp(cloud.means, axis=0).max() < np.median(reach):  # few Gaussians in one another: their own extent counts
+        return (cloud.means - reach).min(axis=0), (cloud.means + reach).max(axis=0)
     low, high = (np.quantile(cloud.means, q, axis=0) for q in (_STRAYS, 1 - _STRAYS))
     margin = _FAR_OUT * (high - low).max()
     lowest, highest = cloud.means.min(axis=0), cloud.means.max(axis=0)

@@ -91,7 +91,16 @@ def test_what_has_no_surface_is_told(rng: np.random.Generator) -> None:
         mesh_of_cloud(sphere_cloud(rng, opacity=0.01).subset(np.arange(10)), cells_along=32)
     cloud = sphere_cloud(rng)
     with pytest.raises(InputError, match="at one place"):
-        mesh_of_cloud(replace(cloud, means=np.zeros_like(cloud.means)))
+        mesh_of_cloud(replace(cloud, means=np.zeros_like(cloud.means), scales=np.zeros_like(cloud.scales)))
+
+
+def test_gaussians_in_one_another_have_the_surface_of_the_largest(rng: np.random.Generator) -> None:
+    cloud = sphere_cloud(rng).subset(np.arange(5))
+    scales = np.full((5, 3), 0.1, np.float32)
+    scales[0] = 0.5
+    mesh = mesh_of_cloud(replace(cloud, means=np.zeros_like(cloud.means), scales=scales), cells_along=32)
+    radius = 0.5 * np.sqrt(2 * np.log(0.9 / 0.3))  # where 0.9 exp(-½ (r / 0.5)²) is the level
+    np.testing.assert_allclose(np.linalg.norm(mesh.vertices, axis=1), radius, rtol=0.05)
 
 
 def test_far_strays_do_not_coarsen_the_surface(rng: np.random.Generator) -> None:

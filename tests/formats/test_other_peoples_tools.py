@@ -1,0 +1,116 @@
+"""Clouds that pass through tools that are not ours: plyfile, and PlayCanvas' splat-transform (`make js-tools`)."""
+
+import subprocess
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import plyfile
+import pytest
+
+from dynamictree.errors import FormatError
+from dynamictree.formats.cloud_file import read_cloud
+from dynamictree.formats.gaussian_ply import property_names, write_gaussian_ply
+from dynamictree.formats.source_file import source_kind
+from dynamictree.formats.splat import write_splat
+from dynamictree.formats.spz import write_spz
+from dynamictree.gaussian.cloud import GaussianCloud
+from tests.formats.test_cloud_round_trips import covariances, make_cloud
+
+TOOL = Path(__file__).parents[2] / ".cache" / "js-tools" / "node_modules" / ".bin" / "splat-transform"
+
+
+def test_plyfile_reads_what_we_write(rng: np.random.Generator) -> None:
+    cloud = make_cloud(rng, degree=2)
+    stream = BytesIO()
+    write_gaussian_ply(cloud, stream)
+    stream.seek(0)
+    vertex = plyfile.PlyData.read(stream)["vertex"]
+    assert [one.name for one in vertex.properties] == property_names(9)
+    assert vertex.count == cloud.num_gaussians
+    np.testing.assert_allclose(1 / (1 + np.exp(-vertex["opacity"])), cloud.opacity, rtol=1e-5)
+    np.testing.assert_allclose(np.exp(vertex["scale_1"]), cloud.scales[:, 1], rtol=1e-5)
+    np.testing.assert_allclose(vertex["f_rest_0"].std(), vertex["f_rest_23"].std(), rtol=0.5)
+
+
+@pytest.mark.parametrize(("text", "order"), [(True, "="), (False, "<"), (False, ">")])
+def test_we_read_what_plyfile_writes(rng: np.random.Generator, text: bool, order: str) -> None:
+    cloud = make_cloud(rng, degree=1)
+    stream = BytesIO()
+    write_gaussian_ply(cloud, stream)
+    stream.seek(0)
+    rows = plyfile.PlyData.read(stream)["vertex"].data
+    shuffled = np.empty(len(rows), [(name, "f4") for name in rng.permutation(list(rows.dtype.names))])
+    for name in shuffled.dtype.names:
+        shuffled[name] = rows[name]
+    again = BytesIO()
+    plyfile.PlyData([plyfile.PlyElement.describe(shuffled, "vertex")], text=text, byte_order=order).write(again)
+    again.seek(0)
+    read = read_cloud(again, file_type="ply")
+    for name in ("means", "scales", "opacity", "sh"):
+        np.testing.assert_allclose(getattr(read, name), getattr(cloud, name), rtol=2e-5, atol=2e-6)
+
+
+@pytest.fixture(scope="module")
+def transform() -> Path:
+    if not TOOL.exists():
+        pytest.skip("splat-transform is not there: make js-tools, with node and npm")
+    return TOOL
+
+
+def through(tool: Path, source: Path, target: Path) -> GaussianCloud:
+    """What splat-transform makes of a file, read by us."""
+    subprocess.run([tool, "--overwrite", source, target], check=True, capture_output=True, timeout=120)
+    with target.open("rb") as stream:
+        kind, file_type = source_kind(stream, target.name)
+        assert kind == "cloud"
+        return read_cloud(stream, file_type=file_type, up_axis="-Y" if file_type == "spz" else None)
+
+
+def sorted_like(read: GaussianCloud, cloud: GaussianCloud) -> GaussianCloud:
+    """In the order of the other: the tool sorts some formats."""
+    away = ((read.means[None] - cloud.means[:, None]) ** 2).sum(axis=2)
+    return read.subset(np.argmin(away, axis=1))
+
+
+def assert_alike(read: GaussianCloud, cloud: GaussianCloud, tolerance: float) -> None:
+    assert read.num_gaussians == cloud.num_gaussians
+    read = sorted_like(read, cloud)
+    np.testing.assert_allclose(read.means, cloud.means, atol=tolerance)
+    np.testing.assert_allclose(read.opacity, cloud.opacity, atol=tolerance + 1e-6)
+    scale = np.abs(covariances(cloud)).max(axis=(1, 2))
+    np.testing.assert_array_less(
+        np.abs(covariances(read) - covariances(cloud)).max(axis=(1, 2)) / scale, 10 * tolerance + 1e-4
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("ending", "tolerance"), [("ply", 1e-5), ("compressed.ply", 0.02)])
+def test_splat_transform_reads_our_ply(
+    transform: Path, tmp_path: Path, rng: np.random.Generator, ending: str, tolerance: float
+) -> None:
+    cloud = make_cloud(rng, degree=3)
+    with (tmp_path / "ours.ply").open("wb") as stream:
+        write_gaussian_ply(cloud, stream)
+    assert_alike(through(transform, tmp_path / "ours.ply", tmp_path / f"theirs.{ending}"), cloud, tolerance)
+
+
+@pytest.mark.slow
+def test_splat_transform_reads_our_splat_and_spz(transform: Path, tmp_path: Path, rng: np.random.Generator) -> None:
+    cloud = make_cloud(rng, degree=0)
+    with (tmp_path / "ours.splat").open("wb") as stream:
+        write_splat(cloud, stream)
+    assert_alike(through(transform, tmp_path / "ours.splat", tmp_path / "of-splat.ply"), cloud, 0.02)
+    with (tmp_path / "ours.spz").open("wb") as stream:
+        write_spz(cloud, stream)
+    through(transform, tmp_path / "ours.spz", tmp_path / "theirs.spz")
+    with (tmp_path / "ours.spz").open("rb") as ours, (tmp_path / "theirs.spz").open("rb") as theirs:
+        assert_alike(read_cloud(theirs, file_type="spz"), read_cloud(ours, file_type="spz"), 0.02)
+
+
+@pytest.mark.slow
+def test_a_sog_is_refused_by_name(transform: Path, tmp_path: Path, rng: np.random.Generator) -> None:
+    with (tmp_path / "ours.ply").open("wb") as stream:
+        write_gaussian_ply(make_cloud(rng, degree=0), stream)
+    with pytest.raises(FormatError, match=r"splat-transform tree\.sog tree\.ply"):
+        through(transform, tmp_path / "ours.ply", tmp_path / "theirs.sog")
