@@ -134,6 +134,10 @@ def numbers_of(tables: Sequence[StemTable]) -> dict[str, object]:
 def draw_plots(tables: Sequence[StemTable], stream: ByteWriter) -> None:
     """Four plots as one PNG: heights, lengths by level, frequency and amplitude against length."""
     from matplotlib.figure import Figure
+    from PIL import Image
+
+    whole = all((table.count == 1).all() for table in tables)
+    of_stem = "stem length [m]" if whole else "stem length [m], median of each tree and level"
 
     figure = Figure(figsize=(12, 9), layout="constrained")
     heights, lengths, frequencies, amplitudes = figure.subplots(2, 2).ravel()
@@ -150,7 +154,7 @@ def draw_plots(tables: Sequence[StemTable], stream: ByteWriter) -> None:
         label=[f"level {depth}" for depth in range(level.max() + 1)],
     )
     lengths.set_xscale("log")
-    lengths.set_xlabel("stem length [m]")
+    lengths.set_xlabel(of_stem)
     lengths.legend()
     columns = (
         (frequencies, "frequency_hz", "frequency of bending [Hz]"),
@@ -161,8 +165,10 @@ def draw_plots(tables: Sequence[StemTable], stream: ByteWriter) -> None:
         for depth in range(level.max() + 1):
             chosen = (level == depth) & (values > 0)
             axes.scatter(length[chosen], values[chosen], s=3, alpha=0.3, label=f"level {depth}")
-        axes.set(xscale="log", yscale="log", xlabel="stem length [m]", ylabel=title)
+        axes.set(xscale="log", yscale="log", xlabel=of_stem, ylabel=title)
         axes.legend()
     content = io.BytesIO()
     figure.savefig(content, format="png", dpi=100)
-    stream.write(content.getvalue())
+    small = io.BytesIO()
+    Image.open(content).convert("RGB").quantize(64).save(small, format="png", optimize=True)
+    stream.write(small.getvalue())

@@ -137,7 +137,8 @@ def print_figures(report: dict[str, Any]) -> None:
         verdict = "met" if target["met"] else f"missed by {target['missed_by']:.3f}"
         better = ", ".join(target["better_baselines"]) or "none"
         name = target["figure"].replace("_", " ")
-        typer.echo(f"{name} {target['wanted']}: {target['found']:.3f}, {verdict}; better baselines: {better}")
+        found = f"{target['found']:.3f} (a second true wind {target['floor']:.3f})"
+        typer.echo(f"{name} {target['wanted']}: {found}, {verdict}; better baselines: {better}")
     verdict = "passes" if report["passes"] else "does not pass"
     typer.echo(f"{report['model']} {verdict}: {report['rule']}")
 
