@@ -1,45 +1,52 @@
 """/v1/jobs: ask for a product, look how far it is, stop it, run it again, list what it made."""
 
-from collections.abc import Callable
+import time
 from hashlib import sha256
-from statistics import median
-from typing import Annotated, TypeVar
+from typing import Annotated
 
 from fastapi import APIRouter, Header, Path, Query, Request, Response, status
+from starlette.concurrency import run_in_threadpool
 
 from jobs.errors import ConflictError, ReusedKeyError
 from jobs.records import ArtifactRecord, AssetRecord, ClientKey, JobRecord, Json
-from jobs.states import JobState, JobType, stages_of
+from jobs.states import JobState, JobType, queue_of, stages_of
 from jobs.store import new_id
+from jobs.webhooks import endpoint
 from service.assets import require_room
 from service.catalogue import require_preset
 from service.context import Context, Ctx
+from service.origin import Origin, RequestOrigin
 from service.payloads import (
     AnimateParams,
     EstimatePayload,
     JobListPayload,
     JobPayload,
     JobRequest,
+    LogLinePayload,
+    LogPayload,
     ManifestPayload,
     RetryRequest,
     job_payload,
     manifest_payload,
+    time_of,
 )
 from service.problems import ProblemError
+from service.quota import require_bytes
 from service.ranges import matches
 from service.routing import Id, headers, refusals
+from service.waiting import WaitS
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 
 POLL_AFTER_S = 1
 MAX_PAGE = 100
 KEY_EXPIRES_S = 86400.0
-_REFUSALS = ("not-found", "conflict", "expired", "idempotency-key-reused", "queue-full", "disk-full")
+_QUOTAS = ("forbidden", "quota-exceeded", "too-many-active-jobs")
+_REFUSALS = ("not-found", "conflict", "expired", "idempotency-key-reused", "queue-full", "disk-full", *_QUOTAS)
 _ACCEPTED = {
     "description": "Accepted",
     **headers(Location="the job", Retry_After="seconds until it is worth a look"),
 }
-Number = TypeVar("Number", int, float)
 
 
 @router.post(
@@ -54,6 +61,7 @@ def create_job(
     body: JobRequest,
     response: Response,
     context: Ctx,
+    origin: Origin,
     validate_only: Annotated[
         bool, Query(description="only tell whether it would be accepted, and what it takes")
     ] = False,
@@ -62,18 +70,16 @@ def create_job(
     ] = None,
 ) -> JobPayload | Response:
     """Ask for voxels, a spectrum, a motion, or a mesh of photos. What that needs runs first, or is cached."""
-    asset, stages = _checked(context, body)
     if validate_only:
+        asset, stages = _checked(context, body)
         told = EstimatePayload(
-            est_seconds=_sum_of_medians(stages, context.store.stage_seconds),
-            est_bytes=_sum_of_medians(stages, context.store.stage_bytes),
+            est_seconds=context.history.stage_seconds(stages),
+            est_bytes=context.history.stage_bytes(stages),
             format_bytes=_format_bytes(body, asset),
         )
         return Response(told.model_dump_json(), media_type="application/json")
-    key = None
-    if idempotency_key is not None:
-        key = ClientKey(key=f"post:{idempotency_key}", body_sha256=_fingerprint(body), expires_s=KEY_EXPIRES_S)
-    return _accept(context, _record(context, body, asset), stages, key, response)
+    key = None if idempotency_key is None else f"post:{idempotency_key}"
+    return accept(context, body, origin, response, key=key, expires_s=KEY_EXPIRES_S)
 
 
 @router.put(
@@ -90,12 +96,11 @@ def put_job(
     body: JobRequest,
     response: Response,
     context: Ctx,
+    origin: Origin,
 ) -> JobPayload:
     """Create a job under a name of the client's; sending it again is harmless. The job's id is in the answer."""
-    asset, stages = _checked(context, body)
-    key = ClientKey(key=f"put:{client_id}", body_sha256=_fingerprint(body))
     try:
-        return _accept(context, _record(context, body, asset), stages, key, response)
+        return accept(context, body, origin, response, key=f"put:{client_id}")
     except ReusedKeyError as error:
         raise ConflictError(str(error)) from error
 
@@ -106,7 +111,7 @@ def put_job(
     status_code=status.HTTP_202_ACCEPTED,
     responses=refusals(*_REFUSALS) | {202: _ACCEPTED},
 )
-def retry_job(id: Id, response: Response, context: Ctx, body: RetryRequest | None = None) -> JobPayload:
+def retry_job(id: Id, response: Response, context: Ctx, origin: Origin, body: RetryRequest | None = None) -> JobPayload:
     """Run a job that has ended again, as a new job."""
     old = context.store.job(id)
     if not old.terminal:
@@ -118,6 +123,7 @@ def retry_job(id: Id, response: Response, context: Ctx, body: RetryRequest | Non
         errors = [{"pointer": "/from_stage", "code": "unknown-stage", "detail": detail}]
         raise ProblemError("validation-failed", detail, errors=errors)  # type: ignore[arg-type]
     _require_place(context)
+    require_bytes(context, 0)
     job = JobRecord(
         id=new_id(),
         type=old.type,
@@ -126,7 +132,11 @@ def retry_job(id: Id, response: Response, context: Ctx, body: RetryRequest | Non
         preset=old.preset,
         seed=old.seed,
         params=old.params,
-        queue=context.settings.queue,
+        queue=old.queue,
+        priority=old.priority,
+        webhook_id=old.webhook_id,
+        request_id=origin.request_id,
+        traceparent=origin.traceparent,
         retry_of=old.id,
         fresh_from=from_stage,
         created_at=context.store.clock(),
@@ -150,7 +160,7 @@ def list_jobs(
     next_cursor = page[-1].id if more else None
     if next_cursor is not None:
         response.headers["Link"] = f'<{request.url.include_query_params(cursor=next_cursor)}>; rel="next"'
-    data = [job_payload(job, _artifacts(context, job), context.store.queue_position(job)) for job in page]
+    data = [_payload(context, job, context.store.queue_position(job)) for job in page]
     return JobListPayload(data=data, next_cursor=next_cursor)
 
 
@@ -158,7 +168,7 @@ def list_jobs(
     "/{id}",
     operation_id="getJob",
     response_model=JobPayload,
-    responses=refusals("not-found")
+    responses=refusals("not-found", "expired")
     | {
         200: {
             "description": "The job",
@@ -167,11 +177,25 @@ def list_jobs(
         304: {"description": "Unchanged since the ETag that was sent"},
     },
 )
-def get_job(
-    id: Id, response: Response, context: Ctx, if_none_match: Annotated[str | None, Header()] = None
+async def get_job(
+    id: Id,
+    response: Response,
+    context: Ctx,
+    wait_s: WaitS,
+    if_none_match: Annotated[str | None, Header(description="the ETag that was seen last")] = None,
 ) -> JobPayload | Response:
-    """A job: state, stages, progress, place in the queue, products, error."""
-    payload = tell(context, context.store.job(id), response)
+    """A job: state, stages, progress, place in the queue, products, error.
+
+    With Prefer: wait=N the answer waits for the job's end; with If-None-Match besides, for its next change.
+    """
+    job, payload = await run_in_threadpool(_look, context, id, response)
+    deadline = time.monotonic() + wait_s
+    while wait_s and not job.terminal and if_none_match in {None, response.headers["ETag"]}:
+        if not await context.watching.changed(id, job.version, deadline - time.monotonic()):
+            break
+        job, payload = await run_in_threadpool(_look, context, id, response)
+    if wait_s:
+        response.headers["Preference-Applied"] = f"wait={wait_s:g}"
     if matches(if_none_match, response.headers["ETag"]):
         kept = {name: response.headers[name] for name in ("ETag", "Retry-After") if name in response.headers}
         return Response(status_code=status.HTTP_304_NOT_MODIFIED, headers=kept)
@@ -195,13 +219,48 @@ def list_artifacts(id: Id, context: Ctx) -> ManifestPayload:
     return manifest_payload(context.store.job(id), context.store.artifacts_of(id))
 
 
+@router.get("/{id}/logs", operation_id="getJobLog", responses=refusals("not-found", "expired"))
+def get_log(
+    id: Id,
+    context: Ctx,
+    after: Annotated[int, Query(ge=0, le=2**62, description="next_after of the page before")] = 0,
+    limit: Annotated[int, Query(ge=1, le=1000, description="lines a page")] = 100,
+) -> LogPayload:
+    """What happened to a job: accepted, begun, stages, lost workers, its end. No paths, hosts or secrets."""
+    found = context.store.job_log(id, after=after, limit=limit)
+    data = [
+        LogLinePayload(id=n.id, at=time_of(n.at), level=n.level, message=n.message, fields=dict(n.fields))
+        for n in found
+    ]
+    return LogPayload(data=data, next_after=found[-1].id if found else after)
+
+
 def tell(context: Context, job: JobRecord, response: Response) -> JobPayload:
     """A job as it is told, with the headers that go with it."""
     position = context.store.queue_position(job)
-    response.headers["ETag"] = '"' + sha256(f"{job.id} {job.version} {position}".encode()).hexdigest()[:32] + '"'
+    payload = _payload(context, job, position)
+    seen = f"{job.id} {job.version} {position} {payload.eta_s}"
+    response.headers["ETag"] = '"' + sha256(seen.encode()).hexdigest()[:32] + '"'
     if not job.terminal:
         response.headers["Retry-After"] = str(POLL_AFTER_S)
-    return job_payload(job, _artifacts(context, job), position)
+    elif "Retry-After" in response.headers:
+        del response.headers["Retry-After"]
+    return payload
+
+
+def _look(context: Context, job_id: str, response: Response) -> tuple[JobRecord, JobPayload]:
+    job = context.store.job(job_id)
+    return job, tell(context, job, response)
+
+
+def _payload(context: Context, job: JobRecord, position: int | None) -> JobPayload:
+    return job_payload(
+        job,
+        _artifacts(context, job),
+        queue_position=position,
+        eta_s=context.history.eta_s(job, position),
+        retention_s=context.settings.job_retention_s,
+    )
 
 
 def _checked(context: Context, body: JobRequest) -> tuple[AssetRecord, tuple[JobType, ...]]:
@@ -209,6 +268,10 @@ def _checked(context: Context, body: JobRequest) -> tuple[AssetRecord, tuple[Job
     _require_place(context)
     if len(body.asset_id) != 26 or not body.asset_id.isalnum() or not body.asset_id.isascii():
         raise ProblemError("not-found", f"there is no asset {body.asset_id!r}; POST /v1/assets gives ids")
+    if body.priority == "high" and "high-priority" not in context.caller.scopes:
+        raise ProblemError("forbidden", "this key may not ask for high priority; leave it at normal")
+    if body.webhook is not None:
+        endpoint(context.store, body.webhook)
     asset = context.store.asset(body.asset_id)
     stages = stages_of(body.type, asset.kind)
     if "diffuse" in stages:
@@ -216,11 +279,13 @@ def _checked(context: Context, body: JobRequest) -> tuple[AssetRecord, tuple[Job
     if body.params.box_m is not None and asset.kind != "cloud":
         detail = f"asset {asset.id} is of kind {asset.kind}; only of a cloud a part may move"
         raise _bad_field("/params/box_m", "not-allowed", detail)
-    require_room(context, sum(_format_bytes(body, asset).values()))
+    size = sum(_format_bytes(body, asset).values())
+    require_room(context, size)
+    require_bytes(context, size)
     return asset, stages
 
 
-def _record(context: Context, body: JobRequest, asset: AssetRecord) -> JobRecord:
+def _record(context: Context, body: JobRequest, asset: AssetRecord, origin: RequestOrigin) -> JobRecord:
     now = context.store.clock()
     return JobRecord(
         id=new_id(),
@@ -230,16 +295,38 @@ def _record(context: Context, body: JobRequest, asset: AssetRecord) -> JobRecord
         preset=body.preset,
         seed=body.seed,
         params=_resolved(body, asset),
-        queue=context.settings.queue,
+        queue=queue_of(context.settings.queue, body.priority),
+        priority=body.priority,
+        webhook_id=body.webhook,
+        request_id=origin.request_id,
+        traceparent=origin.traceparent,
         start_deadline=None if body.start_deadline_s is None else now + body.start_deadline_s,
         created_at=now,
     )
 
 
+def accept(
+    context: Context,
+    body: JobRequest,
+    origin: RequestOrigin,
+    response: Response,
+    *,
+    key: str | None,
+    expires_s: float | None = None,
+) -> JobPayload:
+    """Check a request and keep its job, or give the one that was made under the same key."""
+    asset, stages = _checked(context, body)
+    named = None
+    if key is not None:
+        named = ClientKey(key=key, body_sha256=_fingerprint(body), expires_s=expires_s)
+    return _accept(context, _record(context, body, asset, origin), stages, named, response)
+
+
 def _accept(
     context: Context, job: JobRecord, stages: tuple[JobType, ...], key: ClientKey | None, response: Response
 ) -> JobPayload:
-    kept, new = context.store.add_job(job, stages=stages, client_key=key)
+    most = context.caller.limits.get("active_jobs")
+    kept, new = context.store.add_job(job, stages=stages, client_key=key, max_active=most)
     response.headers["Location"] = f"/v1/jobs/{kept.id}"
     if not new and key is not None and key.key.startswith("put:"):
         response.status_code = status.HTTP_200_OK
@@ -254,11 +341,6 @@ def _artifacts(context: Context, job: JobRecord) -> list[ArtifactRecord]:
     if all(stage.state == "queued" for stage in job.stages):
         return []  # the usual poll of a waiting job asks the database once less
     return context.store.artifacts_of(job.id)
-
-
-def _sum_of_medians(stages: tuple[JobType, ...], history: Callable[[JobType], list[Number]]) -> Number | None:
-    seen = [history(stage) for stage in stages]
-    return sum(median(values) for values in seen) if all(seen) else None  # type: ignore[return-value]
 
 
 def _require_place(context: Context) -> None:
