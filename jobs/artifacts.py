@@ -5,19 +5,27 @@ import os
 import secrets
 import shutil
 from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import timedelta
 from hashlib import sha256
 from pathlib import Path
 from typing import Protocol
 from urllib.parse import unquote, urlsplit
 
 import obstore
+from obstore.exceptions import BaseError
 from obstore.store import ObjectStore, from_url
 
+from jobs.errors import StorageAwayError, StorageFullError
+
 CHUNK_BYTES = 1024 * 1024
+REQUEST_PATIENCE_S = 5.0
+FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
+"""What the system says where a file may not grow."""
 
 
 class ArtifactStore(Protocol):
-    """Where bytes lie under their sha256."""
+    """Where bytes lie under their sha256. StorageAwayError where it does not answer, StorageFullError without room."""
 
     def put(self, path: Path, digest: str) -> None:
         """Keep a file's bytes; atomic, and harmless where they are there already."""
@@ -47,6 +55,10 @@ class FolderArtifacts:
 
     def put(self, path: Path, digest: str) -> None:
         """Keep a file's bytes."""
+        with _room_told():
+            self._put(path, digest)
+
+    def _put(self, path: Path, digest: str) -> None:
         target = self._path(digest)
         if target.exists():
             return
@@ -119,34 +131,38 @@ class ObjectArtifacts:
 
     def put(self, path: Path, digest: str) -> None:
         """Keep a file's bytes."""
-        obstore.put(self.objects, _key(digest), path)
+        with _answers_told():
+            obstore.put(self.objects, _key(digest), path)
 
     def read(self, digest: str, *, start: int = 0, stop: int | None = None) -> Iterator[bytes]:
         """Bytes from `start` up to `stop`, in chunks."""
-        end = obstore.head(self.objects, _key(digest))["size"] if stop is None else stop
-        if end <= start:
-            return
-        response = obstore.get(self.objects, _key(digest), options={"range": (start, end)})
-        for chunk in response.stream(min_chunk_size=CHUNK_BYTES):
-            yield bytes(chunk)
+        with _answers_told():
+            end = obstore.head(self.objects, _key(digest))["size"] if stop is None else stop
+            if end <= start:
+                return
+            response = obstore.get(self.objects, _key(digest), options={"range": (start, end)})
+            for chunk in response.stream(min_chunk_size=CHUNK_BYTES):
+                yield bytes(chunk)
 
     def fetch(self, digest: str, path: Path) -> None:
         """Make the bytes readable at a path: a download."""
-        with path.open("wb") as target:
+        with _room_told(), path.open("wb") as target:
             for chunk in self.read(digest):
                 target.write(chunk)
 
     def exists(self, digest: str) -> bool:
         """Whether the bytes are there."""
-        try:
-            obstore.head(self.objects, _key(digest))
-        except FileNotFoundError:
-            return False
+        with _answers_told():
+            try:
+                obstore.head(self.objects, _key(digest))
+            except FileNotFoundError:
+                return False
         return True
 
     def delete(self, digest: str) -> None:
         """Forget the bytes."""
-        obstore.delete(self.objects, _key(digest))
+        with _answers_told():
+            obstore.delete(self.objects, _key(digest))
 
     def free_bytes(self) -> int | None:
         """No bound is known; asks for an object, so that a storage that is away is noticed."""
@@ -154,12 +170,27 @@ class ObjectArtifacts:
         return None
 
 
-def open_artifacts(url: str) -> ArtifactStore:
-    """The store that a URL names: `file:///folder`, or any scheme of obstore (`s3://bucket/prefix`)."""
+def open_artifacts(url: str, *, patience_s: float = REQUEST_PATIENCE_S) -> ArtifactStore:
+    """The store that a URL names: `file:///folder`, or any scheme of obstore (`s3://bucket/prefix`).
+
+    Object storage that is away, or answers 503, is asked again for `patience_s`.
+    """
     parts = urlsplit(url)
     if parts.scheme == "file":
         return FolderArtifacts(Path(unquote(parts.path)))
-    return ObjectArtifacts(from_url(url))
+    if parts.scheme == "memory":
+        return ObjectArtifacts(from_url(url))
+    return ObjectArtifacts(
+        from_url(
+            url,
+            retry_config={
+                "max_retries": int(10 + patience_s),
+                "retry_timeout": timedelta(seconds=patience_s),
+                "backoff": {"init_backoff": timedelta(seconds=0.1), "max_backoff": timedelta(seconds=2), "base": 2},
+            },
+            client_options={"connect_timeout": "2s", "timeout": "60s"},  # of one part, not of the whole
+        )
+    )
 
 
 def hash_file(path: Path) -> tuple[str, int]:
@@ -171,6 +202,32 @@ def hash_file(path: Path) -> tuple[str, int]:
             digest.update(chunk)
             size += len(chunk)
     return digest.hexdigest(), size
+
+
+def is_full(error: OSError) -> bool:
+    """Whether the system refused to let a file grow."""
+    return error.errno in FULL
+
+
+@contextmanager
+def _room_told() -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        if not is_full(error):
+            raise
+        raise StorageFullError(
+            f"there is no room in the storage: {error.strerror}; free some, then try again"
+        ) from error
+
+
+@contextmanager
+def _answers_told() -> Iterator[None]:
+    try:
+        yield
+    except BaseError as error:
+        reason = str(error).partition("\n")[0][:300]
+        raise StorageAwayError(f"the object storage does not do as it is asked: {reason}") from error
 
 
 def _key(digest: str) -> str:

@@ -8,17 +8,24 @@ from jobs import tables as t
 from jobs.database import upsert
 from jobs.errors import FencedError
 from jobs.joblog import note
+from jobs.patience import patient
 from jobs.records import Claim, OutputFile
 from jobs.states import JobState, JobType
 from jobs.store import Store, end, new_id, read_job
 
 
+@patient
 def claim(store: Store, job_id: str, attempt: int, *, owner: str, lease_s: float) -> Claim | None:
     """Take the right to run an attempt, if it is still to be run and nobody holds it. Compare and set."""
     now = store.clock()
     with store.writing() as connection:
-        free = (t.jobs.c.id == job_id) & (t.jobs.c.attempt == attempt) & t.jobs.c.lease_owner.is_(None)
-        waiting = free & t.jobs.c.state.in_([JobState.QUEUED, JobState.RUNNING])
+        free = t.jobs.c.lease_owner.is_(None) | (t.jobs.c.lease_owner == owner)  # ours: the first answer was lost
+        waiting = (
+            (t.jobs.c.id == job_id)
+            & (t.jobs.c.attempt == attempt)
+            & free
+            & t.jobs.c.state.in_([JobState.QUEUED, JobState.RUNNING])
+        )
         taken = {
             "state": JobState.RUNNING,
             "lease_owner": owner,
@@ -45,6 +52,7 @@ def renew(store: Store, job_id: str, attempt: int, *, owner: str, lease_s: float
             raise _fenced(job_id, attempt)
 
 
+@patient
 def canceling(store: Store, held: Claim) -> bool:
     """Whether someone asked this job to stop.
 
@@ -58,6 +66,7 @@ def canceling(store: Store, held: Claim) -> bool:
     return bool(state == JobState.CANCELING)
 
 
+@patient
 def start_stage(store: Store, held: Claim, stage: JobType) -> None:
     """Mark a stage as running."""
     now = store.clock()
@@ -69,6 +78,7 @@ def start_stage(store: Store, held: Claim, stage: JobType) -> None:
         note(connection, held.job.id, "stage begun", at=now, stage=stage)
 
 
+@patient
 def report_progress(store: Store, held: Claim, stage: JobType, progress: float) -> None:
     """Tell how much of a stage is done, a share in [0, 1]."""
     with store.writing() as connection:
@@ -77,6 +87,7 @@ def report_progress(store: Store, held: Claim, stage: JobType, progress: float) 
         connection.execute(t.stages.update().where(row).values(progress=min(max(progress, 0.0), 1.0)))
 
 
+@patient
 def publish_stage(
     store: Store,
     held: Claim,
@@ -95,6 +106,9 @@ def publish_stage(
     now = store.clock()
     with store.writing() as connection:
         _touch(connection, held)
+        row_of = (t.stages.c.job_id == held.job.id) & (t.stages.c.name == stage)
+        if connection.execute(sa.select(t.stages.c.state).where(row_of)).scalar_one() == "succeeded":
+            return  # asked again, because the answer to the first commit was lost
         for file in files:
             row = {
                 "id": new_id(),
@@ -107,12 +121,12 @@ def publish_stage(
         entry = {"key": key, "stage": stage, "files": [asdict(file) for file in files], "used_at": now}
         upsert(connection, t.stage_cache, entry)
         done = {"state": "succeeded", "progress": 1.0, "cached": cached, "finished_at": now}
-        row_of = (t.stages.c.job_id == held.job.id) & (t.stages.c.name == stage)
         connection.execute(t.stages.update().where(row_of).values(**done))
         size = sum(file.bytes for file in files)
         note(connection, held.job.id, "stage done", at=now, stage=stage, cached=cached, bytes=size)
 
 
+@patient
 def cached_stage(store: Store, key: str) -> tuple[OutputFile, ...] | None:
     """What the same stage made of the same inputs before."""
     with store.reading() as connection:
@@ -122,12 +136,14 @@ def cached_stage(store: Store, key: str) -> tuple[OutputFile, ...] | None:
     return None if files is None else tuple(OutputFile(**file) for file in files)
 
 
+@patient
 def touch_blob(store: Store, sha256: str, num_bytes: int) -> None:
     """Tell that these bytes are about to be referred to, so that retention leaves them for an hour."""
     with store.writing() as connection:
         upsert(connection, t.blobs, {"sha256": sha256, "bytes": num_bytes, "touched_at": store.clock()})
 
 
+@patient
 def succeed(store: Store, held: Claim) -> JobState:
     """End the attempt well; where a cancel came first, the job is canceled. Gives the final state."""
     with store.writing() as connection:
@@ -138,6 +154,7 @@ def succeed(store: Store, held: Claim) -> JobState:
         return JobState.SUCCEEDED
 
 
+@patient
 def fail(store: Store, held: Claim, *, code: str, message: str) -> JobState:
     """End the attempt with an error; where a cancel came first, the job is canceled. Gives the final state."""
     with store.writing() as connection:
@@ -148,6 +165,7 @@ def fail(store: Store, held: Claim, *, code: str, message: str) -> JobState:
         return JobState.FAILED
 
 
+@patient
 def finish_cancel(store: Store, held: Claim) -> None:
     """End the attempt because it was asked to stop."""
     with store.writing() as connection:
@@ -155,6 +173,7 @@ def finish_cancel(store: Store, held: Claim) -> None:
         end(connection, held.job.id, JobState.CANCELED, now=store.clock())
 
 
+@patient
 def hand_back(store: Store, held: Claim) -> None:
     """Give the attempt up so that another worker begins the next one; no loss is counted."""
     with store.writing() as connection:

@@ -6,6 +6,8 @@
     ├── ConflictError       the state forbids it
     ├── ReusedKeyError      the client's key means another request
     ├── QuotaError          the owner has as much as is allowed
+    ├── StorageAwayError    the storage of the bytes does not answer
+    ├── StorageFullError    it has no room
     ├── FencedError         another attempt owns the job; this one must stop
     ├── OutboundError       an address that may not be called, or that does not answer
     └── SettingsError       the settings cannot be used
@@ -50,6 +52,18 @@ class QuotaError(JobsError):
     """The owner has as much as is allowed."""
 
     code = "too-many-active-jobs"
+
+
+class StorageAwayError(JobsError):
+    """The storage of the bytes does not answer, or refuses us."""
+
+    code = "storage-unavailable"
+
+
+class StorageFullError(JobsError):
+    """The storage of the bytes has no room."""
+
+    code = "disk-full"
 
 
 class FencedError(JobsError):

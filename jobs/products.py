@@ -11,6 +11,7 @@ SPECTRUM = "tree.spectrum.safetensors"
 _MEDIA_TYPES = {
     ".zip": "application/zip",
     ".glb": "model/gltf-binary",
+    ".usdz": "model/vnd.usdz+zip",
     ".png": "image/png",
     ".webp": "image/webp",
     ".mp4": "video/mp4",

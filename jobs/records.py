@@ -103,6 +103,7 @@ class OutputFile:
     media_type: str
     sha256: str
     bytes: int
+    facts: Mapping[str, int | float] = field(default_factory=dict)  # how far it is from the motion, by name
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,6 +119,7 @@ class ArtifactRecord:
     bytes: int
     created_at: float
     expires_at: float
+    facts: Mapping[str, int | float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)

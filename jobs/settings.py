@@ -44,6 +44,8 @@ class Settings(BaseSettings):
     worker_tasks_per_child: int = Field(default=50, ge=1)
     worker_memory_kib: int = Field(default=8_000_000, ge=100_000)
     progress_interval_s: float = Field(default=0.5, ge=0)
+    patience_s: float = Field(default=600.0, ge=0)
+    idle_limit_s: float = Field(default=120.0, gt=0)
     shutdown_grace_s: float = Field(default=20.0, ge=0)
 
     housekeeper_lease_s: float = Field(default=10.0, gt=0)

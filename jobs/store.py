@@ -17,6 +17,7 @@ from jobs.database import insert_new, open_engine
 from jobs.errors import ConflictError, GoneError, NotFoundError, QuotaError, ReusedKeyError
 from jobs.joblog import Level, LogLine, lines, note
 from jobs.migrations import migrate
+from jobs.patience import patient
 from jobs.records import ArtifactRecord, AssetPart, AssetRecord, ClientKey, JobRecord, StageRecord
 from jobs.states import ACTIVE, JobState, JobType, states_before
 from jobs.webhooks import announce
@@ -37,6 +38,7 @@ class Store:
         self.engine = engine
         self.clock = clock
         self.owner = owner
+        self.patience_s = 0.0  # how long what is marked @patient waits for a database that is away
 
     def for_owner(self, owner: str) -> "Store":
         """The same store, as one owner may see it: what is someone else's is not there."""
@@ -95,6 +97,7 @@ class Store:
         """What is unique among living assets: each owner has assets of their own, their bytes are shared."""
         return sha256(f"{self.owner} {fingerprint}".encode()).hexdigest() if self.owner else fingerprint
 
+    @patient
     def asset(self, asset_id: str) -> AssetRecord:
         """One asset.
 
@@ -211,6 +214,7 @@ class Store:
         with self.reading() as connection:
             return [int(value) for value in connection.execute(query.order_by(newest).limit(limit)).scalars()]
 
+    @patient
     def job(self, job_id: str) -> JobRecord:
         """One job with its stages.
 
@@ -293,6 +297,12 @@ class Store:
         with self.reading() as connection:
             return connection.execute(sa.select(sa.func.count()).where(ahead)).scalar_one()
 
+    def count_active(self) -> int:
+        """How many jobs have not ended."""
+        active = t.jobs.c.state.in_(ACTIVE) & self.mine(t.jobs)
+        with self.reading() as connection:
+            return connection.execute(sa.select(sa.func.count()).where(active)).scalar_one()
+
     def count_jobs(self, state: JobState) -> int:
         """How many jobs are in a state."""
         with self.reading() as connection:
@@ -318,6 +328,7 @@ class Store:
 
     # -- artefacts
 
+    @patient
     def artifacts_of(self, job_id: str) -> list[ArtifactRecord]:
         """What a job offers so far, in the order it was made."""
         query = sa.select(t.artifacts).where(t.artifacts.c.job_id == job_id).order_by(t.artifacts.c.id)

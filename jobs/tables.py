@@ -2,7 +2,7 @@
 
 import sqlalchemy as sa
 
-HEAD = "0002"
+HEAD = "0003"
 """The newest revision in `migrations/versions`."""
 
 metadata = sa.MetaData()
@@ -100,6 +100,7 @@ artifacts = sa.Table(
     sa.Column("bytes", sa.BigInteger, nullable=False),
     sa.Column("created_at", sa.Double, nullable=False),
     sa.Column("expires_at", sa.Double, nullable=False, index=True),
+    sa.Column("facts", sa.JSON, nullable=False, server_default="{}"),  # how far it is from the motion, by name
     sa.UniqueConstraint("job_id", "name"),
 )
 

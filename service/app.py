@@ -5,6 +5,7 @@ import logging
 import threading
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from functools import partial
 from importlib.metadata import version
 
 import sqlalchemy as sa
@@ -16,6 +17,7 @@ from jobs.settings import Settings, read_settings
 from service import (
     artifacts,
     assets,
+    batch,
     catalogue,
     events,
     health,
@@ -28,14 +30,18 @@ from service import (
     stream,
     surface,
     uploads,
+    usage,
+    webhooks,
 )
 from service.context import Context
+from service.described import DESCRIPTION, SERVERS, described
 from service.doors import Doors
 from service.middleware import BodyLimit, RequestFrame
 
 ROUTERS = (
     uploads.router,
     assets.router,
+    batch.router,
     jobs.router,
     events.router,
     artifacts.router,
@@ -45,7 +51,9 @@ ROUTERS = (
     modes.router,
     surface.router,
     pages.router,
+    webhooks.router,
     catalogue.router,
+    usage.router,
     health.router,
 )
 """A module a resource; a new one is added here."""
@@ -89,7 +97,10 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         redoc_url=None,
         openapi_url="/openapi.json",
         separate_input_output_schemas=False,
+        description=DESCRIPTION,
+        servers=SERVERS,
     )
+    app.openapi = partial(described, app)  # type: ignore[method-assign]
     app.state.context = context
     for router in ROUTERS:
         app.include_router(router)

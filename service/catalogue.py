@@ -1,5 +1,6 @@
 """/v1/presets and /v1/limits: what may be asked for."""
 
+from functools import cache
 from importlib import resources
 
 from fastapi import APIRouter
@@ -54,6 +55,7 @@ class LimitsPayload(Payload):
     asset_retention_s: float = Field(description="uploads are kept so long after their last use [s]")
 
 
+@cache
 def preset_sizes() -> dict[str, int]:
     """Models that are shipped, with the size of their weights [bytes]."""
     weights = resources.files("dynamictree") / "weights"

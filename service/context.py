@@ -18,7 +18,9 @@ from jobs.parts import PartStore, open_parts
 from jobs.settings import Settings
 from jobs.store import Store
 from service.callers import ANYONE, CALLER, Caller
+from service.history import History
 from service.receiving import Receivers
+from service.watching import Watching
 
 if TYPE_CHECKING:
     from redis import Redis
@@ -121,6 +123,16 @@ class Context:
         from service.ingest import Ingest
 
         return Ingest(self)
+
+    @_Shared
+    def history(self) -> History:
+        """What things took here."""
+        return History(self.store)
+
+    @_Shared
+    def watching(self) -> Watching:
+        """Who waits for a job."""
+        return Watching(self.store)
 
     @_Shared
     def outbound(self) -> Outbound:

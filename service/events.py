@@ -1,6 +1,5 @@
 """/v1/jobs/{id}/events: a job as server-sent events, one for each change, until it has ended."""
 
-import asyncio
 import time
 from collections.abc import AsyncIterator
 from typing import Annotated
@@ -15,7 +14,6 @@ from service.routing import Id, refusals
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 
-LOOK_S = 0.25
 HEARTBEAT_S = 15.0
 
 
@@ -58,7 +56,7 @@ async def _events(context: Context, job_id: str, seen: str) -> AsyncIterator[byt
             yield f"id: {seen}\nevent: job\ndata: {payload.model_dump_json()}\n\n".encode()
         if job.terminal:
             return
-        if time.monotonic() - quiet_since >= HEARTBEAT_S:
+        left = quiet_since + HEARTBEAT_S - time.monotonic()
+        if not await context.watching.changed(job_id, job.version, max(left, 0.0)):
             quiet_since = time.monotonic()
             yield b": still there\n\n"
-        await asyncio.sleep(LOOK_S)

@@ -83,7 +83,7 @@ def create_job(
 
 
 @router.put(
-    "/{client_id}",
+    "/{id}",
     operation_id="putJob",
     status_code=status.HTTP_202_ACCEPTED,
     responses=refusals(*_REFUSALS)
@@ -91,7 +91,7 @@ def create_job(
 )
 def put_job(
     client_id: Annotated[
-        str, Path(pattern=r"^[A-Za-z0-9._-]{1,128}$", description="the client's own name for the job")
+        str, Path(alias="id", pattern=r"^[A-Za-z0-9._-]{1,128}$", description="the client's own name for the job")
     ],
     body: JobRequest,
     response: Response,
@@ -352,6 +352,8 @@ def _require_place(context: Context) -> None:
 def _resolved(body: JobRequest, asset: AssetRecord) -> dict[str, Json]:
     """What the worker is told: the formats of this kind of asset where none are asked for, and always a picture."""
     params: dict[str, Json] = body.params.model_dump(mode="json")
+    if body.params.box_m is None:
+        del params["box_m"]
     if isinstance(body.params, AnimateParams):
         params["formats"] = list(_formats(body.params, asset))
     return params

@@ -6,10 +6,13 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
+from jobs.joblog import Level
+from jobs.keys import Limit
 from jobs.products import MESH, SPECTRUM, VOXELS
 from jobs.records import ArtifactRecord, AssetRecord, JobRecord
-from jobs.states import AssetKind, JobState, JobType, StageState
+from jobs.states import AssetKind, JobState, JobType, Priority, StageState
 from jobs.uploads import UploadRecord, UploadState
+from jobs.webhooks import EVENTS, DeliveryState, Event
 from service.problems import KINDS, problem_body
 
 MAX_SEED = 2**53 - 1
@@ -44,7 +47,9 @@ class WindPayload(Payload):
 Box = tuple[tuple[Finite, Finite, Finite], tuple[Finite, Finite, Finite]]
 
 
-Format = Literal["ply", "glb", "glb-reduced", "motion", "splat-ply", "splat", "png", "webp", "mp4"]
+Format = Literal[
+    "ply", "glb", "glb-reduced", "glb-skinned", "usd", "vat", "motion", "splat-ply", "splat", "png", "webp", "mp4"
+]
 
 
 class ReconstructParams(Payload):
@@ -99,6 +104,12 @@ class AnimateParams(DiffuseParams):
 
 
 class _JobRequest(Payload):
+    priority: Priority = Field(
+        default="normal", description="high is begun first; with keys, one of scope high-priority"
+    )
+    webhook: str | None = Field(
+        default=None, pattern="^[0-9A-HJKMNP-TV-Z]{26}$", description="id of a webhook endpoint to tell of the end"
+    )
     asset_id: str = Field(max_length=64, description="what POST /v1/assets gave")
     preset: str = Field(default="small", max_length=64, description="the model, see GET /v1/presets")
     seed: int = Field(default=0, ge=0, le=MAX_SEED, description="the same seed gives the same motion")
@@ -263,11 +274,14 @@ class JobPayload(Payload):
     stages: list[StagePayload]
     result: ResultPayload | None = Field(description="what is there so far; null before the first product")
     error: Problem | None
+    priority: Priority
+    webhook: str | None
     retry_of: str | None
     start_deadline_at: Time | None
     created_at: Time
     started_at: Time | None
     finished_at: Time | None
+    expires_at: Time | None = Field(description="when its record is removed; null until it has ended")
 
 
 class EstimatePayload(Payload):
@@ -287,6 +301,112 @@ class RetryRequest(Payload):
     )
 
 
+class BatchRequest(Payload):
+    """Several jobs at once."""
+
+    jobs: list[JobRequest] = Field(min_length=1, max_length=100)
+
+
+class BatchItemPayload(Payload):
+    """What became of one job of a batch: the job, or why there is none."""
+
+    status: int = Field(description="what the request would have been answered by itself")
+    job: JobPayload | None
+    problem: Problem | None
+
+
+class BatchPayload(Payload):
+    """What became of a batch, in its order."""
+
+    data: list[BatchItemPayload]
+
+
+class LogLinePayload(Payload):
+    """One line of a job's log."""
+
+    id: int = Field(description="for `after`")
+    at: Time
+    level: Level
+    message: str
+    fields: dict[str, object]
+
+
+class LogPayload(Payload):
+    """What happened to a job, oldest first."""
+
+    data: list[LogLinePayload]
+    next_after: int = Field(description="send as `after` to go on")
+
+
+class EndpointRequest(Payload):
+    """An address to tell."""
+
+    url: str = Field(max_length=2048, description="https")
+    events: tuple[Event, ...] = Field(
+        default=EVENTS, max_length=len(EVENTS), description="of every job; none: only of jobs that name the endpoint"
+    )
+
+
+class EndpointPayload(Payload):
+    """An address that is told."""
+
+    id: str
+    url: str
+    events: list[Event]
+    disabled_reason: str | None
+    created_at: Time
+
+
+class EndpointWithSecretPayload(EndpointPayload):
+    """The only time that a secret is shown."""
+
+    secret: str = Field(description="whsec_ and base64: the key of HMAC-SHA256 over id.timestamp.body")
+
+
+class EndpointListPayload(Payload):
+    """Every address that is told."""
+
+    data: list[EndpointPayload]
+
+
+class TryPayload(Payload):
+    """One attempt to tell."""
+
+    at: Time
+    status: int | None = Field(description="null where no answer came")
+    detail: str
+    seconds: float
+
+
+class DeliveryPayload(Payload):
+    """A message for one address."""
+
+    id: str
+    message_id: str = Field(description="the header webhook-id; a replay has the same")
+    event: Event
+    job_id: str
+    state: DeliveryState
+    tries: list[TryPayload]
+    next_at: Time | None = Field(description="the next attempt; null once it is over")
+    created_at: Time
+
+
+class DeliveryListPayload(Payload):
+    """A page of deliveries, newest first."""
+
+    data: list[DeliveryPayload]
+    next_cursor: str | None
+
+
+class UsagePayload(Payload):
+    """What the caller has, and may have; null where no key is asked for."""
+
+    owner: str | None
+    active_jobs: int
+    bytes: int
+    limits: dict[Limit, int] | None
+
+
 class JobListPayload(Payload):
     """A page of jobs, newest first."""
 
@@ -304,6 +424,9 @@ class ArtifactPayload(Payload):
     bytes: int
     sha256: str
     url: str
+    facts: dict[str, int | float] = Field(
+        default_factory=dict, description="where a file is not exact, how far it is from the motion; [m] as _m says"
+    )
     created_at: Time
     expires_at: Time
 
@@ -321,7 +444,8 @@ def time_of(seconds: float) -> datetime:
     return datetime.fromtimestamp(seconds, UTC)
 
 
-def _maybe_time(seconds: float | None) -> datetime | None:
+def maybe_time(seconds: float | None) -> datetime | None:
+    """A time that may not be."""
     return None if seconds is None else time_of(seconds)
 
 
@@ -360,7 +484,14 @@ def _problem(code: str | None, message: str | None) -> Problem | None:
     return Problem.model_validate(problem_body(known, message or "", request_id=None))
 
 
-def job_payload(job: JobRecord, artifacts: list[ArtifactRecord], queue_position: int | None) -> JobPayload:
+def job_payload(
+    job: JobRecord,
+    artifacts: list[ArtifactRecord],
+    *,
+    queue_position: int | None,
+    eta_s: float | None,
+    retention_s: float,
+) -> JobPayload:
     """A job as it is told."""
     stages = [
         StagePayload(
@@ -368,8 +499,8 @@ def job_payload(job: JobRecord, artifacts: list[ArtifactRecord], queue_position:
             state=stage.state,
             progress=stage.progress,
             cached=stage.cached,
-            started_at=_maybe_time(stage.started_at),
-            finished_at=_maybe_time(stage.finished_at),
+            started_at=maybe_time(stage.started_at),
+            finished_at=maybe_time(stage.finished_at),
         )
         for stage in job.stages
     ]
@@ -384,15 +515,18 @@ def job_payload(job: JobRecord, artifacts: list[ArtifactRecord], queue_position:
         attempt=job.attempt,
         progress=sum(stage.progress for stage in stages) / len(stages),
         queue_position=queue_position,
-        eta_s=None,
+        eta_s=eta_s,
         stages=stages,
         result=_result(job, artifacts),
         error=_problem(job.error_code, job.error_message),
+        priority=job.priority,
+        webhook=job.webhook_id,
         retry_of=job.retry_of,
-        start_deadline_at=_maybe_time(job.start_deadline),
+        start_deadline_at=maybe_time(job.start_deadline),
         created_at=time_of(job.created_at),
-        started_at=_maybe_time(job.started_at),
-        finished_at=_maybe_time(job.finished_at),
+        started_at=maybe_time(job.started_at),
+        finished_at=maybe_time(job.finished_at),
+        expires_at=maybe_time(None if job.finished_at is None else job.finished_at + retention_s),
     )
 
 
@@ -419,6 +553,7 @@ def manifest_payload(job: JobRecord, artifacts: list[ArtifactRecord]) -> Manifes
             bytes=artifact.bytes,
             sha256=artifact.sha256,
             url=f"/v1/artifacts/{artifact.id}",
+            facts=dict(artifact.facts),
             created_at=time_of(artifact.created_at),
             expires_at=time_of(artifact.expires_at),
         )

@@ -1,7 +1,7 @@
 """What routes have in common: documented refusals, ids that are ids, pages of problems in OpenAPI."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
 from fastapi import Depends, Path
@@ -14,20 +14,21 @@ _ULID = re.compile(r"[0-9A-HJKMNP-TV-Z]{26}")
 
 def refusals(*codes: str) -> dict[int | str, dict[str, Any]]:
     """The problems that a route answers with, for its OpenAPI page."""
+    return refusals_of(
+        ("bad-request", "payload-too-large", "validation-failed", *codes, "internal-error", "storage-unavailable")
+    )
+
+
+def refusals_of(codes: Sequence[str]) -> dict[int | str, dict[str, Any]]:
+    """Responses by status; each names the codes that it may hold."""
     by_status: dict[int | str, dict[str, Any]] = {}
-    for code in (
-        "bad-request",
-        "payload-too-large",
-        "validation-failed",
-        *codes,
-        "internal-error",
-        "storage-unavailable",
-    ):
-        status = KINDS[code].status
+    for code in codes:
         title = KINDS[code].title
-        if status in by_status:
-            title = f"{by_status[status]['description']}; {title}"
-        by_status[status] = {"description": title, "content": {MEDIA_TYPE: {"schema": _PROBLEM}}}
+        entry = by_status.setdefault(
+            KINDS[code].status, {"content": {MEDIA_TYPE: {"schema": _PROBLEM, "examples": {}}}}
+        )
+        entry["description"] = f"{entry['description']}; {title}" if "description" in entry else title
+        entry["content"][MEDIA_TYPE]["examples"][code] = {"$ref": f"#/components/examples/{code}"}
     return by_status
 
 

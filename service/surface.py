@@ -25,6 +25,9 @@ router = APIRouter(prefix="/v1", tags=["spectra"])
 MAX_OWN_SHAPES = 150_000
 """Vertices up to which each gets its own spectrum (192 bytes at K = 16); larger meshes are tied to the voxels."""
 
+MAX_HELD = 40_000
+"""Vertices up to which edges are kept from stretching as in the products: a second for 8,000."""
+
 BONES = 4
 """A vertex keeps its strongest ones: what a vertex shader takes in one attribute."""
 
@@ -86,12 +89,15 @@ def mesh_tensors(mesh: TriangleMesh) -> dict[str, np.ndarray]:
 
 
 def _motion_tensors(context: Context, spectrum_id: str, mesh: TriangleMesh) -> dict[str, np.ndarray]:
-    ready = ready_tree(context, context.trees, spectrum_id)
-    ties = vertex_ties(ready, mesh)
+    from dynamictree.voxel.inextensible import hold_lengths  # brings numba
+
+    ties = vertex_ties(ready_tree(context, context.trees, spectrum_id), mesh)
     if mesh.num_vertices > MAX_OWN_SHAPES:
         return _strongest(ties.rows, ties.weights)
     spectrum = load_spectrum(context, spectrum_id)
     coefficients = ties.apply(spectrum.coefficients)  # [N, K, 3]
+    if mesh.num_vertices <= MAX_HELD:
+        coefficients = hold_lengths(mesh, coefficients, spectrum.grid.voxel_size_m)  # as the products have them
     weights = bin_weights(spectrum.num_frequencies, spectrum.num_frames)
     shapes, scale = quantised(coefficients * weights[:, None])  # bin 0 is the lean, the others φ_k = 2 c_k
     return {"shapes": shapes, "scale_m": scale}

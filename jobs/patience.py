@@ -1,0 +1,41 @@
+"""A database that is away for a while: a worker waits for it, a request does not."""
+
+import logging
+import time
+from collections.abc import Callable
+from functools import wraps
+from typing import TYPE_CHECKING, Concatenate, ParamSpec, TypeVar
+
+import sqlalchemy as sa
+
+if TYPE_CHECKING:
+    from jobs.store import Store
+
+P = ParamSpec("P")
+T = TypeVar("T")
+S = TypeVar("S", bound="Store")
+
+logger = logging.getLogger(__name__)
+
+PAUSE_S = 0.5
+
+
+def patient(ask: Callable[Concatenate[S, P], T]) -> Callable[Concatenate[S, P], T]:
+    """Ask again while the database is restarted, or its disk full, for as long as the store's `patience_s`.
+
+    Only for what may be done twice: an answer that was lost on the way back may have been a commit.
+    """
+
+    @wraps(ask)
+    def waiting(store: S, /, *args: P.args, **options: P.kwargs) -> T:
+        deadline = time.monotonic() + store.patience_s
+        while True:
+            try:
+                return ask(store, *args, **options)
+            except sa.exc.OperationalError as error:
+                if time.monotonic() >= deadline:
+                    raise
+                logger.warning("the database is away; asked again in %g s: %s", PAUSE_S, error.orig)
+                time.sleep(PAUSE_S)
+
+    return waiting

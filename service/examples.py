@@ -1,0 +1,78 @@
+"""Examples of the OpenAPI page; the tests hold them to the page's own schemas."""
+
+from typing import Any
+
+_ASSET, _JOB, _FILE, _SPECTRUM = (f"01M0TREE{what:0>18}" for what in ("ASSET", "J0B", "F11E", "SPECTR0M"))
+_SHA = "9f2c1e" + "0" * 58
+_BEGAN, _ENDED, _GONE = "2026-11-21T08:00:00Z", "2026-11-21T08:00:09Z", "2026-11-28T08:00:09Z"
+
+_ANIMATE = {
+    "type": "animate",
+    "asset_id": _ASSET,
+    "seed": 7,
+    "params": {"wind": {"speed_m_s": 6.0, "direction_deg": 90.0, "gust": 0.3}, "formats": ["glb", "png"]},
+}
+_JOB_REQUESTS = {
+    "animate": {"summary": "A tree that sways, as GLB and a picture", "value": _ANIMATE},
+    "diffuse": {"summary": "The spectrum alone", "value": {"type": "diffuse", "asset_id": _ASSET, "seed": 7}},
+    "voxelize": {"summary": "The voxels alone", "value": {"type": "voxelize", "asset_id": _ASSET}},
+    "reconstruct": {"summary": "A mesh of photos", "value": {"type": "reconstruct", "asset_id": _ASSET}},
+}
+_PUSH = {
+    "spectrum_id": _SPECTRUM,
+    "forces": [{"kind": "impulse", "at": {"voxel": 4711}, "impulse_n_s": [0.0, 5.0, 0.0], "duration_s": 0.1}],
+    "num_frames": 120,
+}
+_HELD = {
+    "spectrum_id": _SPECTRUM,
+    "forces": [
+        {"kind": "drag", "at": {"point_m": [0.4, 0.0, 7.9]}, "displacement_m": [0.0, 0.3, 0.0], "duration_s": 0.5}
+    ],
+    "start": "held",
+    "num_frames": 240,
+}
+
+REQUESTS: dict[str, dict[str, Any]] = {
+    "createJob": _JOB_REQUESTS,
+    "putJob": _JOB_REQUESTS,
+    "retryJob": {"anew": {"summary": "Other chance from the spectrum on", "value": {"from_stage": "diffuse"}}},
+    "createAsset": {
+        "uploads": {"summary": "Of uploads that are whole", "value": {"upload_ids": [_FILE]}},
+        "address": {"summary": "From an address", "value": {"url": "https://example.com/tree.glb", "sha256": _SHA}},
+    },
+    "interact": {
+        "knock": {"summary": "A knock against a branch", "value": _PUSH},
+        "pull": {"summary": "Pull a branch aside, hold it, let go", "value": _HELD},
+    },
+}
+"""By operation."""
+
+_STAGE = {"progress": 1.0, "cached": False, "started_at": _BEGAN, "finished_at": _ENDED, "state": "succeeded"}
+_ARTIFACT = {
+    "id": _FILE,
+    "name": "tree-8-targets.glb",
+    "stage": "animate",
+    "media_type": "model/gltf-binary",
+    "bytes": 1065824,
+    "sha256": _SHA,
+    "url": f"/v1/artifacts/{_FILE}",
+    "facts": {"num_targets": 8, "relative_error": 0.075, "rms_error_m": 0.0086, "max_error_m": 0.091},
+    "created_at": _ENDED,
+    "expires_at": _GONE,
+}
+
+SCHEMAS: dict[str, Any] = {
+    "AssetPayload": {
+        "id": _ASSET,
+        "kind": "mesh",
+        "parts": [{"name": "tree.glb", "sha256": _SHA, "bytes": 376012}],
+        "summary": {"num_vertices": 8545, "num_faces": 9846, "height_m": 10.29},
+        "created_at": _BEGAN,
+        "expires_at": _GONE,
+    },
+    "ArtifactPayload": _ARTIFACT,
+    "ManifestPayload": {"job_id": _JOB, "complete": True, "artifacts": [_ARTIFACT]},
+    "StagePayload": {"name": "voxelize", **_STAGE},
+    "EstimatePayload": {"valid": True, "est_seconds": 9.4, "est_bytes": 21000000},
+}
+"""By schema."""

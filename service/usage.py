@@ -1,0 +1,21 @@
+"""/v1/usage: what the caller has here, and may have."""
+
+from fastapi import APIRouter
+
+from service.context import Ctx
+from service.payloads import UsagePayload
+from service.routing import refusals
+
+router = APIRouter(prefix="/v1", tags=["catalogue"])
+
+
+@router.get("/usage", operation_id="getUsage", responses=refusals())
+def get_usage(context: Ctx) -> UsagePayload:
+    """Jobs that have not ended, bytes that are kept, and the limits of the key."""
+    caller = context.caller
+    return UsagePayload(
+        owner=caller.owner,
+        active_jobs=context.store.count_active(),
+        bytes=context.store.kept_bytes(),
+        limits=dict(caller.limits) or None,
+    )

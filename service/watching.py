@@ -1,0 +1,61 @@
+"""Tells those who wait that a job has changed. One query at a time, however many wait."""
+
+import asyncio
+import logging
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import sqlalchemy as sa
+from starlette.concurrency import run_in_threadpool
+
+if TYPE_CHECKING:
+    from jobs.store import Store
+
+logger = logging.getLogger(__name__)
+
+LOOK_S = 0.2
+
+
+@dataclass
+class Watching:
+    """Waiters by job; a task looks as long as there are any."""
+
+    store: "Store"
+    _waiting: dict[str, dict[asyncio.Future[None], int]] = field(default_factory=dict)
+    _looking: asyncio.Task[None] | None = None
+
+    async def changed(self, job_id: str, version: int, timeout_s: float) -> bool:
+        """Wait until a job has another version than this, or is gone; tell whether it has within the time."""
+        waiter: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._waiting.setdefault(job_id, {})[waiter] = version
+        if self._looking is None or self._looking.done():
+            self._looking = asyncio.create_task(self._look())
+        try:
+            async with asyncio.timeout(timeout_s):
+                await waiter
+        except TimeoutError:
+            return False
+        finally:
+            waiters = self._waiting.get(job_id, {})
+            waiters.pop(waiter, None)
+            if not waiters:
+                self._waiting.pop(job_id, None)
+        return True
+
+    async def _look(self) -> None:
+        while self._waiting:
+            try:
+                found = await run_in_threadpool(self.store.job_versions, list(self._waiting))
+            except sa.exc.SQLAlchemyError as error:
+                logger.warning("changes cannot be looked for: %s", error)
+                found = {}
+            else:
+                self._wake(found)
+            await asyncio.sleep(LOOK_S)
+
+    def _wake(self, found: dict[str, tuple[int, bool]]) -> None:
+        for job_id, waiters in self._waiting.items():
+            now = found.get(job_id)
+            for waiter, version in waiters.items():
+                if (now is None or now[0] != version) and not waiter.done():
+                    waiter.set_result(None)
