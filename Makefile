@@ -23,7 +23,7 @@ else
 TORCH_SOURCE := --torch-backend $(TORCH_BACKEND)
 endif
 
-.PHONY: help setup demo test js-tools scale-out check format openapi lock bench clean
+.PHONY: help setup demo test js-tools openapi-lint scale-out check format openapi lock bench clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -74,6 +74,12 @@ $(JS_TOOLS)/.ready: tests/js/package.json
 	@cp tests/js/package.json $(JS_TOOLS)/
 	@cd $(JS_TOOLS) && npm install --no-audit --no-fund --no-package-lock --ignore-scripts --loglevel=error
 	@touch $@
+
+openapi-lint: $(JS_TOOLS)/.ready  ## spectral on openapi.json; a TypeScript client of it compiles
+	@$(JS_TOOLS)/node_modules/.bin/spectral lint openapi/openapi.json --ruleset tests/js/spectral.yaml --fail-severity warn
+	@cp tests/js/use_client.ts tests/js/tsconfig.json $(JS_TOOLS)/
+	@cd $(JS_TOOLS) && node_modules/.bin/openapi-typescript $(CURDIR)/openapi/openapi.json --default-non-nullable false -o openapi.d.ts
+	@cd $(JS_TOOLS) && node_modules/.bin/tsc -p tsconfig.json && echo "the TypeScript client compiles"
 
 format: $(READY)  ## rewrite the code as `check` wants it
 	@$(BIN)/ruff format .

@@ -73,6 +73,5 @@ SCHEMAS: dict[str, Any] = {
     "ArtifactPayload": _ARTIFACT,
     "ManifestPayload": {"job_id": _JOB, "complete": True, "artifacts": [_ARTIFACT]},
     "StagePayload": {"name": "voxelize", **_STAGE},
-    "EstimatePayload": {"valid": True, "est_seconds": 9.4, "est_bytes": 21000000},
 }
 """By schema."""

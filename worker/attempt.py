@@ -4,6 +4,7 @@ import json
 import logging
 import shutil
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from functools import cache, partial
 from hashlib import sha256
 from importlib import resources
@@ -79,7 +80,7 @@ def run_stages(here: Runtime, watch: Watch) -> None:
                 given = StageInput(
                     job=job, folder=own, files=files, photos=photos, report=partial(watch.report, stage.name)
                 )
-                made = _keep(here, STAGES[stage.name](given))
+                made = _keep(here, STAGES[stage.name](given), given.facts)
                 _publish(here, watch, stage.name, made, key=key, cached=False)
             for file in made:
                 here.artifacts.fetch(file.sha256, inputs / file.name)
@@ -144,7 +145,9 @@ def _finished(here: Runtime, job: JobRecord, stage: JobType) -> tuple[OutputFile
     if not any(known.name == stage and known.state == "succeeded" for known in job.stages):
         return None
     made = [artifact for artifact in here.store.artifacts_of(job.id) if artifact.stage == stage]
-    return tuple(OutputFile(name=a.name, media_type=a.media_type, sha256=a.sha256, bytes=a.bytes) for a in made)
+    return tuple(
+        OutputFile(name=a.name, media_type=a.media_type, sha256=a.sha256, bytes=a.bytes, facts=a.facts) for a in made
+    )
 
 
 def _from_cache(here: Runtime, watch: Watch, stage: JobType, key: str) -> tuple[OutputFile, ...] | None:
@@ -161,13 +164,16 @@ def _from_cache(here: Runtime, watch: Watch, stage: JobType, key: str) -> tuple[
     return files
 
 
-def _keep(here: Runtime, paths: Iterable[Path]) -> tuple[OutputFile, ...]:
+def _keep(
+    here: Runtime, paths: Iterable[Path], facts: Mapping[str, Mapping[str, int | float]]
+) -> tuple[OutputFile, ...]:
     made = []
     for path in paths:
         digest, size = hash_file(path)
         touch_blob(here.store, digest, size)
         here.artifacts.put(path, digest)
-        made.append(OutputFile(name=path.name, media_type=media_type(path.name), sha256=digest, bytes=size))
+        kept = OutputFile(name=path.name, media_type=media_type(path.name), sha256=digest, bytes=size)
+        made.append(replace(kept, facts=facts.get(path.name, {})))
     return tuple(made)
 
 

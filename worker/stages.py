@@ -1,7 +1,7 @@
 """The four stages of a job: files in, files out. What each needs is read from files, so that any worker can go on."""
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
 from dynamictree import pipeline
@@ -12,7 +12,7 @@ from dynamictree.formats.spectrum_file import read_spectrum, write_spectrum
 from dynamictree.formats.voxels_file import read_voxels, write_voxels
 from dynamictree.gaussian.capture import Box, Capture, carrying_mesh
 from dynamictree.mesh import TriangleMesh
-from dynamictree.products import AnimateOptions
+from dynamictree.products import FILE_NAMES, AnimateOptions, Facts
 from dynamictree.render.shot import Shot
 from dynamictree.spectrum import Wind
 from jobs.products import CLOUD_BUNDLE, MESH, MESH_BUNDLE, SPECTRUM, VOXELS
@@ -29,6 +29,7 @@ class StageInput:
     files: dict[str, Path]  # what earlier stages made; the asset's mesh as MESH_BUNDLE, or its cloud as CLOUD_BUNDLE
     photos: tuple[Path, ...]
     report: Callable[[float], None]  # share done in [0, 1]; raises when the stage should stop
+    facts: dict[str, Facts] = field(default_factory=dict)  # filled in: what a file has to tell, by its name
 
 
 def reconstruct(given: StageInput) -> Iterable[Path]:
@@ -98,6 +99,7 @@ def animate(given: StageInput) -> Iterable[Path]:
         given.report,
         capture=_capture(given),
         box_m=_box(given),
+        on_facts=lambda name, facts: given.facts.update({FILE_NAMES[name]: facts}),
     )
     return made.values()
 

@@ -56,6 +56,8 @@ class AnimateParams(Model):
 class AnimateRequest(Model):
     """To the motion."""
 
+    priority: Literal["high", "normal", "low"] = "normal"  # high is begun first; with keys, one of scope high-priority
+    webhook: str | None = None  # id of a webhook endpoint to tell of the end
     asset_id: str  # what POST /v1/assets gave
     preset: str = "small"  # the model, see GET /v1/presets
     seed: int = 0  # the same seed gives the same motion
@@ -101,6 +103,46 @@ class At(Model):
     radius_m: float = 0.0  # spread evenly over the voxels within it
 
 
+class BatchItem(Model):
+    """What became of one job of a batch: the job, or why there is none."""
+
+    status: int  # what the request would have been answered by itself
+    job: "Job | None"
+    problem: "Problem | None"
+
+
+class Batch(Model):
+    """What became of a batch, in its order."""
+
+    data: "list[BatchItem]"
+
+
+class BatchRequest(Model):
+    """Several jobs at once."""
+
+    jobs: "list[ReconstructRequest | VoxelizeRequest | DiffuseRequest | AnimateRequest]"
+
+
+class DeliveryList(Model):
+    """A page of deliveries, newest first."""
+
+    data: "list[Delivery]"
+    next_cursor: str | None
+
+
+class Delivery(Model):
+    """A message for one address."""
+
+    id: str
+    message_id: str  # the header webhook-id; a replay has the same
+    event: Literal["job.succeeded", "job.failed", "job.canceled", "job.aborted"]
+    job_id: str
+    state: Literal["pending", "delivered", "failed"]
+    tries: "list[Try]"
+    next_at: datetime | None  # the next attempt; null once it is over
+    created_at: datetime  # RFC 3339, UTC
+
+
 class DiffuseParams(Model):
     """Shape to spectrum."""
 
@@ -114,12 +156,53 @@ class DiffuseParams(Model):
 class DiffuseRequest(Model):
     """To the spectrum."""
 
+    priority: Literal["high", "normal", "low"] = "normal"  # high is begun first; with keys, one of scope high-priority
+    webhook: str | None = None  # id of a webhook endpoint to tell of the end
     asset_id: str  # what POST /v1/assets gave
     preset: str = "small"  # the model, see GET /v1/presets
     seed: int = 0  # the same seed gives the same motion
     start_deadline_s: float | None = None  # aborted if no worker has begun by then [s]
     type: Literal["diffuse"]
     params: "DiffuseParams | None" = None
+
+
+class EndpointList(Model):
+    """Every address that is told."""
+
+    data: "list[Endpoint]"
+
+
+class Endpoint(Model):
+    """An address that is told."""
+
+    id: str
+    url: str
+    events: list[Literal["job.succeeded", "job.failed", "job.canceled", "job.aborted"]]
+    disabled_reason: str | None
+    created_at: datetime  # RFC 3339, UTC
+
+
+class EndpointRequest(Model):
+    """An address to tell."""
+
+    url: str  # https
+    events: list[Literal["job.succeeded", "job.failed", "job.canceled", "job.aborted"]] = [
+        "job.succeeded",
+        "job.failed",
+        "job.canceled",
+        "job.aborted",
+    ]  # of every job; none: only of jobs that name the endpoint
+
+
+class EndpointWithSecret(Model):
+    """The only time that a secret is shown."""
+
+    id: str
+    url: str
+    events: list[Literal["job.succeeded", "job.failed", "job.canceled", "job.aborted"]]
+    disabled_reason: str | None
+    created_at: datetime  # RFC 3339, UTC
+    secret: str  # whsec_ and base64: the key of HMAC-SHA256 over id.timestamp.body
 
 
 class Estimate(Model):
@@ -230,11 +313,14 @@ class Job(Model):
     stages: "list[Stage]"
     result: "Result | None"  # what is there so far; null before the first product
     error: "Problem | None"
+    priority: Literal["high", "normal", "low"]
+    webhook: str | None
     retry_of: str | None
     start_deadline_at: datetime | None
     created_at: datetime  # RFC 3339, UTC
     started_at: datetime | None
     finished_at: datetime | None
+    expires_at: datetime | None  # when its record is removed; null until it has ended
 
 
 class Limits(Model):
@@ -275,6 +361,23 @@ class Locality(Model):
 
     seed_voxel: int
     falloff_m: float
+
+
+class LogLine(Model):
+    """One line of a job's log."""
+
+    id: int  # for `after`
+    at: datetime  # RFC 3339, UTC
+    level: Literal["info", "warning", "error"]
+    message: str
+    fields: dict[str, Any]
+
+
+class Log(Model):
+    """What happened to a job, oldest first."""
+
+    data: "list[LogLine]"
+    next_after: int  # send as `after` to go on
 
 
 class Manifest(Model):
@@ -344,6 +447,8 @@ class ReconstructParams(Model):
 class ReconstructRequest(Model):
     """Photos to a mesh."""
 
+    priority: Literal["high", "normal", "low"] = "normal"  # high is begun first; with keys, one of scope high-priority
+    webhook: str | None = None  # id of a webhook endpoint to tell of the end
     asset_id: str  # what POST /v1/assets gave
     preset: str = "small"  # the model, see GET /v1/presets
     seed: int = 0  # the same seed gives the same motion
@@ -420,6 +525,15 @@ class State(Model):
     groups: "list[GroupState]"
 
 
+class Try(Model):
+    """One attempt to tell."""
+
+    at: datetime  # RFC 3339, UTC
+    status: int | None  # null where no answer came
+    detail: str
+    seconds: float
+
+
 class Upload(Model):
     """A file that comes in pieces, or from an address."""
 
@@ -437,6 +551,15 @@ class Upload(Model):
     expires_at: datetime  # RFC 3339, UTC
 
 
+class Usage(Model):
+    """What the caller has, and may have; null where no key is asked for."""
+
+    owner: str | None
+    active_jobs: int
+    bytes: int
+    limits: dict[str, int] | None
+
+
 class VoxelizeParams(Model):
     """Surface to voxels."""
 
@@ -449,6 +572,8 @@ class VoxelizeParams(Model):
 class VoxelizeRequest(Model):
     """To the occupied voxels and their normals."""
 
+    priority: Literal["high", "normal", "low"] = "normal"  # high is begun first; with keys, one of scope high-priority
+    webhook: str | None = None  # id of a webhook endpoint to tell of the end
     asset_id: str  # what POST /v1/assets gave
     preset: str = "small"  # the model, see GET /v1/presets
     seed: int = 0  # the same seed gives the same motion

@@ -6,7 +6,15 @@ from dynamictree_client.call import Call, path_of
 from dynamictree_client.models import (
     AnimateRequest,
     Asset,
+    Batch,
+    BatchRequest,
+    Delivery,
+    DeliveryList,
     DiffuseRequest,
+    Endpoint,
+    EndpointList,
+    EndpointRequest,
+    EndpointWithSecret,
     Estimate,
     Interact,
     InteractRequest,
@@ -15,6 +23,7 @@ from dynamictree_client.models import (
     JobState,
     Limits,
     Live,
+    Log,
     Manifest,
     PresetList,
     Ready,
@@ -22,6 +31,7 @@ from dynamictree_client.models import (
     RetryRequest,
     Spectrum,
     Upload,
+    Usage,
     VoxelizeRequest,
 )
 
@@ -122,6 +132,13 @@ def delete_asset(id: str) -> Call[None]:
     return Call(method="DELETE", path=path_of("/v1/assets/{id}", {"id": id}), answer=None)
 
 
+def create_jobs(body: BatchRequest, *, idempotency_key: str | None = None) -> Call[Batch]:
+    """Ask for several products. One that is refused keeps none of the others; each tells its own status."""
+    return Call(
+        method="POST", path="/v1/jobs:batch", answer=Batch, headers={"idempotency-key": idempotency_key}, body=body
+    )
+
+
 def create_job(
     body: ReconstructRequest | VoxelizeRequest | DiffuseRequest | AnimateRequest,
     *,
@@ -160,10 +177,13 @@ def put_job(id: str, body: ReconstructRequest | VoxelizeRequest | DiffuseRequest
     return Call(method="PUT", path=path_of("/v1/jobs/{id}", {"id": id}), answer=Job, body=body)
 
 
-def get_job(id: str, *, if_none_match: str | None = None) -> Call[Job]:
-    """A job: state, stages, progress, place in the queue, products, error."""
+def get_job(id: str, *, if_none_match: str | None = None, prefer: str | None = None) -> Call[Job]:
+    """A job: state, stages, progress, place in the queue, products, error. With Prefer: wait=N the answer waits for the job's end; with If-None-Match besides, for its next change."""
     return Call(
-        method="GET", path=path_of("/v1/jobs/{id}", {"id": id}), answer=Job, headers={"if-none-match": if_none_match}
+        method="GET",
+        path=path_of("/v1/jobs/{id}", {"id": id}),
+        answer=Job,
+        headers={"if-none-match": if_none_match, "prefer": prefer},
     )
 
 
@@ -180,6 +200,13 @@ def cancel_job(id: str) -> Call[Job]:
 def list_artifacts(id: str) -> Call[Manifest]:
     """The files that a job made so far, with their hashes. Stages that finished stay, whatever came after them."""
     return Call(method="GET", path=path_of("/v1/jobs/{id}/artifacts", {"id": id}), answer=Manifest)
+
+
+def get_job_log(id: str, *, after: int | None = None, limit: int | None = None) -> Call[Log]:
+    """What happened to a job: accepted, begun, stages, lost workers, its end. No paths, hosts or secrets."""
+    return Call(
+        method="GET", path=path_of("/v1/jobs/{id}/logs", {"id": id}), answer=Log, query={"after": after, "limit": limit}
+    )
 
 
 def stream_job(id: str, *, last_event_id: str | None = None) -> Call[bytes]:
@@ -249,6 +276,57 @@ def get_surface(id: str) -> Call[bytes]:
     return Call(method="GET", path=path_of("/v1/spectra/{id}/surface", {"id": id}), answer=bytes)
 
 
+def list_webhook_endpoints() -> Call[EndpointList]:
+    """Every address that is told."""
+    return Call(method="GET", path="/v1/webhook-endpoints", answer=EndpointList)
+
+
+def create_webhook_endpoint(body: EndpointRequest) -> Call[EndpointWithSecret]:
+    """Name an address that is told when jobs end. The secret that signs is shown here and never again."""
+    return Call(method="POST", path="/v1/webhook-endpoints", answer=EndpointWithSecret, body=body)
+
+
+def get_webhook_endpoint(id: str) -> Call[Endpoint]:
+    """One address that is told."""
+    return Call(method="GET", path=path_of("/v1/webhook-endpoints/{id}", {"id": id}), answer=Endpoint)
+
+
+def put_webhook_endpoint(id: str, body: EndpointRequest) -> Call[Endpoint]:
+    """Change address and events; an endpoint that was disabled is told again."""
+    return Call(method="PUT", path=path_of("/v1/webhook-endpoints/{id}", {"id": id}), answer=Endpoint, body=body)
+
+
+def delete_webhook_endpoint(id: str) -> Call[None]:
+    """Tell an address no more, and forget what it was told."""
+    return Call(method="DELETE", path=path_of("/v1/webhook-endpoints/{id}", {"id": id}), answer=None)
+
+
+def rotate_webhook_secret(id: str) -> Call[EndpointWithSecret]:
+    """Make a new secret, shown only here. For a day the old one signs too, so that none is refused meanwhile."""
+    return Call(method="POST", path=path_of("/v1/webhook-endpoints/{id}/secret", {"id": id}), answer=EndpointWithSecret)
+
+
+def list_webhook_deliveries(id: str, *, cursor: str | None = None, limit: int | None = None) -> Call[DeliveryList]:
+    """What an address was told, newest first, with every attempt."""
+    return Call(
+        method="GET",
+        path=path_of("/v1/webhook-endpoints/{id}/deliveries", {"id": id}),
+        answer=DeliveryList,
+        query={"cursor": cursor, "limit": limit},
+    )
+
+
+def replay_webhook_delivery(delivery_id: str, id: str) -> Call[Delivery]:
+    """Tell it again, as a new delivery of the same message: the receiver knows it by its webhook-id."""
+    return Call(
+        method="POST",
+        path=path_of(
+            "/v1/webhook-endpoints/{id}/deliveries/{delivery_id}/replay", {"delivery_id": delivery_id, "id": id}
+        ),
+        answer=Delivery,
+    )
+
+
 def list_presets() -> Call[PresetList]:
     """The models that diffuse and animate jobs may name."""
     return Call(method="GET", path="/v1/presets", answer=PresetList)
@@ -257,6 +335,11 @@ def list_presets() -> Call[PresetList]:
 def get_limits() -> Call[Limits]:
     """Sizes, numbers and formats that are allowed."""
     return Call(method="GET", path="/v1/limits", answer=Limits)
+
+
+def get_usage() -> Call[Usage]:
+    """Jobs that have not ended, bytes that are kept, and the limits of the key."""
+    return Call(method="GET", path="/v1/usage", answer=Usage)
 
 
 def get_liveness() -> Call[Live]:

@@ -1,0 +1,82 @@
+"""The page's examples are what the page's own schemas allow, and each problem that a route names is there."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+
+from service.problems import KINDS
+
+PAGE = json.loads((Path(__file__).parents[2] / "openapi" / "openapi.json").read_text())
+OPERATIONS = {
+    operation["operationId"]: (path, operation) for path, item in PAGE["paths"].items() for operation in item.values()
+}
+
+
+def validator(schema: dict[str, Any]) -> jsonschema.Draft202012Validator:
+    """References lead into the page itself."""
+    return jsonschema.Draft202012Validator(
+        {**schema, "components": PAGE["components"]}, format_checker=jsonschema.FormatChecker()
+    )
+
+
+def examples() -> Iterator[Any]:
+    for name, schema in PAGE["components"]["schemas"].items():
+        for example in schema.get("examples", []):
+            yield pytest.param(schema, example, id=name)
+    for name, (_, operation) in OPERATIONS.items():
+        for content in operation.get("requestBody", {}).get("content", {}).values():
+            for which, example in content.get("examples", {}).items():
+                yield pytest.param(content["schema"], example["value"], id=f"{name}-{which}")
+    for code, example in PAGE["components"]["examples"].items():
+        yield pytest.param(PAGE["components"]["schemas"]["Problem"], example["value"], id=code)
+
+
+@pytest.mark.parametrize(("schema", "example"), list(examples()))
+def test_examples_are_valid(schema: dict[str, Any], example: Any) -> None:
+    validator(schema).validate(example)
+
+
+def test_an_example_with_a_field_too_many_would_be_seen() -> None:
+    with pytest.raises(jsonschema.ValidationError):
+        validator({"$ref": "#/components/schemas/AnimateRequest"}).validate({"type": "animate", "mood": 1})
+
+
+@pytest.mark.parametrize("name", ["createJob", "putJob", "retryJob", "interact", "createAsset"])
+def test_requests_with_a_json_body_have_examples(name: str) -> None:
+    assert OPERATIONS[name][1]["requestBody"]["content"]["application/json"]["examples"]
+
+
+@pytest.mark.parametrize("name", OPERATIONS)
+def test_an_operation_is_told_whole(name: str) -> None:
+    path, operation = OPERATIONS[name]
+    assert operation["description"]
+    assert set(operation["tags"]) <= {tag["name"] for tag in PAGE["tags"]}
+    named = {code for response in operation["responses"].values() for code in problems(response)}
+    assert named <= set(KINDS)
+    assert {"internal-error", "bad-request"} <= named
+    if path.startswith("/v1"):
+        assert {"unauthorized", "forbidden", "rate-limited"} <= named
+    for status, response in operation["responses"].items():
+        assert all(KINDS[code].status == int(status) for code in problems(response))
+
+
+def problems(response: dict[str, Any]) -> list[str]:
+    content = response.get("content", {}).get("application/problem+json", {})
+    return [example["$ref"].rsplit("/", 1)[1] for example in content.get("examples", {}).values()]
+
+
+def test_operation_ids_are_unique_and_every_union_is_resolved() -> None:
+    assert len(OPERATIONS) == sum(len(item) for item in PAGE["paths"].values())
+    text = json.dumps(PAGE)
+    references = {part.split('"')[0] for part in text.split('"$ref": "')[1:]}
+    for reference in references:
+        node: Any = PAGE
+        for step in reference.removeprefix("#/").split("/"):
+            node = node[step]
+    for name in ("createJob", "putJob"):
+        schema = OPERATIONS[name][1]["requestBody"]["content"]["application/json"]["schema"]
+        assert set(schema["discriminator"]["mapping"]) == {"reconstruct", "voxelize", "diffuse", "animate"}
