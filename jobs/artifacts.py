@@ -188,7 +188,6 @@ def open_artifacts(url: str, *, patience_s: float = REQUEST_PATIENCE_S) -> Artif
                 "retry_timeout": timedelta(seconds=patience_s),
                 "backoff": {"init_backoff": timedelta(seconds=0.1), "max_backoff": timedelta(seconds=2), "base": 2},
             },
-            client_options={"connect_timeout": "2s", "timeout": "60s"},  # of one part, not of the whole
         )
     )
 

@@ -3,10 +3,10 @@
 import logging
 from typing import Literal
 
-import obstore.exceptions
 import sqlalchemy as sa
 from fastapi import APIRouter, Response, status
 
+from jobs.errors import StorageAwayError
 from jobs.upkeep import living
 from service.context import Context, Ctx
 from service.payloads import Payload
@@ -85,7 +85,7 @@ def _redis(context: Context) -> Check:
 def _storage(context: Context) -> Check:
     try:
         free = context.artifacts.free_bytes()
-    except (OSError, obstore.exceptions.BaseError):
+    except (OSError, StorageAwayError):
         logger.warning("the artefact storage is away", exc_info=True)
         return "unavailable"
     return "full" if free is not None and free < context.settings.min_free_bytes else "ok"

@@ -17,15 +17,17 @@ import redis
 import sqlalchemy as sa
 from celery import Celery
 from kombu.exceptions import OperationalError
-from obstore.exceptions import BaseError as StorageError
 
 from jobs.artifacts import ArtifactStore, open_artifacts
+from jobs.errors import StorageAwayError
 from jobs.messages import RUN_JOB, RunJob
+from jobs.parts import PartStore, open_parts
 from jobs.settings import Settings, read_settings
 from jobs.store import Store
 from jobs.upkeep import (
     abort_overdue,
     forget_blob,
+    forget_deliveries,
     forget_expired,
     hold_lease,
     mark_sent,
@@ -35,14 +37,17 @@ from jobs.upkeep import (
     unreferenced_blobs,
     unsent,
 )
+from jobs.uploads import bury_expired
+from worker.courier import Courier
 
 logger = logging.getLogger(__name__)
 
 LEASE = "housekeeper"
+REAP = 1
 SCRATCH_AGE_S = 86400.0
 REDIS_TIMEOUT_S = 2.0
 AWAY_PAUSE_S = 1.0
-AWAY = (sa.exc.SQLAlchemyError, OperationalError, redis.RedisError, StorageError, OSError)
+AWAY = (sa.exc.SQLAlchemyError, OperationalError, redis.RedisError, StorageAwayError, OSError)
 """What may be away for a while. The duty is done at its next turn."""
 
 
@@ -53,6 +58,7 @@ class Housekeeper:
     settings: Settings
     store: Store
     artifacts: ArtifactStore
+    parts: PartStore
     queue: Celery
     redis: redis.Redis
 
@@ -80,6 +86,9 @@ class Housekeeper:
         forget_expired(
             self.store, job_retention_s=settings.job_retention_s, cache_retention_s=settings.artifact_retention_s
         )
+        forget_deliveries(self.store, retention_s=settings.webhook_retention_s)
+        for upload_id in bury_expired(self.store):
+            self.parts.delete(upload_id)
         for digest in unreferenced_blobs(self.store):
             self.artifacts.delete(digest)
             forget_blob(self.store, digest)
@@ -105,6 +114,7 @@ def open_housekeeper(settings: Settings) -> Housekeeper:
         settings=settings,
         store=Store.open(settings.resolved_database_url),
         artifacts=open_artifacts(settings.resolved_artifacts_url),
+        parts=open_parts(settings.resolved_artifacts_url),
         queue=queue,
         redis=redis.Redis.from_url(
             settings.resolved_redis_url, socket_timeout=REDIS_TIMEOUT_S, socket_connect_timeout=REDIS_TIMEOUT_S
@@ -117,7 +127,7 @@ def run(keeper: Housekeeper, stopped: threading.Event) -> None:
     settings, owner = keeper.settings, f"{socket.gethostname()}:{os.getpid()}"
     turns: list[tuple[Callable[[], None], float]] = [
         (keeper.send, settings.outbox_interval_s),
-        (keeper.reap, settings.reaper_interval_s),
+        (keeper.reap, settings.reaper_interval_s),  # at place REAP
         (keeper.send_again, min(settings.resend_s, 5.0)),
         (keeper.forget, settings.retention_interval_s),
     ]
@@ -128,6 +138,8 @@ def run(keeper: Housekeeper, stopped: threading.Event) -> None:
         if now >= renew_at:
             ours = _done(lambda: hold_lease(keeper.store, LEASE, owner=owner, lease_s=settings.housekeeper_lease_s))
             renew_at = now + settings.housekeeper_lease_s / 3
+            if not ours:
+                due[REAP] = now + 2 * settings.heartbeat_s  # where the store was away, leases could not be renewed
         for index, (duty, interval_s) in enumerate(turns):
             if ours and now >= due[index]:
                 due[index] = now + (interval_s if _done(duty) else max(interval_s, AWAY_PAUSE_S))
@@ -150,7 +162,11 @@ def main() -> None:
     stopped = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stopped.set())
-    run(open_housekeeper(settings), stopped)
+    keeper = open_housekeeper(settings)
+    courier = threading.Thread(target=Courier(keeper.store, settings).run, args=(stopped,), name="courier")
+    courier.start()
+    run(keeper, stopped)
+    courier.join()
 
 
 if __name__ == "__main__":

@@ -25,10 +25,12 @@ class Runtime:
 def open_runtime(settings: Settings) -> Runtime:
     """Connect, and say that this worker is there. Connections survive no fork: call it in the process that works."""
     owner = f"{socket.gethostname()}:{os.getpid()}"
+    store = Store.open(settings.resolved_database_url)
+    store.patience_s = settings.patience_s
     return Runtime(
         settings=settings,
-        store=Store.open(settings.resolved_database_url),
-        artifacts=open_artifacts(settings.resolved_artifacts_url),
+        store=store,
+        artifacts=open_artifacts(settings.resolved_artifacts_url, patience_s=settings.patience_s),
         owner=owner,
         heartbeat=Heartbeat(settings, owner),
     )

@@ -8,8 +8,9 @@ from celery import Task, signals
 from celery.exceptions import SoftTimeLimitExceeded
 
 from dynamictree.errors import Cancelled, DynamicTreeError
+from jobs.artifacts import is_full
 from jobs.attempts import claim, fail, finish_cancel, hand_back, succeed
-from jobs.errors import FencedError, GoneError, NotFoundError
+from jobs.errors import FencedError, GoneError, NotFoundError, StorageAwayError, StorageFullError
 from jobs.messages import RUN_JOB
 from jobs.records import Claim
 from worker.app import app, stopping
@@ -20,10 +21,14 @@ from worker.watch import HandedBack, Watch
 logger = logging.getLogger(__name__)
 
 
+TYPED = (GoneError, StorageAwayError, StorageFullError)
+"""Of the job store's errors, those that say why a job failed."""
+
+
 class JobTask(Task):  # type: ignore[misc]
     """Writes how an attempt ended, when it did not end well."""
 
-    throws = (Cancelled, FencedError, HandedBack, DynamicTreeError, GoneError)  # expected; logged without a traceback
+    throws = (Cancelled, FencedError, HandedBack, DynamicTreeError, *TYPED)  # expected; logged without a traceback
 
     def on_failure(
         self, exc: BaseException, task_id: str, args: tuple[str, int], kwargs: dict[str, object], einfo: object
@@ -46,8 +51,10 @@ def end_attempt(here: Runtime, held: Claim, error: BaseException) -> None:
             finish_cancel(store, held)
         case HandedBack():
             hand_back(store, held)
-        case DynamicTreeError() | GoneError():
+        case DynamicTreeError() | GoneError() | StorageAwayError() | StorageFullError():
             fail(store, held, code=error.code, message=str(error))
+        case OSError() if is_full(error):
+            fail(store, held, code=StorageFullError.code, message="the worker's disk is full; try again later")
         case MemoryError():
             fail(store, held, code="out-of-memory", message="the worker's memory did not suffice; simplify the input")
         case SoftTimeLimitExceeded():

@@ -1,10 +1,12 @@
 """A real S3 server in one process: OpenStack Swift and its s3api, one device, one replica.
 
 `python -m tests.faults.object_storage FOLDER PORT`. It checks signatures; key, secret and bucket are those below.
+While the folder holds a file `busy`, it answers 503 as S3 does where there is too much to do.
 """
 
 import sys
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 
 with warnings.catch_warnings():
@@ -73,10 +75,17 @@ def main(folder: Path, port: int) -> None:
     allowed = {"REQUEST_METHOD": "PUT", "swift.authorize_override": True, "swift.authorize": lambda _: None}
     made = Request.blank(f"/v1/AUTH_tree/{BUCKET}", environ=allowed).get_response(proxy)
     assert made.is_success, made.status
-    wsgi.server(eventlet.listen(("127.0.0.1", port), backlog=512), proxy, log_output=False)
+
+    def front(environment: dict[str, object], start_response: Callable[..., object]) -> object:
+        if (folder / "busy").exists():
+            start_response("503 Slow Down", [("Content-Type", "application/xml")])
+            return [b"<Error><Code>SlowDown</Code><Message>Reduce your request rate.</Message></Error>"]
+        return proxy(environment, start_response)
+
+    wsgi.server(eventlet.listen(("127.0.0.1", port), backlog=512), front, log_output=False)
 
 
-def load(folder: Path, name: str, text: str) -> object:
+def load(folder: Path, name: str, text: str) -> Callable[..., object]:
     path = folder / f"{name}.conf"
     path.write_text(text.format(folder=folder, name=name))
     return loadapp(str(path))

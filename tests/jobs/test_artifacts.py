@@ -1,8 +1,16 @@
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from hashlib import sha256
 from pathlib import Path
 
 import pytest
 
 from jobs.artifacts import ArtifactStore, hash_file, open_artifacts
+from jobs.errors import StorageAwayError
+from tests.servers import Server, object_storage
 
 
 @pytest.fixture(params=["folder", "memory"])
@@ -53,3 +61,78 @@ def test_a_put_that_fails_leaves_nothing(tmp_path: Path) -> None:
 def test_free_bytes_are_those_of_the_disk(artifacts: ArtifactStore) -> None:
     free = artifacts.free_bytes()
     assert free is None or free > 0
+
+
+@pytest.fixture(scope="module")
+def s3(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Server, Path]]:
+    """A real S3 server, and the folder in which a file `busy` makes it answer 503."""
+    folder = tmp_path_factory.mktemp("s3")
+    server, environment = object_storage(folder)
+    with pytest.MonkeyPatch.context() as patched:
+        for name, value in environment.items():
+            patched.setenv(name, value)
+        server.start()
+        yield server, folder / "objects"
+        server.stop()
+
+
+def test_s3_keeps_what_is_sent_in_parts(s3: tuple[Server, Path], tmp_path: Path) -> None:
+    source = tmp_path / "large"
+    source.write_bytes(os.urandom(12_000_000))  # three parts
+    artifacts = open_artifacts("s3://trees/products")
+    digest, _ = hash_file(source)
+    artifacts.put(source, digest)
+    assert sha256(b"".join(artifacts.read(digest))).hexdigest() == digest
+    assert b"".join(artifacts.read(digest, start=5_000_000, stop=5_500_000)) == source.read_bytes()[5_000_000:5_500_000]
+    artifacts.delete(digest)
+    assert not artifacts.exists(digest)
+
+
+def test_a_storage_that_is_busy_is_waited_for_so_long_as_told(s3: tuple[Server, Path], source: Path) -> None:
+    digest, _ = hash_file(source)
+    busy = s3[1] / "busy"
+    busy.touch()
+    with pytest.raises(StorageAwayError, match="object storage"):
+        open_artifacts("s3://trees/products", patience_s=0.5).put(source, digest)
+    threading.Timer(1.5, busy.unlink).start()
+    artifacts = open_artifacts("s3://trees/products", patience_s=60)
+    artifacts.put(source, digest)
+    assert artifacts.exists(digest)
+
+
+def test_a_storage_that_is_down_or_refuses_us_is_told(
+    s3: tuple[Server, Path], source: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    digest, _ = hash_file(source)
+    monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "wrong")
+    with pytest.raises(StorageAwayError):
+        open_artifacts("s3://trees/products").exists(digest)
+    monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:1")
+    for ask in ("exists", "delete"):
+        with pytest.raises(StorageAwayError):
+            getattr(open_artifacts("s3://trees/products", patience_s=0.2), ask)(digest)
+    with pytest.raises(StorageAwayError):
+        list(open_artifacts("s3://trees/products", patience_s=0.2).read(digest))
+
+
+def test_a_full_disk_leaves_nothing_and_is_told(source: Path, tmp_path: Path) -> None:
+    """In a mount namespace of its own, where it may have a disk of one megabyte."""
+    program = f"""
+from pathlib import Path
+from jobs.artifacts import FolderArtifacts, hash_file
+from jobs.errors import StorageFullError
+source = Path({str(source)!r})
+artifacts = FolderArtifacts(Path({str(tmp_path / "disk")!r}))
+try:
+    artifacts.put(source, hash_file(source)[0])
+except StorageFullError as error:
+    print(error, [p for p in artifacts.root.rglob("*") if p.is_file()])
+"""
+    (tmp_path / "disk").mkdir()
+    mount = f'mount -t tmpfs -o size=1m tmpfs {tmp_path / "disk"} && exec {sys.executable} -c "$1"'
+    command = ["unshare", "--user", "--map-root-user", "--mount", "sh", "-c", mount, "sh", program]
+    told = subprocess.run(command, capture_output=True, text=True, check=False)
+    if "unshare" in told.stderr or "mount" in told.stderr:
+        pytest.skip(f"no mount namespace here: {told.stderr.strip()}")
+    assert told.stdout.startswith("there is no room in the storage: No space left on device"), told.stderr
+    assert told.stdout.endswith("[]\n")

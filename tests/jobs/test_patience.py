@@ -1,0 +1,62 @@
+"""What a worker asks of the store waits for a database that is away; what a request asks does not."""
+
+import sqlite3
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import sqlalchemy as sa
+
+from jobs.attempts import claim, publish_stage, start_stage, succeed
+from jobs.records import OutputFile
+from jobs.states import JobState
+from jobs.store import Store
+from tests.jobs.conftest import add_job, make_asset
+
+
+@pytest.fixture
+def locked(tmp_path: Path) -> Iterator[tuple[Store, sqlite3.Connection]]:
+    """A store, and another process's way to hold it up."""
+    path = tmp_path / "jobs.sqlite"
+    store = Store.open(f"sqlite:///{path}")
+
+    @sa.event.listens_for(store.engine, "connect")
+    def _hurry(connection: sqlite3.Connection, _: object) -> None:
+        connection.execute("PRAGMA busy_timeout=50")
+
+    other = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
+    yield store, other
+    other.close()
+    store.close()
+
+
+def test_a_worker_waits_and_a_request_does_not(locked: tuple[Store, sqlite3.Connection]) -> None:
+    store, other = locked
+    job = add_job(store, store.add_asset(make_asset(store.clock()))[0])
+    store.engine.dispose()  # so that the next connection hurries
+    other.execute("BEGIN IMMEDIATE")
+    with pytest.raises(sa.exc.OperationalError):
+        claim(store, job.id, 1, owner="w", lease_s=60)
+    store.patience_s = 30.0
+    threading.Timer(0.7, lambda: other.execute("ROLLBACK")).start()
+    began = time.monotonic()
+    held = claim(store, job.id, 1, owner="w", lease_s=60)
+    assert held is not None
+    assert 0.3 < time.monotonic() - began < 25
+
+
+def test_what_was_committed_may_be_asked_again(store: Store) -> None:
+    job = add_job(store, store.add_asset(make_asset(store.clock()))[0], "voxelize")
+    held = claim(store, job.id, 1, owner="w", lease_s=60)
+    assert held is not None
+    again = claim(store, job.id, 1, owner="w", lease_s=60)  # the first answer was lost
+    assert again is not None
+    assert claim(store, job.id, 1, owner="another", lease_s=60) is None
+    start_stage(store, held, "voxelize")
+    file = OutputFile(name="a", media_type="x/y", sha256="c" * 64, bytes=1)
+    for _ in range(2):
+        publish_stage(store, held, "voxelize", (file,), key="k", cached=False, retention_s=100)
+    assert [artifact.name for artifact in store.artifacts_of(job.id)] == ["a"]
+    assert succeed(store, held) == JobState.SUCCEEDED
