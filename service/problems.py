@@ -12,6 +12,7 @@ from starlette.exceptions import HTTPException
 from starlette.responses import Response
 
 from dynamictree.errors import DynamicTreeError
+from jobs.artifacts import is_full
 from jobs.errors import JobsError
 from jobs.states import JOB_TYPES
 
@@ -197,6 +198,7 @@ def install(app: FastAPI) -> None:
     app.add_exception_handler(RequestValidationError, _on_validation)
     app.add_exception_handler(DynamicTreeError, _on_ours)
     app.add_exception_handler(JobsError, _on_ours)
+    app.add_exception_handler(OSError, _on_system)
 
 
 async def _on_http(request: Request, error: Exception) -> Response:
@@ -239,6 +241,15 @@ async def _on_ours(request: Request, error: Exception) -> Response:
         logger.error("request failed", exc_info=error)
         return problem_response(code, "The cause was logged.", request_id=request_id_of(request))
     return problem_response(code, str(error), request_id=request_id_of(request))
+
+
+async def _on_system(request: Request, error: Exception) -> Response:
+    assert isinstance(error, OSError)
+    if not is_full(error):
+        raise error
+    logger.error("the disk is full", exc_info=error)
+    detail = f"a file could not grow: {error.strerror}; nothing was kept"
+    return problem_response("disk-full", detail, request_id=request_id_of(request))
 
 
 def request_id_of(request: Request) -> str | None:

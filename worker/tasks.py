@@ -7,6 +7,7 @@ from dataclasses import replace
 from celery import Task, signals
 from celery.exceptions import SoftTimeLimitExceeded
 
+import worker.watchdog  # noqa: F401 (it listens to Celery's signals)
 from dynamictree.errors import Cancelled, DynamicTreeError
 from jobs.artifacts import is_full
 from jobs.attempts import claim, fail, finish_cancel, hand_back, succeed

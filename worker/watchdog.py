@@ -1,0 +1,73 @@
+"""Ends a worker that takes nothing though there is something to take.
+
+Kombu may stop consuming without a word after a reconnection (kombu#2492, celery#10502) while the process answers pings;
+what started the worker then starts it again.
+"""
+
+import logging
+import os
+import signal
+import threading
+import time
+from dataclasses import dataclass
+
+import redis
+from celery import signals
+from celery.worker import state
+
+from jobs.settings import Settings, read_settings
+from jobs.states import queues_of
+
+logger = logging.getLogger(__name__)
+
+LOOK_S = 5.0
+REDIS_TIMEOUT_S = 5.0
+
+
+@dataclass(kw_only=True)
+class Idleness:
+    """How long a queue has waited for a worker that does nothing."""
+
+    limit_s: float
+    since: float | None = None
+
+    def too_long(self, *, waiting: int, busy: bool, now: float) -> bool:
+        """Take one look; tell whether it is time to give up."""
+        if busy or waiting == 0:
+            self.since = None
+            return False
+        self.since = now if self.since is None else self.since
+        return now - self.since >= self.limit_s
+
+
+def watch(settings: Settings, stopped: threading.Event) -> None:
+    """Look every few seconds until stopped; end this process and its forks when it has been idle for too long."""
+    queues = queues_of(settings.queue)
+    idle = Idleness(limit_s=settings.idle_limit_s)
+    client = redis.Redis.from_url(
+        settings.resolved_redis_url, socket_timeout=REDIS_TIMEOUT_S, socket_connect_timeout=REDIS_TIMEOUT_S
+    )
+    while not stopped.wait(min(LOOK_S, settings.idle_limit_s / 4)):
+        try:
+            waiting = sum(int(client.llen(queue)) for queue in queues)  # type: ignore[arg-type]
+        except redis.RedisError:
+            waiting = 0  # a queue that is away is not our fault
+        if idle.too_long(waiting=waiting, busy=bool(state.reserved_requests), now=time.monotonic()):
+            found = f"{waiting} messages wait in {settings.queue!r} and none was taken for {settings.idle_limit_s:g} s"
+            logger.critical("%s; this worker ends, to be started again", found)
+            os.kill(os.getpid(), signal.SIGQUIT)  # Celery's cold shutdown
+            if not stopped.wait(settings.shutdown_grace_s):
+                os._exit(1)
+
+
+_stopped = threading.Event()
+
+
+@signals.worker_ready.connect  # type: ignore[untyped-decorator]
+def _begin(**_: object) -> None:
+    threading.Thread(target=watch, args=(read_settings(), _stopped), name="watchdog", daemon=True).start()
+
+
+@signals.worker_shutdown.connect  # type: ignore[untyped-decorator]
+def _end(**_: object) -> None:
+    _stopped.set()
