@@ -8,6 +8,7 @@ import json
 import re
 import subprocess
 import sys
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -103,10 +104,8 @@ def _model(name: str, schema: Schema) -> list[str]:
     for field, kind in schema.get("properties", {}).items():
         optional = field not in schema.get("required", [])
         default = f" = {_default(kind)}" if optional else ""
-        about = kind.get("description")
-        lines.append(
-            f"    {field}: {field_type(kind, optional=optional)}{default}" + (f"  # {about}" if about else "") + "\n"
-        )
+        lines += [f"    # {line}\n" for line in textwrap.wrap(kind.get("description", ""), 110)]
+        lines.append(f"    {field}: {field_type(kind, optional=optional)}{default}\n")
     return [*lines, "\n\n"]
 
 
@@ -119,8 +118,8 @@ def _default(schema: Schema) -> str:
 
 
 def _quoted(text: str) -> str:
-    told = " ".join(text.split())
-    return f'"""{told}"""'
+    first, *rest = textwrap.wrap(text, 110)
+    return "\n    ".join([f'"""{first}', *rest, '"""']) if rest else f'"""{first}"""'
 
 
 def field_type(schema: Schema, *, optional: bool) -> str:

@@ -14,7 +14,19 @@ import httpx
 from dynamictree_client import operations
 from dynamictree_client.call import Call
 from dynamictree_client.errors import JobEndedError, UnreachableError, WaitTimeoutError, problem_of
-from dynamictree_client.files import PathLike, bytes_there, chosen_files, finish, form_of, place_of
+from dynamictree_client.files import (
+    OUT_OF_STEP,
+    PIECE,
+    TUS,
+    PathLike,
+    bytes_there,
+    chosen_files,
+    finish,
+    form_of,
+    piece_headers,
+    place_of,
+    upload_headers,
+)
 from dynamictree_client.models import (
     AnimateParams,
     AnimateRequest,
@@ -27,6 +39,8 @@ from dynamictree_client.models import (
 from dynamictree_client.retries import Retries, retry_after_s
 
 T = TypeVar("T")
+RESUMABLE_ABOVE = 32 * 1024 * 1024  # bytes
+_ASSET: Call[Asset] = Call(method="POST", path="/v1/assets", answer=Asset)
 POLL_S = 1.0  # where the service does not say when to ask again
 ENDED = ("succeeded", "failed", "canceled", "aborted")
 
@@ -79,15 +93,54 @@ class AsyncClient:
         kind: str | None = None,
         up_axis: str | None = None,
         unit_m: float | None = None,
+        resumable: bool | None = None,
     ) -> Asset:
-        """Send a mesh and what it names, photos, a splat, or a folder of them. The same files are the same asset."""
+        """Send a mesh and what it names, photos, a splat, or a folder of them. The same files are the same asset.
+
+        `resumable` sends them in pieces that a broken line does not lose; unset, if they are large.
+        """
         files = chosen_files(paths)
+        if sum(file.stat().st_size for file in files) > RESUMABLE_ABOVE if resumable is None else resumable:
+            ids = [await self.upload_file(file) for file in files]
+            request = {"upload_ids": ids, "kind": kind, "up_axis": up_axis, "unit_m": unit_m}
+            made = {name: value for name, value in request.items() if value is not None}
+            response = await self._exchange(
+                lambda: {"method": "POST", "url": "/v1/assets", "json": made}, repeatable=True
+            )
+            return _ASSET.read(response)
         given = {"kind": kind, "up_axis": up_axis, "unit_m": None if unit_m is None else repr(unit_m)}
         fields = {name: value for name, value in given.items() if value is not None}
-        call: Call[Asset] = Call(method="POST", path="/v1/assets", answer=Asset)
         with ExitStack() as stack:
-            response = await self._exchange(lambda: call.arguments() | form_of(files, fields, stack), repeatable=True)
-        return call.read(response)
+            response = await self._exchange(lambda: _ASSET.arguments() | form_of(files, fields, stack), repeatable=True)
+        return _ASSET.read(response)
+
+    async def upload_file(self, path: PathLike) -> str:
+        """Send one file by the tus protocol, version 1.0, and give its upload's id. A broken line costs one piece."""
+        path = Path(path)
+        size = path.stat().st_size
+        begin = {"method": "POST", "url": "/v1/uploads", "headers": upload_headers(path.name, size)}
+        begun = await self._exchange(lambda: begin, repeatable=True)
+        place, offset, attempt = begun.headers["Location"], 0, 1
+        with path.open("rb") as stream:
+            while offset < size:
+                stream.seek(offset)
+                piece = stream.read(PIECE)
+                outcome: httpx.Response | httpx.TransportError
+                try:
+                    outcome = await self._http.patch(place, content=piece, headers=piece_headers(offset, piece))
+                except httpx.TransportError as error:
+                    outcome = error
+                if isinstance(outcome, httpx.Response) and not outcome.is_error:
+                    offset, attempt = int(outcome.headers["Upload-Offset"]), 1
+                    continue
+                if not isinstance(outcome, httpx.Response) or outcome.status_code not in OUT_OF_STEP:
+                    await self._pause(attempt, outcome, repeatable=True)
+                elif attempt >= self._retries.attempts:
+                    raise problem_of(outcome)
+                attempt += 1
+                stands = await self._exchange(lambda: {"method": "HEAD", "url": place, "headers": TUS}, repeatable=True)
+                offset = int(stands.headers["Upload-Offset"])
+        return str(place).rsplit("/", 1)[1]
 
     async def animate(
         self,

@@ -7,6 +7,7 @@ from urllib.parse import quote
 
 import httpx
 from pydantic import BaseModel, TypeAdapter
+from pydantic_core import to_json
 
 from dynamictree_client.errors import problem_of
 
@@ -23,7 +24,7 @@ class Call(Generic[T]):
     answer: Any  # the type T, at run time
     query: Mapping[str, object] = field(default_factory=dict)
     headers: Mapping[str, object] = field(default_factory=dict)
-    body: BaseModel | None = None
+    body: BaseModel | Mapping[str, Any] | None = None
     content: bytes | None = None
     content_type: str | None = None
 
@@ -38,7 +39,10 @@ class Call(Generic[T]):
         query = {name: _told(value) for name, value in self.query.items() if value is not None}
         given: dict[str, Any] = {"method": self.method, "url": self.path, "params": query, "headers": headers}
         if self.body is not None:
-            given["content"] = self.body.model_dump_json(exclude_unset=True).encode()
+            body = self.body
+            given["content"] = (
+                body.model_dump_json(exclude_unset=True).encode() if isinstance(body, BaseModel) else to_json(body)
+            )
             headers["content-type"] = "application/json"
         elif self.content is not None:
             given["content"] = self.content

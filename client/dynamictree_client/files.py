@@ -1,5 +1,6 @@
 """Files that are sent and received."""
 
+import base64
 import hashlib
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -10,6 +11,9 @@ from dynamictree_client.errors import ClientError, IntegrityError
 from dynamictree_client.models import Artifact
 
 PathLike = str | Path
+TUS = {"Tus-Resumable": "1.0.0"}
+PIECE = 8 * 1024 * 1024  # bytes sent at once; what a broken line costs
+OUT_OF_STEP = (409, 460)  # tus: another offset is expected; the checksum is another
 
 
 def chosen_files(paths: PathLike | Sequence[PathLike]) -> list[Path]:
@@ -32,6 +36,26 @@ def form_of(files: Sequence[Path], fields: dict[str, str], stack: ExitStack) -> 
         ("file", (file.name, stack.enter_context(file.open("rb")))) for file in files
     ]
     return {"files": opened, "data": fields}
+
+
+def upload_headers(name: str, size: int) -> dict[str, str]:
+    """What begins an upload: tus 1.0, creation."""
+    return {**TUS, "Upload-Length": str(size), "Upload-Metadata": f"filename {_base64(name.encode())}"}
+
+
+def piece_headers(offset: int, piece: bytes) -> dict[str, str]:
+    """What goes with a piece: tus 1.0, checksum."""
+    checksum = f"sha256 {_base64(hashlib.sha256(piece).digest())}"
+    return {
+        **TUS,
+        "Content-Type": "application/offset+octet-stream",
+        "Upload-Offset": str(offset),
+        "Upload-Checksum": checksum,
+    }
+
+
+def _base64(content: bytes) -> str:
+    return base64.b64encode(content).decode()
 
 
 def place_of(artifact: Artifact, folder: Path) -> Path:

@@ -19,16 +19,22 @@ JobState = Literal["queued", "running", "canceling", "succeeded", "failed", "can
 class AnimateParams(Model):
     """Spectrum to motion, and the files that show it. `share` and `sh_degree` make splats lighter."""
 
-    box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = (
-        None  # of a cloud, only what is inside moves: low and high corner [m], +Z up; all if unset
-    )
+    # of a cloud, only what is inside moves: low and high corner [m], +Z up; all if unset
+    box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
     wind: "Wind | None" = None
-    num_steps: int | None = None  # sampler steps; the preset's own if unset
+    # sampler steps; the preset's own if unset
+    num_steps: int | None = None
     first_frame: int = 0
-    num_frames: int | None = None  # one period if unset
-    fps: float = 24.0  # frames a second; never changes the speed
-    speed: float = 1.0  # times the natural speed
-    loop: bool = True  # refuse a number of frames that is no whole number of periods
+    # one period if unset
+    num_frames: int | None = None
+    # frames a second; never changes the speed
+    fps: float = 24.0
+    # times the natural speed
+    speed: float = 1.0
+    # refuse a number of frames that is no whole number of periods
+    loop: bool = True
+    # files to make; ply, glb and png of a mesh or photos, splat and png of a cloud if unset. png comes with every
+    # motion
     formats: (
         list[
             Literal[
@@ -47,21 +53,29 @@ class AnimateParams(Model):
             ]
         ]
         | None
-    ) = None  # files to make; ply, glb and png of a mesh or photos, splat and png of a cloud if unset. png comes with every motion
-    share: float = 1.0  # of a splat's Gaussians that are kept
-    sh_degree: int = 3  # of a splat's harmonics, at most
+    ) = None
+    # of a splat's Gaussians that are kept
+    share: float = 1.0
+    # of a splat's harmonics, at most
+    sh_degree: int = 3
     shot: "Shot | None" = None
 
 
 class AnimateRequest(Model):
     """To the motion."""
 
-    priority: Literal["high", "normal", "low"] = "normal"  # high is begun first; with keys, one of scope high-priority
-    webhook: str | None = None  # id of a webhook endpoint to tell of the end
-    asset_id: str  # what POST /v1/assets gave
-    preset: str = "small"  # the model, see GET /v1/presets
-    seed: int = 0  # the same seed gives the same motion
-    start_deadline_s: float | None = None  # aborted if no worker has begun by then [s]
+    # high is begun first; with keys, one of scope high-priority
+    priority: Literal["high", "normal", "low"] = "normal"
+    # id of a webhook endpoint to tell of the end
+    webhook: str | None = None
+    # what POST /v1/assets gave
+    asset_id: str
+    # the model, see GET /v1/presets
+    preset: str = "small"
+    # the same seed gives the same motion
+    seed: int = 0
+    # aborted if no worker has begun by then [s]
+    start_deadline_s: float | None = None
     type: Literal["animate"]
     params: "AnimateParams | None" = None
 
@@ -76,11 +90,12 @@ class Artifact(Model):
     bytes: int
     sha256: str
     url: str
-    facts: dict[str, int | float] | None = (
-        None  # where a file is not exact, how far it is from the motion; [m] as _m says
-    )
-    created_at: datetime  # RFC 3339, UTC
-    expires_at: datetime  # RFC 3339, UTC
+    # where a file is not exact, how far it is from the motion; [m] as _m says
+    facts: dict[str, int | float] | None = None
+    # RFC 3339, UTC
+    created_at: datetime
+    # RFC 3339, UTC
+    expires_at: datetime
 
 
 class Asset(Model):
@@ -89,24 +104,32 @@ class Asset(Model):
     id: str
     kind: Literal["mesh", "photos", "cloud"]
     parts: "list[Part]"
-    summary: dict[str, str | int | float | list[float] | None]  # what was found in it; lengths in metres
-    created_at: datetime  # RFC 3339, UTC
-    expires_at: datetime  # RFC 3339, UTC
+    # what was found in it; lengths in metres
+    summary: dict[str, str | int | float | list[float] | None]
+    # RFC 3339, UTC
+    created_at: datetime
+    # RFC 3339, UTC
+    expires_at: datetime
 
 
 class At(Model):
     """Where a force acts: exactly one of point, vertex and voxel."""
 
-    point_m: tuple[float, float, float] | None = None  # the nearest voxel to it
-    vertex: int | None = None  # index into the source mesh's vertices
-    voxel: int | None = None  # row in the spectrum's coords
-    radius_m: float = 0.0  # spread evenly over the voxels within it
+    # the nearest voxel to it
+    point_m: tuple[float, float, float] | None = None
+    # index into the source mesh's vertices
+    vertex: int | None = None
+    # row in the spectrum's coords
+    voxel: int | None = None
+    # spread evenly over the voxels within it
+    radius_m: float = 0.0
 
 
 class BatchItem(Model):
     """What became of one job of a batch: the job, or why there is none."""
 
-    status: int  # what the request would have been answered by itself
+    # what the request would have been answered by itself
+    status: int
     job: "Job | None"
     problem: "Problem | None"
 
@@ -134,34 +157,43 @@ class Delivery(Model):
     """A message for one address."""
 
     id: str
-    message_id: str  # the header webhook-id; a replay has the same
+    # the header webhook-id; a replay has the same
+    message_id: str
     event: Literal["job.succeeded", "job.failed", "job.canceled", "job.aborted"]
     job_id: str
     state: Literal["pending", "delivered", "failed"]
     tries: "list[Try]"
-    next_at: datetime | None  # the next attempt; null once it is over
-    created_at: datetime  # RFC 3339, UTC
+    # the next attempt; null once it is over
+    next_at: datetime | None
+    # RFC 3339, UTC
+    created_at: datetime
 
 
 class DiffuseParams(Model):
     """Shape to spectrum."""
 
-    box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = (
-        None  # of a cloud, only what is inside moves: low and high corner [m], +Z up; all if unset
-    )
+    # of a cloud, only what is inside moves: low and high corner [m], +Z up; all if unset
+    box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
     wind: "Wind | None" = None
-    num_steps: int | None = None  # sampler steps; the preset's own if unset
+    # sampler steps; the preset's own if unset
+    num_steps: int | None = None
 
 
 class DiffuseRequest(Model):
     """To the spectrum."""
 
-    priority: Literal["high", "normal", "low"] = "normal"  # high is begun first; with keys, one of scope high-priority
-    webhook: str | None = None  # id of a webhook endpoint to tell of the end
-    asset_id: str  # what POST /v1/assets gave
-    preset: str = "small"  # the model, see GET /v1/presets
-    seed: int = 0  # the same seed gives the same motion
-    start_deadline_s: float | None = None  # aborted if no worker has begun by then [s]
+    # high is begun first; with keys, one of scope high-priority
+    priority: Literal["high", "normal", "low"] = "normal"
+    # id of a webhook endpoint to tell of the end
+    webhook: str | None = None
+    # what POST /v1/assets gave
+    asset_id: str
+    # the model, see GET /v1/presets
+    preset: str = "small"
+    # the same seed gives the same motion
+    seed: int = 0
+    # aborted if no worker has begun by then [s]
+    start_deadline_s: float | None = None
     type: Literal["diffuse"]
     params: "DiffuseParams | None" = None
 
@@ -179,19 +211,22 @@ class Endpoint(Model):
     url: str
     events: list[Literal["job.succeeded", "job.failed", "job.canceled", "job.aborted"]]
     disabled_reason: str | None
-    created_at: datetime  # RFC 3339, UTC
+    # RFC 3339, UTC
+    created_at: datetime
 
 
 class EndpointRequest(Model):
     """An address to tell."""
 
-    url: str  # https
+    # https
+    url: str
+    # of every job; none: only of jobs that name the endpoint
     events: list[Literal["job.succeeded", "job.failed", "job.canceled", "job.aborted"]] = [
         "job.succeeded",
         "job.failed",
         "job.canceled",
         "job.aborted",
-    ]  # of every job; none: only of jobs that name the endpoint
+    ]
 
 
 class EndpointWithSecret(Model):
@@ -201,23 +236,29 @@ class EndpointWithSecret(Model):
     url: str
     events: list[Literal["job.succeeded", "job.failed", "job.canceled", "job.aborted"]]
     disabled_reason: str | None
-    created_at: datetime  # RFC 3339, UTC
-    secret: str  # whsec_ and base64: the key of HMAC-SHA256 over id.timestamp.body
+    # RFC 3339, UTC
+    created_at: datetime
+    # whsec_ and base64: the key of HMAC-SHA256 over id.timestamp.body
+    secret: str
 
 
 class Estimate(Model):
     """A request that would be accepted, and what it would take."""
 
     valid: Literal[True] = True
-    est_seconds: float | None  # median of this service's own history [s]; null without one
-    est_bytes: int | None  # of all products, likewise
-    format_bytes: dict[str, int]  # of the products whose size is known before they are made
+    # median of this service's own history [s]; null without one
+    est_seconds: float | None
+    # of all products, likewise
+    est_bytes: int | None
+    # of the products whose size is known before they are made
+    format_bytes: dict[str, int]
 
 
 class FieldError(Model):
     """One field that is wrong."""
 
-    pointer: str  # JSON pointer into the body, or where:name
+    # JSON pointer into the body, or where:name
+    pointer: str
     code: str
     detail: str
 
@@ -226,32 +267,39 @@ class Force(Model):
     """One push."""
 
     kind: Literal["impulse", "drag", "wind"]
-    at: "At | None" = None  # of an impulse or a drag; wind blows everywhere
-    impulse_n_s: tuple[float, float, float] | None = None  # [N s], of an impulse
-    force_n: tuple[float, float, float] | None = None  # [N], of a drag; or displacement_m
-    displacement_m: tuple[float, float, float] | None = (
-        None  # [m], of a drag: where the point would rest under the force that is then held
-    )
-    wind_m_s: tuple[float, float, float] | list[tuple[float, float, float]] | None = (
-        None  # [m/s], of wind; several are samples, evenly spaced over the duration
-    )
-    start_s: float = 0.0  # from the first frame of this call [s]
-    duration_s: float | None = None  # [s]; unset: within one step for an impulse, to the end for others
+    # of an impulse or a drag; wind blows everywhere
+    at: "At | None" = None
+    # [N s], of an impulse
+    impulse_n_s: tuple[float, float, float] | None = None
+    # [N], of a drag; or displacement_m
+    force_n: tuple[float, float, float] | None = None
+    # [m], of a drag: where the point would rest under the force that is then held
+    displacement_m: tuple[float, float, float] | None = None
+    # [m/s], of wind; several are samples, evenly spaced over the duration
+    wind_m_s: tuple[float, float, float] | list[tuple[float, float, float]] | None = None
+    # from the first frame of this call [s]
+    start_s: float = 0.0
+    # [s]; unset: within one step for an impulse, to the end for others
+    duration_s: float | None = None
 
 
 class Group(Model):
     """One group's modal coordinates."""
 
-    locality: "Locality | None"  # null: the whole tree
-    q: list[list[tuple[float, float]]]  # [frames, K]; index = frequency bin, bin 0 is no mode and 0
+    # null: the whole tree
+    locality: "Locality | None"
+    # [frames, K]; index = frequency bin, bin 0 is no mode and 0
+    q: list[list[tuple[float, float]]]
 
 
 class GroupState(Model):
     """One group's coordinates: K complex numbers, index = frequency bin; bin 0 is no mode and stays 0."""
 
-    locality: "Locality | None"  # null: the whole tree
+    # null: the whole tree
+    locality: "Locality | None"
     q: list[tuple[float, float]]
-    q_dot: list[tuple[float, float]]  # [1/s]
+    # [1/s]
+    q_dot: list[tuple[float, float]]
 
 
 class Interact(Model):
@@ -264,28 +312,37 @@ class Interact(Model):
     num_frames: int
     frequencies_hz: list[float]
     mass_kg: float
-    modal_mass_kg_m2: float  # m of m (q̈ + 2ζω q̇ + ω² q) = Σ conj(φ)·F
+    # m of m (q̈ + 2ζω q̇ + ω² q) = Σ conj(φ)·F
+    modal_mass_kg_m2: float
     groups: "list[Group]"
-    final_state: "State"  # the next call's initial_state
+    # the next call's initial_state
+    final_state: "State"
 
 
 class InteractRequest(Model):
     """Push a tree."""
 
-    spectrum_id: str  # from a job's result
+    # from a job's result
+    spectrum_id: str
     forces: "list[Force] | None" = None
-    damping_ratio: float = 0.05  # of every mode; 1 is critical
-    mass_kg: float | None = None  # that moves; by the height if unset
-    dt_s: float = 0.016666666666666666  # of a step, which is a frame [s]
+    # of every mode; 1 is critical
+    damping_ratio: float = 0.05
+    # that moves; by the height if unset
+    mass_kg: float | None = None
+    # of a step, which is a frame [s]
+    dt_s: float = 0.016666666666666666
     num_frames: int = 60
     integrator: Literal["exact", "symplectic-euler", "explicit-euler"] = "exact"
-    start: Literal["rest", "held", "davis"] = (
-        "rest"  # without initial_state: at rest, held in equilibrium with the forces, or Davis'
-    )
-    initial_state: "State | None" = None  # final_state of an earlier call
-    locality: Literal["none", "geodesic"] = "geodesic"  # what a push may reach
-    falloff_m: float | None = None  # [m]; 15 % of the height if unset
-    warp: bool = False  # bend, do not stretch; changes voxels and vertices, not modal
+    # without initial_state: at rest, held in equilibrium with the forces, or Davis'
+    start: Literal["rest", "held", "davis"] = "rest"
+    # final_state of an earlier call
+    initial_state: "State | None" = None
+    # what a push may reach
+    locality: Literal["none", "geodesic"] = "geodesic"
+    # [m]; 15 % of the height if unset
+    falloff_m: float | None = None
+    # bend, do not stretch; changes voxels and vertices, not modal
+    warp: bool = False
     output: Literal["modal", "voxels", "vertices", "gaussians"] = "modal"
 
 
@@ -307,20 +364,26 @@ class Job(Model):
     seed: int
     params: dict[str, Any]
     attempt: int
-    progress: float  # mean over the stages
-    queue_position: int | None  # jobs before this one; null once it has begun
-    eta_s: float | None  # null where it is not known
+    # mean over the stages
+    progress: float
+    # jobs before this one; null once it has begun
+    queue_position: int | None
+    # null where it is not known
+    eta_s: float | None
     stages: "list[Stage]"
-    result: "Result | None"  # what is there so far; null before the first product
+    # what is there so far; null before the first product
+    result: "Result | None"
     error: "Problem | None"
     priority: Literal["high", "normal", "low"]
     webhook: str | None
     retry_of: str | None
     start_deadline_at: datetime | None
-    created_at: datetime  # RFC 3339, UTC
+    # RFC 3339, UTC
+    created_at: datetime
     started_at: datetime | None
     finished_at: datetime | None
-    expires_at: datetime | None  # when its record is removed; null until it has ended
+    # when its record is removed; null until it has ended
+    expires_at: datetime | None
 
 
 class Limits(Model):
@@ -341,13 +404,19 @@ class Limits(Model):
     max_faces: int
     max_frames: int
     max_gaussians: int
-    max_sequence_bytes: int  # of a sequence of splats
-    max_forces: int  # of one push
-    max_force_groups: int  # places that swing at once
-    max_displacement_bytes: int  # of one answer in voxels, vertices or Gaussians
+    # of a sequence of splats
+    max_sequence_bytes: int
+    # of one push
+    max_forces: int
+    # places that swing at once
+    max_force_groups: int
+    # of one answer in voxels, vertices or Gaussians
+    max_displacement_bytes: int
     max_queued_jobs: int
-    artifact_retention_s: float  # artefacts are kept so long [s]
-    asset_retention_s: float  # uploads are kept so long after their last use [s]
+    # artefacts are kept so long [s]
+    artifact_retention_s: float
+    # uploads are kept so long after their last use [s]
+    asset_retention_s: float
 
 
 class Live(Model):
@@ -366,8 +435,10 @@ class Locality(Model):
 class LogLine(Model):
     """One line of a job's log."""
 
-    id: int  # for `after`
-    at: datetime  # RFC 3339, UTC
+    # for `after`
+    id: int
+    # RFC 3339, UTC
+    at: datetime
     level: Literal["info", "warning", "error"]
     message: str
     fields: dict[str, Any]
@@ -377,14 +448,16 @@ class Log(Model):
     """What happened to a job, oldest first."""
 
     data: "list[LogLine]"
-    next_after: int  # send as `after` to go on
+    # send as `after` to go on
+    next_after: int
 
 
 class Manifest(Model):
     """What a job offers."""
 
     job_id: str
-    complete: bool  # whether the job has succeeded and nothing will be added
+    # whether the job has succeeded and nothing will be added
+    complete: bool
     artifacts: "list[Artifact]"
 
 
@@ -414,7 +487,8 @@ class Problem(Model):
 
     model_config = ConfigDict(frozen=True, extra="allow", defer_build=True)
 
-    type: str  # urn:dynamictree:problem:CODE
+    # urn:dynamictree:problem:CODE
+    type: str
     title: str
     status: int
     detail: str
@@ -439,20 +513,25 @@ class Ready(Model):
 class ReconstructParams(Model):
     """Photos or a cloud to a mesh."""
 
-    box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = (
-        None  # of a cloud, only what is inside moves: low and high corner [m], +Z up; all if unset
-    )
+    # of a cloud, only what is inside moves: low and high corner [m], +Z up; all if unset
+    box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
 
 
 class ReconstructRequest(Model):
     """Photos to a mesh."""
 
-    priority: Literal["high", "normal", "low"] = "normal"  # high is begun first; with keys, one of scope high-priority
-    webhook: str | None = None  # id of a webhook endpoint to tell of the end
-    asset_id: str  # what POST /v1/assets gave
-    preset: str = "small"  # the model, see GET /v1/presets
-    seed: int = 0  # the same seed gives the same motion
-    start_deadline_s: float | None = None  # aborted if no worker has begun by then [s]
+    # high is begun first; with keys, one of scope high-priority
+    priority: Literal["high", "normal", "low"] = "normal"
+    # id of a webhook endpoint to tell of the end
+    webhook: str | None = None
+    # what POST /v1/assets gave
+    asset_id: str
+    # the model, see GET /v1/presets
+    preset: str = "small"
+    # the same seed gives the same motion
+    seed: int = 0
+    # aborted if no worker has begun by then [s]
+    start_deadline_s: float | None = None
     type: Literal["reconstruct"]
     params: "ReconstructParams | None" = None
 
@@ -460,42 +539,52 @@ class ReconstructRequest(Model):
 class Result(Model):
     """Where the products are."""
 
-    mesh_id: str | None  # artefact of the reconstructed mesh
+    # artefact of the reconstructed mesh
+    mesh_id: str | None
     voxels_id: str | None
-    spectrum_id: str | None  # for /v1/spectra and /v1/interact
+    # for /v1/spectra and /v1/interact
+    spectrum_id: str | None
     artifacts_url: str
 
 
 class RetryRequest(Model):
     """How to run a job again."""
 
-    from_stage: Literal["reconstruct", "voxelize", "diffuse", "animate"] | None = (
-        None  # this stage and those after it run anew; without it, what is cached is taken
-    )
+    # this stage and those after it run anew; without it, what is cached is taken
+    from_stage: Literal["reconstruct", "voxelize", "diffuse", "animate"] | None = None
 
 
 class Shot(Model):
     """From where the pictures are taken."""
 
     side_px: int = 512
-    azimuth_deg: float = 25.0  # 0 stands at -Y; grows towards +X [°]
-    elevation_deg: float = 8.0  # [°]
-    orbit: bool = False  # goes around once while the frames go by
-    ground: bool = True  # a floor with a shadow
+    # 0 stands at -Y; grows towards +X [°]
+    azimuth_deg: float = 25.0
+    # [°]
+    elevation_deg: float = 8.0
+    # goes around once while the frames go by
+    orbit: bool = False
+    # a floor with a shadow
+    ground: bool = True
 
 
 class Spectrum(Model):
     """A sparse voxel spectrum without its coefficients. Lengths in metres, +Z up."""
 
     id: str
-    num_frequencies: int  # K
+    # K
+    num_frequencies: int
     frequencies_hz: list[float]
-    num_voxels: int  # V
+    # V
+    num_voxels: int
     resolution: int
     voxel_size_m: float
-    origin_m: list[float]  # low corner of the grid's cube [m]
-    low_m: list[float]  # low corner of the occupied voxels [m]
-    high_m: list[float]  # high corner of the occupied voxels [m]
+    # low corner of the grid's cube [m]
+    origin_m: list[float]
+    # low corner of the occupied voxels [m]
+    low_m: list[float]
+    # high corner of the occupied voxels [m]
+    high_m: list[float]
     fps: float
     num_frames: int
     period_s: float
@@ -514,7 +603,8 @@ class Stage(Model):
     name: Literal["reconstruct", "voxelize", "diffuse", "animate"]
     state: Literal["queued", "running", "succeeded", "failed", "canceled"]
     progress: float
-    cached: bool  # taken from an earlier job with the same inputs
+    # taken from an earlier job with the same inputs
+    cached: bool
     started_at: datetime | None
     finished_at: datetime | None
 
@@ -528,8 +618,10 @@ class State(Model):
 class Try(Model):
     """One attempt to tell."""
 
-    at: datetime  # RFC 3339, UTC
-    status: int | None  # null where no answer came
+    # RFC 3339, UTC
+    at: datetime
+    # null where no answer came
+    status: int | None
     detail: str
     seconds: float
 
@@ -538,17 +630,20 @@ class Upload(Model):
     """A file that comes in pieces, or from an address."""
 
     id: str
-    state: Literal[
-        "receiving", "fetching", "received", "ready", "failed"
-    ]  # receiving or fetching; received; ready with an asset; failed
+    # receiving or fetching; received; ready with an asset; failed
+    state: Literal["receiving", "fetching", "received", "ready", "failed"]
     filename: str
     bytes_received: int
-    length: int | None  # null while an address does not tell
-    sha256: str | None  # as promised
+    # null while an address does not tell
+    length: int | None
+    # as promised
+    sha256: str | None
     asset_id: str | None
     error: "Problem | None"
-    created_at: datetime  # RFC 3339, UTC
-    expires_at: datetime  # RFC 3339, UTC
+    # RFC 3339, UTC
+    created_at: datetime
+    # RFC 3339, UTC
+    expires_at: datetime
 
 
 class Usage(Model):
@@ -563,21 +658,27 @@ class Usage(Model):
 class VoxelizeParams(Model):
     """Surface to voxels."""
 
-    box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = (
-        None  # of a cloud, only what is inside moves: low and high corner [m], +Z up; all if unset
-    )
-    resolution: Literal[32, 64, 128, 256, 512] = 128  # voxels along the cube's side
+    # of a cloud, only what is inside moves: low and high corner [m], +Z up; all if unset
+    box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
+    # voxels along the cube's side
+    resolution: Literal[32, 64, 128, 256, 512] = 128
 
 
 class VoxelizeRequest(Model):
     """To the occupied voxels and their normals."""
 
-    priority: Literal["high", "normal", "low"] = "normal"  # high is begun first; with keys, one of scope high-priority
-    webhook: str | None = None  # id of a webhook endpoint to tell of the end
-    asset_id: str  # what POST /v1/assets gave
-    preset: str = "small"  # the model, see GET /v1/presets
-    seed: int = 0  # the same seed gives the same motion
-    start_deadline_s: float | None = None  # aborted if no worker has begun by then [s]
+    # high is begun first; with keys, one of scope high-priority
+    priority: Literal["high", "normal", "low"] = "normal"
+    # id of a webhook endpoint to tell of the end
+    webhook: str | None = None
+    # what POST /v1/assets gave
+    asset_id: str
+    # the model, see GET /v1/presets
+    preset: str = "small"
+    # the same seed gives the same motion
+    seed: int = 0
+    # aborted if no worker has begun by then [s]
+    start_deadline_s: float | None = None
     type: Literal["voxelize"]
     params: "VoxelizeParams | None" = None
 
@@ -585,6 +686,9 @@ class VoxelizeRequest(Model):
 class Wind(Model):
     """The wind that the motion is generated for."""
 
-    speed_m_s: float = 5.0  # mean speed [m/s]
-    direction_deg: float = 0.0  # where it blows to, from +X towards +Y [°]
-    gust: float = 0.3  # standard deviation of the speed over its mean
+    # mean speed [m/s]
+    speed_m_s: float = 5.0
+    # where it blows to, from +X towards +Y [°]
+    direction_deg: float = 0.0
+    # standard deviation of the speed over its mean
+    gust: float = 0.3

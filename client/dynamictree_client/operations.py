@@ -178,7 +178,9 @@ def put_job(id: str, body: ReconstructRequest | VoxelizeRequest | DiffuseRequest
 
 
 def get_job(id: str, *, if_none_match: str | None = None, prefer: str | None = None) -> Call[Job]:
-    """A job: state, stages, progress, place in the queue, products, error. With Prefer: wait=N the answer waits for the job's end; with If-None-Match besides, for its next change."""
+    """A job: state, stages, progress, place in the queue, products, error.  With Prefer: wait=N the answer waits for
+    the job's end; with If-None-Match besides, for its next change.
+    """
     return Call(
         method="GET",
         path=path_of("/v1/jobs/{id}", {"id": id}),

@@ -32,10 +32,10 @@ class Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         self.line.asked.append(Asked(self.command, self.path, {k.lower(): v for k, v in self.headers.items()}))
-        self.rfile.read(int(self.headers.get("content-length", 0)))
+        self.body = self.rfile.read(int(self.headers.get("content-length", 0)))
         self.line.answer(len(self.line.asked), self)
 
-    do_POST = do_GET  # noqa: N815 - http.server's name
+    do_POST = do_PATCH = do_HEAD = do_GET  # noqa: N815 - http.server's names
 
     def log_message(self, format: str, *arguments: object) -> None:
         pass

@@ -1,10 +1,14 @@
 """What the client does when the service is busy, the line breaks, or bytes are wrong."""
 
 import asyncio
+import base64
 import hashlib
+import itertools
+import json
 from datetime import UTC, datetime, timedelta
 from email.utils import format_datetime
 from pathlib import Path
+from typing import get_args
 
 import httpx
 import pytest
@@ -24,7 +28,9 @@ from dynamictree_client import (
     TooBusyError,
     UnreachableError,
     WaitTimeoutError,
+    asynchronous,
     operations,
+    synchronous,
 )
 from dynamictree_client.models import Artifact, Job
 from dynamictree_client.retries import retry_after_s
@@ -52,7 +58,8 @@ def artifact(**changes: object) -> Artifact:
 
 def job(state: str, **changes: object) -> bytes:
     moment = "2026-01-01T00:00:00Z"
-    told = dict.fromkeys(Job.model_fields) | {
+    first = {name: next(iter(get_args(field.annotation)), None) for name, field in Job.model_fields.items()}
+    told = {name: value if isinstance(value, str) else None for name, value in first.items()} | {
         "id": "J",
         "type": "animate",
         "state": state,
@@ -220,7 +227,7 @@ def test_a_download_that_never_gets_on_is_given_up(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["../evil", "/etc/evil", "a\\b", "..", ""])
 def test_a_file_is_never_written_elsewhere(tmp_path: Path, name: str) -> None:
     manifest = {"job_id": "J", "complete": True, "artifacts": [artifact(name=name).model_dump(mode="json")]}
-    body = __import__("json").dumps(manifest).encode()
+    body = json.dumps(manifest).encode()
     with (
         broken_line(lambda number, handler: handler.reply(200, body)) as line,
         Client(line.url) as client,
@@ -263,6 +270,72 @@ def test_waiting_ends_in_time() -> None:
     ):
         client.wait("J", timeout_s=2)
     assert len(line.asked) == 1
+
+
+def tus(failures: dict[int, int | None], kept: bytearray):  # type: ignore[no-untyped-def]
+    """A server that keeps pieces; failures by the number of the piece: a status, or None for a broken line."""
+    pieces = itertools.count(1)
+
+    def answer(number: int, handler: Handler) -> None:
+        if handler.command == "POST" and handler.path == "/v1/uploads":
+            handler.reply(201, b"", Location="/v1/uploads/U", Upload_Offset="0")
+        elif handler.command == "POST":
+            handler.reply(201, ASSET)
+        elif handler.command == "HEAD":
+            handler.reply(200, b"", Upload_Offset=str(len(kept)))
+        else:
+            failure = failures.get(next(pieces), 204)
+            assert int(handler.headers["upload-offset"]) == len(kept)
+            digest = base64.b64encode(hashlib.sha256(handler.body).digest()).decode()
+            assert handler.headers["upload-checksum"] == f"sha256 {digest}"
+            if failure is None:
+                kept.extend(handler.body)  # it came, but the answer did not
+                handler.close_connection = True
+            elif failure == 204:
+                kept.extend(handler.body)
+                handler.reply(204, b"", Upload_Offset=str(len(kept)))
+            else:
+                handler.problem(failure, "failed", Retry_After="0")
+
+    return answer
+
+
+ASSET = json.dumps(
+    {
+        "id": "A",
+        "kind": "mesh",
+        "parts": [],
+        "summary": {},
+        "created_at": "2026-01-01T00:00:00Z",
+        "expires_at": "2026-01-02T00:00:00Z",
+    }
+).encode()
+
+
+@pytest.mark.parametrize("failures", [{}, {1: None}, {2: 503, 3: 460}, {1: 409}], ids=str)
+def test_an_upload_goes_on_where_the_line_broke(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failures: dict[int, int | None]
+) -> None:
+    for client_module in (asynchronous, synchronous):
+        monkeypatch.setattr(client_module, "PIECE", 7000)
+    path = tmp_path / "tree.glb"
+    path.write_bytes(CONTENT)
+    kept = bytearray()
+    with broken_line(tus(failures, kept)) as line, Client(line.url, retries=QUICK) as client:
+        assert client.upload(path, resumable=True, up_axis="+Y").id == "A"
+    assert bytes(kept) == CONTENT
+    assert line.asked[0].headers["upload-length"] == str(len(CONTENT))
+
+
+def test_an_upload_that_is_never_in_step_is_given_up(tmp_path: Path) -> None:
+    path = tmp_path / "tree.glb"
+    path.write_bytes(CONTENT)
+    with (
+        broken_line(tus(dict.fromkeys(range(99), 460), bytearray())) as line,
+        Client(line.url, retries=QUICK) as client,
+        pytest.raises(InvalidRequestError),
+    ):
+        client.upload_file(path)
 
 
 def test_nothing_to_send_is_told_before_anything_is_sent(tmp_path: Path) -> None:

@@ -41,7 +41,7 @@ def test_a_tree_goes_in_and_comes_out_swaying_by_every_way_that_the_client_has(
     seen = list[Job]()
     with Client(url) as client:
         asset = client.upload(tree)
-        assert client.upload([tree]) == asset
+        assert client.upload([tree], resumable=True).id == asset.id
         job = client.wait(client.animate(asset, PARAMS, seed=4), on_progress=seen.append)
         paths = client.download_all(job, tmp_path / "blocking")
         listed = {artifact.name: artifact.sha256 for artifact in client.artifacts(job)}
