@@ -1,5 +1,6 @@
-"""Photos to cameras and a coarse mesh, on the CPU."""
+"""Photos to cameras, a splat and a mesh, on the CPU."""
 
-from dynamictree.reconstruct.reconstruction import Reconstruction, Report, reconstruct
+from dynamictree.reconstruct.reconstruction import Reconstruction, ReconstructOptions, reconstruct
+from dynamictree.reconstruct.report import Report
 
-__all__ = ["Reconstruction", "Report", "reconstruct"]
+__all__ = ["ReconstructOptions", "Reconstruction", "Report", "reconstruct"]

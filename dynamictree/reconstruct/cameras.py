@@ -13,6 +13,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from dynamictree.errors import ReconstructionError
+from dynamictree.reconstruct.given import GivenCamera
 from dynamictree.reconstruct.photos import Photo
 from dynamictree.reconstruct.views import SparseModel, read_model
 
@@ -21,6 +22,7 @@ _LISTEN_S = 0.25  # between two chances for the caller to stop
 _MERCY_S = 3.0  # from SIGTERM to SIGKILL
 _TIME_LIMIT_S = 3600.0
 _SHARES = {"features": (0.0, 0.5), "matches": (0.5, 0.4), "cameras": (0.9, 0.08), "undistort": (0.98, 0.02)}
+_ONE_FOCAL = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
 
 ADVICE = (
     "take sharp photos of a thing that stands still, in even light, from all around, one every 10 to 20 degrees, "
@@ -32,15 +34,20 @@ def find_cameras(
     photos: Sequence[Photo],
     folder: Path,
     *,
+    given: Sequence[GivenCamera] | None = None,
     on_progress: Callable[[float], None] = lambda done: None,
     time_limit_s: float = _TIME_LIMIT_S,
 ) -> SparseModel:
-    """Register the photos that lie in `folder/photos`; what the callback raises ends the process and passes through.
+    """Register the photos that lie in `folder/photos`, or find points for cameras that are given.
+
+    What the callback raises ends the process and passes through.
 
     Raises:
         ReconstructionError: too few photos fit together, or the process failed or took too long.
     """
-    job = json.dumps({"folder": str(folder), "photos": [asdict(photo) for photo in photos]})
+    known = None if given is None else _at_prepared_size(given, photos)
+    job = json.dumps({"folder": str(folder), "photos": [asdict(photo) for photo in photos], "given": known})
+    (folder / "features.db").unlink(missing_ok=True)  # of a search that was broken off
     command = [sys.executable, "-m", "dynamictree.reconstruct.mapping"]
     with (
         (folder / "mapping.log").open("w+b") as log,
@@ -64,6 +71,28 @@ def find_cameras(
         found = f"{registered} of {len(photos)} photos fit together"
         raise ReconstructionError(f"{found}; at least {MIN_REGISTERED} must; {ADVICE}")
     return model
+
+
+def _at_prepared_size(given: Sequence[GivenCamera], photos: Sequence[Photo]) -> list[dict[str, object]]:
+    prepared = {photo.source: photo for photo in photos}
+    cameras: list[dict[str, object]] = []
+    for camera in given:
+        photo = prepared[camera.photo]
+        across, down = photo.width / camera.width, photo.height / camera.height
+        single = camera.model in _ONE_FOCAL
+        lengths = [across] if single else [across, down]
+        params = [value * by for value, by in zip(camera.params, [*lengths, across, down], strict=False)]
+        cameras.append(
+            {
+                "name": photo.name,
+                "model": camera.model,
+                "params": [*params, *camera.params[len(params) :]],
+                "width": photo.width,
+                "height": photo.height,
+                "world_to_camera": camera.world_to_camera.tolist(),
+            }
+        )
+    return cameras
 
 
 def _listen(child: subprocess.Popen[bytes], on_progress: Callable[[float], None], until_s: float) -> None:

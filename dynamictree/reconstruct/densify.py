@@ -19,7 +19,7 @@ class DensityRules:
     pull: float = 2e-4  # mean gradient of the loss by the place, in half pictures, above which one is not enough
     large: float = 0.01  # of the extent: a larger one is split, a smaller one gets a twin
     min_opacity: float = 0.005
-    too_large: float = 0.1  # of the extent
+    too_large: float = 0.1  # of the extent, or of the distance from the origin for what is farther away
     max_gaussians: int = 60_000
 
 
@@ -55,12 +55,13 @@ def densified(
 ) -> tuple[Float32[np.ndarray, "G2 P"], AdamState]:
     """Split the large and twin the small among those that are pulled at most, within the budget; then prune."""
     largest = np.exp(table[:, LOG_SCALE].max(axis=1))
-    kept = (_opacity(table) > rules.min_opacity) & (largest < rules.too_large * extent)
+    reach = np.maximum(extent, np.linalg.norm(table[:, MEAN], axis=1))
+    kept = (_opacity(table) > rules.min_opacity) & (largest < rules.too_large * reach)
     room = rules.max_gaussians - int(kept.sum())
     chosen = np.flatnonzero(kept & (pull > rules.pull))
     if len(chosen) > max(room, 0):
         chosen = chosen[np.argsort(-pull[chosen], kind="stable")[: max(room, 0)]]
-    split = chosen[largest[chosen] > rules.large * extent]
+    split = chosen[largest[chosen] > rules.large * reach[chosen]]
     twins = table[np.setdiff1d(chosen, split)]
     halves = np.concatenate([_half(table[split], rng), _half(table[split], rng)])
     kept[split] = False

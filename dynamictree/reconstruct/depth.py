@@ -39,26 +39,29 @@ def coarse_depths(model: SparseModel, on_view: Callable[[int, int], None]) -> De
     """Match whole pictures, from the depth of the nearest point that structure from motion has seen."""
     views = [stereo_view(view, COARSE_SIDE_PX) for view in model.views]
     positions = np.array([view.position for view in views])
+    masks = [_mask(view, stereo.grey.shape) for view, stereo in zip(model.views, views, strict=True)]
     neighbours = neighbours_of(positions, model.points, model.seen)
     planes = []
     for number, view in enumerate(views):
         on_view(number, len(views))
-        planes.append(_matched(model, views, neighbours, number, _sparse_guess(model, view, number)))
-    return _agreed(views, neighbours, planes)
+        guess = _sparse_guess(model, view, number)
+        planes.append(_matched(model, views, neighbours, number, guess, mask=masks[number]))
+    return _agreed(views, neighbours, planes, masks)
 
 
 def fine_depths(model: SparseModel, coarse: DepthMaps, box: Box, on_view: Callable[[int, int], None]) -> DepthMaps:
     """Match again at a higher resolution, only where a ray meets the box."""
     views = [stereo_view(view, FINE_SIDE_PX) for view in model.views]
+    masks = [_mask(view, stereo.grey.shape) for view, stereo in zip(model.views, views, strict=True)]
     planes = []
     for number, view in enumerate(views):
         on_view(number, len(views))
         guess = _enlarged(coarse.planes[number], view.grey.shape)
-        mask = rays_through(view, box)
+        mask = rays_through(view, box) & masks[number]
         planes.append(
             _matched(model, views, coarse.neighbours, number, guess, mask=mask, num_iterations=_FINE_ITERATIONS)
         )
-    return _agreed(views, coarse.neighbours, planes)
+    return _agreed(views, coarse.neighbours, planes, masks)
 
 
 def stereo_view(view: View, side_px: int) -> StereoView:
@@ -95,7 +98,7 @@ def _matched(
     number: int,
     guess: Hypotheses,
     *,
-    mask: Bool[np.ndarray, "H W"] | None = None,
+    mask: Bool[np.ndarray, "H W"],
     num_iterations: int = _COARSE_ITERATIONS,
 ) -> Hypotheses:
     points = model.points[model.seen[model.seen[:, 0] == number, 1]]
@@ -105,8 +108,7 @@ def _matched(
     low, high = np.percentile(depth, _DEPTH_PERCENTILES)
     bounds = DepthRange(nearest=float(low) / _DEPTH_SLACK, farthest=float(high) * _DEPTH_SLACK)
     others = [views[other] for other in neighbours[number]]
-    chosen = np.ones(views[number].grey.shape, bool) if mask is None else mask
-    return match_view(views[number], others, guess, bounds, chosen, num_iterations=num_iterations, seed=number)
+    return match_view(views[number], others, guess, bounds, mask, num_iterations=num_iterations, seed=number)
 
 
 def _sparse_guess(model: SparseModel, view: StereoView, number: int) -> Hypotheses:
@@ -131,7 +133,22 @@ def _enlarged(planes: Hypotheses, shape: tuple[int, ...]) -> Hypotheses:
     return Hypotheses(planes.inverse[nearest], slope, np.full(shape, 3, np.float32))
 
 
-def _agreed(views: list[StereoView], neighbours: list[list[int]], planes: list[Hypotheses]) -> DepthMaps:
+def _mask(view: View, shape: tuple[int, ...]) -> Bool[np.ndarray, "h w"]:
+    """Where the tree is, if that is given; everywhere if not."""
+    if view.alpha is None:
+        return np.ones(shape, np.bool_)
+    smaller = Image.fromarray(view.alpha).resize((shape[1], shape[0]), Image.Resampling.BOX)
+    mask: Bool[np.ndarray, "h w"] = np.asarray(smaller) >= 128
+    return mask
+
+
+def _agreed(
+    views: list[StereoView],
+    neighbours: list[list[int]],
+    planes: list[Hypotheses],
+    masks: list[Bool[np.ndarray, "h w"]],
+) -> DepthMaps:
     least = 2 if len(views) > 6 else 1
-    depths = agreed_depths(views, planes, neighbours, min_agreeing=least)
+    agreed = agreed_depths(views, planes, neighbours, min_agreeing=least)
+    depths = [np.where(mask, depth, 0).astype(np.float32) for mask, depth in zip(masks, agreed, strict=True)]
     return DepthMaps(views=views, neighbours=neighbours, planes=planes, depths=depths)

@@ -7,6 +7,7 @@ ending the process. Progress goes to stdout, one JSON array a line: step, done, 
 import json
 import os
 import resource
+import shutil
 import sys
 from collections.abc import Iterator
 from itertools import combinations
@@ -34,6 +35,18 @@ class MappingPhoto(TypedDict):
     width: int
     height: int
     focal_px: float | None
+    masked: bool  # a mask lies beside it
+
+
+class MappingCamera(TypedDict):
+    """A camera that is known, at the size of the prepared photo."""
+
+    name: str  # of the prepared photo
+    model: str
+    params: list[float]
+    width: int
+    height: int
+    world_to_camera: list[list[float]]  # [3, 4]
 
 
 class MappingJob(TypedDict):
@@ -41,10 +54,11 @@ class MappingJob(TypedDict):
 
     folder: str  # `photos/` lies in it; the rest is written there
     photos: list[MappingPhoto]
+    given: list[MappingCamera] | None  # where cameras are known, only points are sought
 
 
 def map_photos(job: MappingJob) -> None:
-    """From photos to undistorted photos with cameras: `undistorted/`, `views.json`, `points.npz`."""
+    """From photos to undistorted photos with cameras: `undistorted/`, `points.npz` and, last of all, `views.json`."""
     folder, photos = Path(job["folder"]), job["photos"]
     database, images = folder / "features.db", folder / "photos"
     threads = len(os.sched_getaffinity(0))
@@ -60,9 +74,10 @@ def map_photos(job: MappingJob) -> None:
         pairing = pycolmap.ImportedPairingOptions(match_list_path=str(listing))
         pycolmap.match_image_pairs(database, matching, pairing, device=pycolmap.Device.cpu)
     _tell("matches", len(pairs), len(pairs))
-    model = _map(folder, len(photos), threads)
+    given = job["given"]
+    model = _map(folder, len(photos), threads) if given is None else _with_points(folder, given, threads)
     if model is not None:
-        _write_model(folder, model, threads)
+        _write_model(folder, model, [photo["name"] for photo in photos if photo["masked"]], threads)
 
 
 def pairs_to_match(number: int) -> list[tuple[int, int]]:
@@ -86,6 +101,8 @@ def _extract(database: Path, images: Path, photos: list[MappingPhoto], threads: 
     done = 0
     for photo, names in _camera_groups(photos):
         reader = pycolmap.ImageReaderOptions(camera_model="SIMPLE_RADIAL")
+        if photo["masked"]:
+            reader.mask_path = images  # of a photo `name` the mask is `name.png`: no features where it is black
         if photo["focal_px"] is not None:
             values = (photo["focal_px"], photo["width"] / 2, photo["height"] / 2, 0.0)
             reader.camera_params = ",".join(str(value) for value in values)
@@ -107,9 +124,10 @@ def _extract(database: Path, images: Path, photos: list[MappingPhoto], threads: 
 
 
 def _camera_groups(photos: list[MappingPhoto]) -> Iterator[tuple[MappingPhoto, list[str]]]:
-    groups: dict[tuple[int, int, float | None], list[MappingPhoto]] = {}
+    groups: dict[tuple[int, int, float | None, bool], list[MappingPhoto]] = {}
     for photo in photos:
-        groups.setdefault((photo["width"], photo["height"], photo["focal_px"]), []).append(photo)
+        alike = photo["width"], photo["height"], photo["focal_px"], photo["masked"]
+        groups.setdefault(alike, []).append(photo)
     for group in groups.values():
         yield group[0], [photo["name"] for photo in group]
 
@@ -125,6 +143,32 @@ def _map(folder: Path, number: int, threads: int) -> pycolmap.Reconstruction | N
         if best is not None and _num_registered(best) >= _ENOUGH * number:
             break
     return best
+
+
+def _with_points(folder: Path, given: list[MappingCamera], threads: int) -> pycolmap.Reconstruction:
+    """The known cameras, and what of the matches fits them."""
+    _tell("cameras", 0, 1)
+    model = pycolmap.Reconstruction()
+    for number, known in enumerate(given, start=1):
+        camera = pycolmap.Camera(
+            camera_id=number,
+            model=known["model"],
+            width=known["width"],
+            height=known["height"],
+            params=known["params"],
+        )
+        model.add_camera_with_trivial_rig(camera)
+        image = pycolmap.Image(name=known["name"], camera_id=number, image_id=number)
+        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(np.array(known["world_to_camera"])))
+    sparse = folder / "sparse"
+    sparse.mkdir(exist_ok=True)
+    options = pycolmap.IncrementalPipelineOptions()
+    options.num_threads, options.random_seed = threads, _SEED
+    found: pycolmap.Reconstruction = pycolmap.triangulate_points(
+        model, folder / "features.db", folder / "photos", sparse, options=options
+    )
+    _tell("cameras", 1, 1)
+    return found
 
 
 def _leave_out_loose(model: pycolmap.Reconstruction) -> None:
@@ -162,12 +206,19 @@ def _map_once(
     return models
 
 
-def _write_model(folder: Path, model: pycolmap.Reconstruction, threads: int) -> None:
+def _write_model(folder: Path, model: pycolmap.Reconstruction, masked: list[str], threads: int) -> None:
     _tell("undistort", 0, 1)
     chosen, undistorted = folder / "chosen", folder / "undistorted"
     chosen.mkdir(exist_ok=True)
     model.write(chosen)
     pycolmap.undistort_images(undistorted, chosen, folder / "photos", num_threads=threads, jpeg_quality=95)
+    if masked:
+        masks = folder / "masks"
+        masks.mkdir(exist_ok=True)
+        for name in masked:  # under the photos' names, so that they are bent as the photos are
+            shutil.copyfile(folder / "photos" / f"{name}.png", masks / name)
+        bent = folder / "undistorted-masks"
+        pycolmap.undistort_images(bent, chosen, masks, masked, num_threads=threads, jpeg_quality=95)
     pinholes = pycolmap.Reconstruction(undistorted / "sparse")
     point_row = {point_id: row for row, point_id in enumerate(pinholes.points3D)}
     views: list[dict[str, object]] = []
@@ -197,7 +248,9 @@ def _write_model(folder: Path, model: pycolmap.Reconstruction, threads: int) -> 
         seen=np.array(seen, np.int64).reshape(-1, 2),
     )
     error_px = model.compute_mean_reprojection_error()
-    (folder / "views.json").write_text(json.dumps({"reprojection_error_px": error_px, "views": views}))
+    being_written = folder / "views.part"
+    being_written.write_text(json.dumps({"reprojection_error_px": error_px, "views": views}))
+    being_written.replace(folder / "views.json")
     _tell("undistort", 1, 1)
 
 

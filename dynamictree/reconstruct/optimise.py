@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Bool, Float32
+from jaxtyping import Float32
 from PIL import Image
 
 from dynamictree.reconstruct.adam import AdamState, adam_step
@@ -31,21 +31,21 @@ class Target:
 
 @dataclass(frozen=True, kw_only=True)
 class Schedule:
-    """How long, how fine, how fast. Rates are Kerbl et al.'s; steps are a tenth of theirs."""
+    """How long, how fine, how fast. Rates are Kerbl et al.'s; steps are a twentieth of theirs."""
 
-    num_steps: int = 3000
+    num_steps: int = 1500
     side_px: int = 640  # of the finest pictures
-    coarser: tuple[tuple[float, int], ...] = ((0.25, 4), (0.55, 2))  # until this share of the steps, smaller by this
+    coarser: tuple[tuple[float, int], ...] = ((0.15, 4), (0.45, 2))  # until this share of the steps, smaller by this
     position_rates: tuple[float, float] = (1.6e-4, 1.6e-6)  # of the extent, first and last
     color_rate: float = 2.5e-3
     opacity_rate: float = 0.05
     scale_rate: float = 5e-3
     turn_rate: float = 1e-3
     sh_degree: int = 1
-    degree_every: int = 500  # steps, until one more is used
-    densify: tuple[float, float] = (0.1, 0.6)  # between these shares of the steps
+    degree_every: int = 300  # steps, until one more is used
+    densify: tuple[float, float] = (0.1, 0.7)  # between these shares of the steps
     densify_every: int = 100
-    reset_at: float | None = 0.35
+    reset_at: float | None = None  # share of the steps; so few steps never make up for one (measured)
     depth_share: float = 0.1  # of the loss, at first; falls to a hundredth of it
     rules: DensityRules = field(default_factory=DensityRules)
     check_every: int = 250
@@ -76,7 +76,6 @@ def optimise(
     schedule: Schedule,
     *,
     extent: float,
-    still: Bool[np.ndarray, " S"] | None = None,
     on_step: Callable[[SplatProgress], None] = lambda progress: None,
 ) -> SplatProgress:
     """Move, split and prune Gaussians until they look like the photos; `on_step` may save, or raise to stop."""

@@ -1,7 +1,8 @@
 """Photos as they come from a camera: checked, turned upright, reduced, and freed of what they tell about the place."""
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,12 +11,16 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 from dynamictree.errors import FormatError, InputError
 
 MIN_PHOTOS, MAX_PHOTOS = 8, 300
+FORMATS = ("JPEG", "PNG", "WEBP", "TIFF")
+SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp")
+MASKS = "masks"
 MAX_PHOTO_BYTES = 64 * 2**20
 MAX_PHOTO_PIXELS = 64_000_000  # the largest common camera's; decoding takes 200 MB
 MIN_SIDE_PX = 240
 LONG_SIDE_PX = 1200  # to which photos are reduced: two cores match a pair in a fraction of a second
 
-_EXIF_IFD, _FOCAL_35MM = 0x8769, 0xA405
+_EXIF_IFD, _FOCAL_35MM, _ORIENTATION = 0x8769, 0xA405, 0x0112
+_SIDEWAYS = (5, 6, 7, 8)
 _FILM_WIDTH_MM = 36.0
 _FOCAL_RANGE_MM = (8, 800)  # EXIF says 0 for unknown, and anything after some editors
 
@@ -29,57 +34,132 @@ class Photo:
     width: int
     height: int
     focal_px: float | None  # as EXIF tells it, or None
+    masked: bool = False  # `<name>.png` lies beside it, white where the tree is
 
 
-def prepare_photos(
-    paths: Sequence[Path], folder: Path, *, on_photo: Callable[[int, int], None] = lambda done, total: None
-) -> list[Photo]:
-    """Write an upright, reduced JPEG of each photo, without EXIF and so without GPS; order as given.
+@dataclass(frozen=True, kw_only=True)
+class PhotoFile:
+    """A photo as it was given."""
 
-    Raises:
-        InputError: too few or too many photos.
-        FormatError: a file that is no JPEG or PNG, is truncated, too large or too small.
-    """
-    if not MIN_PHOTOS <= len(paths) <= MAX_PHOTOS:
-        advice = "walk around the tree and take one every 10 to 20 degrees"
-        raise InputError(f"{len(paths)} photos were given; {MIN_PHOTOS} to {MAX_PHOTOS} are needed; {advice}")
-    folder.mkdir(parents=True, exist_ok=True)
+    path: Path
+    name: str  # below the folder that was given
+    mask: Path | None = None  # a picture of the same size, white where the tree is
+    as_stored: bool = False  # a given camera is of the picture as it is stored, whatever EXIF says of its top
+
+
+def list_photos(paths: Sequence[Path], root: Path | None = None) -> list[PhotoFile]:
+    """Name the photos, and find their masks: of the same name, or stem, in a folder `masks`."""
+    masks: dict[str, Path] = {}
+    if root is not None:
+        for path in sorted(root.rglob("*")):
+            if path.parent.name == MASKS and path.is_file():
+                masks[path.name] = masks[path.stem] = path
     photos = []
-    for number, path in enumerate(paths):
-        on_photo(number, len(paths))
-        photos.append(_prepare(path, folder, f"{number:04d}.jpg"))
-    on_photo(len(paths), len(paths))
+    for path in paths:
+        if root is not None and path.parent.name == MASKS:
+            continue
+        name = path.name if root is None else path.relative_to(root).as_posix()
+        mask = masks.get(path.name) or masks.get(path.stem)
+        photos.append(PhotoFile(path=path, name=name, mask=mask))
+    if masks and not all(photo.mask for photo in photos):
+        bare = next(photo.name for photo in photos if photo.mask is None)
+        raise InputError(f"there are masks, but none for {bare}; give one a photo, of the same name, or none at all")
     return photos
 
 
-def _prepare(path: Path, folder: Path, name: str) -> Photo:
-    size = path.stat().st_size
-    if size > MAX_PHOTO_BYTES:
-        raise FormatError(f"{path.name} has {size:,} bytes; a photo may have {MAX_PHOTO_BYTES:,}; reduce it")
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # our own cap, below, is tighter
-            image = Image.open(path, formats=("JPEG", "PNG"))
-    except UnidentifiedImageError as error:
-        raise FormatError(f"{path.name} is neither JPEG nor PNG; convert it to one of them") from error
-    except Image.DecompressionBombError as error:
-        raise FormatError(f"{path.name}: {error}; {MAX_PHOTO_PIXELS:,} pixels are allowed") from error
-    with image:
-        if image.width * image.height > MAX_PHOTO_PIXELS or min(image.size) < MIN_SIDE_PX:
-            found = f"{path.name} has {image.width} x {image.height} pixels"
-            allowed = f"at least {MIN_SIDE_PX} a side and at most {MAX_PHOTO_PIXELS:,} in all are allowed"
-            raise FormatError(f"{found}; {allowed}")
+def sizes_of(photo: PhotoFile) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Width and height as stored, and as EXIF turns it.
+
+    Raises:
+        FormatError: it is no photo, or too large or too small.
+    """
+    with _opened(photo.path, photo.name) as image:
+        stored = image.size
+        turned = image.getexif().get(_ORIENTATION) in _SIDEWAYS
+    return stored, (stored[::-1] if turned else stored)
+
+
+def prepare_photos(
+    photos: Sequence[PhotoFile], folder: Path, *, on_photo: Callable[[int, int], None] = lambda done, total: None
+) -> list[Photo]:
+    """Write an upright, reduced JPEG of each photo, without EXIF and so without GPS; order as given.
+
+    Where a photo has an alpha channel or a mask, `<name>.png` is written beside, white where the tree is.
+
+    Raises:
+        InputError: too few or too many photos.
+        FormatError: a file that is no JPEG, PNG, WebP or TIFF, is truncated, too large or too small; a mask of another
+            size than its photo.
+    """
+    if not MIN_PHOTOS <= len(photos) <= MAX_PHOTOS:
+        advice = "walk around the tree and take one every 10 to 20 degrees"
+        raise InputError(f"{len(photos)} photos were given; {MIN_PHOTOS} to {MAX_PHOTOS} are needed; {advice}")
+    folder.mkdir(parents=True, exist_ok=True)
+    prepared = []
+    for number, photo in enumerate(photos):
+        on_photo(number, len(photos))
+        prepared.append(_prepare(photo, folder, f"{number:04d}.jpg"))
+    on_photo(len(photos), len(photos))
+    return prepared
+
+
+def _prepare(photo: PhotoFile, folder: Path, name: str) -> Photo:
+    with _opened(photo.path, photo.name) as image:
         focal_35mm = _focal_35mm(image)
-        image.draft("RGB", (LONG_SIDE_PX, LONG_SIDE_PX))  # a JPEG is decoded at the next larger of 1/2, 1/4, 1/8
-        try:
-            upright = ImageOps.exif_transpose(image).convert("RGB")
-        except (OSError, SyntaxError) as error:
-            raise FormatError(f"{path.name} cannot be decoded: {error}; copy it from the camera again") from error
+        upright = _decoded(image, photo, reduced=True)
+        alpha = upright.getchannel("A") if upright.mode == "RGBA" else None
+    if photo.mask is not None:
+        with _opened(photo.mask, photo.mask.name) as image:
+            alpha = _decoded(image, photo, reduced=False).convert("L")
+        if abs(alpha.width * upright.height - alpha.height * upright.width) > 0.01 * alpha.width * upright.height:
+            found = f"the mask of {photo.name} has {alpha.width} x {alpha.height} pixels"
+            raise FormatError(f"{found}, its photo another shape; make masks of the photos as they are")
+    upright = upright.convert("RGB")
     if max(upright.size) > LONG_SIDE_PX:
         upright.thumbnail((LONG_SIDE_PX, LONG_SIDE_PX), Image.Resampling.LANCZOS)
     upright.save(folder / name, format="JPEG", quality=95, subsampling=0, exif=b"")
+    if alpha is not None:
+        alpha.resize(upright.size, Image.Resampling.BOX).save(folder / f"{name}.png")
     focal_px = None if focal_35mm is None else focal_35mm / _FILM_WIDTH_MM * max(upright.size)
-    return Photo(source=path.name, name=name, width=upright.width, height=upright.height, focal_px=focal_px)
+    return Photo(
+        source=photo.name,
+        name=name,
+        width=upright.width,
+        height=upright.height,
+        focal_px=focal_px,
+        masked=alpha is not None,
+    )
+
+
+def _decoded(image: Image.Image, photo: PhotoFile, *, reduced: bool) -> Image.Image:
+    if reduced:
+        image.draft("RGB", (LONG_SIDE_PX, LONG_SIDE_PX))  # a JPEG is decoded at the next larger of 1/2, 1/4, 1/8
+    try:
+        turned = image.copy() if photo.as_stored else ImageOps.exif_transpose(image)
+        return turned.convert("RGBA" if "A" in turned.getbands() or "transparency" in turned.info else "RGB")
+    except (OSError, SyntaxError) as error:
+        raise FormatError(f"{photo.name} cannot be decoded: {error}; copy it from the camera again") from error
+
+
+@contextmanager
+def _opened(path: Path, name: str) -> Iterator[Image.Image]:
+    size = path.stat().st_size
+    if size > MAX_PHOTO_BYTES:
+        raise FormatError(f"{name} has {size:,} bytes; a photo may have {MAX_PHOTO_BYTES:,}; reduce it")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # our own cap, below, is tighter
+            image = Image.open(path, formats=FORMATS)
+    except UnidentifiedImageError as error:
+        raise FormatError(f"{name} is none of {', '.join(FORMATS)}; convert it to one of them") from error
+    except Image.DecompressionBombError as error:
+        raise FormatError(f"{name}: {error}; {MAX_PHOTO_PIXELS:,} pixels are allowed") from error
+    with image:
+        if image.width * image.height > MAX_PHOTO_PIXELS or min(image.size) < MIN_SIDE_PX:
+            found = f"{name} has {image.width} x {image.height} pixels"
+            allowed = f"at least {MIN_SIDE_PX} a side and at most {MAX_PHOTO_PIXELS:,} in all are allowed"
+            raise FormatError(f"{found}; {allowed}")
+        yield image
 
 
 def _focal_35mm(image: Image.Image) -> float | None:

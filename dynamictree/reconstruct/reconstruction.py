@@ -1,53 +1,55 @@
-"""A folder of photos in, a coarse coloured mesh out, with its cameras and a report."""
+"""A folder of photos in; cameras, a splat, a coloured mesh and a report out."""
 
-import json
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TypedDict
 
 import numpy as np
-from jaxtyping import UInt8
-from PIL import Image
+from jaxtyping import Bool
 
-from dynamictree.errors import InputError
-from dynamictree.formats.ply_writer import write_ply
+from dynamictree.errors import InputError, ReconstructionError
+from dynamictree.gaussian.cloud import GaussianCloud, in_box
 from dynamictree.mesh import TriangleMesh
 from dynamictree.reconstruct.cameras import find_cameras
-from dynamictree.reconstruct.photos import prepare_photos
-from dynamictree.reconstruct.surface import find_shape
-from dynamictree.reconstruct.views import SparseModel, View
-from dynamictree.render import Look, Renderer, write_png
+from dynamictree.reconstruct.cut import cloud_in_metres, of_the_tree
+from dynamictree.reconstruct.given import GivenCamera, find_given, fits
+from dynamictree.reconstruct.optimise import Schedule
+from dynamictree.reconstruct.photos import PhotoFile, list_photos, prepare_photos, sizes_of
+from dynamictree.reconstruct.report import Report, write_cameras, write_report
+from dynamictree.reconstruct.splat import SplatFit, fit_splat
+from dynamictree.reconstruct.surface import Scene, Shape, find_scene, finished, stereo_surface
+from dynamictree.reconstruct.views import SparseModel, View, read_model
 
 UNKNOWN_HEIGHT_M = 1.0  # what photos alone cannot tell
-_REPORT_SIDE_PX = 640
-_PREPARED, _MAPPED = 0.04, 0.5  # shares of the whole
+_PREPARED, _MAPPED, _MATCHED, _LEARNED = 0.03, 0.3, 0.45, 0.95  # shares of the whole
+_LEAST_GAUSSIANS = 50
+
+OnProgress = Callable[[float], None]
 
 
-class Report(TypedDict):
-    """What was found, as `report.json` holds it."""
+@dataclass(frozen=True, kw_only=True)
+class ReconstructOptions:
+    """What is known of the photos, and how much work is put in."""
 
-    num_photos: int
-    num_registered: int
-    left_out: list[str]  # photos that fit to no others
-    reprojection_error_px: float
-    num_points: int
-    ground_found: bool
-    scale: str  # `given` or `unknown`: photos alone tell no size, a mesh of unknown scale is 1 m high
-    height_m: float
-    num_vertices: int
-    num_faces: int
-    seconds: dict[str, float]
+    height_m: float | None = None  # of the tree; photos alone tell no size
+    box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None  # only what is inside is kept
+    schedule: Schedule = field(default_factory=Schedule)
+
+    def __post_init__(self) -> None:
+        if self.height_m is not None and not 0 < self.height_m < 1000:
+            raise InputError(f"height_m is {self.height_m}; above 0 and below 1000 is allowed")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Reconstruction:
-    """The mesh, its cameras in the mesh's frame, and how it went."""
+    """The tree as mesh and as splat, its scene, its cameras, and how it went; metres, +Z up, on the ground."""
 
     mesh: TriangleMesh
+    splat: GaussianCloud
+    scene: GaussianCloud
     views: tuple[View, ...]
     report: Report
 
@@ -56,99 +58,142 @@ def reconstruct(
     photos: Sequence[Path],
     folder: Path,
     *,
-    height_m: float | None = None,
-    on_progress: Callable[[float], None] = lambda done: None,
+    options: ReconstructOptions | None = None,
+    root: Path | None = None,
+    kept: Path | None = None,
+    on_progress: OnProgress = lambda done: None,
 ) -> Reconstruction:
-    """Write `mesh.ply`, `cameras.json`, `report.json` and `report.png` into the folder; metres, +Z up, on the ground.
+    """Find cameras, depths, a splat and a mesh, and write each into the folder as soon as it is there.
 
-    The height is that of what is meshed [m]; without one the mesh is 1 m high and the report calls its scale unknown.
-    The callback gets the share that is done, every quarter of a second at least while cameras are sought and once a
-    photo otherwise; what it raises stops the work, leaves no process and no file, and passes through.
+    `cameras.json`; `splat.ply` (the tree) and `scene.ply` (all); `mesh.ply`; `report.json` and `report.png`. Without
+    a height the mesh is 1 m high and the report calls its scale unknown. The callback gets the share that is done,
+    every quarter of a second while cameras are sought and before every photo and every step otherwise; what it raises
+    stops the work, leaves no process, and passes through.
+
+    Args:
+        photos: JPEG, PNG, WebP or TIFF files.
+        folder: for what is made.
+        options: what is known, and how much work is put in.
+        root: the folder that the photos lie in or below, where cameras (`given`) and masks (`photos`) are looked for.
+        kept: a folder for what is half done; a second call with the same goes on there. None: nothing is kept.
+        on_progress: see above.
 
     Raises:
-        InputError: too few or too many photos, one that cannot be used, or a height that is not positive.
+        InputError: too few or too many photos, or one that cannot be used.
         ReconstructionError: the photos do not fit together or show no surface.
     """
-    if height_m is not None and not 0 < height_m < 1000:
-        raise InputError(f"height_m is {height_m}; above 0 and below 1000 is allowed")
+    options = options or ReconstructOptions()
     seconds: dict[str, float] = {}
-    with tempfile.TemporaryDirectory(dir=folder, prefix="work-") as name:
-        work = Path(name)
-        with _timed(seconds, "photos"):
-            prepared = prepare_photos(
-                photos, work / "photos", on_photo=lambda done, total: on_progress(_PREPARED * done / total)
+    with ExitStack() as stack:
+        work = kept or Path(stack.enter_context(tempfile.TemporaryDirectory(dir=folder, prefix="work-")))
+        listed = list_photos(photos, root)
+        model = _cameras(listed, root, work, seconds, on_progress)
+        write_cameras(model.views, folder, scale="unknown")
+        with _timed(seconds, "depth"):
+            scene = find_scene(model, on_progress=_within(on_progress, _MAPPED, _MATCHED))
+        with _timed(seconds, "splat"):
+            fit = fit_splat(
+                scene.matched,
+                scene.coarse,
+                options.schedule,
+                saved=work / "splat.npz",
+                on_progress=_within(on_progress, _MATCHED, _LEARNED),
             )
-        with _timed(seconds, "cameras"):
-            model = find_cameras(
-                prepared, work, on_progress=lambda done: on_progress(_PREPARED + (_MAPPED - _PREPARED) * done)
-            )
-    with _timed(seconds, "surface"):
-        shape = find_shape(
-            model,
-            height_m=height_m or UNKNOWN_HEIGHT_M,
-            on_progress=lambda done: on_progress(_MAPPED + (1 - _MAPPED) * done),
+    with _timed(seconds, "mesh"):
+        shape = finished(stereo_surface(scene), scene, height_m=options.height_m or UNKNOWN_HEIGHT_M)
+    found = _put_together(listed, model, scene, fit, shape, options, seconds)
+    write_report(found, fit, folder)
+    on_progress(1.0)
+    return found
+
+
+def _cameras(
+    photos: list[PhotoFile], root: Path | None, work: Path, seconds: dict[str, float], on_progress: OnProgress
+) -> SparseModel:
+    """From what is given, from what an earlier call has found, or from the photos."""
+    with _timed(seconds, "photos"):
+        given = None if root is None else _given(photos, root)
+        if given is not None:
+            known = {camera.photo: camera for camera in given}
+            photos = [_as_given(photo, known[photo.name]) for photo in photos if photo.name in known]
+        prepared = prepare_photos(photos, work / "photos", on_photo=_counted(_within(on_progress, 0, _PREPARED)))
+    with _timed(seconds, "cameras"):
+        found = read_model(work, {photo.name: photo.source for photo in prepared})
+        within = _within(on_progress, _PREPARED, _MAPPED)
+        return found or find_cameras(prepared, work, given=given, on_progress=within)
+
+
+def _given(photos: list[PhotoFile], root: Path) -> tuple[GivenCamera, ...] | None:
+    return find_given(root, {photo.name: sizes_of(photo) for photo in sorted(photos, key=lambda photo: photo.name)})
+
+
+def _as_given(photo: PhotoFile, camera: GivenCamera) -> PhotoFile:
+    """Turned upright only if that is how the given camera saw it: some programs heed EXIF and some do not."""
+    stored, _ = sizes_of(photo)
+    return replace(photo, as_stored=fits(camera, stored))
+
+
+def _put_together(
+    photos: list[PhotoFile],
+    model: SparseModel,
+    scene: Scene,
+    fit: SplatFit,
+    shape: Shape,
+    options: ReconstructOptions,
+    seconds: dict[str, float],
+) -> Reconstruction:
+    whole = cloud_in_metres(fit.table, shape.scale, shape.origin)
+    own = of_the_tree(whole, shape.mesh.vertices, radius_m=shape.scale)
+    mesh = shape.mesh
+    if options.box_m is not None:
+        own &= in_box(whole, *options.box_m)
+        mesh = _in_box(mesh, options.box_m)
+    if own.sum() < _LEAST_GAUSSIANS:
+        raise ReconstructionError(
+            f"{int(own.sum())} Gaussians lie on the mesh; at least {_LEAST_GAUSSIANS} must; take photos from nearer"
         )
     registered = {view.source for view in shape.model.views}
     report = Report(
         num_photos=len(photos),
         num_registered=len(shape.model.views),
-        left_out=[path.name for path in photos if path.name not in registered],
+        left_out=[photo.name for photo in photos if photo.name not in registered],
         reprojection_error_px=model.reprojection_error_px,
         num_points=len(model.points),
         ground_found=shape.ground_found,
-        scale="unknown" if height_m is None else "given",
-        height_m=shape.mesh.height_m,
-        num_vertices=shape.mesh.num_vertices,
-        num_faces=shape.mesh.num_faces,
+        scale="unknown" if options.height_m is None else "given",
+        height_m=mesh.height_m,
+        num_vertices=mesh.num_vertices,
+        num_faces=mesh.num_faces,
+        num_gaussians=int(own.sum()),
+        num_gaussians_scene=whole.num_gaussians,
+        held_out=list(fit.held_out),
+        held_out_psnr_db=[round(value, 2) for value in fit.psnr_db],
+        held_out_blank_psnr_db=[round(value, 2) for value in fit.blank_db],
+        held_out_size_px=list(fit.size_px),
+        splat_steps=fit.num_steps,
         seconds={step: round(taken, 2) for step, taken in seconds.items()},
     )
-    found = Reconstruction(mesh=shape.mesh, views=shape.model.views, report=report)
-    _write(found, shape.model, folder)
-    on_progress(1.0)
-    return found
+    return Reconstruction(mesh=mesh, splat=whole.subset(own), scene=whole, views=shape.model.views, report=report)
 
 
-def beside_photo(mesh: TriangleMesh, view: View) -> UInt8[np.ndarray, "H W 3"]:
-    """A photo, and the mesh seen by the same camera."""
-    photo = Image.fromarray(view.image)
-    photo.thumbnail((_REPORT_SIDE_PX, _REPORT_SIDE_PX), Image.Resampling.LANCZOS)
-    look = Look(width=photo.width, height=photo.height, ground=False)
-    return np.concatenate([np.asarray(photo), Renderer(mesh, look).picture(camera=view.camera)], axis=1)
+def _in_box(mesh: TriangleMesh, box_m: tuple[tuple[float, float, float], tuple[float, float, float]]) -> TriangleMesh:
+    low, high = np.array(box_m)
+    inside: Bool[np.ndarray, " N"] = np.all((mesh.vertices >= low) & (mesh.vertices <= high), axis=1)
+    faces = mesh.faces[inside[mesh.faces].all(axis=1)]
+    if len(faces) == 0:
+        raise InputError(f"no triangle is in the box from {box_m[0]} to {box_m[1]}; enlarge it")
+    used, rows = np.unique(faces, return_inverse=True)
+    colors = None if mesh.vertex_colors is None else mesh.vertex_colors[used]
+    return replace(mesh, vertices=mesh.vertices[used], faces=rows.reshape(-1, 3).astype(np.int32), vertex_colors=colors)
 
 
-def _write(found: Reconstruction, model: SparseModel, folder: Path) -> None:
-    with (folder / "mesh.ply").open("wb") as stream:
-        write_ply(found.mesh, stream)
-    cameras = {
-        "axes": "camera x right, y down, z forward; world +Z up; pixel centres at half-integers",
-        "scale": found.report["scale"],
-        "cameras": [_camera_fields(view) for view in found.views],
-    }
-    (folder / "cameras.json").write_text(json.dumps(cameras, indent=1))
-    (folder / "report.json").write_text(json.dumps(found.report, indent=1))
-    num_seen = np.bincount(model.seen[:, 0], minlength=len(found.views))
-    shown = [found.views[int(view)] for view in np.argsort(-num_seen, kind="stable")]
-    # the view of most points, and the one that looks from the farthest side of it
-    opposite = max(shown, key=lambda view: float(np.linalg.norm(view.camera.position_m - shown[0].camera.position_m)))
-    pictures = [beside_photo(found.mesh, view) for view in (shown[0], opposite)]
-    width = max(picture.shape[1] for picture in pictures)
-    padded = [np.pad(p, ((0, 0), (0, width - p.shape[1]), (0, 0)), constant_values=255) for p in pictures]
-    with (folder / "report.png").open("wb") as stream:
-        write_png(np.concatenate(padded), stream)
+def _within(on_progress: OnProgress, first: float, end: float) -> OnProgress:
+    """A part's own share, as the share of the whole."""
+    return lambda done: on_progress(first + (end - first) * done)
 
 
-def _camera_fields(view: View) -> dict[str, object]:
-    height, width = view.image.shape[:2]
-    matrix = view.camera.intrinsics_px(width, height)
-    return {
-        "photo": view.source,
-        "width": width,
-        "height": height,
-        "focal_px": matrix[0, 0],
-        "principal_px": matrix[:2, 2].tolist(),
-        "position_m": view.camera.position_m.tolist(),
-        "world_to_camera": view.camera.world_to_camera.tolist(),
-    }
+def _counted(on_progress: OnProgress) -> Callable[[int, int], None]:
+    return lambda done, total: on_progress(done / total)
 
 
 @contextmanager

@@ -3,14 +3,14 @@
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64
+from jaxtyping import Float32, Float64, Int64
 from scipy.spatial import cKDTree
 
 from dynamictree.reconstruct.depth import DepthMaps
 from dynamictree.reconstruct.splat_table import table_of_points
 from dynamictree.reconstruct.views import SparseModel, View
 
-_OPACITY = 0.5  # dense points are mostly surfaces; Kerbl et al. begin with 0.1 at sparse ones
+_OPACITY, _DOME_OPACITY = 0.5, 0.95  # dense points are mostly surfaces; Kerbl et al. begin with 0.1 at sparse ones
 _WIDEST_SHARE = 0.1  # of the cameras' distance, for a point far from all others
 _DOME_POINTS, _DOME_DISTANCE = 3000, 12.0  # of the radius of the region that the pictures hold
 _GOLDEN = np.pi * (3 - np.sqrt(5))
@@ -18,8 +18,8 @@ _GOLDEN = np.pi * (3 - np.sqrt(5))
 
 def first_table(
     model: SparseModel, depths: DepthMaps | None, *, number: int, sh_degree: int, dome: bool, rng: np.random.Generator
-) -> tuple[Float32[np.ndarray, "G P"], Bool[np.ndarray, " G"]]:
-    """Up to about `number` round Gaussians as wide as their neighbours are near; and which of them are the dome's.
+) -> Float32[np.ndarray, "G P"]:
+    """Up to about `number` round Gaussians as wide as their neighbours are near; and with `dome`, some far away.
 
     The model is in the stage's frame, in which the region has the radius 1; its views are those of the depth maps.
     """
@@ -31,11 +31,11 @@ def first_table(
     points, colors = points[kept].astype(np.float32), colors[kept].astype(np.float32)
     table = table_of_points(points, colors, spacing(points), opacity=_OPACITY, sh_degree=sh_degree)
     if not dome:
-        return table, np.zeros(len(table), np.bool_)
+        return table
     far, far_colors = dome_points(model.views)
     size = np.full(len(far), _DOME_DISTANCE * np.sqrt(4 * np.pi / _DOME_POINTS) / 2, np.float32)
-    behind = table_of_points(far, far_colors, size, opacity=_OPACITY, sh_degree=sh_degree)
-    return np.concatenate([table, behind]), np.arange(len(table) + len(behind)) >= len(table)
+    behind = table_of_points(far, far_colors, size, opacity=_DOME_OPACITY, sh_degree=sh_degree)
+    return np.concatenate([table, behind])
 
 
 def points_of_depths(
@@ -73,7 +73,7 @@ def thinned(points: Float64[np.ndarray, "P 3"], number: int, rng: np.random.Gene
 
 def spacing(points: Float32[np.ndarray, "G 3"]) -> Float32[np.ndarray, " G"]:
     """Mean distance to the nearest three others, as Kerbl et al. begin; of lonely ones not more than the widest."""
-    distance = cKDTree(points).query(points, k=4)[0][:, 1:].mean(axis=1)
+    distance = np.asarray(cKDTree(points).query(points, k=4)[0])[:, 1:].mean(axis=1)
     limited: Float32[np.ndarray, " G"] = np.clip(distance / 2, 1e-5, _WIDEST_SHARE).astype(np.float32)
     return limited
 

@@ -5,14 +5,14 @@ from dataclasses import dataclass, replace
 
 import fast_simplification
 import numpy as np
-from jaxtyping import Float32, UInt8
+from jaxtyping import Float32, Float64, UInt8
 from scipy.sparse import coo_array
 from scipy.spatial import cKDTree
 
 from dynamictree.errors import ReconstructionError
 from dynamictree.mesh import TriangleMesh, edges_of
 from dynamictree.reconstruct.cameras import ADVICE
-from dynamictree.reconstruct.depth import coarse_depths, fine_depths
+from dynamictree.reconstruct.depth import DepthMaps, coarse_depths, fine_depths
 from dynamictree.reconstruct.fusion import Box, Surface, above, fuse, main_cluster
 from dynamictree.reconstruct.stage import find_stage
 from dynamictree.reconstruct.views import SparseModel, View
@@ -32,12 +32,27 @@ _COLOR_SIDE_PX = 640
 
 
 @dataclass(frozen=True, kw_only=True)
+class Scene:
+    """Where the subject stands, in the stage's frame, and how deep the photos see."""
+
+    model: SparseModel  # all views
+    matched: SparseModel  # those of the depth maps
+    coarse: DepthMaps
+    fine: DepthMaps  # only for rays that meet the box
+    box: Box  # around the subject
+    cut: float  # height below which is ground
+    ground_found: bool
+
+
+@dataclass(frozen=True, kw_only=True)
 class Shape:
-    """A mesh, and the model turned and scaled with it."""
+    """A mesh, and how it came from the stage's frame: x = scale (x' − origin)."""
 
     mesh: TriangleMesh
     model: SparseModel
     ground_found: bool
+    scale: float
+    origin: Float64[np.ndarray, "3"]
 
 
 def find_shape(
@@ -48,32 +63,58 @@ def find_shape(
     Raises:
         ReconstructionError: the views agree on no surface.
     """
+    scene = find_scene(model, on_progress=lambda done: on_progress(0.9 * done))
+    shape = finished(stereo_surface(scene), scene, height_m=height_m)
+    on_progress(0.94)
+    return shape
+
+
+def find_scene(model: SparseModel, *, on_progress: Callable[[float], None] = lambda done: None) -> Scene:
+    """Depths of all views, coarse ones to find the subject by, then fine ones of it.
+
+    Raises:
+        ReconstructionError: the views agree on no surface.
+    """
     stage = find_stage(model, np.random.default_rng(0))
     model = model.transformed(1 / stage.radius, stage.rotation, stage.origin)
     matched = _evenly_chosen(model)
-    coarse = coarse_depths(matched, lambda done, total: on_progress(0.45 * done / total))
+    coarse = coarse_depths(matched, lambda done, total: on_progress(0.5 * done / total))
     region = Box(low=np.array([-1.0, -1.0, -0.1]), high=np.array([1.0, 1.0, 2.0]))
     cut = _GROUND_CUT if stage.ground_found else -np.inf
     found = main_cluster(above(fuse(coarse.views, coarse.depths, region, resolution=_COARSE_VOXELS), cut), _GAP)
     _check(found, model)
     box = Box(low=found.vertices.min(axis=0).astype(np.float64), high=found.vertices.max(axis=0).astype(np.float64))
     box = box.padded(_BOX_MARGIN * float((box.high - box.low).max()))
-    fine = fine_depths(matched, coarse, box, lambda done, total: on_progress(0.45 + 0.45 * done / total))
-    on_progress(0.9)
-    surface = main_cluster(above(fuse(fine.views, fine.depths, box, resolution=_FINE_VOXELS), cut), _GAP)
-    _check(surface, model)
+    fine = fine_depths(matched, coarse, box, lambda done, total: on_progress(0.5 + 0.5 * done / total))
+    on_progress(1.0)
+    return Scene(
+        model=model, matched=matched, coarse=coarse, fine=fine, box=box, cut=cut, ground_found=stage.ground_found
+    )
+
+
+def stereo_surface(scene: Scene) -> Surface:
+    """The subject as the fine depth maps see it."""
+    fused = fuse(scene.fine.views, scene.fine.depths, scene.box, resolution=_FINE_VOXELS)
+    return main_cluster(above(fused, scene.cut), _GAP)
+
+
+def finished(surface: Surface, scene: Scene, *, height_m: float) -> Shape:
+    """Decimated, smoothed, standing on the ground, as high as told, and coloured by the photos.
+
+    Raises:
+        ReconstructionError: there is no surface.
+    """
+    _check(surface, scene.model)
     surface = _smoothed(_decimated(surface))
     bottom = surface.vertices.min(axis=0).astype(np.float64)
     middle = np.median(surface.vertices, axis=0).astype(np.float64)
     origin = np.array([middle[0], middle[1], bottom[2]])
     scale = height_m / float(np.ptp(surface.vertices[:, 2]))
-    model = model.transformed(scale, np.eye(3), origin)
+    model = scene.model.transformed(scale, np.eye(3), origin)
     vertices = (scale * (surface.vertices - origin)).astype(np.float32)
     mesh = TriangleMesh(vertices=vertices, faces=surface.faces)
-    on_progress(0.94)
-    return Shape(
-        mesh=replace(mesh, vertex_colors=photo_colors(mesh, model.views)), model=model, ground_found=stage.ground_found
-    )
+    mesh = replace(mesh, vertex_colors=photo_colors(mesh, model.views))
+    return Shape(mesh=mesh, model=model, ground_found=scene.ground_found, scale=scale, origin=origin)
 
 
 def photo_colors(mesh: TriangleMesh, views: tuple[View, ...]) -> UInt8[np.ndarray, "N 4"]:

@@ -18,6 +18,7 @@ class View:
     source: str  # the photo's name as given
     image: UInt8[np.ndarray, "H W 3"]  # undistorted
     camera: Camera
+    alpha: UInt8[np.ndarray, "H W"] | None = None  # of what is wanted, 255 where it is; None where nothing is cut out
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +49,13 @@ class SparseModel:
         return replace(self, views=views, points=scale * (self.points - origin) @ rotation.T)
 
 
+def _mask(path: Path) -> UInt8[np.ndarray, "H W"] | None:
+    if not path.exists():
+        return None
+    with Image.open(path) as image:
+        return np.array(image.convert("L"))
+
+
 def read_model(folder: Path, sources: dict[str, str]) -> SparseModel | None:
     """Read what `mapping` wrote; None where no two photos fitted together. `sources` gives each photo's own name."""
     if not (folder / "views.json").exists():
@@ -65,7 +73,9 @@ def read_model(folder: Path, sources: dict[str, str]) -> SparseModel | None:
             centre=(view["principal_px"][0] / view["width"], view["principal_px"][1] / view["height"]),
         )
         with Image.open(folder / "undistorted" / "images" / view["name"]) as image:
-            views.append(View(source=sources[view["name"]], image=np.array(image.convert("RGB")), camera=camera))
+            pixels = np.array(image.convert("RGB"))
+        alpha = _mask(folder / "undistorted-masks" / "images" / view["name"])
+        views.append(View(source=sources[view["name"]], image=pixels, camera=camera, alpha=alpha))
     return SparseModel(
         views=tuple(views),
         points=positions,

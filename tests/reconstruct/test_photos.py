@@ -7,7 +7,12 @@ import pytest
 from PIL import Image
 
 from dynamictree.errors import FormatError, InputError
-from dynamictree.reconstruct.photos import LONG_SIDE_PX, MAX_PHOTO_BYTES, prepare_photos
+from dynamictree.reconstruct.photos import LONG_SIDE_PX, MAX_PHOTO_BYTES, Photo, list_photos, sizes_of
+from dynamictree.reconstruct.photos import prepare_photos as prepare_listed
+
+
+def prepare_photos(paths: list[Path], folder: Path, **options: object) -> list[Photo]:
+    return prepare_listed(list_photos(paths), folder, **options)
 
 
 def save_photo(path: Path, size: tuple[int, int] = (400, 300), **options: object) -> Path:
@@ -81,13 +86,13 @@ def test_refuses_too_few_and_too_many(tmp_path, eight, number):
 
 def test_refuses_what_is_no_photo(tmp_path, eight):
     eight[2].write_text("solid tree")
-    with pytest.raises(FormatError, match=r"2\.jpg is neither JPEG nor PNG"):
+    with pytest.raises(FormatError, match=r"2\.jpg is none of JPEG, PNG, WEBP, TIFF"):
         prepare_photos(eight, tmp_path / "out")
 
 
 def test_refuses_another_format_of_picture(tmp_path, eight):
     eight[2] = save_photo(tmp_path / "tree.bmp")
-    with pytest.raises(FormatError, match="neither JPEG nor PNG"):
+    with pytest.raises(FormatError, match="is none of JPEG, PNG, WEBP, TIFF"):
         prepare_photos(eight, tmp_path / "out")
 
 
@@ -122,3 +127,46 @@ def test_what_the_callback_raises_passes_through(tmp_path, eight):
     with pytest.raises(Stopped):
         prepare_photos(eight, tmp_path / "out", on_photo=stop)
     assert len(list((tmp_path / "out").iterdir())) == 3
+
+
+def test_masks_and_alpha_are_kept_beside_the_photo(tmp_path, eight):
+    (tmp_path / "masks").mkdir()
+    cut = np.zeros((300, 400), np.uint8)
+    cut[100:200] = 255
+    for path in eight:
+        Image.fromarray(cut).save(tmp_path / "masks" / f"{path.stem}.png")
+    photos = list_photos([*eight, *(tmp_path / "masks").iterdir()], tmp_path)
+    assert [photo.name for photo in photos] == [path.name for path in eight]
+    prepared = prepare_listed(photos, tmp_path / "out")
+    assert all(photo.masked for photo in prepared)
+    with Image.open(tmp_path / "out" / "0003.jpg.png") as mask:
+        assert np.array_equal(np.asarray(mask), cut)
+    (tmp_path / "masks" / "5.png").unlink()
+    with pytest.raises(InputError, match=r"masks, but none for 5\.jpg"):
+        list_photos(eight, tmp_path)
+
+
+def test_an_alpha_channel_is_a_mask(tmp_path, eight):
+    pixels = np.full((300, 400, 4), 200, np.uint8)
+    pixels[:, :100, 3] = 0
+    eight[1] = tmp_path / "cut.png"
+    Image.fromarray(pixels).save(eight[1])
+    prepared = prepare_photos(eight, tmp_path / "out")
+    assert [photo.masked for photo in prepared] == [number == 1 for number in range(8)]
+    with Image.open(tmp_path / "out" / "0001.jpg.png") as mask:
+        assert np.array_equal(np.asarray(mask), pixels[..., 3])
+
+
+def test_refuses_a_mask_of_another_shape(tmp_path, eight):
+    (tmp_path / "masks").mkdir()
+    for path in eight:
+        save_photo(tmp_path / "masks" / f"{path.stem}.png", (300, 300))
+    with pytest.raises(FormatError, match=r"the mask of 0\.jpg has 300 x 300 pixels"):
+        prepare_listed(list_photos(eight, tmp_path), tmp_path / "out")
+
+
+def test_sizes_are_told_as_stored_and_as_turned(tmp_path):
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    (photo,) = list_photos([save_photo(tmp_path / "turned.jpg", exif=exif)])
+    assert sizes_of(photo) == ((400, 300), (300, 400))

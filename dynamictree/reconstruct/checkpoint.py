@@ -1,0 +1,41 @@
+"""A run of `optimise` in a file, so that a worker that was stopped goes on where it was."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from dynamictree.reconstruct.adam import AdamState
+from dynamictree.reconstruct.optimise import SplatProgress
+
+
+def save_progress(progress: SplatProgress, path: Path) -> None:
+    """Write all of it, whole or not at all."""
+    being_written = path.with_suffix(".part")
+    with being_written.open("wb") as stream:
+        np.savez(
+            stream,
+            table=progress.table,
+            first=progress.moments.first,
+            second=progress.moments.second,
+            steps=np.array([progress.step, progress.moments.num_steps]),
+            best=progress.table[:0] if progress.best is None else progress.best,
+            best_psnr=np.array(progress.best_psnr),
+            checks=np.array(progress.checks, np.float64).reshape(-1, 3),
+        )
+    os.replace(being_written, path)
+
+
+def load_progress(path: Path) -> SplatProgress:
+    """Read it back."""
+    with np.load(path, allow_pickle=False) as arrays:
+        step, moment_steps = arrays["steps"].tolist()
+        best = arrays["best"]
+        return SplatProgress(
+            table=arrays["table"],
+            moments=AdamState(first=arrays["first"], second=arrays["second"], num_steps=moment_steps),
+            step=step,
+            best=best if len(best) else None,
+            best_psnr=float(arrays["best_psnr"]),
+            checks=tuple((int(step), int(count), float(found)) for step, count, found in arrays["checks"]),
+        )

@@ -1,0 +1,140 @@
+"""A splat of what the photos show: some photos held out, the rest learned, the run saved as it goes."""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32, UInt8
+
+from dynamictree.reconstruct.adam import AdamState
+from dynamictree.reconstruct.checkpoint import load_progress, save_progress
+from dynamictree.reconstruct.depth import DepthMaps
+from dynamictree.reconstruct.optimise import Schedule, SplatProgress, Target, cut_out, drawn, optimise, smaller
+from dynamictree.reconstruct.picture_loss import psnr
+from dynamictree.reconstruct.splat_start import first_table
+from dynamictree.reconstruct.views import SparseModel, View
+
+START_GAUSSIANS = 25_000
+_ONE_IN = 8  # photos is held out, and two at least
+_SAVE_EVERY_S, _TELL_EVERY_S = 20.0, 0.25
+
+
+@dataclass(frozen=True, kw_only=True)
+class SplatFit:
+    """What was learned, in the frame of the model that it was learned from."""
+
+    table: Float32[np.ndarray, "G P"]
+    held_out: tuple[str, ...]  # photos, by their own names
+    psnr_db: tuple[float, ...]  # of each of them
+    blank_db: tuple[float, ...]  # of a picture of one colour, the photo's mean, beside it
+    pictures: tuple[UInt8[np.ndarray, "H W 3"], ...]  # each photo, and beside it what the splat shows
+    size_px: tuple[int, int]  # width and height of the first
+    num_steps: int
+    checks: tuple[tuple[int, int, float], ...]
+
+
+def held_out_views(number: int) -> list[int]:
+    """Every eighth of the photos and at least two, spread over the walk, neither the first nor the last."""
+    count = max(2, number // _ONE_IN)
+    return [int((place + 0.5) * number / count) for place in range(count)]
+
+
+def fit_splat(
+    model: SparseModel,
+    depths: DepthMaps | None,
+    schedule: Schedule,
+    *,
+    saved: Path | None = None,
+    on_progress: Callable[[float], None] = lambda done: None,
+) -> SplatFit:
+    """Learn Gaussians from all photos but those held out, which are only looked at to know when to stop.
+
+    Args:
+        model: in the stage's frame.
+        depths: of the same views, where stereo has some; those of the held-out photos are not used.
+        schedule: how long and how fine.
+        saved: a file that the run is saved to every 20 s and when it is stopped, and goes on from if it is there.
+        on_progress: gets the share done every quarter of a second; what it raises passes through.
+    """
+    held = held_out_views(len(model.views))
+    learned = [view for view in range(len(model.views)) if view not in held]
+    cut = any(view.alpha is not None for view in model.views)
+    table = first_table(
+        _some_views(model, learned),
+        None if depths is None else _some_depths(depths, learned),
+        number=min(START_GAUSSIANS, schedule.rules.max_gaussians // 2),
+        sh_degree=schedule.sh_degree,
+        dome=not cut,
+        rng=np.random.default_rng(0),
+    )
+    start = SplatProgress(table=table, moments=AdamState.fresh(*table.shape), step=0)
+    if saved is not None and saved.exists():
+        start = load_progress(saved)
+    saved_at = told_at = time.monotonic()
+
+    def step(progress: SplatProgress) -> None:
+        nonlocal saved_at, told_at
+        now = time.monotonic()
+        if saved is not None and now - saved_at > _SAVE_EVERY_S:
+            save_progress(progress, saved)
+            saved_at = now
+        if now - told_at > _TELL_EVERY_S or progress.step == start.step:
+            told_at = now
+            try:
+                on_progress(progress.step / schedule.num_steps)
+            except BaseException:
+                if saved is not None:
+                    save_progress(progress, saved)
+                raise
+
+    targets = [_target(model.views[view], None if depths is None else depths.depths[view]) for view in learned]
+    unseen = [_target(model.views[view], None) for view in held]
+    end = optimise(start, targets, unseen, schedule, extent=camera_extent(model.views), on_step=step)
+    if saved is not None:
+        save_progress(end, saved)
+    return _judged(end, [model.views[view] for view in held], unseen, schedule)
+
+
+def camera_extent(views: Sequence[View]) -> float:
+    """Kerbl et al.'s measure of a scene: 1.1 times the largest distance of a camera from their middle."""
+    positions = np.array([view.camera.position_m for view in views])
+    return 1.1 * float(np.linalg.norm(positions - positions.mean(axis=0), axis=1).max())
+
+
+def _judged(end: SplatProgress, views: list[View], unseen: list[Target], schedule: Schedule) -> SplatFit:
+    targets = [smaller(target, schedule.side_px) for target in unseen]
+    shown = [drawn(end.result, target, schedule.sh_degree) for target in targets]
+    photos = [cut_out(target) for target in targets]
+    pairs = [np.concatenate([photo, picture], axis=1) for photo, picture in zip(photos, shown, strict=True)]
+    return SplatFit(
+        table=end.result,
+        held_out=tuple(view.source for view in views),
+        psnr_db=tuple(psnr(picture, photo) for picture, photo in zip(shown, photos, strict=True)),
+        blank_db=tuple(psnr(np.broadcast_to(photo.mean(axis=(0, 1)), photo.shape), photo) for photo in photos),
+        pictures=tuple(np.rint(pair * 255).astype(np.uint8) for pair in pairs),
+        size_px=(photos[0].shape[1], photos[0].shape[0]),
+        num_steps=end.step,
+        checks=end.checks,
+    )
+
+
+def _target(view: View, depth: Float32[np.ndarray, "h w"] | None) -> Target:
+    photo = view.image.astype(np.float32) / 255
+    alpha = None if view.alpha is None else view.alpha.astype(np.float32) / 255
+    if depth is None:
+        return Target(camera=view.camera, photo=photo, alpha=alpha)
+    height, width = photo.shape[:2]
+    rows, columns = (np.arange(height) * depth.shape[0]) // height, (np.arange(width) * depth.shape[1]) // width
+    return Target(camera=view.camera, photo=photo, alpha=alpha, depth=depth[np.ix_(rows, columns)])
+
+
+def _some_views(model: SparseModel, chosen: list[int]) -> SparseModel:
+    return replace(model, views=tuple(model.views[view] for view in chosen))
+
+
+def _some_depths(depths: DepthMaps, chosen: list[int]) -> DepthMaps:
+    return replace(
+        depths, views=[depths.views[view] for view in chosen], depths=[depths.depths[view] for view in chosen]
+    )

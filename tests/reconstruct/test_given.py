@@ -1,0 +1,206 @@
+"""Cameras that come with the photos, in every format, are the cameras that took them."""
+
+import json
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dynamictree.errors import FormatError
+from dynamictree.reconstruct.given import GivenCamera, find_given
+from dynamictree.render.camera import Camera
+from tests.reconstruct.conftest import HEIGHT, WIDTH, Orbit
+
+FOCAL = 0.5 / np.tan(np.radians(38) / 2) * HEIGHT
+
+
+def names_of(orbit: Orbit) -> list[str]:
+    return [f"images/{path.name}" for path in orbit.photos]
+
+
+def sizes_of(orbit: Orbit) -> dict[str, tuple[tuple[int, int], tuple[int, int]]]:
+    return dict.fromkeys(names_of(orbit), ((WIDTH, HEIGHT), (WIDTH, HEIGHT)))
+
+
+def to_world(camera: Camera) -> np.ndarray:
+    """Camera to world in OpenCV's axes."""
+    return np.concatenate([camera.world_to_camera.T, camera.position_m[:, None]], axis=1)
+
+
+def write_transforms(folder: Path, orbit: Orbit, *, blender: bool = False, **changed: object) -> Path:
+    frames = []
+    for name, camera in zip(names_of(orbit), orbit.cameras, strict=True):
+        matrix = np.eye(4)
+        matrix[:3] = to_world(camera) * [1, -1, -1, 1]
+        shown = f"./{name.removesuffix('.jpg')}" if blender else name
+        frames.append({"file_path": shown, "transform_matrix": matrix.tolist()})
+    lens = {"fl_x": FOCAL, "fl_y": FOCAL, "cx": WIDTH / 2, "cy": HEIGHT / 2, "w": WIDTH, "h": HEIGHT}
+    if blender:
+        lens = {"camera_angle_x": 2 * np.arctan(0.5 * WIDTH / FOCAL)}
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / "transforms.json"
+    path.write_text(json.dumps({**lens, "frames": frames, **changed}))
+    return path
+
+
+def poses(orbit: Orbit) -> list[list[float]]:
+    """COLMAP's quaternion wxyz and translation."""
+    rows = []
+    for camera in orbit.cameras:
+        r = camera.world_to_camera
+        w = np.sqrt(max(1 + np.trace(r), 1e-12)) / 2
+        if w > 1e-3:
+            turn = [w, *(np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]]) / (4 * w))]
+        else:
+            values, vectors = np.linalg.eigh(r + r.T)
+            turn = [0.0, *vectors[:, np.argmax(values)]]
+        rows.append([*turn, *(-r @ camera.position_m)])
+    return rows
+
+
+def write_colmap_text(folder: Path, orbit: Orbit) -> None:
+    folder.mkdir(parents=True)
+    lens = f"7 PINHOLE {WIDTH} {HEIGHT} {FOCAL} {FOCAL} {WIDTH / 2} {HEIGHT / 2}"
+    (folder / "cameras.txt").write_text(f"# Camera list\n{lens}\n")
+    lines = ["# Image list"]
+    for number, (name, pose) in enumerate(zip(names_of(orbit), poses(orbit), strict=True)):
+        points = "" if number % 2 else "10.5 20.5 -1 11.5 7.0 3"
+        lines += [f"{number + 1} {' '.join(map(repr, map(float, pose)))} 7 {Path(name).name}", points]
+    (folder / "images.txt").write_text("\n".join(lines) + "\n")
+
+
+def write_colmap_binary(folder: Path, orbit: Orbit) -> None:
+    folder.mkdir(parents=True)
+    lens = struct.pack("<QiiQQ4d", 1, 7, 1, WIDTH, HEIGHT, FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2)
+    (folder / "cameras.bin").write_bytes(lens)
+    rows = [struct.pack("<Q", len(orbit.photos))]
+    for number, (name, pose) in enumerate(zip(names_of(orbit), poses(orbit), strict=True)):
+        points = struct.pack("<ddq", 1.0, 2.0, -1) * number
+        head = struct.pack("<i7di", number + 1, *pose, 7)
+        rows.append(head + Path(name).name.encode() + b"\0" + struct.pack("<Q", number) + points)
+    (folder / "images.bin").write_bytes(b"".join(rows))
+
+
+def write_llff(folder: Path, orbit: Orbit) -> None:
+    folder.mkdir(parents=True)
+    rows = []
+    for camera in orbit.cameras:
+        right, down, forward = camera.world_to_camera
+        pose = np.stack([down, right, -forward, camera.position_m, [HEIGHT, WIDTH, FOCAL]], axis=1)
+        rows.append([*pose.ravel(), 1.0, 10.0])
+    np.save(folder / "poses_bounds.npy", np.array(rows))
+
+
+WRITERS = {
+    "nerfstudio": write_transforms,
+    "blender": lambda root, orbit: write_transforms(root, orbit, blender=True),
+    "colmap text": lambda root, orbit: write_colmap_text(root / "sparse" / "0", orbit),
+    "colmap binary": lambda root, orbit: write_colmap_binary(root / "sparse" / "0", orbit),
+    "llff": lambda root, orbit: write_llff(root / "llff", orbit),
+}
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_every_format_gives_the_cameras_back(tmp_path, orbit, name):
+    WRITERS[name](tmp_path, orbit)
+    found = find_given(tmp_path, sizes_of(orbit))
+    assert found is not None
+    assert [camera.photo for camera in found] == names_of(orbit)
+    for camera, true in zip(found, orbit.cameras, strict=True):
+        assert np.allclose(camera.world_to_camera[:, :3], true.world_to_camera, atol=1e-6)
+        assert np.allclose(-camera.world_to_camera[:, :3].T @ camera.world_to_camera[:, 3], true.position_m, atol=1e-6)
+        assert camera.params[0] == pytest.approx(FOCAL)
+        assert (camera.width, camera.height) == (WIDTH, HEIGHT)
+        assert camera.params[-2:] == (WIDTH / 2, HEIGHT / 2)
+
+
+def test_no_cameras_are_none(tmp_path, orbit):
+    assert find_given(tmp_path, sizes_of(orbit)) is None
+
+
+def test_bent_lenses_keep_their_numbers(tmp_path, orbit):
+    write_transforms(tmp_path, orbit, k1=0.1, k2=-0.02, p1=0.001, p2=0.002)
+    (first, *_) = find_given(tmp_path, sizes_of(orbit)) or ()
+    assert (first.model, first.params[4:]) == ("OPENCV", (0.1, -0.02, 0.001, 0.002))
+    write_transforms(tmp_path, orbit, camera_model="OPENCV_FISHEYE", k1=0.1, k2=-0.02, k3=0.003)
+    (first, *_) = find_given(tmp_path, sizes_of(orbit)) or ()
+    assert (first.model, first.params[4:]) == ("OPENCV_FISHEYE", (0.1, -0.02, 0.003, 0.0))
+
+
+def test_a_scale_in_the_rotation_is_taken_out(tmp_path, orbit):
+    path = write_transforms(tmp_path, orbit)
+    told = json.loads(path.read_text())
+    for frame in told["frames"]:
+        matrix = np.array(frame["transform_matrix"])
+        matrix[:3, :3] *= 2.5
+        frame["transform_matrix"] = matrix.tolist()
+    path.write_text(json.dumps(told))
+    first: GivenCamera = (find_given(tmp_path, sizes_of(orbit)) or ())[0]
+    assert np.allclose(first.world_to_camera[:, :3], orbit.cameras[0].world_to_camera, atol=1e-6)
+
+
+def broken_colmap(root: Path, orbit: Orbit, cut: int) -> None:
+    write_colmap_binary(root / "sparse", orbit)
+    path = root / "sparse" / "images.bin"
+    path.write_bytes(path.read_bytes()[:cut])
+
+
+def lens_of_unknown_model(root: Path, orbit: Orbit) -> None:
+    write_colmap_text(root / "sparse", orbit)
+    path = root / "sparse" / "cameras.txt"
+    path.write_text(path.read_text().replace("PINHOLE", "PERISCOPE"))
+
+
+def only_cameras(root: Path, orbit: Orbit) -> None:
+    write_colmap_text(root / "sparse", orbit)
+    (root / "sparse" / "images.txt").unlink()
+
+
+def poses_of_shape(root: Path, shape: tuple[int, ...], fill: float = 1.0) -> None:
+    np.save(root / "poses_bounds.npy", np.full(shape, fill))
+
+
+BROKEN = {
+    "no json": (lambda root, orbit: (root / "transforms.json").write_text("{"), "transforms.json cannot be read"),
+    "no frames": (lambda root, orbit: (root / "transforms.json").write_text("{}"), "transforms.json cannot be read"),
+    "list": (lambda root, orbit: (root / "transforms.json").write_text("[1]"), "transforms.json cannot be read"),
+    "empty": (lambda root, orbit: write_transforms(root, orbit, frames=[]), "names 'nothing' and no photo"),
+    "other size": (lambda root, orbit: write_transforms(root, orbit, w=300), "300 x 300 pixels, it has 400 x 300"),
+    "no focal": (lambda root, orbit: write_transforms(root, orbit, fl_x=0.0), "focal length 0; it must be positive"),
+    "not a number": (lambda root, orbit: write_transforms(root, orbit, fl_x=float("nan")), "no rotation and place"),
+    "truncated": (lambda root, orbit: broken_colmap(root, orbit, 500), "COLMAP model cannot be read"),
+    "cut name": (lambda root, orbit: broken_colmap(root, orbit, 75), "COLMAP model cannot be read"),
+    "model": (lens_of_unknown_model, "PERISCOPE"),
+    "half": (only_cameras, "cameras.txt is there and images.txt is not"),
+    "rows": (lambda root, orbit: poses_of_shape(root, (3, 17)), r"shape \(3, 17\); \(14, 17\) is needed"),
+    "size": (lambda root, orbit: poses_of_shape(root, (14, 17), 0.5), "0.5 x 0.5 pixels; give its size"),
+    "nan": (lambda root, orbit: poses_of_shape(root, (14, 17), np.nan), "nan x nan pixels"),
+    "no npy": (lambda root, orbit: (root / "poses_bounds.npy").write_bytes(b"x" * 99), "cannot be read"),
+}
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_refuses_what_is_no_set_of_cameras(tmp_path, orbit, name):
+    write, message = BROKEN[name]
+    write(tmp_path, orbit)
+    with pytest.raises(FormatError, match=message):
+        find_given(tmp_path, sizes_of(orbit))
+
+
+def test_refuses_a_photo_with_two_cameras_and_cameras_of_other_photos(tmp_path, orbit):
+    path = write_transforms(tmp_path, orbit)
+    told = json.loads(path.read_text())
+    told["frames"].append(told["frames"][0])
+    path.write_text(json.dumps(told))
+    with pytest.raises(FormatError, match="names a photo twice"):
+        find_given(tmp_path, sizes_of(orbit))
+    with pytest.raises(FormatError, match="and no photo that is there"):
+        find_given(tmp_path, {"elsewhere.jpg": ((400, 300), (400, 300))})
+
+
+def test_refuses_a_file_of_too_many_bytes(tmp_path, orbit):
+    with write_transforms(tmp_path, orbit).open("r+b") as stream:
+        stream.truncate(2**30)
+    with pytest.raises(FormatError, match="1,073,741,824 bytes; at most"):
+        find_given(tmp_path, sizes_of(orbit))

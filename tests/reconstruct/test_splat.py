@@ -1,0 +1,185 @@
+"""A splat that is learned from pictures of a known thing; the optimiser's parts, each by its law."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from dynamictree.errors import Cancelled
+from dynamictree.reconstruct.adam import AdamState, adam_step
+from dynamictree.reconstruct.checkpoint import load_progress, save_progress
+from dynamictree.reconstruct.cut import cloud_in_metres, of_the_tree
+from dynamictree.reconstruct.densify import DensityRules, densified, fainter
+from dynamictree.reconstruct.optimise import Schedule, SplatProgress
+from dynamictree.reconstruct.picture_loss import picture_loss, psnr
+from dynamictree.reconstruct.splat import fit_splat, held_out_views
+from dynamictree.reconstruct.splat_start import thinned
+from dynamictree.reconstruct.splat_table import LOG_SCALE, LOGIT, MEAN, cloud_of, table_of_points
+from dynamictree.reconstruct.views import SparseModel, View
+from tests.reconstruct.conftest import Orbit
+from tests.reconstruct.test_surface import model_of
+
+SMALL = Schedule(num_steps=160, side_px=120, check_every=40, coarser=((0.4, 2),), densify_every=40, degree_every=40)
+
+
+def small_model(orbit: Orbit, rng: np.random.Generator, *, cut: bool = False) -> SparseModel:
+    """Photos of 120 pixels, and points as structure from motion would give them, in the photos' colours."""
+    model = model_of(orbit, rng)
+    views = []
+    for view in model.views:
+        image = np.array(Image.fromarray(view.image).resize((120, 90), Image.Resampling.BOX))
+        alpha = None
+        if cut:
+            alpha = np.zeros((90, 120), np.uint8)
+            alpha[:, 30:90] = 255
+        views.append(View(source=view.source, image=image, camera=view.camera, alpha=alpha))
+    x, y, _ = model.views[0].camera.project(model.points, 120, 90).T
+    at = np.clip(y, 0, 89).astype(int), np.clip(x, 0, 119).astype(int)
+    return replace(model, views=tuple(views), colors=views[0].image[at])
+
+
+def test_a_splat_learns_to_show_photos_that_it_was_not_shown(orbit, rng):
+    fit = fit_splat(small_model(orbit, rng), None, SMALL)
+    assert fit.held_out == ("photo_03.jpg", "photo_10.jpg")
+    assert fit.size_px == (120, 90)
+    assert np.mean(fit.psnr_db) > np.mean(fit.blank_db) + 5
+    assert max(value for *_, value in fit.checks if np.isfinite(value)) == pytest.approx(np.mean(fit.psnr_db), abs=0.01)
+
+
+def test_where_photos_are_cut_out_nothing_is_left(orbit, rng):
+    fit = fit_splat(small_model(orbit, rng, cut=True), None, replace(SMALL, num_steps=120))
+    for pair in fit.pictures:
+        shown = pair[:, 120:].astype(float)
+        assert shown[:, :24].mean() < 0.25 * shown[:, 36:84].mean()
+
+
+def test_a_run_that_was_stopped_goes_on_to_the_same_end(orbit, rng, tmp_path):
+    model, schedule = small_model(orbit, rng), replace(SMALL, num_steps=60, check_every=1000)
+    whole = fit_splat(model, None, schedule)
+
+    def stop(done: float) -> None:
+        if done > 0:
+            raise Cancelled("enough")
+
+    with pytest.raises(Cancelled):
+        fit_splat(model, None, schedule, saved=tmp_path / "splat.npz", on_progress=stop)
+    assert 0 < load_progress(tmp_path / "splat.npz").step < 60
+    resumed = fit_splat(model, None, schedule, saved=tmp_path / "splat.npz")
+    assert np.array_equal(resumed.table, whole.table)
+    again = fit_splat(model, None, schedule, saved=tmp_path / "splat.npz")
+    assert np.array_equal(again.table, whole.table)
+
+
+def test_a_checkpoint_is_read_as_it_was_written(rng, tmp_path):
+    table = rng.normal(size=(5, 23)).astype(np.float32)
+    moments = AdamState(first=table + 1, second=table + 2, num_steps=7)
+    progress = SplatProgress(
+        table=table, moments=moments, step=9, best=table[:2], best_psnr=21.5, checks=((4, 5, 20.0), (8, 5, 21.5))
+    )
+    save_progress(progress, tmp_path / "a.npz")
+    read = load_progress(tmp_path / "a.npz")
+    for found, true in ((read.table, table), (read.moments.first, table + 1), (read.moments.second, table + 2)):
+        assert np.array_equal(found, true)
+    assert (read.step, read.moments.num_steps, read.best_psnr, read.checks) == (9, 7, 21.5, progress.checks)
+    assert np.array_equal(read.result, table[:2])
+
+
+def test_the_loss_and_its_gradient_are_torchs(rng):
+    picture = rng.random((3, 37, 29)).astype(np.float32)
+    photo = np.clip(picture + 0.1 * rng.normal(size=picture.shape), 0, 1).astype(np.float32)
+    found = picture_loss(picture, photo)
+    x = torch.tensor(picture.astype(np.float64), requires_grad=True)
+    y = torch.tensor(photo.astype(np.float64))
+    line = torch.exp(-0.5 * (torch.arange(-5, 6, dtype=torch.float64) / 1.5) ** 2)
+    window = torch.outer(line, line).expand(3, 1, 11, 11) / line.sum() ** 2
+
+    def mean(maps: torch.Tensor) -> torch.Tensor:
+        return torch.nn.functional.conv2d(maps[None], window, padding=5, groups=3)[0]
+
+    mx, my = mean(x), mean(y)
+    sx, sy, sxy = mean(x * x) - mx * mx, mean(y * y) - my * my, mean(x * y) - mx * my
+    similarity = (2 * mx * my + 1e-4) * (2 * sxy + 9e-4) / ((mx * mx + my * my + 1e-4) * (sx + sy + 9e-4))
+    loss = 0.8 * (x - y).abs().mean() + 0.2 * (1 - similarity.mean())
+    loss.backward()
+    assert found.value == pytest.approx(loss.item(), rel=1e-5)
+    assert np.abs(found.gradient - x.grad.numpy()).max() < 1e-4 * np.abs(x.grad.numpy()).max()
+    assert psnr(picture, picture + np.float32(0.1)) == pytest.approx(20, abs=1e-3)
+
+
+def test_adam_is_torchs(rng):
+    table = rng.normal(size=(6, 4)).astype(np.float32)
+    slopes = rng.normal(size=(5, 6, 4)).astype(np.float32)
+    rates = np.array([1e-2, 2e-2, 1e-3, 0], np.float32)
+    true = torch.tensor(table)
+    columns = [torch.nn.Parameter(true[:, c].clone()) for c in range(4)]
+    adam = torch.optim.Adam([{"params": [p], "lr": float(r)} for p, r in zip(columns, rates, strict=True)], eps=1e-15)
+    state = AdamState.fresh(6, 4)
+    for slope in slopes:
+        for c, column in enumerate(columns):
+            column.grad = torch.tensor(slope[:, c])
+        adam.step()
+        state = adam_step(table, slope, state, rates)
+    assert np.allclose(table, torch.stack(columns, dim=1).detach().numpy(), atol=1e-6)
+    assert state.num_steps == 5
+
+
+def points_table(rng: np.random.Generator, number: int, size: float) -> np.ndarray:
+    points, colors = rng.normal(size=(number, 3)).astype(np.float32), np.full((number, 3), 0.5, np.float32)
+    return table_of_points(points, colors, np.full(number, size, np.float32), opacity=0.5, sh_degree=1)
+
+
+def test_the_large_are_split_the_small_get_twins_the_faint_go(rng):
+    table = points_table(rng, 4, 0.001)
+    table[1, LOG_SCALE] = np.log(0.05)
+    table[2, LOGIT] = -9
+    table[3, LOG_SCALE] = np.log(0.5)
+    pull = np.array([1, 1, 1, 0], np.float32)
+    after, moments = densified(table, AdamState.fresh(4, table.shape[1]), pull, DensityRules(), extent=1.0, rng=rng)
+    assert len(after) == len(moments.first) == 4  # the first and its twin, two halves
+    assert np.array_equal(after[0], after[1])
+    assert np.array_equal(after[0], table[0])
+    assert np.allclose(np.exp(after[2:, LOG_SCALE]), 0.05 / 1.6)
+    assert not np.allclose(after[2, MEAN], after[3, MEAN])
+
+
+def test_the_budget_goes_to_those_that_are_pulled_at_most(rng):
+    table = points_table(rng, 10, 0.001)
+    pull = np.arange(10, dtype=np.float32)
+    rules = DensityRules(max_gaussians=12)
+    after, _ = densified(table, AdamState.fresh(10, table.shape[1]), pull, rules, extent=1.0, rng=rng)
+    assert len(after) == 12
+    assert {tuple(row) for row in after[10:].tolist()} == {tuple(row) for row in table[[9, 8]].tolist()}
+    full, _ = densified(after, AdamState.fresh(12, table.shape[1]), np.ones(12, np.float32), rules, extent=1.0, rng=rng)
+    assert len(full) == 12
+
+
+def test_a_reset_leaves_nothing_opaque(rng):
+    table = points_table(rng, 3, 0.01)
+    fainter(table, AdamState.fresh(3, table.shape[1]))
+    assert cloud_of(table).opacity.max() == pytest.approx(0.01, rel=1e-3)
+
+
+def test_the_trees_own_gaussians_lie_on_its_mesh(rng):
+    table = points_table(rng, 4, 0.01)
+    table[:, MEAN] = [[0, 0, 0], [0, 0, 0.01], [0, 0, 0.5], [0, 0, 0]]
+    table[3, LOG_SCALE] = np.log(0.5)
+    cloud = cloud_in_metres(table, 2.0, np.array([0.0, 0.0, -1.0]))
+    assert np.allclose(cloud.means[2], [0, 0, 3.0])
+    assert np.allclose(cloud.scales[0], 0.02)
+    chosen = of_the_tree(cloud, np.array([[0, 0, 2.0]], np.float32), radius_m=2.0)
+    assert chosen.tolist() == [True, True, False, False]
+
+
+@pytest.mark.parametrize(("number", "held"), [(14, [3, 10]), (5, [1, 3]), (32, [4, 12, 20, 28])])
+def test_photos_are_held_out_all_along_the_walk(number, held):
+    assert held_out_views(number) == held
+
+
+def test_points_are_thinned_evenly_in_space(rng):
+    points = np.concatenate([rng.normal(scale=0.01, size=(5000, 3)), rng.uniform(-1, 1, (500, 3))])
+    kept = thinned(points, 300, rng)
+    assert 200 < len(kept) <= 300
+    assert (kept < 5000).sum() < 30
+    assert len(thinned(points[:100], 300, rng)) == 100
