@@ -14,6 +14,8 @@ from jobs.states import AssetKind
 
 CHILD = ("-m", "worker.parse")
 MAX_ANSWER_BYTES = 64 * 1024
+INHERITED = ("PATH", "LANG", "LC_", "LD_LIBRARY_PATH", "PYTHON", "VIRTUAL_ENV", "TMPDIR", "HOME")
+"""Of the environment; who reads hostile bytes gets no credentials."""
 
 
 class ParseRequest(BaseModel):
@@ -45,7 +47,8 @@ class ParseAnswer(BaseModel):
 
 async def parse(request: ParseRequest, settings: Settings) -> ParseAnswer:
     """Run the child. Whatever happens to it, there is an answer, and no process is left."""
-    environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    environment = {name: value for name, value in os.environ.items() if name.startswith(INHERITED)}
+    environment |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     child = await asyncio.create_subprocess_exec(
         sys.executable,
         *CHILD,

@@ -10,6 +10,10 @@ from jobs.database import upsert
 from jobs.messages import RunJob
 from jobs.states import JobState
 from jobs.store import Store, end
+from jobs.tallies import count
+
+TOMBSTONE_S = 90 * 86400.0
+"""So long it is known that there was a job or an upload of some id: 410, not 404."""
 
 BLOB_GRACE_S = 3600.0
 """Bytes are put before the row that refers to them; nothing takes an hour between the two."""
@@ -96,6 +100,7 @@ def _reap_one(connection: sa.Connection, job_id: str, now: float, max_lost_attem
     running = (t.stages.c.job_id == job_id) & (t.stages.c.state == "running")
     stage = connection.execute(sa.select(t.stages.c.name).where(running)).scalar_one_or_none()
     lost = [*row.lost_stages, stage]
+    count(connection, "attempts", "lost")
     if len(lost) <= max_lost_attempts:
         begin_next_attempt(connection, job_id, row.attempt, now=now, lost_stages=lost)
         return JobState.RUNNING
@@ -135,8 +140,18 @@ def forget_expired(store: Store, *, job_retention_s: float, cache_retention_s: f
         old = (t.assets.c.expires_at < now) & t.assets.c.deleted_at.is_(None) & t.assets.c.id.not_in(in_use)
         connection.execute(t.assets.update().where(old).values(deleted_at=now, live_fingerprint=None))
         ended = t.jobs.c.finished_at < now - job_retention_s
+        tombs = sa.select(t.jobs.c.id, t.jobs.c.owner, sa.literal("job"), sa.literal(now)).where(ended)
+        connection.execute(t.tombstones.insert().from_select(["id", "owner", "kind", "gone_at"], tombs))
         connection.execute(t.jobs.delete().where(ended))
+        connection.execute(t.tombstones.delete().where(t.tombstones.c.gone_at < now - TOMBSTONE_S))
         connection.execute(t.stage_cache.delete().where(t.stage_cache.c.used_at < now - cache_retention_s))
+
+
+def forget_deliveries(store: Store, *, retention_s: float) -> None:
+    """Drop what was told to webhooks long ago."""
+    old = (t.deliveries.c.created_at < store.clock() - retention_s) & t.deliveries.c.next_at.is_(None)
+    with store.writing() as connection:
+        connection.execute(t.deliveries.delete().where(old))
 
 
 def unreferenced_blobs(store: Store, *, limit: int = 1000) -> list[str]:

@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -70,6 +71,7 @@ def examine(settings: Settings) -> list[Finding]:
         _storage,
         _presets,
         _photos,
+        _isolation,
     ]
     return [check(settings) for check in checks]
 
@@ -148,6 +150,19 @@ def _presets(_: Settings) -> Finding:
     found = ", ".join(f"{name} ({size / 1e6:.1f} MB)" for name, size in preset_sizes().items())
     detail = found or "no model is shipped; diffuse and animate jobs will be refused"
     return Finding(name="presets", verdict="ok" if found else "warning", detail=detail)
+
+
+def _isolation(_: Settings) -> Finding:
+    """What holds the process that reads uploads; asked in a process of its own, because it is for good."""
+    program = "import tempfile, pathlib; from worker.confine import confine; "
+    program += "print(*confine(pathlib.Path(tempfile.mkdtemp())))"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False, timeout=60)
+    holds = done.stdout.split()
+    missing = [hold for hold in ("landlock", "seccomp") if hold not in holds]
+    if missing:
+        detail = f"uploads are read without {' and '.join(missing)}, which this kernel or container does not give"
+        return Finding(name="isolation", verdict="warning", detail=detail)
+    return Finding(name="isolation", verdict="ok", detail="uploads are read without network, other files and programs")
 
 
 def _photos(_: Settings) -> Finding:

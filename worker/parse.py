@@ -1,6 +1,7 @@
 """The child that reads an upload: `python -m worker.parse`, request on stdin, answer on stdout. See jobs/parser.py.
 
-It gives up what it does not need (memory, time, open files, core dumps) before it looks at the first byte.
+It gives up what it does not need (memory, time, open files, the network, other programs and files) before it looks at
+the first byte.
 """
 
 import os
@@ -12,6 +13,7 @@ from pathlib import Path, PurePosixPath
 
 from dynamictree.errors import DynamicTreeError
 from jobs.parser import ParseAnswer, ParseRequest
+from worker.confine import confine
 
 MAX_FILES = 512
 MAX_PIXELS = 50_000_000
@@ -23,6 +25,7 @@ def main() -> None:
     """Read the request, read the files, write the answer."""
     request = ParseRequest.model_validate_json(sys.stdin.buffer.read())
     _limit(request)
+    confine(request.prepared.parent, request.paths)
     answer_to = os.dup(1)
     os.dup2(2, 1)  # what a library prints is no answer
     try:

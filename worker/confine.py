@@ -1,0 +1,140 @@
+"""Takes from a process what it does not need: the network, other programs, other files. Linux; no privilege needed.
+
+Landlock (kernel 5.13) leaves it Python, its libraries and one folder; seccomp (kernel 3.17) leaves it no socket, no
+`exec`, no io_uring, no look into other processes. `dynamictree doctor` tells what of it a machine has.
+"""
+
+import ctypes
+import errno
+import os
+import platform
+import struct
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Literal
+
+Hold = Literal["landlock", "seccomp"]
+
+_PR_SET_NO_NEW_PRIVS = 38
+_PR_SET_SECCOMP = 22
+_FILTER = 2
+_ALLOW, _DENY = 0x7FFF_0000, 0x0005_0000 | errno.EPERM
+_LOAD, _JUMP_EQUAL, _JUMP_AT_LEAST, _RETURN = 0x20, 0x15, 0x35, 0x06
+_NUMBER_AT, _MACHINE_AT = 0, 4  # in struct seccomp_data
+_X32 = 0x4000_0000  # the other numbering of x86_64
+
+_MACHINES = {"x86_64": 0xC000_003E, "aarch64": 0xC000_00B7}
+_DENIED: dict[str, tuple[int, ...]] = {
+    # socket connect accept sendto recvfrom sendmsg recvmsg bind listen socketpair accept4, execve execveat, ptrace
+    # process_vm_readv/writev kill pidfd_open pidfd_getfd, mount unshare setns open_by_handle_at bpf perf_event_open
+    # add_key request_key keyctl userfaultfd io_uring_setup/enter/register
+    "x86_64": (
+        *(41, 42, 43, 44, 45, 46, 47, 49, 50, 53, 288, 59, 322, 101, 310, 311, 62, 434, 438),
+        *(165, 272, 308, 304, 321, 298, 248, 249, 250, 323, 425, 426, 427),
+    ),
+    "aarch64": (
+        *(198, 203, 202, 206, 207, 211, 212, 200, 201, 199, 242, 221, 281, 117, 270, 271, 129, 434, 438),
+        *(40, 97, 268, 265, 280, 241, 217, 218, 219, 282, 425, 426, 427),
+    ),
+}
+
+_CREATE_RULESET, _ADD_RULE, _RESTRICT_SELF = 444, 445, 446
+_PATH_BENEATH = 1
+_READ_FILE, _READ_DIR, _EXECUTE = 1 << 2, 1 << 3, 1 << 0
+_FILE_BITS = _EXECUTE | 1 << 1 | _READ_FILE | 1 << 14  # the only ones that a rule for a file may have
+_ACCESS_BITS = {1: 13, 2: 14, 3: 15, 4: 15, 5: 16}  # how many kinds of access each version of Landlock knows
+
+
+def confine(writable: Path, readable: Sequence[Path] = ()) -> tuple[Hold, ...]:
+    """Confine this process for good, and tell what holds it.
+
+    It may write below `writable`, and read `readable` and what Python and its libraries need.
+
+    Raises:
+        OSError: the kernel offers a hold and then refuses it.
+    """
+    if sys.platform != "linux" or platform.machine() not in _MACHINES:
+        return ()
+    libc = ctypes.CDLL(None, use_errno=True)
+    _call(libc.prctl, _PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0)
+    holds: list[Hold] = []
+    if _restrict_files(libc, writable, readable):
+        holds.append("landlock")
+    if _filter_calls(libc):
+        holds.append("seccomp")
+    return tuple(holds)
+
+
+def _filter_calls(libc: ctypes.CDLL) -> bool:
+    program = _program(platform.machine())
+    kept = ctypes.create_string_buffer(program, len(program))
+    header = struct.pack("HxxxxxxP", len(program) // 8, ctypes.addressof(kept))
+    if libc.prctl(_PR_SET_SECCOMP, _FILTER, ctypes.create_string_buffer(header, len(header)), 0, 0) == 0:
+        return True
+    if ctypes.get_errno() == errno.EINVAL:
+        return False  # a kernel without it
+    raise OSError(ctypes.get_errno(), "seccomp")
+
+
+def _program(machine: str) -> bytes:
+    """Instructions of the filter: another machine's calls and the denied ones fail with EPERM."""
+    denied = _DENIED[machine]
+    end = len(denied) + 2  # instructions from the first comparison to the denial
+
+    def instruction(code: int, yes: int, no: int, value: int) -> bytes:
+        return struct.pack("HBBI", code, yes, no, value)
+
+    lines = [
+        instruction(_LOAD, 0, 0, _MACHINE_AT),
+        instruction(_JUMP_EQUAL, 0, end + 1, _MACHINES[machine]),
+        instruction(_LOAD, 0, 0, _NUMBER_AT),
+        instruction(_JUMP_AT_LEAST, end - 1, 0, _X32),
+    ]
+    lines += [instruction(_JUMP_EQUAL, len(denied) - i, 0, number) for i, number in enumerate(denied)]
+    lines += [instruction(_RETURN, 0, 0, _ALLOW), instruction(_RETURN, 0, 0, _DENY)]
+    return b"".join(lines)
+
+
+def _restrict_files(libc: ctypes.CDLL, writable: Path, readable: Sequence[Path]) -> bool:
+    version = libc.syscall(_CREATE_RULESET, None, ctypes.c_size_t(0), 1)
+    if version < 1:
+        return False  # a kernel without it, or it is switched off
+    every = (1 << _ACCESS_BITS.get(version, 16)) - 1
+    # from version 4 on no TCP, from 6 on no abstract sockets and no signals to others
+    attributes = struct.pack("QQQ", every, 3 if version >= 4 else 0, 3 if version >= 6 else 0)
+    size = 24 if version >= 6 else 16 if version >= 4 else 8
+    rules = _call(libc.syscall, _CREATE_RULESET, ctypes.create_string_buffer(attributes, 24), ctypes.c_size_t(size), 0)
+    try:
+        _allow(libc, rules, [writable], every)
+        _allow(libc, rules, [*_readable(), *readable], (_READ_FILE | _READ_DIR | _EXECUTE) & every)
+        _call(libc.syscall, _RESTRICT_SELF, rules, 0)
+    finally:
+        os.close(rules)
+    return True
+
+
+def _readable() -> Sequence[Path]:
+    """What Python and its libraries read."""
+    system = ("/usr", "/lib", "/lib64", "/etc/ld.so.cache", "/sys/devices/system", "/dev/null", "/dev/urandom")
+    told = ("/proc/self", "/proc/cpuinfo", "/proc/meminfo", "/proc/stat", "/proc/sys/vm/overcommit_memory")
+    python = (sys.prefix, sys.base_prefix, *(entry for entry in sys.path if entry), str(Path(__file__).parents[1]))
+    return [Path(name) for name in dict.fromkeys((*system, *told, *python)) if Path(name).exists()]
+
+
+def _allow(libc: ctypes.CDLL, rules: int, paths: Iterable[Path], access: int) -> None:
+    for path in paths:
+        descriptor = os.open(path, os.O_PATH | os.O_CLOEXEC)
+        try:
+            allowed = access if path.is_dir() else access & _FILE_BITS
+            rule = ctypes.create_string_buffer(struct.pack("=Qi", allowed, descriptor), 12)
+            _call(libc.syscall, _ADD_RULE, rules, _PATH_BENEATH, rule, 0)
+        finally:
+            os.close(descriptor)
+
+
+def _call(function: "ctypes._FuncPointer", *arguments: object) -> int:
+    answer = int(function(*arguments))
+    if answer < 0:
+        raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
+    return answer
