@@ -148,6 +148,7 @@ def test_a_run_goes_on_where_it_was_cut_off(baked, tmp_path):
 def test_parts_share_the_work(baked, tmp_path):
     assert not generate(TINY, tmp_path, part=(1, 2))["complete"]
     assert not (tmp_path / f"{shard_name(0)}.safetensors").exists()
+    assert (tmp_path / f"{shard_name(1)}.safetensors").read_bytes() == contents(baked)[f"{shard_name(1)}.safetensors"]
     for ending in (".safetensors", ".json"):
         name = f"{shard_name(0)}{ending}"
         (tmp_path / name).write_bytes((baked / name).read_bytes())

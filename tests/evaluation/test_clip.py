@@ -29,18 +29,19 @@ def picture(seed: int) -> np.ndarray:
 
 def test_the_weights_are_those_of_the_file_and_of_vit_b_32(tmp_path: Path) -> None:
     """The file as it is published: with another tower's tensors, and positions among the weights."""
-    torch.manual_seed(0)
-    published = transformers.CLIPVisionModelWithProjection(transformers.CLIPVisionConfig())
-    tensors = {name: value.contiguous() for name, value in published.state_dict().items()}
+    with torch.device("meta"):
+        shape = transformers.CLIPVisionModelWithProjection(transformers.CLIPVisionConfig()).state_dict()
+    generator = torch.Generator().manual_seed(0)
+    weights = {name: 0.02 * torch.randn(value.shape, generator=generator) for name, value in shape.items()}
     others = {"vision_model.embeddings.position_ids": torch.arange(50)[None], "logit_scale": torch.ones(1)}
-    save_file({**tensors, **others}, tmp_path / "model.safetensors")
+    save_file({**weights, **others}, tmp_path / "model.safetensors")
     loaded = load_clip(tmp_path)
     assert sum(one.numel() for one in loaded.network.parameters()) == 87_849_216
+    assert all(torch.equal(value, weights[name]) for name, value in loaded.network.state_dict().items())
     assert not loaded.network.training
     (row,) = loaded.embed([picture(0)])
     assert row.shape == (512,)
-    expected = ImageEmbedder(published).embed([picture(0)])[0]
-    torch.testing.assert_close(row, expected)
+    assert float(row.norm()) == pytest.approx(1)
 
 
 def test_frames_that_are_the_view_are_at_no_distance(embedder: ImageEmbedder) -> None:
