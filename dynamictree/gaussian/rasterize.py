@@ -1,4 +1,6 @@
-"""Pictures of Gaussian clouds on the CPU. Kerbl et al. 2023, with the antialiasing of Mip-Splatting (Yu et al. 2024).
+"""Pictures of Gaussian clouds. Kerbl et al. 2023, with the antialiasing of Mip-Splatting (Yu et al. 2024).
+
+On the CPU, or by gsplat where CUDA is.
 
 A Gaussian is projected to an ellipse, the ellipses are sorted by depth and listed by tiles of 16 × 16 pixels, each tile
 blends its list front to back. `render_slowly` is the readable twin: every Gaussian at every pixel, in double precision.
@@ -11,7 +13,8 @@ from jaxtyping import Float32, Float64, Int32, Int64, UInt8
 
 from dynamictree.errors import InputError
 from dynamictree.gaussian.cloud import GaussianCloud
-from dynamictree.gaussian.deform import Pose
+from dynamictree.gaussian.cuda import gsplat_is_there, render_with_gsplat
+from dynamictree.gaussian.deform import Pose, posed
 from dynamictree.gaussian.harmonics import harmonics
 from dynamictree.gaussian.rasterize_kernel import (
     BLUR_PX2,
@@ -69,6 +72,18 @@ def render_cloud(
         InputError: no picture has that size.
     """
     check_size(width, height)
+    if gsplat_is_there():
+        shown = cloud if pose is None else posed(cloud, pose)
+        color, alpha, depth = render_with_gsplat(shown, camera, width=width, height=height, antialias=antialias)
+        far = np.where(alpha > MIN_ALPHA, depth, np.float32(np.inf)).astype(np.float32)
+        return SplatPicture(color=color, alpha=alpha, depth=far)
+    return render_on_cpu(cloud, camera, width=width, height=height, pose=pose, antialias=antialias)
+
+
+def render_on_cpu(
+    cloud: GaussianCloud, camera: Camera, *, width: int, height: int, pose: Pose | None = None, antialias: bool = True
+) -> SplatPicture:
+    """`render_cloud` without CUDA, whatever is there."""
     now = pose or Pose(means=cloud.means, quaternions=cloud.quaternions, scales=cloud.scales)
     ellipses = np.zeros((cloud.num_gaussians, 10), np.float32)
     bounds = np.zeros((cloud.num_gaussians, 4), np.int32)  # left, right, top, bottom; empty where not seen

@@ -1,0 +1,55 @@
+"""Pictures of Gaussian clouds by gsplat (Ye et al. 2024), where it is installed and there is a CUDA device."""
+
+from functools import cache
+from importlib.util import find_spec
+
+import numpy as np
+from jaxtyping import Float32
+
+from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.gaussian.rasterize_kernel import BLUR_PX2, NEAR_M
+from dynamictree.render.camera import Camera
+
+
+@cache
+def gsplat_is_there() -> bool:
+    """Whether gsplat and a CUDA device are there; loads no torch where gsplat is not installed."""
+    if find_spec("gsplat") is None:
+        return False
+    import torch
+
+    return torch.cuda.is_available()
+
+
+def render_with_gsplat(
+    cloud: GaussianCloud, camera: Camera, *, width: int, height: int, antialias: bool
+) -> tuple[Float32[np.ndarray, "H W 3"], Float32[np.ndarray, "H W"], Float32[np.ndarray, "H W"]]:
+    """Colour times alpha, alpha, and mean depth [m] of a cloud as it lies."""
+    import gsplat
+    import torch
+
+    def on_device(values: np.ndarray) -> torch.Tensor:
+        return torch.from_numpy(np.ascontiguousarray(values, np.float32)).cuda()
+
+    world_to_camera = np.eye(4)
+    world_to_camera[:3, :3] = camera.world_to_camera
+    world_to_camera[:3, 3] = -camera.world_to_camera @ camera.position_m
+    with torch.no_grad():
+        seen, alpha, _ = gsplat.rasterization(
+            means=on_device(cloud.means),
+            quats=on_device(cloud.quaternions),
+            scales=on_device(cloud.scales),
+            opacities=on_device(cloud.opacity),
+            colors=on_device(cloud.sh),
+            viewmats=on_device(world_to_camera)[None],
+            Ks=on_device(camera.intrinsics_px(width, height))[None],
+            width=width,
+            height=height,
+            near_plane=float(NEAR_M),
+            eps2d=float(BLUR_PX2),
+            sh_degree=cloud.sh_degree,
+            render_mode="RGB+ED",
+            rasterize_mode="antialiased" if antialias else "classic",
+        )
+    picture = seen[0].cpu().numpy()
+    return np.ascontiguousarray(picture[..., :3]), alpha[0, ..., 0].cpu().numpy(), np.ascontiguousarray(picture[..., 3])

@@ -1,0 +1,32 @@
+"""gsplat draws what our own renderer draws."""
+
+import numpy as np
+import pytest
+
+from benchmarks.render_frame import crown
+from dynamictree.gaussian.cuda import gsplat_is_there
+from dynamictree.gaussian.deform import Pose
+from dynamictree.gaussian.rasterize import render_cloud, render_on_cpu
+from dynamictree.gaussian.rotation import quaternion_products
+from dynamictree.render.camera import Camera
+
+
+@pytest.mark.gpu
+@pytest.mark.parametrize("antialias", [True, False])
+def test_gsplat_and_the_cpu_draw_the_same_picture(antialias: bool, rng: np.random.Generator) -> None:
+    if not gsplat_is_there():
+        pytest.skip("gsplat or a CUDA device is not there")
+    cloud = crown(20_000)
+    turn = np.array([np.cos(0.3), 0, 0, np.sin(0.3)])
+    pose = Pose(
+        means=cloud.means + np.float32(0.1),
+        quaternions=quaternion_products(np.tile(turn, (len(cloud.means), 1)), cloud.quaternions).astype(np.float32),
+        scales=cloud.scales,
+    )
+    camera = Camera.orbit(cloud.means)
+    theirs = render_cloud(cloud, camera, width=256, height=256, pose=pose, antialias=antialias)
+    ours = render_on_cpu(cloud, camera, width=256, height=256, pose=pose, antialias=antialias)
+    assert np.square(theirs.color - ours.color).mean() < 1e-4  # 40 dB
+    assert np.abs(theirs.alpha - ours.alpha).mean() < 0.01
+    both = np.isfinite(theirs.depth) & np.isfinite(ours.depth) & (ours.alpha > 0.5)
+    assert np.median(np.abs(theirs.depth[both] / ours.depth[both] - 1)) < 0.01
