@@ -84,8 +84,10 @@ def served(state: Path, log_path: Path) -> Iterator[str]:
         str(state),
     ]
     print("== starting the service")
-    with log_path.open("w") as log:
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, text=True)
+    with (
+        log_path.open("w") as log,
+        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, text=True) as process,
+    ):
         try:
             yield wait_ready(process, log_path)
         finally:

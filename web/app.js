@@ -19,9 +19,9 @@ const STAGES = { upload: "Upload", reconstruct: "Photos to a tree", voxelize: "F
 const EASE_S = 0.6; // in which wind follows its slider
 const SHOWN_SHARE = 0.05; // of the height: a mode alone is enlarged to this
 
-const client = new Client({ key: sessionStorage.getItem("key") });
+const client = new Client({ key: sessionStorage.getItem("key"), kept: localStorage });
 const stage = newStage();
-const hand = new Hand(stage, client, { onGrab: showGrip, onMotion: () => {}, onProblem: showProblem });
+const hand = new Hand(stage, client, { onGrab: showGrip, onProblem: showProblem });
 const files = new Files(client, { onProblem: fail });
 const jobs = new JobList(client, { onOpen: (job) => open(job.id), onProblem: fail });
 const still = matchMedia("(prefers-reduced-motion: reduce)");
@@ -43,14 +43,14 @@ async function begin(given, { example } = {}) {
   try {
     const asset = await client.upload(given, { signal, onProgress: (share) => { stages[0].progress = share; showProgress(example ?? name, stages); } });
     showAtRest(asset, signal);
-    const job = await client.createJob({ type: "animate", asset_id: asset.id, params: { formats: defaultFormats(asset) } }, { signal });
+    const job = await client.createJob({ type: "animate", asset_id: asset.id, params: { formats: FIRST_FORMATS[asset.kind] } }, { signal });
     await follow(job.id, signal, example ?? name);
   } catch (error) {
     fail(error, signal, () => begin(given, { example }));
   }
 }
 
-const defaultFormats = (asset) => (asset.kind === "splat" ? ["splat"] : ["glb"]);
+const FIRST_FORMATS = { mesh: ["glb"], cloud: ["splat"], photos: ["glb", "splat"] }; // more are made when asked for
 
 async function open(jobId) {
   const { signal } = restart();
@@ -78,7 +78,7 @@ async function follow(jobId, signal, name) {
     files.follow(job);
   }
   if (moving) await moving;
-  if (job.state === "succeeded") return;
+  if (job.state === "succeeded") return showSplat(job, signal);
   throw Object.assign(new Problem(job.error ?? { title: `The job is ${job.state}`, suggestion: "Start it again.", code: job.state }), { job });
 }
 
@@ -112,6 +112,15 @@ async function showMoving(job, spectrumId, signal, name) {
   showRest();
   showPlaying();
   hint();
+}
+
+/** Gaussians, where the job has made some of a cloud or of photos. */
+async function showSplat(job, signal) {
+  const made = (await client.artifacts(job.id)).find(({ name }) => name === "tree.animated-splat.safetensors");
+  if (!made || !tree?.moves || signal.aborted) return;
+  const { readSplat } = await import("./splat.js");
+  const splat = readSplat(await client.bytes(made.url, { signal }));
+  if (!signal.aborted) await tree.setSplat(splat);
 }
 
 function restart() {
@@ -207,7 +216,7 @@ function showWind() {
   const made = shown?.spectrum.wind ?? { speed_m_s: 5, direction_deg: 0 };
   const speed = Number($("speed").value), direction = Number($("direction").value);
   fill($("speed-out"), `${speed.toFixed(1)} m/s`);
-  fill($("direction-out"), compass(direction));
+  fill($("direction-out"), degrees(direction));
   const turn = ((direction - made.direction_deg + 540) % 360) - 180;
   motion.wanted = windGain(speed, made.speed_m_s);
   motion.turn = (turn * Math.PI) / 180;
@@ -217,11 +226,6 @@ function showWind() {
   $("make-wind").hidden = same;
   stage.wind(direction, speed / 12, accent());
   paintRanges();
-}
-
-function compass(direction) {
-  const names = ["+X", "+X +Y", "+Y", "−X +Y", "−X", "−X −Y", "−Y", "+X −Y"];
-  return `${names[Math.round(((direction + 360) % 360) / 45) % 8]}, ${degrees(direction)}`;
 }
 
 async function makeForWind() {
@@ -359,6 +363,9 @@ function wire() {
   $("mode").oninput = $("mode-alone").onchange = showMode;
   $("rest").onchange = showRest;
   $("knock").onclick = () => hand.knock();
+  $("damping").oninput = () => { fill($("damping-out"), `${$("damping").value} %`); paintRange($("damping")); };
+  $("damping").onchange = () => hand.setDamping(Number($("damping").value) / 100);
+  $("damping").oninput();
   $("play").onclick = () => setPlaying(!motion.playing);
   $("time").oninput = () => { setPlaying(false); motion.phase = Number($("time").value) % 1; };
   addEventListener("resize", layOut);
@@ -381,7 +388,7 @@ function exampleItem({ file, name, height }) {
 function tellFormats(limits) {
   const list = (names) => names.map((name) => name.toUpperCase()).join(", ");
   const parts = [`Mesh: ${list(limits.mesh_formats)}`];
-  if (limits.splat_formats) parts.push(`splat: ${list(limits.splat_formats)}`);
+  parts.push(`splat or scan: ${list(limits.cloud_formats)}`);
   parts.push(`or ${limits.min_photos} to ${limits.max_photos} photos all around one tree`);
   fill($("formats"), parts.join("; "));
 }

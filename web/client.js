@@ -11,8 +11,9 @@ const ENDED = new Set(["succeeded", "failed", "canceled", "aborted"]);
 const RETRIES = 4;
 const FIRST_EVENT_MS = 5000; // later than this a proxy holds events back
 const LONGEST_WAIT_S = 60;
+const PIECE = 8 * 1024 * 1024; // bytes of an upload that are sent at once
 
-/** What the service says is wrong: RFC 9457, see docs/api-errors. `retryAfterS` is null where it told none. */
+/** What the service says is wrong: RFC 9457. `retryAfterS` is null where it told none. */
 export class Problem extends Error {
   constructor(body, { status = body.status ?? 0, retryAfterS = null } = {}) {
     super(body.detail || body.title || `HTTP ${status}`);
@@ -28,9 +29,9 @@ export class Problem extends Error {
 export const hasEnded = (job) => ENDED.has(job.state);
 
 export class Client {
-  /** `key` is sent as a bearer token where it is set. */
-  constructor({ base = "", key = null, fetch = globalThis.fetch.bind(globalThis), WebSocket = globalThis.WebSocket } = {}) {
-    Object.assign(this, { base: base.replace(/\/$/, ""), key, _fetch: fetch, _WebSocket: WebSocket });
+  /** `key` is sent as a bearer token where it is set; `kept` (localStorage) remembers uploads that were cut off. */
+  constructor({ base = "", key = null, kept = null, fetch = globalThis.fetch.bind(globalThis), WebSocket = globalThis.WebSocket } = {}) {
+    Object.assign(this, { base: base.replace(/\/$/, ""), key, kept, _fetch: fetch, _WebSocket: WebSocket });
   }
 
   // ---- requests
@@ -68,17 +69,64 @@ export class Client {
 
   // ---- uploads
 
-  /** One mesh or splat and what it names, or photos: `File`s, or `{ name, content: Blob }`. */
+  /** One mesh or splat and what it names, or photos: `File`s, or `{ name, content: Blob }`. Large ones go in pieces. */
   async upload(files, { kind, upAxis, unitM, signal, onProgress = () => {} } = {}) {
-    const form = new FormData();
-    for (const file of files) form.append("file", file.content ?? file, file.name);
-    if (kind) form.append("kind", kind);
-    if (upAxis) form.append("up_axis", upAxis);
-    if (unitM) form.append("unit_m", String(unitM));
+    const options = Object.entries({ kind, up_axis: upAxis, unit_m: unitM }).filter(([, value]) => value !== undefined);
+    const all = files.map((file) => ({ name: file.name, content: file.content ?? file, changed: file.lastModified ?? 0 }));
+    const total = all.reduce((sum, { content }) => sum + content.size, 0);
     onProgress(0);
-    const asset = await (await this._post("/v1/assets", form, { signal, onProgress })).json();
+    let asset;
+    if (total > PIECE) {
+      const ids = [];
+      let before = 0;
+      for (const file of all) {
+        ids.push(await this._inPieces(file, { signal, onProgress: (bytes) => onProgress((before + bytes) / total) }));
+        before += file.content.size;
+      }
+      asset = await this.json("POST", "/v1/assets", { upload_ids: ids, ...Object.fromEntries(options) }, { again: true, signal });
+      for (const file of all) this.kept?.removeItem(keptKey(file));
+    } else {
+      const form = new FormData();
+      for (const { name, content } of all) form.append("file", content, name);
+      for (const [name, value] of options) form.append(name, String(value));
+      asset = await (await this._post("/v1/assets", form, { signal, onProgress })).json();
+    }
     onProgress(1);
     return asset;
+  }
+
+  /** tus: after a break it goes on at the byte that was reached, and after a reload too where `kept` is a Storage. */
+  async _inPieces(file, { signal, onProgress }) {
+    const { content } = file, headers = { "Tus-Resumable": "1.0.0" };
+    let { path, offset } = (await this._begun(file, headers, signal)) ?? {};
+    if (!path) {
+      const told = { ...headers, "Upload-Length": String(content.size), "Upload-Metadata": `filename ${base64(file.name)}` };
+      path = (await this.send("POST", "/v1/uploads", { headers: told, signal })).headers.get("Location");
+      offset = 0;
+      this.kept?.setItem(keptKey(file), path);
+    }
+    for (let failures = 0; offset < content.size; onProgress(offset)) {
+      const sent = { ...headers, "Content-Type": "application/offset+octet-stream", "Upload-Offset": String(offset) };
+      try {
+        const response = await this.send("PATCH", path, { headers: sent, body: content.slice(offset, offset + PIECE), signal });
+        [offset, failures] = [Number(response.headers.get("Upload-Offset")), 0];
+      } catch (error) {
+        const gone = error.status >= 400 && error.status < 500 && error.code !== "upload-offset-conflict" && !AWAY.has(error.status);
+        if (signal?.aborted || gone || ++failures > RETRIES) throw error;
+        await sleep(500 * 2 ** failures, signal);
+        offset = Number((await this.send("HEAD", path, { headers, signal })).headers.get("Upload-Offset"));
+      }
+    }
+    return path.split("/").pop();
+  }
+
+  /** Where an earlier try at the same file stands. */
+  async _begun(file, headers, signal) {
+    const path = this.kept?.getItem(keptKey(file));
+    if (!path) return null;
+    const response = await this.send("HEAD", path, { headers, signal }).catch(() => null);
+    if (Number(response?.headers.get("Upload-Length")) !== file.content.size) return null;
+    return { path, offset: Number(response.headers.get("Upload-Offset")) };
   }
 
   /** Only XMLHttpRequest tells how much has gone out; where there is none (node) it is fetch. */
@@ -294,6 +342,9 @@ function sleep(ms, signal) {
     signal?.addEventListener("abort", () => { clearTimeout(timer); reject(signal.reason); }, { once: true });
   });
 }
+
+const keptKey = ({ name, content, changed }) => `upload ${name} ${content.size} ${changed}`;
+const base64 = (text) => btoa(String.fromCharCode(...new TextEncoder().encode(text)));
 
 /** crypto.randomUUID is there only on https and localhost. */
 function randomKey() {

@@ -5,10 +5,13 @@ import { $, button, element, size } from "./page.js";
 
 const NAMES = {
   "tree.glb": "Animated GLB", "tree-8-targets.glb": "Animated GLB, 8 targets", "motion.ply.zip": "PLY sequence", "motion.safetensors": "Motion, every frame",
-  "tree.spectrum.safetensors": "Spectrum", "tree.voxels.safetensors": "Voxels", "tree.animated-splat.safetensors": "Animated splat",
+  "tree.spectrum.safetensors": "Spectrum", "tree.voxels.safetensors": "Voxels", "tree.animated-splat.safetensors": "Animated splat", "tree-skinned.glb": "Skinned GLB", "tree.usdz": "USD", "tree.vat.zip": "Vertex animation texture", "splat.ply.zip": "Splat sequence",
   "mesh.ply": "Reconstructed mesh", "preview.png": "Preview picture", "preview.webp": "Preview, animated", "preview.mp4": "Preview, video",
 };
-const FORMATS = { glb: "GLB", "glb-reduced": "GLB, 8 targets", ply: "PLY sequence", motion: "Motion", png: "Picture", webp: "WebP", mp4: "MP4", splat: "Splat", usd: "USD" };
+const FORMATS = {
+  glb: "GLB", "glb-reduced": "GLB, 8 targets", "glb-skinned": "GLB, skinned", usd: "USD", vat: "Vertex texture", ply: "PLY sequence", motion: "Motion",
+  "splat-ply": "Splat sequence", splat: "Splat", png: "Picture", webp: "WebP", mp4: "MP4",
+};
 const INNER = new Set(["mesh.safetensors"]); // for the stages after
 const ORDER = ["animate", "diffuse", "reconstruct", "voxelize"];
 
@@ -92,7 +95,11 @@ export class Files {
   }
 }
 
-function formatsOf(description) {
-  const { formats } = description.components.schemas.AnimateParams.properties;
-  return formats.items?.enum ?? formats.anyOf?.flatMap((option) => option.items?.enum ?? []) ?? [];
+function formatsOf({ components: { schemas } }) {
+  const known = (schema) => {
+    if (!schema) return [];
+    if (schema.$ref) return known(schemas[schema.$ref.split("/").pop()]);
+    return schema.enum ?? [...known(schema.items), ...(schema.anyOf ?? []).flatMap(known)];
+  };
+  return known(schemas.AnimateParams.properties.formats);
 }

@@ -6,12 +6,13 @@ const FURTHEST = 0.3; // of the height: beyond it a branch would break
 const KNOCK = { share: 0.06, seconds: 0.3 }; // of the height, held so long
 
 export class Hand {
-  /** `onGrab(point | null)`, `onMotion()` where groups have changed, `onProblem(problem)`. */
-  constructor(stage, client, { onGrab, onMotion, onProblem }) {
-    Object.assign(this, { stage, client, onGrab, onMotion, onProblem });
+  /** `onGrab(point | null)`, `onProblem(problem)`. */
+  constructor(stage, client, { onGrab, onProblem }) {
+    Object.assign(this, { stage, client, onGrab, onProblem });
     this.tree = this.push = this.held = null;
     this.groups = [];
     this.frame = 0;
+    this.damping = 0.05;
     const place = stage.canvas.parentElement; // before OrbitControls, which listens at the canvas
     place.addEventListener("pointerdown", (event) => this._down(event), true);
     place.addEventListener("pointermove", (event) => this._move(event), true);
@@ -21,13 +22,28 @@ export class Hand {
   take(tree, spectrumId) {
     this.leave();
     this.tree = tree;
+    this.spectrumId = spectrumId;
     this.weights = new Map(); // of groups, by locality
-    this.push = this.client.push(spectrumId, {
+    this._hold();
+  }
+
+  /** Share of critical damping; what swings begins anew. */
+  setDamping(ratio) {
+    this.damping = ratio;
+    if (!this.push) return;
+    this.letGo();
+    this.push.close();
+    this.groups = [];
+    this._hold();
+  }
+
+  _hold() {
+    this.push = this.client.push(this.spectrumId, {
+      damping_ratio: this.damping,
       onFrame: (message) => this._frame(message),
       onRest: () => this._settled(),
       onProblem: this.onProblem,
     });
-    this.spectrumId = spectrumId;
   }
 
   leave() {
@@ -99,7 +115,7 @@ export class Hand {
     if (event.pointerId === this.held?.pointer) this.letGo();
   }
 
-  async _frame({ frame, groups }) {
+  _frame({ frame, groups }) {
     this.frame = frame;
     const known = [];
     for (const { locality, q } of groups) {
@@ -107,13 +123,11 @@ export class Hand {
       if (perBone) known.push({ q, perBone });
     }
     this.groups = known;
-    this.onMotion();
   }
 
   _settled() {
     this.groups = [];
     if (this.held) this.letGo();
-    this.onMotion();
   }
 
   /** Weights of a group's bones; null until they have come. */

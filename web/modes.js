@@ -11,10 +11,18 @@ export function readTensors(buffer) {
   const tensors = {}, shape = {};
   for (const [name, entry] of Object.entries(entries)) {
     const [from, to] = entry.data_offsets.map((offset) => 8 + size + offset);
-    tensors[name] = new KINDS[entry.dtype](buffer.slice(from, to));
+    const bytes = buffer.slice(from, to);
+    tensors[name] = entry.dtype === "F16" ? Float32Array.from(new Uint16Array(bytes), half) : new KINDS[entry.dtype](bytes);
     shape[name] = entry.shape;
   }
   return { tensors, shape, metadata };
+}
+
+/** IEEE 754 half precision to a number. */
+function half(bits) {
+  const sign = bits & 0x8000 ? -1 : 1, exponent = (bits >> 10) & 31, fraction = bits & 1023;
+  if (exponent === 0) return sign * 2 ** -24 * fraction;
+  return exponent === 31 ? (fraction ? NaN : sign * Infinity) : sign * 2 ** (exponent - 15) * (1 + fraction / 1024);
 }
 
 /** How much stronger the sway of a wind is than that of another [m/s both]. */

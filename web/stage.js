@@ -7,7 +7,7 @@ const FIELD_OF_VIEW = 30;
 const SUN = new THREE.Vector3(0.55, -0.62, 1.0).normalize();
 const LOOKS = {
   light: { sky: 0xf4f8ff, earth: 0xb9b09a, ambient: 1.35, sun: 0xfff1dc, strength: 2.7, ground: 0xdcdccf, shadow: 0.3 },
-  dark: { sky: 0x9fb6d6, earth: 0x2a2c2b, ambient: 0.85, sun: 0xdfe8ff, strength: 1.9, ground: 0x222a30, shadow: 0.55 },
+  dark: { sky: 0xb4c8e2, earth: 0x3a3f3c, ambient: 1.25, sun: 0xe9efff, strength: 2.6, ground: 0x2b353c, shadow: 0.5 },
 };
 
 export class Stage {

@@ -62,15 +62,28 @@ export class Tree {
   get moves() { return Boolean(this.modes); }
   _voxelField() { return (this.voxelField ??= new Field(this.modes.shapes, this.modes.scale_m, this.modes.V)); }
 
+  /** Gaussians in place of the mesh, which carries them and goes on casting the shadow. */
+  async setSplat(splat) {
+    const { SplatView, carriersOf } = await import("./splat.js");
+    const made = await SplatView.make(this.stage, splat, carriersOf(splat, this.surface, this.modes), this.uniforms);
+    if (this.gone) return made.dispose();
+    this.splat = made;
+    this.setView(this.view);
+  }
+
   /** surface, wire, voxels or modes. */
   setView(view) {
     this.view = view;
     const cubes = view === "voxels";
+    if (this.splat) this.splat.visible = view === "surface";
     if (cubes && !this.cubes) this._buildCubes();
     if (this.cubes) this.cubes.visible = cubes;
     if (this.mesh) {
       this.mesh.visible = !cubes;
-      for (const material of [this.mesh.material].flat()) material.wireframe = view === "wire";
+      for (const material of [this.mesh.material].flat()) {
+        material.wireframe = view === "wire";
+        material.colorWrite = material.depthWrite = !this.splat?.visible;
+      }
     }
     this.uniforms.coloured.value = view === "modes" ? 1 : 0;
     this.stage.stale = true;
@@ -100,9 +113,8 @@ export class Tree {
   prepare(renderer) {
     if (!this.q) return;
     if (this.field && (this.field !== this.voxelField || !this.cubes?.visible)) this.field.evaluate(renderer, this.q, this.turn);
-    if (this.cubes?.visible) {
-      this.voxelField.evaluate(renderer, this.q, this.turn);
-    }
+    if (this.cubes?.visible) this.voxelField.evaluate(renderer, this.q, this.turn);
+    if (this.splat?.visible) this.splat.evaluate(renderer, this.q, this.turn);
   }
 
   _buildCubes() {
@@ -178,7 +190,9 @@ export class Tree {
   }
 
   dispose() {
+    this.gone = true;
     this._dropMesh();
+    this.splat?.dispose();
     this.cubes?.geometry.dispose();
     this.cubes?.material.dispose();
     for (const held of new Set([this.field, this.voxelField, this.poses, this.still])) held?.dispose();

@@ -1,0 +1,99 @@
+"""A real service and a real browser: Debian's Chromium, drawing in software. `make browser` runs these."""
+
+import os
+import shutil
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Browser, Page, sync_playwright
+
+from dynamictree.dataset.sample import make_sample
+from dynamictree.formats.gltf import write_glb
+from recipes.demo import served
+
+NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+FLAGS = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
+LOUD = frozenset({"error", "warning"})
+PICTURES = Path(__file__).parents[2] / "build" / "browser"
+"""Where screenshots go."""
+
+
+@pytest.fixture(scope="session")
+def url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    folder = tmp_path_factory.mktemp("served")
+    with served(folder / "state", folder / "serve.log") as url:
+        yield url
+
+
+@pytest.fixture(scope="session")
+def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("trees") / "sapling.glb"
+    with path.open("wb") as stream:
+        write_glb(make_sample(3, "sapling").mesh, stream)
+    return path
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Browser]:
+    found = os.environ.get("BROWSER_PATH") or next(filter(None, map(shutil.which, NAMES)), None)
+    assert found, f"no browser: install Debian's chromium (looked for {', '.join(NAMES)}), or set BROWSER_PATH"
+    flags = [*FLAGS, "--no-sandbox"] if os.getuid() == 0 else FLAGS
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=found, args=list(flags))
+        yield browser
+        browser.close()
+
+
+@dataclass
+class Viewer:
+    """The page, and what its console says."""
+
+    page: Page
+    name: str
+    complaints: list[str] = field(default_factory=list)
+
+    def picture(self) -> None:
+        """Keep a screenshot."""
+        PICTURES.mkdir(parents=True, exist_ok=True)
+        self.page.screenshot(path=str(PICTURES / f"{self.name}.png"))
+
+    @property
+    def frames(self) -> int:
+        """Drawn so far."""
+        return int(self.page.evaluate("document.body.dataset.frames ?? 0"))
+
+    def wait_frames(self, count: int) -> None:
+        """Until so many more are drawn."""
+        goal, deadline = self.frames + count, time.monotonic() + 60
+        while self.frames < goal:
+            assert time.monotonic() < deadline, f"{count} frames took more than a minute"
+            self.page.wait_for_timeout(50)
+
+
+@pytest.fixture
+def view(browser: Browser, request: pytest.FixtureRequest) -> Iterator[object]:
+    """Open the page: width, height, scheme, touch."""
+    opened: list[Viewer] = []
+
+    def open_page(width: int, height: int, *, scheme: str = "light", touch: bool = False) -> Viewer:
+        context = browser.new_context(
+            viewport={"width": width, "height": height},
+            color_scheme=scheme,  # type: ignore[arg-type]
+            has_touch=touch,
+            is_mobile=touch,
+        )
+        context.set_default_timeout(60_000)
+        viewer = Viewer(context.new_page(), request.node.name.removeprefix("test_"))
+        viewer.page.on(
+            "console", lambda line: line.type in {"error", "warning"} and viewer.complaints.append(line.text)
+        )
+        viewer.page.on("pageerror", lambda error: viewer.complaints.append(str(error)))
+        opened.append(viewer)
+        return viewer
+
+    yield open_page
+    for viewer in opened:
+        viewer.page.context.close()

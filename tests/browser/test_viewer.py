@@ -1,0 +1,231 @@
+"""The viewer as people use it, in a real browser against a real service."""
+
+import io
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import httpx
+import numpy as np
+import pytest
+from PIL import Image
+from playwright.sync_api import expect
+
+from jobs.keys import create_key
+from jobs.store import Store
+from tests.browser.conftest import Viewer
+from tests.servers import api
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
+
+Open = Callable[..., Viewer]
+MOVING = "body[data-mode=moving]"
+JOB_MS = 240_000.0
+SMALL_BUTTONS = """() => [...document.querySelectorAll("button")]
+    .filter((button) => button.checkVisibility() && button.offsetHeight < 40)
+    .map((button) => button.id)"""
+NAMELESS = """() => [...document.querySelectorAll("button, input, a, canvas, summary")]
+    .filter((node) => node.checkVisibility() && node.type !== "file")
+    .filter((node) => !(node.getAttribute("aria-label") || node.labels?.length || node.textContent.trim()))
+    .map((node) => node.outerHTML)"""
+
+
+def pixels(viewer: Viewer) -> np.ndarray:
+    """The middle of the stage, [H, W, 3]."""
+    box = viewer.page.locator("#canvas").bounding_box()
+    panel = viewer.page.locator("#panel").bounding_box()
+    assert box
+    right = panel["x"] if panel and panel["y"] < box["height"] / 2 else box["width"]
+    clip = {"x": 0, "y": 60, "width": right - 10, "height": box["height"] - 160}
+    shot = viewer.page.screenshot(clip=clip)  # type: ignore[arg-type]
+    return np.asarray(Image.open(io.BytesIO(shot)).convert("RGB")).astype(int)
+
+
+def changed(one: np.ndarray, other: np.ndarray) -> float:
+    """Share of the pixels that differ clearly."""
+    return float((np.abs(one - other).max(axis=2) > 24).mean())
+
+
+def scrub(viewer: Viewer, share: float) -> np.ndarray:
+    """The picture at a place of the loop."""
+    viewer.page.locator("#time").evaluate(
+        "(slider, share) => { slider.value = share; slider.dispatchEvent(new Event('input')); }", share
+    )
+    viewer.wait_frames(1)
+    viewer.page.wait_for_timeout(400)
+    return pixels(viewer)
+
+
+def on_the_tree(viewer: Viewer) -> tuple[float, float]:
+    """A place where the pointer says that it can take hold: the first on the way down to the crown."""
+    box = viewer.page.locator("#canvas").bounding_box()
+    panel = viewer.page.locator("#panel").bounding_box()
+    assert box
+    assert panel
+    for x in np.linspace(0.5, 0.44, 3) * panel["x"]:
+        for y in range(70, int(box["height"]) - 180, 12):
+            viewer.page.mouse.move(x, y)
+            if "over" in (viewer.page.locator("#canvas").get_attribute("class") or ""):
+                return float(x), float(y + 10)
+    raise AssertionError("the pointer is nowhere on the tree")
+
+
+@pytest.fixture(scope="module")
+def job_url(url: str, tree: Path) -> str:
+    """The page with a tree whose job has ended."""
+    with httpx.Client(base_url=url, timeout=60) as client:
+        asset = client.post("/v1/assets", files={"file": (tree.name, tree.read_bytes())}).json()
+        request = {"type": "animate", "asset_id": asset["id"], "params": {"formats": ["glb"]}}
+        job = client.post("/v1/jobs", json=request).json()
+    return f"{url}/#job={job['id']}"
+
+
+def test_a_tree_is_given_moves_and_answers_a_pull(view: Open, url: str, tree: Path) -> None:
+    viewer = view(900, 620)
+    page = viewer.page
+    page.goto(url)
+    expect(page.get_by_role("heading", name="Give a tree. See it move.")).to_be_visible()
+    page.set_input_files("#files", str(tree))
+    expect(page.locator("#stages li")).not_to_have_count(0)
+    seen = page.locator("#stages").inner_text()
+    page.wait_for_selector(MOVING, timeout=JOB_MS)
+    assert re.search("Upload|Find the voxels|Give it motion", seen)
+    expect(page.locator("#caption")).to_contain_text("sapling")
+    expect(page.locator("#artifacts")).to_contain_text("Animated GLB", timeout=JOB_MS)
+    link = page.locator("#artifacts a", has_text="Animated GLB")
+    assert httpx.get(url + str(link.get_attribute("href"))).content[:4] == b"glTF"
+
+    moving = pixels(viewer)
+    viewer.wait_frames(4)
+    assert changed(moving, pixels(viewer)) > 0.002, "nothing moves"
+
+    page.locator("#play").click()
+    page.wait_for_timeout(2500)  # the wind has risen
+    first = scrub(viewer, 0.0)
+    assert changed(first, scrub(viewer, 0.4)) > 0.002
+    assert changed(first, scrub(viewer, 1.0)) == 0, "the loop does not close"
+
+    page.locator("#damping").fill("50")
+    x, y = on_the_tree(viewer)
+    page.mouse.down()
+    page.mouse.move(x + 40, y)
+    page.mouse.move(x + 90, y + 10)
+    expect(page.locator("#grip")).to_be_visible()
+    viewer.wait_frames(8)
+    assert changed(first, pixels(viewer)) > 0.004, "the branch does not follow"
+    viewer.picture()
+    page.mouse.up()
+    expect(page.locator("#grip")).to_be_hidden()
+    for _ in range(60):
+        page.wait_for_timeout(1000)
+        if changed(first, pixels(viewer)) == 0:
+            break
+    assert changed(first, pixels(viewer)) == 0, "the branch does not settle"
+    assert viewer.complaints == []
+
+
+def test_views_wind_and_the_tree_at_rest_change_the_picture(view: Open, job_url: str) -> None:
+    viewer = view(900, 620, scheme="dark")
+    page = viewer.page
+    page.goto(job_url)
+    page.wait_for_selector(MOVING, timeout=JOB_MS)
+    page.locator("#play").click()
+    page.wait_for_timeout(2500)
+    before = scrub(viewer, 0.0)
+    for name in ("wire", "voxels", "modes"):
+        page.locator(f"#views input[value={name}]").check(force=True)
+        viewer.wait_frames(1)
+        page.wait_for_timeout(600)
+        assert changed(before, pixels(viewer)) > 0.01, name
+    expect(page.locator("#mode-out")).to_contain_text("0.24 Hz")
+    viewer.picture()
+    page.locator("#views input[value=surface]").check(force=True)
+    page.locator("#rest").check()
+    page.wait_for_timeout(800)
+    assert changed(before, pixels(viewer)) > 0.002
+    page.locator("#rest").uncheck()
+    page.locator("#speed").fill("14")
+    expect(page.locator("#wind-note")).to_contain_text("times as far")
+    expect(page.locator("#make-wind")).to_be_visible()
+    page.wait_for_timeout(3000)
+    assert changed(before, pixels(viewer)) > 0.005
+    assert viewer.complaints == []
+
+
+def test_on_a_phone_everything_is_within_reach(view: Open, job_url: str) -> None:
+    viewer = view(390, 760, touch=True)
+    page = viewer.page
+    page.goto(job_url.partition("#")[0])
+    viewer.page.wait_for_timeout(500)
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    page.goto(job_url)
+    page.reload()
+    page.wait_for_selector(MOVING, timeout=JOB_MS)
+    viewer.wait_frames(3)
+    viewer.picture()
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    for name in ("#speed", "#damping", "#artifacts a"):
+        page.locator(name).first.scroll_into_view_if_needed()
+        expect(page.locator(name).first).to_be_in_viewport()
+    small = page.evaluate(SMALL_BUTTONS)
+    assert small == [], "too small for a finger"
+    assert viewer.complaints == []
+
+
+def test_the_keyboard_is_enough(view: Open, job_url: str) -> None:
+    viewer = view(900, 620)
+    page = viewer.page
+    page.goto(job_url)
+    page.wait_for_selector(MOVING, timeout=JOB_MS)
+    page.locator("#canvas").focus()
+    page.keyboard.press("Space")
+    expect(page.locator("#play")).to_have_attribute("aria-label", "Play")
+    page.wait_for_timeout(2500)
+    before = pixels(viewer)
+    page.keyboard.press("ArrowLeft")
+    viewer.wait_frames(1)
+    assert changed(before, pixels(viewer)) > 0.01
+    names = page.evaluate(NAMELESS)
+    assert names == [], "these have no name"
+    page.locator("#open-jobs").focus()
+    page.keyboard.press("Enter")
+    expect(page.locator("#job-list li").first).to_contain_text("sapling")
+    page.keyboard.press("Escape")
+    expect(page.locator("#jobs")).to_be_hidden()
+    assert viewer.complaints == []
+
+
+def test_an_error_is_shown_as_the_service_tells_it(view: Open, url: str, tmp_path: Path) -> None:
+    broken = tmp_path / "broken.glb"
+    broken.write_bytes(b"glTF but not really")
+    told = httpx.post(f"{url}/v1/assets", files={"file": (broken.name, broken.read_bytes())}).json()
+    viewer = view(700, 560)
+    viewer.page.goto(url)
+    viewer.page.set_input_files("#files", str(broken))
+    alert = viewer.page.get_by_role("alert")
+    expect(alert).to_contain_text(told["title"])
+    expect(alert).to_contain_text(told["detail"])
+    expect(alert).to_contain_text(told["suggestion"])
+    viewer.picture()
+    viewer.page.keyboard.press("Escape")
+    expect(alert).to_be_hidden()
+    assert [text for text in viewer.complaints if "Failed to load resource" not in text] == []
+
+
+def test_a_key_is_asked_for_where_one_is_needed(view: Open, tmp_path: Path) -> None:
+    state = tmp_path / "state"
+    with Store.open(f"sqlite:///{state.resolve() / 'jobs.sqlite'}") as store:
+        _, key = create_key(store, name="page")
+    server, url = api(tmp_path, {"DYNAMICTREE_STATE_DIR": str(state), "DYNAMICTREE_KEYS": "required"})
+    server.start()
+    try:
+        viewer = view(700, 560)
+        page = viewer.page
+        page.goto(url)
+        expect(page.locator("#key-dialog")).to_be_hidden()
+        page.locator("#open-jobs").click()
+        page.locator("#key").fill(key)
+        page.locator("#key-dialog button[value=ok]").click()
+        expect(page.locator("#job-list")).to_contain_text("No jobs yet")
+    finally:
+        server.stop()

@@ -1,0 +1,184 @@
+"""What the viewer is given: its own files, and trees to draw."""
+
+# ruff: noqa: F811
+
+import base64
+import gzip
+import hashlib
+import re
+import webbrowser
+from html.parser import HTMLParser
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from pathlib import Path
+from threading import Thread
+
+import numpy as np
+import pytest
+from fastapi.testclient import TestClient
+from safetensors.numpy import load
+
+import web
+from dynamictree.pipeline import vertex_spectrum
+from dynamictree.spectrum import SparseVoxelSpectrum
+from jobs.records import AssetRecord
+from service import surface
+from service.serve import Announcer
+from tests.service.pushed import ASSET_ID, grown, spectrum, spectrum_id  # noqa: F401
+from web.vendor import FOLDER, LIBRARIES, SUMS
+
+WEB = Path(web.__file__).parent
+OTHER_HOST = re.compile(r"""["'(=]\s*(?:https?:|wss?:)?//(?!www\.w3\.org|localhost)[a-z]""")
+
+
+class Scripts(HTMLParser):
+    """Scripts of a page, and attributes that a strict policy forbids."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.scripts: list[tuple[dict[str, str | None], str]] = []
+        self.forbidden: list[str] = []
+        self._inside = False
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.forbidden += [name for name, _ in attrs if name == "style" or name.startswith("on")]
+        self._inside = tag == "script"
+        if self._inside:
+            self.scripts.append((dict(attrs), ""))
+
+    def handle_data(self, data: str) -> None:
+        if self._inside:
+            attrs, text = self.scripts[-1]
+            self.scripts[-1] = (attrs, text + data)
+
+    def handle_endtag(self, tag: str) -> None:
+        self._inside = False
+
+
+def test_the_page_names_the_hash_of_its_one_inline_script(client: TestClient) -> None:
+    response = client.get("/")
+    assert response.headers["Content-Type"] == "text/html; charset=utf-8"
+    policy = dict(part.split(" ", 1) for part in response.headers["Content-Security-Policy"].split("; "))
+    assert policy["default-src"] == "'none'"
+    assert "unsafe-inline" not in str(policy)
+    found = Scripts()
+    found.feed(response.text)
+    inline = [text for attrs, text in found.scripts if "src" not in attrs]
+    assert found.forbidden == []
+    [import_map] = inline
+    digest = base64.b64encode(hashlib.sha256(import_map.encode()).digest()).decode()
+    assert f"'sha256-{digest}'" in policy["script-src"].split()
+
+
+def test_nothing_of_ours_names_another_host() -> None:
+    ours = [path for path in WEB.iterdir() if path.suffix in {".js", ".css", ".html", ".svg"}]
+    assert len(ours) > 10
+    assert [path.name for path in ours if OTHER_HOST.search(path.read_text())] == []
+
+
+def test_vendored_files_are_those_of_the_list() -> None:
+    listed = dict(line.split("  ")[::-1] for line in (FOLDER / SUMS).read_text().splitlines())
+    present = {
+        str(path.relative_to(FOLDER)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in FOLDER.rglob("*")
+        if path.is_file() and path.name != SUMS
+    }
+    assert present == listed
+    assert set(listed) == {target for library in LIBRARIES for target in library.files.values()}
+    assert all(any("LICENSE" in target for target in library.files.values()) for library in LIBRARIES)
+
+
+def test_files_are_packed_and_not_sent_twice(client: TestClient) -> None:
+    path = "/web/vendor/three/three.core.js"
+    packed = client.get(path)
+    assert packed.headers["Content-Encoding"] == "gzip"
+    assert packed.content == (FOLDER / "three/three.core.js").read_bytes()
+    plain = client.get(path, headers={"Accept-Encoding": "identity"})
+    assert "Content-Encoding" not in plain.headers
+    assert len(gzip.compress(plain.content)) < len(plain.content) / 3
+    again = client.get(path, headers={"If-None-Match": packed.headers["ETag"]})
+    assert (again.status_code, again.content) == (304, b"")
+    assert client.head(path).status_code == 200
+
+
+@pytest.mark.parametrize(
+    "path",
+    ["nothing.js", "vendor.py", "__init__.py", "../service/app.py", "%2e%2e/pyproject.toml", "vendor", "package.json"],
+)
+def test_nothing_else_is_given_away(client: TestClient, path: str) -> None:
+    response = client.get(f"/web/{path}")
+    assert response.status_code == 404
+    assert response.json()["code"] == "not-found"
+
+
+def test_an_asset_is_shown_as_it_was_read(client: TestClient, spectrum_id: str, grown) -> None:
+    tensors = load(client.get(f"/v1/assets/{ASSET_ID}/surface").content)
+    np.testing.assert_array_equal(tensors["vertices"], grown.mesh.vertices)
+    np.testing.assert_array_equal(tensors["faces"], grown.mesh.faces)
+    assert "shapes" not in tensors
+
+
+def test_an_asset_that_is_no_mesh_or_has_lost_its_bytes_has_no_surface(client: TestClient, asset: AssetRecord) -> None:
+    response = client.get(f"/v1/assets/{asset.id}/surface")
+    assert (response.status_code, response.json()["code"]) == (410, "expired")
+
+
+def test_a_surface_moves_as_the_library_moves_it(
+    client: TestClient, spectrum_id: str, grown, spectrum: SparseVoxelSpectrum
+) -> None:
+    tensors = load(client.get(f"/v1/spectra/{spectrum_id}/surface").content)
+    parts = tensors["shapes"] * tensors["scale_m"][:, None, None]  # [N, K, 3, 2]
+    expected = vertex_spectrum(grown.mesh, spectrum)
+    expected[:, 1:] *= 2
+    shown = parts[..., 0] + 1j * parts[..., 1]
+    largest = np.abs(expected).max(axis=(0, 2))
+    assert (np.abs(shown - expected).max(axis=(0, 2)) <= largest / 32767 + 1e-9).all()
+    assert (tensors["bone_weights"].astype(int).sum(axis=1) == 255).all()
+    num_bones = len(load(client.get(f"/v1/spectra/{spectrum_id}/modes").content)["bone_parent"])
+    assert tensors["bone_rows"].max() < num_bones
+
+
+def test_a_large_surface_hangs_on_the_voxels(
+    client: TestClient, spectrum_id: str, spectrum: SparseVoxelSpectrum, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(surface, "MAX_OWN_SHAPES", 10)
+    tensors = load(client.get(f"/v1/spectra/{spectrum_id}/surface").content)
+    assert "shapes" not in tensors
+    assert (tensors["tie_weights"].astype(int).sum(axis=1) == 255).all()
+    near = spectrum.grid.centres_m[tensors["tie_rows"][:, 0]] - tensors["vertices"]
+    assert np.linalg.norm(near, axis=1).max() < 6 * spectrum.grid.voxel_size_m
+
+
+def test_the_modes_have_the_lean(client: TestClient, spectrum_id: str, spectrum: SparseVoxelSpectrum) -> None:
+    tensors = load(client.get(f"/v1/spectra/{spectrum_id}/modes").content)
+    np.testing.assert_array_equal(tensors["lean_m"], spectrum.coefficients[:, 0].real)
+
+
+class Ready(BaseHTTPRequestHandler):
+    """A service that is ready."""
+
+    def do_GET(self) -> None:
+        self.send_response(200)
+        self.end_headers()
+        self.wfile.write(b'{"workers": "ok", "housekeeper": "ok"}')
+
+    def log_message(self, *_: object) -> None:
+        """Say nothing."""
+
+
+def test_serve_tells_of_the_page_and_opens_it_when_asked(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    opened: list[str] = []
+    monkeypatch.setattr(webbrowser, "open", opened.append)
+    with HTTPServer(("127.0.0.1", 0), Ready) as server:
+        Thread(target=server.serve_forever, daemon=True).start()
+        url = f"http://0.0.0.0:{server.server_port}"
+        Announcer(url, as_json=False).poll()
+        assert opened == []
+        announcer = Announcer(url, as_json=False, open_page=True)
+        announcer.poll()
+        announcer.poll()
+        server.shutdown()
+    page = f"http://127.0.0.1:{server.server_port}/"
+    assert opened == [page]
+    assert capsys.readouterr().out.splitlines()[:2] == [f"ready {url}", f"A page to use it from: {page}"]
