@@ -12,6 +12,7 @@ from jobs.patience import patient
 from jobs.records import Claim, OutputFile
 from jobs.states import JobState, JobType
 from jobs.store import Store, end, new_id, read_job
+from jobs.tallies import count, count_seconds
 
 
 @patient
@@ -36,6 +37,7 @@ def claim(store: Store, job_id: str, attempt: int, *, owner: str, lease_s: float
         if connection.execute(t.jobs.update().where(waiting).values(**taken)).rowcount == 0:
             return None
         connection.execute(t.outbox.delete().where(t.outbox.c.job_id == job_id))
+        count(connection, "attempts", "started")
         note(connection, job_id, "begun by a worker", at=now, attempt=attempt)
         return Claim(job=read_job(connection, job_id), owner=owner)
 
@@ -107,7 +109,8 @@ def publish_stage(
     with store.writing() as connection:
         _touch(connection, held)
         row_of = (t.stages.c.job_id == held.job.id) & (t.stages.c.name == stage)
-        if connection.execute(sa.select(t.stages.c.state).where(row_of)).scalar_one() == "succeeded":
+        known = connection.execute(sa.select(t.stages.c.state, t.stages.c.started_at).where(row_of)).one()
+        if known.state == "succeeded":
             return  # asked again, because the answer to the first commit was lost
         for file in files:
             row = {
@@ -123,7 +126,27 @@ def publish_stage(
         done = {"state": "succeeded", "progress": 1.0, "cached": cached, "finished_at": now}
         connection.execute(t.stages.update().where(row_of).values(**done))
         size = sum(file.bytes for file in files)
+        count(connection, "stages", f"{stage}:{'cached' if cached else 'run'}")
+        count(connection, "stage_bytes", stage, size)
+        if not cached and known.started_at is not None:
+            count_seconds(connection, "stage_seconds", stage, now - known.started_at)
         note(connection, held.job.id, "stage done", at=now, stage=stage, cached=cached, bytes=size)
+
+
+@patient
+def offer(store: Store, held: Claim, stage: JobType, files: tuple[OutputFile, ...], *, retention_s: float) -> None:
+    """Offer what a stage had made before it failed; the stage is not done by it, and no other job takes it.
+
+    Raises:
+        FencedError: the attempt is no longer ours; nothing is offered.
+    """
+    now = store.clock()
+    with store.writing() as connection:
+        _touch(connection, held)
+        for file in files:
+            row = {"id": new_id(), "job_id": held.job.id, "stage": stage}
+            times = {"created_at": now, "expires_at": now + retention_s}
+            connection.execute(t.artifacts.insert().values(**row, **times, **asdict(file)))
 
 
 @patient
@@ -181,6 +204,7 @@ def hand_back(store: Store, held: Claim) -> None:
             end(connection, held.job.id, JobState.CANCELED, now=store.clock())
             return
         begin_next_attempt(connection, held.job.id, held.attempt, now=store.clock())
+        count(connection, "attempts", "handed-back")
 
 
 def begin_next_attempt(connection: sa.Connection, job_id: str, attempt: int, **values: object) -> None:

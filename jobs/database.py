@@ -63,6 +63,13 @@ def upsert(
     return _touched_a_row(connection, table, statement)
 
 
+def add_up(connection: sa.Connection, table: sa.Table, keys: Mapping[str, object], **amounts: float) -> None:
+    """Insert a row, or add to the columns of the one with this primary key."""
+    changes = {name: table.c[name] + amount for name, amount in amounts.items()}
+    statement = _insert(connection, table).values({**keys, **amounts})
+    connection.execute(statement.on_conflict_do_update(index_elements=list(keys), set_=changes))
+
+
 def insert_new(connection: sa.Connection, table: sa.Table, values: Mapping[str, object], *, unique: str) -> bool:
     """Insert a row unless one has the same value in a unique column; tell whether it was."""
     statement = _insert(connection, table).values(values).on_conflict_do_nothing(index_elements=[unique])

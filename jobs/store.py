@@ -20,6 +20,7 @@ from jobs.migrations import migrate
 from jobs.patience import patient
 from jobs.records import ArtifactRecord, AssetPart, AssetRecord, ClientKey, JobRecord, StageRecord
 from jobs.states import ACTIVE, JobState, JobType, states_before
+from jobs.tallies import count
 from jobs.webhooks import announce
 
 HIDDEN = frozenset({"lease_owner", "lease_until", "lost_stages", "client_key", "body_sha256"})
@@ -381,6 +382,7 @@ def end(connection: sa.Connection, job_id: str, target: JobState, *, now: float,
     detail = {"code": values["error_code"], "detail": values["error_message"]} if "error_code" in values else {}
     note(connection, job_id, str(target), at=now, level=level, **detail)  # type: ignore[arg-type]
     announce(connection, job_id, target, now=now)
+    count(connection, "jobs", str(target))
     return True
 
 

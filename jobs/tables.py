@@ -2,7 +2,7 @@
 
 import sqlalchemy as sa
 
-HEAD = "0003"
+HEAD = "0004"
 """The newest revision in `migrations/versions`."""
 
 metadata = sa.MetaData()
@@ -210,4 +210,12 @@ tombstones = sa.Table(
     sa.Column("owner", _id, nullable=False),
     sa.Column("kind", sa.String(16), nullable=False),
     sa.Column("gone_at", sa.Double, nullable=False, index=True),
+)
+
+tallies = sa.Table(
+    "tallies",
+    metadata,
+    sa.Column("name", sa.String(64), primary_key=True),
+    sa.Column("label", sa.String(64), primary_key=True),
+    sa.Column("value", sa.Double, nullable=False),
 )

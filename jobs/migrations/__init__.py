@@ -1,10 +1,14 @@
 """Versions of the job store's tables, and the way from each to the next (alembic)."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import sqlalchemy as sa
 
 from jobs.tables import HEAD
+
+if TYPE_CHECKING:
+    from alembic.config import Config
 
 _LOCK = 7_305_112  # any fixed number: PostgreSQL's advisory lock while one process migrates
 
@@ -20,12 +24,25 @@ def migrate(engine: sa.Engine) -> None:
             return
         # alembic takes 0.2 s to import, which a start with nothing to do should not pay
         from alembic import command
-        from alembic.config import Config
 
-        config = Config()
-        config.set_main_option("script_location", str(Path(__file__).parent))
-        config.attributes["connection"] = connection
-        command.upgrade(config, "head")
+        command.upgrade(_config(connection), "head")
+
+
+def step_back(engine: sa.Engine, revision: str) -> None:
+    """Bring the tables back to a revision, `base` for none at all. What only later ones hold is lost."""
+    from alembic import command
+
+    with engine.begin() as connection:
+        command.downgrade(_config(connection), revision)
+
+
+def _config(connection: sa.Connection) -> "Config":
+    from alembic.config import Config
+
+    config = Config()
+    config.set_main_option("script_location", str(Path(__file__).parent))
+    config.attributes["connection"] = connection
+    return config
 
 
 def _revision(connection: sa.Connection) -> str | None:

@@ -1,15 +1,17 @@
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import sqlalchemy as sa
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
 
 import jobs.migrations
 from jobs.database import open_engine
-from jobs.migrations import migrate
+from jobs.migrations import migrate, step_back
 from jobs.store import Store
 from jobs.tables import HEAD, metadata
+from tests.jobs.conftest import add_job, make_asset
 
 
 def test_the_revisions_make_the_tables(store: Store) -> None:
@@ -29,3 +31,18 @@ def test_many_may_migrate_at_once(tmp_path: Path) -> None:
         with engine.connect() as connection:
             assert connection.exec_driver_sql("SELECT version_num FROM alembic_version").scalar_one() == HEAD
         engine.dispose()
+
+
+def test_every_revision_can_be_taken_back_and_done_again(store: Store) -> None:
+    job = add_job(store, store.add_asset(make_asset(store.clock()))[0])
+    for revision in ("0003", "0002", "0001"):
+        step_back(store.engine, revision)
+    with store.engine.connect() as connection:
+        assert connection.exec_driver_sql("SELECT id FROM jobs").scalar_one() == job.id
+    migrate(store.engine)
+    assert store.job(job.id) == job
+    step_back(store.engine, "base")
+    assert sa.inspect(store.engine).get_table_names() == ["alembic_version"]
+    migrate(store.engine)
+    with store.reading() as connection:
+        assert compare_metadata(MigrationContext.configure(connection), metadata) == []

@@ -125,3 +125,9 @@ def upgrade() -> None:
         sa.ForeignKeyConstraint(["job_id"], ["jobs.id"], ondelete="CASCADE"),
         sa.PrimaryKeyConstraint("job_id", "name"),
     )
+
+
+def downgrade() -> None:
+    """Drop every table, those that refer to others first."""
+    for name in ("artifacts", "outbox", "stages", "jobs", "assets", "blobs", "leases", "stage_cache"):
+        op.drop_table(name)

@@ -135,3 +135,15 @@ def _logs() -> None:
         sa.PrimaryKeyConstraint("id"),
     )
     op.create_index(op.f("ix_tombstones_gone_at"), "tombstones", ["gone_at"])
+
+
+def downgrade() -> None:
+    """Drop the tables and the columns."""
+    for name in ("tombstones", "job_logs", "deliveries", "webhook_endpoints", "uploads", "api_keys"):
+        op.drop_table(name)
+    op.drop_index("ix_jobs_owner_id", "jobs")
+    op.drop_index(op.f("ix_assets_owner"), "assets")
+    for name in ("owner", "priority", "webhook_id", "request_id", "traceparent"):
+        op.drop_column("jobs", name)
+    for name in ("owner", "bytes"):
+        op.drop_column("assets", name)
