@@ -23,7 +23,7 @@ else
 TORCH_SOURCE := --torch-backend $(TORCH_BACKEND)
 endif
 
-.PHONY: help setup demo test js-tools openapi-lint scale-out check format openapi lock bench clean
+.PHONY: help setup demo test js-tools openapi-lint scale-out check format openapi lock bench clean browser
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -88,6 +88,12 @@ format: $(READY)  ## rewrite the code as `check` wants it
 openapi: $(READY)  ## write openapi/openapi.json, and of it the client's models and operations
 	@$(BIN)/python -m service.openapi --write openapi/openapi.json
 	@$(BIN)/python client/generate.py --write
+
+browser: $(READY)  ## the viewer in a real Chromium, its client in node
+	@command -v chromium chromium-browser google-chrome google-chrome-stable >/dev/null || test -n "$${BROWSER_PATH:-}" || { \
+	  echo "== no browser found: fetching Chromium for playwright (Debian: apt-get install chromium)"; $(BIN)/playwright install --with-deps chromium; }
+	@command -v node >/dev/null || { echo "node 20 or newer is needed (Debian: apt-get install nodejs)"; exit 1; }
+	@$(BIN)/python -m pytest -q -rs tests/browser
 
 bench: $(READY)  ## every benchmark, one JSON object a line
 	@$(BIN)/python -m benchmarks

@@ -38,10 +38,13 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def browser() -> Iterator[Browser]:
-    found = os.environ.get("BROWSER_PATH") or next(filter(None, map(shutil.which, NAMES)), None)
-    assert found, f"no browser: install Debian's chromium (looked for {', '.join(NAMES)}), or set BROWSER_PATH"
+    installed = os.environ.get("BROWSER_PATH") or next(filter(None, map(shutil.which, NAMES)), None)
     flags = [*FLAGS, "--no-sandbox"] if os.getuid() == 0 else FLAGS
     with sync_playwright() as driver:
+        found = installed or driver.chromium.executable_path  # what `playwright install` has fetched
+        assert Path(found).is_file(), (
+            f"no browser: install Debian's chromium (of {', '.join(NAMES)}) or set BROWSER_PATH"
+        )
         browser = driver.chromium.launch(executable_path=found, args=list(flags))
         yield browser
         browser.close()
