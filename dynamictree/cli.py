@@ -285,20 +285,30 @@ def diffuse(
 
 @app.command()
 def reconstruct(
-    photos: Annotated[Path, typer.Argument(help="A folder of 8 to 300 JPEG or PNG photos, taken around the tree.")],
+    photos: Annotated[
+        Path,
+        typer.Argument(
+            help="A folder of 8 to 300 photos (JPEG, PNG, WebP, TIFF), taken around the tree; cameras in it "
+            "(transforms.json, a COLMAP model, poses_bounds.npy) and a folder `masks` are heeded."
+        ),
+    ],
     output: OutputFolder,
+    height_m: Annotated[
+        float | None, typer.Option(help="The tree's height [m], above 0 and below 1000; 1 m if unset.")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Find the cameras of photos and a coarse mesh of what they show."""
+    """Find the cameras of photos, a splat and a mesh of what they show."""
     from dynamictree import pipeline
 
     if not photos.is_dir():
         raise InputError(f"{photos} is no folder; give the folder that holds the photos")
-    paths = sorted(path for path in photos.iterdir() if path.suffix.lower() in pipeline.PHOTO_SUFFIXES)
+    paths = sorted(path for path in photos.rglob("*") if path.is_file())
     with _progress(quiet=as_json) as report, _published(output) as folder:
-        pipeline.reconstruct(paths, folder, lambda done: report("reconstruct", done))
+        pipeline.reconstruct(paths, folder, lambda done: report("reconstruct", done), root=photos, height_m=height_m)
         names = sorted(path.name for path in folder.iterdir())
-    _tell({"files": [str(output / name) for name in names], "num_photos": len(paths)}, as_json=as_json)
+        told = json.loads((folder / "report.json").read_text())
+    _tell({"files": [str(output / name) for name in names], **told}, as_json=as_json)
 
 
 @app.command()

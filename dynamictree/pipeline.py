@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 RESOLUTION = 128  # paper section 5
 RESOLUTIONS = (32, 64, 128, 256, 512)
-PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png")
+PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp")
 COMPANION_SUFFIXES = (".mtl", ".bin", ".png", ".jpg", ".jpeg")
 
 OnStep = Callable[[int, int], None]
@@ -99,17 +99,43 @@ def load_capture(
         )
 
 
-def reconstruct(photos: Sequence[Path], folder: Path, on_progress: OnProgress | None = None) -> Path:
-    """Find the photos' cameras and a coarse mesh of what they show; gives the mesh's path in the folder.
+def reconstruct(
+    files: Sequence[Path],
+    folder: Path,
+    on_progress: OnProgress | None = None,
+    *,
+    root: Path | None = None,
+    kept: Path | None = None,
+    height_m: float | None = None,
+    box_m: Box | None = None,
+) -> Capture:
+    """Photos to cameras, a splat and a mesh of what they show, as files in the folder; gives the splat and the mesh.
+
+    Args:
+        files: photos, and what may come with them: masks, `transforms.json`, a COLMAP model, `poses_bounds.npy`.
+        folder: for what is made.
+        on_progress: gets the share done in [0, 1]; what it raises passes through.
+        root: the folder that the files lie in or below, by which they mean one another.
+        kept: a folder for what is half done; a second call goes on there.
+        height_m: of the tree; without one the mesh is 1 m high.
+        box_m: only what is inside is kept, in the frame of a result without a box.
 
     Raises:
         InputError: a file is no photo, or there are too few or too many.
         ReconstructionError: the photos do not fit together.
     """
+    from dynamictree.reconstruct import ReconstructOptions
     from dynamictree.reconstruct import reconstruct as reconstruct_photos
 
-    reconstruct_photos(photos, folder, on_progress=on_progress or (lambda done: None))
-    return folder / "mesh.ply"
+    found = reconstruct_photos(
+        [path for path in files if path.suffix.lower() in PHOTO_SUFFIXES],
+        folder,
+        options=ReconstructOptions(height_m=height_m, box_m=box_m),
+        root=root,
+        kept=kept,
+        on_progress=on_progress or (lambda done: None),
+    )
+    return Capture(cloud=found.splat, mesh=found.mesh)
 
 
 def voxelize(mesh: TriangleMesh, *, resolution: int = RESOLUTION) -> SurfaceVoxels:

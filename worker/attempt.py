@@ -3,26 +3,30 @@
 import json
 import logging
 import shutil
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import cache, partial
 from hashlib import sha256
 from importlib import resources
 from importlib.metadata import version
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from dynamictree.errors import CheckpointError
+from dynamictree.errors import Cancelled, CheckpointError, DynamicTreeError
 from jobs.artifacts import hash_file
-from jobs.attempts import cached_stage, publish_stage, start_stage, touch_blob
+from jobs.attempts import cached_stage, offer, publish_stage, start_stage, touch_blob
 from jobs.products import CLOUD_BUNDLE, MESH_BUNDLE, SPECTRUM, VOXELS, media_type
 from jobs.records import AssetRecord, JobRecord, OutputFile
 from jobs.states import JOB_TYPES, JobType
 from worker.runtime import Runtime
-from worker.watch import Watch
+from worker.watch import HandedBack, Watch
+
+if TYPE_CHECKING:
+    from worker.stages import StageInput
 
 logger = logging.getLogger(__name__)
 
-STAGE_VERSION = "2"
+STAGE_VERSION = "3"
 """Part of every stage's key; raised when a stage makes something else of the same inputs."""
 
 SOURCE = "source"
@@ -60,12 +64,14 @@ def run_stages(here: Runtime, watch: Watch) -> None:
     job = watch.held.job
     asset = here.store.asset(job.asset_id)
     folder = here.settings.scratch_dir / f"job-{job.id}-{job.attempt}"
+    kept = here.settings.scratch_dir / f"kept-{job.id}"
     shutil.rmtree(folder, ignore_errors=True)
+    kept.mkdir(parents=True, exist_ok=True)
     inputs = folder / "inputs"
     inputs.mkdir(parents=True)
     try:
         files = _fetch_prepared(here, asset, inputs)
-        photos = tuple(_fetch_photos(here, asset, inputs, photo_name))
+        photos = _fetch_photos(here, asset, inputs / "photos", photo_name)
         hashes = dict.fromkeys((MESH_BUNDLE, CLOUD_BUNDLE, SOURCE), asset.fingerprint)
         for stage in job.stages:
             watch.check()
@@ -78,16 +84,42 @@ def run_stages(here: Runtime, watch: Watch) -> None:
                 own = folder / stage.name
                 own.mkdir()
                 given = StageInput(
-                    job=job, folder=own, files=files, photos=photos, report=partial(watch.report, stage.name)
+                    job=job,
+                    folder=own,
+                    kept=kept,
+                    files=files,
+                    photos=photos,
+                    report=partial(watch.report, stage.name),
                 )
-                made = _keep(here, STAGES[stage.name](given), given.facts)
+                made = _made(here, watch, stage.name, STAGES[stage.name], given)
                 _publish(here, watch, stage.name, made, key=key, cached=False)
             for file in made:
                 here.artifacts.fetch(file.sha256, inputs / file.name)
                 files[file.name] = inputs / file.name
                 hashes[file.name] = file.sha256
+    except HandedBack:
+        raise  # the next attempt goes on from what is kept, if it comes to this machine
+    except BaseException:
+        shutil.rmtree(kept, ignore_errors=True)
+        raise
+    else:
+        shutil.rmtree(kept, ignore_errors=True)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
+
+
+def _made(
+    here: Runtime, watch: Watch, stage: JobType, run: Callable[["StageInput"], Iterable[Path]], given: "StageInput"
+) -> tuple[OutputFile, ...]:
+    """Run a stage; what it had written before it failed is offered all the same: it tells why."""
+    try:
+        return _keep(here, run(given), given.facts)
+    except Cancelled:
+        raise
+    except DynamicTreeError:
+        left = _keep(here, sorted(path for path in given.folder.iterdir() if path.is_file()), given.facts)
+        offer(here.store, watch.held, stage, left, retention_s=here.settings.artifact_retention_s)
+        raise
 
 
 def stage_key(job: JobRecord, stage: JobType, hashes: Mapping[str, str]) -> str:
@@ -123,16 +155,19 @@ def _fetch_prepared(here: Runtime, asset: AssetRecord, inputs: Path) -> dict[str
     return {name: inputs / name}
 
 
-def _fetch_photos(here: Runtime, asset: AssetRecord, inputs: Path, name_of: object) -> Iterable[Path]:
+def _fetch_photos(
+    here: Runtime, asset: AssetRecord, folder: Path, name_of: Callable[[int, str], str]
+) -> tuple[Path, ...]:
+    """Photos, and the cameras and masks that came with them, under their own names; in the order sent."""
     if asset.kind != "photos":
-        return
-    assert callable(name_of)
-    folder = inputs / "photos"
-    folder.mkdir()
+        return ()
+    paths = []
     for index, part in enumerate(asset.parts):
         path = folder / name_of(index, part.name)
+        path.parent.mkdir(parents=True, exist_ok=True)
         here.artifacts.fetch(part.sha256, path)
-        yield path
+        paths.append(path)
+    return tuple(paths)
 
 
 def _fresh(job: JobRecord, stage: JobType) -> bool:

@@ -1,11 +1,13 @@
 """The four stages of a job: files in, files out. What each needs is read from files, so that any worker can go on."""
 
+import os
+import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
 from dynamictree import pipeline
-from dynamictree.formats.cloud_bundle import read_cloud_bundle
+from dynamictree.formats.cloud_bundle import read_cloud_bundle, write_cloud_bundle
 from dynamictree.formats.mesh_bundle import read_mesh_bundle, write_mesh_bundle
 from dynamictree.formats.ply_writer import write_ply
 from dynamictree.formats.spectrum_file import read_spectrum, write_spectrum
@@ -26,8 +28,9 @@ class StageInput:
 
     job: JobRecord
     folder: Path  # its own, empty
+    kept: Path  # of the job's attempts on this machine: what is half done
     files: dict[str, Path]  # what earlier stages made; the asset's mesh as MESH_BUNDLE, or its cloud as CLOUD_BUNDLE
-    photos: tuple[Path, ...]
+    photos: tuple[Path, ...]  # with the cameras and masks that came with them
     report: Callable[[float], None]  # share done in [0, 1]; raises when the stage should stop
     facts: dict[str, Facts] = field(default_factory=dict)  # filled in: what a file has to tell, by its name
 
@@ -36,10 +39,20 @@ def reconstruct(given: StageInput) -> Iterable[Path]:
     """Photos or a cloud to a mesh."""
     if CLOUD_BUNDLE in given.files:
         return _mesh_of_cloud(given)
-    path = pipeline.reconstruct(given.photos, given.folder, given.report)
+    capture = pipeline.reconstruct(
+        given.photos, given.folder, given.report, root=_root(given.photos), kept=given.kept, box_m=_box(given)
+    )
+    assert capture.mesh is not None
     with (given.folder / MESH_BUNDLE).open("xb") as stream:
-        write_mesh_bundle(pipeline.load_mesh(path, up_axis="+Z", unit_m=1.0), stream)
-    return path.replace(given.folder / MESH), given.folder / MESH_BUNDLE
+        write_mesh_bundle(capture.mesh, stream)
+    with (given.folder / CLOUD_BUNDLE).open("xb") as stream:
+        write_cloud_bundle(capture, stream)
+    return sorted(given.folder.iterdir())
+
+
+def _root(photos: tuple[Path, ...]) -> Path:
+    """The folder that all of them lie in or below."""
+    return Path(os.path.commonpath([path.parent for path in photos]))
 
 
 def _mesh_of_cloud(given: StageInput) -> Iterable[Path]:
@@ -122,8 +135,14 @@ STAGES: dict[JobType, Callable[[StageInput], Iterable[Path]]] = {
 
 
 def photo_name(index: int, name: str) -> str:
-    """A file name for a photo: in the order sent, with the suffix by which readers choose."""
-    return f"{index:04d}{PurePosixPath(name).suffix.lower()}"
+    """A relative path for a file that came with photos: its own name, by which cameras and masks mean it.
+
+    What was sent by one name twice lies in folders of its own.
+    """
+    parts = [part for part in PurePosixPath(name.replace("\\", "/")).parts if part not in ("/", ".", "..")]
+    safe = [re.sub(r"[^\w.() -]", "_", part)[-100:] for part in parts[-6:]]
+    alone = len(safe) < 2 and safe[-1].lower().endswith(pipeline.PHOTO_SUFFIXES)
+    return "/".join([f"{index:04d}" if alone else "all", *safe])
 
 
 def _capture(given: StageInput) -> Capture | None:

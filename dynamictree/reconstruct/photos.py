@@ -12,7 +12,6 @@ from dynamictree.errors import FormatError, InputError
 
 MIN_PHOTOS, MAX_PHOTOS = 8, 300
 FORMATS = ("JPEG", "PNG", "WEBP", "TIFF")
-SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp")
 MASKS = "masks"
 MAX_PHOTO_BYTES = 64 * 2**20
 MAX_PHOTO_PIXELS = 64_000_000  # the largest common camera's; decoding takes 200 MB
@@ -42,7 +41,7 @@ class PhotoFile:
     """A photo as it was given."""
 
     path: Path
-    name: str  # below the folder that was given
+    name: str  # its own; with its folders where two have the same
     mask: Path | None = None  # a picture of the same size, white where the tree is
     as_stored: bool = False  # a given camera is of the picture as it is stored, whatever EXIF says of its top
 
@@ -54,11 +53,11 @@ def list_photos(paths: Sequence[Path], root: Path | None = None) -> list[PhotoFi
         for path in sorted(root.rglob("*")):
             if path.parent.name == MASKS and path.is_file():
                 masks[path.name] = masks[path.stem] = path
+    shown = [path for path in paths if root is None or path.parent.name != MASKS]
+    alike = root is not None and len({path.name for path in shown}) < len(shown)
     photos = []
-    for path in paths:
-        if root is not None and path.parent.name == MASKS:
-            continue
-        name = path.name if root is None else path.relative_to(root).as_posix()
+    for path in shown:
+        name = path.relative_to(root).as_posix() if root is not None and alike else path.name
         mask = masks.get(path.name) or masks.get(path.stem)
         photos.append(PhotoFile(path=path, name=name, mask=mask))
     if masks and not all(photo.mask for photo in photos):
