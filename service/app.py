@@ -23,7 +23,9 @@ from service import (
     health,
     interact,
     jobs,
+    metrics,
     modes,
+    ops,
     pages,
     problems,
     spectra,
@@ -36,6 +38,7 @@ from service import (
 from service.context import Context
 from service.described import DESCRIPTION, SERVERS, described
 from service.doors import Doors
+from service.metrics import Measured
 from service.middleware import BodyLimit, RequestFrame
 
 ROUTERS = (
@@ -55,6 +58,8 @@ ROUTERS = (
     catalogue.router,
     usage.router,
     health.router,
+    metrics.router,
+    ops.router,
 )
 """A module a resource; a new one is added here."""
 
@@ -116,6 +121,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
             allow_headers=["*"],
             expose_headers=EXPOSED,
         )
+    app.add_middleware(Measured)
     app.add_middleware(RequestFrame)
     return app
 

@@ -1,0 +1,74 @@
+"""What operators see: /metrics, /v1/ops and the page."""
+
+import re
+
+import pytest
+from fastapi.testclient import TestClient
+from prometheus_client.parser import text_string_to_metric_families
+
+from jobs.attempts import succeed
+from jobs.records import AssetRecord
+from service.context import Context
+from tests.service.conftest import hold, publish
+
+
+@pytest.fixture
+def ran(client: TestClient, context: Context, asset: AssetRecord) -> str:
+    """One job that a worker ran, and one that waits."""
+    ids = [client.post("/v1/jobs", json={"type": "voxelize", "asset_id": asset.id}).json()["id"] for _ in range(2)]
+    held = hold(context, ids[0])
+    publish(context, held, "voxelize", "tree.voxels.safetensors", b"12345")
+    succeed(context.store, held)
+    return str(ids[0])
+
+
+def test_metrics_tell_of_jobs_stages_attempts_and_requests(client: TestClient, ran: str) -> None:
+    client.get(f"/v1/jobs/{ran}")
+    client.get("/nothing")
+    response = client.get("/metrics")
+    assert response.headers["content-type"].startswith("text/plain")
+    families = {family.name: family for family in text_string_to_metric_families(response.text)}
+    values = {
+        (sample.name, *sorted(sample.labels.values())): sample.value
+        for family in families.values()
+        for sample in family.samples
+    }
+    assert values[("dynamictree_jobs", "queued")] == 1
+    assert values[("dynamictree_jobs_ended_total", "succeeded")] == 1
+    assert values[("dynamictree_queue_jobs", "cpu")] == 1
+    assert values[("dynamictree_queue_age_seconds", "cpu")] >= 0
+    assert values[("dynamictree_attempts_total", "started")] == 1
+    assert values[("dynamictree_stages_total", "run", "voxelize")] == 1
+    assert values[("dynamictree_stage_bytes_total", "voxelize")] == 5
+    assert values[("dynamictree_stage_seconds_count", "voxelize")] == 1
+    assert values[("dynamictree_stage_seconds_bucket", "3600", "voxelize")] == 1
+    assert values[("dynamictree_request_seconds_count", "/v1/jobs/{id}", "GET")] >= 1
+    assert values[("dynamictree_answers_total", "404")] >= 1
+    assert values[("dynamictree_storage_free_bytes",)] > 0
+    assert not any(ran in str(key) for key in values)
+
+
+def test_a_path_that_nobody_serves_makes_no_new_series(client: TestClient) -> None:
+    for number in range(5):
+        client.get(f"/nothing-{number}")
+    assert "nothing-" not in client.get("/metrics").text
+
+
+def test_the_operators_page_loads_nothing_from_elsewhere(client: TestClient) -> None:
+    page = client.get("/ops")
+    assert page.headers["content-security-policy"].startswith("default-src 'none'; script-src 'self'")
+    named = re.findall(r'(?:src|href)="([^"]+)"', page.text)
+    assert named
+    for path in named:
+        assert client.get(path).status_code == 200
+    assert not re.search(r"<script(?![^>]*\bsrc=)|\son\w+=|style=", page.text)
+    assert client.get("/ops/index.html").status_code == 422
+
+
+def test_operations_are_told_without_ids(client: TestClient, ran: str) -> None:
+    told = client.get("/v1/ops").json()
+    assert told["jobs"] == {"queued": 1, "succeeded": 1}
+    assert told["queues"][0]["name"] == "cpu"
+    assert told["attempts"] == {"started": 1}
+    assert (told["workers"], told["unsent_messages"]) == (0, 1)
+    assert ran not in str(told)
