@@ -12,13 +12,15 @@ from jaxtyping import Bool, Float32, Int32
 from dynamictree.errors import InputError
 from dynamictree.gaussian.capture import Box, Capture, moving_part
 from dynamictree.gaussian.cloud import GaussianCloud
-from dynamictree.gaussian.nearest import nearest_faces
+from dynamictree.gaussian.nearest import NearestFaces, nearest_faces
 from dynamictree.gaussian.rotation import quaternion_matrices
 from dynamictree.mesh import TriangleMesh
 
 STILL = -1
 FLOATER_SHARE = 0.06
 """Farther from the surface than this share of the mesh's extent, a Gaussian is a floater and stays still."""
+_SIGMAS = 2.0  # so far from its middle a Gaussian still has a surface
+_INSIDE_SHARE = 0.5  # of the mesh's extent: no Gaussian within the tree is farther from its surface; the sky is
 _THINNEST = 1e-4  # height of a face over its longest edge; thinner ones have no direction to turn with
 
 
@@ -60,17 +62,22 @@ def bind(
         cloud: kept whole, in its order.
         mesh: at rest, where the cloud is [m].
         mask: which Gaussians may move; all by default.
-        max_distance_m: farther ones stay still; by default a share of the mesh's extent.
+        max_distance_m: farther ones stay still; by default a share of the mesh's extent, or what a large Gaussian
+            itself reaches.
 
     Raises:
         InputError: nothing is left to move, or the mesh has no face that is a triangle at all.
     """
+    extent = float(np.ptp(mesh.vertices, axis=0).max())
+    own_reach = max_distance_m is None
     if max_distance_m is None:
-        max_distance_m = FLOATER_SHARE * float(np.ptp(mesh.vertices, axis=0).max())
+        max_distance_m = FLOATER_SHARE * extent
     if not max_distance_m > 0:
         raise InputError(f"max_distance_m is {max_distance_m:g}; it must be positive")
     triangles = longest_edge_first(mesh.vertices, solid_faces(mesh))
     found = nearest_faces(cloud.means, mesh.vertices, triangles, max_distance_m)
+    if own_reach:
+        found = _with_large_ones(found, cloud, mesh.vertices, triangles, _INSIDE_SHARE * extent)
     face_of = np.where(mask, found.faces, STILL).astype(np.int32) if mask is not None else found.faces
     if (face_of == STILL).all():
         raise InputError(
@@ -78,6 +85,27 @@ def bind(
             "are cloud and mesh in the same axes and units?"
         )
     return _compact(cloud, mesh.vertices, triangles, face_of, found.weights)
+
+
+def _with_large_ones(
+    found: NearestFaces,
+    cloud: GaussianCloud,
+    vertices: Float32[np.ndarray, "N 3"],
+    triangles: Int32[np.ndarray, "F 3"],
+    max_distance_m: float,
+) -> NearestFaces:
+    """Bind also those whose own extent reaches a face: the surface of a large Gaussian is far from its middle."""
+    reach = _SIGMAS * cloud.scales.max(axis=1)
+    rows = np.flatnonzero((found.faces == STILL) & (reach > 0))
+    if len(rows) == 0:
+        return found
+    farthest = min(float(reach[rows].max()), max_distance_m)
+    more = nearest_faces(cloud.means[rows], vertices, triangles, farthest)
+    places = np.einsum("gc,gcx->gx", more.weights, vertices[triangles[more.faces]])
+    near = (more.faces != STILL) & (np.linalg.norm(cloud.means[rows] - places, axis=1) <= reach[rows])
+    faces, weights = found.faces.copy(), found.weights.copy()
+    faces[rows[near]], weights[rows[near]] = more.faces[near], more.weights[near]
+    return NearestFaces(faces=faces, weights=weights)
 
 
 def bind_capture(capture: Capture, mesh: TriangleMesh, box_m: Box | None = None) -> Binding:

@@ -272,3 +272,19 @@ def test_importing_clouds_loads_no_compiler() -> None:
     code = "import sys, dynamictree.formats.cloud_file; print('numba' in sys.modules, 'torch' in sys.modules)"
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert io.StringIO(found.stdout).read().strip() == "False False"
+
+
+def test_a_large_gaussian_hangs_on_the_surface_that_it_reaches_and_the_sky_on_none() -> None:
+    mesh = TriangleMesh(
+        vertices=np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], np.float32),
+        faces=np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]], np.int32),
+    )
+    count = 3
+    cloud = GaussianCloud(
+        means=np.array([[0.4, 0.4, -0.3], [0.4, 0.4, -0.3], [0.4, 0.4, -8.0]], np.float32),
+        quaternions=np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)),
+        scales=np.array([[0.2] * 3, [0.1] * 3, [5.0] * 3], np.float32),
+        opacity=np.full(count, 0.9, np.float32),
+        sh=np.zeros((count, 1, 3), np.float32),
+    )
+    assert bind(cloud, mesh).moving.tolist() == [True, False, False]

@@ -1,0 +1,81 @@
+"""Jobs on a splat, in this process, on the real store and the real stages."""
+
+import zipfile
+from dataclasses import replace
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dynamictree.formats.animated_splat import read_animated_splat
+from dynamictree.formats.cloud_bundle import write_cloud_bundle
+from dynamictree.formats.cloud_file import read_cloud
+from dynamictree.formats.mesh_bundle import read_mesh_bundle
+from dynamictree.gaussian.capture import Capture
+from jobs.artifacts import hash_file
+from jobs.records import AssetPart, AssetRecord
+from jobs.states import JobState
+from jobs.store import new_id
+from tests.service.test_clouds import post_cloud
+from tests.worker.conftest import add_job, hold, wedge
+from tests.worker.test_attempt import content, run, with_spectrum
+from worker.runtime import Runtime
+
+
+def keep(here: Runtime, capture: Capture, path: Path) -> AssetRecord:
+    with path.open("wb") as stream:
+        write_cloud_bundle(capture, stream)
+    digest, size = hash_file(path)
+    here.artifacts.put(path, digest)
+    part = AssetPart(name=path.name, sha256=digest, bytes=size)
+    now = here.store.clock()
+    record = AssetRecord(
+        id=new_id(),
+        kind="cloud",
+        fingerprint=digest,
+        parts=(part,),
+        prepared=part,
+        summary={},
+        created_at=now,
+        expires_at=now + 1000,
+    )
+    return here.store.add_asset(record)[0]
+
+
+@pytest.fixture
+def scene(here: Runtime, tmp_path: Path) -> AssetRecord:
+    """A post at the origin, and another five metres away."""
+    cloud = post_cloud(600)
+    means = cloud.means.copy()
+    means[400:, 0] += 5
+    capture = Capture(cloud=replace(cloud, means=means), mask=np.arange(600) < 400)
+    return keep(here, capture, tmp_path / "cloud.safetensors")
+
+
+def test_a_splat_comes_out_moving_and_what_is_around_it_stays(
+    here: Runtime, scene: AssetRecord, tmp_path: Path
+) -> None:
+    options = {"num_frames": 50, "loop": False, "shot": {"side_px": 64}, "formats": ["splat-ply", "splat", "png"]}
+    held = with_spectrum(here, scene, tmp_path, **options)
+    run(here, held)
+    assert here.store.job(held.job.id).state == JobState.SUCCEEDED
+    made = {artifact.name: artifact for artifact in here.store.artifacts_of(held.job.id)}
+    assert made["splat.ply.zip"].media_type == "application/zip"
+    assert made["preview.png"].media_type == "image/png"
+    with zipfile.ZipFile(BytesIO(content(here, held.job.id, "splat.ply.zip"))) as archive:
+        first, last = (read_cloud(BytesIO(archive.read(f"frame_{n:04d}.ply")), file_type="ply") for n in (0, 49))
+    moved = np.linalg.norm(last.means - first.means, axis=1)
+    assert moved[400:].max() == 0
+    high = first.means[:400, 2] > 0.8
+    assert moved[:400][high].min() > 0.1  # from one end of the sway to the other, 4 · 0.05 m a metre of height
+    splat = read_animated_splat(BytesIO(content(here, held.job.id, "tree.animated-splat.safetensors")))
+    np.testing.assert_array_equal(splat.binding.moving, np.arange(600) < 400)
+
+
+def test_the_mesh_that_came_with_a_cloud_is_taken(here: Runtime, tmp_path: Path) -> None:
+    capture = Capture(cloud=post_cloud(), mesh=wedge())
+    job = add_job(here, keep(here, capture, tmp_path / "cloud.safetensors"))
+    run(here, hold(here, job))
+    mesh = read_mesh_bundle(BytesIO(content(here, job.id, "mesh.safetensors")))
+    np.testing.assert_array_equal(mesh.vertices, wedge().vertices)
