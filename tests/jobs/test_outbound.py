@@ -1,0 +1,195 @@
+"""Where a stranger may send this service, and where not."""
+
+import asyncio
+import socket
+import threading
+from collections.abc import Iterator
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from ipaddress import ip_address
+from typing import ClassVar
+
+import pytest
+
+from jobs.errors import OutboundError
+from jobs.outbound import Outbound, is_public
+
+PRIVATE = (
+    *(
+        "127.0.0.1",
+        "10.0.0.1",
+        "172.16.0.1",
+        "192.168.1.1",
+        "169.254.169.254",
+        "100.100.100.200",
+        "0.0.0.0",
+        "224.0.0.1",
+    ),
+    *(
+        "::1",
+        "::",
+        "fe80::1",
+        "fd00:ec2::254",
+        "::ffff:127.0.0.1",
+        "::ffff:10.0.0.1",
+        "64:ff9b::7f00:1",
+        "2002:7f00:1::",
+    ),
+    *("2001:0:4136:e378:8000:63bf:80ff:fffe", "fec0::1", "ff02::1", "168.63.129.16", "255.255.255.255", "192.0.2.1"),
+)
+
+
+@pytest.mark.parametrize("address", PRIVATE)
+def test_an_address_that_is_not_everybodys_is_not_public(address: str) -> None:
+    assert not is_public(ip_address(address))
+
+
+@pytest.mark.parametrize("address", ["93.184.216.34", "2606:2800:220:1:248:1893:25c8:1946", "64:ff9b::5db8:d822"])
+def test_an_address_of_the_world_is_public(address: str) -> None:
+    assert is_public(ip_address(address))
+
+
+def known(**names: list[str]) -> "tuple[Outbound, list[str]]":
+    """A way out with names of our own, and what it looked up."""
+    asked: list[str] = []
+
+    async def look_up(host: str, port: int) -> list[str]:
+        asked.append(host)
+        return [names[host.split(".")[0]].pop(0)] if host.split(".")[0] in names else [host]
+
+    return Outbound(look_up=look_up), asked
+
+
+def check(url: str, **names: list[str]) -> str:
+    return asyncio.run(known(**names)[0].check(url)).pinned_url
+
+
+def test_what_is_connected_to_is_what_was_checked() -> None:
+    # a name that turns to loopback after its first answer: the second one is never asked for
+    assert check("https://tree.example/a?b=c#d", tree=["93.184.216.34", "127.0.0.1"]) == "https://93.184.216.34/a?b=c"
+    assert check("https://tree.example:443/", tree=["2606:2800:220:1::1"]) == "https://[2606:2800:220:1::1]:443/"
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "http://tree.example/",
+        "https://tree.example:8443/",
+        "ftp://tree.example/",
+        "file:///etc/passwd",
+        "https://user:secret@tree.example/",
+        "https:///nothing",
+        "https://tree.example/\u00fc",
+        "https://tree.example/ b",
+        "https://tree.example:99999/",
+        "https://tree.example/" + "x" * 3000,
+        "https://127.0.0.1/",
+        "https://[::1]/",
+        "https://169.254.169.254/latest/meta-data/",
+        "https://inside.example/",
+    ],
+)
+def test_a_url_that_leads_elsewhere_is_refused(url: str) -> None:
+    with pytest.raises(OutboundError):
+        check(url, tree=["93.184.216.34"], inside=["10.1.2.3"])
+
+
+def test_a_name_of_no_address_is_refused() -> None:
+    async def fails(host: str, port: int) -> list[str]:
+        raise socket.gaierror
+
+    async def none(host: str, port: int) -> list[str]:
+        return []
+
+    for look_up in (fails, none):
+        with pytest.raises(OutboundError):
+            asyncio.run(Outbound(look_up=look_up).check("https://tree.example/"))
+
+
+def test_one_private_address_among_public_ones_is_enough() -> None:
+    async def both(host: str, port: int) -> list[str]:
+        return ["93.184.216.34", "127.0.0.1"]
+
+    with pytest.raises(OutboundError):
+        asyncio.run(Outbound(look_up=both).check("https://tree.example/"))
+
+
+class Site(BaseHTTPRequestHandler):
+    """Redirects, files, and a server that breaks off."""
+
+    hosts: ClassVar[list[str]] = []
+
+    def do_GET(self) -> None:
+        self.hosts.append(self.headers["Host"])
+        if self.path.startswith("/to/"):
+            self.send_response(302)
+            self.send_header("Location", self.path.removeprefix("/to/"))
+            self.end_headers()
+        elif self.path == "/short":
+            self.send_response(200)
+            self.send_header("Content-Length", "100")
+            self.end_headers()
+            self.wfile.write(b"half")
+        elif self.path == "/file":
+            self.send_response(200)
+            self.send_header("Content-Length", "4")
+            self.end_headers()
+            self.wfile.write(b"tree")
+        else:
+            self.send_error(404)
+
+    def log_message(self, *_: object) -> None:
+        pass
+
+
+@pytest.fixture(scope="module")
+def site() -> Iterator[str]:
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Site)
+    thread = threading.Thread(target=server.serve_forever)
+    thread.start()
+    yield f"tree.example:{server.server_port}"
+    server.shutdown()
+    thread.join()
+    server.server_close()
+
+
+async def fetched(site: str, path: str) -> bytes:
+    async def look_up(host: str, port: int) -> list[str]:
+        return ["127.0.0.1" if host == "tree.example" else "10.0.0.1"]
+
+    async with Outbound(private_hosts=(site,), look_up=look_up).get(f"http://{site}{path}") as response:
+        return b"".join([chunk async for chunk in response.aiter_raw()])
+
+
+def test_a_file_is_fetched_by_its_name_from_the_checked_address(site: str) -> None:
+    assert asyncio.run(fetched(site, "/file")) == b"tree"
+    assert Site.hosts[-1] == site
+    assert asyncio.run(fetched(site, "/to//file")) == b"tree"
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/to/http://inside.example/file",
+        "/to/https://inside.example/",
+        "/to/file:///etc/passwd",
+        "/to//to//to//to//to//file",
+        "/absent",
+        "/short",
+    ],
+)
+def test_a_redirect_is_checked_as_the_first_address_was(site: str, path: str) -> None:
+    with pytest.raises(OutboundError):
+        asyncio.run(fetched(site, path))
+
+
+def test_who_does_not_answer_is_told() -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        closed = f"127.0.0.1:{taken.getsockname()[1]}"
+        with pytest.raises(OutboundError, match="does not answer"):
+            asyncio.run(_open(closed))
+
+
+async def _open(where: str) -> None:
+    async with Outbound(private_hosts=(where,)).get(f"http://{where}/"):
+        pass

@@ -1,0 +1,186 @@
+"""Webhooks, told by the real courier to a real server, their signatures checked by Standard Webhooks' own library."""
+
+import json
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+import pytest
+from standardwebhooks import Webhook
+from standardwebhooks.webhooks import WebhookVerificationError
+
+from jobs import webhooks
+from jobs.attempts import claim, fail, succeed
+from jobs.errors import ConflictError, NotFoundError
+from jobs.settings import Settings
+from jobs.store import Store
+from tests.jobs.conftest import add_job, make_asset
+from worker.courier import Courier
+
+
+@dataclass
+class Receiver:
+    """What came, and what is answered."""
+
+    url: str
+    answers: list[int] = field(default_factory=list)
+    came: list[tuple[dict[str, str], bytes]] = field(default_factory=list)
+
+
+@pytest.fixture
+def receiver() -> Iterator[Receiver]:
+    class Listening(BaseHTTPRequestHandler):
+        def do_POST(self) -> None:
+            body = self.rfile.read(int(self.headers["Content-Length"]))
+            told.came.append(({name.lower(): value for name, value in self.headers.items()}, body))
+            self.send_response(told.answers.pop(0) if told.answers else 200)
+            self.send_header("Location", "/elsewhere")
+            self.end_headers()
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Listening)
+    told = Receiver(f"http://127.0.0.1:{server.server_port}/hook")
+    thread = threading.Thread(target=server.serve_forever)
+    thread.start()
+    yield told
+    server.shutdown()
+    thread.join()
+    server.server_close()
+
+
+@dataclass
+class Scene:
+    """A store with a clock of its own, a courier, a job to end."""
+
+    store: Store
+    courier: Courier
+    now: list[float]
+
+    def end_a_job(self, *, well: bool = True, webhook_id: str | None = None) -> str:
+        asset = self.store.add_asset(make_asset(self.store.clock()))[0]
+        job = add_job(self.store, asset, webhook_id=webhook_id, traceparent="00-" + "a" * 32 + "-" + "b" * 16 + "-01")
+        held = claim(self.store, job.id, 1, owner="test", lease_s=60)
+        assert held is not None
+        if well:
+            succeed(self.store, held)
+        else:
+            fail(self.store, held, code="out-of-memory", message="found, allowed")
+        return job.id
+
+
+@pytest.fixture
+def scene(tmp_path: Path, receiver: Receiver) -> Iterator[Scene]:
+    import time
+
+    now = [time.time()]  # the library refuses what is five minutes off
+    store = Store.open(f"sqlite:///{tmp_path / 'jobs.sqlite'}", clock=lambda: now[0])
+    settings = Settings(
+        state_dir=tmp_path, outbound_hosts=(receiver.url.split("/")[2],), webhook_retry_s=(0.0, 5.0, 60.0)
+    )
+    yield Scene(store, Courier(store, settings), now)
+    store.close()
+
+
+def test_the_end_of_a_job_is_told_and_signed(scene: Scene, receiver: Receiver) -> None:
+    endpoint = webhooks.add_endpoint(scene.store, receiver.url, webhooks.EVENTS)
+    job_id = scene.end_a_job()
+    assert scene.courier.round() == 1
+    headers, body = receiver.came[0]
+    told = Webhook(endpoint.secret).verify(body, headers)
+    assert (told["type"], told["data"]["id"], told["data"]["state"]) == ("job.succeeded", job_id, "succeeded")
+    assert headers["traceparent"].startswith("00-aaaa")
+    with pytest.raises(WebhookVerificationError):
+        Webhook(endpoint.secret).verify(body.replace(b"succeeded", b"failed"), headers)
+    assert scene.courier.round() == 0
+    log = webhooks.deliveries(scene.store, endpoint.id, before=None, limit=10)
+    assert [(one.state, one.log[0].status) for one in log] == [("delivered", 200)]
+
+
+def test_one_who_does_not_take_it_is_told_again_on_schedule(scene: Scene, receiver: Receiver) -> None:
+    endpoint = webhooks.add_endpoint(scene.store, receiver.url, ("job.failed",))
+    scene.end_a_job()
+    scene.end_a_job(well=False)
+    receiver.answers = [500, 302, 503]
+    tries = []
+    for later in (0, 4, 1, 59, 1, 1000):
+        scene.now[0] += later
+        tries.append(scene.courier.round())
+    assert tries == [1, 0, 1, 0, 1, 0]
+    (delivery,) = webhooks.deliveries(scene.store, endpoint.id, before=None, limit=10)
+    assert (delivery.state, [made.status for made in delivery.log]) == ("failed", [500, 302, 503])
+    assert "redirects" in delivery.log[1].detail
+    assert len({headers["webhook-id"] for headers, _ in receiver.came}) == 1
+    again = webhooks.replay(scene.store, endpoint.id, delivery.id)
+    assert (scene.courier.round(), receiver.came[-1][0]["webhook-id"]) == (1, delivery.message_id)
+    assert webhooks.deliveries(scene.store, endpoint.id, before=None, limit=1)[0].id == again.id
+    with pytest.raises(NotFoundError):
+        webhooks.replay(scene.store, endpoint.id, "absent")
+
+
+def test_one_who_says_gone_is_told_no_more(scene: Scene, receiver: Receiver) -> None:
+    endpoint = webhooks.add_endpoint(scene.store, receiver.url, webhooks.EVENTS)
+    scene.end_a_job()
+    receiver.answers = [410]
+    assert scene.courier.round() == 1
+    assert webhooks.endpoint(scene.store, endpoint.id).disabled_reason
+    scene.end_a_job()
+    scene.now[0] += 1e6
+    assert scene.courier.round() == 0
+
+
+def test_for_a_day_the_old_secret_signs_too(scene: Scene, receiver: Receiver) -> None:
+    old = webhooks.add_endpoint(scene.store, receiver.url, webhooks.EVENTS)
+    new = webhooks.rotate_secret(scene.store, old.id)
+    scene.end_a_job()
+    scene.courier.round()
+    headers, body = receiver.came[0]
+    for secret in (old.secret, new.secret):
+        assert json.loads(body) == Webhook(secret).verify(body, headers)
+    assert new.signing_secrets(scene.now[0] + webhooks.ROTATION_OVERLAP_S + 1) == (new.secret,)
+
+
+def test_an_endpoint_without_events_hears_only_of_jobs_that_name_it(scene: Scene, receiver: Receiver) -> None:
+    endpoint = webhooks.add_endpoint(scene.store, receiver.url, ())
+    scene.end_a_job()
+    named = scene.end_a_job(webhook_id=endpoint.id)
+    assert scene.courier.round() == 1
+    assert json.loads(receiver.came[0][1])["data"]["id"] == named
+
+
+def test_what_leads_inside_is_not_called(scene: Scene, receiver: Receiver) -> None:
+    scene.courier.outbound = type(scene.courier.outbound)()  # as without the setting outbound_hosts
+    endpoint = webhooks.add_endpoint(scene.store, receiver.url, webhooks.EVENTS)
+    scene.end_a_job()
+    assert scene.courier.round() == 1
+    (delivery,) = webhooks.deliveries(scene.store, endpoint.id, before=None, limit=10)
+    assert (delivery.log[0].status, receiver.came) == (None, [])
+
+
+def test_one_who_is_slow_is_not_waited_for(scene: Scene, receiver: Receiver) -> None:
+    scene.courier.settings = scene.courier.settings.model_copy(update={"webhook_timeout_s": 0.0001})
+    endpoint = webhooks.add_endpoint(scene.store, receiver.url, webhooks.EVENTS)
+    scene.end_a_job()
+    scene.courier.round()
+    (delivery,) = webhooks.deliveries(scene.store, endpoint.id, before=None, limit=10)
+    assert "no answer within" in delivery.log[0].detail
+
+
+def test_what_one_courier_tells_no_other_does(scene: Scene, receiver: Receiver) -> None:
+    webhooks.add_endpoint(scene.store, receiver.url, webhooks.EVENTS)
+    scene.end_a_job()
+    claimed = [webhooks.claim_due(scene.store, lease_s=30, limit=10) for _ in range(2)]
+    assert [len(found) for found in claimed] == [1, 0]
+    scene.now[0] += 31
+    assert scene.courier.round() == 1
+
+
+def test_endpoints_have_a_limit(scene: Scene, receiver: Receiver) -> None:
+    made = [webhooks.add_endpoint(scene.store, receiver.url, ()) for _ in range(webhooks.MAX_ENDPOINTS)]
+    with pytest.raises(ConflictError):
+        webhooks.add_endpoint(scene.store, receiver.url, ())
+    webhooks.delete_endpoint(scene.store, made[0].id)
+    assert len(webhooks.endpoints(scene.store)) == webhooks.MAX_ENDPOINTS - 1
