@@ -37,12 +37,12 @@ class GlbFile:
     def read_accessor(self, index: int) -> Float32[np.ndarray, "rows width"]:
         """An accessor's values; integers that are normalised become shares of their range."""
         accessor, count = self._accessor(index), self.accessor_count(index)
-        component, shape = integer(accessor, "componentType", 0), accessor.get("type")
+        component, shape = integer(accessor, "componentType", 0), str(accessor.get("type"))
         if component not in _COMPONENTS or shape not in _WIDTHS or "sparse" in accessor:
             raise FormatError(
                 f"accessor {index} of the GLB file is of type {component} {shape}, or sparse; not understood"
             )
-        kind, width = np.dtype(_COMPONENTS[component]).newbyteorder("<"), _WIDTHS[str(shape)]
+        kind, width = np.dtype(_COMPONENTS[component]).newbyteorder("<"), _WIDTHS[shape]
         views, view_index = listed(self.document, "bufferViews"), integer(accessor, "bufferView", -1)
         if not 0 <= view_index < len(views) or integer(views[view_index], "buffer", 0) != 0:
             raise FormatError(

@@ -4,9 +4,12 @@ Internal: written by the process that parses an upload, read by those that must 
 """
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, replace
+from typing import Any
 
 import numpy as np
+from jaxtyping import Shaped
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
@@ -46,16 +49,23 @@ def read_mesh_bundle(stream: ByteReader) -> TriangleMesh:
     try:
         tensors = load(read_all(stream, MAX_BYTES))
         rest = json.loads(tensors["rest"].tobytes())
-    except (SafetensorError, KeyError, json.JSONDecodeError) as error:
+        version = rest["version"]
+        if version == VERSION:
+            mesh = _mesh(tensors, rest)
+    except (SafetensorError, KeyError, TypeError, ValueError, AttributeError) as error:
         raise FormatError(f"not a mesh bundle: {error}") from error
-    if rest["version"] != VERSION:
-        raise FormatError(f"the mesh bundle is of version {rest['version']}; this reader knows {VERSION}")
+    if version != VERSION:
+        raise FormatError(f"the mesh bundle is of version {version}; this reader knows {VERSION}")
+    return validate_mesh(mesh)
+
+
+def _mesh(tensors: Mapping[str, Shaped[np.ndarray, "..."]], rest: Mapping[str, Any]) -> TriangleMesh:
     materials = []
     for index, fields in enumerate(rest["materials"]):
         texture = tensors.get(f"texture_{index}")
         fields |= {"base_color": tuple(fields["base_color"])}
         materials.append(Material(**fields | {"texture_png": None if texture is None else texture.tobytes()}))
-    mesh = TriangleMesh(
+    return TriangleMesh(
         vertices=tensors["vertices"],
         faces=tensors["faces"],
         uv=tensors.get("uv"),
@@ -65,4 +75,3 @@ def read_mesh_bundle(stream: ByteReader) -> TriangleMesh:
         source_up_axis=rest["source_up_axis"],
         source_scale=rest["source_scale"],
     )
-    return validate_mesh(mesh)

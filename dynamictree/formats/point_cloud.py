@@ -1,6 +1,7 @@
 """Point clouds of scans: PLY without faces, XYZ text, LAS and LAZ. A Gaussian a point, sized by its neighbours."""
 
 import io
+import struct
 
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
@@ -90,7 +91,7 @@ def read_las(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: float = 
         with laspy.open(stream, closefd=False, laz_backend=laspy.LazBackend.Lazrs) as reader:  # its one-thread twin
             check_count(reader.header.point_count)
             las = reader.read()
-    except (laspy.LaspyException, ValueError, OSError, RuntimeError) as error:
+    except (laspy.LaspyException, struct.error, ValueError, OSError, RuntimeError) as error:
         raise FormatError(f"the LAS file cannot be read: {error}") from error
     check_count(len(las.points))
     points = np.stack([np.asarray(las.x), np.asarray(las.y), np.asarray(las.z)], axis=1).astype(np.float64)

@@ -299,3 +299,17 @@ def test_types_axes_and_units_that_do_not_exist_are_refused() -> None:
     for unit_m in (0.0, -1.0, float("inf")):
         with pytest.raises(InputError, match="unit_m"):
             read_cloud(io.BytesIO(content), file_type="ply", unit_m=unit_m)
+
+
+@pytest.mark.parametrize("shape", [[], {}, None, 3, "VEC9"])
+def test_an_accessor_of_no_shape_is_refused(shape: object) -> None:
+    content = written(write_gltf_gaussian)
+    length = int.from_bytes(content[12:16], "little")
+    root = json.loads(content[20 : 20 + length])
+    root["accessors"][-1]["type"] = shape
+    text = json.dumps(root).encode()
+    text += b" " * (-len(text) % 4)
+    rest = content[20 + length :]
+    head = b"glTF" + struct.pack("<III", 2, 20 + len(text) + len(rest), len(text)) + b"JSON"
+    with pytest.raises(FormatError, match="not understood"):
+        read(head + text + rest, "glb")

@@ -58,3 +58,19 @@ def test_what_is_no_bundle_is_refused(content: bytes) -> None:
 def test_a_mesh_that_cannot_be_used_is_refused() -> None:
     with pytest.raises(MeshError):
         read_mesh_bundle(io.BytesIO(written(leaf(vertices=np.full((3, 3), np.nan, np.float32)))))
+
+
+@pytest.mark.parametrize(
+    "rest",
+    [
+        b"\x89 is no UTF-8",
+        b"[]",
+        b'{"version": 1}',
+        json.dumps({"version": VERSION, "materials": [7], "source_up_axis": "+Z", "source_scale": 1}).encode(),
+        json.dumps({"version": VERSION, "materials": [{"colour": 1}], "source_up_axis": "+Z"}).encode(),
+    ],
+)
+def test_a_bundle_whose_fields_were_changed_is_refused(rest: bytes) -> None:
+    tensors = load(written(leaf())) | {"rest": np.frombuffer(rest, np.uint8)}
+    with pytest.raises(FormatError, match="mesh bundle"):
+        read_mesh_bundle(io.BytesIO(save(tensors)))

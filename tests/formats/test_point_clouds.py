@@ -156,3 +156,13 @@ def test_a_las_1_4_header_may_not_claim_extended_records() -> None:
     content[243:247] = b"\xff\xff\xff\x0f"
     with pytest.raises(FormatError, match="268,435,455 extended records"):
         read_cloud(io.BytesIO(bytes(content)), file_type="las")
+
+
+def test_a_las_header_that_ends_within_itself_is_refused() -> None:
+    content = bytearray(_las(_lattice(0.2), None, packed=False).getvalue()[:240])
+    content[25] = 3  # version 1.3, whose header is longer
+    content[94:104] = (235).to_bytes(2, "little") + (240).to_bytes(4, "little") + bytes(4)
+    for size in (228, 232, 240):
+        content[96:100] = size.to_bytes(4, "little")
+        with pytest.raises(InputError):
+            read_cloud(io.BytesIO(bytes(content[:size])), file_type="las")
