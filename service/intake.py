@@ -25,6 +25,11 @@ POINT_SUFFIXES = (".xyz", ".txt", ".csv", ".asc", ".pts")
 CLOUD_SUFFIXES = (".ply", ".splat", ".spz", ".glb", ".las", ".laz", *POINT_SUFFIXES)
 MASK_NAME = "mask.npy"
 PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp")
+CAMERA_FILES = ("transforms.json", "poses_bounds.npy") + tuple(
+    f"{name}.{suffix}" for name in ("cameras", "images", "points3D", "rigs", "frames") for suffix in ("txt", "bin")
+)
+"""What may come with photos: cameras that are known."""
+MASKS = "masks"
 MIN_PHOTOS = 8
 MAX_PHOTOS = 300
 MAX_PHOTO_BYTES = 30 * 1024**2
@@ -61,7 +66,9 @@ def sort_out(form: Form, folder: Path) -> Upload:
         files = unpack(files[0], folder)
     if not files:
         raise ProblemError("validation-failed", "the form has no file; send at least one part with a filename")
-    kind = form.fields.get("kind") or ("photos" if all(_suffix(file) in PHOTO_SUFFIXES for file in files) else "mesh")
+    with_photos = [file for file in files if _suffix(file) in PHOTO_SUFFIXES or _is_camera_file(file)]
+    pictures = [file for file in with_photos if not _is_camera_file(file)]
+    kind = form.fields.get("kind") or ("photos" if pictures and len(with_photos) == len(files) else "mesh")
     if kind == "photos":
         return Upload(kind="photos", files=_photos(files), up_axis=None, unit_m=None)
     models = _models(files)
@@ -95,9 +102,12 @@ def reading_options(fields: Mapping[str, str]) -> tuple[str | None, float | None
 
 
 def _photos(files: list[ReceivedFile]) -> tuple[ReceivedFile, ...]:
-    if not MIN_PHOTOS <= len(files) <= MAX_PHOTOS:
-        raise ProblemError("invalid-input", f"there are {len(files)} photos; {MIN_PHOTOS} to {MAX_PHOTOS} are allowed")
+    photos = [file for file in files if not _is_camera_file(file) and not _is_mask(file)]
+    if not MIN_PHOTOS <= len(photos) <= MAX_PHOTOS:
+        raise ProblemError("invalid-input", f"there are {len(photos)} photos; {MIN_PHOTOS} to {MAX_PHOTOS} are allowed")
     for file in files:
+        if _is_camera_file(file):
+            continue
         if _suffix(file) not in PHOTO_SUFFIXES:
             raise _unsupported(file, PHOTO_SUFFIXES)
         if file.bytes > MAX_PHOTO_BYTES:
@@ -190,6 +200,14 @@ def _keep(
 def _beside(name: str) -> str:
     """The name by which another file may mean this one: relative, with forward slashes."""
     return str(PurePosixPath(name.replace("\\", "/")))
+
+
+def _is_camera_file(file: ReceivedFile) -> bool:
+    return PurePosixPath(_beside(file.name)).name in CAMERA_FILES
+
+
+def _is_mask(file: ReceivedFile) -> bool:
+    return PurePosixPath(_beside(file.name)).parent.name == MASKS
 
 
 def _suffix(file: ReceivedFile) -> str:

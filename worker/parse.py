@@ -19,6 +19,7 @@ MAX_FILES = 512
 MAX_PIXELS = 50_000_000
 MIN_PHOTO_PIXELS = 320 * 240
 PHOTO_FORMATS = ("JPEG", "PNG", "TIFF", "WEBP")
+CAMERA_SUFFIXES = (".json", ".npy", ".txt", ".bin")
 
 
 def main() -> None:
@@ -126,8 +127,11 @@ def _photos(request: ParseRequest) -> ParseAnswer:
     from PIL import Image, UnidentifiedImageError
 
     Image.MAX_IMAGE_PIXELS = None  # counted here, from the header
-    sizes = set()
+    sizes, number = set(), 0
     for name, path in zip(request.names, request.paths, strict=True):
+        if PurePosixPath(name).suffix.lower() in CAMERA_SUFFIXES:
+            continue  # read with the photos, by the job
+        number += PurePosixPath(name).parent.name != "masks"
         try:
             with Image.open(path, formats=PHOTO_FORMATS) as image:
                 sizes.add(image.size)
@@ -143,7 +147,7 @@ def _photos(request: ParseRequest) -> ParseAnswer:
         except (OSError, SyntaxError, ValueError) as error:
             return _unusable(f"photo {name!r} is damaged: {error}; export it again")
     largest = max(sizes)
-    return ParseAnswer(summary={"num_photos": len(request.paths), "largest_pixels": [float(n) for n in largest]})
+    return ParseAnswer(summary={"num_photos": number, "largest_pixels": [float(n) for n in largest]})
 
 
 def _unusable(message: str) -> ParseAnswer:

@@ -10,7 +10,7 @@ from dynamictree.reconstruct.depth import DepthMaps
 from dynamictree.reconstruct.splat_table import table_of_points
 from dynamictree.reconstruct.views import SparseModel, View
 
-_OPACITY, _DOME_OPACITY = 0.5, 0.95  # dense points are mostly surfaces; Kerbl et al. begin with 0.1 at sparse ones
+_OPACITY, _DOME_OPACITY = 0.1, 0.95  # Kerbl et al. begin with 0.1; stereo's errors then fade before they settle
 _WIDEST_SHARE = 0.1  # of the cameras' distance, for a point far from all others
 _DOME_POINTS, _DOME_DISTANCE = 3000, 12.0  # of the radius of the region that the pictures hold
 _GOLDEN = np.pi * (3 - np.sqrt(5))
