@@ -23,7 +23,7 @@ else
 TORCH_SOURCE := --torch-backend $(TORCH_BACKEND)
 endif
 
-.PHONY: help setup demo test js-tools openapi-lint scale-out check format openapi lock bench clean browser
+.PHONY: help setup demo test docs js-tools openapi-lint scale-out check format openapi lock bench clean browser
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -64,6 +64,10 @@ check: $(READY)  ## format, lint, types, imports, openapi drift
 	@$(BIN)/lint-imports --no-cache
 	@$(BIN)/python -m service.openapi --check openapi/openapi.json
 	@$(BIN)/python client/generate.py --check
+
+docs: $(READY)  ## the documentation's site, in site/ (links are checked, nothing is fetched)
+	@$(BIN)/python -m recipes.api_reference docs/api.md
+	@$(BIN)/zensical build --strict
 
 # Judges that are not ours, of GLB, OpenAPI and TypeScript; their tests are slow ones and skip without them.
 JS_TOOLS := .cache/js-tools

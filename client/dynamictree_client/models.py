@@ -461,6 +461,16 @@ class Manifest(Model):
     artifacts: "list[Artifact]"
 
 
+class Ops(Model):
+    """The whole service at a glance."""
+
+    queues: "list[Queue]"
+    jobs: dict[str, int]
+    attempts: dict[str, int]
+    workers: int
+    unsent_messages: int
+
+
 class Part(Model):
     """One file of an asset."""
 
@@ -497,6 +507,14 @@ class Problem(Model):
     retryable: bool
     suggestion: str
     errors: "list[FieldError]"
+
+
+class Queue(Model):
+    """Jobs that wait."""
+
+    name: str
+    jobs: int
+    oldest_s: float
 
 
 class Ready(Model):

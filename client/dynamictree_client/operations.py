@@ -25,6 +25,7 @@ from dynamictree_client.models import (
     Live,
     Log,
     Manifest,
+    Ops,
     PresetList,
     Ready,
     ReconstructRequest,
@@ -352,3 +353,13 @@ def get_liveness() -> Call[Live]:
 def get_readiness() -> Call[Ready]:
     """Whether jobs can be taken and run."""
     return Call(method="GET", path="/readyz", answer=Ready)
+
+
+def get_metrics() -> Call[bytes]:
+    """Counts, ages and durations for Prometheus."""
+    return Call(method="GET", path="/metrics", answer=bytes)
+
+
+def get_operations() -> Call[Ops]:
+    """Queues, jobs by state, attempts, workers; over all keys, and nothing of any one."""
+    return Call(method="GET", path="/v1/ops", answer=Ops)

@@ -52,7 +52,7 @@ def write_motion_glb(
     num_frequencies = coefficients.shape[1]
     if num_targets is not None and not 1 <= num_targets <= 2 * num_frequencies - 1:
         raise InputError(f"num_targets is {num_targets}; 1 to {2 * num_frequencies - 1} are allowed for this spectrum")
-    basis, weights = _targets(coefficients), _key_weights(num_frequencies, num_frames)
+    basis, weights = morph_targets(coefficients), key_weights(num_frequencies, num_frames)
     whole, all_weights = basis, weights
     basis, weights, (total, missing) = _reduced(whole, all_weights, num_targets or len(whole))
     summary = MorphSummary(
@@ -83,16 +83,21 @@ def write_motion_glb(
     return summary
 
 
-def _targets(coefficients: Complex64[np.ndarray, "N K 3"]) -> Float32[np.ndarray, "M N3"]:
+def morph_targets(coefficients: Complex64[np.ndarray, "N K 3"]) -> Float32[np.ndarray, "M N3"]:
     """Re c_0, then Re and Im of each further bin, as rows."""
     by_bin = coefficients.transpose(1, 0, 2).reshape(coefficients.shape[1], -1)  # [K, 3N]
     pairs = np.stack([by_bin.real, by_bin.imag], axis=1).reshape(2 * len(by_bin), -1)  # [2K, 3N]
     return np.ascontiguousarray(np.delete(pairs, 1, axis=0))
 
 
-def _key_weights(num_frequencies: int, num_frames: int) -> Float64[np.ndarray, "T M"]:
+def key_weights(
+    num_frequencies: int, num_frames: int, turn: Float64[np.ndarray, " K"] | None = None
+) -> Float64[np.ndarray, "T M"]:
+    """How far each target is on at each frame; `turn` adds to the phase of each frequency [rad]."""
     k = np.arange(num_frequencies)
     angle = 2 * np.pi * np.outer(np.arange(num_frames), k) / num_frames  # [T, K]
+    if turn is not None:
+        angle = angle + turn
     w = bin_weights(num_frequencies, num_frames)
     pairs = np.stack([w * np.cos(angle), -w * np.sin(angle)], axis=2).reshape(num_frames, -1)
     return np.delete(pairs, 1, axis=1)

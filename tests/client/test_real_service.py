@@ -3,7 +3,6 @@
 import asyncio
 import hashlib
 import json
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -15,16 +14,8 @@ from typer.testing import CliRunner
 
 from dynamictree.dataset.sample import make_sample
 from dynamictree.formats.gltf import write_glb
-from recipes.demo import served
 
 PARAMS = AnimateParams(wind=Wind(speed_m_s=6.0), formats=["glb"], num_steps=1)
-
-
-@pytest.fixture(scope="module")
-def url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    folder = tmp_path_factory.mktemp("served")
-    with served(folder / "state", folder / "serve.log") as url:
-        yield url
 
 
 @pytest.fixture(scope="module")

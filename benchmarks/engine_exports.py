@@ -1,0 +1,55 @@
+"""How far each export is from the spectrum's motion, read by other people's tools. The largest error is the value."""
+
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks._machine import device, versions
+from benchmarks._played import played_morphs, played_skin, played_usdz, played_vertex_texture
+from dynamictree import pipeline
+from dynamictree.dataset.sample import make_sample, voxel_spectrum
+from dynamictree.products import AnimateOptions
+from dynamictree.spectrum import iter_motion
+
+FORMATS = ("glb", "glb-reduced", "glb-skinned", "usd", "vat")
+
+
+def run() -> dict[str, object]:
+    sample = make_sample(7, "round-broadleaf")
+    _, spectrum = voxel_spectrum(sample)
+    coefficients = pipeline.vertex_spectrum(sample.mesh, spectrum)
+    truth = np.stack(list(iter_motion(coefficients, np.arange(100) / 100)))
+    found: dict[str, dict[str, float]] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for name in FORMATS:
+            began = time.perf_counter()
+            options = AnimateOptions(formats=(name,))
+            path = pipeline.animate(sample.mesh, spectrum, options, Path(folder))[name]
+            seconds = time.perf_counter() - began
+            gap = ((_played(name, path)[:100] - truth) ** 2).sum(axis=2)
+            found[name] = {
+                "max_mm": round(1e3 * float(np.sqrt(gap.max())), 4),
+                "rms_mm": round(1e3 * float(np.sqrt(gap.mean())), 4),
+                "megabytes": round(path.stat().st_size / 1e6, 2),
+                "seconds": round(seconds, 2),
+            }
+    exact = max(found[name]["max_mm"] for name in ("glb", "usd", "vat"))
+    motion_mm = 1e3 * float(np.sqrt((truth**2).sum(axis=2).mean()))
+    return {
+        "value": exact,
+        "unit": "mm",
+        "target": 1.0,
+        "formats": found,
+        "sizes": {"vertices": sample.mesh.num_vertices, "frames": 100, "motion_rms_mm": round(motion_mm, 1)},
+        "device": device(),
+        "versions": versions("numpy", "pygltflib", "usd-core", "OpenEXR"),
+    }
+
+
+def _played(name: str, path: Path) -> np.ndarray:
+    if name == "usd":
+        return played_usdz(path)
+    play = {"glb-skinned": played_skin, "vat": played_vertex_texture}.get(name, played_morphs)
+    return play(path.read_bytes())

@@ -1,0 +1,96 @@
+"""Many trees of one spectrum as a GLB: one mesh, and for each tree a node with an animation of its own.
+
+A phase a frequency, c_k e^{iθ_k}, makes another motion of the same spectrum: as strong everywhere and as smooth, its
+loop as closed, but no shift in time leads from one to the other. All lean the same way, for the wind is one.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Complex64, Float64
+
+from dynamictree.errors import InputError
+from dynamictree.formats.axes import up_rotation
+from dynamictree.formats.glb_motion import key_weights, morph_targets
+from dynamictree.formats.gltf import VERTEX_BUFFER, GlbWriter, add_mesh
+from dynamictree.formats.stream import ByteWriter
+from dynamictree.mesh import TriangleMesh
+
+
+@dataclass(frozen=True, kw_only=True)
+class StandingTree:
+    """Where one of the trees stands, and how it differs from the others."""
+
+    position_m: tuple[float, float, float]
+    scale: float  # of the tree, and so of its sway
+    mirrored: bool  # in the upright plane along the wind, so that it still leans with it
+    phase_rad: Float64[np.ndarray, " K"]  # 0 for k = 0, the lean
+
+
+def plant_forest(rng: np.random.Generator, count: int, *, num_frequencies: int, spacing_m: float) -> list[StandingTree]:
+    """Draw trees on a jittered grid, 0.8 to 1.25 times as large as the first.
+
+    Raises:
+        InputError: no trees.
+    """
+    if count < 1:
+        raise InputError(f"{count} trees are asked for; at least 1 is needed")
+    side = int(np.ceil(np.sqrt(count)))
+    place = np.stack(np.divmod(np.arange(count), side), axis=1) - (side - 1) / 2  # [count, 2]
+    place = (place + rng.uniform(-0.3, 0.3, place.shape)) * spacing_m
+    phase = rng.uniform(0, 2 * np.pi, (count, num_frequencies))
+    phase[:, 0] = 0
+    return [
+        StandingTree(
+            position_m=(float(x), float(y), 0.0),
+            scale=float(1.25 ** rng.uniform(-1, 1)),
+            mirrored=bool(rng.integers(2)),
+            phase_rad=own,
+        )
+        for (x, y), own in zip(place, phase, strict=True)
+    ]
+
+
+def write_forest_glb(
+    mesh: TriangleMesh,
+    coefficients: Complex64[np.ndarray, "N K 3"],
+    trees: Sequence[StandingTree],
+    stream: ByteWriter,
+    *,
+    num_frames: int,
+    fps: float,
+    wind_deg: float = 0.0,
+) -> None:
+    """Write one period; keys as in `glb_motion`. `wind_deg` is where the wind blows to, from +X towards +Y."""
+    writer = GlbWriter()
+    rotation = up_rotation("+Y").astype(np.float32)
+    foot = np.array([*mesh.vertices[:, :2].mean(axis=0), mesh.vertices[:, 2].min()], np.float32)
+    targets = [
+        {"POSITION": writer.add_accessor(target.reshape(-1, 3) @ rotation, target=VERTEX_BUFFER, bounds=True)}
+        for target in morph_targets(coefficients)
+    ]
+    add_mesh(writer, mesh.with_vertices(mesh.vertices - foot), targets=targets)
+    times = (np.arange(num_frames + 1) / fps).astype(np.float32)
+    clock = writer.add_accessor(times[:, None], bounds=True)
+    samplers, channels = list[object](), list[object]()
+    for number, tree in enumerate(trees):
+        weights = key_weights(coefficients.shape[1], num_frames, tree.phase_rad)
+        keys = np.concatenate([weights, weights[:1]]).astype(np.float32).reshape(-1, 1)
+        samplers.append({"input": clock, "output": writer.add_accessor(keys), "interpolation": "LINEAR"})
+        channels.append({"sampler": number, "target": {"node": number, "path": "weights"}})
+        writer.append("nodes", {"mesh": 0, "name": f"tree_{number}", **_placed(tree, rotation, wind_deg)})
+    writer.append("scenes", {"nodes": list(range(len(trees)))})
+    writer.append("animations", {"name": "sway", "samplers": samplers, "channels": channels})
+    writer.finish(stream)
+
+
+def _placed(tree: StandingTree, rotation: np.ndarray, wind_deg: float) -> dict[str, object]:
+    """Place, turn and size of a node, in glTF's axes."""
+    node: dict[str, object] = {"translation": (np.array(tree.position_m) @ rotation).tolist()}
+    if not tree.mirrored:
+        return node | {"scale": [tree.scale] * 3}
+    # the mirror along the wind is a turn by twice its direction after the mirror along x
+    half = np.deg2rad(wind_deg)
+    turn = [0.0, float(np.sin(half)), 0.0, float(np.cos(half))]
+    return node | {"rotation": turn, "scale": [tree.scale, tree.scale, -tree.scale]}

@@ -1,0 +1,45 @@
+"""A forest of instances from one spectrum, in one GLB: no two trees move alike.
+
+python -m recipes.forest tree.glb tree.spectrum.safetensors -o forest.glb --trees 100
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from dynamictree import pipeline
+from dynamictree.formats.glb_forest import plant_forest, write_forest_glb
+from dynamictree.formats.spectrum_file import read_spectrum
+
+
+def main(arguments: list[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("mesh", type=Path, help="the tree that the spectrum was made for")
+    parser.add_argument("spectrum", type=Path, help="its *.spectrum.safetensors")
+    parser.add_argument("-o", "--output", type=Path, default=Path("forest.glb"))
+    parser.add_argument("--trees", type=int, default=100)
+    parser.add_argument("--spacing", type=float, help="metres from tree to tree; by the crown's width if not given")
+    parser.add_argument("--seed", type=int, default=0)
+    chosen = parser.parse_args(arguments)
+    mesh = pipeline.load_mesh(chosen.mesh, companions=pipeline.companions_beside(chosen.mesh))
+    with chosen.spectrum.open("rb") as stream:
+        spectrum = read_spectrum(stream)
+    spacing_m = chosen.spacing or 0.9 * float(np.ptp(mesh.vertices[:, :2], axis=0).max())
+    rng = np.random.default_rng(chosen.seed)
+    trees = plant_forest(rng, chosen.trees, num_frequencies=spectrum.num_frequencies, spacing_m=spacing_m)
+    with chosen.output.open("wb") as stream:
+        write_forest_glb(
+            mesh,
+            pipeline.vertex_spectrum(mesh, spectrum),
+            trees,
+            stream,
+            num_frames=spectrum.num_frames,
+            fps=spectrum.fps,
+            wind_deg=spectrum.wind.direction_deg if spectrum.wind else 0.0,
+        )
+    print(f"{chosen.output}: {len(trees)} trees, {chosen.output.stat().st_size / 1e6:.1f} MB")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,33 @@
+"""A whole service of its own, with its worker."""
+
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+
+import pytest
+
+from tests.servers import free_port, yield_as_we_do
+
+
+@pytest.fixture(scope="session")
+def url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """Address of `dynamictree serve` with its embedded Redis, SQLite and local folder."""
+    folder = tmp_path_factory.mktemp("served")
+    port = free_port()
+    command = [sys.executable, "-m", "dynamictree.cli", "serve", "--host", "127.0.0.1", "--port", str(port)]
+    with (folder / "serve.log").open("w") as log:
+        process = subprocess.Popen(
+            [*command, "--state-dir", str(folder / "state")], stdout=subprocess.PIPE, stderr=log, text=True
+        )
+        with process:
+            yield_as_we_do(process.pid)
+            assert process.stdout is not None
+            for line in process.stdout:
+                if line.startswith("ready "):
+                    yield line.split()[1]
+                    break
+            process.send_signal(signal.SIGTERM)
+            process.stdout.read()
+            process.wait(timeout=60)
+    assert process.returncode == 0, (folder / "serve.log").read_text()[-2000:]

@@ -1,0 +1,141 @@
+"""The documentation builds without a network, its links lead somewhere, its blocks are what they say."""
+
+import ast
+import importlib.util
+import json
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import typer
+
+from dynamictree.cli import app
+from recipes.api_reference import reference
+from service.problems import KINDS
+
+ROOT = Path(__file__).parent.parent
+PAGES = [*sorted((ROOT / "docs").glob("*.md")), ROOT / "README.md", ROOT / "client" / "README.md"]
+BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+KINDS_OF_BLOCK = {"python", "sh", "json", "hlsl", "glsl", "toml", "ini", "yaml", "text", "js", "nginx", "promql"}
+
+
+def blocks(*languages: str) -> Iterator[pytest.param]:
+    for page in PAGES:
+        if page.name == "api.md":  # made, not written
+            continue
+        for number, (language, text) in enumerate(BLOCK.findall(page.read_text())):
+            if not languages or language in languages:
+                yield pytest.param(text, id=f"{page.stem}-{number}-{language}")
+
+
+def test_every_problem_has_an_entry_and_every_entry_is_a_problem() -> None:
+    entries = re.findall(r"^### (.+)$", (ROOT / "docs" / "troubleshooting.md").read_text(), re.MULTILINE)
+    assert sorted(entries) == sorted(KINDS)
+
+
+def test_blocks_say_what_they_are() -> None:
+    for page in PAGES:
+        assert {language for language, _ in BLOCK.findall(page.read_text())} <= KINDS_OF_BLOCK, page
+        assert page.read_text().count("```") == 2 * len(BLOCK.findall(page.read_text())), page
+
+
+@pytest.mark.parametrize("text", list(blocks("python")))
+def test_python_is_python_that_imports_what_is_there(text: str) -> None:
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.ImportFrom):
+            assert node.module is not None
+            module = importlib.import_module(node.module)
+            for alias in node.names:
+                submodule = f"{node.module}.{alias.name}"
+                assert hasattr(module, alias.name) or importlib.util.find_spec(submodule), submodule
+
+
+@pytest.mark.parametrize("text", list(blocks("json")))
+def test_json_is_json(text: str) -> None:
+    json.loads(text)
+
+
+@pytest.mark.parametrize("text", list(blocks("sh")))
+def test_shell_blocks_call_what_is_there(text: str) -> None:
+    subprocess.run(["bash", "-n"], input=text, text=True, check=True, capture_output=True)
+    targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    for target in re.findall(r"^make ([a-z-]+)", text, re.MULTILINE):
+        assert target in targets
+    for module in re.findall(r"python -m ((?:recipes|benchmarks|service|worker)[\w.]*)", text):
+        assert importlib.util.find_spec(module), module
+    joined = re.sub(r"\\\n\s*", "", text)
+    for line in re.findall(r"^dynamictree (.+?)(?: [&|>#].*)?$", joined, re.MULTILINE):
+        _check_command(line.split())
+
+
+def _check_command(words: list[str]) -> None:
+    command = typer.main.get_command(app)
+    while words and hasattr(command, "get_command"):
+        name, *words = words
+        if name.startswith("-"):
+            assert name in ("--help", "-h")
+            return
+        found = command.get_command(None, name)  # type: ignore[arg-type]
+        assert found is not None, name
+        command = found
+    options = {option for parameter in command.params for option in [*parameter.opts, *parameter.secondary_opts]}
+    for word in words:
+        if word.startswith("-") and not re.fullmatch(r"-?[\d.]+", word):
+            assert word in options | {"--help", "-h"}, f"{command.name} {word}"
+
+
+def test_shaders_look_up_what_the_texture_has() -> None:
+    text = (ROOT / "docs" / "engines.md").read_text()
+    shaders = [shader for language, shader in BLOCK.findall(text) if language in ("hlsl", "glsl")]
+    assert len(shaders) == 3
+    for shader in (re.sub(r"//.*|/\*.*?\*/", "", shader) for shader in shaders):
+        assert shader.count("(") == shader.count(")")
+        assert shader.count("{") == shader.count("}")
+        assert re.search("rows_?per_?frame", shader, re.IGNORECASE)
+
+
+def test_the_reference_tells_every_operation_and_body() -> None:
+    page = json.loads((ROOT / "openapi" / "openapi.json").read_text())
+    headings = set(re.findall(r"^### (\w+)$", reference(page), re.MULTILINE))
+    operations = {operation["operationId"] for item in page["paths"].values() for operation in item.values()}
+    assert headings == operations | set(page["components"]["schemas"])
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Built anew, strictly, in a folder of its own."""
+    folder = tmp_path_factory.mktemp("site")
+    shutil.copytree(ROOT / "docs", folder / "docs")
+    shutil.copy(ROOT / "zensical.toml", folder)
+    page = json.loads((ROOT / "openapi" / "openapi.json").read_text())
+    (folder / "docs" / "api.md").write_text(reference(page))
+    zensical = Path(sys.executable).with_name("zensical")
+    built = subprocess.run([zensical, "build", "--strict"], cwd=folder, capture_output=True, text=True, check=False)
+    assert built.returncode == 0, re.sub(r"\x1b\[[0-9;]*m", "", built.stdout)
+    return folder / "site"
+
+
+def test_the_site_asks_other_hosts_for_nothing(site: Path) -> None:
+    for page in site.rglob("*.html"):
+        text = page.read_text()
+        loaded = re.findall(r"<(?:script|img|iframe|source)[^>]+src=[\"']?([^\"' >]+)", text)
+        loaded += re.findall(r"<link[^>]+href=[\"']?([^\"' >]+)", text)
+        assert [address for address in loaded if address.startswith(("http:", "https:", "//"))] == [], page
+
+
+def test_every_page_is_in_the_navigation_and_every_link_leads_to_a_file(site: Path) -> None:
+    start = (site / "index.html").read_text()
+    for page in (ROOT / "docs").glob("*.md"):
+        if page.name != "index.md":
+            assert f"{page.stem}/" in start, f"{page.name} is not in the nav of zensical.toml"
+    for page in site.rglob("*.html"):
+        if page.name == "404.html":
+            continue
+        for link in re.findall(r"<a[^>]+href=[\"']?([^\"' >#?]+)", page.read_text()):
+            if not re.match(r"[a-z]+:", link):
+                target = (page.parent / link).resolve()
+                assert target.exists(), f"{page.relative_to(site)} leads to {link}"
