@@ -21,6 +21,7 @@ from dynamictree.render.shot import Shot
 PREVIEW_GAUSSIANS = 200_000
 """Of a larger cloud its level of detail is drawn: 0.2 s a picture on two cores."""
 _STRIP = 8  # pictures in the row below
+_MOST = 0.95  # of the Gaussians; a few may be as large as the scene
 _STRAYS = 0.001  # of the cloud at its lower end lies below the floor
 
 
@@ -68,7 +69,7 @@ def iter_splat_pictures(splat: SwayingSplat, shot: Shot, report: Report) -> Iter
     count = splat.binding.cloud.num_gaussians
     binding = lighter(splat.binding, share=min(1.0, PREVIEW_GAUSSIANS / count))
     cloud, side = binding.cloud, shot.side_px
-    shown = cloud.means[binding.moving]
+    shown = _framed(cloud.subset(binding.moving))
     floor = float(np.quantile(shown[:, 2], _STRAYS))
     centre, radius = _footprint(shown)
     covered = (np.pi * area_m2(cloud) * cloud.opacity)[binding.moving]
@@ -95,6 +96,13 @@ def splat_sheet(film: UInt8[np.ndarray, "T H W 3"]) -> UInt8[np.ndarray, "A B 3"
     small = 2 * side // _STRIP
     below = [np.asarray(Image.fromarray(film[n]).resize((small, small), Image.Resampling.LANCZOS)) for n in chosen]
     return np.concatenate([above, np.concatenate(below, axis=1)])
+
+
+def _framed(cloud: GaussianCloud) -> Float32[np.ndarray, "M 3"]:
+    """What a picture must hold: the Gaussians' middles, and as far around them as most of them reach [m]."""
+    sigma = cloud.scales.max(axis=1, keepdims=True)
+    reach = np.minimum(sigma, np.quantile(sigma, _MOST).astype(np.float32))
+    return np.concatenate([cloud.means - reach, cloud.means + reach])
 
 
 def _footprint(points: Float32[np.ndarray, "G 3"]) -> tuple[Float32[np.ndarray, "2"], float]:
