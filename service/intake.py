@@ -25,8 +25,9 @@ POINT_SUFFIXES = (".xyz", ".txt", ".csv", ".asc", ".pts")
 CLOUD_SUFFIXES = (".ply", ".splat", ".spz", ".glb", ".las", ".laz", *POINT_SUFFIXES)
 MASK_NAME = "mask.npy"
 PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp")
-CAMERA_FILES = ("transforms.json", "poses_bounds.npy") + tuple(
-    f"{name}.{suffix}" for name in ("cameras", "images", "points3D", "rigs", "frames") for suffix in ("txt", "bin")
+CAMERA_FILES = (
+    *("transforms.json", "poses_bounds.npy"),
+    *(f"{name}.{end}" for name in ("cameras", "images", "points3D", "rigs", "frames") for end in ("txt", "bin")),
 )
 """What may come with photos: cameras that are known."""
 MASKS = "masks"

@@ -31,7 +31,7 @@ class Target:
 
 @dataclass(frozen=True, kw_only=True)
 class Schedule:
-    """How long, how fine, how fast. Steps are a twentieth of Kerbl et al.'s; rates are theirs, times 2 to 4 for that."""
+    """How long, how fine, how fast. Steps are a twentieth of Kerbl et al.'s, and so rates are theirs times 2 to 4."""
 
     num_steps: int = 1500
     side_px: int = 640  # of the finest pictures
