@@ -8,30 +8,28 @@ import numpy as np
 from fastapi import APIRouter
 from fastapi.responses import Response
 from safetensors.numpy import save
+from scipy.spatial import cKDTree
 
 from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.modes import quantised
-from dynamictree.modal.surface import BoneAttachment
-from dynamictree.spectrum import bin_weights
+from dynamictree.spectrum import SparseVoxelSpectrum, bin_weights
 from jobs.errors import ConflictError, GoneError
 from service.accept import SAFETENSORS
-from service.context import Context, Ctx
+from service.context import Ctx
 from service.routing import Id, refusals
 from service.spectra import load_spectrum
-from service.trees import bone_ties, ready_tree, vertex_ties, with_mesh
+from service.trees import ReadyTree, bone_ties, ready_tree, vertex_ties, with_mesh
 
 router = APIRouter(prefix="/v1", tags=["spectra"])
 
-MAX_OWN_SHAPES = 150_000
-"""Vertices up to which each gets its own spectrum (192 bytes at K = 16); larger meshes are tied to the voxels."""
-
-MAX_HELD = 40_000
-"""Vertices up to which edges are kept from stretching as in the products: a second for 8,000."""
+MAX_OWN_SHAPES = 20_000
+"""Vertices up to which each moves as in the products: a few seconds of solving. Larger meshes hang on near voxels."""
 
 BONES = 4
 """A vertex keeps its strongest ones: what a vertex shader takes in one attribute."""
 
 TIES = 4
+"""Voxels that a vertex of a large mesh hangs on."""
 
 _FILE: dict[int | str, dict[str, Any]] = {
     200: {
@@ -72,8 +70,9 @@ def get_surface(id: Id, context: Ctx) -> Response:
     """The source mesh, its vertices' motion in 16 bits, and the bones that carry them."""
     ready = ready_tree(context, context.trees, id)
     mesh = with_mesh(context, ready, id)
-    tensors = mesh_tensors(mesh) | _bone_tensors(bone_ties(ready, mesh)) | _motion_tensors(context, id, mesh)
-    return _response(tensors, mesh)
+    own = mesh.num_vertices <= MAX_OWN_SHAPES
+    motion = _own_motion(ready, mesh, load_spectrum(context, id)) if own else _near_motion(ready, mesh)
+    return _response(mesh_tensors(mesh) | motion, mesh)
 
 
 def mesh_tensors(mesh: TriangleMesh) -> dict[str, np.ndarray]:
@@ -88,34 +87,35 @@ def mesh_tensors(mesh: TriangleMesh) -> dict[str, np.ndarray]:
     return tensors
 
 
-def _motion_tensors(context: Context, spectrum_id: str, mesh: TriangleMesh) -> dict[str, np.ndarray]:
+def _own_motion(ready: ReadyTree, mesh: TriangleMesh, spectrum: SparseVoxelSpectrum) -> dict[str, np.ndarray]:
+    """A spectrum for each vertex, and the bones that carry it."""
     from dynamictree.voxel.inextensible import hold_lengths  # brings numba
 
-    ties = vertex_ties(ready_tree(context, context.trees, spectrum_id), mesh)
-    if mesh.num_vertices > MAX_OWN_SHAPES:
-        return _strongest(ties.rows, ties.weights)
-    spectrum = load_spectrum(context, spectrum_id)
-    coefficients = ties.apply(spectrum.coefficients)  # [N, K, 3]
-    if mesh.num_vertices <= MAX_HELD:
-        coefficients = hold_lengths(mesh, coefficients, spectrum.grid.voxel_size_m)  # as the products have them
+    coefficients = vertex_ties(ready, mesh).apply(spectrum.coefficients)  # [N, K, 3]
+    held = hold_lengths(mesh, coefficients, spectrum.grid.voxel_size_m)  # as the products have them
     weights = bin_weights(spectrum.num_frequencies, spectrum.num_frames)
-    shapes, scale = quantised(coefficients * weights[:, None])  # bin 0 is the lean, the others φ_k = 2 c_k
-    return {"shapes": shapes, "scale_m": scale}
-
-
-def _strongest(rows: np.ndarray, weights: np.ndarray) -> dict[str, np.ndarray]:
-    kept = np.argsort(-weights, axis=1, kind="stable")[:, :TIES]
+    shapes, scale = quantised(held * weights[:, None])  # bin 0 is the lean, the others φ_k = 2 c_k
+    carried = bone_ties(ready, mesh)
+    kept = np.argsort(-carried.weights, axis=1, kind="stable")[:, :BONES]
     return {
-        "tie_rows": np.take_along_axis(rows, kept, axis=1).astype(np.int32),
-        "tie_weights": _bytes(np.take_along_axis(weights, kept, axis=1)),
+        "shapes": shapes,
+        "scale_m": scale,
+        "bone_rows": np.take_along_axis(carried.rows, kept, axis=1).astype(np.uint16),
+        "bone_weights": _bytes(np.take_along_axis(carried.weights, kept, axis=1)),
     }
 
 
-def _bone_tensors(attachment: BoneAttachment) -> dict[str, np.ndarray]:
-    kept = np.argsort(-attachment.weights, axis=1, kind="stable")[:, :BONES]
+def _near_motion(ready: ReadyTree, mesh: TriangleMesh) -> dict[str, np.ndarray]:
+    """The voxels nearest to each vertex, and their bones: a glance instead of a solve."""
+    grid, bones = ready.tree.system.grid, ready.tree.bones
+    found = cKDTree(grid.centres_m).query(mesh.vertices, k=np.arange(1, TIES + 1))
+    far, rows = np.asarray(found[0]), np.asarray(found[1])  # [N, TIES]
+    weights = np.asarray(1 / (far**2 + grid.voxel_size_m**2))
     return {
-        "bone_rows": np.take_along_axis(attachment.rows, kept, axis=1).astype(np.uint16),
-        "bone_weights": _bytes(np.take_along_axis(attachment.weights, kept, axis=1)),
+        "tie_rows": rows.astype(np.int32),
+        "tie_weights": _bytes(weights),
+        "bone_rows": bones.bone_of_voxel[rows].astype(np.uint16),
+        "bone_weights": _bytes(weights),
     }
 
 

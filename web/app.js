@@ -302,7 +302,7 @@ function paintRanges() { document.querySelectorAll("input[type=range]").forEach(
 
 let last = performance.now();
 function eachFrame(now) {
-  const seconds = Math.min((now - last) / 1000, 0.1);
+  const seconds = Math.min((now - last) / 1000, 0.5);
   last = now;
   stage.controls.update();
   if (tree?.moves && shown) advance(seconds);

@@ -145,7 +145,8 @@ def test_a_large_surface_hangs_on_the_voxels(
     assert "shapes" not in tensors
     assert (tensors["tie_weights"].astype(int).sum(axis=1) == 255).all()
     near = spectrum.grid.centres_m[tensors["tie_rows"][:, 0]] - tensors["vertices"]
-    assert np.linalg.norm(near, axis=1).max() < 6 * spectrum.grid.voxel_size_m
+    assert np.linalg.norm(near, axis=1).max() <= np.sqrt(0.75) * spectrum.grid.voxel_size_m * 1.001
+    assert (tensors["bone_weights"].astype(int).sum(axis=1) == 255).all()
 
 
 def test_the_modes_have_the_lean(client: TestClient, spectrum_id: str, spectrum: SparseVoxelSpectrum) -> None:
