@@ -54,6 +54,9 @@ faults: $(READY)  ## kill API, workers and Redis 200 times under load, then look
 fuzz: $(READY)  ## 10,000 mutated files of every format, each in a fork (10 min); goes on where it was stopped
 	@$(BIN)/python -m tests.fuzz --files 10000 --state "$(FUZZ_STATE)"
 
+attack: $(READY)  ## schemathesis: every operation of the OpenAPI page, all checks (10 min)
+	@$(BIN)/python -m tests.contract.attack --examples 50
+
 soak: $(READY)  ## an hour of traffic, and what every process weighs meanwhile
 	@$(BIN)/python -m tests.faults.soak --minutes 60
 

@@ -10,6 +10,7 @@ from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 from starlette.responses import Response
+from starlette.routing import Route
 
 from dynamictree.errors import DynamicTreeError
 from jobs.artifacts import is_full
@@ -207,9 +208,23 @@ async def _on_http(request: Request, error: Exception) -> Response:
         code, errors, extra = error.code, error.errors, error.extra
     else:
         code, errors, extra = _BY_STATUS.get(error.status_code, "bad-request"), (), {}
+    headers = error.headers
+    if error.status_code == 405:
+        headers = {**(headers or {}), "Allow": ", ".join(_methods(request))}
     return problem_response(
-        code, str(error.detail), request_id=request_id_of(request), errors=errors, headers=error.headers, extra=extra
+        code, str(error.detail), request_id=request_id_of(request), errors=errors, headers=headers, extra=extra
     )
+
+
+def _methods(request: Request) -> list[str]:
+    """The methods of every route with this path; Starlette names those of the first alone."""
+    path, known = request.scope["path"], set[str]()
+    for included in request.app.routes:
+        router = getattr(included, "original_router", None)  # FastAPI keeps included routers whole
+        for route in [included] if router is None else router.routes:
+            if isinstance(route, Route) and route.path_regex.match(path):
+                known |= route.methods or set()
+    return sorted(known)
 
 
 async def _on_validation(request: Request, error: Exception) -> Response:

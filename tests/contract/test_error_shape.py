@@ -136,3 +136,12 @@ def test_every_route_is_versioned_or_at_the_root() -> None:
     app = create_app(Settings(state_dir=Path("unused")))
     paths = {route.path for route in app.routes if isinstance(route, APIRoute)}
     assert all(path.startswith("/v1/") for path in paths - {"/livez", "/readyz"})
+
+
+@pytest.mark.parametrize(
+    ("path", "methods"), [("/v1/jobs", {"GET", "POST"}), ("/v1/jobs/0", {"GET", "PUT"}), ("/v1/presets", {"GET"})]
+)
+def test_a_wrong_method_is_told_every_right_one(client: TestClient, path: str, methods: set[str]) -> None:
+    response = client.request("PATCH", path)
+    assert_problem(response, 405, "method-not-allowed")
+    assert set(response.headers["Allow"].split(", ")) == methods

@@ -5,6 +5,7 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
+from dynamictree.errors import InputError
 from dynamictree.formats.cloud_file import cloud_kind, read_cloud
 from dynamictree.formats.mesh_bundle import read_mesh_bundle
 from dynamictree.formats.mesh_file import read_mesh, sniff_file_type
@@ -54,7 +55,10 @@ def photos(paths: list[Path]) -> object:
         memory_bytes=1 << 30,
         cpu_s=10,
     )
-    return parse._photos(request)
+    answer = parse._photos(request)
+    if answer.summary is None:
+        raise InputError(f"{answer.code}: {answer.message}")
+    return answer
 
 
 def archive(content: bytes) -> object:
