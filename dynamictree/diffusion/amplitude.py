@@ -6,30 +6,38 @@ second with the gusts too, before the network has its say.
 """
 
 import math
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Complex64, Float32
 from torch import Tensor, nn
 
 from dynamictree.diffusion.condition import (
-    NUM_FEATURES,
     NUM_SCALARS,
     NUM_VECTORS,
     NUM_WIND,
     TreeCondition,
     node_features,
 )
+from dynamictree.diffusion.foliage import ARM, NUM_TOLD
 from dynamictree.sparse.pool import pool_to, upsample
+from dynamictree.spectrum import Wind
 
 FLOOR = 1e-5
 """Amplitudes below this share of the height (0.1 mm of a 10 m tree) are not told apart."""
 AXES = 3
 CONTEXT = (2, 4)  # levels of the pyramid
-NUM_INPUTS = (len(CONTEXT) + 2) * (NUM_FEATURES - 2) + NUM_WIND
+NUM_OWN_SCALARS = NUM_SCALARS + NUM_TOLD - 3
+NUM_OWN_VECTORS = NUM_VECTORS + 1
+NUM_OWN = NUM_OWN_SCALARS + 3 * NUM_OWN_VECTORS
+NUM_INPUTS = (len(CONTEXT) + 2) * NUM_OWN + NUM_WIND
 CLIP = 5.0  # standard deviations
 REFERENCE_SPEED = 5.0  # [m/s]
 DRAG_EXPONENT = 1.4  # of the speed: plants give way, Vogel 1989
 MIN_GUST = 0.01
+SEEN = 1e-4  # of the height: the least motion whose centroid counts
+CENTROID_WEIGHT = 0.15
+LEAN_WEIGHT = 0.5
 LEAN = 0.03
 START = -7.0
 """Lean at the reference speed, and ln A at gust 1, before training: their size in the dataset, of the height."""
@@ -75,19 +83,26 @@ class AmplitudeNetwork(nn.Module):
         return LEAN * out[:, 0] * drag.exp(), START + out[:, 1:] + (drag + gust)[..., None]
 
     def of_tree(
-        self, tree: TreeCondition, wind: Float32[Tensor, "B 4"]
+        self, tree: TreeCondition, told: Float32[Tensor, "V O"], wind: Float32[Tensor, "B 4"]
     ) -> tuple[Float32[Tensor, "V 3"], Float32[Tensor, "V J 3"]]:
-        """At all voxels."""
+        """At all voxels; `told` by the foliage network."""
         at_row = wind[tree.grids.levels[0].sample_of_row, :NUM_WIND]
-        lean, log_amplitude = self(amplitude_inputs(tree, wind), at_row)
+        lean, log_amplitude = self(amplitude_inputs(tree, told, wind), at_row)
         return lean, log_amplitude
 
 
-def amplitude_inputs(tree: TreeCondition, wind: Float32[Tensor, "B 4"]) -> Float32[Tensor, "V I"]:
-    """Features of each voxel in the wind's frame, their means over its ancestors two and four levels up and over the
-    tree, and the wind. The grid's own axes do not enter.
+def amplitude_inputs(
+    tree: TreeCondition, told: Float32[Tensor, "V O"], wind: Float32[Tensor, "B 4"]
+) -> Float32[Tensor, "V I"]:
+    """Features of each voxel in the wind's frame and what the foliage network tells of it, their means over its
+    ancestors two and four levels up and over the tree, and the wind. The grid's own axes do not enter.
     """
-    own = node_features(tree, wind)[:, :-2]
+    described = replace(
+        tree,
+        scalars=torch.cat([tree.scalars, told[:, : ARM.start], told[:, ARM.stop :]], dim=1),
+        vectors=torch.cat([tree.vectors, told[:, None, ARM]], dim=1),
+    )
+    own = node_features(described, wind)[:, :-2]
     columns = [own]
     for top in CONTEXT:
         raised = pool_to(own, tree.grids, top)
@@ -101,18 +116,40 @@ def amplitude_inputs(tree: TreeCondition, wind: Float32[Tensor, "B 4"]) -> Float
 
 def mirror_inputs(inputs: Float32[Tensor, "R I"]) -> Float32[Tensor, "R I"]:
     """What `amplitude_inputs` gives of the mirrored tree: crosswind components change their sign."""
-    signs = torch.ones(NUM_FEATURES - 2)
-    signs[NUM_SCALARS + NUM_VECTORS : NUM_SCALARS + 2 * NUM_VECTORS] = -1
+    signs = torch.ones(NUM_OWN)
+    signs[NUM_OWN_SCALARS + NUM_OWN_VECTORS : NUM_OWN_SCALARS + 2 * NUM_OWN_VECTORS] = -1
     return inputs * torch.cat([signs.repeat(len(CONTEXT) + 2), torch.ones(NUM_WIND)])
 
 
-def amplitude_loss(
+def reference_shift(wind: Wind) -> float:
+    """How much larger ln A is in this wind than at drag and gust 1."""
+    speed = max(wind.speed_m_s, 0.1)
+    return DRAG_EXPONENT * math.log(speed / REFERENCE_SPEED) + math.log(max(wind.gust, MIN_GUST))
+
+
+@dataclass(frozen=True, kw_only=True)
+class AmplitudeLosses:
+    """Squared errors, see `amplitude_losses`."""
+
+    logarithmic: Float32[Tensor, ""]  # of ln A against ln |c|
+    overall: Float32[Tensor, ""]  # of ln a
+    centroid: Float32[Tensor, ""]  # of the mean bin
+    lean: Float32[Tensor, ""]  # over its mean square
+
+    def total(self) -> Float32[Tensor, ""]:
+        """Weighted."""
+        weighted: Tensor = self.logarithmic + self.overall + CENTROID_WEIGHT * self.centroid + LEAN_WEIGHT * self.lean
+        return weighted
+
+
+def amplitude_losses(
     lean: Float32[Tensor, "R 3"], log_amplitude: Float32[Tensor, "R J 3"], spectrum: Complex64[Tensor, "R K 3"]
-) -> tuple[Float32[Tensor, ""], Float32[Tensor, ""], Float32[Tensor, ""]]:
-    """Squared errors: of ln A against ln |c|, of ln a, and of the lean over its mean square; a² = Σ A² is all motion.
+) -> AmplitudeLosses:
+    """What is wrong with a guess, in four ways.
 
     In logarithms every voxel and every frequency counts alike; what E ln |c| lacks to ln A is measured afterwards. The
-    second term adds what is seen most: the frequencies that carry the motion.
+    second adds what is seen most, the frequencies that carry the motion: a² = Σ A² is all of it. The third holds low
+    against high frequencies where voxels move enough to be seen; without it, measured, the centroid is half lost.
 
     Args:
         lean: c_0 over the height.
@@ -120,12 +157,22 @@ def amplitude_loss(
         spectrum: the truth over the height, in the wind's frame.
     """
     power = spectrum[:, 1:].abs().square()  # [R, J, 3]
+    guessed_power = (2 * log_amplitude).exp()
     size = (power + FLOOR**2).log() / 2
     total = (power.sum(dim=(1, 2)) + FLOOR**2).log() / 2
-    guessed = (2 * log_amplitude).exp().sum(dim=(1, 2)).log() / 2
+    guessed = guessed_power.sum(dim=(1, 2)).log() / 2
     truth = spectrum[:, 0].real
-    return (
-        (log_amplitude - size).square().mean(),
-        (guessed - total).square().mean(),
-        (lean - truth).square().sum() / truth.square().sum(),
+    seen = power.sum(dim=(1, 2)) > SEEN**2
+    difference = _mean_bin(guessed_power.sum(dim=2)) - _mean_bin(power.sum(dim=2) + FLOOR**2)
+    return AmplitudeLosses(
+        logarithmic=(log_amplitude - size).square().mean(),
+        overall=(guessed - total).square().mean(),
+        centroid=(difference * seen).square().mean(),
+        lean=(lean - truth).square().sum() / truth.square().sum(),
     )
+
+
+def _mean_bin(power: Float32[Tensor, "R J"]) -> Float32[Tensor, " R"]:
+    bins = torch.arange(1, power.shape[1] + 1, dtype=power.dtype)
+    mean: Tensor = (power * bins).sum(dim=1) / power.sum(dim=1)
+    return mean

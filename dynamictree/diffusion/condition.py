@@ -11,10 +11,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from jaxtyping import Float32, Int32, Int64
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
 from dynamictree.diffusion.skeleton import Skeleton, skeleton_of, skip_short
-from dynamictree.sparse.level import Pyramid, batch_pyramids, pyramid, turn_pyramid
+from dynamictree.sparse.level import Pyramid, SparseLevel, batch_pyramids, pyramid, turn_pyramid
 from dynamictree.sparse.pool import pool_to
 from dynamictree.spectrum import Wind
 from dynamictree.voxel.graph import voxel_graph
@@ -25,6 +27,7 @@ CHAIN = 4
 """Stems that a voxel is told of: its own, the one that bears it, and so on towards the root."""
 SHORTEST_STEM = 4  # voxels
 NUM_SCALARS = 16 + 4 * CHAIN
+ROOT_DISTANCE = 2  # of the scalars, the way along the tree to the root over the height
 NUM_VECTORS = 4 + CHAIN
 NUM_FEATURES = NUM_SCALARS + 3 * NUM_VECTORS + 2
 NUM_WIND = 2
@@ -45,8 +48,8 @@ class TreeCondition:
 
 def tree_condition(grid: VoxelGrid, normals: Float32[np.ndarray, "V 3"]) -> TreeCondition:
     """Measure a voxelised tree."""
-    skeleton = skeleton_of(grid, voxel_graph(grid))
     grids = pyramid(torch.from_numpy(grid.coords.astype(np.int64)), NUM_LEVELS)
+    skeleton = skeleton_of(grid, _graph(grid, grids.levels[0]))
     extent = int(np.ptp(grid.coords[:, 2])) + 1
     height_m = extent * grid.voxel_size_m
     chain_scalars, chain_vectors = _chain(grid, skeleton, height_m)
@@ -107,6 +110,16 @@ def node_features(tree: TreeCondition, wind: Float32[Tensor, "B 4"]) -> Float32[
     east, north = tree.vectors[..., 0], tree.vectors[..., 1]  # [V, A]
     downwind, crosswind = cosine * east + sine * north, cosine * north - sine * east
     return torch.cat([tree.scalars, downwind, crosswind, tree.vectors[..., 2], cosine, sine], dim=1)
+
+
+def _graph(grid: VoxelGrid, level: SparseLevel) -> csr_array:
+    """`voxel_graph`, from the pairs that the level has already where they connect all voxels."""
+    starts, ends = (torch.cat([pair[side] for pair in level.pairs]).numpy() for side in (0, 1))
+    lengths = np.linalg.norm((grid.coords[starts] - grid.coords[ends]) * grid.voxel_size_m, axis=1)
+    places = (np.concatenate([starts, ends]), np.concatenate([ends, starts]))
+    graph = csr_array((np.tile(lengths.astype(np.float32), 2), places), shape=(len(grid), len(grid)))
+    num_parts, _ = connected_components(graph, directed=False)
+    return graph if num_parts == 1 else voxel_graph(grid)
 
 
 def _links(parent: Int32[np.ndarray, " V"]) -> Int64[Tensor, "L 2"]:

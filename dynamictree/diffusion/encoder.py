@@ -7,7 +7,7 @@ block but the first. The paper gives base 32, depth 3 and width 128 at the end.
 import math
 
 import torch
-from jaxtyping import Float32
+from jaxtyping import Float, Float32
 from torch import Tensor, nn
 from torch.nn import functional
 
@@ -34,7 +34,7 @@ class SparseEncoder(nn.Module):
 
     def forward(
         self, positions: Float32[Tensor, "X 3"], normals: Float32[Tensor, "X 3"], grids: Pyramid
-    ) -> Float32[Tensor, "V D"]:
+    ) -> Float[Tensor, "V D"]:
         """The latent condition g, a row for each voxel of the coarsest of the levels.
 
         Args:
@@ -60,7 +60,7 @@ class EncoderBlock(nn.Module):
             SubmanifoldConv(width, out_channels, bias=False) for width in (in_channels, out_channels)
         )
 
-    def forward(self, features: Float32[Tensor, "V C"], level: SparseLevel) -> Float32[Tensor, "V D"]:
+    def forward(self, features: Float[Tensor, "V C"], level: SparseLevel) -> Float[Tensor, "V D"]:
         """On one level."""
         for norm, conv in zip(self.norms, self.convs, strict=True):
             convolved: Tensor = conv(norm(features, level), level)

@@ -8,7 +8,7 @@ leaves open is chosen in docs/decisions/diffusion.md.
 from dataclasses import dataclass, field
 
 import torch
-from jaxtyping import Float32, Int64
+from jaxtyping import Float, Float32, Int64
 from torch import Tensor, nn
 
 from dynamictree.diffusion.blocks import sinusoid
@@ -46,6 +46,13 @@ class PaperTraining:
         return self.learning_rate * 0.5 ** (iteration // self.halve_every)
 
 
+def paper_preset(width: int = 128) -> PaperPreset:
+    """The paper's network, or one in its proportions with `width` channels at the U-Net's first level."""
+    narrow, middle = max(8, width // 4), max(8, width // 2)
+    unet = UNetShape(base=width, embedding=4 * width)
+    return PaperPreset(encoder_base=narrow, encoder_widths=(narrow, middle, width), unet=unet)
+
+
 class PaperNetwork(nn.Module):
     """Encoder and U-Net."""
 
@@ -64,9 +71,9 @@ class PaperNetwork(nn.Module):
         noisy: Float32[Tensor, "V 6"],
         step: Int64[Tensor, " B"],
         frequency: Int64[Tensor, " B"],
-        condition: Float32[Tensor, "V D"],
+        condition: Float[Tensor, "V D"],
         grids: Pyramid,
-    ) -> Float32[Tensor, "V 6"]:
+    ) -> Float[Tensor, "V 6"]:
         """ε_θ(s_l; l, g, f). `grids` is the encoder's pyramid; the spectrum lives on its level `top`."""
         embedding = self.embed_step(sinusoid(step.float(), self.base)) + self.embed_frequency(frequency)
         predicted: Tensor = self.unet(torch.cat([noisy, condition], dim=1), grids, embedding, top=self.top)
@@ -90,11 +97,11 @@ def paper_loss(
     L_LSS is weighted by ᾱ: at high noise the implied spectrum is an amplified error.
     """
     sample = grids.levels[network.top].sample_of_row
-    step = torch.randint(0, len(schedule.alpha_bar), frequency.shape, generator=generator)
-    noise = torch.randn(clean.shape, generator=generator)
+    step = torch.randint(0, len(schedule.alpha_bar), frequency.shape, generator=generator).to(clean.device)
+    noise = torch.randn(clean.shape, generator=generator).to(clean.device)
     alpha_bar = schedule.alpha_bar[step][sample][:, None]
     noisy = alpha_bar.sqrt() * clean + (1 - alpha_bar).sqrt() * noise
-    predicted = network(noisy, step, frequency, network.encoder(*fine, grids), grids)
+    predicted = network(noisy, step, frequency, network.encoder(*fine, grids), grids).float()
     loss = noise_loss(predicted, noise)
     if neighbours is not None:
         implied = alpha_bar * predicted_clean(noisy, predicted, alpha_bar)

@@ -10,6 +10,7 @@ from scipy.sparse import csr_array
 from torch import Tensor
 
 from dynamictree.diffusion.condition import (
+    ROOT_DISTANCE,
     TreeCondition,
     coarsen_condition,
     tree_condition,
@@ -29,6 +30,10 @@ SOFTNESS = 0.3
 """ε of `soften`: 0 is phase alone, large is the field as it was drawn. Chosen on validation trees (docs/decisions)."""
 
 
+HELD = 0.02
+"""Of the height: so near to the roots, along the tree, the ground holds the stem, whatever the network guesses."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PreparedTree:
     """Everything about a tree that the sampler and what follows it need."""
@@ -39,7 +44,7 @@ class PreparedTree:
     around: Neighbourhood
     node_log_amplitude: Float32[Tensor, "W J 3"]
     lean: Float32[Tensor, "V 3"]  # over the height
-    amplitude: Float32[Tensor, "V J 3"]  # A over the height, smoothed over touching voxels
+    amplitude: Float32[Tensor, "V J 3"]  # A over the height
     lift: SparseRows  # [V, W]
     local: SparseRows  # [V, L], rows of unit length: noise finer than a node
     node_scale: Float32[Tensor, "J 3"]
@@ -82,8 +87,9 @@ def prepare_tree(network: SmallNetwork, voxels: SurfaceVoxels, wind: Wind) -> Pr
     """Measure the tree, ask the amplitude network, make the matrices."""
     coarse, finer = at_resolution(voxels, network.preset.resolution)
     tree, air, top = tree_condition(coarse.grid, coarse.normals), wind_vector([wind]), network.preset.top
-    lean, log_amplitude = network.amplitude.of_tree(tree, air)
+    lean, log_amplitude = network.amplitude_of(tree, air)
     nodes = coarsen_condition(tree, top)
+    free = 1 - (-(tree.scalars[:, ROOT_DISTANCE] / HELD).square()).exp()  # [V]
     smooth = sparse_rows(touching(tree.grids.levels[0]))
     return PreparedTree(
         nodes=nodes,
@@ -91,8 +97,8 @@ def prepare_tree(network: SmallNetwork, voxels: SurfaceVoxels, wind: Wind) -> Pr
         noise=noise_basis(nodes),
         around=neighbourhood(nodes),
         node_log_amplitude=pool_to(log_amplitude, tree.grids, top),
-        lean=smooth.apply(lean),
-        amplitude=smooth.apply(log_amplitude).exp(),
+        lean=smooth.apply(lean) * free[:, None],
+        amplitude=log_amplitude.exp() * free[:, None, None],
         lift=sparse_rows(raise_matrix(tree.grids, top, 0)),
         local=sparse_rows(unit_rows(raise_matrix(tree.grids, top - 1, 0))),
         node_scale=network.node_scale,

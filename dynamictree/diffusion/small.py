@@ -1,4 +1,4 @@
-"""Preset `small`: amplitude network, denoiser of the whitened spectrum, and the numbers between them.
+"""Preset `small`: foliage network, amplitude network, denoiser of the whitened spectrum, and the numbers between them.
 
 A spectrum over the height is c = A · (lift(s u) + ρ n): u has unit variance and lives on the nodes (level `top` of the
 pyramid, 32³ of a 128³ grid), s is how much of the whitened motion the nodes hold, a frequency and an axis, and n the
@@ -12,7 +12,9 @@ from jaxtyping import Complex64, Float32
 from torch import Tensor, nn
 
 from dynamictree.diffusion.amplitude import AmplitudeNetwork
+from dynamictree.diffusion.condition import TreeCondition
 from dynamictree.diffusion.denoiser import Denoiser, DenoiserShape
+from dynamictree.diffusion.foliage import FoliageNetwork
 from dynamictree.diffusion.noise import NUM_SCALES
 
 AXES = 3
@@ -25,6 +27,7 @@ class SmallPreset:
     resolution: int = 128
     num_frequencies: int = 16
     top: int = 2
+    foliage_widths: tuple[int, int, int] = (24, 48, 64)
     amplitude_width: int = 256
     amplitude_depth: int = 2
     denoiser: DenoiserShape = field(default_factory=DenoiserShape)
@@ -40,11 +43,14 @@ class SmallPreset:
         """Undo `to_json` after a way through JSON."""
         stored = values["denoiser"]
         assert isinstance(stored, dict), f"the denoiser has no shape: {stored}"
-        return cls(**{**values, "denoiser": DenoiserShape(**stored)})  # type: ignore[arg-type]
+        widths = values["foliage_widths"]
+        assert isinstance(widths, list), f"the foliage network has no widths: {widths}"
+        changed = {"denoiser": DenoiserShape(**stored), "foliage_widths": tuple(widths)}
+        return cls(**{**values, **changed})  # type: ignore[arg-type]
 
 
 class SmallNetwork(nn.Module):
-    """The two networks, and what was measured on the training set between their trainings."""
+    """The three networks, and what was measured on the training set between their trainings."""
 
     noise_shares: Tensor  # [J, S]
     node_scale: Tensor  # [J, 3], s
@@ -54,6 +60,7 @@ class SmallNetwork(nn.Module):
         super().__init__()
         self.preset = preset
         moving = preset.num_frequencies - 1
+        self.foliage = FoliageNetwork(widths=preset.foliage_widths)
         self.amplitude = AmplitudeNetwork(
             num_frequencies=preset.num_frequencies,
             width=preset.amplitude_width,
@@ -63,6 +70,12 @@ class SmallNetwork(nn.Module):
         self.register_buffer("noise_shares", torch.full((moving, NUM_SCALES), 1 / NUM_SCALES))
         self.register_buffer("node_scale", torch.ones(moving, AXES))
         self.register_buffer("residual_share", torch.zeros(moving, AXES))
+
+    def amplitude_of(
+        self, tree: TreeCondition, wind: Float32[Tensor, "B 4"]
+    ) -> tuple[Float32[Tensor, "V 3"], Float32[Tensor, "V J 3"]]:
+        """Lean and ln A at all voxels, over the height, in the wind's frame."""
+        return self.amplitude.of_tree(tree, self.foliage(tree), wind)
 
 
 def pack_channels(spectrum: Complex64[Tensor, "*batch 3"]) -> Float32[Tensor, "*batch 6"]:

@@ -30,6 +30,7 @@ class Pace:
     learning_rate: float = 1e-3
     warmup_steps: int = 50
     final_share: float = 0.02  # of the learning rate, at the end of a cosine
+    halve_every: int | None = None  # steps; in place of the cosine
     weight_decay: float = 1e-4
     gradient_clip: float = 1.0
     ema_decay: float = 0.99
@@ -39,10 +40,13 @@ class Pace:
     seed: int = 0
 
     def rate_at(self, step: int) -> float:
-        """Learning rate of a step: a linear start, then a cosine."""
+        """Learning rate of a step: a linear start, then a cosine, or halved again and again."""
+        warmup = min(1.0, (step + 1) / self.warmup_steps)
+        if self.halve_every is not None:
+            return self.learning_rate * warmup * 0.5 ** (step // self.halve_every)
         cosine = (1 + math.cos(math.pi * min(step / self.num_steps, 1))) / 2
         share = self.final_share + (1 - self.final_share) * cosine
-        return self.learning_rate * share * min(1.0, (step + 1) / self.warmup_steps)
+        return self.learning_rate * share * warmup
 
 
 class Course:
@@ -57,12 +61,13 @@ class Course:
         self, loss_of: Callable[[np.random.Generator], Float32[Tensor, ""]], checkpoint: Path | None = None
     ) -> Iterator[tuple[int, float]]:
         """Give each step's number and loss. `loss_of` draws its batch from the generator that it is given."""
+        device = next(self.network.parameters()).device.type
         while self.step < self.pace.num_steps:
             total = 0.0
             self.optimizer.zero_grad()
             for micro in range(self.pace.accumulate):
                 rng = np.random.default_rng([self.pace.seed, self.step, micro, process_rank()])
-                with torch.autocast("cpu", torch.bfloat16, enabled=self.pace.bf16):
+                with torch.autocast(device, torch.bfloat16, enabled=self.pace.bf16):
                     loss = loss_of(rng) / self.pace.accumulate
                 loss.backward()  # type: ignore[no-untyped-call]
                 total += loss.item()

@@ -1,25 +1,21 @@
-"""From the dataset's trees to what a training step eats; kept on disk, because a tree is seen many times."""
+"""From the dataset's trees to what training sees of them."""
 
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from pathlib import Path
+from itertools import islice
 
 import numpy as np
 import torch
 from jaxtyping import Complex64
-from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 from dynamictree.dataset.sample import HELD_OUT_WEIGHT, VERSION, make_sample, split_of, voxel_spectrum
+from dynamictree.dataset.shards import StoredTree, iter_shard
 from dynamictree.dataset.species import SPECIES
-from dynamictree.diffusion.condition import NUM_LEVELS, TreeCondition, tree_condition
+from dynamictree.diffusion.condition import TreeCondition, tree_condition
 from dynamictree.diffusion.prepared import wind_axes
-from dynamictree.sparse.level import pyramid
+from dynamictree.errors import InputError
 from dynamictree.spectrum import Wind
-
-HALF_SCALE = 1000.0
-"""Spectra over the height are 1e-5 to 0.1; times this they sit well in float16."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -42,6 +38,32 @@ def is_training_seed(seed: int) -> bool:
     return split_of(seed, drawn) == "train"
 
 
+def iter_training(paths: Sequence[str], *, first: int, count: int) -> Iterator[StoredTree]:
+    """`count` trees for training from the `first` on, in the shards' order; what is held out is passed over.
+
+    Raises:
+        InputError: the shards hold fewer.
+    """
+    trees = (tree for path in paths for tree in iter_shard(path) if tree.split == "train")
+    taken = 0
+    for tree in islice(trees, first, first + count):
+        taken += 1
+        yield tree
+    if taken < count:
+        raise InputError(
+            f"the shards hold {first + taken} trees for training; {first + count} are needed: "
+            "bake more with `dynamictree dataset generate`, or ask for fewer"
+        )
+
+
+def example_of(stored: StoredTree, resolution: int = 128) -> Example:
+    """A tree of a shard."""
+    voxels, coefficients = stored.voxels(resolution), stored.spectrum(resolution).coefficients
+    tree = tree_condition(voxels.grid, voxels.normals)
+    turned = coefficients @ wind_axes(stored.wind).T / float(tree.height_m[0])
+    return Example(tree=tree, wind=stored.wind, spectrum=torch.from_numpy(turned.astype(np.complex64)))
+
+
 def make_example(seed: int, resolution: int = 128) -> Example:
     """The dataset's tree of a seed."""
     sample = make_sample(seed)
@@ -49,50 +71,3 @@ def make_example(seed: int, resolution: int = 128) -> Example:
     tree = tree_condition(voxels.grid, voxels.normals)
     turned = spectrum.coefficients @ wind_axes(sample.wind).T / float(tree.height_m[0])
     return Example(tree=tree, wind=sample.wind, spectrum=torch.from_numpy(turned.astype(np.complex64)))
-
-
-def cached_example(folder: Path, seed: int, resolution: int = 128) -> Example:
-    """`make_example`, made at most once a folder (float16 on disk)."""
-    path = folder / f"{resolution}-{seed:06d}.safetensors"
-    if not path.exists():
-        example = make_example(seed, resolution)
-        wind = example.wind
-        tensors = {
-            "coords": example.tree.grids.levels[0].coords.to(torch.int16),
-            "scalars": example.tree.scalars.half(),
-            "vectors": example.tree.vectors.half(),
-            "height_m": example.tree.height_m,
-            "links": example.tree.links.to(torch.int32),
-            "spectrum": torch.view_as_real(example.spectrum * HALF_SCALE).half(),
-            "wind": torch.tensor([wind.speed_m_s, wind.direction_deg, wind.gust]),
-        }
-        partial = path.with_suffix(".partial")
-        save_file(tensors, partial)
-        partial.rename(path)
-    stored = load_file(path)
-    speed, direction, gust = stored["wind"].tolist()
-    tree = TreeCondition(
-        grids=pyramid(stored["coords"].long(), NUM_LEVELS),
-        scalars=stored["scalars"].float(),
-        vectors=stored["vectors"].float(),
-        height_m=stored["height_m"],
-        links=stored["links"].long(),
-    )
-    return Example(
-        tree=tree,
-        wind=Wind(speed_m_s=speed, direction_deg=direction, gust=gust),
-        spectrum=torch.view_as_complex(stored["spectrum"].float() / HALF_SCALE),
-    )
-
-
-def prepare_examples(folder: Path, seeds: Sequence[int], *, num_processes: int = 2) -> Iterator[int]:
-    """Make the examples that the folder lacks, giving each seed when it is there."""
-    folder.mkdir(parents=True, exist_ok=True)
-    with ProcessPoolExecutor(num_processes) as pool:
-        yield from pool.map(_prepare, [folder] * len(seeds), seeds, chunksize=4)
-
-
-def _prepare(folder: Path, seed: int) -> int:
-    torch.set_num_threads(1)
-    cached_example(folder, seed)
-    return seed

@@ -19,7 +19,7 @@ from dynamictree.training.examples import Example
 
 WHITE_SHARE = 0.7
 """Of the noise: white beside what is fitted to the data, so that data and noise are told apart by smoothness too."""
-RESIDUAL_KEPT = 0.15
+RESIDUAL_KEPT = 0.1
 """Of the variance that nodes do not hold: all of it as noise makes mesh edges 1.6 times too rough, none 0.7 times."""
 NUM_MEASURED = 24
 """Trees that scales and shares are measured on."""
@@ -40,7 +40,7 @@ class WhiteExample:
 @torch.no_grad()
 def whiten(network: SmallNetwork, example: Example) -> tuple[Complex64[Tensor, "V J 3"], Float32[Tensor, "V J 3"]]:
     """C / A at every voxel for k >= 1, and ln A."""
-    _, log_amplitude = network.amplitude.of_tree(example.tree, wind_vector([example.wind]))
+    _, log_amplitude = network.amplitude_of(example.tree, wind_vector([example.wind]))
     return example.spectrum[:, 1:] * (-log_amplitude).exp(), log_amplitude
 
 

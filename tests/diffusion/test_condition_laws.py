@@ -14,6 +14,7 @@ from dynamictree.diffusion.condition import (
     turn_condition,
     wind_vector,
 )
+from dynamictree.diffusion.foliage import ARM, NUM_TOLD
 from dynamictree.diffusion.skeleton import skeleton_of
 from dynamictree.spectrum import Wind
 from dynamictree.training.sides import SIDES, crosswind_sign, is_mirror, turn_wind
@@ -27,8 +28,11 @@ WIND = wind_vector([Wind(speed_m_s=7.0, direction_deg=37.0, gust=0.2)])
 @pytest.mark.parametrize("side", SIDES)
 def test_inputs_turn_with_tree_and_wind(tree: TreeCondition, side: tuple[tuple[int, ...], tuple[int, ...]]) -> None:
     axes, signs = side
-    turned = amplitude_inputs(turn_condition(tree, axes, signs), turn_wind(WIND, axes, signs))
-    straight = amplitude_inputs(tree, WIND)
+    told = torch.randn(len(tree.scalars), NUM_TOLD, generator=torch.Generator().manual_seed(0))
+    told_turned = told.clone()
+    told_turned[:, ARM] = told[:, ARM][:, list(axes)] * torch.tensor(signs)
+    turned = amplitude_inputs(turn_condition(tree, axes, signs), told_turned, turn_wind(WIND, axes, signs))
+    straight = amplitude_inputs(tree, told, WIND)
     torch.testing.assert_close(turned, mirror_inputs(straight) if is_mirror(axes, signs) else straight)
     assert crosswind_sign(axes, signs).tolist() == [1, -1 if is_mirror(axes, signs) else 1, 1]
 
@@ -54,8 +58,9 @@ def test_a_turned_tree_is_measured_like_the_tree_turned(voxels: SurfaceVoxels, t
 def test_a_batch_is_its_trees(tree: TreeCondition) -> None:
     other = turn_condition(tree, (0, 1, 2), (-1, 1, 1))
     winds = torch.cat([WIND, wind_vector([Wind(direction_deg=200.0)])])
-    together = amplitude_inputs(batch_conditions([tree, other]), winds)
-    apart = torch.cat([amplitude_inputs(tree, winds[:1]), amplitude_inputs(other, winds[1:])])
+    told = torch.randn(2, len(tree.scalars), NUM_TOLD)
+    together = amplitude_inputs(batch_conditions([tree, other]), told.flatten(0, 1), winds)
+    apart = torch.cat([amplitude_inputs(tree, told[0], winds[:1]), amplitude_inputs(other, told[1], winds[1:])])
     torch.testing.assert_close(together, apart)
     links = batch_conditions([tree, other]).links
     assert (links[: len(tree.links)] == tree.links).all()

@@ -30,7 +30,10 @@ WIND = Wind(speed_m_s=6.0, direction_deg=30.0, gust=0.3)
 def tiny_network() -> SmallNetwork:
     torch.manual_seed(0)
     preset = SmallPreset(
-        amplitude_width=16, amplitude_depth=1, denoiser=DenoiserShape(width=8, embedding=8, num_blocks=1)
+        foliage_widths=(8, 8, 8),
+        amplitude_width=16,
+        amplitude_depth=1,
+        denoiser=DenoiserShape(width=8, embedding=8, num_blocks=1),
     )
     network = SmallNetwork(preset)
     for parameter in network.parameters():

@@ -78,6 +78,8 @@ gathered = [None, None]
 dist.all_gather_object(gathered, (seen[0], course.network.weight.tolist()))
 assert gathered[0][0] != gathered[1][0], "both processes drew the same batch"
 assert gathered[0][1] == gathered[1][1], "the processes' weights went apart"
+dist.barrier()
+dist.destroy_process_group()
 """
 
 

@@ -1,0 +1,66 @@
+"""What the representation keeps of the truth: by resolution, number of frequencies, and way back from voxels.
+
+No network takes part, so no training is needed: the paper trains one model a row of its tables. Sizes: two trees of
+unseen species, by vertex.
+"""
+
+import numpy as np
+
+from benchmarks._machine import device, versions
+from dynamictree.dataset.motion import vertex_spectrum
+from dynamictree.dataset.sample import make_sample
+from dynamictree.mesh import edges_of
+from dynamictree.training.metrics import centroid_correlation, edge_stretch, log_amplitude_agreement, roughness
+from dynamictree.voxel.devoxelize import nearest, smooth
+from dynamictree.voxel.voxelize import surface_average, voxelize
+
+TREES = ((2, "weeping"), (3, "palm"))
+ALL = 24  # frequencies
+RESOLUTIONS = (32, 64, 128)
+COUNTS = (4, 8, 16, 24)
+
+
+def run() -> dict[str, object]:
+    tables: dict[str, list[dict[str, float]]] = {}
+    for seed, species in TREES:
+        sample = make_sample(seed, species)
+        truth = vertex_spectrum(sample.motion, sample.mesh.vertices, sample.node, ALL)
+        edges = edges_of(sample.mesh.faces)
+        for resolution in RESOLUTIONS:
+            grid = voxelize(sample.mesh, resolution).grid
+            average = surface_average(sample.mesh, grid)
+            ways = {"nearest": nearest(grid, sample.mesh.vertices), "smooth": smooth(grid, sample.mesh)}
+            for way, interpolation in ways.items():
+                for count in COUNTS if (resolution, way) == (RESOLUTIONS[-1], "smooth") else (16,):
+                    kept = truth[:, :count]
+                    flat = kept.reshape(len(kept), -1).view(np.float32)
+                    voxels = np.ascontiguousarray(average.astype(np.float32) @ flat).view(np.complex64)
+                    back = interpolation.apply(voxels.reshape(-1, count, 3))
+                    name = f"{resolution}, {way}, K={count}"
+                    tables.setdefault(name, []).append(_row(back, truth, sample.mesh.vertices, edges))
+    return {
+        "value": {
+            name: {key: round(float(np.mean([row[key] for row in rows])), 4) for key in rows[0]}
+            for name, rows in tables.items()
+        },
+        "unit": "see keys",
+        "sizes": {"trees": len(TREES), "frequencies": ALL},
+        "device": device(),
+        "versions": versions("numpy"),
+    }
+
+
+def _row(back: np.ndarray, truth: np.ndarray, vertices: np.ndarray, edges: np.ndarray) -> dict[str, float]:
+    whole = np.zeros_like(truth)
+    whole[:, : back.shape[1]] = back
+    height_m = float(np.ptp(vertices[:, 2]))
+    correlation, rmse = log_amplitude_agreement(whole, truth, height_m)
+    error = np.sqrt((np.abs(whole - truth)[:, 1:] ** 2).sum() / (np.abs(truth)[:, 1:] ** 2).sum())
+    return {
+        "relative_error": float(error),
+        "log_amplitude_correlation": correlation,
+        "log_amplitude_rmse": rmse,
+        "centroid_correlation": centroid_correlation(whole, truth),
+        "roughness_ratio": roughness(whole, edges) / roughness(truth, edges),
+        "stretch_p99": edge_stretch(back, vertices, edges)[1],
+    }

@@ -1,0 +1,56 @@
+"""What wind does to a generated motion: size by speed and by gust, and where the mean leans; beside the truth's."""
+
+import numpy as np
+
+from benchmarks._machine import device, versions
+from dynamictree.dataset.sample import make_sample
+from dynamictree.diffusion.model import load_model
+from dynamictree.mesh import TriangleMesh
+from dynamictree.spectrum import Wind
+from dynamictree.training.metrics import amplitude
+from dynamictree.voxel.voxelize import surface_average, voxelize
+
+SEED, SPECIES = 2, "weeping"
+WINDS = (
+    *(Wind(speed_m_s=speed, direction_deg=60.0, gust=0.3) for speed in (2.0, 4.0, 7.0, 10.0)),
+    Wind(speed_m_s=4.0, direction_deg=60.0, gust=0.15),
+    Wind(speed_m_s=4.0, direction_deg=200.0, gust=0.3),
+)
+
+
+def run() -> dict[str, object]:
+    model = load_model("small")
+    mesh = make_sample(SEED, SPECIES).mesh
+    voxels = voxelize(mesh, 128)
+    average = surface_average(mesh, voxels.grid)
+    rows = []
+    for wind in WINDS:
+        sample = make_sample(SEED, SPECIES, wind=wind)
+        flat = sample.coefficients.reshape(mesh.num_vertices, -1).view(np.float32)
+        truth = np.ascontiguousarray(average.astype(np.float32) @ flat).view(np.complex64).reshape(-1, 16, 3)
+        guess = model.generate(voxels, wind=wind, seed=0).coefficients
+        rows.append(
+            {
+                "speed_m_s": wind.speed_m_s,
+                "gust": wind.gust,
+                "direction_deg": wind.direction_deg,
+                **{f"model_{name}": value for name, value in _measured(guess, mesh).items()},
+                **{f"truth_{name}": value for name, value in _measured(truth, mesh).items()},
+            }
+        )
+    return {
+        "value": rows,
+        "unit": "share of the height; degrees",
+        "sizes": {"voxels": len(voxels.grid), "species": SPECIES},
+        "device": device(),
+        "versions": versions("torch", "numpy"),
+    }
+
+
+def _measured(coefficients: np.ndarray, mesh: TriangleMesh) -> dict[str, float]:
+    lean = coefficients[:, 0].real.mean(axis=0)
+    return {
+        "amplitude": round(float(amplitude(coefficients).mean() / mesh.height_m), 5),
+        "lean": round(float(np.hypot(*lean[:2]) / mesh.height_m), 5),
+        "lean_direction_deg": round(float(np.rad2deg(np.arctan2(lean[1], lean[0])) % 360), 1),
+    }
