@@ -1,5 +1,6 @@
 """multipart/form-data to files on disk, hashed on the way: no part is ever whole in memory."""
 
+import asyncio
 from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
 from hashlib import sha256
@@ -14,6 +15,7 @@ from service.problems import ProblemError
 if TYPE_CHECKING:
     from python_multipart.multipart import MultipartCallbacks
 
+BATCH_BYTES = 1024**2
 MAX_PARTS = 320  # 300 photos and the fields
 MAX_FIELD_BYTES = 4096
 MAX_NAME_CHARS = 255
@@ -51,8 +53,7 @@ async def receive_form(content_type: str, body: AsyncIterator[bytes], folder: Pa
     receiver = _Receiver(folder)
     parser = MultipartParser(options[b"boundary"], receiver.callbacks())
     try:
-        async for chunk in body:
-            parser.write(chunk)
+        await _feed(parser, body)
         parser.finalize()
     except FormParserError as error:
         raise ProblemError("bad-request", f"the multipart body is broken: {error}") from error
@@ -61,6 +62,27 @@ async def receive_form(content_type: str, body: AsyncIterator[bytes], folder: Pa
     if not receiver.ended:
         raise ProblemError("bad-request", "the multipart body ends before its last boundary; send it whole")
     return receiver.form
+
+
+async def _feed(parser: MultipartParser, body: AsyncIterator[bytes]) -> None:
+    """While a thread takes one batch apart, writes and hashes it, the next one comes in."""
+    loop = asyncio.get_running_loop()
+    working: asyncio.Future[int] | None = None
+    batch: list[bytes] = []
+    held = 0
+    try:
+        async for chunk in body:
+            batch.append(chunk)
+            held += len(chunk)
+            if held >= BATCH_BYTES:
+                if working is not None:
+                    await working
+                working = loop.run_in_executor(None, parser.write, b"".join(batch))
+                batch, held = [], 0
+    finally:
+        if working is not None:
+            await working
+    await loop.run_in_executor(None, parser.write, b"".join(batch))
 
 
 class _Receiver:
