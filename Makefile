@@ -23,7 +23,7 @@ else
 TORCH_SOURCE := --torch-backend $(TORCH_BACKEND)
 endif
 
-.PHONY: help setup demo test docs js-tools openapi-lint scale-out check format openapi lock bench clean browser
+.PHONY: help setup demo test docs live js-tools openapi-lint scale-out check format openapi lock bench clean browser serve
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -41,6 +41,9 @@ $(READY): requirements.lock pyproject.toml
 
 demo: $(READY)  ## a tree goes in over HTTP and comes out swaying (INPUT=file for your own)
 	@$(BIN)/python -m recipes.demo $(if $(INPUT),--input "$(INPUT)") --output "$(OUTPUT)"
+
+serve: $(READY)  ## the service, and its page in your browser
+	@$(BIN)/dynamictree serve --open
 
 test: $(READY)  ## the test suite, without the slow marks
 	@$(BIN)/python -m pytest -q -n $(TEST_WORKERS) --dist worksteal -m "not slow and not gpu" $(TESTS)
@@ -71,6 +74,9 @@ check: $(READY)  ## format, lint, types, imports, openapi drift
 docs: $(READY)  ## the documentation's site, in site/ (links are checked, nothing is fetched)
 	@$(BIN)/python -m recipes.api_reference docs/api.md
 	@$(BIN)/zensical build --strict
+
+live: $(READY)  ## client, recipes and the documents' own commands against a real service
+	@$(BIN)/python -m pytest -q tests/client tests/recipes tests/test_engine_products.py
 
 # Judges that are not ours, of GLB, OpenAPI and TypeScript; their tests are slow ones and skip without them.
 JS_TOOLS := .cache/js-tools

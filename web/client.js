@@ -269,6 +269,7 @@ export class Push {
 
   _force(force) {
     this._socket ??= this._connect();
+    this._busy = true;
     this._say({ type: "force", force });
   }
 
@@ -280,6 +281,7 @@ export class Push {
       if (this._socket !== socket) return;
       this._socket = null;
       this._waiting = [];
+      this._busy = false;
       this.onRest();
     };
     socket.onopen = () => {
@@ -289,10 +291,11 @@ export class Push {
     socket.onmessage = ({ data }) => {
       const message = JSON.parse(data);
       if (message.type === "frame") this.onFrame(message);
-      else if (message.type === "rest") this.onRest(message);
+      else if (message.type === "rest") { this._busy = false; this.onRest(message); }
       else if (message.type === "problem") this.onProblem(new Problem(message));
     };
-    socket.onerror = () => this.onProblem(new Problem({ title: "The push did not get through", detail: "The connection that carries pushes was closed.", code: "stream-closed", suggestion: "Try again." }));
+    // a line that breaks while nothing moves is opened again by the next push
+    socket.onerror = () => this._busy && this.onProblem(new Problem({ title: "The push did not get through", detail: "The connection that carries pushes was closed.", code: "stream-closed", suggestion: "Try again." }));
     socket.onclose = gone;
     return socket;
   }
