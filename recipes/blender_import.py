@@ -31,7 +31,7 @@ def viewpoint(low: tuple[float, ...], high: tuple[float, ...]) -> tuple[tuple[fl
     """Where a camera of 50 mm sees a box whole, from -Y and a little above; and where it looks."""
     middle = tuple((a + b) / 2 for a, b in zip(low, high, strict=True))
     size = max(b - a for a, b in zip(low, high, strict=True))
-    return (middle[0] + 0.4 * size, middle[1] - 1.9 * size, middle[2] + 0.15 * size), middle
+    return (middle[0] + 0.4 * size, middle[1] - 3.4 * size, middle[2] + 0.15 * size), middle
 
 
 def main(path: Path, picture: Path | None) -> None:

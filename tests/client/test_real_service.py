@@ -26,6 +26,7 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_tree_goes_in_and_comes_out_swaying_by_every_way_that_the_client_has(
     url: str, tree: Path, tmp_path: Path
 ) -> None:

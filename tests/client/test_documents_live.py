@@ -1,0 +1,89 @@
+"""What the documents tell to type does what they say, against a real service: `<!-- run: live -->` before a block."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from dynamictree_client import Client, models, operations
+
+from dynamictree.dataset.sample import make_sample
+from dynamictree.formats.gltf import write_glb
+from recipes import batch
+
+ROOT = Path(__file__).parents[2]
+MARKED = re.compile(r"<!-- run: (live|slow) -->\n```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the reader is, with a tree.glb."""
+    folder = tmp_path_factory.mktemp("reader")
+    with (folder / "tree.glb").open("wb") as stream:
+        write_glb(make_sample(3, "sapling").mesh, stream)
+    return folder
+
+
+def run(language: str, text: str, folder: Path, url: str) -> str:
+    here = {"URL": url, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
+    command = [sys.executable, "-W", "error", "-"] if language == "python" else ["bash", "-euo", "pipefail"]
+    text = text.replace("http://127.0.0.1:8000", url).replace("localhost:8000", url.removeprefix("http://"))
+    answer = subprocess.run(
+        command, input=text, cwd=folder, env=os.environ | here, capture_output=True, text=True, check=False, timeout=170
+    )
+    assert answer.returncode == 0, f"{text}\n{answer.stdout}\n{answer.stderr}"
+    return answer.stdout
+
+
+def test_every_marked_block_runs(url: str, folder: Path) -> None:
+    found = 0
+    for page in sorted((ROOT / "docs").glob("*.md")):
+        for _, language, text in MARKED.findall(page.read_text()):
+            run(language, text, folder, url)
+            found += 1
+    assert found >= 5
+    assert (folder / "swaying.glb").stat().st_size > 100_000
+    for name in ("tree.glb", "tree.usdz", "tree.vat.zip"):
+        assert (folder / "remote-out" / name).exists()
+
+
+def test_the_readmes_curl_lines_and_the_push_run(url: str, folder: Path) -> None:
+    blocks = re.findall(r"^```sh\n(.*?)^```$", (ROOT / "README.md").read_text(), re.MULTILINE | re.DOTALL)
+    (text,) = [block for block in blocks if "dynamictree serve" in block and "curl" in block]
+    lines = [line for line in text.splitlines() if not line.startswith(("dynamictree serve", "URL="))]
+    with Client(url) as client:  # the README polls once; here its job is there already
+        job = client.wait(client.animate(folder / "tree.glb", models.AnimateParams(wind=models.Wind(speed_m_s=6))))
+        assert job.result is not None
+        run("sh", f"URL={url}/v1\n" + "\n".join(lines), folder, url)
+        (push,) = re.findall(r"^```sh\n(curl .*?)^```$", (ROOT / "docs/interaction.md").read_text(), re.M | re.S)
+        tree = client.modes(job.result.spectrum_id)
+        assert tree
+        placed = push.replace("01…", str(job.result.spectrum_id)).replace('"point_m": [0.2, 0.0, 7.9]', '"voxel": 9')
+        assert "01…" in push
+        assert '"groups"' in run("sh", placed, folder, url)
+
+
+def test_a_batch_goes_on_where_it_stopped_and_names_what_failed(
+    url: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    trees = tmp_path / "trees"
+    trees.mkdir()
+    for seed in (3, 4, 5):
+        with (trees / f"tree-{seed}.glb").open("wb") as stream:
+            write_glb(make_sample(seed, "sapling").mesh, stream)
+    asked = [str(trees), "-o", str(tmp_path / "out"), "--url", url, "--num-steps", "1"]
+    assert batch.main(asked) == 0
+    first = (tmp_path / "out" / "tree-4" / "tree.glb").read_bytes()
+    with Client(url) as client:
+        before = len(client.send(operations.list_jobs(limit=100)).data)
+        (trees / "broken.glb").write_bytes(b"no tree")
+        assert batch.main(asked) == 1
+        assert len(client.send(operations.list_jobs(limit=100)).data) == before
+    assert (tmp_path / "out" / "tree-4" / "tree.glb").read_bytes() == first
+    told = capsys.readouterr().out
+    assert "3 of 3 trees sway" in told
+    assert "3 of 4 trees sway" in told
+    assert "broken.glb: unsupported-format" in told or "broken.glb: invalid" in told

@@ -1,0 +1,125 @@
+"""Recipes do what they say: a forest in which no two trees move alike, and a timeline in Blender."""
+
+import importlib.util
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pygltflib
+import pytest
+
+from benchmarks._played import accessor, z_up
+from dynamictree.dataset.sample import make_sample, voxel_spectrum
+from dynamictree.errors import InputError
+from dynamictree.formats.glb_forest import plant_forest
+from dynamictree.formats.gltf import write_glb
+from dynamictree.formats.spectrum_file import write_spectrum
+from recipes import blender_import, forest
+
+COUNT = 9
+
+
+@pytest.fixture(scope="module")
+def planted(tmp_path_factory: pytest.TempPathFactory) -> pygltflib.GLTF2:
+    folder = tmp_path_factory.mktemp("forest")
+    sample = make_sample(3, "sapling")
+    with (folder / "tree.glb").open("wb") as stream:
+        write_glb(sample.mesh, stream)
+    with (folder / "tree.spectrum.safetensors").open("wb") as stream:
+        write_spectrum(voxel_spectrum(sample, 64)[1], stream)
+    output = folder / "forest.glb"
+    inputs = [str(folder / "tree.glb"), str(folder / "tree.spectrum.safetensors")]
+    forest.main([*inputs, "-o", str(output), "--trees", str(COUNT)])
+    document = pygltflib.GLTF2().load(str(output))
+    document.path = output
+    return document
+
+
+def motions(document: pygltflib.GLTF2) -> np.ndarray:
+    """Of every tree, in the world less its place: [trees, T + 1, N, 3]."""
+    targets = np.stack([accessor(document, target["POSITION"]) for target in document.meshes[0].primitives[0].targets])
+    moved = []
+    for node, sampler in zip(document.nodes, document.animations[0].samplers, strict=True):
+        keys = accessor(document, sampler.output).reshape(-1, len(targets))
+        local = np.einsum("tm,mnc->tnc", keys, targets) * np.array(node.scale)
+        angle = 2 * np.arctan2(node.rotation[1], node.rotation[3]) if node.rotation else 0.0
+        cos, sin = np.cos(angle), np.sin(angle)
+        moved.append(z_up(local @ np.array([[cos, 0, -sin], [0, 1, 0], [sin, 0, cos]])))
+    return np.stack(moved)
+
+
+def test_no_two_trees_move_alike_at_any_shift_in_time(planted: pygltflib.GLTF2) -> None:
+    targets = [accessor(planted, target["POSITION"]) for target in planted.meshes[0].primitives[0].targets]
+    gram = np.array([[float((a * b).sum()) for b in targets] for a in targets])
+    weights = [accessor(planted, s.output).reshape(-1, len(targets))[:-1] for s in planted.animations[0].samplers]
+    sway = [own - own.mean(axis=0) for own in weights]
+    size = [np.einsum("tm,mk,tk->", own, gram, own) for own in sway]
+    likeness = {
+        (a, b): max(
+            np.einsum("tm,mk,tk->", sway[a], gram, np.roll(sway[b], shift, axis=0)) / np.sqrt(size[a] * size[b])
+            for shift in range(100)
+        )
+        for a, b in combinations(range(COUNT), 2)
+    }
+    assert max(likeness.values()) < 0.95
+    alone = np.einsum("tm,mk,tk->", sway[0], gram, np.roll(sway[0], 30, axis=0)) / size[0]
+    assert alone < 1  # a tree at another time is not itself, so that the measure means something
+    np.testing.assert_allclose(size, size[0], rtol=1e-4)  # all sway as strongly
+
+
+def test_every_tree_closes_its_loop_and_leans_with_the_wind(planted: pygltflib.GLTF2) -> None:
+    moved = motions(planted)
+    np.testing.assert_allclose(moved[:, 0], moved[:, -1], atol=1e-6)
+    scale = np.array([node.scale[0] for node in planted.nodes])
+    wind = np.deg2rad(make_sample(3, "sapling").wind.direction_deg)
+    lean = moved[:, :-1].mean(axis=(1, 2)) / scale[:, None]  # [trees, 3]
+    along = lean[:, :2] @ [np.cos(wind), np.sin(wind)]
+    across = np.abs(lean[:, :2] @ [-np.sin(wind), np.cos(wind)])
+    np.testing.assert_allclose(along, along[0], rtol=1e-3)
+    np.testing.assert_allclose(across, across[0], rtol=1e-2, atol=1e-6)
+    mirrored = [node.scale[2] < 0 for node in planted.nodes]
+    assert 0 < sum(mirrored) < COUNT
+
+
+def test_trees_share_one_mesh_and_stand_apart(planted: pygltflib.GLTF2) -> None:
+    assert len(planted.meshes) == 1
+    assert {node.mesh for node in planted.nodes} == {0}
+    assert planted.scenes[0].nodes == list(range(COUNT))
+    places = np.array([node.translation for node in planted.nodes])
+    assert min(np.linalg.norm(a - b) for a, b in combinations(places, 2)) > 0.3
+    np.testing.assert_allclose(places[:, 1], 0, atol=1e-6)
+
+
+def test_a_forest_without_trees_is_refused() -> None:
+    with pytest.raises(InputError, match="0 trees"):
+        plant_forest(np.random.default_rng(0), 0, num_frequencies=16, spacing_m=1.0)
+
+
+def test_blenders_timeline_shows_every_key_once(planted: pygltflib.GLTF2) -> None:
+    duration_s, num_keys = blender_import.loop_of(planted.path)
+    assert (duration_s, num_keys) == (pytest.approx(100 / 24), 101)
+    assert blender_import.timeline(duration_s, num_keys) == (24, 99)
+
+
+def test_blenders_camera_sees_the_whole_tree() -> None:
+    low, high = (-2.0, -3.0, 0.0), (2.0, 1.0, 10.0)
+    place, aim = (np.array(point) for point in blender_import.viewpoint(low, high))
+    corners = np.array(
+        [[(low, high)[i][0], (low, high)[j][1], (low, high)[k][2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)]
+    )
+    forward = (aim - place) / np.linalg.norm(aim - place)
+    right = np.cross(forward, [0, 0, 1])
+    right /= np.linalg.norm(right)
+    up = np.cross(right, forward)
+    seen = (corners - place) @ np.stack([right, up, forward], axis=1)
+    assert (seen[:, 2] > 0).all()
+    assert np.abs(seen[:, 0] / seen[:, 2]).max() < 18 / 50  # 36 mm of film behind 50 mm, 16:9
+    assert np.abs(seen[:, 1] / seen[:, 2]).max() < 18 / 50 * 9 / 16
+
+
+@pytest.mark.slow
+def test_blender_imports_the_tree(planted: pygltflib.GLTF2, tmp_path: Path) -> None:
+    if importlib.util.find_spec("bpy") is None:
+        pytest.skip("bpy, Blender as a module, is not installed")
+    blender_import.main(planted.path, tmp_path / "picture.png")
+    assert (tmp_path / "picture.png").stat().st_size > 10_000
