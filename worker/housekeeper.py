@@ -20,6 +20,7 @@ from kombu.exceptions import OperationalError
 
 from jobs.artifacts import ArtifactStore, open_artifacts
 from jobs.errors import StorageAwayError
+from jobs.logs import set_up_logging
 from jobs.messages import RUN_JOB, RunJob
 from jobs.parts import PartStore, open_parts
 from jobs.settings import Settings, read_settings
@@ -158,7 +159,7 @@ def _done(duty: Callable[[], bool | None]) -> bool:
 def main() -> None:
     """Run until SIGTERM or SIGINT."""
     settings = read_settings()
-    logging.basicConfig(level=settings.log_level, format="%(asctime)s %(levelname)s %(name)s %(message)s")
+    set_up_logging(settings)
     stopped = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stopped.set())

@@ -2,6 +2,7 @@
 
 import logging
 import threading
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 
 from celery import Task, signals
@@ -12,8 +13,10 @@ from dynamictree.errors import Cancelled, DynamicTreeError
 from jobs.artifacts import is_full
 from jobs.attempts import claim, fail, finish_cancel, hand_back, succeed
 from jobs.errors import FencedError, GoneError, NotFoundError, StorageAwayError, StorageFullError
+from jobs.logs import log_ids
 from jobs.messages import RUN_JOB
 from jobs.records import Claim
+from jobs.tracing import span, tracer
 from worker.app import app, stopping
 from worker.attempt import run_stages
 from worker.runtime import Runtime, close_runtime, load_heavy_modules, runtime
@@ -75,10 +78,22 @@ def run_job(job_id: str, attempt: int) -> None:
     if held is None:
         logger.info("attempt %s of job %s is not to be run", attempt, job_id)
         return
-    with Watch(here, held, stopping=stopping.is_set) as watch:
-        run_stages(here, watch)
-    state = succeed(here.store, held)
-    logger.info("job %s has %s", job_id, state)
+    with log_ids(job_id=job_id, attempt=attempt, request_id=held.job.request_id), _traced(here, held):
+        with Watch(here, held, stopping=stopping.is_set) as watch:
+            run_stages(here, watch)
+        state = succeed(here.store, held)
+        logger.info("job %s has %s", job_id, state)
+
+
+def _traced(here: Runtime, held: Claim) -> AbstractContextManager[object]:
+    endpoint = here.settings.otlp_endpoint
+    if endpoint is None:
+        return nullcontext()
+    from opentelemetry.trace import SpanKind
+
+    job = held.job
+    told: dict[str, str | int] = {"job_id": job.id, "attempt": held.attempt, "queue": job.queue}
+    return span(tracer(endpoint, "worker"), f"run {job.type}", parent=job.traceparent, kind=SpanKind.CONSUMER, **told)
 
 
 @signals.worker_process_init.connect  # type: ignore[untyped-decorator]

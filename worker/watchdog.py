@@ -49,7 +49,7 @@ def watch(settings: Settings, stopped: threading.Event) -> None:
     )
     while not stopped.wait(min(LOOK_S, settings.idle_limit_s / 4)):
         try:
-            waiting = sum(int(client.llen(queue)) for queue in queues)  # type: ignore[arg-type]
+            waiting = sum(int(client.llen(queue)) for queue in queues)
         except redis.RedisError:
             waiting = 0  # a queue that is away is not our fault
         if idle.too_long(waiting=waiting, busy=bool(state.reserved_requests), now=time.monotonic()):

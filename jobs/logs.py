@@ -1,0 +1,51 @@
+"""What a process says of itself: lines for people, or one JSON object a line for machines. Set up once a process."""
+
+import json
+import logging
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
+from datetime import UTC, datetime
+
+from jobs.settings import Settings
+
+_IDS: ContextVar[Mapping[str, str | int]] = ContextVar("dynamictree_ids", default={})  # noqa: B039 (never changed)
+_OWN = frozenset(vars(logging.makeLogRecord({}))) | {"message", "asctime", "taskName"}
+TEXT = "%(asctime)s %(levelname)s %(name)s %(message)s"
+
+
+@contextmanager
+def log_ids(**ids: str | int | None) -> Iterator[None]:
+    """Name these ids in every line that is logged inside, in this thread or task: request_id, job_id, attempt."""
+    told = _IDS.set({**_IDS.get(), **{name: value for name, value in ids.items() if value is not None}})
+    try:
+        yield
+    finally:
+        _IDS.reset(told)
+
+
+class JsonLines(logging.Formatter):
+    """One object a line: time, level, logger, message, ids, what was given as `extra`, and the traceback if any."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Write one line."""
+        line: dict[str, object] = {
+            "time": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds"),
+            "level": record.levelname,
+            "logger": record.name,
+            "message": record.getMessage(),
+            **_IDS.get(),
+            **{name: value for name, value in vars(record).items() if name not in _OWN},
+        }
+        if record.exc_info:
+            line["traceback"] = self.formatException(record.exc_info)
+        return json.dumps(line, default=str)
+
+
+def set_up_logging(settings: Settings) -> None:
+    """Log to stderr as the settings say."""
+    stream = logging.StreamHandler(sys.stderr)
+    stream.setFormatter(JsonLines() if settings.log_format == "json" else logging.Formatter(TEXT))
+    logging.basicConfig(level=settings.log_level, handlers=[stream], force=True)
+    logging.getLogger("alembic").setLevel("WARNING")

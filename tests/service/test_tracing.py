@@ -1,0 +1,113 @@
+"""Logs that name their request, and a trace from the client over the request to the worker."""
+
+import json
+import logging
+import threading
+from collections.abc import Iterator
+from http.server import BaseHTTPRequestHandler, HTTPServer
+
+import pytest
+from fastapi.testclient import TestClient
+from opentelemetry.proto.collector.trace.v1.trace_service_pb2 import ExportTraceServiceRequest
+from opentelemetry.proto.trace.v1.trace_pb2 import Span
+
+from jobs.logs import JsonLines, log_ids, set_up_logging
+from jobs.records import AssetRecord
+from jobs.settings import Settings
+from jobs.tracing import span, tracer
+from service.app import create_app
+from tests.service.conftest import hold
+
+CLIENT = "00-0af7651916cd43dd8448eb211c80319c-b7ad6b7169203331-01"
+
+
+@pytest.fixture
+def collector() -> Iterator[tuple[str, list[Span]]]:
+    """What a collector gets, over HTTP as it comes."""
+    spans: list[Span] = []
+
+    class Receive(BaseHTTPRequestHandler):
+        def do_POST(self) -> None:
+            body = self.rfile.read(int(self.headers["Content-Length"]))
+            request = ExportTraceServiceRequest.FromString(body)
+            spans.extend(s for r in request.resource_spans for scope in r.scope_spans for s in scope.spans)
+            self.send_response(200)
+            self.end_headers()
+
+        def log_message(self, *_: object) -> None:
+            return
+
+    with HTTPServer(("127.0.0.1", 0), Receive) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{server.server_port}", spans
+        server.shutdown()
+
+
+def test_one_trace_from_the_client_over_the_request_to_the_worker(
+    settings: Settings, collector: tuple[str, list[Span]], asset: AssetRecord
+) -> None:
+    from opentelemetry.trace import SpanKind
+
+    endpoint, spans = collector
+    traced = settings.model_copy(update={"otlp_endpoint": endpoint})
+    with TestClient(create_app(traced), "http://localhost") as client:
+        body = {"type": "voxelize", "asset_id": asset.id}
+        made = client.post("/v1/jobs", json=body, headers={"traceparent": CLIENT}).json()
+        held = hold(client.app.state.context, made["id"])  # type: ignore[attr-defined]
+    parent = held.job.traceparent
+    with span(tracer(endpoint, "worker"), "run voxelize", parent=parent, kind=SpanKind.CONSUMER, job_id=held.job.id):
+        pass
+    for process in ("api", "worker"):
+        tracer(endpoint, process).span_processor.force_flush()  # type: ignore[attr-defined]
+    by_name = {found.name: found for found in spans}
+    request, attempt = by_name["POST /v1/jobs"], by_name["run voxelize"]
+    assert {found.trace_id.hex() for found in (request, attempt)} == {CLIENT.split("-")[1]}
+    assert request.parent_span_id.hex() == CLIENT.split("-")[2]
+    assert attempt.parent_span_id == request.span_id
+    told = {attribute.key: attribute.value for attribute in (*request.attributes, *attempt.attributes)}
+    assert told["http.response.status_code"].int_value == 202
+    assert told["dynamictree.job_id"].string_value == made["id"]
+
+
+def test_a_line_is_an_object_that_names_its_ids() -> None:
+    record = logging.makeLogRecord(
+        {"name": "x", "levelname": "INFO", "msg": "stage %s", "args": ("a",), "cached": True}
+    )
+    with log_ids(request_id="r"), log_ids(job_id="j", attempt=2):
+        line = json.loads(JsonLines().format(record))
+    assert line.pop("time").endswith("+00:00")
+    assert line == {
+        "level": "INFO",
+        "logger": "x",
+        "message": "stage a",
+        "request_id": "r",
+        "job_id": "j",
+        "attempt": 2,
+        "cached": True,
+    }
+    assert "job_id" not in json.loads(JsonLines().format(record))
+
+
+def test_a_traceback_stays_in_its_line() -> None:
+    try:
+        raise ZeroDivisionError("two\nlines")
+    except ZeroDivisionError as error:
+        record = logging.makeLogRecord({"msg": "failed", "exc_info": (type(error), error, error.__traceback__)})
+    text = JsonLines().format(record)
+    assert "\n" not in text
+    assert "ZeroDivisionError" in json.loads(text)["traceback"]
+
+
+def test_the_setting_chooses_the_form(capsys: pytest.CaptureFixture[str], settings: Settings) -> None:
+    kept = logging.root.handlers[:], logging.root.level
+    try:
+        set_up_logging(settings.model_copy(update={"log_format": "json"}))
+        logging.getLogger("y").warning("one")
+        set_up_logging(settings)
+        logging.getLogger("y").warning("two")
+    finally:
+        logging.root.handlers, level = kept[0], kept[1]
+        logging.root.setLevel(level)
+    first, second = capsys.readouterr().err.splitlines()
+    assert json.loads(first)["message"] == "one"
+    assert second.endswith("WARNING y two")
