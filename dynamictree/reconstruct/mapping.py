@@ -62,7 +62,8 @@ def map_photos(job: MappingJob) -> None:
     folder, photos = Path(job["folder"]), job["photos"]
     database, images = folder / "features.db", folder / "photos"
     threads = len(os.sched_getaffinity(0))
-    _extract(database, images, photos, threads)
+    known = {camera["name"]: camera for camera in job["given"] or ()}
+    _extract(database, images, photos, known, threads)
     pairs = pairs_to_match(len(photos))
     matching = pycolmap.FeatureMatchingOptions()
     matching.num_threads, matching.use_gpu = threads, False
@@ -93,17 +94,23 @@ def _tell(step: str, done: int, total: int) -> None:
     sys.stdout.flush()
 
 
-def _extract(database: Path, images: Path, photos: list[MappingPhoto], threads: int) -> None:
-    """SIFT by groups of photos of one size and focal length, which share a camera."""
+def _extract(
+    database: Path, images: Path, photos: list[MappingPhoto], known: dict[str, MappingCamera], threads: int
+) -> None:
+    """SIFT by groups of photos of one size and focal length, or of one known lens, which share a camera."""
     extraction = pycolmap.FeatureExtractionOptions()
     extraction.num_threads, extraction.use_gpu = threads, False
     extraction.sift.max_num_features = _MAX_FEATURES
     done = 0
-    for photo, names in _camera_groups(photos):
+    for photo, names in _camera_groups(photos, known):
         reader = pycolmap.ImageReaderOptions(camera_model="SIMPLE_RADIAL")
+        camera = known.get(photo["name"])
         if photo["masked"]:
             reader.mask_path = images  # of a photo `name` the mask is `name.png`: no features where it is black
-        if photo["focal_px"] is not None:
+        if camera is not None:
+            reader.camera_model = camera["model"]
+            reader.camera_params = ",".join(str(value) for value in camera["params"])
+        elif photo["focal_px"] is not None:
             values = (photo["focal_px"], photo["width"] / 2, photo["height"] / 2, 0.0)
             reader.camera_params = ",".join(str(value) for value in values)
         for chunk in (names[:1], *(names[first : first + threads] for first in range(1, len(names), threads))):
@@ -123,10 +130,14 @@ def _extract(database: Path, images: Path, photos: list[MappingPhoto], threads: 
     _tell("features", done, len(photos))
 
 
-def _camera_groups(photos: list[MappingPhoto]) -> Iterator[tuple[MappingPhoto, list[str]]]:
-    groups: dict[tuple[int, int, float | None, bool], list[MappingPhoto]] = {}
+def _camera_groups(
+    photos: list[MappingPhoto], known: dict[str, MappingCamera]
+) -> Iterator[tuple[MappingPhoto, list[str]]]:
+    groups: dict[tuple[object, ...], list[MappingPhoto]] = {}
     for photo in photos:
-        alike = photo["width"], photo["height"], photo["focal_px"], photo["masked"]
+        camera = known.get(photo["name"])
+        lens = None if camera is None else (camera["model"], *camera["params"])
+        alike = photo["width"], photo["height"], photo["focal_px"], photo["masked"], lens
         groups.setdefault(alike, []).append(photo)
     for group in groups.values():
         yield group[0], [photo["name"] for photo in group]
@@ -149,17 +160,13 @@ def _with_points(folder: Path, given: list[MappingCamera], threads: int) -> pyco
     """The known cameras, and what of the matches fits them."""
     _tell("cameras", 0, 1)
     model = pycolmap.Reconstruction()
-    for number, known in enumerate(given, start=1):
-        camera = pycolmap.Camera(
-            camera_id=number,
-            model=known["model"],
-            width=known["width"],
-            height=known["height"],
-            params=known["params"],
-        )
-        model.add_camera_with_trivial_rig(camera)
-        image = pycolmap.Image(name=known["name"], camera_id=number, image_id=number)
-        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(np.array(known["world_to_camera"])))
+    poses = {camera["name"]: np.array(camera["world_to_camera"]) for camera in given}
+    with pycolmap.Database.open(folder / "features.db") as database:
+        for camera in database.read_all_cameras():
+            model.add_camera_with_trivial_rig(camera)
+        for seen in database.read_all_images():
+            image = pycolmap.Image(name=seen.name, camera_id=seen.camera_id, image_id=seen.image_id)
+            model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(poses[seen.name]))
     sparse = folder / "sparse"
     sparse.mkdir(exist_ok=True)
     options = pycolmap.IncrementalPipelineOptions()
