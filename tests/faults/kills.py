@@ -126,7 +126,7 @@ PARAMS: dict[str, dict[str, object]] = {
 MADE = {
     "voxelize": {"tree.voxels.safetensors"},
     "diffuse": {"tree.voxels.safetensors", "tree.spectrum.safetensors"},
-    "animate": {"tree.voxels.safetensors", "tree.spectrum.safetensors", "motion.safetensors"},
+    "animate": {"tree.voxels.safetensors", "tree.spectrum.safetensors", "motion.safetensors", "preview.png"},
 }
 
 
