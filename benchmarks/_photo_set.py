@@ -1,0 +1,97 @@
+"""Photos of a tree that is known: RGBA pictures by the project's own renderer, with the cameras that took them."""
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+from scipy.spatial import cKDTree
+
+from dynamictree.dataset.sample import make_sample
+from dynamictree.mesh import TriangleMesh
+from dynamictree.render import Camera, Look, Renderer
+
+_SAMPLES = 3  # along a pixel's side, colour and cover alike, so that edges keep no sky
+_SURFACE_POINTS = 150_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhotoSet:
+    tree: TriangleMesh
+    photos: tuple[Path, ...]
+    cameras: tuple[Camera, ...]
+
+
+def photograph(folder: Path, *, number: int, side: int, species: str = "round-broadleaf", seed: int = 7) -> PhotoSet:
+    """An orbit around a tree with speckled bark and leaves; photos and `transforms.json` go into the folder."""
+    tree = make_sample(seed, species).mesh
+    shades = np.clip(np.random.default_rng(1).normal(0.7, 0.3, (tree.num_vertices, 3)), 0.1, 1)
+    colors = np.concatenate([255 * shades, np.full((len(shades), 1), 255)], axis=1).astype(np.uint8)
+    bright = tuple(
+        replace(m, base_color=(*(min(1.0, 2 * c) for c in m.base_color[:3]), m.base_color[3])) for m in tree.materials
+    )
+    tree = replace(tree, vertex_colors=colors, materials=bright)
+    fine = side * _SAMPLES
+    renderer = Renderer(tree, Look(width=fine, height=fine, ground=False, supersampling=1))
+    height = tree.height_m
+    middle = np.array([*tree.vertices.mean(axis=0)[:2], 0.5 * height], np.float64)
+    photos, cameras, frames = [], [], []
+    for place in range(number):
+        turn = 2 * np.pi * place / number
+        away = height * np.array([1.9 * np.cos(turn), 1.9 * np.sin(turn), 0.25 * (place % 2) - 0.1])
+        camera = Camera.look_at(middle + away, middle, vertical_fov_deg=36.0)
+        path = folder / f"tree_{place:02d}.png"
+        Image.fromarray(_cut_out(renderer, camera, side)).save(path)
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = camera.world_to_camera.T * [1, -1, -1], camera.position_m
+        frames.append({"file_path": path.name, "transform_matrix": matrix.tolist()})
+        photos.append(path)
+        cameras.append(camera)
+    focal = cameras[0].focal * side
+    lens = {"fl_x": focal, "fl_y": focal, "cx": side / 2, "cy": side / 2, "w": side, "h": side}
+    (folder / "transforms.json").write_text(json.dumps({**lens, "frames": frames}))
+    return PhotoSet(tree=tree, photos=tuple(photos), cameras=tuple(cameras))
+
+
+def surface_score(
+    found: TriangleMesh, true: TriangleMesh, found_cameras: np.ndarray, true_cameras: np.ndarray, share: float
+) -> dict[str, float]:
+    """Precision, recall and F of points on both surfaces, within a share of the height, after the cameras meet."""
+    scale, rotation, shift = _aligned(found_cameras, true_cameras)
+    rng = np.random.default_rng(0)
+    ours = scale * _on_surface(found, rng) @ rotation.T + shift
+    theirs = _on_surface(true, rng)
+    near = share * true.height_m
+    precision = float((cKDTree(theirs).query(ours)[0] < near).mean())
+    recall = float((cKDTree(ours).query(theirs)[0] < near).mean())
+    both = max(precision + recall, 1e-9)
+    return {"precision": round(precision, 3), "recall": round(recall, 3), "f": round(2 * precision * recall / both, 3)}
+
+
+def _cut_out(renderer: Renderer, camera: Camera, side: int) -> np.ndarray:
+    color = renderer.picture(camera=camera).astype(np.float64)
+    cover = np.isfinite(renderer.buffers(camera).depth_m).astype(np.float64)[..., None]
+    cells = (side, _SAMPLES, side, _SAMPLES, -1)
+    alpha = cover.reshape(cells).mean(axis=(1, 3))
+    seen = (color * cover).reshape(cells).mean(axis=(1, 3)) / np.maximum(alpha, 1e-9)
+    return np.concatenate([seen, 255 * alpha], axis=2).round().astype(np.uint8)
+
+
+def _aligned(found: np.ndarray, true: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+    """Umeyama 1991."""
+    middle_found, middle_true = found.mean(axis=0), true.mean(axis=0)
+    u, sizes, vt = np.linalg.svd((true - middle_true).T @ (found - middle_found))
+    flip = np.diag([1, 1, np.sign(np.linalg.det(u @ vt))])
+    rotation = u @ flip @ vt
+    scale = float((sizes * np.diag(flip)).sum() / ((found - middle_found) ** 2).sum())
+    return scale, rotation, middle_true - scale * rotation @ middle_found
+
+
+def _on_surface(mesh: TriangleMesh, rng: np.random.Generator) -> np.ndarray:
+    a, b, c = mesh.vertices[mesh.faces].astype(np.float64).transpose(1, 0, 2)
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    chosen = rng.choice(len(area), _SURFACE_POINTS, p=area / area.sum())
+    u, v = rng.random((2, _SURFACE_POINTS, 1))
+    u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
+    return a[chosen] + u * (b - a)[chosen] + v * (c - a)[chosen]
