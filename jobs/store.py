@@ -290,13 +290,23 @@ class Store:
                 stages.setdefault(row.job_id, []).append(_stage(row))
         return [_job(row, tuple(stages.get(row.id, ()))) for row in rows]
 
+    def look(self, job_id: str) -> tuple[JobRecord, int | None, list[ArtifactRecord]]:
+        """A job, its place in the queue and what it offers so far, all of one moment: what a poll asks.
+
+        Raises:
+            NotFoundError, GoneError: there is none, or its record has expired.
+        """
+        with self.reading() as connection:
+            job = self._read_job(connection, job_id)
+            begun = any(stage.state != "queued" for stage in job.stages)
+            return job, _position(connection, job), _artifacts_of(connection, job_id) if begun else []
+
     def queue_position(self, job: JobRecord) -> int | None:
         """How many jobs of the same queue were there before this one; None once it has begun."""
         if job.state != JobState.QUEUED:
             return None
-        ahead = (t.jobs.c.state == JobState.QUEUED) & (t.jobs.c.queue == job.queue) & (t.jobs.c.id < job.id)
         with self.reading() as connection:
-            return connection.execute(sa.select(sa.func.count()).where(ahead)).scalar_one()
+            return _position(connection, job)
 
     def count_active(self) -> int:
         """How many jobs have not ended."""
@@ -332,9 +342,8 @@ class Store:
     @patient
     def artifacts_of(self, job_id: str) -> list[ArtifactRecord]:
         """What a job offers so far, in the order it was made."""
-        query = sa.select(t.artifacts).where(t.artifacts.c.job_id == job_id).order_by(t.artifacts.c.id)
         with self.reading() as connection:
-            return [ArtifactRecord(**row._mapping) for row in connection.execute(query)]
+            return _artifacts_of(connection, job_id)
 
     def artifact(self, artifact_id: str) -> ArtifactRecord:
         """One artefact.
@@ -393,6 +402,18 @@ def add_stages(connection: sa.Connection, job_id: str, names: tuple[JobType, ...
         for i, name in enumerate(names)
     ]
     connection.execute(t.stages.insert(), rows)
+
+
+def _position(connection: sa.Connection, job: JobRecord) -> int | None:
+    if job.state != JobState.QUEUED:
+        return None
+    ahead = (t.jobs.c.state == JobState.QUEUED) & (t.jobs.c.queue == job.queue) & (t.jobs.c.id < job.id)
+    return connection.execute(sa.select(sa.func.count()).where(ahead)).scalar_one()
+
+
+def _artifacts_of(connection: sa.Connection, job_id: str) -> list[ArtifactRecord]:
+    query = sa.select(t.artifacts).where(t.artifacts.c.job_id == job_id).order_by(t.artifacts.c.id)
+    return [ArtifactRecord(**row._mapping) for row in connection.execute(query)]
 
 
 def read_job(connection: sa.Connection, job_id: str) -> JobRecord:

@@ -160,7 +160,7 @@ def list_jobs(
     next_cursor = page[-1].id if more else None
     if next_cursor is not None:
         response.headers["Link"] = f'<{request.url.include_query_params(cursor=next_cursor)}>; rel="next"'
-    data = [_payload(context, job, context.store.queue_position(job)) for job in page]
+    data = [_payload(context, job, context.store.queue_position(job), _artifacts(context, job)) for job in page]
     return JobListPayload(data=data, next_cursor=next_cursor)
 
 
@@ -194,12 +194,13 @@ async def get_job(
         if not await context.watching.changed(id, job.version, deadline - time.monotonic()):
             break
         job, payload = await run_in_threadpool(_look, context, id, response)
+    told = dict(response.headers)
     if wait_s:
-        response.headers["Preference-Applied"] = f"wait={wait_s:g}"
-    if matches(if_none_match, response.headers["ETag"]):
-        kept = {name: response.headers[name] for name in ("ETag", "Retry-After") if name in response.headers}
-        return Response(status_code=status.HTTP_304_NOT_MODIFIED, headers=kept)
-    return payload
+        told["Preference-Applied"] = f"wait={wait_s:g}"
+    if matches(if_none_match, told["etag"]):
+        return Response(status_code=status.HTTP_304_NOT_MODIFIED, headers=told)
+    # made here: FastAPI would check the payload once more, which takes longer than the queries
+    return Response(payload.model_dump_json(), headers=told, media_type="application/json")
 
 
 @router.post(
@@ -237,8 +238,18 @@ def get_log(
 
 def tell(context: Context, job: JobRecord, response: Response) -> JobPayload:
     """A job as it is told, with the headers that go with it."""
-    position = context.store.queue_position(job)
-    payload = _payload(context, job, position)
+    return _tell(context, job, context.store.queue_position(job), _artifacts(context, job), response)
+
+
+def _look(context: Context, job_id: str, response: Response) -> tuple[JobRecord, JobPayload]:
+    job, position, artifacts = context.store.look(job_id)
+    return job, _tell(context, job, position, artifacts, response)
+
+
+def _tell(
+    context: Context, job: JobRecord, position: int | None, artifacts: list[ArtifactRecord], response: Response
+) -> JobPayload:
+    payload = _payload(context, job, position, artifacts)
     seen = f"{job.id} {job.version} {position} {payload.eta_s}"
     response.headers["ETag"] = '"' + sha256(seen.encode()).hexdigest()[:32] + '"'
     if not job.terminal:
@@ -248,15 +259,10 @@ def tell(context: Context, job: JobRecord, response: Response) -> JobPayload:
     return payload
 
 
-def _look(context: Context, job_id: str, response: Response) -> tuple[JobRecord, JobPayload]:
-    job = context.store.job(job_id)
-    return job, tell(context, job, response)
-
-
-def _payload(context: Context, job: JobRecord, position: int | None) -> JobPayload:
+def _payload(context: Context, job: JobRecord, position: int | None, artifacts: list[ArtifactRecord]) -> JobPayload:
     return job_payload(
         job,
-        _artifacts(context, job),
+        artifacts,
         queue_position=position,
         eta_s=context.history.eta_s(job, position),
         retention_s=context.settings.job_retention_s,

@@ -1,0 +1,28 @@
+"""How long it takes until a job is accepted and kept, synced to disk, beside a worker that is busy on one thread."""
+
+import json
+
+from benchmarks._load import busy_service, load
+from benchmarks._machine import device, versions
+
+TARGET_MS = 50.0
+RATE = 20
+SECONDS = 20
+
+
+def run() -> dict[str, object]:
+    with busy_service() as (url, _, asset):
+        body = json.dumps({"type": "voxelize", "asset_id": asset})
+        load(url + "/v1/jobs", rate=RATE, connections=2, seconds=3, body=body)
+        measured = load(url + "/v1/jobs", rate=RATE, connections=2, seconds=SECONDS, body=body)
+    return {
+        "value": round(measured.p99_ms, 1),
+        "unit": "ms",
+        "target": TARGET_MS,
+        "p50_ms": round(measured.p50_ms, 1),
+        "requests_s": round(measured.requests_s, 1),
+        "statuses": measured.statuses,
+        "load_generator": "hey",
+        "device": device(),
+        "versions": versions("uvicorn", "fastapi", "sqlalchemy"),
+    }
