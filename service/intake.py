@@ -18,6 +18,7 @@ from jobs.store import new_id
 from service.archives import is_zip, unpack
 from service.context import Context
 from service.multipart import Form, ReceivedFile
+from service.places import without_place
 from service.problems import ProblemError
 
 MESH_SUFFIXES = (".obj", ".ply", ".glb", ".gltf", ".stl")
@@ -114,7 +115,7 @@ def _photos(files: list[ReceivedFile]) -> tuple[ReceivedFile, ...]:
         if file.bytes > MAX_PHOTO_BYTES:
             found = f"photo {file.name!r} has {file.bytes:,} bytes; at most {MAX_PHOTO_BYTES:,} are allowed"
             raise ProblemError("payload-too-large", found)
-    return tuple(files)
+    return tuple(without_place(file) for file in files)
 
 
 def _models(files: list[ReceivedFile]) -> tuple[ReceivedFile, ...]:

@@ -46,7 +46,7 @@ class _Volume(NamedTuple):
     voxel: float
 
 
-_NOTHING = Surface(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32))
+NOTHING = Surface(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32))
 
 
 def fuse(views: list[StereoView], depths: list[Float32[np.ndarray, "H W"]], box: Box, *, resolution: int) -> Surface:
@@ -64,7 +64,7 @@ def fuse(views: list[StereoView], depths: list[Float32[np.ndarray, "H W"]], box:
     whole = minimum_filter(known, size=2, mode="constant", cval=0)
     crossed = minimum_filter(distance, size=2, mode="nearest") < 0
     if not (whole & crossed & (maximum_filter(distance, size=2, mode="nearest") > 0)).any():
-        return _NOTHING
+        return NOTHING
     # "descent" turns faces outward where the inside is negative (skimage's text says the opposite; tested)
     vertices, faces, _, _ = marching_cubes(distance, 0.0, mask=whole, gradient_direction="descent")  # type: ignore[no-untyped-call]
     return Surface((box.low + (vertices + 0.5) * voxel).astype(np.float32), faces.astype(np.int32))
@@ -83,7 +83,7 @@ def main_cluster(surface: Surface, gap: float) -> Surface:
     piece_of_face = connected_components(links, directed=False)[1][surface.faces[:, 0]]
     kept = np.flatnonzero((np.bincount(piece_of_face) >= _SPECK_FACES)[piece_of_face])
     if len(kept) == 0:
-        return _NOTHING
+        return NOTHING
     centres = surface.vertices[surface.faces[kept]].mean(axis=1)
     cells = ((centres - centres.min(axis=0)) / gap).astype(int)
     occupied = np.zeros(cells.max(axis=0) + 1, bool)

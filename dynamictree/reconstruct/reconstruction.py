@@ -20,7 +20,7 @@ from dynamictree.reconstruct.optimise import Schedule
 from dynamictree.reconstruct.photos import PhotoFile, list_photos, prepare_photos, sizes_of
 from dynamictree.reconstruct.report import Report, write_cameras, write_report
 from dynamictree.reconstruct.splat import SplatFit, fit_splat
-from dynamictree.reconstruct.surface import Scene, Shape, find_scene, finished, stereo_surface
+from dynamictree.reconstruct.surface import Shape, best_surface, find_scene, finished
 from dynamictree.reconstruct.views import SparseModel, View, read_model
 
 UNKNOWN_HEIGHT_M = 1.0  # what photos alone cannot tell
@@ -100,8 +100,10 @@ def reconstruct(
                 on_progress=_within(on_progress, _MATCHED, _LEARNED),
             )
     with _timed(seconds, "mesh"):
-        shape = finished(stereo_surface(scene), scene, height_m=options.height_m or UNKNOWN_HEIGHT_M)
-    found = _put_together(listed, model, scene, fit, shape, options, seconds)
+        surface, made_by = best_surface(fit.table, scene)
+        shape = finished(surface, scene, height_m=options.height_m or UNKNOWN_HEIGHT_M)
+    found = _put_together(listed, model, fit, shape, options, seconds)
+    found.report["mesh_by"] = made_by
     write_report(found, fit, folder)
     on_progress(1.0)
     return found
@@ -136,7 +138,6 @@ def _as_given(photo: PhotoFile, camera: GivenCamera) -> PhotoFile:
 def _put_together(
     photos: list[PhotoFile],
     model: SparseModel,
-    scene: Scene,
     fit: SplatFit,
     shape: Shape,
     options: ReconstructOptions,
@@ -162,6 +163,7 @@ def _put_together(
         ground_found=shape.ground_found,
         scale="unknown" if options.height_m is None else "given",
         height_m=mesh.height_m,
+        mesh_by="",
         num_vertices=mesh.num_vertices,
         num_faces=mesh.num_faces,
         num_gaussians=int(own.sum()),

@@ -33,6 +33,7 @@ class Report(TypedDict):
     ground_found: bool
     scale: str  # `given` or `unknown`: photos alone tell no size, a mesh of unknown scale is 1 m high
     height_m: float
+    mesh_by: str  # `stereo` or `splat`: whose depths or opacity it was made of
     num_vertices: int
     num_faces: int
     num_gaussians: int  # of the tree

@@ -13,6 +13,7 @@ from dynamictree.reconstruct.views import SparseModel, View
 _OPACITY, _DOME_OPACITY = 0.1, 0.95  # Kerbl et al. begin with 0.1; stereo's errors then fade before they settle
 _WIDEST_SHARE = 0.1  # of the cameras' distance, for a point far from all others
 _DOME_POINTS, _DOME_DISTANCE = 3000, 12.0  # of the radius of the region that the pictures hold
+_HULL_TRIALS = 2_000_000
 _GOLDEN = np.pi * (3 - np.sqrt(5))
 
 
@@ -27,6 +28,8 @@ def first_table(
     if depths is not None:
         dense, dense_colors = points_of_depths(model, depths)
         points, colors = np.concatenate([points, dense]), np.concatenate([colors, dense_colors])
+    hull, hull_colors = points_in_hull(model.views, rng)
+    points, colors = np.concatenate([points, hull]), np.concatenate([colors, hull_colors])
     kept = thinned(points, number, rng)
     points, colors = points[kept].astype(np.float32), colors[kept].astype(np.float32)
     table = table_of_points(points, colors, spacing(points), opacity=_OPACITY, sh_degree=sh_degree)
@@ -51,6 +54,25 @@ def points_of_depths(
         at = (row * height // depth.shape[0], column * width // depth.shape[1])
         colors.append(view.image[at] / np.float32(255))
     return np.concatenate(found), np.concatenate(colors)
+
+
+def points_in_hull(
+    views: Sequence[View], rng: np.random.Generator
+) -> tuple[Float64[np.ndarray, "P 3"], Float32[np.ndarray, "P 3"]]:
+    """Random places of the region that every photo shows inside its mask, with the photos' mean colour; or none."""
+    cut_out = [view for view in views if view.alpha is not None]
+    points = rng.uniform([-1, -1, -1], [1, 1, 2], (_HULL_TRIALS if cut_out else 0, 3))
+    total = np.zeros((len(points), 3), np.float32)
+    for view in cut_out:
+        height, width = view.image.shape[:2]
+        x, y, depth = view.camera.project(points, width, height).T
+        shown = (depth > 0) & (x >= 0) & (y >= 0) & (x < width) & (y < height)
+        at = np.where(shown, y, 0).astype(int), np.where(shown, x, 0).astype(int)
+        assert view.alpha is not None
+        kept = shown & (view.alpha[at] >= 128)
+        total = (total + view.image[at] / np.float32(255))[kept]
+        points = points[kept]
+    return points, total / np.float32(max(len(cut_out), 1))
 
 
 def thinned(points: Float64[np.ndarray, "P 3"], number: int, rng: np.random.Generator) -> Int64[np.ndarray, " K"]:

@@ -31,8 +31,11 @@ class Stage:
         return np.stack([right, np.cross(self.up, right), self.up])
 
 
-def find_stage(model: SparseModel, rng: np.random.Generator) -> Stage:
-    """The cameras look at the subject from around, upright; the ground is the plane below that holds most points."""
+def find_stage(model: SparseModel, rng: np.random.Generator, *, ground: bool = True) -> Stage:
+    """The cameras look at the subject from around, upright; the ground is the plane below that holds most points.
+
+    Without `ground` none is sought: it is cut out of the photos.
+    """
     positions = np.array([view.camera.position_m for view in model.views])
     forward = np.array([view.camera.world_to_camera[2] for view in model.views])
     up = -np.array([view.camera.world_to_camera[1] for view in model.views]).sum(axis=0)
@@ -42,7 +45,7 @@ def find_stage(model: SparseModel, rng: np.random.Generator) -> Stage:
     half_sides = [0.5 * max(1.0, view.image.shape[1] / view.image.shape[0]) / view.camera.focal for view in model.views]
     radius = float(np.median(distance * half_sides))
     near = model.points[np.linalg.norm(model.points - focus, axis=1) < 1.5 * radius]
-    plane = _ground_plane(near, positions, up, _GROUND_THICKNESS * radius, rng)
+    plane = _ground_plane(near, positions, up, _GROUND_THICKNESS * radius, rng) if ground else None
     if plane is None:
         lowest = np.percentile((near - focus) @ up, 1) if len(near) else -radius
         return Stage(up=up, origin=focus + lowest * up, radius=radius, ground_found=False)

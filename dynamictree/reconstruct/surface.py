@@ -9,11 +9,13 @@ from jaxtyping import Float32, Float64, UInt8
 from scipy.sparse import coo_array
 from scipy.spatial import cKDTree
 
-from dynamictree.errors import ReconstructionError
+from dynamictree.errors import InputError, ReconstructionError
+from dynamictree.gaussian.surface import mesh_of_cloud
 from dynamictree.mesh import TriangleMesh, edges_of
 from dynamictree.reconstruct.cameras import ADVICE
 from dynamictree.reconstruct.depth import DepthMaps, coarse_depths, fine_depths
-from dynamictree.reconstruct.fusion import Box, Surface, above, fuse, main_cluster
+from dynamictree.reconstruct.fusion import NOTHING, Box, Surface, above, fuse, main_cluster
+from dynamictree.reconstruct.splat_table import cloud_of
 from dynamictree.reconstruct.stage import find_stage
 from dynamictree.reconstruct.views import SparseModel, View
 from dynamictree.render import Look, Renderer
@@ -29,6 +31,8 @@ _LEAST_FACES = 200
 _SMOOTHING = (0.5, -0.53)  # Taubin's pair of steps, which smooths and does not shrink
 _SMOOTHING_ROUNDS = 4
 _COLOR_SIDE_PX = 640
+_SPLAT_CELLS = 320  # along the longest side
+_WIDEST, _FAINTEST = 0.15, 0.1  # Gaussians that count for the surface: of the region's radius, and of opacity
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,7 +42,7 @@ class Scene:
     model: SparseModel  # all views
     matched: SparseModel  # those of the depth maps
     coarse: DepthMaps
-    fine: DepthMaps  # only for rays that meet the box
+    fine: DepthMaps | None  # only for rays that meet the box; None where the coarse ones agree on no surface
     box: Box  # around the subject
     cut: float  # height below which is ground
     ground_found: bool
@@ -64,28 +68,27 @@ def find_shape(
         ReconstructionError: the views agree on no surface.
     """
     scene = find_scene(model, on_progress=lambda done: on_progress(0.9 * done))
+    _check(stereo_surface(scene), model)
     shape = finished(stereo_surface(scene), scene, height_m=height_m)
     on_progress(0.94)
     return shape
 
 
 def find_scene(model: SparseModel, *, on_progress: Callable[[float], None] = lambda done: None) -> Scene:
-    """Depths of all views, coarse ones to find the subject by, then fine ones of it.
-
-    Raises:
-        ReconstructionError: the views agree on no surface.
-    """
-    stage = find_stage(model, np.random.default_rng(0))
+    """Depths of all views, coarse ones to find the subject by, then fine ones of it."""
+    cut_out = all(view.alpha is not None for view in model.views)
+    stage = find_stage(model, np.random.default_rng(0), ground=not cut_out)
     model = model.transformed(1 / stage.radius, stage.rotation, stage.origin)
     matched = _evenly_chosen(model)
     coarse = coarse_depths(matched, lambda done, total: on_progress(0.5 * done / total))
-    region = Box(low=np.array([-1.0, -1.0, -0.1]), high=np.array([1.0, 1.0, 2.0]))
+    region = Box(low=np.array([-1.0, -1.0, -1.0 if cut_out else -0.1]), high=np.array([1.0, 1.0, 2.0]))
     cut = _GROUND_CUT if stage.ground_found else -np.inf
     found = main_cluster(above(fuse(coarse.views, coarse.depths, region, resolution=_COARSE_VOXELS), cut), _GAP)
-    _check(found, model)
-    box = Box(low=found.vertices.min(axis=0).astype(np.float64), high=found.vertices.max(axis=0).astype(np.float64))
-    box = box.padded(_BOX_MARGIN * float((box.high - box.low).max()))
-    fine = fine_depths(matched, coarse, box, lambda done, total: on_progress(0.5 + 0.5 * done / total))
+    fine, box = None, region
+    if len(found.faces) >= _LEAST_FACES:
+        box = Box(low=found.vertices.min(axis=0).astype(np.float64), high=found.vertices.max(axis=0).astype(np.float64))
+        box = box.padded(_BOX_MARGIN * float((box.high - box.low).max()))
+        fine = fine_depths(matched, coarse, box, lambda done, total: on_progress(0.5 + 0.5 * done / total))
     on_progress(1.0)
     return Scene(
         model=model, matched=matched, coarse=coarse, fine=fine, box=box, cut=cut, ground_found=stage.ground_found
@@ -93,9 +96,41 @@ def find_scene(model: SparseModel, *, on_progress: Callable[[float], None] = lam
 
 
 def stereo_surface(scene: Scene) -> Surface:
-    """The subject as the fine depth maps see it."""
+    """The subject as the fine depth maps see it; nothing where there are none."""
+    if scene.fine is None:
+        return NOTHING
     fused = fuse(scene.fine.views, scene.fine.depths, scene.box, resolution=_FINE_VOXELS)
     return main_cluster(above(fused, scene.cut), _GAP)
+
+
+def splat_surface(table: Float32[np.ndarray, "G P"], scene: Scene) -> Surface:
+    """The subject as its Gaussians cover it: opacity on a grid, then marching cubes.
+
+    Raises:
+        ReconstructionError: they cover nothing.
+    """
+    cloud = cloud_of(table)
+    low = np.maximum(scene.box.low, [-np.inf, -np.inf, scene.cut])
+    inside = ((cloud.means > low) & (cloud.means < scene.box.high)).all(axis=1)
+    inside &= (cloud.scales.max(axis=1) < _WIDEST) & (cloud.opacity > _FAINTEST)
+    try:
+        mesh = mesh_of_cloud(cloud.subset(inside), cells_along=_SPLAT_CELLS, max_faces=2 * MAX_FACES)
+    except (InputError, ValueError) as error:
+        found = f"{len(scene.model.views)} photos fit together, but {int(inside.sum())} Gaussians make no surface"
+        raise ReconstructionError(f"{found}; {ADVICE}") from error
+    return main_cluster(Surface(mesh.vertices, mesh.faces), _GAP)
+
+
+def best_surface(table: Float32[np.ndarray, "G P"], scene: Scene) -> tuple[Surface, str]:
+    """By stereo or by the splat: which of them, and its name.
+
+    Where the tree is cut out of the photos, or stereo agrees on too little, the splat's own shape is better.
+    """
+    stereo = stereo_surface(scene)
+    cut_out = all(view.alpha is not None for view in scene.model.views)
+    if len(stereo.faces) >= _LEAST_FACES and not cut_out:
+        return stereo, "stereo"
+    return splat_surface(table, scene), "splat"
 
 
 def finished(surface: Surface, scene: Scene, *, height_m: float) -> Shape:
