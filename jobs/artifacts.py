@@ -4,7 +4,7 @@ import errno
 import os
 import secrets
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from datetime import timedelta
 from hashlib import sha256
@@ -170,10 +170,13 @@ class ObjectArtifacts:
         return None
 
 
-def open_artifacts(url: str, *, patience_s: float = REQUEST_PATIENCE_S) -> ArtifactStore:
+def open_artifacts(
+    url: str, *, patience_s: float = REQUEST_PATIENCE_S, credentials: Mapping[str, str] | None = None
+) -> ArtifactStore:
     """The store that a URL names: `file:///folder`, or any scheme of obstore (`s3://bucket/prefix`).
 
-    Object storage that is away, or answers 503, is asked again for `patience_s`.
+    Object storage that is away, or answers 503, is asked again for `patience_s`. `credentials` are of S3, by obstore's
+    names; without them it looks into AWS's own variables.
     """
     parts = urlsplit(url)
     if parts.scheme == "file":
@@ -181,8 +184,9 @@ def open_artifacts(url: str, *, patience_s: float = REQUEST_PATIENCE_S) -> Artif
     if parts.scheme == "memory":
         return ObjectArtifacts(from_url(url))
     return ObjectArtifacts(
-        from_url(
+        from_url(  # type: ignore[call-overload]
             url,
+            **(credentials or {}) if parts.scheme in ("s3", "s3a") else {},
             retry_config={
                 "max_retries": int(10 + patience_s),
                 "retry_timeout": timedelta(seconds=patience_s),

@@ -6,7 +6,7 @@ from pathlib import Path
 from tempfile import gettempdir
 from typing import Literal, Self
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, SecretStr, ValidationError, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from jobs.errors import SettingsError
@@ -31,6 +31,8 @@ class Settings(BaseSettings):
     database_url: str | None = None
     redis_url: str | None = None
     artifacts_url: str | None = None
+    s3_access_key_id: str | None = None
+    s3_secret_access_key: SecretStr | None = None
 
     queue: str = Field(default="cpu", pattern=r"^[a-z][a-z0-9-]{0,25}$")
     lease_s: float = Field(default=60.0, gt=0)
@@ -130,6 +132,14 @@ class Settings(BaseSettings):
     def resolved_artifacts_url(self) -> str:
         """Folder or bucket of the bytes."""
         return self.artifacts_url or (self.state_dir.resolve() / "artifacts").as_uri()
+
+    @property
+    def s3_credentials(self) -> dict[str, str]:
+        """Key and secret of object storage, where they are settings; else obstore looks into AWS's own variables."""
+        if self.s3_access_key_id is None or self.s3_secret_access_key is None:
+            return {}
+        secret = self.s3_secret_access_key.get_secret_value()
+        return {"access_key_id": self.s3_access_key_id, "secret_access_key": secret}
 
     @property
     def scratch_dir(self) -> Path:

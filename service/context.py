@@ -142,7 +142,7 @@ class Context:
     @_Shared
     def artifacts(self) -> ArtifactStore:
         """The bytes."""
-        return open_artifacts(self.settings.resolved_artifacts_url)
+        return open_artifacts(self.settings.resolved_artifacts_url, credentials=self.settings.s3_credentials)
 
     @_Shared
     def spectra(self) -> SpectrumCache:

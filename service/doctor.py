@@ -140,7 +140,7 @@ def _redis(settings: Settings) -> Finding:
 def _storage(settings: Settings) -> Finding:
     url = settings.resolved_artifacts_url
     try:
-        open_artifacts(url).free_bytes()
+        open_artifacts(url, credentials=settings.s3_credentials).free_bytes()
     except Exception as error:  # noqa: BLE001 (every object storage has exceptions of its own; the report is the answer)
         return Finding(name="storage", verdict="error", detail=f"{url}: {error}")
     return Finding(name="storage", verdict="ok", detail=url)

@@ -114,7 +114,7 @@ def open_housekeeper(settings: Settings) -> Housekeeper:
     return Housekeeper(
         settings=settings,
         store=Store.open(settings.resolved_database_url),
-        artifacts=open_artifacts(settings.resolved_artifacts_url),
+        artifacts=open_artifacts(settings.resolved_artifacts_url, credentials=settings.s3_credentials),
         parts=open_parts(settings.resolved_artifacts_url),
         queue=queue,
         redis=redis.Redis.from_url(

@@ -30,7 +30,9 @@ def open_runtime(settings: Settings) -> Runtime:
     return Runtime(
         settings=settings,
         store=store,
-        artifacts=open_artifacts(settings.resolved_artifacts_url, patience_s=settings.patience_s),
+        artifacts=open_artifacts(
+            settings.resolved_artifacts_url, patience_s=settings.patience_s, credentials=settings.s3_credentials
+        ),
         owner=owner,
         heartbeat=Heartbeat(settings, owner),
     )

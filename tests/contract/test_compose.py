@@ -1,14 +1,19 @@
 """docker-compose.yml: what must hold of every container. There is no engine here to ask."""
 
+import json
+import re
 import runpy
 import stat
+from importlib import resources
 from pathlib import Path
 
 import pytest
 import yaml
+from jsonschema import Draft7Validator
 from sqlalchemy.engine import make_url
 
 from jobs.settings import Settings
+from jobs.states import queues_of
 
 ROOT = Path(__file__).parents[2]
 COMPOSE = yaml.safe_load((ROOT / "docker-compose.yml").read_text())
@@ -25,7 +30,7 @@ def test_a_container_is_confined(name: str) -> None:
     assert service["healthcheck"]["test"][0] in {"CMD", "CMD-SHELL"}
     assert set(service["deploy"]["resources"]["limits"]) == {"cpus", "memory"}
     tag = service["image"].rpartition(":")[2]
-    assert tag[0].isdigit(), f"{service['image']} is pinned to no version"
+    assert tag.removeprefix("RELEASE.")[0].isdigit(), f"{service['image']} is pinned to no version"
 
 
 def test_what_is_used_is_declared() -> None:
@@ -58,10 +63,9 @@ def test_only_the_api_is_reachable_and_only_from_this_machine() -> None:
     assert {name: s["ports"] for name, s in SERVICES.items() if "ports" in s} == {"api": ["127.0.0.1:8000:8000"]}
 
 
-def test_a_worker_runs_one_job_at_a_time_in_the_queue_of_new_jobs() -> None:
+def test_a_worker_runs_one_job_at_a_time() -> None:
     command = SERVICES["worker"]["command"]
     assert command[command.index("-c") + 1] == "1"
-    assert command[command.index("-Q") + 1] == Settings.model_fields["queue"].default
 
 
 def test_secrets_are_made_once(tmp_path: Path) -> None:
@@ -73,3 +77,34 @@ def test_secrets_are_made_once(tmp_path: Path) -> None:
     assert make_url(before["dynamictree_database_url"]).password == before["postgres_password"]
     made(tmp_path / "secrets")
     assert {path.name: path.read_text() for path in (tmp_path / "secrets").iterdir()} == before
+
+
+def test_the_file_is_what_compose_expects() -> None:
+    """The published schema of compose files, as check-jsonschema carries it."""
+    schema = resources.files("check_jsonschema") / "builtin_schemas" / "vendor" / "compose-spec.json"
+    Draft7Validator(json.loads(schema.read_text())).validate(COMPOSE)
+
+
+def test_images_are_built_from_what_is_pinned() -> None:
+    text = (ROOT / "docker" / "Dockerfile").read_text()
+    assert "requirements.lock" in text
+    assert re.search(r"uv==[0-9.]+", text)
+    assert not re.search(r"^FROM [^$\n]*:latest", text, re.MULTILINE)
+    assert re.search(r"^ARG PYTHON=3\.11\.[0-9]+-slim-bookworm$", text, re.MULTILINE)
+
+
+def test_whoever_waits_for_object_storage_has_its_key_as_a_file() -> None:
+    for name in ("api", "worker", "worker-gpu", "housekeeper", "objects"):
+        assert {"dynamictree_s3_access_key_id", "dynamictree_s3_secret_access_key"} <= set(SERVICES[name]["secrets"])
+
+
+@pytest.mark.parametrize("queue", ["cpu", "gpu"])
+def test_a_worker_listens_to_every_priority(queue: str) -> None:
+    command = SERVICES["worker" if queue == "cpu" else "worker-gpu"]["command"]
+    assert command[command.index("-Q") + 1] == ",".join(queues_of(queue))
+
+
+def test_the_gpu_is_asked_for_by_profile() -> None:
+    assert {name for name, service in SERVICES.items() if "profiles" in service} == {"worker-gpu"}
+    [device] = SERVICES["worker-gpu"]["deploy"]["resources"]["reservations"]["devices"]
+    assert device["capabilities"] == ["gpu"]

@@ -10,6 +10,7 @@ import pytest
 
 from jobs.artifacts import ArtifactStore, hash_file, open_artifacts
 from jobs.errors import StorageAwayError
+from jobs.settings import read_settings
 from tests.servers import Server, object_storage
 
 
@@ -86,6 +87,22 @@ def test_s3_keeps_what_is_sent_in_parts(s3: tuple[Server, Path], tmp_path: Path)
     assert b"".join(artifacts.read(digest, start=5_000_000, stop=5_500_000)) == source.read_bytes()[5_000_000:5_500_000]
     artifacts.delete(digest)
     assert not artifacts.exists(digest)
+
+
+def test_key_and_secret_may_be_settings(
+    s3: tuple[Server, Path], source: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
+        monkeypatch.delenv(name)
+    (tmp_path / "dynamictree_s3_access_key_id").write_text("tree:tree")
+    (tmp_path / "dynamictree_s3_secret_access_key").write_text("secret")
+    monkeypatch.setenv("DYNAMICTREE_SECRETS_DIR", str(tmp_path))
+    settings = read_settings()
+    assert "secret'" not in repr(settings)
+    digest, _ = hash_file(source)
+    artifacts = open_artifacts("s3://trees/products", credentials=settings.s3_credentials)
+    artifacts.put(source, digest)
+    assert artifacts.exists(digest)
 
 
 def test_a_storage_that_is_busy_is_waited_for_so_long_as_told(s3: tuple[Server, Path], source: Path) -> None:
