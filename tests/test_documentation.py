@@ -20,7 +20,25 @@ from service.problems import KINDS
 ROOT = Path(__file__).parent.parent
 PAGES = [*sorted((ROOT / "docs").glob("*.md")), ROOT / "README.md", ROOT / "client" / "README.md"]
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-KINDS_OF_BLOCK = {"python", "sh", "json", "hlsl", "glsl", "toml", "ini", "yaml", "text", "js", "nginx", "promql"}
+KINDS_OF_BLOCK = {
+    "python",
+    "sh",
+    "json",
+    "hlsl",
+    "glsl",
+    "toml",
+    "ini",
+    "yaml",
+    "text",
+    "js",
+    "nginx",
+    "promql",
+    "http",
+    "html",
+    "sql",
+    "ts",
+    "dockerfile",
+}
 
 
 def blocks(*languages: str) -> Iterator[pytest.param]:

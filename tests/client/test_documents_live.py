@@ -15,7 +15,7 @@ from recipes import batch
 
 ROOT = Path(__file__).parents[2]
 MARKED = re.compile(r"<!-- run: (live|slow) -->\n```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(1200)]
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +32,7 @@ def run(language: str, text: str, folder: Path, url: str) -> str:
     command = [sys.executable, "-W", "error", "-"] if language == "python" else ["bash", "-euo", "pipefail"]
     text = text.replace("http://127.0.0.1:8000", url).replace("localhost:8000", url.removeprefix("http://"))
     answer = subprocess.run(
-        command, input=text, cwd=folder, env=os.environ | here, capture_output=True, text=True, check=False, timeout=170
+        command, input=text, cwd=folder, env=os.environ | here, capture_output=True, text=True, check=False, timeout=600
     )
     assert answer.returncode == 0, f"{text}\n{answer.stdout}\n{answer.stderr}"
     return answer.stdout

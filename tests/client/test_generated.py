@@ -2,6 +2,8 @@
 
 import importlib.util
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import dynamictree_client
@@ -57,3 +59,10 @@ def test_the_public_names_are_exact() -> None:
     public = {name for name in vars(dynamictree_client) if not name.startswith("_")}
     modules = {"asynchronous", "call", "errors", "files", "retries", "synchronous", "commands"}
     assert public - modules == set(dynamictree_client.__all__)
+
+
+def test_the_client_is_light() -> None:
+    code = "import sys, dynamictree_client; print(*{name.split('.')[0] for name in sys.modules})"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    assert "pydantic" in loaded
+    assert {"numpy", "torch", "dynamictree", "jobs", "service", "typer"}.isdisjoint(loaded)
