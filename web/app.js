@@ -23,7 +23,7 @@ const client = new Client({ key: sessionStorage.getItem("key"), kept: localStora
 const stage = newStage();
 const hand = new Hand(stage, client, { onGrab: showGrip, onProblem: showProblem });
 const files = new Files(client, { onProblem: fail });
-const jobs = new JobList(client, { onOpen: (job) => open(job.id), onProblem: fail });
+const jobs = new JobList(client, { onOpen: (job) => open(job.id), onProblem: (error) => fail(error, null, () => jobs.show()) });
 const still = matchMedia("(prefers-reduced-motion: reduce)");
 
 let run = new AbortController(); // of what is being opened; a new one ends it
@@ -194,7 +194,7 @@ function hint() {
   setTimeout(() => box.classList.add("going"), 7000);
 }
 
-function showGrip(point) {
+function showGrip(point, pointer) {
   const grip = $("grip");
   grip.hidden = !point;
   $("stage").classList.toggle("holding", Boolean(point));
@@ -202,6 +202,9 @@ function showGrip(point) {
   $("hint").classList.add("going");
   const { x, y } = stage.onScreen(point);
   grip.style.transform = `translate(${x}px, ${y}px)`;
+  const [dx, dy] = [pointer.x - x, pointer.y - y], line = grip.firstElementChild;
+  line.style.width = `${Math.max(Math.hypot(dx, dy) - 11, 0)}px`;
+  line.style.transform = `rotate(${Math.atan2(dy, dx)}rad) translateX(11px)`;
 }
 
 // ---- wind

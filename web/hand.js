@@ -2,11 +2,11 @@
 
 import * as THREE from "three";
 
-const FURTHEST = 0.3; // of the height: beyond it a branch would break
+const FURTHEST = 0.12; // of the height: what a pull comes near to; beyond it bones would turn over
 const KNOCK = { share: 0.06, seconds: 0.3 }; // of the height, held so long
 
 export class Hand {
-  /** `onGrab(point | null)`, `onProblem(problem)`. */
+  /** `onGrab(point | null, where the pointer is)`, `onProblem(problem)`. */
   constructor(stage, client, { onGrab, onProblem }) {
     Object.assign(this, { stage, client, onGrab, onProblem });
     this.tree = this.push = this.held = null;
@@ -79,7 +79,7 @@ export class Hand {
       this.push.drag({ voxel: this.held.voxel }, this.held.wanted.toArray());
       this.held.wanted = null;
     }
-    if (this.held) this.onGrab(this.tree.voxelNow(this.held.voxel));
+    if (this.held) this.onGrab(this.tree.voxelNow(this.held.voxel), this.held.at);
     if (this.frame) {
       this.push?.drawn(this.frame);
       this.frame = 0;
@@ -93,8 +93,8 @@ export class Hand {
     this.stage.controls.enabled = false;
     const start = new THREE.Vector3(...this.tree.voxelNow(voxel));
     const facing = this.stage.camera.getWorldDirection(new THREE.Vector3());
-    this.held = { voxel, start, pointer: event.pointerId, plane: new THREE.Plane().setFromNormalAndCoplanarPoint(facing, start), wanted: null };
-    this.onGrab(start.toArray());
+    this.held = { voxel, start, pointer: event.pointerId, plane: new THREE.Plane().setFromNormalAndCoplanarPoint(facing, start), wanted: null, at: { x: event.clientX, y: event.clientY } };
+    this.onGrab(start.toArray(), this.held.at);
   }
 
   _move(event) {
@@ -108,7 +108,10 @@ export class Hand {
     const ray = new THREE.Raycaster();
     ray.setFromCamera(this.stage.pointer(event), this.stage.camera);
     const at = ray.ray.intersectPlane(this.held.plane, new THREE.Vector3());
-    if (at) this.held.wanted = at.sub(this.held.start).clampLength(0, FURTHEST * this.stage.height);
+    this.held.at = { x: event.clientX, y: event.clientY };
+    if (!at) return;
+    const limit = FURTHEST * this.stage.height, pull = at.sub(this.held.start), far = pull.length();
+    this.held.wanted = pull.multiplyScalar(far > 0 ? (limit * Math.tanh(far / limit)) / far : 0);
   }
 
   _up(event) {

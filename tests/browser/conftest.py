@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser, Page, sync_playwright
+from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from dynamictree.dataset.sample import make_sample
 from dynamictree.formats.gltf import write_glb
@@ -19,6 +19,9 @@ FLAGS = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu
 LOUD = frozenset({"error", "warning"})
 PICTURES = Path(__file__).parents[2] / "build" / "browser"
 """Where screenshots go."""
+
+
+expect.set_options(timeout=60_000)
 
 
 @pytest.fixture(scope="session")
