@@ -22,7 +22,7 @@ from dynamictree.errors import InputError
 from dynamictree.modal.system import ModalSystem
 from dynamictree.voxel.graph import root_distance, voxel_graph
 
-OUTWARD = 4.0
+OUTWARD = 32.0
 SIDEWAYS = 0.25
 STRANGER = 1000.0  # an edge is as many times longer whose ends move as unlike as strangers do
 FALLOFF_SHARE = 0.15  # of the tree's height: the default falloff
