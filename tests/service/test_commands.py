@@ -10,7 +10,8 @@ from typer.testing import CliRunner
 
 from jobs.settings import Settings
 from service.doctor import doctor, examine
-from service.serve import LockedFile, listen, plans, serve
+from service.keys import app as keys
+from service.serve import LockedFile, listen, plans, require_keys_beyond_loopback, serve
 
 app = typer.Typer()
 app.command("serve")(serve)
@@ -92,3 +93,35 @@ def test_where_redis_has_a_url_none_is_started(tmp_path: Path) -> None:
     assert [plan.name for plan in other] == ["api", "worker", "housekeeper"]
     assert "--maxmemory-policy noeviction" in " ".join(own[0].command)
     assert "--appendonly yes" in " ".join(own[0].command)
+
+
+def test_nobody_else_is_let_in_without_a_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    refused = CliRunner().invoke(app, ["serve", "--host", "0.0.0.0", "--state-dir", str(tmp_path)])
+    assert refused.exit_code == 2
+    assert "DYNAMICTREE_KEYS=required" in refused.output
+    for host, mode in (("127.0.0.1", "loopback"), ("::1", "loopback"), ("0.0.0.0", "required"), ("0.0.0.0", "none")):
+        require_keys_beyond_loopback(host, Settings(state_dir=tmp_path, keys=mode))  # type: ignore[arg-type]
+
+
+def test_a_key_is_made_shown_once_listed_and_revoked(tmp_path: Path) -> None:
+    at = ["--state-dir", str(tmp_path / "state")]
+    asked = ["create", "farm", "--owner", "ann", "--scope", "read", "--limit", "reads_per_min=5", "--expires-days", "1"]
+    made = CliRunner().invoke(keys, [*asked, *at, "--json"])
+    key = json.loads(made.stdout)
+    listed = CliRunner().invoke(keys, ["list", *at, "--json"]).stdout
+    assert key["key"] not in listed
+    (told,) = json.loads(listed)
+    assert (told["id"], told["owner"], told["scopes"], told["limits"]) == (
+        key["id"],
+        "ann",
+        ["read"],
+        {"reads_per_min": 5},
+    )
+    assert told["valid"]
+    plain = CliRunner().invoke(keys, ["create", "other", *at])
+    assert plain.stdout.startswith("dt_")
+    assert CliRunner().invoke(keys, ["revoke", key["id"], *at]).exit_code == 0
+    assert "revoked" in CliRunner().invoke(keys, ["list", *at]).stdout
+    assert CliRunner().invoke(keys, ["revoke", key["id"], *at]).exit_code == 2
+    for wrong in (["--scope", "fly"], ["--limit", "jobs=3"], ["--limit", "bytes=-1"]):
+        assert CliRunner().invoke(keys, ["create", "x", *wrong, *at]).exit_code == 2

@@ -4,6 +4,7 @@ import gc
 import hashlib
 import io
 import socket
+import subprocess
 import time
 import warnings
 from collections.abc import Iterator
@@ -17,6 +18,7 @@ import pytest
 from tusclient.client import TusClient
 
 from tests.servers import Server, api, object_storage
+from tests.service.test_assets import MTL, OBJ, zipped
 from tests.service.test_uploads import BYTES, TUS
 
 LENGTH = 24_000_000
@@ -135,3 +137,17 @@ def test_an_upload_goes_on_after_the_server_was_killed(server: tuple[Server, str
     running.start()
     assert 0 < stands_at(url) <= 20_000_001
     finish(url, file)
+
+
+@pytest.mark.parametrize("cut", [0, 100])
+def test_the_commands_of_the_page_work(server: tuple[Server, str], tmp_path: Path, cut: int) -> None:
+    """As a new user would type them, the second time after a line that broke."""
+    page = (Path(__file__).parents[2] / "docs" / "uploads.md").read_text()
+    commands = page.split("```sh\n")[1].split("```")[0].replace("http://127.0.0.1:8000", server[1])
+    (tmp_path / "tree.zip").write_bytes(zipped(("tree.obj", OBJ), ("tree.mtl", MTL)))
+    if cut:
+        begun, rest = commands.split("offset=", 1)
+        commands = f"{begun}head -c {cut} $file | curl -s -X PATCH $upload -H \"$tus\" -H 'Upload-Offset: 0' "
+        commands += f"-H 'Content-Type: application/offset+octet-stream' --data-binary @-\noffset={rest}"
+    done = subprocess.run(["bash", "-c", commands], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert '"kind":"mesh"' in done.stdout, done.stdout + done.stderr
