@@ -296,6 +296,9 @@ def reconstruct(
     height_m: Annotated[
         float | None, typer.Option(help="The tree's height [m], above 0 and below 1000; 1 m if unset.")
     ] = None,
+    splat_steps: Annotated[
+        int | None, typer.Option(min=100, max=30_000, help="How long the splat is learned; 3000 steps if unset.")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Find the cameras of photos, a splat and a mesh of what they show."""
@@ -305,7 +308,14 @@ def reconstruct(
         raise InputError(f"{photos} is no folder; give the folder that holds the photos")
     paths = sorted(path for path in photos.rglob("*") if path.is_file())
     with _progress(quiet=as_json) as report, _published(output) as folder:
-        pipeline.reconstruct(paths, folder, lambda done: report("reconstruct", done), root=photos, height_m=height_m)
+        pipeline.reconstruct(
+            paths,
+            folder,
+            lambda done: report("reconstruct", done),
+            root=photos,
+            height_m=height_m,
+            splat_steps=splat_steps,
+        )
         names = sorted(path.name for path in folder.iterdir())
         told = json.loads((folder / "report.json").read_text())
     _tell({"files": [str(output / name) for name in names], **told}, as_json=as_json)

@@ -107,6 +107,7 @@ def reconstruct(
     root: Path | None = None,
     kept: Path | None = None,
     height_m: float | None = None,
+    splat_steps: int | None = None,
     box_m: Box | None = None,
 ) -> Capture:
     """Photos to cameras, a splat and a mesh of what they show, as files in the folder; gives the splat and the mesh.
@@ -118,6 +119,7 @@ def reconstruct(
         root: the folder that the files lie in or below, by which they mean one another.
         kept: a folder for what is half done; a second call goes on there.
         height_m: of the tree; without one the mesh is 1 m high.
+        splat_steps: how long the splat is learned; by default the schedule's.
         box_m: only what is inside is kept, in the frame of a result without a box.
 
     Raises:
@@ -126,11 +128,16 @@ def reconstruct(
     """
     from dynamictree.reconstruct import ReconstructOptions
     from dynamictree.reconstruct import reconstruct as reconstruct_photos
+    from dynamictree.reconstruct.optimise import Schedule
 
     found = reconstruct_photos(
         [path for path in files if path.suffix.lower() in PHOTO_SUFFIXES],
         folder,
-        options=ReconstructOptions(height_m=height_m, box_m=box_m),
+        options=ReconstructOptions(
+            height_m=height_m,
+            box_m=box_m,
+            schedule=Schedule() if splat_steps is None else Schedule(num_steps=splat_steps),
+        ),
         root=root,
         kept=kept,
         on_progress=on_progress or (lambda done: None),

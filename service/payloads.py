@@ -58,6 +58,18 @@ class ReconstructParams(Payload):
     box_m: Box | None = Field(
         default=None, description="of a cloud, only what is inside moves: low and high corner [m], +Z up; all if unset"
     )
+    height_m: Finite | None = Field(
+        default=None,
+        gt=0,
+        lt=1000,
+        description="of photos: the tree's height [m], which they do not tell; 1 m if unset",
+    )
+    splat_steps: int | None = Field(
+        default=None,
+        ge=100,
+        le=30_000,
+        description="of photos: how long the splat is learned; the usual number if unset",
+    )
 
 
 class VoxelizeParams(ReconstructParams):

@@ -37,7 +37,7 @@ INPUTS: dict[JobType, tuple[str, ...]] = {
     "animate": (SPECTRUM, MESH_BUNDLE, CLOUD_BUNDLE),
 }
 PARAMS: dict[JobType, tuple[str, ...]] = {
-    "reconstruct": ("box_m",),
+    "reconstruct": ("box_m", "height_m", "splat_steps"),
     "voxelize": ("resolution",),
     "diffuse": ("wind", "num_steps"),
     "animate": (

@@ -39,8 +39,16 @@ def reconstruct(given: StageInput) -> Iterable[Path]:
     """Photos or a cloud to a mesh."""
     if CLOUD_BUNDLE in given.files:
         return _mesh_of_cloud(given)
+    params = given.job.params
     capture = pipeline.reconstruct(
-        given.photos, given.folder, given.report, root=_root(given.photos), kept=given.kept, box_m=_box(given)
+        given.photos,
+        given.folder,
+        given.report,
+        root=_root(given.photos),
+        kept=given.kept,
+        height_m=params.get("height_m"),  # type: ignore[arg-type]
+        splat_steps=params.get("splat_steps"),  # type: ignore[arg-type]
+        box_m=_box(given),
     )
     assert capture.mesh is not None
     with (given.folder / MESH_BUNDLE).open("xb") as stream:

@@ -21,6 +21,10 @@ class AnimateParams(Model):
 
     # of a cloud, only what is inside moves: low and high corner [m], +Z up; all if unset
     box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
+    # of photos: the tree's height [m], which they do not tell; 1 m if unset
+    height_m: float | None = None
+    # of photos: how long the splat is learned; the usual number if unset
+    splat_steps: int | None = None
     wind: "Wind | None" = None
     # sampler steps; the preset's own if unset
     num_steps: int | None = None
@@ -174,6 +178,10 @@ class DiffuseParams(Model):
 
     # of a cloud, only what is inside moves: low and high corner [m], +Z up; all if unset
     box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
+    # of photos: the tree's height [m], which they do not tell; 1 m if unset
+    height_m: float | None = None
+    # of photos: how long the splat is learned; the usual number if unset
+    splat_steps: int | None = None
     wind: "Wind | None" = None
     # sampler steps; the preset's own if unset
     num_steps: int | None = None
@@ -533,6 +541,10 @@ class ReconstructParams(Model):
 
     # of a cloud, only what is inside moves: low and high corner [m], +Z up; all if unset
     box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
+    # of photos: the tree's height [m], which they do not tell; 1 m if unset
+    height_m: float | None = None
+    # of photos: how long the splat is learned; the usual number if unset
+    splat_steps: int | None = None
 
 
 class ReconstructRequest(Model):
@@ -678,6 +690,10 @@ class VoxelizeParams(Model):
 
     # of a cloud, only what is inside moves: low and high corner [m], +Z up; all if unset
     box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
+    # of photos: the tree's height [m], which they do not tell; 1 m if unset
+    height_m: float | None = None
+    # of photos: how long the splat is learned; the usual number if unset
+    splat_steps: int | None = None
     # voxels along the cube's side
     resolution: Literal[32, 64, 128, 256, 512] = 128
 

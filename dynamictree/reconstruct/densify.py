@@ -14,9 +14,9 @@ _SMALLER = np.float32(np.log(1.6))  # φ of Kerbl et al.: halves of a split Gaus
 
 @dataclass(frozen=True, kw_only=True)
 class DensityRules:
-    """When Gaussians are made and taken away; Kerbl et al.'s numbers."""
+    """When Gaussians are made and taken away; Kerbl et al.'s numbers, but for half the pull."""
 
-    pull: float = 2e-4  # mean gradient of the loss by the place, in half pictures, above which one is not enough
+    pull: float = 1e-4  # mean gradient of the loss by the place, in half pictures, above which one is not enough
     large: float = 0.01  # of the extent: a larger one is split, a smaller one gets a twin
     min_opacity: float = 0.005
     too_large: float = 0.1  # of the extent, or of the distance from the origin for what is farther away

@@ -31,9 +31,9 @@ class Target:
 
 @dataclass(frozen=True, kw_only=True)
 class Schedule:
-    """How long, how fine, how fast. Steps are a twentieth of Kerbl et al.'s, and so rates are theirs times 2 to 4."""
+    """How long, how fine, how fast. Steps are a tenth of Kerbl et al.'s, and so rates are theirs times 2 to 4."""
 
-    num_steps: int = 1500
+    num_steps: int = 3000
     side_px: int = 640  # of the finest pictures
     coarser: tuple[tuple[float, int], ...] = ((0.15, 4), (0.45, 2))  # until this share of the steps, smaller by this
     position_rates: tuple[float, float] = (3.2e-4, 3.2e-6)  # of the extent, first and last; theirs times 2
