@@ -35,6 +35,9 @@ from service.supervisor import ChildPlan, Supervisor
 
 logger = logging.getLogger(__name__)
 
+KEEP_ALIVE_S = 30
+"""Longer than the pause of anyone who polls, so that no poll meets a connection that is being closed."""
+
 REDIS_CONFIG = {
     "port": "0",
     "appendonly": "yes",
@@ -115,7 +118,8 @@ def plans(settings: Settings, listening: socket.socket) -> list[ChildPlan]:
     fd = listening.fileno()
     uvicorn = [sys.executable, "-m", "uvicorn", "service.app:serving_app", "--factory", "--fd", str(fd)]
     uvicorn += ["--log-level", settings.log_level.lower(), "--no-access-log", "--timeout-graceful-shutdown", "5"]
-    uvicorn += ["--no-server-header"]
+    uvicorn += ["--no-server-header", "--http", "service.connections:PunctualProtocol"]
+    uvicorn += ["--timeout-keep-alive", str(KEEP_ALIVE_S)]
     started = [
         ChildPlan(name="api", command=uvicorn, environment=environment, pass_fds=(fd,), grace_s=10),
         ChildPlan(name="worker", command=celery, environment=environment | threads, grace_s=settings.shutdown_grace_s),

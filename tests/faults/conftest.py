@@ -99,10 +99,10 @@ def start(state_dir: Path, **environment: str) -> Service:
     return Service(process, client, settings, ready["seconds"])
 
 
-def stop(service: Service) -> int:
+def stop(service: Service, wait_s: float = 60) -> int:
     service.client.close()
     service.process.send_signal(signal.SIGTERM)
-    code = service.process.wait(60)
+    code = service.process.wait(wait_s)
     assert service.process.stdout is not None
     service.process.stdout.close()
     return code

@@ -182,7 +182,7 @@ def run(folder: Path, *, minutes: float, seed: int, pause_s: float) -> dict[str,
             time.sleep(pause_s)
         state_mib = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()) / 2**20
     finally:
-        code = stop(service)
+        code = stop(service, 600)  # it yields to whatever else runs here
     slopes = scales.slopes(minutes * 60)
     grown = [
         name for name, seen in slopes.items() if seen["slope_mib_per_h"] > max(GROWTH_MIB, GROWTH_SHARE * seen["mib"])
