@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from dynamictree.dataset.sample import make_sample
 from dynamictree.formats.gltf import write_glb
 
-PARAMS = AnimateParams(wind=Wind(speed_m_s=6.0), formats=["glb"], num_steps=1)
+PARAMS = AnimateParams(wind=Wind(speed_m_s=6.0), formats=["glb", "glb-reduced"], num_steps=1)
 
 
 @pytest.fixture(scope="module")
@@ -39,6 +39,9 @@ def test_a_tree_goes_in_and_comes_out_swaying_by_every_way_that_the_client_has(
         listed = {artifact.name: artifact.sha256 for artifact in client.artifacts(job)}
         assert {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in paths.items()} == listed
         assert {"tree.glb", "tree.spectrum.safetensors"} <= set(paths)
+        facts = {artifact.name: artifact.facts for artifact in client.artifacts(job)}
+        assert facts["tree-8-targets.glb"]["max_error_m"] >= facts["tree-8-targets.glb"]["rms_error_m"] > 0
+        assert facts["tree.glb"] == {}
         assert seen[-1].state == "succeeded"
         progress = [job.progress for job in seen]
         assert progress == sorted(progress)
