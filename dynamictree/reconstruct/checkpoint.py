@@ -6,12 +6,14 @@ from pathlib import Path
 import numpy as np
 
 from dynamictree.reconstruct.adam import AdamState
+from dynamictree.reconstruct.densify import Pull
 from dynamictree.reconstruct.optimise import SplatProgress
 
 
 def save_progress(progress: SplatProgress, path: Path) -> None:
     """Write all of it, whole or not at all."""
     being_written = path.with_suffix(".part")
+    pull = progress.pull or Pull(len(progress.table))
     with being_written.open("wb") as stream:
         np.savez(
             stream,
@@ -20,6 +22,7 @@ def save_progress(progress: SplatProgress, path: Path) -> None:
             second=progress.moments.second,
             steps=np.array([progress.step, progress.moments.num_steps]),
             best=progress.table[:0] if progress.best is None else progress.best,
+            pull=np.stack([pull.total, pull.times]),
             best_psnr=np.array(progress.best_psnr),
             checks=np.array(progress.checks, np.float64).reshape(-1, 3),
         )
@@ -31,10 +34,13 @@ def load_progress(path: Path) -> SplatProgress:
     with np.load(path, allow_pickle=False) as arrays:
         step, moment_steps = arrays["steps"].tolist()
         best = arrays["best"]
+        pull = Pull(len(arrays["table"]))
+        pull.total, pull.times = arrays["pull"]
         return SplatProgress(
             table=arrays["table"],
             moments=AdamState(first=arrays["first"], second=arrays["second"], num_steps=moment_steps),
             step=step,
+            pull=pull,
             best=best if len(best) else None,
             best_psnr=float(arrays["best_psnr"]),
             checks=tuple((int(step), int(count), float(found)) for step, count, found in arrays["checks"]),

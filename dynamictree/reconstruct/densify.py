@@ -27,8 +27,8 @@ class Pull:
     """Mean length of the gradient by the place in the picture, over the views that see a Gaussian."""
 
     def __init__(self, number: int) -> None:
-        self.total = np.zeros(number, np.float32)
-        self.times = np.zeros(number, np.float32)
+        self.total: Float32[np.ndarray, " G"] = np.zeros(number, np.float32)
+        self.times: Float32[np.ndarray, " G"] = np.zeros(number, np.float32)
 
     def add(
         self, centres_px: Float32[np.ndarray, "G 2"], seen: Bool[np.ndarray, " G"], width: int, height: int
@@ -41,7 +41,8 @@ class Pull:
     @property
     def mean(self) -> Float32[np.ndarray, " G"]:
         """Zero for what was never seen."""
-        return self.total / np.maximum(self.times, 1)
+        mean: Float32[np.ndarray, " G"] = self.total / np.maximum(self.times, 1)
+        return mean
 
 
 def densified(

@@ -59,6 +59,7 @@ class SplatProgress:
     table: Float32[np.ndarray, "G P"]
     moments: AdamState
     step: int
+    pull: Pull | None = None  # since Gaussians were last made
     best_psnr: float = -np.inf  # of the held-out photos, at full size
     best: Float32[np.ndarray, "B P"] | None = None
     checks: tuple[tuple[int, int, float], ...] = ()  # step, number of Gaussians, PSNR of held-out photos [dB]
@@ -80,8 +81,8 @@ def optimise(
 ) -> SplatProgress:
     """Move, split and prune Gaussians until they look like the photos; `on_step` may save, or raise to stop."""
     levels = _Levels(targets, held_out, schedule)
-    progress = start
-    pull = Pull(len(start.table))
+    pull = start.pull or Pull(len(start.table))
+    progress = replace(start, pull=pull)
     while progress.step < schedule.num_steps and not _worn_out(progress, schedule):
         on_step(progress)
         rng = np.random.default_rng([1, progress.step])
@@ -94,8 +95,8 @@ def optimise(
         if schedule.densify[0] <= share < schedule.densify[1] and progress.step % schedule.densify_every == 0:
             rules = replace(schedule.rules, max_gaussians=schedule.rules.max_gaussians // shrink)
             table, moments = densified(progress.table, progress.moments, pull.mean, rules, extent=extent, rng=rng)
-            progress = replace(progress, table=table, moments=moments)
             pull = Pull(len(table))
+            progress = replace(progress, table=table, moments=moments, pull=pull)
         if schedule.reset_at is not None and progress.step == round(schedule.reset_at * schedule.num_steps):
             fainter(progress.table, progress.moments)
         if held_out and progress.step % schedule.check_every == 0:

@@ -118,7 +118,7 @@ def _cameras(
         if given is not None:
             known = {camera.photo: camera for camera in given}
             photos = [_as_given(photo, known[photo.name]) for photo in photos if photo.name in known]
-        prepared = prepare_photos(photos, work / "photos", on_photo=_counted(_within(on_progress, 0, _PREPARED)))
+        prepared = prepare_photos(photos, work / "photos", on_photo=_counted(_within(on_progress, 0.0, _PREPARED)))
     with _timed(seconds, "cameras"):
         found = read_model(work, {photo.name: photo.source for photo in prepared})
         within = _within(on_progress, _PREPARED, _MAPPED)

@@ -13,7 +13,7 @@ from dynamictree.reconstruct.views import SparseModel, View
 _OPACITY, _DOME_OPACITY = 0.1, 0.95  # Kerbl et al. begin with 0.1; stereo's errors then fade before they settle
 _WIDEST_SHARE = 0.1  # of the cameras' distance, for a point far from all others
 _DOME_POINTS, _DOME_DISTANCE = 3000, 12.0  # of the radius of the region that the pictures hold
-_HULL_TRIALS = 2_000_000
+_HULL_TRIALS = 150_000
 _GOLDEN = np.pi * (3 - np.sqrt(5))
 
 
@@ -61,9 +61,20 @@ def points_in_hull(
 ) -> tuple[Float64[np.ndarray, "P 3"], Float32[np.ndarray, "P 3"]]:
     """Random places of the region that every photo shows inside its mask, with the photos' mean colour; or none."""
     cut_out = [view for view in views if view.alpha is not None]
-    points = rng.uniform([-1, -1, -1], [1, 1, 2], (_HULL_TRIALS if cut_out else 0, 3))
+    low, high = np.array([-1.0, -1.0, -1.0]), np.array([1.0, 1.0, 2.0])
+    points, colors = _kept_by_all(cut_out, rng.uniform(low, high, (_HULL_TRIALS if cut_out else 0, 3)))
+    if len(points) == 0:
+        return points, colors
+    margin = 0.1 * (points.max(axis=0) - points.min(axis=0))  # again where something was found
+    low, high = points.min(axis=0) - margin, points.max(axis=0) + margin
+    return _kept_by_all(cut_out, rng.uniform(low, high, (3 * _HULL_TRIALS, 3)))
+
+
+def _kept_by_all(
+    views: Sequence[View], points: Float64[np.ndarray, "P 3"]
+) -> tuple[Float64[np.ndarray, "K 3"], Float32[np.ndarray, "K 3"]]:
     total = np.zeros((len(points), 3), np.float32)
-    for view in cut_out:
+    for view in views:
         height, width = view.image.shape[:2]
         x, y, depth = view.camera.project(points, width, height).T
         shown = (depth > 0) & (x >= 0) & (y >= 0) & (x < width) & (y < height)
@@ -72,7 +83,7 @@ def points_in_hull(
         kept = shown & (view.alpha[at] >= 128)
         total = (total + view.image[at] / np.float32(255))[kept]
         points = points[kept]
-    return points, total / np.float32(max(len(cut_out), 1))
+    return points, total / np.float32(max(len(views), 1))
 
 
 def thinned(points: Float64[np.ndarray, "P 3"], number: int, rng: np.random.Generator) -> Int64[np.ndarray, " K"]:
