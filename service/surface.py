@@ -8,7 +8,6 @@ import numpy as np
 from fastapi import APIRouter
 from fastapi.responses import Response
 from safetensors.numpy import save
-from scipy.spatial import cKDTree
 
 from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.modes import quantised
@@ -108,6 +107,8 @@ def _own_motion(ready: ReadyTree, mesh: TriangleMesh, spectrum: SparseVoxelSpect
 def _near_motion(ready: ReadyTree, mesh: TriangleMesh) -> dict[str, np.ndarray]:
     """The voxels nearest to each vertex, and their bones: a glance instead of a solve."""
     grid, bones = ready.tree.system.grid, ready.tree.bones
+    from scipy.spatial import cKDTree  # not at start: half a second
+
     found = cKDTree(grid.centres_m).query(mesh.vertices, k=np.arange(1, TIES + 1))
     far, rows = np.asarray(found[0]), np.asarray(found[1])  # [N, TIES]
     weights = np.asarray(1 / (far**2 + grid.voxel_size_m**2))
