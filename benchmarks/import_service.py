@@ -1,5 +1,6 @@
-"""How long a new process needs to import the service, files in the page cache."""
+"""How long a new process needs to import the service, files in the page cache, bytecode as `make setup` leaves it."""
 
+import os
 import subprocess
 import sys
 
@@ -9,8 +10,10 @@ TARGET_S = 0.7
 
 
 def run() -> dict[str, object]:
-    seconds = timed(lambda: subprocess.run([sys.executable, "-c", "import service.app"], check=True))
-    bare = timed(lambda: subprocess.run([sys.executable, "-c", ""], check=True))
+    # where Python may not write bytecode, this project's own modules would be compiled in every run
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    seconds = timed(lambda: subprocess.run([sys.executable, "-c", "import service.app"], check=True, env=environment))
+    bare = timed(lambda: subprocess.run([sys.executable, "-c", ""], check=True, env=environment))
     return {
         "value": round(seconds["median_s"], 3),
         "unit": "s",

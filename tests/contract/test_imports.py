@@ -3,7 +3,18 @@ import sys
 
 import pytest
 
-HEAVY = {"torch", "numba", "trimesh", "celery", "alembic", "pycolmap", "skimage"}
+HEAVY = {
+    "torch",
+    "numba",
+    "trimesh",
+    "celery",
+    "alembic",
+    "pycolmap",
+    "skimage",
+    "scipy.sparse",
+    "scipy.spatial",
+    "httpx",
+}
 
 
 @pytest.mark.parametrize("module", ["service.app", "service.serve", "service.doctor", "jobs.store"])
