@@ -1,10 +1,9 @@
 """Bodies of requests and responses: what the OpenAPI page shows. Unknown fields are refused."""
 
-import math
 from datetime import UTC, datetime
 from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from jobs.joblog import Level
 from jobs.keys import Limit
@@ -21,13 +20,7 @@ MAX_SEED = 2**53 - 1
 MAX_FRAMES = 600
 
 
-def _finite(value: float) -> float:
-    if not math.isfinite(value):
-        raise ValueError("must be finite")
-    return value
-
-
-Finite = Annotated[float, AfterValidator(_finite)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
 class Payload(BaseModel):
@@ -125,8 +118,8 @@ class _JobRequest(Payload):
     asset_id: str = Field(max_length=64, description="what POST /v1/assets gave")
     preset: str = Field(default="small", max_length=64, description="the model, see GET /v1/presets")
     seed: int = Field(default=0, ge=0, le=MAX_SEED, description="the same seed gives the same motion")
-    start_deadline_s: Finite | None = Field(
-        default=None, gt=0, le=604_800, description="aborted if no worker has begun by then [s]"
+    start_deadline_s: Annotated[float, Field(gt=0, le=604_800, allow_inf_nan=False)] | None = Field(
+        default=None, description="aborted if no worker has begun by then [s]"
     )
 
 
