@@ -50,7 +50,6 @@ class Server:
                 start_new_session=True,
                 preexec_fn=die_with_parent,  # noqa: PLW1509 (it only calls the kernel)
             )
-        yield_as_we_do(self.process.pid)
         if wait:
             self.wait_ready()
 
@@ -87,13 +86,6 @@ class Server:
 
     def tail(self) -> str:
         return self.log.read_text(errors="replace")[-4000:]
-
-
-def yield_as_we_do(pid: int) -> None:
-    """Give a new session our session's niceness; Linux schedules sessions, and each begins at 0."""
-    ours = Path("/proc/self/autogroup")
-    with suppress(OSError):
-        Path(f"/proc/{pid}/autogroup").write_text(ours.read_text().split()[-1])
 
 
 def free_port() -> int:

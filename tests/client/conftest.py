@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.servers import free_port, yield_as_we_do
+from tests.servers import free_port
 
 
 @pytest.fixture(scope="session")
@@ -21,7 +21,6 @@ def url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
             [*command, "--state-dir", str(folder / "state")], stdout=subprocess.PIPE, stderr=log, text=True
         )
         with process:
-            yield_as_we_do(process.pid)
             assert process.stdout is not None
             for line in process.stdout:
                 if line.startswith("ready "):

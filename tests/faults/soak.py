@@ -24,7 +24,6 @@ import psutil
 
 from tests.faults.conftest import Service, start, stop
 from tests.faults.shapes import bumpy_sphere
-from tests.servers import yield_as_we_do
 
 SAMPLE_S = 15.0
 WARM_SHARE = 0.25
@@ -163,8 +162,6 @@ class Traffic:
 def run(folder: Path, *, minutes: float, seed: int, pause_s: float) -> dict[str, object]:
     """Let it run so long, and tell what was seen."""
     service = start(folder / "state", **SETTINGS)
-    for child in psutil.Process(service.process.pid).children():
-        yield_as_we_do(child.pid)
     scales, traffic = Scales(), Traffic(service=service, rng=random.Random(seed))
     began = weighed = told = time.monotonic()
     visits = 0
