@@ -272,7 +272,7 @@ def test_retention_keeps_what_is_referred_to(store: Store, asset: AssetRecord, c
     upkeep.forget_expired(store, job_retention_s=10, cache_retention_s=10)
     with pytest.raises(GoneError):
         store.asset(asset.id)
-    with pytest.raises(NotFoundError):
+    with pytest.raises(GoneError):
         store.job(held.job.id)
     assert sorted(upkeep.unreferenced_blobs(store)) == ["a" * 64, "b" * 64, FILE.sha256]
 

@@ -2,6 +2,7 @@
 
 import json
 import threading
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -26,6 +27,7 @@ class Receiver:
 
     url: str
     answers: list[int] = field(default_factory=list)
+    wait_s: float = 0.0  # before it answers
     came: list[tuple[dict[str, str], bytes]] = field(default_factory=list)
 
 
@@ -35,6 +37,7 @@ def receiver() -> Iterator[Receiver]:
         def do_POST(self) -> None:
             body = self.rfile.read(int(self.headers["Content-Length"]))
             told.came.append(({name.lower(): value for name, value in self.headers.items()}, body))
+            time.sleep(told.wait_s)
             self.send_response(told.answers.pop(0) if told.answers else 200)
             self.send_header("Location", "/elsewhere")
             self.end_headers()
@@ -161,7 +164,8 @@ def test_what_leads_inside_is_not_called(scene: Scene, receiver: Receiver) -> No
 
 
 def test_one_who_is_slow_is_not_waited_for(scene: Scene, receiver: Receiver) -> None:
-    scene.courier.settings = scene.courier.settings.model_copy(update={"webhook_timeout_s": 0.0001})
+    scene.courier.settings = scene.courier.settings.model_copy(update={"webhook_timeout_s": 0.2})
+    receiver.wait_s = 1.0
     endpoint = webhooks.add_endpoint(scene.store, receiver.url, webhooks.EVENTS)
     scene.end_a_job()
     scene.courier.round()
