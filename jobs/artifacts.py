@@ -6,20 +6,18 @@ import secrets
 import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from datetime import timedelta
 from hashlib import sha256
 from pathlib import Path
 from typing import Protocol
 from urllib.parse import unquote, urlsplit
 
 import obstore
-from obstore.exceptions import BaseError
-from obstore.store import ObjectStore, from_url
+from obstore.store import ObjectStore
 
-from jobs.errors import StorageAwayError, StorageFullError
+from jobs.errors import StorageFullError
+from jobs.objects import REQUEST_PATIENCE_S, answers_told, open_objects
 
 CHUNK_BYTES = 1024 * 1024
-REQUEST_PATIENCE_S = 5.0
 FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 """What the system says where a file may not grow."""
 
@@ -131,12 +129,12 @@ class ObjectArtifacts:
 
     def put(self, path: Path, digest: str) -> None:
         """Keep a file's bytes."""
-        with _answers_told():
+        with answers_told():
             obstore.put(self.objects, _key(digest), path)
 
     def read(self, digest: str, *, start: int = 0, stop: int | None = None) -> Iterator[bytes]:
         """Bytes from `start` up to `stop`, in chunks."""
-        with _answers_told():
+        with answers_told():
             end = obstore.head(self.objects, _key(digest))["size"] if stop is None else stop
             if end <= start:
                 return
@@ -152,7 +150,7 @@ class ObjectArtifacts:
 
     def exists(self, digest: str) -> bool:
         """Whether the bytes are there."""
-        with _answers_told():
+        with answers_told():
             try:
                 obstore.head(self.objects, _key(digest))
             except FileNotFoundError:
@@ -161,7 +159,7 @@ class ObjectArtifacts:
 
     def delete(self, digest: str) -> None:
         """Forget the bytes."""
-        with _answers_told():
+        with answers_told():
             obstore.delete(self.objects, _key(digest))
 
     def free_bytes(self) -> int | None:
@@ -173,27 +171,11 @@ class ObjectArtifacts:
 def open_artifacts(
     url: str, *, patience_s: float = REQUEST_PATIENCE_S, credentials: Mapping[str, str] | None = None
 ) -> ArtifactStore:
-    """The store that a URL names: `file:///folder`, or any scheme of obstore (`s3://bucket/prefix`).
-
-    Object storage that is away, or answers 503, is asked again for `patience_s`. `credentials` are of S3, by obstore's
-    names; without them it looks into AWS's own variables.
-    """
+    """The store that a URL names: `file:///folder`, or object storage, which `open_objects` opens."""
     parts = urlsplit(url)
     if parts.scheme == "file":
         return FolderArtifacts(Path(unquote(parts.path)))
-    if parts.scheme == "memory":
-        return ObjectArtifacts(from_url(url))
-    return ObjectArtifacts(
-        from_url(  # type: ignore[call-overload]
-            url,
-            **(credentials or {}) if parts.scheme in ("s3", "s3a") else {},
-            retry_config={
-                "max_retries": int(10 + patience_s),
-                "retry_timeout": timedelta(seconds=patience_s),
-                "backoff": {"init_backoff": timedelta(seconds=0.1), "max_backoff": timedelta(seconds=2), "base": 2},
-            },
-        )
-    )
+    return ObjectArtifacts(open_objects(url, patience_s=patience_s, credentials=credentials))
 
 
 def hash_file(path: Path) -> tuple[str, int]:
@@ -222,15 +204,6 @@ def _room_told() -> Iterator[None]:
         raise StorageFullError(
             f"there is no room in the storage: {error.strerror}; free some, then try again"
         ) from error
-
-
-@contextmanager
-def _answers_told() -> Iterator[None]:
-    try:
-        yield
-    except BaseError as error:
-        reason = str(error).partition("\n")[0][:300]
-        raise StorageAwayError(f"the object storage does not do as it is asked: {reason}") from error
 
 
 def _key(digest: str) -> str:

@@ -2,13 +2,15 @@
 
 import fcntl
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Protocol
 from urllib.parse import unquote, urlsplit
 
 import obstore
-from obstore.store import ObjectStore, from_url
+from obstore.store import ObjectStore
+
+from jobs.objects import answers_told, open_objects
 
 PREFIX = "uploads"
 SYNC_BYTES = 64 * 1024**2
@@ -34,7 +36,7 @@ class PartWriter(Protocol):
 
 
 class PartStore(Protocol):
-    """Where uploads lie until they are whole."""
+    """Where uploads lie until they are whole. StorageAwayError where it does not answer."""
 
     def size(self, upload_id: str) -> int:
         """How many bytes are there, from the first one without a gap."""
@@ -130,7 +132,7 @@ class ObjectParts:
 
     def fetch(self, upload_id: str, path: Path) -> None:
         """Make the upload readable at a path: a download."""
-        with path.open("xb") as target:
+        with path.open("xb") as target, answers_told():
             for key, _ in self._parts(upload_id):
                 for chunk in obstore.get(self.objects, key).stream(min_chunk_size=CHUNK_BYTES):
                     target.write(bytes(chunk))
@@ -139,7 +141,8 @@ class ObjectParts:
         """Forget the upload."""
         keys = [key for key, _ in self._listed(upload_id)]
         if keys:
-            obstore.delete(self.objects, keys)
+            with answers_told():
+                obstore.delete(self.objects, keys)
 
     def _parts(self, upload_id: str) -> list[tuple[str, int]]:
         found = []
@@ -152,8 +155,9 @@ class ObjectParts:
         return found
 
     def _listed(self, upload_id: str) -> list[tuple[str, int]]:
-        pages = obstore.list(self.objects, prefix=f"{PREFIX}/{upload_id}")
-        return sorted((str(meta["path"]), int(meta["size"])) for page in pages for meta in page)
+        with answers_told():
+            pages = obstore.list(self.objects, prefix=f"{PREFIX}/{upload_id}")
+            return sorted((str(meta["path"]), int(meta["size"])) for page in pages for meta in page)
 
 
 class ObjectWriter:
@@ -181,19 +185,21 @@ class ObjectWriter:
     def discard(self) -> None:
         """Delete what this writer put."""
         if self._made:
-            obstore.delete(self._objects, self._made)
+            with answers_told():
+                obstore.delete(self._objects, self._made)
 
     def _put(self) -> None:
         key = f"{self._folder}/{self._offset:020d}"
-        obstore.put(self._objects, key, bytes(self._waiting))
+        with answers_told():
+            obstore.put(self._objects, key, bytes(self._waiting))
         self._made.append(key)
         self._offset += len(self._waiting)
         self._waiting.clear()
 
 
-def open_parts(artifacts_url: str) -> PartStore:
-    """The store beside the artefacts: their folder, or their bucket."""
+def open_parts(artifacts_url: str, *, credentials: Mapping[str, str] | None = None) -> PartStore:
+    """The store beside the artefacts: their folder, or their bucket, which `open_objects` opens."""
     parts = urlsplit(artifacts_url)
     if parts.scheme == "file":
         return FolderParts(Path(unquote(parts.path)) / PREFIX)
-    return ObjectParts(from_url(artifacts_url))
+    return ObjectParts(open_objects(artifacts_url, credentials=credentials))

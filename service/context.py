@@ -110,7 +110,7 @@ class Context:
     @_Shared
     def parts(self) -> PartStore:
         """Uploads that are not whole yet."""
-        return open_parts(self.settings.resolved_artifacts_url)
+        return open_parts(self.settings.resolved_artifacts_url, credentials=self.settings.s3_credentials)
 
     @_Shared
     def receivers(self) -> Receivers:

@@ -115,7 +115,7 @@ def open_housekeeper(settings: Settings) -> Housekeeper:
         settings=settings,
         store=Store.open(settings.resolved_database_url),
         artifacts=open_artifacts(settings.resolved_artifacts_url, credentials=settings.s3_credentials),
-        parts=open_parts(settings.resolved_artifacts_url),
+        parts=open_parts(settings.resolved_artifacts_url, credentials=settings.s3_credentials),
         queue=queue,
         redis=redis.Redis.from_url(
             settings.resolved_redis_url, socket_timeout=REDIS_TIMEOUT_S, socket_connect_timeout=REDIS_TIMEOUT_S

@@ -10,6 +10,7 @@ import pytest
 
 from jobs.artifacts import ArtifactStore, hash_file, open_artifacts
 from jobs.errors import StorageAwayError
+from jobs.parts import OBJECT_BYTES, open_parts
 from jobs.settings import read_settings
 from tests.servers import Server, object_storage
 
@@ -103,6 +104,26 @@ def test_key_and_secret_may_be_settings(
     artifacts = open_artifacts("s3://trees/products", credentials=settings.s3_credentials)
     artifacts.put(source, digest)
     assert artifacts.exists(digest)
+    assert open_parts("s3://trees/products", credentials=settings.s3_credentials).size("none") == 0
+
+
+def test_pieces_in_s3_make_the_upload(s3: tuple[Server, Path], tmp_path: Path) -> None:
+    parts = open_parts("s3://trees/products")
+    writer = parts.writer("one", 0)
+    writer.write([b"some", b"thing"])
+    writer.keep()
+    given_up = parts.writer("one", 9)
+    given_up.write([bytes(OBJECT_BYTES)])
+    given_up.discard()
+    last = parts.writer("one", 9)
+    last.write([b" more"])
+    last.keep()
+    assert parts.size("one") == 14
+    parts.fetch("one", tmp_path / "whole")
+    assert (tmp_path / "whole").read_bytes() == b"something more"
+    parts.delete("one")
+    parts.delete("one")
+    assert parts.size("one") == 0
 
 
 def test_a_storage_that_is_busy_is_waited_for_so_long_as_told(s3: tuple[Server, Path], source: Path) -> None:
@@ -130,6 +151,23 @@ def test_a_storage_that_is_down_or_refuses_us_is_told(
             getattr(open_artifacts("s3://trees/products", patience_s=0.2), ask)(digest)
     with pytest.raises(StorageAwayError):
         list(open_artifacts("s3://trees/products", patience_s=0.2).read(digest))
+
+
+def test_pieces_that_a_storage_does_not_take_are_told(
+    s3: tuple[Server, Path], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "wrong")
+    parts = open_parts("s3://trees/products")
+    writer = parts.writer("one", 0)
+    writer.write([b"something"])
+    for ask in (
+        writer.keep,
+        lambda: parts.size("one"),
+        lambda: parts.delete("one"),
+        lambda: parts.fetch("one", tmp_path / "whole"),
+    ):
+        with pytest.raises(StorageAwayError):
+            ask()
 
 
 def test_a_full_disk_leaves_nothing_and_is_told(source: Path, tmp_path: Path) -> None:

@@ -1,0 +1,49 @@
+"""Object storage behind obstore: S3, GCS, Azure, memory. Opened with our patience; what it refuses is told."""
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from datetime import timedelta
+from urllib.parse import urlsplit
+
+from obstore.exceptions import BaseError
+from obstore.store import ObjectStore, from_url
+
+from jobs.errors import StorageAwayError
+
+REQUEST_PATIENCE_S = 5.0
+
+
+def open_objects(
+    url: str, *, patience_s: float = REQUEST_PATIENCE_S, credentials: Mapping[str, str] | None = None
+) -> ObjectStore:
+    """The storage that a URL names, by any scheme of obstore (`s3://bucket/prefix`).
+
+    One that is away, or answers 503, is asked again for `patience_s`. `credentials` are of S3, by obstore's names;
+    without them it looks into AWS's own variables.
+    """
+    scheme = urlsplit(url).scheme
+    if scheme == "memory":
+        return from_url(url)
+    return from_url(  # type: ignore[call-overload, no-any-return]
+        url,
+        **(credentials or {}) if scheme in ("s3", "s3a") else {},
+        retry_config={
+            "max_retries": int(10 + patience_s),
+            "retry_timeout": timedelta(seconds=patience_s),
+            "backoff": {"init_backoff": timedelta(seconds=0.1), "max_backoff": timedelta(seconds=2), "base": 2},
+        },
+    )
+
+
+@contextmanager
+def answers_told() -> Iterator[None]:
+    """Tell what a storage refuses.
+
+    Raises:
+        StorageAwayError: it does not answer, or not as it is asked.
+    """
+    try:
+        yield
+    except BaseError as error:
+        reason = str(error).partition("\n")[0][:300]
+        raise StorageAwayError(f"the object storage does not do as it is asked: {reason}") from error
