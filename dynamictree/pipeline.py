@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Complex64, UInt8
 
 from dynamictree.errors import InputError
+from dynamictree.files import Companions, opened
 from dynamictree.formats.mesh_file import read_mesh, sniff_file_type
 from dynamictree.formats.source_file import read_capture, source_kind
 from dynamictree.gaussian.binding import Binding, bind_capture
@@ -47,7 +48,6 @@ if TYPE_CHECKING:
 RESOLUTION = 128  # paper section 5
 RESOLUTIONS = (32, 64, 128, 256, 512)
 PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp")
-COMPANION_SUFFIXES = (".mtl", ".bin", ".png", ".jpg", ".jpeg")
 
 OnStep = Callable[[int, int], None]
 OnProgress = Callable[[float], None]
@@ -55,19 +55,16 @@ OnFacts = Callable[[str, Facts], None]
 """Gets a format, and what its file has to tell of itself."""
 
 
-def load_mesh(
-    path: Path, *, companions: Mapping[str, Path] | None = None, up_axis: str | None = None, unit_m: float | None = None
-) -> TriangleMesh:
-    """Read a mesh file with the files that it names (MTL, textures), in metres and +Z up.
+def load_mesh(path: Path, *, up_axis: str | None = None, unit_m: float | None = None) -> TriangleMesh:
+    """Read a mesh file with the files of its folder that it names (MTL, textures), in metres and +Z up.
 
     Raises:
         InputError: it cannot be read, or is no mesh that the method can work on.
     """
-    beside = {name: other.read_bytes() for name, other in (companions or {}).items()}
-    with path.open("rb") as stream:
+    with opened(path) as stream:
         file_type = sniff_file_type(stream.read(4096), path.name)
         stream.seek(0)
-        return read_mesh(stream, file_type=file_type, up_axis=up_axis, unit_m=unit_m, companions=beside)
+        return read_mesh(stream, file_type=file_type, up_axis=up_axis, unit_m=unit_m, companions=Companions(path))
 
 
 def load_capture(
@@ -83,19 +80,17 @@ def load_capture(
     Raises:
         InputError: one of them cannot be read, or they do not fit together.
     """
-    with ExitStack() as opened:
-        stream = opened.enter_context(path.open("rb"))
+    with ExitStack() as stack:
+        stream = stack.enter_context(opened(path))
         _, file_type = source_kind(stream, path.name)
         return read_capture(
             stream,
             file_type=file_type,
             up_axis=up_axis,
             unit_m=unit_m,
-            mask=None if mask is None else opened.enter_context(mask.open("rb")),
-            mesh=None if mesh is None else (mesh.name, opened.enter_context(mesh.open("rb"))),
-            companions=None
-            if mesh is None
-            else {name: other.read_bytes() for name, other in companions_beside(mesh).items()},
+            mask=None if mask is None else stack.enter_context(opened(mask)),
+            mesh=None if mesh is None else (mesh.name, stack.enter_context(opened(mesh))),
+            companions=None if mesh is None else Companions(mesh),
         )
 
 
@@ -286,15 +281,6 @@ def _write_sheet(sway: SwayingMesh, stream: BinaryIO) -> None:
     from dynamictree.render import preview_sheet, write_png
 
     write_png(preview_sheet(sway.mesh, sway.coefficients, num_frames=sway.num_frames), stream)
-
-
-def companions_beside(path: Path) -> dict[str, Path]:
-    """Files in a mesh's own folder that it may name, by their names."""
-    return {
-        other.name: other
-        for other in path.parent.iterdir()
-        if other.is_file() and other.suffix.lower() in COMPANION_SUFFIXES and other != path
-    }
 
 
 @lru_cache(maxsize=2)

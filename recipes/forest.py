@@ -22,7 +22,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--spacing", type=float, help="metres from tree to tree; by the crown's width if not given")
     parser.add_argument("--seed", type=int, default=0)
     chosen = parser.parse_args(arguments)
-    mesh = pipeline.load_mesh(chosen.mesh, companions=pipeline.companions_beside(chosen.mesh))
+    mesh = pipeline.load_mesh(chosen.mesh)
     with chosen.spectrum.open("rb") as stream:
         spectrum = read_spectrum(stream)
     spacing_m = chosen.spacing or 0.9 * float(np.ptp(mesh.vertices[:, :2], axis=0).max())

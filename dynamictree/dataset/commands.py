@@ -4,11 +4,12 @@ import json
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from dynamictree.errors import InputError
+from dynamictree.terminal import AsJson, tell
 
 app = typer.Typer(
     no_args_is_help=True, help="4DTree: animated trees from seeds; generate, filter, sheet, stats, export."
@@ -20,7 +21,6 @@ BakedFolder = Annotated[
     typer.Argument(help="A baked folder: all its trees, from its records. Trees from seeds if not given.", exists=True),
 ]
 FirstSeed = Annotated[int, typer.Option(min=0, max=2**40, help="Seed of the first tree.")]
-AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
 Workers = Annotated[int, typer.Option(min=1, max=256, help="Processes; the bytes do not depend on their number.")]
 SpeciesName = Annotated[str | None, typer.Option(help="Only this species; drawn from the seed if not given.")]
 HighFrequency = Annotated[
@@ -83,7 +83,7 @@ def generate(
     with _progress("generate", quiet=as_json) as report:
         manifest = baking.generate(recipe, folder, workers=workers, part=_part(shard), on_shard=report)
     told = {name: value for name, value in manifest.items() if name != "shards"}
-    _tell({"folder": str(folder), **told}, as_json=as_json)
+    tell({"folder": str(folder), **told}, as_json=as_json)
 
 
 @app.command(name="filter")
@@ -127,10 +127,10 @@ def filter_trees(
              if rule not in ("seen", "accepted")}  # fmt: skip
     worst = {name: max(getattr(one, name) for one in measures) for name in asdict(measures[0])}
     if as_json:
-        _tell({**counts, "worst": worst, "limits": asdict(limits)}, as_json=True)
+        tell({**counts, "worst": worst, "limits": asdict(limits)}, as_json=True)
     else:
         worst_told = {f"worst {name}": f"{value:.3g}" for name, value in worst.items()}
-        _tell({"trees": trees, "accepted": counts["accepted"], **rates, **worst_told}, as_json=False)
+        tell({"trees": trees, "accepted": counts["accepted"], **rates, **worst_told}, as_json=False)
 
 
 @app.command()
@@ -169,7 +169,7 @@ def sheet(
     if not review.exists():  # never write over what a person wrote
         with review.open("wb") as stream:
             write_review(all_accepted(seeds), stream, notes=notes)
-    _tell({"pages": [str(path) for path in files], "review": str(review)}, as_json=as_json)
+    tell({"pages": [str(path) for path in files], "review": str(review)}, as_json=as_json)
 
 
 @app.command()
@@ -206,7 +206,7 @@ def stats(
         files.append(output / "stats.png")
         with files[-1].open("wb") as stream:
             draw_plots(tables, stream)
-    _tell({"files": [str(path) for path in files], **numbers}, as_json=as_json)
+    tell({"files": [str(path) for path in files], **numbers}, as_json=as_json)
 
 
 @app.command()
@@ -228,7 +228,7 @@ def export(
     sample = make_sample(seed, species)
     output.mkdir(parents=True, exist_ok=True)
     files = [export_sample(sample, name, output) for name in names]
-    _tell({"files": [str(path) for path in files], "species": sample.species}, as_json=as_json)
+    tell({"files": [str(path) for path in files], "species": sample.species}, as_json=as_json)
 
 
 def _part(text: str) -> tuple[int, int]:
@@ -262,13 +262,3 @@ def _progress(stage: str, *, quiet: bool) -> Iterator[Callable[[int, int], None]
     with Progress(*columns, console=Console(stderr=True), disable=quiet) as progress:
         bar = progress.add_task(stage, total=None)
         yield lambda done, total: progress.update(bar, completed=done, total=total)
-
-
-def _tell(facts: dict[str, Any], *, as_json: bool) -> None:
-    """Print what came out, for a person or for a program."""
-    if as_json:
-        typer.echo(json.dumps(facts))
-        return
-    for name, value in facts.items():
-        for line in value if isinstance(value, list) else [value]:
-            typer.echo(f"{name}: {line}")

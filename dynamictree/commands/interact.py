@@ -1,14 +1,15 @@
 """`dynamictree interact`: push a tree and write how it swings."""
 
-import json
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, BinaryIO
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from dynamictree.commands.options import OutputFolder, UnitM, UpAxis
 from dynamictree.errors import InputError
+from dynamictree.files import opened, published
+from dynamictree.terminal import AsJson, tell
 
 if TYPE_CHECKING:
     import numpy as np
@@ -26,7 +27,7 @@ Vector = tuple[float, float, float]
 
 def interact(
     spectrum: Annotated[Path, typer.Argument(help="A *.spectrum.safetensors that `diffuse` or `animate` wrote.")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the products; made if it is not there.")],
+    output: OutputFolder,
     mesh: Annotated[
         Path | None, typer.Option(help="The mesh that the spectrum was made for; motion and ply need it.")
     ] = None,
@@ -59,13 +60,12 @@ def interact(
         float | None, typer.Option(min=1e-6, max=1e6, help="Reach of a push [m]; 15 % of the height if not given.")
     ] = None,
     warp: Annotated[bool, typer.Option(help="Bend under large pushes instead of stretching.")] = False,
-    up_axis: Annotated[
-        str | None, typer.Option(help="Up axis of the mesh: +X, -X, +Y, -Y, +Z or -Z; detected if not given.")
-    ] = None,
-    unit_m: Annotated[float | None, typer.Option(help="Metres a unit of the mesh, > 0; detected if not given.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")] = False,
+    up_axis: UpAxis = None,
+    unit_m: UnitM = None,
+    as_json: AsJson = False,
 ) -> None:
     """Push a tree: spectrum + forces → modal coordinates, moving mesh."""
+    from dynamictree import pipeline
     from dynamictree.formats.spectrum_file import read_spectrum
     from dynamictree.modal.locality import default_falloff_m
     from dynamictree.modal.response import InteractiveTree, group_forces, respond
@@ -76,7 +76,7 @@ def interact(
     chosen = next((name for name in INTEGRATORS if name == integrator), None)
     if chosen is None:
         raise InputError(f"there is no integrator {integrator!r}; choose one of {', '.join(INTEGRATORS)}")
-    with _opened(spectrum) as stream:
+    with opened(spectrum) as stream:
         system = modal_system(read_spectrum(stream), mass_kg=mass, damping_ratio=damping)
     at = _contact(system, point, voxel, radius)
     forces = _forces(at, impulse=impulse, force=force, displacement=displacement, wind=wind, times=(start, duration))
@@ -85,7 +85,7 @@ def interact(
         system, groups, dt_s=1 / fps, num_frames=frames, integrator=chosen, start="held" if held else "rest"
     )
     tree = InteractiveTree(system)
-    source = None if mesh is None else _read_mesh(mesh, up_axis=up_axis, unit_m=unit_m)
+    source = None if mesh is None else pipeline.load_mesh(mesh, up_axis=up_axis, unit_m=unit_m)
     files = _write(tree, answer, source, output, wanted=wanted, fps=fps, warp=warp)
     facts = {
         "files": [str(path) for path in files],
@@ -94,7 +94,7 @@ def interact(
         "mass_kg": system.mass_kg,
         "place_m": [round(float(x), 4) for x in system.grid.centres_m[at.rows[0]]],
     }
-    _tell(facts, as_json=as_json)
+    tell(facts, as_json=as_json)
 
 
 def _formats(formats: str, *, has_mesh: bool) -> tuple[str, ...]:
@@ -154,34 +154,28 @@ def _write(
     tree: "InteractiveTree",
     answer: "Answer",
     mesh: "TriangleMesh | None",
-    folder: Path,
+    output: Path,
     *,
     wanted: tuple[str, ...],
     fps: float,
     warp: bool,
 ) -> list[Path]:
-    """Write every product beside its place first, and move it there when it is whole."""
     from dynamictree.formats.motion_file import write_motion
     from dynamictree.formats.ply_sequence import iter_ply_sequence_zip
 
-    folder.mkdir(parents=True, exist_ok=True)
-    files = []
-    for name in wanted:
-        path = folder / FILE_NAMES[name]
-        with tempfile.TemporaryDirectory(prefix=".partial-", dir=folder) as partial:
-            made = Path(partial) / path.name
-            with made.open("wb") as stream:
+    with published(output) as folder:
+        for name in wanted:
+            with (folder / FILE_NAMES[name]).open("wb") as stream:
                 if name == "modal":
                     stream.write(_modal_file(answer, fps))
-                elif mesh is not None and name == "motion":
-                    frames = _vertex_frames(tree, answer, mesh, warp=warp)
+                    continue
+                assert mesh is not None
+                frames = _vertex_frames(tree, answer, mesh, warp=warp)
+                if name == "motion":
                     write_motion(mesh, frames, stream, num_frames=len(answer.q), fps=fps)
-                elif mesh is not None:
-                    for chunk in iter_ply_sequence_zip(mesh, _vertex_frames(tree, answer, mesh, warp=warp)):
-                        stream.write(chunk)
-            made.replace(path)
-        files.append(path)
-    return files
+                else:
+                    stream.writelines(iter_ply_sequence_zip(mesh, frames))
+    return [output / FILE_NAMES[name] for name in wanted]
 
 
 def _modal_file(answer: "Answer", fps: float) -> bytes:
@@ -207,27 +201,3 @@ def _vertex_frames(
         return
     carried = attach_mesh(tree.bones, mesh, rows=ties.rows, weights=ties.weights, voxel_size_m=grid.voxel_size_m)
     yield from tree.bent(answer, mesh.vertices, carried)
-
-
-def _read_mesh(path: Path, *, up_axis: str | None, unit_m: float | None) -> "TriangleMesh":
-    from dynamictree.formats.mesh_file import read_mesh, sniff_file_type
-
-    with _opened(path) as stream:
-        file_type = sniff_file_type(stream.read(4096), path.name)
-        stream.seek(0)
-        return read_mesh(stream, file_type=file_type, up_axis=up_axis, unit_m=unit_m)
-
-
-def _opened(path: Path) -> BinaryIO:
-    try:
-        return path.open("rb")
-    except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror}") from None
-
-
-def _tell(facts: dict[str, Any], *, as_json: bool) -> None:
-    if as_json:
-        typer.echo(json.dumps(facts))
-        return
-    for name, value in facts.items():
-        typer.echo(f"{name}: {', '.join(map(str, value)) if isinstance(value, list) else value}")

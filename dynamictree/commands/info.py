@@ -1,0 +1,36 @@
+"""`dynamictree info`: what a file holds."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from dynamictree.commands.options import UnitM, UpAxis
+from dynamictree.commands.source import is_cloud
+from dynamictree.files import opened
+from dynamictree.terminal import AsJson, tell
+
+
+def info(
+    source: Annotated[Path, typer.Argument(help="A mesh, splat, scan, voxel or spectrum file.")],
+    up_axis: UpAxis = None,
+    unit_m: UnitM = None,
+    as_json: AsJson = False,
+) -> None:
+    """Say what a file holds."""
+    from dynamictree import pipeline
+    from dynamictree.describe import describe_capture, describe_grid, describe_mesh, describe_spectrum
+    from dynamictree.formats.spectrum_file import read_spectrum
+    from dynamictree.formats.voxels_file import read_voxels
+
+    if source.name.endswith(".spectrum.safetensors"):
+        with opened(source) as stream:
+            facts = describe_spectrum(read_spectrum(stream))
+    elif source.name.endswith(".voxels.safetensors"):
+        with opened(source) as stream:
+            facts = describe_grid(read_voxels(stream).grid)
+    elif is_cloud(source):
+        facts = describe_capture(pipeline.load_capture(source, up_axis=up_axis, unit_m=unit_m))
+    else:
+        facts = describe_mesh(pipeline.load_mesh(source, up_axis=up_axis, unit_m=unit_m))
+    tell(facts, as_json=as_json)

@@ -1,0 +1,48 @@
+"""What the user names as the shape of a tree: a mesh, or a cloud and the mesh that carries it."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from dynamictree.errors import InputError
+from dynamictree.files import opened
+
+if TYPE_CHECKING:
+    from dynamictree.gaussian.capture import Box, Capture
+    from dynamictree.mesh import TriangleMesh
+
+
+def is_cloud(path: Path) -> bool:
+    """Whether a file holds a splat or scan, by its bytes.
+
+    Raises:
+        InputError: it cannot be read, or is of no format that is known.
+    """
+    from dynamictree.formats.source_file import source_kind
+
+    with opened(path) as stream:
+        return source_kind(stream, path.name)[0] == "cloud"
+
+
+def read_source(
+    path: Path,
+    *,
+    up_axis: str | None,
+    unit_m: float | None,
+    box_m: "Box | None" = None,
+    mask: Path | None = None,
+    beside: Path | None = None,
+) -> "tuple[TriangleMesh, Capture | None]":
+    """The mesh that a file holds; or the cloud, and the mesh that carries what of it moves.
+
+    Raises:
+        InputError: a file cannot be read, or they do not fit together.
+    """
+    from dynamictree import pipeline
+    from dynamictree.gaussian.capture import carrying_mesh
+
+    if not is_cloud(path):
+        if box_m is not None or mask is not None or beside is not None:
+            raise InputError(f"{path} is a mesh; --box, --mask and --mesh are for splats and scans")
+        return pipeline.load_mesh(path, up_axis=up_axis, unit_m=unit_m), None
+    capture = pipeline.load_capture(path, up_axis=up_axis, unit_m=unit_m, mask=mask, mesh=beside)
+    return carrying_mesh(capture, box_m), capture

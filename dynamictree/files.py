@@ -1,0 +1,72 @@
+"""Files that somebody names by a path: opened with a word on why not, written whole or not at all."""
+
+import errno
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import BinaryIO
+
+from dynamictree.errors import InputError
+
+COMPANION_SUFFIXES = (".mtl", ".bin", ".png", ".jpg", ".jpeg")
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[BinaryIO]:
+    """Open a file that somebody named.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    try:
+        stream = path.open("rb")
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror}") from None
+    with stream:
+        yield stream
+
+
+class Companions(Mapping[str, bytes]):
+    """Files in a mesh's own folder that it may name (MTL, buffers, textures), by their names; read when asked for."""
+
+    def __init__(self, mesh: Path) -> None:
+        beside = (path for path in mesh.parent.iterdir() if path.suffix.lower() in COMPANION_SUFFIXES and path != mesh)
+        self._paths = {path.name: path for path in beside if path.is_file()}
+
+    def __getitem__(self, name: str) -> bytes:
+        return self._paths[name].read_bytes()
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._paths)
+
+    def __len__(self) -> int:
+        return len(self._paths)
+
+
+@contextmanager
+def published(folder: Path) -> Iterator[Path]:
+    """A folder to write in whose files appear in `folder` all at once at the end, or not at all.
+
+    Raises:
+        InputError: nothing can be written there, or there is no room.
+    """
+    made = not folder.exists()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        written = Path(tempfile.mkdtemp(prefix=".partial-", dir=folder))
+    except OSError as error:
+        raise InputError(f"nothing can be written to {folder}: {error.strerror}; choose another folder") from None
+    try:
+        yield written
+        for path in sorted(written.iterdir()):
+            path.replace(folder / path.name)
+    except BaseException as error:
+        shutil.rmtree(written)
+        if made:
+            folder.rmdir()
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+            raise InputError(f"there is no room in {folder}: {error.strerror}; free some, or choose another") from None
+        raise
+    written.rmdir()

@@ -1,0 +1,54 @@
+import errno
+import os
+from pathlib import Path
+
+import pytest
+
+from dynamictree.errors import InputError
+from dynamictree.files import Companions, opened, published
+
+
+def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"none\.obj cannot be read: No such file"), opened(tmp_path / "none.obj"):
+        pass
+
+
+def test_what_is_published_appears_whole_over_what_was_there(tmp_path: Path) -> None:
+    out = tmp_path / "a" / "out"
+    for content in ("old", "new"):
+        with published(out) as folder:
+            (folder / "tree.glb").write_text(content)
+            assert not (out / "tree.glb").exists() or (out / "tree.glb").read_text() == "old"
+    assert [path.name for path in out.iterdir()] == ["tree.glb"]
+    assert (out / "tree.glb").read_text() == "new"
+
+
+def test_what_fails_leaves_what_was_there(tmp_path: Path) -> None:
+    (tmp_path / "tree.glb").write_text("old")
+    for out in (tmp_path, tmp_path / "new"):
+        with pytest.raises(ZeroDivisionError), published(out) as folder:
+            (folder / "tree.glb").write_text(str(1 / 0))
+    assert [path.name for path in tmp_path.iterdir()] == ["tree.glb"]
+    assert (tmp_path / "tree.glb").read_text() == "old"
+
+
+def test_a_place_that_is_no_folder_is_told(tmp_path: Path) -> None:
+    (tmp_path / "out").write_text("a file")
+    told = r"nothing can be written to .*out: File exists; choose another"
+    with pytest.raises(InputError, match=told), published(tmp_path / "out"):
+        pass
+
+
+def test_a_full_disk_is_told_and_leaves_nothing(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no room"), published(tmp_path / "out"):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_companions_are_files_of_the_folder_that_a_mesh_may_name(tmp_path: Path) -> None:
+    for name in ("tree.obj", "tree.mtl", "bark.PNG", "notes.txt"):
+        (tmp_path / name).write_bytes(name.encode())
+    (tmp_path / "folder.png").mkdir()
+    companions = Companions(tmp_path / "tree.obj")
+    assert dict(companions) == {"tree.mtl": b"tree.mtl", "bark.PNG": b"bark.PNG"}
+    assert len(companions) == 2
