@@ -1,10 +1,10 @@
-"""A whole service with a busy worker, and a compiled load generator (`hey`, Debian's package) beside it."""
+"""A whole service with a busy worker, and a compiled load generator beside it: `h2load`, of Debian's nghttp2-client."""
 
 import os
-import re
 import shutil
 import subprocess
 import tempfile
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -28,24 +28,36 @@ class Load:
 
 
 def generator() -> str:
-    """Where `hey` is: HEY, or in the path."""
-    found = os.environ.get("HEY") or shutil.which("hey")
+    """Where `h2load` is: H2LOAD, or in the path."""
+    found = os.environ.get("H2LOAD") or shutil.which("h2load")
     if not found:
-        raise SystemExit("benchmarks: this one needs the load generator `hey` (apt install hey), or HEY that names it")
+        raise SystemExit(
+            "benchmarks: this one needs the load generator h2load (apt install nghttp2-client); H2LOAD may name it"
+        )
     return found
 
 
 def load(url: str, *, rate: int, connections: int, seconds: int, body: str | None = None) -> Load:
-    """Ask at a steady rate over some connections."""
-    command = [generator(), "-c", str(connections), "-q", str(rate / connections), "-z", f"{seconds}s"]
-    if body is not None:
-        command += ["-m", "POST", "-T", "application/json", "-d", body]
-    told = subprocess.run([*command, url], capture_output=True, text=True, check=True).stdout
-    percent = {int(p): float(s) * 1e3 for p, s in re.findall(r"(\d+)%+ in ([\d.]+) secs", told)}
-    found = re.search(r"Requests/sec:\s+([\d.]+)", told)
-    assert found is not None, told
-    statuses = {int(code): int(n) for code, n in re.findall(r"\[(\d{3})\]\s+(\d+) responses", told)}
-    return Load(requests_s=float(found.group(1)), p50_ms=percent[50], p99_ms=percent[max(percent)], statuses=statuses)
+    """Ask at a steady rate over some connections, which begin one after another and so never ask all at once."""
+    pause_ms = max(round(1000 / rate), 1)
+    command = [generator(), "--h1", "-n", str(rate * seconds), "-c", str(connections), "--rps", str(rate / connections)]
+    command += ["-r", "1", "--rate-period", f"{pause_ms}ms"]
+    with tempfile.TemporaryDirectory() as folder:
+        log = Path(folder) / "log.tsv"
+        if body is not None:
+            content = Path(folder) / "body.json"
+            content.write_text(body)
+            command += ["-d", str(content), "-H", "content-type: application/json"]
+        subprocess.run([*command, "--log-file", str(log), url], capture_output=True, check=True)
+        answers = [tuple(map(int, line.split("\t"))) for line in log.read_text().splitlines()]
+    began_us, status, took_us = zip(*answers, strict=True)
+    taken_ms = sorted(us / 1e3 for us in took_us)
+    return Load(
+        requests_s=(len(answers) - 1) / (max(began_us) - min(began_us)) * 1e6,
+        p50_ms=taken_ms[len(taken_ms) // 2],
+        p99_ms=taken_ms[len(taken_ms) * 99 // 100],
+        statuses=dict(Counter(status)),
+    )
 
 
 @contextmanager

@@ -22,7 +22,7 @@ def run() -> dict[str, object]:
         "p50_ms": round(measured.p50_ms, 1),
         "requests_s": round(measured.requests_s, 1),
         "statuses": measured.statuses,
-        "load_generator": "hey",
+        "load_generator": "h2load",
         "device": device(),
         "versions": versions("uvicorn", "fastapi", "sqlalchemy"),
     }

@@ -1,7 +1,6 @@
 """How long a poll takes at 300 requests a second beside a worker that is busy on one thread.
 
-Half of the two cores is the worker's; API, housekeeper and the load generator share the rest. `HEY` names the generator
-where it is not in the path.
+Half of the two cores is the worker's; API, housekeeper and the load generator share the rest.
 """
 
 import os
@@ -37,7 +36,7 @@ def run() -> dict[str, object]:
         "statuses": measured.statuses,
         "connections": CONNECTIONS,
         "seconds": SECONDS,
-        "load_generator": "hey",
+        "load_generator": "h2load",
         "worker_threads": 1,
         "device": device(),
         "versions": versions("uvicorn", "fastapi", "sqlalchemy"),

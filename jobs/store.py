@@ -27,6 +27,16 @@ HIDDEN = frozenset({"lease_owner", "lease_until", "lost_stages", "client_key", "
 """Columns of a job that its record does not show."""
 
 
+_ID: sa.BindParameter[str] = sa.bindparam("id")
+_JOB = sa.select(t.jobs).where(t.jobs.c.id == _ID)
+_STAGES = sa.select(t.stages).where(t.stages.c.job_id == _ID).order_by(t.stages.c.position)
+_ARTIFACTS = sa.select(t.artifacts).where(t.artifacts.c.job_id == _ID).order_by(t.artifacts.c.id)
+_NUM_AHEAD = sa.select(sa.func.count()).where(
+    (t.jobs.c.state == JobState.QUEUED) & (t.jobs.c.queue == sa.bindparam("queue")) & (t.jobs.c.id < _ID)
+)
+"""What every poll asks, put together once: that takes as long as to ask it."""
+
+
 def new_id() -> str:
     """A ULID: sorts by the time it was made."""
     return str(ULID())
@@ -407,22 +417,19 @@ def add_stages(connection: sa.Connection, job_id: str, names: tuple[JobType, ...
 def _position(connection: sa.Connection, job: JobRecord) -> int | None:
     if job.state != JobState.QUEUED:
         return None
-    ahead = (t.jobs.c.state == JobState.QUEUED) & (t.jobs.c.queue == job.queue) & (t.jobs.c.id < job.id)
-    return connection.execute(sa.select(sa.func.count()).where(ahead)).scalar_one()
+    return connection.execute(_NUM_AHEAD, {"queue": job.queue, "id": job.id}).scalar_one()
 
 
 def _artifacts_of(connection: sa.Connection, job_id: str) -> list[ArtifactRecord]:
-    query = sa.select(t.artifacts).where(t.artifacts.c.job_id == job_id).order_by(t.artifacts.c.id)
-    return [ArtifactRecord(**row._mapping) for row in connection.execute(query)]
+    return [ArtifactRecord(**row._mapping) for row in connection.execute(_ARTIFACTS, {"id": job_id})]
 
 
 def read_job(connection: sa.Connection, job_id: str) -> JobRecord:
     """One job with its stages, as this transaction sees it."""
-    row = connection.execute(sa.select(t.jobs).where(t.jobs.c.id == job_id)).one_or_none()
+    row = connection.execute(_JOB, {"id": job_id}).one_or_none()
     if row is None:
         raise NotFoundError(f"there is no job {job_id}")
-    query = sa.select(t.stages).where(t.stages.c.job_id == job_id).order_by(t.stages.c.position)
-    return _job(row, tuple(_stage(stage) for stage in connection.execute(query)))
+    return _job(row, tuple(_stage(stage) for stage in connection.execute(_STAGES, {"id": job_id})))
 
 
 def _same_job(connection: sa.Connection, client_key: ClientKey) -> str:
