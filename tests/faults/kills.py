@@ -181,7 +181,8 @@ class Murderer:
         with suppress(psutil.NoSuchProcess):
             process = psutil.Process(owner)
             if part == "heartbeat":
-                process = next(c for c in process.children() if "worker.heartbeat" in c.cmdline())
+                beating = (child for child in process.children() if "worker.heartbeat" in child.cmdline())
+                process = next(beating, process)  # itself where none beats yet
             process.send_signal(signal.SIGKILL)
 
     def worker_of(self, owner: int | None) -> servers.Server:
