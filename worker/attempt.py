@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger(__name__)
 
-STAGE_VERSION = "3"
+STAGE_VERSION = "4"
 """Part of every stage's key; raised when a stage makes something else of the same inputs."""
 
 SOURCE = "source"

@@ -22,7 +22,7 @@ from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import SurfaceVoxels
 
 FORMAT, VERSION = "dynamictree-small", "2"
-NUM_STEPS = 8
+NUM_STEPS = 4
 MAX_VOXELS = 150_000
 """At the network's own resolution; the dataset's trees have 8,000 to 35,000. Memory and time grow linearly."""
 SPEEDS_M_S = (0.0, 30.0)
