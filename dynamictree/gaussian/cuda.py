@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from dynamictree.gaussian.cloud import GaussianCloud
-from dynamictree.gaussian.rasterize_kernel import BLUR_PX2, NEAR_M
+from dynamictree.gaussian.rasterize_kernel import BLUR_PX2, NEAR_M, PIXEL_PX2
 from dynamictree.render.camera import Camera
 
 
@@ -46,7 +46,7 @@ def render_with_gsplat(
             width=width,
             height=height,
             near_plane=float(NEAR_M),
-            eps2d=float(BLUR_PX2),
+            eps2d=PIXEL_PX2 if antialias else BLUR_PX2,
             sh_degree=cloud.sh_degree,
             render_mode="RGB+ED",
             rasterize_mode="antialiased" if antialias else "classic",

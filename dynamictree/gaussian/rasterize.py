@@ -21,6 +21,7 @@ from dynamictree.gaussian.rasterize_kernel import (
     MAX_ALPHA,
     MIN_ALPHA,
     NEAR_M,
+    PIXEL_PX2,
     TILE,
     WIDEST,
     blend,
@@ -146,7 +147,7 @@ def render_slowly(
     axes = camera.world_to_camera @ quaternion_matrices(cloud.quaternions.astype(np.float64)) * cloud.scales[:, None, :]
     half = jacobian @ axes  # [G, 2, 3]
     sharp = half @ half.transpose(0, 2, 1)
-    blurred = sharp + BLUR_PX2 * np.eye(2)
+    blurred = sharp + (PIXEL_PX2 if antialias else BLUR_PX2) * np.eye(2)
     opacity = cloud.opacity.astype(np.float64)
     if antialias:
         opacity = opacity * np.sqrt(np.maximum(np.linalg.det(sharp), 0) / np.linalg.det(blurred))

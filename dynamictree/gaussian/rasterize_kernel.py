@@ -10,15 +10,16 @@ from dynamictree.gaussian.turn import harmonic_values
 TILE = 16  # pixels along; a row of a tile is one vector of 16 floats
 NEAR_M = 0.02
 """Nearer to the camera's plane nothing is drawn [m]."""
-BLUR_PX2 = 0.3
-"""Variance that every ellipse is widened by, the pixel's own (Kerbl et al. 2023) [px²]."""
+BLUR_PX2, PIXEL_PX2 = 0.3, 0.1
+"""Variance that every ellipse is widened by [px²]: Kerbl et al. 2023's; and Mip-Splatting's, about a pixel's own, which
+antialiasing takes."""
 MIN_ALPHA = 1 / 255
 MAX_ALPHA = 0.99  # both Kerbl et al. 2023, appendix C
 WIDEST = 1.3  # times the half picture: beyond, the projection's slope is held (Kerbl et al.'s own code does so)
 _OPAQUE = np.float32(1e-4)  # of the light left: a tile is done, Kerbl et al. 2023, section 6
 
 _HALF, _ONE, _TWO = np.float32(0.5), np.float32(1), np.float32(2)
-_NEAR, _BLUR = np.float32(NEAR_M), np.float32(BLUR_PX2)
+_NEAR, _BLUR, _PIXEL = np.float32(NEAR_M), np.float32(BLUR_PX2), np.float32(PIXEL_PX2)
 _MIN, _MAX = np.float32(MIN_ALPHA), np.float32(MAX_ALPHA)
 _SIZE = TILE * TILE
 # unsigned, so that no index can wrap around and LLVM makes vectors of the loop: 6 times as fast
@@ -37,6 +38,7 @@ def project(first, end, means, quaternions, scales, opacity, sh, rest, view, ant
     degree = round(np.sqrt(sh.shape[1])) - 1
     values = np.empty(16, np.float32)
     axes = np.empty((3, 3), np.float32)
+    blur = _PIXEL if antialias else _BLUR
     for g in range(first, end):
         dx, dy, dz = means[g, 0] - view[9], means[g, 1] - view[10], means[g, 2] - view[11]
         x = view[0] * dx + view[1] * dy + view[2] * dz
@@ -55,7 +57,7 @@ def project(first, end, means, quaternions, scales, opacity, sh, rest, view, ant
             py = (view[3] * ax + view[4] * ay + view[5] * az - slope_y * depth) * per_z
             xx, xy, yy = xx + px * px, xy + px * py, yy + py * py
         sharp = max(xx * yy - xy * xy, np.float32(0))
-        xx, yy = xx + _BLUR, yy + _BLUR
+        xx, yy = xx + blur, yy + blur
         determinant = xx * yy - xy * xy
         shown = opacity[g]
         if antialias:

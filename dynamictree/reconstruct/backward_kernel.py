@@ -9,14 +9,15 @@ from typing import no_type_check
 import numba
 import numpy as np
 
-from dynamictree.gaussian.rasterize_kernel import BLUR_PX2, MAX_ALPHA, MIN_ALPHA, TILE
+from dynamictree.gaussian.rasterize_kernel import BLUR_PX2, MAX_ALPHA, MIN_ALPHA, PIXEL_PX2, TILE
 from dynamictree.gaussian.turn import harmonic_values
 
 ENTRY = 10
 """Gradients of a Gaussian in one tile: centre (2), conic (3), shown opacity, colour (3), depth."""
 
 _HALF, _ONE, _TWO, _ZERO = np.float32(0.5), np.float32(1), np.float32(2), np.float32(0)
-_MIN, _MAX, _BLUR = np.float32(MIN_ALPHA), np.float32(MAX_ALPHA), np.float32(BLUR_PX2)
+_MIN, _MAX = np.float32(MIN_ALPHA), np.float32(MAX_ALPHA)
+_BLUR, _PIXEL = np.float32(BLUR_PX2), np.float32(PIXEL_PX2)
 _OPAQUE = np.float32(1e-4)  # as in `rasterize_kernel`
 _SIZE = TILE * TILE
 # unsigned, so that no index can wrap around and LLVM makes vectors of the loop
@@ -150,6 +151,7 @@ def project_back(
     degree = round(np.sqrt(sh.shape[1])) - 1
     values, slopes = np.empty(16, np.float32), np.zeros((16, 3), np.float32)
     axes, axes_g = np.empty((3, 3), np.float32), np.empty((3, 3), np.float32)
+    blur = _PIXEL if antialias else _BLUR
     for g in range(first, end):
         if bounds[g, 1] <= bounds[g, 0]:
             continue
@@ -166,7 +168,7 @@ def project_back(
             px, py, _ = _half_axis(axes, scales[g, i], i, view, slope_x, slope_y, per_z)
             xx, xy, yy = xx + px * px, xy + px * py, yy + py * py
         sharp = max(xx * yy - xy * xy, _ZERO)
-        wide_x, wide_y = xx + _BLUR, yy + _BLUR
+        wide_x, wide_y = xx + blur, yy + blur
         whole = wide_x * wide_y - xy * xy
         # conic = inverse of the blurred covariance: dΣ = −Q dQ Q
         a, b, c = wide_y / whole, -xy / whole, wide_x / whole

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from dynamictree.gaussian.rasterize_kernel import BLUR_PX2, MAX_ALPHA, MIN_ALPHA, NEAR_M, WIDEST
+from dynamictree.gaussian.rasterize_kernel import BLUR_PX2, MAX_ALPHA, MIN_ALPHA, NEAR_M, PIXEL_PX2, WIDEST
 from dynamictree.render.camera import Camera
 
 Tensor = torch.Tensor
@@ -75,7 +75,7 @@ def draw_slowly(leaves: Leaves, camera: Camera, *, width: int, height: int, anti
     )
     in_picture = jacobian @ half
     sharp = in_picture @ in_picture.transpose(1, 2)
-    blurred = sharp + BLUR_PX2 * torch.eye(2, dtype=torch.float64)
+    blurred = sharp + (PIXEL_PX2 if antialias else BLUR_PX2) * torch.eye(2, dtype=torch.float64)
     opacity = leaves.logit_opacity.sigmoid()
     if antialias:
         opacity = opacity * (torch.linalg.det(sharp) / torch.linalg.det(blurred)).sqrt()
