@@ -1,5 +1,6 @@
 """A folder of photos in; cameras, a splat, a coloured mesh and a report out."""
 
+import resource
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -83,15 +84,15 @@ def reconstruct(
         ReconstructionError: the photos do not fit together or show no surface.
     """
     options = options or ReconstructOptions()
-    seconds: dict[str, float] = {}
+    spent = _Spent()
     with ExitStack() as stack:
         work = kept or Path(stack.enter_context(tempfile.TemporaryDirectory(dir=folder, prefix="work-")))
         listed = list_photos(photos, root)
-        model = _cameras(listed, root, work, seconds, on_progress)
+        model = _cameras(listed, root, work, spent, on_progress)
         write_cameras(model.views, folder, scale="unknown")
-        with _timed(seconds, "depth"):
+        with spent.on("depth"):
             scene = find_scene(model, on_progress=_within(on_progress, _MAPPED, _MATCHED))
-        with _timed(seconds, "splat"):
+        with spent.on("splat"):
             fit = fit_splat(
                 scene.matched,
                 scene.coarse,
@@ -99,10 +100,10 @@ def reconstruct(
                 saved=work / "splat.npz",
                 on_progress=_within(on_progress, _MATCHED, _LEARNED),
             )
-    with _timed(seconds, "mesh"):
+    with spent.on("mesh"):
         surface, made_by = best_surface(fit.table, scene)
         shape = finished(surface, scene, height_m=options.height_m or UNKNOWN_HEIGHT_M)
-    found = _put_together(listed, model, fit, shape, options, seconds)
+    found = _put_together(listed, model, fit, shape, options, spent)
     found.report["mesh_by"] = made_by
     write_report(found, fit, folder)
     on_progress(1.0)
@@ -110,16 +111,16 @@ def reconstruct(
 
 
 def _cameras(
-    photos: list[PhotoFile], root: Path | None, work: Path, seconds: dict[str, float], on_progress: OnProgress
+    photos: list[PhotoFile], root: Path | None, work: Path, spent: "_Spent", on_progress: OnProgress
 ) -> SparseModel:
     """From what is given, from what an earlier call has found, or from the photos."""
-    with _timed(seconds, "photos"):
+    with spent.on("photos"):
         given = None if root is None else _given(photos, root)
         if given is not None:
             known = {camera.photo: camera for camera in given}
             photos = [_as_given(photo, known[photo.name]) for photo in photos if photo.name in known]
         prepared = prepare_photos(photos, work / "photos", on_photo=_counted(_within(on_progress, 0.0, _PREPARED)))
-    with _timed(seconds, "cameras"):
+    with spent.on("cameras"):
         found = read_model(work, {photo.name: photo.source for photo in prepared})
         within = _within(on_progress, _PREPARED, _MAPPED)
         return found or find_cameras(prepared, work, given=given, on_progress=within)
@@ -141,7 +142,7 @@ def _put_together(
     fit: SplatFit,
     shape: Shape,
     options: ReconstructOptions,
-    seconds: dict[str, float],
+    spent: "_Spent",
 ) -> Reconstruction:
     whole = cloud_in_metres(fit.table, shape.scale, shape.origin)
     own = of_the_tree(whole, shape.mesh.vertices, radius_m=shape.scale)
@@ -173,7 +174,8 @@ def _put_together(
         held_out_blank_psnr_db=[round(value, 2) for value in fit.blank_db],
         held_out_size_px=list(fit.size_px),
         splat_steps=fit.num_steps,
-        seconds={step: round(taken, 2) for step, taken in seconds.items()},
+        seconds={part: round(taken, 2) for part, taken in spent.seconds.items()},
+        processor_seconds={part: round(taken, 2) for part, taken in spent.processor_seconds.items()},
     )
     return Reconstruction(mesh=mesh, splat=whole.subset(own), scene=whole, views=shape.model.views, report=report)
 
@@ -198,8 +200,21 @@ def _counted(on_progress: OnProgress) -> Callable[[int, int], None]:
     return lambda done, total: on_progress(done / total)
 
 
-@contextmanager
-def _timed(seconds: dict[str, float], step: str) -> Iterator[None]:
-    start = time.perf_counter()
-    yield
-    seconds[step] = time.perf_counter() - start
+class _Spent:
+    """Time by part [s]: the clock's, and the processor's in this process and those that it has ended."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self.processor_seconds: dict[str, float] = {}
+
+    @contextmanager
+    def on(self, part: str) -> Iterator[None]:
+        start, processor = time.perf_counter(), _processor_s()
+        yield
+        self.seconds[part] = time.perf_counter() - start
+        self.processor_seconds[part] = _processor_s() - processor
+
+
+def _processor_s() -> float:
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(each.ru_utime + each.ru_stime for each in used)

@@ -43,7 +43,8 @@ class Report(TypedDict):
     held_out_blank_psnr_db: list[float]  # of a picture of one colour, for comparison
     held_out_size_px: list[int]
     splat_steps: int
-    seconds: dict[str, float]
+    seconds: dict[str, float]  # by part
+    processor_seconds: dict[str, float]  # by part, of all cores
 
 
 def write_report(found: "Reconstruction", fit: "SplatFit", folder: Path) -> None:
