@@ -12,6 +12,7 @@ from dynamictree.modal.skeleton import Bones
 BONES_A_VERTEX = 6
 STIFF_VOXELS = 12.0  # a part of the mesh that is smaller moves as one: a leaf keeps its shape
 SPREAD = 80  # edges over which a vertex shares its bones; a part then follows its own stem, not what touches it
+LONG_VOXELS = 2.0  # edges that are longer share less, so that a coarse trunk does not share its crown's bones
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,15 +36,26 @@ def attach_mesh(
     points = np.repeat(np.arange(num_vertices), width)
     shape = (num_vertices, len(bones.parent))
     carried = scipy.sparse.csr_array((weights.ravel(), (points, bones.bone_of_voxel[rows.ravel()])), shape=shape)
-    start, end = edges_of(mesh.faces).T
-    loops = np.arange(num_vertices)
-    pairs = (np.concatenate([start, end, loops]), np.concatenate([end, start, loops]))
-    graph = scipy.sparse.csr_array((np.ones(len(pairs[0]), np.float32), pairs), shape=(num_vertices, num_vertices))
+    graph = _shared(mesh, LONG_VOXELS * voxel_size_m)
     spread = scipy.sparse.diags_array(1 / graph.sum(axis=1)) @ graph
     carried = _stiffen(carried, graph, mesh, STIFF_VOXELS * voxel_size_m)
     for _ in range(SPREAD):
         carried = spread @ carried
     return _strongest(carried.tocsr())
+
+
+def _shared(mesh: TriangleMesh, long_m: float) -> "scipy.sparse.csr_array":
+    """How much neighbours share: 1 with themselves and over short edges, (long / length)² over longer ones [N, N].
+
+    So in n steps they share over sqrt(n) times `long_m`, however long the edges are.
+    """
+    start, end = edges_of(mesh.faces).T
+    length = np.linalg.norm(mesh.vertices[start] - mesh.vertices[end], axis=1)
+    share = (long_m / np.maximum(length, long_m)) ** 2
+    loops = np.arange(mesh.num_vertices)
+    pairs = (np.concatenate([start, end, loops]), np.concatenate([end, start, loops]))
+    values = np.concatenate([share, share, np.ones(len(loops))]).astype(np.float32)
+    return scipy.sparse.csr_array((values, pairs), shape=(len(loops), len(loops)))
 
 
 def _stiffen(

@@ -5,13 +5,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from dynamictree.dataset.sample import make_sample, voxel_spectrum
-from dynamictree.mesh import edges_of
+from dynamictree.mesh import TriangleMesh, edges_of
 from dynamictree.modal.force import Drag, compliance, contact_at_voxel, equilibrium, generalised_force
 from dynamictree.modal.skeleton import bones_of
 from dynamictree.modal.surface import attach_mesh
 from dynamictree.modal.system import displacement, modal_system
 from dynamictree.modal.warp import bend, bone_turns, bone_weights, pose
+from dynamictree.spectrum import SparseVoxelSpectrum
 from dynamictree.voxel.devoxelize import smooth
+from dynamictree.voxel.voxelize import voxelize
 from tests.modal.trees import VOXEL_M, fork
 
 FINENESS = 3  # so that a branch has some bones
@@ -131,6 +133,26 @@ def test_a_strong_drag_bends_a_grown_tree_and_does_not_stretch_it():
     assert stretch(bent) < 0.1 * stretch(plain)
     highest = int(np.argmax(mesh.vertices[:, 2]))
     assert np.linalg.norm(bent[highest]) > 0.15 * mesh.height_m
+
+
+def test_a_coarse_pole_bends_as_its_voxels_do_and_its_foot_stands():
+    rings = np.linspace(0, 12, 16)  # heights [m]; eight voxels from one to the next
+    vertices = np.array([(x, y, z) for z in rings for x, y in ((-0.1, -0.1), (0.1, -0.1), (0.1, 0.1), (-0.1, 0.1))])
+    around = np.array([(0, 1, 4), (1, 5, 4), (1, 2, 5), (2, 6, 5), (2, 3, 6), (3, 7, 6), (3, 0, 7), (0, 4, 7)])
+    faces = np.concatenate([around + 4 * ring for ring in range(len(rings) - 1)])
+    mesh = TriangleMesh(vertices=vertices.astype(np.float32), faces=faces.astype(np.int32))
+    grid = voxelize(mesh, 128).grid
+    coefficients = np.zeros((len(grid), 2, 3), np.complex64)
+    coefficients[:, 1, 1] = (grid.centres_m[:, 2] / mesh.height_m) ** 2
+    bones, ties = bones_of(modal_system(SparseVoxelSpectrum(grid=grid, coefficients=coefficients))), smooth(grid, mesh)
+    carried = attach_mesh(bones, mesh, rows=ties.rows, weights=ties.weights, voxel_size_m=grid.voxel_size_m)
+    stance = posed(bones, np.array([[1.5]], np.complex128))
+    bent = bend(bones, stance, mesh.vertices, carried.rows, carried.weights)
+    of_voxels = bend(bones, stance, mesh.vertices, bones.bone_of_voxel[ties.rows], ties.weights)
+    top = np.linalg.norm(of_voxels[-4:], axis=1).mean()
+    assert top > 0.15 * mesh.height_m
+    assert np.linalg.norm(bent[:4], axis=1).max() < 0.02 * top
+    assert np.linalg.norm(bent - of_voxels, axis=1).max() < 0.04 * top
 
 
 def test_voxel_size_of_the_fixture_is_what_bones_are_measured_in(forked):
