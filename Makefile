@@ -10,6 +10,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 INPUT ?=
 OUTPUT ?= demo-output
+PORT ?= 8000
 TESTS ?=
 FUZZ_STATE ?= .fuzz
 # Two workers on two cores; more would only add set-up.
@@ -42,8 +43,8 @@ $(READY): requirements.lock pyproject.toml
 demo: $(READY)  ## a tree goes in over HTTP and comes out swaying (INPUT=file for your own)
 	@$(BIN)/python -m recipes.demo $(if $(INPUT),--input "$(INPUT)") --output "$(OUTPUT)"
 
-serve: $(READY)  ## the service, and its page in your browser
-	@$(BIN)/dynamictree serve --open
+serve: $(READY)  ## the service, and its page in your browser (PORT=8001 where 8000 is taken)
+	@$(BIN)/dynamictree serve --open --port $(PORT)
 
 test: $(READY)  ## the test suite, without the slow marks
 	@$(BIN)/python -m pytest -q -n $(TEST_WORKERS) --dist worksteal -m "not slow and not gpu" $(TESTS)
