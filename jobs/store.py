@@ -308,15 +308,12 @@ class Store:
         """
         with self.reading() as connection:
             job = self._read_job(connection, job_id)
-            begun = any(stage.state != "queued" for stage in job.stages)
-            return job, _position(connection, job), _artifacts_of(connection, job_id) if begun else []
+            return job, *_standing(connection, job)
 
-    def queue_position(self, job: JobRecord) -> int | None:
-        """How many jobs of the same queue were there before this one; None once it has begun."""
-        if job.state != JobState.QUEUED:
-            return None
+    def standing(self, job: JobRecord) -> tuple[int | None, list[ArtifactRecord]]:
+        """How many jobs of its queue were there before a job, None once it has begun; and what it offers so far."""
         with self.reading() as connection:
-            return _position(connection, job)
+            return _standing(connection, job)
 
     def count_active(self) -> int:
         """How many jobs have not ended."""
@@ -412,6 +409,11 @@ def add_stages(connection: sa.Connection, job_id: str, names: tuple[JobType, ...
         for i, name in enumerate(names)
     ]
     connection.execute(t.stages.insert(), rows)
+
+
+def _standing(connection: sa.Connection, job: JobRecord) -> tuple[int | None, list[ArtifactRecord]]:
+    begun = any(stage.state != "queued" for stage in job.stages)  # the usual poll of a waiting job asks once less
+    return _position(connection, job), _artifacts_of(connection, job.id) if begun else []
 
 
 def _position(connection: sa.Connection, job: JobRecord) -> int | None:

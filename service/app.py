@@ -161,4 +161,4 @@ def _warm_up() -> None:
 async def _on_database_away(request: Request, error: Exception) -> Response:
     logger.error("the database is away", exc_info=error)
     detail = "the database does not answer; nothing was changed"
-    return problems.problem_response("storage-unavailable", detail, request_id=problems.request_id_of(request))
+    return problems.problem_response("storage-unavailable", detail, request_id=problems.request_id_of(request.scope))

@@ -12,11 +12,11 @@ from jobs.records import AssetRecord
 from jobs.states import ASSET_KINDS
 from jobs.store import new_id
 from jobs.uploads import UploadRecord, add_upload, upload
+from service.asset_payloads import UP_AXES, AssetPayload, AssetRequest, UploadPayload, asset_payload, upload_payload
 from service.context import Context, Ctx
 from service.ingest import make_asset, name_of_url
-from service.intake import CLOUD_SUFFIXES, FIELDS, MASK_NAME, MESH_SUFFIXES, PHOTO_SUFFIXES, UP_AXES, admit, sort_out
+from service.intake import CLOUD_SUFFIXES, FIELDS, MASK_NAME, MESH_SUFFIXES, PHOTO_SUFFIXES, admit, sort_out
 from service.multipart import receive_form
-from service.payloads import AssetPayload, AssetRequest, UploadPayload, asset_payload, upload_payload
 from service.problems import ProblemError
 from service.quota import require_bytes
 from service.routing import Id, headers, refusals

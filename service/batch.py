@@ -3,18 +3,38 @@
 from typing import Annotated
 
 from fastapi import APIRouter, Header, Request, Response, status
-from starlette.exceptions import HTTPException
+from pydantic import Field
 
-from dynamictree.errors import DynamicTreeError
-from jobs.errors import JobsError
 from service.context import Context, Ctx
-from service.jobs import KEY_EXPIRES_S, accept
+from service.job_creation import KEY_EXPIRES_S, accept
+from service.job_payloads import JobPayload
+from service.job_requests import JobRequest
 from service.origin import Origin, RequestOrigin
-from service.payloads import BatchItemPayload, BatchPayload, BatchRequest, JobRequest, Problem
-from service.problems import KINDS, ProblemError, known_code, problem_body, request_id_of
+from service.payloads import Payload, Problem
+from service.problems import REFUSALS, problem_body, problem_of, request_id_of
 from service.routing import refusals
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
+
+
+class BatchRequest(Payload):
+    """Several jobs at once."""
+
+    jobs: list[JobRequest] = Field(min_length=1, max_length=100)
+
+
+class BatchItemPayload(Payload):
+    """What became of one job of a batch: the job, or why there is none."""
+
+    status: int = Field(description="what the request would have been answered by itself")
+    job: JobPayload | None
+    problem: Problem | None
+
+
+class BatchPayload(Payload):
+    """What became of a batch, in its order."""
+
+    data: list[BatchItemPayload]
 
 
 @router.post(
@@ -49,10 +69,8 @@ def _one(
 ) -> BatchItemPayload:
     try:
         made = accept(context, wanted, origin, Response(), key=key, expires_s=KEY_EXPIRES_S)
-    except (ProblemError, DynamicTreeError, JobsError) as error:
-        code = error.code if isinstance(error, ProblemError) else known_code(error)
-        detail = str(error.detail) if isinstance(error, HTTPException) else str(error)
-        errors = error.errors if isinstance(error, ProblemError) else ()
-        told = problem_body(code, detail, request_id=request_id_of(request), errors=errors)
-        return BatchItemPayload(status=KINDS[code].status, job=None, problem=Problem.model_validate(told))
+    except REFUSALS as error:
+        told = problem_of(error)
+        body = problem_body(told.code, told.detail, request_id=request_id_of(request.scope), errors=told.errors)
+        return BatchItemPayload(status=told.status_code, job=None, problem=Problem.model_validate(body))
     return BatchItemPayload(status=status.HTTP_202_ACCEPTED, job=made, problem=None)

@@ -9,7 +9,7 @@ from pydantic import Field
 from service import archives, forces, intake, interact
 from service.context import Ctx
 from service.payloads import MAX_FRAMES, Payload
-from service.problems import FieldError, ProblemError
+from service.problems import wrong_field
 from service.routing import refusals
 
 router = APIRouter(prefix="/v1", tags=["catalogue"])
@@ -77,8 +77,7 @@ def require_preset(name: str) -> None:
     """
     if name not in preset_sizes():
         detail = f"there is no preset {name!r}; there are {', '.join(preset_sizes()) or 'none'}"
-        errors: list[FieldError] = [{"pointer": "/preset", "code": "unknown-preset", "detail": detail}]
-        raise ProblemError("validation-failed", detail, errors=errors)
+        raise wrong_field("/preset", "unknown-preset", detail)
 
 
 @router.get("/presets", operation_id="listPresets", responses=refusals())

@@ -13,7 +13,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from jobs.keys import KeyRecord, digest_of, find_key
 from jobs.keys import Scope as KeyScope
 from service.callers import ANYONE, CALLER, Caller, caller_of
-from service.problems import ProblemError, problem_response
+from service.problems import ProblemError, problem_response, request_id_of
 from service.rates import Counter, Standing, policy_of
 
 if TYPE_CHECKING:
@@ -159,7 +159,5 @@ async def _refuse(error: ProblemError, scope: Scope, receive: Receive, send: Sen
     if scope["type"] == "websocket":
         await send({"type": "websocket.close", "code": POLICY_VIOLATION, "reason": error.code})
         return
-    response = problem_response(
-        error.code, str(error.detail), request_id=scope.get("dynamictree.request_id"), headers=error.headers
-    )
+    response = problem_response(error.code, str(error.detail), request_id=request_id_of(scope), headers=error.headers)
     await response(scope, receive, send)

@@ -9,7 +9,7 @@ from fastapi.responses import StreamingResponse
 from starlette.concurrency import run_in_threadpool
 
 from service.context import Context, Ctx
-from service.jobs import tell
+from service.job_answers import tell
 from service.routing import Id, refusals
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])

@@ -11,15 +11,14 @@ from urllib.parse import unquote, urlsplit
 import sqlalchemy as sa
 from starlette.concurrency import run_in_threadpool
 
-from dynamictree.errors import DynamicTreeError
 from jobs.artifacts import hash_file
-from jobs.errors import ConflictError, GoneError, JobsError, OutboundError
+from jobs.errors import ConflictError, GoneError, OutboundError
 from jobs.records import AssetRecord
 from jobs.store import new_id
 from jobs.uploads import UploadRecord, change_upload, claim_uploads
-from service.intake import admit, sort_out
+from service.intake import FIELDS, admit, sort_out
 from service.multipart import Form, ReceivedFile
-from service.problems import ProblemError, known_code
+from service.problems import REFUSALS, ProblemError, problem_of
 
 if TYPE_CHECKING:
     from service.context import Context
@@ -143,20 +142,17 @@ class Ingest:
         try:
             if upload.state == "fetching":
                 upload = await fetch(context, upload)
-            options = {
-                name: str(value) for name, value in upload.options.items() if name in {"kind", "up_axis", "unit_m"}
-            }
+            options = {name: str(value) for name, value in upload.options.items() if name in FIELDS}
             await make_asset(context, [upload], options)
-        except (ProblemError, DynamicTreeError, JobsError) as error:
-            code = error.code if isinstance(error, ProblemError) else known_code(error)
-            detail = str(error.detail) if isinstance(error, ProblemError) else str(error)
+        except REFUSALS as error:
+            told = problem_of(error)
             await run_in_threadpool(
                 change_upload,
                 context.store,
                 upload.id,
                 state="failed",
-                error_code=code,
-                error_message=detail,
+                error_code=told.code,
+                error_message=told.detail,
                 make_asset=False,
             )
         finally:

@@ -16,10 +16,11 @@ from jobs.records import AssetPart, AssetRecord, Json
 from jobs.states import ASSET_KINDS, AssetKind
 from jobs.store import new_id
 from service.archives import is_zip, unpack
+from service.asset_payloads import UP_AXES
 from service.context import Context
 from service.multipart import Form, ReceivedFile
 from service.places import without_place
-from service.problems import ProblemError
+from service.problems import ProblemError, wrong_field
 
 MESH_SUFFIXES = (".obj", ".ply", ".glb", ".gltf", ".stl")
 POINT_SUFFIXES = (".xyz", ".txt", ".csv", ".asc", ".pts")
@@ -35,7 +36,6 @@ MASKS = "masks"
 MIN_PHOTOS = 8
 MAX_PHOTOS = 300
 MAX_PHOTO_BYTES = 30 * 1024**2
-UP_AXES = ("+X", "-X", "+Y", "-Y", "+Z", "-Z")
 FIELDS = ("kind", "up_axis", "unit_m")
 
 
@@ -86,20 +86,28 @@ def reading_options(fields: Mapping[str, str]) -> tuple[str | None, float | None
     """
     unknown = sorted(set(fields) - set(FIELDS))
     if unknown:
-        raise _field(unknown[0], "unknown-field", f"there is no field {unknown[0]!r}; {', '.join(FIELDS)} are known")
+        raise wrong_field(
+            f"form:{unknown[0]}", "unknown-field", f"there is no field {unknown[0]!r}; {', '.join(FIELDS)} are known"
+        )
     if fields.get("kind", "mesh") not in ASSET_KINDS:
-        raise _field("kind", "not-allowed", f"kind is {fields['kind']!r}; {', '.join(ASSET_KINDS)} are allowed")
+        raise wrong_field(
+            "form:kind", "not-allowed", f"kind is {fields['kind']!r}; {', '.join(ASSET_KINDS)} are allowed"
+        )
     up_axis = fields.get("up_axis")
     if up_axis is not None and up_axis not in UP_AXES:
-        raise _field("up_axis", "not-allowed", f"up_axis is {up_axis!r}; {', '.join(UP_AXES)} are allowed")
+        raise _wrong("up_axis", "not-allowed", f"up_axis is {up_axis!r}; {', '.join(UP_AXES)} are allowed")
     unit_m = None
     if "unit_m" in fields:
         try:
             unit_m = float(fields["unit_m"])
         except ValueError as error:
-            raise _field("unit_m", "not-a-number", f"unit_m is {fields['unit_m']!r}; give metres a unit") from error
+            raise wrong_field(
+                "form:unit_m", "not-a-number", f"unit_m is {fields['unit_m']!r}; give metres a unit"
+            ) from error
         if not 1e-6 <= unit_m <= 1e6:
-            raise _field("unit_m", "out-of-range", f"unit_m is {unit_m:g}; 1e-6 to 1e6 metres a unit are allowed")
+            raise wrong_field(
+                "form:unit_m", "out-of-range", f"unit_m is {unit_m:g}; 1e-6 to 1e6 metres a unit are allowed"
+            )
     return up_axis, unit_m
 
 
@@ -216,10 +224,8 @@ def _suffix(file: ReceivedFile) -> str:
     return PurePosixPath(file.name).suffix.lower()
 
 
-def _field(name: str, code: str, detail: str) -> ProblemError:
-    return ProblemError(
-        "validation-failed", detail, errors=[{"pointer": f"form:{name}", "code": code, "detail": detail}]
-    )
+def _wrong(name: str, code: str, detail: str) -> ProblemError:
+    return wrong_field(f"form:{name}", code, detail)
 
 
 def _unsupported(file: ReceivedFile, suffixes: tuple[str, ...]) -> ProblemError:

@@ -20,7 +20,6 @@ from dynamictree.modal.locality import default_falloff_m
 from dynamictree.modal.response import Answer, Start, answer_tensors, group_forces, respond, with_bin_zero
 from dynamictree.modal.step import State
 from dynamictree.modal.system import ModalSystem, with_physics
-from service.accept import JSON, NPZ, SAFETENSORS, chosen
 from service.context import Context, Ctx
 from service.forces import (
     MAX_GROUPS,
@@ -34,6 +33,7 @@ from service.forces import (
     state_payload,
     with_state,
 )
+from service.negotiation import JSON, NPZ, SAFETENSORS, chosen
 from service.payloads import Payload
 from service.problems import ProblemError
 from service.routing import refusals

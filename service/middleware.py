@@ -10,7 +10,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from jobs.logs import log_ids
 from jobs.settings import Settings
 from jobs.store import new_id
-from service.problems import ProblemError, problem_response
+from service.problems import REQUEST_ID, ProblemError, problem_response, request_id_of
 
 logger = logging.getLogger(__name__)
 
@@ -38,7 +38,7 @@ class RequestFrame:
             return
         given = Headers(scope=scope).get("x-request-id", "")
         request_id = given if _REQUEST_ID.fullmatch(given) else new_id()
-        scope["dynamictree.request_id"] = request_id
+        scope[REQUEST_ID] = request_id
         started = False
 
         async def send_framed(message: Message) -> None:
@@ -83,16 +83,16 @@ class BodyLimit:
             response = problem_response(
                 "payload-too-large",
                 f"the body has {declared} bytes; at most {limit:,} are allowed here",
-                request_id=scope.get("dynamictree.request_id"),
+                request_id=request_id_of(scope),
                 headers={"Connection": "close"},
             )
             await response(scope, receive, send)
             return
-        counted = 0
+        counted, whole = 0, False
 
         async def receive_counted() -> Message:
-            nonlocal counted
-            if counted < 0:
+            nonlocal counted, whole
+            if whole:  # what comes now only tells of a disconnect, and may take its time
                 return await receive()
             try:
                 async with asyncio.timeout(self.settings.upload_idle_s):
@@ -106,8 +106,7 @@ class BodyLimit:
             if counted > limit:
                 found = f"the body has more than {limit:,} bytes, which are allowed here"
                 raise ProblemError("payload-too-large", found, headers={"Connection": "close"})
-            if not message.get("more_body", False):
-                counted = -1  # the body is whole; what comes now only tells of a disconnect, and may take its time
+            whole = not message.get("more_body", False)
             return message
 
         await self.app(scope, receive_counted, send)

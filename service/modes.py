@@ -9,9 +9,9 @@ from safetensors.numpy import save
 
 from dynamictree.modal.locality import poke_weights
 from dynamictree.modal.modes import mode_metadata, mode_tensors
-from service.accept import SAFETENSORS
 from service.context import Ctx
 from service.forces import LARGEST
+from service.negotiation import SAFETENSORS
 from service.routing import Id, refusals
 from service.spectra import load_spectrum
 from service.trees import ready_tree

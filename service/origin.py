@@ -6,6 +6,8 @@ from typing import Annotated
 
 from fastapi import Depends, Request
 
+from service.problems import request_id_of
+
 TRACEPARENT = "dynamictree.traceparent"
 """Where tracing may leave the context of its own span in a request's scope."""
 
@@ -23,9 +25,7 @@ class RequestOrigin:
 async def _origin_of(request: Request) -> RequestOrigin:
     given = request.scope.get(TRACEPARENT) or request.headers.get("traceparent", "")
     found = _TRACEPARENT.fullmatch(given)
-    return RequestOrigin(
-        request_id=request.scope.get("dynamictree.request_id"), traceparent=found.group() if found else None
-    )
+    return RequestOrigin(request_id=request_id_of(request.scope), traceparent=found.group() if found else None)
 
 
 Origin = Annotated[RequestOrigin, Depends(_origin_of)]

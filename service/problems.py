@@ -3,7 +3,7 @@
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TypedDict
+from typing import TypedDict, get_args
 
 import orjson
 from fastapi import FastAPI, Request
@@ -11,6 +11,7 @@ from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 from starlette.responses import Response
 from starlette.routing import Route
+from starlette.types import Scope
 
 from dynamictree.errors import DynamicTreeError
 from jobs.artifacts import is_full
@@ -21,6 +22,8 @@ logger = logging.getLogger(__name__)
 
 MEDIA_TYPE = "application/problem+json"
 TYPE_PREFIX = "urn:dynamictree:problem:"
+REQUEST_ID = "dynamictree.request_id"
+"""Where the outermost middleware leaves the request's id in its scope."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,6 +155,12 @@ class ProblemError(HTTPException):
         self.extra = extra or {}
 
 
+Refusal = ProblemError | DynamicTreeError | JobsError
+"""What a route may raise on purpose."""
+
+REFUSALS = get_args(Refusal)
+
+
 def problem_body(
     code: str, detail: str, *, request_id: str | None, errors: Sequence[FieldError] = ()
 ) -> dict[str, object]:
@@ -187,6 +196,23 @@ def problem_response(
     return Response(orjson.dumps(body), KINDS[code].status, sent, MEDIA_TYPE)
 
 
+def wrong_field(pointer: str, code: str, detail: str) -> ProblemError:
+    """A request of which one field is wrong; `pointer` as RFC 6901 into the body, or where:name."""
+    errors: list[FieldError] = [{"pointer": pointer, "code": code, "detail": detail}]
+    return ProblemError("validation-failed", detail, errors=errors)
+
+
+def problem_of(error: Refusal) -> ProblemError:
+    """The problem that an exception of ours tells. Of those that are not the client's to mend the cause is logged."""
+    if isinstance(error, ProblemError):
+        return error
+    code = known_code(error)
+    if KINDS[code].status == 500:
+        logger.error("request failed", exc_info=error)
+        return ProblemError(code, "The cause was logged.")
+    return ProblemError(code, str(error))
+
+
 def known_code(error: Exception) -> str:
     """The code of an exception of ours, or `internal-error`."""
     code = getattr(error, "code", "internal-error") if isinstance(error, DynamicTreeError | JobsError) else None
@@ -212,7 +238,7 @@ async def _on_http(request: Request, error: Exception) -> Response:
     if error.status_code == 405:
         headers = {**(headers or {}), "Allow": ", ".join(_methods(request))}
     return problem_response(
-        code, str(error.detail), request_id=request_id_of(request), errors=errors, headers=headers, extra=extra
+        code, str(error.detail), request_id=request_id_of(request.scope), errors=errors, headers=headers, extra=extra
     )
 
 
@@ -238,7 +264,7 @@ async def _on_validation(request: Request, error: Exception) -> Response:
         for item in error.errors()
     ]
     detail = "; ".join(f"{item['pointer']}: {item['detail']}" for item in errors)
-    return problem_response("validation-failed", detail, request_id=request_id_of(request), errors=errors)
+    return problem_response("validation-failed", detail, request_id=request_id_of(request.scope), errors=errors)
 
 
 def _pointer(location: Sequence[str | int]) -> str:
@@ -251,11 +277,8 @@ def _pointer(location: Sequence[str | int]) -> str:
 
 
 async def _on_ours(request: Request, error: Exception) -> Response:
-    code = known_code(error)
-    if KINDS[code].status == 500:
-        logger.error("request failed", exc_info=error)
-        return problem_response(code, "The cause was logged.", request_id=request_id_of(request))
-    return problem_response(code, str(error), request_id=request_id_of(request))
+    assert isinstance(error, REFUSALS)
+    return await _on_http(request, problem_of(error))
 
 
 async def _on_system(request: Request, error: Exception) -> Response:
@@ -264,10 +287,10 @@ async def _on_system(request: Request, error: Exception) -> Response:
         raise error
     logger.error("the disk is full", exc_info=error)
     detail = f"a file could not grow: {error.strerror}; nothing was kept"
-    return problem_response("disk-full", detail, request_id=request_id_of(request))
+    return problem_response("disk-full", detail, request_id=request_id_of(request.scope))
 
 
-def request_id_of(request: Request) -> str | None:
-    """The id that the middleware gave this request."""
-    value: object = request.scope.get("dynamictree.request_id")
-    return value if isinstance(value, str) else None
+def request_id_of(scope: Scope) -> str | None:
+    """The id that the outermost middleware gave a request."""
+    found: str | None = scope.get(REQUEST_ID)
+    return found

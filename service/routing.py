@@ -4,12 +4,12 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
-from fastapi import Depends, Path
+from fastapi import Depends, Path, Query
 
+from service.payloads import ULID_PATTERN
 from service.problems import KINDS, MEDIA_TYPE, ProblemError
 
 _PROBLEM = {"$ref": "#/components/schemas/Problem"}  # there by way of JobPayload.error
-_ULID = re.compile(r"[0-9A-HJKMNP-TV-Z]{26}")
 
 
 def refusals(*codes: str) -> dict[int | str, dict[str, Any]]:
@@ -42,10 +42,17 @@ def headers(**described: str) -> Mapping[str, Any]:
     }
 
 
+def is_id(text: str) -> bool:
+    """Whether a text can be an id of ours; no other is looked up."""
+    return re.fullmatch(ULID_PATTERN, text) is not None
+
+
 async def _known_shape(id: Annotated[str, Path(description="a ULID, as the service gave it")]) -> str:
-    if not _ULID.fullmatch(id):
+    if not is_id(id):
         raise ProblemError("not-found", f"there is nothing with the id {id[:64]!r}; ids have 26 letters and digits")
     return id
 
 
 Id = Annotated[str, Depends(_known_shape)]
+
+Cursor = Annotated[str | None, Query(description="next_cursor of the page before", pattern="^[0-9A-Z]{26}$")]

@@ -38,17 +38,15 @@ from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 from pydantic import Field, TypeAdapter, ValidationError
 from starlette.concurrency import run_in_threadpool
 
-from dynamictree.errors import DynamicTreeError
 from dynamictree.modal.force import generalised_force
 from dynamictree.modal.locality import default_falloff_m
 from dynamictree.modal.response import Locality, group_forces, with_bin_zero
 from dynamictree.modal.step import State, Step, exact_step, run
 from dynamictree.modal.system import DAMPING_RATIO, ModalSystem, with_physics
-from jobs.errors import JobsError
 from service.context import Context, context_of
 from service.forces import LARGEST, MAX_GROUPS, ForcePayload, library_force, locality_payload
 from service.payloads import Finite, Payload
-from service.problems import ProblemError, known_code, problem_body
+from service.problems import REFUSALS, ProblemError, Refusal, problem_body, problem_of
 from service.trees import ReadyTree, ready_tree, with_mesh
 
 router = APIRouter(prefix="/v1/interact")
@@ -213,7 +211,7 @@ async def _open(socket: WebSocket, context: Context) -> tuple[OpenMessage, Ready
     except TimeoutError:
         await socket.close(INVALID, f"no open message within {OPEN_S:g} s")
         return None
-    except (ValidationError, DynamicTreeError, JobsError, ProblemError) as error:
+    except (ValidationError, *REFUSALS) as error:
         await _send(socket, _problem(error))
         await socket.close(INVALID)
         return None
@@ -246,7 +244,7 @@ async def _receive(socket: WebSocket, context: Context, spectrum_id: str, ready:
         except TimeoutError:
             await socket.close(DONE, f"nothing was heard for {IDLE_S:g} s")
             return
-        except (ValidationError, DynamicTreeError, JobsError, ProblemError) as error:
+        except (ValidationError, *REFUSALS) as error:
             await _send(socket, _problem(error))
 
 
@@ -285,16 +283,10 @@ async def _send(socket: WebSocket, message: dict[str, object]) -> None:
     await socket.send_text(orjson.dumps(message, option=orjson.OPT_SERIALIZE_NUMPY).decode())
 
 
-def _problem(error: Exception) -> dict[str, object]:
+def _problem(error: ValidationError | Refusal) -> dict[str, object]:
+    """A problem object, less its `type`, whose place the message's own takes."""
     if isinstance(error, ValidationError):
         wrong = "; ".join(f"{'/'.join(map(str, item['loc']))}: {item['msg']}" for item in error.errors())
-        return {"type": "problem"} | _body("validation-failed", wrong)
-    if isinstance(error, ProblemError):
-        return {"type": "problem"} | _body(error.code, str(error.detail))
-    return {"type": "problem"} | _body(known_code(error), str(error))
-
-
-def _body(code: str, detail: str) -> dict[str, object]:
-    """A problem object, less its `type`, whose place the message's own takes."""
-    body = problem_body(code, detail, request_id=None)
-    return {name: value for name, value in body.items() if name != "type"}
+        error = ProblemError("validation-failed", wrong)
+    told = problem_of(error)
+    return problem_body(told.code, told.detail, request_id=None) | {"type": "problem"}

@@ -13,8 +13,8 @@ from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.modes import quantised
 from dynamictree.spectrum import SparseVoxelSpectrum, bin_weights
 from jobs.errors import ConflictError, GoneError
-from service.accept import SAFETENSORS
 from service.context import Ctx
+from service.negotiation import SAFETENSORS
 from service.routing import Id, refusals
 from service.spectra import load_spectrum
 from service.trees import ReadyTree, bone_ties, ready_tree, vertex_ties, with_mesh

@@ -13,12 +13,12 @@ from starlette.concurrency import run_in_threadpool
 from jobs.artifacts import hash_file
 from jobs.store import new_id
 from jobs.uploads import UploadRecord, add_upload, change_upload, delete_upload, upload
+from service.asset_payloads import UploadPayload, upload_payload
 from service.assets import require_room
 from service.context import Context, Ctx
 from service.intake import FIELDS, reading_options
 from service.middleware import TUS_VERSION
-from service.payloads import UploadPayload, upload_payload
-from service.problems import FieldError, ProblemError
+from service.problems import ProblemError, wrong_field
 from service.quota import require_bytes
 from service.receiving import CHECKSUMS, Checksum, receive
 from service.routing import Id, headers, refusals
@@ -260,7 +260,9 @@ def _metadata(header: str | None) -> dict[str, str]:
         try:
             found[name] = base64.b64decode(encoded.strip(), validate=True).decode()
         except (binascii.Error, ValueError) as error:
-            raise _wrong(name, "not-base64", f"the value of {name!r} is no base64 of UTF-8") from error
+            raise wrong_field(
+                f"metadata:{name}", "not-base64", f"the value of {name!r} is no base64 of UTF-8"
+            ) from error
     reading_options({name: found[name] for name in FIELDS if name in found})
     promised = found.get("sha256")
     if promised is not None and (len(promised) != 64 or not set(promised) <= _HEX):
@@ -269,13 +271,14 @@ def _metadata(header: str | None) -> dict[str, str]:
         raise _wrong("asset", "not-allowed", f"asset is {found['asset']!r}; only auto is allowed")
     name = found.get("filename", "")
     if len(name) > MAX_NAME_CHARS or "\0" in name:
-        raise _wrong("filename", "not-allowed", f"filename has at most {MAX_NAME_CHARS} characters and no NUL")
+        raise wrong_field(
+            "metadata:filename", "not-allowed", f"filename has at most {MAX_NAME_CHARS} characters and no NUL"
+        )
     return found
 
 
 def _wrong(name: str, code: str, detail: str) -> ProblemError:
-    errors: list[FieldError] = [{"pointer": f"metadata:{name}", "code": code, "detail": detail}]
-    return ProblemError("validation-failed", detail, errors=errors)
+    return wrong_field(f"metadata:{name}", code, detail)
 
 
 def _elsewhere(offset: int, size: int) -> ProblemError:

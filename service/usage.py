@@ -2,11 +2,21 @@
 
 from fastapi import APIRouter
 
+from jobs.keys import Limit
 from service.context import Ctx
-from service.payloads import UsagePayload
+from service.payloads import Payload
 from service.routing import refusals
 
 router = APIRouter(prefix="/v1", tags=["catalogue"])
+
+
+class UsagePayload(Payload):
+    """What the caller has, and may have; null where no key is asked for."""
+
+    owner: str | None
+    active_jobs: int
+    bytes: int
+    limits: dict[Limit, int] | None
 
 
 @router.get("/usage", operation_id="getUsage", responses=refusals())

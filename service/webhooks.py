@@ -3,25 +3,76 @@
 from typing import Annotated
 
 from fastapi import APIRouter, Query, Response, status
+from pydantic import Field
 from starlette.concurrency import run_in_threadpool
 
 from jobs import webhooks
-from jobs.webhooks import Delivery, Endpoint
+from jobs.webhooks import EVENTS, Delivery, DeliveryState, Endpoint, Event
 from service.context import Ctx
-from service.payloads import (
-    DeliveryListPayload,
-    DeliveryPayload,
-    EndpointListPayload,
-    EndpointPayload,
-    EndpointRequest,
-    EndpointWithSecretPayload,
-    TryPayload,
-    maybe_time,
-    time_of,
-)
-from service.routing import Id, headers, refusals
+from service.payloads import Payload, Time, maybe_time, time_of
+from service.routing import Cursor, Id, headers, refusals
 
 router = APIRouter(prefix="/v1/webhook-endpoints", tags=["webhooks"])
+
+
+class EndpointRequest(Payload):
+    """An address to tell."""
+
+    url: str = Field(max_length=2048, description="https")
+    events: tuple[Event, ...] = Field(
+        default=EVENTS, max_length=len(EVENTS), description="of every job; none: only of jobs that name the endpoint"
+    )
+
+
+class EndpointPayload(Payload):
+    """An address that is told."""
+
+    id: str
+    url: str
+    events: list[Event]
+    disabled_reason: str | None
+    created_at: Time
+
+
+class EndpointWithSecretPayload(EndpointPayload):
+    """The only time that a secret is shown."""
+
+    secret: str = Field(description="whsec_ and base64: the key of HMAC-SHA256 over id.timestamp.body")
+
+
+class EndpointListPayload(Payload):
+    """Every address that is told."""
+
+    data: list[EndpointPayload]
+
+
+class TryPayload(Payload):
+    """One attempt to tell."""
+
+    at: Time
+    status: int | None = Field(description="null where no answer came")
+    detail: str
+    seconds: float
+
+
+class DeliveryPayload(Payload):
+    """A message for one address."""
+
+    id: str
+    message_id: str = Field(description="the header webhook-id; a replay has the same")
+    event: Event
+    job_id: str
+    state: DeliveryState
+    tries: list[TryPayload]
+    next_at: Time | None = Field(description="the next attempt; null once it is over")
+    created_at: Time
+
+
+class DeliveryListPayload(Payload):
+    """A page of deliveries, newest first."""
+
+    data: list[DeliveryPayload]
+    next_cursor: str | None
 
 
 @router.post(
@@ -80,7 +131,7 @@ def rotate_secret(id: Id, context: Ctx) -> EndpointWithSecretPayload:
 def list_deliveries(
     id: Id,
     context: Ctx,
-    cursor: Annotated[str | None, Query(description="next_cursor of the page before", pattern="^[0-9A-Z]{26}$")] = None,
+    cursor: Cursor = None,
     limit: Annotated[int, Query(ge=1, le=100, description="deliveries a page")] = 20,
 ) -> DeliveryListPayload:
     """What an address was told, newest first, with every attempt."""

@@ -283,9 +283,9 @@ def test_jobs_come_newest_first_in_pages(store: Store, asset: AssetRecord) -> No
     assert [job.id for job in store.jobs(before=ids[2], limit=3)] == ids[3:]
     assert store.jobs(state=JobState.RUNNING) == []
     assert len(store.jobs(job_type="diffuse")) == 5
-    assert [store.queue_position(store.job(job_id)) for job_id in reversed(ids)] == [0, 1, 2, 3, 4]
+    assert [store.standing(store.job(job_id))[0] for job_id in reversed(ids)] == [0, 1, 2, 3, 4]
     claim(store, ids[0])
-    assert store.queue_position(store.job(ids[0])) is None
+    assert store.standing(store.job(ids[0]))[0] is None
     assert store.count_jobs(JobState.QUEUED) == 4
     assert len(store.jobs()[0].stages) == 2
 

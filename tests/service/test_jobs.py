@@ -9,7 +9,7 @@ from jobs.records import AssetRecord
 from jobs.store import new_id
 from jobs.upkeep import abort_overdue
 from service.context import Context
-from service.jobs import KEY_EXPIRES_S
+from service.job_creation import KEY_EXPIRES_S
 from tests.service.conftest import hold, publish
 
 

@@ -1,0 +1,185 @@
+"""From a request to a job that is kept: what it needs is there, there is room, and the same key gives it again."""
+
+from hashlib import sha256
+
+from fastapi import Response, status
+
+from jobs.errors import ConflictError
+from jobs.records import AssetRecord, ClientKey, JobRecord, Json
+from jobs.states import JobState, JobType, queue_of, stages_of
+from jobs.store import new_id
+from jobs.webhooks import endpoint
+from service.assets import require_room
+from service.catalogue import require_preset
+from service.context import Context
+from service.job_answers import tell
+from service.job_payloads import JobPayload
+from service.job_requests import AnimateParams, JobRequest
+from service.origin import RequestOrigin
+from service.problems import ProblemError, wrong_field
+from service.quota import require_bytes
+from service.routing import is_id
+
+KEY_EXPIRES_S = 86400.0
+
+
+def accept(
+    context: Context,
+    body: JobRequest,
+    origin: RequestOrigin,
+    response: Response,
+    *,
+    key: str | None,
+    expires_s: float | None = None,
+) -> JobPayload:
+    """Check a request and keep its job, or give the one that was made under the same key."""
+    asset, stages = require_possible(context, body)
+    named = None
+    if key is not None:
+        named = ClientKey(key=key, body_sha256=_fingerprint(body), expires_s=expires_s)
+    return _keep(context, _record(context, body, asset, origin), stages, named, response)
+
+
+def accept_again(
+    context: Context, old: JobRecord, from_stage: JobType | None, origin: RequestOrigin, response: Response
+) -> JobPayload:
+    """Keep a new job that is asked for what an old one was; stages from `from_stage` on take nothing from the cache.
+
+    Raises:
+        ConflictError: the old one has not ended.
+        ProblemError: it has no such stage, or there is no place for another.
+    """
+    if not old.terminal:
+        raise ConflictError(f"job {old.id} is {old.state}; only one that has ended can be run again")
+    stages = tuple(stage.name for stage in old.stages)
+    if from_stage is not None and from_stage not in stages:
+        detail = f"job {old.id} has no stage {from_stage}; it has {', '.join(stages)}"
+        raise wrong_field("/from_stage", "unknown-stage", detail)
+    _require_place(context)
+    require_bytes(context, 0)
+    job = JobRecord(
+        id=new_id(),
+        type=old.type,
+        state=JobState.QUEUED,
+        asset_id=context.store.asset(old.asset_id).id,
+        preset=old.preset,
+        seed=old.seed,
+        params=old.params,
+        queue=old.queue,
+        priority=old.priority,
+        webhook_id=old.webhook_id,
+        request_id=origin.request_id,
+        traceparent=origin.traceparent,
+        retry_of=old.id,
+        fresh_from=from_stage,
+        created_at=context.store.clock(),
+    )
+    return _keep(context, job, stages, None, response)
+
+
+def _keep(
+    context: Context, job: JobRecord, stages: tuple[JobType, ...], key: ClientKey | None, response: Response
+) -> JobPayload:
+    most = context.caller.limits.get("active_jobs")
+    kept, new = context.store.add_job(job, stages=stages, client_key=key, max_active=most)
+    response.headers["Location"] = f"/v1/jobs/{kept.id}"
+    if not new and key is not None and key.key.startswith("put:"):
+        response.status_code = status.HTTP_200_OK
+    return tell(context, kept, response)
+
+
+def _fingerprint(body: JobRequest) -> str:
+    return sha256(body.model_dump_json().encode()).hexdigest()
+
+
+def require_possible(context: Context, body: JobRequest) -> tuple[AssetRecord, tuple[JobType, ...]]:
+    """The asset and the stages of a request that can be taken.
+
+    Raises:
+        ProblemError, JobsError, InputError: it cannot; the message says why.
+    """
+    _require_place(context)
+    if not is_id(body.asset_id):
+        raise ProblemError("not-found", f"there is no asset {body.asset_id!r}; POST /v1/assets gives ids")
+    if body.priority == "high" and "high-priority" not in context.caller.scopes:
+        raise ProblemError("forbidden", "this key may not ask for high priority; leave it at normal")
+    if body.webhook is not None:
+        endpoint(context.store, body.webhook)
+    asset = context.store.asset(body.asset_id)
+    stages = stages_of(body.type, asset.kind)
+    if "diffuse" in stages:
+        require_preset(body.preset)
+    if body.params.box_m is not None and asset.kind != "cloud":
+        detail = f"asset {asset.id} is of kind {asset.kind}; only of a cloud a part may move"
+        raise wrong_field("/params/box_m", "not-allowed", detail)
+    size = sum(format_bytes(body, asset).values())
+    require_room(context, size)
+    require_bytes(context, size)
+    return asset, stages
+
+
+def _record(context: Context, body: JobRequest, asset: AssetRecord, origin: RequestOrigin) -> JobRecord:
+    now = context.store.clock()
+    return JobRecord(
+        id=new_id(),
+        type=body.type,
+        state=JobState.QUEUED,
+        asset_id=asset.id,
+        preset=body.preset,
+        seed=body.seed,
+        params=_resolved(body, asset),
+        queue=queue_of(context.settings.queue, body.priority),
+        priority=body.priority,
+        webhook_id=body.webhook,
+        request_id=origin.request_id,
+        traceparent=origin.traceparent,
+        start_deadline=None if body.start_deadline_s is None else now + body.start_deadline_s,
+        created_at=now,
+    )
+
+
+def _require_place(context: Context) -> None:
+    require_room(context)
+    if context.store.count_jobs(JobState.QUEUED) >= context.settings.max_queued_jobs:
+        raise ProblemError("queue-full", f"{context.settings.max_queued_jobs} jobs wait already, which is the limit")
+
+
+def _resolved(body: JobRequest, asset: AssetRecord) -> dict[str, Json]:
+    """What the worker is told: the formats of this kind of asset where none are asked for, and always a picture."""
+    params: dict[str, Json] = body.params.model_dump(mode="json")
+    if body.params.box_m is None:
+        del params["box_m"]
+    if isinstance(body.params, AnimateParams):
+        params["formats"] = list(_formats(body.params, asset))
+    return params
+
+
+def _formats(params: AnimateParams, asset: AssetRecord) -> tuple[str, ...]:
+    from dynamictree.products import DEFAULT_CLOUD_FORMATS, DEFAULT_FORMATS
+
+    named = params.formats or (DEFAULT_CLOUD_FORMATS if asset.kind == "cloud" else DEFAULT_FORMATS)
+    return tuple(dict.fromkeys((*named, "png")))
+
+
+def format_bytes(body: JobRequest, asset: AssetRecord) -> dict[str, int]:
+    """Products whose size is known beforehand.
+
+    Raises:
+        InputError: frames that make no loop, or a sequence of splats that would be too large.
+    """
+    if not isinstance(body.params, AnimateParams):
+        return {}
+    # numba comes with the products; loaded beside the first requests, not with this module
+    from dynamictree.products import AnimateOptions
+    from dynamictree.spectrum import FPS, NUM_FRAMES
+    from dynamictree.splat_products import sequence_bytes
+
+    given = body.params.model_dump(include={"first_frame", "num_frames", "fps", "speed", "loop", "share", "sh_degree"})
+    options = AnimateOptions(**given, formats=_formats(body.params, asset))
+    num_frames = len(options.phases(NUM_FRAMES / FPS))
+    if "splat-ply" not in options.formats or asset.kind != "cloud":
+        return {}
+    count, degree = asset.summary["num_gaussians"], asset.summary["sh_degree"]
+    assert isinstance(count, int)
+    assert isinstance(degree, int)
+    return {"splat-ply": sequence_bytes(count, degree, num_frames, options)}
