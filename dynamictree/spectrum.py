@@ -65,6 +65,11 @@ class SparseVoxelSpectrum:
         return int(self.coefficients.shape[1])
 
     @property
+    def num_bytes(self) -> int:
+        """What its arrays take in memory [bytes]."""
+        return self.coefficients.nbytes + self.grid.coords.nbytes
+
+    @property
     def period_s(self) -> float:
         """Length of the loop [s]."""
         return self.num_frames / self.fps

@@ -2,7 +2,6 @@
 
 import asyncio
 import threading
-from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -20,43 +19,16 @@ from jobs.store import Store
 from service.callers import ANYONE, CALLER, Caller
 from service.history import History
 from service.receiving import Receivers
+from service.recent import Recent
 from service.watching import Watching
 
 if TYPE_CHECKING:
     from redis import Redis
 
     from service.ingest import Ingest
-    from service.trees import ReadyTrees
+    from service.trees import ReadyTree
 
 REDIS_TIMEOUT_S = 2.0
-
-
-class SpectrumCache:
-    """The spectra that were used last, up to a number of bytes. Keyed by the hash of their file."""
-
-    def __init__(self, max_bytes: int) -> None:
-        self.max_bytes = max_bytes
-        self._spectra: OrderedDict[str, SparseVoxelSpectrum] = OrderedDict()
-        self._lock = threading.Lock()
-
-    def get(self, digest: str) -> SparseVoxelSpectrum | None:
-        """The spectrum, if it is kept."""
-        with self._lock:
-            if digest in self._spectra:
-                self._spectra.move_to_end(digest)
-            return self._spectra.get(digest)
-
-    def put(self, digest: str, spectrum: SparseVoxelSpectrum) -> None:
-        """Keep a spectrum; drop those that were not used for longest."""
-        with self._lock:
-            self._spectra[digest] = spectrum
-            while self._spectra and self.num_bytes > self.max_bytes:
-                self._spectra.popitem(last=False)
-
-    @property
-    def num_bytes(self) -> int:
-        """What is kept [bytes]."""
-        return sum(kept.coefficients.nbytes + kept.grid.coords.nbytes for kept in self._spectra.values())
 
 
 T = TypeVar("T")
@@ -145,16 +117,14 @@ class Context:
         return open_artifacts(self.settings.resolved_artifacts_url, credentials=self.settings.s3_credentials)
 
     @_Shared
-    def spectra(self) -> SpectrumCache:
-        """Spectra in memory."""
-        return SpectrumCache(self.settings.spectrum_cache_bytes)
+    def spectra(self) -> Recent[SparseVoxelSpectrum]:
+        """Spectra that were used last, by the hash of their file."""
+        return Recent(self.settings.spectrum_cache_bytes, lambda kept: kept.num_bytes)
 
     @_Shared
-    def trees(self) -> "ReadyTrees":
-        """Trees made ready to be pushed."""
-        from service.trees import ReadyTrees
-
-        return ReadyTrees(self.settings.spectrum_cache_bytes)
+    def trees(self) -> "Recent[ReadyTree]":
+        """Trees that were pushed last, by their owner and the id of their spectrum."""
+        return Recent(self.settings.spectrum_cache_bytes, lambda kept: kept.num_bytes)
 
     @_Shared
     def parsing(self) -> asyncio.Semaphore:

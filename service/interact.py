@@ -87,7 +87,7 @@ async def interact(body: InteractRequest, context: Ctx, accept: Annotated[str | 
     """Push a tree, and read how it swings."""
     offered = (JSON, SAFETENSORS, NPZ) if body.output == "modal" else (SAFETENSORS, NPZ)
     media_type = chosen(accept, offered)
-    ready = living_tree(context, context.trees, body.spectrum_id)
+    ready = living_tree(context, body.spectrum_id)
     if ready is not None and _is_short(body):
         return _response(body, ready, context, media_type)  # 1 to 3 ms: a thread would cost as much again
     return await run_in_threadpool(_prepared_response, body, context, media_type)
@@ -101,7 +101,7 @@ def _is_short(body: InteractRequest) -> bool:
 
 
 def _prepared_response(body: InteractRequest, context: Context, media_type: str) -> Response:
-    return _response(body, ready_tree(context, context.trees, body.spectrum_id), context, media_type)
+    return _response(body, ready_tree(context, body.spectrum_id), context, media_type)
 
 
 def _response(body: InteractRequest, ready: ReadyTree, context: Context, media_type: str) -> Response:

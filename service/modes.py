@@ -12,8 +12,8 @@ from dynamictree.modal.modes import mode_metadata, mode_tensors
 from service.context import Ctx
 from service.forces import LARGEST
 from service.negotiation import SAFETENSORS
-from service.routing import Id, refusals
-from service.spectra import load_spectrum
+from service.routing import CACHED, Id, file_of, refusals
+from service.sources import load_spectrum
 from service.trees import ready_tree
 
 router = APIRouter(prefix="/v1/spectra", tags=["spectra"])
@@ -25,34 +25,22 @@ BYTES = "application/octet-stream"
     "/{id}/modes",
     operation_id="getModes",
     response_class=Response,
-    responses=refusals("not-found", "expired")
-    | {
-        200: {
-            "description": "safetensors; see docs/interaction.md",
-            "content": {SAFETENSORS: {"schema": {"type": "string", "format": "binary"}}},
-        }
-    },
+    responses=refusals("not-found", "expired") | file_of(SAFETENSORS, "safetensors; see docs/interaction.md"),
 )
 def get_modes(id: Id, context: Ctx) -> Response:
     """Mode shapes in 16 bits, and the bones of the warp. With the coordinates of /v1/interact they give every voxel."""
-    tree = ready_tree(context, context.trees, id).tree
+    tree = ready_tree(context, id).tree
     lean = np.ascontiguousarray(load_spectrum(context, id).coefficients[:, 0].real)
     tensors = mode_tensors(tree.system, tree.bones) | {"lean_m": lean}
     content = save(tensors, mode_metadata(tree.system) | {"spectrum_id": id})
-    return Response(content, 200, {"Cache-Control": "private, max-age=86400"}, SAFETENSORS)
+    return Response(content, 200, CACHED, SAFETENSORS)
 
 
 @router.get(
     "/{id}/reach",
     operation_id="getReach",
     response_class=Response,
-    responses=refusals("not-found", "expired")
-    | {
-        200: {
-            "description": "one byte a voxel: 255 w",
-            "content": {BYTES: {"schema": {"type": "string", "format": "binary"}}},
-        }
-    },
+    responses=refusals("not-found", "expired") | file_of(BYTES, "one byte a voxel: 255 w"),
 )
 def get_reach(
     id: Id,
@@ -63,7 +51,7 @@ def get_reach(
     ],
 ) -> Response:
     """How much each voxel takes part in a group of forces: w_g, a byte a voxel, in the order of the modes' coords."""
-    tree = ready_tree(context, context.trees, id).tree
+    tree = ready_tree(context, id).tree
     weights = poke_weights(tree.branching, seed_voxel, falloff_m)
     content = np.rint(weights * 255).astype(np.uint8).tobytes()
-    return Response(content, 200, {"Cache-Control": "private, max-age=86400"}, BYTES)
+    return Response(content, 200, CACHED, BYTES)

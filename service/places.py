@@ -5,9 +5,9 @@ In place and of the same length: pixels, orientation and focal length stay as th
 
 import struct
 from dataclasses import replace
-from hashlib import sha256
 from pathlib import Path
 
+from jobs.artifacts import hash_file
 from service.multipart import ReceivedFile
 
 MAX_SEGMENTS = 200
@@ -21,11 +21,8 @@ def without_place(file: ReceivedFile) -> ReceivedFile:
     """The same photo; if it is a JPEG that tells where it was taken, it does so no more."""
     if not _blank_jpeg(file.path):
         return file
-    digest = sha256()
-    with file.path.open("rb") as stream:
-        while chunk := stream.read(1 << 20):
-            digest.update(chunk)
-    return replace(file, sha256=digest.hexdigest())
+    digest, _ = hash_file(file.path)
+    return replace(file, sha256=digest)
 
 
 def _blank_jpeg(path: Path) -> bool:

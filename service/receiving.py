@@ -3,7 +3,6 @@
 import asyncio
 import base64
 import binascii
-import errno
 import hashlib
 import time
 from collections.abc import AsyncIterator
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING, Protocol
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect
 
+from jobs.artifacts import is_full
 from jobs.parts import PartStore, PartWriter
 from jobs.store import Store
 from jobs.uploads import UploadRecord, change_upload, upload
@@ -109,6 +109,12 @@ async def receive(
             del receivers.writing[record.id]
 
 
+def stands_elsewhere(offset: int, size: int) -> ProblemError:
+    """The refusal of bytes that begin at an offset where the upload does not stand."""
+    found = f"Upload-Offset is {offset:,}, the upload stands at {size:,}"
+    return ProblemError("upload-offset-conflict", found, headers={"Upload-Offset": str(size)})
+
+
 class _Receiver:
     """One request's writing."""
 
@@ -133,7 +139,7 @@ class _Receiver:
         except ClientDisconnect:
             raise ProblemError("bad-request", "the connection broke before the body was whole; go on with it") from None
         except OSError as error:
-            if error.errno in {errno.ENOSPC, errno.EDQUOT}:
+            if is_full(error):
                 raise ProblemError("disk-full", "the disk is full; what has come was kept") from error
             raise
         finally:
@@ -145,8 +151,7 @@ class _Receiver:
         while True:
             size = await run_in_threadpool(self.parts.size, self.record.id)
             if size != offset:
-                found = f"Upload-Offset is {offset:,}, the upload stands at {size:,}"
-                raise ProblemError("upload-offset-conflict", found, headers={"Upload-Offset": str(size)})
+                raise stands_elsewhere(offset, size)
             try:
                 return await run_in_threadpool(self.parts.writer, self.record.id, offset)
             except BlockingIOError as error:

@@ -47,6 +47,16 @@ def is_id(text: str) -> bool:
     return re.fullmatch(ULID_PATTERN, text) is not None
 
 
+def file_of(media_type: str, description: str) -> dict[int | str, dict[str, Any]]:
+    """A success that is a file, for its OpenAPI page."""
+    return {
+        200: {
+            "description": description,
+            "content": {media_type: {"schema": {"type": "string", "format": "binary"}}},
+        }
+    }
+
+
 async def _known_shape(id: Annotated[str, Path(description="a ULID, as the service gave it")]) -> str:
     if not is_id(id):
         raise ProblemError("not-found", f"there is nothing with the id {id[:64]!r}; ids have 26 letters and digits")
@@ -54,5 +64,8 @@ async def _known_shape(id: Annotated[str, Path(description="a ULID, as the servi
 
 
 Id = Annotated[str, Depends(_known_shape)]
+
+CACHED = {"Cache-Control": "private, max-age=86400"}
+"""For what is computed of a spectrum, which never changes."""
 
 Cursor = Annotated[str | None, Query(description="next_cursor of the page before", pattern="^[0-9A-Z]{26}$")]

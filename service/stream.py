@@ -206,7 +206,7 @@ async def _open(socket: WebSocket, context: Context) -> tuple[OpenMessage, Ready
     """Answer the first message; None where it was refused."""
     try:
         message = _FIRST.validate_json(await asyncio.wait_for(_text(socket), OPEN_S))
-        ready = await run_in_threadpool(ready_tree, context, context.trees, message.spectrum_id)
+        ready = await run_in_threadpool(ready_tree, context, message.spectrum_id)
         system = with_physics(ready.tree.system, mass_kg=message.mass_kg, damping_ratio=message.damping_ratio)
     except TimeoutError:
         await socket.close(INVALID, f"no open message within {OPEN_S:g} s")

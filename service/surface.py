@@ -1,8 +1,6 @@
 """The source mesh for a program that draws it: as it was uploaded, and with the motion of its vertices."""
 
 import json
-from io import BytesIO
-from typing import Any
 
 import numpy as np
 from fastapi import APIRouter
@@ -12,11 +10,10 @@ from safetensors.numpy import save
 from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.modes import quantised
 from dynamictree.spectrum import SparseVoxelSpectrum, bin_weights
-from jobs.errors import ConflictError, GoneError
 from service.context import Ctx
 from service.negotiation import SAFETENSORS
-from service.routing import Id, refusals
-from service.spectra import load_spectrum
+from service.routing import CACHED, Id, file_of, refusals
+from service.sources import load_asset_mesh, load_spectrum
 from service.trees import ReadyTree, bone_ties, ready_tree, vertex_ties, with_mesh
 
 router = APIRouter(prefix="/v1", tags=["spectra"])
@@ -30,12 +27,7 @@ BONES = 4
 TIES = 4
 """Voxels that a vertex of a large mesh hangs on."""
 
-_FILE: dict[int | str, dict[str, Any]] = {
-    200: {
-        "description": "safetensors; see docs/viewer.md",
-        "content": {SAFETENSORS: {"schema": {"type": "string", "format": "binary"}}},
-    }
-}
+_FILE = file_of(SAFETENSORS, "safetensors; see docs/viewer.md")
 
 
 @router.get(
@@ -47,15 +39,7 @@ _FILE: dict[int | str, dict[str, Any]] = {
 )
 def get_asset_surface(id: Id, context: Ctx) -> Response:
     """A mesh as it was read: metres, +Z up. Something to look at while its job runs."""
-    from dynamictree.formats.mesh_bundle import read_mesh_bundle
-
-    asset = context.store.asset(id)
-    if asset.kind != "mesh" or asset.prepared is None:
-        raise ConflictError(f"asset {id} is no mesh but {asset.kind}; a job makes its mesh")
-    try:
-        mesh = read_mesh_bundle(BytesIO(b"".join(context.artifacts.read(asset.prepared.sha256))))
-    except FileNotFoundError as error:
-        raise GoneError(f"the mesh of asset {id} was removed; upload it again") from error
+    mesh = load_asset_mesh(context, id)
     return _response(mesh_tensors(mesh), mesh)
 
 
@@ -67,7 +51,7 @@ def get_asset_surface(id: Id, context: Ctx) -> Response:
 )
 def get_surface(id: Id, context: Ctx) -> Response:
     """The source mesh, its vertices' motion in 16 bits, and the bones that carry them."""
-    ready = ready_tree(context, context.trees, id)
+    ready = ready_tree(context, id)
     mesh = with_mesh(context, ready, id)
     own = mesh.num_vertices <= MAX_OWN_SHAPES
     motion = _own_motion(ready, mesh, load_spectrum(context, id)) if own else _near_motion(ready, mesh)
@@ -141,4 +125,4 @@ def _response(tensors: dict[str, np.ndarray], mesh: TriangleMesh) -> Response:
     metadata = {"format": "tree-surface", "version": "1", "unit": "m", "up_axis": "+Z"}
     metadata["materials"] = json.dumps(materials)
     content = save({name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}, metadata)
-    return Response(content, 200, {"Cache-Control": "private, max-age=86400"}, SAFETENSORS)
+    return Response(content, 200, CACHED, SAFETENSORS)

@@ -1,7 +1,6 @@
 """Trees made ready to be pushed, kept in memory up to a bound."""
 
 import threading
-from collections import OrderedDict
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -13,7 +12,7 @@ from dynamictree.modal.response import InteractiveTree
 from dynamictree.modal.surface import BoneAttachment, attach_mesh
 from dynamictree.modal.system import modal_system
 from service.context import Context
-from service.spectra import load_source_cloud, load_source_mesh, load_spectrum, spectrum_artifact
+from service.sources import load_source_cloud, load_source_mesh, load_spectrum, spectrum_artifact
 
 if TYPE_CHECKING:
     from dynamictree.gaussian.deform import Deformer  # brings numba
@@ -53,50 +52,24 @@ class ReadyTree:
         return BYTES_A_VOXEL * len(self.tree.system.grid) + known
 
 
-@dataclass
-class ReadyTrees:
-    """The trees that were pushed last, by the id of their spectrum."""
-
-    max_bytes: int
-    _kept: "OrderedDict[str, ReadyTree]" = field(default_factory=OrderedDict)
-    _lock: threading.Lock = field(default_factory=threading.Lock)
-
-    def get(self, key: str) -> ReadyTree | None:
-        """The tree, if it is kept."""
-        with self._lock:
-            if key in self._kept:
-                self._kept.move_to_end(key)
-            return self._kept.get(key)
-
-    def put(self, key: str, ready: ReadyTree) -> None:
-        """Keep a tree; drop those that were not pushed for longest."""
-        with self._lock:
-            self._kept[key] = ready
-            while len(self._kept) > 1 and sum(tree.num_bytes for tree in self._kept.values()) > self.max_bytes:
-                self._kept.popitem(last=False)
-
-    def __len__(self) -> int:
-        return len(self._kept)
-
-
-def ready_tree(context: Context, trees: ReadyTrees, spectrum_id: str) -> ReadyTree:
+def ready_tree(context: Context, spectrum_id: str) -> ReadyTree:
     """The tree of a spectrum.
 
     Raises:
         NotFoundError, GoneError: there is none, or it has expired.
     """
-    kept = living_tree(context, trees, spectrum_id)
+    kept = living_tree(context, spectrum_id)
     if kept is None:
         artifact = spectrum_artifact(context, spectrum_id)
         tree = InteractiveTree(modal_system(load_spectrum(context, spectrum_id)))
         kept = ReadyTree(tree, artifact.expires_at)
-        trees.put(_key(context, spectrum_id), kept)
+        context.trees.put(_key(context, spectrum_id), kept)
     return kept
 
 
-def living_tree(context: Context, trees: ReadyTrees, spectrum_id: str) -> ReadyTree | None:
+def living_tree(context: Context, spectrum_id: str) -> ReadyTree | None:
     """The tree of a spectrum if it is kept in memory and has not expired; asks no store."""
-    kept = trees.get(_key(context, spectrum_id))
+    kept = context.trees.get(_key(context, spectrum_id))
     return kept if kept is not None and context.store.clock() < kept.expires_at else None
 
 

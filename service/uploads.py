@@ -20,7 +20,7 @@ from service.intake import FIELDS, reading_options
 from service.middleware import TUS_VERSION
 from service.problems import ProblemError, wrong_field
 from service.quota import require_bytes
-from service.receiving import CHECKSUMS, Checksum, receive
+from service.receiving import CHECKSUMS, Checksum, receive, stands_elsewhere
 from service.routing import Id, headers, refusals
 from service.waiting import LOOK_S, WaitS
 
@@ -160,7 +160,7 @@ async def append_to_upload(
     offset = int(upload_offset)
     if record.state != "receiving":
         if offset != record.received:
-            raise _elsewhere(offset, record.received)
+            raise stands_elsewhere(offset, record.received)
         return Response(status_code=status.HTTP_204_NO_CONTENT, headers=_standing(record, record.received))
     await run_in_threadpool(require_room, context)
     size = await receive(context, record, request.stream(), offset, checksum)
@@ -279,11 +279,6 @@ def _metadata(header: str | None) -> dict[str, str]:
 
 def _wrong(name: str, code: str, detail: str) -> ProblemError:
     return wrong_field(f"metadata:{name}", code, detail)
-
-
-def _elsewhere(offset: int, size: int) -> ProblemError:
-    found = f"Upload-Offset is {offset:,}, the upload stands at {size:,}"
-    return ProblemError("upload-offset-conflict", found, headers={"Upload-Offset": str(size)})
 
 
 def _require_place(context: Context, length: int) -> None:

@@ -287,10 +287,10 @@ def test_vertices_are_gone_with_their_asset_and_voxels_are_not(
 
 def test_the_memory_for_trees_is_bounded(client: TestClient, spectrum_id: str, context: Context, poke: dict) -> None:
     post(client, spectrum_id, poke)
-    ready = living_tree(context, context.trees, spectrum_id)
+    ready = living_tree(context, spectrum_id)
     assert ready is not None
     for number in range(5):
         context.trees.max_bytes = 3 * ready.num_bytes
         context.trees.put(f"other-{number}", ready)
     assert len(context.trees) == 3
-    assert living_tree(context, context.trees, spectrum_id) is None
+    assert living_tree(context, spectrum_id) is None

@@ -1,0 +1,35 @@
+"""What was used last, in memory up to a bound."""
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable
+from typing import Generic, TypeVar
+
+T = TypeVar("T")
+
+
+class Recent(Generic[T]):
+    """Things by key, up to a number of bytes in all; the last one is kept whatever its size. For many threads."""
+
+    def __init__(self, max_bytes: int, num_bytes: Callable[[T], int]) -> None:
+        self.max_bytes = max_bytes
+        self._num_bytes = num_bytes
+        self._kept: OrderedDict[str, T] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def get(self, key: str) -> T | None:
+        """The thing, if it is kept."""
+        with self._lock:
+            if key in self._kept:
+                self._kept.move_to_end(key)
+            return self._kept.get(key)
+
+    def put(self, key: str, thing: T) -> None:
+        """Keep a thing; drop those that were not used for longest. Sizes are asked for anew, for things that grow."""
+        with self._lock:
+            self._kept[key] = thing
+            while len(self._kept) > 1 and sum(map(self._num_bytes, self._kept.values())) > self.max_bytes:
+                self._kept.popitem(last=False)
+
+    def __len__(self) -> int:
+        return len(self._kept)
