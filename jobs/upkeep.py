@@ -19,6 +19,12 @@ BLOB_GRACE_S = 3600.0
 """Bytes are put before the row that refers to them; nothing takes an hour between the two."""
 
 
+WORKER_LEASES = "worker:"
+"""What the name of every worker's own lease begins with."""
+
+HOUSEKEEPER_LEASE = "housekeeper"
+
+
 def hold_lease(store: Store, name: str, *, owner: str, lease_s: float) -> bool:
     """Take or prolong a named lease, so that one process acts; tell whether it is ours."""
     now = store.clock()

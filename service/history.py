@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from jobs.records import JobRecord
 from jobs.states import JobState, JobType
-from jobs.upkeep import living
+from jobs.upkeep import WORKER_LEASES, living
 
 if TYPE_CHECKING:
     from jobs.store import Store
@@ -52,7 +52,7 @@ class History:
             each = self._median("seconds", "any job", self.store.run_seconds)
             if each is None:
                 return None
-            workers = self._median("number", "workers", lambda: [float(len(living(self.store, "worker:")))])
+            workers = self._median("number", "workers", lambda: [float(len(living(self.store, WORKER_LEASES)))])
             left += each * position / max(workers or 1.0, 1.0)
         return round(left, 1)
 

@@ -9,17 +9,13 @@ from typing import Annotated
 
 import typer
 
-from jobs.errors import JobsError, SettingsError
 from jobs.keys import LIMITS, SCOPES, KeyRecord, Limit, Scope, create_key, revoke_key
 from jobs.keys import keys as all_keys
-from jobs.settings import read_settings
 from jobs.store import Store
+from service.command import StateDir, one_line, settings_of
 
 app = typer.Typer(no_args_is_help=True, help="Make API keys, list them, revoke them.")
 
-_StateDir = Annotated[
-    Path | None, typer.Option(help="folder of jobs, uploads and products; DYNAMICTREE_STATE_DIR or ./state if unset")
-]
 _AsJson = Annotated[bool, typer.Option("--json", help="print JSON")]
 
 
@@ -36,7 +32,7 @@ def create(
     expires_days: Annotated[
         float | None, typer.Option(help="days until it opens nothing; never if unset", min=0)
     ] = None,
-    state_dir: _StateDir = None,
+    state_dir: StateDir = None,
     as_json: _AsJson = False,
 ) -> None:
     """Make a key. It is printed once and kept nowhere."""
@@ -53,7 +49,7 @@ def create(
 
 
 @app.command("list")
-def list_keys(state_dir: _StateDir = None, as_json: _AsJson = False) -> None:
+def list_keys(state_dir: StateDir = None, as_json: _AsJson = False) -> None:
     """List the keys; the keys themselves are kept nowhere."""
     with _store(state_dir) as store:
         found = all_keys(store)
@@ -66,7 +62,7 @@ def list_keys(state_dir: _StateDir = None, as_json: _AsJson = False) -> None:
 
 
 @app.command()
-def revoke(key_id: Annotated[str, typer.Argument(help="as `keys list` shows it")], state_dir: _StateDir = None) -> None:
+def revoke(key_id: Annotated[str, typer.Argument(help="as `keys list` shows it")], state_dir: StateDir = None) -> None:
     """Let a key open nothing any more, within two seconds."""
     with _store(state_dir) as store:
         revoke_key(store, key_id)
@@ -103,10 +99,5 @@ def _limits(given: list[str]) -> dict[Limit, int]:
 
 @contextmanager
 def _store(state_dir: Path | None) -> Iterator[Store]:
-    try:
-        settings = read_settings(**({} if state_dir is None else {"state_dir": state_dir}))
-        with closing(Store.open(settings.resolved_database_url)) as store:
-            yield store
-    except (SettingsError, JobsError) as error:
-        typer.echo(f"dynamictree keys: {error}", err=True)
-        raise typer.Exit(2) from error
+    with one_line("keys"), closing(Store.open(settings_of(state_dir=state_dir).resolved_database_url)) as store:
+        yield store

@@ -21,9 +21,8 @@ from prometheus_client import (
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily, Metric
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from jobs import tables as t
+from jobs.census import Census, census
 from jobs.states import JobState
-from jobs.store import Store
 from jobs.tallies import SECONDS, tallies
 from service.context import Context, Ctx
 from service.problems import ProblemError
@@ -77,35 +76,25 @@ class StoreMetrics:
         """Every family."""
         store = self.context.store
         with store.reading() as connection:
-            counted = tallies(connection)
-            yield from _now(connection, store)
+            counted, now = tallies(connection), census(connection, store.clock())
+        yield from _now(now)
         yield from _since_ever(counted)
         free = self.context.artifacts.free_bytes()
         if free is not None:
             yield _gauge("storage_free_bytes", "Room left in the storage", {(): free})
 
 
-def _now(connection: sa.Connection, store: Store) -> Iterator[Metric]:
-    now = store.clock()
-    by_state = sa.select(t.jobs.c.state, sa.func.count()).group_by(t.jobs.c.state)
-    states: dict[tuple[str, ...], float] = {(str(state),): 0.0 for state in JobState}
-    states |= {(state,): float(count) for state, count in connection.execute(by_state)}
+def _now(now: Census) -> Iterator[Metric]:
+    states: dict[tuple[str, ...], float] = {(str(state),): now.jobs.get(state, 0) for state in JobState}
     yield _gauge("jobs", "Jobs whose record is kept, by state", states, ["state"])
-    waiting = t.jobs.c.state == JobState.QUEUED
-    columns = (t.jobs.c.queue, sa.func.count(), sa.func.min(t.jobs.c.created_at))
-    rows = connection.execute(sa.select(*columns).where(waiting).group_by(t.jobs.c.queue)).all()
-    lengths: dict[tuple[str, ...], float] = {(queue,): count for queue, count, _ in rows}
+    lengths: dict[tuple[str, ...], float] = {(queue.name,): queue.jobs for queue in now.queues}
     yield _gauge("queue_jobs", "Jobs that wait", lengths, ["queue"])
-    ages: dict[tuple[str, ...], float] = {(queue,): max(now - oldest, 0.0) for queue, _, oldest in rows}
+    ages: dict[tuple[str, ...], float] = {(queue.name,): queue.oldest_s for queue in now.queues}
     yield _gauge("queue_age_seconds", "How long the oldest job waits", ages, ["queue"])
-    unsent = sa.select(sa.func.count()).select_from(t.outbox).where(t.outbox.c.sent_at.is_(None))
-    yield _gauge("outbox_messages", "Messages not yet sent", {(): connection.execute(unsent).scalar_one()})
-    there = connection.execute(sa.select(t.leases.c.name).where(t.leases.c.until > now)).scalars().all()
-    workers = sum(name.startswith("worker:") for name in there)
-    yield _gauge("workers", "Workers that are there", {(): workers})
-    yield _gauge("housekeeper", "Whether a housekeeper acts", {(): "housekeeper" in there})
-    size = sa.select(sa.func.coalesce(sa.func.sum(t.blobs.c.bytes), 0))
-    yield _gauge("stored_bytes", "Bytes that are kept", {(): connection.execute(size).scalar_one()})
+    yield _gauge("outbox_messages", "Messages not yet sent", {(): now.unsent_messages})
+    yield _gauge("workers", "Workers that are there", {(): now.workers})
+    yield _gauge("housekeeper", "Whether a housekeeper acts", {(): now.has_housekeeper})
+    yield _gauge("stored_bytes", "Bytes that are kept", {(): now.stored_bytes})
 
 
 def _since_ever(counted: dict[str, dict[str, float]]) -> Iterator[Metric]:

