@@ -17,6 +17,7 @@ from dynamictree.formats.spectrum_file import write_spectrum
 from dynamictree.mesh import TriangleMesh
 from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.artifacts import hash_file
+from jobs.assets import add_asset
 from jobs.attempts import claim, publish_stage, start_stage, succeed
 from jobs.records import AssetPart, AssetRecord, JobRecord, OutputFile
 from jobs.settings import Settings
@@ -69,7 +70,7 @@ def published(context: Context, spectrum: SparseVoxelSpectrum, mesh: TriangleMes
         id=new_id(),
         type="diffuse",
         state=JobState.QUEUED,
-        asset_id=context.store.add_asset(asset)[0].id,
+        asset_id=add_asset(context.store, asset)[0].id,
         preset="small",
         seed=0,
         params={},

@@ -1,5 +1,6 @@
 """What a worker does to the job that it runs. Every write names the attempt: that is the fence."""
 
+from collections.abc import Sequence
 from dataclasses import asdict
 
 import sqlalchemy as sa
@@ -10,8 +11,9 @@ from jobs.errors import FencedError
 from jobs.joblog import note
 from jobs.patience import patient
 from jobs.records import Claim, OutputFile
+from jobs.rows import end, read_job
 from jobs.states import JobState, JobType
-from jobs.store import Store, end, new_id, read_job
+from jobs.store import Store, new_id
 from jobs.tallies import count, count_seconds
 
 
@@ -112,15 +114,7 @@ def publish_stage(
         known = connection.execute(sa.select(t.stages.c.state, t.stages.c.started_at).where(row_of)).one()
         if known.state == "succeeded":
             return  # asked again, because the answer to the first commit was lost
-        for file in files:
-            row = {
-                "id": new_id(),
-                "job_id": held.job.id,
-                "stage": stage,
-                "created_at": now,
-                "expires_at": now + retention_s,
-            }
-            connection.execute(t.artifacts.insert().values(**row, **asdict(file)))
+        _add_artifacts(connection, held, stage, files, now=now, retention_s=retention_s)
         entry = {"key": key, "stage": stage, "files": [asdict(file) for file in files], "used_at": now}
         upsert(connection, t.stage_cache, entry)
         done = {"state": "succeeded", "progress": 1.0, "cached": cached, "finished_at": now}
@@ -140,13 +134,9 @@ def offer(store: Store, held: Claim, stage: JobType, files: tuple[OutputFile, ..
     Raises:
         FencedError: the attempt is no longer ours; nothing is offered.
     """
-    now = store.clock()
     with store.writing() as connection:
         _touch(connection, held)
-        for file in files:
-            row = {"id": new_id(), "job_id": held.job.id, "stage": stage}
-            times = {"created_at": now, "expires_at": now + retention_s}
-            connection.execute(t.artifacts.insert().values(**row, **times, **asdict(file)))
+        _add_artifacts(connection, held, stage, files, now=store.clock(), retention_s=retention_s)
 
 
 @patient
@@ -169,23 +159,13 @@ def touch_blob(store: Store, sha256: str, num_bytes: int) -> None:
 @patient
 def succeed(store: Store, held: Claim) -> JobState:
     """End the attempt well; where a cancel came first, the job is canceled. Gives the final state."""
-    with store.writing() as connection:
-        if _state(connection, held) == JobState.CANCELING:
-            end(connection, held.job.id, JobState.CANCELED, now=store.clock())
-            return JobState.CANCELED
-        end(connection, held.job.id, JobState.SUCCEEDED, now=store.clock())
-        return JobState.SUCCEEDED
+    return _end(store, held, JobState.SUCCEEDED)
 
 
 @patient
 def fail(store: Store, held: Claim, *, code: str, message: str) -> JobState:
     """End the attempt with an error; where a cancel came first, the job is canceled. Gives the final state."""
-    with store.writing() as connection:
-        if _state(connection, held) == JobState.CANCELING:
-            end(connection, held.job.id, JobState.CANCELED, now=store.clock())
-            return JobState.CANCELED
-        end(connection, held.job.id, JobState.FAILED, now=store.clock(), error_code=code, error_message=message)
-        return JobState.FAILED
+    return _end(store, held, JobState.FAILED, error_code=code, error_message=message)
 
 
 @patient
@@ -207,19 +187,52 @@ def hand_back(store: Store, held: Claim) -> None:
         count(connection, "attempts", "handed-back")
 
 
-def begin_next_attempt(connection: sa.Connection, job_id: str, attempt: int, **values: object) -> None:
-    """Raise the fence and put the message for the next attempt into the outbox."""
-    now = values.pop("now")
-    free = {"attempt": attempt + 1, "lease_owner": None, "lease_until": None, "version": t.jobs.c.version + 1}
+def begin_next_attempt(
+    connection: sa.Connection,
+    job_id: str,
+    attempt: int,
+    *,
+    now: float,
+    lost_stages: Sequence[str | None] | None = None,
+) -> None:
+    """Raise the fence and put the message for the next attempt into the outbox.
+
+    `lost_stages` are those in which workers were lost, this one among them; without any, it was handed back.
+    """
+    changes: dict[str, object] = {} if lost_stages is None else {"lost_stages": lost_stages}
+    changes |= {"attempt": attempt + 1, "lease_owner": None, "lease_until": None, "version": t.jobs.c.version + 1}
     this = (t.jobs.c.id == job_id) & (t.jobs.c.attempt == attempt)
-    connection.execute(t.jobs.update().where(this).values(**free, **values))
+    connection.execute(t.jobs.update().where(this).values(**changes))
     running = (t.stages.c.job_id == job_id) & (t.stages.c.state == "running")
     connection.execute(t.stages.update().where(running).values(state="queued", progress=0.0))
     connection.execute(t.outbox.insert().values(job_id=job_id, attempt=attempt + 1, created_at=now))
-    assert isinstance(now, float)
-    lost = "lost_stages" in values
-    text = "lost by its worker" if lost else "handed back by its worker"
-    note(connection, job_id, text, at=now, level="warning" if lost else "info", attempt=attempt)
+    if lost_stages is None:
+        note(connection, job_id, "handed back by its worker", at=now, attempt=attempt)
+    else:
+        note(connection, job_id, "lost by its worker", at=now, level="warning", attempt=attempt)
+
+
+def _add_artifacts(
+    connection: sa.Connection,
+    held: Claim,
+    stage: JobType,
+    files: tuple[OutputFile, ...],
+    *,
+    now: float,
+    retention_s: float,
+) -> None:
+    for file in files:
+        row = {"id": new_id(), "job_id": held.job.id, "stage": stage}
+        times = {"created_at": now, "expires_at": now + retention_s}
+        connection.execute(t.artifacts.insert().values(**row, **times, **asdict(file)))
+
+
+def _end(store: Store, held: Claim, target: JobState, **error: str) -> JobState:
+    with store.writing() as connection:
+        if _state(connection, held) == JobState.CANCELING:
+            target, error = JobState.CANCELED, {}
+        end(connection, held.job.id, target, now=store.clock(), **error)
+        return target
 
 
 def _ours(held: Claim) -> sa.ColumnElement[bool]:

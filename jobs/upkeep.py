@@ -8,8 +8,9 @@ from jobs import tables as t
 from jobs.attempts import begin_next_attempt
 from jobs.database import upsert
 from jobs.messages import RunJob
+from jobs.rows import end
 from jobs.states import JobState
-from jobs.store import Store, end
+from jobs.store import Store
 from jobs.tallies import count
 
 TOMBSTONE_S = 90 * 86400.0

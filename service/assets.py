@@ -8,6 +8,7 @@ from fastapi.exceptions import RequestValidationError
 from pydantic import ValidationError
 from starlette.concurrency import run_in_threadpool
 
+from jobs import assets as kept
 from jobs.records import AssetRecord
 from jobs.states import ASSET_KINDS
 from jobs.store import new_id
@@ -160,7 +161,7 @@ def _told(asset: AssetRecord, new: bool, response: Response) -> AssetPayload:
 @router.get("/{id}", operation_id="getAsset", responses=refusals("not-found", "expired"))
 def get_asset(id: Id, context: Ctx) -> AssetPayload:
     """What was uploaded, and what was found in it."""
-    return asset_payload(context.store.asset(id))
+    return asset_payload(kept.read_asset(context.store, id))
 
 
 @router.delete(
@@ -171,7 +172,7 @@ def get_asset(id: Id, context: Ctx) -> AssetPayload:
 )
 def delete_asset(id: Id, context: Ctx) -> None:
     """Forget an upload. What was made of it stays until it expires."""
-    context.store.delete_asset(id)
+    kept.delete_asset(context.store, id)
 
 
 def require_room(context: Context, wanted: int = 0) -> None:

@@ -3,9 +3,11 @@
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from statistics import median
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
+from jobs.history import run_seconds, stage_bytes, stage_seconds
 from jobs.records import JobRecord
 from jobs.states import JobState, JobType
 from jobs.upkeep import WORKER_LEASES, living
@@ -14,7 +16,6 @@ if TYPE_CHECKING:
     from jobs.store import Store
 
 REMEMBERED_S = 10.0
-Number = TypeVar("Number", int, float)
 
 
 @dataclass
@@ -26,11 +27,11 @@ class History:
 
     def stage_seconds(self, stages: Sequence[JobType]) -> float | None:
         """What stages take together [s]; None where one never ran here."""
-        return self._sum("seconds", stages, self.store.stage_seconds)
+        return self._sum("seconds", stages, stage_seconds)
 
     def stage_bytes(self, stages: Sequence[JobType]) -> int | None:
         """What stages make together [bytes]; None where one never ran here."""
-        total = self._sum("bytes", stages, self.store.stage_bytes)
+        total = self._sum("bytes", stages, stage_bytes)
         return None if total is None else round(total)
 
     def eta_s(self, job: JobRecord, position: int | None) -> float | None:
@@ -49,15 +50,17 @@ class History:
                     return None
                 left += seconds * (1 - stage.progress)
         if position:
-            each = self._median("seconds", "any job", self.store.run_seconds)
+            each = self._median("seconds", "any job", partial(run_seconds, self.store))
             if each is None:
                 return None
             workers = self._median("number", "workers", lambda: [float(len(living(self.store, WORKER_LEASES)))])
             left += each * position / max(workers or 1.0, 1.0)
         return round(left, 1)
 
-    def _sum(self, what: str, stages: Sequence[JobType], look: Callable[[JobType], Sequence[float]]) -> float | None:
-        medians = [self._median(what, stage, lambda stage=stage: look(stage)) for stage in stages]  # type: ignore[misc]
+    def _sum(
+        self, what: str, stages: Sequence[JobType], look: "Callable[[Store, JobType], Sequence[float]]"
+    ) -> float | None:
+        medians = [self._median(what, stage, partial(look, self.store, stage)) for stage in stages]
         return None if None in medians else sum(value for value in medians if value is not None)
 
     def _median(self, what: str, of: str, look: Callable[[], Sequence[float]]) -> float | None:

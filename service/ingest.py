@@ -12,6 +12,7 @@ import sqlalchemy as sa
 from starlette.concurrency import run_in_threadpool
 
 from jobs.artifacts import hash_file
+from jobs.assets import read_asset
 from jobs.errors import ConflictError, GoneError, OutboundError
 from jobs.records import AssetRecord
 from jobs.store import new_id
@@ -42,7 +43,7 @@ async def make_asset(
     """
     made = {upload.asset_id for upload in uploads}
     if len(made) == 1 and None not in made:
-        return await run_in_threadpool(context.store.asset, str(made.pop())), False
+        return await run_in_threadpool(read_asset, context.store, str(made.pop())), False
     for upload in uploads:
         if upload.state not in {"received", "failed"} or upload.length is None:
             raise ConflictError(f"upload {upload.id} is {upload.state}; send the rest of it, or begin anew")

@@ -9,6 +9,7 @@ from pathlib import Path, PurePosixPath
 from starlette.concurrency import run_in_threadpool
 
 from jobs.artifacts import hash_file
+from jobs.assets import add_asset, find_asset
 from jobs.attempts import touch_blob
 from jobs.parser import ParseRequest, parse
 from jobs.products import CLOUD_BUNDLE, MESH_BUNDLE
@@ -154,9 +155,9 @@ async def admit(context: Context, upload: Upload, folder: Path) -> tuple[AssetRe
     """
     store = context.store
     expires_at = store.clock() + context.settings.asset_retention_s
-    known = await run_in_threadpool(store.find_asset, upload.fingerprint)
+    known = await run_in_threadpool(find_asset, store, upload.fingerprint)
     if known is not None:
-        return await run_in_threadpool(store.add_asset, replace(known, expires_at=expires_at))
+        return await run_in_threadpool(add_asset, store, replace(known, expires_at=expires_at))
     prepared = folder / "prepared"
     request = ParseRequest(
         kind=upload.kind,
@@ -193,7 +194,8 @@ def _keep(
     for path, part in located:
         touch_blob(context.store, part.sha256, part.bytes)
         context.artifacts.put(path, part.sha256)
-    return context.store.add_asset(
+    return add_asset(
+        context.store,
         AssetRecord(
             id=new_id(),
             kind=upload.kind,
@@ -203,7 +205,7 @@ def _keep(
             summary=summary,
             created_at=context.store.clock(),
             expires_at=expires_at,
-        )
+        ),
     )
 
 

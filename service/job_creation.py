@@ -4,10 +4,12 @@ from hashlib import sha256
 
 from fastapi import Response, status
 
+from jobs.assets import read_asset
 from jobs.errors import ConflictError
 from jobs.records import AssetRecord, ClientKey, JobRecord, Json
 from jobs.states import JobState, JobType, queue_of, stages_of
 from jobs.store import new_id
+from jobs.usage import count_jobs
 from jobs.webhooks import endpoint
 from service.assets import require_room
 from service.catalogue import require_preset
@@ -61,7 +63,7 @@ def accept_again(
         id=new_id(),
         type=old.type,
         state=JobState.QUEUED,
-        asset_id=context.store.asset(old.asset_id).id,
+        asset_id=read_asset(context.store, old.asset_id).id,
         preset=old.preset,
         seed=old.seed,
         params=old.params,
@@ -105,7 +107,7 @@ def require_possible(context: Context, body: JobRequest) -> tuple[AssetRecord, t
         raise ProblemError("forbidden", "this key may not ask for high priority; leave it at normal")
     if body.webhook is not None:
         endpoint(context.store, body.webhook)
-    asset = context.store.asset(body.asset_id)
+    asset = read_asset(context.store, body.asset_id)
     stages = stages_of(body.type, asset.kind)
     if "diffuse" in stages:
         require_preset(body.preset)
@@ -140,7 +142,7 @@ def _record(context: Context, body: JobRequest, asset: AssetRecord, origin: Requ
 
 def _require_place(context: Context) -> None:
     require_room(context)
-    if context.store.count_jobs(JobState.QUEUED) >= context.settings.max_queued_jobs:
+    if count_jobs(context.store, JobState.QUEUED) >= context.settings.max_queued_jobs:
         raise ProblemError("queue-full", f"{context.settings.max_queued_jobs} jobs wait already, which is the limit")
 
 

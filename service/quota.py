@@ -1,5 +1,6 @@
 """What one owner may keep here."""
 
+from jobs.usage import kept_bytes
 from service.context import Context
 from service.problems import ProblemError
 
@@ -13,6 +14,6 @@ def require_bytes(context: Context, wanted: int) -> None:
     allowed = context.caller.limits.get("bytes")
     if allowed is None:
         return
-    kept = context.store.kept_bytes()
+    kept = kept_bytes(context.store)
     if kept + wanted > allowed:
         raise ProblemError("quota-exceeded", f"you keep {kept:,} bytes, {wanted:,} more pass the {allowed:,} allowed")

@@ -8,6 +8,7 @@ from dynamictree.formats.spectrum_file import read_spectrum
 from dynamictree.gaussian.capture import Box, Capture
 from dynamictree.mesh import TriangleMesh
 from dynamictree.spectrum import SparseVoxelSpectrum
+from jobs.assets import read_asset
 from jobs.errors import ConflictError, GoneError, NotFoundError
 from jobs.products import MESH_BUNDLE, SPECTRUM
 from jobs.records import ArtifactRecord
@@ -51,7 +52,7 @@ def load_source_mesh(context: Context, spectrum_id: str) -> TriangleMesh:
         NotFoundError, GoneError: there is no such spectrum, or its asset has expired.
     """
     artifact = spectrum_artifact(context, spectrum_id)
-    asset = context.store.asset(context.store.job(artifact.job_id).asset_id)
+    asset = read_asset(context.store, context.store.job(artifact.job_id).asset_id)
     if asset.prepared is not None and asset.kind == "mesh":
         return _mesh(context, asset.prepared.sha256, asset.id)
     made = [other for other in context.store.artifacts_of(artifact.job_id) if other.name == MESH_BUNDLE]
@@ -67,7 +68,7 @@ def load_asset_mesh(context: Context, asset_id: str) -> TriangleMesh:
         NotFoundError, GoneError: there is none, or it has expired.
         ConflictError: the asset is of another kind.
     """
-    asset = context.store.asset(asset_id)
+    asset = read_asset(context.store, asset_id)
     if asset.kind != "mesh" or asset.prepared is None:
         raise ConflictError(f"asset {asset_id} is no mesh but {asset.kind}; a job makes its mesh")
     return _mesh(context, asset.prepared.sha256, asset_id)
@@ -83,7 +84,7 @@ def load_source_cloud(context: Context, spectrum_id: str) -> tuple[Capture, Box 
     from dynamictree.formats.cloud_bundle import read_cloud_bundle
 
     job = context.store.job(spectrum_artifact(context, spectrum_id).job_id)
-    asset = context.store.asset(job.asset_id)
+    asset = read_asset(context.store, job.asset_id)
     if asset.kind != "cloud" or asset.prepared is None:
         found = f"this spectrum's source is of kind {asset.kind}; output gaussians needs a cloud"
         raise ProblemError("invalid-input", f"{found}. Ask for vertices, voxels or modal")

@@ -11,6 +11,7 @@ from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.response import InteractiveTree
 from dynamictree.modal.surface import BoneAttachment, attach_mesh
 from dynamictree.modal.system import modal_system
+from jobs.assets import read_asset
 from service.context import Context
 from service.sources import load_source_cloud, load_source_mesh, load_spectrum, spectrum_artifact
 
@@ -85,7 +86,7 @@ def with_mesh(context: Context, ready: ReadyTree, spectrum_id: str) -> TriangleM
         GoneError: the asset has expired.
     """
     artifact = spectrum_artifact(context, spectrum_id)
-    context.store.asset(context.store.job(artifact.job_id).asset_id)  # tells when it has expired
+    read_asset(context.store, context.store.job(artifact.job_id).asset_id)  # tells when it has expired
     if ready.mesh is None:
         ready.mesh = load_source_mesh(context, spectrum_id)
     return ready.mesh

@@ -3,6 +3,7 @@
 from fastapi import APIRouter
 
 from jobs.keys import Limit
+from jobs.usage import count_active, kept_bytes
 from service.context import Ctx
 from service.payloads import Payload
 from service.routing import refusals
@@ -25,7 +26,7 @@ def get_usage(context: Ctx) -> UsagePayload:
     caller = context.caller
     return UsagePayload(
         owner=caller.owner,
-        active_jobs=context.store.count_active(),
-        bytes=context.store.kept_bytes(),
+        active_jobs=count_active(context.store),
+        bytes=kept_bytes(context.store),
         limits=dict(caller.limits) or None,
     )

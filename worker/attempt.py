@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 from dynamictree.errors import Cancelled, CheckpointError, DynamicTreeError
 from jobs.artifacts import hash_file
+from jobs.assets import read_asset
 from jobs.attempts import cached_stage, offer, publish_stage, start_stage, touch_blob
 from jobs.products import CLOUD_BUNDLE, MESH_BUNDLE, SPECTRUM, VOXELS, media_type
 from jobs.records import AssetRecord, JobRecord, OutputFile
@@ -62,7 +63,7 @@ def run_stages(here: Runtime, watch: Watch) -> None:
     from worker.stages import STAGES, StageInput, photo_name
 
     job = watch.held.job
-    asset = here.store.asset(job.asset_id)
+    asset = read_asset(here.store, job.asset_id)
     folder = here.settings.scratch_dir / f"job-{job.id}-{job.attempt}"
     kept = here.settings.scratch_dir / f"kept-{job.id}"
     shutil.rmtree(folder, ignore_errors=True)

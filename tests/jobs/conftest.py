@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from jobs.assets import add_asset
 from jobs.records import AssetPart, AssetRecord, JobRecord
 from jobs.states import JobState, JobType, stages_of
 from jobs.store import Store, new_id
@@ -54,7 +55,7 @@ def store(request: pytest.FixtureRequest, tmp_path: Path, clock: Clock) -> Itera
 
 @pytest.fixture
 def asset(store: Store, clock: Clock) -> AssetRecord:
-    return store.add_asset(make_asset(clock.now))[0]
+    return add_asset(store, make_asset(clock.now))[0]
 
 
 def make_asset(now: float, fingerprint: str = "f" * 64) -> AssetRecord:

@@ -7,6 +7,7 @@ from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
 
 import jobs.migrations
+from jobs.assets import add_asset
 from jobs.database import open_engine
 from jobs.migrations import migrate, step_back
 from jobs.store import Store
@@ -34,7 +35,7 @@ def test_many_may_migrate_at_once(tmp_path: Path) -> None:
 
 
 def test_every_revision_can_be_taken_back_and_done_again(store: Store) -> None:
-    job = add_job(store, store.add_asset(make_asset(store.clock()))[0])
+    job = add_job(store, add_asset(store, make_asset(store.clock()))[0])
     for revision in ("0003", "0002", "0001"):
         step_back(store.engine, revision)
     with store.engine.connect() as connection:

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 import sqlalchemy as sa
 
+from jobs.assets import add_asset
 from jobs.attempts import claim, publish_stage, start_stage, succeed
 from jobs.records import OutputFile
 from jobs.states import JobState
@@ -34,7 +35,7 @@ def locked(tmp_path: Path) -> Iterator[tuple[Store, sqlite3.Connection]]:
 
 def test_a_worker_waits_and_a_request_does_not(locked: tuple[Store, sqlite3.Connection]) -> None:
     store, other = locked
-    job = add_job(store, store.add_asset(make_asset(store.clock()))[0])
+    job = add_job(store, add_asset(store, make_asset(store.clock()))[0])
     store.engine.dispose()  # so that the next connection hurries
     other.execute("BEGIN IMMEDIATE")
     with pytest.raises(sa.exc.OperationalError):
@@ -48,7 +49,7 @@ def test_a_worker_waits_and_a_request_does_not(locked: tuple[Store, sqlite3.Conn
 
 
 def test_what_was_committed_may_be_asked_again(store: Store) -> None:
-    job = add_job(store, store.add_asset(make_asset(store.clock()))[0], "voxelize")
+    job = add_job(store, add_asset(store, make_asset(store.clock()))[0], "voxelize")
     held = claim(store, job.id, 1, owner="w", lease_s=60)
     assert held is not None
     again = claim(store, job.id, 1, owner="w", lease_s=60)  # the first answer was lost

@@ -5,6 +5,7 @@ import pytest
 from fastapi.testclient import TestClient
 
 from jobs.artifacts import hash_file
+from jobs.assets import add_asset
 from jobs.attempts import claim, publish_stage, start_stage
 from jobs.records import AssetPart, AssetRecord, Claim, OutputFile
 from jobs.settings import Settings
@@ -46,7 +47,7 @@ def asset(context: Context) -> AssetRecord:
         created_at=now,
         expires_at=now + 1000,
     )
-    return context.store.add_asset(record)[0]
+    return add_asset(context.store, record)[0]
 
 
 def hold(context: Context, job_id: str) -> Claim:

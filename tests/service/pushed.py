@@ -12,6 +12,7 @@ from dynamictree.formats.mesh_bundle import write_mesh_bundle
 from dynamictree.formats.spectrum_file import write_spectrum
 from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.artifacts import hash_file
+from jobs.assets import add_asset
 from jobs.attempts import succeed
 from jobs.records import AssetPart, AssetRecord, JobRecord
 from jobs.states import JobState
@@ -55,7 +56,7 @@ def spectrum_id(client: TestClient, context: Context, grown, spectrum: SparseVox
         id=new_id(),
         type="diffuse",
         state=JobState.QUEUED,
-        asset_id=context.store.add_asset(asset)[0].id,
+        asset_id=add_asset(context.store, asset)[0].id,
         preset="small",
         seed=0,
         params={},

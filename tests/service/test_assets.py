@@ -7,6 +7,7 @@ from fastapi.testclient import TestClient
 from PIL import Image
 
 from dynamictree.formats.mesh_bundle import read_mesh_bundle
+from jobs.assets import read_asset
 from service.context import Context
 
 OBJ = b"""mtllib tree.mtl
@@ -53,7 +54,7 @@ def test_a_mesh_becomes_an_asset(client: TestClient, context: Context) -> None:
     assert asset["summary"]["extent_m"] == [2.0, 2.0, 4.0]
     assert [part["name"] for part in asset["parts"]] == ["tree.obj", "tree.mtl"]
     assert client.get(response.headers["Location"]).json() == asset
-    kept = context.store.asset(asset["id"]).prepared
+    kept = read_asset(context.store, asset["id"]).prepared
     assert kept is not None
     mesh = read_mesh_bundle(io.BytesIO(b"".join(context.artifacts.read(kept.sha256))))
     assert mesh.materials[0].name == "bark"

@@ -13,6 +13,7 @@ from dynamictree.formats.obj_writer import write_obj
 from dynamictree.formats.splat import write_splat
 from dynamictree.gaussian.capture import Capture, carrying_mesh
 from dynamictree.gaussian.cloud import GaussianCloud
+from jobs.assets import read_asset
 from jobs.states import stages_of
 from service.context import Context
 from tests.service.test_assets import left_behind, send, zipped
@@ -51,7 +52,7 @@ def mask_of(values: np.ndarray) -> bytes:
 
 
 def kept(context: Context, asset_id: str) -> Capture:
-    prepared = context.store.asset(asset_id).prepared
+    prepared = read_asset(context.store, asset_id).prepared
     assert prepared is not None
     return read_cloud_bundle(BytesIO(b"".join(context.artifacts.read(prepared.sha256))))
 

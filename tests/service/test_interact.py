@@ -15,6 +15,7 @@ from dynamictree.modal.locality import default_falloff_m
 from dynamictree.modal.response import InteractiveTree, group_forces, respond
 from dynamictree.modal.system import modal_system
 from dynamictree.spectrum import SparseVoxelSpectrum
+from jobs.assets import delete_asset
 from service.context import Context
 from service.forces import MAX_FORCES
 from service.trees import living_tree
@@ -277,7 +278,7 @@ def test_vertices_are_gone_with_their_asset_and_voxels_are_not(
     client: TestClient, spectrum_id: str, context: Context, poke: dict, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert post(client, spectrum_id, poke, accept="*/*", output="vertices", num_frames=2).status_code == 200
-    context.store.delete_asset(ASSET_ID)
+    delete_asset(context.store, ASSET_ID)
     refusal(post(client, spectrum_id, poke, accept="*/*", output="vertices", num_frames=2), 410, "expired")
     assert post(client, spectrum_id, poke, accept="*/*", output="voxels", num_frames=2).status_code == 200
     now = context.store.clock()

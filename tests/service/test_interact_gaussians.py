@@ -19,6 +19,7 @@ from dynamictree.gaussian.deform import Deformer
 from dynamictree.gaussian.from_mesh import splats_of_mesh
 from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.artifacts import hash_file
+from jobs.assets import add_asset, delete_asset, read_asset
 from jobs.attempts import succeed
 from jobs.records import AssetPart, AssetRecord, JobRecord
 from jobs.states import JobState
@@ -61,7 +62,7 @@ def cloud_spectrum(
         id=new_id(),
         type="diffuse",
         state=JobState.QUEUED,
-        asset_id=context.store.add_asset(asset)[0].id,
+        asset_id=add_asset(context.store, asset)[0].id,
         preset="small",
         seed=0,
         params={"box_m": [[-50, -50, -50], [50, 50, top - 0.5]]},
@@ -112,12 +113,12 @@ def test_gaussians_are_gone_with_their_asset(
     client: TestClient, cloud_spectrum: str, context: Context, poke: dict
 ) -> None:
     asset_id = context.store.job(context.store.artifact(cloud_spectrum).job_id).asset_id
-    prepared = context.store.asset(asset_id).prepared
+    prepared = read_asset(context.store, asset_id).prepared
     assert prepared is not None
     context.artifacts.delete(prepared.sha256)
     refused = post(client, cloud_spectrum, poke, accept="*/*", output="gaussians", num_frames=2)
     assert (refused.status_code, refused.json()["code"]) == (410, "expired")
-    context.store.delete_asset(asset_id)
+    delete_asset(context.store, asset_id)
     refused = post(client, cloud_spectrum, poke, accept="*/*", output="gaussians", num_frames=2)
     assert (refused.status_code, refused.json()["code"]) == (410, "expired")
 

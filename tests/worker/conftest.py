@@ -9,6 +9,7 @@ import pytest
 from dynamictree.formats.mesh_bundle import write_mesh_bundle
 from dynamictree.mesh import TriangleMesh
 from jobs.artifacts import hash_file
+from jobs.assets import add_asset
 from jobs.attempts import claim
 from jobs.records import AssetPart, AssetRecord, Claim, JobRecord
 from jobs.settings import Settings
@@ -53,7 +54,7 @@ def asset(here: Runtime, tmp_path: Path) -> AssetRecord:
         created_at=now,
         expires_at=now + 1000,
     )
-    return here.store.add_asset(record)[0]
+    return add_asset(here.store, record)[0]
 
 
 PARAMS = {

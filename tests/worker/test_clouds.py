@@ -14,6 +14,7 @@ from dynamictree.formats.cloud_file import read_cloud
 from dynamictree.formats.mesh_bundle import read_mesh_bundle
 from dynamictree.gaussian.capture import Capture
 from jobs.artifacts import hash_file
+from jobs.assets import add_asset
 from jobs.records import AssetPart, AssetRecord
 from jobs.states import JobState
 from jobs.store import new_id
@@ -40,7 +41,7 @@ def keep(here: Runtime, capture: Capture, path: Path) -> AssetRecord:
         created_at=now,
         expires_at=now + 1000,
     )
-    return here.store.add_asset(record)[0]
+    return add_asset(here.store, record)[0]
 
 
 @pytest.fixture

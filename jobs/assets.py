@@ -1,0 +1,83 @@
+"""Rows of assets: what someone sent, checked. The same files of the same owner are the same asset."""
+
+from dataclasses import asdict, replace
+from hashlib import sha256
+
+import sqlalchemy as sa
+
+from jobs import tables as t
+from jobs.database import insert_new
+from jobs.errors import ConflictError, GoneError, NotFoundError
+from jobs.patience import patient
+from jobs.records import AssetPart, AssetRecord
+from jobs.states import ACTIVE
+from jobs.store import Store
+
+
+def add_asset(store: Store, asset: AssetRecord) -> tuple[AssetRecord, bool]:
+    """Keep an asset, or give the one that is there with the same fingerprint; tell whether it is new."""
+    with store.writing() as connection:
+        asset = replace(asset, owner=store.owner or "")
+        live = _live(store, asset.fingerprint)
+        values = asdict(asset) | {"live_fingerprint": live, "bytes": asset.bytes}
+        if insert_new(connection, t.assets, values, unique="live_fingerprint"):
+            return asset, True
+        same = t.assets.c.live_fingerprint == live
+        connection.execute(t.assets.update().where(same).values(expires_at=asset.expires_at))
+        return _asset(connection.execute(sa.select(t.assets).where(same)).one()), False
+
+
+def find_asset(store: Store, fingerprint: str) -> AssetRecord | None:
+    """The living asset of this fingerprint."""
+    with store.reading() as connection:
+        row = connection.execute(
+            sa.select(t.assets).where(t.assets.c.live_fingerprint == _live(store, fingerprint))
+        ).one_or_none()
+    return None if row is None else _asset(row)
+
+
+def _live(store: Store, fingerprint: str) -> str:
+    """What is unique among living assets: each owner has assets of their own, their bytes are shared."""
+    return sha256(f"{store.owner} {fingerprint}".encode()).hexdigest() if store.owner else fingerprint
+
+
+@patient
+def read_asset(store: Store, asset_id: str) -> AssetRecord:
+    """One asset.
+
+    Raises:
+        NotFoundError, GoneError: there is none, or it was deleted or has expired.
+    """
+    with store.reading() as connection:
+        this = (t.assets.c.id == asset_id) & store.mine(t.assets)
+        row = connection.execute(sa.select(t.assets).where(this)).one_or_none()
+    if row is None:
+        raise NotFoundError(f"there is no asset {asset_id}")
+    asset = _asset(row)
+    if asset.deleted_at is not None:
+        raise GoneError(f"asset {asset_id} was deleted or has expired; upload it again")
+    return asset
+
+
+def delete_asset(store: Store, asset_id: str) -> None:
+    """Forget an asset; its bytes go with the next retention run.
+
+    Raises:
+        ConflictError: a job that has not ended needs it.
+    """
+    read_asset(store, asset_id)
+    with store.writing() as connection:
+        active = t.jobs.c.state.in_(ACTIVE) & (t.jobs.c.asset_id == asset_id)
+        job_id = connection.execute(sa.select(t.jobs.c.id).where(active).limit(1)).scalar_one_or_none()
+        if job_id is not None:
+            raise ConflictError(f"asset {asset_id} is in use by job {job_id}; cancel it or wait for its end")
+        gone = {"live_fingerprint": None, "deleted_at": store.clock()}
+        connection.execute(t.assets.update().where(t.assets.c.id == asset_id).values(**gone))
+
+
+def _asset(row: sa.Row[tuple[object, ...]]) -> AssetRecord:
+    values = dict(row._mapping)
+    del values["live_fingerprint"], values["bytes"]
+    values["parts"] = tuple(AssetPart(**part) for part in values["parts"])
+    values["prepared"] = values["prepared"] and AssetPart(**values["prepared"])
+    return AssetRecord(**values)

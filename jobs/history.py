@@ -1,0 +1,34 @@
+"""What stages and jobs took lately."""
+
+import sqlalchemy as sa
+
+from jobs import tables as t
+from jobs.states import JobState, JobType
+from jobs.store import Store
+
+
+def stage_seconds(store: Store, stage: JobType, *, limit: int = 50) -> list[float]:
+    """How long a stage took lately where it was really run [s]."""
+    ran = (t.stages.c.name == stage) & (t.stages.c.state == "succeeded") & t.stages.c.cached.is_(False)
+    columns = (t.stages.c.started_at, t.stages.c.finished_at)
+    query = sa.select(*columns).where(ran).order_by(t.stages.c.finished_at.desc()).limit(limit)
+    with store.reading() as connection:
+        return [row.finished_at - row.started_at for row in connection.execute(query)]
+
+
+def stage_bytes(store: Store, stage: JobType, *, limit: int = 50) -> list[int]:
+    """How much a stage made lately, job by job."""
+    total = sa.func.sum(t.artifacts.c.bytes)
+    newest = sa.func.max(t.artifacts.c.created_at).desc()
+    query = sa.select(total).where(t.artifacts.c.stage == stage).group_by(t.artifacts.c.job_id)
+    with store.reading() as connection:
+        return [int(value) for value in connection.execute(query.order_by(newest).limit(limit)).scalars()]
+
+
+def run_seconds(store: Store, *, limit: int = 50) -> list[float]:
+    """How long jobs lately took a worker, from start to end [s]."""
+    ran = (t.jobs.c.state == JobState.SUCCEEDED) & t.jobs.c.started_at.is_not(None)
+    columns = (t.jobs.c.started_at, t.jobs.c.finished_at)
+    query = sa.select(*columns).where(ran).order_by(t.jobs.c.finished_at.desc()).limit(limit)
+    with store.reading() as connection:
+        return [row.finished_at - row.started_at for row in connection.execute(query)]

@@ -1,0 +1,119 @@
+"""Jobs, stages and artefacts within a transaction: how rows become records, and how a job changes its state."""
+
+from collections.abc import Mapping
+
+import sqlalchemy as sa
+
+from jobs import tables as t
+from jobs.errors import NotFoundError, ReusedKeyError
+from jobs.joblog import note
+from jobs.records import ArtifactRecord, ClientKey, JobRecord, StageRecord
+from jobs.states import JobState, JobType, states_before
+from jobs.tallies import count
+from jobs.webhooks import announce
+
+HIDDEN = frozenset({"lease_owner", "lease_until", "lost_stages", "client_key", "body_sha256"})
+"""Columns of a job that its record does not show."""
+
+
+_ID: sa.BindParameter[str] = sa.bindparam("id")
+_JOB = sa.select(t.jobs).where(t.jobs.c.id == _ID)
+_STAGES = sa.select(t.stages).where(t.stages.c.job_id == _ID).order_by(t.stages.c.position)
+_ARTIFACTS = sa.select(t.artifacts).where(t.artifacts.c.job_id == _ID).order_by(t.artifacts.c.id)
+_NUM_AHEAD = sa.select(sa.func.count()).where(
+    (t.jobs.c.state == JobState.QUEUED) & (t.jobs.c.queue == sa.bindparam("queue")) & (t.jobs.c.id < _ID)
+)
+"""What every poll asks, put together once: that takes as long as to ask it."""
+
+
+def move(connection: sa.Connection, job_id: str, target: JobState, **values: object) -> bool:
+    """Compare and set: bring a job to a state that its present one allows, or tell that it does not."""
+    allowed = (t.jobs.c.id == job_id) & t.jobs.c.state.in_(states_before(target))
+    change = t.jobs.update().where(allowed).values(state=target, version=t.jobs.c.version + 1, **values)
+    return connection.execute(change).rowcount == 1
+
+
+def end(
+    connection: sa.Connection,
+    job_id: str,
+    target: JobState,
+    *,
+    now: float,
+    error_code: str | None = None,
+    error_message: str | None = None,
+    **values: object,
+) -> bool:
+    """Bring a job to a final state: lease given up, message withdrawn, stages closed."""
+    values |= {"finished_at": now, "lease_owner": None, "lease_until": None}
+    if not move(connection, job_id, target, error_code=error_code, error_message=error_message, **values):
+        return False
+    failed = target == JobState.FAILED
+    of_job = t.stages.c.job_id == job_id
+    left = {"state": "failed" if failed else "canceled", "finished_at": now}
+    connection.execute(t.stages.update().where(of_job & (t.stages.c.state == "running")).values(**left))
+    connection.execute(t.stages.update().where(of_job & (t.stages.c.state == "queued")).values(state="canceled"))
+    connection.execute(t.outbox.delete().where(t.outbox.c.job_id == job_id))
+    detail = {} if error_code is None else {"code": error_code, "detail": error_message}
+    note(connection, job_id, str(target), at=now, level="error" if failed else "info", **detail)
+    announce(connection, job_id, target, now=now)
+    count(connection, "jobs", str(target))
+    return True
+
+
+def add_stages(connection: sa.Connection, job_id: str, names: tuple[JobType, ...]) -> None:
+    """Write a job's stages, all queued."""
+    rows = [
+        {"job_id": job_id, "name": name, "position": i, "state": "queued", "progress": 0.0, "cached": False}
+        for i, name in enumerate(names)
+    ]
+    connection.execute(t.stages.insert(), rows)
+
+
+def standing(connection: sa.Connection, job: JobRecord) -> tuple[int | None, list[ArtifactRecord]]:
+    """How many jobs of its queue were there before a job, None once it has begun; and what it offers so far."""
+    begun = any(stage.state != "queued" for stage in job.stages)  # the usual poll of a waiting job asks once less
+    return _position(connection, job), artifacts_of(connection, job.id) if begun else []
+
+
+def _position(connection: sa.Connection, job: JobRecord) -> int | None:
+    if job.state != JobState.QUEUED:
+        return None
+    return connection.execute(_NUM_AHEAD, {"queue": job.queue, "id": job.id}).scalar_one()
+
+
+def artifacts_of(connection: sa.Connection, job_id: str) -> list[ArtifactRecord]:
+    """What a job offers so far, in the order it was made."""
+    return [ArtifactRecord(**row._mapping) for row in connection.execute(_ARTIFACTS, {"id": job_id})]
+
+
+def read_job(connection: sa.Connection, job_id: str) -> JobRecord:
+    """One job with its stages, as this transaction sees it."""
+    row = connection.execute(_JOB, {"id": job_id}).one_or_none()
+    if row is None:
+        raise NotFoundError(f"there is no job {job_id}")
+    return job_of(row, tuple(stage_of(stage) for stage in connection.execute(_STAGES, {"id": job_id})))
+
+
+def same_job(connection: sa.Connection, client_key: ClientKey) -> str:
+    """The id of the job that a client's key means.
+
+    Raises:
+        ReusedKeyError: its request had another body.
+    """
+    query = sa.select(t.jobs.c.id, t.jobs.c.body_sha256).where(t.jobs.c.client_key == client_key.key)
+    row = connection.execute(query).one()
+    if row.body_sha256 != client_key.body_sha256:
+        raise ReusedKeyError(f"the same key was sent with another body before, for job {row.id}; use a new key")
+    return str(row.id)
+
+
+def stage_of(row: sa.Row[tuple[object, ...]]) -> StageRecord:
+    """A row of the table of stages."""
+    values: Mapping[str, object] = {k: v for k, v in row._mapping.items() if k not in {"job_id", "position"}}
+    return StageRecord(**values)  # type: ignore[arg-type]
+
+
+def job_of(row: sa.Row[tuple[object, ...]], stages: tuple[StageRecord, ...]) -> JobRecord:
+    """A row of the table of jobs, with the job's stages."""
+    values = {k: v for k, v in row._mapping.items() if k not in HIDDEN}
+    return JobRecord(**values | {"stages": stages, "state": JobState(values["state"])})

@@ -1,0 +1,35 @@
+"""What is kept and what is going on, for those who set bounds to it."""
+
+import sqlalchemy as sa
+
+from jobs import tables as t
+from jobs.states import ACTIVE, JobState
+from jobs.store import Store
+
+
+def kept_bytes(store: Store) -> int:
+    """What the owner's assets, uploads and products take [bytes]."""
+    now = store.clock()
+    live = t.assets.c.deleted_at.is_(None) & store.mine(t.assets)
+    sums = (
+        sa.select(sa.func.sum(t.assets.c.bytes)).where(live),
+        sa.select(sa.func.sum(t.uploads.c.length)).where(t.uploads.c.asset_id.is_(None) & store.mine(t.uploads)),
+        sa.select(sa.func.sum(t.artifacts.c.bytes))
+        .join(t.jobs, t.jobs.c.id == t.artifacts.c.job_id)
+        .where((t.artifacts.c.expires_at > now) & store.mine(t.jobs)),
+    )
+    with store.reading() as connection:
+        return sum(int(connection.execute(query).scalar_one() or 0) for query in sums)
+
+
+def count_active(store: Store) -> int:
+    """How many jobs have not ended."""
+    active = t.jobs.c.state.in_(ACTIVE) & store.mine(t.jobs)
+    with store.reading() as connection:
+        return connection.execute(sa.select(sa.func.count()).where(active)).scalar_one()
+
+
+def count_jobs(store: Store, state: JobState) -> int:
+    """How many jobs are in a state."""
+    with store.reading() as connection:
+        return connection.execute(sa.select(sa.func.count()).where(t.jobs.c.state == state)).scalar_one()
