@@ -6,8 +6,8 @@
     │   └── FormatError         the file: not the format, truncated, refers outside itself
     ├── CheckpointError         a model file that does not fit the code
     ├── NumericsError           a result that is not finite or not stable
-    ├── ReconstructionError     photos from which no shape can be made
     │   └── UnstableTimestep    an integrator's step is too long; `max_dt_s` is the longest
+    ├── ReconstructionError     photos from which no shape can be made
     └── Cancelled               the caller asked to stop
 
 Each class has a `code` (stable, kebab-case), by which the service chooses status and problem type. A message says

@@ -4,14 +4,13 @@ The mesh is changed and voxelised anew, so that voxels and normals are exact for
 takes the motion of the nearest voxel of the whole tree, so a fault never changes how the tree moves.
 """
 
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float32
 from scipy.spatial import cKDTree
 
-from dynamictree.dataset.shards import StoredTree, iter_shard
+from dynamictree.dataset.shards import StoredTree
 from dynamictree.errors import InputError
 from dynamictree.mesh import TriangleMesh
 from dynamictree.spectrum import SparseVoxelSpectrum, Wind
@@ -53,17 +52,6 @@ class Example:
     spectrum: SparseVoxelSpectrum
     wind: Wind
     species: str
-
-
-def iter_examples(
-    paths: Sequence[str], rng: np.random.Generator, *, augmentation: Augmentation, resolution: int = 128
-) -> Iterator[Example]:
-    """Every tree of the shards once, shards in random order; held-out trees are passed over."""
-    names = ("vertices", "faces", *(f"r{resolution}.{name}" for name in ("coords", "normals", "spectrum")))
-    for index in rng.permutation(len(paths)):
-        for tree in iter_shard(paths[index], names=names):
-            if tree.split == "train":
-                yield augmented(tree, rng, augmentation=augmentation, resolution=resolution)
 
 
 def augmented(

@@ -13,8 +13,6 @@ from dynamictree.formats.seekable import SeekableReader
 from dynamictree.gaussian.capture import Capture
 
 SourceKind = Literal["mesh", "cloud"]
-ONLY_CLOUDS = ("splat", "spz", "las", "laz")
-"""Endings that mean a cloud whatever stands beside it."""
 MASK_NAME = "mask.npy"
 HEAD_BYTES = 64 * 1024
 _SOG = "SOG files are not read: no library is kept for them; convert it with `splat-transform tree.sog tree.ply`"

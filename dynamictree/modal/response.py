@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Complex128, Float32, Float64
@@ -17,7 +17,6 @@ from dynamictree.modal.surface import BoneAttachment
 from dynamictree.modal.system import ModalSystem, displacement
 
 Start = Literal["rest", "held", "davis"]
-STARTS: tuple[Start, ...] = get_args(Start)
 FRAMES_AT_ONCE = 32  # of plain superposition: one matrix product, 15 MB at 40,000 voxels
 
 

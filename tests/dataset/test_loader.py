@@ -8,14 +8,13 @@ from dynamictree.dataset.loader import (
     Augmentation,
     Faults,
     augmented,
-    iter_examples,
     placing,
     time_shifted,
     turned_wind,
     with_faults,
 )
 from dynamictree.dataset.sample import make_sample
-from dynamictree.dataset.shards import store, write_shard
+from dynamictree.dataset.shards import store
 from dynamictree.errors import InputError
 from dynamictree.mesh import validate_mesh
 from dynamictree.spectrum import Wind, to_motion
@@ -124,14 +123,3 @@ def test_faults_do_not_change_how_the_tree_moves(stored):
     assert len(example.voxels.grid) != len(stored.voxels(64).grid)
     before, after = (np.abs(one.coefficients).mean() for one in (stored.spectrum(64), example.spectrum))
     assert after == pytest.approx(before, rel=0.25)
-
-
-def test_training_never_meets_a_held_out_tree(tmp_path, rng):
-    trees = [
-        store(make_sample(seed, name), resolutions=(32,)) for seed, name in ((1, "sapling"), (2, "palm"), (20, "shrub"))
-    ]
-    path = tmp_path / "shard.safetensors"
-    with path.open("wb") as stream:
-        write_shard(trees, stream)
-    examples = list(iter_examples([str(path)], rng, augmentation=NOTHING, resolution=32))
-    assert [example.species for example in examples] == ["sapling"]
