@@ -7,9 +7,10 @@ import pytest
 
 from jobs.assets import add_asset
 from jobs.records import AssetPart, AssetRecord, JobRecord
-from jobs.states import JobState, JobType, stages_of
-from jobs.store import Store, new_id
+from jobs.states import JobType, stages_of
+from jobs.store import Store
 from jobs.tables import metadata
+from tests.rows import asset_row, job_row
 from tests.servers import postgres
 
 
@@ -59,30 +60,11 @@ def asset(store: Store, clock: Clock) -> AssetRecord:
 
 
 def make_asset(now: float, fingerprint: str = "f" * 64) -> AssetRecord:
-    part = AssetPart(name="tree.ply", sha256="a" * 64, bytes=10)
-    return AssetRecord(
-        id=new_id(),
-        kind="mesh",
-        fingerprint=fingerprint,
-        parts=(part,),
-        prepared=AssetPart(name="mesh.safetensors", sha256="b" * 64, bytes=20),
-        summary={"vertices": 4},
-        created_at=now,
-        expires_at=now + 1000,
-    )
+    sent = AssetPart(name="tree.ply", sha256="a" * 64, bytes=10)
+    prepared = AssetPart(name="mesh.safetensors", sha256="b" * 64, bytes=20)
+    return asset_row(sent, now=now, fingerprint=fingerprint, prepared=prepared)
 
 
 def add_job(store: Store, asset: AssetRecord, job_type: JobType = "diffuse", **values: object) -> JobRecord:
-    job = JobRecord(
-        id=new_id(),
-        type=job_type,
-        state=JobState.QUEUED,
-        asset_id=asset.id,
-        preset="small",
-        seed=0,
-        params={},
-        queue="cpu",
-        created_at=store.clock(),
-        **values,
-    )
+    job = job_row(asset, job_type, now=store.clock(), **values)
     return store.add_job(job, stages=stages_of(job_type, asset.kind))[0]

@@ -4,15 +4,14 @@ from pathlib import Path
 import pytest
 from fastapi.testclient import TestClient
 
-from jobs.artifacts import hash_file
 from jobs.assets import add_asset
 from jobs.attempts import claim, publish_stage, start_stage
 from jobs.records import AssetPart, AssetRecord, Claim, OutputFile
 from jobs.settings import Settings
 from jobs.states import JobType
-from jobs.store import new_id
 from service.app import create_app
 from service.context import Context
+from tests.rows import asset_row, kept
 
 
 @pytest.fixture
@@ -35,19 +34,9 @@ def context(client: TestClient) -> Context:
 
 @pytest.fixture
 def asset(context: Context) -> AssetRecord:
-    now = context.store.clock()
     part = AssetPart(name="tree.ply", sha256="a" * 64, bytes=10)
-    record = AssetRecord(
-        id=new_id(),
-        kind="mesh",
-        fingerprint="f" * 64,
-        parts=(part,),
-        prepared=part,
-        summary={"num_vertices": 4},
-        created_at=now,
-        expires_at=now + 1000,
-    )
-    return add_asset(context.store, record)[0]
+    row = asset_row(part, now=context.store.clock(), fingerprint="f" * 64, summary={"num_vertices": 4})
+    return add_asset(context.store, row)[0]
 
 
 def hold(context: Context, job_id: str) -> Claim:
@@ -61,8 +50,7 @@ def publish(context: Context, held: Claim, stage: JobType, name: str, content: b
     """Publish one file of a stage as a worker does."""
     path = context.settings.state_dir / name
     path.write_bytes(content)
-    digest, size = hash_file(path)
-    context.artifacts.put(path, digest)
-    file = OutputFile(name=name, media_type="application/octet-stream", sha256=digest, bytes=size)
+    part = kept(context.artifacts, path)
+    file = OutputFile(name=name, media_type="application/octet-stream", sha256=part.sha256, bytes=part.bytes)
     start_stage(context.store, held, stage)
-    publish_stage(context.store, held, stage, (file,), key=digest, cached=False, retention_s=1000)
+    publish_stage(context.store, held, stage, (file,), key=part.sha256, cached=False, retention_s=1000)

@@ -11,13 +11,10 @@ from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.formats.mesh_bundle import write_mesh_bundle
 from dynamictree.formats.spectrum_file import write_spectrum
 from dynamictree.spectrum import SparseVoxelSpectrum
-from jobs.artifacts import hash_file
 from jobs.assets import add_asset
 from jobs.attempts import succeed
-from jobs.records import AssetPart, AssetRecord, JobRecord
-from jobs.states import JobState
-from jobs.store import new_id
 from service.context import Context
+from tests.rows import asset_row, job_row, kept
 from tests.service.conftest import hold, publish
 
 ASSET_ID = "01ARZ3NDEKTSV4RRFFQ69G5FAV"
@@ -38,31 +35,10 @@ def spectrum_id(client: TestClient, context: Context, grown, spectrum: SparseVox
     bundle = tmp_path / "mesh.safetensors"
     with bundle.open("wb") as stream:
         write_mesh_bundle(grown.mesh, stream)
-    digest, size = hash_file(bundle)
-    context.artifacts.put(bundle, digest)
+    part = kept(context.artifacts, bundle)
     now = context.store.clock()
-    part = AssetPart(name="tree.glb", sha256=digest, bytes=size)
-    asset = AssetRecord(
-        id=ASSET_ID,
-        kind="mesh",
-        fingerprint="e" * 64,
-        parts=(part,),
-        prepared=part,
-        summary={},
-        created_at=now,
-        expires_at=now + 500,
-    )
-    job = JobRecord(
-        id=new_id(),
-        type="diffuse",
-        state=JobState.QUEUED,
-        asset_id=add_asset(context.store, asset)[0].id,
-        preset="small",
-        seed=0,
-        params={},
-        queue="cpu",
-        created_at=now,
-    )
+    row = asset_row(part, now=now, id=ASSET_ID, expires_at=now + 500)
+    job = job_row(add_asset(context.store, row)[0], now=now)
     context.store.add_job(job, stages=("voxelize", "diffuse"))
     held = hold(context, job.id)
     publish(context, held, "voxelize", "tree.voxels.safetensors", b"voxels")

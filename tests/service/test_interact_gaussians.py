@@ -18,13 +18,10 @@ from dynamictree.gaussian.capture import Capture
 from dynamictree.gaussian.deform import Deformer
 from dynamictree.gaussian.from_mesh import splats_of_mesh
 from dynamictree.spectrum import SparseVoxelSpectrum
-from jobs.artifacts import hash_file
 from jobs.assets import add_asset, delete_asset, read_asset
 from jobs.attempts import succeed
-from jobs.records import AssetPart, AssetRecord, JobRecord
-from jobs.states import JobState
-from jobs.store import new_id
 from service.context import Context
+from tests.rows import asset_row, job_row, kept
 from tests.service.conftest import hold, publish
 from tests.service.pushed import grown, poke, post, spectrum  # noqa: F401
 
@@ -43,32 +40,11 @@ def cloud_spectrum(
     path = tmp_path / "cloud.safetensors"
     with path.open("wb") as stream:
         write_cloud_bundle(capture, stream)
-    digest, size = hash_file(path)
-    context.artifacts.put(path, digest)
-    now = context.store.clock()
-    part = AssetPart(name=path.name, sha256=digest, bytes=size)
-    asset = AssetRecord(
-        id=new_id(),
-        kind="cloud",
-        fingerprint="c" * 64,
-        parts=(part,),
-        prepared=part,
-        summary={},
-        created_at=now,
-        expires_at=now + 500,
-    )
+    part = kept(context.artifacts, path)
+    asset = asset_row(part, now=context.store.clock(), kind="cloud")
     top = float(capture.cloud.means[:, 2].max())
-    job = JobRecord(
-        id=new_id(),
-        type="diffuse",
-        state=JobState.QUEUED,
-        asset_id=add_asset(context.store, asset)[0].id,
-        preset="small",
-        seed=0,
-        params={"box_m": [[-50, -50, -50], [50, 50, top - 0.5]]},
-        queue="cpu",
-        created_at=now,
-    )
+    params = {"box_m": [[-50, -50, -50], [50, 50, top - 0.5]]}
+    job = job_row(add_asset(context.store, asset)[0], now=context.store.clock(), params=params)
     context.store.add_job(job, stages=("reconstruct", "voxelize", "diffuse"))
     held = hold(context, job.id)
     mesh, file = BytesIO(), BytesIO()

