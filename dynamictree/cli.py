@@ -5,6 +5,7 @@ Those of other packages (`serve`, `doctor`, …) come from the entry-point group
 
 import importlib
 import sys
+from collections.abc import Iterator, Mapping
 from importlib.metadata import entry_points
 from typing import Any
 
@@ -27,30 +28,40 @@ OWN_COMMANDS = {
 }
 
 
-class LazyGroup(TyperGroup):
-    """A group whose commands are imported when they are asked for."""
+class Commands(Mapping[str, Any]):
+    """Every command by its name, imported when it is asked for. Typer keeps its click private, hence no type."""
 
-    # typer keeps its click private, so context and command have no public type
-    def list_commands(self, ctx: Any) -> list[str]:
-        """Name every command without importing it."""
-        return sorted({*OWN_COMMANDS, *entry_points(group=PLUGIN_GROUP).names})
+    def __init__(self) -> None:
+        self._plugins = entry_points(group=PLUGIN_GROUP)
 
-    def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Import a command; None where there is none of this name."""
-        plugins = entry_points(group=PLUGIN_GROUP)
-        if cmd_name in OWN_COMMANDS:
-            module, attribute = OWN_COMMANDS[cmd_name].split(":")
+    def __getitem__(self, name: str) -> Any:
+        if name in OWN_COMMANDS:
+            module, attribute = OWN_COMMANDS[name].split(":")
             loaded = getattr(importlib.import_module(module), attribute)
-        elif cmd_name in plugins.names:
-            loaded = plugins[cmd_name].load()
+        elif name in self._plugins.names:
+            loaded = self._plugins[name].load()
         else:
-            return None
+            raise KeyError(name)
         if not isinstance(loaded, typer.Typer):
             loaded, function = typer.Typer(add_completion=False), loaded
-            loaded.command(cmd_name)(function)
+            loaded.command(name)(function)
         command = typer.main.get_command(loaded)
-        command.name = cmd_name
+        command.name = name
         return command
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(sorted({*OWN_COMMANDS, *self._plugins.names}))
+
+    def __len__(self) -> int:
+        return len(list(iter(self)))
+
+
+class LazyGroup(TyperGroup):
+    """A group that imports no command before it is called."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        self.commands = Commands()  # type: ignore[assignment]
 
 
 app = typer.Typer(

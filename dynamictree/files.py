@@ -22,6 +22,8 @@ def opened(path: Path) -> Iterator[BinaryIO]:
     """
     try:
         stream = path.open("rb")
+    except IsADirectoryError:
+        raise InputError(f"{path} is a folder; name a file in it") from None
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}") from None
     with stream:

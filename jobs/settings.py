@@ -157,7 +157,12 @@ def read_settings(**overrides: object) -> Settings:
     try:
         return Settings(_secrets_dir=secrets, **overrides)  # type: ignore[arg-type]
     except ValidationError as error:
-        found = "; ".join(f"DYNAMICTREE_{'_'.join(map(str, e['loc'])).upper()}: {e['msg']}" for e in error.errors())
+        found = "; ".join(
+            f"DYNAMICTREE_{'_'.join(map(str, e['loc'])).upper()} is {e['input']!r}: {e['msg']}"
+            if e["loc"]
+            else e["msg"].removeprefix("Value error, ")
+            for e in error.errors()
+        )
         raise SettingsError(f"{found}; see docs/settings.md") from error
 
 

@@ -3,8 +3,9 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NoReturn
 
+import sqlalchemy as sa
 import typer
 
 from jobs.errors import JobsError
@@ -30,5 +31,12 @@ def one_line(command: str) -> Iterator[None]:
     try:
         yield
     except (JobsError, OSError) as error:
-        typer.echo(f"dynamictree {command}: {error}", err=True)
-        raise typer.Exit(2) from error
+        _give_up(f"dynamictree {command}: {error}")
+    except sa.exc.SQLAlchemyError as error:
+        found = str(error).partition("\n")[0]
+        _give_up(f"dynamictree {command}: the database does not answer: {found}; look at DYNAMICTREE_DATABASE_URL")
+
+
+def _give_up(why: str) -> NoReturn:
+    typer.echo(why, err=True)
+    raise typer.Exit(2)

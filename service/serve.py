@@ -67,9 +67,9 @@ def serve(
             require_keys_beyond_loopback(host, settings)
             held.enter_context(closing(LockedFile(settings.state_dir.resolve() / "serve.lock")))
             listening = held.enter_context(closing(listen(host, port)))
+            Store.open(settings.resolved_database_url).close()
         set_up_logging(settings)
         shutil.rmtree(settings.scratch_dir, ignore_errors=True)
-        Store.open(settings.resolved_database_url).close()
         stopped = threading.Event()
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, lambda *_: stopped.set())

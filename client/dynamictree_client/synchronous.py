@@ -255,7 +255,9 @@ class Client:
         elif isinstance(outcome, httpx.Response):
             raise problem_of(outcome)
         else:
-            raise UnreachableError(f"{self._http.base_url} cannot be reached: {outcome!r}") from outcome
+            why = str(outcome) or type(outcome).__name__
+            told = f"{self._http.base_url} cannot be reached: {why}; look whether the service runs at this address"
+            raise UnreachableError(told) from outcome
 
     def _fetch_rest(self, artifact: Artifact, part: Path, there: int) -> httpx.Response:
         """Append what is missing. A response that is no error has been written whole."""

@@ -19,7 +19,7 @@ from dynamictree.commands.options import (
     WindSpeed,
     box_of,
 )
-from dynamictree.commands.source import read_source
+from dynamictree.commands.source import is_tensor_file, read_source
 from dynamictree.files import opened, published
 from dynamictree.terminal import AsJson, progress, tell
 
@@ -44,10 +44,10 @@ def diffuse(
     """Generate the spectrum of a tree's motion from its shape (*.spectrum.safetensors)."""
     from dynamictree import pipeline
     from dynamictree.formats.spectrum_file import write_spectrum
-    from dynamictree.formats.voxels_file import read_voxels
+    from dynamictree.formats.voxels_file import FORMAT, read_voxels
     from dynamictree.spectrum import Wind
 
-    if source.name.endswith(".safetensors"):
+    if is_tensor_file(source, FORMAT, ".voxels.safetensors"):
         with opened(source) as stream:
             voxels = read_voxels(stream)
     else:

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from dynamictree.commands.options import UnitM, UpAxis
-from dynamictree.commands.source import is_cloud
+from dynamictree.commands.source import is_cloud, is_tensor_file
 from dynamictree.files import opened
 from dynamictree.terminal import AsJson, tell
 
@@ -20,15 +20,14 @@ def info(
     """Say what a file holds."""
     from dynamictree import pipeline
     from dynamictree.describe import describe_capture, describe_grid, describe_mesh, describe_spectrum
-    from dynamictree.formats.spectrum_file import read_spectrum
-    from dynamictree.formats.voxels_file import read_voxels
+    from dynamictree.formats import spectrum_file, voxels_file
 
-    if source.name.endswith(".spectrum.safetensors"):
+    if is_tensor_file(source, spectrum_file.FORMAT, ".spectrum.safetensors"):
         with opened(source) as stream:
-            facts = describe_spectrum(read_spectrum(stream))
-    elif source.name.endswith(".voxels.safetensors"):
+            facts = describe_spectrum(spectrum_file.read_spectrum(stream))
+    elif is_tensor_file(source, voxels_file.FORMAT, ".voxels.safetensors"):
         with opened(source) as stream:
-            facts = describe_grid(read_voxels(stream).grid)
+            facts = describe_grid(voxels_file.read_voxels(stream).grid)
     elif is_cloud(source):
         facts = describe_capture(pipeline.load_capture(source, up_axis=up_axis, unit_m=unit_m))
     else:

@@ -42,7 +42,7 @@ WindDirection = Annotated[
 Gust = Annotated[float, typer.Option(min=0, max=2, help="Standard deviation of the wind's speed over its mean.")]
 OutputFolder = Annotated[Path, typer.Option("--output", "-o", help="Folder for the products; made if it is not there.")]
 OutputFile = Annotated[
-    Path, typer.Option("--output", "-o", help="File to write; its folder is made if it is not there.")
+    Path, typer.Option("--output", "-o", dir_okay=False, help="File to write; its folder is made if it is not there.")
 ]
 
 

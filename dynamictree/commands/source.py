@@ -11,6 +11,18 @@ if TYPE_CHECKING:
     from dynamictree.mesh import TriangleMesh
 
 
+def is_tensor_file(path: Path, file_format: str, ending: str) -> bool:
+    """Whether a file says that it is of a format of ours, or its name says so.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    from dynamictree.formats.tensor_file import tensor_format
+
+    with opened(path) as stream:
+        return path.name.endswith(ending) or tensor_format(stream) == file_format
+
+
 def is_cloud(path: Path) -> bool:
     """Whether a file holds a splat or scan, by its bytes.
 

@@ -9,6 +9,7 @@ from jaxtyping import Shaped
 from safetensors import SafetensorError, deserialize
 
 from dynamictree.errors import FormatError
+from dynamictree.formats.seekable import SeekableReader
 from dynamictree.formats.stream import ByteReader, ByteWriter, read_all
 from dynamictree.voxel.grid import VoxelGrid
 
@@ -18,6 +19,7 @@ MAX_RESOLUTION = 4096  # its keys still fit int64 many times over
 
 _DTYPES = {"F16": np.float16, "F32": np.float32, "I32": np.int32, "U8": np.uint8}
 _NAMES = {np.dtype(dtype).name: name for name, dtype in _DTYPES.items()}
+_MAX_HEADER_BYTES = 1 << 20
 _MAX_FIELD_CHARS = 4096  # of a metadata field; a hostile one must not exhaust the JSON parser
 
 
@@ -33,7 +35,9 @@ def read_tensors(
     try:
         described = deserialize(content)  # type: ignore[no-untyped-call]
     except SafetensorError as error:
-        raise FormatError(f"not a {file_format} file: safetensors finds {error}") from error
+        raise FormatError(
+            f"the file is no {file_format}: safetensors finds {error}; give one as docs/formats.md describes it"
+        ) from error
     # deserialize has checked that the header is there, is JSON and fits the bytes
     header = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
     metadata: dict[str, str] = header.get("__metadata__") or {}
@@ -47,6 +51,19 @@ def read_tensors(
             raise FormatError(f"tensor {name[:80]!r} is of {entry['dtype']}; {', '.join(_DTYPES)} are allowed")
         tensors[name] = np.frombuffer(entry["data"], _DTYPES[entry["dtype"]]).reshape(entry["shape"])
     return tensors, metadata
+
+
+def tensor_format(stream: SeekableReader) -> str | None:
+    """The format that a file's metadata name; None where it is no safetensors. The stream is left at its start."""
+    stream.seek(0)
+    length = int.from_bytes(stream.read(8), "little")
+    header = stream.read(min(length, _MAX_HEADER_BYTES))
+    stream.seek(0)
+    try:
+        metadata = json.loads(header)["__metadata__"]
+        return str(metadata["format"])
+    except (ValueError, KeyError, TypeError):
+        return None
 
 
 def write_tensors(

@@ -1,25 +1,15 @@
 """Splats and scans on the command line, in this process."""
 
 import json
-import sys
 import zipfile
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from dynamictree.cli import main
 from tests.service.test_clouds import BAD_CLOUDS, ply_of, post_cloud
-
-
-def call(monkeypatch: pytest.MonkeyPatch, *arguments: str | Path) -> int:
-    """Exit status of `dynamictree …`."""
-    monkeypatch.setattr(sys, "argv", ["dynamictree", *map(str, arguments)])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert isinstance(ended.value.code, int)
-    return ended.value.code
 
 
 @pytest.fixture
@@ -33,13 +23,13 @@ def tree(tmp_path: Path) -> Path:
 
 
 def test_a_splat_comes_out_moving(
-    tree: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    dynamictree: Callable[..., int], tree: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     np.save(tmp_path / "mask.npy", np.arange(400) < 300)
     output = tmp_path / "out"
     options = ["--format", "splat-ply,splat,png", "--num-steps", "1", "--frames", "4", "--no-loop", "--side-px", "64"]
     part = ["--mask", tmp_path / "mask.npy", "--box=-1,-1,-1,1,1,2", "--sh-degree", "0"]
-    assert call(monkeypatch, "animate", tree, "-o", output, *options, *part) == 0
+    assert dynamictree("animate", tree, "-o", output, *options, *part) == 0
     told = capsys.readouterr()
     assert told.err.startswith("splat-ply: 4 frames of 400 Gaussians of SH degree 0: 0.1 MB\n")
     names = {path.name for path in output.iterdir()}
@@ -54,20 +44,20 @@ def test_a_splat_comes_out_moving(
 
 
 def test_info_tells_what_a_splat_is(
-    tree: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    dynamictree: Callable[..., int], tree: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert call(monkeypatch, "info", tree, "--json") == 0
+    assert dynamictree("info", tree, "--json") == 0
     told = json.loads(capsys.readouterr().out)
     assert (told["num_gaussians"], told["sh_degree"], told["source_up_axis"]) == (400, 1, "-Y")
 
 
 @pytest.mark.parametrize("what", BAD_CLOUDS)
 def test_a_bad_cloud_is_one_line_and_exit_2_and_leaves_nothing(
-    what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    what: str, dynamictree: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     name, content, _, found = BAD_CLOUDS[what]
     (tmp_path / name).write_bytes(content)
-    assert call(monkeypatch, "animate", tmp_path / name, "-o", tmp_path / "out") == 2
+    assert dynamictree("animate", tmp_path / name, "-o", tmp_path / "out") == 2
     told = capsys.readouterr().err
     assert len(told.strip().splitlines()) == 1
     assert found in told
@@ -89,18 +79,18 @@ def test_a_wrong_option_is_told(
     found: str,
     tree: Path,
     tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    dynamictree: Callable[..., int],
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    assert call(monkeypatch, "animate", tree, "-o", tmp_path / "out", *options) == 2
+    assert dynamictree("animate", tree, "-o", tmp_path / "out", *options) == 2
     assert found in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 
 def test_a_box_is_for_clouds(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    dynamictree: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     mesh = tmp_path / "tree.obj"
     mesh.write_bytes(b"v 0 0 0\nv 1 0 0\nv 0 0 1\nf 1 2 3\n")
-    assert call(monkeypatch, "voxelize", mesh, "-o", tmp_path / "v.safetensors", "--box=0,0,0,1,1,1") == 2
+    assert dynamictree("voxelize", mesh, "-o", tmp_path / "v.safetensors", "--box=0,0,0,1,1,1") == 2
     assert "for splats and scans" in capsys.readouterr().err

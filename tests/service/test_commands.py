@@ -61,6 +61,16 @@ def test_a_bad_setting_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert "DYNAMICTREE_LEASE_S" in done.stderr
 
 
+@pytest.mark.parametrize("command", ["serve", "list"])
+def test_a_database_that_is_away_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str) -> None:
+    monkeypatch.setenv("DYNAMICTREE_DATABASE_URL", f"sqlite:///{tmp_path}")  # a folder
+    words = [command, "--state-dir", str(tmp_path / "state")]
+    done = CliRunner().invoke(keys if command == "list" else app, words)
+    assert done.exit_code == 2
+    assert done.stderr.count("\n") == 1
+    assert "unable to open database file; look at DYNAMICTREE_DATABASE_URL" in done.stderr
+
+
 def test_a_port_that_is_taken_is_named(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]

@@ -1,0 +1,50 @@
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+TRIANGLE = b"v 0 0 0\nv 0.02 0 0\nv 0 0 1\nf 1 2 3\n"  # thin: few voxels
+
+
+@pytest.fixture
+def triangle(tmp_path: Path) -> Path:
+    path = tmp_path / "triangle.obj"
+    path.write_bytes(TRIANGLE)
+    return path
+
+
+def test_what_a_file_holds_is_told_by_its_bytes(
+    dynamictree: Callable[..., int], triangle: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    voxels, spectrum = tmp_path / "a", tmp_path / "b"
+    assert dynamictree("voxelize", triangle, "-o", voxels) == 0
+    assert dynamictree("diffuse", voxels, "-o", spectrum, "--num-steps", 1) == 0
+    for path, found in ((triangle, "num_faces: 1"), (voxels, "resolution: 128"), (spectrum, "num_frequencies: 16")):
+        capsys.readouterr()
+        assert dynamictree("info", path) == 0
+        assert found in capsys.readouterr().out.splitlines()
+
+
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [
+        ("voxelize triangle.obj -o .", "is a directory"),
+        ("voxelize triangle.obj -o triangle.obj/v", "nothing can be written to triangle.obj: File exists"),
+        ("animate . -o out", ". is a folder; name a file in it"),
+        ("info x.voxels.safetensors", "the file is no surface-voxels"),
+        ("anmate triangle.obj", "Did you mean 'animate'?"),
+    ],
+)
+def test_what_is_wrong_is_told(
+    dynamictree: Callable[..., int],
+    triangle: Path,
+    words: str,
+    found: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(triangle.parent)
+    Path("x.voxels.safetensors").write_bytes(TRIANGLE)
+    assert dynamictree(*words.split()) == 2
+    assert found in capsys.readouterr().err
+    assert sorted(path.name for path in Path().iterdir()) == ["triangle.obj", "x.voxels.safetensors"]
