@@ -158,7 +158,7 @@ def test_the_heartbeat_outlasts_a_kernel_that_stops_all_threads(here: Runtime, a
         holding_the_interpreter(4.0)
         assert reap(here.store, max_lost_attempts=2) == []
         watching.check()
-    time.sleep(here.settings.lease_s + 0.3)
+    here.store.clock = lambda: time.time() + here.settings.lease_s + 1
     assert reap(here.store, max_lost_attempts=2) == [(held.job.id, JobState.RUNNING)]
 
 
@@ -237,7 +237,7 @@ def test_a_heartbeat_that_died_starts_again(
     with watch(here, held):
         first = here.heartbeat.pid
         os.kill(first, signal.SIGKILL)
-        time.sleep(0.2)
+        os.waitid(os.P_PID, first, os.WEXITED | os.WNOWAIT)
     assert "heartbeat's process has died" in caplog.text
     here.heartbeat.wait()
     assert here.heartbeat.pid != first

@@ -1,10 +1,12 @@
 """The housekeeper on a real store and a real Redis."""
 
+import os
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -16,20 +18,19 @@ from jobs.attempts import claim, touch_blob
 from jobs.records import AssetPart, JobRecord
 from jobs.settings import Settings
 from jobs.upkeep import BLOB_GRACE_S, unsent
+from tests.jobs.conftest import Clock
 from tests.rows import asset_row, job_row
 from worker.housekeeper import Housekeeper, open_housekeeper, run
 
 
 @pytest.fixture
 def keeper(tmp_path: Path) -> Iterator[Housekeeper]:
-    settings = Settings(state_dir=tmp_path, resend_s=0.2, outbox_interval_s=0.02, housekeeper_lease_s=1)
+    settings = Settings(state_dir=tmp_path, outbox_interval_s=0.02, housekeeper_lease_s=1)
     settings.redis_socket.parent.mkdir(parents=True)
     command = [str(get_binary_path()), "--port", "0", "--unixsocket", str(settings.redis_socket), "--save", ""]
     server = subprocess.Popen(command, stdout=subprocess.DEVNULL)
     opened = open_housekeeper(settings)
-    deadline = time.monotonic() + 20
-    while not settings.redis_socket.exists() and time.monotonic() < deadline:
-        time.sleep(0.01)
+    wait_until(settings.redis_socket.exists)
     yield opened
     opened.queue.close()
     opened.redis.close()
@@ -54,19 +55,23 @@ def test_a_job_is_sent_once(keeper: Housekeeper) -> None:
 
 
 def test_a_message_that_redis_lost_is_sent_again(keeper: Housekeeper) -> None:
+    clock = Clock(time.time())
+    keeper.store.clock = clock
     job = add_job(keeper)
     keeper.send()
-    time.sleep(0.25)
-    keeper.send_again()
-    assert keeper.redis.llen("cpu") == 1  # it was still there
     keeper.redis.flushall()
+    keeper.send_again()
+    assert keeper.redis.llen("cpu") == 0  # too soon to tell
+    clock.now += keeper.settings.resend_s + 1
     keeper.send_again()
     assert keeper.redis.llen("cpu") == 1
+    clock.now += keeper.settings.resend_s + 1
+    keeper.send_again()
+    assert keeper.redis.llen("cpu") == 1  # it is still there
     claim(keeper.store, job.id, 1, owner="w", lease_s=60)
     keeper.redis.flushall()
-    time.sleep(0.25)
     keeper.send_again()
-    assert keeper.redis.llen("cpu") == 0
+    assert keeper.redis.llen("cpu") == 0  # a worker has it
 
 
 def test_bytes_that_nothing_needs_are_removed(keeper: Housekeeper, tmp_path: Path) -> None:
@@ -83,31 +88,36 @@ def test_bytes_that_nothing_needs_are_removed(keeper: Housekeeper, tmp_path: Pat
 
 
 def test_one_of_two_acts_and_the_other_takes_over(keeper: Housekeeper) -> None:
-    program = "from worker.housekeeper import main; main()"
-    environment = {
+    environment = os.environ | {
         "DYNAMICTREE_STATE_DIR": str(keeper.settings.state_dir),
         "DYNAMICTREE_HOUSEKEEPER_LEASE_S": "1",
         "DYNAMICTREE_LOG_LEVEL": "ERROR",
     }
-    other = subprocess.Popen([sys.executable, "-c", program], env=environment)
-    stopped = threading.Event()
-    thread = threading.Thread(target=run, args=(keeper, stopped))
-    thread.start()
-    first = add_job(keeper)
-    wait_sent(keeper)
-    other.kill()
-    other.wait()
-    second = add_job(keeper)
-    wait_sent(keeper)
-    stopped.set()
-    thread.join(10)
-    assert first.id != second.id
+    add_job(keeper)
+    other = subprocess.Popen([sys.executable, "-m", "worker.housekeeper"], env=environment)
+    wait_until(lambda: not unsent(keeper.store))
+    with running(keeper):
+        other.kill()
+        other.wait()
+        add_job(keeper)
+        wait_until(lambda: not unsent(keeper.store))
     assert keeper.redis.llen("cpu") == 2
 
 
-def wait_sent(keeper: Housekeeper) -> None:
-    deadline = time.monotonic() + 20
-    while unsent(keeper.store):
+@contextmanager
+def running(keeper: Housekeeper) -> Iterator[None]:
+    stopped = threading.Event()
+    thread = threading.Thread(target=run, args=(keeper, stopped))
+    thread.start()
+    yield
+    stopped.set()
+    thread.join(60)
+    assert not thread.is_alive()
+
+
+def wait_until(done: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 60
+    while not done():
         assert time.monotonic() < deadline
         time.sleep(0.02)
 
@@ -116,14 +126,9 @@ def test_what_is_away_is_tried_again(keeper: Housekeeper, caplog: pytest.LogCapt
     server_path = keeper.settings.redis_socket
     hidden = server_path.with_suffix(".hidden")
     server_path.rename(hidden)
-    stopped = threading.Event()
-    thread = threading.Thread(target=run, args=(keeper, stopped))
-    thread.start()
     add_job(keeper)
-    time.sleep(0.5)
-    assert len(unsent(keeper.store)) == 1
-    hidden.rename(server_path)
-    wait_sent(keeper)
-    stopped.set()
-    thread.join(10)
-    assert "tries again" in caplog.text
+    with running(keeper):
+        wait_until(lambda: "tries again" in caplog.text)
+        assert len(unsent(keeper.store)) == 1
+        hidden.rename(server_path)
+        wait_until(lambda: not unsent(keeper.store))
