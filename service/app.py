@@ -29,7 +29,7 @@ from service import (
     modes,
     ops,
     pages,
-    problems,
+    problem_handlers,
     spectra,
     stream,
     surface,
@@ -42,6 +42,7 @@ from service.described import DESCRIPTION, SERVERS, described
 from service.doors import Doors
 from service.metrics import Measured
 from service.middleware import BodyLimit, RequestFrame
+from service.problems import problem_response, request_id_of
 from service.tracing import Traced
 
 ROUTERS = (
@@ -112,7 +113,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.state.context = context
     for router in ROUTERS:
         app.include_router(router)
-    problems.install(app)
+    problem_handlers.install(app)
     app.add_exception_handler(sa.exc.OperationalError, _on_database_away)
     app.add_middleware(BodyLimit, settings=context.settings)
     app.add_middleware(Doors, context=context)
@@ -161,4 +162,4 @@ def _warm_up() -> None:
 async def _on_database_away(request: Request, error: Exception) -> Response:
     logger.error("the database is away", exc_info=error)
     detail = "the database does not answer; nothing was changed"
-    return problems.problem_response("storage-unavailable", detail, request_id=problems.request_id_of(request.scope))
+    return problem_response("storage-unavailable", detail, request_id=request_id_of(request.scope))

@@ -53,6 +53,8 @@ class AssetRequest(Payload):
             raise ValueError("give either upload_ids or url")
         if self.url is None and (self.sha256 or self.filename):
             raise ValueError("sha256 and filename go with url; those of uploads are in Upload-Metadata")
+        if self.filename is not None and "\0" in self.filename:
+            raise ValueError("filename holds a NUL; leave it out")
         return self
 
 

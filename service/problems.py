@@ -6,17 +6,12 @@ from dataclasses import dataclass
 from typing import TypedDict, get_args
 
 import orjson
-from fastapi import FastAPI, Request
-from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 from starlette.responses import Response
-from starlette.routing import Route
 from starlette.types import Scope
 
 from dynamictree.errors import DynamicTreeError
-from jobs.artifacts import is_full
 from jobs.errors import JobsError
-from jobs.states import JOB_TYPES
 
 logger = logging.getLogger(__name__)
 
@@ -120,14 +115,6 @@ KINDS: dict[str, Kind] = {
     ),
 }
 
-_BY_STATUS = {
-    400: "bad-request",
-    404: "not-found",
-    405: "method-not-allowed",
-    413: "payload-too-large",
-    422: "validation-failed",
-}
-
 
 class FieldError(TypedDict):
     """One field that is wrong."""
@@ -217,77 +204,6 @@ def known_code(error: Exception) -> str:
     """The code of an exception of ours, or `internal-error`."""
     code = getattr(error, "code", "internal-error") if isinstance(error, DynamicTreeError | JobsError) else None
     return code if code in KINDS else "internal-error"
-
-
-def install(app: FastAPI) -> None:
-    """Answer every exception that a route may raise with a problem. What is not known is answered by the middleware."""
-    app.add_exception_handler(HTTPException, _on_http)
-    app.add_exception_handler(RequestValidationError, _on_validation)
-    app.add_exception_handler(DynamicTreeError, _on_ours)
-    app.add_exception_handler(JobsError, _on_ours)
-    app.add_exception_handler(OSError, _on_system)
-
-
-async def _on_http(request: Request, error: Exception) -> Response:
-    assert isinstance(error, HTTPException)
-    if isinstance(error, ProblemError):
-        code, errors, extra = error.code, error.errors, error.extra
-    else:
-        code, errors, extra = _BY_STATUS.get(error.status_code, "bad-request"), (), {}
-    headers = error.headers
-    if error.status_code == 405:
-        headers = {**(headers or {}), "Allow": ", ".join(_methods(request))}
-    return problem_response(
-        code, str(error.detail), request_id=request_id_of(request.scope), errors=errors, headers=headers, extra=extra
-    )
-
-
-def _methods(request: Request) -> list[str]:
-    """The methods of every route with this path; Starlette names those of the first alone."""
-    path, known = request.scope["path"], set[str]()
-    for included in request.app.routes:
-        router = getattr(included, "original_router", None)  # FastAPI keeps included routers whole
-        for route in [included] if router is None else router.routes:
-            if isinstance(route, Route) and route.path_regex.match(path):
-                known |= route.methods or set()
-    return sorted(known)
-
-
-async def _on_validation(request: Request, error: Exception) -> Response:
-    assert isinstance(error, RequestValidationError)
-    errors: list[FieldError] = [
-        {
-            "pointer": _pointer(item["loc"]),
-            "code": item["type"].replace("_", "-"),
-            "detail": item["msg"],
-        }
-        for item in error.errors()
-    ]
-    detail = "; ".join(f"{item['pointer']}: {item['detail']}" for item in errors)
-    return problem_response("validation-failed", detail, request_id=request_id_of(request.scope), errors=errors)
-
-
-def _pointer(location: Sequence[str | int]) -> str:
-    where, *steps = location
-    if where != "body":
-        return f"{where}:{steps[-1]}"
-    if steps and (steps[0] in JOB_TYPES or isinstance(steps[0], int)):
-        steps = steps[1:]  # pydantic's name of the union's branch, or a place in broken JSON: no step in the body
-    return "".join("/" + str(step).replace("~", "~0").replace("/", "~1") for step in steps)
-
-
-async def _on_ours(request: Request, error: Exception) -> Response:
-    assert isinstance(error, REFUSALS)
-    return await _on_http(request, problem_of(error))
-
-
-async def _on_system(request: Request, error: Exception) -> Response:
-    assert isinstance(error, OSError)
-    if not is_full(error):
-        raise error
-    logger.error("the disk is full", exc_info=error)
-    detail = f"a file could not grow: {error.strerror}; nothing was kept"
-    return problem_response("disk-full", detail, request_id=request_id_of(request.scope))
 
 
 def request_id_of(scope: Scope) -> str | None:

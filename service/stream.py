@@ -48,6 +48,7 @@ from service.forces import LARGEST, MAX_GROUPS, ForcePayload, library_force, loc
 from service.payloads import Finite, Payload
 from service.problems import REFUSALS, ProblemError, Refusal, problem_body, problem_of
 from service.trees import ReadyTree, ready_tree, with_mesh
+from service.validation import field_errors, summed_up
 
 router = APIRouter(prefix="/v1/interact")
 logger = logging.getLogger(__name__)
@@ -286,7 +287,7 @@ async def _send(socket: WebSocket, message: dict[str, object]) -> None:
 def _problem(error: ValidationError | Refusal) -> dict[str, object]:
     """A problem object, less its `type`, whose place the message's own takes."""
     if isinstance(error, ValidationError):
-        wrong = "; ".join(f"{'/'.join(map(str, item['loc']))}: {item['msg']}" for item in error.errors())
-        error = ProblemError("validation-failed", wrong)
+        located = [{**item, "loc": ("body", *item["loc"])} for item in error.errors()]
+        error = ProblemError("validation-failed", summed_up(field_errors(located)))
     told = problem_of(error)
     return problem_body(told.code, told.detail, request_id=None) | {"type": "problem"}

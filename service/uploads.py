@@ -233,13 +233,15 @@ def _require_promised(context: Context, record: UploadRecord) -> None:
 
 def _require_version(given: str | None) -> None:
     if given != TUS_VERSION:
-        detail = f"Tus-Resumable is {given!r}; {TUS_VERSION} is spoken here"
+        found = "is not sent" if given is None else f"is {given!r}"
+        detail = f"Tus-Resumable {found}; {TUS_VERSION} is spoken here"
         raise ProblemError("precondition-failed", detail, headers={"Tus-Version": TUS_VERSION})
 
 
 def _length(header: str | None, context: Context) -> int:
     if header is None or not (header.isascii() and header.isdecimal()) or len(header) > 18:
-        raise ProblemError("bad-request", f"Upload-Length is {header!r}; send the size of the file in bytes")
+        found = "is not sent" if header is None else f"is {header!r}"
+        raise ProblemError("bad-request", f"Upload-Length {found}; send the size of the file in bytes")
     length, allowed = int(header), context.settings.max_upload_bytes
     if length > allowed:
         raise ProblemError("payload-too-large", f"Upload-Length is {length:,}; at most {allowed:,} are allowed")

@@ -1,10 +1,10 @@
 """One error body, whatever goes wrong and wherever."""
 
+import json
 from pathlib import Path
 
 import pytest
 import sqlalchemy as sa
-from fastapi.routing import APIRoute
 from fastapi.testclient import TestClient
 
 from dynamictree.errors import CheckpointError
@@ -133,9 +133,8 @@ def test_every_route_documents_problems(client: TestClient) -> None:
 
 
 def test_every_route_is_versioned_or_at_the_root() -> None:
-    app = create_app(Settings(state_dir=Path("unused")))
-    paths = {route.path for route in app.routes if isinstance(route, APIRoute)}
-    assert all(path.startswith("/v1/") for path in paths - {"/livez", "/readyz"})
+    paths = set(create_app(Settings(state_dir=Path("unused"))).openapi()["paths"])
+    assert {path for path in paths if not path.startswith("/v1/")} == {"/livez", "/readyz", "/metrics"}
 
 
 @pytest.mark.parametrize(
@@ -145,3 +144,39 @@ def test_a_wrong_method_is_told_every_right_one(client: TestClient, path: str, m
     response = client.request("PATCH", path)
     assert_problem(response, 405, "method-not-allowed")
     assert set(response.headers["Allow"].split(", ")) == methods
+
+
+@pytest.mark.parametrize(
+    ("body", "pointer", "detail"),
+    [
+        ({"type": "fly"}, "/type", "'fly' was sent; 'reconstruct', 'voxelize', 'diffuse', 'animate' are allowed"),
+        ({}, "/type", "this is needed, and was not sent"),
+        ({"type": "diffuse"}, "/asset_id", "this is needed, and was not sent"),
+        (
+            {"type": "diffuse", "asset_id": "a", "seed": -1},
+            "/seed",
+            "Input should be greater than or equal to 0; -1 was",
+        ),
+        ({"type": "diffuse", "asset_id": "a", "a/b": 1}, "/a~1b", "there is no such field"),
+        ({"type": "diffuse", "asset_id": ["a"]}, "/asset_id", "Input should be a valid string"),
+        ("{", "", "this is no JSON: Expecting property name enclosed in double quotes at character 1"),
+    ],
+)
+def test_a_field_that_is_wrong_is_told_with_what_was_found(
+    client: TestClient, body: object, pointer: str, detail: str
+) -> None:
+    headers = {"Content-Type": "application/json"}
+    content = body if isinstance(body, str) else json.dumps(body)
+    told = client.post("/v1/jobs", content=content, headers=headers).json()
+    assert told["errors"][0]["pointer"] == pointer
+    assert told["errors"][0]["detail"].startswith(detail)
+    assert told["detail"].startswith(f"{pointer or 'the body'}: {detail}")
+
+
+def test_a_body_that_is_not_called_json_is_told(client: TestClient) -> None:
+    assert "Content-Type: application/json" in client.post("/v1/jobs", content=b"type=animate").json()["detail"]
+
+
+def test_what_is_not_there_names_the_path_and_what_may_be_done(client: TestClient) -> None:
+    assert "'/v1/job'" in client.get("/v1/job").json()["detail"]
+    assert client.delete("/v1/jobs").json()["detail"] == "DELETE is not allowed at '/v1/jobs'; GET, POST are"

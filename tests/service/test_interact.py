@@ -213,7 +213,7 @@ def test_a_place_that_is_none_is_refused(
         ({"at": {"voxel": 1, "vertex": 1}}, "exactly one of point_m"),
         ({"kind": "wind", "impulse_n_s": None, "wind_m_s": [1.0, 0.0, 0.0]}, "takes none"),
         ({"kind": "wind", "impulse_n_s": None, "at": None, "wind_m_s": []}, "1 to 600"),
-        ({"sideways": 1}, "Extra inputs"),
+        ({"sideways": 1}, "/sideways: there is no such field"),
     ],
 )
 def test_a_force_that_is_none_is_refused(

@@ -108,7 +108,7 @@ def test_the_list_is_paged_by_cursor_and_filtered(client: TestClient, asset: Ass
 @pytest.mark.parametrize(
     ("body", "pointer"),
     [
-        ({"type": "fly"}, ""),
+        ({"type": "fly"}, "/type"),
         ({"seed": -1}, "/voxelize/seed"),
         ({"params": {"resolution": 100}}, "/voxelize/params/resolution"),
         ({"params": {"resolutoin": 64}}, "/voxelize/params/resolutoin"),
