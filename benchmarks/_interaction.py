@@ -1,12 +1,6 @@
-"""What the benchmarks of interaction share: a grown tree with many vertices and Gaussians, and honest timing."""
+"""What the benchmarks of interaction share: a grown tree with many vertices and Gaussians."""
 
-import os
-import platform
-import statistics
-import time
-from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.metadata import version
 
 import numpy as np
 
@@ -58,34 +52,6 @@ def gaussians_on(mesh: TriangleMesh, count: int = NUM_GAUSSIANS, *, in_face_orde
         sh=np.zeros((count, 1, 3), np.float32),
     )
     return bind_to_faces(cloud, mesh, faces, weights.astype(np.float32))
-
-
-def timed(call: Callable[[], object], *, repeats: int = 60, warm_up: int = 5) -> dict[str, float]:
-    """Median and p90 of one call [ms]; `cpu_ms` is its processor time over the cores, however busy they are."""
-    for _ in range(warm_up):
-        call()
-    marks, processor = [], []
-    for _ in range(repeats):
-        begin, spent = time.perf_counter(), time.process_time()
-        call()
-        marks.append((time.perf_counter() - begin) * 1e3)
-        processor.append((time.process_time() - spent) * 1e3 / len(os.sched_getaffinity(0)))
-    return {
-        "median_ms": round(statistics.median(marks), 4),
-        "p90_ms": round(statistics.quantiles(marks, n=10)[-1], 4),
-        "best_ms": round(min(marks), 4),
-        "cpu_ms": round(statistics.median(processor), 4),
-    }
-
-
-def machine() -> dict[str, object]:
-    """Where it was measured, and how busy that was."""
-    return {
-        "device": f"{platform.machine()}, {os.cpu_count()} cores",
-        "load": round(os.getloadavg()[0], 2),
-        "versions": {name: version(name) for name in ("numpy", "scipy", "numba")}
-        | {"python": platform.python_version()},
-    }
 
 
 def _subdivided(mesh: TriangleMesh) -> TriangleMesh:

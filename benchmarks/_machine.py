@@ -1,33 +1,60 @@
-"""What a figure was measured on, and the median of several runs."""
+"""What a figure was measured on, and how long something takes."""
 
 import os
 import platform
 import statistics
+import time
 from collections.abc import Callable
+from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
-from time import perf_counter
 
 
-def device() -> str:
-    """Processor and cores."""
-    names = [
-        line.split(":", 1)[1].strip() for line in Path("/proc/cpuinfo").read_text().splitlines() if "model name" in line
-    ]
-    return f"{names[0] if names else platform.processor()}, {os.cpu_count()} cores"
+@dataclass(frozen=True, kw_only=True)
+class Timing:
+    """Of several runs [ms]. `cpu_ms` is the median processor time over the cores: what others' work cannot hide."""
+
+    median_ms: float
+    p90_ms: float
+    best_ms: float
+    worst_ms: float
+    cpu_ms: float
+
+    def rounded(self) -> dict[str, float]:
+        """As it is printed."""
+        return {name: round(value, 4) for name, value in asdict(self).items()}
 
 
-def versions(*names: str) -> dict[str, str]:
-    """Python's and those of the packages that matter to a figure."""
-    return {"python": platform.python_version()} | {name: version(name) for name in names}
+def machine(*packages: str) -> dict[str, object]:
+    """Processor and cores, how busy they are, and the versions of what matters to a figure."""
+    cpuinfo = Path("/proc/cpuinfo").read_text().splitlines()
+    names = [line.split(":", 1)[1].strip() for line in cpuinfo if "model name" in line]
+    return {
+        "device": f"{names[0] if names else platform.machine()}, {cores()} cores",
+        "load": round(os.getloadavg()[0], 2),
+        "versions": {"python": platform.python_version()} | {name: version(name) for name in packages},
+    }
 
 
-def timed(action: Callable[[], object], *, runs: int = 5) -> dict[str, float]:
-    """Median and slowest of several runs after one to warm up [s]."""
-    action()
-    seconds = []
+def cores() -> int:
+    """How many this process may use."""
+    return len(os.sched_getaffinity(0))
+
+
+def timed(call: Callable[[], object], *, runs: int = 60, warm_ups: int = 1) -> Timing:
+    """Time several runs of a call."""
+    for _ in range(warm_ups):
+        call()
+    wall, spent = [], []
     for _ in range(runs):
-        began = perf_counter()
-        action()
-        seconds.append(perf_counter() - began)
-    return {"median_s": statistics.median(seconds), "max_s": max(seconds)}
+        began, before = time.perf_counter(), time.process_time()
+        call()
+        wall.append((time.perf_counter() - began) * 1e3)
+        spent.append((time.process_time() - before) * 1e3 / cores())
+    return Timing(
+        median_ms=statistics.median(wall),
+        p90_ms=statistics.quantiles(wall, n=10, method="inclusive")[-1],
+        best_ms=min(wall),
+        worst_ms=max(wall),
+        cpu_ms=statistics.median(spent),
+    )

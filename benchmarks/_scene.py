@@ -1,9 +1,5 @@
 """What the Gaussian benchmarks measure on."""
 
-import os
-import platform
-
-import numba
 import numpy as np
 
 from dynamictree.mesh import TriangleMesh
@@ -19,12 +15,3 @@ def sheet(num_faces: int) -> TriangleMesh:
     upper = np.stack([i[:-1, :-1], i[1:, 1:], i[:-1, 1:]], axis=-1).reshape(-1, 3)
     # neighbours in space are neighbours in the file, as modellers write them
     return TriangleMesh(vertices=vertices, faces=np.stack([lower, upper], axis=1).reshape(-1, 3))
-
-
-def describe() -> dict[str, object]:
-    """Where it ran, and how busy it was: timings with a load above 0 are not to be trusted."""
-    return {
-        "device": f"{platform.machine()}, {len(os.sched_getaffinity(0))} cores",
-        "versions": {"python": platform.python_version(), "numpy": np.__version__, "numba": numba.__version__},
-        "load_before": round(os.getloadavg()[0], 1),
-    }

@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import torch
 
-from benchmarks._machine import device, versions
+from benchmarks._machine import machine
 from dynamictree.dataset.sample import make_sample
 from dynamictree.dataset.shards import store, write_shard
 from dynamictree.diffusion.loss import nearest_voxels
@@ -52,8 +52,7 @@ def run() -> dict[str, object]:
         "value": found,
         "unit": "ratio to the truth's; ln",
         "sizes": {"trees": NUM_TREES, "steps": STEPS, "batch": BATCH, "width": WIDTH, "resolution": RESOLUTION},
-        "device": device(),
-        "versions": versions("torch", "numpy"),
+        **machine("torch", "numpy"),
     }
 
 

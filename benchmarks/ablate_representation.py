@@ -6,7 +6,7 @@ unseen species, by vertex.
 
 import numpy as np
 
-from benchmarks._machine import device, versions
+from benchmarks._machine import machine
 from dynamictree.dataset.motion import vertex_spectrum
 from dynamictree.dataset.sample import make_sample
 from dynamictree.mesh import edges_of
@@ -45,8 +45,7 @@ def run() -> dict[str, object]:
         },
         "unit": "see keys",
         "sizes": {"trees": len(TREES), "frequencies": ALL},
-        "device": device(),
-        "versions": versions("numpy"),
+        **machine("numpy"),
     }
 
 

@@ -4,7 +4,7 @@ from time import perf_counter
 
 import numpy as np
 
-from benchmarks._machine import device, versions
+from benchmarks._machine import machine
 from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.diffusion.model import load_model
 from dynamictree.training.metrics import log_amplitude_agreement
@@ -43,8 +43,7 @@ def run() -> dict[str, object]:
         },
         "unit": "see keys",
         "sizes": {"trees": len(TREES)},
-        "device": device(),
-        "versions": versions("torch", "numpy"),
+        **machine("torch", "numpy"),
     }
 
 

@@ -4,7 +4,8 @@ import time
 
 import numpy as np
 
-from benchmarks._scene import describe, sheet
+from benchmarks._machine import machine
+from benchmarks._scene import sheet
 from dynamictree.gaussian.binding import bind
 from dynamictree.gaussian.cloud import GaussianCloud
 
@@ -42,5 +43,5 @@ def run() -> dict[str, object]:
         "best": round(min(times), 2),
         "num_gaussians": NUM_GAUSSIANS,
         "num_faces": mesh.num_faces,
-        **describe(),
+        **machine("numpy", "numba"),
     }

@@ -1,14 +1,12 @@
 """Trees a second that `dataset generate` bakes: growing, moving, filtering, voxel spectra, writing."""
 
 import itertools
-import os
-import platform
 import statistics
 import tempfile
 import time
-from importlib.metadata import version
 from pathlib import Path
 
+from benchmarks._machine import machine
 from dynamictree.dataset.generate import Recipe, generate
 
 TARGET = 5.0  # trees a second on two cores: 8,786 trees in half an hour
@@ -47,7 +45,5 @@ def run() -> dict[str, object]:
             "mb_a_tree": round(size / trees / 1e6, 2),
         },
         "workers": WORKERS,
-        "device": f"{platform.machine()}, {os.cpu_count()} cores",
-        "load": round(os.getloadavg()[0], 2),
-        "versions": {name: version(name) for name in ("numpy", "scipy", "numba", "safetensors")},
+        **machine("numpy", "scipy", "numba", "safetensors"),
     }

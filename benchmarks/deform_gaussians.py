@@ -1,12 +1,9 @@
 """Milliseconds a frame to move 500,000 Gaussians with 100,000 faces. Paper table 2: 2.57 ms on a GPU."""
 
-import os
-import time
-from collections.abc import Callable
-
 import numpy as np
 
-from benchmarks._scene import describe, sheet
+from benchmarks._machine import machine, timed
+from benchmarks._scene import sheet
 from dynamictree.gaussian.deform import Deformer, shape_error
 from dynamictree.gaussian.from_mesh import splats_of_mesh
 from dynamictree.gaussian.turn import turn_sh_fast
@@ -16,56 +13,35 @@ TARGET_MS = 5.0
 FLOOR_TARGET = 2.5  # times the time that the memory alone takes
 
 
-def alone_ms(call: Callable[[], object], repeats: int = 30) -> float:
-    """Median processor time over the number of cores [ms]: what a machine without other work would take."""
-    call()
-    times = []
-    for _ in range(repeats):
-        start = time.process_time()
-        call()
-        times.append((time.process_time() - start) * 1000)
-    return float(np.median(times)) / len(os.sched_getaffinity(0))
-
-
-def timed(call: Callable[[], object], repeats: int = 60) -> tuple[float, float, float]:
-    """Best, median and 90th percentile [ms]."""
-    call()
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        call()
-        times.append((time.perf_counter() - start) * 1000)
-    return float(np.min(times)), float(np.median(times)), float(np.percentile(times, 90))
-
-
 def run() -> dict[str, object]:
     mesh = sheet(100_000)
     binding = splats_of_mesh(mesh, at_least=NUM_GAUSSIANS, rng=np.random.default_rng(0)).binding
     displacement = (0.2 * np.sin(mesh.vertices[:, [1, 2, 0]])).astype(np.float32)
     deformer = Deformer(binding)
     out = np.empty((binding.cloud.num_gaussians, 10), np.float32)
-    best, median, p90 = timed(lambda: deformer.pose(displacement, out=out))
+    posed = timed(lambda: deformer.pose(displacement, out=out))
     floor = _memory_floor_ms(binding.cloud.num_gaussians, len(binding.triangles))
     shuffled = Deformer(_shuffled(binding))
+    in_any_order = timed(lambda: shuffled.pose(displacement, out=out), runs=20)
     sh = np.random.default_rng(0).normal(size=(100_000, 16, 3)).astype(np.float32)
     turns = binding.cloud.quaternions[:100_000]
     return {
-        "value": round(median, 3),
+        "value": round(posed.median_ms, 3),
         "unit": "ms",
         "target": TARGET_MS,
-        "best": round(best, 3),
-        "p90": round(p90, 3),
-        "processor_ms": round(alone_ms(lambda: deformer.pose(displacement, out=out)), 3),
+        "best": round(posed.best_ms, 3),
+        "p90": round(posed.p90_ms, 3),
+        "processor_ms": round(posed.cpu_ms, 3),
         "floor_ms": round(floor, 3),
-        "over_floor": round(median / floor, 2),
+        "over_floor": round(posed.median_ms / floor, 2),
         "over_floor_target": FLOOR_TARGET,
-        "shuffled_ms": round(timed(lambda: shuffled.pose(displacement, out=out), 20)[1], 3),
-        "shuffled_processor_ms": round(alone_ms(lambda: shuffled.pose(displacement, out=out), 20), 3),
-        "turn_sh3_ms": round(timed(lambda: turn_sh_fast(sh, turns), 10)[1] * 5, 1),
+        "shuffled_ms": round(in_any_order.median_ms, 3),
+        "shuffled_processor_ms": round(in_any_order.cpu_ms, 3),
+        "turn_sh3_ms": round(timed(lambda: turn_sh_fast(sh, turns), runs=10).median_ms * 5, 1),
         "shape_error_median": round(float(np.median(shape_error(binding, displacement))), 4),
         "num_gaussians": binding.cloud.num_gaussians,
         "num_faces": len(binding.triangles),
-        **describe(),
+        **machine("numpy", "numba"),
     }
 
 
@@ -90,4 +66,4 @@ def _memory_floor_ms(num_gaussians: int, num_faces: int) -> float:
     def copy(first: int, end: int) -> None:
         target[first:end] = source[first:end]
 
-    return timed(lambda: in_bands(copy, len(source)), 30)[1]
+    return timed(lambda: in_bands(copy, len(source)), runs=30).median_ms

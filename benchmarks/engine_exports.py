@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks._machine import device, versions
+from benchmarks._machine import machine
 from benchmarks._played import played_morphs, played_skin, played_usdz, played_vertex_texture
 from dynamictree import pipeline
 from dynamictree.dataset.sample import make_sample, voxel_spectrum
@@ -43,8 +43,7 @@ def run() -> dict[str, object]:
         "target": 1.0,
         "formats": found,
         "sizes": {"vertices": sample.mesh.num_vertices, "frames": 100, "motion_rms_mm": round(motion_mm, 1)},
-        "device": device(),
-        "versions": versions("numpy", "pygltflib", "usd-core", "OpenEXR"),
+        **machine("numpy", "pygltflib", "usd-core", "OpenEXR"),
     }
 
 

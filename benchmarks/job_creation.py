@@ -3,7 +3,7 @@
 import json
 
 from benchmarks._load import busy_service, load
-from benchmarks._machine import device, versions
+from benchmarks._machine import machine
 
 TARGET_MS = 50.0
 RATE = 20
@@ -23,6 +23,5 @@ def run() -> dict[str, object]:
         "requests_s": round(measured.requests_s, 1),
         "statuses": measured.statuses,
         "load_generator": "h2load",
-        "device": device(),
-        "versions": versions("uvicorn", "fastapi", "sqlalchemy"),
+        **machine("uvicorn", "fastapi", "sqlalchemy"),
     }

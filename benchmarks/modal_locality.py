@@ -7,7 +7,7 @@ the 99th percentile of edge stretch where the top is held at 20 % of the height,
 import numpy as np
 import scipy.sparse
 
-from benchmarks._interaction import machine
+from benchmarks._machine import machine
 from dynamictree.dataset.sample import Sample, make_sample, voxel_spectrum
 from dynamictree.dataset.sapling import LEAF
 from dynamictree.dataset.skeleton import Skeleton
@@ -53,7 +53,7 @@ def run() -> dict[str, object]:
             kind: [row[f"stretch_{kind}"] for row in rows.values()] for kind in ("plain", "bent")
         },
         "trees": rows,
-        **machine(),
+        **machine("numpy", "scipy", "numba"),
     }
 
 

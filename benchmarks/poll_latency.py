@@ -6,7 +6,7 @@ Half of the two cores is the worker's; API, housekeeper and the load generator s
 import os
 
 from benchmarks._load import busy_service, load
-from benchmarks._machine import device, versions
+from benchmarks._machine import machine
 
 TARGET_MS = 25.0
 RATE = 300
@@ -38,6 +38,5 @@ def run() -> dict[str, object]:
         "seconds": SECONDS,
         "load_generator": "h2load",
         "worker_threads": 1,
-        "device": device(),
-        "versions": versions("uvicorn", "fastapi", "sqlalchemy"),
+        **machine("uvicorn", "fastapi", "sqlalchemy"),
     }

@@ -7,14 +7,14 @@ Issue 7's aims: 16 to 60 photos in 20 minutes on two cores; 27 dB inside the tre
 import os
 import tempfile
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from scipy.ndimage import binary_dilation
 
+from benchmarks._machine import machine, timed
 from benchmarks._photo_set import photograph, surface_score
-from benchmarks._scene import describe
-from benchmarks.deform_gaussians import alone_ms
 from dynamictree.gaussian.rasterize import render_cloud
 from dynamictree.reconstruct import Reconstruction, ReconstructOptions, reconstruct
 from dynamictree.reconstruct.gradient import Shapes, draw, gradients_of
@@ -57,7 +57,7 @@ def run() -> dict[str, object]:
         "num_faces": found.report["num_faces"],
         "step": step_ms(),
         "real": real_photos(),
-        **describe(),
+        **machine("numpy", "numba"),
     }
 
 
@@ -108,12 +108,14 @@ def step_ms() -> list[dict[str, object]]:
         )
         slope = rng.normal(size=(height, width, 5)).astype(np.float32)
         drawing = draw(shapes, camera, width=width, height=height)
+        forward = timed(partial(draw, shapes, camera, width=width, height=height), runs=9)
+        backward = timed(partial(gradients_of, drawing, slope), runs=9)
         rows.append(
             {
                 "num_gaussians": number,
                 "size": f"{width} × {height}",
-                "forward_ms": round(alone_ms(lambda: draw(shapes, camera, width=width, height=height), 9), 1),  # noqa: B023
-                "backward_ms": round(alone_ms(lambda: gradients_of(drawing, slope), 9), 1),  # noqa: B023
+                "forward_ms": round(forward.cpu_ms, 1),
+                "backward_ms": round(backward.cpu_ms, 1),
             }
         )
     return rows

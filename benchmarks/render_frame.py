@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from benchmarks._scene import describe
-from benchmarks.deform_gaussians import alone_ms, timed
+from benchmarks._machine import machine, timed
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.rasterize import render_cloud, render_slowly
 from dynamictree.render.camera import Camera
@@ -34,24 +33,25 @@ def crown(num_gaussians: int) -> GaussianCloud:
 def run() -> dict[str, object]:
     cloud = crown(NUM_GAUSSIANS)
     camera = Camera.orbit(cloud.means)
-    best, median, p90 = timed(lambda: render_cloud(cloud, camera, width=512, height=512), 15)
-    large = timed(lambda: render_cloud(cloud, Camera.orbit(cloud.means, aspect=16 / 9), width=1920, height=1080), 5)
+    drawn = timed(lambda: render_cloud(cloud, camera, width=512, height=512), runs=15)
+    wide = Camera.orbit(cloud.means, aspect=16 / 9)
+    large = timed(lambda: render_cloud(cloud, wide, width=1920, height=1080), runs=5)
     few = cloud.subset(np.arange(2000))
     fast = render_cloud(few, camera, width=160, height=160)
     exact = render_slowly(few, camera, width=160, height=160, min_alpha=0.0)
     error = float(np.square(fast.color - exact.color).mean())
     return {
-        "value": round(median, 1),
+        "value": round(drawn.median_ms, 1),
         "unit": "ms",
         "target": TARGET_MS,
-        "best": round(best, 1),
-        "p90": round(p90, 1),
-        "processor_ms": round(alone_ms(lambda: render_cloud(cloud, camera, width=512, height=512), 5), 1),
-        "at_1080p_ms": round(large[1], 1),
+        "best": round(drawn.best_ms, 1),
+        "p90": round(drawn.p90_ms, 1),
+        "processor_ms": round(drawn.cpu_ms, 1),
+        "at_1080p_ms": round(large.median_ms, 1),
         "psnr_db": round(-10 * np.log10(error), 1),
         "psnr_target_db": TARGET_DB,
         "num_gaussians": NUM_GAUSSIANS,
         "sh_degree": cloud.sh_degree,
         "size": "512 × 512",
-        **describe(),
+        **machine("numpy", "numba"),
     }

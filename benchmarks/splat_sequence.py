@@ -6,7 +6,8 @@ import time
 
 import numpy as np
 
-from benchmarks._scene import describe, sheet
+from benchmarks._machine import machine
+from benchmarks._scene import sheet
 from dynamictree.formats.splat_sequence import iter_splat_sequence_zip, splat_sequence_bytes
 from dynamictree.gaussian.from_mesh import splats_of_mesh
 
@@ -35,7 +36,7 @@ def run() -> dict[str, object]:
         "num_gaussians": binding.cloud.num_gaussians,
         "sh_degree": 3,
         "num_frames": NUM_FRAMES,
-        **describe(),
+        **machine("numpy", "numba"),
     }
 
 

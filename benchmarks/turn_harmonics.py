@@ -5,8 +5,7 @@ The view direction turned back in the renderer, as we do to draw; or the coeffic
 
 import numpy as np
 
-from benchmarks._scene import describe
-from benchmarks.deform_gaussians import alone_ms, timed
+from benchmarks._machine import machine, timed
 from benchmarks.render_frame import crown
 from dynamictree.gaussian.rasterize import _view
 from dynamictree.gaussian.rasterize_kernel import project
@@ -31,21 +30,21 @@ def run() -> dict[str, object]:
         in_bands(project, NUM_GAUSSIANS, *given, True, turned, ellipses, bounds)
 
     turns = turn.astype(np.float32)
-    extra = alone_ms(lambda: seen(True), 15) - alone_ms(lambda: seen(False), 15)
-    coefficients = alone_ms(lambda: turn_sh_fast(cloud.sh, turns), 7)
-    straight, back = (timed(lambda turned=turned: seen(turned), 15)[1] for turned in (False, True))
+    straight, back = (timed(lambda turned=turned: seen(turned), runs=15) for turned in (False, True))
+    turning = timed(lambda: turn_sh_fast(cloud.sh, turns), runs=7)
+    extra, coefficients = back.cpu_ms - straight.cpu_ms, turning.cpu_ms
     return {
         "value": round(extra, 2),
         "unit": "ms of all cores' processor time",
         "turning_coefficients": round(coefficients, 1),
         "ratio": round(coefficients / max(extra, 0.01), 1),
         "wall_ms": {
-            "without_a_turn": round(straight, 1),
-            "direction_turned_back": round(back, 1),
-            "coefficients_turned": round(timed(lambda: turn_sh_fast(cloud.sh, turns), 7)[1], 1),
+            "without_a_turn": round(straight.median_ms, 1),
+            "direction_turned_back": round(back.median_ms, 1),
+            "coefficients_turned": round(turning.median_ms, 1),
         },
         "moved_mb": round(2 * cloud.sh.nbytes / 1e6),
         "num_gaussians": NUM_GAUSSIANS,
         "sh_degree": 3,
-        **describe(),
+        **machine("numpy", "numba"),
     }

@@ -22,7 +22,7 @@ from urllib.parse import urlsplit
 import httpx
 import psutil
 
-from benchmarks._machine import device, versions
+from benchmarks._machine import machine
 from benchmarks._served import processor_s
 
 TARGET_MB_S = 200.0
@@ -60,8 +60,7 @@ def run() -> dict[str, object]:
         "api_memory_most_mb": round(most[0] / 1e6),
         "api_memory_after_mb": round(after / 1e6),
         "disk_mb_s": round(_disk_mb_s(), 1),
-        "device": device(),
-        "versions": versions("uvicorn", "httptools", "uvloop"),
+        **machine("uvicorn", "httptools", "uvloop"),
     }
 
 

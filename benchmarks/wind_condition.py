@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from benchmarks._machine import device, versions
+from benchmarks._machine import machine
 from dynamictree.dataset.sample import make_sample
 from dynamictree.diffusion.model import load_model
 from dynamictree.mesh import TriangleMesh
@@ -42,8 +42,7 @@ def run() -> dict[str, object]:
         "value": rows,
         "unit": "share of the height; degrees",
         "sizes": {"voxels": len(voxels.grid), "species": SPECIES},
-        "device": device(),
-        "versions": versions("torch", "numpy"),
+        **machine("torch", "numpy"),
     }
 
 
