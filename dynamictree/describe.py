@@ -11,12 +11,14 @@ from dynamictree.voxel.grid import VoxelGrid
 
 
 def describe_mesh(mesh: TriangleMesh) -> dict[str, Any]:
-    """Counts, extent [m] and how the source's axes and units were read."""
+    """Counts, place [m] and how the source's axes and units were read."""
+    low, high = mesh.vertices.min(axis=0).astype(np.float64), mesh.vertices.max(axis=0).astype(np.float64)
     return {
         "num_vertices": mesh.num_vertices,
         "num_faces": mesh.num_faces,
         "num_materials": len(mesh.materials),
-        "extent_m": np.ptp(mesh.vertices.astype(np.float64), axis=0).round(4).tolist(),
+        "extent_m": (high - low).round(4).tolist(),
+        "low_m": low.round(4).tolist(),
         "source_up_axis": mesh.source_up_axis,
         "source_scale": mesh.source_scale,
     }

@@ -15,6 +15,7 @@ from jaxtyping import Complex64, UInt8
 from dynamictree.errors import InputError
 from dynamictree.files import Companions, opened
 from dynamictree.formats.mesh_file import read_mesh, sniff_file_type
+from dynamictree.formats.names import PHOTO_SUFFIXES
 from dynamictree.formats.source_file import read_capture, source_kind
 from dynamictree.gaussian.binding import Binding, bind_capture
 from dynamictree.gaussian.capture import Box, Capture
@@ -47,7 +48,6 @@ if TYPE_CHECKING:
 
 RESOLUTION = 128  # paper section 5
 RESOLUTIONS = (32, 64, 128, 256, 512)
-PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp")
 
 OnStep = Callable[[int, int], None]
 OnProgress = Callable[[float], None]

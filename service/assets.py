@@ -8,6 +8,7 @@ from fastapi.exceptions import RequestValidationError
 from pydantic import ValidationError
 from starlette.concurrency import run_in_threadpool
 
+from dynamictree.formats.names import CLOUD_SUFFIXES, MASK_NAME, MESH_SUFFIXES, PHOTO_SUFFIXES
 from jobs import assets as kept
 from jobs.records import AssetRecord
 from jobs.states import ASSET_KINDS
@@ -16,7 +17,7 @@ from jobs.uploads import UploadRecord, add_upload, upload
 from service.asset_payloads import UP_AXES, AssetPayload, AssetRequest, UploadPayload, asset_payload, upload_payload
 from service.context import Context, Ctx
 from service.ingest import make_asset, name_of_url
-from service.intake import CLOUD_SUFFIXES, FIELDS, MASK_NAME, MESH_SUFFIXES, PHOTO_SUFFIXES, admit, sort_out
+from service.intake import FIELDS, admit, sort_out
 from service.multipart import receive_form
 from service.problems import ProblemError
 from service.quota import require_bytes

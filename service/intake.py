@@ -8,6 +8,15 @@ from pathlib import Path, PurePosixPath
 
 from starlette.concurrency import run_in_threadpool
 
+from dynamictree.formats.names import (
+    CLOUD_SUFFIXES,
+    MASKS,
+    MAX_PHOTOS,
+    MESH_SUFFIXES,
+    MIN_PHOTOS,
+    PHOTO_SUFFIXES,
+    POINT_SUFFIXES,
+)
 from jobs.artifacts import hash_file
 from jobs.assets import add_asset, find_asset
 from jobs.attempts import touch_blob
@@ -23,19 +32,11 @@ from service.multipart import Form, ReceivedFile
 from service.places import without_place
 from service.problems import ProblemError, wrong_field
 
-MESH_SUFFIXES = (".obj", ".ply", ".glb", ".gltf", ".stl")
-POINT_SUFFIXES = (".xyz", ".txt", ".csv", ".asc", ".pts")
-CLOUD_SUFFIXES = (".ply", ".splat", ".spz", ".glb", ".las", ".laz", *POINT_SUFFIXES)
-MASK_NAME = "mask.npy"
-PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp")
 CAMERA_FILES = (
     *("transforms.json", "poses_bounds.npy"),
     *(f"{name}.{end}" for name in ("cameras", "images", "points3D", "rigs", "frames") for end in ("txt", "bin")),
 )
 """What may come with photos: cameras that are known."""
-MASKS = "masks"
-MIN_PHOTOS = 8
-MAX_PHOTOS = 300
 MAX_PHOTO_BYTES = 30 * 1024**2
 FIELDS = ("kind", "up_axis", "unit_m")
 

@@ -76,7 +76,8 @@ def _cloud(
 ) -> ParseAnswer:
     from dynamictree.describe import describe_capture
     from dynamictree.formats.cloud_bundle import write_cloud_bundle
-    from dynamictree.formats.source_file import MASK_NAME, read_capture
+    from dynamictree.formats.names import MASK_NAME
+    from dynamictree.formats.source_file import read_capture
 
     paths = dict(zip(request.names, request.paths, strict=True))
     masks = [path for other, path in beside.items() if PurePosixPath(other).name == MASK_NAME]
@@ -96,8 +97,7 @@ def _cloud(
 
 
 def _mesh(request: ParseRequest, name: str, file_type: str, beside: Mapping[str, Path]) -> ParseAnswer:
-    import numpy as np
-
+    from dynamictree.describe import describe_mesh
     from dynamictree.formats.mesh_bundle import write_mesh_bundle
     from dynamictree.formats.mesh_file import read_mesh
 
@@ -108,30 +108,20 @@ def _mesh(request: ParseRequest, name: str, file_type: str, beside: Mapping[str,
         )
     with request.prepared.open("xb") as stream:
         write_mesh_bundle(mesh, stream)
-    low, high = np.min(mesh.vertices, axis=0), np.max(mesh.vertices, axis=0)
-    return ParseAnswer(
-        kind="mesh",
-        summary={
-            "num_vertices": mesh.num_vertices,
-            "num_faces": mesh.num_faces,
-            "num_materials": len(mesh.materials),
-            "extent_m": [float(extent) for extent in high - low],
-            "low_m": [float(value) for value in low],
-            "source_up_axis": mesh.source_up_axis,
-            "source_scale": mesh.source_scale,
-        },
-    )
+    return ParseAnswer(kind="mesh", summary=describe_mesh(mesh))
 
 
 def _photos(request: ParseRequest) -> ParseAnswer:
     from PIL import Image, UnidentifiedImageError
+
+    from dynamictree.formats.names import MASKS
 
     Image.MAX_IMAGE_PIXELS = None  # counted here, from the header
     sizes, number = set(), 0
     for name, path in zip(request.names, request.paths, strict=True):
         if PurePosixPath(name).suffix.lower() in CAMERA_SUFFIXES:
             continue  # read with the photos, by the job
-        number += PurePosixPath(name).parent.name != "masks"
+        number += PurePosixPath(name).parent.name != MASKS
         try:
             with Image.open(path, formats=PHOTO_FORMATS) as image:
                 sizes.add(image.size)

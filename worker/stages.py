@@ -9,6 +9,7 @@ from pathlib import Path, PurePosixPath
 from dynamictree import pipeline
 from dynamictree.formats.cloud_bundle import read_cloud_bundle, write_cloud_bundle
 from dynamictree.formats.mesh_bundle import read_mesh_bundle, write_mesh_bundle
+from dynamictree.formats.names import PHOTO_SUFFIXES
 from dynamictree.formats.ply_writer import write_ply
 from dynamictree.formats.spectrum_file import read_spectrum, write_spectrum
 from dynamictree.formats.voxels_file import read_voxels, write_voxels
@@ -149,7 +150,7 @@ def photo_name(index: int, name: str) -> str:
     """
     parts = [part for part in PurePosixPath(name.replace("\\", "/")).parts if part not in ("/", ".", "..")]
     safe = [re.sub(r"[^\w.() -]", "_", part)[-100:] for part in parts[-6:]]
-    alone = len(safe) < 2 and safe[-1].lower().endswith(pipeline.PHOTO_SUFFIXES)
+    alone = len(safe) < 2 and safe[-1].lower().endswith(PHOTO_SUFFIXES)
     return "/".join([f"{index:04d}" if alone else "all", *safe])
 
 

@@ -13,7 +13,6 @@ from dynamictree.formats.seekable import SeekableReader
 from dynamictree.gaussian.capture import Capture
 
 SourceKind = Literal["mesh", "cloud"]
-MASK_NAME = "mask.npy"
 HEAD_BYTES = 64 * 1024
 _SOG = "SOG files are not read: no library is kept for them; convert it with `splat-transform tree.sog tree.ply`"
 
@@ -56,7 +55,7 @@ def read_capture(
         file_type: such as `source_kind` gives.
         up_axis: the file's; its format's habit if unset.
         unit_m: metres a unit of the file, by default 1.
-        mask: which Gaussians may move (`MASK_NAME`).
+        mask: which Gaussians may move (`names.MASK_NAME`).
         mesh: name and content of a mesh that lies where the cloud lies, in the same axes and units.
         companions: files that the mesh may name.
 

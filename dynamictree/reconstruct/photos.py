@@ -9,10 +9,9 @@ from pathlib import Path
 from PIL import Image, ImageOps, UnidentifiedImageError
 
 from dynamictree.errors import FormatError, InputError
+from dynamictree.formats.names import MASKS, MAX_PHOTOS, MIN_PHOTOS
 
-MIN_PHOTOS, MAX_PHOTOS = 8, 300
 FORMATS = ("JPEG", "PNG", "WEBP", "TIFF")
-MASKS = "masks"
 MAX_PHOTO_BYTES = 64 * 2**20
 MAX_PHOTO_PIXELS = 64_000_000  # the largest common camera's; decoding takes 200 MB
 MIN_SIDE_PX = 240

@@ -1,0 +1,10 @@
+"""Names and numbers by which files are sorted before they are opened."""
+
+MESH_SUFFIXES = (".obj", ".ply", ".glb", ".gltf", ".stl")
+POINT_SUFFIXES = (".xyz", ".txt", ".csv", ".asc", ".pts")
+CLOUD_SUFFIXES = (".ply", ".splat", ".spz", ".glb", ".las", ".laz", *POINT_SUFFIXES)
+MASK_NAME = "mask.npy"  # of a cloud: one bool a Gaussian
+
+PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp")
+MASKS = "masks"  # folder of the masks of photos
+MIN_PHOTOS, MAX_PHOTOS = 8, 300
