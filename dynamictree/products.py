@@ -1,7 +1,7 @@
 """What a motion is written as: which frames, of what, and one writer a product of a mesh."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from typing import BinaryIO
 
 import numpy as np
@@ -97,6 +97,10 @@ class AnimateOptions:
         if num_frames > MAX_FRAMES:
             raise InputError(f"one period is {num_frames} frames; at most {MAX_FRAMES} are allowed: lower fps")
         return (self.first_frame + np.arange(num_frames)) / period_frames
+
+
+FRAME_OPTIONS = frozenset(option.name for option in fields(AnimateOptions)) - {"formats", "shot"}
+"""The options that say which frames are written, and how heavy."""
 
 
 def _is_whole(periods: float) -> bool:

@@ -172,11 +172,11 @@ def format_bytes(body: JobRequest, asset: AssetRecord) -> dict[str, int]:
     if not isinstance(body.params, AnimateParams):
         return {}
     # numba comes with the products; loaded beside the first requests, not with this module
-    from dynamictree.products import AnimateOptions
+    from dynamictree.products import FRAME_OPTIONS, AnimateOptions
     from dynamictree.spectrum import FPS, NUM_FRAMES
     from dynamictree.splat_products import sequence_bytes
 
-    given = body.params.model_dump(include={"first_frame", "num_frames", "fps", "speed", "loop", "share", "sh_degree"})
+    given = body.params.model_dump(include=set(FRAME_OPTIONS))
     options = AnimateOptions(**given, formats=_formats(body.params, asset))
     num_frames = len(options.phases(NUM_FRAMES / FPS))
     if "splat-ply" not in options.formats or asset.kind != "cloud":

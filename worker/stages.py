@@ -15,7 +15,7 @@ from dynamictree.formats.spectrum_file import read_spectrum, write_spectrum
 from dynamictree.formats.voxels_file import read_voxels, write_voxels
 from dynamictree.gaussian.capture import Box, Capture, carrying_mesh
 from dynamictree.mesh import TriangleMesh
-from dynamictree.products import FILE_NAMES, AnimateOptions, Facts
+from dynamictree.products import FILE_NAMES, FRAME_OPTIONS, AnimateOptions, Facts
 from dynamictree.render.shot import Shot
 from dynamictree.spectrum import Wind
 from jobs.products import CLOUD_BUNDLE, MESH, MESH_BUNDLE, SPECTRUM, VOXELS
@@ -128,8 +128,7 @@ def animate(given: StageInput) -> Iterable[Path]:
 
 def animate_options(job: JobRecord) -> AnimateOptions:
     """What an animate job asks for."""
-    names = ("first_frame", "num_frames", "fps", "speed", "loop", "share", "sh_degree")
-    given = {name: job.params[name] for name in names if name in job.params}
+    given = {name: job.params[name] for name in FRAME_OPTIONS if name in job.params}
     shot = Shot(**job.params.get("shot", {}))  # type: ignore[arg-type]
     formats = tuple(job.params["formats"])  # type: ignore[arg-type]
     return AnimateOptions(**given, formats=formats, shot=shot)  # type: ignore[arg-type]

@@ -5,7 +5,7 @@ import signal
 import sys
 import threading
 import time
-from dataclasses import replace
+from dataclasses import fields, replace
 from hashlib import sha256
 from io import BytesIO
 from pathlib import Path
@@ -17,6 +17,7 @@ from celery.exceptions import SoftTimeLimitExceeded
 from dynamictree.errors import Cancelled, CheckpointError, MeshError
 from dynamictree.formats.spectrum_file import write_spectrum
 from dynamictree.formats.voxels_file import read_voxels
+from dynamictree.products import AnimateOptions
 from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.artifacts import hash_file
 from jobs.attempts import hand_back, publish_stage, start_stage, succeed
@@ -26,7 +27,7 @@ from jobs.records import AssetRecord, Claim, OutputFile
 from jobs.states import JobState, JobType
 from jobs.upkeep import living, reap
 from tests.worker.conftest import add_job, hold, watch
-from worker.attempt import model_sha256, run_stages, stage_key
+from worker.attempt import PARAMS, model_sha256, run_stages, stage_key
 from worker.runtime import Runtime
 from worker.tasks import end_attempt
 from worker.watch import HandedBack
@@ -241,3 +242,7 @@ def test_a_heartbeat_that_died_starts_again(
     assert "heartbeat's process has died" in caplog.text
     here.heartbeat.wait()
     assert here.heartbeat.pid != first
+
+
+def test_every_option_of_a_motion_is_part_of_its_key() -> None:
+    assert {field.name for field in fields(AnimateOptions)} | {"box_m"} == set(PARAMS["animate"])
