@@ -31,12 +31,12 @@ class Target:
 
 @dataclass(frozen=True, kw_only=True)
 class Schedule:
-    """How long, how fine, how fast. Steps are a tenth of Kerbl et al.'s, and so rates are theirs times 2 to 4."""
+    """How long, how fine, how fast. Steps are a tenth of Kerbl et al.'s, and so rates are theirs times 2 to 20."""
 
     num_steps: int = 3000
     side_px: int = 640  # of the finest pictures
     coarser: tuple[tuple[float, int], ...] = ((0.15, 4), (0.45, 2))  # until this share of the steps, smaller by this
-    position_rates: tuple[float, float] = (3.2e-4, 3.2e-6)  # of the extent, first and last; theirs times 2
+    position_rates: tuple[float, float] = (1.6e-3, 3.2e-5)  # of the extent, first and last; theirs times 10 and 20
     color_rate: float = 1e-2  # theirs times 4
     opacity_rate: float = 0.1  # theirs times 2
     scale_rate: float = 2e-2  # theirs times 4
