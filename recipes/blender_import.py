@@ -11,6 +11,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
+WIDEST = 10.0  # what Blender allows; our weights stay within -2 and 2
+SKY = (0.45, 0.55, 0.65)
+
 
 def loop_of(path: Path) -> tuple[float, int]:
     """Length of a GLB's first animation [s], and how many keys it has, the last like the first."""
@@ -46,6 +49,9 @@ def main(path: Path, picture: Path | None) -> None:
     for curve in (curve for action in bpy.data.actions for curve in curves_of(action)):
         curve.modifiers.new("CYCLES")
     meshes = [thing for thing in scene.objects if thing.type == "MESH"]
+    for shape in (shape for thing in meshes if thing.data.shape_keys for shape in thing.data.shape_keys.key_blocks):
+        # the importer looks at the first key alone, and Blender would cut off what leaves the range
+        shape.slider_min, shape.slider_max = -WIDEST, WIDEST
     corners = [thing.matrix_world @ Vector(corner) for thing in meshes for corner in thing.bound_box]
     low, high = (tuple(pick(axis) for axis in zip(*corners, strict=True)) for pick in (min, max))
     place, aim = viewpoint(low, high)
@@ -57,6 +63,8 @@ def main(path: Path, picture: Path | None) -> None:
     for thing in (camera, sun):
         scene.collection.objects.link(thing)
     scene.camera = camera
+    scene.world = bpy.data.worlds.new("Sky")
+    scene.world.color = SKY
     if picture is not None:
         scene.frame_set(last // 2)
         scene.render.filepath = str(picture)
