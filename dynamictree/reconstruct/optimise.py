@@ -36,7 +36,8 @@ class Schedule:
     num_steps: int = 3000
     side_px: int = 640  # of the finest pictures
     coarser: tuple[tuple[float, int], ...] = ((0.15, 4), (0.45, 2))  # until this share of the steps, smaller by this
-    position_rates: tuple[float, float] = (1.6e-3, 3.2e-5)  # of the extent, first and last; theirs times 10 and 20
+    position_rates: tuple[float, float] = (3.2e-4, 3.2e-6)  # of the extent, first and last; theirs times 2
+    cut_out_position_rates: tuple[float, float] = (1.6e-3, 3.2e-5)  # the same for photos that are cut out
     color_rate: float = 1e-2  # theirs times 4
     opacity_rate: float = 0.1  # theirs times 2
     scale_rate: float = 2e-2  # theirs times 4
@@ -132,7 +133,7 @@ def _one_step(
     found = gradients_of(drawing, gradient, width=progress.table.shape[1])
     seen = drawing.bounds[:, 1] > drawing.bounds[:, 0]
     pull.add(found.centres_px, seen, width, height)
-    rates = _rates(schedule, progress.step, progress.table.shape[1], extent)
+    rates = _rates(schedule, progress.step, progress.table.shape[1], extent, cut_out=target.alpha is not None)
     moments = adam_step(progress.table, found.table, progress.moments, rates)
     unit_quaternions(progress.table)
     return moments
@@ -153,8 +154,8 @@ def _add_depth(
     gradient[..., 4] += slope * known
 
 
-def _rates(schedule: Schedule, step: int, width: int, extent: float) -> Float32[np.ndarray, " P"]:
-    first, last = schedule.position_rates
+def _rates(schedule: Schedule, step: int, width: int, extent: float, *, cut_out: bool) -> Float32[np.ndarray, " P"]:
+    first, last = schedule.cut_out_position_rates if cut_out else schedule.position_rates
     rates = np.full(width, schedule.color_rate, np.float32)
     rates[REST:] /= 20
     rates[MEAN] = extent * first * (last / first) ** (step / schedule.num_steps)

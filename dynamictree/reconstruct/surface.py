@@ -42,7 +42,7 @@ class Scene:
     model: SparseModel  # all views
     matched: SparseModel  # those of the depth maps
     coarse: DepthMaps
-    fine: DepthMaps | None  # only for rays that meet the box; None where the coarse ones agree on no surface
+    fine: DepthMaps | None  # only for rays that meet the box; None with masks, or where the coarse ones show nothing
     box: Box  # around the subject
     cut: float  # height below which is ground
     ground_found: bool
@@ -83,12 +83,15 @@ def find_scene(model: SparseModel, *, on_progress: Callable[[float], None] = lam
     coarse = coarse_depths(matched, lambda done, total: on_progress(0.5 * done / total))
     region = Box(low=np.array([-1.0, -1.0, -1.0 if cut_out else -0.1]), high=np.array([1.0, 1.0, 2.0]))
     cut = _GROUND_CUT if stage.ground_found else -np.inf
-    found = main_cluster(above(fuse(coarse.views, coarse.depths, region, resolution=_COARSE_VOXELS), cut), _GAP)
     fine, box = None, region
-    if len(found.faces) >= _LEAST_FACES:
-        box = Box(low=found.vertices.min(axis=0).astype(np.float64), high=found.vertices.max(axis=0).astype(np.float64))
-        box = box.padded(_BOX_MARGIN * float((box.high - box.low).max()))
-        fine = fine_depths(matched, coarse, box, lambda done, total: on_progress(0.5 + 0.5 * done / total))
+    if not cut_out:  # masks tell the subject from all else, and stereo would leave out what it cannot match
+        found = main_cluster(above(fuse(coarse.views, coarse.depths, region, resolution=_COARSE_VOXELS), cut), _GAP)
+        if len(found.faces) >= _LEAST_FACES:
+            box = Box(
+                low=found.vertices.min(axis=0).astype(np.float64), high=found.vertices.max(axis=0).astype(np.float64)
+            )
+            box = box.padded(_BOX_MARGIN * float((box.high - box.low).max()))
+            fine = fine_depths(matched, coarse, box, lambda done, total: on_progress(0.5 + 0.5 * done / total))
     on_progress(1.0)
     return Scene(
         model=model, matched=matched, coarse=coarse, fine=fine, box=box, cut=cut, ground_found=stage.ground_found
@@ -127,8 +130,7 @@ def best_surface(table: Float32[np.ndarray, "G P"], scene: Scene) -> tuple[Surfa
     Where the tree is cut out of the photos, or stereo agrees on too little, the splat's own shape is better.
     """
     stereo = stereo_surface(scene)
-    cut_out = all(view.alpha is not None for view in scene.model.views)
-    if len(stereo.faces) >= _LEAST_FACES and not cut_out:
+    if len(stereo.faces) >= _LEAST_FACES:
         return stereo, "stereo"
     return splat_surface(table, scene), "splat"
 

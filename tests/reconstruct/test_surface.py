@@ -1,5 +1,7 @@
 """Stereo, fusion and colours on pictures whose cameras and depths are exact."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -11,7 +13,7 @@ from dynamictree.reconstruct.depth import rays_through, stereo_view
 from dynamictree.reconstruct.fusion import Box, Surface, above, fuse, main_cluster
 from dynamictree.reconstruct.stage import find_stage
 from dynamictree.reconstruct.stereo import DepthRange, Hypotheses, agreed_depths, match_view, neighbours_of
-from dynamictree.reconstruct.surface import find_shape, photo_colors
+from dynamictree.reconstruct.surface import find_scene, find_shape, photo_colors
 from dynamictree.reconstruct.views import SparseModel, View
 from dynamictree.render import Look, Renderer
 from tests.reconstruct.conftest import Orbit
@@ -223,3 +225,16 @@ def test_photos_without_any_pattern_show_no_surface(orbit, rng):
     )
     with pytest.raises(ReconstructionError, match=r"14 photos fit together, but they agree on 0 triangles"):
         find_shape(plain, height_m=1.0)
+
+
+def test_what_masks_show_is_kept_where_stereo_sees_only_a_part(orbit, rng):
+    model = model_of(orbit, rng)
+    views = []
+    for view, depth in zip(model.views, exact_depths(orbit, (90, 120)), strict=True):
+        image = np.array(Image.fromarray(view.image).resize((120, 90), Image.Resampling.BOX))
+        cut = np.where(depth > 0, 255, 0).astype(np.uint8)
+        views.append(View(source=view.source, image=image, camera=view.camera, alpha=cut))
+    scene = find_scene(replace(model, views=tuple(views)))
+    assert scene.fine is None
+    assert (scene.box.low <= -1).all()  # the region's radius is 1
+    assert (scene.box.high >= 1).all()
