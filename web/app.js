@@ -3,6 +3,7 @@
 import { Client, Problem } from "./client.js";
 import { Hand } from "./hand.js";
 import { Modes, windCoordinates, windGain } from "./modes.js";
+import { isWorthLoading, readMorphs } from "./morphs.js";
 import { Files } from "./files.js";
 import { JobList } from "./jobs.js";
 import { Stage } from "./stage.js";
@@ -78,7 +79,7 @@ async function follow(jobId, signal, name) {
     files.follow(job);
   }
   if (moving) await moving;
-  if (job.state === "succeeded") return showSplat(job, signal);
+  if (job.state === "succeeded") return showFiles(job, signal);
   throw Object.assign(new Problem(job.error ?? { title: `The job is ${job.state}`, suggestion: "Start it again.", code: job.state }), { job });
 }
 
@@ -114,13 +115,21 @@ async function showMoving(job, spectrumId, signal, name) {
   hint();
 }
 
-/** Gaussians, where the job has made some of a cloud or of photos. */
-async function showSplat(job, signal) {
-  const made = (await client.artifacts(job.id)).find(({ name }) => name === "tree.animated-splat.safetensors");
-  if (!made || !tree?.moves || signal.aborted) return;
-  const { readSplat } = await import("./splat.js");
-  const splat = readSplat(await client.bytes(made.url, { signal }));
-  if (!signal.aborted) await tree.setSplat(splat);
+/** What only the job's files tell: Gaussians of a cloud or of photos, else the own motion of a large mesh. */
+async function showFiles(job, signal) {
+  const made = await client.artifacts(job.id), splat = made.find(({ name }) => name === "tree.animated-splat.safetensors");
+  if (!tree?.moves || signal.aborted) return;
+  const morphs = tree.hangsOnVoxels && !splat && made.find(isWorthLoading);
+  if (splat) {
+    const { readSplat } = await import("./splat.js");
+    const read = readSplat(await client.bytes(splat.url, { signal }));
+    if (!signal.aborted) await tree.setSplat(read);
+  } else if (morphs) {
+    const read = readMorphs(await client.bytes(morphs.url, { signal }), shown.spectrum.num_frames);
+    if (signal.aborted) return;
+    tree.setShapes(read);
+    showMode();
+  }
 }
 
 function restart() {

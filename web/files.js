@@ -3,17 +3,18 @@
 import { hasEnded } from "./client.js";
 import { $, button, element, size } from "./page.js";
 
-const NAMES = {
-  "tree.glb": "Animated GLB", "tree-8-targets.glb": "Animated GLB, 8 targets", "motion.ply.zip": "PLY sequence", "motion.safetensors": "Motion, every frame",
-  "tree.spectrum.safetensors": "Spectrum", "tree.voxels.safetensors": "Voxels", "tree.animated-splat.safetensors": "Animated splat", "tree-skinned.glb": "Skinned GLB", "tree.usdz": "USD", "tree.vat.zip": "Vertex animation texture", "splat.ply.zip": "Splat sequence",
-  "mesh.ply": "Reconstructed mesh", "preview.png": "Preview picture", "preview.webp": "Preview, animated", "preview.mp4": "Preview, video",
+const NAMES = { // in the order in which they are listed
+  "tree.glb": "Animated GLB", "tree.animated-splat.safetensors": "Animated splat", "tree-8-targets.glb": "Animated GLB, 8 targets", "tree-skinned.glb": "Skinned GLB", "tree.usdz": "USD",
+  "tree.vat.zip": "Vertex animation texture", "motion.ply.zip": "PLY sequence", "splat.ply.zip": "Splat sequence", "motion.safetensors": "Motion, every frame",
+  "preview.mp4": "Preview, video", "preview.webp": "Preview, animated", "preview.png": "Preview picture",
+  "mesh.ply": "Reconstructed mesh", "tree.spectrum.safetensors": "Spectrum", "tree.voxels.safetensors": "Voxels",
 };
 const FORMATS = {
   glb: "GLB", "glb-reduced": "GLB, 8 targets", "glb-skinned": "GLB, skinned", usd: "USD", vat: "Vertex texture", ply: "PLY sequence", motion: "Motion",
   "splat-ply": "Splat sequence", splat: "Splat", png: "Picture", webp: "WebP", mp4: "MP4",
 };
 const INNER = new Set(["mesh.safetensors"]); // for the stages after
-const ORDER = ["animate", "diffuse", "reconstruct", "voxelize"];
+const ORDER = Object.keys(NAMES);
 
 export class Files {
   constructor(client, { onProblem }) {
@@ -43,8 +44,8 @@ export class Files {
   }
 
   _show() {
-    const rank = ({ stage, name }) => [ORDER.indexOf(stage), name].join(" ");
-    const all = [...this.listed.values()].sort((a, b) => (rank(a) < rank(b) ? -1 : 1));
+    const rank = ({ name }) => (ORDER.indexOf(name) + 1 || ORDER.length + 1);
+    const all = [...this.listed.values()].sort((a, b) => rank(a) - rank(b));
     const items = all.map((artifact) => element("li", {}, this._link(artifact)));
     for (const { progress, params } of this.making.values()) {
       const wanted = (params.formats ?? []).map((format) => FORMATS[format] ?? format).join(", ");

@@ -1,18 +1,18 @@
 // A tree's motion as numbers: the files of /v1/spectra/{id}/modes and /surface, and the rules of docs/interaction.md.
 
-const KINDS = { I16: Int16Array, U16: Uint16Array, I32: Int32Array, F32: Float32Array, U8: Uint8Array };
+const KINDS = { F16: Uint16Array, I16: Int16Array, U16: Uint16Array, I32: Int32Array, F32: Float32Array, U8: Uint8Array };
 const DRAG_EXPONENT = 1.4; // of the shipped model: a crown yields, so the wind's force grows with U^1.4, not U² (Vogel)
 
-/** A safetensors file: its tensors by name, `shape` of each, and the strings of its metadata. */
-export function readTensors(buffer) {
+/** A safetensors file: its tensors by name, `shape` of each, and the strings of its metadata. `halves` stay 16 bits. */
+export function readTensors(buffer, { halves = [] } = {}) {
   const size = Number(new DataView(buffer).getBigUint64(0, true));
   const header = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 8, size)));
   const { __metadata__: metadata = {}, ...entries } = header;
   const tensors = {}, shape = {};
   for (const [name, entry] of Object.entries(entries)) {
     const [from, to] = entry.data_offsets.map((offset) => 8 + size + offset);
-    const bytes = buffer.slice(from, to);
-    tensors[name] = entry.dtype === "F16" ? Float32Array.from(new Uint16Array(bytes), half) : new KINDS[entry.dtype](bytes);
+    const stored = new KINDS[entry.dtype](buffer.slice(from, to));
+    tensors[name] = entry.dtype === "F16" && !halves.includes(name) ? Float32Array.from(stored, half) : stored;
     shape[name] = entry.shape;
   }
   return { tensors, shape, metadata };

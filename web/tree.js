@@ -59,6 +59,21 @@ export class Tree {
     this.largest = largestSwing(surface?.shapes ? surface : modes);
   }
 
+  /** In place of near voxels: a large mesh's own motion, once the job's files tell it. */
+  setShapes({ shapes, scale_m }) {
+    const { surface } = this;
+    Object.assign(surface, { shapes, scale_m, tie_rows: null });
+    for (const material of [this.mesh.material, this.mesh.customDepthMaterial].flat()) material.dispose();
+    const all = surfaceMaterials(surface, this.uniforms, { tied: false });
+    this.mesh.material = all.length === 1 ? all[0] : all;
+    this.mesh.customDepthMaterial = shadowMaterial(surface, this.uniforms, { tied: false });
+    this.field = new Field(shapes, scale_m, surface.N);
+    this.uniforms.moved.value = this.field.texture;
+    this.largest = largestSwing(surface);
+    this.setView(this.view);
+  }
+
+  get hangsOnVoxels() { return Boolean(this.surface?.tie_rows); }
   get moves() { return Boolean(this.modes); }
   _voxelField() { return (this.voxelField ??= new Field(this.modes.shapes, this.modes.scale_m, this.modes.V)); }
 
@@ -80,13 +95,17 @@ export class Tree {
     if (this.cubes) this.cubes.visible = cubes;
     if (this.mesh) {
       this.mesh.visible = !cubes;
-      for (const material of [this.mesh.material].flat()) {
-        material.wireframe = view === "wire";
-        material.colorWrite = material.depthWrite = !this.splat?.visible;
-      }
+      for (const material of [this.mesh.material].flat()) material.wireframe = view === "wire";
     }
+    this._giveWay();
     this.uniforms.coloured.value = view === "modes" ? 1 : 0;
     this.stage.stale = true;
+  }
+
+  /** The mesh is seen until its Gaussians are. */
+  _giveWay() {
+    const seen = !(this.splat?.visible && this.splat.drawn);
+    for (const material of [this.mesh?.material ?? []].flat()) material.colorWrite = material.depthWrite = seen;
   }
 
   /** Colour the share that a bin has in the motion of each place; null for none. */
@@ -111,6 +130,7 @@ export class Tree {
 
   /** Before each draw. */
   prepare(renderer) {
+    if (this.splat) this._giveWay();
     if (!this.q) return;
     if (this.field && (this.field !== this.voxelField || !this.cubes?.visible)) this.field.evaluate(renderer, this.q, this.turn);
     if (this.cubes?.visible) this.voxelField.evaluate(renderer, this.q, this.turn);

@@ -5,6 +5,7 @@ import { test } from "node:test";
 
 import { Client, Problem, hasEnded, seconds } from "../../web/client.js";
 import { Modes, carried, readTensors, windCoordinates, windGain } from "../../web/modes.js";
+import { isWorthLoading, readMorphs } from "../../web/morphs.js";
 import { Modes as Reference } from "../../recipes/modes_reference.mjs";
 
 const base = process.env.SERVICE_URL;
@@ -161,6 +162,18 @@ test("a surface and the mesh before it", async () => {
   assert.deepEqual(moving.tensors.vertices, still.tensors.vertices);
   assert.deepEqual(moving.shape.shapes, [moving.shape.vertices[0], 16, 3, 2]);
   assert.equal(moving.metadata.format, "tree-surface");
+});
+
+test("the files of a job carry the motion of its surface", async () => {
+  const { tensors: moving, shape } = readTensors(await client.surface(done.result.spectrum_id));
+  const glb = (await client.artifacts(done.id)).find(isWorthLoading);
+  const read = readMorphs(await client.bytes(glb.url), 100), [N, K] = shape.shapes;
+  assert.equal(read.shapes.length, 6 * N * K);
+  assert.equal(isWorthLoading({ name: "tree.glb", bytes: 1e9 }), false);
+  for (let i = 0; i < read.shapes.length; i++) {
+    const k = Math.floor(i / 6) % K, gap = Math.abs(read.shapes[i] * read.scale_m[k] - moving.shapes[i] * moving.scale_m[k]);
+    assert.ok(gap < 1.5 * moving.scale_m[k], `${i}: ${gap / moving.scale_m[k]} steps`); // both are rounded
+  }
 });
 
 test("a push answers, and settles", async () => {

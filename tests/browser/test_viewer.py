@@ -12,6 +12,8 @@ import pytest
 from PIL import Image
 from playwright.sync_api import expect
 
+from dynamictree.formats.gaussian_ply import write_gaussian_ply
+from dynamictree.gaussian.cloud import GaussianCloud
 from jobs.keys import create_key
 from jobs.store import Store
 from tests.browser.conftest import Viewer
@@ -22,6 +24,9 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 Open = Callable[..., Viewer]
 MOVING = "body[data-mode=moving]"
 JOB_MS = 240_000.0
+AHEAD_RAD, LEVEL, KEY_RAD = np.arctan2(1, 0.38), np.hypot(1, 0.38) / np.linalg.norm([1, 0.38, 0.2]), 0.12
+"""Where the camera looks at first, the level part of that, and how far an arrow key turns it: web/stage.js."""
+Y_1, LOPSIDED = 0.4886025, 0.8  # the harmonics of degree 1, and a coefficient
 SMALL_BUTTONS = """() => [...document.querySelectorAll("button")]
     .filter((button) => button.checkVisibility() && button.offsetHeight < 40)
     .map((button) => button.id)"""
@@ -219,6 +224,56 @@ def test_an_error_is_shown_as_the_service_tells_it(view: Open, url: str, tmp_pat
     viewer.page.keyboard.press("Escape")
     expect(alert).to_be_hidden()
     assert [text for text in viewer.complaints if "Failed to load resource" not in text] == []
+
+
+@pytest.fixture(scope="module")
+def two_faced(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A pillar of Gaussians that all are red seen from the north, green from the east, and grey in between."""
+    rng = np.random.default_rng(0)
+    height, angle = rng.uniform(0, 3, 6000), rng.uniform(0, 2 * np.pi, 6000)
+    radius = 0.4 * np.sqrt(np.clip(1 - (np.abs(height - 1.5) / 1.5) ** 8, 0, 1))
+    sh = np.zeros((6000, 4, 3), np.float32)
+    sh[:, 1, 0] = sh[:, 3, 1] = LOPSIDED
+    cloud = GaussianCloud(
+        means=np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=1).astype(np.float32),
+        quaternions=np.tile(np.float32([1, 0, 0, 0]), (6000, 1)),
+        scales=np.full((6000, 3), 0.04, np.float32),
+        opacity=np.full(6000, 0.99, np.float32),
+        sh=sh,
+    )
+    path = tmp_path_factory.mktemp("splats") / "pillar.ply"
+    with path.open("wb") as stream:
+        write_gaussian_ply(cloud, stream)
+    return path
+
+
+def test_a_splat_is_drawn_in_the_colours_of_the_side_that_is_seen(view: Open, url: str, two_faced: Path) -> None:
+    with httpx.Client(base_url=url, timeout=60) as client:
+        files = {"file": (two_faced.name, two_faced.read_bytes())}
+        asset = client.post("/v1/assets", files=files, data={"up_axis": "+Z"}).json()
+        request = {"type": "animate", "asset_id": asset["id"], "params": {"formats": ["splat"], "num_steps": 1}}
+        job = client.post("/v1/jobs", json=request).json()
+    viewer = view(900, 620)
+    page = viewer.page
+    page.goto(f"{url}/#job={job['id']}")
+    page.wait_for_selector(MOVING, timeout=JOB_MS)
+    expect(page.locator("#artifacts")).to_contain_text("Animated splat", timeout=JOB_MS)
+    page.locator("#speed").fill("0")  # at rest nothing has turned
+    page.locator("#canvas").focus()
+    angle = AHEAD_RAD
+    for turns in (0, 9, 22):
+        for _ in range(turns):
+            page.keyboard.press("ArrowLeft")
+        shown = steady(viewer)
+        height, width = np.array(shown.shape[:2]) // 2
+        middle = np.median(shown[height - 15 : height + 15, width - 8 : width + 8], axis=(0, 1)) / 255
+        angle -= turns * KEY_RAD
+        ahead = np.array([np.cos(angle), np.sin(angle)]) * LEVEL
+        np.testing.assert_allclose(
+            middle, [0.5 - Y_1 * LOPSIDED * ahead[1], 0.5 - Y_1 * LOPSIDED * ahead[0], 0.5], atol=0.04
+        )
+    viewer.picture()
+    assert viewer.complaints == []
 
 
 def test_a_key_is_asked_for_where_one_is_needed(view: Open, tmp_path: Path) -> None:
