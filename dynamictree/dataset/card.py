@@ -81,8 +81,9 @@ def write_card(manifest: Mapping[str, Any]) -> str:
         for rule, count in verdicts.items()
         if rule not in ("seen", "accepted")
     )
+    held_out = {species.name for species in SPECIES.values() if species.held_out}
     species = "\n".join(
-        f"| {name} | {count:,} | {'never trained on' if SPECIES[name].held_out else ''} |"
+        f"| {name} | {count:,} | {'never trained on' if name in held_out else ''} |"
         for name, count in manifest["species"].items()
     )
     return _CARD.format(
@@ -120,6 +121,7 @@ def _arguments(manifest: Mapping[str, Any]) -> str:
     told += [f"--trees-per-shard {manifest['trees_per_shard']}"]
     told += [f"--resolution {size}" for size in manifest["resolutions"]]
     told += ["--vertex-spectrum"] * manifest["vertex_spectrum"] + ["--no-loop"] * (not manifest["loop"])
+    told += [f"--species {manifest['only_species']}"] * (manifest["only_species"] is not None)
     limits = {name: value for name, value in manifest["limits"].items() if name != "above_hz"}
     told += [f"--{name.replace('_', '-')} {value:g}" for name, value in limits.items()]
     return " ".join(told + ["--review FILE"] * manifest["reviewed"])

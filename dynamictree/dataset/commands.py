@@ -49,6 +49,9 @@ def generate(
         typer.Option(help="Verdicts to honour, as `dataset sheet` writes them.", exists=True, dir_okay=False),
     ] = None,
     shard: Annotated[str, typer.Option(help="i/n: bake only every n-th shard from the i-th (0 to n-1) on.")] = "0/1",
+    species: Annotated[
+        str | None, typer.Option(help="Only this species, or `crossed`: parts of several; drawn if not given.")
+    ] = None,
     workers: Workers = 1,
     high_frequency: HighFrequency = 0.001,
     root_motion: RootMotion = 0.001,
@@ -72,6 +75,7 @@ def generate(
         resolutions=tuple(resolution),
         vertex_spectrum=vertex_spectrum,
         loop=loop,
+        species=species,
         limits=Limits(
             high_frequency=high_frequency,
             root_motion=root_motion,

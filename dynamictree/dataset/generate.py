@@ -41,6 +41,7 @@ class Recipe:
     resolutions: tuple[int, ...] = (128,)
     vertex_spectrum: bool = False
     loop: bool = True
+    species: str | None = None  # only this one; by default drawn from the seeds
     limits: Limits = DEFAULT_LIMITS
     review: Mapping[int, Verdict] = field(default_factory=dict)
 
@@ -71,7 +72,7 @@ class Recipe:
             "limits": asdict(self.limits),
             "review": {str(seed): self.review[seed] for seed in sorted(self.review) if seed in seeds},
         }
-        return decided
+        return decided if self.species is None else {**decided, "species": self.species}
 
 
 def shard_name(index: int) -> str:
@@ -161,7 +162,7 @@ def bake_shard(recipe: Recipe, index: int, folder: Path) -> None:
             verdicts.append(("curation",))
             rejected[str(seed)] = {"rules": ["curation"]}
             continue
-        sample = make_sample(seed, loop=recipe.loop)
+        sample = make_sample(seed, recipe.species, loop=recipe.loop)
         measures = measure(sample, recipe.limits)
         broken = () if recipe.review.get(seed) == "accept" else measures.broken(recipe.limits)
         verdicts.append(broken)
@@ -233,6 +234,7 @@ def manifest_of(recipe: Recipe, folder: Path) -> dict[str, object]:
         "resolutions": list(recipe.resolutions),
         "vertex_spectrum": recipe.vertex_spectrum,
         "loop": recipe.loop,
+        "only_species": recipe.species,
         "limits": asdict(recipe.limits),
         "reviewed": bool(recipe.review),
         "verdicts": dict(sorted(verdicts.items())),

@@ -6,6 +6,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Complex64, Float32, Int8, Int32
 
+from dynamictree.dataset.crossing import CROSSED, crossed_species
 from dynamictree.dataset.motion import Sway, vertex_spectrum
 from dynamictree.dataset.sapling import Tree, grow_tree
 from dynamictree.dataset.skeleton import Skeleton, skeleton_of
@@ -50,7 +51,7 @@ def make_sample(seed: int, species: str | None = None, *, wind: Wind | None = No
 
     Args:
         seed: 0 or more.
-        species: name in `SPECIES`; by default drawn from the seed.
+        species: name in `SPECIES`, or CROSSED; by default drawn from the seed, among SPECIES.
         wind: by default drawn from the seed.
         loop: whether all gusts lie on bins of the period, so that the last frame leads to the first.
 
@@ -100,8 +101,8 @@ def voxel_spectrum(sample: Sample, resolution: int = 128) -> tuple[SurfaceVoxels
 def _drawn(seed: int, species: str | None, wind: Wind | None) -> tuple[Species, Wind, Tree, np.random.Generator]:
     if seed < 0:
         raise InputError(f"the seed is {seed}; it must be 0 or more")
-    if species is not None and species not in SPECIES:
-        raise InputError(f"there is no species {species!r}; choose one of {', '.join(SPECIES)}")
+    if species is not None and species not in (*SPECIES, CROSSED):
+        raise InputError(f"there is no species {species!r}; choose one of {', '.join((*SPECIES, CROSSED))}")
     rng = np.random.default_rng([VERSION, seed])
     names = list(SPECIES)
     weights = np.array([HELD_OUT_WEIGHT if SPECIES[name].held_out else 1.0 for name in names])
@@ -111,5 +112,5 @@ def _drawn(seed: int, species: str | None, wind: Wind | None) -> tuple[Species, 
         direction_deg=round(float(rng.uniform(0, 360)), 2),
         gust=round(float(rng.uniform(*GUST)), 4),
     )
-    chosen = SPECIES[species or drawn]
+    chosen = crossed_species(rng) if species == CROSSED else SPECIES[species or drawn]
     return chosen, wind or own_wind, grow_tree(chosen, rng), rng

@@ -1,0 +1,85 @@
+"""Trees of no species: parts of several, widely changed, so that a network cannot know a tree by its kind.
+
+Only species for training are crossed; what is held out stays unseen.
+"""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from dynamictree.dataset.species import SPECIES, Foliage, LeafKind, Level, Species
+
+CROSSED = "crossed"
+DEPTHS = ((2, 0.25), (3, 0.6), (4, 0.15))
+"""Levels of branching, the trunk's included, and how often."""
+BARE_SHARE = 0.07
+LEAF_SIZE, LEAF_ASPECT = (0.016, 0.08), (0.1, 1.0)
+"""Of the tree's height, and width over length; evenly in logarithms."""
+KINDS: tuple[LeafKind, ...] = ("leaf", "cluster", "needle")
+MAX_STEMS, MAX_LEAVES = 700, 4000
+"""On parents of full length; the dataset's species have 80 to 640 and to 1,700."""
+
+
+def crossed_species(rng: np.random.Generator) -> Species:
+    """The trunk of one species, each level of branches of another, leaves of their own."""
+    parents = [species for species in SPECIES.values() if not species.held_out]
+    frame = _one_of(parents, rng)
+    num_levels = int(rng.choice([depth for depth, _ in DEPTHS], p=[share for _, share in DEPTHS]))
+    levels, stems = [frame.levels[0]], 1.0
+    for depth in range(1, num_levels):
+        bearing = [species for species in parents if len(species.levels) > depth]
+        level = _changed(_one_of(bearing, rng).levels[depth], rng)
+        level = replace(level, count=min(level.count, MAX_STEMS / stems))
+        levels.append(level)
+        stems *= level.count
+    return replace(
+        frame,
+        name=CROSSED,
+        shape=_one_of(parents, rng).shape,
+        base_size=min(frame.base_size * _factor(1.6, rng), 0.7),
+        ratio=frame.ratio * _factor(1.3, rng),
+        levels=tuple(levels),
+        foliage=_leaves(parents, stems, num_levels, rng),
+    )
+
+
+def _leaves(parents: list[Species], stems: float, num_levels: int, rng: np.random.Generator) -> Foliage:
+    if rng.random() < BARE_SHARE:
+        return Foliage(kind="none")
+    own = _one_of([species for species in parents if species.foliage.kind != "none"], rng).foliage
+    aspect = _between(LEAF_ASPECT, rng)
+    more = (4.0 if num_levels == 2 else 1.0) / math.sqrt(aspect)  # long branches that bear leaves themselves
+    return replace(
+        own,
+        kind=KINDS[int(rng.integers(len(KINDS)))],
+        count=min(own.count * more * _factor(1.7, rng), MAX_LEAVES / stems),
+        size=_between(LEAF_SIZE, rng),
+        aspect=aspect,
+        down=float(rng.uniform(20, 75)),
+        droop=float(rng.uniform(0, 0.8)),
+    )
+
+
+def _changed(level: Level, rng: np.random.Generator) -> Level:
+    return replace(
+        level,
+        length=level.length * _factor(1.5, rng),
+        count=level.count * _factor(1.7, rng),
+        curve=level.curve + float(rng.normal(0, 25)),
+        down=float(np.clip(level.down * _factor(1.3, rng), 15, 115)),
+        tropism=level.tropism + float(rng.normal(0, 0.5)),
+    )
+
+
+def _factor(largest: float, rng: np.random.Generator) -> float:
+    return _between((1 / largest, largest), rng)
+
+
+def _between(bounds: tuple[float, float], rng: np.random.Generator) -> float:
+    """Evenly in logarithms."""
+    return math.exp(float(rng.uniform(math.log(bounds[0]), math.log(bounds[1]))))
+
+
+def _one_of(species: list[Species], rng: np.random.Generator) -> Species:
+    return species[int(rng.integers(len(species)))]

@@ -1,0 +1,43 @@
+"""Crossed trees: parts of species that are for training, never of those held out."""
+
+import json
+
+import numpy as np
+import pytest
+
+from dynamictree.dataset.crossing import CROSSED, MAX_LEAVES, MAX_STEMS, crossed_species
+from dynamictree.dataset.generate import Recipe, generate
+from dynamictree.dataset.sample import make_sample
+from dynamictree.dataset.species import SPECIES
+
+
+def test_parts_are_of_species_for_training_and_bounded() -> None:
+    rng = np.random.default_rng(0)
+    crossed = [crossed_species(rng) for _ in range(300)]
+    trunks = {id(species.levels[0]) for species in SPECIES.values() if not species.held_out}
+    assert {id(one.levels[0]) for one in crossed} <= trunks
+    assert {one.foliage.kind for one in crossed} == {"none", "leaf", "cluster", "needle"}
+    assert {len(one.levels) for one in crossed} == {2, 3, 4}
+    for one in crossed:
+        stems = np.prod([level.count for level in one.levels[1:]])
+        assert stems <= MAX_STEMS + 1e-6
+        assert one.foliage.kind == "none" or stems * one.foliage.count <= MAX_LEAVES + 1e-6
+
+
+def test_a_seed_is_a_tree_and_says_that_it_is_crossed() -> None:
+    first, again, other = (make_sample(seed, CROSSED) for seed in (3, 3, 5))
+    assert first.species == CROSSED
+    assert first.split == "train"
+    np.testing.assert_array_equal(first.coefficients, again.coefficients)
+    assert first.mesh.num_vertices != other.mesh.num_vertices
+    assert make_sample(3).species in SPECIES
+
+
+@pytest.mark.parametrize("species", [None, CROSSED])
+def test_the_recipe_of_a_shard_tells_the_species_where_it_is_asked_for(species, tmp_path) -> None:
+    recipe = Recipe(trees=1, resolutions=(32,), species=species)
+    manifest = generate(recipe, tmp_path)
+    record = json.loads((tmp_path / "4dtree-00000.json").read_text())
+    assert record["recipe"].get("species") == species
+    assert (manifest["species"] == {CROSSED: 1}) == (species == CROSSED)
+    assert ("--species crossed" in (tmp_path / "README.md").read_text()) == (species == CROSSED)
