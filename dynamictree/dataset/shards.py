@@ -22,6 +22,7 @@ from dynamictree.dataset.sample import VERSION, Sample, Split, voxel_spectrum
 from dynamictree.dataset.skeleton import Skeleton
 from dynamictree.errors import FormatError
 from dynamictree.formats.stream import ByteWriter
+from dynamictree.mesh import TriangleMesh
 from dynamictree.spectrum import FPS, NUM_FRAMES, SparseVoxelSpectrum, Wind
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import SurfaceVoxels
@@ -50,6 +51,10 @@ class StoredTree:
             resolution=resolution,
         )
         return SurfaceVoxels(grid=grid, normals=self.tensors[f"r{resolution}.normals"].astype(np.float32))
+
+    def mesh(self) -> TriangleMesh:
+        """Vertices and faces."""
+        return TriangleMesh(vertices=self.tensors["vertices"], faces=self.tensors["faces"])
 
     def spectrum(self, resolution: int = 128) -> SparseVoxelSpectrum:
         """How it moves, at one of the stored resolutions."""

@@ -20,6 +20,7 @@ from dynamictree.diffusion.condition import (
     node_features,
 )
 from dynamictree.diffusion.foliage import ARM, NUM_TOLD
+from dynamictree.diffusion.surface import NUM_SURFACE
 from dynamictree.sparse.pool import pool_to, upsample
 from dynamictree.spectrum import Wind
 
@@ -27,7 +28,7 @@ FLOOR = 1e-5
 """Amplitudes below this share of the height (0.1 mm of a 10 m tree) are not told apart."""
 AXES = 3
 CONTEXT = (2, 4)  # levels of the pyramid
-NUM_OWN_SCALARS = NUM_SCALARS + NUM_TOLD - 3
+NUM_OWN_SCALARS = NUM_SCALARS + NUM_SURFACE + NUM_TOLD - 3
 NUM_OWN_VECTORS = NUM_VECTORS + 1
 NUM_OWN = NUM_OWN_SCALARS + 3 * NUM_OWN_VECTORS
 NUM_INPUTS = (len(CONTEXT) + 2) * NUM_OWN + NUM_WIND
@@ -99,7 +100,7 @@ def amplitude_inputs(
     """
     described = replace(
         tree,
-        scalars=torch.cat([tree.scalars, told[:, : ARM.start], told[:, ARM.stop :]], dim=1),
+        scalars=torch.cat([tree.scalars, tree.surface, told[:, : ARM.start], told[:, ARM.stop :]], dim=1),
         vectors=torch.cat([tree.vectors, told[:, None, ARM]], dim=1),
     )
     own = node_features(described, wind)[:, :-2]

@@ -15,12 +15,16 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
+from dynamictree.diffusion.lift import touching
 from dynamictree.diffusion.skeleton import Skeleton, skeleton_of, skip_short
+from dynamictree.diffusion.surface import surface_features
 from dynamictree.sparse.level import Pyramid, SparseLevel, batch_pyramids, pyramid, turn_pyramid
 from dynamictree.sparse.pool import pool_to
 from dynamictree.spectrum import Wind
 from dynamictree.voxel.graph import voxel_graph
 from dynamictree.voxel.grid import VoxelGrid
+from dynamictree.voxel.moments import moments_of_normals
+from dynamictree.voxel.voxelize import SurfaceVoxels
 
 NUM_LEVELS = 5  # 128³ to 8³
 CHAIN = 4
@@ -44,10 +48,13 @@ class TreeCondition:
     vectors: Float32[Tensor, "V A 3"]  # in the grid's frame
     height_m: Float32[Tensor, " B"]
     links: Int64[Tensor, "L 2"]  # rows and the rows that bear them, on the way to the root
+    surface: Float32[Tensor, "V I"]  # see `surface`; nodes have none
+    tensors: Float32[Tensor, "V R 3 3"]  # in the grid's frame
 
 
-def tree_condition(grid: VoxelGrid, normals: Float32[np.ndarray, "V 3"]) -> TreeCondition:
+def tree_condition(voxels: SurfaceVoxels) -> TreeCondition:
     """Measure a voxelised tree."""
+    grid, normals = voxels.grid, voxels.normals
     grids = pyramid(torch.from_numpy(grid.coords.astype(np.int64)), NUM_LEVELS)
     skeleton = skeleton_of(grid, _graph(grid, grids.levels[0]))
     extent = int(np.ptp(grid.coords[:, 2])) + 1
@@ -55,12 +62,17 @@ def tree_condition(grid: VoxelGrid, normals: Float32[np.ndarray, "V 3"]) -> Tree
     chain_scalars, chain_vectors = _chain(grid, skeleton, height_m)
     scalars = np.concatenate([_scalars(grid, skeleton, height_m), _crowding(grids), chain_scalars], axis=1)
     vectors = np.concatenate([np.stack([*_vectors(grid, skeleton, height_m), normals], axis=1), chain_vectors], axis=1)
+    known = voxels.moments is not None
+    moments = moments_of_normals(normals) if voxels.moments is None else voxels.moments
+    surface, tensors = surface_features(grid, moments, touching(grids.levels[0]), known=known)
     return TreeCondition(
         grids=grids,
         scalars=torch.from_numpy(scalars.astype(np.float32)),
         vectors=torch.from_numpy(vectors.astype(np.float32)),
         height_m=torch.tensor([height_m], dtype=torch.float32),
         links=_links(skeleton.parent),
+        surface=torch.from_numpy(surface),
+        tensors=torch.from_numpy(tensors),
     )
 
 
@@ -73,13 +85,17 @@ def batch_conditions(trees: Sequence[TreeCondition]) -> TreeCondition:
         vectors=torch.cat([tree.vectors for tree in trees]),
         height_m=torch.cat([tree.height_m for tree in trees]),
         links=torch.cat([tree.links + start for tree, start in zip(trees, starts, strict=True)]),
+        surface=torch.cat([tree.surface for tree in trees]),
+        tensors=torch.cat([tree.tensors for tree in trees]),
     )
 
 
 def turn_condition(tree: TreeCondition, axes: tuple[int, int, int], signs: tuple[int, int, int]) -> TreeCondition:
     """The tree turned by 90° steps or mirrored: new axis i is old axis `axes[i]` times `signs[i]`. Exact."""
-    vectors = tree.vectors[..., list(axes)] * torch.tensor(signs, dtype=tree.vectors.dtype)
-    return replace(tree, grids=turn_pyramid(tree.grids, axes, signs), vectors=vectors)
+    sign = torch.tensor(signs, dtype=tree.vectors.dtype)
+    vectors = tree.vectors[..., list(axes)] * sign
+    tensors = tree.tensors[..., list(axes), :][..., list(axes)] * sign[:, None] * sign
+    return replace(tree, grids=turn_pyramid(tree.grids, axes, signs), vectors=vectors, tensors=tensors)
 
 
 def coarsen_condition(tree: TreeCondition, top: int) -> TreeCondition:
@@ -90,7 +106,16 @@ def coarsen_condition(tree: TreeCondition, top: int) -> TreeCondition:
     for parents in tree.grids.parents[:top]:
         links = parents[links]
     links = links[links[:, 0] != links[:, 1]]
-    return TreeCondition(grids=grids, scalars=scalars, vectors=vectors, height_m=tree.height_m, links=links)
+    count = len(grids.levels[0])
+    return TreeCondition(
+        grids=grids,
+        scalars=scalars,
+        vectors=vectors,
+        height_m=tree.height_m,
+        links=links,
+        surface=torch.zeros(count, 0),
+        tensors=torch.zeros(count, 0, 3, 3),
+    )
 
 
 def wind_vector(winds: Sequence[Wind]) -> Float32[Tensor, "B 4"]:

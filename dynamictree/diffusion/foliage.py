@@ -11,12 +11,13 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from dynamictree.diffusion.condition import NUM_SCALARS, TreeCondition
+from dynamictree.diffusion.surface import NUM_SURFACE, NUM_TENSORS
 from dynamictree.sparse.conv import SubmanifoldConv
 from dynamictree.sparse.level import Pyramid, SparseLevel
 from dynamictree.sparse.pool import average_pool, upsample
 
 STEM_AXIS, NORMAL = 1, 3  # in `TreeCondition.vectors`
-NUM_SEEN = NUM_SCALARS + 6 + 6 + 2
+NUM_SEEN = NUM_SCALARS + 6 + 6 + 2 + NUM_SURFACE + 6 * NUM_TENSORS
 NUM_PARTS = 10
 """Leaf share; distance from the leaf's base, that over its length, ln length, all times leaf share; stem level; ln
 length and ln radius of the stem [m]; vector from the leaf's base in the grid's frame. Distances in 30ths of the
@@ -25,6 +26,7 @@ ARM = slice(7, 10)
 NUM_MOVING = 15
 NUM_TOLD = NUM_PARTS + NUM_MOVING
 CLIP = 5.0  # standard deviations
+SYMMETRIC = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])  # the numbers in a symmetric tensor
 
 
 class ResConv(nn.Module):
@@ -89,10 +91,14 @@ class FoliageNetwork(nn.Module):
 
 
 def seen(tree: TreeCondition) -> Float32[Tensor, "V F"]:
-    """The tree's scalars; and of its normals and stems, whose sign means nothing, what does not change with it."""
+    """The tree's scalars and its surface's; and of normals and stems, whose sign means nothing, what does not change
+    with it.
+    """
     axis, normal = tree.vectors[:, STEM_AXIS], tree.vectors[:, NORMAL]
     together = (axis * normal).sum(dim=1, keepdim=True).square()
-    return torch.cat([tree.scalars, _squares(normal), _squares(axis), together, axis[:, 2:]], dim=1)
+    upper = tree.tensors[..., *SYMMETRIC].flatten(1)  # [V, 6 R]
+    own = [tree.scalars, _squares(normal), _squares(axis), together, axis[:, 2:], tree.surface, upper]
+    return torch.cat(own, dim=1)
 
 
 def _squares(vectors: Float32[Tensor, "V 3"]) -> Float32[Tensor, "V 6"]:

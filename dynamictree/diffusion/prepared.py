@@ -24,6 +24,7 @@ from dynamictree.sparse.level import pyramid
 from dynamictree.sparse.pool import pool_to
 from dynamictree.spectrum import Wind
 from dynamictree.voxel.grid import VoxelGrid
+from dynamictree.voxel.moments import coarse_moments
 from dynamictree.voxel.voxelize import SurfaceVoxels
 
 SOFTNESS = 0.3
@@ -86,7 +87,7 @@ def soften(field: Complex64[Tensor, "V J 3"]) -> Complex64[Tensor, "V J 3"]:
 def prepare_tree(network: SmallNetwork, voxels: SurfaceVoxels, wind: Wind) -> PreparedTree:
     """Measure the tree, ask the amplitude network, make the matrices."""
     coarse, finer = at_resolution(voxels, network.preset.resolution)
-    tree, air, top = tree_condition(coarse.grid, coarse.normals), wind_vector([wind]), network.preset.top
+    tree, air, top = tree_condition(coarse), wind_vector([wind]), network.preset.top
     lean, log_amplitude = network.amplitude_of(tree, air)
     nodes = coarsen_condition(tree, top)
     free = 1 - (-(tree.scalars[:, ROOT_DISTANCE] / HELD).square()).exp()  # [V]
@@ -133,6 +134,7 @@ def at_resolution(voxels: SurfaceVoxels, resolution: int) -> tuple[SurfaceVoxels
     np.add.at(normals, owner, voxels.normals)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-6)
     depth = int(math.log2(factor))
+    moments = None if voxels.moments is None else coarse_moments(voxels.moments, grid, coarse, owner)
     # a pyramid's coarser rows are in ascending order of coordinates, as the coarse grid's are
     fine = pyramid(torch.from_numpy(grid.coords.astype(np.int64)), depth + 1)
-    return SurfaceVoxels(grid=coarse, normals=normals), raise_matrix(fine, depth, 0)
+    return SurfaceVoxels(grid=coarse, normals=normals, moments=moments), raise_matrix(fine, depth, 0)

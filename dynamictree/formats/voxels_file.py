@@ -1,22 +1,28 @@
-"""`*.voxels.safetensors`: occupied voxels and the normals of the surface in them. See docs/formats.md."""
+"""`*.voxels.safetensors`: occupied voxels, normals and moments of the surface in them. See docs/formats.md."""
+
+from collections.abc import Mapping
 
 import numpy as np
+from jaxtyping import Float32, Shaped
 
 from dynamictree.errors import FormatError
 from dynamictree.formats.stream import ByteReader, ByteWriter
 from dynamictree.formats.tensor_file import grid_metadata, read_grid, read_tensors, take_tensor, write_tensors
+from dynamictree.voxel.moments import AREA, NUM_MOMENTS
 from dynamictree.voxel.voxelize import SurfaceVoxels
 
 FORMAT = "surface-voxels"
 VERSION = "1"
 
 _LONGEST_NORMAL = 1.01  # unit length and rounding; zero says that the direction is not known
+_LARGEST_MOMENT = 1.01  # of all but the area: offsets and spreads lie inside a voxel, normals have unit length
 
 
 def write_voxels(voxels: SurfaceVoxels, stream: ByteWriter) -> None:
     """Write; undone by `read_voxels` bit by bit."""
     metadata = {"format": FORMAT, "version": VERSION, **grid_metadata(voxels.grid)}
-    write_tensors(stream, {"coords": voxels.grid.coords, "normals": voxels.normals}, metadata)
+    moments = {} if voxels.moments is None else {"moments": voxels.moments}
+    write_tensors(stream, {"coords": voxels.grid.coords, "normals": voxels.normals, **moments}, metadata)
 
 
 def read_voxels(stream: ByteReader) -> SurfaceVoxels:
@@ -31,4 +37,13 @@ def read_voxels(stream: ByteReader) -> SurfaceVoxels:
     longest = float(np.linalg.norm(normals, axis=1).max())
     if longest > _LONGEST_NORMAL:
         raise FormatError(f"a normal is {longest:.4g} long; normals have unit length")
-    return SurfaceVoxels(grid=grid, normals=normals)
+    return SurfaceVoxels(grid=grid, normals=normals, moments=_moments(tensors, len(grid)))
+
+
+def _moments(tensors: Mapping[str, Shaped[np.ndarray, "..."]], num_voxels: int) -> Float32[np.ndarray, "V 16"] | None:
+    if "moments" not in tensors:
+        return None
+    moments = take_tensor(tensors, "moments", dtypes=("float32",), shape=(num_voxels, NUM_MOMENTS))
+    if (moments[:, AREA] <= 0).any() or float(np.abs(moments[:, AREA.stop :]).max()) > _LARGEST_MOMENT:
+        raise FormatError("moments have an area above 0, and lie within a voxel; voxelise the mesh again")
+    return moments

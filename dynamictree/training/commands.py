@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import asdict, replace
+from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -20,10 +21,13 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object inst
 
 def train(
     folder: Annotated[Path, typer.Argument(help="Checkpoints and weights go here; gone on with if there.")],
-    dataset: Annotated[Path, typer.Option(help="Folder of shards, as `dynamictree dataset generate` bakes them.")],
+    dataset: Annotated[
+        list[Path],
+        typer.Option(help="Folder of shards, as `dynamictree dataset generate` bakes them; of several, in turn."),
+    ],
     preset: Annotated[str, typer.Option(help="Which network: small or paper.")] = "small",
-    foliage_trees: Annotated[int, typer.Option(min=1, max=10_000_000, help="Trees of the foliage network.")] = 260,
-    foliage_steps: Annotated[int, typer.Option(min=1, max=10_000_000, help="Steps of the foliage network.")] = 500,
+    foliage_trees: Annotated[int, typer.Option(min=1, max=10_000_000, help="Trees of the foliage network.")] = 640,
+    foliage_steps: Annotated[int, typer.Option(min=1, max=10_000_000, help="Steps of the foliage network.")] = 2000,
     amplitude_trees: Annotated[int, typer.Option(min=1, max=10_000_000, help="Trees of the amplitude network.")] = 1200,
     amplitude_steps: Annotated[int, typer.Option(min=1, max=10_000_000, help="Steps of the amplitude network.")] = 3000,
     denoiser_trees: Annotated[int, typer.Option(min=1, max=10_000_000, help="Trees of the diffusion.")] = 160,
@@ -71,9 +75,9 @@ def train(
     if dry_run:
         typer.echo(resolved)
         return
-    shards = sorted(map(str, dataset.glob("*.safetensors")))
+    shards = _in_turn([sorted(map(str, folder.glob("*.safetensors"))) for folder in dataset])
     if not shards:
-        raise InputError(f"there are no shards in {dataset}; bake some with `dynamictree dataset generate`")
+        raise InputError(f"there are no shards in {dataset[0]}; bake some with `dynamictree dataset generate`")
     torch.set_num_threads(threads)
     if "RANK" in os.environ:
         torch.distributed.init_process_group("nccl" if torch.cuda.is_available() else "gloo")
@@ -85,6 +89,11 @@ def train(
         torch.distributed.destroy_process_group()
     weights = str(folder / f"{preset}.safetensors")
     typer.echo(json.dumps({"weights": weights}) if as_json else weights)
+
+
+def _in_turn(folders: list[list[str]]) -> list[str]:
+    """The first of each, the second of each, and so on to the end of the longest."""
+    return [shard for row in zip_longest(*folders) for shard in row if shard is not None]
 
 
 def _small_training(

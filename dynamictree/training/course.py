@@ -31,6 +31,7 @@ class Pace:
     warmup_steps: int = 50
     final_share: float = 0.02  # of the learning rate, at the end of a cosine
     halve_every: int | None = None  # steps; in place of the cosine
+    cooldown_steps: int | None = None  # in place of the cosine: constant until these last ones, then falling evenly
     weight_decay: float = 1e-4
     gradient_clip: float = 1.0
     ema_decay: float = 0.99
@@ -40,10 +41,13 @@ class Pace:
     seed: int = 0
 
     def rate_at(self, step: int) -> float:
-        """Learning rate of a step: a linear start, then a cosine, or halved again and again."""
+        """Learning rate of a step: a linear start, then a cosine, or halved again and again, or a late fall."""
         warmup = min(1.0, (step + 1) / self.warmup_steps)
         if self.halve_every is not None:
             return self.learning_rate * warmup * 0.5 ** (step // self.halve_every)
+        if self.cooldown_steps is not None:
+            left = min(1.0, max(0.0, (self.num_steps - step) / self.cooldown_steps))
+            return self.learning_rate * (self.final_share + (1 - self.final_share) * left) * warmup
         cosine = (1 + math.cos(math.pi * min(step / self.num_steps, 1))) / 2
         share = self.final_share + (1 - self.final_share) * cosine
         return self.learning_rate * share * warmup

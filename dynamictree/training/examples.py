@@ -1,7 +1,7 @@
 """From the dataset's trees to what training sees of them."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 
 import numpy as np
@@ -16,6 +16,7 @@ from dynamictree.diffusion.condition import TreeCondition, tree_condition
 from dynamictree.diffusion.prepared import wind_axes
 from dynamictree.errors import InputError
 from dynamictree.spectrum import Wind
+from dynamictree.voxel.voxelize import surface_moments
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,10 +57,10 @@ def iter_training(paths: Sequence[str], *, first: int, count: int) -> Iterator[S
         )
 
 
-def example_of(stored: StoredTree, resolution: int = 128) -> Example:
-    """A tree of a shard."""
+def example_of(stored: StoredTree, resolution: int = 128, *, with_mesh: bool = True) -> Example:
+    """A tree of a shard; without its mesh as one that comes as voxels."""
     voxels, coefficients = stored.voxels(resolution), stored.spectrum(resolution).coefficients
-    tree = tree_condition(voxels.grid, voxels.normals)
+    tree = tree_condition(replace(voxels, moments=surface_moments(stored.mesh(), voxels.grid)) if with_mesh else voxels)
     turned = coefficients @ wind_axes(stored.wind).T / float(tree.height_m[0])
     return Example(tree=tree, wind=stored.wind, spectrum=torch.from_numpy(turned.astype(np.complex64)))
 
@@ -68,6 +69,6 @@ def make_example(seed: int, resolution: int = 128) -> Example:
     """The dataset's tree of a seed."""
     sample = make_sample(seed)
     voxels, spectrum = voxel_spectrum(sample, resolution)
-    tree = tree_condition(voxels.grid, voxels.normals)
+    tree = tree_condition(voxels)
     turned = spectrum.coefficients @ wind_axes(sample.wind).T / float(tree.height_m[0])
     return Example(tree=tree, wind=sample.wind, spectrum=torch.from_numpy(turned.astype(np.complex64)))

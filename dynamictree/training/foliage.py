@@ -19,6 +19,8 @@ from dynamictree.training.sides import SIDES
 NUM_LEVELS = 3
 STANDARDISED_ON = 40  # trees
 MIN_DEVIATION = 0.01
+BLIND_EVERY = 11
+"""Every so many trees are seen without the surface's moments, as files of voxels are that have none."""
 SIZE_WEIGHT = 0.5  # of ln sizes beside parts
 
 
@@ -28,27 +30,44 @@ class KnownTree:
 
     scalars: Float16[Tensor, "V S"]
     vectors: Float16[Tensor, "V A 3"]
+    surface: Float16[Tensor, "V I"]
+    tensors: Float16[Tensor, "V R 3 3"]
     told: Float16[Tensor, "V O"]
-    bare: TreeCondition  # without the two
+    bare: TreeCondition  # without these
 
     def tree(self) -> TreeCondition:
         """As the network sees it."""
-        return replace(self.bare, scalars=self.scalars.float(), vectors=self.vectors.float())
+        return replace(
+            self.bare,
+            scalars=self.scalars.float(),
+            vectors=self.vectors.float(),
+            surface=self.surface.float(),
+            tensors=self.tensors.float(),
+        )
 
 
 def known_trees(stored: Iterable[StoredTree], *, resolution: int = 128) -> Iterator[KnownTree]:
     """Measure trees."""
     for one in stored:
-        example = example_of(one, resolution)
+        example = example_of(one, resolution, with_mesh=one.seed % BLIND_EVERY != 0)
         tree = example.tree
         bare = replace(
             tree,
             grids=Pyramid(levels=tree.grids.levels[:NUM_LEVELS], parents=tree.grids.parents[: NUM_LEVELS - 1]),
-            scalars=tree.scalars[:, :0],
-            vectors=tree.vectors[:, :0],
+            scalars=torch.empty(0, 0),  # a slice would keep all of it alive
+            vectors=torch.empty(0, 0, 3),
+            surface=torch.empty(0, 0),
+            tensors=torch.empty(0, 0, 3, 3),
         )
         told = told_of(one, example.spectrum, resolution=resolution)
-        yield KnownTree(scalars=tree.scalars.half(), vectors=tree.vectors.half(), told=told.half(), bare=bare)
+        yield KnownTree(
+            scalars=tree.scalars.half(),
+            vectors=tree.vectors.half(),
+            surface=tree.surface.half(),
+            tensors=tree.tensors.half(),
+            told=told.half(),
+            bare=bare,
+        )
 
 
 def standardise_foliage(network: FoliageNetwork, trees: Sequence[KnownTree]) -> None:

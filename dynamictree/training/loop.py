@@ -101,6 +101,7 @@ def denoising_step(
     bins = np.arange(1, preset.num_frequencies)
     chance = bins**-LOW_FREQUENCY_BIAS / (bins**-LOW_FREQUENCY_BIAS).sum()
     generator = torch.Generator().manual_seed(int(rng.integers(2**62)))
+    trees = min(trees, len(examples))
     chosen_trees = [examples[index] for index in rng.choice(len(examples), trees, replace=False)]
     clean, sizes, noises, frequencies = [], [], [], []
     for white in chosen_trees:

@@ -37,7 +37,7 @@ def log_size(spectrum: Complex64[Tensor, "V K 3"], wind: Wind) -> Float32[Tensor
 
 def true_parts(stored: StoredTree, grid: VoxelGrid) -> Float32[np.ndarray, "V 10"]:
     """Means over the surface in each voxel, of what each vertex is part of."""
-    mesh = TriangleMesh(vertices=stored.tensors["vertices"], faces=stored.tensors["faces"])
+    mesh = stored.mesh()
     at_vertex = _at_vertices(stored, mesh)
     parts: Float32[np.ndarray, "V 10"] = (surface_average(mesh, grid) @ at_vertex).astype(np.float32)
     return parts

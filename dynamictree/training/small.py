@@ -11,13 +11,15 @@ from pathlib import Path
 import numpy as np
 import torch
 import torch.distributed
+from jaxtyping import Float32
 from safetensors.torch import load_file
+from torch import Tensor
 
 from dynamictree.diffusion.model import write_network
 from dynamictree.diffusion.small import SmallNetwork, SmallPreset
 from dynamictree.training.course import Course, Pace, load_part, process_rank
 from dynamictree.training.examples import example_of, iter_training
-from dynamictree.training.foliage import foliage_step, known_trees, standardise_foliage
+from dynamictree.training.foliage import STANDARDISED_ON, foliage_step, known_trees, standardise_foliage
 from dynamictree.training.loop import (
     AmplitudeRows,
     amplitude_rows,
@@ -38,12 +40,14 @@ TREES_A_FILE = 25
 class SmallTraining:
     """The resolved run. Each part takes the next trees of the shards, so that none judges itself by what it knows."""
 
-    foliage_trees: int = 260
+    foliage_trees: int = 400
     amplitude_trees: int = 1200
     denoiser_trees: int = 160
     preset: SmallPreset = field(default_factory=SmallPreset)
     foliage: Pace = field(
-        default_factory=lambda: Pace(num_steps=500, learning_rate=3e-3, bf16=True, save_every=100, seed=1)
+        default_factory=lambda: Pace(
+            num_steps=2000, learning_rate=3e-3, cooldown_steps=200, ema_decay=0.99, bf16=True, save_every=100, seed=1
+        )
     )
     amplitude: Pace = field(
         default_factory=lambda: Pace(num_steps=3000, learning_rate=2e-3, weight_decay=1e-2, ema_decay=0.995, bf16=True)
@@ -81,11 +85,17 @@ def _train_foliage(
     if checkpoint.exists():
         course.load(checkpoint)
     if course.step < plan.foliage.num_steps:
-        trees = list(known_trees(iter_training(shards, first=0, count=plan.foliage_trees)))
+        measured = known_trees(iter_training(shards, first=0, count=plan.foliage_trees))
+        trees = list(islice(measured, STANDARDISED_ON + course.step))
         if course.step == 0:
             standardise_foliage(network.foliage, trees)
             course.average.load_state_dict(network.foliage.state_dict())
-        for step, loss in course.run(lambda rng: foliage_step(network.foliage, trees, rng), checkpoint):
+
+        def loss_of(rng: np.random.Generator) -> Float32[Tensor, ""]:
+            trees.extend(islice(measured, 1))  # one more a step, so that measuring them is no wait
+            return foliage_step(network.foliage, trees, rng)
+
+        for step, loss in course.run(loss_of, checkpoint):
             _tell(on_step, "foliage", step, plan.foliage.num_steps, loss)
     network.foliage.load_state_dict(course.average.state_dict())
     network.foliage.requires_grad_(False)

@@ -10,6 +10,7 @@ from dynamictree.errors import InputError, MeshError
 from dynamictree.mesh import TriangleMesh
 from dynamictree.voxel.clip import SurfacePieces, cut_faces
 from dynamictree.voxel.grid import VoxelGrid, grid_frame
+from dynamictree.voxel.moments import moments_of
 
 MIN_RESOLUTION, MAX_RESOLUTION = 32, 512
 MAX_PIECES = 60_000_000
@@ -28,6 +29,7 @@ class SurfaceVoxels:
 
     grid: VoxelGrid
     normals: Float32[np.ndarray, "V 3"]  # unit length
+    moments: Float32[np.ndarray, "V 16"] | None = None  # see `voxel.moments`; None where no mesh is known
 
 
 def voxelize(mesh: TriangleMesh, resolution: int = 128) -> SurfaceVoxels:
@@ -57,7 +59,14 @@ def voxelize(mesh: TriangleMesh, resolution: int = 128) -> SurfaceVoxels:
     grid = VoxelGrid(
         coords=coords.astype(np.int32), origin_m=origin_m, voxel_size_m=voxel_size_m, resolution=resolution
     )
-    return SurfaceVoxels(grid=grid, normals=_mean_normals(mesh, grid, pieces, rows))
+    normals, moments = _mean_normals(mesh, grid, pieces, rows), moments_of(mesh, grid, pieces, rows)
+    return SurfaceVoxels(grid=grid, normals=normals, moments=moments)
+
+
+def surface_moments(mesh: TriangleMesh, grid: VoxelGrid) -> Float32[np.ndarray, "V 16"]:
+    """The moments that `voxelize` gives of this mesh, which made the grid."""
+    pieces = surface_pieces(mesh, grid.origin_m, grid.voxel_size_m, grid.resolution)
+    return moments_of(mesh, grid, pieces, np.searchsorted(grid.keys, pieces.keys))
 
 
 def surface_average(mesh: TriangleMesh, grid: VoxelGrid) -> scipy.sparse.csr_array:

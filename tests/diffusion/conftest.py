@@ -4,6 +4,7 @@ import torch
 
 from dynamictree.diffusion.condition import TreeCondition, tree_condition
 from dynamictree.voxel.grid import VoxelGrid
+from dynamictree.voxel.moments import AREA, OFFSET, moments_of_normals
 from dynamictree.voxel.voxelize import SurfaceVoxels
 
 
@@ -25,13 +26,18 @@ def fork() -> VoxelGrid:
 
 @pytest.fixture(scope="session")
 def voxels(fork: VoxelGrid) -> SurfaceVoxels:
-    normals = np.random.default_rng(0).standard_normal((len(fork), 3)).astype(np.float32)
-    return SurfaceVoxels(grid=fork, normals=normals / np.linalg.norm(normals, axis=1, keepdims=True))
+    rng = np.random.default_rng(0)
+    normals = rng.standard_normal((len(fork), 3)).astype(np.float32)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    moments = moments_of_normals(normals[rng.permutation(len(fork))])
+    moments[:, AREA] = rng.uniform(0.1, 2, (len(fork), 1))
+    moments[:, OFFSET] = rng.uniform(-0.4, 0.4, (len(fork), 3))
+    return SurfaceVoxels(grid=fork, normals=normals, moments=moments)
 
 
 @pytest.fixture(scope="session")
 def tree(voxels: SurfaceVoxels) -> TreeCondition:
-    return tree_condition(voxels.grid, voxels.normals)
+    return tree_condition(voxels)
 
 
 @pytest.fixture(autouse=True, scope="session")

@@ -1,5 +1,7 @@
 """What the network sees turns with the tree, and tells the stems apart."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -16,10 +18,12 @@ from dynamictree.diffusion.condition import (
 )
 from dynamictree.diffusion.foliage import ARM, NUM_TOLD
 from dynamictree.diffusion.skeleton import skeleton_of
+from dynamictree.diffusion.surface import eigenvalues
 from dynamictree.spectrum import Wind
 from dynamictree.training.sides import SIDES, crosswind_sign, is_mirror, turn_wind
 from dynamictree.voxel.graph import voxel_graph
 from dynamictree.voxel.grid import VoxelGrid
+from dynamictree.voxel.moments import AREA, NORMAL, OFFSET, SIX, SPREAD
 from dynamictree.voxel.voxelize import SurfaceVoxels
 
 WIND = wind_vector([Wind(speed_m_s=7.0, direction_deg=37.0, gust=0.2)])
@@ -48,11 +52,45 @@ def test_a_turned_tree_is_measured_like_the_tree_turned(voxels: SurfaceVoxels, t
     rows = grid.rows_of(coords.astype(np.int32))
     normals = np.empty_like(voxels.normals)
     normals[rows] = voxels.normals[:, [1, 0, 2]] * np.array(signs, np.float32)
-    measured = tree_condition(grid, normals)
+    assert voxels.moments is not None
+    moments = np.empty_like(voxels.moments)
+    moments[rows] = turned_moments(voxels.moments)
+    measured = tree_condition(SurfaceVoxels(grid=grid, normals=normals, moments=moments))
     turned = turn_condition(tree, axes, signs)
     heights = [0, 1, 2, 3, 4]  # what does not depend on which of two equally short ways to the root is taken
     torch.testing.assert_close(measured.scalars[rows][:, heights], turned.scalars[:, heights], atol=2e-3, rtol=1e-3)
     torch.testing.assert_close(measured.vectors[rows][:, [0, 3]], turned.vectors[:, [0, 3]], atol=1e-5, rtol=1e-4)
+    torch.testing.assert_close(measured.surface[rows], turned.surface, atol=1e-4, rtol=1e-4)
+    torch.testing.assert_close(measured.tensors[rows], turned.tensors, atol=1e-4, rtol=1e-4)
+
+
+def turned_moments(moments: np.ndarray) -> np.ndarray:
+    """By the side ((1, 0, 2), (-1, 1, 1)): x is −y of before, y is x."""
+    xx, yy, zz, xy, xz, yz = range(6)
+    six, sign = [yy, xx, zz, xy, yz, xz], np.array([1, 1, 1, -1, -1, 1], np.float32)
+    offset = moments[:, OFFSET][:, [1, 0, 2]] * np.float32([-1, 1, 1])
+    return np.concatenate(
+        [moments[:, AREA], offset, moments[:, SPREAD][:, six] * sign, moments[:, NORMAL][:, six] * sign], axis=1
+    )
+
+
+def test_eigenvalues_are_lapacks() -> None:
+    rng = np.random.default_rng(0)
+    full = rng.normal(size=(200, 3, 3))
+    full = full + full.transpose(0, 2, 1)
+    full[0] = 0
+    full[1] = np.eye(3)
+    full[2] = np.diag([1, 1, 0])
+    six = np.stack([full[:, i, j] for i, j in SIX], axis=1)
+    np.testing.assert_allclose(eigenvalues(six), np.linalg.eigvalsh(full), atol=1e-7)
+
+
+def test_without_a_mesh_every_voxel_is_a_card_and_says_so(voxels: SurfaceVoxels, tree: TreeCondition) -> None:
+    blind = tree_condition(replace(voxels, moments=None))
+    assert (tree.surface[:, -1] == 1).all()
+    assert (blind.surface[:, -1] == 0).all()
+    torch.testing.assert_close(blind.surface[:, 4:6], torch.tensor([0.0, 1.0]).expand(len(voxels.grid), 2))
+    torch.testing.assert_close(blind.scalars, tree.scalars)
 
 
 def test_a_batch_is_its_trees(tree: TreeCondition) -> None:

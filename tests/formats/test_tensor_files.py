@@ -16,6 +16,7 @@ from dynamictree.formats.spectrum_file import read_spectrum, write_spectrum
 from dynamictree.formats.voxels_file import read_voxels, write_voxels
 from dynamictree.spectrum import SparseVoxelSpectrum, Wind
 from dynamictree.voxel.grid import VoxelGrid
+from dynamictree.voxel.moments import moments_of_normals
 from dynamictree.voxel.voxelize import SurfaceVoxels
 
 GOLDEN = Path(__file__).parent.parent / "golden"
@@ -201,7 +202,8 @@ def test_mutated_spectrum_files_raise_nothing_but_input_errors(rng: np.random.Ge
 def small_voxels(rng: np.random.Generator) -> SurfaceVoxels:
     grid = small_spectrum(rng).grid
     normals = rng.normal(size=(len(grid), 3))
-    return SurfaceVoxels(grid=grid, normals=(normals / np.linalg.norm(normals, axis=1)[:, None]).astype(np.float32))
+    unit = (normals / np.linalg.norm(normals, axis=1)[:, None]).astype(np.float32)
+    return SurfaceVoxels(grid=grid, normals=unit, moments=moments_of_normals(unit))
 
 
 def test_read_voxels_undoes_write_voxels(rng: np.random.Generator) -> None:
@@ -211,7 +213,21 @@ def test_read_voxels_undoes_write_voxels(rng: np.random.Generator) -> None:
     found = read_voxels(stream)
     np.testing.assert_array_equal(found.grid.coords, voxels.grid.coords)
     np.testing.assert_array_equal(found.normals, voxels.normals)
+    np.testing.assert_array_equal(found.moments, voxels.moments)
     assert found.grid.origin_m == voxels.grid.origin_m
+    bare = io.BytesIO()
+    write_voxels(replace(voxels, moments=None), bare)
+    assert read_voxels(io.BytesIO(bare.getvalue())).moments is None
+
+
+@pytest.mark.parametrize(
+    "moments", [np.zeros((50, 16), np.float32), np.full((50, 16), 2, np.float32), np.ones((50, 9), np.float32)]
+)
+def test_moments_that_are_none_are_refused(moments: np.ndarray) -> None:
+    voxels, stream = small_voxels(np.random.default_rng(1)), io.BytesIO()
+    write_voxels(voxels, stream)
+    with pytest.raises(FormatError, match="moments"):
+        read_voxels(io.BytesIO(with_changes(stream.getvalue(), {"moments": moments}, {})))
 
 
 @pytest.mark.parametrize("normals", [np.full((50, 3), 5, np.float32), np.zeros((3, 3), np.float32)])

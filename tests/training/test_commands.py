@@ -88,6 +88,19 @@ def test_a_folder_without_shards_is_refused_and_too_few_trees_are(
         list(iter_training(paths, first=1, count=4))
 
 
+def test_shards_of_several_folders_come_in_turn(
+    commands: Typer, shards: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for number in (0, 1):
+        (tmp_path / f"4dtree-{number:05d}.safetensors").write_bytes((shards / "4dtree-00000.safetensors").read_bytes())
+    order: list[str] = []
+    monkeypatch.setattr("dynamictree.training.small.train_small", lambda plan, paths, *_, **__: order.extend(paths))
+    folders = [word for folder in (shards, tmp_path) for word in ("--dataset", str(folder))]
+    CliRunner().invoke(commands, ["train", str(tmp_path / "run"), *folders, "--json"], catch_exceptions=False)
+    assert [Path(path).parent for path in order] == [shards, tmp_path, tmp_path]
+    assert [Path(path).name[-17:-12] for path in order] == ["00000", "00000", "00001"]
+
+
 @pytest.mark.slow
 def test_training_ends_in_weights_that_load_and_goes_on_where_it_was(
     commands: Typer, shards: Path, tmp_path: Path

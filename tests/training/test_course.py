@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
@@ -50,6 +51,16 @@ def test_losses_fall_and_the_rate_rises_then_falls() -> None:
     assert fallen[-1] < 0.01 * fallen[0]
     rates = [pace.rate_at(step) for step in range(150)]
     assert rates[0] < rates[9] > rates[80] > rates[149] > 0
+
+
+def test_a_late_fall_does_not_change_what_came_before_it() -> None:
+    pace = Pace(num_steps=150, learning_rate=0.05, warmup_steps=10, cooldown_steps=50)
+    rates = [pace.rate_at(step) for step in range(150)]
+    longer = replace(pace, num_steps=400)
+    assert rates[9:101] == [0.05] * 92
+    assert rates[:101] == [longer.rate_at(step) for step in range(101)]
+    assert rates[101:] == sorted(rates[101:], reverse=True)
+    assert 0 < rates[-1] < 0.05 * 2 / 50 + 0.05 * pace.final_share
 
 
 def test_a_checkpoint_of_another_network_is_refused(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from dynamictree.diffusion.amplitude import amplitude_losses, reference_shift
 from dynamictree.diffusion.foliage import ARM, NUM_PARTS, NUM_TOLD, FoliageNetwork
 from dynamictree.training.course import Course, Pace
 from dynamictree.training.examples import example_of
-from dynamictree.training.foliage import KnownTree, foliage_step, known_trees, standardise_foliage
+from dynamictree.training.foliage import BLIND_EVERY, KnownTree, foliage_step, known_trees, standardise_foliage
 from dynamictree.training.parts import ARM_SCALE, true_parts
 
 SEED = 9
@@ -47,6 +47,14 @@ def test_parts_tell_leaf_from_wood_and_how_far_out(stored: StoredTree) -> None:
     cards = stored.tensors["vertices"][stored.tensors["part"] == LEAF].reshape(-1, 4, 3)
     longest = np.linalg.norm(cards[:, 2] - cards[:, 0], axis=1).max()
     assert parts[:, 1].max() <= 1.01 * longest * ARM_SCALE / height
+
+
+def test_some_trees_are_seen_as_voxels_alone(stored: StoredTree) -> None:
+    seeds = (BLIND_EVERY, BLIND_EVERY + 1)
+    blind, seeing = known_trees([replace(stored, seed=seed) for seed in seeds], resolution=32)
+    assert (blind.tree().surface[:, -1] == 0).all()
+    assert (seeing.tree().surface[:, -1] == 1).all()
+    assert (blind.told == seeing.told).all()
 
 
 def test_sizes_at_drag_and_gust_one_do_not_depend_on_them(stored: StoredTree) -> None:

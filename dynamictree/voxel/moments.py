@@ -1,0 +1,65 @@
+"""How the surface lies inside each voxel: what tells a card from a twig that is thinner than a voxel."""
+
+import numpy as np
+from jaxtyping import Float32, Float64, Int32, Int64
+
+from dynamictree.mesh import TriangleMesh
+from dynamictree.voxel.clip import SurfacePieces
+from dynamictree.voxel.grid import VoxelGrid
+
+NUM_MOMENTS = 16
+AREA, OFFSET, SPREAD, NORMAL = slice(0, 1), slice(1, 4), slice(4, 10), slice(10, 16)
+"""Area; its centroid, from the voxel's centre; second moment of the area about its centroid; mean of n nᵀ, which is
+of rank one in a card, whichever side faces out, and of rank two in a tube. In voxels; tensors as SIX."""
+SIX = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+
+
+def moments_of(
+    mesh: TriangleMesh, grid: VoxelGrid, pieces: SurfacePieces, rows: Int64[np.ndarray, " P"]
+) -> Float32[np.ndarray, "V 16"]:
+    """NUM_MOMENTS numbers a voxel, of the pieces of surface in it; `rows` are the pieces' voxels."""
+    vertices = (mesh.vertices.astype(np.float64) - grid.origin_m) / grid.voxel_size_m
+    corners = vertices[mesh.faces]  # [F, 3, 3]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), np.finfo(np.float64).tiny)
+    place = np.einsum("pc,pcx->px", pieces.centroids, corners[pieces.faces]) - grid.coords[rows] - 0.5
+    facing = _six(normal)[pieces.faces]  # [P, 6]
+    flat = _six(np.eye(3)).sum(axis=0) - facing
+    within = pieces.areas[:, None] / 12 * flat  # of a square piece of this area, in its plane
+    columns = np.concatenate([place, _six(place) + within, facing], axis=1)
+    area = np.bincount(rows, pieces.areas, len(grid))
+    total = np.stack([np.bincount(rows, pieces.areas * column, len(grid)) for column in columns.T], axis=1)
+    mean = total / area[:, None]
+    mean[:, 3:9] -= _six(mean[:, :3])
+    moments: Float32[np.ndarray, "V 16"] = np.concatenate([area[:, None], mean], axis=1).astype(np.float32)
+    return moments
+
+
+def moments_of_normals(normals: Float32[np.ndarray, "V 3"]) -> Float32[np.ndarray, "V 16"]:
+    """What is left where no mesh is known: each voxel as if one square card lay across it."""
+    facing = _six(normals.astype(np.float64))
+    flat = (_six(np.eye(3)).sum(axis=0) - facing) / 12
+    area, offset = np.ones((len(normals), 1)), np.zeros((len(normals), 3))
+    return np.concatenate([area, offset, flat, facing], axis=1).astype(np.float32)
+
+
+def coarse_moments(
+    moments: Float32[np.ndarray, "V 16"],
+    fine: VoxelGrid,
+    coarse: VoxelGrid,
+    owner: Int32[np.ndarray, " V"],
+) -> Float32[np.ndarray, "W 16"]:
+    """The same surface in larger voxels; `owner` is the coarse row of each fine voxel."""
+    factor = fine.resolution // coarse.resolution
+    area = moments[:, AREA].astype(np.float64)
+    place = (fine.coords + 0.5 + moments[:, OFFSET]) / factor - coarse.coords[owner] - 0.5
+    columns = np.concatenate([place, moments[:, SPREAD] / factor**2 + _six(place), moments[:, NORMAL]], axis=1) * area
+    total = np.bincount(owner, area[:, 0], len(coarse))
+    mean = np.stack([np.bincount(owner, column, len(coarse)) for column in columns.T], axis=1) / total[:, None]
+    mean[:, 3:9] -= _six(mean[:, :3])
+    return np.concatenate([total[:, None] / factor**2, mean], axis=1).astype(np.float32)
+
+
+def _six(vectors: Float64[np.ndarray, "N 3"]) -> Float64[np.ndarray, "N 6"]:
+    """Products of components, in the order of SIX."""
+    return np.stack([vectors[:, i] * vectors[:, j] for i, j in SIX], axis=1)
