@@ -78,6 +78,16 @@ class Viewer:
             assert time.monotonic() < deadline, f"{count} frames took more than a minute"
             self.page.wait_for_timeout(50)
 
+    def wait_turns(self, count: int = 3) -> None:
+        """Until the page has had its turn so often, however slow it is: what still moves is drawn anew in each."""
+        self.page.evaluate(
+            """(left) => new Promise((done) => {
+                const turn = () => (left-- > 0 ? requestAnimationFrame(turn) : done());
+                turn();
+            })""",
+            count,
+        )
+
 
 @pytest.fixture
 def view(browser: Browser, request: pytest.FixtureRequest) -> Iterator[object]:

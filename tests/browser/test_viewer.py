@@ -57,16 +57,17 @@ def scrub(viewer: Viewer, share: float) -> np.ndarray:
     viewer.page.locator("#time").evaluate(
         "(slider, share) => { slider.value = share; slider.dispatchEvent(new Event('input')); }", share
     )
-    viewer.wait_frames(1)
-    viewer.page.wait_for_timeout(400)
+    viewer.wait_turns()
     return pixels(viewer)
 
 
 def steady(viewer: Viewer) -> np.ndarray:
-    """The picture once nothing changes any more."""
+    """The picture once nothing changes any more, the hint among it."""
+    viewer.page.wait_for_selector("#hint.going", state="attached")
     before = pixels(viewer)
     for _ in range(90):
         viewer.page.wait_for_timeout(1000)
+        viewer.wait_turns()
         now = pixels(viewer)
         if changed(before, now) == 0:
             return now
