@@ -20,7 +20,7 @@ from dynamictree.diffusion.paper import PaperNetwork, PaperTraining, paper_prese
 from dynamictree.diffusion.sample import sample_ddim
 from dynamictree.diffusion.schedule import linear_schedule
 from dynamictree.diffusion.small import pack_channels
-from dynamictree.training.paper import PaperExample, PaperRun, frequency_sizes, paper_example, train_paper
+from dynamictree.training.paper import PaperExample, PaperRun, frequency_sizes, one_size, paper_example, train_paper
 
 NUM_TREES, STEPS, BATCH, WIDTH, RESOLUTION = 4, 120, 4, 8, 16
 FREQUENCIES = (1, 3, 6)
@@ -30,24 +30,33 @@ DDIM_STEPS = 20
 def run() -> dict[str, object]:
     torch.set_num_threads(1)
     stored = [store(make_sample(seed, "sapling"), resolutions=(128,)) for seed in range(1, NUM_TREES + 1)]
-    stages = {"L_DM": STEPS, "both from the start": 0, "two stages": STEPS * 4 // 7}
+    two = STEPS * 4 // 7
+    variants = {
+        "L_DM": (STEPS, True),
+        "both from the start": (0, True),
+        "two stages": (two, True),
+        "two stages, one size for all frequencies": (two, False),
+    }
     found = {}
     with TemporaryDirectory() as folder:
         shard = Path(folder) / "shard.safetensors"
         with shard.open("wb") as stream:
             write_shard([replace(tree, split="train") for tree in stored], stream)
-        for name, smoothness_from in stages.items():
+        sizes = frequency_sizes(stored, 16)
+        for name, (smoothness_from, by_frequency) in variants.items():
             run_of = PaperRun(
                 preset=paper_preset(WIDTH),
                 training=PaperTraining(
                     num_iterations=STEPS, smoothness_from=smoothness_from, batch_size=BATCH, learning_rate=1e-3
                 ),
                 resolution=RESOLUTION,
+                by_frequency=by_frequency,
                 save_every=10**6,
             )
             network = train_paper(run_of, [str(shard)], _made(Path(folder) / name))
             example = paper_example(stored[0], resolution=RESOLUTION, halvings=2, num_levels=4)
-            found[name] = _judged(network, example, frequency_sizes(stored, 16))
+            own = sizes if by_frequency else one_size(sizes)
+            found[name] = _judged(network, example, own)
     return {
         "value": found,
         "unit": "ratio to the truth's; ln",

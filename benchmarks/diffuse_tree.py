@@ -40,4 +40,5 @@ def _lowest(voxels: SurfaceVoxels, count: int) -> SurfaceVoxels:
     part = VoxelGrid(
         coords=grid.coords[kept], origin_m=grid.origin_m, voxel_size_m=grid.voxel_size_m, resolution=grid.resolution
     )
-    return SurfaceVoxels(grid=part, normals=voxels.normals[kept])
+    moments = None if voxels.moments is None else voxels.moments[kept]
+    return SurfaceVoxels(grid=part, normals=voxels.normals[kept], moments=moments)

@@ -44,6 +44,7 @@ class PaperRun:
     resolution: int = 128  # of the spectrum; the condition's is as many times finer as the encoder halves it
     micro_batch: int = 1
     bf16: bool = True
+    by_frequency: bool = True  # each frequency over its own size; else all over one, as the ablation wants
     save_every: int = 500
     seed: int = 0
 
@@ -101,6 +102,8 @@ def train_paper(run: PaperRun, shards: Sequence[str], folder: Path, *, on_step: 
     places = training_places(shards)
     trees = (tree for path in shards for tree in iter_shard(path, names=MESH) if tree.split == "train")
     scale = frequency_sizes(islice(trees, MEASURED), run.preset.num_frequencies)
+    if not run.by_frequency:
+        scale = one_size(scale)
     course, checkpoint = Course(network, run.pace(world)), folder / "paper.checkpoint.safetensors"
     if checkpoint.exists():
         course.load(checkpoint)
@@ -167,6 +170,11 @@ def frequency_sizes(trees: Iterable[StoredTree], num_frequencies: int) -> Float3
         power += (np.abs(relative) ** 2).mean(axis=(0, 2)) / 2
         count += 1
     return torch.from_numpy(np.sqrt(power / count).astype(np.float32))
+
+
+def one_size(sizes: Float32[Tensor, " K"]) -> Float32[Tensor, " K"]:
+    """For every frequency the size that all above the mean have together, which leaves them as uneven as they are."""
+    return sizes[1:].square().mean().sqrt().expand(len(sizes)).contiguous()
 
 
 def _example_at(place: tuple[str, int], run: PaperRun) -> PaperExample:

@@ -17,7 +17,7 @@ from dynamictree.dataset.sample import make_sample
 from dynamictree.dataset.shards import StoredTree, store, write_shard
 from dynamictree.diffusion.paper import PaperTraining, paper_preset
 from dynamictree.errors import InputError
-from dynamictree.training.paper import PaperRun, frequency_sizes, paper_example, train_paper, training_places
+from dynamictree.training.paper import PaperRun, frequency_sizes, one_size, paper_example, train_paper, training_places
 
 SEEDS = (1, 2)
 RUN = PaperRun(
@@ -84,6 +84,11 @@ def test_sizes_of_frequencies_make_components_of_unit_size(stored: list[StoredTr
     scaled = relative / sizes.numpy()[:, None]
     power = (np.abs(scaled) ** 2).mean(axis=(0, 2)) / 2
     np.testing.assert_allclose(power, 1, rtol=1e-3)
+    together = one_size(sizes)
+    assert (together == together[0]).all()
+    uneven = (np.abs(relative / together.numpy()[:, None]) ** 2).mean(axis=(0, 2)) / 2
+    assert uneven[1:].mean() == pytest.approx(1, rel=1e-3)
+    assert uneven[1] > 10 * uneven[10]
 
 
 def test_shards_without_training_trees_are_refused(stored: list[StoredTree], tmp_path: Path) -> None:
