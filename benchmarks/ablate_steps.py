@@ -1,4 +1,4 @@
-"""Steps of the sampler against quality, by voxel, on a tree of an unseen species."""
+"""Steps of the sampler against quality, by voxel, on five trees, three of them of species that no training saw."""
 
 from time import perf_counter
 
@@ -10,8 +10,8 @@ from dynamictree.diffusion.model import load_model
 from dynamictree.training.metrics import log_amplitude_agreement
 from dynamictree.voxel.graph import voxel_graph
 
-TREES = ((3, "palm"),)
-STEPS = (4, 8, 16, 32, 100)
+TREES = ((3, "palm"), (5, "weeping"), (7, "pine"), (11, "maple"), (13, "round-broadleaf"))
+STEPS = (2, 4, 8, 16)
 
 
 def run() -> dict[str, object]:
