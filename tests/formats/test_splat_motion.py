@@ -164,5 +164,5 @@ def test_a_motion_that_does_not_fit_is_refused(splat: AnimatedSplat) -> None:
         replace(splat, coefficients=splat.coefficients[:7])
     with pytest.raises(NumericsError, match="largest of coefficients"):
         write_animated_splat(replace(splat, coefficients=splat.coefficients * np.float32(1e7)), io.BytesIO())
-    with pytest.raises(FormatError, match="not a animated-splat file"):
+    with pytest.raises(FormatError, match="no animated-splat"):
         read_animated_splat(io.BytesIO(b"abc"))
