@@ -14,11 +14,11 @@ _SMALLER = np.float32(np.log(1.6))  # φ of Kerbl et al.: halves of a split Gaus
 
 @dataclass(frozen=True, kw_only=True)
 class DensityRules:
-    """When Gaussians are made and taken away; Kerbl et al.'s numbers, but half the pull and 4 times the opacity."""
+    """When Gaussians are made and taken away; Kerbl et al.'s numbers, but half the pull."""
 
     pull: float = 1e-4  # mean gradient of the loss by the place, in half pictures, above which one is not enough
     large: float = 0.01  # of the extent: a larger one is split, a smaller one gets a twin
-    min_opacity: float = 0.02
+    min_opacity: float = 0.005
     too_large: float = 0.1  # of the extent, or of the distance from the origin for what is farther away
     max_gaussians: int = 60_000
 

@@ -49,6 +49,7 @@ class Schedule:
     reset_at: float | None = None  # share of the steps; so few steps never make up for one (measured)
     depth_share: float = 0.1  # of the loss, at first; falls to a hundredth of it
     rules: DensityRules = field(default_factory=DensityRules)
+    cut_out_min_opacity: float = 0.02  # below it a Gaussian is pruned, where photos are cut out
     check_every: int = 250
     patience: int = 3  # checks at full size without a better picture, until it ends
 
@@ -94,7 +95,7 @@ def optimise(
         progress = replace(progress, moments=moments, step=progress.step + 1)
         share = progress.step / schedule.num_steps
         if schedule.densify[0] <= share < schedule.densify[1] and progress.step % schedule.densify_every == 0:
-            rules = replace(schedule.rules, max_gaussians=schedule.rules.max_gaussians // shrink)
+            rules = _rules(schedule, shrink, cut_out=targets[0].alpha is not None)
             table, moments = densified(progress.table, progress.moments, pull.mean, rules, extent=extent, rng=rng)
             pull = Pull(len(table))
             progress = replace(progress, table=table, moments=moments, pull=pull)
@@ -152,6 +153,11 @@ def _add_depth(
     slope = np.sign(error) * np.float32(share / max(known.sum(), 1))
     gradient[..., 3] += slope * per
     gradient[..., 4] += slope * known
+
+
+def _rules(schedule: Schedule, shrink: int, *, cut_out: bool) -> DensityRules:
+    rules = replace(schedule.rules, max_gaussians=schedule.rules.max_gaussians // shrink)
+    return replace(rules, min_opacity=schedule.cut_out_min_opacity) if cut_out else rules
 
 
 def _rates(schedule: Schedule, step: int, width: int, extent: float, *, cut_out: bool) -> Float32[np.ndarray, " P"]:
