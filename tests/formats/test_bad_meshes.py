@@ -2,7 +2,6 @@
 
 import io
 
-import DracoPy
 import numpy as np
 import pytest
 
@@ -15,8 +14,6 @@ from dynamictree.formats.obj_writer import write_obj
 from dynamictree.formats.ply_writer import write_ply
 from dynamictree.mesh import TriangleMesh
 from tests.formats.meshes import gltf_bytes, image_bytes, triangle_gltf, trunk_and_crown
-
-Changes = dict[str, object]
 
 
 def read(content: bytes, file_type: str, **companions: bytes) -> TriangleMesh:
@@ -120,167 +117,6 @@ def test_ten_million_faces_are_refused_by_the_header_alone() -> None:
     ]
     with pytest.raises(InputError, match="12000003"):
         read(gltf_bytes(root, binary), "glb")
-
-
-def test_instances_count_against_the_cap() -> None:
-    nodes = [{"mesh": 0, "translation": [i, 0, 0]} for i in range(1000)]
-    accessors = [
-        {"componentType": 5126, "count": 3000, "type": "VEC3"},
-        {"componentType": 5125, "count": 3, "type": "SCALAR"},
-    ]
-    root, binary = triangle_gltf(nodes=nodes, scenes=[{"nodes": list(range(1000))}], accessors=accessors)
-    with pytest.raises(MeshError, match="3,000,000 vertices"):
-        read(gltf_bytes(root, binary), "glb")
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"asset": {"version": "1.0"}}, "glTF 1.0"),
-        ({"asset": {}}, "glTF none"),
-        ({"asset": 3}, "asset is 3"),
-        ({"extensionsRequired": ["EXT_meshopt_compression"]}, "EXT_meshopt_compression"),
-        ({"extensionsRequired": ["KHR_texture_basisu", "VENDOR_x"]}, "KHR_texture_basisu, VENDOR_x"),
-        ({"extensionsRequired": [3]}, "a string"),
-        ({"meshes": []}, "has none"),
-        ({"meshes": [{"primitives": []}]}, "no triangles"),
-        ({"meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "mode": 0}]}]}, "no triangles"),
-        ({"meshes": [{"primitives": [{"attributes": {}}]}]}, "no POSITION"),
-        ({"meshes": [{"primitives": [{"attributes": {"POSITION": 1}}]}]}, "POSITION has 1 numbers"),
-        ({"meshes": [{"primitives": [{"attributes": {"POSITION": 7}}]}]}, "0 to 1"),
-        ({"meshes": [{"primitives": [{"attributes": {"POSITION": -1}}]}]}, "0 to 1"),
-        ({"meshes": [{"primitives": [{"attributes": {"POSITION": 0, "TEXCOORD_0": 0}}]}]}, "TEXCOORD_0"),
-        ({"meshes": [{"primitives": [{"attributes": {"POSITION": 0, "COLOR_0": 1}}]}]}, "COLOR_0"),
-        ({"meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 0}]}]}, "no whole numbers"),
-        ({"meshes": [{"primitives": 3}]}, "a list"),
-        ({"nodes": [{"mesh": 0, "children": [0]}]}, "reached twice"),
-        ({"nodes": [{"children": [1, 1]}, {"mesh": 0}]}, "reached twice"),
-        ({"nodes": [{"children": [1]}, {"children": [0], "mesh": 0}]}, "reached twice"),
-        ({"nodes": [{"mesh": 0, "rotation": [0, 0, 0, 0]}]}, "length 0"),
-        ({"nodes": [{"mesh": 0, "translation": [0, 0]}]}, "3 are needed"),
-        ({"nodes": [{"mesh": 0, "translation": [0, 0, "x"]}]}, "finite number"),
-        ({"nodes": [{"mesh": 0, "matrix": [1] * 15}]}, "16 are needed"),
-        ({"nodes": [{"mesh": 0, "skin": 0}], "skins": [{"joints": []}]}, "no joints"),
-        ({"nodes": [{"mesh": 0, "skin": 0}], "skins": [{"joints": [0]}]}, "no JOINTS_0"),
-        ({"nodes": [{"mesh": 0, "skin": 0}], "skins": [{"joints": [0], "inverseBindMatrices": 0}]}, "inverse bind"),
-        ({"scenes": [{"nodes": [4]}]}, "0 to 0"),
-        ({"buffers": [{"byteLength": 43}]}, None),
-        ({"buffers": [{"byteLength": 4300}]}, "says 4300 bytes"),
-        ({"buffers": [{"byteLength": 42, "uri": "tree.bin"}]}, "'tree.bin' outside itself"),
-        ({"buffers": [{"byteLength": 42, "uri": "/etc/passwd"}]}, "outside itself"),
-        ({"buffers": [{"byteLength": 42, "uri": "../../x"}]}, "outside itself"),
-        ({"buffers": [{"byteLength": 42, "uri": "http://127.0.0.1/x"}]}, "outside itself"),
-        ({"buffers": [{"byteLength": 42, "uri": "data:application/octet-stream;base64,***"}]}, "not base64"),
-        ({"buffers": [{"byteLength": 42}, {"byteLength": 1}]}, "neither a uri"),
-        ({"bufferViews": [{"buffer": 0, "byteLength": 36}, {"byteLength": 6}]}, "names no buffer"),
-        ({"bufferViews": [{"buffer": 0, "byteOffset": 40, "byteLength": 36}] * 2}, "ends at byte 76"),
-        ({"bufferViews": [{"buffer": 0, "byteLength": 30}] * 2}, "ends at byte 36"),
-        ({"bufferViews": [{"buffer": 0, "byteLength": 36, "byteStride": 4}] * 2}, "4 bytes apart"),
-        ({"materials": [{"alphaMode": "GLOW"}]}, "GLOW"),
-        ({"materials": [{"pbrMetallicRoughness": {"baseColorFactor": [1, 1]}}]}, "4 are needed"),
-    ],
-)  # fmt: skip
-def test_a_gltf_that_breaks_the_rules_is_refused(changes: Changes, message: str | None) -> None:
-    root, binary = triangle_gltf(**changes)
-    if message is None:
-        assert read(gltf_bytes(root, binary), "glb").num_faces == 1  # padding of the chunk may be counted
-        return
-    with pytest.raises(InputError, match=message):
-        read(gltf_bytes(root, binary), "glb")
-
-
-@pytest.mark.parametrize(
-    ("accessor", "message"),
-    [
-        ({"type": "VEC9"}, "VEC9"),
-        ({"componentType": 9}, "componentType is 9"),
-        ({"count": 1 << 50}, "count is"),
-        ({"count": -1}, "count is"),
-        ({"count": "3"}, "count is"),
-        ({"byteOffset": 1}, "ends at byte 37"),
-        ({"sparse": {"count": 4}}, "count is 4"),
-        ({"sparse": {"count": 1, "indices": {"componentType": 5121}, "values": {}}}, "names no bufferView"),
-        (
-            {"sparse": {"count": 1, "indices": {"componentType": 5126, "bufferView": 0}, "values": {"bufferView": 0}}},
-            "outside of its 3",
-        ),
-    ],
-)
-def test_an_accessor_that_breaks_the_rules_is_refused(accessor: Changes, message: str) -> None:
-    root, binary = triangle_gltf()
-    accessors = root["accessors"]
-    assert isinstance(accessors, list)
-    accessors[0] |= accessor
-    with pytest.raises(InputError, match=message):
-        read(gltf_bytes(root, binary), "glb")
-
-
-def test_skin_weights_that_name_no_joint_are_refused() -> None:
-    attributes = {"POSITION": 0, "JOINTS_0": 0, "WEIGHTS_0": 0}
-    root, binary = triangle_gltf(
-        nodes=[{"mesh": 0, "skin": 0}], skins=[{"joints": [0]}], meshes=[{"primitives": [{"attributes": attributes}]}]
-    )
-    with pytest.raises(FormatError, match="joints beyond its 1"):
-        read(gltf_bytes(root, binary), "glb")
-
-
-def test_gpu_instances_that_do_not_agree_are_refused() -> None:
-    for attributes, message in (
-        ({"TRANSLATION": 0, "SCALE": 2}, "different lengths"),
-        ({"ROTATION": 0}, "3 numbers, not 4"),
-    ):
-        instancing = {"EXT_mesh_gpu_instancing": {"attributes": attributes}}
-        root, binary = triangle_gltf(nodes=[{"mesh": 0, "extensions": instancing}])
-        accessors = root["accessors"]
-        assert isinstance(accessors, list)
-        accessors.append({"componentType": 5126, "count": 2, "type": "VEC3"})
-        with pytest.raises(FormatError, match=message):
-            read(gltf_bytes(root, binary), "glb")
-
-
-def test_a_draco_stream_that_is_none_is_refused() -> None:
-    for extension, message in (
-        ({}, "no POSITION|no bufferView"),
-        ({"attributes": {}}, "no bufferView"),
-        ({"bufferView": 0}, "Draco"),
-    ):
-        primitive = {"attributes": {"POSITION": 0}, "extensions": {"KHR_draco_mesh_compression": {"x": 1} | extension}}
-        root, binary = triangle_gltf(meshes=[{"primitives": [primitive]}])
-        with pytest.raises(FormatError, match=message):
-            read(gltf_bytes(root, binary), "glb")
-
-
-def test_a_draco_stream_of_points_is_refused() -> None:
-    stream = DracoPy.encode(np.eye(3))
-    root, binary = triangle_gltf(buffers=[{"byteLength": 44 + len(stream)}])
-    assert isinstance(root["bufferViews"], list)
-    root["bufferViews"].append({"buffer": 0, "byteOffset": 44, "byteLength": len(stream)})
-    extension = {"bufferView": 2, "attributes": {"POSITION": 0}}
-    primitive = {"attributes": {"POSITION": 0}, "extensions": {"KHR_draco_mesh_compression": extension}}
-    root["meshes"] = [{"primitives": [primitive]}]
-    with pytest.raises(FormatError, match="holds no mesh"):
-        read(gltf_bytes(root, binary + b"\0\0" + stream), "glb")
-
-
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        (b"glTF" + b"\0" * 8, "truncated"),
-        (b"glTF" + (1).to_bytes(4, "little") + b"\0" * 20, "GLB version 1"),
-        (b"glTF" + (2).to_bytes(4, "little") + (999).to_bytes(4, "little") + b"\0" * 20, "says that it has 999"),
-        (b"glTF" + (2).to_bytes(4, "little") + (28).to_bytes(4, "little") + b"\0" * 16, "no JSON chunk"),
-        (b"glTF" + (2).to_bytes(4, "little") + (28).to_bytes(4, "little") + b"\xff" * 16, "ends at byte"),
-    ],
-)
-def test_a_broken_glb_container_is_refused(content: bytes, message: str) -> None:
-    with pytest.raises(FormatError, match=message):
-        read(content, "glb")
-
-
-def test_json_that_is_none_or_too_deep_is_refused() -> None:
-    for text in (b"{", b"[]", b"[" * 100_000, b'{"asset": nope}'):
-        with pytest.raises(FormatError, match="JSON"):
-            read(text, "gltf")
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,326 @@
+"""glTF and GLB: parts, materials, placed and instanced nodes, accessors, textures, Draco."""
+
+import base64
+import io
+import json
+
+import DracoPy
+import numpy as np
+import pytest
+import trimesh
+
+from dynamictree.formats.axes import up_rotation
+from dynamictree.formats.gltf import write_glb
+from dynamictree.formats.mesh_file import read_mesh
+from dynamictree.mesh import TriangleMesh
+from tests.formats.meshes import gltf_bytes, image_bytes, triangle_gltf, trunk_and_crown
+
+CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 0, 1]], np.float32)  # of triangle_gltf, +Z up
+
+
+def read(content: bytes, file_type: str, **options: object) -> TriangleMesh:
+    return read_mesh(io.BytesIO(content), file_type=file_type, **options)  # type: ignore[arg-type]
+
+
+def read_gltf(**changes: object) -> TriangleMesh:
+    root, binary = triangle_gltf(**changes)
+    return read(gltf_bytes(root, binary), "glb")
+
+
+def with_data(extra: bytes, *views: dict[str, object], **changes: object) -> TriangleMesh:
+    """The triangle's document with more bytes, and more views that begin behind its 42."""
+    root, binary = triangle_gltf(**changes)
+    assert isinstance(root["bufferViews"], list)
+    root["bufferViews"] += [{"buffer": 0, **view} for view in views]
+    root["buffers"] = [{"byteLength": 44 + len(extra)}]
+    return read(gltf_bytes(root, binary + b"\0\0" + extra), "glb")
+
+
+def test_gltf_turns_from_y_up_to_z_up() -> None:
+    mesh = read_gltf()
+    np.testing.assert_array_equal(mesh.vertices, CORNERS)
+    assert mesh.source_up_axis == "+Y"
+    assert mesh.source_scale == 1.0
+    np.testing.assert_array_equal(mesh.faces, [[0, 1, 2]])
+
+
+def test_gltf_told_otherwise_follows_what_it_is_told() -> None:
+    root, binary = triangle_gltf()
+    mesh = read(gltf_bytes(root, binary), "glb", up_axis="+Z", unit_m=0.01)
+    np.testing.assert_allclose(mesh.vertices, np.float32([[0, 0, 0], [0.01, 0, 0], [0, 0.01, 0]]))
+    assert (mesh.source_up_axis, mesh.source_scale) == ("+Z", 0.01)
+
+
+def test_nodes_place_scale_and_turn_their_meshes() -> None:
+    half_turn = [0, 1, 0, 0]  # about +Y of the file, +Z here
+    nodes = [{"children": [1], "translation": [0, 5, 0]}, {"mesh": 0, "rotation": half_turn, "scale": [2, 3, 1]}]
+    np.testing.assert_allclose(read_gltf(nodes=nodes).vertices, [[0, 0, 5], [-2, 0, 5], [0, 0, 8]], atol=1e-6)
+
+
+def test_a_node_s_matrix_is_stored_by_columns() -> None:
+    matrix = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 7, 8, 9, 1]
+    mesh = read_gltf(nodes=[{"mesh": 0, "matrix": matrix}])
+    np.testing.assert_allclose(mesh.vertices[0], [7, -9, 8])
+
+
+def test_a_mirrored_node_keeps_the_outside_outside() -> None:
+    np.testing.assert_array_equal(read_gltf(nodes=[{"mesh": 0, "scale": [-1, 1, 1]}]).faces, [[2, 1, 0]])
+
+
+def test_one_mesh_in_three_nodes_stands_three_times() -> None:
+    nodes = [{"mesh": 0, "translation": [i, 0, 0]} for i in range(3)]
+    mesh = read_gltf(nodes=nodes, scenes=[{"nodes": [0, 1, 2]}])
+    assert (mesh.num_vertices, mesh.num_faces) == (9, 3)
+    np.testing.assert_allclose(mesh.vertices[::3, 0], [0, 1, 2])
+
+
+def test_gpu_instances_stand_where_they_are_put() -> None:
+    places = np.array([[0, 0, 0], [4, 0, 0]], np.float32)
+    mesh = with_data(
+        places.tobytes(),
+        {"byteOffset": 44, "byteLength": 24},
+        nodes=[{"mesh": 0, "extensions": {"EXT_mesh_gpu_instancing": {"attributes": {"TRANSLATION": 2}}}}],
+        accessors=[
+            {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"},
+            {"bufferView": 1, "componentType": 5123, "count": 3, "type": "SCALAR"},
+            {"bufferView": 2, "componentType": 5126, "count": 2, "type": "VEC3"},
+        ],
+    )
+    np.testing.assert_allclose(mesh.vertices[[0, 3], 0], [0, 4])
+
+
+def test_nodes_outside_of_the_scene_are_left_out_and_without_a_scene_all_are_in() -> None:
+    nodes = [{"mesh": 0}, {"mesh": 0}]
+    assert read_gltf(nodes=nodes).num_faces == 1
+    root, binary = triangle_gltf(nodes=nodes)
+    del root["scene"], root["scenes"]
+    assert read(gltf_bytes(root, binary), "glb").num_faces == 2
+
+
+def test_a_skin_at_rest_places_its_mesh_by_its_joints_alone() -> None:
+    joints, weights = np.zeros((3, 4), np.uint8), np.tile(np.float32([1, 0, 0, 0]), (3, 1))
+    accessors = [
+        {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"},
+        {"bufferView": 2, "componentType": 5121, "count": 3, "type": "VEC4"},
+        {"bufferView": 3, "componentType": 5126, "count": 3, "type": "VEC4"},
+        {"bufferView": 4, "componentType": 5126, "count": 1, "type": "MAT4"},
+    ]
+    bind = np.eye(4, dtype=np.float32)
+    bind[3, :3] = [0, -1, 0]  # by columns: moves down by 1
+    mesh = with_data(
+        joints.tobytes() + weights.tobytes() + bind.tobytes(),
+        {"byteOffset": 44, "byteLength": 12},
+        {"byteOffset": 56, "byteLength": 48},
+        {"byteOffset": 104, "byteLength": 64},
+        accessors=accessors,
+        meshes=[{"primitives": [{"attributes": {"POSITION": 0, "JOINTS_0": 1, "WEIGHTS_0": 2}}]}],
+        nodes=[{"mesh": 0, "skin": 0, "translation": [100, 0, 0]}, {"translation": [0, 3, 0]}],
+        scenes=[{"nodes": [0, 1]}],
+        skins=[{"joints": [1], "inverseBindMatrices": 3}],
+    )
+    np.testing.assert_allclose(mesh.vertices, CORNERS + np.array([0, 0, 2]), atol=1e-6)
+
+
+def test_a_primitive_without_indices_takes_its_vertices_in_order() -> None:
+    np.testing.assert_array_equal(
+        read_gltf(meshes=[{"primitives": [{"attributes": {"POSITION": 0}}]}]).faces, [[0, 1, 2]]
+    )
+
+
+@pytest.mark.parametrize(("mode", "expected"), [(5, [[0, 1, 2], [1, 3, 2]]), (6, [[0, 1, 2], [0, 2, 3]])])
+def test_strips_and_fans_become_triangles(mode: int, expected: list[list[int]]) -> None:
+    square = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], np.float32)
+    mesh = with_data(
+        square.tobytes(),
+        {"byteOffset": 44, "byteLength": 48},
+        accessors=[{"bufferView": 2, "componentType": 5126, "count": 4, "type": "VEC3"}],
+        meshes=[{"primitives": [{"attributes": {"POSITION": 0}, "mode": mode}]}],
+    )
+    np.testing.assert_array_equal(mesh.faces, expected)
+
+
+def test_points_and_lines_beside_triangles_are_passed_over() -> None:
+    primitives = [{"attributes": {"POSITION": 0}, "mode": mode} for mode in (0, 1, 4)]
+    assert read_gltf(meshes=[{"primitives": primitives}]).num_faces == 1
+
+
+def test_a_sparse_accessor_replaces_some_elements() -> None:
+    sparse = {
+        "count": 1,
+        "indices": {"bufferView": 2, "componentType": 5121},
+        "values": {"bufferView": 3},
+    }
+    mesh = with_data(
+        b"\x01\0\0\0" + np.float32([9, 0, 0]).tobytes(),
+        {"byteOffset": 44, "byteLength": 4},
+        {"byteOffset": 48, "byteLength": 12},
+        accessors=[{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3", "sparse": sparse}],
+        meshes=[{"primitives": [{"attributes": {"POSITION": 0}}]}],
+    )
+    np.testing.assert_array_equal(mesh.vertices[:, 0], [0, 9, 0])
+
+
+def test_a_sparse_accessor_may_stand_on_zeros() -> None:
+    sparse = {"count": 2, "indices": {"bufferView": 2, "componentType": 5121}, "values": {"bufferView": 3}}
+    mesh = with_data(
+        b"\x01\x02\0\0" + np.float32([1, 0, 0, 0, 1, 0]).tobytes(),
+        {"byteOffset": 44, "byteLength": 2},
+        {"byteOffset": 48, "byteLength": 24},
+        accessors=[{"componentType": 5126, "count": 3, "type": "VEC3", "sparse": sparse}],
+        meshes=[{"primitives": [{"attributes": {"POSITION": 0}}]}],
+    )
+    np.testing.assert_array_equal(mesh.vertices, CORNERS)
+
+
+def test_interleaved_and_normalised_attributes_are_read() -> None:
+    """KHR_mesh_quantization: positions as normalised int16, 8 bytes apart, with bytes of colour and uint16 places."""
+    rows = np.zeros(3, [("position", "<i2", (3,)), ("pad", "<i2")])
+    rows["position"] = [[0, 0, 0], [32767, 0, 0], [0, -32767, 0]]
+    colors, places = np.array([[255, 0, 0, 128]] * 3, np.uint8), np.array([[0, 65535]] * 3, np.uint16)
+    mesh = with_data(
+        rows.tobytes() + colors.tobytes() + places.tobytes(),
+        {"byteOffset": 44, "byteLength": 24, "byteStride": 8},
+        {"byteOffset": 68, "byteLength": 12},
+        {"byteOffset": 80, "byteLength": 12},
+        extensionsRequired=["KHR_mesh_quantization"],
+        accessors=[
+            {"bufferView": 2, "componentType": 5122, "count": 3, "type": "VEC3", "normalized": True},
+            {"bufferView": 3, "componentType": 5121, "count": 3, "type": "VEC4", "normalized": True},
+            {"bufferView": 4, "componentType": 5123, "count": 3, "type": "VEC2", "normalized": True},
+        ],
+        meshes=[{"primitives": [{"attributes": {"POSITION": 0, "COLOR_0": 1, "TEXCOORD_0": 2}}]}],
+    )
+    np.testing.assert_allclose(mesh.vertices, [[0, 0, 0], [1, 0, 0], [0, 0, -1]])
+    assert mesh.uv is not None
+    np.testing.assert_array_equal(mesh.uv, [[0, 1]] * 3)
+    assert mesh.vertex_colors is not None
+    np.testing.assert_array_equal(mesh.vertex_colors, [[255, 0, 0, 128]] * 3)
+
+
+def test_a_texture_s_transform_moves_its_coordinates() -> None:
+    places = np.array([[0, 0], [1, 0], [0, 1]], np.float32)
+    transform = {"offset": [0.5, 0.25], "rotation": np.pi / 2, "scale": [2, 1]}
+    texture = {"index": 0, "texCoord": 1, "extensions": {"KHR_texture_transform": transform}}
+    image = base64.b64encode(image_bytes()).decode()
+    mesh = with_data(
+        places.tobytes(),
+        {"byteOffset": 44, "byteLength": 24},
+        accessors=[
+            {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"},
+            {"bufferView": 2, "componentType": 5126, "count": 3, "type": "VEC2"},
+        ],
+        meshes=[{"primitives": [{"attributes": {"POSITION": 0, "TEXCOORD_1": 1}, "material": 0}]}],
+        materials=[{"pbrMetallicRoughness": {"baseColorTexture": texture}, "alphaMode": "BLEND"}],
+        textures=[{"source": 0}],
+        images=[{"uri": f"data:image/png;base64,{image}"}],
+    )
+    assert mesh.uv is not None
+    np.testing.assert_allclose(mesh.uv, [[0.5, 0.25], [0.5, -1.75], [1.5, 0.25]], atol=1e-6)
+    assert mesh.materials[0].texture_png == image_bytes()
+    assert mesh.materials[0].alpha_cutoff == 0.5
+
+
+def test_a_jpeg_texture_becomes_png() -> None:
+    jpeg = base64.b64encode(image_bytes("JPEG")).decode()
+    mesh = read_gltf(
+        materials=[{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}],
+        textures=[{"source": 0}],
+        images=[{"uri": f"data:image/jpeg;base64,{jpeg}"}],
+    )
+    assert mesh.materials[0].texture_png is not None
+    assert mesh.materials[0].texture_png.startswith(b"\x89PNG")
+
+
+def test_a_texture_without_an_image_is_none() -> None:
+    material = {"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}, "alphaMode": "MASK", "alphaCutoff": 0.3}
+    mesh = read_gltf(materials=[material], textures=[{}])
+    assert mesh.materials[0].texture_png is None
+    assert mesh.materials[0].alpha_cutoff == 0.3
+
+
+def test_a_part_without_a_material_gets_a_white_one() -> None:
+    primitives = [{"attributes": {"POSITION": 0}, "material": 0}, {"attributes": {"POSITION": 0}, "indices": 1}]
+    mesh = read_gltf(meshes=[{"primitives": primitives}], materials=[{"name": "bark"}])
+    assert [material.name for material in mesh.materials] == ["bark", "default"]
+    assert mesh.face_material is not None
+    np.testing.assert_array_equal(mesh.face_material, [0, 1])
+    assert mesh.num_vertices == 3  # one list of vertices for both
+
+
+def test_a_part_without_colours_is_white_beside_one_with() -> None:
+    colors = np.array([[1, 0, 0]] * 3, np.float32)
+    mesh = with_data(
+        colors.tobytes(),
+        {"byteOffset": 44, "byteLength": 36},
+        accessors=[
+            {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"},
+            {"bufferView": 2, "componentType": 5126, "count": 3, "type": "VEC3"},
+        ],
+        meshes=[{"primitives": [{"attributes": {"POSITION": 0}}, {"attributes": {"POSITION": 0, "COLOR_0": 1}}]}],
+    )
+    assert mesh.vertex_colors is not None
+    np.testing.assert_array_equal(mesh.vertex_colors[[0, 3]], [[255, 255, 255, 255], [255, 0, 0, 255]])
+
+
+def test_json_gltf_takes_its_buffers_from_data_uris_or_from_beside_it() -> None:
+    root, binary = triangle_gltf()
+    root["buffers"] = [{"byteLength": 42, "uri": "./tree%20data.bin"}]
+    outside = read(json.dumps(root).encode(), "gltf", companions={"tree data.bin": binary})
+    uri = "data:application/octet-stream;base64," + base64.b64encode(binary).decode()
+    root["buffers"] = [{"byteLength": 42, "uri": uri}]
+    inside = read(json.dumps(root).encode(), "gltf")
+    np.testing.assert_array_equal(outside.vertices, inside.vertices)
+
+
+def test_draco_is_decoded(rng: np.random.Generator) -> None:
+    mesh = trunk_and_crown(rng)
+    stream = DracoPy.encode(
+        mesh.vertices[:, [0, 2, 1]] * [1, 1, -1],
+        mesh.faces,
+        quantization_bits=20,
+        preserve_order=True,
+        tex_coord=mesh.uv.astype(np.float64),
+    )
+    decoded = DracoPy.decode(stream)
+    names = {0: "POSITION", 3: "TEXCOORD_0"}  # draco's attribute types
+    identities = {names[int(a["attribute_type"])]: int(a["unique_id"]) for a in decoded.attributes}
+    primitive = {
+        "attributes": {"POSITION": 0, "TEXCOORD_0": 2},
+        "indices": 1,
+        "extensions": {"KHR_draco_mesh_compression": {"bufferView": 2, "attributes": identities}},
+    }
+    found = with_data(
+        stream,
+        {"byteOffset": 44, "byteLength": len(stream)},
+        extensionsRequired=["KHR_draco_mesh_compression"],
+        meshes=[{"primitives": [primitive]}],
+        accessors=[
+            {"componentType": 5126, "count": mesh.num_vertices, "type": "VEC3"},
+            {"componentType": 5125, "count": 3 * mesh.num_faces, "type": "SCALAR"},
+            {"componentType": 5126, "count": mesh.num_vertices, "type": "VEC2"},
+        ],
+    )
+    np.testing.assert_allclose(found.vertices, mesh.vertices, atol=1e-4)
+    np.testing.assert_array_equal(found.faces, mesh.faces)
+    assert found.uv is not None
+    assert mesh.uv is not None
+    np.testing.assert_allclose(found.uv, mesh.uv, atol=1e-2)
+
+
+def test_whole_numbers_may_be_written_with_a_point() -> None:
+    assert read_gltf(nodes=[{"mesh": 0.0}]).num_faces == 1
+
+
+def test_required_extensions_of_the_look_alone_do_not_matter() -> None:
+    assert read_gltf(extensionsRequired=["KHR_materials_unlit", "KHR_lights_punctual"]).num_faces == 1
+
+
+def test_a_written_glb_is_read_by_trimesh(rng: np.random.Generator) -> None:
+    mesh, stream = trunk_and_crown(rng), io.BytesIO()
+    write_glb(mesh, stream)
+    scene = trimesh.load_scene(io.BytesIO(stream.getvalue()), file_type="glb", process=False)
+    merged = trimesh.util.concatenate(list(scene.geometry.values()))
+    low, high = merged.bounds @ up_rotation("+Y").T
+    np.testing.assert_allclose(
+        np.sort([low, high], axis=0), [mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)], atol=1e-5
+    )
