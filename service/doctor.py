@@ -5,6 +5,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from importlib.util import find_spec
@@ -147,9 +148,10 @@ def _presets(_: Settings) -> Finding:
 
 def _isolation(_: Settings) -> Finding:
     """What holds the process that reads uploads; asked in a process of its own, because it is for good."""
-    program = "import tempfile, pathlib; from worker.confine import confine; "
-    program += "print(*confine(pathlib.Path(tempfile.mkdtemp())))"
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False, timeout=60)
+    program = "import pathlib, sys; from worker.confine import confine; print(*confine(pathlib.Path(sys.argv[1])))"
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-c", program, folder]
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
     holds = done.stdout.split()
     missing = [hold for hold in ("landlock", "seccomp") if hold not in holds]
     if missing:

@@ -88,13 +88,9 @@ def reading_options(fields: Mapping[str, str]) -> tuple[str | None, float | None
     """
     unknown = sorted(set(fields) - set(FIELDS))
     if unknown:
-        raise wrong_field(
-            f"form:{unknown[0]}", "unknown-field", f"there is no field {unknown[0]!r}; {', '.join(FIELDS)} are known"
-        )
+        raise _wrong(unknown[0], "unknown-field", f"there is no field {unknown[0]!r}; {', '.join(FIELDS)} are known")
     if fields.get("kind", "mesh") not in ASSET_KINDS:
-        raise wrong_field(
-            "form:kind", "not-allowed", f"kind is {fields['kind']!r}; {', '.join(ASSET_KINDS)} are allowed"
-        )
+        raise _wrong("kind", "not-allowed", f"kind is {fields['kind']!r}; {', '.join(ASSET_KINDS)} are allowed")
     up_axis = fields.get("up_axis")
     if up_axis is not None and up_axis not in UP_AXES:
         raise _wrong("up_axis", "not-allowed", f"up_axis is {up_axis!r}; {', '.join(UP_AXES)} are allowed")
@@ -103,13 +99,9 @@ def reading_options(fields: Mapping[str, str]) -> tuple[str | None, float | None
         try:
             unit_m = float(fields["unit_m"])
         except ValueError as error:
-            raise wrong_field(
-                "form:unit_m", "not-a-number", f"unit_m is {fields['unit_m']!r}; give metres a unit"
-            ) from error
+            raise _wrong("unit_m", "not-a-number", f"unit_m is {fields['unit_m']!r}; give metres a unit") from error
         if not 1e-6 <= unit_m <= 1e6:
-            raise wrong_field(
-                "form:unit_m", "out-of-range", f"unit_m is {unit_m:g}; 1e-6 to 1e6 metres a unit are allowed"
-            )
+            raise _wrong("unit_m", "out-of-range", f"unit_m is {unit_m:g}; 1e-6 to 1e6 metres a unit are allowed")
     return up_axis, unit_m
 
 

@@ -135,11 +135,6 @@ class SparseUNet(nn.Module):
         return head
 
 
-def parameters_of(module: nn.Module) -> int:
-    """How many numbers are learnt."""
-    return sum(parameter.numel() for parameter in module.parameters())
-
-
 def _stages(levels: nn.ModuleList) -> list[nn.ModuleList]:
     return [stages for stages in levels if isinstance(stages, nn.ModuleList)]
 

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from dynamictree.errors import FormatError
+from dynamictree.gaussian.rotation import quaternion_matrices
 
 TRANSFORMS, LLFF = "transforms.json", "poses_bounds.npy"
 COLMAP = ("cameras.bin", "images.bin"), ("cameras.txt", "images.txt")
@@ -238,12 +239,7 @@ def _colmap_camera(name: str, lens: tuple[str, int, int, Sequence[float]], pose:
     model, width, height, params = lens
     if model not in _LENGTHS or len(params) != _LENGTHS[model] or min(width, height) < 1:
         raise ValueError(f"a camera of model {model} with {len(params)} numbers; {', '.join(_LENGTHS)} are allowed")
-    w, x, y, z = np.array(pose[:4]) / np.linalg.norm(pose[:4])
-    rotation = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
+    rotation = quaternion_matrices(np.array([pose[:4]]) / np.linalg.norm(pose[:4]))[0]
     matrix = np.concatenate([rotation, np.array(pose[4:7])[:, None]], axis=1)
     return GivenCamera(
         photo=name, model=model, params=tuple(params), width=width, height=height, world_to_camera=matrix

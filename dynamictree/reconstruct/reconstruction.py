@@ -103,8 +103,7 @@ def reconstruct(
     with spent.on("mesh"):
         surface, made_by = best_surface(fit.table, scene)
         shape = finished(surface, scene, height_m=options.height_m or UNKNOWN_HEIGHT_M)
-    found = _put_together(listed, model, fit, shape, options, spent)
-    found.report["mesh_by"] = made_by
+    found = _put_together(listed, model, fit, shape, options, spent, mesh_by=made_by)
     write_report(found, fit, folder)
     on_progress(1.0)
     return found
@@ -143,6 +142,8 @@ def _put_together(
     shape: Shape,
     options: ReconstructOptions,
     spent: "_Spent",
+    *,
+    mesh_by: str,
 ) -> Reconstruction:
     whole = cloud_in_metres(fit.table, shape.scale, shape.origin)
     own = of_the_tree(whole, shape.mesh.vertices, radius_m=shape.scale)
@@ -164,7 +165,7 @@ def _put_together(
         ground_found=shape.ground_found,
         scale="unknown" if options.height_m is None else "given",
         height_m=mesh.height_m,
-        mesh_by="",
+        mesh_by=mesh_by,
         num_vertices=mesh.num_vertices,
         num_faces=mesh.num_faces,
         num_gaussians=int(own.sum()),

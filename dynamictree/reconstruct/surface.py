@@ -59,21 +59,6 @@ class Shape:
     origin: Float64[np.ndarray, "3"]
 
 
-def find_shape(
-    model: SparseModel, *, height_m: float, on_progress: Callable[[float], None] = lambda done: None
-) -> Shape:
-    """Mesh what the cameras look at, cut from the ground and its surroundings, scaled to a height.
-
-    Raises:
-        ReconstructionError: the views agree on no surface.
-    """
-    scene = find_scene(model, on_progress=lambda done: on_progress(0.9 * done))
-    _check(stereo_surface(scene), model)
-    shape = finished(stereo_surface(scene), scene, height_m=height_m)
-    on_progress(0.94)
-    return shape
-
-
 def find_scene(model: SparseModel, *, on_progress: Callable[[float], None] = lambda done: None) -> Scene:
     """Depths of all views, coarse ones to find the subject by, then fine ones of it."""
     cut_out = all(view.alpha is not None for view in model.views)

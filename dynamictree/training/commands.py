@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from dynamictree.terminal import AsJson
 from dynamictree.training.progress import OnStep, bars
 
 if TYPE_CHECKING:
@@ -15,8 +16,6 @@ if TYPE_CHECKING:
     from dynamictree.training.small import SmallTraining
 
 PRESETS = ("small", "paper")
-
-AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
 
 
 def train(

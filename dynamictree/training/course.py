@@ -96,12 +96,14 @@ class Course:
         os.replace(partial, path)
         logger.info("checkpoint written", extra={"step": self.step, "path": str(path)})
 
-    def load(self, path: Path) -> None:
-        """Go on from a checkpoint.
+    def resume(self, path: Path) -> None:
+        """Go on from a checkpoint, if it is there.
 
         Raises:
             CheckpointError: its tensors are not this network's.
         """
+        if not path.exists():
+            return
         with safe_open(path, "pt") as stored:
             tensors = {name: stored.get_tensor(name) for name in stored.keys()}  # noqa: SIM118
             self.step = int(json.loads(stored.metadata()["step"]))

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from dynamictree.errors import InputError
+from dynamictree.terminal import AsJson
 from dynamictree.training.progress import OnStep, bars
 
 if TYPE_CHECKING:
     from dynamictree.training.clip import ImageEmbedder
 
-AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
 RIVALS = ("sapling",)
 
 

@@ -20,15 +20,6 @@ from dynamictree.training.targets import RULE, passes, targets_of
 from dynamictree.training.trees import Group, JudgedTree, iter_judged, iter_sapling
 from dynamictree.voxel.inextensible import bending
 
-METHODS = {
-    "model": "the diffusion model",
-    "regression": "amplitude network, one random phase a frequency",
-    "noise only": "amplitude network times the noise that the diffusion starts from",
-    "by-height mean": "training mean by height, one random phase a frequency",
-    "nearest tree": "the most alike training tree's motion",
-    "representation": "the truth through the voxels and back",
-    "second wind": "the same tree in other gusts: what chance alone makes",
-}
 SEEN_BY_CLIP = ("truth", "model", "by-height mean")
 
 
@@ -44,7 +35,12 @@ class Knowledge:
 def iter_motions(
     ruler: Ruler, known: Knowledge, *, seed: int, num_steps: int | None = None
 ) -> Iterator[tuple[str, Complex64[np.ndarray, "N K 3"]]]:
-    """Each method's motion of the tree's vertices [m]."""
+    """Each method's motion of the tree's vertices [m].
+
+    The model; the amplitude network with one random phase a frequency (regression), and times the noise that the
+    diffusion starts from (noise only); the training mean by height; the most alike training tree's motion; the truth
+    through the voxels and back (representation); and the same tree in other gusts (second wind): what chance makes.
+    """
     tree, model = ruler.tree, known.model
     rng = np.random.default_rng([seed, 1])
     interpolation = bending(tree.voxels.grid, tree.mesh)

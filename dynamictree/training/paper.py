@@ -23,7 +23,6 @@ from dynamictree.diffusion.paper import PaperNetwork, PaperPreset, PaperTraining
 from dynamictree.diffusion.schedule import linear_schedule
 from dynamictree.diffusion.small import pack_channels
 from dynamictree.errors import InputError
-from dynamictree.mesh import TriangleMesh
 from dynamictree.sparse.level import Pyramid, batch_pyramids, pyramid
 from dynamictree.training.course import Course, Pace
 from dynamictree.training.progress import OnStep
@@ -78,7 +77,7 @@ class PaperExample:
 
 def paper_example(stored: StoredTree, *, resolution: int, halvings: int, num_levels: int) -> PaperExample:
     """Voxelise the mesh finely, and bring the stored spectrum onto the grid that the encoder ends on."""
-    mesh = TriangleMesh(vertices=stored.tensors["vertices"], faces=stored.tensors["faces"])
+    mesh = stored.mesh()
     fine = voxelize(mesh, resolution << halvings)
     grids = pyramid(torch.from_numpy(fine.grid.coords.astype(np.int64)), halvings + num_levels)
     coords = grids.levels[halvings].coords.numpy().astype(np.int32)
@@ -105,8 +104,7 @@ def train_paper(run: PaperRun, shards: Sequence[str], folder: Path, *, on_step: 
     if not run.by_frequency:
         scale = one_size(scale)
     course, checkpoint = Course(network, run.pace(world)), folder / "paper.checkpoint.safetensors"
-    if checkpoint.exists():
-        course.load(checkpoint)
+    course.resume(checkpoint)
     schedule = linear_schedule().to(device)
 
     def loss_of(rng: np.random.Generator) -> Float32[Tensor, ""]:

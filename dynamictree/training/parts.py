@@ -46,9 +46,9 @@ def true_parts(stored: StoredTree, grid: VoxelGrid) -> Float32[np.ndarray, "V 10
 def _at_vertices(stored: StoredTree, mesh: TriangleMesh) -> Float32[np.ndarray, "N 10"]:
     vertices, skeleton = mesh.vertices, stored.skeleton()
     leaf = stored.tensors["part"] == LEAF
-    base = vertices[_first_of_piece(mesh)]
-    arm = (vertices - base) * leaf[:, None]
     piece = _first_of_piece(mesh)
+    base = vertices[piece]
+    arm = (vertices - base) * leaf[:, None]
     out = np.linalg.norm(arm, axis=1)
     length = np.zeros(len(vertices))
     np.maximum.at(length, piece, out)

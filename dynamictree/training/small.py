@@ -40,7 +40,7 @@ TREES_A_FILE = 25
 class SmallTraining:
     """The resolved run. Each part takes the next trees of the shards, so that none judges itself by what it knows."""
 
-    foliage_trees: int = 400
+    foliage_trees: int = 640
     amplitude_trees: int = 1200
     denoiser_trees: int = 160
     preset: SmallPreset = field(default_factory=SmallPreset)
@@ -82,8 +82,7 @@ def _train_foliage(
     on_step: OnTrainingStep | None,
 ) -> None:
     course = Course(network.foliage, plan.foliage)
-    if checkpoint.exists():
-        course.load(checkpoint)
+    course.resume(checkpoint)
     if course.step < plan.foliage.num_steps:
         measured = known_trees(iter_training(shards, first=0, count=plan.foliage_trees))
         trees = list(islice(measured, STANDARDISED_ON + course.step))
@@ -126,8 +125,7 @@ def _train_amplitude(
 ) -> None:
     standardise(network.amplitude, rows)
     course = Course(network.amplitude, plan.amplitude)
-    if checkpoint.exists():
-        course.load(checkpoint)
+    course.resume(checkpoint)
     for step, loss in course.run(lambda rng: amplitude_step(network.amplitude, rows, rng), checkpoint):
         _tell(on_step, "amplitude", step, plan.amplitude.num_steps, loss)
     network.amplitude.load_state_dict(course.average.state_dict())
@@ -147,8 +145,7 @@ def _train_denoiser(
     if plan.denoiser_from is not None:
         load_part(network.denoiser, load_file(plan.denoiser_from), "denoiser")
     course = Course(network.denoiser, plan.denoiser)
-    if checkpoint.exists():
-        course.load(checkpoint)
+    course.resume(checkpoint)
     if course.step < plan.denoiser.num_steps:
         world = torch.distributed.get_world_size() if torch.distributed.is_initialized() else 1
         trees = iter_training(shards, first=first, count=plan.denoiser_trees)

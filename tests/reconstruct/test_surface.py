@@ -13,7 +13,7 @@ from dynamictree.reconstruct.depth import rays_through, stereo_view
 from dynamictree.reconstruct.fusion import Box, Surface, above, fuse, main_cluster
 from dynamictree.reconstruct.stage import find_stage
 from dynamictree.reconstruct.stereo import DepthRange, Hypotheses, agreed_depths, match_view, neighbours_of
-from dynamictree.reconstruct.surface import find_scene, find_shape, photo_colors
+from dynamictree.reconstruct.surface import find_scene, finished, photo_colors, stereo_surface
 from dynamictree.reconstruct.views import SparseModel, View
 from dynamictree.render import Look, Renderer
 from tests.reconstruct.conftest import Orbit
@@ -223,8 +223,9 @@ def test_photos_without_any_pattern_show_no_surface(orbit, rng):
     plain = SparseModel(
         views=blank, points=model.points, colors=model.colors, seen=model.seen, reprojection_error_px=0.5
     )
+    scene = find_scene(plain)
     with pytest.raises(ReconstructionError, match=r"14 photos fit together, but they agree on 0 triangles"):
-        find_shape(plain, height_m=1.0)
+        finished(stereo_surface(scene), scene, height_m=1.0)
 
 
 def test_what_masks_show_is_kept_where_stereo_sees_only_a_part(orbit, rng):

@@ -38,7 +38,7 @@ def test_a_course_gone_on_with_has_the_same_losses(tmp_path: Path) -> None:
     whole = losses(never_stopped)
     losses(Course(line(), PACE), tmp_path / "line.safetensors", stop_after=5)
     gone_on = Course(line(), PACE)
-    gone_on.load(tmp_path / "line.safetensors")
+    gone_on.resume(tmp_path / "line.safetensors")
     assert gone_on.step == 5
     assert losses(gone_on) == pytest.approx(whole[5:], rel=1e-6)
     for one, other in zip(gone_on.average.parameters(), never_stopped.average.parameters(), strict=True):
@@ -67,7 +67,7 @@ def test_a_checkpoint_of_another_network_is_refused(tmp_path: Path) -> None:
     course = Course(line(), Pace(num_steps=1, save_every=1))
     losses(course, tmp_path / "line.safetensors")
     with pytest.raises(CheckpointError, match="differ in 1 tensors"):
-        Course(nn.Linear(3, 1, bias=False), PACE).load(tmp_path / "line.safetensors")
+        Course(nn.Linear(3, 1, bias=False), PACE).resume(tmp_path / "line.safetensors")
     with pytest.raises(CheckpointError, match=r"weight is \(1, 3\); the network has \(2, 3\)"):
         load_part(nn.Linear(3, 2, bias=False), {"a.weight": torch.zeros(1, 3)}, "a")
 
