@@ -32,16 +32,25 @@ START_S = 90.0
 def serving(state: Path, spectrum: SparseVoxelSpectrum, mesh: TriangleMesh) -> Iterator[tuple[str, str, int]]:
     """Base URL, spectrum id and process id of an API that knows this tree."""
     spectrum_id = published(Context(Settings(state_dir=state)), spectrum, mesh)
+    with started(state) as (url, process_id):
+        yield url, spectrum_id, process_id
+
+
+@contextmanager
+def started(state: Path, **settings: str) -> Iterator[tuple[str, int]]:
+    """Base URL and process id of an API on a state folder; `settings` by the names of docs/settings.md."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     url = f"http://127.0.0.1:{port}"
     command = [sys.executable, "-m", "uvicorn", "service.app:create_app", "--factory", "--port", str(port)]
     quiet = ["--log-level", "warning", "--no-access-log", "--loop", "uvloop", "--http", "httptools"]
-    process = subprocess.Popen([*command, *quiet], env=os.environ | {"DYNAMICTREE_STATE_DIR": str(state)})
+    told = {f"DYNAMICTREE_{name.upper()}": value for name, value in settings.items()}
+    environment = os.environ | {"DYNAMICTREE_STATE_DIR": str(state)} | told
+    process = subprocess.Popen([*command, *quiet], env=environment)
     try:
         _wait(url)
-        yield url, spectrum_id, process.pid
+        yield url, process.pid
     finally:
         process.terminate()
         process.wait(timeout=30)

@@ -7,7 +7,7 @@ import numpy as np
 from benchmarks._machine import machine
 from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.diffusion.model import load_model
-from dynamictree.training.metrics import log_amplitude_agreement
+from dynamictree.training.metrics import log_amplitude_agreement, roughness
 from dynamictree.voxel.graph import voxel_graph
 
 TREES = ((3, "palm"), (5, "weeping"), (7, "pine"), (11, "maple"), (13, "round-broadleaf"))
@@ -32,7 +32,7 @@ def run() -> dict[str, object]:
                 {
                     "log_amplitude_rmse": rmse,
                     "log_amplitude_correlation": correlation,
-                    "roughness_ratio": _roughness(guess, edges) / _roughness(truth, edges),
+                    "roughness_ratio": roughness(guess, edges) / roughness(truth, edges),
                     "seconds": seconds,
                 }
             )
@@ -45,10 +45,3 @@ def run() -> dict[str, object]:
         "sizes": {"trees": len(TREES)},
         **machine("torch", "numpy"),
     }
-
-
-def _roughness(coefficients: np.ndarray, edges: np.ndarray) -> float:
-    """Mean over voxels that touch of |c_i − c_j| over the mean of |c_i|, k ≥ 1."""
-    moving = coefficients[:, 1:].reshape(len(coefficients), -1)
-    across = np.linalg.norm(moving[edges[:, 0]] - moving[edges[:, 1]], axis=1)
-    return float(across.mean() / np.linalg.norm(moving, axis=1).mean())

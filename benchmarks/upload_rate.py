@@ -8,8 +8,6 @@ was kept and hashed.
 
 import os
 import socket
-import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -23,19 +21,19 @@ import httpx
 import psutil
 
 from benchmarks._machine import machine
-from benchmarks._served import processor_s
+from benchmarks._served import processor_s, started
 
 TARGET_MB_S = 200.0
 SIZE = int(os.environ.get("UPLOAD_BYTES") or 512 * 1024**2)
 RUNS = 3
 BUFFER = os.urandom(4 * 1024**2)
-START_S = 90.0
+MAX_BYTES = str(8 * 1024**3)
 
 
 def run() -> dict[str, object]:
     with (
         tempfile.TemporaryDirectory(dir=os.environ.get("UPLOAD_FOLDER")) as folder,
-        _serving(Path(folder)) as (url, pid),
+        started(Path(folder), max_multipart_bytes=MAX_BYTES, max_upload_bytes=MAX_BYTES) as (url, pid),
     ):
         process = psutil.Process(pid)
         _tus(url, 64 * 1024**2)  # warms up
@@ -124,31 +122,3 @@ def _watched(process: psutil.Process) -> Iterator[list[int]]:
     yield most
     stopped.set()
     thread.join()
-
-
-@contextmanager
-def _serving(state: Path) -> Iterator[tuple[str, int]]:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    environment = os.environ | {
-        "DYNAMICTREE_STATE_DIR": str(state),
-        "DYNAMICTREE_MAX_MULTIPART_BYTES": str(8 * 1024**3),
-        "DYNAMICTREE_MAX_UPLOAD_BYTES": str(8 * 1024**3),
-    }
-    command = [sys.executable, "-m", "uvicorn", "service.app:create_app", "--factory", "--port", str(port)]
-    process = subprocess.Popen([*command, "--log-level", "warning", "--no-access-log"], env=environment)
-    url = f"http://127.0.0.1:{port}"
-    deadline = time.monotonic() + START_S
-    try:
-        while True:
-            try:
-                httpx.get(url + "/livez", timeout=2)
-                break
-            except httpx.TransportError:
-                assert time.monotonic() < deadline, "the API did not start"
-                time.sleep(0.1)
-        yield url, process.pid
-    finally:
-        process.terminate()
-        process.wait(30)

@@ -3,12 +3,11 @@
 import numpy as np
 
 from benchmarks._machine import machine
-from dynamictree.dataset.sample import make_sample
+from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.diffusion.model import load_model
 from dynamictree.mesh import TriangleMesh
 from dynamictree.spectrum import Wind
 from dynamictree.training.metrics import amplitude
-from dynamictree.voxel.voxelize import surface_average, voxelize
 
 SEED, SPECIES = 2, "weeping"
 WINDS = (
@@ -20,22 +19,18 @@ WINDS = (
 
 def run() -> dict[str, object]:
     model = load_model("small")
-    mesh = make_sample(SEED, SPECIES).mesh
-    voxels = voxelize(mesh, 128)
-    average = surface_average(mesh, voxels.grid)
     rows = []
     for wind in WINDS:
         sample = make_sample(SEED, SPECIES, wind=wind)
-        flat = sample.coefficients.reshape(mesh.num_vertices, -1).view(np.float32)
-        truth = np.ascontiguousarray(average.astype(np.float32) @ flat).view(np.complex64).reshape(-1, 16, 3)
+        voxels, truth = voxel_spectrum(sample)
         guess = model.generate(voxels, wind=wind, seed=0).coefficients
         rows.append(
             {
                 "speed_m_s": wind.speed_m_s,
                 "gust": wind.gust,
                 "direction_deg": wind.direction_deg,
-                **{f"model_{name}": value for name, value in _measured(guess, mesh).items()},
-                **{f"truth_{name}": value for name, value in _measured(truth, mesh).items()},
+                **{f"model_{name}": value for name, value in _measured(guess, sample.mesh).items()},
+                **{f"truth_{name}": value for name, value in _measured(truth.coefficients, sample.mesh).items()},
             }
         )
     return {

@@ -136,7 +136,10 @@ def offer(store: Store, held: Claim, stage: JobType, files: tuple[OutputFile, ..
     """
     with store.writing() as connection:
         _touch(connection, held)
-        _add_artifacts(connection, held, stage, files, now=store.clock(), retention_s=retention_s)
+        known = sa.select(t.artifacts.c.name).where(t.artifacts.c.job_id == held.job.id)
+        there = set(connection.execute(known).scalars())  # asked again, the answer to the first commit was lost
+        new = tuple(file for file in files if file.name not in there)
+        _add_artifacts(connection, held, stage, new, now=store.clock(), retention_s=retention_s)
 
 
 @patient

@@ -48,4 +48,5 @@ def set_up_logging(settings: Settings) -> None:
     stream = logging.StreamHandler(sys.stderr)
     stream.setFormatter(JsonLines() if settings.log_format == "json" else logging.Formatter(TEXT))
     logging.basicConfig(level=settings.log_level, handlers=[stream], force=True)
-    logging.getLogger("alembic").setLevel("WARNING")
+    for name in ("alembic", "httpx"):  # httpx tells whole URLs, and secrets of webhooks and storages are in them
+        logging.getLogger(name).setLevel("WARNING")

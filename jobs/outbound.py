@@ -100,7 +100,7 @@ class Outbound:
             port = parts.port
         except ValueError as error:
             raise OutboundError(f"the URL cannot be read: {error}") from error
-        if len(url) > MAX_URL_CHARS or not url.isascii() or any(ord(letter) <= 32 for letter in url):
+        if len(url) > MAX_URL_CHARS or not url.isascii() or not url.isprintable() or " " in url:
             raise OutboundError(f"a URL has at most {MAX_URL_CHARS} printable ASCII characters; encode the others")
         if not parts.hostname or parts.username is not None or parts.password is not None:
             raise OutboundError("the URL needs a host, and must not carry a user or password")
@@ -127,16 +127,16 @@ class Outbound:
         timeout = httpx.Timeout(READ_S, connect=CONNECT_S)
         # no proxy, no credentials of this machine; the certificate is the name's, though the address is called
         async with httpx.AsyncClient(timeout=timeout, trust_env=False, follow_redirects=False) as client:
-            request = client.build_request(
-                method,
-                target.pinned_url,
-                headers={"Accept-Encoding": "identity", **headers, "Host": target.parts.netloc},
-                content=content,
-                extensions={"sni_hostname": target.parts.hostname},
-            )
             try:
+                request = client.build_request(
+                    method,
+                    target.pinned_url,
+                    headers={"Accept-Encoding": "identity", **headers, "Host": target.parts.netloc},
+                    content=content,
+                    extensions={"sni_hostname": target.parts.hostname},
+                )
                 response = await client.send(request, stream=True)
-            except httpx.HTTPError as error:
+            except (httpx.HTTPError, httpx.InvalidURL) as error:
                 raise OutboundError(f"{target.parts.hostname} does not answer: {_told(error)}") from error
             try:
                 yield response

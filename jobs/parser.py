@@ -1,19 +1,25 @@
 """The child process that reads what strangers send: how it is called, what it answers. It is `worker.parse`."""
 
 import asyncio
+import logging
 import os
 import signal
 import sys
+import tempfile
 from collections.abc import Mapping
 from pathlib import Path
+from typing import IO
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from jobs.settings import Settings
 from jobs.states import AssetKind
 
+logger = logging.getLogger(__name__)
+
 CHILD = ("-m", "worker.parse")
 MAX_ANSWER_BYTES = 64 * 1024
+MAX_ERROR_BYTES = 4096
 INHERITED = ("PATH", "LANG", "LC_", "LD_LIBRARY_PATH", "PYTHON", "VIRTUAL_ENV", "TMPDIR", "HOME")
 """Of the environment; who reads hostile bytes gets no credentials."""
 
@@ -49,32 +55,38 @@ async def parse(request: ParseRequest, settings: Settings) -> ParseAnswer:
     """Run the child. Whatever happens to it, there is an answer, and no process is left."""
     environment = {name: value for name, value in os.environ.items() if name.startswith(INHERITED)}
     environment |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    child = await asyncio.create_subprocess_exec(
-        sys.executable,
-        *CHILD,
-        stdin=asyncio.subprocess.PIPE,
-        stdout=asyncio.subprocess.PIPE,
-        stderr=asyncio.subprocess.DEVNULL,
-        env=environment,
-        start_new_session=True,
-    )
-    try:
-        # a child that sleeps uses no CPU time, so the wall clock is bounded too
-        sent = request.model_dump_json().encode()
-        answered, _ = await asyncio.wait_for(child.communicate(sent), settings.parser_cpu_s * 2)
-    except TimeoutError:
-        answered = b""
-    finally:
-        if child.returncode is None:
-            os.killpg(child.pid, signal.SIGKILL)
-            await child.wait()
-    try:
-        return ParseAnswer.model_validate_json(answered[:MAX_ANSWER_BYTES])
-    except ValidationError:
-        return _no_answer(child.returncode, settings)
+    with tempfile.TemporaryFile() as errors:
+        child = await asyncio.create_subprocess_exec(
+            sys.executable,
+            *CHILD,
+            stdin=asyncio.subprocess.PIPE,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=errors,
+            env=environment,
+            start_new_session=True,
+        )
+        try:
+            # a child that sleeps uses no CPU time, so the wall clock is bounded too
+            sent = request.model_dump_json().encode()
+            answered, _ = await asyncio.wait_for(child.communicate(sent), settings.parser_cpu_s * 2)
+        except TimeoutError:
+            answered = b""
+        finally:
+            if child.returncode is None:
+                os.killpg(child.pid, signal.SIGKILL)
+                await child.wait()
+        try:
+            return ParseAnswer.model_validate_json(answered[:MAX_ANSWER_BYTES])
+        except ValidationError:
+            return _no_answer(child.returncode, errors, settings)
 
 
-def _no_answer(returncode: int | None, settings: Settings) -> ParseAnswer:
+def _no_answer(returncode: int | None, errors: IO[bytes], settings: Settings) -> ParseAnswer:
+    errors.seek(max(errors.seek(0, os.SEEK_END) - MAX_ERROR_BYTES, 0))
+    told = errors.read().decode(errors="replace")
+    if returncode == 1 and '  File "' in told:  # a traceback; a library without memory ends with 1 too
+        logger.error("the parser failed:\n%s", told)
+        return ParseAnswer(code="internal-error", message="The cause was logged.")
     ended = f"signal {-returncode}" if returncode is not None and returncode < 0 else f"exit code {returncode}"
     allowed = f"{settings.parser_cpu_s} s of one core and {settings.parser_memory_bytes:,} bytes of memory"
     return ParseAnswer(

@@ -107,13 +107,17 @@ class FileWriter:
 
     def keep(self) -> None:
         """Sync and close."""
-        os.fdatasync(self._descriptor)
-        os.close(self._descriptor)
+        try:
+            os.fdatasync(self._descriptor)
+        finally:
+            os.close(self._descriptor)
 
     def discard(self) -> None:
         """Cut off what this writer wrote, and close."""
-        os.ftruncate(self._descriptor, self._began)
-        os.close(self._descriptor)
+        try:
+            os.ftruncate(self._descriptor, self._began)
+        finally:
+            os.close(self._descriptor)
 
 
 class ObjectParts:

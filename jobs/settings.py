@@ -171,5 +171,7 @@ def unknown_variables() -> list[str]:
     known = {f"DYNAMICTREE_{name.upper()}" for name in Settings.model_fields} | {
         "DYNAMICTREE_SECRETS_DIR",
         "DYNAMICTREE_SAMPLES",
+        "DYNAMICTREE_URL",
+        "DYNAMICTREE_API_KEY",
     }
     return sorted(name for name in os.environ if name.startswith("DYNAMICTREE_") and name not in known)

@@ -1,6 +1,6 @@
 """What the housekeeper does to the store: messages to send, leases that ran out, deadlines, retention."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import sqlalchemy as sa
 
@@ -117,7 +117,7 @@ def _reap_one(connection: sa.Connection, job_id: str, now: float, max_lost_attem
 
 
 def _loss(lost: list[str | None]) -> tuple[str, str]:
-    if len(set(lost)) == 1 and len(lost) > 1:
+    if len(set(lost)) == 1 and len(lost) > 1 and lost[0] is not None:
         found = f"{len(lost)} workers were lost, each in the stage {lost[0]}"
         return "poison-input", f"{found}; the input likely needs more memory than a worker has; simplify the mesh"
     return "worker-lost", f"{len(lost)} workers were lost while they ran this job; try again"
@@ -161,14 +161,14 @@ def forget_deliveries(store: Store, *, retention_s: float) -> None:
         connection.execute(t.deliveries.delete().where(old))
 
 
-def unreferenced_blobs(store: Store, *, limit: int = 1000) -> list[str]:
+def unreferenced_blobs(store: Store, *, limit: int = 100) -> list[str]:
     """Hashes of bytes that nothing refers to any more."""
     now = store.clock()
     with store.reading() as connection:
         aged = t.blobs.c.touched_at < now - BLOB_GRACE_S
-        candidates = connection.execute(sa.select(t.blobs.c.sha256).where(aged).limit(limit)).scalars().all()
+        candidates = connection.execute(sa.select(t.blobs.c.sha256).where(aged)).scalars().all()
         kept = set(_referenced(connection, now)) if candidates else set()
-    return [sha256 for sha256 in candidates if sha256 not in kept]
+    return [sha256 for sha256 in candidates if sha256 not in kept][:limit]
 
 
 def _referenced(connection: sa.Connection, now: float) -> Iterator[str]:
@@ -182,7 +182,9 @@ def _referenced(connection: sa.Connection, now: float) -> Iterator[str]:
             yield row.prepared["sha256"]
 
 
-def forget_blob(store: Store, sha256: str) -> None:
-    """Drop the record of bytes that were deleted."""
+def forget_blob(store: Store, sha256: str, delete: Callable[[str], None]) -> None:
+    """Delete bytes and their record, unless someone has just told that they are about to be referred to."""
     with store.writing() as connection:
-        connection.execute(t.blobs.delete().where(t.blobs.c.sha256 == sha256))
+        aged = (t.blobs.c.sha256 == sha256) & (t.blobs.c.touched_at < store.clock() - BLOB_GRACE_S)
+        if connection.execute(t.blobs.delete().where(aged)).rowcount:
+            delete(sha256)  # before the commit: who touches them now waits for it, and then puts them anew

@@ -73,7 +73,7 @@ def change_upload(store: Store, upload_id: str, *, was: tuple[UploadState, ...] 
 
 
 def delete_upload(store: Store, upload_id: str) -> None:
-    """Forget an upload; its bytes are the caller's to delete.
+    """Forget an upload; its bytes are the caller's to delete, before.
 
     Raises:
         NotFoundError, GoneError: there is none, or it has expired.
@@ -100,16 +100,19 @@ def claim_uploads(store: Store, *, lease_s: float, limit: int) -> list[UploadRec
     return claimed
 
 
-def bury_expired(store: Store, *, limit: int = 100) -> list[str]:
-    """Forget uploads past their time; gives the ids of those whose bytes are to be deleted."""
-    now = store.clock()
-    buried = []
+def expired_uploads(store: Store, *, limit: int = 100) -> list[str]:
+    """Uploads past their time."""
+    with store.reading() as connection:
+        old = sa.select(t.uploads.c.id).where(t.uploads.c.expires_at < store.clock()).limit(limit)
+        return list(connection.execute(old).scalars())
+
+
+def bury(store: Store, upload_id: str) -> None:
+    """Forget an upload whose bytes were deleted because its time has passed."""
     with store.writing() as connection:
-        old = sa.select(t.uploads).where(t.uploads.c.expires_at < now).limit(limit)
-        for row in connection.execute(old).all():
-            _bury(connection, UploadRecord(**row._mapping), now=now)
-            buried.append(row.id)
-    return buried
+        row = connection.execute(sa.select(t.uploads).where(t.uploads.c.id == upload_id)).one_or_none()
+        if row is not None:
+            _bury(connection, UploadRecord(**row._mapping), now=store.clock())
 
 
 def _bury(connection: sa.Connection, record: UploadRecord, *, now: float) -> None:

@@ -83,7 +83,7 @@ def served(state: Path, log_path: Path) -> Iterator[str]:
         "--state-dir",
         str(state),
     ]
-    print("== starting the service")
+    print("== starting the service", file=sys.stderr)
     with (
         log_path.open("w") as log,
         subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, text=True) as process,
@@ -93,7 +93,7 @@ def served(state: Path, log_path: Path) -> Iterator[str]:
         finally:
             process.send_signal(signal.SIGTERM)
             process.wait(timeout=60)
-    print("== stopped the service")
+    print("== stopped the service", file=sys.stderr)
 
 
 def wait_ready(process: subprocess.Popen[str], log_path: Path) -> str:

@@ -196,8 +196,8 @@ async def delete_upload_(id: Id, context: Ctx, tus_resumable: _Version = None) -
     _require_version(tus_resumable)
     await run_in_threadpool(upload, context.store, id)
     await context.receivers.take_over(id)
-    await run_in_threadpool(delete_upload, context.store, id)
     await run_in_threadpool(context.parts.delete, id)
+    await run_in_threadpool(delete_upload, context.store, id)
     return Response(status_code=status.HTTP_204_NO_CONTENT)
 
 

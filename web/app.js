@@ -59,6 +59,7 @@ async function open(jobId) {
   try {
     const job = await client.job(jobId);
     const asset = await client.asset(job.asset_id).catch(() => null);
+    if (signal.aborted) return;
     if (asset && !job.result?.spectrum_id) showAtRest(asset, signal);
     await follow(jobId, signal, asset ? nameOf(asset) : "Tree");
   } catch (error) {
@@ -171,7 +172,7 @@ async function askKey(again) {
 
 function setMode(mode) {
   document.body.dataset.mode = mode;
-  for (const id of ["player"]) $(id).hidden = mode !== "moving";
+  $("player").hidden = mode !== "moving";
   $("hint").hidden = mode !== "moving";
   layOut();
 }
@@ -232,9 +233,9 @@ function showWind() {
   const turn = ((direction - made.direction_deg + 540) % 360) - 180;
   motion.wanted = windGain(speed, made.speed_m_s);
   motion.turn = (turn * Math.PI) / 180;
-  const same = Math.abs(speed - made.speed_m_s) < 0.01 && turn === 0;
+  const sameSpeed = Math.abs(speed - made.speed_m_s) < 0.01, turned = Math.abs(turn) >= 0.01, same = sameSpeed && !turned;
   fill($("wind-note"), same ? "The wind that this motion was made for."
-    : `A preview: the same motion${speed === made.speed_m_s ? "" : `, ${motion.wanted.toFixed(motion.wanted < 10 ? 1 : 0)} times as far (speed to the power 1.4)`}${turn ? `, turned by ${Math.abs(turn)}°` : ""}.`);
+    : `A preview: the same motion${sameSpeed ? "" : `, ${motion.wanted.toFixed(motion.wanted < 10 ? 1 : 0)} times as far (speed to the power 1.4)`}${turned ? `, turned by ${degrees(Math.abs(turn))}` : ""}.`);
   $("make-wind").hidden = same;
   stage.wind(direction, speed / 12, accent());
   paintRanges();

@@ -200,6 +200,7 @@ export class Client {
   }
 
   async *_events(id, signal) {
+    signal?.throwIfAborted();
     const late = new AbortController();
     const timer = setTimeout(() => late.abort(new Error("no event came")), FIRST_EVENT_MS);
     const abort = () => late.abort(signal.reason);

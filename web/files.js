@@ -13,7 +13,7 @@ const FORMATS = {
   glb: "GLB", "glb-reduced": "GLB, 8 targets", "glb-skinned": "GLB, skinned", usd: "USD", vat: "Vertex texture", ply: "PLY sequence", motion: "Motion",
   "splat-ply": "Splat sequence", splat: "Splat", png: "Picture", webp: "WebP", mp4: "MP4",
 };
-const INNER = new Set(["mesh.safetensors"]); // for the stages after
+const INNER = new Set(["mesh.safetensors", "cloud.safetensors"]); // for the stages after
 const ORDER = Object.keys(NAMES);
 
 export class Files {
@@ -71,7 +71,7 @@ export class Files {
     }
   }
 
-  /** Formats that the service's own description knows and that are not there yet. */
+  /** Formats that the service's own description knows. */
   async _offer() {
     try {
       this.known ??= formatsOf(await this.client.json("GET", "/openapi.json"));
@@ -84,13 +84,14 @@ export class Files {
 
   async _make(format, pressed) {
     pressed.disabled = true;
-    const { type, asset_id, preset, seed, params } = this.job;
+    const owner = this.job, { asset_id, preset, seed, params } = owner;
+    const follow = (job) => this.job === owner && this.follow(job);
     try {
-      const job = await this.client.createJob({ type, asset_id, preset, seed, params: { ...params, formats: [format] } });
-      await this.client.wait(job.id, { onJob: (now) => this.follow(now) });
+      const job = await this.client.createJob({ type: "animate", asset_id, preset, seed, params: { ...params, formats: [format] } });
+      await this.client.wait(job.id, { onJob: follow });
     } catch (error) {
-      if (error.job) this.follow(error.job);
-      this.onProblem(error);
+      if (error.job) follow(error.job);
+      if (this.job === owner) this.onProblem(error);
     }
     pressed.disabled = false;
   }

@@ -91,6 +91,7 @@ export class Hand {
     const voxel = this.tree.pick(event);
     if (voxel === null) return;
     this.stage.controls.enabled = false;
+    this.stage.canvas.setPointerCapture(event.pointerId);
     const start = new THREE.Vector3(...this.tree.voxelNow(voxel));
     const facing = this.stage.camera.getWorldDirection(new THREE.Vector3());
     this.held = { voxel, start, pointer: event.pointerId, plane: new THREE.Plane().setFromNormalAndCoplanarPoint(facing, start), wanted: null, at: { x: event.clientX, y: event.clientY } };

@@ -2,7 +2,7 @@
 
 export const $ = (id) => document.getElementById(id);
 export const fill = (node, text) => { if (node.textContent !== text) node.textContent = text; };
-export const degrees = (value) => `${value}°`;
+export const degrees = (value) => `${Math.round(value)}°`;
 
 export function element(name, properties = {}, ...children) {
   const node = Object.assign(document.createElement(name), properties);

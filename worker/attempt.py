@@ -16,6 +16,7 @@ from dynamictree.errors import Cancelled, CheckpointError, DynamicTreeError
 from jobs.artifacts import hash_file
 from jobs.assets import read_asset
 from jobs.attempts import cached_stage, offer, publish_stage, start_stage, touch_blob
+from jobs.errors import FencedError
 from jobs.products import CLOUD_BUNDLE, MESH_BUNDLE, SPECTRUM, VOXELS, media_type
 from jobs.records import AssetRecord, JobRecord, OutputFile
 from jobs.states import JOB_TYPES, JobType
@@ -98,7 +99,7 @@ def run_stages(here: Runtime, watch: Watch) -> None:
                 here.artifacts.fetch(file.sha256, inputs / file.name)
                 files[file.name] = inputs / file.name
                 hashes[file.name] = file.sha256
-    except HandedBack:
+    except (HandedBack, FencedError):
         raise  # the next attempt goes on from what is kept, if it comes to this machine
     except BaseException:
         shutil.rmtree(kept, ignore_errors=True)

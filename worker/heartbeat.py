@@ -18,8 +18,9 @@ import sqlalchemy as sa
 
 from jobs.attempts import renew
 from jobs.errors import FencedError
+from jobs.logs import set_up_logging
 from jobs.records import Claim
-from jobs.settings import Settings
+from jobs.settings import Settings, read_settings
 from jobs.store import Store
 from jobs.upkeep import WORKER_LEASES, hold_lease, release_lease
 
@@ -52,10 +53,10 @@ class Heartbeat:
     def wait(self) -> None:
         """Wait until the process beats; start it again if it has died. To be done before a lease is taken."""
         with self._waiting:  # it says so once; of two threads that read, one would wait for ever
-            if self._process.poll() is not None:
-                self._end()
-                self._process, self._beats = self._start(), False
-            if not self._beats:
+            while (died := self._process.poll() is not None) or not self._beats:
+                if died:
+                    self._end()
+                    self._process, self._beats = self._start(), False
                 assert self._process.stdout is not None
                 self._beats = self._process.stdout.readline() == READY
 
@@ -123,7 +124,7 @@ class Beat:
 
 def main() -> None:
     """Beat until stdin ends."""
-    logging.basicConfig(format="%(asctime)s %(levelname)s %(name)s %(message)s")
+    set_up_logging(read_settings())
     first = json.loads(sys.stdin.buffer.readline())
     store = Store.open(first["database_url"])
     beat = Beat(store=store, owner=first["owner"], lease_s=first["lease_s"])

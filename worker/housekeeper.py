@@ -39,7 +39,7 @@ from jobs.upkeep import (
     unreferenced_blobs,
     unsent,
 )
-from jobs.uploads import bury_expired
+from jobs.uploads import bury, expired_uploads
 from worker.courier import Courier
 
 logger = logging.getLogger(__name__)
@@ -87,11 +87,11 @@ class Housekeeper:
             self.store, job_retention_s=settings.job_retention_s, cache_retention_s=settings.artifact_retention_s
         )
         forget_deliveries(self.store, retention_s=settings.webhook_retention_s)
-        for upload_id in bury_expired(self.store):
+        for upload_id in expired_uploads(self.store):
             self.parts.delete(upload_id)
+            bury(self.store, upload_id)
         for digest in unreferenced_blobs(self.store):
-            self.artifacts.delete(digest)
-            forget_blob(self.store, digest)
+            forget_blob(self.store, digest, self.artifacts.delete)
         if settings.scratch_dir.is_dir():
             for left in settings.scratch_dir.iterdir():
                 if time.time() - left.stat().st_mtime > SCRATCH_AGE_S:

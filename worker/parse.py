@@ -33,7 +33,9 @@ def main() -> None:
         answer = _photos(request) if request.kind == "photos" else _model(request)
     except DynamicTreeError as error:
         answer = ParseAnswer(code=error.code, message=str(error))
-    except (MemoryError, RecursionError) as error:
+    except ModuleNotFoundError:
+        raise  # a fault of the installation
+    except (MemoryError, RecursionError, ImportError) as error:  # a library that has no room cannot be mapped
         found = f"reading the file failed with {type(error).__name__}"
         allowed = f"{request.memory_bytes:,} bytes of memory are allowed"
         answer = ParseAnswer(code="input-too-costly", message=f"{found}; {allowed}; decimate it")

@@ -40,17 +40,25 @@ class JobTask(Task):  # type: ignore[misc]
         """Called by Celery in the process that ran the task."""
         here = runtime()
         job_id, attempt = args
-        try:
-            held = Claim(job=replace(here.store.job(job_id), attempt=attempt), owner=here.owner)
-            end_attempt(here, held, exc)
-        except (FencedError, NotFoundError) as error:
-            logger.info("the end of an attempt was not written: %s", error)
+        with log_ids(job_id=job_id, attempt=attempt):
+            try:
+                held = Claim(job=replace(here.store.job(job_id), attempt=attempt), owner=here.owner)
+                with log_ids(request_id=held.job.request_id):
+                    end_attempt(here, held, exc)
+            except (FencedError, NotFoundError) as error:
+                logger.info("the end of an attempt was not written: %s", error)
 
 
 def end_attempt(here: Runtime, held: Claim, error: BaseException) -> None:
-    """Write what an exception means for the job."""
+    """Write what an exception means for the job.
+
+    Raises:
+        FencedError: the attempt is no longer ours.
+    """
     store = here.store
     match error:
+        case FencedError():
+            raise error
         case Cancelled():
             finish_cancel(store, held)
         case HandedBack():

@@ -6,6 +6,8 @@ from pathlib import Path
 import pytest
 
 from jobs.assets import add_asset
+from jobs.errors import StorageAwayError
+from jobs.parts import FolderParts
 from jobs.records import AssetPart, AssetRecord, JobRecord
 from jobs.states import JobType, stages_of
 from jobs.store import Store
@@ -22,6 +24,13 @@ class Clock:
 
     def __call__(self) -> float:
         return self.now
+
+
+class PartsAway(FolderParts):
+    """A storage that deletes nothing now."""
+
+    def delete(self, upload_id: str) -> None:
+        raise StorageAwayError("away")
 
 
 @pytest.fixture

@@ -7,11 +7,12 @@ from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from ipaddress import ip_address
 from typing import ClassVar
+from urllib.parse import urlsplit
 
 import pytest
 
 from jobs.errors import OutboundError
-from jobs.outbound import Outbound, is_public
+from jobs.outbound import Outbound, Target, is_public
 
 PRIVATE = (
     *(
@@ -80,6 +81,7 @@ def test_what_is_connected_to_is_what_was_checked() -> None:
         "https:///nothing",
         "https://tree.example/\u00fc",
         "https://tree.example/ b",
+        "https://tree.example/\x7f",
         "https://tree.example:99999/",
         "https://tree.example/" + "x" * 3000,
         "https://127.0.0.1/",
@@ -91,6 +93,16 @@ def test_what_is_connected_to_is_what_was_checked() -> None:
 def test_a_url_that_leads_elsewhere_is_refused(url: str) -> None:
     with pytest.raises(OutboundError):
         check(url, tree=["93.184.216.34"], inside=["10.1.2.3"])
+
+
+def test_a_url_that_cannot_be_asked_for_is_no_answer() -> None:
+    async def sent() -> None:
+        url = "https://tree.example/\x7f"
+        async with Outbound().send(Target(url=url, parts=urlsplit(url), address="127.0.0.1"), "GET", headers={}):
+            pass
+
+    with pytest.raises(OutboundError, match="does not answer"):
+        asyncio.run(sent())
 
 
 def test_a_name_of_no_address_is_refused() -> None:

@@ -4,13 +4,14 @@ import sqlite3
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import sqlalchemy as sa
 
 from jobs.assets import add_asset
-from jobs.attempts import claim, publish_stage, start_stage, succeed
+from jobs.attempts import claim, offer, publish_stage, start_stage, succeed
 from jobs.records import OutputFile
 from jobs.states import JobState
 from jobs.store import Store
@@ -58,6 +59,8 @@ def test_what_was_committed_may_be_asked_again(store: Store) -> None:
     start_stage(store, held, "voxelize")
     file = OutputFile(name="a", media_type="x/y", sha256="c" * 64, bytes=1)
     for _ in range(2):
+        offer(store, held, "voxelize", (replace(file, name="b"),), retention_s=100)
+    for _ in range(2):
         publish_stage(store, held, "voxelize", (file,), key="k", cached=False, retention_s=100)
-    assert [artifact.name for artifact in store.artifacts_of(job.id)] == ["a"]
+    assert [artifact.name for artifact in store.artifacts_of(job.id)] == ["b", "a"]
     assert succeed(store, held) == JobState.SUCCEEDED

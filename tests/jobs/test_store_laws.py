@@ -8,13 +8,14 @@ import pytest
 
 from jobs import attempts, upkeep
 from jobs.assets import add_asset, delete_asset, read_asset
-from jobs.errors import ConflictError, FencedError, GoneError, NotFoundError
-from jobs.records import AssetRecord, Claim, OutputFile
+from jobs.errors import ConflictError, FencedError, GoneError, NotFoundError, StorageAwayError
+from jobs.records import AssetPart, AssetRecord, Claim, OutputFile
 from jobs.rows import end, move
 from jobs.states import TERMINAL, TRANSITIONS, JobState, stages_of, states_before
 from jobs.store import Store
 from jobs.usage import count_jobs
 from tests.jobs.conftest import Clock, add_job, make_asset
+from tests.rows import asset_row
 
 FILE = OutputFile(name="tree.voxels.safetensors", media_type="application/octet-stream", sha256="c" * 64, bytes=5)
 
@@ -107,7 +108,12 @@ def test_a_message_of_an_old_attempt_is_dropped(store: Store, asset: AssetRecord
 
 
 @pytest.mark.parametrize(
-    ("stages", "code"), [(["voxelize"] * 3, "poison-input"), ([None, "voxelize", None], "worker-lost")]
+    ("stages", "code"),
+    [
+        (["voxelize"] * 3, "poison-input"),
+        ([None, "voxelize", None], "worker-lost"),
+        ([None, None, None], "worker-lost"),
+    ],
 )
 def test_attempts_are_capped(
     store: Store, asset: AssetRecord, clock: Clock, stages: list[str | None], code: str
@@ -278,13 +284,47 @@ def test_retention_keeps_what_is_referred_to(store: Store, asset: AssetRecord, c
     attempts.succeed(store, held)
     clock.now += upkeep.BLOB_GRACE_S + 1
     assert upkeep.unreferenced_blobs(store) == ["d" * 64]
-    upkeep.forget_blob(store, "d" * 64)
+    deleted: list[str] = []
+    upkeep.forget_blob(store, "d" * 64, deleted.append)
+    assert deleted == ["d" * 64]
     upkeep.forget_expired(store, job_retention_s=10, cache_retention_s=10)
     with pytest.raises(GoneError):
         read_asset(store, asset.id)
     with pytest.raises(GoneError):
         store.job(held.job.id)
     assert sorted(upkeep.unreferenced_blobs(store)) == ["a" * 64, "b" * 64, FILE.sha256]
+
+
+def test_what_is_kept_hides_nothing_from_retention(store: Store, clock: Clock) -> None:
+    kept = tuple(AssetPart(name=f"{number}.jpg", sha256=f"{number:064x}", bytes=1) for number in range(5))
+    add_asset(store, asset_row(kept[0], now=clock.now, parts=kept))
+    for digest in (*(part.sha256 for part in kept), "f" * 64):
+        attempts.touch_blob(store, digest, 1)
+    clock.now += upkeep.BLOB_GRACE_S + 1
+    assert upkeep.unreferenced_blobs(store, limit=1) == ["f" * 64]
+
+
+def test_bytes_that_are_sent_again_are_not_deleted(store: Store, clock: Clock) -> None:
+    attempts.touch_blob(store, "d" * 64, 5)
+    clock.now += upkeep.BLOB_GRACE_S + 1
+    assert upkeep.unreferenced_blobs(store) == ["d" * 64]
+    attempts.touch_blob(store, "d" * 64, 5)
+    deleted: list[str] = []
+    upkeep.forget_blob(store, "d" * 64, deleted.append)
+    assert deleted == []
+    clock.now += upkeep.BLOB_GRACE_S + 1
+    assert upkeep.unreferenced_blobs(store) == ["d" * 64]
+
+
+def test_bytes_that_could_not_be_deleted_stay_known(store: Store, clock: Clock) -> None:
+    def away(digest: str) -> None:
+        raise StorageAwayError("away")
+
+    attempts.touch_blob(store, "d" * 64, 5)
+    clock.now += upkeep.BLOB_GRACE_S + 1
+    with pytest.raises(StorageAwayError):
+        upkeep.forget_blob(store, "d" * 64, away)
+    assert upkeep.unreferenced_blobs(store) == ["d" * 64]
 
 
 def test_jobs_come_newest_first_in_pages(store: Store, asset: AssetRecord) -> None:

@@ -103,6 +103,7 @@ def test_the_setting_chooses_the_form(capsys: pytest.CaptureFixture[str], settin
     try:
         set_up_logging(settings.model_copy(update={"log_format": "json"}))
         logging.getLogger("y").warning("one")
+        logging.getLogger("httpx").info("a URL with its secrets")
         set_up_logging(settings)
         logging.getLogger("y").warning("two")
     finally:

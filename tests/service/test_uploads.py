@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 from fastapi.testclient import TestClient
 
-from jobs.uploads import bury_expired
+from jobs.uploads import bury, expired_uploads
 from service.context import Context
+from tests.jobs.conftest import PartsAway
 from tests.service.test_assets import MTL, OBJ, left_behind, zipped
 
 TUS = {"Tus-Resumable": "1.0.0"}
@@ -177,13 +178,25 @@ def test_an_upload_that_is_given_up_is_gone(client: TestClient, context: Context
     assert context.parts.size(url.rpartition("/")[2]) == 0
 
 
+def test_an_upload_whose_bytes_cannot_be_deleted_is_not_gone(client: TestClient, context: Context) -> None:
+    url = begin(client, 5)
+    kept = context.parts
+    context.__dict__["parts"] = PartsAway(context.settings.state_dir / "away")
+    assert client.delete(url, headers=TUS).status_code == 503
+    context.__dict__["parts"] = kept
+    assert client.head(url, headers=TUS).status_code == 200
+
+
 def test_an_upload_that_is_left_expires(client: TestClient, context: Context) -> None:
     url = begin(client, 5)
     append(client, url, 0, b"123")
     later = time.time() + context.settings.upload_retention_s + 10
     context.store.clock = lambda: later
     assert client.head(url, headers=TUS).status_code == 410
-    assert bury_expired(context.store) == [url.rpartition("/")[2]]
+    (upload_id,) = expired_uploads(context.store)
+    assert upload_id == url.rpartition("/")[2]
+    bury(context.store, upload_id)
+    assert expired_uploads(context.store) == []
     assert client.get(url).status_code == 410
 
 

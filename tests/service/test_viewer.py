@@ -5,7 +5,10 @@
 import base64
 import gzip
 import hashlib
+import json
 import re
+import shutil
+import subprocess
 import webbrowser
 from html.parser import HTMLParser
 from http.server import BaseHTTPRequestHandler, HTTPServer
@@ -27,6 +30,18 @@ from tests.service.pushed import ASSET_ID, grown, spectrum, spectrum_id  # noqa:
 from web.vendor import FOLDER, LIBRARIES, SUMS
 
 WEB = Path(web.__file__).parent
+STOPPED = """
+import { Client } from "CLIENT";
+const client = new Client({ fetch: async () => new Response('data: {"state": "succeeded"}\\n\\n') });
+const jobs = [];
+let told = null;
+try {
+  for await (const job of client.watch("id", { signal: AbortSignal.abort() })) jobs.push(job);
+} catch (error) {
+  told = error.name;
+}
+console.log(JSON.stringify([told, jobs]));
+"""
 OTHER_HOST = re.compile(r"""["'(=]\s*(?:https?:|wss?:)?//(?!www\.w3\.org|localhost)[a-z]""")
 
 
@@ -98,6 +113,15 @@ def test_files_are_packed_and_not_sent_twice(client: TestClient) -> None:
     again = client.get(path, headers={"If-None-Match": packed.headers["ETag"]})
     assert (again.status_code, again.content) == (304, b"")
     assert client.head(path).status_code == 200
+
+
+def test_who_has_stopped_is_told_of_no_job() -> None:
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("node is not installed: the client needs it")
+    driver = STOPPED.replace("CLIENT", (WEB / "client.js").as_uri())
+    command = [node, "--input-type=module", "--eval", driver]
+    assert json.loads(subprocess.run(command, check=True, capture_output=True, timeout=60).stdout) == ["AbortError", []]
 
 
 @pytest.mark.parametrize(

