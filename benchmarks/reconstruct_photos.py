@@ -21,15 +21,31 @@ from dynamictree.reconstruct.gradient import Shapes, draw, gradients_of
 from dynamictree.reconstruct.picture_loss import psnr
 from dynamictree.render.camera import Camera
 
-NUM_PHOTOS, SIDE_PX = 32, 640
+SETS = ((32, 640), (60, 1000))
+"""Photos and their side in pixels."""
 DILATED_PX = 5
 TARGET_MINUTES, TARGET_DB, TARGET_F, TARGET_REAL_DB = 20.0, 27.0, 0.8, 22.0
 
 
 def run() -> dict[str, object]:
+    trees = [known_tree(number, side_px) for number, side_px in SETS]
+    return {
+        "value": trees[-1]["minutes"],
+        "unit": "min",
+        "target": TARGET_MINUTES,
+        "held_out_target_db": TARGET_DB,
+        "surface_target_f": TARGET_F,
+        "trees": trees,
+        "step": step_ms(),
+        "real": real_photos(),
+        **machine("numpy", "numba"),
+    }
+
+
+def known_tree(number: int, side_px: int) -> dict[str, object]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        taken = photograph(folder, number=NUM_PHOTOS, side=SIDE_PX)
+        taken = photograph(folder, number=number, side=side_px)
         start = time.perf_counter()
         out = folder / "out"
         out.mkdir()
@@ -41,23 +57,16 @@ def run() -> dict[str, object]:
     true = np.array([by_name[view.source].position_m for view in found.views])
     shown, blank = masked_psnr(found)
     return {
-        "value": round(minutes, 2),
-        "unit": "min",
-        "target": TARGET_MINUTES,
+        "minutes": round(minutes, 2),
         "seconds": found.report["seconds"],
-        "num_photos": NUM_PHOTOS,
-        "side_px": SIDE_PX,
+        "num_photos": number,
+        "side_px": side_px,
         "held_out": found.report["held_out"],
         "held_out_in_mask_db": shown,
         "blank_in_mask_db": blank,
-        "held_out_target_db": TARGET_DB,
         "surface_at_1_percent": surface_score(found.mesh, taken.tree, ours, true, 0.01),
-        "surface_target_f": TARGET_F,
         "num_gaussians": found.report["num_gaussians"],
         "num_faces": found.report["num_faces"],
-        "step": step_ms(),
-        "real": real_photos(),
-        **machine("numpy", "numba"),
     }
 
 

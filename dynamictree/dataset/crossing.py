@@ -19,6 +19,10 @@ LEAF_SIZE, LEAF_ASPECT = (0.016, 0.08), (0.1, 1.0)
 KINDS: tuple[LeafKind, ...] = ("leaf", "cluster", "needle")
 MAX_STEMS, MAX_LEAVES = 700, 4000
 """On parents of full length; the dataset's species have 80 to 640 and to 1,700."""
+BARE_TRUNK, MAX_BRANCH = (0.05, 0.9), 0.9
+"""Of the trunk's length, and of the parent's."""
+TRUNK_TAPER, BRANCH_TAPER = (0.25, 1.0), (0.6, 1.0)
+"""Share of the radius lost from base to tip: what tapers little bends at its base, and carries its tip further."""
 
 
 def crossed_species(rng: np.random.Generator) -> Species:
@@ -26,7 +30,7 @@ def crossed_species(rng: np.random.Generator) -> Species:
     parents = [species for species in SPECIES.values() if not species.held_out]
     frame = _one_of(parents, rng)
     num_levels = int(rng.choice([depth for depth, _ in DEPTHS], p=[share for _, share in DEPTHS]))
-    levels, stems = [frame.levels[0]], 1.0
+    levels, stems = [replace(frame.levels[0], taper=float(rng.uniform(*TRUNK_TAPER)))], 1.0
     for depth in range(1, num_levels):
         bearing = [species for species in parents if len(species.levels) > depth]
         level = _changed(_one_of(bearing, rng).levels[depth], rng)
@@ -37,8 +41,8 @@ def crossed_species(rng: np.random.Generator) -> Species:
         frame,
         name=CROSSED,
         shape=_one_of(parents, rng).shape,
-        base_size=min(frame.base_size * _factor(1.6, rng), 0.7),
-        ratio=frame.ratio * _factor(1.3, rng),
+        base_size=_between(BARE_TRUNK, rng),
+        ratio=frame.ratio * _factor(1.5, rng),
         levels=tuple(levels),
         foliage=_leaves(parents, stems, num_levels, rng),
     )
@@ -64,11 +68,12 @@ def _leaves(parents: list[Species], stems: float, num_levels: int, rng: np.rando
 def _changed(level: Level, rng: np.random.Generator) -> Level:
     return replace(
         level,
-        length=level.length * _factor(1.5, rng),
+        length=min(level.length * _factor(1.8, rng), MAX_BRANCH),
         count=level.count * _factor(1.7, rng),
-        curve=level.curve + float(rng.normal(0, 25)),
+        curve=level.curve + float(rng.normal(0, 35)),
         down=float(np.clip(level.down * _factor(1.3, rng), 15, 115)),
-        tropism=level.tropism + float(rng.normal(0, 0.5)),
+        tropism=level.tropism + float(rng.normal(0, 1.2)),
+        taper=float(rng.uniform(*BRANCH_TAPER)),
     )
 
 

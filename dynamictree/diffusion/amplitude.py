@@ -24,8 +24,8 @@ from dynamictree.diffusion.surface import NUM_SURFACE
 from dynamictree.sparse.pool import pool_to, upsample
 from dynamictree.spectrum import Wind
 
-FLOOR = 1e-5
-"""Amplitudes below this share of the height (0.1 mm of a 10 m tree) are not told apart."""
+FLOOR = 1e-6
+"""Sizes below this share of the height (0.01 mm of a 10 m tree) are not told apart, and stand for standing still."""
 AXES = 3
 CONTEXT = (2, 4)  # levels of the pyramid
 NUM_OWN_SCALARS = NUM_SCALARS + NUM_SURFACE + NUM_TOLD - 3
@@ -36,12 +36,12 @@ CLIP = 5.0  # standard deviations
 REFERENCE_SPEED = 5.0  # [m/s]
 DRAG_EXPONENT = 1.4  # of the speed: plants give way, Vogel 1989
 MIN_GUST = 0.01
-SEEN = 1e-4  # of the height: the least motion whose centroid counts
+SEEN = 1e-5  # of the height: the least motion whose centroid and lean count
 CENTROID_WEIGHT = 0.15
 LEAN_WEIGHT = 0.5
-LEAN = 0.03
+LEAN = 0.5
 START = -7.0
-"""Lean at the reference speed, and ln A at gust 1, before training: their size in the dataset, of the height."""
+"""Lean over the motion's size at gust 1, and ln A there, before training: their size in the dataset."""
 
 
 class AmplitudeNetwork(nn.Module):
@@ -69,7 +69,7 @@ class AmplitudeNetwork(nn.Module):
     def forward(
         self, inputs: Float32[Tensor, "R I"], wind: Float32[Tensor, "R 2"]
     ) -> tuple[Float32[Tensor, "R 3"], Float32[Tensor, "R J 3"]]:
-        """Lean c_0 over the height, and ln A over the height for k = 1 … K − 1.
+        """Lean c_0 over the height, and ln A over the height for k = 1 … K − 1. What hardly moves hardly leans.
 
         Args:
             inputs: rows of `amplitude_inputs`.
@@ -81,7 +81,9 @@ class AmplitudeNetwork(nn.Module):
         out = self.head(hidden).view(len(inputs), self.num_frequencies, AXES)
         drag = DRAG_EXPONENT * (wind[:, :1] - math.log(REFERENCE_SPEED))
         gust = wind[:, 1:].clamp_min(MIN_GUST).log()
-        return LEAN * out[:, 0] * drag.exp(), START + out[:, 1:] + (drag + gust)[..., None]
+        log_amplitude = START + out[:, 1:] + (drag + gust)[..., None]
+        size = (2 * (log_amplitude.detach() - gust[..., None])).exp().sum(dim=(1, 2)).sqrt()
+        return LEAN * out[:, 0] * size[:, None], log_amplitude
 
     def of_tree(
         self, tree: TreeCondition, told: Float32[Tensor, "V O"], wind: Float32[Tensor, "B 4"]
@@ -122,6 +124,11 @@ def mirror_inputs(inputs: Float32[Tensor, "R I"]) -> Float32[Tensor, "R I"]:
     return inputs * torch.cat([signs.repeat(len(CONTEXT) + 2), torch.ones(NUM_WIND)])
 
 
+def moving(log_amplitude: Float32[Tensor, "V J 3"]) -> Float32[Tensor, "V J 3"]:
+    """A over the height, without the floor that ln A was learnt with: what stands still is exactly still."""
+    return ((2 * log_amplitude).exp() - FLOOR**2).clamp_min(0).sqrt()
+
+
 def reference_shift(wind: Wind) -> float:
     """How much larger ln A is in this wind than at drag and gust 1."""
     speed = max(wind.speed_m_s, 0.1)
@@ -135,7 +142,7 @@ class AmplitudeLosses:
     logarithmic: Float32[Tensor, ""]  # of ln A against ln |c|
     overall: Float32[Tensor, ""]  # of ln a
     centroid: Float32[Tensor, ""]  # of the mean bin
-    lean: Float32[Tensor, ""]  # over its mean square
+    lean: Float32[Tensor, ""]  # over its square
 
     def total(self) -> Float32[Tensor, ""]:
         """Weighted."""
@@ -169,7 +176,7 @@ def amplitude_losses(
         logarithmic=(log_amplitude - size).square().mean(),
         overall=(guessed - total).square().mean(),
         centroid=(difference * seen).square().mean(),
-        lean=(lean - truth).square().sum() / truth.square().sum(),
+        lean=((lean - truth).square().sum(dim=1) / (truth.square().sum(dim=1) + SEEN**2)).mean(),
     )
 
 

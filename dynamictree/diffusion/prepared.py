@@ -9,6 +9,7 @@ from jaxtyping import Complex64, Float32
 from scipy.sparse import csr_array
 from torch import Tensor
 
+from dynamictree.diffusion.amplitude import moving
 from dynamictree.diffusion.condition import (
     ROOT_DISTANCE,
     TreeCondition,
@@ -99,7 +100,7 @@ def prepare_tree(network: SmallNetwork, voxels: SurfaceVoxels, wind: Wind) -> Pr
         around=neighbourhood(nodes),
         node_log_amplitude=pool_to(log_amplitude, tree.grids, top),
         lean=smooth.apply(lean) * free[:, None],
-        amplitude=log_amplitude.exp() * free[:, None, None],
+        amplitude=moving(log_amplitude) * free[:, None, None],
         lift=sparse_rows(raise_matrix(tree.grids, top, 0)),
         local=sparse_rows(unit_rows(raise_matrix(tree.grids, top - 1, 0))),
         node_scale=network.node_scale,

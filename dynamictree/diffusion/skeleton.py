@@ -7,10 +7,9 @@ from jaxtyping import Float32, Int32
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
+from dynamictree.voxel.graph import root_rows
 from dynamictree.voxel.grid import VoxelGrid
 
-ROOT_SHARE = 0.02
-"""Voxels in the lowest 2 % of the height are roots."""
 MAX_SKIPS = 12
 """Stems that `skip_short` goes down at most."""
 
@@ -31,15 +30,9 @@ class Skeleton:
     ]  # the voxel on the stem before, from which this voxel's stem grows; a root's is itself
 
 
-def root_rows(grid: VoxelGrid) -> Int32[np.ndarray, " _"]:
-    """Rows of the voxels that stand in the ground."""
-    height = grid.coords[:, 2] - grid.coords[:, 2].min()
-    return np.flatnonzero(height <= ROOT_SHARE * max(int(height.max()), 1)).astype(np.int32)
-
-
 def skeleton_of(grid: VoxelGrid, graph: csr_array) -> Skeleton:
     """Read the stems off the graph of touching voxels (edges in metres, connected)."""
-    roots = root_rows(grid)
+    roots = root_rows(graph, grid)
     distance, parent, _ = dijkstra(graph, indices=roots, min_only=True, return_predecessors=True)
     order = np.argsort(distance, kind="stable").tolist()
     parents = np.where(parent < 0, np.arange(len(grid)), parent).tolist()

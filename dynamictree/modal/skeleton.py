@@ -12,7 +12,7 @@ from jaxtyping import Complex64, Float32, Int32, Int64
 
 from dynamictree.modal.locality import STRANGER, strangeness
 from dynamictree.modal.system import ModalSystem
-from dynamictree.voxel.graph import ROOT_SHARE, voxel_graph
+from dynamictree.voxel.graph import root_rows, voxel_graph
 
 BONE_VOXELS = 10.0  # length of a bone, in voxels
 APART = 0.125  # strangeness above which touching voxels are no neighbours
@@ -65,8 +65,7 @@ def _nodes(system: ModalSystem) -> tuple[Int32[np.ndarray, " V"], Int32[np.ndarr
     strange = strangeness(system, edges.row, edges.col)
     length = edges.data * (1 + STRANGER * strange)
     graph = scipy.sparse.csr_array((length, (edges.row, edges.col)), shape=(len(grid), len(grid)))
-    height = grid.coords[:, 2]
-    roots = np.flatnonzero(height <= height.min() + ROOT_SHARE * np.ptp(height))
+    roots = root_rows(graph, grid)
     distance, before, _ = dijkstra(graph, indices=roots, min_only=True, return_predecessors=True)
     way = _plain_length(grid.centres_m, distance, before)
     ring = np.floor(way / (BONE_VOXELS * grid.voxel_size_m)).astype(np.int64)

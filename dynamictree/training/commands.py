@@ -25,12 +25,15 @@ def train(
         typer.Option(help="Folder of shards, as `dynamictree dataset generate` bakes them; of several, in turn."),
     ],
     preset: Annotated[str, typer.Option(help="Which network: small or paper.")] = "small",
-    foliage_trees: Annotated[int, typer.Option(min=1, max=10_000_000, help="Trees of the foliage network.")] = 640,
-    foliage_steps: Annotated[int, typer.Option(min=1, max=10_000_000, help="Steps of the foliage network.")] = 2000,
+    foliage_trees: Annotated[int, typer.Option(min=1, max=10_000_000, help="Trees of the foliage network.")] = 800,
+    foliage_steps: Annotated[int, typer.Option(min=1, max=10_000_000, help="Steps of the foliage network.")] = 5000,
     amplitude_trees: Annotated[int, typer.Option(min=1, max=10_000_000, help="Trees of the amplitude network.")] = 1200,
     amplitude_steps: Annotated[int, typer.Option(min=1, max=10_000_000, help="Steps of the amplitude network.")] = 3000,
     denoiser_trees: Annotated[int, typer.Option(min=1, max=10_000_000, help="Trees of the diffusion.")] = 160,
     denoiser_steps: Annotated[int, typer.Option(min=1, max=10_000_000, help="Steps of the diffusion.")] = 1600,
+    foliage_from: Annotated[
+        str | None, typer.Option(help="Weights (.safetensors) whose foliage network is gone on from.")
+    ] = None,
     denoiser_from: Annotated[
         str | None, typer.Option(help="Weights (.safetensors) whose denoiser the diffusion goes on from.")
     ] = None,
@@ -69,7 +72,7 @@ def train(
     else:
         steps = foliage_steps, amplitude_steps, denoiser_steps
         trees = foliage_trees, amplitude_trees, denoiser_trees
-        plan = _small_training(steps, trees, denoiser_from=denoiser_from, bf16=bf16, accumulate=accumulate)
+        plan = _small_training(steps, trees, (foliage_from, denoiser_from), bf16=bf16, accumulate=accumulate)
     resolved = json.dumps(asdict(plan), indent=None if as_json else 2)
     if dry_run:
         typer.echo(resolved)
@@ -96,7 +99,12 @@ def _in_turn(folders: list[list[str]]) -> list[str]:
 
 
 def _small_training(
-    steps: tuple[int, int, int], trees: tuple[int, int, int], *, denoiser_from: str | None, bf16: bool, accumulate: int
+    steps: tuple[int, int, int],
+    trees: tuple[int, int, int],
+    started_from: tuple[str | None, str | None],
+    *,
+    bf16: bool,
+    accumulate: int,
 ) -> "SmallTraining":
     from dynamictree.training.small import SmallTraining
 
@@ -106,7 +114,8 @@ def _small_training(
         foliage_trees=trees[0],
         amplitude_trees=trees[1],
         denoiser_trees=trees[2],
-        denoiser_from=denoiser_from,
+        foliage_from=started_from[0],
+        denoiser_from=started_from[1],
         foliage=replace(plain.foliage, num_steps=steps[0], bf16=bf16),
         amplitude=replace(plain.amplitude, num_steps=steps[1], bf16=bf16),
         denoiser=replace(plain.denoiser, num_steps=steps[2], bf16=bf16, accumulate=accumulate),

@@ -6,6 +6,7 @@ as make up the paper's 48. The tree's fine grid (512³ for spectra at 128³) is 
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache, partial
 from itertools import islice
 from pathlib import Path
 
@@ -31,6 +32,7 @@ from dynamictree.voxel.voxelize import voxelize
 
 STORED = 128  # resolution of the spectra in the shards
 MEASURED = 50  # trees that the sizes of frequencies are measured on
+KEPT = 16  # trees that stay in memory once they are voxelised
 MESH = ("vertices", "faces", f"r{STORED}.coords", f"r{STORED}.normals", f"r{STORED}.spectrum")
 
 
@@ -106,10 +108,11 @@ def train_paper(run: PaperRun, shards: Sequence[str], folder: Path, *, on_step: 
     course, checkpoint = Course(network, run.pace(world)), folder / "paper.checkpoint.safetensors"
     course.resume(checkpoint)
     schedule = linear_schedule().to(device)
+    example_at = lru_cache(KEPT)(partial(_example_at, run=run))
 
     def loss_of(rng: np.random.Generator) -> Float32[Tensor, ""]:
         chosen = [places[int(index)] for index in rng.integers(len(places), size=run.micro_batch)]
-        examples = [_example_at(place, run) for place in chosen]
+        examples = [example_at(place) for place in chosen]
         frequency = torch.from_numpy(rng.integers(0, run.preset.num_frequencies, run.micro_batch))
         rough = course.step < run.training.smoothness_from
         neighbours = None if rough else _neighbours(examples, run.training.smoothness.num_neighbours)

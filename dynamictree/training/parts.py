@@ -10,7 +10,7 @@ from torch import Tensor
 
 from dynamictree.dataset.sapling import LEAF
 from dynamictree.dataset.shards import StoredTree
-from dynamictree.diffusion.amplitude import FLOOR, reference_shift
+from dynamictree.diffusion.amplitude import reference_shift
 from dynamictree.diffusion.foliage import NUM_PARTS
 from dynamictree.mesh import TriangleMesh
 from dynamictree.spectrum import Wind
@@ -19,6 +19,8 @@ from dynamictree.voxel.voxelize import surface_average
 
 ARM_SCALE = 30.0  # leaves are a 30th of the height
 SHORTEST_M = 1e-3
+LEAST_SIZE = 1e-5
+"""Of the height: what moves less is told as if it moved so much."""
 
 
 def told_of(
@@ -32,7 +34,7 @@ def told_of(
 def log_size(spectrum: Complex64[Tensor, "V K 3"], wind: Wind) -> Float32[Tensor, "V J"]:
     """Ln of |c_k| over the height, at drag and gust 1."""
     power = spectrum[:, 1:].abs().square().sum(dim=2)
-    return (power + FLOOR**2).log() / 2 - reference_shift(wind)
+    return (power + LEAST_SIZE**2).log() / 2 - reference_shift(wind)
 
 
 def true_parts(stored: StoredTree, grid: VoxelGrid) -> Float32[np.ndarray, "V 10"]:

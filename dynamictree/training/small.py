@@ -40,19 +40,20 @@ TREES_A_FILE = 25
 class SmallTraining:
     """The resolved run. Each part takes the next trees of the shards, so that none judges itself by what it knows."""
 
-    foliage_trees: int = 640
+    foliage_trees: int = 800
     amplitude_trees: int = 1200
     denoiser_trees: int = 160
     preset: SmallPreset = field(default_factory=SmallPreset)
     foliage: Pace = field(
         default_factory=lambda: Pace(
-            num_steps=2000, learning_rate=3e-3, cooldown_steps=200, ema_decay=0.99, bf16=True, save_every=100, seed=1
+            num_steps=5000, learning_rate=3e-3, cooldown_steps=500, ema_decay=0.99, bf16=True, save_every=100, seed=1
         )
     )
     amplitude: Pace = field(
         default_factory=lambda: Pace(num_steps=3000, learning_rate=2e-3, weight_decay=1e-2, ema_decay=0.995, bf16=True)
     )
     denoiser: Pace = field(default_factory=lambda: Pace(num_steps=1600, learning_rate=2e-3, ema_decay=0.995, bf16=True))
+    foliage_from: str | None = None  # weights whose foliage network is gone on from
     denoiser_from: str | None = None  # weights whose denoiser is gone on from
 
 
@@ -81,12 +82,14 @@ def _train_foliage(
     checkpoint: Path,
     on_step: OnTrainingStep | None,
 ) -> None:
+    if plan.foliage_from is not None:
+        load_part(network.foliage, load_file(plan.foliage_from), "foliage")
     course = Course(network.foliage, plan.foliage)
     course.resume(checkpoint)
     if course.step < plan.foliage.num_steps:
         measured = known_trees(iter_training(shards, first=0, count=plan.foliage_trees))
         trees = list(islice(measured, STANDARDISED_ON + course.step))
-        if course.step == 0:
+        if course.step == 0 and plan.foliage_from is None:
             standardise_foliage(network.foliage, trees)
             course.average.load_state_dict(network.foliage.state_dict())
 

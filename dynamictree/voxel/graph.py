@@ -2,13 +2,17 @@
 
 import numpy as np
 import scipy  # its parts come in when they are used: the service starts without them
-from jaxtyping import Float32, Int64, Shaped
+from jaxtyping import Float32, Int32, Int64, Shaped
 
 from dynamictree.voxel.grid import VoxelGrid
 
 ROOT_SHARE = 0.02
 """Of the tree's height: voxels this near to its foot are its root."""
 
+MAX_DETOUR = 1.05
+"""How much further, in the mean, all else may be from another trunk than from the foremost."""
+
+_MAX_FEET = 8  # parts near the ground that are looked at, the largest
 _STEPS = np.array([(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)], np.int32)
 _HALF_OF_STEPS = _STEPS[14:]  # one of each pair of opposite directions
 
@@ -39,15 +43,32 @@ def voxel_graph(grid: VoxelGrid) -> "scipy.sparse.csr_array":
         graph = _graph(grid, np.concatenate([coo.row, bridge_starts]), np.concatenate([coo.col, bridge_ends]))
 
 
+def root_rows(graph: "scipy.sparse.csr_array", grid: VoxelGrid) -> Int32[np.ndarray, " R"]:
+    """Voxels that stand in the ground: the tree's foot, and those of other trunks.
+
+    Branches that hang to the ground end there too. From such a tip, the way to all else is longer than from the foot
+    that bears it: it leads back up to the trunk.
+    """
+    from scipy.sparse.csgraph import connected_components, dijkstra
+
+    height = grid.coords[:, 2]
+    low = np.flatnonzero(height <= height.min() + ROOT_SHARE * max(int(np.ptp(height)), 1)).astype(np.int32)
+    num_parts, part = connected_components(graph[low][:, low], directed=False)
+    if num_parts == 1:
+        return low
+    largest = np.argsort(-np.bincount(part), kind="stable")[:_MAX_FEET]
+    ways = [dijkstra(graph, directed=False, indices=low[part == one], min_only=True).mean() for one in largest]
+    feet = largest[np.asarray(ways) <= MAX_DETOUR * min(ways)]
+    return low[np.isin(part, feet)]
+
+
 def root_distance(graph: "scipy.sparse.csr_array", grid: VoxelGrid) -> Float32[np.ndarray, " V"]:
     """Length of the shortest way along the graph to the tree's root [m]."""
     from scipy.sparse.csgraph import dijkstra
 
-    height = grid.coords[:, 2]
-    roots = np.flatnonzero(height <= height.min() + ROOT_SHARE * np.ptp(height))
-    distance: Float32[np.ndarray, " V"] = dijkstra(graph, directed=False, indices=roots, min_only=True).astype(
-        np.float32
-    )
+    distance: Float32[np.ndarray, " V"] = dijkstra(
+        graph, directed=False, indices=root_rows(graph, grid), min_only=True
+    ).astype(np.float32)
     return distance
 
 

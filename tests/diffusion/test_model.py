@@ -1,5 +1,6 @@
 """The model as callers see it: deterministic, cancellable, and clear about what it does not serve."""
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
+from dynamictree.diffusion.amplitude import FLOOR, NUM_INPUTS, moving
 from dynamictree.diffusion.denoiser import DenoiserShape
 from dynamictree.diffusion.model import (
     FORMAT,
@@ -66,6 +68,25 @@ def test_the_same_seed_gives_the_same_motion_and_another_seed_another(
     assert (first.coefficients[:, 0].imag == 0).all()
     # the lean is decided by shape and wind, not by chance
     np.testing.assert_array_equal(first.coefficients[:, 0], other.coefficients[:, 0])
+
+
+def test_what_is_at_the_floor_of_the_training_stands_exactly_still() -> None:
+    still = moving(torch.full((2, 15, 3), math.log(FLOOR)))
+    assert (still == 0).all()
+    assert moving(torch.full((1, 15, 3), -5.0)) == pytest.approx(math.exp(-5.0), rel=1e-4)
+
+
+def test_what_hardly_moves_hardly_leans() -> None:
+    network = tiny_network().amplitude
+    torch.nn.init.zeros_(network.head[2].weight)
+    torch.nn.init.ones_(network.head[2].bias)
+    inputs, wind = torch.zeros(1, NUM_INPUTS), torch.tensor([[math.log(6.0), 0.3]])
+    lean, log_amplitude = network(inputs, wind)
+    with torch.no_grad():
+        network.head[2].bias[3:] -= math.log(100.0)  # all but the lean's
+    smaller, hundredth = network(inputs, wind)
+    torch.testing.assert_close(hundredth, log_amplitude - math.log(100.0))
+    torch.testing.assert_close(100 * smaller, lean)
 
 
 def test_every_sampler_step_is_told_and_may_cancel(model: TreeMotionModel, voxels: SurfaceVoxels) -> None:

@@ -1,11 +1,11 @@
-"""voxel_graph and root_distance."""
+"""voxel_graph, root_rows and root_distance."""
 
 import numpy as np
 import pytest
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist
 
-from dynamictree.voxel.graph import root_distance, voxel_graph
+from dynamictree.voxel.graph import root_distance, root_rows, voxel_graph
 from dynamictree.voxel.grid import VoxelGrid
 
 
@@ -53,6 +53,30 @@ def test_root_distance_follows_the_tree_and_not_the_air() -> None:
     corners_cut = 2 * (2**0.5 - 2)  # the two turns of the way go over an edge
     assert distance[tip] == pytest.approx(0.5 * (19 + 6 + 14 + corners_cut), rel=1e-5)
     assert distance[int(grid.rows_of(np.array([[0, 0, 0]], np.int32))[0])] == 0
+
+
+def hanging_tree(foot: int, tip: int) -> VoxelGrid:
+    """A trunk, a branch across at its top, and a twig that hangs from the branch's end; sides of both in voxels."""
+    trunk = [[x, y, z] for x in range(foot) for y in range(foot) for z in range(20)]
+    across = [[x, 0, 19] for x in range(foot, 12)]
+    hanging = [[x, y, z] for x in range(12, 12 + tip) for y in range(tip) for z in range(20)]
+    return grid_of(trunk + across + hanging)
+
+
+@pytest.mark.parametrize(("foot", "tip"), [(2, 1), (1, 1)])
+def test_the_tip_of_a_branch_that_hangs_to_the_ground_is_no_root(foot: int, tip: int) -> None:
+    grid = hanging_tree(foot, tip)
+    if foot == tip:  # as thick as the trunk: what else the trunk bears tells them apart
+        grid = grid_of(np.concatenate([grid.coords, [[0, y, z] for y in range(1, 20) for z in (5, 10)]]))
+    coords = grid.coords[root_rows(voxel_graph(grid), grid)]
+    assert (coords[:, 2] == 0).all()
+    assert coords[:, 0].max() < foot
+
+
+def test_two_trunks_that_meet_above_are_both_roots() -> None:
+    grid = hanging_tree(2, 2)
+    coords = grid.coords[root_rows(voxel_graph(grid), grid)]
+    assert sorted(set(coords[:, 0].tolist())) == [0, 1, 12, 13]
 
 
 def test_one_voxel_is_a_graph_and_its_own_root() -> None:
