@@ -7,7 +7,7 @@ from jaxtyping import Float32, Int32, Int64, Shaped
 from dynamictree.voxel.grid import VoxelGrid
 
 ROOT_SHARE = 0.02
-"""Of the tree's height: voxels this near to its foot are its root."""
+"""Of the tree's height: voxels this near to the lowest may stand in the ground, see `root_rows`."""
 
 MAX_DETOUR = 1.05
 """How much further, in the mean, all else may be from another trunk than from the foremost."""

@@ -6,7 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dynamictree.dataset.crossing import CROSSED, MAX_LEAVES, MAX_STEMS, crossed_species
+from dynamictree.dataset.crossing import (
+    BARE_TRUNK,
+    BRANCH_TAPER,
+    CROSSED,
+    MAX_BRANCH,
+    MAX_LEAVES,
+    MAX_STEMS,
+    TRUNK_TAPER,
+    crossed_species,
+)
 from dynamictree.dataset.generate import Recipe, generate
 from dynamictree.dataset.sample import make_sample
 from dynamictree.dataset.species import SPECIES
@@ -20,6 +29,11 @@ def test_parts_are_of_species_for_training_and_bounded() -> None:
     assert {one.foliage.kind for one in crossed} == {"none", "leaf", "cluster", "needle"}
     assert {len(one.levels) for one in crossed} == {2, 3, 4}
     for one in crossed:
+        trunk, *branches = one.levels
+        assert TRUNK_TAPER[0] <= trunk.taper <= TRUNK_TAPER[1]
+        assert all(BRANCH_TAPER[0] <= level.taper <= BRANCH_TAPER[1] for level in branches)
+        assert all(level.length <= MAX_BRANCH for level in branches)
+        assert BARE_TRUNK[0] <= one.base_size <= BARE_TRUNK[1]
         stems = np.prod([level.count for level in one.levels[1:]])
         assert stems <= MAX_STEMS + 1e-6
         assert one.foliage.kind == "none" or stems * one.foliage.count <= MAX_LEAVES + 1e-6
