@@ -11,13 +11,16 @@ from dynamictree.dataset.motion import vertex_spectrum
 from dynamictree.dataset.sample import make_sample
 from dynamictree.mesh import edges_of
 from dynamictree.training.metrics import centroid_correlation, edge_stretch, log_amplitude_agreement, roughness
-from dynamictree.voxel.devoxelize import nearest, smooth
+from dynamictree.voxel.devoxelize import VoxelInterpolation, nearest, smooth
+from dynamictree.voxel.grid import VoxelGrid
+from dynamictree.voxel.inextensible import hold_lengths
 from dynamictree.voxel.voxelize import surface_average, voxelize
 
 TREES = ((2, "weeping"), (3, "palm"))
 ALL = 24  # frequencies
-RESOLUTIONS = (32, 64, 128)
+RESOLUTIONS = (32, 64, 128, 256)
 COUNTS = (4, 8, 16, 24)
+COUNTS_AT = (128, "smooth")  # where they are compared; elsewhere K = 16
 
 
 def run() -> dict[str, object]:
@@ -29,15 +32,23 @@ def run() -> dict[str, object]:
         for resolution in RESOLUTIONS:
             grid = voxelize(sample.mesh, resolution).grid
             average = surface_average(sample.mesh, grid)
-            ways = {"nearest": nearest(grid, sample.mesh.vertices), "smooth": smooth(grid, sample.mesh)}
+            ways = {
+                "nearest": nearest(grid, sample.mesh.vertices),
+                "trilinear": _trilinear(grid, sample.mesh.vertices),
+                "smooth": smooth(grid, sample.mesh),
+            }
             for way, interpolation in ways.items():
-                for count in COUNTS if (resolution, way) == (RESOLUTIONS[-1], "smooth") else (16,):
+                for count in COUNTS if (resolution, way) == COUNTS_AT else (16,):
                     kept = truth[:, :count]
                     flat = kept.reshape(len(kept), -1).view(np.float32)
                     voxels = np.ascontiguousarray(average.astype(np.float32) @ flat).view(np.complex64)
                     back = interpolation.apply(voxels.reshape(-1, count, 3))
                     name = f"{resolution}, {way}, K={count}"
                     tables.setdefault(name, []).append(_row(back, truth, sample.mesh.vertices, edges))
+                    if way == "smooth" and count == 16:
+                        held = hold_lengths(sample.mesh, back, grid.voxel_size_m)
+                        name = f"{resolution}, smooth and held, K=16"
+                        tables.setdefault(name, []).append(_row(held, truth, sample.mesh.vertices, edges))
     return {
         "value": {
             name: {key: round(float(np.mean([row[key] for row in rows])), 4) for key in rows[0]}
@@ -47,6 +58,20 @@ def run() -> dict[str, object]:
         "sizes": {"trees": len(TREES), "frequencies": ALL},
         **machine("numpy"),
     }
+
+
+def _trilinear(grid: VoxelGrid, points: np.ndarray) -> VoxelInterpolation:
+    """Between the centres of the eight voxels around, of which those count that are there."""
+    place = (points.astype(np.float64) - grid.origin_m) / grid.voxel_size_m - 0.5
+    low = np.floor(place).astype(np.int32)
+    share = place - low
+    corners = np.stack(np.meshgrid(*[[0, 1]] * 3, indexing="ij"), axis=-1).reshape(8, 3)
+    rows = np.stack([grid.rows_of((low + corner).astype(np.int32)) for corner in corners], axis=1)  # [N, 8]
+    weights = np.prod(np.where(corners, share[:, None], 1 - share[:, None]), axis=2) * (rows >= 0)
+    weights /= weights.sum(axis=1, keepdims=True)
+    return VoxelInterpolation(
+        rows=np.maximum(rows, 0).astype(np.int32), weights=weights.astype(np.float32), num_voxels=len(grid)
+    )
 
 
 def _row(back: np.ndarray, truth: np.ndarray, vertices: np.ndarray, edges: np.ndarray) -> dict[str, float]:

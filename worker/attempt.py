@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger(__name__)
 
-STAGE_VERSION = "5"
+STAGE_VERSION = "6"
 """Part of every stage's key; raised when a stage makes something else of the same inputs."""
 
 SOURCE = "source"

@@ -13,13 +13,14 @@ from jaxtyping import Complex64, Float32
 from torch import Tensor, nn
 
 from dynamictree.diffusion.condition import (
+    CHAIN,
     NUM_SCALARS,
     NUM_VECTORS,
     NUM_WIND,
     TreeCondition,
     node_features,
 )
-from dynamictree.diffusion.foliage import ARM, NUM_TOLD
+from dynamictree.diffusion.foliage import ARM, NUM_TOLD, STEM
 from dynamictree.diffusion.surface import NUM_SURFACE
 from dynamictree.sparse.pool import pool_to, upsample
 from dynamictree.spectrum import Wind
@@ -28,7 +29,7 @@ FLOOR = 1e-6
 """Sizes below this share of the height (0.01 mm of a 10 m tree) are not told apart, and stand for standing still."""
 AXES = 3
 CONTEXT = (2, 4)  # levels of the pyramid
-NUM_OWN_SCALARS = NUM_SCALARS + NUM_SURFACE + NUM_TOLD - 3
+NUM_OWN_SCALARS = NUM_SCALARS + NUM_SURFACE + NUM_TOLD - 3 + 2 * CHAIN * (3 + 1)
 NUM_OWN_VECTORS = NUM_VECTORS + 1
 NUM_OWN = NUM_OWN_SCALARS + 3 * NUM_OWN_VECTORS
 NUM_INPUTS = (len(CONTEXT) + 2) * NUM_OWN + NUM_WIND
@@ -97,12 +98,16 @@ class AmplitudeNetwork(nn.Module):
 def amplitude_inputs(
     tree: TreeCondition, told: Float32[Tensor, "V O"], wind: Float32[Tensor, "B 4"]
 ) -> Float32[Tensor, "V I"]:
-    """Features of each voxel in the wind's frame and what the foliage network tells of it, their means over its
-    ancestors two and four levels up and over the tree, and the wind. The grid's own axes do not enter.
+    """Features of each voxel in the wind's frame and what the foliage network tells of it and of the stems that bear
+    it, their means over its ancestors two and four levels up and over the tree, and the wind. The grid's own axes do
+    not enter.
     """
+    bearers = told[:, STEM][tree.chain].flatten(1)
     described = replace(
         tree,
-        scalars=torch.cat([tree.scalars, tree.surface, told[:, : ARM.start], told[:, ARM.stop :]], dim=1),
+        scalars=torch.cat(
+            [tree.scalars, tree.surface, told[:, : ARM.start], told[:, ARM.stop :], bearers, tree.girth], dim=1
+        ),
         vectors=torch.cat([tree.vectors, told[:, None, ARM]], dim=1),
     )
     own = node_features(described, wind)[:, :-2]

@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
 from dynamictree.diffusion.lift import touching
-from dynamictree.diffusion.skeleton import Skeleton, skeleton_of, skip_short
+from dynamictree.diffusion.skeleton import Skeleton, section_radius, skeleton_of, skip_short
 from dynamictree.diffusion.surface import surface_features
 from dynamictree.sparse.level import Pyramid, SparseLevel, batch_pyramids, pyramid, turn_pyramid
 from dynamictree.sparse.pool import pool_to
@@ -48,6 +48,8 @@ class TreeCondition:
     vectors: Float32[Tensor, "V A 3"]  # in the grid's frame
     height_m: Float32[Tensor, " B"]
     links: Int64[Tensor, "L 2"]  # rows and the rows that bear them, on the way to the root
+    chain: Int64[Tensor, "V C"]  # of each of CHAIN stems, where the way to the root enters it, and its foot
+    girth: Float32[Tensor, "V C"]  # ln of the radius of the cross-section at these [m]
     surface: Float32[Tensor, "V I"]  # see `surface`; nodes have none
     tensors: Float32[Tensor, "V R 3 3"]  # in the grid's frame
 
@@ -56,12 +58,16 @@ def tree_condition(voxels: SurfaceVoxels) -> TreeCondition:
     """Measure a voxelised tree."""
     grid, normals = voxels.grid, voxels.normals
     grids = pyramid(torch.from_numpy(grid.coords.astype(np.int64)), NUM_LEVELS)
-    skeleton = skeleton_of(grid, _graph(grid, grids.levels[0]))
+    graph = _graph(grid, grids.levels[0])
+    skeleton = skeleton_of(grid, graph)
     extent = int(np.ptp(grid.coords[:, 2])) + 1
     height_m = extent * grid.voxel_size_m
-    chain_scalars, chain_vectors = _chain(grid, skeleton, height_m)
+    chain = _chain(grid, skeleton)
+    chain_scalars, chain_vectors = _along_chain(grid, skeleton, chain, height_m)
     scalars = np.concatenate([_scalars(grid, skeleton, height_m), _crowding(grids), chain_scalars], axis=1)
     vectors = np.concatenate([np.stack([*_vectors(grid, skeleton, height_m), normals], axis=1), chain_vectors], axis=1)
+    chain = np.concatenate([chain, skeleton.foot[chain]], axis=1)
+    girth = np.log(section_radius(grid, graph, skeleton.distance_m) + grid.voxel_size_m / 2)[chain]
     known = voxels.moments is not None
     moments = moments_of_normals(normals) if voxels.moments is None else voxels.moments
     surface, tensors = surface_features(grid, moments, touching(grids.levels[0]), known=known)
@@ -71,6 +77,8 @@ def tree_condition(voxels: SurfaceVoxels) -> TreeCondition:
         vectors=torch.from_numpy(vectors.astype(np.float32)),
         height_m=torch.tensor([height_m], dtype=torch.float32),
         links=_links(skeleton.parent),
+        chain=torch.from_numpy(chain.astype(np.int64)),
+        girth=torch.from_numpy(girth.astype(np.float32)),
         surface=torch.from_numpy(surface),
         tensors=torch.from_numpy(tensors),
     )
@@ -85,6 +93,8 @@ def batch_conditions(trees: Sequence[TreeCondition]) -> TreeCondition:
         vectors=torch.cat([tree.vectors for tree in trees]),
         height_m=torch.cat([tree.height_m for tree in trees]),
         links=torch.cat([tree.links + start for tree, start in zip(trees, starts, strict=True)]),
+        chain=torch.cat([tree.chain + start for tree, start in zip(trees, starts, strict=True)]),
+        girth=torch.cat([tree.girth for tree in trees]),
         surface=torch.cat([tree.surface for tree in trees]),
         tensors=torch.cat([tree.tensors for tree in trees]),
     )
@@ -113,6 +123,8 @@ def coarsen_condition(tree: TreeCondition, top: int) -> TreeCondition:
         vectors=vectors,
         height_m=tree.height_m,
         links=links,
+        chain=torch.zeros(count, 0, dtype=torch.int64),
+        girth=torch.zeros(count, 0),
         surface=torch.zeros(count, 0),
         tensors=torch.zeros(count, 0, 3, 3),
     )
@@ -172,20 +184,27 @@ def _scalars(grid: VoxelGrid, skeleton: Skeleton, height_m: float) -> Float32[np
     return np.stack(columns, axis=1).astype(np.float32)
 
 
-def _chain(
-    grid: VoxelGrid, skeleton: Skeleton, height_m: float
+def _chain(grid: VoxelGrid, skeleton: Skeleton) -> Int32[np.ndarray, "V 4"]:
+    """Where the way from each voxel to the root enters its own stem, which is there, and those that bear it."""
+    shortest_m = SHORTEST_STEM * grid.voxel_size_m
+    rows = [skip_short(skeleton, np.arange(len(grid), dtype=np.int32), shortest_m)]
+    while len(rows) < CHAIN:
+        rows.append(skip_short(skeleton, skeleton.base[rows[-1]], shortest_m))
+    return np.stack(rows, axis=1)
+
+
+def _along_chain(
+    grid: VoxelGrid, skeleton: Skeleton, chain: Int32[np.ndarray, "V 4"], height_m: float
 ) -> tuple[Float32[np.ndarray, "V 16"], Float32[np.ndarray, "V 4 3"]]:
     """Of the stems between a voxel and the root: length, place along it, what it and the voxel carry, and lever arm."""
     voxel, centres = grid.voxel_size_m, grid.centres_m
-    rows = skip_short(skeleton, np.arange(len(grid), dtype=np.int32), SHORTEST_STEM * voxel)
     scalars, vectors = [], []
-    for _ in range(CHAIN):
+    for rows in chain.T:
         base, length = skeleton.base[rows], skeleton.stem_length_m[rows] + voxel
         along = skeleton.distance_m[rows] - skeleton.stem_start_m[rows] + voxel
         scalars += [np.log(length), np.log(along / length)]
         scalars += [np.log1p(skeleton.num_beyond[place]) / 3 for place in (base, rows)]
         vectors.append((centres - centres[base]) / height_m)
-        rows = skip_short(skeleton, base, SHORTEST_STEM * voxel)
     return np.stack(scalars, axis=1).astype(np.float32), np.stack(vectors, axis=1).astype(np.float32)
 
 

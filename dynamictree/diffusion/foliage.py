@@ -20,9 +20,10 @@ STEM_AXIS, NORMAL = 1, 3  # in `TreeCondition.vectors`
 NUM_SEEN = NUM_SCALARS + 6 + 6 + 2 + NUM_SURFACE + 6 * NUM_TENSORS
 NUM_PARTS = 10
 """Leaf share; distance from the leaf's base, that over its length, ln length, all times leaf share; stem level; ln
-length and ln radius of the stem [m]; vector from the leaf's base in the grid's frame. Distances in 30ths of the
-height."""
-ARM = slice(7, 10)
+length and ln radius of the stem [m]; vector from the leaf's base in the grid's frame. Distances over the height, times
+ARM_SCALE."""
+STEM, ARM = slice(4, 7), slice(7, 10)
+ARM_SCALE = 30.0  # leaves are a 30th of the height
 NUM_MOVING = 15
 NUM_TOLD = NUM_PARTS + NUM_MOVING
 CLIP = 5.0  # standard deviations

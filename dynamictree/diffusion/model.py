@@ -21,7 +21,7 @@ from dynamictree.spectrum import SparseVoxelSpectrum, Wind
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import SurfaceVoxels
 
-FORMAT, VERSION = "dynamictree-small", "4"
+FORMAT, VERSION = "dynamictree-small", "5"
 NUM_STEPS = 4
 MAX_VOXELS = 150_000
 """At the network's own resolution; the dataset's trees have 8,000 to 35,000. Memory and time grow linearly."""

@@ -17,6 +17,7 @@ from dynamictree.diffusion.condition import (
     tree_condition,
     wind_vector,
 )
+from dynamictree.diffusion.leaf import Leaves, leaves_of
 from dynamictree.diffusion.lift import SparseRows, raise_matrix, sparse_rows, touching, unit_rows
 from dynamictree.diffusion.mixer import Neighbourhood, neighbourhood
 from dynamictree.diffusion.noise import NoiseBasis, noise_basis
@@ -28,7 +29,7 @@ from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.moments import coarse_moments
 from dynamictree.voxel.voxelize import SurfaceVoxels
 
-SOFTNESS = 0.3
+SOFTNESS = 0.1
 """ε of `soften`: 0 is phase alone, large is the field as it was drawn. Chosen on validation trees (docs/decisions)."""
 
 
@@ -46,7 +47,8 @@ class PreparedTree:
     around: Neighbourhood
     node_log_amplitude: Float32[Tensor, "W J 3"]
     lean: Float32[Tensor, "V 3"]  # over the height
-    amplitude: Float32[Tensor, "V J 3"]  # A over the height
+    amplitude: Float32[Tensor, "V J 3"]  # g A over the height
+    leaves: Leaves
     lift: SparseRows  # [V, W]
     local: SparseRows  # [V, L], rows of unit length: noise finer than a node
     node_scale: Float32[Tensor, "J 3"]
@@ -56,15 +58,15 @@ class PreparedTree:
     finer: csr_array | None  # from the network's grid to the asked one, where that is finer
 
     def assemble(self, whitened: Float32[Tensor, "W J 6"], generator: torch.Generator) -> Complex64[Tensor, "V K 3"]:
-        """Lean, and A · soften(lift(s u) + ρ n): over the height, in the wind's frame."""
+        """Lean, and g A · soften(lift(s u) + ρ n), leaves swinging: over the height, in the wind's frame."""
         white = torch.randn(self.local.num_columns, *whitened.shape[1:], generator=generator) / math.sqrt(2)
         scaled = whitened * self.node_scale.repeat(1, 2)
         field = self.lift.apply(scaled) + self.local.apply(white * self.residual_share.sqrt().repeat(1, 2))
-        return self.with_lean(soften(unpack_channels(field)))
+        return self.moved(soften(unpack_channels(field)))
 
-    def with_lean(self, field: Complex64[Tensor, "V J 3"]) -> Complex64[Tensor, "V K 3"]:
-        """Lean, and A · field."""
-        return torch.cat([self.lean[:, None].to(field.dtype), field * self.amplitude], dim=1)
+    def moved(self, field: Complex64[Tensor, "V J 3"]) -> Complex64[Tensor, "V K 3"]:
+        """Lean, and g A · field, leaves swinging about their bases."""
+        return self.leaves.swing(torch.cat([self.lean[:, None].to(field.dtype), field * self.amplitude], dim=1))
 
     def to_metres(self, relative: Complex64[Tensor, "V K 3"]) -> Complex64[np.ndarray, "X K 3"]:
         """In the tree's own frame, on the grid that was asked for [m]."""
@@ -89,7 +91,9 @@ def prepare_tree(network: SmallNetwork, voxels: SurfaceVoxels, wind: Wind) -> Pr
     """Measure the tree, ask the amplitude network, make the matrices."""
     coarse, finer = at_resolution(voxels, network.preset.resolution)
     tree, air, top = tree_condition(coarse), wind_vector([wind]), network.preset.top
-    lean, log_amplitude = network.amplitude_of(tree, air)
+    height_m, axes = float(tree.height_m[0]), wind_axes(wind)
+    told = network.foliage(tree)
+    lean, log_amplitude = network.amplitude.of_tree(tree, told, air)
     nodes = coarsen_condition(tree, top)
     free = 1 - (-(tree.scalars[:, ROOT_DISTANCE] / HELD).square()).exp()  # [V]
     smooth = sparse_rows(touching(tree.grids.levels[0]))
@@ -100,13 +104,14 @@ def prepare_tree(network: SmallNetwork, voxels: SurfaceVoxels, wind: Wind) -> Pr
         around=neighbourhood(nodes),
         node_log_amplitude=pool_to(log_amplitude, tree.grids, top),
         lean=smooth.apply(lean) * free[:, None],
-        amplitude=moving(log_amplitude) * free[:, None, None],
+        amplitude=moving(log_amplitude) * network.energy_gain * free[:, None, None],
+        leaves=leaves_of(coarse.grid, told, free, height_m=height_m, axes=axes),
         lift=sparse_rows(raise_matrix(tree.grids, top, 0)),
         local=sparse_rows(unit_rows(raise_matrix(tree.grids, top - 1, 0))),
         node_scale=network.node_scale,
         residual_share=network.residual_share,
-        axes=wind_axes(wind),
-        height_m=float(tree.height_m[0]),
+        axes=axes,
+        height_m=height_m,
         finer=finer,
     )
 

@@ -1,8 +1,9 @@
 """Preset `small`: foliage network, amplitude network, denoiser of the whitened spectrum, and the numbers between them.
 
-A spectrum over the height is c = A · (lift(s u) + ρ n): u has unit variance and lives on the nodes (level `top` of the
-pyramid, 32³ of a 128³ grid), s is how much of the whitened motion the nodes hold, a frequency and an axis, and n the
-smooth noise that stands for what is smaller than a node, ρ² its share.
+A spectrum over the height is c = g A · (lift(s u) + ρ n): u has unit variance and lives on the nodes (level `top` of
+the pyramid, 32³ of a 128³ grid), s is how much of the whitened motion the nodes hold, a frequency and an axis, and n
+the smooth noise that stands for what is smaller than a node, ρ² its share. ln A is a mean of logarithms, which lacks
+energy, the more the less sure it is: g gives each frequency and axis its share of the whole again.
 """
 
 from dataclasses import asdict, dataclass, field
@@ -55,6 +56,7 @@ class SmallNetwork(nn.Module):
     noise_shares: Tensor  # [J, S]
     node_scale: Tensor  # [J, 3], s
     residual_share: Tensor  # [J, 3], ρ²
+    energy_gain: Tensor  # [J, 3], g
 
     def __init__(self, preset: SmallPreset) -> None:
         super().__init__()
@@ -70,6 +72,7 @@ class SmallNetwork(nn.Module):
         self.register_buffer("noise_shares", torch.full((moving, NUM_SCALES), 1 / NUM_SCALES))
         self.register_buffer("node_scale", torch.ones(moving, AXES))
         self.register_buffer("residual_share", torch.zeros(moving, AXES))
+        self.register_buffer("energy_gain", torch.ones(moving, AXES))
 
     def amplitude_of(
         self, tree: TreeCondition, wind: Float32[Tensor, "B 4"]

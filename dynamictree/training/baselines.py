@@ -82,7 +82,7 @@ def regression(
     with torch.no_grad():
         prepared = model.prepare(voxels, wind)
     phase = torch.from_numpy(one_phase(prepared.amplitude.shape[1], rng).astype(np.complex64))
-    return prepared.to_metres(prepared.with_lean(phase.expand(prepared.amplitude.shape)))
+    return prepared.to_metres(prepared.moved(phase.expand(prepared.amplitude.shape)))
 
 
 def noise_only(model: TreeMotionModel, voxels: SurfaceVoxels, wind: Wind, seed: int) -> Complex64[np.ndarray, "V K 3"]:

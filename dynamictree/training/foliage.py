@@ -36,11 +36,14 @@ class KnownTree:
     bare: TreeCondition  # without these
 
     def tree(self) -> TreeCondition:
-        """As the network sees it."""
+        """As the network sees it, which sees no chain of stems."""
+        count = len(self.scalars)
         return replace(
             self.bare,
             scalars=self.scalars.float(),
             vectors=self.vectors.float(),
+            chain=torch.empty(count, 0, dtype=torch.int64),
+            girth=torch.empty(count, 0),
             surface=self.surface.float(),
             tensors=self.tensors.float(),
         )
@@ -56,6 +59,8 @@ def known_trees(stored: Iterable[StoredTree], *, resolution: int = 128) -> Itera
             grids=Pyramid(levels=tree.grids.levels[:NUM_LEVELS], parents=tree.grids.parents[: NUM_LEVELS - 1]),
             scalars=torch.empty(0, 0),  # a slice would keep all of it alive
             vectors=torch.empty(0, 0, 3),
+            chain=torch.empty(0, 0, dtype=torch.int64),
+            girth=torch.empty(0, 0),
             surface=torch.empty(0, 0),
             tensors=torch.empty(0, 0, 3, 3),
         )

@@ -11,13 +11,12 @@ from torch import Tensor
 from dynamictree.dataset.sapling import LEAF
 from dynamictree.dataset.shards import StoredTree
 from dynamictree.diffusion.amplitude import reference_shift
-from dynamictree.diffusion.foliage import NUM_PARTS
+from dynamictree.diffusion.foliage import ARM_SCALE, NUM_PARTS
 from dynamictree.mesh import TriangleMesh
 from dynamictree.spectrum import Wind
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import surface_average
 
-ARM_SCALE = 30.0  # leaves are a 30th of the height
 SHORTEST_M = 1e-3
 LEAST_SIZE = 1e-5
 """Of the height: what moves less is told as if it moved so much."""

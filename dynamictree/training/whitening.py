@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Complex64, Float32
 from torch import Tensor
 
+from dynamictree.diffusion.amplitude import moving
 from dynamictree.diffusion.condition import TreeCondition, coarsen_condition, wind_vector
 from dynamictree.diffusion.lift import raise_matrix, sparse_rows
 from dynamictree.diffusion.mixer import Neighbourhood, neighbourhood
@@ -46,17 +47,20 @@ def whiten(network: SmallNetwork, example: Example) -> tuple[Complex64[Tensor, "
 
 @torch.no_grad()
 def measure(network: SmallNetwork, examples: Iterable[Example], rng: np.random.Generator) -> None:
-    """Set the network's node scale, residual share and noise shares."""
+    """Set the network's node scale, residual share, noise shares and energy gain."""
     top = network.preset.top
-    nodes, trees, power = [], [], []
+    nodes, trees, power, energy = [], [], [], []
     for example in examples:
-        field, _ = whiten(network, example)
+        field, log_amplitude = whiten(network, example)
+        energy.append(_energy_shares(example.spectrum, moving(log_amplitude)))
         pooled = pool_to(field, example.tree.grids, top)
         lift = sparse_rows(raise_matrix(example.tree.grids, top, 0))
         lifted = torch.view_as_complex(lift.apply(torch.view_as_real(pooled)))
         power.append(torch.stack([one.abs().square().mean(dim=0) for one in (lifted, pooled)]))
         nodes.append(pooled)
         trees.append(coarsen_condition(example.tree, top))
+    true, guessed = torch.stack(energy).mean(dim=0)
+    network.energy_gain.copy_((true / guessed.clamp_min(torch.finfo(torch.float32).tiny) * guessed.sum()).sqrt())
     share, pooled_power = torch.stack(power).mean(dim=0)
     network.node_scale.copy_((pooled_power / 2).sqrt())  # real and imaginary part of variance one each
     network.residual_share.copy_(RESIDUAL_KEPT * (1 - share).clamp(0, 1))
@@ -64,6 +68,14 @@ def measure(network: SmallNetwork, examples: Iterable[Example], rng: np.random.G
     fitted = torch.from_numpy(fit_shares(unit, trees, rng)) * (1 - WHITE_SHARE)
     fitted[:, 0] += WHITE_SHARE
     network.noise_shares.copy_(fitted)
+
+
+def _energy_shares(
+    spectrum: Complex64[Tensor, "V K 3"], amplitude: Float32[Tensor, "V J 3"]
+) -> Float32[Tensor, "2 J 3"]:
+    """Of a tree and of the guess at it, over the tree's energy in all."""
+    energies = torch.stack([one.square().sum(dim=0) for one in (spectrum[:, 1:].abs(), amplitude)])
+    return energies / energies[0].sum()
 
 
 @torch.no_grad()

@@ -3,10 +3,12 @@
 Neighbouring voxels of a generated spectrum differ by noise, and a short edge between them would stretch. Minimised over
 the vertices' motion x(t), with x⁰(t) as it was, is the mean over the loop of
 
-    Σ_i |x_i - x⁰_i|²  +  Σ_ij (h / l_ij)² (μ (|e_ij + x_i - x_j| - l_ij)² + ν |x_i - x_j|²)
+    Σ_i w_i |x_i - x⁰_i|²  +  Σ_ij (μ max(1, h / l_ij)² (|e_ij + x_i - x_j| - l_ij)² + ν (h / l_ij)² |x_i - x_j|²)
 
-with h the voxels' edge, e_ij an edge at rest and l_ij its length: elongation costs much, turning little. By Gauss and
-Newton: first for the mean pose alone (k = 0), then for all frequencies, linear along the edges of the mean pose.
+with h the voxels' edge, e_ij an edge at rest and l_ij its length: elongation costs much, turning little. What moves
+little is known as well, over its size, as what moves far: w_i is the mean size of the motion over that of x⁰_i. By
+Gauss and Newton: first for the mean pose alone (k = 0), then for all frequencies, linear along the edges of the mean
+pose.
 """
 
 from dataclasses import dataclass
@@ -21,9 +23,10 @@ from dynamictree.voxel.grid import VoxelGrid
 
 ELONGATION = 30.0
 """μ, see docs/decisions/core.md."""
-TURNING = 0.3
+TURNING = 0.1
 """ν: keeps short edges from spinning."""
 
+_LARGEST_WEIGHT = 100.0
 _ROUNDS = 2  # of Gauss and Newton
 _CG_STEPS = 60
 _CG_VERTICES = 40_000  # larger meshes get fewer steps: their edges are shorter, and stretch is more local
@@ -59,9 +62,9 @@ def hold_lengths(
     The solver takes a fixed number of steps, so the same input gives the same bits.
     """
     welded, vertex = weld(mesh)
-    net = _net(welded, voxel_size_m)
     first = np.unique(vertex, return_index=True)[1]
     motion = np.ascontiguousarray(coefficients[first].transpose(0, 2, 1))  # [n, 3, K]
+    net = _net(welded, voxel_size_m, _weights(motion))
     steps = max(_MIN_CG_STEPS, min(_CG_STEPS, _CG_STEPS * _CG_VERTICES // len(first)))
 
     mean = np.ascontiguousarray(motion[:, :, :1])
@@ -72,16 +75,17 @@ def hold_lengths(
 
 @dataclass(frozen=True, kw_only=True)
 class _Net:
-    """The edges of a mesh as springs."""
+    """The edges of a mesh as springs, and what holds its vertices where they are wanted."""
 
     edges: Int32[np.ndarray, "E 2"]
     across: Float32[np.ndarray, "E 3"]  # at rest [m]
     length: Float32[np.ndarray, " E"]  # at rest [m]
-    scale: Float32[np.ndarray, " E"]  # h / l
+    scale: Float32[np.ndarray, " E"]  # max(1, h / l)
+    weight: Float32[np.ndarray, "M 1"]  # w, three times
     turning: scipy.sparse.csr_array  # [3n, 3n] the part of the system that no pose changes
 
     def strain(self, pose: Complex64[np.ndarray, "n 3 1"]) -> scipy.sparse.csr_array:
-        """Elongation of each edge along its direction in a pose, times h / l, by displacement [E, 3n]."""
+        """Elongation of each edge along its direction in a pose, times `scale`, by displacement [E, 3n]."""
         across = self.across + pose.real[self.edges[:, 0], :, 0] - pose.real[self.edges[:, 1], :, 0]
         pull = across * (self.scale / np.linalg.norm(across, axis=1))[:, None]
         columns = 3 * self.edges[:, :, None] + np.arange(3)  # [E, 2, 3]
@@ -91,7 +95,7 @@ class _Net:
         return scipy.sparse.csr_array((values.ravel(), columns.ravel(), ends), shape=shape)
 
     def missing(self, motion: Complex64[np.ndarray, "n 3 K"]) -> Complex64[np.ndarray, "E K"]:
-        """What each edge is too short, times h / l, over the loop."""
+        """What each edge is too short, times `scale`, over the loop."""
         num_frequencies = motion.shape[2]
         lacking = np.empty((len(self.edges), num_frequencies), np.complex64)
         for start in range(0, len(self.edges), _EDGES_AT_ONCE):
@@ -104,7 +108,15 @@ class _Net:
         return lacking
 
 
-def _net(mesh: TriangleMesh, voxel_size_m: float) -> _Net:
+def _weights(motion: Complex64[np.ndarray, "n 3 K"]) -> Float32[np.ndarray, " n"]:
+    power = np.abs(motion) ** 2
+    size = np.sqrt(power[:, :, 0].sum(axis=1) + 2 * power[:, :, 1:].sum(axis=(1, 2)))
+    share = size / max(float(size.mean()), np.finfo(np.float32).tiny)
+    weights: Float32[np.ndarray, " n"] = (1 / share.clip(1 / _LARGEST_WEIGHT, _LARGEST_WEIGHT)).astype(np.float32)
+    return weights
+
+
+def _net(mesh: TriangleMesh, voxel_size_m: float, weights: Float32[np.ndarray, " n"]) -> _Net:
     edges = edges_of(mesh.faces)
     across = mesh.vertices[edges[:, 0]] - mesh.vertices[edges[:, 1]]
     length = np.linalg.norm(across, axis=1)
@@ -112,9 +124,16 @@ def _net(mesh: TriangleMesh, voxel_size_m: float) -> _Net:
     scale = np.float32(voxel_size_m) / np.maximum(length, np.float32(_SHORTEST_EDGE * voxel_size_m))
     pairs = np.concatenate([edges[:, 0], edges[:, 1]]), np.concatenate([edges[:, 1], edges[:, 0]])
     ties = scipy.sparse.coo_array((np.tile(TURNING * scale**2, 2), pairs), shape=(mesh.num_vertices,) * 2).tocsr()
-    turning = scipy.sparse.diags_array(1 + np.asarray(ties.sum(axis=1)).ravel()) - ties
+    turning = scipy.sparse.diags_array(weights + np.asarray(ties.sum(axis=1)).ravel()) - ties
     each_axis = scipy.sparse.kron(turning, scipy.sparse.eye_array(3)).astype(np.float32).tocsr()
-    return _Net(edges=edges, across=across, length=length, scale=scale, turning=each_axis)
+    return _Net(
+        edges=edges,
+        across=across,
+        length=length,
+        scale=np.maximum(scale, 1),
+        weight=np.repeat(weights, 3)[:, None],
+        turning=each_axis,
+    )
 
 
 def _held(
@@ -127,7 +146,7 @@ def _held(
         system = (net.turning + ELONGATION * (strain.T @ strain)).tocsr()
         now = motion.view(np.float32).reshape(3 * len(motion), -1)  # [3n, 2K]
         pull = strain @ now + missing.view(np.float32)
-        right = wanted.view(np.float32).reshape(now.shape) + ELONGATION * (strain.T @ pull)
+        right = net.weight * wanted.view(np.float32).reshape(now.shape) + ELONGATION * (strain.T @ pull)
         solved = _conjugate_gradients(system, right, now, steps)
         tried = np.ascontiguousarray(solved).view(np.complex64).reshape(motion.shape)
         left = net.missing(tried)

@@ -150,7 +150,7 @@ def test_views_wind_and_the_tree_at_rest_change_the_picture(view: Open, job_url:
     before = scrub(viewer, 0.0)
     for name in ("wire", "voxels", "modes"):
         page.locator(f"#views input[value={name}]").check(force=True)
-        viewer.wait_frames(1)
+        viewer.wait_turns()
         page.wait_for_timeout(600)
         assert changed(before, pixels(viewer)) > 0.01, name
     expect(page.locator("#mode-out")).to_contain_text("0.24 Hz")
@@ -198,7 +198,7 @@ def test_the_keyboard_is_enough(view: Open, job_url: str) -> None:
     expect(page.locator("#play")).to_have_attribute("aria-label", "Play")
     before = steady(viewer)
     page.keyboard.press("ArrowLeft")
-    viewer.wait_frames(1)
+    viewer.wait_turns()
     assert changed(before, pixels(viewer)) > 0.01
     names = page.evaluate(NAMELESS)
     assert names == [], "these have no name"

@@ -17,7 +17,7 @@ from dynamictree.diffusion.condition import (
     wind_vector,
 )
 from dynamictree.diffusion.foliage import ARM, NUM_TOLD
-from dynamictree.diffusion.skeleton import skeleton_of
+from dynamictree.diffusion.skeleton import FOOT_VOXELS, section_radius, skeleton_of
 from dynamictree.diffusion.surface import eigenvalues
 from dynamictree.spectrum import Wind
 from dynamictree.training.sides import SIDES
@@ -107,6 +107,8 @@ def test_a_batch_is_its_trees(tree: TreeCondition) -> None:
     together = amplitude_inputs(batch_conditions([tree, other]), told.flatten(0, 1), winds)
     apart = torch.cat([amplitude_inputs(tree, told[0], winds[:1]), amplitude_inputs(other, told[1], winds[1:])])
     torch.testing.assert_close(together, apart)
+    chain = batch_conditions([tree, other]).chain
+    assert (chain[len(tree.chain) :] == tree.chain + len(tree.scalars)).all()
     links = batch_conditions([tree, other]).links
     assert (links[: len(tree.links)] == tree.links).all()
     assert (links[len(tree.links) :] == tree.links + len(tree.scalars)).all()
@@ -138,3 +140,33 @@ def test_the_skeleton_finds_the_stems_of_a_fork(fork: VoxelGrid) -> None:
     assert skeleton.num_beyond[root] >= len(fork) - 3
     assert skeleton.stem_length_m[tips["long"]] == pytest.approx(skeleton.distance_m[tips["long"]])
     assert fork.coords[skeleton.base[tips["short"]], 0] == 64
+
+
+def test_a_stems_foot_is_where_it_has_left_its_bearer(fork: VoxelGrid) -> None:
+    skeleton = skeleton_of(fork, voxel_graph(fork))
+    tip = int(fork.rows_of(np.array([(64, 80, 70)], np.int32))[0])
+    foot = skeleton.foot[tip]
+    assert skeleton.base[foot] == skeleton.base[tip]
+    out_m = skeleton.distance_m[foot] - skeleton.stem_start_m[foot]
+    assert 0 < out_m < FOOT_VOXELS * fork.voxel_size_m
+    assert skeleton.distance_m[foot] < skeleton.distance_m[tip]
+
+
+@pytest.mark.parametrize("radius", [4, 7, 11])
+def test_a_stem_is_as_thick_as_it_is(radius: int) -> None:
+    angle = np.linspace(0, 2 * np.pi, 400)
+    height = np.arange(60)
+    ring = np.stack([64 + radius * np.cos(angle), 64 + radius * np.sin(angle)], axis=1).round()
+    thick = np.concatenate(
+        [np.broadcast_to(ring, (60, 400, 2)).reshape(-1, 2), np.repeat(height, 400)[:, None]], axis=1
+    )
+    twig = np.stack([np.full(60, 64 + radius + 6), np.full(60, 64), height], axis=1)  # close by, of its own
+    grid = VoxelGrid.from_coords(
+        np.concatenate([thick, twig]).astype(np.int32), origin_m=(-6.4, -6.4, 0.0), voxel_size_m=0.1, resolution=128
+    )
+    graph = voxel_graph(grid)
+    found = section_radius(grid, graph, skeleton_of(grid, graph).distance_m)
+    middle = (grid.coords[:, 2] > 20) & (grid.coords[:, 2] < 50)
+    on_twig = grid.coords[:, 0] == 64 + radius + 6
+    np.testing.assert_allclose(np.median(found[middle & ~on_twig]), radius * 0.1, rtol=0.1)
+    assert np.median(found[middle & on_twig]) < 0.1

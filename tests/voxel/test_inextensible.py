@@ -59,10 +59,10 @@ def test_noise_beyond_help_does_not_grow(twigs: tuple[TriangleMesh, np.ndarray])
     assert p99(mesh, hold_lengths(mesh, hopeless, VOXEL_M)) < p99(mesh, hopeless)
 
 
-def test_a_lean_by_linear_rotation_gets_its_length_back() -> None:
+def test_a_bend_by_linear_displacement_gets_its_length_back() -> None:
     pole = tube([0, 0, 0], [0, 0, 1], 0.03, rings=10)
     lean = np.zeros((pole.num_vertices, 2, 3), np.complex64)
-    lean[:, 0, 0] = 0.2 * pole.vertices[:, 2]
+    lean[:, 0, 0] = 0.2 * pole.vertices[:, 2] ** 2  # held at its root
     held = hold_lengths(pole, lean, VOXEL_M)
     assert p99(pole, held) < 0.3 * p99(pole, lean)
     height = held[:, 0, 2].real
@@ -106,3 +106,22 @@ def test_an_edge_without_length_is_left_out() -> None:
         faces=np.array([[0, 1, 2], [1, 2, 3]], np.int32),
     )
     assert np.isfinite(hold_lengths(card, noisy(np.zeros((4, 3, 3), np.complex64), 0.01), VOXEL_M)).all()
+
+
+def test_what_hardly_moves_is_kept_over_its_size() -> None:
+    pole = tube([0, 0, 0], [0, 0, 4], 0.05)
+    height = pole.vertices[:, 2]
+    sway = np.zeros((pole.num_vertices, 3, 3), np.complex64)
+    sway[:, 1, 0] = 0.1 * (height / 4) ** 2
+    sway[:, 1, 2] = 0.03 * (height / 4) ** 2  # along itself, which it cannot
+    held = hold_lengths(pole, sway, VOXEL_M)
+    foot = (height > 0.4) & (height < 1)
+    ratio = np.abs(held[foot, 1, 0]) / np.abs(sway[foot, 1, 0])
+    np.testing.assert_allclose(ratio, 1, atol=0.1)
+
+
+def test_long_edges_are_held_too() -> None:
+    coarse = tube([0, 0, 0], [0, 0, 4], 0.05, rings=6)  # edges of ten voxels
+    sway = np.zeros((coarse.num_vertices, 3, 3), np.complex64)
+    sway[:, 1, 2] = 0.03 * coarse.vertices[:, 2]
+    assert p99(coarse, hold_lengths(coarse, sway, VOXEL_M)) < 0.2 * p99(coarse, sway)
