@@ -27,7 +27,8 @@ TURNING = 0.1
 """ν: keeps short edges from spinning."""
 
 _LARGEST_WEIGHT = 100.0
-_ROUNDS = 2  # of Gauss and Newton
+_ROUNDS = 3  # of Gauss and Newton
+_SHARES = (1.0, 0.5)  # of a round's step that are tried: the harmonics of large turns make whole ones overshoot
 _CG_STEPS = 60
 _CG_VERTICES = 40_000  # larger meshes get fewer steps: their edges are shorter, and stretch is more local
 _MIN_CG_STEPS = 12
@@ -147,10 +148,13 @@ def _held(
         now = motion.view(np.float32).reshape(3 * len(motion), -1)  # [3n, 2K]
         pull = strain @ now + missing.view(np.float32)
         right = net.weight * wanted.view(np.float32).reshape(now.shape) + ELONGATION * (strain.T @ pull)
-        solved = _conjugate_gradients(system, right, now, steps)
-        tried = np.ascontiguousarray(solved).view(np.complex64).reshape(motion.shape)
-        left = net.missing(tried)
-        if np.linalg.norm(left) >= np.linalg.norm(missing):
+        step = _conjugate_gradients(system, right, now, steps) - now
+        for share in _SHARES:
+            tried = np.ascontiguousarray(now + np.float32(share) * step).view(np.complex64).reshape(motion.shape)
+            left = net.missing(tried)
+            if np.linalg.norm(left) < np.linalg.norm(missing):
+                break
+        else:
             break
         motion, missing = tried, left
     return motion
