@@ -40,6 +40,7 @@ def test_features_do_not_change_with_the_compass_or_the_unit(palm: JudgedTree) -
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)  # looks at many trees for twenty small ones
 def test_an_untrained_network_is_told_and_another_true_wind_is_not(untrained: Path) -> None:
     report = classify(str(untrained), num_trees=20, max_voxels=9000, seed=0)
     assert report["right"]["model"] > 0.9
