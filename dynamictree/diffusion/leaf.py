@@ -1,7 +1,7 @@
 """Leaves swing about their bases: what a leaf does beyond what its base does is a turn, so it goes across the leaf.
 
 Sizes and phases are drawn an axis at a time, and a leaf so drawn would grow and shrink along itself, until lengths are
-held on the mesh and half of its flutter is lost with that. Here the part along the leaf is taken off, and the part
+held on the mesh and flutter is lost with that. Here the part along the leaf is taken off, and the part
 across it gets its size.
 """
 
