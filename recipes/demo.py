@@ -158,11 +158,13 @@ def download(client: httpx.Client, job: dict[str, Any], folder: Path) -> dict[st
 def push_branch(client: httpx.Client, job: dict[str, Any], spectrum_path: Path, answer_path: Path) -> dict[str, float]:
     """Pull the voxel farthest from the trunk aside by a twentieth of the height, let go, and see it swing."""
     tensors = load_file(spectrum_path)
-    reach = np.linalg.norm((tensors["coords"] - tensors["coords"].mean(axis=0))[:, :2], axis=1)
-    tip = int(np.argmax(reach))
+    outward = (tensors["coords"] - tensors["coords"].mean(axis=0))[:, :2]
+    tip = int(np.argmax(np.linalg.norm(outward, axis=1)))
+    x, y = outward[tip] / np.linalg.norm(outward[tip])
+    aside = np.array([-y, x, 0.0])  # square to the branch, which gives way there and hardly along itself
     metadata = checked(client.get(f"/v1/spectra/{job['result']['spectrum_id']}"))
     aside_m = 0.05 * float(np.ptp(tensors["coords"][:, 2])) * metadata["voxel_size_m"]
-    pull = {"kind": "drag", "at": {"voxel": tip}, "displacement_m": [0.0, aside_m, 0.0], "duration_s": PULL_S}
+    pull = {"kind": "drag", "at": {"voxel": tip}, "displacement_m": (aside_m * aside).tolist(), "duration_s": PULL_S}
     request = {"spectrum_id": job["result"]["spectrum_id"], "forces": [pull], "start": "held", "dt_s": 1 / 60}
     request |= {"num_frames": PUSH_FRAMES, "output": "modal"}
     began = time.perf_counter()
@@ -173,8 +175,9 @@ def push_branch(client: httpx.Client, job: dict[str, Any], spectrum_path: Path, 
     swing = np.sum(
         [(as_complex(np.array(group["q"])) @ shapes).real for group in answer["groups"]], axis=0
     )  # [frames, 3]
-    after = np.abs(swing[round(60 * PULL_S) :, 1])
-    return {"seconds": seconds, "aside_m": aside_m, "held_m": float(swing[0, 1]), "left_m": float(after[-30:].max())}
+    sideways = swing @ aside
+    after = np.abs(sideways[round(60 * PULL_S) :])
+    return {"seconds": seconds, "aside_m": aside_m, "held_m": float(sideways[0]), "left_m": float(after[-30:].max())}
 
 
 def as_complex(pairs: NDArray[Any]) -> NDArray[np.complex128]:
