@@ -1,8 +1,8 @@
 """Leaves swing about their bases: what a leaf does beyond what its base does is a turn, so it goes across the leaf.
 
 Sizes and phases are drawn an axis at a time, and a leaf so drawn would grow and shrink along itself, until lengths are
-held on the mesh and flutter is lost with that. Here the part along the leaf is taken off, and the part
-across it gets its size.
+held on the mesh and flutter is lost with that. Here the part along the leaf is taken off, and the part across it gets
+its size.
 """
 
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from dynamictree.voxel.grid import VoxelGrid
 
 MAX_GAIN = 2.0
 BASE_VOXELS = 0.5
-"""Nearer to its leaf's base a voxel moves as if it were the base; a voxel further out as the leaf."""
+"""So near to its leaf's base a voxel keeps the motion it was given; from one voxel further out it swings."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -80,7 +80,7 @@ def skip_short(skeleton: Skeleton, rows: Int32[np.ndarray, " V"], length_m: floa
 def section_radius(
     grid: VoxelGrid, graph: csr_array, distance_m: Float32[np.ndarray, " V"]
 ) -> Float64[np.ndarray, " V"]:
-    """RMS distance of the voxels of each voxel's cross-section from their middle [m]; half a voxel more for a tube.
+    """RMS distance of the voxels of each voxel's cross-section from their middle [m]: the radius, where it is a ring.
 
     A cross-section is what hangs together of the voxels that are about as far from the root along the tree (Verroust
     and Lazarus, Extracting skeletal curves from 3D scattered data, 1999).
