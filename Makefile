@@ -24,7 +24,7 @@ else
 TORCH_SOURCE := --torch-backend $(TORCH_BACKEND)
 endif
 
-.PHONY: help setup demo test docs live js-tools openapi-lint scale-out check format openapi lock bench clean browser serve
+.PHONY: help setup demo test docs live js-tools web-check web-format openapi-lint scale-out check format openapi lock bench clean browser serve
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -81,13 +81,19 @@ live: $(READY)  ## client, recipes and the documents' own commands against a rea
 
 # Judges that are not ours, of GLB, OpenAPI and TypeScript; their tests are slow ones and skip without them.
 JS_TOOLS := .cache/js-tools
-js-tools: $(JS_TOOLS)/.ready  ## gltf-validator, spectral and TypeScript, from npm
+js-tools: $(JS_TOOLS)/.ready  ## Biome, axe-core, gltf-validator, spectral and TypeScript, from npm
 
 $(JS_TOOLS)/.ready: tests/js/package.json
 	@mkdir -p $(JS_TOOLS)
 	@cp tests/js/package.json $(JS_TOOLS)/
 	@cd $(JS_TOOLS) && npm install --no-audit --no-fund --no-package-lock --ignore-scripts --loglevel=error
 	@touch $@
+
+web-check: $(JS_TOOLS)/.ready  ## format and lint of web/ and its tests (Biome)
+	@$(JS_TOOLS)/node_modules/.bin/biome check --error-on-warnings .
+
+web-format: $(JS_TOOLS)/.ready  ## rewrite web/ as `web-check` wants it
+	@$(JS_TOOLS)/node_modules/.bin/biome check --write .
 
 openapi-lint: $(JS_TOOLS)/.ready  ## spectral on openapi.json; a TypeScript client of it compiles
 	@$(JS_TOOLS)/node_modules/.bin/spectral lint openapi/openapi.json --ruleset tests/js/spectral.yaml --fail-severity warn

@@ -1,22 +1,28 @@
 // The page: files in, progress, the tree. What it knows of the service is in client.js, of the motion in modes.js.
 
 import { Client, Problem } from "./client.js";
+import { Files } from "./files.js";
 import { Hand } from "./hand.js";
+import { JobList } from "./jobs.js";
 import { Modes, windCoordinates, windGain } from "./modes.js";
 import { isWorthLoading, readMorphs } from "./morphs.js";
-import { Files } from "./files.js";
-import { JobList } from "./jobs.js";
+import { $, ask, button, degrees, element, fill, hideProblem, setTheme, showProblem } from "./page.js";
 import { Stage } from "./stage.js";
 import { readSurface } from "./surface.js";
 import { Tree } from "./tree.js";
-import { $, ask, button, degrees, element, fill, setTheme, showProblem, hideProblem } from "./page.js";
 
 const EXAMPLES = [
   { file: "round-broadleaf", name: "Broadleaf", height: "10.3 m" },
   { file: "weeping", name: "Weeping", height: "9.7 m" },
   { file: "conical-conifer", name: "Conifer", height: "8.0 m" },
 ];
-const STAGES = { upload: "Upload", reconstruct: "Photos to a tree", voxelize: "Find the voxels", diffuse: "Give it motion", animate: "Write the files" };
+const STAGES = {
+  upload: "Upload",
+  reconstruct: "Photos to a tree",
+  voxelize: "Find the voxels",
+  diffuse: "Give it motion",
+  animate: "Write the files",
+};
 const EASE_S = 0.6; // in which wind follows its slider
 const SHOWN_SHARE = 0.05; // of the height: a mode alone is enlarged to this
 
@@ -24,7 +30,10 @@ const client = new Client({ key: sessionStorage.getItem("key"), kept: localStora
 const stage = newStage();
 const hand = new Hand(stage, client, { onGrab: showGrip, onProblem: showProblem });
 const files = new Files(client, { onProblem: fail });
-const jobs = new JobList(client, { onOpen: (job) => open(job.id), onProblem: (error) => fail(error, null, () => jobs.show()) });
+const jobs = new JobList(client, {
+  onOpen: (job) => open(job.id),
+  onProblem: (error) => fail(error, null, () => jobs.show()),
+});
 const still = matchMedia("(prefers-reduced-motion: reduce)");
 
 let run = new AbortController(); // of what is being opened; a new one ends it
@@ -42,9 +51,18 @@ async function begin(given, { example } = {}) {
   const name = given.length === 1 ? given[0].name : `${given.length} files`;
   showProgress(example ?? name, stages);
   try {
-    const asset = await client.upload(given, { signal, onProgress: (share) => { stages[0].progress = share; showProgress(example ?? name, stages); } });
+    const asset = await client.upload(given, {
+      signal,
+      onProgress: (share) => {
+        stages[0].progress = share;
+        showProgress(example ?? name, stages);
+      },
+    });
     showAtRest(asset, signal);
-    const job = await client.createJob({ type: "animate", asset_id: asset.id, params: { formats: FIRST_FORMATS[asset.kind] } }, { signal });
+    const job = await client.createJob(
+      { type: "animate", asset_id: asset.id, params: { formats: FIRST_FORMATS[asset.kind] } },
+      { signal },
+    );
     await follow(job.id, signal, example ?? name);
   } catch (error) {
     fail(error, signal, () => begin(given, { example }));
@@ -67,12 +85,16 @@ async function open(jobId) {
   }
 }
 
-const nameOf = (asset) => (asset.parts.length > 1 && asset.kind === "photos" ? `${asset.parts.length} photos` : asset.parts[0].name.replace(/\.[a-z]+$/i, ""));
+const nameOf = (asset) =>
+  asset.parts.length > 1 && asset.kind === "photos"
+    ? `${asset.parts.length} photos`
+    : asset.parts[0].name.replace(/\.[a-z]+$/i, "");
 
 /** Watch a job; show its tree as soon as there is a spectrum, its files once they are written. */
 async function follow(jobId, signal, name) {
   history.replaceState(null, "", `#job=${jobId}`);
-  let job = null, moving = null;
+  let job = null;
+  let moving = null;
   for await (job of client.watch(jobId, { signal })) {
     const at = job.result?.spectrum_id;
     if (at && !moving) moving = showMoving(job, at, signal, name);
@@ -81,7 +103,10 @@ async function follow(jobId, signal, name) {
   }
   if (moving) await moving;
   if (job.state === "succeeded") return showFiles(job, signal);
-  throw Object.assign(new Problem(job.error ?? { title: `The job is ${job.state}`, suggestion: "Start it again.", code: job.state }), { job });
+  throw Object.assign(
+    new Problem(job.error ?? { title: `The job is ${job.state}`, suggestion: "Start it again.", code: job.state }),
+    { job },
+  );
 }
 
 /** Something to look at while the job runs. */
@@ -95,7 +120,9 @@ async function showAtRest(asset, signal) {
 
 async function showMoving(job, spectrumId, signal, name) {
   const [spectrum, modes, surface] = await Promise.all([
-    client.spectrum(spectrumId), client.modes(spectrumId).then((bytes) => new Modes(bytes)), client.surface(spectrumId).then(readSurface),
+    client.spectrum(spectrumId),
+    client.modes(spectrumId).then((bytes) => new Modes(bytes)),
+    client.surface(spectrumId).then(readSurface),
   ]);
   if (signal.aborted) return;
   tree ??= new Tree(stage);
@@ -108,7 +135,8 @@ async function showMoving(job, spectrumId, signal, name) {
   motion.phase = 0;
   setMode("moving");
   $("progress").hidden = true;
-  $("caption").textContent = `${name} · ${stage.height.toFixed(1)} m · ${spectrum.num_voxels.toLocaleString("en")} voxels`;
+  $("caption").textContent =
+    `${name} · ${stage.height.toFixed(1)} m · ${spectrum.num_voxels.toLocaleString("en")} voxels`;
   setWind(spectrum.wind ?? { speed_m_s: 5, direction_deg: 0 });
   setView($("views").querySelector(":checked").value);
   showRest();
@@ -118,7 +146,8 @@ async function showMoving(job, spectrumId, signal, name) {
 
 /** What only the job's files tell: Gaussians of a cloud or of photos, else the own motion of a large mesh. */
 async function showFiles(job, signal) {
-  const made = await client.artifacts(job.id), splat = made.find(({ name }) => name === "tree.animated-splat.safetensors");
+  const made = await client.artifacts(job.id);
+  const splat = made.find(({ name }) => name === "tree.animated-splat.safetensors");
   if (!tree?.moves || signal.aborted) return;
   const morphs = tree.hangsOnVoxels && !splat && made.find(isWorthLoading);
   if (splat) {
@@ -183,24 +212,48 @@ function showProgress(title, stages, job) {
   fill($("progress-title"), waits ? `${title}: ${job.queue_position} before it` : title);
   $("cancel").onclick = () => (job ? client.cancel(job.id).then(toWelcome, fail) : toWelcome());
   const items = stages.map(({ name, state, progress, cached }) => {
-    const told = cached ? "known already" : state === "running" ? `${Math.round(progress * 100)} %` : state === "succeeded" ? "done" : state === "queued" ? "" : state;
+    const told = cached
+      ? "known already"
+      : state === "running"
+        ? `${Math.round(progress * 100)} %`
+        : state === "succeeded"
+          ? "done"
+          : state === "queued"
+            ? ""
+            : state;
     const bar = element("progress", { max: 1, value: state === "succeeded" ? 1 : progress });
     bar.setAttribute("aria-label", STAGES[name] ?? name);
-    return element("li", { className: state === "queued" ? "waiting" : state }, element("span", {}, STAGES[name] ?? name), element("span", {}, told), bar);
+    return element(
+      "li",
+      { className: state === "queued" ? "waiting" : state },
+      element("span", {}, STAGES[name] ?? name),
+      element("span", {}, told),
+      bar,
+    );
   });
   $("stages").replaceChildren(...items);
 }
 
 /** The tree stands in the middle of what the panels leave free. */
 function layOut() {
-  const moving = document.body.dataset.mode === "moving", wide = innerWidth > 760;
-  stage.clear({ right: moving && wide ? 320 : 0, top: 56, bottom: moving ? 84 : document.body.dataset.mode === "waiting" ? 190 : 0 });
+  const moving = document.body.dataset.mode === "moving";
+  const wide = innerWidth > 760;
+  stage.clear({
+    right: moving && wide ? 320 : 0,
+    top: 56,
+    bottom: moving ? 84 : document.body.dataset.mode === "waiting" ? 190 : 0,
+  });
 }
 
 function hint() {
   const box = $("hint");
   box.classList.remove("going");
-  fill(box, matchMedia("(pointer: coarse)").matches ? "Pull a branch and let go" : "Pull a branch and let go. Drag beside the tree to turn it.");
+  fill(
+    box,
+    matchMedia("(pointer: coarse)").matches
+      ? "Pull a branch and let go"
+      : "Pull a branch and let go. Drag beside the tree to turn it.",
+  );
   setTimeout(() => box.classList.add("going"), 7000);
 }
 
@@ -212,7 +265,8 @@ function showGrip(point, pointer) {
   $("hint").classList.add("going");
   const { x, y } = stage.onScreen(point);
   grip.style.transform = `translate(${x}px, ${y}px)`;
-  const [dx, dy] = [pointer.x - x, pointer.y - y], line = grip.firstElementChild;
+  const [dx, dy] = [pointer.x - x, pointer.y - y];
+  const line = grip.firstElementChild;
   line.style.width = `${Math.max(Math.hypot(dx, dy) - 11, 0)}px`;
   line.style.transform = `rotate(${Math.atan2(dy, dx)}rad) translateX(11px)`;
 }
@@ -227,15 +281,22 @@ function setWind({ speed_m_s: speed, direction_deg: direction }) {
 
 function showWind() {
   const made = shown?.spectrum.wind ?? { speed_m_s: 5, direction_deg: 0 };
-  const speed = Number($("speed").value), direction = Number($("direction").value);
+  const speed = Number($("speed").value);
+  const direction = Number($("direction").value);
   fill($("speed-out"), `${speed.toFixed(1)} m/s`);
   fill($("direction-out"), degrees(direction));
   const turn = ((direction - made.direction_deg + 540) % 360) - 180;
   motion.wanted = windGain(speed, made.speed_m_s);
   motion.turn = (turn * Math.PI) / 180;
-  const sameSpeed = Math.abs(speed - made.speed_m_s) < 0.01, turned = Math.abs(turn) >= 0.01, same = sameSpeed && !turned;
-  fill($("wind-note"), same ? "The wind that this motion was made for."
-    : `A preview: the same motion${sameSpeed ? "" : `, ${motion.wanted.toFixed(motion.wanted < 10 ? 1 : 0)} times as far (speed to the power 1.4)`}${turned ? `, turned by ${degrees(Math.abs(turn))}` : ""}.`);
+  const sameSpeed = Math.abs(speed - made.speed_m_s) < 0.01;
+  const turned = Math.abs(turn) >= 0.01;
+  const same = sameSpeed && !turned;
+  fill(
+    $("wind-note"),
+    same
+      ? "The wind that this motion was made for."
+      : `A preview: the same motion${sameSpeed ? "" : `, ${motion.wanted.toFixed(motion.wanted < 10 ? 1 : 0)} times as far (speed to the power 1.4)`}${turned ? `, turned by ${degrees(Math.abs(turn))}` : ""}.`,
+  );
   $("make-wind").hidden = same;
   stage.wind(direction, speed / 12, accent());
   paintRanges();
@@ -246,7 +307,13 @@ async function makeForWind() {
   const wind = { ...job.params.wind, speed_m_s: Number($("speed").value), direction_deg: Number($("direction").value) };
   const { signal } = run;
   try {
-    const made = await client.createJob({ type: "animate", asset_id: job.asset_id, preset: job.preset, seed: job.seed, params: { ...job.params, wind } });
+    const made = await client.createJob({
+      type: "animate",
+      asset_id: job.asset_id,
+      preset: job.preset,
+      seed: job.seed,
+      params: { ...job.params, wind },
+    });
     showProgress(name, made.stages, made);
     await open(made.id);
   } catch (error) {
@@ -264,14 +331,19 @@ function setView(view) {
 
 function showMode() {
   if (!tree?.moves) return;
-  const k = Number($("mode").value), on = document.body.dataset.mode === "moving" && tree.view === "modes";
+  const k = Number($("mode").value);
+  const on = document.body.dataset.mode === "moving" && tree.view === "modes";
   $("mode").max = tree.modes.K - 1;
   tree.setShown(on ? k : null);
   fill($("mode-out"), `${k}: ${tree.modes.frequencies_hz[k].toFixed(2)} Hz`);
-  const most = tree.largest[k], alone = on && $("mode-alone").checked;
+  const most = tree.largest[k];
+  const alone = on && $("mode-alone").checked;
   const times = Math.max(1, (SHOWN_SHARE * stage.height) / most);
   motion.alone = alone ? { k, times } : null;
-  fill($("mode-most"), `${most >= 0.01 ? `${(most * 100).toFixed(1)} cm` : `${(most * 1000).toFixed(1)} mm`}${alone && times > 1.05 ? `, shown ${times.toFixed(times < 10 ? 1 : 0)} times` : ""}`);
+  fill(
+    $("mode-most"),
+    `${most >= 0.01 ? `${(most * 100).toFixed(1)} cm` : `${(most * 1000).toFixed(1)} mm`}${alone && times > 1.05 ? `, shown ${times.toFixed(times < 10 ? 1 : 0)} times` : ""}`,
+  );
   paintRanges();
 }
 
@@ -311,7 +383,9 @@ function paintRange(input) {
   input.style.setProperty("--share", `${share * 100}%`);
 }
 
-function paintRanges() { document.querySelectorAll("input[type=range]").forEach(paintRange); }
+function paintRanges() {
+  document.querySelectorAll("input[type=range]").forEach(paintRange);
+}
 
 let last = performance.now();
 function eachFrame(now) {
@@ -332,9 +406,12 @@ function advance(seconds) {
   const { spectrum } = shown;
   if (motion.playing) motion.phase = (motion.phase + seconds / spectrum.period_s) % 1;
   const easing = Math.abs(motion.gain - motion.wanted) > 1e-3;
-  motion.gain = easing ? motion.gain + (motion.wanted - motion.gain) * (1 - Math.exp(-seconds / (EASE_S / 2))) : motion.wanted;
+  motion.gain = easing
+    ? motion.gain + (motion.wanted - motion.gain) * (1 - Math.exp(-seconds / (EASE_S / 2)))
+    : motion.wanted;
   const q = coordinates();
-  const before = advance.before, key = `${motion.phase} ${motion.gain} ${motion.turn} ${JSON.stringify(motion.alone)}`;
+  const before = advance.before;
+  const key = `${motion.phase} ${motion.gain} ${motion.turn} ${JSON.stringify(motion.alone)}`;
   if (key !== before || hand.moving || tree.groups.length) tree.move(q, motion.turn, hand.groups);
   if (key !== before) showTime();
   advance.before = key;
@@ -343,7 +420,8 @@ function advance(seconds) {
 function coordinates() {
   const { K } = tree.modes;
   if (!motion.alone) return windCoordinates(K, motion.phase, motion.gain);
-  const { k, times } = motion.alone, q = new Float32Array(2 * K);
+  const { k, times } = motion.alone;
+  const q = new Float32Array(2 * K);
   // slowed to a beat that the eye follows, still whole turns a loop
   const turns = Math.min(k, 3);
   q[2 * k] = times * Math.cos(2 * Math.PI * turns * motion.phase);
@@ -358,17 +436,31 @@ function newStage() {
     return new Stage($("canvas"));
   } catch (error) {
     document.body.dataset.mode = "welcome";
-    showProblem(new Problem({ title: "This browser cannot draw the tree", detail: `WebGL 2 is needed: ${error.message}.`, suggestion: "Try another browser, or switch on hardware acceleration. Uploads and downloads over /v1 work without it.", code: "no-webgl" }));
+    showProblem(
+      new Problem({
+        title: "This browser cannot draw the tree",
+        detail: `WebGL 2 is needed: ${error.message}.`,
+        suggestion:
+          "Try another browser, or switch on hardware acceleration. Uploads and downloads over /v1 work without it.",
+        code: "no-webgl",
+      }),
+    );
     throw error;
   }
 }
 
 function wire() {
   $("choose").onclick = () => $("files").click();
-  $("files").onchange = () => { begin([...$("files").files]); $("files").value = ""; };
+  $("files").onchange = () => {
+    begin([...$("files").files]);
+    $("files").value = "";
+  };
   $("new").onclick = toWelcome;
   $("open-jobs").onclick = () => jobs.show();
-  $("theme").onclick = () => { setTheme(true); look(); };
+  $("theme").onclick = () => {
+    setTheme(true);
+    look();
+  };
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", look);
   for (const id of ["speed", "direction"]) $(id).oninput = showWind;
   $("make-wind").onclick = makeForWind;
@@ -376,11 +468,17 @@ function wire() {
   $("mode").oninput = $("mode-alone").onchange = showMode;
   $("rest").onchange = showRest;
   $("knock").onclick = () => hand.knock();
-  $("damping").oninput = () => { fill($("damping-out"), `${$("damping").value} %`); paintRange($("damping")); };
+  $("damping").oninput = () => {
+    fill($("damping-out"), `${$("damping").value} %`);
+    paintRange($("damping"));
+  };
   $("damping").onchange = () => hand.setDamping(Number($("damping").value) / 100);
   $("damping").oninput();
   $("play").onclick = () => setPlaying(!motion.playing);
-  $("time").oninput = () => { setPlaying(false); motion.phase = Number($("time").value) % 1; };
+  $("time").oninput = () => {
+    setPlaying(false);
+    motion.phase = Number($("time").value) % 1;
+  };
   addEventListener("resize", layOut);
   addEventListener("keydown", onKey);
   wireDrop();
@@ -389,7 +487,13 @@ function wire() {
 }
 
 function exampleItem({ file, name, height }) {
-  const picture = element("img", { src: `./web/examples/${file}.webp`, alt: "", width: 128, height: 128, loading: "lazy" });
+  const picture = element("img", {
+    src: `./web/examples/${file}.webp`,
+    alt: "",
+    width: 128,
+    height: 128,
+    loading: "lazy",
+  });
   const start = button("", async () => {
     const response = await fetch(`./web/examples/${file}.glb`);
     begin([new File([await response.blob()], `${file}.glb`)], { example: name });
@@ -408,8 +512,13 @@ function tellFormats(limits) {
 
 function wireDrop() {
   let depth = 0;
-  const veil = (shownNow) => { $("veil").hidden = !shownNow; };
-  addEventListener("dragenter", (event) => { event.preventDefault(); if (event.dataTransfer?.types.includes("Files")) veil(++depth > 0); });
+  const veil = (shownNow) => {
+    $("veil").hidden = !shownNow;
+  };
+  addEventListener("dragenter", (event) => {
+    event.preventDefault();
+    if (event.dataTransfer?.types.includes("Files")) veil(++depth > 0);
+  });
   addEventListener("dragleave", () => veil((depth = Math.max(depth - 1, 0)) > 0));
   addEventListener("dragover", (event) => event.preventDefault());
   addEventListener("drop", (event) => {
@@ -423,11 +532,19 @@ function onKey(event) {
   if (document.querySelector("dialog[open]") || event.ctrlKey || event.metaKey || event.altKey) return;
   if (event.key === "Escape") return hand.held ? hand.letGo() : hideProblem();
   if (event.target.matches?.("input, button, summary, a, select") || !tree) return;
-  const step = 0.12, keys = {
-    ArrowLeft: () => stage.orbit(-step, 0), ArrowRight: () => stage.orbit(step, 0),
-    ArrowUp: () => stage.orbit(0, step), ArrowDown: () => stage.orbit(0, -step),
-    "+": () => stage.orbit(0, 0, 0.9), "=": () => stage.orbit(0, 0, 0.9), "-": () => stage.orbit(0, 0, 1.1),
-    Home: () => stage.home(), " ": () => tree.moves && setPlaying(!motion.playing), p: () => hand.knock(), P: () => hand.knock(),
+  const step = 0.12;
+  const keys = {
+    ArrowLeft: () => stage.orbit(-step, 0),
+    ArrowRight: () => stage.orbit(step, 0),
+    ArrowUp: () => stage.orbit(0, step),
+    ArrowDown: () => stage.orbit(0, -step),
+    "+": () => stage.orbit(0, 0, 0.9),
+    "=": () => stage.orbit(0, 0, 0.9),
+    "-": () => stage.orbit(0, 0, 1.1),
+    Home: () => stage.home(),
+    " ": () => tree.moves && setPlaying(!motion.playing),
+    p: () => hand.knock(),
+    P: () => hand.knock(),
   };
   if (!keys[event.key]) return;
   event.preventDefault();
@@ -436,7 +553,10 @@ function onKey(event) {
 
 function look() {
   stage.look(setTheme(false));
-  if (shown) { showWind(); showRest(); }
+  if (shown) {
+    showWind();
+    showRest();
+  }
 }
 
 wire();

@@ -30,7 +30,13 @@ export const hasEnded = (job) => ENDED.has(job.state);
 
 export class Client {
   /** `key` is sent as a bearer token where it is set; `kept` (localStorage) remembers uploads that were cut off. */
-  constructor({ base = "", key = null, kept = null, fetch = globalThis.fetch.bind(globalThis), WebSocket = globalThis.WebSocket } = {}) {
+  constructor({
+    base = "",
+    key = null,
+    kept = null,
+    fetch = globalThis.fetch.bind(globalThis),
+    WebSocket = globalThis.WebSocket,
+  } = {}) {
     Object.assign(this, { base: base.replace(/\/$/, ""), key, kept, _fetch: fetch, _WebSocket: WebSocket });
   }
 
@@ -51,7 +57,8 @@ export class Client {
         if (!AWAY.has(response.status) || !harmless || attempt === RETRIES) throw problem;
         waitS = problem.retryAfterS ?? waitS;
       } catch (error) {
-        if (error instanceof Problem || signal?.aborted || !again || attempt === RETRIES) throw asProblem(error, signal);
+        if (error instanceof Problem || signal?.aborted || !again || attempt === RETRIES)
+          throw asProblem(error, signal);
       }
       await sleep(Math.min(waitS, LONGEST_WAIT_S) * 1000, signal);
     }
@@ -65,14 +72,20 @@ export class Client {
     return response.status === 204 ? null : response.json();
   }
 
-  async bytes(path, options) { return (await this.send("GET", path, options)).arrayBuffer(); }
+  async bytes(path, options) {
+    return (await this.send("GET", path, options)).arrayBuffer();
+  }
 
   // ---- uploads
 
   /** One mesh or splat and what it names, or photos: `File`s, or `{ name, content: Blob }`. Large ones go in pieces. */
   async upload(files, { kind, upAxis, unitM, signal, onProgress = () => {} } = {}) {
     const options = Object.entries({ kind, up_axis: upAxis, unit_m: unitM }).filter(([, value]) => value !== undefined);
-    const all = files.map((file) => ({ name: file.name, content: file.content ?? file, changed: file.lastModified ?? 0 }));
+    const all = files.map((file) => ({
+      name: file.name,
+      content: file.content ?? file,
+      changed: file.lastModified ?? 0,
+    }));
     const total = all.reduce((sum, { content }) => sum + content.size, 0);
     onProgress(0);
     let asset;
@@ -83,7 +96,12 @@ export class Client {
         ids.push(await this._inPieces(file, { signal, onProgress: (bytes) => onProgress((before + bytes) / total) }));
         before += file.content.size;
       }
-      asset = await this.json("POST", "/v1/assets", { upload_ids: ids, ...Object.fromEntries(options) }, { again: true, signal });
+      asset = await this.json(
+        "POST",
+        "/v1/assets",
+        { upload_ids: ids, ...Object.fromEntries(options) },
+        { again: true, signal },
+      );
       for (const file of all) this.kept?.removeItem(keptKey(file));
     } else {
       const form = new FormData();
@@ -97,10 +115,15 @@ export class Client {
 
   /** tus: after a break it goes on at the byte that was reached, and after a reload too where `kept` is a Storage. */
   async _inPieces(file, { signal, onProgress }) {
-    const { content } = file, headers = { "Tus-Resumable": "1.0.0" };
+    const { content } = file;
+    const headers = { "Tus-Resumable": "1.0.0" };
     let { path, offset } = (await this._begun(file, headers, signal)) ?? {};
     if (!path) {
-      const told = { ...headers, "Upload-Length": String(content.size), "Upload-Metadata": `filename ${base64(file.name)}` };
+      const told = {
+        ...headers,
+        "Upload-Length": String(content.size),
+        "Upload-Metadata": `filename ${base64(file.name)}`,
+      };
       path = (await this.send("POST", "/v1/uploads", { headers: told, signal })).headers.get("Location");
       offset = 0;
       this.kept?.setItem(keptKey(file), path);
@@ -108,10 +131,18 @@ export class Client {
     for (let failures = 0; offset < content.size; onProgress(offset)) {
       const sent = { ...headers, "Content-Type": "application/offset+octet-stream", "Upload-Offset": String(offset) };
       try {
-        const response = await this.send("PATCH", path, { headers: sent, body: content.slice(offset, offset + PIECE), signal });
+        const response = await this.send("PATCH", path, {
+          headers: sent,
+          body: content.slice(offset, offset + PIECE),
+          signal,
+        });
         [offset, failures] = [Number(response.headers.get("Upload-Offset")), 0];
       } catch (error) {
-        const gone = error.status >= 400 && error.status < 500 && error.code !== "upload-offset-conflict" && !AWAY.has(error.status);
+        const gone =
+          error.status >= 400 &&
+          error.status < 500 &&
+          error.code !== "upload-offset-conflict" &&
+          !AWAY.has(error.status);
         if (signal?.aborted || gone || ++failures > RETRIES) throw error;
         await sleep(500 * 2 ** failures, signal);
         offset = Number((await this.send("HEAD", path, { headers, signal })).headers.get("Upload-Offset"));
@@ -149,7 +180,9 @@ export class Client {
     return new Client({ base: this.base, fetch: through }).send("POST", path, { signal });
   }
 
-  asset(id) { return this.json("GET", `/v1/assets/${id}`); }
+  asset(id) {
+    return this.json("GET", `/v1/assets/${id}`);
+  }
 
   // ---- jobs
 
@@ -158,9 +191,15 @@ export class Client {
     return this.json("POST", "/v1/jobs", request, { headers: { "Idempotency-Key": key }, again: true, signal });
   }
 
-  job(id) { return this.json("GET", `/v1/jobs/${id}`); }
-  cancel(id) { return this.json("POST", `/v1/jobs/${id}/cancel`, undefined, { again: true }); }
-  retry(id, body = {}) { return this.json("POST", `/v1/jobs/${id}/retry`, body); }
+  job(id) {
+    return this.json("GET", `/v1/jobs/${id}`);
+  }
+  cancel(id) {
+    return this.json("POST", `/v1/jobs/${id}/cancel`, undefined, { again: true });
+  }
+  retry(id, body = {}) {
+    return this.json("POST", `/v1/jobs/${id}/retry`, body);
+  }
 
   /** One page: `{ data, next_cursor }`, newest first. */
   jobs({ limit = 20, cursor, state, type } = {}) {
@@ -168,7 +207,9 @@ export class Client {
     return this.json("GET", `/v1/jobs?${new URLSearchParams(asked)}`);
   }
 
-  async artifacts(jobId) { return (await this.json("GET", `/v1/jobs/${jobId}/artifacts`)).artifacts; }
+  async artifacts(jobId) {
+    return (await this.json("GET", `/v1/jobs/${jobId}/artifacts`)).artifacts;
+  }
 
   /** The job whenever it changes, until it has ended: events, and polling where they do not come through. */
   async *watch(id, { signal, events = true } = {}) {
@@ -215,7 +256,10 @@ export class Client {
         if (done) return;
         text += decoder.decode(value, { stream: true });
         for (let end; (end = text.indexOf("\n\n")) >= 0; text = text.slice(end + 2)) {
-          const told = text.slice(0, end).split("\n").filter((line) => line.startsWith("data:"));
+          const told = text
+            .slice(0, end)
+            .split("\n")
+            .filter((line) => line.startsWith("data:"));
           if (!told.length) continue;
           clearTimeout(timer);
           yield JSON.parse(told.map((line) => line.slice(5)).join("\n"));
@@ -230,10 +274,18 @@ export class Client {
 
   // ---- spectra and pushes
 
-  spectrum(id) { return this.json("GET", `/v1/spectra/${id}`); }
-  modes(id, options) { return this.bytes(`/v1/spectra/${id}/modes`, options); }
-  surface(id, options) { return this.bytes(`/v1/spectra/${id}/surface`, options); }
-  assetSurface(id, options) { return this.bytes(`/v1/assets/${id}/surface`, options); }
+  spectrum(id) {
+    return this.json("GET", `/v1/spectra/${id}`);
+  }
+  modes(id, options) {
+    return this.bytes(`/v1/spectra/${id}/modes`, options);
+  }
+  surface(id, options) {
+    return this.bytes(`/v1/spectra/${id}/surface`, options);
+  }
+  assetSurface(id, options) {
+    return this.bytes(`/v1/assets/${id}/surface`, options);
+  }
 
   /** How much each voxel takes part in a group, [V] in 0 to 1. */
   async reach(id, { seed_voxel, falloff_m }) {
@@ -242,10 +294,14 @@ export class Client {
     return Float32Array.from(bytes, (byte) => byte / 255);
   }
 
-  interact(request) { return this.json("POST", "/v1/interact", request, { again: true }); }
+  interact(request) {
+    return this.json("POST", "/v1/interact", request, { again: true });
+  }
 
   /** A tree to push as long as one likes; see Push. */
-  push(spectrumId, options = {}) { return new Push(this, spectrumId, options); }
+  push(spectrumId, options = {}) {
+    return new Push(this, spectrumId, options);
+  }
 }
 
 /** /v1/interact/stream. Opens with the first push, and anew after the service has let go of a client that was still. */
@@ -255,12 +311,20 @@ export class Push {
   }
 
   /** Pull a point by so many metres, and hold it. `at` is one of `{ voxel }`, `{ point_m }`, `{ vertex }`. */
-  drag(at, displacement_m) { this._force({ kind: "drag", at, displacement_m }); }
-  knock(at, impulse_n_s) { this._force({ kind: "impulse", at, impulse_n_s }); }
-  release(kind = "drag") { if (this._socket) this._say({ type: "release", kind }); }
+  drag(at, displacement_m) {
+    this._force({ kind: "drag", at, displacement_m });
+  }
+  knock(at, impulse_n_s) {
+    this._force({ kind: "impulse", at, impulse_n_s });
+  }
+  release(kind = "drag") {
+    if (this._socket) this._say({ type: "release", kind });
+  }
 
   /** Tell which frame was drawn; without it at most eight come. */
-  drawn(frame) { if (this._socket?.readyState === 1) this._say({ type: "ack", frame }); }
+  drawn(frame) {
+    if (this._socket?.readyState === 1) this._say({ type: "ack", frame });
+  }
 
   close() {
     const socket = this._socket;
@@ -292,11 +356,22 @@ export class Push {
     socket.onmessage = ({ data }) => {
       const message = JSON.parse(data);
       if (message.type === "frame") this.onFrame(message);
-      else if (message.type === "rest") { this._busy = false; this.onRest(message); }
-      else if (message.type === "problem") this.onProblem(new Problem(message));
+      else if (message.type === "rest") {
+        this._busy = false;
+        this.onRest(message);
+      } else if (message.type === "problem") this.onProblem(new Problem(message));
     };
     // a line that breaks while nothing moves is opened again by the next push
-    socket.onerror = () => this._busy && this.onProblem(new Problem({ title: "The push did not get through", detail: "The connection that carries pushes was closed.", code: "stream-closed", suggestion: "Try again." }));
+    socket.onerror = () =>
+      this._busy &&
+      this.onProblem(
+        new Problem({
+          title: "The push did not get through",
+          detail: "The connection that carries pushes was closed.",
+          code: "stream-closed",
+          suggestion: "Try again.",
+        }),
+      );
     socket.onclose = gone;
     return socket;
   }
@@ -312,12 +387,20 @@ async function readProblem(response) {
   const retryAfterS = seconds(response.headers.get("Retry-After"));
   const isJson = /json/.test(response.headers.get("Content-Type") ?? "");
   const body = isJson ? await response.json().catch(() => ({})) : {};
-  return new Problem(body.title ? body : { title: `HTTP ${response.status}`, code: "unknown" }, { status: response.status, retryAfterS });
+  return new Problem(body.title ? body : { title: `HTTP ${response.status}`, code: "unknown" }, {
+    status: response.status,
+    retryAfterS,
+  });
 }
 
 function asProblem(error, signal) {
   if (error instanceof Problem || signal?.aborted) return error;
-  const told = { title: "The service cannot be reached", detail: error.message, code: "unreachable", suggestion: "Look whether it runs, then try again." };
+  const told = {
+    title: "The service cannot be reached",
+    detail: error.message,
+    code: "unreachable",
+    suggestion: "Look whether it runs, then try again.",
+  };
   return new Problem(told);
 }
 
@@ -343,7 +426,14 @@ function sleep(ms, signal) {
   return new Promise((resolve, reject) => {
     if (signal?.aborted) return reject(signal.reason);
     const timer = setTimeout(resolve, ms);
-    signal?.addEventListener("abort", () => { clearTimeout(timer); reject(signal.reason); }, { once: true });
+    signal?.addEventListener(
+      "abort",
+      () => {
+        clearTimeout(timer);
+        reject(signal.reason);
+      },
+      { once: true },
+    );
   });
 }
 

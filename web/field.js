@@ -47,16 +47,28 @@ export class Field {
     this.shapes.internalFormat = "RG16I";
     this.shapes.needsUpdate = true;
     this.target = new THREE.WebGLRenderTarget(WIDTH, Math.ceil(P / WIDTH), {
-      type: THREE.FloatType, minFilter: THREE.NearestFilter, magFilter: THREE.NearestFilter, depthBuffer: false, generateMipmaps: false,
+      type: THREE.FloatType,
+      minFilter: THREE.NearestFilter,
+      magFilter: THREE.NearestFilter,
+      depthBuffer: false,
+      generateMipmaps: false,
     });
     this.q = Array.from({ length: K }, () => new THREE.Vector2());
     this.material = new THREE.ShaderMaterial({
-      defines: { BINS: K, POINTS: P }, vertexShader: VERTEX, fragmentShader: FRAGMENT,
+      defines: { BINS: K, POINTS: P },
+      vertexShader: VERTEX,
+      fragmentShader: FRAGMENT,
       uniforms: {
-        shapes: { value: this.shapes }, q: { value: this.q }, turn: { value: new THREE.Vector2(1, 0) },
-        shown: { value: -1 }, shownScale: { value: 1 },
+        shapes: { value: this.shapes },
+        q: { value: this.q },
+        turn: { value: new THREE.Vector2(1, 0) },
+        shown: { value: -1 },
+        shownScale: { value: 1 },
       },
-      blending: THREE.NoBlending, depthTest: false, depthWrite: false, toneMapped: false,
+      blending: THREE.NoBlending,
+      depthTest: false,
+      depthWrite: false,
+      toneMapped: false,
     });
     this.scene = new THREE.Scene();
     this.scene.add(new THREE.Mesh(new THREE.PlaneGeometry(2, 2), this.material));
@@ -64,7 +76,9 @@ export class Field {
     this.camera = new THREE.Camera();
   }
 
-  get texture() { return this.target.texture; }
+  get texture() {
+    return this.target.texture;
+  }
 
   /** The share of bin k's largest swing is written to alpha; null for none. */
   show(k, largest = 1) {
@@ -74,7 +88,7 @@ export class Field {
 
   /** Coordinates [2K] and the wind's turn [rad] to displacements. */
   evaluate(renderer, q, angle = 0) {
-    this.q.forEach((value, k) => value.set(q[2 * k] * this.scale[k], q[2 * k + 1] * this.scale[k]));
+    for (let k = 0; k < this.K; k++) this.q[k].set(q[2 * k] * this.scale[k], q[2 * k + 1] * this.scale[k]);
     this.material.uniforms.turn.value.set(Math.cos(angle), Math.sin(angle));
     const before = renderer.getRenderTarget();
     renderer.setRenderTarget(this.target);
@@ -116,5 +130,7 @@ export class PoseTexture {
     this.texture.needsUpdate = true;
   }
 
-  dispose() { this.texture.dispose(); }
+  dispose() {
+    this.texture.dispose();
+  }
 }

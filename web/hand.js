@@ -53,7 +53,9 @@ export class Hand {
     this.groups = [];
   }
 
-  get moving() { return this.groups.length > 0 || Boolean(this.held); }
+  get moving() {
+    return this.groups.length > 0 || Boolean(this.held);
+  }
 
   /** For those who use no pointer: the top aside, and let go. */
   knock() {
@@ -87,21 +89,30 @@ export class Hand {
   }
 
   _down(event) {
-    if (!this.tree?.moves || this.held || event.button !== 0 || event.shiftKey || event.target !== this.stage.canvas) return;
+    if (!this.tree?.moves || this.held || event.button !== 0 || event.shiftKey || event.target !== this.stage.canvas)
+      return;
     const voxel = this.tree.pick(event);
     if (voxel === null) return;
     this.stage.controls.enabled = false;
     this.stage.canvas.setPointerCapture(event.pointerId);
     const start = new THREE.Vector3(...this.tree.voxelNow(voxel));
     const facing = this.stage.camera.getWorldDirection(new THREE.Vector3());
-    this.held = { voxel, start, pointer: event.pointerId, plane: new THREE.Plane().setFromNormalAndCoplanarPoint(facing, start), wanted: null, at: { x: event.clientX, y: event.clientY } };
+    this.held = {
+      voxel,
+      start,
+      pointer: event.pointerId,
+      plane: new THREE.Plane().setFromNormalAndCoplanarPoint(facing, start),
+      wanted: null,
+      at: { x: event.clientX, y: event.clientY },
+    };
     this.onGrab(start.toArray(), this.held.at);
   }
 
   _move(event) {
     if (!this.held) {
       if (event.pointerType !== "mouse" || event.buttons) return;
-      const over = event.target === this.stage.canvas && this.tree?.moves && this.tree.pick(event, { exact: false }) !== null;
+      const over =
+        event.target === this.stage.canvas && this.tree?.moves && this.tree.pick(event, { exact: false }) !== null;
       this.stage.canvas.classList.toggle("over", Boolean(over));
       return;
     }
@@ -111,7 +122,9 @@ export class Hand {
     const at = ray.ray.intersectPlane(this.held.plane, new THREE.Vector3());
     this.held.at = { x: event.clientX, y: event.clientY };
     if (!at) return;
-    const limit = FURTHEST * this.stage.height, pull = at.sub(this.held.start), far = pull.length();
+    const limit = FURTHEST * this.stage.height;
+    const pull = at.sub(this.held.start);
+    const far = pull.length();
     this.held.wanted = pull.multiplyScalar(far > 0 ? (limit * Math.tanh(far / limit)) / far : 0);
   }
 
@@ -136,10 +149,13 @@ export class Hand {
 
   /** Weights of a group's bones; null until they have come. */
   _weightsOf(locality) {
-    const key = JSON.stringify(locality), { tree, weights } = this;
+    const key = JSON.stringify(locality);
+    const { tree, weights } = this;
     if (!weights.has(key)) {
       weights.set(key, null);
-      const all = locality ? this.client.reach(this.spectrumId, locality) : Promise.resolve(new Float32Array(tree.modes.V).fill(1));
+      const all = locality
+        ? this.client.reach(this.spectrumId, locality)
+        : Promise.resolve(new Float32Array(tree.modes.V).fill(1));
       all.then((w) => weights.set(key, tree.modes.boneWeights(w)), this.onProblem);
     }
     return weights.get(key);

@@ -12,7 +12,10 @@ export class JobList {
     this.dialog = $("jobs");
     this.names = new Map(); // of assets
     this.dialog.querySelector(".close").onclick = () => this.dialog.close();
-    $("more-jobs").onclick = () => { this.limit = Math.min(this.limit + 20, 100); this._load(); };
+    $("more-jobs").onclick = () => {
+      this.limit = Math.min(this.limit + 20, 100);
+      this._load();
+    };
   }
 
   async show() {
@@ -39,7 +42,10 @@ export class JobList {
   async _name(id) {
     if (this.names.has(id)) return;
     const asset = await this.client.asset(id).catch(() => null); // an asset that has expired leaves its jobs
-    this.names.set(id, asset ? (asset.kind === "photos" ? `${asset.parts.length} photos` : asset.parts[0].name) : "Upload expired");
+    this.names.set(
+      id,
+      asset ? (asset.kind === "photos" ? `${asset.parts.length} photos` : asset.parts[0].name) : "Upload expired",
+    );
   }
 
   _fill(data) {
@@ -62,11 +68,24 @@ export class JobList {
     };
     if (!hasEnded(job)) act("Cancel", () => this._do(this.client.cancel(job.id)));
     if (hasEnded(job) && job.state !== "succeeded") act("Retry", () => this._do(this.client.retry(job.id)));
-    act("Open", () => { this.dialog.close(); this.onOpen(job); });
+    act("Open", () => {
+      this.dialog.close();
+      this.onOpen(job);
+    });
     const why = job.error ? element("small", {}, `${job.error.title}: ${job.error.detail}`) : "";
-    return element("li", { className: job.state },
-      element("span", {}, element("b", {}, this.names.get(job.asset_id) ?? ""), ` ${KINDS[job.type] ?? job.type}${wind}`), actions,
-      element("small", {}, element("span", { className: "state" }, state), ` · ${when}`), why);
+    return element(
+      "li",
+      { className: job.state },
+      element(
+        "span",
+        {},
+        element("b", {}, this.names.get(job.asset_id) ?? ""),
+        ` ${KINDS[job.type] ?? job.type}${wind}`,
+      ),
+      actions,
+      element("small", {}, element("span", { className: "state" }, state), ` · ${when}`),
+      why,
+    );
   }
 
   async _do(promise) {

@@ -1,6 +1,13 @@
 // A tree's motion as numbers: the files of /v1/spectra/{id}/modes and /surface, and the rules of docs/interaction.md.
 
-const KINDS = { F16: Uint16Array, I16: Int16Array, U16: Uint16Array, I32: Int32Array, F32: Float32Array, U8: Uint8Array };
+const KINDS = {
+  F16: Uint16Array,
+  I16: Int16Array,
+  U16: Uint16Array,
+  I32: Int32Array,
+  F32: Float32Array,
+  U8: Uint8Array,
+};
 const DRAG_EXPONENT = 1.4; // of the shipped model: a crown yields, so the wind's force grows with U^1.4, not U² (Vogel)
 
 /** A safetensors file: its tensors by name, `shape` of each, and the strings of its metadata. `halves` stay 16 bits. */
@@ -8,7 +15,8 @@ export function readTensors(buffer, { halves = [] } = {}) {
   const size = Number(new DataView(buffer).getBigUint64(0, true));
   const header = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 8, size)));
   const { __metadata__: metadata = {}, ...entries } = header;
-  const tensors = {}, shape = {};
+  const tensors = {};
+  const shape = {};
   for (const [name, entry] of Object.entries(entries)) {
     const [from, to] = entry.data_offsets.map((offset) => 8 + size + offset);
     const stored = new KINDS[entry.dtype](buffer.slice(from, to));
@@ -20,7 +28,9 @@ export function readTensors(buffer, { halves = [] } = {}) {
 
 /** IEEE 754 half precision to a number. */
 function half(bits) {
-  const sign = bits & 0x8000 ? -1 : 1, exponent = (bits >> 10) & 31, fraction = bits & 1023;
+  const sign = bits & 0x8000 ? -1 : 1;
+  const exponent = (bits >> 10) & 31;
+  const fraction = bits & 1023;
   if (exponent === 0) return sign * 2 ** -24 * fraction;
   return exponent === 31 ? (fraction ? NaN : sign * Infinity) : sign * 2 ** (exponent - 15) * (1 + fraction / 1024);
 }
@@ -51,37 +61,47 @@ export class Modes {
   }
 
   _putLean() {
-    const steps = 32767, largest = this.lean_m.reduce((most, value) => Math.max(most, Math.abs(value)), 1e-9);
+    const steps = 32767;
+    const largest = this.lean_m.reduce((most, value) => Math.max(most, Math.abs(value)), 1e-9);
     this.scale_m[0] = largest / steps;
-    for (let v = 0; v < this.V; v++) for (let c = 0; c < 3; c++) {
-      this.shapes[2 * (v * this.K * 3 + c)] = Math.round((this.lean_m[3 * v + c] / largest) * steps);
-    }
+    for (let v = 0; v < this.V; v++)
+      for (let c = 0; c < 3; c++) {
+        this.shapes[2 * (v * this.K * 3 + c)] = Math.round((this.lean_m[3 * v + c] / largest) * steps);
+      }
   }
 
   /** Displacement of one voxel under the wind [m]. */
   voxelAt(v, q) {
     const u = [0, 0, 0];
-    for (let k = 0; k < this.K; k++) for (let c = 0; c < 3; c++) {
-      const at = 2 * ((v * this.K + k) * 3 + c);
-      u[c] += this.scale_m[k] * (this.shapes[at] * q[2 * k] - this.shapes[at + 1] * q[2 * k + 1]);
-    }
+    for (let k = 0; k < this.K; k++)
+      for (let c = 0; c < 3; c++) {
+        const at = 2 * ((v * this.K + k) * 3 + c);
+        u[c] += this.scale_m[k] * (this.shapes[at] * q[2 * k] - this.shapes[at + 1] * q[2 * k + 1]);
+      }
     return u;
   }
 
   /** Mean weight of each bone's voxels in a group, once a group. */
   boneWeights(weights) {
-    const sum = new Float32Array(this.B), count = new Float32Array(this.B);
-    this.bone_of_voxel.forEach((b, v) => { sum[b] += weights[v]; count[b] += 1; });
+    const sum = new Float32Array(this.B);
+    const count = new Float32Array(this.B);
+    this.bone_of_voxel.forEach((b, v) => {
+      sum[b] += weights[v];
+      count[b] += 1;
+    });
     return sum.map((value, b) => value / Math.max(count[b], 1));
   }
 
   /** The warp: 12 numbers a bone, rows of [R | t]; a point x goes to R x + t. Groups: `{ q: [[re, im]…], perBone }`. */
   poses(groups, out = new Float32Array(12 * this.B)) {
     const moved = this._boneMoves(groups);
-    for (let b = 0; b < this.B; b++) { // parents come before children
-      const root = this.bone_parent[b] < 0, a = root ? b : this.bone_parent[b];
+    for (let b = 0; b < this.B; b++) {
+      // parents come before children
+      const root = this.bone_parent[b] < 0;
+      const a = root ? b : this.bone_parent[b];
       const d = [0, 1, 2].map((c) => (moved[3 * b + c] - moved[3 * a + c]) / this.bone_lever_m2[b]);
-      const r = this.bone_reach_m.subarray(3 * b, 3 * b + 3), joint = this.bone_joint_m.subarray(3 * b, 3 * b + 3);
+      const r = this.bone_reach_m.subarray(3 * b, 3 * b + 3);
+      const joint = this.bone_joint_m.subarray(3 * b, 3 * b + 3);
       const R = turned(r[1] * d[2] - r[2] * d[1], r[2] * d[0] - r[0] * d[2], r[0] * d[1] - r[1] * d[0]);
       // the joint is a point of the parent, and goes where the parent carries it
       const place = root ? joint : [0, 1, 2].map((i) => row(out, a, i, joint));
@@ -94,17 +114,20 @@ export class Modes {
   }
 
   _boneMoves(groups) {
-    const moved = new Float32Array(3 * this.B), K = this.K;
-    for (const { q, perBone } of groups) for (let b = 0; b < this.B; b++) {
-      if (perBone[b] < 1e-4) continue;
-      for (let k = 1; k < K; k++) {
-        const [re, im] = q[k], scale = perBone[b] * this.scale_m[k];
-        for (let c = 0; c < 3; c++) {
-          const at = 2 * ((b * K + k) * 3 + c);
-          moved[3 * b + c] += scale * (this.bone_shapes[at] * re - this.bone_shapes[at + 1] * im);
+    const moved = new Float32Array(3 * this.B);
+    const K = this.K;
+    for (const { q, perBone } of groups)
+      for (let b = 0; b < this.B; b++) {
+        if (perBone[b] < 1e-4) continue;
+        for (let k = 1; k < K; k++) {
+          const [re, im] = q[k];
+          const scale = perBone[b] * this.scale_m[k];
+          for (let c = 0; c < 3; c++) {
+            const at = 2 * ((b * K + k) * 3 + c);
+            moved[3 * b + c] += scale * (this.bone_shapes[at] * re - this.bone_shapes[at + 1] * im);
+          }
         }
       }
-    }
     return moved;
   }
 }
@@ -117,9 +140,21 @@ const row = (poses, b, i, x) => {
   return poses[at] * x[0] + poses[at + 1] * x[1] + poses[at + 2] * x[2] + poses[at + 3];
 };
 
-function turned(x, y, z) { // Rodrigues
-  const angle = Math.max(Math.hypot(x, y, z), 1e-12), c = Math.cos(angle), s = Math.sin(angle);
+function turned(x, y, z) {
+  // Rodrigues
+  const angle = Math.max(Math.hypot(x, y, z), 1e-12);
+  const c = Math.cos(angle);
+  const s = Math.sin(angle);
   [x, y, z] = [x / angle, y / angle, z / angle];
-  return [c + x * x * (1 - c), x * y * (1 - c) - z * s, x * z * (1 - c) + y * s, y * x * (1 - c) + z * s, c + y * y * (1 - c),
-    y * z * (1 - c) - x * s, z * x * (1 - c) - y * s, z * y * (1 - c) + x * s, c + z * z * (1 - c)];
+  return [
+    c + x * x * (1 - c),
+    x * y * (1 - c) - z * s,
+    x * z * (1 - c) + y * s,
+    y * x * (1 - c) + z * s,
+    c + y * y * (1 - c),
+    y * z * (1 - c) - x * s,
+    z * x * (1 - c) - y * s,
+    z * y * (1 - c) + x * s,
+    c + z * z * (1 - c),
+  ];
 }

@@ -8,17 +8,35 @@ const WIDTH = 2048; // of the textures below
 
 // Y_h of a direction d, with the signs of Kerbl et al. 2023, as dynamictree/gaussian/harmonics.py has them
 const HARMONICS = [
-  "0.28209479", "-0.48860251 * d.y", "0.48860251 * d.z", "-0.48860251 * d.x",
-  "1.09254843 * d.x * d.y", "-1.09254843 * d.y * d.z", "0.31539157 * (2.0 * s.z - s.x - s.y)", "-1.09254843 * d.x * d.z", "0.54627422 * (s.x - s.y)",
-  "-0.59004359 * d.y * (3.0 * s.x - s.y)", "2.89061144 * d.x * d.y * d.z", "-0.45704580 * d.y * (4.0 * s.z - s.x - s.y)",
-  "0.37317633 * d.z * (2.0 * s.z - 3.0 * s.x - 3.0 * s.y)", "-0.45704580 * d.x * (4.0 * s.z - s.x - s.y)", "1.44530572 * d.z * (s.x - s.y)",
+  "0.28209479",
+  "-0.48860251 * d.y",
+  "0.48860251 * d.z",
+  "-0.48860251 * d.x",
+  "1.09254843 * d.x * d.y",
+  "-1.09254843 * d.y * d.z",
+  "0.31539157 * (2.0 * s.z - s.x - s.y)",
+  "-1.09254843 * d.x * d.z",
+  "0.54627422 * (s.x - s.y)",
+  "-0.59004359 * d.y * (3.0 * s.x - s.y)",
+  "2.89061144 * d.x * d.y * d.z",
+  "-0.45704580 * d.y * (4.0 * s.z - s.x - s.y)",
+  "0.37317633 * d.z * (2.0 * s.z - 3.0 * s.x - 3.0 * s.y)",
+  "-0.45704580 * d.x * (4.0 * s.z - s.x - s.y)",
+  "1.44530572 * d.z * (s.x - s.y)",
   "-0.59004359 * d.x * (s.x - 3.0 * s.y)",
 ];
 
 /** The body of a `.animated-splat.safetensors`; its harmonics stay the half floats that a texture takes. */
 export function readSplat(buffer) {
   const { tensors, shape, metadata } = readTensors(buffer, { halves: ["sh"] });
-  return { ...tensors, G: shape.means[0], N: shape.vertices[0], K: shape.coefficients[1], harmonics: shape.sh[1], frames: Number(metadata.num_frames) };
+  return {
+    ...tensors,
+    G: shape.means[0],
+    N: shape.vertices[0],
+    K: shape.coefficients[1],
+    harmonics: shape.sh[1],
+    frames: Number(metadata.num_frames),
+  };
 }
 
 export class SplatView {
@@ -32,19 +50,40 @@ export class SplatView {
     view.harmonics = harmonicsThatFit(splat, stage.renderer.capabilities.maxTextureSize);
     view.textures = texturesOf(splat, carriers, view.harmonics);
     const cloud = new spark.ExtSplats({ maxSplats: splat.G }); // places in single precision: half would be 8 mm at 10 m
-    const [at, scales, turn, grey] = [new THREE.Vector3(), new THREE.Vector3(), new THREE.Quaternion(), new THREE.Color(0.5, 0.5, 0.5)];
+    const [at, scales, turn, grey] = [
+      new THREE.Vector3(),
+      new THREE.Vector3(),
+      new THREE.Quaternion(),
+      new THREE.Color(0.5, 0.5, 0.5),
+    ];
     for (let g = 0; g < splat.G; g++) {
       at.fromArray(splat.means, 3 * g);
       scales.fromArray(splat.scales, 3 * g);
-      turn.set(splat.quaternions[4 * g + 1], splat.quaternions[4 * g + 2], splat.quaternions[4 * g + 3], splat.quaternions[4 * g]).normalize();
+      turn
+        .set(
+          splat.quaternions[4 * g + 1],
+          splat.quaternions[4 * g + 2],
+          splat.quaternions[4 * g + 3],
+          splat.quaternions[4 * g],
+        )
+        .normalize();
       cloud.pushSplat(at, scales, turn, splat.opacity[g], grey);
     }
     cloud.updateTextures();
-    const redraw = () => { stage.stale = true; }; // sorting takes longer than a frame
-    view.renderer = stage.sparkRenderer ??= new spark.SparkRenderer({ renderer: stage.renderer, accumExtSplats: true, onDirty: redraw });
+    const redraw = () => {
+      stage.stale = true;
+    }; // sorting takes longer than a frame
+    view.renderer = stage.sparkRenderer ??= new spark.SparkRenderer({
+      renderer: stage.renderer,
+      accumExtSplats: true,
+      onDirty: redraw,
+    });
     stage.scene.add(view.renderer);
     view.values = view._values(spark.dyno);
-    view.mesh = new spark.SplatMesh({ extSplats: cloud, objectModifier: modifier(spark.dyno, view.values, view.harmonics) });
+    view.mesh = new spark.SplatMesh({
+      extSplats: cloud,
+      objectModifier: modifier(spark.dyno, view.values, view.harmonics),
+    });
     stage.scene.add(view.mesh);
     await view.mesh.initialized;
     return view;
@@ -52,20 +91,32 @@ export class SplatView {
 
   _values({ dynoSampler2D, dynoFloat, dynoVec3 }) {
     return {
-      moved: dynoSampler2D(this.field.texture), poses: dynoSampler2D(this.uniforms.poses.value), bent: dynoFloat(0),
-      corners: dynoSampler2D(this.textures.corners), rest: dynoSampler2D(this.textures.rest), bones: dynoSampler2D(this.textures.bones),
-      sh: dynoSampler2D(this.textures.sh), eye: dynoVec3(new THREE.Vector3()),
+      moved: dynoSampler2D(this.field.texture),
+      poses: dynoSampler2D(this.uniforms.poses.value),
+      bent: dynoFloat(0),
+      corners: dynoSampler2D(this.textures.corners),
+      rest: dynoSampler2D(this.textures.rest),
+      bones: dynoSampler2D(this.textures.bones),
+      sh: dynoSampler2D(this.textures.sh),
+      eye: dynoVec3(new THREE.Vector3()),
     };
   }
 
   /** Whether there is something to see: the first sorting has ended. */
-  get drawn() { return this.renderer.activeSplats > 0; }
-  get visible() { return this.mesh.visible; }
-  set visible(value) { this.mesh.visible = value; }
+  get drawn() {
+    return this.renderer.activeSplats > 0;
+  }
+  get visible() {
+    return this.mesh.visible;
+  }
+  set visible(value) {
+    this.mesh.visible = value;
+  }
 
   /** Before each draw. What has not changed is not sorted anew, so that a still picture comes to rest. */
   evaluate(renderer, q, turn) {
-    const { position } = this.stage.camera, now = [turn, ...position, ...q].join();
+    const { position } = this.stage.camera;
+    const now = [turn, ...position, ...q].join();
     if (now === this.before && !this.uniforms.bent.value && !this.values.bent.value) return;
     this.before = now;
     this.field.evaluate(renderer, q, turn);
@@ -86,10 +137,15 @@ export class SplatView {
 
 /** Float16 coefficients as 16-bit steps a bin, weighted as the spectrum's sum wants them. */
 function fieldOf({ coefficients, N, K, frames }) {
-  const scale = new Float32Array(K), shapes = new Int16Array(coefficients.length);
+  const scale = new Float32Array(K);
+  const shapes = new Int16Array(coefficients.length);
   const bin = (i) => Math.floor(i / 6) % K;
-  coefficients.forEach((value, i) => { scale[bin(i)] = Math.max(scale[bin(i)], Math.abs(value)); });
-  coefficients.forEach((value, i) => { shapes[i] = Math.round((32767 * value) / Math.max(scale[bin(i)], 1e-12)); });
+  coefficients.forEach((value, i) => {
+    scale[bin(i)] = Math.max(scale[bin(i)], Math.abs(value));
+  });
+  coefficients.forEach((value, i) => {
+    shapes[i] = Math.round((32767 * value) / Math.max(scale[bin(i)], 1e-12));
+  });
   const weighted = scale.map((most, k) => (Math.max(most, 1e-12) / 32767) * (k === 0 || 2 * k === frames ? 1 : 2));
   return new Field(shapes, weighted, N);
 }
@@ -104,7 +160,8 @@ function harmonicsThatFit({ G, harmonics }, largest) {
 }
 
 function harmonicsTexture({ G, harmonics, sh }, count) {
-  const width = halvesOf(count), padded = new Uint16Array(4 * WIDTH * Math.ceil((G * width) / 4 / WIDTH));
+  const width = halvesOf(count);
+  const padded = new Uint16Array(4 * WIDTH * Math.ceil((G * width) / 4 / WIDTH));
   for (let g = 0; g < G; g++) padded.set(sh.subarray(3 * g * harmonics, 3 * (g * harmonics + count)), g * width);
   return asTexture(padded, THREE.HalfFloatType);
 }
@@ -122,7 +179,12 @@ function texturesOf(splat, carriers, harmonics) {
   }
   const rest = new Float32Array(4 * splat.N);
   for (let v = 0; v < splat.N; v++) rest.set(splat.vertices.subarray(3 * v, 3 * v + 3), 4 * v);
-  return { corners: texture(corners), rest: texture(rest), bones: texture(carriers), sh: harmonicsTexture(splat, harmonics) };
+  return {
+    corners: texture(corners),
+    rest: texture(rest),
+    bones: texture(carriers),
+    sh: harmonicsTexture(splat, harmonics),
+  };
 }
 
 function texture(values) {
@@ -139,8 +201,11 @@ function asTexture(padded, type) {
 
 /** Of a Gaussian that stands at `at` and has turned by R: 0.5 + Σ sh Y(Rᵀ d), d the direction from the eye. */
 function colourShader(harmonics) {
-  const half = (i) => `t[${i >> 2}].${"xyzw"[i & 3]}`, texels = halvesOf(harmonics) / 4;
-  const terms = HARMONICS.slice(0, harmonics).map((y, h) => `c += (${y}) * vec3(${half(3 * h)}, ${half(3 * h + 1)}, ${half(3 * h + 2)});`);
+  const half = (i) => `t[${i >> 2}].${"xyzw"[i & 3]}`;
+  const texels = halvesOf(harmonics) / 4;
+  const terms = HARMONICS.slice(0, harmonics).map(
+    (y, h) => `c += (${y}) * vec3(${half(3 * h)}, ${half(3 * h + 1)}, ${half(3 * h + 2)});`,
+  );
   return /* glsl */ `
 vec3 treeColour(sampler2D sh, int g, vec3 at, mat3 R, vec3 eye) {
   vec4 t[${texels}];
@@ -214,20 +279,38 @@ Gsplat treeDeform(Gsplat g, sampler2D moved, sampler2D poses, float bent, sample
   return g;
 }`;
 
-const INPUTS = { moved: "sampler2D", poses: "sampler2D", bent: "float", corners: "sampler2D", rest: "sampler2D", bones: "sampler2D", sh: "sampler2D", eye: "vec3" };
+const INPUTS = {
+  moved: "sampler2D",
+  poses: "sampler2D",
+  bent: "float",
+  corners: "sampler2D",
+  rest: "sampler2D",
+  bones: "sampler2D",
+  sh: "sampler2D",
+  eye: "vec3",
+};
 
 function modifier({ Dyno, Gsplat, dynoBlock }, values, harmonics) {
-  const names = ["gsplat", ...Object.keys(INPUTS)], shader = GLSL(harmonics);
+  const names = ["gsplat", ...Object.keys(INPUTS)];
+  const shader = GLSL(harmonics);
   const deform = new Dyno({
-    inTypes: { gsplat: Gsplat, ...INPUTS }, outTypes: { gsplat: Gsplat }, globals: () => [shader],
-    statements: ({ inputs, outputs }) => [`${outputs.gsplat} = treeDeform(${names.map((name) => inputs[name]).join(", ")});`],
+    inTypes: { gsplat: Gsplat, ...INPUTS },
+    outTypes: { gsplat: Gsplat },
+    globals: () => [shader],
+    statements: ({ inputs, outputs }) => [
+      `${outputs.gsplat} = treeDeform(${names.map((name) => inputs[name]).join(", ")});`,
+    ],
   });
-  return dynoBlock({ gsplat: Gsplat }, { gsplat: Gsplat }, ({ gsplat }) => ({ gsplat: deform.apply({ gsplat, ...values }).gsplat }));
+  return dynoBlock({ gsplat: Gsplat }, { gsplat: Gsplat }, ({ gsplat }) => ({
+    gsplat: deform.apply({ gsplat, ...values }).gsplat,
+  }));
 }
 
 /** Four bones and four weights of each vertex: those of the same place on the surface, else the nearest voxel's bone. */
 export function carriersOf(splat, surface, modes) {
-  const at = new Map(), carriers = new Float32Array(8 * splat.N), key = (x, v) => `${x[3 * v]} ${x[3 * v + 1]} ${x[3 * v + 2]}`;
+  const at = new Map();
+  const carriers = new Float32Array(8 * splat.N);
+  const key = (x, v) => `${x[3 * v]} ${x[3 * v + 1]} ${x[3 * v + 2]}`;
   for (let v = 0; v < surface.N; v++) at.set(key(surface.vertices, v), v);
   for (let v = 0; v < splat.N; v++) {
     const same = at.get(key(splat.vertices, v));
@@ -245,9 +328,11 @@ export function carriersOf(splat, surface, modes) {
 }
 
 function nearest(point, { centres, V }) {
-  let best = 0, least = Infinity;
+  let best = 0;
+  let least = Infinity;
   for (let v = 0; v < V; v++) {
-    const far = (centres[3 * v] - point[0]) ** 2 + (centres[3 * v + 1] - point[1]) ** 2 + (centres[3 * v + 2] - point[2]) ** 2;
+    const far =
+      (centres[3 * v] - point[0]) ** 2 + (centres[3 * v + 1] - point[1]) ** 2 + (centres[3 * v + 2] - point[2]) ** 2;
     if (far < least) [best, least] = [v, far];
   }
   return best;

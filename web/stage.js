@@ -13,8 +13,14 @@ const LOOKS = {
 export class Stage {
   constructor(canvas) {
     this.canvas = canvas;
-    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true, alpha: true, powerPreference: "high-performance" });
-    if (!this.renderer.extensions.has("EXT_color_buffer_float")) throw new Error("this browser's WebGL cannot draw into textures of floating-point numbers");
+    this.renderer = new THREE.WebGLRenderer({
+      canvas,
+      antialias: true,
+      alpha: true,
+      powerPreference: "high-performance",
+    });
+    if (!this.renderer.extensions.has("EXT_color_buffer_float"))
+      throw new Error("this browser's WebGL cannot draw into textures of floating-point numbers");
     this.renderer.setPixelRatio(Math.min(globalThis.devicePixelRatio, 2));
     this.renderer.shadowMap.enabled = true;
     this.renderer.shadowMap.type = THREE.PCFShadowMap;
@@ -22,8 +28,16 @@ export class Stage {
     this.camera = new THREE.PerspectiveCamera(FIELD_OF_VIEW, 1, 0.05, 1000);
     this.camera.up.set(0, 0, 1);
     this.controls = new OrbitControls(this.camera, canvas);
-    Object.assign(this.controls, { enableDamping: true, dampingFactor: 0.12, maxPolarAngle: Math.PI * 0.495, enablePan: false, rotateSpeed: 0.7 });
-    this.controls.addEventListener("change", () => { this.stale = true; });
+    Object.assign(this.controls, {
+      enableDamping: true,
+      dampingFactor: 0.12,
+      maxPolarAngle: Math.PI * 0.495,
+      enablePan: false,
+      rotateSpeed: 0.7,
+    });
+    this.controls.addEventListener("change", () => {
+      this.stale = true;
+    });
     this._light();
     this._ground();
     this.frame({ min: new THREE.Vector3(-3, -3, 0), max: new THREE.Vector3(3, 3, 9) });
@@ -46,12 +60,22 @@ export class Stage {
   _ground() {
     const picture = document.createElement("canvas");
     picture.width = picture.height = 256;
-    const pen = picture.getContext("2d"), fade = pen.createRadialGradient(128, 128, 0, 128, 128, 128);
-    for (const [at, alpha] of [[0, 1], [0.35, 0.85], [0.7, 0.3], [1, 0]]) fade.addColorStop(at, `rgba(255,255,255,${alpha})`);
+    const pen = picture.getContext("2d");
+    const fade = pen.createRadialGradient(128, 128, 0, 128, 128, 128);
+    for (const [at, alpha] of [
+      [0, 1],
+      [0.35, 0.85],
+      [0.7, 0.3],
+      [1, 0],
+    ])
+      fade.addColorStop(at, `rgba(255,255,255,${alpha})`);
     pen.fillStyle = fade;
     pen.fillRect(0, 0, 256, 256);
     const disc = new THREE.CircleGeometry(1, 96);
-    this.ground = new THREE.Mesh(disc, new THREE.MeshBasicMaterial({ map: new THREE.CanvasTexture(picture), transparent: true, depthWrite: false }));
+    this.ground = new THREE.Mesh(
+      disc,
+      new THREE.MeshBasicMaterial({ map: new THREE.CanvasTexture(picture), transparent: true, depthWrite: false }),
+    );
     this.shade = new THREE.Mesh(disc, new THREE.ShadowMaterial({ transparent: true, depthWrite: false }));
     this.shade.receiveShadow = true;
     this.ground.renderOrder = -2;
@@ -74,7 +98,8 @@ export class Stage {
 
   /** Put camera, ground and shadow around a box. */
   frame({ min, max }) {
-    const centre = new THREE.Vector3().addVectors(min, max).multiplyScalar(0.5), size = new THREE.Vector3().subVectors(max, min);
+    const centre = new THREE.Vector3().addVectors(min, max).multiplyScalar(0.5);
+    const size = new THREE.Vector3().subVectors(max, min);
     this.box = { min: min.clone(), max: max.clone() };
     this.height = size.z;
     const radius = 0.5 * Math.max(size.length(), 0.1);
@@ -89,7 +114,14 @@ export class Stage {
     this.sun.target.position.copy(centre);
     this.sun.position.copy(centre).addScaledVector(SUN, 4 * radius);
     const eye = this.sun.shadow.camera;
-    Object.assign(eye, { left: -1.25 * radius, right: 1.25 * radius, top: 1.25 * radius, bottom: -1.25 * radius, near: radius, far: 8 * radius });
+    Object.assign(eye, {
+      left: -1.25 * radius,
+      right: 1.25 * radius,
+      top: 1.25 * radius,
+      bottom: -1.25 * radius,
+      near: radius,
+      far: 8 * radius,
+    });
     eye.updateProjectionMatrix();
     this.sun.shadow.normalBias = radius * 0.012;
     this.sun.shadow.bias = -0.0008;
@@ -102,7 +134,8 @@ export class Stage {
     const half = Math.tan(THREE.MathUtils.degToRad(FIELD_OF_VIEW / 2));
     const [wide, tall] = [this.box.max.clone().sub(this.box.min), this.height];
     const across = Math.max(wide.x, wide.y, Math.hypot(wide.x, wide.y) * 0.85);
-    const distance = Math.max((0.55 * tall) / half, ((0.55 * across) / half) * (free.height / free.width)) + 0.3 * across;
+    const distance =
+      Math.max((0.55 * tall) / half, ((0.55 * across) / half) * (free.height / free.width)) + 0.3 * across;
     this.controls.target.copy(this.middle);
     this.camera.position.copy(this.middle).add(new THREE.Vector3(-0.38, -1, 0.2).normalize().multiplyScalar(distance));
     this.controls.minDistance = 0.3 * this.radius;
@@ -117,9 +150,12 @@ export class Stage {
   orbit(around, up, zoom = 1) {
     const offset = new THREE.Vector3().subVectors(this.camera.position, this.controls.target);
     const flat = Math.hypot(offset.x, offset.y);
-    const angle = Math.atan2(offset.y, offset.x) + around, lift = THREE.MathUtils.clamp(Math.atan2(offset.z, flat) + up, 0.02, 1.5);
+    const angle = Math.atan2(offset.y, offset.x) + around;
+    const lift = THREE.MathUtils.clamp(Math.atan2(offset.z, flat) + up, 0.02, 1.5);
     const length = THREE.MathUtils.clamp(offset.length() * zoom, this.controls.minDistance, this.controls.maxDistance);
-    offset.set(Math.cos(angle) * Math.cos(lift), Math.sin(angle) * Math.cos(lift), Math.sin(lift)).multiplyScalar(length);
+    offset
+      .set(Math.cos(angle) * Math.cos(lift), Math.sin(angle) * Math.cos(lift), Math.sin(lift))
+      .multiplyScalar(length);
     this.camera.position.copy(this.controls.target).add(offset);
     this.controls.update();
     this.stale = true;
@@ -151,12 +187,16 @@ export class Stage {
   /** Where a place in the window is on the canvas, -1 to 1. */
   pointer(event) {
     const box = this.canvas.getBoundingClientRect();
-    return new THREE.Vector2(((event.clientX - box.left) / box.width) * 2 - 1, 1 - ((event.clientY - box.top) / box.height) * 2);
+    return new THREE.Vector2(
+      ((event.clientX - box.left) / box.width) * 2 - 1,
+      1 - ((event.clientY - box.top) / box.height) * 2,
+    );
   }
 
   /** Pixels of a point in the window. */
   onScreen(point) {
-    const at = new THREE.Vector3(...point).project(this.camera), box = this.canvas.getBoundingClientRect();
+    const at = new THREE.Vector3(...point).project(this.camera);
+    const box = this.canvas.getBoundingClientRect();
     return { x: box.left + ((at.x + 1) / 2) * box.width, y: box.top + ((1 - at.y) / 2) * box.height };
   }
 
@@ -178,15 +218,27 @@ export class Stage {
 function windArrow() {
   const places = [];
   for (let i = 0; i < 3; i++) {
-    const x = 0.84 + 0.085 * i, wing = 0.045, thick = 0.03;
+    const x = 0.84 + 0.085 * i;
+    const wing = 0.045;
+    const thick = 0.03;
     for (const side of [1, -1]) {
-      const tip = [x, 0], tipBack = [x - thick * 1.5, 0], end = [x - wing, side * wing], endBack = [x - wing - thick * 1.5, side * wing];
-      for (const [a, b, c] of [[tip, end, tipBack], [tipBack, end, endBack]]) for (const p of [a, b, c]) places.push(p[0], p[1], 0);
+      const tip = [x, 0];
+      const tipBack = [x - thick * 1.5, 0];
+      const end = [x - wing, side * wing];
+      const endBack = [x - wing - thick * 1.5, side * wing];
+      for (const [a, b, c] of [
+        [tip, end, tipBack],
+        [tipBack, end, endBack],
+      ])
+        for (const p of [a, b, c]) places.push(p[0], p[1], 0);
     }
   }
   const geometry = new THREE.BufferGeometry();
   geometry.setAttribute("position", new THREE.BufferAttribute(new Float32Array(places), 3));
-  const arrow = new THREE.Mesh(geometry, new THREE.MeshBasicMaterial({ transparent: true, side: THREE.DoubleSide, depthWrite: false }));
+  const arrow = new THREE.Mesh(
+    geometry,
+    new THREE.MeshBasicMaterial({ transparent: true, side: THREE.DoubleSide, depthWrite: false }),
+  );
   arrow.visible = false;
   return arrow;
 }

@@ -1,8 +1,8 @@
 // The mesh as it is drawn: geometry from a surface file, materials whose vertices follow the field and the bones.
 
 import * as THREE from "three";
-import { readTensors } from "./modes.js";
 import { DISPLACE } from "./field.js";
+import { readTensors } from "./modes.js";
 
 const LEAF_VOXELS = 14; // a connected part that is smaller is taken for foliage, and shaded as a soft mass
 const LEAF_FACES = 400;
@@ -57,9 +57,13 @@ function byMaterial({ faces, face_material: of, F, materials }) {
   const start = new Uint32Array(materials.length + 1);
   for (let f = 0; f < F; f++) start[of[f] + 1]++;
   for (let m = 0; m < materials.length; m++) start[m + 1] += start[m];
-  const index = new Uint32Array(3 * F), next = start.slice();
+  const index = new Uint32Array(3 * F);
+  const next = start.slice();
   for (let f = 0; f < F; f++) index.set(faces.subarray(3 * f, 3 * f + 3), 3 * next[of[f]]++);
-  return { index, groups: materials.map((_, m) => [3 * start[m], 3 * (start[m + 1] - start[m]), m]).filter(([, count]) => count) };
+  return {
+    index,
+    groups: materials.map((_, m) => [3 * start[m], 3 * (start[m + 1] - start[m]), m]).filter(([, count]) => count),
+  };
 }
 
 /** Small parts get normals that look out of the crown, a little variation, and shade towards its heart. */
@@ -67,23 +71,40 @@ function softenFoliage(geometry, surface) {
   const { min, max } = geometry.boundingBox;
   const part = partsOf(surface.faces, surface.N);
   const size = new Map(); // of each part: faces, and its box
-  const x = surface.vertices, normal = geometry.attributes.normal;
+  const x = surface.vertices;
+  const normal = geometry.attributes.normal;
   for (let v = 0; v < surface.N; v++) {
-    const box = size.get(part[v]) ?? size.set(part[v], [Infinity, Infinity, Infinity, -Infinity, -Infinity, -Infinity, 0]).get(part[v]);
-    for (let c = 0; c < 3; c++) { box[c] = Math.min(box[c], x[3 * v + c]); box[3 + c] = Math.max(box[3 + c], x[3 * v + c]); }
+    const box =
+      size.get(part[v]) ??
+      size.set(part[v], [Infinity, Infinity, Infinity, -Infinity, -Infinity, -Infinity, 0]).get(part[v]);
+    for (let c = 0; c < 3; c++) {
+      box[c] = Math.min(box[c], x[3 * v + c]);
+      box[3 + c] = Math.max(box[3 + c], x[3 * v + c]);
+    }
     box[6]++;
   }
   const limit = (LEAF_VOXELS * Math.max(max.x - min.x, max.y - min.y, max.z - min.z)) / 128;
   const isLeaf = (box) => box[6] < LEAF_FACES && Math.max(box[3] - box[0], box[4] - box[1], box[5] - box[2]) < limit;
   const crown = new THREE.Box3();
-  for (const box of size.values()) if (isLeaf(box)) crown.union(new THREE.Box3(new THREE.Vector3(...box.slice(0, 3)), new THREE.Vector3(...box.slice(3, 6))));
-  const heart = crown.getCenter(new THREE.Vector3()), half = crown.getSize(new THREE.Vector3()).multiplyScalar(0.5).max(new THREE.Vector3(1e-6, 1e-6, 1e-6));
-  const shade = new Uint8Array(3 * surface.N).fill(255), given = surface.vertex_colors;
-  const own = new THREE.Vector3(), out = new THREE.Vector3();
+  for (const box of size.values())
+    if (isLeaf(box))
+      crown.union(new THREE.Box3(new THREE.Vector3(...box.slice(0, 3)), new THREE.Vector3(...box.slice(3, 6))));
+  const heart = crown.getCenter(new THREE.Vector3());
+  const half = crown
+    .getSize(new THREE.Vector3())
+    .multiplyScalar(0.5)
+    .max(new THREE.Vector3(1e-6, 1e-6, 1e-6));
+  const shade = new Uint8Array(3 * surface.N).fill(255);
+  const given = surface.vertex_colors;
+  const own = new THREE.Vector3();
+  const out = new THREE.Vector3();
   for (let v = 0; v < surface.N; v++) {
     let light = 1;
     if (isLeaf(size.get(part[v]))) {
-      out.set(x[3 * v], x[3 * v + 1], x[3 * v + 2]).sub(heart).divide(half);
+      out
+        .set(x[3 * v], x[3 * v + 1], x[3 * v + 2])
+        .sub(heart)
+        .divide(half);
       light = (0.62 + 0.38 * THREE.MathUtils.smoothstep(out.length(), 0.15, 0.95)) * (0.86 + 0.28 * hash(part[v]));
       out.divide(half).normalize();
       own.fromBufferAttribute(normal, v);
@@ -100,12 +121,18 @@ function softenFoliage(geometry, surface) {
 }
 
 const linear = (s) => (s <= 0.04045 ? s / 12.92 : ((s + 0.055) / 1.055) ** 2.4);
-const hash = (n) => { const s = Math.sin(n * 12.9898) * 43758.5453; return s - Math.floor(s); };
+const hash = (n) => {
+  const s = Math.sin(n * 12.9898) * 43758.5453;
+  return s - Math.floor(s);
+};
 
 /** Which vertices hang together: union-find over the faces. */
 function partsOf(faces, N) {
   const parent = Uint32Array.from({ length: N }, (_, v) => v);
-  const root = (v) => { while (parent[v] !== v) v = parent[v] = parent[parent[v]]; return v; };
+  const root = (v) => {
+    while (parent[v] !== v) v = parent[v] = parent[parent[v]];
+    return v;
+  };
   for (let f = 0; f < faces.length; f += 3) {
     const a = root(faces[f]);
     parent[root(faces[f + 1])] = a;
@@ -122,9 +149,11 @@ ${tied ? "attribute vec4 tieRows; attribute vec4 tieWeights;" : ""}
 varying float vShare;
 mat4 poseHere;
 vec3 follow(vec3 rest) {
-  vec4 m = ${tied
-    ? "vec4(0.0); for (int i = 0; i < 4; i++) m += tieWeights[i] * movedAt(int(tieRows[i]))"
-    : "movedAt(gl_VertexID)"};
+  vec4 m = ${
+    tied
+      ? "vec4(0.0); for (int i = 0; i < 4; i++) m += tieWeights[i] * movedAt(int(tieRows[i]))"
+      : "movedAt(gl_VertexID)"
+  };
   vShare = m.w;
   vec3 x = rest + m.xyz;
   poseHere = mat4(1.0);
@@ -150,13 +179,25 @@ export function makeFollow(material, shared, { tied = false } = {}) {
     Object.assign(shader.uniforms, shared);
     shader.vertexShader = shader.vertexShader
       .replace("#include <common>", `#include <common>\n${DISPLACE}\n${FOLLOW(tied)}`)
-      .replace("#include <beginnormal_vertex>", "vec3 followed = follow(position);\n#include <beginnormal_vertex>\nobjectNormal = mat3(poseHere) * objectNormal;")
-      .replace("#include <begin_vertex>", `vec3 transformed = ${material.isMeshLambertMaterial ? "followed" : "follow(position)"};`);
+      .replace(
+        "#include <beginnormal_vertex>",
+        "vec3 followed = follow(position);\n#include <beginnormal_vertex>\nobjectNormal = mat3(poseHere) * objectNormal;",
+      )
+      .replace(
+        "#include <begin_vertex>",
+        `vec3 transformed = ${material.isMeshLambertMaterial ? "followed" : "follow(position)"};`,
+      );
     shader.fragmentShader = shader.fragmentShader
       .replace("#include <common>", `#include <common>\nuniform float coloured; varying float vShare;\n${RAMP}`)
-      .replace("#include <color_fragment>", "#include <color_fragment>\nif (coloured > 0.5) diffuseColor.rgb = ramp(vShare);")
+      .replace(
+        "#include <color_fragment>",
+        "#include <color_fragment>\nif (coloured > 0.5) diffuseColor.rgb = ramp(vShare);",
+      )
       // normals of foliage look outward on both sides
-      .replace("#include <normal_fragment_begin>", "float faceDirection = 1.0; vec3 normal = normalize(vNormal); vec3 nonPerturbedNormal = normal;");
+      .replace(
+        "#include <normal_fragment_begin>",
+        "float faceDirection = 1.0; vec3 normal = normalize(vNormal); vec3 nonPerturbedNormal = normal;",
+      );
   };
   material.customProgramCacheKey = () => `follow-${material.type}-${tied}`;
   return material;
@@ -164,18 +205,34 @@ export function makeFollow(material, shared, { tied = false } = {}) {
 
 export function surfaceMaterials(surface, shared, { tied }) {
   const all = surface.materials.length ? surface.materials : [{ base_color: [0.5, 0.5, 0.5, 1], alpha_cutoff: null }];
-  return all.map(({ base_color: [r, g, b], alpha_cutoff: cut }, index) => makeFollow(
-    new THREE.MeshLambertMaterial({
-      color: new THREE.Color(r, g, b), map: surface.textures[index] ?? null, vertexColors: true,
-      alphaTest: cut ?? 0, side: THREE.DoubleSide, shadowSide: THREE.DoubleSide,
-    }), shared, { tied }));
+  return all.map(({ base_color: [r, g, b], alpha_cutoff: cut }, index) =>
+    makeFollow(
+      new THREE.MeshLambertMaterial({
+        color: new THREE.Color(r, g, b),
+        map: surface.textures[index] ?? null,
+        vertexColors: true,
+        alphaTest: cut ?? 0,
+        side: THREE.DoubleSide,
+        shadowSide: THREE.DoubleSide,
+      }),
+      shared,
+      { tied },
+    ),
+  );
 }
 
 /** What the sun sees: the same motion, cut out where the surface is. */
 export function shadowMaterial(surface, shared, { tied }) {
-  const cut = surface.materials.findIndex((material, index) => material.alpha_cutoff !== null && surface.textures[index]);
-  return makeFollow(new THREE.MeshDepthMaterial({
-    side: THREE.DoubleSide,
-    map: cut < 0 ? null : surface.textures[cut], alphaTest: cut < 0 ? 0 : surface.materials[cut].alpha_cutoff,
-  }), shared, { tied });
+  const cut = surface.materials.findIndex(
+    (material, index) => material.alpha_cutoff !== null && surface.textures[index],
+  );
+  return makeFollow(
+    new THREE.MeshDepthMaterial({
+      side: THREE.DoubleSide,
+      map: cut < 0 ? null : surface.textures[cut],
+      alphaTest: cut < 0 ? 0 : surface.materials[cut].alpha_cutoff,
+    }),
+    shared,
+    { tied },
+  );
 }

@@ -31,7 +31,12 @@ export class Tree {
     this.mesh.castShadow = this.mesh.receiveShadow = true;
     this.mesh.frustumCulled = false;
     this.mesh.customDepthMaterial = shadowMaterial(surface, this.uniforms, { tied });
-    const ghost = new THREE.MeshBasicMaterial({ transparent: true, opacity: 0.22, depthWrite: false, side: THREE.DoubleSide });
+    const ghost = new THREE.MeshBasicMaterial({
+      transparent: true,
+      opacity: 0.22,
+      depthWrite: false,
+      side: THREE.DoubleSide,
+    });
     this.ghost = new THREE.Mesh(surface.geometry, ghost);
     this.ghost.visible = false;
     this.group.add(this.mesh, this.ghost);
@@ -73,9 +78,15 @@ export class Tree {
     this.setView(this.view);
   }
 
-  get hangsOnVoxels() { return Boolean(this.surface?.tie_rows); }
-  get moves() { return Boolean(this.modes); }
-  _voxelField() { return (this.voxelField ??= new Field(this.modes.shapes, this.modes.scale_m, this.modes.V)); }
+  get hangsOnVoxels() {
+    return Boolean(this.surface?.tie_rows);
+  }
+  get moves() {
+    return Boolean(this.modes);
+  }
+  _voxelField() {
+    return (this.voxelField ??= new Field(this.modes.shapes, this.modes.scale_m, this.modes.V));
+  }
 
   /** Gaussians in place of the mesh, which carries them and goes on casting the shadow. */
   async setSplat(splat) {
@@ -132,13 +143,15 @@ export class Tree {
   prepare(renderer) {
     if (this.splat) this._giveWay();
     if (!this.q) return;
-    if (this.field && (this.field !== this.voxelField || !this.cubes?.visible)) this.field.evaluate(renderer, this.q, this.turn);
+    if (this.field && (this.field !== this.voxelField || !this.cubes?.visible))
+      this.field.evaluate(renderer, this.q, this.turn);
     if (this.cubes?.visible) this.voxelField.evaluate(renderer, this.q, this.turn);
     if (this.splat?.visible) this.splat.evaluate(renderer, this.q, this.turn);
   }
 
   _buildCubes() {
-    const { modes } = this, field = this._voxelField();
+    const { modes } = this;
+    const field = this._voxelField();
     const cube = new THREE.BoxGeometry(modes.voxelSize, modes.voxelSize, modes.voxelSize).toNonIndexed();
     const geometry = new THREE.InstancedBufferGeometry();
     for (const name of ["position", "normal"]) geometry.setAttribute(name, cube.attributes[name]);
@@ -155,23 +168,32 @@ export class Tree {
 
   /** Where a voxel is now [m]. */
   voxelNow(v, q = this.q) {
-    const { modes } = this, [x, y, z] = modes.voxelAt(v, q);
+    const { modes } = this;
+    const [x, y, z] = modes.voxelAt(v, q);
     const [c, s] = [Math.cos(this.turn), Math.sin(this.turn)];
-    const at = [modes.centres[3 * v] + c * x - s * y, modes.centres[3 * v + 1] + s * x + c * y, modes.centres[3 * v + 2] + z];
+    const at = [
+      modes.centres[3 * v] + c * x - s * y,
+      modes.centres[3 * v + 1] + s * x + c * y,
+      modes.centres[3 * v + 2] + z,
+    ];
     return this.groups.length ? carried(this._poses, modes.bone_of_voxel[v], at) : at;
   }
 
   /** The voxel under the pointer, or null: the foremost of those near it on the screen. */
   pick(event, { exact = true } = {}) {
     if (!this.modes) return null;
-    const { modes, stage } = this, camera = stage.camera, box = stage.canvas.getBoundingClientRect();
+    const { modes, stage } = this;
+    const camera = stage.camera;
+    const box = stage.canvas.getBoundingClientRect();
     camera.updateMatrixWorld();
     const view = new THREE.Matrix4().multiplyMatrices(camera.projectionMatrix, camera.matrixWorldInverse).elements;
     const [px, py] = [event.clientX - box.left, event.clientY - box.top];
     const focal = (box.height / 2) * camera.projectionMatrix.elements[5];
     let best = null;
     for (let v = 0; v < modes.V; v++) {
-      const x = modes.centres[3 * v], y = modes.centres[3 * v + 1], z = modes.centres[3 * v + 2];
+      const x = modes.centres[3 * v];
+      const y = modes.centres[3 * v + 1];
+      const z = modes.centres[3 * v + 2];
       const w = view[3] * x + view[7] * y + view[11] * z + view[15];
       if (w <= 0) continue;
       const sx = ((view[0] * x + view[4] * y + view[8] * z + view[12]) / w + 1) * 0.5 * box.width;
@@ -179,24 +201,27 @@ export class Tree {
       const slack = PICK_PX + (exact ? (focal * 0.04 * stage.height) / w : 0);
       if (Math.abs(sx - px) > slack || Math.abs(sy - py) > slack) continue;
       let [ex, ey, depth] = [sx, sy, w];
-      if (exact) { // look again where the wind has taken it
+      if (exact) {
+        // look again where the wind has taken it
         const now = new THREE.Vector3(...this.voxelNow(v));
         depth = camera.position.distanceTo(now);
         now.project(camera);
         [ex, ey] = [((now.x + 1) / 2) * box.width, ((1 - now.y) / 2) * box.height];
       }
-      const off = Math.hypot(ex - px, ey - py), size = (focal * modes.voxelSize) / w;
+      const off = Math.hypot(ex - px, ey - py);
+      const size = (focal * modes.voxelSize) / w;
       if (off > Math.max(size, PICK_PX)) continue;
       const cost = depth + (Math.max(off - size, 0) / PICK_PX) * 0.2 * stage.radius;
       if (!best || cost < best.cost) best = { voxel: v, cost };
     }
-    return best && best.voxel;
+    return best?.voxel;
   }
 
   /** The voxel that stands highest. */
   get top() {
     let best = 0;
-    for (let v = 1; v < this.modes.V; v++) if (this.modes.centres[3 * v + 2] > this.modes.centres[3 * best + 2]) best = v;
+    for (let v = 1; v < this.modes.V; v++)
+      if (this.modes.centres[3 * v + 2] > this.modes.centres[3 * best + 2]) best = v;
     return best;
   }
 
@@ -204,7 +229,8 @@ export class Tree {
     if (!this.mesh) return;
     this.group.remove(this.mesh, this.ghost);
     this.mesh.geometry.dispose();
-    for (const material of [this.mesh.material, this.mesh.customDepthMaterial, this.ghost.material].flat()) material.dispose();
+    for (const material of [this.mesh.material, this.mesh.customDepthMaterial, this.ghost.material].flat())
+      material.dispose();
     for (const texture of this.surface.textures) texture?.dispose();
     this.mesh = this.ghost = null;
   }
@@ -223,12 +249,15 @@ export class Tree {
 
 /** The furthest that each bin swings any point [m]. */
 function largestSwing({ shapes, scale_m: scale }) {
-  const K = scale.length, most = new Float64Array(K), P = shapes.length / (6 * K);
-  for (let p = 0; p < P; p++) for (let k = 0; k < K; k++) {
-    let sum = 0;
-    for (let i = 6 * (p * K + k), end = i + 6; i < end; i++) sum += shapes[i] * shapes[i];
-    if (sum > most[k]) most[k] = sum;
-  }
+  const K = scale.length;
+  const most = new Float64Array(K);
+  const P = shapes.length / (6 * K);
+  for (let p = 0; p < P; p++)
+    for (let k = 0; k < K; k++) {
+      let sum = 0;
+      for (let i = 6 * (p * K + k), end = i + 6; i < end; i++) sum += shapes[i] * shapes[i];
+      if (sum > most[k]) most[k] = sum;
+    }
   return most.map((sum, k) => Math.sqrt(sum) * scale[k]);
 }
 
@@ -239,15 +268,20 @@ function cubeMaterial(uniforms, material = new THREE.MeshLambertMaterial({ color
     follow(shader);
     shader.vertexShader = shader.vertexShader
       .replace(/attribute vec4 boneRows; attribute vec4 boneWeights;/, "attribute vec3 centre; attribute float bone;")
-      .replace(/vec3 follow\(vec3 rest\) \{[\s\S]*?\n\}/, `vec3 follow(vec3 corner) {
+      .replace(
+        /vec3 follow\(vec3 rest\) \{[\s\S]*?\n\}/,
+        `vec3 follow(vec3 corner) {
         vec4 m = movedAt(gl_InstanceID);
         vShare = m.w;
         poseHere = mat4(1.0);
         if (bent > 0.5) poseHere = poseOf(int(bone + 0.5));
         return (poseHere * vec4(centre + m.xyz, 1.0)).xyz + mat3(poseHere) * corner;
-      }`);
-    shader.fragmentShader = shader.fragmentShader
-      .replace("#include <color_fragment>", "diffuseColor.rgb = mix(vec3(0.22, 0.42, 0.30), vec3(0.62, 0.74, 0.55), 0.5 + 0.5 * normalize(vNormal).y);\n#include <color_fragment>");
+      }`,
+      );
+    shader.fragmentShader = shader.fragmentShader.replace(
+      "#include <color_fragment>",
+      "diffuseColor.rgb = mix(vec3(0.22, 0.42, 0.30), vec3(0.62, 0.74, 0.55), 0.5 + 0.5 * normalize(vNormal).y);\n#include <color_fragment>",
+    );
   };
   material.customProgramCacheKey = () => `cube-${material.type}`;
   return material;

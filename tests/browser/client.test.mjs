@@ -2,31 +2,38 @@ import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { createServer } from "node:http";
 import { test } from "node:test";
-
-import { Client, Problem, hasEnded, seconds } from "../../web/client.js";
-import { Modes, carried, readTensors, windCoordinates, windGain } from "../../web/modes.js";
-import { isWorthLoading, readMorphs } from "../../web/morphs.js";
 import { Modes as Reference } from "../../recipes/modes_reference.mjs";
+import { Client, hasEnded, Problem, seconds } from "../../web/client.js";
+import { carried, Modes, readTensors, windCoordinates, windGain } from "../../web/modes.js";
+import { isWorthLoading, readMorphs } from "../../web/morphs.js";
 
 const base = process.env.SERVICE_URL;
 const file = (path) => ({ name: path.split("/").pop(), content: new Blob([readFileSync(path)]) });
-const tree = file(process.env.TREE), large = file(process.env.LARGE);
+const tree = file(process.env.TREE);
+const large = file(process.env.LARGE);
 const client = new Client({ base });
-const request = (asset) => ({ type: "animate", asset_id: asset.id, params: { formats: ["glb"], num_steps: 1, wind: { speed_m_s: 6 } } });
+const request = (asset) => ({
+  type: "animate",
+  asset_id: asset.id,
+  params: { formats: ["glb"], num_steps: 1, wind: { speed_m_s: 6 } },
+});
 let done;
 
 test("a tree goes in and comes out swaying", async () => {
   const shares = [];
   const asset = await client.upload([tree], { onProgress: (share) => shares.push(share) });
   assert.deepEqual([shares[0], shares.at(-1)], [0, 1]);
-  const key = "the same " + process.pid;
+  const key = `the same ${process.pid}`;
   const job = await client.createJob(request(asset), { key });
   assert.equal((await client.createJob(request(asset), { key })).id, job.id, "one key is one job");
   const seen = [];
   done = await client.wait(job.id, { onJob: (now) => seen.push(now) });
   assert.equal(seen.at(-1).state, "succeeded");
   const progress = seen.map((now) => now.progress);
-  assert.deepEqual(progress, [...progress].sort((a, b) => a - b));
+  assert.deepEqual(
+    progress,
+    [...progress].sort((a, b) => a - b),
+  );
   const made = await client.artifacts(job.id);
   const glb = made.find(({ name }) => name === "tree.glb");
   assert.equal((await client.bytes(glb.url)).byteLength, glb.bytes);
@@ -49,8 +56,13 @@ test("a job is followed by polling where events do not come through", async () =
 });
 
 test("a large upload goes on at the byte that was reached", async () => {
-  const pieces = [], memory = new Map();
-  const kept = { getItem: (k) => memory.get(k) ?? null, setItem: (k, v) => memory.set(k, v), removeItem: (k) => memory.delete(k) };
+  const pieces = [];
+  const memory = new Map();
+  const kept = {
+    getItem: (k) => memory.get(k) ?? null,
+    setItem: (k, v) => memory.set(k, v),
+    removeItem: (k) => memory.delete(k),
+  };
   let cut = 0;
   const breaking = async (url, options) => {
     if (options.method === "PATCH") {
@@ -73,8 +85,13 @@ test("a large upload goes on at the byte that was reached", async () => {
 });
 
 test("an upload goes on in another session", async () => {
-  const memory = new Map(), other = { name: "again.obj", content: new Blob([large.content, "\n# again\n"]) };
-  const kept = { getItem: (k) => memory.get(k) ?? null, setItem: (k, v) => memory.set(k, v), removeItem: (k) => memory.delete(k) };
+  const memory = new Map();
+  const other = { name: "again.obj", content: new Blob([large.content, "\n# again\n"]) };
+  const kept = {
+    getItem: (k) => memory.get(k) ?? null,
+    setItem: (k, v) => memory.set(k, v),
+    removeItem: (k) => memory.delete(k),
+  };
   let sent = 0;
   const stopping = new AbortController();
   const first = (url, options) => {
@@ -108,7 +125,10 @@ test("Retry-After is honoured", async () => {
   const server = createServer((_, response) => {
     times.push(performance.now());
     const busy = times.length < 3;
-    response.writeHead(busy ? 503 : 200, { "Content-Type": "application/problem+json", ...(busy && { "Retry-After": "1" }) });
+    response.writeHead(busy ? 503 : 200, {
+      "Content-Type": "application/problem+json",
+      ...(busy && { "Retry-After": "1" }),
+    });
     response.end(JSON.stringify(busy ? { title: "Too many jobs wait", code: "queue-full" } : { ok: true }));
   });
   await new Promise((ready) => server.listen(0, "127.0.0.1", ready));
@@ -125,31 +145,42 @@ test("Retry-After is honoured", async () => {
 });
 
 test("modes are those of the reference", async () => {
-  const id = done.result.spectrum_id, buffer = await client.modes(id);
-  const modes = new Modes(buffer), reference = new Reference(buffer);
+  const id = done.result.spectrum_id;
+  const buffer = await client.modes(id);
+  const modes = new Modes(buffer);
+  const reference = new Reference(buffer);
   const top = modes.centres.reduce((best, z, i) => (i % 3 === 2 && z > modes.centres[best] ? i : best), 2);
-  const voxel = (top - 2) / 3, height = modes.centres[top];
+  const voxel = (top - 2) / 3;
+  const height = modes.centres[top];
   const answer = await client.interact({
-    spectrum_id: id, num_frames: 30, dt_s: 1 / 30, start: "held",
+    spectrum_id: id,
+    num_frames: 30,
+    dt_s: 1 / 30,
+    start: "held",
     forces: [{ kind: "drag", at: { voxel }, displacement_m: [0.1 * height, 0, 0] }],
   });
-  const [{ locality, q }] = answer.groups, weights = await client.reach(id, locality);
+  const [{ locality, q }] = answer.groups;
+  const weights = await client.reach(id, locality);
   assert.ok(Math.abs(weights[voxel] - 1) < 1e-6);
-  const flat = q.at(-1).flat(), poses = modes.poses([{ q: q.at(-1), perBone: modes.boneWeights(weights) }]);
+  const flat = q.at(-1).flat();
+  const poses = modes.poses([{ q: q.at(-1), perBone: modes.boneWeights(weights) }]);
   const expected = reference.poses([flat], [weights]);
   for (let b = 0; b < modes.B; b++) {
-    const x = [0.3, -0.2, height], joint = reference.bone_joint_m.subarray(3 * b, 3 * b + 3);
+    const x = [0.3, -0.2, height];
+    const joint = reference.bone_joint_m.subarray(3 * b, 3 * b + 3);
     const there = carried(poses, b, x);
     for (let i = 0; i < 3; i++) {
       const R = expected.rotation.subarray(9 * b + 3 * i, 9 * b + 3 * i + 3);
-      const wanted = R[0] * (x[0] - joint[0]) + R[1] * (x[1] - joint[1]) + R[2] * (x[2] - joint[2]) + expected.place[3 * b + i];
+      const wanted =
+        R[0] * (x[0] - joint[0]) + R[1] * (x[1] - joint[1]) + R[2] * (x[2] - joint[2]) + expected.place[3 * b + i];
       assert.ok(Math.abs(there[i] - wanted) < 1e-4 * height, `${b} ${i}: ${there[i]} ${wanted}`);
     }
   }
   // the wind's loop closes, and is the spectrum's own: the lean at first, and what swings around it
   const [start, end] = [0, 1].map((phase) => modes.voxelAt(voxel, windCoordinates(modes.K, phase)));
   for (let c = 0; c < 3; c++) assert.ok(Math.abs(start[c] - end[c]) < 1e-6);
-  const wind = windCoordinates(modes.K, 0.3), swing = reference.voxels([wind], [new Float32Array(modes.V).fill(1)]);
+  const wind = windCoordinates(modes.K, 0.3);
+  const swing = reference.voxels([wind], [new Float32Array(modes.V).fill(1)]);
   const lean = readTensors(buffer).tensors.lean_m;
   const now = modes.voxelAt(voxel, wind);
   for (let c = 0; c < 3; c++) assert.ok(Math.abs(now[c] - lean[3 * voxel + c] - swing[3 * voxel + c]) < 1e-3 * height);
@@ -158,7 +189,8 @@ test("modes are those of the reference", async () => {
 });
 
 test("a surface and the mesh before it", async () => {
-  const moving = readTensors(await client.surface(done.result.spectrum_id)), still = readTensors(await client.assetSurface(done.asset_id));
+  const moving = readTensors(await client.surface(done.result.spectrum_id));
+  const still = readTensors(await client.assetSurface(done.asset_id));
   assert.deepEqual(moving.tensors.vertices, still.tensors.vertices);
   assert.deepEqual(moving.shape.shapes, [moving.shape.vertices[0], 16, 3, 2]);
   assert.equal(moving.metadata.format, "tree-surface");
@@ -167,20 +199,24 @@ test("a surface and the mesh before it", async () => {
 test("the files of a job carry the motion of its surface", async () => {
   const { tensors: moving, shape } = readTensors(await client.surface(done.result.spectrum_id));
   const glb = (await client.artifacts(done.id)).find(isWorthLoading);
-  const read = readMorphs(await client.bytes(glb.url), 100), [N, K] = shape.shapes;
+  const read = readMorphs(await client.bytes(glb.url), 100);
+  const [N, K] = shape.shapes;
   assert.equal(read.shapes.length, 6 * N * K);
   assert.equal(isWorthLoading({ name: "tree.glb", bytes: 1e9 }), false);
   for (let i = 0; i < read.shapes.length; i++) {
-    const k = Math.floor(i / 6) % K, gap = Math.abs(read.shapes[i] * read.scale_m[k] - moving.shapes[i] * moving.scale_m[k]);
+    const k = Math.floor(i / 6) % K;
+    const gap = Math.abs(read.shapes[i] * read.scale_m[k] - moving.shapes[i] * moving.scale_m[k]);
     assert.ok(gap < 1.5 * moving.scale_m[k], `${i}: ${gap / moving.scale_m[k]} steps`); // both are rounded
   }
 });
 
 test("a push answers, and settles", async () => {
-  const frames = [], id = done.result.spectrum_id;
+  const frames = [];
+  const id = done.result.spectrum_id;
   const push = await new Promise((resolve, reject) => {
     const push = client.push(id, {
-      damping_ratio: 1, onProblem: reject,
+      damping_ratio: 1,
+      onProblem: reject,
       onFrame: ({ frame, groups }) => {
         if (groups.length) frames.push(groups[0].q[1]); // the last one, before rest, has none
         if (frames.length === 20) push.release();
