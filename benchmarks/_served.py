@@ -12,8 +12,8 @@ from pathlib import Path
 
 import httpx
 
-from dynamictree.formats.mesh_bundle import write_mesh_bundle
-from dynamictree.formats.spectrum_file import write_spectrum
+from dynamictree.formats.tensors.mesh_bundle import write_mesh_bundle
+from dynamictree.formats.tensors.spectrum import write_spectrum
 from dynamictree.mesh import TriangleMesh
 from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.artifacts import hash_file

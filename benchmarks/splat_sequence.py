@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks._machine import machine
 from benchmarks._scene import sheet
-from dynamictree.formats.splat_sequence import iter_splat_sequence_zip, splat_sequence_bytes
+from dynamictree.formats.motion.splat_sequence import iter_splat_sequence_zip, splat_sequence_bytes
 from dynamictree.gaussian.from_mesh import splats_of_mesh
 
 NUM_GAUSSIANS, NUM_FRAMES = 100_000, 20

@@ -15,8 +15,8 @@ from jaxtyping import Complex64, UInt8
 from dynamictree.errors import InputError
 from dynamictree.files import Companions, opened
 from dynamictree.formats.mesh_file import read_mesh, sniff_file_type
-from dynamictree.formats.names import PHOTO_SUFFIXES
 from dynamictree.formats.source_file import read_capture, source_kind
+from dynamictree.formats.suffixes import PHOTO_SUFFIXES
 from dynamictree.gaussian.binding import Binding, bind_capture
 from dynamictree.gaussian.capture import Box, Capture
 from dynamictree.mesh import TriangleMesh

@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Complex64, Float32, Float64, UInt8
 
 from dynamictree.errors import InputError
-from dynamictree.formats.glb_motion import write_motion_glb
-from dynamictree.formats.motion_file import write_motion
-from dynamictree.formats.ply_sequence import iter_ply_sequence_zip
+from dynamictree.formats.gltf.motion import write_motion_glb
+from dynamictree.formats.motion.ply_sequence import iter_ply_sequence_zip
+from dynamictree.formats.tensors.motion import write_motion
 from dynamictree.mesh import TriangleMesh
 from dynamictree.render.shot import Shot
 from dynamictree.spectrum import SparseVoxelSpectrum, iter_motion
@@ -182,7 +182,7 @@ def _write_reduced_glb(sway: SwayingMesh, stream: BinaryIO, report: Report) -> F
 
 
 def _write_skinned_glb(sway: SwayingMesh, stream: BinaryIO, report: Report) -> Facts:
-    from dynamictree.formats.glb_skin import write_skinned_glb
+    from dynamictree.formats.gltf.skin import write_skinned_glb
     from dynamictree.modal.skinning import skin_of
 
     assert sway.spectrum is not None
@@ -192,13 +192,13 @@ def _write_skinned_glb(sway: SwayingMesh, stream: BinaryIO, report: Report) -> F
 
 
 def _write_usdz(sway: SwayingMesh, stream: BinaryIO, report: Report) -> None:
-    from dynamictree.formats.usd_motion import write_motion_usdz
+    from dynamictree.formats.motion.usd import write_motion_usdz
 
     write_motion_usdz(sway.mesh, sway.frames(report), stream, fps=sway.fps)
 
 
 def _write_vertex_texture(sway: SwayingMesh, stream: BinaryIO, report: Report) -> None:
-    from dynamictree.formats.vertex_texture import iter_vertex_texture_zip
+    from dynamictree.formats.motion.vertex_texture import iter_vertex_texture_zip
 
     num_frames = len(sway.phases)
     chunks = iter_vertex_texture_zip(

@@ -9,8 +9,8 @@ from jaxtyping import Float32, UInt8
 from PIL import Image
 
 from dynamictree.errors import InputError
-from dynamictree.formats.animated_splat import write_animated_splat
-from dynamictree.formats.splat_sequence import iter_splat_sequence_zip, splat_sequence_bytes
+from dynamictree.formats.motion.splat_sequence import iter_splat_sequence_zip, splat_sequence_bytes
+from dynamictree.formats.tensors.animated_splat import write_animated_splat
 from dynamictree.gaussian.animate import AnimatedSplat, iter_poses, lighter
 from dynamictree.gaussian.binding import Binding
 from dynamictree.gaussian.cloud import MAX_SEQUENCE_BYTES, GaussianCloud, area_m2, level_count

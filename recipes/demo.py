@@ -60,7 +60,7 @@ def main() -> None:
 def grow_demo_tree(path: Path) -> Path:
     """Write a tree from the project's own generator."""
     from dynamictree.dataset.sample import make_sample
-    from dynamictree.formats.gltf import write_glb
+    from dynamictree.formats.gltf.writer import write_glb
 
     print(f"== growing a tree: species {SPECIES}, seed {SEED}")
     with path.open("wb") as stream:

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from dynamictree import pipeline
-from dynamictree.formats.glb_forest import plant_forest, write_forest_glb
-from dynamictree.formats.spectrum_file import read_spectrum
+from dynamictree.formats.gltf.forest import plant_forest, write_forest_glb
+from dynamictree.formats.tensors.spectrum import read_spectrum
 
 
 def main(arguments: list[str] | None = None) -> None:

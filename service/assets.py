@@ -8,7 +8,7 @@ from fastapi.exceptions import RequestValidationError
 from pydantic import ValidationError
 from starlette.concurrency import run_in_threadpool
 
-from dynamictree.formats.names import CLOUD_SUFFIXES, MASK_NAME, MESH_SUFFIXES, PHOTO_SUFFIXES
+from dynamictree.formats.suffixes import CLOUD_SUFFIXES, MASK_NAME, MESH_SUFFIXES, PHOTO_SUFFIXES
 from jobs import assets as kept
 from jobs.records import AssetRecord
 from jobs.states import ASSET_KINDS

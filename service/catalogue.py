@@ -6,7 +6,7 @@ from importlib import resources
 from fastapi import APIRouter
 from pydantic import Field
 
-from dynamictree.formats import names
+from dynamictree.formats import suffixes
 from service import archives, forces, intake, interact
 from service.context import Ctx
 from service.payloads import MAX_FRAMES, Payload
@@ -95,14 +95,14 @@ def get_limits(context: Ctx) -> LimitsPayload:
 
     settings = context.settings
     return LimitsPayload(
-        mesh_formats=[suffix.lstrip(".") for suffix in names.MESH_SUFFIXES],
-        cloud_formats=[suffix.lstrip(".") for suffix in names.CLOUD_SUFFIXES],
-        photo_formats=[suffix.lstrip(".") for suffix in names.PHOTO_SUFFIXES],
+        mesh_formats=[suffix.lstrip(".") for suffix in suffixes.MESH_SUFFIXES],
+        cloud_formats=[suffix.lstrip(".") for suffix in suffixes.CLOUD_SUFFIXES],
+        photo_formats=[suffix.lstrip(".") for suffix in suffixes.PHOTO_SUFFIXES],
         max_json_bytes=settings.max_json_bytes,
         max_interact_bytes=settings.max_interact_bytes,
         max_multipart_bytes=settings.max_multipart_bytes,
-        min_photos=names.MIN_PHOTOS,
-        max_photos=names.MAX_PHOTOS,
+        min_photos=suffixes.MIN_PHOTOS,
+        max_photos=suffixes.MAX_PHOTOS,
         max_photo_bytes=intake.MAX_PHOTO_BYTES,
         max_archive_entries=archives.MAX_ENTRIES,
         max_archive_ratio=archives.MAX_RATIO,

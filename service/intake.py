@@ -8,7 +8,7 @@ from pathlib import Path, PurePosixPath
 
 from starlette.concurrency import run_in_threadpool
 
-from dynamictree.formats.names import (
+from dynamictree.formats.suffixes import (
     CLOUD_SUFFIXES,
     MASKS,
     MAX_PHOTOS,

@@ -4,7 +4,7 @@ from io import BytesIO
 
 from pydantic import TypeAdapter
 
-from dynamictree.formats.spectrum_file import read_spectrum
+from dynamictree.formats.tensors.spectrum import read_spectrum
 from dynamictree.gaussian.capture import Box, Capture
 from dynamictree.mesh import TriangleMesh
 from dynamictree.spectrum import SparseVoxelSpectrum
@@ -81,7 +81,7 @@ def load_source_cloud(context: Context, spectrum_id: str) -> tuple[Capture, Box 
         NotFoundError, GoneError: there is no such spectrum, or its asset has expired.
         ProblemError: the source is no cloud.
     """
-    from dynamictree.formats.cloud_bundle import read_cloud_bundle
+    from dynamictree.formats.tensors.cloud_bundle import read_cloud_bundle
 
     job = context.store.job(spectrum_artifact(context, spectrum_id).job_id)
     asset = read_asset(context.store, job.asset_id)
@@ -93,7 +93,7 @@ def load_source_cloud(context: Context, spectrum_id: str) -> tuple[Capture, Box 
 
 
 def _mesh(context: Context, digest: str, whose: str) -> TriangleMesh:
-    from dynamictree.formats.mesh_bundle import read_mesh_bundle
+    from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle
 
     return read_mesh_bundle(_kept(context, digest, f"mesh {whose}"))
 

@@ -14,7 +14,7 @@ from safetensors.numpy import load_file
 
 from dynamictree.cli import app
 from dynamictree.dataset.sample import make_sample
-from dynamictree.formats.ply_writer import write_ply
+from dynamictree.formats.mesh.ply_writer import write_ply
 
 
 def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:

@@ -12,12 +12,12 @@ from PIL import Image
 
 from dynamictree import pipeline
 from dynamictree.errors import FormatError, InputError
-from dynamictree.formats.animated_splat import read_animated_splat
 from dynamictree.formats.axes import up_rotation
-from dynamictree.formats.cloud_bundle import read_cloud_bundle, write_cloud_bundle
 from dynamictree.formats.cloud_file import read_cloud
-from dynamictree.formats.ply_writer import write_ply
-from dynamictree.formats.splat import write_splat
+from dynamictree.formats.mesh.ply_writer import write_ply
+from dynamictree.formats.splat.splat import write_splat
+from dynamictree.formats.tensors.animated_splat import read_animated_splat
+from dynamictree.formats.tensors.cloud_bundle import read_cloud_bundle, write_cloud_bundle
 from dynamictree.gaussian.capture import Capture, carrying_mesh, moving_part
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.products import AnimateOptions

@@ -77,9 +77,9 @@ def _cloud(
     request: ParseRequest, name: str, file_type: str, mesh: str | None, beside: Mapping[str, Path]
 ) -> ParseAnswer:
     from dynamictree.describe import describe_capture
-    from dynamictree.formats.cloud_bundle import write_cloud_bundle
-    from dynamictree.formats.names import MASK_NAME
     from dynamictree.formats.source_file import read_capture
+    from dynamictree.formats.suffixes import MASK_NAME
+    from dynamictree.formats.tensors.cloud_bundle import write_cloud_bundle
 
     paths = dict(zip(request.names, request.paths, strict=True))
     masks = [path for other, path in beside.items() if PurePosixPath(other).name == MASK_NAME]
@@ -100,8 +100,8 @@ def _cloud(
 
 def _mesh(request: ParseRequest, name: str, file_type: str, beside: Mapping[str, Path]) -> ParseAnswer:
     from dynamictree.describe import describe_mesh
-    from dynamictree.formats.mesh_bundle import write_mesh_bundle
     from dynamictree.formats.mesh_file import read_mesh
+    from dynamictree.formats.tensors.mesh_bundle import write_mesh_bundle
 
     companions = {other: path.read_bytes() for other, path in beside.items()}
     with dict(zip(request.names, request.paths, strict=True))[name].open("rb") as source:
@@ -116,7 +116,7 @@ def _mesh(request: ParseRequest, name: str, file_type: str, beside: Mapping[str,
 def _photos(request: ParseRequest) -> ParseAnswer:
     from PIL import Image, UnidentifiedImageError
 
-    from dynamictree.formats.names import MASKS
+    from dynamictree.formats.suffixes import MASKS
 
     Image.MAX_IMAGE_PIXELS = None  # counted here, from the header
     sizes, number = set(), 0

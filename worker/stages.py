@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
 from dynamictree import pipeline
-from dynamictree.formats.cloud_bundle import read_cloud_bundle, write_cloud_bundle
-from dynamictree.formats.mesh_bundle import read_mesh_bundle, write_mesh_bundle
-from dynamictree.formats.names import PHOTO_SUFFIXES
-from dynamictree.formats.ply_writer import write_ply
-from dynamictree.formats.spectrum_file import read_spectrum, write_spectrum
-from dynamictree.formats.voxels_file import read_voxels, write_voxels
+from dynamictree.formats.mesh.ply_writer import write_ply
+from dynamictree.formats.suffixes import PHOTO_SUFFIXES
+from dynamictree.formats.tensors.cloud_bundle import read_cloud_bundle, write_cloud_bundle
+from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle, write_mesh_bundle
+from dynamictree.formats.tensors.spectrum import read_spectrum, write_spectrum
+from dynamictree.formats.tensors.voxels import read_voxels, write_voxels
 from dynamictree.gaussian.capture import Box, Capture, carrying_mesh
 from dynamictree.mesh import TriangleMesh
 from dynamictree.products import FILE_NAMES, FRAME_OPTIONS, AnimateOptions, Facts

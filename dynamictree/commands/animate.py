@@ -80,7 +80,7 @@ def animate(
 ) -> None:
     """Make a tree sway: mesh or splat → voxels → spectrum → motion files."""
     from dynamictree import pipeline
-    from dynamictree.formats.spectrum_file import write_spectrum
+    from dynamictree.formats.tensors.spectrum import write_spectrum
     from dynamictree.products import DEFAULT_CLOUD_FORMATS, DEFAULT_FORMATS, FILE_NAMES, AnimateOptions
     from dynamictree.render.shot import Shot
     from dynamictree.spectrum import Wind

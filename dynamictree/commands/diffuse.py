@@ -43,8 +43,8 @@ def diffuse(
 ) -> None:
     """Generate the spectrum of a tree's motion from its shape (*.spectrum.safetensors)."""
     from dynamictree import pipeline
-    from dynamictree.formats.spectrum_file import write_spectrum
-    from dynamictree.formats.voxels_file import FORMAT, read_voxels
+    from dynamictree.formats.tensors.spectrum import write_spectrum
+    from dynamictree.formats.tensors.voxels import FORMAT, read_voxels
     from dynamictree.spectrum import Wind
 
     if is_tensor_file(source, FORMAT, ".voxels.safetensors"):

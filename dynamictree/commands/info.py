@@ -20,14 +20,14 @@ def info(
     """Say what a file holds."""
     from dynamictree import pipeline
     from dynamictree.describe import describe_capture, describe_grid, describe_mesh, describe_spectrum
-    from dynamictree.formats import spectrum_file, voxels_file
+    from dynamictree.formats.tensors import spectrum, voxels
 
-    if is_tensor_file(source, spectrum_file.FORMAT, ".spectrum.safetensors"):
+    if is_tensor_file(source, spectrum.FORMAT, ".spectrum.safetensors"):
         with opened(source) as stream:
-            facts = describe_spectrum(spectrum_file.read_spectrum(stream))
-    elif is_tensor_file(source, voxels_file.FORMAT, ".voxels.safetensors"):
+            facts = describe_spectrum(spectrum.read_spectrum(stream))
+    elif is_tensor_file(source, voxels.FORMAT, ".voxels.safetensors"):
         with opened(source) as stream:
-            facts = describe_grid(voxels_file.read_voxels(stream).grid)
+            facts = describe_grid(voxels.read_voxels(stream).grid)
     elif is_cloud(source):
         facts = describe_capture(pipeline.load_capture(source, up_axis=up_axis, unit_m=unit_m))
     else:

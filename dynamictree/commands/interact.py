@@ -66,7 +66,7 @@ def interact(
 ) -> None:
     """Push a tree: spectrum + forces → modal coordinates, moving mesh."""
     from dynamictree import pipeline
-    from dynamictree.formats.spectrum_file import read_spectrum
+    from dynamictree.formats.tensors.spectrum import read_spectrum
     from dynamictree.modal.locality import default_falloff_m
     from dynamictree.modal.response import InteractiveTree, group_forces, respond
     from dynamictree.modal.step import INTEGRATORS
@@ -160,8 +160,8 @@ def _write(
     fps: float,
     warp: bool,
 ) -> list[Path]:
-    from dynamictree.formats.motion_file import write_motion
-    from dynamictree.formats.ply_sequence import iter_ply_sequence_zip
+    from dynamictree.formats.motion.ply_sequence import iter_ply_sequence_zip
+    from dynamictree.formats.tensors.motion import write_motion
 
     with published(output) as folder:
         for name in wanted:

@@ -17,7 +17,7 @@ def is_tensor_file(path: Path, file_format: str, ending: str) -> bool:
     Raises:
         InputError: it cannot be read.
     """
-    from dynamictree.formats.tensor_file import tensor_format
+    from dynamictree.formats.tensors.container import tensor_format
 
     with opened(path) as stream:
         return path.name.endswith(ending) or tensor_format(stream) == file_format

@@ -17,7 +17,7 @@ def voxelize(
 ) -> None:
     """Write the voxels that hold a piece of the tree's surface (*.voxels.safetensors)."""
     from dynamictree import pipeline
-    from dynamictree.formats.voxels_file import write_voxels
+    from dynamictree.formats.tensors.voxels import write_voxels
 
     mesh, _ = read_source(source, up_axis=up_axis, unit_m=unit_m, box_m=box_of(box))
     voxels = pipeline.voxelize(mesh, resolution=resolution)

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from dynamictree.dataset.sample import Sample
-from dynamictree.formats.glb_motion import write_motion_glb
-from dynamictree.formats.ply_sequence import iter_ply_sequence_zip
+from dynamictree.formats.gltf.motion import write_motion_glb
+from dynamictree.formats.motion.ply_sequence import iter_ply_sequence_zip
 from dynamictree.spectrum import FPS, NUM_FRAMES, iter_motion
 
 

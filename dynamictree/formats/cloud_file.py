@@ -4,10 +4,13 @@ from collections.abc import Callable
 from typing import Literal, get_args
 
 from dynamictree.errors import FormatError
-from dynamictree.formats import compressed_ply, gaussian_ply, gltf_gaussian, point_cloud, splat, spz
-from dynamictree.formats.glb_table import listed, member, read_glb
+from dynamictree.formats.gltf import gaussian as gltf_gaussian
+from dynamictree.formats.gltf.table import listed, member, read_glb
 from dynamictree.formats.ply_table import read_header
+from dynamictree.formats.scan import points
 from dynamictree.formats.seekable import SeekableReader
+from dynamictree.formats.splat import compressed_ply, splat, spz
+from dynamictree.formats.splat import ply as gaussian_ply
 from dynamictree.gaussian.cloud import GaussianCloud
 
 CloudKind = Literal["gaussians", "compressed-gaussians", "points", "mesh"]
@@ -18,8 +21,8 @@ _READERS: dict[str, tuple[Callable[..., GaussianCloud], str]] = {
     "splat": (splat.read_splat, splat.UP_AXIS),
     "spz": (spz.read_spz, spz.UP_AXIS),
     "glb": (gltf_gaussian.read_gltf_gaussian, gltf_gaussian.UP_AXIS),
-    **dict.fromkeys(("xyz", "txt", "csv", "asc", "pts"), (point_cloud.read_points_text, point_cloud.UP_AXIS)),
-    **dict.fromkeys(("las", "laz"), (point_cloud.read_las, point_cloud.UP_AXIS)),
+    **dict.fromkeys(("xyz", "txt", "csv", "asc", "pts"), (points.read_points_text, points.UP_AXIS)),
+    **dict.fromkeys(("las", "laz"), (points.read_las, points.UP_AXIS)),
 }
 
 
@@ -87,7 +90,7 @@ def _read_ply(stream: SeekableReader, up_axis: str | None, unit_m: float) -> Gau
     if kind == "mesh":
         raise FormatError("the PLY file has faces; it is a mesh, not a cloud; send it as a mesh")
     if kind == "points":
-        return point_cloud.read_points_ply(stream, up_axis=up_axis or point_cloud.UP_AXIS, unit_m=unit_m)
+        return points.read_points_ply(stream, up_axis=up_axis or points.UP_AXIS, unit_m=unit_m)
     if kind == "compressed-gaussians":
         return compressed_ply.read_compressed_ply(stream, up_axis=up_axis or gaussian_ply.UP_AXIS, unit_m=unit_m)
     return gaussian_ply.read_gaussian_ply(stream, up_axis=up_axis or gaussian_ply.UP_AXIS, unit_m=unit_m)

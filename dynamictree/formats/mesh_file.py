@@ -5,10 +5,10 @@ from collections.abc import Mapping
 
 from dynamictree.errors import FormatError
 from dynamictree.formats.axes import mesh_to_z_up
-from dynamictree.formats.gltf_reader import read_gltf
-from dynamictree.formats.obj_reader import read_obj
-from dynamictree.formats.ply_mesh_reader import read_ply_mesh
-from dynamictree.formats.stl_reader import is_ascii_stl, read_stl
+from dynamictree.formats.gltf.reader import read_gltf
+from dynamictree.formats.mesh.obj import read_obj
+from dynamictree.formats.mesh.ply import read_ply_mesh
+from dynamictree.formats.mesh.stl import is_ascii_stl, read_stl
 from dynamictree.formats.stream import ByteReader, read_all
 from dynamictree.mesh import TriangleMesh, validate_mesh
 

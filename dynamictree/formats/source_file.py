@@ -7,9 +7,9 @@ from typing import Literal
 
 from dynamictree.errors import FormatError
 from dynamictree.formats.cloud_file import CLOUD_TYPES, cloud_kind, read_cloud
-from dynamictree.formats.mask_file import read_mask
 from dynamictree.formats.mesh_file import read_mesh, sniff_file_type
 from dynamictree.formats.seekable import SeekableReader
+from dynamictree.formats.splat.mask import read_mask
 from dynamictree.gaussian.capture import Capture
 
 SourceKind = Literal["mesh", "cloud"]

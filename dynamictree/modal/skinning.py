@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Complex64, Float32, Float64
 
 from dynamictree.errors import InputError
-from dynamictree.formats.glb_skin import JOINTS_A_VERTEX, Skin, SkinSummary
+from dynamictree.formats.gltf.skin import JOINTS_A_VERTEX, Skin, SkinSummary
 from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.skeleton import bones_of
 from dynamictree.modal.surface import attach_mesh

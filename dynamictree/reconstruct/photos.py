@@ -9,7 +9,7 @@ from pathlib import Path
 from PIL import Image, ImageOps, UnidentifiedImageError
 
 from dynamictree.errors import FormatError, InputError
-from dynamictree.formats.names import MASKS, MAX_PHOTOS, MIN_PHOTOS
+from dynamictree.formats.suffixes import MASKS, MAX_PHOTOS, MIN_PHOTOS
 
 FORMATS = ("JPEG", "PNG", "WEBP", "TIFF")
 MAX_PHOTO_BYTES = 64 * 2**20

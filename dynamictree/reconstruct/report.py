@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import Image
 
-from dynamictree.formats.gaussian_ply import write_gaussian_ply
-from dynamictree.formats.ply_writer import write_ply
+from dynamictree.formats.mesh.ply_writer import write_ply
+from dynamictree.formats.splat.ply import write_gaussian_ply
 from dynamictree.mesh import TriangleMesh
 from dynamictree.reconstruct.views import View
 from dynamictree.render import Look, Renderer, write_png

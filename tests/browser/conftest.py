@@ -11,7 +11,7 @@ import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from dynamictree.dataset.sample import make_sample
-from dynamictree.formats.gltf import write_glb
+from dynamictree.formats.gltf.writer import write_glb
 from recipes.demo import served
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")

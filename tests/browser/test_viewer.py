@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 from playwright.sync_api import expect
 
-from dynamictree.formats.gaussian_ply import write_gaussian_ply
+from dynamictree.formats.splat.ply import write_gaussian_ply
 from dynamictree.gaussian.cloud import GaussianCloud
 from jobs.keys import create_key
 from jobs.store import Store

@@ -10,7 +10,7 @@ import pytest
 from dynamictree_client import Client, models, operations
 
 from dynamictree.dataset.sample import make_sample
-from dynamictree.formats.gltf import write_glb
+from dynamictree.formats.gltf.writer import write_glb
 from recipes import batch
 
 ROOT = Path(__file__).parents[2]

@@ -13,7 +13,7 @@ from safetensors.numpy import load
 from typer.testing import CliRunner
 
 from dynamictree.dataset.sample import make_sample
-from dynamictree.formats.gltf import write_glb
+from dynamictree.formats.gltf.writer import write_glb
 
 PARAMS = AnimateParams(wind=Wind(speed_m_s=6.0), formats=["glb", "glb-reduced"], num_steps=1)
 

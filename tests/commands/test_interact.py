@@ -9,10 +9,10 @@ import pytest
 from safetensors.numpy import load_file
 
 from dynamictree.dataset.sample import make_sample, voxel_spectrum
+from dynamictree.formats.mesh.obj_writer import write_obj
 from dynamictree.formats.mesh_file import read_mesh
-from dynamictree.formats.motion_file import read_motion
-from dynamictree.formats.obj_writer import write_obj
-from dynamictree.formats.spectrum_file import write_spectrum
+from dynamictree.formats.tensors.motion import read_motion
+from dynamictree.formats.tensors.spectrum import write_spectrum
 
 
 @pytest.fixture(scope="module")

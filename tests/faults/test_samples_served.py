@@ -9,7 +9,7 @@ import httpx
 import numpy as np
 import pytest
 
-from dynamictree.formats.animated_splat import read_animated_splat
+from dynamictree.formats.tensors.animated_splat import read_animated_splat
 from dynamictree.gaussian.animate import AnimatedSplat, iter_poses
 from recipes.demo import served
 

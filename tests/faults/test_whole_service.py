@@ -12,7 +12,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from dynamictree.formats.voxels_file import read_voxels
+from dynamictree.formats.tensors.voxels import read_voxels
 from service.catalogue import preset_sizes
 from tests.faults.conftest import SHORT, Service, start, stop, wait_for
 from tests.faults.shapes import bumpy_sphere

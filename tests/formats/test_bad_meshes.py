@@ -7,11 +7,14 @@ import pytest
 
 from dynamictree import mesh as mesh_module
 from dynamictree.errors import FormatError, InputError, MeshError
-from dynamictree.formats import gltf_reader, obj_reader, ply_mesh_reader, stl_reader
-from dynamictree.formats.gltf import write_glb
+from dynamictree.formats.gltf import reader as gltf_reader
+from dynamictree.formats.gltf.writer import write_glb
+from dynamictree.formats.mesh import obj as obj_module
+from dynamictree.formats.mesh import ply as ply_module
+from dynamictree.formats.mesh import stl as stl_module
+from dynamictree.formats.mesh.obj_writer import write_obj
+from dynamictree.formats.mesh.ply_writer import write_ply
 from dynamictree.formats.mesh_file import MESH_TYPES, read_mesh, sniff_file_type
-from dynamictree.formats.obj_writer import write_obj
-from dynamictree.formats.ply_writer import write_ply
 from dynamictree.mesh import TriangleMesh
 from tests.formats.meshes import gltf_bytes, image_bytes, triangle_gltf, trunk_and_crown
 
@@ -90,7 +93,7 @@ def test_a_truncated_file_is_refused_wherever_it_ends(rng: np.random.Generator, 
 
 @pytest.mark.parametrize(
     ("module", "file_type"),
-    [(gltf_reader, "glb"), (ply_mesh_reader, "ply"), (obj_reader, "obj"), (stl_reader, "stl")],
+    [(gltf_reader, "glb"), (ply_module, "ply"), (obj_module, "obj"), (stl_module, "stl")],
 )
 def test_too_many_faces_are_refused(
     monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator, module: object, file_type: str
@@ -163,7 +166,7 @@ def test_a_texture_of_too_many_pixels_is_refused(rng: np.random.Generator, monke
 
 
 def test_an_obj_with_too_many_texture_seams_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(obj_reader, "MAX_VERTICES", 4)
+    monkeypatch.setattr(obj_module, "MAX_VERTICES", 4)
     seams = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 1\nf 1/1 2/1 3/1\nf 1/2 2/2 3/2\n"
     with pytest.raises(MeshError, match="needs 6 vertices"):
         read(seams, "obj")
@@ -236,7 +239,7 @@ def test_a_mixed_binary_ply_with_a_face_of_two_corners_is_refused() -> None:
 
 
 def test_polygons_that_make_too_many_triangles_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ply_mesh_reader, "MAX_FACES", 3)
+    monkeypatch.setattr(ply_module, "MAX_FACES", 3)
     with pytest.raises(MeshError, match="4 triangles"):
         read(ply(TRIANGLE, "6 0 1 2 0 1 2\n"), "ply")
 
@@ -302,7 +305,7 @@ def test_what_is_of_no_known_kind_is_refused(head: bytes) -> None:
 def test_mutated_files_raise_nothing_but_input_errors(
     rng: np.random.Generator, file_type: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for module in (gltf_reader, ply_mesh_reader, obj_reader, stl_reader, mesh_module):
+    for module in (gltf_reader, ply_module, obj_module, stl_module, mesh_module):
         monkeypatch.setattr(module, "MAX_FACES", 10_000)  # so that a mutated count does not cost a second
     mesh = trunk_and_crown(rng, num_sides=4)
     triangles = mesh.vertices[mesh.faces].tolist()

@@ -11,10 +11,10 @@ import pytest
 
 from dynamictree.formats.cloud_axes import to_source_axes, to_z_up
 from dynamictree.formats.cloud_file import cloud_kind, read_cloud
-from dynamictree.formats.gaussian_ply import property_names, write_gaussian_ply
-from dynamictree.formats.gltf_gaussian import write_gltf_gaussian
-from dynamictree.formats.splat import write_splat
-from dynamictree.formats.spz import write_spz
+from dynamictree.formats.gltf.gaussian import write_gltf_gaussian
+from dynamictree.formats.splat.ply import property_names, write_gaussian_ply
+from dynamictree.formats.splat.splat import write_splat
+from dynamictree.formats.splat.spz import write_spz
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.harmonics import harmonics
 from dynamictree.gaussian.rotation import quaternion_matrices

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 from dynamictree.formats.axes import up_rotation
-from dynamictree.formats.gltf import write_glb
+from dynamictree.formats.gltf.writer import write_glb
 from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.mesh import TriangleMesh
 from tests.formats.meshes import gltf_bytes, image_bytes, triangle_gltf, trunk_and_crown

@@ -11,10 +11,10 @@ import pytest
 
 from dynamictree.errors import FormatError, InputError
 from dynamictree.formats.cloud_file import cloud_kind, read_cloud
-from dynamictree.formats.compressed_ply import read_compressed_ply
-from dynamictree.formats.gaussian_ply import property_names, write_gaussian_ply
-from dynamictree.formats.gltf_gaussian import EXTENSION, write_gltf_gaussian
-from dynamictree.formats.spz import write_spz
+from dynamictree.formats.gltf.gaussian import EXTENSION, write_gltf_gaussian
+from dynamictree.formats.splat.compressed_ply import read_compressed_ply
+from dynamictree.formats.splat.ply import property_names, write_gaussian_ply
+from dynamictree.formats.splat.spz import write_spz
 from dynamictree.gaussian.cloud import GaussianCloud
 
 ASCII = b"ply\nformat ascii 1.0\n"
@@ -90,7 +90,7 @@ def test_a_ply_that_lies_is_told_where(content: bytes, message: str) -> None:
 
 
 def test_missing_properties_are_named_when_read_as_a_splat() -> None:
-    from dynamictree.formats.gaussian_ply import read_gaussian_ply
+    from dynamictree.formats.splat.ply import read_gaussian_ply
 
     with pytest.raises(FormatError, match="no f_dc_0, f_dc_1, f_dc_2, opacity"):
         read_gaussian_ply(io.BytesIO(ply(1, ["x", "y", "z"], bytes(12))))

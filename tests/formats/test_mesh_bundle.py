@@ -8,7 +8,7 @@ import pytest
 from safetensors.numpy import load, save
 
 from dynamictree.errors import FormatError, MeshError
-from dynamictree.formats.mesh_bundle import VERSION, read_mesh_bundle, write_mesh_bundle
+from dynamictree.formats.tensors.mesh_bundle import VERSION, read_mesh_bundle, write_mesh_bundle
 from dynamictree.mesh import Material, TriangleMesh
 
 

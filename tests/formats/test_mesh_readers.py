@@ -8,9 +8,9 @@ import pytest
 import trimesh
 
 from dynamictree.formats.axes import detect_up_axis, guess_unit_m, up_rotation
+from dynamictree.formats.mesh.obj_writer import write_obj
+from dynamictree.formats.mesh.ply_writer import write_ply
 from dynamictree.formats.mesh_file import read_mesh, sniff_file_type
-from dynamictree.formats.obj_writer import write_obj
-from dynamictree.formats.ply_writer import write_ply
 from dynamictree.mesh import TriangleMesh
 from tests.formats.meshes import image_bytes, trunk_and_crown
 

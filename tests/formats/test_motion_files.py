@@ -11,10 +11,10 @@ import pytest
 import trimesh
 
 from dynamictree.errors import FormatError, InputError
-from dynamictree.formats.glb_motion import MorphSummary, write_motion_glb
+from dynamictree.formats.gltf.motion import MorphSummary, write_motion_glb
 from dynamictree.formats.mesh_file import read_mesh
-from dynamictree.formats.motion_file import read_motion, write_motion
-from dynamictree.formats.ply_sequence import iter_ply_sequence_zip
+from dynamictree.formats.motion.ply_sequence import iter_ply_sequence_zip
+from dynamictree.formats.tensors.motion import read_motion, write_motion
 from dynamictree.mesh import TriangleMesh
 from dynamictree.spectrum import from_motion, iter_motion, to_motion
 from tests.formats.meshes import trunk_and_crown

@@ -10,10 +10,10 @@ import pytest
 
 from dynamictree.errors import FormatError
 from dynamictree.formats.cloud_file import read_cloud
-from dynamictree.formats.gaussian_ply import property_names, write_gaussian_ply
 from dynamictree.formats.source_file import source_kind
-from dynamictree.formats.splat import write_splat
-from dynamictree.formats.spz import write_spz
+from dynamictree.formats.splat.ply import property_names, write_gaussian_ply
+from dynamictree.formats.splat.splat import write_splat
+from dynamictree.formats.splat.spz import write_spz
 from dynamictree.gaussian.cloud import GaussianCloud
 from tests.formats.test_cloud_round_trips import covariances, make_cloud
 

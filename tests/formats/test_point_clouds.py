@@ -8,7 +8,7 @@ import pytest
 
 from dynamictree.errors import FormatError, InputError
 from dynamictree.formats.cloud_file import cloud_kind, read_cloud
-from dynamictree.formats.point_cloud import cloud_of_points
+from dynamictree.formats.scan.points import cloud_of_points
 from dynamictree.gaussian.harmonics import SH_0
 
 
@@ -111,7 +111,7 @@ def test_points_that_are_no_cloud_are_refused() -> None:
 
 
 def test_a_text_larger_than_any_cloud_is_refused_unread(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dynamictree.formats.point_cloud.MAX_GAUSSIANS", 1)
+    monkeypatch.setattr("dynamictree.formats.scan.points.MAX_GAUSSIANS", 1)
     with pytest.raises(InputError, match="at most 1 points"):
         read_cloud(io.BytesIO(b"1 2 3\n" * 100), file_type="txt")
 

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dynamictree.formats.gltf import write_glb
+from dynamictree.formats.gltf.writer import write_glb
+from dynamictree.formats.mesh.obj_writer import write_obj
+from dynamictree.formats.mesh.ply_writer import write_ply
 from dynamictree.formats.mesh_file import read_mesh, sniff_file_type
-from dynamictree.formats.obj_writer import write_obj
-from dynamictree.formats.ply_writer import write_ply
 from dynamictree.mesh import TriangleMesh
 from tests.formats.meshes import trunk_and_crown
 

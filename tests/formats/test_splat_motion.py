@@ -11,9 +11,9 @@ import pytest
 from safetensors.numpy import load, save
 
 from dynamictree.errors import FormatError, InputError, NumericsError
-from dynamictree.formats.animated_splat import read_animated_splat, write_animated_splat
 from dynamictree.formats.cloud_file import read_cloud
-from dynamictree.formats.splat_sequence import iter_splat_sequence_zip, splat_sequence_bytes
+from dynamictree.formats.motion.splat_sequence import iter_splat_sequence_zip, splat_sequence_bytes
+from dynamictree.formats.tensors.animated_splat import read_animated_splat, write_animated_splat
 from dynamictree.gaussian.animate import AnimatedSplat, iter_splat_frames, lighter, without_idle_vertices
 from dynamictree.gaussian.binding import bind
 from dynamictree.gaussian.cloud import GaussianCloud

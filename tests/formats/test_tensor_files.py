@@ -11,9 +11,9 @@ import pytest
 from safetensors.numpy import save
 
 from dynamictree.errors import FormatError, InputError, NumericsError
-from dynamictree.formats import tensor_file
-from dynamictree.formats.spectrum_file import read_spectrum, write_spectrum
-from dynamictree.formats.voxels_file import read_voxels, write_voxels
+from dynamictree.formats.tensors import container
+from dynamictree.formats.tensors.spectrum import read_spectrum, write_spectrum
+from dynamictree.formats.tensors.voxels import read_voxels, write_voxels
 from dynamictree.spectrum import SparseVoxelSpectrum, Wind
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.moments import moments_of_normals
@@ -180,7 +180,7 @@ def test_a_file_without_metadata_is_refused() -> None:
 
 def test_a_file_over_the_cap_is_refused(rng: np.random.Generator) -> None:
     with pytest.raises(FormatError, match="1,000 bytes"):
-        tensor_file.read_tensors(
+        container.read_tensors(
             io.BytesIO(written(small_spectrum(rng))), file_format="sparse-voxel-spectrum", version="1", max_bytes=1000
         )
 

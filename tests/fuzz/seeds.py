@@ -12,17 +12,17 @@ import numpy as np
 import zstandard
 from PIL import Image
 
-from dynamictree.formats.gaussian_ply import write_gaussian_ply
-from dynamictree.formats.gltf import write_glb
-from dynamictree.formats.gltf_gaussian import write_gltf_gaussian
-from dynamictree.formats.mesh_bundle import write_mesh_bundle
-from dynamictree.formats.motion_file import write_motion
-from dynamictree.formats.obj_writer import write_obj
-from dynamictree.formats.ply_writer import write_ply
-from dynamictree.formats.spectrum_file import write_spectrum
-from dynamictree.formats.splat import write_splat
-from dynamictree.formats.spz import write_spz
-from dynamictree.formats.voxels_file import write_voxels
+from dynamictree.formats.gltf.gaussian import write_gltf_gaussian
+from dynamictree.formats.gltf.writer import write_glb
+from dynamictree.formats.mesh.obj_writer import write_obj
+from dynamictree.formats.mesh.ply_writer import write_ply
+from dynamictree.formats.splat.ply import write_gaussian_ply
+from dynamictree.formats.splat.splat import write_splat
+from dynamictree.formats.splat.spz import write_spz
+from dynamictree.formats.tensors.mesh_bundle import write_mesh_bundle
+from dynamictree.formats.tensors.motion import write_motion
+from dynamictree.formats.tensors.spectrum import write_spectrum
+from dynamictree.formats.tensors.voxels import write_voxels
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.mesh import TriangleMesh
 from dynamictree.spectrum import SparseVoxelSpectrum

@@ -12,10 +12,10 @@ import pytest
 from benchmarks._played import accessor, played_morphs, z_up
 from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.errors import InputError
-from dynamictree.formats.glb_forest import plant_forest
-from dynamictree.formats.glb_motion import write_motion_glb
-from dynamictree.formats.gltf import write_glb
-from dynamictree.formats.spectrum_file import write_spectrum
+from dynamictree.formats.gltf.forest import plant_forest
+from dynamictree.formats.gltf.motion import write_motion_glb
+from dynamictree.formats.gltf.writer import write_glb
+from dynamictree.formats.tensors.spectrum import write_spectrum
 from recipes import blender_import, forest
 
 COUNT = 9

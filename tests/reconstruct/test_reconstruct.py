@@ -15,8 +15,8 @@ from PIL import Image
 from scipy.spatial import cKDTree
 
 from dynamictree.errors import Cancelled, InputError, ReconstructionError
-from dynamictree.formats.gaussian_ply import read_gaussian_ply
 from dynamictree.formats.mesh_file import read_mesh
+from dynamictree.formats.splat.ply import read_gaussian_ply
 from dynamictree.reconstruct import ReconstructOptions, reconstruct
 from dynamictree.reconstruct.cameras import find_cameras
 from dynamictree.reconstruct.checkpoint import load_progress

@@ -8,8 +8,8 @@ import pytest
 from fastapi.testclient import TestClient
 
 from dynamictree.dataset.sample import make_sample, voxel_spectrum
-from dynamictree.formats.mesh_bundle import write_mesh_bundle
-from dynamictree.formats.spectrum_file import write_spectrum
+from dynamictree.formats.tensors.mesh_bundle import write_mesh_bundle
+from dynamictree.formats.tensors.spectrum import write_spectrum
 from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.assets import add_asset
 from jobs.attempts import succeed

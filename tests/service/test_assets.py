@@ -6,7 +6,7 @@ import pytest
 from fastapi.testclient import TestClient
 from PIL import Image
 
-from dynamictree.formats.mesh_bundle import read_mesh_bundle
+from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle
 from jobs.assets import read_asset
 from service.context import Context
 

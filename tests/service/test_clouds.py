@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
-from dynamictree.formats.cloud_bundle import read_cloud_bundle
-from dynamictree.formats.gaussian_ply import write_gaussian_ply
-from dynamictree.formats.obj_writer import write_obj
-from dynamictree.formats.splat import write_splat
+from dynamictree.formats.mesh.obj_writer import write_obj
+from dynamictree.formats.splat.ply import write_gaussian_ply
+from dynamictree.formats.splat.splat import write_splat
+from dynamictree.formats.tensors.cloud_bundle import read_cloud_bundle
 from dynamictree.gaussian.capture import Capture, carrying_mesh
 from dynamictree.gaussian.cloud import GaussianCloud
 from jobs.assets import read_asset

@@ -10,9 +10,9 @@ import pytest
 from fastapi.testclient import TestClient
 from safetensors.numpy import load
 
-from dynamictree.formats.cloud_bundle import write_cloud_bundle
-from dynamictree.formats.mesh_bundle import write_mesh_bundle
-from dynamictree.formats.spectrum_file import write_spectrum
+from dynamictree.formats.tensors.cloud_bundle import write_cloud_bundle
+from dynamictree.formats.tensors.mesh_bundle import write_mesh_bundle
+from dynamictree.formats.tensors.spectrum import write_spectrum
 from dynamictree.gaussian.binding import bind
 from dynamictree.gaussian.capture import Capture
 from dynamictree.gaussian.deform import Deformer

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dynamictree.formats.mesh_bundle import write_mesh_bundle
+from dynamictree.formats.tensors.mesh_bundle import write_mesh_bundle
 from dynamictree.mesh import TriangleMesh
 from jobs.assets import add_asset
 from jobs.attempts import claim

@@ -15,8 +15,8 @@ import pytest
 from celery.exceptions import SoftTimeLimitExceeded
 
 from dynamictree.errors import Cancelled, CheckpointError, MeshError
-from dynamictree.formats.spectrum_file import write_spectrum
-from dynamictree.formats.voxels_file import read_voxels
+from dynamictree.formats.tensors.spectrum import write_spectrum
+from dynamictree.formats.tensors.voxels import read_voxels
 from dynamictree.products import AnimateOptions
 from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.artifacts import hash_file

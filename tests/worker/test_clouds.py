@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dynamictree.formats.animated_splat import read_animated_splat
-from dynamictree.formats.cloud_bundle import write_cloud_bundle
 from dynamictree.formats.cloud_file import read_cloud
-from dynamictree.formats.mesh_bundle import read_mesh_bundle
+from dynamictree.formats.tensors.animated_splat import read_animated_splat
+from dynamictree.formats.tensors.cloud_bundle import write_cloud_bundle
+from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle
 from dynamictree.gaussian.capture import Capture
 from jobs.assets import add_asset
 from jobs.records import AssetRecord

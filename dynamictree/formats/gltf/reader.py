@@ -12,11 +12,11 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int32, Shaped, UInt8
 
 from dynamictree.errors import FormatError, MeshError
-from dynamictree.formats.gltf_document import GltfDocument, accessor_layout, open_gltf
-from dynamictree.formats.gltf_material import gltf_materials, texture_coordinates, texture_placement
-from dynamictree.formats.gltf_scene import MeshInstance, mesh_instances
+from dynamictree.formats.gltf.document import GltfDocument, accessor_layout, open_gltf
+from dynamictree.formats.gltf.material import gltf_materials, texture_coordinates, texture_placement
+from dynamictree.formats.gltf.scene import MeshInstance, mesh_instances
 from dynamictree.formats.json_fields import JsonObject, index_field, integer_field, object_field, object_list
-from dynamictree.formats.mesh_parts import MeshPart, join_parts
+from dynamictree.formats.mesh.parts import MeshPart, join_parts
 from dynamictree.mesh import MAX_FACES, MAX_VERTICES, TriangleMesh
 
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6

@@ -12,7 +12,7 @@ from jaxtyping import Float32, Shaped
 from dynamictree.errors import FormatError, NumericsError
 from dynamictree.formats.axes import up_rotation
 from dynamictree.formats.stream import ByteReader, ByteWriter
-from dynamictree.formats.tensor_file import MAX_FRAMES, integer, number, read_tensors, take_tensor, write_tensors
+from dynamictree.formats.tensors.container import MAX_FRAMES, integer, number, read_tensors, take_tensor, write_tensors
 from dynamictree.gaussian.animate import AnimatedSplat, without_idle_vertices
 from dynamictree.gaussian.binding import Binding
 from dynamictree.gaussian.cloud import SH_DEGREES, GaussianCloud, check_count, validate_cloud

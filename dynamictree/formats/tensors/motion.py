@@ -8,7 +8,7 @@ from jaxtyping import Float32, Int32
 
 from dynamictree.errors import FormatError
 from dynamictree.formats.stream import ByteReader, ByteWriter
-from dynamictree.formats.tensor_file import file_head, number, read_tensors, take_tensor
+from dynamictree.formats.tensors.container import file_head, number, read_tensors, take_tensor
 from dynamictree.mesh import TriangleMesh
 
 FORMAT = "tree-motion"

@@ -12,8 +12,8 @@ from jaxtyping import Complex64, Float64
 
 from dynamictree.errors import InputError
 from dynamictree.formats.axes import up_rotation
-from dynamictree.formats.glb_motion import key_weights, morph_targets
-from dynamictree.formats.gltf import VERTEX_BUFFER, GlbWriter, add_mesh
+from dynamictree.formats.gltf.motion import key_weights, morph_targets
+from dynamictree.formats.gltf.writer import VERTEX_BUFFER, GlbWriter, add_mesh
 from dynamictree.formats.stream import ByteWriter
 from dynamictree.mesh import TriangleMesh
 

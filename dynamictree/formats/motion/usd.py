@@ -12,7 +12,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from jaxtyping import Float32
 
-from dynamictree.formats.gltf import linear_colors
+from dynamictree.formats.gltf.writer import linear_colors
 from dynamictree.mesh import Material, TriangleMesh
 
 _ROOT, _SURFACE, _LOOKS = "/Tree", "/Tree/Surface", "/Tree/Looks"

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float32, Shaped
 
 from dynamictree.errors import FormatError
-from dynamictree.formats.gltf_document import GltfDocument, uri_bytes
+from dynamictree.formats.gltf.document import GltfDocument, uri_bytes
 from dynamictree.formats.json_fields import (
     JsonObject,
     index_field,

@@ -10,7 +10,7 @@ import numpy as np
 
 from dynamictree.errors import FormatError, NumericsError
 from dynamictree.formats.stream import ByteReader, ByteWriter
-from dynamictree.formats.tensor_file import (
+from dynamictree.formats.tensors.container import (
     MAX_FRAMES,
     grid_metadata,
     integer,

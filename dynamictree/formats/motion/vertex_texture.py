@@ -14,8 +14,8 @@ from jaxtyping import Float16, Float32
 
 from dynamictree.errors import InputError
 from dynamictree.formats.axes import up_rotation
-from dynamictree.formats.exr import write_exr
-from dynamictree.formats.gltf import VERTEX_BUFFER, GlbWriter, add_mesh
+from dynamictree.formats.gltf.writer import VERTEX_BUFFER, GlbWriter, add_mesh
+from dynamictree.formats.motion.exr import write_exr
 from dynamictree.formats.stored_zip import iter_stored_zip
 from dynamictree.mesh import TriangleMesh
 

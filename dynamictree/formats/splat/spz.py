@@ -11,15 +11,15 @@ import zstandard
 from jaxtyping import Float32, Float64, Num, UInt8
 
 from dynamictree.errors import FormatError
-from dynamictree.formats.activations import (
+from dynamictree.formats.axes import up_rotation
+from dynamictree.formats.cloud_axes import to_source_axes, to_z_up, transformed
+from dynamictree.formats.seekable import SeekableReader
+from dynamictree.formats.splat.activations import (
     color_from_harmonic,
     harmonic_from_color,
     log_from_scales,
     scales_from_log,
 )
-from dynamictree.formats.axes import up_rotation
-from dynamictree.formats.cloud_axes import to_source_axes, to_z_up, transformed
-from dynamictree.formats.seekable import SeekableReader
 from dynamictree.formats.stream import ByteWriter
 from dynamictree.gaussian.cloud import GaussianCloud, check_count, validate_cloud
 from dynamictree.gaussian.harmonics import SH_0

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float32, Int32, Int64, Shaped, UInt8
 
 from dynamictree.errors import FormatError, MeshError
-from dynamictree.formats.obj_reader import fans
+from dynamictree.formats.mesh.obj import fans
 from dynamictree.formats.ply_table import PlyElement, PlyHeader, read_elements, read_header
 from dynamictree.formats.texture import texture_as_png
 from dynamictree.mesh import MAX_FACES, MAX_VERTICES, Material, TriangleMesh

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from dynamictree.errors import FormatError
-from dynamictree.formats.gltf_document import GltfDocument
+from dynamictree.formats.gltf.document import GltfDocument
 from dynamictree.formats.json_fields import (
     JsonObject,
     index_field,

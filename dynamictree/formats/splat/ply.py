@@ -6,15 +6,15 @@ import numpy as np
 from jaxtyping import Float32, Shaped
 
 from dynamictree.errors import FormatError
-from dynamictree.formats.activations import (
+from dynamictree.formats.cloud_axes import to_source_axes, to_z_up
+from dynamictree.formats.ply_table import PlyHeader, read_elements, read_header
+from dynamictree.formats.seekable import SeekableReader
+from dynamictree.formats.splat.activations import (
     log_from_scales,
     logit_from_opacity,
     opacity_from_logit,
     scales_from_log,
 )
-from dynamictree.formats.cloud_axes import to_source_axes, to_z_up
-from dynamictree.formats.ply_table import PlyHeader, read_elements, read_header
-from dynamictree.formats.seekable import SeekableReader
 from dynamictree.formats.stream import ByteWriter
 from dynamictree.gaussian.cloud import GaussianCloud, check_count, validate_cloud
 from dynamictree.gaussian.rotation import unit_quaternions

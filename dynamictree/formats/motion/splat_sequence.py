@@ -10,10 +10,10 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float32, Float64
 
-from dynamictree.formats.activations import log_from_scales
 from dynamictree.formats.axes import up_rotation
 from dynamictree.formats.cloud_axes import to_source_axes
-from dynamictree.formats.gaussian_ply import ply_header, ply_rows
+from dynamictree.formats.splat.activations import log_from_scales
+from dynamictree.formats.splat.ply import ply_header, ply_rows
 from dynamictree.formats.stored_zip import iter_stored_zip, stored_zip_bytes
 from dynamictree.gaussian.animate import iter_poses
 from dynamictree.gaussian.binding import Binding

@@ -7,7 +7,7 @@ from jaxtyping import Float32, Shaped
 
 from dynamictree.errors import FormatError
 from dynamictree.formats.stream import ByteReader, ByteWriter
-from dynamictree.formats.tensor_file import grid_metadata, read_grid, read_tensors, take_tensor, write_tensors
+from dynamictree.formats.tensors.container import grid_metadata, read_grid, read_tensors, take_tensor, write_tensors
 from dynamictree.voxel.moments import AREA, NUM_MOMENTS
 from dynamictree.voxel.voxelize import SurfaceVoxels
 

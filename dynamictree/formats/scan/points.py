@@ -7,11 +7,11 @@ import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
 from dynamictree.errors import FormatError, InputError
-from dynamictree.formats.activations import harmonic_from_color
 from dynamictree.formats.cloud_axes import to_z_up
-from dynamictree.formats.las_header import HEADER_BYTES, check_las_header
 from dynamictree.formats.ply_table import PlyHeader, read_elements, read_header
+from dynamictree.formats.scan.las_header import HEADER_BYTES, check_las_header
 from dynamictree.formats.seekable import SeekableReader, remaining_bytes
+from dynamictree.formats.splat.activations import harmonic_from_color
 from dynamictree.gaussian.cloud import MAX_GAUSSIANS, GaussianCloud, check_count, validate_cloud
 
 UP_AXIS = "+Z"

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 from jaxtyping import Float32
 
-from dynamictree.formats.ply_writer import ply_faces, ply_head, ply_vertices
+from dynamictree.formats.mesh.ply_writer import ply_faces, ply_head, ply_vertices
 from dynamictree.formats.stored_zip import iter_stored_zip
 from dynamictree.mesh import TriangleMesh
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float32, Int32
 
 from dynamictree.formats.axes import up_rotation
-from dynamictree.formats.gltf import VERTEX_BUFFER, GlbWriter, add_mesh
+from dynamictree.formats.gltf.writer import VERTEX_BUFFER, GlbWriter, add_mesh
 from dynamictree.formats.stream import ByteWriter
 from dynamictree.gaussian.rotation import matrix_quaternions
 from dynamictree.mesh import TriangleMesh

@@ -7,11 +7,11 @@ import numpy as np
 from jaxtyping import Float32, Float64
 
 from dynamictree.errors import FormatError
-from dynamictree.formats.activations import scales_from_log
 from dynamictree.formats.axes import up_rotation
 from dynamictree.formats.cloud_axes import to_source_axes, to_z_up, transformed
-from dynamictree.formats.glb_table import GlbFile, array, integer, listed, member, read_glb, write_glb
+from dynamictree.formats.gltf.table import GlbFile, array, integer, listed, member, read_glb, write_glb
 from dynamictree.formats.seekable import SeekableReader
+from dynamictree.formats.splat.activations import scales_from_log
 from dynamictree.formats.stream import ByteWriter
 from dynamictree.gaussian.cloud import SH_DEGREES, GaussianCloud, check_count, validate_cloud
 from dynamictree.gaussian.harmonics import SH_0

@@ -1,0 +1,1 @@
+"""Triangle meshes: one module per file format, its reader and writer together."""

@@ -1,0 +1,1 @@
+"""Motions for other programs: frame sequences, USD and vertex animation textures."""

@@ -1,0 +1,1 @@
+"""Point clouds of laser scanners and photogrammetry."""

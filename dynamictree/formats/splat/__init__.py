@@ -1,0 +1,1 @@
+"""Gaussian splats: one module per file format, its reader and writer together."""
