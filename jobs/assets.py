@@ -8,8 +8,8 @@ import sqlalchemy as sa
 from jobs import tables as t
 from jobs.database import insert_new
 from jobs.errors import ConflictError, GoneError, NotFoundError
-from jobs.patience import patient
 from jobs.records import AssetPart, AssetRecord
+from jobs.retry import patient
 from jobs.states import ACTIVE
 from jobs.store import Store
 

@@ -6,15 +6,15 @@ from dataclasses import asdict
 import sqlalchemy as sa
 
 from jobs import tables as t
+from jobs.counters import count, count_seconds
 from jobs.database import upsert
 from jobs.errors import FencedError
-from jobs.joblog import note
-from jobs.patience import patient
+from jobs.job_log import note
 from jobs.records import Claim, OutputFile
+from jobs.retry import patient
 from jobs.rows import end, read_job
 from jobs.states import JobState, JobType
 from jobs.store import Store, new_id
-from jobs.tallies import count, count_seconds
 
 
 @patient

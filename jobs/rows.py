@@ -5,11 +5,11 @@ from collections.abc import Mapping
 import sqlalchemy as sa
 
 from jobs import tables as t
+from jobs.counters import count
 from jobs.errors import NotFoundError, ReusedKeyError
-from jobs.joblog import note
+from jobs.job_log import note
 from jobs.records import ArtifactRecord, ClientKey, JobRecord, StageRecord
 from jobs.states import JobState, JobType, states_before
-from jobs.tallies import count
 from jobs.webhooks import announce
 
 HIDDEN = frozenset({"lease_owner", "lease_until", "lost_stages", "client_key", "body_sha256"})

@@ -16,10 +16,10 @@ from jobs import rows
 from jobs import tables as t
 from jobs.database import insert_new, open_engine
 from jobs.errors import ConflictError, GoneError, NotFoundError, QuotaError
-from jobs.joblog import LogLine, lines, note
+from jobs.job_log import LogLine, lines, note
 from jobs.migrations import migrate
-from jobs.patience import patient
 from jobs.records import ArtifactRecord, ClientKey, JobRecord, StageRecord
+from jobs.retry import patient
 from jobs.states import ACTIVE, JobState, JobType
 
 

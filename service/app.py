@@ -14,47 +14,47 @@ from fastapi import FastAPI, Request
 from fastapi.middleware.cors import CORSMiddleware
 from fastapi.responses import Response
 
-from jobs.logs import set_up_logging
+from jobs.logging_setup import set_up_logging
 from jobs.settings import Settings, read_settings
-from service import (
+from service.context import Context
+from service.http import problem_handlers
+from service.http.authentication import Doors
+from service.http.middleware import BodyLimit, RequestFrame
+from service.http.problems import problem_response, request_id_of
+from service.http.tracing import Traced
+from service.openapi.document import DESCRIPTION, SERVERS, described
+from service.routes import (
     artifacts,
     assets,
     batch,
     catalogue,
-    events,
     health,
     interact,
+    interact_stream,
+    job_events,
     jobs,
     metrics,
     modes,
     ops,
     pages,
-    problem_handlers,
     spectra,
-    stream,
     surface,
     uploads,
     usage,
     webhooks,
 )
-from service.context import Context
-from service.described import DESCRIPTION, SERVERS, described
-from service.doors import Doors
-from service.metrics import Measured
-from service.middleware import BodyLimit, RequestFrame
-from service.problems import problem_response, request_id_of
-from service.tracing import Traced
+from service.routes.metrics import Measured
 
 ROUTERS = (
     uploads.router,
     assets.router,
     batch.router,
     jobs.router,
-    events.router,
+    job_events.router,
     artifacts.router,
     spectra.router,
     interact.router,
-    stream.router,
+    interact_stream.router,
     modes.router,
     surface.router,
     pages.router,

@@ -13,20 +13,20 @@ from starlette.requests import HTTPConnection
 from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.artifacts import ArtifactStore, open_artifacts
 from jobs.outbound import Outbound
-from jobs.parts import PartStore, open_parts
 from jobs.settings import Settings
 from jobs.store import Store
-from service.callers import ANYONE, CALLER, Caller
-from service.history import History
-from service.receiving import Receivers
-from service.recent import Recent
-from service.watching import Watching
+from jobs.upload_parts import PartStore, open_parts
+from service.http.caller import ANYONE, CALLER, Caller
+from service.job_durations import History
+from service.job_notifier import Watching
+from service.lru_cache import Recent
+from service.uploads.upload_writer import Receivers
 
 if TYPE_CHECKING:
     from redis import Redis
 
-    from service.ingest import Ingest
-    from service.trees import ReadyTree
+    from service.tree_cache import ReadyTree
+    from service.uploads.ingest import Ingest
 
 REDIS_TIMEOUT_S = 2.0
 
@@ -92,7 +92,7 @@ class Context:
     @_Shared
     def ingest(self) -> "Ingest":
         """What makes assets without being waited for."""
-        from service.ingest import Ingest
+        from service.uploads.ingest import Ingest
 
         return Ingest(self)
 

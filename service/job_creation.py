@@ -11,16 +11,16 @@ from jobs.states import JobState, JobType, queue_of, stages_of
 from jobs.store import new_id
 from jobs.usage import count_jobs
 from jobs.webhooks import endpoint
-from service.assets import require_room
-from service.catalogue import require_preset
 from service.context import Context
-from service.job_answers import tell
-from service.job_payloads import JobPayload
-from service.job_requests import AnimateParams, JobRequest
-from service.origin import RequestOrigin
-from service.problems import ProblemError, wrong_field
-from service.quota import require_bytes
-from service.routing import is_id
+from service.http.problems import ProblemError, wrong_field
+from service.http.request_context import RequestOrigin
+from service.http.routing import is_id
+from service.job_responses import tell
+from service.routes.assets import require_room
+from service.routes.catalogue import require_preset
+from service.schemas.job_requests import AnimateParams, JobRequest
+from service.schemas.jobs import JobPayload
+from service.uploads.quota import require_bytes
 
 KEY_EXPIRES_S = 86400.0
 

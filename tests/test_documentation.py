@@ -15,7 +15,7 @@ import typer
 
 from dynamictree.cli import app
 from recipes.api_reference import reference
-from service.problems import KINDS
+from service.http.problems import KINDS
 
 ROOT = Path(__file__).parent.parent
 PAGES = [

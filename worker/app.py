@@ -7,7 +7,7 @@ import multiprocessing
 
 from celery import Celery, signals
 
-from jobs.logs import set_up_logging
+from jobs.logging_setup import set_up_logging
 from jobs.settings import Settings, read_settings
 
 stopping = multiprocessing.Event()

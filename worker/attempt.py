@@ -20,8 +20,8 @@ from jobs.errors import FencedError
 from jobs.products import CLOUD_BUNDLE, MESH_BUNDLE, SPECTRUM, VOXELS, media_type
 from jobs.records import AssetRecord, JobRecord, OutputFile
 from jobs.states import JOB_TYPES, JobType
+from worker.cancellation import HandedBack, Watch
 from worker.runtime import Runtime
-from worker.watch import HandedBack, Watch
 
 if TYPE_CHECKING:
     from worker.stages import StageInput

@@ -18,11 +18,11 @@ import sqlalchemy as sa
 
 from jobs.attempts import renew
 from jobs.errors import FencedError
-from jobs.logs import set_up_logging
+from jobs.logging_setup import set_up_logging
+from jobs.maintenance import WORKER_LEASES, hold_lease, release_lease
 from jobs.records import Claim
 from jobs.settings import Settings, read_settings
 from jobs.store import Store
-from jobs.upkeep import WORKER_LEASES, hold_lease, release_lease
 
 logger = logging.getLogger(__name__)
 

@@ -20,12 +20,8 @@ from kombu.exceptions import OperationalError
 
 from jobs.artifacts import ArtifactStore, open_artifacts
 from jobs.errors import StorageAwayError
-from jobs.logs import set_up_logging
-from jobs.messages import RUN_JOB, RunJob
-from jobs.parts import PartStore, open_parts
-from jobs.settings import Settings, read_settings
-from jobs.store import Store
-from jobs.upkeep import (
+from jobs.logging_setup import set_up_logging
+from jobs.maintenance import (
     HOUSEKEEPER_LEASE,
     abort_overdue,
     forget_blob,
@@ -39,6 +35,10 @@ from jobs.upkeep import (
     unreferenced_blobs,
     unsent,
 )
+from jobs.messages import RUN_JOB, RunJob
+from jobs.settings import Settings, read_settings
+from jobs.store import Store
+from jobs.upload_parts import PartStore, open_parts
 from jobs.uploads import bury, expired_uploads
 from worker.courier import Courier
 

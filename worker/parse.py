@@ -1,4 +1,4 @@
-"""The child that reads an upload: `python -m worker.parse`, request on stdin, answer on stdout. See jobs/parser.py.
+"""Child process that reads one upload: `python -m worker.parse`, request on stdin, answer on stdout.
 
 It gives up what it does not need (memory, time, open files, the network, other programs and files) before it looks at
 the first byte.
@@ -12,7 +12,7 @@ from contextlib import ExitStack
 from pathlib import Path, PurePosixPath
 
 from dynamictree.errors import DynamicTreeError
-from jobs.parser import ParseAnswer, ParseRequest
+from jobs.parser_process import ParseAnswer, ParseRequest
 from worker.confine import confine
 
 MAX_FILES = 512

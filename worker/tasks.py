@@ -13,14 +13,14 @@ from dynamictree.errors import Cancelled, DynamicTreeError
 from jobs.artifacts import is_full
 from jobs.attempts import claim, fail, finish_cancel, hand_back, succeed
 from jobs.errors import FencedError, GoneError, NotFoundError, StorageAwayError, StorageFullError
-from jobs.logs import log_ids
+from jobs.logging_setup import log_ids
 from jobs.messages import RUN_JOB
 from jobs.records import Claim
 from jobs.tracing import span, tracer
 from worker.app import app, stopping
 from worker.attempt import run_stages
+from worker.cancellation import HandedBack, Watch
 from worker.runtime import Runtime, close_runtime, load_heavy_modules, runtime
-from worker.watch import HandedBack, Watch
 
 logger = logging.getLogger(__name__)
 

@@ -12,7 +12,7 @@ import pytest
 from dynamictree_client import operations
 from dynamictree_client.errors import ProblemError, problem_of
 
-from service.problems import KINDS, problem_body
+from service.http.problems import KINDS, problem_body
 
 ROOT = Path(__file__).parents[2]
 SPEC = importlib.util.spec_from_file_location("generate", ROOT / "client" / "generate.py")

@@ -10,7 +10,7 @@ from fastapi.testclient import TestClient
 from dynamictree.errors import CheckpointError
 from jobs.settings import Settings
 from service.app import create_app
-from service.problems import KINDS, known_code
+from service.http.problems import KINDS, known_code
 
 MEMBERS = {"type", "title", "status", "detail", "code", "request_id", "retryable", "suggestion", "errors"}
 

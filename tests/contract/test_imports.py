@@ -17,7 +17,7 @@ HEAVY = {
 }
 
 
-@pytest.mark.parametrize("module", ["service.app", "service.serve", "service.doctor", "jobs.store"])
+@pytest.mark.parametrize("module", ["service.app", "service.local.serve", "service.local.doctor", "jobs.store"])
 def test_importing_the_service_loads_nothing_heavy(module: str) -> None:
     program = f"import sys, {module}; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)

@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 from openapi_spec_validator import validate
 
-from service.openapi import main, openapi_text
+from service.openapi.__main__ import main, openapi_text
 
 COMMITTED = Path(__file__).parents[2] / "openapi" / "openapi.json"
 

@@ -13,7 +13,7 @@ import psutil
 import pytest
 
 from dynamictree.formats.tensors.voxels import read_voxels
-from service.catalogue import preset_sizes
+from service.routes.catalogue import preset_sizes
 from tests.faults.conftest import SHORT, Service, start, stop, wait_for
 from tests.faults.shapes import bumpy_sphere
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dynamictree.errors import InputError
-from service.problems import KINDS, ProblemError
+from service.http.problems import KINDS, ProblemError
 
 MEMORY_BYTES = 1 << 30
 """What one file may take on top of the parser itself."""

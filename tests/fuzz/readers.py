@@ -12,9 +12,9 @@ from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle
 from dynamictree.formats.tensors.motion import read_motion
 from dynamictree.formats.tensors.spectrum import read_spectrum
 from dynamictree.formats.tensors.voxels import read_voxels
-from jobs.parser import ParseRequest
-from service.archives import is_zip, unpack
-from service.multipart import ReceivedFile
+from jobs.parser_process import ParseRequest
+from service.http.multipart import ReceivedFile
+from service.uploads.archives import is_zip, unpack
 from worker import parse
 
 MESHES = (".obj", ".ply", ".glb", ".gltf", ".stl")

@@ -7,11 +7,11 @@ import pytest
 
 from jobs.assets import add_asset
 from jobs.errors import StorageAwayError
-from jobs.parts import FolderParts
 from jobs.records import AssetPart, AssetRecord, JobRecord
 from jobs.states import JobType, stages_of
 from jobs.store import Store
 from jobs.tables import metadata
+from jobs.upload_parts import FolderParts
 from tests.rows import asset_row, job_row
 from tests.servers import postgres
 

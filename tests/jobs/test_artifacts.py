@@ -10,8 +10,8 @@ import pytest
 
 from jobs.artifacts import ArtifactStore, hash_file, open_artifacts
 from jobs.errors import StorageAwayError
-from jobs.parts import OBJECT_BYTES, open_parts
 from jobs.settings import read_settings
+from jobs.upload_parts import OBJECT_BYTES, open_parts
 from tests.servers import Server, object_storage
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from jobs.parser import ParseRequest, parse
+from jobs.parser_process import ParseRequest, parse
 from jobs.settings import Settings
 
 

@@ -6,7 +6,7 @@ from functools import partial
 
 import pytest
 
-from jobs import attempts, upkeep
+from jobs import attempts, maintenance
 from jobs.assets import add_asset, delete_asset, read_asset
 from jobs.errors import ConflictError, FencedError, GoneError, NotFoundError, StorageAwayError
 from jobs.records import AssetPart, AssetRecord, Claim, OutputFile
@@ -72,7 +72,7 @@ def test_a_stale_attempt_publishes_nothing(store: Store, asset: AssetRecord, clo
     old = claim(store, job.id)
     attempts.start_stage(store, old, "voxelize")
     clock.now += 61
-    assert upkeep.reap(store, max_lost_attempts=2) == [(job.id, JobState.RUNNING)]
+    assert maintenance.reap(store, max_lost_attempts=2) == [(job.id, JobState.RUNNING)]
     new = claim(store, job.id, attempt=2, owner="worker-2")
     for act in (
         lambda: publish(store, old),
@@ -94,7 +94,7 @@ def test_a_renewed_lease_is_not_reaped(store: Store, asset: AssetRecord, clock: 
     for _ in range(5):
         clock.now += 50
         attempts.renew(store, held.job.id, 1, owner=held.owner, lease_s=60)
-        assert upkeep.reap(store, max_lost_attempts=2) == []
+        assert maintenance.reap(store, max_lost_attempts=2) == []
 
 
 def test_a_message_of_an_old_attempt_is_dropped(store: Store, asset: AssetRecord, clock: Clock) -> None:
@@ -102,7 +102,7 @@ def test_a_message_of_an_old_attempt_is_dropped(store: Store, asset: AssetRecord
     claim(store, job.id)
     assert attempts.claim(store, job.id, 1, owner="worker-2", lease_s=60) is None  # a duplicate, lease alive
     clock.now += 61
-    upkeep.reap(store, max_lost_attempts=2)
+    maintenance.reap(store, max_lost_attempts=2)
     assert attempts.claim(store, job.id, 1, owner="worker-2", lease_s=60) is None
     assert store.job(job.id).attempt == 2
 
@@ -124,7 +124,7 @@ def test_attempts_are_capped(
         if stage == "voxelize":
             attempts.start_stage(store, held, "voxelize")
         clock.now += 61
-        upkeep.reap(store, max_lost_attempts=2)
+        maintenance.reap(store, max_lost_attempts=2)
     ended = store.job(job.id)
     assert (ended.state, ended.error_code) == (JobState.FAILED, code)
     assert "3 workers were lost" in (ended.error_message or "")
@@ -135,14 +135,14 @@ def test_work_handed_back_counts_no_loss(store: Store, asset: AssetRecord) -> No
     for attempt in range(1, 6):
         attempts.hand_back(store, claim(store, job.id, attempt=attempt))
     assert store.job(job.id).attempt == 6
-    assert [m.attempt for m in upkeep.unsent(store)] == [6]
+    assert [m.attempt for m in maintenance.unsent(store)] == [6]
 
 
 def test_a_queued_job_is_canceled_at_once(store: Store, asset: AssetRecord) -> None:
     job = add_job(store, asset)
     assert store.cancel(job.id).state == JobState.CANCELED
     assert store.cancel(job.id).state == JobState.CANCELED
-    assert upkeep.unsent(store) == []
+    assert maintenance.unsent(store) == []
     assert attempts.claim(store, job.id, 1, owner="w", lease_s=60) is None
 
 
@@ -171,7 +171,7 @@ def test_a_cancel_wins_over_the_end(store: Store, asset: AssetRecord, clock: Clo
         attempts.hand_back(store, held)
     else:
         clock.now += 61
-        upkeep.reap(store, max_lost_attempts=2)
+        maintenance.reap(store, max_lost_attempts=2)
     assert store.job(job.id).state == JobState.CANCELED
 
 
@@ -184,14 +184,14 @@ def test_an_ended_job_cannot_be_canceled(store: Store, asset: AssetRecord) -> No
 
 def test_a_job_and_its_message_are_one(store: Store, asset: AssetRecord, clock: Clock) -> None:
     job = add_job(store, asset)
-    message = upkeep.unsent(store)[0]
+    message = maintenance.unsent(store)[0]
     assert message.args == (job.id, 1)
-    upkeep.mark_sent(store, message)
-    assert upkeep.unsent(store) == []
+    maintenance.mark_sent(store, message)
+    assert maintenance.unsent(store) == []
     clock.now += 10
-    assert upkeep.unclaimed(store, sent_before=clock.now) == [message]
+    assert maintenance.unclaimed(store, sent_before=clock.now) == [message]
     claim(store, job.id)
-    assert upkeep.unclaimed(store, sent_before=clock.now) == []
+    assert maintenance.unclaimed(store, sent_before=clock.now) == []
 
 
 def test_a_job_is_aborted_at_its_start_deadline(store: Store, asset: AssetRecord, clock: Clock) -> None:
@@ -199,22 +199,22 @@ def test_a_job_is_aborted_at_its_start_deadline(store: Store, asset: AssetRecord
     begun = add_job(store, asset, start_deadline=clock.now + 5)
     claim(store, begun.id)
     clock.now += 6
-    assert upkeep.abort_overdue(store) == 1
+    assert maintenance.abort_overdue(store) == 1
     assert store.job(late.id).state == JobState.ABORTED
     assert store.job(begun.id).state == JobState.RUNNING
 
 
 def test_one_process_holds_a_lease(store: Store, clock: Clock) -> None:
-    assert upkeep.hold_lease(store, "housekeeper", owner="a", lease_s=10)
-    assert upkeep.hold_lease(store, "housekeeper", owner="a", lease_s=10)
-    assert not upkeep.hold_lease(store, "housekeeper", owner="b", lease_s=10)
-    assert upkeep.living(store, "house") == ["housekeeper"]
+    assert maintenance.hold_lease(store, "housekeeper", owner="a", lease_s=10)
+    assert maintenance.hold_lease(store, "housekeeper", owner="a", lease_s=10)
+    assert not maintenance.hold_lease(store, "housekeeper", owner="b", lease_s=10)
+    assert maintenance.living(store, "house") == ["housekeeper"]
     clock.now += 11
-    assert upkeep.hold_lease(store, "housekeeper", owner="b", lease_s=10)
-    upkeep.release_lease(store, "housekeeper", owner="a")
-    assert upkeep.living(store, "house") == ["housekeeper"]
-    upkeep.release_lease(store, "housekeeper", owner="b")
-    assert upkeep.living(store, "house") == []
+    assert maintenance.hold_lease(store, "housekeeper", owner="b", lease_s=10)
+    maintenance.release_lease(store, "housekeeper", owner="a")
+    assert maintenance.living(store, "house") == ["housekeeper"]
+    maintenance.release_lease(store, "housekeeper", owner="b")
+    assert maintenance.living(store, "house") == []
 
 
 def test_the_same_fingerprint_is_the_same_asset(store: Store, clock: Clock) -> None:
@@ -280,19 +280,19 @@ def test_retention_keeps_what_is_referred_to(store: Store, asset: AssetRecord, c
     for digest in ("a" * 64, "b" * 64, FILE.sha256, "d" * 64):
         attempts.touch_blob(store, digest, 5)
     publish(store, held)
-    assert upkeep.unreferenced_blobs(store) == []  # all too young
+    assert maintenance.unreferenced_blobs(store) == []  # all too young
     attempts.succeed(store, held)
-    clock.now += upkeep.BLOB_GRACE_S + 1
-    assert upkeep.unreferenced_blobs(store) == ["d" * 64]
+    clock.now += maintenance.BLOB_GRACE_S + 1
+    assert maintenance.unreferenced_blobs(store) == ["d" * 64]
     deleted: list[str] = []
-    upkeep.forget_blob(store, "d" * 64, deleted.append)
+    maintenance.forget_blob(store, "d" * 64, deleted.append)
     assert deleted == ["d" * 64]
-    upkeep.forget_expired(store, job_retention_s=10, cache_retention_s=10)
+    maintenance.forget_expired(store, job_retention_s=10, cache_retention_s=10)
     with pytest.raises(GoneError):
         read_asset(store, asset.id)
     with pytest.raises(GoneError):
         store.job(held.job.id)
-    assert sorted(upkeep.unreferenced_blobs(store)) == ["a" * 64, "b" * 64, FILE.sha256]
+    assert sorted(maintenance.unreferenced_blobs(store)) == ["a" * 64, "b" * 64, FILE.sha256]
 
 
 def test_what_is_kept_hides_nothing_from_retention(store: Store, clock: Clock) -> None:
@@ -300,20 +300,20 @@ def test_what_is_kept_hides_nothing_from_retention(store: Store, clock: Clock) -
     add_asset(store, asset_row(kept[0], now=clock.now, parts=kept))
     for digest in (*(part.sha256 for part in kept), "f" * 64):
         attempts.touch_blob(store, digest, 1)
-    clock.now += upkeep.BLOB_GRACE_S + 1
-    assert upkeep.unreferenced_blobs(store, limit=1) == ["f" * 64]
+    clock.now += maintenance.BLOB_GRACE_S + 1
+    assert maintenance.unreferenced_blobs(store, limit=1) == ["f" * 64]
 
 
 def test_bytes_that_are_sent_again_are_not_deleted(store: Store, clock: Clock) -> None:
     attempts.touch_blob(store, "d" * 64, 5)
-    clock.now += upkeep.BLOB_GRACE_S + 1
-    assert upkeep.unreferenced_blobs(store) == ["d" * 64]
+    clock.now += maintenance.BLOB_GRACE_S + 1
+    assert maintenance.unreferenced_blobs(store) == ["d" * 64]
     attempts.touch_blob(store, "d" * 64, 5)
     deleted: list[str] = []
-    upkeep.forget_blob(store, "d" * 64, deleted.append)
+    maintenance.forget_blob(store, "d" * 64, deleted.append)
     assert deleted == []
-    clock.now += upkeep.BLOB_GRACE_S + 1
-    assert upkeep.unreferenced_blobs(store) == ["d" * 64]
+    clock.now += maintenance.BLOB_GRACE_S + 1
+    assert maintenance.unreferenced_blobs(store) == ["d" * 64]
 
 
 def test_bytes_that_could_not_be_deleted_stay_known(store: Store, clock: Clock) -> None:
@@ -321,10 +321,10 @@ def test_bytes_that_could_not_be_deleted_stay_known(store: Store, clock: Clock) 
         raise StorageAwayError("away")
 
     attempts.touch_blob(store, "d" * 64, 5)
-    clock.now += upkeep.BLOB_GRACE_S + 1
+    clock.now += maintenance.BLOB_GRACE_S + 1
     with pytest.raises(StorageAwayError):
-        upkeep.forget_blob(store, "d" * 64, away)
-    assert upkeep.unreferenced_blobs(store) == ["d" * 64]
+        maintenance.forget_blob(store, "d" * 64, away)
+    assert maintenance.unreferenced_blobs(store) == ["d" * 64]
 
 
 def test_jobs_come_newest_first_in_pages(store: Store, asset: AssetRecord) -> None:

@@ -5,7 +5,7 @@ from fastapi.testclient import TestClient
 
 from jobs.records import AssetRecord
 from service.context import Context
-from service.ranges import ByteRange, UnsatisfiableRangeError, matches, parse_range
+from service.http.ranges import ByteRange, UnsatisfiableRangeError, matches, parse_range
 from tests.service.conftest import hold, publish
 from tests.service.test_jobs import create
 

@@ -9,9 +9,9 @@ import typer
 from typer.testing import CliRunner
 
 from jobs.settings import Settings
-from service.doctor import doctor, examine
-from service.keys import app as keys
-from service.serve import LockedFile, listen, plans, require_keys_beyond_loopback, serve
+from service.local.doctor import doctor, examine
+from service.local.keys import app as keys
+from service.local.serve import LockedFile, listen, plans, require_keys_beyond_loopback, serve
 
 app = typer.Typer()
 app.command("serve")(serve)

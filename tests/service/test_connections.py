@@ -8,8 +8,8 @@ from collections.abc import Iterator
 import pytest
 import uvicorn
 
-from service import connections
-from service.connections import PunctualProtocol
+from service.http import connections
+from service.http.connections import PunctualProtocol
 
 
 async def answer(scope: object, receive: object, send: object) -> None:

@@ -17,8 +17,8 @@ from dynamictree.modal.system import modal_system
 from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.assets import delete_asset
 from service.context import Context
-from service.forces import MAX_FORCES
-from service.trees import living_tree
+from service.schemas.forces import MAX_FORCES
+from service.tree_cache import living_tree
 from tests.service.pushed import ASSET_ID, grown, poke, post, spectrum, spectrum_id  # noqa: F401
 
 
@@ -242,7 +242,7 @@ def test_too_many_forces_are_refused_with_the_limit(client: TestClient, spectrum
 def test_an_answer_that_is_too_large_is_refused_with_what_fits(
     client: TestClient, spectrum_id: str, poke: dict, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("service.interact.MAX_DISPLACEMENT_BYTES", 1_000_000)
+    monkeypatch.setattr("service.routes.interact.MAX_DISPLACEMENT_BYTES", 1_000_000)
     for output in ("voxels", "vertices"):
         response = post(client, spectrum_id, poke, accept="*/*", output=output, num_frames=600)
         assert "frames at a time" in refusal(response, 422, "validation-failed")["detail"]

@@ -80,7 +80,7 @@ def test_gaussians_move_as_the_vertices_do(
 def test_too_many_gaussians_are_refused_with_what_fits(
     client: TestClient, cloud_spectrum: str, poke: dict, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("service.interact.MAX_DISPLACEMENT_BYTES", 100_000)
+    monkeypatch.setattr("service.routes.interact.MAX_DISPLACEMENT_BYTES", 100_000)
     refused = post(client, cloud_spectrum, poke, accept="*/*", output="gaussians", num_frames=60)
     assert (refused.status_code, "frames at a time" in refused.json()["detail"]) == (422, True)
 

@@ -15,9 +15,9 @@ from dynamictree.modal.system import modal_system
 from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.keys import create_key
 from jobs.settings import Settings
-from service import stream
 from service.app import create_app
 from service.context import Context
+from service.routes import interact_stream
 from tests.service.pushed import grown, poke, spectrum, spectrum_id  # noqa: F401
 
 URL = "/v1/interact/stream"
@@ -80,7 +80,7 @@ def test_a_knock_is_one(client: TestClient, spectrum_id: str, spectrum: SparseVo
 def test_a_new_pointer_replaces_the_old_and_release_lets_it_settle(
     client: TestClient, spectrum_id: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(stream, "SETTLED_M", 0.02)
+    monkeypatch.setattr(interact_stream, "SETTLED_M", 0.02)
     with client.websocket_connect(URL) as socket:
         opened(socket, spectrum_id, damping_ratio=1.0)
         socket.send_json(pull([5.0, 0.0, 0.0]))
@@ -102,16 +102,16 @@ def test_who_does_not_acknowledge_gets_few_frames_and_then_the_newest(client: Te
     with client.websocket_connect(URL) as socket:
         opened(socket, spectrum_id, rate_hz=120)
         socket.send_json(pull([5.0, 0.0, 0.0]))
-        unread = [socket.receive_json() for _ in range(stream.WINDOW)]
-        assert [frame["frame"] for frame in unread] == list(range(1, stream.WINDOW + 1))
+        unread = [socket.receive_json() for _ in range(interact_stream.WINDOW)]
+        assert [frame["frame"] for frame in unread] == list(range(1, interact_stream.WINDOW + 1))
         socket.send_json({"type": "release", "kind": "wind"})  # nothing: it only takes a while
         socket.send_json({"type": "nonsense"})
         assert socket.receive_json()["type"] == "problem"  # and no frame came before it
         time.sleep(1.0)  # 120 frames, of which a busy machine may miss most
-        socket.send_json({"type": "ack", "frame": stream.WINDOW})
+        socket.send_json({"type": "ack", "frame": interact_stream.WINDOW})
         newest = socket.receive_json()
-        assert newest["frame"] > stream.WINDOW + 1
-        assert newest["skipped"] == newest["frame"] - stream.WINDOW - 1
+        assert newest["frame"] > interact_stream.WINDOW + 1
+        assert newest["skipped"] == newest["frame"] - interact_stream.WINDOW - 1
 
 
 @pytest.mark.parametrize(
@@ -140,7 +140,7 @@ def test_a_bad_message_is_told_and_the_stream_goes_on(
 
 
 def test_places_that_swing_are_bounded(client: TestClient, spectrum_id: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stream, "MAX_GROUPS", 2)
+    monkeypatch.setattr(interact_stream, "MAX_GROUPS", 2)
     with client.websocket_connect(URL) as socket:
         opened(socket, spectrum_id, damping_ratio=0.0, rate_hz=1)
         for voxel in (40, 41, 42):
@@ -164,18 +164,22 @@ def test_a_bad_first_message_is_told_and_ends_it(client: TestClient, first: dict
         assert socket.receive_json()["code"] == code
         with pytest.raises(WebSocketDisconnect) as closed:
             socket.receive_json()
-        assert closed.value.code == stream.INVALID
+        assert closed.value.code == interact_stream.INVALID
 
 
 def test_silence_and_shouting_end_it(client: TestClient, spectrum_id: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stream, "OPEN_S", 0.05)
-    monkeypatch.setattr(stream, "IDLE_S", 0.05)
-    for code, say in ((stream.INVALID, None), (stream.DONE, "open"), (stream.TOO_LARGE, "shout")):
+    monkeypatch.setattr(interact_stream, "OPEN_S", 0.05)
+    monkeypatch.setattr(interact_stream, "IDLE_S", 0.05)
+    for code, say in (
+        (interact_stream.INVALID, None),
+        (interact_stream.DONE, "open"),
+        (interact_stream.TOO_LARGE, "shout"),
+    ):
         with client.websocket_connect(URL) as socket:
             if say == "open":
                 opened(socket, spectrum_id)
             elif say == "shout":
-                socket.send_text("a" * (stream.MAX_MESSAGE + 1))
+                socket.send_text("a" * (interact_stream.MAX_MESSAGE + 1))
             with pytest.raises(WebSocketDisconnect) as closed:
                 socket.receive_json()
             assert closed.value.code == code
@@ -185,10 +189,10 @@ def test_a_page_sends_its_key_as_a_protocol(settings: Settings, context: Context
     _, key = create_key(context.store, name="page")
     locked = create_app(settings.model_copy(update={"keys": "required"}))
     with TestClient(locked, "http://localhost") as client:
-        offered = [stream.PROTOCOL, f"bearer.{key}"]
+        offered = [interact_stream.PROTOCOL, f"bearer.{key}"]
         with client.websocket_connect(URL, subprotocols=offered) as socket:
-            assert socket.accepted_subprotocol == stream.PROTOCOL
+            assert socket.accepted_subprotocol == interact_stream.PROTOCOL
             socket.send_json({"type": "open", "spectrum_id": spectrum_id})
             assert socket.receive_json()["code"] == "not-found"  # it is in, but this tree is another owner's
-        with pytest.raises(WebSocketDisconnect), client.websocket_connect(URL, subprotocols=[stream.PROTOCOL]):
+        with pytest.raises(WebSocketDisconnect), client.websocket_connect(URL, subprotocols=[interact_stream.PROTOCOL]):
             raise AssertionError("the stream was opened without a key")

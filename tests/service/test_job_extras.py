@@ -8,8 +8,8 @@ import pytest
 from fastapi.testclient import TestClient
 
 from jobs.attempts import report_progress, start_stage, succeed
+from jobs.maintenance import forget_expired, hold_lease
 from jobs.records import AssetRecord
-from jobs.upkeep import forget_expired, hold_lease
 from service.context import Context
 from tests.service.conftest import hold, publish
 from tests.service.test_assets import OBJ, left_behind

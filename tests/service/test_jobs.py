@@ -5,9 +5,9 @@ import pytest
 from fastapi.testclient import TestClient
 
 from jobs.attempts import fail, report_progress, start_stage, succeed
+from jobs.maintenance import abort_overdue
 from jobs.records import AssetRecord
 from jobs.store import new_id
-from jobs.upkeep import abort_overdue
 from service.context import Context
 from service.job_creation import KEY_EXPIRES_S
 from tests.service.conftest import hold, publish

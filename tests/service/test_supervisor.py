@@ -7,7 +7,7 @@ from pathlib import Path
 
 import psutil
 
-from service.supervisor import ChildPlan, Supervisor
+from service.local.supervisor import ChildPlan, Supervisor
 
 
 def plan(program: str, name: str = "child", grace_s: float = 5.0) -> ChildPlan:

@@ -11,7 +11,7 @@ from fastapi.testclient import TestClient
 from opentelemetry.proto.collector.trace.v1.trace_service_pb2 import ExportTraceServiceRequest
 from opentelemetry.proto.trace.v1.trace_pb2 import Span
 
-from jobs.logs import JsonLines, log_ids, set_up_logging
+from jobs.logging_setup import JsonLines, log_ids, set_up_logging
 from jobs.records import AssetRecord
 from jobs.settings import Settings
 from jobs.tracing import span, tracer

@@ -24,8 +24,8 @@ import web
 from dynamictree.pipeline import vertex_spectrum
 from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.records import AssetRecord
-from service import surface
-from service.serve import Announcer
+from service.local.serve import Announcer
+from service.routes import surface
 from tests.service.pushed import ASSET_ID, grown, spectrum, spectrum_id  # noqa: F401
 from web.vendor import FOLDER, LIBRARIES, SUMS
 

@@ -14,8 +14,8 @@ from jobs.records import AssetRecord, Claim, JobRecord
 from jobs.settings import Settings
 from jobs.states import JobType, stages_of
 from tests.rows import asset_row, job_row, kept
+from worker.cancellation import Watch
 from worker.runtime import Runtime, close_runtime, open_runtime
-from worker.watch import Watch
 
 
 @pytest.fixture

@@ -22,15 +22,15 @@ from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.artifacts import hash_file
 from jobs.attempts import hand_back, publish_stage, start_stage, succeed
 from jobs.errors import FencedError, GoneError
+from jobs.maintenance import living, reap
 from jobs.products import MESH_BUNDLE, SPECTRUM, VOXELS
 from jobs.records import AssetRecord, Claim, OutputFile
 from jobs.states import JobState, JobType
-from jobs.upkeep import living, reap
 from tests.worker.conftest import add_job, hold, watch
 from worker.attempt import PARAMS, model_sha256, run_stages, stage_key
+from worker.cancellation import HandedBack
 from worker.runtime import Runtime
 from worker.tasks import end_attempt
-from worker.watch import HandedBack
 
 
 def run(here: Runtime, held: Claim) -> None:

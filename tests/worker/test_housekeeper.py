@@ -17,9 +17,9 @@ from jobs.artifacts import hash_file
 from jobs.assets import add_asset
 from jobs.attempts import claim, touch_blob
 from jobs.errors import StorageAwayError
+from jobs.maintenance import BLOB_GRACE_S, unsent
 from jobs.records import AssetPart, JobRecord
 from jobs.settings import Settings
-from jobs.upkeep import BLOB_GRACE_S, unsent
 from jobs.uploads import UploadRecord, add_upload, expired_uploads
 from tests.jobs.conftest import Clock, PartsAway
 from tests.rows import asset_row, job_row

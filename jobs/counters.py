@@ -1,0 +1,32 @@
+"""Counters since the store was created, for /metrics, each incremented exactly once, in the transaction it counts.
+
+A counter has a name and a label, such as `jobs` and `succeeded`; `service/routes/metrics.py` exports them.
+"""
+
+import sqlalchemy as sa
+
+from jobs import tables as t
+from jobs.database import add_up
+
+SECONDS = (0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0, 120.0, 300.0, 600.0, 1800.0, 3600.0)
+"""Upper bounds of the classes into which durations are sorted [s]."""
+
+
+def count(connection: sa.Connection, name: str, label: str = "", by: float = 1.0) -> None:
+    """Add to a count."""
+    add_up(connection, t.tallies, {"name": name, "label": label}, value=by)
+
+
+def count_seconds(connection: sa.Connection, name: str, label: str, seconds: float) -> None:
+    """Sort a duration into its class, and add it to the sum."""
+    bound = next((bound for bound in SECONDS if seconds <= bound), float("inf"))
+    count(connection, f"{name}_bucket", f"{label}:{bound:g}")
+    count(connection, f"{name}_sum", label, seconds)
+
+
+def tallies(connection: sa.Connection) -> dict[str, dict[str, float]]:
+    """Every count, by name and label."""
+    told: dict[str, dict[str, float]] = {}
+    for row in connection.execute(sa.select(t.tallies)):
+        told.setdefault(row.name, {})[row.label] = row.value
+    return told

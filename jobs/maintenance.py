@@ -1,0 +1,190 @@
+"""What the housekeeper does to the store: messages to send, leases that ran out, deadlines, retention."""
+
+from collections.abc import Callable, Iterator
+
+import sqlalchemy as sa
+
+from jobs import tables as t
+from jobs.attempts import begin_next_attempt
+from jobs.counters import count
+from jobs.database import upsert
+from jobs.messages import RunJob
+from jobs.rows import end
+from jobs.states import JobState
+from jobs.store import Store
+
+TOMBSTONE_S = 90 * 86400.0
+"""So long it is known that there was a job or an upload of some id: 410, not 404."""
+
+BLOB_GRACE_S = 3600.0
+"""Bytes are put before the row that refers to them; nothing takes an hour between the two."""
+
+
+WORKER_LEASES = "worker:"
+"""What the name of every worker's own lease begins with."""
+
+HOUSEKEEPER_LEASE = "housekeeper"
+
+
+def hold_lease(store: Store, name: str, *, owner: str, lease_s: float) -> bool:
+    """Take or prolong a named lease, so that one process acts; tell whether it is ours."""
+    now = store.clock()
+    free = (t.leases.c.owner == owner) | (t.leases.c.until <= now)
+    with store.writing() as connection:
+        return upsert(connection, t.leases, {"name": name, "owner": owner, "until": now + lease_s}, only_if=free)
+
+
+def release_lease(store: Store, name: str, *, owner: str) -> None:
+    """Give a named lease up at once."""
+    with store.writing() as connection:
+        connection.execute(t.leases.delete().where((t.leases.c.name == name) & (t.leases.c.owner == owner)))
+
+
+def living(store: Store, prefix: str) -> list[str]:
+    """Names of leases with this prefix that someone holds now."""
+    held = t.leases.c.name.startswith(prefix, autoescape=True) & (t.leases.c.until > store.clock())
+    with store.reading() as connection:
+        return list(connection.execute(sa.select(t.leases.c.name).where(held)).scalars())
+
+
+def unsent(store: Store, *, limit: int = 100) -> list[RunJob]:
+    """Messages that no worker was sent yet, oldest first."""
+    return _messages(store, t.outbox.c.sent_at.is_(None), limit)
+
+
+def unclaimed(store: Store, *, sent_before: float, limit: int = 100) -> list[RunJob]:
+    """Messages that were sent before a time, and that no worker acted upon: lost with the queue, or still in it."""
+    return _messages(store, t.outbox.c.sent_at < sent_before, limit)
+
+
+def _messages(store: Store, which: sa.ColumnElement[bool], limit: int) -> list[RunJob]:
+    query = (
+        sa.select(t.outbox.c.job_id, t.outbox.c.attempt, t.jobs.c.queue)
+        .join(t.jobs, t.jobs.c.id == t.outbox.c.job_id)
+        .where(which)
+        .order_by(t.outbox.c.created_at)
+        .limit(limit)
+    )
+    with store.reading() as connection:
+        return [RunJob(job_id=row.job_id, attempt=row.attempt, queue=row.queue) for row in connection.execute(query)]
+
+
+def mark_sent(store: Store, message: RunJob) -> None:
+    """Remember that a message went out."""
+    with store.writing() as connection:
+        row = (t.outbox.c.job_id == message.job_id) & (t.outbox.c.attempt == message.attempt)
+        connection.execute(t.outbox.update().where(row).values(sent_at=store.clock()))
+
+
+def reap(store: Store, *, max_lost_attempts: int) -> list[tuple[str, JobState]]:
+    """Take jobs from workers that no longer renew their lease: next attempt, or the end. Gives id and state."""
+    reaped = []
+    for job_id in _stale(store):
+        with store.writing() as connection:
+            state = _reap_one(connection, job_id, store.clock(), max_lost_attempts)
+        if state is not None:
+            reaped.append((job_id, state))
+    return reaped
+
+
+def _stale(store: Store) -> list[str]:
+    with store.reading() as connection:
+        return list(connection.execute(sa.select(t.jobs.c.id).where(_is_stale(store.clock()))).scalars())
+
+
+def _is_stale(now: float) -> sa.ColumnElement[bool]:
+    return (t.jobs.c.lease_until < now) & t.jobs.c.state.in_([JobState.RUNNING, JobState.CANCELING])
+
+
+def _reap_one(connection: sa.Connection, job_id: str, now: float, max_lost_attempts: int) -> JobState | None:
+    stale = sa.select(t.jobs).where((t.jobs.c.id == job_id) & _is_stale(now)).with_for_update()
+    row = connection.execute(stale).one_or_none()
+    if row is None:
+        return None  # renewed or ended in the meantime
+    if row.state == JobState.CANCELING:
+        end(connection, job_id, JobState.CANCELED, now=now)
+        return JobState.CANCELED
+    running = (t.stages.c.job_id == job_id) & (t.stages.c.state == "running")
+    stage = connection.execute(sa.select(t.stages.c.name).where(running)).scalar_one_or_none()
+    lost = [*row.lost_stages, stage]
+    count(connection, "attempts", "lost")
+    if len(lost) <= max_lost_attempts:
+        begin_next_attempt(connection, job_id, row.attempt, now=now, lost_stages=lost)
+        return JobState.RUNNING
+    code, message = _loss(lost)
+    end(connection, job_id, JobState.FAILED, now=now, error_code=code, error_message=message, lost_stages=lost)
+    return JobState.FAILED
+
+
+def _loss(lost: list[str | None]) -> tuple[str, str]:
+    if len(set(lost)) == 1 and len(lost) > 1 and lost[0] is not None:
+        found = f"{len(lost)} workers were lost, each in the stage {lost[0]}"
+        return "poison-input", f"{found}; the input likely needs more memory than a worker has; simplify the mesh"
+    return "worker-lost", f"{len(lost)} workers were lost while they ran this job; try again"
+
+
+def abort_overdue(store: Store) -> int:
+    """End queued jobs whose start deadline has passed."""
+    now = store.clock()
+    overdue = (t.jobs.c.state == JobState.QUEUED) & (t.jobs.c.start_deadline < now)
+    with store.reading() as connection:
+        ids = list(connection.execute(sa.select(t.jobs.c.id).where(overdue)).scalars())
+    ended = 0
+    for job_id in ids:
+        with store.writing() as connection:
+            message = "no worker was free before the start deadline; ask again later or with a later deadline"
+            ended += end(
+                connection, job_id, JobState.ABORTED, now=now, error_code="start-deadline", error_message=message
+            )
+    return ended
+
+
+def forget_expired(store: Store, *, job_retention_s: float, cache_retention_s: float) -> None:
+    """Drop assets, jobs and cached stages past their time. Records of artefacts stay with their job, for 410."""
+    now = store.clock()
+    with store.writing() as connection:
+        in_use = sa.select(t.jobs.c.asset_id).where(t.jobs.c.finished_at.is_(None))
+        old = (t.assets.c.expires_at < now) & t.assets.c.deleted_at.is_(None) & t.assets.c.id.not_in(in_use)
+        connection.execute(t.assets.update().where(old).values(deleted_at=now, live_fingerprint=None))
+        ended = t.jobs.c.finished_at < now - job_retention_s
+        tombs = sa.select(t.jobs.c.id, t.jobs.c.owner, sa.literal("job"), sa.literal(now)).where(ended)
+        connection.execute(t.tombstones.insert().from_select(["id", "owner", "kind", "gone_at"], tombs))
+        connection.execute(t.jobs.delete().where(ended))
+        connection.execute(t.tombstones.delete().where(t.tombstones.c.gone_at < now - TOMBSTONE_S))
+        connection.execute(t.stage_cache.delete().where(t.stage_cache.c.used_at < now - cache_retention_s))
+
+
+def forget_deliveries(store: Store, *, retention_s: float) -> None:
+    """Drop what was told to webhooks long ago."""
+    old = (t.deliveries.c.created_at < store.clock() - retention_s) & t.deliveries.c.next_at.is_(None)
+    with store.writing() as connection:
+        connection.execute(t.deliveries.delete().where(old))
+
+
+def unreferenced_blobs(store: Store, *, limit: int = 100) -> list[str]:
+    """Hashes of bytes that nothing refers to any more."""
+    now = store.clock()
+    with store.reading() as connection:
+        aged = t.blobs.c.touched_at < now - BLOB_GRACE_S
+        candidates = connection.execute(sa.select(t.blobs.c.sha256).where(aged)).scalars().all()
+        kept = set(_referenced(connection, now)) if candidates else set()
+    return [sha256 for sha256 in candidates if sha256 not in kept][:limit]
+
+
+def _referenced(connection: sa.Connection, now: float) -> Iterator[str]:
+    yield from connection.execute(sa.select(t.artifacts.c.sha256).where(t.artifacts.c.expires_at > now)).scalars()
+    for files in connection.execute(sa.select(t.stage_cache.c.files)).scalars():
+        yield from (file["sha256"] for file in files)
+    query = sa.select(t.assets.c.parts, t.assets.c.prepared).where(t.assets.c.deleted_at.is_(None))
+    for row in connection.execute(query):
+        yield from (part["sha256"] for part in row.parts)
+        if row.prepared is not None:
+            yield row.prepared["sha256"]
+
+
+def forget_blob(store: Store, sha256: str, delete: Callable[[str], None]) -> None:
+    """Delete bytes and their record, unless someone has just told that they are about to be referred to."""
+    with store.writing() as connection:
+        aged = (t.blobs.c.sha256 == sha256) & (t.blobs.c.touched_at < store.clock() - BLOB_GRACE_S)
+        if connection.execute(t.blobs.delete().where(aged)).rowcount:
+            delete(sha256)  # before the commit: who touches them now waits for it, and then puts them anew

@@ -1,0 +1,209 @@
+"""Bytes of uploads that are not whole yet, in a folder or in object storage. What was written once is not lost."""
+
+import fcntl
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Protocol
+from urllib.parse import unquote, urlsplit
+
+import obstore
+from obstore.store import ObjectStore
+
+from jobs.object_storage import answers_told, open_objects
+
+PREFIX = "uploads"
+SYNC_BYTES = 64 * 1024**2
+"""A file is synced whenever so much was written, so that the last sync is short and dirty pages are few."""
+
+OBJECT_BYTES = 16 * 1024**2
+"""Size of the objects that an upload is kept in."""
+
+CHUNK_BYTES = 4 * 1024**2
+
+
+class PartWriter(Protocol):
+    """Appends to one upload. One thread at a time."""
+
+    def write(self, chunks: Sequence[bytes]) -> None:
+        """Append."""
+
+    def keep(self) -> None:
+        """Make what was written last, whatever happens from now on."""
+
+    def discard(self) -> None:
+        """Forget what this writer wrote."""
+
+
+class PartStore(Protocol):
+    """Where uploads lie until they are whole. StorageAwayError where it does not answer."""
+
+    def size(self, upload_id: str) -> int:
+        """How many bytes are there, from the first one without a gap."""
+
+    def writer(self, upload_id: str, offset: int) -> PartWriter:
+        """Go on at the byte `offset`, which is the upload's size. BlockingIOError while someone else writes."""
+
+    def fetch(self, upload_id: str, path: Path) -> None:
+        """Make the upload readable at a path."""
+
+    def delete(self, upload_id: str) -> None:
+        """Forget the upload; harmless where there is none."""
+
+
+class FolderParts:
+    """One file an upload; its length is the truth."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        root.mkdir(parents=True, exist_ok=True)
+
+    def size(self, upload_id: str) -> int:
+        """How many bytes are there."""
+        path = self.root / upload_id
+        return path.stat().st_size if path.exists() else 0
+
+    def writer(self, upload_id: str, offset: int) -> "FileWriter":
+        """Go on at a byte."""
+        return FileWriter(self.root / upload_id, offset)
+
+    def fetch(self, upload_id: str, path: Path) -> None:
+        """Make the upload readable at a path: a link, no copy."""
+        path.hardlink_to(self.root / upload_id)
+
+    def delete(self, upload_id: str) -> None:
+        """Forget the upload."""
+        (self.root / upload_id).unlink(missing_ok=True)
+
+
+class FileWriter:
+    """Appends to a file, and is the only one that does.
+
+    Raises:
+        BlockingIOError: someone else does.
+    """
+
+    def __init__(self, path: Path, offset: int) -> None:
+        self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT, 0o600)
+        try:
+            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(self._descriptor)
+            raise
+        self._began = offset
+        self._unsynced = 0
+        os.lseek(self._descriptor, offset, os.SEEK_SET)
+
+    def write(self, chunks: Sequence[bytes]) -> None:
+        """Append."""
+        for chunk in chunks:
+            view = memoryview(chunk)
+            while view:
+                view = view[os.write(self._descriptor, view) :]
+        self._unsynced += sum(map(len, chunks))
+        if self._unsynced >= SYNC_BYTES:
+            os.fdatasync(self._descriptor)
+            self._unsynced = 0
+
+    def keep(self) -> None:
+        """Sync and close."""
+        try:
+            os.fdatasync(self._descriptor)
+        finally:
+            os.close(self._descriptor)
+
+    def discard(self) -> None:
+        """Cut off what this writer wrote, and close."""
+        try:
+            os.ftruncate(self._descriptor, self._began)
+        finally:
+            os.close(self._descriptor)
+
+
+class ObjectParts:
+    """Objects named by the offset of their first byte; a put is atomic, so there is no half one."""
+
+    def __init__(self, objects: ObjectStore) -> None:
+        self.objects = objects
+
+    def size(self, upload_id: str) -> int:
+        """How many bytes are there without a gap."""
+        return sum(size for _, size in self._parts(upload_id))
+
+    def writer(self, upload_id: str, offset: int) -> "ObjectWriter":
+        """Go on at a byte."""
+        return ObjectWriter(self.objects, f"{PREFIX}/{upload_id}", offset)
+
+    def fetch(self, upload_id: str, path: Path) -> None:
+        """Make the upload readable at a path: a download."""
+        with path.open("xb") as target, answers_told():
+            for key, _ in self._parts(upload_id):
+                for chunk in obstore.get(self.objects, key).stream(min_chunk_size=CHUNK_BYTES):
+                    target.write(bytes(chunk))
+
+    def delete(self, upload_id: str) -> None:
+        """Forget the upload."""
+        keys = [key for key, _ in self._listed(upload_id)]
+        if keys:
+            with answers_told():
+                obstore.delete(self.objects, keys)
+
+    def _parts(self, upload_id: str) -> list[tuple[str, int]]:
+        found = []
+        end = 0
+        for key, size in self._listed(upload_id):
+            if int(key.rpartition("/")[2]) != end:
+                break
+            found.append((key, size))
+            end += size
+        return found
+
+    def _listed(self, upload_id: str) -> list[tuple[str, int]]:
+        with answers_told():
+            pages = obstore.list(self.objects, prefix=f"{PREFIX}/{upload_id}")
+            return sorted((str(meta["path"]), int(meta["size"])) for page in pages for meta in page)
+
+
+class ObjectWriter:
+    """Puts an object whenever enough has come."""
+
+    def __init__(self, objects: ObjectStore, folder: str, offset: int) -> None:
+        self._objects = objects
+        self._folder = folder
+        self._offset = offset
+        self._waiting = bytearray()
+        self._made: list[str] = []
+
+    def write(self, chunks: Sequence[bytes]) -> None:
+        """Append."""
+        for chunk in chunks:
+            self._waiting += chunk
+        if len(self._waiting) >= OBJECT_BYTES:
+            self._put()
+
+    def keep(self) -> None:
+        """Put the rest."""
+        if self._waiting:
+            self._put()
+
+    def discard(self) -> None:
+        """Delete what this writer put."""
+        if self._made:
+            with answers_told():
+                obstore.delete(self._objects, self._made)
+
+    def _put(self) -> None:
+        key = f"{self._folder}/{self._offset:020d}"
+        with answers_told():
+            obstore.put(self._objects, key, bytes(self._waiting))
+        self._made.append(key)
+        self._offset += len(self._waiting)
+        self._waiting.clear()
+
+
+def open_parts(artifacts_url: str, *, credentials: Mapping[str, str] | None = None) -> PartStore:
+    """The store beside the artefacts: their folder, or their bucket, which `open_objects` opens."""
+    parts = urlsplit(artifacts_url)
+    if parts.scheme == "file":
+        return FolderParts(Path(unquote(parts.path)) / PREFIX)
+    return ObjectParts(open_objects(artifacts_url, credentials=credentials))

@@ -1,0 +1,163 @@
+"""Who comes in: a key where keys are required; else this machine itself, and no page of another site."""
+
+import ipaddress
+import logging
+import time
+from typing import TYPE_CHECKING
+from urllib.parse import urlsplit
+
+from starlette.concurrency import run_in_threadpool
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from jobs.keys import KeyRecord, digest_of, find_key
+from jobs.keys import Scope as KeyScope
+from service.http.caller import ANYONE, CALLER, Caller, caller_of
+from service.http.problems import ProblemError, problem_response, request_id_of
+from service.http.rate_limit import Counter, Standing, policy_of
+
+if TYPE_CHECKING:
+    from service.context import Context
+
+logger = logging.getLogger(__name__)
+
+REMEMBERED_S = 2.0
+"""A key that was looked up is believed for so long: a revoked one works so much longer at most."""
+
+MAX_REMEMBERED = 10_000
+OVERRIDABLE = frozenset({"PATCH", "DELETE"})
+POLICY_VIOLATION = 1008
+PROTOCOL_KEY = "bearer."
+
+
+class Doors:
+    """Around everything under /v1: who asks, whether they may, how often they did."""
+
+    def __init__(self, app: ASGIApp, context: "Context") -> None:
+        self.app = app
+        self.context = context
+        self._counter = Counter()
+        self._remembered: dict[str, tuple[KeyRecord | None, float]] = {}
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Let one request in, or not."""
+        if scope["type"] not in {"http", "websocket"} or not scope["path"].startswith("/v1/"):
+            await self.app(scope, receive, send)
+            return
+        standing: Standing | None = None
+        try:
+            _override_method(scope)
+            caller = await self._caller(scope)
+            policy = policy_of(scope.get("method", "GET"), scope["path"])
+            standing = self._counter.count(caller, policy)
+            if standing is not None and not standing.allowed:
+                found = f"{standing.quota} {policy.name} in {policy.window_s} s are allowed"
+                raise ProblemError("rate-limited", f"{found}; wait {standing.reset_s} s", headers=standing.headers)
+        except ProblemError as error:
+            await _refuse(error, scope, receive, send)
+            return
+        scope[CALLER] = caller
+        await self.app(scope, receive, send if standing is None else _with_headers(send, standing.headers))
+
+    async def _caller(self, scope: Scope) -> Caller:
+        headers = Headers(scope=scope)
+        settings = self.context.settings
+        if scope.get("method") == "OPTIONS" or settings.keys == "none":
+            return ANYONE
+        if settings.keys == "loopback":
+            require_own_machine(scope, headers, settings.hosts, settings.cors_origins)
+            return ANYONE
+        key = await self._key(_bearer(headers))
+        wanted = _scope_of(scope)
+        if wanted not in key.scopes:
+            detail = f"this key may {', '.join(key.scopes)}; {wanted} is needed here"
+            raise ProblemError("forbidden", detail)
+        return caller_of(key, settings)
+
+    async def _key(self, key: str) -> KeyRecord:
+        digest = digest_of(key)
+        found, until = self._remembered.get(digest, (None, 0.0))
+        if time.monotonic() >= until:
+            found = await run_in_threadpool(find_key, self.context.store, digest)
+            if len(self._remembered) >= MAX_REMEMBERED:
+                self._remembered.clear()
+            self._remembered[digest] = (found, time.monotonic() + REMEMBERED_S)
+        if found is None or not found.valid(self.context.store.clock()):
+            raise _unauthorized("the key is unknown, revoked or has expired")
+        return found
+
+
+def require_own_machine(scope: Scope, headers: Headers, hosts: tuple[str, ...], cors_origins: tuple[str, ...]) -> None:
+    """Refuse what did not come to a loopback address, under one of its names, from no other site's page.
+
+    Raises:
+        ProblemError: it did.
+    """
+    server = scope.get("server")
+    arrived = _address(server[0]) if server else None
+    if arrived is not None and not arrived.is_loopback:
+        detail = f"the request came to {arrived}, and no key is required; set DYNAMICTREE_KEYS=required"
+        raise ProblemError("forbidden", f"{detail}, and make one with `dynamictree keys create`")
+    name = urlsplit("//" + headers.get("host", "")).hostname or ""
+    address = _address(name)
+    if not (name in {"", "localhost", *hosts} or name.endswith(".localhost") or address is not None):
+        raise ProblemError("forbidden", f"the Host is {name!r}; this service answers as localhost, see `hosts`")
+    origin = headers.get("origin")
+    own = {f"{scheme}://{headers.get('host', '')}" for scheme in ("http", "https")}
+    if origin is not None and origin not in own and origin not in cors_origins:
+        raise ProblemError("forbidden", f"a page of {origin} may not call this service; see `cors_origins`")
+
+
+def _address(text: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
+    try:
+        return ipaddress.ip_address(text)
+    except ValueError:
+        return None
+
+
+def _override_method(scope: Scope) -> None:
+    """What tus asks for clients whose network lets neither PATCH nor DELETE through."""
+    asked = Headers(scope=scope).get("x-http-method-override", "").upper()
+    if scope.get("method") == "POST" and asked in OVERRIDABLE and scope["path"].startswith("/v1/uploads/"):
+        scope["method"] = asked
+
+
+def _bearer(headers: Headers) -> str:
+    kind, _, key = headers.get("authorization", "").partition(" ")
+    if kind.lower() == "bearer" and key.strip():
+        return key.strip()
+    # a page cannot give its WebSockets headers, only protocols
+    for protocol in headers.get("sec-websocket-protocol", "").split(","):
+        if protocol.strip().startswith(PROTOCOL_KEY):
+            return protocol.strip().removeprefix(PROTOCOL_KEY)
+    raise _unauthorized("a key is required; send it as Authorization: Bearer KEY")
+
+
+def _scope_of(scope: Scope) -> KeyScope:
+    if scope["path"].startswith("/v1/interact"):
+        return "interact"
+    return "read" if scope["method"] in {"GET", "HEAD"} else "write"
+
+
+def _unauthorized(detail: str) -> ProblemError:
+    return ProblemError("unauthorized", detail, headers={"WWW-Authenticate": "Bearer"})
+
+
+def _with_headers(send: Send, told: dict[str, str]) -> Send:
+    async def sending(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            headers = MutableHeaders(scope=message)
+            for name, value in told.items():
+                headers[name] = value
+        await send(message)
+
+    return sending
+
+
+async def _refuse(error: ProblemError, scope: Scope, receive: Receive, send: Send) -> None:
+    logger.info("refused: %s", error.code, extra={"path": scope["path"]})
+    if scope["type"] == "websocket":
+        await send({"type": "websocket.close", "code": POLICY_VIOLATION, "reason": error.code})
+        return
+    response = problem_response(error.code, str(error.detail), request_id=request_id_of(scope), headers=error.headers)
+    await response(scope, receive, send)

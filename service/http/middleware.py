@@ -1,0 +1,123 @@
+"""Around every request: an id, security headers, a limit on the body, an answer to what nobody expected."""
+
+import asyncio
+import logging
+import re
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from jobs.logging_setup import log_ids
+from jobs.settings import Settings
+from jobs.store import new_id
+from service.http.problems import REQUEST_ID, ProblemError, problem_response, request_id_of
+
+logger = logging.getLogger(__name__)
+
+SECURITY_HEADERS = {
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Content-Security-Policy": "default-src 'none'; frame-ancestors 'none'",
+}
+TUS_VERSION = "1.0.0"
+_REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,128}")
+
+
+class RequestFrame:
+    """Outermost: request id, headers, and a problem object for an exception that no handler knows."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Frame one request."""
+        if scope["type"] != "http":
+            await self.app(scope, receive, send)
+            return
+        given = Headers(scope=scope).get("x-request-id", "")
+        request_id = given if _REQUEST_ID.fullmatch(given) else new_id()
+        scope[REQUEST_ID] = request_id
+        started = False
+
+        async def send_framed(message: Message) -> None:
+            nonlocal started
+            if message["type"] == "http.response.start":
+                started = True
+                headers = MutableHeaders(scope=message)
+                headers["X-Request-Id"] = request_id
+                if scope["path"].startswith("/v1/uploads"):
+                    headers["Tus-Resumable"] = TUS_VERSION
+                for name, value in SECURITY_HEADERS.items():
+                    headers.setdefault(name, value)
+            await send(message)
+
+        try:
+            with log_ids(request_id=request_id):
+                await self.app(scope, receive, send_framed)
+        except Exception:
+            # the one place that must answer whatever goes wrong; the message stays in the log
+            logger.exception("request failed", extra={"request_id": request_id, "path": scope["path"]})
+            if started:
+                raise
+            response = problem_response("internal-error", "The cause was logged.", request_id=request_id)
+            await response(scope, receive, send_framed)
+
+
+class BodyLimit:
+    """Refuse a body that is larger than its route allows, whatever Content-Length says, or that stands still."""
+
+    def __init__(self, app: ASGIApp, settings: Settings) -> None:
+        self.app = app
+        self.settings = settings
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Count the bytes of one request."""
+        if scope["type"] != "http":
+            await self.app(scope, receive, send)
+            return
+        limit = body_limit(scope["path"], self.settings)
+        declared = Headers(scope=scope).get("content-length", "0")
+        if not declared.isdecimal() or int(declared) > limit:
+            response = problem_response(
+                "payload-too-large",
+                f"the body has {declared} bytes; at most {limit:,} are allowed here",
+                request_id=request_id_of(scope),
+                headers={"Connection": "close"},
+            )
+            await response(scope, receive, send)
+            return
+        counted, whole = 0, False
+
+        async def receive_counted() -> Message:
+            nonlocal counted, whole
+            if whole:  # what comes now only tells of a disconnect, and may take its time
+                return await receive()
+            try:
+                async with asyncio.timeout(self.settings.upload_idle_s):
+                    message = await receive()
+            except TimeoutError as error:
+                waited = f"no byte of the body came for {self.settings.upload_idle_s:g} s"
+                raise ProblemError("request-timeout", waited, headers={"Connection": "close"}) from error
+            if message["type"] != "http.request":
+                return message
+            counted += len(message.get("body", b""))
+            if counted > limit:
+                found = f"the body has more than {limit:,} bytes, which are allowed here"
+                raise ProblemError("payload-too-large", found, headers={"Connection": "close"})
+            whole = not message.get("more_body", False)
+            return message
+
+        await self.app(scope, receive_counted, send)
+
+
+def body_limit(path: str, settings: Settings) -> int:
+    """How many bytes a body may have."""
+    if path == "/v1/assets":
+        return settings.max_multipart_bytes
+    if path == "/v1/uploads" or path.startswith("/v1/uploads/"):
+        return settings.max_upload_bytes
+    if path.startswith("/v1/interact"):
+        return settings.max_interact_bytes
+    return settings.max_json_bytes

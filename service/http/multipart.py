@@ -1,0 +1,183 @@
+"""multipart/form-data to files on disk, hashed on the way: no part is ever whole in memory."""
+
+import asyncio
+from collections.abc import AsyncIterator
+from dataclasses import dataclass, field
+from hashlib import sha256
+from pathlib import Path
+from typing import TYPE_CHECKING, BinaryIO
+
+from python_multipart.exceptions import FormParserError
+from python_multipart.multipart import MultipartParser, parse_options_header
+
+from service.http.problems import ProblemError
+
+if TYPE_CHECKING:
+    from python_multipart.multipart import MultipartCallbacks
+
+BATCH_BYTES = 1024**2
+MAX_PARTS = 320  # 300 photos and the fields
+MAX_FIELD_BYTES = 4096
+MAX_NAME_CHARS = 255
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReceivedFile:
+    """One file part, on disk."""
+
+    name: str  # as sent; never used as a path
+    path: Path
+    sha256: str
+    bytes: int
+
+
+@dataclass(kw_only=True)
+class Form:
+    """What a request held."""
+
+    fields: dict[str, str] = field(default_factory=dict)
+    files: list[ReceivedFile] = field(default_factory=list)
+
+
+async def receive_form(content_type: str, body: AsyncIterator[bytes], folder: Path) -> Form:
+    """Take a body apart; its files lie in `folder` as part-0, part-1 and so on.
+
+    Raises:
+        ProblemError: it is no multipart/form-data, is broken, or has too many or too large parts.
+    """
+    kind, options = parse_options_header(content_type)
+    if kind != b"multipart/form-data" or not options.get(b"boundary"):
+        raise ProblemError(
+            "unsupported-format", f"Content-Type is {content_type!r}; send multipart/form-data with a boundary"
+        )
+    receiver = _Receiver(folder)
+    parser = MultipartParser(options[b"boundary"], receiver.callbacks())
+    try:
+        await _feed(parser, body)
+        parser.finalize()
+    except FormParserError as error:
+        raise ProblemError("bad-request", f"the multipart body is broken: {error}") from error
+    finally:
+        receiver.close()
+    if not receiver.ended:
+        raise ProblemError("bad-request", "the multipart body ends before its last boundary; send it whole")
+    return receiver.form
+
+
+async def _feed(parser: MultipartParser, body: AsyncIterator[bytes]) -> None:
+    """While a thread takes one batch apart, writes and hashes it, the next one comes in."""
+    loop = asyncio.get_running_loop()
+    working: asyncio.Future[int] | None = None
+    batch: list[bytes] = []
+    held = 0
+    try:
+        async for chunk in body:
+            batch.append(chunk)
+            held += len(chunk)
+            if held >= BATCH_BYTES:
+                if working is not None:
+                    await working
+                working = loop.run_in_executor(None, parser.write, b"".join(batch))
+                batch, held = [], 0
+    finally:
+        if working is not None:
+            await working
+    await loop.run_in_executor(None, parser.write, b"".join(batch))
+
+
+class _Receiver:
+    """Callbacks of the parser; one part at a time."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.form = Form()
+        self.ended = False
+        self._parts = 0
+        self._header_name = b""
+        self._header_value = b""
+        self._headers: dict[bytes, bytes] = {}
+        self._field = ""
+        self._filename: str | None = None
+        self._text = b""
+        self._stream: BinaryIO | None = None
+        self._digest = sha256()
+
+    def callbacks(self) -> "MultipartCallbacks":
+        return {
+            "on_part_begin": self._begin,
+            "on_header_field": self._on_header_name,
+            "on_header_value": self._on_header_value,
+            "on_header_end": self._end_header,
+            "on_headers_finished": self._open,
+            "on_part_data": self._write,
+            "on_part_end": self._end,
+            "on_end": self._finish,
+        }
+
+    def close(self) -> None:
+        if self._stream is not None:
+            self._stream.close()
+
+    def _begin(self) -> None:
+        self._parts += 1
+        if self._parts > MAX_PARTS:
+            raise ProblemError("payload-too-large", f"the body has more than {MAX_PARTS} parts, which are allowed")
+        self._headers = {}
+        self._text = b""
+
+    def _on_header_name(self, content: bytes, start: int, end: int) -> None:
+        self._header_name += content[start:end]
+
+    def _on_header_value(self, content: bytes, start: int, end: int) -> None:
+        self._header_value += content[start:end]
+
+    def _end_header(self) -> None:
+        self._headers[self._header_name.lower()] = self._header_value
+        self._header_name = self._header_value = b""
+
+    def _open(self) -> None:
+        _, options = parse_options_header(self._headers.get(b"content-disposition", b""))
+        if b"name" not in options:
+            raise ProblemError("bad-request", f"part {self._parts} has no name in its Content-Disposition; give it one")
+        self._field = _text(options[b"name"], "name")
+        self._filename = _text(options[b"filename"], "filename") if b"filename" in options else None
+        if self._filename is not None:
+            self._digest = sha256()
+            self._stream = (self.folder / f"part-{len(self.form.files)}").open("xb")
+
+    def _write(self, content: bytes, start: int, end: int) -> None:
+        piece = content[start:end]
+        if self._stream is not None:
+            self._stream.write(piece)
+            self._digest.update(piece)
+            return
+        self._text += piece
+        if len(self._text) > MAX_FIELD_BYTES:
+            found = f"the field {self._field!r} has more than {MAX_FIELD_BYTES} bytes; send files with a filename"
+            raise ProblemError("payload-too-large", found)
+
+    def _end(self) -> None:
+        if self._stream is None:
+            self.form.fields[self._field] = _text(self._text, f"field {self._field!r}")
+            return
+        size = self._stream.tell()
+        self._stream.close()
+        assert self._filename is not None
+        received = ReceivedFile(
+            name=self._filename, path=Path(self._stream.name), sha256=self._digest.hexdigest(), bytes=size
+        )
+        self.form.files.append(received)
+        self._stream = None
+
+    def _finish(self) -> None:
+        self.ended = True
+
+
+def _text(content: bytes, what: str) -> str:
+    try:
+        text = content.decode()
+    except UnicodeDecodeError as error:
+        raise ProblemError("bad-request", f"the {what} is not UTF-8; encode it so") from error
+    if "\0" in text or (what in {"name", "filename"} and len(text) > MAX_NAME_CHARS):
+        raise ProblemError("bad-request", f"the {what} holds a NUL or is longer than {MAX_NAME_CHARS} characters")
+    return text

@@ -1,0 +1,89 @@
+"""What routes raise, answered as problems."""
+
+import logging
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from starlette.exceptions import HTTPException
+from starlette.responses import Response
+from starlette.routing import Route
+
+from dynamictree.errors import DynamicTreeError
+from jobs.artifacts import is_full
+from jobs.errors import JobsError
+from service.http.problems import REFUSALS, ProblemError, problem_of, problem_response, request_id_of
+from service.http.validation_errors import MAX_SHOWN, field_errors, summed_up
+
+logger = logging.getLogger(__name__)
+
+_BY_STATUS = {
+    400: "bad-request",
+    413: "payload-too-large",
+    422: "validation-failed",
+}
+
+
+def install(app: FastAPI) -> None:
+    """Answer every exception that a route may raise with a problem. What is not known is answered by the middleware."""
+    app.add_exception_handler(HTTPException, _on_http)
+    app.add_exception_handler(RequestValidationError, _on_validation)
+    app.add_exception_handler(DynamicTreeError, _on_ours)
+    app.add_exception_handler(JobsError, _on_ours)
+    app.add_exception_handler(OSError, _on_system)
+
+
+async def _on_http(request: Request, error: Exception) -> Response:
+    assert isinstance(error, HTTPException)
+    told = error if isinstance(error, ProblemError) else _problem_of_framework(request, error)
+    return problem_response(
+        told.code,
+        told.detail,
+        request_id=request_id_of(request.scope),
+        errors=told.errors,
+        headers=told.headers,
+        extra=told.extra,
+    )
+
+
+def _problem_of_framework(request: Request, error: HTTPException) -> ProblemError:
+    """What Starlette and FastAPI refuse by themselves."""
+    path = request.scope["path"][:MAX_SHOWN]
+    if error.status_code == 404:
+        return ProblemError("not-found", f"there is nothing at {path!r}; /openapi.json tells every path")
+    if error.status_code == 405:
+        allowed = ", ".join(_methods(request))
+        detail = f"{request.method} is not allowed at {path!r}; {allowed} are"
+        return ProblemError("method-not-allowed", detail, headers={"Allow": allowed})
+    code = _BY_STATUS.get(error.status_code, "bad-request")
+    return ProblemError(code, str(error.detail), headers=error.headers)
+
+
+def _methods(request: Request) -> list[str]:
+    """The methods of every route with this path; Starlette names those of the first alone."""
+    path, known = request.scope["path"], set[str]()
+    for included in request.app.routes:
+        router = getattr(included, "original_router", None)  # FastAPI keeps included routers whole
+        for route in [included] if router is None else router.routes:
+            if isinstance(route, Route) and route.path_regex.match(path):
+                known |= route.methods or set()
+    return sorted(known)
+
+
+async def _on_validation(request: Request, error: Exception) -> Response:
+    assert isinstance(error, RequestValidationError)
+    errors = field_errors(error.errors())
+    return await _on_http(request, ProblemError("validation-failed", summed_up(errors), errors=errors))
+
+
+async def _on_ours(request: Request, error: Exception) -> Response:
+    assert isinstance(error, REFUSALS)
+    return await _on_http(request, problem_of(error))
+
+
+async def _on_system(request: Request, error: Exception) -> Response:
+    assert isinstance(error, OSError)
+    if not is_full(error):
+        raise error
+    logger.error("the disk is full", exc_info=error)
+    detail = f"a file could not grow: {error.strerror}; nothing was kept"
+    return problem_response("disk-full", detail, request_id=request_id_of(request.scope))

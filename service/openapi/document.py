@@ -1,0 +1,99 @@
+"""What the OpenAPI page says beyond what the routes tell: tags, keys, examples, and tuples that all tools read."""
+
+from collections.abc import Iterator
+from typing import Any
+
+from fastapi import FastAPI
+
+from service.http.problems import KINDS, MEDIA_TYPE, problem_body
+from service.http.routing import refusals_of
+from service.openapi.examples import REQUESTS, SCHEMAS
+
+DESCRIPTION = """\
+Send a tree (a mesh, photos, a Gaussian splat or a scan), ask for its motion, wait, download it; then push it.
+
+Lengths are metres, +Z is up, times are seconds, unless a name says otherwise. Errors are problem objects (RFC 9457)
+whose `code` tells what to do; a request that may be sent again says when, in `Retry-After`."""
+
+TAGS = [
+    {"name": "uploads", "description": "Files that come in pieces, by the tus protocol, version 1.0."},
+    {"name": "assets", "description": "What jobs work on: meshes, photos, splats, scans."},
+    {"name": "jobs", "description": "Stages that run one after another: reconstruct, voxelize, diffuse, animate."},
+    {"name": "artifacts", "description": "The files that jobs make."},
+    {"name": "spectra", "description": "What a tree's motion is made of, and its surface, for viewers."},
+    {"name": "interact", "description": "Forces in, motion out; nothing is kept between calls."},
+    {"name": "webhooks", "description": "Addresses that are told when jobs end."},
+    {"name": "keys", "description": "Who may call."},
+    {"name": "catalogue", "description": "Models, limits, and what was used."},
+    {"name": "health", "description": "For probes and balancers."},
+]
+KEY = {"type": "http", "scheme": "bearer", "description": "where the service asks for keys"}
+DOORS = ("unauthorized", "forbidden", "rate-limited")  # what every route under /v1 may answer before it is asked
+SERVERS = [{"url": "/", "description": "where this page came from"}]
+
+Page = dict[str, Any]
+
+
+def described(app: FastAPI) -> Page:
+    """The application's page, with examples, and tuples that every reader understands."""
+    if app.openapi_schema is None:
+        page = FastAPI.openapi(app)
+        schemas = page["components"]["schemas"]
+        for path, item in page["paths"].items():
+            if path.startswith("/v1"):
+                _add_doors(item)
+        page["components"]["securitySchemes"] = {"key": KEY}
+        page["security"] = [{}, {"key": []}]  # keys are asked for where the operator wants them
+        page["components"]["examples"] = _problems_named_in(page)
+        used = {tag for operation in _operations(page) for tag in operation.get("tags", [])}
+        page["tags"] = [tag for tag in TAGS if tag["name"] in used]
+        for name, example in SCHEMAS.items():
+            schemas[name]["examples"] = [example]
+        for operation in _operations(page):
+            for media, content in operation.get("requestBody", {}).get("content", {}).items():
+                if media == "application/json" and operation["operationId"] in REQUESTS:
+                    content["examples"] = REQUESTS[operation["operationId"]]
+        for node in _nodes(page):
+            if "prefixItems" in node:  # of equal kind in all our tuples; older tools only know items
+                node["items"] = node["prefixItems"][0]
+        app.openapi_schema = page
+    return app.openapi_schema
+
+
+def _add_doors(item: Page) -> None:
+    for operation in _operations({"paths": {"": item}}):
+        for status, entry in refusals_of(DOORS).items():
+            known = operation["responses"].setdefault(str(status), entry)
+            if known is not entry:
+                known["description"] = f"{known['description']}; {entry['description']}"
+                known["content"][MEDIA_TYPE]["examples"] |= entry["content"][MEDIA_TYPE]["examples"]
+
+
+def _problems_named_in(page: Page) -> Page:
+    """An example of every problem that a response names."""
+    prefix = "#/components/examples/"
+    named = {node["$ref"].removeprefix(prefix) for node in _nodes(page) if str(node.get("$ref")).startswith(prefix)}
+    detail = "What was found, and what is allowed."
+    return {
+        code: {"summary": kind.title, "value": problem_body(code, detail, request_id=None)}
+        for code, kind in KINDS.items()
+        if code in named
+    }
+
+
+def _operations(page: Page) -> Iterator[Page]:
+    for item in page["paths"].values():
+        for operation in item.values():
+            if isinstance(operation, dict) and "operationId" in operation:
+                yield operation
+
+
+def _nodes(node: object) -> Iterator[Page]:
+    """Every object in the page."""
+    if isinstance(node, dict):
+        yield node
+        for child in node.values():
+            yield from _nodes(child)
+    elif isinstance(node, list):
+        for child in node:
+            yield from _nodes(child)

@@ -1,0 +1,84 @@
+"""/v1/artifacts: the bytes, whole or in part. What is under an id never changes; its hash is its ETag."""
+
+from typing import Annotated
+from urllib.parse import quote
+
+from fastapi import APIRouter, Header, Response, status
+from fastapi.responses import StreamingResponse
+
+from jobs.errors import GoneError
+from jobs.records import ArtifactRecord
+from service.context import Ctx
+from service.http.problems import ProblemError
+from service.http.ranges import ByteRange, UnsatisfiableRangeError, matches, parse_range
+from service.http.routing import Id, headers, refusals
+
+router = APIRouter(prefix="/v1/artifacts", tags=["artifacts"])
+
+_BYTES = {"content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}
+_RESPONSES = refusals("not-found", "expired", "range-not-satisfiable") | {
+    200: {"description": "The whole file", **_BYTES, **headers(ETag="sha256 of the file", Accept_Ranges="bytes")},
+    206: {"description": "The range that was asked for", **_BYTES, **headers(Content_Range="bytes FIRST-LAST/SIZE")},
+    304: {"description": "The ETag that was sent is the file's"},
+}
+
+
+@router.get("/{id}", operation_id="getArtifact", response_class=Response, responses=_RESPONSES)
+def get_artifact(
+    id: Id,
+    context: Ctx,
+    range: Annotated[str | None, Header(description="one range of bytes; more than one gives the whole")] = None,
+    if_range: Annotated[str | None, Header(description="ETag; the range counts only if it is the file's")] = None,
+    if_none_match: Annotated[str | None, Header()] = None,
+) -> Response:
+    """Download a file, or go on with a download."""
+    artifact = context.store.artifact(id)
+    if matches(if_none_match, _etag(artifact)):
+        return Response(status_code=status.HTTP_304_NOT_MODIFIED, headers=_headers(artifact))
+    part = _asked(artifact, range, if_range)
+    if not context.artifacts.exists(artifact.sha256):
+        raise GoneError(f"the bytes of artefact {id} were removed; run the job again")
+    start, stop = (0, artifact.bytes) if part is None else (part.start, part.stop)
+    sent = _headers(artifact) | {"Content-Length": str(stop - start)}
+    if part is not None:
+        sent["Content-Range"] = f"bytes {start}-{stop - 1}/{artifact.bytes}"
+    return StreamingResponse(
+        context.artifacts.read(artifact.sha256, start=start, stop=stop),
+        status_code=status.HTTP_200_OK if part is None else status.HTTP_206_PARTIAL_CONTENT,
+        headers=sent,
+        media_type=artifact.media_type,
+    )
+
+
+@router.head("/{id}", operation_id="headArtifact", response_class=Response, responses=_RESPONSES)
+def head_artifact(id: Id, context: Ctx, if_none_match: Annotated[str | None, Header()] = None) -> Response:
+    """Size, hash and type of a file."""
+    artifact = context.store.artifact(id)
+    if matches(if_none_match, _etag(artifact)):
+        return Response(status_code=status.HTTP_304_NOT_MODIFIED, headers=_headers(artifact))
+    sent = _headers(artifact) | {"Content-Length": str(artifact.bytes)}
+    return Response(headers=sent, media_type=artifact.media_type)
+
+
+def _asked(artifact: ArtifactRecord, header: str | None, if_range: str | None) -> ByteRange | None:
+    if if_range is not None and if_range.strip() != _etag(artifact):
+        return None
+    try:
+        return parse_range(header, artifact.bytes)
+    except UnsatisfiableRangeError as error:
+        found = f"the range {header!r} lies outside of the file's {artifact.bytes:,} bytes"
+        outside = {"Content-Range": f"bytes */{artifact.bytes}"}
+        raise ProblemError("range-not-satisfiable", found, headers=outside) from error
+
+
+def _etag(artifact: ArtifactRecord) -> str:
+    return f'"{artifact.sha256}"'
+
+
+def _headers(artifact: ArtifactRecord) -> dict[str, str]:
+    return {
+        "ETag": _etag(artifact),
+        "Accept-Ranges": "bytes",
+        "Cache-Control": "private, max-age=86400, immutable",
+        "Content-Disposition": f"attachment; filename*=UTF-8''{quote(artifact.name)}",
+    }

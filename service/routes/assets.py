@@ -1,0 +1,190 @@
+"""/v1/assets: what jobs work on."""
+
+import shutil
+from pathlib import Path
+
+from fastapi import APIRouter, Request, Response, status
+from fastapi.exceptions import RequestValidationError
+from pydantic import ValidationError
+from starlette.concurrency import run_in_threadpool
+
+from dynamictree.formats.suffixes import CLOUD_SUFFIXES, MASK_NAME, MESH_SUFFIXES, PHOTO_SUFFIXES
+from jobs import assets as asset_rows
+from jobs.records import AssetRecord
+from jobs.states import ASSET_KINDS
+from jobs.store import new_id
+from jobs.uploads import UploadRecord, add_upload, upload
+from service.context import Context, Ctx
+from service.http.multipart import receive_form
+from service.http.problems import ProblemError
+from service.http.routing import Id, headers, refusals
+from service.schemas.assets import UP_AXES, AssetPayload, AssetRequest, UploadPayload, asset_payload, upload_payload
+from service.uploads.ingest import make_asset, name_of_url
+from service.uploads.intake import FIELDS, admit, sort_out
+from service.uploads.quota import require_bytes
+
+router = APIRouter(prefix="/v1/assets", tags=["assets"])
+
+_FORM = {
+    "requestBody": {
+        "required": True,
+        "description": f"One mesh ({', '.join(MESH_SUFFIXES)}) and what it names (MTL, textures); or one splat or scan "
+        f"({', '.join(CLOUD_SUFFIXES)}), with a mesh that lies where it lies and a {MASK_NAME} if you have them (one "
+        "bool a Gaussian: where it may move); or 8 to 300 "
+        f"photos ({', '.join(PHOTO_SUFFIXES)}), as parts with filenames; or one zip of either.",
+        "content": {
+            "application/json": {"schema": AssetRequest.model_json_schema()},
+            "multipart/form-data": {
+                "schema": {
+                    "type": "object",
+                    "required": ["file"],
+                    "additionalProperties": False,
+                    "properties": {
+                        "file": {
+                            "type": "array",
+                            "minItems": 1,
+                            "items": {"type": "string", "contentMediaType": "application/octet-stream"},
+                        },
+                        "kind": {
+                            "type": "string",
+                            "enum": list(ASSET_KINDS),
+                            "description": "by name if unset",
+                        },
+                        "up_axis": {
+                            "type": "string",
+                            "enum": list(UP_AXES),
+                            "description": "the format's own if unset",
+                        },
+                        "unit_m": {"type": "number", "minimum": 1e-6, "maximum": 1e6, "description": "metres a unit"},
+                    },
+                }
+            },
+        },
+    }
+}
+
+
+@router.post(
+    "",
+    operation_id="createAsset",
+    status_code=status.HTTP_201_CREATED,
+    response_model=AssetPayload,
+    openapi_extra=_FORM,
+    responses=refusals(
+        "invalid-geometry",
+        "archive-rejected",
+        "input-too-costly",
+        "unsupported-format",
+        "request-timeout",
+        "disk-full",
+        "not-found",
+        "expired",
+        "conflict",
+        "checksum-mismatch",
+        "fetch-failed",
+        "quota-exceeded",
+    )
+    | {
+        200: {"description": "The same files were sent before; the same asset", "model": AssetPayload},
+        201: {"description": "A new asset", **headers(Location="the asset")},
+        202: {
+            "description": "The address is being fetched; the upload tells of the asset",
+            "model": UploadPayload,
+            **headers(Location="the upload", Retry_After="seconds until it is worth a look"),
+        },
+    },
+)
+async def create_asset(request: Request, response: Response, context: Ctx) -> AssetPayload | Response:
+    """Send a mesh or photos, name uploads that hold them, or an address to fetch them from; that takes a while."""
+    await run_in_threadpool(require_room, context)
+    if request.headers.get("content-type", "").partition(";")[0].strip() == "application/json":
+        return await _of_uploads_or_address(request, response, context)
+    await run_in_threadpool(require_bytes, context, int(request.headers.get("content-length", "0")))
+    folder = context.settings.scratch_dir / f"upload-{new_id()}"
+    await run_in_threadpool(folder.mkdir, parents=True)
+    try:
+        form = await receive_form(request.headers.get("content-type", ""), request.stream(), folder)
+        sorted_out = await run_in_threadpool(sort_out, form, folder)
+        asset, new = await admit(context, sorted_out, folder)
+    finally:
+        await run_in_threadpool(shutil.rmtree, folder)
+    return _told(asset, new, response)
+
+
+async def _of_uploads_or_address(request: Request, response: Response, context: Context) -> AssetPayload | Response:
+    wanted = await _read_json(request, context)
+    fields = {name: str(value) for name in FIELDS if (value := getattr(wanted, name)) is not None}
+    if wanted.upload_ids is not None:
+        uploads = [await run_in_threadpool(upload, context.store, id) for id in wanted.upload_ids]
+        asset, new = await make_asset(context, uploads, fields)
+        return _told(asset, new, response)
+    assert wanted.url is not None
+    await context.outbound.check(wanted.url)  # tells at once what is wrong; what is connected to is checked again
+    now = context.store.clock()
+    record = UploadRecord(
+        id=new_id(),
+        state="fetching",
+        filename=wanted.filename or name_of_url(wanted.url),
+        options=dict(fields),
+        length=None,
+        sha256=wanted.sha256,
+        source_url=wanted.url,
+        make_asset=True,
+        created_at=now,
+        expires_at=now + context.settings.upload_retention_s,
+    )
+    record = await run_in_threadpool(add_upload, context.store, record)
+    context.ingest.wake()
+    sent = {"Location": f"/v1/uploads/{record.id}", "Retry-After": "1"}
+    return Response(upload_payload(record, 0).model_dump_json(), 202, sent, "application/json")
+
+
+async def _read_json(request: Request, context: Context) -> AssetRequest:
+    body = bytearray()
+    async for chunk in request.stream():
+        body += chunk
+        if len(body) > context.settings.max_json_bytes:
+            allowed = f"at most {context.settings.max_json_bytes:,} bytes of JSON are allowed"
+            raise ProblemError("payload-too-large", allowed, headers={"Connection": "close"})
+    try:
+        return AssetRequest.model_validate_json(bytes(body))
+    except ValidationError as error:
+        located = [{**item, "loc": ("body", *item["loc"])} for item in error.errors(include_url=False)]
+        raise RequestValidationError(located) from error
+
+
+def _told(asset: AssetRecord, new: bool, response: Response) -> AssetPayload:
+    response.headers["Location"] = f"/v1/assets/{asset.id}"
+    response.status_code = status.HTTP_201_CREATED if new else status.HTTP_200_OK
+    return asset_payload(asset)
+
+
+@router.get("/{id}", operation_id="getAsset", responses=refusals("not-found", "expired"))
+def get_asset(id: Id, context: Ctx) -> AssetPayload:
+    """What was uploaded, and what was found in it."""
+    return asset_payload(asset_rows.read_asset(context.store, id))
+
+
+@router.delete(
+    "/{id}",
+    operation_id="deleteAsset",
+    status_code=status.HTTP_204_NO_CONTENT,
+    responses=refusals("not-found", "conflict", "expired"),
+)
+def delete_asset(id: Id, context: Ctx) -> None:
+    """Forget an upload. What was made of it stays until it expires."""
+    asset_rows.delete_asset(context.store, id)
+
+
+def require_room(context: Context, wanted: int = 0) -> None:
+    """Refuse what would fill the disk.
+
+    Raises:
+        ProblemError: less than `min_free_bytes` would be left after `wanted` more.
+    """
+    scratch: Path = context.settings.scratch_dir
+    scratch.mkdir(parents=True, exist_ok=True)
+    free = shutil.disk_usage(scratch).free
+    if free - wanted < context.settings.min_free_bytes:
+        found = f"{free:,} bytes are free, {wanted:,} wanted; {context.settings.min_free_bytes:,} are kept free"
+        raise ProblemError("disk-full", found)

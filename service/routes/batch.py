@@ -1,0 +1,76 @@
+"""/v1/jobs:batch: several jobs in one request, each accepted or refused by itself."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Header, Request, Response, status
+from pydantic import Field
+
+from service.context import Context, Ctx
+from service.http.problems import REFUSALS, problem_body, problem_of, request_id_of
+from service.http.request_context import Origin, RequestOrigin
+from service.http.routing import refusals
+from service.job_creation import KEY_EXPIRES_S, accept
+from service.schemas.base import Payload, Problem
+from service.schemas.job_requests import JobRequest
+from service.schemas.jobs import JobPayload
+
+router = APIRouter(prefix="/v1", tags=["jobs"])
+
+
+class BatchRequest(Payload):
+    """Several jobs at once."""
+
+    jobs: list[JobRequest] = Field(min_length=1, max_length=100)
+
+
+class BatchItemPayload(Payload):
+    """What became of one job of a batch: the job, or why there is none."""
+
+    status: int = Field(description="what the request would have been answered by itself")
+    job: JobPayload | None
+    problem: Problem | None
+
+
+class BatchPayload(Payload):
+    """What became of a batch, in its order."""
+
+    data: list[BatchItemPayload]
+
+
+@router.post(
+    "/jobs:batch", operation_id="createJobs", status_code=status.HTTP_202_ACCEPTED, responses=refusals("forbidden")
+)
+def create_jobs(
+    body: BatchRequest,
+    request: Request,
+    context: Ctx,
+    origin: Origin,
+    idempotency_key: Annotated[
+        str | None, Header(min_length=1, max_length=128, description="the same key within 24 h gives the same jobs")
+    ] = None,
+) -> BatchPayload:
+    """Ask for several products. One that is refused keeps none of the others; each tells its own status."""
+    return BatchPayload(
+        data=[
+            _one(
+                context,
+                wanted,
+                origin,
+                None if idempotency_key is None else f"batch:{idempotency_key}:{number}",
+                request,
+            )
+            for number, wanted in enumerate(body.jobs)
+        ]
+    )
+
+
+def _one(
+    context: Context, wanted: JobRequest, origin: RequestOrigin, key: str | None, request: Request
+) -> BatchItemPayload:
+    try:
+        made = accept(context, wanted, origin, Response(), key=key, expires_s=KEY_EXPIRES_S)
+    except REFUSALS as error:
+        told = problem_of(error)
+        body = problem_body(told.code, told.detail, request_id=request_id_of(request.scope), errors=told.errors)
+        return BatchItemPayload(status=told.status_code, job=None, problem=Problem.model_validate(body))
+    return BatchItemPayload(status=status.HTTP_202_ACCEPTED, job=made, problem=None)

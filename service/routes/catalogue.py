@@ -1,0 +1,122 @@
+"""/v1/presets and /v1/limits: what may be asked for."""
+
+from functools import cache
+from importlib import resources
+
+from fastapi import APIRouter
+from pydantic import Field
+
+from dynamictree.formats import suffixes
+from service.context import Ctx
+from service.http.problems import wrong_field
+from service.http.routing import refusals
+from service.routes import interact
+from service.schemas import forces
+from service.schemas.base import MAX_FRAMES, Payload
+from service.uploads import archives, intake
+
+router = APIRouter(prefix="/v1", tags=["catalogue"])
+
+
+class PresetPayload(Payload):
+    """A trained model."""
+
+    name: str
+    bytes: int
+
+
+class PresetListPayload(Payload):
+    """The models that jobs may name."""
+
+    data: list[PresetPayload]
+
+
+class LimitsPayload(Payload):
+    """What is refused beyond. Sizes in bytes."""
+
+    mesh_formats: list[str]
+    cloud_formats: list[str]
+    photo_formats: list[str]
+    max_json_bytes: int
+    max_interact_bytes: int
+    max_multipart_bytes: int
+    min_photos: int
+    max_photos: int
+    max_photo_bytes: int
+    max_archive_entries: int
+    max_archive_ratio: int
+    max_vertices: int
+    max_faces: int
+    max_frames: int
+    max_gaussians: int
+    max_sequence_bytes: int = Field(description="of a sequence of splats")
+    max_forces: int = Field(description="of one push")
+    max_force_groups: int = Field(description="places that swing at once")
+    max_displacement_bytes: int = Field(description="of one answer in voxels, vertices or Gaussians")
+    max_queued_jobs: int
+    artifact_retention_s: float = Field(description="artefacts are kept so long [s]")
+    asset_retention_s: float = Field(description="uploads are kept so long after their last use [s]")
+
+
+@cache
+def preset_sizes() -> dict[str, int]:
+    """Models that are shipped, with the size of their weights [bytes]."""
+    weights = resources.files("dynamictree") / "weights"
+    if not weights.is_dir():
+        return {}
+    found = {
+        entry.name.removesuffix(".safetensors"): len(entry.read_bytes())
+        for entry in weights.iterdir()
+        if entry.name.endswith(".safetensors")
+    }
+    return dict(sorted(found.items()))
+
+
+def require_preset(name: str) -> None:
+    """Refuse a model that is not there.
+
+    Raises:
+        ProblemError: `name` is none of them.
+    """
+    if name not in preset_sizes():
+        detail = f"there is no preset {name!r}; there are {', '.join(preset_sizes()) or 'none'}"
+        raise wrong_field("/preset", "unknown-preset", detail)
+
+
+@router.get("/presets", operation_id="listPresets", responses=refusals())
+def list_presets() -> PresetListPayload:
+    """The models that diffuse and animate jobs may name."""
+    return PresetListPayload(data=[PresetPayload(name=name, bytes=size) for name, size in preset_sizes().items()])
+
+
+@router.get("/limits", operation_id="getLimits", responses=refusals())
+def get_limits(context: Ctx) -> LimitsPayload:
+    """Sizes, numbers and formats that are allowed."""
+    from dynamictree.gaussian.cloud import MAX_GAUSSIANS, MAX_SEQUENCE_BYTES
+    from dynamictree.mesh import MAX_FACES, MAX_VERTICES
+
+    settings = context.settings
+    return LimitsPayload(
+        mesh_formats=[suffix.lstrip(".") for suffix in suffixes.MESH_SUFFIXES],
+        cloud_formats=[suffix.lstrip(".") for suffix in suffixes.CLOUD_SUFFIXES],
+        photo_formats=[suffix.lstrip(".") for suffix in suffixes.PHOTO_SUFFIXES],
+        max_json_bytes=settings.max_json_bytes,
+        max_interact_bytes=settings.max_interact_bytes,
+        max_multipart_bytes=settings.max_multipart_bytes,
+        min_photos=suffixes.MIN_PHOTOS,
+        max_photos=suffixes.MAX_PHOTOS,
+        max_photo_bytes=intake.MAX_PHOTO_BYTES,
+        max_archive_entries=archives.MAX_ENTRIES,
+        max_archive_ratio=archives.MAX_RATIO,
+        max_vertices=MAX_VERTICES,
+        max_faces=MAX_FACES,
+        max_frames=MAX_FRAMES,
+        max_gaussians=MAX_GAUSSIANS,
+        max_sequence_bytes=MAX_SEQUENCE_BYTES,
+        max_forces=forces.MAX_FORCES,
+        max_force_groups=forces.MAX_GROUPS,
+        max_displacement_bytes=interact.MAX_DISPLACEMENT_BYTES,
+        max_queued_jobs=settings.max_queued_jobs,
+        artifact_retention_s=settings.artifact_retention_s,
+        asset_retention_s=settings.asset_retention_s,
+    )

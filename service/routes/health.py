@@ -1,0 +1,91 @@
+"""/livez and /readyz: whether the process answers, and whether what it needs does."""
+
+import logging
+from typing import Literal
+
+import sqlalchemy as sa
+from fastapi import APIRouter, Response, status
+
+from jobs.errors import StorageAwayError
+from jobs.maintenance import HOUSEKEEPER_LEASE, WORKER_LEASES, living
+from service.context import Context, Ctx
+from service.http.routing import refusals
+from service.schemas.base import Payload
+
+router = APIRouter(tags=["health"])
+logger = logging.getLogger(__name__)
+
+Check = Literal["ok", "unavailable", "full", "absent"]
+
+
+class LivePayload(Payload):
+    """The process answers."""
+
+    status: Literal["ok"] = "ok"
+
+
+class ReadyPayload(Payload):
+    """What the service stands on. `absent` workers mean that jobs wait; everything else that is not ok means 503."""
+
+    status: Literal["ready", "unready"]
+    database: Check
+    redis: Check
+    storage: Check
+    workers: Check
+    housekeeper: Check
+
+
+@router.get("/livez", operation_id="getLiveness", responses=refusals())
+async def livez() -> LivePayload:
+    """Whether the process answers."""
+    return LivePayload()
+
+
+@router.get(
+    "/readyz",
+    operation_id="getReadiness",
+    responses=refusals() | {503: {"description": "Something that the service needs is away", "model": ReadyPayload}},
+)
+def readyz(response: Response, context: Ctx) -> ReadyPayload:
+    """Whether jobs can be taken and run."""
+    database, there = _database(context)
+    checks = {"database": database, "redis": _redis(context), "storage": _storage(context)}
+    ready = all(check == "ok" for check in checks.values())
+    if not ready:
+        logger.warning("not ready", extra=checks)
+        response.status_code = status.HTTP_503_SERVICE_UNAVAILABLE
+        response.headers["Retry-After"] = "5"
+    return ReadyPayload(
+        status="ready" if ready else "unready",
+        workers="ok" if any(name.startswith(WORKER_LEASES) for name in there) else "absent",
+        housekeeper="ok" if HOUSEKEEPER_LEASE in there else "absent",
+        **checks,
+    )
+
+
+def _database(context: Context) -> tuple[Check, list[str]]:
+    try:
+        return "ok", living(context.store, "")
+    except sa.exc.SQLAlchemyError:
+        logger.warning("the database is away", exc_info=True)
+        return "unavailable", []
+
+
+def _redis(context: Context) -> Check:
+    from redis import RedisError
+
+    try:
+        context.redis.ping()
+    except RedisError:
+        logger.warning("redis is away", exc_info=True)
+        return "unavailable"
+    return "ok"
+
+
+def _storage(context: Context) -> Check:
+    try:
+        free = context.artifacts.free_bytes()
+    except (OSError, StorageAwayError):
+        logger.warning("the artefact storage is away", exc_info=True)
+        return "unavailable"
+    return "full" if free is not None and free < context.settings.min_free_bytes else "ok"

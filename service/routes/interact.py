@@ -1,0 +1,223 @@
+"""/v1/interact: push a tree. Nothing is kept between calls: state goes in, state comes out."""
+
+import json
+from collections.abc import Iterator
+from io import BytesIO
+from typing import Annotated
+
+import numpy as np
+import orjson
+from fastapi import APIRouter, Header
+from fastapi.responses import Response
+from jaxtyping import Float32
+from pydantic import Field
+from safetensors.numpy import save
+from starlette.concurrency import run_in_threadpool
+
+from dynamictree.errors import UnstableTimestep
+from dynamictree.mesh import TriangleMesh
+from dynamictree.modal.locality import default_falloff_m
+from dynamictree.modal.response import Answer, Start, answer_tensors, group_forces, respond, with_bin_zero
+from dynamictree.modal.step import State
+from dynamictree.modal.system import ModalSystem, with_physics
+from service.context import Context, Ctx
+from service.http.negotiation import JSON, NPZ, SAFETENSORS, chosen
+from service.http.problems import ProblemError
+from service.http.routing import refusals
+from service.schemas.base import Payload
+from service.schemas.forces import (
+    MAX_GROUPS,
+    Complex,
+    InteractRequest,
+    LocalityPayload,
+    Output,
+    StatePayload,
+    library_force,
+    locality_payload,
+    state_payload,
+    with_state,
+)
+from service.tree_cache import ReadyTree, bone_ties, living_tree, moving_gaussians, ready_tree, vertex_ties, with_mesh
+
+router = APIRouter(prefix="/v1/interact", tags=["interact"])
+
+MAX_DISPLACEMENT_BYTES = 128 * 1024**2
+"""Of one answer in voxels, vertices or Gaussians: 110 frames of 100,000 vertices, 33 of 100,000 Gaussians."""
+
+
+SHORT = 256
+"""Frames times groups that are answered at once; longer answers go to a thread."""
+
+
+class GroupPayload(Payload):
+    """One group's modal coordinates."""
+
+    locality: LocalityPayload | None = Field(description="null: the whole tree")
+    q: list[list[Complex]] = Field(description="[frames, K]; index = frequency bin, bin 0 is no mode and 0")
+
+
+class InteractPayload(Payload):
+    """Modal coordinates. With φ_k = 2c_k of the spectrum, u(p) = Σ_g w_g(p) Re Σ_k φ_k(p) q_{g,k}."""
+
+    spectrum_id: str
+    output: Output
+    integrator: str
+    dt_s: float
+    num_frames: int
+    frequencies_hz: list[float]
+    mass_kg: float
+    modal_mass_kg_m2: float = Field(description="m of m (q̈ + 2ζω q̇ + ω² q) = Σ conj(φ)·F")
+    groups: list[GroupPayload]
+    final_state: StatePayload = Field(description="the next call's initial_state")
+
+
+@router.post(
+    "",
+    operation_id="interact",
+    response_model=InteractPayload,
+    responses=refusals("not-found", "not-acceptable", "expired", "unstable-timestep")
+    | {
+        200: {
+            "description": "modal coordinates; voxels, vertices and gaussians in binary only (see docs/interaction.md)",
+            "content": {kind: {"schema": {"type": "string", "format": "binary"}} for kind in (SAFETENSORS, NPZ)},
+        }
+    },
+)
+async def interact(body: InteractRequest, context: Ctx, accept: Annotated[str | None, Header()] = None) -> Response:
+    """Push a tree, and read how it swings."""
+    offered = (JSON, SAFETENSORS, NPZ) if body.output == "modal" else (SAFETENSORS, NPZ)
+    media_type = chosen(accept, offered)
+    ready = living_tree(context, body.spectrum_id)
+    if ready is not None and _is_short(body):
+        return _response(body, ready, context, media_type)  # 1 to 3 ms: a thread would cost as much again
+    return await run_in_threadpool(_prepared_response, body, context, media_type)
+
+
+def _is_short(body: InteractRequest) -> bool:
+    """Whether an answer takes a few milliseconds and reads nothing."""
+    at_vertices = any(force.at is not None and force.at.vertex is not None for force in body.forces)
+    groups = len(body.forces) + (0 if body.initial_state is None else len(body.initial_state.groups))
+    return body.output == "modal" and not at_vertices and body.num_frames * max(groups, 1) <= SHORT
+
+
+def _prepared_response(body: InteractRequest, context: Context, media_type: str) -> Response:
+    return _response(body, ready_tree(context, body.spectrum_id), context, media_type)
+
+
+def _response(body: InteractRequest, ready: ReadyTree, context: Context, media_type: str) -> Response:
+    system, answer = answer_of(body, ready, context)
+    if media_type == JSON:
+        return Response(orjson.dumps(_told(body, system, answer), option=orjson.OPT_SERIALIZE_NUMPY), 200, None, JSON)
+    arrays = answer_tensors(answer)
+    if body.output == "gaussians":
+        arrays |= _gaussians(body, ready, context, answer)
+    elif body.output != "modal":
+        arrays["displacement"] = _displacement(body, ready, context, answer)
+    return Response(_packed(arrays, _facts(body, system), media_type), 200, None, media_type)
+
+
+def answer_of(body: InteractRequest, ready: ReadyTree, context: Context) -> tuple[ModalSystem, Answer]:
+    """Let the tree answer a request.
+
+    Raises:
+        InputError, NumericsError, ProblemError: the request cannot be met.
+    """
+    system = with_physics(ready.tree.system, mass_kg=body.mass_kg, damping_ratio=body.damping_ratio)
+    forces = [
+        library_force(force, system.grid, lambda: with_mesh(context, ready, body.spectrum_id)) for force in body.forces
+    ]
+    falloff = None if body.locality == "none" else body.falloff_m or default_falloff_m(system)
+    groups = group_forces(forces, falloff_m=falloff)
+    begin: Start | State = body.start
+    if body.initial_state is not None:
+        groups, begin = with_state(groups, body.initial_state, system.num_modes)
+    if len(groups) > MAX_GROUPS:
+        raise ProblemError("validation-failed", f"{len(groups)} groups of forces; at most {MAX_GROUPS} are allowed")
+    try:
+        answer = respond(
+            system, groups, dt_s=body.dt_s, num_frames=body.num_frames, integrator=body.integrator, start=begin
+        )
+    except UnstableTimestep as error:
+        raise ProblemError(error.code, str(error), extra={"max_dt_s": error.max_dt_s}) from error
+    return system, answer
+
+
+def _displacement(body: InteractRequest, ready: ReadyTree, context: Context, answer: Answer) -> np.ndarray:
+    """[T, V or N, 3] in metres."""
+    if body.output == "voxels":
+        _refuse_large(body.num_frames, len(ready.tree.system.grid), 12)
+        return np.stack(list(ready.tree.voxels(answer, warp=body.warp)))
+    mesh = with_mesh(context, ready, body.spectrum_id)
+    _refuse_large(body.num_frames, mesh.num_vertices, 12)
+    return np.stack(list(_iter_vertices(body, ready, mesh, answer)))
+
+
+def _iter_vertices(
+    body: InteractRequest, ready: ReadyTree, mesh: TriangleMesh, answer: Answer
+) -> Iterator[Float32[np.ndarray, "N 3"]]:
+    """Displacement of the mesh's vertices, frame after frame [m]."""
+    if body.warp:
+        yield from ready.tree.bent(answer, mesh.vertices, bone_ties(ready, mesh))
+    else:
+        ties = vertex_ties(ready, mesh)
+        for frame in ready.tree.voxels(answer):
+            yield ties.apply(frame)
+
+
+def _gaussians(body: InteractRequest, ready: ReadyTree, context: Context, answer: Answer) -> dict[str, np.ndarray]:
+    """Where the Gaussians are that move: `rows` [M] in the cloud, `means`, `quaternions`, `scales` [T, M, 3 or 4]."""
+    moving = moving_gaussians(context, ready, body.spectrum_id)
+    _refuse_large(body.num_frames, len(moving.rows), 40)
+    mesh = with_mesh(context, ready, body.spectrum_id)
+    posed = np.empty((body.num_frames, len(moving.rows), 10), np.float32)
+    with moving.alone:
+        for out, frame in zip(posed, _iter_vertices(body, ready, mesh, answer), strict=True):
+            moving.deformer.pose(frame, out=out)
+    return {
+        "rows": moving.rows,
+        "means": posed[..., 0:3],
+        "quaternions": posed[..., 3:7],
+        "scales": posed[..., 7:10],
+    }
+
+
+def _refuse_large(num_frames: int, num_points: int, bytes_a_point: int) -> None:
+    wanted = bytes_a_point * num_frames * num_points
+    if wanted > MAX_DISPLACEMENT_BYTES:
+        fits = MAX_DISPLACEMENT_BYTES // (bytes_a_point * num_points)
+        raise ProblemError(
+            "validation-failed",
+            f"{num_frames} frames of {num_points:,} points are {wanted:,} bytes; "
+            f"{MAX_DISPLACEMENT_BYTES:,} are allowed: ask for {fits} frames at a time, or for modal",
+        )
+
+
+def _facts(body: InteractRequest, system: ModalSystem) -> dict[str, object]:
+    return {
+        "spectrum_id": body.spectrum_id,
+        "output": body.output,
+        "integrator": body.integrator,
+        "dt_s": body.dt_s,
+        "num_frames": body.num_frames,
+        "frequencies_hz": [0.0, *(system.omega / (2 * np.pi)).tolist()],
+        "mass_kg": system.mass_kg,
+        "modal_mass_kg_m2": system.modal_mass,
+    }
+
+
+def _told(body: InteractRequest, system: ModalSystem, answer: Answer) -> dict[str, object]:
+    told = with_bin_zero(answer.q)  # [T, G, K, 2]
+    groups = [
+        {"locality": locality_payload(group.locality), "q": np.ascontiguousarray(told[:, index])}
+        for index, group in enumerate(answer.groups)
+    ]
+    return _facts(body, system) | {"groups": groups, "final_state": state_payload(answer.groups, answer.final)}
+
+
+def _packed(arrays: dict[str, np.ndarray], facts: dict[str, object], media_type: str) -> bytes:
+    told = {name: value if isinstance(value, str) else json.dumps(value) for name, value in facts.items()}
+    if media_type == SAFETENSORS:
+        return save({name: np.ascontiguousarray(array) for name, array in arrays.items()}, told)
+    stream = BytesIO()
+    np.savez(stream, allow_pickle=False, **arrays, facts=np.array(json.dumps(told)))
+    return stream.getvalue()

@@ -1,0 +1,192 @@
+"""/v1/jobs: ask for a product, look how far it is, stop it, run it again, list what it made."""
+
+import time
+from typing import Annotated
+
+from fastapi import APIRouter, Header, Path, Query, Request, Response, status
+from starlette.concurrency import run_in_threadpool
+
+from jobs.errors import ConflictError, ReusedKeyError
+from jobs.states import JobState, JobType
+from service.context import Ctx
+from service.http.prefer_wait import WaitS
+from service.http.ranges import matches
+from service.http.request_context import Origin
+from service.http.routing import Cursor, Id, headers, refusals
+from service.job_creation import KEY_EXPIRES_S, accept, accept_again, format_bytes, require_possible
+from service.job_responses import listed, look, tell
+from service.schemas.job_requests import JobRequest, RetryRequest
+from service.schemas.jobs import (
+    EstimatePayload,
+    JobListPayload,
+    JobPayload,
+    LogPayload,
+    ManifestPayload,
+    log_payload,
+    manifest_payload,
+)
+
+router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
+
+MAX_PAGE = 100
+_QUOTAS = ("forbidden", "quota-exceeded", "too-many-active-jobs")
+_REFUSALS = ("not-found", "conflict", "expired", "idempotency-key-reused", "queue-full", "disk-full", *_QUOTAS)
+_ACCEPTED = {
+    "description": "Accepted",
+    **headers(Location="the job", Retry_After="seconds until it is worth a look"),
+}
+
+
+@router.post(
+    "",
+    operation_id="createJob",
+    status_code=status.HTTP_202_ACCEPTED,
+    response_model=JobPayload,
+    responses=refusals(*_REFUSALS)
+    | {200: {"description": "validate_only: it would be accepted", "model": EstimatePayload}, 202: _ACCEPTED},
+)
+def create_job(
+    body: JobRequest,
+    response: Response,
+    context: Ctx,
+    origin: Origin,
+    validate_only: Annotated[
+        bool, Query(description="only tell whether it would be accepted, and what it takes")
+    ] = False,
+    idempotency_key: Annotated[
+        str | None, Header(min_length=1, max_length=128, description="the same key within 24 h gives the same job")
+    ] = None,
+) -> JobPayload | Response:
+    """Ask for voxels, a spectrum, a motion, or a mesh of photos. What that needs runs first, or is cached."""
+    if validate_only:
+        asset, stages = require_possible(context, body)
+        told = EstimatePayload(
+            est_seconds=context.history.stage_seconds(stages),
+            est_bytes=context.history.stage_bytes(stages),
+            format_bytes=format_bytes(body, asset),
+        )
+        return Response(told.model_dump_json(), media_type="application/json")
+    key = None if idempotency_key is None else f"post:{idempotency_key}"
+    return accept(context, body, origin, response, key=key, expires_s=KEY_EXPIRES_S)
+
+
+@router.put(
+    "/{id}",
+    operation_id="putJob",
+    status_code=status.HTTP_202_ACCEPTED,
+    responses=refusals(*_REFUSALS)
+    | {200: {"description": "The same was sent before; the same job", "model": JobPayload}, 202: _ACCEPTED},
+)
+def put_job(
+    client_id: Annotated[
+        str, Path(alias="id", pattern=r"^[A-Za-z0-9._-]{1,128}$", description="the client's own name for the job")
+    ],
+    body: JobRequest,
+    response: Response,
+    context: Ctx,
+    origin: Origin,
+) -> JobPayload:
+    """Create a job under a name of the client's; sending it again is harmless. The job's id is in the answer."""
+    try:
+        return accept(context, body, origin, response, key=f"put:{client_id}")
+    except ReusedKeyError as error:
+        raise ConflictError(str(error)) from error
+
+
+@router.post(
+    "/{id}/retry",
+    operation_id="retryJob",
+    status_code=status.HTTP_202_ACCEPTED,
+    responses=refusals(*_REFUSALS) | {202: _ACCEPTED},
+)
+def retry_job(id: Id, response: Response, context: Ctx, origin: Origin, body: RetryRequest | None = None) -> JobPayload:
+    """Run a job that has ended again, as a new job."""
+    from_stage = body.from_stage if body is not None else None
+    return accept_again(context, context.store.job(id), from_stage, origin, response)
+
+
+@router.get("", operation_id="listJobs", responses=refusals())
+def list_jobs(
+    request: Request,
+    response: Response,
+    context: Ctx,
+    state: Annotated[JobState | None, Query(description="only jobs in this state")] = None,
+    type: Annotated[JobType | None, Query(description="only jobs of this type")] = None,
+    cursor: Cursor = None,
+    limit: Annotated[int, Query(ge=1, le=MAX_PAGE, description="jobs a page")] = 20,
+) -> JobListPayload:
+    """Jobs, newest first."""
+    found = context.store.jobs(state=state, job_type=type, before=cursor, limit=limit + 1)
+    page, more = found[:limit], len(found) > limit
+    next_cursor = page[-1].id if more else None
+    if next_cursor is not None:
+        response.headers["Link"] = f'<{request.url.include_query_params(cursor=next_cursor)}>; rel="next"'
+    return JobListPayload(data=[listed(context, job) for job in page], next_cursor=next_cursor)
+
+
+@router.get(
+    "/{id}",
+    operation_id="getJob",
+    response_model=JobPayload,
+    responses=refusals("not-found", "expired")
+    | {
+        200: {
+            "description": "The job",
+            **headers(ETag="changes with the job", Retry_After="seconds, until it has ended"),
+        },
+        304: {"description": "Unchanged since the ETag that was sent"},
+    },
+)
+async def get_job(
+    id: Id,
+    response: Response,
+    context: Ctx,
+    wait_s: WaitS,
+    if_none_match: Annotated[str | None, Header(description="the ETag that was seen last")] = None,
+) -> JobPayload | Response:
+    """A job: state, stages, progress, place in the queue, products, error.
+
+    With Prefer: wait=N the answer waits for the job's end; with If-None-Match besides, for its next change.
+    """
+    job, payload = await run_in_threadpool(look, context, id, response)
+    deadline = time.monotonic() + wait_s
+    while wait_s and not job.terminal and if_none_match in {None, response.headers["ETag"]}:
+        if not await context.watching.changed(id, job.version, deadline - time.monotonic()):
+            break
+        job, payload = await run_in_threadpool(look, context, id, response)
+    told = dict(response.headers)
+    if wait_s:
+        told["Preference-Applied"] = f"wait={wait_s:g}"
+    if matches(if_none_match, told["etag"]):
+        return Response(status_code=status.HTTP_304_NOT_MODIFIED, headers=told)
+    # made here: FastAPI would check the payload once more, which takes longer than the queries
+    return Response(payload.model_dump_json(), headers=told, media_type="application/json")
+
+
+@router.post(
+    "/{id}/cancel",
+    operation_id="cancelJob",
+    status_code=status.HTTP_202_ACCEPTED,
+    responses=refusals("not-found", "conflict"),
+)
+def cancel_job(id: Id, response: Response, context: Ctx) -> JobPayload:
+    """Stop a job: at once while it waits, within one sampler step while it runs. Asking again changes nothing."""
+    return tell(context, context.store.cancel(id), response)
+
+
+@router.get("/{id}/artifacts", operation_id="listArtifacts", responses=refusals("not-found"))
+def list_artifacts(id: Id, context: Ctx) -> ManifestPayload:
+    """The files that a job made so far, with their hashes. Stages that finished stay, whatever came after them."""
+    return manifest_payload(context.store.job(id), context.store.artifacts_of(id))
+
+
+@router.get("/{id}/logs", operation_id="getJobLog", responses=refusals("not-found", "expired"))
+def get_log(
+    id: Id,
+    context: Ctx,
+    after: Annotated[int, Query(ge=0, le=2**62, description="next_after of the page before")] = 0,
+    limit: Annotated[int, Query(ge=1, le=1000, description="lines a page")] = 100,
+) -> LogPayload:
+    """What happened to a job: accepted, begun, stages, lost workers, its end. No paths, hosts or secrets."""
+    found = context.store.job_log(id, after=after, limit=limit)
+    return log_payload(found, after)

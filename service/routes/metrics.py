@@ -1,0 +1,163 @@
+"""/metrics: what Prometheus asks for.
+
+Counts of jobs come from the store, so every replica tells the same of them; requests and memory are this process's own.
+"""
+
+import logging
+import time
+from collections.abc import Iterator, Mapping
+
+import sqlalchemy as sa
+from fastapi import APIRouter, Response
+from prometheus_client import (
+    CONTENT_TYPE_LATEST,
+    CollectorRegistry,
+    Counter,
+    Histogram,
+    PlatformCollector,
+    ProcessCollector,
+    generate_latest,
+)
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily, Metric
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from jobs.counters import SECONDS, tallies
+from jobs.service_statistics import Census, census
+from jobs.states import JobState
+from service.context import Context, Ctx
+from service.http.problems import ProblemError
+from service.http.routing import refusals
+
+router = APIRouter(tags=["health"])
+logger = logging.getLogger(__name__)
+
+ON_REQUEST = Histogram(
+    "dynamictree_request_seconds",
+    "Requests by route, until the last byte of the answer",
+    ["method", "route"],
+    registry=None,
+    buckets=(0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5, 10, 60),
+)
+ON_ANSWER = Counter("dynamictree_answers", "Answers by status", ["status"], registry=None)
+
+
+@router.get(
+    "/metrics",
+    operation_id="getMetrics",
+    response_class=Response,
+    responses=refusals("storage-unavailable")
+    | {200: {"description": "Prometheus' text", "content": {"text/plain": {"schema": {"type": "string"}}}}},
+)
+def get_metrics(context: Ctx) -> Response:
+    """Counts, ages and durations for Prometheus."""
+    registry = CollectorRegistry()
+    for own in (ON_REQUEST, ON_ANSWER, StoreMetrics(context)):
+        registry.register(own)
+    ProcessCollector(registry=registry)
+    PlatformCollector(registry=registry)
+    try:
+        return Response(generate_latest(registry), media_type=CONTENT_TYPE_LATEST)
+    except sa.exc.OperationalError as error:
+        logger.warning("the database is away", exc_info=True)
+        raise ProblemError("storage-unavailable", "the database does not answer") from error
+
+
+class StoreMetrics:
+    """What the store knows, asked at the scrape."""
+
+    def __init__(self, context: Context) -> None:
+        self.context = context
+
+    def describe(self) -> list[Metric]:
+        """Nothing, so that registering asks no database."""
+        return []
+
+    def collect(self) -> Iterator[Metric]:
+        """Every family."""
+        store = self.context.store
+        with store.reading() as connection:
+            counted, now = tallies(connection), census(connection, store.clock())
+        yield from _now(now)
+        yield from _since_ever(counted)
+        free = self.context.artifacts.free_bytes()
+        if free is not None:
+            yield _gauge("storage_free_bytes", "Room left in the storage", {(): free})
+
+
+def _now(now: Census) -> Iterator[Metric]:
+    states: dict[tuple[str, ...], float] = {(str(state),): now.jobs.get(state, 0) for state in JobState}
+    yield _gauge("jobs", "Jobs whose record is kept, by state", states, ["state"])
+    lengths: dict[tuple[str, ...], float] = {(queue.name,): queue.jobs for queue in now.queues}
+    yield _gauge("queue_jobs", "Jobs that wait", lengths, ["queue"])
+    ages: dict[tuple[str, ...], float] = {(queue.name,): queue.oldest_s for queue in now.queues}
+    yield _gauge("queue_age_seconds", "How long the oldest job waits", ages, ["queue"])
+    yield _gauge("outbox_messages", "Messages not yet sent", {(): now.unsent_messages})
+    yield _gauge("workers", "Workers that are there", {(): now.workers})
+    yield _gauge("housekeeper", "Whether a housekeeper acts", {(): now.has_housekeeper})
+    yield _gauge("stored_bytes", "Bytes that are kept", {(): now.stored_bytes})
+
+
+def _since_ever(counted: dict[str, dict[str, float]]) -> Iterator[Metric]:
+    yield _counter("jobs_ended", "Jobs that ended, by state", counted.get("jobs", {}), ["state"])
+    yield _counter(
+        "attempts", "Attempts started, lost with their worker, or handed back", counted.get("attempts", {}), ["how"]
+    )
+    yield _counter(
+        "stages", "Stages done, really run or taken from the cache", counted.get("stages", {}), ["stage", "how"]
+    )
+    yield _counter("stage_bytes", "Bytes that stages made", counted.get("stage_bytes", {}), ["stage"])
+    family = HistogramMetricFamily(
+        "dynamictree_stage_seconds", "How long stages took that were really run", labels=["stage"]
+    )
+    classes = counted.get("stage_seconds_bucket", {})
+    for stage, total in counted.get("stage_seconds_sum", {}).items():
+        reached, buckets = 0.0, []
+        for bound in (*SECONDS, float("inf")):
+            reached += classes.get(f"{stage}:{bound:g}", 0.0)
+            buckets.append(("+Inf" if bound == float("inf") else f"{bound:g}", reached))
+        family.add_metric([stage], buckets=buckets, sum_value=total)
+    yield family
+
+
+def _gauge(name: str, what: str, values: Mapping[tuple[str, ...], float], labels: list[str] | None = None) -> Metric:
+    family = GaugeMetricFamily(f"dynamictree_{name}", what, labels=labels or [])
+    for key, value in values.items():
+        family.add_metric(list(key), float(value))
+    return family
+
+
+def _counter(name: str, what: str, values: Mapping[str, float], labels: list[str]) -> Metric:
+    family = CounterMetricFamily(f"dynamictree_{name}", what, labels=labels)
+    for label, value in values.items():
+        family.add_metric(label.split(":"), value)
+    return family
+
+
+class Measured:
+    """Around the routes: how long each request took. A path that is no route counts as one."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Time one request."""
+        if scope["type"] != "http":
+            await self.app(scope, receive, send)
+            return
+        began = time.perf_counter()
+        status = "none"
+
+        async def send_seen(message: Message) -> None:
+            nonlocal status
+            if message["type"] == "http.response.start":
+                status = str(message["status"])
+            await send(message)
+
+        try:
+            await self.app(scope, receive, send_seen)
+        finally:
+            route = getattr(scope.get("route"), "path", "none")
+            ON_REQUEST.labels(scope["method"] if route != "none" else "none", route).observe(
+                time.perf_counter() - began
+            )
+            ON_ANSWER.labels(status).inc()

@@ -1,0 +1,77 @@
+"""/v1/ops, and the page at /ops that shows it: how the service does, without anybody's ids."""
+
+from dataclasses import asdict
+from functools import cache
+from importlib import resources
+from typing import Literal
+
+from fastapi import APIRouter, Response
+
+from jobs.counters import tallies
+from jobs.service_statistics import census
+from service.context import Ctx
+from service.http.routing import refusals
+from service.schemas.base import Payload
+
+router = APIRouter()
+
+CONTENT_POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+_TYPES = {"index.html": "text/html", "ops.js": "text/javascript", "style.css": "text/css"}
+
+
+class QueuePayload(Payload):
+    """Jobs that wait."""
+
+    name: str
+    jobs: int
+    oldest_s: float
+
+
+class OpsPayload(Payload):
+    """The whole service at a glance."""
+
+    queues: list[QueuePayload]
+    jobs: dict[str, int]
+    attempts: dict[str, int]
+    workers: int
+    unsent_messages: int
+
+
+@router.get("/v1/ops", operation_id="getOperations", responses=refusals(), tags=["health"])
+def get_operations(context: Ctx) -> OpsPayload:
+    """Queues, jobs by state, attempts, workers; over all keys, and nothing of any one."""
+    with context.store.reading() as connection:
+        now = census(connection, context.store.clock())
+        attempts = tallies(connection).get("attempts", {})
+    return OpsPayload(
+        queues=[QueuePayload(**asdict(queue)) for queue in now.queues],
+        jobs=now.jobs,
+        attempts={how: int(number) for how, number in attempts.items()},
+        workers=now.workers,
+        unsent_messages=now.unsent_messages,
+    )
+
+
+@router.get("/ops", include_in_schema=False)
+def get_page() -> Response:
+    """The operator's page."""
+    return _sent("index.html")
+
+
+@router.get("/ops/{name}", include_in_schema=False)
+def get_part(name: Literal["ops.js", "style.css"]) -> Response:
+    """What it is made of."""
+    return _sent(name)
+
+
+def _sent(name: str) -> Response:
+    headers = {"Content-Security-Policy": CONTENT_POLICY, "Cache-Control": "no-cache"}
+    return Response(_read(name), headers=headers, media_type=_TYPES[name])
+
+
+@cache
+def _read(name: str) -> bytes:
+    return resources.files("service").joinpath("ops_page", name).read_bytes()

@@ -1,0 +1,108 @@
+"""`/` and `/web/…`: the viewer's files. Nothing in them depends on who asks, so no key is asked for."""
+
+import base64
+import gzip
+import hashlib
+import re
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from typing import Annotated
+
+from fastapi import APIRouter, Header, Response
+
+from service.http.problems import ProblemError
+from service.http.ranges import matches
+
+router = APIRouter(include_in_schema=False)
+
+MEDIA_TYPES = {
+    "html": "text/html; charset=utf-8",
+    "css": "text/css; charset=utf-8",
+    "js": "text/javascript; charset=utf-8",
+    "svg": "image/svg+xml",
+    "webp": "image/webp",
+    "glb": "model/gltf-binary",
+}
+_IMPORT_MAP = re.compile(r'<script type="importmap">(.*?)</script>', re.DOTALL)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Page:
+    """One file as it is sent."""
+
+    media_type: str
+    content: bytes
+    packed: bytes  # with gzip; the content itself where that is no smaller
+
+    @property
+    def etag(self) -> str:
+        """Changes with the content."""
+        return f'"{hashlib.sha256(self.content).hexdigest()[:32]}"'
+
+
+@router.api_route("/", methods=["GET", "HEAD"])
+def get_viewer(
+    accept_encoding: Annotated[str, Header()] = "", if_none_match: Annotated[str | None, Header()] = None
+) -> Response:
+    """The viewer."""
+    page = read_page("index.html")
+    assert page is not None
+    return _sent(page, accept_encoding, if_none_match, {"Content-Security-Policy": content_policy(page.content)})
+
+
+@router.api_route("/web/{path:path}", methods=["GET", "HEAD"])
+def get_page_file(
+    path: str,
+    accept_encoding: Annotated[str, Header()] = "",
+    if_none_match: Annotated[str | None, Header()] = None,
+) -> Response:
+    """What the viewer is made of."""
+    page = read_page(path)
+    if page is None:
+        raise ProblemError("not-found", f"the viewer has no file {path[:128]!r}")
+    return _sent(page, accept_encoding, if_none_match, {})
+
+
+def content_policy(page: bytes) -> str:
+    """What the page may load: its own files; blobs for textures and Spark's sorting worker, which is WebAssembly.
+
+    Browsers take an import map only inline, so its hash is named.
+    """
+    [import_map] = _IMPORT_MAP.findall(page.decode())
+    digest = base64.b64encode(hashlib.sha256(import_map.encode()).digest()).decode()
+    allowed = {
+        "default-src": "'none'",
+        "script-src": f"'self' 'wasm-unsafe-eval' 'sha256-{digest}'",
+        "style-src": "'self'",
+        "img-src": "'self' blob: data:",
+        "connect-src": "'self' blob: data:",
+        "worker-src": "'self' blob:",
+        "base-uri": "'none'",
+        "form-action": "'none'",
+        "frame-ancestors": "'none'",
+    }
+    return "; ".join(f"{name} {sources}" for name, sources in allowed.items())
+
+
+@cache
+def read_page(path: str) -> Page | None:
+    """A file of the package `web`, or None where there is no such file or it is none for browsers."""
+    if not re.fullmatch(r"[A-Za-z0-9_-]+(\.[A-Za-z0-9_-]+)*(/[A-Za-z0-9_-]+(\.[A-Za-z0-9_-]+)*)*", path):
+        return None
+    media_type = MEDIA_TYPES.get(path.rpartition(".")[2])
+    file = resources.files("web").joinpath(path)
+    if media_type is None or not file.is_file():
+        return None
+    content = file.read_bytes()
+    packed = gzip.compress(content, 6, mtime=0)
+    return Page(media_type=media_type, content=content, packed=min(content, packed, key=len))
+
+
+def _sent(page: Page, accept_encoding: str, if_none_match: str | None, headers: dict[str, str]) -> Response:
+    headers = headers | {"ETag": page.etag, "Cache-Control": "no-cache", "Vary": "Accept-Encoding"}
+    if matches(if_none_match, page.etag):
+        return Response(None, 304, headers)
+    if page.packed is page.content or "gzip" not in accept_encoding:
+        return Response(page.content, 200, headers, page.media_type)
+    return Response(page.packed, 200, headers | {"Content-Encoding": "gzip"}, page.media_type)

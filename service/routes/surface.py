@@ -1,0 +1,128 @@
+"""The source mesh for a program that draws it: as it was uploaded, and with the motion of its vertices."""
+
+import json
+
+import numpy as np
+from fastapi import APIRouter
+from fastapi.responses import Response
+from safetensors.numpy import save
+
+from dynamictree.mesh import TriangleMesh
+from dynamictree.modal.modes import quantised
+from dynamictree.spectrum import SparseVoxelSpectrum, bin_weights
+from service.context import Ctx
+from service.http.negotiation import SAFETENSORS
+from service.http.routing import CACHED, Id, file_of, refusals
+from service.stored_trees import load_asset_mesh, load_spectrum
+from service.tree_cache import ReadyTree, bone_ties, ready_tree, vertex_ties, with_mesh
+
+router = APIRouter(prefix="/v1", tags=["spectra"])
+
+MAX_OWN_SHAPES = 20_000
+"""Vertices up to which each moves as in the products: a few seconds of solving. Larger meshes hang on near voxels."""
+
+BONES = 4
+"""A vertex keeps its strongest ones: what a vertex shader takes in one attribute."""
+
+TIES = 4
+"""Voxels that a vertex of a large mesh hangs on."""
+
+_FILE = file_of(SAFETENSORS, "safetensors; see docs/viewer.md")
+
+
+@router.get(
+    "/assets/{id}/surface",
+    operation_id="getAssetSurface",
+    tags=["assets"],
+    response_class=Response,
+    responses=refusals("not-found", "conflict", "expired") | _FILE,
+)
+def get_asset_surface(id: Id, context: Ctx) -> Response:
+    """A mesh as it was read: metres, +Z up. Something to look at while its job runs."""
+    mesh = load_asset_mesh(context, id)
+    return _response(mesh_tensors(mesh), mesh)
+
+
+@router.get(
+    "/spectra/{id}/surface",
+    operation_id="getSurface",
+    response_class=Response,
+    responses=refusals("not-found", "expired") | _FILE,
+)
+def get_surface(id: Id, context: Ctx) -> Response:
+    """The source mesh, its vertices' motion in 16 bits, and the bones that carry them."""
+    ready = ready_tree(context, id)
+    mesh = with_mesh(context, ready, id)
+    own = mesh.num_vertices <= MAX_OWN_SHAPES
+    motion = _own_motion(ready, mesh, load_spectrum(context, id)) if own else _near_motion(ready, mesh)
+    return _response(mesh_tensors(mesh) | motion, mesh)
+
+
+def mesh_tensors(mesh: TriangleMesh) -> dict[str, np.ndarray]:
+    """What a mesh is drawn from."""
+    tensors: dict[str, np.ndarray] = {"vertices": mesh.vertices, "faces": mesh.faces}
+    for name in ("uv", "vertex_colors", "face_material"):
+        if getattr(mesh, name) is not None:
+            tensors[name] = getattr(mesh, name)
+    for index, material in enumerate(mesh.materials):
+        if material.texture_png is not None:
+            tensors[f"texture_{index}"] = np.frombuffer(material.texture_png, np.uint8)
+    return tensors
+
+
+def _own_motion(ready: ReadyTree, mesh: TriangleMesh, spectrum: SparseVoxelSpectrum) -> dict[str, np.ndarray]:
+    """A spectrum for each vertex, and the bones that carry it."""
+    from dynamictree.voxel.inextensible import hold_lengths  # brings numba
+
+    coefficients = vertex_ties(ready, mesh).apply(spectrum.coefficients)  # [N, K, 3]
+    held = hold_lengths(mesh, coefficients, spectrum.grid.voxel_size_m)  # as the products have them
+    weights = bin_weights(spectrum.num_frequencies, spectrum.num_frames)
+    shapes, scale = quantised(held * weights[:, None])  # bin 0 is the lean, the others φ_k = 2 c_k
+    carried = bone_ties(ready, mesh)
+    kept = np.argsort(-carried.weights, axis=1, kind="stable")[:, :BONES]
+    return {
+        "shapes": shapes,
+        "scale_m": scale,
+        "bone_rows": np.take_along_axis(carried.rows, kept, axis=1).astype(np.uint16),
+        "bone_weights": _bytes(np.take_along_axis(carried.weights, kept, axis=1)),
+    }
+
+
+def _near_motion(ready: ReadyTree, mesh: TriangleMesh) -> dict[str, np.ndarray]:
+    """The voxels nearest to each vertex, and their bones: a glance instead of a solve."""
+    grid, bones = ready.tree.system.grid, ready.tree.bones
+    from scipy.spatial import cKDTree  # not at start: half a second
+
+    found = cKDTree(grid.centres_m).query(mesh.vertices, k=np.arange(1, TIES + 1))
+    far, rows = np.asarray(found[0]), np.asarray(found[1])  # [N, TIES]
+    weights = np.asarray(1 / (far**2 + grid.voxel_size_m**2))
+    return {
+        "tie_rows": rows.astype(np.int32),
+        "tie_weights": _bytes(weights),
+        "bone_rows": bones.bone_of_voxel[rows].astype(np.uint16),
+        "bone_weights": _bytes(weights),
+    }
+
+
+def _bytes(weights: np.ndarray) -> np.ndarray:
+    """Weights that sum to 1 as bytes that sum to 255; what rounding leaves over goes to the first."""
+    scaled = np.rint(255 * weights / weights.sum(axis=1, keepdims=True)).astype(np.int32)
+    scaled[:, 0] += 255 - scaled.sum(axis=1)
+    result: np.ndarray = scaled.astype(np.uint8)
+    return result
+
+
+def _response(tensors: dict[str, np.ndarray], mesh: TriangleMesh) -> Response:
+    materials = [
+        {
+            "name": material.name,
+            "base_color": material.base_color,
+            "alpha_cutoff": material.alpha_cutoff,
+            "double_sided": material.double_sided,
+        }
+        for material in mesh.materials
+    ]
+    metadata = {"format": "tree-surface", "version": "1", "unit": "m", "up_axis": "+Z"}
+    metadata["materials"] = json.dumps(materials)
+    content = save({name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}, metadata)
+    return Response(content, 200, CACHED, SAFETENSORS)

@@ -1,0 +1,292 @@
+"""/v1/uploads: files in pieces, which go on at the byte after a broken connection. tus 1.0; see docs/uploads.md."""
+
+import asyncio
+import base64
+import binascii
+import time
+from email.utils import formatdate
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Header, Request, Response, status
+from starlette.concurrency import run_in_threadpool
+
+from jobs.artifacts import hash_file
+from jobs.store import new_id
+from jobs.uploads import UploadRecord, add_upload, change_upload, delete_upload, upload
+from service.context import Context, Ctx
+from service.http.middleware import TUS_VERSION
+from service.http.prefer_wait import LOOK_S, WaitS
+from service.http.problems import ProblemError, wrong_field
+from service.http.routing import Id, headers, refusals
+from service.routes.assets import require_room
+from service.schemas.assets import UploadPayload, upload_payload
+from service.uploads.intake import FIELDS, reading_options
+from service.uploads.quota import require_bytes
+from service.uploads.upload_writer import CHECKSUMS, Checksum, receive, stands_elsewhere
+
+router = APIRouter(prefix="/v1/uploads", tags=["uploads"])
+
+EXTENSIONS = ("creation", "creation-with-upload", "checksum", "expiration", "termination")
+CONTENT_TYPE = "application/offset+octet-stream"
+MAX_METADATA_CHARS = 8192
+MAX_NAME_CHARS = 255
+_HEX = frozenset("0123456789abcdef")
+
+_Version = Annotated[str | None, Header(alias="Tus-Resumable", description="1.0.0")]
+_Checksum = Annotated[str | None, Header(alias="Upload-Checksum", description="sha1 or sha256, a space, base64")]
+_BODY = {
+    "requestBody": {
+        "content": {CONTENT_TYPE: {"schema": {"type": "string", "format": "binary"}}},
+        "description": "bytes from Upload-Offset on",
+    }
+}
+_STANDS = headers(
+    Upload_Offset="bytes that are there",
+    Upload_Expires="when it is removed unless more comes",
+    Tus_Resumable="1.0.0",
+)
+_ERRORS = ("precondition-failed", "unsupported-format", "conflict", "checksum-mismatch", "request-timeout", "disk-full")
+
+
+@router.options("", operation_id="getUploadProtocol", status_code=status.HTTP_204_NO_CONTENT, responses=refusals())
+async def get_protocol(context: Ctx) -> Response:
+    """What of tus is spoken here."""
+    told = {
+        "Tus-Version": TUS_VERSION,
+        "Tus-Extension": ",".join(EXTENSIONS),
+        "Tus-Checksum-Algorithm": ",".join(CHECKSUMS),
+        "Tus-Max-Size": str(context.settings.max_upload_bytes),
+    }
+    return Response(status_code=status.HTTP_204_NO_CONTENT, headers=told)
+
+
+@router.post(
+    "",
+    operation_id="createUpload",
+    status_code=status.HTTP_201_CREATED,
+    response_class=Response,
+    openapi_extra=_BODY,
+    responses=refusals("invalid-input", "quota-exceeded", *_ERRORS)
+    | {201: {"description": "Begun", **headers(Location="the upload", Upload_Offset="bytes that are there")}},
+)
+async def create_upload(
+    request: Request,
+    context: Ctx,
+    tus_resumable: _Version = None,
+    upload_length: Annotated[str | None, Header(description="size of the file [bytes]")] = None,
+    upload_metadata: Annotated[
+        str | None,
+        Header(description="filename, kind, sha256, up_axis, unit_m, asset=auto; each a name, a space, base64"),
+    ] = None,
+    content_type: Annotated[str | None, Header()] = None,
+    upload_checksum: _Checksum = None,
+) -> Response:
+    """Begin an upload; its first bytes may come with it."""
+    _require_version(tus_resumable)
+    length = _length(upload_length, context)
+    metadata = _metadata(upload_metadata)
+    with_bytes = content_type is not None and content_type.partition(";")[0].strip() == CONTENT_TYPE
+    checksum = Checksum.of_header(upload_checksum)
+    await run_in_threadpool(_require_place, context, length)
+    now = context.store.clock()
+    record = UploadRecord(
+        id=new_id(),
+        state="receiving",
+        filename=metadata.get("filename") or metadata.get("name") or "file",
+        options={name: metadata[name] for name in FIELDS if name in metadata} | {"metadata": upload_metadata or ""},
+        length=length,
+        sha256=metadata.get("sha256"),
+        make_asset=metadata.get("asset") == "auto",
+        created_at=now,
+        expires_at=now + context.settings.upload_retention_s,
+    )
+    record = await run_in_threadpool(add_upload, context.store, record)
+    size = 0
+    if with_bytes:
+        size = await receive(context, record, request.stream(), 0, checksum)
+        record = await _kept(context, record, size)
+    sent = _standing(record, size) | {"Location": f"/v1/uploads/{record.id}"}
+    return Response(status_code=status.HTTP_201_CREATED, headers=sent)
+
+
+@router.head(
+    "/{id}",
+    operation_id="headUpload",
+    response_class=Response,
+    responses=refusals("not-found", "expired", "precondition-failed")
+    | {200: {"description": "Where it stands", **_STANDS}},
+)
+def head_upload(id: Id, context: Ctx, tus_resumable: _Version = None) -> Response:
+    """Where an upload stands."""
+    _require_version(tus_resumable)
+    record = upload(context.store, id)
+    size = context.parts.size(id) if record.state == "receiving" else record.received
+    sent = _standing(record, size) | {"Cache-Control": "no-store"}
+    if record.length is not None:
+        sent["Upload-Length"] = str(record.length)
+    if record.options.get("metadata"):
+        sent["Upload-Metadata"] = str(record.options["metadata"])
+    return Response(headers=sent)
+
+
+@router.patch(
+    "/{id}",
+    operation_id="appendToUpload",
+    status_code=status.HTTP_204_NO_CONTENT,
+    response_class=Response,
+    openapi_extra=_BODY,
+    responses=refusals("not-found", "expired", "upload-offset-conflict", *_ERRORS)
+    | {204: {"description": "Kept", **_STANDS}},
+)
+async def append_to_upload(
+    id: Id,
+    request: Request,
+    context: Ctx,
+    tus_resumable: _Version = None,
+    upload_offset: Annotated[str | None, Header(description="bytes that are there already")] = None,
+    content_type: Annotated[str | None, Header()] = None,
+    upload_checksum: _Checksum = None,
+) -> Response:
+    """Append to an upload. What came before a connection breaks is kept, unless it has a checksum of its own."""
+    _require_version(tus_resumable)
+    if content_type is None or content_type.partition(";")[0].strip() != CONTENT_TYPE:
+        raise ProblemError("unsupported-format", f"Content-Type is {content_type!r}; send {CONTENT_TYPE}")
+    if upload_offset is None or not (upload_offset.isascii() and upload_offset.isdecimal()) or len(upload_offset) > 18:
+        raise ProblemError(
+            "bad-request", f"Upload-Offset is {upload_offset!r}; send the number of bytes that are there"
+        )
+    checksum = Checksum.of_header(upload_checksum)
+    record = await run_in_threadpool(upload, context.store, id)
+    offset = int(upload_offset)
+    if record.state != "receiving":
+        if offset != record.received:
+            raise stands_elsewhere(offset, record.received)
+        return Response(status_code=status.HTTP_204_NO_CONTENT, headers=_standing(record, record.received))
+    await run_in_threadpool(require_room, context)
+    size = await receive(context, record, request.stream(), offset, checksum)
+    record = await _kept(context, record, size)
+    return Response(status_code=status.HTTP_204_NO_CONTENT, headers=_standing(record, size))
+
+
+@router.get("/{id}", operation_id="getUpload", responses=refusals("not-found", "expired"))
+async def get_upload(id: Id, context: Ctx, wait_s: WaitS) -> UploadPayload:
+    """An upload: how much is there, and the asset once there is one. Prefer: wait=N waits until that is settled."""
+    deadline = time.monotonic() + wait_s
+    while True:
+        record = await run_in_threadpool(upload, context.store, id)
+        settled = record.state in {"ready", "failed"} or (record.state == "received" and not record.make_asset)
+        if settled or time.monotonic() >= deadline:
+            break
+        await asyncio.sleep(LOOK_S)
+    size = record.received
+    if record.state == "receiving":
+        size = await run_in_threadpool(context.parts.size, id)
+    return upload_payload(record, size)
+
+
+@router.delete(
+    "/{id}",
+    operation_id="deleteUpload",
+    status_code=status.HTTP_204_NO_CONTENT,
+    response_class=Response,
+    responses=refusals("not-found", "expired", "precondition-failed"),
+)
+async def delete_upload_(id: Id, context: Ctx, tus_resumable: _Version = None) -> Response:
+    """Give an upload up. An asset that was made of it stays."""
+    _require_version(tus_resumable)
+    await run_in_threadpool(upload, context.store, id)
+    await context.receivers.take_over(id)
+    await run_in_threadpool(context.parts.delete, id)
+    await run_in_threadpool(delete_upload, context.store, id)
+    return Response(status_code=status.HTTP_204_NO_CONTENT)
+
+
+async def _kept(context: Context, record: UploadRecord, size: int) -> UploadRecord:
+    """Write down that bytes came; an upload that is whole is closed, and checked against its sha256."""
+    changes: dict[str, Any] = {
+        "received": size,
+        "expires_at": context.store.clock() + context.settings.upload_retention_s,
+    }
+    if size == record.length:
+        changes["state"] = "received"
+        if record.sha256 is not None:
+            await run_in_threadpool(_require_promised, context, record)
+    record = await run_in_threadpool(change_upload, context.store, record.id, was=("receiving",), **changes)
+    if record.state == "received" and record.make_asset:
+        context.ingest.wake()
+    return record
+
+
+def _require_promised(context: Context, record: UploadRecord) -> None:
+    folder = context.settings.scratch_dir
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"check-{new_id()}"
+    try:
+        context.parts.fetch(record.id, path)
+        digest, _ = hash_file(path)
+    finally:
+        path.unlink(missing_ok=True)
+    if digest != record.sha256:
+        context.parts.delete(record.id)
+        raise ProblemError("checksum-mismatch", f"the sha256 is {digest}, {record.sha256} was promised; send it anew")
+
+
+def _require_version(given: str | None) -> None:
+    if given != TUS_VERSION:
+        found = "is not sent" if given is None else f"is {given!r}"
+        detail = f"Tus-Resumable {found}; {TUS_VERSION} is spoken here"
+        raise ProblemError("precondition-failed", detail, headers={"Tus-Version": TUS_VERSION})
+
+
+def _length(header: str | None, context: Context) -> int:
+    if header is None or not (header.isascii() and header.isdecimal()) or len(header) > 18:
+        found = "is not sent" if header is None else f"is {header!r}"
+        raise ProblemError("bad-request", f"Upload-Length {found}; send the size of the file in bytes")
+    length, allowed = int(header), context.settings.max_upload_bytes
+    if length > allowed:
+        raise ProblemError("payload-too-large", f"Upload-Length is {length:,}; at most {allowed:,} are allowed")
+    if length == 0:
+        raise ProblemError("invalid-input", "Upload-Length is 0; an empty file is no tree")
+    return length
+
+
+def _metadata(header: str | None) -> dict[str, str]:
+    """The pairs of Upload-Metadata, those that mean something here checked."""
+    if header is not None and len(header) > MAX_METADATA_CHARS:
+        raise ProblemError("bad-request", f"Upload-Metadata has more than {MAX_METADATA_CHARS} characters")
+    found: dict[str, str] = {}
+    for pair in (header or "").split(","):
+        name, _, encoded = pair.strip().partition(" ")
+        if not name:
+            continue
+        try:
+            found[name] = base64.b64decode(encoded.strip(), validate=True).decode()
+        except (binascii.Error, ValueError) as error:
+            raise wrong_field(
+                f"metadata:{name}", "not-base64", f"the value of {name!r} is no base64 of UTF-8"
+            ) from error
+    reading_options({name: found[name] for name in FIELDS if name in found})
+    promised = found.get("sha256")
+    if promised is not None and (len(promised) != 64 or not set(promised) <= _HEX):
+        raise _wrong("sha256", "not-a-hash", "sha256 has 64 digits 0-9 a-f")
+    if found.get("asset", "auto") != "auto":
+        raise _wrong("asset", "not-allowed", f"asset is {found['asset']!r}; only auto is allowed")
+    name = found.get("filename", "")
+    if len(name) > MAX_NAME_CHARS or "\0" in name:
+        raise wrong_field(
+            "metadata:filename", "not-allowed", f"filename has at most {MAX_NAME_CHARS} characters and no NUL"
+        )
+    return found
+
+
+def _wrong(name: str, code: str, detail: str) -> ProblemError:
+    return wrong_field(f"metadata:{name}", code, detail)
+
+
+def _require_place(context: Context, length: int) -> None:
+    require_room(context, length)
+    require_bytes(context, length)
+
+
+def _standing(record: UploadRecord, size: int) -> dict[str, str]:
+    return {"Upload-Offset": str(size), "Upload-Expires": formatdate(record.expires_at, usegmt=True)}

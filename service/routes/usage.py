@@ -1,0 +1,32 @@
+"""/v1/usage: what the caller has here, and may have."""
+
+from fastapi import APIRouter
+
+from jobs.keys import Limit
+from jobs.usage import count_active, kept_bytes
+from service.context import Ctx
+from service.http.routing import refusals
+from service.schemas.base import Payload
+
+router = APIRouter(prefix="/v1", tags=["catalogue"])
+
+
+class UsagePayload(Payload):
+    """What the caller has, and may have; null where no key is asked for."""
+
+    owner: str | None
+    active_jobs: int
+    bytes: int
+    limits: dict[Limit, int] | None
+
+
+@router.get("/usage", operation_id="getUsage", responses=refusals())
+def get_usage(context: Ctx) -> UsagePayload:
+    """Jobs that have not ended, bytes that are kept, and the limits of the key."""
+    caller = context.caller
+    return UsagePayload(
+        owner=caller.owner,
+        active_jobs=count_active(context.store),
+        bytes=kept_bytes(context.store),
+        limits=dict(caller.limits) or None,
+    )

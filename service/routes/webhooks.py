@@ -1,0 +1,180 @@
+"""/v1/webhook-endpoints: who is told when a job ends. Signed as Standard Webhooks asks; see docs/webhooks.md."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Query, Response, status
+from pydantic import Field
+from starlette.concurrency import run_in_threadpool
+
+from jobs import webhooks
+from jobs.webhooks import EVENTS, Delivery, DeliveryState, Endpoint, Event
+from service.context import Ctx
+from service.http.routing import Cursor, Id, headers, refusals
+from service.schemas.base import Payload, Time, maybe_time, time_of
+
+router = APIRouter(prefix="/v1/webhook-endpoints", tags=["webhooks"])
+
+
+class EndpointRequest(Payload):
+    """An address to tell."""
+
+    url: str = Field(max_length=2048, description="https")
+    events: tuple[Event, ...] = Field(
+        default=EVENTS, max_length=len(EVENTS), description="of every job; none: only of jobs that name the endpoint"
+    )
+
+
+class EndpointPayload(Payload):
+    """An address that is told."""
+
+    id: str
+    url: str
+    events: list[Event]
+    disabled_reason: str | None
+    created_at: Time
+
+
+class EndpointWithSecretPayload(EndpointPayload):
+    """The only time that a secret is shown."""
+
+    secret: str = Field(description="whsec_ and base64: the key of HMAC-SHA256 over id.timestamp.body")
+
+
+class EndpointListPayload(Payload):
+    """Every address that is told."""
+
+    data: list[EndpointPayload]
+
+
+class TryPayload(Payload):
+    """One attempt to tell."""
+
+    at: Time
+    status: int | None = Field(description="null where no answer came")
+    detail: str
+    seconds: float
+
+
+class DeliveryPayload(Payload):
+    """A message for one address."""
+
+    id: str
+    message_id: str = Field(description="the header webhook-id; a replay has the same")
+    event: Event
+    job_id: str
+    state: DeliveryState
+    tries: list[TryPayload]
+    next_at: Time | None = Field(description="the next attempt; null once it is over")
+    created_at: Time
+
+
+class DeliveryListPayload(Payload):
+    """A page of deliveries, newest first."""
+
+    data: list[DeliveryPayload]
+    next_cursor: str | None
+
+
+@router.post(
+    "",
+    operation_id="createWebhookEndpoint",
+    status_code=status.HTTP_201_CREATED,
+    responses=refusals("conflict", "fetch-failed") | {201: {"description": "Made", **headers(Location="the endpoint")}},
+)
+async def create_endpoint(body: EndpointRequest, response: Response, context: Ctx) -> EndpointWithSecretPayload:
+    """Name an address that is told when jobs end. The secret that signs is shown here and never again."""
+    await context.outbound.check(body.url)
+    made = await run_in_threadpool(webhooks.add_endpoint, context.store, body.url, body.events)
+    response.headers["Location"] = f"/v1/webhook-endpoints/{made.id}"
+    return EndpointWithSecretPayload(**_endpoint(made).model_dump(), secret=made.secret)
+
+
+@router.get("", operation_id="listWebhookEndpoints", responses=refusals())
+def list_endpoints(context: Ctx) -> EndpointListPayload:
+    """Every address that is told."""
+    return EndpointListPayload(data=[_endpoint(endpoint) for endpoint in webhooks.endpoints(context.store)])
+
+
+@router.get("/{id}", operation_id="getWebhookEndpoint", responses=refusals("not-found"))
+def get_endpoint(id: Id, context: Ctx) -> EndpointPayload:
+    """One address that is told."""
+    return _endpoint(webhooks.endpoint(context.store, id))
+
+
+@router.put("/{id}", operation_id="putWebhookEndpoint", responses=refusals("not-found", "fetch-failed"))
+async def put_endpoint(id: Id, body: EndpointRequest, context: Ctx) -> EndpointPayload:
+    """Change address and events; an endpoint that was disabled is told again."""
+    await context.outbound.check(body.url)
+    changes = {"url": body.url, "events": list(body.events), "disabled_reason": None}
+    return _endpoint(await run_in_threadpool(webhooks.change_endpoint, context.store, id, **changes))
+
+
+@router.delete(
+    "/{id}",
+    operation_id="deleteWebhookEndpoint",
+    status_code=status.HTTP_204_NO_CONTENT,
+    responses=refusals("not-found"),
+)
+def delete_endpoint(id: Id, context: Ctx) -> None:
+    """Tell an address no more, and forget what it was told."""
+    webhooks.delete_endpoint(context.store, id)
+
+
+@router.post("/{id}/secret", operation_id="rotateWebhookSecret", responses=refusals("not-found"))
+def rotate_secret(id: Id, context: Ctx) -> EndpointWithSecretPayload:
+    """Make a new secret, shown only here. For a day the old one signs too, so that none is refused meanwhile."""
+    made = webhooks.rotate_secret(context.store, id)
+    return EndpointWithSecretPayload(**_endpoint(made).model_dump(), secret=made.secret)
+
+
+@router.get("/{id}/deliveries", operation_id="listWebhookDeliveries", responses=refusals("not-found"))
+def list_deliveries(
+    id: Id,
+    context: Ctx,
+    cursor: Cursor = None,
+    limit: Annotated[int, Query(ge=1, le=100, description="deliveries a page")] = 20,
+) -> DeliveryListPayload:
+    """What an address was told, newest first, with every attempt."""
+    found = webhooks.deliveries(context.store, id, before=cursor, limit=limit + 1)
+    page = found[:limit]
+    return DeliveryListPayload(
+        data=[_delivery(delivery) for delivery in page], next_cursor=page[-1].id if len(found) > limit else None
+    )
+
+
+@router.post(
+    "/{id}/deliveries/{delivery_id}/replay",
+    operation_id="replayWebhookDelivery",
+    status_code=status.HTTP_202_ACCEPTED,
+    responses=refusals("not-found"),
+)
+def replay_delivery(id: Id, delivery_id: str, context: Ctx) -> DeliveryPayload:
+    """Tell it again, as a new delivery of the same message: the receiver knows it by its webhook-id."""
+    return _delivery(webhooks.replay(context.store, id, delivery_id))
+
+
+def _endpoint(endpoint: Endpoint) -> EndpointPayload:
+    return EndpointPayload(
+        id=endpoint.id,
+        url=endpoint.url,
+        events=list(endpoint.events),
+        disabled_reason=endpoint.disabled_reason,
+        created_at=time_of(endpoint.created_at),
+    )
+
+
+def _delivery(delivery: Delivery) -> DeliveryPayload:
+    tries = [
+        TryPayload(at=time_of(made.at), status=made.status, detail=made.detail, seconds=made.seconds)
+        for made in delivery.log
+    ]
+    return DeliveryPayload(
+        id=delivery.id,
+        message_id=delivery.message_id,
+        event=delivery.event,
+        job_id=delivery.job_id,
+        state=delivery.state,
+        tries=tries,
+        next_at=maybe_time(delivery.next_at),
+        created_at=time_of(delivery.created_at),
+    )

@@ -1,0 +1,101 @@
+"""Bodies of assets and uploads."""
+
+from typing import Annotated, Literal, Self, get_args
+
+from pydantic import Field, model_validator
+
+from jobs.records import AssetRecord
+from jobs.states import AssetKind
+from jobs.uploads import UploadRecord, UploadState
+from service.schemas.base import ULID_PATTERN, Finite, Payload, Problem, Time, time_of, told_problem
+
+UpAxis = Literal["+X", "-X", "+Y", "-Y", "+Z", "-Z"]
+UP_AXES: tuple[UpAxis, ...] = get_args(UpAxis)
+
+
+class PartPayload(Payload):
+    """One file of an asset."""
+
+    name: str
+    sha256: str
+    bytes: int
+
+
+class AssetPayload(Payload):
+    """An upload that was read and can be used."""
+
+    id: str
+    kind: AssetKind
+    parts: list[PartPayload]
+    summary: dict[str, str | int | float | list[float] | None] = Field(
+        description="what was found in it; lengths in metres"
+    )
+    created_at: Time
+    expires_at: Time
+
+
+class AssetRequest(Payload):
+    """What to make an asset of: uploads that are whole, or an address."""
+
+    upload_ids: list[Annotated[str, Field(pattern=ULID_PATTERN)]] | None = Field(
+        default=None, min_length=1, max_length=320, description="a mesh and what it names, photos, or one zip"
+    )
+    url: str | None = Field(default=None, max_length=2048, description="https; fetched once, redirects are checked too")
+    sha256: str | None = Field(default=None, pattern="^[0-9a-f]{64}$", description="of the file at the address")
+    filename: str | None = Field(default=None, min_length=1, max_length=255, description="the address' own if unset")
+    kind: AssetKind | None = Field(default=None, description="by name if unset")
+    up_axis: UpAxis | None = Field(default=None, description="the format's own if unset")
+    unit_m: Finite | None = Field(default=None, ge=1e-6, le=1e6, description="metres a unit")
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        if (self.upload_ids is None) == (self.url is None):
+            raise ValueError("give either upload_ids or url")
+        if self.url is None and (self.sha256 or self.filename):
+            raise ValueError("sha256 and filename go with url; those of uploads are in Upload-Metadata")
+        if self.filename is not None and "\0" in self.filename:
+            raise ValueError("filename holds a NUL; leave it out")
+        return self
+
+
+class UploadPayload(Payload):
+    """A file that comes in pieces, or from an address."""
+
+    id: str
+    state: UploadState = Field(description="receiving or fetching; received; ready with an asset; failed")
+    filename: str
+    bytes_received: int
+    length: int | None = Field(description="null while an address does not tell")
+    sha256: str | None = Field(description="as promised")
+    asset_id: str | None
+    error: Problem | None
+    created_at: Time
+    expires_at: Time
+
+
+def asset_payload(asset: AssetRecord) -> AssetPayload:
+    """An asset as it is told."""
+    return AssetPayload(
+        id=asset.id,
+        kind=asset.kind,
+        parts=[PartPayload(name=part.name, sha256=part.sha256, bytes=part.bytes) for part in asset.parts],
+        summary=dict(asset.summary),
+        created_at=time_of(asset.created_at),
+        expires_at=time_of(asset.expires_at),
+    )
+
+
+def upload_payload(upload: UploadRecord, size: int) -> UploadPayload:
+    """An upload as it is told, with the bytes that are there."""
+    return UploadPayload(
+        id=upload.id,
+        state=upload.state,
+        filename=upload.filename,
+        bytes_received=size,
+        length=upload.length,
+        sha256=upload.sha256,
+        asset_id=upload.asset_id,
+        error=told_problem(upload.error_code, upload.error_message),
+        created_at=time_of(upload.created_at),
+        expires_at=time_of(upload.expires_at),
+    )

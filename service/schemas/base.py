@@ -1,0 +1,71 @@
+"""What the bodies of requests and responses have in common. Unknown fields are refused."""
+
+from datetime import UTC, datetime
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from service.http.problems import KINDS, problem_body
+
+MAX_FRAMES = 600
+
+ULID_PATTERN = "^[0-9A-HJKMNP-TV-Z]{26}$"
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Time = Annotated[datetime, Field(description="RFC 3339, UTC")]
+
+
+class Payload(BaseModel):
+    """Root of all bodies."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class WindPayload(Payload):
+    """The wind that the motion is generated for."""
+
+    speed_m_s: Finite = Field(default=5.0, ge=0, le=30, description="mean speed [m/s]")
+    direction_deg: Finite = Field(default=0.0, ge=-360, le=360, description="where it blows to, from +X towards +Y [°]")
+    gust: Finite = Field(default=0.3, ge=0, le=2, description="standard deviation of the speed over its mean")
+
+
+class FieldErrorPayload(Payload):
+    """One field that is wrong."""
+
+    pointer: str = Field(description="JSON pointer into the body, or where:name")
+    code: str
+    detail: str
+
+
+class Problem(BaseModel):
+    """RFC 9457. Some problems have members of their own besides."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+    type: str = Field(description="urn:dynamictree:problem:CODE")
+    title: str
+    status: int
+    detail: str
+    code: str
+    request_id: str | None
+    retryable: bool
+    suggestion: str
+    errors: list[FieldErrorPayload]
+
+
+def time_of(seconds: float) -> datetime:
+    """Seconds since 1970 as a time."""
+    return datetime.fromtimestamp(seconds, UTC)
+
+
+def maybe_time(seconds: float | None) -> datetime | None:
+    """A time that may not be."""
+    return None if seconds is None else time_of(seconds)
+
+
+def told_problem(code: str | None, message: str | None) -> Problem | None:
+    """What went wrong with a job or an upload, as its row has it; None where nothing did."""
+    if code is None:
+        return None
+    known = code if code in KINDS else "internal-error"
+    return Problem.model_validate(problem_body(known, message or "", request_id=None))

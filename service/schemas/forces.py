@@ -1,0 +1,208 @@
+"""What is asked of /v1/interact, and how it reads in the library's terms. Metres, newtons, seconds; +Z up."""
+
+from collections.abc import Callable
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from dynamictree.mesh import TriangleMesh
+from dynamictree.modal.force import Contact, Drag, Force, Impulse, WindField, contact_at_point, contact_at_voxel
+from dynamictree.modal.response import ForceGroup, Locality, Start, with_bin_zero
+from dynamictree.modal.step import Integrator, State
+from dynamictree.modal.system import DAMPING_RATIO
+from dynamictree.voxel.grid import VoxelGrid
+from service.http.problems import ProblemError
+from service.schemas.base import MAX_FRAMES, Finite, Payload
+
+MAX_FORCES = 32
+MAX_GROUPS = 64
+MAX_WIND_SAMPLES = 600
+LARGEST = 1e6  # of any vector's component: far beyond a storm, far below what overflows
+
+Component = Annotated[Finite, Field(ge=-LARGEST, le=LARGEST)]
+Vector = tuple[Component, Component, Component]
+Complex = Annotated[tuple[Component, Component], Field(description="real, imaginary")]
+Output = Literal["modal", "voxels", "vertices", "gaussians"]
+
+_VECTORS = {
+    "impulse": ("impulse_n_s",),
+    "drag": ("force_n", "displacement_m"),
+    "wind": ("wind_m_s",),
+}
+
+
+class AtPayload(Payload):
+    """Where a force acts: exactly one of point, vertex and voxel."""
+
+    point_m: Vector | None = Field(default=None, description="the nearest voxel to it")
+    vertex: int | None = Field(default=None, ge=0, description="index into the source mesh's vertices")
+    voxel: int | None = Field(default=None, ge=0, description="row in the spectrum's coords")
+    radius_m: Finite = Field(default=0.0, ge=0, le=1e3, description="spread evenly over the voxels within it")
+
+    @model_validator(mode="after")
+    def _one_place(self) -> "AtPayload":
+        given = [name for name in ("point_m", "vertex", "voxel") if getattr(self, name) is not None]
+        if len(given) != 1:
+            raise ValueError(f"give exactly one of point_m, vertex and voxel, not {len(given)}")
+        return self
+
+
+class ForcePayload(Payload):
+    """One push."""
+
+    kind: Literal["impulse", "drag", "wind"]
+    at: AtPayload | None = Field(default=None, description="of an impulse or a drag; wind blows everywhere")
+    impulse_n_s: Vector | None = Field(default=None, description="[N s], of an impulse")
+    force_n: Vector | None = Field(default=None, description="[N], of a drag; or displacement_m")
+    displacement_m: Vector | None = Field(
+        default=None, description="[m], of a drag: where the point would rest under the force that is then held"
+    )
+    wind_m_s: Vector | list[Vector] | None = Field(
+        default=None, description="[m/s], of wind; several are samples, evenly spaced over the duration"
+    )
+    start_s: Finite = Field(default=0.0, ge=-1e6, le=1e6, description="from the first frame of this call [s]")
+    duration_s: Finite | None = Field(
+        default=None, ge=0, le=1e6, description="[s]; unset: within one step for an impulse, to the end for others"
+    )
+
+    @model_validator(mode="after")
+    def _its_own_vector(self) -> "ForcePayload":
+        allowed = _VECTORS[self.kind]
+        every = [name for names in _VECTORS.values() for name in names]
+        given = [name for name in every if getattr(self, name) is not None]
+        if len(given) != 1 or given[0] not in allowed:
+            raise ValueError(
+                f"{self.kind} takes exactly one of {', '.join(allowed)}; given: {', '.join(given) or 'none'}"
+            )
+        if (self.at is None) != (self.kind == "wind"):
+            raise ValueError("impulse and drag need at, the place where they act; wind takes none")
+        if isinstance(self.wind_m_s, list) and not 1 <= len(self.wind_m_s) <= MAX_WIND_SAMPLES:
+            raise ValueError(f"{len(self.wind_m_s)} samples of wind; 1 to {MAX_WIND_SAMPLES} are allowed")
+        return self
+
+
+class LocalityPayload(Payload):
+    """Where a group's answer is centred, and over which length it fades."""
+
+    seed_voxel: int = Field(ge=0)
+    falloff_m: Finite = Field(gt=0, le=LARGEST)
+
+
+class GroupStatePayload(Payload):
+    """One group's coordinates: K complex numbers, index = frequency bin; bin 0 is no mode and stays 0."""
+
+    locality: LocalityPayload | None = Field(description="null: the whole tree")
+    q: list[Complex] = Field(max_length=4096)
+    q_dot: list[Complex] = Field(max_length=4096, description="[1/s]")
+
+
+class StatePayload(Payload):
+    """What one call ends with and the next begins with."""
+
+    groups: list[GroupStatePayload] = Field(max_length=MAX_GROUPS)
+
+
+class InteractRequest(Payload):
+    """Push a tree."""
+
+    spectrum_id: str = Field(max_length=64, description="from a job's result")
+    forces: list[ForcePayload] = Field(default_factory=list, max_length=MAX_FORCES)
+    damping_ratio: Finite = Field(default=DAMPING_RATIO, ge=0, le=2, description="of every mode; 1 is critical")
+    mass_kg: Finite | None = Field(default=None, gt=0, le=LARGEST, description="that moves; by the height if unset")
+    dt_s: Finite = Field(default=1 / 60, gt=0, le=10, description="of a step, which is a frame [s]")
+    num_frames: int = Field(default=60, ge=1, le=MAX_FRAMES)
+    integrator: Integrator = "exact"
+    start: Start = Field(
+        default="rest", description="without initial_state: at rest, held in equilibrium with the forces, or Davis'"
+    )
+    initial_state: StatePayload | None = Field(default=None, description="final_state of an earlier call")
+    locality: Literal["none", "geodesic"] = Field(default="geodesic", description="what a push may reach")
+    falloff_m: Finite | None = Field(default=None, gt=0, le=LARGEST, description="[m]; 15 % of the height if unset")
+    warp: bool = Field(default=False, description="bend, do not stretch; changes voxels and vertices, not modal")
+    output: Output = "modal"
+
+
+def library_force(force: ForcePayload, grid: VoxelGrid, mesh: Callable[[], TriangleMesh]) -> Force:
+    """The library's force.
+
+    Raises:
+        InputError, ProblemError: it acts nowhere on this tree.
+    """
+    if force.wind_m_s is not None:
+        samples = force.wind_m_s if isinstance(force.wind_m_s, list) else [force.wind_m_s]
+        return WindField(velocity_m_s=np.array(samples), start_s=force.start_s, duration_s=force.duration_s)
+    assert force.at is not None
+    at = _contact(force.at, grid, mesh)
+    if force.impulse_n_s is not None:
+        return Impulse(at=at, impulse_n_s=force.impulse_n_s, start_s=force.start_s, duration_s=force.duration_s or 0.0)
+    return Drag(
+        at=at,
+        force_n=force.force_n,
+        displacement_m=force.displacement_m,
+        start_s=force.start_s,
+        duration_s=force.duration_s,
+    )
+
+
+def with_state(
+    groups: tuple[ForceGroup, ...], state: StatePayload, num_modes: int
+) -> tuple[tuple[ForceGroup, ...], State]:
+    """The groups of the forces and of an earlier call's end, and the state that they begin with."""
+    kept = {_locality(group.locality): group for group in state.groups}
+    if len(kept) != len(state.groups):
+        raise ProblemError("validation-failed", "/initial_state/groups: two groups have the same locality")
+    forced = {group.locality for group in groups}
+    groups += tuple(ForceGroup(locality=locality) for locality in kept if locality not in forced)
+    rows = [_coordinates(kept.get(group.locality), num_modes) for group in groups]
+    stacked = np.stack(rows) if rows else np.zeros((0, 2, num_modes), np.complex128)
+    return groups, State(q=stacked[:, 0], q_dot=stacked[:, 1])
+
+
+def state_payload(groups: tuple[ForceGroup, ...], state: State) -> dict[str, object]:
+    """The state as it is told, as a `StatePayload` reads it."""
+    return {
+        "groups": [
+            {"locality": locality_payload(group.locality), "q": with_bin_zero(q), "q_dot": with_bin_zero(q_dot)}
+            for group, q, q_dot in zip(groups, state.q, state.q_dot, strict=True)
+        ]
+    }
+
+
+def locality_payload(locality: Locality | None) -> dict[str, object] | None:
+    """A locality as it is told."""
+    return None if locality is None else {"seed_voxel": locality.seed_voxel, "falloff_m": locality.falloff_m}
+
+
+def _contact(at: AtPayload, grid: VoxelGrid, mesh: Callable[[], TriangleMesh]) -> Contact:
+    if at.voxel is not None:
+        contact = contact_at_voxel(grid, at.voxel)
+        if at.radius_m == 0:
+            return contact
+        centre = grid.centres_m[at.voxel].tolist()
+        return contact_at_point(grid, (centre[0], centre[1], centre[2]), radius_m=at.radius_m)
+    if at.point_m is not None:
+        return contact_at_point(grid, at.point_m, radius_m=at.radius_m)
+    vertices = mesh().vertices
+    assert at.vertex is not None
+    if at.vertex >= len(vertices):
+        found = f"vertex {at.vertex} does not exist; the mesh has vertices 0 to {len(vertices) - 1}"
+        raise ProblemError("invalid-input", found)
+    x, y, z = vertices[at.vertex].tolist()
+    return contact_at_point(grid, (x, y, z), radius_m=at.radius_m)
+
+
+def _locality(payload: LocalityPayload | None) -> Locality | None:
+    return None if payload is None else Locality(seed_voxel=payload.seed_voxel, falloff_m=payload.falloff_m)
+
+
+def _coordinates(group: GroupStatePayload | None, num_modes: int) -> np.ndarray:
+    """Q and q̇ without bin 0, [2, M]; zero for a group that is new."""
+    if group is None:
+        return np.zeros((2, num_modes), np.complex128)
+    for name, values in (("q", group.q), ("q_dot", group.q_dot)):
+        if len(values) != num_modes + 1:
+            found = f"{name} has {len(values)} numbers; this spectrum has {num_modes + 1} bins"
+            raise ProblemError("validation-failed", f"/initial_state/groups: {found}")
+    told = np.array([group.q, group.q_dot])  # [2, K, 2]
+    return np.asarray(told[:, 1:, 0] + 1j * told[:, 1:, 1])

@@ -1,0 +1,203 @@
+"""Bodies that tell of jobs and of what they made."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from jobs.job_log import Level, LogLine
+from jobs.products import MESH, SPECTRUM, VOXELS
+from jobs.records import ArtifactRecord, JobRecord
+from jobs.states import JobState, JobType, Priority, StageState
+from service.schemas.base import Payload, Problem, Time, maybe_time, time_of, told_problem
+
+
+class StagePayload(Payload):
+    """One stage of a job."""
+
+    name: JobType
+    state: StageState
+    progress: float = Field(ge=0, le=1)
+    cached: bool = Field(description="taken from an earlier job with the same inputs")
+    started_at: Time | None
+    finished_at: Time | None
+
+
+class ResultPayload(Payload):
+    """Where the products are."""
+
+    mesh_id: str | None = Field(description="artefact of the reconstructed mesh")
+    voxels_id: str | None
+    spectrum_id: str | None = Field(description="for /v1/spectra and /v1/interact")
+    artifacts_url: str
+
+
+class JobPayload(Payload):
+    """A job as it is now."""
+
+    id: str
+    type: JobType
+    state: JobState
+    asset_id: str
+    preset: str
+    seed: int
+    params: dict[str, object]
+    attempt: int
+    progress: float = Field(ge=0, le=1, description="mean over the stages")
+    queue_position: int | None = Field(description="jobs before this one; null once it has begun")
+    eta_s: float | None = Field(description="null where it is not known")
+    stages: list[StagePayload]
+    result: ResultPayload | None = Field(description="what is there so far; null before the first product")
+    error: Problem | None
+    priority: Priority
+    webhook: str | None
+    retry_of: str | None
+    start_deadline_at: Time | None
+    created_at: Time
+    started_at: Time | None
+    finished_at: Time | None
+    expires_at: Time | None = Field(description="when its record is removed; null until it has ended")
+
+
+class JobListPayload(Payload):
+    """A page of jobs, newest first."""
+
+    data: list[JobPayload]
+    next_cursor: str | None
+
+
+class EstimatePayload(Payload):
+    """A request that would be accepted, and what it would take."""
+
+    valid: Literal[True] = True
+    est_seconds: float | None = Field(description="median of this service's own history [s]; null without one")
+    est_bytes: int | None = Field(description="of all products, likewise")
+    format_bytes: dict[str, int] = Field(description="of the products whose size is known before they are made")
+
+
+class LogLinePayload(Payload):
+    """One line of a job's log."""
+
+    id: int = Field(description="for `after`")
+    at: Time
+    level: Level
+    message: str
+    fields: dict[str, object]
+
+
+class LogPayload(Payload):
+    """What happened to a job, oldest first."""
+
+    data: list[LogLinePayload]
+    next_after: int = Field(description="send as `after` to go on")
+
+
+class ArtifactPayload(Payload):
+    """A file to download."""
+
+    id: str
+    name: str
+    stage: JobType
+    media_type: str
+    bytes: int
+    sha256: str
+    url: str
+    facts: dict[str, int | float] = Field(
+        default_factory=dict, description="where a file is not exact, how far it is from the motion; [m] as _m says"
+    )
+    created_at: Time
+    expires_at: Time
+
+
+class ManifestPayload(Payload):
+    """What a job offers."""
+
+    job_id: str
+    complete: bool = Field(description="whether the job has succeeded and nothing will be added")
+    artifacts: list[ArtifactPayload]
+
+
+def job_payload(
+    job: JobRecord,
+    artifacts: list[ArtifactRecord],
+    *,
+    queue_position: int | None,
+    eta_s: float | None,
+    retention_s: float,
+) -> JobPayload:
+    """A job as it is told."""
+    stages = [
+        StagePayload(
+            name=stage.name,
+            state=stage.state,
+            progress=stage.progress,
+            cached=stage.cached,
+            started_at=maybe_time(stage.started_at),
+            finished_at=maybe_time(stage.finished_at),
+        )
+        for stage in job.stages
+    ]
+    return JobPayload(
+        id=job.id,
+        type=job.type,
+        state=job.state,
+        asset_id=job.asset_id,
+        preset=job.preset,
+        seed=job.seed,
+        params=dict(job.params),
+        attempt=job.attempt,
+        progress=sum(stage.progress for stage in stages) / len(stages),
+        queue_position=queue_position,
+        eta_s=eta_s,
+        stages=stages,
+        result=_result(job, artifacts),
+        error=told_problem(job.error_code, job.error_message),
+        priority=job.priority,
+        webhook=job.webhook_id,
+        retry_of=job.retry_of,
+        start_deadline_at=maybe_time(job.start_deadline),
+        created_at=time_of(job.created_at),
+        started_at=maybe_time(job.started_at),
+        finished_at=maybe_time(job.finished_at),
+        expires_at=maybe_time(None if job.finished_at is None else job.finished_at + retention_s),
+    )
+
+
+def _result(job: JobRecord, artifacts: list[ArtifactRecord]) -> ResultPayload | None:
+    if not artifacts:
+        return None
+    ids = {artifact.name: artifact.id for artifact in artifacts}
+    return ResultPayload(
+        mesh_id=ids.get(MESH),
+        voxels_id=ids.get(VOXELS),
+        spectrum_id=ids.get(SPECTRUM),
+        artifacts_url=f"/v1/jobs/{job.id}/artifacts",
+    )
+
+
+def log_payload(lines: list[LogLine], after: int) -> LogPayload:
+    """A page of a job's log as it is told; `after` is where it began."""
+    data = [
+        LogLinePayload(id=n.id, at=time_of(n.at), level=n.level, message=n.message, fields=dict(n.fields))
+        for n in lines
+    ]
+    return LogPayload(data=data, next_after=lines[-1].id if lines else after)
+
+
+def manifest_payload(job: JobRecord, artifacts: list[ArtifactRecord]) -> ManifestPayload:
+    """A job's manifest as it is told."""
+    listed = [
+        ArtifactPayload(
+            id=artifact.id,
+            name=artifact.name,
+            stage=artifact.stage,
+            media_type=artifact.media_type,
+            bytes=artifact.bytes,
+            sha256=artifact.sha256,
+            url=f"/v1/artifacts/{artifact.id}",
+            facts=dict(artifact.facts),
+            created_at=time_of(artifact.created_at),
+            expires_at=time_of(artifact.expires_at),
+        )
+        for artifact in artifacts
+    ]
+    return ManifestPayload(job_id=job.id, complete=job.state == JobState.SUCCEEDED, artifacts=listed)

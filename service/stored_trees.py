@@ -1,0 +1,105 @@
+"""Spectra, and the meshes and clouds that they were made for, from the bytes that are kept."""
+
+from io import BytesIO
+
+from pydantic import TypeAdapter
+
+from dynamictree.formats.tensors.spectrum import read_spectrum
+from dynamictree.gaussian.capture import Box, Capture
+from dynamictree.mesh import TriangleMesh
+from dynamictree.spectrum import SparseVoxelSpectrum
+from jobs.assets import read_asset
+from jobs.errors import ConflictError, GoneError, NotFoundError
+from jobs.products import MESH_BUNDLE, SPECTRUM
+from jobs.records import ArtifactRecord
+from service.context import Context
+from service.http.problems import ProblemError
+from service.http.routing import is_id
+
+
+def spectrum_artifact(context: Context, spectrum_id: str) -> ArtifactRecord:
+    """The artefact that a spectrum is.
+
+    Raises:
+        NotFoundError, GoneError: there is none, it is of another kind, or it has expired.
+    """
+    if not is_id(spectrum_id):
+        raise NotFoundError(f"there is no spectrum {spectrum_id!r}; a job's result names the one that it made")
+    artifact = context.store.artifact(spectrum_id)
+    if artifact.name != SPECTRUM:
+        raise NotFoundError(f"artefact {spectrum_id} is no spectrum but {artifact.name}")
+    return artifact
+
+
+def load_spectrum(context: Context, spectrum_id: str) -> SparseVoxelSpectrum:
+    """A spectrum with its coefficients, from memory where it was used lately.
+
+    Raises:
+        NotFoundError, GoneError: there is none, it is of another kind, or it has expired.
+    """
+    artifact = spectrum_artifact(context, spectrum_id)
+    spectrum = context.spectra.get(artifact.sha256)
+    if spectrum is None:
+        spectrum = read_spectrum(_kept(context, artifact.sha256, f"spectrum {spectrum_id}"))
+        context.spectra.put(artifact.sha256, spectrum)
+    return spectrum
+
+
+def load_source_mesh(context: Context, spectrum_id: str) -> TriangleMesh:
+    """The mesh that a spectrum was made for.
+
+    Raises:
+        NotFoundError, GoneError: there is no such spectrum, or its asset has expired.
+    """
+    artifact = spectrum_artifact(context, spectrum_id)
+    asset = read_asset(context.store, context.store.job(artifact.job_id).asset_id)
+    if asset.prepared is not None and asset.kind == "mesh":
+        return _mesh(context, asset.prepared.sha256, asset.id)
+    made = [other for other in context.store.artifacts_of(artifact.job_id) if other.name == MESH_BUNDLE]
+    if not made:
+        raise GoneError(f"the mesh of spectrum {spectrum_id} was removed; run the job again")
+    return _mesh(context, made[0].sha256, f"of spectrum {spectrum_id}")
+
+
+def load_asset_mesh(context: Context, asset_id: str) -> TriangleMesh:
+    """The mesh that an asset is.
+
+    Raises:
+        NotFoundError, GoneError: there is none, or it has expired.
+        ConflictError: the asset is of another kind.
+    """
+    asset = read_asset(context.store, asset_id)
+    if asset.kind != "mesh" or asset.prepared is None:
+        raise ConflictError(f"asset {asset_id} is no mesh but {asset.kind}; a job makes its mesh")
+    return _mesh(context, asset.prepared.sha256, asset_id)
+
+
+def load_source_cloud(context: Context, spectrum_id: str) -> tuple[Capture, Box | None]:
+    """The cloud that a spectrum was made for, and the box of its job: only what is inside moves.
+
+    Raises:
+        NotFoundError, GoneError: there is no such spectrum, or its asset has expired.
+        ProblemError: the source is no cloud.
+    """
+    from dynamictree.formats.tensors.cloud_bundle import read_cloud_bundle
+
+    job = context.store.job(spectrum_artifact(context, spectrum_id).job_id)
+    asset = read_asset(context.store, job.asset_id)
+    if asset.kind != "cloud" or asset.prepared is None:
+        found = f"this spectrum's source is of kind {asset.kind}; output gaussians needs a cloud"
+        raise ProblemError("invalid-input", f"{found}. Ask for vertices, voxels or modal")
+    capture = read_cloud_bundle(_kept(context, asset.prepared.sha256, f"cloud {asset.id}"))
+    return capture, TypeAdapter(Box | None).validate_python(job.params.get("box_m"))
+
+
+def _mesh(context: Context, digest: str, whose: str) -> TriangleMesh:
+    from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle
+
+    return read_mesh_bundle(_kept(context, digest, f"mesh {whose}"))
+
+
+def _kept(context: Context, digest: str, what: str) -> BytesIO:
+    try:
+        return BytesIO(b"".join(context.artifacts.read(digest)))
+    except FileNotFoundError as error:
+        raise GoneError(f"the bytes of {what} were removed; send it or run its job again") from error

@@ -1,0 +1,206 @@
+"""From uploads to assets: at once where someone asks, and by itself for addresses and uploads that asked for it."""
+
+import asyncio
+import logging
+import shutil
+from collections.abc import Mapping, Sequence
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING
+from urllib.parse import unquote, urlsplit
+
+import sqlalchemy as sa
+from starlette.concurrency import run_in_threadpool
+
+from jobs.artifacts import hash_file
+from jobs.assets import read_asset
+from jobs.errors import ConflictError, GoneError, OutboundError
+from jobs.records import AssetRecord
+from jobs.store import new_id
+from jobs.uploads import UploadRecord, change_upload, claim_uploads
+from service.http.multipart import Form, ReceivedFile
+from service.http.problems import REFUSALS, ProblemError, problem_of
+from service.uploads.intake import FIELDS, admit, sort_out
+
+if TYPE_CHECKING:
+    from service.context import Context
+
+logger = logging.getLogger(__name__)
+
+LEASE_S = 60.0
+LOOK_S = 5.0
+CHUNK_BYTES = 1024**2
+BATCH_BYTES = 4 * 1024**2
+
+
+async def make_asset(
+    context: "Context", uploads: Sequence[UploadRecord], fields: Mapping[str, str]
+) -> tuple[AssetRecord, bool]:
+    """Make one asset of whole uploads, or give the one that was made of them before; tell whether it is new.
+
+    Raises:
+        ConflictError: one is not whole.
+        ProblemError: they cannot be used.
+    """
+    made = {upload.asset_id for upload in uploads}
+    if len(made) == 1 and None not in made:
+        return await run_in_threadpool(read_asset, context.store, str(made.pop())), False
+    for upload in uploads:
+        if upload.state not in {"received", "failed"} or upload.length is None:
+            raise ConflictError(f"upload {upload.id} is {upload.state}; send the rest of it, or begin anew")
+    folder = context.settings.scratch_dir / f"ingest-{new_id()}"
+    await run_in_threadpool(folder.mkdir, parents=True)
+    try:
+        form = Form(fields=dict(fields), files=await run_in_threadpool(_files, context, uploads, folder))
+        asset, new = await admit(context, await run_in_threadpool(sort_out, form, folder), folder)
+    finally:
+        await run_in_threadpool(shutil.rmtree, folder)
+    for upload in uploads:
+        await run_in_threadpool(_finish, context, upload, asset)
+    return asset, new
+
+
+def _files(context: "Context", uploads: Sequence[UploadRecord], folder: Path) -> list[ReceivedFile]:
+    files = []
+    for number, upload in enumerate(uploads):
+        path = folder / f"part-{number}"
+        try:
+            context.parts.fetch(upload.id, path)
+        except FileNotFoundError as error:
+            raise GoneError(f"the bytes of upload {upload.id} were removed; begin it anew") from error
+        digest, size = hash_file(path)
+        if size != upload.length or upload.sha256 not in {None, digest}:
+            raise ProblemError(
+                "checksum-mismatch", f"upload {upload.id} has the sha256 {digest}, not what was promised"
+            )
+        files.append(ReceivedFile(name=upload.filename, path=path, sha256=digest, bytes=size))
+    return files
+
+
+def _finish(context: "Context", upload: UploadRecord, asset: AssetRecord) -> None:
+    change_upload(
+        context.store,
+        upload.id,
+        state="ready",
+        asset_id=asset.id,
+        error_code=None,
+        error_message=None,
+        expires_at=asset.expires_at,
+    )
+    context.parts.delete(upload.id)
+
+
+class Ingest:
+    """Fetches addresses and makes assets that nobody waits for. A lease in the store tells who does which."""
+
+    def __init__(self, context: "Context") -> None:
+        self.context = context
+        self._woken = asyncio.Event()
+        self._running: set[asyncio.Task[None]] = set()
+
+    def wake(self) -> None:
+        """Look at once."""
+        self._woken.set()
+
+    async def run(self) -> None:
+        """Look for work until cancelled."""
+        try:
+            while True:
+                await self._look()
+                try:
+                    async with asyncio.timeout(LOOK_S):
+                        await self._woken.wait()
+                except TimeoutError:
+                    continue
+        finally:
+            for task in self._running:
+                task.cancel()
+            await asyncio.gather(*self._running, return_exceptions=True)
+
+    async def _look(self) -> None:
+        self._woken.clear()
+        room = self.context.settings.max_fetches - len(self._running)
+        if room <= 0:
+            return
+        try:
+            claimed = await run_in_threadpool(claim_uploads, self.context.store, lease_s=LEASE_S, limit=room)
+        except sa.exc.SQLAlchemyError as error:
+            logger.warning("uploads cannot be looked for: %s", error)
+            return
+        for upload in claimed:
+            task = asyncio.create_task(self._work(upload))
+            self._running.add(task)
+            task.add_done_callback(self._done)
+
+    def _done(self, task: asyncio.Task[None]) -> None:
+        self._running.discard(task)
+        self._woken.set()
+        if not task.cancelled() and (error := task.exception()) is not None:
+            logger.error("an upload was left; its lease will run out", exc_info=error)
+
+    async def _work(self, upload: UploadRecord) -> None:
+        context = self.context.for_owner(upload.owner)
+        renewing = asyncio.create_task(self._renew(upload.id))
+        try:
+            if upload.state == "fetching":
+                upload = await fetch(context, upload)
+            options = {name: str(value) for name, value in upload.options.items() if name in FIELDS}
+            await make_asset(context, [upload], options)
+        except REFUSALS as error:
+            told = problem_of(error)
+            await run_in_threadpool(
+                change_upload,
+                context.store,
+                upload.id,
+                state="failed",
+                error_code=told.code,
+                error_message=told.detail,
+                make_asset=False,
+            )
+        finally:
+            renewing.cancel()
+
+    async def _renew(self, upload_id: str) -> None:
+        while True:
+            await asyncio.sleep(LEASE_S / 3)
+            until = self.context.store.clock() + LEASE_S
+            await run_in_threadpool(change_upload, self.context.store, upload_id, lease_until=until)
+
+
+async def fetch(context: "Context", upload: UploadRecord) -> UploadRecord:
+    """Fetch an upload's bytes from its address.
+
+    Raises:
+        OutboundError, ProblemError: it may not be called, does not answer, or has too much.
+    """
+    settings = context.settings
+    assert upload.source_url is not None
+    await run_in_threadpool(context.parts.delete, upload.id)
+    writer = await run_in_threadpool(context.parts.writer, upload.id, 0)
+    size, batch, held = 0, [], 0
+    try:
+        async with asyncio.timeout(settings.fetch_time_s), context.outbound.get(upload.source_url) as response:
+            if response.headers.get("content-encoding", "identity") != "identity":
+                raise OutboundError("the address sends a packed body though it was asked not to")
+            async for chunk in response.aiter_raw(CHUNK_BYTES):
+                size, held = size + len(chunk), held + len(chunk)
+                if size > settings.max_upload_bytes:
+                    allowed = f"at most {settings.max_upload_bytes:,} are allowed"
+                    raise ProblemError("payload-too-large", f"the file has more bytes than allowed; {allowed}")
+                batch.append(chunk)
+                if held >= BATCH_BYTES:
+                    await run_in_threadpool(writer.write, batch)
+                    batch, held = [], 0
+        if batch:
+            await run_in_threadpool(writer.write, batch)
+    except TimeoutError as error:
+        raise OutboundError(f"the file did not come within {settings.fetch_time_s:g} s") from error
+    finally:
+        await asyncio.shield(run_in_threadpool(writer.keep))
+    return await run_in_threadpool(
+        change_upload, context.store, upload.id, was=("fetching",), state="received", length=size, received=size
+    )
+
+
+def name_of_url(url: str) -> str:
+    """What a file at an address is called."""
+    return PurePosixPath(unquote(urlsplit(url).path)).name[:255].replace("\0", "") or "file"

@@ -1,0 +1,230 @@
+"""From received files to an asset: which file is the mesh, is it known already, can it be used."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from hashlib import sha256
+from pathlib import Path, PurePosixPath
+
+from starlette.concurrency import run_in_threadpool
+
+from dynamictree.formats.suffixes import (
+    CLOUD_SUFFIXES,
+    MASKS,
+    MAX_PHOTOS,
+    MESH_SUFFIXES,
+    MIN_PHOTOS,
+    PHOTO_SUFFIXES,
+    POINT_SUFFIXES,
+)
+from jobs.artifacts import hash_file
+from jobs.assets import add_asset, find_asset
+from jobs.attempts import touch_blob
+from jobs.parser_process import ParseRequest, parse
+from jobs.products import CLOUD_BUNDLE, MESH_BUNDLE
+from jobs.records import AssetPart, AssetRecord, Json
+from jobs.states import ASSET_KINDS, AssetKind
+from jobs.store import new_id
+from service.context import Context
+from service.http.multipart import Form, ReceivedFile
+from service.http.problems import ProblemError, wrong_field
+from service.schemas.assets import UP_AXES
+from service.uploads.archives import is_zip, unpack
+from service.uploads.exif_privacy import without_place
+
+CAMERA_FILES = (
+    *("transforms.json", "poses_bounds.npy"),
+    *(f"{name}.{end}" for name in ("cameras", "images", "points3D", "rigs", "frames") for end in ("txt", "bin")),
+)
+"""What may come with photos: cameras that are known."""
+MAX_PHOTO_BYTES = 30 * 1024**2
+FIELDS = ("kind", "up_axis", "unit_m")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Upload:
+    """Files that make one asset, the models first, and how to read them."""
+
+    kind: AssetKind  # whether a model is a mesh or a cloud is told by its bytes
+    num_models: int = 1
+    files: tuple[ReceivedFile, ...]
+    up_axis: str | None
+    unit_m: float | None
+
+    @property
+    def fingerprint(self) -> str:
+        """sha256 over all that decides what the asset means; names count, because files name one another."""
+        meaning = [self.kind, self.up_axis, self.unit_m, [[_beside(file.name), file.sha256] for file in self.files]]
+        return sha256(json.dumps(meaning).encode()).hexdigest()
+
+
+def sort_out(form: Form, folder: Path) -> Upload:
+    """Tell models, companions and photos apart; unpack a zip.
+
+    Raises:
+        ProblemError: a field or the set of files is not allowed.
+    """
+    up_axis, unit_m = reading_options(form.fields)
+    files = form.files
+    if len(files) == 1 and is_zip(files[0].path) and _suffix(files[0]) != ".sog":
+        files = unpack(files[0], folder)
+    if not files:
+        raise ProblemError("validation-failed", "the form has no file; send at least one part with a filename")
+    with_photos = [file for file in files if _suffix(file) in PHOTO_SUFFIXES or _is_camera_file(file)]
+    pictures = [file for file in with_photos if not _is_camera_file(file)]
+    kind = form.fields.get("kind") or ("photos" if pictures and len(with_photos) == len(files) else "mesh")
+    if kind == "photos":
+        return Upload(kind="photos", files=_photos(files), up_axis=None, unit_m=None)
+    models = _models(files)
+    beside = tuple(file for file in files if file not in models)
+    return Upload(kind="mesh", num_models=len(models), files=(*models, *beside), up_axis=up_axis, unit_m=unit_m)
+
+
+def reading_options(fields: Mapping[str, str]) -> tuple[str | None, float | None]:
+    """Up axis and unit of a form's fields.
+
+    Raises:
+        ProblemError: a field is unknown or not allowed.
+    """
+    unknown = sorted(set(fields) - set(FIELDS))
+    if unknown:
+        raise _wrong(unknown[0], "unknown-field", f"there is no field {unknown[0]!r}; {', '.join(FIELDS)} are known")
+    if fields.get("kind", "mesh") not in ASSET_KINDS:
+        raise _wrong("kind", "not-allowed", f"kind is {fields['kind']!r}; {', '.join(ASSET_KINDS)} are allowed")
+    up_axis = fields.get("up_axis")
+    if up_axis is not None and up_axis not in UP_AXES:
+        raise _wrong("up_axis", "not-allowed", f"up_axis is {up_axis!r}; {', '.join(UP_AXES)} are allowed")
+    unit_m = None
+    if "unit_m" in fields:
+        try:
+            unit_m = float(fields["unit_m"])
+        except ValueError as error:
+            raise _wrong("unit_m", "not-a-number", f"unit_m is {fields['unit_m']!r}; give metres a unit") from error
+        if not 1e-6 <= unit_m <= 1e6:
+            raise _wrong("unit_m", "out-of-range", f"unit_m is {unit_m:g}; 1e-6 to 1e6 metres a unit are allowed")
+    return up_axis, unit_m
+
+
+def _photos(files: list[ReceivedFile]) -> tuple[ReceivedFile, ...]:
+    photos = [file for file in files if not _is_camera_file(file) and not _is_mask(file)]
+    if not MIN_PHOTOS <= len(photos) <= MAX_PHOTOS:
+        raise ProblemError("invalid-input", f"there are {len(photos)} photos; {MIN_PHOTOS} to {MAX_PHOTOS} are allowed")
+    for file in files:
+        if _is_camera_file(file):
+            continue
+        if _suffix(file) not in PHOTO_SUFFIXES:
+            raise _unsupported(file, PHOTO_SUFFIXES)
+        if file.bytes > MAX_PHOTO_BYTES:
+            found = f"photo {file.name!r} has {file.bytes:,} bytes; at most {MAX_PHOTO_BYTES:,} are allowed"
+            raise ProblemError("payload-too-large", found)
+    return tuple(without_place(file) for file in files)
+
+
+def _models(files: list[ReceivedFile]) -> tuple[ReceivedFile, ...]:
+    """The mesh or cloud, or a cloud and a mesh."""
+    if len(files) == 1:
+        return (files[0],)  # whatever its name: its bytes tell
+    certain = [file for file in files if _suffix(file) in {*MESH_SUFFIXES, *CLOUD_SUFFIXES} - {*POINT_SUFFIXES}]
+    points = [file for file in files if _suffix(file) in POINT_SUFFIXES]
+    models = certain or points  # text beside a model is a note or a licence
+    if certain and points and all(_suffix(file) != ".txt" for file in points):
+        models = certain + points
+    if not models:
+        raise _unsupported(files[0], (*MESH_SUFFIXES, *CLOUD_SUFFIXES))
+    if len(models) > 2:
+        found = ", ".join(repr(file.name) for file in models[:5])
+        raise ProblemError(
+            "invalid-input",
+            f"there are {len(models)} meshes or clouds ({found}); send one, or a cloud and a mesh in the same place",
+        )
+    return tuple(models)
+
+
+async def admit(context: Context, upload: Upload, folder: Path) -> tuple[AssetRecord, bool]:
+    """Read the files in the parser's process, keep their bytes, and keep the asset; tell whether it is new.
+
+    Raises:
+        ProblemError: they cannot be used.
+    """
+    store = context.store
+    expires_at = store.clock() + context.settings.asset_retention_s
+    known = await run_in_threadpool(find_asset, store, upload.fingerprint)
+    if known is not None:
+        return await run_in_threadpool(add_asset, store, replace(known, expires_at=expires_at))
+    prepared = folder / "prepared"
+    request = ParseRequest(
+        kind=upload.kind,
+        num_models=upload.num_models,
+        names=tuple(_beside(file.name) for file in upload.files),
+        paths=tuple(file.path for file in upload.files),
+        prepared=prepared,
+        up_axis=upload.up_axis,
+        unit_m=upload.unit_m,
+        memory_bytes=context.settings.parser_memory_bytes,
+        cpu_s=context.settings.parser_cpu_s,
+    )
+    async with context.parsing:
+        answer = await parse(request, context.settings)
+    if answer.summary is None:
+        raise ProblemError(answer.code or "invalid-input", answer.message)
+    kind = answer.kind or upload.kind
+    made = None if kind == "photos" else prepared
+    return await run_in_threadpool(_keep, context, replace(upload, kind=kind), made, answer.summary, expires_at)
+
+
+def _keep(
+    context: Context, upload: Upload, prepared: Path | None, summary: Mapping[str, Json], expires_at: float
+) -> tuple[AssetRecord, bool]:
+    parts = tuple(AssetPart(name=_beside(file.name), sha256=file.sha256, bytes=file.bytes) for file in upload.files)
+    mesh = None
+    if prepared is not None:
+        digest, size = hash_file(prepared)
+        name = MESH_BUNDLE if upload.kind == "mesh" else CLOUD_BUNDLE
+        mesh = AssetPart(name=name, sha256=digest, bytes=size)
+    located = [(file.path, part) for file, part in zip(upload.files, parts, strict=True)]
+    if prepared is not None and mesh is not None:
+        located.append((prepared, mesh))
+    for path, part in located:
+        touch_blob(context.store, part.sha256, part.bytes)
+        context.artifacts.put(path, part.sha256)
+    return add_asset(
+        context.store,
+        AssetRecord(
+            id=new_id(),
+            kind=upload.kind,
+            fingerprint=replace(upload, kind="photos" if upload.kind == "photos" else "mesh").fingerprint,
+            parts=parts,
+            prepared=mesh,
+            summary=summary,
+            created_at=context.store.clock(),
+            expires_at=expires_at,
+        ),
+    )
+
+
+def _beside(name: str) -> str:
+    """The name by which another file may mean this one: relative, with forward slashes."""
+    return str(PurePosixPath(name.replace("\\", "/")))
+
+
+def _is_camera_file(file: ReceivedFile) -> bool:
+    return PurePosixPath(_beside(file.name)).name in CAMERA_FILES
+
+
+def _is_mask(file: ReceivedFile) -> bool:
+    return PurePosixPath(_beside(file.name)).parent.name == MASKS
+
+
+def _suffix(file: ReceivedFile) -> str:
+    return PurePosixPath(file.name).suffix.lower()
+
+
+def _wrong(name: str, code: str, detail: str) -> ProblemError:
+    return wrong_field(f"form:{name}", code, detail)
+
+
+def _unsupported(file: ReceivedFile, suffixes: tuple[str, ...]) -> ProblemError:
+    accepted = ", ".join(suffix.lstrip(".") for suffix in suffixes)
+    return ProblemError(
+        "unsupported-format", f"{file.name!r} is of no format that is accepted; send {accepted}, or a zip"
+    )

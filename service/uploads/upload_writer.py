@@ -1,0 +1,211 @@
+"""Bytes of one PATCH to where uploads lie. What has come stays, however it ends; one request writes at a time."""
+
+import asyncio
+import base64
+import binascii
+import hashlib
+import time
+from collections.abc import AsyncIterator
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Protocol
+
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import ClientDisconnect
+
+from jobs.artifacts import is_full
+from jobs.store import Store
+from jobs.upload_parts import PartStore, PartWriter
+from jobs.uploads import UploadRecord, change_upload, upload
+from service.http.problems import ProblemError
+
+if TYPE_CHECKING:
+    from service.context import Context
+
+BATCH_BYTES = 4 * 1024**2
+"""So much is handed to a thread at once; two batches at most are in memory."""
+
+LOOK_S = 0.5
+"""How often a request asks whether another one has taken over, which matters where there are several replicas."""
+
+TAKE_OVER_S = 5.0
+CHECKSUMS = ("sha1", "sha256")
+
+
+class Hash(Protocol):
+    """What hashlib gives."""
+
+    def update(self, content: bytes, /) -> None:
+        """Take more in."""
+
+    def digest(self) -> bytes:
+        """Give the hash so far."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Checksum:
+    """What the client says of one PATCH."""
+
+    algorithm: str
+    expected: bytes
+
+    @classmethod
+    def of_header(cls, header: str | None) -> "Checksum | None":
+        """Read `Upload-Checksum`.
+
+        Raises:
+            ProblemError: it cannot be read, or names no algorithm that is known.
+        """
+        if header is None:
+            return None
+        algorithm, _, encoded = header.strip().partition(" ")
+        if algorithm not in CHECKSUMS:
+            raise ProblemError("bad-request", f"Upload-Checksum names {algorithm!r}; {', '.join(CHECKSUMS)} are known")
+        try:
+            return cls(algorithm=algorithm, expected=base64.b64decode(encoded, validate=True))
+        except (binascii.Error, ValueError) as error:
+            raise ProblemError("bad-request", "Upload-Checksum is ALGORITHM and base64; it cannot be read") from error
+
+
+@dataclass
+class Receivers:
+    """The requests of this process that write uploads."""
+
+    writing: dict[str, asyncio.Task[object]] = field(default_factory=dict)
+    superseded: set[asyncio.Task[object]] = field(default_factory=set)
+
+    async def take_over(self, upload_id: str) -> None:
+        """End an older request to the same upload, and wait until it has kept what came."""
+        deadline = time.monotonic() + TAKE_OVER_S
+        older = self.writing.get(upload_id)
+        if older is not None and older not in self.superseded:
+            self.superseded.add(older)
+            older.cancel()
+        while upload_id in self.writing and time.monotonic() < deadline:
+            await asyncio.sleep(0.01)
+
+
+async def receive(
+    context: "Context", record: UploadRecord, body: AsyncIterator[bytes], offset: int, checksum: Checksum | None
+) -> int:
+    """Append a body to an upload; gives the bytes that are there now.
+
+    Raises:
+        ProblemError: it begins elsewhere, is too long, not what its checksum says, or another request took over.
+    """
+    receivers, task = context.receivers, asyncio.current_task()
+    assert task is not None
+    await receivers.take_over(record.id)
+    receivers.writing[record.id] = task
+    try:
+        return await _Receiver(context, record, checksum).append(body, offset)
+    except asyncio.CancelledError:
+        if task not in receivers.superseded:
+            raise
+        task.uncancel()
+        raise ProblemError("conflict", f"another request goes on with upload {record.id}") from None
+    finally:
+        receivers.superseded.discard(task)
+        if receivers.writing.get(record.id) is task:
+            del receivers.writing[record.id]
+
+
+def stands_elsewhere(offset: int, size: int) -> ProblemError:
+    """The refusal of bytes that begin at an offset where the upload does not stand."""
+    found = f"Upload-Offset is {offset:,}, the upload stands at {size:,}"
+    return ProblemError("upload-offset-conflict", found, headers={"Upload-Offset": str(size)})
+
+
+class _Receiver:
+    """One request's writing."""
+
+    def __init__(self, context: "Context", record: UploadRecord, checksum: Checksum | None) -> None:
+        assert record.length is not None
+        self.store: Store = context.store
+        self.parts: PartStore = context.parts
+        self.record = record
+        self.length = record.length
+        self.checksum = checksum
+        self.token = hashlib.sha256(f"{record.id}{time.monotonic_ns()}{id(self)}".encode()).hexdigest()
+        self.digest: Hash | None = None if checksum is None else hashlib.new(checksum.algorithm)
+
+    async def append(self, body: AsyncIterator[bytes], offset: int) -> int:
+        """Write the body; keep or discard it at the end."""
+        await run_in_threadpool(change_upload, self.store, self.record.id, was=("receiving",), writer=self.token)
+        writer = await self._open(offset)
+        size, whole = offset, False
+        try:
+            size = await self._write_all(writer, body, offset)
+            whole = True
+        except ClientDisconnect:
+            raise ProblemError("bad-request", "the connection broke before the body was whole; go on with it") from None
+        except OSError as error:
+            if is_full(error):
+                raise ProblemError("disk-full", "the disk is full; what has come was kept") from error
+            raise
+        finally:
+            await asyncio.shield(self._close(writer, whole))
+        return size
+
+    async def _open(self, offset: int) -> PartWriter:
+        deadline = time.monotonic() + TAKE_OVER_S
+        while True:
+            size = await run_in_threadpool(self.parts.size, self.record.id)
+            if size != offset:
+                raise stands_elsewhere(offset, size)
+            try:
+                return await run_in_threadpool(self.parts.writer, self.record.id, offset)
+            except BlockingIOError as error:
+                if time.monotonic() > deadline:
+                    found = f"another request writes upload {self.record.id}; try again"
+                    raise ProblemError("conflict", found) from error
+                await asyncio.sleep(0.05)
+
+    async def _write_all(self, writer: PartWriter, body: AsyncIterator[bytes], offset: int) -> int:
+        """While a thread writes one batch, the next one comes in."""
+        batch: list[bytes] = []
+        held, size, look_at = 0, offset, time.monotonic() + LOOK_S
+        writing: asyncio.Future[None] | None = None
+        loop = asyncio.get_running_loop()
+        try:
+            async for chunk in body:
+                held += len(chunk)
+                if size + held > self.length:
+                    detail = f"the upload has {self.length:,} bytes as announced, and more were sent"
+                    raise ProblemError("payload-too-large", detail, headers={"Connection": "close"})
+                batch.append(chunk)
+                if held < BATCH_BYTES:
+                    continue
+                if writing is not None:
+                    await writing
+                writing = loop.run_in_executor(None, self._write, writer, batch)
+                batch, size, held = [], size + held, 0
+                if time.monotonic() >= look_at:
+                    await self._require_ours()
+                    look_at = time.monotonic() + LOOK_S
+        finally:
+            if writing is not None:
+                await writing
+            if batch and size + held <= self.length:
+                await loop.run_in_executor(None, self._write, writer, batch)
+                size += held
+        return size
+
+    def _write(self, writer: PartWriter, batch: list[bytes]) -> None:
+        writer.write(batch)
+        if self.digest is not None:
+            for chunk in batch:
+                self.digest.update(chunk)
+
+    async def _require_ours(self) -> None:
+        now = await run_in_threadpool(upload, self.store, self.record.id)
+        if now.writer != self.token:
+            raise ProblemError("conflict", f"another request goes on with upload {self.record.id}")
+
+    async def _close(self, writer: PartWriter, whole: bool) -> None:
+        checked = self.digest is None or self.checksum is None
+        if checked or (whole and self.digest.digest() == self.checksum.expected):  # type: ignore[union-attr]
+            await run_in_threadpool(writer.keep)
+            return
+        await run_in_threadpool(writer.discard)
+        if whole:
+            raise ProblemError("checksum-mismatch", "the checksum of these bytes is another; they were dropped")

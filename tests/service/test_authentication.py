@@ -1,0 +1,187 @@
+"""Keys, owners, quotas, rates, origins: who comes in, and to what."""
+
+from collections.abc import Iterator
+
+import pytest
+from fastapi.testclient import TestClient
+from starlette.websockets import WebSocketDisconnect
+
+from jobs.keys import Limit, Scope, create_key, revoke_key
+from jobs.settings import Settings
+from service.app import create_app
+from service.context import Context
+from service.http import authentication
+from tests.service.conftest import hold, publish
+from tests.service.test_assets import OBJ, send
+from tests.service.test_uploads import TUS
+
+TREE = ("tree.obj", OBJ.replace(b"mtllib tree.mtl\n", b"").replace(b"usemtl bark\n", b""))
+
+
+@pytest.fixture
+def app_context(settings: Settings) -> Iterator[tuple[TestClient, Context]]:
+    closed = settings.model_copy(update={"keys": "required", "max_json_bytes": 4096})
+    app = create_app(closed)
+    with TestClient(app, "http://trees.example", raise_server_exceptions=False) as client:
+        yield client, app.state.context
+
+
+def keyed(
+    opened: tuple[TestClient, Context], owner: str, *, scopes: tuple[Scope, ...] = (), **limits: int
+) -> TestClient:
+    """A client of the same application that sends a key."""
+    named: dict[Limit, int] = dict(limits)  # type: ignore[arg-type]
+    chosen = {"scopes": scopes} if scopes else {}
+    _, key = create_key(opened[1].store, name="test", owner=owner, limits=named, **chosen)  # type: ignore[arg-type]
+    return TestClient(opened[0].app, "http://trees.example", headers={"Authorization": f"Bearer {key}"})
+
+
+def test_without_a_key_nothing_opens(app_context: tuple[TestClient, Context]) -> None:
+    client, _ = app_context
+    for headers in ({}, {"Authorization": "Bearer dt_wrong"}, {"Authorization": "Basic eA=="}):
+        refused = client.get("/v1/jobs", headers=headers)
+        assert (refused.status_code, refused.json()["code"]) == (401, "unauthorized")
+        assert refused.headers["WWW-Authenticate"] == "Bearer"
+        assert refused.headers["Content-Type"] == "application/problem+json"
+    assert client.get("/livez").status_code == 200
+    with pytest.raises(WebSocketDisconnect), client.websocket_connect("/v1/interact/stream"):
+        pass
+    assert keyed(app_context, "ann").get("/v1/jobs").status_code == 200
+
+
+def test_a_revoked_or_expired_key_opens_nothing(
+    app_context: tuple[TestClient, Context], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(authentication, "REMEMBERED_S", 0.0)
+    client, context = app_context
+    record, key = create_key(context.store, name="short", expires_s=100)
+    headers = {"Authorization": f"Bearer {key}"}
+    assert client.get("/v1/usage", headers=headers).json()["owner"] == record.id
+    now = context.store.clock()
+    context.store.clock = lambda: now + 101
+    assert client.get("/v1/usage", headers=headers).status_code == 401
+    context.store.clock = lambda: now
+    revoke_key(context.store, record.id)
+    assert client.get("/v1/usage", headers=headers).status_code == 401
+
+
+def test_a_key_does_only_what_its_scopes_say(app_context: tuple[TestClient, Context]) -> None:
+    reader = keyed(app_context, "ann", scopes=("read",))
+    writer = keyed(app_context, "ann", scopes=("read", "write"))
+    assert reader.get("/v1/jobs").status_code == 200
+    assert send(reader, TREE).json()["code"] == "forbidden"
+    assert reader.post("/v1/interact", json={}).json()["code"] == "forbidden"
+    asset = send(writer, TREE).json()["id"]
+    high = {"type": "voxelize", "asset_id": asset, "priority": "high"}
+    assert writer.post("/v1/jobs", json=high).json()["code"] == "forbidden"
+    assert keyed(app_context, "ann").post("/v1/jobs", json=high).status_code == 202
+
+
+def test_what_others_own_is_not_there(app_context: tuple[TestClient, Context]) -> None:
+    ann, bob = keyed(app_context, "ann"), keyed(app_context, "bob")
+    context = app_context[1]
+    asset = send(ann, TREE).json()
+    own = send(bob, TREE)
+    assert own.status_code == 201
+    assert own.json()["id"] != asset["id"]
+    body = {"type": "voxelize", "asset_id": asset["id"]}
+    job = ann.post("/v1/jobs", json=body, headers={"Idempotency-Key": "k"}).json()
+    held = hold(context, job["id"])
+    publish(context, held, "voxelize", "tree.spectrum.safetensors", b"no spectrum")
+    artifact = ann.get(f"/v1/jobs/{job['id']}/artifacts").json()["artifacts"][0]["id"]
+    upload = ann.post("/v1/uploads", headers=TUS | {"Upload-Length": "5"}).headers["Location"]
+    hook = ann.post("/v1/webhook-endpoints", json={"url": "https://203.0.113.9/", "events": []})
+    assert hook.json()["code"] == "fetch-failed"
+    theirs = [
+        ("GET", f"/v1/assets/{asset['id']}"),
+        ("DELETE", f"/v1/assets/{asset['id']}"),
+        ("GET", f"/v1/jobs/{job['id']}"),
+        ("GET", f"/v1/jobs/{job['id']}/events"),
+        ("GET", f"/v1/jobs/{job['id']}/logs"),
+        ("GET", f"/v1/jobs/{job['id']}/artifacts"),
+        ("POST", f"/v1/jobs/{job['id']}/cancel"),
+        ("POST", f"/v1/jobs/{job['id']}/retry"),
+        ("GET", f"/v1/artifacts/{artifact}"),
+        ("GET", f"/v1/spectra/{artifact}"),
+        ("GET", upload),
+        ("HEAD", upload),
+        ("DELETE", upload),
+    ]
+    for method, path in theirs:
+        assert bob.request(method, path, headers=TUS).status_code == 404, (method, path)
+        if method == "GET" and not path.endswith(("/events", artifact)):  # the one would wait for the job's end
+            assert ann.request(method, path, headers=TUS).status_code == 200, path
+    assert bob.post("/v1/jobs", json=body).status_code == 404
+    mine = bob.post("/v1/jobs", json=body | {"asset_id": own.json()["id"]}, headers={"Idempotency-Key": "k"})
+    assert mine.status_code == 202
+    assert [found["id"] for found in bob.get("/v1/jobs").json()["data"]] == [mine.json()["id"]]
+    assert bob.get("/v1/usage").json()["active_jobs"] == 1
+    assert keyed(app_context, "ann").get(f"/v1/jobs/{job['id']}").status_code == 200
+
+
+def test_an_owner_has_quotas(app_context: tuple[TestClient, Context]) -> None:
+    ann = keyed(app_context, "ann", active_jobs=2, bytes=500)
+    asset = send(ann, TREE).json()["id"]
+    body = {"type": "voxelize", "asset_id": asset}
+    first, _ = (ann.post("/v1/jobs", json=body).json() for _ in range(2))
+    third = ann.post("/v1/jobs", json=body)
+    assert (third.status_code, third.json()["code"]) == (429, "too-many-active-jobs")
+    assert third.headers["Retry-After"]
+    ann.post(f"/v1/jobs/{first['id']}/cancel")
+    assert ann.post("/v1/jobs", json=body).status_code == 202
+    large = ann.post("/v1/uploads", headers=TUS | {"Upload-Length": "500"})
+    assert (large.status_code, large.json()["code"]) == (429, "quota-exceeded")
+    used = ann.get("/v1/usage").json()
+    assert (used["active_jobs"], used["limits"]["bytes"]) == (2, 500)
+    assert used["bytes"] == len(TREE[1])
+
+
+def test_a_key_has_a_rate_and_is_told_it(app_context: tuple[TestClient, Context]) -> None:
+    ann = keyed(app_context, "ann", reads_per_min=3)
+    left = []
+    for _ in range(3):
+        told = ann.get("/v1/limits")
+        assert told.headers["RateLimit-Policy"] == '"reads";q=3;w=60'
+        left.append(told.headers["RateLimit"].split(";")[1])
+    assert left == ["r=2", "r=1", "r=0"]
+    over = ann.get("/v1/limits")
+    assert (over.status_code, over.json()["code"]) == (429, "rate-limited")
+    assert 0 < int(over.headers["Retry-After"]) <= 60
+    assert keyed(app_context, "bob").get("/v1/limits").status_code == 200
+
+
+@pytest.mark.parametrize(
+    ("headers", "server", "status"),
+    [
+        ({}, ("127.0.0.1", 8000), 200),
+        ({"Host": "127.0.0.1:8000"}, ("127.0.0.1", 8000), 200),
+        ({"Host": "[::1]:8000"}, ("::1", 8000), 200),
+        ({"Host": "evil.example"}, ("127.0.0.1", 8000), 403),
+        ({"Host": "localhost", "Origin": "https://evil.example"}, ("127.0.0.1", 8000), 403),
+        ({"Host": "localhost", "Origin": "null"}, ("127.0.0.1", 8000), 403),
+        ({"Host": "localhost", "Origin": "http://localhost"}, ("127.0.0.1", 8000), 200),
+        ({}, ("192.168.1.5", 8000), 403),
+    ],
+)
+def test_without_keys_only_this_machine_comes_in(
+    client: TestClient, headers: dict[str, str], server: tuple[str, int], status: int
+) -> None:
+    app = client.app
+
+    async def arriving(scope: dict[str, object], receive: object, send: object) -> None:
+        await app(scope | {"server": server}, receive, send)  # type: ignore[arg-type, operator]
+
+    response = TestClient(arriving, "http://localhost").get("/v1/presets", headers=headers)  # type: ignore[arg-type]
+    assert response.status_code == status, response.text
+
+
+def test_a_page_of_an_allowed_origin_may_call(settings: Settings) -> None:
+    app = create_app(settings.model_copy(update={"cors_origins": ("https://forest.example",)}))
+    client = TestClient(app, "http://localhost")
+    asked = {"Origin": "https://forest.example", "Access-Control-Request-Method": "PATCH"}
+    preflight = client.options("/v1/uploads/x", headers=asked)
+    assert preflight.headers["Access-Control-Allow-Origin"] == "https://forest.example"
+    told = client.get("/v1/presets", headers={"Origin": "https://forest.example"})
+    assert "Upload-Offset" in told.headers["Access-Control-Expose-Headers"]
+    assert "Access-Control-Allow-Origin" not in client.get("/livez", headers={"Origin": "https://evil.example"}).headers
+    assert client.get("/v1/presets", headers={"Origin": "https://evil.example"}).status_code == 403

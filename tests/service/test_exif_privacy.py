@@ -1,0 +1,78 @@
+"""A photo that is kept tells no place, and is the same picture."""
+
+from hashlib import sha256
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from service.http.multipart import ReceivedFile
+from service.uploads.exif_privacy import without_place
+
+GPS, ORIENTATION, FOCAL = 0x8825, 0x0112, 0xA405
+
+
+def received(path: Path) -> ReceivedFile:
+    content = path.read_bytes()
+    return ReceivedFile(name=path.name, path=path, sha256=sha256(content).hexdigest(), bytes=len(content))
+
+
+def photo(path: Path, *, gps: bool = True, **options: object) -> ReceivedFile:
+    exif = Image.Exif()
+    exif[ORIENTATION] = 6
+    exif.get_ifd(0x8769)[FOCAL] = 50
+    if gps:
+        exif.get_ifd(GPS).update({1: "N", 2: (48.0, 8.0, 13.25), 3: "E", 4: (11.0, 34.0, 31.5), 29: "2026:11:21"})
+    pixels = np.random.default_rng(0).integers(0, 255, (48, 64, 3)).astype(np.uint8)
+    Image.fromarray(pixels).save(path, exif=exif, **options)
+    return received(path)
+
+
+def test_the_place_is_gone_and_the_rest_is_there(tmp_path):
+    before = photo(tmp_path / "a.jpg", xmp=b"<x>GPSLatitude 48.13</x>")
+    assert b"2026:11:21" in before.path.read_bytes()
+    with Image.open(before.path) as image:
+        pixels = np.asarray(image)
+    after = without_place(before)
+    content = after.path.read_bytes()
+    assert b"2026:11:21" not in content
+    assert b"GPSLatitude" not in content
+    assert len(content) == after.bytes == before.bytes
+    assert after.sha256 == sha256(content).hexdigest() != before.sha256
+    with Image.open(after.path) as image:
+        assert not image.getexif().get_ifd(GPS)
+        assert image.getexif()[ORIENTATION] == 6
+        assert image.getexif().get_ifd(0x8769)[FOCAL] == 50
+        assert np.array_equal(np.asarray(image), pixels)
+
+
+def test_a_photo_that_tells_none_is_left_alone(tmp_path):
+    before = photo(tmp_path / "a.jpg", gps=False)
+    assert without_place(before) == before
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.webp"])
+def test_what_is_no_jpeg_is_left_alone(tmp_path, name):
+    before = photo(tmp_path / name)
+    assert without_place(before) == before
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning:PIL")  # of tags that are broken on purpose
+@pytest.mark.parametrize("at", range(0, 90, 3))
+def test_broken_exif_never_breaks_it_and_never_tells(tmp_path, at):
+    before = photo(tmp_path / "a.jpg")
+    content = bytearray(before.path.read_bytes())
+    content[30 + at] = 0xFE
+    before.path.write_bytes(bytes(content))
+    after = without_place(received(before.path))
+    assert after.bytes == len(content)
+    with Image.open(after.path) as image:
+        assert image.size == (64, 48)
+
+
+def test_a_file_that_only_begins_as_a_jpeg_is_left_alone(tmp_path):
+    path = tmp_path / "a.jpg"
+    path.write_bytes(b"\xff\xd8\xff\xe1\xff")
+    before = received(path)
+    assert without_place(before) == before
