@@ -37,32 +37,26 @@ def project(first, end, means, quaternions, scales, opacity, sh, rest, view, ant
     """Ellipse (centre, conic, opacity), colour and depth of each Gaussian, and the pixels where it shows."""
     degree = round(np.sqrt(sh.shape[1])) - 1
     values = np.empty(16, np.float32)
-    axes = np.empty((3, 3), np.float32)
+    axes, half = np.empty((3, 3), np.float32), np.empty((3, 2), np.float32)
     blur = _PIXEL if antialias else _BLUR
     for g in range(first, end):
         dx, dy, dz = means[g, 0] - view[9], means[g, 1] - view[10], means[g, 2] - view[11]
         x = view[0] * dx + view[1] * dy + view[2] * dz
         y = view[3] * dx + view[4] * dy + view[5] * dz
         z = view[6] * dx + view[7] * dy + view[8] * dz
-        if z < _NEAR:
+        if not z >= _NEAR:  # NaN included
             continue
-        _scaled_axes(quaternions[g], scales[g], axes)
+        rotation_axes(quaternions[g], axes)
         per_z = view[12] / z
         slope_x, slope_y = min(max(x / z, -view[17]), view[17]), min(max(y / z, -view[18]), view[18])
-        xx, xy, yy = np.float32(0), np.float32(0), np.float32(0)
         for i in range(3):
-            ax, ay, az = axes[0, i], axes[1, i], axes[2, i]
-            depth = view[6] * ax + view[7] * ay + view[8] * az
-            px = (view[0] * ax + view[1] * ay + view[2] * az - slope_x * depth) * per_z
-            py = (view[3] * ax + view[4] * ay + view[5] * az - slope_y * depth) * per_z
-            xx, xy, yy = xx + px * px, xy + px * py, yy + py * py
-        sharp = max(xx * yy - xy * xy, np.float32(0))
+            half[i, 0], half[i, 1], _ = half_axis(axes, scales[g, i], i, view, slope_x, slope_y, per_z)
+        xx, xy, yy, sharp, determinant = covariance(half, blur)
         xx, yy = xx + blur, yy + blur
-        determinant = xx * yy - xy * xy
         shown = opacity[g]
         if antialias:
             shown = shown * np.sqrt(sharp / determinant)
-        if shown < _MIN:
+        if not shown >= _MIN:  # NaN included
             continue
         reach = _TWO * np.log(shown / _MIN)  # squared, in standard deviations: where alpha falls below the least
         column, row = x * per_z + view[13], y * per_z + view[14]
@@ -91,14 +85,47 @@ def project(first, end, means, quaternions, scales, opacity, sh, rest, view, ant
 
 @_compiled
 @no_type_check
-def _scaled_axes(q, scale, axes):
+def half_axis(axes, scale, i, view, slope_x, slope_y, per_z):
+    """Projection of a Gaussian's axis `i` to the picture [px], and the axis's depth before projection [m]."""
+    ax, ay, az = scale * axes[0, i], scale * axes[1, i], scale * axes[2, i]
+    depth = view[6] * ax + view[7] * ay + view[8] * az
+    px = (view[0] * ax + view[1] * ay + view[2] * az - slope_x * depth) * per_z
+    py = (view[3] * ax + view[4] * ay + view[5] * az - slope_y * depth) * per_z
+    return px, py, depth
+
+
+@_compiled
+@no_type_check
+def covariance(half, blur):
+    """2D covariance of the projected half axes (xx, xy, yy), its determinant, and the determinant after the blur.
+
+    Both determinants are sums of terms that are not negative: `xx * yy - xy * xy` loses all digits for needles.
+    """
+    xx = half[0, 0] * half[0, 0] + half[1, 0] * half[1, 0] + half[2, 0] * half[2, 0]
+    xy = half[0, 0] * half[0, 1] + half[1, 0] * half[1, 1] + half[2, 0] * half[2, 1]
+    yy = half[0, 1] * half[0, 1] + half[1, 1] * half[1, 1] + half[2, 1] * half[2, 1]
+    c01, c02, c12 = cross(half, 0, 1), cross(half, 0, 2), cross(half, 1, 2)
+    sharp = c01 * c01 + c02 * c02 + c12 * c12  # Cauchy-Binet
+    return xx, xy, yy, sharp, sharp + blur * (xx + yy + blur)
+
+
+@_compiled
+@no_type_check
+def cross(half, i, j):
+    """Signed area of the parallelogram of two projected axes [px²]."""
+    return half[i, 0] * half[j, 1] - half[j, 0] * half[i, 1]
+
+
+@_compiled
+@no_type_check
+def rotation_axes(q, axes):
+    """Rotation matrix of a unit quaternion; its columns are the Gaussian's axes."""
     w, x, y, z = q[0], q[1], q[2], q[3]
-    a, b, c = scale[0], scale[1], scale[2]
-    axes[0, 0], axes[1, 1] = a * (_ONE - _TWO * (y * y + z * z)), b * (_ONE - _TWO * (x * x + z * z))
-    axes[1, 0], axes[0, 1] = a * _TWO * (x * y + w * z), b * _TWO * (x * y - w * z)
-    axes[2, 0], axes[0, 2] = a * _TWO * (x * z - w * y), c * _TWO * (x * z + w * y)
-    axes[2, 1], axes[1, 2] = b * _TWO * (y * z + w * x), c * _TWO * (y * z - w * x)
-    axes[2, 2] = c * (_ONE - _TWO * (x * x + y * y))
+    axes[0, 0], axes[1, 1] = _ONE - _TWO * (y * y + z * z), _ONE - _TWO * (x * x + z * z)
+    axes[1, 0], axes[0, 1] = _TWO * (x * y + w * z), _TWO * (x * y - w * z)
+    axes[2, 0], axes[0, 2] = _TWO * (x * z - w * y), _TWO * (x * z + w * y)
+    axes[2, 1], axes[1, 2] = _TWO * (y * z + w * x), _TWO * (y * z - w * x)
+    axes[2, 2] = _ONE - _TWO * (x * x + y * y)
 
 
 @_compiled

@@ -9,7 +9,17 @@ from typing import no_type_check
 import numba
 import numpy as np
 
-from dynamictree.gaussian.rasterize_kernel import BLUR_PX2, MAX_ALPHA, MIN_ALPHA, PIXEL_PX2, TILE
+from dynamictree.gaussian.rasterize_kernel import (
+    BLUR_PX2,
+    MAX_ALPHA,
+    MIN_ALPHA,
+    PIXEL_PX2,
+    TILE,
+    covariance,
+    cross,
+    half_axis,
+    rotation_axes,
+)
 from dynamictree.gaussian.turn import harmonic_values
 
 ENTRY = 10
@@ -151,6 +161,8 @@ def project_back(
     degree = round(np.sqrt(sh.shape[1])) - 1
     values, slopes = np.empty(16, np.float32), np.zeros((16, 3), np.float32)
     axes, axes_g = np.empty((3, 3), np.float32), np.empty((3, 3), np.float32)
+    half, half_g = np.empty((3, 2), np.float32), np.empty((3, 2), np.float32)
+    depth = np.empty(3, np.float32)
     blur = _PIXEL if antialias else _BLUR
     for g in range(first, end):
         if bounds[g, 1] <= bounds[g, 0]:
@@ -160,16 +172,13 @@ def project_back(
         x = view[0] * dx + view[1] * dy + view[2] * dz
         y = view[3] * dx + view[4] * dy + view[5] * dz
         z = view[6] * dx + view[7] * dy + view[8] * dz
-        _rotation(quaternions[g], axes)
+        rotation_axes(quaternions[g], axes)
         per_z = view[12] / z
         slope_x, slope_y = min(max(x / z, -view[17]), view[17]), min(max(y / z, -view[18]), view[18])
-        xx, xy, yy = _ZERO, _ZERO, _ZERO
         for i in range(3):
-            px, py, _ = _half_axis(axes, scales[g, i], i, view, slope_x, slope_y, per_z)
-            xx, xy, yy = xx + px * px, xy + px * py, yy + py * py
-        sharp = max(xx * yy - xy * xy, _ZERO)
+            half[i, 0], half[i, 1], depth[i] = half_axis(axes, scales[g, i], i, view, slope_x, slope_y, per_z)
+        xx, xy, yy, sharp, whole = covariance(half, blur)
         wide_x, wide_y = xx + blur, yy + blur
-        whole = wide_x * wide_y - xy * xy
         # conic = inverse of the blurred covariance: dΣ = −Q dQ Q
         a, b, c = wide_y / whole, -xy / whole, wide_x / whole
         ga, gb, gc = e_g[2], _HALF * e_g[3], e_g[4]
@@ -178,19 +187,27 @@ def project_back(
         xx_g, yy_g = -(m00 * a + m01 * b), -(m10 * b + m11 * c)
         xy_g = -(m00 * b + m01 * c) - (m10 * a + m11 * b)
         shown = ellipses[g, 5]
-        if antialias:
+        by_sharp = _ZERO
+        if antialias:  # shown = opacity · sqrt(sharp / whole)
             share = _HALF * e_g[5] * shown
-            xx_g += share * (yy / sharp - a)
-            yy_g += share * (xx / sharp - c)
-            xy_g += share * _TWO * (xy / whole - xy / sharp)
+            xx_g -= share * a
+            yy_g -= share * c
+            xy_g += share * _TWO * xy / whole
+            by_sharp = _TWO * share / sharp
+        for i in range(3):
+            half_g[i, 0] = _TWO * xx_g * half[i, 0] + xy_g * half[i, 1]
+            half_g[i, 1] = _TWO * yy_g * half[i, 1] + xy_g * half[i, 0]
+            for j in range(3):
+                area = by_sharp * cross(half, i, j)
+                half_g[i, 0] += area * half[j, 1]
+                half_g[i, 1] -= area * half[j, 0]
         out[g, 10] += e_g[5] * shown * (_ONE - opacity[g])  # of the logit
         per_z_g = e_g[0] * x + e_g[1] * y
         x_g, y_g, z_g = e_g[0] * per_z, e_g[1] * per_z, e_g[9]
         slope_x_g, slope_y_g = _ZERO, _ZERO
         for i in range(3):
-            px, py, w = _half_axis(axes, scales[g, i], i, view, slope_x, slope_y, per_z)
-            px_g, py_g = _TWO * xx_g * px + xy_g * py, _TWO * yy_g * py + xy_g * px
-            per_z_g += (px_g * px + py_g * py) / per_z
+            px_g, py_g, w = half_g[i, 0], half_g[i, 1], depth[i]
+            per_z_g += (px_g * half[i, 0] + py_g * half[i, 1]) / per_z
             u_g, v_g = px_g * per_z, py_g * per_z
             w_g = -u_g * slope_x - v_g * slope_y
             slope_x_g, slope_y_g = slope_x_g - u_g * w, slope_y_g - v_g * w
@@ -223,28 +240,6 @@ def project_back(
         out[g, 0] += (tx - outward * dx) / length
         out[g, 1] += (ty - outward * dy) / length
         out[g, 2] += (tz - outward * dz) / length
-
-
-@_compiled
-@no_type_check
-def _half_axis(axes, scale, i, view, slope_x, slope_y, per_z):
-    """A Gaussian's axis in the picture, and its depth before that."""
-    ax, ay, az = scale * axes[0, i], scale * axes[1, i], scale * axes[2, i]
-    w = view[6] * ax + view[7] * ay + view[8] * az
-    px = (view[0] * ax + view[1] * ay + view[2] * az - slope_x * w) * per_z
-    py = (view[3] * ax + view[4] * ay + view[5] * az - slope_y * w) * per_z
-    return px, py, w
-
-
-@_compiled
-@no_type_check
-def _rotation(q, axes):
-    w, x, y, z = q[0], q[1], q[2], q[3]
-    axes[0, 0], axes[1, 1] = _ONE - _TWO * (y * y + z * z), _ONE - _TWO * (x * x + z * z)
-    axes[1, 0], axes[0, 1] = _TWO * (x * y + w * z), _TWO * (x * y - w * z)
-    axes[2, 0], axes[0, 2] = _TWO * (x * z - w * y), _TWO * (x * z + w * y)
-    axes[2, 1], axes[1, 2] = _TWO * (y * z + w * x), _TWO * (y * z - w * x)
-    axes[2, 2] = _ONE - _TWO * (x * x + y * y)
 
 
 @_compiled

@@ -20,7 +20,7 @@ def save_progress(progress: SplatProgress, path: Path) -> None:
             table=progress.table,
             first=progress.moments.first,
             second=progress.moments.second,
-            steps=np.array([progress.step, progress.moments.num_steps]),
+            steps=np.array([progress.step, progress.moments.num_steps, progress.num_discarded]),
             best=progress.table[:0] if progress.best is None else progress.best,
             pull=np.stack([pull.total, pull.times]),
             best_psnr=np.array(progress.best_psnr),
@@ -32,7 +32,7 @@ def save_progress(progress: SplatProgress, path: Path) -> None:
 def load_progress(path: Path) -> SplatProgress:
     """Read it back."""
     with np.load(path, allow_pickle=False) as arrays:
-        step, moment_steps = arrays["steps"].tolist()
+        step, moment_steps, num_discarded = arrays["steps"].tolist()
         best = arrays["best"]
         pull = Pull(len(arrays["table"]))
         pull.total, pull.times = arrays["pull"]
@@ -40,6 +40,7 @@ def load_progress(path: Path) -> SplatProgress:
             table=arrays["table"],
             moments=AdamState(first=arrays["first"], second=arrays["second"], num_steps=moment_steps),
             step=step,
+            num_discarded=num_discarded,
             pull=pull,
             best=best if len(best) else None,
             best_psnr=float(arrays["best_psnr"]),

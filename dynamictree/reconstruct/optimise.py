@@ -11,12 +11,14 @@ import numpy as np
 from jaxtyping import Float32
 from PIL import Image
 
-from dynamictree.reconstruct.adam import AdamState, adam_step
+from dynamictree.reconstruct.adam import AdamState, AdamStep, adam_step
 from dynamictree.reconstruct.densify import DensityRules, Pull, densified, fainter
 from dynamictree.reconstruct.gradient import draw, gradients_of
 from dynamictree.reconstruct.picture_loss import SSIM_SHARE, picture_loss, psnr
 from dynamictree.reconstruct.splat_table import LOG_SCALE, LOGIT, MEAN, QUATERNION, REST, shapes_of, unit_quaternions
 from dynamictree.render.camera import Camera
+
+_DISCARDED_LOGIT = np.float32(-20)  # not drawn, and pruned by the next densification
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,6 +66,7 @@ class SplatProgress:
     pull: Pull | None = None  # since Gaussians were last made
     best_psnr: float = -np.inf  # of the held-out photos, at full size
     best: Float32[np.ndarray, "B P"] | None = None
+    num_discarded: int = 0  # Gaussians whose gradient was not finite
     checks: tuple[tuple[int, int, float], ...] = ()  # step, number of Gaussians, PSNR of held-out photos [dB]
 
     @property
@@ -91,8 +94,9 @@ def optimise(
         shrink = _shrink(schedule, progress.step)
         target = levels.target(progress.step, shrink)
         degree = min(schedule.sh_degree, progress.step // schedule.degree_every)
-        moments = _one_step(progress, target, pull, schedule, degree=degree, extent=extent, rng=rng)
-        progress = replace(progress, moments=moments, step=progress.step + 1)
+        stepped = _one_step(progress, target, pull, schedule, degree=degree, extent=extent, rng=rng)
+        num_discarded = progress.num_discarded + int(stepped.skipped.sum())
+        progress = replace(progress, moments=stepped.state, step=progress.step + 1, num_discarded=num_discarded)
         share = progress.step / schedule.num_steps
         if schedule.densify[0] <= share < schedule.densify[1] and progress.step % schedule.densify_every == 0:
             rules = _rules(schedule, shrink, cut_out=targets[0].alpha is not None)
@@ -115,7 +119,7 @@ def _one_step(
     degree: int,
     extent: float,
     rng: np.random.Generator,
-) -> AdamState:
+) -> AdamStep:
     height, width = target.photo.shape[:2]
     drawing = draw(shapes_of(progress.table, degree), target.camera, width=width, height=height)
     behind = rng.random(3, np.float32) if target.alpha is not None else np.zeros(3, np.float32)
@@ -135,9 +139,10 @@ def _one_step(
     seen = drawing.bounds[:, 1] > drawing.bounds[:, 0]
     pull.add(found.centres_px, seen, width, height)
     rates = _rates(schedule, progress.step, progress.table.shape[1], extent, cut_out=target.alpha is not None)
-    moments = adam_step(progress.table, found.table, progress.moments, rates)
+    stepped = adam_step(progress.table, found.table, progress.moments, rates)
+    progress.table[stepped.skipped, LOGIT] = _DISCARDED_LOGIT
     unit_quaternions(progress.table)
-    return moments
+    return stepped
 
 
 def _add_depth(

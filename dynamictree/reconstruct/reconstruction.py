@@ -175,6 +175,7 @@ def _put_together(
         held_out_blank_psnr_db=[round(value, 2) for value in fit.blank_db],
         held_out_size_px=list(fit.size_px),
         splat_steps=fit.num_steps,
+        num_gaussians_discarded=fit.num_discarded,
         seconds={part: round(taken, 2) for part, taken in spent.seconds.items()},
         processor_seconds={part: round(taken, 2) for part, taken in spent.processor_seconds.items()},
     )

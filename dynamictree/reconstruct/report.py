@@ -43,6 +43,7 @@ class Report(TypedDict):
     held_out_blank_psnr_db: list[float]  # of a picture of one colour, for comparison
     held_out_size_px: list[int]
     splat_steps: int
+    num_gaussians_discarded: int  # since their gradient was not finite
     seconds: dict[str, float]  # by part
     processor_seconds: dict[str, float]  # by part, of all cores
 

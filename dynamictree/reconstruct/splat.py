@@ -32,6 +32,7 @@ class SplatFit:
     pictures: tuple[UInt8[np.ndarray, "H W 3"], ...]  # each photo, and beside it what the splat shows
     size_px: tuple[int, int]  # width and height of the first
     num_steps: int
+    num_discarded: int  # Gaussians whose gradient was not finite
     checks: tuple[tuple[int, int, float], ...]
 
 
@@ -116,6 +117,7 @@ def _judged(end: SplatProgress, views: list[View], unseen: list[Target], schedul
         pictures=tuple(np.rint(pair * 255).astype(np.uint8) for pair in pairs),
         size_px=(photos[0].shape[1], photos[0].shape[0]),
         num_steps=end.step,
+        num_discarded=end.num_discarded,
         checks=end.checks,
     )
 

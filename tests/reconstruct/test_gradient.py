@@ -37,6 +37,14 @@ def leaves_of(rng: np.random.Generator, *, number: int = 14, degree: int = 1) ->
     }
 
 
+def needles_of(rng: np.random.Generator, *, number: int, thickness_m: tuple[float, float]) -> dict[str, np.ndarray]:
+    """Gaussians that are far longer than thick, as twigs and leaf edges become while they are learned."""
+    leaves = leaves_of(rng, number=number)
+    leaves["log_scales"] = rng.uniform(*np.log(thickness_m), (number, 3))
+    leaves["log_scales"][:, 0] = rng.uniform(np.log(0.05), np.log(0.8), number)
+    return {name: values.astype(np.float32).astype(np.float64) for name, values in leaves.items()}
+
+
 def shapes_of(leaves: dict[str, np.ndarray]) -> Shapes:
     return Shapes(
         means=leaves["means"].astype(np.float32),
@@ -71,6 +79,41 @@ def test_gradients_are_autograds_of_the_slow_twin(camera, degree, antialias):
         true = getattr(leaves, name).grad.numpy().reshape(len(found.table), -1)
         assert np.abs(true).max() > 1e-3, name
         assert np.abs(by(found, name) - true).max() < 3e-4 * np.abs(true).max(), name
+
+
+def test_gradients_of_needles_are_autograds_of_the_slow_twin():
+    rng = np.random.default_rng(1)
+    values = needles_of(rng, number=40, thickness_m=(1e-3, 5e-3))
+    drawing = draw(shapes_of(values), CAMERA, width=WIDTH, height=HEIGHT)
+    leaves = Leaves(**{name: torch.tensor(value, requires_grad=True) for name, value in values.items()})
+    picture = draw_slowly(leaves, CAMERA, width=WIDTH, height=HEIGHT, antialias=True)
+    assert np.abs(picture.detach().numpy() - drawing.picture).max() < 1e-4
+    gradient = smooth_noise(rng)
+    (picture * torch.tensor(gradient)).sum().backward()
+    found = gradients_of(drawing, gradient)
+    for name in FIELDS:
+        true = getattr(leaves, name).grad.numpy().reshape(len(found.table), -1)
+        assert np.abs(true).max() > 1e-3, name
+        assert np.abs(by(found, name) - true).max() < 1e-3 * np.abs(true).max(), name
+
+
+def test_gradients_of_needles_are_finite():
+    """352 of these 20,000 rows were not while the determinant was the difference of two products."""
+    rng = np.random.default_rng(0)
+    values = needles_of(rng, number=20_000, thickness_m=(1e-5, 1e-3))
+    drawing = draw(shapes_of(values), CAMERA, width=640, height=480)
+    found = gradients_of(drawing, rng.normal(size=(480, 640, 5)).astype(np.float32))
+    assert np.isfinite(found.table).all()
+    assert (drawing.bounds[:, 1] > drawing.bounds[:, 0]).mean() > 0.9
+
+
+def test_gaussians_that_are_not_finite_are_not_drawn(rng):
+    shapes = shapes_of(leaves_of(rng))
+    for row, (name, value) in enumerate((("means", np.nan), ("scales", np.inf), ("opacity", np.nan))):
+        getattr(shapes, name)[row] = value
+    drawing = draw(shapes, CAMERA, width=WIDTH, height=HEIGHT)
+    assert np.isfinite(drawing.picture).all()
+    assert not drawing.bounds[:3].any()
 
 
 def test_gradients_are_finite_differences(rng):

@@ -12,6 +12,7 @@ from dynamictree.reconstruct.adam import AdamState, adam_step
 from dynamictree.reconstruct.checkpoint import load_progress, save_progress
 from dynamictree.reconstruct.cut import cloud_in_metres, of_the_tree
 from dynamictree.reconstruct.densify import DensityRules, densified, fainter
+from dynamictree.reconstruct.gradient import gradients_of
 from dynamictree.reconstruct.optimise import Schedule, SplatProgress
 from dynamictree.reconstruct.picture_loss import picture_loss, psnr
 from dynamictree.reconstruct.splat import fit_splat, held_out_views
@@ -94,13 +95,20 @@ def test_a_checkpoint_is_read_as_it_was_written(rng, tmp_path):
     table = rng.normal(size=(5, 23)).astype(np.float32)
     moments = AdamState(first=table + 1, second=table + 2, num_steps=7)
     progress = SplatProgress(
-        table=table, moments=moments, step=9, best=table[:2], best_psnr=21.5, checks=((4, 5, 20.0), (8, 5, 21.5))
+        table=table,
+        moments=moments,
+        step=9,
+        num_discarded=3,
+        best=table[:2],
+        best_psnr=21.5,
+        checks=((4, 5, 20.0), (8, 5, 21.5)),
     )
     save_progress(progress, tmp_path / "a.npz")
     read = load_progress(tmp_path / "a.npz")
     for found, true in ((read.table, table), (read.moments.first, table + 1), (read.moments.second, table + 2)):
         assert np.array_equal(found, true)
-    assert (read.step, read.moments.num_steps, read.best_psnr, read.checks) == (9, 7, 21.5, progress.checks)
+    assert (read.step, read.moments.num_steps, read.num_discarded, read.best_psnr) == (9, 7, 3, 21.5)
+    assert read.checks == progress.checks
     assert np.array_equal(read.result, table[:2])
 
 
@@ -138,9 +146,36 @@ def test_adam_is_torchs(rng):
         for c, column in enumerate(columns):
             column.grad = torch.tensor(slope[:, c])
         adam.step()
-        state = adam_step(table, slope, state, rates)
+        state, skipped = adam_step(table, slope, state, rates)
+        assert not skipped.any()
     assert np.allclose(table, torch.stack(columns, dim=1).detach().numpy(), atol=1e-6)
     assert state.num_steps == 5
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_a_gradient_that_is_not_finite_moves_nothing(rng, value):
+    table, slope = rng.normal(size=(2, 3, 4)).astype(np.float32)
+    slope[1, 2] = value
+    before = table.copy()
+    state, skipped = adam_step(table, slope, AdamState.fresh(3, 4), np.full(4, 1e-2, np.float32))
+    assert skipped.tolist() == [False, True, False]
+    assert np.array_equal(table[1], before[1])
+    assert (table[[0, 2]] != before[[0, 2]]).all()
+    assert np.isfinite(state.first).all()
+    assert np.isfinite(state.second).all()
+
+
+def test_gaussians_without_a_finite_gradient_are_discarded_and_counted(orbit, rng, monkeypatch):
+    def with_nan(drawing, gradient, *, width):
+        found = gradients_of(drawing, gradient, width=width)
+        found.table[:2, 0] = np.nan
+        return found
+
+    monkeypatch.setattr("dynamictree.reconstruct.optimise.gradients_of", with_nan)
+    fit = fit_splat(small_model(orbit, rng), None, replace(SMALL, num_steps=20))
+    assert fit.num_discarded == 40  # two in every step
+    assert np.isfinite(fit.table).all()
+    assert (cloud_of(fit.table).opacity[:2] < 1e-6).all()
 
 
 def points_table(rng: np.random.Generator, number: int, size: float) -> np.ndarray:
