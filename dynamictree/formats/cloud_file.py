@@ -5,7 +5,8 @@ from typing import Literal, get_args
 
 from dynamictree.errors import FormatError
 from dynamictree.formats.gltf import gaussian as gltf_gaussian
-from dynamictree.formats.gltf.table import listed, member, read_glb
+from dynamictree.formats.gltf.document import glb_json
+from dynamictree.formats.json_fields import object_field, object_list
 from dynamictree.formats.ply_table import read_header
 from dynamictree.formats.scan import points
 from dynamictree.formats.seekable import SeekableReader
@@ -62,8 +63,8 @@ def cloud_kind(stream: SeekableReader, *, file_type: str) -> CloudKind:
     if file_type == "ply":
         kind = _ply_kind(stream)
     elif file_type == "glb":
-        primitives = [p for mesh in listed(read_glb(stream).document, "meshes") for p in listed(mesh, "primitives")]
-        splats = any(gltf_gaussian.EXTENSION in member(primitive, "extensions") for primitive in primitives)
+        primitives = [p for mesh in object_list(glb_json(stream), "meshes") for p in object_list(mesh, "primitives")]
+        splats = any(gltf_gaussian.EXTENSION in object_field(primitive, "extensions") for primitive in primitives)
         kind = "gaussians" if splats else "mesh"
     elif file_type in _READERS:
         kind = "gaussians" if file_type in ("splat", "spz") else "points"

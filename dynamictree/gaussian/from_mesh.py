@@ -6,6 +6,7 @@ from typing import no_type_check
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int32
 
+from dynamictree.color import linear_to_srgb
 from dynamictree.errors import InputError
 from dynamictree.gaussian.binding import Binding, bind_to_faces, solid_faces
 from dynamictree.gaussian.cloud import GaussianCloud, check_count
@@ -106,15 +107,7 @@ def face_colors(
     rgba = np.empty((len(faces), 4), np.float32)
     in_bands(_sample_faces, len(faces), appearance, mesh.faces, faces, level, weights, rgba)
     kept: Bool[np.ndarray, " G"] = rgba[:, 3] >= appearance.cutoff[appearance.face_material[faces]]
-    return srgb(rgba[:, :3]), kept
-
-
-def srgb(linear: Float32[np.ndarray, "*shape"]) -> Float32[np.ndarray, "*shape"]:
-    """Linear colour to display colour, IEC 61966-2-1."""
-    bounded = np.clip(linear, 0, 1)
-    curved = np.where(bounded <= 0.0031308, 12.92 * bounded, 1.055 * bounded ** (1 / 2.4) - 0.055)
-    result: Float32[np.ndarray, "*shape"] = curved.astype(np.float32)
-    return result
+    return linear_to_srgb(rgba[:, :3]), kept
 
 
 @compiled

@@ -9,11 +9,11 @@ import numpy as np
 from jaxtyping import Complex64, Float32, Float64
 
 from dynamictree.errors import InputError
-from dynamictree.formats.gltf.skin import JOINTS_A_VERTEX, Skin, SkinSummary
 from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.skeleton import bones_of
 from dynamictree.modal.surface import attach_mesh
 from dynamictree.modal.system import modal_system
+from dynamictree.skin import JOINTS_PER_VERTEX, Skin, SkinSummary
 from dynamictree.spectrum import SparseVoxelSpectrum, iter_motion
 from dynamictree.voxel import devoxelize
 
@@ -35,9 +35,9 @@ def skin_of(
         raise InputError("no skeleton was found: the tree moves as one piece; ask for glb instead of glb-skinned")
     ties = devoxelize.smooth(spectrum.grid, mesh)
     tied = attach_mesh(bones, mesh, rows=ties.rows, weights=ties.weights, voxel_size_m=spectrum.grid.voxel_size_m)
-    weights = tied.weights[:, :JOINTS_A_VERTEX]  # the strongest come first
+    weights = tied.weights[:, :JOINTS_PER_VERTEX]  # the strongest come first
     weights = weights / weights.sum(axis=1, keepdims=True)
-    rows = tied.rows[:, :JOINTS_A_VERTEX]
+    rows = tied.rows[:, :JOINTS_PER_VERTEX]
     rotation, translation = _fitted(bones.parent, rows, weights, mesh.vertices, coefficients, spectrum.num_frames)
     skin = Skin(
         parent=bones.parent,

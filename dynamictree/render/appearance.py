@@ -4,11 +4,12 @@ from io import BytesIO
 from typing import NamedTuple, no_type_check
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int32, UInt8
+from jaxtyping import Bool, Float32, Int32
 from PIL import Image
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from dynamictree.color import linear_from_bytes
 from dynamictree.errors import FormatError
 from dynamictree.mesh import Material, TriangleMesh
 from dynamictree.render.kernel import compiled
@@ -59,7 +60,7 @@ def appearance_of(mesh: TriangleMesh) -> Appearance:
             texels.append(image.reshape(-1, 4))
             num_texels += image.shape[0] * image.shape[1]
     colors = mesh.vertex_colors
-    vertex_rgb = np.ones((mesh.num_vertices, 3), np.float32) if colors is None else linear(colors[:, :3])
+    vertex_rgb = np.ones((mesh.num_vertices, 3), np.float32) if colors is None else linear_from_bytes(colors[:, :3])
     base = np.array([material.base_color for material in materials], np.float32)
     cutoff = np.array([material.alpha_cutoff or 0 for material in materials], np.float32)
     leafy = [_is_leafy(material) for material in materials] if has_colors else [False, True]
@@ -101,14 +102,6 @@ def foliage_faces(faces: Int32[np.ndarray, "F 3"], num_vertices: int) -> Bool[np
     return leaves
 
 
-def linear(srgb: UInt8[np.ndarray, "*shape"]) -> Float32[np.ndarray, "*shape"]:
-    """SRGB bytes to linear light in [0, 1]; IEC 61966-2-1."""
-    value = np.arange(256) / 255
-    table = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4).astype(np.float32)
-    light: Float32[np.ndarray, "*shape"] = table[srgb]
-    return light
-
-
 def _mip_levels(texture: bytes | None) -> list[Float32[np.ndarray, "H W 4"]]:
     if texture is None:
         return []
@@ -120,7 +113,7 @@ def _mip_levels(texture: bytes | None) -> list[Float32[np.ndarray, "H W 4"]]:
             pixels = np.array(image.convert("RGBA"))
     except (OSError, Image.DecompressionBombError) as error:
         raise FormatError(f"a texture of {len(texture):,} bytes is no picture that can be read: {error}") from error
-    rgba = np.concatenate([linear(pixels[..., :3]), pixels[..., 3:].astype(np.float32) / 255], axis=2)
+    rgba = np.concatenate([linear_from_bytes(pixels[..., :3]), pixels[..., 3:].astype(np.float32) / 255], axis=2)
     rgba[..., :3] *= rgba[..., 3:]
     levels = [rgba]
     while max(levels[-1].shape[:2]) > 1:

@@ -5,6 +5,7 @@ from typing import NamedTuple, no_type_check
 import numpy as np
 from jaxtyping import Float64, Int32
 
+from dynamictree.color import srgb_of
 from dynamictree.render.appearance import Appearance, albedo_at
 from dynamictree.render.kernel import compiled
 from dynamictree.render.light import MAX_LOOKS, SkyVolume, SunMap, sky_share, sun_share
@@ -84,12 +85,13 @@ def shade_rows(first, end, picture, visible_face, triangles, scene, view):
             picture[row, column, 2] = _srgb_byte(blue)
 
 
+_display_value = compiled(srgb_of)
+
+
 @compiled
 @no_type_check
 def _srgb_byte(light):
-    value = min(max(light, 0.0), 1.0)
-    value = 12.92 * value if value <= 0.0031308 else 1.055 * value ** (1 / 2.4) - 0.055
-    return np.uint8(255 * value + 0.5)
+    return np.uint8(255 * _display_value(light) + 0.5)
 
 
 @compiled

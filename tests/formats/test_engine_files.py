@@ -11,12 +11,13 @@ from pxr import Usd, UsdGeom, UsdShade, UsdValidation
 
 from benchmarks._played import played_skin, played_usdz, played_vertex_texture, told
 from dynamictree.errors import InputError
-from dynamictree.formats.gltf.skin import Skin, SkinSummary, write_skinned_glb
+from dynamictree.formats.gltf.skin import write_skinned_glb
 from dynamictree.formats.motion.exr import write_exr
 from dynamictree.formats.motion.usd import write_motion_usdz
 from dynamictree.formats.motion.vertex_texture import MAX_SIDE, iter_vertex_texture_zip, texture_layout
 from dynamictree.gaussian.rotation import quaternion_matrices, unit_quaternions
 from dynamictree.mesh import TriangleMesh
+from dynamictree.skin import Skin, SkinSummary
 from tests.formats.meshes import trunk_and_crown
 
 

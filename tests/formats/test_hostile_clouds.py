@@ -177,31 +177,31 @@ def _set(document: object, path: str, value: object) -> None:
 @pytest.mark.parametrize(
     ("path", "value", "message"),
     [
-        ("accessors/0/count", 10**12, "rows, its buffer"),
-        ("bufferViews/0/byteLength", 5, "needs 120 bytes of a view of 5"),
-        ("accessors/0/count", "ten", "'count' .* a whole number"),
-        ("accessors/0/componentType", 7, "of type 7 VEC3"),
-        ("accessors/0/bufferView", 99, "buffer view 99"),
+        ("accessors/0/count", 10**12, "count is 1000000000000; a whole number"),
+        ("bufferViews/0/byteLength", 5, "ends at byte 120 of a view of 5"),
+        ("accessors/0/count", "ten", "count is 'ten'; a whole number"),
+        ("accessors/0/componentType", 7, "componentType is 7"),
+        ("accessors/0/bufferView", 99, "bufferViews. is 99"),
         ("accessors/2/type", "SCALAR", r"\(10, 1\); \(10, 3\) is needed"),
-        ("bufferViews/0/byteOffset", 10**9, "the buffer has"),
+        ("bufferViews/0/byteOffset", 10**9, "ends at byte 1000000120"),
         ("meshes/0/primitives/0/mode", 4, "not of points"),
         ("meshes/0/primitives/0/extensions", {}, "no primitive with KHR"),
         ("meshes/0/primitives/0/attributes", {"POSITION": 0, f"{EXTENSION}:SH_DEGREE_0_COEF_0": 1}, r"\(10, 4\)"),
-        ("meshes/0/primitives/0/attributes", {"POSITION": 77}, "accessor 77"),
+        ("meshes/0/primitives/0/attributes", {"POSITION": 77}, "POSITION .* is 77"),
         ("meshes/0/primitives/0/attributes", {"POSITION": 0}, "0 harmonics"),
         (
             "meshes/0/primitives/0/attributes",
             {"POSITION": 0, f"{EXTENSION}:SH_DEGREE_0_COEF_0": 0},
             "no attribute KHR_gaussian_splatting:ROTATION",
         ),
-        ("meshes/0/primitives/0/attributes", [], "'attributes' .* no object"),
-        ("nodes/0/mesh", 3, "mesh 3 of 1"),
+        ("meshes/0/primitives/0/attributes", [], "attributes is .*a JSON object"),
+        ("nodes/0/mesh", 3, "mesh .* is 3; a whole number from 0 to 0"),
         ("nodes/0/scale", [1, 2, 1], "mirrors, shears or stretches"),
-        ("nodes/0/scale", [1, 2], "3 numbers"),
-        ("nodes/0/children", [0], "no tree"),
-        ("scene", 5, "scene 5 of 1"),
-        ("scenes", 5, "no list"),
-        ("nodes", [5], "no list of objects"),
+        ("nodes/0/scale", [1, 2], "scale has 2 numbers"),
+        ("nodes/0/children", [0], "nodes are a tree"),
+        ("scene", 5, "scene .* is 5; a whole number from 0 to 0"),
+        ("scenes", 5, "scenes is 5; a list"),
+        ("nodes", [5], r"nodes\[0\] is 5; a JSON object"),
     ],
 )
 def test_a_glb_that_lies_is_told_where(path: str, value: object, message: str) -> None:
@@ -240,11 +240,11 @@ def test_linear_colours_become_display_colours() -> None:
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"glTF", "does not begin as GLB"),
-        (b"glTF" + struct.pack("<II", 2, 12), "before its JSON"),
-        (b"glTF" + struct.pack("<IIII", 2, 20, 1000, 0x4E4F534A), "1,000 bytes"),
+        (b"glTF", "has 4 bytes; it is truncated"),
+        (b"glTF" + struct.pack("<II", 2, 12), "has 12 bytes; it is truncated"),
+        (b"glTF" + struct.pack("<IIII", 2, 20, 1000, 0x4E4F534A), "ends at byte 1020 of 20"),
         (b"glTF" + struct.pack("<IIII", 2, 24, 4, 0x4E4F534A) + b"[[[[", "cannot be read"),
-        (b"glTF" + struct.pack("<IIII", 2, 24, 4, 0x4E4F534A) + b"[1] ", "no object"),
+        (b"glTF" + struct.pack("<IIII", 2, 24, 4, 0x4E4F534A) + b"[1] ", "a JSON object is allowed"),
     ],
 )
 def test_a_broken_glb_is_refused(content: bytes, message: str) -> None:
@@ -311,5 +311,5 @@ def test_an_accessor_of_no_shape_is_refused(shape: object) -> None:
     text += b" " * (-len(text) % 4)
     rest = content[20 + length :]
     head = b"glTF" + struct.pack("<III", 2, 20 + len(text) + len(rest), len(text)) + b"JSON"
-    with pytest.raises(FormatError, match="not understood"):
+    with pytest.raises(FormatError, match=r"(type is .* a string is allowed|VEC9.* are read)"):
         read(head + text + rest, "glb")

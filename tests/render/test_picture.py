@@ -5,11 +5,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from dynamictree.color import linear_from_bytes
 from dynamictree.errors import FormatError, InputError, MeshError
 from dynamictree.mesh import Material, TriangleMesh
 from dynamictree.render import Camera, Look, Renderer, render_mesh, write_png
 from dynamictree.render import shade as light
-from dynamictree.render.appearance import foliage_faces, linear
+from dynamictree.render.appearance import foliage_faces
 from tests.render.conftest import facing_card
 from tests.render.test_raster import cast_rays
 
@@ -40,7 +41,7 @@ def slow_picture(mesh: TriangleMesh, camera: Camera, size: int, sun: tuple[float
     normals = np.cross(b - a, c - a)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     normals[((a - camera.position_m) * normals).sum(axis=1) > 0] *= -1
-    albedo = linear(mesh.vertex_colors[mesh.faces[:, 0], :3])
+    albedo = linear_from_bytes(mesh.vertex_colors[mesh.faces[:, 0], :3])
     direct = np.clip(normals @ (np.array(sun) / np.linalg.norm(sun)), 0, None)[:, None]
     dome = (0.5 + 0.5 * normals[:, 2])[:, None]
     lit = albedo * (direct * light._SUN + dome * light._SKY + (1 - dome) * light._BOUNCE)
@@ -68,7 +69,7 @@ def test_supersampling_is_the_mean_of_a_finer_picture(two_balls):
     camera = Camera.orbit(two_balls.vertices)
     coarse = Renderer(two_balls, PLAIN).picture(camera=camera)
     fine = Renderer(two_balls, replace(PLAIN, width=128, height=128, supersampling=1)).picture(camera=camera)
-    mean = srgb(linear(fine).reshape(64, 2, 64, 2, 3).mean(axis=(1, 3)))
+    mean = srgb(linear_from_bytes(fine).reshape(64, 2, 64, 2, 3).mean(axis=(1, 3)))
     assert psnr_db(coarse, mean) > 40
 
 

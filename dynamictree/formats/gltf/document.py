@@ -19,17 +19,25 @@ from dynamictree.formats.json_fields import (
     text_field,
     text_list,
 )
+from dynamictree.formats.stream import ByteReader
 from dynamictree.mesh import MAX_FACES
 
 MAX_ELEMENTS = 3 * MAX_FACES  # of an accessor: the indices of the largest mesh that is allowed
 
 READ_EXTENSIONS = frozenset(
-    {"KHR_draco_mesh_compression", "KHR_mesh_quantization", "KHR_texture_transform", "EXT_texture_webp"}
+    {
+        "KHR_draco_mesh_compression",
+        "KHR_gaussian_splatting",
+        "KHR_mesh_quantization",
+        "KHR_texture_transform",
+        "EXT_texture_webp",
+    }
 )
-"""Extensions that change geometry or textures, and that the reader follows."""
+"""Extensions that change geometry or textures, and that the readers follow."""
 
 _MAGIC, _JSON_CHUNK, _BINARY_CHUNK = b"glTF", 0x4E4F534A, 0x004E4942
 _MAX_BYTES = 1 << 40
+_MAX_JSON_BYTES = 64 << 20
 _DTYPES = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 
@@ -131,6 +139,23 @@ def open_gltf(content: bytes, *, companions: Mapping[str, bytes]) -> GltfDocumen
         accessors=tuple(object_list(root, "accessors")),
         companions=companions,
     )
+
+
+def glb_json(stream: ByteReader) -> JsonObject:
+    """Read the JSON of a GLB file, and nothing behind it.
+
+    Raises:
+        FormatError: not GLB 2, truncated, or JSON that is none.
+    """
+    head = stream.read(20)
+    if len(head) < 20 or head[:8] != _MAGIC + (2).to_bytes(4, "little"):
+        raise FormatError("the file does not begin as GLB version 2; it is no GLB file, or truncated")
+    length = int.from_bytes(head[12:16], "little")
+    if length > _MAX_JSON_BYTES or int.from_bytes(head[16:20], "little") != _JSON_CHUNK:
+        raise FormatError(
+            f"the first chunk of the GLB has {length:,} bytes; JSON of at most {_MAX_JSON_BYTES:,} is read"
+        )
+    return parse_object(stream.read(length), "GLB file")
 
 
 def uri_bytes(uri: str, companions: Mapping[str, bytes]) -> bytes:

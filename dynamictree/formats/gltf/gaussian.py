@@ -6,39 +6,44 @@ from functools import reduce
 import numpy as np
 from jaxtyping import Float32, Float64
 
+from dynamictree.color import linear_to_srgb, srgb_slope
 from dynamictree.errors import FormatError
 from dynamictree.formats.axes import up_rotation
 from dynamictree.formats.cloud_axes import to_source_axes, to_z_up, transformed
-from dynamictree.formats.gltf.table import GlbFile, array, integer, listed, member, read_glb, write_glb
-from dynamictree.formats.seekable import SeekableReader
+from dynamictree.formats.gltf.document import GltfDocument, accessor_layout, open_gltf
+from dynamictree.formats.gltf.scene import mesh_instances
+from dynamictree.formats.gltf.writer import GlbWriter
+from dynamictree.formats.json_fields import JsonObject, index_field, integer_field, object_field, object_list
 from dynamictree.formats.splat.activations import scales_from_log
-from dynamictree.formats.stream import ByteWriter
+from dynamictree.formats.stream import ByteReader, ByteWriter, read_all
 from dynamictree.gaussian.cloud import SH_DEGREES, GaussianCloud, check_count, validate_cloud
 from dynamictree.gaussian.harmonics import SH_0
-from dynamictree.gaussian.rotation import polar_rotations, quaternion_matrices, unit_quaternions
+from dynamictree.gaussian.rotation import polar_rotations, unit_quaternions
 
 UP_AXIS = "+Y"
 EXTENSION = "KHR_gaussian_splatting"
 _POINTS = 0
 _MAX_SHEAR = 1e-3  # of a node's scale; a Gaussian keeps its shape only under rotation and one scale
-_MAX_DEPTH = 64  # nodes below one another
+MAX_FILE_BYTES = 3 << 30  # 10 million Gaussians of the third degree
 
 
-def read_gltf_gaussian(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: float = 1.0) -> GaussianCloud:
+def read_gltf_gaussian(stream: ByteReader, *, up_axis: str = UP_AXIS, unit_m: float = 1.0) -> GaussianCloud:
     """Read all splats of the default scene as one cloud, where their nodes place them.
 
     Raises:
         FormatError: not GLB, no splats in it, accessors outside of the file, a node that shears.
         InputError: values that are not finite, nothing visible, too many Gaussians.
     """
-    glb = read_glb(stream)
+    document = open_gltf(read_all(stream, MAX_FILE_BYTES), companions={})
     primitives = [
-        (transform, primitive) for transform, mesh in _placed_meshes(glb) for primitive in _splats_of(glb, mesh)
+        (instance.transform, primitive)
+        for instance in mesh_instances(document)
+        for primitive in _splats_of(instance.mesh)
     ]
     if not primitives:
         raise FormatError(f"the GLB file has no primitive with {EXTENSION} in its scene; it is no Gaussian splat")
-    check_count(sum(_count(glb, primitive) for _, primitive in primitives))
-    stored = [_read_primitive(glb, primitive) for _, primitive in primitives]
+    check_count(sum(_count(document, primitive) for _, primitive in primitives))
+    stored = [_read_primitive(document, primitive) for _, primitive in primitives]
     if min(cloud.scales.min() for cloud in stored) < 0:  # a length is never negative: an early draft's logarithms
         stored = [replace(cloud, scales=scales_from_log(cloud.scales)) for cloud in stored]
     clouds = [_placed(cloud, transform) for cloud, (transform, _) in zip(stored, primitives, strict=True)]
@@ -53,7 +58,7 @@ def write_gltf_gaussian(cloud: GaussianCloud, stream: ByteWriter) -> None:
         "POSITION": source.means,
         f"{EXTENSION}:ROTATION": source.quaternions[:, [1, 2, 3, 0]],
         f"{EXTENSION}:SCALE": source.scales,
-        f"{EXTENSION}:OPACITY": source.opacity,
+        f"{EXTENSION}:OPACITY": source.opacity[:, None],
     } | {_harmonic_name(h): source.sh[:, h] for h in range(source.sh.shape[1])}
     extension = {
         "kernel": "ellipse",
@@ -61,42 +66,52 @@ def write_gltf_gaussian(cloud: GaussianCloud, stream: ByteWriter) -> None:
         "projection": "perspective",
         "sortingMethod": "cameraDistance",
     }
-    write_glb(attributes, {EXTENSION: extension}, stream)
+    writer = GlbWriter(root={"extensionsUsed": [EXTENSION]})
+    primitive = {
+        "attributes": {name: writer.add_accessor(v, bounds=name == "POSITION") for name, v in attributes.items()},
+        "mode": _POINTS,
+        "extensions": {EXTENSION: extension},
+    }
+    writer.append("meshes", {"primitives": [primitive]})
+    writer.append("nodes", {"mesh": 0})
+    writer.finish(stream)
 
 
-def _splats_of(glb: GlbFile, mesh: int) -> list[dict[str, object]]:
-    meshes = listed(glb.document, "meshes")
-    if not 0 <= mesh < len(meshes):
-        raise FormatError(f"a node of the GLB file names mesh {mesh} of {len(meshes)}")
-    splats = [p for p in listed(meshes[mesh], "primitives") if EXTENSION in member(p, "extensions")]
-    if any(integer(primitive, "mode", 4) != _POINTS for primitive in splats):
+def _splats_of(mesh: JsonObject) -> list[JsonObject]:
+    splats = [p for p in object_list(mesh, "primitives") if EXTENSION in object_field(p, "extensions")]
+    if any(integer_field(primitive, "mode", high=6, default=4) != _POINTS for primitive in splats):
         raise FormatError(f"a primitive with {EXTENSION} is not of points (mode 0); the extension allows no other")
     return splats
 
 
-def _count(glb: GlbFile, primitive: dict[str, object]) -> int:
-    return glb.accessor_count(integer(member(primitive, "attributes"), "POSITION", -1))
+def _count(document: GltfDocument, primitive: JsonObject) -> int:
+    return _rows(document, object_field(primitive, "attributes"), "POSITION")[1]
 
 
-def _read_primitive(glb: GlbFile, primitive: dict[str, object]) -> GaussianCloud:
-    attributes = member(primitive, "attributes")
-    count = _count(glb, primitive)
+def _rows(document: GltfDocument, attributes: JsonObject, name: str) -> tuple[int, int, int]:
+    """The accessor of an attribute, its count and its width, from the JSON alone."""
+    accessor = index_field(attributes, name, document.accessors, "accessors")
+    if accessor is None:
+        raise FormatError(f"a splat of the GLB file has no attribute {name}; found are {', '.join(sorted(attributes))}")
+    count, _, width = accessor_layout(document.accessors[accessor], f"accessors[{accessor}]")
+    return accessor, count, width
+
+
+def _read_primitive(document: GltfDocument, primitive: JsonObject) -> GaussianCloud:
+    attributes = object_field(primitive, "attributes")
+    count = _count(document, primitive)
 
     def column(name: str, width: int) -> Float32[np.ndarray, "G width"]:
-        if name not in attributes:
-            raise FormatError(
-                f"a splat of the GLB file has no attribute {name}; found are {', '.join(sorted(attributes))}"
-            )
-        values = glb.read_accessor(integer(attributes, name, -1))
-        if values.shape != (count, width):
-            raise FormatError(f"attribute {name} of the GLB file is {values.shape}; {(count, width)} is needed")
-        return values
+        accessor, *shape = _rows(document, attributes, name)
+        if shape != [count, width]:
+            raise FormatError(f"attribute {name} of the GLB file is {tuple(shape)}; {(count, width)} is needed")
+        return document.accessor(accessor).astype(np.float32)
 
     num_harmonics = sum(1 for name in attributes if name.startswith(f"{EXTENSION}:SH_DEGREE_"))
     if num_harmonics not in SH_DEGREES:
         raise FormatError(f"a splat of the GLB file has {num_harmonics} harmonics; 1, 4, 9 or 16 are allowed")
     sh = np.stack([column(_harmonic_name(h), 3) for h in range(num_harmonics)], axis=1)
-    extension = member(member(primitive, "extensions"), EXTENSION)
+    extension = object_field(object_field(primitive, "extensions"), EXTENSION)
     if extension.get("colorSpace") == "lin_rec709_display":
         sh = _to_srgb(sh)
     return GaussianCloud(
@@ -116,48 +131,8 @@ def _harmonic_name(index: int) -> str:
 def _to_srgb(sh: Float32[np.ndarray, "G H 3"]) -> Float32[np.ndarray, "G H 3"]:
     """Linear colour to display colour: the mean exactly, what depends on the view to first order about it."""
     linear = np.clip(sh[:, 0] * SH_0 + 0.5, 0, 1).astype(np.float64)
-    dark = linear <= 0.0031308
-    mean = np.where(dark, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    slope = np.where(dark, 12.92, 1.055 / 2.4 * np.maximum(linear, 0.0031308) ** (1 / 2.4 - 1))
-    return np.concatenate([((mean - 0.5) / SH_0)[:, None], sh[:, 1:] * slope[:, None]], axis=1).astype(np.float32)
-
-
-def _placed_meshes(glb: GlbFile) -> list[tuple[Float64[np.ndarray, "4 4"], int]]:
-    """Every mesh of the default scene with its place in the world."""
-    nodes, scenes = listed(glb.document, "nodes"), listed(glb.document, "scenes")
-    scene = integer(glb.document, "scene", 0)
-    if not 0 <= scene < len(scenes):
-        raise FormatError(f"the GLB file shows scene {scene} of {len(scenes)}; one scene is needed")
-    placed = list[tuple[Float64[np.ndarray, "4 4"], int]]()
-    pending = [(node, np.eye(4), 0) for node in reversed(array(scenes[scene], "nodes"))]  # a stack
-    visited = set[int]()
-    while pending:
-        index, above, depth = pending.pop()
-        if not (isinstance(index, int) and 0 <= index < len(nodes)) or index in visited or depth > _MAX_DEPTH:
-            raise FormatError(f"the GLB file's nodes are no tree: node {index} is missing, met twice, or too deep")
-        visited.add(index)
-        node = nodes[index]
-        transform = above @ _node_matrix(node)
-        if "mesh" in node:
-            placed.append((transform, integer(node, "mesh", -1)))
-        pending += [(child, transform, depth + 1) for child in reversed(array(node, "children"))]
-    return placed
-
-
-def _node_matrix(node: dict[str, object]) -> Float64[np.ndarray, "4 4"]:
-    def numbers(name: str, default: list[float]) -> Float64[np.ndarray, " numbers"]:
-        found = array(node, name) if name in node else default
-        if len(found) != len(default) or not all(isinstance(value, int | float) for value in found):
-            raise FormatError(f"a node of the GLB file has {name} {str(found)[:80]}; {len(default)} numbers are needed")
-        return np.array(found, np.float64)
-
-    if "matrix" in node:
-        return numbers("matrix", list(np.eye(4).ravel())).reshape(4, 4).T
-    x, y, z, w = numbers("rotation", [0.0, 0.0, 0.0, 1.0])
-    matrix = np.eye(4)
-    matrix[:3, :3] = quaternion_matrices(np.array([[w, x, y, z]]))[0] * numbers("scale", [1.0, 1.0, 1.0])
-    matrix[:3, 3] = numbers("translation", [0.0, 0.0, 0.0])
-    return matrix
+    mean = (linear_to_srgb(linear) - 0.5) / SH_0
+    return np.concatenate([mean[:, None], sh[:, 1:] * srgb_slope(linear)[:, None]], axis=1).astype(np.float32)
 
 
 def _placed(cloud: GaussianCloud, transform: Float64[np.ndarray, "4 4"]) -> GaussianCloud:

@@ -9,8 +9,9 @@ from dataclasses import dataclass, replace
 
 import DracoPy
 import numpy as np
-from jaxtyping import Float32, Float64, Int32, Shaped, UInt8
+from jaxtyping import Float64, Int32, Shaped, UInt8
 
+from dynamictree.color import linear_to_srgb
 from dynamictree.errors import FormatError, MeshError
 from dynamictree.formats.gltf.document import GltfDocument, accessor_layout, open_gltf
 from dynamictree.formats.gltf.material import gltf_materials, texture_coordinates, texture_placement
@@ -20,7 +21,6 @@ from dynamictree.formats.mesh.parts import MeshPart, join_parts
 from dynamictree.mesh import MAX_FACES, MAX_VERTICES, TriangleMesh
 
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
-_SRGB_LINEAR_END = 0.0031308  # IEC 61966-2-1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -203,9 +203,3 @@ def _colors(attributes: Mapping[str, Shaped[np.ndarray, "n width"]], count: int)
     rgba[:, :3] = linear_to_srgb(rgba[:, :3])
     colors: UInt8[np.ndarray, "N 4"] = np.round(rgba * 255).astype(np.uint8)
     return colors
-
-
-def linear_to_srgb(linear: Float32[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 3"]:
-    """IEC 61966-2-1, values in [0, 1]."""
-    curved = 1.055 * np.maximum(linear, _SRGB_LINEAR_END) ** (1 / 2.4) - 0.055
-    return np.where(linear <= _SRGB_LINEAR_END, 12.92 * linear, curved).astype(np.float32)

@@ -3,49 +3,17 @@
 What engines play most cheaply, at the price of an error, which the file tells in its `asset.extras`.
 """
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 
 import numpy as np
-from jaxtyping import Float32, Int32
+from jaxtyping import Int32
 
 from dynamictree.formats.axes import up_rotation
 from dynamictree.formats.gltf.writer import VERTEX_BUFFER, GlbWriter, add_mesh
 from dynamictree.formats.stream import ByteWriter
 from dynamictree.gaussian.rotation import matrix_quaternions
 from dynamictree.mesh import TriangleMesh
-
-JOINTS_A_VERTEX = 4  # glTF 2.0, section 3.7.3.3: what every engine is asked to support
-
-
-@dataclass(frozen=True, kw_only=True)
-class Skin:
-    """Rigid motion of B joints over T frames: x' = Σ_j weights_j (rotation_j x + translation_j)."""
-
-    parent: Int32[np.ndarray, " B"]  # -1 at the root; parents come before children
-    joint_m: Float32[np.ndarray, "B 3"]  # where a joint is at rest
-    rows: Int32[np.ndarray, "N 4"]
-    weights: Float32[np.ndarray, "N 4"]  # sum to 1
-    rotation: Float32[np.ndarray, "T B 3 3"]
-    translation_m: Float32[np.ndarray, "T B 3"]
-
-    def displacement(self, vertices: Float32[np.ndarray, "N 3"], frame: int) -> Float32[np.ndarray, "N 3"]:
-        """Where the joints carry the vertices of rest, less where they were [m]."""
-        moved = np.zeros_like(vertices)
-        for rows, weights in zip(self.rows.T, self.weights.T, strict=True):
-            turned = np.einsum("nij,nj->ni", self.rotation[frame, rows], vertices) + self.translation_m[frame, rows]
-            moved += weights[:, None] * turned
-        return np.asarray(moved - vertices)
-
-
-@dataclass(frozen=True, kw_only=True)
-class SkinSummary:
-    """What was written, and how far it is from the motion."""
-
-    num_joints: int
-    num_keys: int
-    relative_error: float  # root mean square of what is missing over that of the motion
-    rms_error_m: float  # over all vertices and frames
-    max_error_m: float  # of any vertex at any frame
+from dynamictree.skin import Skin, SkinSummary
 
 
 def write_skinned_glb(mesh: TriangleMesh, skin: Skin, summary: SkinSummary, stream: ByteWriter, *, fps: float) -> None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float32, Shaped, UInt8
 
+from dynamictree.color import srgb_to_linear
 from dynamictree.formats.axes import vertices_in_source_axes
 from dynamictree.formats.stream import ByteWriter
 from dynamictree.mesh import Material, TriangleMesh
@@ -17,7 +18,6 @@ _FLOAT, _UINT16, _UINT32 = 5126, 5123, 5125
 VERTEX_BUFFER, _INDEX_BUFFER = 34962, 34963
 _TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
 _COMPONENTS = {"float32": _FLOAT, "uint16": _UINT16, "uint32": _UINT32}
-_SRGB_LINEAR_END = 0.04045  # IEC 61966-2-1
 
 
 @dataclass(kw_only=True)
@@ -142,6 +142,5 @@ def _material(writer: GlbWriter, material: Material) -> dict[str, object]:
 def linear_colors(colors: UInt8[np.ndarray, "N 4"]) -> Shaped[np.ndarray, "N 4"]:
     """SRGB bytes to the linear 16 bits that glTF asks for; bytes would lose the dark shades."""
     rgba: Float32[np.ndarray, "N 4"] = colors.astype(np.float32) / 255
-    rgb = rgba[:, :3]
-    rgba[:, :3] = np.where(rgb <= _SRGB_LINEAR_END, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    rgba[:, :3] = srgb_to_linear(rgba[:, :3])
     return np.round(rgba * 65535).astype(np.uint16)

@@ -1,0 +1,42 @@
+"""The sRGB transfer curve, IEC 61966-2-1: display values to linear light and back, both in [0, 1]."""
+
+from typing import no_type_check
+
+import numpy as np
+from jaxtyping import Float, Float32, UInt8
+
+LINEAR_END = 0.0031308  # of linear light, below which the curve is a line
+DISPLAY_END = 0.04045  # the same place as a display value
+
+
+def linear_to_srgb(linear: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+    """Encode linear light for a display; the precision stays."""
+    bounded = np.clip(linear, 0, 1)
+    curved = 1.055 * np.maximum(bounded, LINEAR_END) ** (1 / 2.4) - 0.055
+    display: Float[np.ndarray, "*shape"] = np.where(bounded <= LINEAR_END, 12.92 * bounded, curved).astype(linear.dtype)
+    return display
+
+
+def srgb_to_linear(display: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+    """Decode display values to linear light; undoes `linear_to_srgb`."""
+    curved = ((display + 0.055) / 1.055) ** 2.4
+    return np.where(display <= DISPLAY_END, display / 12.92, curved).astype(display.dtype)
+
+
+def linear_from_bytes(srgb: UInt8[np.ndarray, "*shape"]) -> Float32[np.ndarray, "*shape"]:
+    """Decode sRGB bytes to linear light in [0, 1]."""
+    linear: Float32[np.ndarray, "*shape"] = srgb_to_linear(np.arange(256) / 255).astype(np.float32)[srgb]
+    return linear
+
+
+def srgb_slope(linear: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+    """Derivative of `linear_to_srgb`."""
+    curved = 1.055 / 2.4 * np.maximum(linear, LINEAR_END) ** (1 / 2.4 - 1)
+    return np.where(linear <= LINEAR_END, 12.92, curved).astype(linear.dtype)
+
+
+@no_type_check  # numba compiles no checked function
+def srgb_of(linear):
+    """Encode one value; plain arithmetic, which numba compiles."""
+    value = min(max(linear, 0.0), 1.0)
+    return 12.92 * value if value <= LINEAR_END else 1.055 * value ** (1 / 2.4) - 0.055
