@@ -20,13 +20,13 @@ from torch import Tensor
 from benchmarks._machine import machine
 from dynamictree.dataset.sample import make_sample
 from dynamictree.dataset.shards import StoredTree, store, write_shard
+from dynamictree.diffusion.channels import pack_channels
 from dynamictree.diffusion.loss import nearest_voxels
-from dynamictree.diffusion.paper import PaperNetwork, PaperPreset, PaperTraining
-from dynamictree.diffusion.sample import sample_ddim
+from dynamictree.diffusion.sampler import sample_ddim
 from dynamictree.diffusion.schedule import linear_schedule
-from dynamictree.diffusion.small import pack_channels
-from dynamictree.diffusion.unet import UNetShape
-from dynamictree.training.paper import PaperExample, PaperRun, paper_example, train_paper
+from dynamictree.models.paper.network import PaperNetwork, PaperPreset, PaperTraining
+from dynamictree.models.paper.train import PaperExample, PaperRun, paper_example, train_paper
+from dynamictree.models.paper.unet import UNetShape
 
 NUM_TREES, NUM_JUDGED, STEPS, BATCH, RESOLUTION = 16, 4, 1200, 16, 16
 SMOOTHNESS_FROM = STEPS * 4 // 7  # as the paper's 40,000 of 70,000

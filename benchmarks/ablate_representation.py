@@ -9,8 +9,8 @@ import numpy as np
 from benchmarks._machine import machine
 from dynamictree.dataset.motion import vertex_spectrum
 from dynamictree.dataset.sample import make_sample
+from dynamictree.evaluation.metrics import centroid_correlation, edge_stretch, log_amplitude_agreement, roughness
 from dynamictree.mesh import edges_of
-from dynamictree.training.metrics import centroid_correlation, edge_stretch, log_amplitude_agreement, roughness
 from dynamictree.voxel.devoxelize import VoxelInterpolation, nearest, smooth
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.inextensible import hold_lengths

@@ -7,7 +7,7 @@ import torch
 
 from benchmarks._machine import machine, timed
 from dynamictree.dataset.sample import make_sample
-from dynamictree.diffusion.model import NUM_STEPS, load_model
+from dynamictree.models.small.generate import NUM_STEPS, load_model
 from dynamictree.spectrum import Wind
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import SurfaceVoxels, voxelize

@@ -10,7 +10,7 @@ import scipy.sparse
 from benchmarks._machine import machine
 from dynamictree.dataset.sample import Sample, make_sample, voxel_spectrum
 from dynamictree.dataset.sapling import LEAF
-from dynamictree.dataset.skeleton import Skeleton
+from dynamictree.dataset.stem_skeleton import Skeleton
 from dynamictree.mesh import edges_of
 from dynamictree.modal.force import Drag, Impulse, compliance, contact_at_voxel, equilibrium, generalised_force
 from dynamictree.modal.locality import branching, default_falloff_m, poke_weights

@@ -4,10 +4,10 @@ import numpy as np
 
 from benchmarks._machine import machine
 from dynamictree.dataset.sample import make_sample, voxel_spectrum
-from dynamictree.diffusion.model import load_model
+from dynamictree.evaluation.metrics import amplitude
 from dynamictree.mesh import TriangleMesh
+from dynamictree.models.small.generate import load_model
 from dynamictree.spectrum import Wind
-from dynamictree.training.metrics import amplitude
 
 SEED, SPECIES = 2, "weeping"
 WINDS = (

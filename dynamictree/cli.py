@@ -17,13 +17,13 @@ from dynamictree.errors import DynamicTreeError
 PLUGIN_GROUP = "dynamictree.commands"
 OWN_COMMANDS = {
     "animate": "dynamictree.commands.animate:animate",
-    "dataset": "dynamictree.dataset.commands:app",
+    "dataset": "dynamictree.commands.dataset:app",
     "diffuse": "dynamictree.commands.diffuse:diffuse",
-    "evaluate": "dynamictree.training.evaluate_command:evaluate",
+    "evaluate": "dynamictree.commands.evaluate:evaluate",
     "info": "dynamictree.commands.info:info",
     "interact": "dynamictree.commands.interact:interact",
     "reconstruct": "dynamictree.commands.reconstruct:reconstruct",
-    "train": "dynamictree.training.commands:train",
+    "train": "dynamictree.commands.train:train",
     "voxelize": "dynamictree.commands.voxelize:voxelize",
 }
 

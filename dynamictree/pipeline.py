@@ -44,7 +44,7 @@ from dynamictree.voxel.voxelize import SurfaceVoxels
 from dynamictree.voxel.voxelize import voxelize as voxelize_surface
 
 if TYPE_CHECKING:
-    from dynamictree.diffusion.model import TreeMotionModel
+    from dynamictree.models.small.generate import TreeMotionModel
 
 RESOLUTION = 128  # paper section 5
 RESOLUTIONS = (32, 64, 128, 256, 512)
@@ -285,6 +285,6 @@ def _write_sheet(sway: SwayingMesh, stream: BinaryIO) -> None:
 
 @lru_cache(maxsize=2)
 def _model(preset: str) -> "TreeMotionModel":
-    from dynamictree.diffusion.model import load_model
+    from dynamictree.models.small.generate import load_model
 
     return load_model(preset)

@@ -9,8 +9,8 @@ from jaxtyping import Complex64, Float32, Int8, Int32
 from dynamictree.dataset.crossing import CROSSED, crossed_species
 from dynamictree.dataset.motion import Sway, vertex_spectrum
 from dynamictree.dataset.sapling import Tree, grow_tree
-from dynamictree.dataset.skeleton import Skeleton, skeleton_of
 from dynamictree.dataset.species import SPECIES, Species
+from dynamictree.dataset.stem_skeleton import Skeleton, skeleton_of
 from dynamictree.dataset.wind import sway
 from dynamictree.errors import InputError
 from dynamictree.mesh import TriangleMesh

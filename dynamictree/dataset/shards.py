@@ -19,7 +19,7 @@ import safetensors.numpy
 from jaxtyping import Complex64, Float16, Float32
 
 from dynamictree.dataset.sample import VERSION, Sample, Split, voxel_spectrum
-from dynamictree.dataset.skeleton import Skeleton
+from dynamictree.dataset.stem_skeleton import Skeleton
 from dynamictree.errors import FormatError
 from dynamictree.formats.stream import ByteWriter
 from dynamictree.mesh import TriangleMesh

@@ -1,1 +1,1 @@
-"""The network: amplitude from shape and wind, and a diffusion of the whitened spectrum; presets small and paper."""
+"""Model-independent parts of diffusion: noise schedules, samplers, losses and channel packing."""

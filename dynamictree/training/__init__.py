@@ -1,1 +1,1 @@
-"""Training of the small model and of the paper's, and what they are measured by."""
+"""Model-independent parts of training: trainer, learning rates, checkpoints, processes."""

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from dynamictree.dataset.commands import app
+from dynamictree.commands.dataset import app
 from dynamictree.dataset.filter import Limits, measure
 from dynamictree.dataset.generate import Recipe, generate, shard_name
 from dynamictree.dataset.records import iter_seen

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from dynamictree.diffusion.loss import denoising_loss
-from dynamictree.diffusion.sample import karras_schedule, sample_heun
+from dynamictree.diffusion.sampler import karras_schedule, sample_heun
 
 VARIANCE = torch.tensor([4.0, 1.0, 0.01])
 

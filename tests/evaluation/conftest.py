@@ -4,11 +4,11 @@ import pytest
 import torch
 from typer import Typer
 
-from dynamictree.diffusion.denoiser import DenoiserShape
-from dynamictree.diffusion.model import write_network
-from dynamictree.diffusion.small import SmallNetwork, SmallPreset
-from dynamictree.training.evaluate_command import evaluate
-from dynamictree.training.trees import JudgedTree, iter_judged
+from dynamictree.commands.evaluate import evaluate
+from dynamictree.evaluation.held_out_trees import JudgedTree, iter_judged
+from dynamictree.models.small.denoiser import DenoiserShape
+from dynamictree.models.small.generate import write_network
+from dynamictree.models.small.network import SmallNetwork, SmallPreset
 
 
 @pytest.fixture(autouse=True, scope="session")

@@ -9,9 +9,9 @@ from typer import Typer
 from typer.testing import CliRunner
 
 from dynamictree.errors import InputError
-from dynamictree.training.classifier import classify, features_of, share_right
-from dynamictree.training.ruler import Ruler
-from dynamictree.training.trees import JudgedTree
+from dynamictree.evaluation.classifier import classify, features_of, share_right
+from dynamictree.evaluation.figures import Ruler
+from dynamictree.evaluation.held_out_trees import JudgedTree
 
 
 def test_what_differs_is_told_and_what_does_not_is_guessed(rng: np.random.Generator) -> None:

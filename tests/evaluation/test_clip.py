@@ -9,7 +9,7 @@ from safetensors.torch import save_file
 
 from dynamictree.dataset.sample import make_sample
 from dynamictree.errors import CheckpointError, InputError
-from dynamictree.training.clip import ImageEmbedder, clip_distances, load_clip, motion_distances
+from dynamictree.evaluation.clip import ImageEmbedder, clip_distances, load_clip, motion_distances
 
 transformers = pytest.importorskip("transformers", reason="the extra `evaluate` is not installed")
 

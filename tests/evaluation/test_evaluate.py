@@ -8,12 +8,12 @@ import pytest
 from typer import Typer
 from typer.testing import CliRunner
 
+from dynamictree.commands.evaluate import print_classifier, print_figures, print_rivals
+from dynamictree.evaluation.figures import Ruler, judge
+from dynamictree.evaluation.held_out_trees import JudgedTree, iter_sapling
+from dynamictree.evaluation.sapling_file import read_sapling, sapling_files
+from dynamictree.evaluation.targets import BASELINES, TARGETS, targets_of
 from dynamictree.spectrum import to_motion
-from dynamictree.training.evaluate_command import print_classifier, print_figures, print_rivals
-from dynamictree.training.ruler import Ruler, judge
-from dynamictree.training.sapling_file import read_sapling, sapling_files
-from dynamictree.training.targets import BASELINES, TARGETS, targets_of
-from dynamictree.training.trees import JudgedTree, iter_sapling
 
 
 def ran(commands: Typer, *arguments: str) -> tuple[dict, str]:

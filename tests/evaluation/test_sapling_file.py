@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dynamictree.errors import FormatError, InputError
-from dynamictree.training.sapling_file import read_sapling, sapling_files
+from dynamictree.evaluation.sapling_file import read_sapling, sapling_files
 
 
 def test_a_folder_without_trees_is_refused(tmp_path: Path) -> None:

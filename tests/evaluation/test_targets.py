@@ -1,6 +1,6 @@
 import pytest
 
-from dynamictree.training.targets import BASELINES, TARGETS, Target, passes, targets_of
+from dynamictree.evaluation.targets import BASELINES, TARGETS, Target, passes, targets_of
 
 GOOD = {
     "log_amplitude_correlation": 0.95,

@@ -1,0 +1,178 @@
+"""`dynamictree evaluate`."""
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from dynamictree.errors import InputError
+from dynamictree.terminal import AsJson
+from dynamictree.training.progress import OnStep, bars
+
+if TYPE_CHECKING:
+    from dynamictree.evaluation.clip import ImageEmbedder
+
+RIVALS = ("sapling",)
+
+
+def evaluate(
+    model: Annotated[str, typer.Option(help="Name of a shipped model, or a .safetensors file.")] = "small",
+    trees: Annotated[int, typer.Option(min=1, max=10_000, help="Of each group: seen and unseen species.")] = 6,
+    known_trees: Annotated[int, typer.Option(min=1, max=10_000, help="Training trees that the baselines know.")] = 40,
+    first_seed: Annotated[int, typer.Option(min=0, max=2**40, help="Of the training trees.")] = 1000,
+    seed: Annotated[int, typer.Option(min=0, max=2**63 - 1, help="Of the generated motions.")] = 0,
+    steps: Annotated[
+        int | None, typer.Option(min=1, max=1000, help="Of the sampler; the preset's own if not given.")
+    ] = None,
+    samples: Annotated[
+        Path | None,
+        typer.Option(
+            envvar="DYNAMICTREE_SAMPLES",
+            exists=True,
+            file_okay=False,
+            help="Folder of trees (.npz) that Blender's Sapling add-on baked: a third group.",
+        ),
+    ] = None,
+    rival: Annotated[
+        str | None, typer.Option(help="Instead, move the same meshes by our model and by a rival: sapling.")
+    ] = None,
+    classifier: Annotated[
+        bool, typer.Option(help="Instead, train a classifier to tell generated motions from true ones (long).")
+    ] = False,
+    classifier_trees: Annotated[int, typer.Option(min=20, max=100_000, help="Of each side.")] = 200,
+    max_voxels: Annotated[
+        int, typer.Option(min=1000, max=150_000, help="Leave larger trees out of the classifier, on both sides.")
+    ] = 150_000,
+    clip: Annotated[
+        Path | None,
+        typer.Option(help="CLIP's ViT-B/32 (model.safetensors, or its folder), for CLIP-I and CLIP-T.", exists=True),
+    ] = None,
+    threads: Annotated[int, typer.Option(min=1, max=256, help="Of this process.")] = 2,
+    as_json: AsJson = False,
+) -> None:
+    """Judge a model on trees that no training saw, beside what it must beat: a table, or JSON."""
+    import torch
+
+    torch.set_num_threads(threads)
+    if rival is not None and rival not in RIVALS:
+        raise InputError(f"there is no rival {rival!r}; choose {', '.join(RIVALS)}")
+    if rival is not None and classifier:
+        raise InputError("--rival and --classifier are two runs; give one of them")
+    files, embedder = _sapling(samples), _embedder(clip)
+    with bars(quiet=as_json) as on_step:
+        if rival is not None:
+            report = _compare(model, trees, seed, files, embedder, on_step)
+        elif classifier:
+            from dynamictree.evaluation.classifier import classify
+
+            report = classify(model, num_trees=classifier_trees, max_voxels=max_voxels, seed=seed, on_step=on_step)
+        else:
+            from dynamictree.evaluation.report import evaluate_model
+
+            report = evaluate_model(
+                model,
+                num_trees=trees,
+                num_known=known_trees,
+                first_seed=first_seed,
+                seed=seed,
+                num_steps=steps,
+                sapling=files,
+                embedder=embedder,
+                on_step=on_step,
+            )
+    if as_json:
+        typer.echo(json.dumps(report))
+    elif rival is not None:
+        print_rivals(report)
+    elif classifier:
+        print_classifier(report)
+    else:
+        print_figures(report)
+
+
+def _sapling(folder: Path | None) -> Sequence[Path]:
+    """The add-on's trees, or one line that there are none."""
+    from dynamictree.evaluation.sapling_file import sapling_files
+
+    if folder is None:
+        typer.echo("no trees of the Sapling add-on: give their folder with --samples to judge on them too", err=True)
+        return ()
+    return sapling_files(folder)
+
+
+def _embedder(weights: Path | None) -> "ImageEmbedder | None":
+    """CLIP, or one line that there is none."""
+    from dynamictree.evaluation.clip import load_clip
+
+    if weights is None:
+        typer.echo("CLIP-I and CLIP-T are left out: give ViT-B/32's weights with --clip to have them", err=True)
+        return None
+    return load_clip(weights)
+
+
+def _compare(
+    model: str,
+    trees: int,
+    seed: int,
+    files: Sequence[Path],
+    embedder: "ImageEmbedder | None",
+    on_step: OnStep,
+) -> dict[str, Any]:
+    from dynamictree.evaluation.contest import compare
+
+    return compare(model, num_trees=trees, seed=seed, sapling=files, embedder=embedder, on_step=on_step)
+
+
+def print_figures(report: dict[str, Any]) -> None:
+    """Figures by group, targets, and whether the model passes."""
+    for group, rows in report["groups"].items():
+        _print_columns(f"{group}: mean over {report['trees'][group]} trees", rows)
+    for group, rows in report.get("clip", {}).items():
+        _print_columns(f"{group}: CLIP", rows)
+    seeds = report["seed_difference"]
+    typer.echo(f"difference between two seeds {seeds['model']:.2f}, between two true winds {seeds['truth']:.2f}")
+    for target in report["targets"]:
+        verdict = "met" if target["met"] else f"missed by {target['missed_by']:.3f}"
+        better = ", ".join(target["better_baselines"]) or "none"
+        name = target["figure"].replace("_", " ")
+        found = f"{target['found']:.3f} (a second true wind {target['floor']:.3f})"
+        typer.echo(f"{name} {target['wanted']}: {found}, {verdict}; better baselines: {better}")
+    verdict = "passes" if report["passes"] else "does not pass"
+    typer.echo(f"{report['model']} {verdict}: {report['rule']}")
+
+
+def print_rivals(report: dict[str, Any]) -> None:
+    """The contest by set of trees."""
+    from dynamictree.evaluation.contest import CONTESTANTS
+
+    for kind, rows in report["sets"].items():
+        _print_columns(f"{kind}: mean over {report['trees'][kind]} trees", rows)
+    for name, meaning in CONTESTANTS.items():
+        typer.echo(f"{name}: {meaning}")
+
+
+def print_classifier(report: dict[str, Any]) -> None:
+    """How often it was right, and whether that counts."""
+    for kind, found in report["right"].items():
+        typer.echo(f"true motion told from {kind} in {100 * found:.1f} % of cases")
+    verdict = "valid" if report["valid"] else "not valid"
+    typer.echo(f"{verdict}: {report['rule']}; {report['trees']} trees a side, {report['mean_voxels']:,.0f} voxels each")
+
+
+def _print_columns(title: str, rows: Mapping[str, Mapping[str, float]]) -> None:
+    """A column a method, a row a figure."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table()
+    table.add_column("figure", no_wrap=True)
+    for method in rows:
+        table.add_column(method, justify="right")
+    for figure in next(iter(rows.values())):
+        told = (f"{of_method[figure]:.3f}" if figure in of_method else "" for of_method in rows.values())
+        table.add_row(figure.replace("_", " "), *told)
+    typer.echo(title)
+    console = Console()
+    Console(width=max(console.width, 140)).print(table)

@@ -1,0 +1,138 @@
+"""The paper's last table, made runnable: one clean mesh, moved by our model and by Sapling's procedural wind.
+
+The paper's own figures there are a user study's (authenticity, complexity, structure, quality), which no program gives.
+What can be measured without a true motion is: smoothness, stretch, roots, loop, how many frequencies, time, CLIP.
+"""
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Complex64
+
+from dynamictree.evaluation.clip import ImageEmbedder, motion_distances
+from dynamictree.evaluation.figures import Ruler
+from dynamictree.evaluation.held_out_trees import JudgedTree, iter_judged, iter_sapling
+from dynamictree.evaluation.metrics import (
+    amplitude,
+    edge_stretch,
+    energy_by_frequency,
+    loop_jump,
+    phase_agreement,
+    root_share,
+    roughness,
+)
+from dynamictree.evaluation.procedural_wind import sway_as_sapling
+from dynamictree.evaluation.report import mean_of
+from dynamictree.evaluation.sapling_file import read_sapling
+from dynamictree.models.small.generate import TreeMotionModel, load_model
+from dynamictree.spectrum import FPS, NUM_FRAMES, from_motion
+from dynamictree.training.progress import OnStep
+from dynamictree.voxel.inextensible import bending
+
+Motion = Complex64[np.ndarray, "N K 3"]
+ALL_BINS = NUM_FRAMES // 2 + 1
+"""A motion that does not loop needs every bin, to be the same motion again."""
+
+CONTESTANTS = {
+    "model": "ours: from the mesh alone",
+    "sapling": "the add-on's formula on the tree's own skeleton, told to loop",
+    "sapling, as baked": "the add-on's own frames (trees of its own only)",
+    "4dtree wind": "the wind that the model learnt from, on the tree's own skeleton (our trees only)",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Showing:
+    """One contestant on one tree, measured without a truth."""
+
+    smoothness_loss: float  # L_LSS of the voxels' means, over their mean size
+    roughness: float  # along the mesh's edges
+    phase_agreement: float
+    stretch_median: float
+    stretch_p99: float
+    root_share: float  # of the height
+    loop_jump: float  # over the largest step inside
+    size_share: float  # median size of the motion, of the height
+    effective_frequencies: float  # exp of the entropy of the energy's shares by frequency
+    mean_frequency_hz: float
+    cpu_seconds: float  # to make the loop; 0 where it was read
+
+
+def show(motion: Motion, ruler: Ruler, *, seconds: float) -> Showing:
+    """Measure a motion."""
+    vertices = ruler.tree.mesh.vertices
+    median, extreme = edge_stretch(motion, vertices, ruler.edges)
+    shares = energy_by_frequency(motion)
+    some = shares[shares > 0]
+    return Showing(
+        smoothness_loss=ruler.smoothness(motion),
+        roughness=roughness(motion, ruler.edges),
+        phase_agreement=phase_agreement(motion, ruler.edges),
+        stretch_median=median,
+        stretch_p99=extreme,
+        root_share=root_share(motion, vertices),
+        loop_jump=loop_jump(motion),
+        size_share=float(np.median(amplitude(motion)) / ruler.tree.mesh.height_m),
+        effective_frequencies=float(np.exp(-(some * np.log(some)).sum())),
+        mean_frequency_hz=float(shares @ np.arange(1, len(shares) + 1) * FPS / NUM_FRAMES),
+        cpu_seconds=seconds,
+    )
+
+
+def iter_contest(tree: JudgedTree, model: TreeMotionModel, seed: int) -> Iterator[tuple[str, Motion, float]]:
+    """Each contestant's motion of the tree's vertices [m], and the CPU seconds that it took."""
+    begun = time.process_time()
+    spectrum = model.generate(tree.voxels, wind=tree.wind, seed=seed)
+    motion = bending(tree.voxels.grid, tree.mesh).apply(spectrum.coefficients)
+    yield "model", motion, time.process_time() - begun
+    begun = time.process_time()
+    swayed = sway_as_sapling(tree.bones, np.random.default_rng([seed, 2]))
+    motion = from_motion(swayed.displacement(tree.mesh.vertices, tree.bone), ALL_BINS)
+    yield "sapling", motion, time.process_time() - begun
+
+
+def compare(
+    name: str,
+    *,
+    num_trees: int,
+    seed: int,
+    sapling: Sequence[Path] = (),
+    embedder: ImageEmbedder | None = None,
+    on_step: OnStep = lambda part, done, total, loss: None,
+) -> dict[str, Any]:
+    """Mean figures a set of trees and contestant; CLIP-I and CLIP-T too where there are weights."""
+    model = load_model(name)
+    resolution = model.network.preset.resolution
+    sets: dict[str, tuple[Iterator[tuple[JudgedTree, str, Motion]], int]] = {
+        "sapling trees": (_their_trees(sapling, resolution), len(sapling)),
+        "unseen species": (_our_trees(num_trees, resolution), num_trees),
+    }
+    report: dict[str, dict[str, dict[str, float]]] = {}
+    for kind, (trees, count) in sets.items():
+        rows: dict[str, list[dict[str, float]]] = {}
+        for done, (tree, another, known) in enumerate(trees, start=1):
+            ruler = Ruler.of(tree)
+            for contestant, motion, seconds in chain(iter_contest(tree, model, seed), [(another, known, 0.0)]):
+                row = asdict(show(motion, ruler, seconds=seconds))
+                if embedder is not None:
+                    row["clip_i"], row["clip_t"] = motion_distances(embedder, tree.mesh, motion)
+                rows.setdefault(contestant, []).append(row)
+            on_step(kind, done, count, 0.0)
+        if rows:
+            report[kind] = {contestant: mean_of(of_one) for contestant, of_one in rows.items()}
+    return {"model": model.name, "trees": {kind: count for kind, (_, count) in sets.items()}, "sets": report}
+
+
+def _their_trees(files: Sequence[Path], resolution: int) -> Iterator[tuple[JudgedTree, str, Motion]]:
+    for path, tree in zip(files, iter_sapling(files, resolution=resolution), strict=True):
+        yield tree, "sapling, as baked", from_motion(read_sapling(path).displacement, ALL_BINS)
+
+
+def _our_trees(count: int, resolution: int) -> Iterator[tuple[JudgedTree, str, Motion]]:
+    for tree in iter_judged("unseen-species", count, resolution=resolution):
+        yield tree, "4dtree wind", tree.truth

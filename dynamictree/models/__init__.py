@@ -1,0 +1,1 @@
+"""The trained models: `small` is shipped, `paper` is the paper's own network."""

@@ -1,0 +1,1 @@
+"""The shipped model: amplitudes by regression, phases by diffusion."""

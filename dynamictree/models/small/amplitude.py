@@ -1,0 +1,191 @@
+"""How far each voxel moves at each frequency, and how far it leans: the part of a motion that shape and wind decide.
+
+The network gives, in the wind's frame and as a share of the tree's height, the mean displacement c_0 and the size A of
+every other coefficient. What is left, u = c / A, is what the diffusion model learns. Both grow with the drag, the
+second with the gusts too, before the network has its say.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Complex64, Float32
+from torch import Tensor, nn
+
+from dynamictree.models.small.features import (
+    CHAIN,
+    NUM_SCALARS,
+    NUM_VECTORS,
+    NUM_WIND,
+    TreeCondition,
+    node_features,
+)
+from dynamictree.models.small.foliage import ARM, NUM_TOLD, STEM
+from dynamictree.models.small.surface_shape import NUM_SURFACE
+from dynamictree.sparse.pool import pool_to, upsample
+from dynamictree.spectrum import Wind
+
+FLOOR = 1e-6
+"""Sizes below this share of the height (0.01 mm of a 10 m tree) are not told apart, and stand for standing still."""
+AXES = 3
+CONTEXT = (2, 4)  # levels of the pyramid
+NUM_OWN_SCALARS = NUM_SCALARS + NUM_SURFACE + NUM_TOLD - 3 + 2 * CHAIN * (3 + 1)
+NUM_OWN_VECTORS = NUM_VECTORS + 1
+NUM_OWN = NUM_OWN_SCALARS + 3 * NUM_OWN_VECTORS
+NUM_INPUTS = (len(CONTEXT) + 2) * NUM_OWN + NUM_WIND
+CLIP = 5.0  # standard deviations
+REFERENCE_SPEED = 5.0  # [m/s]
+DRAG_EXPONENT = 1.4  # of the speed: plants give way, Vogel 1989
+MIN_GUST = 0.01
+SEEN = 1e-5  # of the height: the least motion whose centroid and lean count
+CENTROID_WEIGHT = 0.15
+LEAN_WEIGHT = 0.5
+LEAN = 0.5
+START = -7.0
+"""Lean over the motion's size at gust 1, and ln A there, before training: their size in the dataset."""
+
+
+class AmplitudeNetwork(nn.Module):
+    """Row by row: a voxel's features with their means over its surroundings and over the tree, and the wind.
+
+    No convolution: what a voxel does is in the chain of stems that bears it, which its features tell. Measured, a
+    U-Net at 32³ learnt less in ten times the time (docs/decisions).
+    """
+
+    mean: Tensor  # [F], of the inputs
+    deviation: Tensor  # [F]
+
+    def __init__(self, *, num_frequencies: int, width: int, depth: int) -> None:
+        super().__init__()
+        self.num_frequencies = num_frequencies
+        self.enter = nn.Linear(NUM_INPUTS, width)
+        self.blocks = nn.ModuleList(
+            nn.Sequential(nn.LayerNorm(width), nn.Linear(width, 2 * width), nn.SiLU(), nn.Linear(2 * width, width))
+            for _ in range(depth)
+        )
+        self.head = nn.Sequential(nn.LayerNorm(width), nn.SiLU(), nn.Linear(width, AXES * num_frequencies))
+        self.register_buffer("mean", torch.zeros(NUM_INPUTS))
+        self.register_buffer("deviation", torch.ones(NUM_INPUTS))
+
+    def forward(
+        self, inputs: Float32[Tensor, "R I"], wind: Float32[Tensor, "R 2"]
+    ) -> tuple[Float32[Tensor, "R 3"], Float32[Tensor, "R J 3"]]:
+        """Lean c_0 over the height, and ln A over the height for k = 1 … K − 1. What hardly moves hardly leans.
+
+        Args:
+            inputs: rows of `amplitude_inputs`.
+            wind: ln speed and gust at each row.
+        """
+        hidden = self.enter(((inputs - self.mean) / self.deviation).clamp(-CLIP, CLIP))
+        for block in self.blocks:
+            hidden = hidden + block(hidden)
+        out = self.head(hidden).view(len(inputs), self.num_frequencies, AXES)
+        drag = DRAG_EXPONENT * (wind[:, :1] - math.log(REFERENCE_SPEED))
+        gust = wind[:, 1:].clamp_min(MIN_GUST).log()
+        log_amplitude = START + out[:, 1:] + (drag + gust)[..., None]
+        size = (2 * (log_amplitude.detach() - gust[..., None])).exp().sum(dim=(1, 2)).sqrt()
+        return LEAN * out[:, 0] * size[:, None], log_amplitude
+
+    def of_tree(
+        self, tree: TreeCondition, told: Float32[Tensor, "V O"], wind: Float32[Tensor, "B 4"]
+    ) -> tuple[Float32[Tensor, "V 3"], Float32[Tensor, "V J 3"]]:
+        """At all voxels; `told` by the foliage network."""
+        at_row = wind[tree.grids.levels[0].sample_of_row, :NUM_WIND]
+        lean, log_amplitude = self(amplitude_inputs(tree, told, wind), at_row)
+        return lean, log_amplitude
+
+
+def amplitude_inputs(
+    tree: TreeCondition, told: Float32[Tensor, "V O"], wind: Float32[Tensor, "B 4"]
+) -> Float32[Tensor, "V I"]:
+    """Features of each voxel in the wind's frame and what the foliage network tells of it and of the stems that bear
+    it, their means over its ancestors two and four levels up and over the tree, and the wind. The grid's own axes do
+    not enter.
+    """
+    bearers = told[:, STEM][tree.chain].flatten(1)
+    described = replace(
+        tree,
+        scalars=torch.cat(
+            [tree.scalars, tree.surface, told[:, : ARM.start], told[:, ARM.stop :], bearers, tree.girth], dim=1
+        ),
+        vectors=torch.cat([tree.vectors, told[:, None, ARM]], dim=1),
+    )
+    own = node_features(described, wind)[:, :-2]
+    columns = [own]
+    for top in CONTEXT:
+        raised = pool_to(own, tree.grids, top)
+        for parents in reversed(tree.grids.parents[:top]):
+            raised = upsample(raised, parents)
+        columns.append(raised)
+    sample = tree.grids.levels[0].sample_of_row
+    whole = torch.stack([own[rows].mean(dim=0) for rows in tree.grids.levels[0].sample_slices])
+    return torch.cat([*columns, whole[sample], wind[sample, :NUM_WIND]], dim=1)
+
+
+def mirror_inputs(inputs: Float32[Tensor, "R I"]) -> Float32[Tensor, "R I"]:
+    """What `amplitude_inputs` gives of the mirrored tree: crosswind components change their sign."""
+    signs = torch.ones(NUM_OWN)
+    signs[NUM_OWN_SCALARS + NUM_OWN_VECTORS : NUM_OWN_SCALARS + 2 * NUM_OWN_VECTORS] = -1
+    return inputs * torch.cat([signs.repeat(len(CONTEXT) + 2), torch.ones(NUM_WIND)])
+
+
+def moving(log_amplitude: Float32[Tensor, "V J 3"]) -> Float32[Tensor, "V J 3"]:
+    """A over the height, without the floor that ln A was learnt with: what stands still is exactly still."""
+    return ((2 * log_amplitude).exp() - FLOOR**2).clamp_min(0).sqrt()
+
+
+def reference_shift(wind: Wind) -> float:
+    """How much larger ln A is in this wind than at drag and gust 1."""
+    speed = max(wind.speed_m_s, 0.1)
+    return DRAG_EXPONENT * math.log(speed / REFERENCE_SPEED) + math.log(max(wind.gust, MIN_GUST))
+
+
+@dataclass(frozen=True, kw_only=True)
+class AmplitudeLosses:
+    """Squared errors, see `amplitude_losses`."""
+
+    logarithmic: Float32[Tensor, ""]  # of ln A against ln |c|
+    overall: Float32[Tensor, ""]  # of ln a
+    centroid: Float32[Tensor, ""]  # of the mean bin
+    lean: Float32[Tensor, ""]  # over its square
+
+    def total(self) -> Float32[Tensor, ""]:
+        """Weighted."""
+        weighted: Tensor = self.logarithmic + self.overall + CENTROID_WEIGHT * self.centroid + LEAN_WEIGHT * self.lean
+        return weighted
+
+
+def amplitude_losses(
+    lean: Float32[Tensor, "R 3"], log_amplitude: Float32[Tensor, "R J 3"], spectrum: Complex64[Tensor, "R K 3"]
+) -> AmplitudeLosses:
+    """What is wrong with a guess, in four ways.
+
+    In logarithms every voxel and every frequency counts alike; what E ln |c| lacks to ln A is measured afterwards. The
+    second adds what is seen most, the frequencies that carry the motion: a² = Σ A² is all of it. The third holds low
+    against high frequencies where voxels move enough to be seen; without it, measured, the centroid is half lost.
+
+    Args:
+        lean: c_0 over the height.
+        log_amplitude: ln A over the height.
+        spectrum: the truth over the height, in the wind's frame.
+    """
+    power = spectrum[:, 1:].abs().square()  # [R, J, 3]
+    guessed_power = (2 * log_amplitude).exp()
+    size = (power + FLOOR**2).log() / 2
+    total = (power.sum(dim=(1, 2)) + FLOOR**2).log() / 2
+    guessed = guessed_power.sum(dim=(1, 2)).log() / 2
+    truth = spectrum[:, 0].real
+    seen = power.sum(dim=(1, 2)) > SEEN**2
+    difference = _mean_bin(guessed_power.sum(dim=2)) - _mean_bin(power.sum(dim=2) + FLOOR**2)
+    return AmplitudeLosses(
+        logarithmic=(log_amplitude - size).square().mean(),
+        overall=(guessed - total).square().mean(),
+        centroid=(difference * seen).square().mean(),
+        lean=((lean - truth).square().sum(dim=1) / (truth.square().sum(dim=1) + SEEN**2)).mean(),
+    )
+
+
+def _mean_bin(power: Float32[Tensor, "R J"]) -> Float32[Tensor, " R"]:
+    bins = torch.arange(1, power.shape[1] + 1, dtype=power.dtype)
+    mean: Tensor = (power * bins).sum(dim=1) / power.sum(dim=1)
+    return mean

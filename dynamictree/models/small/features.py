@@ -1,0 +1,236 @@
+"""What the small model sees of a tree: features of its voxels, and the wind.
+
+Vectors are turned into the wind's frame (downwind, crosswind, up), so that no layer has to learn that the wind may
+come from anywhere; what the kernels' own axes mean is told by the wind's direction on the grid, as two channels.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from jaxtyping import Float32, Int32, Int64
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
+from torch import Tensor
+
+from dynamictree.models.small.node_operators import touching
+from dynamictree.models.small.surface_shape import surface_features
+from dynamictree.models.small.voxel_skeleton import Skeleton, section_radius, skeleton_of, skip_short
+from dynamictree.sparse.level import Pyramid, SparseLevel, batch_pyramids, pyramid, turn_pyramid
+from dynamictree.sparse.pool import pool_to
+from dynamictree.spectrum import Wind
+from dynamictree.voxel.graph import voxel_graph
+from dynamictree.voxel.grid import VoxelGrid
+from dynamictree.voxel.moments import moments_of_normals
+from dynamictree.voxel.voxelize import SurfaceVoxels
+
+NUM_LEVELS = 5  # 128³ to 8³
+CHAIN = 4
+"""Stems that a voxel is told of: its own, the one that bears it, and so on towards the root."""
+SHORTEST_STEM = 4  # voxels
+NUM_SCALARS = 16 + 4 * CHAIN
+ROOT_DISTANCE = 2  # of the scalars, the way along the tree to the root over the height
+NUM_VECTORS = 4 + CHAIN
+NUM_FEATURES = NUM_SCALARS + 3 * NUM_VECTORS + 2
+NUM_WIND = 2
+AXIS_STEPS = 6
+"""The stem's axis at a voxel is the way to its ancestor so many voxels down."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TreeCondition:
+    """One tree or a batch of trees, without the wind."""
+
+    grids: Pyramid
+    scalars: Float32[Tensor, "V S"]
+    vectors: Float32[Tensor, "V A 3"]  # in the grid's frame
+    height_m: Float32[Tensor, " B"]
+    links: Int64[Tensor, "L 2"]  # rows and the rows that bear them, on the way to the root
+    chain: Int64[Tensor, "V C"]  # of each of CHAIN stems, where the way to the root enters it, and its foot
+    girth: Float32[Tensor, "V C"]  # ln of the radius of the cross-section at these [m]
+    surface: Float32[Tensor, "V I"]  # see `surface`; nodes have none
+    tensors: Float32[Tensor, "V R 3 3"]  # in the grid's frame
+
+
+def tree_condition(voxels: SurfaceVoxels) -> TreeCondition:
+    """Measure a voxelised tree."""
+    grid, normals = voxels.grid, voxels.normals
+    grids = pyramid(torch.from_numpy(grid.coords.astype(np.int64)), NUM_LEVELS)
+    graph = _graph(grid, grids.levels[0])
+    skeleton = skeleton_of(grid, graph)
+    extent = int(np.ptp(grid.coords[:, 2])) + 1
+    height_m = extent * grid.voxel_size_m
+    chain = _chain(grid, skeleton)
+    chain_scalars, chain_vectors = _along_chain(grid, skeleton, chain, height_m)
+    scalars = np.concatenate([_scalars(grid, skeleton, height_m), _crowding(grids), chain_scalars], axis=1)
+    vectors = np.concatenate([np.stack([*_vectors(grid, skeleton, height_m), normals], axis=1), chain_vectors], axis=1)
+    chain = np.concatenate([chain, skeleton.foot[chain]], axis=1)
+    girth = np.log(section_radius(grid, graph, skeleton.distance_m) + grid.voxel_size_m / 2)[chain]
+    known = voxels.moments is not None
+    moments = moments_of_normals(normals) if voxels.moments is None else voxels.moments
+    surface, tensors = surface_features(grid, moments, touching(grids.levels[0]), known=known)
+    return TreeCondition(
+        grids=grids,
+        scalars=torch.from_numpy(scalars.astype(np.float32)),
+        vectors=torch.from_numpy(vectors.astype(np.float32)),
+        height_m=torch.tensor([height_m], dtype=torch.float32),
+        links=_links(skeleton.parent),
+        chain=torch.from_numpy(chain.astype(np.int64)),
+        girth=torch.from_numpy(girth.astype(np.float32)),
+        surface=torch.from_numpy(surface),
+        tensors=torch.from_numpy(tensors),
+    )
+
+
+def batch_conditions(trees: Sequence[TreeCondition]) -> TreeCondition:
+    """Several trees as one batch."""
+    starts = np.cumsum([0, *(len(tree.scalars) for tree in trees[:-1])]).tolist()
+    return TreeCondition(
+        grids=batch_pyramids([tree.grids for tree in trees]),
+        scalars=torch.cat([tree.scalars for tree in trees]),
+        vectors=torch.cat([tree.vectors for tree in trees]),
+        height_m=torch.cat([tree.height_m for tree in trees]),
+        links=torch.cat([tree.links + start for tree, start in zip(trees, starts, strict=True)]),
+        chain=torch.cat([tree.chain + start for tree, start in zip(trees, starts, strict=True)]),
+        girth=torch.cat([tree.girth for tree in trees]),
+        surface=torch.cat([tree.surface for tree in trees]),
+        tensors=torch.cat([tree.tensors for tree in trees]),
+    )
+
+
+def turn_condition(tree: TreeCondition, axes: tuple[int, int, int], signs: tuple[int, int, int]) -> TreeCondition:
+    """The tree turned by 90° steps or mirrored: new axis i is old axis `axes[i]` times `signs[i]`. Exact."""
+    sign = torch.tensor(signs, dtype=tree.vectors.dtype)
+    vectors = tree.vectors[..., list(axes)] * sign
+    tensors = tree.tensors[..., list(axes), :][..., list(axes)] * sign[:, None] * sign
+    return replace(tree, grids=turn_pyramid(tree.grids, axes, signs), vectors=vectors, tensors=tensors)
+
+
+def coarsen_condition(tree: TreeCondition, top: int) -> TreeCondition:
+    """The same trees on level `top` and above, features averaged over the voxels of each node."""
+    grids = Pyramid(levels=tree.grids.levels[top:], parents=tree.grids.parents[top:])
+    scalars, vectors = (pool_to(rows, tree.grids, top) for rows in (tree.scalars, tree.vectors))
+    links = tree.links
+    for parents in tree.grids.parents[:top]:
+        links = parents[links]
+    links = links[links[:, 0] != links[:, 1]]
+    count = len(grids.levels[0])
+    return TreeCondition(
+        grids=grids,
+        scalars=scalars,
+        vectors=vectors,
+        height_m=tree.height_m,
+        links=links,
+        chain=torch.zeros(count, 0, dtype=torch.int64),
+        girth=torch.zeros(count, 0),
+        surface=torch.zeros(count, 0),
+        tensors=torch.zeros(count, 0, 3, 3),
+    )
+
+
+def wind_vector(winds: Sequence[Wind]) -> Float32[Tensor, "B 4"]:
+    """Log speed, gust, and the direction as a unit vector on the grid."""
+    angles = [math.radians(wind.direction_deg) for wind in winds]
+    rows = [
+        (math.log(max(wind.speed_m_s, 0.1)), wind.gust, math.cos(angle), math.sin(angle))
+        for wind, angle in zip(winds, angles, strict=True)
+    ]
+    return torch.tensor(rows, dtype=torch.float32)
+
+
+def node_features(tree: TreeCondition, wind: Float32[Tensor, "B 4"]) -> Float32[Tensor, "V F"]:
+    """All that the network sees of a voxel, vectors in the wind's frame."""
+    sample = tree.grids.levels[0].sample_of_row
+    cosine, sine = wind[sample, 2, None], wind[sample, 3, None]  # [V, 1]
+    east, north = tree.vectors[..., 0], tree.vectors[..., 1]  # [V, A]
+    downwind, crosswind = cosine * east + sine * north, cosine * north - sine * east
+    return torch.cat([tree.scalars, downwind, crosswind, tree.vectors[..., 2], cosine, sine], dim=1)
+
+
+def _graph(grid: VoxelGrid, level: SparseLevel) -> csr_array:
+    """`voxel_graph`, from the pairs that the level has already where they connect all voxels."""
+    starts, ends = (torch.cat([pair[side] for pair in level.pairs]).numpy() for side in (0, 1))
+    lengths = np.linalg.norm((grid.coords[starts] - grid.coords[ends]) * grid.voxel_size_m, axis=1)
+    places = (np.concatenate([starts, ends]), np.concatenate([ends, starts]))
+    graph = csr_array((np.tile(lengths.astype(np.float32), 2), places), shape=(len(grid), len(grid)))
+    num_parts, _ = connected_components(graph, directed=False)
+    return graph if num_parts == 1 else voxel_graph(grid)
+
+
+def _links(parent: Int32[np.ndarray, " V"]) -> Int64[Tensor, "L 2"]:
+    rows = np.flatnonzero(parent != np.arange(len(parent)))
+    return torch.from_numpy(np.stack([rows, parent[rows]], axis=1).astype(np.int64))
+
+
+def _scalars(grid: VoxelGrid, skeleton: Skeleton, height_m: float) -> Float32[np.ndarray, "V 12"]:
+    above = (grid.coords[:, 2] - grid.coords[:, 2].min() + 0.5) * grid.voxel_size_m
+    along = skeleton.distance_m - skeleton.stem_start_m
+    columns = [
+        above / height_m,
+        np.log(above),
+        skeleton.distance_m / height_m,
+        np.log(skeleton.distance_m + 0.1),
+        skeleton.reach_m / height_m,
+        np.log(skeleton.reach_m + grid.voxel_size_m),
+        np.log(skeleton.num_beyond) / 3,
+        np.log(skeleton.stem_length_m + grid.voxel_size_m),
+        along / (skeleton.stem_length_m + grid.voxel_size_m),
+        np.minimum(skeleton.level, 12) / 6,
+        np.full(len(grid), math.log(height_m)),
+        np.full(len(grid), math.log(grid.voxel_size_m) + 2),
+    ]
+    return np.stack(columns, axis=1).astype(np.float32)
+
+
+def _chain(grid: VoxelGrid, skeleton: Skeleton) -> Int32[np.ndarray, "V 4"]:
+    """Where the way from each voxel to the root enters its own stem, which is there, and those that bear it."""
+    shortest_m = SHORTEST_STEM * grid.voxel_size_m
+    rows = [skip_short(skeleton, np.arange(len(grid), dtype=np.int32), shortest_m)]
+    while len(rows) < CHAIN:
+        rows.append(skip_short(skeleton, skeleton.base[rows[-1]], shortest_m))
+    return np.stack(rows, axis=1)
+
+
+def _along_chain(
+    grid: VoxelGrid, skeleton: Skeleton, chain: Int32[np.ndarray, "V 4"], height_m: float
+) -> tuple[Float32[np.ndarray, "V 16"], Float32[np.ndarray, "V 4 3"]]:
+    """Of the stems between a voxel and the root: length, place along it, what it and the voxel carry, and lever arm."""
+    voxel, centres = grid.voxel_size_m, grid.centres_m
+    scalars, vectors = [], []
+    for rows in chain.T:
+        base, length = skeleton.base[rows], skeleton.stem_length_m[rows] + voxel
+        along = skeleton.distance_m[rows] - skeleton.stem_start_m[rows] + voxel
+        scalars += [np.log(length), np.log(along / length)]
+        scalars += [np.log1p(skeleton.num_beyond[place]) / 3 for place in (base, rows)]
+        vectors.append((centres - centres[base]) / height_m)
+    return np.stack(scalars, axis=1).astype(np.float32), np.stack(vectors, axis=1).astype(np.float32)
+
+
+def _crowding(grids: Pyramid) -> Float32[np.ndarray, "V 4"]:
+    """How many voxels touch this one, and how many of them its ancestors at three coarser levels hold."""
+    level = grids.levels[0]
+    touching = torch.zeros(len(level))
+    for first, second in level.pairs:
+        touching += torch.bincount(first, minlength=len(level)) + torch.bincount(second, minlength=len(level))
+    columns = [torch.log1p(touching) / 2]
+    ancestor = torch.arange(len(level))
+    for depth in range(3):
+        ancestor = grids.parents[depth][ancestor]
+        columns.append(torch.log(torch.bincount(ancestor)[ancestor].float()) / 2)
+    return torch.stack(columns, dim=1).numpy()
+
+
+def _vectors(grid: VoxelGrid, skeleton: Skeleton, height_m: float) -> list[Float32[np.ndarray, "V 3"]]:
+    """From the foot to the voxel, the axis of its stem, and the axis four times as far down."""
+    centres = grid.centres_m
+    foot = centres[skeleton.distance_m == 0].mean(axis=0)
+    vectors = [(centres - foot) / height_m]
+    ancestor = np.arange(len(grid))
+    for _ in range(2):
+        for _ in range(AXIS_STEPS if len(vectors) == 1 else 3 * AXIS_STEPS):
+            ancestor = skeleton.parent[ancestor]
+        axis = centres - centres[ancestor]
+        vectors.append(axis / np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-6))
+    return vectors

@@ -1,0 +1,106 @@
+"""What a voxel is part of: leaf or wood, how far out on its leaf, and so how it moves apart from what bears it.
+
+A leaf swings about its base, fast; wood does not. Where a voxel's leaf begins is written in the shape around it, so
+here, and only here, the small model convolves: three levels, few channels. It is trained by itself, against what the
+dataset knows of its trees; what it says goes to the amplitude network as features.
+"""
+
+import torch
+from jaxtyping import Float32
+from torch import Tensor, nn
+from torch.nn import functional
+
+from dynamictree.models.small.features import NUM_SCALARS, TreeCondition
+from dynamictree.models.small.surface_shape import NUM_SURFACE, NUM_TENSORS
+from dynamictree.sparse.conv import SubmanifoldConv
+from dynamictree.sparse.level import Pyramid, SparseLevel
+from dynamictree.sparse.pool import average_pool, upsample
+
+STEM_AXIS, NORMAL = 1, 3  # in `TreeCondition.vectors`
+NUM_SEEN = NUM_SCALARS + 6 + 6 + 2 + NUM_SURFACE + 6 * NUM_TENSORS
+NUM_PARTS = 10
+"""Leaf share; distance from the leaf's base, that over its length, ln length, all times leaf share; stem level; ln
+length and ln radius of the stem [m]; vector from the leaf's base in the grid's frame. Distances over the height, times
+ARM_SCALE."""
+STEM, ARM = slice(4, 7), slice(7, 10)
+ARM_SCALE = 30.0  # leaves are a 30th of the height
+NUM_MOVING = 15
+NUM_TOLD = NUM_PARTS + NUM_MOVING
+CLIP = 5.0  # standard deviations
+SYMMETRIC = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])  # the numbers in a symmetric tensor
+
+
+class ResConv(nn.Module):
+    """LayerNorm, 3³ convolution, SiLU, linear, added."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.norm = nn.LayerNorm(width)
+        self.conv = SubmanifoldConv(width, width)
+        self.out = nn.Linear(width, width)
+
+    def forward(self, features: Float32[Tensor, "V C"], level: SparseLevel) -> Float32[Tensor, "V C"]:
+        """On one level."""
+        hidden: Tensor = self.out(functional.silu(self.conv(self.norm(features), level)))
+        return features + hidden.float()
+
+
+class FoliageNetwork(nn.Module):
+    """A small U-Net over 128³, 64³ and 32³ of a 128³ tree."""
+
+    mean: Tensor  # [F], of the inputs
+    deviation: Tensor
+    told_mean: Tensor  # [O], of what is told
+    told_deviation: Tensor
+
+    def __init__(self, *, widths: tuple[int, int, int] = (24, 48, 64)) -> None:
+        super().__init__()
+        fine, middle, coarse = widths
+        self.enter = nn.Linear(NUM_SEEN, fine)
+        self.down = nn.ModuleList([ResConv(fine), ResConv(fine), ResConv(middle), ResConv(coarse)])
+        self.up = nn.ModuleList([ResConv(coarse), ResConv(middle), ResConv(fine)])
+        self.widen = nn.ModuleList([nn.Linear(fine, middle), nn.Linear(middle, coarse)])
+        self.narrow = nn.ModuleList([nn.Linear(coarse, middle), nn.Linear(middle, fine)])
+        self.head = nn.Sequential(
+            nn.LayerNorm(fine), nn.Linear(fine, 4 * fine), nn.SiLU(), nn.Linear(4 * fine, NUM_TOLD)
+        )
+        self.register_buffer("mean", torch.zeros(NUM_SEEN))
+        self.register_buffer("deviation", torch.ones(NUM_SEEN))
+        self.register_buffer("told_mean", torch.zeros(NUM_TOLD))
+        self.register_buffer("told_deviation", torch.ones(NUM_TOLD))
+
+    def forward(self, tree: TreeCondition) -> Float32[Tensor, "V O"]:
+        """NUM_PARTS, then ln of the size at k = 1 … 15 over the height, at drag and gust 1."""
+        standard = self.standard(tree)
+        told: Tensor = standard * self.told_deviation + self.told_mean
+        return told
+
+    def standard(self, tree: TreeCondition) -> Float32[Tensor, "V O"]:
+        """The same with mean 0 and deviation 1 over the training set."""
+        grids: Pyramid = tree.grids
+        levels = grids.levels
+        fine = self.enter(((seen(tree) - self.mean) / self.deviation).clamp(-CLIP, CLIP)).float()
+        fine = self.down[1](self.down[0](fine, levels[0]), levels[0])
+        middle = self.widen[0](average_pool(fine, grids.parents[0], len(levels[1]))).float()
+        middle = self.down[2](middle, levels[1])
+        coarse = self.widen[1](average_pool(middle, grids.parents[1], len(levels[2]))).float()
+        coarse = self.up[0](self.down[3](coarse, levels[2]), levels[2])
+        middle = self.up[1](middle + upsample(self.narrow[0](coarse).float(), grids.parents[1]), levels[1])
+        fine = self.up[2](fine + upsample(self.narrow[1](middle).float(), grids.parents[0]), levels[0])
+        told: Tensor = self.head(fine).float()
+        return told
+
+
+def seen(tree: TreeCondition) -> Float32[Tensor, "V F"]:
+    """The tree's scalars and its surface's; and of normals and stems, whose sign means nothing, what does not change
+    with it.
+    """
+    axis, normal = tree.vectors[:, STEM_AXIS], tree.vectors[:, NORMAL]
+    together = (axis * normal).sum(dim=1, keepdim=True).square()
+    upper = tree.tensors[..., *SYMMETRIC].flatten(1)  # [V, 6 R]
+    own = [tree.scalars, _squares(normal), _squares(axis), together, axis[:, 2:], tree.surface, upper]
+    return torch.cat(own, dim=1)
+
+
+def _squares(vectors: Float32[Tensor, "V 3"]) -> Float32[Tensor, "V 6"]:
+    return torch.cat([vectors.square(), vectors * vectors.roll(1, dims=1)], dim=1)

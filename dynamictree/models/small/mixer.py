@@ -1,0 +1,138 @@
+"""The small denoiser's body: rows that look at their neighbourhood at several scales at once.
+
+A tree's nodes are few and its motion has no preferred grid direction once vectors stand in the wind's frame. So instead
+of 27 taps a layer sees five fixed means (the node itself, what touches it, its ancestors' one and two levels up, the
+whole tree), each with its own linear map. Against the U-Net it costs a third, and every layer sees the whole tree.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from scipy.sparse import csr_array
+from torch import Tensor, nn
+from torch.nn import functional
+
+from dynamictree.models.small.features import TreeCondition
+from dynamictree.models.small.node_operators import (
+    SparseRows,
+    link_matrices,
+    pool_matrix,
+    raise_matrix,
+    sparse_rows,
+    touching,
+)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SparseOperator:
+    """A sparse matrix and its transpose, for the way there and the way back."""
+
+    forward: SparseRows
+    backward: SparseRows
+
+    def __call__(self, values: Float[Tensor, "W ..."]) -> Float[Tensor, "V ..."]:
+        """Matrix times values, with a gradient."""
+        product: Tensor = _Product.apply(values, self)  # type: ignore[no-untyped-call]
+        return product
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Neighbourhood:
+    """The means that a layer sees, of one tree or of a batch."""
+
+    near: tuple[SparseOperator, ...]  # [W, W]: over what touches, what bears, and what is borne
+    pools: tuple[SparseOperator, ...]  # [coarser, W]: mean over the nodes of an ancestor; the last is the whole tree
+    raises: tuple[SparseOperator, ...]  # [W, coarser]
+
+
+def neighbourhood(nodes: TreeCondition) -> Neighbourhood:
+    """Of one tree, given at its nodes (see `coarsen_condition`)."""
+    grids, size = nodes.grids, len(nodes.scalars)
+    pools = [pool_matrix(grids, depth, 0) for depth in (1, 2)]
+    raises = [raise_matrix(grids, depth, 0, steps=1) for depth in (1, 2)]
+    pools.append(csr_array(np.full((1, size), 1 / size, np.float32)))
+    raises.append(csr_array(np.ones((size, 1), np.float32)))
+    return Neighbourhood(
+        near=tuple(_operator(matrix) for matrix in (touching(grids.levels[0]), *link_matrices(nodes.links, size))),
+        pools=tuple(_operator(matrix) for matrix in pools),
+        raises=tuple(_operator(matrix) for matrix in raises),
+    )
+
+
+def batch_neighbourhoods(trees: Sequence[Neighbourhood]) -> Neighbourhood:
+    """Several trees' as one block-diagonal one."""
+    return Neighbourhood(
+        near=tuple(_block(same) for same in zip(*(tree.near for tree in trees), strict=True)),
+        pools=tuple(_block(same) for same in zip(*(tree.pools for tree in trees), strict=True)),
+        raises=tuple(_block(same) for same in zip(*(tree.raises for tree in trees), strict=True)),
+    )
+
+
+class MixerBlock(nn.Module):
+    """Norm with scale and shift, seven means through a hidden layer, zero-initialised, residual."""
+
+    def __init__(self, width: int, embedding: int, *, num_near: int = 3, num_far: int = 3) -> None:
+        super().__init__()
+        self.modulate = nn.Linear(embedding, 2 * width)
+        self.near = nn.Linear((1 + num_near) * width, 2 * width)
+        self.far = nn.ModuleList(nn.Linear(width, 2 * width, bias=False) for _ in range(num_far))
+        self.out = nn.Linear(2 * width, width)
+        nn.init.zeros_(self.out.weight)
+        nn.init.zeros_(self.out.bias)
+        nn.init.zeros_(self.modulate.weight)
+        nn.init.zeros_(self.modulate.bias)
+
+    def forward(
+        self,
+        features: Float[Tensor, "W J C"],
+        around: Neighbourhood,
+        embedding: Float[Tensor, "W J E"],
+    ) -> Float[Tensor, "W J C"]:
+        """One layer; `embedding` stands at every row."""
+        scale, shift = self.modulate(embedding).chunk(2, dim=-1)
+        normal = torch.addcmul(shift, functional.layer_norm(features, features.shape[-1:]), 1 + scale)
+        hidden = self.near(torch.cat([normal, *(mean(normal) for mean in around.near)], dim=-1))
+        for linear, pool, back in zip(self.far, around.pools, around.raises, strict=True):
+            hidden = hidden + back(linear(pool(normal)))
+        residual: Tensor = self.out(functional.silu(hidden))
+        return features + residual
+
+
+class _Product(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: torch.autograd.function.FunctionCtx, *inputs: object) -> Tensor:
+        values, operator = inputs
+        assert isinstance(values, Tensor)
+        assert isinstance(operator, SparseOperator)
+        ctx.operator = operator  # type: ignore[attr-defined]
+        return operator.forward.apply(values)
+
+    @staticmethod
+    def backward(ctx: torch.autograd.function.FunctionCtx, *gradients: Tensor) -> tuple[Tensor, None]:
+        operator: SparseOperator = ctx.operator  # type: ignore[attr-defined]
+        return operator.backward.apply(gradients[0].contiguous()), None
+
+
+def _operator(matrix: csr_array) -> SparseOperator:
+    return SparseOperator(forward=sparse_rows(matrix), backward=sparse_rows(csr_array(matrix.T)))
+
+
+def _block(operators: Sequence[SparseOperator]) -> SparseOperator:
+    return SparseOperator(
+        forward=_block_rows([operator.forward for operator in operators]),
+        backward=_block_rows([operator.backward for operator in operators]),
+    )
+
+
+def _block_rows(matrices: Sequence[SparseRows]) -> SparseRows:
+    columns = np.cumsum([0, *(matrix.num_columns for matrix in matrices)]).tolist()
+    entries = np.cumsum([0, *(len(matrix.columns) for matrix in matrices)]).tolist()
+    return SparseRows(
+        columns=torch.cat([matrix.columns + start for matrix, start in zip(matrices, columns, strict=False)]),
+        starts=torch.cat([matrix.starts + start for matrix, start in zip(matrices, entries, strict=False)]),
+        weights=torch.cat([matrix.weights for matrix in matrices]),
+        num_columns=columns[-1],
+    )

@@ -1,0 +1,81 @@
+"""Preset `small`: foliage network, amplitude network, denoiser of the whitened spectrum, and the numbers between them.
+
+A spectrum over the height is c = g A · (lift(s u) + ρ n): u has unit variance and lives on the nodes (level `top` of
+the pyramid, 32³ of a 128³ grid), s is how much of the whitened motion the nodes hold, a frequency and an axis, and n
+the smooth noise that stands for what is smaller than a node, ρ² its share. ln A is a mean of logarithms, which lacks
+energy, the more the less sure it is: g gives each frequency and axis its share of the whole again.
+"""
+
+from dataclasses import asdict, dataclass, field
+
+import torch
+from jaxtyping import Float32
+from torch import Tensor, nn
+
+from dynamictree.models.small.amplitude import AmplitudeNetwork
+from dynamictree.models.small.correlated_noise import NUM_SCALES
+from dynamictree.models.small.denoiser import Denoiser, DenoiserShape
+from dynamictree.models.small.features import TreeCondition
+from dynamictree.models.small.foliage import FoliageNetwork
+
+AXES = 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class SmallPreset:
+    """Everything that the weights depend on."""
+
+    resolution: int = 128
+    num_frequencies: int = 16
+    top: int = 2
+    foliage_widths: tuple[int, int, int] = (24, 48, 64)
+    amplitude_width: int = 256
+    amplitude_depth: int = 2
+    denoiser: DenoiserShape = field(default_factory=DenoiserShape)
+    sigma_min: float = 0.02
+    sigma_max: float = 10.0
+
+    def to_json(self) -> dict[str, object]:
+        """Plain values."""
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, values: dict[str, object]) -> "SmallPreset":
+        """Undo `to_json` after a way through JSON."""
+        stored = values["denoiser"]
+        assert isinstance(stored, dict), f"the denoiser has no shape: {stored}"
+        widths = values["foliage_widths"]
+        assert isinstance(widths, list), f"the foliage network has no widths: {widths}"
+        changed = {"denoiser": DenoiserShape(**stored), "foliage_widths": tuple(widths)}
+        return cls(**{**values, **changed})  # type: ignore[arg-type]
+
+
+class SmallNetwork(nn.Module):
+    """The three networks, and what was measured on the training set between their trainings."""
+
+    noise_shares: Tensor  # [J, S]
+    node_scale: Tensor  # [J, 3], s
+    residual_share: Tensor  # [J, 3], ρ²
+    energy_gain: Tensor  # [J, 3], g
+
+    def __init__(self, preset: SmallPreset) -> None:
+        super().__init__()
+        self.preset = preset
+        moving = preset.num_frequencies - 1
+        self.foliage = FoliageNetwork(widths=preset.foliage_widths)
+        self.amplitude = AmplitudeNetwork(
+            num_frequencies=preset.num_frequencies,
+            width=preset.amplitude_width,
+            depth=preset.amplitude_depth,
+        )
+        self.denoiser = Denoiser(num_frequencies=preset.num_frequencies, shape=preset.denoiser)
+        self.register_buffer("noise_shares", torch.full((moving, NUM_SCALES), 1 / NUM_SCALES))
+        self.register_buffer("node_scale", torch.ones(moving, AXES))
+        self.register_buffer("residual_share", torch.zeros(moving, AXES))
+        self.register_buffer("energy_gain", torch.ones(moving, AXES))
+
+    def amplitude_of(
+        self, tree: TreeCondition, wind: Float32[Tensor, "B 4"]
+    ) -> tuple[Float32[Tensor, "V 3"], Float32[Tensor, "V J 3"]]:
+        """Lean and ln A at all voxels, over the height, in the wind's frame."""
+        return self.amplitude.of_tree(tree, self.foliage(tree), wind)

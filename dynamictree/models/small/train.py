@@ -1,0 +1,164 @@
+"""Preset `small` from a dataset's shards to weights: foliage network, amplitude network, whitening, denoiser.
+
+Each part has its checkpoint and can be gone on with; the amplitude network's rows lie beside them.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import torch
+import torch.distributed
+from jaxtyping import Float32
+from safetensors.torch import load_file
+from torch import Tensor
+
+from dynamictree.models.small.examples import example_of, iter_training
+from dynamictree.models.small.generate import write_network
+from dynamictree.models.small.network import SmallNetwork, SmallPreset
+from dynamictree.models.small.train_foliage import STANDARDISED_ON, foliage_step, known_trees, standardise_foliage
+from dynamictree.models.small.training_steps import (
+    AmplitudeRows,
+    amplitude_rows,
+    amplitude_step,
+    denoising_step,
+    read_rows,
+    standardise,
+    write_rows,
+)
+from dynamictree.models.small.whitening import NUM_MEASURED, measure, white_example
+from dynamictree.training.trainer import Course, Pace, load_part, process_rank
+
+OnTrainingStep = Callable[[str, int, int, float], None]
+"""Called with the part, the step, the steps in all, and the loss."""
+TREES_A_FILE = 25
+
+
+@dataclass(frozen=True, kw_only=True)
+class SmallTraining:
+    """The resolved run. Each part takes the next trees of the shards, so that none judges itself by what it knows."""
+
+    foliage_trees: int = 800
+    amplitude_trees: int = 1200
+    denoiser_trees: int = 160
+    preset: SmallPreset = field(default_factory=SmallPreset)
+    foliage: Pace = field(
+        default_factory=lambda: Pace(
+            num_steps=5000, learning_rate=3e-3, cooldown_steps=500, ema_decay=0.99, bf16=True, save_every=100, seed=1
+        )
+    )
+    amplitude: Pace = field(
+        default_factory=lambda: Pace(num_steps=3000, learning_rate=2e-3, weight_decay=1e-2, ema_decay=0.995, bf16=True)
+    )
+    denoiser: Pace = field(default_factory=lambda: Pace(num_steps=1600, learning_rate=2e-3, ema_decay=0.995, bf16=True))
+    foliage_from: str | None = None  # weights whose foliage network is gone on from
+    denoiser_from: str | None = None  # weights whose denoiser is gone on from
+
+
+def train_small(
+    plan: SmallTraining, shards: Sequence[str], folder: Path, *, on_step: OnTrainingStep | None = None
+) -> SmallNetwork:
+    """Train into a folder: `rows/`, a checkpoint a part, `small.safetensors`. What is there is not done again.
+
+    Under `torchrun` every process takes its own batches, and gradients are shared.
+    """
+    torch.manual_seed(plan.preset.num_frequencies)
+    network = SmallNetwork(plan.preset)
+    _train_foliage(network, plan, shards, folder / "foliage.safetensors", on_step)
+    rows = _rows(network, plan, shards, folder / "rows", on_step)
+    _train_amplitude(network, plan, rows, folder / "amplitude.safetensors", on_step)
+    _train_denoiser(network, plan, shards, folder / "denoiser.safetensors", on_step)
+    if process_rank() == 0:
+        write_network(network, folder / "small.safetensors")
+    return network
+
+
+def _train_foliage(
+    network: SmallNetwork,
+    plan: SmallTraining,
+    shards: Sequence[str],
+    checkpoint: Path,
+    on_step: OnTrainingStep | None,
+) -> None:
+    if plan.foliage_from is not None:
+        load_part(network.foliage, load_file(plan.foliage_from), "foliage")
+    course = Course(network.foliage, plan.foliage)
+    course.resume(checkpoint)
+    if course.step < plan.foliage.num_steps:
+        measured = known_trees(iter_training(shards, first=0, count=plan.foliage_trees))
+        trees = list(islice(measured, STANDARDISED_ON + course.step))
+        if course.step == 0 and plan.foliage_from is None:
+            standardise_foliage(network.foliage, trees)
+            course.average.load_state_dict(network.foliage.state_dict())
+
+        def loss_of(rng: np.random.Generator) -> Float32[Tensor, ""]:
+            trees.extend(islice(measured, 1))  # one more a step, so that measuring them is no wait
+            return foliage_step(network.foliage, trees, rng)
+
+        for step, loss in course.run(loss_of, checkpoint):
+            _tell(on_step, "foliage", step, plan.foliage.num_steps, loss)
+    network.foliage.load_state_dict(course.average.state_dict())
+    network.foliage.requires_grad_(False)
+
+
+def _rows(
+    network: SmallNetwork, plan: SmallTraining, shards: Sequence[str], folder: Path, on_step: OnTrainingStep | None
+) -> AmplitudeRows:
+    """Made by the first process, read by all."""
+    paths = [folder / f"{first:06d}.safetensors" for first in range(0, plan.amplitude_trees, TREES_A_FILE)]
+    if process_rank() == 0:
+        folder.mkdir(parents=True, exist_ok=True)
+        if not all(path.exists() for path in paths):
+            trees = iter_training(shards, first=plan.foliage_trees, count=plan.amplitude_trees)
+            for path in paths:
+                some = list(islice(trees, TREES_A_FILE))
+                if not path.exists():
+                    rng = np.random.default_rng([plan.amplitude.seed, int(path.stem)])
+                    write_rows(amplitude_rows(network.foliage, map(example_of, some), rng), path)
+                _tell(on_step, "trees", int(path.stem) + len(some), plan.amplitude_trees, 0.0)
+    if torch.distributed.is_initialized():
+        torch.distributed.barrier()
+    return read_rows(paths)
+
+
+def _train_amplitude(
+    network: SmallNetwork, plan: SmallTraining, rows: AmplitudeRows, checkpoint: Path, on_step: OnTrainingStep | None
+) -> None:
+    standardise(network.amplitude, rows)
+    course = Course(network.amplitude, plan.amplitude)
+    course.resume(checkpoint)
+    for step, loss in course.run(lambda rng: amplitude_step(network.amplitude, rows, rng), checkpoint):
+        _tell(on_step, "amplitude", step, plan.amplitude.num_steps, loss)
+    network.amplitude.load_state_dict(course.average.state_dict())
+    network.amplitude.requires_grad_(False)
+
+
+def _train_denoiser(
+    network: SmallNetwork,
+    plan: SmallTraining,
+    shards: Sequence[str],
+    checkpoint: Path,
+    on_step: OnTrainingStep | None,
+) -> None:
+    first = plan.foliage_trees + plan.amplitude_trees
+    measured = map(example_of, iter_training(shards, first=first, count=min(NUM_MEASURED, plan.denoiser_trees)))
+    measure(network, measured, np.random.default_rng(plan.denoiser.seed))
+    if plan.denoiser_from is not None:
+        load_part(network.denoiser, load_file(plan.denoiser_from), "denoiser")
+    course = Course(network.denoiser, plan.denoiser)
+    course.resume(checkpoint)
+    if course.step < plan.denoiser.num_steps:
+        world = torch.distributed.get_world_size() if torch.distributed.is_initialized() else 1
+        trees = iter_training(shards, first=first, count=plan.denoiser_trees)
+        own = islice(trees, process_rank(), None, world)
+        white = [white_example(network, example_of(tree)) for tree in own]
+        for step, loss in course.run(lambda rng: denoising_step(network, white, rng), checkpoint):
+            _tell(on_step, "denoiser", step, plan.denoiser.num_steps, loss)
+    network.denoiser.load_state_dict(course.average.state_dict())
+
+
+def _tell(on_step: OnTrainingStep | None, part: str, done: int, total: int, loss: float) -> None:
+    if on_step is not None:
+        on_step(part, done, total, loss)

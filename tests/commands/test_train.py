@@ -1,0 +1,168 @@
+"""`train` from end to end, with networks small enough for a test."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from typer import Typer
+from typer.testing import CliRunner
+
+from dynamictree.commands.train import train
+from dynamictree.dataset.sample import make_sample
+from dynamictree.dataset.shards import store, write_shard
+from dynamictree.errors import InputError
+from dynamictree.evaluation.baselines import fit_by_height, nearest_tree, noise_only, regression
+from dynamictree.evaluation.held_out_trees import iter_judged
+from dynamictree.models.small.denoiser import DenoiserShape
+from dynamictree.models.small.examples import Example, is_training_seed, iter_training, make_example
+from dynamictree.models.small.generate import TreeMotionModel, load_model
+from dynamictree.models.small.network import SmallNetwork, SmallPreset
+from dynamictree.models.small.training_steps import VOXELS_A_TREE, amplitude_rows, read_rows, write_rows
+
+SEED = 1005
+
+
+@pytest.fixture(scope="module")
+def commands() -> Typer:
+    app = Typer(pretty_exceptions_enable=False)
+    app.command()(train)
+    app.callback()(lambda: None)  # so that the command keeps its name
+    return app
+
+
+@pytest.fixture(scope="module")
+def example() -> Example:
+    return make_example(SEED)
+
+
+@pytest.fixture(scope="module")
+def shards(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with one shard: three small trees for training and, between them, one that is not."""
+    folder = tmp_path_factory.mktemp("shards")
+    sample = make_sample(1, "sapling")
+    small = store(sample, resolutions=(128,))
+    trees = [replace(small, seed=1), replace(small, seed=20, split="validation")]
+    trees += [replace(small, seed=2), replace(small, seed=3)]
+    with (folder / "4dtree-00000.safetensors").open("wb") as stream:
+        write_shard(trees, stream)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def tiny() -> SmallNetwork:
+    torch.manual_seed(0)
+    return SmallNetwork(
+        SmallPreset(amplitude_width=8, amplitude_depth=1, denoiser=DenoiserShape(width=8, embedding=8, num_blocks=1))
+    )
+
+
+def test_a_dry_run_prints_the_resolved_run_and_does_nothing(commands: Typer, tmp_path: Path) -> None:
+    arguments = ["train", str(tmp_path / "run"), "--dataset", str(tmp_path), "--dry-run", "--json"]
+    plan = json.loads(CliRunner().invoke(commands, [*arguments, "--denoiser-steps", "7"]).stdout)
+    assert plan["denoiser"]["num_steps"] == 7
+    assert plan["preset"]["denoiser"]["width"] == DenoiserShape().width
+    paper = json.loads(CliRunner().invoke(commands, [*arguments, "--preset", "paper", "--micro-batch", "4"]).stdout)
+    assert (paper["training"]["num_iterations"], paper["training"]["smoothness_from"]) == (70_000, 40_000)
+    assert (paper["training"]["batch_size"], paper["micro_batch"]) == (48, 4)
+    assert paper["preset"]["encoder_widths"] == [32, 64, 128]
+    assert not (tmp_path / "run").exists()
+
+
+def test_an_unknown_preset_is_refused(commands: Typer, tmp_path: Path) -> None:
+    result = CliRunner().invoke(commands, ["train", str(tmp_path), "--dataset", str(tmp_path), "--preset", "huge"])
+    assert isinstance(result.exception, InputError)
+    assert "'huge'" in str(result.exception)
+
+
+def test_a_folder_without_shards_is_refused_and_too_few_trees_are(
+    commands: Typer, shards: Path, tmp_path: Path
+) -> None:
+    empty = CliRunner().invoke(commands, ["train", str(tmp_path / "run"), "--dataset", str(tmp_path)])
+    assert "no shards" in str(empty.exception)
+    paths = [str(path) for path in shards.iterdir()]
+    assert [tree.seed for tree in iter_training(paths, first=1, count=2)] == [2, 3]
+    with pytest.raises(InputError, match="hold 3 trees for training; 5 are needed"):
+        list(iter_training(paths, first=1, count=4))
+
+
+def test_shards_of_several_folders_come_in_turn(
+    commands: Typer, shards: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for number in (0, 1):
+        (tmp_path / f"4dtree-{number:05d}.safetensors").write_bytes((shards / "4dtree-00000.safetensors").read_bytes())
+    order: list[str] = []
+    monkeypatch.setattr("dynamictree.models.small.train.train_small", lambda plan, paths, *_, **__: order.extend(paths))
+    folders = [word for folder in (shards, tmp_path) for word in ("--dataset", str(folder))]
+    CliRunner().invoke(commands, ["train", str(tmp_path / "run"), *folders, "--json"], catch_exceptions=False)
+    assert [Path(path).parent for path in order] == [shards, tmp_path, tmp_path]
+    assert [Path(path).name[-17:-12] for path in order] == ["00000", "00000", "00001"]
+
+
+@pytest.mark.slow
+def test_training_ends_in_weights_that_load_and_goes_on_where_it_was(
+    commands: Typer, shards: Path, tmp_path: Path
+) -> None:
+    trees = [word for part in ("foliage", "amplitude", "denoiser") for word in (f"--{part}-trees", "1")]
+    steps = ["--foliage-steps", "2", "--amplitude-steps", "2"]
+    arguments = ["train", str(tmp_path), "--dataset", str(shards), *trees, *steps, "--json"]
+    result = CliRunner().invoke(commands, [*arguments, "--denoiser-steps", "1"], catch_exceptions=False)
+    weights = Path(json.loads(result.stdout)["weights"])
+    first = load_model(str(weights)).network
+    assert [path.name for path in (tmp_path / "rows").iterdir()] == ["000000.safetensors"]
+    result = CliRunner().invoke(commands, [*arguments, "--denoiser-steps", "2"], catch_exceptions=False)
+    second = load_model(str(weights)).network
+    for part in ("foliage", "amplitude"):
+        for name, value in getattr(first, part).state_dict().items():
+            assert (getattr(second, part).state_dict()[name] == value).all()
+    assert changed(first.denoiser, second.denoiser)
+    other = [*arguments[:1], str(tmp_path / "other"), *arguments[2:], "--denoiser-steps", "1"]
+    CliRunner().invoke(commands, [*other, "--denoiser-from", str(weights)], catch_exceptions=False)
+    third = load_model(str(tmp_path / "other" / "small.safetensors")).network
+    assert changed(second.denoiser, third.denoiser)
+    assert (second.denoiser.embed_frequency.weight - third.denoiser.embed_frequency.weight).abs().max() < 0.01
+
+
+def changed(one: torch.nn.Module, other: torch.nn.Module) -> bool:
+    return any(not torch.equal(a, b) for a, b in zip(one.parameters(), other.parameters(), strict=True))
+
+
+def test_rows_round_trip_to_half_precision(tiny: SmallNetwork, example: Example, tmp_path: Path) -> None:
+    rows = amplitude_rows(tiny.foliage, [example], np.random.default_rng(0))
+    for number in (0, 1):
+        write_rows(rows, tmp_path / f"{number}.safetensors")
+    again = read_rows([tmp_path / "0.safetensors", tmp_path / "1.safetensors"])
+    assert len(rows) == VOXELS_A_TREE
+    assert len(again) == 2 * len(rows)
+    assert (again.inputs[len(rows) :] == rows.inputs).all()
+    chosen = np.random.default_rng(0).integers(0, len(example.spectrum), VOXELS_A_TREE)
+    spectrum = example.spectrum[torch.from_numpy(chosen)]
+    error = (again.spectrum(torch.arange(len(rows))) - spectrum).abs().square().sum() / spectrum.abs().square().sum()
+    assert error < 1e-6
+
+
+def test_training_seeds_are_the_datasets_own_split(example: Example) -> None:
+    seeds = range(1000, 1012)
+    assert [is_training_seed(seed) for seed in seeds] == [make_sample(seed).split == "train" for seed in seeds]
+
+
+def test_baselines_are_what_they_say(example: Example, tiny: SmallNetwork) -> None:
+    tree = next(iter_judged("seen-species", 1))
+    by_height = fit_by_height([example])
+    rng = np.random.default_rng(0)
+    mean = by_height.spectrum(tree.voxels.grid, tree.wind, rng)
+    level = tree.voxels.grid.coords[:, 2] == 60
+    assert np.ptp(np.abs(mean[level, 1:]), axis=0).max() < 1e-6  # one spectrum a height
+    copied = nearest_tree(tree.voxels, tree.wind, [example])
+    assert len(np.unique(np.abs(copied[:, 1, 2]))) <= len(example.spectrum)
+    model = TreeMotionModel(tiny, name="tiny")
+    alone = regression(model, tree.voxels, tree.wind, rng)
+    swings = model.prepare(tree.voxels, tree.wind).leaves.share.numpy() > 0  # and so mixes the axes
+    upright = alone[~swings, 3, 2]
+    angles = np.angle(upright[upright != 0])  # roots stand still
+    assert len(angles) > 100
+    assert np.abs(np.exp(1j * (angles - angles[0])) - 1).max() < 1e-3  # one phase a frequency and axis
+    noise = noise_only(model, tree.voxels, tree.wind, 0)
+    assert np.abs(noise_only(model, tree.voxels, tree.wind, 1) - noise).max() > 0

@@ -1,0 +1,113 @@
+"""The paper's network and losses, at a size that a CPU can take steps with."""
+
+import numpy as np
+import pytest
+import torch
+
+from dynamictree.diffusion.loss import LocalSmoothness, local_smoothness, nearest_voxels
+from dynamictree.diffusion.sampler import sample_ddim
+from dynamictree.diffusion.schedule import linear_schedule
+from dynamictree.models.paper.encoder import POSITION_FEATURES, fourier_features
+from dynamictree.models.paper.network import PaperNetwork, PaperPreset, PaperTraining, paper_loss
+from dynamictree.models.paper.unet import UNetShape
+from dynamictree.sparse.level import batch_pyramids, pyramid
+from dynamictree.voxel.voxelize import SurfaceVoxels
+
+SMALL = PaperPreset(
+    encoder_base=8,
+    encoder_widths=(8, 8, 16),
+    unet=UNetShape(base=8, num_heads=2, num_groups=4, embedding=16, multipliers=(1, 2), attention_levels=(1,)),
+)
+
+
+def test_the_full_preset_has_the_papers_size() -> None:
+    with torch.device("meta"):
+        network = PaperNetwork(PaperPreset())
+    assert 200e6 < sum(parameter.numel() for parameter in network.parameters()) < 400e6
+    assert network.unet.stem.weight.shape == (27, 6 + 128, 128)
+    attended = [stage.attention is not None for level in network.unet.down for stage in level]
+    assert attended == [False, False, False, False, True, True, True, True]  # at factors 4 and 8
+
+
+def test_the_two_stages_and_the_halved_rate() -> None:
+    training = PaperTraining()
+    assert training.smoothness_from == 40_000
+    assert training.rate_at(0) == 1e-4
+    assert training.rate_at(69_999) == pytest.approx(1.25e-5)
+
+
+def test_fourier_features_keep_the_position() -> None:
+    positions = torch.rand(4, 3) * 2 - 1
+    features = fourier_features(positions)
+    assert features.shape == (4, POSITION_FEATURES)
+    assert (features[:, :3] == positions).all()
+    assert features[:, 3:].abs().max() <= 1
+
+
+def slow_smoothness(spectrum: np.ndarray, centres: np.ndarray, weights: LocalSmoothness) -> float:
+    total = 0.0
+    for row, centre in enumerate(centres):
+        distances = np.linalg.norm(centres - centre, axis=1)
+        for other in np.argsort(distances, kind="stable")[1 : 1 + weights.num_neighbours]:
+            real = np.linalg.norm(spectrum[row, :3] - spectrum[other, :3])
+            imaginary = np.linalg.norm(spectrum[row, 3:] - spectrum[other, 3:])
+            total += np.exp(-weights.falloff * distances[other]) * (real + weights.imaginary_weight * imaginary)
+    return total / len(centres)
+
+
+def test_local_smoothness_is_its_slow_loop_and_blind_to_constants_and_order(rng: np.random.Generator) -> None:
+    weights = LocalSmoothness()
+    centres = rng.random((30, 3)).astype(np.float32)
+    spectrum = rng.standard_normal((30, 6)).astype(np.float32)
+    neighbours = nearest_voxels(centres, weights.num_neighbours)
+    loss = float(local_smoothness(torch.from_numpy(spectrum), *neighbours, weights=weights))
+    assert loss == pytest.approx(slow_smoothness(spectrum, centres, weights), rel=1e-4)
+    shifted = float(local_smoothness(torch.from_numpy(spectrum + 3), *neighbours, weights=weights))
+    assert shifted == pytest.approx(loss, rel=1e-4)
+    assert float(local_smoothness(torch.ones(30, 6), *neighbours, weights=weights)) == 0
+    order = rng.permutation(30)
+    turned = nearest_voxels(centres[order], weights.num_neighbours)
+    permuted = float(local_smoothness(torch.from_numpy(spectrum[order]), *turned, weights=weights))
+    assert permuted == pytest.approx(loss, rel=1e-5)
+
+
+def test_the_loss_falls_in_a_few_steps_in_both_stages(voxels: SurfaceVoxels) -> None:
+    torch.manual_seed(0)
+    network = PaperNetwork(SMALL)
+    alone = pyramid(torch.from_numpy(voxels.grid.coords.astype(np.int64)), 4)
+    grids = batch_pyramids([alone, alone])
+    positions = torch.from_numpy(voxels.grid.coords / 64 - 1).float().repeat(2, 1)
+    fine = positions, torch.from_numpy(voxels.normals).repeat(2, 1)
+    level = grids.levels[2]
+    clean = (level.coords[:, 2:].float() / 32).repeat(1, 6) - 0.4  # a field that is smooth in height
+    centres = level.coords.numpy().astype(np.float32) + np.repeat([[0.0], [1000.0]], level.sizes, axis=0)
+    neighbours = nearest_voxels(centres.astype(np.float32), 5)
+    optimizer = torch.optim.AdamW(network.parameters(), lr=3e-3)
+    schedule, frequency = linear_schedule(), torch.tensor([1, 5])
+    for stage in (None, neighbours):
+        losses = []
+        for step in range(18):
+            generator = torch.Generator().manual_seed(step % 3)
+            loss = paper_loss(
+                network, clean, frequency, fine, grids, neighbours=stage, schedule=schedule, generator=generator
+            )
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+            losses.append(loss.item())
+        assert np.mean(losses[-3:]) < 0.85 * np.mean(losses[:3])
+
+
+def test_ddim_takes_noise_to_the_distribution_that_the_predictor_knows() -> None:
+    schedule, variance = linear_schedule(), torch.tensor([4.0, 0.25])
+
+    def predict_noise(noisy: torch.Tensor, step: int) -> torch.Tensor:
+        alpha_bar = schedule.alpha_bar[step]
+        return noisy * (1 - alpha_bar).sqrt() / (alpha_bar * variance + 1 - alpha_bar)
+
+    told: list[tuple[int, int]] = []
+    start = torch.randn(20_000, 2, generator=torch.Generator().manual_seed(0))
+    samples = sample_ddim(predict_noise, start, schedule, on_step=lambda *step: told.append(step))
+    torch.testing.assert_close(samples.var(dim=0), variance, rtol=0.08, atol=0)
+    assert told[-1] == (100, 100)
+    assert (samples == sample_ddim(predict_noise, start, schedule)).all()

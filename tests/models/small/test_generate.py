@@ -1,0 +1,207 @@
+"""The model as callers see it: deterministic, cancellable, and clear about what it does not serve."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import save_file
+
+from dynamictree.diffusion.channels import pack_channels, unpack_channels
+from dynamictree.errors import Cancelled, CheckpointError, InputError
+from dynamictree.models.small.amplitude import FLOOR, NUM_INPUTS, moving
+from dynamictree.models.small.denoiser import DenoiserShape
+from dynamictree.models.small.generate import (
+    FORMAT,
+    MAX_VOXELS,
+    TreeMotionModel,
+    load_model,
+    read_network,
+    write_network,
+)
+from dynamictree.models.small.network import SmallNetwork, SmallPreset
+from dynamictree.models.small.prepared import at_resolution, soften
+from dynamictree.spectrum import Wind
+from dynamictree.voxel.grid import VoxelGrid
+from dynamictree.voxel.voxelize import SurfaceVoxels
+
+WIND = Wind(speed_m_s=6.0, direction_deg=30.0, gust=0.3)
+
+
+def tiny_network() -> SmallNetwork:
+    torch.manual_seed(0)
+    preset = SmallPreset(
+        foliage_widths=(8, 8, 8),
+        amplitude_width=16,
+        amplitude_depth=1,
+        denoiser=DenoiserShape(width=8, embedding=8, num_blocks=1),
+    )
+    network = SmallNetwork(preset)
+    for parameter in network.parameters():
+        torch.nn.init.normal_(parameter, std=0.05)
+    return network
+
+
+@pytest.fixture(scope="module")
+def model() -> TreeMotionModel:
+    return TreeMotionModel(tiny_network(), name="tiny")
+
+
+@pytest.fixture(scope="module")
+def shipped() -> TreeMotionModel:
+    return load_model("small")
+
+
+def test_channels_round_trip() -> None:
+    spectrum = torch.randn(5, 4, 3, dtype=torch.complex64)
+    assert (unpack_channels(pack_channels(spectrum)) == spectrum).all()
+
+
+def test_the_same_seed_gives_the_same_motion_and_another_seed_another(
+    model: TreeMotionModel, voxels: SurfaceVoxels
+) -> None:
+    first, again, other = (model.generate(voxels, wind=WIND, seed=seed, num_steps=2) for seed in (3, 3, 4))
+    assert (first.coefficients == again.coefficients).all()
+    assert np.abs(first.coefficients - other.coefficients).max() > 0
+    assert (first.model, first.seed, first.wind) == ("tiny", 3, WIND)
+    assert (first.coefficients[:, 0].imag == 0).all()
+    # the lean is decided by shape and wind, not by chance
+    np.testing.assert_array_equal(first.coefficients[:, 0], other.coefficients[:, 0])
+
+
+def test_what_is_at_the_floor_of_the_training_stands_exactly_still() -> None:
+    still = moving(torch.full((2, 15, 3), math.log(FLOOR)))
+    assert (still == 0).all()
+    assert moving(torch.full((1, 15, 3), -5.0)) == pytest.approx(math.exp(-5.0), rel=1e-4)
+
+
+def test_what_hardly_moves_hardly_leans() -> None:
+    network = tiny_network().amplitude
+    torch.nn.init.zeros_(network.head[2].weight)
+    torch.nn.init.ones_(network.head[2].bias)
+    inputs, wind = torch.zeros(1, NUM_INPUTS), torch.tensor([[math.log(6.0), 0.3]])
+    lean, log_amplitude = network(inputs, wind)
+    with torch.no_grad():
+        network.head[2].bias[3:] -= math.log(100.0)  # all but the lean's
+    smaller, hundredth = network(inputs, wind)
+    torch.testing.assert_close(hundredth, log_amplitude - math.log(100.0))
+    torch.testing.assert_close(100 * smaller, lean)
+
+
+def test_every_sampler_step_is_told_and_may_cancel(model: TreeMotionModel, voxels: SurfaceVoxels) -> None:
+    told: list[tuple[int, int]] = []
+    model.generate(voxels, wind=WIND, seed=0, num_steps=3, on_step=lambda *step: told.append(step))
+    assert told == [(1, 3), (2, 3), (3, 3)]
+
+    def cancel(done: int, total: int) -> None:
+        raise Cancelled("enough")
+
+    with pytest.raises(Cancelled):
+        model.generate(voxels, wind=WIND, seed=0, on_step=cancel)
+
+
+def test_a_finer_grid_is_generated_at_the_networks_own_and_raised(
+    model: TreeMotionModel, voxels: SurfaceVoxels
+) -> None:
+    corners = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.int32)
+    coords = (2 * voxels.grid.coords[:, None] + corners).reshape(-1, 3)
+    grid = VoxelGrid.from_coords(coords, origin_m=voxels.grid.origin_m, voxel_size_m=0.05, resolution=256)
+    fine = SurfaceVoxels(grid=grid, normals=np.tile(np.float32([0, 0, 1]), (len(grid), 1)))
+    coarse, raised = at_resolution(fine, 128)
+    assert (coarse.grid.coords == voxels.grid.coords).all()
+    assert raised is not None
+    np.testing.assert_allclose(raised @ np.ones(len(coarse.grid)), 1, rtol=1e-5)
+    spectrum = model.generate(fine, wind=WIND, seed=0, num_steps=1)
+    assert spectrum.coefficients.shape == (len(grid), 16, 3)
+    assert at_resolution(voxels, 128) == (voxels, None)
+
+
+def test_what_the_model_does_not_serve_is_refused(model: TreeMotionModel, voxels: SurfaceVoxels) -> None:
+    coarse = VoxelGrid.from_coords(
+        voxels.grid.coords // 2, origin_m=voxels.grid.origin_m, voxel_size_m=0.2, resolution=64
+    )
+    blank = SurfaceVoxels(grid=coarse, normals=np.zeros((len(coarse), 3), np.float32))
+    with pytest.raises(InputError, match="accepts 128, 256 and 512"):
+        model.generate(blank, wind=WIND, seed=0)
+    full = np.argwhere(np.ones((54, 54, 54), bool)).astype(np.int32)
+    assert len(full) > MAX_VOXELS
+    block = VoxelGrid.from_coords(full, origin_m=(0.0, 0.0, 0.0), voxel_size_m=0.1, resolution=128)
+    with pytest.raises(InputError, match="157,464 voxels; at most 150,000"):
+        model.generate(SurfaceVoxels(grid=block, normals=np.zeros((len(block), 3), np.float32)), wind=WIND, seed=0)
+    for wind, reason in (
+        (replace(WIND, speed_m_s=31.0), "speed is 31"),
+        (replace(WIND, gust=-0.1), "gust is -0.1"),
+        (replace(WIND, direction_deg=float("nan")), "direction is nan"),
+    ):
+        with pytest.raises(InputError, match=reason):
+            model.generate(voxels, wind=wind, seed=0)
+    with pytest.raises(InputError, match="num_steps is 0"):
+        model.generate(voxels, wind=WIND, seed=0, num_steps=0)
+
+
+def test_a_network_round_trips_through_its_file(tmp_path: Path, voxels: SurfaceVoxels) -> None:
+    network = tiny_network().half().float()  # what float16 holds
+    write_network(network, tmp_path / "one.safetensors")
+    model = load_model(str(tmp_path / "one.safetensors"))
+    assert model.network.preset == network.preset
+    for name, value in network.state_dict().items():
+        assert (model.network.state_dict()[name] == value).all()
+    assert model.name == "one"
+
+
+def test_files_that_are_no_models_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no model 'large'; shipped: "):
+        load_model("large")
+    broken = tmp_path / "broken.safetensors"
+    broken.write_bytes(b"no header")
+    with pytest.raises(CheckpointError, match="no safetensors file"):
+        read_network(broken)
+    save_file({"a": torch.zeros(1)}, broken, {"format": FORMAT, "version": "0"})
+    with pytest.raises(CheckpointError, match="version 0"):
+        read_network(broken)
+    network = tiny_network()
+    del network.denoiser.head.bias
+    write_network(network, broken)
+    with pytest.raises(CheckpointError, match="does not fit its own preset"):
+        read_network(broken)
+
+
+def test_softening_keeps_phases_and_brings_sizes_near_one() -> None:
+    field = torch.randn(100, 2, 3, dtype=torch.complex64)
+    soft = soften(field)
+    torch.testing.assert_close(soft.angle(), field.angle(), atol=1e-4, rtol=0)
+    assert (soft.abs() - 1).abs().mean() < (field.abs() - 1).abs().mean()
+    torch.testing.assert_close(soften(torch.ones(1, 1, 3, dtype=torch.complex64)).abs(), torch.ones(1, 1, 3))
+
+
+def test_in_the_shipped_model_more_wind_moves_more_and_the_lean_points_downwind(
+    shipped: TreeMotionModel, voxels: SurfaceVoxels
+) -> None:
+    sizes, leans = [], []
+    for speed in (2.0, 5.0, 10.0):
+        wind = replace(WIND, speed_m_s=speed)
+        coefficients = shipped.generate(voxels, wind=wind, seed=0, num_steps=2).coefficients
+        sizes.append(np.linalg.norm(coefficients[:, 1:]))
+        leans.append(coefficients[:, 0].real.mean(axis=0))
+    assert sizes[0] < sizes[1] < sizes[2]
+    angle = np.deg2rad(WIND.direction_deg)
+    for lean in leans:
+        assert lean[:2] @ np.array([np.cos(angle), np.sin(angle)]) > 0.8 * np.linalg.norm(lean)
+
+
+def test_in_the_shipped_model_roots_stay(shipped: TreeMotionModel, voxels: SurfaceVoxels) -> None:
+    coefficients = shipped.generate(voxels, wind=WIND, seed=0, num_steps=2).coefficients
+    height_m = np.ptp(voxels.grid.coords[:, 2]) * voxels.grid.voxel_size_m
+    low = voxels.grid.coords[:, 2] <= voxels.grid.coords[:, 2].min() + 1
+    bound = np.linalg.norm(np.abs(coefficients[low]), axis=2).sum(axis=1)
+    assert bound.max() < 0.005 * height_m
+
+
+def test_generating_leaves_the_number_of_threads_as_it_was(model: TreeMotionModel, voxels: SurfaceVoxels) -> None:
+    during: list[int] = []
+    torch.set_num_threads(2)
+    model.generate(voxels, wind=WIND, seed=0, num_steps=1, on_step=lambda *_: during.append(torch.get_num_threads()))
+    assert (during, torch.get_num_threads()) == ([1], 2)
+    torch.set_num_threads(1)
