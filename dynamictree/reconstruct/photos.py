@@ -3,7 +3,7 @@
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from PIL import Image, ImageOps, UnidentifiedImageError
@@ -19,6 +19,7 @@ LONG_SIDE_PX = 1200  # to which photos are reduced: two cores match a pair in a 
 
 _EXIF_IFD, _FOCAL_35MM, _ORIENTATION = 0x8769, 0xA405, 0x0112
 _SIDEWAYS = (5, 6, 7, 8)
+_OPAQUE = 255  # alpha
 _FILM_WIDTH_MM = 36.0
 _FOCAL_RANGE_MM = (8, 800)  # EXIF says 0 for unknown, and anything after some editors
 
@@ -82,7 +83,8 @@ def prepare_photos(
 ) -> list[Photo]:
     """Write an upright, reduced JPEG of each photo, without EXIF and so without GPS; order as given.
 
-    Where a photo has an alpha channel or a mask, `<name>.png` is written beside, white where the tree is.
+    Where a photo has an alpha channel or a mask, `<name>.png` is written beside, white where the tree is; unless no
+    pixel of any photo is transparent.
 
     Raises:
         InputError: too few or too many photos.
@@ -98,7 +100,19 @@ def prepare_photos(
         on_photo(number, len(photos))
         prepared.append(_prepare(photo, folder, f"{number:04d}.jpg"))
     on_photo(len(photos), len(photos))
-    return prepared
+    return prepared if _any_transparent(prepared, folder) else [replace(photo, masked=False) for photo in prepared]
+
+
+def _any_transparent(prepared: list[Photo], folder: Path) -> bool:
+    """Whether any mask leaves something out: an image editor may add an alpha channel of 255 to every photo."""
+    for photo in prepared:
+        if photo.masked:
+            with Image.open(folder / f"{photo.name}.png") as mask:
+                if mask.getextrema()[0] != _OPAQUE:
+                    return True
+    for photo in prepared:
+        (folder / f"{photo.name}.png").unlink(missing_ok=True)
+    return False
 
 
 def _prepare(photo: PhotoFile, folder: Path, name: str) -> Photo:

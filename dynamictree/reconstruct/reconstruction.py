@@ -19,7 +19,7 @@ from dynamictree.reconstruct.cut import cloud_in_metres, of_the_tree
 from dynamictree.reconstruct.given import GivenCamera, find_given, fits
 from dynamictree.reconstruct.optimise import Schedule
 from dynamictree.reconstruct.photos import PhotoFile, list_photos, prepare_photos, sizes_of
-from dynamictree.reconstruct.report import Report, write_cameras, write_report
+from dynamictree.reconstruct.report import Report, quality_warnings, write_cameras, write_report
 from dynamictree.reconstruct.splat import SplatFit, fit_splat
 from dynamictree.reconstruct.surface import Shape, best_surface, find_scene, finished
 from dynamictree.reconstruct.views import SparseModel, View, read_model
@@ -174,6 +174,7 @@ def _put_together(
         held_out_psnr_db=[round(value, 2) for value in fit.psnr_db],
         held_out_blank_psnr_db=[round(value, 2) for value in fit.blank_db],
         held_out_size_px=list(fit.size_px),
+        warnings=quality_warnings(fit.psnr_db, fit.blank_db),
         splat_steps=fit.num_steps,
         num_gaussians_discarded=fit.num_discarded,
         seconds={part: round(taken, 2) for part, taken in spent.seconds.items()},

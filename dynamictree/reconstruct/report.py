@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 _REPORT_SIDE_PX = 640
 
 
+_LEAST_GAIN_DB = 3.0  # above a picture of one colour, or the splat shows nothing
+
+
 class Report(TypedDict):
     """What was found, as `report.json` holds it."""
 
@@ -42,10 +45,22 @@ class Report(TypedDict):
     held_out_psnr_db: list[float]  # of each
     held_out_blank_psnr_db: list[float]  # of a picture of one colour, for comparison
     held_out_size_px: list[int]
+    warnings: list[str]  # what makes the result doubtful, and what to do
     splat_steps: int
     num_gaussians_discarded: int  # since their gradient was not finite
     seconds: dict[str, float]  # by part
     processor_seconds: dict[str, float]  # by part, of all cores
+
+
+def quality_warnings(psnr_db: Sequence[float], blank_psnr_db: Sequence[float]) -> list[str]:
+    """Warn if the held-out photos are shown hardly better than by pictures of one colour."""
+    shown, blank = float(np.mean(psnr_db)), float(np.mean(blank_psnr_db))
+    if shown >= blank + _LEAST_GAIN_DB:
+        return []
+    return [
+        f"photos held out are shown with {shown:.1f} dB, a picture of one colour has {blank:.1f} dB: do not trust the "
+        "splat; look at report.png, check masks and given cameras, and take more photos, sharp and in even light"
+    ]
 
 
 def write_report(found: "Reconstruction", fit: "SplatFit", folder: Path) -> None:

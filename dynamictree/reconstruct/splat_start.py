@@ -9,11 +9,11 @@ from scipy.spatial import cKDTree
 from dynamictree.reconstruct.depth import DepthMaps
 from dynamictree.reconstruct.splat_table import table_of_points
 from dynamictree.reconstruct.views import SparseModel, View
+from dynamictree.reconstruct.visual_hull import hull_points
 
 _OPACITY, _DOME_OPACITY = 0.1, 0.95  # Kerbl et al. begin with 0.1; stereo's errors then fade before they settle
 _WIDEST_SHARE = 0.1  # of the cameras' distance, for a point far from all others
 _DOME_POINTS, _DOME_DISTANCE = 3000, 12.0  # of the radius of the region that the pictures hold
-_HULL_TRIALS, _HULL_ROUNDS = 150_000, 6
 _GOLDEN = np.pi * (3 - np.sqrt(5))
 
 
@@ -28,7 +28,7 @@ def first_table(
     if depths is not None:
         dense, dense_colors = points_of_depths(model, depths)
         points, colors = np.concatenate([points, dense]), np.concatenate([colors, dense_colors])
-    hull, hull_colors = points_in_hull(model.views, number, rng)
+    hull, hull_colors = hull_points(model.views, number, rng)
     points, colors = np.concatenate([points, hull]), np.concatenate([colors, hull_colors])
     kept = thinned(points, number, rng)
     points, colors = points[kept].astype(np.float32), colors[kept].astype(np.float32)
@@ -54,44 +54,6 @@ def points_of_depths(
         at = (row * height // depth.shape[0], column * width // depth.shape[1])
         colors.append(view.image[at] / np.float32(255))
     return np.concatenate(found), np.concatenate(colors)
-
-
-def points_in_hull(
-    views: Sequence[View], number: int, rng: np.random.Generator
-) -> tuple[Float64[np.ndarray, "P 3"], Float32[np.ndarray, "P 3"]]:
-    """Random places of the region that every photo shows inside its mask, with the photos' mean colour; or none."""
-    cut_out = [view for view in views if view.alpha is not None]
-    low, high = np.array([-1.0, -1.0, -1.0]), np.array([1.0, 1.0, 2.0])
-    points, colors = _kept_by_all(cut_out, rng.uniform(low, high, (_HULL_TRIALS if cut_out else 0, 3)))
-    if len(points) == 0:
-        return points, colors
-    margin = 0.1 * (points.max(axis=0) - points.min(axis=0))  # again where something was found
-    low, high = points.min(axis=0) - margin, points.max(axis=0) + margin
-    points, colors = _kept_by_all(cut_out, rng.uniform(low, high, (3 * _HULL_TRIALS, 3)))
-    for _ in range(_HULL_ROUNDS):  # and beside what was found: a tree fills little of its box
-        if not 4 <= len(points) < 2 * number:
-            break
-        near = float(np.median(np.asarray(cKDTree(points).query(points, k=2)[0])[:, 1]))
-        beside = points[rng.integers(len(points), size=_HULL_TRIALS)] + rng.normal(0, near, (_HULL_TRIALS, 3))
-        more, more_colors = _kept_by_all(cut_out, beside)
-        points, colors = np.concatenate([points, more]), np.concatenate([colors, more_colors])
-    return points, colors
-
-
-def _kept_by_all(
-    views: Sequence[View], points: Float64[np.ndarray, "P 3"]
-) -> tuple[Float64[np.ndarray, "K 3"], Float32[np.ndarray, "K 3"]]:
-    total = np.zeros((len(points), 3), np.float32)
-    for view in views:
-        height, width = view.image.shape[:2]
-        x, y, depth = view.camera.project(points, width, height).T
-        shown = (depth > 0) & (x >= 0) & (y >= 0) & (x < width) & (y < height)
-        at = np.where(shown, y, 0).astype(int), np.where(shown, x, 0).astype(int)
-        assert view.alpha is not None
-        kept = shown & (view.alpha[at] >= 128)
-        total = (total + view.image[at] / np.float32(255))[kept]
-        points = points[kept]
-    return points, total / np.float32(max(len(views), 1))
 
 
 def thinned(points: Float64[np.ndarray, "P 3"], number: int, rng: np.random.Generator) -> Int64[np.ndarray, " K"]:

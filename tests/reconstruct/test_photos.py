@@ -157,6 +157,20 @@ def test_an_alpha_channel_is_a_mask(tmp_path, eight):
         assert np.array_equal(np.asarray(mask), pixels[..., 3])
 
 
+def test_an_opaque_alpha_channel_is_no_mask(tmp_path):
+    """Exported as RGBA without anything cut out: the whole picture would count as the tree."""
+    paths = [tmp_path / f"{number}.png" for number in range(8)]
+    for path in paths:
+        Image.fromarray(np.full((300, 400, 4), 255, np.uint8)).save(path)
+    prepared = prepare_photos(paths, tmp_path / "out")
+    assert not any(photo.masked for photo in prepared)
+    assert not list((tmp_path / "out").glob("*.png"))
+    pixels = np.full((300, 400, 4), 255, np.uint8)
+    pixels[:, :100, 3] = 254
+    Image.fromarray(pixels).save(paths[5])
+    assert all(photo.masked for photo in prepare_photos(paths, tmp_path / "again"))
+
+
 def test_refuses_a_mask_of_another_shape(tmp_path, eight):
     (tmp_path / "masks").mkdir()
     for path in eight:

@@ -16,7 +16,7 @@ from dynamictree.reconstruct.gradient import gradients_of
 from dynamictree.reconstruct.optimise import Schedule, SplatProgress
 from dynamictree.reconstruct.picture_loss import picture_loss, psnr
 from dynamictree.reconstruct.splat import fit_splat, held_out_views
-from dynamictree.reconstruct.splat_start import points_in_hull, thinned
+from dynamictree.reconstruct.splat_start import thinned
 from dynamictree.reconstruct.splat_table import LOG_SCALE, LOGIT, MEAN, cloud_of, table_of_points
 from dynamictree.reconstruct.views import SparseModel, View
 from tests.reconstruct.conftest import Orbit
@@ -54,24 +54,6 @@ def test_where_photos_are_cut_out_nothing_is_left(orbit, rng):
     for pair in fit.pictures:
         shown = pair[:, 120:].astype(float)
         assert shown[:, :24].mean() < 0.25 * shown[:, 36:84].mean()
-
-
-def test_thin_twigs_are_filled_with_points(orbit, rng):
-    first, last = rng.uniform([-0.5, -0.5, 0], [0.5, 0.5, 1], (2, 12, 3))
-    twigs = (first + np.linspace(0, 1, 300)[:, None, None] * (last - first)).reshape(-1, 3)
-    views = []
-    for view in small_model(orbit, rng).views:
-        x, y, _ = view.camera.project(twigs, 120, 90).T
-        alpha = np.zeros((90, 120), np.uint8)
-        alpha[y.astype(int), x.astype(int)] = 255
-        views.append(replace(view, alpha=alpha))
-    points, colors = points_in_hull(views, 20_000, rng)
-    assert len(points) > 20_000  # 834 without looking again beside what was found
-    assert colors.shape == points.shape
-    for view in views:
-        x, y, depth = view.camera.project(points, 120, 90).T
-        assert (depth > 0).all()
-        assert (view.alpha[y.astype(int), x.astype(int)] == 255).all()
 
 
 def test_a_run_that_was_stopped_goes_on_to_the_same_end(orbit, rng, tmp_path):
