@@ -10,7 +10,7 @@ from benchmarks._machine import machine
 from benchmarks._played import played_morphs, played_skin, played_usdz, played_vertex_texture
 from dynamictree import pipeline
 from dynamictree.dataset.sample import make_sample, voxel_spectrum
-from dynamictree.products import AnimateOptions
+from dynamictree.requests import ExportParams
 from dynamictree.spectrum import iter_motion
 
 FORMATS = ("glb", "glb-reduced", "glb-skinned", "usd", "vat")
@@ -25,7 +25,7 @@ def run() -> dict[str, object]:
     with tempfile.TemporaryDirectory() as folder:
         for name in FORMATS:
             began = time.perf_counter()
-            options = AnimateOptions(formats=(name,))
+            options = ExportParams(formats=(name,))
             path = pipeline.animate(sample.mesh, spectrum, options, Path(folder))[name]
             seconds = time.perf_counter() - began
             gap = ((_played(name, path)[:100] - truth) ** 2).sum(axis=2)

@@ -12,25 +12,35 @@ from typing import TYPE_CHECKING, BinaryIO
 import numpy as np
 from jaxtyping import Complex64, UInt8
 
-from dynamictree.errors import InputError
 from dynamictree.files import Companions, opened
 from dynamictree.formats.mesh_file import read_mesh, sniff_file_type
 from dynamictree.formats.source_file import read_capture, source_kind
 from dynamictree.formats.suffixes import PHOTO_SUFFIXES
 from dynamictree.gaussian.binding import Binding, bind_capture
-from dynamictree.gaussian.capture import Box, Capture
+from dynamictree.gaussian.capture import Capture
 from dynamictree.mesh import TriangleMesh
 from dynamictree.products import (
     FILE_NAMES,
     PICTURE_FILE_NAMES,
     SPLAT_FILE_NAMES,
-    AnimateOptions,
     Facts,
     SwayingMesh,
     iter_mesh_pictures,
+    phases,
     write_mesh_product,
 )
-from dynamictree.spectrum import SparseVoxelSpectrum, Wind
+from dynamictree.requests import (
+    CLOUD_FORMATS,
+    MESH_FORMATS,
+    Box,
+    ExportParams,
+    Format,
+    GridParams,
+    Resolution,
+    Shot,
+    Wind,
+)
+from dynamictree.spectrum import SparseVoxelSpectrum
 from dynamictree.splat_products import (
     SwayingSplat,
     iter_splat_pictures,
@@ -46,12 +56,9 @@ from dynamictree.voxel.voxelize import voxelize as voxelize_surface
 if TYPE_CHECKING:
     from dynamictree.models.small.generate import TreeMotionModel
 
-RESOLUTION = 128  # paper section 5
-RESOLUTIONS = (32, 64, 128, 256, 512)
-
 OnStep = Callable[[int, int], None]
 OnProgress = Callable[[float], None]
-OnFacts = Callable[[str, Facts], None]
+OnFacts = Callable[[Format, Facts], None]
 """Gets a format, and what its file has to tell of itself."""
 
 
@@ -140,11 +147,9 @@ def reconstruct(
     return Capture(cloud=found.splat, mesh=found.mesh)
 
 
-def voxelize(mesh: TriangleMesh, *, resolution: int = RESOLUTION) -> SurfaceVoxels:
+def voxelize(mesh: TriangleMesh, *, resolution: Resolution = 128) -> SurfaceVoxels:
     """Occupied voxels of the mesh's surface, with normals. Paper section 3.3."""
-    if resolution not in RESOLUTIONS:
-        raise InputError(f"resolution is {resolution}; choose from {', '.join(map(str, RESOLUTIONS))}")
-    return voxelize_surface(mesh, resolution)
+    return voxelize_surface(mesh, GridParams(resolution=resolution).resolution)
 
 
 def diffuse(
@@ -171,15 +176,15 @@ def vertex_spectrum(mesh: TriangleMesh, spectrum: SparseVoxelSpectrum) -> Comple
 def animate(
     mesh: TriangleMesh,
     spectrum: SparseVoxelSpectrum,
-    options: AnimateOptions,
+    params: ExportParams,
     folder: Path,
     on_progress: OnProgress | None = None,
     *,
     capture: Capture | None = None,
     box_m: Box | None = None,
     on_facts: OnFacts | None = None,
-) -> dict[str, Path]:
-    """Write the asked products of one motion into a folder; give their paths by format.
+) -> dict[Format, Path]:
+    """Write the requested products of one motion into a folder; give their paths by format.
 
     Where a capture is given, pictures and splats show it; else splats are made from the mesh.
     `on_progress` gets the share done in [0, 1]; what it raises passes through. `on_facts` gets what a product that is
@@ -189,24 +194,25 @@ def animate(
         InputError: the frames do not make a loop, though one is asked for; the capture is not where the mesh is;
             or a sequence of splats would be too large.
     """
-    phases = options.phases(spectrum.period_s)
-    binding = _binding(mesh, options, capture, box_m)
-    if binding is not None and "splat-ply" in options.formats:
-        sequence_bytes(binding.cloud.num_gaussians, binding.cloud.sh_degree, len(phases), options)
+    formats = params.formats or (MESH_FORMATS if capture is None else CLOUD_FORMATS)
+    places = phases(params, spectrum.period_s)
+    binding = _binding(mesh, formats, capture, box_m)
+    if binding is not None and "splat-ply" in formats:
+        sequence_bytes(binding.cloud.num_gaussians, binding.cloud.sh_degree, len(places), params)
     sway = SwayingMesh(
         mesh=mesh,
         coefficients=vertex_spectrum(mesh, spectrum),
         num_frames=spectrum.num_frames,
-        loop_fps=spectrum.fps * options.speed,
-        phases=phases,
-        fps=options.fps,
-        first_frame=options.first_frame,
-        loop=options.loop,
+        loop_fps=spectrum.fps * params.speed,
+        phases=places,
+        fps=params.fps,
+        first_frame=params.first_frame,
+        loop=params.loop,
         spectrum=spectrum,
     )
-    splat = None if binding is None else lighter_splat(SwayingSplat(binding=binding, sway=sway), options)
+    splat = None if binding is None else lighter_splat(SwayingSplat(binding=binding, sway=sway), params)
     written = _write_products(
-        sway, splat, options, folder, on_progress or (lambda done: None), shown=capture is not None
+        sway, splat, formats, params.shot, folder, on_progress or (lambda done: None), shown=capture is not None
     )
     for name, facts in written.items():
         if facts and on_facts is not None:
@@ -214,13 +220,15 @@ def animate(
     return {name: folder / FILE_NAMES[name] for name in written}
 
 
-def _binding(mesh: TriangleMesh, options: AnimateOptions, capture: Capture | None, box_m: Box | None) -> Binding | None:
+def _binding(
+    mesh: TriangleMesh, formats: Sequence[Format], capture: Capture | None, box_m: Box | None
+) -> Binding | None:
     """What was captured, hung on the mesh; or Gaussians in the mesh's faces, the same in every run, if asked for."""
     from dynamictree.gaussian.from_mesh import splats_of_mesh
 
     if capture is not None:
         return bind_capture(capture, mesh, box_m)
-    if SPLAT_FILE_NAMES.keys().isdisjoint(options.formats):
+    if SPLAT_FILE_NAMES.keys().isdisjoint(formats):
         return None
     return splats_of_mesh(mesh, rng=np.random.default_rng(0)).binding
 
@@ -228,14 +236,15 @@ def _binding(mesh: TriangleMesh, options: AnimateOptions, capture: Capture | Non
 def _write_products(
     sway: SwayingMesh,
     splat: SwayingSplat | None,
-    options: AnimateOptions,
+    formats: Sequence[Format],
+    shot: Shot,
     folder: Path,
     on_progress: OnProgress,
     *,
     shown: bool,
-) -> dict[str, Facts]:
-    told: dict[str, Facts] = {name: {} for name in options.formats}
-    paths = {name: folder / FILE_NAMES[name] for name in options.formats}
+) -> dict[Format, Facts]:
+    facts: dict[Format, Facts] = {name: {} for name in formats}
+    paths = {name: folder / FILE_NAMES[name] for name in formats}
     films = [name for name in paths if name in PICTURE_FILE_NAMES and (name != "png" or shown)]
     done = 0
 
@@ -252,19 +261,17 @@ def _write_products(
             elif name == "png":
                 _write_sheet(sway, stream)
             else:
-                told[name] = write_mesh_product(name, sway, stream, report)
+                facts[name] = write_mesh_product(name, sway, stream, report)
         done += 1
         report(0.0)
     if films:
-        pictures = iter_splat_pictures(splat, options.shot, report) if splat and shown else None
-        _write_films(
-            pictures or iter_mesh_pictures(sway, options.shot, report), {n: paths[n] for n in films}, options.fps
-        )
+        pictures = iter_splat_pictures(splat, shot, report) if splat and shown else None
+        _write_films(pictures or iter_mesh_pictures(sway, shot, report), {n: paths[n] for n in films}, sway.fps)
         on_progress(1.0)
-    return told
+    return facts
 
 
-def _write_films(pictures: Iterator[UInt8[np.ndarray, "H W 3"]], paths: Mapping[str, Path], fps: float) -> None:
+def _write_films(pictures: Iterator[UInt8[np.ndarray, "H W 3"]], paths: Mapping[Format, Path], fps: float) -> None:
     """Every product that shows the same pictures; they are drawn once."""
     from dynamictree.render import spooled, write_animation, write_png
 

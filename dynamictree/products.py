@@ -1,21 +1,21 @@
 """What a motion is written as: which frames, of what, and one writer a product of a mesh."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass
 from typing import BinaryIO
 
 import numpy as np
 from jaxtyping import Complex64, Float32, Float64, UInt8
 
-from dynamictree.errors import InputError
 from dynamictree.formats.gltf.motion import write_motion_glb
 from dynamictree.formats.motion.ply_sequence import iter_ply_sequence_zip
 from dynamictree.formats.tensors.motion import write_motion
 from dynamictree.mesh import TriangleMesh
-from dynamictree.render.shot import Shot
+from dynamictree.render.shot import cameras_of
+from dynamictree.requests import ExportParams, Format, Shot
 from dynamictree.spectrum import SparseVoxelSpectrum, iter_motion
 
-MESH_FILE_NAMES = {
+MESH_FILE_NAMES: dict[Format, str] = {
     "ply": "motion.ply.zip",
     "glb": "tree.glb",
     "glb-reduced": "tree-8-targets.glb",
@@ -24,21 +24,18 @@ MESH_FILE_NAMES = {
     "vat": "tree.vat.zip",
     "motion": "motion.safetensors",
 }
-SPLAT_FILE_NAMES = {
+SPLAT_FILE_NAMES: dict[Format, str] = {
     "splat-ply": "splat.ply.zip",
     "splat": "tree.animated-splat.safetensors",
 }
-PICTURE_FILE_NAMES = {
+PICTURE_FILE_NAMES: dict[Format, str] = {
     "png": "preview.png",
     "webp": "preview.webp",
     "mp4": "preview.mp4",
 }
 FILE_NAMES = MESH_FILE_NAMES | SPLAT_FILE_NAMES | PICTURE_FILE_NAMES
 """Of each format."""
-DEFAULT_FORMATS = ("ply", "glb", "png")
-DEFAULT_CLOUD_FORMATS = ("splat", "png")
 REDUCED_TARGETS = 8  # morph targets that glTF asks every engine to support
-MAX_FRAMES = 600
 
 Report = Callable[[float], None]
 """Gets the share done in [0, 1]; what it raises passes through."""
@@ -46,74 +43,13 @@ Facts = dict[str, int | float]
 """What a product has to tell of itself: how far it is from the motion. Empty where it is exact."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class AnimateOptions:
-    """Which frames of the motion are written, and as what. Frame n shows the spectrum at time n · speed / fps.
+def phases(params: ExportParams, period_s: float) -> Float64[np.ndarray, " M"]:
+    """Place in the loop of every frame to write, in periods.
 
-    `num_frames=None` is one period. fps never changes the speed of the motion. `share` and `sh_degree` make splats
-    lighter: the share of the Gaussians that is kept, and the highest degree of their harmonics.
+    Raises:
+        InputError: `loop` is set and the frames are not a whole number of periods, or there are too many.
     """
-
-    first_frame: int = 0
-    num_frames: int | None = None
-    fps: float = 24.0  # [1/s]
-    speed: float = 1.0
-    loop: bool = True
-    formats: tuple[str, ...] = DEFAULT_FORMATS
-    share: float = 1.0
-    sh_degree: int = 3
-    shot: Shot = field(default_factory=Shot)
-
-    def __post_init__(self) -> None:
-        unknown = [name for name in self.formats if name not in FILE_NAMES]
-        if unknown or not self.formats:
-            raise InputError(f"formats are {list(self.formats)}; choose from {', '.join(FILE_NAMES)}")
-        if not 1 <= self.fps <= 240:
-            raise InputError(f"fps is {self.fps:g}; 1 to 240 frames a second are allowed")
-        if not 0.01 <= self.speed <= 100:
-            raise InputError(f"speed is {self.speed:g}; 0.01 to 100 times the natural speed are allowed")
-        if self.num_frames is not None and not 1 <= self.num_frames <= MAX_FRAMES:
-            raise InputError(f"num_frames is {self.num_frames}; 1 to {MAX_FRAMES} are allowed")
-        if not 0 <= self.first_frame < MAX_FRAMES:
-            raise InputError(f"first_frame is {self.first_frame}; 0 to {MAX_FRAMES - 1} are allowed")
-        if not 0 < self.share <= 1:
-            raise InputError(f"share is {self.share:g}; above 0 and at most 1 of the Gaussians is allowed")
-        if not 0 <= self.sh_degree <= 3:
-            raise InputError(f"sh_degree is {self.sh_degree}; 0 to 3 are allowed")
-
-    def phases(self, period_s: float) -> Float64[np.ndarray, " M"]:
-        """Place in the loop of every frame, in periods.
-
-        Raises:
-            InputError: `loop` is set and the frames are not a whole number of periods, or there are too many.
-        """
-        period_frames = self.fps * period_s / self.speed
-        num_frames = max(round(period_frames), 1) if self.num_frames is None else self.num_frames
-        if self.loop and not _is_whole(num_frames / period_frames):
-            raise InputError(
-                f"{num_frames} frames at {self.fps:g} fps and speed {self.speed:g} are {num_frames / period_frames:.4g}"
-                f" periods of {period_s:.4g} s, so the loop would jump; {_nearest_loops(num_frames, period_frames)}"
-            )
-        if num_frames > MAX_FRAMES:
-            raise InputError(f"one period is {num_frames} frames; at most {MAX_FRAMES} are allowed: lower fps")
-        return (self.first_frame + np.arange(num_frames)) / period_frames
-
-
-FRAME_OPTIONS = frozenset(option.name for option in fields(AnimateOptions)) - {"formats", "shot"}
-"""The options that say which frames are written, and how heavy."""
-
-
-def _is_whole(periods: float) -> bool:
-    return round(periods) >= 1 and abs(periods - round(periods)) < 1e-6
-
-
-def _nearest_loops(num_frames: int, period_frames: float) -> str:
-    loops = [count for count in range(1, MAX_FRAMES + 1) if _is_whole(count / period_frames)]
-    if not loops:
-        return f"no number of frames up to {MAX_FRAMES} makes a loop at this fps and speed: take fps 24 or loop=false"
-    below = [count for count in loops if count < num_frames][-1:]
-    above = [count for count in loops if count > num_frames][:1]
-    return f"{' or '.join(map(str, below + above))} frames make a loop; or take loop=false"
+    return (params.first_frame + np.arange(params.count_frames(period_s))) / params.period_frames(period_s)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,7 +73,7 @@ class SwayingMesh:
             yield frame
 
 
-def write_mesh_product(name: str, sway: SwayingMesh, stream: BinaryIO, report: Report) -> Facts:
+def write_mesh_product(name: Format, sway: SwayingMesh, stream: BinaryIO, report: Report) -> Facts:
     """Write one of `MESH_FILE_NAMES` to an open file.
 
     Raises:
@@ -151,7 +87,7 @@ def iter_mesh_pictures(sway: SwayingMesh, shot: Shot, report: Report) -> Iterato
     from dynamictree.render import Look, Renderer
 
     renderer = Renderer(sway.mesh, Look(width=shot.side_px, height=shot.side_px, ground=shot.ground))
-    cameras = shot.cameras(sway.mesh.vertices, len(sway.phases))
+    cameras = cameras_of(shot, sway.mesh.vertices, len(sway.phases))
     for frame, camera in zip(sway.frames(report), cameras, strict=True):
         yield renderer.picture(frame, camera=camera)
 
@@ -207,7 +143,7 @@ def _write_vertex_texture(sway: SwayingMesh, stream: BinaryIO, report: Report) -
     stream.writelines(chunks)
 
 
-_WRITERS: dict[str, Callable[[SwayingMesh, BinaryIO, Report], Facts | None]] = {
+_WRITERS: dict[Format, Callable[[SwayingMesh, BinaryIO, Report], Facts | None]] = {
     "ply": _write_ply,
     "glb": _write_glb,
     "glb-reduced": _write_reduced_glb,

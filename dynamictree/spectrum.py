@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Complex64, Float32, Float64
 
 from dynamictree.errors import InputError
+from dynamictree.requests import Wind as Wind
 from dynamictree.voxel.grid import VoxelGrid
 
 NUM_FREQUENCIES = 16  # K, paper section 3.2
@@ -21,15 +22,6 @@ FPS = 24.0  # Blender's default, in which the paper's dataset was baked
 
 Rest = Literal["unloaded", "first-frame", "mean"]
 RESTS: tuple[Rest, ...] = get_args(Rest)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Wind:
-    """The wind that a motion was made for."""
-
-    speed_m_s: float = 5.0
-    direction_deg: float = 0.0  # where it blows to, from +X towards +Y
-    gust: float = 0.3  # standard deviation of the speed over its mean
 
 
 @dataclass(frozen=True, kw_only=True)

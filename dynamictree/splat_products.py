@@ -14,9 +14,10 @@ from dynamictree.formats.tensors.animated_splat import write_animated_splat
 from dynamictree.gaussian.animate import AnimatedSplat, iter_poses, lighter
 from dynamictree.gaussian.binding import Binding
 from dynamictree.gaussian.cloud import MAX_SEQUENCE_BYTES, GaussianCloud, area_m2, level_count
-from dynamictree.products import AnimateOptions, Report, SwayingMesh
+from dynamictree.products import Report, SwayingMesh
 from dynamictree.render.camera import Camera
-from dynamictree.render.shot import Shot
+from dynamictree.render.shot import cameras_of
+from dynamictree.requests import ExportParams, Format, Shot
 
 PREVIEW_GAUSSIANS = 200_000
 """Of a larger cloud its level of detail is drawn: 0.2 s a picture on two cores."""
@@ -33,14 +34,14 @@ class SwayingSplat:
     sway: SwayingMesh
 
 
-def sequence_bytes(num_gaussians: int, sh_degree: int, num_frames: int, options: AnimateOptions) -> int:
+def sequence_bytes(num_gaussians: int, sh_degree: int, num_frames: int, params: ExportParams) -> int:
     """Size of the archive `splat-ply` before anything is made.
 
     Raises:
         InputError: it would be too large.
     """
-    kept, degree = level_count(num_gaussians, options.share), min(sh_degree, options.sh_degree)
-    size = splat_sequence_bytes(kept, degree, num_frames, first_number=options.first_frame)
+    kept, degree = level_count(num_gaussians, params.share), min(sh_degree, params.sh_degree)
+    size = splat_sequence_bytes(kept, degree, num_frames, first_number=params.first_frame)
     if size > MAX_SEQUENCE_BYTES:
         raise InputError(
             f"{num_frames} frames of {kept:,} Gaussians of SH degree {degree} are {size / 1e9:.1f} GB, above "
@@ -50,13 +51,13 @@ def sequence_bytes(num_gaussians: int, sh_degree: int, num_frames: int, options:
     return size
 
 
-def lighter_splat(splat: SwayingSplat, options: AnimateOptions) -> SwayingSplat:
-    """As light as the options ask."""
-    binding = lighter(splat.binding, share=options.share, sh_degree=options.sh_degree)
+def lighter_splat(splat: SwayingSplat, params: ExportParams) -> SwayingSplat:
+    """The splat with the share and degree that are asked for."""
+    binding = lighter(splat.binding, share=params.share, sh_degree=params.sh_degree)
     return SwayingSplat(binding=binding, sway=splat.sway)
 
 
-def write_splat_product(name: str, splat: SwayingSplat, stream: BinaryIO, report: Report) -> None:
+def write_splat_product(name: Format, splat: SwayingSplat, stream: BinaryIO, report: Report) -> None:
     """Write one of `SPLAT_FILE_NAMES` to an open file."""
     _WRITERS[name](splat, stream, report)
 
@@ -75,7 +76,7 @@ def iter_splat_pictures(splat: SwayingSplat, shot: Shot, report: Report) -> Iter
     covered = (np.pi * area_m2(cloud) * cloud.opacity)[binding.moving]
     behind: tuple[Camera, Backdrop] | None = None
     for pose, camera in zip(
-        iter_poses(binding, splat.sway.frames(report)), shot.cameras(shown, len(splat.sway.phases)), strict=True
+        iter_poses(binding, splat.sway.frames(report)), cameras_of(shot, shown, len(splat.sway.phases)), strict=True
     ):
         if behind is None or behind[0] is not camera:
             ground = floor if shot.ground else -np.inf
@@ -124,18 +125,18 @@ def _write_compact(splat: SwayingSplat, stream: BinaryIO, report: Report) -> Non
     write_animated_splat(compact, stream)
 
 
-_WRITERS: dict[str, Callable[[SwayingSplat, BinaryIO, Report], None]] = {
+_WRITERS: dict[Format, Callable[[SwayingSplat, BinaryIO, Report], None]] = {
     "splat-ply": _write_sequence,
     "splat": _write_compact,
 }
 
 
-def describe_sequence(cloud: GaussianCloud, num_frames: int, options: AnimateOptions) -> str:
+def describe_sequence(cloud: GaussianCloud, num_frames: int, params: ExportParams) -> str:
     """How large the PLY sequence will be, in words.
 
     Raises:
         InputError: it would be too large.
     """
-    size = sequence_bytes(cloud.num_gaussians, cloud.sh_degree, num_frames, options)
-    kept, degree = level_count(cloud.num_gaussians, options.share), min(cloud.sh_degree, options.sh_degree)
+    size = sequence_bytes(cloud.num_gaussians, cloud.sh_degree, num_frames, params)
+    kept, degree = level_count(cloud.num_gaussians, params.share), min(cloud.sh_degree, params.sh_degree)
     return f"{num_frames} frames of {kept:,} Gaussians of SH degree {degree}: {size / 1e6:,.1f} MB"

@@ -4,6 +4,7 @@ from hashlib import sha256
 
 from fastapi import Response, status
 
+from dynamictree.requests import CLOUD_FORMATS, MESH_FORMATS, AnimateParams, Format
 from jobs.assets import read_asset
 from jobs.errors import ConflictError
 from jobs.records import AssetRecord, ClientKey, JobRecord, Json
@@ -18,7 +19,7 @@ from service.http.routing import is_id
 from service.job_responses import tell
 from service.routes.assets import require_room
 from service.routes.catalogue import require_preset
-from service.schemas.job_requests import AnimateParams, JobRequest
+from service.schemas.job_requests import JobRequest
 from service.schemas.jobs import JobPayload
 from service.uploads.quota import require_bytes
 
@@ -156,10 +157,8 @@ def _resolved(body: JobRequest, asset: AssetRecord) -> dict[str, Json]:
     return params
 
 
-def _formats(params: AnimateParams, asset: AssetRecord) -> tuple[str, ...]:
-    from dynamictree.products import DEFAULT_CLOUD_FORMATS, DEFAULT_FORMATS
-
-    named = params.formats or (DEFAULT_CLOUD_FORMATS if asset.kind == "cloud" else DEFAULT_FORMATS)
+def _formats(params: AnimateParams, asset: AssetRecord) -> tuple[Format, ...]:
+    named = params.formats or (CLOUD_FORMATS if asset.kind == "cloud" else MESH_FORMATS)
     return tuple(dict.fromkeys((*named, "png")))
 
 
@@ -172,16 +171,13 @@ def format_bytes(body: JobRequest, asset: AssetRecord) -> dict[str, int]:
     if not isinstance(body.params, AnimateParams):
         return {}
     # numba comes with the products; loaded beside the first requests, not with this module
-    from dynamictree.products import FRAME_OPTIONS, AnimateOptions
     from dynamictree.spectrum import FPS, NUM_FRAMES
     from dynamictree.splat_products import sequence_bytes
 
-    given = body.params.model_dump(include=set(FRAME_OPTIONS))
-    options = AnimateOptions(**given, formats=_formats(body.params, asset))
-    num_frames = len(options.phases(NUM_FRAMES / FPS))
-    if "splat-ply" not in options.formats or asset.kind != "cloud":
+    num_frames = body.params.count_frames(NUM_FRAMES / FPS)
+    if "splat-ply" not in _formats(body.params, asset) or asset.kind != "cloud":
         return {}
     count, degree = asset.summary["num_gaussians"], asset.summary["sh_degree"]
     assert isinstance(count, int)
     assert isinstance(degree, int)
-    return {"splat-ply": sequence_bytes(count, degree, num_frames, options)}
+    return {"splat-ply": sequence_bytes(count, degree, num_frames, body.params)}

@@ -5,8 +5,9 @@ from io import BytesIO
 from pydantic import TypeAdapter
 
 from dynamictree.formats.tensors.spectrum import read_spectrum
-from dynamictree.gaussian.capture import Box, Capture
+from dynamictree.gaussian.capture import Capture
 from dynamictree.mesh import TriangleMesh
+from dynamictree.requests import Box
 from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.assets import read_asset
 from jobs.errors import ConflictError, GoneError, NotFoundError

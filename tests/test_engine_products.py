@@ -17,7 +17,8 @@ from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.errors import InputError
 from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.skinning import skin_of
-from dynamictree.products import FILE_NAMES, MESH_FILE_NAMES, AnimateOptions, Facts
+from dynamictree.products import FILE_NAMES, MESH_FILE_NAMES, Facts
+from dynamictree.requests import ExportParams
 from dynamictree.spectrum import SparseVoxelSpectrum, iter_motion
 from dynamictree.voxel.voxelize import voxelize
 
@@ -43,7 +44,7 @@ def made(
     tree: tuple[TriangleMesh, SparseVoxelSpectrum], tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[dict[str, Path], dict[str, Facts]]:
     facts: dict[str, Facts] = {}
-    options = AnimateOptions(formats=FORMATS, fps=24.0)
+    options = ExportParams(formats=FORMATS, fps=24.0)
     folder = tmp_path_factory.mktemp("products")
     paths = pipeline.animate(*tree, options, folder, on_facts=facts.__setitem__)
     return paths, facts

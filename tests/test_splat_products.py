@@ -20,8 +20,7 @@ from dynamictree.formats.tensors.animated_splat import read_animated_splat
 from dynamictree.formats.tensors.cloud_bundle import read_cloud_bundle, write_cloud_bundle
 from dynamictree.gaussian.capture import Capture, carrying_mesh, moving_part
 from dynamictree.gaussian.cloud import GaussianCloud
-from dynamictree.products import AnimateOptions
-from dynamictree.render.shot import Shot
+from dynamictree.requests import ExportParams, Shot
 from dynamictree.spectrum import SparseVoxelSpectrum
 from dynamictree.splat_products import describe_sequence, sequence_bytes
 from dynamictree.voxel.voxelize import voxelize
@@ -58,7 +57,7 @@ def spectrum(capture: Capture) -> SparseVoxelSpectrum:
 
 
 def animated(
-    capture: Capture, spectrum: SparseVoxelSpectrum, folder: Path, options: AnimateOptions, done: list[float]
+    capture: Capture, spectrum: SparseVoxelSpectrum, folder: Path, options: ExportParams, done: list[float]
 ) -> dict[str, Path]:
     mesh = carrying_mesh(capture, BOX)
     return pipeline.animate(mesh, spectrum, options, folder, done.append, capture=capture, box_m=BOX)
@@ -66,7 +65,7 @@ def animated(
 
 def test_all_products_show_one_motion(capture: Capture, spectrum: SparseVoxelSpectrum, tmp_path: Path) -> None:
     done: list[float] = []
-    options = AnimateOptions(formats=("splat-ply", "splat", "png", "glb"), shot=SMALL)
+    options = ExportParams(formats=("splat-ply", "splat", "png", "glb"), shot=SMALL)
     paths = animated(capture, spectrum, tmp_path, options, done)
     assert done == sorted(done)
     assert done[-1] == 1
@@ -93,7 +92,7 @@ def test_all_products_show_one_motion(capture: Capture, spectrum: SparseVoxelSpe
 def test_a_part_of_the_motion_and_of_the_cloud_is_asked_for(
     capture: Capture, spectrum: SparseVoxelSpectrum, tmp_path: Path
 ) -> None:
-    options = AnimateOptions(
+    options = ExportParams(
         formats=("splat-ply",), first_frame=2, num_frames=1, loop=False, share=0.1, sh_degree=0, shot=SMALL
     )
     paths = animated(capture, spectrum, tmp_path, options, [])
@@ -109,7 +108,7 @@ def test_a_part_of_the_motion_and_of_the_cloud_is_asked_for(
 
 def test_a_film_is_made(capture: Capture, spectrum: SparseVoxelSpectrum, tmp_path: Path) -> None:
     pytest.importorskip("imageio_ffmpeg")
-    options = AnimateOptions(formats=("mp4", "webp"), shot=replace(SMALL, orbit=True, ground=False))
+    options = ExportParams(formats=("mp4", "webp"), shot=SMALL.model_copy(update={"orbit": True, "ground": False}))
     paths = animated(capture, spectrum, tmp_path, options, [])
     assert b"ftyp" in paths["mp4"].read_bytes()[:12]
     with Image.open(paths["webp"]) as film:
@@ -118,7 +117,7 @@ def test_a_film_is_made(capture: Capture, spectrum: SparseVoxelSpectrum, tmp_pat
 
 def test_a_mesh_becomes_a_splat_that_moves(capture: Capture, spectrum: SparseVoxelSpectrum, tmp_path: Path) -> None:
     mesh = carrying_mesh(capture, BOX)
-    paths = pipeline.animate(mesh, spectrum, AnimateOptions(formats=("splat", "webp"), shot=SMALL), tmp_path)
+    paths = pipeline.animate(mesh, spectrum, ExportParams(formats=("splat", "webp"), shot=SMALL), tmp_path)
     with paths["splat"].open("rb") as stream:
         splat = read_animated_splat(stream)
     assert splat.binding.cloud.num_gaussians >= 5 * mesh.num_faces * 0.9
@@ -192,7 +191,7 @@ def test_what_does_not_fit_together_is_refused(capture: Capture, files: dict[str
 @pytest.mark.parametrize(
     ("options", "found"),
     [
-        ({"formats": ("gif",)}, "formats are"),
+        ({"formats": ("gif",)}, "formats is 'gif'"),
         ({"share": 0.0}, "share is 0"),
         ({"sh_degree": 4}, "sh_degree is 4"),
         ({"first_frame": 600}, "first_frame is 600"),
@@ -200,7 +199,7 @@ def test_what_does_not_fit_together_is_refused(capture: Capture, files: dict[str
 )
 def test_an_option_out_of_bounds_is_told(options: dict[str, object], found: str) -> None:
     with pytest.raises(InputError, match=found):
-        AnimateOptions(**options)  # type: ignore[arg-type]
+        ExportParams(**options)  # type: ignore[arg-type]
 
 
 def test_too_large_a_sequence_is_refused_before_it_is_made(
@@ -208,5 +207,5 @@ def test_too_large_a_sequence_is_refused_before_it_is_made(
 ) -> None:
     monkeypatch.setattr("dynamictree.splat_products.MAX_SEQUENCE_BYTES", 1000)
     with pytest.raises(InputError, match="ask for fewer frames"):
-        animated(capture, spectrum, tmp_path, AnimateOptions(formats=("splat-ply",)), [])
+        animated(capture, spectrum, tmp_path, ExportParams(formats=("splat-ply",)), [])
     assert not list(tmp_path.iterdir())

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dynamictree.errors import Cancelled, CheckpointError, DynamicTreeError
+from dynamictree.requests import CloudParams, ExportParams, GridParams, ReconstructParams, Request, SpectrumParams
 from jobs.artifacts import hash_file
 from jobs.assets import read_asset
 from jobs.attempts import cached_stage, offer, publish_stage, start_stage, touch_blob
@@ -38,22 +39,11 @@ INPUTS: dict[JobType, tuple[str, ...]] = {
     "diffuse": (VOXELS,),
     "animate": (SPECTRUM, MESH_BUNDLE, CLOUD_BUNDLE),
 }
-PARAMS: dict[JobType, tuple[str, ...]] = {
-    "reconstruct": ("box_m", "height_m", "splat_steps"),
-    "voxelize": ("resolution",),
-    "diffuse": ("wind", "num_steps"),
-    "animate": (
-        "first_frame",
-        "num_frames",
-        "fps",
-        "speed",
-        "loop",
-        "formats",
-        "share",
-        "sh_degree",
-        "shot",
-        "box_m",
-    ),
+PARAMS: dict[JobType, tuple[type[Request], ...]] = {
+    "reconstruct": (ReconstructParams,),
+    "voxelize": (GridParams,),
+    "diffuse": (SpectrumParams,),
+    "animate": (ExportParams, CloudParams),
 }
 """The files and parameters that change what a stage makes."""
 
@@ -127,7 +117,7 @@ def _made(
 def stage_key(job: JobRecord, stage: JobType, hashes: Mapping[str, str]) -> str:
     """sha256 over all that decides what a stage makes: the files that go in, parameters, seed, model, code."""
     inputs = {name: hashes[name] for name in INPUTS[stage]}
-    params = {name: job.params.get(name) for name in PARAMS[stage]}
+    params = [model.part_of(job.params).model_dump(mode="json") for model in PARAMS[stage]]
     meaning: list[object] = [stage, STAGE_VERSION, version("dynamictree"), inputs, params]
     if stage == "diffuse":
         meaning += [job.seed, job.preset, model_sha256(job.preset)]

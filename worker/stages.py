@@ -13,11 +13,10 @@ from dynamictree.formats.tensors.cloud_bundle import read_cloud_bundle, write_cl
 from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle, write_mesh_bundle
 from dynamictree.formats.tensors.spectrum import read_spectrum, write_spectrum
 from dynamictree.formats.tensors.voxels import read_voxels, write_voxels
-from dynamictree.gaussian.capture import Box, Capture, carrying_mesh
+from dynamictree.gaussian.capture import Capture, carrying_mesh
 from dynamictree.mesh import TriangleMesh
-from dynamictree.products import FILE_NAMES, FRAME_OPTIONS, AnimateOptions, Facts
-from dynamictree.render.shot import Shot
-from dynamictree.spectrum import Wind
+from dynamictree.products import FILE_NAMES, Facts
+from dynamictree.requests import CloudParams, ExportParams, GridParams, ReconstructParams, SpectrumParams
 from jobs.products import CLOUD_BUNDLE, MESH, MESH_BUNDLE, SPECTRUM, VOXELS
 from jobs.records import JobRecord
 from jobs.states import JobType
@@ -40,16 +39,16 @@ def reconstruct(given: StageInput) -> Iterable[Path]:
     """Photos or a cloud to a mesh."""
     if CLOUD_BUNDLE in given.files:
         return _mesh_of_cloud(given)
-    params = given.job.params
+    params = ReconstructParams.part_of(given.job.params)
     capture = pipeline.reconstruct(
         given.photos,
         given.folder,
         given.report,
         root=_root(given.photos),
         kept=given.kept,
-        height_m=params.get("height_m"),  # type: ignore[arg-type]
-        splat_steps=params.get("splat_steps"),  # type: ignore[arg-type]
-        box_m=_box(given),
+        height_m=params.height_m,
+        splat_steps=params.splat_steps,
+        box_m=params.box_m,
     )
     assert capture.mesh is not None
     with (given.folder / MESH_BUNDLE).open("xb") as stream:
@@ -69,7 +68,7 @@ def _mesh_of_cloud(given: StageInput) -> Iterable[Path]:
     given.report(0.0)
     capture = _capture(given)
     assert capture is not None
-    mesh = carrying_mesh(capture, _box(given))
+    mesh = carrying_mesh(capture, CloudParams.part_of(given.job.params).box_m)
     with (given.folder / MESH).open("xb") as stream:
         write_ply(mesh, stream)
     with (given.folder / MESH_BUNDLE).open("xb") as stream:
@@ -80,9 +79,7 @@ def _mesh_of_cloud(given: StageInput) -> Iterable[Path]:
 def voxelize(given: StageInput) -> Iterable[Path]:
     """Mesh to voxels."""
     given.report(0.0)
-    resolution = given.job.params.get("resolution", pipeline.RESOLUTION)
-    assert isinstance(resolution, int)
-    voxels = pipeline.voxelize(_mesh(given), resolution=resolution)
+    voxels = pipeline.voxelize(_mesh(given), resolution=GridParams.part_of(given.job.params).resolution)
     with (given.folder / VOXELS).open("xb") as stream:
         write_voxels(voxels, stream)
     return [given.folder / VOXELS]
@@ -93,14 +90,13 @@ def diffuse(given: StageInput) -> Iterable[Path]:
     given.report(0.0)
     with given.files[VOXELS].open("rb") as stream:
         voxels = read_voxels(stream)
-    steps = given.job.params["num_steps"]
-    assert steps is None or isinstance(steps, int)
+    params = SpectrumParams.part_of(given.job.params)
     spectrum = pipeline.diffuse(
         voxels,
         preset=given.job.preset,
         seed=given.job.seed,
-        wind=Wind(**given.job.params["wind"]),  # type: ignore[arg-type]
-        num_steps=steps,
+        wind=params.wind,
+        num_steps=params.num_steps,
         on_step=lambda done, total: given.report(done / total),
     )
     with (given.folder / SPECTRUM).open("xb") as stream:
@@ -116,22 +112,14 @@ def animate(given: StageInput) -> Iterable[Path]:
     made = pipeline.animate(
         _mesh(given),
         spectrum,
-        animate_options(given.job),
+        ExportParams.part_of(given.job.params),
         given.folder,
         given.report,
         capture=_capture(given),
-        box_m=_box(given),
+        box_m=CloudParams.part_of(given.job.params).box_m,
         on_facts=lambda name, facts: given.facts.update({FILE_NAMES[name]: facts}),
     )
     return made.values()
-
-
-def animate_options(job: JobRecord) -> AnimateOptions:
-    """What an animate job asks for."""
-    given = {name: job.params[name] for name in FRAME_OPTIONS if name in job.params}
-    shot = Shot(**job.params.get("shot", {}))  # type: ignore[arg-type]
-    formats = tuple(job.params["formats"])  # type: ignore[arg-type]
-    return AnimateOptions(**given, formats=formats, shot=shot)  # type: ignore[arg-type]
 
 
 STAGES: dict[JobType, Callable[[StageInput], Iterable[Path]]] = {
@@ -158,14 +146,6 @@ def _capture(given: StageInput) -> Capture | None:
         return None
     with given.files[CLOUD_BUNDLE].open("rb") as stream:
         return read_cloud_bundle(stream)
-
-
-def _box(given: StageInput) -> Box | None:
-    box = given.job.params.get("box_m")
-    if box is None:
-        return None
-    low, high = box  # type: ignore[misc]
-    return tuple(low), tuple(high)  # type: ignore[arg-type]
 
 
 def _mesh(given: StageInput) -> TriangleMesh:

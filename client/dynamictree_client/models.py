@@ -17,28 +17,28 @@ JobState = Literal["queued", "running", "canceling", "succeeded", "failed", "can
 
 
 class AnimateParams(Model):
-    """Spectrum to motion, and the files that show it. `share` and `sh_degree` make splats lighter."""
+    """Parameters of a job that writes a motion. The service writes png besides the formats that are asked for."""
 
-    # of a cloud, only what is inside moves: low and high corner [m], +Z up; all if unset
+    # Of a splat or scan, only what is inside moves: low and high corner [m], +Z up; all if unset
     box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
-    # of photos: the tree's height [m], which they do not tell; 1 m if unset
+    # Of photos: the tree's height [m], which they do not show; 1 m if unset
     height_m: float | None = None
-    # of photos: how long the splat is learned; the usual number if unset
+    # Of photos: training steps of the splat; 3000 if unset
     splat_steps: int | None = None
     wind: "Wind | None" = None
-    # sampler steps; the preset's own if unset
+    # Sampler steps; the number of the preset if unset
     num_steps: int | None = None
+    # Number of the first frame to write
     first_frame: int = 0
-    # one period if unset
+    # Number of frames to write; one period if unset
     num_frames: int | None = None
-    # frames a second; never changes the speed
+    # Frames per second; does not change the speed of the motion
     fps: float = 24.0
-    # times the natural speed
+    # Speed of the motion over its natural speed
     speed: float = 1.0
-    # refuse a number of frames that is no whole number of periods
+    # Refuse a number of frames that is not a whole number of periods
     loop: bool = True
-    # files to make; ply, glb and png of a mesh or photos, splat and png of a cloud if unset. png comes with every
-    # motion
+    # Files to write; if unset ply, glb, png of a mesh or photos, splat, png of a splat or scan
     formats: (
         list[
             Literal[
@@ -58,9 +58,9 @@ class AnimateParams(Model):
         ]
         | None
     ) = None
-    # of a splat's Gaussians that are kept
+    # Share of a splat's Gaussians to write
     share: float = 1.0
-    # of a splat's harmonics, at most
+    # Highest degree of a splat's spherical harmonics to write
     sh_degree: int = 3
     shot: "Shot | None" = None
 
@@ -68,16 +68,16 @@ class AnimateParams(Model):
 class AnimateRequest(Model):
     """To the motion."""
 
+    # The model that generates the motion
+    preset: str = "small"
+    # The same seed gives the same motion
+    seed: int = 0
     # high is begun first; with keys, one of scope high-priority
     priority: Literal["high", "normal", "low"] = "normal"
     # id of a webhook endpoint to tell of the end
     webhook: str | None = None
     # what POST /v1/assets gave
     asset_id: str
-    # the model, see GET /v1/presets
-    preset: str = "small"
-    # the same seed gives the same motion
-    seed: int = 0
     # aborted if no worker has begun by then [s]
     start_deadline_s: float | None = None
     type: Literal["animate"]
@@ -174,32 +174,32 @@ class Delivery(Model):
 
 
 class DiffuseParams(Model):
-    """Shape to spectrum."""
+    """Parameters of a job that generates a spectrum."""
 
-    # of a cloud, only what is inside moves: low and high corner [m], +Z up; all if unset
+    # Of a splat or scan, only what is inside moves: low and high corner [m], +Z up; all if unset
     box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
-    # of photos: the tree's height [m], which they do not tell; 1 m if unset
+    # Of photos: the tree's height [m], which they do not show; 1 m if unset
     height_m: float | None = None
-    # of photos: how long the splat is learned; the usual number if unset
+    # Of photos: training steps of the splat; 3000 if unset
     splat_steps: int | None = None
     wind: "Wind | None" = None
-    # sampler steps; the preset's own if unset
+    # Sampler steps; the number of the preset if unset
     num_steps: int | None = None
 
 
 class DiffuseRequest(Model):
     """To the spectrum."""
 
+    # The model that generates the motion
+    preset: str = "small"
+    # The same seed gives the same motion
+    seed: int = 0
     # high is begun first; with keys, one of scope high-priority
     priority: Literal["high", "normal", "low"] = "normal"
     # id of a webhook endpoint to tell of the end
     webhook: str | None = None
     # what POST /v1/assets gave
     asset_id: str
-    # the model, see GET /v1/presets
-    preset: str = "small"
-    # the same seed gives the same motion
-    seed: int = 0
     # aborted if no worker has begun by then [s]
     start_deadline_s: float | None = None
     type: Literal["diffuse"]
@@ -537,29 +537,29 @@ class Ready(Model):
 
 
 class ReconstructParams(Model):
-    """Photos or a cloud to a mesh."""
+    """Parameters of a job that makes a mesh of photos or a cloud."""
 
-    # of a cloud, only what is inside moves: low and high corner [m], +Z up; all if unset
+    # Of a splat or scan, only what is inside moves: low and high corner [m], +Z up; all if unset
     box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
-    # of photos: the tree's height [m], which they do not tell; 1 m if unset
+    # Of photos: the tree's height [m], which they do not show; 1 m if unset
     height_m: float | None = None
-    # of photos: how long the splat is learned; the usual number if unset
+    # Of photos: training steps of the splat; 3000 if unset
     splat_steps: int | None = None
 
 
 class ReconstructRequest(Model):
     """Photos to a mesh."""
 
+    # The model that generates the motion
+    preset: str = "small"
+    # The same seed gives the same motion
+    seed: int = 0
     # high is begun first; with keys, one of scope high-priority
     priority: Literal["high", "normal", "low"] = "normal"
     # id of a webhook endpoint to tell of the end
     webhook: str | None = None
     # what POST /v1/assets gave
     asset_id: str
-    # the model, see GET /v1/presets
-    preset: str = "small"
-    # the same seed gives the same motion
-    seed: int = 0
     # aborted if no worker has begun by then [s]
     start_deadline_s: float | None = None
     type: Literal["reconstruct"]
@@ -585,16 +585,17 @@ class RetryRequest(Model):
 
 
 class Shot(Model):
-    """From where the pictures are taken."""
+    """Where the camera of pictures and videos stands."""
 
+    # Side of the pictures [px]
     side_px: int = 512
-    # 0 stands at -Y; grows towards +X [°]
+    # Direction from the tree to the camera [°]: 0 at -Y, 90 at +X
     azimuth_deg: float = 25.0
-    # [°]
+    # Height of the camera above the horizon, seen from the tree [°]
     elevation_deg: float = 8.0
-    # goes around once while the frames go by
+    # Go around the tree once while the frames go by
     orbit: bool = False
-    # a floor with a shadow
+    # Draw a floor with a shadow
     ground: bool = True
 
 
@@ -686,31 +687,31 @@ class Usage(Model):
 
 
 class VoxelizeParams(Model):
-    """Surface to voxels."""
+    """Parameters of a job that makes the voxels of a surface."""
 
-    # of a cloud, only what is inside moves: low and high corner [m], +Z up; all if unset
+    # Of a splat or scan, only what is inside moves: low and high corner [m], +Z up; all if unset
     box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
-    # of photos: the tree's height [m], which they do not tell; 1 m if unset
+    # Of photos: the tree's height [m], which they do not show; 1 m if unset
     height_m: float | None = None
-    # of photos: how long the splat is learned; the usual number if unset
+    # Of photos: training steps of the splat; 3000 if unset
     splat_steps: int | None = None
-    # voxels along the cube's side
+    # Voxels along the side of the cube
     resolution: Literal[32, 64, 128, 256, 512] = 128
 
 
 class VoxelizeRequest(Model):
     """To the occupied voxels and their normals."""
 
+    # The model that generates the motion
+    preset: str = "small"
+    # The same seed gives the same motion
+    seed: int = 0
     # high is begun first; with keys, one of scope high-priority
     priority: Literal["high", "normal", "low"] = "normal"
     # id of a webhook endpoint to tell of the end
     webhook: str | None = None
     # what POST /v1/assets gave
     asset_id: str
-    # the model, see GET /v1/presets
-    preset: str = "small"
-    # the same seed gives the same motion
-    seed: int = 0
     # aborted if no worker has begun by then [s]
     start_deadline_s: float | None = None
     type: Literal["voxelize"]
@@ -718,11 +719,11 @@ class VoxelizeRequest(Model):
 
 
 class Wind(Model):
-    """The wind that the motion is generated for."""
+    """The wind that a motion is generated for. Not checked when built in Python: a file may record any wind."""
 
-    # mean speed [m/s]
+    # Mean speed of the wind [m/s]
     speed_m_s: float = 5.0
-    # where it blows to, from +X towards +Y [°]
+    # Where the wind blows to [°], from +X towards +Y
     direction_deg: float = 0.0
-    # standard deviation of the speed over its mean
+    # Standard deviation of the speed over its mean
     gust: float = 0.3

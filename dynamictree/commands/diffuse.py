@@ -5,61 +5,45 @@ from typing import Annotated
 
 import typer
 
-from dynamictree.commands.options import (
-    BoxCorners,
-    Gust,
-    NumSteps,
-    OutputFile,
-    Preset,
-    Resolution,
-    Seed,
-    UnitM,
-    UpAxis,
-    WindDirection,
-    WindSpeed,
-    box_of,
-)
+from dynamictree.commands.options import OutputFile
+from dynamictree.commands.request_options import with_request_options
 from dynamictree.commands.source import is_tensor_file, read_source
 from dynamictree.files import opened, published
+from dynamictree.requests import CloudParams, GeneratorGridParams, ModelParams, Reading, SpectrumParams
 from dynamictree.terminal import AsJson, progress, tell
 
 
+@with_request_options
 def diffuse(
     source: Annotated[
         Path, typer.Argument(help="A mesh, a splat, a scan, or a *.voxels.safetensors that `voxelize` wrote.")
     ],
     output: OutputFile,
-    box: BoxCorners = None,
-    resolution: Resolution = 128,
-    preset: Preset = "small",
-    seed: Seed = 0,
-    num_steps: NumSteps = None,
-    wind_speed: WindSpeed = 5.0,
-    wind_direction: WindDirection = 0.0,
-    gust: Gust = 0.3,
-    up_axis: UpAxis = None,
-    unit_m: UnitM = None,
+    cloud: CloudParams,
+    grid: GeneratorGridParams,
+    model: ModelParams,
+    params: SpectrumParams,
+    reading: Reading,
     as_json: AsJson = False,
 ) -> None:
     """Generate the spectrum of a tree's motion from its shape (*.spectrum.safetensors)."""
     from dynamictree import pipeline
     from dynamictree.formats.tensors.spectrum import write_spectrum
     from dynamictree.formats.tensors.voxels import FORMAT, read_voxels
-    from dynamictree.spectrum import Wind
 
     if is_tensor_file(source, FORMAT, ".voxels.safetensors"):
         with opened(source) as stream:
             voxels = read_voxels(stream)
     else:
-        mesh, _ = read_source(source, up_axis=up_axis, unit_m=unit_m, box_m=box_of(box))
-        voxels = pipeline.voxelize(mesh, resolution=resolution)
+        mesh, _ = read_source(source, reading, box_m=cloud.box_m)
+        voxels = pipeline.voxelize(mesh, resolution=grid.resolution)
     with progress(quiet=as_json) as report:
         spectrum = pipeline.diffuse(
             voxels,
-            preset=preset,
-            seed=seed,
-            wind=Wind(speed_m_s=wind_speed, direction_deg=wind_direction, gust=gust),
-            num_steps=num_steps,
+            preset=model.preset,
+            seed=model.seed,
+            wind=params.wind,
+            num_steps=params.num_steps,
             on_step=lambda done, total: report("diffuse", done / total),
         )
     with published(output.parent) as folder, (folder / output.name).open("wb") as stream:

@@ -5,16 +5,17 @@ from typing import Annotated
 
 import typer
 
-from dynamictree.commands.options import UnitM, UpAxis
+from dynamictree.commands.request_options import with_request_options
 from dynamictree.commands.source import is_cloud, is_tensor_file
 from dynamictree.files import opened
+from dynamictree.requests import Reading
 from dynamictree.terminal import AsJson, tell
 
 
+@with_request_options
 def info(
     source: Annotated[Path, typer.Argument(help="A mesh, splat, scan, voxel or spectrum file.")],
-    up_axis: UpAxis = None,
-    unit_m: UnitM = None,
+    reading: Reading,
     as_json: AsJson = False,
 ) -> None:
     """Say what a file holds."""
@@ -29,7 +30,7 @@ def info(
         with opened(source) as stream:
             facts = describe_grid(voxels.read_voxels(stream).grid)
     elif is_cloud(source):
-        facts = describe_capture(pipeline.load_capture(source, up_axis=up_axis, unit_m=unit_m))
+        facts = describe_capture(pipeline.load_capture(source, up_axis=reading.up_axis, unit_m=reading.unit_m))
     else:
-        facts = describe_mesh(pipeline.load_mesh(source, up_axis=up_axis, unit_m=unit_m))
+        facts = describe_mesh(pipeline.load_mesh(source, up_axis=reading.up_axis, unit_m=reading.unit_m))
     tell(facts, as_json=as_json)

@@ -6,9 +6,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dynamictree.commands.options import OutputFolder, UnitM, UpAxis
+from dynamictree.commands.options import OutputFolder
+from dynamictree.commands.request_options import with_request_options
 from dynamictree.errors import InputError
 from dynamictree.files import opened, published
+from dynamictree.requests import Reading
 from dynamictree.terminal import AsJson, tell
 
 if TYPE_CHECKING:
@@ -25,9 +27,11 @@ FILE_NAMES = {"modal": "modal.safetensors", "motion": "motion.safetensors", "ply
 Vector = tuple[float, float, float]
 
 
+@with_request_options
 def interact(
     spectrum: Annotated[Path, typer.Argument(help="A *.spectrum.safetensors that `diffuse` or `animate` wrote.")],
     output: OutputFolder,
+    reading: Reading,
     mesh: Annotated[
         Path | None, typer.Option(help="The mesh that the spectrum was made for; motion and ply need it.")
     ] = None,
@@ -60,8 +64,6 @@ def interact(
         float | None, typer.Option(min=1e-6, max=1e6, help="Reach of a push [m]; 15 % of the height if not given.")
     ] = None,
     warp: Annotated[bool, typer.Option(help="Bend under large pushes instead of stretching.")] = False,
-    up_axis: UpAxis = None,
-    unit_m: UnitM = None,
     as_json: AsJson = False,
 ) -> None:
     """Push a tree: spectrum + forces → modal coordinates, moving mesh."""
@@ -85,7 +87,7 @@ def interact(
         system, groups, dt_s=1 / fps, num_frames=frames, integrator=chosen, start="held" if held else "rest"
     )
     tree = InteractiveTree(system)
-    source = None if mesh is None else pipeline.load_mesh(mesh, up_axis=up_axis, unit_m=unit_m)
+    source = None if mesh is None else pipeline.load_mesh(mesh, up_axis=reading.up_axis, unit_m=reading.unit_m)
     files = _write(tree, answer, source, output, wanted=wanted, fps=fps, warp=warp)
     facts = {
         "files": [str(path) for path in files],

@@ -7,11 +7,14 @@ from typing import Annotated
 import typer
 
 from dynamictree.commands.options import OutputFolder
+from dynamictree.commands.request_options import with_request_options
 from dynamictree.errors import InputError
 from dynamictree.files import published
+from dynamictree.requests import PhotoParams
 from dynamictree.terminal import AsJson, progress, tell
 
 
+@with_request_options
 def reconstruct(
     photos: Annotated[
         Path,
@@ -21,12 +24,7 @@ def reconstruct(
         ),
     ],
     output: OutputFolder,
-    height_m: Annotated[
-        float | None, typer.Option(help="The tree's height [m], above 0 and below 1000; 1 m if unset.")
-    ] = None,
-    splat_steps: Annotated[
-        int | None, typer.Option(min=100, max=30_000, help="How long the splat is learned; 3000 steps if unset.")
-    ] = None,
+    params: PhotoParams,
     as_json: AsJson = False,
 ) -> None:
     """Find the cameras of photos, a splat and a mesh of what they show."""
@@ -41,8 +39,8 @@ def reconstruct(
             folder,
             lambda done: report("reconstruct", done),
             root=photos,
-            height_m=height_m,
-            splat_steps=splat_steps,
+            height_m=params.height_m,
+            splat_steps=params.splat_steps,
         )
         names = sorted(path.name for path in folder.iterdir())
         told = json.loads((folder / "report.json").read_text())

@@ -5,9 +5,10 @@ from typing import TYPE_CHECKING
 
 from dynamictree.errors import InputError
 from dynamictree.files import opened
+from dynamictree.requests import Box, Reading
 
 if TYPE_CHECKING:
-    from dynamictree.gaussian.capture import Box, Capture
+    from dynamictree.gaussian.capture import Capture
     from dynamictree.mesh import TriangleMesh
 
 
@@ -37,10 +38,9 @@ def is_cloud(path: Path) -> bool:
 
 def read_source(
     path: Path,
+    reading: Reading,
     *,
-    up_axis: str | None,
-    unit_m: float | None,
-    box_m: "Box | None" = None,
+    box_m: Box | None = None,
     mask: Path | None = None,
     beside: Path | None = None,
 ) -> "tuple[TriangleMesh, Capture | None]":
@@ -55,6 +55,6 @@ def read_source(
     if not is_cloud(path):
         if box_m is not None or mask is not None or beside is not None:
             raise InputError(f"{path} is a mesh; --box, --mask and --mesh are for splats and scans")
-        return pipeline.load_mesh(path, up_axis=up_axis, unit_m=unit_m), None
-    capture = pipeline.load_capture(path, up_axis=up_axis, unit_m=unit_m, mask=mask, mesh=beside)
+        return pipeline.load_mesh(path, up_axis=reading.up_axis, unit_m=reading.unit_m), None
+    capture = pipeline.load_capture(path, up_axis=reading.up_axis, unit_m=reading.unit_m, mask=mask, mesh=beside)
     return carrying_mesh(capture, box_m), capture

@@ -1,26 +1,28 @@
 """`dynamictree voxelize`: a shape to its voxels."""
 
-from dynamictree.commands.options import BoxCorners, OutputFile, Resolution, SourcePath, UnitM, UpAxis, box_of
+from dynamictree.commands.options import OutputFile, SourcePath
+from dynamictree.commands.request_options import with_request_options
 from dynamictree.commands.source import read_source
 from dynamictree.files import published
+from dynamictree.requests import CloudParams, GridParams, Reading
 from dynamictree.terminal import AsJson, tell
 
 
+@with_request_options
 def voxelize(
     source: SourcePath,
     output: OutputFile,
-    box: BoxCorners = None,
-    resolution: Resolution = 128,
-    up_axis: UpAxis = None,
-    unit_m: UnitM = None,
+    cloud: CloudParams,
+    grid: GridParams,
+    reading: Reading,
     as_json: AsJson = False,
 ) -> None:
     """Write the voxels that hold a piece of the tree's surface (*.voxels.safetensors)."""
     from dynamictree import pipeline
     from dynamictree.formats.tensors.voxels import write_voxels
 
-    mesh, _ = read_source(source, up_axis=up_axis, unit_m=unit_m, box_m=box_of(box))
-    voxels = pipeline.voxelize(mesh, resolution=resolution)
+    mesh, _ = read_source(source, reading, box_m=cloud.box_m)
+    voxels = pipeline.voxelize(mesh, resolution=grid.resolution)
     with published(output.parent) as folder, (folder / output.name).open("wb") as stream:
         write_voxels(voxels, stream)
     tell(

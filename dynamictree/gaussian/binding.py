@@ -10,11 +10,12 @@ import numpy as np
 from jaxtyping import Bool, Float32, Int32
 
 from dynamictree.errors import InputError
-from dynamictree.gaussian.capture import Box, Capture, moving_part
+from dynamictree.gaussian.capture import Capture, moving_part
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.nearest import NearestFaces, nearest_faces
 from dynamictree.gaussian.rotation import quaternion_matrices
 from dynamictree.mesh import TriangleMesh
+from dynamictree.requests import Box
 
 STILL = -1
 FLOATER_SHARE = 0.06

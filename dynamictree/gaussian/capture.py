@@ -8,9 +8,7 @@ from jaxtyping import Bool
 from dynamictree.errors import InputError
 from dynamictree.gaussian.cloud import GaussianCloud, in_box
 from dynamictree.mesh import TriangleMesh
-
-Box = tuple[tuple[float, float, float], tuple[float, float, float]]
-"""Low and high corner [m], +Z up."""
+from dynamictree.requests import Box
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -41,7 +41,7 @@ def _detail(error: Mapping[str, Any]) -> str:
             return f"this is no JSON: {more['error']} at character {error['loc'][-1]}"
         case "missing" | "union_tag_not_found":
             return "this is needed, and was not sent"
-        case "extra_forbidden":
+        case "extra_forbidden" | "unexpected_keyword_argument":
             return "there is no such field; /openapi.json tells those that there are"
         case "union_tag_invalid":
             return f"{_shown(more['tag'])} was sent; {more['expected_tags']} are allowed"

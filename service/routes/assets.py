@@ -9,6 +9,7 @@ from pydantic import ValidationError
 from starlette.concurrency import run_in_threadpool
 
 from dynamictree.formats.suffixes import CLOUD_SUFFIXES, MASK_NAME, MESH_SUFFIXES, PHOTO_SUFFIXES
+from dynamictree.requests import Reading
 from jobs import assets as asset_rows
 from jobs.records import AssetRecord
 from jobs.states import ASSET_KINDS
@@ -18,7 +19,7 @@ from service.context import Context, Ctx
 from service.http.multipart import receive_form
 from service.http.problems import ProblemError
 from service.http.routing import Id, headers, refusals
-from service.schemas.assets import UP_AXES, AssetPayload, AssetRequest, UploadPayload, asset_payload, upload_payload
+from service.schemas.assets import AssetPayload, AssetRequest, UploadPayload, asset_payload, upload_payload
 from service.uploads.ingest import make_asset, name_of_url
 from service.uploads.intake import FIELDS, admit, sort_out
 from service.uploads.quota import require_bytes
@@ -50,12 +51,10 @@ _FORM = {
                             "enum": list(ASSET_KINDS),
                             "description": "by name if unset",
                         },
-                        "up_axis": {
-                            "type": "string",
-                            "enum": list(UP_AXES),
-                            "description": "the format's own if unset",
+                        **{
+                            name: field["anyOf"][0] | {"description": field["description"]}  # a form has no null
+                            for name, field in Reading.model_json_schema()["properties"].items()
                         },
-                        "unit_m": {"type": "number", "minimum": 1e-6, "maximum": 1e6, "description": "metres a unit"},
                     },
                 }
             },

@@ -7,12 +7,13 @@ from fastapi import APIRouter
 from pydantic import Field
 
 from dynamictree.formats import suffixes
+from dynamictree.requests import MAX_FRAMES
 from service.context import Ctx
 from service.http.problems import wrong_field
 from service.http.routing import refusals
 from service.routes import interact
 from service.schemas import forces
-from service.schemas.base import MAX_FRAMES, Payload
+from service.schemas.base import Payload
 from service.uploads import archives, intake
 
 router = APIRouter(prefix="/v1", tags=["catalogue"])

@@ -1,13 +1,12 @@
 """/v1/spectra: what a spectrum is; its bytes are an artefact."""
 
-from dataclasses import asdict
-
 from fastapi import APIRouter
 from pydantic import Field
 
+from dynamictree.requests import Wind
 from service.context import Ctx
 from service.http.routing import Id, refusals
-from service.schemas.base import Payload, WindPayload
+from service.schemas.base import Payload
 from service.stored_trees import load_spectrum
 
 router = APIRouter(prefix="/v1/spectra", tags=["spectra"])
@@ -31,7 +30,7 @@ class SpectrumPayload(Payload):
     rest: str
     model: str
     seed: int
-    wind: WindPayload | None
+    wind: Wind | None
     units: str = "m"
     up_axis: str = "+Z"
     artifact_url: str
@@ -59,6 +58,6 @@ def get_spectrum(id: Id, context: Ctx) -> SpectrumPayload:
         rest=spectrum.rest,
         model=spectrum.model,
         seed=spectrum.seed,
-        wind=None if spectrum.wind is None else WindPayload(**asdict(spectrum.wind)),
+        wind=spectrum.wind,
         artifact_url=f"/v1/artifacts/{id}",
     )

@@ -1,16 +1,14 @@
 """Bodies of assets and uploads."""
 
-from typing import Annotated, Literal, Self, get_args
+from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
+from dynamictree.requests import Reading
 from jobs.records import AssetRecord
 from jobs.states import AssetKind
 from jobs.uploads import UploadRecord, UploadState
-from service.schemas.base import ULID_PATTERN, Finite, Payload, Problem, Time, time_of, told_problem
-
-UpAxis = Literal["+X", "-X", "+Y", "-Y", "+Z", "-Z"]
-UP_AXES: tuple[UpAxis, ...] = get_args(UpAxis)
+from service.schemas.base import ULID_PATTERN, Payload, Problem, Time, time_of, told_problem
 
 
 class PartPayload(Payload):
@@ -34,7 +32,7 @@ class AssetPayload(Payload):
     expires_at: Time
 
 
-class AssetRequest(Payload):
+class AssetRequest(Reading):
     """What to make an asset of: uploads that are whole, or an address."""
 
     upload_ids: list[Annotated[str, Field(pattern=ULID_PATTERN)]] | None = Field(
@@ -44,8 +42,6 @@ class AssetRequest(Payload):
     sha256: str | None = Field(default=None, pattern="^[0-9a-f]{64}$", description="of the file at the address")
     filename: str | None = Field(default=None, min_length=1, max_length=255, description="the address' own if unset")
     kind: AssetKind | None = Field(default=None, description="by name if unset")
-    up_axis: UpAxis | None = Field(default=None, description="the format's own if unset")
-    unit_m: Finite | None = Field(default=None, ge=1e-6, le=1e6, description="metres a unit")
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:

@@ -5,13 +5,11 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from dynamictree.requests import Finite as Finite
 from service.http.problems import KINDS, problem_body
-
-MAX_FRAMES = 600
 
 ULID_PATTERN = "^[0-9A-HJKMNP-TV-Z]{26}$"
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
 Time = Annotated[datetime, Field(description="RFC 3339, UTC")]
 
 
@@ -19,14 +17,6 @@ class Payload(BaseModel):
     """Root of all bodies."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class WindPayload(Payload):
-    """The wind that the motion is generated for."""
-
-    speed_m_s: Finite = Field(default=5.0, ge=0, le=30, description="mean speed [m/s]")
-    direction_deg: Finite = Field(default=0.0, ge=-360, le=360, description="where it blows to, from +X towards +Y [°]")
-    gust: Finite = Field(default=0.3, ge=0, le=2, description="standard deviation of the speed over its mean")
 
 
 class FieldErrorPayload(Payload):

@@ -11,9 +11,10 @@ from dynamictree.modal.force import Contact, Drag, Force, Impulse, WindField, co
 from dynamictree.modal.response import ForceGroup, Locality, Start, with_bin_zero
 from dynamictree.modal.step import Integrator, State
 from dynamictree.modal.system import DAMPING_RATIO
+from dynamictree.requests import MAX_FRAMES
 from dynamictree.voxel.grid import VoxelGrid
 from service.http.problems import ProblemError
-from service.schemas.base import MAX_FRAMES, Finite, Payload
+from service.schemas.base import Finite, Payload
 
 MAX_FORCES = 32
 MAX_GROUPS = 64

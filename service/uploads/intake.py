@@ -2,10 +2,11 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from hashlib import sha256
 from pathlib import Path, PurePosixPath
 
+from pydantic import ValidationError
 from starlette.concurrency import run_in_threadpool
 
 from dynamictree.formats.suffixes import (
@@ -17,6 +18,7 @@ from dynamictree.formats.suffixes import (
     PHOTO_SUFFIXES,
     POINT_SUFFIXES,
 )
+from dynamictree.requests import Reading
 from jobs.artifacts import hash_file
 from jobs.assets import add_asset, find_asset
 from jobs.attempts import touch_blob
@@ -28,7 +30,7 @@ from jobs.store import new_id
 from service.context import Context
 from service.http.multipart import Form, ReceivedFile
 from service.http.problems import ProblemError, wrong_field
-from service.schemas.assets import UP_AXES
+from service.http.validation_errors import field_errors, summed_up
 from service.uploads.archives import is_zip, unpack
 from service.uploads.exif_privacy import without_place
 
@@ -48,13 +50,17 @@ class Upload:
     kind: AssetKind  # whether a model is a mesh or a cloud is told by its bytes
     num_models: int = 1
     files: tuple[ReceivedFile, ...]
-    up_axis: str | None
-    unit_m: float | None
+    reading: Reading = field(default_factory=Reading)
 
     @property
     def fingerprint(self) -> str:
         """sha256 over all that decides what the asset means; names count, because files name one another."""
-        meaning = [self.kind, self.up_axis, self.unit_m, [[_beside(file.name), file.sha256] for file in self.files]]
+        meaning = [
+            self.kind,
+            self.reading.up_axis,
+            self.reading.unit_m,
+            [[_beside(file.name), file.sha256] for file in self.files],
+        ]
         return sha256(json.dumps(meaning).encode()).hexdigest()
 
 
@@ -64,7 +70,7 @@ def sort_out(form: Form, folder: Path) -> Upload:
     Raises:
         ProblemError: a field or the set of files is not allowed.
     """
-    up_axis, unit_m = reading_options(form.fields)
+    reading = reading_options(form.fields)
     files = form.files
     if len(files) == 1 and is_zip(files[0].path) and _suffix(files[0]) != ".sog":
         files = unpack(files[0], folder)
@@ -74,13 +80,13 @@ def sort_out(form: Form, folder: Path) -> Upload:
     pictures = [file for file in with_photos if not _is_camera_file(file)]
     kind = form.fields.get("kind") or ("photos" if pictures and len(with_photos) == len(files) else "mesh")
     if kind == "photos":
-        return Upload(kind="photos", files=_photos(files), up_axis=None, unit_m=None)
+        return Upload(kind="photos", files=_photos(files))
     models = _models(files)
     beside = tuple(file for file in files if file not in models)
-    return Upload(kind="mesh", num_models=len(models), files=(*models, *beside), up_axis=up_axis, unit_m=unit_m)
+    return Upload(kind="mesh", num_models=len(models), files=(*models, *beside), reading=reading)
 
 
-def reading_options(fields: Mapping[str, str]) -> tuple[str | None, float | None]:
+def reading_options(fields: Mapping[str, str]) -> Reading:
     """Up axis and unit of a form's fields.
 
     Raises:
@@ -91,18 +97,11 @@ def reading_options(fields: Mapping[str, str]) -> tuple[str | None, float | None
         raise _wrong(unknown[0], "unknown-field", f"there is no field {unknown[0]!r}; {', '.join(FIELDS)} are known")
     if fields.get("kind", "mesh") not in ASSET_KINDS:
         raise _wrong("kind", "not-allowed", f"kind is {fields['kind']!r}; {', '.join(ASSET_KINDS)} are allowed")
-    up_axis = fields.get("up_axis")
-    if up_axis is not None and up_axis not in UP_AXES:
-        raise _wrong("up_axis", "not-allowed", f"up_axis is {up_axis!r}; {', '.join(UP_AXES)} are allowed")
-    unit_m = None
-    if "unit_m" in fields:
-        try:
-            unit_m = float(fields["unit_m"])
-        except ValueError as error:
-            raise _wrong("unit_m", "not-a-number", f"unit_m is {fields['unit_m']!r}; give metres a unit") from error
-        if not 1e-6 <= unit_m <= 1e6:
-            raise _wrong("unit_m", "out-of-range", f"unit_m is {unit_m:g}; 1e-6 to 1e6 metres a unit are allowed")
-    return up_axis, unit_m
+    try:
+        return Reading.part_of(fields)
+    except ValidationError as error:
+        wrong = field_errors([one | {"loc": ("form", *one["loc"])} for one in error.errors()])
+        raise ProblemError("validation-failed", summed_up(wrong), errors=wrong) from None
 
 
 def _photos(files: list[ReceivedFile]) -> tuple[ReceivedFile, ...]:
@@ -158,8 +157,8 @@ async def admit(context: Context, upload: Upload, folder: Path) -> tuple[AssetRe
         names=tuple(_beside(file.name) for file in upload.files),
         paths=tuple(file.path for file in upload.files),
         prepared=prepared,
-        up_axis=upload.up_axis,
-        unit_m=upload.unit_m,
+        up_axis=upload.reading.up_axis,
+        unit_m=upload.reading.unit_m,
         memory_bytes=context.settings.parser_memory_bytes,
         cpu_s=context.settings.parser_cpu_s,
     )

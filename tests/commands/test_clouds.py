@@ -70,8 +70,8 @@ def test_a_bad_cloud_is_one_line_and_exit_2_and_leaves_nothing(
         (["--box=1,2,3"], "six numbers"),
         (["--box=5,5,5,6,6,6"], "no Gaussian is in the box"),
         (["--mask", "none.npy"], "none.npy cannot be read"),
-        (["--share", "0"], "share is 0"),
-        (["--format", "gif"], "formats are"),
+        (["--share", "0"], "--share is 0"),
+        (["--format", "gif"], "--format is 'gif'"),
     ],
 )
 def test_a_wrong_option_is_told(

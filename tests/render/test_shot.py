@@ -2,13 +2,14 @@ import numpy as np
 import pytest
 
 from dynamictree.errors import InputError
-from dynamictree.render import Backdrop, Shot, spooled
+from dynamictree.render import Backdrop, cameras_of, spooled
+from dynamictree.requests import Shot
 
 
 @pytest.mark.parametrize("shot", [Shot(), Shot(orbit=True), Shot(orbit=True, elevation_deg=60.0, azimuth_deg=200.0)])
 def test_every_picture_holds_all_points(shot: Shot, rng: np.random.Generator) -> None:
     points = rng.normal(size=(500, 3)) * [1, 2, 3] + [10, -5, 2]
-    cameras = shot.cameras(points, 7)
+    cameras = cameras_of(shot, points, 7)
     assert len(cameras) == 7
     for camera in cameras:
         x, y, depth = camera.project(points, 100, 100).T
@@ -18,7 +19,7 @@ def test_every_picture_holds_all_points(shot: Shot, rng: np.random.Generator) ->
 
 def test_a_camera_that_goes_around_stays_as_far(rng: np.random.Generator) -> None:
     points = rng.normal(size=(500, 3)) * [1, 2, 3]
-    places = np.stack([camera.position_m for camera in Shot(orbit=True).cameras(points, 12)])
+    places = np.stack([camera.position_m for camera in cameras_of(Shot(orbit=True), points, 12)])
     middle = places.mean(axis=0)
     radii = np.linalg.norm(places - middle, axis=1)
     assert np.ptp(radii) < 0.01 * radii.mean()
@@ -34,7 +35,7 @@ def test_a_shot_out_of_bounds_is_told(options: dict[str, float], found: str) -> 
 
 
 def test_a_shadow_lies_where_the_sun_puts_it() -> None:
-    camera = Shot(elevation_deg=40.0).cameras(np.array([[-1, -1, 0], [1, 1, 2.0]]), 1)[0]
+    camera = cameras_of(Shot(elevation_deg=40.0), np.array([[-1, -1, 0], [1, 1, 2.0]]), 1)[0]
     backdrop = Backdrop(camera, side_px=64, ground_m=0.0, centre_m=np.zeros(2), radius_m=1.5)
     covered = np.full(2, 0.01, np.float32)
     shadow = backdrop.shadow(np.array([[0, 0, 0], [0, 0, 0.95]], np.float32), covered)

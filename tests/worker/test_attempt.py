@@ -5,7 +5,7 @@ import signal
 import sys
 import threading
 import time
-from dataclasses import fields, replace
+from dataclasses import replace
 from hashlib import sha256
 from io import BytesIO
 from pathlib import Path
@@ -17,7 +17,7 @@ from celery.exceptions import SoftTimeLimitExceeded
 from dynamictree.errors import Cancelled, CheckpointError, MeshError
 from dynamictree.formats.tensors.spectrum import write_spectrum
 from dynamictree.formats.tensors.voxels import read_voxels
-from dynamictree.products import AnimateOptions
+from dynamictree.requests import AnimateParams, VoxelizeParams
 from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.artifacts import hash_file
 from jobs.attempts import hand_back, publish_stage, start_stage, succeed
@@ -275,5 +275,6 @@ def test_a_heartbeat_that_dies_before_its_first_beat_starts_again(here: Runtime)
     assert living(here.store, "worker:") == [f"worker:{here.owner}"]
 
 
-def test_every_option_of_a_motion_is_part_of_its_key() -> None:
-    assert {field.name for field in fields(AnimateOptions)} | {"box_m"} == set(PARAMS["animate"])
+def test_every_parameter_of_a_job_is_part_of_the_key_of_a_stage() -> None:
+    hashed = {name for models in PARAMS.values() for model in models for name in model.model_fields}
+    assert hashed == {*AnimateParams.model_fields, *VoxelizeParams.model_fields}

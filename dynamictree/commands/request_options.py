@@ -1,0 +1,159 @@
+"""Command-line options generated from the models of `dynamictree.requests`, one per field."""
+
+import functools
+import inspect
+from collections.abc import Callable, Iterator
+from typing import Annotated, Any
+
+import typer
+from pydantic import ValidationError
+
+from dynamictree.errors import InputError
+from dynamictree.requests import Request, explanation
+
+OPTION_NAMES = {
+    "num_frames": "frames",
+    "formats": "format",
+    "box_m": "box",
+    "speed_m_s": "wind-speed",
+    "direction_deg": "wind-direction",
+    "azimuth_deg": "azimuth",
+    "elevation_deg": "elevation",
+}
+"""Of the fields whose option is not called as they are, in kebab-case."""
+_TYPES = {"integer": int, "number": float, "boolean": bool, "string": str, "array": str}
+
+Schema = dict[str, Any]
+Place = tuple[str, ...]
+"""A field's name, after the names of the models that it is nested in."""
+
+
+def with_request_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Replace each parameter of a command whose type is a `Request` by one option per field.
+
+    The command gets checked models; a value that is not allowed is an InputError that names the option.
+    """
+    parameters = inspect.signature(command).parameters.values()
+    models = {p.name: p.annotation for p in parameters if _is_request(p.annotation)}
+    fields = {name: dict(_fields(model.model_json_schema())) for name, model in models.items()}
+    flat: list[inspect.Parameter] = []
+    for parameter in parameters:
+        if parameter.name in fields:
+            flat += [_parameter(place[-1], schema) for place, schema in fields[parameter.name].items()]
+        else:
+            flat.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY))
+
+    @functools.wraps(command)
+    def run(**values: Any) -> None:
+        for name, model in models.items():
+            own = {place: (values.pop(place[-1]), schema) for place, schema in fields[name].items()}
+            values[name] = _checked(model, own)
+        command(**values)
+
+    run.__signature__ = inspect.Signature(flat)  # type: ignore[attr-defined]
+    run.__annotations__ = {parameter.name: parameter.annotation for parameter in flat}
+    return run
+
+
+def _is_request(annotation: object) -> bool:
+    return inspect.isclass(annotation) and issubclass(annotation, Request)
+
+
+def _fields(schema: Schema, definitions: Schema | None = None) -> Iterator[tuple[Place, Schema]]:
+    """Every field of a model by its place, with its JSON schema; of a nested model the fields."""
+    definitions = schema.get("$defs", {}) if definitions is None else definitions
+    for name, field in schema["properties"].items():
+        if "$ref" in field:
+            nested = definitions[field["$ref"].rpartition("/")[2]]
+            for place, inner in _fields(nested, definitions):
+                yield (name, *place), inner
+        else:
+            yield (name,), field
+
+
+def _parameter(name: str, schema: Schema) -> inspect.Parameter:
+    """The option of one field, as Typer reads it from a signature; rich would read a bare [m] as markup."""
+    kind = _kind(schema)
+    option = _option_name(name)
+    declared = f"{option}/--no-{option[2:]}" if kind["type"] == "boolean" else option
+    help_text = ". ".join(filter(None, (schema["description"], _allowed(kind)))).replace("[", r"\[") + "."
+    default = None if kind["type"] == "array" else schema.get("default")
+    python_type = _TYPES[kind["type"]]
+    return inspect.Parameter(
+        name,
+        inspect.Parameter.KEYWORD_ONLY,
+        default=default,
+        annotation=Annotated[
+            python_type | None if default is None else python_type, typer.Option(declared, help=help_text)
+        ],
+    )
+
+
+def _kind(schema: Schema) -> Schema:
+    """The type of a field, null left out."""
+    kind: Schema = next(one for one in schema.get("anyOf", [schema]) if one["type"] != "null")
+    return kind
+
+
+def _allowed(kind: Schema) -> str:
+    """The range or the choices of a field, for its help."""
+    if kind["type"] == "array":
+        choices = kind.get("items", {}).get("enum")
+        return "x,y,z,x,y,z" if choices is None else f"Comma-separated: {', '.join(choices)}"
+    if "enum" in kind:
+        *most, last = map(str, kind["enum"])
+        return f"{', '.join(most)} or {last}"
+    low, high = kind.get("minimum"), kind.get("maximum")
+    if kind["type"] == "integer" and "exclusiveMaximum" in kind:
+        high = kind["exclusiveMaximum"] - 1
+    if low is not None and high is not None:
+        return f"{low} to {high}" if kind["type"] == "integer" else f"{low:g} to {high:g}"
+    bounds = [
+        f"{word} {kind[key]:g}"
+        for key, word in (
+            ("exclusiveMinimum", "above"),
+            ("minimum", "at least"),
+            ("exclusiveMaximum", "below"),
+            ("maximum", "at most"),
+        )
+        if key in kind
+    ]
+    return " and ".join(bounds).capitalize()
+
+
+def _option_name(field: str) -> str:
+    return "--" + OPTION_NAMES.get(field, field.replace("_", "-"))
+
+
+def _checked(model: type[Request], values: dict[Place, tuple[Any, Schema]]) -> Request:
+    """A model of the values that were given.
+
+    Raises:
+        InputError: a value is not allowed.
+    """
+    filled: Schema = {}
+    for (*above, name), (value, schema) in values.items():
+        if value is None:
+            continue
+        target = filled
+        for step in above:
+            target = target.setdefault(step, {})
+        target[name] = _split(name, value, _kind(schema)) if _kind(schema)["type"] == "array" else value
+    try:
+        return model.model_validate(filled)
+    except ValidationError as error:
+        raise InputError(explanation(error, lambda place: _option_name(place[-1]))) from None
+
+
+def _split(name: str, text: str, kind: Schema) -> list[Any]:
+    """A comma-separated list: of names, or the six numbers of a box."""
+    parts = [part.strip() for part in text.split(",")]
+    if "items" in kind:
+        return parts
+    try:
+        x0, y0, z0, x1, y1, z1 = map(float, parts)
+    except ValueError:
+        raise InputError(
+            f"{_option_name(name)} is {text!r}: six numbers are needed, x,y,z,x,y,z of the low and the high corner"
+        ) from None
+    return [[x0, y0, z0], [x1, y1, z1]]

@@ -1,0 +1,240 @@
+"""What may be requested: every parameter with its range, default, unit and meaning. The only place.
+
+The options of the command line, the bodies of HTTP requests and the cache keys of the worker are built from these
+models, so a new parameter is added here and nowhere else. They need pydantic alone.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, TypeVar
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, ValidationError
+
+from dynamictree.errors import InputError
+
+MAX_FRAMES = 600
+"""Of one motion."""
+MAX_SEED = 2**53 - 1
+"""The largest integer that every JSON reader represents exactly."""
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Box = tuple[tuple[Finite, Finite, Finite], tuple[Finite, Finite, Finite]]
+"""Low and high corner [m], +Z up."""
+Format = Literal[
+    "ply", "glb", "glb-reduced", "glb-skinned", "usd", "vat", "motion", "splat-ply", "splat", "png", "webp", "mp4"
+]
+MESH_FORMATS: tuple[Format, ...] = ("ply", "glb", "png")
+CLOUD_FORMATS: tuple[Format, ...] = ("splat", "png")
+"""What is written where a request names no formats: of a mesh or photos, and of a splat or scan."""
+Resolution = Literal[32, 64, 128, 256, 512]
+UpAxis = Annotated[
+    str,
+    StringConstraints(pattern="^[+-]?[XYZxyz]$"),
+    AfterValidator(lambda axis: axis.upper() if axis[0] in "+-" else f"+{axis.upper()}"),
+]
+"""Read as one of +X, -X, +Y, -Y, +Z and -Z; a sign may be missing."""
+
+
+class Request(BaseModel):
+    """Root of all requests. Unknown fields are refused; in Python, wrong values raise InputError."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    def __init__(self, **values: Any) -> None:
+        try:
+            super().__init__(**values)
+        except ValidationError as error:
+            raise InputError(explanation(error)) from None
+
+    # tells pydantic that HTTP bodies and nested models, whose errors need their place, do not pass through __init__
+    __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
+
+    @classmethod
+    def part_of(cls: type["Part"], params: Mapping[str, object]) -> "Part":
+        """Read the fields of this model from the parameters of a larger request; defaults where they are missing."""
+        return cls.model_validate({name: params[name] for name in cls.model_fields if name in params})
+
+
+Part = TypeVar("Part", bound=Request)
+
+
+def explanation(error: ValidationError, name_of: Callable[[Sequence[str]], str] = ".".join) -> str:
+    """Name every wrong field, the value found and the values allowed, in one line."""
+    lines: dict[str, str] = {}  # the first error of each field; later ones follow from it
+    for one in error.errors(include_url=False):
+        steps = [step for step in one["loc"] if isinstance(step, str)]
+        name = name_of(steps) if steps else ""
+        allowed = one["msg"].removeprefix("Value error, ").replace("Input should", "it should")
+        if one["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
+            lines.setdefault(name, f"there is no parameter {name}")
+        else:
+            lines.setdefault(name, f"{name} is {one['input']!r}: {allowed}" if name else allowed)
+    return "; ".join(lines.values())
+
+
+class Reading(Request):
+    """How to read a file whose format does not say its axes or unit."""
+
+    up_axis: UpAxis | None = Field(
+        default=None, description="Up axis of the file: X, Y or Z, with + or - before it; detected if unset"
+    )
+    unit_m: Finite | None = Field(
+        default=None,
+        ge=1e-6,
+        le=1e6,
+        description="Metres per unit of the file (0.01 for centimetres); detected if unset",
+    )
+
+
+class CloudParams(Request):
+    """Which part of a splat or scan may move."""
+
+    box_m: Box | None = Field(
+        default=None,
+        description="Of a splat or scan, only what is inside moves: low and high corner [m], +Z up; all if unset",
+    )
+
+
+class PhotoParams(Request):
+    """How to reconstruct a tree from photos."""
+
+    height_m: Finite | None = Field(
+        default=None,
+        gt=0,
+        lt=1000,
+        description="Of photos: the tree's height [m], which they do not show; 1 m if unset",
+    )
+    splat_steps: int | None = Field(
+        default=None, ge=100, le=30_000, description="Of photos: training steps of the splat; 3000 if unset"
+    )
+
+
+class GridParams(Request):
+    """How fine the voxel grid is. Paper section 3.3."""
+
+    resolution: Resolution = Field(default=128, description="Voxels along the side of the cube")
+
+
+class GeneratorGridParams(Request):
+    """The voxel grids that a model can move."""
+
+    resolution: Literal[128, 256, 512] = Field(default=128, description="Voxels along the side of the cube")
+
+
+class ModelParams(Request):
+    """Which model generates the motion, and which of its motions."""
+
+    preset: str = Field(default="small", max_length=64, description="The model that generates the motion")
+    seed: int = Field(default=0, ge=0, le=MAX_SEED, description="The same seed gives the same motion")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wind:
+    """The wind that a motion is generated for. Not checked when built in Python: a file may record any wind."""
+
+    __pydantic_config__ = ConfigDict(extra="forbid")
+
+    speed_m_s: Annotated[Finite, Field(ge=0, le=30, description="Mean speed of the wind [m/s]")] = 5.0
+    direction_deg: Annotated[
+        Finite, Field(ge=-360, le=360, description="Where the wind blows to [°], from +X towards +Y")
+    ] = 0.0
+    gust: Annotated[Finite, Field(ge=0, le=2, description="Standard deviation of the speed over its mean")] = 0.3
+
+
+class SpectrumParams(Request):
+    """How the spectrum is generated. Paper section 3.4."""
+
+    wind: Wind = Field(default_factory=Wind)
+    num_steps: int | None = Field(
+        default=None, ge=1, le=1000, description="Sampler steps; the number of the preset if unset"
+    )
+
+
+class Shot(Request):
+    """Where the camera of pictures and videos stands."""
+
+    side_px: int = Field(default=512, ge=64, le=1080, description="Side of the pictures [px]")
+    azimuth_deg: Finite = Field(
+        default=25.0, ge=-360, le=360, description="Direction from the tree to the camera [°]: 0 at -Y, 90 at +X"
+    )
+    elevation_deg: Finite = Field(
+        default=8.0, ge=-30, le=80, description="Height of the camera above the horizon, seen from the tree [°]"
+    )
+    orbit: bool = Field(default=False, description="Go around the tree once while the frames go by")
+    ground: bool = Field(default=True, description="Draw a floor with a shadow")
+
+
+class ExportParams(Request):
+    """Which frames of a motion are written, and as what. Frame n shows the motion at time n · speed / fps."""
+
+    first_frame: int = Field(default=0, ge=0, lt=MAX_FRAMES, description="Number of the first frame to write")
+    num_frames: int | None = Field(
+        default=None, ge=1, le=MAX_FRAMES, description="Number of frames to write; one period if unset"
+    )
+    fps: Finite = Field(
+        default=24.0, ge=1, le=240, description="Frames per second; does not change the speed of the motion"
+    )
+    speed: Finite = Field(default=1.0, ge=0.01, le=100, description="Speed of the motion over its natural speed")
+    loop: bool = Field(default=True, description="Refuse a number of frames that is not a whole number of periods")
+    formats: tuple[Format, ...] | None = Field(
+        default=None,
+        min_length=1,
+        max_length=16,
+        description=f"Files to write; if unset {', '.join(MESH_FORMATS)} of a mesh or photos, "
+        f"{', '.join(CLOUD_FORMATS)} of a splat or scan",
+    )
+    share: Finite = Field(default=1.0, gt=0, le=1, description="Share of a splat's Gaussians to write")
+    sh_degree: int = Field(
+        default=3, ge=0, le=3, description="Highest degree of a splat's spherical harmonics to write"
+    )
+    shot: Shot = Field(default_factory=Shot)
+
+    def period_frames(self, period_s: float) -> float:
+        """Frames in one period of the motion."""
+        return self.fps * period_s / self.speed
+
+    def count_frames(self, period_s: float) -> int:
+        """Number of frames to write.
+
+        Raises:
+            InputError: `loop` is set and the frames are not a whole number of periods, or there are too many.
+        """
+        period = self.period_frames(period_s)
+        count = max(round(period), 1) if self.num_frames is None else self.num_frames
+        if self.loop and not _is_whole(count / period):
+            raise InputError(
+                f"{count} frames at {self.fps:g} fps and speed {self.speed:g} are {count / period:.4g}"
+                f" periods of {period_s:.4g} s, so the loop would jump; {_nearest_loops(count, period)}"
+            )
+        if count > MAX_FRAMES:
+            raise InputError(f"one period is {count} frames; at most {MAX_FRAMES} are allowed: lower fps")
+        return count
+
+
+def _is_whole(periods: float) -> bool:
+    return round(periods) >= 1 and abs(periods - round(periods)) < 1e-6
+
+
+def _nearest_loops(count: int, period_frames: float) -> str:
+    loops = [count for count in range(1, MAX_FRAMES + 1) if _is_whole(count / period_frames)]
+    if not loops:
+        return f"no number of frames up to {MAX_FRAMES} makes a loop at this fps and speed: take fps 24 or loop=false"
+    below = [loop for loop in loops if loop < count][-1:]
+    above = [loop for loop in loops if loop > count][:1]
+    return f"{' or '.join(map(str, below + above))} frames make a loop; or take loop=false"
+
+
+class ReconstructParams(PhotoParams, CloudParams):
+    """Parameters of a job that makes a mesh of photos or a cloud."""
+
+
+class VoxelizeParams(GridParams, ReconstructParams):
+    """Parameters of a job that makes the voxels of a surface."""
+
+
+class DiffuseParams(SpectrumParams, ReconstructParams):
+    """Parameters of a job that generates a spectrum."""
+
+
+class AnimateParams(ExportParams, DiffuseParams):
+    """Parameters of a job that writes a motion. The service writes png besides the formats that are asked for."""
