@@ -23,7 +23,7 @@ from jobs.records import AssetPart, AssetRecord, JobRecord, OutputFile
 from jobs.settings import Settings
 from jobs.states import JobState
 from jobs.store import new_id
-from service.context import Context
+from service.services import Services
 
 START_S = 90.0
 
@@ -31,7 +31,7 @@ START_S = 90.0
 @contextmanager
 def serving(state: Path, spectrum: SparseVoxelSpectrum, mesh: TriangleMesh) -> Iterator[tuple[str, str, int]]:
     """Base URL, spectrum id and process id of an API that knows this tree."""
-    spectrum_id = published(Context(Settings(state_dir=state)), spectrum, mesh)
+    spectrum_id = published(Services(Settings(state_dir=state)), spectrum, mesh)
     with started(state) as (url, process_id):
         yield url, spectrum_id, process_id
 
@@ -56,14 +56,14 @@ def started(state: Path, **settings: str) -> Iterator[tuple[str, int]]:
         process.wait(timeout=30)
 
 
-def published(context: Context, spectrum: SparseVoxelSpectrum, mesh: TriangleMesh) -> str:
+def published(services: Services, spectrum: SparseVoxelSpectrum, mesh: TriangleMesh) -> str:
     """Put a tree into the store as a finished job does; gives the spectrum's id."""
-    context.settings.state_dir.mkdir(parents=True, exist_ok=True)
-    now = context.store.clock()
+    services.settings.state_dir.mkdir(parents=True, exist_ok=True)
+    now = services.store.clock()
     bundle, file = io.BytesIO(), io.BytesIO()
     write_mesh_bundle(mesh, bundle)
     write_spectrum(spectrum, file)
-    digest, size = _kept(context, "mesh.safetensors", bundle.getvalue())
+    digest, size = _kept(services, "mesh.safetensors", bundle.getvalue())
     part = AssetPart(name="mesh.safetensors", sha256=digest, bytes=size)
     asset = AssetRecord(
         id=new_id(),
@@ -79,24 +79,24 @@ def published(context: Context, spectrum: SparseVoxelSpectrum, mesh: TriangleMes
         id=new_id(),
         type="diffuse",
         state=JobState.QUEUED,
-        asset_id=add_asset(context.store, asset)[0].id,
+        asset_id=add_asset(services.store, asset)[0].id,
         preset="small",
         seed=0,
         params={},
         queue="cpu",
         created_at=now,
     )
-    context.store.add_job(job, stages=("diffuse",))
-    held = claim(context.store, job.id, 1, owner="benchmark", lease_s=60)
+    services.store.add_job(job, stages=("diffuse",))
+    held = claim(services.store, job.id, 1, owner="benchmark", lease_s=60)
     assert held is not None
-    digest, size = _kept(context, "tree.spectrum.safetensors", file.getvalue())
+    digest, size = _kept(services, "tree.spectrum.safetensors", file.getvalue())
     made = OutputFile(
         name="tree.spectrum.safetensors", media_type="application/octet-stream", sha256=digest, bytes=size
     )
-    start_stage(context.store, held, "diffuse")
-    publish_stage(context.store, held, "diffuse", (made,), key=digest, cached=False, retention_s=1e6)
-    succeed(context.store, held)
-    return next(artifact.id for artifact in context.store.artifacts_of(job.id))
+    start_stage(services.store, held, "diffuse")
+    publish_stage(services.store, held, "diffuse", (made,), key=digest, cached=False, retention_s=1e6)
+    succeed(services.store, held)
+    return next(artifact.id for artifact in services.store.artifacts_of(job.id))
 
 
 def processor_s(process_id: int) -> float:
@@ -105,11 +105,11 @@ def processor_s(process_id: int) -> float:
     return (int(after_name[11]) + int(after_name[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def _kept(context: Context, name: str, content: bytes) -> tuple[str, int]:
-    path = context.settings.state_dir / name
+def _kept(services: Services, name: str, content: bytes) -> tuple[str, int]:
+    path = services.settings.state_dir / name
     path.write_bytes(content)
     digest, size = hash_file(path)
-    context.artifacts.put(path, digest)
+    services.artifacts.put(path, digest)
     return digest, size
 
 

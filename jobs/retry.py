@@ -4,16 +4,20 @@ import logging
 import time
 from collections.abc import Callable
 from functools import wraps
-from typing import TYPE_CHECKING, Concatenate, ParamSpec, TypeVar
+from typing import Concatenate, ParamSpec, Protocol, TypeVar
 
 import sqlalchemy as sa
 
-if TYPE_CHECKING:
-    from jobs.store import Store
+
+class HasPatience(Protocol):
+    """An object that says how long its methods may wait for the database."""
+
+    patience_s: float
+
 
 P = ParamSpec("P")
 T = TypeVar("T")
-S = TypeVar("S", bound="Store")
+S = TypeVar("S", bound=HasPatience)
 
 logger = logging.getLogger(__name__)
 

@@ -10,7 +10,7 @@ from jobs.errors import NotFoundError, ReusedKeyError
 from jobs.job_log import note
 from jobs.records import ArtifactRecord, ClientKey, JobRecord, StageRecord
 from jobs.states import JobState, JobType, states_before
-from jobs.webhooks import announce
+from jobs.webhook_events import announce
 
 HIDDEN = frozenset({"lease_owner", "lease_until", "lost_stages", "client_key", "body_sha256"})
 """Columns of a job that its record does not show."""

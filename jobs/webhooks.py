@@ -1,28 +1,18 @@
-"""Who wants to be told when a job ends, and what was told to whom. Signed as Standard Webhooks asks."""
+"""Rows of webhook endpoints and of their deliveries."""
 
 import base64
-import hmac
-import json
 import secrets
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
-from datetime import UTC, datetime
-from hashlib import sha256
-from typing import TYPE_CHECKING, Literal, get_args
 
 import sqlalchemy as sa
 from ulid import ULID
 
 from jobs import tables as t
 from jobs.errors import ConflictError, NotFoundError
-from jobs.states import JobState
+from jobs.store import Store
+from jobs.webhook_events import DeliveryState, Event
 
-if TYPE_CHECKING:
-    from jobs.store import Store
-
-Event = Literal["job.succeeded", "job.failed", "job.canceled", "job.aborted"]
-EVENTS: tuple[Event, ...] = get_args(Event)
-DeliveryState = Literal["pending", "delivered", "failed"]
 SECRET_PREFIX = "whsec_"
 SECRET_BYTES = 24
 MAX_ENDPOINTS = 20
@@ -79,21 +69,14 @@ class Delivery:
 
 
 def new_secret() -> str:
-    """A signing secret."""
+    """A random signing secret, as Standard Webhooks writes it."""
     return SECRET_PREFIX + base64.b64encode(secrets.token_bytes(SECRET_BYTES)).decode()
-
-
-def signature(signing_secrets: Sequence[str], message_id: str, timestamp: int, body: str) -> str:
-    """The header `webhook-signature`: one signature a secret."""
-    signed = f"{message_id}.{timestamp}.{body}".encode()
-    keys = [base64.b64decode(secret.removeprefix(SECRET_PREFIX)) for secret in signing_secrets]
-    return " ".join("v1," + base64.b64encode(hmac.digest(key, signed, sha256().name)).decode() for key in keys)
 
 
 # -- endpoints
 
 
-def add_endpoint(store: "Store", url: str, events: Sequence[Event]) -> Endpoint:
+def add_endpoint(store: Store, url: str, events: Sequence[Event]) -> Endpoint:
     """Keep a new endpoint, with a new secret.
 
     Raises:
@@ -115,14 +98,14 @@ def add_endpoint(store: "Store", url: str, events: Sequence[Event]) -> Endpoint:
     return made
 
 
-def endpoints(store: "Store") -> list[Endpoint]:
+def endpoints(store: Store) -> list[Endpoint]:
     """The endpoints, oldest first."""
     with store.reading() as connection:
         query = sa.select(t.webhook_endpoints).where(store.mine(t.webhook_endpoints)).order_by(t.webhook_endpoints.c.id)
         return [_endpoint(row) for row in connection.execute(query)]
 
 
-def endpoint(store: "Store", endpoint_id: str) -> Endpoint:
+def endpoint(store: Store, endpoint_id: str) -> Endpoint:
     """One endpoint.
 
     Raises:
@@ -132,7 +115,7 @@ def endpoint(store: "Store", endpoint_id: str) -> Endpoint:
         return _read_endpoint(connection, store, endpoint_id)
 
 
-def change_endpoint(store: "Store", endpoint_id: str, **values: object) -> Endpoint:
+def change_endpoint(store: Store, endpoint_id: str, **values: object) -> Endpoint:
     """Change an endpoint's address, events or secrets.
 
     Raises:
@@ -146,7 +129,7 @@ def change_endpoint(store: "Store", endpoint_id: str, **values: object) -> Endpo
         return _read_endpoint(connection, store, endpoint_id)
 
 
-def rotate_secret(store: "Store", endpoint_id: str) -> Endpoint:
+def rotate_secret(store: Store, endpoint_id: str) -> Endpoint:
     """Give an endpoint a new secret; the old one signs too for `ROTATION_OVERLAP_S`.
 
     Raises:
@@ -157,7 +140,7 @@ def rotate_secret(store: "Store", endpoint_id: str) -> Endpoint:
     return change_endpoint(store, endpoint_id, secret=new_secret(), old_secret=old.secret, old_secret_until=until)
 
 
-def delete_endpoint(store: "Store", endpoint_id: str) -> None:
+def delete_endpoint(store: Store, endpoint_id: str) -> None:
     """Forget an endpoint and its deliveries.
 
     Raises:
@@ -168,7 +151,7 @@ def delete_endpoint(store: "Store", endpoint_id: str) -> None:
         connection.execute(t.webhook_endpoints.delete().where(t.webhook_endpoints.c.id == endpoint_id))
 
 
-def _read_endpoint(connection: sa.Connection, store: "Store", endpoint_id: str) -> Endpoint:
+def _read_endpoint(connection: sa.Connection, store: Store, endpoint_id: str) -> Endpoint:
     this = (t.webhook_endpoints.c.id == endpoint_id) & store.mine(t.webhook_endpoints)
     row = connection.execute(sa.select(t.webhook_endpoints).where(this)).one_or_none()
     if row is None:
@@ -184,43 +167,7 @@ def _endpoint(row: sa.Row[tuple[object, ...]]) -> Endpoint:
 # -- deliveries
 
 
-def announce(connection: sa.Connection, job_id: str, state: JobState, *, now: float) -> None:
-    """Write down that a job has ended, for everyone who wants to know. In the transaction that ends it."""
-    job = connection.execute(sa.select(t.jobs).where(t.jobs.c.id == job_id)).one()
-    wanted = (t.webhook_endpoints.c.owner == job.owner) & t.webhook_endpoints.c.disabled_reason.is_(None)
-    event = f"job.{state}"
-    payload = {
-        "type": event,
-        "timestamp": datetime.fromtimestamp(now, UTC).isoformat(),
-        "data": {
-            "id": job_id,
-            "type": job.type,
-            "state": state,
-            "asset_id": job.asset_id,
-            "retry_of": job.retry_of,
-            "error_code": job.error_code,
-            "url": f"/v1/jobs/{job_id}",
-        },
-    }
-    for row in connection.execute(sa.select(t.webhook_endpoints).where(wanted)).all():
-        if event in row.events or row.id == job.webhook_id:
-            made = {
-                "id": str(ULID()),
-                "endpoint_id": row.id,
-                "job_id": job_id,
-                "event": event,
-                "message_id": f"msg_{ULID()}",
-                "payload": json.dumps(payload, separators=(",", ":")),
-                "state": "pending",
-                "log": [],
-                "next_at": now,
-                "traceparent": job.traceparent,
-                "created_at": now,
-            }
-            connection.execute(t.deliveries.insert().values(**made))
-
-
-def deliveries(store: "Store", endpoint_id: str, *, before: str | None, limit: int) -> list[Delivery]:
+def deliveries(store: Store, endpoint_id: str, *, before: str | None, limit: int) -> list[Delivery]:
     """What was told to an endpoint, newest first.
 
     Raises:
@@ -234,7 +181,7 @@ def deliveries(store: "Store", endpoint_id: str, *, before: str | None, limit: i
         return [_delivery(row) for row in connection.execute(query.order_by(t.deliveries.c.id.desc()).limit(limit))]
 
 
-def replay(store: "Store", endpoint_id: str, delivery_id: str) -> Delivery:
+def replay(store: Store, endpoint_id: str, delivery_id: str) -> Delivery:
     """Tell it again at once: a new delivery of the same message.
 
     Raises:
@@ -252,7 +199,7 @@ def replay(store: "Store", endpoint_id: str, delivery_id: str) -> Delivery:
         return _delivery(connection.execute(sa.select(t.deliveries).where(t.deliveries.c.id == anew["id"])).one())
 
 
-def claim_due(store: "Store", *, lease_s: float, limit: int) -> list[tuple[Delivery, Endpoint]]:
+def claim_due(store: Store, *, lease_s: float, limit: int) -> list[tuple[Delivery, Endpoint]]:
     """Deliveries whose time has come, each ours for `lease_s`: nobody else tells them meanwhile."""
     now = store.clock()
     due = sa.select(t.deliveries.c.id, t.deliveries.c.next_at).where(t.deliveries.c.next_at <= now)
@@ -272,7 +219,7 @@ def claim_due(store: "Store", *, lease_s: float, limit: int) -> list[tuple[Deliv
     return claimed
 
 
-def record_try(store: "Store", delivery: Delivery, made: Try, *, retry_s: Sequence[float]) -> DeliveryState:
+def record_try(store: Store, delivery: Delivery, made: Try, *, retry_s: Sequence[float]) -> DeliveryState:
     """Write down how an attempt went, and when the next one is due. 410 disables the endpoint."""
     log = [*(asdict(earlier) for earlier in delivery.log), asdict(made)]
     delivered = made.status is not None and 200 <= made.status < 300

@@ -1,4 +1,4 @@
-"""The application: routes, middleware, one context."""
+"""Application factory: routes, middleware, and the services opened in the lifespan."""
 
 import asyncio
 import gc
@@ -16,9 +16,8 @@ from fastapi.responses import Response
 
 from jobs.logging_setup import set_up_logging
 from jobs.settings import Settings, read_settings
-from service.context import Context
 from service.http import problem_handlers
-from service.http.authentication import Doors
+from service.http.authentication import Authentication
 from service.http.middleware import BodyLimit, RequestFrame
 from service.http.problems import problem_response, request_id_of
 from service.http.tracing import Traced
@@ -44,6 +43,8 @@ from service.routes import (
     webhooks,
 )
 from service.routes.metrics import Measured
+from service.services import open_services
+from service.uploads.ingest import Ingest
 
 ROUTERS = (
     uploads.router,
@@ -96,7 +97,7 @@ WARM_UP_AFTER_S = 3.0
 
 def create_app(settings: Settings | None = None) -> FastAPI:
     """Build the application; settings are read from the environment unless given."""
-    context = Context(settings or read_settings())
+    settings = settings or read_settings()
     app = FastAPI(
         title="DynamicTree Service",
         version=version("dynamictree"),
@@ -110,24 +111,24 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         servers=SERVERS,
     )
     app.openapi = partial(described, app)  # type: ignore[method-assign]
-    app.state.context = context
+    app.state.settings = settings
     for router in ROUTERS:
         app.include_router(router)
     problem_handlers.install(app)
     app.add_exception_handler(sa.exc.OperationalError, _on_database_away)
-    app.add_middleware(BodyLimit, settings=context.settings)
-    app.add_middleware(Doors, context=context)
-    if context.settings.cors_origins:
+    app.add_middleware(BodyLimit, settings=settings)
+    app.add_middleware(Authentication, settings=settings)
+    if settings.cors_origins:
         app.add_middleware(
             CORSMiddleware,
-            allow_origins=list(context.settings.cors_origins),
+            allow_origins=list(settings.cors_origins),
             allow_methods=["*"],
             allow_headers=["*"],
             expose_headers=EXPOSED,
         )
     app.add_middleware(Measured)
-    if context.settings.otlp_endpoint is not None:
-        app.add_middleware(Traced, endpoint=context.settings.otlp_endpoint)
+    if settings.otlp_endpoint is not None:
+        app.add_middleware(Traced, endpoint=settings.otlp_endpoint)
     app.add_middleware(RequestFrame)
     return app
 
@@ -135,7 +136,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
 def serving_app() -> FastAPI:
     """Build the application for a server: what takes a second to load comes in once the start is over."""
     app = create_app()
-    set_up_logging(app.state.context.settings)
+    set_up_logging(app.state.settings)
     warm_up = threading.Timer(WARM_UP_AFTER_S, _warm_up)
     warm_up.daemon = True
     warm_up.start()
@@ -144,17 +145,17 @@ def serving_app() -> FastAPI:
 
 @asynccontextmanager
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
-    context: Context = app.state.context
-    context.store.check()
-    ingest = asyncio.create_task(context.ingest.run())
-    yield
-    ingest.cancel()
-    await asyncio.gather(ingest, return_exceptions=True)
-    context.close()
+    with open_services(app.state.settings) as services:
+        app.state.services = services
+        ingest = asyncio.create_task(Ingest(services).run())
+        yield
+        ingest.cancel()
+        await asyncio.gather(ingest, return_exceptions=True)
 
 
 def _warm_up() -> None:
-    import dynamictree.pipeline  # noqa: F401
+    import dynamictree.gaussian.deform
+    import dynamictree.voxel.devoxelize  # noqa: F401 (numba, which the first push would wait for)
 
     gc.freeze()  # modules are never garbage; to look through them again takes 50 ms, every second or two
 

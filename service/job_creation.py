@@ -12,7 +12,6 @@ from jobs.states import JobState, JobType, queue_of, stages_of
 from jobs.store import new_id
 from jobs.usage import count_jobs
 from jobs.webhooks import endpoint
-from service.context import Context
 from service.http.problems import ProblemError, wrong_field
 from service.http.request_context import RequestOrigin
 from service.http.routing import is_id
@@ -21,13 +20,14 @@ from service.routes.assets import require_room
 from service.routes.catalogue import require_preset
 from service.schemas.job_requests import JobRequest
 from service.schemas.jobs import JobPayload
+from service.services import Owned
 from service.uploads.quota import require_bytes
 
 KEY_EXPIRES_S = 86400.0
 
 
 def accept(
-    context: Context,
+    owned: Owned,
     body: JobRequest,
     origin: RequestOrigin,
     response: Response,
@@ -36,15 +36,15 @@ def accept(
     expires_s: float | None = None,
 ) -> JobPayload:
     """Check a request and keep its job, or give the one that was made under the same key."""
-    asset, stages = require_possible(context, body)
+    asset, stages = require_possible(owned, body)
     named = None
     if key is not None:
         named = ClientKey(key=key, body_sha256=_fingerprint(body), expires_s=expires_s)
-    return _keep(context, _record(context, body, asset, origin), stages, named, response)
+    return _keep(owned, _record(owned, body, asset, origin), stages, named, response)
 
 
 def accept_again(
-    context: Context, old: JobRecord, from_stage: JobType | None, origin: RequestOrigin, response: Response
+    owned: Owned, old: JobRecord, from_stage: JobType | None, origin: RequestOrigin, response: Response
 ) -> JobPayload:
     """Keep a new job that is asked for what an old one was; stages from `from_stage` on take nothing from the cache.
 
@@ -58,13 +58,13 @@ def accept_again(
     if from_stage is not None and from_stage not in stages:
         detail = f"job {old.id} has no stage {from_stage}; it has {', '.join(stages)}"
         raise wrong_field("/from_stage", "unknown-stage", detail)
-    _require_place(context)
-    require_bytes(context, 0)
+    _require_place(owned)
+    require_bytes(owned, 0)
     job = JobRecord(
         id=new_id(),
         type=old.type,
         state=JobState.QUEUED,
-        asset_id=read_asset(context.store, old.asset_id).id,
+        asset_id=read_asset(owned.store, old.asset_id).id,
         preset=old.preset,
         seed=old.seed,
         params=old.params,
@@ -75,40 +75,40 @@ def accept_again(
         traceparent=origin.traceparent,
         retry_of=old.id,
         fresh_from=from_stage,
-        created_at=context.store.clock(),
+        created_at=owned.store.clock(),
     )
-    return _keep(context, job, stages, None, response)
+    return _keep(owned, job, stages, None, response)
 
 
 def _keep(
-    context: Context, job: JobRecord, stages: tuple[JobType, ...], key: ClientKey | None, response: Response
+    owned: Owned, job: JobRecord, stages: tuple[JobType, ...], key: ClientKey | None, response: Response
 ) -> JobPayload:
-    most = context.caller.limits.get("active_jobs")
-    kept, new = context.store.add_job(job, stages=stages, client_key=key, max_active=most)
+    most = owned.caller.limits.get("active_jobs")
+    kept, new = owned.store.add_job(job, stages=stages, client_key=key, max_active=most)
     response.headers["Location"] = f"/v1/jobs/{kept.id}"
     if not new and key is not None and key.key.startswith("put:"):
         response.status_code = status.HTTP_200_OK
-    return tell(context, kept, response)
+    return tell(owned, kept, response)
 
 
 def _fingerprint(body: JobRequest) -> str:
     return sha256(body.model_dump_json().encode()).hexdigest()
 
 
-def require_possible(context: Context, body: JobRequest) -> tuple[AssetRecord, tuple[JobType, ...]]:
+def require_possible(owned: Owned, body: JobRequest) -> tuple[AssetRecord, tuple[JobType, ...]]:
     """The asset and the stages of a request that can be taken.
 
     Raises:
         ProblemError, JobsError, InputError: it cannot; the message says why.
     """
-    _require_place(context)
+    _require_place(owned)
     if not is_id(body.asset_id):
         raise ProblemError("not-found", f"there is no asset {body.asset_id!r}; POST /v1/assets gives ids")
-    if body.priority == "high" and "high-priority" not in context.caller.scopes:
+    if body.priority == "high" and "high-priority" not in owned.caller.scopes:
         raise ProblemError("forbidden", "this key may not ask for high priority; leave it at normal")
     if body.webhook is not None:
-        endpoint(context.store, body.webhook)
-    asset = read_asset(context.store, body.asset_id)
+        endpoint(owned.store, body.webhook)
+    asset = read_asset(owned.store, body.asset_id)
     stages = stages_of(body.type, asset.kind)
     if "diffuse" in stages:
         require_preset(body.preset)
@@ -116,13 +116,13 @@ def require_possible(context: Context, body: JobRequest) -> tuple[AssetRecord, t
         detail = f"asset {asset.id} is of kind {asset.kind}; only of a cloud a part may move"
         raise wrong_field("/params/box_m", "not-allowed", detail)
     size = sum(format_bytes(body, asset).values())
-    require_room(context, size)
-    require_bytes(context, size)
+    require_room(owned, size)
+    require_bytes(owned, size)
     return asset, stages
 
 
-def _record(context: Context, body: JobRequest, asset: AssetRecord, origin: RequestOrigin) -> JobRecord:
-    now = context.store.clock()
+def _record(owned: Owned, body: JobRequest, asset: AssetRecord, origin: RequestOrigin) -> JobRecord:
+    now = owned.store.clock()
     return JobRecord(
         id=new_id(),
         type=body.type,
@@ -131,7 +131,7 @@ def _record(context: Context, body: JobRequest, asset: AssetRecord, origin: Requ
         preset=body.preset,
         seed=body.seed,
         params=_resolved(body, asset),
-        queue=queue_of(context.settings.queue, body.priority),
+        queue=queue_of(owned.services.settings.queue, body.priority),
         priority=body.priority,
         webhook_id=body.webhook,
         request_id=origin.request_id,
@@ -141,10 +141,12 @@ def _record(context: Context, body: JobRequest, asset: AssetRecord, origin: Requ
     )
 
 
-def _require_place(context: Context) -> None:
-    require_room(context)
-    if count_jobs(context.store, JobState.QUEUED) >= context.settings.max_queued_jobs:
-        raise ProblemError("queue-full", f"{context.settings.max_queued_jobs} jobs wait already, which is the limit")
+def _require_place(owned: Owned) -> None:
+    require_room(owned)
+    if count_jobs(owned.store, JobState.QUEUED) >= owned.services.settings.max_queued_jobs:
+        raise ProblemError(
+            "queue-full", f"{owned.services.settings.max_queued_jobs} jobs wait already, which is the limit"
+        )
 
 
 def _resolved(body: JobRequest, asset: AssetRecord) -> dict[str, Json]:

@@ -5,24 +5,21 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from statistics import median
-from typing import TYPE_CHECKING
 
 from jobs.durations import run_seconds, stage_bytes, stage_seconds
 from jobs.maintenance import WORKER_LEASES, living
 from jobs.records import JobRecord
 from jobs.states import JobState, JobType
-
-if TYPE_CHECKING:
-    from jobs.store import Store
+from jobs.store import Store
 
 REMEMBERED_S = 10.0
 
 
 @dataclass
-class History:
+class JobDurations:
     """Medians, remembered for `REMEMBERED_S`, so that a poll costs no query for them."""
 
-    store: "Store"
+    store: Store
     _kept: dict[tuple[str, str], tuple[float, float | None]] = field(default_factory=dict)
 
     def stage_seconds(self, stages: Sequence[JobType]) -> float | None:
@@ -58,7 +55,7 @@ class History:
         return round(left, 1)
 
     def _sum(
-        self, what: str, stages: Sequence[JobType], look: "Callable[[Store, JobType], Sequence[float]]"
+        self, what: str, stages: Sequence[JobType], look: Callable[[Store, JobType], Sequence[float]]
     ) -> float | None:
         medians = [self._median(what, stage, partial(look, self.store, stage)) for stage in stages]
         return None if None in medians else sum(value for value in medians if value is not None)

@@ -3,13 +3,11 @@
 import asyncio
 import logging
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import sqlalchemy as sa
 from starlette.concurrency import run_in_threadpool
 
-if TYPE_CHECKING:
-    from jobs.store import Store
+from jobs.store import Store
 
 logger = logging.getLogger(__name__)
 
@@ -17,10 +15,10 @@ LOOK_S = 0.2
 
 
 @dataclass
-class Watching:
+class JobNotifier:
     """Waiters by job; a task looks as long as there are any."""
 
-    store: "Store"
+    store: Store
     _waiting: dict[str, dict[asyncio.Future[None], int]] = field(default_factory=dict)
     _looking: asyncio.Task[None] | None = None
 

@@ -5,36 +5,36 @@ from hashlib import sha256
 from fastapi import Response
 
 from jobs.records import ArtifactRecord, JobRecord
-from service.context import Context
 from service.schemas.jobs import JobPayload, job_payload
+from service.services import Owned
 
 POLL_AFTER_S = 1
 
 
-def tell(context: Context, job: JobRecord, response: Response) -> JobPayload:
+def tell(owned: Owned, job: JobRecord, response: Response) -> JobPayload:
     """A job, its headers on the response."""
-    return _told(context, job, *context.store.standing(job), response)
+    return _told(owned, job, *owned.store.standing(job), response)
 
 
-def look(context: Context, job_id: str, response: Response) -> tuple[JobRecord, JobPayload]:
+def look(owned: Owned, job_id: str, response: Response) -> tuple[JobRecord, JobPayload]:
     """A job by its id, all of one moment: the record, and as it is told.
 
     Raises:
         NotFoundError, GoneError: there is none, or its record has expired.
     """
-    job, position, artifacts = context.store.look(job_id)
-    return job, _told(context, job, position, artifacts, response)
+    job, position, artifacts = owned.store.look(job_id)
+    return job, _told(owned, job, position, artifacts, response)
 
 
-def listed(context: Context, job: JobRecord) -> JobPayload:
+def listed(owned: Owned, job: JobRecord) -> JobPayload:
     """A job among others."""
-    return _payload(context, job, *context.store.standing(job))
+    return _payload(owned, job, *owned.store.standing(job))
 
 
 def _told(
-    context: Context, job: JobRecord, position: int | None, artifacts: list[ArtifactRecord], response: Response
+    owned: Owned, job: JobRecord, position: int | None, artifacts: list[ArtifactRecord], response: Response
 ) -> JobPayload:
-    payload = _payload(context, job, position, artifacts)
+    payload = _payload(owned, job, position, artifacts)
     seen = f"{job.id} {job.version} {position} {payload.eta_s}"
     response.headers["ETag"] = '"' + sha256(seen.encode()).hexdigest()[:32] + '"'
     if not job.terminal:
@@ -44,11 +44,11 @@ def _told(
     return payload
 
 
-def _payload(context: Context, job: JobRecord, position: int | None, artifacts: list[ArtifactRecord]) -> JobPayload:
+def _payload(owned: Owned, job: JobRecord, position: int | None, artifacts: list[ArtifactRecord]) -> JobPayload:
     return job_payload(
         job,
         artifacts,
         queue_position=position,
-        eta_s=context.history.eta_s(job, position),
-        retention_s=context.settings.job_retention_s,
+        eta_s=owned.services.job_durations.eta_s(job, position),
+        retention_s=owned.services.settings.job_retention_s,
     )

@@ -8,7 +8,7 @@ from typing import Generic, TypeVar
 T = TypeVar("T")
 
 
-class Recent(Generic[T]):
+class LruCache(Generic[T]):
     """Things by key, up to a number of bytes in all; the last one is kept whatever its size. For many threads."""
 
     def __init__(self, max_bytes: int, num_bytes: Callable[[T], int]) -> None:

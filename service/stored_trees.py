@@ -13,12 +13,12 @@ from jobs.assets import read_asset
 from jobs.errors import ConflictError, GoneError, NotFoundError
 from jobs.products import MESH_BUNDLE, SPECTRUM
 from jobs.records import ArtifactRecord
-from service.context import Context
 from service.http.problems import ProblemError
 from service.http.routing import is_id
+from service.services import Owned
 
 
-def spectrum_artifact(context: Context, spectrum_id: str) -> ArtifactRecord:
+def spectrum_artifact(owned: Owned, spectrum_id: str) -> ArtifactRecord:
     """The artefact that a spectrum is.
 
     Raises:
@@ -26,56 +26,56 @@ def spectrum_artifact(context: Context, spectrum_id: str) -> ArtifactRecord:
     """
     if not is_id(spectrum_id):
         raise NotFoundError(f"there is no spectrum {spectrum_id!r}; a job's result names the one that it made")
-    artifact = context.store.artifact(spectrum_id)
+    artifact = owned.store.artifact(spectrum_id)
     if artifact.name != SPECTRUM:
         raise NotFoundError(f"artefact {spectrum_id} is no spectrum but {artifact.name}")
     return artifact
 
 
-def load_spectrum(context: Context, spectrum_id: str) -> SparseVoxelSpectrum:
+def load_spectrum(owned: Owned, spectrum_id: str) -> SparseVoxelSpectrum:
     """A spectrum with its coefficients, from memory where it was used lately.
 
     Raises:
         NotFoundError, GoneError: there is none, it is of another kind, or it has expired.
     """
-    artifact = spectrum_artifact(context, spectrum_id)
-    spectrum = context.spectra.get(artifact.sha256)
+    artifact = spectrum_artifact(owned, spectrum_id)
+    spectrum = owned.services.spectra.get(artifact.sha256)
     if spectrum is None:
-        spectrum = read_spectrum(_kept(context, artifact.sha256, f"spectrum {spectrum_id}"))
-        context.spectra.put(artifact.sha256, spectrum)
+        spectrum = read_spectrum(_kept(owned, artifact.sha256, f"spectrum {spectrum_id}"))
+        owned.services.spectra.put(artifact.sha256, spectrum)
     return spectrum
 
 
-def load_source_mesh(context: Context, spectrum_id: str) -> TriangleMesh:
+def load_source_mesh(owned: Owned, spectrum_id: str) -> TriangleMesh:
     """The mesh that a spectrum was made for.
 
     Raises:
         NotFoundError, GoneError: there is no such spectrum, or its asset has expired.
     """
-    artifact = spectrum_artifact(context, spectrum_id)
-    asset = read_asset(context.store, context.store.job(artifact.job_id).asset_id)
+    artifact = spectrum_artifact(owned, spectrum_id)
+    asset = read_asset(owned.store, owned.store.job(artifact.job_id).asset_id)
     if asset.prepared is not None and asset.kind == "mesh":
-        return _mesh(context, asset.prepared.sha256, asset.id)
-    made = [other for other in context.store.artifacts_of(artifact.job_id) if other.name == MESH_BUNDLE]
+        return _mesh(owned, asset.prepared.sha256, asset.id)
+    made = [other for other in owned.store.artifacts_of(artifact.job_id) if other.name == MESH_BUNDLE]
     if not made:
         raise GoneError(f"the mesh of spectrum {spectrum_id} was removed; run the job again")
-    return _mesh(context, made[0].sha256, f"of spectrum {spectrum_id}")
+    return _mesh(owned, made[0].sha256, f"of spectrum {spectrum_id}")
 
 
-def load_asset_mesh(context: Context, asset_id: str) -> TriangleMesh:
+def load_asset_mesh(owned: Owned, asset_id: str) -> TriangleMesh:
     """The mesh that an asset is.
 
     Raises:
         NotFoundError, GoneError: there is none, or it has expired.
         ConflictError: the asset is of another kind.
     """
-    asset = read_asset(context.store, asset_id)
+    asset = read_asset(owned.store, asset_id)
     if asset.kind != "mesh" or asset.prepared is None:
         raise ConflictError(f"asset {asset_id} is no mesh but {asset.kind}; a job makes its mesh")
-    return _mesh(context, asset.prepared.sha256, asset_id)
+    return _mesh(owned, asset.prepared.sha256, asset_id)
 
 
-def load_source_cloud(context: Context, spectrum_id: str) -> tuple[Capture, Box | None]:
+def load_source_cloud(owned: Owned, spectrum_id: str) -> tuple[Capture, Box | None]:
     """The cloud that a spectrum was made for, and the box of its job: only what is inside moves.
 
     Raises:
@@ -84,23 +84,23 @@ def load_source_cloud(context: Context, spectrum_id: str) -> tuple[Capture, Box 
     """
     from dynamictree.formats.tensors.cloud_bundle import read_cloud_bundle
 
-    job = context.store.job(spectrum_artifact(context, spectrum_id).job_id)
-    asset = read_asset(context.store, job.asset_id)
+    job = owned.store.job(spectrum_artifact(owned, spectrum_id).job_id)
+    asset = read_asset(owned.store, job.asset_id)
     if asset.kind != "cloud" or asset.prepared is None:
         found = f"this spectrum's source is of kind {asset.kind}; output gaussians needs a cloud"
         raise ProblemError("invalid-input", f"{found}. Ask for vertices, voxels or modal")
-    capture = read_cloud_bundle(_kept(context, asset.prepared.sha256, f"cloud {asset.id}"))
+    capture = read_cloud_bundle(_kept(owned, asset.prepared.sha256, f"cloud {asset.id}"))
     return capture, TypeAdapter(Box | None).validate_python(job.params.get("box_m"))
 
 
-def _mesh(context: Context, digest: str, whose: str) -> TriangleMesh:
+def _mesh(owned: Owned, digest: str, whose: str) -> TriangleMesh:
     from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle
 
-    return read_mesh_bundle(_kept(context, digest, f"mesh {whose}"))
+    return read_mesh_bundle(_kept(owned, digest, f"mesh {whose}"))
 
 
-def _kept(context: Context, digest: str, what: str) -> BytesIO:
+def _kept(owned: Owned, digest: str, what: str) -> BytesIO:
     try:
-        return BytesIO(b"".join(context.artifacts.read(digest)))
+        return BytesIO(b"".join(owned.services.artifacts.read(digest)))
     except FileNotFoundError as error:
         raise GoneError(f"the bytes of {what} were removed; send it or run its job again") from error

@@ -4,14 +4,16 @@ import asyncio
 import logging
 import threading
 import time
+from datetime import UTC, datetime
 
 import sqlalchemy as sa
+from standardwebhooks import Webhook
 
 from jobs.errors import OutboundError
 from jobs.outbound import Outbound
 from jobs.settings import Settings
 from jobs.store import Store
-from jobs.webhooks import Delivery, Endpoint, Try, claim_due, record_try, signature
+from jobs.webhooks import Delivery, Endpoint, Try, claim_due, record_try
 
 logger = logging.getLogger(__name__)
 
@@ -53,7 +55,7 @@ class Courier:
         at, began = self.store.clock(), time.monotonic()
         try:
             async with asyncio.timeout(self.settings.webhook_timeout_s):
-                status, detail = await self._post(delivery, endpoint, round(at))
+                status, detail = await self._post(delivery, endpoint, datetime.fromtimestamp(round(at), UTC))
         except OutboundError as error:
             status, detail = None, str(error)
         except TimeoutError:
@@ -62,15 +64,16 @@ class Courier:
         state = await asyncio.to_thread(record_try, self.store, delivery, made, retry_s=self.settings.webhook_retry_s)
         logger.info("webhook %s of job %s: %s", delivery.event, delivery.job_id, state, extra={"status": status})
 
-    async def _post(self, delivery: Delivery, endpoint: Endpoint, timestamp: int) -> tuple[int, str]:
+    async def _post(self, delivery: Delivery, endpoint: Endpoint, signed_at: datetime) -> tuple[int, str]:
         target = await self.outbound.check(endpoint.url)
         headers = {
             "Content-Type": "application/json",
             "User-Agent": "dynamictree-webhooks",
             "webhook-id": delivery.message_id,
-            "webhook-timestamp": str(timestamp),
-            "webhook-signature": signature(
-                endpoint.signing_secrets(self.store.clock()), delivery.message_id, timestamp, delivery.payload
+            "webhook-timestamp": str(round(signed_at.timestamp())),
+            "webhook-signature": " ".join(
+                Webhook(secret).sign(delivery.message_id, signed_at, delivery.payload)
+                for secret in endpoint.signing_secrets(self.store.clock())
             ),
         }
         if delivery.traceparent:

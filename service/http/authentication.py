@@ -3,7 +3,6 @@
 import ipaddress
 import logging
 import time
-from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
 from starlette.concurrency import run_in_threadpool
@@ -12,12 +11,11 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from jobs.keys import KeyRecord, digest_of, find_key
 from jobs.keys import Scope as KeyScope
+from jobs.settings import Settings
+from jobs.store import Store
 from service.http.caller import ANYONE, CALLER, Caller, caller_of
 from service.http.problems import ProblemError, problem_response, request_id_of
 from service.http.rate_limit import Counter, Standing, policy_of
-
-if TYPE_CHECKING:
-    from service.context import Context
 
 logger = logging.getLogger(__name__)
 
@@ -30,12 +28,12 @@ POLICY_VIOLATION = 1008
 PROTOCOL_KEY = "bearer."
 
 
-class Doors:
+class Authentication:
     """Around everything under /v1: who asks, whether they may, how often they did."""
 
-    def __init__(self, app: ASGIApp, context: "Context") -> None:
+    def __init__(self, app: ASGIApp, settings: Settings) -> None:
         self.app = app
-        self.context = context
+        self.settings = settings
         self._counter = Counter()
         self._remembered: dict[str, tuple[KeyRecord | None, float]] = {}
 
@@ -61,28 +59,28 @@ class Doors:
 
     async def _caller(self, scope: Scope) -> Caller:
         headers = Headers(scope=scope)
-        settings = self.context.settings
+        settings = self.settings
         if scope.get("method") == "OPTIONS" or settings.keys == "none":
             return ANYONE
         if settings.keys == "loopback":
             require_own_machine(scope, headers, settings.hosts, settings.cors_origins)
             return ANYONE
-        key = await self._key(_bearer(headers))
+        key = await self._key(_bearer(headers), scope["app"].state.services.store)
         wanted = _scope_of(scope)
         if wanted not in key.scopes:
             detail = f"this key may {', '.join(key.scopes)}; {wanted} is needed here"
             raise ProblemError("forbidden", detail)
         return caller_of(key, settings)
 
-    async def _key(self, key: str) -> KeyRecord:
+    async def _key(self, key: str, store: Store) -> KeyRecord:
         digest = digest_of(key)
         found, until = self._remembered.get(digest, (None, 0.0))
         if time.monotonic() >= until:
-            found = await run_in_threadpool(find_key, self.context.store, digest)
+            found = await run_in_threadpool(find_key, store, digest)
             if len(self._remembered) >= MAX_REMEMBERED:
                 self._remembered.clear()
             self._remembered[digest] = (found, time.monotonic() + REMEMBERED_S)
-        if found is None or not found.valid(self.context.store.clock()):
+        if found is None or not found.valid(store.clock()):
             raise _unauthorized("the key is unknown, revoked or has expired")
         return found
 

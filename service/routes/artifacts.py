@@ -8,10 +8,10 @@ from fastapi.responses import StreamingResponse
 
 from jobs.errors import GoneError
 from jobs.records import ArtifactRecord
-from service.context import Ctx
 from service.http.problems import ProblemError
 from service.http.ranges import ByteRange, UnsatisfiableRangeError, matches, parse_range
 from service.http.routing import Id, headers, refusals
+from service.services import OwnedDep
 
 router = APIRouter(prefix="/v1/artifacts", tags=["artifacts"])
 
@@ -26,24 +26,24 @@ _RESPONSES = refusals("not-found", "expired", "range-not-satisfiable") | {
 @router.get("/{id}", operation_id="getArtifact", response_class=Response, responses=_RESPONSES)
 def get_artifact(
     id: Id,
-    context: Ctx,
+    owned: OwnedDep,
     range: Annotated[str | None, Header(description="one range of bytes; more than one gives the whole")] = None,
     if_range: Annotated[str | None, Header(description="ETag; the range counts only if it is the file's")] = None,
     if_none_match: Annotated[str | None, Header()] = None,
 ) -> Response:
     """Download a file, or go on with a download."""
-    artifact = context.store.artifact(id)
+    artifact = owned.store.artifact(id)
     if matches(if_none_match, _etag(artifact)):
         return Response(status_code=status.HTTP_304_NOT_MODIFIED, headers=_headers(artifact))
     part = _asked(artifact, range, if_range)
-    if not context.artifacts.exists(artifact.sha256):
+    if not owned.services.artifacts.exists(artifact.sha256):
         raise GoneError(f"the bytes of artefact {id} were removed; run the job again")
     start, stop = (0, artifact.bytes) if part is None else (part.start, part.stop)
     sent = _headers(artifact) | {"Content-Length": str(stop - start)}
     if part is not None:
         sent["Content-Range"] = f"bytes {start}-{stop - 1}/{artifact.bytes}"
     return StreamingResponse(
-        context.artifacts.read(artifact.sha256, start=start, stop=stop),
+        owned.services.artifacts.read(artifact.sha256, start=start, stop=stop),
         status_code=status.HTTP_200_OK if part is None else status.HTTP_206_PARTIAL_CONTENT,
         headers=sent,
         media_type=artifact.media_type,
@@ -51,9 +51,9 @@ def get_artifact(
 
 
 @router.head("/{id}", operation_id="headArtifact", response_class=Response, responses=_RESPONSES)
-def head_artifact(id: Id, context: Ctx, if_none_match: Annotated[str | None, Header()] = None) -> Response:
+def head_artifact(id: Id, owned: OwnedDep, if_none_match: Annotated[str | None, Header()] = None) -> Response:
     """Size, hash and type of a file."""
-    artifact = context.store.artifact(id)
+    artifact = owned.store.artifact(id)
     if matches(if_none_match, _etag(artifact)):
         return Response(status_code=status.HTTP_304_NOT_MODIFIED, headers=_headers(artifact))
     sent = _headers(artifact) | {"Content-Length": str(artifact.bytes)}

@@ -15,11 +15,11 @@ from jobs.records import AssetRecord
 from jobs.states import ASSET_KINDS
 from jobs.store import new_id
 from jobs.uploads import UploadRecord, add_upload, upload
-from service.context import Context, Ctx
 from service.http.multipart import receive_form
 from service.http.problems import ProblemError
 from service.http.routing import Id, headers, refusals
 from service.schemas.assets import AssetPayload, AssetRequest, UploadPayload, asset_payload, upload_payload
+from service.services import Owned, OwnedDep
 from service.uploads.ingest import make_asset, name_of_url
 from service.uploads.intake import FIELDS, admit, sort_out
 from service.uploads.quota import require_bytes
@@ -93,33 +93,35 @@ _FORM = {
         },
     },
 )
-async def create_asset(request: Request, response: Response, context: Ctx) -> AssetPayload | Response:
+async def create_asset(request: Request, response: Response, owned: OwnedDep) -> AssetPayload | Response:
     """Send a mesh or photos, name uploads that hold them, or an address to fetch them from; that takes a while."""
-    await run_in_threadpool(require_room, context)
+    await run_in_threadpool(require_room, owned)
     if request.headers.get("content-type", "").partition(";")[0].strip() == "application/json":
-        return await _of_uploads_or_address(request, response, context)
-    await run_in_threadpool(require_bytes, context, int(request.headers.get("content-length", "0")))
-    folder = context.settings.scratch_dir / f"upload-{new_id()}"
+        return await _of_uploads_or_address(request, response, owned)
+    await run_in_threadpool(require_bytes, owned, int(request.headers.get("content-length", "0")))
+    folder = owned.services.settings.scratch_dir / f"upload-{new_id()}"
     await run_in_threadpool(folder.mkdir, parents=True)
     try:
         form = await receive_form(request.headers.get("content-type", ""), request.stream(), folder)
         sorted_out = await run_in_threadpool(sort_out, form, folder)
-        asset, new = await admit(context, sorted_out, folder)
+        asset, new = await admit(owned, sorted_out, folder)
     finally:
         await run_in_threadpool(shutil.rmtree, folder)
     return _told(asset, new, response)
 
 
-async def _of_uploads_or_address(request: Request, response: Response, context: Context) -> AssetPayload | Response:
-    wanted = await _read_json(request, context)
+async def _of_uploads_or_address(request: Request, response: Response, owned: Owned) -> AssetPayload | Response:
+    wanted = await _read_json(request, owned)
     fields = {name: str(value) for name in FIELDS if (value := getattr(wanted, name)) is not None}
     if wanted.upload_ids is not None:
-        uploads = [await run_in_threadpool(upload, context.store, id) for id in wanted.upload_ids]
-        asset, new = await make_asset(context, uploads, fields)
+        uploads = [await run_in_threadpool(upload, owned.store, id) for id in wanted.upload_ids]
+        asset, new = await make_asset(owned, uploads, fields)
         return _told(asset, new, response)
     assert wanted.url is not None
-    await context.outbound.check(wanted.url)  # tells at once what is wrong; what is connected to is checked again
-    now = context.store.clock()
+    await owned.services.outbound.check(
+        wanted.url
+    )  # tells at once what is wrong; what is connected to is checked again
+    now = owned.store.clock()
     record = UploadRecord(
         id=new_id(),
         state="fetching",
@@ -130,20 +132,20 @@ async def _of_uploads_or_address(request: Request, response: Response, context: 
         source_url=wanted.url,
         make_asset=True,
         created_at=now,
-        expires_at=now + context.settings.upload_retention_s,
+        expires_at=now + owned.services.settings.upload_retention_s,
     )
-    record = await run_in_threadpool(add_upload, context.store, record)
-    context.ingest.wake()
+    record = await run_in_threadpool(add_upload, owned.store, record)
+    owned.services.ingest_wakeup.set()
     sent = {"Location": f"/v1/uploads/{record.id}", "Retry-After": "1"}
     return Response(upload_payload(record, 0).model_dump_json(), 202, sent, "application/json")
 
 
-async def _read_json(request: Request, context: Context) -> AssetRequest:
+async def _read_json(request: Request, owned: Owned) -> AssetRequest:
     body = bytearray()
     async for chunk in request.stream():
         body += chunk
-        if len(body) > context.settings.max_json_bytes:
-            allowed = f"at most {context.settings.max_json_bytes:,} bytes of JSON are allowed"
+        if len(body) > owned.services.settings.max_json_bytes:
+            allowed = f"at most {owned.services.settings.max_json_bytes:,} bytes of JSON are allowed"
             raise ProblemError("payload-too-large", allowed, headers={"Connection": "close"})
     try:
         return AssetRequest.model_validate_json(bytes(body))
@@ -159,9 +161,9 @@ def _told(asset: AssetRecord, new: bool, response: Response) -> AssetPayload:
 
 
 @router.get("/{id}", operation_id="getAsset", responses=refusals("not-found", "expired"))
-def get_asset(id: Id, context: Ctx) -> AssetPayload:
+def get_asset(id: Id, owned: OwnedDep) -> AssetPayload:
     """What was uploaded, and what was found in it."""
-    return asset_payload(asset_rows.read_asset(context.store, id))
+    return asset_payload(asset_rows.read_asset(owned.store, id))
 
 
 @router.delete(
@@ -170,20 +172,20 @@ def get_asset(id: Id, context: Ctx) -> AssetPayload:
     status_code=status.HTTP_204_NO_CONTENT,
     responses=refusals("not-found", "conflict", "expired"),
 )
-def delete_asset(id: Id, context: Ctx) -> None:
+def delete_asset(id: Id, owned: OwnedDep) -> None:
     """Forget an upload. What was made of it stays until it expires."""
-    asset_rows.delete_asset(context.store, id)
+    asset_rows.delete_asset(owned.store, id)
 
 
-def require_room(context: Context, wanted: int = 0) -> None:
+def require_room(owned: Owned, wanted: int = 0) -> None:
     """Refuse what would fill the disk.
 
     Raises:
         ProblemError: less than `min_free_bytes` would be left after `wanted` more.
     """
-    scratch: Path = context.settings.scratch_dir
+    scratch: Path = owned.services.settings.scratch_dir
     scratch.mkdir(parents=True, exist_ok=True)
     free = shutil.disk_usage(scratch).free
-    if free - wanted < context.settings.min_free_bytes:
-        found = f"{free:,} bytes are free, {wanted:,} wanted; {context.settings.min_free_bytes:,} are kept free"
+    if free - wanted < owned.services.settings.min_free_bytes:
+        found = f"{free:,} bytes are free, {wanted:,} wanted; {owned.services.settings.min_free_bytes:,} are kept free"
         raise ProblemError("disk-full", found)

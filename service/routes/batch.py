@@ -5,7 +5,6 @@ from typing import Annotated
 from fastapi import APIRouter, Header, Request, Response, status
 from pydantic import Field
 
-from service.context import Context, Ctx
 from service.http.problems import REFUSALS, problem_body, problem_of, request_id_of
 from service.http.request_context import Origin, RequestOrigin
 from service.http.routing import refusals
@@ -13,6 +12,7 @@ from service.job_creation import KEY_EXPIRES_S, accept
 from service.schemas.base import Payload, Problem
 from service.schemas.job_requests import JobRequest
 from service.schemas.jobs import JobPayload
+from service.services import Owned, OwnedDep
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
 
@@ -43,7 +43,7 @@ class BatchPayload(Payload):
 def create_jobs(
     body: BatchRequest,
     request: Request,
-    context: Ctx,
+    owned: OwnedDep,
     origin: Origin,
     idempotency_key: Annotated[
         str | None, Header(min_length=1, max_length=128, description="the same key within 24 h gives the same jobs")
@@ -53,7 +53,7 @@ def create_jobs(
     return BatchPayload(
         data=[
             _one(
-                context,
+                owned,
                 wanted,
                 origin,
                 None if idempotency_key is None else f"batch:{idempotency_key}:{number}",
@@ -65,10 +65,10 @@ def create_jobs(
 
 
 def _one(
-    context: Context, wanted: JobRequest, origin: RequestOrigin, key: str | None, request: Request
+    owned: Owned, wanted: JobRequest, origin: RequestOrigin, key: str | None, request: Request
 ) -> BatchItemPayload:
     try:
-        made = accept(context, wanted, origin, Response(), key=key, expires_s=KEY_EXPIRES_S)
+        made = accept(owned, wanted, origin, Response(), key=key, expires_s=KEY_EXPIRES_S)
     except REFUSALS as error:
         told = problem_of(error)
         body = problem_body(told.code, told.detail, request_id=request_id_of(request.scope), errors=told.errors)

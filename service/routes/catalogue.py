@@ -8,12 +8,12 @@ from pydantic import Field
 
 from dynamictree.formats import suffixes
 from dynamictree.requests import MAX_FRAMES
-from service.context import Ctx
 from service.http.problems import wrong_field
 from service.http.routing import refusals
 from service.routes import interact
 from service.schemas import forces
 from service.schemas.base import Payload
+from service.services import OwnedDep
 from service.uploads import archives, intake
 
 router = APIRouter(prefix="/v1", tags=["catalogue"])
@@ -91,12 +91,12 @@ def list_presets() -> PresetListPayload:
 
 
 @router.get("/limits", operation_id="getLimits", responses=refusals())
-def get_limits(context: Ctx) -> LimitsPayload:
+def get_limits(owned: OwnedDep) -> LimitsPayload:
     """Sizes, numbers and formats that are allowed."""
     from dynamictree.gaussian.cloud import MAX_GAUSSIANS, MAX_SEQUENCE_BYTES
     from dynamictree.mesh import MAX_FACES, MAX_VERTICES
 
-    settings = context.settings
+    settings = owned.services.settings
     return LimitsPayload(
         mesh_formats=[suffix.lstrip(".") for suffix in suffixes.MESH_SUFFIXES],
         cloud_formats=[suffix.lstrip(".") for suffix in suffixes.CLOUD_SUFFIXES],

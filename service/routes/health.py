@@ -8,9 +8,9 @@ from fastapi import APIRouter, Response, status
 
 from jobs.errors import StorageAwayError
 from jobs.maintenance import HOUSEKEEPER_LEASE, WORKER_LEASES, living
-from service.context import Context, Ctx
 from service.http.routing import refusals
 from service.schemas.base import Payload
+from service.services import Owned, OwnedDep
 
 router = APIRouter(tags=["health"])
 logger = logging.getLogger(__name__)
@@ -46,10 +46,10 @@ async def livez() -> LivePayload:
     operation_id="getReadiness",
     responses=refusals() | {503: {"description": "Something that the service needs is away", "model": ReadyPayload}},
 )
-def readyz(response: Response, context: Ctx) -> ReadyPayload:
+def readyz(response: Response, owned: OwnedDep) -> ReadyPayload:
     """Whether jobs can be taken and run."""
-    database, there = _database(context)
-    checks = {"database": database, "redis": _redis(context), "storage": _storage(context)}
+    database, there = _database(owned)
+    checks = {"database": database, "redis": _redis(owned), "storage": _storage(owned)}
     ready = all(check == "ok" for check in checks.values())
     if not ready:
         logger.warning("not ready", extra=checks)
@@ -63,29 +63,29 @@ def readyz(response: Response, context: Ctx) -> ReadyPayload:
     )
 
 
-def _database(context: Context) -> tuple[Check, list[str]]:
+def _database(owned: Owned) -> tuple[Check, list[str]]:
     try:
-        return "ok", living(context.store, "")
+        return "ok", living(owned.store, "")
     except sa.exc.SQLAlchemyError:
         logger.warning("the database is away", exc_info=True)
         return "unavailable", []
 
 
-def _redis(context: Context) -> Check:
+def _redis(owned: Owned) -> Check:
     from redis import RedisError
 
     try:
-        context.redis.ping()
+        owned.services.redis.ping()
     except RedisError:
         logger.warning("redis is away", exc_info=True)
         return "unavailable"
     return "ok"
 
 
-def _storage(context: Context) -> Check:
+def _storage(owned: Owned) -> Check:
     try:
-        free = context.artifacts.free_bytes()
+        free = owned.services.artifacts.free_bytes()
     except (OSError, StorageAwayError):
         logger.warning("the artefact storage is away", exc_info=True)
         return "unavailable"
-    return "full" if free is not None and free < context.settings.min_free_bytes else "ok"
+    return "full" if free is not None and free < owned.services.settings.min_free_bytes else "ok"

@@ -20,10 +20,10 @@ from dynamictree.modal.locality import default_falloff_m
 from dynamictree.modal.response import Answer, Start, answer_tensors, group_forces, respond, with_bin_zero
 from dynamictree.modal.step import State
 from dynamictree.modal.system import ModalSystem, with_physics
-from service.context import Context, Ctx
 from service.http.negotiation import JSON, NPZ, SAFETENSORS, chosen
 from service.http.problems import ProblemError
 from service.http.routing import refusals
+from service.ready_tree import ReadyTree, bone_ties, vertex_ties
 from service.schemas.base import Payload
 from service.schemas.forces import (
     MAX_GROUPS,
@@ -37,7 +37,8 @@ from service.schemas.forces import (
     state_payload,
     with_state,
 )
-from service.tree_cache import ReadyTree, bone_ties, living_tree, moving_gaussians, ready_tree, vertex_ties, with_mesh
+from service.services import Owned, OwnedDep
+from service.tree_cache import living_tree, moving_gaussians, ready_tree, with_mesh
 
 router = APIRouter(prefix="/v1/interact", tags=["interact"])
 
@@ -83,14 +84,14 @@ class InteractPayload(Payload):
         }
     },
 )
-async def interact(body: InteractRequest, context: Ctx, accept: Annotated[str | None, Header()] = None) -> Response:
+async def interact(body: InteractRequest, owned: OwnedDep, accept: Annotated[str | None, Header()] = None) -> Response:
     """Push a tree, and read how it swings."""
     offered = (JSON, SAFETENSORS, NPZ) if body.output == "modal" else (SAFETENSORS, NPZ)
     media_type = chosen(accept, offered)
-    ready = living_tree(context, body.spectrum_id)
+    ready = living_tree(owned, body.spectrum_id)
     if ready is not None and _is_short(body):
-        return _response(body, ready, context, media_type)  # 1 to 3 ms: a thread would cost as much again
-    return await run_in_threadpool(_prepared_response, body, context, media_type)
+        return _response(body, ready, owned, media_type)  # 1 to 3 ms: a thread would cost as much again
+    return await run_in_threadpool(_prepared_response, body, owned, media_type)
 
 
 def _is_short(body: InteractRequest) -> bool:
@@ -100,23 +101,23 @@ def _is_short(body: InteractRequest) -> bool:
     return body.output == "modal" and not at_vertices and body.num_frames * max(groups, 1) <= SHORT
 
 
-def _prepared_response(body: InteractRequest, context: Context, media_type: str) -> Response:
-    return _response(body, ready_tree(context, body.spectrum_id), context, media_type)
+def _prepared_response(body: InteractRequest, owned: Owned, media_type: str) -> Response:
+    return _response(body, ready_tree(owned, body.spectrum_id), owned, media_type)
 
 
-def _response(body: InteractRequest, ready: ReadyTree, context: Context, media_type: str) -> Response:
-    system, answer = answer_of(body, ready, context)
+def _response(body: InteractRequest, ready: ReadyTree, owned: Owned, media_type: str) -> Response:
+    system, answer = answer_of(body, ready, owned)
     if media_type == JSON:
         return Response(orjson.dumps(_told(body, system, answer), option=orjson.OPT_SERIALIZE_NUMPY), 200, None, JSON)
     arrays = answer_tensors(answer)
     if body.output == "gaussians":
-        arrays |= _gaussians(body, ready, context, answer)
+        arrays |= _gaussians(body, ready, owned, answer)
     elif body.output != "modal":
-        arrays["displacement"] = _displacement(body, ready, context, answer)
+        arrays["displacement"] = _displacement(body, ready, owned, answer)
     return Response(_packed(arrays, _facts(body, system), media_type), 200, None, media_type)
 
 
-def answer_of(body: InteractRequest, ready: ReadyTree, context: Context) -> tuple[ModalSystem, Answer]:
+def answer_of(body: InteractRequest, ready: ReadyTree, owned: Owned) -> tuple[ModalSystem, Answer]:
     """Let the tree answer a request.
 
     Raises:
@@ -124,7 +125,7 @@ def answer_of(body: InteractRequest, ready: ReadyTree, context: Context) -> tupl
     """
     system = with_physics(ready.tree.system, mass_kg=body.mass_kg, damping_ratio=body.damping_ratio)
     forces = [
-        library_force(force, system.grid, lambda: with_mesh(context, ready, body.spectrum_id)) for force in body.forces
+        library_force(force, system.grid, lambda: with_mesh(owned, ready, body.spectrum_id)) for force in body.forces
     ]
     falloff = None if body.locality == "none" else body.falloff_m or default_falloff_m(system)
     groups = group_forces(forces, falloff_m=falloff)
@@ -142,12 +143,12 @@ def answer_of(body: InteractRequest, ready: ReadyTree, context: Context) -> tupl
     return system, answer
 
 
-def _displacement(body: InteractRequest, ready: ReadyTree, context: Context, answer: Answer) -> np.ndarray:
+def _displacement(body: InteractRequest, ready: ReadyTree, owned: Owned, answer: Answer) -> np.ndarray:
     """[T, V or N, 3] in metres."""
     if body.output == "voxels":
         _refuse_large(body.num_frames, len(ready.tree.system.grid), 12)
         return np.stack(list(ready.tree.voxels(answer, warp=body.warp)))
-    mesh = with_mesh(context, ready, body.spectrum_id)
+    mesh = with_mesh(owned, ready, body.spectrum_id)
     _refuse_large(body.num_frames, mesh.num_vertices, 12)
     return np.stack(list(_iter_vertices(body, ready, mesh, answer)))
 
@@ -164,11 +165,11 @@ def _iter_vertices(
             yield ties.apply(frame)
 
 
-def _gaussians(body: InteractRequest, ready: ReadyTree, context: Context, answer: Answer) -> dict[str, np.ndarray]:
+def _gaussians(body: InteractRequest, ready: ReadyTree, owned: Owned, answer: Answer) -> dict[str, np.ndarray]:
     """Where the Gaussians are that move: `rows` [M] in the cloud, `means`, `quaternions`, `scales` [T, M, 3 or 4]."""
-    moving = moving_gaussians(context, ready, body.spectrum_id)
+    moving = moving_gaussians(owned, ready, body.spectrum_id)
     _refuse_large(body.num_frames, len(moving.rows), 40)
-    mesh = with_mesh(context, ready, body.spectrum_id)
+    mesh = with_mesh(owned, ready, body.spectrum_id)
     posed = np.empty((body.num_frames, len(moving.rows), 10), np.float32)
     with moving.alone:
         for out, frame in zip(posed, _iter_vertices(body, ready, mesh, answer), strict=True):

@@ -43,12 +43,13 @@ from dynamictree.modal.locality import default_falloff_m
 from dynamictree.modal.response import Locality, group_forces, with_bin_zero
 from dynamictree.modal.step import State, Step, exact_step, run
 from dynamictree.modal.system import DAMPING_RATIO, ModalSystem, with_physics
-from service.context import Context, context_of
 from service.http.problems import REFUSALS, ProblemError, Refusal, problem_body, problem_of
 from service.http.validation_errors import field_errors, summed_up
+from service.ready_tree import ReadyTree
 from service.schemas.base import Finite, Payload
 from service.schemas.forces import LARGEST, MAX_GROUPS, ForcePayload, library_force, locality_payload
-from service.tree_cache import ReadyTree, ready_tree, with_mesh
+from service.services import Owned, owned_by_caller
+from service.tree_cache import ready_tree, with_mesh
 
 router = APIRouter(prefix="/v1/interact")
 logger = logging.getLogger(__name__)
@@ -122,7 +123,7 @@ class Session:
         """Whether nothing moves and nothing pushes."""
         return not (self.states or self.held or self.knocks)
 
-    def push(self, message: ForceMessage, ready: ReadyTree, context: Context, spectrum_id: str) -> None:
+    def push(self, message: ForceMessage, ready: ReadyTree, owned: Owned, spectrum_id: str) -> None:
         """Take a force.
 
         Raises:
@@ -130,7 +131,7 @@ class Session:
         """
         if message.force.start_s != 0 or message.force.duration_s is not None:
             raise ProblemError("validation-failed", "forces of a stream begin now; leave start_s and duration_s out")
-        force = library_force(message.force, self.system.grid, lambda: with_mesh(context, ready, spectrum_id))
+        force = library_force(message.force, self.system.grid, lambda: with_mesh(owned, ready, spectrum_id))
         pushed = generalised_force(self.system, force, dt_s=self.step.dt_s, num_frames=1)[0] / self.system.modal_mass
         locality = group_forces([force], falloff_m=self.falloff_m)[0].locality
         if locality not in self.states and len(self.states) >= MAX_GROUPS:
@@ -189,25 +190,25 @@ async def stream(socket: WebSocket) -> None:
     """Follow a pointer; see this module's docstring."""
     # a browser insists that one of the protocols that it offers is taken; the other one is its key
     await socket.accept(PROTOCOL if PROTOCOL in socket.scope["subprotocols"] else None)
-    context = await context_of(socket)
+    owned = await owned_by_caller(socket)
     try:
-        opened = await _open(socket, context)
+        opened = await _open(socket, owned)
         if opened is None:
             return
         message, ready, session = opened
         async with asyncio.TaskGroup() as tasks:
             ticking = tasks.create_task(_send_frames(socket, session))
-            await _receive(socket, context, message.spectrum_id, ready, session)
+            await _receive(socket, owned, message.spectrum_id, ready, session)
             ticking.cancel()
     except* WebSocketDisconnect:
         logger.debug("the client has gone")
 
 
-async def _open(socket: WebSocket, context: Context) -> tuple[OpenMessage, ReadyTree, Session] | None:
+async def _open(socket: WebSocket, owned: Owned) -> tuple[OpenMessage, ReadyTree, Session] | None:
     """Answer the first message; None where it was refused."""
     try:
         message = _FIRST.validate_json(await asyncio.wait_for(_text(socket), OPEN_S))
-        ready = await run_in_threadpool(ready_tree, context, message.spectrum_id)
+        ready = await run_in_threadpool(ready_tree, owned, message.spectrum_id)
         system = with_physics(ready.tree.system, mass_kg=message.mass_kg, damping_ratio=message.damping_ratio)
     except TimeoutError:
         await socket.close(INVALID, f"no open message within {OPEN_S:g} s")
@@ -231,13 +232,13 @@ async def _open(socket: WebSocket, context: Context) -> tuple[OpenMessage, Ready
     return message, ready, session
 
 
-async def _receive(socket: WebSocket, context: Context, spectrum_id: str, ready: ReadyTree, session: Session) -> None:
+async def _receive(socket: WebSocket, owned: Owned, spectrum_id: str, ready: ReadyTree, session: Session) -> None:
     """Take messages until the client goes or falls silent."""
     while True:
         try:
             message = _LATER.validate_json(await asyncio.wait_for(_text(socket), IDLE_S))
             if isinstance(message, ForceMessage):
-                await run_in_threadpool(session.push, message, ready, context, spectrum_id)
+                await run_in_threadpool(session.push, message, ready, owned, spectrum_id)
             elif isinstance(message, ReleaseMessage):
                 session.held.pop(message.kind, None)
             else:

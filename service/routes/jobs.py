@@ -8,7 +8,6 @@ from starlette.concurrency import run_in_threadpool
 
 from jobs.errors import ConflictError, ReusedKeyError
 from jobs.states import JobState, JobType
-from service.context import Ctx
 from service.http.prefer_wait import WaitS
 from service.http.ranges import matches
 from service.http.request_context import Origin
@@ -25,6 +24,7 @@ from service.schemas.jobs import (
     log_payload,
     manifest_payload,
 )
+from service.services import OwnedDep
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 
@@ -48,7 +48,7 @@ _ACCEPTED = {
 def create_job(
     body: JobRequest,
     response: Response,
-    context: Ctx,
+    owned: OwnedDep,
     origin: Origin,
     validate_only: Annotated[
         bool, Query(description="only tell whether it would be accepted, and what it takes")
@@ -59,15 +59,15 @@ def create_job(
 ) -> JobPayload | Response:
     """Ask for voxels, a spectrum, a motion, or a mesh of photos. What that needs runs first, or is cached."""
     if validate_only:
-        asset, stages = require_possible(context, body)
+        asset, stages = require_possible(owned, body)
         told = EstimatePayload(
-            est_seconds=context.history.stage_seconds(stages),
-            est_bytes=context.history.stage_bytes(stages),
+            est_seconds=owned.services.job_durations.stage_seconds(stages),
+            est_bytes=owned.services.job_durations.stage_bytes(stages),
             format_bytes=format_bytes(body, asset),
         )
         return Response(told.model_dump_json(), media_type="application/json")
     key = None if idempotency_key is None else f"post:{idempotency_key}"
-    return accept(context, body, origin, response, key=key, expires_s=KEY_EXPIRES_S)
+    return accept(owned, body, origin, response, key=key, expires_s=KEY_EXPIRES_S)
 
 
 @router.put(
@@ -83,12 +83,12 @@ def put_job(
     ],
     body: JobRequest,
     response: Response,
-    context: Ctx,
+    owned: OwnedDep,
     origin: Origin,
 ) -> JobPayload:
     """Create a job under a name of the client's; sending it again is harmless. The job's id is in the answer."""
     try:
-        return accept(context, body, origin, response, key=f"put:{client_id}")
+        return accept(owned, body, origin, response, key=f"put:{client_id}")
     except ReusedKeyError as error:
         raise ConflictError(str(error)) from error
 
@@ -99,29 +99,31 @@ def put_job(
     status_code=status.HTTP_202_ACCEPTED,
     responses=refusals(*_REFUSALS) | {202: _ACCEPTED},
 )
-def retry_job(id: Id, response: Response, context: Ctx, origin: Origin, body: RetryRequest | None = None) -> JobPayload:
+def retry_job(
+    id: Id, response: Response, owned: OwnedDep, origin: Origin, body: RetryRequest | None = None
+) -> JobPayload:
     """Run a job that has ended again, as a new job."""
     from_stage = body.from_stage if body is not None else None
-    return accept_again(context, context.store.job(id), from_stage, origin, response)
+    return accept_again(owned, owned.store.job(id), from_stage, origin, response)
 
 
 @router.get("", operation_id="listJobs", responses=refusals())
 def list_jobs(
     request: Request,
     response: Response,
-    context: Ctx,
+    owned: OwnedDep,
     state: Annotated[JobState | None, Query(description="only jobs in this state")] = None,
     type: Annotated[JobType | None, Query(description="only jobs of this type")] = None,
     cursor: Cursor = None,
     limit: Annotated[int, Query(ge=1, le=MAX_PAGE, description="jobs a page")] = 20,
 ) -> JobListPayload:
     """Jobs, newest first."""
-    found = context.store.jobs(state=state, job_type=type, before=cursor, limit=limit + 1)
+    found = owned.store.jobs(state=state, job_type=type, before=cursor, limit=limit + 1)
     page, more = found[:limit], len(found) > limit
     next_cursor = page[-1].id if more else None
     if next_cursor is not None:
         response.headers["Link"] = f'<{request.url.include_query_params(cursor=next_cursor)}>; rel="next"'
-    return JobListPayload(data=[listed(context, job) for job in page], next_cursor=next_cursor)
+    return JobListPayload(data=[listed(owned, job) for job in page], next_cursor=next_cursor)
 
 
 @router.get(
@@ -140,7 +142,7 @@ def list_jobs(
 async def get_job(
     id: Id,
     response: Response,
-    context: Ctx,
+    owned: OwnedDep,
     wait_s: WaitS,
     if_none_match: Annotated[str | None, Header(description="the ETag that was seen last")] = None,
 ) -> JobPayload | Response:
@@ -148,12 +150,12 @@ async def get_job(
 
     With Prefer: wait=N the answer waits for the job's end; with If-None-Match besides, for its next change.
     """
-    job, payload = await run_in_threadpool(look, context, id, response)
+    job, payload = await run_in_threadpool(look, owned, id, response)
     deadline = time.monotonic() + wait_s
     while wait_s and not job.terminal and if_none_match in {None, response.headers["ETag"]}:
-        if not await context.watching.changed(id, job.version, deadline - time.monotonic()):
+        if not await owned.services.job_notifier.changed(id, job.version, deadline - time.monotonic()):
             break
-        job, payload = await run_in_threadpool(look, context, id, response)
+        job, payload = await run_in_threadpool(look, owned, id, response)
     told = dict(response.headers)
     if wait_s:
         told["Preference-Applied"] = f"wait={wait_s:g}"
@@ -169,24 +171,24 @@ async def get_job(
     status_code=status.HTTP_202_ACCEPTED,
     responses=refusals("not-found", "conflict"),
 )
-def cancel_job(id: Id, response: Response, context: Ctx) -> JobPayload:
+def cancel_job(id: Id, response: Response, owned: OwnedDep) -> JobPayload:
     """Stop a job: at once while it waits, within one sampler step while it runs. Asking again changes nothing."""
-    return tell(context, context.store.cancel(id), response)
+    return tell(owned, owned.store.cancel(id), response)
 
 
 @router.get("/{id}/artifacts", operation_id="listArtifacts", responses=refusals("not-found"))
-def list_artifacts(id: Id, context: Ctx) -> ManifestPayload:
+def list_artifacts(id: Id, owned: OwnedDep) -> ManifestPayload:
     """The files that a job made so far, with their hashes. Stages that finished stay, whatever came after them."""
-    return manifest_payload(context.store.job(id), context.store.artifacts_of(id))
+    return manifest_payload(owned.store.job(id), owned.store.artifacts_of(id))
 
 
 @router.get("/{id}/logs", operation_id="getJobLog", responses=refusals("not-found", "expired"))
 def get_log(
     id: Id,
-    context: Ctx,
+    owned: OwnedDep,
     after: Annotated[int, Query(ge=0, le=2**62, description="next_after of the page before")] = 0,
     limit: Annotated[int, Query(ge=1, le=1000, description="lines a page")] = 100,
 ) -> LogPayload:
     """What happened to a job: accepted, begun, stages, lost workers, its end. No paths, hosts or secrets."""
-    found = context.store.job_log(id, after=after, limit=limit)
+    found = owned.store.job_log(id, after=after, limit=limit)
     return log_payload(found, after)

@@ -21,12 +21,14 @@ from prometheus_client import (
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily, Metric
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from jobs.artifacts import ArtifactStore
 from jobs.counters import SECONDS, tallies
 from jobs.service_statistics import Census, census
 from jobs.states import JobState
-from service.context import Context, Ctx
+from jobs.store import Store
 from service.http.problems import ProblemError
 from service.http.routing import refusals
+from service.services import OwnedDep
 
 router = APIRouter(tags=["health"])
 logger = logging.getLogger(__name__)
@@ -48,10 +50,10 @@ ON_ANSWER = Counter("dynamictree_answers", "Answers by status", ["status"], regi
     responses=refusals("storage-unavailable")
     | {200: {"description": "Prometheus' text", "content": {"text/plain": {"schema": {"type": "string"}}}}},
 )
-def get_metrics(context: Ctx) -> Response:
+def get_metrics(owned: OwnedDep) -> Response:
     """Counts, ages and durations for Prometheus."""
     registry = CollectorRegistry()
-    for own in (ON_REQUEST, ON_ANSWER, StoreMetrics(context)):
+    for own in (ON_REQUEST, ON_ANSWER, StoreMetrics(owned.store, owned.services.artifacts)):
         registry.register(own)
     ProcessCollector(registry=registry)
     PlatformCollector(registry=registry)
@@ -65,8 +67,9 @@ def get_metrics(context: Ctx) -> Response:
 class StoreMetrics:
     """What the store knows, asked at the scrape."""
 
-    def __init__(self, context: Context) -> None:
-        self.context = context
+    def __init__(self, store: Store, artifacts: ArtifactStore) -> None:
+        self.store = store
+        self.artifacts = artifacts
 
     def describe(self) -> list[Metric]:
         """Nothing, so that registering asks no database."""
@@ -74,12 +77,12 @@ class StoreMetrics:
 
     def collect(self) -> Iterator[Metric]:
         """Every family."""
-        store = self.context.store
+        store = self.store
         with store.reading() as connection:
             counted, now = tallies(connection), census(connection, store.clock())
         yield from _now(now)
         yield from _since_ever(counted)
-        free = self.context.artifacts.free_bytes()
+        free = self.artifacts.free_bytes()
         if free is not None:
             yield _gauge("storage_free_bytes", "Room left in the storage", {(): free})
 

@@ -9,10 +9,10 @@ from safetensors.numpy import save
 
 from dynamictree.modal.locality import poke_weights
 from dynamictree.modal.modes import mode_metadata, mode_tensors
-from service.context import Ctx
 from service.http.negotiation import SAFETENSORS
 from service.http.routing import CACHED, Id, file_of, refusals
 from service.schemas.forces import LARGEST
+from service.services import OwnedDep
 from service.stored_trees import load_spectrum
 from service.tree_cache import ready_tree
 
@@ -27,10 +27,10 @@ BYTES = "application/octet-stream"
     response_class=Response,
     responses=refusals("not-found", "expired") | file_of(SAFETENSORS, "safetensors; see docs/interaction.md"),
 )
-def get_modes(id: Id, context: Ctx) -> Response:
+def get_modes(id: Id, owned: OwnedDep) -> Response:
     """Mode shapes in 16 bits, and the bones of the warp. With the coordinates of /v1/interact they give every voxel."""
-    tree = ready_tree(context, id).tree
-    lean = np.ascontiguousarray(load_spectrum(context, id).coefficients[:, 0].real)
+    tree = ready_tree(owned, id).tree
+    lean = np.ascontiguousarray(load_spectrum(owned, id).coefficients[:, 0].real)
     tensors = mode_tensors(tree.system, tree.bones) | {"lean_m": lean}
     content = save(tensors, mode_metadata(tree.system) | {"spectrum_id": id})
     return Response(content, 200, CACHED, SAFETENSORS)
@@ -44,14 +44,14 @@ def get_modes(id: Id, context: Ctx) -> Response:
 )
 def get_reach(
     id: Id,
-    context: Ctx,
+    owned: OwnedDep,
     seed_voxel: Annotated[int, Query(ge=0, description="of the group's locality")],
     falloff_m: Annotated[
         float, Query(gt=0, le=LARGEST, allow_inf_nan=False, description="of the group's locality [m]")
     ],
 ) -> Response:
     """How much each voxel takes part in a group of forces: w_g, a byte a voxel, in the order of the modes' coords."""
-    tree = ready_tree(context, id).tree
+    tree = ready_tree(owned, id).tree
     weights = poke_weights(tree.branching, seed_voxel, falloff_m)
     content = np.rint(weights * 255).astype(np.uint8).tobytes()
     return Response(content, 200, CACHED, BYTES)

@@ -9,9 +9,9 @@ from fastapi import APIRouter, Response
 
 from jobs.counters import tallies
 from jobs.service_statistics import census
-from service.context import Ctx
 from service.http.routing import refusals
 from service.schemas.base import Payload
+from service.services import OwnedDep
 
 router = APIRouter()
 
@@ -41,10 +41,10 @@ class OpsPayload(Payload):
 
 
 @router.get("/v1/ops", operation_id="getOperations", responses=refusals(), tags=["health"])
-def get_operations(context: Ctx) -> OpsPayload:
+def get_operations(owned: OwnedDep) -> OpsPayload:
     """Queues, jobs by state, attempts, workers; over all keys, and nothing of any one."""
-    with context.store.reading() as connection:
-        now = census(connection, context.store.clock())
+    with owned.store.reading() as connection:
+        now = census(connection, owned.store.clock())
         attempts = tallies(connection).get("attempts", {})
     return OpsPayload(
         queues=[QueuePayload(**asdict(queue)) for queue in now.queues],

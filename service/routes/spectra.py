@@ -4,9 +4,9 @@ from fastapi import APIRouter
 from pydantic import Field
 
 from dynamictree.requests import Wind
-from service.context import Ctx
 from service.http.routing import Id, refusals
 from service.schemas.base import Payload
+from service.services import OwnedDep
 from service.stored_trees import load_spectrum
 
 router = APIRouter(prefix="/v1/spectra", tags=["spectra"])
@@ -37,9 +37,9 @@ class SpectrumPayload(Payload):
 
 
 @router.get("/{id}", operation_id="getSpectrum", responses=refusals("not-found", "expired"))
-def get_spectrum(id: Id, context: Ctx) -> SpectrumPayload:
+def get_spectrum(id: Id, owned: OwnedDep) -> SpectrumPayload:
     """What a spectrum is: frequencies, voxels, bounds, model. The coefficients are the artefact's bytes."""
-    spectrum = load_spectrum(context, id)
+    spectrum = load_spectrum(owned, id)
     grid = spectrum.grid
     low, high = grid.coords.min(axis=0), grid.coords.max(axis=0) + 1
     return SpectrumPayload(

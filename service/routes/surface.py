@@ -10,11 +10,12 @@ from safetensors.numpy import save
 from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.modes import quantised
 from dynamictree.spectrum import SparseVoxelSpectrum, bin_weights
-from service.context import Ctx
 from service.http.negotiation import SAFETENSORS
 from service.http.routing import CACHED, Id, file_of, refusals
+from service.ready_tree import ReadyTree, bone_ties, vertex_ties
+from service.services import OwnedDep
 from service.stored_trees import load_asset_mesh, load_spectrum
-from service.tree_cache import ReadyTree, bone_ties, ready_tree, vertex_ties, with_mesh
+from service.tree_cache import ready_tree, with_mesh
 
 router = APIRouter(prefix="/v1", tags=["spectra"])
 
@@ -37,9 +38,9 @@ _FILE = file_of(SAFETENSORS, "safetensors; see docs/viewer.md")
     response_class=Response,
     responses=refusals("not-found", "conflict", "expired") | _FILE,
 )
-def get_asset_surface(id: Id, context: Ctx) -> Response:
+def get_asset_surface(id: Id, owned: OwnedDep) -> Response:
     """A mesh as it was read: metres, +Z up. Something to look at while its job runs."""
-    mesh = load_asset_mesh(context, id)
+    mesh = load_asset_mesh(owned, id)
     return _response(mesh_tensors(mesh), mesh)
 
 
@@ -49,12 +50,12 @@ def get_asset_surface(id: Id, context: Ctx) -> Response:
     response_class=Response,
     responses=refusals("not-found", "expired") | _FILE,
 )
-def get_surface(id: Id, context: Ctx) -> Response:
+def get_surface(id: Id, owned: OwnedDep) -> Response:
     """The source mesh, its vertices' motion in 16 bits, and the bones that carry them."""
-    ready = ready_tree(context, id)
-    mesh = with_mesh(context, ready, id)
+    ready = ready_tree(owned, id)
+    mesh = with_mesh(owned, ready, id)
     own = mesh.num_vertices <= MAX_OWN_SHAPES
-    motion = _own_motion(ready, mesh, load_spectrum(context, id)) if own else _near_motion(ready, mesh)
+    motion = _own_motion(ready, mesh, load_spectrum(owned, id)) if own else _near_motion(ready, mesh)
     return _response(mesh_tensors(mesh) | motion, mesh)
 
 

@@ -13,16 +13,16 @@ from starlette.concurrency import run_in_threadpool
 from jobs.artifacts import hash_file
 from jobs.store import new_id
 from jobs.uploads import UploadRecord, add_upload, change_upload, delete_upload, upload
-from service.context import Context, Ctx
 from service.http.middleware import TUS_VERSION
 from service.http.prefer_wait import LOOK_S, WaitS
 from service.http.problems import ProblemError, wrong_field
 from service.http.routing import Id, headers, refusals
 from service.routes.assets import require_room
 from service.schemas.assets import UploadPayload, upload_payload
+from service.services import Owned, OwnedDep
 from service.uploads.intake import FIELDS, reading_options
 from service.uploads.quota import require_bytes
-from service.uploads.upload_writer import CHECKSUMS, Checksum, receive, stands_elsewhere
+from service.uploads.upload_writer import CHECKSUMS, Checksum, UploadWriter, stands_elsewhere
 
 router = APIRouter(prefix="/v1/uploads", tags=["uploads"])
 
@@ -49,13 +49,13 @@ _ERRORS = ("precondition-failed", "unsupported-format", "conflict", "checksum-mi
 
 
 @router.options("", operation_id="getUploadProtocol", status_code=status.HTTP_204_NO_CONTENT, responses=refusals())
-async def get_protocol(context: Ctx) -> Response:
+async def get_protocol(owned: OwnedDep) -> Response:
     """What of tus is spoken here."""
     told = {
         "Tus-Version": TUS_VERSION,
         "Tus-Extension": ",".join(EXTENSIONS),
         "Tus-Checksum-Algorithm": ",".join(CHECKSUMS),
-        "Tus-Max-Size": str(context.settings.max_upload_bytes),
+        "Tus-Max-Size": str(owned.services.settings.max_upload_bytes),
     }
     return Response(status_code=status.HTTP_204_NO_CONTENT, headers=told)
 
@@ -71,7 +71,7 @@ async def get_protocol(context: Ctx) -> Response:
 )
 async def create_upload(
     request: Request,
-    context: Ctx,
+    owned: OwnedDep,
     tus_resumable: _Version = None,
     upload_length: Annotated[str | None, Header(description="size of the file [bytes]")] = None,
     upload_metadata: Annotated[
@@ -83,12 +83,12 @@ async def create_upload(
 ) -> Response:
     """Begin an upload; its first bytes may come with it."""
     _require_version(tus_resumable)
-    length = _length(upload_length, context)
+    length = _length(upload_length, owned)
     metadata = _metadata(upload_metadata)
     with_bytes = content_type is not None and content_type.partition(";")[0].strip() == CONTENT_TYPE
     checksum = Checksum.of_header(upload_checksum)
-    await run_in_threadpool(_require_place, context, length)
-    now = context.store.clock()
+    await run_in_threadpool(_require_place, owned, length)
+    now = owned.store.clock()
     record = UploadRecord(
         id=new_id(),
         state="receiving",
@@ -98,13 +98,13 @@ async def create_upload(
         sha256=metadata.get("sha256"),
         make_asset=metadata.get("asset") == "auto",
         created_at=now,
-        expires_at=now + context.settings.upload_retention_s,
+        expires_at=now + owned.services.settings.upload_retention_s,
     )
-    record = await run_in_threadpool(add_upload, context.store, record)
+    record = await run_in_threadpool(add_upload, owned.store, record)
     size = 0
     if with_bytes:
-        size = await receive(context, record, request.stream(), 0, checksum)
-        record = await _kept(context, record, size)
+        size = await _append(owned, record, request, 0, checksum)
+        record = await _kept(owned, record, size)
     sent = _standing(record, size) | {"Location": f"/v1/uploads/{record.id}"}
     return Response(status_code=status.HTTP_201_CREATED, headers=sent)
 
@@ -116,11 +116,11 @@ async def create_upload(
     responses=refusals("not-found", "expired", "precondition-failed")
     | {200: {"description": "Where it stands", **_STANDS}},
 )
-def head_upload(id: Id, context: Ctx, tus_resumable: _Version = None) -> Response:
+def head_upload(id: Id, owned: OwnedDep, tus_resumable: _Version = None) -> Response:
     """Where an upload stands."""
     _require_version(tus_resumable)
-    record = upload(context.store, id)
-    size = context.parts.size(id) if record.state == "receiving" else record.received
+    record = upload(owned.store, id)
+    size = owned.services.upload_parts.size(id) if record.state == "receiving" else record.received
     sent = _standing(record, size) | {"Cache-Control": "no-store"}
     if record.length is not None:
         sent["Upload-Length"] = str(record.length)
@@ -141,7 +141,7 @@ def head_upload(id: Id, context: Ctx, tus_resumable: _Version = None) -> Respons
 async def append_to_upload(
     id: Id,
     request: Request,
-    context: Ctx,
+    owned: OwnedDep,
     tus_resumable: _Version = None,
     upload_offset: Annotated[str | None, Header(description="bytes that are there already")] = None,
     content_type: Annotated[str | None, Header()] = None,
@@ -156,31 +156,31 @@ async def append_to_upload(
             "bad-request", f"Upload-Offset is {upload_offset!r}; send the number of bytes that are there"
         )
     checksum = Checksum.of_header(upload_checksum)
-    record = await run_in_threadpool(upload, context.store, id)
+    record = await run_in_threadpool(upload, owned.store, id)
     offset = int(upload_offset)
     if record.state != "receiving":
         if offset != record.received:
             raise stands_elsewhere(offset, record.received)
         return Response(status_code=status.HTTP_204_NO_CONTENT, headers=_standing(record, record.received))
-    await run_in_threadpool(require_room, context)
-    size = await receive(context, record, request.stream(), offset, checksum)
-    record = await _kept(context, record, size)
+    await run_in_threadpool(require_room, owned)
+    size = await _append(owned, record, request, offset, checksum)
+    record = await _kept(owned, record, size)
     return Response(status_code=status.HTTP_204_NO_CONTENT, headers=_standing(record, size))
 
 
 @router.get("/{id}", operation_id="getUpload", responses=refusals("not-found", "expired"))
-async def get_upload(id: Id, context: Ctx, wait_s: WaitS) -> UploadPayload:
+async def get_upload(id: Id, owned: OwnedDep, wait_s: WaitS) -> UploadPayload:
     """An upload: how much is there, and the asset once there is one. Prefer: wait=N waits until that is settled."""
     deadline = time.monotonic() + wait_s
     while True:
-        record = await run_in_threadpool(upload, context.store, id)
+        record = await run_in_threadpool(upload, owned.store, id)
         settled = record.state in {"ready", "failed"} or (record.state == "received" and not record.make_asset)
         if settled or time.monotonic() >= deadline:
             break
         await asyncio.sleep(LOOK_S)
     size = record.received
     if record.state == "receiving":
-        size = await run_in_threadpool(context.parts.size, id)
+        size = await run_in_threadpool(owned.services.upload_parts.size, id)
     return upload_payload(record, size)
 
 
@@ -191,43 +191,48 @@ async def get_upload(id: Id, context: Ctx, wait_s: WaitS) -> UploadPayload:
     response_class=Response,
     responses=refusals("not-found", "expired", "precondition-failed"),
 )
-async def delete_upload_(id: Id, context: Ctx, tus_resumable: _Version = None) -> Response:
+async def delete_upload_(id: Id, owned: OwnedDep, tus_resumable: _Version = None) -> Response:
     """Give an upload up. An asset that was made of it stays."""
     _require_version(tus_resumable)
-    await run_in_threadpool(upload, context.store, id)
-    await context.receivers.take_over(id)
-    await run_in_threadpool(context.parts.delete, id)
-    await run_in_threadpool(delete_upload, context.store, id)
+    await run_in_threadpool(upload, owned.store, id)
+    await owned.services.upload_writers.take_over(id)
+    await run_in_threadpool(owned.services.upload_parts.delete, id)
+    await run_in_threadpool(delete_upload, owned.store, id)
     return Response(status_code=status.HTTP_204_NO_CONTENT)
 
 
-async def _kept(context: Context, record: UploadRecord, size: int) -> UploadRecord:
+async def _append(owned: Owned, record: UploadRecord, request: Request, offset: int, checksum: Checksum | None) -> int:
+    writer = UploadWriter(owned.store, owned.services.upload_parts, record, checksum)
+    return await owned.services.upload_writers.append(writer, request.stream(), offset)
+
+
+async def _kept(owned: Owned, record: UploadRecord, size: int) -> UploadRecord:
     """Write down that bytes came; an upload that is whole is closed, and checked against its sha256."""
     changes: dict[str, Any] = {
         "received": size,
-        "expires_at": context.store.clock() + context.settings.upload_retention_s,
+        "expires_at": owned.store.clock() + owned.services.settings.upload_retention_s,
     }
     if size == record.length:
         changes["state"] = "received"
         if record.sha256 is not None:
-            await run_in_threadpool(_require_promised, context, record)
-    record = await run_in_threadpool(change_upload, context.store, record.id, was=("receiving",), **changes)
+            await run_in_threadpool(_require_promised, owned, record)
+    record = await run_in_threadpool(change_upload, owned.store, record.id, was=("receiving",), **changes)
     if record.state == "received" and record.make_asset:
-        context.ingest.wake()
+        owned.services.ingest_wakeup.set()
     return record
 
 
-def _require_promised(context: Context, record: UploadRecord) -> None:
-    folder = context.settings.scratch_dir
+def _require_promised(owned: Owned, record: UploadRecord) -> None:
+    folder = owned.services.settings.scratch_dir
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"check-{new_id()}"
     try:
-        context.parts.fetch(record.id, path)
+        owned.services.upload_parts.fetch(record.id, path)
         digest, _ = hash_file(path)
     finally:
         path.unlink(missing_ok=True)
     if digest != record.sha256:
-        context.parts.delete(record.id)
+        owned.services.upload_parts.delete(record.id)
         raise ProblemError("checksum-mismatch", f"the sha256 is {digest}, {record.sha256} was promised; send it anew")
 
 
@@ -238,11 +243,11 @@ def _require_version(given: str | None) -> None:
         raise ProblemError("precondition-failed", detail, headers={"Tus-Version": TUS_VERSION})
 
 
-def _length(header: str | None, context: Context) -> int:
+def _length(header: str | None, owned: Owned) -> int:
     if header is None or not (header.isascii() and header.isdecimal()) or len(header) > 18:
         found = "is not sent" if header is None else f"is {header!r}"
         raise ProblemError("bad-request", f"Upload-Length {found}; send the size of the file in bytes")
-    length, allowed = int(header), context.settings.max_upload_bytes
+    length, allowed = int(header), owned.services.settings.max_upload_bytes
     if length > allowed:
         raise ProblemError("payload-too-large", f"Upload-Length is {length:,}; at most {allowed:,} are allowed")
     if length == 0:
@@ -283,9 +288,9 @@ def _wrong(name: str, code: str, detail: str) -> ProblemError:
     return wrong_field(f"metadata:{name}", code, detail)
 
 
-def _require_place(context: Context, length: int) -> None:
-    require_room(context, length)
-    require_bytes(context, length)
+def _require_place(owned: Owned, length: int) -> None:
+    require_room(owned, length)
+    require_bytes(owned, length)
 
 
 def _standing(record: UploadRecord, size: int) -> dict[str, str]:

@@ -4,9 +4,9 @@ from fastapi import APIRouter
 
 from jobs.keys import Limit
 from jobs.usage import count_active, kept_bytes
-from service.context import Ctx
 from service.http.routing import refusals
 from service.schemas.base import Payload
+from service.services import OwnedDep
 
 router = APIRouter(prefix="/v1", tags=["catalogue"])
 
@@ -21,12 +21,12 @@ class UsagePayload(Payload):
 
 
 @router.get("/usage", operation_id="getUsage", responses=refusals())
-def get_usage(context: Ctx) -> UsagePayload:
+def get_usage(owned: OwnedDep) -> UsagePayload:
     """Jobs that have not ended, bytes that are kept, and the limits of the key."""
-    caller = context.caller
+    caller = owned.caller
     return UsagePayload(
         owner=caller.owner,
-        active_jobs=count_active(context.store),
-        bytes=kept_bytes(context.store),
+        active_jobs=count_active(owned.store),
+        bytes=kept_bytes(owned.store),
         limits=dict(caller.limits) or None,
     )

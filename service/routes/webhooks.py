@@ -7,10 +7,11 @@ from pydantic import Field
 from starlette.concurrency import run_in_threadpool
 
 from jobs import webhooks
-from jobs.webhooks import EVENTS, Delivery, DeliveryState, Endpoint, Event
-from service.context import Ctx
+from jobs.webhook_events import EVENTS, DeliveryState, Event
+from jobs.webhooks import Delivery, Endpoint
 from service.http.routing import Cursor, Id, headers, refusals
 from service.schemas.base import Payload, Time, maybe_time, time_of
+from service.services import OwnedDep
 
 router = APIRouter(prefix="/v1/webhook-endpoints", tags=["webhooks"])
 
@@ -81,32 +82,32 @@ class DeliveryListPayload(Payload):
     status_code=status.HTTP_201_CREATED,
     responses=refusals("conflict", "fetch-failed") | {201: {"description": "Made", **headers(Location="the endpoint")}},
 )
-async def create_endpoint(body: EndpointRequest, response: Response, context: Ctx) -> EndpointWithSecretPayload:
+async def create_endpoint(body: EndpointRequest, response: Response, owned: OwnedDep) -> EndpointWithSecretPayload:
     """Name an address that is told when jobs end. The secret that signs is shown here and never again."""
-    await context.outbound.check(body.url)
-    made = await run_in_threadpool(webhooks.add_endpoint, context.store, body.url, body.events)
+    await owned.services.outbound.check(body.url)
+    made = await run_in_threadpool(webhooks.add_endpoint, owned.store, body.url, body.events)
     response.headers["Location"] = f"/v1/webhook-endpoints/{made.id}"
     return EndpointWithSecretPayload(**_endpoint(made).model_dump(), secret=made.secret)
 
 
 @router.get("", operation_id="listWebhookEndpoints", responses=refusals())
-def list_endpoints(context: Ctx) -> EndpointListPayload:
+def list_endpoints(owned: OwnedDep) -> EndpointListPayload:
     """Every address that is told."""
-    return EndpointListPayload(data=[_endpoint(endpoint) for endpoint in webhooks.endpoints(context.store)])
+    return EndpointListPayload(data=[_endpoint(endpoint) for endpoint in webhooks.endpoints(owned.store)])
 
 
 @router.get("/{id}", operation_id="getWebhookEndpoint", responses=refusals("not-found"))
-def get_endpoint(id: Id, context: Ctx) -> EndpointPayload:
+def get_endpoint(id: Id, owned: OwnedDep) -> EndpointPayload:
     """One address that is told."""
-    return _endpoint(webhooks.endpoint(context.store, id))
+    return _endpoint(webhooks.endpoint(owned.store, id))
 
 
 @router.put("/{id}", operation_id="putWebhookEndpoint", responses=refusals("not-found", "fetch-failed"))
-async def put_endpoint(id: Id, body: EndpointRequest, context: Ctx) -> EndpointPayload:
+async def put_endpoint(id: Id, body: EndpointRequest, owned: OwnedDep) -> EndpointPayload:
     """Change address and events; an endpoint that was disabled is told again."""
-    await context.outbound.check(body.url)
+    await owned.services.outbound.check(body.url)
     changes = {"url": body.url, "events": list(body.events), "disabled_reason": None}
-    return _endpoint(await run_in_threadpool(webhooks.change_endpoint, context.store, id, **changes))
+    return _endpoint(await run_in_threadpool(webhooks.change_endpoint, owned.store, id, **changes))
 
 
 @router.delete(
@@ -115,27 +116,27 @@ async def put_endpoint(id: Id, body: EndpointRequest, context: Ctx) -> EndpointP
     status_code=status.HTTP_204_NO_CONTENT,
     responses=refusals("not-found"),
 )
-def delete_endpoint(id: Id, context: Ctx) -> None:
+def delete_endpoint(id: Id, owned: OwnedDep) -> None:
     """Tell an address no more, and forget what it was told."""
-    webhooks.delete_endpoint(context.store, id)
+    webhooks.delete_endpoint(owned.store, id)
 
 
 @router.post("/{id}/secret", operation_id="rotateWebhookSecret", responses=refusals("not-found"))
-def rotate_secret(id: Id, context: Ctx) -> EndpointWithSecretPayload:
+def rotate_secret(id: Id, owned: OwnedDep) -> EndpointWithSecretPayload:
     """Make a new secret, shown only here. For a day the old one signs too, so that none is refused meanwhile."""
-    made = webhooks.rotate_secret(context.store, id)
+    made = webhooks.rotate_secret(owned.store, id)
     return EndpointWithSecretPayload(**_endpoint(made).model_dump(), secret=made.secret)
 
 
 @router.get("/{id}/deliveries", operation_id="listWebhookDeliveries", responses=refusals("not-found"))
 def list_deliveries(
     id: Id,
-    context: Ctx,
+    owned: OwnedDep,
     cursor: Cursor = None,
     limit: Annotated[int, Query(ge=1, le=100, description="deliveries a page")] = 20,
 ) -> DeliveryListPayload:
     """What an address was told, newest first, with every attempt."""
-    found = webhooks.deliveries(context.store, id, before=cursor, limit=limit + 1)
+    found = webhooks.deliveries(owned.store, id, before=cursor, limit=limit + 1)
     page = found[:limit]
     return DeliveryListPayload(
         data=[_delivery(delivery) for delivery in page], next_cursor=page[-1].id if len(found) > limit else None
@@ -148,9 +149,9 @@ def list_deliveries(
     status_code=status.HTTP_202_ACCEPTED,
     responses=refusals("not-found"),
 )
-def replay_delivery(id: Id, delivery_id: str, context: Ctx) -> DeliveryPayload:
+def replay_delivery(id: Id, delivery_id: str, owned: OwnedDep) -> DeliveryPayload:
     """Tell it again, as a new delivery of the same message: the receiver knows it by its webhook-id."""
-    return _delivery(webhooks.replay(context.store, id, delivery_id))
+    return _delivery(webhooks.replay(owned.store, id, delivery_id))
 
 
 def _endpoint(endpoint: Endpoint) -> EndpointPayload:

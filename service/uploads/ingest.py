@@ -5,7 +5,6 @@ import logging
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING
 from urllib.parse import unquote, urlsplit
 
 import sqlalchemy as sa
@@ -17,12 +16,11 @@ from jobs.errors import ConflictError, GoneError, OutboundError
 from jobs.records import AssetRecord
 from jobs.store import new_id
 from jobs.uploads import UploadRecord, change_upload, claim_uploads
+from service.http.caller import Caller
 from service.http.multipart import Form, ReceivedFile
 from service.http.problems import REFUSALS, ProblemError, problem_of
+from service.services import Owned, Services
 from service.uploads.intake import FIELDS, admit, sort_out
-
-if TYPE_CHECKING:
-    from service.context import Context
 
 logger = logging.getLogger(__name__)
 
@@ -33,7 +31,7 @@ BATCH_BYTES = 4 * 1024**2
 
 
 async def make_asset(
-    context: "Context", uploads: Sequence[UploadRecord], fields: Mapping[str, str]
+    owned: Owned, uploads: Sequence[UploadRecord], fields: Mapping[str, str]
 ) -> tuple[AssetRecord, bool]:
     """Make one asset of whole uploads, or give the one that was made of them before; tell whether it is new.
 
@@ -43,28 +41,28 @@ async def make_asset(
     """
     made = {upload.asset_id for upload in uploads}
     if len(made) == 1 and None not in made:
-        return await run_in_threadpool(read_asset, context.store, str(made.pop())), False
+        return await run_in_threadpool(read_asset, owned.store, str(made.pop())), False
     for upload in uploads:
         if upload.state not in {"received", "failed"} or upload.length is None:
             raise ConflictError(f"upload {upload.id} is {upload.state}; send the rest of it, or begin anew")
-    folder = context.settings.scratch_dir / f"ingest-{new_id()}"
+    folder = owned.services.settings.scratch_dir / f"ingest-{new_id()}"
     await run_in_threadpool(folder.mkdir, parents=True)
     try:
-        form = Form(fields=dict(fields), files=await run_in_threadpool(_files, context, uploads, folder))
-        asset, new = await admit(context, await run_in_threadpool(sort_out, form, folder), folder)
+        form = Form(fields=dict(fields), files=await run_in_threadpool(_files, owned, uploads, folder))
+        asset, new = await admit(owned, await run_in_threadpool(sort_out, form, folder), folder)
     finally:
         await run_in_threadpool(shutil.rmtree, folder)
     for upload in uploads:
-        await run_in_threadpool(_finish, context, upload, asset)
+        await run_in_threadpool(_finish, owned, upload, asset)
     return asset, new
 
 
-def _files(context: "Context", uploads: Sequence[UploadRecord], folder: Path) -> list[ReceivedFile]:
+def _files(owned: Owned, uploads: Sequence[UploadRecord], folder: Path) -> list[ReceivedFile]:
     files = []
     for number, upload in enumerate(uploads):
         path = folder / f"part-{number}"
         try:
-            context.parts.fetch(upload.id, path)
+            owned.services.upload_parts.fetch(upload.id, path)
         except FileNotFoundError as error:
             raise GoneError(f"the bytes of upload {upload.id} were removed; begin it anew") from error
         digest, size = hash_file(path)
@@ -76,9 +74,9 @@ def _files(context: "Context", uploads: Sequence[UploadRecord], folder: Path) ->
     return files
 
 
-def _finish(context: "Context", upload: UploadRecord, asset: AssetRecord) -> None:
+def _finish(owned: Owned, upload: UploadRecord, asset: AssetRecord) -> None:
     change_upload(
-        context.store,
+        owned.store,
         upload.id,
         state="ready",
         asset_id=asset.id,
@@ -86,20 +84,15 @@ def _finish(context: "Context", upload: UploadRecord, asset: AssetRecord) -> Non
         error_message=None,
         expires_at=asset.expires_at,
     )
-    context.parts.delete(upload.id)
+    owned.services.upload_parts.delete(upload.id)
 
 
 class Ingest:
     """Fetches addresses and makes assets that nobody waits for. A lease in the store tells who does which."""
 
-    def __init__(self, context: "Context") -> None:
-        self.context = context
-        self._woken = asyncio.Event()
+    def __init__(self, services: Services) -> None:
+        self.services = services
         self._running: set[asyncio.Task[None]] = set()
-
-    def wake(self) -> None:
-        """Look at once."""
-        self._woken.set()
 
     async def run(self) -> None:
         """Look for work until cancelled."""
@@ -108,7 +101,7 @@ class Ingest:
                 await self._look()
                 try:
                     async with asyncio.timeout(LOOK_S):
-                        await self._woken.wait()
+                        await self.services.ingest_wakeup.wait()
                 except TimeoutError:
                     continue
         finally:
@@ -117,12 +110,12 @@ class Ingest:
             await asyncio.gather(*self._running, return_exceptions=True)
 
     async def _look(self) -> None:
-        self._woken.clear()
-        room = self.context.settings.max_fetches - len(self._running)
+        self.services.ingest_wakeup.clear()
+        room = self.services.settings.max_fetches - len(self._running)
         if room <= 0:
             return
         try:
-            claimed = await run_in_threadpool(claim_uploads, self.context.store, lease_s=LEASE_S, limit=room)
+            claimed = await run_in_threadpool(claim_uploads, self.services.store, lease_s=LEASE_S, limit=room)
         except sa.exc.SQLAlchemyError as error:
             logger.warning("uploads cannot be looked for: %s", error)
             return
@@ -133,23 +126,23 @@ class Ingest:
 
     def _done(self, task: asyncio.Task[None]) -> None:
         self._running.discard(task)
-        self._woken.set()
+        self.services.ingest_wakeup.set()
         if not task.cancelled() and (error := task.exception()) is not None:
             logger.error("an upload was left; its lease will run out", exc_info=error)
 
     async def _work(self, upload: UploadRecord) -> None:
-        context = self.context.for_owner(upload.owner)
+        owned = self.services.owned_by(Caller(owner=upload.owner))
         renewing = asyncio.create_task(self._renew(upload.id))
         try:
             if upload.state == "fetching":
-                upload = await fetch(context, upload)
+                upload = await fetch(owned, upload)
             options = {name: str(value) for name, value in upload.options.items() if name in FIELDS}
-            await make_asset(context, [upload], options)
+            await make_asset(owned, [upload], options)
         except REFUSALS as error:
             told = problem_of(error)
             await run_in_threadpool(
                 change_upload,
-                context.store,
+                owned.store,
                 upload.id,
                 state="failed",
                 error_code=told.code,
@@ -162,23 +155,23 @@ class Ingest:
     async def _renew(self, upload_id: str) -> None:
         while True:
             await asyncio.sleep(LEASE_S / 3)
-            until = self.context.store.clock() + LEASE_S
-            await run_in_threadpool(change_upload, self.context.store, upload_id, lease_until=until)
+            until = self.services.store.clock() + LEASE_S
+            await run_in_threadpool(change_upload, self.services.store, upload_id, lease_until=until)
 
 
-async def fetch(context: "Context", upload: UploadRecord) -> UploadRecord:
+async def fetch(owned: Owned, upload: UploadRecord) -> UploadRecord:
     """Fetch an upload's bytes from its address.
 
     Raises:
         OutboundError, ProblemError: it may not be called, does not answer, or has too much.
     """
-    settings = context.settings
+    settings = owned.services.settings
     assert upload.source_url is not None
-    await run_in_threadpool(context.parts.delete, upload.id)
-    writer = await run_in_threadpool(context.parts.writer, upload.id, 0)
+    await run_in_threadpool(owned.services.upload_parts.delete, upload.id)
+    writer = await run_in_threadpool(owned.services.upload_parts.writer, upload.id, 0)
     size, batch, held = 0, [], 0
     try:
-        async with asyncio.timeout(settings.fetch_time_s), context.outbound.get(upload.source_url) as response:
+        async with asyncio.timeout(settings.fetch_time_s), owned.services.outbound.get(upload.source_url) as response:
             if response.headers.get("content-encoding", "identity") != "identity":
                 raise OutboundError("the address sends a packed body though it was asked not to")
             async for chunk in response.aiter_raw(CHUNK_BYTES):
@@ -197,7 +190,7 @@ async def fetch(context: "Context", upload: UploadRecord) -> UploadRecord:
     finally:
         await asyncio.shield(run_in_threadpool(writer.keep))
     return await run_in_threadpool(
-        change_upload, context.store, upload.id, was=("fetching",), state="received", length=size, received=size
+        change_upload, owned.store, upload.id, was=("fetching",), state="received", length=size, received=size
     )
 
 

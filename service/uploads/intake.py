@@ -27,10 +27,10 @@ from jobs.products import CLOUD_BUNDLE, MESH_BUNDLE
 from jobs.records import AssetPart, AssetRecord, Json
 from jobs.states import ASSET_KINDS, AssetKind
 from jobs.store import new_id
-from service.context import Context
 from service.http.multipart import Form, ReceivedFile
 from service.http.problems import ProblemError, wrong_field
 from service.http.validation_errors import field_errors, summed_up
+from service.services import Owned
 from service.uploads.archives import is_zip, unpack
 from service.uploads.exif_privacy import without_place
 
@@ -139,14 +139,14 @@ def _models(files: list[ReceivedFile]) -> tuple[ReceivedFile, ...]:
     return tuple(models)
 
 
-async def admit(context: Context, upload: Upload, folder: Path) -> tuple[AssetRecord, bool]:
+async def admit(owned: Owned, upload: Upload, folder: Path) -> tuple[AssetRecord, bool]:
     """Read the files in the parser's process, keep their bytes, and keep the asset; tell whether it is new.
 
     Raises:
         ProblemError: they cannot be used.
     """
-    store = context.store
-    expires_at = store.clock() + context.settings.asset_retention_s
+    store = owned.store
+    expires_at = store.clock() + owned.services.settings.asset_retention_s
     known = await run_in_threadpool(find_asset, store, upload.fingerprint)
     if known is not None:
         return await run_in_threadpool(add_asset, store, replace(known, expires_at=expires_at))
@@ -159,20 +159,20 @@ async def admit(context: Context, upload: Upload, folder: Path) -> tuple[AssetRe
         prepared=prepared,
         up_axis=upload.reading.up_axis,
         unit_m=upload.reading.unit_m,
-        memory_bytes=context.settings.parser_memory_bytes,
-        cpu_s=context.settings.parser_cpu_s,
+        memory_bytes=owned.services.settings.parser_memory_bytes,
+        cpu_s=owned.services.settings.parser_cpu_s,
     )
-    async with context.parsing:
-        answer = await parse(request, context.settings)
+    async with owned.services.parsers:
+        answer = await parse(request, owned.services.settings)
     if answer.summary is None:
         raise ProblemError(answer.code or "invalid-input", answer.message)
     kind = answer.kind or upload.kind
     made = None if kind == "photos" else prepared
-    return await run_in_threadpool(_keep, context, replace(upload, kind=kind), made, answer.summary, expires_at)
+    return await run_in_threadpool(_keep, owned, replace(upload, kind=kind), made, answer.summary, expires_at)
 
 
 def _keep(
-    context: Context, upload: Upload, prepared: Path | None, summary: Mapping[str, Json], expires_at: float
+    owned: Owned, upload: Upload, prepared: Path | None, summary: Mapping[str, Json], expires_at: float
 ) -> tuple[AssetRecord, bool]:
     parts = tuple(AssetPart(name=_beside(file.name), sha256=file.sha256, bytes=file.bytes) for file in upload.files)
     mesh = None
@@ -184,10 +184,10 @@ def _keep(
     if prepared is not None and mesh is not None:
         located.append((prepared, mesh))
     for path, part in located:
-        touch_blob(context.store, part.sha256, part.bytes)
-        context.artifacts.put(path, part.sha256)
+        touch_blob(owned.store, part.sha256, part.bytes)
+        owned.services.artifacts.put(path, part.sha256)
     return add_asset(
-        context.store,
+        owned.store,
         AssetRecord(
             id=new_id(),
             kind=upload.kind,
@@ -195,7 +195,7 @@ def _keep(
             parts=parts,
             prepared=mesh,
             summary=summary,
-            created_at=context.store.clock(),
+            created_at=owned.store.clock(),
             expires_at=expires_at,
         ),
     )

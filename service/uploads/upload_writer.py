@@ -7,7 +7,7 @@ import hashlib
 import time
 from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect
@@ -17,9 +17,6 @@ from jobs.store import Store
 from jobs.upload_parts import PartStore, PartWriter
 from jobs.uploads import UploadRecord, change_upload, upload
 from service.http.problems import ProblemError
-
-if TYPE_CHECKING:
-    from service.context import Context
 
 BATCH_BYTES = 4 * 1024**2
 """So much is handed to a thread at once; two batches at most are in memory."""
@@ -66,62 +63,19 @@ class Checksum:
             raise ProblemError("bad-request", "Upload-Checksum is ALGORITHM and base64; it cannot be read") from error
 
 
-@dataclass
-class Receivers:
-    """The requests of this process that write uploads."""
-
-    writing: dict[str, asyncio.Task[object]] = field(default_factory=dict)
-    superseded: set[asyncio.Task[object]] = field(default_factory=set)
-
-    async def take_over(self, upload_id: str) -> None:
-        """End an older request to the same upload, and wait until it has kept what came."""
-        deadline = time.monotonic() + TAKE_OVER_S
-        older = self.writing.get(upload_id)
-        if older is not None and older not in self.superseded:
-            self.superseded.add(older)
-            older.cancel()
-        while upload_id in self.writing and time.monotonic() < deadline:
-            await asyncio.sleep(0.01)
-
-
-async def receive(
-    context: "Context", record: UploadRecord, body: AsyncIterator[bytes], offset: int, checksum: Checksum | None
-) -> int:
-    """Append a body to an upload; gives the bytes that are there now.
-
-    Raises:
-        ProblemError: it begins elsewhere, is too long, not what its checksum says, or another request took over.
-    """
-    receivers, task = context.receivers, asyncio.current_task()
-    assert task is not None
-    await receivers.take_over(record.id)
-    receivers.writing[record.id] = task
-    try:
-        return await _Receiver(context, record, checksum).append(body, offset)
-    except asyncio.CancelledError:
-        if task not in receivers.superseded:
-            raise
-        task.uncancel()
-        raise ProblemError("conflict", f"another request goes on with upload {record.id}") from None
-    finally:
-        receivers.superseded.discard(task)
-        if receivers.writing.get(record.id) is task:
-            del receivers.writing[record.id]
-
-
 def stands_elsewhere(offset: int, size: int) -> ProblemError:
     """The refusal of bytes that begin at an offset where the upload does not stand."""
     found = f"Upload-Offset is {offset:,}, the upload stands at {size:,}"
     return ProblemError("upload-offset-conflict", found, headers={"Upload-Offset": str(size)})
 
 
-class _Receiver:
-    """One request's writing."""
+class UploadWriter:
+    """Appends the body of one request to one upload."""
 
-    def __init__(self, context: "Context", record: UploadRecord, checksum: Checksum | None) -> None:
+    def __init__(self, store: Store, parts: PartStore, record: UploadRecord, checksum: Checksum | None) -> None:
         assert record.length is not None
-        self.store: Store = context.store
-        self.parts: PartStore = context.parts
+        self.store = store
+        self.parts = parts
         self.record = record
         self.length = record.length
         self.checksum = checksum
@@ -209,3 +163,43 @@ class _Receiver:
         await run_in_threadpool(writer.discard)
         if whole:
             raise ProblemError("checksum-mismatch", "the checksum of these bytes is another; they were dropped")
+
+
+@dataclass
+class ActiveWriters:
+    """Requests of this process that are writing to an upload, so that a newer one can end an older one."""
+
+    writing: dict[str, asyncio.Task[object]] = field(default_factory=dict)
+    superseded: set[asyncio.Task[object]] = field(default_factory=set)
+
+    async def take_over(self, upload_id: str) -> None:
+        """End an older request to the same upload, and wait until it has kept what came."""
+        deadline = time.monotonic() + TAKE_OVER_S
+        older = self.writing.get(upload_id)
+        if older is not None and older not in self.superseded:
+            self.superseded.add(older)
+            older.cancel()
+        while upload_id in self.writing and time.monotonic() < deadline:
+            await asyncio.sleep(0.01)
+
+    async def append(self, writer: UploadWriter, body: AsyncIterator[bytes], offset: int) -> int:
+        """Append a body to an upload, instead of an older request that still writes; return the new size.
+
+        Raises:
+            ProblemError: wrong offset, too many bytes, another checksum, or a newer request took over.
+        """
+        upload_id, task = writer.record.id, asyncio.current_task()
+        assert task is not None
+        await self.take_over(upload_id)
+        self.writing[upload_id] = task
+        try:
+            return await writer.append(body, offset)
+        except asyncio.CancelledError:
+            if task not in self.superseded:
+                raise
+            task.uncancel()
+            raise ProblemError("conflict", f"another request goes on with upload {upload_id}") from None
+        finally:
+            self.superseded.discard(task)
+            if self.writing.get(upload_id) is task:
+                del self.writing[upload_id]

@@ -1,6 +1,7 @@
 """One error body, whatever goes wrong and wherever."""
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -26,7 +27,7 @@ def assert_problem(response: object, status: int, code: str) -> None:
 
 
 @pytest.fixture(scope="module")
-def client(tmp_path_factory: pytest.TempPathFactory) -> TestClient:
+def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
     settings = Settings(state_dir=tmp_path_factory.mktemp("state"), max_json_bytes=2048)
     app = create_app(settings)
 
@@ -42,7 +43,8 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> TestClient:
     def database() -> None:
         raise sa.exc.OperationalError("SELECT secret", {}, Exception("away"))
 
-    return TestClient(app, "http://localhost", raise_server_exceptions=False)
+    with TestClient(app, "http://localhost", raise_server_exceptions=False) as opened:
+        yield opened
 
 
 def test_an_unknown_path(client: TestClient) -> None:

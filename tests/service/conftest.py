@@ -1,4 +1,5 @@
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,7 @@ from jobs.records import AssetPart, AssetRecord, Claim, OutputFile
 from jobs.settings import Settings
 from jobs.states import JobType
 from service.app import create_app
-from service.context import Context
+from service.services import Services
 from tests.rows import asset_row, kept
 
 
@@ -27,30 +28,36 @@ def client(settings: Settings) -> Iterator[TestClient]:
 
 
 @pytest.fixture
-def context(client: TestClient) -> Context:
-    context: Context = client.app.state.context  # type: ignore[attr-defined]
-    return context
+def services(client: TestClient) -> Services:
+    services: Services = client.app.state.services  # type: ignore[attr-defined]
+    return services
+
+
+def change_services(client: TestClient, **changes: object) -> None:
+    """Replace some of the services of a running application."""
+    state = client.app.state  # type: ignore[attr-defined]
+    state.services = replace(state.services, **changes)
 
 
 @pytest.fixture
-def asset(context: Context) -> AssetRecord:
+def asset(services: Services) -> AssetRecord:
     part = AssetPart(name="tree.ply", sha256="a" * 64, bytes=10)
-    row = asset_row(part, now=context.store.clock(), fingerprint="f" * 64, summary={"num_vertices": 4})
-    return add_asset(context.store, row)[0]
+    row = asset_row(part, now=services.store.clock(), fingerprint="f" * 64, summary={"num_vertices": 4})
+    return add_asset(services.store, row)[0]
 
 
-def hold(context: Context, job_id: str) -> Claim:
+def hold(services: Services, job_id: str) -> Claim:
     """Claim a job as a worker does."""
-    held = claim(context.store, job_id, 1, owner="test", lease_s=60)
+    held = claim(services.store, job_id, 1, owner="test", lease_s=60)
     assert held is not None
     return held
 
 
-def publish(context: Context, held: Claim, stage: JobType, name: str, content: bytes) -> None:
+def publish(services: Services, held: Claim, stage: JobType, name: str, content: bytes) -> None:
     """Publish one file of a stage as a worker does."""
-    path = context.settings.state_dir / name
+    path = services.settings.state_dir / name
     path.write_bytes(content)
-    part = kept(context.artifacts, path)
+    part = kept(services.artifacts, path)
     file = OutputFile(name=name, media_type="application/octet-stream", sha256=part.sha256, bytes=part.bytes)
-    start_stage(context.store, held, stage)
-    publish_stage(context.store, held, stage, (file,), key=part.sha256, cached=False, retention_s=1000)
+    start_stage(services.store, held, stage)
+    publish_stage(services.store, held, stage, (file,), key=part.sha256, cached=False, retention_s=1000)

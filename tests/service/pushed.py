@@ -13,7 +13,7 @@ from dynamictree.formats.tensors.spectrum import write_spectrum
 from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.assets import add_asset
 from jobs.attempts import succeed
-from service.context import Context
+from service.services import Services
 from tests.rows import asset_row, job_row, kept
 from tests.service.conftest import hold, publish
 
@@ -31,21 +31,21 @@ def spectrum(grown) -> SparseVoxelSpectrum:
 
 
 @pytest.fixture
-def spectrum_id(client: TestClient, context: Context, grown, spectrum: SparseVoxelSpectrum, tmp_path: Path) -> str:
+def spectrum_id(client: TestClient, services: Services, grown, spectrum: SparseVoxelSpectrum, tmp_path: Path) -> str:
     bundle = tmp_path / "mesh.safetensors"
     with bundle.open("wb") as stream:
         write_mesh_bundle(grown.mesh, stream)
-    part = kept(context.artifacts, bundle)
-    now = context.store.clock()
+    part = kept(services.artifacts, bundle)
+    now = services.store.clock()
     row = asset_row(part, now=now, id=ASSET_ID, expires_at=now + 500)
-    job = job_row(add_asset(context.store, row)[0], now=now)
-    context.store.add_job(job, stages=("voxelize", "diffuse"))
-    held = hold(context, job.id)
-    publish(context, held, "voxelize", "tree.voxels.safetensors", b"voxels")
+    job = job_row(add_asset(services.store, row)[0], now=now)
+    services.store.add_job(job, stages=("voxelize", "diffuse"))
+    held = hold(services, job.id)
+    publish(services, held, "voxelize", "tree.voxels.safetensors", b"voxels")
     file = io.BytesIO()
     write_spectrum(spectrum, file, dtype="float32")
-    publish(context, held, "diffuse", "tree.spectrum.safetensors", file.getvalue())
-    succeed(context.store, held)
+    publish(services, held, "diffuse", "tree.spectrum.safetensors", file.getvalue())
+    succeed(services.store, held)
     return str(client.get(f"/v1/jobs/{job.id}").json()["result"]["spectrum_id"])
 
 

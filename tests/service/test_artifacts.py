@@ -4,8 +4,8 @@ import pytest
 from fastapi.testclient import TestClient
 
 from jobs.records import AssetRecord
-from service.context import Context
 from service.http.ranges import ByteRange, UnsatisfiableRangeError, matches, parse_range
+from service.services import Services
 from tests.service.conftest import hold, publish
 from tests.service.test_jobs import create
 
@@ -13,9 +13,9 @@ CONTENT = bytes(range(256)) * 20_000
 
 
 @pytest.fixture
-def url(client: TestClient, asset: AssetRecord, context: Context) -> str:
+def url(client: TestClient, asset: AssetRecord, services: Services) -> str:
     job = create(client, asset)
-    publish(context, hold(context, str(job["id"])), "voxelize", "tree.voxels.safetensors", CONTENT)
+    publish(services, hold(services, str(job["id"])), "voxelize", "tree.voxels.safetensors", CONTENT)
     manifest = client.get(f"/v1/jobs/{job['id']}/artifacts").json()
     return str(manifest["artifacts"][0]["url"])
 
@@ -70,8 +70,8 @@ def test_conditions_hold(client: TestClient, url: str) -> None:
     assert client.get(url, headers={"Range": "bytes=0-4", "If-Range": '"x"'}).status_code == 200
 
 
-def test_bytes_that_were_removed_are_gone(client: TestClient, url: str, context: Context) -> None:
-    context.artifacts.delete(sha256(CONTENT).hexdigest())
+def test_bytes_that_were_removed_are_gone(client: TestClient, url: str, services: Services) -> None:
+    services.artifacts.delete(sha256(CONTENT).hexdigest())
     assert client.get(url).status_code == 410
 
 

@@ -8,7 +8,7 @@ from PIL import Image
 
 from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle
 from jobs.assets import read_asset
-from service.context import Context
+from service.services import Services
 
 OBJ = b"""mtllib tree.mtl
 v 0 0 0
@@ -41,11 +41,11 @@ def photo(number: int, size: tuple[int, int] = (400, 300)) -> bytes:
     return stream.getvalue()
 
 
-def left_behind(context: Context) -> list[Path]:
-    return list(context.settings.scratch_dir.rglob("*"))
+def left_behind(services: Services) -> list[Path]:
+    return list(services.settings.scratch_dir.rglob("*"))
 
 
-def test_a_mesh_becomes_an_asset(client: TestClient, context: Context) -> None:
+def test_a_mesh_becomes_an_asset(client: TestClient, services: Services) -> None:
     response = send(client, ("tree.obj", OBJ), ("tree.mtl", MTL), up_axis="+Z", unit_m="2")
     assert response.status_code == 201, response.text
     asset = response.json()
@@ -54,11 +54,11 @@ def test_a_mesh_becomes_an_asset(client: TestClient, context: Context) -> None:
     assert asset["summary"]["extent_m"] == [2.0, 2.0, 4.0]
     assert [part["name"] for part in asset["parts"]] == ["tree.obj", "tree.mtl"]
     assert client.get(response.headers["Location"]).json() == asset
-    kept = read_asset(context.store, asset["id"]).prepared
+    kept = read_asset(services.store, asset["id"]).prepared
     assert kept is not None
-    mesh = read_mesh_bundle(io.BytesIO(b"".join(context.artifacts.read(kept.sha256))))
+    mesh = read_mesh_bundle(io.BytesIO(b"".join(services.artifacts.read(kept.sha256))))
     assert mesh.materials[0].name == "bark"
-    assert left_behind(context) == []
+    assert left_behind(services) == []
 
 
 def test_the_same_files_are_the_same_asset(client: TestClient) -> None:
@@ -88,12 +88,12 @@ BAD_MESHES = {
 
 
 @pytest.mark.parametrize("what", BAD_MESHES)
-def test_a_bad_mesh_is_refused(client: TestClient, context: Context, what: str) -> None:
+def test_a_bad_mesh_is_refused(client: TestClient, services: Services, what: str) -> None:
     file, status = BAD_MESHES[what]
     response = send(client, file)
     assert response.status_code == status, response.text
     assert response.json()["code"] in {"unsupported-format", "invalid-geometry"}
-    assert left_behind(context) == []
+    assert left_behind(services) == []
 
 
 def test_a_photo_is_checked(client: TestClient) -> None:
@@ -117,10 +117,10 @@ BAD_ZIPS = {
 
 
 @pytest.mark.parametrize("what", BAD_ZIPS)
-def test_a_bad_zip_is_rejected(client: TestClient, context: Context, what: str) -> None:
+def test_a_bad_zip_is_rejected(client: TestClient, services: Services, what: str) -> None:
     response = send(client, ("all.zip", zipped(*BAD_ZIPS[what])))
     assert (response.status_code, response.json()["code"]) == (422, "archive-rejected")
-    assert left_behind(context) == []
+    assert left_behind(services) == []
 
 
 def test_a_zip_with_a_link_a_twin_or_damage_is_rejected(client: TestClient) -> None:
@@ -190,18 +190,18 @@ def raw(client: TestClient, body: bytes) -> object:
         ),
     ],
 )
-def test_a_broken_form_is_refused(client: TestClient, context: Context, body: bytes, code: str) -> None:
+def test_a_broken_form_is_refused(client: TestClient, services: Services, body: bytes, code: str) -> None:
     response = raw(client, body)
     assert response.json()["code"] == code, response.text
-    assert left_behind(context) == []
+    assert left_behind(services) == []
 
 
-def test_a_parser_that_takes_too_much_is_ended(client: TestClient, context: Context) -> None:
-    small = context.settings.model_copy(update={"parser_memory_bytes": 64 * 1024**2})
-    client.app.state.context.__dict__["settings"] = small  # type: ignore[attr-defined]
+def test_a_parser_that_takes_too_much_is_ended(client: TestClient, services: Services) -> None:
+    small = services.settings.model_copy(update={"parser_memory_bytes": 64 * 1024**2})
+    client.app.state.services.__dict__["settings"] = small  # type: ignore[attr-defined]
     response = send(client, ("tree.obj", OBJ))
     assert (response.status_code, response.json()["code"]) == (422, "input-too-costly")
-    assert left_behind(context) == []
+    assert left_behind(services) == []
 
 
 def test_every_sample_mesh_is_taken(client: TestClient, samples: Path) -> None:

@@ -9,8 +9,8 @@ from starlette.websockets import WebSocketDisconnect
 from jobs.keys import Limit, Scope, create_key, revoke_key
 from jobs.settings import Settings
 from service.app import create_app
-from service.context import Context
 from service.http import authentication
+from service.services import Services
 from tests.service.conftest import hold, publish
 from tests.service.test_assets import OBJ, send
 from tests.service.test_uploads import TUS
@@ -19,15 +19,15 @@ TREE = ("tree.obj", OBJ.replace(b"mtllib tree.mtl\n", b"").replace(b"usemtl bark
 
 
 @pytest.fixture
-def app_context(settings: Settings) -> Iterator[tuple[TestClient, Context]]:
+def app_services(settings: Settings) -> Iterator[tuple[TestClient, Services]]:
     closed = settings.model_copy(update={"keys": "required", "max_json_bytes": 4096})
     app = create_app(closed)
     with TestClient(app, "http://trees.example", raise_server_exceptions=False) as client:
-        yield client, app.state.context
+        yield client, app.state.services
 
 
 def keyed(
-    opened: tuple[TestClient, Context], owner: str, *, scopes: tuple[Scope, ...] = (), **limits: int
+    opened: tuple[TestClient, Services], owner: str, *, scopes: tuple[Scope, ...] = (), **limits: int
 ) -> TestClient:
     """A client of the same application that sends a key."""
     named: dict[Limit, int] = dict(limits)  # type: ignore[arg-type]
@@ -36,8 +36,8 @@ def keyed(
     return TestClient(opened[0].app, "http://trees.example", headers={"Authorization": f"Bearer {key}"})
 
 
-def test_without_a_key_nothing_opens(app_context: tuple[TestClient, Context]) -> None:
-    client, _ = app_context
+def test_without_a_key_nothing_opens(app_services: tuple[TestClient, Services]) -> None:
+    client, _ = app_services
     for headers in ({}, {"Authorization": "Bearer dt_wrong"}, {"Authorization": "Basic eA=="}):
         refused = client.get("/v1/jobs", headers=headers)
         assert (refused.status_code, refused.json()["code"]) == (401, "unauthorized")
@@ -46,48 +46,48 @@ def test_without_a_key_nothing_opens(app_context: tuple[TestClient, Context]) ->
     assert client.get("/livez").status_code == 200
     with pytest.raises(WebSocketDisconnect), client.websocket_connect("/v1/interact/stream"):
         pass
-    assert keyed(app_context, "ann").get("/v1/jobs").status_code == 200
+    assert keyed(app_services, "ann").get("/v1/jobs").status_code == 200
 
 
 def test_a_revoked_or_expired_key_opens_nothing(
-    app_context: tuple[TestClient, Context], monkeypatch: pytest.MonkeyPatch
+    app_services: tuple[TestClient, Services], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(authentication, "REMEMBERED_S", 0.0)
-    client, context = app_context
-    record, key = create_key(context.store, name="short", expires_s=100)
+    client, services = app_services
+    record, key = create_key(services.store, name="short", expires_s=100)
     headers = {"Authorization": f"Bearer {key}"}
     assert client.get("/v1/usage", headers=headers).json()["owner"] == record.id
-    now = context.store.clock()
-    context.store.clock = lambda: now + 101
+    now = services.store.clock()
+    services.store.clock = lambda: now + 101
     assert client.get("/v1/usage", headers=headers).status_code == 401
-    context.store.clock = lambda: now
-    revoke_key(context.store, record.id)
+    services.store.clock = lambda: now
+    revoke_key(services.store, record.id)
     assert client.get("/v1/usage", headers=headers).status_code == 401
 
 
-def test_a_key_does_only_what_its_scopes_say(app_context: tuple[TestClient, Context]) -> None:
-    reader = keyed(app_context, "ann", scopes=("read",))
-    writer = keyed(app_context, "ann", scopes=("read", "write"))
+def test_a_key_does_only_what_its_scopes_say(app_services: tuple[TestClient, Services]) -> None:
+    reader = keyed(app_services, "ann", scopes=("read",))
+    writer = keyed(app_services, "ann", scopes=("read", "write"))
     assert reader.get("/v1/jobs").status_code == 200
     assert send(reader, TREE).json()["code"] == "forbidden"
     assert reader.post("/v1/interact", json={}).json()["code"] == "forbidden"
     asset = send(writer, TREE).json()["id"]
     high = {"type": "voxelize", "asset_id": asset, "priority": "high"}
     assert writer.post("/v1/jobs", json=high).json()["code"] == "forbidden"
-    assert keyed(app_context, "ann").post("/v1/jobs", json=high).status_code == 202
+    assert keyed(app_services, "ann").post("/v1/jobs", json=high).status_code == 202
 
 
-def test_what_others_own_is_not_there(app_context: tuple[TestClient, Context]) -> None:
-    ann, bob = keyed(app_context, "ann"), keyed(app_context, "bob")
-    context = app_context[1]
+def test_what_others_own_is_not_there(app_services: tuple[TestClient, Services]) -> None:
+    ann, bob = keyed(app_services, "ann"), keyed(app_services, "bob")
+    services = app_services[1]
     asset = send(ann, TREE).json()
     own = send(bob, TREE)
     assert own.status_code == 201
     assert own.json()["id"] != asset["id"]
     body = {"type": "voxelize", "asset_id": asset["id"]}
     job = ann.post("/v1/jobs", json=body, headers={"Idempotency-Key": "k"}).json()
-    held = hold(context, job["id"])
-    publish(context, held, "voxelize", "tree.spectrum.safetensors", b"no spectrum")
+    held = hold(services, job["id"])
+    publish(services, held, "voxelize", "tree.spectrum.safetensors", b"no spectrum")
     artifact = ann.get(f"/v1/jobs/{job['id']}/artifacts").json()["artifacts"][0]["id"]
     upload = ann.post("/v1/uploads", headers=TUS | {"Upload-Length": "5"}).headers["Location"]
     hook = ann.post("/v1/webhook-endpoints", json={"url": "https://203.0.113.9/", "events": []})
@@ -116,11 +116,11 @@ def test_what_others_own_is_not_there(app_context: tuple[TestClient, Context]) -
     assert mine.status_code == 202
     assert [found["id"] for found in bob.get("/v1/jobs").json()["data"]] == [mine.json()["id"]]
     assert bob.get("/v1/usage").json()["active_jobs"] == 1
-    assert keyed(app_context, "ann").get(f"/v1/jobs/{job['id']}").status_code == 200
+    assert keyed(app_services, "ann").get(f"/v1/jobs/{job['id']}").status_code == 200
 
 
-def test_an_owner_has_quotas(app_context: tuple[TestClient, Context]) -> None:
-    ann = keyed(app_context, "ann", active_jobs=2, bytes=500)
+def test_an_owner_has_quotas(app_services: tuple[TestClient, Services]) -> None:
+    ann = keyed(app_services, "ann", active_jobs=2, bytes=500)
     asset = send(ann, TREE).json()["id"]
     body = {"type": "voxelize", "asset_id": asset}
     first, _ = (ann.post("/v1/jobs", json=body).json() for _ in range(2))
@@ -136,8 +136,8 @@ def test_an_owner_has_quotas(app_context: tuple[TestClient, Context]) -> None:
     assert used["bytes"] == len(TREE[1])
 
 
-def test_a_key_has_a_rate_and_is_told_it(app_context: tuple[TestClient, Context]) -> None:
-    ann = keyed(app_context, "ann", reads_per_min=3)
+def test_a_key_has_a_rate_and_is_told_it(app_services: tuple[TestClient, Services]) -> None:
+    ann = keyed(app_services, "ann", reads_per_min=3)
     left = []
     for _ in range(3):
         told = ann.get("/v1/limits")
@@ -147,7 +147,7 @@ def test_a_key_has_a_rate_and_is_told_it(app_context: tuple[TestClient, Context]
     over = ann.get("/v1/limits")
     assert (over.status_code, over.json()["code"]) == (429, "rate-limited")
     assert 0 < int(over.headers["Retry-After"]) <= 60
-    assert keyed(app_context, "bob").get("/v1/limits").status_code == 200
+    assert keyed(app_services, "bob").get("/v1/limits").status_code == 200
 
 
 @pytest.mark.parametrize(

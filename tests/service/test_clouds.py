@@ -15,7 +15,7 @@ from dynamictree.gaussian.capture import Capture, carrying_mesh
 from dynamictree.gaussian.cloud import GaussianCloud
 from jobs.assets import read_asset
 from jobs.states import stages_of
-from service.context import Context
+from service.services import Services
 from tests.service.test_assets import left_behind, send, zipped
 
 
@@ -51,26 +51,26 @@ def mask_of(values: np.ndarray) -> bytes:
     return stream.getvalue()
 
 
-def kept(context: Context, asset_id: str) -> Capture:
-    prepared = read_asset(context.store, asset_id).prepared
+def kept(services: Services, asset_id: str) -> Capture:
+    prepared = read_asset(services.store, asset_id).prepared
     assert prepared is not None
-    return read_cloud_bundle(BytesIO(b"".join(context.artifacts.read(prepared.sha256))))
+    return read_cloud_bundle(BytesIO(b"".join(services.artifacts.read(prepared.sha256))))
 
 
-def test_a_splat_becomes_an_asset(client: TestClient, context: Context) -> None:
+def test_a_splat_becomes_an_asset(client: TestClient, services: Services) -> None:
     cloud = post_cloud(degree=1)
     response = send(client, ("tree.ply", ply_of(cloud)))
     assert response.status_code == 201, response.text
     asset = response.json()
     assert (asset["kind"], asset["summary"]["num_gaussians"], asset["summary"]["sh_degree"]) == ("cloud", 400, 1)
     assert asset["summary"]["source_up_axis"] == "-Y"
-    np.testing.assert_allclose(kept(context, asset["id"]).cloud.means, cloud.means, atol=1e-6)
+    np.testing.assert_allclose(kept(services, asset["id"]).cloud.means, cloud.means, atol=1e-6)
     again = send(client, ("tree.ply", ply_of(cloud)))
     assert (again.status_code, again.json()["id"], again.json()["kind"]) == (200, asset["id"], "cloud")
-    assert left_behind(context) == []
+    assert left_behind(services) == []
 
 
-def test_mask_and_mesh_come_with_a_splat(client: TestClient, context: Context) -> None:
+def test_mask_and_mesh_come_with_a_splat(client: TestClient, services: Services) -> None:
     cloud = post_cloud()
     mesh = carrying_mesh(Capture(cloud=cloud))
     turned = mesh.with_vertices(np.ascontiguousarray(mesh.vertices[:, [0, 2, 1]] * np.array([1, -1, 1], np.float32)))
@@ -81,7 +81,7 @@ def test_mask_and_mesh_come_with_a_splat(client: TestClient, context: Context) -
     for sent in (files, (("all.zip", zipped(*files)),)):
         asset = send(client, *sent).json()
         assert (asset["kind"], asset["summary"]["num_movable"]) == ("cloud", 300)
-        capture = kept(context, asset["id"])
+        capture = kept(services, asset["id"])
         assert capture.mesh is not None
         np.testing.assert_allclose(capture.mesh.vertices, mesh.vertices, atol=1e-4)
         np.testing.assert_array_equal(capture.mask, mask)
@@ -123,13 +123,13 @@ BAD_CLOUDS = {
 
 
 @pytest.mark.parametrize("what", ["properties missing", "fifty million", "not finite", "nothing visible", "SOG"])
-def test_a_bad_cloud_is_refused_and_nothing_stays(client: TestClient, context: Context, what: str) -> None:
+def test_a_bad_cloud_is_refused_and_nothing_stays(client: TestClient, services: Services, what: str) -> None:
     name, content, status, found = BAD_CLOUDS[what]
     response = send(client, (name, content))
     assert response.status_code == status, response.text
     assert response.headers["content-type"] == "application/problem+json"
     assert found in response.json()["detail"]
-    assert left_behind(context) == []
+    assert left_behind(services) == []
 
 
 def test_two_clouds_are_one_too_many(client: TestClient) -> None:
@@ -164,7 +164,7 @@ def test_the_size_of_a_sequence_is_told_before_it_is_made(client: TestClient, cl
 
 
 def test_what_does_not_fit_is_refused_when_asked(
-    client: TestClient, cloud_id: str, context: Context, monkeypatch: pytest.MonkeyPatch
+    client: TestClient, cloud_id: str, services: Services, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     mesh_id = send(client, ("tree.obj", b"v 0 0 0\nv 1 0 0\nv 0 0 1\nf 1 2 3\n")).json()["id"]
     box = {"box_m": [[0, 0, 0], [1, 1, 1]]}

@@ -16,8 +16,8 @@ from dynamictree.modal.response import InteractiveTree, group_forces, respond
 from dynamictree.modal.system import modal_system
 from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.assets import delete_asset
-from service.context import Context
 from service.schemas.forces import MAX_FORCES
+from service.services import Services
 from service.tree_cache import living_tree
 from tests.service.pushed import ASSET_ID, grown, poke, post, spectrum, spectrum_id  # noqa: F401
 
@@ -142,9 +142,9 @@ def test_an_unknown_spectrum_is_not_found(client: TestClient, poke: dict) -> Non
     refusal(post(client, "01ARZ3NDEKTSV4RRFFQ69G5FAV", poke), 404, "not-found")
 
 
-def test_what_is_no_spectrum_is_not_found(client: TestClient, spectrum_id: str, context: Context, poke: dict) -> None:
-    job = context.store.artifact(spectrum_id).job_id
-    voxels = next(a.id for a in context.store.artifacts_of(job) if a.stage == "voxelize")
+def test_what_is_no_spectrum_is_not_found(client: TestClient, spectrum_id: str, services: Services, poke: dict) -> None:
+    job = services.store.artifact(spectrum_id).job_id
+    voxels = next(a.id for a in services.store.artifacts_of(job) if a.stage == "voxelize")
     refusal(post(client, voxels, poke), 404, "not-found")
 
 
@@ -275,23 +275,23 @@ def test_gaussians_of_a_mesh_are_refused(client: TestClient, spectrum_id: str, p
 
 
 def test_vertices_are_gone_with_their_asset_and_voxels_are_not(
-    client: TestClient, spectrum_id: str, context: Context, poke: dict, monkeypatch: pytest.MonkeyPatch
+    client: TestClient, spectrum_id: str, services: Services, poke: dict, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert post(client, spectrum_id, poke, accept="*/*", output="vertices", num_frames=2).status_code == 200
-    delete_asset(context.store, ASSET_ID)
+    delete_asset(services.store, ASSET_ID)
     refusal(post(client, spectrum_id, poke, accept="*/*", output="vertices", num_frames=2), 410, "expired")
     assert post(client, spectrum_id, poke, accept="*/*", output="voxels", num_frames=2).status_code == 200
-    now = context.store.clock()
-    monkeypatch.setattr(context.store, "clock", lambda: now + 10_000)
+    now = services.store.clock()
+    monkeypatch.setattr(services.store, "clock", lambda: now + 10_000)
     refusal(post(client, spectrum_id, poke), 410, "expired")
 
 
-def test_the_memory_for_trees_is_bounded(client: TestClient, spectrum_id: str, context: Context, poke: dict) -> None:
+def test_the_memory_for_trees_is_bounded(client: TestClient, spectrum_id: str, services: Services, poke: dict) -> None:
     post(client, spectrum_id, poke)
-    ready = living_tree(context, spectrum_id)
+    ready = living_tree(services, spectrum_id)
     assert ready is not None
     for number in range(5):
-        context.trees.max_bytes = 3 * ready.num_bytes
-        context.trees.put(f"other-{number}", ready)
-    assert len(context.trees) == 3
-    assert living_tree(context, spectrum_id) is None
+        services.trees.max_bytes = 3 * ready.num_bytes
+        services.trees.put(f"other-{number}", ready)
+    assert len(services.trees) == 3
+    assert living_tree(services, spectrum_id) is None

@@ -20,7 +20,7 @@ from dynamictree.gaussian.from_mesh import splats_of_mesh
 from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.assets import add_asset, delete_asset, read_asset
 from jobs.attempts import succeed
-from service.context import Context
+from service.services import Services
 from tests.rows import asset_row, job_row, kept
 from tests.service.conftest import hold, publish
 from tests.service.pushed import grown, poke, post, spectrum  # noqa: F401
@@ -35,25 +35,25 @@ def capture(grown) -> Capture:
 
 @pytest.fixture
 def cloud_spectrum(
-    context: Context, grown, capture: Capture, spectrum: SparseVoxelSpectrum, client: TestClient, tmp_path: Path
+    services: Services, grown, capture: Capture, spectrum: SparseVoxelSpectrum, client: TestClient, tmp_path: Path
 ) -> str:
     path = tmp_path / "cloud.safetensors"
     with path.open("wb") as stream:
         write_cloud_bundle(capture, stream)
-    part = kept(context.artifacts, path)
-    asset = asset_row(part, now=context.store.clock(), kind="cloud")
+    part = kept(services.artifacts, path)
+    asset = asset_row(part, now=services.store.clock(), kind="cloud")
     top = float(capture.cloud.means[:, 2].max())
     params = {"box_m": [[-50, -50, -50], [50, 50, top - 0.5]]}
-    job = job_row(add_asset(context.store, asset)[0], now=context.store.clock(), params=params)
-    context.store.add_job(job, stages=("reconstruct", "voxelize", "diffuse"))
-    held = hold(context, job.id)
+    job = job_row(add_asset(services.store, asset)[0], now=services.store.clock(), params=params)
+    services.store.add_job(job, stages=("reconstruct", "voxelize", "diffuse"))
+    held = hold(services, job.id)
     mesh, file = BytesIO(), BytesIO()
     write_mesh_bundle(grown.mesh, mesh)
     write_spectrum(spectrum, file, dtype="float32")
-    publish(context, held, "reconstruct", "mesh.safetensors", mesh.getvalue())
-    publish(context, held, "voxelize", "tree.voxels.safetensors", b"voxels")
-    publish(context, held, "diffuse", "tree.spectrum.safetensors", file.getvalue())
-    succeed(context.store, held)
+    publish(services, held, "reconstruct", "mesh.safetensors", mesh.getvalue())
+    publish(services, held, "voxelize", "tree.voxels.safetensors", b"voxels")
+    publish(services, held, "diffuse", "tree.spectrum.safetensors", file.getvalue())
+    succeed(services.store, held)
     return str(client.get(f"/v1/jobs/{job.id}").json()["result"]["spectrum_id"])
 
 
@@ -86,15 +86,15 @@ def test_too_many_gaussians_are_refused_with_what_fits(
 
 
 def test_gaussians_are_gone_with_their_asset(
-    client: TestClient, cloud_spectrum: str, context: Context, poke: dict
+    client: TestClient, cloud_spectrum: str, services: Services, poke: dict
 ) -> None:
-    asset_id = context.store.job(context.store.artifact(cloud_spectrum).job_id).asset_id
-    prepared = read_asset(context.store, asset_id).prepared
+    asset_id = services.store.job(services.store.artifact(cloud_spectrum).job_id).asset_id
+    prepared = read_asset(services.store, asset_id).prepared
     assert prepared is not None
-    context.artifacts.delete(prepared.sha256)
+    services.artifacts.delete(prepared.sha256)
     refused = post(client, cloud_spectrum, poke, accept="*/*", output="gaussians", num_frames=2)
     assert (refused.status_code, refused.json()["code"]) == (410, "expired")
-    delete_asset(context.store, asset_id)
+    delete_asset(services.store, asset_id)
     refused = post(client, cloud_spectrum, poke, accept="*/*", output="gaussians", num_frames=2)
     assert (refused.status_code, refused.json()["code"]) == (410, "expired")
 

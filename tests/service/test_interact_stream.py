@@ -16,8 +16,8 @@ from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.keys import create_key
 from jobs.settings import Settings
 from service.app import create_app
-from service.context import Context
 from service.routes import interact_stream
+from service.services import Services
 from tests.service.pushed import grown, poke, spectrum, spectrum_id  # noqa: F401
 
 URL = "/v1/interact/stream"
@@ -185,8 +185,8 @@ def test_silence_and_shouting_end_it(client: TestClient, spectrum_id: str, monke
             assert closed.value.code == code
 
 
-def test_a_page_sends_its_key_as_a_protocol(settings: Settings, context: Context, spectrum_id: str) -> None:
-    _, key = create_key(context.store, name="page")
+def test_a_page_sends_its_key_as_a_protocol(settings: Settings, services: Services, spectrum_id: str) -> None:
+    _, key = create_key(services.store, name="page")
     locked = create_app(settings.model_copy(update={"keys": "required"}))
     with TestClient(locked, "http://localhost") as client:
         offered = [interact_stream.PROTOCOL, f"bearer.{key}"]

@@ -9,42 +9,45 @@ from fastapi.testclient import TestClient
 
 from jobs.attempts import report_progress, start_stage, succeed
 from jobs.maintenance import forget_expired, hold_lease
+from jobs.outbound import Outbound
 from jobs.records import AssetRecord
-from service.context import Context
-from tests.service.conftest import hold, publish
+from jobs.settings import Settings
+from service.app import create_app
+from service.services import Services
+from tests.service.conftest import change_services, hold, publish
 from tests.service.test_assets import OBJ, left_behind
 from tests.service.test_jobs import create
 
 
-def ended(context: Context, client: TestClient, asset: AssetRecord) -> str:
+def ended(services: Services, client: TestClient, asset: AssetRecord) -> str:
     job = create(client, asset)
-    held = hold(context, str(job["id"]))
-    publish(context, held, "voxelize", f"{job['id']}.safetensors", b"voxels")
-    succeed(context.store, held)
+    held = hold(services, str(job["id"]))
+    publish(services, held, "voxelize", f"{job['id']}.safetensors", b"voxels")
+    succeed(services.store, held)
     return str(job["id"])
 
 
-def test_a_poll_may_wait_for_the_end(client: TestClient, asset: AssetRecord, context: Context) -> None:
+def test_a_poll_may_wait_for_the_end(client: TestClient, asset: AssetRecord, services: Services) -> None:
     url = f"/v1/jobs/{create(client, asset)['id']}"
-    held = hold(context, url.rsplit("/", 1)[1])
+    held = hold(services, url.rsplit("/", 1)[1])
     began = time.monotonic()
     still = client.get(url, headers={"Prefer": "wait=1"})
     assert (still.json()["state"], still.headers["Preference-Applied"]) == ("running", "wait=1")
     assert time.monotonic() - began >= 1
-    timer = threading.Timer(0.3, lambda: succeed(context.store, held))
+    timer = threading.Timer(0.3, lambda: succeed(services.store, held))
     timer.start()
     assert client.get(url, headers={"Prefer": "respond-async, wait=30"}).json()["state"] == "succeeded"
     timer.join()
 
 
 def test_a_poll_with_an_etag_may_wait_for_the_next_change(
-    client: TestClient, asset: AssetRecord, context: Context
+    client: TestClient, asset: AssetRecord, services: Services
 ) -> None:
     url = f"/v1/jobs/{create(client, asset)['id']}"
-    held = hold(context, url.rsplit("/", 1)[1])
-    start_stage(context.store, held, "voxelize")
+    held = hold(services, url.rsplit("/", 1)[1])
+    start_stage(services.store, held, "voxelize")
     seen = client.get(url).headers["ETag"]
-    timer = threading.Timer(0.3, lambda: report_progress(context.store, held, "voxelize", 0.5))
+    timer = threading.Timer(0.3, lambda: report_progress(services.store, held, "voxelize", 0.5))
     timer.start()
     changed = client.get(url, headers={"Prefer": "wait=30", "If-None-Match": seen})
     timer.join()
@@ -67,16 +70,16 @@ def test_a_batch_keeps_what_can_be_kept(client: TestClient, asset: AssetRecord) 
     assert client.post("/v1/jobs:batch", json={"jobs": []}).status_code == 422
 
 
-def test_a_job_has_a_log_that_goes_on(client: TestClient, asset: AssetRecord, context: Context) -> None:
+def test_a_job_has_a_log_that_goes_on(client: TestClient, asset: AssetRecord, services: Services) -> None:
     sent = {"type": "voxelize", "asset_id": asset.id}
     job = client.post("/v1/jobs", json=sent, headers={"X-Request-Id": "mine"}).json()
     url = f"/v1/jobs/{job['id']}/logs"
     first = client.get(url).json()
     assert [line["message"] for line in first["data"]] == ["accepted"]
     assert first["data"][0]["fields"] == {"request_id": "mine"}
-    held = hold(context, job["id"])
-    publish(context, held, "voxelize", "tree.voxels.safetensors", b"voxels")
-    succeed(context.store, held)
+    held = hold(services, job["id"])
+    publish(services, held, "voxelize", "tree.voxels.safetensors", b"voxels")
+    succeed(services.store, held)
     rest = client.get(url, params={"after": first["next_after"]}).json()
     assert [line["message"] for line in rest["data"]] == ["begun by a worker", "stage begun", "stage done", "succeeded"]
     assert client.get(url, params={"after": rest["next_after"]}).json() == {
@@ -85,48 +88,50 @@ def test_a_job_has_a_log_that_goes_on(client: TestClient, asset: AssetRecord, co
     }
 
 
-def test_a_priority_is_a_queue(client: TestClient, asset: AssetRecord, context: Context) -> None:
+def test_a_priority_is_a_queue(client: TestClient, asset: AssetRecord, services: Services) -> None:
     queues = {
-        priority: context.store.job(str(create(client, asset, priority=priority)["id"])).queue
+        priority: services.store.job(str(create(client, asset, priority=priority)["id"])).queue
         for priority in ("high", "normal", "low")
     }
     assert queues == {"high": "cpu-high", "normal": "cpu", "low": "cpu-low"}
 
 
-def test_the_time_left_comes_from_what_jobs_took_here(client: TestClient, asset: AssetRecord, context: Context) -> None:
+def test_the_time_left_comes_from_what_jobs_took_here(
+    client: TestClient, asset: AssetRecord, services: Services
+) -> None:
     job = create(client, asset)
     assert job["eta_s"] is None
-    clock, now = context.store.clock, context.store.clock()
-    held = hold(context, str(job["id"]))
-    start_stage(context.store, held, "voxelize")
-    context.store.clock = lambda: now + 40
-    with context.store.writing() as connection:
+    clock, now = services.store.clock, services.store.clock()
+    held = hold(services, str(job["id"]))
+    start_stage(services.store, held, "voxelize")
+    services.store.clock = lambda: now + 40
+    with services.store.writing() as connection:
         connection.exec_driver_sql("UPDATE stages SET state = 'succeeded', started_at = 0, finished_at = 40")
-    succeed(context.store, held)
-    with context.store.writing() as connection:
+    succeed(services.store, held)
+    with services.store.writing() as connection:
         connection.exec_driver_sql("UPDATE jobs SET started_at = 0, finished_at = 50")
-    context.store.clock = clock
-    assert hold_lease(context.store, "worker:one", owner="one", lease_s=60)
+    services.store.clock = clock
+    assert hold_lease(services.store, "worker:one", owner="one", lease_s=60)
     waiting = [create(client, asset) for _ in range(3)]
     assert [told["eta_s"] for told in waiting] == [40.0, 90.0, 140.0]
-    running = hold(context, str(waiting[0]["id"]))
-    start_stage(context.store, running, "voxelize")
-    report_progress(context.store, running, "voxelize", 0.75)
+    running = hold(services, str(waiting[0]["id"]))
+    start_stage(services.store, running, "voxelize")
+    report_progress(services.store, running, "voxelize", 0.75)
     assert client.get(f"/v1/jobs/{waiting[0]['id']}").json()["eta_s"] == 10.0
 
 
-def test_a_job_that_was_forgotten_is_gone(client: TestClient, asset: AssetRecord, context: Context) -> None:
-    id = ended(context, client, asset)
+def test_a_job_that_was_forgotten_is_gone(client: TestClient, asset: AssetRecord, services: Services) -> None:
+    id = ended(services, client, asset)
     assert client.get(f"/v1/jobs/{id}").json()["expires_at"] is not None
-    now = context.store.clock()
-    context.store.clock = lambda: now + 100
-    forget_expired(context.store, job_retention_s=50, cache_retention_s=50)
+    now = services.store.clock()
+    services.store.clock = lambda: now + 100
+    forget_expired(services.store, job_retention_s=50, cache_retention_s=50)
     for path in (f"/v1/jobs/{id}", f"/v1/jobs/{id}/logs", f"/v1/jobs/{id}/artifacts"):
         assert client.get(path).status_code == 410
 
 
-def test_an_endpoint_shows_its_secret_once(client: TestClient, context: Context, asset: AssetRecord) -> None:
-    context.__dict__["settings"] = context.settings.model_copy(update={"outbound_hosts": ("127.0.0.1:9",)})
+def test_an_endpoint_shows_its_secret_once(client: TestClient, services: Services, asset: AssetRecord) -> None:
+    change_services(client, outbound=Outbound(private_hosts=("127.0.0.1:9",)))
     for url in ("https://127.0.0.1/", "http://forest.example/", "nonsense"):
         refused = client.post("/v1/webhook-endpoints", json={"url": url})
         assert (refused.status_code, refused.json()["code"]) == (422, "fetch-failed"), url
@@ -181,27 +186,25 @@ class Site(BaseHTTPRequestHandler):
         ("/large.obj", None, "payload-too-large"),
     ],
 )
-def test_an_address_becomes_an_asset(
-    client: TestClient, context: Context, path: str, promised: str | None, code: str | None
-) -> None:
+def test_an_address_becomes_an_asset(settings: Settings, path: str, promised: str | None, code: str | None) -> None:
     server = ThreadingHTTPServer(("127.0.0.1", 0), Site)
     thread = threading.Thread(target=server.serve_forever)
     thread.start()
     where = f"127.0.0.1:{server.server_port}"
-    changes = {"outbound_hosts": (where,), "max_upload_bytes": 4000}
-    context.__dict__["settings"] = context.settings.model_copy(update=changes)
-    sent = client.post("/v1/assets", json={"url": f"http://{where}{path}", "sha256": promised, "unit_m": 2})
-    assert (sent.status_code, sent.json()["state"]) == (202, "fetching")
-    told = client.get(sent.headers["Location"], headers={"Prefer": "wait=30"}).json()
+    app = create_app(settings.model_copy(update={"outbound_hosts": (where,), "max_upload_bytes": 4000}))
+    with TestClient(app, "http://localhost") as client:
+        sent = client.post("/v1/assets", json={"url": f"http://{where}{path}", "sha256": promised, "unit_m": 2})
+        assert (sent.status_code, sent.json()["state"]) == (202, "fetching")
+        upload = client.get(sent.headers["Location"], headers={"Prefer": "wait=30"}).json()
+        if code is None:
+            asset = client.get(f"/v1/assets/{upload['asset_id']}").json()
+            assert (asset["summary"]["extent_m"], asset["parts"][0]["name"]) == ([2.0, 2.0, 4.0], "tree.obj")
+        else:
+            assert (upload["state"], upload["error"]["code"]) == ("failed", code)
+        assert left_behind(app.state.services) == []
     server.shutdown()
     thread.join()
     server.server_close()
-    if code is None:
-        asset = client.get(f"/v1/assets/{told['asset_id']}").json()
-        assert (asset["summary"]["extent_m"], asset["parts"][0]["name"]) == ([2.0, 2.0, 4.0], "tree.obj")
-    else:
-        assert (told["state"], told["error"]["code"]) == ("failed", code)
-    assert left_behind(context) == []
 
 
 def test_an_address_inside_is_not_fetched(client: TestClient) -> None:

@@ -8,8 +8,8 @@ from jobs.attempts import fail, report_progress, start_stage, succeed
 from jobs.maintenance import abort_overdue
 from jobs.records import AssetRecord
 from jobs.store import new_id
-from service.context import Context
 from service.job_creation import KEY_EXPIRES_S
+from service.services import Services
 from tests.service.conftest import hold, publish
 
 
@@ -34,27 +34,27 @@ def test_a_job_is_accepted_and_told(client: TestClient, asset: AssetRecord) -> N
 
 
 def test_a_poll_tells_progress_and_then_that_nothing_changed(
-    client: TestClient, asset: AssetRecord, context: Context
+    client: TestClient, asset: AssetRecord, services: Services
 ) -> None:
     url = f"/v1/jobs/{create(client, asset)['id']}"
-    held = hold(context, url.rsplit("/", 1)[1])
-    start_stage(context.store, held, "voxelize")
-    report_progress(context.store, held, "voxelize", 0.25)
+    held = hold(services, url.rsplit("/", 1)[1])
+    start_stage(services.store, held, "voxelize")
+    report_progress(services.store, held, "voxelize", 0.25)
     first = client.get(url)
     assert first.json()["progress"] == 0.25
     again = client.get(url, headers={"If-None-Match": first.headers["ETag"]})
     assert (again.status_code, again.content) == (304, b"")
-    report_progress(context.store, held, "voxelize", 0.5)
+    report_progress(services.store, held, "voxelize", 0.5)
     assert client.get(url, headers={"If-None-Match": first.headers["ETag"]}).json()["progress"] == 0.5
 
 
-def test_products_appear_stage_by_stage(client: TestClient, asset: AssetRecord, context: Context) -> None:
+def test_products_appear_stage_by_stage(client: TestClient, asset: AssetRecord, services: Services) -> None:
     url = f"/v1/jobs/{create(client, asset)['id']}"
-    held = hold(context, url.rsplit("/", 1)[1])
-    publish(context, held, "voxelize", "tree.voxels.safetensors", b"voxels")
+    held = hold(services, url.rsplit("/", 1)[1])
+    publish(services, held, "voxelize", "tree.voxels.safetensors", b"voxels")
     manifest = client.get(url + "/artifacts").json()
     assert not manifest["complete"]
-    succeed(context.store, held)
+    succeed(services.store, held)
     job = client.get(url).json()
     assert (job["state"], job["progress"]) == ("succeeded", 1.0)
     assert "Retry-After" not in client.get(url).headers
@@ -65,9 +65,9 @@ def test_products_appear_stage_by_stage(client: TestClient, asset: AssetRecord, 
     ]
 
 
-def test_a_failed_job_carries_a_problem(client: TestClient, asset: AssetRecord, context: Context) -> None:
+def test_a_failed_job_carries_a_problem(client: TestClient, asset: AssetRecord, services: Services) -> None:
     url = f"/v1/jobs/{create(client, asset)['id']}"
-    fail(context.store, hold(context, url.rsplit("/", 1)[1]), code="out-of-memory", message="found, allowed")
+    fail(services.store, hold(services, url.rsplit("/", 1)[1]), code="out-of-memory", message="found, allowed")
     job = client.get(url).json()
     assert job["state"] == "failed"
     assert (job["error"]["code"], job["error"]["detail"]) == ("out-of-memory", "found, allowed")
@@ -75,18 +75,18 @@ def test_a_failed_job_carries_a_problem(client: TestClient, asset: AssetRecord, 
 
 
 def test_cancel_is_accepted_twice_and_refused_after_the_end(
-    client: TestClient, asset: AssetRecord, context: Context
+    client: TestClient, asset: AssetRecord, services: Services
 ) -> None:
     url = f"/v1/jobs/{create(client, asset)['id']}"
     assert client.post(url + "/cancel").json()["state"] == "canceled"
     assert client.post(url + "/cancel").status_code == 202
     url = f"/v1/jobs/{create(client, asset)['id']}"
-    held = hold(context, url.rsplit("/", 1)[1])
+    held = hold(services, url.rsplit("/", 1)[1])
     assert client.post(url + "/cancel").json()["state"] == "canceling"
-    succeed(context.store, held)
+    succeed(services.store, held)
     assert client.get(url).json()["state"] == "canceled"
     url = f"/v1/jobs/{create(client, asset)['id']}"
-    succeed(context.store, hold(context, url.rsplit("/", 1)[1]))
+    succeed(services.store, hold(services, url.rsplit("/", 1)[1]))
     assert client.post(url + "/cancel").json()["code"] == "conflict"
 
 
@@ -137,18 +137,18 @@ def test_a_job_needs_an_asset_of_its_kind(client: TestClient, asset: AssetRecord
     assert client.post("/v1/jobs", json={"type": "voxelize", "asset_id": asset.id}).status_code == 410
 
 
-def test_a_full_queue_refuses(client: TestClient, asset: AssetRecord, context: Context) -> None:
-    full = context.settings.model_copy(update={"max_queued_jobs": 1})
-    client.app.state.context.__dict__["settings"] = full  # type: ignore[attr-defined]
+def test_a_full_queue_refuses(client: TestClient, asset: AssetRecord, services: Services) -> None:
+    full = services.settings.model_copy(update={"max_queued_jobs": 1})
+    client.app.state.services.__dict__["settings"] = full  # type: ignore[attr-defined]
     create(client, asset)
     response = client.post("/v1/jobs", json={"type": "voxelize", "asset_id": asset.id})
     assert (response.status_code, response.json()["code"]) == (503, "queue-full")
     assert response.headers["Retry-After"]
 
 
-def test_a_full_disk_refuses(client: TestClient, asset: AssetRecord, context: Context) -> None:
-    full = context.settings.model_copy(update={"min_free_bytes": 1 << 60})
-    client.app.state.context.__dict__["settings"] = full  # type: ignore[attr-defined]
+def test_a_full_disk_refuses(client: TestClient, asset: AssetRecord, services: Services) -> None:
+    full = services.settings.model_copy(update={"min_free_bytes": 1 << 60})
+    client.app.state.services.__dict__["settings"] = full  # type: ignore[attr-defined]
     response = client.post("/v1/jobs", json={"type": "voxelize", "asset_id": asset.id})
     assert (response.status_code, response.json()["code"]) == (503, "disk-full")
     assert client.get("/readyz").json()["storage"] == "full"
@@ -162,15 +162,15 @@ def test_an_asset_in_use_is_kept(client: TestClient, asset: AssetRecord) -> None
     assert client.get(f"/v1/assets/{asset.id}").status_code == 410
 
 
-def test_an_idempotency_key_makes_one_job(client: TestClient, asset: AssetRecord, context: Context) -> None:
+def test_an_idempotency_key_makes_one_job(client: TestClient, asset: AssetRecord, services: Services) -> None:
     body = {"type": "voxelize", "asset_id": asset.id}
     first, again = (client.post("/v1/jobs", json=body, headers={"Idempotency-Key": "k"}) for _ in range(2))
     assert (first.status_code, again.status_code) == (202, 202)
     assert first.json()["id"] == again.json()["id"]
     other = client.post("/v1/jobs", json=body | {"seed": 5}, headers={"Idempotency-Key": "k"})
     assert (other.status_code, other.json()["code"]) == (422, "idempotency-key-reused")
-    now = context.store.clock()
-    context.store.clock = lambda: now + KEY_EXPIRES_S + 1
+    now = services.store.clock()
+    services.store.clock = lambda: now + KEY_EXPIRES_S + 1
     later = client.post("/v1/jobs", json=body | {"seed": 5}, headers={"Idempotency-Key": "k"})
     assert later.json()["id"] != first.json()["id"]
 
@@ -186,21 +186,21 @@ def test_putting_a_job_twice_makes_one(client: TestClient, asset: AssetRecord) -
     assert client.put("/v1/jobs/my%20tree", json=body).status_code == 422
 
 
-def test_an_ended_job_runs_again_as_a_new_one(client: TestClient, asset: AssetRecord, context: Context) -> None:
+def test_an_ended_job_runs_again_as_a_new_one(client: TestClient, asset: AssetRecord, services: Services) -> None:
     old = create(client, asset, seed=3)
     url = f"/v1/jobs/{old['id']}/retry"
     assert client.post(url).status_code == 409
-    fail(context.store, hold(context, str(old["id"])), code="out-of-memory", message="found, allowed")
+    fail(services.store, hold(services, str(old["id"])), code="out-of-memory", message="found, allowed")
     new = client.post(url, json={"from_stage": "voxelize"})
     assert new.status_code == 202
     assert (new.json()["retry_of"], new.json()["seed"]) == (old["id"], 3)
-    assert context.store.job(new.json()["id"]).fresh_from == "voxelize"
-    assert context.store.job(client.post(url).json()["id"]).fresh_from is None
+    assert services.store.job(new.json()["id"]).fresh_from == "voxelize"
+    assert services.store.job(client.post(url).json()["id"]).fresh_from is None
     unknown = client.post(url, json={"from_stage": "animate"})
     assert [error["pointer"] for error in unknown.json()["errors"]] == ["/from_stage"]
 
 
-def test_a_request_can_be_tried_first(client: TestClient, asset: AssetRecord, context: Context) -> None:
+def test_a_request_can_be_tried_first(client: TestClient, asset: AssetRecord, services: Services) -> None:
     body = {"type": "voxelize", "asset_id": asset.id}
     blank = client.post("/v1/jobs?validate_only=true", json=body)
     unknown = {"valid": True, "est_seconds": None, "est_bytes": None, "format_bytes": {}}
@@ -208,29 +208,29 @@ def test_a_request_can_be_tried_first(client: TestClient, asset: AssetRecord, co
     assert client.get("/v1/jobs").json()["data"] == []
     assert client.post("/v1/jobs?validate_only=true", json=body | {"seed": -1}).status_code == 422
     for size in (10, 20, 60, 21):
-        held = hold(context, str(create(client, asset)["id"]))
-        publish(context, held, "voxelize", "tree.voxels.safetensors", bytes(size))
+        held = hold(services, str(create(client, asset)["id"]))
+        publish(services, held, "voxelize", "tree.voxels.safetensors", bytes(size))
     told = client.post("/v1/jobs?validate_only=true", json=body).json()
     assert told["est_bytes"] == 20  # of 20.5
     assert 0 < told["est_seconds"] < 10
 
 
-def test_a_start_deadline_is_kept(client: TestClient, asset: AssetRecord, context: Context) -> None:
+def test_a_start_deadline_is_kept(client: TestClient, asset: AssetRecord, services: Services) -> None:
     job = create(client, asset, start_deadline_s=60)
     assert job["start_deadline_at"] > job["created_at"]  # type: ignore[operator]
-    now = context.store.clock()
-    context.store.clock = lambda: now + 61
-    assert abort_overdue(context.store) == 1
+    now = services.store.clock()
+    services.store.clock = lambda: now + 61
+    assert abort_overdue(services.store) == 1
     ended = client.get(f"/v1/jobs/{job['id']}").json()
     assert (ended["state"], ended["error"]["code"]) == ("aborted", "start-deadline")
 
 
-def test_a_job_is_followed_by_its_events(client: TestClient, asset: AssetRecord, context: Context) -> None:
+def test_a_job_is_followed_by_its_events(client: TestClient, asset: AssetRecord, services: Services) -> None:
     job = create(client, asset)
-    held = hold(context, str(job["id"]))
-    publish(context, held, "voxelize", "tree.voxels.safetensors", b"voxels")
+    held = hold(services, str(job["id"]))
+    publish(services, held, "voxelize", "tree.voxels.safetensors", b"voxels")
     url = f"/v1/jobs/{job['id']}/events"
-    timer = threading.Timer(0.5, lambda: succeed(context.store, held))
+    timer = threading.Timer(0.5, lambda: succeed(services.store, held))
     timer.start()
     told = client.get(url)
     timer.join()

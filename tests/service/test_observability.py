@@ -8,17 +8,17 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from jobs.attempts import succeed
 from jobs.records import AssetRecord
-from service.context import Context
+from service.services import Services
 from tests.service.conftest import hold, publish
 
 
 @pytest.fixture
-def ran(client: TestClient, context: Context, asset: AssetRecord) -> str:
+def ran(client: TestClient, services: Services, asset: AssetRecord) -> str:
     """One job that a worker ran, and one that waits."""
     ids = [client.post("/v1/jobs", json={"type": "voxelize", "asset_id": asset.id}).json()["id"] for _ in range(2)]
-    held = hold(context, ids[0])
-    publish(context, held, "voxelize", "tree.voxels.safetensors", b"12345")
-    succeed(context.store, held)
+    held = hold(services, ids[0])
+    publish(services, held, "voxelize", "tree.voxels.safetensors", b"12345")
+    succeed(services.store, held)
     return str(ids[0])
 
 

@@ -53,7 +53,7 @@ def test_one_trace_from_the_client_over_the_request_to_the_worker(
     with TestClient(create_app(traced), "http://localhost") as client:
         body = {"type": "voxelize", "asset_id": asset.id}
         made = client.post("/v1/jobs", json=body, headers={"traceparent": CLIENT}).json()
-        held = hold(client.app.state.context, made["id"])  # type: ignore[attr-defined]
+        held = hold(client.app.state.services, made["id"])  # type: ignore[attr-defined]
     parent = held.job.traceparent
     with span(tracer(endpoint, "worker"), "run voxelize", parent=parent, kind=SpanKind.CONSUMER, job_id=held.job.id):
         pass

@@ -9,8 +9,9 @@ import pytest
 from fastapi.testclient import TestClient
 
 from jobs.uploads import bury, expired_uploads
-from service.context import Context
+from service.services import Services
 from tests.jobs.conftest import PartsAway
+from tests.service.conftest import change_services
 from tests.service.test_assets import MTL, OBJ, left_behind, zipped
 
 TUS = {"Tus-Resumable": "1.0.0"}
@@ -49,7 +50,7 @@ def test_the_protocol_is_told(client: TestClient) -> None:
     assert int(told.headers["Tus-Max-Size"]) == 4 * 1024**3
 
 
-def test_pieces_become_an_upload_and_uploads_an_asset(client: TestClient, context: Context) -> None:
+def test_pieces_become_an_upload_and_uploads_an_asset(client: TestClient, services: Services) -> None:
     url = begin(client, len(OBJ), filename="tree.obj")
     for start in range(0, len(OBJ), 40):
         assert client.head(url, headers=TUS).headers["Upload-Offset"] == str(start)
@@ -73,8 +74,8 @@ def test_pieces_become_an_upload_and_uploads_an_asset(client: TestClient, contex
     assert (again.status_code, again.json()["id"]) == (200, made.json()["id"])
     files = [("file", ("tree.obj", OBJ)), ("file", ("tree.mtl", MTL))]
     assert client.post("/v1/assets", files=files, data={"unit_m": "2"}).json()["id"] == made.json()["id"]
-    assert left_behind(context) == []
-    assert context.parts.size(ids[0]) == 0
+    assert left_behind(services) == []
+    assert services.upload_parts.size(ids[0]) == 0
 
 
 def test_an_upload_may_ask_for_its_asset(client: TestClient) -> None:
@@ -169,39 +170,38 @@ def test_a_client_that_may_not_send_patch_says_so_in_a_header(client: TestClient
     assert client.post(url, headers=TUS | {"X-HTTP-Method-Override": "DELETE"}).status_code == 204
 
 
-def test_an_upload_that_is_given_up_is_gone(client: TestClient, context: Context) -> None:
+def test_an_upload_that_is_given_up_is_gone(client: TestClient, services: Services) -> None:
     url = begin(client, 5)
     append(client, url, 0, b"123")
     assert client.delete(url, headers=TUS).status_code == 204
     for response in (client.head(url, headers=TUS), client.get(url), append(client, url, 3, b"45")):
         assert response.status_code == 410  # type: ignore[attr-defined]
-    assert context.parts.size(url.rpartition("/")[2]) == 0
+    assert services.upload_parts.size(url.rpartition("/")[2]) == 0
 
 
-def test_an_upload_whose_bytes_cannot_be_deleted_is_not_gone(client: TestClient, context: Context) -> None:
+def test_an_upload_whose_bytes_cannot_be_deleted_is_not_gone(client: TestClient, services: Services) -> None:
     url = begin(client, 5)
-    kept = context.parts
-    context.__dict__["parts"] = PartsAway(context.settings.state_dir / "away")
+    change_services(client, upload_parts=PartsAway(services.settings.state_dir / "away"))
     assert client.delete(url, headers=TUS).status_code == 503
-    context.__dict__["parts"] = kept
+    change_services(client, upload_parts=services.upload_parts)
     assert client.head(url, headers=TUS).status_code == 200
 
 
-def test_an_upload_that_is_left_expires(client: TestClient, context: Context) -> None:
+def test_an_upload_that_is_left_expires(client: TestClient, services: Services) -> None:
     url = begin(client, 5)
     append(client, url, 0, b"123")
-    later = time.time() + context.settings.upload_retention_s + 10
-    context.store.clock = lambda: later
+    later = time.time() + services.settings.upload_retention_s + 10
+    services.store.clock = lambda: later
     assert client.head(url, headers=TUS).status_code == 410
-    (upload_id,) = expired_uploads(context.store)
+    (upload_id,) = expired_uploads(services.store)
     assert upload_id == url.rpartition("/")[2]
-    bury(context.store, upload_id)
-    assert expired_uploads(context.store) == []
+    bury(services.store, upload_id)
+    assert expired_uploads(services.store) == []
     assert client.get(url).status_code == 410
 
 
-def test_a_full_disk_takes_no_upload(client: TestClient, context: Context, tmp_path: Path) -> None:
-    context.__dict__["settings"] = context.settings.model_copy(update={"min_free_bytes": 1 << 60})
+def test_a_full_disk_takes_no_upload(client: TestClient, services: Services, tmp_path: Path) -> None:
+    change_services(client, settings=services.settings.model_copy(update={"min_free_bytes": 1 << 60}))
     response = client.post("/v1/uploads", headers=TUS | {"Upload-Length": "5"})
     assert (response.status_code, response.json()["code"]) == (503, "disk-full")
 

@@ -1,5 +1,7 @@
 """Webhooks, told by the real courier to a real server, their signatures checked by Standard Webhooks' own library."""
 
+import base64
+import hmac
 import json
 import threading
 import time
@@ -18,6 +20,7 @@ from jobs.attempts import claim, fail, succeed
 from jobs.errors import ConflictError, NotFoundError
 from jobs.settings import Settings
 from jobs.store import Store
+from jobs.webhook_events import EVENTS
 from tests.jobs.conftest import add_job, make_asset
 from worker.courier import Courier
 
@@ -90,11 +93,15 @@ def scene(tmp_path: Path, receiver: Receiver) -> Iterator[Scene]:
 
 
 def test_the_end_of_a_job_is_told_and_signed(scene: Scene, receiver: Receiver) -> None:
-    endpoint = webhooks.add_endpoint(scene.store, receiver.url, webhooks.EVENTS)
+    endpoint = webhooks.add_endpoint(scene.store, receiver.url, EVENTS)
     job_id = scene.end_a_job()
     assert scene.courier.round() == 1
     headers, body = receiver.came[0]
     told = Webhook(endpoint.secret).verify(body, headers)
+    key = base64.b64decode(endpoint.secret.removeprefix("whsec_"))
+    signed = b".".join((headers["webhook-id"].encode(), headers["webhook-timestamp"].encode(), body))
+    digest = hmac.digest(key, signed, "sha256")  # as the specification words it, without the library
+    assert headers["webhook-signature"] == "v1," + base64.b64encode(digest).decode()
     assert (told["type"], told["data"]["id"], told["data"]["state"]) == ("job.succeeded", job_id, "succeeded")
     assert headers["traceparent"].startswith("00-aaaa")
     with pytest.raises(WebhookVerificationError):
@@ -126,7 +133,7 @@ def test_one_who_does_not_take_it_is_told_again_on_schedule(scene: Scene, receiv
 
 
 def test_one_who_says_gone_is_told_no_more(scene: Scene, receiver: Receiver) -> None:
-    endpoint = webhooks.add_endpoint(scene.store, receiver.url, webhooks.EVENTS)
+    endpoint = webhooks.add_endpoint(scene.store, receiver.url, EVENTS)
     scene.end_a_job()
     receiver.answers = [410]
     assert scene.courier.round() == 1
@@ -137,7 +144,7 @@ def test_one_who_says_gone_is_told_no_more(scene: Scene, receiver: Receiver) -> 
 
 
 def test_for_a_day_the_old_secret_signs_too(scene: Scene, receiver: Receiver) -> None:
-    old = webhooks.add_endpoint(scene.store, receiver.url, webhooks.EVENTS)
+    old = webhooks.add_endpoint(scene.store, receiver.url, EVENTS)
     new = webhooks.rotate_secret(scene.store, old.id)
     scene.end_a_job()
     scene.courier.round()
@@ -157,7 +164,7 @@ def test_an_endpoint_without_events_hears_only_of_jobs_that_name_it(scene: Scene
 
 def test_what_leads_inside_is_not_called(scene: Scene, receiver: Receiver) -> None:
     scene.courier.outbound = type(scene.courier.outbound)()  # as without the setting outbound_hosts
-    endpoint = webhooks.add_endpoint(scene.store, receiver.url, webhooks.EVENTS)
+    endpoint = webhooks.add_endpoint(scene.store, receiver.url, EVENTS)
     scene.end_a_job()
     assert scene.courier.round() == 1
     (delivery,) = webhooks.deliveries(scene.store, endpoint.id, before=None, limit=10)
@@ -165,8 +172,8 @@ def test_what_leads_inside_is_not_called(scene: Scene, receiver: Receiver) -> No
 
 
 def test_an_address_that_is_none_keeps_nobody_from_being_told(scene: Scene, receiver: Receiver) -> None:
-    broken = webhooks.add_endpoint(scene.store, receiver.url + "/\x7f", webhooks.EVENTS)
-    webhooks.add_endpoint(scene.store, receiver.url, webhooks.EVENTS)
+    broken = webhooks.add_endpoint(scene.store, receiver.url + "/\x7f", EVENTS)
+    webhooks.add_endpoint(scene.store, receiver.url, EVENTS)
     scene.end_a_job()
     assert scene.courier.round() == 2
     assert len(receiver.came) == 1
@@ -177,7 +184,7 @@ def test_an_address_that_is_none_keeps_nobody_from_being_told(scene: Scene, rece
 def test_one_who_is_slow_is_not_waited_for(scene: Scene, receiver: Receiver) -> None:
     scene.courier.settings = scene.courier.settings.model_copy(update={"webhook_timeout_s": 0.2})
     receiver.wait_s = 1.0
-    endpoint = webhooks.add_endpoint(scene.store, receiver.url, webhooks.EVENTS)
+    endpoint = webhooks.add_endpoint(scene.store, receiver.url, EVENTS)
     scene.end_a_job()
     scene.courier.round()
     (delivery,) = webhooks.deliveries(scene.store, endpoint.id, before=None, limit=10)
@@ -185,7 +192,7 @@ def test_one_who_is_slow_is_not_waited_for(scene: Scene, receiver: Receiver) -> 
 
 
 def test_what_one_courier_tells_no_other_does(scene: Scene, receiver: Receiver) -> None:
-    webhooks.add_endpoint(scene.store, receiver.url, webhooks.EVENTS)
+    webhooks.add_endpoint(scene.store, receiver.url, EVENTS)
     scene.end_a_job()
     claimed = [webhooks.claim_due(scene.store, lease_s=30, limit=10) for _ in range(2)]
     assert [len(found) for found in claimed] == [1, 0]

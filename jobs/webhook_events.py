@@ -1,0 +1,51 @@
+"""Webhook messages: written in the transaction that ends a job, one for every endpoint that subscribed to the event."""
+
+import json
+from datetime import UTC, datetime
+from typing import Literal, get_args
+
+import sqlalchemy as sa
+from ulid import ULID
+
+from jobs import tables as t
+from jobs.states import JobState
+
+Event = Literal["job.succeeded", "job.failed", "job.canceled", "job.aborted"]
+EVENTS: tuple[Event, ...] = get_args(Event)
+DeliveryState = Literal["pending", "delivered", "failed"]
+
+
+def announce(connection: sa.Connection, job_id: str, state: JobState, *, now: float) -> None:
+    """Queue a delivery of the end of a job to every endpoint of its owner that subscribed to it."""
+    job = connection.execute(sa.select(t.jobs).where(t.jobs.c.id == job_id)).one()
+    wanted = (t.webhook_endpoints.c.owner == job.owner) & t.webhook_endpoints.c.disabled_reason.is_(None)
+    event = f"job.{state}"
+    payload = {
+        "type": event,
+        "timestamp": datetime.fromtimestamp(now, UTC).isoformat(),
+        "data": {
+            "id": job_id,
+            "type": job.type,
+            "state": state,
+            "asset_id": job.asset_id,
+            "retry_of": job.retry_of,
+            "error_code": job.error_code,
+            "url": f"/v1/jobs/{job_id}",
+        },
+    }
+    for row in connection.execute(sa.select(t.webhook_endpoints).where(wanted)).all():
+        if event in row.events or row.id == job.webhook_id:
+            made = {
+                "id": str(ULID()),
+                "endpoint_id": row.id,
+                "job_id": job_id,
+                "event": event,
+                "message_id": f"msg_{ULID()}",
+                "payload": json.dumps(payload, separators=(",", ":")),
+                "state": "pending",
+                "log": [],
+                "next_at": now,
+                "traceparent": job.traceparent,
+                "created_at": now,
+            }
+            connection.execute(t.deliveries.insert().values(**made))

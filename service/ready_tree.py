@@ -1,0 +1,69 @@
+"""A tree prepared for interaction: modal system, and on demand its mesh, attachments and Gaussians."""
+
+import threading
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Int32
+
+from dynamictree.mesh import TriangleMesh
+from dynamictree.modal.response import InteractiveTree
+from dynamictree.modal.surface import BoneAttachment, attach_mesh
+
+if TYPE_CHECKING:
+    from dynamictree.gaussian.deform import Deformer  # brings numba
+    from dynamictree.voxel.devoxelize import VoxelInterpolation  # brings numba, which only vertices need
+
+BYTES_A_VOXEL = 1500  # modes, and the graph that displacements need; measured at K = 16
+BYTES_A_VERTEX = 250  # the mesh, and what ties it to voxels and bones
+BYTES_A_GAUSSIAN = 250  # at rest, and laid out for the deformer
+
+
+@dataclass(frozen=True)
+class MovingGaussians:
+    """Those of a cloud that hang on the mesh. The deformer is one pose's at a time."""
+
+    rows: Int32[np.ndarray, " M"]  # in the cloud
+    deformer: "Deformer"
+    alone: threading.Lock = field(default_factory=threading.Lock)
+
+
+@dataclass
+class ReadyTree:
+    """A tree, and its source mesh once something on it was asked for."""
+
+    tree: InteractiveTree
+    expires_at: float  # of the spectrum
+    mesh: TriangleMesh | None = None
+    interpolation: "VoxelInterpolation | None" = None
+    attachment: BoneAttachment | None = None
+    gaussians: MovingGaussians | None = None
+
+    @property
+    def num_bytes(self) -> int:
+        """About what it takes [bytes]."""
+        vertices = 0 if self.mesh is None else self.mesh.num_vertices
+        gaussians = 0 if self.gaussians is None else len(self.gaussians.rows)
+        known = BYTES_A_VERTEX * vertices + BYTES_A_GAUSSIAN * gaussians
+        return BYTES_A_VOXEL * len(self.tree.system.grid) + known
+
+
+def vertex_ties(ready: ReadyTree, mesh: TriangleMesh) -> "VoxelInterpolation":
+    """What ties the mesh's vertices to the voxels."""
+    from dynamictree.voxel.devoxelize import smooth
+
+    if ready.interpolation is None:
+        ready.interpolation = smooth(ready.tree.system.grid, mesh)
+    return ready.interpolation
+
+
+def bone_ties(ready: ReadyTree, mesh: TriangleMesh) -> BoneAttachment:
+    """What ties the mesh's vertices to the bones."""
+    if ready.attachment is None:
+        ties = vertex_ties(ready, mesh)
+        grid = ready.tree.system.grid
+        ready.attachment = attach_mesh(
+            ready.tree.bones, mesh, rows=ties.rows, weights=ties.weights, voxel_size_m=grid.voxel_size_m
+        )
+    return ready.attachment

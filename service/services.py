@@ -1,0 +1,98 @@
+"""Everything the process opens once at start-up, and the part of it that one caller may see."""
+
+import asyncio
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Annotated
+
+from fastapi import Depends
+from redis import Redis
+from starlette.requests import HTTPConnection
+
+from dynamictree.spectrum import SparseVoxelSpectrum
+from jobs.artifacts import ArtifactStore, open_artifacts
+from jobs.outbound import Outbound
+from jobs.settings import Settings
+from jobs.store import Store
+from jobs.upload_parts import PartStore, open_parts
+from service.http.caller import ANYONE, CALLER, Caller
+from service.job_durations import JobDurations
+from service.job_notifier import JobNotifier
+from service.lru_cache import LruCache
+from service.ready_tree import ReadyTree
+from service.uploads.upload_writer import ActiveWriters
+
+REDIS_TIMEOUT_S = 2.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Services:
+    """Connections, caches and limits of one API process. Opened in the application's lifespan."""
+
+    settings: Settings
+    store: Store
+    artifacts: ArtifactStore
+    upload_parts: PartStore
+    upload_writers: ActiveWriters
+    outbound: Outbound
+    redis: Redis
+    job_durations: JobDurations
+    job_notifier: JobNotifier
+    spectra: LruCache[SparseVoxelSpectrum]  # by the hash of the spectrum's file
+    trees: LruCache[ReadyTree]  # by owner and spectrum id
+    parsers: asyncio.Semaphore
+    ingest_wakeup: asyncio.Event
+
+    def owned_by(self, caller: Caller) -> "Owned":
+        """The services as one caller may see them: the store returns only the rows of the caller's owner."""
+        store = self.store if caller.owner is None else self.store.for_owner(caller.owner)
+        return Owned(services=self, caller=caller, store=store)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Owned:
+    """Services restricted to one caller. Routes receive this, never `Services`."""
+
+    services: Services
+    caller: Caller
+    store: Store
+
+
+@contextmanager
+def open_services(settings: Settings) -> Iterator[Services]:
+    """Open every connection; close them at the end."""
+    artifacts_url, credentials = settings.resolved_artifacts_url, settings.s3_credentials
+    timeouts = {"socket_timeout": REDIS_TIMEOUT_S, "socket_connect_timeout": REDIS_TIMEOUT_S}
+    store = Store.open(settings.resolved_database_url)
+    redis = Redis.from_url(settings.resolved_redis_url, **timeouts)
+    try:
+        store.check()
+        yield Services(
+            settings=settings,
+            store=store,
+            artifacts=open_artifacts(artifacts_url, credentials=credentials),
+            upload_parts=open_parts(artifacts_url, credentials=credentials),
+            upload_writers=ActiveWriters(),
+            outbound=Outbound(private_hosts=settings.outbound_hosts),
+            redis=redis,
+            job_durations=JobDurations(store),
+            job_notifier=JobNotifier(store),
+            spectra=LruCache(settings.spectrum_cache_bytes, lambda spectrum: spectrum.num_bytes),
+            trees=LruCache(settings.spectrum_cache_bytes, lambda tree: tree.num_bytes),
+            parsers=asyncio.Semaphore(settings.max_parsers),
+            ingest_wakeup=asyncio.Event(),
+        )
+    finally:
+        redis.close()
+        store.close()
+
+
+async def owned_by_caller(connection: HTTPConnection) -> Owned:
+    """Give a route its caller's view. Async, because FastAPI runs a plain function in a thread."""
+    services: Services = connection.app.state.services
+    caller: Caller = connection.scope.get(CALLER, ANYONE)
+    return services.owned_by(caller)
+
+
+OwnedDep = Annotated[Owned, Depends(owned_by_caller)]
