@@ -28,8 +28,7 @@ Authorization.
 import asyncio
 import logging
 import time
-from collections import deque
-from dataclasses import dataclass, field
+from functools import partial
 from typing import Annotated, Literal
 
 import numpy as np
@@ -38,27 +37,24 @@ from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 from pydantic import Field, TypeAdapter, ValidationError
 from starlette.concurrency import run_in_threadpool
 
-from dynamictree.modal.force import generalised_force
 from dynamictree.modal.locality import default_falloff_m
-from dynamictree.modal.response import Locality, group_forces, with_bin_zero
-from dynamictree.modal.step import State, Step, exact_step, run
-from dynamictree.modal.system import DAMPING_RATIO, ModalSystem, with_physics
+from dynamictree.modal.step import exact_step
+from dynamictree.modal.system import DAMPING_RATIO, with_physics
 from service.http.problems import REFUSALS, ProblemError, Refusal, problem_body, problem_of
 from service.http.validation_errors import field_errors, summed_up
+from service.interact_session import Session, force_of
 from service.ready_tree import ReadyTree
 from service.schemas.base import Finite, Payload
-from service.schemas.forces import LARGEST, MAX_GROUPS, ForcePayload, library_force, locality_payload
+from service.schemas.forces import LARGEST, ForcePayload
 from service.services import Owned, owned_by_caller
 from service.tree_cache import ready_tree, with_mesh
 
 router = APIRouter(prefix="/v1/interact")
 logger = logging.getLogger(__name__)
 
-WINDOW = 8  # frames under way: 130 ms at 60 Hz
 OPEN_S = 10.0  # how long the first message may take
 IDLE_S = 60.0  # after which a client that says nothing is let go
 MAX_MESSAGE = 16_384  # characters
-SETTLED_M = 1e-4  # no voxel moves further
 LATE_S = 0.25  # after a longer stall the clock begins anew
 
 INVALID, TOO_LARGE, DONE = 1008, 1009, 1000
@@ -103,88 +99,6 @@ _Later = Annotated[ForceMessage | ReleaseMessage | AckMessage, Field(discriminat
 _LATER: TypeAdapter[ForceMessage | ReleaseMessage | AckMessage] = TypeAdapter(_Later)
 
 
-@dataclass
-class Session:
-    """One client's tree, as it swings."""
-
-    system: ModalSystem
-    step: Step
-    falloff_m: float | None
-    frame: int = 0
-    under_way: deque[int] = field(default_factory=deque)  # frames that were sent and not acknowledged
-    skipped: int = 0
-    states: dict[Locality | None, State] = field(default_factory=dict)
-    held: dict[str, tuple[Locality | None, np.ndarray]] = field(default_factory=dict)  # kind to acceleration [M]
-    knocks: list[tuple[Locality | None, np.ndarray]] = field(default_factory=list)
-    woken: asyncio.Event = field(default_factory=asyncio.Event)
-
-    @property
-    def at_rest(self) -> bool:
-        """Whether nothing moves and nothing pushes."""
-        return not (self.states or self.held or self.knocks)
-
-    def push(self, message: ForceMessage, ready: ReadyTree, owned: Owned, spectrum_id: str) -> None:
-        """Take a force.
-
-        Raises:
-            InputError, ProblemError: it cannot be used.
-        """
-        if message.force.start_s != 0 or message.force.duration_s is not None:
-            raise ProblemError("validation-failed", "forces of a stream begin now; leave start_s and duration_s out")
-        force = library_force(message.force, self.system.grid, lambda: with_mesh(owned, ready, spectrum_id))
-        pushed = generalised_force(self.system, force, dt_s=self.step.dt_s, num_frames=1)[0] / self.system.modal_mass
-        locality = group_forces([force], falloff_m=self.falloff_m)[0].locality
-        if locality not in self.states and len(self.states) >= MAX_GROUPS:
-            raise ProblemError("validation-failed", f"{MAX_GROUPS} places still swing; push one of them, or wait")
-        if message.force.kind == "impulse":
-            self.knocks.append((locality, pushed))
-        else:
-            self.held[message.force.kind] = (locality, pushed)
-        self.states.setdefault(locality, State.at_rest(1, self.system.num_modes))
-        self.woken.set()
-
-    def tick(self) -> None:
-        """One step of everything."""
-        self.frame += 1
-        pushes = [*self.held.values(), *self.knocks]
-        self.knocks = []
-        for locality, state in list(self.states.items()):
-            acceleration = np.zeros((1, 1, self.system.num_modes), np.complex128)
-            for at, pushed in pushes:
-                if at == locality:
-                    acceleration[0, 0] += pushed
-            _, moved = run(self.step, state, acceleration)
-            self.states[locality] = moved
-            if not any(at == locality for at, _ in self.held.values()) and self._settled(moved):
-                del self.states[locality]
-
-    def drawn(self, frame: int) -> None:
-        """Take an acknowledgement of every frame up to this one."""
-        while self.under_way and self.under_way[0] <= frame:
-            self.under_way.popleft()
-
-    def told(self) -> dict[str, object]:
-        """The frame as it is sent."""
-        groups = [
-            {"locality": locality_payload(locality), "q": with_bin_zero(state.q[0])}
-            for locality, state in self.states.items()
-        ]
-        return {"type": "frame", "frame": self.frame, "skipped": self.skipped, "groups": groups}
-
-    def _settled(self, state: State) -> bool:
-        """Whether no voxel can go further than `SETTLED_M` any more."""
-        swing = np.abs(state.q[0]) + np.abs(state.q_dot[0]) / self.system.omega
-        return bool((swing * self.largest_m).sum() < SETTLED_M)
-
-    @property
-    def largest_m(self) -> np.ndarray:
-        """The largest displacement a unit of each coordinate, anywhere [m]."""
-        if "_largest" not in self.__dict__:
-            self.__dict__["_largest"] = np.linalg.norm(self.system.shapes, axis=2).max(axis=0)
-        largest: np.ndarray = self.__dict__["_largest"]
-        return largest
-
-
 @router.websocket("/stream")
 async def stream(socket: WebSocket) -> None:
     """Follow a pointer; see this module's docstring."""
@@ -198,10 +112,10 @@ async def stream(socket: WebSocket) -> None:
         message, ready, session = opened
         async with asyncio.TaskGroup() as tasks:
             ticking = tasks.create_task(_send_frames(socket, session))
-            await _receive(socket, owned, message.spectrum_id, ready, session)
+            await _receive(socket, owned, message, ready, session)
             ticking.cancel()
     except* WebSocketDisconnect:
-        logger.debug("the client has gone")
+        logger.debug("the client disconnected")
 
 
 async def _open(socket: WebSocket, owned: Owned) -> tuple[OpenMessage, ReadyTree, Session] | None:
@@ -217,32 +131,36 @@ async def _open(socket: WebSocket, owned: Owned) -> tuple[OpenMessage, ReadyTree
         await _send(socket, _problem(error))
         await socket.close(INVALID)
         return None
-    falloff = None if message.locality == "none" else message.falloff_m or default_falloff_m(system)
-    session = Session(system=system, step=exact_step(system, 1 / message.rate_hz), falloff_m=falloff)
-    frequencies = [0.0, *(system.omega / (2 * np.pi)).tolist()]
-    await _send(
-        socket,
-        {
-            "type": "opened",
-            "rate_hz": message.rate_hz,
-            "frequencies_hz": frequencies,
-            "modal_mass_kg_m2": system.modal_mass,
-        },
-    )
+    session = Session(system=system, step=exact_step(system, 1 / message.rate_hz))
+    reply = {
+        "type": "opened",
+        "rate_hz": message.rate_hz,
+        "frequencies_hz": [0.0, *(system.omega / (2 * np.pi)).tolist()],
+        "modal_mass_kg_m2": system.modal_mass,
+    }
+    await _send(socket, reply)
     return message, ready, session
 
 
-async def _receive(socket: WebSocket, owned: Owned, spectrum_id: str, ready: ReadyTree, session: Session) -> None:
-    """Take messages until the client goes or falls silent."""
+async def _receive(socket: WebSocket, owned: Owned, opened: OpenMessage, ready: ReadyTree, session: Session) -> None:
+    """Take messages until the client disconnects or falls silent."""
+    falloff_m = None if opened.locality == "none" else opened.falloff_m or default_falloff_m(session.system)
+    project = partial(
+        force_of,
+        system=session.system,
+        dt_s=session.step.dt_s,
+        falloff_m=falloff_m,
+        mesh=partial(with_mesh, owned, ready, opened.spectrum_id),
+    )
     while True:
         try:
             message = _LATER.validate_json(await asyncio.wait_for(_text(socket), IDLE_S))
             if isinstance(message, ForceMessage):
-                await run_in_threadpool(session.push, message, ready, owned, spectrum_id)
+                session.push(await run_in_threadpool(project, message.force))
             elif isinstance(message, ReleaseMessage):
-                session.held.pop(message.kind, None)
+                session.release(message.kind)
             else:
-                session.drawn(message.frame)
+                session.acknowledge(message.frame)
         except TimeoutError:
             await socket.close(DONE, f"nothing was heard for {IDLE_S:g} s")
             return
@@ -251,22 +169,20 @@ async def _receive(socket: WebSocket, owned: Owned, spectrum_id: str, ready: Rea
 
 
 async def _send_frames(socket: WebSocket, session: Session) -> None:
-    """Move the tree in real time, and send what the client keeps up with."""
+    """Move the tree in real time, and send the frames that the client keeps up with."""
     due = time.monotonic()
     while True:
         if session.at_rest:
             if session.frame:
                 await _send(socket, {"type": "rest", "frame": session.frame})
             session.woken.clear()
-            await session.woken.wait()
+            if session.at_rest:  # a force may have come while the message was sent
+                await session.woken.wait()
             due = time.monotonic()
         session.tick()
-        if len(session.under_way) < WINDOW:
-            session.under_way.append(session.frame)
-            await _send(socket, session.told())
-            session.skipped = 0
-        else:
-            session.skipped += 1
+        message = session.next_frame()
+        if message is not None:
+            await _send(socket, message)
         due += session.step.dt_s
         if time.monotonic() - due > LATE_S:
             due = time.monotonic()

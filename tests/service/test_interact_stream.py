@@ -2,6 +2,7 @@
 
 # ruff: noqa: F811
 
+import threading
 import time
 
 import numpy as np
@@ -15,6 +16,7 @@ from dynamictree.modal.system import modal_system
 from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.keys import create_key
 from jobs.settings import Settings
+from service import interact_session
 from service.app import create_app
 from service.routes import interact_stream
 from service.services import Services
@@ -80,7 +82,7 @@ def test_a_knock_is_one(client: TestClient, spectrum_id: str, spectrum: SparseVo
 def test_a_new_pointer_replaces_the_old_and_release_lets_it_settle(
     client: TestClient, spectrum_id: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(interact_stream, "SETTLED_M", 0.02)
+    monkeypatch.setattr(interact_session, "SETTLED_M", 0.02)
     with client.websocket_connect(URL) as socket:
         opened(socket, spectrum_id, damping_ratio=1.0)
         socket.send_json(pull([5.0, 0.0, 0.0]))
@@ -102,16 +104,16 @@ def test_who_does_not_acknowledge_gets_few_frames_and_then_the_newest(client: Te
     with client.websocket_connect(URL) as socket:
         opened(socket, spectrum_id, rate_hz=120)
         socket.send_json(pull([5.0, 0.0, 0.0]))
-        unread = [socket.receive_json() for _ in range(interact_stream.WINDOW)]
-        assert [frame["frame"] for frame in unread] == list(range(1, interact_stream.WINDOW + 1))
+        unread = [socket.receive_json() for _ in range(interact_session.WINDOW)]
+        assert [frame["frame"] for frame in unread] == list(range(1, interact_session.WINDOW + 1))
         socket.send_json({"type": "release", "kind": "wind"})  # nothing: it only takes a while
         socket.send_json({"type": "nonsense"})
         assert socket.receive_json()["type"] == "problem"  # and no frame came before it
         time.sleep(1.0)  # 120 frames, of which a busy machine may miss most
-        socket.send_json({"type": "ack", "frame": interact_stream.WINDOW})
+        socket.send_json({"type": "ack", "frame": interact_session.WINDOW})
         newest = socket.receive_json()
-        assert newest["frame"] > interact_stream.WINDOW + 1
-        assert newest["skipped"] == newest["frame"] - interact_stream.WINDOW - 1
+        assert newest["frame"] > interact_session.WINDOW + 1
+        assert newest["skipped"] == newest["frame"] - interact_session.WINDOW - 1
 
 
 @pytest.mark.parametrize(
@@ -140,7 +142,7 @@ def test_a_bad_message_is_told_and_the_stream_goes_on(
 
 
 def test_places_that_swing_are_bounded(client: TestClient, spectrum_id: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(interact_stream, "MAX_GROUPS", 2)
+    monkeypatch.setattr(interact_session, "MAX_GROUPS", 2)
     with client.websocket_connect(URL) as socket:
         opened(socket, spectrum_id, damping_ratio=0.0, rate_hz=1)
         for voxel in (40, 41, 42):
@@ -148,6 +150,25 @@ def test_places_that_swing_are_bounded(client: TestClient, spectrum_id: str, mon
             socket.send_json({"type": "force", "force": force})
         told = [socket.receive_json() for _ in range(2)]
         assert [one["code"] for one in told if one["type"] == "problem"] == ["validation-failed"]
+
+
+def test_only_the_event_loop_changes_a_session(
+    client: TestClient, spectrum_id: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    threads = {}
+    for name in ("push", "tick"):
+        method = getattr(interact_session.Session, name)
+
+        def recorded(self, *args, name=name, method=method):
+            threads.setdefault(name, set()).add(threading.get_ident())
+            return method(self, *args)
+
+        monkeypatch.setattr(interact_session.Session, name, recorded)
+    with client.websocket_connect(URL) as socket:
+        opened(socket, spectrum_id)
+        socket.send_json(pull([1.0, 0.0, 0.0]))
+        frames(socket, 3)
+    assert threads["push"] == threads["tick"]
 
 
 @pytest.mark.parametrize(
