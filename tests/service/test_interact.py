@@ -16,6 +16,7 @@ from dynamictree.modal.response import InteractiveTree, group_forces, respond
 from dynamictree.modal.system import modal_system
 from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.assets import delete_asset
+from service.http.caller import ANYONE
 from service.schemas.forces import MAX_FORCES
 from service.services import Services
 from service.tree_cache import living_tree
@@ -288,10 +289,10 @@ def test_vertices_are_gone_with_their_asset_and_voxels_are_not(
 
 def test_the_memory_for_trees_is_bounded(client: TestClient, spectrum_id: str, services: Services, poke: dict) -> None:
     post(client, spectrum_id, poke)
-    ready = living_tree(services, spectrum_id)
+    ready = living_tree(services.owned_by(ANYONE), spectrum_id)
     assert ready is not None
     for number in range(5):
         services.trees.max_bytes = 3 * ready.num_bytes
         services.trees.put(f"other-{number}", ready)
     assert len(services.trees) == 3
-    assert living_tree(services, spectrum_id) is None
+    assert living_tree(services.owned_by(ANYONE), spectrum_id) is None
