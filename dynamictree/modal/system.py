@@ -1,4 +1,4 @@
-"""Damped oscillators whose shapes are a spectrum's bins. Paper section 3.4; Davis et al. 2015, section 4.
+"""Damped oscillators whose shapes are a spectrum's bins. Paper section 4; Davis et al. 2015, section 4.
 
 A bin k >= 1 is a mode: its shape φ_k = w_k c_k (w_k = 2) is the complex amplitude with which the wind moved each voxel,
 its natural frequency ω_k = 2πk / P. With one complex coordinate q_k, that is two real oscillators,
