@@ -13,6 +13,8 @@ OUTPUT ?= demo-output
 PORT ?= 8000
 TESTS ?=
 FUZZ_STATE ?= .fuzz
+ENGINE ?= auto
+ENGINE_DIR ?= .cache/engine
 # Two workers on two cores; more would only add set-up.
 TEST_WORKERS ?= 2
 
@@ -24,7 +26,7 @@ else
 TORCH_SOURCE := --torch-backend $(TORCH_BACKEND)
 endif
 
-.PHONY: help setup demo test docs live js-tools web-check web-format openapi-lint scale-out check format openapi lock bench clean browser serve
+.PHONY: help setup demo test docs live js-tools web-check web-format openapi-lint scale-out compose check format openapi lock lock-versions lock-image bench clean browser serve
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -51,6 +53,9 @@ test: $(READY)  ## the test suite, without the slow marks
 
 scale-out: $(READY)  ## API and two workers as processes of their own on PostgreSQL, Redis and S3, all real (1 min)
 	@$(BIN)/python -m pytest -q tests/faults/test_many_machines.py
+
+compose: $(READY)  ## docker-compose.yml on a real engine: up, a job, kills, down and up (20 min; ENGINE=private as root)
+	@$(BIN)/python -m tests.compose --engine $(ENGINE) --folder "$(ENGINE_DIR)"
 
 faults: $(READY)  ## kill API, workers and Redis 200 times under load, then look what was lost (20 min)
 	@$(BIN)/python -m tests.faults.kills --kills 200 --minutes 120
@@ -118,10 +123,21 @@ browser: $(READY)  ## the viewer in a real Chromium, its client in node
 bench: $(READY)  ## every benchmark, one JSON object a line
 	@$(BIN)/python -m benchmarks
 
-lock:  ## resolve pyproject.toml anew; CUDA's packages are left out, torch's own build brings them where it needs them
-	@$(BIN)/uv pip compile -q --universal --no-emit-index-url --no-emit-find-links --no-annotate --no-header --extra dev --python-version 3.11 pyproject.toml \
+# CUDA's packages are left out: torch's own build brings them where it needs them. The image's lock has no development
+# tools, every file's hash, and no torch: its hash depends on the backend, and each backend has an index of its own.
+LOCK := $(BIN)/uv pip compile -q --universal --no-emit-index-url --no-emit-find-links --no-annotate --no-header --python-version 3.11
+lock: $(READY) lock-versions lock-image  ## resolve pyproject.toml anew
+
+lock-versions:
+	@$(LOCK) --extra dev pyproject.toml \
 	  | grep -vE '^(nvidia-|cuda-|triton)' | sed -E 's/^(torch==[0-9.]+).*/\1/' | awk '!seen[$$0]++' > requirements.lock.new
 	@mv requirements.lock.new requirements.lock
+
+lock-image: $(READY)  ## docker/requirements*.lock, with the versions of requirements.lock
+	@$(LOCK) --generate-hashes $(addprefix --extra ,photos postgres telemetry usd video) --constraint requirements.lock pyproject.toml \
+	  | awk '/^[a-z]/ { listed = !/^(torch|triton|nvidia-|cuda-)/ } listed' > docker/requirements.lock.new
+	@mv docker/requirements.lock.new docker/requirements.lock
+	@grep '^torch==' requirements.lock > docker/requirements-torch.lock
 
 clean:  ## the environment and every cache
 	@rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache

@@ -44,9 +44,13 @@ class JsonLines(logging.Formatter):
 
 
 def set_up_logging(settings: Settings) -> None:
-    """Log to stderr as the settings say."""
+    """Send every line of this process to stderr in the format of the settings: uvicorn's, Celery's and warnings too."""
     stream = logging.StreamHandler(sys.stderr)
     stream.setFormatter(JsonLines() if settings.log_format == "json" else logging.Formatter(TEXT))
     logging.basicConfig(level=settings.log_level, handlers=[stream], force=True)
+    logging.captureWarnings(True)
+    for name in ("uvicorn", "uvicorn.error", "uvicorn.access"):  # uvicorn gives its own handlers before the application
+        logging.getLogger(name).handlers.clear()
+        logging.getLogger(name).propagate = True
     for name in ("alembic", "httpx"):  # httpx tells whole URLs, and secrets of webhooks and storages are in them
         logging.getLogger(name).setLevel("WARNING")

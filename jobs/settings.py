@@ -48,6 +48,7 @@ class Settings(BaseSettings):
     progress_interval_s: float = Field(default=0.5, ge=0)
     patience_s: float = Field(default=600.0, ge=0)
     idle_limit_s: float = Field(default=120.0, gt=0)
+    worker_alive_file: Path | None = None
     shutdown_grace_s: float = Field(default=20.0, ge=0)
 
     housekeeper_lease_s: float = Field(default=10.0, gt=0)

@@ -9,6 +9,7 @@ from celery import Celery, signals
 
 from jobs.logging_setup import set_up_logging
 from jobs.settings import Settings, read_settings
+from worker.liveness import Liveness
 
 stopping = multiprocessing.Event()
 """Set in every process of this worker when it was asked to stop; made before the pool forks."""
@@ -47,6 +48,7 @@ def make_app(settings: Settings) -> Celery:
         accept_content=["json"],
         task_serializer="json",
     )
+    app.steps["worker"].add(Liveness)
     return app
 
 

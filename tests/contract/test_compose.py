@@ -1,9 +1,10 @@
-"""docker-compose.yml: what must hold of every container. There is no engine here to ask."""
+"""docker-compose.yml: what must hold of every container. `make compose` runs it on an engine."""
 
 import json
 import re
 import runpy
 import stat
+import tomllib
 from importlib import resources
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import yaml
 from jsonschema import Draft7Validator
 from sqlalchemy.engine import make_url
 
-from jobs.settings import Settings
+from jobs.settings import GIB, Settings
 from jobs.states import queues_of
 
 ROOT = Path(__file__).parents[2]
@@ -60,7 +61,7 @@ def test_redis_keeps_everything() -> None:
 
 
 def test_only_the_api_is_reachable_and_only_from_this_machine() -> None:
-    assert {name: s["ports"] for name, s in SERVICES.items() if "ports" in s} == {"api": ["127.0.0.1:8000:8000"]}
+    assert {name: s["ports"] for name, s in SERVICES.items() if "ports" in s} == {"api": ["127.0.0.1:${PORT:-8000}:8000"]}
 
 
 def test_a_worker_runs_one_job_at_a_time() -> None:
@@ -72,9 +73,16 @@ def test_secrets_are_made_once(tmp_path: Path) -> None:
     made = runpy.run_path(str(ROOT / "docker" / "make_secrets.py"))["main"]
     made(tmp_path / "secrets")
     before = {path.name: path.read_text() for path in (tmp_path / "secrets").iterdir()}
-    assert set(before) == set(COMPOSE["secrets"])
+    assert set(before) == {Path(secret["file"]).name for secret in COMPOSE["secrets"].values()}
     assert stat.S_IMODE((tmp_path / "secrets").stat().st_mode) == 0o700
     assert make_url(before["dynamictree_database_url"]).password == before["postgres_password"]
+    [identity] = json.loads(before["seaweedfs_s3.json"])["identities"]
+    assert identity["credentials"] == [
+        {
+            "accessKey": before["dynamictree_s3_access_key_id"],
+            "secretKey": before["dynamictree_s3_secret_access_key"],
+        }
+    ]
     made(tmp_path / "secrets")
     assert {path.name: path.read_text() for path in (tmp_path / "secrets").iterdir()} == before
 
@@ -87,15 +95,71 @@ def test_the_file_is_what_compose_expects() -> None:
 
 def test_images_are_built_from_what_is_pinned() -> None:
     text = (ROOT / "docker" / "Dockerfile").read_text()
-    assert "requirements.lock" in text
+    assert "--require-hashes" in text
     assert re.search(r"uv==[0-9.]+", text)
     assert not re.search(r"^FROM [^$\n]*:latest", text, re.MULTILINE)
     assert re.search(r"^ARG PYTHON=3\.11\.[0-9]+-slim-bookworm$", text, re.MULTILINE)
 
 
 def test_whoever_waits_for_object_storage_has_its_key_as_a_file() -> None:
-    for name in ("api", "worker", "worker-gpu", "housekeeper", "objects"):
+    for name in ("api", "worker", "worker-gpu", "housekeeper"):
         assert {"dynamictree_s3_access_key_id", "dynamictree_s3_secret_access_key"} <= set(SERVICES[name]["secrets"])
+    assert SERVICES["objects"]["secrets"] == ["seaweedfs_s3"]
+
+
+def test_keys_are_required_because_requests_come_through_a_bridge() -> None:
+    environment = SERVICES["api"]["environment"]
+    assert environment["DYNAMICTREE_KEYS"] == "${DYNAMICTREE_KEYS:-required}"
+    assert "dynamictree keys create" in (ROOT / "docker-compose.yml").read_text()
+
+
+def test_parsers_fit_into_the_memory_of_the_api() -> None:
+    api = SERVICES["api"]
+    parsers = int(api["environment"]["DYNAMICTREE_PARSER_MEMORY_BYTES"]) * Settings.model_fields["max_parsers"].default
+    scratch, own = 1 * GIB, 1 * GIB  # of /tmp; of the API itself
+    limit = int(api["deploy"]["resources"]["limits"]["memory"].removesuffix("g")) * GIB
+    assert parsers + scratch + own <= limit
+
+
+@pytest.mark.parametrize("name", SERVICES)
+def test_a_slow_start_is_no_failure(name: str) -> None:
+    """An API needed 97 s on a loaded machine; `up --wait` gives up on a container that is once unhealthy."""
+    minimum_s = 60 if name == "redis" else 120
+    assert int(SERVICES[name]["healthcheck"]["start_period"].removesuffix("s")) >= minimum_s
+
+
+def test_what_looks_after_a_worker_starts_no_python() -> None:
+    for name in ("worker", "worker-gpu"):
+        assert not re.search(r"\b(celery|python)\b", " ".join(SERVICES[name]["healthcheck"]["test"]))
+        assert SERVICES[name]["environment"]["DYNAMICTREE_WORKER_ALIVE_FILE"].startswith("/tmp/")
+
+
+def test_the_database_is_ready_once_it_listens_to_others() -> None:
+    """Its first start runs a server of its own on a socket, which `pg_isready` without a host would take for ready."""
+    command = SERVICES["postgres"]["healthcheck"]["test"]
+    assert command[command.index("-h") + 1] == "127.0.0.1"
+
+
+def test_object_storage_shows_nothing_but_s3() -> None:
+    command = SERVICES["objects"]["command"]
+    assert {"-ip.bind=127.0.0.1", "-s3.ip.bind=0.0.0.0", "-master.telemetry=false"} <= set(command)
+
+
+def test_the_image_has_what_runs_in_it_and_nothing_else() -> None:
+    """Every file is checked by its hash but torch's, whose hash depends on the backend; versions are the tests' own."""
+    tested = dict(re.findall(r"^([a-z0-9-]+)==([^ \n]+)", (ROOT / "requirements.lock").read_text(), re.MULTILINE))
+    text = (ROOT / "docker" / "requirements.lock").read_text()
+    locked = re.findall(r"^([a-z0-9-]+)==([^ \n]+)", text, re.MULTILINE)
+    versions = re.findall(r"^([a-z0-9-]+)==([^ \n]+)", (ROOT / "requirements.lock").read_text(), re.MULTILINE)
+    assert set(locked) <= set(versions)
+    assert text.count("--hash=sha256:") >= len(locked)
+    assert not {"mypy", "pytest", "playwright", "swift", "ruff", "torch", "transformers"} & dict(locked).keys()
+    assert (ROOT / "docker" / "requirements-torch.lock").read_text().strip() == f"torch=={tested['torch']}"
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = ("photos", "postgres", "telemetry", "usd", "video")
+    needed = project["dependencies"] + [name for extra in extras for name in project["optional-dependencies"][extra]]
+    names = {re.split(r"[\[<>=]", line)[0].lower() for line in needed}
+    assert names - {"torch"} <= dict(locked).keys(), "run `make lock`"
 
 
 @pytest.mark.parametrize("queue", ["cpu", "gpu"])

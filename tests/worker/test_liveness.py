@@ -1,0 +1,48 @@
+"""What a container's engine sees of our processes: a file that says a worker lives, and lines of JSON only."""
+
+import json
+import time
+from pathlib import Path
+
+from tests.servers import api, valkey, worker
+
+
+def test_a_worker_renews_its_file_and_every_line_of_worker_and_api_is_json(tmp_path: Path) -> None:
+    alive = tmp_path / "alive"
+    queue, url = valkey(tmp_path)
+    environment = {
+        "DYNAMICTREE_REDIS_URL": url,
+        "DYNAMICTREE_STATE_DIR": str(tmp_path / "state"),
+        "DYNAMICTREE_WORKER_ALIVE_FILE": str(alive),
+        "DYNAMICTREE_LOG_FORMAT": "json",
+        "PYTHONWARNINGS": "ignore",  # Celery warns of root before there is a logger
+    }
+    works = worker(tmp_path, environment)
+    works.command.insert(3, "--quiet")  # as docker-compose.yml does
+    serves, _ = api(tmp_path, environment)
+    parts = (queue, serves, works)
+    try:
+        for part in parts:
+            part.start()
+        first = _changed(alive, 0.0)
+        assert _changed(alive, first) > first
+    finally:
+        for part in reversed(parts):
+            part.stop()
+    assert not alive.exists()
+    assert any(line["logger"].startswith("celery") for line in _lines(works.log))
+    assert any(line["logger"] == "uvicorn.error" for line in _lines(serves.log))
+
+
+def _changed(path: Path, since: float) -> float:
+    deadline = time.monotonic() + 90
+    while not path.exists() or path.stat().st_mtime <= since:
+        assert time.monotonic() < deadline, "the worker does not touch its file"
+        time.sleep(0.1)
+    return path.stat().st_mtime
+
+
+def _lines(path: Path) -> list[dict[str, str]]:
+    """Every line but the one that Celery's signal handler writes past all logging."""
+    lines = [line for line in path.read_text().splitlines() if line and line != "worker: Warm shutdown (MainProcess)"]
+    return [json.loads(line) for line in lines]
