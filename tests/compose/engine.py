@@ -36,7 +36,12 @@ class Engine:
     def run(self, *command: str, timeout_s: float = 120, check: bool = True) -> str:
         """Run a docker command and return what it prints."""
         done = subprocess.run(
-            [self.docker, *command], env=self.environment, capture_output=True, text=True, timeout=timeout_s, check=False
+            [self.docker, *command],
+            env=self.environment,
+            capture_output=True,
+            text=True,
+            timeout=timeout_s,
+            check=False,
         )
         if check and done.returncode != 0:
             raise RuntimeError(f"docker {' '.join(command)}: {done.stderr[-3000:] or done.stdout[-3000:]}")

@@ -61,7 +61,9 @@ def test_redis_keeps_everything() -> None:
 
 
 def test_only_the_api_is_reachable_and_only_from_this_machine() -> None:
-    assert {name: s["ports"] for name, s in SERVICES.items() if "ports" in s} == {"api": ["127.0.0.1:${PORT:-8000}:8000"]}
+    assert {name: s["ports"] for name, s in SERVICES.items() if "ports" in s} == {
+        "api": ["127.0.0.1:${PORT:-8000}:8000"]
+    }
 
 
 def test_a_worker_runs_one_job_at_a_time() -> None:

@@ -1,1 +1,0 @@
-"""`make compose`: docker-compose.yml on a real engine, from an empty folder to a restored backup."""

@@ -1,0 +1,81 @@
+"""deploy/kubernetes: every object against Kubernetes' own schema, and against what docker-compose.yml says."""
+
+from pathlib import Path
+from typing import Any
+
+import kubernetes_validate
+import pytest
+import yaml
+
+from jobs.settings import Settings
+from jobs.states import queues_of
+
+ROOT = Path(__file__).parents[2]
+FOLDER = ROOT / "deploy" / "kubernetes"
+KUSTOMIZATION = yaml.safe_load((FOLDER / "kustomization.yaml").read_text())
+OBJECTS = [found for name in KUSTOMIZATION["resources"] for found in yaml.safe_load_all((FOLDER / name).read_text())]
+COMPOSE = yaml.safe_load((ROOT / "docker-compose.yml").read_text())["services"]
+SERVED = "1.31"
+
+
+def _named(kind: str, name: str) -> Any:
+    [found] = [o for o in OBJECTS if o["kind"] == kind and o["metadata"]["name"] == name]
+    return found
+
+
+def _container(name: str) -> Any:
+    [container] = _named("Deployment", name)["spec"]["template"]["spec"]["containers"]
+    return container
+
+
+def test_every_file_is_a_resource() -> None:
+    assert {path.name for path in FOLDER.glob("*.yaml")} == {*KUSTOMIZATION["resources"], "kustomization.yaml"}
+
+
+@pytest.mark.parametrize("found", [o for o in OBJECTS if "keda" not in o["apiVersion"]], ids=lambda o: o["kind"])
+def test_an_object_is_what_kubernetes_expects(found: Any) -> None:
+    kubernetes_validate.validate(found, SERVED, strict=True)
+
+
+def test_the_check_finds_a_misspelt_field() -> None:
+    wrong = _named("Service", "api") | {"specs": {}}
+    with pytest.raises(kubernetes_validate.ValidationError):
+        kubernetes_validate.validate(wrong, SERVED, strict=True)
+
+
+@pytest.mark.parametrize("name", ["api", "worker", "housekeeper"])
+def test_a_pod_is_restricted(name: str) -> None:
+    pod, container = _named("Deployment", name)["spec"]["template"]["spec"], _container(name)
+    assert pod["securityContext"]["runAsNonRoot"] is True
+    assert pod["automountServiceAccountToken"] is False
+    assert container["securityContext"]["readOnlyRootFilesystem"] is True
+    assert container["securityContext"]["capabilities"] == {"drop": ["ALL"]}
+    assert set(container["resources"]["limits"]) == {"cpu", "memory"}
+    assert container.get("args", []) == COMPOSE[name].get("command", [])
+
+
+def test_variables_are_settings_of_the_service() -> None:
+    named = set(_named("ConfigMap", "settings")["data"]) | {v["name"] for v in _container("worker")["env"]}
+    ours = {name for name in named if name.startswith("DYNAMICTREE_")}
+    assert ours <= {f"DYNAMICTREE_{field.upper()}" for field in Settings.model_fields}
+
+
+def test_workers_follow_the_length_of_every_queue() -> None:
+    spec = _named("ScaledObject", "worker")["spec"]
+    assert spec["scaleTargetRef"]["name"] == "worker"
+    assert "replicas" not in _named("Deployment", "worker")["spec"]  # two masters would undo one another
+    assert [t["metadata"]["listName"] for t in spec["triggers"]] == list(queues_of("cpu"))
+    for trigger in spec["triggers"]:
+        assert trigger["type"] == "redis"
+        assert set(trigger["metadata"]) == {"address", "databaseIndex", "listName", "listLength"}
+        assert all(isinstance(value, str) for value in trigger["metadata"].values())
+    keys = {"scaleTargetRef", "minReplicaCount", "maxReplicaCount", "pollingInterval", "cooldownPeriod", "advanced"}
+    assert set(spec) == keys | {"triggers"}
+
+
+def test_selectors_choose_their_pods() -> None:
+    names = {o["metadata"]["name"] for o in OBJECTS if o["kind"] == "Deployment"}
+    for name in names:
+        spec = _named("Deployment", name)["spec"]
+        assert spec["selector"]["matchLabels"] == spec["template"]["metadata"]["labels"]
+    assert _named("Service", "api")["spec"]["selector"] == {"app.kubernetes.io/name": "api"}
