@@ -1,11 +1,18 @@
 """Triangle meshes in memory: metres, +Z up, right-handed."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from io import BytesIO
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float32, Int32, UInt8
+from jaxtyping import Float32, Float64, Int32, UInt8
 
+from dynamictree.color import linear_to_srgb
 from dynamictree.errors import MeshError
+
+if TYPE_CHECKING:
+    import trimesh
 
 MAX_VERTICES = 2_000_000
 MAX_FACES = 4_000_000
@@ -54,6 +61,44 @@ class TriangleMesh:
     def height_m(self) -> float:
         """Extent along +Z [m]."""
         return float(np.ptp(self.vertices[:, 2]))
+
+    @staticmethod
+    def from_trimesh(source: "trimesh.Trimesh | trimesh.Scene") -> "TriangleMesh":
+        """Convert a mesh or scene of trimesh, which must be in metres and +Z up; the vertex order stays.
+
+        Raises:
+            MeshError: no triangles, or a mesh that the method cannot work on.
+        """
+        import trimesh
+
+        if isinstance(source, trimesh.Scene):
+            nodes = [
+                (source.graph[node][0], source.geometry[source.graph[node][1]]) for node in source.graph.nodes_geometry
+            ]
+            parts = [_from_trimesh(g, placed) for placed, g in nodes if isinstance(g, trimesh.Trimesh)]
+        else:
+            parts = [_from_trimesh(source, np.eye(4))]
+        if not parts:
+            raise MeshError("the scene has no triangles; a mesh with faces is needed, not points or lines")
+        return _joined(parts)
+
+    def to_trimesh(self) -> "trimesh.Trimesh":
+        """Convert to a mesh of trimesh with the same vertices in the same order; several materials become colours."""
+        import trimesh
+
+        result = trimesh.Trimesh(vertices=self.vertices, faces=self.faces, process=False)
+        if self.vertex_colors is not None:
+            result.visual.vertex_colors = self.vertex_colors
+        elif len(self.materials) == 1 and self.uv is not None:
+            (material,) = self.materials
+            result.visual = trimesh.visual.TextureVisuals(
+                uv=self.uv * [1, -1] + [0, 1], material=_to_trimesh_material(material)
+            )
+        elif self.face_material is not None:
+            colors = np.array([material.base_color for material in self.materials])[self.face_material]
+            colors[:, :3] = linear_to_srgb(colors[:, :3])
+            result.visual.face_colors = np.round(colors * 255).astype(np.uint8)
+        return result
 
     def with_vertices(self, vertices: Float32[np.ndarray, "N 3"]) -> "TriangleMesh":
         """Give the same mesh with other positions, in the same order [m]."""
@@ -113,3 +158,75 @@ def weld(mesh: TriangleMesh) -> tuple[TriangleMesh, Int32[np.ndarray, " N"]]:
     places, vertex = np.unique(mesh.vertices, axis=0, return_inverse=True)
     vertex = vertex.ravel().astype(np.int32)
     return TriangleMesh(vertices=places, faces=vertex[mesh.faces]), vertex
+
+
+def _from_trimesh(source: "trimesh.Trimesh", placed: Float64[np.ndarray, "4 4"]) -> TriangleMesh:
+    """One mesh of a scene at its place; its texture or its colours come with it."""
+    vertices = (np.asarray(source.vertices) @ placed[:3, :3].T + placed[:3, 3]).astype(np.float32)
+    faces = np.asarray(source.faces, np.int32)
+    if np.linalg.det(placed[:3, :3]) < 0:
+        faces = np.ascontiguousarray(faces[:, ::-1])
+    visual = source.visual
+    if visual.kind == "texture":
+        stored = visual.uv if visual.uv is not None and len(visual.uv) == len(vertices) else None
+        uv = None if stored is None else (np.asarray(stored) * [1, -1] + [0, 1]).astype(np.float32)
+        material = _from_trimesh_material(visual.material, textured=uv is not None)
+        face_material = np.zeros(len(faces), np.int32)
+        return TriangleMesh(vertices=vertices, faces=faces, uv=uv, face_material=face_material, materials=(material,))
+    colors = np.asarray(visual.vertex_colors, np.uint8) if visual.kind in ("vertex", "face") else None
+    return TriangleMesh(vertices=vertices, faces=faces, vertex_colors=colors)
+
+
+def _from_trimesh_material(source: "trimesh.visual.material.Material", *, textured: bool) -> Material:
+    if hasattr(source, "to_pbr"):
+        source = source.to_pbr()
+    factor = getattr(source, "baseColorFactor", None)
+    rgba = np.ones(4) if factor is None else np.asarray(factor, float) / (255 if np.max(factor) > 1 else 1)
+    image = getattr(source, "baseColorTexture", None) if textured else None
+    png = None
+    if image is not None:
+        stream = BytesIO()
+        image.convert("RGBA" if "A" in image.getbands() else "RGB").save(stream, "PNG")
+        png = stream.getvalue()
+    mode = getattr(source, "alphaMode", None)
+    return Material(
+        name=str(source.name or "")[:200],
+        base_color=(float(rgba[0]), float(rgba[1]), float(rgba[2]), float(rgba[3]) if len(rgba) > 3 else 1.0),
+        texture_png=png,
+        alpha_cutoff=0.5 if mode in ("MASK", "BLEND") else None,
+    )
+
+
+def _to_trimesh_material(material: Material) -> "trimesh.visual.material.PBRMaterial":
+    import trimesh
+    from PIL import Image
+
+    image = None if material.texture_png is None else Image.open(BytesIO(material.texture_png))
+    return trimesh.visual.material.PBRMaterial(
+        name=material.name,
+        baseColorFactor=np.round(np.array(material.base_color) * 255).astype(np.uint8),
+        baseColorTexture=image,
+        alphaMode=None if material.alpha_cutoff is None else "MASK",
+        alphaCutoff=material.alpha_cutoff,
+        doubleSided=material.double_sided,
+    )
+
+
+def _joined(parts: Sequence[TriangleMesh]) -> TriangleMesh:
+    """Concatenate; what has no texture coordinates gets zeros, no colour white, no material a white one."""
+    materials: list[Material] = []
+    face_material, starts = list[Int32[np.ndarray, " F"]](), np.cumsum([0, *(part.num_vertices for part in parts)])
+    for part in parts:
+        face_material.append(np.full(part.num_faces, len(materials), np.int32))
+        materials += part.materials or (Material(name="default", base_color=(1.0, 1.0, 1.0, 1.0), double_sided=False),)
+    uv = [np.zeros((p.num_vertices, 2), np.float32) if p.uv is None else p.uv for p in parts]
+    white = [np.full((p.num_vertices, 4), 255, np.uint8) if p.vertex_colors is None else p.vertex_colors for p in parts]
+    has_materials = any(part.materials for part in parts)
+    return TriangleMesh(
+        vertices=np.concatenate([part.vertices for part in parts]),
+        faces=np.concatenate([p.faces + np.int32(start) for p, start in zip(parts, starts, strict=False)]),
+        uv=np.concatenate(uv) if any(part.uv is not None for part in parts) else None,
+        vertex_colors=np.concatenate(white) if any(part.vertex_colors is not None for part in parts) else None,
+        face_material=np.concatenate(face_material) if has_materials else None,
+        materials=tuple(materials) if has_materials else (),
+    )

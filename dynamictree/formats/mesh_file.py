@@ -6,15 +6,16 @@ from collections.abc import Mapping
 from dynamictree.errors import FormatError
 from dynamictree.formats.axes import mesh_to_z_up
 from dynamictree.formats.gltf.reader import read_gltf
+from dynamictree.formats.mesh.foreign import read_foreign_mesh
 from dynamictree.formats.mesh.obj import read_obj
 from dynamictree.formats.mesh.ply import read_ply_mesh
 from dynamictree.formats.mesh.stl import is_ascii_stl, read_stl
 from dynamictree.formats.stream import ByteReader, read_all
 from dynamictree.mesh import TriangleMesh, validate_mesh
 
-MESH_TYPES = ("obj", "ply", "glb", "gltf", "stl")
+MESH_TYPES = ("obj", "ply", "glb", "gltf", "stl", "off", "3mf", "dae")
 MAX_FILE_BYTES = 1 << 30
-ACCEPTED = "a triangle mesh as OBJ, PLY with faces, STL, glTF or GLB is accepted"
+ACCEPTED = "a triangle mesh as OBJ, PLY with faces, STL, OFF, 3MF, COLLADA, glTF or GLB is accepted"
 
 _GLTF_UP_AXIS, _GLTF_UNIT_M = "+Y", 1.0  # glTF 2.0 specification, 3.4
 _NOT_MESHES = {
@@ -36,6 +37,7 @@ _MAGIC = (
     (b"\x89PNG\r\n\x1a\n", "png"),
     (b"\xff\xd8\xff", "jpeg"),
 )
+_3MF_ENTRY = b"3D/3dmodel.model"
 _OBJ_LINE = re.compile(rb"^[ \t]*(v|vt|vn|f|o|g|s|usemtl|mtllib)[ \t]+\S", re.MULTILINE)
 _POINT_LINE = re.compile(rb"^[ \t]*[-+0-9.eE]+([ \t,;]+[-+0-9.eE]+){2,}[ \t]*\r?$", re.MULTILINE)
 
@@ -72,8 +74,11 @@ def read_mesh(
         mesh = read_obj(content, companions=beside)
     elif file_type == "ply":
         mesh = read_ply_mesh(content, companions=beside)
-    else:
+    elif file_type == "stl":
         mesh = read_stl(content)
+    else:
+        foreign = read_foreign_mesh(content, file_type=file_type, companions=beside)
+        mesh, up_axis, unit_m = foreign.mesh, up_axis or foreign.up_axis, unit_m or foreign.unit_m
     validate_mesh(mesh)  # before its values are used to find axis and unit
     return validate_mesh(mesh_to_z_up(mesh, up_axis=up_axis, unit_m=unit_m))
 
@@ -86,10 +91,12 @@ def sniff_file_type(head: bytes, filename: str = "") -> str:
     Raises:
         FormatError: it is none of these.
     """
+    ending = filename.rpartition(".")[2].lower()
+    if head.startswith(b"PK\x03\x04") and (ending == "3mf" or _3MF_ENTRY in head):
+        return "3mf"
     for magic, kind in _MAGIC:
         if head.startswith(magic):
             return kind
-    ending = filename.rpartition(".")[2].lower()
     if head[:2] == b"\x1f\x8b" and ending == "spz":
         return "spz"
     if head[8:9] == b"{" and int.from_bytes(head[:8], "little") < 1 << 32:
@@ -97,6 +104,10 @@ def sniff_file_type(head: bytes, filename: str = "") -> str:
     start = head.lstrip(b"\xef\xbb\xbf \t\r\n")
     if start.startswith(b"{") and (b'"asset"' in head or ending == "gltf"):
         return "gltf"
+    if start.startswith((b"OFF", b"COFF")):
+        return "off"
+    if start.startswith(b"<") and b"<COLLADA" in head:
+        return "dae"
     if is_ascii_stl(head) or (ending == "stl" and len(head) >= 84):
         return "stl"
     if ending == "splat":

@@ -1,6 +1,6 @@
 """Names and numbers by which files are sorted before they are opened."""
 
-MESH_SUFFIXES = (".obj", ".ply", ".glb", ".gltf", ".stl")
+MESH_SUFFIXES = (".obj", ".ply", ".glb", ".gltf", ".stl", ".off", ".3mf", ".dae")
 POINT_SUFFIXES = (".xyz", ".txt", ".csv", ".asc", ".pts")
 CLOUD_SUFFIXES = (".ply", ".splat", ".spz", ".glb", ".las", ".laz", *POINT_SUFFIXES)
 MASK_NAME = "mask.npy"  # of a cloud: one bool a Gaussian

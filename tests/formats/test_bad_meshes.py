@@ -253,7 +253,7 @@ def test_a_splat_is_refused_by_name() -> None:
 
 @pytest.mark.parametrize("file_type", ["las", "points", "splat", "zip", "jpeg", "fbx"])
 def test_other_kinds_of_file_are_refused_with_what_is_accepted(file_type: str) -> None:
-    with pytest.raises(FormatError, match="OBJ, PLY with faces, STL, glTF or GLB"):
+    with pytest.raises(FormatError, match="OBJ, PLY with faces, STL, OFF, 3MF, COLLADA, glTF or GLB"):
         read(b"", file_type)
 
 

@@ -1,0 +1,151 @@
+"""Mesh formats that trimesh reads for us: OFF, 3MF and COLLADA. Counts and sizes are checked before it parses."""
+
+import io
+import re
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from dynamictree.errors import FormatError, MeshError
+from dynamictree.mesh import MAX_FACES, MAX_VERTICES, TriangleMesh
+
+MAX_XML_BYTES = 1 << 30  # of all entries of a 3MF together; the largest mesh that is allowed takes 0.5 GB
+_MAX_RATIO = 100  # of an archive's content to its size
+_MODEL = re.compile(rb"<(?:\w+:)?model\b[^>]*\bunit\s*=\s*[\"'](\w+)[\"']")
+_3MF_UNITS_M = {  # 3MF core specification 1.3, section 3.4
+    b"micron": 1e-6,
+    b"millimeter": 1e-3,
+    b"centimeter": 1e-2,
+    b"inch": 0.0254,
+    b"foot": 0.3048,
+    b"meter": 1.0,
+}
+_DAE_UP = re.compile(rb"<up_axis>\s*([XYZ])_UP\s*</up_axis>")
+_DAE_UNIT = re.compile(rb"<unit\b[^>]*\bmeter\s*=\s*[\"']([-+0-9.eE]+)[\"']")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ForeignMesh:
+    """A mesh in its file's axes and units, and what the file says of them; None where it says nothing."""
+
+    mesh: TriangleMesh
+    up_axis: str | None
+    unit_m: float | None
+
+
+def read_foreign_mesh(content: bytes, *, file_type: str, companions: Mapping[str, bytes]) -> ForeignMesh:
+    """Read OFF, 3MF or COLLADA.
+
+    Raises:
+        FormatError: the file is damaged, too large, or declares XML entities.
+        MeshError: more vertices or faces than `mesh.py` allows.
+    """
+    axis: str | None = None
+    unit: float | None = None
+    num_faces = 1
+    if file_type == "off":
+        num_faces = _check_off(content)
+    elif file_type == "3mf":
+        axis, unit = "+Z", _3MF_UNITS_M[_check_3mf(content)]
+    else:
+        _refuse_entities(content)
+        up = _DAE_UP.search(content)
+        declared = _DAE_UNIT.search(content)
+        axis = "+Y" if up is None else f"+{up[1].decode()}"
+        unit = _positive(declared[1]) if declared else 1.0
+    mesh = _parsed(content, file_type, companions)
+    if mesh.num_faces < num_faces:  # trimesh reads what is there
+        raise FormatError(f"the OFF header says {num_faces:,} faces, but {mesh.num_faces:,} are there; it is truncated")
+    return ForeignMesh(mesh=mesh, up_axis=axis, unit_m=unit)
+
+
+def _parsed(content: bytes, file_type: str, companions: Mapping[str, bytes]) -> TriangleMesh:
+    import trimesh
+
+    class Beside(trimesh.resolvers.Resolver):
+        """Files beside the model; nothing else can be opened."""
+
+        def __init__(self) -> None:
+            pass
+
+        def get(self, name: str) -> bytes:
+            return companions[name.replace("\\", "/").removeprefix("./")]
+
+        def keys(self) -> list[str]:
+            return list(companions)
+
+        def namespaced(self, namespace: str) -> "Beside":
+            return self
+
+        def write(self, name: str, content: bytes) -> None:
+            raise NotImplementedError
+
+    try:
+        scene = trimesh.load_scene(
+            io.BytesIO(content), file_type=file_type, resolver=Beside(), process=False, maintain_order=True
+        )
+    except Exception as error:
+        raise FormatError(f"the {file_type.upper()} file cannot be read: {str(error)[:160]}") from error
+    if not any(isinstance(g, trimesh.Trimesh) and len(g.faces) for g in scene.geometry.values()):
+        raise MeshError(f"the {file_type.upper()} file has no triangles; a mesh with faces is needed")
+    total = sum(len(scene.geometry[scene.graph[node][1]].vertices) for node in scene.graph.nodes_geometry)
+    if total > MAX_VERTICES:
+        raise MeshError(f"the file has {total:,} vertices with all instances; at most {MAX_VERTICES:,} are allowed")
+    return TriangleMesh.from_trimesh(scene)
+
+
+def _check_off(content: bytes) -> int:
+    """Check the header; gives its number of faces."""
+    lines = (line.split(b"#")[0].split() for line in content[:65536].splitlines())
+    words = [word for line in lines for word in line][:4]
+    counts = words[1:3]
+    if not words or words[0] not in (b"OFF", b"COFF") or len(counts) < 2 or not all(w.isdigit() for w in counts):
+        raise FormatError("the OFF file has no counts of vertices and faces behind its first word")
+    num_vertices, num_faces = (int(word) for word in counts)
+    if num_vertices > MAX_VERTICES or num_faces > MAX_FACES:
+        raise MeshError(
+            f"the OFF header says {num_vertices:,} vertices and {num_faces:,} faces; "
+            f"at most {MAX_VERTICES:,} and {MAX_FACES:,} are allowed; decimate it first"
+        )
+    return num_faces
+
+
+def _check_3mf(content: bytes) -> bytes:
+    """Check the archive's sizes; gives the unit of its model."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            declared = sum(entry.file_size for entry in archive.infolist())
+            if declared > min(MAX_XML_BYTES, _MAX_RATIO * len(content)):
+                raise FormatError(f"the 3MF unpacks to {declared:,} bytes; at most {_MAX_RATIO} times its size is read")
+            models = [entry for entry in archive.infolist() if entry.filename.lower().endswith(".model")]
+            roots = [entry for entry in models if entry.filename.lower().endswith("3d/3dmodel.model")]
+            if not roots:
+                raise FormatError("the archive has no 3D/3dmodel.model; it is no 3MF file")
+            for entry in models:
+                _refuse_entities(archive.read(entry))
+            root = archive.read(roots[0])
+    except (zipfile.BadZipFile, zipfile.LargeZipFile, ValueError, OSError, EOFError, RuntimeError) as error:
+        raise FormatError(f"the 3MF archive cannot be read: {str(error)[:160]}") from error
+    unit = _MODEL.search(root[:65536])
+    name = b"millimeter" if unit is None else unit[1].lower()
+    if name not in _3MF_UNITS_M:
+        raise FormatError(f"the 3MF is in {name[:20]!r}; {', '.join(u.decode() for u in _3MF_UNITS_M)} are defined")
+    return name
+
+
+def _refuse_entities(xml: bytes) -> None:
+    if b"<!ENTITY" in xml or b"<!DOCTYPE" in xml:
+        raise FormatError("the XML declares entities or a document type, which models do not need; remove them")
+    corners = xml.count(b"<triangle ") + xml.count(b"<tri ")
+    if corners > MAX_FACES:
+        raise MeshError(f"the file has {corners:,} triangles; at most {MAX_FACES:,} are allowed; decimate it first")
+
+
+def _positive(text: bytes) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0 < value < 1e6:
+        raise FormatError(f"the COLLADA file has a unit of {text[:20]!r} metres; a positive length is needed")
+    return value
