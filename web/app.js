@@ -473,7 +473,8 @@ function wire() {
     paintRange($("damping"));
   };
   $("damping").onchange = () => hand.setDamping(Number($("damping").value) / 100);
-  $("damping").oninput();
+  fill($("damping-out"), "by foliage");
+  paintRange($("damping"));
   $("play").onclick = () => setPlaying(!motion.playing);
   $("time").oninput = () => {
     setPlaying(false);

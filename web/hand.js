@@ -12,7 +12,7 @@ export class Hand {
     this.tree = this.push = this.held = null;
     this.groups = [];
     this.frame = 0;
-    this.damping = 0.05;
+    this.damping = undefined; // until it is set, the server takes that of real trees
     const place = stage.canvas.parentElement; // before OrbitControls, which listens at the canvas
     place.addEventListener("pointerdown", (event) => this._down(event), true);
     place.addEventListener("pointermove", (event) => this._move(event), true);

@@ -318,7 +318,9 @@ class Interact(Model):
     integrator: str
     dt_s: float
     num_frames: int
+    # natural frequencies by bin; bin 0 is no mode and 0
     frequencies_hz: list[float]
+    damping_ratio: float
     mass_kg: float
     # m of m (q̈ + 2ζω q̇ + ω² q) = Σ conj(φ)·F
     modal_mass_kg_m2: float
@@ -333,8 +335,10 @@ class InteractRequest(Model):
     # from a job's result
     spectrum_id: str
     forces: "list[Force] | None" = None
-    # of every mode; 1 is critical
-    damping_ratio: float = 0.05
+    # of every mode; 1 is critical. Unset: 0.04 (bare) to 0.13 (in leaf)
+    damping_ratio: float | None = None
+    # lowest natural frequency [Hz]. Unset: as measured for the tree's height
+    frequency_hz: float | None = None
     # that moves; by the height if unset
     mass_kg: float | None = None
     # of a step, which is a frame [s]

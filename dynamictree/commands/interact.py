@@ -54,7 +54,12 @@ def interact(
     held: Annotated[bool, typer.Option(help="Begin in equilibrium with the pull, to be let go.")] = False,
     frames: Annotated[int, typer.Option(min=1, max=6000, help="Frames to write.")] = 120,
     fps: Annotated[float, typer.Option(min=1, max=1000, help="Frames a second, each one step.")] = 60.0,
-    damping: Annotated[float, typer.Option(min=0, max=2, help="Damping ratio; 1 is critical.")] = 0.05,
+    damping: Annotated[
+        float | None, typer.Option(min=0, max=2, help="Damping ratio; by the foliage (0.04 to 0.13) if not given.")
+    ] = None,
+    frequency: Annotated[
+        float | None, typer.Option(min=1e-3, max=100, help="Lowest natural frequency [Hz]; by the height if not given.")
+    ] = None,
     mass: Annotated[
         float | None, typer.Option(min=1e-6, max=1e6, help="Mass that moves [kg]; by the tree's height if not given.")
     ] = None,
@@ -79,7 +84,7 @@ def interact(
     if chosen is None:
         raise InputError(f"there is no integrator {integrator!r}; choose one of {', '.join(INTEGRATORS)}")
     with opened(spectrum) as stream:
-        system = modal_system(read_spectrum(stream), mass_kg=mass, damping_ratio=damping)
+        system = modal_system(read_spectrum(stream), mass_kg=mass, damping_ratio=damping, frequency_hz=frequency)
     at = _contact(system, point, voxel, radius)
     forces = _forces(at, impulse=impulse, force=force, displacement=displacement, wind=wind, times=(start, duration))
     groups = group_forces(forces, falloff_m=(falloff or default_falloff_m(system)) if local else None)

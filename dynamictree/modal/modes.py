@@ -27,7 +27,7 @@ def mode_tensors(system: ModalSystem, bones: Bones) -> dict[str, np.ndarray]:
         "coords": system.grid.coords.astype(np.int16),
         "shapes": _from_bin_zero(shapes),
         "scale_m": np.concatenate([[0], scale]).astype(np.float32),
-        "frequencies_hz": np.concatenate([[0], system.omega / (2 * np.pi)]).astype(np.float32),
+        "frequencies_hz": np.concatenate([[0], system.wind_omega / (2 * np.pi)]).astype(np.float32),
         "bone_of_voxel": bones.bone_of_voxel,
         "bone_parent": bones.parent,
         "bone_joint_m": bones.joint_m,

@@ -1,11 +1,12 @@
 """Damped oscillators whose shapes are a spectrum's bins. Paper section 4; Davis et al. 2015, section 4.
 
-A bin k >= 1 is a mode: its shape φ_k = w_k c_k (w_k = 2) is the complex amplitude with which the wind moved each voxel,
-its natural frequency ω_k = 2πk / P. With one complex coordinate q_k, that is two real oscillators,
+A bin k >= 1 is a mode: its shape φ_k = w_k c_k (w_k = 2) is the complex amplitude with which the wind moved each voxel.
+Its natural frequency is ω_k² = (2πk / P)² + (2πf_0)² - (2π / P)²: the lowest is that of a real tree of this height and
+foliage (`real_trees`), or as given. With one complex coordinate q_k, that is two real oscillators,
 
     m (q̈_k + 2 ζ_k ω_k q̇_k + ω_k² q_k) = Σ_p conj(φ_k(p)) · F_p,        u(p) = Re Σ_k φ_k(p) q_k.
 
-φ is a length, so q is a pure number (q_k = exp(iω_k t) is the wind's own sway) and m is in kg m². The tree's mass is
+φ is a length, so q is a pure number (q_k = exp(2πikt / P) is the wind's own sway) and m is in kg m². The tree's mass is
 spread evenly over its voxels, and takes part in a mode by that mode's share of the sway:
 
     m = mass_kg · mean_p Σ_k |φ_k(p)|² / 2.
@@ -20,11 +21,11 @@ import numpy as np
 from jaxtyping import Complex64, Complex128, Float32, Float64
 
 from dynamictree.errors import InputError
+from dynamictree.modal.real_trees import foliage_of, free_omega, natural_damping, natural_frequency_hz
 from dynamictree.spectrum import SparseVoxelSpectrum, bin_weights
 from dynamictree.voxel.grid import VoxelGrid
 
 MASS_KG_M3 = 0.2  # green mass over height³ where none is given: 25 kg at 5 m, 200 kg at 10 m, 1.6 t at 20 m
-DAMPING_RATIO = 0.05  # trees in leaf measure 0.02 to 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,10 +34,13 @@ class ModalSystem:
 
     grid: VoxelGrid
     shapes: Complex64[np.ndarray, "V M 3"]  # φ [m], bins 1 to K - 1
-    omega: Float64[np.ndarray, " M"]  # [rad/s]
+    wind_omega: Float64[np.ndarray, " M"]  # of the bins: how fast the wind moved each mode [rad/s]
+    omega: Float64[np.ndarray, " M"]  # natural frequencies [rad/s]
     damping_ratio: Float64[np.ndarray, " M"]  # ζ
     mass_kg: float
     sway_m2: float  # mean_p Σ_k |φ_k(p)|² / 2
+    height_m: float
+    foliage: float  # 0 is bare, 1 in leaf
 
     @property
     def num_modes(self) -> int:
@@ -58,45 +62,59 @@ def modal_system(
     spectrum: SparseVoxelSpectrum,
     *,
     mass_kg: float | None = None,
-    damping_ratio: float | Float64[np.ndarray, " M"] = DAMPING_RATIO,
+    damping_ratio: float | Float64[np.ndarray, " M"] | None = None,
+    frequency_hz: float | None = None,
 ) -> ModalSystem:
     """Read a spectrum as oscillators.
 
     Args:
         spectrum: K >= 2 bins; the first is the lean and no mode.
         mass_kg: mass that moves [kg], spread evenly over the voxels; by default `MASS_KG_M3` times the height cubed.
-        damping_ratio: ζ, one for all modes or one a mode (see `rayleigh_damping`).
+        damping_ratio: ζ, one for all modes or one per mode (see `rayleigh_damping`); by default that of real trees.
+        frequency_hz: lowest natural frequency; by default that of real trees. 1 / P gives those of the bins.
 
     Raises:
-        InputError: the spectrum does not move, or mass or damping is not a physical one.
+        InputError: the spectrum does not move, or mass, damping or frequency is not a physical one.
     """
-    omega = 2 * np.pi * spectrum.frequencies_hz[1:]  # [M]
+    wind_omega = 2 * np.pi * spectrum.frequencies_hz[1:]  # [M]
     weights = bin_weights(spectrum.num_frequencies, spectrum.num_frames)
     shapes = np.ascontiguousarray((spectrum.coefficients * weights[:, None])[:, 1:])  # [V, M, 3]
     sway = float((np.abs(shapes) ** 2).sum(dtype=np.float64)) / (2 * len(shapes))
     if sway == 0:
         raise InputError("every coefficient above bin 0 is zero; a spectrum that does not move has no modes")
     height = (int(np.ptp(spectrum.grid.coords[:, 2])) + 1) * spectrum.grid.voxel_size_m
+    foliage = foliage_of(spectrum)
     return ModalSystem(
         grid=spectrum.grid,
         shapes=shapes,
-        omega=omega,
-        damping_ratio=_damping(damping_ratio, len(omega)),
+        wind_omega=wind_omega,
+        omega=_natural(wind_omega, frequency_hz, height, foliage),
+        damping_ratio=_damping(damping_ratio, len(wind_omega), foliage),
         mass_kg=MASS_KG_M3 * height**3 if mass_kg is None else _mass(mass_kg),
         sway_m2=sway,
+        height_m=height,
+        foliage=foliage,
     )
 
 
 def with_physics(
-    system: ModalSystem, *, mass_kg: float | None, damping_ratio: float | Float64[np.ndarray, " M"]
+    system: ModalSystem,
+    *,
+    mass_kg: float | None = None,
+    damping_ratio: float | Float64[np.ndarray, " M"] | None = None,
+    frequency_hz: float | None = None,
 ) -> ModalSystem:
-    """The same modes with another mass (None keeps it) and damping; shares the shapes.
+    """Change mass (None keeps it), damping and lowest frequency (None is the measured one); shares the shapes.
 
     Raises:
-        InputError: mass or damping is not a physical one.
+        InputError: mass, damping or frequency is not a physical one.
     """
-    mass = system.mass_kg if mass_kg is None else _mass(mass_kg)
-    return replace(system, mass_kg=mass, damping_ratio=_damping(damping_ratio, system.num_modes))
+    return replace(
+        system,
+        mass_kg=system.mass_kg if mass_kg is None else _mass(mass_kg),
+        damping_ratio=_damping(damping_ratio, system.num_modes, system.foliage),
+        omega=_natural(system.wind_omega, frequency_hz, system.height_m, system.foliage),
+    )
 
 
 def rayleigh_damping(omega: Float64[np.ndarray, " M"], *, alpha: float, beta: float) -> Float64[np.ndarray, " M"]:
@@ -123,8 +141,19 @@ def _mass(mass_kg: float) -> float:
     return mass_kg
 
 
-def _damping(damping_ratio: float | Float64[np.ndarray, " M"], num_modes: int) -> Float64[np.ndarray, " M"]:
-    zeta = np.asarray(damping_ratio, np.float64)
+def _natural(
+    wind_omega: Float64[np.ndarray, " M"], frequency_hz: float | None, height_m: float, foliage: float
+) -> Float64[np.ndarray, " M"]:
+    lowest = natural_frequency_hz(height_m, foliage) if frequency_hz is None else frequency_hz
+    if not (np.isfinite(lowest) and lowest > 0):
+        raise InputError(f"frequency_hz is {lowest}; it must be positive and finite")
+    return free_omega(wind_omega, lowest)
+
+
+def _damping(
+    damping_ratio: float | Float64[np.ndarray, " M"] | None, num_modes: int, foliage: float
+) -> Float64[np.ndarray, " M"]:
+    zeta = np.asarray(natural_damping(foliage) if damping_ratio is None else damping_ratio, np.float64)
     if zeta.shape not in {(), (num_modes,)}:
         raise InputError(f"{zeta.shape} damping ratios for {num_modes} modes; give one, or one a mode")
     if not (np.isfinite(zeta).all() and (zeta >= 0).all()):

@@ -65,7 +65,8 @@ class InteractPayload(Payload):
     integrator: str
     dt_s: float
     num_frames: int
-    frequencies_hz: list[float]
+    frequencies_hz: list[float] = Field(description="natural frequencies by bin; bin 0 is no mode and 0")
+    damping_ratio: float
     mass_kg: float
     modal_mass_kg_m2: float = Field(description="m of m (q̈ + 2ζω q̇ + ω² q) = Σ conj(φ)·F")
     groups: list[GroupPayload]
@@ -123,7 +124,9 @@ def answer_of(body: InteractRequest, ready: ReadyTree, owned: Owned) -> tuple[Mo
     Raises:
         InputError, NumericsError, ProblemError: the request cannot be met.
     """
-    system = with_physics(ready.tree.system, mass_kg=body.mass_kg, damping_ratio=body.damping_ratio)
+    system = with_physics(
+        ready.tree.system, mass_kg=body.mass_kg, damping_ratio=body.damping_ratio, frequency_hz=body.frequency_hz
+    )
     forces = [
         library_force(force, system.grid, lambda: with_mesh(owned, ready, body.spectrum_id)) for force in body.forces
     ]
@@ -201,6 +204,7 @@ def _facts(body: InteractRequest, system: ModalSystem) -> dict[str, object]:
         "dt_s": body.dt_s,
         "num_frames": body.num_frames,
         "frequencies_hz": [0.0, *(system.omega / (2 * np.pi)).tolist()],
+        "damping_ratio": float(system.damping_ratio[0]),
         "mass_kg": system.mass_kg,
         "modal_mass_kg_m2": system.modal_mass,
     }

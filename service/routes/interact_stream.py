@@ -2,7 +2,7 @@
 
 Every message is a JSON object with a `type`. The client begins with
 
-    open     spectrum_id, and as in /v1/interact: damping_ratio, mass_kg, locality, falloff_m; rate_hz (60)
+    open     spectrum_id; rate_hz (60); damping_ratio, frequency_hz, mass_kg, locality, falloff_m as in /v1/interact
 
 and then sends, in any order,
 
@@ -13,7 +13,7 @@ and then sends, in any order,
 
 The server sends
 
-    opened   rate_hz, frequencies_hz, modal_mass_kg_m2
+    opened   rate_hz, frequencies_hz, damping_ratio, modal_mass_kg_m2
     frame    frame (its number, at frame / rate_hz seconds), skipped (frames left out before it), groups: locality and q
     rest     frame: everything has settled; nothing more is sent until the next force
     problem  code, detail, …: what was wrong with a message; the stream goes on, unless it was the first
@@ -39,7 +39,7 @@ from starlette.concurrency import run_in_threadpool
 
 from dynamictree.modal.locality import default_falloff_m
 from dynamictree.modal.step import exact_step
-from dynamictree.modal.system import DAMPING_RATIO, with_physics
+from dynamictree.modal.system import with_physics
 from service.http.problems import REFUSALS, ProblemError, Refusal, problem_body, problem_of
 from service.http.validation_errors import field_errors, summed_up
 from service.interact_session import Session, force_of
@@ -66,7 +66,8 @@ class OpenMessage(Payload):
 
     type: Literal["open"]
     spectrum_id: str = Field(max_length=64)
-    damping_ratio: Finite = Field(default=DAMPING_RATIO, ge=0, le=2)
+    damping_ratio: Finite | None = Field(default=None, ge=0, le=2)
+    frequency_hz: Finite | None = Field(default=None, gt=0, le=100)
     mass_kg: Finite | None = Field(default=None, gt=0, le=LARGEST)
     locality: Literal["none", "geodesic"] = "geodesic"
     falloff_m: Finite | None = Field(default=None, gt=0, le=LARGEST)
@@ -123,7 +124,12 @@ async def _open(socket: WebSocket, owned: Owned) -> tuple[OpenMessage, ReadyTree
     try:
         message = _FIRST.validate_json(await asyncio.wait_for(_text(socket), OPEN_S))
         ready = await run_in_threadpool(ready_tree, owned, message.spectrum_id)
-        system = with_physics(ready.tree.system, mass_kg=message.mass_kg, damping_ratio=message.damping_ratio)
+        system = with_physics(
+            ready.tree.system,
+            mass_kg=message.mass_kg,
+            damping_ratio=message.damping_ratio,
+            frequency_hz=message.frequency_hz,
+        )
     except TimeoutError:
         await socket.close(INVALID, f"no open message within {OPEN_S:g} s")
         return None
@@ -136,6 +142,7 @@ async def _open(socket: WebSocket, owned: Owned) -> tuple[OpenMessage, ReadyTree
         "type": "opened",
         "rate_hz": message.rate_hz,
         "frequencies_hz": [0.0, *(system.omega / (2 * np.pi)).tolist()],
+        "damping_ratio": float(system.damping_ratio[0]),
         "modal_mass_kg_m2": system.modal_mass,
     }
     await _send(socket, reply)

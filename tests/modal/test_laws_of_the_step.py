@@ -32,7 +32,7 @@ def some_force(system, rng, num_frames, num_groups=2):
 
 
 def test_undriven_undamped_modes_replay_the_winds_loop_less_its_mean(spectrum):
-    system = modal_system(spectrum, damping_ratio=0.0)
+    system = modal_system(spectrum, damping_ratio=0.0, frequency_hz=1 / spectrum.period_s)
     begin = State(q=np.ones((1, 15), complex), q_dot=1j * system.omega[None])
     dt_s = spectrum.period_s / 37  # no multiple of the frame time: the loop is replayed between frames too
     frames, end = run(exact_step(system, dt_s), begin, np.zeros((37, 1, 15), complex))
