@@ -1,6 +1,7 @@
 """Files that somebody names by a path: opened with a word on why not, written whole or not at all."""
 
 import errno
+import os
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
@@ -72,3 +73,17 @@ def published(folder: Path) -> Iterator[Path]:
             raise InputError(f"there is no room in {folder}: {error.strerror}; free some, or choose another") from None
         raise
     written.rmdir()
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[BinaryIO]:
+    """Write a file that takes the place of `path` once it is complete; a crash or a full disk leaves the old one."""
+    partial = path.with_name(f"{path.name}.part")
+    try:
+        with partial.open("wb") as stream:
+            yield stream
+            stream.flush()
+            os.fsync(stream.fileno())
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)

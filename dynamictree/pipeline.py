@@ -141,8 +141,8 @@ def reconstruct(
             schedule=Schedule() if splat_steps is None else Schedule(num_steps=splat_steps),
         ),
         root=root,
-        kept=kept,
-        on_progress=on_progress or (lambda done: None),
+        work=kept,
+        on_progress=lambda progress: on_progress(progress.total) if on_progress else None,
     )
     return Capture(cloud=found.splat, mesh=found.mesh)
 

@@ -1,6 +1,7 @@
-"""Photos to cameras, a splat and a mesh, on the CPU."""
+"""Reconstruction from photos: cameras, a splat and a mesh, on the CPU."""
 
-from dynamictree.reconstruct.reconstruction import Reconstruction, ReconstructOptions, reconstruct
-from dynamictree.reconstruct.report import Report
+from dynamictree.reconstruct.progress import Progress
+from dynamictree.reconstruct.reconstruction import ReconstructOptions, reconstruct
+from dynamictree.reconstruct.result import Reconstruction, Report
 
-__all__ = ["ReconstructOptions", "Reconstruction", "Report", "reconstruct"]
+__all__ = ["Progress", "ReconstructOptions", "Reconstruction", "Report", "reconstruct"]

@@ -1,20 +1,19 @@
-"""A run of `optimise` in a file, so that a worker that was stopped goes on where it was."""
+"""State of `optimise` in a file, so that an interrupted run continues to the same result."""
 
-import os
 from pathlib import Path
 
 import numpy as np
 
+from dynamictree.files import replacing
 from dynamictree.reconstruct.adam import AdamState
 from dynamictree.reconstruct.densify import Pull
 from dynamictree.reconstruct.optimise import SplatProgress
 
 
 def save_progress(progress: SplatProgress, path: Path) -> None:
-    """Write all of it, whole or not at all."""
-    being_written = path.with_suffix(".part")
+    """Write the state; a crash leaves the previous file."""
     pull = progress.pull or Pull(len(progress.table))
-    with being_written.open("wb") as stream:
+    with replacing(path) as stream:
         np.savez(
             stream,
             table=progress.table,
@@ -26,11 +25,10 @@ def save_progress(progress: SplatProgress, path: Path) -> None:
             best_psnr=np.array(progress.best_psnr),
             checks=np.array(progress.checks, np.float64).reshape(-1, 3),
         )
-    os.replace(being_written, path)
 
 
 def load_progress(path: Path) -> SplatProgress:
-    """Read it back."""
+    """Read what `save_progress` wrote."""
     with np.load(path, allow_pickle=False) as arrays:
         step, moment_steps, num_discarded = arrays["steps"].tolist()
         best = arrays["best"]

@@ -1,13 +1,15 @@
-"""Depth maps of all views, coarse for the whole pictures and fine for what is to be meshed."""
+"""Depth maps of all views: coarse ones of whole pictures, fine ones of the subject."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float32
 from PIL import Image
 from scipy.spatial import cKDTree
 
+from dynamictree.files import replacing
 from dynamictree.reconstruct.fusion import Box
 from dynamictree.reconstruct.stereo import (
     DepthRange,
@@ -27,16 +29,22 @@ _MIN_POINTS = 12  # that a view must see to be matched
 
 @dataclass(frozen=True, kw_only=True)
 class DepthMaps:
-    """What the views agree on, and the planes that it came from."""
+    """Depths that neighbouring views confirm."""
 
     views: list[StereoView]
-    neighbours: list[list[int]]
-    planes: list[Hypotheses]
     depths: list[Float32[np.ndarray, "H W"]]  # 0 where unknown [units of the cameras]
 
 
-def coarse_depths(model: SparseModel, on_view: Callable[[int, int], None]) -> DepthMaps:
-    """Match whole pictures, from the depth of the nearest point that structure from motion has seen."""
+@dataclass(frozen=True, kw_only=True)
+class Matches:
+    """Planes that stereo proposes before views confirm each other: where a finer match starts."""
+
+    neighbours: list[list[int]]
+    planes: list[Hypotheses]
+
+
+def coarse_depths(model: SparseModel, on_view: Callable[[int, int], None]) -> tuple[DepthMaps, Matches]:
+    """Match whole pictures, starting from the depth of the nearest point of structure from motion."""
     views = [stereo_view(view, COARSE_SIDE_PX) for view in model.views]
     positions = np.array([view.position for view in views])
     masks = [_mask(view, stereo.grey.shape) for view, stereo in zip(model.views, views, strict=True)]
@@ -46,10 +54,10 @@ def coarse_depths(model: SparseModel, on_view: Callable[[int, int], None]) -> De
         on_view(number, len(views))
         guess = _sparse_guess(model, view, number)
         planes.append(_matched(model, views, neighbours, number, guess, mask=masks[number]))
-    return _agreed(views, neighbours, planes, masks)
+    return _confirmed(views, neighbours, planes, masks), Matches(neighbours=neighbours, planes=planes)
 
 
-def fine_depths(model: SparseModel, coarse: DepthMaps, box: Box, on_view: Callable[[int, int], None]) -> DepthMaps:
+def fine_depths(model: SparseModel, coarse: Matches, box: Box, on_view: Callable[[int, int], None]) -> DepthMaps:
     """Match again at a higher resolution, only where a ray meets the box."""
     views = [stereo_view(view, FINE_SIDE_PX) for view in model.views]
     masks = [_mask(view, stereo.grey.shape) for view, stereo in zip(model.views, views, strict=True)]
@@ -61,7 +69,29 @@ def fine_depths(model: SparseModel, coarse: DepthMaps, box: Box, on_view: Callab
         planes.append(
             _matched(model, views, coarse.neighbours, number, guess, mask=mask, num_iterations=_FINE_ITERATIONS)
         )
-    return _agreed(views, coarse.neighbours, planes, masks)
+    return _confirmed(views, coarse.neighbours, planes, masks)
+
+
+def save_depths(coarse: DepthMaps, fine: DepthMaps | None, box: Box, path: Path) -> None:
+    """Write depth maps, and the box that the fine ones are limited to."""
+    fine_maps = [] if fine is None else fine.depths
+    arrays = {
+        f"{name}_{row}": m for name, maps in (("c", coarse.depths), ("f", fine_maps)) for row, m in enumerate(maps)
+    }
+    with replacing(path) as stream:
+        np.savez_compressed(stream, box=np.stack([box.low, box.high]), **arrays)
+
+
+def load_depths(model: SparseModel, path: Path) -> tuple[DepthMaps, DepthMaps | None, Box]:
+    """Read what `save_depths` wrote for the same views."""
+    with np.load(path, allow_pickle=False) as arrays:
+        low, high = arrays["box"]
+        coarse, fine = (
+            [arrays[f"{name}_{row}"] for row in range(len(model.views)) if f"{name}_{row}" in arrays] for name in "cf"
+        )
+    coarse_maps = DepthMaps(views=[stereo_view(view, COARSE_SIDE_PX) for view in model.views], depths=coarse)
+    fine_maps = DepthMaps(views=[stereo_view(view, FINE_SIDE_PX) for view in model.views], depths=fine)
+    return coarse_maps, fine_maps if fine else None, Box(low=low, high=high)
 
 
 def stereo_view(view: View, side_px: int) -> StereoView:
@@ -134,7 +164,7 @@ def _enlarged(planes: Hypotheses, shape: tuple[int, ...]) -> Hypotheses:
 
 
 def _mask(view: View, shape: tuple[int, ...]) -> Bool[np.ndarray, "h w"]:
-    """Where the tree is, if that is given; everywhere if not."""
+    """The view's mask at another size; everything where it has none."""
     if view.alpha is None:
         return np.ones(shape, np.bool_)
     smaller = Image.fromarray(view.alpha).resize((shape[1], shape[0]), Image.Resampling.BOX)
@@ -142,7 +172,7 @@ def _mask(view: View, shape: tuple[int, ...]) -> Bool[np.ndarray, "h w"]:
     return mask
 
 
-def _agreed(
+def _confirmed(
     views: list[StereoView],
     neighbours: list[list[int]],
     planes: list[Hypotheses],
@@ -151,4 +181,4 @@ def _agreed(
     least = 2 if len(views) > 6 else 1
     agreed = agreed_depths(views, planes, neighbours, min_agreeing=least)
     depths = [np.where(mask, depth, 0).astype(np.float32) for mask, depth in zip(masks, agreed, strict=True)]
-    return DepthMaps(views=views, neighbours=neighbours, planes=planes, depths=depths)
+    return DepthMaps(views=views, depths=depths)

@@ -47,6 +47,12 @@ class GivenCamera:
     world_to_camera: Float64[np.ndarray, "3 4"]  # camera x right, y down, z forward
 
 
+def files_with_cameras(root: Path) -> list[Path]:
+    """Files in a folder or below it that `find_given` may read."""
+    names = {TRANSFORMS, LLFF, *(name for pair in COLMAP for name in pair)}
+    return sorted(path for path in root.rglob("*") if path.name in names)
+
+
 def find_given(root: Path, sizes: Sizes) -> tuple[GivenCamera, ...] | None:
     """Cameras in a folder of photos or below it; None if there are none.
 

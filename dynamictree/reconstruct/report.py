@@ -1,9 +1,8 @@
-"""What a reconstruction tells: numbers, cameras, and photos beside what was made of them."""
+"""Files of a reconstruction: products, numbers, cameras, and held-out photos beside the splat and the mesh."""
 
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, TypedDict
 
 import numpy as np
 from jaxtyping import UInt8
@@ -12,44 +11,15 @@ from PIL import Image
 from dynamictree.formats.mesh.ply_writer import write_ply
 from dynamictree.formats.splat.ply import write_gaussian_ply
 from dynamictree.mesh import TriangleMesh
+from dynamictree.reconstruct.result import Reconstruction
+from dynamictree.reconstruct.splat import SplatFit
 from dynamictree.reconstruct.views import View
 from dynamictree.render import Look, Renderer, write_png
-
-if TYPE_CHECKING:
-    from dynamictree.reconstruct.reconstruction import Reconstruction
-    from dynamictree.reconstruct.splat import SplatFit
 
 _REPORT_SIDE_PX = 640
 
 
 _LEAST_GAIN_DB = 3.0  # above a picture of one colour, or the splat shows nothing
-
-
-class Report(TypedDict):
-    """What was found, as `report.json` holds it."""
-
-    num_photos: int
-    num_registered: int
-    left_out: list[str]  # photos that fit to no others
-    reprojection_error_px: float
-    num_points: int
-    ground_found: bool
-    scale: str  # `given` or `unknown`: photos alone tell no size, a mesh of unknown scale is 1 m high
-    height_m: float
-    mesh_by: str  # `stereo` or `splat`: whose depths or opacity it was made of
-    num_vertices: int
-    num_faces: int
-    num_gaussians: int  # of the tree
-    num_gaussians_scene: int
-    held_out: list[str]  # photos that the splat was not made from; they told when to stop
-    held_out_psnr_db: list[float]  # of each
-    held_out_blank_psnr_db: list[float]  # of a picture of one colour, for comparison
-    held_out_size_px: list[int]
-    warnings: list[str]  # what makes the result doubtful, and what to do
-    splat_steps: int
-    num_gaussians_discarded: int  # since their gradient was not finite
-    seconds: dict[str, float]  # by part
-    processor_seconds: dict[str, float]  # by part, of all cores
 
 
 def quality_warnings(psnr_db: Sequence[float], blank_psnr_db: Sequence[float]) -> list[str]:
@@ -63,19 +33,19 @@ def quality_warnings(psnr_db: Sequence[float], blank_psnr_db: Sequence[float]) -
     ]
 
 
-def write_report(found: "Reconstruction", fit: "SplatFit", folder: Path) -> None:
-    """Everything that was made, as files."""
+def write_result(result: Reconstruction, fit: SplatFit, folder: Path) -> None:
+    """Write `mesh.ply`, `splat.ply`, `scene.ply`, `cameras.json`, `report.json` and `report.png`."""
     with (folder / "mesh.ply").open("wb") as stream:
-        write_ply(found.mesh, stream)
+        write_ply(result.mesh, stream)
     with (folder / "splat.ply").open("wb") as stream:
-        write_gaussian_ply(found.splat, stream)
+        write_gaussian_ply(result.splat, stream)
     with (folder / "scene.ply").open("wb") as stream:
-        write_gaussian_ply(found.scene, stream)
-    write_cameras(found.views, folder, scale=found.report["scale"])
-    (folder / "report.json").write_text(json.dumps(found.report, indent=1))
-    by_name = {view.source: view for view in found.views}
+        write_gaussian_ply(result.scene, stream)
+    write_cameras(result.views, folder, scale=result.report["scale"])
+    (folder / "report.json").write_text(json.dumps(result.report, indent=1))
+    by_name = {view.source: view for view in result.views}
     rows = [
-        np.concatenate([_fitting(pair, 2 * _REPORT_SIDE_PX), _mesh_seen(found.mesh, by_name[name])], axis=1)
+        np.concatenate([_shrunk(pair, 2 * _REPORT_SIDE_PX), _rendered(result.mesh, by_name[name])], axis=1)
         for name, pair in zip(fit.held_out, fit.pictures, strict=True)
     ]
     width = max(row.shape[1] for row in rows)
@@ -85,7 +55,7 @@ def write_report(found: "Reconstruction", fit: "SplatFit", folder: Path) -> None
 
 
 def write_cameras(views: Sequence[View], folder: Path, *, scale: str) -> None:
-    """Where each photo was taken from."""
+    """Write `cameras.json`: intrinsics and pose of each registered photo."""
     cameras = {
         "axes": "camera x right, y down, z forward; world +Z up; pixel centres at half-integers",
         "scale": scale,
@@ -94,14 +64,14 @@ def write_cameras(views: Sequence[View], folder: Path, *, scale: str) -> None:
     (folder / "cameras.json").write_text(json.dumps(cameras, indent=1))
 
 
-def _mesh_seen(mesh: TriangleMesh, view: View) -> UInt8[np.ndarray, "H W 3"]:
+def _rendered(mesh: TriangleMesh, view: View) -> UInt8[np.ndarray, "H W 3"]:
     height, width = view.image.shape[:2]
     by = min(1.0, _REPORT_SIDE_PX / max(width, height))
     look = Look(width=round(width * by), height=round(height * by), ground=False)
     return Renderer(mesh, look).picture(camera=view.camera)
 
 
-def _fitting(picture: UInt8[np.ndarray, "H W 3"], width: int) -> UInt8[np.ndarray, "h w 3"]:
+def _shrunk(picture: UInt8[np.ndarray, "H W 3"], width: int) -> UInt8[np.ndarray, "h w 3"]:
     image = Image.fromarray(picture)
     image.thumbnail((width, width), Image.Resampling.LANCZOS)
     return np.array(image)

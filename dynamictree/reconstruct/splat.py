@@ -18,7 +18,7 @@ from dynamictree.reconstruct.views import SparseModel, View
 
 START_GAUSSIANS = 25_000
 _ONE_IN = 8  # photos is held out, and two at least
-_SAVE_EVERY_S, _TELL_EVERY_S = 20.0, 0.25
+_SAVE_EVERY_S, _REPORT_EVERY_S = 20.0, 0.25
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +48,7 @@ def fit_splat(
     schedule: Schedule,
     *,
     saved: Path | None = None,
-    on_progress: Callable[[float], None] = lambda done: None,
+    on_progress: Callable[[float, float | None], None] = lambda share, psnr_db: None,
 ) -> SplatFit:
     """Learn Gaussians from all photos but those held out, which are only looked at to know when to stop.
 
@@ -56,8 +56,9 @@ def fit_splat(
         model: in the stage's frame.
         depths: of the same views, where stereo has some; those of the held-out photos are not used.
         schedule: how long and how fine.
-        saved: a file that the run is saved to every 20 s and when it is stopped, and goes on from if it is there.
-        on_progress: gets the share done every quarter of a second; what it raises passes through.
+        saved: a file for the state, every 20 s and when `on_progress` raises; the run continues from it if it exists.
+        on_progress: gets the share that is done and the PSNR [dB] of held-out photos at the last check, every quarter
+            of a second; what it raises passes through.
     """
     held = held_out_views(len(model.views))
     learned = [view for view in range(len(model.views)) if view not in held]
@@ -73,18 +74,18 @@ def fit_splat(
     start = SplatProgress(table=table, moments=AdamState.fresh(*table.shape), step=0)
     if saved is not None and saved.exists():
         start = load_progress(saved)
-    saved_at = told_at = time.monotonic()
+    saved_at = reported_at = time.monotonic()
 
     def step(progress: SplatProgress) -> None:
-        nonlocal saved_at, told_at
+        nonlocal saved_at, reported_at
         now = time.monotonic()
         if saved is not None and now - saved_at > _SAVE_EVERY_S:
             save_progress(progress, saved)
             saved_at = now
-        if now - told_at > _TELL_EVERY_S or progress.step == start.step:
-            told_at = now
+        if now - reported_at > _REPORT_EVERY_S or progress.step == start.step:
+            reported_at = now
             try:
-                on_progress(progress.step / schedule.num_steps)
+                on_progress(progress.step / schedule.num_steps, progress.checks[-1][2] if progress.checks else None)
             except BaseException:
                 if saved is not None:
                     save_progress(progress, saved)

@@ -1,6 +1,5 @@
-"""From cameras to a coloured mesh that stands on the ground: where, how deep, how joined, in what colours."""
+"""Coloured mesh of the subject, standing on the ground, from depth maps or from the splat."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import fast_simplification
@@ -13,21 +12,15 @@ from dynamictree.errors import InputError, ReconstructionError
 from dynamictree.gaussian.surface import mesh_of_cloud
 from dynamictree.mesh import TriangleMesh, edges_of
 from dynamictree.reconstruct.cameras import ADVICE
-from dynamictree.reconstruct.depth import DepthMaps, coarse_depths, fine_depths
-from dynamictree.reconstruct.fusion import NOTHING, Box, Surface, above, fuse, main_cluster
+from dynamictree.reconstruct.fusion import NOTHING, Surface, above, fuse, main_cluster
+from dynamictree.reconstruct.scene import GAP, LEAST_FACES, Scene
 from dynamictree.reconstruct.splat_table import cloud_of
-from dynamictree.reconstruct.stage import find_stage
 from dynamictree.reconstruct.views import SparseModel, View
 from dynamictree.render import Look, Renderer
 from dynamictree.render.shade import vertex_normals
 
 MAX_FACES = 120_000
-_COARSE_VOXELS, _FINE_VOXELS = 128, 240  # along the longest side
-_GROUND_CUT = 0.02  # of the region's radius: what is lower counts as ground
-_GAP = 0.06  # of the region's radius: what is nearer to the rest belongs to it
-_BOX_MARGIN = 0.08  # of the coarse shape's extent: thin ends show in the fine maps only
-_MAX_VIEWS = 80  # that are matched, evenly chosen: bounds time and memory
-_LEAST_FACES = 200
+_FINE_VOXELS = 240  # along the longest side
 _SMOOTHING = (0.5, -0.53)  # Taubin's pair of steps, which smooths and does not shrink
 _SMOOTHING_ROUNDS = 4
 _COLOR_SIDE_PX = 640
@@ -36,21 +29,8 @@ _WIDEST, _FAINTEST = 0.15, 0.1  # Gaussians that count for the surface: of the r
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scene:
-    """Where the subject stands, in the stage's frame, and how deep the photos see."""
-
-    model: SparseModel  # all views
-    matched: SparseModel  # those of the depth maps
-    coarse: DepthMaps
-    fine: DepthMaps | None  # only for rays that meet the box; None with masks, or where the coarse ones show nothing
-    box: Box  # around the subject
-    cut: float  # height below which is ground
-    ground_found: bool
-
-
-@dataclass(frozen=True, kw_only=True)
 class Shape:
-    """A mesh, and how it came from the stage's frame: x = scale (x' − origin)."""
+    """Mesh in metres, and the way from the scene's frame to it: x = scale (x' − origin)."""
 
     mesh: TriangleMesh
     model: SparseModel
@@ -59,43 +39,19 @@ class Shape:
     origin: Float64[np.ndarray, "3"]
 
 
-def find_scene(model: SparseModel, *, on_progress: Callable[[float], None] = lambda done: None) -> Scene:
-    """Depths of all views, coarse ones to find the subject by, then fine ones of it."""
-    cut_out = all(view.alpha is not None for view in model.views)
-    stage = find_stage(model, np.random.default_rng(0), ground=not cut_out)
-    model = model.transformed(1 / stage.radius, stage.rotation, stage.origin)
-    matched = _evenly_chosen(model)
-    coarse = coarse_depths(matched, lambda done, total: on_progress(0.5 * done / total))
-    region = Box(low=np.array([-1.0, -1.0, -1.0 if cut_out else -0.1]), high=np.array([1.0, 1.0, 2.0]))
-    cut = _GROUND_CUT if stage.ground_found else -np.inf
-    fine, box = None, region
-    if not cut_out:  # masks tell the subject from all else, and stereo would leave out what it cannot match
-        found = main_cluster(above(fuse(coarse.views, coarse.depths, region, resolution=_COARSE_VOXELS), cut), _GAP)
-        if len(found.faces) >= _LEAST_FACES:
-            box = Box(
-                low=found.vertices.min(axis=0).astype(np.float64), high=found.vertices.max(axis=0).astype(np.float64)
-            )
-            box = box.padded(_BOX_MARGIN * float((box.high - box.low).max()))
-            fine = fine_depths(matched, coarse, box, lambda done, total: on_progress(0.5 + 0.5 * done / total))
-    on_progress(1.0)
-    return Scene(
-        model=model, matched=matched, coarse=coarse, fine=fine, box=box, cut=cut, ground_found=stage.ground_found
-    )
-
-
 def stereo_surface(scene: Scene) -> Surface:
-    """The subject as the fine depth maps see it; nothing where there are none."""
+    """Surface of the subject from the fine depth maps; empty where there are none."""
     if scene.fine is None:
         return NOTHING
     fused = fuse(scene.fine.views, scene.fine.depths, scene.box, resolution=_FINE_VOXELS)
-    return main_cluster(above(fused, scene.cut), _GAP)
+    return main_cluster(above(fused, scene.cut), GAP)
 
 
 def splat_surface(table: Float32[np.ndarray, "G P"], scene: Scene) -> Surface:
-    """The subject as its Gaussians cover it: opacity on a grid, then marching cubes.
+    """Surface of the subject from its Gaussians: opacity on a grid, then marching cubes.
 
     Raises:
-        ReconstructionError: they cover nothing.
+        ReconstructionError: no Gaussian is opaque enough.
     """
     cloud = cloud_of(table)
     low = np.maximum(scene.box.low, [-np.inf, -np.inf, scene.cut])
@@ -106,22 +62,19 @@ def splat_surface(table: Float32[np.ndarray, "G P"], scene: Scene) -> Surface:
     except (InputError, ValueError) as error:
         found = f"{len(scene.model.views)} photos fit together, but {int(inside.sum())} Gaussians make no surface"
         raise ReconstructionError(f"{found}; {ADVICE}") from error
-    return main_cluster(Surface(mesh.vertices, mesh.faces), _GAP)
+    return main_cluster(Surface(mesh.vertices, mesh.faces), GAP)
 
 
 def best_surface(table: Float32[np.ndarray, "G P"], scene: Scene) -> tuple[Surface, str]:
-    """By stereo or by the splat: which of them, and its name.
-
-    Where the tree is cut out of the photos, or stereo agrees on too little, the splat's own shape is better.
-    """
+    """Choose the surface of stereo or of the splat; the name says which (`stereo`, `splat`)."""
     stereo = stereo_surface(scene)
-    if len(stereo.faces) >= _LEAST_FACES:
+    if len(stereo.faces) >= LEAST_FACES:
         return stereo, "stereo"
     return splat_surface(table, scene), "splat"
 
 
-def finished(surface: Surface, scene: Scene, *, height_m: float) -> Shape:
-    """Decimated, smoothed, standing on the ground, as high as told, and coloured by the photos.
+def finished_shape(surface: Surface, scene: Scene, *, height_m: float) -> Shape:
+    """Decimate, smooth, scale and colour a surface, and place it on the ground.
 
     Raises:
         ReconstructionError: there is no surface.
@@ -175,22 +128,10 @@ def photo_colors(mesh: TriangleMesh, views: tuple[View, ...]) -> UInt8[np.ndarra
     return color
 
 
-def _evenly_chosen(model: SparseModel) -> SparseModel:
-    number = len(model.views)
-    if number <= _MAX_VIEWS:
-        return model
-    chosen = np.linspace(0, number - 1, _MAX_VIEWS).round().astype(int)
-    row_of = np.full(number, -1)
-    row_of[chosen] = np.arange(len(chosen))
-    seen = model.seen[row_of[model.seen[:, 0]] >= 0]
-    seen = np.stack([row_of[seen[:, 0]], seen[:, 1]], axis=1)
-    return replace(model, views=tuple(model.views[view] for view in chosen), seen=seen)
-
-
 def _check(surface: Surface, model: SparseModel) -> None:
-    if len(surface.faces) < _LEAST_FACES:
+    if len(surface.faces) < LEAST_FACES:
         found = f"{len(model.views)} photos fit together, but they agree on {len(surface.faces)} triangles of surface"
-        raise ReconstructionError(f"{found}; at least {_LEAST_FACES} are needed; {ADVICE}")
+        raise ReconstructionError(f"{found}; at least {LEAST_FACES} are needed; {ADVICE}")
 
 
 def _decimated(surface: Surface) -> Surface:

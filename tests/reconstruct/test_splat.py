@@ -60,7 +60,7 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_end(orbit, rng, tmp_path):
     model, schedule = small_model(orbit, rng), replace(SMALL, num_steps=60, check_every=1000)
     whole = fit_splat(model, None, schedule)
 
-    def stop(done: float) -> None:
+    def stop(done: float, psnr_db: float | None) -> None:
         if done > 0:
             raise Cancelled("enough")
 

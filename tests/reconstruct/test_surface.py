@@ -11,9 +11,10 @@ from dynamictree.errors import ReconstructionError
 from dynamictree.mesh import TriangleMesh
 from dynamictree.reconstruct.depth import rays_through, stereo_view
 from dynamictree.reconstruct.fusion import Box, Surface, above, fuse, main_cluster
+from dynamictree.reconstruct.scene import find_scene
 from dynamictree.reconstruct.stage import find_stage
 from dynamictree.reconstruct.stereo import DepthRange, Hypotheses, agreed_depths, match_view, neighbours_of
-from dynamictree.reconstruct.surface import find_scene, finished, photo_colors, stereo_surface
+from dynamictree.reconstruct.surface import finished_shape, photo_colors, stereo_surface
 from dynamictree.reconstruct.views import SparseModel, View
 from dynamictree.render import Look, Renderer
 from tests.reconstruct.conftest import Orbit
@@ -225,7 +226,7 @@ def test_photos_without_any_pattern_show_no_surface(orbit, rng):
     )
     scene = find_scene(plain)
     with pytest.raises(ReconstructionError, match=r"14 photos fit together, but they agree on 0 triangles"):
-        finished(stereo_surface(scene), scene, height_m=1.0)
+        finished_shape(stereo_surface(scene), scene, height_m=1.0)
 
 
 def test_what_masks_show_is_kept_where_stereo_sees_only_a_part(orbit, rng):

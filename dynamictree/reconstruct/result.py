@@ -1,0 +1,46 @@
+"""Result of a reconstruction: mesh, splat, cameras, and a report of how good they are."""
+
+from dataclasses import dataclass
+from typing import TypedDict
+
+from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.mesh import TriangleMesh
+from dynamictree.reconstruct.views import View
+
+
+class Report(TypedDict):
+    """Contents of `report.json`."""
+
+    num_photos: int
+    num_registered: int
+    left_out: list[str]  # photos without a camera
+    reprojection_error_px: float
+    num_points: int
+    ground_found: bool
+    scale: str  # `given` or `unknown`: photos alone tell no size, a mesh of unknown scale is 1 m high
+    height_m: float
+    mesh_by: str  # `stereo` or `splat`: made from depth maps or from the splat's opacity
+    num_vertices: int
+    num_faces: int
+    num_gaussians: int  # of the tree
+    num_gaussians_scene: int
+    held_out: list[str]  # photos that the splat was not learned from
+    held_out_psnr_db: list[float]  # of each
+    held_out_blank_psnr_db: list[float]  # of a picture of one colour, for comparison
+    held_out_size_px: list[int]
+    warnings: list[str]  # what makes the result doubtful, and what to do
+    splat_steps: int
+    num_gaussians_discarded: int  # since their gradient was not finite
+    seconds: dict[str, float]  # by stage
+    processor_seconds: dict[str, float]  # by stage, of all cores
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reconstruction:
+    """The tree as mesh and as splat, the whole scene, and the cameras [m, +Z up, standing on z = 0]."""
+
+    mesh: TriangleMesh
+    splat: GaussianCloud
+    scene: GaussianCloud
+    views: tuple[View, ...]
+    report: Report

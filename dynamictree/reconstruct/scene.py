@@ -1,0 +1,88 @@
+"""Region of the subject and depth maps of the photos, in a frame with +Z up."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from dynamictree.reconstruct.depth import DepthMaps, coarse_depths, fine_depths, load_depths, save_depths
+from dynamictree.reconstruct.fusion import Box, above, fuse, main_cluster
+from dynamictree.reconstruct.stage import find_stage
+from dynamictree.reconstruct.views import SparseModel
+
+LEAST_FACES = 200  # of a surface
+GAP = 0.06  # of the region's radius: pieces nearer to one another belong together
+_COARSE_VOXELS = 128  # along the longest side
+_GROUND_CUT = 0.02  # of the region's radius: lower parts count as ground
+_BOX_MARGIN = 0.08  # of the coarse shape's extent: thin ends show in the fine maps only
+_MAX_VIEWS = 80  # that are matched, evenly chosen: bounds time and memory
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """Cameras and depth maps in the stage's frame, and the box around the subject."""
+
+    model: SparseModel  # all views
+    matched: SparseModel  # those of the depth maps
+    coarse: DepthMaps
+    fine: DepthMaps | None  # only for rays that meet the box; None with masks, or where the coarse ones show nothing
+    box: Box  # around the subject
+    cut: float  # height below which is ground
+    ground_found: bool
+
+
+def find_scene(
+    model: SparseModel, *, saved: Path | None = None, on_progress: Callable[[float], None] = lambda share: None
+) -> Scene:
+    """Find up and the subject, and match all views: coarse depths locate the subject, fine ones are of it alone.
+
+    Args:
+        model: as structure from motion gives it.
+        saved: a file for the depth maps; those of an earlier call with the same model are read from it.
+        on_progress: gets the share that is done; what it raises passes through.
+    """
+    cut_out = all(view.alpha is not None for view in model.views)
+    stage = find_stage(model, np.random.default_rng(0), ground=not cut_out)
+    model = model.transformed(1 / stage.radius, stage.rotation, stage.origin)
+    matched = _evenly_chosen(model)
+    cut = _GROUND_CUT if stage.ground_found else -np.inf
+    if saved is not None and saved.exists():
+        coarse, fine, box = load_depths(matched, saved)
+    else:
+        coarse, fine, box = _depths(matched, cut, on_progress)
+        if saved is not None:
+            save_depths(coarse, fine, box, saved)
+    on_progress(1.0)
+    return Scene(
+        model=model, matched=matched, coarse=coarse, fine=fine, box=box, cut=cut, ground_found=stage.ground_found
+    )
+
+
+def _depths(
+    matched: SparseModel, cut: float, on_progress: Callable[[float], None]
+) -> tuple[DepthMaps, DepthMaps | None, Box]:
+    """Coarse and fine depths and the subject's box; with masks no fine ones, stereo would leave out parts of it."""
+    coarse, matches = coarse_depths(matched, lambda done, total: on_progress(0.5 * done / total))
+    cut_out = all(view.alpha is not None for view in matched.views)
+    region = Box(low=np.array([-1.0, -1.0, -1.0 if cut_out else -0.1]), high=np.array([1.0, 1.0, 2.0]))
+    if cut_out:
+        return coarse, None, region
+    subject = main_cluster(above(fuse(coarse.views, coarse.depths, region, resolution=_COARSE_VOXELS), cut), GAP)
+    if len(subject.faces) < LEAST_FACES:
+        return coarse, None, region
+    box = Box(low=subject.vertices.min(axis=0).astype(np.float64), high=subject.vertices.max(axis=0).astype(np.float64))
+    box = box.padded(_BOX_MARGIN * float((box.high - box.low).max()))
+    return coarse, fine_depths(matched, matches, box, lambda done, total: on_progress(0.5 + 0.5 * done / total)), box
+
+
+def _evenly_chosen(model: SparseModel) -> SparseModel:
+    number = len(model.views)
+    if number <= _MAX_VIEWS:
+        return model
+    chosen = np.linspace(0, number - 1, _MAX_VIEWS).round().astype(int)
+    row_of = np.full(number, -1)
+    row_of[chosen] = np.arange(len(chosen))
+    seen = model.seen[row_of[model.seen[:, 0]] >= 0]
+    seen = np.stack([row_of[seen[:, 0]], seen[:, 1]], axis=1)
+    return replace(model, views=tuple(model.views[view] for view in chosen), seen=seen)
