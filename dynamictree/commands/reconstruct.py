@@ -1,17 +1,20 @@
 """`dynamictree reconstruct`: photos to cameras, a splat and a mesh."""
 
 import json
+import shutil
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from dynamictree.commands.interruption import Interrupted, stopping_on_signals
 from dynamictree.commands.options import OutputFolder
 from dynamictree.commands.request_options import with_request_options
 from dynamictree.errors import InputError
 from dynamictree.files import published
+from dynamictree.formats.suffixes import PHOTO_SUFFIXES
 from dynamictree.requests import PhotoParams
-from dynamictree.terminal import AsJson, progress, tell
+from dynamictree.terminal import AsJson, tell
 
 
 @with_request_options
@@ -25,23 +28,44 @@ def reconstruct(
     ],
     output: OutputFolder,
     params: PhotoParams,
+    fresh: Annotated[bool, typer.Option(help="Start anew, whatever an interrupted run has left.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Find the cameras of photos, a splat and a mesh of what they show."""
-    from dynamictree import pipeline
+    """Find the cameras of photos, a splat and a mesh of what they show.
+
+    An interrupted run leaves its finished stages in a folder beside the output; the same command continues there.
+    """
+    from dynamictree.commands.stage_progress import stage_progress
+    from dynamictree.reconstruct import Progress, ReconstructOptions
+    from dynamictree.reconstruct import reconstruct as reconstruct_photos
+    from dynamictree.reconstruct.optimise import Schedule
 
     if not photos.is_dir():
         raise InputError(f"{photos} is no folder; give the folder that holds the photos")
-    paths = sorted(path for path in photos.rglob("*") if path.is_file())
-    with progress(quiet=as_json) as report, published(output) as folder:
-        pipeline.reconstruct(
-            paths,
-            folder,
-            lambda done: report("reconstruct", done),
-            root=photos,
-            height_m=params.height_m,
-            splat_steps=params.splat_steps,
-        )
-        names = sorted(path.name for path in folder.iterdir())
-        told = json.loads((folder / "report.json").read_text())
-    tell({"files": [str(output / name) for name in names], **told}, as_json=as_json)
+    paths = sorted(path for path in photos.rglob("*") if path.is_file() and path.suffix.lower() in PHOTO_SUFFIXES)
+    schedule = Schedule() if params.splat_steps is None else Schedule(num_steps=params.splat_steps)
+    options = ReconstructOptions(height_m=params.height_m, schedule=schedule)
+    work = output.resolve().with_name(f"{output.resolve().name}.unfinished")
+    if fresh:
+        shutil.rmtree(work, ignore_errors=True)
+    try:
+        with stopping_on_signals() as check, stage_progress(as_json=as_json) as report, published(output) as folder:
+
+            def on_progress(progress: Progress) -> None:
+                report(progress)
+                check()
+
+            reconstruct_photos(paths, folder, options=options, root=photos, work=work, on_progress=on_progress)
+            names = sorted(path.name for path in folder.iterdir())
+            facts = json.loads((folder / "report.json").read_text())
+    except BaseException as error:
+        if (work / "views.json").exists():
+            typer.echo(f"finished stages are in {work}; run the same command again to continue", err=True)
+        else:
+            shutil.rmtree(work, ignore_errors=True)
+        if isinstance(error, Interrupted):
+            typer.echo(f"dynamictree: {error}", err=True)
+            raise SystemExit(error.exit_status) from None
+        raise
+    shutil.rmtree(work)
+    tell({"files": [str(output / name) for name in names], **facts}, as_json=as_json)

@@ -7,7 +7,7 @@ from dynamictree.errors import FormatError
 from dynamictree.formats.gltf import gaussian as gltf_gaussian
 from dynamictree.formats.gltf.document import glb_json
 from dynamictree.formats.json_fields import object_field, object_list
-from dynamictree.formats.ply_table import read_header
+from dynamictree.formats.ply_table import PlyHeader, read_header
 from dynamictree.formats.scan import points
 from dynamictree.formats.seekable import SeekableReader
 from dynamictree.formats.splat import compressed_ply, splat, spz
@@ -35,16 +35,17 @@ def read_cloud(
     Args:
         stream: stands at the file's start.
         file_type: the file name's ending, without a dot and in lower case.
-        up_axis: the file's; by default its format's habit: −Y for splats, +Y for SPZ and GLB, +Z for scans.
+        up_axis: the file's; by default what a PLY comment says, else its format's habit:
+            −Y for splats, +Y for SPZ and GLB, +Z for scans.
         unit_m: metres a unit of the file, by default 1.
 
     Raises:
         FormatError: a type that is not understood, or a file that is not of its type.
         InputError: what the file holds cannot be used.
     """
-    unit = 1.0 if unit_m is None else unit_m
     if file_type == "ply":
-        return _read_ply(stream, up_axis, unit)
+        return _read_ply(stream, up_axis, unit_m)
+    unit = 1.0 if unit_m is None else unit_m
     if file_type not in _READERS:
         raise FormatError(f"no cloud is read from .{file_type[:20]} files; choose from {', '.join(CLOUD_TYPES)}")
     read, usual_up = _READERS[file_type]
@@ -61,7 +62,7 @@ def cloud_kind(stream: SeekableReader, *, file_type: str) -> CloudKind:
     """
     stream.seek(0)
     if file_type == "ply":
-        kind = _ply_kind(stream)
+        kind = _ply_kind(read_header(stream))
     elif file_type == "glb":
         primitives = [p for mesh in object_list(glb_json(stream), "meshes") for p in object_list(mesh, "primitives")]
         splats = any(gltf_gaussian.EXTENSION in object_field(primitive, "extensions") for primitive in primitives)
@@ -74,8 +75,7 @@ def cloud_kind(stream: SeekableReader, *, file_type: str) -> CloudKind:
     return kind
 
 
-def _ply_kind(stream: SeekableReader) -> CloudKind:
-    header = read_header(stream)
+def _ply_kind(header: PlyHeader) -> CloudKind:
     vertex, face = header.element("vertex"), header.element("face")
     if compressed_ply.is_compressed(header):
         return "compressed-gaussians"
@@ -84,10 +84,14 @@ def _ply_kind(stream: SeekableReader) -> CloudKind:
     return "mesh" if face and face.count > 0 else "points"
 
 
-def _read_ply(stream: SeekableReader, up_axis: str | None, unit_m: float) -> GaussianCloud:
+def _read_ply(stream: SeekableReader, up_axis: str | None, unit_m: float | None) -> GaussianCloud:
     start = stream.tell()
-    kind = _ply_kind(stream)
+    header = read_header(stream)
+    kind = _ply_kind(header)
     stream.seek(start)
+    up_axis = up_axis or header.up_axis
+    if unit_m is None:
+        unit_m = header.unit_m or 1.0
     if kind == "mesh":
         raise FormatError("the PLY file has faces; it is a mesh, not a cloud; send it as a mesh")
     if kind == "points":

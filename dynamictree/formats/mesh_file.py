@@ -1,5 +1,6 @@
 """Mesh files of every kind that is read, and how a file is told by its first bytes."""
 
+import io
 import re
 from collections.abc import Mapping
 
@@ -10,6 +11,7 @@ from dynamictree.formats.mesh.foreign import read_foreign_mesh
 from dynamictree.formats.mesh.obj import read_obj
 from dynamictree.formats.mesh.ply import read_ply_mesh
 from dynamictree.formats.mesh.stl import is_ascii_stl, read_stl
+from dynamictree.formats.ply_table import read_header
 from dynamictree.formats.stream import ByteReader, read_all
 from dynamictree.mesh import TriangleMesh, validate_mesh
 
@@ -55,8 +57,9 @@ def read_mesh(
     Args:
         stream: the file's bytes.
         file_type: one of `MESH_TYPES`, such as `sniff_file_type` gives.
-        up_axis: the file's own, such as "+Y"; None takes glTF's, or works it out (see `axes.py`).
-        unit_m: metres a unit of the file; None takes glTF's, or works it out.
+        up_axis: the file's own, such as "+Y"; None takes what glTF or a PLY comment says, or works it out
+            (see `axes.py`).
+        unit_m: metres per unit of the file; None likewise.
         companions: content of the files that the mesh may name (MTL, textures, buffers), by the names it uses.
 
     Raises:
@@ -74,6 +77,9 @@ def read_mesh(
         mesh = read_obj(content, companions=beside)
     elif file_type == "ply":
         mesh = read_ply_mesh(content, companions=beside)
+        header = read_header(io.BytesIO(content))
+        up_axis = up_axis or header.up_axis
+        unit_m = header.unit_m if unit_m is None else unit_m
     elif file_type == "stl":
         mesh = read_stl(content)
     else:

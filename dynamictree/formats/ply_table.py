@@ -4,6 +4,7 @@ Only what clouds need: lists (faces) are recognised in the header and refused as
 """
 
 import io
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +13,7 @@ from jaxtyping import Shaped
 from dynamictree.errors import FormatError
 from dynamictree.formats.seekable import SeekableReader, remaining_bytes
 
+UP_AXES = ("+X", "-X", "+Y", "-Y", "+Z", "-Z")
 _MAX_HEADER = 65_536  # bytes; the largest in use, 3DGS with SH 3, is 1.5 kB
 _TYPES = {
     "char": "i1",
@@ -59,10 +61,37 @@ class PlyHeader:
 
     encoding: str
     elements: tuple[PlyElement, ...]
+    comments: tuple[str, ...] = ()
+
+    @property
+    def up_axis(self) -> str | None:
+        """Up axis that a comment names, as our own writers do; None if none does."""
+        return next((axis for axis in self._comment_values("up_axis") if axis in UP_AXES), None)
+
+    @property
+    def unit_m(self) -> float | None:
+        """Metres per unit that a comment names; None if none does."""
+        for value in self._comment_values("unit_m"):
+            try:
+                unit = float(value)
+            except ValueError:
+                continue
+            if math.isfinite(unit) and unit > 0:
+                return unit
+        return None
+
+    def _comment_values(self, name: str) -> list[str]:
+        words = [comment.split() for comment in self.comments]
+        return [each[1] for each in words if len(each) == 2 and each[0] == name]
 
     def element(self, name: str) -> PlyElement | None:
         """The element of that name, if there is one."""
         return next((element for element in self.elements if element.name == name), None)
+
+
+def axis_comments(up_axis: str, unit_m: float) -> list[str]:
+    """Header lines that say which axis is up and how long a unit is; `PlyHeader` reads them back."""
+    return [f"comment up_axis {up_axis}", f"comment unit_m {unit_m:.9g}"]
 
 
 def read_header(stream: SeekableReader) -> PlyHeader:
@@ -72,10 +101,11 @@ def read_header(stream: SeekableReader) -> PlyHeader:
         FormatError: not a PLY file, or a header that breaks the format's rules.
     """
     lines = _header_lines(stream)
-    encoding, elements = "", list[PlyElement]()
+    encoding, elements, comments = "", list[PlyElement](), list[str]()
     for line in lines:
         words = line.split()
         if not words or words[0] in ("comment", "obj_info"):
+            comments.append(" ".join(words[1:]))
             continue
         if words[0] == "format" and len(words) == 3 and words[1] in _BYTE_ORDERS:
             encoding = words[1]
@@ -94,7 +124,7 @@ def read_header(stream: SeekableReader) -> PlyHeader:
             raise FormatError(f"the PLY header has a line that is not understood: {line[:80]!r}")
     if not encoding or not elements:
         raise FormatError("the PLY header names no format or no element; it needs both")
-    return PlyHeader(encoding=encoding, elements=tuple(elements))
+    return PlyHeader(encoding=encoding, elements=tuple(elements), comments=tuple(comments))
 
 
 def read_elements(stream: SeekableReader, header: PlyHeader, *names: str) -> list[Shaped[np.ndarray, " rows"]]:

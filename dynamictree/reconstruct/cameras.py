@@ -1,4 +1,4 @@
-"""The process that finds cameras: started, listened to, and ended when the caller wants no more of it."""
+"""Structure from motion in a child process, which ends when the caller stops."""
 
 import json
 import os
@@ -18,8 +18,8 @@ from dynamictree.reconstruct.photos import Photo
 from dynamictree.reconstruct.views import SparseModel, read_model
 
 MIN_REGISTERED = 5
-_LISTEN_S = 0.25  # between two chances for the caller to stop
-_MERCY_S = 3.0  # from SIGTERM to SIGKILL
+_LISTEN_S = 0.25  # between two calls of the caller's progress function
+_GRACE_S = 3.0  # from SIGTERM to SIGKILL
 _TIME_LIMIT_S = 3600.0
 _SHARES = {"features": (0.0, 0.5), "matches": (0.5, 0.4), "cameras": (0.9, 0.08), "undistort": (0.98, 0.02)}
 _ONE_FOCAL = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
@@ -38,7 +38,7 @@ def find_cameras(
     on_progress: Callable[[float], None] = lambda done: None,
     time_limit_s: float = _TIME_LIMIT_S,
 ) -> SparseModel:
-    """Register the photos that lie in `folder/photos`, or find points for cameras that are given.
+    """Register the photos in `folder/photos`, or triangulate points for cameras that are given.
 
     What the callback raises ends the process and passes through.
 
@@ -47,7 +47,7 @@ def find_cameras(
     """
     known = None if given is None else _at_prepared_size(given, photos)
     job = json.dumps({"folder": str(folder), "photos": [asdict(photo) for photo in photos], "given": known})
-    (folder / "features.db").unlink(missing_ok=True)  # of a search that was broken off
+    (folder / "features.db").unlink(missing_ok=True)  # of an interrupted search
     command = [sys.executable, "-m", "dynamictree.reconstruct.mapping"]
     with (
         (folder / "mapping.log").open("w+b") as log,
@@ -60,7 +60,7 @@ def find_cameras(
             child.stdin.write(job.encode())
             child.stdin.close()
             _listen(child, on_progress, time.monotonic() + time_limit_s)
-            child.wait(_MERCY_S)
+            child.wait(_GRACE_S)
         finally:
             _end(child)
         if child.returncode != 0:
@@ -115,13 +115,13 @@ def _listen(child: subprocess.Popen[bytes], on_progress: Callable[[float], None]
 
 
 def _end(child: subprocess.Popen[bytes]) -> None:
-    """End the process and all that it started, gently first; one that is done is left alone."""
+    """End the process group: SIGTERM, and SIGKILL after a grace period."""
     for signal_number in (signal.SIGTERM, signal.SIGKILL):
         if child.poll() is not None:
             return
         os.killpg(child.pid, signal_number)
         with suppress(subprocess.TimeoutExpired):
-            child.wait(_MERCY_S)
+            child.wait(_GRACE_S)
 
 
 def _last_line(log: str) -> str:

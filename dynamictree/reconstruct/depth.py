@@ -78,8 +78,9 @@ def save_depths(coarse: DepthMaps, fine: DepthMaps | None, box: Box, path: Path)
     arrays = {
         f"{name}_{row}": m for name, maps in (("c", coarse.depths), ("f", fine_maps)) for row, m in enumerate(maps)
     }
+    arrays["box"] = np.stack([box.low, box.high])
     with replacing(path) as stream:
-        np.savez_compressed(stream, box=np.stack([box.low, box.high]), **arrays)
+        np.savez_compressed(stream, allow_pickle=False, **arrays)
 
 
 def load_depths(model: SparseModel, path: Path) -> tuple[DepthMaps, DepthMaps | None, Box]:

@@ -28,7 +28,8 @@ OnProgress = Callable[[Progress], None]
 class StageReport(Protocol):
     """Reports the share of one stage."""
 
-    def __call__(self, share: float, psnr_db: float | None = None) -> None: ...
+    def __call__(self, share: float, psnr_db: float | None = None) -> None:
+        """Report a share in [0, 1]."""
 
 
 def ignore_progress(progress: Progress) -> None:

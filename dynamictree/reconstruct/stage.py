@@ -1,4 +1,4 @@
-"""Where the tree stands: up, ground and region, from cameras and points alone."""
+"""Up, ground and region of the subject, from cameras and points alone."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,11 @@ from dynamictree.reconstruct.views import SparseModel
 _TRIALS = 400
 _GROUND_SHARE = 0.08  # of the points near the subject must lie on a plane that is called ground
 _GROUND_THICKNESS = 0.02  # of the region's radius
-_LEAST_UP = 0.4  # cosine between the ground's normal and the cameras' mean up
+_LEAST_UP = 0.4  # cosine between the ground's normal and up, where the cameras' cues for up disagree
+_AGREE_DEG = 5.0  # between cues for up; and between the ground's normal and cues that agree
+_CLEAR_GROUND_SHARE, _CLEAR_GROUND_DEG = 0.3, 15.0  # a plane of that many points may lean more: a slope
+_LEAST_TURN = 0.1  # of the photos' right axes that must point aside, or the cameras do not tell what is level
+_FLAT_ORBIT = 0.25  # height of the cameras' path over its width
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,20 +36,22 @@ class Stage:
 
 
 def find_stage(model: SparseModel, rng: np.random.Generator, *, ground: bool = True) -> Stage:
-    """The cameras look at the subject from around, upright; the ground is the plane below that holds most points.
+    """Find up from how the photos were held, and the ground as the plane below that has most points.
 
-    Without `ground` none is sought: it is cut out of the photos.
+    Where two cues of the cameras agree on up, a plane that leans away from it is no ground, unless most points lie on
+    it. With `ground=False` none is searched: masks leave it out.
     """
     positions = np.array([view.camera.position_m for view in model.views])
     forward = np.array([view.camera.world_to_camera[2] for view in model.views])
-    up = -np.array([view.camera.world_to_camera[1] for view in model.views]).sum(axis=0)
-    up /= np.linalg.norm(up)
+    up, cues_agree = camera_up(positions, np.array([view.camera.world_to_camera for view in model.views]))
     focus = _nearest_to_axes(positions, forward)
     distance = np.linalg.norm(positions - focus, axis=1)
     half_sides = [0.5 * max(1.0, view.image.shape[1] / view.image.shape[0]) / view.camera.focal for view in model.views]
     radius = float(np.median(distance * half_sides))
     near = model.points[np.linalg.norm(model.points - focus, axis=1) < 1.5 * radius]
-    plane = _ground_plane(near, positions, up, _GROUND_THICKNESS * radius, rng) if ground else None
+    plane = None
+    if ground:
+        plane = _ground_plane(near, positions, up, _GROUND_THICKNESS * radius, rng, cues_agree=cues_agree)
     if plane is None:
         lowest = np.percentile((near - focus) @ up, 1) if len(near) else -radius
         return Stage(up=up, origin=focus + lowest * up, radius=radius, ground_found=False)
@@ -53,10 +59,32 @@ def find_stage(model: SparseModel, rng: np.random.Generator, *, ground: bool = T
     return Stage(up=normal, origin=focus - (focus @ normal - offset) * normal, radius=radius, ground_found=True)
 
 
+def camera_up(
+    positions: Float64[np.ndarray, "V 3"], rotations: Float64[np.ndarray, "V 3 3"]
+) -> tuple[Float64[np.ndarray, "3"], bool]:
+    """Up from three cues, and whether at least two agree: the photos' mean up, level right axes, a flat orbit.
+
+    Photographers hold the camera level, so its right axis is horizontal whatever the pitch: up is the direction that
+    right axes have least of.
+    """
+    mean_up = -rotations[:, 1].sum(axis=0)
+    mean_up /= np.linalg.norm(mean_up)
+    cues = [mean_up]
+    _, spreads, axes = np.linalg.svd(rotations[:, 0], full_matrices=False)
+    if spreads[1] ** 2 > _LEAST_TURN * len(positions):
+        cues.insert(0, axes[2] * np.sign(axes[2] @ mean_up))
+    _, widths, axes = np.linalg.svd(positions - positions.mean(axis=0), full_matrices=False)
+    if widths[2] < _FLAT_ORBIT * widths[1]:
+        cues.append(axes[2] * np.sign(axes[2] @ mean_up))
+    agreeing = [sum(first @ second > np.cos(np.radians(_AGREE_DEG)) for second in cues) for first in cues]
+    best = int(np.argmax(agreeing))
+    return (cues[best], True) if agreeing[best] > 1 else (mean_up, False)
+
+
 def _nearest_to_axes(
     positions: Float64[np.ndarray, "V 3"], forward: Float64[np.ndarray, "V 3"]
 ) -> Float64[np.ndarray, "3"]:
-    """The point of least squared distance to all viewing axes; axes that run alike still meet at the mean distance."""
+    """The point of least squared distance to all viewing axes."""
     projectors = np.eye(3) - forward[:, :, None] * forward[:, None, :]  # [V, 3, 3]
     point: Float64[np.ndarray, 3] = np.linalg.lstsq(
         projectors.sum(axis=0), np.einsum("vij,vj->i", projectors, positions), rcond=None
@@ -70,11 +98,14 @@ def _ground_plane(
     up: Float64[np.ndarray, "3"],
     thickness: float,
     rng: np.random.Generator,
+    *,
+    cues_agree: bool,
 ) -> tuple[Float64[np.ndarray, "3"], float] | None:
-    """Normal and offset of the plane with most points on it, few below and all cameras above (RANSAC)."""
+    """Normal and offset of the plane with most points on it, few below, and all cameras above (RANSAC)."""
     if len(points) < 50:
         return None
     best, best_score = None, _GROUND_SHARE * len(points)
+    least_up = np.cos(np.radians(_CLEAR_GROUND_DEG)) if cues_agree else _LEAST_UP
     for corners in rng.integers(0, len(points), (_TRIALS, 3)):
         a, b, c = points[corners]
         normal = np.cross(b - a, c - a)
@@ -82,10 +113,11 @@ def _ground_plane(
         if length == 0:
             continue
         normal *= np.sign(normal @ up) / length
-        if normal @ up < _LEAST_UP or (cameras @ normal - normal @ a).min() < 0:
+        if normal @ up < least_up or (cameras @ normal - normal @ a).min() < 0:
             continue
         score = _support(points @ normal - normal @ a, thickness)
-        if score > best_score:
+        leans = cues_agree and normal @ up < np.cos(np.radians(_AGREE_DEG))
+        if score > best_score and not (leans and score < _CLEAR_GROUND_SHARE * len(points)):
             best, best_score = (normal, float(normal @ a)), score
     if best is None:
         return None

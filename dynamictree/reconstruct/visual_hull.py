@@ -102,10 +102,11 @@ def _agreed(pyramids: list[_MaskPyramid], centres: Float64[np.ndarray, "C 3"], h
 def _pyramid(view: View) -> _MaskPyramid:
     assert view.alpha is not None
     height, width = view.alpha.shape
-    levels = [binary_dilation(view.alpha >= 128, iterations=DILATION_PX)]
+    levels: list[Bool[np.ndarray, "h w"]] = [binary_dilation(view.alpha >= 128, iterations=DILATION_PX)]
     while max(levels[-1].shape) > 1:
         padded = np.pad(levels[-1], [(0, side % 2) for side in levels[-1].shape])
-        levels.append(padded.reshape(padded.shape[0] // 2, 2, padded.shape[1] // 2, 2).any(axis=(1, 3)))
+        quads = padded.reshape(padded.shape[0] // 2, 2, padded.shape[1] // 2, 2)
+        levels.append(np.asarray(quads.any(axis=(1, 3))))
     return _MaskPyramid(
         camera=view.camera,
         width=width,
@@ -149,7 +150,9 @@ def _pixels_per_unit(pyramids: list[_MaskPyramid], cells: Float64[np.ndarray, "C
     return float(
         np.median(
             [
-                pyramid.camera.focal * pyramid.height / max(np.linalg.norm(pyramid.camera.position_m - middle), 1e-6)
+                pyramid.camera.focal
+                * pyramid.height
+                / max(float(np.linalg.norm(pyramid.camera.position_m - middle)), 1e-6)
                 for pyramid in pyramids
             ]
         )

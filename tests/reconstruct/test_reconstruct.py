@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from dynamictree.errors import Cancelled, InputError, ReconstructionError
 from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.formats.splat.ply import read_gaussian_ply
-from dynamictree.reconstruct import ReconstructOptions, reconstruct
+from dynamictree.reconstruct import Progress, ReconstructOptions, reconstruct
 from dynamictree.reconstruct.cameras import find_cameras
 from dynamictree.reconstruct.checkpoint import load_progress
 from dynamictree.reconstruct.mapping import pairs_to_match
@@ -46,7 +46,9 @@ OPTIONS = ReconstructOptions(height_m=1.2, schedule=Schedule(num_steps=400, side
 def found(orbit: Orbit, tmp_path_factory: pytest.TempPathFactory):
     folder = tmp_path_factory.mktemp("reconstruction")
     shares: list[float] = []
-    result = reconstruct(orbit.photos, folder, options=OPTIONS, on_progress=shares.append)
+    result = reconstruct(
+        orbit.photos, folder, options=OPTIONS, on_progress=lambda progress: shares.append(progress.total)
+    )
     return folder, result, shares
 
 
@@ -129,8 +131,8 @@ def test_the_splat_is_the_thing_without_its_ground(found):
 
 
 def test_a_callback_ends_the_process_at_once_and_leaves_nothing(orbit, tmp_path):
-    def stop(done: float) -> None:
-        if done > 0.05:
+    def stop(progress: Progress) -> None:
+        if progress.total > 0.05:
             stopped_at.append(time.monotonic())
             raise Cancelled("enough")
 
@@ -161,21 +163,20 @@ def test_photos_that_share_nothing_are_told_so(tmp_path, rng):
 def test_what_was_half_done_is_not_done_again(orbit, tmp_path):
     """Stopped amid the splat, it goes on there; the cameras are not sought again."""
 
-    def stop(done: float) -> None:
-        if done > 0.7:
+    def stop(progress: Progress) -> None:
+        if progress.total > 0.7:
             raise Cancelled("enough")
 
-    kept, out = tmp_path / "kept", tmp_path / "out"
-    kept.mkdir()
+    work, out = tmp_path / "work", tmp_path / "out"
     out.mkdir()
     with pytest.raises(Cancelled):
-        reconstruct(orbit.photos, out, options=OPTIONS, kept=kept, on_progress=stop)
+        reconstruct(orbit.photos, out, options=OPTIONS, work=work, on_progress=stop)
     assert [path.name for path in out.iterdir()] == ["cameras.json"]
-    views = (kept / "views.json").stat().st_mtime_ns
-    steps = load_progress(kept / "splat.npz").step
+    views = (work / "views.json").stat().st_mtime_ns
+    steps = load_progress(work / "splat.npz").step
     assert 100 < steps < 400
-    result = reconstruct(orbit.photos, out, options=OPTIONS, kept=kept)
-    assert (kept / "views.json").stat().st_mtime_ns == views
+    result = reconstruct(orbit.photos, out, options=OPTIONS, work=work)
+    assert (work / "views.json").stat().st_mtime_ns == views
     assert result.report["seconds"]["cameras"] < 1
     assert result.report["splat_steps"] == 400
 

@@ -12,7 +12,7 @@ from dynamictree.mesh import TriangleMesh
 from dynamictree.reconstruct.depth import rays_through, stereo_view
 from dynamictree.reconstruct.fusion import Box, Surface, above, fuse, main_cluster
 from dynamictree.reconstruct.scene import find_scene
-from dynamictree.reconstruct.stage import find_stage
+from dynamictree.reconstruct.stage import camera_up, find_stage
 from dynamictree.reconstruct.stereo import DepthRange, Hypotheses, agreed_depths, match_view, neighbours_of
 from dynamictree.reconstruct.surface import finished_shape, photo_colors, stereo_surface
 from dynamictree.reconstruct.views import SparseModel, View
@@ -179,6 +179,42 @@ def test_the_stage_stands_on_the_ground_whatever_the_frame(orbit, rng):
     upright = moved.transformed(1 / stage.radius, stage.rotation, stage.origin)
     assert all(view.camera.position_m[2] > 0 for view in upright.views)
     assert all(-view.camera.world_to_camera[1, 2] > 0.5 for view in upright.views)
+
+
+def test_a_plane_that_leans_away_from_level_photos_is_no_ground(orbit, rng):
+    """A leaf with a tenth of the points won over cameras that agree, and up was 10 degrees off."""
+    model = model_of(orbit, rng)
+    standing = model.points[model.points[:, 2] > 0.1]
+    lean = np.radians(9.6)
+    flat = rng.uniform(-0.4, 0.4, (len(standing) // 8, 3)) * [1, 1, 0]
+    leaf = flat @ np.array([[1, 0, 0], [0, np.cos(lean), np.sin(lean)], [0, -np.sin(lean), np.cos(lean)]])
+    points = np.concatenate([standing, leaf - np.array([0, 0, 0.05])])
+    leaning = replace(model, points=points, colors=np.zeros((len(points), 3), np.uint8))
+    stage = find_stage(leaning, np.random.default_rng(0))
+    assert stage.up[2] > np.cos(np.radians(2))
+
+
+def test_a_slope_with_most_of_the_points_is_ground(orbit, rng):
+    model = model_of(orbit, rng)
+    lean = np.radians(10)
+    turn = np.array([[1, 0, 0], [0, np.cos(lean), -np.sin(lean)], [0, np.sin(lean), np.cos(lean)]])
+    ground = rng.uniform(-2, 2, (2000, 3)) * [1, 1, 0] @ turn.T
+    points = np.concatenate([model.points[model.points[:, 2] > 0.5], ground])
+    sloping = replace(model, points=points, colors=np.zeros((len(points), 3), np.uint8))
+    stage = find_stage(sloping, np.random.default_rng(0))
+    assert stage.ground_found
+    assert stage.up @ turn[:, 2] > np.cos(np.radians(1))
+
+
+def test_up_is_level_whatever_the_pitch(orbit):
+    """Photos of one side, all looking down: their mean up leans, their right axes are level."""
+    cameras = [camera for camera in orbit.cameras if camera.position_m[0] > 0]
+    rotations = np.array([camera.world_to_camera for camera in cameras])
+    up, agree = camera_up(np.array([camera.position_m for camera in cameras]), rotations)
+    assert agree
+    assert up[2] > np.cos(np.radians(1))
+    mean_up = -rotations[:, 1].sum(axis=0)
+    assert mean_up[2] / np.linalg.norm(mean_up) < np.cos(np.radians(5))
 
 
 def test_without_ground_up_is_the_cameras_own(orbit, rng):

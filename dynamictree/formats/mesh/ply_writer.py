@@ -3,6 +3,7 @@
 import numpy as np
 from jaxtyping import Float32
 
+from dynamictree.formats.ply_table import axis_comments
 from dynamictree.formats.stream import ByteWriter
 from dynamictree.mesh import TriangleMesh
 
@@ -15,8 +16,9 @@ def write_ply(mesh: TriangleMesh, stream: ByteWriter) -> None:
 
 
 def ply_head(mesh: TriangleMesh) -> bytes:
-    """The header."""
-    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {mesh.num_vertices}"]
+    """The header, with the up axis and the unit in comments."""
+    lines = ["ply", "format binary_little_endian 1.0", *axis_comments("+Z", 1.0)]
+    lines += [f"element vertex {mesh.num_vertices}"]
     lines += [f"property float {name}" for name in "xyz"]
     lines += [f"property float {name}" for name in "st" if mesh.uv is not None]
     lines += [f"property uchar {name}" for name in ("red", "green", "blue", "alpha") if mesh.vertex_colors is not None]

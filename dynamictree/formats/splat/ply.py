@@ -1,13 +1,14 @@
 """3DGS PLY files, as Kerbl et al. 2023 wrote them: read by property name in any order, with SH degree 0 to 3."""
 
 import re
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float32, Shaped
 
 from dynamictree.errors import FormatError
 from dynamictree.formats.cloud_axes import to_source_axes, to_z_up
-from dynamictree.formats.ply_table import PlyHeader, read_elements, read_header
+from dynamictree.formats.ply_table import PlyHeader, axis_comments, read_elements, read_header
 from dynamictree.formats.seekable import SeekableReader
 from dynamictree.formats.splat.activations import (
     log_from_scales,
@@ -68,13 +69,14 @@ def read_gaussian_rows(stream: SeekableReader, header: PlyHeader, *, up_axis: st
 
 def write_gaussian_ply(cloud: GaussianCloud, stream: ByteWriter) -> None:
     """Write what every splat viewer reads, in the source's axes and units; undone by `read_gaussian_ply`."""
-    stream.write(ply_header(cloud.num_gaussians, cloud.sh.shape[1]))
+    comments = axis_comments(cloud.source_up_axis, cloud.source_scale)
+    stream.write(ply_header(cloud.num_gaussians, cloud.sh.shape[1], comments=comments))
     stream.write(ply_rows(to_source_axes(cloud)).tobytes())
 
 
-def ply_header(num_gaussians: int, num_harmonics: int) -> bytes:
+def ply_header(num_gaussians: int, num_harmonics: int, *, comments: Sequence[str] = ()) -> bytes:
     """Header of the file that `ply_rows` is the body of."""
-    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {num_gaussians}"]
+    lines = ["ply", "format binary_little_endian 1.0", *comments, f"element vertex {num_gaussians}"]
     lines += [f"property float {name}" for name in property_names(num_harmonics)]
     return ("\n".join([*lines, "end_header"]) + "\n").encode()
 

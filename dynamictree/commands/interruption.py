@@ -1,0 +1,42 @@
+"""Ctrl-C and SIGTERM that let a long command save its work first."""
+
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+from dynamictree.errors import Cancelled
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+class Interrupted(Cancelled):
+    """A signal asked the command to stop."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(f"stopped by {signal.Signals(number).name}")
+        self.exit_status = 128 + number
+
+
+@contextmanager
+def stopping_on_signals() -> Iterator[Callable[[], None]]:
+    """Give a function that raises `Interrupted` once a signal has come; a second signal ends the process at once."""
+    received: list[int] = []
+    before = {number: signal.getsignal(number) for number in _SIGNALS}
+
+    def remember(number: int, frame: FrameType | None) -> None:
+        received.append(number)
+        for each in _SIGNALS:
+            signal.signal(each, signal.SIG_DFL)
+
+    def check() -> None:
+        if received:
+            raise Interrupted(received[0])
+
+    try:
+        for number in _SIGNALS:
+            signal.signal(number, remember)
+        yield check
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

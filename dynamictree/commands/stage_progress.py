@@ -1,0 +1,99 @@
+"""Progress of a command with several stages: bars in a terminal, lines in a log, JSON events for a program."""
+
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import typer
+
+from dynamictree.reconstruct.progress import Progress
+
+_EVENT_EVERY_S = 1.0
+_LINE_AT = 0.25  # of a stage: how often a log gets a line
+_LEAST_SHARE = 0.05  # of a stage that must be done before its end can be estimated
+
+Report = Callable[[Progress], None]
+
+
+@contextmanager
+def stage_progress(*, as_json: bool) -> Iterator[Report]:
+    """Report on standard error: bars in a terminal, else a line at each quarter of a stage, or JSON events."""
+    if as_json:
+        yield _Lines(_event, every_s=_EVENT_EVERY_S)
+    elif not sys.stderr.isatty():
+        yield _Lines(_line, every_share=_LINE_AT)
+    else:
+        with _bars() as report:
+            yield report
+
+
+class _Lines:
+    """One line at the begin and end of each stage, and some in between."""
+
+    def __init__(
+        self, text_of: Callable[[Progress, float | None], str], *, every_s: float = 0.0, every_share: float = 0.0
+    ) -> None:
+        self._text_of, self._every_s, self._every_share = text_of, every_s, every_share
+        self._stage, self._start, self._written_at, self._written_share = "", 0.0, 0.0, 0.0
+
+    def __call__(self, progress: Progress) -> None:
+        now = time.monotonic()
+        begins = progress.stage != self._stage
+        if begins:
+            self._stage, self._start = progress.stage, now
+        elif not self._due(progress.share, now):
+            return
+        self._written_at, self._written_share = now, progress.share
+        typer.echo(self._text_of(progress, remaining_s(progress.share, now - self._start)), err=True)
+
+    def _due(self, share: float, now: float) -> bool:
+        if share == 1:
+            return self._written_share < 1
+        return now - self._written_at >= self._every_s and share - self._written_share >= self._every_share
+
+
+def remaining_s(share: float, elapsed_s: float) -> float | None:
+    """Estimate how long a stage will still take; None at its begin."""
+    return elapsed_s * (1 - share) / share if share >= _LEAST_SHARE else None
+
+
+def _event(progress: Progress, eta_s: float | None) -> str:
+    fields = {"stage": progress.stage, "share": round(progress.share, 4), "total": round(progress.total, 4)}
+    psnr = None if progress.psnr_db is None else round(progress.psnr_db, 2)
+    eta = None if eta_s is None else round(eta_s, 1)
+    return json.dumps({"event": "progress", **fields, "stage_eta_s": eta, "psnr_db": psnr})
+
+
+def _line(progress: Progress, eta_s: float | None) -> str:
+    notes = [f"{progress.stage}: {100 * progress.share:.0f} %"]
+    if progress.psnr_db is not None:
+        notes.append(f"{progress.psnr_db:.1f} dB in photos held out")
+    if eta_s is not None and progress.share < 1:
+        notes.append(f"about {eta_s:.0f} s left")
+    return ", ".join(notes)
+
+
+@contextmanager
+def _bars() -> Iterator[Report]:
+    from rich.console import Console
+    from rich.progress import BarColumn, TaskID, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bars
+
+    columns = (
+        *(TextColumn("{task.description:<8}"), BarColumn(), TaskProgressColumn()),
+        *(TimeElapsedColumn(), TimeRemainingColumn(), TextColumn("{task.fields[note]}")),
+    )
+    with Bars(*columns, console=Console(stderr=True)) as bars:
+        tasks: dict[str, TaskID] = {}
+
+        def report(progress: Progress) -> None:
+            if progress.stage not in tasks:
+                for earlier in tasks.values():
+                    bars.update(earlier, completed=1.0)
+                tasks[progress.stage] = bars.add_task(progress.stage, total=1.0, note="")
+            note = "" if progress.psnr_db is None else f"{progress.psnr_db:.1f} dB"
+            bars.update(tasks[progress.stage], completed=progress.share, note=note)
+
+        yield report

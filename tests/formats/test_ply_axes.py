@@ -1,0 +1,65 @@
+"""PLY files that name their up axis and unit are read back as they were written."""
+
+import io
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dynamictree.formats.cloud_file import read_cloud
+from dynamictree.formats.mesh.ply_writer import write_ply
+from dynamictree.formats.mesh_file import read_mesh
+from dynamictree.formats.ply_table import read_header
+from dynamictree.formats.splat.ply import write_gaussian_ply
+from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.mesh import TriangleMesh
+
+
+def lying_mesh() -> TriangleMesh:
+    """As a fallen trunk: wider than high, so that the guess would turn it."""
+    rng = np.random.default_rng(0)
+    vertices = (rng.uniform(0, 1, (6000, 3)) * [0.2, 3, 0.3]).astype(np.float32)
+    return TriangleMesh(vertices=vertices, faces=np.arange(6000, dtype=np.int32).reshape(2000, 3))
+
+
+def test_our_own_mesh_is_read_back_as_it_stood():
+    mesh, stream = lying_mesh(), io.BytesIO()
+    write_ply(mesh, stream)
+    read = read_mesh(io.BytesIO(stream.getvalue()), file_type="ply")
+    assert np.array_equal(read.vertices, mesh.vertices)
+    assert (read.source_up_axis, read.source_scale) == ("+Z", 1.0)
+    plain = b"".join(line for line in stream.getvalue().splitlines(keepends=True) if not line.startswith(b"comment"))
+    assert not np.allclose(read_mesh(io.BytesIO(plain), file_type="ply").vertices, mesh.vertices)
+
+
+def test_what_the_caller_says_counts_more_than_the_comment():
+    mesh, stream = lying_mesh(), io.BytesIO()
+    write_ply(mesh, stream)
+    read = read_mesh(io.BytesIO(stream.getvalue()), file_type="ply", up_axis="+Y", unit_m=0.5)
+    assert (read.source_up_axis, read.source_scale) == ("+Y", 0.5)
+
+
+@pytest.mark.parametrize(("up_axis", "scale"), [("-Y", 1.0), ("+Z", 0.01), ("+Y", 2.5)])
+def test_our_own_splat_is_read_back_as_it_stood(up_axis, scale):
+    rng = np.random.default_rng(0)
+    cloud = GaussianCloud(
+        means=rng.normal(size=(9, 3)).astype(np.float32),
+        quaternions=np.tile(np.float32([1, 0, 0, 0]), (9, 1)),
+        scales=np.full((9, 3), 0.1, np.float32),
+        opacity=np.full(9, 0.5, np.float32),
+        sh=np.zeros((9, 1, 3), np.float32),
+    )
+    stream = io.BytesIO()
+    write_gaussian_ply(replace(cloud, source_up_axis=up_axis, source_scale=scale), stream)
+    read = read_cloud(io.BytesIO(stream.getvalue()), file_type="ply")
+    assert np.allclose(read.means, cloud.means, atol=1e-5)
+    assert (read.source_up_axis, read.source_scale) == (up_axis, scale)
+
+
+@pytest.mark.parametrize("comment", ["up_axis up", "unit_m -1", "unit_m nan", "unit_m one", "up_axis +Z +Y"])
+def test_comments_that_mean_something_else_are_ignored(comment):
+    header = read_header(
+        io.BytesIO(f"ply\nformat ascii 1.0\ncomment {comment}\nelement vertex 0\nend_header\n".encode())
+    )
+    assert header.up_axis is None
+    assert header.unit_m is None

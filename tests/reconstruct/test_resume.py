@@ -1,0 +1,168 @@
+"""An interrupted reconstruction continues where it was, whatever ended it."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from dynamictree.errors import InputError
+from dynamictree.files import replacing
+from dynamictree.reconstruct.optimise import Schedule
+from dynamictree.reconstruct.work_folder import opened_work
+from tests.reconstruct.conftest import Orbit
+from tests.reconstruct.test_given import write_transforms
+
+RUN = """
+import os, signal, sys
+from pathlib import Path
+from dynamictree.reconstruct import ReconstructOptions, reconstruct
+from dynamictree.reconstruct.optimise import Schedule
+
+root, out, work, kill_at = Path(sys.argv[1]), Path(sys.argv[2]), Path(sys.argv[3]), float(sys.argv[4])
+
+def on_progress(progress):
+    if progress.total >= kill_at:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+schedule = Schedule(num_steps=60, side_px=160, check_every=20, coarser=((0.5, 2),), densify_every=20, patience=9)
+photos = sorted(root.glob("*.jpg"))
+options = ReconstructOptions(height_m=1.2, schedule=schedule)
+reconstruct(photos, out, options=options, root=root, work=work, on_progress=on_progress)
+"""
+KILLED_AT = (0.01, 0.05, 0.15, 0.29, 0.31, 0.4, 0.46, 0.6, 0.9, 0.95)  # in every stage
+PRODUCTS = ("cameras.json", "mesh.ply", "scene.ply", "splat.ply")
+
+
+@pytest.fixture
+def photos(orbit: Orbit, tmp_path: Path) -> Path:
+    """Photos with their cameras: structure from motion alone differs in the last bits from run to run."""
+    folder = tmp_path / "photos"
+    folder.mkdir()
+    for path in orbit.photos:
+        shutil.copy(path, folder)
+    write_transforms(folder, orbit)
+    return folder
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_killed_at_ten_places_and_resumed_it_ends_with_the_same_files(photos, tmp_path):
+    def run(name: str, kill_at: float) -> int:
+        (tmp_path / name).mkdir(exist_ok=True)
+        paths = [photos, tmp_path / name, tmp_path / f"{name}.work"]
+        return subprocess.run([sys.executable, "-c", RUN, *map(str, paths), str(kill_at)], check=False).returncode
+
+    work = tmp_path / "killed.work"
+    seen = {}
+    for kill_at in KILLED_AT:
+        assert run("killed", kill_at) == -signal.SIGKILL
+        finished = {name: (work / name).stat().st_mtime_ns for name in ("views.json", "depths.npz", "splat.npz")
+                    if (work / name).exists()}  # fmt: skip
+        assert seen.items() <= finished.items()  # no finished stage is repeated
+        seen = finished
+    assert set(seen) == {"views.json", "depths.npz", "splat.npz"}
+    assert run("killed", 9.0) == 0
+    assert run("whole", 9.0) == 0
+    for name in PRODUCTS:
+        assert (tmp_path / "killed" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes(), name
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_the_command_saves_its_work_when_it_is_stopped(photos, tmp_path, number):
+    out = tmp_path / "out"
+    options = ["--splat-steps", "300", "--json"]
+    command = [sys.executable, "-m", "dynamictree.cli", "reconstruct", str(photos), "-o", str(out), *options]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as child:
+        assert child.stderr is not None
+        events = []
+        for line in child.stderr:
+            if not line.startswith("{"):
+                break
+            events.append(json.loads(line))
+            if events[-1]["stage"] == "splat" and len([event for event in events if event["stage"] == "splat"]) == 1:
+                child.send_signal(number)
+        words = line + child.stderr.read()
+    assert child.returncode == 128 + number
+    work = tmp_path / "out.unfinished"
+    assert f"finished stages are in {work}; run the same command again to continue" in words
+    assert {"views.json", "depths.npz", "splat.npz"} <= {path.name for path in work.iterdir()}
+    assert not out.exists()
+    stages = [event["stage"] for event in events]
+    assert list(dict.fromkeys(stages)) == ["photos", "cameras", "depth", "splat"]
+    assert [event["total"] for event in events] == sorted(event["total"] for event in events)
+
+
+def test_results_of_other_photos_are_deleted_and_those_of_another_schedule(tmp_path):
+    photo = tmp_path / "a.jpg"
+    photo.write_bytes(b"one")
+    with opened_work(tmp_path / "work", [photo], Schedule()) as work:
+        for path in (work.depths, work.splat):
+            path.write_bytes(b"result")
+    with opened_work(tmp_path / "work", [photo], Schedule()) as work:
+        assert work.depths.exists()
+        assert work.splat.exists()
+    with opened_work(tmp_path / "work", [photo], Schedule(num_steps=100)) as work:
+        assert work.depths.exists()
+        assert not work.splat.exists()
+    photo.write_bytes(b"two")
+    with opened_work(tmp_path / "work", [photo], Schedule(num_steps=100)) as work:
+        assert not work.depths.exists()
+
+
+def test_two_runs_do_not_share_a_work_folder(tmp_path):
+    with (
+        opened_work(tmp_path / "work", [], Schedule()),
+        pytest.raises(InputError, match="another process is at work in"),
+        opened_work(tmp_path / "work", [], Schedule()),
+    ):
+        pass
+
+
+def test_a_full_disk_leaves_the_earlier_file(tmp_path):
+    path = tmp_path / "splat.npz"
+    path.write_bytes(b"earlier")
+    with pytest.raises(OSError, match="No space left"):
+        _write_to_full_disk(path)
+    assert path.read_bytes() == b"earlier"
+    assert [each.name for each in tmp_path.iterdir()] == ["splat.npz"]
+
+
+def _write_to_full_disk(path: Path) -> None:
+    with replacing(path) as stream, Path("/dev/full").open("wb", buffering=0) as full:
+        stream.write(b"later")
+        full.write(b"more")
+
+
+def test_the_camera_process_ends_with_its_killed_parent(orbit, tmp_path):
+    code = (
+        "import os, signal, sys\n"
+        "from pathlib import Path\n"
+        "from dynamictree.reconstruct import reconstruct\n"
+        "def kill(progress):\n"
+        "    if progress.stage == 'cameras' and progress.share > 0: os.kill(os.getpid(), signal.SIGKILL)\n"
+        "reconstruct([Path(p) for p in sys.argv[2:]], Path(sys.argv[1]), work=Path(sys.argv[1]), on_progress=kill)\n"
+    )
+    subprocess.run([sys.executable, "-c", code, str(tmp_path), *map(str, orbit.photos)], check=False)
+    deadline = time.monotonic() + 10
+    while time.monotonic() < deadline and _mapping_in(tmp_path):
+        time.sleep(0.2)
+    assert not _mapping_in(tmp_path)
+
+
+def _mapping_in(folder: Path) -> bool:
+    """Whether a process has the folder's log open, as the camera process has."""
+    for descriptor in Path("/proc").glob("[0-9]*/fd/2"):
+        try:
+            if os.readlink(descriptor) == str(folder / "mapping.log"):
+                return True
+        except OSError:
+            continue
+    return False
