@@ -1,7 +1,7 @@
-"""Fetch the viewer's libraries from npm anew: `python -m web.vendor`, after changing a version and its hash here.
+"""Fetch the viewer's libraries from npm: `python -m web.vendor`, after changing a version and its hash below.
 
-Every tarball is compared with the hash that stands here; of each only the named files are kept, byte for byte.
-`vendor/SHA256SUMS` lists them, and a test compares.
+Every tarball is compared with the hash below. The named files are copied from it; scripts that are not minified yet
+are minified by a pinned esbuild. `vendor/SHA256SUMS` lists the results, and a test compares them.
 """
 
 import base64
@@ -13,6 +13,7 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
+MINIFY = ("npx", "--yes", "esbuild@0.28.2", "--minify", "--legal-comments=inline", "--target=es2022", "--loader=js")
 FOLDER = Path(__file__).parent / "vendor"
 SUMS = "SHA256SUMS"
 
@@ -24,7 +25,13 @@ class Library:
     name: str
     version: str
     sha512: str  # npm's `dist.integrity`, base64
-    files: dict[str, str]  # path in the package to path in `vendor/`
+    files: dict[str, str]  # path in the package to path in the library's folder
+    folder: str = ""  # in `vendor/`; name and version if unset
+
+    def target(self, path: str) -> str:
+        """Path in `vendor/` of a file. It holds the version, so that browsers may cache it for ever."""
+        own = f"{self.name.rpartition('/')[2]}-{self.version}"
+        return f"{self.folder or own}/{path}"
 
 
 LIBRARIES = (
@@ -33,24 +40,28 @@ LIBRARIES = (
         version="0.187.0",
         sha512="Qiu7R+Cmh8CstZsY1uJOSWnVlfo7ZtNLV7mF8Jltk3LB3AtDu9cRZlcnRKkAk8Y4z6KKw35z7Y7Urd7jWY8etA==",
         files={
-            "LICENSE": "three/LICENSE",
-            "build/three.core.js": "three/three.core.js",
-            "build/three.module.js": "three/three.module.js",
-            "examples/jsm/controls/OrbitControls.js": "three/addons/controls/OrbitControls.js",
-            "examples/jsm/postprocessing/Pass.js": "three/addons/postprocessing/Pass.js",
+            "LICENSE": "LICENSE",
+            "build/three.core.js": "three.core.js",
+            "build/three.module.js": "three.module.js",
+            "examples/jsm/controls/OrbitControls.js": "addons/controls/OrbitControls.js",
+            "examples/jsm/loaders/GLTFLoader.js": "addons/loaders/GLTFLoader.js",
+            "examples/jsm/postprocessing/Pass.js": "addons/postprocessing/Pass.js",
+            "examples/jsm/utils/BufferGeometryUtils.js": "addons/utils/BufferGeometryUtils.js",
+            "examples/jsm/utils/SkeletonUtils.js": "addons/utils/SkeletonUtils.js",
         },
     ),
     Library(
         name="@sparkjsdev/spark",
         version="2.2.0",
         sha512="wf5F2YAmPXnjm20/MgXYer9FQTXz2JOCo05HwxFkaD7Guk9rHVPIwdJ6fq0oF9ME0heMvYj+TxS6DTrucvy6KA==",
-        files={"LICENSE": "spark/LICENSE", "dist/spark.module.min.js": "spark/spark.module.min.js"},
+        files={"LICENSE": "LICENSE", "dist/spark.module.min.js": "spark.module.min.js"},
     ),
     Library(  # inside of Spark's file
         name="fflate",
         version="0.8.2",
         sha512="cPJU47OaAoCbg0pBvzsgpTPhmhqI5eJjh/JIu8tPj5q+T7iLvW/JAYUqmE7KOB4R1ZyEhzBaIQpQpardBF5z8A==",
-        files={"LICENSE": "spark/LICENSE.fflate"},
+        folder="spark-2.2.0",
+        files={"LICENSE": "LICENSE.fflate"},
     ),
 )
 
@@ -78,13 +89,20 @@ def fetch(library: Library) -> dict[str, bytes]:
             stdout=subprocess.DEVNULL,
         )
         [tarball] = Path(folder).iterdir()
-        found = base64.b64encode(hashlib.sha512(tarball.read_bytes()).digest()).decode()
-        if found != library.sha512:
+        digest = base64.b64encode(hashlib.sha512(tarball.read_bytes()).digest()).decode()
+        if digest != library.sha512:
             raise SystemExit(
-                f"{tarball.name} has sha512 {found}; {library.sha512} is expected: look before you change it"
+                f"{tarball.name} has sha512 {digest}; {library.sha512} is expected: look before you change it"
             )
         with tarfile.open(tarball) as archive:
-            return {target: _content(archive, f"package/{path}") for path, target in library.files.items()}
+            contents = {target: _content(archive, f"package/{path}") for path, target in library.files.items()}
+    return {library.target(path): _minified(path, content) for path, content in contents.items()}
+
+
+def _minified(path: str, content: bytes) -> bytes:
+    if not path.endswith(".js") or path.endswith(".min.js"):
+        return content
+    return subprocess.run(MINIFY, input=content, check=True, capture_output=True).stdout
 
 
 def _content(archive: tarfile.TarFile, name: str) -> bytes:

@@ -1,0 +1,42 @@
+// The outline of a person beside the tree, for its size.
+
+import * as THREE from "three";
+
+const HEIGHT_M = 1.75;
+/** Half of the outline from the feet up, as shares of the height: distance from the middle, height. */
+const OUTLINE = [
+  [0.02, 0], [0.07, 0], [0.08, 0.03], [0.075, 0.3], [0.1, 0.5], [0.09, 0.6], [0.14, 0.56], [0.165, 0.6],
+  [0.15, 0.78], [0.12, 0.82], [0.04, 0.845], [0.035, 0.87], [0.06, 0.91], [0.06, 0.955], [0.035, 0.99], [0, 1],
+]; // biome-ignore format: a table
+
+export class Person {
+  constructor(stage) {
+    this.stage = stage;
+    const right = OUTLINE.map(([x, y]) => new THREE.Vector2(x, y));
+    const left = OUTLINE.slice(0, -1)
+      .reverse()
+      .map(([x, y]) => new THREE.Vector2(-x, y));
+    const crotch = [new THREE.Vector2(-0.005, 0.46), new THREE.Vector2(0.005, 0.46)];
+    const geometry = new THREE.ShapeGeometry(new THREE.Shape([...right, ...left, ...crotch]));
+    const material = new THREE.MeshBasicMaterial({
+      color: 0x5c6765,
+      side: THREE.DoubleSide,
+      transparent: true,
+      opacity: 0.75,
+    });
+    this.mesh = new THREE.Mesh(geometry, material);
+    this.mesh.visible = false;
+    stage.scene.add(this.mesh);
+  }
+
+  /** Stand to the right of the tree, facing the first view; `scale` where the tree is drawn in another size. */
+  show(visible, scale) {
+    const { box, middle, radius } = this.stage;
+    const height = HEIGHT_M * scale;
+    this.mesh.visible = visible;
+    this.mesh.scale.setScalar(height);
+    this.mesh.position.set(box.max.x + 0.1 * radius + 0.2 * height, middle.y - 0.3 * radius, box.min.z);
+    this.mesh.rotation.set(Math.PI / 2, 0, 0);
+    this.stage.stale = true;
+  }
+}

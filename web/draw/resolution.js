@@ -1,0 +1,49 @@
+// Adaptive resolution: fewer pixels and rarer shadows while frames are slow, all of them once the picture is still.
+
+const SLOW_MS = 40;
+const FAST_MS = 18;
+const STEP = 0.8;
+const LEAST = 0.5;
+const SETTLE_MS = 250; // a picture that has not changed for so long is drawn in full
+const PATIENCE = 6; // frames between two changes
+const LONGEST_MS = 500; // a longer gap is a pause, not a frame
+
+export class Resolution {
+  constructor() {
+    this.scale = 1; // of the pixel ratio
+    this.frame = 0;
+    this.mean = 0;
+    this.before = 0;
+    this.since = 0;
+    this.sharp = true; // the picture on the screen has all its pixels and its shadow
+  }
+
+  /** Call once per drawn frame; whether the shadow map is to be drawn anew. */
+  next(now) {
+    const elapsed = now - this.before;
+    this.before = now;
+    this.frame++;
+    if (elapsed < LONGEST_MS) this._adapt(elapsed);
+    this.sharp = this.scale === 1;
+    return this.frame % this.shadowEvery === 0;
+  }
+
+  /** Whether a picture that was drawn with fewer pixels is now to be drawn in full. */
+  settles(now) {
+    return !this.sharp && now - this.before > SETTLE_MS;
+  }
+
+  /** Frames between two updates of the shadow map. */
+  get shadowEvery() {
+    return this.scale > 0.9 ? 1 : this.scale > 0.6 ? 2 : 4;
+  }
+
+  _adapt(elapsed) {
+    this.mean = this.mean ? 0.7 * this.mean + 0.3 * elapsed : elapsed;
+    if (this.frame - this.since < PATIENCE) return;
+    const before = this.scale;
+    if (this.mean > SLOW_MS) this.scale = Math.max(this.scale * STEP, LEAST);
+    else if (this.mean < FAST_MS) this.scale = Math.min(this.scale / STEP, 1);
+    if (this.scale !== before) this.since = this.frame;
+  }
+}

@@ -1,0 +1,216 @@
+// A cloud of Gaussians that hangs on a mesh, drawn by Spark: the rules of docs/formats-splat.md in Spark's own shader.
+
+import * as THREE from "three";
+import { readTensors } from "../motion/tensors.js";
+import { Field } from "./field.js";
+import { halvesOf, modifier, WIDTH } from "./splat_shader.js";
+
+/** The body of a `.animated-splat.safetensors`; its harmonics stay the half floats that a texture takes. */
+export function readSplat(buffer) {
+  const { tensors, shape, metadata } = readTensors(buffer, { halves: ["sh"] });
+  return {
+    ...tensors,
+    G: shape.means[0],
+    N: shape.vertices[0],
+    K: shape.coefficients[1],
+    harmonics: shape.sh[1],
+    frames: Number(metadata.num_frames),
+  };
+}
+
+/** Whether all Gaussians have one colour, as of a scan without colours: a shaded mesh shows more than they do. */
+export function isUncoloured({ sh, G, harmonics }) {
+  for (let g = 1; g < G; g++) {
+    for (let c = 0; c < 3; c++) if (sh[3 * harmonics * g + c] !== sh[c]) return false;
+  }
+  return harmonics === 1;
+}
+
+export class SplatView {
+  /** `poses` and `bent` are the tree's uniforms, `carriers` four bones and weights of each vertex. */
+  static async make(stage, splat, carriers, uniforms) {
+    const spark = await import("spark");
+    const view = new SplatView();
+    view.stage = stage;
+    view.field = fieldOf(splat);
+    view.uniforms = uniforms;
+    view.harmonics = harmonicsThatFit(splat, stage.renderer.capabilities.maxTextureSize);
+    view.textures = texturesOf(splat, carriers, view.harmonics);
+    const cloud = new spark.ExtSplats({ maxSplats: splat.G }); // places in single precision: half would be 8 mm at 10 m
+    const [at, scales, turn, grey] = [
+      new THREE.Vector3(),
+      new THREE.Vector3(),
+      new THREE.Quaternion(),
+      new THREE.Color(0.5, 0.5, 0.5),
+    ];
+    for (let g = 0; g < splat.G; g++) {
+      at.fromArray(splat.means, 3 * g);
+      scales.fromArray(splat.scales, 3 * g);
+      turn
+        .set(
+          splat.quaternions[4 * g + 1],
+          splat.quaternions[4 * g + 2],
+          splat.quaternions[4 * g + 3],
+          splat.quaternions[4 * g],
+        )
+        .normalize();
+      cloud.pushSplat(at, scales, turn, splat.opacity[g], grey);
+    }
+    cloud.updateTextures();
+    const redraw = () => {
+      stage.stale = true;
+    }; // sorting takes longer than a frame
+    view.renderer = stage.sparkRenderer ??= new spark.SparkRenderer({
+      renderer: stage.renderer,
+      accumExtSplats: true,
+      onDirty: redraw,
+    });
+    stage.scene.add(view.renderer);
+    view.values = view._values(spark.dyno);
+    view.mesh = new spark.SplatMesh({
+      extSplats: cloud,
+      objectModifier: modifier(spark.dyno, view.values, view.harmonics),
+    });
+    stage.scene.add(view.mesh);
+    await view.mesh.initialized;
+    return view;
+  }
+
+  _values({ dynoSampler2D, dynoFloat, dynoVec3 }) {
+    return {
+      moved: dynoSampler2D(this.field.texture),
+      poses: dynoSampler2D(this.uniforms.poses.value),
+      bent: dynoFloat(0),
+      corners: dynoSampler2D(this.textures.corners),
+      rest: dynoSampler2D(this.textures.rest),
+      bones: dynoSampler2D(this.textures.bones),
+      sh: dynoSampler2D(this.textures.sh),
+      eye: dynoVec3(new THREE.Vector3()),
+    };
+  }
+
+  /** Whether there is something to see: the first sorting has ended. */
+  get drawn() {
+    return this.renderer.activeSplats > 0;
+  }
+  get visible() {
+    return this.mesh.visible;
+  }
+  set visible(value) {
+    this.mesh.visible = value;
+  }
+
+  /** Before each draw. What has not changed is not sorted anew, so that a still picture comes to rest. */
+  evaluate(renderer, q, turn) {
+    const { position } = this.stage.camera;
+    const now = [turn, ...position, ...q].join();
+    if (now === this.before && !this.uniforms.bent.value && !this.values.bent.value) return;
+    this.before = now;
+    this.field.evaluate(renderer, q, turn);
+    this.values.eye.value.copy(position);
+    this.values.bent.value = this.uniforms.bent.value;
+    this.values.poses.value = this.uniforms.poses.value;
+    this.mesh.updateVersion();
+  }
+
+  dispose() {
+    this.stage.scene.remove(this.mesh, this.renderer);
+    this.renderer.activeSplats = 0;
+    this.mesh.dispose();
+    this.field.dispose();
+    for (const texture of Object.values(this.textures)) texture.dispose();
+  }
+}
+
+/** Float16 coefficients as 16-bit steps a bin, weighted as the spectrum's sum wants them. */
+function fieldOf({ coefficients, N, K, frames }) {
+  const scale = new Float32Array(K);
+  const shapes = new Int16Array(coefficients.length);
+  const bin = (i) => Math.floor(i / 6) % K;
+  coefficients.forEach((value, i) => {
+    scale[bin(i)] = Math.max(scale[bin(i)], Math.abs(value));
+  });
+  coefficients.forEach((value, i) => {
+    shapes[i] = Math.round((32767 * value) / Math.max(scale[bin(i)], 1e-12));
+  });
+  const weighted = scale.map((most, k) => (Math.max(most, 1e-12) / 32767) * (k === 0 || 2 * k === frames ? 1 : 2));
+  return new Field(shapes, weighted, N);
+}
+
+/** As many degrees as one texture holds: all four up to some millions of Gaussians. */
+function harmonicsThatFit({ G, harmonics }, largest) {
+  const fits = (count) => Math.ceil((G * halvesOf(count)) / 4 / WIDTH) <= largest;
+  return [16, 9, 4].find((count) => count <= harmonics && fits(count)) ?? 1;
+}
+
+function harmonicsTexture({ G, harmonics, sh }, count) {
+  const width = halvesOf(count);
+  const padded = new Uint16Array(4 * WIDTH * Math.ceil((G * width) / 4 / WIDTH));
+  for (let g = 0; g < G; g++) padded.set(sh.subarray(3 * g * harmonics, 3 * (g * harmonics + count)), g * width);
+  return asTexture(padded, THREE.HalfFloatType);
+}
+
+function texturesOf(splat, carriers, harmonics) {
+  const corners = new Float32Array(8 * splat.G);
+  for (let g = 0; g < splat.G; g++) {
+    const face = splat.face_of[g];
+    if (face < 0) continue; // stays still: its fourth number is 0
+    for (let c = 0; c < 3; c++) {
+      corners[8 * g + c] = splat.triangles[3 * face + c];
+      corners[8 * g + 4 + c] = splat.weights[3 * g + c];
+    }
+    corners[8 * g + 3] = 1;
+  }
+  const rest = new Float32Array(4 * splat.N);
+  for (let v = 0; v < splat.N; v++) rest.set(splat.vertices.subarray(3 * v, 3 * v + 3), 4 * v);
+  return {
+    corners: texture(corners),
+    rest: texture(rest),
+    bones: texture(carriers),
+    sh: harmonicsTexture(splat, harmonics),
+  };
+}
+
+function texture(values) {
+  const padded = new Float32Array(4 * WIDTH * Math.max(1, Math.ceil(values.length / 4 / WIDTH)));
+  padded.set(values);
+  return asTexture(padded, THREE.FloatType);
+}
+
+function asTexture(padded, type) {
+  const made = new THREE.DataTexture(padded, WIDTH, padded.length / 4 / WIDTH, THREE.RGBAFormat, type);
+  made.needsUpdate = true;
+  return made;
+}
+
+/** Four bones and four weights of each vertex: those of the same place on the surface, else the nearest voxel's bone. */
+export function carriersOf(splat, surface, modes) {
+  const at = new Map();
+  const carriers = new Float32Array(8 * splat.N);
+  const key = (x, v) => `${x[3 * v]} ${x[3 * v + 1]} ${x[3 * v + 2]}`;
+  for (let v = 0; v < surface.N; v++) at.set(key(surface.vertices, v), v);
+  for (let v = 0; v < splat.N; v++) {
+    const same = at.get(key(splat.vertices, v));
+    if (same === undefined) {
+      carriers[8 * v] = modes.bone_of_voxel[nearest(splat.vertices.subarray(3 * v, 3 * v + 3), modes)];
+      carriers[8 * v + 4] = 1;
+    } else {
+      for (let i = 0; i < 4; i++) {
+        carriers[8 * v + i] = surface.bone_rows[4 * same + i];
+        carriers[8 * v + 4 + i] = surface.bone_weights[4 * same + i] / 255;
+      }
+    }
+  }
+  return carriers;
+}
+
+function nearest(point, { centres, V }) {
+  let best = 0;
+  let least = Infinity;
+  for (let v = 0; v < V; v++) {
+    const far =
+      (centres[3 * v] - point[0]) ** 2 + (centres[3 * v + 1] - point[1]) ** 2 + (centres[3 * v + 2] - point[2]) ** 2;
+    if (far < least) [best, least] = [v, far];
+  }
+  return best;
+}

@@ -1,0 +1,170 @@
+// Where a tree stands: renderer, camera and surroundings. +Z is up, metres, as everywhere in the service.
+
+import * as THREE from "three";
+import { OrbitControls } from "three/addons/controls/OrbitControls.js";
+import { Resolution } from "./resolution.js";
+import { Surroundings } from "./surroundings.js";
+
+const FIELD_OF_VIEW = 30;
+const FIRST_VIEW = new THREE.Vector3(-0.38, -1, 0.2).normalize();
+
+export class Stage {
+  /** `onContext(lost)` is called when the graphics context is lost and when it is back. */
+  constructor(canvas, { onContext = () => {} } = {}) {
+    this.canvas = canvas;
+    this.renderer = new THREE.WebGLRenderer({
+      canvas,
+      antialias: true,
+      alpha: true,
+      powerPreference: "high-performance",
+    });
+    if (!this.renderer.extensions.has("EXT_color_buffer_float")) {
+      throw new Error("this browser's WebGL cannot draw into textures of floating-point numbers");
+    }
+    this.renderer.shadowMap.enabled = true;
+    this.renderer.shadowMap.type = THREE.PCFShadowMap;
+    this.renderer.shadowMap.autoUpdate = false;
+    this.scene = new THREE.Scene();
+    this.camera = new THREE.PerspectiveCamera(FIELD_OF_VIEW, 1, 0.05, 1000);
+    this.camera.up.set(0, 0, 1);
+    this.surroundings = new Surroundings(this.scene);
+    this.resolution = new Resolution();
+    this.margins = { right: 0, bottom: 0, top: 0 };
+    this.stale = true; // the picture on the screen is not the scene any more
+    this._setControls();
+    this.frame({ min: new THREE.Vector3(-3, -3, 0), max: new THREE.Vector3(3, 3, 9) });
+    canvas.addEventListener("webglcontextlost", () => onContext(true));
+    canvas.addEventListener("webglcontextrestored", () => {
+      this.stale = true;
+      onContext(false);
+    });
+    new ResizeObserver(() => this.resize()).observe(canvas);
+    this.resize();
+  }
+
+  _setControls() {
+    this.controls = new OrbitControls(this.camera, this.canvas);
+    this.controls.enableDamping = true;
+    this.controls.dampingFactor = 0.12;
+    this.controls.maxPolarAngle = Math.PI * 0.495;
+    this.controls.rotateSpeed = 0.7;
+    this.controls.screenSpacePanning = true;
+    this.controls.autoRotateSpeed = 1.5;
+    this.controls.addEventListener("change", () => {
+      this.stale = true;
+    });
+  }
+
+  look(theme) {
+    this.surroundings.look(theme);
+    this.stale = true;
+  }
+
+  wind(direction_deg, strength, colour) {
+    this.surroundings.wind(direction_deg, strength, colour);
+    this.stale = true;
+  }
+
+  // ---- camera
+
+  /** Put camera, ground and shadow around a box. */
+  frame({ min, max }) {
+    this.box = { min: min.clone(), max: max.clone() };
+    this.middle = new THREE.Vector3().addVectors(min, max).multiplyScalar(0.5);
+    this.radius = new THREE.Vector3().subVectors(max, min).length() / 2;
+    this.height = max.z - min.z;
+    this.surroundings.frame(this.middle, this.radius, min.z);
+    this.home();
+  }
+
+  /** Look at the tree as at first. */
+  home() {
+    const free = this.free ?? { width: 1, height: 1 };
+    const half = Math.tan(THREE.MathUtils.degToRad(FIELD_OF_VIEW / 2));
+    const wide = this.box.max.clone().sub(this.box.min);
+    const across = Math.max(wide.x, wide.y, Math.hypot(wide.x, wide.y) * 0.85);
+    const tall = (0.55 * this.height) / half;
+    const distance = Math.max(tall, ((0.55 * across) / half) * (free.height / free.width)) + 0.3 * across;
+    this.controls.target.copy(this.middle);
+    this.camera.position.copy(this.middle).addScaledVector(FIRST_VIEW, distance);
+    this.controls.minDistance = 0.3 * this.radius;
+    this.controls.maxDistance = 6 * distance;
+    this.camera.near = distance / 200;
+    this.camera.far = distance * 20;
+    this.controls.update();
+    this.resize();
+  }
+
+  /** Turn by angles [rad]; zoom is a factor of the distance. */
+  orbit(around, up, zoom = 1) {
+    const { clamp } = THREE.MathUtils;
+    const offset = new THREE.Vector3().subVectors(this.camera.position, this.controls.target);
+    const angle = Math.atan2(offset.y, offset.x) + around;
+    const lift = clamp(Math.atan2(offset.z, Math.hypot(offset.x, offset.y)) + up, 0.02, 1.5);
+    const length = clamp(offset.length() * zoom, this.controls.minDistance, this.controls.maxDistance);
+    offset.set(Math.cos(angle) * Math.cos(lift), Math.sin(angle) * Math.cos(lift), Math.sin(lift));
+    this.camera.position.copy(this.controls.target).addScaledVector(offset, length);
+    this.controls.update();
+    this.stale = true;
+  }
+
+  /** Parts of the canvas that panels lie over [px]: the tree stands in the middle of the rest. */
+  clear(margins) {
+    if (JSON.stringify(margins) === JSON.stringify(this.margins)) return;
+    this.margins = margins;
+    this.resize();
+  }
+
+  resize() {
+    const { clientWidth: width, clientHeight: height } = this.canvas;
+    if (!width || !height) return;
+    this._setSize(width, height, this.resolution.scale);
+    const { right = 0, bottom = 0, top = 0 } = this.margins ?? {};
+    const before = this.free;
+    this.free = { width: Math.max(width - right, 1), height: Math.max(height - bottom - top, 1) };
+    this.camera.aspect = this.free.width / this.free.height;
+    // the camera sees the free part; the view offset adds what lies around it
+    this.camera.setViewOffset(this.free.width, this.free.height, 0, -top, width, height);
+    this.camera.updateProjectionMatrix();
+    this.stale = true;
+    if (!before || Math.abs(before.width / before.height - this.camera.aspect) > 0.25) this.home();
+  }
+
+  _setSize(width, height, scale) {
+    const ratio = Math.min(globalThis.devicePixelRatio, 2) * scale;
+    const size = this.renderer.getSize(new THREE.Vector2());
+    if (size.x === width && size.y === height && this.renderer.getPixelRatio() === ratio) return;
+    this.renderer.setPixelRatio(ratio);
+    this.renderer.setSize(width, height, false);
+  }
+
+  /** Where a place in the window is on the canvas, -1 to 1. */
+  pointer(event) {
+    const box = this.canvas.getBoundingClientRect();
+    const x = ((event.clientX - box.left) / box.width) * 2 - 1;
+    return new THREE.Vector2(x, 1 - ((event.clientY - box.top) / box.height) * 2);
+  }
+
+  /** Pixels of a point in the window. */
+  onScreen(point) {
+    const at = new THREE.Vector3(...point).project(this.camera);
+    const box = this.canvas.getBoundingClientRect();
+    return { x: box.left + ((at.x + 1) / 2) * box.width, y: box.top + ((1 - at.y) / 2) * box.height };
+  }
+
+  // ---- drawing
+
+  /** Draw if something has changed; `prepare(renderer)` is called before. Whether anything was drawn. */
+  draw(now, prepare) {
+    const full = !this.stale && this.resolution.settles(now);
+    if ((!this.stale && !full) || this.renderer.getContext().isContextLost()) return false;
+    const shadow = full ? true : this.resolution.next(now);
+    if (full) this.resolution.sharp = true;
+    this._setSize(this.canvas.clientWidth, this.canvas.clientHeight, full ? 1 : this.resolution.scale);
+    this.renderer.shadowMap.needsUpdate = shadow;
+    prepare?.(this.renderer);
+    this.stale = false;
+    this.renderer.render(this.scene, this.camera);
+    return true;
+  }
+}

@@ -1,0 +1,64 @@
+// The mesh as it is drawn: geometry from a surface file, materials whose vertices follow the field and the bones.
+
+import * as THREE from "three";
+import { readTensors } from "../motion/tensors.js";
+import { softenFoliage } from "./foliage.js";
+
+/** `{ geometry, materials, ... }` of the body of …/surface. */
+export async function readSurface(buffer) {
+  const { tensors, shape, metadata } = readTensors(buffer);
+  const surface = { ...tensors, N: shape.vertices[0], F: shape.faces[0], materials: JSON.parse(metadata.materials) };
+  surface.textures = await Promise.all(surface.materials.map((_, index) => readTexture(tensors[`texture_${index}`])));
+  surface.geometry = buildGeometry(surface);
+  return surface;
+}
+
+async function readTexture(bytes) {
+  if (!bytes) return null;
+  const picture = await createImageBitmap(new Blob([bytes], { type: "image/png" }));
+  const texture = new THREE.Texture(picture);
+  texture.colorSpace = THREE.SRGBColorSpace;
+  texture.wrapS = texture.wrapT = THREE.RepeatWrapping;
+  texture.flipY = false; // v runs downward, as in glTF
+  texture.anisotropy = 4;
+  texture.needsUpdate = true;
+  return texture;
+}
+
+function buildGeometry(surface) {
+  const geometry = new THREE.BufferGeometry();
+  geometry.setAttribute("position", new THREE.BufferAttribute(surface.vertices, 3));
+  if (surface.uv) geometry.setAttribute("uv", new THREE.BufferAttribute(surface.uv, 2));
+  setBones(geometry, surface);
+  const { index, groups } = byMaterial(surface);
+  geometry.setIndex(new THREE.BufferAttribute(index, 1));
+  for (const group of groups) geometry.addGroup(...group);
+  geometry.computeVertexNormals();
+  geometry.computeBoundingBox();
+  softenFoliage(geometry, surface);
+  return geometry;
+}
+
+function setBones(geometry, surface) {
+  const still = (width) => new Uint8Array(width * surface.N);
+  geometry.setAttribute("boneRows", new THREE.BufferAttribute(surface.bone_rows ?? new Uint16Array(4 * surface.N), 4));
+  geometry.setAttribute("boneWeights", new THREE.BufferAttribute(surface.bone_weights ?? still(4), 4, true));
+  if (!surface.tie_rows) return;
+  geometry.setAttribute("tieRows", new THREE.BufferAttribute(Float32Array.from(surface.tie_rows), 4));
+  geometry.setAttribute("tieWeights", new THREE.BufferAttribute(surface.tie_weights, 4, true));
+}
+
+/** Faces sorted by material: one draw each. */
+function byMaterial({ faces, face_material: of, F, materials }) {
+  if (!of || materials.length < 2) return { index: new Uint32Array(faces), groups: [[0, 3 * F, 0]] };
+  const start = new Uint32Array(materials.length + 1);
+  for (let f = 0; f < F; f++) start[of[f] + 1]++;
+  for (let m = 0; m < materials.length; m++) start[m + 1] += start[m];
+  const index = new Uint32Array(3 * F);
+  const next = start.slice();
+  for (let f = 0; f < F; f++) index.set(faces.subarray(3 * f, 3 * f + 3), 3 * next[of[f]]++);
+  return {
+    index,
+    groups: materials.map((_, m) => [3 * start[m], 3 * (start[m + 1] - start[m]), m]).filter(([, count]) => count),
+  };
+}

@@ -1,0 +1,118 @@
+// What stands around a tree: light, ground with shadow, and the arrow that the wind blows along.
+
+import * as THREE from "three";
+
+const SUN = new THREE.Vector3(0.55, -0.62, 1.0).normalize();
+const LOOKS = {
+  light: {
+    sky: 0xf4f8ff,
+    earth: 0xb9b09a,
+    ambient: 1.35,
+    sun: 0xfff1dc,
+    strength: 2.7,
+    ground: 0xdcdccf,
+    shadow: 0.3,
+  },
+  dark: { sky: 0xb4c8e2, earth: 0x3a3f3c, ambient: 1.25, sun: 0xe9efff, strength: 2.6, ground: 0x2b353c, shadow: 0.5 },
+};
+const FADE = [
+  [0, 1],
+  [0.35, 0.85],
+  [0.7, 0.3],
+  [1, 0],
+];
+
+export class Surroundings {
+  constructor(scene) {
+    this.sky = new THREE.HemisphereLight();
+    this.sky.position.set(0, 0, 1);
+    this.sun = new THREE.DirectionalLight();
+    this.sun.castShadow = true;
+    this.sun.shadow.mapSize.set(2048, 2048);
+    this.sun.shadow.radius = 3;
+    const disc = new THREE.CircleGeometry(1, 96);
+    const ground = { map: fadingDisc(), transparent: true, depthWrite: false };
+    this.ground = new THREE.Mesh(disc, new THREE.MeshBasicMaterial(ground));
+    this.shade = new THREE.Mesh(disc, new THREE.ShadowMaterial({ transparent: true, depthWrite: false }));
+    this.shade.receiveShadow = true;
+    this.ground.renderOrder = -2;
+    this.shade.renderOrder = -1;
+    this.arrow = windArrow();
+    scene.add(this.sky, this.sun, this.sun.target, this.ground, this.shade, this.arrow);
+  }
+
+  /** Colours of the theme: "light" or "dark". */
+  look(name) {
+    const look = LOOKS[name];
+    this.sky.color.set(look.sky);
+    this.sky.groundColor.set(look.earth);
+    this.sky.intensity = look.ambient;
+    this.sun.color.set(look.sun);
+    this.sun.intensity = look.strength;
+    this.ground.material.color.set(look.ground);
+    this.shade.material.opacity = look.shadow;
+  }
+
+  /** Place everything under a box of this middle, radius and lowest z. */
+  frame(middle, radius, bottom) {
+    for (const disc of [this.ground, this.shade]) {
+      disc.position.set(middle.x, middle.y, bottom - 0.002 * radius);
+      disc.scale.setScalar(radius * 2.3);
+    }
+    this.arrow.position.set(middle.x, middle.y, bottom);
+    this.arrow.scale.setScalar(radius);
+    this.sun.target.position.copy(middle);
+    this.sun.position.copy(middle).addScaledVector(SUN, 4 * radius);
+    const reach = 1.25 * radius;
+    const box = { left: -reach, right: reach, top: reach, bottom: -reach, near: radius, far: 8 * radius };
+    Object.assign(this.sun.shadow.camera, box);
+    this.sun.shadow.camera.updateProjectionMatrix();
+    this.sun.shadow.normalBias = radius * 0.012;
+    this.sun.shadow.bias = -0.0008;
+  }
+
+  wind(direction_deg, strength, colour) {
+    this.arrow.rotation.z = THREE.MathUtils.degToRad(direction_deg);
+    this.arrow.visible = strength > 0;
+    this.arrow.material.color.set(colour);
+    this.arrow.material.opacity = 0.35 + 0.5 * Math.min(strength, 1);
+  }
+
+  set groundVisible(visible) {
+    this.ground.visible = this.shade.visible = visible;
+  }
+}
+
+function fadingDisc() {
+  const picture = document.createElement("canvas");
+  picture.width = picture.height = 256;
+  const pen = picture.getContext("2d");
+  const fade = pen.createRadialGradient(128, 128, 0, 128, 128, 128);
+  for (const [at, alpha] of FADE) fade.addColorStop(at, `rgba(255,255,255,${alpha})`);
+  pen.fillStyle = fade;
+  pen.fillRect(0, 0, 256, 256);
+  return new THREE.CanvasTexture(picture);
+}
+
+/** Three chevrons on the ground before the tree, pointing along +X. */
+function windArrow() {
+  const places = [];
+  for (let i = 0; i < 3; i++) {
+    const x = 0.84 + 0.085 * i;
+    const wing = 0.045;
+    const thick = 0.03;
+    for (const side of [1, -1]) {
+      const tip = [x, 0];
+      const tipBack = [x - thick * 1.5, 0];
+      const end = [x - wing, side * wing];
+      const endBack = [x - wing - thick * 1.5, side * wing];
+      for (const corner of [tip, end, tipBack, tipBack, end, endBack]) places.push(...corner, 0);
+    }
+  }
+  const geometry = new THREE.BufferGeometry();
+  geometry.setAttribute("position", new THREE.BufferAttribute(new Float32Array(places), 3));
+  const material = new THREE.MeshBasicMaterial({ transparent: true, side: THREE.DoubleSide, depthWrite: false });
+  const arrow = new THREE.Mesh(geometry, material);
+  arrow.visible = false;
+  return arrow;
+}

@@ -1,0 +1,247 @@
+// A tree on the stage: its surface at rest as soon as there is one, in motion as soon as there are modes.
+
+import * as THREE from "three";
+import { carried } from "../motion/modes.js";
+import { buildCubes, disposeCubes } from "./cubes.js";
+import { Field, PoseTexture } from "./field.js";
+import { surfaceMaterials } from "./follow.js";
+import { topVoxel } from "./pick.js";
+
+export class Tree {
+  constructor(stage) {
+    this.stage = stage;
+    this.group = new THREE.Group();
+    stage.scene.add(this.group);
+    this.still = zeroTexture();
+    this.uniforms = {
+      moved: { value: this.still },
+      poses: { value: this.still },
+      bent: { value: 0 },
+      coloured: { value: 0 },
+    };
+    this.view = "surface";
+    this.groups = []; // of pushes: { q, perBone }
+    this.q = null;
+    this.turn = 0;
+  }
+
+  get moves() {
+    return Boolean(this.modes);
+  }
+
+  get usesNearVoxels() {
+    return Boolean(this.surface?.tie_rows);
+  }
+
+  /** The voxel that stands highest. */
+  get top() {
+    return topVoxel(this.modes);
+  }
+
+  // ---- what it consists of
+
+  /** The mesh; `hidden` where a cloud is drawn in its place and the mesh only casts the shadow. */
+  setSurface(surface, { hidden = false } = {}) {
+    const { boundingBox } = surface.geometry;
+    const same = this.box && this.box.max.distanceTo(boundingBox.max) < 1e-4;
+    this._dropMesh();
+    this.surface = surface;
+    this.box = boundingBox;
+    this.hidden = hidden;
+    this.mesh = new THREE.Mesh(surface.geometry);
+    this.mesh.castShadow = this.mesh.receiveShadow = true;
+    this.mesh.frustumCulled = false;
+    const ghost = { transparent: true, opacity: 0.22, depthWrite: false, side: THREE.DoubleSide };
+    this.ghost = new THREE.Mesh(surface.geometry, new THREE.MeshBasicMaterial(ghost));
+    this.ghost.visible = false;
+    this.group.add(this.mesh, this.ghost);
+    this._setMaterials();
+    if (!same) this.stage.frame(boundingBox);
+    this.stage.stale = true;
+  }
+
+  _setMaterials() {
+    for (const material of [this.mesh.material, this.mesh.customDepthMaterial].flat()) material?.dispose();
+    const { lit, depth } = surfaceMaterials(this.surface, this.uniforms);
+    this.mesh.material = lit;
+    this.mesh.customDepthMaterial = depth;
+    this.setView(this.view);
+  }
+
+  setModes(modes) {
+    this.modes = modes;
+    const { surface } = this;
+    this.poses = new PoseTexture(modes.B);
+    this.uniforms.poses.value = this.poses.texture;
+    if (surface?.shapes) this.field = new Field(surface.shapes, surface.scale_m, surface.N);
+    if (this.usesNearVoxels) this.field = this._voxelField();
+    if (this.field) this.uniforms.moved.value = this.field.texture;
+    this.largest = largestSwing(surface?.shapes ? surface : modes);
+  }
+
+  /** A large mesh's own motion in place of its nearest voxels', once the job's files contain it. */
+  setShapes({ shapes, scale_m }) {
+    const { surface } = this;
+    Object.assign(surface, { shapes, scale_m, tie_rows: null });
+    this.field = new Field(shapes, scale_m, surface.N);
+    this.uniforms.moved.value = this.field.texture;
+    this.largest = largestSwing(surface);
+    this._setMaterials();
+  }
+
+  _voxelField() {
+    this.voxelField ??= new Field(this.modes.shapes, this.modes.scale_m, this.modes.V);
+    return this.voxelField;
+  }
+
+  /** The points of a cloud at rest, until its Gaussians move. */
+  setPoints(points) {
+    this.points = points;
+    this.group.add(points.object);
+    if (!this.box) this.stage.frame(points.box);
+    this.box ??= points.box;
+    this.setView(this.view);
+  }
+
+  /** The mesh in place of points. */
+  showMesh() {
+    this.points?.dispose();
+    if (this.points) this.group.remove(this.points.object);
+    this.points = null;
+    this.hidden = false;
+    this.setView(this.view);
+  }
+
+  /** Gaussians in place of the mesh, which carries them and goes on casting the shadow. */
+  async setSplat(splat) {
+    const { SplatView, carriersOf } = await import("./splat.js");
+    const view = await SplatView.make(this.stage, splat, carriersOf(splat, this.surface, this.modes), this.uniforms);
+    if (this.disposed) return view.dispose();
+    this.splat = view;
+    this.setView(this.view);
+  }
+
+  // ---- how it is drawn
+
+  /** surface, wire, voxels or modes. */
+  setView(view) {
+    this.view = view;
+    const cubes = view === "voxels" && this.moves;
+    if (this.splat) this.splat.visible = view === "surface";
+    if (cubes && !this.cubes) this._addCubes();
+    if (this.cubes) this.cubes.visible = cubes;
+    if (this.mesh) {
+      this.mesh.visible = !cubes;
+      for (const material of [this.mesh.material].flat()) material.wireframe = view === "wire";
+    }
+    this._showOne();
+    this.uniforms.coloured.value = view === "modes" ? 1 : 0;
+    this.stage.stale = true;
+  }
+
+  /** Of mesh, points and Gaussians one is seen; points until the Gaussians are sorted. */
+  _showOne() {
+    const gaussians = this.splat?.visible && this.splat.drawn;
+    const cloud = this.points && this.view === "surface";
+    if (this.points) this.points.object.visible = cloud && !gaussians;
+    const seen = !gaussians && !cloud && !(this.hidden && this.view === "surface");
+    for (const material of [this.mesh?.material ?? []].flat()) material.colorWrite = material.depthWrite = seen;
+  }
+
+  _addCubes() {
+    this.cubes = buildCubes(this.modes, { ...this.uniforms, moved: { value: this._voxelField().texture } });
+    this.group.add(this.cubes);
+  }
+
+  /** Colour the share that a bin has in the motion of each place; null for none. */
+  setShown(k) {
+    this.field?.show(k, k === null ? 1 : this.largest[k]);
+    this.stage.stale = true;
+  }
+
+  setGhost(visible, colour) {
+    if (!this.ghost) return;
+    this.ghost.visible = visible;
+    this.ghost.material.color.set(colour);
+    this.stage.stale = true;
+  }
+
+  // ---- motion
+
+  /** The wind's coordinates [2K] turned by `turn` [rad], and groups of pushes. */
+  move(q, turn, groups) {
+    Object.assign(this, { q, turn, groups });
+    this.uniforms.bent.value = groups.length ? 1 : 0;
+    if (groups.length) {
+      this.boneMotion ??= new Float32Array(12 * this.modes.B);
+      this.poses.set(this.modes.poses(groups, this.boneMotion));
+    }
+    this.stage.stale = true;
+  }
+
+  /** Before each draw. */
+  prepare(renderer) {
+    if (this.splat) this._showOne();
+    if (!this.q) return;
+    const cubes = this.cubes?.visible;
+    if (this.field && (this.field !== this.voxelField || !cubes)) this.field.evaluate(renderer, this.q, this.turn);
+    if (cubes) this.voxelField.evaluate(renderer, this.q, this.turn);
+    if (this.splat?.visible) this.splat.evaluate(renderer, this.q, this.turn);
+  }
+
+  /** Where a voxel is now [m]. */
+  voxelNow(v, q = this.q) {
+    const { modes } = this;
+    const [x, y, z] = modes.voxelAt(v, q);
+    const [c, s] = [Math.cos(this.turn), Math.sin(this.turn)];
+    const [cx, cy, cz] = modes.centres.subarray(3 * v, 3 * v + 3);
+    const at = [cx + c * x - s * y, cy + s * x + c * y, cz + z];
+    return this.groups.length ? carried(this.boneMotion, modes.bone_of_voxel[v], at) : at;
+  }
+
+  // ---- the end
+
+  _dropMesh() {
+    if (!this.mesh) return;
+    this.group.remove(this.mesh, this.ghost);
+    this.mesh.geometry.dispose();
+    const materials = [this.mesh.material, this.mesh.customDepthMaterial, this.ghost.material].flat();
+    for (const material of materials) material.dispose();
+    for (const texture of this.surface.textures) texture?.dispose();
+    this.mesh = this.ghost = null;
+  }
+
+  dispose() {
+    this.disposed = true;
+    this._dropMesh();
+    this.splat?.dispose();
+    this.points?.dispose();
+    if (this.cubes) disposeCubes(this.cubes);
+    for (const resource of new Set([this.field, this.voxelField, this.poses, this.still])) resource?.dispose();
+    this.stage.scene.remove(this.group);
+    this.stage.stale = true;
+  }
+}
+
+/** Zero displacement, until there are modes. */
+function zeroTexture() {
+  const texture = new THREE.DataTexture(new Float32Array(4), 1, 1, THREE.RGBAFormat, THREE.FloatType);
+  texture.needsUpdate = true;
+  return texture;
+}
+
+/** The furthest that each bin moves any point [m]. */
+function largestSwing({ shapes, scale_m: scale }) {
+  const K = scale.length;
+  const P = shapes.length / (6 * K);
+  const most = new Float64Array(K);
+  for (let p = 0; p < P; p++) {
+    for (let k = 0; k < K; k++) {
+      let sum = 0;
+      const start = 6 * (p * K + k);
+      for (let i = start; i < start + 6; i++) sum += shapes[i] * shapes[i];
+      if (sum > most[k]) most[k] = sum;
+    }
+  }
+  return most.map((sum, k) => Math.sqrt(sum) * scale[k]);
+}

@@ -1,0 +1,137 @@
+// The panel's files: what a job has written, what is being written, what can be.
+
+import { hasEnded } from "../client.js";
+import { $, button, element, keyedChildren } from "./dom.js";
+import { bytes, percent, text, textOrNull } from "./texts.js";
+
+/** In the order in which they are listed. */
+const ORDER = [
+  "tree.glb",
+  "tree.animated-splat.safetensors",
+  "tree-8-targets.glb",
+  "tree-skinned.glb",
+  "tree.usdz",
+  "tree.vat.zip",
+  "motion.ply.zip",
+  "splat.ply.zip",
+  "motion.safetensors",
+  "preview.mp4",
+  "preview.webp",
+  "preview.png",
+  "mesh.ply",
+  "tree.spectrum.safetensors",
+  "tree.voxels.safetensors",
+];
+const INNER = new Set(["mesh.safetensors", "cloud.safetensors"]); // between stages
+
+export class Files {
+  constructor(client, { onProblem }) {
+    Object.assign(this, { client, onProblem });
+    this.clear();
+    $("more").ontoggle = () => $("more").open && this._offer();
+  }
+
+  clear() {
+    this.listed = new Map(); // by name
+    this.job = null;
+    this.treeName = "";
+    $("artifacts").replaceChildren();
+    $("more").open = false;
+  }
+
+  /** Take a job's state: list the files that it has written so far. */
+  async follow(job, treeName) {
+    this.job ??= job;
+    const owner = this.job;
+    if (treeName) this.treeName = treeName;
+    const key = JSON.stringify(job.result);
+    if (!job.result || (this.seen === key && !hasEnded(job))) return;
+    this.seen = key;
+    const artifacts = await this.client.artifacts(job.id).catch(() => []);
+    if (owner !== this.job) return; // another tree is on the stage by now
+    for (const artifact of artifacts) if (!INNER.has(artifact.name)) this.listed.set(artifact.name, artifact);
+    this._show();
+  }
+
+  _show() {
+    const rank = (name) => ORDER.indexOf(name) + 1 || ORDER.length + 1;
+    const names = [...this.listed.keys()].sort((a, b) => rank(a) - rank(b));
+    keyedChildren($("artifacts"), names, (name) => element("li", {}, this._link(this.listed.get(name))));
+  }
+
+  /** "oak.glb" for the tree.glb of oak.obj, "oak-preview.png" for its preview.png. */
+  _fileName(name) {
+    const tree = this.treeName.replace(/[^\p{L}\p{N} ._-]/gu, "") || "tree";
+    return name.startsWith("tree") ? tree + name.slice(4) : `${tree}-${name}`;
+  }
+
+  _link({ name, bytes: size, url }) {
+    const download = this._fileName(name);
+    const href = `${url}?filename=${encodeURIComponent(download)}`;
+    const title = element("b", {}, textOrNull(`file.${name}`) ?? name);
+    const words = [title, element("small", {}, bytes(size)), element("small", {}, download)];
+    const link = element("a", { href, download }, ...words);
+    link.onclick = (event) => {
+      if (!this.client.key) return; // a link sends no key
+      event.preventDefault();
+      this._save(download, url);
+    };
+    return link;
+  }
+
+  async _save(name, url) {
+    try {
+      const blob = URL.createObjectURL(new Blob([await this.client.bytes(url)]));
+      element("a", { href: blob, download: name }).click();
+      setTimeout(() => URL.revokeObjectURL(blob), 60_000);
+    } catch (error) {
+      this.onProblem(error);
+    }
+  }
+
+  /** Formats of the service's own description, with what each is for. */
+  async _offer() {
+    try {
+      this.formats ??= formatsOf(await this.client.json("GET", "/openapi.json"));
+    } catch (error) {
+      return this.onProblem(error);
+    }
+    keyedChildren($("more-formats"), this.formats, (format) => {
+      const chip = button(textOrNull(`format.${format}`) ?? format.toUpperCase(), () => this._make(format, chip));
+      return element("li", {}, chip, element("small", {}, textOrNull(`format.${format}.for`) ?? ""));
+    });
+  }
+
+  /** Write one more format; the chip shows how far it is. */
+  async _make(format, chip) {
+    const label = chip.textContent;
+    const owner = this.job;
+    const { asset_id, preset, seed, params } = owner;
+    const onJob = (job) => {
+      chip.style.setProperty("--share", percent(job.progress));
+      chip.textContent = `${label} · ${job.state === "queued" ? text("title.queued") : percent(job.progress)}`;
+      if (this.job === owner) this.follow(job);
+    };
+    chip.disabled = true;
+    try {
+      const request = { type: "animate", asset_id, preset, seed, params: { ...params, formats: [format] } };
+      const job = await this.client.createJob(request);
+      await this.client.wait(job.id, { onJob });
+    } catch (error) {
+      if (this.job === owner) this.onProblem(error);
+    }
+    chip.textContent = label;
+    chip.style.removeProperty("--share");
+    chip.disabled = false;
+  }
+}
+
+/** The values of `AnimateParams.formats`, wherever the schema keeps them. */
+function formatsOf({ components: { schemas } }) {
+  const valuesOf = (schema) => {
+    if (!schema) return [];
+    if (schema.$ref) return valuesOf(schemas[schema.$ref.split("/").pop()]);
+    return schema.enum ?? [...valuesOf(schema.items), ...(schema.anyOf ?? []).flatMap(valuesOf)];
+  };
+  return valuesOf(schemas.AnimateParams.properties.formats);
+}

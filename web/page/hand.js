@@ -1,0 +1,162 @@
+// The pointer on the tree: pull a branch, let go. The response comes back over the client's Push.
+
+import * as THREE from "three";
+import { pickVoxel } from "../draw/pick.js";
+
+const FURTHEST = 0.12; // of the height: what a pull comes near to; beyond it bones would turn over
+const KNOCK = { share: 0.06, seconds: 0.3 }; // of the height, and how long it lasts
+
+export class Hand {
+  /** `onGrab(point | null, pointer)` while something is pulled; `onProblem(problem)`. */
+  constructor(stage, { onGrab = () => {}, onProblem = () => {} } = {}) {
+    Object.assign(this, { stage, onGrab, onProblem });
+    this.tree = null;
+    this.push = null;
+    this.grip = null; // { voxel, start, pointer, plane, wanted, at }
+    this.groups = [];
+    this.frame = 0;
+    this.damping = undefined; // until it is set, the service takes that of real trees
+    const place = stage.canvas.parentElement; // before OrbitControls, which listens at the canvas
+    place.addEventListener("pointerdown", (event) => this._down(event), true);
+    place.addEventListener("pointermove", (event) => this._move(event), true);
+    for (const name of ["pointerup", "pointercancel"]) place.addEventListener(name, (event) => this._up(event), true);
+  }
+
+  /**
+   * Pull at this tree. `source.push(options)` opens a push, `source.reach(locality)` gives the weights [V] of a group;
+   * see motion/remote.js and motion/oscillators.js.
+   */
+  take(tree, source) {
+    this.leave();
+    this.tree = tree;
+    this.source = source;
+    this.weights = new Map(); // of groups, by locality
+    this._open();
+  }
+
+  /** Share of critical damping; what swings is let go. */
+  setDamping(ratio) {
+    this.damping = ratio;
+    if (!this.push) return;
+    this.letGo();
+    this.push.close();
+    this.groups = [];
+    this._open();
+  }
+
+  _open() {
+    this.push = this.source.push({
+      damping_ratio: this.damping,
+      onFrame: (message) => this._frame(message),
+      onRest: () => this._settled(),
+      onProblem: this.onProblem,
+    });
+  }
+
+  leave() {
+    this.letGo();
+    this.push?.close();
+    this.tree = this.push = null;
+    this.groups = [];
+  }
+
+  get moving() {
+    return this.groups.length > 0 || Boolean(this.grip);
+  }
+
+  /** For those who use no pointer: displace the top, and let go. */
+  knock() {
+    if (!this.push || this.grip) return;
+    const right = new THREE.Vector3().setFromMatrixColumn(this.stage.camera.matrixWorld, 0);
+    right.multiplyScalar(KNOCK.share * this.stage.height);
+    this.push.drag({ voxel: this.tree.top }, right.toArray());
+    const { push } = this;
+    setTimeout(() => push === this.push && !this.grip && push.release(), KNOCK.seconds * 1000);
+  }
+
+  letGo() {
+    if (!this.grip) return;
+    this.grip = null;
+    this.push?.release();
+    this.stage.controls.enabled = true;
+    this.onGrab(null);
+  }
+
+  /** Once a frame: send the pointer's last place, acknowledge what was drawn. */
+  tick() {
+    const { grip } = this;
+    if (grip?.wanted) {
+      this.push.drag({ voxel: grip.voxel }, grip.wanted.toArray());
+      grip.wanted = null;
+    }
+    if (grip) this.onGrab(this.tree.voxelNow(grip.voxel), grip.at);
+    if (this.frame) {
+      this.push?.drawn(this.frame);
+      this.frame = 0;
+    }
+  }
+
+  _down(event) {
+    const other = event.button !== 0 || event.shiftKey || event.target !== this.stage.canvas;
+    if (!this.tree?.moves || this.grip || other) return;
+    const voxel = pickVoxel(this.tree, event);
+    if (voxel === null) return;
+    const { camera, canvas, controls } = this.stage;
+    controls.enabled = false;
+    canvas.setPointerCapture(event.pointerId);
+    const start = new THREE.Vector3(...this.tree.voxelNow(voxel));
+    const facing = camera.getWorldDirection(new THREE.Vector3());
+    const plane = new THREE.Plane().setFromNormalAndCoplanarPoint(facing, start);
+    const at = { x: event.clientX, y: event.clientY };
+    this.grip = { voxel, start, pointer: event.pointerId, plane, wanted: null, at };
+    this.onGrab(start.toArray(), at);
+  }
+
+  _move(event) {
+    if (!this.grip) return this._hover(event);
+    if (event.pointerId !== this.grip.pointer) return;
+    const caster = new THREE.Raycaster();
+    caster.setFromCamera(this.stage.pointer(event), this.stage.camera);
+    const at = caster.ray.intersectPlane(this.grip.plane, new THREE.Vector3());
+    this.grip.at = { x: event.clientX, y: event.clientY };
+    if (!at) return;
+    const limit = FURTHEST * this.stage.height;
+    const pull = at.sub(this.grip.start);
+    const far = pull.length();
+    this.grip.wanted = pull.multiplyScalar(far > 0 ? (limit * Math.tanh(far / limit)) / far : 0);
+  }
+
+  _hover(event) {
+    if (event.pointerType !== "mouse" || event.buttons) return;
+    const { canvas } = this.stage;
+    const over = event.target === canvas && this.tree?.moves && pickVoxel(this.tree, event, { exact: false }) !== null;
+    canvas.classList.toggle("over", Boolean(over));
+  }
+
+  _up(event) {
+    if (event.pointerId === this.grip?.pointer) this.letGo();
+  }
+
+  _frame({ frame, groups }) {
+    this.frame = frame;
+    const ready = groups.map(({ locality, q }) => ({ q, perBone: this._weightsOf(locality) }));
+    this.groups = ready.filter(({ perBone }) => perBone);
+  }
+
+  _settled() {
+    this.groups = [];
+    if (this.grip) this.letGo();
+  }
+
+  /** Weights of a group's bones; null until they have come. */
+  _weightsOf(locality) {
+    const key = JSON.stringify(locality);
+    const { tree, weights } = this;
+    if (!weights.has(key)) {
+      weights.set(key, null);
+      const store = (perVoxel) => weights.set(key, tree.modes.boneWeights(perVoxel));
+      this.source.reach(locality).then(store, this.onProblem);
+    }
+    return weights.get(key);
+  }
+}

@@ -1,0 +1,154 @@
+// The list of jobs: live, without rebuilding what has not changed.
+
+import { hasEnded } from "../client.js";
+import { $, button, element, fill, keyedChildren } from "./dom.js";
+import { nameOf } from "./session.js";
+import { date, duration, number, percent, speed, text } from "./texts.js";
+
+const REFRESH_MS = 2000;
+const PAGE = 20;
+
+export class JobList {
+  constructor(client, { onOpen, onProblem }) {
+    Object.assign(this, { client, onOpen, onProblem });
+    this.dialog = $("jobs");
+    this.names = new Map(); // of assets
+    this.pictures = new Map(); // address of a job's preview, or null
+    this.dialog.querySelector(".close").onclick = () => this.dialog.close();
+    $("more-jobs").onclick = () => this._loadEarlier();
+    $("job-filter").onchange = () => this._restart();
+  }
+
+  async show() {
+    if (!(await this._restart())) return;
+    this.dialog.showModal();
+    const timer = setInterval(() => (this.dialog.open ? this._refresh() : clearInterval(timer)), REFRESH_MS);
+  }
+
+  async _restart() {
+    this.jobs = new Map(); // newest first
+    this.cursor = null;
+    return this._refresh();
+  }
+
+  /** The first page anew, and single jobs of later pages that still run. */
+  _refresh() {
+    return this._try(async () => {
+      const { data, next_cursor: next } = await this.client.jobs({ limit: PAGE, state: this._state });
+      const later = [...this.jobs.values()].filter((job) => !data.some(({ id }) => id === job.id));
+      if (!later.length) this.cursor = next;
+      const oldest = data.at(-1)?.id ?? "";
+      const running = later.filter((job) => !hasEnded(job) && job.id < oldest);
+      const updated = new Map(
+        (await Promise.all(running.map(({ id }) => this.client.job(id)))).map((job) => [job.id, job]),
+      );
+      const kept = later.filter(({ id }) => id < oldest).map((job) => updated.get(job.id) ?? job);
+      this._set([...data, ...kept]);
+      await this._show();
+    });
+  }
+
+  _loadEarlier() {
+    return this._try(async () => {
+      const page = await this.client.jobs({ limit: PAGE, cursor: this.cursor, state: this._state });
+      this.cursor = page.next_cursor;
+      this._set([...this.jobs.values(), ...page.data]);
+      await this._show();
+    });
+  }
+
+  get _state() {
+    return $("job-filter").value || undefined;
+  }
+
+  _set(jobs) {
+    this.jobs = new Map(jobs.map((job) => [job.id, job]));
+  }
+
+  async _try(task) {
+    try {
+      await task();
+      return true;
+    } catch (error) {
+      if (this.dialog.open && error.code === "unreachable") return false; // the next refresh may reach it
+      this.dialog.close();
+      this.onProblem(error);
+      return false;
+    }
+  }
+
+  async _show() {
+    const unnamed = new Set([...this.jobs.values()].map((job) => job.asset_id).filter((id) => !this.names.has(id)));
+    await Promise.all([...unnamed].map((id) => this._name(id)));
+    keyedChildren($("job-list"), [...this.jobs.keys()], (id) => this._newItem(this.jobs.get(id)));
+    for (const job of this.jobs.values()) this._update(job);
+    $("no-jobs").hidden = this.jobs.size > 0;
+    $("more-jobs").hidden = !this.cursor;
+  }
+
+  async _name(assetId) {
+    const asset = await this.client.asset(assetId).catch(() => null); // an asset may expire before its jobs
+    const name = asset && (nameOf(asset) || text("tree.photos", { n: number(asset.parts.length) }));
+    this.names.set(assetId, name ?? text("jobs.expired"));
+  }
+
+  _newItem(job) {
+    const name = this.names.get(job.asset_id);
+    const wind = job.params?.wind ? ` · ${speed(job.params.wind.speed_m_s)}` : "";
+    const open = button(text("jobs.open"), () => this._open(job.id), { className: "open" });
+    const cancel = button(text("jobs.cancel"), () => this._act(this.client.cancel(job.id)), { className: "cancel" });
+    const retry = button(text("jobs.retry"), () => this._act(this.client.retry(job.id)), { className: "retry" });
+    for (const node of [open, cancel, retry]) {
+      node.setAttribute("aria-label", `${node.textContent}: ${name}, ${date(job.created_at)}`);
+    }
+    const title = element("b", {}, name);
+    const picture = element("img", { alt: "", width: 56, height: 56 });
+    const state = element("small", { className: "state" });
+    const line = element("small", {}, state, ` · ${date(job.created_at)}`);
+    const words = element("div", { className: "words" }, title, ` ${text(`job.${job.type}`)}${wind}`, line);
+    words.append(element("small", { className: "why" }));
+    return element("li", {}, picture, words, element("span", { className: "actions" }, cancel, retry, open));
+  }
+
+  _update(job) {
+    const item = $("job-list").querySelector(`[data-key="${job.id}"]`);
+    const ended = hasEnded(job);
+    item.className = job.state;
+    fill(item.querySelector(".state"), stateWords(job));
+    fill(item.querySelector(".why"), job.error ? `${job.error.title}: ${job.error.detail}` : "");
+    item.querySelector(".cancel").hidden = ended;
+    item.querySelector(".retry").hidden = !ended || job.state === "succeeded";
+    if (ended && job.result) this._showPicture(job.id, item.querySelector("img"));
+  }
+
+  /** The job's preview picture, once it is written. */
+  async _showPicture(id, picture) {
+    if (this.pictures.has(id)) return;
+    this.pictures.set(id, null);
+    const artifacts = await this.client.artifacts(id).catch(() => []);
+    const preview = artifacts.find(({ name }) => name === "preview.png");
+    if (!preview) return;
+    const blob = await this.client.bytes(preview.url).catch(() => null);
+    if (blob) picture.src = URL.createObjectURL(new Blob([blob], { type: "image/png" }));
+  }
+
+  _open(id) {
+    this.dialog.close();
+    this.onOpen(id);
+  }
+
+  _act(promise) {
+    return this._try(async () => {
+      await promise;
+      await this._refresh();
+    });
+  }
+}
+
+function stateWords(job) {
+  const words = text(`state.${job.state}`);
+  if (hasEnded(job)) return words;
+  const parts = [job.state === "running" ? `${words}, ${percent(job.progress)}` : words];
+  if (job.eta_s) parts.push(text("progress.eta", { time: duration(job.eta_s) }));
+  return parts.join(", ");
+}

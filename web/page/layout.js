@@ -1,0 +1,38 @@
+// Where the tree stands between the panels, the ring at the pulled branch, and the hint.
+
+import { $, fill } from "./dom.js";
+import { text } from "./texts.js";
+
+const RING_PX = 11;
+const HINT_MS = 7000;
+const BOTTOM_PX = { uploading: 210, queued: 210, running: 210, moving: 84 };
+
+/** The tree stands in the middle of what the panels leave free. */
+export function layOut(stage, state) {
+  const panel = $("panel").getBoundingClientRect();
+  const beside = panel.width > 0 && panel.top < innerHeight / 3;
+  stage.clear({ right: beside ? innerWidth - panel.left : 0, top: 56, bottom: BOTTOM_PX[state] ?? 0 });
+}
+
+export function showHint() {
+  const hint = $("hint");
+  hint.hidden = false;
+  hint.classList.remove("going");
+  fill(hint, text(matchMedia("(pointer: coarse)").matches ? "hint.touch" : "hint.mouse"));
+  setTimeout(() => hint.classList.add("going"), HINT_MS);
+}
+
+/** A ring at the pulled point, and a line to the pointer. */
+export function showGrip(stage, point, pointer) {
+  const grip = $("grip");
+  grip.hidden = !point;
+  $("stage").classList.toggle("holding", Boolean(point));
+  if (!point) return;
+  $("hint").classList.add("going");
+  const { x, y } = stage.onScreen(point);
+  grip.style.transform = `translate(${x}px, ${y}px)`;
+  const [dx, dy] = [pointer.x - x, pointer.y - y];
+  const line = grip.firstElementChild;
+  line.style.width = `${Math.max(Math.hypot(dx, dy) - RING_PX, 0)}px`;
+  line.style.transform = `rotate(${Math.atan2(dy, dx)}rad) translateX(${RING_PX}px)`;
+}

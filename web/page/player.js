@@ -1,0 +1,88 @@
+// Time: the wind's loop is played, paused and scrubbed; what is pushed goes on in real time.
+
+import { windCoordinates, windGain } from "../motion/modes.js";
+import { $, describe } from "./dom.js";
+import { number, text } from "./texts.js";
+
+const EASE_S = 0.3; // in which the wind follows its slider
+const SHOWN_SHARE = 0.05; // of the height: a mode alone is enlarged to this
+const MOST_TURNS = 3; // of a mode alone in one loop, slow enough for the eye
+
+export class Player {
+  constructor(hand) {
+    this.hand = hand;
+    this.playing = true;
+    this.phase = 0;
+    this.gain = 0;
+    this.wanted = 1;
+    this.turn = 0;
+    this.alone = null; // { k, times }: one mode by itself, enlarged
+    $("play").onclick = () => this.setPlaying(!this.playing);
+    $("time").oninput = () => {
+      this.setPlaying(false);
+      this.phase = Number($("time").value) % 1;
+    };
+  }
+
+  /** Begin with a tree's motion; `wind` is the one that it was made for. */
+  start(tree, { period_s: period, wind }) {
+    Object.assign(this, { tree, period, made: wind ?? { speed_m_s: 5, direction_deg: 0 }, gain: 0, phase: 0 });
+    this.drawn = null;
+    this.setPlaying(!matchMedia("(prefers-reduced-motion: reduce)").matches);
+  }
+
+  stop() {
+    this.tree = null;
+  }
+
+  setPlaying(playing) {
+    this.playing = playing;
+    $("play").dataset.playing = playing;
+    $("play").setAttribute("aria-label", text(playing ? "time.pause" : "time.play"));
+  }
+
+  /** Preview a wind: the same motion, stronger or weaker and turned. Returns the factor. */
+  setWind({ speed_m_s: speed, direction_deg: direction }) {
+    this.wanted = windGain(speed, this.made.speed_m_s);
+    this.turn = ((direction - this.made.direction_deg) * Math.PI) / 180;
+    return this.wanted;
+  }
+
+  /** Show one mode by itself, enlarged; returns how many times. */
+  setAlone(k, height) {
+    if (k === null) this.alone = null;
+    else this.alone = { k, times: Math.max(1, (SHOWN_SHARE * height) / this.tree.largest[k]) };
+    return this.alone?.times ?? 1;
+  }
+
+  /** Once a frame. */
+  advance(seconds) {
+    const { tree, hand } = this;
+    if (!tree?.moves) return;
+    if (this.playing) this.phase = (this.phase + seconds / this.period) % 1;
+    const easing = Math.abs(this.gain - this.wanted) > 1e-3;
+    this.gain = easing ? this.gain + (this.wanted - this.gain) * (1 - Math.exp(-seconds / EASE_S)) : this.wanted;
+    const now = `${this.phase} ${this.gain} ${this.turn} ${JSON.stringify(this.alone)}`;
+    const changed = now !== this.drawn;
+    if (changed || hand.moving || tree.groups.length) tree.move(this._coordinates(), this.turn, hand.groups);
+    if (changed) this._showTime();
+    this.drawn = now;
+  }
+
+  _coordinates() {
+    const { K } = this.tree.modes;
+    if (!this.alone) return windCoordinates(K, this.phase, this.gain);
+    const { k, times } = this.alone;
+    const q = new Float32Array(2 * K);
+    const angle = 2 * Math.PI * Math.min(k, MOST_TURNS) * this.phase;
+    q[2 * k] = times * Math.cos(angle);
+    q[2 * k + 1] = times * Math.sin(angle);
+    return q;
+  }
+
+  _showTime() {
+    $("time").value = this.phase;
+    $("clock").textContent = `${number(this.phase * this.period, 2)} / ${number(this.period, 2)} s`;
+    describe($("time"), null, text("time.at", { n: number(this.phase * this.period, 1) }));
+  }
+}

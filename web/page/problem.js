@@ -1,0 +1,42 @@
+// The card that says what went wrong: in the reader's words first, in the service's below.
+
+import { $, element, fill } from "./dom.js";
+import { text, textOrNull } from "./texts.js";
+
+/** `again` is called by "Try again"; without it there is no such button. */
+export function showProblem(problem, again = null) {
+  const { code = "page", title, detail, message, suggestion, errors = [], request_id: request } = problem;
+  const words = textOrNull(`problem.${code}`, problem);
+  fill($("problem-title"), words ?? title ?? text("problem.page"));
+  fill($("problem-suggestion"), textOrNull(`problem.${code}.do`, problem) ?? suggestion ?? "");
+  const original = [words ? title : "", detail || message, words ? suggestion : ""].filter(Boolean).join(". ");
+  fill($("problem-detail"), original);
+  const fields = errors.filter((error) => !detail?.includes(error.detail));
+  const items = fields.map((error) => element("li", {}, `${error.pointer}: ${error.detail}`));
+  $("problem-fields").replaceChildren(...items);
+  fill($("problem-code"), [code, request].filter(Boolean).join(" · "));
+  $("problem-more").hidden = !original;
+  $("problem-more").open = !words;
+  $("problem-retry").hidden = !again;
+  fill($("problem-retry"), text(problem.offersMotion ? "problem.animate" : "problem.retry"));
+  $("problem-retry").onclick = () => {
+    hideProblem();
+    again();
+  };
+  $("problem").hidden = false;
+}
+
+export const hideProblem = () => {
+  $("problem").hidden = true;
+};
+
+/** A line that goes away by itself. */
+export function showNotice(words) {
+  const notice = $("notice");
+  notice.hidden = false;
+  fill(notice, words);
+  clearTimeout(showNotice.timer);
+  showNotice.timer = setTimeout(() => {
+    notice.hidden = true;
+  }, 6000);
+}

@@ -1,0 +1,51 @@
+// The card of a job that is on its way, and the tab's title.
+
+import { hasEnded } from "../client.js";
+import { $, element, fill, keyedChildren } from "./dom.js";
+import { duration, number, percent, text, textOrNull } from "./texts.js";
+
+/** Show what the facts of the machine say. */
+export function showProgress(state, { name, job, share = 0, away, files }) {
+  const visible = state === "uploading" || state === "queued" || state === "running";
+  $("progress").hidden = !visible;
+  if (!visible) return;
+  fill($("progress-title"), name || text("tree.photos", { n: number(files?.length ?? 0) }));
+  fill($("progress-eta"), etaWords(job));
+  $("away").hidden = !away;
+  const stages = [{ name: "upload", state: share < 1 && !job ? "running" : "succeeded", progress: share }];
+  const all = [...(state === "uploading" || !job ? stages : []), ...(job?.stages ?? [])];
+  const names = all.map((stage) => stage.name);
+  keyedChildren($("stages"), names, newStage);
+  for (const stage of all) showStage($("stages").querySelector(`[data-key="${stage.name}"]`), stage);
+}
+
+function etaWords(job) {
+  if (!job || hasEnded(job)) return "";
+  if (job.state === "queued" && job.queue_position) return text("progress.before", { n: number(job.queue_position) });
+  return job.eta_s ? text("progress.eta", { time: duration(job.eta_s) }) : "";
+}
+
+function newStage(name) {
+  const bar = element("progress", { max: 1 });
+  bar.setAttribute("aria-label", text(`stage.${name}`));
+  return element("li", {}, element("span", {}, text(`stage.${name}`)), element("span", { className: "told" }), bar);
+}
+
+function showStage(item, { state, progress, cached }) {
+  item.className = state;
+  const words = cached ? text("stage.cached") : state === "running" ? percent(progress) : textOrNull(`stage.${state}`);
+  fill(item.querySelector(".told"), words ?? state);
+  item.querySelector("progress").value = state === "succeeded" ? 1 : progress;
+}
+
+/** "45 % · Oak", "Oak is ready": what a tab in the background says. */
+export function tabTitle(state, { name, job, share = 0 }) {
+  const page = "DynamicTree";
+  const tree = name || text("tree.one");
+  if (state === "uploading") return `${percent(share)} · ${tree} · ${page}`;
+  if (state === "queued") return `${text("title.queued")} · ${tree} · ${page}`;
+  if (state === "running") return `${percent(job?.progress ?? 0)} · ${tree} · ${page}`;
+  if (state === "failed") return `${text("title.failed")} · ${page}`;
+  if (state === "moving") return `${job && hasEnded(job) ? "✓ " : ""}${tree} · ${page}`;
+  return page;
+}

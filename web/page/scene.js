@@ -1,0 +1,88 @@
+// What stands on the stage: photos, the tree at rest, in motion, and what the job's files add.
+
+import { readSurface } from "../draw/surface.js";
+import { Tree } from "../draw/tree.js";
+import { Modes } from "../motion/modes.js";
+import { $, element } from "./dom.js";
+
+const MOST_PHOTOS = 24;
+
+export class Scene {
+  /** `onMotion(tree, spectrum, job)` is called once there is a tree that moves. */
+  constructor(stage, client, { onMotion = () => {}, onClear = () => {} } = {}) {
+    Object.assign(this, { stage, client, onMotion, onClear });
+    this.tree = null;
+  }
+
+  clear() {
+    this.onClear();
+    this.tree?.dispose();
+    this.tree = null;
+    for (const picture of $("photos").children) URL.revokeObjectURL(picture.src);
+    $("photos").replaceChildren();
+  }
+
+  /** Photos as photos: something to look at while the tree is reconstructed. */
+  photos(files) {
+    const pictures = files.filter(({ name }) => /\.(jpe?g|png|webp)$/i.test(name));
+    if (pictures.length < files.length / 2) return;
+    const blobs = pictures.slice(0, MOST_PHOTOS).map((file) => file.content ?? file);
+    $("photos").replaceChildren(...blobs.map((blob) => element("img", { src: URL.createObjectURL(blob), alt: "" })));
+  }
+
+  /** What was uploaded, at rest. */
+  async rest(asset, signal) {
+    if (asset.kind === "mesh") {
+      const surface = await readSurface(await this.client.assetSurface(asset.id, { signal }));
+      if (!signal.aborted && !this.tree?.moves) this._tree().setSurface(surface);
+    } else if (asset.kind === "cloud") {
+      const { Points } = await import("../draw/points.js");
+      const points = new Points(await this.client.bytes(`/v1/assets/${asset.id}/points`, { signal }));
+      if (!signal.aborted && !this.tree?.splat) this._tree().setPoints(points);
+    }
+  }
+
+  _tree() {
+    this.tree ??= new Tree(this.stage);
+    return this.tree;
+  }
+
+  /** The tree in motion, from the service's spectrum. */
+  async motion(job, signal) {
+    const id = job.result.spectrum_id;
+    const [spectrum, modes, surface] = await Promise.all([
+      this.client.spectrum(id),
+      this.client.modes(id, { signal }),
+      this.client.surface(id, { signal }),
+    ]);
+    const read = await readSurface(surface);
+    if (signal.aborted) return;
+    $("photos").replaceChildren();
+    const tree = this._tree();
+    tree.setSurface(read, { hidden: Boolean(tree.points) });
+    tree.setModes(new Modes(modes));
+    this.spectrum = spectrum;
+    this.onMotion(tree, spectrum, job);
+  }
+
+  /** What only the job's files contain: Gaussians of a cloud or of photos, else the own motion of a large mesh. */
+  async products(job, signal) {
+    const { tree } = this;
+    if (!tree?.moves || tree.splat) return;
+    const artifacts = await this.client.artifacts(job.id);
+    const splat = artifacts.find(({ name }) => name === "tree.animated-splat.safetensors");
+    if (splat) {
+      const { isUncoloured, readSplat } = await import("../draw/splat.js");
+      const read = readSplat(await this.client.bytes(splat.url, { signal }));
+      if (signal.aborted) return;
+      if (isUncoloured(read)) tree.showMesh();
+      else await tree.setSplat(read);
+    } else if (tree.usesNearVoxels) {
+      const { isWorthLoading, readShapes } = await import("../draw/glb_shapes.js");
+      const file = artifacts.find(isWorthLoading);
+      if (!file) return;
+      const shapes = await readShapes(await this.client.bytes(file.url, { signal }), this.spectrum.num_frames);
+      if (!signal.aborted) tree.setShapes(shapes);
+    }
+  }
+}

@@ -1,0 +1,172 @@
+// One tree from its files to its motion: upload, job, products. Breaks of the connection are waited out.
+
+import { randomKey } from "../client/keys.js";
+import { hasEnded, Problem, patiently } from "../client.js";
+
+/** Files that the first job writes; others are written when they are wanted. */
+const FIRST_FORMATS = { mesh: ["glb"], cloud: ["splat"], photos: ["glb", "splat"] };
+
+export class Session {
+  /**
+   * `scene` draws: `clear()`, `photos(files)`, `rest(asset, signal)`, `motion(job, signal)`, `products(job, signal)`.
+   * `onJob(id)` is called with the job that is followed; `onKey(again)` where the service requires an API key.
+   */
+  constructor(client, machine, scene, { onJob = () => {}, onKey = () => {} } = {}) {
+    Object.assign(this, { client, machine, scene, onJob, onKey });
+    this.run = new AbortController();
+  }
+
+  get jobId() {
+    return this.machine.facts.job?.id ?? null;
+  }
+
+  // ---- beginnings
+
+  /** `reading` are options of the upload (`upAxis`, `unitM`), `request` fields of the job (`seed`, `params`). */
+  upload(files, { name, reading = {}, request = {} }) {
+    const again = () => this.upload(files, { name, reading, request });
+    return this._begin("upload", { name, files, reading, share: 0 }, again, async (run) => {
+      this.scene.photos(files);
+      const onProgress = (share) => run.update({ share });
+      const send = () => this.client.upload(files, { ...reading, signal: run.signal, onProgress });
+      const asset = await patiently(send, run);
+      await this._animate(asset, request, run);
+    });
+  }
+
+  /** Upload files and start their job without showing it. */
+  async uploadInBackground(files) {
+    const asset = await patiently(() => this.client.upload(files));
+    return this._createJob(asset, {});
+  }
+
+  open(jobId) {
+    return this._begin(
+      "open",
+      { name: "", job: null },
+      () => this.open(jobId),
+      async (run) => {
+        const job = await patiently(() => this.client.job(jobId), run);
+        const asset = await this.client.asset(job.asset_id).catch(() => null); // it may have expired
+        run.update({ job, asset, name: asset ? nameOf(asset) : "" });
+        if (asset && !job.result?.spectrum_id) this._showRest(asset, run);
+        await this._follow(jobId, run);
+      },
+    );
+  }
+
+  /** Make the motion of the same asset with other fields: `seed`, `params`. */
+  animate(request) {
+    const { asset, name, files, reading } = this.machine.facts;
+    const begin = { name, asset, files, reading };
+    return this._begin(
+      "open",
+      begin,
+      () => this.animate(request),
+      (run) => this._animate(asset, request, run),
+    );
+  }
+
+  /** After a failure: run the job that has ended again, or do what was refused again. */
+  retry() {
+    const { job, problem } = this.machine.facts;
+    if (problem?.offersMotion) return this.animate({});
+    if (!job || !hasEnded(job)) return this.again();
+    const again = () => this.retry();
+    return this._begin("open", { ...this.machine.facts, problem: null }, again, async (run) => {
+      const next = await patiently(() => this.client.retry(job.id), run);
+      run.update({ job: next });
+      await this._follow(next.id, run);
+    });
+  }
+
+  /** Back to the welcome; a job goes on unless `cancel` is set. */
+  leave({ cancel = false } = {}) {
+    const { job } = this.machine.facts;
+    if (cancel && job && !hasEnded(job)) this.client.cancel(job.id).catch(() => {}); // it may just have ended
+    this.run.abort();
+    this.scene.clear();
+    this.machine.send("leave");
+  }
+
+  // ---- what a run does
+
+  async _begin(event, facts, again, task) {
+    this.run.abort();
+    const controller = new AbortController();
+    const { signal } = controller;
+    const { machine } = this;
+    this.run = controller;
+    this.again = again;
+    this.scene.clear();
+    machine.send(event, facts);
+    const update = (changes) => !signal.aborted && machine.update(changes);
+    const send = (name, changes) => !signal.aborted && machine.send(name, changes);
+    const onAway = (problem) => update({ away: problem });
+    try {
+      await task({ signal, update, send, onAway });
+    } catch (error) {
+      if (signal.aborted) return;
+      if (error.status === 401) this.onKey(again);
+      else if (machine.state === "moving") machine.update({ problem: error });
+      else machine.send("failed", { problem: error });
+    }
+  }
+
+  async _animate(asset, request, run) {
+    run.send("accepted", { asset, share: 1, job: null });
+    this._showRest(asset, run);
+    const job = await this._createJob(asset, request, run);
+    run.update({ job });
+    await this._follow(job.id, run);
+  }
+
+  _createJob(asset, { params = {}, ...fields }, options) {
+    const wanted = { formats: FIRST_FORMATS[asset.kind], ...params };
+    const request = { type: "animate", asset_id: asset.id, ...fields, params: wanted };
+    const key = randomKey(); // the same in each attempt: one job
+    return patiently(() => this.client.createJob(request, { key, signal: options?.signal }), options);
+  }
+
+  _showRest(asset, { signal }) {
+    this.scene.rest(asset, signal).catch(() => {}); // only a preview
+  }
+
+  /** Follow a job to its end; show its motion as soon as there is a spectrum, its files once they are written. */
+  async _follow(jobId, run) {
+    let job = null;
+    let motion = null;
+    this.onJob(jobId);
+    const watch = async () => {
+      for await (job of this.client.watch(jobId, run)) {
+        run.update({ job, away: null });
+        if (job.result?.spectrum_id) motion ??= this._showMotion(job, run);
+        else if (job.state === "running") run.send("started");
+        else if (job.state === "queued" && this.machine.state === "running") run.send("waiting");
+      }
+    };
+    await patiently(watch, run);
+    await motion;
+    if (job.state !== "succeeded") throw jobProblem(job);
+    if (!motion) throw Object.assign(new Problem({ code: `only-${job.type}` }), { offersMotion: true });
+    await this.scene.products(job, run.signal);
+  }
+
+  async _showMotion(job, run) {
+    await patiently(() => this.scene.motion(job, run.signal), run);
+    run.send("moving");
+  }
+}
+
+const jobProblem = (job) => new Problem(job.error ?? { title: `The job is ${job.state}`, code: `job-${job.state}` });
+
+/** What an upload is called: its file's name without folder and suffix; empty for photos. */
+export function nameOf({ kind, parts }) {
+  return kind === "photos" ? "" : stem(parts[0].name);
+}
+
+export function stem(path) {
+  const parts = path.split("/");
+  const base = parts.pop().replace(/\.[^.]+$/, "");
+  return base === "scene" && parts.length ? parts.pop() : base; // Sketchfab calls every file so
+}

@@ -1,0 +1,23 @@
+// Language and units, remembered in this browser.
+
+import { $, element } from "./dom.js";
+import { LANGUAGES, language, lengthUnit, setLengthUnit } from "./texts.js";
+
+export function buildSettings() {
+  const options = Object.entries(LANGUAGES).map(([tag, { name }]) =>
+    element("option", { value: tag, lang: tag }, name),
+  );
+  $("language").replaceChildren(...options);
+  $("language").value = language;
+  $("unit").value = lengthUnit;
+  $("open-settings").onclick = () => $("settings").showModal();
+  $("settings").querySelector(".close").onclick = () => $("settings").close();
+  $("language").onchange = () => {
+    localStorage.setItem("language", $("language").value);
+    location.reload();
+  };
+  $("unit").onchange = () => {
+    setLengthUnit($("unit").value);
+    location.reload();
+  };
+}

@@ -1,0 +1,50 @@
+// The panel's views: tree, wire, voxels, modes, and the tree at rest over it.
+
+import { $, describe, fill } from "./dom.js";
+import { length, number, text } from "./texts.js";
+import { accent } from "./theme.js";
+
+export class ViewPanel {
+  constructor(stage, player) {
+    Object.assign(this, { stage, player });
+    $("views").onchange = () => this.show();
+    $("mode").oninput = $("mode-alone").onchange = () => this._showMode();
+    $("rest").onchange = () => this._showRest();
+    $("ground").onchange = () => {
+      stage.surroundings.groundVisible = $("ground").checked;
+      stage.stale = true;
+    };
+    $("turntable").onchange = () => {
+      stage.controls.autoRotate = $("turntable").checked;
+    };
+  }
+
+  get view() {
+    return $("views").querySelector(":checked").value;
+  }
+
+  show() {
+    $("mode-box").hidden = this.view !== "modes";
+    this.player.tree?.setView(this.view);
+    this._showMode();
+    this._showRest();
+  }
+
+  _showMode() {
+    const { tree } = this.player;
+    if (!tree?.moves) return;
+    const k = Number($("mode").value);
+    const coloured = this.view === "modes";
+    $("mode").max = tree.modes.K - 1;
+    tree.setShown(coloured ? k : null);
+    describe($("mode"), $("mode-out"), `${k}: ${number(tree.modes.frequencies_hz[k], 2)} Hz`);
+    const times = this.player.setAlone(coloured && $("mode-alone").checked ? k : null, this.stage.height);
+    const words = [length(tree.largest[k])];
+    if (times > 1.05) words.push(text("mode.times", { n: number(times, times < 10 ? 1 : 0) }));
+    fill($("mode-most"), words.join(", "));
+  }
+
+  _showRest() {
+    this.player.tree?.setGhost($("rest").checked, accent());
+  }
+}

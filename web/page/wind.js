@@ -1,0 +1,95 @@
+// The panel's wind: presets, speed and direction preview at once, a job makes the motion anew.
+
+import { $, button, describe, element, fill } from "./dom.js";
+import { degrees, number, speed as speedWords, text } from "./texts.js";
+import { accent } from "./theme.js";
+
+export const PRESETS = { calm: 0.5, breeze: 3, wind: 8, gale: 17 }; // m/s
+const FULL_M_S = 12; // from here on the arrow is at its darkest
+
+export class WindPanel {
+  /** `onMake(wind)` is called with the wind that a motion is to be made for. */
+  constructor(stage, player, { onMake }) {
+    Object.assign(this, { stage, player });
+    this.active = false;
+    const items = Object.entries(PRESETS).map(([name, value]) => this._presetItem(name, value));
+    $("wind-presets").replaceChildren(...items);
+    $("speed").oninput = () => this.show();
+    $("direction").oninput = () => this.show();
+    $("make-wind").onclick = () => onMake(this.wind);
+    this._watchDial();
+  }
+
+  _presetItem(name, value) {
+    const chip = button(text(`wind.${name}`), () => {
+      $("speed").value = value;
+      this.show();
+    });
+    chip.dataset.speed = value;
+    return element("li", {}, chip);
+  }
+
+  get wind() {
+    return { speed_m_s: Number($("speed").value), direction_deg: Number($("direction").value) };
+  }
+
+  set wind({ speed_m_s: speed, direction_deg: direction }) {
+    $("speed").value = speed;
+    $("direction").value = ((direction % 360) + 360) % 360;
+    this.show();
+  }
+
+  /** Preview the sliders' wind. */
+  show() {
+    const { wind, player, stage } = this;
+    const { speed_m_s: speed, direction_deg: direction } = wind;
+    describe($("speed"), $("speed-out"), speedWords(speed));
+    describe($("direction"), $("direction-out"), `${degrees(direction)} ${compass(direction)}`);
+    $("needle").setAttribute("transform", `rotate(${-direction})`);
+    for (const chip of $("wind-presets").querySelectorAll("button")) {
+      chip.setAttribute("aria-pressed", Math.abs(Number(chip.dataset.speed) - speed) < 0.05);
+    }
+    if (!player.tree) return;
+    const times = player.setWind(wind);
+    fill($("wind-note"), this._note(speed, direction, times));
+    stage.wind(direction, speed / FULL_M_S, accent());
+  }
+
+  _note(speed, direction, times) {
+    const { made } = this.player;
+    const turn = Math.abs(((direction - made.direction_deg + 540) % 360) - 180);
+    const sameSpeed = Math.abs(speed - made.speed_m_s) < 0.01;
+    const same = sameSpeed && turn < 0.01;
+    $("make-wind").hidden = same;
+    if (same) return text("wind.same");
+    const parts = [text("wind.preview")];
+    if (!sameSpeed) parts.push(text("wind.times", { n: number(times, times < 10 ? 1 : 0) }));
+    if (turn >= 0.01) parts.push(text("wind.turned", { angle: degrees(turn) }));
+    return `${parts.join(", ")}.`;
+  }
+
+  /** The compass: a pointer anywhere on it sets the direction. */
+  _watchDial() {
+    const dial = $("dial");
+    const set = (event) => {
+      const box = dial.getBoundingClientRect();
+      const [x, y] = [event.clientX - box.left - box.width / 2, box.top + box.height / 2 - event.clientY];
+      $("direction").value = Math.round((Math.atan2(y, x) * 180) / Math.PI + 360) % 360;
+      this.show();
+    };
+    dial.onpointerdown = (event) => {
+      dial.setPointerCapture(event.pointerId);
+      set(event);
+      dial.onpointermove = set;
+    };
+    dial.onpointerup = dial.onpointercancel = () => {
+      dial.onpointermove = null;
+    };
+  }
+}
+
+/** The compass point that the wind blows to; +Y is north, as in maps. */
+function compass(direction_deg) {
+  const points = text("wind.points").split(" ");
+  return points[Math.round(direction_deg / 45) % 8];
+}
