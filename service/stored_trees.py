@@ -6,6 +6,7 @@ from pydantic import TypeAdapter
 
 from dynamictree.formats.tensors.spectrum import read_spectrum
 from dynamictree.gaussian.capture import Capture
+from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.mesh import TriangleMesh
 from dynamictree.requests import Box
 from dynamictree.spectrum import SparseVoxelSpectrum
@@ -73,6 +74,21 @@ def load_asset_mesh(owned: Owned, asset_id: str) -> TriangleMesh:
     if asset.kind != "mesh" or asset.prepared is None:
         raise ConflictError(f"asset {asset_id} is no mesh but {asset.kind}; a job makes its mesh")
     return _mesh(owned, asset.prepared.sha256, asset_id)
+
+
+def load_asset_cloud(owned: Owned, asset_id: str) -> GaussianCloud:
+    """The cloud that an asset is.
+
+    Raises:
+        NotFoundError, GoneError: there is none, or it has expired.
+        ConflictError: the asset is of another kind.
+    """
+    from dynamictree.formats.tensors.cloud_bundle import read_cloud_bundle
+
+    asset = read_asset(owned.store, asset_id)
+    if asset.kind != "cloud" or asset.prepared is None:
+        raise ConflictError(f"asset {asset_id} is no cloud but {asset.kind}; only splats and scans have points")
+    return read_cloud_bundle(_kept(owned, asset.prepared.sha256, f"cloud {asset.id}")).cloud
 
 
 def load_source_cloud(owned: Owned, spectrum_id: str) -> tuple[Capture, Box | None]:

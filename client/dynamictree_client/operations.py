@@ -223,13 +223,19 @@ def stream_job(id: str, *, last_event_id: str | None = None) -> Call[bytes]:
 
 
 def get_artifact(
-    id: str, *, range: str | None = None, if_range: str | None = None, if_none_match: str | None = None
+    id: str,
+    *,
+    filename: str | None = None,
+    range: str | None = None,
+    if_range: str | None = None,
+    if_none_match: str | None = None,
 ) -> Call[bytes]:
     """Download a file, or go on with a download."""
     return Call(
         method="GET",
         path=path_of("/v1/artifacts/{id}", {"id": id}),
         answer=bytes,
+        query={"filename": filename},
         headers={"range": range, "if-range": if_range, "if-none-match": if_none_match},
     )
 
@@ -267,6 +273,11 @@ def get_reach(id: str, *, seed_voxel: int, falloff_m: float) -> Call[bytes]:
         answer=bytes,
         query={"seed_voxel": seed_voxel, "falloff_m": falloff_m},
     )
+
+
+def get_asset_points(id: str) -> Call[bytes]:
+    """A splat or scan as it was read: metres, +Z up. Something to look at while its job runs."""
+    return Call(method="GET", path=path_of("/v1/assets/{id}/points", {"id": id}), answer=bytes)
 
 
 def get_asset_surface(id: str) -> Call[bytes]:

@@ -3,7 +3,7 @@
 from typing import Annotated
 from urllib.parse import quote
 
-from fastapi import APIRouter, Header, Response, status
+from fastapi import APIRouter, Header, Query, Response, status
 from fastapi.responses import StreamingResponse
 
 from jobs.errors import GoneError
@@ -30,16 +30,17 @@ def get_artifact(
     range: Annotated[str | None, Header(description="one range of bytes; more than one gives the whole")] = None,
     if_range: Annotated[str | None, Header(description="ETag; the range counts only if it is the file's")] = None,
     if_none_match: Annotated[str | None, Header()] = None,
+    filename: Annotated[str | None, Query(max_length=255, description="name to save it as; its own if unset")] = None,
 ) -> Response:
     """Download a file, or go on with a download."""
     artifact = owned.store.artifact(id)
     if matches(if_none_match, _etag(artifact)):
-        return Response(status_code=status.HTTP_304_NOT_MODIFIED, headers=_headers(artifact))
+        return Response(status_code=status.HTTP_304_NOT_MODIFIED, headers=_headers(artifact, filename))
     part = _asked(artifact, range, if_range)
     if not owned.services.artifacts.exists(artifact.sha256):
         raise GoneError(f"the bytes of artefact {id} were removed; run the job again")
     start, stop = (0, artifact.bytes) if part is None else (part.start, part.stop)
-    sent = _headers(artifact) | {"Content-Length": str(stop - start)}
+    sent = _headers(artifact, filename) | {"Content-Length": str(stop - start)}
     if part is not None:
         sent["Content-Range"] = f"bytes {start}-{stop - 1}/{artifact.bytes}"
     return StreamingResponse(
@@ -75,10 +76,10 @@ def _etag(artifact: ArtifactRecord) -> str:
     return f'"{artifact.sha256}"'
 
 
-def _headers(artifact: ArtifactRecord) -> dict[str, str]:
+def _headers(artifact: ArtifactRecord, filename: str | None = None) -> dict[str, str]:
     return {
         "ETag": _etag(artifact),
         "Accept-Ranges": "bytes",
         "Cache-Control": "private, max-age=86400, immutable",
-        "Content-Disposition": f"attachment; filename*=UTF-8''{quote(artifact.name)}",
+        "Content-Disposition": f"attachment; filename*=UTF-8''{quote(filename or artifact.name, safe='')}",
     }

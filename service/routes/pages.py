@@ -24,6 +24,9 @@ MEDIA_TYPES = {
     "webp": "image/webp",
     "glb": "model/gltf-binary",
 }
+VENDORED = "public, max-age=31536000, immutable"
+"""Cache-Control of vendored libraries: their paths hold the version."""
+
 _IMPORT_MAP = re.compile(r'<script type="importmap">(.*?)</script>', re.DOTALL)
 
 
@@ -61,7 +64,8 @@ def get_page_file(
     page = read_page(path)
     if page is None:
         raise ProblemError("not-found", f"the viewer has no file {path[:128]!r}")
-    return _sent(page, accept_encoding, if_none_match, {})
+    headers = {"Cache-Control": VENDORED} if path.startswith("vendor/") else {}
+    return _sent(page, accept_encoding, if_none_match, headers)
 
 
 def content_policy(page: bytes) -> str:
@@ -100,7 +104,7 @@ def read_page(path: str) -> Page | None:
 
 
 def _sent(page: Page, accept_encoding: str, if_none_match: str | None, headers: dict[str, str]) -> Response:
-    headers = headers | {"ETag": page.etag, "Cache-Control": "no-cache", "Vary": "Accept-Encoding"}
+    headers = {"ETag": page.etag, "Cache-Control": "no-cache", "Vary": "Accept-Encoding"} | headers
     if matches(if_none_match, page.etag):
         return Response(None, 304, headers)
     if page.packed is page.content or "gzip" not in accept_encoding:

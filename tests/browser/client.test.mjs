@@ -4,8 +4,8 @@ import { createServer } from "node:http";
 import { test } from "node:test";
 import { Modes as Reference } from "../../recipes/modes_reference.mjs";
 import { Client, hasEnded, Problem, seconds } from "../../web/client.js";
-import { carried, Modes, readTensors, windCoordinates, windGain } from "../../web/modes.js";
-import { isWorthLoading, readMorphs } from "../../web/morphs.js";
+import { carried, Modes, windCoordinates, windGain } from "../../web/motion/modes.js";
+import { readTensors } from "../../web/motion/tensors.js";
 
 const base = process.env.SERVICE_URL;
 const file = (path) => ({ name: path.split("/").pop(), content: new Blob([readFileSync(path)]) });
@@ -58,7 +58,7 @@ test("a job is followed by polling where events do not come through", async () =
 test("a large upload goes on at the byte that was reached", async () => {
   const pieces = [];
   const memory = new Map();
-  const kept = {
+  const storage = {
     getItem: (k) => memory.get(k) ?? null,
     setItem: (k, v) => memory.set(k, v),
     removeItem: (k) => memory.delete(k),
@@ -75,7 +75,7 @@ test("a large upload goes on at the byte that was reached", async () => {
     }
     return fetch(url, options);
   };
-  const asset = await new Client({ base, kept, fetch: breaking }).upload([large]);
+  const asset = await new Client({ base, storage, fetch: breaking }).upload([large]);
   assert.equal(cut, 3);
   assert.equal(asset.parts[0].bytes, large.content.size);
   const half = 8 * 2 ** 20 * 1.5;
@@ -87,7 +87,7 @@ test("a large upload goes on at the byte that was reached", async () => {
 test("an upload goes on in another session", async () => {
   const memory = new Map();
   const other = { name: "again.obj", content: new Blob([large.content, "\n# again\n"]) };
-  const kept = {
+  const storage = {
     getItem: (k) => memory.get(k) ?? null,
     setItem: (k, v) => memory.set(k, v),
     removeItem: (k) => memory.delete(k),
@@ -98,13 +98,13 @@ test("an upload goes on in another session", async () => {
     if (options.method === "PATCH" && ++sent === 2) stopping.abort(new Error("the page was closed"));
     return fetch(url, options);
   };
-  await assert.rejects(new Client({ base, kept, fetch: first }).upload([other], { signal: stopping.signal }));
+  await assert.rejects(new Client({ base, storage, fetch: first }).upload([other], { signal: stopping.signal }));
   const offsets = [];
   const second = (url, options) => {
     if (options.method === "PATCH") offsets.push(Number(options.headers["Upload-Offset"]));
     return fetch(url, options);
   };
-  const asset = await new Client({ base, kept, fetch: second }).upload([other]);
+  const asset = await new Client({ base, storage, fetch: second }).upload([other]);
   assert.equal(asset.parts[0].bytes, other.content.size);
   assert.ok(offsets[0] >= 8 * 2 ** 20, `${offsets}`);
 });
@@ -194,20 +194,6 @@ test("a surface and the mesh before it", async () => {
   assert.deepEqual(moving.tensors.vertices, still.tensors.vertices);
   assert.deepEqual(moving.shape.shapes, [moving.shape.vertices[0], 16, 3, 2]);
   assert.equal(moving.metadata.format, "tree-surface");
-});
-
-test("the files of a job carry the motion of its surface", async () => {
-  const { tensors: moving, shape } = readTensors(await client.surface(done.result.spectrum_id));
-  const glb = (await client.artifacts(done.id)).find(isWorthLoading);
-  const read = readMorphs(await client.bytes(glb.url), 100);
-  const [N, K] = shape.shapes;
-  assert.equal(read.shapes.length, 6 * N * K);
-  assert.equal(isWorthLoading({ name: "tree.glb", bytes: 1e9 }), false);
-  for (let i = 0; i < read.shapes.length; i++) {
-    const k = Math.floor(i / 6) % K;
-    const gap = Math.abs(read.shapes[i] * read.scale_m[k] - moving.shapes[i] * moving.scale_m[k]);
-    assert.ok(gap < 1.5 * moving.scale_m[k], `${i}: ${gap / moving.scale_m[k]} steps`); // both are rounded
-  }
 });
 
 test("a push answers, and settles", async () => {

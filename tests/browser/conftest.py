@@ -21,7 +21,7 @@ PICTURES = Path(__file__).parents[2] / "build" / "browser"
 """Where screenshots go."""
 
 
-expect.set_options(timeout=60_000)
+expect.set_options(timeout=120_000)
 
 
 @pytest.fixture(scope="session")
@@ -66,6 +66,15 @@ class Viewer:
         PICTURES.mkdir(parents=True, exist_ok=True)
         self.page.screenshot(path=str(PICTURES / f"{self.name}.png"))
 
+    def open(self, url: str) -> None:
+        """Go to the page, and wait until its script has run."""
+        self.page.goto(url)
+        self.page.wait_for_selector("body[data-ready]", state="attached")
+
+    def wait_sharp(self) -> None:
+        """Until the picture on the screen has all its pixels and its shadow."""
+        self.page.wait_for_selector("body[data-sharp=true]", state="attached")
+
     @property
     def frames(self) -> int:
         """Drawn so far."""
@@ -73,9 +82,9 @@ class Viewer:
 
     def wait_frames(self, count: int) -> None:
         """Until so many more are drawn."""
-        goal, deadline = self.frames + count, time.monotonic() + 60
+        goal, deadline = self.frames + count, time.monotonic() + 120
         while self.frames < goal:
-            assert time.monotonic() < deadline, f"{count} frames took more than a minute"
+            assert time.monotonic() < deadline, f"{count} frames took more than two minutes"
             self.page.wait_for_timeout(50)
 
     def wait_turns(self, count: int = 3) -> None:
@@ -94,14 +103,17 @@ def view(browser: Browser, request: pytest.FixtureRequest) -> Iterator[object]:
     """Open the page: width, height, scheme, touch."""
     opened: list[Viewer] = []
 
-    def open_page(width: int, height: int, *, scheme: str = "light", touch: bool = False) -> Viewer:
+    def open_page(
+        width: int, height: int, *, scheme: str = "light", touch: bool = False, locale: str = "en-US"
+    ) -> Viewer:
         context = browser.new_context(
             viewport={"width": width, "height": height},
             color_scheme=scheme,  # type: ignore[arg-type]
             has_touch=touch,
             is_mobile=touch,
+            locale=locale,
         )
-        context.set_default_timeout(60_000)
+        context.set_default_timeout(120_000)
         viewer = Viewer(context.new_page(), request.node.name.removeprefix("test_"))
         viewer.page.on(
             "console", lambda line: line.type in {"error", "warning"} and viewer.complaints.append(line.text)

@@ -22,10 +22,10 @@ from tests.servers import api
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 
 Open = Callable[..., Viewer]
-MOVING = "body[data-mode=moving]"
+MOVING = "body[data-state=moving]"
 JOB_MS = 240_000.0
 AHEAD_RAD, LEVEL, KEY_RAD = np.arctan2(1, 0.38), np.hypot(1, 0.38) / np.linalg.norm([1, 0.38, 0.2]), 0.12
-"""Where the camera looks at first, the level part of that, and how far an arrow key turns it: web/stage.js."""
+"""Where the camera looks at first, the level part of that, and how far an arrow key turns it: web/draw/stage.js."""
 Y_1, LOPSIDED = 0.4886025, 0.8  # the harmonics of degree 1, and a coefficient
 SMALL_BUTTONS = """() => [...document.querySelectorAll("button")]
     .filter((button) => button.checkVisibility() && button.offsetHeight < 40)
@@ -58,6 +58,7 @@ def scrub(viewer: Viewer, share: float) -> np.ndarray:
         "(slider, share) => { slider.value = share; slider.dispatchEvent(new Event('input')); }", share
     )
     viewer.wait_turns()
+    viewer.wait_sharp()
     return pixels(viewer)
 
 
@@ -68,6 +69,7 @@ def steady(viewer: Viewer) -> np.ndarray:
     for _ in range(90):
         viewer.page.wait_for_timeout(1000)
         viewer.wait_turns()
+        viewer.wait_sharp()
         now = pixels(viewer)
         if changed(before, now) == 0:
             return now
@@ -102,13 +104,13 @@ def job_url(url: str, tree: Path) -> str:
 def test_a_tree_is_given_moves_and_answers_a_pull(view: Open, url: str, tree: Path) -> None:
     viewer = view(900, 620)
     page = viewer.page
-    page.goto(url)
+    viewer.open(url)
     expect(page.get_by_role("heading", name="Give a tree. See it move.")).to_be_visible()
     page.set_input_files("#files", str(tree))
     expect(page.locator("#stages li")).not_to_have_count(0)
     seen = page.locator("#stages").inner_text()
     page.wait_for_selector(MOVING, timeout=JOB_MS)
-    assert re.search("Upload|Find the voxels|Give it motion", seen)
+    assert re.search("Upload|Find the voxels|Generate the motion", seen)
     expect(page.locator("#caption")).to_contain_text("sapling")
     expect(page.locator("#artifacts")).to_contain_text("Animated GLB", timeout=JOB_MS)
     link = page.locator("#artifacts a", has_text="Animated GLB")
@@ -143,7 +145,7 @@ def test_a_tree_is_given_moves_and_answers_a_pull(view: Open, url: str, tree: Pa
 def test_views_wind_and_the_tree_at_rest_change_the_picture(view: Open, job_url: str) -> None:
     viewer = view(900, 620, scheme="dark")
     page = viewer.page
-    page.goto(job_url)
+    viewer.open(job_url)
     page.wait_for_selector(MOVING, timeout=JOB_MS)
     page.locator("#play").click()
     steady(viewer)
@@ -171,11 +173,10 @@ def test_views_wind_and_the_tree_at_rest_change_the_picture(view: Open, job_url:
 def test_on_a_phone_everything_is_within_reach(view: Open, job_url: str) -> None:
     viewer = view(390, 760, touch=True)
     page = viewer.page
-    page.goto(job_url.partition("#")[0])
+    viewer.open(job_url.partition("#")[0])
     viewer.page.wait_for_timeout(500)
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
-    page.goto(job_url)
-    page.reload()
+    page.goto(job_url)  # only the hash changes: a link pasted into the open page
     page.wait_for_selector(MOVING, timeout=JOB_MS)
     viewer.wait_frames(3)
     viewer.picture()
@@ -191,7 +192,7 @@ def test_on_a_phone_everything_is_within_reach(view: Open, job_url: str) -> None
 def test_the_keyboard_is_enough(view: Open, job_url: str) -> None:
     viewer = view(900, 620)
     page = viewer.page
-    page.goto(job_url)
+    viewer.open(job_url)
     page.wait_for_selector(MOVING, timeout=JOB_MS)
     page.locator("#canvas").focus()
     page.keyboard.press("Space")
@@ -199,6 +200,7 @@ def test_the_keyboard_is_enough(view: Open, job_url: str) -> None:
     before = steady(viewer)
     page.keyboard.press("ArrowLeft")
     viewer.wait_turns()
+    viewer.wait_sharp()
     assert changed(before, pixels(viewer)) > 0.01
     names = page.evaluate(NAMELESS)
     assert names == [], "these have no name"
@@ -215,7 +217,7 @@ def test_an_error_is_shown_as_the_service_tells_it(view: Open, url: str, tmp_pat
     broken.write_bytes(b"glTF but not really")
     told = httpx.post(f"{url}/v1/assets", files={"file": (broken.name, broken.read_bytes())}, timeout=60).json()
     viewer = view(700, 560)
-    viewer.page.goto(url)
+    viewer.open(url)
     viewer.page.set_input_files("#files", str(broken))
     alert = viewer.page.get_by_role("alert")
     expect(alert).to_contain_text(told["title"])
@@ -256,7 +258,7 @@ def test_a_splat_is_drawn_in_the_colours_of_the_side_that_is_seen(view: Open, ur
         job = client.post("/v1/jobs", json=request).json()
     viewer = view(900, 620)
     page = viewer.page
-    page.goto(f"{url}/#job={job['id']}")
+    viewer.open(f"{url}/#job={job['id']}")
     page.wait_for_selector(MOVING, timeout=JOB_MS)
     expect(page.locator("#artifacts")).to_contain_text("Animated splat", timeout=JOB_MS)
     page.locator("#speed").fill("0")  # at rest nothing has turned
@@ -287,7 +289,7 @@ def test_a_key_is_asked_for_where_one_is_needed(view: Open, tmp_path: Path) -> N
     try:
         viewer = view(700, 560)
         page = viewer.page
-        page.goto(url)
+        viewer.open(url)
         expect(page.locator("#key-dialog")).to_be_hidden()
         page.locator("#open-jobs").click()
         page.locator("#key").fill(key)

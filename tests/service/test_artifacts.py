@@ -25,6 +25,8 @@ def test_the_whole_file_comes_with_its_hash(client: TestClient, url: str) -> Non
     assert response.content == CONTENT
     assert response.headers["ETag"] == f'"{sha256(CONTENT).hexdigest()}"'
     assert "tree.voxels.safetensors" in response.headers["Content-Disposition"]
+    named = client.get(url, params={"filename": "oak \u2013 1/2.glb"}).headers["Content-Disposition"]
+    assert named.endswith("filename*=UTF-8''oak%20%E2%80%93%201%2F2.glb")
     head = client.head(url)
     assert (head.status_code, head.content) == (200, b"")
     assert head.headers["Content-Length"] == str(len(CONTENT))

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fastapi.testclient import TestClient
+from safetensors.numpy import load
 
 from dynamictree.formats.mesh.obj_writer import write_obj
 from dynamictree.formats.splat.ply import write_gaussian_ply
@@ -14,7 +15,9 @@ from dynamictree.formats.tensors.cloud_bundle import read_cloud_bundle
 from dynamictree.gaussian.capture import Capture, carrying_mesh
 from dynamictree.gaussian.cloud import GaussianCloud
 from jobs.assets import read_asset
+from jobs.records import AssetRecord
 from jobs.states import stages_of
+from service.routes import points
 from service.services import Services
 from tests.service.test_assets import left_behind, send, zipped
 
@@ -153,6 +156,25 @@ def test_a_job_on_a_cloud_makes_its_mesh_first(client: TestClient, cloud_id: str
     assert job["params"]["formats"] == ["splat", "png"]
     assert job["params"]["box_m"] == [[-1, -1, 0], [1, 1, 2]]
     assert client.post("/v1/jobs", json={"type": "reconstruct", "asset_id": cloud_id}).status_code == 202
+
+
+def test_a_cloud_has_points_to_look_at_while_its_job_runs(
+    client: TestClient, cloud_id: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cloud = post_cloud(degree=1)
+    tensors = load(client.get(f"/v1/assets/{cloud_id}/points").content)
+    assert tensors["points"].shape == (400, 3)
+    np.testing.assert_allclose(np.sort(tensors["points"][:, 2]), np.sort(cloud.means[:, 2]), atol=1e-5)
+    expected = np.clip(0.5 + 0.28209479 * cloud.sh[:, 0], 0, 1)
+    np.testing.assert_allclose(tensors["colours"] / 255, expected, atol=0.003)
+    assert (tensors["radius_m"] > 0).all()
+    monkeypatch.setattr(points, "MAX_POINTS", 150)
+    assert len(load(client.get(f"/v1/assets/{cloud_id}/points").content)["points"]) == 134  # every third
+
+
+def test_a_mesh_has_no_points(client: TestClient, asset: AssetRecord) -> None:
+    response = client.get(f"/v1/assets/{asset.id}/points")
+    assert (response.status_code, response.json()["code"]) == (409, "conflict")
 
 
 def test_the_size_of_a_sequence_is_told_before_it_is_made(client: TestClient, cloud_id: str) -> None:

@@ -85,8 +85,9 @@ def test_the_page_names_the_hash_of_its_one_inline_script(client: TestClient) ->
 
 
 def test_nothing_of_ours_names_another_host() -> None:
-    ours = [path for path in WEB.iterdir() if path.suffix in {".js", ".css", ".html", ".svg"}]
-    assert len(ours) > 10
+    kinds = {".js", ".css", ".html", ".svg"}
+    ours = [path for path in WEB.rglob("*") if path.suffix in kinds and FOLDER not in path.parents]
+    assert len(ours) > 40
     assert [path.name for path in ours if OTHER_HOST.search(path.read_text())] == []
 
 
@@ -98,21 +99,47 @@ def test_vendored_files_are_those_of_the_list() -> None:
         if path.is_file() and path.name != SUMS
     }
     assert present == listed
-    assert set(listed) == {target for library in LIBRARIES for target in library.files.values()}
-    assert all(any("LICENSE" in target for target in library.files.values()) for library in LIBRARIES)
+    assert set(listed) == {library.target(path) for library in LIBRARIES for path in library.files.values()}
+    assert all(any("LICENSE" in path for path in library.files.values()) for library in LIBRARIES)
 
 
 def test_files_are_packed_and_not_sent_twice(client: TestClient) -> None:
-    path = "/web/vendor/three/three.core.js"
+    path = "/web/page/session.js"
     packed = client.get(path)
     assert packed.headers["Content-Encoding"] == "gzip"
-    assert packed.content == (FOLDER / "three/three.core.js").read_bytes()
+    assert packed.content == (WEB / "page/session.js").read_bytes()
     plain = client.get(path, headers={"Accept-Encoding": "identity"})
     assert "Content-Encoding" not in plain.headers
-    assert len(gzip.compress(plain.content)) < len(plain.content) / 3
+    assert len(gzip.compress(plain.content)) < len(plain.content) / 2
     again = client.get(path, headers={"If-None-Match": packed.headers["ETag"]})
     assert (again.status_code, again.content) == (304, b"")
     assert client.head(path).status_code == 200
+
+
+def test_vendored_libraries_are_cached_for_ever_under_their_version(client: TestClient) -> None:
+    [import_map] = re.findall(r'"three": "\./(web/vendor/[^"]+)"', client.get("/").text)
+    assert re.search(r"-\d+\.\d+\.\d+/", import_map)
+    assert "immutable" in client.get(f"/{import_map}").headers["Cache-Control"]
+    assert client.get("/web/app.js").headers["Cache-Control"] == "no-cache"
+
+
+def test_no_module_of_the_page_is_longer_than_a_reader_takes() -> None:
+    ours = [path for path in WEB.rglob("*.js") if FOLDER not in path.parents]
+    assert {
+        path.name: len(path.read_text().splitlines()) for path in ours if len(path.read_text().splitlines()) > 250
+    } == {}
+
+
+def test_every_language_has_every_text() -> None:
+    keys = {}
+    for name in ("en", "de"):
+        content = (WEB / f"texts/{name}.js").read_text()
+        keys[name] = set(re.findall(r'^  "([^"]+)":', content, re.MULTILINE))
+    assert keys["en"] == keys["de"]
+    used = set(re.findall(r'data-(?:text|label)="([^"]+)"', (WEB / "index.html").read_text()))
+    for path in WEB.rglob("page/*.js"):
+        used |= set(re.findall(r'\btext\("([^"]+)"', path.read_text()))
+    assert used - keys["en"] == set()
 
 
 def test_who_has_stopped_is_told_of_no_job() -> None:

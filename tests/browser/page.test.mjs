@@ -1,0 +1,246 @@
+// The page's logic that needs no browser: states, sessions, which files belong together.
+
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { Problem, patiently } from "../../web/client.js";
+import { Resolution } from "../../web/draw/resolution.js";
+import { relativePaths, sortFiles } from "../../web/page/bundles.js";
+import { readDrop } from "../../web/page/drop.js";
+import { Machine, TRANSITIONS } from "../../web/page/machine.js";
+import { Session, stem } from "../../web/page/session.js";
+
+const limits = { mesh_formats: ["obj", "ply", "glb", "gltf"], cloud_formats: ["ply", "splat", "spz", "txt", "xyz"] };
+const file = (path, size = 10) => ({ name: path.split("/").pop(), path, size, lastModified: 0 });
+const paths = (bundles) => bundles.map((bundle) => bundle.map(({ path }) => path).sort());
+const away = () => new Problem({ code: "unreachable" });
+
+test("every state is reached, and can be left for the welcome", () => {
+  const states = new Set(Object.values(TRANSITIONS).flatMap((events) => Object.values(events)));
+  assert.deepEqual([...states].sort(), Object.keys(TRANSITIONS).sort());
+  for (const [state, events] of Object.entries(TRANSITIONS)) assert.equal(events.leave, "welcome", state);
+});
+
+test("an event that leads nowhere is an error, and a new beginning forgets the facts", () => {
+  const machine = new Machine();
+  assert.throws(() => machine.send("started"), /welcome/);
+  machine.send("upload", { name: "oak" });
+  machine.send("accepted", { asset: 1 });
+  assert.deepEqual(machine.facts, { name: "oak", asset: 1 });
+  machine.send("open", { job: 2 });
+  assert.deepEqual([machine.state, machine.facts], ["queued", { job: 2 }]);
+});
+
+test("two models are two trees, each with its own companions", () => {
+  const files = ["a/scene.gltf", "a/scene.bin", "a/textures/leaf.png", "b/oak.obj", "b/oak.mtl", "b/.DS_Store"].map(
+    (p) => file(p),
+  );
+  assert.deepEqual(paths(sortFiles(files, limits).bundles), [
+    ["a/scene.bin", "a/scene.gltf", "a/textures/leaf.png"],
+    ["b/oak.mtl", "b/oak.obj"],
+  ]);
+});
+
+test("names are relative to the model's folder", () => {
+  const [bundle] = sortFiles([file("oak/textures/leaf.png"), file("oak/scene.gltf")], limits).bundles;
+  assert.deepEqual(
+    relativePaths(bundle).map(({ path }) => path),
+    ["scene.gltf", "textures/leaf.png"],
+  );
+  assert.equal(stem("oak/scene.gltf"), "oak");
+  assert.equal(stem("birch.tree.glb"), "birch.tree");
+});
+
+test("a splat and a mesh in its place are one tree, two meshes are not", () => {
+  assert.equal(sortFiles([file("tree.splat"), file("tree.glb")], limits).bundles.length, 1);
+  assert.equal(sortFiles([file("one.glb"), file("two.glb")], limits).bundles.length, 2);
+});
+
+test("photos are one tree; notes beside a model are no scan; nothing is no tree", () => {
+  const photos = Array.from({ length: 9 }, (_, i) => file(`p/${i}.jpg`));
+  assert.equal(sortFiles(photos, limits).bundles.length, 1);
+  assert.deepEqual(paths(sortFiles([file("readme.txt"), file("oak.glb")], limits).bundles), [
+    ["oak.glb", "readme.txt"],
+  ]);
+  assert.equal(sortFiles([file("scan.txt")], limits).bundles.length, 1);
+  assert.deepEqual(sortFiles([file("a.doc"), file("b.pdf")], limits).bundles, []);
+  assert.equal(sortFiles([file("oak.glb", 0)], limits).empty.length, 1);
+});
+
+test("a dropped folder is read whole, with its paths", async () => {
+  const leaf = (name) => ({ name, isFile: true, file: (resolve) => resolve({ name }) });
+  const folder = (name, children) => {
+    const batches = [...children.map((child) => [child]), []];
+    return { name, isDirectory: true, createReader: () => ({ readEntries: (resolve) => resolve(batches.shift()) }) };
+  };
+  const tree = folder("oak", [leaf("scene.gltf"), folder("textures", [leaf("leaf.png")])]);
+  const files = await readDrop({ items: [{ webkitGetAsEntry: () => tree }], files: [] });
+  assert.deepEqual(
+    files.map(({ path }) => path),
+    ["oak/scene.gltf", "oak/textures/leaf.png"],
+  );
+});
+
+test("a folder that cannot be read is an error", async () => {
+  const broken = {
+    name: "oak",
+    isDirectory: true,
+    createReader: () => ({ readEntries: (_, reject) => reject(new Error("gone")) }),
+  };
+  await assert.rejects(readDrop({ items: [{ webkitGetAsEntry: () => broken }], files: [] }), /gone/);
+});
+
+// ---- sessions
+
+const job = (state, more = {}) => ({
+  id: "J1",
+  asset_id: "A1",
+  type: "animate",
+  state,
+  stages: [],
+  result: null,
+  params: {},
+  ...more,
+});
+const moving = { result: { spectrum_id: "S1" } };
+const silent = { clear() {}, photos() {}, rest: async () => {}, motion: async () => {}, products: async () => {} };
+
+function begin({ jobs = [], ...client } = {}) {
+  const states = [];
+  const machine = new Machine((state, _, before) => state !== before && states.push(state));
+  const fake = {
+    upload: async () => ({ id: "A1", kind: "mesh", parts: [{ name: "oak.glb" }] }),
+    asset: async () => ({ id: "A1", kind: "mesh", parts: [{ name: "oak.glb" }] }),
+    job: async () => jobs[0],
+    createJob: async () => job("queued"),
+    watch: async function* () {
+      yield* jobs;
+    },
+    ...client,
+  };
+  return { session: new Session(fake, machine, silent), machine, states };
+}
+
+test("a tree goes from its files to its motion", async () => {
+  const { session, states } = begin({
+    jobs: [job("queued"), job("running"), job("running", moving), job("succeeded", moving)],
+  });
+  await session.upload([], { name: "oak" });
+  assert.deepEqual(states, ["uploading", "queued", "running", "moving"]);
+});
+
+test("a service that goes away keeps the card, and the job goes on", { timeout: 30_000 }, async () => {
+  let breaks = 2;
+  const watch = async function* () {
+    yield job("running");
+    if (breaks-- > 0) throw away();
+    yield job("succeeded", moving);
+  };
+  const { session, machine, states } = begin({ watch });
+  const seen = [];
+  const { onChange } = machine;
+  machine.onChange = (...change) => {
+    onChange(...change);
+    seen.push(Boolean(machine.facts.away));
+  };
+  await session.upload([], { name: "oak" });
+  assert.deepEqual(states, ["uploading", "queued", "running", "moving"]);
+  assert.ok(seen.includes(true), "the break is shown");
+  assert.equal(machine.facts.away, null);
+});
+
+test("an upload goes on after a break", { timeout: 30_000 }, async () => {
+  let attempts = 0;
+  const upload = async () => {
+    if (attempts++ === 0) throw away();
+    return { id: "A1", kind: "mesh", parts: [] };
+  };
+  const { session, states } = begin({ upload, jobs: [job("succeeded", moving)] });
+  await session.upload([], { name: "oak" });
+  assert.equal(attempts, 2);
+  assert.equal(states.at(-1), "moving");
+});
+
+test("try again runs a job that has ended as a new job", async () => {
+  const retried = [];
+  const retry = async (id) => {
+    retried.push(id);
+    return job("queued", { id: "J2" });
+  };
+  let first = true;
+  const watch = async function* (id) {
+    yield first ? job("canceled") : job("succeeded", { id, ...moving });
+    first = false;
+  };
+  const { session, machine, states } = begin({ retry, watch, jobs: [job("canceled")] });
+  await session.open("J1");
+  assert.deepEqual([machine.state, machine.facts.problem.code], ["failed", "job-canceled"]);
+  await session.retry();
+  assert.deepEqual(retried, ["J1"]);
+  assert.deepEqual(states, ["queued", "failed", "queued", "moving"]);
+  assert.equal(session.jobId, "J2");
+});
+
+test("a refused upload is tried again with the same files", async () => {
+  const given = [];
+  const upload = async (files) => {
+    given.push(files);
+    throw new Problem({ code: "unsupported-format" }, { status: 415 });
+  };
+  const { session, machine } = begin({ upload });
+  const files = [file("oak.doc")];
+  await session.upload(files, { name: "oak" });
+  assert.equal(machine.state, "failed");
+  await session.retry();
+  assert.deepEqual(given, [files, files]);
+});
+
+test("a job that made voxels only ends, and offers motion", async () => {
+  const { session, machine } = begin({ jobs: [job("succeeded", { type: "voxelize", result: { voxels_id: "V" } })] });
+  await session.open("J1");
+  assert.deepEqual([machine.state, machine.facts.problem.code], ["failed", "only-voxelize"]);
+  assert.ok(machine.facts.problem.offersMotion);
+});
+
+test("a failure of the files leaves the tree moving", async () => {
+  const { session, machine } = begin({
+    jobs: [job("running", moving), job("failed", { ...moving, error: { code: "disk-full", title: "full" } })],
+  });
+  await session.open("J1");
+  assert.deepEqual([machine.state, machine.facts.problem.code], ["moving", "disk-full"]);
+});
+
+test("what was left does not come back", async () => {
+  let answer;
+  const upload = () =>
+    new Promise((resolve) => {
+      answer = resolve;
+    });
+  const { session, machine, states } = begin({ upload, jobs: [job("succeeded", moving)] });
+  const done = session.upload([], { name: "oak" });
+  session.leave();
+  answer({ id: "A1", kind: "mesh", parts: [] });
+  await done;
+  assert.deepEqual([machine.state, states], ["welcome", ["uploading", "welcome"]]);
+});
+
+test("only breaks of the connection are waited out", async () => {
+  await assert.rejects(
+    patiently(() => Promise.reject(new Problem({ code: "not-found" }, { status: 404 }))),
+    { code: "not-found" },
+  );
+});
+
+// ---- drawing
+
+test("slow frames get fewer pixels, quick ones all of them, a still picture is drawn in full", () => {
+  const resolution = new Resolution();
+  let now = 0;
+  const frames = (count, ms) => {
+    for (let i = 0; i < count; i++) resolution.next((now += ms));
+  };
+  frames(60, 120);
+  assert.ok(resolution.scale <= 0.5 && !resolution.sharp && resolution.shadowEvery > 1);
+  assert.ok(!resolution.settles(now + 100) && resolution.settles(now + 300));
+  frames(120, 10);
+  assert.ok(resolution.scale === 1 && resolution.sharp);
+});
