@@ -4,7 +4,7 @@ import { Client, Problem } from "./client.js";
 import { Stage } from "./draw/stage.js";
 import { remoteSource } from "./motion/remote.js";
 import { relativePaths, sortFiles } from "./page/bundles.js";
-import { $, ask, fill, paintRanges } from "./page/dom.js";
+import { $, ask, describe, fill, paintRanges } from "./page/dom.js";
 import { watchDrops } from "./page/drop.js";
 import { Files } from "./page/files.js";
 import { Hand } from "./page/hand.js";
@@ -54,7 +54,7 @@ function onState(state, facts, before) {
   if (state !== "welcome") form.set(facts);
   if (state === "failed" && before !== "failed") showProblem(facts.problem, () => session.retry());
   if (state === "moving" && facts.problem) showProblem(facts.problem, () => session.retry());
-  if (state !== before) layOut(stage, state);
+  if (state !== before || state === "queued") layOut(stage, state);
   if (state === "moving" && before !== "moving") showHint();
 }
 
@@ -210,7 +210,7 @@ buildWelcome({
   onExample: async (example) => start([await exampleFile(example)], text(example.name)),
 });
 limits.then(showFormats, () => {});
-showDamping();
+describe($("damping"), $("damping-out"), text("push.natural"));
 paintRanges();
 look();
 onState("welcome", {}, null);
@@ -219,6 +219,5 @@ route();
 document.body.dataset.ready = "true";
 
 function showDamping() {
-  fill($("damping-out"), percent(Number($("damping").value) / 100));
-  $("damping").setAttribute("aria-valuetext", $("damping-out").textContent);
+  describe($("damping"), $("damping-out"), percent(Number($("damping").value) / 100));
 }

@@ -5,13 +5,15 @@ import { text } from "./texts.js";
 
 const RING_PX = 11;
 const HINT_MS = 7000;
-const BOTTOM_PX = { uploading: 210, queued: 210, running: 210, moving: 84 };
+const PLAYER_PX = 84;
 
 /** The tree stands in the middle of what the panels leave free. */
 export function layOut(stage, state) {
   const panel = $("panel").getBoundingClientRect();
   const beside = panel.width > 0 && panel.top < innerHeight / 3;
-  stage.clear({ right: beside ? innerWidth - panel.left : 0, top: 56, bottom: BOTTOM_PX[state] ?? 0 });
+  const card = $("progress").getBoundingClientRect(); // 0 high while it is hidden
+  const bottom = state === "moving" ? PLAYER_PX : card.height && card.height + 40;
+  stage.clear({ right: beside ? innerWidth - panel.left : 0, top: 56, bottom });
 }
 
 export function showHint() {

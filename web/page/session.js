@@ -30,6 +30,7 @@ export class Session {
       const onProgress = (share) => run.update({ share });
       const send = () => this.client.upload(files, { ...reading, signal: run.signal, onProgress });
       const asset = await patiently(send, run);
+      run.signal.throwIfAborted();
       await this._animate(asset, request, run);
     });
   }

@@ -90,6 +90,7 @@ export default {
   "push.title": "Anstoßen",
   "push.note": "An einem Ast ziehen und loslassen. Neben dem Baum ziehen, um die Ansicht zu drehen.",
   "push.damping": "Dämpfung",
+  "push.natural": "nach dem Laub",
   "push.knock": "Den Wipfel anstoßen",
 
   "tree.title": "Größe, Lage, Zufall",

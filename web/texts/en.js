@@ -90,6 +90,7 @@ export default {
   "push.title": "Push",
   "push.note": "Pull a branch and let go. Drag beside the tree to turn the view.",
   "push.damping": "Damping",
+  "push.natural": "by foliage",
   "push.knock": "Push the top",
 
   "tree.title": "Size, direction, chance",

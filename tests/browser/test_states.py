@@ -1,0 +1,253 @@
+"""The page's states in a real browser: breaks, links, several trees, words, and what a screen reader is given."""
+
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import httpx
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.browser.conftest import Viewer
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
+
+Open = Callable[..., Viewer]
+JOB_MS = 300_000.0
+AXE = Path(__file__).parents[2] / ".cache/js-tools/node_modules/axe-core/axe.min.js"
+LIT = """() => { const gl = document.getElementById("canvas").getContext("webgl2");
+    window.loss = gl.getExtension("WEBGL_lose_context"); window.loss.loseContext(); }"""
+
+
+def state(page: Page, name: str) -> None:
+    """Wait for a state of the page."""
+    page.wait_for_selector(f"body[data-state={name}]", state="attached", timeout=JOB_MS)
+
+
+@pytest.fixture(scope="module")
+def job_id(url: str, tree: Path) -> str:
+    """A job that has ended with a motion."""
+    with httpx.Client(base_url=url, timeout=60) as client:
+        asset = client.post("/v1/assets", files={"file": (tree.name, tree.read_bytes())}).json()
+        request = {"type": "animate", "asset_id": asset["id"], "params": {"formats": ["glb"], "num_steps": 1}}
+        job = client.post("/v1/jobs", json=request).json()
+        while client.get(f"/v1/jobs/{job['id']}", headers={"Prefer": "wait=30"}).json()["state"] != "succeeded":
+            continue
+    return str(job["id"])
+
+
+@pytest.fixture
+def axe(request: pytest.FixtureRequest) -> Callable[[Page], list[str]]:
+    """Violations of the accessibility rules, of what the page shows now."""
+    if not AXE.is_file():
+        pytest.skip("axe-core is not installed: make js-tools")
+
+    def violations(page: Page) -> list[str]:
+        page.evaluate(AXE.read_text())  # the page's policy allows no other script; the driver may evaluate
+        found = page.evaluate("async () => (await axe.run()).violations")
+        return [f"{item['id']}: {item['nodes'][0]['html'][:200]}" for item in found]
+
+    return violations
+
+
+def test_two_trees_dropped_both_begin(view: Open, url: str, tree: Path, tmp_path: Path) -> None:
+    second = tmp_path / "second.glb"
+    second.write_bytes(tree.read_bytes())
+    viewer = view(900, 620)
+    viewer.open(url)
+    with httpx.Client(base_url=url, timeout=60) as client:
+        before = len(client.get("/v1/jobs", params={"limit": 100}).json()["data"])
+        viewer.page.set_input_files("#files", [str(tree), str(second)])
+        expect(viewer.page.locator("#notice")).to_contain_text("2 trees begin")
+        deadline = 60
+        while len(client.get("/v1/jobs", params={"limit": 100}).json()["data"]) < before + 2:
+            viewer.page.wait_for_timeout(1000)
+            deadline -= 1
+            assert deadline, "the second tree has no job"
+    viewer.page.locator("#cancel").click()
+    state(viewer.page, "welcome")
+    assert viewer.complaints == []
+
+
+def test_a_folder_keeps_its_paths(view: Open, url: str, tree: Path, tmp_path: Path) -> None:
+    from pygltflib import GLTF2
+
+    folder = tmp_path / "oak"
+    (folder / "parts").mkdir(parents=True)
+    gltf = GLTF2().load(str(tree))
+    blob = gltf.binary_blob()
+    gltf.buffers[0].uri = "parts/scene.bin"
+    (folder / "parts" / "scene.bin").write_bytes(blob)
+    gltf.save_json(str(folder / "scene.gltf"))
+    viewer = view(900, 620)
+    viewer.open(url)
+    viewer.page.set_input_files("#folder", str(folder))
+    state(viewer.page, "queued")
+    expect(viewer.page.locator("#progress-title")).to_have_text("oak")
+    viewer.page.locator("#cancel").click()
+    assert viewer.complaints == []
+
+
+def test_a_break_of_the_connection_keeps_the_card(view: Open, url: str, tree: Path) -> None:
+    viewer = view(900, 620)
+    page = viewer.page
+    viewer.open(url)
+    page.set_input_files("#files", str(tree))
+    expect(page.locator("#stages li")).not_to_have_count(0)
+    page.context.set_offline(True)
+    if page.evaluate("document.body.dataset.state") != "moving":
+        expect(page.locator("#away")).to_be_visible()
+        viewer.picture()
+    page.context.set_offline(False)
+    state(page, "moving")
+    expect(page.locator("#away")).to_be_hidden()
+
+
+def test_a_canceled_job_can_be_tried_again(view: Open, url: str, tree: Path) -> None:
+    with httpx.Client(base_url=url, timeout=60) as client:
+        asset = client.post("/v1/assets", files={"file": (tree.name, tree.read_bytes())}).json()
+        request = {"type": "animate", "asset_id": asset["id"], "seed": 77}
+        job = client.post("/v1/jobs", json=request).json()
+        client.post(f"/v1/jobs/{job['id']}/cancel")
+    viewer = view(900, 620)
+    viewer.open(f"{url}/#job={job['id']}")
+    alert = viewer.page.get_by_role("alert")
+    expect(alert).to_contain_text("This job was canceled")
+    viewer.picture()
+    alert.get_by_role("button", name="Try again").click()
+    state(viewer.page, "moving")
+    assert job["id"] not in viewer.page.url
+
+
+def test_voxels_only_are_said_to_be_that(view: Open, url: str, tree: Path) -> None:
+    with httpx.Client(base_url=url, timeout=60) as client:
+        asset = client.post("/v1/assets", files={"file": (tree.name, tree.read_bytes())}).json()
+        job = client.post("/v1/jobs", json={"type": "voxelize", "asset_id": asset["id"]}).json()
+    viewer = view(900, 620)
+    viewer.open(f"{url}/#job={job['id']}")
+    alert = viewer.page.get_by_role("alert")
+    expect(alert).to_contain_text("voxels only", timeout=JOB_MS)
+    alert.get_by_role("button", name="Give it motion").click()
+    state(viewer.page, "moving")
+
+
+def test_links_and_back_lead_where_they_say(view: Open, url: str, job_id: str) -> None:
+    viewer = view(900, 620)
+    page = viewer.page
+    viewer.open(url)
+    page.locator("#open-jobs").click()
+    page.locator(f"#job-list [data-key='{job_id}'] .open").click()
+    state(page, "moving")
+    assert page.url.endswith(f"#job={job_id}")
+    expect(page).to_have_title(re.compile("sapling"))
+    page.go_back()
+    state(page, "welcome")
+    page.goto(f"{url}/#job={job_id}")
+    state(page, "moving")
+    link = page.locator("#artifacts a", has_text="Animated GLB")
+    expect(link).to_have_attribute("download", "sapling.glb")
+    assert viewer.complaints == []
+
+
+def test_an_empty_file_is_called_empty(view: Open, url: str, tmp_path: Path) -> None:
+    empty = tmp_path / "oak.glb"
+    empty.touch()
+    viewer = view(700, 560)
+    viewer.open(url)
+    viewer.page.set_input_files("#files", str(empty))
+    expect(viewer.page.get_by_role("alert")).to_contain_text("“oak.glb” is empty")
+    assert viewer.complaints == []
+
+
+def test_the_job_list_stays_while_it_is_refreshed(view: Open, url: str, job_id: str) -> None:
+    viewer = view(900, 620)
+    page = viewer.page
+    viewer.open(url)
+    page.locator("#open-jobs").click()
+    item = page.locator(f"#job-list [data-key='{job_id}']")
+    expect(item.locator("img")).to_have_attribute("src", re.compile("^blob:"))
+    item.evaluate("(node) => { node.mark = true; }")
+    item.locator(".open").focus()
+    page.wait_for_timeout(5000)  # two refreshes
+    assert item.evaluate("(node) => node.mark && node.contains(document.activeElement)")
+    viewer.picture()
+    page.locator("#job-filter").select_option("failed")
+    expect(page.locator("#no-jobs")).to_be_visible()
+    assert viewer.complaints == []
+
+
+def test_the_graphics_context_is_lost_and_comes_back(view: Open, url: str, job_id: str) -> None:
+    viewer = view(900, 620)
+    page = viewer.page
+    viewer.open(f"{url}/#job={job_id}")
+    state(page, "moving")
+    viewer.wait_frames(2)
+    page.evaluate(LIT)
+    expect(page.locator("#context-lost")).to_be_visible()
+    page.evaluate("window.loss.restoreContext()")
+    expect(page.locator("#context-lost")).to_be_hidden()
+    viewer.wait_frames(4)
+    picture = page.screenshot()
+    page.locator("#play").click()
+    assert len(picture) > 20_000, "nothing is drawn"
+
+
+def test_another_language_and_feet(view: Open, url: str, job_id: str) -> None:
+    viewer = view(900, 620, locale="de-DE")
+    page = viewer.page
+    viewer.open(url)
+    expect(page.get_by_role("heading", level=2).first).to_have_text("Ein Baum hinein, und er bewegt sich.")
+    assert page.evaluate("document.documentElement.lang") == "de"
+    page.locator("#open-settings").click()
+    page.locator("#unit").select_option("ft")
+    page.wait_for_selector("body[data-ready]", state="attached")
+    viewer.open(f"{url}/#job={job_id}")
+    page.reload()
+    state(page, "moving")
+    expect(page.locator("#caption")).to_contain_text(re.compile(r"\d,\d ft"))
+    viewer.picture()
+    assert viewer.complaints == []
+
+
+@pytest.mark.parametrize(("width", "height", "scheme"), [(1100, 720, "light"), (390, 760, "dark"), (780, 360, "light")])
+def test_no_rule_of_accessibility_is_broken(
+    view: Open, url: str, job_id: str, axe: Callable[[Page], list[str]], width: int, height: int, scheme: str
+) -> None:
+    viewer = view(width, height, scheme=scheme, touch=width < 800)
+    page = viewer.page
+    viewer.open(url)
+    assert axe(page) == [], "welcome"
+    page.locator("#open-jobs").click()
+    expect(page.locator("#job-list li").first).to_be_visible()
+    assert axe(page) == [], "jobs"
+    page.keyboard.press("Escape")
+    page.goto(f"{url}/#job={job_id}")
+    state(page, "moving")
+    viewer.wait_frames(2)
+    page.locator("#tree-details summary").click()
+    page.locator("#more summary").click()
+    expect(page.locator("#more-formats li").first).to_be_attached()
+    viewer.picture()
+    assert axe(page) == [], "moving"
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+
+
+def test_sliders_say_their_values(view: Open, url: str, job_id: str) -> None:
+    viewer = view(900, 620)
+    page = viewer.page
+    viewer.open(f"{url}/#job={job_id}")
+    state(page, "moving")
+    expect(page.locator("#artifacts a").first).to_be_visible(timeout=JOB_MS)
+    names = page.evaluate("[...document.querySelectorAll('input[type=range]')].map((i) => [i.id, i.ariaValueText])")
+    silent = [name for name, words in json.loads(json.dumps(names)) if not words and not name.startswith("crop")]
+    assert silent == []
+    assert page.evaluate("document.querySelectorAll('output').length") == 0, "live regions per frame"
+    page.locator("#wind-presets button", has_text="Gale").click()
+    expect(page.locator("#speed")).to_have_attribute("aria-valuetext", "17.0 m/s")
+    expect(page.locator("#wind-presets [aria-pressed=true]")).to_have_text("Gale")
+    box = page.locator("#dial").bounding_box()
+    assert box
+    page.mouse.click(box["x"] + box["width"] / 2, box["y"] + 4)
+    expect(page.locator("#direction")).to_have_attribute("aria-valuetext", "90° N")
+    assert viewer.complaints == []
