@@ -102,7 +102,8 @@ def fetch(library: Library) -> dict[str, bytes]:
 def _minified(path: str, content: bytes) -> bytes:
     if not path.endswith(".js") or path.endswith(".min.js"):
         return content
-    return subprocess.run(MINIFY, input=content, check=True, capture_output=True).stdout
+    minified: bytes = subprocess.run(MINIFY, input=content, check=True, capture_output=True).stdout
+    return minified
 
 
 def _content(archive: tarfile.TarFile, name: str) -> bytes:
