@@ -85,6 +85,7 @@ class Settings(BaseSettings):
     limit_reads_per_min: int = Field(default=600, ge=1)
     limit_chunks_per_min: int = Field(default=6000, ge=1)
     limit_interact_per_s: int = Field(default=20, ge=1)
+    max_connections_per_address: int = Field(default=256, ge=1)
     hosts: tuple[str, ...] = ()
     cors_origins: tuple[str, ...] = ()
     log_level: Literal["DEBUG", "INFO", "WARNING", "ERROR"] = "INFO"

@@ -146,11 +146,11 @@ def serving_app() -> FastAPI:
 
 
 @asynccontextmanager
-async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
+async def _lifespan(app: FastAPI) -> AsyncIterator[dict[str, object]]:
     with open_services(app.state.settings) as services:
         app.state.services = services
         ingest = asyncio.create_task(Ingest(services).run())
-        yield
+        yield {"max_connections_per_address": services.settings.max_connections_per_address}
         ingest.cancel()
         await asyncio.gather(ingest, return_exceptions=True)
 

@@ -178,7 +178,7 @@ def api(folder: Path, environment: Mapping[str, str]) -> tuple[Server, str]:
     port = free_port()
     command = [sys.executable, "-m", "uvicorn", "service.app:serving_app", "--factory", "--port", str(port)]
     command += ["--no-access-log", "--timeout-graceful-shutdown", "5", "--timeout-keep-alive", "30"]
-    command += ["--http", "service.http.connections:PunctualProtocol"]
+    command += ["--http", "service.http.connections:BoundedProtocol"]
     url = f"http://127.0.0.1:{port}"
     server = Server(
         name="api",

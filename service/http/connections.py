@@ -1,51 +1,186 @@
-"""uvicorn's HTTP protocol, with an end to heads that never end: it bounds a connection that idles, not one that drips.
+"""uvicorn's HTTP protocol with bounds on what one connection, and one address, may hold.
 
-Named to uvicorn as `--http service.http.connections:PunctualProtocol`.
+Named to uvicorn as `--http service.http.connections:BoundedProtocol`. uvicorn itself bounds only idle connections: not
+a request head that drips (slowloris), nor the size of a head, nor a body that nobody reads, nor a reader that stalls.
 """
 
 import asyncio
+import logging
+from collections import Counter
+from typing import ClassVar
 
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
+
+logger = logging.getLogger(__name__)
 
 HEAD_TIMEOUT_S = 15.0
 """From the first byte of a request, or from the connection, to the end of its head."""
 
+REQUEST_TIMEOUT_S = 3600.0
+"""From the end of a head to the end of its body; an upload goes on with a new request after that."""
 
-class PunctualProtocol(HttpToolsProtocol):
-    """Closes a connection whose request head does not come in time."""
+UNREAD_TIMEOUT_S = 5.0
+"""How long the rest of a body may take that was answered before it was whole."""
 
-    _late: asyncio.TimerHandle | None = None
+STALL_S = 30.0
+"""How often the write buffer of a slow reader is looked at."""
+
+MIN_READ_BYTES = 64 * 1024
+"""What a reader takes at least in `STALL_S`: 2 kB/s."""
+
+MAX_HEAD_BYTES = 64 * 1024
+MAX_HEADERS = 100
+MAX_PER_ADDRESS = 256
+"""Connections from one address, where the application's lifespan state names no other number."""
+
+REFUSAL = b"HTTP/1.1 %s\r\ncontent-type: text/plain; charset=utf-8\r\ncontent-length: %d\r\nconnection: close\r\n\r\n%s"
+
+
+class BoundedProtocol(HttpToolsProtocol):
+    """Closes connections that take too much time or memory."""
+
+    per_address: ClassVar[Counter[str]] = Counter()  # connections of this process
+    _timer: asyncio.TimerHandle | None = None
+    _stall: asyncio.TimerHandle | None = None
+    _address: str | None = None
+    _body_open = False
+    _refused = False
+    _head_bytes = 0
+    _head_fields = 0
+    _unparsed = 0
+
+    # -- connections
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Begin to wait for the first head."""
+        """Count the connection of its address, and begin to wait for the first head."""
         super().connection_made(transport)
-        self._expect_head()
+        allowed = self.app_state.get("max_connections_per_address", MAX_PER_ADDRESS)
+        self._address = self.client[0] if self.client else None  # none on a unix socket
+        if self._address is not None:
+            self.per_address[self._address] += 1
+            if self.per_address[self._address] > allowed:
+                self._refuse(b"503 Service Unavailable", b"Too many connections from this address.")
+                return
+        self._expect(HEAD_TIMEOUT_S)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Stop every timer."""
+        self._expect(None)
+        self._watch_writing(None)
+        if self._address is not None:
+            self.per_address[self._address] -= 1
+            if self.per_address[self._address] <= 0:
+                del self.per_address[self._address]
+            self._address = None
+        super().connection_lost(exc)
+
+    # -- requests
+
+    def data_received(self, data: bytes) -> None:
+        """Parse, unless the parser only gathers a field that does not end."""
+        if self._refused:
+            return
+        self._unparsed += len(data)
+        super().data_received(data)
+        if self._unparsed > MAX_HEAD_BYTES and not self._refused:
+            self._refuse(b"431 Request Header Fields Too Large", b"A header has more than 64 KiB.")
 
     def on_message_begin(self) -> None:
         """Begin to wait for the head of a further request."""
         super().on_message_begin()
-        self._expect_head()
+        self._head_bytes = self._head_fields = self._unparsed = 0
+        self._body_open = True
+        if self._timer is None:
+            self._expect(HEAD_TIMEOUT_S)
+
+    def on_url(self, url: bytes) -> None:
+        """Count the target."""
+        self._head_bytes += len(url)
+        self._bound_head()
+        super().on_url(url)
+
+    def on_header(self, name: bytes, value: bytes) -> None:
+        """Count a header, or a trailer."""
+        self._unparsed = 0
+        self._head_bytes += len(name) + len(value)
+        self._head_fields += 1
+        self._bound_head()
+        super().on_header(name, value)
 
     def on_headers_complete(self) -> None:
-        """It came."""
-        self._expect_none()
-        super().on_headers_complete()
+        """Begin to wait for the end of the body."""
+        self._unparsed = 0
+        self._expect(REQUEST_TIMEOUT_S)
+        if not self._refused:
+            super().on_headers_complete()
 
-    def connection_lost(self, exc: Exception | None) -> None:
-        """Nothing more is expected."""
-        self._expect_none()
-        super().connection_lost(exc)
+    def on_body(self, body: bytes) -> None:
+        """Take a piece of the body."""
+        self._unparsed = 0
+        super().on_body(body)
 
-    def _expect_head(self) -> None:
-        if self._late is None:
-            self._late = self.loop.call_later(HEAD_TIMEOUT_S, self._give_up)
+    def on_message_complete(self) -> None:
+        """The request is whole."""
+        self._unparsed = 0
+        self._body_open = False
+        self._expect(None)
+        super().on_message_complete()
 
-    def _expect_none(self) -> None:
-        if self._late is not None:
-            self._late.cancel()
-            self._late = None
+    def on_response_complete(self) -> None:
+        """Give the rest of a body that nobody reads any more little time."""
+        super().on_response_complete()
+        if self._body_open and not self.transport.is_closing():
+            self._expect(UNREAD_TIMEOUT_S)
+
+    def _bound_head(self) -> None:
+        if self._head_bytes > MAX_HEAD_BYTES or self._head_fields > MAX_HEADERS:
+            found = b"At most %d headers of %d bytes in all are allowed." % (MAX_HEADERS, MAX_HEAD_BYTES)
+            self._refuse(b"431 Request Header Fields Too Large", found)
+            raise ValueError(found)  # ends the parser's work on this piece
+
+    def send_400_response(self, msg: str) -> None:
+        """Answer what cannot be parsed, unless it was refused already."""
+        if not self._refused:
+            super().send_400_response(msg)
+
+    # -- responses
+
+    def pause_writing(self) -> None:
+        """Begin to look whether the client still reads."""
+        super().pause_writing()
+        self._watch_writing(self.transport.get_write_buffer_size())
+
+    def resume_writing(self) -> None:
+        """The client has read."""
+        super().resume_writing()
+        self._watch_writing(None)
+
+    def _watch_writing(self, size: int | None) -> None:
+        if self._stall is not None:
+            self._stall.cancel()
+        self._stall = None if size is None else self.loop.call_later(STALL_S, self._require_progress, size)
+
+    def _require_progress(self, before: int) -> None:
+        now = self.transport.get_write_buffer_size()
+        if before - now < MIN_READ_BYTES:
+            logger.info("a client reads too slowly; its connection is closed", extra={"unread_bytes": now})
+            self.transport.abort()
+            return
+        self._watch_writing(now)
+
+    # -- ends
+
+    def _expect(self, within_s: float | None) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+        self._timer = None if within_s is None else self.loop.call_later(within_s, self._give_up)
 
     def _give_up(self) -> None:
-        self._late = None
+        self._timer = None
         if not self.transport.is_closing():
             self.transport.close()
+
+    def _refuse(self, status: bytes, detail: bytes) -> None:
+        self._refused = True
+        self.transport.write(REFUSAL % (status, len(detail), detail))
+        self.transport.close()

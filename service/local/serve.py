@@ -112,7 +112,7 @@ def plans(settings: Settings, listening: socket.socket) -> list[ChildPlan]:
     fd = listening.fileno()
     uvicorn = [sys.executable, "-m", "uvicorn", "service.app:serving_app", "--factory", "--fd", str(fd)]
     uvicorn += ["--log-level", settings.log_level.lower(), "--no-access-log", "--timeout-graceful-shutdown", "5"]
-    uvicorn += ["--no-server-header", "--http", "service.http.connections:PunctualProtocol"]
+    uvicorn += ["--no-server-header", "--http", "service.http.connections:BoundedProtocol"]
     uvicorn += ["--timeout-keep-alive", str(KEEP_ALIVE_S)]
     started = [
         ChildPlan(name="api", command=uvicorn, environment=environment, pass_fds=(fd,), grace_s=10),

@@ -1,4 +1,4 @@
-"""Heads that never end."""
+"""What one connection may hold: time, head, body, buffer; and how many one address may open."""
 
 import asyncio
 import threading
@@ -9,10 +9,16 @@ import pytest
 import uvicorn
 
 from service.http import connections
-from service.http.connections import PunctualProtocol
+from service.http.connections import BoundedProtocol
+
+LARGE = 64 * 1024**2
 
 
-async def answer(scope: object, receive: object, send: object) -> None:
+async def answer(scope: dict[str, object], receive: object, send: object) -> None:
+    if scope["path"] == "/large":
+        await send({"type": "http.response.start", "status": 200, "headers": []})  # type: ignore[operator]
+        await send({"type": "http.response.body", "body": bytes(LARGE)})  # type: ignore[operator]
+        return
     await send({"type": "http.response.start", "status": 200, "headers": [(b"content-length", b"2")]})  # type: ignore[operator]
     await send({"type": "http.response.body", "body": b"ok"})  # type: ignore[operator]
 
@@ -21,7 +27,7 @@ async def answer(scope: object, receive: object, send: object) -> None:
 def port(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     """A server that waits for half a second."""
     monkeypatch.setattr(connections, "HEAD_TIMEOUT_S", 0.5)
-    config = uvicorn.Config(answer, port=0, http=PunctualProtocol, lifespan="off", log_level="error", ws="none")  # type: ignore[arg-type]
+    config = uvicorn.Config(answer, port=0, http=BoundedProtocol, lifespan="off", log_level="error", ws="none")  # type: ignore[arg-type]
     server = uvicorn.Server(config)
     thread = threading.Thread(target=server.run)
     thread.start()
@@ -55,3 +61,88 @@ def test_a_head_that_does_not_end_is_given_up_and_others_are_not(port: int) -> N
     assert answered.startswith(b"HTTP/1.1 200")
     assert again.startswith(b"HTTP/1.1 200")
     assert ended == b""
+
+
+def exchange(port: int, *pieces: bytes, wait_s: float = 5.0) -> bytes:
+    """Send pieces to the server; all that it answers until it closes the connection."""
+
+    async def talk() -> bytes:
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+        try:
+            for piece in pieces:
+                writer.write(piece)
+                await writer.drain()
+        except ConnectionError:
+            pass  # refused before all was sent
+        try:
+            return await asyncio.wait_for(reader.read(), wait_s)
+        except ConnectionError:
+            return b"reset"
+        finally:
+            writer.transport.abort()
+
+    return asyncio.run(talk())
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        b"GET / HTTP/1.1\r\n" + b"a:b\r\n" * 1000 + b"\r\n",
+        b"GET / HTTP/1.1\r\nX: " + b"a" * 300_000 + b"\r\n\r\n",
+        b"GET / HTTP/1.1\r\n" + b"".join(b"X%d: %s\r\n" % (n, b"a" * 2000) for n in range(50)) + b"\r\n",
+        b"GET /" + b"a" * 100_000 + b" HTTP/1.1\r\nHost: a\r\n\r\n",
+        b"POST / HTTP/1.1\r\nTransfer-Encoding: chunked\r\n\r\n1\r\na\r\n0\r\n" + b"T: " + b"a" * 300_000,
+    ],
+    ids=["many", "long", "sum", "target", "trailer"],
+)
+def test_a_head_has_a_bound(port: int, head: bytes) -> None:
+    answered = exchange(port, head)
+    assert answered.startswith((b"HTTP/1.1 431", b"HTTP/1.1 200", b"reset"))  # a trailer comes after the answer
+    assert b"431" in answered or answered == b"reset"
+
+
+def test_a_refused_body_keeps_no_connection(port: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connections, "UNREAD_TIMEOUT_S", 0.3)
+    answered = exchange(port, b"POST / HTTP/1.1\r\nHost: a\r\nContent-Length: 100\r\n\r\n", b"x")
+    assert answered.startswith(b"HTTP/1.1 200")
+
+
+def test_an_address_has_so_many_connections(port: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connections, "MAX_PER_ADDRESS", 3)
+
+    async def talk() -> list[bytes]:
+        opened = [await asyncio.open_connection("127.0.0.1", port) for _ in range(4)]
+        refused = await asyncio.wait_for(opened[3][0].read(), 5)
+        for _, writer in opened:
+            writer.transport.abort()
+        await asyncio.sleep(0.1)
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+        writer.write(b"GET / HTTP/1.1\r\nHost: a\r\n\r\n")
+        answered = await reader.readuntil(b"ok")
+        writer.transport.abort()
+        return [refused, answered]
+
+    refused, answered = asyncio.run(talk())
+    assert refused.startswith(b"HTTP/1.1 503")
+    assert answered.startswith(b"HTTP/1.1 200")
+
+
+def test_a_reader_that_stalls_is_let_go(port: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connections, "STALL_S", 0.2)
+
+    async def received(pause_s: float) -> int:
+        reader, writer = await asyncio.open_connection("127.0.0.1", port, limit=1024)
+        writer.write(b"GET /large HTTP/1.1\r\nHost: a\r\n\r\n")
+        await asyncio.sleep(pause_s)
+        size = 0
+        try:
+            while size < LARGE and (piece := await asyncio.wait_for(reader.read(2**20), 5)):
+                size += len(piece)
+        except ConnectionError:
+            pass
+        finally:
+            writer.transport.abort()
+        return size
+
+    assert asyncio.run(received(0.0)) >= LARGE
+    assert asyncio.run(received(1.5)) < LARGE
