@@ -190,6 +190,17 @@ def hand_back(store: Store, held: Claim) -> None:
         count(connection, "attempts", "handed-back")
 
 
+@patient
+def report_alive(store: Store, job_id: str) -> None:
+    """Take back one counted loss: the worker of a reaped attempt is alive and was only paused, so nothing crashed."""
+    with store.writing() as connection:
+        this = (t.jobs.c.id == job_id) & t.jobs.c.state.in_([JobState.RUNNING, JobState.CANCELING])
+        row = connection.execute(sa.select(t.jobs.c.lost_stages).where(this).with_for_update()).one_or_none()
+        if row is not None and row.lost_stages:
+            connection.execute(t.jobs.update().where(this).values(lost_stages=row.lost_stages[:-1]))
+            note(connection, job_id, "its earlier worker was paused, not lost", at=store.clock())
+
+
 def begin_next_attempt(
     connection: sa.Connection,
     job_id: str,

@@ -15,7 +15,9 @@ from jobs.store import Store, new_id
 PREFIX = "dt_"
 Scope = Literal["read", "write", "interact", "high-priority"]
 SCOPES: tuple[Scope, ...] = get_args(Scope)
-Limit = Literal["active_jobs", "bytes", "creates_per_min", "reads_per_min", "chunks_per_min", "interact_per_s"]
+Limit = Literal[
+    "active_jobs", "bytes", "creates_per_min", "reads_per_min", "chunks_per_min", "interact_per_s", "streams"
+]
 LIMITS: tuple[Limit, ...] = get_args(Limit)
 """Each is a setting `limit_…`; a key may have its own."""
 
@@ -76,6 +78,13 @@ def find_key(store: Store, digest: str) -> KeyRecord | None:
     with store.reading() as connection:
         row = connection.execute(sa.select(t.api_keys).where(t.api_keys.c.digest == digest)).one_or_none()
     return None if row is None else _key(row)
+
+
+def is_valid(store: Store, key_id: str) -> bool:
+    """Whether a key still opens something."""
+    with store.reading() as connection:
+        row = connection.execute(sa.select(t.api_keys).where(t.api_keys.c.id == key_id)).one_or_none()
+    return row is not None and _key(row).valid(store.clock())
 
 
 def keys(store: Store) -> list[KeyRecord]:

@@ -1,5 +1,6 @@
 """What the housekeeper does to the store: messages to send, leases that ran out, deadlines, retention."""
 
+from collections import Counter
 from collections.abc import Callable, Iterator
 
 import sqlalchemy as sa
@@ -47,21 +48,42 @@ def living(store: Store, prefix: str) -> list[str]:
         return list(connection.execute(sa.select(t.leases.c.name).where(held)).scalars())
 
 
-def unsent(store: Store, *, limit: int = 100) -> list[RunJob]:
-    """Messages that no worker was sent yet, oldest first."""
-    return _messages(store, t.outbox.c.sent_at.is_(None), limit)
+def unsent(store: Store, *, window: int) -> list[RunJob]:
+    """Messages to send now. At most `window` per queue are out and unclaimed, and owners take turns.
+
+    The queue in Redis is first in, first out; fairness comes from keeping it short. The next message is that of the
+    owner with the fewest jobs running or sent; among equals, the oldest.
+    """
+    jobs, outbox = t.jobs, t.outbox
+    is_sent = outbox.c.sent_at.is_not(None)
+    place = sa.func.row_number().over(partition_by=(jobs.c.queue, jobs.c.owner), order_by=outbox.c.created_at)
+    columns = (outbox.c.job_id, outbox.c.attempt, outbox.c.created_at, jobs.c.queue, jobs.c.owner, place.label("place"))
+    waiting = sa.select(*columns).join(jobs, jobs.c.id == outbox.c.job_id).where(~is_sent).subquery()
+    with store.reading() as connection:
+        if connection.execute(sa.select(outbox.c.job_id).where(~is_sent).limit(1)).one_or_none() is None:
+            return []
+        sent = sa.select(jobs.c.queue, jobs.c.owner).join(outbox, jobs.c.id == outbox.c.job_id).where(is_sent)
+        out = [(row.queue, row.owner) for row in connection.execute(sent)]
+        held = sa.select(jobs.c.owner).where((jobs.c.state == JobState.RUNNING) & jobs.c.lease_owner.is_not(None))
+        busy = Counter([*connection.execute(held).scalars(), *(owner for _, owner in out)])
+        rows = connection.execute(sa.select(waiting).where(waiting.c.place <= window)).all()
+    room = dict.fromkeys({row.queue for row in rows}, window)
+    for queue, _ in out:
+        room[queue] = room.get(queue, window) - 1
+    chosen = []
+    for row in sorted(rows, key=lambda row: (row.place + busy[row.owner], row.created_at, row.job_id)):
+        if room[row.queue] > 0:
+            room[row.queue] -= 1
+            chosen.append(RunJob(job_id=row.job_id, attempt=row.attempt, queue=row.queue))
+    return chosen
 
 
 def unclaimed(store: Store, *, sent_before: float, limit: int = 100) -> list[RunJob]:
     """Messages that were sent before a time, and that no worker acted upon: lost with the queue, or still in it."""
-    return _messages(store, t.outbox.c.sent_at < sent_before, limit)
-
-
-def _messages(store: Store, which: sa.ColumnElement[bool], limit: int) -> list[RunJob]:
     query = (
         sa.select(t.outbox.c.job_id, t.outbox.c.attempt, t.jobs.c.queue)
         .join(t.jobs, t.jobs.c.id == t.outbox.c.job_id)
-        .where(which)
+        .where(t.outbox.c.sent_at < sent_before)
         .order_by(t.outbox.c.created_at)
         .limit(limit)
     )

@@ -20,8 +20,15 @@ _ID: sa.BindParameter[str] = sa.bindparam("id")
 _JOB = sa.select(t.jobs).where(t.jobs.c.id == _ID)
 _STAGES = sa.select(t.stages).where(t.stages.c.job_id == _ID).order_by(t.stages.c.position)
 _ARTIFACTS = sa.select(t.artifacts).where(t.artifacts.c.job_id == _ID).order_by(t.artifacts.c.id)
-_NUM_AHEAD = sa.select(sa.func.count()).where(
-    (t.jobs.c.state == JobState.QUEUED) & (t.jobs.c.queue == sa.bindparam("queue")) & (t.jobs.c.id < _ID)
+_PLACE = sa.func.row_number().over(partition_by=t.jobs.c.owner, order_by=t.jobs.c.id)
+_WAITING = (
+    sa.select(t.jobs.c.id, _PLACE.label("place"))
+    .where((t.jobs.c.state == JobState.QUEUED) & (t.jobs.c.queue == sa.bindparam("queue")))
+    .cte()
+)
+_OWN_PLACE = sa.select(_WAITING.c.place).where(_WAITING.c.id == _ID).scalar_subquery()
+_NUM_AHEAD = sa.select(sa.func.count()).where(  # owners take turns, see maintenance.unsent
+    (_WAITING.c.place < _OWN_PLACE) | ((_WAITING.c.place == _OWN_PLACE) & (_WAITING.c.id < _ID))
 )
 """What every poll asks, put together once: that takes as long as to ask it."""
 

@@ -72,7 +72,7 @@ class Settings(BaseSettings):
     spectrum_cache_bytes: int = Field(default=256 * MIB, ge=0)
     max_upload_bytes: int = Field(default=4 * GIB, ge=1024)
     upload_retention_s: float = Field(default=DAY_S, gt=0)
-    max_fetches: int = Field(default=2, ge=1)
+    max_fetches: int = Field(default=8, ge=1)
     fetch_time_s: float = Field(default=600.0, gt=0)
     outbound_hosts: tuple[str, ...] = ()
     webhook_timeout_s: float = Field(default=15.0, gt=0)
@@ -85,6 +85,8 @@ class Settings(BaseSettings):
     limit_reads_per_min: int = Field(default=600, ge=1)
     limit_chunks_per_min: int = Field(default=6000, ge=1)
     limit_interact_per_s: int = Field(default=20, ge=1)
+    limit_streams: int = Field(default=8, ge=1)
+    max_streams: int = Field(default=256, ge=1)
     max_connections_per_address: int = Field(default=256, ge=1)
     hosts: tuple[str, ...] = ()
     cors_origins: tuple[str, ...] = ()
@@ -103,6 +105,10 @@ class Settings(BaseSettings):
                 f"soft_time_limit_s is {self.soft_time_limit_s}; at most time_limit_s ({self.time_limit_s}) is allowed"
             )
         return self
+
+    def share_of(self, total: int) -> int:
+        """Slots of `total` that one owner may hold at once: a quarter, at least one; all where there are no keys."""
+        return max(1, total // 4) if self.keys == "required" else total
 
     @property
     def resolved_database_url(self) -> str:

@@ -94,8 +94,7 @@ class Store:
                 self._require_quota(connection, max_active)
                 connection.execute(t.jobs.insert().values(**row))
             else:
-                if self.owner:
-                    client_key = replace(client_key, key=f"{self.owner}:{client_key.key}")
+                client_key = self._own_key(client_key)
                 self._free_key(connection, client_key)
                 row |= {"client_key": client_key.key, "body_sha256": client_key.body_sha256}
                 if not insert_new(connection, t.jobs, row, unique="client_key"):
@@ -105,6 +104,24 @@ class Store:
             rows.add_stages(connection, job.id, stages)
             connection.execute(t.outbox.insert().values(job_id=job.id, attempt=job.attempt, created_at=job.created_at))
             return rows.read_job(connection, job.id), True
+
+    def job_of_key(self, client_key: ClientKey) -> JobRecord | None:
+        """The job that was created under a client's key before; None where there is none.
+
+        Raises:
+            ReusedKeyError: its request had another body.
+        """
+        client_key = self._own_key(client_key)
+        this = t.jobs.c.client_key == client_key.key
+        if client_key.expires_s is not None:
+            this &= t.jobs.c.created_at >= self.clock() - client_key.expires_s
+        with self.reading() as connection:
+            if connection.execute(sa.select(t.jobs.c.id).where(this)).one_or_none() is None:
+                return None
+            return rows.read_job(connection, rows.same_job(connection, client_key))
+
+    def _own_key(self, client_key: ClientKey) -> ClientKey:
+        return replace(client_key, key=f"{self.owner}:{client_key.key}") if self.owner else client_key
 
     def _require_quota(self, connection: sa.Connection, max_active: int | None, *, counted: int = 0) -> None:
         if max_active is None:

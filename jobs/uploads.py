@@ -1,5 +1,6 @@
 """Rows of uploads: what is coming, how much of it is there, and what became of it."""
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Literal
@@ -82,14 +83,19 @@ def delete_upload(store: Store, upload_id: str) -> None:
         _bury(connection, _read(connection, store, upload_id), now=store.clock())
 
 
-def claim_uploads(store: Store, *, lease_s: float, limit: int) -> list[UploadRecord]:
-    """Uploads that a process should work on by itself and that none does, each ours for `lease_s`."""
+def claim_uploads(store: Store, *, lease_s: float, limit: int, per_owner: int) -> list[UploadRecord]:
+    """Claim uploads to fetch or to make assets of, each for `lease_s`; at most `per_owner` of one owner at once."""
     now = store.clock()
     waiting = (t.uploads.c.state == "fetching") | ((t.uploads.c.state == "received") & t.uploads.c.make_asset)
     free = t.uploads.c.lease_until.is_(None) | (t.uploads.c.lease_until < now)
     with store.reading() as connection:
-        query = sa.select(t.uploads.c.id).where(waiting & free).order_by(t.uploads.c.id).limit(limit)
-        ids = list(connection.execute(query).scalars())
+        busy = sa.select(t.uploads.c.owner).where(waiting & ~free)
+        running = Counter(connection.execute(busy).scalars())
+        place = sa.func.row_number().over(partition_by=t.uploads.c.owner, order_by=t.uploads.c.id).label("place")
+        ranked = sa.select(t.uploads.c.id, t.uploads.c.owner, place).where(waiting & free).subquery()
+        rows = connection.execute(sa.select(ranked).where(ranked.c.place <= per_owner)).all()
+    turns = sorted((row.place + running[row.owner], row.id) for row in rows)
+    ids = [upload_id for turn, upload_id in turns if turn <= per_owner][:limit]
     claimed = []
     for upload_id in ids:
         with store.writing() as connection:

@@ -2,7 +2,7 @@
 
 import base64
 import secrets
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 
 import sqlalchemy as sa
@@ -199,12 +199,24 @@ def replay(store: Store, endpoint_id: str, delivery_id: str) -> Delivery:
         return _delivery(connection.execute(sa.select(t.deliveries).where(t.deliveries.c.id == anew["id"])).one())
 
 
-def claim_due(store: Store, *, lease_s: float, limit: int) -> list[tuple[Delivery, Endpoint]]:
-    """Deliveries whose time has come, each ours for `lease_s`: nobody else tells them meanwhile."""
+def claim_due(
+    store: Store, *, lease_s: float, limit: int, per_owner: int, busy: Mapping[str, int]
+) -> list[tuple[Delivery, Endpoint]]:
+    """Claim deliveries that are due, each for `lease_s`; of one owner at most `per_owner`, `busy` ones included."""
     now = store.clock()
-    due = sa.select(t.deliveries.c.id, t.deliveries.c.next_at).where(t.deliveries.c.next_at <= now)
+    owner = t.webhook_endpoints.c.owner
+    place = sa.func.row_number().over(partition_by=owner, order_by=t.deliveries.c.next_at).label("place")
+    due = (
+        sa.select(t.deliveries.c.id, t.deliveries.c.next_at, owner, place)
+        .join(t.webhook_endpoints, t.webhook_endpoints.c.id == t.deliveries.c.endpoint_id)
+        .where(t.deliveries.c.next_at <= now)
+        .subquery()
+    )
     with store.reading() as connection:
-        found = connection.execute(due.order_by(t.deliveries.c.next_at).limit(limit)).all()
+        rows = connection.execute(sa.select(due).where(due.c.place <= per_owner)).all()
+    turns = {row.id: row.place + busy.get(row.owner, 0) for row in rows}
+    found = [row for row in rows if turns[row.id] <= per_owner]
+    found = sorted(found, key=lambda row: (turns[row.id], row.next_at))[:limit]
     if not found:
         return []
     claimed = []

@@ -36,10 +36,13 @@ def accept(
     expires_s: float | None = None,
 ) -> JobPayload:
     """Check a request and keep its job, or give the one that was made under the same key."""
-    asset, stages = require_possible(owned, body)
     named = None
     if key is not None:
         named = ClientKey(key=key, body_sha256=_fingerprint(body), expires_s=expires_s)
+        earlier = owned.store.job_of_key(named)  # first: its asset may have gone, and the queue be full
+        if earlier is not None:
+            return _answer(owned, earlier, False, named, response)
+    asset, stages = require_possible(owned, body)
     return _keep(owned, _record(owned, body, asset, origin), stages, named, response)
 
 
@@ -85,6 +88,10 @@ def _keep(
 ) -> JobPayload:
     most = owned.caller.limits.get("active_jobs")
     kept, new = owned.store.add_job(job, stages=stages, client_key=key, max_active=most)
+    return _answer(owned, kept, new, key, response)
+
+
+def _answer(owned: Owned, kept: JobRecord, new: bool, key: ClientKey | None, response: Response) -> JobPayload:
     response.headers["Location"] = f"/v1/jobs/{kept.id}"
     if not new and key is not None and key.key.startswith("put:"):
         response.status_code = status.HTTP_200_OK

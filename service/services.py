@@ -16,14 +16,18 @@ from jobs.outbound import Outbound
 from jobs.settings import Settings
 from jobs.store import Store
 from jobs.upload_parts import PartStore, open_parts
+from service.fair_slots import FairSlots
 from service.http.caller import ANYONE, CALLER, Caller
 from service.job_durations import JobDurations
 from service.job_notifier import JobNotifier
 from service.lru_cache import LruCache
+from service.open_streams import OpenStreams
 from service.ready_tree import ReadyTree
 from service.uploads.upload_writer import ActiveWriters
 
 REDIS_TIMEOUT_S = 2.0
+LARGE_ANSWERS = 3
+"""Answers in voxels, vertices or Gaussians, up to 128 MiB each, that are computed or sent at once."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +45,9 @@ class Services:
     job_notifier: JobNotifier
     spectra: LruCache[SparseVoxelSpectrum]  # by the hash of the spectrum's file
     trees: LruCache[ReadyTree]  # by owner and spectrum id
-    parsers: asyncio.Semaphore
+    parsers: FairSlots
+    streams: OpenStreams
+    large_answers: FairSlots
     ingest_wakeup: asyncio.Event
 
     def owned_by(self, caller: Caller) -> "Owned":
@@ -80,7 +86,9 @@ def open_services(settings: Settings) -> Iterator[Services]:
             job_notifier=JobNotifier(store),
             spectra=LruCache(settings.spectrum_cache_bytes, lambda spectrum: spectrum.num_bytes),
             trees=LruCache(settings.spectrum_cache_bytes, lambda tree: tree.num_bytes),
-            parsers=asyncio.Semaphore(settings.max_parsers),
+            parsers=FairSlots(settings.max_parsers, per_owner=settings.share_of(settings.max_parsers)),
+            streams=OpenStreams(settings.max_streams),
+            large_answers=FairSlots(LARGE_ANSWERS, per_owner=1 if settings.keys == "required" else LARGE_ANSWERS),
             ingest_wakeup=asyncio.Event(),
         )
     finally:

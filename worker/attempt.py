@@ -119,6 +119,8 @@ def stage_key(job: JobRecord, stage: JobType, hashes: Mapping[str, str]) -> str:
     inputs = {name: hashes[name] for name in INPUTS[stage]}
     params = [model.part_of(job.params).model_dump(mode="json") for model in PARAMS[stage]]
     meaning: list[object] = [stage, STAGE_VERSION, version("dynamictree"), inputs, params]
+    if job.owner:  # a hit would tell one owner what another has sent
+        meaning.append(job.owner)
     if stage == "diffuse":
         meaning += [job.seed, job.preset, model_sha256(job.preset)]
     return sha256(json.dumps(meaning, sort_keys=True).encode()).hexdigest()

@@ -1,9 +1,10 @@
-"""Tells webhooks what they asked for: a thread of the housekeeper. A lease keeps two from telling the same."""
+"""Delivers webhooks: a thread of the housekeeper. A lease keeps two of them from one delivery."""
 
 import asyncio
 import logging
 import threading
 import time
+from collections import Counter
 from datetime import UTC, datetime
 
 import sqlalchemy as sa
@@ -18,7 +19,10 @@ from jobs.webhooks import Delivery, Endpoint, Try, claim_due, record_try
 logger = logging.getLogger(__name__)
 
 LOOK_S = 0.5
-AT_ONCE = 8
+AT_ONCE = 32
+PER_OWNER = 4
+"""An owner whose receivers are slow delays nobody else: deliveries of others have the other places."""
+
 LEASE_MARGIN_S = 15.0
 MAX_ANSWER_BYTES = 64 * 1024
 MAX_DETAIL = 200
@@ -31,25 +35,47 @@ class Courier:
         self.store = store
         self.settings = settings
         self.outbound = outbound or Outbound(private_hosts=settings.outbound_hosts)
+        self.looked_at = time.monotonic()  # for whoever watches this thread
+        self._running: dict[asyncio.Task[None], str] = {}  # attempts, with the owner of each
 
     def run(self, stopped: threading.Event) -> None:
-        """Until stopped; a database that is away is waited for."""
-        while not stopped.wait(LOOK_S):
-            try:
-                self.round()
-            except (sa.exc.SQLAlchemyError, OSError) as error:
-                logger.warning("webhooks wait: %s: %s", type(error).__name__, error)
+        """Deliver until stopped."""
+        asyncio.run(self._run(stopped))
 
     def round(self) -> int:
-        """One attempt at everything that is due; gives the number of attempts."""
-        lease_s = self.settings.webhook_timeout_s + LEASE_MARGIN_S
-        due = claim_due(self.store, lease_s=lease_s, limit=AT_ONCE)
-        if due:
-            asyncio.run(self._tell_all(due))
-        return len(due)
+        """Make one attempt at what is due and wait for all of them; return their number."""
+        return asyncio.run(self._round())
 
-    async def _tell_all(self, due: list[tuple[Delivery, Endpoint]]) -> None:
-        await asyncio.gather(*(self._tell(delivery, endpoint) for delivery, endpoint in due))
+    async def _run(self, stopped: threading.Event) -> None:
+        try:
+            while not stopped.is_set():
+                try:
+                    await self.start_due()
+                except (sa.exc.SQLAlchemyError, OSError) as error:
+                    logger.warning("webhooks wait: %s: %s", type(error).__name__, error)
+                self.looked_at = time.monotonic()
+                await asyncio.sleep(LOOK_S)
+        finally:
+            await asyncio.gather(*self._running, return_exceptions=True)
+
+    async def _round(self) -> int:
+        started = await self.start_due()
+        await asyncio.gather(*self._running)
+        return started
+
+    async def start_due(self) -> int:
+        """Begin an attempt at every delivery that is due and has a place; return their number."""
+        lease_s = self.settings.webhook_timeout_s + LEASE_MARGIN_S
+        busy = Counter(self._running.values())
+        room = AT_ONCE - len(self._running)
+        due = await asyncio.to_thread(
+            claim_due, self.store, lease_s=lease_s, limit=room, per_owner=PER_OWNER, busy=busy
+        )
+        for delivery, endpoint in due:
+            task = asyncio.create_task(self._tell(delivery, endpoint))
+            self._running[task] = endpoint.owner
+            task.add_done_callback(self._running.pop)
+        return len(due)
 
     async def _tell(self, delivery: Delivery, endpoint: Endpoint) -> None:
         at, began = self.store.clock(), time.monotonic()

@@ -8,10 +8,13 @@ import os
 import shutil
 import signal
 import socket
+import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
 
 import redis
 import sqlalchemy as sa
@@ -23,11 +26,13 @@ from jobs.errors import StorageAwayError
 from jobs.logging_setup import set_up_logging
 from jobs.maintenance import (
     HOUSEKEEPER_LEASE,
+    WORKER_LEASES,
     abort_overdue,
     forget_blob,
     forget_deliveries,
     forget_expired,
     hold_lease,
+    living,
     mark_sent,
     reap,
     release_lease,
@@ -43,8 +48,18 @@ from jobs.uploads import bury, expired_uploads
 from worker.courier import Courier
 
 logger = logging.getLogger(__name__)
+Thing = TypeVar("Thing")
 
 SCRATCH_AGE_S = 86400.0
+SENT_AHEAD = 2
+"""Messages in the queue beyond one per worker, so that none waits for the housekeeper."""
+
+MAX_FAILURES = 5
+"""Removals that may fail in one turn; then the storage is taken to be away."""
+
+COURIER_SILENCE_S = 120.0
+"""A courier that has not looked for deliveries for so long hangs."""
+
 REDIS_TIMEOUT_S = 2.0
 AWAY_PAUSE_S = 1.0
 AWAY = (sa.exc.SQLAlchemyError, OperationalError, redis.RedisError, StorageAwayError, OSError)
@@ -63,14 +78,17 @@ class Housekeeper:
     redis: redis.Redis
 
     def send(self) -> None:
-        """Send what no worker was told yet."""
-        for message in unsent(self.store):
+        """Send messages of jobs that wait, as many as workers will soon take."""
+        window = len(living(self.store, WORKER_LEASES)) + SENT_AHEAD
+        for message in unsent(self.store, window=window):
             self._send(message)
 
     def send_again(self) -> None:
-        """Send what was lost with the queue: told long ago, not begun, and no longer in there."""
-        for message in unclaimed(self.store, sent_before=self.store.clock() - self.settings.resend_s):
-            if self.redis.llen(message.queue) == 0:
+        """Send again what was lost with the queue: sent long ago, not begun, and no longer in there."""
+        messages = unclaimed(self.store, sent_before=self.store.clock() - self.settings.resend_s)
+        empty = {queue for queue in {message.queue for message in messages} if self.redis.llen(queue) == 0}
+        for message in messages:
+            if message.queue in empty:
                 logger.warning("message for job %s was lost; sent again", message.job_id)
                 self._send(message)
 
@@ -87,19 +105,40 @@ class Housekeeper:
             self.store, job_retention_s=settings.job_retention_s, cache_retention_s=settings.artifact_retention_s
         )
         forget_deliveries(self.store, retention_s=settings.webhook_retention_s)
-        for upload_id in expired_uploads(self.store):
-            self.parts.delete(upload_id)
-            bury(self.store, upload_id)
-        for digest in unreferenced_blobs(self.store):
-            forget_blob(self.store, digest, self.artifacts.delete)
+        _each(expired_uploads(self.store), self._forget_upload)
+        _each(unreferenced_blobs(self.store), lambda digest: forget_blob(self.store, digest, self.artifacts.delete))
         if settings.scratch_dir.is_dir():
-            for left in settings.scratch_dir.iterdir():
-                if time.time() - left.stat().st_mtime > SCRATCH_AGE_S:
-                    shutil.rmtree(left, ignore_errors=True)
+            _each(settings.scratch_dir.iterdir(), _remove_if_old)
+
+    def _forget_upload(self, upload_id: str) -> None:
+        self.parts.delete(upload_id)
+        bury(self.store, upload_id)
 
     def _send(self, message: RunJob) -> None:
         self.queue.send_task(RUN_JOB, args=message.args, queue=message.queue, retry=False)
         mark_sent(self.store, message)
+
+
+def _each(things: Iterable[Thing], remove: Callable[[Thing], None]) -> None:
+    """Remove things one by one; one that cannot be removed keeps none of the others."""
+    failed = 0
+    for thing in things:
+        try:
+            remove(thing)
+        except (StorageAwayError, OSError) as error:
+            logger.warning("%s cannot be removed now: %s", thing, error)
+            failed += 1
+            if failed == MAX_FAILURES:  # the storage is away
+                raise
+
+
+def _remove_if_old(left: Path) -> None:
+    if time.time() - left.stat().st_mtime <= SCRATCH_AGE_S:
+        return
+    if left.is_dir() and not left.is_symlink():
+        shutil.rmtree(left)
+    else:
+        left.unlink(missing_ok=True)
 
 
 def open_housekeeper(settings: Settings) -> Housekeeper:
@@ -120,6 +159,26 @@ def open_housekeeper(settings: Settings) -> Housekeeper:
             settings.resolved_redis_url, socket_timeout=REDIS_TIMEOUT_S, socket_connect_timeout=REDIS_TIMEOUT_S
         ),
     )
+
+
+class PauseDetector:
+    """Notices that this process stood still, or that the clock was set: leases may have run out with nobody dead."""
+
+    def __init__(
+        self, *, longest_s: float, wall: Callable[[], float] = time.time, steady: Callable[[], float] = time.monotonic
+    ) -> None:
+        self.longest_s = longest_s
+        self._clocks = (wall, steady)  # a suspended machine's steady clock stands still; the wall clock goes on
+        self._last = (wall(), steady())
+
+    def noticed(self) -> bool:
+        """Whether either clock moved by more than `longest_s`, or back, since the last call."""
+        now = tuple(clock() for clock in self._clocks)
+        moved = [after - before for after, before in zip(now, self._last, strict=True)]
+        self._last = now
+        if found := not all(-0.5 <= seconds <= self.longest_s for seconds in moved):
+            logger.warning("a pause or a clock step of %.1f s; leases are given time", max(moved, key=abs))
+        return found
 
 
 @dataclass(kw_only=True)
@@ -147,6 +206,7 @@ def run(keeper: Housekeeper, stopped: threading.Event) -> None:
         Turn(duty=keeper.forget, every_s=settings.retention_interval_s),
     )
     lease_s = settings.housekeeper_lease_s
+    pauses = PauseDetector(longest_s=(settings.lease_s - settings.heartbeat_s) / 2)
     ours, renew_at = False, 0.0
     while not stopped.wait(settings.outbox_interval_s):
         now = time.monotonic()
@@ -157,7 +217,9 @@ def run(keeper: Housekeeper, stopped: threading.Event) -> None:
                 reaping.due = now + 2 * settings.heartbeat_s  # where the store was away, leases could not be renewed
         if ours:
             for turn in turns:
-                turn.take(now)
+                if pauses.noticed():  # workers slept as well; they renew with their next heartbeat
+                    reaping.due = time.monotonic() + 2 * settings.heartbeat_s
+                turn.take(time.monotonic())
     _done(lambda: release_lease(keeper.store, HOUSEKEEPER_LEASE, owner=owner))
 
 
@@ -178,10 +240,41 @@ def main() -> None:
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stopped.set())
     keeper = open_housekeeper(settings)
-    courier = threading.Thread(target=Courier(keeper.store, settings).run, args=(stopped,), name="courier")
-    courier.start()
-    run(keeper, stopped)
-    courier.join()
+    sys.exit(run_all(keeper, Courier(keeper.store, settings), stopped))
+
+
+def run_all(keeper: Housekeeper, courier: Courier, stopped: threading.Event) -> int:
+    """Run housekeeper and courier until stopped; return 1 where one of them died, so that both start again."""
+    failed = threading.Event()
+
+    def run_courier() -> None:
+        try:
+            courier.run(stopped)
+        except BaseException:
+            logger.critical("the courier died", exc_info=True)
+        finally:
+            if not stopped.is_set():
+                failed.set()
+                stopped.set()
+
+    thread = threading.Thread(target=run_courier, name="courier", daemon=True)
+    watch = threading.Thread(target=_watch_courier, args=(courier, stopped, failed), name="watch", daemon=True)
+    thread.start()
+    watch.start()
+    try:
+        run(keeper, stopped)
+    finally:  # whatever ended it, the courier must not keep the process
+        stopped.set()
+    thread.join(keeper.settings.webhook_timeout_s + 1)
+    return int(failed.is_set())
+
+
+def _watch_courier(courier: Courier, stopped: threading.Event, failed: threading.Event) -> None:
+    while not stopped.wait(1.0):
+        if time.monotonic() - courier.looked_at > COURIER_SILENCE_S:
+            logger.critical("the courier has not looked for deliveries for %g s", COURIER_SILENCE_S)
+            failed.set()
+            stopped.set()
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from celery.exceptions import SoftTimeLimitExceeded
 import worker.watchdog  # noqa: F401 (it listens to Celery's signals)
 from dynamictree.errors import Cancelled, DynamicTreeError
 from jobs.artifacts import is_full
-from jobs.attempts import claim, fail, finish_cancel, hand_back, succeed
+from jobs.attempts import claim, fail, finish_cancel, hand_back, report_alive, succeed
 from jobs.errors import FencedError, GoneError, NotFoundError, StorageAwayError, StorageFullError
 from jobs.logging_setup import log_ids
 from jobs.messages import RUN_JOB
@@ -58,6 +58,7 @@ def end_attempt(here: Runtime, held: Claim, error: BaseException) -> None:
     store = here.store
     match error:
         case FencedError():
+            report_alive(store, held.job.id)
             raise error
         case Cancelled():
             finish_cancel(store, held)

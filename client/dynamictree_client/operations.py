@@ -213,7 +213,7 @@ def get_job_log(id: str, *, after: int | None = None, limit: int | None = None) 
 
 
 def stream_job(id: str, *, last_event_id: str | None = None) -> Call[bytes]:
-    """Follow a job. Each event is the whole job, so that who comes back late misses nothing that matters."""
+    """Follow a job. Each event is the whole job, so a client that reconnects late misses nothing that matters."""
     return Call(
         method="GET",
         path=path_of("/v1/jobs/{id}/events", {"id": id}),

@@ -16,11 +16,11 @@ _LOCK = 7_305_112  # any fixed number: PostgreSQL's advisory lock while one proc
 def migrate(engine: sa.Engine) -> None:
     """Bring the tables to `HEAD`. Safe to call from many processes at once; cheap where nothing is to be done."""
     with engine.begin() as connection:
-        if _revision(connection) == HEAD:
+        if _is_current(connection):
             return
         if engine.dialect.name == "postgresql":
             connection.execute(sa.select(sa.func.pg_advisory_xact_lock(_LOCK)))
-        if _revision(connection) == HEAD:
+        if _is_current(connection):
             return
         # alembic takes 0.2 s to import, which a start with nothing to do should not pay
         from alembic import command
@@ -43,6 +43,15 @@ def _config(connection: sa.Connection) -> "Config":
     config.set_main_option("script_location", str(Path(__file__).parent))
     config.attributes["connection"] = connection
     return config
+
+
+def _is_current(connection: sa.Connection) -> bool:
+    """Whether the tables are at `HEAD`, or at a later revision: a rolling update has old and new processes at once.
+
+    Revisions only add (tables, and columns that are nullable or have a server default), so that old code goes on.
+    """
+    revision = _revision(connection)
+    return revision is not None and revision >= HEAD
 
 
 def _revision(connection: sa.Connection) -> str | None:

@@ -5,6 +5,7 @@ import logging
 import time
 from urllib.parse import urlsplit
 
+import sqlalchemy as sa
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -23,6 +24,9 @@ REMEMBERED_S = 2.0
 """A key that was looked up is believed for so long: a revoked one works so much longer at most."""
 
 MAX_REMEMBERED = 10_000
+FORWARDED = ("forwarded", "x-forwarded-for", "x-forwarded-host", "x-real-ip", "via")
+"""Headers that proxies add: behind one on this machine, every request seems to come from this machine."""
+
 OVERRIDABLE = frozenset({"PATCH", "DELETE"})
 POLICY_VIOLATION = 1008
 PROTOCOL_KEY = "bearer."
@@ -51,6 +55,11 @@ class Authentication:
             if standing is not None and not standing.allowed:
                 found = f"{standing.quota} {policy.name} in {policy.window_s} s are allowed"
                 raise ProblemError("rate-limited", f"{found}; wait {standing.reset_s} s", headers=standing.headers)
+        except sa.exc.OperationalError:
+            logger.warning("the database is away", exc_info=True)
+            away = ProblemError("storage-unavailable", "the database does not answer; the key cannot be checked")
+            await _refuse(away, scope, receive, send)
+            return
         except ProblemError as error:
             await _refuse(error, scope, receive, send)
             return
@@ -96,6 +105,9 @@ def require_own_machine(scope: Scope, headers: Headers, hosts: tuple[str, ...], 
     if arrived is not None and not arrived.is_loopback:
         detail = f"the request came to {arrived}, and no key is required; set DYNAMICTREE_KEYS=required"
         raise ProblemError("forbidden", f"{detail}, and make one with `dynamictree keys create`")
+    if through := next((name for name in FORWARDED if name in headers), None):
+        detail = f"the request came through a proxy ({through}), and no key is required"
+        raise ProblemError("forbidden", f"{detail}; set DYNAMICTREE_KEYS=required")
     name = urlsplit("//" + headers.get("host", "")).hostname or ""
     address = _address(name)
     if not (name in {"", "localhost", *hosts} or name.endswith(".localhost") or address is not None):
@@ -134,7 +146,7 @@ def _bearer(headers: Headers) -> str:
 def _scope_of(scope: Scope) -> KeyScope:
     if scope["path"].startswith("/v1/interact"):
         return "interact"
-    return "read" if scope["method"] in {"GET", "HEAD"} else "write"
+    return "read" if scope.get("method", "GET") in {"GET", "HEAD"} else "write"
 
 
 def _unauthorized(detail: str) -> ProblemError:

@@ -98,6 +98,7 @@ KINDS: dict[str, Kind] = {
         retryable=True,
     ),
     "model-error": Kind(status=500, title="The model cannot be used", suggestion="Tell the operator."),
+    "overloaded": Kind(status=503, title="Too much is asked at once", suggestion="Try again later.", retryable=True),
     "queue-full": Kind(status=503, title="Too many jobs wait", suggestion="Try again later.", retryable=True),
     "disk-full": Kind(status=503, title="The storage is full", suggestion="Try again later.", retryable=True),
     "storage-unavailable": Kind(status=503, title="A storage is away", suggestion="Try again later.", retryable=True),

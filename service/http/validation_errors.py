@@ -7,14 +7,19 @@ from jobs.states import JOB_TYPES
 from service.http.problems import FieldError
 
 MAX_SHOWN = 60
+MAX_ERRORS = 20
+MAX_POINTER = 200
 
 
 def field_errors(found: Sequence[Mapping[str, Any]]) -> list[FieldError]:
-    """Every field that is wrong, of `ValidationError.errors()` or FastAPI's."""
-    return [
+    """The first fields that are wrong, of `ValidationError.errors()` or FastAPI's."""
+    errors: list[FieldError] = [
         {"pointer": _pointer(error), "code": error["type"].replace("_", "-"), "detail": _detail(error)}
-        for error in found
+        for error in found[:MAX_ERRORS]
     ]
+    if len(found) > MAX_ERRORS:
+        errors.append({"pointer": "", "code": "more", "detail": f"{len(found) - MAX_ERRORS} more fields are wrong"})
+    return errors
 
 
 def summed_up(errors: Sequence[FieldError]) -> str:
@@ -26,12 +31,12 @@ def _pointer(error: Mapping[str, Any]) -> str:
     """JSON pointer (RFC 6901) into the body, or where:name."""
     where, *steps = error["loc"]
     if where != "body":
-        return f"{where}:{steps[-1]}"
+        return f"{where}:{steps[-1]}"[:MAX_POINTER]
     if steps and (steps[0] in JOB_TYPES or isinstance(steps[0], int)):
         steps = steps[1:]  # pydantic's name of the union's branch, or a place in broken JSON: no step in the body
     if error["type"].startswith("union_tag"):
         steps = [*steps, error["ctx"]["discriminator"].strip("'")]
-    return "".join("/" + str(step).replace("~", "~0").replace("/", "~1") for step in steps)
+    return "".join("/" + str(step).replace("~", "~0").replace("/", "~1") for step in steps)[:MAX_POINTER]
 
 
 def _detail(error: Mapping[str, Any]) -> str:

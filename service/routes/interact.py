@@ -1,7 +1,10 @@
 """/v1/interact: push a tree. Nothing is kept between calls: state goes in, state comes out."""
 
+import asyncio
 import json
+import logging
 from collections.abc import Iterator
+from contextlib import AsyncExitStack
 from io import BytesIO
 from typing import Annotated
 
@@ -13,6 +16,7 @@ from jaxtyping import Float32
 from pydantic import Field
 from safetensors.numpy import save
 from starlette.concurrency import run_in_threadpool
+from starlette.types import Receive, Scope, Send
 
 from dynamictree.errors import UnstableTimestep
 from dynamictree.mesh import TriangleMesh
@@ -41,10 +45,16 @@ from service.services import Owned, OwnedDep
 from service.tree_cache import living_tree, moving_gaussians, ready_tree, with_mesh
 
 router = APIRouter(prefix="/v1/interact", tags=["interact"])
+logger = logging.getLogger(__name__)
 
 MAX_DISPLACEMENT_BYTES = 128 * 1024**2
 """Of one answer in voxels, vertices or Gaussians: 110 frames of 100,000 vertices, 33 of 100,000 Gaussians."""
 
+
+SLOT_WAIT_S = 30.0
+SEND_S = 120.0
+PIECE_BYTES = 256 * 1024
+"""A large answer waits so long for its slot, and holds it so long at most."""
 
 SHORT = 256
 """Frames times groups that are answered at once; longer answers go to a thread."""
@@ -77,7 +87,7 @@ class InteractPayload(Payload):
     "",
     operation_id="interact",
     response_model=InteractPayload,
-    responses=refusals("not-found", "not-acceptable", "expired", "unstable-timestep")
+    responses=refusals("not-found", "not-acceptable", "expired", "unstable-timestep", "overloaded")
     | {
         200: {
             "description": "modal coordinates; voxels, vertices and gaussians in binary only (see docs/interaction.md)",
@@ -92,7 +102,43 @@ async def interact(body: InteractRequest, owned: OwnedDep, accept: Annotated[str
     ready = living_tree(owned, body.spectrum_id)
     if ready is not None and _is_short(body):
         return _response(body, ready, owned, media_type)  # 1 to 3 ms: a thread would cost as much again
-    return await run_in_threadpool(_prepared_response, body, owned, media_type)
+    if body.output == "modal":
+        return await run_in_threadpool(_prepared_response, body, owned, media_type)
+    held = AsyncExitStack()
+    try:
+        async with asyncio.timeout(SLOT_WAIT_S):
+            await held.enter_async_context(owned.services.large_answers.slot(owned.caller.owner or ""))
+    except TimeoutError as error:
+        raise ProblemError("overloaded", "other large answers are computed or sent; try again") from error
+    try:
+        response = await run_in_threadpool(_prepared_response, body, owned, media_type)
+    except BaseException:
+        await held.aclose()
+        raise
+    return HeldResponse(response, held)
+
+
+class HeldResponse(Response):
+    """A large answer that is sent piece by piece, as the client reads, and gives its slot back at the end."""
+
+    def __init__(self, response: Response, held: AsyncExitStack) -> None:
+        super().__init__(response.body, response.status_code, None, response.media_type)
+        self.held = held
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send the answer, or give up after `SEND_S`."""
+        start = {"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers}
+        content = memoryview(self.body)
+        async with self.held:
+            try:
+                async with asyncio.timeout(SEND_S):
+                    await send(start)
+                    for at in range(0, len(content), PIECE_BYTES):
+                        piece = bytes(content[at : at + PIECE_BYTES])
+                        more = at + PIECE_BYTES < len(content)
+                        await send({"type": "http.response.body", "body": piece, "more_body": more})
+            except TimeoutError:
+                logger.info("a large answer was not read within %g s", SEND_S)
 
 
 def _is_short(body: InteractRequest) -> bool:

@@ -43,6 +43,7 @@ from dynamictree.modal.system import with_physics
 from service.http.problems import REFUSALS, ProblemError, Refusal, problem_body, problem_of
 from service.http.validation_errors import field_errors, summed_up
 from service.interact_session import Session, force_of
+from service.open_streams import until_revoked
 from service.ready_tree import ReadyTree
 from service.schemas.base import Finite, Payload
 from service.schemas.forces import LARGEST, ForcePayload
@@ -57,7 +58,7 @@ IDLE_S = 60.0  # after which a client that says nothing is let go
 MAX_MESSAGE = 16_384  # characters
 LATE_S = 0.25  # after a longer stall the clock begins anew
 
-INVALID, TOO_LARGE, DONE = 1008, 1009, 1000
+INVALID, TOO_LARGE, DONE, BUSY = 1008, 1009, 1000, 1013
 PROTOCOL = "dynamictree"
 
 
@@ -107,16 +108,33 @@ async def stream(socket: WebSocket) -> None:
     await socket.accept(PROTOCOL if PROTOCOL in socket.scope["subprotocols"] else None)
     owned = await owned_by_caller(socket)
     try:
+        with owned.services.streams.opened(owned.caller):
+            await _serve(socket, owned)
+    except ProblemError as error:
+        await _send(socket, _problem(error))
+        await socket.close(BUSY)
+
+
+async def _serve(socket: WebSocket, owned: Owned) -> None:
+    try:
         opened = await _open(socket, owned)
         if opened is None:
             return
         message, ready, session = opened
         async with asyncio.TaskGroup() as tasks:
             ticking = tasks.create_task(_send_frames(socket, session))
+            watching = tasks.create_task(_close_once_revoked(socket, owned))
             await _receive(socket, owned, message, ready, session)
             ticking.cancel()
+            watching.cancel()
     except* WebSocketDisconnect:
         logger.debug("the client disconnected")
+
+
+async def _close_once_revoked(socket: WebSocket, owned: Owned) -> None:
+    await until_revoked(owned.services.store, owned.caller)
+    await socket.close(INVALID, "the key was revoked or has expired")
+    raise WebSocketDisconnect(INVALID)
 
 
 async def _open(socket: WebSocket, owned: Owned) -> tuple[OpenMessage, ReadyTree, Session] | None:

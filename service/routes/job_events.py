@@ -1,26 +1,30 @@
 """/v1/jobs/{id}/events: a job as server-sent events, one for each change, until it has ended."""
 
-import time
+import asyncio
 from collections.abc import AsyncIterator
+from contextlib import ExitStack
 from typing import Annotated
 
 from fastapi import APIRouter, Header, Response
-from fastapi.responses import StreamingResponse
+from sse_starlette import EventSourceResponse, ServerSentEvent
 from starlette.concurrency import run_in_threadpool
 
 from service.http.routing import Id, refusals
 from service.job_responses import tell
+from service.open_streams import until_revoked
 from service.services import Owned, OwnedDep
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 
-HEARTBEAT_S = 15.0
+HEARTBEAT_S = 15
+SEND_TIMEOUT_S = 30.0
+"""After which a client that does not read is let go."""
 
 
 @router.get(
     "/{id}/events",
     operation_id="streamJob",
-    response_class=StreamingResponse,
+    response_class=EventSourceResponse,
     responses=refusals("not-found")
     | {
         200: {
@@ -29,34 +33,39 @@ HEARTBEAT_S = 15.0
         }
     },
 )
-def stream_job(
+async def stream_job(
     id: Id,
     owned: OwnedDep,
     last_event_id: Annotated[
-        str | None, Header(description="the version that was seen last; it is not told again")
+        str | None, Header(description="the version that was received last; it is not sent again")
     ] = None,
-) -> StreamingResponse:
-    """Follow a job. Each event is the whole job, so that who comes back late misses nothing that matters."""
-    owned.store.job(id)
+) -> EventSourceResponse:
+    """Follow a job. Each event is the whole job, so a client that reconnects late misses nothing that matters."""
+    await run_in_threadpool(owned.store.job, id)
     seen = last_event_id if last_event_id is not None and last_event_id.isdecimal() else ""
-    return StreamingResponse(
-        _events(owned, id, seen),
-        media_type="text/event-stream",
+    place = ExitStack()
+    place.enter_context(owned.services.streams.opened(owned.caller))
+    return EventSourceResponse(
+        _events(owned, id, seen, place),
+        ping=HEARTBEAT_S,
+        send_timeout=SEND_TIMEOUT_S,
+        sep="\n",
         headers={"Cache-Control": "no-store", "X-Accel-Buffering": "no"},
     )
 
 
-async def _events(owned: Owned, job_id: str, seen: str) -> AsyncIterator[bytes]:
-    quiet_since = time.monotonic()
-    while True:
-        job = await run_in_threadpool(owned.store.job, job_id)
-        if str(job.version) != seen:
-            payload = await run_in_threadpool(tell, owned, job, Response())
-            seen, quiet_since = str(job.version), time.monotonic()
-            yield f"id: {seen}\nevent: job\ndata: {payload.model_dump_json()}\n\n".encode()
-        if job.terminal:
-            return
-        left = quiet_since + HEARTBEAT_S - time.monotonic()
-        if not await owned.services.job_notifier.changed(job_id, job.version, max(left, 0.0)):
-            quiet_since = time.monotonic()
-            yield b": still there\n\n"
+async def _events(owned: Owned, job_id: str, seen: str, place: ExitStack) -> AsyncIterator[ServerSentEvent]:
+    with place:
+        revoked = asyncio.create_task(until_revoked(owned.services.store, owned.caller))
+        try:
+            while not revoked.done():
+                job = await run_in_threadpool(owned.store.job, job_id)
+                if str(job.version) != seen:
+                    payload = await run_in_threadpool(tell, owned, job, Response())
+                    seen = str(job.version)
+                    yield ServerSentEvent(payload.model_dump_json(), id=seen, event="job")
+                if job.terminal:
+                    return
+                await owned.services.job_notifier.changed(job_id, job.version, HEARTBEAT_S)
+        finally:
+            revoked.cancel()

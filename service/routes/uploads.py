@@ -270,17 +270,15 @@ def _metadata(header: str | None) -> dict[str, str]:
             raise wrong_field(
                 f"metadata:{name}", "not-base64", f"the value of {name!r} is no base64 of UTF-8"
             ) from error
-    reading_options({name: found[name] for name in FIELDS if name in found})
+    reading_options({name: found[name] for name in FIELDS if name in found}, where="metadata")
     promised = found.get("sha256")
     if promised is not None and (len(promised) != 64 or not set(promised) <= _HEX):
         raise _wrong("sha256", "not-a-hash", "sha256 has 64 digits 0-9 a-f")
     if found.get("asset", "auto") != "auto":
         raise _wrong("asset", "not-allowed", f"asset is {found['asset']!r}; only auto is allowed")
-    name = found.get("filename", "")
-    if len(name) > MAX_NAME_CHARS or "\0" in name:
-        raise wrong_field(
-            "metadata:filename", "not-allowed", f"filename has at most {MAX_NAME_CHARS} characters and no NUL"
-        )
+    for key in ("filename", "name"):
+        if len(found.get(key, "")) > MAX_NAME_CHARS or "\0" in found.get(key, ""):
+            raise _wrong(key, "not-allowed", f"{key} has at most {MAX_NAME_CHARS} characters and no NUL")
     return found
 
 

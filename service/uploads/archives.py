@@ -74,7 +74,13 @@ def _check(entries: list[zipfile.ZipInfo], archive_bytes: int) -> None:
         raise _rejected("the zip names a file twice; pack each once")
     for entry in entries:
         path = PurePosixPath(entry.filename.replace("\\", "/"))
-        if path.is_absolute() or ".." in path.parts or "\0" in entry.filename or path.parts[0].endswith(":"):
+        if (
+            not path.parts
+            or path.is_absolute()
+            or ".." in path.parts
+            or "\0" in entry.filename
+            or path.parts[0].endswith(":")
+        ):
             raise _rejected(f"the zip names {entry.filename!r}, which leads outside of it; use relative names")
         if stat.S_ISLNK(entry.external_attr >> 16):
             raise _rejected(f"{entry.filename!r} is a symbolic link; pack the file itself")

@@ -3,7 +3,9 @@
 In place and of the same length: pixels, orientation and focal length stay as they are.
 """
 
+import re
 import struct
+import zlib
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,12 +16,29 @@ MAX_SEGMENTS = 200
 _EXIF, _XMP = b"Exif\0\0", b"http://ns.adobe.com/"
 _APP1, _APP13, _SCAN = 0xE1, 0xED, 0xDA  # EXIF and XMP; IPTC, which names towns; where the picture begins
 _GPS = 0x8825
+_TIFF_TEXT = frozenset({700, 33723, 34377})  # XMP, IPTC, Photoshop's
+_EXIF_CHUNKS = (b"eXIf", b"EXIF")
+_TEXT_CHUNKS = (b"XMP ", b"iTXt", b"tEXt", b"zTXt")
+_PLACE_TEXT = re.compile(rb"XML:com\.adobe\.xmp\0|Raw profile type ", re.DOTALL)
+MAX_CHUNKS = 10_000
 _SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8}  # bytes of a TIFF type
 
 
 def without_place(file: ReceivedFile) -> ReceivedFile:
-    """The same photo; if it is a JPEG that tells where it was taken, it does so no more."""
-    if not _blank_jpeg(file.path):
+    """The same photo without the place where it was taken, in JPEG, PNG, WebP and TIFF."""
+    with file.path.open("rb") as stream:
+        head = stream.read(12)
+    if head.startswith(b"\xff\xd8"):
+        changed = _blank_jpeg(file.path)
+    elif head.startswith(b"\x89PNG\r\n\x1a\n"):
+        changed = _blank_chunks(file.path, start=8, is_png=True)
+    elif head.startswith(b"RIFF") and head.endswith(b"WEBP"):
+        changed = _blank_chunks(file.path, start=12, is_png=False)
+    elif head[:4] in (b"II*\0", b"MM\0*"):
+        changed = _blank_tiff_file(file.path)
+    else:
+        changed = False
+    if not changed:
         return file
     digest, _ = hash_file(file.path)
     return replace(file, sha256=digest)
@@ -28,8 +47,7 @@ def without_place(file: ReceivedFile) -> ReceivedFile:
 def _blank_jpeg(path: Path) -> bool:
     changed = False
     with path.open("r+b") as stream:
-        if stream.read(2) != b"\xff\xd8":
-            return False
+        stream.seek(2)
         for _ in range(MAX_SEGMENTS):
             head = stream.read(4)
             if len(head) < 4 or head[0] != 0xFF or head[1] == _SCAN:
@@ -46,6 +64,53 @@ def _blank_jpeg(path: Path) -> bool:
     return changed
 
 
+def _blank_chunks(path: Path, *, start: int, is_png: bool) -> bool:
+    """Blank EXIF, XMP and text in the chunks of a PNG (length, name, data, CRC) or a WebP (name, length, data)."""
+    changed = False
+    with path.open("r+b") as stream:
+        stream.seek(start)
+        for _ in range(MAX_CHUNKS):
+            head = stream.read(8)
+            if len(head) < 8:
+                break
+            name = head[4:] if is_png else head[:4]
+            length = int.from_bytes(head[:4], "big") if is_png else int.from_bytes(head[4:], "little")
+            at = stream.tell()
+            content = stream.read(length) if name in _EXIF_CHUNKS or name in _TEXT_CHUNKS else b""
+            blank = _blanked_chunk(name, content)
+            if blank != content:
+                stream.seek(at)
+                stream.write(blank)
+                if is_png:
+                    stream.write(zlib.crc32(blank, zlib.crc32(name)).to_bytes(4, "big"))
+                changed = True
+            stream.seek(at + length + (4 if is_png else length % 2))
+    return changed
+
+
+def _blanked_chunk(name: bytes, content: bytes) -> bytes:
+    if name in _EXIF_CHUNKS:
+        skipped = len(_EXIF) if content.startswith(_EXIF) else 0
+        return content[:skipped] + _blanked(_APP1, _EXIF + content[skipped:])[len(_EXIF) :]
+    if name in _TEXT_CHUNKS and (name == b"XMP " or _PLACE_TEXT.match(content)):
+        keyword = content.partition(b"\0")[0] + b"\0" if name != b"XMP " else b""
+        return keyword + bytes(len(content) - len(keyword))
+    return content
+
+
+def _blank_tiff_file(path: Path) -> bool:
+    content = path.read_bytes()
+    tiff = bytearray(content)
+    try:
+        _blank_gps(tiff, also=_TIFF_TEXT)
+    except (struct.error, KeyError):
+        return False  # no decoder reads it either
+    if tiff == content:
+        return False
+    path.write_bytes(tiff)
+    return True
+
+
 def _blanked(marker: int, content: bytes) -> bytes:
     if marker == _APP13 or content.startswith(_XMP):
         return bytes(len(content))
@@ -59,8 +124,8 @@ def _blanked(marker: int, content: bytes) -> bytes:
     return _EXIF + bytes(tiff)
 
 
-def _blank_gps(tiff: bytearray) -> None:
-    """Empty the directory of GPS, and zero what it had pointed to.
+def _blank_gps(tiff: bytearray, also: frozenset[int] = frozenset()) -> None:
+    """Empty the directory of GPS, and zero what it had pointed to, and the values of the tags `also`.
 
     Raises:
         struct.error: an offset that leads outside.
@@ -70,7 +135,9 @@ def _blank_gps(tiff: bytearray) -> None:
     (first,) = struct.unpack_from(f"{order}I", tiff, 4)
     (count,) = struct.unpack_from(f"{order}H", tiff, first)
     for entry in range(first + 2, first + 2 + 12 * count, 12):
-        tag, _, _, place = struct.unpack_from(f"{order}HHII", tiff, entry)
+        tag, kind, number, place = struct.unpack_from(f"{order}HHII", tiff, entry)
+        if tag in also and (size := _SIZES[kind] * number) > 4:
+            tiff[place : place + size] = bytes(max(min(place + size, len(tiff)) - place, 0))
         if tag != _GPS:
             continue
         (inside,) = struct.unpack_from(f"{order}H", tiff, place)

@@ -115,7 +115,10 @@ class Ingest:
         if room <= 0:
             return
         try:
-            claimed = await run_in_threadpool(claim_uploads, self.services.store, lease_s=LEASE_S, limit=room)
+            share = self.services.settings.share_of(self.services.settings.max_fetches)
+            claimed = await run_in_threadpool(
+                claim_uploads, self.services.store, lease_s=LEASE_S, limit=room, per_owner=share
+            )
         except sa.exc.SQLAlchemyError as error:
             logger.warning("uploads cannot be looked for: %s", error)
             return

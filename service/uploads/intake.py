@@ -86,21 +86,23 @@ def sort_out(form: Form, folder: Path) -> Upload:
     return Upload(kind="mesh", num_models=len(models), files=(*models, *beside), reading=reading)
 
 
-def reading_options(fields: Mapping[str, str]) -> Reading:
-    """Up axis and unit of a form's fields.
+def reading_options(fields: Mapping[str, str], *, where: str = "form") -> Reading:
+    """Up axis and unit of the fields of a form, or of `Upload-Metadata`; `where` names it in errors.
 
     Raises:
         ProblemError: a field is unknown or not allowed.
     """
     unknown = sorted(set(fields) - set(FIELDS))
     if unknown:
-        raise _wrong(unknown[0], "unknown-field", f"there is no field {unknown[0]!r}; {', '.join(FIELDS)} are known")
+        raise _wrong(
+            where, unknown[0], "unknown-field", f"there is no field {unknown[0]!r}; {', '.join(FIELDS)} are known"
+        )
     if fields.get("kind", "mesh") not in ASSET_KINDS:
-        raise _wrong("kind", "not-allowed", f"kind is {fields['kind']!r}; {', '.join(ASSET_KINDS)} are allowed")
+        raise _wrong(where, "kind", "not-allowed", f"kind is {fields['kind']!r}; {', '.join(ASSET_KINDS)} are allowed")
     try:
         return Reading.part_of(fields)
     except ValidationError as error:
-        wrong = field_errors([one | {"loc": ("form", *one["loc"])} for one in error.errors()])
+        wrong = field_errors([one | {"loc": (where, *one["loc"])} for one in error.errors()])
         raise ProblemError("validation-failed", summed_up(wrong), errors=wrong) from None
 
 
@@ -162,7 +164,7 @@ async def admit(owned: Owned, upload: Upload, folder: Path) -> tuple[AssetRecord
         memory_bytes=owned.services.settings.parser_memory_bytes,
         cpu_s=owned.services.settings.parser_cpu_s,
     )
-    async with owned.services.parsers:
+    async with owned.services.parsers.slot(owned.store.owner or ""):
         answer = await parse(request, owned.services.settings)
     if answer.summary is None:
         raise ProblemError(answer.code or "invalid-input", answer.message)
@@ -218,8 +220,8 @@ def _suffix(file: ReceivedFile) -> str:
     return PurePosixPath(file.name).suffix.lower()
 
 
-def _wrong(name: str, code: str, detail: str) -> ProblemError:
-    return wrong_field(f"form:{name}", code, detail)
+def _wrong(where: str, name: str, code: str, detail: str) -> ProblemError:
+    return wrong_field(f"{where}:{name}", code, detail)
 
 
 def _unsupported(file: ReceivedFile, suffixes: tuple[str, ...]) -> ProblemError:

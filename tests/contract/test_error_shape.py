@@ -12,6 +12,7 @@ from dynamictree.errors import CheckpointError
 from jobs.settings import Settings
 from service.app import create_app
 from service.http.problems import KINDS, known_code
+from service.http.validation_errors import MAX_ERRORS, field_errors
 
 MEMBERS = {"type", "title", "status", "detail", "code", "request_id", "retryable", "suggestion", "errors"}
 
@@ -182,3 +183,20 @@ def test_a_body_that_is_not_called_json_is_told(client: TestClient) -> None:
 def test_what_is_not_there_names_the_path_and_what_may_be_done(client: TestClient) -> None:
     assert "'/v1/job'" in client.get("/v1/job").json()["detail"]
     assert client.delete("/v1/jobs").json()["detail"] == "DELETE is not allowed at '/v1/jobs'; GET, POST are"
+
+
+def test_a_body_of_nothing_but_errors_has_a_short_answer(client: TestClient) -> None:
+    body = {f"{'x' * 50}{n}": 1 for n in range(30)} | {"y" * 1000: 1}
+    response = client.post("/v1/jobs", json={"type": "voxelize", "asset_id": "x"} | {"z": 1} | dict(list(body.items())))
+    assert response.status_code in {413, 422}
+    assert len(response.content) < 8000
+
+
+def test_errors_are_bounded() -> None:
+    found = [
+        {"type": "extra_forbidden", "loc": ("body", "a" * 1000 + str(n)), "msg": "", "input": 1} for n in range(50_000)
+    ]
+    errors = field_errors(found)
+    assert len(errors) == MAX_ERRORS + 1
+    assert "49980 more" in errors[-1]["detail"]
+    assert len(json.dumps(errors)) < 20_000

@@ -9,13 +9,14 @@ import pytest
 from jobs import attempts, maintenance
 from jobs.assets import add_asset, delete_asset, read_asset
 from jobs.errors import ConflictError, FencedError, GoneError, NotFoundError, StorageAwayError
-from jobs.records import AssetPart, AssetRecord, Claim, OutputFile
+from jobs.records import AssetPart, AssetRecord, Claim, ClientKey, OutputFile
 from jobs.rows import end, move
 from jobs.states import TERMINAL, TRANSITIONS, JobState, stages_of, states_before
 from jobs.store import Store
+from jobs.uploads import UploadRecord, add_upload, claim_uploads
 from jobs.usage import count_jobs
 from tests.jobs.conftest import Clock, add_job, make_asset
-from tests.rows import asset_row
+from tests.rows import asset_row, job_row
 
 FILE = OutputFile(name="tree.voxels.safetensors", media_type="application/octet-stream", sha256="c" * 64, bytes=5)
 
@@ -135,14 +136,14 @@ def test_work_handed_back_counts_no_loss(store: Store, asset: AssetRecord) -> No
     for attempt in range(1, 6):
         attempts.hand_back(store, claim(store, job.id, attempt=attempt))
     assert store.job(job.id).attempt == 6
-    assert [m.attempt for m in maintenance.unsent(store)] == [6]
+    assert [m.attempt for m in maintenance.unsent(store, window=10)] == [6]
 
 
 def test_a_queued_job_is_canceled_at_once(store: Store, asset: AssetRecord) -> None:
     job = add_job(store, asset)
     assert store.cancel(job.id).state == JobState.CANCELED
     assert store.cancel(job.id).state == JobState.CANCELED
-    assert maintenance.unsent(store) == []
+    assert maintenance.unsent(store, window=10) == []
     assert attempts.claim(store, job.id, 1, owner="w", lease_s=60) is None
 
 
@@ -184,10 +185,10 @@ def test_an_ended_job_cannot_be_canceled(store: Store, asset: AssetRecord) -> No
 
 def test_a_job_and_its_message_are_one(store: Store, asset: AssetRecord, clock: Clock) -> None:
     job = add_job(store, asset)
-    message = maintenance.unsent(store)[0]
+    message = maintenance.unsent(store, window=10)[0]
     assert message.args == (job.id, 1)
     maintenance.mark_sent(store, message)
-    assert maintenance.unsent(store) == []
+    assert maintenance.unsent(store, window=10) == []
     clock.now += 10
     assert maintenance.unclaimed(store, sent_before=clock.now) == [message]
     claim(store, job.id)
@@ -355,3 +356,77 @@ def test_stages_run_what_they_need_upstream() -> None:
     assert stages_of("voxelize", "cloud") == ("reconstruct", "voxelize")
     with pytest.raises(ConflictError, match="photos"):
         stages_of("reconstruct", "mesh")
+
+
+def test_owners_take_turns(store: Store, asset: AssetRecord) -> None:
+    many, one = store.for_owner("many"), store.for_owner("one")
+    first = [add_job(many, asset).id for _ in range(6)]
+    last = add_job(one, asset).id
+
+    def send() -> list[str]:
+        messages = maintenance.unsent(store, window=2)
+        for message in messages:
+            maintenance.mark_sent(store, message)
+        return [message.job_id for message in messages]
+
+    assert send() == [first[0], last]  # the second of the queue's two places goes to the other owner
+    assert send() == []
+    claim(store, last)
+    assert send() == [first[1]]
+    another = add_job(one, asset).id
+    claim(store, first[0])
+    claim(store, first[1])
+    assert send() == [another, first[2]]  # fewer of this owner's jobs run
+
+
+def test_the_place_in_the_queue_counts_turns(store: Store, asset: AssetRecord) -> None:
+    many, one = store.for_owner("many"), store.for_owner("one")
+    first = [add_job(many, asset) for _ in range(4)]
+    last = add_job(one, asset)
+    assert [store.standing(job)[0] for job in (*first, last)] == [0, 2, 3, 4, 1]
+
+
+def test_a_pause_is_no_crash(store: Store, asset: AssetRecord, clock: Clock) -> None:
+    job = add_job(store, asset)
+    for attempt in range(1, 6):
+        held = claim(store, job.id, attempt=attempt)
+        attempts.start_stage(store, held, "voxelize")
+        clock.now += 61
+        assert maintenance.reap(store, max_lost_attempts=2) == [(job.id, JobState.RUNNING)]
+        attempts.report_alive(store, job.id)  # the worker went on, and found its attempt taken
+    assert store.job(job.id).attempt == 6
+
+
+def test_a_client_key_gives_its_job_when_the_asset_is_gone(store: Store, asset: AssetRecord) -> None:
+    key = ClientKey(key="post:a", body_sha256="a" * 64, expires_s=100)
+    job = store.add_job(job_row(asset, now=store.clock()), stages=("voxelize",), client_key=key)[0]
+    attempts.succeed(store, claim(store, job.id))
+    delete_asset(store, asset.id)
+    earlier = store.job_of_key(key)
+    assert earlier is not None
+    assert earlier.id == job.id
+    assert store.for_owner("other").job_of_key(key) is None
+
+
+def test_uploads_of_owners_take_turns(store: Store, clock: Clock) -> None:
+    def begin(owner: str, number: int) -> None:
+        row = UploadRecord(
+            id=f"{owner}{number}",
+            state="fetching",
+            filename="a",
+            options={},
+            length=None,
+            make_asset=True,
+            source_url="https://a.example",
+            created_at=clock.now,
+            expires_at=clock.now + 1000,
+        )
+        add_upload(store.for_owner(owner), row)
+
+    for number in range(9):
+        begin("a", number)
+    begin("b", 0)
+    assert [u.id for u in claim_uploads(store, lease_s=60, limit=8, per_owner=2)] == ["a0", "b0", "a1"]
+    assert claim_uploads(store, lease_s=60, limit=8, per_owner=2) == []
+    begin("b", 1)
+    assert [u.id for u in claim_uploads(store, lease_s=60, limit=8, per_owner=2)] == ["b1"]

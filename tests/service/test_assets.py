@@ -109,6 +109,7 @@ BAD_ZIPS = {
     "outside": [("../tree.obj", OBJ)],
     "absolute": [("/tree.obj", OBJ)],
     "drive": [("C:/tree.obj", OBJ)],
+    "dot": [("tree.obj", OBJ), (".", b"x")],
     "nested": [("tree.obj", OBJ), ("more.zip", zipped(("a", b"b")))],
     "bomb": [("tree.obj", OBJ), ("zeros", bytes(50_000_000))],
     "many": [(f"f{i}", b"x") for i in range(501)],

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 
 import pytest
+import sqlalchemy as sa
 from fastapi.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
@@ -185,3 +186,43 @@ def test_a_page_of_an_allowed_origin_may_call(settings: Settings) -> None:
     assert "Upload-Offset" in told.headers["Access-Control-Expose-Headers"]
     assert "Access-Control-Allow-Origin" not in client.get("/livez", headers={"Origin": "https://evil.example"}).headers
     assert client.get("/v1/presets", headers={"Origin": "https://evil.example"}).status_code == 403
+
+
+def test_a_database_that_is_away_is_told_as_such(
+    app_services: tuple[TestClient, Services], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    client = keyed(app_services, "ann")
+
+    def away(*_: object) -> None:
+        raise sa.exc.OperationalError("SELECT secret", {}, Exception("away"))
+
+    monkeypatch.setattr(authentication, "find_key", away)
+    refused = client.get("/v1/jobs")
+    assert (refused.status_code, refused.json()["code"]) == (503, "storage-unavailable")
+    assert "Retry-After" in refused.headers
+
+
+def test_a_websocket_where_there_is_none_is_refused(app_services: tuple[TestClient, Services]) -> None:
+    client = keyed(app_services, "ann")
+    with pytest.raises(WebSocketDisconnect), client.websocket_connect("/v1/jobs"):
+        pass
+
+
+@pytest.mark.parametrize("header", ["Forwarded", "X-Forwarded-For", "X-Real-IP", "Via"])
+def test_without_keys_nothing_comes_in_through_a_proxy(client: TestClient, header: str) -> None:
+    refused = client.get("/v1/presets", headers={header: "10.0.0.1"})
+    assert (refused.status_code, refused.json()["code"]) == (403, "forbidden")
+    assert "required" in refused.json()["detail"]
+
+
+def test_an_owner_has_so_many_streams(app_services: tuple[TestClient, Services]) -> None:
+    client, other = keyed(app_services, "ann", streams=2), keyed(app_services, "bob")
+    with client.websocket_connect("/v1/interact/stream"), client.websocket_connect("/v1/interact/stream"):
+        with client.websocket_connect("/v1/interact/stream") as third:
+            assert third.receive_json()["code"] == "rate-limited"
+        with other.websocket_connect("/v1/interact/stream") as socket:
+            socket.send_json({"type": "ack", "frame": 1})
+            assert socket.receive_json()["code"] == "validation-failed"
+    with client.websocket_connect("/v1/interact/stream") as socket:
+        socket.send_json({"type": "ack", "frame": 1})
+        assert socket.receive_json()["code"] == "validation-failed"

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, PngImagePlugin
 
 from service.http.multipart import ReceivedFile
 from service.uploads.exif_privacy import without_place
@@ -53,8 +53,55 @@ def test_a_photo_that_tells_none_is_left_alone(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["a.png", "a.webp"])
-def test_what_is_no_jpeg_is_left_alone(tmp_path, name):
+def test_the_place_is_gone_from_other_formats(tmp_path, name):
     before = photo(tmp_path / name)
+    assert b"2026:11:21" in before.path.read_bytes()
+    with Image.open(before.path) as image:
+        pixels = np.asarray(image)
+        assert image.getexif().get_ifd(GPS)
+    after = without_place(before)
+    content = after.path.read_bytes()
+    assert b"2026:11:21" not in content
+    assert (len(content), after.sha256) == (before.bytes, sha256(content).hexdigest())
+    with Image.open(after.path) as image:
+        assert not image.getexif().get_ifd(GPS)
+        assert image.getexif()[ORIENTATION] == 6
+        assert np.array_equal(np.asarray(image), pixels)
+
+
+def test_the_place_is_gone_from_a_tiff(tmp_path):
+    exif = Image.Exif()
+    exif[ORIENTATION] = 6
+    exif.get_ifd(GPS).update({1: "N", 2: (48.0, 8.0, 13.25), 29: "2026:11:21"})
+    exif[700] = b"<x>GPSLatitude</x>"
+    path = tmp_path / "a.tif"
+    path.write_bytes(exif.tobytes().removeprefix(b"Exif\0\0"))  # a TIFF of directories alone
+    after = without_place(received(path))
+    content = after.path.read_bytes()
+    assert b"2026:11:21" not in content
+    assert b"GPSLatitude" not in content
+    again = Image.Exif()
+    again.load(content)
+    assert again[ORIENTATION] == 6
+    assert not again.get_ifd(GPS)
+
+
+@pytest.mark.parametrize(("name", "options"), [("a.webp", {"xmp": b"<x>GPSLatitude</x>"}), ("a.png", {})])
+def test_text_that_tells_a_place_is_gone(tmp_path, name, options):
+    if name == "a.png":
+        text = PngImagePlugin.PngInfo()
+        text.add_itxt("XML:com.adobe.xmp", "<x>GPSLatitude</x>")
+        options = {"pnginfo": text}
+    before = photo(tmp_path / name, gps=False, **options)
+    assert b"GPSLatitude" in before.path.read_bytes()
+    after = without_place(before)
+    assert b"GPSLatitude" not in after.path.read_bytes()
+    Image.open(after.path).load()
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.webp", "a.tif"])
+def test_other_formats_that_tell_none_are_left_alone(tmp_path, name):
+    before = photo(tmp_path / name, gps=False)
     assert without_place(before) == before
 
 

@@ -16,6 +16,8 @@ from dynamictree.modal.response import InteractiveTree, group_forces, respond
 from dynamictree.modal.system import modal_system
 from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.assets import delete_asset
+from jobs.settings import Settings
+from service.app import create_app
 from service.http.caller import ANYONE
 from service.schemas.forces import MAX_FORCES
 from service.services import Services
@@ -297,3 +299,21 @@ def test_the_memory_for_trees_is_bounded(client: TestClient, spectrum_id: str, s
         services.trees.put(f"other-{number}", ready)
     assert len(services.trees) == 3
     assert living_tree(services.owned_by(ANYONE), spectrum_id) is None
+
+
+def test_large_answers_are_made_a_few_at_a_time(
+    settings: Settings, spectrum_id: str, poke: dict, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("service.routes.interact.SLOT_WAIT_S", 0.1)
+    with TestClient(create_app(settings), "http://localhost") as client:
+        services = client.app.state.services
+        assert post(client, spectrum_id, poke, accept="*/*", output="voxels", num_frames=3).status_code == 200
+        slots = services.large_answers
+        slots.total = 0  # all are taken
+        refused = post(client, spectrum_id, poke, accept="*/*", output="voxels", num_frames=3)
+        refusal(refused, 503, "overloaded")
+        assert "Retry-After" in refused.headers
+        assert post(client, spectrum_id, poke, num_frames=3).status_code == 200  # modal ones are small
+        slots.total = 1
+        for _ in range(3):  # each gives its slot back
+            assert post(client, spectrum_id, poke, accept="*/*", output="voxels", num_frames=3).status_code == 200

@@ -11,12 +11,14 @@ from fastapi.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
 from dynamictree.modal.force import Drag, Impulse, contact_at_voxel
-from dynamictree.modal.response import group_forces, respond
+from dynamictree.modal.response import Locality, group_forces, respond
+from dynamictree.modal.step import exact_step
 from dynamictree.modal.system import modal_system
 from dynamictree.spectrum import SparseVoxelSpectrum
-from jobs.keys import create_key
+from jobs.keys import create_key, revoke_key
 from jobs.settings import Settings
-from service import interact_session
+from jobs.tables import assets, jobs
+from service import interact_session, open_streams
 from service.app import create_app
 from service.routes import interact_stream
 from service.services import Services
@@ -217,3 +219,41 @@ def test_a_page_sends_its_key_as_a_protocol(settings: Settings, services: Servic
             assert socket.receive_json()["code"] == "not-found"  # it is in, but this tree is another owner's
         with pytest.raises(WebSocketDisconnect), client.websocket_connect(URL, subprotocols=[interact_stream.PROTOCOL]):
             raise AssertionError("the stream was opened without a key")
+
+
+def test_a_key_that_is_revoked_ends_its_streams(
+    settings: Settings, spectrum_id: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(open_streams, "CHECK_S", 0.05)
+    app = create_app(settings.model_copy(update={"keys": "required"}))
+    with TestClient(app, "http://localhost") as client:
+        store = app.state.services.store
+        record, key = create_key(store, name="page")
+        with store.writing() as connection:
+            connection.execute(jobs.update().values(owner=record.owner))
+            connection.execute(assets.update().values(owner=record.owner))
+        with client.websocket_connect(URL, headers={"Authorization": f"Bearer {key}"}) as socket:
+            opened(socket, spectrum_id)
+            revoke_key(store, record.id)
+            with pytest.raises(WebSocketDisconnect) as closed:
+                socket.receive_json()
+            assert closed.value.code == interact_stream.INVALID
+
+
+def test_a_step_of_many_places_costs_little_more_than_one(spectrum: SparseVoxelSpectrum) -> None:
+    system = modal_system(spectrum)
+
+    def step_s(count: int) -> float:
+        session = interact_session.Session(system=system, step=exact_step(system, 1 / 120))
+        for voxel in range(count):
+            kick = np.ones(system.num_modes, np.complex128)
+            at = Locality(seed_voxel=voxel, falloff_m=1.0)
+            session.push(interact_session.ModalForce(kind="impulse", locality=at, acceleration=kick))
+        began = time.process_time()
+        for _ in range(300):
+            session.tick()
+        assert len(session.localities) == count
+        return time.process_time() - began
+
+    step_s(1)
+    assert step_s(64) < 8 * step_s(1)  # a loop over places takes 40 times as long

@@ -143,6 +143,8 @@ def test_a_promised_sha256_is_checked(client: TestClient) -> None:
         (TUS | {"Upload-Length": "5", "Upload-Metadata": metadata(sha256="abc")}, 422),
         (TUS | {"Upload-Length": "5", "Upload-Metadata": metadata(asset="later")}, 422),
         (TUS | {"Upload-Length": "5", "Upload-Metadata": metadata(filename="x" * 300)}, 422),
+        (TUS | {"Upload-Length": "5", "Upload-Metadata": metadata(name="x" * 5000)}, 422),
+        (TUS | {"Upload-Length": "5", "Upload-Metadata": metadata(name="a\0b")}, 422),
         (TUS | {"Upload-Length": "5", "Upload-Metadata": "a " + "A" * 9000}, 400),
     ],
 )
@@ -216,3 +218,10 @@ def test_an_asset_has_one_source(client: TestClient, body: dict[str, object]) ->
     too_long = b"{" + b" " * 2_000_000 + b"}"
     refused = client.post("/v1/assets", content=too_long, headers={"Content-Type": "application/json"})
     assert refused.status_code == 413
+
+
+@pytest.mark.parametrize("values", [{"kind": "video"}, {"up_axis": "up"}, {"unit_m": "foot"}, {"unit_m": "0"}])
+def test_bad_metadata_is_told_as_metadata(client: TestClient, values: dict[str, str]) -> None:
+    response = client.post("/v1/uploads", headers=TUS | {"Upload-Length": "5", "Upload-Metadata": metadata(**values)})
+    assert response.status_code == 422
+    assert [error["pointer"] for error in response.json()["errors"]] == [f"metadata:{name}" for name in values]

@@ -67,9 +67,10 @@ class Scene:
     courier: Courier
     now: list[float]
 
-    def end_a_job(self, *, well: bool = True, webhook_id: str | None = None) -> str:
-        asset = add_asset(self.store, make_asset(self.store.clock()))[0]
-        job = add_job(self.store, asset, webhook_id=webhook_id, traceparent="00-" + "a" * 32 + "-" + "b" * 16 + "-01")
+    def end_a_job(self, *, well: bool = True, webhook_id: str | None = None, owner: str | None = None) -> str:
+        store = self.store if owner is None else self.store.for_owner(owner)
+        asset = add_asset(store, make_asset(store.clock()))[0]
+        job = add_job(store, asset, webhook_id=webhook_id, traceparent="00-" + "a" * 32 + "-" + "b" * 16 + "-01")
         held = claim(self.store, job.id, 1, owner="test", lease_s=60)
         assert held is not None
         if well:
@@ -194,7 +195,7 @@ def test_one_who_is_slow_is_not_waited_for(scene: Scene, receiver: Receiver) -> 
 def test_what_one_courier_tells_no_other_does(scene: Scene, receiver: Receiver) -> None:
     webhooks.add_endpoint(scene.store, receiver.url, EVENTS)
     scene.end_a_job()
-    claimed = [webhooks.claim_due(scene.store, lease_s=30, limit=10) for _ in range(2)]
+    claimed = [webhooks.claim_due(scene.store, lease_s=30, limit=10, per_owner=4, busy={}) for _ in range(2)]
     assert [len(found) for found in claimed] == [1, 0]
     scene.now[0] += 31
     assert scene.courier.round() == 1
@@ -206,3 +207,28 @@ def test_endpoints_have_a_limit(scene: Scene, receiver: Receiver) -> None:
         webhooks.add_endpoint(scene.store, receiver.url, ())
     webhooks.delete_endpoint(scene.store, made[0].id)
     assert len(webhooks.endpoints(scene.store)) == webhooks.MAX_ENDPOINTS - 1
+
+
+def test_one_owner_s_tarpits_delay_nobody_else(scene: Scene, receiver: Receiver) -> None:
+    """One owner's 60 deliveries hang for a second each; another owner's one is made at once."""
+    receiver.wait_s = 1.0
+    endpoint = webhooks.add_endpoint(scene.store.for_owner("slow"), receiver.url, EVENTS)
+    other = webhooks.add_endpoint(scene.store.for_owner("quick"), receiver.url, EVENTS)
+    for owner, count in (("slow", 60), ("quick", 1)):
+        for _ in range(count):
+            scene.end_a_job(owner=owner)
+    stopped = threading.Event()
+    thread = threading.Thread(target=scene.courier.run, args=(stopped,))
+    began = time.monotonic()
+    thread.start()
+    try:
+        while not any(d.state == "delivered" for d in webhooks.deliveries(scene.store, other.id, before=None, limit=1)):
+            assert time.monotonic() - began < 10
+            time.sleep(0.02)
+        waited = time.monotonic() - began
+    finally:
+        stopped.set()
+        thread.join()
+    slow = webhooks.deliveries(scene.store, endpoint.id, before=None, limit=100)
+    assert sum(d.state == "delivered" for d in slow) <= 12
+    assert waited < 3
