@@ -1,10 +1,11 @@
 """How long things take here, from what they took: medians of this service's own jobs, looked up every few seconds."""
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from statistics import median
+
+from cachetools import TTLCache
 
 from jobs.durations import run_seconds, stage_bytes, stage_seconds
 from jobs.maintenance import WORKER_LEASES, living
@@ -20,7 +21,7 @@ class JobDurations:
     """Medians, remembered for `REMEMBERED_S`, so that a poll costs no query for them."""
 
     store: Store
-    _kept: dict[tuple[str, str], tuple[float, float | None]] = field(default_factory=dict)
+    _medians: TTLCache[tuple[str, str], float] = field(default_factory=lambda: TTLCache(64, REMEMBERED_S))
 
     def stage_seconds(self, stages: Sequence[JobType]) -> float | None:
         """What stages take together [s]; None where one never ran here."""
@@ -61,11 +62,7 @@ class JobDurations:
         return None if None in medians else sum(value for value in medians if value is not None)
 
     def _median(self, what: str, of: str, look: Callable[[], Sequence[float]]) -> float | None:
-        until, value = self._kept.get((what, of), (0.0, None))
-        if time.monotonic() >= until:
-            seen = look()
-            if not seen:
-                return None
-            value = float(median(seen))
-            self._kept[what, of] = (time.monotonic() + REMEMBERED_S, value)
+        value = self._medians.get((what, of))
+        if value is None and (found := look()):
+            value = self._medians[what, of] = float(median(found))
         return value

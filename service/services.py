@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from fastapi import Depends
-from redis import Redis
 from starlette.requests import HTTPConnection
 
 from dynamictree.spectrum import SparseVoxelSpectrum
@@ -25,7 +24,6 @@ from service.open_streams import OpenStreams
 from service.ready_tree import ReadyTree
 from service.uploads.upload_writer import ActiveWriters
 
-REDIS_TIMEOUT_S = 2.0
 LARGE_ANSWERS = 3
 """Answers in voxels, vertices or Gaussians, up to 128 MiB each, that are computed or sent at once."""
 
@@ -40,7 +38,6 @@ class Services:
     upload_parts: PartStore
     upload_writers: ActiveWriters
     outbound: Outbound
-    redis: Redis
     job_durations: JobDurations
     job_notifier: JobNotifier
     spectra: LruCache[SparseVoxelSpectrum]  # by the hash of the spectrum's file
@@ -69,9 +66,7 @@ class Owned:
 def open_services(settings: Settings) -> Iterator[Services]:
     """Open every connection; close them at the end."""
     artifacts_url, credentials = settings.resolved_artifacts_url, settings.s3_credentials
-    timeouts = {"socket_timeout": REDIS_TIMEOUT_S, "socket_connect_timeout": REDIS_TIMEOUT_S}
     store = Store.open(settings.resolved_database_url)
-    redis = Redis.from_url(settings.resolved_redis_url, **timeouts)
     try:
         store.check()
         yield Services(
@@ -81,7 +76,6 @@ def open_services(settings: Settings) -> Iterator[Services]:
             upload_parts=open_parts(artifacts_url, credentials=credentials),
             upload_writers=ActiveWriters(),
             outbound=Outbound(private_hosts=settings.outbound_hosts),
-            redis=redis,
             job_durations=JobDurations(store),
             job_notifier=JobNotifier(store),
             spectra=LruCache(settings.spectrum_cache_bytes, lambda spectrum: spectrum.num_bytes),
@@ -92,7 +86,6 @@ def open_services(settings: Settings) -> Iterator[Services]:
             ingest_wakeup=asyncio.Event(),
         )
     finally:
-        redis.close()
         store.close()
 
 

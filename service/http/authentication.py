@@ -2,10 +2,10 @@
 
 import ipaddress
 import logging
-import time
 from urllib.parse import urlsplit
 
 import sqlalchemy as sa
+from cachetools import TTLCache
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -16,7 +16,7 @@ from jobs.settings import Settings
 from jobs.store import Store
 from service.http.caller import ANYONE, CALLER, Caller, caller_of
 from service.http.problems import ProblemError, problem_response, request_id_of
-from service.http.rate_limit import Counter, Standing, policy_of
+from service.http.rate_limit import RateLimiter, Standing, policy_of
 
 logger = logging.getLogger(__name__)
 
@@ -38,8 +38,8 @@ class Authentication:
     def __init__(self, app: ASGIApp, settings: Settings) -> None:
         self.app = app
         self.settings = settings
-        self._counter = Counter()
-        self._remembered: dict[str, tuple[KeyRecord | None, float]] = {}
+        self._limiter = RateLimiter(settings.resolved_redis_url) if settings.keys == "required" else None
+        self._keys: TTLCache[str, KeyRecord | None] = TTLCache(MAX_REMEMBERED, REMEMBERED_S)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Let one request in, or not."""
@@ -51,7 +51,7 @@ class Authentication:
             _override_method(scope)
             caller = await self._caller(scope)
             policy = policy_of(scope.get("method", "GET"), scope["path"])
-            standing = self._counter.count(caller, policy)
+            standing = None if self._limiter is None else await self._limiter.count(caller, policy)
             if standing is not None and not standing.allowed:
                 found = f"{standing.quota} {policy.name} in {policy.window_s} s are allowed"
                 raise ProblemError("rate-limited", f"{found}; wait {standing.reset_s} s", headers=standing.headers)
@@ -83,12 +83,10 @@ class Authentication:
 
     async def _key(self, key: str, store: Store) -> KeyRecord:
         digest = digest_of(key)
-        found, until = self._remembered.get(digest, (None, 0.0))
-        if time.monotonic() >= until:
-            found = await run_in_threadpool(find_key, store, digest)
-            if len(self._remembered) >= MAX_REMEMBERED:
-                self._remembered.clear()
-            self._remembered[digest] = (found, time.monotonic() + REMEMBERED_S)
+        try:
+            found = self._keys[digest]
+        except KeyError:
+            found = self._keys[digest] = await run_in_threadpool(find_key, store, digest)
         if found is None or not found.valid(store.clock()):
             raise _unauthorized("the key is unknown, revoked or has expired")
         return found

@@ -1,13 +1,23 @@
-"""How often a key may ask. Counted in this process; each replica of the API counts by itself."""
+"""Requests per key and time, shared by all replicas of the API."""
 
+import logging
 import time
 from dataclasses import dataclass
+
+from limits import RateLimitItemPerSecond
+from limits.errors import StorageError
+from limits.storage import MemoryStorage, storage_from_string
+from limits.strategies import FixedWindowRateLimiter
+from starlette.concurrency import run_in_threadpool
 
 from jobs.keys import Limit
 from service.http.caller import Caller
 
-MAX_COUNTED = 10_000
-"""Windows kept before those that are over are dropped."""
+logger = logging.getLogger(__name__)
+
+REDIS_TIMEOUT_S = 1.0
+AWAY_S = 5.0
+"""How long Redis is not asked after it did not answer."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,25 +65,33 @@ def policy_of(method: str, path: str) -> Policy:
     return CHUNKS if method == "PATCH" else CREATES
 
 
-class Counter:
-    """Fixed windows, one for each key and policy."""
+class RateLimiter:
+    """Fixed windows, one per key and policy, in Redis: replicas share them. In this process while Redis is away."""
 
-    def __init__(self) -> None:
-        self._windows: dict[tuple[str, str], tuple[float, int]] = {}
+    def __init__(self, redis_url: str) -> None:
+        url = redis_url.replace("unix://", "redis+unix://", 1)
+        timeouts = {"socket_timeout": REDIS_TIMEOUT_S, "socket_connect_timeout": REDIS_TIMEOUT_S}
+        self._shared = FixedWindowRateLimiter(storage_from_string(url, wrap_exceptions=True, **timeouts))
+        self._local = FixedWindowRateLimiter(MemoryStorage())
+        self._away_until = 0.0
 
-    def count(self, caller: Caller, policy: Policy, *, now: float | None = None) -> Standing | None:
-        """Count one request; None where nothing is counted."""
+    async def count(self, caller: Caller, policy: Policy) -> Standing | None:
+        """Count one request; None where the caller has no limit."""
         quota = caller.limits.get(policy.limit)
         if quota is None:
             return None
-        now = time.monotonic() if now is None else now
-        began, seen = self._windows.get((caller.key_id, policy.name), (now, 0))
-        if now - began >= policy.window_s:
-            began, seen = now, 0
-        self._windows[caller.key_id, policy.name] = (began, seen + 1)
-        if len(self._windows) > MAX_COUNTED:
-            self._windows = {key: kept for key, kept in self._windows.items() if now - kept[0] < 60}
-        reset_s = max(1, round(began + policy.window_s - now))
-        return Standing(
-            policy=policy, quota=quota, left=max(quota - seen - 1, 0), reset_s=reset_s, allowed=seen < quota
-        )
+        if time.monotonic() >= self._away_until:
+            try:
+                return await run_in_threadpool(_hit, self._shared, caller.key_id, policy, quota)
+            except StorageError as error:
+                logger.warning("redis is away; requests are counted in this process: %s", error)
+                self._away_until = time.monotonic() + AWAY_S
+        return _hit(self._local, caller.key_id, policy, quota)
+
+
+def _hit(limiter: FixedWindowRateLimiter, key_id: str, policy: Policy, quota: int) -> Standing:
+    window = RateLimitItemPerSecond(quota, policy.window_s)
+    allowed = limiter.hit(window, key_id, policy.name)
+    stats = limiter.get_window_stats(window, key_id, policy.name)
+    reset_s = max(1, round(stats.reset_time - time.time()))
+    return Standing(policy=policy, quota=quota, left=stats.remaining, reset_s=reset_s, allowed=allowed)

@@ -15,6 +15,7 @@ from service.services import Owned, OwnedDep
 router = APIRouter(tags=["health"])
 logger = logging.getLogger(__name__)
 
+REDIS_TIMEOUT_S = 2.0
 Check = Literal["ok", "unavailable", "full", "absent"]
 
 
@@ -25,7 +26,7 @@ class LivePayload(Payload):
 
 
 class ReadyPayload(Payload):
-    """What the service stands on. `absent` workers mean that jobs wait; everything else that is not ok means 503."""
+    """What the service depends on. `absent` means that jobs wait; all else that is not ok means 503."""
 
     status: Literal["ready", "unready"]
     database: Check
@@ -72,10 +73,12 @@ def _database(owned: Owned) -> tuple[Check, list[str]]:
 
 
 def _redis(owned: Owned) -> Check:
-    from redis import RedisError
+    from redis import Redis, RedisError  # a third of this package's import time
 
+    timeouts = {"socket_timeout": REDIS_TIMEOUT_S, "socket_connect_timeout": REDIS_TIMEOUT_S}
     try:
-        owned.services.redis.ping()
+        with Redis.from_url(owned.services.settings.resolved_redis_url, **timeouts) as client:
+            client.ping()
     except RedisError:
         logger.warning("redis is away", exc_info=True)
         return "unavailable"

@@ -63,7 +63,7 @@ async def _events(owned: Owned, job_id: str, seen: str, place: ExitStack) -> Asy
                 if str(job.version) != seen:
                     payload = await run_in_threadpool(tell, owned, job, Response())
                     seen = str(job.version)
-                    yield ServerSentEvent(payload.model_dump_json(), id=seen, event="job")
+                    yield ServerSentEvent(payload.model_dump_json(), id=seen, event="job", sep="\n")
                 if job.terminal:
                     return
                 await owned.services.job_notifier.changed(job_id, job.version, HEARTBEAT_S)

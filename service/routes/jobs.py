@@ -122,7 +122,10 @@ def list_jobs(
     page, more = found[:limit], len(found) > limit
     next_cursor = page[-1].id if more else None
     if next_cursor is not None:
-        response.headers["Link"] = f'<?{request.url.include_query_params(cursor=next_cursor).query}>; rel="next"'
+        query = request.url.include_query_params(cursor=next_cursor).query
+        response.headers["Link"] = f'<{request.url.path}?{query}>; rel="next"'
+            f'<{request.url.path}?{request.url.include_query_params(cursor=next_cursor).query}>; rel="next"'
+        )
     return JobListPayload(data=[listed(owned, job) for job in page], next_cursor=next_cursor)
 
 

@@ -1,5 +1,6 @@
 """Keys, owners, quotas, rates, origins: who comes in, and to what."""
 
+import time
 from collections.abc import Iterator
 
 import pytest
@@ -50,10 +51,7 @@ def test_without_a_key_nothing_opens(app_services: tuple[TestClient, Services]) 
     assert keyed(app_services, "ann").get("/v1/jobs").status_code == 200
 
 
-def test_a_revoked_or_expired_key_opens_nothing(
-    app_services: tuple[TestClient, Services], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(authentication, "REMEMBERED_S", 0.0)
+def test_a_revoked_or_expired_key_opens_nothing(app_services: tuple[TestClient, Services]) -> None:
     client, services = app_services
     record, key = create_key(services.store, name="short", expires_s=100)
     headers = {"Authorization": f"Bearer {key}"}
@@ -63,6 +61,7 @@ def test_a_revoked_or_expired_key_opens_nothing(
     assert client.get("/v1/usage", headers=headers).status_code == 401
     services.store.clock = lambda: now
     revoke_key(services.store, record.id)
+    time.sleep(authentication.REMEMBERED_S + 0.1)  # a replica may know the key for so long
     assert client.get("/v1/usage", headers=headers).status_code == 401
 
 

@@ -10,7 +10,7 @@ from jobs.records import AssetRecord
 from jobs.store import new_id
 from service.job_creation import KEY_EXPIRES_S
 from service.services import Services
-from tests.service.conftest import hold, publish
+from tests.service.conftest import change_services, hold, publish
 
 
 def create(client: TestClient, asset: AssetRecord, **body: object) -> dict[str, object]:
@@ -139,7 +139,7 @@ def test_a_job_needs_an_asset_of_its_kind(client: TestClient, asset: AssetRecord
 
 def test_a_full_queue_refuses(client: TestClient, asset: AssetRecord, services: Services) -> None:
     full = services.settings.model_copy(update={"max_queued_jobs": 1})
-    client.app.state.services.__dict__["settings"] = full  # type: ignore[attr-defined]
+    change_services(client, settings=full)
     create(client, asset)
     response = client.post("/v1/jobs", json={"type": "voxelize", "asset_id": asset.id})
     assert (response.status_code, response.json()["code"]) == (503, "queue-full")
@@ -148,7 +148,7 @@ def test_a_full_queue_refuses(client: TestClient, asset: AssetRecord, services: 
 
 def test_a_full_disk_refuses(client: TestClient, asset: AssetRecord, services: Services) -> None:
     full = services.settings.model_copy(update={"min_free_bytes": 1 << 60})
-    client.app.state.services.__dict__["settings"] = full  # type: ignore[attr-defined]
+    change_services(client, settings=full)
     response = client.post("/v1/jobs", json={"type": "voxelize", "asset_id": asset.id})
     assert (response.status_code, response.json()["code"]) == (503, "disk-full")
     assert client.get("/readyz").json()["storage"] == "full"
@@ -241,3 +241,6 @@ def test_a_job_is_followed_by_its_events(client: TestClient, asset: AssetRecord,
     assert rest.text.count("event: job") == 1
     assert client.get(url, headers={"Last-Event-ID": events[1]["id"]}).text == ""
     assert client.get(f"/v1/jobs/{new_id()}/events").status_code == 404
+    assert (
+        services.streams.total - sum(services.streams._open.values()) == services.streams.total
+    )  # all were given back
