@@ -24,6 +24,11 @@ class OpenStreams:
         self.total = total
         self._open: Counter[str] = Counter()
 
+    @property
+    def num_open(self) -> int:
+        """Streams that are open."""
+        return self._open.total()
+
     @contextmanager
     def opened(self, caller: Caller) -> Iterator[None]:
         """Count one stream while it is open.

@@ -530,7 +530,7 @@ class Queue(Model):
 
 
 class Ready(Model):
-    """What the service stands on. `absent` workers mean that jobs wait; everything else that is not ok means 503."""
+    """What the service depends on. `absent` means that jobs wait; all else that is not ok means 503."""
 
     status: Literal["ready", "unready"]
     database: Literal["ok", "unavailable", "full", "absent"]

@@ -124,8 +124,6 @@ def list_jobs(
     if next_cursor is not None:
         query = request.url.include_query_params(cursor=next_cursor).query
         response.headers["Link"] = f'<{request.url.path}?{query}>; rel="next"'
-            f'<{request.url.path}?{request.url.include_query_params(cursor=next_cursor).query}>; rel="next"'
-        )
     return JobListPayload(data=[listed(owned, job) for job in page], next_cursor=next_cursor)
 
 

@@ -9,6 +9,7 @@ from PIL import Image
 from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle
 from jobs.assets import read_asset
 from service.services import Services
+from tests.service.conftest import change_services
 
 OBJ = b"""mtllib tree.mtl
 v 0 0 0
@@ -199,7 +200,7 @@ def test_a_broken_form_is_refused(client: TestClient, services: Services, body: 
 
 def test_a_parser_that_takes_too_much_is_ended(client: TestClient, services: Services) -> None:
     small = services.settings.model_copy(update={"parser_memory_bytes": 64 * 1024**2})
-    client.app.state.services.__dict__["settings"] = small  # type: ignore[attr-defined]
+    change_services(client, settings=small)
     response = send(client, ("tree.obj", OBJ))
     assert (response.status_code, response.json()["code"]) == (422, "input-too-costly")
     assert left_behind(services) == []
