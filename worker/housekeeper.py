@@ -173,7 +173,7 @@ class PauseDetector:
 
     def noticed(self) -> bool:
         """Whether either clock moved by more than `longest_s`, or back, since the last call."""
-        now = tuple(clock() for clock in self._clocks)
+        now = (self._clocks[0](), self._clocks[1]())
         moved = [after - before for after, before in zip(now, self._last, strict=True)]
         self._last = now
         if found := not all(-0.5 <= seconds <= self.longest_s for seconds in moved):
