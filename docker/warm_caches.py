@@ -24,8 +24,11 @@ MODULES = (
 
 
 def main(tree: Path) -> None:
-    """Animate a mesh and a scan of the same tree, then import the processes' modules."""
+    """Import the processes' modules, then animate a mesh and a scan of the same tree."""
     with tempfile.TemporaryDirectory() as folder:
+        os.environ["DYNAMICTREE_STATE_DIR"] = folder
+        for name in MODULES:
+            importlib.import_module(name)
         scan = Path(folder) / "scan.xyz"
         _write_scan(tree, scan)
         for path in (tree, scan):
@@ -34,9 +37,6 @@ def main(tree: Path) -> None:
             subprocess.run(
                 [sys.executable, "-m", "dynamictree.cli", *command, "--frames", "2", "--no-loop"], check=True
             )
-        os.environ["DYNAMICTREE_STATE_DIR"] = folder
-        for name in MODULES:
-            importlib.import_module(name)
 
 
 def _write_scan(tree: Path, scan: Path) -> None:
