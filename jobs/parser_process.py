@@ -17,11 +17,16 @@ from jobs.states import AssetKind
 
 logger = logging.getLogger(__name__)
 
-CHILD = ("-m", "worker.parse")
+CHILD = ("-P", "-m", "worker.parse")
+"""-P: neither the current folder nor that of a script is searched for modules."""
+
+FOLDER = "/"
+"""The child's current folder; nobody's files lie beside it."""
+
 MAX_ANSWER_BYTES = 64 * 1024
 MAX_ERROR_BYTES = 4096
-INHERITED = ("PATH", "LANG", "LC_", "LD_LIBRARY_PATH", "PYTHON", "VIRTUAL_ENV", "TMPDIR", "HOME")
-"""Of the environment; who reads hostile bytes gets no credentials."""
+INHERITED = ("PATH", "LANG", "LD_LIBRARY_PATH", "PYTHONHOME", "PYTHONDONTWRITEBYTECODE", "TMPDIR")
+"""Of the environment. The child gets no credentials, no home, and no PYTHONPATH (it may name a user folder)."""
 
 
 class ParseRequest(BaseModel):
@@ -51,10 +56,14 @@ class ParseAnswer(BaseModel):
     message: str = ""
 
 
+def child_environment() -> dict[str, str]:
+    """What the child sees of this process's environment."""
+    inherited = {name: value for name, value in os.environ.items() if name in INHERITED or name.startswith("LC_")}
+    return inherited | {"HOME": FOLDER, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+
+
 async def parse(request: ParseRequest, settings: Settings) -> ParseAnswer:
     """Run the child. Whatever happens to it, there is an answer, and no process is left."""
-    environment = {name: value for name, value in os.environ.items() if name.startswith(INHERITED)}
-    environment |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     with tempfile.TemporaryFile() as errors:
         child = await asyncio.create_subprocess_exec(
             sys.executable,
@@ -62,7 +71,8 @@ async def parse(request: ParseRequest, settings: Settings) -> ParseAnswer:
             stdin=asyncio.subprocess.PIPE,
             stdout=asyncio.subprocess.PIPE,
             stderr=errors,
-            env=environment,
+            env=child_environment(),
+            cwd=FOLDER,
             start_new_session=True,
         )
         try:

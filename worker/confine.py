@@ -8,11 +8,15 @@ import ctypes
 import errno
 import os
 import platform
+import site
 import struct
 import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Literal
+
+PACKAGES = ("dynamictree", "jobs", "worker")
+"""What the parser runs of this project."""
 
 Hold = Literal["landlock", "seccomp"]
 
@@ -115,11 +119,19 @@ def _restrict_files(libc: ctypes.CDLL, writable: Path, readable: Sequence[Path])
 
 
 def _readable() -> Sequence[Path]:
-    """What Python and its libraries read."""
+    """Python, its libraries, our packages and what the C library reads: each by name, no folder that somebody works in.
+
+    Entries of `sys.path` are not among them: one may be the current folder, or the checkout with its state and secrets.
+    """
     system = ("/usr", "/lib", "/lib64", "/etc/ld.so.cache", "/sys/devices/system", "/dev/null", "/dev/urandom")
-    told = ("/proc/self", "/proc/cpuinfo", "/proc/meminfo", "/proc/stat", "/proc/sys/vm/overcommit_memory")
-    python = (sys.prefix, sys.base_prefix, *(entry for entry in sys.path if entry), str(Path(__file__).parents[1]))
-    return [Path(name) for name in dict.fromkeys((*system, *told, *python)) if Path(name).exists()]
+    kernel = ("/proc/self", "/proc/cpuinfo", "/proc/meminfo", "/proc/stat", "/proc/sys/vm/overcommit_memory")
+    libraries = [sys.base_prefix, *site.getsitepackages()]
+    if sys.prefix != sys.base_prefix:
+        libraries += [str(Path(sys.prefix, "lib")), str(Path(sys.prefix, "bin")), str(Path(sys.prefix, "pyvenv.cfg"))]
+    if site.ENABLE_USER_SITE:
+        libraries.append(site.getusersitepackages())
+    own = [str(Path(__file__).parents[1] / name) for name in PACKAGES]
+    return [Path(name) for name in dict.fromkeys((*system, *kernel, *libraries, *own)) if Path(name).exists()]
 
 
 def _allow(libc: ctypes.CDLL, rules: int, paths: Iterable[Path], access: int) -> None:

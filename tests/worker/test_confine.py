@@ -7,6 +7,9 @@ from pathlib import Path
 
 import pytest
 
+import worker.confine
+from jobs.parser_process import FOLDER, child_environment
+
 ATTEMPTS = """
 import json, os, socket, subprocess, sys
 from pathlib import Path
@@ -52,3 +55,54 @@ def test_a_confined_process_reaches_neither_network_nor_programs_nor_other_files
         allowed |= {"write outside", "read a secret", "look at another process"}
     assert "seccomp" in holds
     assert after == {name: "done" if name in allowed else "PermissionError" for name in before}
+
+
+SECRETS = (".ssh/id_rsa", "state/jobs.sqlite", "docker/secrets/postgres_password")
+READ = """
+import json, os, sys
+from pathlib import Path
+from worker.confine import confine
+
+confine(Path(sys.argv[1]))
+def tried(name):
+    try:
+        Path(sys.argv[2], name).read_bytes()
+    except OSError as error:
+        return type(error).__name__
+    return "read"
+print(json.dumps({name: tried(name) for name in sys.argv[3:]} | {"environment": dict(os.environ)}))
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="Landlock and seccomp are Linux's")
+def test_the_folder_that_the_service_was_started_from_stays_closed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a user starts it: with a current folder, a home, a PYTHONPATH and credentials."""
+    folder, home = tmp_path / "own", tmp_path / "home"
+    folder.mkdir()
+    for name in SECRETS:
+        (home / name).parent.mkdir(parents=True)
+        (home / name).write_text("secret")
+    (home / "pydantic.py").write_text("import pathlib; pathlib.Path(__file__).with_name('executed').touch()")
+    monkeypatch.chdir(home)
+    for name, value in {"HOME": str(home), "PYTHONPATH": str(home), "AWS_SECRET_ACCESS_KEY": "secret"}.items():
+        monkeypatch.setenv(name, value)
+    program = [sys.executable, "-P", "-c", READ, str(folder), str(home), *SECRETS]
+    done = subprocess.run(program, env=child_environment(), cwd=FOLDER, capture_output=True, text=True, check=True)
+    found = json.loads(done.stdout)
+    environment = found.pop("environment")
+    assert found == dict.fromkeys(SECRETS, "PermissionError")
+    assert str(home) not in json.dumps(environment)
+    assert not [name for name in environment if "SECRET" in name or name.startswith(("DYNAMICTREE", "AWS"))]
+    assert not (home / "executed").exists()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="Landlock and seccomp are Linux's")
+def test_the_checkout_beside_the_code_stays_closed(tmp_path: Path) -> None:
+    """An editable install lies in a checkout, whose other folders are nobody's business."""
+    root = Path(worker.confine.__file__).parents[1]
+    program = [sys.executable, "-P", "-c", READ, str(tmp_path), str(root), "docker-compose.yml", "worker/parse.py"]
+    done = subprocess.run(program, env=child_environment(), cwd=FOLDER, capture_output=True, text=True, check=True)
+    found = json.loads(done.stdout)
+    assert (found["docker-compose.yml"], found["worker/parse.py"]) == ("PermissionError", "read")
