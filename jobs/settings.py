@@ -45,6 +45,7 @@ class Settings(BaseSettings):
     worker_threads: int = Field(default_factory=lambda: os.cpu_count() or 1, ge=1)
     worker_tasks_per_child: int = Field(default=50, ge=1)
     worker_memory_kib: int = Field(default=8_000_000, ge=100_000)
+    job_memory_bytes: int | None = Field(default=None, ge=512 * MIB)
     progress_interval_s: float = Field(default=0.5, ge=0)
     patience_s: float = Field(default=600.0, ge=0)
     idle_limit_s: float = Field(default=120.0, gt=0)

@@ -16,12 +16,11 @@ from service.http.problems import ProblemError, wrong_field
 from service.http.request_context import RequestOrigin
 from service.http.routing import is_id
 from service.job_responses import tell
-from service.routes.assets import require_room
 from service.routes.catalogue import require_preset
 from service.schemas.job_requests import JobRequest
 from service.schemas.jobs import JobPayload
 from service.services import Owned
-from service.uploads.quota import require_bytes
+from service.uploads.quota import require_bytes, require_room
 
 KEY_EXPIRES_S = 86400.0
 

@@ -46,6 +46,7 @@ from jobs.store import Store
 from jobs.upload_parts import PartStore, open_parts
 from jobs.uploads import bury, expired_uploads
 from worker.courier import Courier
+from worker.disk_reserve import DiskReserve
 
 logger = logging.getLogger(__name__)
 Thing = TypeVar("Thing")
@@ -208,8 +209,10 @@ def run(keeper: Housekeeper, stopped: threading.Event) -> None:
     lease_s = settings.housekeeper_lease_s
     pauses = PauseDetector(longest_s=(settings.lease_s - settings.heartbeat_s) / 2)
     ours, renew_at = False, 0.0
+    reserve = Turn(duty=DiskReserve(settings.state_dir.resolve()).balance, every_s=1.0)
     while not stopped.wait(settings.outbox_interval_s):
         now = time.monotonic()
+        reserve.take(now)  # before the lease, which a full disk would refuse
         if now >= renew_at:
             ours = _done(lambda: hold_lease(keeper.store, HOUSEKEEPER_LEASE, owner=owner, lease_s=lease_s))
             renew_at = now + lease_s / 3

@@ -16,10 +16,12 @@ from jobs.errors import FencedError, GoneError, NotFoundError, StorageAwayError,
 from jobs.logging_setup import log_ids
 from jobs.messages import RUN_JOB
 from jobs.records import Claim
+from jobs.settings import read_settings
 from jobs.tracing import span, tracer
 from worker.app import app, stopping
 from worker.attempt import run_stages
 from worker.cancellation import HandedBack, Watch
+from worker.memory_limit import is_out_of_memory, limit_memory
 from worker.runtime import Runtime, close_runtime, load_heavy_modules, runtime
 
 logger = logging.getLogger(__name__)
@@ -68,7 +70,7 @@ def end_attempt(here: Runtime, held: Claim, error: BaseException) -> None:
             fail(store, held, code=error.code, message=str(error))
         case OSError() if is_full(error):
             fail(store, held, code=StorageFullError.code, message="the worker's disk is full; try again later")
-        case MemoryError():
+        case MemoryError() | RuntimeError() if is_out_of_memory(error):
             fail(store, held, code="out-of-memory", message="the worker's memory did not suffice; simplify the input")
         case SoftTimeLimitExceeded():
             allowed = f"{here.settings.soft_time_limit_s} s are allowed"
@@ -107,6 +109,7 @@ def _traced(here: Runtime, held: Claim) -> AbstractContextManager[object]:
 
 @signals.worker_process_init.connect  # type: ignore[untyped-decorator]
 def _arrive(**_: object) -> None:
+    limit_memory(read_settings())
     runtime()
     threading.Thread(target=_warm_up, name="warm-up", daemon=True).start()
 

@@ -1,14 +1,34 @@
 """Images that a mesh file brings: decoded once under a cap, kept as PNG."""
 
 import io
+import math
+import struct
 import warnings
+from collections.abc import Iterable
 
 from PIL import Image, UnidentifiedImageError
 
 from dynamictree.errors import FormatError
 
 MAX_PIXELS = 50_000_000
+MAX_TOTAL_PIXELS = 400_000_000
+"""Of all images of one file together: 24 of 4096 x 4096."""
+
 _FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TGA")
+
+
+def refuse_many_pixels(images: Iterable[bytes]) -> None:
+    """Bound what all images of a file become when they are decoded.
+
+    Args:
+        images: PNG files, each once.
+
+    Raises:
+        FormatError: they have more than `MAX_TOTAL_PIXELS` together.
+    """
+    total = sum(math.prod(struct.unpack_from(">II", png, 16)) for png in images)  # the header's width and height
+    if total > MAX_TOTAL_PIXELS:
+        raise FormatError(f"the textures have {total:,} pixels; at most {MAX_TOTAL_PIXELS:,} are allowed; reduce them")
 
 
 def texture_as_png(content: bytes, name: str) -> bytes:

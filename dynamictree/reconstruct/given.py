@@ -21,6 +21,7 @@ from dynamictree.gaussian.rotation import quaternion_matrices
 TRANSFORMS, LLFF = "transforms.json", "poses_bounds.npy"
 COLMAP = ("cameras.bin", "images.bin"), ("cameras.txt", "images.txt")
 MAX_BYTES = 512 * 2**20
+MAX_JSON_BYTES = 16 * 2**20  # 50 kB for each of 300 photos; a byte of JSON becomes up to 30 in memory
 _MODELS = {  # COLMAP's number, name, number of parameters
     0: ("SIMPLE_PINHOLE", 3),
     1: ("PINHOLE", 4),
@@ -65,7 +66,7 @@ def find_given(root: Path, sizes: Sizes) -> tuple[GivenCamera, ...] | None:
         FormatError: a file that cannot be read, or names no photo that is there.
     """
     for path in sorted(root.rglob(TRANSFORMS)):
-        return _matched(_transforms(_read(path), sizes), sizes, path.name)
+        return _matched(_transforms(_read(path, MAX_JSON_BYTES), sizes), sizes, path.name)
     for names in COLMAP:
         for path in sorted(root.rglob(names[0])):
             beside = path.with_name(names[1])
@@ -73,14 +74,14 @@ def find_given(root: Path, sizes: Sizes) -> tuple[GivenCamera, ...] | None:
                 raise FormatError(f"{path.name} is there and {beside.name} is not; give both")
             return _matched(_colmap(_read(path), _read(beside), names[0].endswith("bin")), sizes, path.name)
     for path in sorted(root.rglob(LLFF)):
-        return _llff(_read(path), sizes)
+        return _llff(_read(path, MAX_JSON_BYTES), sizes)
     return None
 
 
-def _read(path: Path) -> bytes:
+def _read(path: Path, most: int = MAX_BYTES) -> bytes:
     size = path.stat().st_size
-    if size > MAX_BYTES:
-        raise FormatError(f"{path.name} has {size:,} bytes; at most {MAX_BYTES:,} are allowed; leave out its points")
+    if size > most:
+        raise FormatError(f"{path.name} has {size:,} bytes; at most {most:,} are allowed; leave out all but cameras")
     return path.read_bytes()
 
 

@@ -17,6 +17,7 @@ from dynamictree.render.kernel import compiled
 _TEXTURE_SIDE_PX = 1024  # larger textures are reduced: more than a picture of this renderer shows
 _MAX_TEXTURE_PIXELS = 64_000_000
 _NUM_LEVELS = 11  # 1024 down to 1
+_MAX_TEXELS = 64_000_000  # of all textures and levels, 1 GB; more textures are each reduced further
 _WOOD, _LEAF = (0.235, 0.180, 0.135), (0.180, 0.270, 0.095)  # linear: clay for a mesh that has no colours
 _LEAF_FACES = 32  # a separate piece of at most so many faces counts as a leaf
 _LEAF_TRANSMISSION = 0.5  # of the light on a leaf's far side
@@ -51,11 +52,19 @@ def appearance_of(mesh: TriangleMesh) -> Appearance:
     else:
         materials = (Material(base_color=(*_WOOD, 1.0)), Material(base_color=(*_LEAF, 1.0)))
         face_material = foliage_faces(mesh.faces, mesh.num_vertices).astype(np.int32)
-    textured = [_mip_levels(material.texture_png) for material in materials]
     levels = np.zeros((len(materials), _NUM_LEVELS, 3), np.int32)
     texels, num_texels = [np.zeros((1, 4), np.float32)], 1
-    for row, images in enumerate(textured):
-        for level, image in enumerate(images):
+    textures = {material.texture_png for material in materials if material.texture_png is not None}
+    side_px = _side_px(len(textures))
+    row_of: dict[bytes, int] = {}  # the first material of a texture; others share its texels
+    for row, material in enumerate(materials):
+        if material.texture_png is None:
+            continue
+        first = row_of.setdefault(material.texture_png, row)
+        if first < row:
+            levels[row] = levels[first]
+            continue
+        for level, image in enumerate(_mip_levels(material.texture_png, side_px)):
             levels[row, level] = num_texels, image.shape[1], image.shape[0]
             texels.append(image.reshape(-1, 4))
             num_texels += image.shape[0] * image.shape[1]
@@ -102,9 +111,15 @@ def foliage_faces(faces: Int32[np.ndarray, "F 3"], num_vertices: int) -> Bool[np
     return leaves
 
 
-def _mip_levels(texture: bytes | None) -> list[Float32[np.ndarray, "H W 4"]]:
-    if texture is None:
-        return []
+def _side_px(num_textures: int) -> int:
+    """The side to which textures are reduced so that all of them fit into `_MAX_TEXELS`."""
+    side_px = _TEXTURE_SIDE_PX
+    while side_px > 1 and num_textures * side_px**2 * 4 // 3 > _MAX_TEXELS:
+        side_px //= 2
+    return side_px
+
+
+def _mip_levels(texture: bytes, side_px: int) -> list[Float32[np.ndarray, "H W 4"]]:
     try:
         with Image.open(BytesIO(texture)) as image:
             if image.width * image.height > _MAX_TEXTURE_PIXELS:
@@ -118,7 +133,7 @@ def _mip_levels(texture: bytes | None) -> list[Float32[np.ndarray, "H W 4"]]:
     levels = [rgba]
     while max(levels[-1].shape[:2]) > 1:
         levels.append(_halved(levels[-1]))
-    too_large = [level for level in levels if max(level.shape[:2]) > _TEXTURE_SIDE_PX]
+    too_large = [level for level in levels if max(level.shape[:2]) > side_px]
     return levels[len(too_large) :]
 
 

@@ -1,7 +1,6 @@
 """/v1/assets: what jobs work on."""
 
 import shutil
-from pathlib import Path
 
 from fastapi import APIRouter, Request, Response, status
 from fastapi.exceptions import RequestValidationError
@@ -20,9 +19,9 @@ from service.http.problems import ProblemError
 from service.http.routing import Id, headers, refusals
 from service.schemas.assets import AssetPayload, AssetRequest, UploadPayload, asset_payload, upload_payload
 from service.services import Owned, OwnedDep
-from service.uploads.ingest import make_asset, name_of_url
+from service.uploads.ingest import BYTES_ALLOWED, make_asset, name_of_url
 from service.uploads.intake import FIELDS, admit, sort_out
-from service.uploads.quota import require_bytes
+from service.uploads.quota import require_bytes, require_room
 
 router = APIRouter(prefix="/v1/assets", tags=["assets"])
 
@@ -95,10 +94,11 @@ _FORM = {
 )
 async def create_asset(request: Request, response: Response, owned: OwnedDep) -> AssetPayload | Response:
     """Send a mesh or photos, name uploads that hold them, or an address to fetch them from; that takes a while."""
-    await run_in_threadpool(require_room, owned)
+    length = int(request.headers.get("content-length", "0"))
+    await run_in_threadpool(require_room, owned, length)
     if request.headers.get("content-type", "").partition(";")[0].strip() == "application/json":
         return await _of_uploads_or_address(request, response, owned)
-    await run_in_threadpool(require_bytes, owned, int(request.headers.get("content-length", "0")))
+    await run_in_threadpool(require_bytes, owned, length)
     folder = owned.services.settings.scratch_dir / f"upload-{new_id()}"
     await run_in_threadpool(folder.mkdir, parents=True)
     try:
@@ -121,12 +121,12 @@ async def _of_uploads_or_address(request: Request, response: Response, owned: Ow
     await owned.services.outbound.check(
         wanted.url
     )  # tells at once what is wrong; what is connected to is checked again
-    now = owned.store.clock()
+    now, allowed = owned.store.clock(), owned.caller.limits.get("bytes")
     record = UploadRecord(
         id=new_id(),
         state="fetching",
         filename=wanted.filename or name_of_url(wanted.url),
-        options=dict(fields),
+        options=dict(fields) | ({} if allowed is None else {BYTES_ALLOWED: allowed}),
         length=None,
         sha256=wanted.sha256,
         source_url=wanted.url,
@@ -175,17 +175,3 @@ def get_asset(id: Id, owned: OwnedDep) -> AssetPayload:
 def delete_asset(id: Id, owned: OwnedDep) -> None:
     """Forget an upload. What was made of it stays until it expires."""
     asset_rows.delete_asset(owned.store, id)
-
-
-def require_room(owned: Owned, wanted: int = 0) -> None:
-    """Refuse what would fill the disk.
-
-    Raises:
-        ProblemError: less than `min_free_bytes` would be left after `wanted` more.
-    """
-    scratch: Path = owned.services.settings.scratch_dir
-    scratch.mkdir(parents=True, exist_ok=True)
-    free = shutil.disk_usage(scratch).free
-    if free - wanted < owned.services.settings.min_free_bytes:
-        found = f"{free:,} bytes are free, {wanted:,} wanted; {owned.services.settings.min_free_bytes:,} are kept free"
-        raise ProblemError("disk-full", found)

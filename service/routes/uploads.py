@@ -17,11 +17,10 @@ from service.http.middleware import TUS_VERSION
 from service.http.prefer_wait import LOOK_S, WaitS
 from service.http.problems import ProblemError, wrong_field
 from service.http.routing import Id, headers, refusals
-from service.routes.assets import require_room
 from service.schemas.assets import UploadPayload, upload_payload
 from service.services import Owned, OwnedDep
 from service.uploads.intake import FIELDS, reading_options
-from service.uploads.quota import require_bytes
+from service.uploads.quota import require_bytes, require_room
 from service.uploads.upload_writer import CHECKSUMS, Checksum, UploadWriter, stands_elsewhere
 
 router = APIRouter(prefix="/v1/uploads", tags=["uploads"])

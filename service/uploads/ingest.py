@@ -7,12 +7,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from urllib.parse import unquote, urlsplit
 
+import httpx
 import sqlalchemy as sa
 from starlette.concurrency import run_in_threadpool
 
-from jobs.artifacts import hash_file
+from jobs.artifacts import hash_file, is_full
 from jobs.assets import read_asset
 from jobs.errors import ConflictError, GoneError, OutboundError
+from jobs.keys import Limit
 from jobs.records import AssetRecord
 from jobs.store import new_id
 from jobs.uploads import UploadRecord, change_upload, claim_uploads
@@ -21,8 +23,12 @@ from service.http.multipart import Form, ReceivedFile
 from service.http.problems import REFUSALS, ProblemError, problem_of
 from service.services import Owned, Services
 from service.uploads.intake import FIELDS, admit, sort_out
+from service.uploads.quota import require_bytes, require_room
 
 logger = logging.getLogger(__name__)
+
+BYTES_ALLOWED = "bytes_allowed"
+"""Option of an upload from an address: the quota of the key that asked for it."""
 
 LEASE_S = 60.0
 LOOK_S = 5.0
@@ -134,15 +140,21 @@ class Ingest:
             logger.error("an upload was left; its lease will run out", exc_info=error)
 
     async def _work(self, upload: UploadRecord) -> None:
-        owned = self.services.owned_by(Caller(owner=upload.owner))
+        allowed = upload.options.get(BYTES_ALLOWED)
+        limits: dict[Limit, int] = {"bytes": allowed} if isinstance(allowed, int) else {}
+        owned = self.services.owned_by(Caller(owner=upload.owner, limits=limits))
         renewing = asyncio.create_task(self._renew(upload.id))
         try:
             if upload.state == "fetching":
                 upload = await fetch(owned, upload)
             options = {name: str(value) for name, value in upload.options.items() if name in FIELDS}
             await make_asset(owned, [upload], options)
-        except REFUSALS as error:
-            told = problem_of(error)
+        except (*REFUSALS, OSError) as error:
+            if isinstance(error, OSError) and not isinstance(error, REFUSALS) and not is_full(error):
+                raise
+            told = problem_of(error) if isinstance(error, REFUSALS) else ProblemError("disk-full", "the disk is full")
+            if upload.state == "fetching":
+                await run_in_threadpool(owned.services.upload_parts.delete, upload.id)  # a later fetch begins anew
             await run_in_threadpool(
                 change_upload,
                 owned.store,
@@ -177,6 +189,7 @@ async def fetch(owned: Owned, upload: UploadRecord) -> UploadRecord:
         async with asyncio.timeout(settings.fetch_time_s), owned.services.outbound.get(upload.source_url) as response:
             if response.headers.get("content-encoding", "identity") != "identity":
                 raise OutboundError("the address sends a packed body though it was asked not to")
+            await run_in_threadpool(_require_place, owned, _announced_bytes(response))
             async for chunk in response.aiter_raw(CHUNK_BYTES):
                 size, held = size + len(chunk), held + len(chunk)
                 if size > settings.max_upload_bytes:
@@ -184,6 +197,7 @@ async def fetch(owned: Owned, upload: UploadRecord) -> UploadRecord:
                     raise ProblemError("payload-too-large", f"the file has more bytes than allowed; {allowed}")
                 batch.append(chunk)
                 if held >= BATCH_BYTES:
+                    await run_in_threadpool(_require_place, owned, held)
                     await run_in_threadpool(writer.write, batch)
                     batch, held = [], 0
         if batch:
@@ -195,6 +209,16 @@ async def fetch(owned: Owned, upload: UploadRecord) -> UploadRecord:
     return await run_in_threadpool(
         change_upload, owned.store, upload.id, was=("fetching",), state="received", length=size, received=size
     )
+
+
+def _announced_bytes(response: httpx.Response) -> int:
+    length = response.headers.get("content-length", "0")
+    return int(length) if length.isascii() and length.isdecimal() and len(length) <= 18 else 0
+
+
+def _require_place(owned: Owned, wanted: int) -> None:
+    require_room(owned, wanted)
+    require_bytes(owned, wanted)
 
 
 def name_of_url(url: str) -> str:

@@ -17,7 +17,7 @@ from dynamictree.formats.json_fields import (
     object_list,
     text_field,
 )
-from dynamictree.formats.texture import texture_as_png
+from dynamictree.formats.texture import refuse_many_pixels, texture_as_png
 from dynamictree.mesh import Material
 
 _BLEND_CUTOFF = 0.5  # leaves drawn by blending are cut out instead; depth-sorted blending is not ours to do
@@ -91,4 +91,5 @@ def _texture(document: GltfDocument, reference: JsonObject, images: dict[int, by
         uri = text_field(sources[source], "uri")
         content = document.view_bytes(view) if view is not None else uri_bytes(uri, document.companions)
         images[source] = texture_as_png(content, f"images[{source}]")
+        refuse_many_pixels(images.values())
     return images[source]

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from dynamictree.errors import FormatError
-from dynamictree.formats.gltf.document import GltfDocument
+from dynamictree.formats.gltf.document import GltfDocument, accessor_layout
 from dynamictree.formats.json_fields import (
     JsonObject,
     index_field,
@@ -16,6 +16,10 @@ from dynamictree.formats.json_fields import (
     object_field,
     object_list,
 )
+
+_INSTANCE_WIDTHS = {"TRANSLATION": 3, "ROTATION": 4, "SCALE": 3}
+MAX_INSTANCES = 200_000
+"""Places of EXT_mesh_gpu_instancing in a scene. Each is a matrix and a part of the mesh."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,6 +40,7 @@ def mesh_instances(document: GltfDocument) -> Iterator[MeshInstance]:
     nodes, meshes = object_list(document.root, "nodes"), object_list(document.root, "meshes")
     skins = object_list(document.root, "skins")
     world = _world_transforms(document, nodes)
+    _refuse_many_instances(document, [nodes[index] for index in world])
     for index, transform in world.items():
         mesh = index_field(nodes[index], "mesh", meshes, "meshes")
         if mesh is None:
@@ -76,12 +81,25 @@ def _local_transform(node: JsonObject) -> Float64[np.ndarray, "4 4"]:
     return local
 
 
+def _refuse_many_instances(document: GltfDocument, nodes: list[JsonObject]) -> None:
+    """By the counts of the accessors, before one is read."""
+    total = 0
+    for node in nodes:
+        extension = object_field(object_field(node, "extensions"), "EXT_mesh_gpu_instancing")
+        attributes = object_field(extension, "attributes")
+        accessors = [index_field(attributes, name, document.accessors, "accessors") for name in _INSTANCE_WIDTHS]
+        layouts = [accessor_layout(document.accessors[a], f"accessors[{a}]") for a in accessors if a is not None]
+        total += max((count for count, _, _ in layouts), default=0)
+    if total > MAX_INSTANCES:
+        raise FormatError(f"EXT_mesh_gpu_instancing has {total:,} places; at most {MAX_INSTANCES:,} are allowed")
+
+
 def _instance_transforms(document: GltfDocument, node: JsonObject) -> Float64[np.ndarray, "I 4 4"]:
     """Places of EXT_mesh_gpu_instancing, or the one place of a plain node."""
     extension = object_field(object_field(node, "extensions"), "EXT_mesh_gpu_instancing")
     attributes = object_field(extension, "attributes")
     parts = {}
-    for name, width in (("TRANSLATION", 3), ("ROTATION", 4), ("SCALE", 3)):
+    for name, width in _INSTANCE_WIDTHS.items():
         accessor = index_field(attributes, name, document.accessors, "accessors")
         if accessor is not None:
             parts[name] = document.accessor(accessor).astype(np.float64)

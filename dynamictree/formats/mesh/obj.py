@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float64, Int32, Int64, UInt8
 
 from dynamictree.errors import FormatError, MeshError
-from dynamictree.formats.texture import texture_as_png
+from dynamictree.formats.texture import refuse_many_pixels, texture_as_png
 from dynamictree.mesh import MAX_FACES, MAX_VERTICES, Material, TriangleMesh
 
 logger = logging.getLogger(__name__)
@@ -208,19 +208,26 @@ def _read_mtl(content: bytes, companions: Mapping[str, bytes]) -> dict[str, Mate
             current = fields.setdefault(rest.strip()[:200], {})
         elif keyword:
             current[keyword] = rest.strip()
-    return {name: _material(name, entry, companions) for name, entry in fields.items()}
+    images: dict[str, bytes] = {}
+    return {name: _material(name, entry, companions, images) for name, entry in fields.items()}
 
 
-def _material(name: str, entry: Mapping[str, str], companions: Mapping[str, bytes]) -> Material:
+def _material(
+    name: str, entry: Mapping[str, str], companions: Mapping[str, bytes], images: dict[str, bytes]
+) -> Material:
+    """One material; `images` has the textures that are decoded already."""
     red, green, blue = _floats(entry.get("Kd", "0.8 0.8 0.8"), 3, "Kd")
     opaque = _floats(entry["d"], 1, "d")[0] if "d" in entry else 1 - _floats(entry.get("Tr", "0"), 1, "Tr")[0]
     texture = entry.get("map_Kd", "").split(" ")[-1].replace("\\", "/").removeprefix("./")  # options come before it
     if texture and texture not in companions:
         logger.warning("a texture was not sent along", extra={"texture": texture[:200]})
+    if texture in companions and texture not in images:
+        images[texture] = texture_as_png(companions[texture], texture[:80])
+        refuse_many_pixels(images.values())
     return Material(
         name=name,
         base_color=(red, green, blue, opaque),
-        texture_png=texture_as_png(companions[texture], texture[:80]) if texture in companions else None,
+        texture_png=images.get(texture),
         alpha_cutoff=_CUTOFF if "map_d" in entry else None,
     )
 

@@ -32,7 +32,8 @@ _HEADER = struct.Struct("<IIIBBBBI12x")
 _COLOR_SCALE = 0.15  # of the first harmonic's coefficient over the colour's range
 _SMALLEST_THREE = (1 << 9) - 1  # steps of the magnitude of a quaternion's smaller component
 _SH_BITS = {1: 5, 2: 4, 3: 4}  # precision by degree, as the reference writes
-_MAX_RATIO = 1032  # the most that deflate can gain
+_MAX_RATIO = 100  # unpacked over packed bytes; clouds of real trees are below 3, of nothing but zeros at 1000
+_ALWAYS_BYTES = 16 * 2**20  # unpacked, whatever the ratio
 
 
 def read_spz(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: float = 1.0) -> GaussianCloud:
@@ -81,8 +82,7 @@ def _read_gzip(content: bytes) -> GaussianCloud:
         if magic != _MAGIC or version not in (2, 3):
             raise FormatError(f"the gzip stream is no SPZ file of version 2 or 3 (magic {magic:#x}, version {version})")
         sizes = _sizes(count, degree, version)
-        if sum(sizes) > len(content) * _MAX_RATIO:
-            raise FormatError(f"the SPZ header says {count:,} Gaussians, more than {len(content):,} bytes can hold")
+        _refuse_bomb(count, sum(sizes), len(content))
         body = unpacker.decompress(unpacker.unconsumed_tail, sum(sizes))
     except zlib.error as error:
         raise FormatError(f"the SPZ file is damaged: {error}") from error
@@ -98,6 +98,7 @@ def _read_zstandard(head: bytes, stream: SeekableReader) -> GaussianCloud:
         raise FormatError(f"the SPZ file is of version {version}; 2, 3 and 4 are understood")
     sizes = _sizes(count, degree, version)
     content = head + stream.read()
+    _refuse_bomb(count, sum(sizes), len(content))
     expected_streams = 6 if degree else num_streams  # a writer may leave out the empty stream of harmonics
     if num_streams not in (5, 6) or num_streams != expected_streams or table_offset < _HEADER.size:
         raise FormatError(
@@ -116,6 +117,14 @@ def _read_zstandard(head: bytes, stream: SeekableReader) -> GaussianCloud:
         parts.append(_decompressed(content[place : place + packed_size], expected))
         place += packed_size
     return _unpacked([*parts, np.empty(0, np.uint8)][:6], fractional_bits, version)
+
+
+def _refuse_bomb(count: int, unpacked_bytes: int, packed_bytes: int) -> None:
+    if unpacked_bytes > max(packed_bytes * _MAX_RATIO, _ALWAYS_BYTES):
+        raise FormatError(
+            f"the SPZ header says {count:,} Gaussians, {unpacked_bytes:,} bytes, in a file of {packed_bytes:,}; "
+            f"at most {_MAX_RATIO}:1 is allowed"
+        )
 
 
 def _decompressed(packed: bytes, size: int) -> UInt8[np.ndarray, " bytes"]:

@@ -1,0 +1,131 @@
+"""Expansion bombs: small files that name far more than they hold. Each must be refused, or read in bounded memory."""
+
+import io
+import json
+import struct
+import tempfile
+import zipfile
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from dynamictree.formats.mesh_file import read_mesh
+from dynamictree.reconstruct.given import find_given
+from dynamictree.render.appearance import appearance_of
+from tests.fuzz.readers import READERS
+
+
+def one_image_of_many_materials() -> bytes:
+    """One picture that 150 materials name: mip levels were made of it for each."""
+    return _textured(num_images=1, num_materials=150, side_px=1024)
+
+
+def many_images() -> bytes:
+    """Sixty pictures of one colour, 16 MP each."""
+    return _textured(num_images=60, num_materials=60, side_px=4096)
+
+
+def many_instances() -> bytes:
+    """EXT_mesh_gpu_instancing with twelve million places, in an accessor without a buffer: all zero."""
+    root = _triangle()
+    root["accessors"].append({"componentType": 5126, "type": "VEC3", "count": 12_000_000})
+    places = {"attributes": {"TRANSLATION": len(root["accessors"]) - 1}}
+    root["nodes"][0]["extensions"] = {"EXT_mesh_gpu_instancing": places}
+    root["extensionsUsed"] = ["EXT_mesh_gpu_instancing"]
+    return _glb(root, _CORNERS)
+
+
+def spz_of_zeros() -> bytes:
+    """Five million Gaussians of degree 3 in 316 kB."""
+    count = 5_000_000
+    header = struct.pack("<IIIBBBB", 0x5053474E, 3, count, 3, 12, 0, 0)
+    size = count * (9 + 1 + 3 + 3 + 4 + 45)
+    packer = zlib.compressobj(9, zlib.DEFLATED, 16 + zlib.MAX_WBITS)
+    parts = [packer.compress(header)]
+    chunk = bytes(1 << 20)
+    for start in range(0, size, len(chunk)):
+        parts.append(packer.compress(chunk[: size - start]))
+    return b"".join([*parts, packer.flush()])
+
+
+def cameras_of_nothing() -> bytes:
+    """A `transforms.json` of 120 MB that packs into 2 MB: numbers of one digit, each 32 bytes in memory."""
+    frame = {"file_path": "a.jpg", "transform_matrix": [[0] * 4] * 4, "more": [[]] * 40_000_000}
+    return json.dumps(frame, separators=(",", ":")).encode()
+
+
+def zip_of_cameras() -> bytes:
+    """The same as an upload, beside photos."""
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
+        archive.writestr("transforms.json", cameras_of_nothing())
+        for number in range(8):
+            picture = io.BytesIO()
+            Image.effect_noise((640, 480), 60).save(picture, "JPEG", quality=95)
+            archive.writestr(f"{number}.jpg", picture.getvalue())
+    return content.getvalue()
+
+
+def _cameras(content: bytes) -> object:
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "transforms.json").write_bytes(content)
+        return find_given(Path(folder), {"a.jpg": ((640, 480), (640, 480))})
+
+
+def _looks(content: bytes) -> object:
+    return appearance_of(read_mesh(io.BytesIO(content), file_type="glb"))
+
+
+BOMBS: dict[str, tuple[Callable[[], bytes], Callable[[bytes], object], str]] = {
+    "one image of many materials": (one_image_of_many_materials, _looks, "read"),
+    "many images": (many_images, _looks, "refused"),
+    "many instances": (many_instances, READERS["glb"], "refused"),
+    "spz of zeros": (spz_of_zeros, READERS["spz"], "refused"),
+    "cameras of nothing": (cameras_of_nothing, _cameras, "refused"),
+    "zip of cameras": (zip_of_cameras, READERS["zip"], "refused"),
+}
+"""How a bomb is made, what reads it, and what should come of it."""
+
+_CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 0, 1]], "<f4").tobytes()
+
+
+def _triangle() -> dict:  # type: ignore[type-arg]
+    return {
+        "asset": {"version": "2.0"},
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "type": "VEC3", "count": 3}],
+        "bufferViews": [{"buffer": 0, "byteOffset": 0, "byteLength": len(_CORNERS)}],
+        "buffers": [{}],
+    }
+
+
+def _textured(*, num_images: int, num_materials: int, side_px: int) -> bytes:
+    root, binary = _triangle(), bytearray(_CORNERS)
+    root["images"], root["textures"], root["materials"] = [], [], []
+    for number in range(num_images):
+        picture = io.BytesIO()
+        Image.new("L", (side_px, side_px), number).save(picture, "PNG", compress_level=9)
+        root["images"].append({"bufferView": len(root["bufferViews"]), "mimeType": "image/png"})
+        root["bufferViews"].append({"buffer": 0, "byteOffset": len(binary), "byteLength": picture.tell()})
+        root["textures"].append({"source": number})
+        binary += picture.getvalue() + bytes(-picture.tell() % 4)
+    for number in range(num_materials):
+        texture = {"index": number % num_images}
+        root["materials"].append({"pbrMetallicRoughness": {"baseColorTexture": texture}, "name": str(number)})
+    primitive = root["meshes"][0]["primitives"][0]
+    root["meshes"][0]["primitives"] = [primitive | {"material": number} for number in range(num_materials)]
+    return _glb(root, bytes(binary))
+
+
+def _glb(root: dict, binary: bytes) -> bytes:  # type: ignore[type-arg]
+    root["buffers"][0]["byteLength"] = len(binary)
+    text = json.dumps(root).encode()
+    text += b" " * (-len(text) % 4)
+    binary += bytes(-len(binary) % 4)
+    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(binary), 0x004E4942) + binary
+    return struct.pack("<III", 0x46546C67, 2, 12 + len(chunks)) + chunks

@@ -1,0 +1,19 @@
+"""A small file costs little, whatever it names: each bomb in a fork, its peak measured."""
+
+import pytest
+
+from tests.fuzz.bombs import BOMBS
+from tests.fuzz.forks import attempt
+
+MOST_MIB = 700
+"""On top of nothing: the parser itself, with all that it has imported, is about 300 MiB."""
+
+
+@pytest.mark.parametrize("name", BOMBS)
+def test_a_bomb_is_refused_before_it_is_unpacked(name: str) -> None:
+    make, read, verdict = BOMBS[name]
+    content = make()
+    assert len(content) < 130e6 if name == "cameras of nothing" else len(content) < 3e6
+    outcome = attempt(read, content)
+    assert (outcome.verdict, outcome.detail if outcome.faulty else "") == (verdict, "")
+    assert outcome.peak_mib < MOST_MIB + len(content) / 2**20

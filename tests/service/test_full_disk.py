@@ -1,0 +1,80 @@
+"""A small disk: space is reserved before bytes arrive, and the service goes on by itself."""
+
+import shutil
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+import pytest
+from fastapi.testclient import TestClient
+
+from jobs.settings import Settings
+from service.app import create_app
+
+MIB = 1024**2
+TUS = {"Tus-Resumable": "1.0.0"}
+TREE = b"v 0 0 0\nv 1 0 0\nv 0 0 1\nf 1 2 3\n"
+
+
+class Site(BaseHTTPRequestHandler):
+    """A tree, and 200 MiB with and without an announced length."""
+
+    def do_GET(self) -> None:
+        self.send_response(200)
+        if self.path == "/announced.obj":
+            self.send_header("Content-Length", str(200 * MIB))
+        self.end_headers()
+        if self.path == "/tree.obj":
+            self.wfile.write(TREE)
+            return
+        try:
+            for _ in range(200):
+                self.wfile.write(bytes(MIB))
+        except OSError:
+            return
+
+    def log_message(self, *_: object) -> None:
+        pass
+
+
+@contextmanager
+def _site() -> Iterator[str]:
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Site)
+    thread = threading.Thread(target=server.serve_forever)
+    thread.start()
+    try:
+        yield f"127.0.0.1:{server.server_port}"
+    finally:
+        server.shutdown()
+        thread.join()
+        server.server_close()
+
+
+@pytest.mark.parametrize("path", ["/announced.obj", "/endless.obj"])
+def test_a_fetch_stops_before_the_disk_is_full(small_disk: Path, settings: Settings, path: str) -> None:
+    with _site() as where:
+        own = {"state_dir": small_disk, "min_free_bytes": 16 * MIB, "outbound_hosts": (where,)}
+        with TestClient(create_app(settings.model_copy(update=own)), "http://localhost") as client:
+            sent = client.post("/v1/assets", json={"url": f"http://{where}{path}"})
+            upload = client.get(sent.headers["Location"], headers={"Prefer": "wait=30"}).json()
+            assert (upload["state"], upload["error"]["code"]) == ("failed", "disk-full")
+            assert shutil.disk_usage(small_disk).free > 32 * MIB  # nothing of it is left
+            sent = client.post("/v1/assets", json={"url": f"http://{where}/tree.obj"})
+            upload = client.get(sent.headers["Location"], headers={"Prefer": "wait=30"}).json()
+            assert upload["state"] == "ready", upload
+
+
+def test_what_uploads_were_promised_is_not_promised_twice(small_disk: Path, settings: Settings) -> None:
+    own = {"state_dir": small_disk, "min_free_bytes": 8 * MIB}
+    with TestClient(create_app(settings.model_copy(update=own)), "http://localhost") as client:
+        first = client.post("/v1/uploads", headers=TUS | {"Upload-Length": str(30 * MIB)})
+        assert first.status_code == 201
+        second = client.post("/v1/uploads", headers=TUS | {"Upload-Length": str(30 * MIB)})
+        assert (second.status_code, second.json()["code"]) == (503, "disk-full")
+        body = bytes(30 * MIB)
+        form = client.post("/v1/assets", files={"file": ("tree.obj", body)})
+        assert (form.status_code, form.json()["code"]) == (503, "disk-full")
+        assert client.delete(first.headers["Location"], headers=TUS).status_code == 204
+        assert client.post("/v1/uploads", headers=TUS | {"Upload-Length": str(30 * MIB)}).status_code == 201

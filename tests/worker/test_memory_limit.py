@@ -1,0 +1,53 @@
+"""A job that needs more memory than there is fails; its worker is not killed for it."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from jobs.settings import GIB, MIB
+from worker.memory_limit import available_bytes, is_out_of_memory
+
+PROGRAM = """
+import sys
+import numpy as np
+from jobs.settings import Settings
+from worker.memory_limit import limit_memory
+
+limit_memory(Settings(job_memory_bytes=int(sys.argv[1])))
+kept = np.ones(64 * 2**20, np.uint8)
+try:
+    np.ones(2 * 2**30, np.uint8)
+except MemoryError:
+    print("MemoryError")
+"""
+
+
+@pytest.mark.parametrize(("allowed", "printed"), [(1 * GIB, "MemoryError"), (4 * GIB, "")])
+def test_an_allocation_beyond_the_limit_raises(allowed: int, printed: str) -> None:
+    program = [sys.executable, "-c", PROGRAM, str(allowed)]
+    done = subprocess.run(program, capture_output=True, text=True, check=True, timeout=120)
+    assert done.stdout.strip() == printed
+
+
+@pytest.mark.parametrize("name", ["memory.max", "memory/memory.limit_in_bytes"])
+def test_a_container_has_what_its_group_allows(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    (tmp_path / name).write_text(f"{512 * MIB}\n")
+    assert available_bytes(tmp_path) == 512 * MIB
+
+
+def test_a_group_without_a_limit_has_the_machine(tmp_path: Path) -> None:
+    (tmp_path / "memory.max").write_text("max\n")
+    assert available_bytes(tmp_path) == os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+
+
+def test_pytorch_says_it_in_its_own_words() -> None:
+    import torch
+
+    with pytest.raises(RuntimeError) as caught:
+        torch.ones(2**50)
+    assert is_out_of_memory(caught.value)
+    assert not is_out_of_memory(RuntimeError("shape '[2]' is invalid"))

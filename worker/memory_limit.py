@@ -1,0 +1,39 @@
+"""Bound the memory of the process that runs jobs, so that a job that needs too much fails and its worker lives on."""
+
+import os
+import resource
+from pathlib import Path
+
+from jobs.settings import Settings
+
+SHARE = 0.8
+"""Of what the machine or container has; the rest is Celery's own process, the heartbeat and files in /tmp."""
+
+CGROUP_LIMITS = ("memory.max", "memory/memory.limit_in_bytes")  # of version 2, of version 1
+
+
+def limit_memory(settings: Settings) -> int:
+    """Limit this process's writable memory [bytes], and that of each program that it starts.
+
+    An allocation beyond it raises MemoryError, which ends the job with `out-of-memory`.
+    """
+    allowed = settings.job_memory_bytes or int(SHARE * available_bytes())
+    _, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    allowed = allowed if hard == resource.RLIM_INFINITY else min(allowed, hard)
+    resource.setrlimit(resource.RLIMIT_DATA, (allowed, hard))
+    return allowed
+
+
+def available_bytes(cgroup: Path = Path("/sys/fs/cgroup")) -> int:
+    """Memory of the machine, or of the container where that is less."""
+    available = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    for name in CGROUP_LIMITS:
+        path = cgroup / name
+        if path.is_file() and (text := path.read_text().strip()).isdecimal():
+            available = min(available, int(text))
+    return available
+
+
+def is_out_of_memory(error: BaseException) -> bool:
+    """Whether an allocation failed; PyTorch raises RuntimeError for it."""
+    return isinstance(error, MemoryError) or "can't allocate memory" in str(error) or "out of memory" in str(error)
