@@ -28,6 +28,7 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, default=Path(".cache/engine"), help="of the private engine")
     parser.add_argument("--port", type=int, default=8642)
     parser.add_argument("--keep", action="store_true", help="leave containers and volumes")
+    parser.add_argument("--built", action="store_true", help="take the image that an earlier run built")
     arguments = parser.parse_args()
     began = time.monotonic()
     subprocess.run([sys.executable, "docker/make_secrets.py"], cwd=ROOT, check=True)
@@ -47,7 +48,7 @@ def main() -> None:
             with drill.step("base images") as told:
                 told.append(json.dumps(ensure_base_images(engine, folder)))
             try:
-                drill.run_all(image_bytes=lambda: disk_bytes(engine, "dynamictree:0.1.0"))
+                drill.run_all(build=not arguments.built, image_bytes=lambda: disk_bytes(engine, "dynamictree:0.1.0"))
             finally:
                 drill.write_logs(folder / "containers.log")
                 if not arguments.keep:

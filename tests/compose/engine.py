@@ -6,6 +6,7 @@ processes live in one folder, and it is stopped by process id. Its containers re
 
 import json
 import os
+import platform
 import shutil
 import signal
 import subprocess
@@ -19,8 +20,14 @@ from pathlib import Path
 MIRROR = os.environ.get("DEBIAN_MIRROR", "http://deb.debian.org/debian")
 PACKAGES = {
     "trixie": ("docker.io", "docker-cli", "docker-compose", "docker-buildx", "containerd", "tini", "debootstrap"),
-    "bookworm": ("runc",),  # trixie's asks for a newer C library than Debian 12 has
+    "bookworm": (  # trixie's ask for a newer C library than Debian 12 has
+        "runc",
+        *("iptables", "libxtables12", "libip4tc2", "libip6tc2", "libmnl0", "libnftnl11"),
+        *("libnetfilter-conntrack3", "libnfnetlink0"),
+    ),
 }
+"""Docker and what it calls. A container's DNS is a rule of iptables in the container's own network."""
+
 START_S = 90
 STOP_S = 60
 
@@ -82,6 +89,9 @@ def unpack_engine(folder: Path) -> Path:
     shutil.rmtree(unpacked, ignore_errors=True)
     for deb in sorted(debs.glob("*.deb")):
         subprocess.run(["dpkg", "-x", str(deb), str(unpacked)], check=True)
+    for name in ("iptables", "ip6tables"):  # else links of Debian's alternatives
+        (unpacked / "usr" / "sbin" / name).unlink(missing_ok=True)
+        (unpacked / "usr" / "sbin" / name).symlink_to("xtables-legacy-multi")
     return unpacked.rename(root)
 
 
@@ -116,6 +126,8 @@ def _daemon(folder: Path, root: Path) -> Iterator[Engine]:
     socket = state / "docker.sock"
     environment = os.environ | {
         "PATH": ":".join([*map(str, programs), os.environ["PATH"]]),
+        "LD_LIBRARY_PATH": str(root / "usr" / "lib" / f"{platform.machine()}-linux-gnu"),
+        "XTABLES_LIBDIR": str(root / "usr" / "lib" / f"{platform.machine()}-linux-gnu" / "xtables"),
         "DOCKER_HOST": f"unix://{socket}",
         "DOCKER_CONFIG": str(configuration),
     }
