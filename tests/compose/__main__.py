@@ -47,6 +47,7 @@ def main() -> None:
             drill.tell("engine", began, engine.run("version", "--format", "{{.Server.Version}}").strip())
             with drill.step("base images") as told:
                 told.append(json.dumps(ensure_base_images(engine, folder)))
+            drill.docker("down", "--volumes", check=False)  # what an interrupted run left
             try:
                 drill.run_all(build=not arguments.built, image_bytes=lambda: disk_bytes(engine, "dynamictree:0.1.0"))
             finally:
