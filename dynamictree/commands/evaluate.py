@@ -41,6 +41,9 @@ def evaluate(
     classifier: Annotated[
         bool, typer.Option(help="Instead, train a classifier to tell generated motions from true ones (long).")
     ] = False,
+    laws: Annotated[
+        bool, typer.Option(help="Instead, check the simulator against measurements of real trees, from 1 to 35 m.")
+    ] = False,
     classifier_trees: Annotated[int, typer.Option(min=20, max=100_000, help="Of each side.")] = 200,
     max_voxels: Annotated[
         int, typer.Option(min=1000, max=150_000, help="Leave larger trees out of the classifier, on both sides.")
@@ -58,8 +61,15 @@ def evaluate(
     torch.set_num_threads(threads)
     if rival is not None and rival not in RIVALS:
         raise InputError(f"there is no rival {rival!r}; choose {', '.join(RIVALS)}")
-    if rival is not None and classifier:
-        raise InputError("--rival and --classifier are two runs; give one of them")
+    if (rival is not None) + classifier + laws > 1:
+        raise InputError("--rival, --classifier and --laws are separate runs; give one of them")
+    if laws:
+        from dynamictree.evaluation.laws import evaluate_laws
+
+        with bars(quiet=as_json) as on_step:
+            report = evaluate_laws(trees, seed=seed, on_step=on_step)
+        typer.echo(json.dumps(report)) if as_json else print_laws(report)
+        return
     files, embedder = _sapling(samples), _embedder(clip)
     with bars(quiet=as_json) as on_step:
         if rival is not None:
@@ -159,6 +169,12 @@ def print_classifier(report: dict[str, Any]) -> None:
         typer.echo(f"true motion told from {kind} in {100 * found:.1f} % of cases")
     verdict = "valid" if report["valid"] else "not valid"
     typer.echo(f"{verdict}: {report['rule']}; {report['trees']} trees a side, {report['mean_voxels']:,.0f} voxels each")
+
+
+def print_laws(report: dict[str, Any]) -> None:
+    """The share of trees that satisfy each law, and medians."""
+    _print_columns(f"share of {len(report['trees'])} trees", {"share": report["laws"]})
+    _print_columns("medians", {"median": report["medians"]})
 
 
 def _print_columns(title: str, rows: Mapping[str, Mapping[str, float]]) -> None:

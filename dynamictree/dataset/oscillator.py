@@ -18,6 +18,7 @@ from jaxtyping import Complex64, Float32, Float64
 from dynamictree.spectrum import FPS, NUM_FRAMES, NUM_FREQUENCIES, Wind
 
 FREQUENCY_AT_1M_HZ = 24 / (8 * np.pi)  # 0.955, times 1 / √L
+TALL_M, TALL_EXPONENT = 17.0, 1.02  # measured frequencies of trees fall as H^-1.02; no trunk of the dataset is longer
 REFERENCE_SPEED_M_S = 5.0
 DRAG_EXPONENT = 1.4  # of the speed: leaves and twigs fold, so drag grows slower than its square (Vogel)
 LEAN_RAD = np.deg2rad(1.5)  # whole bend of a stem of REFERENCE_SLENDERNESS at the reference speed
@@ -64,8 +65,10 @@ def gusts_of(wind: Wind, rng: np.random.Generator, *, loop: bool = True) -> Gust
 
 
 def stem_bin(length_m: Float32[np.ndarray, " M"]) -> Float64[np.ndarray, " M"]:
-    """k_s: natural frequency of a stem in units of a bin; falls with length."""
-    return FREQUENCY_AT_1M_HZ / np.sqrt(length_m.astype(np.float64)) * NUM_FRAMES / FPS
+    """k_s: natural frequency of a stem in units of a bin; falls with length, as 1 / L above `TALL_M`."""
+    length = length_m.astype(np.float64)
+    frequency_hz = FREQUENCY_AT_1M_HZ / np.sqrt(length) * np.minimum(TALL_M / length, 1) ** (TALL_EXPONENT - 0.5)
+    return frequency_hz * NUM_FRAMES / FPS
 
 
 def lean_angle(

@@ -1,0 +1,70 @@
+"""Laws of real trees on the simulator."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from typer import Typer
+from typer.testing import CliRunner
+
+from dynamictree.commands.evaluate import print_laws
+from dynamictree.dataset.oscillator import stem_bin
+from dynamictree.dataset.sample import make_sample
+from dynamictree.dataset.species import SPECIES
+from dynamictree.evaluation.laws import FREQUENCY_BANDS_HZ, evaluate_laws, frequency_band, law_shares, measure_tree
+
+
+def test_the_simulators_frequency_lies_in_the_band_at_every_measured_height() -> None:
+    for height_m in np.linspace(4.0, 50.0, 93):
+        low, high = frequency_band(float(height_m)) or (np.nan, np.nan)
+        frequency_hz = float(stem_bin(np.array([height_m], np.float32))[0]) * 24 / 100
+        assert low <= frequency_hz <= high, height_m
+
+
+def test_trunks_of_the_dataset_keep_their_frequency() -> None:
+    for name, species in SPECIES.items():
+        assert species.height_m[1] <= 15.0, name
+    length = np.array([0.3, 1.0, 15.0, 16.9], np.float32)
+    np.testing.assert_allclose(stem_bin(length), 24 / (8 * np.pi) / np.sqrt(length) * 100 / 24, rtol=1e-6)
+    assert make_sample(3, "spire-conifer").coefficients.any()
+
+
+def test_a_tree_of_eight_metres_satisfies_the_laws_but_is_as_damped_bare_as_in_leaf() -> None:
+    leaf, bare = measure_tree("maple", 8.0, 1), measure_tree("bare-winter", 8.0, 1)
+    shares = law_shares([leaf])
+    assert np.isnan(shares.pop("bare trees less damped"))
+    assert set(shares.values()) == {1.0}
+    assert law_shares([leaf, bare])["bare trees less damped"] == 0.0
+
+
+def test_a_tree_that_breaks_a_law_is_counted() -> None:
+    tree = measure_tree("maple", 8.0, 1)
+    broken = [
+        replace(tree, frequency_hz=2.0),
+        replace(tree, released_hz=0.01),
+        replace(tree, damping_ratio=0.3),
+        replace(tree, spectral_slope=0.1),
+        replace(tree, orbit=0.0),
+        replace(tree, response=2.5, response_in_storm=2.6),
+    ]
+    names = list(law_shares([tree]))
+    for case, law in zip(broken, [names[0], names[1], names[2], names[4], names[5], names[6]], strict=True):
+        assert law_shares([case, tree])[law] == 0.5, law
+
+
+def test_heights_without_measurements_have_no_band() -> None:
+    assert frequency_band(3.0) is None
+    assert frequency_band(70.0) is None
+    assert frequency_band(4.0) == FREQUENCY_BANDS_HZ[4, 8]
+
+
+def test_the_command_reports_shares_and_trees(commands: Typer, capsys: pytest.CaptureFixture[str]) -> None:
+    result = CliRunner().invoke(commands, ["--laws", "--trees", "2", "--json"], catch_exceptions=False)
+    report = json.loads(result.stdout)
+    assert len(report["trees"]) == 2
+    assert report == json.loads(json.dumps(evaluate_laws(2)))
+    print_laws(report)
+    assert "orbit" in capsys.readouterr().out
+    both = CliRunner().invoke(commands, ["--laws", "--classifier"])
+    assert both.exit_code != 0
