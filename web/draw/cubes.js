@@ -55,6 +55,8 @@ function cubeGeometry(rows) {
   });
   const geometry = new THREE.BufferGeometry();
   geometry.setAttribute("position", new THREE.BufferAttribute(corners, 3));
+  // unused, but without normals three.js shades flat and declares none
+  geometry.setAttribute("normal", new THREE.BufferAttribute(new Int8Array(corners.length), 3, true));
   geometry.setAttribute("voxelRow", new THREE.BufferAttribute(voxelRow, 1));
   geometry.setIndex(new THREE.BufferAttribute(index, 1));
   return geometry;
