@@ -1,7 +1,7 @@
 """The loops of `gradient`: from the gradient of a picture back to the Gaussians that were blended into it.
 
 `rasterize_kernel` read backwards. A tile walks its list front to back a second time: what lies behind a Gaussian is the
-finished pixel less what came before, so nothing of the forward pass but the picture is kept.
+finished pixel less what came before, so only the picture of the forward pass is needed.
 """
 
 from typing import no_type_check
@@ -108,19 +108,19 @@ def _one_back(e, left, top, from_row, to_row, b, out):
             red_g, green_g = b[_RED + start + j], b[_GREEN + start + j]
             blue_g, depth_g = b[_BLUE + start + j], b[_DEPTH + start + j]
             value = red * red_g + green * green_g + blue * blue_g + depth * depth_g
-            shown = alpha * light
-            behind = b[_TO_COME + start + j] - shown * value
+            weight = alpha * light
+            behind = b[_TO_COME + start + j] - weight * value
             b[_TO_COME + start + j] = behind
-            b[start + j] = light - shown
-            h = shown * value - behind * alpha / (_ONE - alpha)  # d/d ln(alpha)
+            b[start + j] = light - weight
+            h = weight * value - behind * alpha / (_ONE - alpha)  # d/d ln(alpha)
             h = h if whole < _MAX else _ZERO
             h0 += h
             h1 += h * dx
             h2 += h * dx * dx
-            sum_r += shown * red_g
-            sum_g += shown * green_g
-            sum_b += shown * blue_g
-            sum_d += shown * depth_g
+            sum_r += weight * red_g
+            sum_g += weight * green_g
+            sum_b += weight * blue_g
+            sum_d += weight * depth_g
         sum_h += h0
         sum_x += h1
         sum_xx += h2
@@ -186,10 +186,10 @@ def project_back(
         m10, m11 = b * ga + c * gb, b * gb + c * gc
         xx_g, yy_g = -(m00 * a + m01 * b), -(m10 * b + m11 * c)
         xy_g = -(m00 * b + m01 * c) - (m10 * a + m11 * b)
-        shown = ellipses[g, 5]
+        filtered_opacity = ellipses[g, 5]
         by_sharp = _ZERO
         if antialias:  # shown = opacity · sqrt(sharp / whole)
-            share = _HALF * e_g[5] * shown
+            share = _HALF * e_g[5] * filtered_opacity
             xx_g -= share * a
             yy_g -= share * c
             xy_g += share * _TWO * xy / whole
@@ -201,7 +201,7 @@ def project_back(
                 area = by_sharp * cross(half, i, j)
                 half_g[i, 0] += area * half[j, 1]
                 half_g[i, 1] -= area * half[j, 0]
-        out[g, 10] += e_g[5] * shown * (_ONE - opacity[g])  # of the logit
+        out[g, 10] += e_g[5] * filtered_opacity * (_ONE - opacity[g])  # of the logit
         per_z_g = e_g[0] * x + e_g[1] * y
         x_g, y_g, z_g = e_g[0] * per_z, e_g[1] * per_z, e_g[9]
         slope_x_g, slope_y_g = _ZERO, _ZERO

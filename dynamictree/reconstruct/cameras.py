@@ -45,8 +45,8 @@ def find_cameras(
     Raises:
         ReconstructionError: too few photos fit together, or the process failed or took too long.
     """
-    known = None if given is None else _at_prepared_size(given, photos)
-    job = json.dumps({"folder": str(folder), "photos": [asdict(photo) for photo in photos], "given": known})
+    prepared_cameras = None if given is None else _at_prepared_size(given, photos)
+    job = json.dumps({"folder": str(folder), "photos": [asdict(photo) for photo in photos], "given": prepared_cameras})
     (folder / "features.db").unlink(missing_ok=True)  # of an interrupted search
     command = [sys.executable, "-m", "dynamictree.reconstruct.mapping"]
     with (
@@ -68,8 +68,8 @@ def find_cameras(
     model = read_model(folder, {photo.name: photo.source for photo in photos})
     registered = len(model.views) if model is not None else 0
     if model is None or registered < MIN_REGISTERED:
-        found = f"{registered} of {len(photos)} photos fit together"
-        raise ReconstructionError(f"{found}; at least {MIN_REGISTERED} must; {ADVICE}")
+        problem = f"{registered} of {len(photos)} photos fit together"
+        raise ReconstructionError(f"{problem}; at least {MIN_REGISTERED} must; {ADVICE}")
     return model
 
 

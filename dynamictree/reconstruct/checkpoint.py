@@ -42,5 +42,5 @@ def load_progress(path: Path) -> SplatProgress:
             pull=pull,
             best=best if len(best) else None,
             best_psnr=float(arrays["best_psnr"]),
-            checks=tuple((int(step), int(count), float(found)) for step, count, found in arrays["checks"]),
+            checks=tuple((int(step), int(count), float(psnr_db)) for step, count, psnr_db in arrays["checks"]),
         )

@@ -1,4 +1,4 @@
-"""The tree out of its scene: which Gaussians are its own, and where they stand in metres."""
+"""Separate the tree's Gaussians from the scene, and convert to metres."""
 
 from dataclasses import replace
 
@@ -15,7 +15,7 @@ _FAINTEST = 0.02
 
 
 def cloud_in_metres(table: Float32[np.ndarray, "G P"], scale: float, origin: Float64[np.ndarray, "3"]) -> GaussianCloud:
-    """All Gaussians, from the stage's frame; written to a PLY file, y is down as viewers expect."""
+    """Convert Gaussians from the stage's frame to metres; PLY files of them have y down, as viewers expect."""
     cloud = cloud_of(table)
     means = (scale * (cloud.means - origin)).astype(np.float32)
     return replace(cloud, means=means, scales=(cloud.scales * np.float32(scale)), source_up_axis="-Y")
@@ -24,7 +24,7 @@ def cloud_in_metres(table: Float32[np.ndarray, "G P"], scale: float, origin: Flo
 def of_the_tree(
     cloud: GaussianCloud, vertices: Float32[np.ndarray, "N 3"], *, radius_m: float
 ) -> Bool[np.ndarray, " G"]:
-    """Gaussians beside the mesh's vertices, neither wide nor faint; the radius is the region's [m]."""
+    """Select Gaussians near the mesh's vertices that are neither wide nor faint; the radius is the region's [m]."""
     distance = cKDTree(vertices).query(cloud.means, distance_upper_bound=_BESIDE * radius_m)[0]
     narrow = cloud.scales.max(axis=1) < _LARGEST * radius_m
     chosen: Bool[np.ndarray, " G"] = np.isfinite(distance) & narrow & (cloud.opacity > _FAINTEST)

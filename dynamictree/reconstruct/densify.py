@@ -1,9 +1,9 @@
-"""More Gaussians where the picture pulls at them, fewer where nothing is seen. Kerbl et al. 2023, section 5."""
+"""Adaptive density control: split, clone and prune Gaussians. Kerbl et al. 2023, section 5."""
 
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int64
+from jaxtyping import Bool, Float32
 
 from dynamictree.gaussian.rotation import quaternion_matrices
 from dynamictree.reconstruct.adam import AdamState
@@ -14,7 +14,7 @@ _SMALLER = np.float32(np.log(1.6))  # φ of Kerbl et al.: halves of a split Gaus
 
 @dataclass(frozen=True, kw_only=True)
 class DensityRules:
-    """When Gaussians are made and taken away; Kerbl et al.'s numbers, but half the pull."""
+    """Thresholds for splitting, cloning and pruning: Kerbl et al.'s, with half their gradient threshold."""
 
     pull: float = 1e-4  # mean gradient of the loss by the place, in half pictures, above which one is not enough
     large: float = 0.01  # of the extent: a larger one is split, a smaller one gets a twin
@@ -33,14 +33,14 @@ class Pull:
     def add(
         self, centres_px: Float32[np.ndarray, "G 2"], seen: Bool[np.ndarray, " G"], width: int, height: int
     ) -> None:
-        """One view more."""
+        """Add the gradients of one view."""
         half_width, half_height = np.float32(0.5 * width), np.float32(0.5 * height)
         self.total += np.hypot(half_width * centres_px[:, 0], half_height * centres_px[:, 1])
         self.times += seen
 
     @property
     def mean(self) -> Float32[np.ndarray, " G"]:
-        """Zero for what was never seen."""
+        """Mean over the views; zero for Gaussians that were never seen."""
         mean: Float32[np.ndarray, " G"] = self.total / np.maximum(self.times, 1)
         return mean
 
@@ -54,41 +54,33 @@ def densified(
     extent: float,
     rng: np.random.Generator,
 ) -> tuple[Float32[np.ndarray, "G2 P"], AdamState]:
-    """Split the large and twin the small among those that are pulled at most, within the budget; then prune."""
+    """Split the large and clone the small Gaussians with the largest gradients, within the budget; then prune."""
     largest = np.exp(table[:, LOG_SCALE].max(axis=1))
     reach = np.maximum(extent, np.linalg.norm(table[:, MEAN], axis=1))
-    kept = (_opacity(table) > rules.min_opacity) & (largest < rules.too_large * reach)
-    room = rules.max_gaussians - int(kept.sum())
-    chosen = np.flatnonzero(kept & (pull > rules.pull))
+    survives = (_opacity(table) > rules.min_opacity) & (largest < rules.too_large * reach)
+    room = rules.max_gaussians - int(survives.sum())
+    chosen = np.flatnonzero(survives & (pull > rules.pull))
     if len(chosen) > max(room, 0):
         chosen = chosen[np.argsort(-pull[chosen], kind="stable")[: max(room, 0)]]
     split = chosen[largest[chosen] > rules.large * reach[chosen]]
     twins = table[np.setdiff1d(chosen, split)]
     halves = np.concatenate([_half(table[split], rng), _half(table[split], rng)])
-    kept[split] = False
+    survives[split] = False
     new = np.concatenate([twins, halves])
-    rows = np.flatnonzero(kept)
+    rows = np.flatnonzero(survives)
     return np.concatenate([table[rows], new]), moments.rows(rows, len(new))
 
 
 def fainter(table: Float32[np.ndarray, "G P"], moments: AdamState, opacity: float = 0.01) -> None:
-    """Opacity reset, in place: what is needed becomes opaque again, what floats before the cameras does not."""
+    """Reset opacity, in place: Gaussians that the photos need become opaque again, floaters do not."""
     limit = np.float32(np.log(opacity / (1 - opacity)))
     table[:, LOGIT] = np.minimum(table[:, LOGIT], limit)
     moments.first[:, LOGIT] = 0
     moments.second[:, LOGIT] = 0
 
 
-def without(
-    table: Float32[np.ndarray, "G P"], moments: AdamState, kept: Bool[np.ndarray, " G"]
-) -> tuple[Float32[np.ndarray, "M P"], AdamState]:
-    """Some Gaussians only."""
-    rows: Int64[np.ndarray, " M"] = np.flatnonzero(kept)
-    return table[rows], moments.rows(rows, 0)
-
-
 def _half(rows: Float32[np.ndarray, "S P"], rng: np.random.Generator) -> Float32[np.ndarray, "S P"]:
-    """A narrower Gaussian at a random place of each."""
+    """Sample a narrower Gaussian inside each row's Gaussian."""
     half = rows.copy()
     if len(rows):
         offset = rng.normal(size=(len(rows), 3)) * np.exp(rows[:, LOG_SCALE])

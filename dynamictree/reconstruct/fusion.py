@@ -58,10 +58,10 @@ def fuse(views: list[StereoView], depths: list[Float32[np.ndarray, "H W"]], box:
     volume = _Volume(distance, weight, box.low, voxel)
     for view, depth in zip(views, depths, strict=True):
         in_bands(_integrate, len(distance), volume, view.to_pixel, depth)
-    known = weight > 0
-    distance = np.where(known, distance / np.maximum(weight, 1e-9), 1)
+    observed = weight > 0
+    distance = np.where(observed, distance / np.maximum(weight, 1e-9), 1)
     # a cell is meshed where all its corners are known; skimage names a cell by its highest corner
-    whole = minimum_filter(known, size=2, mode="constant", cval=0)
+    whole = minimum_filter(observed, size=2, mode="constant", cval=0)
     crossed = minimum_filter(distance, size=2, mode="nearest") < 0
     if not (whole & crossed & (maximum_filter(distance, size=2, mode="nearest") > 0)).any():
         return NOTHING
@@ -81,15 +81,15 @@ def main_cluster(surface: Surface, gap: float) -> Surface:
     start, end = surface.faces[:, [0, 1]].ravel(), surface.faces[:, [1, 2]].ravel()
     links = coo_array((np.ones(len(start), bool), (start, end)), shape=(number, number))
     piece_of_face = connected_components(links, directed=False)[1][surface.faces[:, 0]]
-    kept = np.flatnonzero((np.bincount(piece_of_face) >= _SPECK_FACES)[piece_of_face])
-    if len(kept) == 0:
+    large = np.flatnonzero((np.bincount(piece_of_face) >= _SPECK_FACES)[piece_of_face])
+    if len(large) == 0:
         return NOTHING
-    centres = surface.vertices[surface.faces[kept]].mean(axis=1)
+    centres = surface.vertices[surface.faces[large]].mean(axis=1)
     cells = ((centres - centres.min(axis=0)) / gap).astype(int)
     occupied = np.zeros(cells.max(axis=0) + 1, bool)
     occupied[tuple(cells.T)] = True
     group = label(occupied, structure=np.ones((3, 3, 3)))[0][tuple(cells.T)]
-    return _with_faces(surface, kept[group == np.bincount(group).argmax()])
+    return _with_faces(surface, large[group == np.bincount(group).argmax()])
 
 
 def above(surface: Surface, height: float) -> Surface:

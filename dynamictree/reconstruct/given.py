@@ -87,19 +87,19 @@ def _read(path: Path, most: int = MAX_BYTES) -> bytes:
 
 def _matched(cameras: list[GivenCamera], sizes: Sizes, source: str) -> tuple[GivenCamera, ...]:
     """Only those whose photo is there, each named as it is there."""
-    found = []
+    matched = []
     for camera in cameras:
         name = _photo_named(camera.photo, sizes)
         if name is not None:
-            found.append(GivenCamera(**{**vars(camera), "photo": name}))
-    if len({camera.photo for camera in found}) < len(found):
+            matched.append(GivenCamera(**{**vars(camera), "photo": name}))
+    if len({camera.photo for camera in matched}) < len(matched):
         raise FormatError(f"{source} names a photo twice; give each one camera")
-    if not found:
+    if not matched:
         first = cameras[0].photo if cameras else "nothing"
         raise FormatError(f"{source} names {first!r} and no photo that is there; give the photos that it names")
-    for camera in found:
+    for camera in matched:
         _check(camera, sizes[camera.photo], source)
-    return tuple(found)
+    return tuple(matched)
 
 
 def _photo_named(wanted: str, sizes: Sizes) -> str | None:
@@ -123,8 +123,8 @@ def _check(camera: GivenCamera, sizes: tuple[Size, Size], source: str) -> None:
             f"the camera of {camera.photo} has the focal length {camera.params[0]:g}; it must be positive"
         )
     if not any(fits(camera, size) for size in sizes):
-        found = f"{source} says that {camera.photo} has {camera.width} x {camera.height} pixels, it has"
-        raise FormatError(f"{found} {sizes[0][0]} x {sizes[0][1]}; give the photos that the cameras were found with")
+        problem = f"{source} says that {camera.photo} has {camera.width} x {camera.height} pixels, it has"
+        raise FormatError(f"{problem} {sizes[0][0]} x {sizes[0][1]}; give the photos that the cameras were found with")
 
 
 def fits(camera: GivenCamera, size: Size) -> bool:
@@ -134,8 +134,8 @@ def fits(camera: GivenCamera, size: Size) -> bool:
 
 def _transforms(content: bytes, sizes: Sizes) -> list[GivenCamera]:
     try:
-        told = json.loads(content)
-        frames = [{**{k: v for k, v in told.items() if k != "frames"}, **frame} for frame in told["frames"]]
+        document = json.loads(content)
+        frames = [{**{k: v for k, v in document.items() if k != "frames"}, **frame} for frame in document["frames"]]
         return [_from_frame(frame, sizes) for frame in frames]
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise FormatError(f"{TRANSFORMS} cannot be read: {error!r}; see nerfstudio's data conventions") from error
@@ -211,14 +211,14 @@ def _colmap_text(cameras: bytes, images: bytes) -> list[GivenCamera]:
     for line in _lines(cameras):
         number, model, width, height, *params = line.split()
         lenses[number] = (model, int(width), int(height), [float(value) for value in params])
-    found = []
+    result = []
     # every second line lists the points that an image sees, and may be empty
     for line in [line for line in images.decode().splitlines() if not line.startswith("#")][::2]:
         if not line.strip():
             continue
         _, *pose, lens, name = line.split(maxsplit=9)
-        found.append(_colmap_camera(name, lenses[lens], [float(value) for value in pose]))
-    return found
+        result.append(_colmap_camera(name, lenses[lens], [float(value) for value in pose]))
+    return result
 
 
 def _lines(content: bytes) -> list[str]:
@@ -232,14 +232,14 @@ def _colmap_binary(cameras: bytes, images: bytes) -> list[GivenCamera]:
         model, length = _MODELS[model_number]
         lenses[number] = (model, width, height, list(struct.unpack_from(f"<{length}d", cameras, at + 24)))
         at += 24 + 8 * length
-    found, at = [], 8
+    result, at = [], 8
     for _ in range(struct.unpack_from("<Q", images)[0]):
         _, *pose, lens = struct.unpack_from("<i7di", images, at)
         end = images.index(b"\0", at + 64)
         (num_points,) = struct.unpack_from("<Q", images, end + 1)
-        found.append(_colmap_camera(images[at + 64 : end].decode(), lenses[lens], pose))
+        result.append(_colmap_camera(images[at + 64 : end].decode(), lenses[lens], pose))
         at = end + 9 + 24 * num_points
-    return found
+    return result
 
 
 def _colmap_camera(name: str, lens: tuple[str, int, int, Sequence[float]], pose: Sequence[float]) -> GivenCamera:

@@ -1,4 +1,4 @@
-"""Pictures of Gaussians that can be differentiated: the forward pass of `gaussian.rasterize`, and its gradient.
+"""Differentiable rendering of Gaussians: the forward pass of `gaussian.rasterize`, and its gradient.
 
 The gradient of Kerbl et al. 2023, appendix A, with that of Mip-Splatting's opacity and of the depth; numba, on the CPU.
 """
@@ -36,7 +36,7 @@ class Gradients:
 
 @dataclass(frozen=True, kw_only=True)
 class Drawing:
-    """A picture, and what its gradient needs."""
+    """A rendered picture, and what its backward pass needs."""
 
     shapes: Shapes
     view: Float32[np.ndarray, "19"]
@@ -116,7 +116,7 @@ def gradients_of(drawing: Drawing, gradient: Float32[np.ndarray, "H W 5"], *, wi
 
 
 def _view(camera: Camera, width: int, height: int) -> Float32[np.ndarray, "19"]:
-    """What the kernels are told: rotation by rows, position, focal length, centre, size, and the widest slopes."""
+    """Camera as the kernels take it: rotation by rows, position, focal length, centre, size, and widest slopes."""
     intrinsics = camera.intrinsics_px(width, height)
     numbers = [
         *camera.world_to_camera.ravel(),

@@ -1,7 +1,7 @@
-"""Cameras by pycolmap (BSD), in a process of its own: `python -m dynamictree.reconstruct.mapping` with a job on stdin.
+"""Structure from motion by pycolmap (BSD), as `python -m dynamictree.reconstruct.mapping` with a job on stdin.
 
-SIFT, matching, incremental mapping and undistortion run in native code that listens to nobody; the caller ends it by
-ending the process. Progress goes to stdout, one JSON array a line: step, done, total.
+Its native code cannot be interrupted, so the caller ends the whole process. Progress goes to stdout, one JSON array
+per line: step, done, total.
 """
 
 import ctypes
@@ -65,8 +65,8 @@ def map_photos(job: MappingJob) -> None:
     folder, photos = Path(job["folder"]), job["photos"]
     database, images = folder / "features.db", folder / "photos"
     threads = len(os.sched_getaffinity(0))
-    known = {camera["name"]: camera for camera in job["given"] or ()}
-    _extract(database, images, photos, known, threads)
+    cameras_by_name = {camera["name"]: camera for camera in job["given"] or ()}
+    _extract(database, images, photos, cameras_by_name, threads)
     pairs = pairs_to_match(len(photos))
     matching = pycolmap.FeatureMatchingOptions()
     matching.num_threads, matching.use_gpu = threads, False
@@ -98,16 +98,16 @@ def _tell(step: str, done: int, total: int) -> None:
 
 
 def _extract(
-    database: Path, images: Path, photos: list[MappingPhoto], known: dict[str, MappingCamera], threads: int
+    database: Path, images: Path, photos: list[MappingPhoto], cameras_by_name: dict[str, MappingCamera], threads: int
 ) -> None:
     """SIFT by groups of photos of one size and focal length, or of one known lens, which share a camera."""
     extraction = pycolmap.FeatureExtractionOptions()
     extraction.num_threads, extraction.use_gpu = threads, False
     extraction.sift.max_num_features = _MAX_FEATURES
     done = 0
-    for photo, names in _camera_groups(photos, known):
+    for photo, names in _camera_groups(photos, cameras_by_name):
         reader = pycolmap.ImageReaderOptions(camera_model="SIMPLE_RADIAL")
-        camera = known.get(photo["name"])
+        camera = cameras_by_name.get(photo["name"])
         if photo["masked"]:
             reader.mask_path = images  # of a photo `name` the mask is `name.png`: no features where it is black
         if camera is not None:
@@ -134,11 +134,11 @@ def _extract(
 
 
 def _camera_groups(
-    photos: list[MappingPhoto], known: dict[str, MappingCamera]
+    photos: list[MappingPhoto], cameras_by_name: dict[str, MappingCamera]
 ) -> Iterator[tuple[MappingPhoto, list[str]]]:
     groups: dict[tuple[object, ...], list[MappingPhoto]] = {}
     for photo in photos:
-        camera = known.get(photo["name"])
+        camera = cameras_by_name.get(photo["name"])
         lens = None if camera is None else (camera["model"], *camera["params"])
         alike = photo["width"], photo["height"], photo["focal_px"], photo["masked"], lens
         groups.setdefault(alike, []).append(photo)
@@ -174,11 +174,11 @@ def _with_points(folder: Path, given: list[MappingCamera], threads: int) -> pyco
     sparse.mkdir(exist_ok=True)
     options = pycolmap.IncrementalPipelineOptions()
     options.num_threads, options.random_seed = threads, _SEED
-    found: pycolmap.Reconstruction = pycolmap.triangulate_points(
+    result: pycolmap.Reconstruction = pycolmap.triangulate_points(
         model, folder / "features.db", folder / "photos", sparse, options=options
     )
     _tell("cameras", 1, 1)
-    return found
+    return result
 
 
 def _leave_out_loose(model: pycolmap.Reconstruction) -> None:

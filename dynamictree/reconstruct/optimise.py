@@ -1,4 +1,4 @@
-"""Gaussians that look like the photos. Kerbl et al. 2023, with a schedule made for two cores.
+"""Optimisation of Gaussians against the photos. Kerbl et al. 2023, with a schedule for two cores.
 
 Coarse to fine: the first steps see small pictures, which cost little; Mip-Splatting's filter makes what is learned
 there hold at every size. Some photos are held out; the best picture of them ends the work early.
@@ -23,7 +23,7 @@ _DISCARDED_LOGIT = np.float32(-20)  # not drawn, and pruned by the next densific
 
 @dataclass(frozen=True, kw_only=True)
 class Target:
-    """What a camera should see."""
+    """A photo to be matched, and its camera."""
 
     camera: Camera
     photo: Float32[np.ndarray, "H W 3"]  # display space, in [0, 1]
@@ -33,7 +33,7 @@ class Target:
 
 @dataclass(frozen=True, kw_only=True)
 class Schedule:
-    """How long, how fine, how fast. Steps are a tenth of Kerbl et al.'s, and so rates are theirs times 2 to 20."""
+    """Steps, sizes and learning rates. Steps are a tenth of Kerbl et al.'s, so rates are theirs times 2 to 20."""
 
     num_steps: int = 3000
     side_px: int = 640  # of the finest pictures
@@ -58,7 +58,7 @@ class Schedule:
 
 @dataclass(frozen=True, kw_only=True)
 class SplatProgress:
-    """Everything that a run needs to go on."""
+    """State of the optimisation: enough to continue it."""
 
     table: Float32[np.ndarray, "G P"]
     moments: AdamState
@@ -71,7 +71,7 @@ class SplatProgress:
 
     @property
     def result(self) -> Float32[np.ndarray, "R P"]:
-        """The Gaussians that showed the held-out photos best, or the last ones."""
+        """Gaussians with the best PSNR of held-out photos, or the last ones."""
         return self.table if self.best is None else self.best
 
 
@@ -84,7 +84,7 @@ def optimise(
     extent: float,
     on_step: Callable[[SplatProgress], None] = lambda progress: None,
 ) -> SplatProgress:
-    """Move, split and prune Gaussians until they look like the photos; `on_step` may save, or raise to stop."""
+    """Optimise, split and prune Gaussians; `on_step` may save the state, or raise to stop."""
     levels = _Levels(targets, held_out, schedule)
     pull = start.pull or Pull(len(start.table))
     progress = replace(start, pull=pull)
@@ -127,19 +127,19 @@ def _one_step(
     if target.alpha is not None:
         wanted = target.photo * target.alpha[..., None] + behind * (1 - target.alpha[..., None])
     light = drawing.picture[..., 4]
-    shown = drawing.picture[..., :3] + behind * light[..., None]
-    loss = picture_loss(_planes(shown), _planes(wanted), ssim_share=SSIM_SHARE)
+    composited = drawing.picture[..., :3] + behind * light[..., None]
+    loss = picture_loss(_planes(composited), _planes(wanted), ssim_share=SSIM_SHARE)
     gradient = np.zeros_like(drawing.picture)
     gradient[..., :3] = loss.gradient.transpose(1, 2, 0)
     gradient[..., 4] = gradient[..., :3] @ behind
     if target.depth is not None and schedule.depth_share > 0:
         share = schedule.depth_share * 0.01 ** (progress.step / schedule.num_steps)
         _add_depth(gradient, drawing.picture, target.depth, share)
-    found = gradients_of(drawing, gradient, width=progress.table.shape[1])
+    gradients = gradients_of(drawing, gradient, width=progress.table.shape[1])
     seen = drawing.bounds[:, 1] > drawing.bounds[:, 0]
-    pull.add(found.centres_px, seen, width, height)
+    pull.add(gradients.centres_px, seen, width, height)
     rates = _rates(schedule, progress.step, progress.table.shape[1], extent, cut_out=target.alpha is not None)
-    stepped = adam_step(progress.table, found.table, progress.moments, rates)
+    stepped = adam_step(progress.table, gradients.table, progress.moments, rates)
     progress.table[stepped.skipped, LOGIT] = _DISCARDED_LOGIT
     unit_quaternions(progress.table)
     return stepped
@@ -152,12 +152,12 @@ def _add_depth(
     share: float,
 ) -> None:
     """Gradient of the mean relative error of depth where one is known: Σ w (z − z*) / z*, so opacity is left alone."""
-    known = depth > 0
-    per = np.where(known, 1 / np.where(known, depth, 1), 0).astype(np.float32)
-    error = picture[..., 3] * per - (1 - picture[..., 4]) * known
-    slope = np.sign(error) * np.float32(share / max(known.sum(), 1))
+    measured = depth > 0
+    per = np.where(measured, 1 / np.where(measured, depth, 1), 0).astype(np.float32)
+    error = picture[..., 3] * per - (1 - picture[..., 4]) * measured
+    slope = np.sign(error) * np.float32(share / max(measured.sum(), 1))
     gradient[..., 3] += slope * per
-    gradient[..., 4] += slope * known
+    gradient[..., 4] += slope * measured
 
 
 def _rules(schedule: Schedule, shrink: int, *, cut_out: bool) -> DensityRules:
@@ -187,11 +187,11 @@ def _worn_out(progress: SplatProgress, schedule: Schedule) -> bool:
 
 
 def _checked(progress: SplatProgress, levels: "_Levels", schedule: Schedule, degree: int) -> SplatProgress:
-    found = held_out_psnr(progress.table, levels.held_out, degree)
-    progress = replace(progress, checks=(*progress.checks, (progress.step, len(progress.table), found)))
-    if _shrink(schedule, progress.step) > 1 or found <= progress.best_psnr:
+    psnr_db = held_out_psnr(progress.table, levels.held_out, degree)
+    progress = replace(progress, checks=(*progress.checks, (progress.step, len(progress.table), psnr_db)))
+    if _shrink(schedule, progress.step) > 1 or psnr_db <= progress.best_psnr:
         return progress
-    return replace(progress, best_psnr=found, best=progress.table.copy())
+    return replace(progress, best_psnr=psnr_db, best=progress.table.copy())
 
 
 def held_out_psnr(table: Float32[np.ndarray, "G P"], targets: Sequence[Target], sh_degree: int) -> float:
@@ -200,15 +200,15 @@ def held_out_psnr(table: Float32[np.ndarray, "G P"], targets: Sequence[Target], 
 
 
 def drawn(table: Float32[np.ndarray, "G P"], target: Target, sh_degree: int) -> Float32[np.ndarray, "H W 3"]:
-    """What the Gaussians show of a target, before black."""
+    """Render the Gaussians for a target, on black."""
     height, width = target.photo.shape[:2]
     picture = draw(shapes_of(table, sh_degree), target.camera, width=width, height=height).picture
-    shown: Float32[np.ndarray, "H W 3"] = np.clip(picture[..., :3], 0, 1)
-    return shown
+    result: Float32[np.ndarray, "H W 3"] = np.clip(picture[..., :3], 0, 1)
+    return result
 
 
 def cut_out(target: Target) -> Float32[np.ndarray, "H W 3"]:
-    """A target's photo before black."""
+    """The target's photo on black."""
     return target.photo if target.alpha is None else target.photo * target.alpha[..., None]
 
 
@@ -231,7 +231,7 @@ class _Levels:
 
 
 def smaller(target: Target, side_px: int) -> Target:
-    """The same with at most that many pixels a side."""
+    """Reduce a target to at most `side_px` pixels per side."""
     height, width = target.photo.shape[:2]
     by = min(1.0, side_px / max(height, width))
     if by == 1:

@@ -1,4 +1,4 @@
-"""Photos as they come from a camera: checked, turned upright, reduced, and freed of what they tell about the place."""
+"""Check photos, turn them upright, reduce them, and remove EXIF with its GPS position."""
 
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -38,7 +38,7 @@ class Photo:
 
 @dataclass(frozen=True, kw_only=True)
 class PhotoFile:
-    """A photo as it was given."""
+    """A photo in its original file."""
 
     path: Path
     name: str  # its own; with its folders where two have the same
@@ -53,10 +53,10 @@ def list_photos(paths: Sequence[Path], root: Path | None = None) -> list[PhotoFi
         for path in sorted(root.rglob("*")):
             if path.parent.name == MASKS and path.is_file():
                 masks[path.name] = masks[path.stem] = path
-    shown = [path for path in paths if root is None or path.parent.name != MASKS]
-    alike = root is not None and len({path.name for path in shown}) < len(shown)
+    photo_paths = [path for path in paths if root is None or path.parent.name != MASKS]
+    alike = root is not None and len({path.name for path in photo_paths}) < len(photo_paths)
     photos = []
-    for path in shown:
+    for path in photo_paths:
         name = path.relative_to(root).as_posix() if root is not None and alike else path.name
         mask = masks.get(path.name) or masks.get(path.stem)
         photos.append(PhotoFile(path=path, name=name, mask=mask))
@@ -124,8 +124,8 @@ def _prepare(photo: PhotoFile, folder: Path, name: str) -> Photo:
         with _opened(photo.mask, photo.mask.name) as image:
             alpha = _decoded(image, photo, reduced=False).convert("L")
         if abs(alpha.width * upright.height - alpha.height * upright.width) > 0.01 * alpha.width * upright.height:
-            found = f"the mask of {photo.name} has {alpha.width} x {alpha.height} pixels"
-            raise FormatError(f"{found}, its photo another shape; make masks of the photos as they are")
+            problem = f"the mask of {photo.name} has {alpha.width} x {alpha.height} pixels"
+            raise FormatError(f"{problem}, its photo another shape; make masks of the photos as they are")
     upright = upright.convert("RGB")
     if max(upright.size) > LONG_SIDE_PX:
         upright.thumbnail((LONG_SIDE_PX, LONG_SIDE_PX), Image.Resampling.LANCZOS)
@@ -168,9 +168,9 @@ def _opened(path: Path, name: str) -> Iterator[Image.Image]:
         raise FormatError(f"{name}: {error}; {MAX_PHOTO_PIXELS:,} pixels are allowed") from error
     with image:
         if image.width * image.height > MAX_PHOTO_PIXELS or min(image.size) < MIN_SIDE_PX:
-            found = f"{name} has {image.width} x {image.height} pixels"
+            problem = f"{name} has {image.width} x {image.height} pixels"
             allowed = f"at least {MIN_SIDE_PX} a side and at most {MAX_PHOTO_PIXELS:,} in all are allowed"
-            raise FormatError(f"{found}; {allowed}")
+            raise FormatError(f"{problem}; {allowed}")
         yield image
 
 

@@ -24,12 +24,12 @@ _LEAST_GAIN_DB = 3.0  # above a picture of one colour, or the splat shows nothin
 
 def quality_warnings(psnr_db: Sequence[float], blank_psnr_db: Sequence[float]) -> list[str]:
     """Warn if the held-out photos are shown hardly better than by pictures of one colour."""
-    shown, blank = float(np.mean(psnr_db)), float(np.mean(blank_psnr_db))
-    if shown >= blank + _LEAST_GAIN_DB:
+    reached, blank = float(np.mean(psnr_db)), float(np.mean(blank_psnr_db))
+    if reached >= blank + _LEAST_GAIN_DB:
         return []
     return [
-        f"photos held out are shown with {shown:.1f} dB, a picture of one colour has {blank:.1f} dB: do not trust the "
-        "splat; look at report.png, check masks and given cameras, and take more photos, sharp and in even light"
+        f"photos held out are shown with {reached:.1f} dB, a picture of one colour has {blank:.1f} dB: do not trust "
+        "the splat; look at report.png, check masks and given cameras, and take more photos, sharp and in even light"
     ]
 
 

@@ -1,4 +1,4 @@
-"""A splat of what the photos show: some photos held out, the rest learned, the run saved as it goes."""
+"""Fit a splat to the photos; some are held out for validation, and the state is saved regularly."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -23,7 +23,7 @@ _SAVE_EVERY_S, _REPORT_EVERY_S = 20.0, 0.25
 
 @dataclass(frozen=True, kw_only=True)
 class SplatFit:
-    """What was learned, in the frame of the model that it was learned from."""
+    """Result of the fit, in the frame of the model."""
 
     table: Float32[np.ndarray, "G P"]
     held_out: tuple[str, ...]  # photos, by their own names
@@ -50,7 +50,7 @@ def fit_splat(
     saved: Path | None = None,
     on_progress: Callable[[float, float | None], None] = lambda share, psnr_db: None,
 ) -> SplatFit:
-    """Learn Gaussians from all photos but those held out, which are only looked at to know when to stop.
+    """Fit Gaussians to all photos but those held out, which only decide when to stop.
 
     Args:
         model: in the stage's frame.
@@ -60,8 +60,8 @@ def fit_splat(
         on_progress: gets the share that is done and the PSNR [dB] of held-out photos at the last check, every quarter
             of a second; what it raises passes through.
     """
-    held = held_out_views(len(model.views))
-    learned = [view for view in range(len(model.views)) if view not in held]
+    held_out_rows = held_out_views(len(model.views))
+    learned = [view for view in range(len(model.views)) if view not in held_out_rows]
     cut = any(view.alpha is not None for view in model.views)
     table = first_table(
         _some_views(model, learned),
@@ -92,11 +92,11 @@ def fit_splat(
                 raise
 
     targets = [_target(model.views[view], None if depths is None else depths.depths[view]) for view in learned]
-    unseen = [_target(model.views[view], None) for view in held]
+    unseen = [_target(model.views[view], None) for view in held_out_rows]
     end = optimise(start, targets, unseen, schedule, extent=camera_extent(model.views), on_step=step)
     if saved is not None:
         save_progress(end, saved)
-    return _judged(end, [model.views[view] for view in held], unseen, schedule)
+    return _judged(end, [model.views[view] for view in held_out_rows], unseen, schedule)
 
 
 def camera_extent(views: Sequence[View]) -> float:
@@ -107,13 +107,13 @@ def camera_extent(views: Sequence[View]) -> float:
 
 def _judged(end: SplatProgress, views: list[View], unseen: list[Target], schedule: Schedule) -> SplatFit:
     targets = [smaller(target, schedule.side_px) for target in unseen]
-    shown = [drawn(end.result, target, schedule.sh_degree) for target in targets]
+    pictures = [drawn(end.result, target, schedule.sh_degree) for target in targets]
     photos = [cut_out(target) for target in targets]
-    pairs = [np.concatenate([photo, picture], axis=1) for photo, picture in zip(photos, shown, strict=True)]
+    pairs = [np.concatenate([photo, picture], axis=1) for photo, picture in zip(photos, pictures, strict=True)]
     return SplatFit(
         table=end.result,
         held_out=tuple(view.source for view in views),
-        psnr_db=tuple(psnr(picture, photo) for picture, photo in zip(shown, photos, strict=True)),
+        psnr_db=tuple(psnr(picture, photo) for picture, photo in zip(pictures, photos, strict=True)),
         blank_db=tuple(psnr(np.broadcast_to(photo.mean(axis=(0, 1)), photo.shape), photo) for photo in photos),
         pictures=tuple(np.rint(pair * 255).astype(np.uint8) for pair in pairs),
         size_px=(photos[0].shape[1], photos[0].shape[0]),

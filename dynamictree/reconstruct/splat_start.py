@@ -1,4 +1,4 @@
-"""Where Gaussians begin: at what structure from motion and stereo have found, and far behind it all."""
+"""Initial Gaussians: at points of structure from motion, stereo and masks, and on a far dome."""
 
 from collections.abc import Sequence
 
@@ -30,8 +30,8 @@ def first_table(
         points, colors = np.concatenate([points, dense]), np.concatenate([colors, dense_colors])
     hull, hull_colors = hull_points(model.views, number, rng)
     points, colors = np.concatenate([points, hull]), np.concatenate([colors, hull_colors])
-    kept = thinned(points, number, rng)
-    points, colors = points[kept].astype(np.float32), colors[kept].astype(np.float32)
+    rows = thinned(points, number, rng)
+    points, colors = points[rows].astype(np.float32), colors[rows].astype(np.float32)
     table = table_of_points(points, colors, spacing(points), opacity=_OPACITY, sh_degree=sh_degree)
     if not dome:
         return table
@@ -44,20 +44,20 @@ def first_table(
 def points_of_depths(
     model: SparseModel, depths: DepthMaps
 ) -> tuple[Float64[np.ndarray, "P 3"], Float32[np.ndarray, "P 3"]]:
-    """Every pixel whose depth is known, in space, with the photo's colour."""
-    found, colors = [], []
+    """Back-project every pixel that has a depth, with the photo's colour."""
+    points, colors = [], []
     for view, stereo, depth in zip(model.views, depths.views, depths.depths, strict=True):
         row, column = np.nonzero(depth > 0)
         pixels = np.stack([column + 0.5, row + 0.5, np.ones(len(row))], axis=1)
-        found.append(stereo.position + depth[row, column, None] * (pixels @ stereo.to_ray.T))
+        points.append(stereo.position + depth[row, column, None] * (pixels @ stereo.to_ray.T))
         height, width = view.image.shape[:2]
         at = (row * height // depth.shape[0], column * width // depth.shape[1])
         colors.append(view.image[at] / np.float32(255))
-    return np.concatenate(found), np.concatenate(colors)
+    return np.concatenate(points), np.concatenate(colors)
 
 
 def thinned(points: Float64[np.ndarray, "P 3"], number: int, rng: np.random.Generator) -> Int64[np.ndarray, " K"]:
-    """About that many of the points, evenly in space: one at random of every cell of a grid."""
+    """Rows of about `number` points, evenly in space: a random one per cell of a grid."""
     if len(points) <= number:
         return np.arange(len(points))
     order = rng.permutation(len(points))
@@ -82,7 +82,7 @@ def spacing(points: Float32[np.ndarray, "G 3"]) -> Float32[np.ndarray, " G"]:
 
 
 def dome_points(views: Sequence[View]) -> tuple[Float32[np.ndarray, "D 3"], Float32[np.ndarray, "D 3"]]:
-    """Places all around and far away that a photo shows, with the mean colour of the photos that do."""
+    """Points on a far sphere that a photo shows, with the mean colour of those photos."""
     place = np.arange(_DOME_POINTS) + 0.5
     z = 1 - 2 * place / _DOME_POINTS
     side = np.sqrt(1 - z * z)

@@ -1,4 +1,4 @@
-"""Gaussians as a table that an optimiser moves: a row each; and back to a cloud."""
+"""Gaussians as a table of parameters, one row each, and back to a cloud."""
 
 from typing import no_type_check
 
@@ -34,7 +34,7 @@ def table_of_points(
 
 
 def shapes_of(table: Float32[np.ndarray, "G P"], sh_degree: int) -> Shapes:
-    """What the renderer draws, with harmonics up to a degree. Quaternions are unit ones in the table."""
+    """Convert the table for the renderer, with harmonics up to a degree; its quaternions are unit ones."""
     num_harmonics = (sh_degree + 1) ** 2
     sh = table[:, COLOR.start : COLOR.start + 3 * num_harmonics].reshape(len(table), num_harmonics, 3)
     return Shapes(

@@ -117,22 +117,22 @@ def neighbours_of(
 
 
 def agreed_depths(
-    views: list[StereoView], found: list[Hypotheses], neighbours: list[list[int]], *, min_agreeing: int
+    views: list[StereoView], hypotheses: list[Hypotheses], neighbours: list[list[int]], *, min_agreeing: int
 ) -> list[Float32[np.ndarray, "H W"]]:
     """Depth maps [units of the cameras] that hold only what enough neighbours confirm; 0 elsewhere."""
     depths = []
     for view, others in enumerate(neighbours):
-        votes = np.zeros(found[view].inverse.shape, np.int32)
+        votes = np.zeros(hypotheses[view].inverse.shape, np.int32)
         for other in others:
             in_bands(
                 _agree_rows,
                 len(votes),
-                (found[view].inverse, views[view]),
-                (found[other].inverse, views[other]),
+                (hypotheses[view].inverse, views[view]),
+                (hypotheses[other].inverse, views[other]),
                 votes,
             )
-        sure = (votes >= min_agreeing) & (found[view].cost < _MAX_COST)
-        depths.append(np.where(sure, 1 / found[view].inverse, 0).astype(np.float32))
+        sure = (votes >= min_agreeing) & (hypotheses[view].cost < _MAX_COST)
+        depths.append(np.where(sure, 1 / hypotheses[view].inverse, 0).astype(np.float32))
     return depths
 
 

@@ -60,8 +60,8 @@ def splat_surface(table: Float32[np.ndarray, "G P"], scene: Scene) -> Surface:
     try:
         mesh = mesh_of_cloud(cloud.subset(inside), cells_along=_SPLAT_CELLS, max_faces=2 * MAX_FACES)
     except (InputError, ValueError) as error:
-        found = f"{len(scene.model.views)} photos fit together, but {int(inside.sum())} Gaussians make no surface"
-        raise ReconstructionError(f"{found}; {ADVICE}") from error
+        problem = f"{len(scene.model.views)} photos fit together, but {int(inside.sum())} Gaussians make no surface"
+        raise ReconstructionError(f"{problem}; {ADVICE}") from error
     return main_cluster(Surface(mesh.vertices, mesh.faces), GAP)
 
 
@@ -130,8 +130,8 @@ def photo_colors(mesh: TriangleMesh, views: tuple[View, ...]) -> UInt8[np.ndarra
 
 def _check(surface: Surface, model: SparseModel) -> None:
     if len(surface.faces) < LEAST_FACES:
-        found = f"{len(model.views)} photos fit together, but they agree on {len(surface.faces)} triangles of surface"
-        raise ReconstructionError(f"{found}; at least {LEAST_FACES} are needed; {ADVICE}")
+        problem = f"{len(model.views)} photos fit together, but they agree on {len(surface.faces)} triangles of surface"
+        raise ReconstructionError(f"{problem}; at least {LEAST_FACES} are needed; {ADVICE}")
 
 
 def _decimated(surface: Surface) -> Surface:

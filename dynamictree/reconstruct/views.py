@@ -23,7 +23,7 @@ class View:
 
 @dataclass(frozen=True, kw_only=True)
 class SparseModel:
-    """What structure from motion gives: views and points, in a frame and a unit of its own."""
+    """Result of structure from motion: views and points, in an arbitrary frame and unit."""
 
     views: tuple[View, ...]
     points: Float64[np.ndarray, "P 3"]
@@ -34,7 +34,7 @@ class SparseModel:
     def transformed(
         self, scale: float, rotation: Float64[np.ndarray, "3 3"], origin: Float64[np.ndarray, "3"]
     ) -> "SparseModel":
-        """The same in the frame x' = scale · rotation · (x − origin)."""
+        """Transform to the frame x' = scale · rotation · (x − origin)."""
         views = tuple(
             replace(
                 view,
@@ -60,11 +60,11 @@ def read_model(folder: Path, sources: dict[str, str]) -> SparseModel | None:
     """Read what `mapping` wrote; None where no two photos fitted together. `sources` gives each photo's own name."""
     if not (folder / "views.json").exists():
         return None
-    told = json.loads((folder / "views.json").read_text())
+    document = json.loads((folder / "views.json").read_text())
     with np.load(folder / "points.npz", allow_pickle=False) as arrays:
         positions, colors, seen = arrays["positions"], arrays["colors"], arrays["seen"]
     views = []
-    for view in told["views"]:
+    for view in document["views"]:
         rotation = np.array(view["rotation"])
         camera = Camera(
             position_m=-rotation.T @ np.array(view["translation"]),
@@ -81,5 +81,5 @@ def read_model(folder: Path, sources: dict[str, str]) -> SparseModel | None:
         points=positions,
         colors=colors,
         seen=seen,
-        reprojection_error_px=float(told["reprojection_error_px"]),
+        reprojection_error_px=float(document["reprojection_error_px"]),
     )

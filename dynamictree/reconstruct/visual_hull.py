@@ -88,13 +88,13 @@ def _agreed(pyramids: list[_MaskPyramid], centres: Float64[np.ndarray, "C 3"], h
         x, y, radius = x[visible], y[visible], radius[visible]
         level = np.ceil(np.log2(np.maximum(2 * radius, 1))).astype(int)
         level = np.minimum(level, len(pyramid.starts) - 1)
-        found = np.zeros(len(x), np.bool_)
+        hit = np.zeros(len(x), np.bool_)
         for right, down in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
             column = np.clip((x + right * radius).astype(int) >> level, 0, pyramid.widths[level] - 1)
             row = np.clip((y + down * radius).astype(int) >> level, 0, pyramid.heights[level] - 1)
-            found |= pyramid.values[pyramid.starts[level] + row * pyramid.widths[level] + column]
+            hit |= pyramid.values[pyramid.starts[level] + row * pyramid.widths[level] + column]
         seen += visible
-        inside[visible] += found
+        inside[visible] += hit
     agreed: Bool[np.ndarray, " C"] = (seen >= _LEAST_SEEN * len(pyramids)) & (seen - inside <= _MAX_DISAGREEING * seen)
     return agreed
 
@@ -123,9 +123,9 @@ def _inside_all(pyramids: list[_MaskPyramid], points: Float64[np.ndarray, "P 3"]
     inside = np.ones(len(points), np.bool_)
     for pyramid in pyramids:
         x, y, depth = pyramid.camera.project(points, pyramid.width, pyramid.height).T
-        shown = (depth > 0) & (x >= 0) & (y >= 0) & (x < pyramid.width) & (y < pyramid.height)
-        row, column = np.where(shown, y, 0).astype(int), np.where(shown, x, 0).astype(int)
-        inside &= shown & (pyramid.exact[row, column] >= 128)
+        visible = (depth > 0) & (x >= 0) & (y >= 0) & (x < pyramid.width) & (y < pyramid.height)
+        row, column = np.where(visible, y, 0).astype(int), np.where(visible, x, 0).astype(int)
+        inside &= visible & (pyramid.exact[row, column] >= 128)
     return inside
 
 
@@ -136,9 +136,9 @@ def _mean_colors(views: list[View], points: Float64[np.ndarray, "P 3"]) -> Float
         assert view.alpha is not None
         height, width = view.image.shape[:2]
         x, y, depth = view.camera.project(points, width, height).T
-        shown = (depth > 0) & (x >= 0) & (y >= 0) & (x < width) & (y < height)
-        at = np.where(shown, y, 0).astype(int), np.where(shown, x, 0).astype(int)
-        share = shown * np.where(view.alpha[at] >= 128, 1, 1e-3).astype(np.float32)
+        visible = (depth > 0) & (x >= 0) & (y >= 0) & (x < width) & (y < height)
+        at = np.where(visible, y, 0).astype(int), np.where(visible, x, 0).astype(int)
+        share = visible * np.where(view.alpha[at] >= 128, 1, 1e-3).astype(np.float32)
         total += share[:, None] * (view.image[at] / np.float32(255))
         weight += share
     colors: Float32[np.ndarray, "P 3"] = total / np.maximum(weight, 1e-6)[:, None]

@@ -84,12 +84,11 @@ def test_the_command_saves_its_work_when_it_is_stopped(photos, tmp_path, number)
         assert child.stderr is not None
         events = []
         for line in child.stderr:
-            if not line.startswith("{"):
-                break
             events.append(json.loads(line))
-            if events[-1]["stage"] == "splat" and len([event for event in events if event["stage"] == "splat"]) == 1:
+            if events[-1]["stage"] == "splat" and events[-1]["share"] > 0 and child.poll() is None:
                 child.send_signal(number)
-        words = line + child.stderr.read()
+                break
+        words = child.stderr.read()
     assert child.returncode == 128 + number
     work = tmp_path / "out.unfinished"
     assert f"finished stages are in {work}; run the same command again to continue" in words
