@@ -1,5 +1,6 @@
 """What a file holds, in a few named facts: `dynamictree info` and the service's metadata say the same."""
 
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,8 @@ def describe_mesh(mesh: TriangleMesh) -> dict[str, Any]:
         "low_m": low.round(4).tolist(),
         "source_up_axis": mesh.source_up_axis,
         "source_scale": mesh.source_scale,
+        "height_m": round(mesh.height_m, 4),
+        "warnings": [asdict(warning) for warning in mesh.warnings],
     }
 
 

@@ -32,6 +32,14 @@ class Material:
 
 
 @dataclass(frozen=True, kw_only=True)
+class SourceWarning:
+    """What a reader had to leave out or to assume; `code` is for programs, docs/formats.md lists them."""
+
+    code: str
+    message: str
+
+
+@dataclass(frozen=True, kw_only=True)
 class TriangleMesh:
     """One mesh of one or many parts. Vertex order is the source's; displacement files follow it.
 
@@ -46,6 +54,7 @@ class TriangleMesh:
     materials: tuple[Material, ...] = field(default=())
     source_up_axis: str = "+Z"
     source_scale: float = 1.0  # metres a unit of the source
+    warnings: tuple[SourceWarning, ...] = ()
 
     @property
     def num_vertices(self) -> int:

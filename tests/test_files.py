@@ -52,3 +52,17 @@ def test_companions_are_files_of_the_folder_that_a_mesh_may_name(tmp_path: Path)
     companions = Companions(tmp_path / "tree.obj")
     assert dict(companions) == {"tree.mtl": b"tree.mtl", "bark.PNG": b"bark.PNG"}
     assert len(companions) == 2
+
+
+def test_a_companion_may_lie_in_a_folder_below_and_nowhere_else(tmp_path: Path) -> None:
+    model = tmp_path / "model"
+    (model / "textures").mkdir(parents=True)
+    (model / "textures" / "bark.png").write_bytes(b"bark")
+    (tmp_path / "secret.png").write_bytes(b"secret")
+    (model / "link.png").symlink_to(tmp_path / "secret.png")
+    (model / "textures" / "up.png").symlink_to(tmp_path / "secret.png")
+    companions = Companions(model / "tree.gltf")
+    assert companions["textures/bark.png"] == b"bark"
+    assert "textures/bark.png" in companions
+    for name in ("../secret.png", str(tmp_path / "secret.png"), "textures/up.png", "textures/none.png", "textures"):
+        assert name not in companions

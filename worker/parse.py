@@ -77,6 +77,7 @@ def _cloud(
     request: ParseRequest, name: str, file_type: str, mesh: str | None, beside: Mapping[str, Path]
 ) -> ParseAnswer:
     from dynamictree.describe import describe_capture
+    from dynamictree.formats.companions import beside_model
     from dynamictree.formats.source_file import read_capture
     from dynamictree.formats.suffixes import MASK_NAME
     from dynamictree.formats.tensors.cloud_bundle import write_cloud_bundle
@@ -91,7 +92,9 @@ def _cloud(
             unit_m=request.unit_m,
             mask=opened.enter_context(masks[0].open("rb")) if masks else None,
             mesh=None if mesh is None else (mesh, opened.enter_context(paths[mesh].open("rb"))),
-            companions=None if mesh is None else {other: path.read_bytes() for other, path in beside.items()},
+            companions=None
+            if mesh is None
+            else beside_model(mesh, {other: path.read_bytes() for other, path in beside.items()}),
         )
     with request.prepared.open("xb") as stream:
         write_cloud_bundle(capture, stream)
@@ -100,10 +103,11 @@ def _cloud(
 
 def _mesh(request: ParseRequest, name: str, file_type: str, beside: Mapping[str, Path]) -> ParseAnswer:
     from dynamictree.describe import describe_mesh
+    from dynamictree.formats.companions import beside_model
     from dynamictree.formats.mesh_file import read_mesh
     from dynamictree.formats.tensors.mesh_bundle import write_mesh_bundle
 
-    companions = {other: path.read_bytes() for other, path in beside.items()}
+    companions = beside_model(name, {other: path.read_bytes() for other, path in beside.items()})
     with dict(zip(request.names, request.paths, strict=True))[name].open("rb") as source:
         mesh = read_mesh(
             source, file_type=file_type, up_axis=request.up_axis, unit_m=request.unit_m, companions=companions

@@ -108,8 +108,8 @@ class Asset(Model):
     id: str
     kind: Literal["mesh", "photos", "cloud"]
     parts: "list[Part]"
-    # what was found in it; lengths in metres
-    summary: dict[str, str | int | float | list[float] | None]
+    # what was found in it, lengths in metres; `warnings` are objects with `code` and `message`
+    summary: dict[str, str | int | float | list[float] | list[dict[str, str]] | None]
     # RFC 3339, UTC
     created_at: datetime
     # RFC 3339, UTC

@@ -33,4 +33,6 @@ def info(
         facts = describe_capture(pipeline.load_capture(source, up_axis=reading.up_axis, unit_m=reading.unit_m))
     else:
         facts = describe_mesh(pipeline.load_mesh(source, up_axis=reading.up_axis, unit_m=reading.unit_m))
+    if not as_json:
+        facts["warnings"] = [f"{entry['message']} ({entry['code']})" for entry in facts.get("warnings", [])] or ["none"]
     tell(facts, as_json=as_json)

@@ -3,6 +3,8 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import typer
+
 from dynamictree.errors import InputError
 from dynamictree.files import opened
 from dynamictree.requests import Box, Reading
@@ -55,6 +57,16 @@ def read_source(
     if not is_cloud(path):
         if box_m is not None or mask is not None or beside is not None:
             raise InputError(f"{path} is a mesh; --box, --mask and --mesh are for splats and scans")
-        return pipeline.load_mesh(path, up_axis=reading.up_axis, unit_m=reading.unit_m), None
+        mesh = pipeline.load_mesh(path, up_axis=reading.up_axis, unit_m=reading.unit_m)
+        say_how_read(mesh)
+        return mesh, None
     capture = pipeline.load_capture(path, up_axis=reading.up_axis, unit_m=reading.unit_m, mask=mask, mesh=beside)
     return carrying_mesh(capture, box_m), capture
+
+
+def say_how_read(mesh: "TriangleMesh") -> None:
+    """Print size, axis and unit as they were read, and what the reader left out, to standard error."""
+    unit = f"unit {mesh.source_scale:g} m"
+    typer.echo(f"read as {mesh.height_m:.3g} m tall, {mesh.source_up_axis} up, {unit}", err=True)
+    for warning in mesh.warnings:
+        typer.echo(f"warning: {warning.message} ({warning.code})", err=True)

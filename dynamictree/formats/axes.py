@@ -14,9 +14,10 @@ import numpy as np
 from jaxtyping import Float32, Float64
 
 from dynamictree.errors import InputError
-from dynamictree.mesh import TriangleMesh
+from dynamictree.mesh import SourceWarning, TriangleMesh
 
 TALLEST_TREE_M = 120.0  # Hyperion, the tallest tree known, is 116 m
+USUAL_HEIGHT_M = (0.2, 60.0)
 UNITS_M = (1.0, 0.01, 0.001)
 
 _FOOT_SHARE = 0.1  # of the height
@@ -44,7 +45,9 @@ def up_rotation(up_axis: str) -> Float64[np.ndarray, "3 3"]:
     return np.array(_TO_Z_UP[up_axis], np.float64)
 
 
-def mesh_to_z_up(mesh: TriangleMesh, *, up_axis: str | None, unit_m: float | None) -> TriangleMesh:
+def mesh_to_z_up(
+    mesh: TriangleMesh, *, up_axis: str | None, unit_m: float | None, doubt_size: bool = False
+) -> TriangleMesh:
     """Turn and scale a mesh as its file has it; None is worked out.
 
     Raises:
@@ -55,9 +58,33 @@ def mesh_to_z_up(mesh: TriangleMesh, *, up_axis: str | None, unit_m: float | Non
     axis = up_axis or detect_up_axis(mesh)
     turned = mesh.vertices @ up_rotation(axis).T  # [N, 3] float64
     scale = unit_m or guess_unit_m(float(np.ptp(turned[:, 2])) if len(turned) else 0.0)
+    height = float(np.ptp(turned[:, 2])) * scale if len(turned) else 0.0
     return replace(
-        mesh, vertices=(turned * scale).astype(np.float32), source_up_axis=axis, source_scale=scale * mesh.source_scale
+        mesh,
+        vertices=(turned * scale).astype(np.float32),
+        source_up_axis=axis,
+        source_scale=scale * mesh.source_scale,
+        warnings=mesh.warnings + (size_warnings(height, scale) if doubt_size else ()),
     )
+
+
+def size_warnings(height_m: float, scale: float) -> tuple[SourceWarning, ...]:
+    """Doubt a height that trees hardly have, and propose the unit that makes it usual."""
+    if USUAL_HEIGHT_M[0] <= height_m <= USUAL_HEIGHT_M[1]:
+        return ()
+    units = {"centimetres": 0.01, "inches": 0.0254, "millimetres": 0.001, "metres": 1.0}
+    heights = {name: (unit, height_m / scale * unit) for name, unit in units.items() if unit != scale}
+    proposal = next(
+        (
+            f"; if the file is in {name}, set unit_m to {unit:g} ({height:.3g} m)"
+            for name, (unit, height) in heights.items()
+            if 1 <= height <= USUAL_HEIGHT_M[1]
+        ),
+        "; set unit_m to the metres in one unit of the file",
+    )
+    low, high = USUAL_HEIGHT_M
+    message = f"the model is {height_m:.4g} m tall, outside of the usual {low:g} to {high:g} m{proposal}"
+    return (SourceWarning(code="size-doubtful", message=message),)
 
 
 def vertices_in_source_axes(mesh: TriangleMesh, up_axis: str) -> Float32[np.ndarray, "N 3"]:

@@ -69,6 +69,7 @@ def read_mesh(
         what = _NOT_MESHES.get(file_type, f"of type {file_type[:20]!r}")
         raise FormatError(f"the file is {what}; {ACCEPTED}")
     content = read_all(stream, MAX_FILE_BYTES)
+    doubt_size = unit_m is None  # what the format says of its unit is a habit, not a measurement
     beside = companions or {}
     if file_type in ("glb", "gltf"):
         mesh = read_gltf(content, companions=beside)
@@ -86,7 +87,7 @@ def read_mesh(
         foreign = read_foreign_mesh(content, file_type=file_type, companions=beside)
         mesh, up_axis, unit_m = foreign.mesh, up_axis or foreign.up_axis, unit_m or foreign.unit_m
     validate_mesh(mesh)  # before its values are used to find axis and unit
-    return validate_mesh(mesh_to_z_up(mesh, up_axis=up_axis, unit_m=unit_m))
+    return validate_mesh(mesh_to_z_up(mesh, up_axis=up_axis, unit_m=unit_m, doubt_size=doubt_size))
 
 
 def sniff_file_type(head: bytes, filename: str = "") -> str:

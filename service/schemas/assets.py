@@ -25,8 +25,8 @@ class AssetPayload(Payload):
     id: str
     kind: AssetKind
     parts: list[PartPayload]
-    summary: dict[str, str | int | float | list[float] | None] = Field(
-        description="what was found in it; lengths in metres"
+    summary: dict[str, str | int | float | list[float] | list[dict[str, str]] | None] = Field(
+        description="what was found in it, lengths in metres; `warnings` are objects with `code` and `message`"
     )
     created_at: Time
     expires_at: Time

@@ -72,7 +72,7 @@ def sort_out(form: Form, folder: Path) -> Upload:
     """
     reading = reading_options(form.fields)
     files = form.files
-    if len(files) == 1 and is_zip(files[0].path) and _suffix(files[0]) != ".sog":
+    if len(files) == 1 and is_zip(files[0].path) and _suffix(files[0]) not in (".sog", ".3mf"):
         files = unpack(files[0], folder)
     if not files:
         raise ProblemError("validation-failed", "the form has no file; send at least one part with a filename")

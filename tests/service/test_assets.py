@@ -1,4 +1,5 @@
 import io
+import json
 import zipfile
 from pathlib import Path
 
@@ -9,6 +10,7 @@ from PIL import Image
 from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle
 from jobs.assets import read_asset
 from service.services import Services
+from tests.formats.meshes import image_bytes, triangle_gltf
 from tests.service.conftest import change_services
 
 OBJ = b"""mtllib tree.mtl
@@ -204,6 +206,53 @@ def test_a_parser_that_takes_too_much_is_ended(client: TestClient, services: Ser
     response = send(client, ("tree.obj", OBJ))
     assert (response.status_code, response.json()["code"]) == (422, "input-too-costly")
     assert left_behind(services) == []
+
+
+def multi_file_gltf() -> dict[str, bytes]:
+    root, binary = triangle_gltf(
+        materials=[{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}],
+        textures=[{"source": 0}],
+        images=[{"uri": "textures/bark.png"}],
+        buffers=[{"byteLength": 42, "uri": "scene.bin"}],
+    )
+    root["meshes"][0]["primitives"][0]["material"] = 0  # type: ignore[index]
+    content = json.dumps(root).encode()
+    return {"scene.gltf": content, "scene.bin": binary, "textures/bark.png": image_bytes(), "license.txt": b"CC-BY"}
+
+
+@pytest.mark.parametrize("top", ["", "maple tree/"])
+def test_a_gltf_of_several_files_is_taken_as_a_zip(client: TestClient, services: Services, top: str) -> None:
+    archive = zipped(*((top + name, content) for name, content in multi_file_gltf().items()))
+    response = send(client, ("tree.zip", archive))
+    assert response.status_code == 201, response.text
+    assert response.json()["summary"]["warnings"] == []
+
+
+@pytest.mark.parametrize("whole_paths", [True, False])
+def test_a_gltf_of_several_files_is_taken_as_several_parts(client: TestClient, whole_paths: bool) -> None:
+    files = [(name if whole_paths else name.rpartition("/")[2], c) for name, c in multi_file_gltf().items()]
+    response = send(client, *files)
+    assert response.status_code == 201, response.text
+    assert response.json()["summary"]["warnings"] == []
+
+
+def test_a_texture_that_was_not_sent_is_a_warning(client: TestClient) -> None:
+    files = multi_file_gltf()
+    del files["textures/bark.png"]
+    response = send(client, *files.items())
+    assert response.status_code == 201, response.text
+    (warning,) = response.json()["summary"]["warnings"]
+    assert warning["code"] == "texture-missing"
+    assert "textures/bark.png" in warning["message"]
+
+
+def test_a_3mf_is_a_mesh_and_no_archive(client: TestClient) -> None:
+    import trimesh
+
+    content = trimesh.creation.cylinder(radius=100, height=5000).export(file_type="3mf")
+    response = send(client, ("tree.3mf", content))
+    assert response.status_code == 201, response.text
+    assert response.json()["summary"]["height_m"] == pytest.approx(5.0)
 
 
 def test_every_sample_mesh_is_taken(client: TestClient, samples: Path) -> None:

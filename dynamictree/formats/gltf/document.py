@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Shaped
 
 from dynamictree.errors import FormatError
+from dynamictree.formats.companions import find_companion
 from dynamictree.formats.json_fields import (
     JsonObject,
     index_field,
@@ -20,7 +21,7 @@ from dynamictree.formats.json_fields import (
     text_list,
 )
 from dynamictree.formats.stream import ByteReader
-from dynamictree.mesh import MAX_FACES
+from dynamictree.mesh import MAX_FACES, SourceWarning
 
 MAX_ELEMENTS = 3 * MAX_FACES  # of an accessor: the indices of the largest mesh that is allowed
 
@@ -29,6 +30,7 @@ READ_EXTENSIONS = frozenset(
         "KHR_draco_mesh_compression",
         "KHR_gaussian_splatting",
         "KHR_mesh_quantization",
+        "KHR_texture_basisu",
         "KHR_texture_transform",
         "EXT_texture_webp",
     }
@@ -51,6 +53,7 @@ class GltfDocument:
     views: tuple[JsonObject, ...]
     accessors: tuple[JsonObject, ...]
     companions: Mapping[str, bytes]
+    warnings: list[SourceWarning]  # what is left out while it is read
 
     def view_bytes(self, index: int) -> bytes:
         """The bytes of a buffer view."""
@@ -138,6 +141,7 @@ def open_gltf(content: bytes, *, companions: Mapping[str, bytes]) -> GltfDocumen
         views=tuple(object_list(root, "bufferViews")),
         accessors=tuple(object_list(root, "accessors")),
         companions=companions,
+        warnings=[],
     )
 
 
@@ -166,14 +170,14 @@ def uri_bytes(uri: str, companions: Mapping[str, bytes]) -> bytes:
             return base64.b64decode(body, validate=True) if head.endswith(";base64") else unquote_to_bytes(body)
         except ValueError as error:
             raise FormatError(f"a data URI of the file is not base64: {error}") from error
-    name = unquote(uri).removeprefix("./")
-    if name not in companions:
+    content = find_companion(uri, companions)
+    if content is None:
         given = ", ".join(sorted(companions)[:8]) or "none"
         raise FormatError(
-            f"the file names {name[:120]!r} outside itself (files given beside it: {given}); "
+            f"the file names {unquote(uri)[:120]!r} outside itself (files given beside it: {given}); "
             "embed it, for instance as GLB, or send it along"
         )
-    return companions[name]
+    return content
 
 
 def accessor_layout(accessor: JsonObject, name: str) -> tuple[int, np.dtype[np.generic], int]:

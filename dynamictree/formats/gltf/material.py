@@ -1,11 +1,13 @@
 """Materials and texture coordinates of glTF, as far as the base colour goes."""
 
 from collections.abc import Mapping
+from urllib.parse import unquote
 
 import numpy as np
 from jaxtyping import Float32, Shaped
 
 from dynamictree.errors import FormatError
+from dynamictree.formats.companions import KTX2_MAGIC, find_companion
 from dynamictree.formats.gltf.document import GltfDocument, uri_bytes
 from dynamictree.formats.json_fields import (
     JsonObject,
@@ -18,14 +20,14 @@ from dynamictree.formats.json_fields import (
     text_field,
 )
 from dynamictree.formats.texture import refuse_many_pixels, texture_as_png
-from dynamictree.mesh import Material
+from dynamictree.mesh import Material, SourceWarning
 
 _BLEND_CUTOFF = 0.5  # leaves drawn by blending are cut out instead; depth-sorted blending is not ours to do
 
 
 def gltf_materials(document: GltfDocument) -> tuple[Material, ...]:
     """The file's materials in its order; each image is decoded once."""
-    images: dict[int, bytes] = {}
+    images: dict[int, bytes | None] = {}
     return tuple(_material(document, entry, images) for entry in object_list(document.root, "materials"))
 
 
@@ -61,7 +63,7 @@ def _base_texture(material: JsonObject) -> JsonObject:
     return object_field(object_field(material, "pbrMetallicRoughness"), "baseColorTexture")
 
 
-def _material(document: GltfDocument, entry: JsonObject, images: dict[int, bytes]) -> Material:
+def _material(document: GltfDocument, entry: JsonObject, images: dict[int, bytes | None]) -> Material:
     surface = object_field(entry, "pbrMetallicRoughness")
     red, green, blue, alpha = (min(max(v, 0.0), 1.0) for v in numbers_field(surface, "baseColorFactor", 4, (1.0,) * 4))
     mode = text_field(entry, "alphaMode", "OPAQUE")
@@ -77,19 +79,40 @@ def _material(document: GltfDocument, entry: JsonObject, images: dict[int, bytes
     )
 
 
-def _texture(document: GltfDocument, reference: JsonObject, images: dict[int, bytes]) -> bytes | None:
+def _texture(document: GltfDocument, reference: JsonObject, images: dict[int, bytes | None]) -> bytes | None:
     textures, sources = object_list(document.root, "textures"), object_list(document.root, "images")
     texture = index_field(reference, "index", textures, "textures")
     if texture is None:
         return None
-    webp = object_field(object_field(textures[texture], "extensions"), "EXT_texture_webp")
-    source = index_field(webp or textures[texture], "source", sources, "images")
+    extensions = object_field(textures[texture], "extensions")
+    webp, ktx2 = (object_field(extensions, name) for name in ("EXT_texture_webp", "KHR_texture_basisu"))
+    plain = textures[texture] if "source" in textures[texture] else ktx2
+    source = index_field(webp or plain, "source", sources, "images")
     if source is None:
         return None
     if source not in images:
-        view = index_field(sources[source], "bufferView", document.views, "bufferViews")
-        uri = text_field(sources[source], "uri")
-        content = document.view_bytes(view) if view is not None else uri_bytes(uri, document.companions)
-        images[source] = texture_as_png(content, f"images[{source}]")
-        refuse_many_pixels(images.values())
+        images[source] = _image(document, sources[source], f"images[{source}]")
+        refuse_many_pixels(png for png in images.values() if png is not None)
     return images[source]
+
+
+def _image(document: GltfDocument, image: JsonObject, name: str) -> bytes | None:
+    """As PNG; None, with a warning, where the file is not there or of a kind that is not decoded."""
+    view = index_field(image, "bufferView", document.views, "bufferViews")
+    uri = text_field(image, "uri")
+    if view is not None:
+        content: bytes | None = document.view_bytes(view)
+    elif uri.startswith("data:"):
+        content = uri_bytes(uri, document.companions)
+    else:
+        content = find_companion(uri, document.companions)
+        name = unquote(uri)[:120]
+    if content is None:
+        message = f"texture {name!r} was not sent along; the model is used without it"
+        document.warnings.append(SourceWarning(code="texture-missing", message=message))
+        return None
+    if content.startswith(KTX2_MAGIC):
+        message = f"texture {name!r} is KTX2, which is not decoded; the model is used without it; send PNG or WebP"
+        document.warnings.append(SourceWarning(code="texture-not-read", message=message))
+        return None
+    return texture_as_png(content, name)

@@ -47,7 +47,7 @@ def read_gltf(content: bytes, *, companions: Mapping[str, bytes]) -> TriangleMes
     materials = gltf_materials(document)
     with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is found by validate_mesh
         parts = _placed_parts(document, drawn)
-    return join_parts(parts, materials)
+    return replace(join_parts(parts, materials), warnings=tuple(document.warnings))
 
 
 def _triangle_primitives(mesh: JsonObject) -> list[JsonObject]:

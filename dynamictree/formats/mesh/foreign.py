@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from dynamictree.errors import FormatError, MeshError
+from dynamictree.formats.companions import find_companion
 from dynamictree.mesh import MAX_FACES, MAX_VERTICES, TriangleMesh
 
 MAX_XML_BYTES = 1 << 30  # of all entries of a 3MF together; the largest mesh that is allowed takes 0.5 GB
@@ -69,7 +70,10 @@ def _parsed(content: bytes, file_type: str, companions: Mapping[str, bytes]) -> 
             pass
 
         def get(self, name: str) -> bytes:
-            return companions[name.replace("\\", "/").removeprefix("./")]
+            content = find_companion(name, companions)
+            if content is None:
+                raise KeyError(name)
+            return content
 
         def keys(self) -> list[str]:
             return list(companions)

@@ -4,7 +4,6 @@ Vertices follow the `v` lines. A vertex with several texture coordinates keeps i
 follow after the last `v`. Polygons are cut into fans. Normals are not kept: they follow from the faces.
 """
 
-import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -12,10 +11,9 @@ import numpy as np
 from jaxtyping import Float64, Int32, Int64, UInt8
 
 from dynamictree.errors import FormatError, MeshError
+from dynamictree.formats.companions import find_companion
 from dynamictree.formats.texture import refuse_many_pixels, texture_as_png
-from dynamictree.mesh import MAX_FACES, MAX_VERTICES, Material, TriangleMesh
-
-logger = logging.getLogger(__name__)
+from dynamictree.mesh import MAX_FACES, MAX_VERTICES, Material, SourceWarning, TriangleMesh
 
 _CUTOFF = 0.5  # of a material with a map_d
 
@@ -53,7 +51,8 @@ def read_obj(content: bytes, *, companions: Mapping[str, bytes]) -> TriangleMesh
     rows, place_rows = _corner_rows(statements, len(table), 0 if places is None else len(places))
     original, place_of, corners = _split_by_texture(rows, place_rows, len(table))
     faces, source_face = fans(corners, np.array(statements.face_sizes))
-    materials = _materials(statements, companions)
+    warnings: list[SourceWarning] = []
+    materials = _materials(statements, companions, warnings)
     uv = None
     if places is not None:
         uv = np.zeros((len(original), 2), np.float32)
@@ -67,6 +66,7 @@ def read_obj(content: bytes, *, companions: Mapping[str, bytes]) -> TriangleMesh
         vertex_colors=_colors(table, original),
         face_material=np.array(statements.face_materials, np.int32)[source_face] if materials else None,
         materials=materials,
+        warnings=tuple(warnings),
     )
 
 
@@ -187,19 +187,23 @@ def _colors(table: Float64[np.ndarray, "n width"], rows: Int64[np.ndarray, " N"]
     return np.concatenate([np.round(rgb * 255), np.full((len(rows), 1), 255)], axis=1).astype(np.uint8)
 
 
-def _materials(statements: _Statements, companions: Mapping[str, bytes]) -> tuple[Material, ...]:
+def _materials(
+    statements: _Statements, companions: Mapping[str, bytes], warnings: list[SourceWarning]
+) -> tuple[Material, ...]:
     if set(statements.material_names) == {""}:
         return ()
     described: dict[str, Material] = {}
     for library in statements.libraries:
-        if library in companions:
-            described |= _read_mtl(companions[library], companions)
+        content = find_companion(library, companions)
+        if content is None:
+            message = f"material library {library[:120]!r} was not sent along; its materials are grey"
+            warnings.append(SourceWarning(code="material-library-missing", message=message))
         else:
-            logger.warning("a material library was not sent along", extra={"library": library[:200]})
+            described |= _read_mtl(content, companions, warnings)
     return tuple(described.get(name, Material(name=name)) for name in statements.material_names)
 
 
-def _read_mtl(content: bytes, companions: Mapping[str, bytes]) -> dict[str, Material]:
+def _read_mtl(content: bytes, companions: Mapping[str, bytes], warnings: list[SourceWarning]) -> dict[str, Material]:
     fields: dict[str, dict[str, str]] = {}
     current: dict[str, str] = {}
     for line in content.decode("utf-8", "replace").splitlines():
@@ -209,20 +213,29 @@ def _read_mtl(content: bytes, companions: Mapping[str, bytes]) -> dict[str, Mate
         elif keyword:
             current[keyword] = rest.strip()
     images: dict[str, bytes] = {}
-    return {name: _material(name, entry, companions, images) for name, entry in fields.items()}
+    return {name: _material(name, entry, companions, images, warnings) for name, entry in fields.items()}
 
 
 def _material(
-    name: str, entry: Mapping[str, str], companions: Mapping[str, bytes], images: dict[str, bytes]
+    name: str,
+    entry: Mapping[str, str],
+    companions: Mapping[str, bytes],
+    images: dict[str, bytes],
+    warnings: list[SourceWarning],
 ) -> Material:
-    """One material; `images` has the textures that are decoded already."""
+    """Build one material; `images` has the textures that are decoded already."""
     red, green, blue = _floats(entry.get("Kd", "0.8 0.8 0.8"), 3, "Kd")
     opaque = _floats(entry["d"], 1, "d")[0] if "d" in entry else 1 - _floats(entry.get("Tr", "0"), 1, "Tr")[0]
-    texture = entry.get("map_Kd", "").split(" ")[-1].replace("\\", "/").removeprefix("./")  # options come before it
-    if texture and texture not in companions:
-        logger.warning("a texture was not sent along", extra={"texture": texture[:200]})
-    if texture in companions and texture not in images:
-        images[texture] = texture_as_png(companions[texture], texture[:80])
+    texture = entry.get("map_Kd", "")
+    content = find_companion(texture, companions)  # names may have spaces
+    if content is None:
+        texture = texture.split(" ")[-1]  # options come before it
+        content = find_companion(texture, companions)
+    if texture and content is None:
+        message = f"texture {texture[:120]!r} was not sent along; the model is used without it"
+        warnings.append(SourceWarning(code="texture-missing", message=message))
+    if content is not None and texture not in images:
+        images[texture] = texture_as_png(content, texture[:80])
         refuse_many_pixels(images.values())
     return Material(
         name=name,

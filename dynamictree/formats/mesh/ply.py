@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float32, Int32, Int64, Shaped, UInt8
 
 from dynamictree.errors import FormatError, MeshError
+from dynamictree.formats.companions import find_companion
 from dynamictree.formats.mesh.obj import fans
 from dynamictree.formats.ply_table import PlyElement, PlyHeader, read_elements, read_header
 from dynamictree.formats.texture import texture_as_png
@@ -213,8 +214,11 @@ def _material(content: bytes, companions: Mapping[str, bytes]) -> Material | Non
     """Of the texture that a `comment TextureFile` names, if it was sent along."""
     for line in content[:65_536].partition(b"end_header")[0].splitlines():
         words = line.decode("latin-1").split(maxsplit=2)
-        if words[:2] == ["comment", "TextureFile"] and len(words) == 3 and words[2].strip() in companions:
+        if words[:2] == ["comment", "TextureFile"] and len(words) == 3:
             name = words[2].strip()
-            texture = texture_as_png(companions[name], name[:80])
+            content = find_companion(name, companions)
+            if content is None:
+                continue
+            texture = texture_as_png(content, name[:80])
             return Material(name=name[:200], base_color=(1.0, 1.0, 1.0, 1.0), texture_png=texture)
     return None

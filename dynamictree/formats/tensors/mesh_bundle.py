@@ -15,7 +15,7 @@ from safetensors.numpy import load, save
 
 from dynamictree.errors import FormatError
 from dynamictree.formats.stream import ByteReader, ByteWriter, read_all
-from dynamictree.mesh import Material, TriangleMesh, validate_mesh
+from dynamictree.mesh import Material, SourceWarning, TriangleMesh, validate_mesh
 
 VERSION = 1
 MAX_BYTES = 1 << 30
@@ -34,6 +34,7 @@ def write_mesh_bundle(mesh: TriangleMesh, stream: ByteWriter) -> None:
         "materials": [asdict(replace(material, texture_png=None)) for material in mesh.materials],
         "source_up_axis": mesh.source_up_axis,
         "source_scale": mesh.source_scale,
+        "warnings": [asdict(warning) for warning in mesh.warnings],
     }
     tensors["rest"] = np.frombuffer(json.dumps(rest).encode(), np.uint8)
     stream.write(save({name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}))
@@ -74,4 +75,5 @@ def _mesh(tensors: Mapping[str, Shaped[np.ndarray, "..."]], rest: Mapping[str, A
         materials=tuple(materials),
         source_up_axis=rest["source_up_axis"],
         source_scale=rest["source_scale"],
+        warnings=tuple(SourceWarning(**entry) for entry in rest.get("warnings", ())),
     )
