@@ -26,7 +26,7 @@ else
 TORCH_SOURCE := --torch-backend $(TORCH_BACKEND)
 endif
 
-.PHONY: help setup demo test docs live js-tools web-check web-format openapi-lint scale-out compose check format openapi lock lock-versions lock-image bench clean browser serve
+.PHONY: help setup demo test train-gpu docs live js-tools web-check web-format openapi-lint scale-out compose check format openapi lock lock-versions lock-image bench clean browser serve
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -76,6 +76,10 @@ check: $(READY)  ## format, lint, types, imports, openapi drift
 	@$(BIN)/lint-imports --no-cache
 	@$(BIN)/python -m service.openapi --check openapi/openapi.json
 	@$(BIN)/python client/generate.py --check
+
+train-gpu: $(READY)  ## bake the dataset where it is missing, then train the paper's network on a GPU (continues a stopped run)
+	@$(BIN)/dynamictree dataset generate data/4dtree --workers $$(nproc)
+	@$(BIN)/dynamictree train runs/paper --preset paper --dataset data/4dtree --device cuda --workers 4 --frequencies 4
 
 docs: $(READY)  ## the documentation's site, in site/ (links are checked, nothing is fetched)
 	@$(BIN)/python -m recipes.api_reference docs/api.md

@@ -7,25 +7,21 @@ truth's, the error of ln size by frequency, and how well the voxels' sizes agree
 """
 
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 import torch
-from jaxtyping import Float32
-from safetensors.torch import load_file
-from torch import Tensor
 
 from benchmarks._machine import machine
 from dynamictree.dataset.sample import make_sample
-from dynamictree.dataset.shards import StoredTree, store, write_shard
-from dynamictree.diffusion.channels import pack_channels
-from dynamictree.diffusion.loss import nearest_voxels
-from dynamictree.diffusion.sampler import sample_ddim
-from dynamictree.diffusion.schedule import linear_schedule
-from dynamictree.models.paper.network import PaperNetwork, PaperPreset, PaperTraining
-from dynamictree.models.paper.train import PaperExample, PaperRun, paper_example, train_paper
+from dynamictree.dataset.shards import store, write_shard
+from dynamictree.models import load_model
+from dynamictree.models.paper.examples import PaperExample, paper_example
+from dynamictree.models.paper.generate import PaperModel
+from dynamictree.models.paper.network import PaperNetwork, PaperPreset
+from dynamictree.models.paper.sample_figures import sample_figures
+from dynamictree.models.paper.train import PaperTraining, train_paper
 from dynamictree.models.paper.unet import UNetShape
 
 NUM_TREES, NUM_JUDGED, STEPS, BATCH, RESOLUTION = 16, 4, 1200, 16, 16
@@ -38,6 +34,7 @@ VARIANTS = {
     "two stages, one size for all frequencies": (SMOOTHNESS_FROM, False),
 }
 PRESET = PaperPreset(
+    resolution=RESOLUTION,
     encoder_base=8,
     encoder_widths=(8, 16),
     unet=UNetShape(
@@ -57,85 +54,45 @@ PRESET = PaperPreset(
 def run() -> dict[str, object]:
     torch.set_num_threads(1)
     stored = [store(make_sample(seed, "sapling"), resolutions=(128,)) for seed in range(NUM_TREES + NUM_JUDGED)]
-    judged = [_example(tree) for tree in stored[NUM_TREES:]]
+    judged = [paper_example(tree, PRESET) for tree in stored[NUM_TREES:]]
     with TemporaryDirectory() as name:
         folder = Path(name)
         with (folder / "shard.safetensors").open("wb") as stream:
             write_shard([replace(tree, split="train") for tree in stored[:NUM_TREES]], stream)
-        found = {variant: _judged(*_trained(folder, variant), judged) for variant in VARIANTS}
+        figures = {variant: _figures(_trained(folder, variant), judged) for variant in VARIANTS}
     return {
-        "value": found,
+        "value": figures,
         "unit": "ratio to the truth's; ln; correlation",
         "sizes": {"trees": NUM_TREES, "judged": NUM_JUDGED, "steps": STEPS, "batch": BATCH, "resolution": RESOLUTION},
         **machine("torch", "numpy"),
     }
 
 
-def _trained(folder: Path, variant: str) -> tuple[PaperNetwork, Float32[Tensor, " K"]]:
-    """The averaged network, and what its spectra are divided by."""
+def _trained(folder: Path, variant: str) -> PaperNetwork:
+    """The averaged network."""
     smoothness_from, by_frequency = VARIANTS[variant]
-    training = PaperTraining(
-        num_iterations=STEPS,
+    plan = PaperTraining(
+        preset=PRESET,
+        num_steps=STEPS,
         smoothness_from=smoothness_from,
         batch_size=BATCH,
+        micro_trees=BATCH,
         learning_rate=1e-3,
         halve_every=STEPS // 3,
-    )
-    plan = PaperRun(
-        preset=PRESET,
-        training=training,
-        resolution=RESOLUTION,
-        micro_batch=BATCH,
         by_frequency=by_frequency,
         save_every=10**6,
+        figures_every_s=None,
         bf16=False,
     )
     own = folder / variant
     own.mkdir()
-    network = train_paper(plan, [str(folder / "shard.safetensors")], own)
-    weights = load_file(own / "paper.safetensors")
-    sizes = weights.pop("frequency_sizes")
-    network.load_state_dict(weights)
-    return network, sizes
+    train_paper(plan, [str(folder / "shard.safetensors")], own)
+    model = load_model(str(own / "paper.safetensors"))
+    assert isinstance(model, PaperModel)
+    return model.network
 
 
-def _example(tree: StoredTree) -> PaperExample:
-    halvings, levels = len(PRESET.encoder_widths) - 1, len(PRESET.unet.multipliers)
-    return paper_example(tree, resolution=RESOLUTION, halvings=halvings, num_levels=levels)
-
-
-@torch.no_grad()
-def _judged(network: PaperNetwork, sizes: Float32[Tensor, " K"], trees: list[PaperExample]) -> dict[str, float]:
-    """Means over trees and frequencies."""
-    rough, size, agreement = [], [], []
-    for tree in trees:
-        condition = network.encoder(tree.positions, tree.normals, tree.grids)
-        rows, _ = nearest_voxels(tree.centres_m, 5)
-        energy = []
-        for k in range(1, PRESET.num_frequencies):
-            truth = pack_channels(tree.spectrum[:, k])
-            predict = partial(_predict, network, tree, condition, k)
-            start = torch.randn(truth.shape, generator=torch.Generator().manual_seed(k))
-            drawn = sizes[k] * sample_ddim(predict, start, linear_schedule(), num_steps=DDIM_STEPS)
-            rough.append(_roughness(drawn, rows) / _roughness(truth, rows))
-            size.append(abs(float((drawn.square().mean().log() - truth.square().mean().log()) / 2)))
-            energy.append(torch.stack([one.square().sum(dim=1) for one in (drawn, truth)]))
-        sizes_of = torch.stack(energy).sum(dim=0).log().numpy()
-        agreement.append(np.corrcoef(sizes_of)[0, 1])
-    return {
-        "roughness_ratio": round(float(np.mean(rough)), 2),
-        "ln_size_error": round(float(np.mean(size)), 2),
-        "log_amplitude_correlation": round(float(np.mean(agreement)), 3),
-    }
-
-
-def _predict(
-    network: PaperNetwork, tree: PaperExample, condition: Tensor, k: int, noisy: Tensor, step: int
-) -> Float32[Tensor, "V 6"]:
-    noise: Tensor = network(noisy, torch.tensor([step]), torch.tensor([k]), condition, tree.grids)
-    return noise
-
-
-def _roughness(field: Float32[Tensor, "V 6"], rows: Tensor) -> float:
-    across = torch.linalg.vector_norm(field[:, None] - field[rows], dim=-1).mean()
-    return float(across / torch.linalg.vector_norm(field, dim=-1).mean())
+def _figures(network: PaperNetwork, trees: list[PaperExample]) -> dict[str, float]:
+    """Means over trees."""
+    rows = [sample_figures(network, tree, num_steps=DDIM_STEPS) for tree in trees]
+    return {name: round(float(np.mean([row[name] for row in rows])), 3) for name in rows[0]}

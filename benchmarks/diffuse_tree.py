@@ -7,7 +7,8 @@ import torch
 
 from benchmarks._machine import machine, timed
 from dynamictree.dataset.sample import make_sample
-from dynamictree.models.small.generate import NUM_STEPS, load_model
+from dynamictree.models import load_model
+from dynamictree.models.small.generate import NUM_STEPS
 from dynamictree.spectrum import Wind
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import SurfaceVoxels, voxelize

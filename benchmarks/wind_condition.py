@@ -6,7 +6,7 @@ from benchmarks._machine import machine
 from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.evaluation.metrics import amplitude
 from dynamictree.mesh import TriangleMesh
-from dynamictree.models.small.generate import load_model
+from dynamictree.models import load_model
 from dynamictree.spectrum import Wind
 
 SEED, SPECIES = 2, "weeping"

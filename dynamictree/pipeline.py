@@ -54,7 +54,7 @@ from dynamictree.voxel.voxelize import SurfaceVoxels
 from dynamictree.voxel.voxelize import voxelize as voxelize_surface
 
 if TYPE_CHECKING:
-    from dynamictree.models.small.generate import TreeMotionModel
+    from dynamictree.models import MotionModel
 
 OnStep = Callable[[int, int], None]
 OnProgress = Callable[[float], None]
@@ -291,7 +291,7 @@ def _write_sheet(sway: SwayingMesh, stream: BinaryIO) -> None:
 
 
 @lru_cache(maxsize=2)
-def _model(preset: str) -> "TreeMotionModel":
-    from dynamictree.models.small.generate import load_model
+def _model(preset: str) -> "MotionModel":
+    from dynamictree.models import load_model
 
     return load_model(preset)

@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import cache, partial
 from hashlib import sha256
-from importlib import resources
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dynamictree.errors import Cancelled, CheckpointError, DynamicTreeError
 from dynamictree.requests import CloudParams, ExportParams, GridParams, ReconstructParams, Request, SpectrumParams
+from dynamictree.weights import list_weights
 from jobs.artifacts import hash_file
 from jobs.assets import read_asset
 from jobs.attempts import cached_stage, offer, publish_stage, start_stage, touch_blob
@@ -128,16 +128,17 @@ def stage_key(job: JobRecord, stage: JobType, hashes: Mapping[str, str]) -> str:
 
 @cache
 def model_sha256(preset: str) -> str:
-    """Hash of a preset's weights.
+    """Hash of a model's weights.
 
     Raises:
-        CheckpointError: there are none.
+        CheckpointError: this worker has none.
     """
-    weights = resources.files("dynamictree") / "weights" / f"{preset}.safetensors"
-    if not weights.is_file():
-        raise CheckpointError(f"this worker has no weights of the preset {preset!r}; install a version that ships them")
-    with weights.open("rb") as stream:
-        return sha256(stream.read()).hexdigest()
+    path = list_weights().get(preset)
+    if path is None:
+        raise CheckpointError(
+            f"this worker has no weights of the preset {preset!r}; put them into the folder DYNAMICTREE_MODELS"
+        )
+    return sha256(path.read_bytes()).hexdigest()
 
 
 def _fetch_prepared(here: Runtime, asset: AssetRecord, inputs: Path) -> dict[str, Path]:

@@ -18,9 +18,11 @@ RIVALS = ("sapling",)
 
 
 def evaluate(
-    model: Annotated[str, typer.Option(help="Name of a shipped model, or a .safetensors file.")] = "small",
+    model: Annotated[str, typer.Option(help="Model name, or a .safetensors file.")] = "small",
     trees: Annotated[int, typer.Option(min=1, max=10_000, help="Of each group: seen and unseen species.")] = 6,
-    known_trees: Annotated[int, typer.Option(min=1, max=10_000, help="Training trees that the baselines know.")] = 40,
+    training_trees: Annotated[
+        int, typer.Option(min=1, max=10_000, help="Training trees that the baselines are fitted to.")
+    ] = 40,
     first_seed: Annotated[int, typer.Option(min=0, max=2**40, help="Of the training trees.")] = 1000,
     seed: Annotated[int, typer.Option(min=0, max=2**63 - 1, help="Of the generated motions.")] = 0,
     steps: Annotated[
@@ -55,7 +57,7 @@ def evaluate(
     threads: Annotated[int, typer.Option(min=1, max=256, help="Of this process.")] = 2,
     as_json: AsJson = False,
 ) -> None:
-    """Judge a model on trees that no training saw, beside what it must beat: a table, or JSON."""
+    """Measure a model on trees that no training saw, beside its baselines: a table, or JSON."""
     import torch
 
     torch.set_num_threads(threads)
@@ -84,7 +86,7 @@ def evaluate(
             report = evaluate_model(
                 model,
                 num_trees=trees,
-                num_known=known_trees,
+                num_training=training_trees,
                 first_seed=first_seed,
                 seed=seed,
                 num_steps=steps,
@@ -147,8 +149,8 @@ def print_figures(report: dict[str, Any]) -> None:
         verdict = "met" if target["met"] else f"missed by {target['missed_by']:.3f}"
         better = ", ".join(target["better_baselines"]) or "none"
         name = target["figure"].replace("_", " ")
-        found = f"{target['found']:.3f} (a second true wind {target['floor']:.3f})"
-        typer.echo(f"{name} {target['wanted']}: {found}, {verdict}; better baselines: {better}")
+        value = f"{target['value']:.3f} (a second true wind {target['floor']:.3f})"
+        typer.echo(f"{name} {target['wanted']}: {value}, {verdict}; better baselines: {better}")
     verdict = "passes" if report["passes"] else "does not pass"
     typer.echo(f"{report['model']} {verdict}: {report['rule']}")
 
@@ -165,8 +167,8 @@ def print_rivals(report: dict[str, Any]) -> None:
 
 def print_classifier(report: dict[str, Any]) -> None:
     """How often it was right, and whether that counts."""
-    for kind, found in report["right"].items():
-        typer.echo(f"true motion told from {kind} in {100 * found:.1f} % of cases")
+    for kind, share in report["right"].items():
+        typer.echo(f"true motion and {kind} separated in {100 * share:.1f} % of cases")
     verdict = "valid" if report["valid"] else "not valid"
     typer.echo(f"{verdict}: {report['rule']}; {report['trees']} trees a side, {report['mean_voxels']:,.0f} voxels each")
 
@@ -187,8 +189,8 @@ def _print_columns(title: str, rows: Mapping[str, Mapping[str, float]]) -> None:
     for method in rows:
         table.add_column(method, justify="right")
     for figure in next(iter(rows.values())):
-        told = (f"{of_method[figure]:.3f}" if figure in of_method else "" for of_method in rows.values())
-        table.add_row(figure.replace("_", " "), *told)
+        cells = (f"{of_method[figure]:.3f}" if figure in of_method else "" for of_method in rows.values())
+        table.add_row(figure.replace("_", " "), *cells)
     typer.echo(title)
     console = Console()
     Console(width=max(console.width, 140)).print(table)

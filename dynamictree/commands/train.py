@@ -9,70 +9,93 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from dynamictree.terminal import AsJson
-from dynamictree.training.progress import OnStep, bars
 
 if TYPE_CHECKING:
-    from dynamictree.models.paper.train import PaperRun
-    from dynamictree.models.small.train import SmallTraining
+    import torch
 
-PRESETS = ("small", "paper")
+    from dynamictree.models.paper.train import PaperTraining
+    from dynamictree.models.small.train import SmallTraining
+    from dynamictree.training.progress import OnStep
+
+PRESETS = ("small", "paper", "paper-small")
+DEVICES = ("auto", "cpu", "cuda")
+MAX = 10_000_000
 
 
 def train(
-    folder: Annotated[Path, typer.Argument(help="Checkpoints and weights go here; gone on with if there.")],
+    folder: Annotated[
+        Path, typer.Argument(help="Folder for checkpoints and weights; a run that was stopped there continues.")
+    ],
     dataset: Annotated[
         list[Path],
-        typer.Option(help="Folder of shards, as `dynamictree dataset generate` bakes them; of several, in turn."),
+        typer.Option(help="Folder of shards from `dynamictree dataset generate`; of several, in turn."),
     ],
-    preset: Annotated[str, typer.Option(help="Which network: small or paper.")] = "small",
-    foliage_trees: Annotated[int, typer.Option(min=1, max=10_000_000, help="Trees of the foliage network.")] = 800,
-    foliage_steps: Annotated[int, typer.Option(min=1, max=10_000_000, help="Steps of the foliage network.")] = 5000,
-    amplitude_trees: Annotated[int, typer.Option(min=1, max=10_000_000, help="Trees of the amplitude network.")] = 1200,
-    amplitude_steps: Annotated[int, typer.Option(min=1, max=10_000_000, help="Steps of the amplitude network.")] = 3000,
-    denoiser_trees: Annotated[int, typer.Option(min=1, max=10_000_000, help="Trees of the diffusion.")] = 160,
-    denoiser_steps: Annotated[int, typer.Option(min=1, max=10_000_000, help="Steps of the diffusion.")] = 1600,
+    preset: Annotated[str, typer.Option(help=f"Which network: {', '.join(PRESETS)}.")] = "small",
+    foliage_trees: Annotated[int, typer.Option(min=1, max=MAX, help="Small: trees of the foliage network.")] = 800,
+    foliage_steps: Annotated[int, typer.Option(min=1, max=MAX, help="Small: steps of the foliage network.")] = 5000,
+    amplitude_trees: Annotated[int, typer.Option(min=1, max=MAX, help="Small: trees of the amplitude network.")] = 1200,
+    amplitude_steps: Annotated[int, typer.Option(min=1, max=MAX, help="Small: steps of the amplitude network.")] = 3000,
+    denoiser_trees: Annotated[int, typer.Option(min=1, max=MAX, help="Small: trees of the diffusion.")] = 160,
+    denoiser_steps: Annotated[int, typer.Option(min=1, max=MAX, help="Small: steps of the diffusion.")] = 1600,
     foliage_from: Annotated[
-        str | None, typer.Option(help="Weights (.safetensors) whose foliage network is gone on from.")
+        str | None, typer.Option(help="Small: weights file whose foliage network the training starts from.")
     ] = None,
     denoiser_from: Annotated[
-        str | None, typer.Option(help="Weights (.safetensors) whose denoiser the diffusion goes on from.")
+        str | None, typer.Option(help="Small: weights file whose denoiser the training starts from.")
     ] = None,
-    paper_steps: Annotated[int, typer.Option(min=1, max=10_000_000, help="Of preset paper.")] = 70_000,
+    accumulate: Annotated[int, typer.Option(min=1, max=1024, help="Small: batches per step of the diffusion.")] = 1,
+    steps: Annotated[int | None, typer.Option(min=1, max=MAX, help="Paper: steps; the preset's if not given.")] = None,
     smoothness_from: Annotated[
-        int, typer.Option(min=0, max=10_000_000, help="Paper's step from which L_LSS counts.")
-    ] = 40_000,
+        int | None, typer.Option(min=0, max=MAX, help="Paper: first step with L_LSS; the preset's if not given.")
+    ] = None,
     width: Annotated[
-        int, typer.Option(min=8, max=1024, help="Channels of the paper's U-Net at its first level.")
-    ] = 128,
+        int | None, typer.Option(min=8, max=1024, help="Paper: channels of the U-Net's first level, 128 if not given.")
+    ] = None,
     resolution: Annotated[
-        int, typer.Option(min=8, max=128, help="Of the paper's spectra; its condition's is 4 times.")
-    ] = 128,
-    batch: Annotated[int, typer.Option(min=1, max=4096, help="Trees and frequencies a step of preset paper.")] = 48,
-    micro_batch: Annotated[int, typer.Option(min=1, max=4096, help="Of them, those at a time in each process.")] = 1,
-    bf16: Annotated[bool, typer.Option(help="Multiply in bfloat16.")] = True,
-    accumulate: Annotated[int, typer.Option(min=1, max=1024, help="Batches a step.")] = 1,
+        int | None,
+        typer.Option(min=8, max=128, help="Paper: grid of the spectrum, 128 if not given; condition 4 times."),
+    ] = None,
+    batch: Annotated[
+        int | None, typer.Option(min=1, max=4096, help="Paper: pairs of tree and frequency per step.")
+    ] = None,
+    micro_trees: Annotated[int, typer.Option(min=1, max=4096, help="Paper: trees per pass and process.")] = 1,
+    frequencies: Annotated[
+        int | None, typer.Option(min=1, max=16, help="Paper: frequencies of each of these trees per pass.")
+    ] = None,
+    workers: Annotated[int, typer.Option(min=0, max=256, help="Paper: processes that load trees.")] = 0,
+    bf16: Annotated[bool | None, typer.Option(help="Multiply in bfloat16; the preset's if not given.")] = None,
+    device: Annotated[str, typer.Option(help=f"{', '.join(DEVICES)}; small trains on the CPU.")] = "auto",
     threads: Annotated[int, typer.Option(min=1, max=256, help="Of each process.")] = 1,
     dry_run: Annotated[bool, typer.Option(help="Print the resolved run and stop.")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Train a model from a dataset's shards; under `torchrun` on many processes or machines."""
-    import os
-
-    import torch
-    import torch.distributed
-
     from dynamictree.errors import InputError
 
     if preset not in PRESETS:
         raise InputError(f"there is no training for preset {preset!r}; choose {' or '.join(PRESETS)}")
-    if preset == "paper":
-        plan: SmallTraining | PaperRun = _paper_run(
-            paper_steps, smoothness_from, batch, width=width, resolution=resolution, micro_batch=micro_batch, bf16=bf16
+    if device not in DEVICES:
+        raise InputError(f"there is no device {device!r}; choose {', '.join(DEVICES)}")
+    plan: SmallTraining | PaperTraining
+    if preset == "small":
+        numbers = foliage_steps, amplitude_steps, denoiser_steps
+        trees = foliage_trees, amplitude_trees, denoiser_trees
+        plan = _small_training(
+            numbers, trees, (foliage_from, denoiser_from), bf16=bf16 is not False, accumulate=accumulate
         )
     else:
-        steps = foliage_steps, amplitude_steps, denoiser_steps
-        trees = foliage_trees, amplitude_trees, denoiser_trees
-        plan = _small_training(steps, trees, (foliage_from, denoiser_from), bf16=bf16, accumulate=accumulate)
+        plan = _paper_training(
+            preset,
+            width,
+            resolution,
+            num_steps=steps,
+            smoothness_from=smoothness_from,
+            batch_size=batch,
+            frequencies_per_tree=frequencies,
+            micro_trees=micro_trees,
+            num_workers=workers,
+            bf16=bf16,
+        )
     resolved = json.dumps(asdict(plan), indent=None if as_json else 2)
     if dry_run:
         typer.echo(resolved)
@@ -80,16 +103,9 @@ def train(
     shards = _in_turn([sorted(map(str, folder.glob("*.safetensors"))) for folder in dataset])
     if not shards:
         raise InputError(f"there are no shards in {dataset[0]}; bake some with `dynamictree dataset generate`")
-    torch.set_num_threads(threads)
-    if "RANK" in os.environ:
-        torch.distributed.init_process_group("nccl" if torch.cuda.is_available() else "gloo")
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "run.json").write_text(resolved)
-    with bars(quiet=as_json) as on_step:
-        _train(plan, shards, folder, on_step)
-    if torch.distributed.is_initialized():
-        torch.distributed.destroy_process_group()
-    weights = str(folder / f"{preset}.safetensors")
+    weights = str(_run(plan, preset, shards, folder, device=device, threads=threads, quiet=as_json))
     typer.echo(json.dumps({"weights": weights}) if as_json else weights)
 
 
@@ -116,32 +132,66 @@ def _small_training(
         denoiser_trees=trees[2],
         foliage_from=started_from[0],
         denoiser_from=started_from[1],
-        foliage=replace(plain.foliage, num_steps=steps[0], bf16=bf16),
-        amplitude=replace(plain.amplitude, num_steps=steps[1], bf16=bf16),
-        denoiser=replace(plain.denoiser, num_steps=steps[2], bf16=bf16, accumulate=accumulate),
+        foliage=replace(plain.foliage.with_steps(steps[0]), bf16=bf16),
+        amplitude=replace(plain.amplitude.with_steps(steps[1]), bf16=bf16),
+        denoiser=replace(plain.denoiser.with_steps(steps[2]), bf16=bf16, accumulate=accumulate),
     )
 
 
-def _paper_run(
-    steps: int, smoothness_from: int, batch: int, *, width: int, resolution: int, micro_batch: int, bf16: bool
-) -> "PaperRun":
-    from dynamictree.models.paper.network import PaperTraining, paper_preset
-    from dynamictree.models.paper.train import PaperRun
+def _paper_training(
+    preset: str, width: int | None, resolution: int | None, **changes: int | bool | None
+) -> "PaperTraining":
+    from dynamictree.errors import InputError
+    from dynamictree.models.paper.network import paper_preset
+    from dynamictree.models.paper.train import PaperTraining, paper_small_training
 
-    return PaperRun(
-        preset=paper_preset(width),
-        training=PaperTraining(num_iterations=steps, smoothness_from=smoothness_from, batch_size=batch),
-        resolution=resolution,
-        micro_batch=micro_batch,
-        bf16=bf16,
-    )
+    if preset == "paper-small":
+        if width is not None or resolution is not None:
+            raise InputError("paper-small has its own --width and --resolution; leave them out, or train preset paper")
+        plain = paper_small_training()
+    else:
+        plain = PaperTraining(preset=paper_preset(width or 128, resolution or 128))
+    chosen = {name: value for name, value in changes.items() if value is not None}
+    return replace(plain, **chosen)  # type: ignore[arg-type]
 
 
-def _train(plan: "SmallTraining | PaperRun", shards: list[str], folder: Path, on_step: OnStep) -> None:
-    from dynamictree.models.paper.train import PaperRun, train_paper
+def _run(
+    plan: "SmallTraining | PaperTraining",
+    preset: str,
+    shards: list[str],
+    folder: Path,
+    *,
+    device: str,
+    threads: int,
+    quiet: bool,
+) -> Path:
+    """Train and give the weights file."""
+    import torch
+
+    from dynamictree.models.small.train import SmallTraining
+    from dynamictree.training.distributed import training_processes
+    from dynamictree.training.progress import bars
+
+    torch.set_num_threads(threads)
+    on_cpu = isinstance(plan, SmallTraining) or device == "cpu" or (device == "auto" and not torch.cuda.is_available())
+    weights = folder / f"{preset}.safetensors"
+    with training_processes(torch.device("cpu" if on_cpu else "cuda")) as own_device, bars(quiet=quiet) as on_step:
+        _train(plan, shards, folder, weights, own_device, on_step)
+    return weights
+
+
+def _train(
+    plan: "SmallTraining | PaperTraining",
+    shards: list[str],
+    folder: Path,
+    weights: Path,
+    device: "torch.device",
+    on_step: "OnStep",
+) -> None:
+    from dynamictree.models.paper.train import PaperTraining, train_paper
     from dynamictree.models.small.train import train_small
 
-    if isinstance(plan, PaperRun):
-        train_paper(plan, shards, folder, on_step=on_step)
+    if isinstance(plan, PaperTraining):
+        train_paper(plan, shards, folder, weights=weights, device=device, on_step=on_step)
     else:
         train_small(plan, shards, folder, on_step=on_step)

@@ -81,6 +81,14 @@ def split_of(seed: int, species: Species) -> Split:
     return "validation" if seed % VALIDATION_EVERY == 0 else "train"
 
 
+def is_training_seed(seed: int) -> bool:
+    """Whether the tree of a seed is for training; draws its species, which comes first, without growing the tree."""
+    rng = np.random.default_rng([VERSION, seed])
+    weights = np.array([HELD_OUT_WEIGHT if species.held_out else 1.0 for species in SPECIES.values()])
+    drawn = list(SPECIES.values())[int(rng.choice(len(weights), p=weights / weights.sum()))]
+    return split_of(seed, drawn) == "train"
+
+
 def voxel_spectrum(sample: Sample, resolution: int = 128) -> tuple[SurfaceVoxels, SparseVoxelSpectrum]:
     """The sample's motion on its voxel grid: in each voxel the mean of the surface inside."""
     voxels = voxelize(sample.mesh, resolution)

@@ -10,8 +10,9 @@ Tensors of tree SEED are named `SEED/name`, the seed in seven digits or more:
 The one metadata entry `4dtree` is JSON: version, fps, num_frames, and of each tree seed, species, split, wind, grids.
 """
 
+import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -181,3 +182,12 @@ def iter_shard(path: str, *, names: tuple[str, ...] | None = None) -> Iterator[S
                     for resolution, (origin, size) in record["grids"].items()
                 },
             )
+
+
+def shards_sha256(paths: Sequence[str]) -> str:
+    """Hash of the heads of shards, in their order: seeds, winds and grids decide what is in them."""
+    digest = hashlib.sha256()
+    for path in paths:
+        with safetensors.safe_open(path, framework="numpy") as shard:
+            digest.update((shard.metadata() or {}).get(METADATA, "").encode())
+    return digest.hexdigest()

@@ -1,4 +1,4 @@
-"""Samplers: functions of a denoiser, a start, and numbers. Chance enters only with the start."""
+"""Samplers: functions of a denoiser, a start and numbers. Deterministic; the random numbers are the start."""
 
 from collections.abc import Callable
 
@@ -26,7 +26,7 @@ def sample_heun(
     *,
     on_step: Callable[[int, int], None] | None = None,
 ) -> Float[Tensor, "..."]:
-    """Second order and deterministic. Karras et al. 2022, algorithm 1.
+    """Heun's method, second order. Karras et al. 2022, algorithm 1.
 
     Args:
         denoise: expected clean signal of a noisy one and its noise level.
@@ -36,12 +36,12 @@ def sample_heun(
     """
     signal, total = start, len(sigmas) - 1
     for index in range(total):
-        here, there = float(sigmas[index]), float(sigmas[index + 1])
-        slope = (signal - denoise(signal, here)) / here
-        euler = signal + (there - here) * slope
-        if there > 0:
-            ahead = (euler - denoise(euler, there)) / there
-            euler = signal + (there - here) * (slope + ahead) / 2
+        sigma, next_sigma = float(sigmas[index]), float(sigmas[index + 1])
+        slope = (signal - denoise(signal, sigma)) / sigma
+        euler = signal + (next_sigma - sigma) * slope
+        if next_sigma > 0:
+            next_slope = (euler - denoise(euler, next_sigma)) / next_sigma
+            euler = signal + (next_sigma - sigma) * (slope + next_slope) / 2
         signal = euler
         if on_step is not None:
             on_step(index + 1, total)
@@ -54,25 +54,30 @@ def sample_ddim(
     schedule: NoiseSchedule,
     *,
     num_steps: int = 100,
+    clip: float | None = None,
     on_step: Callable[[int, int], None] | None = None,
 ) -> Float[Tensor, "..."]:
-    """Deterministic (η = 0) and evenly spaced. Song et al. 2021, arXiv 2010.02502, eq. 12; 100 steps in the paper.
+    """DDIM, deterministic (η = 0), evenly spaced. Song et al. 2021, arXiv 2010.02502, eq. 12; 100 steps in the paper.
 
     Args:
         predict_noise: ε of a noisy signal and the index of its step.
         start: unit noise.
         schedule: what the network was trained with.
         num_steps: of the schedule's steps, evenly spaced, the last included.
+        clip: bound on the clean signal that a step implies: at high noise it is an amplified error.
         on_step: called with the steps done and their number.
     """
     steps = torch.linspace(len(schedule.alpha_bar) - 1, 0, num_steps).round().long().tolist()
     signal = start
     for index, step in enumerate(steps):
-        here = schedule.alpha_bar[step]
-        there = schedule.alpha_bar[steps[index + 1]] if index + 1 < num_steps else torch.tensor(1.0)
+        alpha_bar = schedule.alpha_bar[step]
+        next_alpha_bar = schedule.alpha_bar[steps[index + 1]] if index + 1 < num_steps else torch.ones_like(alpha_bar)
         noise = predict_noise(signal, step)
-        clean = (signal - (1 - here).sqrt() * noise) / here.sqrt()
-        signal = there.sqrt() * clean + (1 - there).sqrt() * noise
+        clean = (signal - (1 - alpha_bar).sqrt() * noise) / alpha_bar.sqrt()
+        if clip is not None:
+            clean = clean.clamp(-clip, clip)
+            noise = (signal - alpha_bar.sqrt() * clean) / (1 - alpha_bar).sqrt()
+        signal = next_alpha_bar.sqrt() * clean + (1 - next_alpha_bar).sqrt() * noise
         if on_step is not None:
             on_step(index + 1, num_steps)
     return signal

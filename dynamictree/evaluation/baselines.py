@@ -1,23 +1,40 @@
-"""What the diffusion model has to beat, each a spectrum [V, K, 3] in metres for a judged tree."""
+"""Baselines that a model has to beat; each gives a spectrum [V, K, 3] in metres for a held-out tree."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Complex64, Float32, Float64
+from jaxtyping import Complex64, Float32, Float64, Int32
 from scipy.spatial import cKDTree
 
+from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.diffusion.channels import CHANNELS
-from dynamictree.models.small.examples import Example
-from dynamictree.models.small.generate import TreeMotionModel
-from dynamictree.models.small.prepared import wind_axes
+from dynamictree.models.small.generate import SmallModel
+from dynamictree.models.wind import wind_axes
 from dynamictree.spectrum import Wind
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import SurfaceVoxels
 
 NUM_BINS = 20  # of height
 FLOOR = 1e-6  # of the tree's height, before a logarithm
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainingTree:
+    """A tree of the training set, as the baselines use it."""
+
+    coords: Int32[np.ndarray, "V 3"]
+    spectrum: Complex64[np.ndarray, "V K 3"]  # over the tree's height, in the wind's frame
+
+
+def training_tree(seed: int, resolution: int = 128) -> TrainingTree:
+    """The dataset's tree of a seed."""
+    sample = make_sample(seed)
+    voxels, spectrum = voxel_spectrum(sample, resolution)
+    _, height_m = _unit_coords(voxels.grid.coords)
+    turned = spectrum.coefficients @ wind_axes(sample.wind).T / (height_m * voxels.grid.voxel_size_m)
+    return TrainingTree(coords=voxels.grid.coords, spectrum=turned.astype(np.complex64))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,43 +57,42 @@ class ByHeight:
         return _in_metres(np.concatenate([lean[:, None], field], axis=1), wind, height_m)
 
 
-def fit_by_height(examples: Sequence[Example]) -> ByHeight:
+def fit_by_height(trees: Sequence[TrainingTree]) -> ByHeight:
     """Average the training trees."""
-    num_frequencies = examples[0].spectrum.shape[1]
+    num_frequencies = trees[0].spectrum.shape[1]
     total = np.zeros((NUM_BINS, num_frequencies, 3))
     count = np.zeros(NUM_BINS)
-    for example in examples:
-        above = example.tree.grids.levels[0].coords[:, 2].numpy()
-        above = above - above.min()
+    for one in trees:
+        above = one.coords[:, 2] - one.coords[:, 2].min()
         place = (above * NUM_BINS // (above.max() + 1)).astype(int)
-        values = np.log(example.spectrum.abs().numpy().astype(np.float64) + FLOOR)
-        values[:, 0] = example.spectrum[:, 0].real.numpy()
+        values = np.log(np.abs(one.spectrum).astype(np.float64) + FLOOR)
+        values[:, 0] = one.spectrum[:, 0].real
         np.add.at(total, place, values)
         count += np.bincount(place, minlength=NUM_BINS)
     mean = total / np.maximum(count, 1)[:, None, None]
     return ByHeight(log_size=mean[:, 1:], lean=mean[:, 0])
 
 
-def nearest_tree(voxels: SurfaceVoxels, wind: Wind, examples: Sequence[Example]) -> Complex64[np.ndarray, "V K 3"]:
+def nearest_tree(voxels: SurfaceVoxels, wind: Wind, trees: Sequence[TrainingTree]) -> Complex64[np.ndarray, "V K 3"]:
     """The motion of the training tree of most like shape, copied to the nearest voxels, both scaled to height 1."""
     ours, height_m = _unit_coords(voxels.grid.coords)
     height_m *= voxels.grid.voxel_size_m
     seen = ours[:: max(1, len(ours) // 1000)]
-    best: tuple[float, Example, cKDTree] | None = None
-    for example in examples:
-        theirs, _ = _unit_coords(example.tree.grids.levels[0].coords.numpy())
+    best: tuple[float, TrainingTree, cKDTree] | None = None
+    for one in trees:
+        theirs, _ = _unit_coords(one.coords)
         tree = cKDTree(theirs)
         other = theirs[:: max(1, len(theirs) // 1000)]
         distance = float(np.mean(tree.query(seen)[0]) + np.mean(cKDTree(seen).query(other)[0]))
         if best is None or distance < best[0]:
-            best = distance, example, tree
+            best = distance, one, tree
     assert best is not None, "there must be training trees to copy from"
     rows = best[2].query(ours)[1]
-    return _in_metres(best[1].spectrum.numpy()[rows], wind, height_m)
+    return _in_metres(best[1].spectrum[rows], wind, height_m)
 
 
 def regression(
-    model: TreeMotionModel, voxels: SurfaceVoxels, wind: Wind, rng: np.random.Generator
+    model: SmallModel, voxels: SurfaceVoxels, wind: Wind, rng: np.random.Generator
 ) -> Complex64[np.ndarray, "V K 3"]:
     """The amplitude network alone: A, and one random phase a frequency and axis."""
     with torch.no_grad():
@@ -85,7 +101,7 @@ def regression(
     return prepared.to_metres(prepared.moved(phase.expand(prepared.amplitude.shape)))
 
 
-def noise_only(model: TreeMotionModel, voxels: SurfaceVoxels, wind: Wind, seed: int) -> Complex64[np.ndarray, "V K 3"]:
+def noise_only(model: SmallModel, voxels: SurfaceVoxels, wind: Wind, seed: int) -> Complex64[np.ndarray, "V K 3"]:
     """A times the noise that the diffusion starts from: what there is without a diffusion."""
     generator = torch.Generator().manual_seed(seed)
     with torch.no_grad():

@@ -1,7 +1,7 @@
-"""Can a program tell generated motions from true ones? Gradient-boosted trees on features of whole motions.
+"""A classifier of generated against true motions: gradient-boosted trees on features of whole motions.
 
-The answer only counts if the same classifier tells an easy fake, the by-height mean, from the truth: RULE. True and
-generated motions are of the same trees in the same winds, and a tree is never on both sides of a split.
+The result is valid only if the same classifier also separates an easy fake, the by-height mean, from the truth: RULE.
+True and generated motions are of the same trees in the same winds, and a tree is never on both sides of a split.
 """
 
 from collections.abc import Iterator
@@ -12,8 +12,8 @@ from jaxtyping import Complex64, Float64, Int64
 
 from dynamictree.errors import InputError
 from dynamictree.evaluation.baselines import fit_by_height
-from dynamictree.evaluation.figures import Ruler
-from dynamictree.evaluation.held_out_trees import JudgedTree, SpeciesGroup, iter_judged
+from dynamictree.evaluation.figures import TreeReference
+from dynamictree.evaluation.held_out_trees import HeldOutTree, SpeciesGroup, iter_held_out
 from dynamictree.evaluation.metrics import (
     FLOOR,
     amplitude,
@@ -26,37 +26,37 @@ from dynamictree.evaluation.metrics import (
     root_share,
     roughness,
 )
-from dynamictree.evaluation.report import known_examples
-from dynamictree.models.small.generate import load_model
+from dynamictree.evaluation.report import generate_for, training_trees
+from dynamictree.models import load_model
 from dynamictree.training.progress import OnStep
 from dynamictree.voxel.inextensible import bending
 
 KINDS = ("by-height mean", "model", "second wind")
 MIN_RIGHT = 0.9
-RULE = f"valid if it tells the by-height mean in at least {100 * MIN_RIGHT:.0f} % of cases"
+RULE = f"valid if it separates the by-height mean in at least {100 * MIN_RIGHT:.0f} % of cases"
 FOLDS = 5
 HEIGHTS = 5  # slices in which sizes are taken
 FRAMES = 12  # in which edges are measured
-FIRST_KNOWN_SEED = 1000
+FIRST_TRAINING_SEED = 1000
 
 
-def features_of(motion: Complex64[np.ndarray, "N K 3"], ruler: Ruler) -> dict[str, float]:
-    """What the classifier sees of a motion, of its tree and of its wind."""
-    tree = ruler.tree
+def features_of(motion: Complex64[np.ndarray, "N K 3"], reference: TreeReference) -> dict[str, float]:
+    """Features of a motion, of its tree and of its wind."""
+    tree = reference.tree
     vertices, height_m = tree.mesh.vertices, tree.mesh.height_m
     size = np.log(np.maximum(amplitude(motion) / height_m, FLOOR))
     bins = centroid(motion)
     above = (vertices[:, 2] - vertices[:, 2].min()) / height_m
     slices = np.minimum((above * HEIGHTS).astype(int), HEIGHTS - 1)
-    median, extreme = edge_stretch(motion, vertices, ruler.edges, num_frames=FRAMES)
-    found = {
+    median, extreme = edge_stretch(motion, vertices, reference.edges, num_frames=FRAMES)
+    features = {
         "speed": tree.wind.speed_m_s,
         "gust": tree.wind.gust,
         "height": height_m,
         "voxels": float(len(tree.voxels.grid)),
-        "roughness": roughness(motion, ruler.edges),
-        "smoothness_loss": ruler.smoothness(motion),
-        "phase_agreement": phase_agreement(motion, ruler.edges),
+        "roughness": roughness(motion, reference.edges),
+        "smoothness_loss": reference.smoothness(motion),
+        "phase_agreement": phase_agreement(motion, reference.edges),
         "stretch_median": median,
         "stretch_p99": extreme,
         "root_share": root_share(motion, vertices),
@@ -68,17 +68,17 @@ def features_of(motion: Complex64[np.ndarray, "N K 3"], ruler: Ruler) -> dict[st
         "size_with_height": float(np.corrcoef(above, size)[0, 1]),
         **_axes(motion, tree),
     }
-    found |= {f"size_p{at}": float(np.percentile(size, at)) for at in (5, 25, 50, 75, 95)}
-    found |= {f"bin_p{at}": float(np.percentile(bins, at)) for at in (5, 50, 95)}
-    found |= {f"energy_{k}": float(share) for k, share in enumerate(np.log(energy_by_frequency(motion)), start=1)}
+    features |= {f"size_p{at}": float(np.percentile(size, at)) for at in (5, 25, 50, 75, 95)}
+    features |= {f"bin_p{at}": float(np.percentile(bins, at)) for at in (5, 50, 95)}
+    features |= {f"energy_{k}": float(share) for k, share in enumerate(np.log(energy_by_frequency(motion)), start=1)}
     for part in range(HEIGHTS):
         inside = slices == part
-        found[f"size_at_{part}"] = float(size[inside].mean()) if inside.any() else np.nan
-        found[f"spread_at_{part}"] = float(size[inside].std()) if inside.any() else np.nan
-    return found
+        features[f"size_at_{part}"] = float(size[inside].mean()) if inside.any() else np.nan
+        features[f"spread_at_{part}"] = float(size[inside].std()) if inside.any() else np.nan
+    return features
 
 
-def _axes(motion: Complex64[np.ndarray, "N K 3"], tree: JudgedTree) -> dict[str, float]:
+def _axes(motion: Complex64[np.ndarray, "N K 3"], tree: HeldOutTree) -> dict[str, float]:
     """Shares of the energy along the wind, across it and upright."""
     angle = np.deg2rad(tree.wind.direction_deg)
     turn = np.array([[np.cos(angle), np.sin(angle), 0], [-np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
@@ -92,7 +92,7 @@ def classify(
     num_trees: int,
     max_voxels: int,
     seed: int,
-    num_known: int = 40,
+    num_training: int = 40,
     tries: int = 50,
     on_step: OnStep = lambda part, done, total, loss: None,
 ) -> dict[str, Any]:
@@ -103,33 +103,32 @@ def classify(
         num_trees: a side; of seen and unseen species in turn.
         max_voxels: larger trees are left out.
         seed: of the generated motions; each tree has its own.
-        num_known: training trees behind the by-height mean.
+        num_training: training trees behind the by-height mean.
         tries: trees looked at for one that is small enough, before giving up.
-        on_step: told the trees done and their number.
+        on_step: called with the trees done and their number.
 
     Raises:
         InputError: too few trees are small enough, or scikit-learn is not installed.
     """
     model = load_model(name)
-    resolution = model.network.preset.resolution
-    by_height = fit_by_height(known_examples(resolution, num_known, FIRST_KNOWN_SEED, on_step))
+    by_height = fit_by_height(training_trees(num_training, FIRST_TRAINING_SEED, on_step))
     rows: dict[str, list[dict[str, float]]] = {kind: [] for kind in ("truth", *KINDS)}
     voxels: list[int] = []
-    for tree in _small_trees(num_trees, max_voxels, tries, resolution):
+    for tree in _small_trees(num_trees, max_voxels, tries):
         own_seed = seed + len(voxels)
         rng = np.random.default_rng([own_seed, 1])
-        ruler, interpolation = Ruler.of(tree), bending(tree.voxels.grid, tree.mesh)
-        generated = model.generate(tree.voxels, wind=tree.wind, seed=own_seed).coefficients
+        reference, interpolation = TreeReference.of(tree), bending(tree.voxels.grid, tree.mesh)
+        generated = generate_for(tree, model, seed=own_seed)
         mean = by_height.spectrum(tree.voxels.grid, tree.wind, rng)
         motions = {
-            # the truth goes the same way, so that what the voxels cost tells nobody
-            "truth": interpolation.apply(ruler.on_voxels(tree.truth)),
-            "second wind": interpolation.apply(ruler.on_voxels(tree.second)),
-            "model": interpolation.apply(generated),
+            # the truth goes the same way, so that the loss by voxels separates nothing
+            "truth": interpolation.apply(reference.on_voxels(tree.truth)),
+            "second wind": interpolation.apply(reference.on_voxels(tree.second)),
+            "model": bending(generated.grid, tree.mesh).apply(generated.coefficients),
             "by-height mean": interpolation.apply(mean),
         }
         for kind, motion in motions.items():
-            rows[kind].append(features_of(motion, ruler))
+            rows[kind].append(features_of(motion, reference))
         voxels.append(len(tree.voxels.grid))
         on_step("trees", len(voxels), num_trees, 0.0)
     tables = {kind: np.array([list(row.values()) for row in of_kind]) for kind, of_kind in rows.items()}
@@ -145,10 +144,10 @@ def classify(
     }
 
 
-def _small_trees(count: int, max_voxels: int, tries: int, resolution: int) -> Iterator[JudgedTree]:
+def _small_trees(count: int, max_voxels: int, tries: int) -> Iterator[HeldOutTree]:
     """Trees of seen and unseen species in turn, the large ones left out."""
     groups: tuple[SpeciesGroup, ...] = get_args(SpeciesGroup)
-    both = [iter_judged(group, tries * count, resolution=resolution) for group in groups]
+    both = [iter_held_out(group, tries * count) for group in groups]
     given = 0
     while given < count:
         tree = next(both[given % 2], None)

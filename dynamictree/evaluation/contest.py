@@ -1,7 +1,7 @@
-"""The paper's last table, made runnable: one clean mesh, moved by our model and by Sapling's procedural wind.
+"""The paper's last table as a program: one clean mesh, moved by our model and by Sapling's procedural wind.
 
-The paper's own figures there are a user study's (authenticity, complexity, structure, quality), which no program gives.
-What can be measured without a true motion is: smoothness, stretch, roots, loop, how many frequencies, time, CLIP.
+The paper's own figures come from a user study (authenticity, complexity, structure, quality). Measured here is what
+needs no true motion: smoothness, stretch, roots, loop, number of frequencies, time, CLIP.
 """
 
 import time
@@ -15,8 +15,8 @@ import numpy as np
 from jaxtyping import Complex64
 
 from dynamictree.evaluation.clip import ImageEmbedder, motion_distances
-from dynamictree.evaluation.figures import Ruler
-from dynamictree.evaluation.held_out_trees import JudgedTree, iter_judged, iter_sapling
+from dynamictree.evaluation.figures import TreeReference
+from dynamictree.evaluation.held_out_trees import HeldOutTree, iter_held_out, iter_sapling
 from dynamictree.evaluation.metrics import (
     amplitude,
     edge_stretch,
@@ -27,9 +27,9 @@ from dynamictree.evaluation.metrics import (
     roughness,
 )
 from dynamictree.evaluation.procedural_wind import sway_as_sapling
-from dynamictree.evaluation.report import mean_of
+from dynamictree.evaluation.report import generate_for, mean_of
 from dynamictree.evaluation.sapling_file import read_sapling
-from dynamictree.models.small.generate import TreeMotionModel, load_model
+from dynamictree.models import MotionModel, load_model
 from dynamictree.spectrum import FPS, NUM_FRAMES, from_motion
 from dynamictree.training.progress import OnStep
 from dynamictree.voxel.inextensible import bending
@@ -40,9 +40,9 @@ ALL_BINS = NUM_FRAMES // 2 + 1
 
 CONTESTANTS = {
     "model": "ours: from the mesh alone",
-    "sapling": "the add-on's formula on the tree's own skeleton, told to loop",
+    "sapling": "the add-on's formula on the tree's own skeleton, made to loop",
     "sapling, as baked": "the add-on's own frames (trees of its own only)",
-    "4dtree wind": "the wind that the model learnt from, on the tree's own skeleton (our trees only)",
+    "4dtree wind": "the wind of the training data, on the tree's own skeleton (our trees only)",
 }
 
 
@@ -63,32 +63,32 @@ class Showing:
     cpu_seconds: float  # to make the loop; 0 where it was read
 
 
-def show(motion: Motion, ruler: Ruler, *, seconds: float) -> Showing:
+def show(motion: Motion, reference: TreeReference, *, seconds: float) -> Showing:
     """Measure a motion."""
-    vertices = ruler.tree.mesh.vertices
-    median, extreme = edge_stretch(motion, vertices, ruler.edges)
+    vertices = reference.tree.mesh.vertices
+    median, extreme = edge_stretch(motion, vertices, reference.edges)
     shares = energy_by_frequency(motion)
     some = shares[shares > 0]
     return Showing(
-        smoothness_loss=ruler.smoothness(motion),
-        roughness=roughness(motion, ruler.edges),
-        phase_agreement=phase_agreement(motion, ruler.edges),
+        smoothness_loss=reference.smoothness(motion),
+        roughness=roughness(motion, reference.edges),
+        phase_agreement=phase_agreement(motion, reference.edges),
         stretch_median=median,
         stretch_p99=extreme,
         root_share=root_share(motion, vertices),
         loop_jump=loop_jump(motion),
-        size_share=float(np.median(amplitude(motion)) / ruler.tree.mesh.height_m),
+        size_share=float(np.median(amplitude(motion)) / reference.tree.mesh.height_m),
         effective_frequencies=float(np.exp(-(some * np.log(some)).sum())),
         mean_frequency_hz=float(shares @ np.arange(1, len(shares) + 1) * FPS / NUM_FRAMES),
         cpu_seconds=seconds,
     )
 
 
-def iter_contest(tree: JudgedTree, model: TreeMotionModel, seed: int) -> Iterator[tuple[str, Motion, float]]:
+def iter_contest(tree: HeldOutTree, model: MotionModel, seed: int) -> Iterator[tuple[str, Motion, float]]:
     """Each contestant's motion of the tree's vertices [m], and the CPU seconds that it took."""
     begun = time.process_time()
-    spectrum = model.generate(tree.voxels, wind=tree.wind, seed=seed)
-    motion = bending(tree.voxels.grid, tree.mesh).apply(spectrum.coefficients)
+    spectrum = generate_for(tree, model, seed=seed)
+    motion = bending(spectrum.grid, tree.mesh).apply(spectrum.coefficients)
     yield "model", motion, time.process_time() - begun
     begun = time.process_time()
     swayed = sway_as_sapling(tree.bones, np.random.default_rng([seed, 2]))
@@ -107,18 +107,17 @@ def compare(
 ) -> dict[str, Any]:
     """Mean figures a set of trees and contestant; CLIP-I and CLIP-T too where there are weights."""
     model = load_model(name)
-    resolution = model.network.preset.resolution
-    sets: dict[str, tuple[Iterator[tuple[JudgedTree, str, Motion]], int]] = {
-        "sapling trees": (_their_trees(sapling, resolution), len(sapling)),
-        "unseen species": (_our_trees(num_trees, resolution), num_trees),
+    sets: dict[str, tuple[Iterator[tuple[HeldOutTree, str, Motion]], int]] = {
+        "sapling trees": (_their_trees(sapling), len(sapling)),
+        "unseen species": (_our_trees(num_trees), num_trees),
     }
     report: dict[str, dict[str, dict[str, float]]] = {}
     for kind, (trees, count) in sets.items():
         rows: dict[str, list[dict[str, float]]] = {}
         for done, (tree, another, known) in enumerate(trees, start=1):
-            ruler = Ruler.of(tree)
+            reference = TreeReference.of(tree)
             for contestant, motion, seconds in chain(iter_contest(tree, model, seed), [(another, known, 0.0)]):
-                row = asdict(show(motion, ruler, seconds=seconds))
+                row = asdict(show(motion, reference, seconds=seconds))
                 if embedder is not None:
                     row["clip_i"], row["clip_t"] = motion_distances(embedder, tree.mesh, motion)
                 rows.setdefault(contestant, []).append(row)
@@ -128,11 +127,11 @@ def compare(
     return {"model": model.name, "trees": {kind: count for kind, (_, count) in sets.items()}, "sets": report}
 
 
-def _their_trees(files: Sequence[Path], resolution: int) -> Iterator[tuple[JudgedTree, str, Motion]]:
-    for path, tree in zip(files, iter_sapling(files, resolution=resolution), strict=True):
+def _their_trees(files: Sequence[Path]) -> Iterator[tuple[HeldOutTree, str, Motion]]:
+    for path, tree in zip(files, iter_sapling(files), strict=True):
         yield tree, "sapling, as baked", from_motion(read_sapling(path).displacement, ALL_BINS)
 
 
-def _our_trees(count: int, resolution: int) -> Iterator[tuple[JudgedTree, str, Motion]]:
-    for tree in iter_judged("unseen-species", count, resolution=resolution):
+def _our_trees(count: int) -> Iterator[tuple[HeldOutTree, str, Motion]]:
+    for tree in iter_held_out("unseen-species", count):
         yield tree, "4dtree wind", tree.truth

@@ -8,7 +8,7 @@ from jaxtyping import Complex64, Float32, Int32, Int64
 from torch import Tensor
 
 from dynamictree.diffusion.loss import LocalSmoothness, nearest_voxels
-from dynamictree.evaluation.held_out_trees import JudgedTree
+from dynamictree.evaluation.held_out_trees import HeldOutTree
 from dynamictree.evaluation.metrics import (
     amplitude,
     centroid_correlation,
@@ -49,17 +49,17 @@ class Figures:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ruler:
+class TreeReference:
     """What all methods on a tree are measured with, made once."""
 
-    tree: JudgedTree
+    tree: HeldOutTree
     edges: Int32[np.ndarray, "E 2"]
     average: scipy.sparse.csr_array  # [V, N]
     neighbours: Int64[Tensor, "V M"]
     distances: Float32[Tensor, "V M"]
 
     @classmethod
-    def of(cls, tree: JudgedTree) -> "Ruler":
+    def of(cls, tree: HeldOutTree) -> "TreeReference":
         """Prepare a tree."""
         neighbours, distances = nearest_voxels(tree.voxels.grid.centres_m, LocalSmoothness().num_neighbours)
         return cls(
@@ -80,9 +80,9 @@ class Ruler:
         return smoothness_loss(self.on_voxels(motion), self.neighbours, self.distances)
 
 
-def judge(guess: Complex64[np.ndarray, "N K 3"], ruler: Ruler) -> Figures:
+def figures_of(guess: Complex64[np.ndarray, "N K 3"], reference: TreeReference) -> Figures:
     """Every figure of one motion."""
-    tree, edges = ruler.tree, ruler.edges
+    tree, edges = reference.tree, reference.edges
     vertices, height_m = tree.mesh.vertices, tree.mesh.height_m
     correlation, rmse = log_amplitude_agreement(guess, tree.truth, height_m)
     median, extreme = edge_stretch(guess, vertices, edges)
@@ -93,7 +93,7 @@ def judge(guess: Complex64[np.ndarray, "N K 3"], ruler: Ruler) -> Figures:
         log_spectral_distance=log_spectral_distance(guess, tree.truth, height_m),
         centroid_correlation=centroid_correlation(guess, tree.truth),
         roughness_ratio=roughness(guess, edges) / roughness(tree.truth, edges),
-        smoothness_loss_ratio=ruler.smoothness(guess) / ruler.smoothness(tree.truth),
+        smoothness_loss_ratio=reference.smoothness(guess) / reference.smoothness(tree.truth),
         energy_distance=float(np.abs(energy_by_frequency(guess) - energy_by_frequency(tree.truth)).sum() / 2),
         size_ratio=float(np.median(amplitude(guess)) / np.median(amplitude(tree.truth))),
         stretch_median=median,

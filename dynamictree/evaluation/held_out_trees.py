@@ -31,7 +31,7 @@ Group = Literal["seen-species", "unseen-species", "sapling"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class JudgedTree:
+class HeldOutTree:
     """A tree and how it truly moves, twice: the same wind, other gusts."""
 
     species: str
@@ -44,12 +44,12 @@ class JudgedTree:
     bone: Int32[np.ndarray, " N"]  # that a vertex goes with
 
 
-def iter_sapling(files: Sequence[Path], *, resolution: int = 128) -> Iterator[JudgedTree]:
+def iter_sapling(files: Sequence[Path], *, resolution: int = 128) -> Iterator[HeldOutTree]:
     """Trees of Blender's Sapling add-on; their second wind is the add-on's formula with other phases."""
     for number, path in enumerate(files):
         tree = read_sapling(path)
         again = sway_as_sapling(tree.bones, np.random.default_rng([STREAM, number]), loop=False)
-        yield JudgedTree(
+        yield HeldOutTree(
             species=tree.name,
             wind=SAPLING_WIND,
             mesh=tree.mesh,
@@ -61,7 +61,7 @@ def iter_sapling(files: Sequence[Path], *, resolution: int = 128) -> Iterator[Ju
         )
 
 
-def iter_judged(group: SpeciesGroup, count: int, *, resolution: int = 128) -> Iterator[JudgedTree]:
+def iter_held_out(group: SpeciesGroup, count: int, *, resolution: int = 128) -> Iterator[HeldOutTree]:
     """`count` trees, the group's species in turn."""
     held_out = group == "unseen-species"
     species = [one for one in SPECIES.values() if one.held_out == held_out]
@@ -76,7 +76,7 @@ def iter_judged(group: SpeciesGroup, count: int, *, resolution: int = 128) -> It
         tree = grow_tree(chosen, rng)
         truth, second = (vertex_spectrum(sway(tree, wind, rng), tree.mesh.vertices, tree.node) for _ in range(2))
         bones, bone = bones_of(tree)
-        yield JudgedTree(
+        yield HeldOutTree(
             species=chosen.name,
             wind=wind,
             mesh=tree.mesh,

@@ -1,5 +1,6 @@
-"""The model and what it must beat, on trees that no training saw: one row of figures a method."""
+"""Compare a model with its baselines on trees that no training saw: one row of figures per method."""
 
+import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from itertools import chain
@@ -9,54 +10,79 @@ from typing import Any, get_args
 import numpy as np
 from jaxtyping import Complex64, Float64
 
-from dynamictree.evaluation.baselines import ByHeight, fit_by_height, nearest_tree, noise_only, regression
+from dynamictree.dataset.sample import is_training_seed
+from dynamictree.evaluation.baselines import (
+    ByHeight,
+    TrainingTree,
+    fit_by_height,
+    nearest_tree,
+    noise_only,
+    regression,
+    training_tree,
+)
 from dynamictree.evaluation.clip import ImageEmbedder, motion_distances
-from dynamictree.evaluation.figures import Ruler, judge
-from dynamictree.evaluation.held_out_trees import Group, JudgedTree, iter_judged, iter_sapling
+from dynamictree.evaluation.figures import TreeReference, figures_of
+from dynamictree.evaluation.held_out_trees import Group, HeldOutTree, iter_held_out, iter_sapling
 from dynamictree.evaluation.metrics import energy_by_frequency, relative_difference
 from dynamictree.evaluation.targets import RULE, passes, targets_of
-from dynamictree.models.small.examples import Example, is_training_seed, make_example
-from dynamictree.models.small.generate import TreeMotionModel, load_model
+from dynamictree.models import MotionModel, load_model
+from dynamictree.models.small.generate import SmallModel
+from dynamictree.spectrum import SparseVoxelSpectrum
 from dynamictree.training.progress import OnStep
 from dynamictree.voxel.inextensible import bending
+from dynamictree.voxel.voxelize import voxelize
 
-SEEN_BY_CLIP = ("truth", "model", "by-height mean")
+CLIP_METHODS = ("truth", "model", "by-height mean")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Knowledge:
-    """The model, and what the baselines know."""
+class Methods:
+    """The model, and what the baselines are fitted to."""
 
-    model: TreeMotionModel
+    model: MotionModel
     by_height: ByHeight
-    examples: Sequence[Example]
+    training_trees: Sequence[TrainingTree]
 
 
 def iter_motions(
-    ruler: Ruler, known: Knowledge, *, seed: int, num_steps: int | None = None
+    reference: TreeReference, methods: Methods, *, seed: int, num_steps: int | None = None
 ) -> Iterator[tuple[str, Complex64[np.ndarray, "N K 3"]]]:
     """Each method's motion of the tree's vertices [m].
 
-    The model; the amplitude network with one random phase a frequency (regression), and times the noise that the
-    diffusion starts from (noise only); the training mean by height; the most alike training tree's motion; the truth
-    through the voxels and back (representation); and the same tree in other gusts (second wind): what chance makes.
+    - model
+    - regression: the small model's amplitudes with one random phase per frequency; noise only: its amplitudes times
+      the noise that its diffusion starts from. Both only for the small model.
+    - by-height mean: geometric mean of the training trees by height
+    - nearest tree: the motion of the training tree of the most similar shape
+    - representation: the true motion, voxelized and back
+    - second wind: the true motion of the same tree in other gusts, which is what chance makes
     """
-    tree, model = ruler.tree, known.model
+    tree, model = reference.tree, methods.model
     rng = np.random.default_rng([seed, 1])
     interpolation = bending(tree.voxels.grid, tree.mesh)
-    generated = model.generate(tree.voxels, wind=tree.wind, seed=seed, num_steps=num_steps).coefficients
-    yield "model", interpolation.apply(generated)
-    yield "regression", interpolation.apply(regression(model, tree.voxels, tree.wind, rng))
-    yield "noise only", interpolation.apply(noise_only(model, tree.voxels, tree.wind, seed))
-    yield "by-height mean", interpolation.apply(known.by_height.spectrum(tree.voxels.grid, tree.wind, rng))
-    yield "nearest tree", interpolation.apply(nearest_tree(tree.voxels, tree.wind, known.examples))
-    yield "representation", interpolation.apply(ruler.on_voxels(tree.truth))
+    generated = generate_for(tree, model, seed=seed, num_steps=num_steps)
+    yield "model", bending(generated.grid, tree.mesh).apply(generated.coefficients)
+    if isinstance(model, SmallModel):
+        yield "regression", interpolation.apply(regression(model, tree.voxels, tree.wind, rng))
+        yield "noise only", interpolation.apply(noise_only(model, tree.voxels, tree.wind, seed))
+    yield "by-height mean", interpolation.apply(methods.by_height.spectrum(tree.voxels.grid, tree.wind, rng))
+    yield "nearest tree", interpolation.apply(nearest_tree(tree.voxels, tree.wind, methods.training_trees))
+    yield "representation", interpolation.apply(reference.on_voxels(tree.truth))
     yield "second wind", tree.second
 
 
-def seed_difference(tree: JudgedTree, model: TreeMotionModel) -> tuple[float, float]:
-    """How far two seeds are apart, and two true winds; √2 where they have nothing in common."""
-    first, second = (model.generate(tree.voxels, wind=tree.wind, seed=seed).coefficients for seed in (0, 1))
+def generate_for(
+    tree: HeldOutTree, model: MotionModel, *, seed: int, num_steps: int | None = None
+) -> SparseVoxelSpectrum:
+    """The model's motion of a tree, voxelized at the model's resolution."""
+    fits = tree.voxels.grid.resolution == model.resolution
+    voxels = tree.voxels if fits else voxelize(tree.mesh, model.resolution)
+    return model.generate(voxels, wind=tree.wind, seed=seed, num_steps=num_steps)
+
+
+def seed_difference(tree: HeldOutTree, model: MotionModel, num_steps: int | None) -> tuple[float, float]:
+    """Relative difference of two seeds, and of two true winds; √2 where they have nothing in common."""
+    first, second = (generate_for(tree, model, seed=seed, num_steps=num_steps).coefficients for seed in (0, 1))
     return relative_difference(first, second), relative_difference(tree.truth, tree.second)
 
 
@@ -64,7 +90,7 @@ def evaluate_model(
     name: str,
     *,
     num_trees: int,
-    num_known: int,
+    num_training: int,
     first_seed: int,
     seed: int,
     num_steps: int | None = None,
@@ -72,44 +98,46 @@ def evaluate_model(
     embedder: ImageEmbedder | None = None,
     on_step: OnStep = lambda part, done, total, loss: None,
 ) -> dict[str, Any]:
-    """Mean figures a group and method, the targets, and whether the model passes.
+    """Mean figures by group and method, the targets, and whether the model passes.
 
     Args:
-        name: of a shipped model, or a file.
+        name: of a model, or its weights file.
         num_trees: of each group.
-        num_known: training trees that the baselines know.
+        num_training: training trees that the baselines are fitted to.
         first_seed: of those.
         seed: of the generated motions.
         num_steps: of the sampler.
         sapling: files of trees that Blender's add-on baked, a third group.
         embedder: CLIP, for CLIP-I and CLIP-T of the model, the truth and the by-height mean.
-        on_step: told the group, the trees done and their number.
+        on_step: called with the group, the trees done, their number, and 0.
     """
     model = load_model(name)
-    examples = known_examples(model.network.preset.resolution, num_known, first_seed, on_step)
-    known = Knowledge(model=model, by_height=fit_by_height(examples), examples=examples)
-    told = {
-        group: judge_group(judged, known, seed=seed, num_steps=num_steps, embedder=embedder, on_step=on_step)
+    trees = training_trees(num_training, first_seed, on_step)
+    methods = Methods(model=model, by_height=fit_by_height(trees), training_trees=trees)
+    begun = time.process_time()
+    reports = {
+        group: evaluate_group(own, methods, seed=seed, num_steps=num_steps, embedder=embedder, on_step=on_step)
         for group in get_args(Group)
-        if (judged := judged_trees(group, num_trees, sapling, model.network.preset.resolution)).count
+        if (own := trees_of_group(group, num_trees, sapling)).count
     }
-    between = np.mean([one.seed_difference for one in told.values()], axis=0)
+    between = np.mean([one.seed_difference for one in reports.values()], axis=0)
     return {
         "model": model.name,
-        "trees": {group: one.count for group, one in told.items()},
-        "groups": {group: one.figures for group, one in told.items()},
-        "energy_by_frequency": {group: one.energies for group, one in told.items()},
-        **({"clip": {group: one.clip for group, one in told.items()}} if embedder is not None else {}),
+        "trees": {group: one.count for group, one in reports.items()},
+        "groups": {group: one.figures for group, one in reports.items()},
+        "energy_by_frequency": {group: one.energies for group, one in reports.items()},
+        **({"clip": {group: one.clip for group, one in reports.items()}} if embedder is not None else {}),
         "seed_difference": {"model": float(between[0]), "truth": float(between[1])},
-        "targets": targets_of(told["unseen-species"].figures),
+        "targets": targets_of(reports["unseen-species"].figures),
         "rule": RULE,
-        "passes": all(passes(one.figures) for group, one in told.items() if group != "sapling"),
+        "passes": all(passes(one.figures) for group, one in reports.items() if group != "sapling"),
+        "cpu_seconds": round(time.process_time() - begun, 1),
     }
 
 
 @dataclass(frozen=True, kw_only=True)
-class Told:
-    """A group's means by method."""
+class GroupReport:
+    """Means over a group's trees, by method."""
 
     count: int
     figures: dict[str, dict[str, float]]
@@ -118,35 +146,44 @@ class Told:
     seed_difference: tuple[float, float]
 
 
-def judge_group(
-    judged: "JudgedGroup",
-    known: Knowledge,
+@dataclass(frozen=True, kw_only=True)
+class TreeGroup:
+    """Trees, generated lazily, and their number."""
+
+    group: Group
+    trees: Iterator[HeldOutTree]
+    count: int
+
+
+def evaluate_group(
+    group: TreeGroup,
+    methods: Methods,
     *,
     seed: int,
     num_steps: int | None,
     embedder: ImageEmbedder | None,
     on_step: OnStep,
-) -> Told:
-    """Every method on every tree of a group."""
+) -> GroupReport:
+    """Measure every method on every tree of a group."""
     rows: dict[str, list[dict[str, float]]] = {}
     clip: dict[str, list[dict[str, float]]] = {}
     shares: dict[str, list[Float64[np.ndarray, " J"]]] = {}
     difference = (0.0, 0.0)
-    for index, tree in enumerate(judged.trees):
-        ruler = Ruler.of(tree)
-        motions = chain([("truth", tree.truth)], iter_motions(ruler, known, seed=seed, num_steps=num_steps))
+    for index, tree in enumerate(group.trees):
+        reference = TreeReference.of(tree)
+        motions = chain([("truth", tree.truth)], iter_motions(reference, methods, seed=seed, num_steps=num_steps))
         for method, motion in motions:
             shares.setdefault(method, []).append(energy_by_frequency(motion))
             if method != "truth":
-                rows.setdefault(method, []).append(asdict(judge(motion, ruler)))
-            if embedder is not None and method in SEEN_BY_CLIP:
+                rows.setdefault(method, []).append(asdict(figures_of(motion, reference)))
+            if embedder is not None and method in CLIP_METHODS:
                 near, smooth_in_time = motion_distances(embedder, tree.mesh, motion)
                 clip.setdefault(method, []).append({"clip_i": near, "clip_t": smooth_in_time})
         if index == 0:
-            difference = seed_difference(tree, known.model)
-        on_step(judged.group, index + 1, judged.count, 0.0)
-    return Told(
-        count=judged.count,
+            difference = seed_difference(tree, methods.model, num_steps)
+        on_step(group.group, index + 1, group.count, 0.0)
+    return GroupReport(
+        count=group.count,
         figures={method: mean_of(of_method) for method, of_method in rows.items()},
         energies={method: np.mean(one, axis=0).round(5).tolist() for method, one in shares.items()},
         clip={method: mean_of(of_method) for method, of_method in clip.items()},
@@ -154,32 +191,23 @@ def judge_group(
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class JudgedGroup:
-    """Trees, made as they are asked for, and their number."""
-
-    group: Group
-    trees: Iterator[JudgedTree]
-    count: int
-
-
-def judged_trees(group: Group, num_trees: int, sapling: Sequence[Path], resolution: int) -> JudgedGroup:
+def trees_of_group(group: Group, num_trees: int, sapling: Sequence[Path]) -> TreeGroup:
     """A group's trees."""
     if group == "sapling":
-        return JudgedGroup(group=group, trees=iter_sapling(sapling, resolution=resolution), count=len(sapling))
-    return JudgedGroup(group=group, trees=iter_judged(group, num_trees, resolution=resolution), count=num_trees)
+        return TreeGroup(group=group, trees=iter_sapling(sapling), count=len(sapling))
+    return TreeGroup(group=group, trees=iter_held_out(group, num_trees), count=num_trees)
 
 
-def known_examples(resolution: int, count: int, first_seed: int, on_step: OnStep) -> list[Example]:
+def training_trees(count: int, first_seed: int, on_step: OnStep) -> list[TrainingTree]:
     """The first `count` training trees from a seed on."""
-    known: list[Example] = []
-    candidate = first_seed
-    while len(known) < count:
-        if is_training_seed(candidate):
-            known.append(make_example(candidate, resolution))
-            on_step("training trees", len(known), count, 0.0)
-        candidate += 1
-    return known
+    trees: list[TrainingTree] = []
+    seed = first_seed
+    while len(trees) < count:
+        if is_training_seed(seed):
+            trees.append(training_tree(seed))
+            on_step("training trees", len(trees), count, 0.0)
+        seed += 1
+    return trees
 
 
 def mean_of(rows: Sequence[dict[str, float]]) -> dict[str, float]:

@@ -1,4 +1,4 @@
-"""What the small model is held to: on unseen species, by vertex after devoxelisation."""
+"""Targets for a model's figures on unseen species, by vertex after devoxelization."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -45,28 +45,29 @@ TARGETS = (
 
 
 def targets_of(methods: Methods) -> list[dict[str, object]]:
-    """Each target: what was found, whether it is met or by how much missed, which baselines do better.
+    """Each target: the model's value, whether it meets the bound or by how much it misses, and better baselines.
 
-    `floor` is the same figure of a second true wind: nothing that is asked for beyond it can be had.
+    `floor` is the same figure of a second true wind: no model can be expected to do better.
     """
-    told: list[dict[str, object]] = []
+    report: list[dict[str, object]] = []
+    baselines = [name for name in BASELINES if name in methods]
     for target in TARGETS:
-        found = methods["model"][target.figure]
+        value = methods["model"][target.figure]
         better = [
-            name for name in BASELINES if target.badness(methods[name][target.figure]) < target.badness(found) - 1e-9
+            name for name in baselines if target.badness(methods[name][target.figure]) < target.badness(value) - 1e-9
         ]
-        told.append(
+        report.append(
             {
                 "figure": target.figure,
                 "wanted": f"{target.sense} {target.bound:g}" + (" of 1" if target.sense == "within" else ""),
-                "found": found,
+                "value": value,
                 "floor": methods[FLOOR][target.figure],
-                "met": target.error(found) == 0,
-                "missed_by": target.error(found),
+                "met": target.error(value) == 0,
+                "missed_by": target.error(value),
                 "better_baselines": better,
             }
         )
-    return told
+    return report
 
 
 def passes(methods: Methods) -> bool:

@@ -1,1 +1,6 @@
-"""The trained models: `small` is shipped, `paper` is the paper's own network."""
+"""Trained models: `small`, which is shipped as the default, and `paper`, the network of the paper."""
+
+from dynamictree.models.load import load_model
+from dynamictree.models.motion_model import MotionModel
+
+__all__ = ["MotionModel", "load_model"]

@@ -1,13 +1,11 @@
 """/v1/presets and /v1/limits: what may be asked for."""
 
-from functools import cache
-from importlib import resources
-
 from fastapi import APIRouter
 from pydantic import Field
 
 from dynamictree.formats import suffixes
 from dynamictree.requests import MAX_FRAMES
+from dynamictree.weights import list_weights
 from service.http.problems import wrong_field
 from service.http.routing import refusals
 from service.routes import interact
@@ -59,18 +57,9 @@ class LimitsPayload(Payload):
     asset_retention_s: float = Field(description="uploads are kept so long after their last use [s]")
 
 
-@cache
 def preset_sizes() -> dict[str, int]:
-    """Models that are shipped, with the size of their weights [bytes]."""
-    weights = resources.files("dynamictree") / "weights"
-    if not weights.is_dir():
-        return {}
-    found = {
-        entry.name.removesuffix(".safetensors"): len(entry.read_bytes())
-        for entry in weights.iterdir()
-        if entry.name.endswith(".safetensors")
-    }
-    return dict(sorted(found.items()))
+    """Models that jobs may name, with the size of their weights [bytes]."""
+    return {name: path.stat().st_size for name, path in sorted(list_weights().items())}
 
 
 def require_preset(name: str) -> None:

@@ -11,14 +11,15 @@ from typer import Typer
 from typer.testing import CliRunner
 
 from dynamictree.commands.train import train
-from dynamictree.dataset.sample import make_sample
+from dynamictree.dataset.sample import is_training_seed, make_sample
 from dynamictree.dataset.shards import store, write_shard
 from dynamictree.errors import InputError
-from dynamictree.evaluation.baselines import fit_by_height, nearest_tree, noise_only, regression
-from dynamictree.evaluation.held_out_trees import iter_judged
+from dynamictree.evaluation.baselines import fit_by_height, nearest_tree, noise_only, regression, training_tree
+from dynamictree.evaluation.held_out_trees import iter_held_out
+from dynamictree.models import load_model
 from dynamictree.models.small.denoiser import DenoiserShape
-from dynamictree.models.small.examples import Example, is_training_seed, iter_training, make_example
-from dynamictree.models.small.generate import TreeMotionModel, load_model
+from dynamictree.models.small.examples import Example, iter_training, make_example
+from dynamictree.models.small.generate import SmallModel
 from dynamictree.models.small.network import SmallNetwork, SmallPreset
 from dynamictree.models.small.training_steps import VOXELS_A_TREE, amplitude_rows, read_rows, write_rows
 
@@ -62,11 +63,11 @@ def tiny() -> SmallNetwork:
 def test_a_dry_run_prints_the_resolved_run_and_does_nothing(commands: Typer, tmp_path: Path) -> None:
     arguments = ["train", str(tmp_path / "run"), "--dataset", str(tmp_path), "--dry-run", "--json"]
     plan = json.loads(CliRunner().invoke(commands, [*arguments, "--denoiser-steps", "7"]).stdout)
-    assert plan["denoiser"]["num_steps"] == 7
+    assert plan["denoiser"]["schedule"]["num_steps"] == 7
     assert plan["preset"]["denoiser"]["width"] == DenoiserShape().width
-    paper = json.loads(CliRunner().invoke(commands, [*arguments, "--preset", "paper", "--micro-batch", "4"]).stdout)
-    assert (paper["training"]["num_iterations"], paper["training"]["smoothness_from"]) == (70_000, 40_000)
-    assert (paper["training"]["batch_size"], paper["micro_batch"]) == (48, 4)
+    paper = json.loads(CliRunner().invoke(commands, [*arguments, "--preset", "paper", "--micro-trees", "4"]).stdout)
+    assert (paper["num_steps"], paper["smoothness_from"]) == (70_000, 40_000)
+    assert (paper["batch_size"], paper["micro_trees"]) == (48, 4)
     assert paper["preset"]["encoder_widths"] == [32, 64, 128]
     assert not (tmp_path / "run").exists()
 
@@ -110,19 +111,25 @@ def test_training_ends_in_weights_that_load_and_goes_on_where_it_was(
     arguments = ["train", str(tmp_path), "--dataset", str(shards), *trees, *steps, "--json"]
     result = CliRunner().invoke(commands, [*arguments, "--denoiser-steps", "1"], catch_exceptions=False)
     weights = Path(json.loads(result.stdout)["weights"])
-    first = load_model(str(weights)).network
+    first = small_network(weights)
     assert [path.name for path in (tmp_path / "rows").iterdir()] == ["000000.safetensors"]
     result = CliRunner().invoke(commands, [*arguments, "--denoiser-steps", "2"], catch_exceptions=False)
-    second = load_model(str(weights)).network
+    second = small_network(weights)
     for part in ("foliage", "amplitude"):
         for name, value in getattr(first, part).state_dict().items():
             assert (getattr(second, part).state_dict()[name] == value).all()
     assert changed(first.denoiser, second.denoiser)
     other = [*arguments[:1], str(tmp_path / "other"), *arguments[2:], "--denoiser-steps", "1"]
     CliRunner().invoke(commands, [*other, "--denoiser-from", str(weights)], catch_exceptions=False)
-    third = load_model(str(tmp_path / "other" / "small.safetensors")).network
+    third = small_network(tmp_path / "other" / "small.safetensors")
     assert changed(second.denoiser, third.denoiser)
     assert (second.denoiser.embed_frequency.weight - third.denoiser.embed_frequency.weight).abs().max() < 0.01
+
+
+def small_network(weights: Path) -> SmallNetwork:
+    model = load_model(str(weights))
+    assert isinstance(model, SmallModel)
+    return model.network
 
 
 def changed(one: torch.nn.Module, other: torch.nn.Module) -> bool:
@@ -149,15 +156,17 @@ def test_training_seeds_are_the_datasets_own_split(example: Example) -> None:
 
 
 def test_baselines_are_what_they_say(example: Example, tiny: SmallNetwork) -> None:
-    tree = next(iter_judged("seen-species", 1))
-    by_height = fit_by_height([example])
+    tree = next(iter_held_out("seen-species", 1))
+    own = training_tree(SEED)
+    np.testing.assert_allclose(own.spectrum, example.spectrum.numpy(), atol=1e-7)
+    by_height = fit_by_height([own])
     rng = np.random.default_rng(0)
     mean = by_height.spectrum(tree.voxels.grid, tree.wind, rng)
     level = tree.voxels.grid.coords[:, 2] == 60
     assert np.ptp(np.abs(mean[level, 1:]), axis=0).max() < 1e-6  # one spectrum a height
-    copied = nearest_tree(tree.voxels, tree.wind, [example])
+    copied = nearest_tree(tree.voxels, tree.wind, [own])
     assert len(np.unique(np.abs(copied[:, 1, 2]))) <= len(example.spectrum)
-    model = TreeMotionModel(tiny, name="tiny")
+    model = SmallModel(tiny, name="tiny")
     alone = regression(model, tree.voxels, tree.wind, rng)
     swings = model.prepare(tree.voxels, tree.wind).leaves.share.numpy() > 0  # and so mixes the axes
     upright = alone[~swings, 3, 2]

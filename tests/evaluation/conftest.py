@@ -5,9 +5,9 @@ import torch
 from typer import Typer
 
 from dynamictree.commands.evaluate import evaluate
-from dynamictree.evaluation.held_out_trees import JudgedTree, iter_judged
+from dynamictree.evaluation.held_out_trees import HeldOutTree, iter_held_out
 from dynamictree.models.small.denoiser import DenoiserShape
-from dynamictree.models.small.generate import write_network
+from dynamictree.models.small.generate import write_small
 from dynamictree.models.small.network import SmallNetwork, SmallPreset
 
 
@@ -23,14 +23,14 @@ def untrained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     torch.manual_seed(0)
     shape = DenoiserShape(width=8, embedding=8, num_blocks=1)
     path = tmp_path_factory.mktemp("weights") / "tiny.safetensors"
-    write_network(SmallNetwork(SmallPreset(amplitude_width=8, amplitude_depth=1, denoiser=shape)), path)
+    write_small(SmallNetwork(SmallPreset(amplitude_width=8, amplitude_depth=1, denoiser=shape)), path)
     return path
 
 
 @pytest.fixture(scope="session")
-def palm() -> JudgedTree:
+def palm() -> HeldOutTree:
     """The smallest of the first unseen trees."""
-    return min(iter_judged("unseen-species", 3), key=lambda tree: len(tree.voxels.grid))
+    return min(iter_held_out("unseen-species", 3), key=lambda tree: len(tree.voxels.grid))
 
 
 @pytest.fixture

@@ -10,8 +10,8 @@ from typer.testing import CliRunner
 
 from dynamictree.errors import InputError
 from dynamictree.evaluation.classifier import classify, features_of, share_right
-from dynamictree.evaluation.figures import Ruler
-from dynamictree.evaluation.held_out_trees import JudgedTree
+from dynamictree.evaluation.figures import TreeReference
+from dynamictree.evaluation.held_out_trees import HeldOutTree
 
 
 def test_what_differs_is_told_and_what_does_not_is_guessed(rng: np.random.Generator) -> None:
@@ -27,13 +27,13 @@ def test_a_tree_is_never_on_both_sides_of_a_split(rng: np.random.Generator) -> N
     assert share_right(tree, tree.copy(), seed=0) == 0.5
 
 
-def test_features_do_not_change_with_the_compass_or_the_unit(palm: JudgedTree) -> None:
-    plain = features_of(palm.truth, Ruler.of(palm))
+def test_features_do_not_change_with_the_compass_or_the_unit(palm: HeldOutTree) -> None:
+    plain = features_of(palm.truth, TreeReference.of(palm))
     quarter = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]], np.float32)
     mesh = palm.mesh.with_vertices(np.ascontiguousarray(palm.mesh.vertices @ quarter.T))
     wind = replace(palm.wind, direction_deg=palm.wind.direction_deg + 90)
     truth = np.ascontiguousarray(palm.truth @ quarter.T).astype(np.complex64)
-    turned = features_of(truth, replace(Ruler.of(palm), tree=replace(palm, mesh=mesh, wind=wind)))
+    turned = features_of(truth, replace(TreeReference.of(palm), tree=replace(palm, mesh=mesh, wind=wind)))
     assert set(turned) == set(plain)
     for name, value in plain.items():
         assert turned[name] == pytest.approx(value, rel=1e-3, abs=1e-5), name
@@ -51,7 +51,7 @@ def test_an_untrained_network_is_told_and_another_true_wind_is_not(untrained: Pa
 
 def test_a_limit_that_no_tree_keeps_is_told(untrained: Path) -> None:
     with pytest.raises(InputError, match="at most 10 voxels"):
-        classify(str(untrained), num_trees=1, max_voxels=10, seed=0, num_known=1, tries=1)
+        classify(str(untrained), num_trees=1, max_voxels=10, seed=0, num_training=1, tries=1)
 
 
 def test_two_kinds_of_run_at_once_are_refused(commands: Typer, untrained: Path) -> None:

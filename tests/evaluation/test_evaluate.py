@@ -9,8 +9,8 @@ from typer import Typer
 from typer.testing import CliRunner
 
 from dynamictree.commands.evaluate import print_classifier, print_figures, print_rivals
-from dynamictree.evaluation.figures import Ruler, judge
-from dynamictree.evaluation.held_out_trees import JudgedTree, iter_sapling
+from dynamictree.evaluation.figures import TreeReference, figures_of
+from dynamictree.evaluation.held_out_trees import HeldOutTree, iter_sapling
 from dynamictree.evaluation.sapling_file import read_sapling, sapling_files
 from dynamictree.evaluation.targets import BASELINES, TARGETS, targets_of
 from dynamictree.spectrum import to_motion
@@ -24,8 +24,8 @@ def ran(commands: Typer, *arguments: str) -> tuple[dict, str]:
     return json.loads(result.stdout), result.stderr
 
 
-def test_the_truth_itself_is_perfect(palm: JudgedTree) -> None:
-    found = judge(palm.truth, Ruler.of(palm))
+def test_the_truth_itself_is_perfect(palm: HeldOutTree) -> None:
+    found = figures_of(palm.truth, TreeReference.of(palm))
     for name in ("log_amplitude_correlation", "centroid_correlation", "roughness_ratio", "smoothness_loss_ratio"):
         assert getattr(found, name) == pytest.approx(1, abs=1e-6), name
     assert found.size_ratio == found.lean_ratio == 1
@@ -33,10 +33,10 @@ def test_the_truth_itself_is_perfect(palm: JudgedTree) -> None:
     assert found.phase_agreement == found.phase_agreement_truth
 
 
-def test_noise_between_neighbours_shows_in_smoothness_and_roughness(palm: JudgedTree) -> None:
+def test_noise_between_neighbours_shows_in_smoothness_and_roughness(palm: HeldOutTree) -> None:
     rng = np.random.default_rng(0)
     rough = (palm.truth * np.exp(0.5j * rng.standard_normal((len(palm.truth), 1, 1)))).astype(np.complex64)
-    found = judge(rough, Ruler.of(palm))
+    found = figures_of(rough, TreeReference.of(palm))
     assert found.smoothness_loss_ratio > 1.05
     assert found.roughness_ratio > 1.5
     assert found.phase_agreement < found.phase_agreement_truth
@@ -44,7 +44,7 @@ def test_noise_between_neighbours_shows_in_smoothness_and_roughness(palm: Judged
 
 
 def test_evaluation_judges_the_truth_as_good_and_an_untrained_network_as_not(commands: Typer, untrained: Path) -> None:
-    report, said = ran(commands, "--model", str(untrained), "--trees", "1", "--known-trees", "2", "--steps", "1")
+    report, said = ran(commands, "--model", str(untrained), "--trees", "1", "--training-trees", "2", "--steps", "1")
     assert set(report["groups"]) == {"seen-species", "unseen-species"}
     for rows in report["groups"].values():
         assert rows["representation"]["log_amplitude_correlation"] > 0.99
@@ -63,7 +63,7 @@ def test_evaluation_judges_the_truth_as_good_and_an_untrained_network_as_not(com
 
 @pytest.mark.slow
 def test_the_add_ons_trees_are_a_third_group(commands: Typer, untrained: Path, samples: Path) -> None:
-    arguments = ("--model", str(untrained), "--trees", "1", "--known-trees", "1", "--steps", "1")
+    arguments = ("--model", str(untrained), "--trees", "1", "--training-trees", "1", "--steps", "1")
     report, _ = ran(commands, *arguments, "--samples", str(samples))
     rows = report["groups"]["sapling"]
     assert report["trees"]["sapling"] == 2
@@ -78,7 +78,7 @@ def test_the_add_ons_trees_are_judged_by_their_own_frames(samples: Path) -> None
         motion = to_motion(tree.truth)
         baked = read_sapling(path).displacement
         assert np.linalg.norm(motion - baked) < 0.05 * np.linalg.norm(baked)
-        found = judge(tree.second, Ruler.of(tree))
+        found = figures_of(tree.second, TreeReference.of(tree))
         assert found.log_amplitude_correlation > 0.9
         assert found.lean_ratio == pytest.approx(1, abs=0.3)
 
@@ -121,4 +121,4 @@ def test_figures_and_verdicts_are_printed_for_people(capsys: pytest.CaptureFixtu
     print_rivals({"sets": {"unseen species": {"model": {"roughness": 0.25}}}, "trees": {"unseen species": 2}})
     assert "unseen species: mean over 2 trees" in capsys.readouterr().out
     print_classifier({"right": {"model": 0.613}, "valid": True, "rule": "a rule", "trees": 20, "mean_voxels": 9000.0})
-    assert "true motion told from model in 61.3 % of cases\nvalid: a rule; 20 trees" in capsys.readouterr().out
+    assert "true motion and model in 61.3 % of cases\nvalid: a rule; 20 trees" in capsys.readouterr().out

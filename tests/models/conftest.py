@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import torch
 
-from dynamictree.models.small.features import TreeCondition, tree_condition
+from dynamictree.models.small.features import TreeFeatures, tree_features
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.moments import AREA, OFFSET, moments_of_normals
 from dynamictree.voxel.voxelize import SurfaceVoxels
@@ -36,8 +36,8 @@ def voxels(fork: VoxelGrid) -> SurfaceVoxels:
 
 
 @pytest.fixture(scope="session")
-def tree(voxels: SurfaceVoxels) -> TreeCondition:
-    return tree_condition(voxels)
+def tree(voxels: SurfaceVoxels) -> TreeFeatures:
+    return tree_features(voxels)
 
 
 @pytest.fixture(autouse=True, scope="session")

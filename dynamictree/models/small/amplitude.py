@@ -17,13 +17,13 @@ from dynamictree.models.small.features import (
     NUM_SCALARS,
     NUM_VECTORS,
     NUM_WIND,
-    TreeCondition,
+    TreeFeatures,
     node_features,
 )
 from dynamictree.models.small.foliage import ARM, NUM_TOLD, STEM
 from dynamictree.models.small.surface_shape import NUM_SURFACE
+from dynamictree.models.wind import DRAG_EXPONENT, MIN_GUST, REFERENCE_SPEED
 from dynamictree.sparse.pool import pool_to, upsample
-from dynamictree.spectrum import Wind
 
 FLOOR = 1e-6
 """Sizes below this share of the height (0.01 mm of a 10 m tree) are not told apart, and stand for standing still."""
@@ -34,9 +34,6 @@ NUM_OWN_VECTORS = NUM_VECTORS + 1
 NUM_OWN = NUM_OWN_SCALARS + 3 * NUM_OWN_VECTORS
 NUM_INPUTS = (len(CONTEXT) + 2) * NUM_OWN + NUM_WIND
 CLIP = 5.0  # standard deviations
-REFERENCE_SPEED = 5.0  # [m/s]
-DRAG_EXPONENT = 1.4  # of the speed: plants give way, Vogel 1989
-MIN_GUST = 0.01
 SEEN = 1e-5  # of the height: the least motion whose centroid and lean count
 CENTROID_WEIGHT = 0.15
 LEAN_WEIGHT = 0.5
@@ -87,7 +84,7 @@ class AmplitudeNetwork(nn.Module):
         return LEAN * out[:, 0] * size[:, None], log_amplitude
 
     def of_tree(
-        self, tree: TreeCondition, told: Float32[Tensor, "V O"], wind: Float32[Tensor, "B 4"]
+        self, tree: TreeFeatures, told: Float32[Tensor, "V O"], wind: Float32[Tensor, "B 4"]
     ) -> tuple[Float32[Tensor, "V 3"], Float32[Tensor, "V J 3"]]:
         """At all voxels; `told` by the foliage network."""
         at_row = wind[tree.grids.levels[0].sample_of_row, :NUM_WIND]
@@ -96,7 +93,7 @@ class AmplitudeNetwork(nn.Module):
 
 
 def amplitude_inputs(
-    tree: TreeCondition, told: Float32[Tensor, "V O"], wind: Float32[Tensor, "B 4"]
+    tree: TreeFeatures, told: Float32[Tensor, "V O"], wind: Float32[Tensor, "B 4"]
 ) -> Float32[Tensor, "V I"]:
     """Features of each voxel in the wind's frame and what the foliage network tells of it and of the stems that bear
     it, their means over its ancestors two and four levels up and over the tree, and the wind. The grid's own axes do
@@ -110,7 +107,7 @@ def amplitude_inputs(
         ),
         vectors=torch.cat([tree.vectors, told[:, None, ARM]], dim=1),
     )
-    own = node_features(described, wind)[:, :-2]
+    own = node_features(described, wind)
     columns = [own]
     for top in CONTEXT:
         raised = pool_to(own, tree.grids, top)
@@ -132,12 +129,6 @@ def mirror_inputs(inputs: Float32[Tensor, "R I"]) -> Float32[Tensor, "R I"]:
 def moving(log_amplitude: Float32[Tensor, "V J 3"]) -> Float32[Tensor, "V J 3"]:
     """A over the height, without the floor that ln A was learnt with: what stands still is exactly still."""
     return ((2 * log_amplitude).exp() - FLOOR**2).clamp_min(0).sqrt()
-
-
-def reference_shift(wind: Wind) -> float:
-    """How much larger ln A is in this wind than at drag and gust 1."""
-    speed = max(wind.speed_m_s, 0.1)
-    return DRAG_EXPONENT * math.log(speed / REFERENCE_SPEED) + math.log(max(wind.gust, MIN_GUST))
 
 
 @dataclass(frozen=True, kw_only=True)

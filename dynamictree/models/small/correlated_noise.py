@@ -14,8 +14,8 @@ from scipy.optimize import nnls
 from scipy.sparse import csr_array, eye_array
 from torch import Tensor
 
-from dynamictree.models.small.features import TreeCondition
-from dynamictree.models.small.node_operators import (
+from dynamictree.models.small.features import TreeFeatures
+from dynamictree.sparse.matrices import (
     SparseRows,
     link_matrices,
     raise_matrix,
@@ -48,12 +48,12 @@ class NoiseBasis:
         return total
 
 
-def noise_basis(nodes: TreeCondition) -> NoiseBasis:
-    """The fields of a tree, given at its nodes (see `coarsen_condition`)."""
+def noise_basis(nodes: TreeFeatures) -> NoiseBasis:
+    """The fields of a tree, given at its nodes (see `coarsen_features`)."""
     return NoiseBasis(fields=tuple(sparse_rows(matrix) for matrix in field_matrices(nodes)))
 
 
-def field_matrices(nodes: TreeCondition) -> tuple[csr_array, ...]:
+def field_matrices(nodes: TreeFeatures) -> tuple[csr_array, ...]:
     """[W, n] of each scale, finest first; rows of unit length."""
     grids, size = nodes.grids, len(nodes.scalars)
     white = csr_array(eye_array(size, format="csr", dtype=np.float32))
@@ -70,7 +70,7 @@ def field_matrices(nodes: TreeCondition) -> tuple[csr_array, ...]:
 
 
 def fit_shares(
-    spectra: list[Complex64[np.ndarray, "_ J C"]], trees: list[TreeCondition], rng: np.random.Generator
+    spectra: list[Complex64[np.ndarray, "_ J C"]], trees: list[TreeFeatures], rng: np.random.Generator
 ) -> Float64[np.ndarray, "J S"]:
     """Shares of the scales, by least squares over pairs of nodes: the data's covariance against each field's."""
     covariances, products = [], []
@@ -86,7 +86,7 @@ def fit_shares(
     return normalised
 
 
-def _pairs(nodes: TreeCondition, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def _pairs(nodes: TreeFeatures, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Nodes with themselves, with neighbours, with what bears them, with others of the same ancestor, and with any."""
     grids, size = nodes.grids, len(nodes.scalars)
     bearer = np.arange(size)

@@ -1,7 +1,6 @@
-"""The small preset's denoiser: one frequency at a time, all frequencies in one pass, preconditioned as in EDM.
+"""The small model's denoiser: each frequency by itself, all frequencies of a tree in one pass.
 
-Karras et al. 2022, arXiv 2206.00364: D(x; σ) = c_skip x + c_out F(c_in x; ln σ), with σ_data = 1 because the
-whitened spectrum has unit variance.
+The network is F of EDM (`diffusion.preconditioning`); the whitened spectrum that it denoises has unit variance.
 """
 
 from dataclasses import dataclass
@@ -13,10 +12,11 @@ from torch.nn import functional
 
 from dynamictree.diffusion.channels import CHANNELS
 from dynamictree.diffusion.embedding import sinusoid
-from dynamictree.models.small.features import NUM_FEATURES, NUM_WIND, TreeCondition, node_features
+from dynamictree.diffusion.preconditioning import preconditioned
+from dynamictree.models.small.features import NUM_FEATURES, NUM_WIND, TreeFeatures, node_features
 from dynamictree.models.small.mixer import MixerBlock, Neighbourhood
 
-TYPICAL = -8.0  # of ln A over the height
+TYPICAL_LOG_AMPLITUDE = -8.0  # over the height
 NOISE_FEATURES = 64
 NOISE_SCALE = 25.0
 """ln σ runs over ± 4; times this, the sinusoids' periods cover it from coarse to fine."""
@@ -32,12 +32,12 @@ class DenoiserShape:
 
 
 class Denoiser(nn.Module):
-    """F and its preconditioning. Frequencies are an axis between nodes and channels and do not see one another."""
+    """The network F. Frequencies are an axis between nodes and channels and do not see one another."""
 
     def __init__(self, *, num_frequencies: int, shape: DenoiserShape) -> None:
         super().__init__()
         self.describe = nn.Sequential(
-            nn.Linear(NUM_FEATURES - 2, 2 * shape.width), nn.SiLU(), nn.Linear(2 * shape.width, shape.width)
+            nn.Linear(NUM_FEATURES, 2 * shape.width), nn.SiLU(), nn.Linear(2 * shape.width, shape.width)
         )
         self.describe_wind = nn.Linear(NUM_WIND + 1, shape.embedding)
         self.join = nn.Linear(CHANNELS + 3, shape.width)
@@ -50,31 +50,55 @@ class Denoiser(nn.Module):
         nn.init.zeros_(self.head.bias)
 
     def condition(
-        self, nodes: TreeCondition, wind: Float32[Tensor, "B 4"]
-    ) -> tuple[Float32[Tensor, "W C"], Float32[Tensor, "B E"]]:
-        """What does not change from step to step: features of the nodes (see `coarsen_condition`), and of the wind."""
-        air = torch.cat([wind[:, :NUM_WIND], nodes.height_m.log()[:, None]], dim=1)
-        return self.describe(node_features(nodes, wind)[:, :-2]).float(), self.describe_wind(air).float()
-
-    def forward(
         self,
-        noisy: Float32[Tensor, "W J 6"],
-        sigma: Float32[Tensor, "B J"],
+        nodes: TreeFeatures,
+        wind: Float32[Tensor, "B 4"],
+        *,
         frequency: Int64[Tensor, "B J"],
         log_amplitude: Float32[Tensor, "W J 3"],
-        condition: tuple[Float32[Tensor, "W C"], Float32[Tensor, "B E"]],
-        around: Neighbourhood,
-        sample: Int64[Tensor, " W"],
+        neighbourhood: Neighbourhood,
+    ) -> "DenoiserCondition":
+        """What does not change from step to step, of trees whose features lie on their nodes (`coarsen_features`)."""
+        air = torch.cat([wind[:, :NUM_WIND], nodes.height_m.log()[:, None]], dim=1)
+        return DenoiserCondition(
+            geometry=self.describe(node_features(nodes, wind)).float(),
+            air=self.describe_wind(air).float(),
+            frequency=frequency,
+            log_amplitude=log_amplitude,
+            neighbourhood=neighbourhood,
+            tree_of_node=nodes.grids.levels[0].sample_of_row,
+        )
+
+    def forward(
+        self, scaled: Float32[Tensor, "W J 6"], sigma: Float32[Tensor, "B J"], condition: "DenoiserCondition"
     ) -> Float32[Tensor, "W J 6"]:
-        """D(x; σ): the expected whitened spectrum. `sample`: the tree that each node belongs to."""
-        geometry, air = condition
+        """F(c_in x; ln σ), see `diffusion.preconditioning`."""
         noise_features = sinusoid(NOISE_SCALE * sigma.log(), NOISE_FEATURES)
-        embedding = self.mix(self.embed_noise(noise_features) + self.embed_frequency(frequency) + air[:, None])[sample]
-        size = sigma[sample][..., None]  # [W, J, 1]
-        scale = (1 + size.square()).sqrt()
-        features = self.join(torch.cat([noisy / scale, (log_amplitude - TYPICAL) / 2], dim=-1)) + geometry[:, None]
+        level_and_bin = self.embed_noise(noise_features) + self.embed_frequency(condition.frequency)
+        embedding = self.mix(level_and_bin + condition.air[:, None])[condition.tree_of_node]
+        size = (condition.log_amplitude - TYPICAL_LOG_AMPLITUDE) / 2
+        features = self.join(torch.cat([scaled, size], dim=-1)) + condition.geometry[:, None]
         for block in self.blocks:
-            features = block(features, around, embedding)
-        residual = self.head(functional.layer_norm(features, features.shape[-1:])).float()
-        denoised: Tensor = noisy / scale.square() + residual * size / scale
-        return denoised
+            features = block(features, condition.neighbourhood, embedding)
+        residual: Tensor = self.head(functional.layer_norm(features, features.shape[-1:])).float()
+        return residual
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DenoiserCondition:
+    """What the denoiser knows of its trees, winds and frequencies."""
+
+    geometry: Float32[Tensor, "W C"]
+    air: Float32[Tensor, "B E"]
+    frequency: Int64[Tensor, "B J"]  # bins
+    log_amplitude: Float32[Tensor, "W J 3"]  # over the height
+    neighbourhood: Neighbourhood
+    tree_of_node: Int64[Tensor, " W"]
+
+
+def denoise(
+    network: Denoiser, noisy: Float32[Tensor, "W J 6"], sigma: Float32[Tensor, "B J"], condition: DenoiserCondition
+) -> Float32[Tensor, "W J 6"]:
+    """D(x; σ): the expected whitened spectrum."""
+    at_node = sigma[condition.tree_of_node][..., None]  # [W, J, 1]
+    return preconditioned(lambda scaled: network(scaled, sigma, condition), noisy, at_node)

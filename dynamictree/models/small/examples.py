@@ -9,12 +9,11 @@ import torch
 from jaxtyping import Complex64
 from torch import Tensor
 
-from dynamictree.dataset.sample import HELD_OUT_WEIGHT, VERSION, make_sample, split_of, voxel_spectrum
+from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.dataset.shards import StoredTree, iter_shard
-from dynamictree.dataset.species import SPECIES
 from dynamictree.errors import InputError
-from dynamictree.models.small.features import TreeCondition, tree_condition
-from dynamictree.models.small.prepared import wind_axes
+from dynamictree.models.small.features import TreeFeatures, tree_features
+from dynamictree.models.wind import wind_axes
 from dynamictree.spectrum import Wind
 from dynamictree.voxel.voxelize import surface_moments
 
@@ -23,20 +22,9 @@ from dynamictree.voxel.voxelize import surface_moments
 class Example:
     """One tree, its wind, and its motion as a share of its height in the wind's frame."""
 
-    tree: TreeCondition
+    tree: TreeFeatures
     wind: Wind
     spectrum: Complex64[Tensor, "V K 3"]
-
-
-def is_training_seed(seed: int) -> bool:
-    """Whether the dataset's tree of a seed is for training: not of a held-out species, not for validation.
-
-    The species is the first thing that the dataset draws from a seed; this draws it without growing the tree.
-    """
-    rng = np.random.default_rng([VERSION, seed])
-    weights = np.array([HELD_OUT_WEIGHT if species.held_out else 1.0 for species in SPECIES.values()])
-    drawn = list(SPECIES.values())[int(rng.choice(len(weights), p=weights / weights.sum()))]
-    return split_of(seed, drawn) == "train"
 
 
 def iter_training(paths: Sequence[str], *, first: int, count: int) -> Iterator[StoredTree]:
@@ -60,7 +48,7 @@ def iter_training(paths: Sequence[str], *, first: int, count: int) -> Iterator[S
 def example_of(stored: StoredTree, resolution: int = 128, *, with_mesh: bool = True) -> Example:
     """A tree of a shard; without its mesh as one that comes as voxels."""
     voxels, coefficients = stored.voxels(resolution), stored.spectrum(resolution).coefficients
-    tree = tree_condition(replace(voxels, moments=surface_moments(stored.mesh(), voxels.grid)) if with_mesh else voxels)
+    tree = tree_features(replace(voxels, moments=surface_moments(stored.mesh(), voxels.grid)) if with_mesh else voxels)
     turned = coefficients @ wind_axes(stored.wind).T / float(tree.height_m[0])
     return Example(tree=tree, wind=stored.wind, spectrum=torch.from_numpy(turned.astype(np.complex64)))
 
@@ -69,6 +57,6 @@ def make_example(seed: int, resolution: int = 128) -> Example:
     """The dataset's tree of a seed."""
     sample = make_sample(seed)
     voxels, spectrum = voxel_spectrum(sample, resolution)
-    tree = tree_condition(voxels)
+    tree = tree_features(voxels)
     turned = spectrum.coefficients @ wind_axes(sample.wind).T / float(tree.height_m[0])
     return Example(tree=tree, wind=sample.wind, spectrum=torch.from_numpy(turned.astype(np.complex64)))

@@ -15,10 +15,10 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
-from dynamictree.models.small.node_operators import touching
 from dynamictree.models.small.surface_shape import surface_features
 from dynamictree.models.small.voxel_skeleton import Skeleton, section_radius, skeleton_of, skip_short
 from dynamictree.sparse.level import Pyramid, SparseLevel, batch_pyramids, pyramid, turn_pyramid
+from dynamictree.sparse.matrices import touching
 from dynamictree.sparse.pool import pool_to
 from dynamictree.spectrum import Wind
 from dynamictree.voxel.graph import voxel_graph
@@ -33,14 +33,14 @@ SHORTEST_STEM = 4  # voxels
 NUM_SCALARS = 16 + 4 * CHAIN
 ROOT_DISTANCE = 2  # of the scalars, the way along the tree to the root over the height
 NUM_VECTORS = 4 + CHAIN
-NUM_FEATURES = NUM_SCALARS + 3 * NUM_VECTORS + 2
+NUM_FEATURES = NUM_SCALARS + 3 * NUM_VECTORS
 NUM_WIND = 2
 AXIS_STEPS = 6
 """The stem's axis at a voxel is the way to its ancestor so many voxels down."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class TreeCondition:
+class TreeFeatures:
     """One tree or a batch of trees, without the wind."""
 
     grids: Pyramid
@@ -54,7 +54,7 @@ class TreeCondition:
     tensors: Float32[Tensor, "V R 3 3"]  # in the grid's frame
 
 
-def tree_condition(voxels: SurfaceVoxels) -> TreeCondition:
+def tree_features(voxels: SurfaceVoxels) -> TreeFeatures:
     """Measure a voxelised tree."""
     grid, normals = voxels.grid, voxels.normals
     grids = pyramid(torch.from_numpy(grid.coords.astype(np.int64)), NUM_LEVELS)
@@ -71,7 +71,7 @@ def tree_condition(voxels: SurfaceVoxels) -> TreeCondition:
     known = voxels.moments is not None
     moments = moments_of_normals(normals) if voxels.moments is None else voxels.moments
     surface, tensors = surface_features(grid, moments, touching(grids.levels[0]), known=known)
-    return TreeCondition(
+    return TreeFeatures(
         grids=grids,
         scalars=torch.from_numpy(scalars.astype(np.float32)),
         vectors=torch.from_numpy(vectors.astype(np.float32)),
@@ -84,10 +84,10 @@ def tree_condition(voxels: SurfaceVoxels) -> TreeCondition:
     )
 
 
-def batch_conditions(trees: Sequence[TreeCondition]) -> TreeCondition:
+def batch_features(trees: Sequence[TreeFeatures]) -> TreeFeatures:
     """Several trees as one batch."""
     starts = np.cumsum([0, *(len(tree.scalars) for tree in trees[:-1])]).tolist()
-    return TreeCondition(
+    return TreeFeatures(
         grids=batch_pyramids([tree.grids for tree in trees]),
         scalars=torch.cat([tree.scalars for tree in trees]),
         vectors=torch.cat([tree.vectors for tree in trees]),
@@ -100,7 +100,7 @@ def batch_conditions(trees: Sequence[TreeCondition]) -> TreeCondition:
     )
 
 
-def turn_condition(tree: TreeCondition, axes: tuple[int, int, int], signs: tuple[int, int, int]) -> TreeCondition:
+def turn_features(tree: TreeFeatures, axes: tuple[int, int, int], signs: tuple[int, int, int]) -> TreeFeatures:
     """The tree turned by 90° steps or mirrored: new axis i is old axis `axes[i]` times `signs[i]`. Exact."""
     sign = torch.tensor(signs, dtype=tree.vectors.dtype)
     vectors = tree.vectors[..., list(axes)] * sign
@@ -108,7 +108,7 @@ def turn_condition(tree: TreeCondition, axes: tuple[int, int, int], signs: tuple
     return replace(tree, grids=turn_pyramid(tree.grids, axes, signs), vectors=vectors, tensors=tensors)
 
 
-def coarsen_condition(tree: TreeCondition, top: int) -> TreeCondition:
+def coarsen_features(tree: TreeFeatures, top: int) -> TreeFeatures:
     """The same trees on level `top` and above, features averaged over the voxels of each node."""
     grids = Pyramid(levels=tree.grids.levels[top:], parents=tree.grids.parents[top:])
     scalars, vectors = (pool_to(rows, tree.grids, top) for rows in (tree.scalars, tree.vectors))
@@ -117,7 +117,7 @@ def coarsen_condition(tree: TreeCondition, top: int) -> TreeCondition:
         links = parents[links]
     links = links[links[:, 0] != links[:, 1]]
     count = len(grids.levels[0])
-    return TreeCondition(
+    return TreeFeatures(
         grids=grids,
         scalars=scalars,
         vectors=vectors,
@@ -140,13 +140,13 @@ def wind_vector(winds: Sequence[Wind]) -> Float32[Tensor, "B 4"]:
     return torch.tensor(rows, dtype=torch.float32)
 
 
-def node_features(tree: TreeCondition, wind: Float32[Tensor, "B 4"]) -> Float32[Tensor, "V F"]:
+def node_features(tree: TreeFeatures, wind: Float32[Tensor, "B 4"]) -> Float32[Tensor, "V F"]:
     """All that the network sees of a voxel, vectors in the wind's frame."""
     sample = tree.grids.levels[0].sample_of_row
     cosine, sine = wind[sample, 2, None], wind[sample, 3, None]  # [V, 1]
     east, north = tree.vectors[..., 0], tree.vectors[..., 1]  # [V, A]
     downwind, crosswind = cosine * east + sine * north, cosine * north - sine * east
-    return torch.cat([tree.scalars, downwind, crosswind, tree.vectors[..., 2], cosine, sine], dim=1)
+    return torch.cat([tree.scalars, downwind, crosswind, tree.vectors[..., 2]], dim=1)
 
 
 def _graph(grid: VoxelGrid, level: SparseLevel) -> csr_array:

@@ -10,13 +10,13 @@ from jaxtyping import Float32
 from torch import Tensor, nn
 from torch.nn import functional
 
-from dynamictree.models.small.features import NUM_SCALARS, TreeCondition
+from dynamictree.models.small.features import NUM_SCALARS, TreeFeatures
 from dynamictree.models.small.surface_shape import NUM_SURFACE, NUM_TENSORS
 from dynamictree.sparse.conv import SubmanifoldConv
 from dynamictree.sparse.level import Pyramid, SparseLevel
 from dynamictree.sparse.pool import average_pool, upsample
 
-STEM_AXIS, NORMAL = 1, 3  # in `TreeCondition.vectors`
+STEM_AXIS, NORMAL = 1, 3  # in `TreeFeatures.vectors`
 NUM_SEEN = NUM_SCALARS + 6 + 6 + 2 + NUM_SURFACE + 6 * NUM_TENSORS
 NUM_PARTS = 10
 """Leaf share; distance from the leaf's base, that over its length, ln length, all times leaf share; stem level; ln
@@ -69,13 +69,13 @@ class FoliageNetwork(nn.Module):
         self.register_buffer("told_mean", torch.zeros(NUM_TOLD))
         self.register_buffer("told_deviation", torch.ones(NUM_TOLD))
 
-    def forward(self, tree: TreeCondition) -> Float32[Tensor, "V O"]:
+    def forward(self, tree: TreeFeatures) -> Float32[Tensor, "V O"]:
         """NUM_PARTS, then ln of the size at k = 1 … 15 over the height, at drag and gust 1."""
         standard = self.standard(tree)
         told: Tensor = standard * self.told_deviation + self.told_mean
         return told
 
-    def standard(self, tree: TreeCondition) -> Float32[Tensor, "V O"]:
+    def standard(self, tree: TreeFeatures) -> Float32[Tensor, "V O"]:
         """The same with mean 0 and deviation 1 over the training set."""
         grids: Pyramid = tree.grids
         levels = grids.levels
@@ -91,7 +91,7 @@ class FoliageNetwork(nn.Module):
         return told
 
 
-def seen(tree: TreeCondition) -> Float32[Tensor, "V F"]:
+def seen(tree: TreeFeatures) -> Float32[Tensor, "V F"]:
     """The tree's scalars and its surface's; and of normals and stems, whose sign means nothing, what does not change
     with it.
     """

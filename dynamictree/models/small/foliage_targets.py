@@ -11,8 +11,8 @@ from torch import Tensor
 from dynamictree.dataset.sapling import LEAF
 from dynamictree.dataset.shards import StoredTree
 from dynamictree.mesh import TriangleMesh
-from dynamictree.models.small.amplitude import reference_shift
 from dynamictree.models.small.foliage import ARM_SCALE, NUM_PARTS
+from dynamictree.models.wind import log_wind_scale
 from dynamictree.spectrum import Wind
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import surface_average
@@ -33,7 +33,7 @@ def told_of(
 def log_size(spectrum: Complex64[Tensor, "V K 3"], wind: Wind) -> Float32[Tensor, "V J"]:
     """Ln of |c_k| over the height, at drag and gust 1."""
     power = spectrum[:, 1:].abs().square().sum(dim=2)
-    return (power + LEAST_SIZE**2).log() / 2 - reference_shift(wind)
+    return (power + LEAST_SIZE**2).log() / 2 - log_wind_scale(wind)
 
 
 def true_parts(stored: StoredTree, grid: VoxelGrid) -> Float32[np.ndarray, "V 10"]:

@@ -15,8 +15,8 @@ from scipy.sparse import csr_array
 from torch import Tensor, nn
 from torch.nn import functional
 
-from dynamictree.models.small.features import TreeCondition
-from dynamictree.models.small.node_operators import (
+from dynamictree.models.small.features import TreeFeatures
+from dynamictree.sparse.matrices import (
     SparseRows,
     link_matrices,
     pool_matrix,
@@ -48,8 +48,8 @@ class Neighbourhood:
     raises: tuple[SparseOperator, ...]  # [W, coarser]
 
 
-def neighbourhood(nodes: TreeCondition) -> Neighbourhood:
-    """Of one tree, given at its nodes (see `coarsen_condition`)."""
+def neighbourhood(nodes: TreeFeatures) -> Neighbourhood:
+    """Of one tree, given at its nodes (see `coarsen_features`)."""
     grids, size = nodes.grids, len(nodes.scalars)
     pools = [pool_matrix(grids, depth, 0) for depth in (1, 2)]
     raises = [raise_matrix(grids, depth, 0, steps=1) for depth in (1, 2)]

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from dynamictree.models.small.amplitude import AmplitudeNetwork
 from dynamictree.models.small.correlated_noise import NUM_SCALES
 from dynamictree.models.small.denoiser import Denoiser, DenoiserShape
-from dynamictree.models.small.features import TreeCondition
+from dynamictree.models.small.features import TreeFeatures
 from dynamictree.models.small.foliage import FoliageNetwork
 
 AXES = 3
@@ -75,7 +75,7 @@ class SmallNetwork(nn.Module):
         self.register_buffer("energy_gain", torch.ones(moving, AXES))
 
     def amplitude_of(
-        self, tree: TreeCondition, wind: Float32[Tensor, "B 4"]
+        self, tree: TreeFeatures, wind: Float32[Tensor, "B 4"]
     ) -> tuple[Float32[Tensor, "V 3"], Float32[Tensor, "V J 3"]]:
         """Lean and ln A at all voxels, over the height, in the wind's frame."""
         return self.amplitude.of_tree(tree, self.foliage(tree), wind)

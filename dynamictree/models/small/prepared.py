@@ -14,20 +14,19 @@ from dynamictree.models.small.amplitude import moving
 from dynamictree.models.small.correlated_noise import NoiseBasis, noise_basis
 from dynamictree.models.small.features import (
     ROOT_DISTANCE,
-    TreeCondition,
-    coarsen_condition,
-    tree_condition,
+    TreeFeatures,
+    coarsen_features,
+    tree_features,
     wind_vector,
 )
 from dynamictree.models.small.leaf_swing import Leaves, leaves_of
 from dynamictree.models.small.mixer import Neighbourhood, neighbourhood
 from dynamictree.models.small.network import SmallNetwork
-from dynamictree.models.small.node_operators import SparseRows, raise_matrix, sparse_rows, touching, unit_rows
-from dynamictree.sparse.level import pyramid
+from dynamictree.models.voxel_resolution import coarsened, halvings_between
+from dynamictree.models.wind import wind_axes
+from dynamictree.sparse.matrices import SparseRows, raise_matrix, sparse_rows, touching, unit_rows
 from dynamictree.sparse.pool import pool_to
 from dynamictree.spectrum import Wind
-from dynamictree.voxel.grid import VoxelGrid
-from dynamictree.voxel.moments import coarse_moments
 from dynamictree.voxel.voxelize import SurfaceVoxels
 
 SOFTNESS = 0.1
@@ -42,10 +41,10 @@ HELD = 0.02
 class PreparedTree:
     """Everything about a tree that the sampler and what follows it need."""
 
-    nodes: TreeCondition
+    nodes: TreeFeatures
     wind: Float32[Tensor, "1 4"]
     noise: NoiseBasis
-    around: Neighbourhood
+    neighbourhood: Neighbourhood
     node_log_amplitude: Float32[Tensor, "W J 3"]
     lean: Float32[Tensor, "V 3"]  # over the height
     amplitude: Float32[Tensor, "V J 3"]  # g A over the height
@@ -90,19 +89,19 @@ def soften(field: Complex64[Tensor, "V J 3"]) -> Complex64[Tensor, "V J 3"]:
 
 def prepare_tree(network: SmallNetwork, voxels: SurfaceVoxels, wind: Wind) -> PreparedTree:
     """Measure the tree, ask the amplitude network, make the matrices."""
-    coarse, finer = at_resolution(voxels, network.preset.resolution)
-    tree, air, top = tree_condition(coarse), wind_vector([wind]), network.preset.top
+    coarse, finer = coarsened(voxels, halvings_between(voxels.grid, network.preset.resolution, "small"))
+    tree, air, top = tree_features(coarse), wind_vector([wind]), network.preset.top
     height_m, axes = float(tree.height_m[0]), wind_axes(wind)
     told = network.foliage(tree)
     lean, log_amplitude = network.amplitude.of_tree(tree, told, air)
-    nodes = coarsen_condition(tree, top)
+    nodes = coarsen_features(tree, top)
     free = 1 - (-(tree.scalars[:, ROOT_DISTANCE] / HELD).square()).exp()  # [V]
     smooth = sparse_rows(touching(tree.grids.levels[0]))
     return PreparedTree(
         nodes=nodes,
         wind=air,
         noise=noise_basis(nodes),
-        around=neighbourhood(nodes),
+        neighbourhood=neighbourhood(nodes),
         node_log_amplitude=pool_to(log_amplitude, tree.grids, top),
         lean=smooth.apply(lean) * free[:, None],
         amplitude=moving(log_amplitude) * network.energy_gain * free[:, None, None],
@@ -115,33 +114,3 @@ def prepare_tree(network: SmallNetwork, voxels: SurfaceVoxels, wind: Wind) -> Pr
         height_m=height_m,
         finer=finer,
     )
-
-
-def wind_axes(wind: Wind) -> Float32[np.ndarray, "3 3"]:
-    """Rows are downwind, crosswind and up."""
-    angle = math.radians(wind.direction_deg)
-    cosine, sine = math.cos(angle), math.sin(angle)
-    return np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]], np.float32)
-
-
-def at_resolution(voxels: SurfaceVoxels, resolution: int) -> tuple[SurfaceVoxels, csr_array | None]:
-    """The same tree on a coarser grid, and the matrix that raises values from it; None where it is that grid."""
-    grid = voxels.grid
-    factor = grid.resolution // resolution
-    if factor == 1:
-        return voxels, None
-    coarse = VoxelGrid.from_coords(
-        grid.coords // factor,
-        origin_m=grid.origin_m,
-        voxel_size_m=grid.voxel_size_m * factor,
-        resolution=resolution,
-    )
-    owner = coarse.rows_of(grid.coords // factor)
-    normals = np.zeros((len(coarse), 3), np.float32)
-    np.add.at(normals, owner, voxels.normals)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-6)
-    depth = int(math.log2(factor))
-    moments = None if voxels.moments is None else coarse_moments(voxels.moments, grid, coarse, owner)
-    # a pyramid's coarser rows are in ascending order of coordinates, as the coarse grid's are
-    fine = pyramid(torch.from_numpy(grid.coords.astype(np.int64)), depth + 1)
-    return SurfaceVoxels(grid=coarse, normals=normals, moments=moments), raise_matrix(fine, depth, 0)

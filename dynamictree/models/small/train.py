@@ -10,13 +10,13 @@ from pathlib import Path
 
 import numpy as np
 import torch
-import torch.distributed
 from jaxtyping import Float32
 from safetensors.torch import load_file
 from torch import Tensor
 
+from dynamictree.dataset.shards import shards_sha256
 from dynamictree.models.small.examples import example_of, iter_training
-from dynamictree.models.small.generate import write_network
+from dynamictree.models.small.generate import write_small
 from dynamictree.models.small.network import SmallNetwork, SmallPreset
 from dynamictree.models.small.train_foliage import STANDARDISED_ON, foliage_step, known_trees, standardise_foliage
 from dynamictree.models.small.training_steps import (
@@ -29,7 +29,11 @@ from dynamictree.models.small.training_steps import (
     write_rows,
 )
 from dynamictree.models.small.whitening import NUM_MEASURED, measure, white_example
-from dynamictree.training.trainer import Course, Pace, load_part, process_rank
+from dynamictree.models.weights_file import Provenance
+from dynamictree.training.checkpoints import load_part
+from dynamictree.training.distributed import num_processes, process_rank, wait_for_all
+from dynamictree.training.schedules import LearningRateSchedule
+from dynamictree.training.trainer import Trainer, TrainerOptions
 
 OnTrainingStep = Callable[[str, int, int, float], None]
 """Called with the part, the step, the steps in all, and the loss."""
@@ -44,15 +48,27 @@ class SmallTraining:
     amplitude_trees: int = 1200
     denoiser_trees: int = 160
     preset: SmallPreset = field(default_factory=SmallPreset)
-    foliage: Pace = field(
-        default_factory=lambda: Pace(
-            num_steps=5000, learning_rate=3e-3, cooldown_steps=500, ema_decay=0.99, bf16=True, save_every=100, seed=1
+    foliage: TrainerOptions = field(
+        default_factory=lambda: TrainerOptions(
+            schedule=LearningRateSchedule(num_steps=5000, learning_rate=3e-3, cooldown_steps=500),
+            bf16=True,
+            save_every=100,
+            seed=1,
         )
     )
-    amplitude: Pace = field(
-        default_factory=lambda: Pace(num_steps=3000, learning_rate=2e-3, weight_decay=1e-2, ema_decay=0.995, bf16=True)
+    amplitude: TrainerOptions = field(
+        default_factory=lambda: TrainerOptions(
+            schedule=LearningRateSchedule(num_steps=3000, learning_rate=2e-3),
+            weight_decay=1e-2,
+            ema_decay=0.995,
+            bf16=True,
+        )
     )
-    denoiser: Pace = field(default_factory=lambda: Pace(num_steps=1600, learning_rate=2e-3, ema_decay=0.995, bf16=True))
+    denoiser: TrainerOptions = field(
+        default_factory=lambda: TrainerOptions(
+            schedule=LearningRateSchedule(num_steps=1600, learning_rate=2e-3), ema_decay=0.995, bf16=True
+        )
+    )
     foliage_from: str | None = None  # weights whose foliage network is gone on from
     denoiser_from: str | None = None  # weights whose denoiser is gone on from
 
@@ -71,7 +87,11 @@ def train_small(
     _train_amplitude(network, plan, rows, folder / "amplitude.safetensors", on_step)
     _train_denoiser(network, plan, shards, folder / "denoiser.safetensors", on_step)
     if process_rank() == 0:
-        write_network(network, folder / "small.safetensors")
+        write_small(
+            network,
+            folder / "small.safetensors",
+            Provenance(step=plan.denoiser.schedule.num_steps, data_sha256=shards_sha256(shards)),
+        )
     return network
 
 
@@ -84,22 +104,22 @@ def _train_foliage(
 ) -> None:
     if plan.foliage_from is not None:
         load_part(network.foliage, load_file(plan.foliage_from), "foliage")
-    course = Course(network.foliage, plan.foliage)
-    course.resume(checkpoint)
-    if course.step < plan.foliage.num_steps:
+    trainer = Trainer(network.foliage, plan.foliage)
+    trainer.resume(checkpoint)
+    if not trainer.finished:
         measured = known_trees(iter_training(shards, first=0, count=plan.foliage_trees))
-        trees = list(islice(measured, STANDARDISED_ON + course.step))
-        if course.step == 0 and plan.foliage_from is None:
+        trees = list(islice(measured, STANDARDISED_ON + trainer.step))
+        if trainer.step == 0 and plan.foliage_from is None:
             standardise_foliage(network.foliage, trees)
-            course.average.load_state_dict(network.foliage.state_dict())
+            trainer.average.load_state_dict(network.foliage.state_dict())
 
         def loss_of(rng: np.random.Generator) -> Float32[Tensor, ""]:
             trees.extend(islice(measured, 1))  # one more a step, so that measuring them is no wait
             return foliage_step(network.foliage, trees, rng)
 
-        for step, loss in course.run(loss_of, checkpoint):
-            _tell(on_step, "foliage", step, plan.foliage.num_steps, loss)
-    network.foliage.load_state_dict(course.average.state_dict())
+        for step, loss in trainer.run(loss_of, checkpoint):
+            _tell(on_step, "foliage", step, plan.foliage.schedule.num_steps, loss)
+    network.foliage.load_state_dict(trainer.average.state_dict())
     network.foliage.requires_grad_(False)
 
 
@@ -118,8 +138,7 @@ def _rows(
                     rng = np.random.default_rng([plan.amplitude.seed, int(path.stem)])
                     write_rows(amplitude_rows(network.foliage, map(example_of, some), rng), path)
                 _tell(on_step, "trees", int(path.stem) + len(some), plan.amplitude_trees, 0.0)
-    if torch.distributed.is_initialized():
-        torch.distributed.barrier()
+    wait_for_all()
     return read_rows(paths)
 
 
@@ -127,11 +146,11 @@ def _train_amplitude(
     network: SmallNetwork, plan: SmallTraining, rows: AmplitudeRows, checkpoint: Path, on_step: OnTrainingStep | None
 ) -> None:
     standardise(network.amplitude, rows)
-    course = Course(network.amplitude, plan.amplitude)
-    course.resume(checkpoint)
-    for step, loss in course.run(lambda rng: amplitude_step(network.amplitude, rows, rng), checkpoint):
-        _tell(on_step, "amplitude", step, plan.amplitude.num_steps, loss)
-    network.amplitude.load_state_dict(course.average.state_dict())
+    trainer = Trainer(network.amplitude, plan.amplitude)
+    trainer.resume(checkpoint)
+    for step, loss in trainer.run(lambda rng: amplitude_step(network.amplitude, rows, rng), checkpoint):
+        _tell(on_step, "amplitude", step, plan.amplitude.schedule.num_steps, loss)
+    network.amplitude.load_state_dict(trainer.average.state_dict())
     network.amplitude.requires_grad_(False)
 
 
@@ -147,16 +166,15 @@ def _train_denoiser(
     measure(network, measured, np.random.default_rng(plan.denoiser.seed))
     if plan.denoiser_from is not None:
         load_part(network.denoiser, load_file(plan.denoiser_from), "denoiser")
-    course = Course(network.denoiser, plan.denoiser)
-    course.resume(checkpoint)
-    if course.step < plan.denoiser.num_steps:
-        world = torch.distributed.get_world_size() if torch.distributed.is_initialized() else 1
+    trainer = Trainer(network.denoiser, plan.denoiser)
+    trainer.resume(checkpoint)
+    if not trainer.finished:
         trees = iter_training(shards, first=first, count=plan.denoiser_trees)
-        own = islice(trees, process_rank(), None, world)
+        own = islice(trees, process_rank(), None, num_processes())
         white = [white_example(network, example_of(tree)) for tree in own]
-        for step, loss in course.run(lambda rng: denoising_step(network, white, rng), checkpoint):
-            _tell(on_step, "denoiser", step, plan.denoiser.num_steps, loss)
-    network.denoiser.load_state_dict(course.average.state_dict())
+        for step, loss in trainer.run(lambda rng: denoising_step(network, white, rng), checkpoint):
+            _tell(on_step, "denoiser", step, plan.denoiser.schedule.num_steps, loss)
+    network.denoiser.load_state_dict(trainer.average.state_dict())
 
 
 def _tell(on_step: OnTrainingStep | None, part: str, done: int, total: int, loss: float) -> None:

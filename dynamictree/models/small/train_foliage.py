@@ -10,7 +10,7 @@ from torch import Tensor
 
 from dynamictree.dataset.shards import StoredTree
 from dynamictree.models.small.examples import example_of
-from dynamictree.models.small.features import TreeCondition, turn_condition
+from dynamictree.models.small.features import TreeFeatures, turn_features
 from dynamictree.models.small.foliage import ARM, NUM_PARTS, FoliageNetwork, seen
 from dynamictree.models.small.foliage_targets import told_of
 from dynamictree.models.small.quarter_turns import SIDES
@@ -33,9 +33,9 @@ class KnownTree:
     surface: Float16[Tensor, "V I"]
     tensors: Float16[Tensor, "V R 3 3"]
     told: Float16[Tensor, "V O"]
-    bare: TreeCondition  # without these
+    bare: TreeFeatures  # without these
 
-    def tree(self) -> TreeCondition:
+    def tree(self) -> TreeFeatures:
         """As the network sees it, which sees no chain of stems."""
         count = len(self.scalars)
         return replace(
@@ -95,5 +95,5 @@ def foliage_step(network: FoliageNetwork, trees: Sequence[KnownTree], rng: np.ra
     told = known.told.float()
     told[:, ARM] = told[:, ARM][:, list(axes)] * torch.tensor(signs, dtype=torch.float32)
     target = (told - network.told_mean) / network.told_deviation
-    error = (network.standard(turn_condition(known.tree(), axes, signs)) - target).square().mean(dim=0)
+    error = (network.standard(turn_features(known.tree(), axes, signs)) - target).square().mean(dim=0)
     return error[:NUM_PARTS].mean() + SIZE_WEIGHT * error[NUM_PARTS:].mean()

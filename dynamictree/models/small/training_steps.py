@@ -13,8 +13,9 @@ from torch import Tensor
 from dynamictree.diffusion.channels import CHANNELS, pack_channels
 from dynamictree.diffusion.loss import denoising_loss
 from dynamictree.models.small.amplitude import AmplitudeNetwork, amplitude_inputs, amplitude_losses, mirror_inputs
+from dynamictree.models.small.denoiser import denoise
 from dynamictree.models.small.examples import Example
-from dynamictree.models.small.features import NUM_WIND, batch_conditions, wind_vector
+from dynamictree.models.small.features import NUM_WIND, batch_features, wind_vector
 from dynamictree.models.small.foliage import FoliageNetwork
 from dynamictree.models.small.mixer import batch_neighbourhoods
 from dynamictree.models.small.network import SmallNetwork
@@ -111,20 +112,17 @@ def denoising_step(
         noises.append(white.noise.draw(network.noise_shares[chosen - 1], generator, channels=CHANNELS))
         sizes.append(white.log_amplitude[:, chosen - 1])
         frequencies.append(chosen)
-    nodes = batch_conditions([white.nodes for white in chosen_trees])
+    nodes = batch_features([white.nodes for white in chosen_trees])
     wind, signal = wind_vector([white.wind for white in chosen_trees]), torch.cat(clean)
-    around = batch_neighbourhoods([white.around for white in chosen_trees])
     low, high = np.log(preset.sigma_min), np.log(preset.sigma_max)
     sigma = (low + (high - low) * torch.rand(trees, FREQUENCIES_A_TREE, generator=generator)).exp()
-    sample = nodes.grids.levels[0].sample_of_row
-    at_node = sigma[sample][..., None]
-    denoised = network.denoiser(
-        signal + at_node * torch.cat(noises),
-        sigma,
-        torch.stack(frequencies),
-        torch.cat(sizes),
-        network.denoiser.condition(nodes, wind),
-        around,
-        sample,
+    condition = network.denoiser.condition(
+        nodes,
+        wind,
+        frequency=torch.stack(frequencies),
+        log_amplitude=torch.cat(sizes),
+        neighbourhood=batch_neighbourhoods([white.neighbourhood for white in chosen_trees]),
     )
+    at_node = sigma[condition.tree_of_node][..., None]
+    denoised = denoise(network.denoiser, signal + at_node * torch.cat(noises), sigma, condition)
     return denoising_loss(denoised, signal, at_node).mean()

@@ -11,10 +11,10 @@ from torch import Tensor
 from dynamictree.models.small.amplitude import moving
 from dynamictree.models.small.correlated_noise import NoiseBasis, fit_shares, noise_basis
 from dynamictree.models.small.examples import Example
-from dynamictree.models.small.features import TreeCondition, coarsen_condition, wind_vector
+from dynamictree.models.small.features import TreeFeatures, coarsen_features, wind_vector
 from dynamictree.models.small.mixer import Neighbourhood, neighbourhood
 from dynamictree.models.small.network import SmallNetwork
-from dynamictree.models.small.node_operators import raise_matrix, sparse_rows
+from dynamictree.sparse.matrices import raise_matrix, sparse_rows
 from dynamictree.sparse.pool import pool_to
 from dynamictree.spectrum import Wind
 
@@ -30,12 +30,12 @@ NUM_MEASURED = 24
 class WhiteExample:
     """What the denoiser learns from: a tree's whitened spectrum on its nodes."""
 
-    nodes: TreeCondition
+    nodes: TreeFeatures
     wind: Wind
     whitened: Complex64[Tensor, "W J 3"]
     log_amplitude: Float32[Tensor, "W J 3"]
     noise: NoiseBasis
-    around: Neighbourhood
+    neighbourhood: Neighbourhood
 
 
 @torch.no_grad()
@@ -58,7 +58,7 @@ def measure(network: SmallNetwork, examples: Iterable[Example], rng: np.random.G
         lifted = torch.view_as_complex(lift.apply(torch.view_as_real(pooled)))
         power.append(torch.stack([one.abs().square().mean(dim=0) for one in (lifted, pooled)]))
         nodes.append(pooled)
-        trees.append(coarsen_condition(example.tree, top))
+        trees.append(coarsen_features(example.tree, top))
     true, guessed = torch.stack(energy).mean(dim=0)
     network.energy_gain.copy_((true / guessed.clamp_min(torch.finfo(torch.float32).tiny) * guessed.sum()).sqrt())
     share, pooled_power = torch.stack(power).mean(dim=0)
@@ -83,12 +83,12 @@ def white_example(network: SmallNetwork, example: Example) -> WhiteExample:
     """One tree for the denoiser's training."""
     field, log_amplitude = whiten(network, example)
     grids, top = example.tree.grids, network.preset.top
-    nodes = coarsen_condition(example.tree, top)
+    nodes = coarsen_features(example.tree, top)
     return WhiteExample(
         nodes=nodes,
         wind=example.wind,
         whitened=pool_to(field, grids, top) / network.node_scale,
         log_amplitude=pool_to(log_amplitude, grids, top),
         noise=noise_basis(nodes),
-        around=neighbourhood(nodes),
+        neighbourhood=neighbourhood(nodes),
     )

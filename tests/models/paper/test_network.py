@@ -1,5 +1,7 @@
 """The paper's network and losses, at a size that a CPU can take steps with."""
 
+import json
+
 import numpy as np
 import pytest
 import torch
@@ -8,9 +10,12 @@ from dynamictree.diffusion.loss import LocalSmoothness, local_smoothness, neares
 from dynamictree.diffusion.sampler import sample_ddim
 from dynamictree.diffusion.schedule import linear_schedule
 from dynamictree.models.paper.encoder import POSITION_FEATURES, fourier_features
-from dynamictree.models.paper.network import PaperNetwork, PaperPreset, PaperTraining, paper_loss
+from dynamictree.models.paper.examples import PaperExample, batch_of
+from dynamictree.models.paper.loss import paper_loss
+from dynamictree.models.paper.network import PaperNetwork, PaperPreset, paper_small_preset
+from dynamictree.models.paper.train import PaperTraining, clean_channels
 from dynamictree.models.paper.unet import UNetShape
-from dynamictree.sparse.level import batch_pyramids, pyramid
+from dynamictree.sparse.level import pyramid
 from dynamictree.voxel.voxelize import SurfaceVoxels
 
 SMALL = PaperPreset(
@@ -31,9 +36,21 @@ def test_the_full_preset_has_the_papers_size() -> None:
 
 def test_the_two_stages_and_the_halved_rate() -> None:
     training = PaperTraining()
-    assert training.smoothness_from == 40_000
-    assert training.rate_at(0) == 1e-4
-    assert training.rate_at(69_999) == pytest.approx(1.25e-5)
+    assert (training.num_steps, training.smoothness_from) == (70_000, 40_000)
+    schedule = training.options().schedule
+    assert schedule.rate_at(0) == 1e-4
+    assert schedule.rate_at(69_999) == pytest.approx(1.25e-5)
+
+
+@pytest.mark.parametrize("preset", [PaperPreset(), paper_small_preset()])
+def test_a_preset_round_trips_through_json(preset: PaperPreset) -> None:
+    assert PaperPreset.from_json(json.loads(json.dumps(preset.to_json()))) == preset
+
+
+def test_the_small_preset_fits_into_20_megabytes() -> None:
+    with torch.device("meta"):
+        network = PaperNetwork(paper_small_preset())
+    assert sum(parameter.numel() for parameter in network.parameters()) * 2 < 20e6
 
 
 def test_fourier_features_keep_the_position() -> None:
@@ -74,28 +91,45 @@ def test_local_smoothness_is_its_slow_loop_and_blind_to_constants_and_order(rng:
 def test_the_loss_falls_in_a_few_steps_in_both_stages(voxels: SurfaceVoxels) -> None:
     torch.manual_seed(0)
     network = PaperNetwork(SMALL)
-    alone = pyramid(torch.from_numpy(voxels.grid.coords.astype(np.int64)), 4)
-    grids = batch_pyramids([alone, alone])
-    positions = torch.from_numpy(voxels.grid.coords / 64 - 1).float().repeat(2, 1)
-    fine = positions, torch.from_numpy(voxels.normals).repeat(2, 1)
-    level = grids.levels[2]
-    clean = (level.coords[:, 2:].float() / 32).repeat(1, 6) - 0.4  # a field that is smooth in height
-    centres = level.coords.numpy().astype(np.float32) + np.repeat([[0.0], [1000.0]], level.sizes, axis=0)
-    neighbours = nearest_voxels(centres.astype(np.float32), 5)
+    coords = torch.from_numpy(voxels.grid.coords.astype(np.int64))
+    height = torch.unique(coords // 4, dim=0)[:, 2].float()
+    spectrum = torch.complex(height / 32 - 0.4, height / 32 - 0.4)[:, None, None].expand(-1, 16, 3)  # smooth in height
+    example = PaperExample(
+        coords=coords, normals=torch.from_numpy(voxels.normals), resolution=128, voxel_size_m=0.4, spectrum=spectrum
+    )
+    batch = batch_of([example, example], SMALL)
     optimizer = torch.optim.AdamW(network.parameters(), lr=3e-3)
-    schedule, frequency = linear_schedule(), torch.tensor([1, 5])
-    for stage in (None, neighbours):
+    schedule, frequency = linear_schedule(), torch.tensor([[1], [5]])
+    clean = clean_channels(batch, frequency, network)
+    for smoothness in (None, LocalSmoothness()):
         losses = []
         for step in range(18):
             generator = torch.Generator().manual_seed(step % 3)
             loss = paper_loss(
-                network, clean, frequency, fine, grids, neighbours=stage, schedule=schedule, generator=generator
+                network, batch, clean, frequency, schedule=schedule, generator=generator, smoothness=smoothness
             )
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()
             losses.append(loss.item())
         assert np.mean(losses[-3:]) < 0.85 * np.mean(losses[:3])
+
+
+@torch.no_grad()
+def test_frequencies_that_share_a_pass_do_not_see_one_another(voxels: SurfaceVoxels) -> None:
+    torch.manual_seed(1)
+    network = PaperNetwork(SMALL)
+    for parameter in network.parameters():
+        torch.nn.init.normal_(parameter, std=0.05)
+    grids = pyramid(torch.from_numpy(voxels.grid.coords.astype(np.int64)), SMALL.num_levels)
+    count = len(grids.levels[2])
+    noisy, condition = torch.randn(count, 3, 6), torch.randn(count, 16)
+    step, frequency = torch.tensor([[7, 100, 900]]), torch.tensor([[1, 5, 9]])
+    together = network(noisy, step, frequency, condition, grids)
+    for column in range(3):
+        one = slice(column, column + 1)
+        alone = network(noisy[:, one], step[:, one], frequency[:, one], condition, grids)
+        torch.testing.assert_close(together[:, one], alone, atol=1e-5, rtol=1e-4)
 
 
 def test_ddim_takes_noise_to_the_distribution_that_the_predictor_knows() -> None:
@@ -105,9 +139,9 @@ def test_ddim_takes_noise_to_the_distribution_that_the_predictor_knows() -> None
         alpha_bar = schedule.alpha_bar[step]
         return noisy * (1 - alpha_bar).sqrt() / (alpha_bar * variance + 1 - alpha_bar)
 
-    told: list[tuple[int, int]] = []
+    steps: list[tuple[int, int]] = []
     start = torch.randn(20_000, 2, generator=torch.Generator().manual_seed(0))
-    samples = sample_ddim(predict_noise, start, schedule, on_step=lambda *step: told.append(step))
+    samples = sample_ddim(predict_noise, start, schedule, on_step=lambda *step: steps.append(step))
     torch.testing.assert_close(samples.var(dim=0), variance, rtol=0.08, atol=0)
-    assert told[-1] == (100, 100)
+    assert steps[-1] == (100, 100)
     assert (samples == sample_ddim(predict_noise, start, schedule)).all()

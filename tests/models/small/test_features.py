@@ -8,12 +8,12 @@ import torch
 
 from dynamictree.models.small.amplitude import amplitude_inputs, mirror_inputs
 from dynamictree.models.small.features import (
-    TreeCondition,
-    batch_conditions,
-    coarsen_condition,
+    TreeFeatures,
+    batch_features,
+    coarsen_features,
     node_features,
-    tree_condition,
-    turn_condition,
+    tree_features,
+    turn_features,
     wind_vector,
 )
 from dynamictree.models.small.foliage import ARM, NUM_TOLD
@@ -36,14 +36,14 @@ def is_mirror(axes: tuple[int, int, int], signs: tuple[int, int, int]) -> bool:
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_inputs_turn_with_tree_and_wind(tree: TreeCondition, side: tuple[tuple[int, ...], tuple[int, ...]]) -> None:
+def test_inputs_turn_with_tree_and_wind(tree: TreeFeatures, side: tuple[tuple[int, ...], tuple[int, ...]]) -> None:
     axes, signs = side
     heading = WIND[:, 2:][:, list(axes[:2])] * torch.tensor(signs[:2])
     wind = torch.cat([WIND[:, :2], heading], dim=1)  # turned with its tree
     told = torch.randn(len(tree.scalars), NUM_TOLD, generator=torch.Generator().manual_seed(0))
     told_turned = told.clone()
     told_turned[:, ARM] = told[:, ARM][:, list(axes)] * torch.tensor(signs)
-    turned = amplitude_inputs(turn_condition(tree, axes, signs), told_turned, wind)
+    turned = amplitude_inputs(turn_features(tree, axes, signs), told_turned, wind)
     straight = amplitude_inputs(tree, told, WIND)
     torch.testing.assert_close(turned, mirror_inputs(straight) if is_mirror(axes, signs) else straight)
 
@@ -52,7 +52,7 @@ def test_half_of_the_sides_are_mirrors() -> None:
     assert sum(is_mirror(*side) for side in SIDES) == 4
 
 
-def test_a_turned_tree_is_measured_like_the_tree_turned(voxels: SurfaceVoxels, tree: TreeCondition) -> None:
+def test_a_turned_tree_is_measured_like_the_tree_turned(voxels: SurfaceVoxels, tree: TreeFeatures) -> None:
     axes, signs = (1, 0, 2), (-1, 1, 1)
     coords = voxels.grid.coords[:, [1, 0, 2]] * np.array(signs) + np.array([127, 0, 0])
     grid = VoxelGrid.from_coords(coords.astype(np.int32), origin_m=(-6.4, -6.4, 0.0), voxel_size_m=0.1, resolution=128)
@@ -62,8 +62,8 @@ def test_a_turned_tree_is_measured_like_the_tree_turned(voxels: SurfaceVoxels, t
     assert voxels.moments is not None
     moments = np.empty_like(voxels.moments)
     moments[rows] = turned_moments(voxels.moments)
-    measured = tree_condition(SurfaceVoxels(grid=grid, normals=normals, moments=moments))
-    turned = turn_condition(tree, axes, signs)
+    measured = tree_features(SurfaceVoxels(grid=grid, normals=normals, moments=moments))
+    turned = turn_features(tree, axes, signs)
     heights = [0, 1, 2, 3, 4]  # what does not depend on which of two equally short ways to the root is taken
     torch.testing.assert_close(measured.scalars[rows][:, heights], turned.scalars[:, heights], atol=2e-3, rtol=1e-3)
     torch.testing.assert_close(measured.vectors[rows][:, [0, 3]], turned.vectors[:, [0, 3]], atol=1e-5, rtol=1e-4)
@@ -92,30 +92,30 @@ def test_eigenvalues_are_lapacks() -> None:
     np.testing.assert_allclose(eigenvalues(six), np.linalg.eigvalsh(full), atol=1e-7)
 
 
-def test_without_a_mesh_every_voxel_is_a_card_and_says_so(voxels: SurfaceVoxels, tree: TreeCondition) -> None:
-    blind = tree_condition(replace(voxels, moments=None))
+def test_without_a_mesh_every_voxel_is_a_card_and_says_so(voxels: SurfaceVoxels, tree: TreeFeatures) -> None:
+    blind = tree_features(replace(voxels, moments=None))
     assert (tree.surface[:, -1] == 1).all()
     assert (blind.surface[:, -1] == 0).all()
     torch.testing.assert_close(blind.surface[:, 4:6], torch.tensor([0.0, 1.0]).expand(len(voxels.grid), 2))
     torch.testing.assert_close(blind.scalars, tree.scalars)
 
 
-def test_a_batch_is_its_trees(tree: TreeCondition) -> None:
-    other = turn_condition(tree, (0, 1, 2), (-1, 1, 1))
+def test_a_batch_is_its_trees(tree: TreeFeatures) -> None:
+    other = turn_features(tree, (0, 1, 2), (-1, 1, 1))
     winds = torch.cat([WIND, wind_vector([Wind(direction_deg=200.0)])])
     told = torch.randn(2, len(tree.scalars), NUM_TOLD)
-    together = amplitude_inputs(batch_conditions([tree, other]), told.flatten(0, 1), winds)
+    together = amplitude_inputs(batch_features([tree, other]), told.flatten(0, 1), winds)
     apart = torch.cat([amplitude_inputs(tree, told[0], winds[:1]), amplitude_inputs(other, told[1], winds[1:])])
     torch.testing.assert_close(together, apart)
-    chain = batch_conditions([tree, other]).chain
+    chain = batch_features([tree, other]).chain
     assert (chain[len(tree.chain) :] == tree.chain + len(tree.scalars)).all()
-    links = batch_conditions([tree, other]).links
+    links = batch_features([tree, other]).links
     assert (links[: len(tree.links)] == tree.links).all()
     assert (links[len(tree.links) :] == tree.links + len(tree.scalars)).all()
 
 
-def test_nodes_carry_their_voxels_mean_and_the_links_between_them(tree: TreeCondition) -> None:
-    nodes = coarsen_condition(tree, 2)
+def test_nodes_carry_their_voxels_mean_and_the_links_between_them(tree: TreeFeatures) -> None:
+    nodes = coarsen_features(tree, 2)
     owner = tree.grids.parents[1][tree.grids.parents[0]]
     features, coarse = node_features(tree, WIND), node_features(nodes, WIND)
     children = [torch.isin(tree.grids.parents[0], torch.where(tree.grids.parents[1] == 3)[0])]

@@ -9,7 +9,7 @@ import torch
 from dynamictree.dataset.sample import make_sample
 from dynamictree.dataset.sapling import LEAF
 from dynamictree.dataset.shards import StoredTree, store
-from dynamictree.models.small.amplitude import amplitude_losses, reference_shift
+from dynamictree.models.small.amplitude import amplitude_losses
 from dynamictree.models.small.examples import example_of
 from dynamictree.models.small.foliage import ARM, NUM_PARTS, NUM_TOLD, FoliageNetwork
 from dynamictree.models.small.foliage_targets import ARM_SCALE, true_parts
@@ -20,7 +20,9 @@ from dynamictree.models.small.train_foliage import (
     known_trees,
     standardise_foliage,
 )
-from dynamictree.training.trainer import Course, Pace
+from dynamictree.models.wind import log_wind_scale
+from dynamictree.training.schedules import LearningRateSchedule
+from dynamictree.training.trainer import Trainer, TrainerOptions
 
 SEED = 9
 
@@ -65,17 +67,19 @@ def test_some_trees_are_seen_as_voxels_alone(stored: StoredTree) -> None:
 
 def test_sizes_at_drag_and_gust_one_do_not_depend_on_them(stored: StoredTree) -> None:
     faster = replace(stored.wind, speed_m_s=2 * stored.wind.speed_m_s)
-    assert reference_shift(faster) - reference_shift(stored.wind) == pytest.approx(1.4 * np.log(2))
+    assert log_wind_scale(faster) - log_wind_scale(stored.wind) == pytest.approx(1.4 * np.log(2))
     stronger = replace(stored.wind, gust=3 * stored.wind.gust)
-    assert reference_shift(stronger) - reference_shift(stored.wind) == pytest.approx(np.log(3))
+    assert log_wind_scale(stronger) - log_wind_scale(stored.wind) == pytest.approx(np.log(3))
 
 
 def test_the_foliage_network_learns_a_tree(known: KnownTree) -> None:
     torch.manual_seed(0)
     network = FoliageNetwork(widths=(8, 8, 8))
     standardise_foliage(network, [known])
-    course = Course(network, Pace(num_steps=25, learning_rate=1e-2, warmup_steps=3))
-    losses = [loss for _, loss in course.run(lambda rng: foliage_step(network, [known], rng))]
+    trainer = Trainer(
+        network, TrainerOptions(schedule=LearningRateSchedule(num_steps=25, learning_rate=1e-2, warmup_steps=3))
+    )
+    losses = [loss for _, loss in trainer.run(lambda rng: foliage_step(network, [known], rng))]
     assert np.mean(losses[-3:]) < 0.7 * np.mean(losses[:3])
     told = network(known.tree())
     assert told.shape == (len(known.told), NUM_TOLD)

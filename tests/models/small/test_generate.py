@@ -11,18 +11,13 @@ from safetensors.torch import save_file
 
 from dynamictree.diffusion.channels import pack_channels, unpack_channels
 from dynamictree.errors import Cancelled, CheckpointError, InputError
+from dynamictree.models import MotionModel, load_model
 from dynamictree.models.small.amplitude import FLOOR, NUM_INPUTS, moving
 from dynamictree.models.small.denoiser import DenoiserShape
-from dynamictree.models.small.generate import (
-    FORMAT,
-    MAX_VOXELS,
-    TreeMotionModel,
-    load_model,
-    read_network,
-    write_network,
-)
+from dynamictree.models.small.generate import MAX_VOXELS, SmallModel, write_small
 from dynamictree.models.small.network import SmallNetwork, SmallPreset
-from dynamictree.models.small.prepared import at_resolution, soften
+from dynamictree.models.small.prepared import soften
+from dynamictree.models.voxel_resolution import coarsened
 from dynamictree.spectrum import Wind
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import SurfaceVoxels
@@ -45,12 +40,12 @@ def tiny_network() -> SmallNetwork:
 
 
 @pytest.fixture(scope="module")
-def model() -> TreeMotionModel:
-    return TreeMotionModel(tiny_network(), name="tiny")
+def model() -> SmallModel:
+    return SmallModel(tiny_network(), name="tiny")
 
 
 @pytest.fixture(scope="module")
-def shipped() -> TreeMotionModel:
+def shipped() -> MotionModel:
     return load_model("small")
 
 
@@ -59,9 +54,7 @@ def test_channels_round_trip() -> None:
     assert (unpack_channels(pack_channels(spectrum)) == spectrum).all()
 
 
-def test_the_same_seed_gives_the_same_motion_and_another_seed_another(
-    model: TreeMotionModel, voxels: SurfaceVoxels
-) -> None:
+def test_the_same_seed_gives_the_same_motion_and_another_seed_another(model: SmallModel, voxels: SurfaceVoxels) -> None:
     first, again, other = (model.generate(voxels, wind=WIND, seed=seed, num_steps=2) for seed in (3, 3, 4))
     assert (first.coefficients == again.coefficients).all()
     assert np.abs(first.coefficients - other.coefficients).max() > 0
@@ -90,7 +83,7 @@ def test_what_hardly_moves_hardly_leans() -> None:
     torch.testing.assert_close(100 * smaller, lean)
 
 
-def test_every_sampler_step_is_told_and_may_cancel(model: TreeMotionModel, voxels: SurfaceVoxels) -> None:
+def test_every_sampler_step_is_told_and_may_cancel(model: SmallModel, voxels: SurfaceVoxels) -> None:
     told: list[tuple[int, int]] = []
     model.generate(voxels, wind=WIND, seed=0, num_steps=3, on_step=lambda *step: told.append(step))
     assert told == [(1, 3), (2, 3), (3, 3)]
@@ -102,23 +95,21 @@ def test_every_sampler_step_is_told_and_may_cancel(model: TreeMotionModel, voxel
         model.generate(voxels, wind=WIND, seed=0, on_step=cancel)
 
 
-def test_a_finer_grid_is_generated_at_the_networks_own_and_raised(
-    model: TreeMotionModel, voxels: SurfaceVoxels
-) -> None:
+def test_a_finer_grid_is_generated_at_the_networks_own_and_raised(model: SmallModel, voxels: SurfaceVoxels) -> None:
     corners = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.int32)
     coords = (2 * voxels.grid.coords[:, None] + corners).reshape(-1, 3)
     grid = VoxelGrid.from_coords(coords, origin_m=voxels.grid.origin_m, voxel_size_m=0.05, resolution=256)
     fine = SurfaceVoxels(grid=grid, normals=np.tile(np.float32([0, 0, 1]), (len(grid), 1)))
-    coarse, raised = at_resolution(fine, 128)
+    coarse, raised = coarsened(fine, 1)
     assert (coarse.grid.coords == voxels.grid.coords).all()
     assert raised is not None
     np.testing.assert_allclose(raised @ np.ones(len(coarse.grid)), 1, rtol=1e-5)
     spectrum = model.generate(fine, wind=WIND, seed=0, num_steps=1)
     assert spectrum.coefficients.shape == (len(grid), 16, 3)
-    assert at_resolution(voxels, 128) == (voxels, None)
+    assert coarsened(voxels, 0) == (voxels, None)
 
 
-def test_what_the_model_does_not_serve_is_refused(model: TreeMotionModel, voxels: SurfaceVoxels) -> None:
+def test_what_the_model_does_not_serve_is_refused(model: SmallModel, voxels: SurfaceVoxels) -> None:
     coarse = VoxelGrid.from_coords(
         voxels.grid.coords // 2, origin_m=voxels.grid.origin_m, voxel_size_m=0.2, resolution=64
     )
@@ -143,8 +134,9 @@ def test_what_the_model_does_not_serve_is_refused(model: TreeMotionModel, voxels
 
 def test_a_network_round_trips_through_its_file(tmp_path: Path, voxels: SurfaceVoxels) -> None:
     network = tiny_network().half().float()  # what float16 holds
-    write_network(network, tmp_path / "one.safetensors")
+    write_small(network, tmp_path / "one.safetensors")
     model = load_model(str(tmp_path / "one.safetensors"))
+    assert isinstance(model, SmallModel)
     assert model.network.preset == network.preset
     for name, value in network.state_dict().items():
         assert (model.network.state_dict()[name] == value).all()
@@ -152,20 +144,20 @@ def test_a_network_round_trips_through_its_file(tmp_path: Path, voxels: SurfaceV
 
 
 def test_files_that_are_no_models_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no model 'large'; shipped: "):
+    with pytest.raises(InputError, match="no model 'large'; available: "):
         load_model("large")
     broken = tmp_path / "broken.safetensors"
     broken.write_bytes(b"no header")
     with pytest.raises(CheckpointError, match="no safetensors file"):
-        read_network(broken)
-    save_file({"a": torch.zeros(1)}, broken, {"format": FORMAT, "version": "0"})
+        load_model(str(broken))
+    save_file({"a": torch.zeros(1)}, broken, {"format": SmallModel.KIND, "version": "0"})
     with pytest.raises(CheckpointError, match="version 0"):
-        read_network(broken)
+        load_model(str(broken))
     network = tiny_network()
     del network.denoiser.head.bias
-    write_network(network, broken)
+    write_small(network, broken)
     with pytest.raises(CheckpointError, match="does not fit its own preset"):
-        read_network(broken)
+        load_model(str(broken))
 
 
 def test_softening_keeps_phases_and_brings_sizes_near_one() -> None:
@@ -177,7 +169,7 @@ def test_softening_keeps_phases_and_brings_sizes_near_one() -> None:
 
 
 def test_in_the_shipped_model_more_wind_moves_more_and_the_lean_points_downwind(
-    shipped: TreeMotionModel, voxels: SurfaceVoxels
+    shipped: MotionModel, voxels: SurfaceVoxels
 ) -> None:
     sizes, leans = [], []
     for speed in (2.0, 5.0, 10.0):
@@ -191,7 +183,7 @@ def test_in_the_shipped_model_more_wind_moves_more_and_the_lean_points_downwind(
         assert lean[:2] @ np.array([np.cos(angle), np.sin(angle)]) > 0.8 * np.linalg.norm(lean)
 
 
-def test_in_the_shipped_model_roots_stay(shipped: TreeMotionModel, voxels: SurfaceVoxels) -> None:
+def test_in_the_shipped_model_roots_stay(shipped: MotionModel, voxels: SurfaceVoxels) -> None:
     coefficients = shipped.generate(voxels, wind=WIND, seed=0, num_steps=2).coefficients
     height_m = np.ptp(voxels.grid.coords[:, 2]) * voxels.grid.voxel_size_m
     low = voxels.grid.coords[:, 2] <= voxels.grid.coords[:, 2].min() + 1
@@ -199,7 +191,7 @@ def test_in_the_shipped_model_roots_stay(shipped: TreeMotionModel, voxels: Surfa
     assert bound.max() < 0.005 * height_m
 
 
-def test_generating_leaves_the_number_of_threads_as_it_was(model: TreeMotionModel, voxels: SurfaceVoxels) -> None:
+def test_generating_leaves_the_number_of_threads_as_it_was(model: SmallModel, voxels: SurfaceVoxels) -> None:
     during: list[int] = []
     torch.set_num_threads(2)
     model.generate(voxels, wind=WIND, seed=0, num_steps=1, on_step=lambda *_: during.append(torch.get_num_threads()))

@@ -5,9 +5,9 @@ import torch
 from scipy.sparse import csr_array
 
 from dynamictree.models.small.correlated_noise import NUM_SCALES, field_matrices, fit_shares, noise_basis
-from dynamictree.models.small.features import TreeCondition, coarsen_condition, turn_condition
+from dynamictree.models.small.features import TreeFeatures, coarsen_features, turn_features
 from dynamictree.models.small.mixer import MixerBlock, SparseOperator, batch_neighbourhoods, neighbourhood
-from dynamictree.models.small.node_operators import link_matrices, pool_matrix, raise_matrix, sparse_rows, touching
+from dynamictree.sparse.matrices import link_matrices, pool_matrix, raise_matrix, sparse_rows, touching
 from dynamictree.sparse.pool import pool_to, upsample
 
 
@@ -23,7 +23,7 @@ def test_a_sparse_operator_and_its_gradient_are_the_matrix() -> None:
     torch.testing.assert_close(gradient, torch.einsum("vw,vij->wij", dense, weighting))
 
 
-def test_pool_matrix_is_pooling_and_raising_keeps_constants(tree: TreeCondition) -> None:
+def test_pool_matrix_is_pooling_and_raising_keeps_constants(tree: TreeFeatures) -> None:
     values = torch.randn(len(tree.scalars), 3)
     pooled = pool_matrix(tree.grids, 1, 0) @ values.numpy()
     torch.testing.assert_close(torch.from_numpy(pooled), pool_to(values, tree.grids, 1))
@@ -40,14 +40,14 @@ def test_links_average_over_bearers_and_borne() -> None:
     np.testing.assert_array_equal(up, [[0, 1, 0, 0], [0, 0, 0.5, 0.5], [0, 0, 0, 0], [0, 0, 0, 0]])
 
 
-def test_touching_reaches_neighbours_only(tree: TreeCondition) -> None:
+def test_touching_reaches_neighbours_only(tree: TreeFeatures) -> None:
     level = tree.grids.levels[0]
     rows, columns = touching(level).nonzero()
     assert (level.coords[rows] - level.coords[columns]).abs().max() == 1
 
 
-def test_noise_has_unit_variance_at_every_node(tree: TreeCondition) -> None:
-    nodes = coarsen_condition(tree, 2)
+def test_noise_has_unit_variance_at_every_node(tree: TreeFeatures) -> None:
+    nodes = coarsen_features(tree, 2)
     for field in field_matrices(nodes):
         np.testing.assert_allclose(np.asarray(field.multiply(field).sum(axis=1)).ravel(), 1, rtol=1e-5)
     shares = torch.rand(4, NUM_SCALES)
@@ -56,8 +56,8 @@ def test_noise_has_unit_variance_at_every_node(tree: TreeCondition) -> None:
     torch.testing.assert_close(drawn.square().mean(dim=2), torch.ones(len(nodes.scalars), 4), atol=0.06, rtol=0)
 
 
-def test_fitted_shares_are_those_that_made_the_field(tree: TreeCondition) -> None:
-    nodes = coarsen_condition(tree, 1)
+def test_fitted_shares_are_those_that_made_the_field(tree: TreeFeatures) -> None:
+    nodes = coarsen_features(tree, 1)
     true = torch.zeros(2, NUM_SCALES)
     true[0, 0], true[0, -1] = 0.25, 0.75  # white, and one for the whole tree
     true[1, 0], true[1, 4] = 0.5, 0.5  # white, and along the stems
@@ -68,11 +68,11 @@ def test_fitted_shares_are_those_that_made_the_field(tree: TreeCondition) -> Non
     np.testing.assert_allclose(found, true.numpy(), atol=0.08)
 
 
-def test_a_layer_does_not_look_from_tree_to_tree(tree: TreeCondition) -> None:
+def test_a_layer_does_not_look_from_tree_to_tree(tree: TreeFeatures) -> None:
     torch.manual_seed(0)
     layer = MixerBlock(8, 6)
     torch.nn.init.normal_(layer.out.weight)
-    nodes = [coarsen_condition(tree, 2), coarsen_condition(turn_condition(tree, (1, 0, 2), (1, 1, 1)), 1)]
+    nodes = [coarsen_features(tree, 2), coarsen_features(turn_features(tree, (1, 0, 2), (1, 1, 1)), 1)]
     around = [neighbourhood(one) for one in nodes]
     features = [torch.randn(len(one.scalars), 3, 8) for one in nodes]
     embedding = [torch.randn(len(one.scalars), 3, 6) for one in nodes]

@@ -1,0 +1,25 @@
+"""Load a trained model of any kind, by name or from a file."""
+
+from dynamictree.errors import CheckpointError
+from dynamictree.models.motion_model import MotionModel
+from dynamictree.models.weights_file import read_weights
+from dynamictree.weights import weights_path
+
+
+def load_model(name_or_path: str = "small") -> MotionModel:
+    """A model by the name that `dynamictree.weights.list_weights` gives, or from a weights file.
+
+    Raises:
+        InputError: there is no such model.
+        CheckpointError: the file is of no kind or version that this program reads.
+    """
+    from dynamictree.models.paper.generate import PaperModel
+    from dynamictree.models.small.generate import SmallModel
+
+    path = weights_path(name_or_path)
+    stored = read_weights(path)
+    for model in (SmallModel, PaperModel):
+        if (stored.kind, stored.version) == (model.KIND, model.VERSION):
+            return model.from_weights(stored, name=path.stem)
+    needed = ", ".join(f"{model.KIND} version {model.VERSION}" for model in (SmallModel, PaperModel))
+    raise CheckpointError(f"{path.name} is {stored.kind} version {stored.version}; {needed} can be loaded")

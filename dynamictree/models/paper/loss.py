@@ -1,0 +1,49 @@
+"""The paper's training loss: L_DM (eq. 2), then L_DM + L_LSS (eq. 3)."""
+
+import torch
+from jaxtyping import Float32, Int64
+from torch import Tensor
+
+from dynamictree.diffusion.loss import LocalSmoothness, local_smoothness, noise_loss
+from dynamictree.diffusion.schedule import NoiseSchedule, predicted_clean
+from dynamictree.models.paper.examples import PaperBatch
+from dynamictree.models.paper.network import PaperNetwork
+
+
+def paper_loss(
+    network: PaperNetwork,
+    batch: PaperBatch,
+    clean: Float32[Tensor, "V J 6"],
+    frequency: Int64[Tensor, "B J"],
+    *,
+    schedule: NoiseSchedule,
+    generator: torch.Generator,
+    smoothness: LocalSmoothness | None,
+) -> Float32[Tensor, ""]:
+    """L_DM, and with `smoothness` also L_LSS of the clean spectrum that the predicted noise implies.
+
+    L_LSS is weighted by ᾱ: at high noise the implied spectrum is an amplified error.
+
+    Args:
+        network: in training.
+        batch: trees.
+        clean: spectra of the trees at their frequencies, of unit size.
+        frequency: bins of each tree.
+        schedule: of the noise.
+        generator: draws steps and noise, on the CPU.
+        smoothness: weights of L_LSS; None in the first stage.
+    """
+    sample = batch.grids.levels[network.preset.num_halvings].sample_of_row
+    step = torch.randint(0, len(schedule.alpha_bar), frequency.shape, generator=generator).to(clean.device)
+    noise = torch.randn(clean.shape, generator=generator).to(clean.device)
+    alpha_bar = schedule.alpha_bar[step][sample][..., None]  # [V, J, 1]
+    noisy = alpha_bar.sqrt() * clean + (1 - alpha_bar).sqrt() * noise
+    condition = network.encoder(batch.positions, batch.normals, batch.grids)
+    predicted = network(noisy, step, frequency, condition, batch.grids).float()
+    loss = noise_loss(predicted.flatten(0, 1), noise.flatten(0, 1))
+    if smoothness is not None:
+        implied = alpha_bar * predicted_clean(noisy, predicted, alpha_bar)
+        neighbours = batch.neighbours, batch.distances_m
+        each = [local_smoothness(one, *neighbours, weights=smoothness) for one in implied.unbind(dim=1)]
+        loss = loss + torch.stack(each).mean()
+    return loss

@@ -1,0 +1,48 @@
+"""Voxels at the resolution that a model reads."""
+
+import math
+
+import numpy as np
+import torch
+from scipy.sparse import csr_array
+
+from dynamictree.errors import InputError
+from dynamictree.sparse.level import pyramid
+from dynamictree.sparse.matrices import raise_matrix
+from dynamictree.voxel.grid import VoxelGrid
+from dynamictree.voxel.moments import coarse_moments
+from dynamictree.voxel.voxelize import SurfaceVoxels
+
+
+def halvings_between(grid: VoxelGrid, resolution: int, model: str) -> int:
+    """How often a grid must be halved to have a resolution.
+
+    Raises:
+        InputError: the grid is coarser, or finer by no power of two.
+    """
+    ratio = grid.resolution / resolution
+    if ratio < 1 or not math.log2(ratio).is_integer():
+        allowed = f"{model} accepts {resolution}, {2 * resolution} and {4 * resolution}"
+        raise InputError(f"the voxel grid has resolution {grid.resolution}; {allowed}; voxelise again")
+    return int(math.log2(ratio))
+
+
+def coarsened(voxels: SurfaceVoxels, halvings: int) -> tuple[SurfaceVoxels, csr_array | None]:
+    """The same tree on a coarser grid, and the matrix that interpolates values back; None for no halvings."""
+    if halvings == 0:
+        return voxels, None
+    grid, factor = voxels.grid, 1 << halvings
+    coarse = VoxelGrid.from_coords(
+        grid.coords // factor,
+        origin_m=grid.origin_m,
+        voxel_size_m=grid.voxel_size_m * factor,
+        resolution=grid.resolution // factor,
+    )
+    owner = coarse.rows_of(grid.coords // factor)
+    normals = np.zeros((len(coarse), 3), np.float32)
+    np.add.at(normals, owner, voxels.normals)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-6)
+    moments = None if voxels.moments is None else coarse_moments(voxels.moments, grid, coarse, owner)
+    # a pyramid's coarser rows are in ascending order of coordinates, as the coarse grid's are
+    fine = pyramid(torch.from_numpy(grid.coords.astype(np.int64)), halvings + 1)
+    return SurfaceVoxels(grid=coarse, normals=normals, moments=moments), raise_matrix(fine, halvings, 0)

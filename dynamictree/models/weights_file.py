@@ -1,0 +1,91 @@
+"""Trained weights as a safetensors file whose metadata says which network they belong to and how it was trained."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor, nn
+
+from dynamictree.errors import CheckpointError
+
+MAX_EXACT = 48
+"""Scales of frequencies go down to 1e-6, where float16 has few digits; they cost nothing in full."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Provenance:
+    """How weights came about; unknown values are None."""
+
+    step: int | None = None
+    data_sha256: str | None = None  # of the training shards, see `dataset.shards.shards_sha256`
+    card: str | None = None  # Markdown
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class WeightsFile:
+    """Content of a weights file."""
+
+    kind: str  # format name, `dynamictree-small` or `dynamictree-paper`
+    version: str
+    preset: dict[str, object]
+    tensors: dict[str, Tensor]
+    provenance: Provenance = field(default_factory=Provenance)
+
+
+def write_weights(
+    path: Path,
+    *,
+    kind: str,
+    version: str,
+    preset: Mapping[str, object],
+    tensors: Mapping[str, Tensor],
+    provenance: Provenance | None = None,
+) -> None:
+    """Store weights with their preset: matrices as float16, vectors of up to MAX_EXACT numbers as they are."""
+    known = provenance or Provenance()
+    optional = {"step": known.step, "data_sha256": known.data_sha256, "card": known.card}
+    metadata = {"format": kind, "version": version, "preset": json.dumps(preset)}
+    metadata |= {name: str(value) for name, value in optional.items() if value is not None}
+    stored = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
+    save_file({name: one if one.numel() <= MAX_EXACT else one.half() for name, one in stored.items()}, path, metadata)
+
+
+def read_weights(path: Path) -> WeightsFile:
+    """Read a weights file; tensors become float32.
+
+    Raises:
+        CheckpointError: not such a file.
+    """
+    try:
+        with safe_open(path, "pt") as stored:
+            metadata = stored.metadata() or {}
+            tensors = {name: stored.get_tensor(name).float() for name in stored.keys()}  # noqa: SIM118
+    except SafetensorError as error:
+        raise CheckpointError(f"{path.name} is no safetensors file ({error}); give a trained model") from error
+    step = metadata.get("step")
+    return WeightsFile(
+        kind=metadata.get("format", "unknown"),
+        version=metadata.get("version", "unknown"),
+        preset=json.loads(metadata.get("preset", "{}")),
+        tensors=tensors,
+        provenance=Provenance(
+            step=None if step is None else int(step),
+            data_sha256=metadata.get("data_sha256"),
+            card=metadata.get("card"),
+        ),
+    )
+
+
+def fill_network(network: nn.Module, tensors: Mapping[str, Tensor], name: str) -> None:
+    """Load tensors into a network.
+
+    Raises:
+        CheckpointError: they do not fit it.
+    """
+    try:
+        network.load_state_dict(dict(tensors))
+    except RuntimeError as error:
+        raise CheckpointError(f"{name} does not fit its own preset: {str(error).splitlines()[1].strip()}") from error

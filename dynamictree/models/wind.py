@@ -1,0 +1,30 @@
+"""The wind's frame, and how the size of a motion grows with speed and gust."""
+
+import math
+
+import numpy as np
+from jaxtyping import Float32
+
+from dynamictree.spectrum import Wind
+
+REFERENCE_SPEED = 5.0  # [m/s]
+DRAG_EXPONENT = 1.4  # of the speed: plants bend out of the way, Vogel 1989
+MIN_SPEED = 0.1  # [m/s]
+MIN_GUST = 0.01
+
+
+def wind_axes(wind: Wind) -> Float32[np.ndarray, "3 3"]:
+    """Unit vectors downwind, crosswind and up, one per row."""
+    angle = math.radians(wind.direction_deg)
+    cosine, sine = math.cos(angle), math.sin(angle)
+    return np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]], np.float32)
+
+
+def log_drag(wind: Wind) -> float:
+    """Ln of the drag over the drag at REFERENCE_SPEED."""
+    return DRAG_EXPONENT * math.log(max(wind.speed_m_s, MIN_SPEED) / REFERENCE_SPEED)
+
+
+def log_wind_scale(wind: Wind) -> float:
+    """Ln of the swaying's size over its size at drag and gust 1."""
+    return log_drag(wind) + math.log(max(wind.gust, MIN_GUST))

@@ -1,0 +1,32 @@
+"""Where trained weights lie: the shipped ones in this folder, a user's own in the folder DYNAMICTREE_MODELS."""
+
+import os
+from pathlib import Path
+
+from dynamictree.errors import InputError
+
+SHIPPED = Path(__file__).parent
+SUFFIX = ".safetensors"
+ENVIRONMENT_VARIABLE = "DYNAMICTREE_MODELS"
+
+
+def list_weights() -> dict[str, Path]:
+    """Weights files by model name. A user's model replaces a shipped one of the same name."""
+    folders = [SHIPPED]
+    if os.environ.get(ENVIRONMENT_VARIABLE):
+        folders.append(Path(os.environ[ENVIRONMENT_VARIABLE]))
+    return {path.stem: path for folder in folders for path in sorted(folder.glob(f"*{SUFFIX}"))}
+
+
+def weights_path(name_or_path: str) -> Path:
+    """The weights file of a model, by its name or its path.
+
+    Raises:
+        InputError: there is no such model.
+    """
+    available = list_weights()
+    path = Path(name_or_path) if name_or_path.endswith(SUFFIX) else available.get(name_or_path)
+    if path is None or not path.is_file():
+        names = ", ".join(sorted(available)) or "none"
+        raise InputError(f"there is no model {name_or_path!r}; available: {names}; or give a {SUFFIX} file")
+    return path
