@@ -105,7 +105,7 @@ export class JobList {
     const picture = element("img", { alt: "", width: 56, height: 56 });
     const state = element("small", { className: "state" });
     const line = element("small", {}, state, ` · ${date(job.created_at)}`);
-    const words = element("div", { className: "words" }, title, ` ${text(`job.${job.type}`)}${wind}`, line);
+    const words = element("div", { className: "words" }, title, ` · ${text(`job.${job.type}`)}${wind}`, line);
     words.append(element("small", { className: "why" }));
     return element("li", {}, picture, words, element("span", { className: "actions" }, cancel, retry, open));
   }
