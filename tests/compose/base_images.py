@@ -42,7 +42,7 @@ FROM stand-in:trixie
 RUN usermod --uid 70 postgres && groupmod --gid 70 postgres && install -d -o 70 -g 70 -m 3777 /var/run/postgresql \
  && install -d -o 70 -g 70 -m 1777 /var/lib/postgresql/data
 COPY entry.sh /usr/local/bin/docker-entrypoint.sh
-ENV PATH=/usr/lib/postgresql/17/bin:/usr/bin:/bin PGDATA=/var/lib/postgresql/data
+ENV PATH=/usr/lib/postgresql/17/bin:/usr/bin:/bin PGDATA=/var/lib/postgresql/data LANG=C.UTF-8
 VOLUME /var/lib/postgresql/data
 ENTRYPOINT ["sh", "/usr/local/bin/docker-entrypoint.sh"]
 CMD ["postgres"]
