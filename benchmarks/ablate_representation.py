@@ -9,11 +9,13 @@ import numpy as np
 from benchmarks._machine import machine
 from dynamictree.dataset.motion import vertex_spectrum
 from dynamictree.dataset.sample import make_sample
+from dynamictree.devoxelize.interpolation import VoxelInterpolation
+from dynamictree.devoxelize.length_preserving import preserve_lengths
+from dynamictree.devoxelize.nearest import nearest
+from dynamictree.devoxelize.smooth import smooth
 from dynamictree.evaluation.metrics import centroid_correlation, edge_stretch, log_amplitude_agreement, roughness
 from dynamictree.mesh import edges_of
-from dynamictree.voxel.devoxelize import VoxelInterpolation, nearest, smooth
 from dynamictree.voxel.grid import VoxelGrid
-from dynamictree.voxel.inextensible import hold_lengths
 from dynamictree.voxel.voxelize import surface_average, voxelize
 
 TREES = ((2, "weeping"), (3, "palm"))
@@ -46,7 +48,7 @@ def run() -> dict[str, object]:
                     name = f"{resolution}, {way}, K={count}"
                     tables.setdefault(name, []).append(_row(back, truth, sample.mesh.vertices, edges))
                     if way == "smooth" and count == 16:
-                        held = hold_lengths(sample.mesh, back, grid.voxel_size_m)
+                        held = preserve_lengths(sample.mesh, back, grid.voxel_size_m)
                         name = f"{resolution}, smooth and held, K=16"
                         tables.setdefault(name, []).append(_row(held, truth, sample.mesh.vertices, edges))
     return {

@@ -57,7 +57,7 @@ def _shuffled(binding):  # type: ignore[no-untyped-def]
 
 def _memory_floor_ms(num_gaussians: int, num_faces: int) -> float:
     """Time to read and write, on all cores, as many bytes as a frame must: what rests, rows of faces, the pose."""
-    from dynamictree.render.kernel import in_bands
+    from dynamictree.parallel import in_bands
 
     must_move = num_gaussians * (15 + 1 + 10) * 4 + num_faces * (13 + 3 + 9 + 16) * 4
     source = np.zeros(must_move // 8, np.float32)  # half is read, half is written

@@ -11,6 +11,7 @@ from benchmarks._machine import machine
 from dynamictree.dataset.sample import Sample, make_sample, voxel_spectrum
 from dynamictree.dataset.sapling import LEAF
 from dynamictree.dataset.stem_skeleton import Skeleton
+from dynamictree.devoxelize.smooth import smooth
 from dynamictree.mesh import edges_of
 from dynamictree.modal.force import Drag, Impulse, compliance, contact_at_voxel, equilibrium, generalised_force
 from dynamictree.modal.locality import branching, default_falloff_m, poke_weights
@@ -20,7 +21,6 @@ from dynamictree.modal.step import run as run_modes
 from dynamictree.modal.surface import attach_mesh
 from dynamictree.modal.system import ModalSystem, displacement, modal_system
 from dynamictree.modal.warp import bend, bone_turns, pose
-from dynamictree.voxel.devoxelize import smooth
 from dynamictree.voxel.voxelize import surface_average
 
 TARGET = 0.05

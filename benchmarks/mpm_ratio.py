@@ -11,9 +11,9 @@ from benchmarks import _mpm as mpm
 from benchmarks._interaction import gaussians_on, scene
 from benchmarks._machine import Timing, machine, timed
 from benchmarks.modal_frame import knocked
+from dynamictree.devoxelize.smooth import smooth
 from dynamictree.gaussian.deform import Deformer
 from dynamictree.modal.frames import VertexFrames
-from dynamictree.voxel.devoxelize import smooth
 
 TARGET = 1000.0
 TIMED_SUBSTEPS = 12

@@ -11,8 +11,8 @@ from dynamictree.gaussian.rasterize import _view
 from dynamictree.gaussian.rasterize_kernel import project
 from dynamictree.gaussian.rotation import quaternion_products
 from dynamictree.gaussian.turn import turn_sh_fast
+from dynamictree.parallel import in_bands
 from dynamictree.render.camera import Camera
-from dynamictree.render.kernel import in_bands
 
 NUM_GAUSSIANS = 500_000
 SIDE_PX = 512

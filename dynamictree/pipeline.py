@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, BinaryIO
 import numpy as np
 from jaxtyping import Complex64, UInt8
 
+from dynamictree.devoxelize.length_preserving import length_preserving
 from dynamictree.files import Companions, opened
 from dynamictree.formats.mesh_file import read_mesh, sniff_file_type
 from dynamictree.formats.source_file import read_capture, source_kind
@@ -49,7 +50,6 @@ from dynamictree.splat_products import (
     splat_sheet,
     write_splat_product,
 )
-from dynamictree.voxel.inextensible import bending
 from dynamictree.voxel.voxelize import SurfaceVoxels
 from dynamictree.voxel.voxelize import voxelize as voxelize_surface
 
@@ -170,7 +170,7 @@ def diffuse(
 
 def vertex_spectrum(mesh: TriangleMesh, spectrum: SparseVoxelSpectrum) -> Complex64[np.ndarray, "N K 3"]:
     """Each vertex's share of the voxels' spectrum [m]. Dev(.) of paper eq. 1, smooth and without stretch."""
-    return bending(spectrum.grid, mesh).apply(spectrum.coefficients)
+    return length_preserving(spectrum.grid, mesh).apply(spectrum.coefficients)
 
 
 def animate(

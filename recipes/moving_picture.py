@@ -12,6 +12,7 @@ from PIL import Image, ImageDraw
 
 from dynamictree import pipeline
 from dynamictree.dataset.sample import make_sample
+from dynamictree.devoxelize.smooth import smooth
 from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.force import Drag, contact_at_voxel, generalised_force
 from dynamictree.modal.locality import branching, poke_weights
@@ -21,7 +22,6 @@ from dynamictree.modal.surface import attach_mesh
 from dynamictree.modal.system import ModalSystem, modal_system
 from dynamictree.render import Camera, Look, Renderer
 from dynamictree.spectrum import SparseVoxelSpectrum, Wind, iter_motion
-from dynamictree.voxel.devoxelize import smooth
 
 PICTURE = Path(__file__).parent.parent / "docs" / "pictures" / "moving.webp"
 SPECIES, SEED = "round-broadleaf", 7

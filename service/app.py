@@ -156,8 +156,6 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[dict[str, object]]:
 
 
 def _warm_up() -> None:
-    import dynamictree.gaussian.deform
-    import dynamictree.voxel.devoxelize  # noqa: F401 (numba, which the first push would wait for)
 
     gc.freeze()  # modules are never garbage; to look through them again takes 50 ms, every second or two
 

@@ -12,8 +12,8 @@ from dynamictree.modal.response import InteractiveTree
 from dynamictree.modal.surface import BoneAttachment, attach_mesh
 
 if TYPE_CHECKING:
+    from dynamictree.devoxelize.interpolation import VoxelInterpolation  # brings numba, which only vertices need
     from dynamictree.gaussian.deform import Deformer  # brings numba
-    from dynamictree.voxel.devoxelize import VoxelInterpolation  # brings numba, which only vertices need
 
 BYTES_A_VOXEL = 1500  # modes, and the graph that displacements need; measured at K = 16
 BYTES_A_VERTEX = 250  # the mesh, and what ties it to voxels and bones
@@ -51,7 +51,7 @@ class ReadyTree:
 
 def vertex_ties(ready: ReadyTree, mesh: TriangleMesh) -> "VoxelInterpolation":
     """What ties the mesh's vertices to the voxels."""
-    from dynamictree.voxel.devoxelize import smooth
+    from dynamictree.devoxelize.smooth import smooth
 
     if ready.interpolation is None:
         ready.interpolation = smooth(ready.tree.system.grid, mesh)

@@ -198,8 +198,8 @@ def _vertex_frames(
     tree: "InteractiveTree", answer: "Answer", mesh: "TriangleMesh", *, warp: bool
 ) -> "Iterator[np.ndarray]":
     """Displacement of the mesh's vertices, frame after frame [m]."""
+    from dynamictree.devoxelize.smooth import smooth
     from dynamictree.modal.surface import attach_mesh
-    from dynamictree.voxel.devoxelize import smooth
 
     grid = tree.system.grid
     ties = smooth(grid, mesh)

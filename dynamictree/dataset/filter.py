@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Float32, Int32
 
 from dynamictree.dataset.sample import Sample
-from dynamictree.dataset.threads import single_thread
 from dynamictree.mesh import edges_of
+from dynamictree.parallel import single_thread
 from dynamictree.spectrum import FPS
 
 Rule = Literal["high-frequency", "root-motion", "edge-stretch", "self-explosion"]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Complex64, Float32, Int32
 
-from dynamictree.dataset.threads import single_thread
+from dynamictree.parallel import single_thread
 from dynamictree.spectrum import NUM_FREQUENCIES
 
 

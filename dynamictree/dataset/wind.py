@@ -25,8 +25,8 @@ from dynamictree.dataset.oscillator import (
 )
 from dynamictree.dataset.rotation import carried, cross, product, to_matrix, turn_of
 from dynamictree.dataset.sapling import Tree
-from dynamictree.dataset.threads import single_thread
 from dynamictree.dataset.tubes import own_rings
+from dynamictree.parallel import single_thread
 from dynamictree.spectrum import NUM_FRAMES, Wind
 
 

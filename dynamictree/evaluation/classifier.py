@@ -10,6 +10,7 @@ from typing import Any, get_args
 import numpy as np
 from jaxtyping import Complex64, Float64, Int64
 
+from dynamictree.devoxelize.length_preserving import length_preserving
 from dynamictree.errors import InputError
 from dynamictree.evaluation.baselines import fit_by_height
 from dynamictree.evaluation.figures import TreeReference
@@ -29,7 +30,6 @@ from dynamictree.evaluation.metrics import (
 from dynamictree.evaluation.report import generate_for, training_trees
 from dynamictree.models import load_model
 from dynamictree.training.progress import OnStep
-from dynamictree.voxel.inextensible import bending
 
 KINDS = ("by-height mean", "model", "second wind")
 MIN_RIGHT = 0.9
@@ -117,14 +117,14 @@ def classify(
     for tree in _small_trees(num_trees, max_voxels, tries):
         own_seed = seed + len(voxels)
         rng = np.random.default_rng([own_seed, 1])
-        reference, interpolation = TreeReference.of(tree), bending(tree.voxels.grid, tree.mesh)
+        reference, interpolation = TreeReference.of(tree), length_preserving(tree.voxels.grid, tree.mesh)
         generated = generate_for(tree, model, seed=own_seed)
         mean = by_height.spectrum(tree.voxels.grid, tree.wind, rng)
         motions = {
             # the truth goes the same way, so that the loss by voxels separates nothing
             "truth": interpolation.apply(reference.on_voxels(tree.truth)),
             "second wind": interpolation.apply(reference.on_voxels(tree.second)),
-            "model": bending(generated.grid, tree.mesh).apply(generated.coefficients),
+            "model": length_preserving(generated.grid, tree.mesh).apply(generated.coefficients),
             "by-height mean": interpolation.apply(mean),
         }
         for kind, motion in motions.items():

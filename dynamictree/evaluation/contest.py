@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Complex64
 
+from dynamictree.devoxelize.length_preserving import length_preserving
 from dynamictree.evaluation.clip import ImageEmbedder, motion_distances
 from dynamictree.evaluation.figures import TreeReference
 from dynamictree.evaluation.held_out_trees import HeldOutTree, iter_held_out, iter_sapling
@@ -32,7 +33,6 @@ from dynamictree.evaluation.sapling_file import read_sapling
 from dynamictree.models import MotionModel, load_model
 from dynamictree.spectrum import FPS, NUM_FRAMES, from_motion
 from dynamictree.training.progress import OnStep
-from dynamictree.voxel.inextensible import bending
 
 Motion = Complex64[np.ndarray, "N K 3"]
 ALL_BINS = NUM_FRAMES // 2 + 1
@@ -88,7 +88,7 @@ def iter_contest(tree: HeldOutTree, model: MotionModel, seed: int) -> Iterator[t
     """Each contestant's motion of the tree's vertices [m], and the CPU seconds that it took."""
     begun = time.process_time()
     spectrum = generate_for(tree, model, seed=seed)
-    motion = bending(spectrum.grid, tree.mesh).apply(spectrum.coefficients)
+    motion = length_preserving(spectrum.grid, tree.mesh).apply(spectrum.coefficients)
     yield "model", motion, time.process_time() - begun
     begun = time.process_time()
     swayed = sway_as_sapling(tree.bones, np.random.default_rng([seed, 2]))

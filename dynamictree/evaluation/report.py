@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Complex64, Float64
 
 from dynamictree.dataset.sample import is_training_seed
+from dynamictree.devoxelize.length_preserving import length_preserving
 from dynamictree.evaluation.baselines import (
     ByHeight,
     TrainingTree,
@@ -29,7 +30,6 @@ from dynamictree.models import MotionModel, load_model
 from dynamictree.models.small.generate import SmallModel
 from dynamictree.spectrum import SparseVoxelSpectrum
 from dynamictree.training.progress import OnStep
-from dynamictree.voxel.inextensible import bending
 from dynamictree.voxel.voxelize import voxelize
 
 CLIP_METHODS = ("truth", "model", "by-height mean")
@@ -59,9 +59,9 @@ def iter_motions(
     """
     tree, model = reference.tree, methods.model
     rng = np.random.default_rng([seed, 1])
-    interpolation = bending(tree.voxels.grid, tree.mesh)
+    interpolation = length_preserving(tree.voxels.grid, tree.mesh)
     generated = generate_for(tree, model, seed=seed, num_steps=num_steps)
-    yield "model", bending(generated.grid, tree.mesh).apply(generated.coefficients)
+    yield "model", length_preserving(generated.grid, tree.mesh).apply(generated.coefficients)
     if isinstance(model, SmallModel):
         yield "regression", interpolation.apply(regression(model, tree.voxels, tree.wind, rng))
         yield "noise only", interpolation.apply(noise_only(model, tree.voxels, tree.wind, seed))

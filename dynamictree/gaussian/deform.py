@@ -23,7 +23,7 @@ from dynamictree.gaussian.rotation import (
     quaternion_products,
 )
 from dynamictree.gaussian.turn import turn_sh_fast
-from dynamictree.render.kernel import in_bands
+from dynamictree.parallel import in_bands
 
 
 @dataclass(frozen=True, kw_only=True)

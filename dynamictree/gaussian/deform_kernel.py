@@ -6,8 +6,9 @@ branch, and writes rows. Columns of the buffers are numbered in the order in whi
 
 from typing import no_type_check
 
-import numba
 import numpy as np
+
+from dynamictree.parallel import compiled_fused
 
 BLOCK = 64  # rows; buffers of 41 columns stay in the first-level cache
 MAX_STRETCH = 4.0
@@ -22,10 +23,9 @@ _TINY = np.float32(1e-30)
 _COLLAPSED = np.float32(COLLAPSED)
 
 # no NaN or order of sums is assumed away, only products are fused with sums
-_vectorised = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
 
 
-@_vectorised
+@compiled_fused
 @no_type_check
 def turn_faces(first, end, rest, triangles, moved, out):
     """For each face: displacement of corner 0, of 1 and 2 against it, rotation of its axes, strain in its plane.
@@ -54,7 +54,7 @@ def turn_faces(first, end, rest, triangles, moved, out):
                 out[start + j, k] = o[k * _B + j]
 
 
-@_vectorised
+@compiled_fused
 @no_type_check
 def _turn_block(b, o):
     for j in range(_B):
@@ -109,7 +109,7 @@ def _turn_block(b, o):
         o[15 * _B + j] = a01 * a01 + a11 * a11 - _ONE
 
 
-@_vectorised
+@compiled_fused
 @no_type_check
 def _turn_collapsed(b, o, j):
     """The axes turn by the least rotation that takes the longer edge where it points, as `deform._shortest_arc`."""
@@ -143,7 +143,7 @@ def _turn_collapsed(b, o, j):
     o[12 * _B + j] = w * rz + x * ry - y * rx + z * rw
 
 
-@_vectorised
+@compiled_fused
 @no_type_check
 def turn_gaussians(first, end, rest, face_of, faces, out):
     """For each Gaussian: mean, quaternion, scales.

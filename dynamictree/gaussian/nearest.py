@@ -6,7 +6,7 @@ from typing import no_type_check
 import numpy as np
 from jaxtyping import Float32, Float64, Int32, Int64
 
-from dynamictree.render.kernel import compiled, in_bands
+from dynamictree.parallel import compiled, in_bands
 
 _CELLS_ALONG = 128  # of the largest extent; 1 M points against 100,000 faces are found in seconds
 _NONE = -1

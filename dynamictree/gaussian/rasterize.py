@@ -29,8 +29,8 @@ from dynamictree.gaussian.rasterize_kernel import (
     project,
 )
 from dynamictree.gaussian.rotation import quaternion_matrices
+from dynamictree.parallel import in_bands
 from dynamictree.render.camera import Camera
-from dynamictree.render.kernel import in_bands
 
 MAX_PIXELS = 16_777_216  # 4096²
 

@@ -2,10 +2,10 @@
 
 from typing import no_type_check
 
-import numba
 import numpy as np
 
 from dynamictree.gaussian.turn import harmonic_values
+from dynamictree.parallel import compiled_fused
 
 TILE = 16  # pixels along; a row of a tile is one vector of 16 floats
 NEAR_M = 0.02
@@ -28,10 +28,8 @@ _GREEN, _BLUE, _DEPTH, _LIGHT = (np.uint32(plane * _SIZE) for plane in range(1, 
 _EXP = tuple(np.float32(c) for c in (1 / 120, 1 / 24, 1 / 6, 1 / 2, 1, 1))
 _SIXTEENTH = np.float32(1 / 16)
 
-_compiled = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
 
-
-@_compiled
+@compiled_fused
 @no_type_check
 def project(first, end, means, quaternions, scales, opacity, sh, rest, view, antialias, turned, ellipses, bounds):
     """Ellipse (centre, conic, opacity), colour and depth of each Gaussian, and the pixels where it shows."""
@@ -83,7 +81,7 @@ def project(first, end, means, quaternions, scales, opacity, sh, rest, view, ant
             ellipses[g, 6 + c] = max(color, np.float32(0))
 
 
-@_compiled
+@compiled_fused
 @no_type_check
 def half_axis(axes, scale, i, view, slope_x, slope_y, per_z):
     """Projection of a Gaussian's axis `i` to the picture [px], and the axis's depth before projection [m]."""
@@ -94,7 +92,7 @@ def half_axis(axes, scale, i, view, slope_x, slope_y, per_z):
     return px, py, depth
 
 
-@_compiled
+@compiled_fused
 @no_type_check
 def covariance(half, blur):
     """2D covariance of the projected half axes (xx, xy, yy), its determinant, and the determinant after the blur.
@@ -109,14 +107,14 @@ def covariance(half, blur):
     return xx, xy, yy, sharp, sharp + blur * (xx + yy + blur)
 
 
-@_compiled
+@compiled_fused
 @no_type_check
 def cross(half, i, j):
     """Signed area of the parallelogram of two projected axes [px²]."""
     return half[i, 0] * half[j, 1] - half[j, 0] * half[i, 1]
 
 
-@_compiled
+@compiled_fused
 @no_type_check
 def rotation_axes(q, axes):
     """Rotation matrix of a unit quaternion; its columns are the Gaussian's axes."""
@@ -128,7 +126,7 @@ def rotation_axes(q, axes):
     axes[2, 2] = _ONE - _TWO * (x * x + y * y)
 
 
-@_compiled
+@compiled_fused
 @no_type_check
 def _turned_back(now, rest, dx, dy, dz):
     """A direction as the Gaussian sees it, had it not turned: by the inverse of now · rest⁻¹."""
@@ -140,7 +138,7 @@ def _turned_back(now, rest, dx, dy, dz):
     return dx + w * cx + y * cz - z * cy, dy + w * cy + z * cx - x * cz, dz + w * cz + x * cy - y * cx
 
 
-@_compiled
+@compiled_fused
 @no_type_check
 def list_tiles(nearest_first, bounds, columns, place, order, write):
     """Count, or list, each Gaussian in the tiles that its bounds touch."""
@@ -154,7 +152,7 @@ def list_tiles(nearest_first, bounds, columns, place, order, write):
                 place[tile] += 1
 
 
-@_compiled
+@compiled_fused
 @no_type_check
 def blend(first, end, ellipses, bounds, order, starts, picture):
     """Front to back, tile by tile: picture holds colour, depth and what is left of the light."""
@@ -179,7 +177,7 @@ def blend(first, end, ellipses, bounds, order, starts, picture):
                     picture[top + row, left + column, c] = b[c * _SIZE + row * TILE + column]
 
 
-@_compiled
+@compiled_fused
 @no_type_check
 def _blend_one(e, left, top, from_row, to_row, b):
     across, down, half_a, cross, half_c = left - e[0], top - e[1], _HALF * e[2], e[3], _HALF * e[4]
@@ -207,7 +205,7 @@ def _blend_one(e, left, top, from_row, to_row, b):
             b[_LIGHT + start + j] -= shown
 
 
-@_compiled
+@compiled_fused
 @no_type_check
 def _is_opaque(b):
     most = np.float32(0)

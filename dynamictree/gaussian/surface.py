@@ -15,7 +15,7 @@ from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.gaussian.rotation import quaternion_matrices
 from dynamictree.mesh import TriangleMesh
-from dynamictree.render.kernel import compiled, in_bands
+from dynamictree.parallel import compiled, in_bands
 
 CELLS_ALONG = 256
 """Grid cells along the largest extent: two a voxel of the paper's 128³ grid."""

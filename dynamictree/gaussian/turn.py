@@ -2,12 +2,11 @@
 
 from typing import no_type_check
 
-import numba
 import numpy as np
 from jaxtyping import Float32
 
 from dynamictree.gaussian.harmonics import SH_CONSTANTS, sample_directions, sample_inverse
-from dynamictree.render.kernel import in_bands
+from dynamictree.parallel import compiled_fused, in_bands
 
 _SH = tuple(np.float32(constant) for constant in SH_CONSTANTS)
 _TWO, _THREE, _FOUR = np.float32(2), np.float32(3), np.float32(4)
@@ -50,10 +49,7 @@ def _inverses() -> Float32[np.ndarray, "3 7 7"]:
     return padded
 
 
-_compiled = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
-
-
-@_compiled
+@compiled_fused
 @no_type_check
 def harmonic_values(degree, x, y, z, values):
     """Y_h at one direction, to and with a degree; the twin of `harmonics.harmonics`."""
@@ -77,7 +73,7 @@ def harmonic_values(degree, x, y, z, values):
         )
 
 
-@_compiled
+@compiled_fused
 @no_type_check
 def _turn_one(sh, qw, qx, qy, qz, degree, directions, inverses, values, y, turned):
     """One Gaussian's coefficients above degree 0, for the quaternion w, x, y, z of its turn."""
@@ -109,7 +105,7 @@ def _turn_one(sh, qw, qx, qy, qz, degree, directions, inverses, values, y, turne
             turned[start + h, 0], turned[start + h, 1], turned[start + h, 2] = red, green, blue
 
 
-@_compiled
+@compiled_fused
 @no_type_check
 def _turn(first, end, sh, quaternions, degree, directions, inverses, turned):
     values, y = np.empty((7, 3), np.float32), np.empty(16, np.float32)
@@ -119,7 +115,7 @@ def _turn(first, end, sh, quaternions, degree, directions, inverses, turned):
         _turn_one(sh[g], w, x, y_, z, degree, directions, inverses, values, y, turned[g])
 
 
-@_compiled
+@compiled_fused
 @no_type_check
 def _turn_rows(first, end, sh, rest, now, degree, directions, inverses, rows):
     values, y, turned = np.empty((7, 3), np.float32), np.empty(16, np.float32), np.empty((16, 3), np.float32)

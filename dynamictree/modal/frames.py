@@ -2,12 +2,11 @@
 
 from typing import no_type_check
 
-import numba
 import numpy as np
 from jaxtyping import Complex128, Float32, Int32
 
 from dynamictree.modal.system import ModalSystem
-from dynamictree.render.kernel import compiled, in_bands
+from dynamictree.parallel import compiled, compiled_reordered, in_bands
 
 
 class VertexFrames:
@@ -45,7 +44,7 @@ class VertexFrames:
         return moved
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
+@compiled_reordered
 @no_type_check
 def _superpose(first, end, shapes, coordinates, reach, voxels):
     for v in range(first, end):

@@ -8,6 +8,7 @@ each against what the others leave. Stiffer than the motion: leaves that flutter
 import numpy as np
 from jaxtyping import Complex64, Float32, Float64
 
+from dynamictree.devoxelize.smooth import smooth
 from dynamictree.errors import InputError
 from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.skeleton import bones_of
@@ -15,7 +16,6 @@ from dynamictree.modal.surface import attach_mesh
 from dynamictree.modal.system import modal_system
 from dynamictree.skin import JOINTS_PER_VERTEX, Skin, SkinSummary
 from dynamictree.spectrum import SparseVoxelSpectrum, iter_motion
-from dynamictree.voxel import devoxelize
 
 ROUNDS = 2  # a third gains less than a hundredth of the error
 FITTED_VERTICES = 40_000  # of a larger mesh, evenly chosen; all count in the error that is told
@@ -33,7 +33,7 @@ def skin_of(
     bones = bones_of(modal_system(spectrum))
     if len(bones.parent) < 2:
         raise InputError("no skeleton was found: the tree moves as one piece; ask for glb instead of glb-skinned")
-    ties = devoxelize.smooth(spectrum.grid, mesh)
+    ties = smooth(spectrum.grid, mesh)
     tied = attach_mesh(bones, mesh, rows=ties.rows, weights=ties.weights, voxel_size_m=spectrum.grid.voxel_size_m)
     weights = tied.weights[:, :JOINTS_PER_VERTEX]  # the strongest come first
     weights = weights / weights.sum(axis=1, keepdims=True)

@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Complex128, Float32, Int32
 
 from dynamictree.modal.skeleton import Bones
-from dynamictree.render.kernel import compiled, in_bands
+from dynamictree.parallel import compiled, in_bands
 
 
 @dataclass(frozen=True, kw_only=True)

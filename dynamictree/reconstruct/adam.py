@@ -6,7 +6,7 @@ from typing import NamedTuple, no_type_check
 import numpy as np
 from jaxtyping import Bool, Float32, Int64
 
-from dynamictree.render.kernel import compiled, in_bands
+from dynamictree.parallel import compiled, in_bands
 
 _BETA_1, _BETA_2, _EPSILON = np.float32(0.9), np.float32(0.999), np.float32(1e-15)  # Kerbl et al. 2023's
 _ONE = np.float32(1)

@@ -10,8 +10,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from skimage.measure import marching_cubes
 
+from dynamictree.parallel import compiled, in_bands
 from dynamictree.reconstruct.stereo import StereoView
-from dynamictree.render.kernel import compiled, in_bands
 
 _SPECK_FACES = 24  # a piece of fewer is noise
 _TRUNCATION = 3.0  # voxels on both sides of a surface

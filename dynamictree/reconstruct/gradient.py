@@ -10,9 +10,9 @@ from jaxtyping import Float32, Int32, Int64
 
 from dynamictree.gaussian.rasterize import tile_lists
 from dynamictree.gaussian.rasterize_kernel import WIDEST, blend, project
+from dynamictree.parallel import in_bands
 from dynamictree.reconstruct.backward_kernel import ENTRY, blend_back, gather, project_back
 from dynamictree.render.camera import Camera
-from dynamictree.render.kernel import in_bands
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,7 +6,7 @@ import numba
 import numpy as np
 from jaxtyping import Float32
 
-from dynamictree.render.kernel import in_bands
+from dynamictree.parallel import in_bands
 
 SSIM_SHARE = 0.2  # λ of Kerbl et al.
 _RADIUS, _SIGMA = 5, 1.5  # Wang et al. 2004

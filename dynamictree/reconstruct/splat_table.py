@@ -7,8 +7,8 @@ from jaxtyping import Float32
 
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.harmonics import SH_0
+from dynamictree.parallel import compiled
 from dynamictree.reconstruct.gradient import Shapes
-from dynamictree.render.kernel import compiled
 
 MEAN, QUATERNION, LOG_SCALE, LOGIT = slice(0, 3), slice(3, 7), slice(7, 10), 10
 COLOR, REST = slice(11, 14), 14

@@ -10,7 +10,7 @@ from typing import NamedTuple, no_type_check
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int32, Int64
 
-from dynamictree.render.kernel import compiled, in_bands
+from dynamictree.parallel import compiled, in_bands
 
 _NUM_NEIGHBOURS = 4
 _PATCH_REACH, _PATCH_STEP = 4, 2  # pixels: 25 samples in a square of 9

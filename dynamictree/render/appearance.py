@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from dynamictree.color import linear_from_bytes
 from dynamictree.errors import FormatError
 from dynamictree.mesh import Material, TriangleMesh
-from dynamictree.render.kernel import compiled
+from dynamictree.parallel import compiled
 
 _TEXTURE_SIDE_PX = 1024  # larger textures are reduced: more than a picture of this renderer shows
 _MAX_TEXTURE_PIXELS = 64_000_000

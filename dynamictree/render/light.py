@@ -10,8 +10,8 @@ from typing import NamedTuple, no_type_check
 import numpy as np
 from jaxtyping import Float32, Float64, Int32
 
+from dynamictree.parallel import compiled, in_bands
 from dynamictree.render.appearance import Appearance
-from dynamictree.render.kernel import compiled, in_bands
 from dynamictree.render.raster import rasterise, screen_triangles
 
 _SUN_MAP = 768  # texels a side

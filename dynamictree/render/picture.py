@@ -2,18 +2,17 @@
 
 from dataclasses import dataclass
 from io import BytesIO
-from typing import NamedTuple
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 from jaxtyping import Float32, Float64, Int32, UInt8
 from PIL import Image
 
 from dynamictree.errors import InputError
-from dynamictree.formats.stream import ByteWriter
 from dynamictree.mesh import TriangleMesh, validate_mesh
+from dynamictree.parallel import in_bands
 from dynamictree.render.appearance import appearance_of
 from dynamictree.render.camera import Camera
-from dynamictree.render.kernel import in_bands
 from dynamictree.render.light import BARE_SUN, OPEN_SKY, SkyVolume, SunMap, sky_volume, sun_map
 from dynamictree.render.raster import ScreenTriangles, Visible, rasterise, screen_triangles
 from dynamictree.render.shade import Scene, View, shade_rows, vertex_normals
@@ -148,7 +147,7 @@ def render_mesh(
     return Renderer(mesh, look).picture(camera=camera)
 
 
-def write_png(image: UInt8[np.ndarray, "H W 3"], stream: ByteWriter) -> None:
+def write_png(image: UInt8[np.ndarray, "H W 3"], stream: BinaryIO) -> None:
     """Write a picture as PNG."""
     content = BytesIO()
     Image.fromarray(image).save(content, format="PNG", compress_level=6)

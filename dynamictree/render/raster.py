@@ -10,8 +10,8 @@ from typing import NamedTuple, no_type_check
 import numpy as np
 from jaxtyping import Float32, Float64, Int32
 
+from dynamictree.parallel import compiled, in_bands
 from dynamictree.render.appearance import Appearance, alpha_at
-from dynamictree.render.kernel import compiled, in_bands
 
 _WIDE = 6  # columns from which on it pays to compute where a row enters and leaves a triangle
 

@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Float64, Int32
 
 from dynamictree.color import srgb_of
+from dynamictree.parallel import compiled
 from dynamictree.render.appearance import Appearance, albedo_at
-from dynamictree.render.kernel import compiled
 from dynamictree.render.light import MAX_LOOKS, SkyVolume, SunMap, sky_share, sun_share
 
 # linear light: the whole is about 1 on a level white surface

@@ -5,6 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from dynamictree.dataset.sample import make_sample, voxel_spectrum
+from dynamictree.devoxelize.smooth import smooth
 from dynamictree.mesh import TriangleMesh, edges_of
 from dynamictree.modal.force import Drag, compliance, contact_at_voxel, equilibrium, generalised_force
 from dynamictree.modal.skeleton import bones_of
@@ -12,7 +13,6 @@ from dynamictree.modal.surface import attach_mesh
 from dynamictree.modal.system import displacement, modal_system
 from dynamictree.modal.warp import bend, bone_turns, bone_weights, pose
 from dynamictree.spectrum import SparseVoxelSpectrum
-from dynamictree.voxel.devoxelize import smooth
 from dynamictree.voxel.voxelize import voxelize
 from tests.modal.trees import VOXEL_M, fork
 

@@ -1,13 +1,13 @@
-"""The smoothest motion of a surface whose mean in every voxel is near the voxel's own.
+"""Least-squares fit of a smooth motion of the surface to values at voxels.
 
-Minimised over the vertices' values x is
+The fit minimises, over the values x at the vertices,
 
     Σ_v |mean of x over the surface in v - c_v|²  +  λ Σ_ij (h / l_ij)² |x_i - x_j|²
 
 with v the voxels, of edge h, and ij the edges of the mesh, of length l_ij. A part of the mesh that is not larger than a
-few voxels, such as a leaf card, is tied to the point of a larger part that lies nearest, as if by an edge. A thin ring
-of vertices so moves as one, values along a twig are interpolated, and what only passes close by has no part in it, even
-where it lies in the same voxel.
+few voxels, such as a leaf card, is connected to the nearest point of a larger part, as if by an edge. So a thin ring of
+vertices moves as one, values along a twig are interpolated, and surface that only passes close by has no influence,
+even where it lies in the same voxel.
 """
 
 from dataclasses import dataclass
@@ -27,13 +27,13 @@ SMOOTHNESS = 0.03
 """λ, chosen on Sapling's and our own trees at 128³ (docs/decisions/core.md): less follows noise, more drags."""
 
 MAX_NODES = 40_000
-"""Vertices that are solved for one by one; larger meshes are solved for on clusters, finer than the voxels."""
+"""Largest number of unknowns. Larger meshes are solved on clusters of vertices, which are smaller than a voxel."""
 
 SMALL_PART_VOXELS = 3.0
-"""Largest extent of a part that hangs on another instead of standing for itself."""
+"""Largest extent of a part that is connected to another part instead of moving by itself, in voxels."""
 
-_SHORTEST_EDGE = 0.01  # in voxels; shorter ones tie no harder
-_SHORTEST_BRIDGE = 0.1  # in voxels: what only touches is tied less hard than what is one piece
+_SHORTEST_EDGE = 0.01  # in voxels; shorter edges are no stiffer
+_SHORTEST_BRIDGE = 0.1  # in voxels: parts that only touch are connected less stiffly than one piece
 _CELL = 1 / 3  # in voxels: size of a cluster
 _JACOBI = 2 / 3  # damping that smooths best (Trottenberg, Oosterlee and Schüller, Multigrid, section 2.1)
 _ANCHOR = 1e-8  # keeps the system definite where a part is in no voxel of its own
@@ -41,7 +41,7 @@ _ANCHOR = 1e-8  # keeps the system definite where a part is in no voxel of its o
 
 @dataclass(frozen=True, kw_only=True)
 class SurfaceFit:
-    """The system's factors: made once for a mesh and a grid, solved for any values."""
+    """The factorised system of one mesh and grid, which solves for any values."""
 
     average: scipy.sparse.csr_array  # [V, nodes]
     factor: scipy.sparse.linalg.SuperLU
@@ -87,7 +87,7 @@ def _edge_ties(
 
 
 def _bridges(mesh: TriangleMesh, grid: VoxelGrid, part: Int32[np.ndarray, " N"]) -> scipy.sparse.csr_array:
-    """Rows (x of a small part's nearest vertex - x of the larger part's surface there), times h over the gap [B, N]."""
+    """Rows that connect each small part to the nearest surface of a larger part, with weight h over the gap [B, N]."""
     small = _small_parts(mesh, part, SMALL_PART_VOXELS * grid.voxel_size_m)
     seeking = np.flatnonzero(small[part])
     if small.all() or len(seeking) == 0:
@@ -96,7 +96,7 @@ def _bridges(mesh: TriangleMesh, grid: VoxelGrid, part: Int32[np.ndarray, " N"])
     large = np.flatnonzero(~small[part[mesh.faces[pieces.faces, 0]]])
     corners = mesh.faces[pieces.faces[large]]  # [P, 3]
     places = np.einsum("pi,pic->pc", pieces.centroids[large], mesh.vertices[corners])
-    gap, nearest = (np.asarray(found) for found in cKDTree(places).query(mesh.vertices[seeking]))
+    gap, nearest = (np.asarray(column) for column in cKDTree(places).query(mesh.vertices[seeking]))
     order = np.lexsort((gap, part[seeking]))
     first = order[np.unique(part[seeking][order], return_index=True)[1]]  # each part's shortest gap
     piece = nearest[first]
@@ -119,7 +119,7 @@ def _small_parts(mesh: TriangleMesh, part: Int32[np.ndarray, " N"], size_m: floa
 def _clusters(
     mesh: TriangleMesh, grid: VoxelGrid, stiffness: scipy.sparse.csr_array, part: Int32[np.ndarray, " N"]
 ) -> scipy.sparse.csr_array:
-    """Each vertex' shares of clusters of near vertices of one part [N, nodes]: smoothed aggregation (Vaněk 1996)."""
+    """Weights of each vertex in clusters of near vertices of one part [N, nodes]: smoothed aggregation (Vaněk 1996)."""
     cells = np.floor((mesh.vertices - np.asarray(grid.origin_m)) / (_CELL * grid.voxel_size_m)).astype(np.int64)
     cluster = np.unique(np.column_stack([cells, part]), axis=0, return_inverse=True)[1].ravel()
     member = scipy.sparse.csr_array(

@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dynamictree.devoxelize import surface_fit
+from dynamictree.devoxelize.nearest import nearest
+from dynamictree.devoxelize.smooth import smooth
 from dynamictree.errors import InputError
 from dynamictree.mesh import TriangleMesh, edges_of
 from dynamictree.spectrum import from_motion, to_motion
-from dynamictree.voxel import fit
-from dynamictree.voxel.devoxelize import nearest, smooth
 from dynamictree.voxel.voxelize import surface_average, voxelize
 
 
@@ -43,7 +44,7 @@ def two_close_twigs() -> tuple[TriangleMesh, np.ndarray]:
     return merged(trunk, tube([0.15, 0.00, 5], [3, 0.00, 6], 0.01), tube([0.15, 0.04, 5], [3, 0.04, 6], 0.01))
 
 
-def bending(mesh: TriangleMesh, moving: np.ndarray) -> np.ndarray:
+def bending_motion(mesh: TriangleMesh, moving: np.ndarray) -> np.ndarray:
     """Twigs bend sideways like rods, their tips by 0.2 m; the rest stands still."""
     along = np.array([2.85, 0, 1]) / np.linalg.norm([2.85, 0, 1])
     offset = mesh.vertices - np.array([0.15, 0, 5])
@@ -80,7 +81,7 @@ def stretch(mesh: TriangleMesh, displacement: np.ndarray) -> np.ndarray:
 
 def test_a_twig_does_not_drag_another_that_passes_close_by() -> None:
     mesh, owner = two_close_twigs()
-    motion = bending(mesh, owner == 1)
+    motion = bending_motion(mesh, owner == 1)
     dragged = {how: size_of(through_voxels(mesh, motion, how)[:, owner == 2]) for how in ("nearest", "smooth")}
     whole = size_of(motion[:, owner == 1])
     assert dragged["nearest"] > 0.3 * whole  # the voxels alone cannot tell the two apart
@@ -89,7 +90,7 @@ def test_a_twig_does_not_drag_another_that_passes_close_by() -> None:
 
 def test_a_bent_twig_is_not_torn() -> None:
     mesh, owner = two_close_twigs()
-    motion = bending(mesh, owner > 0)
+    motion = bending_motion(mesh, owner > 0)
     assert np.percentile(stretch(mesh, motion), 99) < 0.02
     found = {how: np.percentile(stretch(mesh, through_voxels(mesh, motion, how)), 99) for how in ("nearest", "smooth")}
     assert found["smooth"] < 0.03
@@ -109,7 +110,7 @@ def test_the_mean_over_the_surface_in_a_voxel_comes_back() -> None:
 
 @pytest.mark.parametrize("max_nodes", [10, 40_000])
 def test_the_same_motion_everywhere_stays_the_same_everywhere(monkeypatch: pytest.MonkeyPatch, max_nodes: int) -> None:
-    monkeypatch.setattr(fit, "MAX_NODES", max_nodes)
+    monkeypatch.setattr(surface_fit, "MAX_NODES", max_nodes)
     mesh, _ = two_close_twigs()
     grid = voxelize(mesh, 128).grid
     values = np.tile(np.array([[1.5 + 2j, -3]], np.complex64), (len(grid), 1))
@@ -121,9 +122,9 @@ def test_the_same_motion_everywhere_stays_the_same_everywhere(monkeypatch: pytes
 
 def test_clusters_of_vertices_give_what_single_vertices_give(monkeypatch: pytest.MonkeyPatch) -> None:
     mesh, owner = two_close_twigs()
-    motion = bending(mesh, owner == 1)
+    motion = bending_motion(mesh, owner == 1)
     one_by_one = through_voxels(mesh, motion, "smooth")
-    monkeypatch.setattr(fit, "MAX_NODES", 10)
+    monkeypatch.setattr(surface_fit, "MAX_NODES", 10)
     assert size_of(through_voxels(mesh, motion, "smooth") - one_by_one) < 0.1 * size_of(one_by_one)
 
 
@@ -136,7 +137,7 @@ def test_a_leaf_card_follows_the_twig_that_it_hangs_on() -> None:
     )
     leafy, part = merged(replace(mesh), card)
     owner = np.concatenate([owner, np.full(4, 1)])
-    motion = bending(leafy, owner == 1)
+    motion = bending_motion(leafy, owner == 1)
     found = through_voxels(leafy, motion, "smooth")
     assert size_of(found[:, part == 1] - motion[:, part == 1]) < 0.2 * size_of(motion[:, part == 1])
 

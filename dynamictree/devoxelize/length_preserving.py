@@ -1,14 +1,14 @@
-"""Vertex motion that bends but hardly stretches: what a generated spectrum needs after devoxelisation.
+"""Length-preserving devoxelization: removes the stretch of edges from a motion, and preserves its bending.
 
-Neighbouring voxels of a generated spectrum differ by noise, and a short edge between them would stretch. Minimised over
-the vertices' motion x(t), with x⁰(t) as it was, is the mean over the loop of
+Neighbouring voxels of a generated spectrum differ by noise, and a short edge between them would stretch. This minimises
+over the vertices' motion x(t), with x⁰(t) the motion before, the mean over the loop of
 
     Σ_i w_i |x_i - x⁰_i|²  +  Σ_ij (μ max(1, h / l_ij)² (|e_ij + x_i - x_j| - l_ij)² + ν (h / l_ij)² |x_i - x_j|²)
 
-with h the voxels' edge, e_ij an edge at rest and l_ij its length: elongation costs much, turning little. What moves
-little is known as well, over its size, as what moves far: w_i is the mean size of the motion over that of x⁰_i. By
-Gauss and Newton: first for the mean pose alone (k = 0), then for all frequencies, linear along the edges of the mean
-pose.
+with h the edge of a voxel, e_ij an edge at rest and l_ij its length: elongation costs much, turning little. Small
+motions are fitted to the same relative accuracy as large ones: w_i is the mean size of the motion over that of x⁰_i.
+Solved by Gauss-Newton steps: first for the mean pose alone (k = 0), then for all frequencies, linearised along the
+edges of the mean pose.
 """
 
 from dataclasses import dataclass
@@ -17,29 +17,30 @@ import numpy as np
 import scipy.sparse
 from jaxtyping import Complex64, Float32, Float64, Int32
 
+from dynamictree.devoxelize.interpolation import VoxelInterpolation
+from dynamictree.devoxelize.smooth import smooth
 from dynamictree.mesh import TriangleMesh, edges_of, weld
-from dynamictree.voxel.devoxelize import VoxelInterpolation, smooth
 from dynamictree.voxel.grid import VoxelGrid
 
 ELONGATION = 30.0
 """μ, see docs/decisions/core.md."""
 TURNING = 0.1
-"""ν: keeps short edges from spinning."""
+"""ν: prevents short edges from spinning."""
 
 _LARGEST_WEIGHT = 100.0
-_ROUNDS = 3  # of Gauss and Newton
-_SHARES = (1.0, 0.5)  # of a round's step that are tried: the harmonics of large turns make whole ones overshoot
+_ROUNDS = 3  # Gauss-Newton steps
+_STEP_LENGTHS = (1.0, 0.5)  # tried in this order: the harmonics of large rotations make whole steps overshoot
 _CG_STEPS = 60
 _CG_VERTICES = 40_000  # larger meshes get fewer steps: their edges are shorter, and stretch is more local
 _MIN_CG_STEPS = 12
-_SHORTEST_EDGE = 0.01  # in voxels; shorter ones hold no harder
+_SHORTEST_EDGE = 0.01  # in voxels; shorter edges are no stiffer
 _FRAMES_PER_BIN = 4  # elongation has twice the motion's bandwidth
 _EDGES_AT_ONCE = 50_000
 
 
 @dataclass(frozen=True, kw_only=True)
-class BendingMotion:
-    """From a spectrum of voxels to the motion of a mesh's vertices; prepared once for any spectra."""
+class LengthPreservingInterpolation:
+    """Smooth interpolation followed by `preserve_lengths`; prepared once per mesh, applied to any spectra."""
 
     mesh: TriangleMesh
     interpolation: VoxelInterpolation
@@ -47,20 +48,20 @@ class BendingMotion:
 
     def apply(self, coefficients: Complex64[np.ndarray, "V K 3"]) -> Complex64[np.ndarray, "N K 3"]:
         """Spectra at voxels to spectra at vertices [m]."""
-        return hold_lengths(self.mesh, self.interpolation.apply(coefficients), self.voxel_size_m)
+        return preserve_lengths(self.mesh, self.interpolation.apply(coefficients), self.voxel_size_m)
 
 
-def bending(grid: VoxelGrid, mesh: TriangleMesh) -> BendingMotion:
-    """Dev(.) of paper eq. 1 as we use it: `smooth`, then `hold_lengths`."""
-    return BendingMotion(mesh=mesh, interpolation=smooth(grid, mesh), voxel_size_m=grid.voxel_size_m)
+def length_preserving(grid: VoxelGrid, mesh: TriangleMesh) -> LengthPreservingInterpolation:
+    """Prepare the devoxelization that products use: `smooth`, then `preserve_lengths`. Dev(·) of paper eq. 1."""
+    return LengthPreservingInterpolation(mesh=mesh, interpolation=smooth(grid, mesh), voxel_size_m=grid.voxel_size_m)
 
 
-def hold_lengths(
+def preserve_lengths(
     mesh: TriangleMesh, coefficients: Complex64[np.ndarray, "N K 3"], voxel_size_m: float
 ) -> Complex64[np.ndarray, "N K 3"]:
-    """Take stretch off a motion of the mesh's vertices [m]; what is at one place moves as one.
+    """Remove the stretch of edges from a motion of the mesh's vertices [m]. Vertices at one position move as one.
 
-    The solver takes a fixed number of steps, so the same input gives the same bits.
+    The solver takes a fixed number of steps, so that the same input gives the same bits.
     """
     welded, vertex = weld(mesh)
     first = np.unique(vertex, return_index=True)[1]
@@ -69,21 +70,21 @@ def hold_lengths(
     steps = max(_MIN_CG_STEPS, min(_CG_STEPS, _CG_STEPS * _CG_VERTICES // len(first)))
 
     mean = np.ascontiguousarray(motion[:, :, :1])
-    pose = _held(net, mean, mean, steps)
-    held = _held(net, np.concatenate([pose, motion[:, :, 1:]], axis=2), motion, steps)
-    return np.ascontiguousarray(held.transpose(0, 2, 1)[vertex])
+    pose = _without_stretch(net, mean, mean, steps)
+    preserved = _without_stretch(net, np.concatenate([pose, motion[:, :, 1:]], axis=2), motion, steps)
+    return np.ascontiguousarray(preserved.transpose(0, 2, 1)[vertex])
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Net:
-    """The edges of a mesh as springs, and what holds its vertices where they are wanted."""
+    """Edges of a mesh as springs, with the weight that draws each vertex to its target."""
 
     edges: Int32[np.ndarray, "E 2"]
     across: Float32[np.ndarray, "E 3"]  # at rest [m]
     length: Float32[np.ndarray, " E"]  # at rest [m]
     scale: Float32[np.ndarray, " E"]  # max(1, h / l)
     weight: Float32[np.ndarray, "M 1"]  # w, three times
-    turning: scipy.sparse.csr_array  # [3n, 3n] the part of the system that no pose changes
+    turning: scipy.sparse.csr_array  # [3n, 3n] the part of the system that does not depend on the pose
 
     def strain(self, pose: Complex64[np.ndarray, "n 3 1"]) -> scipy.sparse.csr_array:
         """Elongation of each edge along its direction in a pose, times `scale`, by displacement [E, 3n]."""
@@ -95,18 +96,18 @@ class _Net:
         shape = (len(across), self.turning.shape[0])
         return scipy.sparse.csr_array((values.ravel(), columns.ravel(), ends), shape=shape)
 
-    def missing(self, motion: Complex64[np.ndarray, "n 3 K"]) -> Complex64[np.ndarray, "E K"]:
-        """What each edge is too short, times `scale`, over the loop."""
+    def shortening(self, motion: Complex64[np.ndarray, "n 3 K"]) -> Complex64[np.ndarray, "E K"]:
+        """How much too short each edge is, times `scale`, as a spectrum over the loop."""
         num_frequencies = motion.shape[2]
-        lacking = np.empty((len(self.edges), num_frequencies), np.complex64)
+        shortness = np.empty((len(self.edges), num_frequencies), np.complex64)
         for start in range(0, len(self.edges), _EDGES_AT_ONCE):
             some = slice(start, start + _EDGES_AT_ONCE)
             relative = motion[self.edges[some, 0]] - motion[self.edges[some, 1]]
             frames = np.fft.irfft(relative, n=_FRAMES_PER_BIN * num_frequencies, axis=2, norm="forward")
             length = np.linalg.norm(frames + self.across[some, :, None], axis=1)
             short = self.scale[some, None] * (self.length[some, None] - length)
-            lacking[some] = np.fft.rfft(short, axis=1, norm="forward")[:, :num_frequencies]
-        return lacking
+            shortness[some] = np.fft.rfft(short, axis=1, norm="forward")[:, :num_frequencies]
+        return shortness
 
 
 def _weights(motion: Complex64[np.ndarray, "n 3 K"]) -> Float32[np.ndarray, " n"]:
@@ -137,26 +138,26 @@ def _net(mesh: TriangleMesh, voxel_size_m: float, weights: Float32[np.ndarray, "
     )
 
 
-def _held(
-    net: _Net, motion: Complex64[np.ndarray, "n 3 K"], wanted: Complex64[np.ndarray, "n 3 K"], steps: int
+def _without_stretch(
+    net: _Net, motion: Complex64[np.ndarray, "n 3 K"], target: Complex64[np.ndarray, "n 3 K"], steps: int
 ) -> Complex64[np.ndarray, "n 3 K"]:
-    """Rounds from `motion` towards the motion nearest to the wanted one, as long as each takes off elongation."""
-    missing = net.missing(motion)
+    """Take Gauss-Newton steps from `motion` as long as each reduces elongation; `target` is the motion to stay near."""
+    shortness = net.shortening(motion)
     for _ in range(_ROUNDS):
         strain = net.strain(motion[:, :, :1])
         system = (net.turning + ELONGATION * (strain.T @ strain)).tocsr()
         now = motion.view(np.float32).reshape(3 * len(motion), -1)  # [3n, 2K]
-        pull = strain @ now + missing.view(np.float32)
-        right = net.weight * wanted.view(np.float32).reshape(now.shape) + ELONGATION * (strain.T @ pull)
+        pull = strain @ now + shortness.view(np.float32)
+        right = net.weight * target.view(np.float32).reshape(now.shape) + ELONGATION * (strain.T @ pull)
         step = _conjugate_gradients(system, right, now, steps) - now
-        for share in _SHARES:
-            tried = np.ascontiguousarray(now + np.float32(share) * step).view(np.complex64).reshape(motion.shape)
-            left = net.missing(tried)
-            if np.linalg.norm(left) < np.linalg.norm(missing):
+        for step_length in _STEP_LENGTHS:
+            tried = np.ascontiguousarray(now + np.float32(step_length) * step).view(np.complex64).reshape(motion.shape)
+            left = net.shortening(tried)
+            if np.linalg.norm(left) < np.linalg.norm(shortness):
                 break
         else:
             break
-        motion, missing = tried, left
+        motion, shortness = tried, left
     return motion
 
 
