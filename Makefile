@@ -86,7 +86,7 @@ docs: $(READY)  ## the documentation's site, in site/ (links are checked, nothin
 	@$(BIN)/zensical build --strict
 
 live: $(READY)  ## client, recipes and the documents' own commands against a real service
-	@$(BIN)/python -m pytest -q tests/client tests/recipes tests/test_engine_products.py
+	@$(BIN)/python -m pytest -q tests/client tests/recipes tests/export/test_products_in_engines.py
 
 # Judges that are not ours, of GLB, OpenAPI and TypeScript; their tests are slow ones and skip without them.
 JS_TOOLS := .cache/js-tools

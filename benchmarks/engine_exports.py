@@ -8,8 +8,9 @@ import numpy as np
 
 from benchmarks._machine import machine
 from benchmarks._played import played_morphs, played_skin, played_usdz, played_vertex_texture
-from dynamictree import pipeline
+from dynamictree import method
 from dynamictree.dataset.sample import make_sample, voxel_spectrum
+from dynamictree.export.write import write_products
 from dynamictree.requests import ExportParams
 from dynamictree.spectrum import iter_motion
 
@@ -19,14 +20,14 @@ FORMATS = ("glb", "glb-reduced", "glb-skinned", "usd", "vat")
 def run() -> dict[str, object]:
     sample = make_sample(7, "round-broadleaf")
     _, spectrum = voxel_spectrum(sample)
-    coefficients = pipeline.vertex_spectrum(sample.mesh, spectrum)
+    coefficients = method.devoxelize(spectrum, sample.mesh)
     truth = np.stack(list(iter_motion(coefficients, np.arange(100) / 100)))
     found: dict[str, dict[str, float]] = {}
     with tempfile.TemporaryDirectory() as folder:
         for name in FORMATS:
             began = time.perf_counter()
             options = ExportParams(formats=(name,))
-            path = pipeline.animate(sample.mesh, spectrum, options, Path(folder))[name]
+            path = write_products(sample.mesh, spectrum, options, Path(folder))[name]
             seconds = time.perf_counter() - began
             gap = ((_played(name, path)[:100] - truth) ** 2).sum(axis=2)
             found[name] = {

@@ -42,7 +42,7 @@ def main(tree: Path) -> None:
 def _write_scan(tree: Path, scan: Path) -> None:
     import numpy as np
 
-    from dynamictree.pipeline import load_mesh
+    from dynamictree.commands.source import load_mesh
 
     np.savetxt(scan, load_mesh(tree).vertices, fmt="%.4f")
 

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from dynamictree import pipeline
+from dynamictree import method
+from dynamictree.commands.source import load_mesh
 from dynamictree.formats.gltf.forest import plant_forest, write_forest_glb
 from dynamictree.formats.tensors.spectrum import read_spectrum
 
@@ -22,7 +23,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--spacing", type=float, help="metres from tree to tree; by the crown's width if not given")
     parser.add_argument("--seed", type=int, default=0)
     chosen = parser.parse_args(arguments)
-    mesh = pipeline.load_mesh(chosen.mesh)
+    mesh = load_mesh(chosen.mesh)
     with chosen.spectrum.open("rb") as stream:
         spectrum = read_spectrum(stream)
     spacing_m = chosen.spacing or 0.9 * float(np.ptp(mesh.vertices[:, :2], axis=0).max())
@@ -31,7 +32,7 @@ def main(arguments: list[str] | None = None) -> None:
     with chosen.output.open("wb") as stream:
         write_forest_glb(
             mesh,
-            pipeline.vertex_spectrum(mesh, spectrum),
+            method.devoxelize(spectrum, mesh),
             trees,
             stream,
             num_frames=spectrum.num_frames,

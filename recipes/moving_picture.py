@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 from PIL import Image, ImageDraw
 
-from dynamictree import pipeline
+from dynamictree import method
 from dynamictree.dataset.sample import make_sample
 from dynamictree.devoxelize.smooth import smooth
 from dynamictree.mesh import TriangleMesh
@@ -39,7 +39,7 @@ MAX_BYTES = 3_000_000
 
 def main() -> None:
     mesh = make_sample(SEED, SPECIES).mesh
-    spectrum = pipeline.diffuse(pipeline.voxelize(mesh), seed=SEED, wind=WIND)
+    spectrum = method.generate(method.voxelize(mesh), seed=SEED, wind=WIND)
     system = modal_system(spectrum, damping_ratio=DAMPING_RATIO)
     camera = camera_of(mesh)
     voxel, displacement_m = branch_pull(system, camera.world_to_camera[0])
@@ -85,7 +85,7 @@ def branch_pull(system: ModalSystem, right: Float64[np.ndarray, "3"]) -> tuple[i
 
 def wind_frames(mesh: TriangleMesh, spectrum: SparseVoxelSpectrum) -> Iterator[Float32[np.ndarray, "N 3"]]:
     phases = np.arange(LOOPS * FRAMES_PER_LOOP) / FRAMES_PER_LOOP
-    return iter_motion(pipeline.vertex_spectrum(mesh, spectrum), phases, spectrum.num_frames)
+    return iter_motion(method.devoxelize(spectrum, mesh), phases, spectrum.num_frames)
 
 
 def pull_frames(

@@ -179,8 +179,8 @@ def format_bytes(body: JobRequest, asset: AssetRecord) -> dict[str, int]:
     if not isinstance(body.params, AnimateParams):
         return {}
     # numba comes with the products; loaded beside the first requests, not with this module
+    from dynamictree.formats.motion.splat_sequence import requested_bytes
     from dynamictree.spectrum import FPS, NUM_FRAMES
-    from dynamictree.splat_products import sequence_bytes
 
     num_frames = body.params.count_frames(NUM_FRAMES / FPS)
     if "splat-ply" not in _formats(body.params, asset) or asset.kind != "cloud":
@@ -188,4 +188,4 @@ def format_bytes(body: JobRequest, asset: AssetRecord) -> dict[str, int]:
     count, degree = asset.summary["num_gaussians"], asset.summary["sh_degree"]
     assert isinstance(count, int)
     assert isinstance(degree, int)
-    return {"splat-ply": sequence_bytes(count, degree, num_frames, body.params)}
+    return {"splat-ply": requested_bytes(count, degree, num_frames, body.params)}

@@ -12,8 +12,8 @@ from dynamictree.requests import Box
 from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.assets import read_asset
 from jobs.errors import ConflictError, GoneError, NotFoundError
-from jobs.products import MESH_BUNDLE, SPECTRUM
 from jobs.records import ArtifactRecord
+from jobs.stage_files import MESH_BUNDLE, SPECTRUM
 from service.http.problems import ProblemError
 from service.http.routing import is_id
 from service.services import Owned

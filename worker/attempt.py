@@ -18,8 +18,8 @@ from jobs.artifacts import hash_file
 from jobs.assets import read_asset
 from jobs.attempts import cached_stage, offer, publish_stage, start_stage, touch_blob
 from jobs.errors import FencedError
-from jobs.products import CLOUD_BUNDLE, MESH_BUNDLE, SPECTRUM, VOXELS, media_type
 from jobs.records import AssetRecord, JobRecord, OutputFile
+from jobs.stage_files import CLOUD_BUNDLE, MESH_BUNDLE, SPECTRUM, VOXELS
 from jobs.states import JOB_TYPES, JobType
 from worker.cancellation import HandedBack, Watch
 from worker.runtime import Runtime
@@ -197,6 +197,8 @@ def _from_cache(here: Runtime, watch: Watch, stage: JobType, key: str) -> tuple[
 def _keep(
     here: Runtime, paths: Iterable[Path], facts: Mapping[str, Mapping[str, int | float]]
 ) -> tuple[OutputFile, ...]:
+    from dynamictree.export.table import media_type  # with the stages, not at start
+
     made = []
     for path in paths:
         digest, size = hash_file(path)

@@ -76,8 +76,8 @@ def _model(request: ParseRequest) -> ParseAnswer:
 def _cloud(
     request: ParseRequest, name: str, file_type: str, mesh: str | None, beside: Mapping[str, Path]
 ) -> ParseAnswer:
-    from dynamictree.describe import describe_capture
     from dynamictree.formats.companions import beside_model
+    from dynamictree.formats.description import describe_capture
     from dynamictree.formats.source_file import read_capture
     from dynamictree.formats.suffixes import MASK_NAME
     from dynamictree.formats.tensors.cloud_bundle import write_cloud_bundle
@@ -102,8 +102,8 @@ def _cloud(
 
 
 def _mesh(request: ParseRequest, name: str, file_type: str, beside: Mapping[str, Path]) -> ParseAnswer:
-    from dynamictree.describe import describe_mesh
     from dynamictree.formats.companions import beside_model
+    from dynamictree.formats.description import describe_mesh
     from dynamictree.formats.mesh_file import read_mesh
     from dynamictree.formats.tensors.mesh_bundle import write_mesh_bundle
 

@@ -6,7 +6,10 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
-from dynamictree import pipeline
+from dynamictree import method
+from dynamictree.export.moving_tree import Facts
+from dynamictree.export.table import PRODUCTS
+from dynamictree.export.write import write_products
 from dynamictree.formats.mesh.ply_writer import write_ply
 from dynamictree.formats.suffixes import PHOTO_SUFFIXES
 from dynamictree.formats.tensors.cloud_bundle import read_cloud_bundle, write_cloud_bundle
@@ -15,10 +18,9 @@ from dynamictree.formats.tensors.spectrum import read_spectrum, write_spectrum
 from dynamictree.formats.tensors.voxels import read_voxels, write_voxels
 from dynamictree.gaussian.capture import Capture, carrying_mesh
 from dynamictree.mesh import TriangleMesh
-from dynamictree.products import FILE_NAMES, Facts
 from dynamictree.requests import CloudParams, ExportParams, GridParams, ReconstructParams, SpectrumParams
-from jobs.products import CLOUD_BUNDLE, MESH, MESH_BUNDLE, SPECTRUM, VOXELS
 from jobs.records import JobRecord
+from jobs.stage_files import CLOUD_BUNDLE, MESH, MESH_BUNDLE, SPECTRUM, VOXELS
 from jobs.states import JobType
 
 
@@ -39,16 +41,16 @@ def reconstruct(given: StageInput) -> Iterable[Path]:
     """Photos or a cloud to a mesh."""
     if CLOUD_BUNDLE in given.files:
         return _mesh_of_cloud(given)
+    from dynamictree.reconstruct.from_request import reconstruct_capture  # not at start: it is long
+
     params = ReconstructParams.part_of(given.job.params)
-    capture = pipeline.reconstruct(
+    capture = reconstruct_capture(
         given.photos,
         given.folder,
-        given.report,
+        params,
         root=_root(given.photos),
         kept=given.kept,
-        height_m=params.height_m,
-        splat_steps=params.splat_steps,
-        box_m=params.box_m,
+        on_progress=given.report,
     )
     assert capture.mesh is not None
     with (given.folder / MESH_BUNDLE).open("xb") as stream:
@@ -79,7 +81,7 @@ def _mesh_of_cloud(given: StageInput) -> Iterable[Path]:
 def voxelize(given: StageInput) -> Iterable[Path]:
     """Mesh to voxels."""
     given.report(0.0)
-    voxels = pipeline.voxelize(_mesh(given), resolution=GridParams.part_of(given.job.params).resolution)
+    voxels = method.voxelize(_mesh(given), resolution=GridParams.part_of(given.job.params).resolution)
     with (given.folder / VOXELS).open("xb") as stream:
         write_voxels(voxels, stream)
     return [given.folder / VOXELS]
@@ -91,9 +93,9 @@ def diffuse(given: StageInput) -> Iterable[Path]:
     with given.files[VOXELS].open("rb") as stream:
         voxels = read_voxels(stream)
     params = SpectrumParams.part_of(given.job.params)
-    spectrum = pipeline.diffuse(
+    spectrum = method.generate(
         voxels,
-        preset=given.job.preset,
+        model=given.job.preset,
         seed=given.job.seed,
         wind=params.wind,
         num_steps=params.num_steps,
@@ -109,7 +111,7 @@ def animate(given: StageInput) -> Iterable[Path]:
     given.report(0.0)
     with given.files[SPECTRUM].open("rb") as stream:
         spectrum = read_spectrum(stream)
-    made = pipeline.animate(
+    paths = write_products(
         _mesh(given),
         spectrum,
         ExportParams.part_of(given.job.params),
@@ -117,9 +119,9 @@ def animate(given: StageInput) -> Iterable[Path]:
         given.report,
         capture=_capture(given),
         box_m=CloudParams.part_of(given.job.params).box_m,
-        on_facts=lambda name, facts: given.facts.update({FILE_NAMES[name]: facts}),
+        on_facts=lambda name, facts: given.facts.update({PRODUCTS[name].file_name: facts}),
     )
-    return made.values()
+    return paths.values()
 
 
 STAGES: dict[JobType, Callable[[StageInput], Iterable[Path]]] = {

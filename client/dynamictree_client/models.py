@@ -404,6 +404,8 @@ class Limits(Model):
     mesh_formats: list[str]
     cloud_formats: list[str]
     photo_formats: list[str]
+    # what params.formats of an animate job may name
+    products: "list[Product]"
     max_json_bytes: int
     max_interact_bytes: int
     max_multipart_bytes: int
@@ -519,6 +521,20 @@ class Problem(Model):
     retryable: bool
     suggestion: str
     errors: "list[FieldError]"
+
+
+class Product(Model):
+    """One format that a motion can be written as."""
+
+    format: Literal[
+        "ply", "glb", "glb-reduced", "glb-skinned", "usd", "vat", "motion", "splat-ply", "splat", "png", "webp", "mp4"
+    ]
+    title: str
+    file_name: str
+    media_type: str
+    shows: Literal["mesh", "splat", "pictures"]
+    # parameters of an animate job that this file depends on
+    options: list[str]
 
 
 class Queue(Model):

@@ -8,13 +8,13 @@ import typer
 from dynamictree.commands.options import OutputFolder, SourcePath
 from dynamictree.commands.request_options import with_request_options
 from dynamictree.commands.source import read_source
+from dynamictree.commands.terminal import AsJson, progress, tell
 from dynamictree.files import published
 from dynamictree.requests import CloudParams, ExportParams, GeneratorGridParams, ModelParams, Reading, SpectrumParams
-from dynamictree.terminal import AsJson, progress, tell
 
 if TYPE_CHECKING:
+    from dynamictree.export.moving_tree import Facts
     from dynamictree.gaussian.capture import Capture
-    from dynamictree.products import Facts
 
 
 @with_request_options
@@ -37,20 +37,21 @@ def animate(
     as_json: AsJson = False,
 ) -> None:
     """Make a tree sway: mesh or splat → voxels → spectrum → motion files."""
-    from dynamictree import pipeline
+    from dynamictree import method
+    from dynamictree.export.table import PRODUCTS
+    from dynamictree.export.write import write_products
     from dynamictree.formats.tensors.spectrum import write_spectrum
-    from dynamictree.products import FILE_NAMES
 
     shape, capture = read_source(source, reading, box_m=cloud.box_m, mask=mask, beside=mesh)
     if capture is not None and not as_json:
         _print_sequence_size(capture, export)
     inexact: dict[str, Facts] = {}
     with progress(quiet=as_json) as report, published(output) as folder:
-        voxels = pipeline.voxelize(shape, resolution=grid.resolution)
+        voxels = method.voxelize(shape, resolution=grid.resolution)
         report("voxelize", 1.0)
-        spectrum = pipeline.diffuse(
+        spectrum = method.generate(
             voxels,
-            preset=model.preset,
+            model=model.preset,
             seed=model.seed,
             wind=generation.wind,
             num_steps=generation.num_steps,
@@ -58,7 +59,7 @@ def animate(
         )
         with (folder / "tree.spectrum.safetensors").open("wb") as stream:
             write_spectrum(spectrum, stream)
-        pipeline.animate(
+        write_products(
             shape,
             spectrum,
             export,
@@ -66,7 +67,7 @@ def animate(
             lambda done: report("animate", done),
             capture=capture,
             box_m=cloud.box_m,
-            on_facts=lambda name, facts: inexact.update({FILE_NAMES[name]: facts}),
+            on_facts=lambda name, facts: inexact.update({PRODUCTS[name].file_name: facts}),
         )
         names = sorted(path.name for path in folder.iterdir())
     result: dict[str, Any] = {"files": [str(output / name) for name in names], "num_voxels": len(spectrum.grid)}
@@ -77,12 +78,17 @@ def animate(
 
 def _print_sequence_size(capture: "Capture", export: ExportParams) -> None:
     """Print how large a sequence of splats will be, before it is written."""
+    from dynamictree.formats.motion.splat_sequence import requested_bytes
+    from dynamictree.gaussian.cloud import level_count
     from dynamictree.spectrum import FPS, NUM_FRAMES
-    from dynamictree.splat_products import describe_sequence
 
-    if "splat-ply" in (export.formats or ()):
-        size = describe_sequence(capture.cloud, export.count_frames(NUM_FRAMES / FPS), export)
-        typer.echo(f"splat-ply: {size}", err=True)
+    if "splat-ply" not in (export.formats or ()):
+        return
+    cloud, num_frames = capture.cloud, export.count_frames(NUM_FRAMES / FPS)
+    count, degree = level_count(cloud.num_gaussians, export.share), min(cloud.sh_degree, export.sh_degree)
+    megabytes = requested_bytes(cloud.num_gaussians, cloud.sh_degree, num_frames, export) / 1e6
+    size = f"{num_frames} frames of {count:,} Gaussians of SH degree {degree}: {megabytes:,.1f} MB"
+    typer.echo(f"splat-ply: {size}", err=True)
 
 
 def _error_line(name: str, facts: "Facts") -> str:

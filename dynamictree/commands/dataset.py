@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
+from dynamictree.commands.terminal import AsJson, tell
 from dynamictree.errors import InputError
-from dynamictree.terminal import AsJson, tell
 
 app = typer.Typer(
     no_args_is_help=True, help="4DTree: animated trees from seeds; generate, filter, sheet, stats, export."

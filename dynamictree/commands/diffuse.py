@@ -8,9 +8,9 @@ import typer
 from dynamictree.commands.options import OutputFile
 from dynamictree.commands.request_options import with_request_options
 from dynamictree.commands.source import is_tensor_file, read_source
+from dynamictree.commands.terminal import AsJson, progress, tell
 from dynamictree.files import opened, published
 from dynamictree.requests import CloudParams, GeneratorGridParams, ModelParams, Reading, SpectrumParams
-from dynamictree.terminal import AsJson, progress, tell
 
 
 @with_request_options
@@ -27,7 +27,7 @@ def diffuse(
     as_json: AsJson = False,
 ) -> None:
     """Generate the spectrum of a tree's motion from its shape (*.spectrum.safetensors)."""
-    from dynamictree import pipeline
+    from dynamictree import method
     from dynamictree.formats.tensors.spectrum import write_spectrum
     from dynamictree.formats.tensors.voxels import FORMAT, read_voxels
 
@@ -36,11 +36,11 @@ def diffuse(
             voxels = read_voxels(stream)
     else:
         mesh, _ = read_source(source, reading, box_m=cloud.box_m)
-        voxels = pipeline.voxelize(mesh, resolution=grid.resolution)
+        voxels = method.voxelize(mesh, resolution=grid.resolution)
     with progress(quiet=as_json) as report:
-        spectrum = pipeline.diffuse(
+        spectrum = method.generate(
             voxels,
-            preset=model.preset,
+            model=model.preset,
             seed=model.seed,
             wind=params.wind,
             num_steps=params.num_steps,

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from dynamictree.commands.terminal import AsJson
 from dynamictree.errors import InputError
-from dynamictree.terminal import AsJson
 from dynamictree.training.progress import OnStep, bars
 
 if TYPE_CHECKING:

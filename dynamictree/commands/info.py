@@ -6,10 +6,10 @@ from typing import Annotated
 import typer
 
 from dynamictree.commands.request_options import with_request_options
-from dynamictree.commands.source import is_cloud, is_tensor_file
+from dynamictree.commands.source import is_cloud, is_tensor_file, load_capture, load_mesh
+from dynamictree.commands.terminal import AsJson, tell
 from dynamictree.files import opened
 from dynamictree.requests import Reading
-from dynamictree.terminal import AsJson, tell
 
 
 @with_request_options
@@ -19,8 +19,7 @@ def info(
     as_json: AsJson = False,
 ) -> None:
     """Say what a file holds."""
-    from dynamictree import pipeline
-    from dynamictree.describe import describe_capture, describe_grid, describe_mesh, describe_spectrum
+    from dynamictree.formats.description import describe_capture, describe_grid, describe_mesh, describe_spectrum
     from dynamictree.formats.tensors import spectrum, voxels
 
     if is_tensor_file(source, spectrum.FORMAT, ".spectrum.safetensors"):
@@ -30,9 +29,9 @@ def info(
         with opened(source) as stream:
             facts = describe_grid(voxels.read_voxels(stream).grid)
     elif is_cloud(source):
-        facts = describe_capture(pipeline.load_capture(source, up_axis=reading.up_axis, unit_m=reading.unit_m))
+        facts = describe_capture(load_capture(source, up_axis=reading.up_axis, unit_m=reading.unit_m))
     else:
-        facts = describe_mesh(pipeline.load_mesh(source, up_axis=reading.up_axis, unit_m=reading.unit_m))
+        facts = describe_mesh(load_mesh(source, up_axis=reading.up_axis, unit_m=reading.unit_m))
     if not as_json:
         facts["warnings"] = [f"{entry['message']} ({entry['code']})" for entry in facts.get("warnings", [])] or ["none"]
     tell(facts, as_json=as_json)

@@ -8,10 +8,11 @@ import typer
 
 from dynamictree.commands.options import OutputFolder
 from dynamictree.commands.request_options import with_request_options
+from dynamictree.commands.source import load_mesh
+from dynamictree.commands.terminal import AsJson, tell
 from dynamictree.errors import InputError
 from dynamictree.files import opened, published
 from dynamictree.requests import Reading
-from dynamictree.terminal import AsJson, tell
 
 if TYPE_CHECKING:
     import numpy as np
@@ -72,7 +73,6 @@ def interact(
     as_json: AsJson = False,
 ) -> None:
     """Push a tree: spectrum + forces → modal coordinates, moving mesh."""
-    from dynamictree import pipeline
     from dynamictree.formats.tensors.spectrum import read_spectrum
     from dynamictree.modal.locality import default_falloff_m
     from dynamictree.modal.response import InteractiveTree, group_forces, respond
@@ -92,7 +92,7 @@ def interact(
         system, groups, dt_s=1 / fps, num_frames=frames, integrator=chosen, start="held" if held else "rest"
     )
     tree = InteractiveTree(system)
-    source = None if mesh is None else pipeline.load_mesh(mesh, up_axis=reading.up_axis, unit_m=reading.unit_m)
+    source = None if mesh is None else load_mesh(mesh, up_axis=reading.up_axis, unit_m=reading.unit_m)
     files = _write(tree, answer, source, output, wanted=wanted, fps=fps, warp=warp)
     facts = {
         "files": [str(path) for path in files],

@@ -10,11 +10,11 @@ import typer
 from dynamictree.commands.interruption import Interrupted, stopping_on_signals
 from dynamictree.commands.options import OutputFolder
 from dynamictree.commands.request_options import with_request_options
+from dynamictree.commands.terminal import AsJson, tell
 from dynamictree.errors import InputError
 from dynamictree.files import published
 from dynamictree.formats.suffixes import PHOTO_SUFFIXES
 from dynamictree.requests import PhotoParams
-from dynamictree.terminal import AsJson, tell
 
 
 @with_request_options

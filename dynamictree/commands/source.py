@@ -1,12 +1,13 @@
 """What the user names as the shape of a tree: a mesh, or a cloud and the mesh that carries it."""
 
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
 
 from dynamictree.errors import InputError
-from dynamictree.files import opened
+from dynamictree.files import Companions, opened
 from dynamictree.requests import Box, Reading
 
 if TYPE_CHECKING:
@@ -51,16 +52,15 @@ def read_source(
     Raises:
         InputError: a file cannot be read, or they do not fit together.
     """
-    from dynamictree import pipeline
     from dynamictree.gaussian.capture import carrying_mesh
 
     if not is_cloud(path):
         if box_m is not None or mask is not None or beside is not None:
             raise InputError(f"{path} is a mesh; --box, --mask and --mesh are for splats and scans")
-        mesh = pipeline.load_mesh(path, up_axis=reading.up_axis, unit_m=reading.unit_m)
+        mesh = load_mesh(path, up_axis=reading.up_axis, unit_m=reading.unit_m)
         say_how_read(mesh)
         return mesh, None
-    capture = pipeline.load_capture(path, up_axis=reading.up_axis, unit_m=reading.unit_m, mask=mask, mesh=beside)
+    capture = load_capture(path, up_axis=reading.up_axis, unit_m=reading.unit_m, mask=mask, mesh=beside)
     return carrying_mesh(capture, box_m), capture
 
 
@@ -70,3 +70,46 @@ def say_how_read(mesh: "TriangleMesh") -> None:
     typer.echo(f"read as {mesh.height_m:.3g} m tall, {mesh.source_up_axis} up, {unit}", err=True)
     for warning in mesh.warnings:
         typer.echo(f"warning: {warning.message} ({warning.code})", err=True)
+
+
+def load_mesh(path: Path, *, up_axis: str | None = None, unit_m: float | None = None) -> "TriangleMesh":
+    """Read a mesh file, and the files beside it that it names (MTL, textures), in metres and +Z up.
+
+    Raises:
+        InputError: it cannot be read, or the method cannot use the mesh.
+    """
+    from dynamictree.formats.mesh_file import read_mesh, sniff_file_type
+
+    with opened(path) as stream:
+        file_type = sniff_file_type(stream.read(4096), path.name)
+        stream.seek(0)
+        return read_mesh(stream, file_type=file_type, up_axis=up_axis, unit_m=unit_m, companions=Companions(path))
+
+
+def load_capture(
+    path: Path,
+    *,
+    up_axis: str | None = None,
+    unit_m: float | None = None,
+    mask: Path | None = None,
+    mesh: Path | None = None,
+) -> "Capture":
+    """Read a splat or scan, a mask of what may move, and a mesh in the same place.
+
+    Raises:
+        InputError: one of them cannot be read, or they do not fit together.
+    """
+    from dynamictree.formats.source_file import read_capture, source_kind
+
+    with ExitStack() as stack:
+        stream = stack.enter_context(opened(path))
+        _, file_type = source_kind(stream, path.name)
+        return read_capture(
+            stream,
+            file_type=file_type,
+            up_axis=up_axis,
+            unit_m=unit_m,
+            mask=None if mask is None else stack.enter_context(opened(mask)),
+            mesh=None if mesh is None else (mesh.name, stack.enter_context(opened(mesh))),
+            companions=None if mesh is None else Companions(mesh),
+        )

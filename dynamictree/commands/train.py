@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dynamictree.terminal import AsJson
+from dynamictree.commands.terminal import AsJson
 
 if TYPE_CHECKING:
     import torch

@@ -3,9 +3,9 @@
 from dynamictree.commands.options import OutputFile, SourcePath
 from dynamictree.commands.request_options import with_request_options
 from dynamictree.commands.source import read_source
+from dynamictree.commands.terminal import AsJson, tell
 from dynamictree.files import published
 from dynamictree.requests import CloudParams, GridParams, Reading
-from dynamictree.terminal import AsJson, tell
 
 
 @with_request_options
@@ -18,11 +18,11 @@ def voxelize(
     as_json: AsJson = False,
 ) -> None:
     """Write the voxels that hold a piece of the tree's surface (*.voxels.safetensors)."""
-    from dynamictree import pipeline
+    from dynamictree import method
     from dynamictree.formats.tensors.voxels import write_voxels
 
     mesh, _ = read_source(source, reading, box_m=cloud.box_m)
-    voxels = pipeline.voxelize(mesh, resolution=grid.resolution)
+    voxels = method.voxelize(mesh, resolution=grid.resolution)
     with published(output.parent) as folder, (folder / output.name).open("wb") as stream:
         write_voxels(voxels, stream)
     tell(

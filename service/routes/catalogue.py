@@ -1,10 +1,12 @@
 """/v1/presets and /v1/limits: what may be asked for."""
 
+from typing import Literal
+
 from fastapi import APIRouter
 from pydantic import Field
 
 from dynamictree.formats import suffixes
-from dynamictree.requests import MAX_FRAMES
+from dynamictree.requests import MAX_FRAMES, Format
 from dynamictree.weights import list_weights
 from service.http.problems import wrong_field
 from service.http.routing import refusals
@@ -30,12 +32,24 @@ class PresetListPayload(Payload):
     data: list[PresetPayload]
 
 
+class ProductPayload(Payload):
+    """One format that a motion can be written as."""
+
+    format: Format
+    title: str
+    file_name: str
+    media_type: str
+    shows: Literal["mesh", "splat", "pictures"]
+    options: list[str] = Field(description="parameters of an animate job that this file depends on")
+
+
 class LimitsPayload(Payload):
     """What is refused beyond. Sizes in bytes."""
 
     mesh_formats: list[str]
     cloud_formats: list[str]
     photo_formats: list[str]
+    products: list[ProductPayload] = Field(description="what params.formats of an animate job may name")
     max_json_bytes: int
     max_interact_bytes: int
     max_multipart_bytes: int
@@ -82,6 +96,7 @@ def list_presets() -> PresetListPayload:
 @router.get("/limits", operation_id="getLimits", responses=refusals())
 def get_limits(owned: OwnedDep) -> LimitsPayload:
     """Sizes, numbers and formats that are allowed."""
+    from dynamictree.export.table import PRODUCTS
     from dynamictree.gaussian.cloud import MAX_GAUSSIANS, MAX_SEQUENCE_BYTES
     from dynamictree.mesh import MAX_FACES, MAX_VERTICES
 
@@ -90,6 +105,17 @@ def get_limits(owned: OwnedDep) -> LimitsPayload:
         mesh_formats=[suffix.lstrip(".") for suffix in suffixes.MESH_SUFFIXES],
         cloud_formats=[suffix.lstrip(".") for suffix in suffixes.CLOUD_SUFFIXES],
         photo_formats=[suffix.lstrip(".") for suffix in suffixes.PHOTO_SUFFIXES],
+        products=[
+            ProductPayload(
+                format=name,
+                title=product.title,
+                file_name=product.file_name,
+                media_type=product.media_type,
+                shows=product.shows,
+                options=sorted(product.options),
+            )
+            for name, product in PRODUCTS.items()
+        ],
         max_json_bytes=settings.max_json_bytes,
         max_interact_bytes=settings.max_interact_bytes,
         max_multipart_bytes=settings.max_multipart_bytes,

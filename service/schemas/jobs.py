@@ -5,8 +5,8 @@ from typing import Literal
 from pydantic import Field
 
 from jobs.job_log import Level, LogLine
-from jobs.products import MESH, SPECTRUM, VOXELS
 from jobs.records import ArtifactRecord, JobRecord
+from jobs.stage_files import MESH, SPECTRUM, VOXELS
 from jobs.states import JobState, JobType, Priority, StageState
 from service.schemas.base import Payload, Problem, Time, maybe_time, time_of, told_problem
 

@@ -23,8 +23,8 @@ from jobs.artifacts import hash_file
 from jobs.assets import add_asset, find_asset
 from jobs.attempts import touch_blob
 from jobs.parser_process import ParseRequest, parse
-from jobs.products import CLOUD_BUNDLE, MESH_BUNDLE
 from jobs.records import AssetPart, AssetRecord, Json
+from jobs.stage_files import CLOUD_BUNDLE, MESH_BUNDLE
 from jobs.states import ASSET_KINDS, AssetKind
 from jobs.store import new_id
 from service.http.multipart import Form, ReceivedFile

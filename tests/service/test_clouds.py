@@ -193,7 +193,7 @@ def test_what_does_not_fit_is_refused_when_asked(
     refused = client.post("/v1/jobs", json={"type": "voxelize", "asset_id": mesh_id, "params": box})
     assert [error["pointer"] for error in refused.json()["errors"]] == ["/params/box_m"]
     body = {"type": "animate", "asset_id": cloud_id, "params": {"formats": ["splat-ply"]}}
-    monkeypatch.setattr("dynamictree.splat_products.MAX_SEQUENCE_BYTES", 1000)
+    monkeypatch.setattr("dynamictree.formats.motion.splat_sequence.MAX_SEQUENCE_BYTES", 1000)
     refused = client.post("/v1/jobs", json=body)
     assert (refused.status_code, refused.json()["code"]) == (422, "invalid-input")
     assert "fewer frames" in refused.json()["detail"]

@@ -21,7 +21,7 @@ from fastapi.testclient import TestClient
 from safetensors.numpy import load
 
 import web
-from dynamictree.pipeline import vertex_spectrum
+from dynamictree import method
 from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.records import AssetRecord
 from service.local.serve import Announcer
@@ -178,7 +178,7 @@ def test_a_surface_moves_as_the_library_moves_it(
 ) -> None:
     tensors = load(client.get(f"/v1/spectra/{spectrum_id}/surface").content)
     parts = tensors["shapes"] * tensors["scale_m"][:, None, None]  # [N, K, 3, 2]
-    expected = vertex_spectrum(grown.mesh, spectrum)
+    expected = method.devoxelize(spectrum, grown.mesh)
     expected[:, 1:] *= 2
     shown = parts[..., 0] + 1j * parts[..., 1]
     largest = np.abs(expected).max(axis=(0, 2))

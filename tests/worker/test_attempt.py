@@ -23,8 +23,8 @@ from jobs.artifacts import hash_file
 from jobs.attempts import hand_back, publish_stage, start_stage, succeed
 from jobs.errors import FencedError, GoneError
 from jobs.maintenance import living, reap
-from jobs.products import MESH_BUNDLE, SPECTRUM, VOXELS
 from jobs.records import AssetRecord, Claim, OutputFile
+from jobs.stage_files import MESH_BUNDLE, SPECTRUM, VOXELS
 from jobs.states import JobState, JobType
 from tests.worker.conftest import add_job, hold, watch
 from worker.attempt import PARAMS, model_sha256, run_stages, stage_key

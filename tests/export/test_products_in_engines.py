@@ -12,19 +12,21 @@ import pytest
 import trimesh
 
 from benchmarks._played import played_morphs, played_skin, played_usdz, played_vertex_texture, told
-from dynamictree import pipeline
+from dynamictree import method
 from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.errors import InputError
+from dynamictree.export.moving_tree import Facts
+from dynamictree.export.table import PRODUCTS
+from dynamictree.export.write import write_products
 from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.skinning import skin_of
-from dynamictree.products import FILE_NAMES, MESH_FILE_NAMES, Facts
 from dynamictree.requests import ExportParams
 from dynamictree.spectrum import SparseVoxelSpectrum, iter_motion
 from dynamictree.voxel.voxelize import voxelize
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 JS_TOOLS = ROOT / ".cache" / "js-tools"
-FORMATS = tuple(MESH_FILE_NAMES)
+FORMATS = tuple(name for name, product in PRODUCTS.items() if product.shows == "mesh")
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +37,7 @@ def tree() -> tuple[TriangleMesh, SparseVoxelSpectrum]:
 
 @pytest.fixture(scope="module")
 def truth(tree: tuple[TriangleMesh, SparseVoxelSpectrum]) -> np.ndarray:
-    coefficients = pipeline.vertex_spectrum(*tree)
+    coefficients = method.devoxelize(tree[1], tree[0])
     return np.stack(list(iter_motion(coefficients, np.arange(100) / 100)))
 
 
@@ -46,7 +48,7 @@ def made(
     facts: dict[str, Facts] = {}
     options = ExportParams(formats=FORMATS, fps=24.0)
     folder = tmp_path_factory.mktemp("products")
-    paths = pipeline.animate(*tree, options, folder, on_facts=facts.__setitem__)
+    paths = write_products(*tree, options, folder, on_facts=facts.__setitem__)
     return paths, facts
 
 
@@ -119,7 +121,3 @@ def test_khronos_validator_finds_nothing_wrong(made: Made, tmp_path: Path) -> No
     answer = subprocess.run(command, capture_output=True, text=True, check=True)
     reports = json.loads(answer.stdout)
     assert [(report["numErrors"], report["numWarnings"]) for report in reports] == [(0, 0)] * 4
-
-
-def test_every_format_has_its_file_name() -> None:
-    assert len(set(FILE_NAMES.values())) == len(FILE_NAMES)

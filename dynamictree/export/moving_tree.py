@@ -1,0 +1,55 @@
+"""A tree, its motion and the frames to write: what every writer of a product gets."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Complex64, Float32, Float64
+
+from dynamictree.gaussian.binding import Binding
+from dynamictree.mesh import TriangleMesh
+from dynamictree.requests import ExportParams
+from dynamictree.spectrum import SparseVoxelSpectrum, iter_motion
+
+Report = Callable[[float], None]
+"""Gets the share done in [0, 1]; what it raises passes through."""
+Facts = dict[str, int | float]
+"""How far a product is from the motion. Empty where it is exact."""
+
+
+def frame_phases(params: ExportParams, period_s: float) -> Float64[np.ndarray, " M"]:
+    """Phase in the loop of every frame to write, in periods.
+
+    Raises:
+        InputError: `loop` is set and the frames are not a whole number of periods, or there are too many.
+    """
+    return (params.first_frame + np.arange(params.count_frames(period_s))) / params.period_frames(period_s)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MovingTree:
+    """A mesh with the spectrum of its vertices; and the splat that it carries, where a product needs one."""
+
+    mesh: TriangleMesh
+    spectrum: SparseVoxelSpectrum  # of the voxels
+    coefficients: Complex64[np.ndarray, "N K 3"]  # of the vertices [m]
+    params: ExportParams
+    binding: Binding | None = None
+    captured: bool = False  # whether pictures show the splat of the binding, or the mesh
+
+    @cached_property
+    def phases(self) -> Float64[np.ndarray, " M"]:
+        """Phases of the frames to write, in periods."""
+        return frame_phases(self.params, self.spectrum.period_s)
+
+    @property
+    def loop_fps(self) -> float:
+        """Frames of the spectrum per second of the file's time."""
+        return self.spectrum.fps * self.params.speed
+
+    def frames(self, report: Report) -> Iterator[Float32[np.ndarray, "N 3"]]:
+        """Displacement of the vertices, frame by frame [m]."""
+        for done, frame in enumerate(iter_motion(self.coefficients, self.phases, self.spectrum.num_frames)):
+            report(done / len(self.phases))
+            yield frame

@@ -1,0 +1,108 @@
+"""Write the requested products of one motion into a folder."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from dynamictree.devoxelize.length_preserving import length_preserving
+from dynamictree.export.moving_tree import Facts, MovingTree, Report
+from dynamictree.export.pictures import draw
+from dynamictree.export.table import PRODUCTS
+from dynamictree.formats.motion.splat_sequence import requested_bytes
+from dynamictree.gaussian.animate import lighter
+from dynamictree.gaussian.binding import Binding, bind_capture
+from dynamictree.gaussian.capture import Capture
+from dynamictree.mesh import TriangleMesh
+from dynamictree.requests import CLOUD_FORMATS, MESH_FORMATS, Box, ExportParams, Format
+from dynamictree.spectrum import SparseVoxelSpectrum
+
+OnFacts = Callable[[Format, Facts], None]
+"""Gets a format that is not exact, and how far its file is from the motion."""
+
+
+def write_products(
+    mesh: TriangleMesh,
+    spectrum: SparseVoxelSpectrum,
+    params: ExportParams,
+    folder: Path,
+    on_progress: Report | None = None,
+    *,
+    capture: Capture | None = None,
+    box_m: Box | None = None,
+    on_facts: OnFacts | None = None,
+) -> dict[Format, Path]:
+    """Write the requested products of one motion into a folder; give their paths by format.
+
+    Where a capture is given, pictures and splats show it; else splats are made from the mesh.
+    `on_progress` gets the share done in [0, 1]; what it raises passes through.
+
+    Raises:
+        InputError: the frames do not make a loop, though one is asked for; the capture is not where the mesh is;
+            or a sequence of splats would be too large.
+    """
+    formats = params.formats or (MESH_FORMATS if capture is None else CLOUD_FORMATS)
+    num_frames = params.count_frames(spectrum.period_s)
+    binding = _binding(mesh, formats, capture, box_m)
+    if binding is not None and "splat-ply" in formats:
+        requested_bytes(binding.cloud.num_gaussians, binding.cloud.sh_degree, num_frames, params)
+    tree = MovingTree(
+        mesh=mesh,
+        spectrum=spectrum,
+        coefficients=length_preserving(spectrum.grid, mesh).apply(spectrum.coefficients),
+        params=params,
+        binding=None if binding is None else lighter(binding, share=params.share, sh_degree=params.sh_degree),
+        captured=capture is not None,
+    )
+    paths = {name: folder / PRODUCTS[name].file_name for name in formats}
+    _write(tree, paths, on_progress or (lambda done: None), on_facts or (lambda name, facts: None))
+    return paths
+
+
+def _binding(
+    mesh: TriangleMesh, formats: Sequence[Format], capture: Capture | None, box_m: Box | None
+) -> Binding | None:
+    """Bind the capture to the mesh; without one, make a splat of the mesh if a product needs it, always the same."""
+    from dynamictree.gaussian.from_mesh import splats_of_mesh
+
+    if capture is not None:
+        return bind_capture(capture, mesh, box_m)
+    if all(PRODUCTS[name].shows != "splat" for name in formats):
+        return None
+    return splats_of_mesh(mesh, rng=np.random.default_rng(0)).binding
+
+
+def _write(tree: MovingTree, paths: dict[Format, Path], on_progress: Report, on_facts: OnFacts) -> None:
+    """Files first, then all that is made of pictures."""
+    films = {}
+    done = 0
+
+    def report(share: float) -> None:
+        on_progress((done + share) / len(paths))
+
+    for name, path in paths.items():
+        product = PRODUCTS[name]
+        if product.write is None or (tree.captured and product.write_film is not None):
+            films[name] = path
+            continue
+        with path.open("wb") as stream:
+            facts = product.write(tree, stream, report)
+        if facts:
+            on_facts(name, facts)
+        done += 1
+        report(0.0)
+    if films:
+        _write_films(tree, films, report)
+        on_progress(1.0)
+
+
+def _write_films(tree: MovingTree, paths: dict[Format, Path], report: Report) -> None:
+    """Write the products that are made of pictures, which are drawn once."""
+    from dynamictree.render import spooled
+
+    with spooled(draw(tree, report)) as film:
+        for name, path in paths.items():
+            write_film = PRODUCTS[name].write_film
+            assert write_film is not None
+            with path.open("wb") as stream:
+                write_film(film, stream, tree.params.fps)

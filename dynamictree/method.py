@@ -1,0 +1,108 @@
+"""The method on one page: from the shape of a tree to its motion. Paper figure 2, left to right.
+
+    mesh ──voxelize──▶ voxels ──generate──▶ spectrum ──devoxelize──▶ spectrum of each vertex ──displace──▶ moving mesh
+                                                                                                  │
+    splat ──bind──▶ each Gaussian on its nearest face ──────────────────────────deform────────────┴──▶ moving splat
+
+A mesh is a `TriangleMesh` or an object of trimesh: in metres, with +Z up. Lengths are metres, times are seconds.
+Importing this module loads no torch; `generate` does.
+"""
+
+from collections.abc import Callable, Iterator
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Complex64, Float32
+
+from dynamictree.devoxelize.length_preserving import length_preserving
+from dynamictree.gaussian.animate import iter_splat_frames
+from dynamictree.gaussian.binding import bind
+from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.mesh import TriangleMesh
+from dynamictree.requests import GridParams, Resolution, Wind
+from dynamictree.spectrum import SparseVoxelSpectrum, iter_motion
+from dynamictree.voxel.voxelize import SurfaceVoxels
+from dynamictree.voxel.voxelize import voxelize as voxelize_surface
+
+if TYPE_CHECKING:
+    import trimesh
+
+    from dynamictree.models import MotionModel
+
+
+def animate(
+    mesh: "TriangleMesh | trimesh.Trimesh | trimesh.Scene",
+    *,
+    wind: Wind | None = None,
+    seed: int = 0,
+    model: str = "small",
+    num_frames: int = 100,
+) -> Iterator[Float32[np.ndarray, "N 3"]]:
+    """Positions of the mesh's vertices, frame by frame over one loop of the generated motion [m]."""
+    mesh = triangle_mesh(mesh)
+    voxels = voxelize(mesh)
+    spectrum = generate(voxels, wind=wind, seed=seed, model=model)
+    for displacement in displace(devoxelize(spectrum, mesh), spectrum, num_frames=num_frames):
+        yield mesh.vertices + displacement
+
+
+def animate_splat(
+    cloud: GaussianCloud,
+    mesh: "TriangleMesh | trimesh.Trimesh",
+    spectrum: SparseVoxelSpectrum,
+    *,
+    num_frames: int = 100,
+) -> Iterator[GaussianCloud]:
+    """Frames of a splat that moves with the mesh in it: the paper's output."""
+    mesh = triangle_mesh(mesh)
+    binding = bind(cloud, mesh)
+    motion = displace(devoxelize(spectrum, mesh), spectrum, num_frames=num_frames)
+    yield from iter_splat_frames(binding, motion)
+
+
+def voxelize(mesh: "TriangleMesh | trimesh.Trimesh | trimesh.Scene", *, resolution: Resolution = 128) -> SurfaceVoxels:
+    """Find the voxels that the surface occupies, with their normals. Paper section 3.3."""
+    return voxelize_surface(triangle_mesh(mesh), GridParams(resolution=resolution).resolution)
+
+
+def generate(
+    voxels: SurfaceVoxels,
+    *,
+    wind: Wind | None = None,
+    seed: int = 0,
+    model: str = "small",
+    num_steps: int | None = None,
+    on_step: Callable[[int, int], None] | None = None,
+) -> SparseVoxelSpectrum:
+    """Generate the spectrum of a motion of these voxels. Paper section 3.4.
+
+    `on_step` gets the sampler steps done and their total; what it raises passes through.
+    """
+    return _model(model).generate(voxels, wind=wind or Wind(), seed=seed, num_steps=num_steps, on_step=on_step)
+
+
+def devoxelize(
+    spectrum: SparseVoxelSpectrum, mesh: "TriangleMesh | trimesh.Trimesh | trimesh.Scene"
+) -> Complex64[np.ndarray, "N K 3"]:
+    """Give each vertex its spectrum [m]: Dev(·) of paper eq. 1, smooth and without stretch."""
+    return length_preserving(spectrum.grid, triangle_mesh(mesh)).apply(spectrum.coefficients)
+
+
+def displace(
+    vertex_spectrum: Complex64[np.ndarray, "N K 3"], spectrum: SparseVoxelSpectrum, *, num_frames: int = 100
+) -> Iterator[Float32[np.ndarray, "N 3"]]:
+    """Displacement of each vertex over one loop, frame by frame [m]: the inverse Fourier transform of paper eq. 1."""
+    return iter_motion(vertex_spectrum, np.arange(num_frames) / num_frames, spectrum.num_frames)
+
+
+def triangle_mesh(mesh: "TriangleMesh | trimesh.Trimesh | trimesh.Scene") -> TriangleMesh:
+    """The mesh itself, or what an object of trimesh holds."""
+    return mesh if isinstance(mesh, TriangleMesh) else TriangleMesh.from_trimesh(mesh)
+
+
+@lru_cache(maxsize=2)
+def _model(name: str) -> "MotionModel":
+    from dynamictree.models import load_model
+
+    return load_model(name)

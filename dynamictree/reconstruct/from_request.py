@@ -1,0 +1,45 @@
+"""Reconstruction as the command line and a job request it."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from dynamictree.formats.suffixes import PHOTO_SUFFIXES
+from dynamictree.gaussian.capture import Capture
+from dynamictree.reconstruct import ReconstructOptions, reconstruct
+from dynamictree.reconstruct.optimise import Schedule
+from dynamictree.requests import ReconstructParams
+
+
+def reconstruct_capture(
+    files: Sequence[Path],
+    folder: Path,
+    params: ReconstructParams,
+    *,
+    root: Path,
+    kept: Path | None = None,
+    on_progress: Callable[[float], None],
+) -> Capture:
+    """Reconstruct a splat and a mesh from photos; all that is made of them is written into the folder.
+
+    Args:
+        files: photos, and what may come with them: masks, `transforms.json`, a COLMAP model, `poses_bounds.npy`.
+        folder: for the results.
+        params: height, training steps and box.
+        root: the folder that the files lie in or below, by which they name one another.
+        kept: a folder for intermediate results; a second call continues there.
+        on_progress: gets the share done in [0, 1]; what it raises passes through.
+
+    Raises:
+        InputError: a file is no photo, or there are too few or too many.
+        ReconstructionError: the photos do not fit together.
+    """
+    schedule = Schedule() if params.splat_steps is None else Schedule(num_steps=params.splat_steps)
+    result = reconstruct(
+        [path for path in files if path.suffix.lower() in PHOTO_SUFFIXES],
+        folder,
+        options=ReconstructOptions(height_m=params.height_m, box_m=params.box_m, schedule=schedule),
+        root=root,
+        work=kept,
+        on_progress=lambda progress: on_progress(progress.total),
+    )
+    return Capture(cloud=result.splat, mesh=result.mesh)

@@ -1,0 +1,7 @@
+"""Names of the files by which stages hand their results on. Those of products are in `dynamictree.export.table`."""
+
+MESH = "mesh.ply"  # a reconstructed mesh, to look at
+MESH_BUNDLE = "mesh.safetensors"  # a reconstructed mesh, for the next stages
+CLOUD_BUNDLE = "cloud.safetensors"  # a splat or scan as it was read, for the stages that move it
+VOXELS = "tree.voxels.safetensors"
+SPECTRUM = "tree.spectrum.safetensors"

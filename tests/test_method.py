@@ -1,0 +1,64 @@
+"""The method on one page, called as a reader of it would."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from dynamictree import method
+from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.mesh import TriangleMesh
+from dynamictree.spectrum import SparseVoxelSpectrum
+
+NUM_FRAMES = 6
+
+
+@pytest.fixture(scope="module")
+def post() -> trimesh.Trimesh:
+    """A post of 2 m."""
+    return trimesh.creation.cylinder(radius=0.1, height=2.0, sections=12).subdivide().subdivide()
+
+
+@pytest.fixture(scope="module")
+def spectrum(post: trimesh.Trimesh) -> SparseVoxelSpectrum:
+    """Sways along +X, as the square of the height."""
+    grid = method.voxelize(post, resolution=32).grid
+    coefficients = np.zeros((len(grid), 2, 3), np.complex64)
+    coefficients[:, 1, 0] = 0.01 * (grid.centres_m[:, 2] + 1) ** 2
+    return SparseVoxelSpectrum(grid=grid, coefficients=coefficients, num_frames=NUM_FRAMES)
+
+
+def test_a_mesh_of_trimesh_is_voxelized_as_ours_is(post: trimesh.Trimesh) -> None:
+    ours = TriangleMesh.from_trimesh(post)
+    np.testing.assert_array_equal(method.voxelize(post).grid.coords, method.voxelize(ours).grid.coords)
+
+
+def test_vertices_follow_the_spectrum(post: trimesh.Trimesh, spectrum: SparseVoxelSpectrum) -> None:
+    motion = np.stack(list(method.displace(method.devoxelize(spectrum, post), spectrum, num_frames=NUM_FRAMES)))
+    top = post.vertices[:, 2] > 0.9
+    expected = 2 * 0.01 * 4 * np.cos(2 * np.pi * np.arange(NUM_FRAMES) / NUM_FRAMES)
+    np.testing.assert_allclose(motion[:, top, 0].mean(axis=1), expected, atol=0.01)
+    assert np.abs(motion[:, post.vertices[:, 2] < -0.9]).max() < 0.01
+
+
+def test_a_splat_follows_its_mesh(post: trimesh.Trimesh, spectrum: SparseVoxelSpectrum) -> None:
+    points = post.triangles_center.astype(np.float32)
+    cloud = GaussianCloud(
+        means=points,
+        quaternions=np.tile(np.array([1, 0, 0, 0], np.float32), (len(points), 1)),
+        scales=np.full((len(points), 3), 0.02, np.float32),
+        opacity=np.full(len(points), 0.9, np.float32),
+        sh=np.zeros((len(points), 1, 3), np.float32),
+    )
+    motion = list(method.displace(method.devoxelize(spectrum, post), spectrum, num_frames=NUM_FRAMES))
+    for frame, displacement in zip(
+        method.animate_splat(cloud, post, spectrum, num_frames=NUM_FRAMES), motion, strict=True
+    ):
+        expected = (post.vertices + displacement)[post.faces].mean(axis=1)
+        np.testing.assert_allclose(frame.means, expected, atol=1e-4)
+
+
+def test_a_shape_becomes_a_loop(post: trimesh.Trimesh) -> None:
+    frames = list(method.animate(post, num_frames=4, seed=1))
+    assert len(frames) == 4
+    assert all(frame.shape == post.vertices.shape and np.isfinite(frame).all() for frame in frames)
+    assert np.abs(frames[0] - frames[2]).max() > 1e-6
