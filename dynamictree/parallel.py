@@ -28,14 +28,14 @@ def compiled(kernel: Kernel) -> Kernel:
 
 def compiled_fused(kernel: Kernel) -> Kernel:
     """As `compiled`; products and sums may be fused, and the sign of zero is ignored."""
-    options = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": {"contract", "nsz"}}
-    return cast(Kernel, numba.njit(**options)(kernel))
+    fused = {"contract", "nsz"}
+    return cast(Kernel, numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=fused)(kernel))
 
 
 def compiled_reordered(kernel: Kernel) -> Kernel:
     """As `compiled_fused`; sums may also be reordered, so that they vectorize."""
-    options = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": {"contract", "nsz", "reassoc"}}
-    return cast(Kernel, numba.njit(**options)(kernel))
+    reordered = {"contract", "nsz", "reassoc"}
+    return cast(Kernel, numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=reordered)(kernel))
 
 
 def num_cores() -> int:

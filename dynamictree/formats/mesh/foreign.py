@@ -63,7 +63,7 @@ def read_foreign_mesh(content: bytes, *, file_type: str, companions: Mapping[str
 def _parsed(content: bytes, file_type: str, companions: Mapping[str, bytes]) -> TriangleMesh:
     import trimesh
 
-    class Beside(trimesh.resolvers.Resolver):
+    class Beside(trimesh.resolvers.Resolver):  # type: ignore[misc]
         """Files beside the model; nothing else can be opened."""
 
         def __init__(self) -> None:

@@ -216,9 +216,9 @@ def _material(content: bytes, companions: Mapping[str, bytes]) -> Material | Non
         words = line.decode("latin-1").split(maxsplit=2)
         if words[:2] == ["comment", "TextureFile"] and len(words) == 3:
             name = words[2].strip()
-            content = find_companion(name, companions)
-            if content is None:
+            picture = find_companion(name, companions)
+            if picture is None:
                 continue
-            texture = texture_as_png(content, name[:80])
+            texture = texture_as_png(picture, name[:80])
             return Material(name=name[:200], base_color=(1.0, 1.0, 1.0, 1.0), texture_png=texture)
     return None

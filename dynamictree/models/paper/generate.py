@@ -104,7 +104,7 @@ class PaperModel:
             preset.num_frequencies, count, CHANNELS, generator=torch.Generator().manual_seed(seed)
         )  # frequency first, so that the noise of a bin does not depend on the others
         per_pass = max(1, MAX_ACTIVATIONS // (count * preset.unet.base))
-        passes = torch.arange(preset.num_frequencies).split(per_pass)
+        passes = torch.split(torch.arange(preset.num_frequencies), per_pass)
         generated = []
         for index, bins in enumerate(passes):
 

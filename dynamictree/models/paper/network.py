@@ -6,6 +6,7 @@ between voxels and channels, and do not see one another. What the paper leaves o
 """
 
 from dataclasses import asdict, dataclass, field
+from typing import Any
 
 import torch
 from jaxtyping import Float, Float32, Int64
@@ -54,7 +55,9 @@ class PaperPreset:
         shape, widths = values["unet"], values["encoder_widths"]
         assert isinstance(shape, dict), f"the U-Net has no shape: {shape}"
         assert isinstance(widths, list | tuple), f"the encoder has no widths: {widths}"
-        tuples = {name: tuple(value) if isinstance(value, list) else value for name, value in shape.items()}
+        tuples: dict[str, Any] = {
+            name: tuple(value) if isinstance(value, list) else value for name, value in shape.items()
+        }
         changed = {"unet": UNetShape(**tuples), "encoder_widths": tuple(widths)}
         return cls(**{**values, **changed})  # type: ignore[arg-type]
 
