@@ -14,7 +14,7 @@ from dynamictree.mesh import TriangleMesh
 from dynamictree.reconstruct.result import Reconstruction
 from dynamictree.reconstruct.splat import SplatFit
 from dynamictree.reconstruct.views import View
-from dynamictree.render import Look, Renderer, write_png
+from dynamictree.render import Camera, Look, Renderer, write_png
 
 _REPORT_SIDE_PX = 640
 
@@ -45,7 +45,7 @@ def write_result(result: Reconstruction, fit: SplatFit, folder: Path) -> None:
     (folder / "report.json").write_text(json.dumps(result.report, indent=1))
     by_name = {view.source: view for view in result.views}
     rows = [
-        np.concatenate([_shrunk(pair, 2 * _REPORT_SIDE_PX), _rendered(result.mesh, by_name[name])], axis=1)
+        comparison_row(result.mesh, by_name[name].camera, pair)
         for name, pair in zip(fit.held_out, fit.pictures, strict=True)
     ]
     width = max(row.shape[1] for row in rows)
@@ -64,11 +64,11 @@ def write_cameras(views: Sequence[View], folder: Path, *, scale: str) -> None:
     (folder / "cameras.json").write_text(json.dumps(cameras, indent=1))
 
 
-def _rendered(mesh: TriangleMesh, view: View) -> UInt8[np.ndarray, "H W 3"]:
-    height, width = view.image.shape[:2]
-    by = min(1.0, _REPORT_SIDE_PX / max(width, height))
-    look = Look(width=round(width * by), height=round(height * by), ground=False)
-    return Renderer(mesh, look).picture(camera=view.camera)
+def comparison_row(mesh: TriangleMesh, camera: Camera, pair: UInt8[np.ndarray, "H W 3"]) -> UInt8[np.ndarray, "h w 3"]:
+    """A photo and the splat's picture side by side (`pair`), and the mesh from the same camera at the same size."""
+    shrunk = _shrunk(pair, 2 * _REPORT_SIDE_PX)
+    look = Look(width=shrunk.shape[1] // 2, height=shrunk.shape[0], ground=False)
+    return np.concatenate([shrunk, Renderer(mesh, look).picture(camera=camera)], axis=1)
 
 
 def _shrunk(picture: UInt8[np.ndarray, "H W 3"], width: int) -> UInt8[np.ndarray, "h w 3"]:
