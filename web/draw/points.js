@@ -23,7 +23,7 @@ export class Points {
   }
 }
 
-/** Discs of each point's own radius, in pixels of the drawing buffer. */
+/** Discs of the colours, which the file has as sRGB, and of each point's own radius, in pixels of the drawing buffer. */
 function roundMaterial() {
   const material = new THREE.PointsMaterial({ size: 1, sizeAttenuation: true, vertexColors: true });
   material.onBeforeCompile = (shader) => {
@@ -33,7 +33,7 @@ function roundMaterial() {
       .replace("#include <fog_vertex>", "gl_PointSize = max(gl_PointSize, 1.5);\n#include <fog_vertex>");
     shader.fragmentShader = shader.fragmentShader.replace(
       "#include <color_fragment>",
-      "#include <color_fragment>\nif (length(gl_PointCoord - 0.5) > 0.5) discard;",
+      "#include <color_fragment>\nif (length(gl_PointCoord - 0.5) > 0.5) discard;\ndiffuseColor.rgb = pow(diffuseColor.rgb, vec3(2.2));",
     );
   };
   return material;

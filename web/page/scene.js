@@ -18,6 +18,7 @@ export class Scene {
     this.onClear();
     this.tree?.dispose();
     this.tree = null;
+    this.complete = false; // the job's files are on the stage
     for (const picture of $("photos").children) URL.revokeObjectURL(picture.src);
     $("photos").replaceChildren();
   }
@@ -38,7 +39,7 @@ export class Scene {
     } else if (asset.kind === "cloud") {
       const { Points } = await import("../draw/points.js");
       const points = new Points(await this.client.bytes(`/v1/assets/${asset.id}/points`, { signal }));
-      if (!signal.aborted && !this.tree?.splat) this._tree().setPoints(points);
+      if (!signal.aborted && !this.complete) this._tree().setPoints(points);
     }
   }
 
@@ -69,6 +70,7 @@ export class Scene {
   async products(job, signal) {
     const { tree } = this;
     if (!tree?.moves || tree.splat) return;
+    this.complete = true;
     const artifacts = await this.client.artifacts(job.id);
     const splat = artifacts.find(({ name }) => name === "tree.animated-splat.safetensors");
     if (splat) {
@@ -77,6 +79,8 @@ export class Scene {
       if (signal.aborted) return;
       if (isUncoloured(read)) tree.showMesh();
       else await tree.setSplat(read);
+    } else if (tree.points) {
+      tree.showMesh(); // nothing else of this job moves
     } else if (tree.usesNearVoxels) {
       const { isWorthLoading, readShapes } = await import("../draw/glb_shapes.js");
       const file = artifacts.find(isWorthLoading);
