@@ -56,12 +56,12 @@ def main(arguments: list[str] | None = None) -> int:
 def generated() -> dict[Path, str]:
     """Every file that is made, and what it should hold."""
     page = json.loads(PAGE.read_text())
-    made = {
+    parameters_made = {
         "models.py": models(page["components"]["schemas"]),
         "operations.py": operations(page),
         "synchronous.py": synchronous((PACKAGE / "asynchronous.py").read_text()),
     }
-    return {PACKAGE / name: formatted(text, name) for name, text in made.items()}
+    return {PACKAGE / name: formatted(text, name) for name, text in parameters_made.items()}
 
 
 def formatted(text: str, name: str) -> str:
@@ -124,11 +124,11 @@ def _quoted(text: str) -> str:
 
 def field_type(schema: Schema, *, optional: bool) -> str:
     """As an annotation, quoted where it names a class that may come later; what is unset and has no default is None."""
-    told = python_type(schema)
-    if optional and not isinstance(schema.get("default"), str | int | float | list) and "None" not in told:
-        told = f"{told} | None"
-    names_a_class = re.search(r"\b[A-Z]\w+", re.sub(r"Literal\[[^]]*\]|\bAny\b|\bNone\b", "", told))
-    return f'"{told}"' if names_a_class else told
+    annotation = python_type(schema)
+    if optional and not isinstance(schema.get("default"), str | int | float | list) and "None" not in annotation:
+        annotation = f"{annotation} | None"
+    names_a_class = re.search(r"\b[A-Z]\w+", re.sub(r"Literal\[[^]]*\]|\bAny\b|\bNone\b", "", annotation))
+    return f'"{annotation}"' if names_a_class else annotation
 
 
 def python_type(schema: Schema) -> str:
@@ -201,9 +201,9 @@ def _operation(path: str, method: str, shared: list[Schema], operation: Schema) 
     more = "".join(
         f", {to}={{{', '.join(places[of])}}}" for of, to in (("query", "query"), ("header", "headers")) if places[of]
     )
-    told = operation.get("description") or operation.get("summary", "")
+    annotation = operation.get("description") or operation.get("summary", "")
     return [
-        f"def {snake(operation['operationId'])}({signature}) -> Call[{answer}]:\n    {_quoted(told)}\n",
+        f"def {snake(operation['operationId'])}({signature}) -> Call[{answer}]:\n    {_quoted(annotation)}\n",
         f"    return Call(method={method.upper()!r}, path={at}, answer={answer}{more}{sent})\n\n\n",
     ]
 

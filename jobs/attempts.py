@@ -57,44 +57,44 @@ def renew(store: Store, job_id: str, attempt: int, *, owner: str, lease_s: float
 
 
 @patient
-def canceling(store: Store, held: Claim) -> bool:
+def canceling(store: Store, claimed: Claim) -> bool:
     """Whether someone asked this job to stop.
 
     Raises:
         FencedError: the attempt is no longer ours.
     """
     with store.reading() as connection:
-        state = connection.execute(sa.select(t.jobs.c.state).where(_ours(held))).scalar_one_or_none()
+        state = connection.execute(sa.select(t.jobs.c.state).where(_ours(claimed))).scalar_one_or_none()
     if state is None:
-        raise _fenced(held.job.id, held.attempt)
+        raise _fenced(claimed.job.id, claimed.attempt)
     return bool(state == JobState.CANCELING)
 
 
 @patient
-def start_stage(store: Store, held: Claim, stage: JobType) -> None:
+def start_stage(store: Store, claimed: Claim, stage: JobType) -> None:
     """Mark a stage as running."""
     now = store.clock()
     with store.writing() as connection:
-        _touch(connection, held)
-        row = (t.stages.c.job_id == held.job.id) & (t.stages.c.name == stage)
+        _touch(connection, claimed)
+        row = (t.stages.c.job_id == claimed.job.id) & (t.stages.c.name == stage)
         values = {"state": "running", "progress": 0.0, "started_at": now}
         connection.execute(t.stages.update().where(row).values(**values))
-        note(connection, held.job.id, "stage begun", at=now, stage=stage)
+        note(connection, claimed.job.id, "stage begun", at=now, stage=stage)
 
 
 @patient
-def report_progress(store: Store, held: Claim, stage: JobType, progress: float) -> None:
+def report_progress(store: Store, claimed: Claim, stage: JobType, progress: float) -> None:
     """Tell how much of a stage is done, a share in [0, 1]."""
     with store.writing() as connection:
-        _touch(connection, held)
-        row = (t.stages.c.job_id == held.job.id) & (t.stages.c.name == stage) & (t.stages.c.state == "running")
+        _touch(connection, claimed)
+        row = (t.stages.c.job_id == claimed.job.id) & (t.stages.c.name == stage) & (t.stages.c.state == "running")
         connection.execute(t.stages.update().where(row).values(progress=min(max(progress, 0.0), 1.0)))
 
 
 @patient
 def publish_stage(
     store: Store,
-    held: Claim,
+    claimed: Claim,
     stage: JobType,
     files: tuple[OutputFile, ...],
     *,
@@ -109,12 +109,12 @@ def publish_stage(
     """
     now = store.clock()
     with store.writing() as connection:
-        _touch(connection, held)
-        row_of = (t.stages.c.job_id == held.job.id) & (t.stages.c.name == stage)
-        known = connection.execute(sa.select(t.stages.c.state, t.stages.c.started_at).where(row_of)).one()
-        if known.state == "succeeded":
+        _touch(connection, claimed)
+        row_of = (t.stages.c.job_id == claimed.job.id) & (t.stages.c.name == stage)
+        current = connection.execute(sa.select(t.stages.c.state, t.stages.c.started_at).where(row_of)).one()
+        if current.state == "succeeded":
             return  # asked again, because the answer to the first commit was lost
-        _add_artifacts(connection, held, stage, files, now=now, retention_s=retention_s)
+        _add_artifacts(connection, claimed, stage, files, now=now, retention_s=retention_s)
         entry = {"key": key, "stage": stage, "files": [asdict(file) for file in files], "used_at": now}
         upsert(connection, t.stage_cache, entry)
         done = {"state": "succeeded", "progress": 1.0, "cached": cached, "finished_at": now}
@@ -122,24 +122,24 @@ def publish_stage(
         size = sum(file.bytes for file in files)
         count(connection, "stages", f"{stage}:{'cached' if cached else 'run'}")
         count(connection, "stage_bytes", stage, size)
-        if not cached and known.started_at is not None:
-            count_seconds(connection, "stage_seconds", stage, now - known.started_at)
-        note(connection, held.job.id, "stage done", at=now, stage=stage, cached=cached, bytes=size)
+        if not cached and current.started_at is not None:
+            count_seconds(connection, "stage_seconds", stage, now - current.started_at)
+        note(connection, claimed.job.id, "stage done", at=now, stage=stage, cached=cached, bytes=size)
 
 
 @patient
-def offer(store: Store, held: Claim, stage: JobType, files: tuple[OutputFile, ...], *, retention_s: float) -> None:
+def offer(store: Store, claimed: Claim, stage: JobType, files: tuple[OutputFile, ...], *, retention_s: float) -> None:
     """Offer what a stage had made before it failed; the stage is not done by it, and no other job takes it.
 
     Raises:
         FencedError: the attempt is no longer ours; nothing is offered.
     """
     with store.writing() as connection:
-        _touch(connection, held)
-        known = sa.select(t.artifacts.c.name).where(t.artifacts.c.job_id == held.job.id)
-        there = set(connection.execute(known).scalars())  # asked again, the answer to the first commit was lost
+        _touch(connection, claimed)
+        current = sa.select(t.artifacts.c.name).where(t.artifacts.c.job_id == claimed.job.id)
+        there = set(connection.execute(current).scalars())  # asked again, the answer to the first commit was lost
         new = tuple(file for file in files if file.name not in there)
-        _add_artifacts(connection, held, stage, new, now=store.clock(), retention_s=retention_s)
+        _add_artifacts(connection, claimed, stage, new, now=store.clock(), retention_s=retention_s)
 
 
 @patient
@@ -160,33 +160,33 @@ def touch_blob(store: Store, sha256: str, num_bytes: int) -> None:
 
 
 @patient
-def succeed(store: Store, held: Claim) -> JobState:
+def succeed(store: Store, claimed: Claim) -> JobState:
     """End the attempt well; where a cancel came first, the job is canceled. Gives the final state."""
-    return _end(store, held, JobState.SUCCEEDED)
+    return _end(store, claimed, JobState.SUCCEEDED)
 
 
 @patient
-def fail(store: Store, held: Claim, *, code: str, message: str) -> JobState:
+def fail(store: Store, claimed: Claim, *, code: str, message: str) -> JobState:
     """End the attempt with an error; where a cancel came first, the job is canceled. Gives the final state."""
-    return _end(store, held, JobState.FAILED, error_code=code, error_message=message)
+    return _end(store, claimed, JobState.FAILED, error_code=code, error_message=message)
 
 
 @patient
-def finish_cancel(store: Store, held: Claim) -> None:
+def finish_cancel(store: Store, claimed: Claim) -> None:
     """End the attempt because it was asked to stop."""
     with store.writing() as connection:
-        _state(connection, held)
-        end(connection, held.job.id, JobState.CANCELED, now=store.clock())
+        _state(connection, claimed)
+        end(connection, claimed.job.id, JobState.CANCELED, now=store.clock())
 
 
 @patient
-def hand_back(store: Store, held: Claim) -> None:
+def hand_back(store: Store, claimed: Claim) -> None:
     """Give the attempt up so that another worker begins the next one; no loss is counted."""
     with store.writing() as connection:
-        if _state(connection, held) == JobState.CANCELING:
-            end(connection, held.job.id, JobState.CANCELED, now=store.clock())
+        if _state(connection, claimed) == JobState.CANCELING:
+            end(connection, claimed.job.id, JobState.CANCELED, now=store.clock())
             return
-        begin_next_attempt(connection, held.job.id, held.attempt, now=store.clock())
+        begin_next_attempt(connection, claimed.job.id, claimed.attempt, now=store.clock())
         count(connection, "attempts", "handed-back")
 
 
@@ -228,7 +228,7 @@ def begin_next_attempt(
 
 def _add_artifacts(
     connection: sa.Connection,
-    held: Claim,
+    claimed: Claim,
     stage: JobType,
     files: tuple[OutputFile, ...],
     *,
@@ -236,21 +236,21 @@ def _add_artifacts(
     retention_s: float,
 ) -> None:
     for file in files:
-        row = {"id": new_id(), "job_id": held.job.id, "stage": stage}
+        row = {"id": new_id(), "job_id": claimed.job.id, "stage": stage}
         times = {"created_at": now, "expires_at": now + retention_s}
         connection.execute(t.artifacts.insert().values(**row, **times, **asdict(file)))
 
 
-def _end(store: Store, held: Claim, target: JobState, **error: str) -> JobState:
+def _end(store: Store, claimed: Claim, target: JobState, **error: str) -> JobState:
     with store.writing() as connection:
-        if _state(connection, held) == JobState.CANCELING:
+        if _state(connection, claimed) == JobState.CANCELING:
             target, error = JobState.CANCELED, {}
-        end(connection, held.job.id, target, now=store.clock(), **error)
+        end(connection, claimed.job.id, target, now=store.clock(), **error)
         return target
 
 
-def _ours(held: Claim) -> sa.ColumnElement[bool]:
-    return _held(held.job.id, held.attempt, held.owner)
+def _ours(claimed: Claim) -> sa.ColumnElement[bool]:
+    return _held(claimed.job.id, claimed.attempt, claimed.owner)
 
 
 def _held(job_id: str, attempt: int, owner: str) -> sa.ColumnElement[bool]:
@@ -258,15 +258,15 @@ def _held(job_id: str, attempt: int, owner: str) -> sa.ColumnElement[bool]:
     return mine & t.jobs.c.state.in_([JobState.RUNNING, JobState.CANCELING])
 
 
-def _touch(connection: sa.Connection, held: Claim) -> None:
-    change = t.jobs.update().where(_ours(held)).values(version=t.jobs.c.version + 1)
+def _touch(connection: sa.Connection, claimed: Claim) -> None:
+    change = t.jobs.update().where(_ours(claimed)).values(version=t.jobs.c.version + 1)
     if connection.execute(change).rowcount == 0:
-        raise _fenced(held.job.id, held.attempt)
+        raise _fenced(claimed.job.id, claimed.attempt)
 
 
-def _state(connection: sa.Connection, held: Claim) -> JobState:
-    _touch(connection, held)
-    return JobState(connection.execute(sa.select(t.jobs.c.state).where(t.jobs.c.id == held.job.id)).scalar_one())
+def _state(connection: sa.Connection, claimed: Claim) -> JobState:
+    _touch(connection, claimed)
+    return JobState(connection.execute(sa.select(t.jobs.c.state).where(t.jobs.c.id == claimed.job.id)).scalar_one())
 
 
 def _fenced(job_id: str, attempt: int) -> FencedError:

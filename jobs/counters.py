@@ -26,7 +26,7 @@ def count_seconds(connection: sa.Connection, name: str, label: str, seconds: flo
 
 def tallies(connection: sa.Connection) -> dict[str, dict[str, float]]:
     """Every count, by name and label."""
-    told: dict[str, dict[str, float]] = {}
+    totals: dict[str, dict[str, float]] = {}
     for row in connection.execute(sa.select(t.tallies)):
-        told.setdefault(row.name, {})[row.label] = row.value
-    return told
+        totals.setdefault(row.name, {})[row.label] = row.value
+    return totals

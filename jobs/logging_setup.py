@@ -18,11 +18,11 @@ TEXT = "%(asctime)s %(levelname)s %(name)s %(message)s"
 @contextmanager
 def log_ids(**ids: str | int | None) -> Iterator[None]:
     """Name these ids in every line that is logged inside, in this thread or task: request_id, job_id, attempt."""
-    told = _IDS.set({**_IDS.get(), **{name: value for name, value in ids.items() if value is not None}})
+    token = _IDS.set({**_IDS.get(), **{name: value for name, value in ids.items() if value is not None}})
     try:
         yield
     finally:
-        _IDS.reset(told)
+        _IDS.reset(token)
 
 
 class JsonLines(logging.Formatter):

@@ -43,9 +43,9 @@ def release_lease(store: Store, name: str, *, owner: str) -> None:
 
 def living(store: Store, prefix: str) -> list[str]:
     """Names of leases with this prefix that someone holds now."""
-    held = t.leases.c.name.startswith(prefix, autoescape=True) & (t.leases.c.until > store.clock())
+    active = t.leases.c.name.startswith(prefix, autoescape=True) & (t.leases.c.until > store.clock())
     with store.reading() as connection:
-        return list(connection.execute(sa.select(t.leases.c.name).where(held)).scalars())
+        return list(connection.execute(sa.select(t.leases.c.name).where(active)).scalars())
 
 
 def unsent(store: Store, *, window: int) -> list[RunJob]:
@@ -64,8 +64,8 @@ def unsent(store: Store, *, window: int) -> list[RunJob]:
             return []
         sent = sa.select(jobs.c.queue, jobs.c.owner).join(outbox, jobs.c.id == outbox.c.job_id).where(is_sent)
         out = [(row.queue, row.owner) for row in connection.execute(sent)]
-        held = sa.select(jobs.c.owner).where((jobs.c.state == JobState.RUNNING) & jobs.c.lease_owner.is_not(None))
-        busy = Counter([*connection.execute(held).scalars(), *(owner for _, owner in out)])
+        active = sa.select(jobs.c.owner).where((jobs.c.state == JobState.RUNNING) & jobs.c.lease_owner.is_not(None))
+        busy = Counter([*connection.execute(active).scalars(), *(owner for _, owner in out)])
         rows = connection.execute(sa.select(waiting).where(waiting.c.place <= window)).all()
     room = dict.fromkeys({row.queue for row in rows}, window)
     for queue, _ in out:
@@ -140,8 +140,8 @@ def _reap_one(connection: sa.Connection, job_id: str, now: float, max_lost_attem
 
 def _loss(lost: list[str | None]) -> tuple[str, str]:
     if len(set(lost)) == 1 and len(lost) > 1 and lost[0] is not None:
-        found = f"{len(lost)} workers were lost, each in the stage {lost[0]}"
-        return "poison-input", f"{found}; the input likely needs more memory than a worker has; simplify the mesh"
+        detail = f"{len(lost)} workers were lost, each in the stage {lost[0]}"
+        return "poison-input", f"{detail}; the input likely needs more memory than a worker has; simplify the mesh"
     return "worker-lost", f"{len(lost)} workers were lost while they ran this job; try again"
 
 
@@ -189,8 +189,8 @@ def unreferenced_blobs(store: Store, *, limit: int = 100) -> list[str]:
     with store.reading() as connection:
         aged = t.blobs.c.touched_at < now - BLOB_GRACE_S
         candidates = connection.execute(sa.select(t.blobs.c.sha256).where(aged)).scalars().all()
-        kept = set(_referenced(connection, now)) if candidates else set()
-    return [sha256 for sha256 in candidates if sha256 not in kept][:limit]
+        referenced = set(_referenced(connection, now)) if candidates else set()
+    return [sha256 for sha256 in candidates if sha256 not in referenced][:limit]
 
 
 def _referenced(connection: sa.Connection, now: float) -> Iterator[str]:

@@ -30,8 +30,8 @@ _NEVER = frozenset({ipaddress.ip_address("168.63.129.16")})  # public by number,
 
 async def look_up(host: str, port: int) -> list[str]:
     """Addresses of a name, from the system."""
-    found = await asyncio.get_running_loop().getaddrinfo(host, port, type=socket.SOCK_STREAM)
-    return [str(entry[4][0]) for entry in found]
+    results = await asyncio.get_running_loop().getaddrinfo(host, port, type=socket.SOCK_STREAM)
+    return [str(entry[4][0]) for entry in results]
 
 
 def is_public(address: Address) -> bool:
@@ -58,9 +58,9 @@ class Target:
     @property
     def pinned_url(self) -> str:
         """The URL with the address in the place of the name."""
-        shown = f"[{self.address}]" if ":" in self.address else self.address
+        host_part = f"[{self.address}]" if ":" in self.address else self.address
         port = f":{self.parts.port}" if self.parts.port is not None else ""
-        return self.parts._replace(netloc=shown + port, fragment="").geturl()
+        return self.parts._replace(netloc=host_part + port, fragment="").geturl()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,10 +79,10 @@ class Outbound:
         parts = self.check_form(url)
         host, port = parts.hostname or "", parts.port or (443 if parts.scheme == "https" else 80)
         try:
-            found = await asyncio.wait_for(self.look_up(host, port), CONNECT_S)
+            results = await asyncio.wait_for(self.look_up(host, port), CONNECT_S)
         except (OSError, UnicodeError, TimeoutError) as error:
             raise OutboundError(f"the name {host!r} cannot be looked up") from error
-        addresses = [ipaddress.ip_address(text.partition("%")[0]) for text in found]
+        addresses = [ipaddress.ip_address(text.partition("%")[0]) for text in results]
         if not addresses:
             raise OutboundError(f"the name {host!r} has no address")
         if not self._private_allowed(parts) and not all(map(is_public, addresses)):

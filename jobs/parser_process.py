@@ -93,9 +93,9 @@ async def parse(request: ParseRequest, settings: Settings) -> ParseAnswer:
 
 def _no_answer(returncode: int | None, errors: IO[bytes], settings: Settings) -> ParseAnswer:
     errors.seek(max(errors.seek(0, os.SEEK_END) - MAX_ERROR_BYTES, 0))
-    told = errors.read().decode(errors="replace")
-    if returncode == 1 and '  File "' in told:  # a traceback; a library without memory ends with 1 too
-        logger.error("the parser failed:\n%s", told)
+    stderr_text = errors.read().decode(errors="replace")
+    if returncode == 1 and '  File "' in stderr_text:  # a traceback; a library without memory ends with 1 too
+        logger.error("the parser failed:\n%s", stderr_text)
         return ParseAnswer(code="internal-error", message="The cause was logged.")
     ended = f"signal {-returncode}" if returncode is not None and returncode < 0 else f"exit code {returncode}"
     allowed = f"{settings.parser_cpu_s} s of one core and {settings.parser_memory_bytes:,} bytes of memory"

@@ -166,21 +166,21 @@ def read_settings(**overrides: object) -> Settings:
     try:
         return Settings(_secrets_dir=secrets, **overrides)  # type: ignore[arg-type]
     except ValidationError as error:
-        found = "; ".join(
+        problems = "; ".join(
             f"DYNAMICTREE_{'_'.join(map(str, e['loc'])).upper()} is {e['input']!r}: {e['msg']}"
             if e["loc"]
             else e["msg"].removeprefix("Value error, ")
             for e in error.errors()
         )
-        raise SettingsError(f"{found}; see docs/settings.md") from error
+        raise SettingsError(f"{problems}; see docs/settings.md") from error
 
 
 def unknown_variables() -> list[str]:
     """Variables of the environment with our prefix that are no setting: most likely a typo."""
-    known = {f"DYNAMICTREE_{name.upper()}" for name in Settings.model_fields} | {
+    names = {f"DYNAMICTREE_{name.upper()}" for name in Settings.model_fields} | {
         "DYNAMICTREE_SECRETS_DIR",
         "DYNAMICTREE_SAMPLES",
         "DYNAMICTREE_URL",
         "DYNAMICTREE_API_KEY",
     }
-    return sorted(name for name in os.environ if name.startswith("DYNAMICTREE_") and name not in known)
+    return sorted(name for name in os.environ if name.startswith("DYNAMICTREE_") and name not in names)

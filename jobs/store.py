@@ -129,9 +129,11 @@ class Store:
         if connection.dialect.name == "postgresql":  # one owner's jobs are counted one after another
             connection.execute(sa.select(sa.func.pg_advisory_xact_lock(sa.func.hashtext(self.owner or ""))))
         active = t.jobs.c.state.in_(ACTIVE) & (t.jobs.c.owner == (self.owner or ""))
-        found = connection.execute(sa.select(sa.func.count()).where(active)).scalar_one() - counted
-        if found >= max_active:
-            raise QuotaError(f"{found} of your jobs have not ended, {max_active} are allowed; wait for one, or cancel")
+        matches = connection.execute(sa.select(sa.func.count()).where(active)).scalar_one() - counted
+        if matches >= max_active:
+            raise QuotaError(
+                f"{matches} of your jobs have not ended, {max_active} are allowed; wait for one, or cancel"
+            )
 
     def _free_key(self, connection: sa.Connection, client_key: ClientKey) -> None:
         if client_key.expires_s is not None:
@@ -173,13 +175,13 @@ class Store:
     def job_versions(self, job_ids: list[str]) -> dict[str, tuple[int, bool]]:
         """Version of each job, and whether it has ended; none of those that are gone."""
         columns = (t.jobs.c.id, t.jobs.c.version, t.jobs.c.state)
-        found = {}
+        matches = {}
         with self.reading() as connection:
             for start in range(0, len(job_ids), 500):  # SQLite takes 999 values a statement in old builds
                 query = sa.select(*columns).where(t.jobs.c.id.in_(job_ids[start : start + 500]))
                 for row in connection.execute(query):
-                    found[row.id] = (row.version, JobState(row.state) not in ACTIVE)
-        return found
+                    matches[row.id] = (row.version, JobState(row.state) not in ACTIVE)
+        return matches
 
     def jobs(
         self,
@@ -198,12 +200,12 @@ class Store:
         if before is not None:
             query = query.where(t.jobs.c.id < before)
         with self.reading() as connection:
-            found = connection.execute(query).all()
-            wanted = t.stages.c.job_id.in_([row.id for row in found])
+            matches = connection.execute(query).all()
+            wanted = t.stages.c.job_id.in_([row.id for row in matches])
             stages: dict[str, list[StageRecord]] = {}
             for row in connection.execute(sa.select(t.stages).where(wanted).order_by(t.stages.c.position)):
                 stages.setdefault(row.job_id, []).append(rows.stage_of(row))
-        return [rows.job_of(row, tuple(stages.get(row.id, ()))) for row in found]
+        return [rows.job_of(row, tuple(stages.get(row.id, ()))) for row in matches]
 
     def look(self, job_id: str) -> tuple[JobRecord, int | None, list[ArtifactRecord]]:
         """A job, its place in the queue and what it offers so far, all of one moment: what a poll asks.
@@ -233,8 +235,8 @@ class Store:
             if not rows.move(connection, job_id, JobState.CANCELING):
                 raise ConflictError(f"job {job_id} has {job.state}; only a queued or running job can be canceled")
             note(connection, job_id, "asked to stop", at=self.clock())
-            held = connection.execute(sa.select(t.jobs.c.lease_owner).where(t.jobs.c.id == job_id)).scalar_one()
-            if held is None:
+            holder = connection.execute(sa.select(t.jobs.c.lease_owner).where(t.jobs.c.id == job_id)).scalar_one()
+            if holder is None:
                 rows.end(connection, job_id, JobState.CANCELED, now=self.clock())
             return rows.read_job(connection, job_id)
 

@@ -34,8 +34,8 @@ def span(
     from opentelemetry.trace.propagation.tracecontext import TraceContextTextMapPropagator
 
     context = TraceContextTextMapPropagator().extract({"traceparent": parent} if parent else {})
-    told = {f"dynamictree.{key}": value for key, value in attributes.items()}
-    with spans.start_as_current_span(name, context=context, kind=kind, attributes=told) as begun:
+    span_attributes = {f"dynamictree.{key}": value for key, value in attributes.items()}
+    with spans.start_as_current_span(name, context=context, kind=kind, attributes=span_attributes) as begun:
         yield begun
 
 

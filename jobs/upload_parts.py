@@ -149,14 +149,14 @@ class ObjectParts:
                 obstore.delete(self.objects, keys)
 
     def _parts(self, upload_id: str) -> list[tuple[str, int]]:
-        found = []
+        entries = []
         end = 0
         for key, size in self._listed(upload_id):
             if int(key.rpartition("/")[2]) != end:
                 break
-            found.append((key, size))
+            entries.append((key, size))
             end += size
-        return found
+        return entries
 
     def _listed(self, upload_id: str) -> list[tuple[str, int]]:
         with answers_told():

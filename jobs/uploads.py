@@ -65,9 +65,9 @@ def change_upload(store: Store, upload_id: str, *, was: tuple[UploadState, ...] 
         ConflictError: it has gone on.
     """
     with store.writing() as connection:
-        found = _read(connection, store, upload_id)
-        if was and found.state not in was:
-            raise ConflictError(f"upload {upload_id} is {found.state}, not {' or '.join(was)}")
+        before = _read(connection, store, upload_id)
+        if was and before.state not in was:
+            raise ConflictError(f"upload {upload_id} is {before.state}, not {' or '.join(was)}")
         if values:
             connection.execute(t.uploads.update().where(t.uploads.c.id == upload_id).values(**values))
         return _read(connection, store, upload_id)

@@ -35,7 +35,7 @@ def announce(connection: sa.Connection, job_id: str, state: JobState, *, now: fl
     }
     for row in connection.execute(sa.select(t.webhook_endpoints).where(wanted)).all():
         if event in row.events or row.id == job.webhook_id:
-            made = {
+            row_values = {
                 "id": str(ULID()),
                 "endpoint_id": row.id,
                 "job_id": job_id,
@@ -48,4 +48,4 @@ def announce(connection: sa.Connection, job_id: str, state: JobState, *, now: fl
                 "traceparent": job.traceparent,
                 "created_at": now,
             }
-            connection.execute(t.deliveries.insert().values(**made))
+            connection.execute(t.deliveries.insert().values(**row_values))

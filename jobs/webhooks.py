@@ -82,7 +82,7 @@ def add_endpoint(store: Store, url: str, events: Sequence[Event]) -> Endpoint:
     Raises:
         ConflictError: there are too many.
     """
-    made = Endpoint(
+    new = Endpoint(
         id=str(ULID()),
         owner=store.owner or "",
         url=url,
@@ -91,11 +91,11 @@ def add_endpoint(store: Store, url: str, events: Sequence[Event]) -> Endpoint:
         created_at=store.clock(),
     )
     with store.writing() as connection:
-        mine = sa.select(sa.func.count()).where(t.webhook_endpoints.c.owner == made.owner)
+        mine = sa.select(sa.func.count()).where(t.webhook_endpoints.c.owner == new.owner)
         if connection.execute(mine).scalar_one() >= MAX_ENDPOINTS:
             raise ConflictError(f"there are {MAX_ENDPOINTS} webhook endpoints, which is the limit; delete one")
-        connection.execute(t.webhook_endpoints.insert().values(**asdict(made)))
-    return made
+        connection.execute(t.webhook_endpoints.insert().values(**asdict(new)))
+    return new
 
 
 def endpoints(store: Store) -> list[Endpoint]:
@@ -215,33 +215,33 @@ def claim_due(
     with store.reading() as connection:
         rows = connection.execute(sa.select(due).where(due.c.place <= per_owner)).all()
     turns = {row.id: row.place + busy.get(row.owner, 0) for row in rows}
-    found = [row for row in rows if turns[row.id] <= per_owner]
-    found = sorted(found, key=lambda row: (turns[row.id], row.next_at))[:limit]
-    if not found:
+    eligible = [row for row in rows if turns[row.id] <= per_owner]
+    eligible = sorted(eligible, key=lambda row: (turns[row.id], row.next_at))[:limit]
+    if not eligible:
         return []
     claimed = []
     with store.writing() as connection:
-        for row in found:
+        for row in eligible:
             this = (t.deliveries.c.id == row.id) & (t.deliveries.c.next_at == row.next_at)
             if connection.execute(t.deliveries.update().where(this).values(next_at=now + lease_s)).rowcount:
-                told = connection.execute(sa.select(t.deliveries).where(t.deliveries.c.id == row.id)).one()
-                whom = t.webhook_endpoints.c.id == told.endpoint_id
+                delivery_row = connection.execute(sa.select(t.deliveries).where(t.deliveries.c.id == row.id)).one()
+                whom = t.webhook_endpoints.c.id == delivery_row.endpoint_id
                 to = connection.execute(sa.select(t.webhook_endpoints).where(whom)).one()
-                claimed.append((_delivery(told), _endpoint(to)))
+                claimed.append((_delivery(delivery_row), _endpoint(to)))
     return claimed
 
 
-def record_try(store: Store, delivery: Delivery, made: Try, *, retry_s: Sequence[float]) -> DeliveryState:
+def record_try(store: Store, delivery: Delivery, new: Try, *, retry_s: Sequence[float]) -> DeliveryState:
     """Write down how an attempt went, and when the next one is due. 410 disables the endpoint."""
-    log = [*(asdict(earlier) for earlier in delivery.log), asdict(made)]
-    delivered = made.status is not None and 200 <= made.status < 300
-    over = delivered or made.status == 410 or len(log) >= len(retry_s)
+    log = [*(asdict(earlier) for earlier in delivery.log), asdict(new)]
+    delivered = new.status is not None and 200 <= new.status < 300
+    over = delivered or new.status == 410 or len(log) >= len(retry_s)
     state: DeliveryState = "delivered" if delivered else "failed" if over else "pending"
-    next_at = None if over else made.at + retry_s[len(log)]
+    next_at = None if over else new.at + retry_s[len(log)]
     with store.writing() as connection:
         this = t.deliveries.c.id == delivery.id
         connection.execute(t.deliveries.update().where(this).values(state=state, log=log, next_at=next_at))
-        if made.status == 410:
+        if new.status == 410:
             whom = t.webhook_endpoints.c.id == delivery.endpoint_id
             reason = {"disabled_reason": "the address answered 410 Gone"}
             connection.execute(t.webhook_endpoints.update().where(whom).values(**reason))
@@ -249,5 +249,5 @@ def record_try(store: Store, delivery: Delivery, made: Try, *, retry_s: Sequence
 
 
 def _delivery(row: sa.Row[tuple[object, ...]]) -> Delivery:
-    log = tuple(Try(**made) for made in row._mapping["log"])
+    log = tuple(Try(**new) for new in row._mapping["log"])
     return Delivery(**dict(row._mapping) | {"log": log})

@@ -86,15 +86,15 @@ def _keep(
     owned: Owned, job: JobRecord, stages: tuple[JobType, ...], key: ClientKey | None, response: Response
 ) -> JobPayload:
     most = owned.caller.limits.get("active_jobs")
-    kept, new = owned.store.add_job(job, stages=stages, client_key=key, max_active=most)
-    return _answer(owned, kept, new, key, response)
+    stored, new = owned.store.add_job(job, stages=stages, client_key=key, max_active=most)
+    return _answer(owned, stored, new, key, response)
 
 
-def _answer(owned: Owned, kept: JobRecord, new: bool, key: ClientKey | None, response: Response) -> JobPayload:
-    response.headers["Location"] = f"/v1/jobs/{kept.id}"
+def _answer(owned: Owned, stored: JobRecord, new: bool, key: ClientKey | None, response: Response) -> JobPayload:
+    response.headers["Location"] = f"/v1/jobs/{stored.id}"
     if not new and key is not None and key.key.startswith("put:"):
         response.status_code = status.HTTP_200_OK
-    return tell(owned, kept, response)
+    return tell(owned, stored, response)
 
 
 def _fingerprint(body: JobRequest) -> str:

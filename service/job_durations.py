@@ -63,6 +63,6 @@ class JobDurations:
 
     def _median(self, what: str, of: str, look: Callable[[], Sequence[float]]) -> float | None:
         value = self._medians.get((what, of))
-        if value is None and (found := look()):
-            value = self._medians[what, of] = float(median(found))
+        if value is None and (samples := look()):
+            value = self._medians[what, of] = float(median(samples))
         return value

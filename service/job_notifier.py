@@ -43,17 +43,17 @@ class JobNotifier:
     async def _look(self) -> None:
         while self._waiting:
             try:
-                found = await run_in_threadpool(self.store.job_versions, list(self._waiting))
+                versions = await run_in_threadpool(self.store.job_versions, list(self._waiting))
             except sa.exc.SQLAlchemyError as error:
                 logger.warning("changes cannot be looked for: %s", error)
-                found = {}
+                versions = {}
             else:
-                self._wake(found)
+                self._wake(versions)
             await asyncio.sleep(LOOK_S)
 
-    def _wake(self, found: dict[str, tuple[int, bool]]) -> None:
+    def _wake(self, versions: dict[str, tuple[int, bool]]) -> None:
         for job_id, waiters in self._waiting.items():
-            now = found.get(job_id)
+            now = versions.get(job_id)
             for waiter, version in waiters.items():
                 if (now is None or now[0] != version) and not waiter.done():
                     waiter.set_result(None)

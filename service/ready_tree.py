@@ -45,8 +45,8 @@ class ReadyTree:
         """About what it takes [bytes]."""
         vertices = 0 if self.mesh is None else self.mesh.num_vertices
         gaussians = 0 if self.gaussians is None else len(self.gaussians.rows)
-        known = BYTES_A_VERTEX * vertices + BYTES_A_GAUSSIAN * gaussians
-        return BYTES_A_VOXEL * len(self.tree.system.grid) + known
+        extra_bytes = BYTES_A_VERTEX * vertices + BYTES_A_GAUSSIAN * gaussians
+        return BYTES_A_VOXEL * len(self.tree.system.grid) + extra_bytes
 
 
 def vertex_ties(ready: ReadyTree, mesh: TriangleMesh) -> "VoxelInterpolation":

@@ -57,10 +57,10 @@ def load_source_mesh(owned: Owned, spectrum_id: str) -> TriangleMesh:
     asset = read_asset(owned.store, owned.store.job(artifact.job_id).asset_id)
     if asset.prepared is not None and asset.kind == "mesh":
         return _mesh(owned, asset.prepared.sha256, asset.id)
-    made = [other for other in owned.store.artifacts_of(artifact.job_id) if other.name == MESH_BUNDLE]
-    if not made:
+    bundles = [other for other in owned.store.artifacts_of(artifact.job_id) if other.name == MESH_BUNDLE]
+    if not bundles:
         raise GoneError(f"the mesh of spectrum {spectrum_id} was removed; run the job again")
-    return _mesh(owned, made[0].sha256, f"of spectrum {spectrum_id}")
+    return _mesh(owned, bundles[0].sha256, f"of spectrum {spectrum_id}")
 
 
 def load_asset_mesh(owned: Owned, asset_id: str) -> TriangleMesh:
@@ -103,8 +103,8 @@ def load_source_cloud(owned: Owned, spectrum_id: str) -> tuple[Capture, Box | No
     job = owned.store.job(spectrum_artifact(owned, spectrum_id).job_id)
     asset = read_asset(owned.store, job.asset_id)
     if asset.kind != "cloud" or asset.prepared is None:
-        found = f"this spectrum's source is of kind {asset.kind}; output gaussians needs a cloud"
-        raise ProblemError("invalid-input", f"{found}. Ask for vertices, voxels or modal")
+        detail = f"this spectrum's source is of kind {asset.kind}; output gaussians needs a cloud"
+        raise ProblemError("invalid-input", f"{detail}. Ask for vertices, voxels or modal")
     capture = read_cloud_bundle(_kept(owned, asset.prepared.sha256, f"cloud {asset.id}"))
     return capture, TypeAdapter(Box | None).validate_python(job.params.get("box_m"))
 

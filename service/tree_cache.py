@@ -19,19 +19,19 @@ def ready_tree(owned: Owned, spectrum_id: str) -> ReadyTree:
     Raises:
         NotFoundError, GoneError: there is none, or it has expired.
     """
-    kept = living_tree(owned, spectrum_id)
-    if kept is None:
+    tree_ready = living_tree(owned, spectrum_id)
+    if tree_ready is None:
         artifact = spectrum_artifact(owned, spectrum_id)
         tree = InteractiveTree(modal_system(load_spectrum(owned, spectrum_id)))
-        kept = ReadyTree(tree, artifact.expires_at)
-        owned.services.trees.put(_key(owned, spectrum_id), kept)
-    return kept
+        tree_ready = ReadyTree(tree, artifact.expires_at)
+        owned.services.trees.put(_key(owned, spectrum_id), tree_ready)
+    return tree_ready
 
 
 def living_tree(owned: Owned, spectrum_id: str) -> ReadyTree | None:
     """The tree of a spectrum if it is kept in memory and has not expired; asks no store."""
-    kept = owned.services.trees.get(_key(owned, spectrum_id))
-    return kept if kept is not None and owned.store.clock() < kept.expires_at else None
+    tree_ready = owned.services.trees.get(_key(owned, spectrum_id))
+    return tree_ready if tree_ready is not None and owned.store.clock() < tree_ready.expires_at else None
 
 
 def _key(owned: Owned, spectrum_id: str) -> str:

@@ -48,31 +48,31 @@ PARAMS: dict[JobType, tuple[type[Request], ...]] = {
 """The files and parameters that change what a stage makes."""
 
 
-def run_stages(here: Runtime, watch: Watch) -> None:
+def run_stages(runtime: Runtime, watch: Watch) -> None:
     """Run what is left to run. Whatever a stage raises passes through."""
     # numba and the formats come in with the first job, so that a worker is there at once
     from worker.stages import STAGES, StageInput, photo_name
 
-    job = watch.held.job
-    asset = read_asset(here.store, job.asset_id)
-    folder = here.settings.scratch_dir / f"job-{job.id}-{job.attempt}"
-    kept = here.settings.scratch_dir / f"kept-{job.id}"
+    job = watch.claimed.job
+    asset = read_asset(runtime.store, job.asset_id)
+    folder = runtime.settings.scratch_dir / f"job-{job.id}-{job.attempt}"
+    kept = runtime.settings.scratch_dir / f"kept-{job.id}"
     shutil.rmtree(folder, ignore_errors=True)
     kept.mkdir(parents=True, exist_ok=True)
     inputs = folder / "inputs"
     inputs.mkdir(parents=True)
     try:
-        files = _fetch_prepared(here, asset, inputs)
-        photos = _fetch_photos(here, asset, inputs / "photos", photo_name)
+        files = _fetch_prepared(runtime, asset, inputs)
+        photos = _fetch_photos(runtime, asset, inputs / "photos", photo_name)
         hashes = dict.fromkeys((MESH_BUNDLE, CLOUD_BUNDLE, SOURCE), asset.fingerprint)
         for stage in job.stages:
             watch.check()
-            made = _finished(here, job, stage.name)
-            key = "" if made else stage_key(job, stage.name, hashes)
-            if made is None and not _fresh(job, stage.name):
-                made = _from_cache(here, watch, stage.name, key)
-            if made is None:
-                start_stage(here.store, watch.held, stage.name)
+            outputs = _finished(runtime, job, stage.name)
+            key = "" if outputs else stage_key(job, stage.name, hashes)
+            if outputs is None and not _fresh(job, stage.name):
+                outputs = _from_cache(runtime, watch, stage.name, key)
+            if outputs is None:
+                start_stage(runtime.store, watch.claimed, stage.name)
                 own = folder / stage.name
                 own.mkdir()
                 given = StageInput(
@@ -83,10 +83,10 @@ def run_stages(here: Runtime, watch: Watch) -> None:
                     photos=photos,
                     report=partial(watch.report, stage.name),
                 )
-                made = _made(here, watch, stage.name, STAGES[stage.name], given)
-                _publish(here, watch, stage.name, made, key=key, cached=False)
-            for file in made:
-                here.artifacts.fetch(file.sha256, inputs / file.name)
+                outputs = _made(runtime, watch, stage.name, STAGES[stage.name], given)
+                _publish(runtime, watch, stage.name, outputs, key=key, cached=False)
+            for file in outputs:
+                runtime.artifacts.fetch(file.sha256, inputs / file.name)
                 files[file.name] = inputs / file.name
                 hashes[file.name] = file.sha256
     except (HandedBack, FencedError):
@@ -101,16 +101,16 @@ def run_stages(here: Runtime, watch: Watch) -> None:
 
 
 def _made(
-    here: Runtime, watch: Watch, stage: JobType, run: Callable[["StageInput"], Iterable[Path]], given: "StageInput"
+    runtime: Runtime, watch: Watch, stage: JobType, run: Callable[["StageInput"], Iterable[Path]], given: "StageInput"
 ) -> tuple[OutputFile, ...]:
     """Run a stage; what it had written before it failed is offered all the same: it tells why."""
     try:
-        return _keep(here, run(given), given.facts)
+        return _keep(runtime, run(given), given.facts)
     except Cancelled:
         raise
     except DynamicTreeError:
-        left = _keep(here, sorted(path for path in given.folder.iterdir() if path.is_file()), given.facts)
-        offer(here.store, watch.held, stage, left, retention_s=here.settings.artifact_retention_s)
+        left = _keep(runtime, sorted(path for path in given.folder.iterdir() if path.is_file()), given.facts)
+        offer(runtime.store, watch.claimed, stage, left, retention_s=runtime.settings.artifact_retention_s)
         raise
 
 
@@ -141,17 +141,17 @@ def model_sha256(preset: str) -> str:
     return sha256(path.read_bytes()).hexdigest()
 
 
-def _fetch_prepared(here: Runtime, asset: AssetRecord, inputs: Path) -> dict[str, Path]:
+def _fetch_prepared(runtime: Runtime, asset: AssetRecord, inputs: Path) -> dict[str, Path]:
     """The mesh or cloud that the parser wrote."""
     if asset.prepared is None:
         return {}
     name = CLOUD_BUNDLE if asset.kind == "cloud" else MESH_BUNDLE
-    here.artifacts.fetch(asset.prepared.sha256, inputs / name)
+    runtime.artifacts.fetch(asset.prepared.sha256, inputs / name)
     return {name: inputs / name}
 
 
 def _fetch_photos(
-    here: Runtime, asset: AssetRecord, folder: Path, name_of: Callable[[int, str], str]
+    runtime: Runtime, asset: AssetRecord, folder: Path, name_of: Callable[[int, str], str]
 ) -> tuple[Path, ...]:
     """Photos, and the cameras and masks that came with them, under their own names; in the order sent."""
     if asset.kind != "photos":
@@ -160,7 +160,7 @@ def _fetch_photos(
     for index, part in enumerate(asset.parts):
         path = folder / name_of(index, part.name)
         path.parent.mkdir(parents=True, exist_ok=True)
-        here.artifacts.fetch(part.sha256, path)
+        runtime.artifacts.fetch(part.sha256, path)
         paths.append(path)
     return tuple(paths)
 
@@ -170,48 +170,48 @@ def _fresh(job: JobRecord, stage: JobType) -> bool:
     return job.fresh_from is not None and JOB_TYPES.index(stage) >= JOB_TYPES.index(job.fresh_from)
 
 
-def _finished(here: Runtime, job: JobRecord, stage: JobType) -> tuple[OutputFile, ...] | None:
+def _finished(runtime: Runtime, job: JobRecord, stage: JobType) -> tuple[OutputFile, ...] | None:
     """What an earlier attempt of the same job published."""
-    if not any(known.name == stage and known.state == "succeeded" for known in job.stages):
+    if not any(other.name == stage and other.state == "succeeded" for other in job.stages):
         return None
-    made = [artifact for artifact in here.store.artifacts_of(job.id) if artifact.stage == stage]
+    outputs = [artifact for artifact in runtime.store.artifacts_of(job.id) if artifact.stage == stage]
     return tuple(
-        OutputFile(name=a.name, media_type=a.media_type, sha256=a.sha256, bytes=a.bytes, facts=a.facts) for a in made
+        OutputFile(name=a.name, media_type=a.media_type, sha256=a.sha256, bytes=a.bytes, facts=a.facts) for a in outputs
     )
 
 
-def _from_cache(here: Runtime, watch: Watch, stage: JobType, key: str) -> tuple[OutputFile, ...] | None:
+def _from_cache(runtime: Runtime, watch: Watch, stage: JobType, key: str) -> tuple[OutputFile, ...] | None:
     """What any job made of the same inputs, if its bytes are all there."""
-    files = cached_stage(here.store, key)
+    files = cached_stage(runtime.store, key)
     if files is None:
         return None
     for file in files:
-        touch_blob(here.store, file.sha256, file.bytes)
-    if not all(here.artifacts.exists(file.sha256) for file in files):
+        touch_blob(runtime.store, file.sha256, file.bytes)
+    if not all(runtime.artifacts.exists(file.sha256) for file in files):
         return None
-    start_stage(here.store, watch.held, stage)
-    _publish(here, watch, stage, files, key=key, cached=True)
+    start_stage(runtime.store, watch.claimed, stage)
+    _publish(runtime, watch, stage, files, key=key, cached=True)
     return files
 
 
 def _keep(
-    here: Runtime, paths: Iterable[Path], facts: Mapping[str, Mapping[str, int | float]]
+    runtime: Runtime, paths: Iterable[Path], facts: Mapping[str, Mapping[str, int | float]]
 ) -> tuple[OutputFile, ...]:
     from dynamictree.export.table import media_type  # with the stages, not at start
 
-    made = []
+    outputs = []
     for path in paths:
         digest, size = hash_file(path)
-        touch_blob(here.store, digest, size)
-        here.artifacts.put(path, digest)
+        touch_blob(runtime.store, digest, size)
+        runtime.artifacts.put(path, digest)
         kept = OutputFile(name=path.name, media_type=media_type(path.name), sha256=digest, bytes=size)
-        made.append(replace(kept, facts=facts.get(path.name, {})))
-    return tuple(made)
+        outputs.append(replace(kept, facts=facts.get(path.name, {})))
+    return tuple(outputs)
 
 
 def _publish(
-    here: Runtime, watch: Watch, stage: JobType, files: tuple[OutputFile, ...], *, key: str, cached: bool
+    runtime: Runtime, watch: Watch, stage: JobType, files: tuple[OutputFile, ...], *, key: str, cached: bool
 ) -> None:
-    retention_s = here.settings.artifact_retention_s
-    publish_stage(here.store, watch.held, stage, files, key=key, cached=cached, retention_s=retention_s)
-    logger.info("stage %s of job %s published", stage, watch.held.job.id, extra={"cached": cached})
+    retention_s = runtime.settings.artifact_retention_s
+    publish_stage(runtime.store, watch.claimed, stage, files, key=key, cached=cached, retention_s=retention_s)
+    logger.info("stage %s of job %s published", stage, watch.claimed.job.id, extra={"cached": cached})

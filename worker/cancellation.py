@@ -18,20 +18,20 @@ class HandedBack(Exception):
 class Watch:
     """A heartbeat for one attempt, and the question that every step asks."""
 
-    def __init__(self, here: Runtime, held: Claim, *, stopping: Callable[[], bool]) -> None:
-        self.here = here
-        self.held = held
+    def __init__(self, resources: Runtime, claimed: Claim, *, stopping: Callable[[], bool]) -> None:
+        self.resources = resources
+        self.claimed = claimed
         self._stopping = stopping
         self._reported_at = -1e9
 
     def __enter__(self) -> "Watch":
-        self.here.heartbeat.hold(self.held)
+        self.resources.heartbeat.hold(self.claimed)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        self.here.heartbeat.drop()
+        self.resources.heartbeat.drop()
 
     def check(self) -> None:
         """Go on, or not.
@@ -41,15 +41,15 @@ class Watch:
             FencedError: the attempt is no longer ours.
             HandedBack: this worker is to stop.
         """
-        if canceling(self.here.store, self.held):
-            raise Cancelled(f"job {self.held.job.id} was asked to stop")
+        if canceling(self.resources.store, self.claimed):
+            raise Cancelled(f"job {self.claimed.job.id} was asked to stop")
         if self._stopping():
-            raise HandedBack(f"the worker stops; job {self.held.job.id} goes to another")
+            raise HandedBack(f"the worker stops; job {self.claimed.job.id} goes to another")
 
     def report(self, stage: JobType, progress: float) -> None:
         """Ask whether to go on, and tell how much of a stage is done, the latter not too often."""
         self.check()
         now = time.monotonic()
-        if now - self._reported_at >= self.here.settings.progress_interval_s:
-            report_progress(self.here.store, self.held, stage, progress)
+        if now - self._reported_at >= self.resources.settings.progress_interval_s:
+            report_progress(self.resources.store, self.claimed, stage, progress)
             self._reported_at = now

@@ -86,8 +86,10 @@ class Courier:
             status, detail = None, str(error)
         except TimeoutError:
             status, detail = None, f"no answer within {self.settings.webhook_timeout_s:g} s"
-        made = Try(at=at, status=status, detail=detail[:MAX_DETAIL], seconds=round(time.monotonic() - began, 3))
-        state = await asyncio.to_thread(record_try, self.store, delivery, made, retry_s=self.settings.webhook_retry_s)
+        attempt = Try(at=at, status=status, detail=detail[:MAX_DETAIL], seconds=round(time.monotonic() - began, 3))
+        state = await asyncio.to_thread(
+            record_try, self.store, delivery, attempt, retry_s=self.settings.webhook_retry_s
+        )
         logger.info("webhook %s of job %s: %s", delivery.event, delivery.job_id, state, extra={"status": status})
 
     async def _post(self, delivery: Delivery, endpoint: Endpoint, signed_at: datetime) -> tuple[int, str]:

@@ -60,9 +60,9 @@ class Heartbeat:
                 assert self._process.stdout is not None
                 self._beats = self._process.stdout.readline() == READY
 
-    def hold(self, held: Claim) -> None:
+    def hold(self, claimed: Claim) -> None:
         """Renew this attempt's lease from now on."""
-        self._tell({"job_id": held.job.id, "attempt": held.attempt})
+        self._tell({"job_id": claimed.job.id, "attempt": claimed.attempt})
 
     def drop(self) -> None:
         """Renew no lease any more."""
@@ -128,13 +128,13 @@ def main() -> None:
     first = json.loads(sys.stdin.buffer.readline())
     store = Store.open(first["database_url"])
     beat = Beat(store=store, owner=first["owner"], lease_s=first["lease_s"])
-    held: dict[str, str | int] = {}
+    claimed: dict[str, str | int] = {}
     present_at = renewed_at = -1e9
     pending = b""
     while True:
         now = time.monotonic()
-        if held and now - renewed_at >= first["heartbeat_s"]:
-            held = held if beat.renew(str(held["job_id"]), int(held["attempt"])) else {}
+        if claimed and now - renewed_at >= first["heartbeat_s"]:
+            claimed = claimed if beat.renew(str(claimed["job_id"]), int(claimed["attempt"])) else {}
             renewed_at = now
         if now - present_at >= PRESENCE_S:
             beat.say_present()
@@ -149,7 +149,7 @@ def main() -> None:
             break
         *lines, pending = pending.split(b"\n")
         if lines:
-            held = json.loads(lines[-1])
+            claimed = json.loads(lines[-1])
     release_lease(store, WORKER_LEASES + first["owner"], owner=first["owner"])
 
 

@@ -177,9 +177,9 @@ class PauseDetector:
         now = (self._clocks[0](), self._clocks[1]())
         moved = [after - before for after, before in zip(now, self._last, strict=True)]
         self._last = now
-        if found := not all(-0.5 <= seconds <= self.longest_s for seconds in moved):
+        if stood_still := not all(-0.5 <= seconds <= self.longest_s for seconds in moved):
             logger.warning("a pause or a clock step of %.1f s; leases are given time", max(moved, key=abs))
-        return found
+        return stood_still
 
 
 @dataclass(kw_only=True)

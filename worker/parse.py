@@ -36,9 +36,9 @@ def main() -> None:
     except ModuleNotFoundError:
         raise  # a fault of the installation
     except (MemoryError, RecursionError, ImportError) as error:  # a library that has no room cannot be mapped
-        found = f"reading the file failed with {type(error).__name__}"
+        detail = f"reading the file failed with {type(error).__name__}"
         allowed = f"{request.memory_bytes:,} bytes of memory are allowed"
-        answer = ParseAnswer(code="input-too-costly", message=f"{found}; {allowed}; decimate it")
+        answer = ParseAnswer(code="input-too-costly", message=f"{detail}; {allowed}; decimate it")
     with os.fdopen(answer_to, "w") as stream:
         stream.write(answer.model_dump_json())
 
@@ -63,9 +63,9 @@ def _model(request: ParseRequest) -> ParseAnswer:
     clouds = [name for name, (kind, _) in models.items() if kind == "cloud"]
     meshes = [name for name in models if name not in clouds]
     if len(clouds) > 1 or len(meshes) > 1:
-        found = ", ".join(repr(name) for name in models)
+        detail = ", ".join(repr(name) for name in models)
         return _unusable(
-            f"there are 2 {'clouds' if clouds else 'meshes'} ({found}); send one, and what it names beside it"
+            f"there are 2 {'clouds' if clouds else 'meshes'} ({detail}); send one, and what it names beside it"
         )
     beside = {name: path for name, path in files.items() if name not in models}
     if clouds:

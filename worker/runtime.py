@@ -38,10 +38,10 @@ def open_runtime(settings: Settings) -> Runtime:
     )
 
 
-def close_runtime(here: Runtime) -> None:
+def close_runtime(resources: Runtime) -> None:
     """Say that this worker is gone, and disconnect."""
-    here.heartbeat.leave()
-    here.store.close()
+    resources.heartbeat.leave()
+    resources.store.close()
 
 
 @cache

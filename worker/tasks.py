@@ -40,71 +40,75 @@ class JobTask(Task):  # type: ignore[misc]
         self, exc: BaseException, task_id: str, args: tuple[str, int], kwargs: dict[str, object], einfo: object
     ) -> None:
         """Called by Celery in the process that ran the task."""
-        here = runtime()
+        resources = runtime()
         job_id, attempt = args
         with log_ids(job_id=job_id, attempt=attempt):
             try:
-                held = Claim(job=replace(here.store.job(job_id), attempt=attempt), owner=here.owner)
-                with log_ids(request_id=held.job.request_id):
-                    end_attempt(here, held, exc)
+                claimed = Claim(job=replace(resources.store.job(job_id), attempt=attempt), owner=resources.owner)
+                with log_ids(request_id=claimed.job.request_id):
+                    end_attempt(resources, claimed, exc)
             except (FencedError, NotFoundError) as error:
                 logger.info("the end of an attempt was not written: %s", error)
 
 
-def end_attempt(here: Runtime, held: Claim, error: BaseException) -> None:
+def end_attempt(resources: Runtime, claimed: Claim, error: BaseException) -> None:
     """Write what an exception means for the job.
 
     Raises:
         FencedError: the attempt is no longer ours.
     """
-    store = here.store
+    store = resources.store
     match error:
         case FencedError():
-            report_alive(store, held.job.id)
+            report_alive(store, claimed.job.id)
             raise error
         case Cancelled():
-            finish_cancel(store, held)
+            finish_cancel(store, claimed)
         case HandedBack():
-            hand_back(store, held)
+            hand_back(store, claimed)
         case DynamicTreeError() | GoneError() | StorageAwayError() | StorageFullError():
-            fail(store, held, code=error.code, message=str(error))
+            fail(store, claimed, code=error.code, message=str(error))
         case OSError() if is_full(error):
-            fail(store, held, code=StorageFullError.code, message="the worker's disk is full; try again later")
+            fail(store, claimed, code=StorageFullError.code, message="the worker's disk is full; try again later")
         case MemoryError() | RuntimeError() if is_out_of_memory(error):
-            fail(store, held, code="out-of-memory", message="the worker's memory did not suffice; simplify the input")
+            fail(
+                store, claimed, code="out-of-memory", message="the worker's memory did not suffice; simplify the input"
+            )
         case SoftTimeLimitExceeded():
-            allowed = f"{here.settings.soft_time_limit_s} s are allowed"
-            fail(store, held, code="time-limit", message=f"the job took too long; {allowed}; simplify the input")
+            allowed = f"{resources.settings.soft_time_limit_s} s are allowed"
+            fail(store, claimed, code="time-limit", message=f"the job took too long; {allowed}; simplify the input")
         case _:
-            logger.error("job %s failed", held.job.id, exc_info=error)
-            fail(store, held, code="internal-error", message="The cause was logged.")
+            logger.error("job %s failed", claimed.job.id, exc_info=error)
+            fail(store, claimed, code="internal-error", message="The cause was logged.")
 
 
 @app.task(base=JobTask, name=RUN_JOB)  # type: ignore[untyped-decorator]
 def run_job(job_id: str, attempt: int) -> None:
     """Run one attempt of a job, unless another worker does, or did."""
-    here = runtime()
-    here.heartbeat.wait()
-    held = claim(here.store, job_id, attempt, owner=here.owner, lease_s=here.settings.lease_s)
-    if held is None:
+    resources = runtime()
+    resources.heartbeat.wait()
+    claimed = claim(resources.store, job_id, attempt, owner=resources.owner, lease_s=resources.settings.lease_s)
+    if claimed is None:
         logger.info("attempt %s of job %s is not to be run", attempt, job_id)
         return
-    with log_ids(job_id=job_id, attempt=attempt, request_id=held.job.request_id), _traced(here, held):
-        with Watch(here, held, stopping=stopping.is_set) as watch:
-            run_stages(here, watch)
-        state = succeed(here.store, held)
+    with log_ids(job_id=job_id, attempt=attempt, request_id=claimed.job.request_id), _traced(resources, claimed):
+        with Watch(resources, claimed, stopping=stopping.is_set) as watch:
+            run_stages(resources, watch)
+        state = succeed(resources.store, claimed)
         logger.info("job %s has %s", job_id, state)
 
 
-def _traced(here: Runtime, held: Claim) -> AbstractContextManager[object]:
-    endpoint = here.settings.otlp_endpoint
+def _traced(resources: Runtime, claimed: Claim) -> AbstractContextManager[object]:
+    endpoint = resources.settings.otlp_endpoint
     if endpoint is None:
         return nullcontext()
     from opentelemetry.trace import SpanKind
 
-    job = held.job
-    told: dict[str, str | int] = {"job_id": job.id, "attempt": held.attempt, "queue": job.queue}
-    return span(tracer(endpoint, "worker"), f"run {job.type}", parent=job.traceparent, kind=SpanKind.CONSUMER, **told)
+    job = claimed.job
+    span_attributes: dict[str, str | int] = {"job_id": job.id, "attempt": claimed.attempt, "queue": job.queue}
+    return span(
+        tracer(endpoint, "worker"), f"run {job.type}", parent=job.traceparent, kind=SpanKind.CONSUMER, **span_attributes
+    )
 
 
 @signals.worker_process_init.connect  # type: ignore[untyped-decorator]

@@ -53,8 +53,8 @@ def watch(settings: Settings, stopped: threading.Event) -> None:
         except redis.RedisError:
             waiting = 0  # a queue that is away is not our fault
         if idle.too_long(waiting=waiting, busy=bool(state.reserved_requests), now=time.monotonic()):
-            found = f"{waiting} messages wait in {settings.queue!r} and none was taken for {settings.idle_limit_s:g} s"
-            logger.critical("%s; this worker ends, to be started again", found)
+            detail = f"{waiting} messages wait in {settings.queue!r} and none was taken for {settings.idle_limit_s:g} s"
+            logger.critical("%s; this worker ends, to be started again", detail)
             os.kill(os.getpid(), signal.SIGQUIT)  # Celery's cold shutdown
             if not stopped.wait(settings.shutdown_grace_s):
                 os._exit(1)

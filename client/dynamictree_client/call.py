@@ -60,8 +60,8 @@ class Call(Generic[T]):
         if self.answer is None or response.status_code == 304:
             return None  # type: ignore[return-value]
         if response.headers.get("content-type", "").startswith("application/json"):
-            found: T = TypeAdapter(self.answer).validate_json(response.content)
-            return found
+            answer_value: T = TypeAdapter(self.answer).validate_json(response.content)
+            return answer_value
         return response.content  # type: ignore[return-value]
 
 

@@ -76,11 +76,11 @@ def jobs(
 ) -> None:
     """List jobs, newest first."""
     with _service(url, api_key) as client:
-        found = client.send(operations.list_jobs(limit=limit)).data
+        listed = client.send(operations.list_jobs(limit=limit)).data
     if as_json:
-        print(json.dumps([job.model_dump(mode="json") for job in found]))
+        print(json.dumps([job.model_dump(mode="json") for job in listed]))
         return
-    for job in found:
+    for job in listed:
         print(f"{job.id}  {job.type:<11} {job.state:<9} {job.progress:4.0%}  {job.created_at:%Y-%m-%d %H:%M}")
 
 

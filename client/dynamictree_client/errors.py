@@ -116,7 +116,7 @@ def problem_of(response: httpx.Response) -> ProblemError:
     kind = _BY_STATUS.get(status, ServiceFaultError if status >= 500 else InvalidRequestError)
     if response.headers.get("content-type", "").startswith("application/problem+json"):
         return kind(Problem.model_validate_json(response.content), response)
-    told: dict[str, Any] = {
+    fields: dict[str, Any] = {
         "type": "about:blank",
         "title": response.reason_phrase,
         "status": status,
@@ -127,4 +127,4 @@ def problem_of(response: httpx.Response) -> ProblemError:
         "suggestion": "Is there a proxy between?",
         "errors": [],
     }
-    return kind(Problem.model_validate(told), response)
+    return kind(Problem.model_validate(fields), response)

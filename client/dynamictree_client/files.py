@@ -86,12 +86,12 @@ def finish(part: Path, artifact: Artifact, path: Path) -> Path:
         IntegrityError: its bytes are not those that the service announced; they are thrown away.
     """
     with part.open("rb") as stream:
-        found = hashlib.file_digest(stream, "sha256").hexdigest()
-    if found != artifact.sha256:
+        digest = hashlib.file_digest(stream, "sha256").hexdigest()
+    if digest != artifact.sha256:
         size = part.stat().st_size
         part.unlink()
         raise IntegrityError(
-            f"{artifact.name} has sha256 {found} and {size:,} bytes; {artifact.sha256} and {artifact.bytes:,} were "
+            f"{artifact.name} has sha256 {digest} and {size:,} bytes; {artifact.sha256} and {artifact.bytes:,} were "
             "announced: download it again"
         )
     return part.replace(path)

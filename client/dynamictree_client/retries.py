@@ -32,10 +32,10 @@ class Retries:
         again = outcome.status_code in _NOT_DONE or (repeatable and outcome.status_code in _UNKNOWN)
         if not again:
             return None
-        asked = retry_after_s(outcome)
-        if asked is None:
+        pause_s = retry_after_s(outcome)
+        if pause_s is None:
             return backoff
-        return asked if asked <= self.longest_wait_s else None
+        return pause_s if pause_s <= self.longest_wait_s else None
 
 
 def retry_after_s(response: httpx.Response) -> float | None:

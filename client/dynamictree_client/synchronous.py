@@ -102,8 +102,8 @@ class Client:
         if sum(file.stat().st_size for file in files) > RESUMABLE_ABOVE if resumable is None else resumable:
             ids = [self.upload_file(file) for file in files]
             request = {"upload_ids": ids, "kind": kind, "up_axis": up_axis, "unit_m": unit_m}
-            made = {name: value for name, value in request.items() if value is not None}
-            response = self._exchange(lambda: {"method": "POST", "url": "/v1/assets", "json": made}, repeatable=True)
+            body = {name: value for name, value in request.items() if value is not None}
+            response = self._exchange(lambda: {"method": "POST", "url": "/v1/assets", "json": body}, repeatable=True)
             return _ASSET.read(response)
         given = {"kind": kind, "up_axis": up_axis, "unit_m": None if unit_m is None else repr(unit_m)}
         fields = {name: value for name, value in given.items() if value is not None}
@@ -179,8 +179,8 @@ class Client:
                 on_progress(now)
             if now.state in ENDED:
                 break
-            asked = retry_after_s(response)
-            pause = POLL_S if asked is None else asked
+            pause_s = retry_after_s(response)
+            pause = POLL_S if pause_s is None else pause_s
             if time.monotonic() + pause > give_up:
                 raise WaitTimeoutError(f"job {now.id} is {now.state} after {timeout_s} s; it goes on")
             time.sleep(pause)
@@ -256,8 +256,8 @@ class Client:
             raise problem_of(outcome)
         else:
             why = str(outcome) or type(outcome).__name__
-            told = f"{self._http.base_url} cannot be reached: {why}; look whether the service runs at this address"
-            raise UnreachableError(told) from outcome
+            detail = f"{self._http.base_url} cannot be reached: {why}; look whether the service runs at this address"
+            raise UnreachableError(detail) from outcome
 
     def _fetch_rest(self, artifact: Artifact, part: Path, there: int) -> httpx.Response:
         """Append what is missing. A response that is no error has been written whole."""

@@ -125,9 +125,9 @@ def _address(text: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
 
 def _override_method(scope: Scope) -> None:
     """What tus asks for clients whose network lets neither PATCH nor DELETE through."""
-    asked = Headers(scope=scope).get("x-http-method-override", "").upper()
-    if scope.get("method") == "POST" and asked in OVERRIDABLE and scope["path"].startswith("/v1/uploads/"):
-        scope["method"] = asked
+    override = Headers(scope=scope).get("x-http-method-override", "").upper()
+    if scope.get("method") == "POST" and override in OVERRIDABLE and scope["path"].startswith("/v1/uploads/"):
+        scope["method"] = override
 
 
 def _bearer(headers: Headers) -> str:
@@ -151,11 +151,11 @@ def _unauthorized(detail: str) -> ProblemError:
     return ProblemError("unauthorized", detail, headers={"WWW-Authenticate": "Bearer"})
 
 
-def _with_headers(send: Send, told: dict[str, str]) -> Send:
+def _with_headers(send: Send, added: dict[str, str]) -> Send:
     async def sending(message: Message) -> None:
         if message["type"] == "http.response.start":
             headers = MutableHeaders(scope=message)
-            for name, value in told.items():
+            for name, value in added.items():
                 headers[name] = value
         await send(message)
 

@@ -134,9 +134,9 @@ class BoundedProtocol(HttpToolsProtocol):
 
     def _bound_head(self) -> None:
         if self._head_bytes > MAX_HEAD_BYTES or self._head_fields > MAX_HEADERS:
-            found = b"At most %d headers of %d bytes in all are allowed." % (MAX_HEADERS, MAX_HEAD_BYTES)
-            self._refuse(b"431 Request Header Fields Too Large", found)
-            raise ValueError(found)  # ends the parser's work on this piece
+            reason = b"At most %d headers of %d bytes in all are allowed." % (MAX_HEADERS, MAX_HEAD_BYTES)
+            self._refuse(b"431 Request Header Fields Too Large", reason)
+            raise ValueError(reason)  # ends the parser's work on this piece
 
     def send_400_response(self, msg: str) -> None:
         """Answer what cannot be parsed, unless it was refused already."""

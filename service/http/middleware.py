@@ -104,8 +104,8 @@ class BodyLimit:
                 return message
             counted += len(message.get("body", b""))
             if counted > limit:
-                found = f"the body has more than {limit:,} bytes, which are allowed here"
-                raise ProblemError("payload-too-large", found, headers={"Connection": "close"})
+                detail = f"the body has more than {limit:,} bytes, which are allowed here"
+                raise ProblemError("payload-too-large", detail, headers={"Connection": "close"})
             whole = not message.get("more_body", False)
             return message
 

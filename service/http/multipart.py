@@ -69,16 +69,16 @@ async def _feed(parser: MultipartParser, body: AsyncIterator[bytes]) -> None:
     loop = asyncio.get_running_loop()
     working: asyncio.Future[int] | None = None
     batch: list[bytes] = []
-    held = 0
+    unwritten = 0
     try:
         async for chunk in body:
             batch.append(chunk)
-            held += len(chunk)
-            if held >= BATCH_BYTES:
+            unwritten += len(chunk)
+            if unwritten >= BATCH_BYTES:
                 if working is not None:
                     await working
                 working = loop.run_in_executor(None, parser.write, b"".join(batch))
-                batch, held = [], 0
+                batch, unwritten = [], 0
     finally:
         if working is not None:
             await working
@@ -153,8 +153,8 @@ class _Receiver:
             return
         self._text += piece
         if len(self._text) > MAX_FIELD_BYTES:
-            found = f"the field {self._field!r} has more than {MAX_FIELD_BYTES} bytes; send files with a filename"
-            raise ProblemError("payload-too-large", found)
+            detail = f"the field {self._field!r} has more than {MAX_FIELD_BYTES} bytes; send files with a filename"
+            raise ProblemError("payload-too-large", detail)
 
     def _end(self) -> None:
         if self._stream is None:

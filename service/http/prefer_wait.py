@@ -13,8 +13,8 @@ _WAIT = re.compile(r"\bwait\s*=\s*\"?(\d{1,6})")
 async def _preferred(
     prefer: Annotated[str | None, Header(description=f"wait=N waits up to N s, at most {MAX_WAIT_S:g}")] = None,
 ) -> float:
-    found = _WAIT.search(prefer or "")
-    return min(float(found.group(1)), MAX_WAIT_S) if found else 0.0
+    match = _WAIT.search(prefer or "")
+    return min(float(match.group(1)), MAX_WAIT_S) if match else 0.0
 
 
 WaitS = Annotated[float, Depends(_preferred)]

@@ -34,14 +34,14 @@ def install(app: FastAPI) -> None:
 
 async def _on_http(request: Request, error: Exception) -> Response:
     assert isinstance(error, HTTPException)
-    told = error if isinstance(error, ProblemError) else _problem_of_framework(request, error)
+    problem = error if isinstance(error, ProblemError) else _problem_of_framework(request, error)
     return problem_response(
-        told.code,
-        told.detail,
+        problem.code,
+        problem.detail,
         request_id=request_id_of(request.scope),
-        errors=told.errors,
-        headers=told.headers,
-        extra=told.extra,
+        errors=problem.errors,
+        headers=problem.headers,
+        extra=problem.extra,
     )
 
 
@@ -60,13 +60,13 @@ def _problem_of_framework(request: Request, error: HTTPException) -> ProblemErro
 
 def _methods(request: Request) -> list[str]:
     """The methods of every route with this path; Starlette names those of the first alone."""
-    path, known = request.scope["path"], set[str]()
+    path, allowed_methods = request.scope["path"], set[str]()
     for included in request.app.routes:
         router = getattr(included, "original_router", None)  # FastAPI keeps included routers whole
         for route in [included] if router is None else router.routes:
             if isinstance(route, Route) and route.path_regex.match(path):
-                known |= route.methods or set()
-    return sorted(known)
+                allowed_methods |= route.methods or set()
+    return sorted(allowed_methods)
 
 
 async def _on_validation(request: Request, error: Exception) -> Response:

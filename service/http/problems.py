@@ -209,5 +209,5 @@ def known_code(error: Exception) -> str:
 
 def request_id_of(scope: Scope) -> str | None:
     """The id that the outermost middleware gave a request."""
-    found: str | None = scope.get(REQUEST_ID)
-    return found
+    value: str | None = scope.get(REQUEST_ID)
+    return value

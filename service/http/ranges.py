@@ -33,10 +33,10 @@ def parse_range(header: str | None, size: int) -> ByteRange | None:
     Raises:
         UnsatisfiableRangeError: it begins past the end.
     """
-    found = _RANGE.fullmatch(header.strip()) if header else None
-    if found is None or found.groups() == ("", ""):
+    match = _RANGE.fullmatch(header.strip()) if header else None
+    if match is None or match.groups() == ("", ""):
         return None
-    first, last = found.groups()
+    first, last = match.groups()
     if len(first) > 18 or len(last) > 18:
         raise UnsatisfiableRangeError(header)
     if first == "":

@@ -49,11 +49,11 @@ class Standing:
     def headers(self) -> dict[str, str]:
         """RateLimit-Policy and RateLimit, and Retry-After where it is over."""
         name = f'"{self.policy.name}"'
-        told = {
+        fields = {
             "RateLimit-Policy": f"{name};q={self.quota};w={self.policy.window_s}",
             "RateLimit": f"{name};r={self.left};t={self.reset_s}",
         }
-        return told if self.allowed else told | {"Retry-After": str(self.reset_s)}
+        return fields if self.allowed else fields | {"Retry-After": str(self.reset_s)}
 
 
 def policy_of(method: str, path: str) -> Policy:

@@ -24,8 +24,8 @@ class RequestOrigin:
 
 async def _origin_of(request: Request) -> RequestOrigin:
     given = request.scope.get(TRACEPARENT) or request.headers.get("traceparent", "")
-    found = _TRACEPARENT.fullmatch(given)
-    return RequestOrigin(request_id=request_id_of(request.scope), traceparent=found.group() if found else None)
+    match = _TRACEPARENT.fullmatch(given)
+    return RequestOrigin(request_id=request_id_of(request.scope), traceparent=match.group() if match else None)
 
 
 Origin = Annotated[RequestOrigin, Depends(_origin_of)]

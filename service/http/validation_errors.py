@@ -11,14 +11,16 @@ MAX_ERRORS = 20
 MAX_POINTER = 200
 
 
-def field_errors(found: Sequence[Mapping[str, Any]]) -> list[FieldError]:
+def field_errors(raw_errors: Sequence[Mapping[str, Any]]) -> list[FieldError]:
     """The first fields that are wrong, of `ValidationError.errors()` or FastAPI's."""
     errors: list[FieldError] = [
         {"pointer": _pointer(error), "code": error["type"].replace("_", "-"), "detail": _detail(error)}
-        for error in found[:MAX_ERRORS]
+        for error in raw_errors[:MAX_ERRORS]
     ]
-    if len(found) > MAX_ERRORS:
-        errors.append({"pointer": "", "code": "more", "detail": f"{len(found) - MAX_ERRORS} more fields are wrong"})
+    if len(raw_errors) > MAX_ERRORS:
+        errors.append(
+            {"pointer": "", "code": "more", "detail": f"{len(raw_errors) - MAX_ERRORS} more fields are wrong"}
+        )
     return errors
 
 
@@ -40,7 +42,7 @@ def _pointer(error: Mapping[str, Any]) -> str:
 
 
 def _detail(error: Mapping[str, Any]) -> str:
-    told, given, more = str(error["msg"]), error.get("input"), error.get("ctx", {})
+    message, given, more = str(error["msg"]), error.get("input"), error.get("ctx", {})
     match error["type"]:
         case "json_invalid":
             return f"this is no JSON: {more['error']} at character {error['loc'][-1]}"
@@ -51,11 +53,11 @@ def _detail(error: Mapping[str, Any]) -> str:
         case "union_tag_invalid":
             return f"{_shown(more['tag'])} was sent; {more['expected_tags']} are allowed"
         case "value_error":
-            return told.removeprefix("Value error, ")
+            return message.removeprefix("Value error, ")
         case "model_attributes_type" if isinstance(given, bytes | str):
             return "this is no JSON object; send one, with Content-Type: application/json"
     plain = isinstance(given, str | int | float | None)
-    return f"{told}; {_shown(given)} was sent" if plain else told
+    return f"{message}; {_shown(given)} was sent" if plain else message
 
 
 def _shown(value: object) -> str:

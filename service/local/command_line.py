@@ -33,8 +33,8 @@ def one_line(command: str) -> Iterator[None]:
     except (JobsError, OSError) as error:
         _give_up(f"dynamictree {command}: {error}")
     except sa.exc.SQLAlchemyError as error:
-        found = str(error).partition("\n")[0]
-        _give_up(f"dynamictree {command}: the database does not answer: {found}; look at DYNAMICTREE_DATABASE_URL")
+        first_line = str(error).partition("\n")[0]
+        _give_up(f"dynamictree {command}: the database does not answer: {first_line}; look at DYNAMICTREE_DATABASE_URL")
 
 
 def _give_up(why: str) -> NoReturn:

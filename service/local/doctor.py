@@ -73,8 +73,8 @@ def examine(settings: Settings) -> list[Finding]:
 
 
 def _python(_: Settings) -> Finding:
-    found = f"{sys.version.split()[0]} at {sys.executable}, {os.cpu_count()} cores"
-    return Finding(name="python", verdict="ok" if sys.version_info >= (3, 11) else "error", detail=found)
+    summary = f"{sys.version.split()[0]} at {sys.executable}, {os.cpu_count()} cores"
+    return Finding(name="python", verdict="ok" if sys.version_info >= (3, 11) else "error", detail=summary)
 
 
 def _memory(_: Settings) -> Finding:
@@ -107,12 +107,12 @@ def _state(settings: Settings) -> Finding:
 
 
 def _database(settings: Settings) -> Finding:
-    shown = sa.engine.make_url(settings.resolved_database_url).render_as_string(hide_password=True)
+    safe_url = sa.engine.make_url(settings.resolved_database_url).render_as_string(hide_password=True)
     try:
         Store.open(settings.resolved_database_url).close()
     except (sa.exc.SQLAlchemyError, OSError, ImportError) as error:
-        return Finding(name="database", verdict="error", detail=f"{shown}: {error}")
-    return Finding(name="database", verdict="ok", detail=f"{shown}, tables up to date")
+        return Finding(name="database", verdict="error", detail=f"{safe_url}: {error}")
+    return Finding(name="database", verdict="ok", detail=f"{safe_url}, tables up to date")
 
 
 def _redis(settings: Settings) -> Finding:
@@ -143,9 +143,9 @@ def _storage(settings: Settings) -> Finding:
 
 
 def _presets(_: Settings) -> Finding:
-    found = ", ".join(f"{name} ({size / 1e6:.1f} MB)" for name, size in preset_sizes().items())
-    detail = found or "no model is shipped; diffuse and animate jobs will be refused"
-    return Finding(name="presets", verdict="ok" if found else "warning", detail=detail)
+    summary = ", ".join(f"{name} ({size / 1e6:.1f} MB)" for name, size in preset_sizes().items())
+    detail = summary or "no model is shipped; diffuse and animate jobs will be refused"
+    return Finding(name="presets", verdict="ok" if summary else "warning", detail=detail)
 
 
 _CONFINED = """

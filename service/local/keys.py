@@ -52,11 +52,11 @@ def create(
 def list_keys(state_dir: StateDir = None, as_json: _AsJson = False) -> None:
     """List the keys; the keys themselves are kept nowhere."""
     with _store(state_dir) as store:
-        found = all_keys(store)
+        records = all_keys(store)
     if as_json:
-        typer.echo(json.dumps([_told(key) for key in found]))
+        typer.echo(json.dumps([_told(key) for key in records]))
         return
-    for key in found:
+    for key in records:
         state = "valid" if key.valid(time.time()) else "revoked" if key.revoked_at is not None else "expired"
         typer.echo(f"{key.id}  {state:8} {key.owner:26}  {','.join(key.scopes)}  {key.name}")
 
@@ -90,10 +90,10 @@ def _limits(given: list[str]) -> dict[Limit, int]:
     limits = {}
     for text in given:
         name, _, number = text.partition("=")
-        found = [limit for limit in LIMITS if limit == name]
-        if not found or not number.isdecimal() or int(number) < 1:
+        records = [limit for limit in LIMITS if limit == name]
+        if not records or not number.isdecimal() or int(number) < 1:
             raise typer.BadParameter(f"{text!r} is no limit; write NAME=NUMBER with one of {', '.join(LIMITS)}")
-        limits[found[0]] = int(number)
+        limits[records[0]] = int(number)
     return limits
 
 

@@ -62,20 +62,20 @@ def serve(
     open_page: Annotated[bool, typer.Option("--open", help="open the page in a browser once it is ready")] = False,
 ) -> None:
     """Run the whole service on this machine until it is stopped; its address is also that of a page to use it from."""
-    with ExitStack() as held:
+    with ExitStack() as stack:
         with one_line("serve"):
             settings = settings_of(state_dir=state_dir, worker_threads=threads)
             require_keys_beyond_loopback(host, settings)
-            held.enter_context(closing(LockedFile(settings.state_dir.resolve() / "serve.lock")))
-            listening = held.enter_context(closing(listen(host, port)))
+            stack.enter_context(closing(LockedFile(settings.state_dir.resolve() / "serve.lock")))
+            listening = stack.enter_context(closing(listen(host, port)))
             Store.open(settings.resolved_database_url).close()
         set_up_logging(settings)
         shutil.rmtree(settings.scratch_dir, ignore_errors=True)
         stopped = threading.Event()
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, lambda *_: stopped.set())
-        shown = f"[{host}]" if ":" in host else host
-        announcer = Announcer(f"http://{shown}:{listening.getsockname()[1]}", as_json=as_json, open_page=open_page)
+        host_part = f"[{host}]" if ":" in host else host
+        announcer = Announcer(f"http://{host_part}:{listening.getsockname()[1]}", as_json=as_json, open_page=open_page)
         Supervisor(plans(settings, listening)).run(stopped, on_poll=announcer.poll)
 
 
@@ -246,7 +246,7 @@ def _local(url: str) -> str:
 def _ready(url: str) -> bool:
     try:
         with urllib.request.urlopen(_local(url) + "/readyz", timeout=1) as response:
-            told = json.load(response)
+            readiness = json.load(response)
     except (OSError, urllib.error.URLError, json.JSONDecodeError):
         return False
-    return bool(told["workers"] == "ok" and told["housekeeper"] == "ok")
+    return bool(readiness["workers"] == "ok" and readiness["housekeeper"] == "ok")

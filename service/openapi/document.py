@@ -63,10 +63,10 @@ def described(app: FastAPI) -> Page:
 def _add_doors(item: Page) -> None:
     for operation in _operations({"paths": {"": item}}):
         for status, entry in refusals_of(DOORS).items():
-            known = operation["responses"].setdefault(str(status), entry)
-            if known is not entry:
-                known["description"] = f"{known['description']}; {entry['description']}"
-                known["content"][MEDIA_TYPE]["examples"] |= entry["content"][MEDIA_TYPE]["examples"]
+            response = operation["responses"].setdefault(str(status), entry)
+            if response is not entry:
+                response["description"] = f"{response['description']}; {entry['description']}"
+                response["content"][MEDIA_TYPE]["examples"] |= entry["content"][MEDIA_TYPE]["examples"]
 
 
 def _problems_named_in(page: Page) -> Page:

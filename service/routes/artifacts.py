@@ -67,9 +67,9 @@ def _asked(artifact: ArtifactRecord, header: str | None, if_range: str | None) -
     try:
         return parse_range(header, artifact.bytes)
     except UnsatisfiableRangeError as error:
-        found = f"the range {header!r} lies outside of the file's {artifact.bytes:,} bytes"
+        detail = f"the range {header!r} lies outside of the file's {artifact.bytes:,} bytes"
         outside = {"Content-Range": f"bytes */{artifact.bytes}"}
-        raise ProblemError("range-not-satisfiable", found, headers=outside) from error
+        raise ProblemError("range-not-satisfiable", detail, headers=outside) from error
 
 
 def _etag(artifact: ArtifactRecord) -> str:

@@ -68,9 +68,11 @@ def _one(
     owned: Owned, wanted: JobRequest, origin: RequestOrigin, key: str | None, request: Request
 ) -> BatchItemPayload:
     try:
-        made = accept(owned, wanted, origin, Response(), key=key, expires_s=KEY_EXPIRES_S)
+        payload = accept(owned, wanted, origin, Response(), key=key, expires_s=KEY_EXPIRES_S)
     except REFUSALS as error:
-        told = problem_of(error)
-        body = problem_body(told.code, told.detail, request_id=request_id_of(request.scope), errors=told.errors)
-        return BatchItemPayload(status=told.status_code, job=None, problem=Problem.model_validate(body))
-    return BatchItemPayload(status=status.HTTP_202_ACCEPTED, job=made, problem=None)
+        refusal = problem_of(error)
+        body = problem_body(
+            refusal.code, refusal.detail, request_id=request_id_of(request.scope), errors=refusal.errors
+        )
+        return BatchItemPayload(status=refusal.status_code, job=None, problem=Problem.model_validate(body))
+    return BatchItemPayload(status=status.HTTP_202_ACCEPTED, job=payload, problem=None)

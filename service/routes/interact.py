@@ -104,32 +104,32 @@ async def interact(body: InteractRequest, owned: OwnedDep, accept: Annotated[str
         return _response(body, ready, owned, media_type)  # 1 to 3 ms: a thread would cost as much again
     if body.output == "modal":
         return await run_in_threadpool(_prepared_response, body, owned, media_type)
-    held = AsyncExitStack()
+    large_slot = AsyncExitStack()
     try:
         async with asyncio.timeout(SLOT_WAIT_S):
-            await held.enter_async_context(owned.services.large_answers.slot(owned.caller.owner or ""))
+            await large_slot.enter_async_context(owned.services.large_answers.slot(owned.caller.owner or ""))
     except TimeoutError as error:
         raise ProblemError("overloaded", "other large answers are computed or sent; try again") from error
     try:
         response = await run_in_threadpool(_prepared_response, body, owned, media_type)
     except BaseException:
-        await held.aclose()
+        await large_slot.aclose()
         raise
-    return HeldResponse(response, held)
+    return HeldResponse(response, large_slot)
 
 
 class HeldResponse(Response):
     """A large answer that is sent piece by piece, as the client reads, and gives its slot back at the end."""
 
-    def __init__(self, response: Response, held: AsyncExitStack) -> None:
+    def __init__(self, response: Response, large_slot: AsyncExitStack) -> None:
         super().__init__(response.body, response.status_code, None, response.media_type)
-        self.held = held
+        self.large_slot = large_slot
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Send the answer, or give up after `SEND_S`."""
         start = {"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers}
         content = memoryview(self.body)
-        async with self.held:
+        async with self.large_slot:
             try:
                 async with asyncio.timeout(SEND_S):
                     await send(start)
@@ -257,18 +257,18 @@ def _facts(body: InteractRequest, system: ModalSystem) -> dict[str, object]:
 
 
 def _told(body: InteractRequest, system: ModalSystem, answer: Answer) -> dict[str, object]:
-    told = with_bin_zero(answer.q)  # [T, G, K, 2]
+    coordinates = with_bin_zero(answer.q)  # [T, G, K, 2]
     groups = [
-        {"locality": locality_payload(group.locality), "q": np.ascontiguousarray(told[:, index])}
+        {"locality": locality_payload(group.locality), "q": np.ascontiguousarray(coordinates[:, index])}
         for index, group in enumerate(answer.groups)
     ]
     return _facts(body, system) | {"groups": groups, "final_state": state_payload(answer.groups, answer.final)}
 
 
 def _packed(arrays: dict[str, np.ndarray], facts: dict[str, object], media_type: str) -> bytes:
-    told = {name: value if isinstance(value, str) else json.dumps(value) for name, value in facts.items()}
+    coordinates = {name: value if isinstance(value, str) else json.dumps(value) for name, value in facts.items()}
     if media_type == SAFETENSORS:
-        return save({name: np.ascontiguousarray(array) for name, array in arrays.items()}, told)
+        return save({name: np.ascontiguousarray(array) for name, array in arrays.items()}, coordinates)
     stream = BytesIO()
-    np.savez(stream, allow_pickle=False, **arrays, facts=np.array(json.dumps(told)))
+    np.savez(stream, allow_pickle=False, **arrays, facts=np.array(json.dumps(coordinates)))
     return stream.getvalue()

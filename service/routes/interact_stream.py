@@ -231,5 +231,5 @@ def _problem(error: ValidationError | Refusal) -> dict[str, object]:
     if isinstance(error, ValidationError):
         located = [{**item, "loc": ("body", *item["loc"])} for item in error.errors()]
         error = ProblemError("validation-failed", summed_up(field_errors(located)))
-    told = problem_of(error)
-    return problem_body(told.code, told.detail, request_id=None) | {"type": "problem"}
+    problem = problem_of(error)
+    return problem_body(problem.code, problem.detail, request_id=None) | {"type": "problem"}

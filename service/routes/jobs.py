@@ -60,12 +60,12 @@ def create_job(
     """Ask for voxels, a spectrum, a motion, or a mesh of photos. What that needs runs first, or is cached."""
     if validate_only:
         asset, stages = require_possible(owned, body)
-        told = EstimatePayload(
+        estimate = EstimatePayload(
             est_seconds=owned.services.job_durations.stage_seconds(stages),
             est_bytes=owned.services.job_durations.stage_bytes(stages),
             format_bytes=format_bytes(body, asset),
         )
-        return Response(told.model_dump_json(), media_type="application/json")
+        return Response(estimate.model_dump_json(), media_type="application/json")
     key = None if idempotency_key is None else f"post:{idempotency_key}"
     return accept(owned, body, origin, response, key=key, expires_s=KEY_EXPIRES_S)
 
@@ -118,8 +118,8 @@ def list_jobs(
     limit: Annotated[int, Query(ge=1, le=MAX_PAGE, description="jobs a page")] = 20,
 ) -> JobListPayload:
     """Jobs, newest first."""
-    found = owned.store.jobs(state=state, job_type=type, before=cursor, limit=limit + 1)
-    page, more = found[:limit], len(found) > limit
+    records = owned.store.jobs(state=state, job_type=type, before=cursor, limit=limit + 1)
+    page, more = records[:limit], len(records) > limit
     next_cursor = page[-1].id if more else None
     if next_cursor is not None:
         query = request.url.include_query_params(cursor=next_cursor).query
@@ -157,13 +157,13 @@ async def get_job(
         if not await owned.services.job_notifier.changed(id, job.version, deadline - time.monotonic()):
             break
         job, payload = await run_in_threadpool(look, owned, id, response)
-    told = dict(response.headers)
+    estimate = dict(response.headers)
     if wait_s:
-        told["Preference-Applied"] = f"wait={wait_s:g}"
-    if matches(if_none_match, told["etag"]):
-        return Response(status_code=status.HTTP_304_NOT_MODIFIED, headers=told)
+        estimate["Preference-Applied"] = f"wait={wait_s:g}"
+    if matches(if_none_match, estimate["etag"]):
+        return Response(status_code=status.HTTP_304_NOT_MODIFIED, headers=estimate)
     # made here: FastAPI would check the payload once more, which takes longer than the queries
-    return Response(payload.model_dump_json(), headers=told, media_type="application/json")
+    return Response(payload.model_dump_json(), headers=estimate, media_type="application/json")
 
 
 @router.post(
@@ -191,5 +191,5 @@ def get_log(
     limit: Annotated[int, Query(ge=1, le=1000, description="lines a page")] = 100,
 ) -> LogPayload:
     """What happened to a job: accepted, begun, stages, lost workers, its end. No paths, hosts or secrets."""
-    found = owned.store.job_log(id, after=after, limit=limit)
-    return log_payload(found, after)
+    records = owned.store.job_log(id, after=after, limit=limit)
+    return log_payload(records, after)

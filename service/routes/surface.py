@@ -76,16 +76,16 @@ def _own_motion(ready: ReadyTree, mesh: TriangleMesh, spectrum: SparseVoxelSpect
     from dynamictree.devoxelize.length_preserving import preserve_lengths  # brings numba
 
     coefficients = vertex_ties(ready, mesh).apply(spectrum.coefficients)  # [N, K, 3]
-    held = preserve_lengths(mesh, coefficients, spectrum.grid.voxel_size_m)  # as the products have them
+    constrained = preserve_lengths(mesh, coefficients, spectrum.grid.voxel_size_m)  # as the products have them
     weights = bin_weights(spectrum.num_frequencies, spectrum.num_frames)
-    shapes, scale = quantised(held * weights[:, None])  # bin 0 is the lean, the others φ_k = 2 c_k
+    shapes, scale = quantised(constrained * weights[:, None])  # bin 0 is the lean, the others φ_k = 2 c_k
     carried = bone_ties(ready, mesh)
-    kept = np.argsort(-carried.weights, axis=1, kind="stable")[:, :BONES]
+    strongest = np.argsort(-carried.weights, axis=1, kind="stable")[:, :BONES]
     return {
         "shapes": shapes,
         "scale_m": scale,
-        "bone_rows": np.take_along_axis(carried.rows, kept, axis=1).astype(np.uint16),
-        "bone_weights": _bytes(np.take_along_axis(carried.weights, kept, axis=1)),
+        "bone_rows": np.take_along_axis(carried.rows, strongest, axis=1).astype(np.uint16),
+        "bone_weights": _bytes(np.take_along_axis(carried.weights, strongest, axis=1)),
     }
 
 
@@ -94,8 +94,8 @@ def _near_motion(ready: ReadyTree, mesh: TriangleMesh) -> dict[str, np.ndarray]:
     grid, bones = ready.tree.system.grid, ready.tree.bones
     from scipy.spatial import cKDTree  # not at start: half a second
 
-    found = cKDTree(grid.centres_m).query(mesh.vertices, k=np.arange(1, TIES + 1))
-    far, rows = np.asarray(found[0]), np.asarray(found[1])  # [N, TIES]
+    neighbours = cKDTree(grid.centres_m).query(mesh.vertices, k=np.arange(1, TIES + 1))
+    far, rows = np.asarray(neighbours[0]), np.asarray(neighbours[1])  # [N, TIES]
     weights = np.asarray(1 / (far**2 + grid.voxel_size_m**2))
     return {
         "tie_rows": rows.astype(np.int32),

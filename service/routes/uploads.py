@@ -50,13 +50,13 @@ _ERRORS = ("precondition-failed", "unsupported-format", "conflict", "checksum-mi
 @router.options("", operation_id="getUploadProtocol", status_code=status.HTTP_204_NO_CONTENT, responses=refusals())
 async def get_protocol(owned: OwnedDep) -> Response:
     """What of tus is spoken here."""
-    told = {
+    protocol_headers = {
         "Tus-Version": TUS_VERSION,
         "Tus-Extension": ",".join(EXTENSIONS),
         "Tus-Checksum-Algorithm": ",".join(CHECKSUMS),
         "Tus-Max-Size": str(owned.services.settings.max_upload_bytes),
     }
-    return Response(status_code=status.HTTP_204_NO_CONTENT, headers=told)
+    return Response(status_code=status.HTTP_204_NO_CONTENT, headers=protocol_headers)
 
 
 @router.post(

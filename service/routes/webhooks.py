@@ -85,9 +85,9 @@ class DeliveryListPayload(Payload):
 async def create_endpoint(body: EndpointRequest, response: Response, owned: OwnedDep) -> EndpointWithSecretPayload:
     """Name an address that is told when jobs end. The secret that signs is shown here and never again."""
     await owned.services.outbound.check(body.url)
-    made = await run_in_threadpool(webhooks.add_endpoint, owned.store, body.url, body.events)
-    response.headers["Location"] = f"/v1/webhook-endpoints/{made.id}"
-    return EndpointWithSecretPayload(**_endpoint(made).model_dump(), secret=made.secret)
+    new = await run_in_threadpool(webhooks.add_endpoint, owned.store, body.url, body.events)
+    response.headers["Location"] = f"/v1/webhook-endpoints/{new.id}"
+    return EndpointWithSecretPayload(**_endpoint(new).model_dump(), secret=new.secret)
 
 
 @router.get("", operation_id="listWebhookEndpoints", responses=refusals())
@@ -124,8 +124,8 @@ def delete_endpoint(id: Id, owned: OwnedDep) -> None:
 @router.post("/{id}/secret", operation_id="rotateWebhookSecret", responses=refusals("not-found"))
 def rotate_secret(id: Id, owned: OwnedDep) -> EndpointWithSecretPayload:
     """Make a new secret, shown only here. For a day the old one signs too, so that none is refused meanwhile."""
-    made = webhooks.rotate_secret(owned.store, id)
-    return EndpointWithSecretPayload(**_endpoint(made).model_dump(), secret=made.secret)
+    new = webhooks.rotate_secret(owned.store, id)
+    return EndpointWithSecretPayload(**_endpoint(new).model_dump(), secret=new.secret)
 
 
 @router.get("/{id}/deliveries", operation_id="listWebhookDeliveries", responses=refusals("not-found"))
@@ -136,10 +136,10 @@ def list_deliveries(
     limit: Annotated[int, Query(ge=1, le=100, description="deliveries a page")] = 20,
 ) -> DeliveryListPayload:
     """What an address was told, newest first, with every attempt."""
-    found = webhooks.deliveries(owned.store, id, before=cursor, limit=limit + 1)
-    page = found[:limit]
+    records = webhooks.deliveries(owned.store, id, before=cursor, limit=limit + 1)
+    page = records[:limit]
     return DeliveryListPayload(
-        data=[_delivery(delivery) for delivery in page], next_cursor=page[-1].id if len(found) > limit else None
+        data=[_delivery(delivery) for delivery in page], next_cursor=page[-1].id if len(records) > limit else None
     )
 
 
@@ -166,8 +166,8 @@ def _endpoint(endpoint: Endpoint) -> EndpointPayload:
 
 def _delivery(delivery: Delivery) -> DeliveryPayload:
     tries = [
-        TryPayload(at=time_of(made.at), status=made.status, detail=made.detail, seconds=made.seconds)
-        for made in delivery.log
+        TryPayload(at=time_of(new.at), status=new.status, detail=new.detail, seconds=new.seconds)
+        for new in delivery.log
     ]
     return DeliveryPayload(
         id=delivery.id,

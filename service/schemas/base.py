@@ -57,5 +57,5 @@ def told_problem(code: str | None, message: str | None) -> Problem | None:
     """What went wrong with a job or an upload, as its row has it; None where nothing did."""
     if code is None:
         return None
-    known = code if code in KINDS else "internal-error"
-    return Problem.model_validate(problem_body(known, message or "", request_id=None))
+    valid_code = code if code in KINDS else "internal-error"
+    return Problem.model_validate(problem_body(valid_code, message or "", request_id=None))

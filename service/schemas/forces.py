@@ -157,12 +157,12 @@ def with_state(
     groups: tuple[ForceGroup, ...], state: StatePayload, num_modes: int
 ) -> tuple[tuple[ForceGroup, ...], State]:
     """The groups of the forces and of an earlier call's end, and the state that they begin with."""
-    kept = {_locality(group.locality): group for group in state.groups}
-    if len(kept) != len(state.groups):
+    by_locality = {_locality(group.locality): group for group in state.groups}
+    if len(by_locality) != len(state.groups):
         raise ProblemError("validation-failed", "/initial_state/groups: two groups have the same locality")
     forced = {group.locality for group in groups}
-    groups += tuple(ForceGroup(locality=locality) for locality in kept if locality not in forced)
-    rows = [_coordinates(kept.get(group.locality), num_modes) for group in groups]
+    groups += tuple(ForceGroup(locality=locality) for locality in by_locality if locality not in forced)
+    rows = [_coordinates(by_locality.get(group.locality), num_modes) for group in groups]
     stacked = np.stack(rows) if rows else np.zeros((0, 2, num_modes), np.complex128)
     return groups, State(q=stacked[:, 0], q_dot=stacked[:, 1])
 
@@ -194,8 +194,8 @@ def _contact(at: AtPayload, grid: VoxelGrid, mesh: Callable[[], TriangleMesh]) -
     vertices = mesh().vertices
     assert at.vertex is not None
     if at.vertex >= len(vertices):
-        found = f"vertex {at.vertex} does not exist; the mesh has vertices 0 to {len(vertices) - 1}"
-        raise ProblemError("invalid-input", found)
+        detail = f"vertex {at.vertex} does not exist; the mesh has vertices 0 to {len(vertices) - 1}"
+        raise ProblemError("invalid-input", detail)
     x, y, z = vertices[at.vertex].tolist()
     return contact_at_point(grid, (x, y, z), radius_m=at.radius_m)
 
@@ -210,7 +210,7 @@ def _coordinates(group: GroupStatePayload | None, num_modes: int) -> np.ndarray:
         return np.zeros((2, num_modes), np.complex128)
     for name, values in (("q", group.q), ("q_dot", group.q_dot)):
         if len(values) != num_modes + 1:
-            found = f"{name} has {len(values)} numbers; this spectrum has {num_modes + 1} bins"
-            raise ProblemError("validation-failed", f"/initial_state/groups: {found}")
-    told = np.array([group.q, group.q_dot])  # [2, K, 2]
-    return np.asarray(told[:, 1:, 0] + 1j * told[:, 1:, 1])
+            detail = f"{name} has {len(values)} numbers; this spectrum has {num_modes + 1} bins"
+            raise ProblemError("validation-failed", f"/initial_state/groups: {detail}")
+    state_values = np.array([group.q, group.q_dot])  # [2, K, 2]
+    return np.asarray(state_values[:, 1:, 0] + 1j * state_values[:, 1:, 1])

@@ -45,9 +45,9 @@ async def make_asset(
         ConflictError: one is not whole.
         ProblemError: they cannot be used.
     """
-    made = {upload.asset_id for upload in uploads}
-    if len(made) == 1 and None not in made:
-        return await run_in_threadpool(read_asset, owned.store, str(made.pop())), False
+    asset_ids = {upload.asset_id for upload in uploads}
+    if len(asset_ids) == 1 and None not in asset_ids:
+        return await run_in_threadpool(read_asset, owned.store, str(asset_ids.pop())), False
     for upload in uploads:
         if upload.state not in {"received", "failed"} or upload.length is None:
             raise ConflictError(f"upload {upload.id} is {upload.state}; send the rest of it, or begin anew")
@@ -152,7 +152,9 @@ class Ingest:
         except (*REFUSALS, OSError) as error:
             if isinstance(error, OSError) and not isinstance(error, REFUSALS) and not is_full(error):
                 raise
-            told = problem_of(error) if isinstance(error, REFUSALS) else ProblemError("disk-full", "the disk is full")
+            problem = (
+                problem_of(error) if isinstance(error, REFUSALS) else ProblemError("disk-full", "the disk is full")
+            )
             if upload.state == "fetching":
                 await run_in_threadpool(owned.services.upload_parts.delete, upload.id)  # a later fetch begins anew
             await run_in_threadpool(
@@ -160,8 +162,8 @@ class Ingest:
                 owned.store,
                 upload.id,
                 state="failed",
-                error_code=told.code,
-                error_message=told.detail,
+                error_code=problem.code,
+                error_message=problem.detail,
                 make_asset=False,
             )
         finally:
@@ -184,22 +186,22 @@ async def fetch(owned: Owned, upload: UploadRecord) -> UploadRecord:
     assert upload.source_url is not None
     await run_in_threadpool(owned.services.upload_parts.delete, upload.id)
     writer = await run_in_threadpool(owned.services.upload_parts.writer, upload.id, 0)
-    size, batch, held = 0, [], 0
+    size, batch, unwritten = 0, [], 0
     try:
         async with asyncio.timeout(settings.fetch_time_s), owned.services.outbound.get(upload.source_url) as response:
             if response.headers.get("content-encoding", "identity") != "identity":
                 raise OutboundError("the address sends a packed body though it was asked not to")
             await run_in_threadpool(_require_place, owned, _announced_bytes(response))
             async for chunk in response.aiter_raw(CHUNK_BYTES):
-                size, held = size + len(chunk), held + len(chunk)
+                size, unwritten = size + len(chunk), unwritten + len(chunk)
                 if size > settings.max_upload_bytes:
                     allowed = f"at most {settings.max_upload_bytes:,} are allowed"
                     raise ProblemError("payload-too-large", f"the file has more bytes than allowed; {allowed}")
                 batch.append(chunk)
-                if held >= BATCH_BYTES:
-                    await run_in_threadpool(_require_place, owned, held)
+                if unwritten >= BATCH_BYTES:
+                    await run_in_threadpool(_require_place, owned, unwritten)
                     await run_in_threadpool(writer.write, batch)
-                    batch, held = [], 0
+                    batch, unwritten = [], 0
         if batch:
             await run_in_threadpool(writer.write, batch)
     except TimeoutError as error:

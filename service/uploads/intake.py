@@ -116,8 +116,8 @@ def _photos(files: list[ReceivedFile]) -> tuple[ReceivedFile, ...]:
         if _suffix(file) not in PHOTO_SUFFIXES:
             raise _unsupported(file, PHOTO_SUFFIXES)
         if file.bytes > MAX_PHOTO_BYTES:
-            found = f"photo {file.name!r} has {file.bytes:,} bytes; at most {MAX_PHOTO_BYTES:,} are allowed"
-            raise ProblemError("payload-too-large", found)
+            reason = f"photo {file.name!r} has {file.bytes:,} bytes; at most {MAX_PHOTO_BYTES:,} are allowed"
+            raise ProblemError("payload-too-large", reason)
     return tuple(without_place(file) for file in files)
 
 
@@ -133,10 +133,10 @@ def _models(files: list[ReceivedFile]) -> tuple[ReceivedFile, ...]:
     if not models:
         raise _unsupported(files[0], (*MESH_SUFFIXES, *CLOUD_SUFFIXES))
     if len(models) > 2:
-        found = ", ".join(repr(file.name) for file in models[:5])
+        reason = ", ".join(repr(file.name) for file in models[:5])
         raise ProblemError(
             "invalid-input",
-            f"there are {len(models)} meshes or clouds ({found}); send one, or a cloud and a mesh in the same place",
+            f"there are {len(models)} meshes or clouds ({reason}); send one, or a cloud and a mesh in the same place",
         )
     return tuple(models)
 
@@ -149,9 +149,9 @@ async def admit(owned: Owned, upload: Upload, folder: Path) -> tuple[AssetRecord
     """
     store = owned.store
     expires_at = store.clock() + owned.services.settings.asset_retention_s
-    known = await run_in_threadpool(find_asset, store, upload.fingerprint)
-    if known is not None:
-        return await run_in_threadpool(add_asset, store, replace(known, expires_at=expires_at))
+    existing = await run_in_threadpool(find_asset, store, upload.fingerprint)
+    if existing is not None:
+        return await run_in_threadpool(add_asset, store, replace(existing, expires_at=expires_at))
     prepared = folder / "prepared"
     request = ParseRequest(
         kind=upload.kind,
@@ -169,8 +169,8 @@ async def admit(owned: Owned, upload: Upload, folder: Path) -> tuple[AssetRecord
     if answer.summary is None:
         raise ProblemError(answer.code or "invalid-input", answer.message)
     kind = answer.kind or upload.kind
-    made = None if kind == "photos" else prepared
-    return await run_in_threadpool(_keep, owned, replace(upload, kind=kind), made, answer.summary, expires_at)
+    bundle = None if kind == "photos" else prepared
+    return await run_in_threadpool(_keep, owned, replace(upload, kind=kind), bundle, answer.summary, expires_at)
 
 
 def _keep(

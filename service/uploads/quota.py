@@ -17,9 +17,9 @@ def require_bytes(owned: Owned, wanted: int) -> None:
     allowed = owned.caller.limits.get("bytes")
     if allowed is None:
         return
-    kept = kept_bytes(owned.store)
-    if kept + wanted > allowed:
-        raise ProblemError("quota-exceeded", f"you keep {kept:,} bytes, {wanted:,} more pass the {allowed:,} allowed")
+    stored = kept_bytes(owned.store)
+    if stored + wanted > allowed:
+        raise ProblemError("quota-exceeded", f"you keep {stored:,} bytes, {wanted:,} more pass the {allowed:,} allowed")
 
 
 def require_room(owned: Owned, wanted: int = 0) -> None:
@@ -37,8 +37,8 @@ def require_room(owned: Owned, wanted: int = 0) -> None:
         free = min(free, in_storage)
         promised = _promised_bytes(owned)
     if free - promised - wanted < settings.min_free_bytes:
-        found = f"{free:,} bytes are free, {promised:,} of them promised to uploads, {wanted:,} wanted"
-        raise ProblemError("disk-full", f"{found}; {settings.min_free_bytes:,} are kept free")
+        detail = f"{free:,} bytes are free, {promised:,} of them promised to uploads, {wanted:,} wanted"
+        raise ProblemError("disk-full", f"{detail}; {settings.min_free_bytes:,} are reserved")
 
 
 def _promised_bytes(owned: Owned) -> int:

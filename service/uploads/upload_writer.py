@@ -65,8 +65,8 @@ class Checksum:
 
 def stands_elsewhere(offset: int, size: int) -> ProblemError:
     """The refusal of bytes that begin at an offset where the upload does not stand."""
-    found = f"Upload-Offset is {offset:,}, the upload stands at {size:,}"
-    return ProblemError("upload-offset-conflict", found, headers={"Upload-Offset": str(size)})
+    reason = f"Upload-Offset is {offset:,}, the upload stands at {size:,}"
+    return ProblemError("upload-offset-conflict", reason, headers={"Upload-Offset": str(size)})
 
 
 class UploadWriter:
@@ -110,38 +110,38 @@ class UploadWriter:
                 return await run_in_threadpool(self.parts.writer, self.record.id, offset)
             except BlockingIOError as error:
                 if time.monotonic() > deadline:
-                    found = f"another request writes upload {self.record.id}; try again"
-                    raise ProblemError("conflict", found) from error
+                    reason = f"another request writes upload {self.record.id}; try again"
+                    raise ProblemError("conflict", reason) from error
                 await asyncio.sleep(0.05)
 
     async def _write_all(self, writer: PartWriter, body: AsyncIterator[bytes], offset: int) -> int:
         """While a thread writes one batch, the next one comes in."""
         batch: list[bytes] = []
-        held, size, look_at = 0, offset, time.monotonic() + LOOK_S
+        unwritten, size, look_at = 0, offset, time.monotonic() + LOOK_S
         writing: asyncio.Future[None] | None = None
         loop = asyncio.get_running_loop()
         try:
             async for chunk in body:
-                held += len(chunk)
-                if size + held > self.length:
+                unwritten += len(chunk)
+                if size + unwritten > self.length:
                     detail = f"the upload has {self.length:,} bytes as announced, and more were sent"
                     raise ProblemError("payload-too-large", detail, headers={"Connection": "close"})
                 batch.append(chunk)
-                if held < BATCH_BYTES:
+                if unwritten < BATCH_BYTES:
                     continue
                 if writing is not None:
                     await writing
                 writing = loop.run_in_executor(None, self._write, writer, batch)
-                batch, size, held = [], size + held, 0
+                batch, size, unwritten = [], size + unwritten, 0
                 if time.monotonic() >= look_at:
                     await self._require_ours()
                     look_at = time.monotonic() + LOOK_S
         finally:
             if writing is not None:
                 await writing
-            if batch and size + held <= self.length:
+            if batch and size + unwritten <= self.length:
                 await loop.run_in_executor(None, self._write, writer, batch)
-                size += held
+                size += unwritten
         return size
 
     def _write(self, writer: PartWriter, batch: list[bytes]) -> None:
