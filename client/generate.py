@@ -1,4 +1,4 @@
-"""What the client has of openapi.json: `models.py`, `operations.py`, and `synchronous.py` of `asynchronous.py`.
+"""Generate the client from openapi.json: `models.py`, `operations.py`, and `synchronous.py` from `asynchronous.py`.
 
 `python client/generate.py --write` rewrites them, `--check` tells which are not as they would be written.
 """

@@ -1,1 +1,1 @@
-"""What service and worker agree on: jobs, their store, their bytes, their settings. Torch-free, HTTP-free."""
+"""What service and worker share: jobs, their store, files and settings. Without torch and HTTP."""

@@ -1,4 +1,4 @@
-"""The bytes: content-addressed, written once, whole or not at all. A folder on one machine, object storage on many."""
+"""Content-addressed file storage, written once and atomically: a folder on one machine, object storage on many."""
 
 import errno
 import os

@@ -1,4 +1,4 @@
-"""Rows of assets: what someone sent, checked. The same files of the same owner are the same asset."""
+"""Rows of assets (checked uploads). The same files of the same owner are the same asset."""
 
 from dataclasses import asdict, replace
 from hashlib import sha256

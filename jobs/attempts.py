@@ -1,4 +1,4 @@
-"""What a worker does to the job that it runs. Every write names the attempt: that is the fence."""
+"""A worker's changes to the job that it runs. Every write names the attempt, which fences off older ones."""
 
 from collections.abc import Sequence
 from dataclasses import asdict

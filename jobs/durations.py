@@ -1,4 +1,4 @@
-"""What stages and jobs took lately."""
+"""Durations and sizes of recent stages and jobs."""
 
 import sqlalchemy as sa
 

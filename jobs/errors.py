@@ -1,4 +1,4 @@
-"""What the job store refuses.
+"""Exceptions of the job store.
 
     JobsError
     ├── NotFoundError       no such asset, job or artefact

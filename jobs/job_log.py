@@ -1,4 +1,4 @@
-"""What happened to a job, line by line. Written in the transaction that made it happen; no paths, hosts or secrets."""
+"""A job's log: one line per event, written in the event's transaction; without paths, hosts or secrets."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

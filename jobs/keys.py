@@ -1,4 +1,4 @@
-"""API keys: shown once, kept as a hash, revoked by id. A key acts for its owner; an owner may have many."""
+"""API keys: printed once, stored as a hash, revoked by id. A key acts for its owner; an owner may have many."""
 
 import secrets
 from collections.abc import Mapping
@@ -50,7 +50,7 @@ def create_key(
     limits: Mapping[Limit, int] | None = None,
     expires_s: float | None = None,
 ) -> tuple[KeyRecord, str]:
-    """Make a key; the second value is the key itself, which is kept nowhere."""
+    """Create a key; the second value is the key itself, which is not stored."""
     key = PREFIX + secrets.token_urlsafe(32)
     made_id, now = new_id(), store.clock()
     record = KeyRecord(
@@ -69,7 +69,7 @@ def create_key(
 
 
 def digest_of(key: str) -> str:
-    """What is kept of a key. It has 256 random bits, so a plain hash cannot be guessed back."""
+    """The hash that is stored in place of a key. It has 256 random bits, so a plain hash cannot be guessed back."""
     return sha256(key.encode()).hexdigest()
 
 

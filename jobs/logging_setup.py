@@ -1,4 +1,4 @@
-"""What a process says of itself: lines for people, or one JSON object a line for machines. Set up once a process."""
+"""Logging: lines for people, or one JSON object per line for machines. Set up once per process."""
 
 import json
 import logging

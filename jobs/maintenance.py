@@ -1,4 +1,4 @@
-"""What the housekeeper does to the store: messages to send, leases that ran out, deadlines, retention."""
+"""The housekeeper's changes to the store: messages to send, expired leases, deadlines, retention."""
 
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -177,7 +177,7 @@ def forget_expired(store: Store, *, job_retention_s: float, cache_retention_s: f
 
 
 def forget_deliveries(store: Store, *, retention_s: float) -> None:
-    """Drop what was told to webhooks long ago."""
+    """Delete old webhook deliveries."""
     old = (t.deliveries.c.created_at < store.clock() - retention_s) & t.deliveries.c.next_at.is_(None)
     with store.writing() as connection:
         connection.execute(t.deliveries.delete().where(old))
@@ -205,7 +205,7 @@ def _referenced(connection: sa.Connection, now: float) -> Iterator[str]:
 
 
 def forget_blob(store: Store, sha256: str, delete: Callable[[str], None]) -> None:
-    """Delete bytes and their record, unless someone has just told that they are about to be referred to."""
+    """Delete bytes and their record, unless `touch_blob` has announced a new reference."""
     with store.writing() as connection:
         aged = (t.blobs.c.sha256 == sha256) & (t.blobs.c.touched_at < store.clock() - BLOB_GRACE_S)
         if connection.execute(t.blobs.delete().where(aged)).rowcount:

@@ -1,4 +1,4 @@
-"""What crosses the queue: which job, which attempt. Everything else is read from the store."""
+"""The message that crosses the queue: job and attempt. Everything else is read from the store."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Object storage behind obstore: S3, GCS, Azure, memory. Opened with our patience; what it refuses is told."""
+"""Object storage through obstore (S3, GCS, Azure, memory), with our timeouts and our exceptions."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager

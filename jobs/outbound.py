@@ -1,4 +1,4 @@
-"""Requests that go out because a stranger asked: an address is looked up once, checked, connected to as checked."""
+"""Requests to addresses that clients name: look up once, check, connect to the address that was checked."""
 
 import asyncio
 import ipaddress
@@ -90,7 +90,7 @@ class Outbound:
         return Target(url=url, parts=parts, address=str(addresses[0]))
 
     def check_form(self, url: str) -> SplitResult:
-        """Check what can be told without looking the name up.
+        """Check the form of a URL, without looking the name up.
 
         Raises:
             OutboundError: it is no URL that may be called.

@@ -1,4 +1,4 @@
-"""The child process that reads what strangers send: how it is called, what it answers. It is `worker.parse`."""
+"""Call the child process that reads uploaded files (`worker.parse`): its request and its answer."""
 
 import asyncio
 import logging
@@ -34,7 +34,7 @@ class ParseRequest(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    kind: AssetKind  # whether a model is a mesh or a cloud is told by its bytes
+    kind: AssetKind  # its bytes decide whether a model is a mesh or a cloud
     num_models: int = 1
     names: tuple[str, ...]
     paths: tuple[Path, ...]

@@ -1,4 +1,4 @@
-"""Rows of the store, as the rest of the code sees them. Times are seconds since 1970."""
+"""Rows of the store as dataclasses. Times are seconds since 1970."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -65,7 +65,7 @@ class JobRecord:
     params: Mapping[str, Json]
     queue: str
     priority: Priority = "normal"
-    webhook_id: str | None = None  # told when the job ends, besides those who asked for all
+    webhook_id: str | None = None  # notified when the job ends, besides endpoints that subscribed to all jobs
     request_id: str | None = None  # of the request that made it
     traceparent: str | None = None  # W3C trace context of that request
     stages: tuple[StageRecord, ...] = field(default=())

@@ -1,4 +1,4 @@
-"""A database that is away for a while: a worker waits for it, a request does not."""
+"""Retry while the database is away: workers wait for it, requests do not."""
 
 import logging
 import time

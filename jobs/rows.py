@@ -1,4 +1,4 @@
-"""Jobs, stages and artefacts within a transaction: how rows become records, and how a job changes its state."""
+"""Jobs, stages and artifacts within a transaction: rows to records, and state transitions."""
 
 from collections.abc import Mapping
 

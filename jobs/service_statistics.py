@@ -1,4 +1,4 @@
-"""How the whole service stands at a moment, over all owners: what /metrics and the operator's page tell."""
+"""State of the whole service over all owners, for /metrics and the operator's page."""
 
 from dataclasses import dataclass
 
@@ -22,7 +22,7 @@ class QueueLength:
 class Census:
     """What is counted."""
 
-    jobs: dict[str, int]  # by state, of those whose record is kept
+    jobs: dict[str, int]  # by state, of those with a record
     queues: tuple[QueueLength, ...]
     workers: int
     has_housekeeper: bool

@@ -1,4 +1,4 @@
-"""Settings of a process, read once from the environment (`DYNAMICTREE_…`) and handed on. See docs/settings.md."""
+"""Settings of a process, read once from the environment (`DYNAMICTREE_…`). See docs/settings.md."""
 
 import os
 from hashlib import sha256

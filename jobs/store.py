@@ -1,4 +1,4 @@
-"""The truth about jobs, stages and artefacts. SQLAlchemy on SQLite or PostgreSQL.
+"""The job store: jobs, stages and artifacts, in SQLite or PostgreSQL through SQLAlchemy.
 
 Other rows have modules of their own (`assets.py`, `uploads.py`, `webhooks.py`, `keys.py`); what a worker does to a
 running job is in `attempts.py`, what the housekeeper does in `upkeep.py`.

@@ -1,4 +1,4 @@
-"""Tables of the job store. `migrations/` makes them; a test holds the two equal. Times are seconds since 1970."""
+"""Tables of the job store; a test compares them with what `migrations/` creates. Times are seconds since 1970."""
 
 import sqlalchemy as sa
 

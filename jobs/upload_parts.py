@@ -1,4 +1,4 @@
-"""Bytes of uploads that are not whole yet, in a folder or in object storage. What was written once is not lost."""
+"""Bytes of incomplete uploads, in a folder or in object storage. Bytes once written are never lost."""
 
 import fcntl
 import os
@@ -17,7 +17,7 @@ SYNC_BYTES = 64 * 1024**2
 """A file is synced whenever so much was written, so that the last sync is short and dirty pages are few."""
 
 OBJECT_BYTES = 16 * 1024**2
-"""Size of the objects that an upload is kept in."""
+"""Size of the objects that an upload is stored in."""
 
 CHUNK_BYTES = 4 * 1024**2
 

@@ -1,4 +1,4 @@
-"""Rows of uploads: what is coming, how much of it is there, and what became of it."""
+"""Rows of uploads: length, bytes received, and the resulting asset or error."""
 
 from collections import Counter
 from collections.abc import Mapping

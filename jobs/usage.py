@@ -1,4 +1,4 @@
-"""What is kept and what is going on, for those who set bounds to it."""
+"""Bytes stored and jobs running, for quotas."""
 
 import sqlalchemy as sa
 

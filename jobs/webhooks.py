@@ -22,7 +22,7 @@ ROTATION_OVERLAP_S = 86400.0
 
 @dataclass(frozen=True, kw_only=True)
 class Endpoint:
-    """An address that is told."""
+    """A receiver of events."""
 
     id: str
     owner: str
@@ -168,7 +168,7 @@ def _endpoint(row: sa.Row[tuple[object, ...]]) -> Endpoint:
 
 
 def deliveries(store: Store, endpoint_id: str, *, before: str | None, limit: int) -> list[Delivery]:
-    """What was told to an endpoint, newest first.
+    """Deliveries to an endpoint, newest first.
 
     Raises:
         NotFoundError: there is no such endpoint.

@@ -1,1 +1,1 @@
-"""The HTTP side: a module a resource. Torch-free."""
+"""The HTTP API. Without torch."""

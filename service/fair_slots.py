@@ -1,4 +1,4 @@
-"""A semaphore that owners share: whoever holds fewest of its slots is next."""
+"""A semaphore shared fairly: the owner with the fewest slots is next."""
 
 import asyncio
 from collections import Counter

@@ -1,4 +1,4 @@
-"""From a request to a job that is kept: what it needs is there, there is room, and the same key gives it again."""
+"""Create jobs: check the request, quotas and disk space; return the earlier job for a repeated key."""
 
 from hashlib import sha256
 
@@ -156,7 +156,7 @@ def _require_place(owned: Owned) -> None:
 
 
 def _resolved(body: JobRequest, asset: AssetRecord) -> dict[str, Json]:
-    """What the worker is told: the formats of this kind of asset where none are asked for, and always a picture."""
+    """The job's parameters for the worker: default formats filled in, and always a picture."""
     params: dict[str, Json] = body.params.model_dump(mode="json")
     if body.params.box_m is None:
         del params["box_m"]

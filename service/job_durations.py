@@ -1,4 +1,4 @@
-"""How long things take here, from what they took: medians of this service's own jobs, looked up every few seconds."""
+"""Estimate durations and sizes from medians of this service's own recent jobs, cached for seconds."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field

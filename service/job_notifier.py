@@ -1,4 +1,4 @@
-"""Tells those who wait that a job has changed. One query at a time, however many wait."""
+"""Wake requests that wait for a job to change; one query at a time serves all of them."""
 
 import asyncio
 import logging

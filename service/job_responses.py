@@ -1,4 +1,4 @@
-"""A job as it is told, with the headers that go with it."""
+"""Build a job's response body and its headers."""
 
 from hashlib import sha256
 
@@ -17,7 +17,7 @@ def tell(owned: Owned, job: JobRecord, response: Response) -> JobPayload:
 
 
 def look(owned: Owned, job_id: str, response: Response) -> tuple[JobRecord, JobPayload]:
-    """A job by its id, all of one moment: the record, and as it is told.
+    """A job by its id, all of one moment: the record and its response body.
 
     Raises:
         NotFoundError, GoneError: there is none, or its record has expired.

@@ -1,4 +1,4 @@
-"""What was used last, in memory up to a bound."""
+"""Cache of the most recently used values, bounded in bytes."""
 
 import threading
 from collections import OrderedDict
@@ -9,7 +9,7 @@ T = TypeVar("T")
 
 
 class LruCache(Generic[T]):
-    """Things by key, up to a number of bytes in all; the last one is kept whatever its size. For many threads."""
+    """Values by key, up to `max_bytes` in all; the newest stays whatever its size. Thread-safe."""
 
     def __init__(self, max_bytes: int, num_bytes: Callable[[T], int]) -> None:
         self.max_bytes = max_bytes
@@ -18,7 +18,7 @@ class LruCache(Generic[T]):
         self._lock = threading.Lock()
 
     def get(self, key: str) -> T | None:
-        """The thing, if it is kept."""
+        """The value, if it is cached."""
         with self._lock:
             if key in self._kept:
                 self._kept.move_to_end(key)

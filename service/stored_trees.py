@@ -1,4 +1,4 @@
-"""Spectra, and the meshes and clouds that they were made for, from the bytes that are kept."""
+"""Load spectra, and the meshes and clouds that they were made for, from storage."""
 
 from io import BytesIO
 

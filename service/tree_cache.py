@@ -29,7 +29,7 @@ def ready_tree(owned: Owned, spectrum_id: str) -> ReadyTree:
 
 
 def living_tree(owned: Owned, spectrum_id: str) -> ReadyTree | None:
-    """The tree of a spectrum if it is kept in memory and has not expired; asks no store."""
+    """The cached tree of a spectrum, if it has not expired; without a query."""
     tree_ready = owned.services.trees.get(_key(owned, spectrum_id))
     return tree_ready if tree_ready is not None and owned.store.clock() < tree_ready.expires_at else None
 

@@ -1,1 +1,1 @@
-"""The side that computes: Celery tasks, the stages of a job, the housekeeper."""
+"""The computing side: Celery tasks, the stages of a job, the housekeeper."""

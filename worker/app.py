@@ -1,4 +1,4 @@
-"""The Celery application. It carries (job_id, attempt) and nothing else; the store is the truth.
+"""The Celery application. Messages carry (job_id, attempt) only; the store is the truth.
 
 Started with `celery -A worker.app worker`.
 """

@@ -1,4 +1,4 @@
-"""One attempt of a job: stage after stage, each from the cache if the same was made before."""
+"""Run one attempt of a job: stage after stage, each from the cache where its inputs are the same."""
 
 import json
 import logging
@@ -56,9 +56,9 @@ def run_stages(runtime: Runtime, watch: Watch) -> None:
     job = watch.claimed.job
     asset = read_asset(runtime.store, job.asset_id)
     folder = runtime.settings.scratch_dir / f"job-{job.id}-{job.attempt}"
-    kept = runtime.settings.scratch_dir / f"kept-{job.id}"
+    resume_dir = runtime.settings.scratch_dir / f"resume-{job.id}"
     shutil.rmtree(folder, ignore_errors=True)
-    kept.mkdir(parents=True, exist_ok=True)
+    resume_dir.mkdir(parents=True, exist_ok=True)
     inputs = folder / "inputs"
     inputs.mkdir(parents=True)
     try:
@@ -78,7 +78,7 @@ def run_stages(runtime: Runtime, watch: Watch) -> None:
                 given = StageInput(
                     job=job,
                     folder=own,
-                    kept=kept,
+                    resume_dir=resume_dir,
                     files=files,
                     photos=photos,
                     report=partial(watch.report, stage.name),
@@ -90,12 +90,12 @@ def run_stages(runtime: Runtime, watch: Watch) -> None:
                 files[file.name] = inputs / file.name
                 hashes[file.name] = file.sha256
     except (HandedBack, FencedError):
-        raise  # the next attempt goes on from what is kept, if it comes to this machine
+        raise  # the next attempt continues from this folder, if it comes to this machine
     except BaseException:
-        shutil.rmtree(kept, ignore_errors=True)
+        shutil.rmtree(resume_dir, ignore_errors=True)
         raise
     else:
-        shutil.rmtree(kept, ignore_errors=True)
+        shutil.rmtree(resume_dir, ignore_errors=True)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 
@@ -204,8 +204,8 @@ def _keep(
         digest, size = hash_file(path)
         touch_blob(runtime.store, digest, size)
         runtime.artifacts.put(path, digest)
-        kept = OutputFile(name=path.name, media_type=media_type(path.name), sha256=digest, bytes=size)
-        outputs.append(replace(kept, facts=facts.get(path.name, {})))
+        file = OutputFile(name=path.name, media_type=media_type(path.name), sha256=digest, bytes=size)
+        outputs.append(replace(file, facts=facts.get(path.name, {})))
     return tuple(outputs)
 
 

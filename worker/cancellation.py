@@ -1,4 +1,4 @@
-"""Keeps an attempt ours while it runs, and stops it when it should stop."""
+"""Cancellation check, called between steps, while a heartbeat renews the lease."""
 
 import time
 from collections.abc import Callable

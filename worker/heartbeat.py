@@ -1,7 +1,7 @@
-"""Renews a lease from a process of its own: a kernel that keeps the interpreter's lock for a minute costs no job.
+"""Renew a lease from a separate process, because a kernel may hold the interpreter's lock for a minute.
 
 `python -m worker.heartbeat`, started by `Heartbeat`. The first line on stdin says who and how often, each further one
-which attempt is held; at the end of stdin, that is when the worker is gone however it went, it stops.
+which attempt to renew. It stops at the end of stdin: the worker is gone, however it ended.
 """
 
 import json
@@ -69,7 +69,7 @@ class Heartbeat:
         self._tell({})
 
     def leave(self) -> None:
-        """End the process; the store is told that this worker is gone."""
+        """End the process; it deletes this worker's lease."""
         self._end()
 
     def _start(self) -> subprocess.Popen[bytes]:

@@ -1,4 +1,4 @@
-"""What somebody has to do every second: send messages, take jobs from the dead, forget what is old.
+"""Periodic duties: send messages, reap expired leases, remove what is old.
 
 `python -m worker.housekeeper`. Many may run; the one that holds the lease acts.
 """

@@ -1,4 +1,4 @@
-"""Child process that reads one upload: `python -m worker.parse`, request on stdin, answer on stdout.
+"""Child process that parses one upload: `python -m worker.parse`, request on stdin, answer on stdout.
 
 It gives up what it does not need (memory, time, open files, the network, other programs and files) before it looks at
 the first byte.

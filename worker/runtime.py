@@ -1,4 +1,4 @@
-"""What a worker's process has: settings, store, bytes, a name, a heartbeat. Opened after the pool has forked."""
+"""Connections and settings of one worker process, opened after the pool has forked."""
 
 import os
 import socket

@@ -1,4 +1,4 @@
-"""The four stages of a job: files in, files out. What each needs is read from files, so that any worker can go on."""
+"""The four stages of a job. Inputs and outputs are files, so that any worker can continue."""
 
 import os
 import re
@@ -30,7 +30,7 @@ class StageInput:
 
     job: JobRecord
     folder: Path  # its own, empty
-    kept: Path  # of the job's attempts on this machine: what is half done
+    resume_dir: Path  # of the job's attempts on this machine: what is half done
     files: dict[str, Path]  # what earlier stages made; the asset's mesh as MESH_BUNDLE, or its cloud as CLOUD_BUNDLE
     photos: tuple[Path, ...]  # with the cameras and masks that came with them
     report: Callable[[float], None]  # share done in [0, 1]; raises when the stage should stop
@@ -49,7 +49,7 @@ def reconstruct(given: StageInput) -> Iterable[Path]:
         given.folder,
         params,
         root=_root(given.photos),
-        kept=given.kept,
+        kept=given.resume_dir,
         on_progress=given.report,
     )
     assert capture.mesh is not None

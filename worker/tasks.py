@@ -1,4 +1,4 @@
-"""The one task. A job's error crosses no queue: it goes into the store as (code, message)."""
+"""The one Celery task. Errors go into the store as (code, message), never across the queue."""
 
 import logging
 import threading

@@ -1,4 +1,4 @@
-"""Ends a worker that takes nothing though there is something to take.
+"""End a worker that takes no messages although there are some.
 
 Kombu may stop consuming without a word after a reconnection (kombu#2492, celery#10502) while the process answers pings;
 what started the worker then starts it again.

@@ -1,4 +1,4 @@
-"""One request and the type of its answer, before anything is sent: what both clients share."""
+"""A request and the type of its answer, independent of how it is sent; both clients share it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

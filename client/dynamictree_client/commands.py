@@ -1,4 +1,4 @@
-"""`dynamictree remote`: what the command line does here, done by a service elsewhere."""
+"""`dynamictree remote`: the command line's work, done by a service elsewhere."""
 
 import json
 import sys

@@ -1,7 +1,7 @@
-"""What goes wrong, as exceptions.
+"""Exceptions of the client.
 
 ClientError
-├── ProblemError              the service told a problem (RFC 9457); `problem` holds it
+├── ProblemError              the service answered with a problem (RFC 9457), in `problem`
 │   ├── InvalidRequestError   mend the request or the input: 400, 405, 406, 411 to 417, 422, 428
 │   ├── AccessError           the key is missing, wrong, or may not do this: 401, 403
 │   ├── NotFoundError         404
@@ -27,7 +27,7 @@ class ClientError(Exception):
 
 
 class ProblemError(ClientError):
-    """The service told a problem."""
+    """The service answered with a problem."""
 
     def __init__(self, problem: Problem, response: httpx.Response) -> None:
         super().__init__(f"{problem.code}: {problem.detail} {problem.suggestion}".strip())

@@ -1,4 +1,4 @@
-"""Files that are sent and received."""
+"""Uploading and downloading files."""
 
 import base64
 import hashlib

@@ -207,13 +207,13 @@ class DiffuseRequest(Model):
 
 
 class EndpointList(Model):
-    """Every address that is told."""
+    """Every endpoint."""
 
     data: "list[Endpoint]"
 
 
 class Endpoint(Model):
-    """An address that is told."""
+    """A receiver of events."""
 
     id: str
     url: str
@@ -281,7 +281,7 @@ class Force(Model):
     impulse_n_s: tuple[float, float, float] | None = None
     # [N], of a drag; or displacement_m
     force_n: tuple[float, float, float] | None = None
-    # [m], of a drag: where the point would rest under the force that is then held
+    # [m], of a drag: where the point would rest under the force that is then constant
     displacement_m: tuple[float, float, float] | None = None
     # [m/s], of wind; several are samples, evenly spaced over the duration
     wind_m_s: tuple[float, float, float] | list[tuple[float, float, float]] | None = None
@@ -345,7 +345,7 @@ class InteractRequest(Model):
     dt_s: float = 0.016666666666666666
     num_frames: int = 60
     integrator: Literal["exact", "symplectic-euler", "explicit-euler"] = "exact"
-    # without initial_state: at rest, held in equilibrium with the forces, or Davis'
+    # without initial_state: at rest, in equilibrium with the forces, or Davis'
     start: Literal["rest", "held", "davis"] = "rest"
     # final_state of an earlier call
     initial_state: "State | None" = None
@@ -427,9 +427,9 @@ class Limits(Model):
     # of one answer in voxels, vertices or Gaussians
     max_displacement_bytes: int
     max_queued_jobs: int
-    # artefacts are kept so long [s]
+    # lifetime of artifacts [s]
     artifact_retention_s: float
-    # uploads are kept so long after their last use [s]
+    # lifetime of uploads after their last use [s]
     asset_retention_s: float
 
 

@@ -87,7 +87,7 @@ def append_to_upload(
     content_type: str | None = None,
     upload_checksum: str | None = None,
 ) -> Call[None]:
-    """Append to an upload. What came before a connection breaks is kept, unless it has a checksum of its own."""
+    """Append to an upload. Bytes received before a connection breaks are stored, unless the request has a checksum."""
     return Call(
         method="PATCH",
         path=path_of("/v1/uploads/{id}", {"id": id}),
@@ -291,27 +291,27 @@ def get_surface(id: str) -> Call[bytes]:
 
 
 def list_webhook_endpoints() -> Call[EndpointList]:
-    """Every address that is told."""
+    """Every endpoint."""
     return Call(method="GET", path="/v1/webhook-endpoints", answer=EndpointList)
 
 
 def create_webhook_endpoint(body: EndpointRequest) -> Call[EndpointWithSecret]:
-    """Name an address that is told when jobs end. The secret that signs is shown here and never again."""
+    """Register an address that receives an event when a job ends. The signing secret is returned only here."""
     return Call(method="POST", path="/v1/webhook-endpoints", answer=EndpointWithSecret, body=body)
 
 
 def get_webhook_endpoint(id: str) -> Call[Endpoint]:
-    """One address that is told."""
+    """One endpoint."""
     return Call(method="GET", path=path_of("/v1/webhook-endpoints/{id}", {"id": id}), answer=Endpoint)
 
 
 def put_webhook_endpoint(id: str, body: EndpointRequest) -> Call[Endpoint]:
-    """Change address and events; an endpoint that was disabled is told again."""
+    """Change address and events; a disabled endpoint is enabled again."""
     return Call(method="PUT", path=path_of("/v1/webhook-endpoints/{id}", {"id": id}), answer=Endpoint, body=body)
 
 
 def delete_webhook_endpoint(id: str) -> Call[None]:
-    """Tell an address no more, and forget what it was told."""
+    """Delete an endpoint and its deliveries."""
     return Call(method="DELETE", path=path_of("/v1/webhook-endpoints/{id}", {"id": id}), answer=None)
 
 
@@ -321,7 +321,7 @@ def rotate_webhook_secret(id: str) -> Call[EndpointWithSecret]:
 
 
 def list_webhook_deliveries(id: str, *, cursor: str | None = None, limit: int | None = None) -> Call[DeliveryList]:
-    """What an address was told, newest first, with every attempt."""
+    """Deliveries to an endpoint, newest first, with every attempt."""
     return Call(
         method="GET",
         path=path_of("/v1/webhook-endpoints/{id}/deliveries", {"id": id}),
@@ -352,7 +352,7 @@ def get_limits() -> Call[Limits]:
 
 
 def get_usage() -> Call[Usage]:
-    """Jobs that have not ended, bytes that are kept, and the limits of the key."""
+    """Jobs that have not ended, bytes stored, and the limits of the key."""
     return Call(method="GET", path="/v1/usage", answer=Usage)
 
 

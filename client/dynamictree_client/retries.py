@@ -1,4 +1,4 @@
-"""When a request is sent again, and how long to wait before."""
+"""Retry policy: which requests are sent again, and after how long."""
 
 import random
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""Versions of the job store's tables, and the way from each to the next (alembic)."""
+"""Revisions of the job store's tables, and how to get from one to the next (alembic)."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING

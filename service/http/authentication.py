@@ -1,4 +1,4 @@
-"""Who comes in: a key where keys are required; else this machine itself, and no page of another site."""
+"""Check API keys where they are required; else accept only requests from this machine, not from other sites' pages."""
 
 import ipaddress
 import logging

@@ -1,4 +1,4 @@
-"""Who asks, what they may do, and how much of it."""
+"""The caller of a request: owner, scopes and limits."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

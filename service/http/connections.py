@@ -1,4 +1,4 @@
-"""uvicorn's HTTP protocol with bounds on what one connection, and one address, may hold.
+"""uvicorn's HTTP protocol with bounds on the time and memory of one connection and the connections of one address.
 
 Named to uvicorn as `--http service.http.connections:BoundedProtocol`. uvicorn itself bounds only idle connections: not
 a request head that drips (slowloris), nor the size of a head, nor a body that nobody reads, nor a reader that stalls.

@@ -1,4 +1,4 @@
-"""Around every request: an id, security headers, a limit on the body, an answer to what nobody expected."""
+"""Middleware around every request: id, security headers, body limit, and a problem for unexpected exceptions."""
 
 import asyncio
 import logging

@@ -1,4 +1,4 @@
-"""multipart/form-data to files on disk, hashed on the way: no part is ever whole in memory."""
+"""Stream multipart/form-data to files on disk and hash them; no part is ever whole in memory."""
 
 import asyncio
 from collections.abc import AsyncIterator
@@ -33,7 +33,7 @@ class ReceivedFile:
 
 @dataclass(kw_only=True)
 class Form:
-    """What a request held."""
+    """Fields and files of a form."""
 
     fields: dict[str, str] = field(default_factory=dict)
     files: list[ReceivedFile] = field(default_factory=list)

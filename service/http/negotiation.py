@@ -1,4 +1,4 @@
-"""Which of the representations that a route has is the one that the client likes best."""
+"""Content negotiation: the offered media type that the client prefers."""
 
 from collections.abc import Sequence
 

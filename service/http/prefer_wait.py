@@ -1,4 +1,4 @@
-"""`Prefer: wait=N`: an answer that waits until there is something new. RFC 7240."""
+"""`Prefer: wait=N`: hold the answer back until something changes. RFC 7240."""
 
 import re
 from typing import Annotated

@@ -1,4 +1,4 @@
-"""What routes raise, answered as problems."""
+"""Exception handlers: what routes raise becomes a problem response."""
 
 import logging
 
@@ -85,5 +85,5 @@ async def _on_system(request: Request, error: Exception) -> Response:
     if not is_full(error):
         raise error
     logger.error("the disk is full", exc_info=error)
-    detail = f"a file could not grow: {error.strerror}; nothing was kept"
+    detail = f"a file could not grow: {error.strerror}; nothing was stored"
     return problem_response("disk-full", detail, request_id=request_id_of(request.scope))

@@ -1,4 +1,4 @@
-"""Which request a job comes from: its id and its trace go with the job to the worker and on to webhooks."""
+"""Request id and trace context, which a job carries to the worker and to webhooks."""
 
 import re
 from dataclasses import dataclass

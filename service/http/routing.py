@@ -1,4 +1,4 @@
-"""What routes have in common: documented refusals, ids that are ids, pages of problems in OpenAPI."""
+"""Helpers of routes: documented error responses, id parameters, cursors."""
 
 import re
 from collections.abc import Mapping, Sequence

@@ -1,4 +1,4 @@
-"""A span around every request, where tracing is on. What is done later, by the job that it makes, lies under it."""
+"""A tracing span around every request; the job that it creates continues the trace."""
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send

@@ -1,4 +1,4 @@
-"""What pydantic finds wrong with a request, in words that tell what was found and what is allowed."""
+"""Translate pydantic's validation errors into field errors that name the value and what is allowed."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any

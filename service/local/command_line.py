@@ -1,4 +1,4 @@
-"""What `serve`, `doctor` and `keys` have in common on the command line."""
+"""Shared by `serve`, `doctor` and `keys`: options, settings, one-line errors."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

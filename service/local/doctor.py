@@ -1,4 +1,4 @@
-"""`dynamictree doctor`: what this machine lacks, if anything."""
+"""`dynamictree doctor`: check what this machine lacks."""
 
 import json
 import os
@@ -102,7 +102,7 @@ def _state(settings: Settings) -> Finding:
     except OSError as error:
         return Finding(name="state", verdict="error", detail=f"cannot write {folder}: {error.strerror}")
     free = shutil.disk_usage(folder).free
-    detail = f"{folder}, {free / GIB:.1f} GiB free, {settings.min_free_bytes / GIB:g} GiB are kept free"
+    detail = f"{folder}, {free / GIB:.1f} GiB free, {settings.min_free_bytes / GIB:g} GiB are reserved"
     return Finding(name="state", verdict="ok" if free >= settings.min_free_bytes else "error", detail=detail)
 
 

@@ -1,4 +1,4 @@
-"""`dynamictree keys`: make API keys, list them, revoke them. On the machine, or with the settings, of the store."""
+"""`dynamictree keys`: create, list and revoke API keys, in the store that the settings name."""
 
 import json
 import time
@@ -35,7 +35,7 @@ def create(
     state_dir: StateDir = None,
     as_json: _AsJson = False,
 ) -> None:
-    """Make a key. It is printed once and kept nowhere."""
+    """Create a key. It is printed once and not stored."""
     scopes = _scopes(scope or list(SCOPES))
     limits = _limits(limit or [])
     with _store(state_dir) as store:
@@ -50,7 +50,7 @@ def create(
 
 @app.command("list")
 def list_keys(state_dir: StateDir = None, as_json: _AsJson = False) -> None:
-    """List the keys; the keys themselves are kept nowhere."""
+    """List the keys' ids, owners and scopes; the keys themselves are not stored."""
     with _store(state_dir) as store:
         records = all_keys(store)
     if as_json:

@@ -226,7 +226,7 @@ class Announcer:
         self._told = False
 
     def poll(self) -> None:
-        """Look whether it is time; cheap once it was told."""
+        """Announce the address once the service is ready; cheap afterwards."""
         seconds = time.monotonic() - self._started_at
         if self._told or not _ready(self._url):
             return

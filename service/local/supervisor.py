@@ -1,4 +1,4 @@
-"""Keeps child processes running: starts them, starts them again with backoff, stops them in order."""
+"""Supervise child processes: start, restart with backoff, stop in order."""
 
 import ctypes
 import logging
@@ -20,7 +20,9 @@ STEADY_S = 30.0
 
 KILL_AFTER_S = 5.0
 _PR_SET_PDEATHSIG = 1
-_LIBC = ctypes.CDLL(None) if sys.platform == "linux" else None  # opened before the fork, where locks may be held
+_LIBC = (
+    ctypes.CDLL(None) if sys.platform == "linux" else None
+)  # opened before the fork, where another thread may own a lock
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""`python -m service.openapi --write FILE` or `--check FILE`: the committed OpenAPI page is the application's own."""
+"""`python -m service.openapi --write FILE` or `--check FILE`: write or compare the committed OpenAPI document."""
 
 import argparse
 import json

@@ -1,4 +1,4 @@
-"""What the OpenAPI page says beyond what the routes tell: tags, keys, examples, and tuples that all tools read."""
+"""Additions to FastAPI's OpenAPI document: tags, keys, examples, and tuples that all tools can read."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -21,8 +21,8 @@ TAGS = [
     {"name": "jobs", "description": "Stages that run one after another: reconstruct, voxelize, diffuse, animate."},
     {"name": "artifacts", "description": "The files that jobs make."},
     {"name": "spectra", "description": "What a tree's motion is made of, and its surface, for viewers."},
-    {"name": "interact", "description": "Forces in, motion out; nothing is kept between calls."},
-    {"name": "webhooks", "description": "Addresses that are told when jobs end."},
+    {"name": "interact", "description": "Forces in, motion out; stateless."},
+    {"name": "webhooks", "description": "Receivers of events when jobs end."},
     {"name": "keys", "description": "Who may call."},
     {"name": "catalogue", "description": "Models, limits, and what was used."},
     {"name": "health", "description": "For probes and balancers."},

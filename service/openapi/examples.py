@@ -1,4 +1,4 @@
-"""Examples of the OpenAPI page; the tests hold them to the page's own schemas."""
+"""Examples in the OpenAPI document; tests validate them against its schemas."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""/v1/artifacts: the bytes, whole or in part. What is under an id never changes; its hash is its ETag."""
+"""/v1/artifacts: download files, whole or in part. An id's content never changes; its hash is its ETag."""
 
 from typing import Annotated
 from urllib.parse import quote

@@ -1,4 +1,4 @@
-"""/v1/assets: what jobs work on."""
+"""/v1/assets: upload, read and delete the inputs of jobs."""
 
 import shutil
 

@@ -1,4 +1,4 @@
-"""/v1/presets and /v1/limits: what may be asked for."""
+"""/v1/presets and /v1/limits: available models, formats and limits."""
 
 from typing import Literal
 
@@ -67,8 +67,8 @@ class LimitsPayload(Payload):
     max_force_groups: int = Field(description="places that swing at once")
     max_displacement_bytes: int = Field(description="of one answer in voxels, vertices or Gaussians")
     max_queued_jobs: int
-    artifact_retention_s: float = Field(description="artefacts are kept so long [s]")
-    asset_retention_s: float = Field(description="uploads are kept so long after their last use [s]")
+    artifact_retention_s: float = Field(description="lifetime of artifacts [s]")
+    asset_retention_s: float = Field(description="lifetime of uploads after their last use [s]")
 
 
 def preset_sizes() -> dict[str, int]:

@@ -1,4 +1,4 @@
-"""/livez and /readyz: whether the process answers, and whether what it needs does."""
+"""/livez and /readyz: whether the process and its dependencies respond."""
 
 import logging
 from typing import Literal

@@ -1,4 +1,4 @@
-"""/v1/interact: push a tree. Nothing is kept between calls: state goes in, state comes out."""
+"""/v1/interact: apply forces to a tree. Stateless: the state is part of request and answer."""
 
 import asyncio
 import json

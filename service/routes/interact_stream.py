@@ -1,4 +1,4 @@
-"""/v1/interact/stream: a WebSocket for a drag that goes on. The client sends the pointer, the server coordinates.
+"""/v1/interact/stream: a WebSocket for a continuous drag. The client sends the pointer, the server coordinates.
 
 Every message is a JSON object with a `type`. The client begins with
 
@@ -6,8 +6,8 @@ Every message is a JSON object with a `type`. The client begins with
 
 and then sends, in any order,
 
-    force    force: as in /v1/interact, without times. A drag or a wind replaces the one before and is held; an impulse
-             is one knock
+    force    force: as in /v1/interact, without times. A drag or a wind replaces the one before and acts until it
+             is released; an impulse acts once
     release  kind: `drag` or `wind`, let go
     ack      frame: the highest frame that was drawn
 

@@ -1,4 +1,4 @@
-"""/v1/jobs/{id}/events: a job as server-sent events, one for each change, until it has ended."""
+"""/v1/jobs/{id}/events: a job as server-sent events, one per change, until it has ended."""
 
 import asyncio
 from collections.abc import AsyncIterator

@@ -1,4 +1,4 @@
-"""/v1/jobs: ask for a product, look how far it is, stop it, run it again, list what it made."""
+"""/v1/jobs: create, read, list, cancel and retry jobs; list their artifacts."""
 
 import time
 from typing import Annotated

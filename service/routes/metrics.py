@@ -1,4 +1,4 @@
-"""/metrics: what Prometheus asks for.
+"""/metrics: metrics in Prometheus' format.
 
 Counts of jobs come from the store, so every replica tells the same of them; requests and memory are this process's own.
 """
@@ -89,7 +89,7 @@ class StoreMetrics:
 
 def _now(now: Census) -> Iterator[Metric]:
     states: dict[tuple[str, ...], float] = {(str(state),): now.jobs.get(state, 0) for state in JobState}
-    yield _gauge("jobs", "Jobs whose record is kept, by state", states, ["state"])
+    yield _gauge("jobs", "Jobs with a record, by state", states, ["state"])
     lengths: dict[tuple[str, ...], float] = {(queue.name,): queue.jobs for queue in now.queues}
     yield _gauge("queue_jobs", "Jobs that wait", lengths, ["queue"])
     ages: dict[tuple[str, ...], float] = {(queue.name,): queue.oldest_s for queue in now.queues}
@@ -97,7 +97,7 @@ def _now(now: Census) -> Iterator[Metric]:
     yield _gauge("outbox_messages", "Messages not yet sent", {(): now.unsent_messages})
     yield _gauge("workers", "Workers that are there", {(): now.workers})
     yield _gauge("housekeeper", "Whether a housekeeper acts", {(): now.has_housekeeper})
-    yield _gauge("stored_bytes", "Bytes that are kept", {(): now.stored_bytes})
+    yield _gauge("stored_bytes", "Bytes stored", {(): now.stored_bytes})
 
 
 def _since_ever(counted: dict[str, dict[str, float]]) -> Iterator[Metric]:

@@ -1,4 +1,4 @@
-"""/v1/ops, and the page at /ops that shows it: how the service does, without anybody's ids."""
+"""/v1/ops, and the page /ops that displays it: state of the whole service, without ids."""
 
 from dataclasses import asdict
 from functools import cache

@@ -1,4 +1,4 @@
-"""`/` and `/web/…`: the viewer's files. Nothing in them depends on who asks, so no key is asked for."""
+"""`/` and `/web/…`: the viewer's files. They are the same for everyone and need no key."""
 
 import base64
 import gzip

@@ -1,4 +1,4 @@
-"""/v1/spectra: what a spectrum is; its bytes are an artefact."""
+"""/v1/spectra: properties of a spectrum; its bytes are an artifact."""
 
 from fastapi import APIRouter
 from pydantic import Field

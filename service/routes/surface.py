@@ -1,4 +1,4 @@
-"""The source mesh for a program that draws it: as it was uploaded, and with the motion of its vertices."""
+"""The source mesh for a viewer: as uploaded, and with the motion of its vertices."""
 
 import json
 

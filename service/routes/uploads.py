@@ -1,4 +1,4 @@
-"""/v1/uploads: files in pieces, which go on at the byte after a broken connection. tus 1.0; see docs/uploads.md."""
+"""/v1/uploads: resumable uploads by the tus protocol, version 1.0; see docs/uploads.md."""
 
 import asyncio
 import base64
@@ -146,7 +146,7 @@ async def append_to_upload(
     content_type: Annotated[str | None, Header()] = None,
     upload_checksum: _Checksum = None,
 ) -> Response:
-    """Append to an upload. What came before a connection breaks is kept, unless it has a checksum of its own."""
+    """Append to an upload. Bytes received before a connection breaks are stored, unless the request has a checksum."""
     _require_version(tus_resumable)
     if content_type is None or content_type.partition(";")[0].strip() != CONTENT_TYPE:
         raise ProblemError("unsupported-format", f"Content-Type is {content_type!r}; send {CONTENT_TYPE}")

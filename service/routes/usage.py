@@ -1,4 +1,4 @@
-"""/v1/usage: what the caller has here, and may have."""
+"""/v1/usage: the caller's usage and limits."""
 
 from fastapi import APIRouter
 
@@ -22,7 +22,7 @@ class UsagePayload(Payload):
 
 @router.get("/usage", operation_id="getUsage", responses=refusals())
 def get_usage(owned: OwnedDep) -> UsagePayload:
-    """Jobs that have not ended, bytes that are kept, and the limits of the key."""
+    """Jobs that have not ended, bytes stored, and the limits of the key."""
     caller = owned.caller
     return UsagePayload(
         owner=caller.owner,

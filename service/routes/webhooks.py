@@ -1,4 +1,4 @@
-"""/v1/webhook-endpoints: who is told when a job ends. Signed as Standard Webhooks asks; see docs/webhooks.md."""
+"""/v1/webhook-endpoints: receivers of job events, signed as Standard Webhooks defines; see docs/webhooks.md."""
 
 from typing import Annotated
 
@@ -26,7 +26,7 @@ class EndpointRequest(Payload):
 
 
 class EndpointPayload(Payload):
-    """An address that is told."""
+    """A receiver of events."""
 
     id: str
     url: str
@@ -42,7 +42,7 @@ class EndpointWithSecretPayload(EndpointPayload):
 
 
 class EndpointListPayload(Payload):
-    """Every address that is told."""
+    """Every endpoint."""
 
     data: list[EndpointPayload]
 
@@ -83,7 +83,7 @@ class DeliveryListPayload(Payload):
     responses=refusals("conflict", "fetch-failed") | {201: {"description": "Made", **headers(Location="the endpoint")}},
 )
 async def create_endpoint(body: EndpointRequest, response: Response, owned: OwnedDep) -> EndpointWithSecretPayload:
-    """Name an address that is told when jobs end. The secret that signs is shown here and never again."""
+    """Register an address that receives an event when a job ends. The signing secret is returned only here."""
     await owned.services.outbound.check(body.url)
     new = await run_in_threadpool(webhooks.add_endpoint, owned.store, body.url, body.events)
     response.headers["Location"] = f"/v1/webhook-endpoints/{new.id}"
@@ -92,19 +92,19 @@ async def create_endpoint(body: EndpointRequest, response: Response, owned: Owne
 
 @router.get("", operation_id="listWebhookEndpoints", responses=refusals())
 def list_endpoints(owned: OwnedDep) -> EndpointListPayload:
-    """Every address that is told."""
+    """Every endpoint."""
     return EndpointListPayload(data=[_endpoint(endpoint) for endpoint in webhooks.endpoints(owned.store)])
 
 
 @router.get("/{id}", operation_id="getWebhookEndpoint", responses=refusals("not-found"))
 def get_endpoint(id: Id, owned: OwnedDep) -> EndpointPayload:
-    """One address that is told."""
+    """One endpoint."""
     return _endpoint(webhooks.endpoint(owned.store, id))
 
 
 @router.put("/{id}", operation_id="putWebhookEndpoint", responses=refusals("not-found", "fetch-failed"))
 async def put_endpoint(id: Id, body: EndpointRequest, owned: OwnedDep) -> EndpointPayload:
-    """Change address and events; an endpoint that was disabled is told again."""
+    """Change address and events; a disabled endpoint is enabled again."""
     await owned.services.outbound.check(body.url)
     changes = {"url": body.url, "events": list(body.events), "disabled_reason": None}
     return _endpoint(await run_in_threadpool(webhooks.change_endpoint, owned.store, id, **changes))
@@ -117,7 +117,7 @@ async def put_endpoint(id: Id, body: EndpointRequest, owned: OwnedDep) -> Endpoi
     responses=refusals("not-found"),
 )
 def delete_endpoint(id: Id, owned: OwnedDep) -> None:
-    """Tell an address no more, and forget what it was told."""
+    """Delete an endpoint and its deliveries."""
     webhooks.delete_endpoint(owned.store, id)
 
 
@@ -135,7 +135,7 @@ def list_deliveries(
     cursor: Cursor = None,
     limit: Annotated[int, Query(ge=1, le=100, description="deliveries a page")] = 20,
 ) -> DeliveryListPayload:
-    """What an address was told, newest first, with every attempt."""
+    """Deliveries to an endpoint, newest first, with every attempt."""
     records = webhooks.deliveries(owned.store, id, before=cursor, limit=limit + 1)
     page = records[:limit]
     return DeliveryListPayload(

@@ -70,7 +70,7 @@ class UploadPayload(Payload):
 
 
 def asset_payload(asset: AssetRecord) -> AssetPayload:
-    """An asset as it is told."""
+    """An asset as a response body."""
     return AssetPayload(
         id=asset.id,
         kind=asset.kind,
@@ -82,7 +82,7 @@ def asset_payload(asset: AssetRecord) -> AssetPayload:
 
 
 def upload_payload(upload: UploadRecord, size: int) -> UploadPayload:
-    """An upload as it is told, with the bytes that are there."""
+    """An upload as a response body, with the number of bytes received."""
     return UploadPayload(
         id=upload.id,
         state=upload.state,

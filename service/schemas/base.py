@@ -1,4 +1,4 @@
-"""What the bodies of requests and responses have in common. Unknown fields are refused."""
+"""Base classes and types of request and response bodies. Unknown fields are refused."""
 
 from datetime import UTC, datetime
 from typing import Annotated

@@ -1,4 +1,4 @@
-"""What is asked of /v1/interact, and how it reads in the library's terms. Metres, newtons, seconds; +Z up."""
+"""Bodies of /v1/interact, and their conversion to the library's types. Metres, newtons, seconds; +Z up."""
 
 from collections.abc import Callable
 from typing import Annotated, Literal
@@ -56,7 +56,7 @@ class ForcePayload(Payload):
     impulse_n_s: Vector | None = Field(default=None, description="[N s], of an impulse")
     force_n: Vector | None = Field(default=None, description="[N], of a drag; or displacement_m")
     displacement_m: Vector | None = Field(
-        default=None, description="[m], of a drag: where the point would rest under the force that is then held"
+        default=None, description="[m], of a drag: where the point would rest under the force that is then constant"
     )
     wind_m_s: Vector | list[Vector] | None = Field(
         default=None, description="[m/s], of wind; several are samples, evenly spaced over the duration"
@@ -122,7 +122,7 @@ class InteractRequest(Payload):
     num_frames: int = Field(default=60, ge=1, le=MAX_FRAMES)
     integrator: Integrator = "exact"
     start: Start = Field(
-        default="rest", description="without initial_state: at rest, held in equilibrium with the forces, or Davis'"
+        default="rest", description="without initial_state: at rest, in equilibrium with the forces, or Davis'"
     )
     initial_state: StatePayload | None = Field(default=None, description="final_state of an earlier call")
     locality: Literal["none", "geodesic"] = Field(default="geodesic", description="what a push may reach")
@@ -168,7 +168,7 @@ def with_state(
 
 
 def state_payload(groups: tuple[ForceGroup, ...], state: State) -> dict[str, object]:
-    """The state as it is told, as a `StatePayload` reads it."""
+    """The state as a response body, as a `StatePayload` reads it."""
     return {
         "groups": [
             {"locality": locality_payload(group.locality), "q": with_bin_zero(q), "q_dot": with_bin_zero(q_dot)}
@@ -178,7 +178,7 @@ def state_payload(groups: tuple[ForceGroup, ...], state: State) -> dict[str, obj
 
 
 def locality_payload(locality: Locality | None) -> dict[str, object] | None:
-    """A locality as it is told."""
+    """A locality as a response body."""
     return None if locality is None else {"seed_voxel": locality.seed_voxel, "falloff_m": locality.falloff_m}
 
 

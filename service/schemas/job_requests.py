@@ -1,4 +1,4 @@
-"""Bodies that create jobs: the parameters of `dynamictree.requests`, and what only a service asks."""
+"""Bodies that create jobs: parameters from `dynamictree.requests` and what only the service needs."""
 
 from typing import Annotated, Literal
 

@@ -1,4 +1,4 @@
-"""Bodies that tell of jobs and of what they made."""
+"""Response bodies of jobs, logs and manifests."""
 
 from typing import Literal
 
@@ -124,7 +124,7 @@ def job_payload(
     eta_s: float | None,
     retention_s: float,
 ) -> JobPayload:
-    """A job as it is told."""
+    """A job as a response body."""
     stages = [
         StagePayload(
             name=stage.name,
@@ -175,7 +175,7 @@ def _result(job: JobRecord, artifacts: list[ArtifactRecord]) -> ResultPayload | 
 
 
 def log_payload(lines: list[LogLine], after: int) -> LogPayload:
-    """A page of a job's log as it is told; `after` is where it began."""
+    """A page of a job's log as a response body; `after` is where it began."""
     data = [
         LogLinePayload(id=n.id, at=time_of(n.at), level=n.level, message=n.message, fields=dict(n.fields))
         for n in lines
@@ -184,7 +184,7 @@ def log_payload(lines: list[LogLine], after: int) -> LogPayload:
 
 
 def manifest_payload(job: JobRecord, artifacts: list[ArtifactRecord]) -> ManifestPayload:
-    """A job's manifest as it is told."""
+    """A job's manifest as a response body."""
     listed = [
         ArtifactPayload(
             id=artifact.id,

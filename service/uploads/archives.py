@@ -1,4 +1,4 @@
-"""Zips from outside: entries checked before they are read, bytes counted while they are."""
+"""Unpack uploaded zips: entries are checked before reading, bytes are counted while reading."""
 
 import errno
 import lzma

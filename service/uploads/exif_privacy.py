@@ -1,4 +1,4 @@
-"""Where a photo was taken, blanked in its bytes before they are kept. Exif 2.32 section 4.6.6; XMP part 3, 1.1.3.
+"""Remove the place where a photo was taken, in place. Exif 2.32 section 4.6.6; XMP part 3, 1.1.3.
 
 In place and of the same length: pixels, orientation and focal length stay as they are.
 """

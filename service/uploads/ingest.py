@@ -1,4 +1,4 @@
-"""From uploads to assets: at once where someone asks, and by itself for addresses and uploads that asked for it."""
+"""Turn uploads into assets: on request, or in the background for URLs and `asset=auto`."""
 
 import asyncio
 import logging

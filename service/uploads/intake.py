@@ -1,4 +1,4 @@
-"""From received files to an asset: which file is the mesh, is it known already, can it be used."""
+"""Turn received files into an asset: find the model among them, parse it, store it."""
 
 import json
 from collections.abc import Mapping
@@ -47,7 +47,7 @@ FIELDS = ("kind", "up_axis", "unit_m")
 class Upload:
     """Files that make one asset, the models first, and how to read them."""
 
-    kind: AssetKind  # whether a model is a mesh or a cloud is told by its bytes
+    kind: AssetKind  # its bytes decide whether a model is a mesh or a cloud
     num_models: int = 1
     files: tuple[ReceivedFile, ...]
     reading: Reading = field(default_factory=Reading)

@@ -1,4 +1,4 @@
-"""Room for what is to come: on the disk, and in what one owner may use."""
+"""Checks before bytes arrive: free disk space, and the storage quota of one owner."""
 
 import shutil
 

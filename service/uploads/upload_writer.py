@@ -1,4 +1,4 @@
-"""Bytes of one PATCH to where uploads lie. What has come stays, however it ends; one request writes at a time."""
+"""Append the body of one PATCH to an upload. Received bytes stay; one request writes at a time."""
 
 import asyncio
 import base64
@@ -94,7 +94,7 @@ class UploadWriter:
             raise ProblemError("bad-request", "the connection broke before the body was whole; go on with it") from None
         except OSError as error:
             if is_full(error):
-                raise ProblemError("disk-full", "the disk is full; what has come was kept") from error
+                raise ProblemError("disk-full", "the disk is full; bytes received so far are stored") from error
             raise
         finally:
             await asyncio.shield(self._close(writer, whole))
@@ -173,7 +173,7 @@ class ActiveWriters:
     superseded: set[asyncio.Task[object]] = field(default_factory=set)
 
     async def take_over(self, upload_id: str) -> None:
-        """End an older request to the same upload, and wait until it has kept what came."""
+        """End an older request to the same upload, and wait until it has stored its bytes."""
         deadline = time.monotonic() + TAKE_OVER_S
         older = self.writing.get(upload_id)
         if older is not None and older not in self.superseded:

@@ -177,7 +177,7 @@ def test_a_lost_lease_leaves_what_the_next_attempt_goes_on_from(here: Runtime, a
         hand_back(here.store, held)
         with pytest.raises(FencedError):
             run_stages(here, watching)
-    assert [left.name for left in here.settings.scratch_dir.iterdir()] == [f"kept-{held.job.id}"]
+    assert [left.name for left in here.settings.scratch_dir.iterdir()] == [f"resume-{held.job.id}"]
 
 
 def test_a_lost_lease_is_no_error_of_the_job(
