@@ -1,5 +1,6 @@
 """Engines for the job store: SQLite in WAL mode on one machine, PostgreSQL on many."""
 
+import os
 import sqlite3
 from collections.abc import Mapping
 from pathlib import Path
@@ -21,7 +22,10 @@ def open_engine(url: str) -> sa.Engine:
         return sa.create_engine(_with_psycopg(url), pool_pre_ping=True, pool_size=10, max_overflow=30)
     database = make_url(url).database
     if database:
-        Path(database).parent.mkdir(parents=True, exist_ok=True)
+        Path(database).parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        # it contains the secrets of webhooks; SQLite gives its journal the same mode
+        os.close(os.open(database, os.O_RDWR | os.O_CREAT, 0o600))
+        os.chmod(database, 0o600)
     engine = sa.create_engine(url, connect_args={"timeout": BUSY_TIMEOUT_S}, pool_size=60, max_overflow=0)
     event.listen(engine, "connect", _configure_sqlite)
     event.listen(engine, "begin", _begin_sqlite)

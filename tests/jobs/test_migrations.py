@@ -66,3 +66,10 @@ def test_old_code_goes_on_with_newer_tables(tmp_path: Path) -> None:
     assert held is not None
     assert succeed(store, held) == "succeeded"
     store.close()
+
+
+def test_only_the_owner_of_the_process_reads_the_database(tmp_path: Path) -> None:
+    path = tmp_path / "state" / "jobs.sqlite"
+    Store.open(f"sqlite:///{path}").close()
+    assert path.stat().st_mode & 0o777 == 0o600
+    assert path.parent.stat().st_mode & 0o777 == 0o700
