@@ -21,7 +21,7 @@ def open_engine(url: str) -> sa.Engine:
     if make_url(url).get_backend_name() != "sqlite":
         return sa.create_engine(_with_psycopg(url), pool_pre_ping=True, pool_size=10, max_overflow=30)
     database = make_url(url).database
-    if database:
+    if database and database != ":memory:":
         Path(database).parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         # it contains the secrets of webhooks; SQLite gives its journal the same mode
         os.close(os.open(database, os.O_RDWR | os.O_CREAT, 0o600))
