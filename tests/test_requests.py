@@ -27,7 +27,7 @@ from dynamictree.requests import (
 
 OWN_OPTIONS = {
     "animate": {"source", "output", "mask", "mesh", "as_json"},
-    "reconstruct": {"photos", "output", "as_json"},
+    "reconstruct": {"photos", "output", "fresh", "as_json"},
 }
 
 
