@@ -17,6 +17,7 @@ from dynamictree.errors import DynamicTreeError
 PLUGIN_GROUP = "dynamictree.commands"
 OWN_COMMANDS = {
     "animate": "dynamictree.commands.animate:animate",
+    "convert": "dynamictree.commands.convert:convert",
     "dataset": "dynamictree.commands.dataset:app",
     "diffuse": "dynamictree.commands.diffuse:diffuse",
     "evaluate": "dynamictree.commands.evaluate:evaluate",

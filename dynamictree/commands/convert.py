@@ -1,0 +1,84 @@
+"""`dynamictree convert`: a mesh, splat or scan as a file of another format."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from dynamictree.commands.options import SourcePath
+from dynamictree.commands.request_options import with_request_options
+from dynamictree.commands.source import is_cloud, load_capture, load_mesh, say_how_read
+from dynamictree.commands.terminal import AsJson, tell
+from dynamictree.errors import InputError
+from dynamictree.files import published
+from dynamictree.requests import Reading
+
+if TYPE_CHECKING:
+    from dynamictree.gaussian.cloud import GaussianCloud
+    from dynamictree.mesh import TriangleMesh
+
+MESH_ENDINGS = (".glb", ".obj", ".ply")
+CLOUD_ENDINGS = (".ply", ".splat", ".spz", ".glb")
+
+
+@with_request_options
+def convert(
+    source: SourcePath,
+    output: Annotated[
+        Path,
+        typer.Argument(
+            dir_okay=False, help="File to write. Of a mesh: .glb, .obj, .ply. Of a cloud: .ply, .splat, .spz, .glb."
+        ),
+    ],
+    reading: Reading,
+    as_json: AsJson = False,
+) -> None:
+    """Write a mesh, splat or scan in another format; the ending of OUTPUT names it.
+
+    Meshes are written in metres; OBJ and PLY with +Z up. Splats keep the axes and units of their file; SPZ and GLB are
+    +Y up.
+    """
+    cloud = load_capture(source, up_axis=reading.up_axis, unit_m=reading.unit_m).cloud if is_cloud(source) else None
+    mesh = load_mesh(source, up_axis=reading.up_axis, unit_m=reading.unit_m) if cloud is None else None
+    endings = CLOUD_ENDINGS if mesh is None else MESH_ENDINGS
+    if output.suffix.lower() not in endings:
+        kind = "splat or scan" if mesh is None else "mesh"
+        raise InputError(f"{output.name!r} is no file that a {kind} is written to; choose from {', '.join(endings)}")
+    with published(output.parent) as folder:
+        if mesh is not None:
+            say_how_read(mesh)
+            write_mesh_file(mesh, folder / output.name)
+        elif cloud is not None:
+            write_cloud_file(cloud, folder / output.name)
+        num_bytes = {path.name: path.stat().st_size for path in sorted(folder.iterdir())}
+    tell({str(output.parent / name): f"{size:,} bytes" for name, size in num_bytes.items()}, as_json=as_json)
+
+
+def write_mesh_file(mesh: "TriangleMesh", path: Path) -> None:
+    """Write a mesh in the format of the path's ending; an OBJ with its MTL and textures beside it."""
+    from dynamictree.formats.gltf.writer import write_glb
+    from dynamictree.formats.mesh.obj_writer import write_obj
+    from dynamictree.formats.mesh.ply_writer import write_ply
+
+    with path.open("wb") as stream:
+        match path.suffix.lower():
+            case ".glb":
+                write_glb(mesh, stream)
+            case ".ply":
+                write_ply(mesh, stream)
+            case _:
+                library = f"{path.stem}.mtl" if mesh.materials else ""
+                for name, content in write_obj(mesh, stream, library=library).items():
+                    (path.parent / name).write_bytes(content)
+
+
+def write_cloud_file(cloud: "GaussianCloud", path: Path) -> None:
+    """Write a cloud in the format of the path's ending."""
+    from dynamictree.formats.gltf.gaussian import write_gltf_gaussian
+    from dynamictree.formats.splat.ply import write_gaussian_ply
+    from dynamictree.formats.splat.splat import write_splat
+    from dynamictree.formats.splat.spz import write_spz
+
+    writers = {".ply": write_gaussian_ply, ".splat": write_splat, ".spz": write_spz, ".glb": write_gltf_gaussian}
+    with path.open("wb") as stream:
+        writers[path.suffix.lower()](cloud, stream)

@@ -1,0 +1,53 @@
+"""`dynamictree convert`: what is read back is what was written."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dynamictree.commands.source import load_capture, load_mesh
+
+TEXTURED = b"mtllib t.mtl\nv 0 0 0\nv 0.5 0 0\nv 0 0 2\nvt 0 0\nvt 1 0\nvt 0 1\nusemtl bark\nf 1/1 2/2 3/3\n"
+
+
+@pytest.fixture
+def mesh_path(tmp_path: Path) -> Path:
+    path = tmp_path / "t.obj"
+    path.write_bytes(TEXTURED)
+    path.with_suffix(".mtl").write_text("newmtl bark\nKd 0.5 0.25 0.125\n")
+    return path
+
+
+@pytest.mark.parametrize(("ending", "up_axis"), [("glb", "+Y"), ("obj", "+Z"), ("ply", "+Z")])
+def test_a_mesh_keeps_its_triangles_and_its_size(
+    dynamictree: Callable[..., int], mesh_path: Path, tmp_path: Path, ending: str, up_axis: str
+) -> None:
+    written = tmp_path / "out" / f"tree.{ending}"
+    assert dynamictree("convert", mesh_path, written, "--up-axis", "z") == 0
+    before, after = load_mesh(mesh_path, up_axis="+Z"), load_mesh(written, up_axis=up_axis)
+    np.testing.assert_allclose(after.vertices, before.vertices, atol=1e-6)
+    np.testing.assert_array_equal(after.faces, before.faces)
+    if ending != "ply":  # PLY has no materials
+        np.testing.assert_allclose(after.materials[0].base_color, before.materials[0].base_color, atol=1e-3)
+
+
+@pytest.mark.parametrize("ending", ["ply", "splat", "spz", "glb"])
+def test_a_cloud_keeps_its_gaussians(dynamictree: Callable[..., int], tmp_path: Path, ending: str) -> None:
+    rng = np.random.default_rng(3)
+    scan = tmp_path / "scan.xyz"
+    np.savetxt(scan, rng.uniform(0, 2, (300, 3)) * (0.2, 0.2, 1))
+    written = tmp_path / f"tree.{ending}"
+    assert dynamictree("convert", scan, written) == 0
+    before = load_capture(scan).cloud
+    after = load_capture(written, up_axis="+Y" if ending in ("spz", "glb") else "+Z").cloud
+    assert before.num_gaussians == after.num_gaussians
+    np.testing.assert_allclose(np.sort(after.means, axis=0), np.sort(before.means, axis=0), atol=2e-3)
+
+
+def test_a_mesh_cannot_become_a_splat(
+    dynamictree: Callable[..., int], mesh_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert dynamictree("convert", mesh_path, tmp_path / "x.spz") == 2
+    assert "choose from .glb, .obj, .ply" in capsys.readouterr().err
+    assert not (tmp_path / "x.spz").exists()
