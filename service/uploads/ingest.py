@@ -5,9 +5,9 @@ import logging
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING
 from urllib.parse import unquote, urlsplit
 
-import httpx
 import sqlalchemy as sa
 from starlette.concurrency import run_in_threadpool
 
@@ -24,6 +24,9 @@ from service.http.problems import REFUSALS, ProblemError, problem_of
 from service.services import Owned, Services
 from service.uploads.intake import FIELDS, admit, sort_out
 from service.uploads.quota import require_bytes, require_room
+
+if TYPE_CHECKING:
+    import httpx  # slow to import; a fetch brings it
 
 logger = logging.getLogger(__name__)
 
@@ -213,7 +216,7 @@ async def fetch(owned: Owned, upload: UploadRecord) -> UploadRecord:
     )
 
 
-def _announced_bytes(response: httpx.Response) -> int:
+def _announced_bytes(response: "httpx.Response") -> int:
     length = response.headers.get("content-length", "0")
     return int(length) if length.isascii() and length.isdecimal() and len(length) <= 18 else 0
 
