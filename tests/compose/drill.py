@@ -22,6 +22,9 @@ FORMATS = ["glb", "png"]
 CELERY_SIGNAL_LINES = ("worker: Warm shutdown (MainProcess)", "worker: Cold shutdown (MainProcess)", "Restoring ")
 """What Celery's signal handlers write past all logging."""
 
+ERASE_LINE = "\x1b[2K"
+"""What `docker compose logs` puts ahead of a line, even where the output is no terminal."""
+
 
 @dataclass(kw_only=True)
 class Drill:
@@ -189,7 +192,7 @@ class Drill:
     def _check_logs(self) -> None:
         for name in OURS:
             lines = self.docker("logs", "--no-color", "--no-log-prefix", name).splitlines()
-            for line in lines:
+            for line in (text.removeprefix(ERASE_LINE) for text in lines):
                 if line and not line.startswith(CELERY_SIGNAL_LINES):
                     assert line.startswith("{"), f"{name}: {line}"
                     json.loads(line)
