@@ -121,4 +121,4 @@ def test_figures_and_verdicts_are_printed_for_people(capsys: pytest.CaptureFixtu
     print_rivals({"sets": {"unseen species": {"model": {"roughness": 0.25}}}, "trees": {"unseen species": 2}})
     assert "unseen species: mean over 2 trees" in capsys.readouterr().out
     print_classifier({"right": {"model": 0.613}, "valid": True, "rule": "a rule", "trees": 20, "mean_voxels": 9000.0})
-    assert "true motion and model in 61.3 % of cases\nvalid: a rule; 20 trees" in capsys.readouterr().out
+    assert "true motion and model separated in 61.3 % of cases\nvalid: a rule; 20 trees" in capsys.readouterr().out
