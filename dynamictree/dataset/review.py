@@ -3,8 +3,8 @@
 from collections.abc import Iterable, Mapping
 from typing import Literal, get_args
 
+from dynamictree.byte_stream import ByteReader, ByteWriter
 from dynamictree.errors import FormatError
-from dynamictree.formats.stream import ByteReader, ByteWriter
 
 Verdict = Literal["accept", "reject"]
 VERDICTS: tuple[Verdict, ...] = get_args(Verdict)

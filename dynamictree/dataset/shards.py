@@ -19,10 +19,10 @@ import numpy as np
 import safetensors.numpy
 from jaxtyping import Complex64, Float16, Float32
 
+from dynamictree.byte_stream import ByteWriter
 from dynamictree.dataset.sample import VERSION, Sample, Split, voxel_spectrum
 from dynamictree.dataset.stem_skeleton import Skeleton
 from dynamictree.errors import FormatError
-from dynamictree.formats.stream import ByteWriter
 from dynamictree.mesh import TriangleMesh
 from dynamictree.spectrum import FPS, NUM_FRAMES, SparseVoxelSpectrum, Wind
 from dynamictree.voxel.grid import VoxelGrid

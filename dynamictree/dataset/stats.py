@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32, Int8, Int32
 
+from dynamictree.byte_stream import ByteWriter
 from dynamictree.dataset.sample import Sample
-from dynamictree.formats.stream import ByteWriter
 from dynamictree.spectrum import FPS, NUM_FREQUENCIES
 
 MEASURED = ("length_m", "radius_m", "frequency_hz", "amplitude_rad")

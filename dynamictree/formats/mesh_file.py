@@ -4,6 +4,7 @@ import io
 import re
 from collections.abc import Mapping
 
+from dynamictree.byte_stream import ByteReader, read_all
 from dynamictree.errors import FormatError
 from dynamictree.formats.axes import mesh_to_z_up
 from dynamictree.formats.gltf.reader import read_gltf
@@ -12,7 +13,6 @@ from dynamictree.formats.mesh.obj import read_obj
 from dynamictree.formats.mesh.ply import read_ply_mesh
 from dynamictree.formats.mesh.stl import is_ascii_stl, read_stl
 from dynamictree.formats.ply_table import read_header
-from dynamictree.formats.stream import ByteReader, read_all
 from dynamictree.mesh import TriangleMesh, validate_mesh
 
 MESH_TYPES = ("obj", "ply", "glb", "gltf", "stl", "off", "3mf", "dae")

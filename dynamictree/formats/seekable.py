@@ -3,7 +3,7 @@
 import os
 from typing import Protocol, runtime_checkable
 
-from dynamictree.formats.stream import ByteReader
+from dynamictree.byte_stream import ByteReader
 
 
 @runtime_checkable

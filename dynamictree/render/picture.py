@@ -2,12 +2,13 @@
 
 from dataclasses import dataclass
 from io import BytesIO
-from typing import BinaryIO, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float32, Float64, Int32, UInt8
 from PIL import Image
 
+from dynamictree.byte_stream import ByteWriter
 from dynamictree.errors import InputError
 from dynamictree.mesh import TriangleMesh, validate_mesh
 from dynamictree.parallel import in_bands
@@ -147,7 +148,7 @@ def render_mesh(
     return Renderer(mesh, look).picture(camera=camera)
 
 
-def write_png(image: UInt8[np.ndarray, "H W 3"], stream: BinaryIO) -> None:
+def write_png(image: UInt8[np.ndarray, "H W 3"], stream: ByteWriter) -> None:
     """Write a picture as PNG."""
     content = BytesIO()
     Image.fromarray(image).save(content, format="PNG", compress_level=6)

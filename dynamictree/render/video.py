@@ -6,12 +6,13 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from itertools import chain
-from typing import BinaryIO, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 from jaxtyping import UInt8
 from PIL import Image, TiffImagePlugin
 
+from dynamictree.byte_stream import ByteWriter
 from dynamictree.errors import DynamicTreeError, InputError
 
 VideoFormat = Literal["mp4", "webp", "gif"]
@@ -21,7 +22,7 @@ _MAX_FPS = {"mp4": 240.0, "webp": 100.0, "gif": 50.0}  # viewers slow GIFs down 
 
 
 def write_animation(
-    frames: Iterator[UInt8[np.ndarray, "H W 3"]], stream: BinaryIO, *, fps: float, format: VideoFormat
+    frames: Iterator[UInt8[np.ndarray, "H W 3"]], stream: ByteWriter, *, fps: float, format: VideoFormat
 ) -> None:
     """Write pictures of one size as a film, one at a time; WebP and GIF repeat for ever.
 
@@ -71,7 +72,7 @@ def _of_one_size(
 
 
 def _write_mp4(
-    frames: Iterator[UInt8[np.ndarray, "H W 3"]], shape: tuple[int, ...], stream: BinaryIO, fps: float
+    frames: Iterator[UInt8[np.ndarray, "H W 3"]], shape: tuple[int, ...], stream: ByteWriter, fps: float
 ) -> None:
     import imageio_ffmpeg  # the extra `video`; only this format needs it
 
@@ -98,7 +99,7 @@ def _write_mp4(
 
 
 def _write_pillow(
-    frames: Iterator[UInt8[np.ndarray, "H W 3"]], stream: BinaryIO, fps: float, format: VideoFormat
+    frames: Iterator[UInt8[np.ndarray, "H W 3"]], stream: ByteWriter, fps: float, format: VideoFormat
 ) -> None:
     # Pillow wants all frames in memory or in one file of many pages; the file keeps memory small
     with tempfile.TemporaryFile() as spool:

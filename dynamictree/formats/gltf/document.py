@@ -8,6 +8,7 @@ from urllib.parse import unquote, unquote_to_bytes
 import numpy as np
 from jaxtyping import Shaped
 
+from dynamictree.byte_stream import ByteReader
 from dynamictree.errors import FormatError
 from dynamictree.formats.companions import find_companion
 from dynamictree.formats.json_fields import (
@@ -20,7 +21,6 @@ from dynamictree.formats.json_fields import (
     text_field,
     text_list,
 )
-from dynamictree.formats.stream import ByteReader
 from dynamictree.mesh import MAX_FACES, SourceWarning
 
 MAX_ELEMENTS = 3 * MAX_FACES  # of an accessor: the indices of the largest mesh that is allowed

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Complex64, Float64
 
+from dynamictree.byte_stream import ByteWriter
 from dynamictree.errors import InputError
 from dynamictree.formats.axes import up_rotation
 from dynamictree.formats.gltf.motion import key_weights, morph_targets
 from dynamictree.formats.gltf.writer import VERTEX_BUFFER, GlbWriter, add_mesh
-from dynamictree.formats.stream import ByteWriter
 from dynamictree.mesh import TriangleMesh
 
 

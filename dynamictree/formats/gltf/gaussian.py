@@ -6,6 +6,7 @@ from functools import reduce
 import numpy as np
 from jaxtyping import Float32, Float64
 
+from dynamictree.byte_stream import ByteReader, ByteWriter, read_all
 from dynamictree.color import linear_to_srgb, srgb_slope
 from dynamictree.errors import FormatError
 from dynamictree.formats.axes import up_rotation
@@ -15,7 +16,6 @@ from dynamictree.formats.gltf.scene import mesh_instances
 from dynamictree.formats.gltf.writer import GlbWriter
 from dynamictree.formats.json_fields import JsonObject, index_field, integer_field, object_field, object_list
 from dynamictree.formats.splat.activations import scales_from_log
-from dynamictree.formats.stream import ByteReader, ByteWriter, read_all
 from dynamictree.gaussian.cloud import SH_DEGREES, GaussianCloud, check_count, validate_cloud
 from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.gaussian.rotation import polar_rotations, unit_quaternions

@@ -9,10 +9,10 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from jaxtyping import Complex64, Float32, Float64
 
+from dynamictree.byte_stream import ByteWriter
 from dynamictree.errors import InputError
 from dynamictree.formats.axes import up_rotation
 from dynamictree.formats.gltf.writer import VERTEX_BUFFER, GlbWriter, add_mesh
-from dynamictree.formats.stream import ByteWriter
 from dynamictree.mesh import TriangleMesh
 from dynamictree.spectrum import FPS, NUM_FRAMES, bin_weights
 

@@ -8,9 +8,9 @@ from dataclasses import asdict
 import numpy as np
 from jaxtyping import Int32
 
+from dynamictree.byte_stream import ByteWriter
 from dynamictree.formats.axes import up_rotation
 from dynamictree.formats.gltf.writer import VERTEX_BUFFER, GlbWriter, add_mesh
-from dynamictree.formats.stream import ByteWriter
 from dynamictree.gaussian.rotation import matrix_quaternions
 from dynamictree.mesh import TriangleMesh
 from dynamictree.skin import Skin, SkinSummary

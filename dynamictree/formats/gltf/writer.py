@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float32, Shaped, UInt8
 
+from dynamictree.byte_stream import ByteWriter
 from dynamictree.color import srgb_to_linear
 from dynamictree.formats.axes import vertices_in_source_axes
-from dynamictree.formats.stream import ByteWriter
 from dynamictree.mesh import Material, TriangleMesh
 
 GENERATOR = "dynamictree"

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from dynamictree.formats.stream import ByteWriter
+from dynamictree.byte_stream import ByteWriter
 from dynamictree.mesh import TriangleMesh
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 from jaxtyping import Float32
 
+from dynamictree.byte_stream import ByteWriter
 from dynamictree.formats.ply_table import axis_comments
-from dynamictree.formats.stream import ByteWriter
 from dynamictree.mesh import TriangleMesh
 
 

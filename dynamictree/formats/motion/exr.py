@@ -6,7 +6,7 @@ import zlib
 import numpy as np
 from jaxtyping import Float16, UInt8
 
-from dynamictree.formats.stream import ByteWriter
+from dynamictree.byte_stream import ByteWriter
 
 _MAGIC, _VERSION = 20000630, 2
 _HALF, _ZIP, _INCREASING = 1, 3, 0

@@ -10,6 +10,7 @@ import numpy as np
 import zstandard
 from jaxtyping import Float32, Float64, Num, UInt8
 
+from dynamictree.byte_stream import ByteWriter
 from dynamictree.errors import FormatError
 from dynamictree.formats.axes import up_rotation
 from dynamictree.formats.cloud_axes import to_source_axes, to_z_up, transformed
@@ -20,7 +21,6 @@ from dynamictree.formats.splat.activations import (
     log_from_scales,
     scales_from_log,
 )
-from dynamictree.formats.stream import ByteWriter
 from dynamictree.gaussian.cloud import GaussianCloud, check_count, validate_cloud
 from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.gaussian.rotation import unit_quaternions

@@ -9,9 +9,9 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Float32, Shaped
 
+from dynamictree.byte_stream import ByteReader, ByteWriter
 from dynamictree.errors import FormatError, NumericsError
 from dynamictree.formats.axes import up_rotation
-from dynamictree.formats.stream import ByteReader, ByteWriter
 from dynamictree.formats.tensors.container import MAX_FRAMES, integer, number, read_tensors, take_tensor, write_tensors
 from dynamictree.gaussian.animate import AnimatedSplat, without_idle_vertices
 from dynamictree.gaussian.binding import Binding

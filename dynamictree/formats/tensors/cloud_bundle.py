@@ -8,7 +8,7 @@ from io import BytesIO
 import numpy as np
 from jaxtyping import Shaped
 
-from dynamictree.formats.stream import ByteReader, ByteWriter
+from dynamictree.byte_stream import ByteReader, ByteWriter
 from dynamictree.formats.tensors.container import number, read_tensors, take_tensor, write_tensors
 from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle, write_mesh_bundle
 from dynamictree.gaussian.capture import Capture

@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Shaped
 from safetensors import SafetensorError, deserialize
 
+from dynamictree.byte_stream import ByteReader, ByteWriter, read_all
 from dynamictree.errors import FormatError
 from dynamictree.formats.seekable import SeekableReader
-from dynamictree.formats.stream import ByteReader, ByteWriter, read_all
 from dynamictree.voxel.grid import VoxelGrid
 
 MAX_FILE_BYTES = 1 << 30

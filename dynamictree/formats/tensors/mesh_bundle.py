@@ -13,8 +13,8 @@ from jaxtyping import Shaped
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
+from dynamictree.byte_stream import ByteReader, ByteWriter, read_all
 from dynamictree.errors import FormatError
-from dynamictree.formats.stream import ByteReader, ByteWriter, read_all
 from dynamictree.mesh import Material, SourceWarning, TriangleMesh, validate_mesh
 
 VERSION = 1

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float32, Int32
 
+from dynamictree.byte_stream import ByteReader, ByteWriter
 from dynamictree.errors import FormatError
-from dynamictree.formats.stream import ByteReader, ByteWriter
 from dynamictree.formats.tensors.container import file_head, number, read_tensors, take_tensor
 from dynamictree.mesh import TriangleMesh
 

@@ -8,8 +8,8 @@ from typing import Literal
 
 import numpy as np
 
+from dynamictree.byte_stream import ByteReader, ByteWriter
 from dynamictree.errors import FormatError, NumericsError
-from dynamictree.formats.stream import ByteReader, ByteWriter
 from dynamictree.formats.tensors.container import (
     MAX_FRAMES,
     grid_metadata,

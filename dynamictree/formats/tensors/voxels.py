@@ -5,8 +5,8 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Float32, Shaped
 
+from dynamictree.byte_stream import ByteReader, ByteWriter
 from dynamictree.errors import FormatError
-from dynamictree.formats.stream import ByteReader, ByteWriter
 from dynamictree.formats.tensors.container import grid_metadata, read_grid, read_tensors, take_tensor, write_tensors
 from dynamictree.voxel.moments import AREA, NUM_MOMENTS
 from dynamictree.voxel.voxelize import SurfaceVoxels
