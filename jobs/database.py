@@ -3,6 +3,7 @@
 import os
 import sqlite3
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,9 +24,10 @@ def open_engine(url: str) -> sa.Engine:
     database = make_url(url).database
     if database and database != ":memory:":
         Path(database).parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        # it contains the secrets of webhooks; SQLite gives its journal the same mode
-        os.close(os.open(database, os.O_RDWR | os.O_CREAT, 0o600))
-        os.chmod(database, 0o600)
+        with suppress(OSError):  # SQLite says what is wrong with it
+            # it contains the secrets of webhooks; SQLite gives its journal the same mode
+            os.close(os.open(database, os.O_RDWR | os.O_CREAT, 0o600))
+            os.chmod(database, 0o600)
     engine = sa.create_engine(url, connect_args={"timeout": BUSY_TIMEOUT_S}, pool_size=60, max_overflow=0)
     event.listen(engine, "connect", _configure_sqlite)
     event.listen(engine, "begin", _begin_sqlite)

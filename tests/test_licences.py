@@ -30,7 +30,7 @@ def test_the_notice_names_every_vendored_library(library) -> None:
     assert f"{name} {library.version}" in notice
     for target in library.files.values():
         if "LICENSE" in target:
-            assert f"web/vendor/{target}" in notice
+            assert f"web/vendor/{library.target(target)}" in notice
 
 
 def test_citation_and_changelog_name_the_version() -> None:

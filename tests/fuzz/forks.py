@@ -28,7 +28,7 @@ class Outcome:
     verdict: str  # read, refused, or a fault's kind
     detail: str
     seconds: float
-    peak_mib: float
+    peak_mib: float  # on top of the process that forks
 
     @property
     def faulty(self) -> bool:
@@ -38,6 +38,7 @@ class Outcome:
 def attempt(read: Callable[[bytes], object], content: bytes) -> Outcome:
     """Read in a fork, under limits."""
     begun = time.monotonic()
+    before_mib = _resident_bytes() / 2**20
     answer, answer_to = os.pipe()
     pid = os.fork()
     if pid == 0:
@@ -53,7 +54,11 @@ def attempt(read: Callable[[bytes], object], content: bytes) -> Outcome:
     _, status, used = os.wait4(pid, 0)
     seconds = time.monotonic() - begun
     verdict, detail = json.loads(told) if told else _ended(status, seconds)
-    return Outcome(verdict=verdict, detail=detail, seconds=seconds, peak_mib=used.ru_maxrss / 1024)
+    return Outcome(verdict=verdict, detail=detail, seconds=seconds, peak_mib=used.ru_maxrss / 1024 - before_mib)
+
+
+def _resident_bytes() -> int:
+    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
 
 
 def _child(read: Callable[[bytes], object], content: bytes, answer_to: int) -> None:

@@ -5,8 +5,8 @@ import pytest
 from tests.fuzz.bombs import BOMBS
 from tests.fuzz.forks import attempt
 
-MOST_MIB = 700
-"""On top of nothing: the parser itself, with all that it has imported, is about 300 MiB."""
+MOST_MIB = 400
+"""On top of the parser itself, with all that it has imported."""
 
 
 @pytest.mark.parametrize("name", BOMBS)
