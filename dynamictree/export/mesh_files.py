@@ -1,8 +1,8 @@
 """Writers of the products that show a moving mesh."""
 
 from dataclasses import asdict
+from typing import BinaryIO
 
-from dynamictree.byte_stream import ByteWriter
 from dynamictree.export.moving_tree import Facts, MovingTree, Report
 from dynamictree.formats.gltf.motion import write_motion_glb
 from dynamictree.formats.motion.ply_sequence import iter_ply_sequence_zip
@@ -11,22 +11,22 @@ from dynamictree.formats.tensors.motion import write_motion
 REDUCED_TARGETS = 8  # morph targets that glTF asks every engine to support
 
 
-def write_ply_sequence(tree: MovingTree, stream: ByteWriter, report: Report) -> None:
+def write_ply_sequence(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
     """A PLY file per frame, in a zip."""
     stream.writelines(iter_ply_sequence_zip(tree.mesh, tree.frames(report), first_number=tree.params.first_frame))
 
 
-def write_displacements(tree: MovingTree, stream: ByteWriter, report: Report) -> None:
+def write_displacements(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
     """Displacement of every vertex at every frame, as safetensors."""
     write_motion(tree.mesh, tree.frames(report), stream, num_frames=len(tree.phases), fps=tree.params.fps)
 
 
-def write_glb(tree: MovingTree, stream: ByteWriter, report: Report) -> None:
+def write_glb(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
     """GLB with two morph targets per frequency: the exact loop."""
     write_motion_glb(tree.mesh, tree.coefficients, stream, num_frames=tree.spectrum.num_frames, fps=tree.loop_fps)
 
 
-def write_reduced_glb(tree: MovingTree, stream: ByteWriter, report: Report) -> Facts:
+def write_reduced_glb(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
     """GLB with the few morph targets that approximate the loop best."""
     summary = write_motion_glb(
         tree.mesh,
@@ -39,7 +39,7 @@ def write_reduced_glb(tree: MovingTree, stream: ByteWriter, report: Report) -> F
     return asdict(summary)
 
 
-def write_skinned_glb(tree: MovingTree, stream: ByteWriter, report: Report) -> Facts:
+def write_skinned_glb(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
     """GLB with a skeleton and a skin that approximate the loop.
 
     Raises:
@@ -53,14 +53,14 @@ def write_skinned_glb(tree: MovingTree, stream: ByteWriter, report: Report) -> F
     return asdict(summary)
 
 
-def write_usdz(tree: MovingTree, stream: ByteWriter, report: Report) -> None:
+def write_usdz(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
     """USD with a time sample per frame, in a USDZ package."""
     from dynamictree.formats.motion.usd import write_motion_usdz
 
     write_motion_usdz(tree.mesh, tree.frames(report), stream, fps=tree.params.fps)
 
 
-def write_vertex_texture(tree: MovingTree, stream: ByteWriter, report: Report) -> None:
+def write_vertex_texture(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
     """Vertex animation texture with its GLB, in a zip.
 
     Raises:

@@ -1,12 +1,12 @@
 """Pictures and films of a moving mesh or splat."""
 
 from collections.abc import Iterator
+from typing import BinaryIO
 
 import numpy as np
 from jaxtyping import Float32, UInt8
 from PIL import Image
 
-from dynamictree.byte_stream import ByteWriter
 from dynamictree.export.moving_tree import MovingTree, Report
 from dynamictree.gaussian.animate import iter_poses, lighter
 from dynamictree.gaussian.binding import Binding
@@ -24,28 +24,28 @@ _MOST = 0.95  # of the Gaussians; a few may be as large as the scene
 _STRAYS = 0.001  # share of the Gaussians, the lowest, that may lie below the floor
 
 
-def write_mesh_sheet(tree: MovingTree, stream: ByteWriter, report: Report) -> None:
+def write_mesh_sheet(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
     """PNG of the mesh: one picture, the amplitude of the sway in colours, a space-time slice and a row of frames."""
     from dynamictree.render import preview_sheet, write_png
 
     write_png(preview_sheet(tree.mesh, tree.coefficients, num_frames=tree.spectrum.num_frames), stream)
 
 
-def write_film_sheet(film: Film, stream: ByteWriter, fps: float) -> None:
+def write_film_sheet(film: Film, stream: BinaryIO, fps: float) -> None:
     """PNG of a film: its first frame, a space-time slice and a row of frames."""
     from dynamictree.render import write_png
 
     write_png(_sheet(film), stream)
 
 
-def write_webp(film: Film, stream: ByteWriter, fps: float) -> None:
+def write_webp(film: Film, stream: BinaryIO, fps: float) -> None:
     """Animated WebP that loops."""
     from dynamictree.render import write_animation
 
     write_animation(iter(film), stream, fps=fps, format="webp")
 
 
-def write_mp4(film: Film, stream: ByteWriter, fps: float) -> None:
+def write_mp4(film: Film, stream: BinaryIO, fps: float) -> None:
     """MP4 video."""
     from dynamictree.render import write_animation
 

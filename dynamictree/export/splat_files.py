@@ -1,20 +1,21 @@
 """Writers of the products that show a moving splat."""
 
-from dynamictree.byte_stream import ByteWriter
+from typing import BinaryIO
+
 from dynamictree.export.moving_tree import MovingTree, Report
 from dynamictree.formats.motion.splat_sequence import iter_splat_sequence_zip
 from dynamictree.formats.tensors.animated_splat import write_animated_splat
 from dynamictree.gaussian.animate import AnimatedSplat
 
 
-def write_splat_sequence(tree: MovingTree, stream: ByteWriter, report: Report) -> None:
+def write_splat_sequence(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
     """A splat PLY file per frame, in a zip."""
     assert tree.binding is not None
     frames = tree.frames(report)
     stream.writelines(iter_splat_sequence_zip(tree.binding, frames, first_number=tree.params.first_frame))
 
 
-def write_compact_splat(tree: MovingTree, stream: ByteWriter, report: Report) -> None:
+def write_compact_splat(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
     """The splat at rest, what carries it and the spectrum: a player computes the frames."""
     assert tree.binding is not None
     animated = AnimatedSplat(

@@ -3,9 +3,8 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import PurePosixPath
-from typing import Literal
+from typing import BinaryIO, Literal
 
-from dynamictree.byte_stream import ByteWriter
 from dynamictree.export.mesh_files import (
     write_displacements,
     write_glb,
@@ -46,8 +45,8 @@ class Product:
     file_name: str
     shows: Literal["mesh", "splat", "pictures"]
     options: frozenset[str]
-    write: Callable[[MovingTree, ByteWriter, Report], Facts | None] | None = None
-    write_film: Callable[[Film, ByteWriter, float], None] | None = None
+    write: Callable[[MovingTree, BinaryIO, Report], Facts | None] | None = None
+    write_film: Callable[[Film, BinaryIO, float], None] | None = None
 
     @property
     def media_type(self) -> str:
