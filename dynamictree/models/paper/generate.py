@@ -27,7 +27,7 @@ OUTPUT_RESOLUTION = 128
 """Spectra of a coarser grid are interpolated onto this one, which the rest of the method works on."""
 MAX_ACTIVATIONS = 4_000_000
 """Values in one layer of the U-Net's first level that a pass may have; frequencies are split into passes by it.
-Peak memory is about 60 times as many bytes."""
+The peak of memory was not measured."""
 MAX_VOXELS = 150_000  # of the spectrum's grid
 CLIP = 8.0
 """Bound on the spectrum of unit size that a step of DDIM implies: 98 % of the data's energy lies below it."""
