@@ -6,16 +6,17 @@ import sqlalchemy as sa
 
 from jobs import tables as t
 from jobs.maintenance import HOUSEKEEPER_LEASE, WORKER_LEASES
-from jobs.states import JobState
+from jobs.states import ACTIVE, JobState
 
 
 @dataclass(frozen=True, kw_only=True)
 class QueueLength:
-    """Jobs that wait in one queue."""
+    """Jobs of one queue that have not ended."""
 
     name: str
-    jobs: int
+    jobs: int  # that wait
     oldest_s: float  # how long the oldest waits
+    running: int
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,9 +34,15 @@ class Census:
 def census(connection: sa.Connection, now: float) -> Census:
     """Count everything."""
     by_state = sa.select(t.jobs.c.state, sa.func.count().label("number")).group_by(t.jobs.c.state)
+    waits = t.jobs.c.state == JobState.QUEUED
     lengths = (
-        sa.select(t.jobs.c.queue, sa.func.count(), sa.func.min(t.jobs.c.created_at))
-        .where(t.jobs.c.state == JobState.QUEUED)
+        sa.select(
+            t.jobs.c.queue,
+            sa.func.sum(sa.case((waits, 1), else_=0)).label("jobs"),
+            sa.func.min(sa.case((waits, t.jobs.c.created_at))).label("oldest"),
+            sa.func.count().label("unfinished"),
+        )
+        .where(t.jobs.c.state.in_(ACTIVE))
         .group_by(t.jobs.c.queue)
     )
     unsent = sa.select(sa.func.count()).select_from(t.outbox).where(t.outbox.c.sent_at.is_(None))
@@ -44,8 +51,13 @@ def census(connection: sa.Connection, now: float) -> Census:
     return Census(
         jobs={row.state: row.number for row in connection.execute(by_state)},
         queues=tuple(
-            QueueLength(name=name, jobs=jobs, oldest_s=max(now - oldest, 0.0))
-            for name, jobs, oldest in connection.execute(lengths)
+            QueueLength(
+                name=row.queue,
+                jobs=int(row.jobs),
+                oldest_s=0.0 if row.oldest is None else max(now - row.oldest, 0.0),
+                running=row.unfinished - int(row.jobs),
+            )
+            for row in connection.execute(lengths)
         ),
         workers=sum(name.startswith(WORKER_LEASES) for name in leases),
         has_housekeeper=HOUSEKEEPER_LEASE in leases,

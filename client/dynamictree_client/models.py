@@ -538,11 +538,12 @@ class Product(Model):
 
 
 class Queue(Model):
-    """Jobs that wait."""
+    """Jobs of one queue: how many wait, for how long the oldest does, how many run."""
 
     name: str
     jobs: int
     oldest_s: float
+    running: int
 
 
 class Ready(Model):

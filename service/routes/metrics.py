@@ -24,7 +24,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from jobs.artifacts import ArtifactStore
 from jobs.counters import SECONDS, tallies
 from jobs.service_statistics import Census, census
-from jobs.states import JobState
+from jobs.states import JobState, queues_of
 from jobs.store import Store
 from service.http.problems import ProblemError
 from service.http.routing import refusals
@@ -53,7 +53,8 @@ ON_ANSWER = Counter("dynamictree_answers", "Answers by status", ["status"], regi
 def get_metrics(owned: OwnedDep) -> Response:
     """Counts, ages and durations for Prometheus."""
     registry = CollectorRegistry()
-    for own in (ON_REQUEST, ON_ANSWER, StoreMetrics(owned.store, owned.services.artifacts)):
+    store_metrics = StoreMetrics(owned.store, owned.services.artifacts, queues_of(owned.services.settings.queue))
+    for own in (ON_REQUEST, ON_ANSWER, store_metrics):
         registry.register(own)
     ProcessCollector(registry=registry)
     PlatformCollector(registry=registry)
@@ -67,9 +68,10 @@ def get_metrics(owned: OwnedDep) -> Response:
 class StoreMetrics:
     """What the store knows, asked at the scrape."""
 
-    def __init__(self, store: Store, artifacts: ArtifactStore) -> None:
+    def __init__(self, store: Store, artifacts: ArtifactStore, queues: tuple[str, ...]) -> None:
         self.store = store
         self.artifacts = artifacts
+        self.queues = queues  # with a value always: an autoscaler takes a missing one for a failure
 
     def describe(self) -> list[Metric]:
         """Nothing, so that registering asks no database."""
@@ -80,19 +82,23 @@ class StoreMetrics:
         store = self.store
         with store.reading() as connection:
             counted, now = tallies(connection), census(connection, store.clock())
-        yield from _now(now)
+        yield from store_gauges(now, self.queues)
         yield from _since_ever(counted)
         free = self.artifacts.free_bytes()
         if free is not None:
             yield _gauge("storage_free_bytes", "Room left in the storage", {(): free})
 
 
-def _now(now: Census) -> Iterator[Metric]:
+def store_gauges(now: Census, known: tuple[str, ...]) -> Iterator[Metric]:
+    """The state of the service at this moment."""
     states: dict[tuple[str, ...], float] = {(str(state),): now.jobs.get(state, 0) for state in JobState}
     yield _gauge("jobs", "Jobs with a record, by state", states, ["state"])
-    lengths: dict[tuple[str, ...], float] = {(queue.name,): queue.jobs for queue in now.queues}
+    none: dict[tuple[str, ...], float] = {(name,): 0.0 for name in known}
+    lengths = none | {(queue.name,): queue.jobs for queue in now.queues}
     yield _gauge("queue_jobs", "Jobs that wait", lengths, ["queue"])
-    ages: dict[tuple[str, ...], float] = {(queue.name,): queue.oldest_s for queue in now.queues}
+    unfinished = none | {(queue.name,): queue.jobs + queue.running for queue in now.queues}
+    yield _gauge("queue_unfinished_jobs", "Jobs that wait or run: workers that have work", unfinished, ["queue"])
+    ages = none | {(queue.name,): queue.oldest_s for queue in now.queues}
     yield _gauge("queue_age_seconds", "How long the oldest job waits", ages, ["queue"])
     yield _gauge("outbox_messages", "Messages not yet sent", {(): now.unsent_messages})
     yield _gauge("workers", "Workers that are there", {(): now.workers})

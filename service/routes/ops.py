@@ -23,11 +23,12 @@ _TYPES = {"index.html": "text/html", "ops.js": "text/javascript", "style.css": "
 
 
 class QueuePayload(Payload):
-    """Jobs that wait."""
+    """Jobs of one queue: how many wait, for how long the oldest does, how many run."""
 
     name: str
     jobs: int
     oldest_s: float
+    running: int
 
 
 class OpsPayload(Payload):

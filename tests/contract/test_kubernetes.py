@@ -1,14 +1,19 @@
 """deploy/kubernetes: every object against Kubernetes' own schema, and against what docker-compose.yml says."""
 
+import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import kubernetes_validate
 import pytest
 import yaml
 
+from jobs.service_statistics import Census, QueueLength
 from jobs.settings import Settings
 from jobs.states import queues_of
+from service.routes.metrics import store_gauges
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "deploy" / "kubernetes"
@@ -60,17 +65,38 @@ def test_variables_are_settings_of_the_service() -> None:
     assert ours <= {f"DYNAMICTREE_{field.upper()}" for field in Settings.model_fields}
 
 
-def test_workers_follow_the_length_of_every_queue() -> None:
+def test_workers_follow_the_number_of_unfinished_jobs() -> None:
     spec = _named("ScaledObject", "worker")["spec"]
     assert spec["scaleTargetRef"]["name"] == "worker"
     assert "replicas" not in _named("Deployment", "worker")["spec"]  # two masters would undo one another
-    assert [t["metadata"]["listName"] for t in spec["triggers"]] == list(queues_of("cpu"))
-    for trigger in spec["triggers"]:
-        assert trigger["type"] == "redis"
-        assert set(trigger["metadata"]) == {"address", "databaseIndex", "listName", "listLength"}
-        assert all(isinstance(value, str) for value in trigger["metadata"].values())
     keys = {"scaleTargetRef", "minReplicaCount", "maxReplicaCount", "pollingInterval", "cooldownPeriod", "advanced"}
-    assert set(spec) == keys | {"triggers"}
+    assert set(spec) == keys | {"triggers", "fallback"}
+    modifiers = spec["advanced"]["scalingModifiers"]
+    assert modifiers["metricType"] == "AverageValue"
+    counted = {trigger["name"]: _value_of(trigger, dict.fromkeys(queues_of("cpu"), 2)) for trigger in spec["triggers"]}
+    assert sum(counted[name] for name in modifiers["formula"].split(" + ")) == 3 * (2 + 1)
+
+
+def _value_of(trigger: Any, waiting: Mapping[str, int]) -> float:
+    """What KEDA reads: the one sample of our own /metrics that a trigger's selector means."""
+    assert trigger["type"] == "metrics-api"
+    metadata = trigger["metadata"]
+    assert set(metadata) == {"url", "format", "valueLocation", "targetValue"}
+    assert all(isinstance(value, str) for value in metadata.values())
+    address = urlsplit(metadata["url"])
+    service = _named("Service", "api")
+    assert address.hostname == f"{service['metadata']['name']}.{KUSTOMIZATION['namespace']}.svc"
+    assert (address.port or 80, address.path) == (service["spec"]["ports"][0]["port"], "/metrics")
+    name, label = re.fullmatch(r'(\w+)\{queue="([\w-]+)"\}', metadata["valueLocation"]).groups()
+    queues = [QueueLength(name=queue, jobs=jobs, oldest_s=0, running=1) for queue, jobs in waiting.items()]
+    now = Census(jobs={}, queues=tuple(queues), workers=0, has_housekeeper=True, unsent_messages=0, stored_bytes=0)
+    [value] = [
+        sample.value
+        for family in store_gauges(now, ())
+        for sample in family.samples
+        if (sample.name, sample.labels.get("queue")) == (name, label)
+    ]
+    return float(value)
 
 
 def test_selectors_choose_their_pods() -> None:

@@ -36,6 +36,7 @@ def test_metrics_tell_of_jobs_stages_attempts_and_requests(client: TestClient, r
     assert values[("dynamictree_jobs", "queued")] == 1
     assert values[("dynamictree_jobs_ended_total", "succeeded")] == 1
     assert values[("dynamictree_queue_jobs", "cpu")] == 1
+    assert values[("dynamictree_queue_jobs", "cpu-high")] == 0
     assert values[("dynamictree_queue_age_seconds", "cpu")] >= 0
     assert values[("dynamictree_attempts_total", "started")] == 1
     assert values[("dynamictree_stages_total", "run", "voxelize")] == 1
