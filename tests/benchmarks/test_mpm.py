@@ -48,7 +48,7 @@ def test_what_is_stretched_springs_back(rng):
     assert particles.velocity[upper, 2].mean() < 0
 
 
-def test_the_held_floor_does_not_move(rng):
+def test_the_fixed_floor_does_not_move(rng):
     particles = mpm.particles_at(cloud(rng), filled=0.5)
     floor = float(particles.position[:, 2].min()) + 0.12
     foot = particles.position[:, 2] < floor - 2.5 * mpm.SIZE / mpm.GRID

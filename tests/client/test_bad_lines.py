@@ -150,7 +150,7 @@ def path_of_a_mesh(url: str, client: Client) -> object:
     return Asset.model_construct(id="A")
 
 
-def test_nobody_there_is_told_with_the_address() -> None:
+def test_a_server_that_does_not_answer_is_reported_with_its_address() -> None:
     with (
         Client("http://127.0.0.1:9", retries=QUICK) as client,
         pytest.raises(UnreachableError, match=r"127\.0\.0\.1:9"),
@@ -338,7 +338,7 @@ def test_an_upload_that_is_never_in_step_is_given_up(tmp_path: Path) -> None:
         client.upload_file(path)
 
 
-def test_nothing_to_send_is_told_before_anything_is_sent(tmp_path: Path) -> None:
+def test_nothing_to_send_is_reported_before_anything_is_sent(tmp_path: Path) -> None:
     with Client("http://127.0.0.1:9", retries=QUICK) as client:
         with pytest.raises(ClientError, match="no files to send"):
             client.upload(tmp_path)
@@ -358,7 +358,7 @@ def test_retry_after_is_read_in_both_of_its_forms() -> None:
     assert retry_after_s(httpx.Response(503)) is None
 
 
-def test_without_being_told_the_wait_doubles_up_to_a_limit() -> None:
+def test_without_retry_after_the_wait_doubles_up_to_a_limit() -> None:
     retries = Retries(attempts=100, first_wait_s=1.0, longest_wait_s=8.0, draw=lambda: 1.0)
     broken = httpx.ReadError("x")
     assert [retries.wait_s(n, broken, repeatable=True) for n in (1, 2, 3, 4, 5)] == [1, 2, 4, 8, 8]

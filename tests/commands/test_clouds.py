@@ -74,7 +74,7 @@ def test_a_bad_cloud_is_one_line_and_exit_2_and_leaves_nothing(
         (["--format", "gif"], "--format is 'gif'"),
     ],
 )
-def test_a_wrong_option_is_told(
+def test_a_wrong_option_is_reported(
     options: list[str],
     found: str,
     tree: Path,

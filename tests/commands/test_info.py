@@ -13,7 +13,7 @@ def triangle(tmp_path: Path) -> Path:
     return path
 
 
-def test_what_a_file_holds_is_told_by_its_bytes(
+def test_a_file_is_described_by_its_bytes(
     dynamictree: Callable[..., int], triangle: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     voxels, spectrum = tmp_path / "a", tmp_path / "b"
@@ -35,7 +35,7 @@ def test_what_a_file_holds_is_told_by_its_bytes(
         ("anmate triangle.obj", "Did you mean 'animate'?"),
     ],
 )
-def test_what_is_wrong_is_told(
+def test_what_is_wrong_is_reported(
     dynamictree: Callable[..., int],
     triangle: Path,
     words: str,

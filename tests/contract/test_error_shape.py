@@ -112,7 +112,7 @@ def test_a_database_that_is_away(client: TestClient) -> None:
     assert response.headers["Retry-After"]
 
 
-def test_a_request_id_is_kept_if_it_is_one(client: TestClient) -> None:
+def test_a_valid_request_id_is_returned(client: TestClient) -> None:
     assert client.get("/livez", headers={"X-Request-Id": "abc-1"}).headers["X-Request-Id"] == "abc-1"
     assert len(client.get("/livez", headers={"X-Request-Id": "a b"}).headers["X-Request-Id"]) == 26
 
@@ -143,7 +143,7 @@ def test_every_route_is_versioned_or_at_the_root() -> None:
 @pytest.mark.parametrize(
     ("path", "methods"), [("/v1/jobs", {"GET", "POST"}), ("/v1/jobs/0", {"GET", "PUT"}), ("/v1/presets", {"GET"})]
 )
-def test_a_wrong_method_is_told_every_right_one(client: TestClient, path: str, methods: set[str]) -> None:
+def test_a_wrong_method_is_answered_with_every_allowed_one(client: TestClient, path: str, methods: set[str]) -> None:
     response = client.request("PATCH", path)
     assert_problem(response, 405, "method-not-allowed")
     assert set(response.headers["Allow"].split(", ")) == methods
@@ -165,9 +165,7 @@ def test_a_wrong_method_is_told_every_right_one(client: TestClient, path: str, m
         ("{", "", "this is no JSON: Expecting property name enclosed in double quotes at character 1"),
     ],
 )
-def test_a_field_that_is_wrong_is_told_with_what_was_found(
-    client: TestClient, body: object, pointer: str, detail: str
-) -> None:
+def test_a_wrong_field_is_reported_with_its_value(client: TestClient, body: object, pointer: str, detail: str) -> None:
     headers = {"Content-Type": "application/json"}
     content = body if isinstance(body, str) else json.dumps(body)
     told = client.post("/v1/jobs", content=content, headers=headers).json()
@@ -176,7 +174,7 @@ def test_a_field_that_is_wrong_is_told_with_what_was_found(
     assert told["detail"].startswith(f"{pointer or 'the body'}: {detail}")
 
 
-def test_a_body_that_is_not_called_json_is_told(client: TestClient) -> None:
+def test_a_body_that_is_not_called_json_is_reported(client: TestClient) -> None:
     assert "Content-Type: application/json" in client.post("/v1/jobs", content=b"type=animate").json()["detail"]
 
 

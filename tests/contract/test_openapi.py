@@ -18,7 +18,7 @@ def test_the_page_is_valid_openapi() -> None:
     validate(json.loads(openapi_text()))
 
 
-def test_drift_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_drift_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     page = tmp_path / "new" / "openapi.json"
     assert main(["--check", str(page)]) == 1
     assert main(["--write", str(page)]) == 0

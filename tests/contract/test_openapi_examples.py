@@ -51,7 +51,7 @@ def test_requests_with_a_json_body_have_examples(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", OPERATIONS)
-def test_an_operation_is_told_whole(name: str) -> None:
+def test_an_operation_is_described_completely(name: str) -> None:
     path, operation = OPERATIONS[name]
     assert operation["description"]
     assert set(operation["tags"]) <= {tag["name"] for tag in PAGE["tags"]}

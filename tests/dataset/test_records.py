@@ -76,13 +76,13 @@ def test_filter_and_stats_read_a_folder(folder, tmp_path):
     assert (tmp_path / "stats.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_sheet_of_a_folder_shows_the_trees_that_were_kept(folder, tmp_path):
+def test_a_sheet_of_a_folder_shows_the_accepted_trees(folder, tmp_path):
     ran("sheet", folder, "-o", tmp_path, "--trees", 1, "--first-seed", 41, "--json")
     assert (tmp_path / "review.txt").read_text().splitlines()[1].startswith("42 accept")
 
 
 @pytest.mark.parametrize("command", ["filter", "stats"])
-def test_a_species_that_the_folder_lacks_is_told(folder, tmp_path, command):
+def test_a_species_that_the_folder_lacks_is_reported(folder, tmp_path, command):
     arguments = [command, folder, "--species", "oak", *(["-o", tmp_path] if command == "stats" else [])]
     with pytest.raises(InputError, match="of species 'oak'"):
         ran(*arguments)

@@ -196,7 +196,7 @@ def test_rejected_trees_are_replaced_by_the_next(baked, tmp_path):
     assert record["verdicts"]["curation"] == 1
 
 
-def test_an_accepted_tree_is_kept_whatever_the_filter_says(tmp_path):
+def test_an_accepted_tree_is_stored_whatever_the_filter_says(tmp_path):
     impossible = Limits(self_explosion=0.0)
     recipe = replace(TINY, trees=1, limits=impossible, review={43: "accept"})
     bake_shard(recipe, 0, tmp_path)
@@ -205,7 +205,7 @@ def test_an_accepted_tree_is_kept_whatever_the_filter_says(tmp_path):
     assert set(record["rejected"]) == {"40", "41", "42"}
 
 
-def test_limits_that_let_nothing_through_are_told(tmp_path):
+def test_limits_that_let_nothing_through_are_reported(tmp_path):
     recipe = replace(TINY, trees=1, trees_per_shard=1, limits=Limits(self_explosion=0.0))
     with pytest.raises(InputError, match="only 0 of 4 trees"):
         bake_shard(recipe, 0, tmp_path)

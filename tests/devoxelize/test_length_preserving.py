@@ -108,7 +108,7 @@ def test_an_edge_without_length_is_left_out() -> None:
     assert np.isfinite(preserve_lengths(card, noisy(np.zeros((4, 3, 3), np.complex64), 0.01), VOXEL_M)).all()
 
 
-def test_what_hardly_moves_is_kept_over_its_size() -> None:
+def test_small_motions_are_preserved_relative_to_their_size() -> None:
     pole = tube([0, 0, 0], [0, 0, 4], 0.05)
     height = pole.vertices[:, 2]
     sway = np.zeros((pole.num_vertices, 3, 3), np.complex64)
@@ -120,7 +120,7 @@ def test_what_hardly_moves_is_kept_over_its_size() -> None:
     np.testing.assert_allclose(ratio, 1, atol=0.1)
 
 
-def test_long_edges_are_held_too() -> None:
+def test_long_edges_are_preserved_too() -> None:
     coarse = tube([0, 0, 0], [0, 0, 4], 0.05, rings=6)  # edges of ten voxels
     sway = np.zeros((coarse.num_vertices, 3, 3), np.complex64)
     sway[:, 1, 2] = 0.03 * coarse.vertices[:, 2]

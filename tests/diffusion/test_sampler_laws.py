@@ -46,7 +46,7 @@ def test_samples_have_the_distribution_that_the_denoiser_knows() -> None:
     torch.testing.assert_close(samples.var(dim=0), VARIANCE, rtol=0.12, atol=0)
 
 
-def test_steps_are_told_and_an_exception_passes_through() -> None:
+def test_steps_are_reported_and_an_exception_passes_through() -> None:
     told: list[tuple[int, int]] = []
     sigmas = karras_schedule(4, sigma_min=0.1, sigma_max=5.0)
     sample_heun(best_denoiser, torch.ones(3), sigmas, on_step=lambda done, total: told.append((done, total)))

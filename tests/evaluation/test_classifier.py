@@ -14,7 +14,7 @@ from dynamictree.evaluation.figures import TreeReference
 from dynamictree.evaluation.held_out_trees import HeldOutTree
 
 
-def test_what_differs_is_told_and_what_does_not_is_guessed(rng: np.random.Generator) -> None:
+def test_what_differs_is_separated_and_what_does_not_is_guessed(rng: np.random.Generator) -> None:
     one, other = rng.standard_normal((120, 4)), rng.standard_normal((120, 4))
     assert share_right(one, other, seed=0) == pytest.approx(0.5, abs=0.12)
     other[:, 3] += 4
@@ -41,7 +41,7 @@ def test_features_do_not_change_with_the_compass_or_the_unit(palm: HeldOutTree) 
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)  # looks at many trees for twenty small ones
-def test_an_untrained_network_is_told_and_another_true_wind_is_not(untrained: Path) -> None:
+def test_an_untrained_network_is_separated_and_another_true_wind_is_not(untrained: Path) -> None:
     report = classify(str(untrained), num_trees=20, max_voxels=9000, seed=0)
     assert report["right"]["model"] > 0.9
     assert report["right"]["second wind"] < 0.8
@@ -49,7 +49,7 @@ def test_an_untrained_network_is_told_and_another_true_wind_is_not(untrained: Pa
     assert report["mean_voxels"] <= 9000
 
 
-def test_a_limit_that_no_tree_keeps_is_told(untrained: Path) -> None:
+def test_a_limit_that_no_tree_meets_is_reported(untrained: Path) -> None:
     with pytest.raises(InputError, match="at most 10 voxels"):
         classify(str(untrained), num_trees=1, max_voxels=10, seed=0, num_training=1, tries=1)
 

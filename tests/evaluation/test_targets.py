@@ -25,7 +25,7 @@ def test_a_good_model_meets_every_target_and_no_baseline_is_better():
 
 
 @pytest.mark.parametrize("figure", [target.figure for target in TARGETS])
-def test_a_miss_is_told_with_its_size_and_with_who_does_better(figure):
+def test_a_miss_is_reported_with_its_size_and_with_who_does_better(figure):
     poor = {**GOOD, figure: GOOD[figure] - 0.6 if figure.endswith("correlation") else GOOD[figure] + 5}
     (told,) = [one for one in targets_of(methods(poor, GOOD)) if not one["met"]]
     assert told["figure"] == figure

@@ -197,7 +197,7 @@ def test_what_does_not_fit_together_is_refused(capture: Capture, files: dict[str
         ({"first_frame": 600}, "first_frame is 600"),
     ],
 )
-def test_an_option_out_of_bounds_is_told(options: dict[str, object], found: str) -> None:
+def test_an_option_out_of_bounds_is_reported(options: dict[str, object], found: str) -> None:
     with pytest.raises(InputError, match=found):
         ExportParams(**options)  # type: ignore[arg-type]
 

@@ -291,7 +291,7 @@ def test_an_axis_that_is_none_is_refused(rng: np.random.Generator) -> None:
         (b"\x40\0\0\0\0\0\0\0{", "x", "safetensors"),
     ],
 )
-def test_files_are_told_by_their_first_bytes(head: bytes, name: str, expected: str) -> None:
+def test_formats_are_recognised_by_their_first_bytes(head: bytes, name: str, expected: str) -> None:
     assert sniff_file_type(head, name) == expected
 
 

@@ -44,7 +44,7 @@ def test_gltf_turns_from_y_up_to_z_up() -> None:
     np.testing.assert_array_equal(mesh.faces, [[0, 1, 2]])
 
 
-def test_gltf_told_otherwise_follows_what_it_is_told() -> None:
+def test_gltf_follows_explicit_axes_and_units() -> None:
     root, binary = triangle_gltf()
     mesh = read(gltf_bytes(root, binary), "glb", up_axis="+Z", unit_m=0.01)
     np.testing.assert_allclose(mesh.vertices, np.float32([[0, 0, 0], [0.01, 0, 0], [0, 0.01, 0]]))

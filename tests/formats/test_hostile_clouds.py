@@ -84,7 +84,7 @@ def ply(count: int, names: list[str], body: bytes = b"") -> bytes:
          "it is a mesh"),
     ],
 )  # fmt: skip
-def test_a_ply_that_lies_is_told_where(content: bytes, message: str) -> None:
+def test_a_contradictory_ply_is_reported_with_the_place(content: bytes, message: str) -> None:
     with pytest.raises(InputError, match=message):
         read(content, "ply")
 
@@ -135,7 +135,7 @@ def spz4(count: int, streams: int, table_offset: int, rest: bytes, *, version: i
         (spz4(1, 6, 32, struct.pack("<12Q", *[9, 9] * 6) + bytes(64)), "damaged"),
     ],
 )
-def test_an_spz_that_lies_is_told_where(content: bytes, message: str) -> None:
+def test_a_contradictory_spz_is_reported_with_the_place(content: bytes, message: str) -> None:
     with pytest.raises(InputError, match=message):
         read(content, "spz")
 
@@ -204,7 +204,7 @@ def _set(document: object, path: str, value: object) -> None:
         ("nodes", [5], r"nodes\[0\] is 5; a JSON object"),
     ],
 )
-def test_a_glb_that_lies_is_told_where(path: str, value: object, message: str) -> None:
+def test_a_contradictory_glb_is_reported_with_the_place(path: str, value: object, message: str) -> None:
     with pytest.raises(FormatError, match=message):
         read(changed_glb(lambda document: _set(document, path, value)), "glb")
 
@@ -252,7 +252,7 @@ def test_a_broken_glb_is_refused(content: bytes, message: str) -> None:
         read(content, "glb")
 
 
-def test_a_glb_of_meshes_is_told_apart() -> None:
+def test_a_glb_of_meshes_is_distinguished_from_splats() -> None:
     content = changed_glb(lambda document: _set(document, "meshes/0/primitives/0/extensions", {}))
     assert cloud_kind(io.BytesIO(content), file_type="glb") == "mesh"
     assert cloud_kind(io.BytesIO(b""), file_type="obj") == "mesh"

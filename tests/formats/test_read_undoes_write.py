@@ -105,7 +105,7 @@ def test_an_obj_without_its_library_keeps_the_names_of_its_materials(rng: np.ran
 
 
 @pytest.mark.parametrize("kind", ["glb", "ply", "obj"])
-def test_what_is_written_is_told_by_its_first_bytes(rng: np.random.Generator, kind: str) -> None:
+def test_what_is_written_is_recognised_by_its_first_bytes(rng: np.random.Generator, kind: str) -> None:
     stream = io.BytesIO()
     {"glb": write_glb, "ply": write_ply, "obj": write_obj}[kind](trunk_and_crown(rng), stream)
     assert sniff_file_type(stream.getvalue()[:1024]) == kind

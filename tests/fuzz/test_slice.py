@@ -29,5 +29,5 @@ def test_a_good_file_is_read_and_a_broken_one_refused(kind: str) -> None:
         (lambda _: os._exit(3), "crash"),
     ],
 )
-def test_what_a_file_must_not_do_is_told(read: object, verdict: str) -> None:
+def test_what_a_file_must_not_do_is_reported(read: object, verdict: str) -> None:
     assert attempt(read, b"").verdict == verdict  # type: ignore[arg-type]

@@ -227,7 +227,7 @@ def test_every_gaussian_can_carry_itself(cloud: GaussianCloud) -> None:
     np.testing.assert_array_equal(pose.means[~mask], cloud.means[~mask])
 
 
-def test_what_cannot_be_bound_is_told(cloud: GaussianCloud, mesh: TriangleMesh, binding: Binding) -> None:
+def test_what_cannot_be_bound_is_reported(cloud: GaussianCloud, mesh: TriangleMesh, binding: Binding) -> None:
     far = replace(cloud, means=cloud.means + np.float32(100))
     with pytest.raises(InputError, match="same axes and units"):
         bind(far, mesh)

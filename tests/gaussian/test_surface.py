@@ -86,7 +86,7 @@ def test_the_grid_holds_the_opacity_of_each_gaussian() -> None:
     np.testing.assert_allclose(grid, expected, atol=1e-4)
 
 
-def test_what_has_no_surface_is_told(rng: np.random.Generator) -> None:
+def test_what_has_no_surface_is_reported(rng: np.random.Generator) -> None:
     with pytest.raises(InputError, match="nowhere denser"):
         mesh_of_cloud(sphere_cloud(rng, opacity=0.01).subset(np.arange(10)), cells_along=32)
     cloud = sphere_cloud(rng)

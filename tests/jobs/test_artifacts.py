@@ -126,7 +126,7 @@ def test_pieces_in_s3_make_the_upload(s3: tuple[Server, Path], tmp_path: Path) -
     assert parts.size("one") == 0
 
 
-def test_a_storage_that_is_busy_is_waited_for_so_long_as_told(s3: tuple[Server, Path], source: Path) -> None:
+def test_a_busy_storage_is_waited_for_as_long_as_configured(s3: tuple[Server, Path], source: Path) -> None:
     digest, _ = hash_file(source)
     busy = s3[1] / "busy"
     busy.touch()
@@ -138,7 +138,7 @@ def test_a_storage_that_is_busy_is_waited_for_so_long_as_told(s3: tuple[Server, 
     assert artifacts.exists(digest)
 
 
-def test_a_storage_that_is_down_or_refuses_us_is_told(
+def test_a_storage_that_is_down_or_refuses_us_is_reported(
     s3: tuple[Server, Path], source: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     digest, _ = hash_file(source)
@@ -153,7 +153,7 @@ def test_a_storage_that_is_down_or_refuses_us_is_told(
         list(open_artifacts("s3://trees/products", patience_s=0.2).read(digest))
 
 
-def test_pieces_that_a_storage_does_not_take_are_told(
+def test_pieces_that_a_storage_does_not_take_are_reported(
     s3: tuple[Server, Path], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "wrong")
@@ -170,7 +170,7 @@ def test_pieces_that_a_storage_does_not_take_are_told(
             ask()
 
 
-def test_a_full_disk_leaves_nothing_and_is_told(source: Path, tmp_path: Path) -> None:
+def test_a_full_disk_leaves_nothing_and_is_reported(source: Path, tmp_path: Path) -> None:
     """In a mount namespace of its own, where it may have a disk of one megabyte."""
     program = f"""
 from pathlib import Path

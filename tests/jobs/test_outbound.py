@@ -194,7 +194,7 @@ def test_a_redirect_is_checked_as_the_first_address_was(site: str, path: str) ->
         asyncio.run(fetched(site, path))
 
 
-def test_who_does_not_answer_is_told() -> None:
+def test_who_does_not_answer_is_reported() -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         closed = f"127.0.0.1:{taken.getsockname()[1]}"

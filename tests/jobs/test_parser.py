@@ -9,7 +9,7 @@ from jobs.parser_process import ParseRequest, parse
 from jobs.settings import Settings
 
 
-def test_a_fault_of_ours_is_told_as_one_and_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_fault_of_ours_is_reported_as_one_and_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     settings = Settings(state_dir=tmp_path)
     request = ParseRequest(
         kind="mesh",

@@ -296,7 +296,7 @@ def test_retention_keeps_what_is_referred_to(store: Store, asset: AssetRecord, c
     assert sorted(maintenance.unreferenced_blobs(store)) == ["a" * 64, "b" * 64, FILE.sha256]
 
 
-def test_what_is_kept_hides_nothing_from_retention(store: Store, clock: Clock) -> None:
+def test_referenced_bytes_hide_nothing_from_retention(store: Store, clock: Clock) -> None:
     kept = tuple(AssetPart(name=f"{number}.jpg", sha256=f"{number:064x}", bytes=1) for number in range(5))
     add_asset(store, asset_row(kept[0], now=clock.now, parts=kept))
     for digest in (*(part.sha256 for part in kept), "f" * 64):

@@ -103,7 +103,7 @@ def test_a_drag_is_the_same_on_finer_steps(system):
     np.testing.assert_allclose(fine, coarse, atol=1e-6)
 
 
-def test_a_force_that_is_held_settles_in_its_equilibrium(spectrum):
+def test_a_constant_force_settles_in_its_equilibrium(spectrum):
     system = modal_system(spectrum, damping_ratio=0.9)
     load = Drag(at=TIP, force_n=(5.0, 0.0, 0.0))
     held = generalised_force(system, load, dt_s=0.1, num_frames=400)
@@ -122,7 +122,7 @@ def test_a_tree_that_rests_under_its_load_stays(system):
     assert np.abs(moved[0]).max() > 1e-3
 
 
-def test_a_point_that_is_held_at_a_displacement_rests_there_and_swings_when_let_go(system):
+def test_a_point_fixed_at_a_displacement_rests_there_and_swings_when_released(system):
     hold = Drag(at=TIP, displacement_m=(0.5, -0.3, 0.0), duration_s=0.5)
     held = generalised_force(system, hold, dt_s=DT_S, num_frames=120)
     moved = answer(system, hold, num_frames=120, begin=equilibrium(system, held[:1]))[:, 39]

@@ -87,7 +87,7 @@ def test_a_call_goes_on_where_the_last_one_ended(tree):
     np.testing.assert_allclose(np.concatenate([first.q, second.q]), whole.q, atol=1e-12)
 
 
-def test_a_held_start_does_not_move_until_it_is_let_go(tree):
+def test_an_equilibrium_start_does_not_move_until_it_is_released(tree):
     tree, parts = tree
     held = Drag(at=contact_at_voxel(tree.system.grid, int(parts["right"][-1])), force_n=(0.0, 3.0, 0.0), duration_s=0.5)
     answer = respond(tree.system, group_forces([held], falloff_m=0.5), dt_s=DT_S, num_frames=60, start="held")
@@ -136,7 +136,7 @@ def test_nothing_pushed_is_nothing_moved(tree):
     assert not voxels(tree, answer).any()
 
 
-def test_told_coordinates_begin_with_bin_zero(tree):
+def test_reported_coordinates_begin_with_bin_zero(tree):
     tree, parts = tree
     answer = respond(
         tree.system, group_forces([knock(tree, parts["right"][-1])], falloff_m=0.5), dt_s=DT_S, num_frames=5

@@ -129,7 +129,7 @@ def test_what_the_callback_raises_passes_through(tmp_path, eight):
     assert len(list((tmp_path / "out").iterdir())) == 3
 
 
-def test_masks_and_alpha_are_kept_beside_the_photo(tmp_path, eight):
+def test_masks_and_alpha_are_stored_beside_the_photo(tmp_path, eight):
     (tmp_path / "masks").mkdir()
     cut = np.zeros((300, 400), np.uint8)
     cut[100:200] = 255
@@ -179,7 +179,7 @@ def test_refuses_a_mask_of_another_shape(tmp_path, eight):
         prepare_listed(list_photos(eight, tmp_path), tmp_path / "out")
 
 
-def test_sizes_are_told_as_stored_and_as_turned(tmp_path):
+def test_sizes_are_reported_as_stored_and_as_turned(tmp_path):
     exif = Image.Exif()
     exif[0x0112] = 6
     (photo,) = list_photos([save_photo(tmp_path / "turned.jpg", exif=exif)])

@@ -146,7 +146,7 @@ def test_a_callback_ends_the_process_at_once_and_leaves_nothing(orbit, tmp_path)
     assert not any(b"reconstruct.mapping" in command for command in commands)
 
 
-def test_photos_that_share_nothing_are_told_so(tmp_path, rng):
+def test_photos_that_share_nothing_are_reported(tmp_path, rng):
     paths = []
     for number in range(8):
         coarse = rng.integers(0, 255, (40, 54, 3)).astype(np.uint8)

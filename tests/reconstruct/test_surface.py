@@ -265,7 +265,7 @@ def test_photos_without_any_pattern_show_no_surface(orbit, rng):
         finished_shape(stereo_surface(scene), scene, height_m=1.0)
 
 
-def test_what_masks_show_is_kept_where_stereo_sees_only_a_part(orbit, rng):
+def test_what_masks_show_remains_where_stereo_sees_only_a_part(orbit, rng):
     model = model_of(orbit, rng)
     views = []
     for view, depth in zip(model.views, exact_depths(orbit, (90, 120)), strict=True):

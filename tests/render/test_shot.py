@@ -29,7 +29,7 @@ def test_a_camera_that_goes_around_stays_as_far(rng: np.random.Generator) -> Non
     ("options", "found"),
     [({"side_px": 63}, "side_px is 63"), ({"azimuth_deg": 400.0}, "azimuth"), ({"elevation_deg": 85.0}, "elevation")],
 )
-def test_a_shot_out_of_bounds_is_told(options: dict[str, float], found: str) -> None:
+def test_a_shot_out_of_bounds_is_reported(options: dict[str, float], found: str) -> None:
     with pytest.raises(InputError, match=found):
         Shot(**options)  # type: ignore[arg-type]
 

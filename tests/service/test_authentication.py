@@ -136,7 +136,7 @@ def test_an_owner_has_quotas(app_services: tuple[TestClient, Services]) -> None:
     assert used["bytes"] == len(TREE[1])
 
 
-def test_a_key_has_a_rate_and_is_told_it(app_services: tuple[TestClient, Services]) -> None:
+def test_a_key_has_a_rate_and_its_responses_state_it(app_services: tuple[TestClient, Services]) -> None:
     ann = keyed(app_services, "ann", reads_per_min=3)
     left = []
     for _ in range(3):
@@ -187,7 +187,7 @@ def test_a_page_of_an_allowed_origin_may_call(settings: Settings) -> None:
     assert client.get("/v1/presets", headers={"Origin": "https://evil.example"}).status_code == 403
 
 
-def test_a_database_that_is_away_is_told_as_such(
+def test_a_database_that_is_away_is_reported_as_such(
     app_services: tuple[TestClient, Services], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     client = keyed(app_services, "ann")

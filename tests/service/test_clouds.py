@@ -177,7 +177,7 @@ def test_a_mesh_has_no_points(client: TestClient, asset: AssetRecord) -> None:
     assert (response.status_code, response.json()["code"]) == (409, "conflict")
 
 
-def test_the_size_of_a_sequence_is_told_before_it_is_made(client: TestClient, cloud_id: str) -> None:
+def test_the_size_of_a_sequence_is_stated_before_it_is_made(client: TestClient, cloud_id: str) -> None:
     params = {"formats": ["splat-ply"], "num_frames": 10, "loop": False, "share": 0.5, "sh_degree": 0}
     body = {"type": "animate", "asset_id": cloud_id, "params": params}
     told = client.post("/v1/jobs?validate_only=true", json=body).json()

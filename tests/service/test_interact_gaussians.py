@@ -99,7 +99,7 @@ def test_gaussians_are_gone_with_their_asset(
     assert (refused.status_code, refused.json()["code"]) == (410, "expired")
 
 
-def test_the_limits_of_pushes_are_told(client: TestClient) -> None:
+def test_the_limits_of_pushes_are_stated(client: TestClient) -> None:
     limits = client.get("/v1/limits").json()
     assert (limits["max_forces"], limits["max_force_groups"]) == (32, 64)
     assert limits["max_displacement_bytes"] == 128 * 1024**2

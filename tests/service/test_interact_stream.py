@@ -130,7 +130,7 @@ def test_who_does_not_acknowledge_gets_few_frames_and_then_the_newest(client: Te
         ),
     ],
 )
-def test_a_bad_message_is_told_and_the_stream_goes_on(
+def test_a_bad_message_is_reported_and_the_stream_goes_on(
     client: TestClient, spectrum_id: str, message: dict, code: str
 ) -> None:
     with client.websocket_connect(URL) as socket:
@@ -181,7 +181,7 @@ def test_only_the_event_loop_changes_a_session(
         ({"type": "ack", "frame": 1}, "validation-failed"),
     ],
 )
-def test_a_bad_first_message_is_told_and_ends_it(client: TestClient, first: dict, code: str) -> None:
+def test_a_bad_first_message_is_reported_and_ends_it(client: TestClient, first: dict, code: str) -> None:
     with client.websocket_connect(URL) as socket:
         socket.send_json(first)
         assert socket.receive_json()["code"] == code

@@ -56,7 +56,7 @@ def test_a_poll_with_an_etag_may_wait_for_the_next_change(
     assert same.status_code == 304
 
 
-def test_a_batch_keeps_what_can_be_kept(client: TestClient, asset: AssetRecord) -> None:
+def test_a_batch_creates_every_valid_job(client: TestClient, asset: AssetRecord) -> None:
     good = {"type": "voxelize", "asset_id": asset.id}
     absent = good | {"asset_id": "01ARZ3NDEKTSV4RRFFQ69G5FAV"}
     sent = {"jobs": [good, absent, good | {"seed": 2}]}

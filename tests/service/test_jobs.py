@@ -19,7 +19,7 @@ def create(client: TestClient, asset: AssetRecord, **body: object) -> dict[str, 
     return response.json()  # type: ignore[no-any-return]
 
 
-def test_a_job_is_accepted_and_told(client: TestClient, asset: AssetRecord) -> None:
+def test_a_job_is_accepted_and_reported(client: TestClient, asset: AssetRecord) -> None:
     response = client.post(
         "/v1/jobs", json={"type": "voxelize", "asset_id": asset.id, "seed": 7, "params": {"resolution": 64}}
     )
@@ -154,7 +154,7 @@ def test_a_full_disk_refuses(client: TestClient, asset: AssetRecord, services: S
     assert client.get("/readyz").json()["storage"] == "full"
 
 
-def test_an_asset_in_use_is_kept(client: TestClient, asset: AssetRecord) -> None:
+def test_an_asset_in_use_is_not_deleted(client: TestClient, asset: AssetRecord) -> None:
     job = create(client, asset)
     assert client.delete(f"/v1/assets/{asset.id}").status_code == 409
     client.post(f"/v1/jobs/{job['id']}/cancel")
@@ -215,7 +215,7 @@ def test_a_request_can_be_tried_first(client: TestClient, asset: AssetRecord, se
     assert 0 < told["est_seconds"] < 10
 
 
-def test_a_start_deadline_is_kept(client: TestClient, asset: AssetRecord, services: Services) -> None:
+def test_a_start_deadline_is_enforced(client: TestClient, asset: AssetRecord, services: Services) -> None:
     job = create(client, asset, start_deadline_s=60)
     assert job["start_deadline_at"] > job["created_at"]  # type: ignore[operator]
     now = services.store.clock()

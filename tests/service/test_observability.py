@@ -66,7 +66,7 @@ def test_the_operators_page_loads_nothing_from_elsewhere(client: TestClient) -> 
     assert client.get("/ops/index.html").status_code == 422
 
 
-def test_operations_are_told_without_ids(client: TestClient, ran: str) -> None:
+def test_operations_are_named_without_ids(client: TestClient, ran: str) -> None:
     told = client.get("/v1/ops").json()
     assert told["jobs"] == {"queued": 1, "succeeded": 1}
     assert told["queues"][0]["name"] == "cpu"

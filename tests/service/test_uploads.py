@@ -40,7 +40,7 @@ def whole(client: TestClient, content: bytes, **values: str) -> str:
     return url.rpartition("/")[2]
 
 
-def test_the_protocol_is_told(client: TestClient) -> None:
+def test_the_protocol_is_announced(client: TestClient) -> None:
     told = client.options("/v1/uploads")
     assert told.status_code == 204
     assert told.headers["Tus-Version"] == "1.0.0"
@@ -221,7 +221,7 @@ def test_an_asset_has_one_source(client: TestClient, body: dict[str, object]) ->
 
 
 @pytest.mark.parametrize("values", [{"kind": "video"}, {"up_axis": "up"}, {"unit_m": "foot"}, {"unit_m": "0"}])
-def test_bad_metadata_is_told_as_metadata(client: TestClient, values: dict[str, str]) -> None:
+def test_bad_metadata_is_reported_as_metadata(client: TestClient, values: dict[str, str]) -> None:
     response = client.post("/v1/uploads", headers=TUS | {"Upload-Length": "5", "Upload-Metadata": metadata(**values)})
     assert response.status_code == 422
     assert [error["pointer"] for error in response.json()["errors"]] == [f"metadata:{name}" for name in values]

@@ -142,7 +142,7 @@ def test_every_language_has_every_text() -> None:
     assert used - keys["en"] == set()
 
 
-def test_who_has_stopped_is_told_of_no_job() -> None:
+def test_a_stopped_watcher_hears_of_no_job() -> None:
     node = shutil.which("node")
     if node is None:
         pytest.skip("node is not installed: the client needs it")

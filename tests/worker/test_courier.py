@@ -93,7 +93,7 @@ def scene(tmp_path: Path, receiver: Receiver) -> Iterator[Scene]:
     store.close()
 
 
-def test_the_end_of_a_job_is_told_and_signed(scene: Scene, receiver: Receiver) -> None:
+def test_the_end_of_a_job_is_delivered_and_signed(scene: Scene, receiver: Receiver) -> None:
     endpoint = webhooks.add_endpoint(scene.store, receiver.url, EVENTS)
     job_id = scene.end_a_job()
     assert scene.courier.round() == 1
@@ -112,7 +112,7 @@ def test_the_end_of_a_job_is_told_and_signed(scene: Scene, receiver: Receiver) -
     assert [(one.state, one.log[0].status) for one in log] == [("delivered", 200)]
 
 
-def test_one_who_does_not_take_it_is_told_again_on_schedule(scene: Scene, receiver: Receiver) -> None:
+def test_a_failed_delivery_is_repeated_on_schedule(scene: Scene, receiver: Receiver) -> None:
     endpoint = webhooks.add_endpoint(scene.store, receiver.url, ("job.failed",))
     scene.end_a_job()
     scene.end_a_job(well=False)
@@ -133,7 +133,7 @@ def test_one_who_does_not_take_it_is_told_again_on_schedule(scene: Scene, receiv
         webhooks.replay(scene.store, endpoint.id, "absent")
 
 
-def test_one_who_says_gone_is_told_no_more(scene: Scene, receiver: Receiver) -> None:
+def test_an_endpoint_that_answers_gone_gets_no_more(scene: Scene, receiver: Receiver) -> None:
     endpoint = webhooks.add_endpoint(scene.store, receiver.url, EVENTS)
     scene.end_a_job()
     receiver.answers = [410]
@@ -172,7 +172,7 @@ def test_what_leads_inside_is_not_called(scene: Scene, receiver: Receiver) -> No
     assert (delivery.log[0].status, receiver.came) == (None, [])
 
 
-def test_an_address_that_is_none_keeps_nobody_from_being_told(scene: Scene, receiver: Receiver) -> None:
+def test_a_bad_address_does_not_stop_other_deliveries(scene: Scene, receiver: Receiver) -> None:
     broken = webhooks.add_endpoint(scene.store, receiver.url + "/\x7f", EVENTS)
     webhooks.add_endpoint(scene.store, receiver.url, EVENTS)
     scene.end_a_job()

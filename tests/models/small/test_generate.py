@@ -83,7 +83,7 @@ def test_what_hardly_moves_hardly_leans() -> None:
     torch.testing.assert_close(100 * smaller, lean)
 
 
-def test_every_sampler_step_is_told_and_may_cancel(model: SmallModel, voxels: SurfaceVoxels) -> None:
+def test_every_sampler_step_is_reported_and_may_cancel(model: SmallModel, voxels: SurfaceVoxels) -> None:
     told: list[tuple[int, int]] = []
     model.generate(voxels, wind=WIND, seed=0, num_steps=3, on_step=lambda *step: told.append(step))
     assert told == [(1, 3), (2, 3), (3, 3)]
