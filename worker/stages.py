@@ -42,6 +42,7 @@ def reconstruct(given: StageInput) -> Iterable[Path]:
     if CLOUD_BUNDLE in given.files:
         return _mesh_of_cloud(given)
     from dynamictree.reconstruct.from_request import reconstruct_capture  # not at start: it is long
+    from worker.confined_photos import read_confined
 
     params = ReconstructParams.part_of(given.job.params)
     capture = reconstruct_capture(
@@ -50,6 +51,7 @@ def reconstruct(given: StageInput) -> Iterable[Path]:
         params,
         root=_root(given.photos),
         kept=given.resume_dir,
+        read_photos=read_confined,
         on_progress=given.report,
     )
     assert capture.mesh is not None

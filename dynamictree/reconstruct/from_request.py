@@ -7,6 +7,7 @@ from dynamictree.formats.suffixes import PHOTO_SUFFIXES
 from dynamictree.gaussian.capture import Capture
 from dynamictree.reconstruct import ReconstructOptions, reconstruct
 from dynamictree.reconstruct.optimise import Schedule
+from dynamictree.reconstruct.photo_input import ReadPhotos, read_photos
 from dynamictree.requests import ReconstructParams
 
 
@@ -17,6 +18,7 @@ def reconstruct_capture(
     *,
     root: Path,
     kept: Path | None = None,
+    read_photos: ReadPhotos = read_photos,
     on_progress: Callable[[float], None],
 ) -> Capture:
     """Reconstruct a splat and a mesh from photos; all that is made of them is written into the folder.
@@ -27,6 +29,7 @@ def reconstruct_capture(
         params: height, training steps and box.
         root: the folder that the files lie in or below, by which they name one another.
         kept: a folder for intermediate results; a second call continues there.
+        read_photos: reads photos and camera files.
         on_progress: gets the share done in [0, 1]; what it raises passes through.
 
     Raises:
@@ -40,6 +43,7 @@ def reconstruct_capture(
         options=ReconstructOptions(height_m=params.height_m, box_m=params.box_m, schedule=schedule),
         root=root,
         work=kept,
+        read_photos=read_photos,
         on_progress=lambda progress: on_progress(progress.total),
     )
     return Capture(cloud=result.splat, mesh=result.mesh)

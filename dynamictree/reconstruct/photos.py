@@ -70,11 +70,14 @@ def sizes_of(photo: PhotoFile) -> tuple[tuple[int, int], tuple[int, int]]:
     """Width and height as stored, and as EXIF turns it.
 
     Raises:
-        FormatError: it is no photo, or too large or too small.
+        FormatError: it is no photo, damaged, or too large or too small.
     """
     with _opened(photo.path, photo.name) as image:
         stored = image.size
-        turned = image.getexif().get(_ORIENTATION) in _SIDEWAYS
+        try:
+            turned = image.getexif().get(_ORIENTATION) in _SIDEWAYS  # of a PNG, the whole picture is decoded
+        except (OSError, SyntaxError) as error:
+            raise _undecodable(photo, error) from error
     return stored, (stored[::-1] if turned else stored)
 
 
@@ -150,7 +153,11 @@ def _decoded(image: Image.Image, photo: PhotoFile, *, reduced: bool) -> Image.Im
         turned = image.copy() if photo.as_stored else ImageOps.exif_transpose(image)
         return turned.convert("RGBA" if "A" in turned.getbands() or "transparency" in turned.info else "RGB")
     except (OSError, SyntaxError) as error:
-        raise FormatError(f"{photo.name} cannot be decoded: {error}; copy it from the camera again") from error
+        raise _undecodable(photo, error) from error
+
+
+def _undecodable(photo: PhotoFile, error: Exception) -> FormatError:
+    return FormatError(f"{photo.name} cannot be decoded: {error}; copy it from the camera again")
 
 
 @contextmanager

@@ -14,9 +14,10 @@ from dynamictree.gaussian.cloud import in_box
 from dynamictree.mesh import TriangleMesh
 from dynamictree.reconstruct.cameras import find_cameras
 from dynamictree.reconstruct.cut import cloud_in_metres, of_the_tree
-from dynamictree.reconstruct.given import GivenCamera, files_with_cameras, find_given, fits
+from dynamictree.reconstruct.given import files_with_cameras
 from dynamictree.reconstruct.optimise import Schedule
-from dynamictree.reconstruct.photos import PhotoFile, list_photos, prepare_photos, sizes_of
+from dynamictree.reconstruct.photo_input import ReadPhotos, read_photos
+from dynamictree.reconstruct.photos import PhotoFile, list_photos
 from dynamictree.reconstruct.progress import OnProgress, Progress, StageClock, ignore_progress
 from dynamictree.reconstruct.report import quality_warnings, write_cameras, write_result
 from dynamictree.reconstruct.result import Reconstruction, Report
@@ -52,6 +53,7 @@ def reconstruct(
     options: ReconstructOptions | None = None,
     root: Path | None = None,
     work: Path | None = None,
+    read_photos: ReadPhotos = read_photos,
     on_progress: OnProgress = ignore_progress,
     on_file: Callable[[Path], None] = lambda path: None,
 ) -> Reconstruction:
@@ -67,6 +69,7 @@ def reconstruct(
         root: the folder that contains the photos, searched for cameras (`given`) and masks (`photos`).
         work: a folder for the results of finished stages; a later call with the same photos continues there. None:
             nothing is saved.
+        read_photos: reads photos and camera files; a service does it in a confined process.
         on_progress: called at least every quarter of a second, except while the mesh is made. An exception in it stops
             the work, ends child processes, and passes through.
         on_file: called with each product as soon as it is complete.
@@ -81,7 +84,7 @@ def reconstruct(
     with ExitStack() as stack:
         path = work or Path(stack.enter_context(tempfile.TemporaryDirectory(dir=folder, prefix="work-")))
         space = stack.enter_context(opened_work(path, _sources(listed, root), options.schedule))
-        model = _find_cameras(listed, root, space, clock)
+        model = _find_cameras(listed, root, space, clock, read_photos)
         write_cameras(model.views, folder, scale="unknown")
         on_file(folder / "cameras.json")
         with clock.stage("depth") as report:
@@ -103,27 +106,15 @@ def _sources(photos: list[PhotoFile], root: Path | None) -> list[Path]:
     return [*(photo.path for photo in photos), *masks, *([] if root is None else files_with_cameras(root))]
 
 
-def _find_cameras(photos: list[PhotoFile], root: Path | None, work: WorkFolder, clock: StageClock) -> SparseModel:
+def _find_cameras(
+    photos: list[PhotoFile], root: Path | None, work: WorkFolder, clock: StageClock, read_photos: ReadPhotos
+) -> SparseModel:
     """Take cameras from files beside the photos, from an earlier call, or from structure from motion."""
     with clock.stage("photos") as report:
-        given = None if root is None else _given(photos, root)
-        if given is not None:
-            by_photo = {camera.photo: camera for camera in given}
-            photos = [_as_given(photo, by_photo[photo.name]) for photo in photos if photo.name in by_photo]
-        prepared = prepare_photos(photos, work.photos, on_photo=lambda done, total: report(done / total))
+        given, prepared = read_photos(photos, root, work.photos, lambda done, total: report(done / total))
     with clock.stage("cameras") as report:
         model = read_model(work.path, {photo.name: photo.source for photo in prepared})
         return model or find_cameras(prepared, work.path, given=given, on_progress=report)
-
-
-def _given(photos: list[PhotoFile], root: Path) -> tuple[GivenCamera, ...] | None:
-    return find_given(root, {photo.name: sizes_of(photo) for photo in sorted(photos, key=lambda photo: photo.name)})
-
-
-def _as_given(photo: PhotoFile, camera: GivenCamera) -> PhotoFile:
-    """Turn a photo upright only if the given camera saw it so: some programs heed EXIF and some do not."""
-    stored, _ = sizes_of(photo)
-    return replace(photo, as_stored=fits(camera, stored))
 
 
 def _result(

@@ -1,0 +1,95 @@
+"""Photos and camera files of a job are read by a confined child, with the same result as without it."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import PIL.Image
+import pytest
+from PIL import Image
+
+from dynamictree.errors import Cancelled, FormatError, InputError
+from dynamictree.reconstruct.photo_input import read_photos
+from dynamictree.reconstruct.photos import list_photos
+from jobs.records import AssetPart
+from tests.rows import asset_row, job_row
+from worker.confined_photos import read_confined
+from worker.stages import StageInput, reconstruct
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="Landlock and seccomp are Linux's")
+
+
+@pytest.fixture
+def photos(tmp_path: Path) -> list[Path]:
+    root = tmp_path / "photos"
+    root.mkdir()
+    paths = [root / f"{number}.png" for number in range(8)]
+    for number, path in enumerate(paths):
+        Image.effect_noise((400, 300), 10 + number).convert("RGB").save(path)
+    return paths
+
+
+def _give_cameras(root: Path) -> None:
+    frames = [{"file_path": f"{number}.png", "transform_matrix": np.eye(4).tolist()} for number in range(8)]
+    lens = {"fl_x": 300.0, "fl_y": 300.0, "cx": 200.0, "cy": 150.0, "w": 400, "h": 300}
+    (root / "transforms.json").write_text(json.dumps(lens | {"frames": frames}))
+
+
+@pytest.mark.parametrize("with_cameras", [False, True])
+def test_the_child_reads_what_the_library_reads(
+    photos: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, with_cameras: bool
+) -> None:
+    root = photos[0].parent
+    if with_cameras:
+        _give_cameras(root)
+    listed, told = list_photos(photos, root), []
+    expected = read_photos(listed, root, tmp_path / "own", lambda *_: None)
+
+    def never(*_: object, **__: object) -> None:
+        raise AssertionError("decoded in this process")
+
+    monkeypatch.setattr(PIL.Image, "open", never)
+    given, prepared = read_confined(listed, root, tmp_path / "confined", lambda *done: told.append(done))
+    assert prepared == expected[1]
+    assert told == [(done, 8) for done in range(9)]
+    for photo in prepared:
+        assert (tmp_path / "confined" / photo.name).read_bytes() == (tmp_path / "own" / photo.name).read_bytes()
+    assert (given is None) == (not with_cameras)
+    for camera, same in zip(given or (), expected[0] or (), strict=True):
+        assert vars(camera) | {"world_to_camera": 0} == vars(same) | {"world_to_camera": 0}
+        np.testing.assert_array_equal(camera.world_to_camera, same.world_to_camera)
+
+
+def test_a_stage_reads_no_file_outside_of_its_job(photos: list[Path], tmp_path: Path) -> None:
+    """A decoder that was taken over by a photo reaches what the child reaches."""
+    outside = tmp_path / "secret.png"
+    photos[3].rename(outside)
+    photos[3].symlink_to(outside)
+    with pytest.raises(InputError, match="reading the photos ended with exit code"):
+        reconstruct(
+            StageInput(
+                job=job_row(asset_row(AssetPart(name="a", sha256="a" * 64, bytes=1), now=0.0), "reconstruct", now=0.0),
+                folder=tmp_path,
+                resume_dir=tmp_path / "resume",
+                files={},
+                photos=tuple(photos),
+                report=lambda share: None,
+            )
+        )
+
+
+def test_a_damaged_photo_is_named(photos: list[Path], tmp_path: Path) -> None:
+    photos[2].write_bytes(photos[2].read_bytes()[:2000])
+    with pytest.raises(FormatError, match=r"2\.png cannot be decoded"):
+        read_confined(list_photos(photos), photos[0].parent, tmp_path / "out", lambda *_: None)
+
+
+def test_a_cancelled_job_ends_the_child(photos: list[Path], tmp_path: Path) -> None:
+    def cancel(done: int, _: int) -> None:
+        if done == 2:
+            raise Cancelled("asked to stop")
+
+    with pytest.raises(Cancelled):
+        read_confined(list_photos(photos), photos[0].parent, tmp_path / "out", cancel)
+    assert not (tmp_path / "out" / "0007.jpg").exists()

@@ -1,0 +1,129 @@
+"""Read a job's photos and camera files in a confined child process, as `worker.parse` reads uploads.
+
+`python -m worker.confined_photos`: request on stdin; on stdout one JSON line per photo, then one with the result.
+The worker itself decodes only what the child has written anew.
+"""
+
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict
+
+from dynamictree.errors import DynamicTreeError, FormatError, InputError
+from dynamictree.reconstruct.given import GivenCamera
+from dynamictree.reconstruct.photo_input import Given, OnPhoto, read_photos
+from dynamictree.reconstruct.photos import Photo, PhotoFile
+from jobs.parser_process import FOLDER, child_environment
+from worker.confine import confine
+
+CHILD = ("-P", "-m", "worker.confined_photos")
+WAIT_S = 10.0
+"""For a child to end that has closed its output."""
+
+MAX_LINE_BYTES = 16 * 2**20
+ERRORS = {error.code: error for error in (FormatError, InputError)}
+
+
+class PhotoRequest(BaseModel):
+    """Which files the child reads, and where it writes."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    photos: tuple[PhotoFile, ...]
+    root: Path | None
+    folder: Path
+
+
+class PhotoAnswer(BaseModel):
+    """Progress, the result, or why the files cannot be used."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=True)
+
+    done: tuple[int, int] | None = None
+    prepared: list[Photo] | None = None
+    cameras: list[dict[str, Any]] | None = None
+    code: str | None = None
+    message: str = ""
+
+
+def read_confined(
+    photos: Sequence[PhotoFile], root: Path | None, folder: Path, on_photo: OnPhoto
+) -> tuple[Given, list[Photo]]:
+    """`read_photos` in a confined child. An exception of `on_photo` ends the child and passes through.
+
+    Raises:
+        InputError: as `read_photos`, or the child died of a file.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    request = PhotoRequest(photos=tuple(photos), root=root, folder=folder)
+    with subprocess.Popen(
+        [sys.executable, *CHILD],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        env=child_environment(),
+        cwd=FOLDER,
+        start_new_session=True,
+    ) as child:
+        assert child.stdin is not None
+        assert child.stdout is not None
+        try:
+            child.stdin.write(request.model_dump_json().encode())
+            child.stdin.close()
+            while line := child.stdout.readline(MAX_LINE_BYTES):
+                answer = PhotoAnswer.model_validate_json(line)
+                if answer.done is None:
+                    return _result(answer)
+                on_photo(*answer.done)
+            child.wait(WAIT_S)
+        except BrokenPipeError:
+            pass  # it died before it read the request
+        finally:
+            child.kill()
+    raise InputError(f"reading the photos ended with exit code {child.returncode}; export them again, or reduce them")
+
+
+def _result(answer: PhotoAnswer) -> tuple[Given, list[Photo]]:
+    if answer.prepared is None:
+        raise ERRORS.get(answer.code or "", InputError)(answer.message)
+    if answer.cameras is None:
+        return None, answer.prepared
+    return tuple(_camera(fields) for fields in answer.cameras), answer.prepared
+
+
+def _camera(fields: dict[str, Any]) -> GivenCamera:
+    matrix = np.array(fields.pop("world_to_camera"), np.float64)
+    return GivenCamera(**fields | {"params": tuple(fields["params"])}, world_to_camera=matrix)
+
+
+def main() -> None:
+    """Give up all but the files named, then read them."""
+    request = PhotoRequest.model_validate_json(sys.stdin.buffer.read())
+    confine(request.folder, [] if request.root is None else [request.root])
+    answer_to = os.dup(1)
+    os.dup2(2, 1)  # what a library prints is no answer
+    with os.fdopen(answer_to, "w") as stream:
+
+        def tell(answer: PhotoAnswer) -> None:
+            stream.write(answer.model_dump_json() + "\n")
+            stream.flush()
+
+        try:
+            given, prepared = read_photos(
+                request.photos, request.root, request.folder, lambda *done: tell(PhotoAnswer(done=done))
+            )
+        except DynamicTreeError as error:
+            tell(PhotoAnswer(code=error.code, message=str(error)))
+            return
+        cameras = None
+        if given is not None:
+            cameras = [vars(camera) | {"world_to_camera": camera.world_to_camera.tolist()} for camera in given]
+        tell(PhotoAnswer(prepared=prepared, cameras=cameras))
+
+
+if __name__ == "__main__":
+    main()
