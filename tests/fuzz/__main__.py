@@ -11,6 +11,7 @@ import sys
 from collections import Counter
 from pathlib import Path
 
+from tests.fuzz.bombs import BOMBS, MOST_MIB
 from tests.fuzz.forks import Outcome, attempt
 from tests.fuzz.mutate import mutated
 from tests.fuzz.readers import READERS
@@ -18,6 +19,9 @@ from tests.fuzz.seeds import seeds
 
 AT_LEAST = 500
 """Files of every format."""
+
+BOMB_CPU_S = 30
+"""A bomb may be read to the end, where its budget allows it."""
 
 
 def case(kind: str, index: int, seed: int, good: dict[str, list[bytes]]) -> bytes:
@@ -56,7 +60,26 @@ def fuzz(folder: Path, *, files: int, seed: int) -> dict[str, object]:
         told[kind] = dict(verdicts) | worst
         sys.stdout.write(json.dumps({kind: told[kind]}) + "\n")
         sys.stdout.flush()
-    return {"files": each * len(good), "formats": len(good), "each": each, "seed": seed, "faults": faults}
+    bombs, failed = expand(folder)
+    told = {"files": each * len(good), "formats": len(good), "each": each, "seed": seed}
+    return told | {"bombs": bombs, "faults": faults + failed}
+
+
+def expand(folder: Path) -> tuple[int, int]:
+    """Try every expansion bomb; how many there are, and how many cost more than they may."""
+    failed = 0
+    for name, (make, read, verdict) in BOMBS.items():
+        content = make()
+        outcome = attempt(read, content, cpu_s=BOMB_CPU_S)
+        over = outcome.verdict != verdict or outcome.peak_mib >= MOST_MIB + len(content) / 2**20
+        row = {"bomb": name, "bytes": len(content), "verdict": outcome.verdict}
+        row |= {"s": round(outcome.seconds, 1), "mib": round(outcome.peak_mib)}
+        sys.stdout.write(json.dumps(row) + "\n")
+        sys.stdout.flush()
+        if over:
+            failed += 1
+            keep(folder, f"bomb-{name.replace(' ', '-')}", 0, content, outcome)
+    return len(BOMBS), failed
 
 
 def keep(folder: Path, kind: str, index: int, content: bytes, outcome: Outcome) -> None:

@@ -17,6 +17,9 @@ from dynamictree.reconstruct.given import find_given
 from dynamictree.render.appearance import appearance_of
 from tests.fuzz.readers import READERS
 
+MOST_MIB = 400
+"""What a bomb may take, on top of the parser itself with all that it has imported, and of its own bytes."""
+
 
 def one_image_of_many_materials() -> bytes:
     """One picture that 150 materials name: mip levels were made of it for each."""
@@ -57,6 +60,51 @@ def cameras_of_nothing() -> bytes:
     return json.dumps(frame, separators=(",", ":")).encode()
 
 
+def deep_json() -> bytes:
+    """A glTF whose JSON is nested a hundred thousand times."""
+    text = b'{"asset":{"version":"2.0"},"extras":' + b"[" * 100_000 + b"]" * 100_000 + b"}"
+    text += b" " * (-len(text) % 4)
+    return struct.pack("<IIIII", 0x46546C67, 2, 20 + len(text), len(text), 0x4E4F534A) + text
+
+
+def sparse_accessor() -> bytes:
+    """A glTF mesh of 200 million vertices, all zero but one: `sparse` without a buffer."""
+    root = _triangle()
+    root["accessors"][0] = {"componentType": 5126, "type": "VEC3", "count": 200_000_000}
+    return _glb(root, _CORNERS)
+
+
+def nested_nodes() -> bytes:
+    """Thirty nodes that each name the next one twice: a billion copies of one triangle."""
+    root = _triangle()
+    root["nodes"] = [{"children": [number + 1, number + 1]} for number in range(30)] + [{"mesh": 0}]
+    return _glb(root, _CORNERS)
+
+
+def photo_of_one_colour() -> bytes:
+    """A PNG of 30,000 by 30,000 pixels in 110 kB."""
+    size = 30_000
+    header = struct.pack(">IIBBBBB", size, size, 1, 0, 0, 0, 0)
+    packer = zlib.compressobj(9)
+    row = bytes(1 + size // 8)
+    rows = b"".join(packer.compress(row) for _ in range(size)) + packer.flush()
+    chunks = ((b"IHDR", header), (b"IDAT", rows), (b"IEND", b""))
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body)) for name, body in chunks
+    )
+
+
+def zip_of_zeros() -> bytes:
+    """A gigabyte of zeros, declared as it is, in 4.5 MB."""
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        for number in range(4):
+            with archive.open(f"{number}.ply", "w") as target:
+                for _ in range(16):
+                    target.write(bytes(1 << 24))
+    return content.getvalue()
+
+
 def zip_of_cameras() -> bytes:
     """The same as an upload, beside photos."""
     content = io.BytesIO()
@@ -86,6 +134,11 @@ BOMBS: dict[str, tuple[Callable[[], bytes], Callable[[bytes], object], str]] = {
     "spz of zeros": (spz_of_zeros, READERS["spz"], "refused"),
     "cameras of nothing": (cameras_of_nothing, _cameras, "refused"),
     "zip of cameras": (zip_of_cameras, READERS["zip"], "refused"),
+    "deep JSON": (deep_json, READERS["glb"], "refused"),
+    "sparse accessor": (sparse_accessor, READERS["glb"], "refused"),
+    "nested nodes": (nested_nodes, READERS["glb"], "refused"),
+    "photo of one colour": (photo_of_one_colour, READERS["png"], "refused"),
+    "zip of zeros": (zip_of_zeros, READERS["zip"], "refused"),
 }
 """How a bomb is made, what reads it, and what should come of it."""
 

@@ -35,7 +35,7 @@ class Outcome:
         return self.verdict not in ("read", "refused")
 
 
-def attempt(read: Callable[[bytes], object], content: bytes) -> Outcome:
+def attempt(read: Callable[[bytes], object], content: bytes, *, cpu_s: int = CPU_S) -> Outcome:
     """Read in a fork, under limits."""
     begun = time.monotonic()
     before_mib = _resident_bytes() / 2**20
@@ -43,7 +43,7 @@ def attempt(read: Callable[[bytes], object], content: bytes) -> Outcome:
     pid = os.fork()
     if pid == 0:
         os.close(answer)
-        _child(read, content, answer_to)
+        _child(read, content, answer_to, cpu_s)
     os.close(answer_to)
     told = b""
     if select.select([answer], [], [], WALL_S)[0]:
@@ -61,10 +61,10 @@ def _resident_bytes() -> int:
     return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
 
 
-def _child(read: Callable[[bytes], object], content: bytes, answer_to: int) -> None:
+def _child(read: Callable[[bytes], object], content: bytes, answer_to: int, cpu_s: int) -> None:
     now_bytes = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (now_bytes + MEMORY_BYTES,) * 2)
-    resource.setrlimit(resource.RLIMIT_CPU, (CPU_S, CPU_S + 1))
+    resource.setrlimit(resource.RLIMIT_CPU, (cpu_s, cpu_s + 1))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     null = os.open(os.devnull, os.O_WRONLY)
     os.dup2(null, 1)
