@@ -22,10 +22,23 @@ READ_S = 30.0
 MAX_REDIRECTS = 3
 MAX_URL_CHARS = 2048
 _EMBEDS_V4 = (  # IPv6 addresses that mean an IPv4 address, and where it stands in them
-    (ipaddress.ip_network("64:ff9b::/96"), 0),
-    (ipaddress.ip_network("2002::/16"), 80),
+    (ipaddress.ip_network("::ffff:0:0/96"), 0),  # mapped
+    (ipaddress.ip_network("::ffff:0:0:0/96"), 0),  # translated, RFC 7915
+    (ipaddress.ip_network("64:ff9b::/96"), 0),  # NAT64
+    (ipaddress.ip_network("2002::/16"), 80),  # 6to4
 )
-_NEVER = frozenset({ipaddress.ip_address("168.63.129.16")})  # public by number, inside of a cloud by meaning
+_ISATAP = (0x0000_5EFE, 0x0200_5EFE)  # the second half of such an address begins so; an IPv4 address follows
+_GLOBAL_V6 = ipaddress.ip_network("2000::/3")  # all that IANA has given out
+_SPECIAL = tuple(  # IANA's registries of special addresses: what the interpreter knows of them depends on its version
+    ipaddress.ip_network(text)
+    for text in (
+        *("0.0.0.0/8", "10.0.0.0/8", "100.64.0.0/10", "127.0.0.0/8", "169.254.0.0/16", "172.16.0.0/12"),
+        *("192.0.0.0/24", "192.0.2.0/24", "192.88.99.0/24", "192.168.0.0/16", "198.18.0.0/15", "198.51.100.0/24"),
+        *("203.0.113.0/24", "224.0.0.0/3"),
+        *("2001::/23", "2001:db8::/32", "3fff::/20"),
+        "168.63.129.16/32",  # public by number, inside of a cloud by meaning
+    )
+)
 
 
 async def look_up(host: str, port: int) -> list[str]:
@@ -35,16 +48,16 @@ async def look_up(host: str, port: int) -> list[str]:
 
 
 def is_public(address: Address) -> bool:
-    """Whether an address is one that anybody in the world may call."""
+    """Whether an address is one that anybody in the world may call, the IPv4 address inside of it included."""
     if isinstance(address, ipaddress.IPv6Address):
-        if address.ipv4_mapped is not None:
-            return is_public(address.ipv4_mapped)
-        if address.teredo is not None or address.is_site_local:
-            return False
         for network, shift in _EMBEDS_V4:
             if address in network:
                 return is_public(ipaddress.IPv4Address((int(address) >> shift) & 0xFFFF_FFFF))
-    return address.is_global and not address.is_multicast and address not in _NEVER
+        if address not in _GLOBAL_V6:
+            return False
+        if (int(address) >> 32) & 0xFFFF_FFFF in _ISATAP:
+            return is_public(ipaddress.IPv4Address(int(address) & 0xFFFF_FFFF))
+    return not any(address in network for network in _SPECIAL)
 
 
 @dataclass(frozen=True, kw_only=True)
