@@ -8,6 +8,7 @@ from typing import Protocol
 from urllib.parse import unquote, urlsplit
 
 import obstore
+from obstore.exceptions import AlreadyExistsError
 from obstore.store import ObjectStore
 
 from jobs.object_storage import answers_told, open_objects
@@ -165,7 +166,14 @@ class ObjectParts:
 
 
 class ObjectWriter:
-    """Puts an object whenever enough has come."""
+    """Puts an object whenever enough has come, and never over another one.
+
+    Two replicas may write the same upload, where a client repeats a request that still runs. Whoever puts the object of
+    an offset first owns these bytes; the other one is refused, and its client asks for the offset again.
+
+    Raises:
+        BlockingIOError: another writer has put the object of this offset.
+    """
 
     def __init__(self, objects: ObjectStore, folder: str, offset: int) -> None:
         self._objects = objects
@@ -194,11 +202,15 @@ class ObjectWriter:
 
     def _put(self) -> None:
         key = f"{self._folder}/{self._offset:020d}"
-        with answers_told():
-            obstore.put(self._objects, key, bytes(self._waiting))
-        self._made.append(key)
-        self._offset += len(self._waiting)
+        content = bytes(self._waiting)
         self._waiting.clear()
+        with answers_told():
+            try:
+                obstore.put(self._objects, key, content, mode="create")
+            except AlreadyExistsError as error:
+                raise BlockingIOError(f"another request has written the upload at {self._offset:,}") from error
+        self._made.append(key)
+        self._offset += len(content)
 
 
 def open_parts(artifacts_url: str, *, credentials: Mapping[str, str] | None = None) -> PartStore:

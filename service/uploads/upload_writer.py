@@ -92,6 +92,8 @@ class UploadWriter:
             whole = True
         except ClientDisconnect:
             raise ProblemError("bad-request", "the connection broke before the body was whole; go on with it") from None
+        except BlockingIOError as error:
+            raise ProblemError("conflict", f"another request goes on with upload {self.record.id}") from error
         except OSError as error:
             if is_full(error):
                 raise ProblemError("disk-full", "the disk is full; bytes received so far are stored") from error
@@ -158,7 +160,10 @@ class UploadWriter:
     async def _close(self, writer: PartWriter, whole: bool) -> None:
         checked = self.digest is None or self.checksum is None
         if checked or (whole and self.digest.digest() == self.checksum.expected):  # type: ignore[union-attr]
-            await run_in_threadpool(writer.keep)
+            try:
+                await run_in_threadpool(writer.keep)
+            except BlockingIOError as error:
+                raise ProblemError("conflict", f"another request goes on with upload {self.record.id}") from error
             return
         await run_in_threadpool(writer.discard)
         if whole:

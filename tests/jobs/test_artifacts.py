@@ -126,6 +126,25 @@ def test_pieces_in_s3_make_the_upload(s3: tuple[Server, Path], tmp_path: Path) -
     assert parts.size("one") == 0
 
 
+def test_of_two_replicas_that_write_one_upload_one_is_refused(s3: tuple[Server, Path], tmp_path: Path) -> None:
+    """The late one, with an older connection's bytes, puts nothing over what was reported as received."""
+    early, late = (open_parts("s3://trees/products") for _ in range(2))
+    slow = early.writer("both", 0)
+    slow.write([b"old"])
+    quick = late.writer("both", 0)
+    quick.write([b"something", bytes(OBJECT_BYTES)])
+    quick.write([b"more"])
+    quick.keep()
+    with pytest.raises(BlockingIOError, match="at 0"):
+        slow.keep()
+    slow.keep()
+    slow.discard()
+    assert late.size("both") == 9 + OBJECT_BYTES + 4
+    late.fetch("both", tmp_path / "whole")
+    assert (tmp_path / "whole").read_bytes().startswith(b"something\0")
+    late.delete("both")
+
+
 def test_a_busy_storage_is_waited_for_as_long_as_configured(s3: tuple[Server, Path], source: Path) -> None:
     digest, _ = hash_file(source)
     busy = s3[1] / "busy"
