@@ -1,12 +1,15 @@
 """Cancellation check, called between steps, while a heartbeat renews the lease."""
 
+import shutil
 import time
 from collections.abc import Callable
 from types import TracebackType
 
 from dynamictree.errors import Cancelled
 from jobs.attempts import canceling, report_progress
+from jobs.errors import StorageFullError
 from jobs.records import Claim
+from jobs.settings import Settings
 from jobs.states import JobType
 from worker.runtime import Runtime
 
@@ -47,9 +50,28 @@ class Watch:
             raise HandedBack(f"the worker stops; job {self.claimed.job.id} goes to another")
 
     def report(self, stage: JobType, progress: float) -> None:
-        """Ask whether to go on, and tell how much of a stage is done, the latter not too often."""
+        """Check whether to go on, and report how much of a stage is done; the disk and the report not too often.
+
+        Raises:
+            Cancelled, FencedError, HandedBack: as `check`.
+            StorageFullError: what the stage writes has taken half of the disk's reserve.
+        """
         self.check()
         now = time.monotonic()
         if now - self._reported_at >= self.resources.settings.progress_interval_s:
+            require_free_disk(self.resources.settings)
             report_progress(self.resources.store, self.claimed, stage, progress)
             self._reported_at = now
+
+
+def require_free_disk(settings: Settings) -> None:
+    """Refuse to write on where less than half of `min_free_bytes` is free: the database needs the rest.
+
+    Raises:
+        StorageFullError: it is.
+    """
+    free = shutil.disk_usage(settings.scratch_dir).free
+    if free < settings.min_free_bytes // 2:
+        raise StorageFullError(
+            f"the worker's disk has {free:,} bytes left, of {settings.min_free_bytes:,} in reserve; try again later"
+        )

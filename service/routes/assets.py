@@ -103,7 +103,7 @@ async def create_asset(request: Request, response: Response, owned: OwnedDep) ->
     await run_in_threadpool(folder.mkdir, parents=True)
     try:
         form = await receive_form(request.headers.get("content-type", ""), request.stream(), folder)
-        sorted_out = await run_in_threadpool(sort_out, form, folder)
+        sorted_out = await run_in_threadpool(sort_out, owned, form, folder)
         asset, new = await admit(owned, sorted_out, folder)
     finally:
         await run_in_threadpool(shutil.rmtree, folder)

@@ -6,6 +6,7 @@ import stat
 import struct
 import zipfile
 import zlib
+from collections.abc import Callable
 from hashlib import sha256
 from pathlib import Path, PurePosixPath
 
@@ -38,8 +39,15 @@ def is_zip(path: Path) -> bool:
         return stream.read(4) in {b"PK\x03\x04", b"PK\x05\x06"}
 
 
-def unpack(archive: ReceivedFile, folder: Path) -> list[ReceivedFile]:
+def unpack(
+    archive: ReceivedFile, folder: Path, *, require_room: Callable[[int], None] = lambda declared: None
+) -> list[ReceivedFile]:
     """Unpack into `folder` as entry-0, entry-1 and so on; the names stay names.
+
+    Args:
+        archive: the zip.
+        folder: for its files.
+        require_room: gets the bytes that the zip unpacks to, before any of them is written; may refuse.
 
     Raises:
         ProblemError: it is broken, too large, or holds what an upload never needs.
@@ -47,7 +55,7 @@ def unpack(archive: ReceivedFile, folder: Path) -> list[ReceivedFile]:
     try:
         with zipfile.ZipFile(archive.path) as opened:
             entries = [entry for entry in opened.infolist() if not entry.is_dir()]
-            _check(entries, archive.bytes)
+            require_room(_check(entries, archive.bytes))
             left = MAX_UNPACKED_BYTES
             files = []
             for number, entry in enumerate(entries):
@@ -66,7 +74,8 @@ def _unreadable(error: Exception) -> ProblemError:
     return _rejected(f"the zip cannot be read: {error}; pack it again without a password, deflated or stored")
 
 
-def _check(entries: list[zipfile.ZipInfo], archive_bytes: int) -> None:
+def _check(entries: list[zipfile.ZipInfo], archive_bytes: int) -> int:
+    """Refuse what an upload never needs; return the declared size, which `_unpack_one` holds each entry to."""
     if not 1 <= len(entries) <= MAX_ENTRIES:
         raise _rejected(f"the zip has {len(entries)} files; 1 to {MAX_ENTRIES} are allowed")
     names = [entry.filename for entry in entries]
@@ -90,6 +99,7 @@ def _check(entries: list[zipfile.ZipInfo], archive_bytes: int) -> None:
     if declared > MAX_UNPACKED_BYTES or declared > MAX_RATIO * archive_bytes:
         allowed = min(MAX_UNPACKED_BYTES, MAX_RATIO * archive_bytes)
         raise _rejected(f"the zip unpacks to {declared:,} bytes; at most {allowed:,} ({MAX_RATIO}:1) are allowed")
+    return declared
 
 
 def _unpack_one(opened: zipfile.ZipFile, entry: zipfile.ZipInfo, path: Path, left: int) -> ReceivedFile:

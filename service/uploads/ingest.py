@@ -58,7 +58,7 @@ async def make_asset(
     await run_in_threadpool(folder.mkdir, parents=True)
     try:
         form = Form(fields=dict(fields), files=await run_in_threadpool(_files, owned, uploads, folder))
-        asset, new = await admit(owned, await run_in_threadpool(sort_out, form, folder), folder)
+        asset, new = await admit(owned, await run_in_threadpool(sort_out, owned, form, folder), folder)
     finally:
         await run_in_threadpool(shutil.rmtree, folder)
     for upload in uploads:

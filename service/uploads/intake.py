@@ -3,6 +3,7 @@
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from hashlib import sha256
 from pathlib import Path, PurePosixPath
 
@@ -33,6 +34,7 @@ from service.http.validation_errors import field_errors, summed_up
 from service.services import Owned
 from service.uploads.archives import is_zip, unpack
 from service.uploads.exif_privacy import without_place
+from service.uploads.quota import require_room
 
 CAMERA_FILES = (
     *("transforms.json", "poses_bounds.npy"),
@@ -64,8 +66,8 @@ class Upload:
         return sha256(json.dumps(meaning).encode()).hexdigest()
 
 
-def sort_out(form: Form, folder: Path) -> Upload:
-    """Tell models, companions and photos apart; unpack a zip.
+def sort_out(owned: Owned, form: Form, folder: Path) -> Upload:
+    """Tell models, companions and photos apart; unpack a zip, if there is room for what is in it.
 
     Raises:
         ProblemError: a field or the set of files is not allowed.
@@ -73,7 +75,7 @@ def sort_out(form: Form, folder: Path) -> Upload:
     reading = reading_options(form.fields)
     files = form.files
     if len(files) == 1 and is_zip(files[0].path) and _suffix(files[0]) not in (".sog", ".3mf"):
-        files = unpack(files[0], folder)
+        files = unpack(files[0], folder, require_room=partial(require_room, owned))
     if not files:
         raise ProblemError("validation-failed", "the form has no file; send at least one part with a filename")
     with_photos = [file for file in files if _suffix(file) in PHOTO_SUFFIXES or _is_camera_file(file)]

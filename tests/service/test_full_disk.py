@@ -1,12 +1,15 @@
 """A small disk: space is reserved before bytes arrive, and the service goes on by itself."""
 
+import io
 import shutil
 import threading
+import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
+import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
@@ -78,3 +81,15 @@ def test_what_uploads_were_promised_is_not_promised_twice(small_disk: Path, sett
         assert (form.status_code, form.json()["code"]) == (503, "disk-full")
         assert client.delete(first.headers["Location"], headers=TUS).status_code == 204
         assert client.post("/v1/uploads", headers=TUS | {"Upload-Length": str(30 * MIB)}).status_code == 201
+
+
+def test_a_zip_is_refused_before_it_is_unpacked_onto_a_full_disk(small_disk: Path, settings: Settings) -> None:
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("tree.obj", TREE)
+        archive.writestr("notes.txt", np.random.default_rng(0).integers(0, 2, 40 * MIB, np.uint8).tobytes())
+    own = {"state_dir": small_disk, "min_free_bytes": 24 * MIB}
+    with TestClient(create_app(settings.model_copy(update=own)), "http://localhost") as client:
+        sent = client.post("/v1/assets", files={"file": ("tree.zip", packed.getvalue())})
+        assert (sent.status_code, sent.json()["code"]) == (503, "disk-full"), sent.text
+        assert shutil.disk_usage(small_disk).free > 48 * MIB

@@ -6,9 +6,17 @@ from pathlib import Path
 import pytest
 import sqlalchemy as sa
 
+from jobs.assets import add_asset
+from jobs.attempts import start_stage
+from jobs.errors import StorageFullError
 from jobs.maintenance import HOUSEKEEPER_LEASE, hold_lease
+from jobs.settings import Settings
 from jobs.store import Store
+from tests.rows import asset_row, kept
+from tests.worker.conftest import add_job, hold, watch
+from worker.cancellation import require_free_disk
 from worker.disk_reserve import DiskReserve
+from worker.runtime import close_runtime, open_runtime
 
 MIB = 1024**2
 
@@ -48,3 +56,32 @@ def test_a_full_disk_recovers_without_an_operator(small_disk: Path) -> None:
     reserve.balance()
     assert reserve.path.exists()
     store.close()
+
+
+def test_a_stage_stops_before_it_takes_the_rest_of_the_disk(small_disk: Path) -> None:
+    settings = Settings(state_dir=small_disk, min_free_bytes=32 * MIB)
+    settings.scratch_dir.mkdir(parents=True)
+    require_free_disk(settings)
+    (small_disk / "product").write_bytes(bytes(56 * MIB))
+    with pytest.raises(StorageFullError, match="33,554,432 in reserve"):
+        require_free_disk(settings)
+
+
+def test_a_job_that_fills_the_disk_is_stopped_by_its_own_progress(small_disk: Path) -> None:
+    """The check is part of what each stage calls between its steps."""
+    settings = Settings(state_dir=small_disk, min_free_bytes=32 * MIB, progress_interval_s=0)
+    runtime = open_runtime(settings)
+    try:
+        path = small_disk / "mesh"
+        path.write_bytes(b"mesh")
+        asset = add_asset(runtime.store, asset_row(kept(runtime.artifacts, path), now=runtime.store.clock()))[0]
+        held = hold(runtime, add_job(runtime, asset))
+        settings.scratch_dir.mkdir(parents=True, exist_ok=True)
+        with watch(runtime, held) as watching:
+            start_stage(runtime.store, held, "voxelize")
+            watching.report("voxelize", 0.1)
+            (small_disk / "product").write_bytes(bytes(54 * MIB))
+            with pytest.raises(StorageFullError):
+                watching.report("voxelize", 0.2)
+    finally:
+        close_runtime(runtime)
