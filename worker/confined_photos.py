@@ -103,7 +103,7 @@ def _camera(fields: dict[str, Any]) -> GivenCamera:
 def main() -> None:
     """Give up all but the files named, then read them."""
     request = PhotoRequest.model_validate_json(sys.stdin.buffer.read())
-    confine(request.folder, [] if request.root is None else [request.root])
+    confine(request.folder, _readable(request))
     answer_to = os.dup(1)
     os.dup2(2, 1)  # what a library prints is no answer
     with os.fdopen(answer_to, "w") as stream:
@@ -123,6 +123,14 @@ def main() -> None:
         if given is not None:
             cameras = [vars(camera) | {"world_to_camera": camera.world_to_camera.tolist()} for camera in given]
         tell(PhotoAnswer(prepared=prepared, cameras=cameras))
+
+
+def _readable(request: PhotoRequest) -> list[Path]:
+    """The files named, and where their links lead: a job's inputs are links into the folder of artifacts."""
+    files = [photo.path for photo in request.photos]
+    if request.root is not None:
+        files += [request.root, *request.root.rglob("*")]
+    return [path.resolve() for path in files]
 
 
 if __name__ == "__main__":

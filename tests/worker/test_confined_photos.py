@@ -6,10 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import PIL.Image
+import psutil
 import pytest
 from PIL import Image
 
-from dynamictree.errors import Cancelled, FormatError, InputError
+from dynamictree.errors import Cancelled, FormatError, ReconstructionError
 from dynamictree.reconstruct.photo_input import read_photos
 from dynamictree.reconstruct.photos import list_photos
 from jobs.records import AssetPart
@@ -61,22 +62,50 @@ def test_the_child_reads_what_the_library_reads(
         np.testing.assert_array_equal(camera.world_to_camera, same.world_to_camera)
 
 
-def test_a_stage_reads_no_file_outside_of_its_job(photos: list[Path], tmp_path: Path) -> None:
-    """A decoder that was taken over by a photo reaches what the child reaches."""
-    outside = tmp_path / "secret.png"
-    photos[3].rename(outside)
-    photos[3].symlink_to(outside)
-    with pytest.raises(InputError, match="reading the photos ended with exit code"):
-        reconstruct(
-            StageInput(
-                job=job_row(asset_row(AssetPart(name="a", sha256="a" * 64, bytes=1), now=0.0), "reconstruct", now=0.0),
-                folder=tmp_path,
-                resume_dir=tmp_path / "resume",
-                files={},
-                photos=tuple(photos),
-                report=lambda share: None,
-            )
-        )
+def test_links_into_the_folder_of_artifacts_are_read(photos: list[Path], tmp_path: Path) -> None:
+    """As a worker fetches its inputs from a folder."""
+    (tmp_path / "artifacts").mkdir()
+    for number, path in enumerate(photos):
+        path.rename(tmp_path / "artifacts" / str(number))
+        path.symlink_to(tmp_path / "artifacts" / str(number))
+    _, prepared = read_confined(list_photos(photos), photos[0].parent, tmp_path / "out", lambda *_: None)
+    assert len(prepared) == len(photos)
+
+
+def test_the_child_is_confined(photos: list[Path], tmp_path: Path) -> None:
+    states = []
+
+    def look(*_: int) -> None:
+        [child] = psutil.Process().children()
+        status = Path(f"/proc/{child.pid}/status").read_text()
+        states.append(dict(line.split(":\t") for line in status.splitlines() if line.startswith(("Secc", "NoNew"))))
+        assert not [name for name in child.environ() if name.startswith(("DYNAMICTREE", "AWS"))]
+
+    read_confined(list_photos(photos), photos[0].parent, tmp_path / "out", look)
+    assert all((state["NoNewPrivs"], state["Seccomp"]) == ("1", "2") for state in states)
+
+
+def test_a_stage_decodes_no_photo_itself(photos: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened, open_image = [], PIL.Image.open
+
+    def opening(path: Path, **options: object) -> Image.Image:
+        opened.append(Path(path))
+        return open_image(path, **options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(PIL.Image, "open", opening)
+    row = asset_row(AssetPart(name="a", sha256="a" * 64, bytes=1), now=0.0)
+    given = StageInput(
+        job=job_row(row, "reconstruct", now=0.0),
+        folder=tmp_path,
+        resume_dir=tmp_path / "resume",
+        files={},
+        photos=tuple(photos),
+        report=lambda share: None,
+    )
+    given.resume_dir.mkdir()
+    with pytest.raises(ReconstructionError):  # noise has nothing in common
+        reconstruct(given)
+    assert not [path for path in opened if path.is_relative_to(photos[0].parent)]
 
 
 def test_a_damaged_photo_is_named(photos: list[Path], tmp_path: Path) -> None:
