@@ -9,6 +9,7 @@
     ├── StorageAwayError    the storage of the bytes does not answer
     ├── StorageFullError    it has no room
     ├── FencedError         another attempt owns the job; this one must stop
+    ├── BackupError         a backup is damaged, or of a newer version
     ├── OutboundError       an address that may not be called, or that does not answer
     └── SettingsError       the settings cannot be used
 
@@ -64,6 +65,12 @@ class StorageFullError(JobsError):
     """The storage of the bytes has no room."""
 
     code = "disk-full"
+
+
+class BackupError(JobsError):
+    """A backup is damaged, or of a newer version."""
+
+    code = "backup-error"
 
 
 class FencedError(JobsError):

@@ -21,6 +21,9 @@ Limit = Literal[
 LIMITS: tuple[Limit, ...] = get_args(Limit)
 """Each is a setting `limit_…`; a key may have its own."""
 
+USE_WRITTEN_S = 3600.0
+"""So rarely a key's use is written: a write per request would cost more than most requests."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class KeyRecord:
@@ -35,6 +38,7 @@ class KeyRecord:
     created_at: float
     expires_at: float | None = None
     revoked_at: float | None = None
+    last_used_at: float | None = None  # within `USE_WRITTEN_S`
 
     def valid(self, now: float) -> bool:
         """Whether it opens anything at a time."""
@@ -78,6 +82,15 @@ def find_key(store: Store, digest: str) -> KeyRecord | None:
     with store.reading() as connection:
         row = connection.execute(sa.select(t.api_keys).where(t.api_keys.c.digest == digest)).one_or_none()
     return None if row is None else _key(row)
+
+
+def note_use(store: Store, key: KeyRecord) -> None:
+    """Write that a key is used now, unless that was written not long ago."""
+    now = store.clock()
+    stale = t.api_keys.c.last_used_at.is_(None) | (t.api_keys.c.last_used_at < now - USE_WRITTEN_S)
+    if key.last_used_at is None or key.last_used_at < now - USE_WRITTEN_S:
+        with store.writing() as connection:
+            connection.execute(t.api_keys.update().where((t.api_keys.c.id == key.id) & stale).values(last_used_at=now))
 
 
 def is_valid(store: Store, key_id: str) -> bool:

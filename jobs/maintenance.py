@@ -189,11 +189,12 @@ def unreferenced_blobs(store: Store, *, limit: int = 100) -> list[str]:
     with store.reading() as connection:
         aged = t.blobs.c.touched_at < now - BLOB_GRACE_S
         candidates = connection.execute(sa.select(t.blobs.c.sha256).where(aged)).scalars().all()
-        referenced = set(_referenced(connection, now)) if candidates else set()
-    return [sha256 for sha256 in candidates if sha256 not in referenced][:limit]
+        in_use = set(referenced(connection, now)) if candidates else set()
+    return [sha256 for sha256 in candidates if sha256 not in in_use][:limit]
 
 
-def _referenced(connection: sa.Connection, now: float) -> Iterator[str]:
+def referenced(connection: sa.Connection, now: float) -> Iterator[str]:
+    """Hashes of all bytes that a row refers to; some more than once."""
     yield from connection.execute(sa.select(t.artifacts.c.sha256).where(t.artifacts.c.expires_at > now)).scalars()
     for files in connection.execute(sa.select(t.stage_cache.c.files)).scalars():
         yield from (file["sha256"] for file in files)

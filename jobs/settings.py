@@ -93,6 +93,7 @@ class Settings(BaseSettings):
     cors_origins: tuple[str, ...] = ()
     log_level: Literal["DEBUG", "INFO", "WARNING", "ERROR"] = "INFO"
     log_format: Literal["text", "json"] = "text"
+    audit_log_bytes: int = Field(default=64 * MIB, ge=0)
     otlp_endpoint: str | None = Field(default=None, pattern=r"^https?://")
 
     @model_validator(mode="after")

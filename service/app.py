@@ -17,6 +17,7 @@ from fastapi.responses import Response
 from jobs.logging_setup import set_up_logging
 from jobs.settings import Settings, read_settings
 from service.http import problem_handlers
+from service.http.audit import Audited
 from service.http.authentication import Authentication
 from service.http.middleware import BodyLimit, RequestFrame
 from service.http.problems import problem_response, request_id_of
@@ -120,6 +121,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.add_exception_handler(sa.exc.OperationalError, _on_database_away)
     app.add_middleware(BodyLimit, settings=settings)
     app.add_middleware(Authentication, settings=settings)
+    app.add_middleware(Audited, settings=settings)
     if settings.cors_origins:
         app.add_middleware(
             CORSMiddleware,

@@ -10,7 +10,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from jobs.keys import KeyRecord, digest_of, find_key
+from jobs.keys import KeyRecord, digest_of, find_key, note_use
 from jobs.keys import Scope as KeyScope
 from jobs.settings import Settings
 from jobs.store import Store
@@ -82,13 +82,16 @@ class Authentication:
         return caller_of(key, settings)
 
     async def _key(self, key: str, store: Store) -> KeyRecord:
-        digest = digest_of(key)
+        digest, fresh = digest_of(key), False
         try:
             found = self._keys[digest]
         except KeyError:
             found = self._keys[digest] = await run_in_threadpool(find_key, store, digest)
+            fresh = True
         if found is None or not found.valid(store.clock()):
             raise _unauthorized("the key is unknown, revoked or has expired")
+        if fresh:
+            await run_in_threadpool(note_use, store, found)
         return found
 
 

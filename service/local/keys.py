@@ -12,7 +12,7 @@ import typer
 from jobs.keys import LIMITS, SCOPES, KeyRecord, Limit, Scope, create_key, revoke_key
 from jobs.keys import keys as all_keys
 from jobs.store import Store
-from service.local.command_line import StateDir, one_line, settings_of
+from service.local.command_line import StateDir, audit, one_line, settings_of
 
 app = typer.Typer(no_args_is_help=True, help="Make API keys, list them, revoke them.")
 
@@ -41,6 +41,7 @@ def create(
     with _store(state_dir) as store:
         expires_s = None if expires_days is None else expires_days * 86400
         record, key = create_key(store, name=name, owner=owner, scopes=scopes, limits=limits, expires_s=expires_s)
+    audit("keys create", state_dir, target=record.id, owner=record.owner)
     if as_json:
         typer.echo(json.dumps({"id": record.id, "owner": record.owner, "key": key}))
         return
@@ -50,7 +51,7 @@ def create(
 
 @app.command("list")
 def list_keys(state_dir: StateDir = None, as_json: _AsJson = False) -> None:
-    """List the keys' ids, owners and scopes; the keys themselves are not stored."""
+    """List the keys' ids, owners, scopes, expiry and last use (to the hour); the keys themselves are not stored."""
     with _store(state_dir) as store:
         records = all_keys(store)
     if as_json:
@@ -58,7 +59,9 @@ def list_keys(state_dir: StateDir = None, as_json: _AsJson = False) -> None:
         return
     for key in records:
         state = "valid" if key.valid(time.time()) else "revoked" if key.revoked_at is not None else "expired"
-        typer.echo(f"{key.id}  {state:8} {key.owner:26}  {','.join(key.scopes)}  {key.name}")
+        used = "never used" if key.last_used_at is None else f"used {_time(key.last_used_at)}"
+        ends = "" if key.expires_at is None else f", until {_time(key.expires_at)}"
+        typer.echo(f"{key.id}  {state:8} {key.owner:26}  {','.join(key.scopes)}  {key.name}  {used}{ends}")
 
 
 @app.command()
@@ -66,6 +69,7 @@ def revoke(key_id: Annotated[str, typer.Argument(help="as `keys list` shows it")
     """Let a key open nothing any more, within two seconds."""
     with _store(state_dir) as store:
         revoke_key(store, key_id)
+    audit("keys revoke", state_dir, target=key_id)
 
 
 def _told(key: KeyRecord) -> dict[str, object]:
@@ -76,7 +80,13 @@ def _told(key: KeyRecord) -> dict[str, object]:
         "scopes": list(key.scopes),
         "limits": dict(key.limits),
         "valid": key.valid(time.time()),
+        "expires_at": key.expires_at,
+        "last_used_at": key.last_used_at,
     }
+
+
+def _time(seconds: float) -> str:
+    return time.strftime("%Y-%m-%d %H:%M", time.gmtime(seconds))
 
 
 def _scopes(given: list[str]) -> tuple[Scope, ...]:

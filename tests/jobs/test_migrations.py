@@ -37,7 +37,7 @@ def test_many_may_migrate_at_once(tmp_path: Path) -> None:
 
 def test_every_revision_can_be_taken_back_and_done_again(store: Store) -> None:
     job = add_job(store, add_asset(store, make_asset(store.clock()))[0])
-    for revision in ("0003", "0002", "0001"):
+    for revision in ("0004", "0003", "0002", "0001"):
         step_back(store.engine, revision)
     with store.engine.connect() as connection:
         assert connection.exec_driver_sql("SELECT id FROM jobs").scalar_one() == job.id

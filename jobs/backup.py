@@ -1,0 +1,176 @@
+"""Back up the job store and its bytes into a folder, and restore them into an empty state.
+
+The folder holds `database.jsonl.gz` (a header, then one line per row, of one moment) and `blobs/ab/abcd…` by sha256. A
+later backup into the same folder copies only new bytes. Rows are read in one transaction; the housekeeper deletes no
+bytes while a backup holds its lease. SQLite and PostgreSQL restore into one another.
+"""
+
+import gzip
+import json
+import os
+import tempfile
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import sqlalchemy as sa
+
+from jobs import tables as t
+from jobs.artifacts import ArtifactStore
+from jobs.errors import BackupError, ConflictError
+from jobs.maintenance import hold_lease, referenced, release_lease
+from jobs.store import Store, new_id
+
+BACKUP_LEASE = "backup"
+LEASE_S = 600.0
+FORMAT = 1
+DATABASE, BLOBS = "database.jsonl.gz", "blobs"
+NOT_SAVED = frozenset({"leases"})
+"""Who holds what now, which says nothing to another day's processes."""
+
+BATCH_ROWS = 500
+
+
+@dataclass(frozen=True, kw_only=True)
+class BackupReport:
+    """What was saved or restored."""
+
+    rows: int
+    blobs: int
+    bytes: int
+    copied: int  # of the blobs, those that were not there before
+    damaged: tuple[str, ...] = ()  # sha256 of bytes that are missing or have another hash
+
+
+def back_up(store: Store, artifacts: ArtifactStore, folder: Path) -> BackupReport:
+    """Save every row, and all bytes that a row refers to.
+
+    Raises:
+        ConflictError: another backup runs.
+    """
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    owner = new_id()
+    if not hold_lease(store, BACKUP_LEASE, owner=owner, lease_s=LEASE_S):
+        raise ConflictError("another backup runs, or ended less than ten minutes ago without saying so; wait for it")
+    try:
+        with store.snapshot() as connection:
+            rows = _write_rows(connection, folder / f"{DATABASE}.part")
+            digests = sorted(set(referenced(connection, store.clock())))
+        copied, total, damaged = 0, 0, []
+        for digest in digests:
+            hold_lease(store, BACKUP_LEASE, owner=owner, lease_s=LEASE_S)
+            target = _blob(folder, digest)
+            if not target.exists():
+                if not _save_blob(artifacts, digest, target):
+                    damaged.append(digest)
+                    continue
+                copied += 1
+            total += target.stat().st_size
+        (folder / f"{DATABASE}.part").replace(folder / DATABASE)  # the rows last: they refer to the bytes
+    finally:
+        release_lease(store, BACKUP_LEASE, owner=owner)
+    saved = len(digests) - len(damaged)
+    return BackupReport(rows=rows, blobs=saved, bytes=total, copied=copied, damaged=tuple(damaged))
+
+
+def restore(store: Store, artifacts: ArtifactStore, folder: Path) -> BackupReport:
+    """Fill an empty store with a backup. Jobs that ran are begun anew; uploads that were not whole are left out.
+
+    Raises:
+        ConflictError: the store is not empty.
+        BackupError: the backup cannot be read, or some of its bytes have another hash: nothing was written.
+    """
+    saved = list(_read_rows(folder / DATABASE))
+    with store.reading() as connection:
+        for table in (t.api_keys, t.assets, t.jobs, t.uploads):
+            if connection.execute(sa.select(sa.func.count()).select_from(table)).scalar_one():
+                raise ConflictError(f"there are rows in {table.name}; restore into an empty database")
+    blobs = sorted(path for path in (folder / BLOBS).rglob("*") if path.is_file())
+    damaged = [path.name for path in blobs if _hash(path) != path.name]
+    if damaged:
+        raise BackupError(f"{len(damaged)} files of the backup have another hash, the first is {damaged[0]}")
+    for path in blobs:
+        artifacts.put(path, path.name)
+    size = sum(path.stat().st_size for path in blobs)
+    with store.writing() as connection:
+        connection.execute(t.tallies.delete())
+        for table in t.metadata.sorted_tables:
+            rows = [row for name, row in saved if name == table.name and _is_restored(name, row)]
+            for start in range(0, len(rows), BATCH_ROWS):
+                connection.execute(table.insert(), rows[start : start + BATCH_ROWS])
+        connection.execute(t.outbox.update().values(sent_at=None))  # the queue of that day is gone
+        if connection.dialect.name == "postgresql":
+            newest = sa.select(sa.func.max(t.job_logs.c.id)).scalar_subquery()
+            sequence = sa.func.pg_get_serial_sequence("job_logs", "id")
+            connection.execute(sa.select(sa.func.setval(sequence, sa.func.coalesce(newest, 1))))
+    return BackupReport(rows=len(saved), blobs=len(blobs), bytes=size, copied=len(blobs))
+
+
+def _is_restored(table: str, row: Mapping[str, Any]) -> bool:
+    return table != "uploads" or row["state"] in {"ready", "failed"}
+
+
+def _write_rows(connection: sa.Connection, path: Path) -> int:
+    number = 0
+    path.touch(mode=0o600)
+    with gzip.open(path, "wt") as stream:
+        stream.write(json.dumps({"format": FORMAT, "revision": t.HEAD}) + "\n")
+        for table in t.metadata.sorted_tables:
+            if table.name in NOT_SAVED:
+                continue
+            for row in connection.execute(sa.select(table)):
+                stream.write(json.dumps([table.name, dict(row._mapping)]) + "\n")
+                number += 1
+    return number
+
+
+def _read_rows(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
+    try:
+        with gzip.open(path, "rt") as stream:
+            header = json.loads(stream.readline())
+            if header["format"] != FORMAT or header["revision"] > t.HEAD:
+                raise BackupError(f"{path} is of format {header['format']}, revision {header['revision']}: newer code")
+            for line in stream:
+                name, row = json.loads(line)
+                yield name, row
+    except (OSError, EOFError, ValueError, KeyError) as error:
+        raise BackupError(f"{path} cannot be read: {error}") from error
+
+
+def _save_blob(artifacts: ArtifactStore, digest: str, target: Path) -> bool:
+    """Copy bytes and check them on the way; whether they are there and right."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    found = sha256()
+    with tempfile.NamedTemporaryFile(dir=target.parent, prefix=".part-", delete=False) as stream:
+        part = Path(stream.name)
+        try:
+            for chunk in artifacts.read(digest):
+                found.update(chunk)
+                stream.write(chunk)
+            stream.flush()
+            os.fsync(stream.fileno())
+        except FileNotFoundError:
+            part.unlink()
+            return False
+        except BaseException:
+            part.unlink()
+            raise
+    if found.hexdigest() != digest:
+        part.unlink()
+        return False
+    part.replace(target)
+    return True
+
+
+def _hash(path: Path) -> str:
+    with path.open("rb") as stream:
+        found = sha256()
+        while chunk := stream.read(1 << 20):
+            found.update(chunk)
+    return found.hexdigest()
+
+
+def _blob(folder: Path, digest: str) -> Path:
+    return folder / BLOBS / digest[:2] / digest

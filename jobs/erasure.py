@@ -1,0 +1,91 @@
+"""Erase everything of one owner: keys, files, jobs, products, webhooks, and the traces that ids leave."""
+
+from dataclasses import dataclass
+
+import sqlalchemy as sa
+
+from jobs import tables as t
+from jobs.artifacts import ArtifactStore
+from jobs.errors import ConflictError
+from jobs.maintenance import referenced
+from jobs.states import ACTIVE, JobState
+from jobs.store import Store
+from jobs.upload_parts import PartStore
+
+
+@dataclass(frozen=True, kw_only=True)
+class ErasureReport:
+    """What was deleted."""
+
+    keys: int
+    assets: int
+    jobs: int
+    uploads: int
+    webhooks: int
+    blobs: int
+
+
+def erase_owner(store: Store, artifacts: ArtifactStore, parts: PartStore, owner: str) -> ErasureReport:
+    """Delete all rows of an owner, then the bytes that no other owner's rows refer to.
+
+    Keys are revoked first. Queued jobs are canceled; ones that run must end before.
+
+    Raises:
+        ConflictError: a job of theirs runs; it was asked to stop.
+    """
+    theirs = store.for_owner(owner)
+    now = store.clock()
+    with store.writing() as connection:
+        mine = (t.api_keys.c.owner == owner) & t.api_keys.c.revoked_at.is_(None)
+        connection.execute(t.api_keys.update().where(mine).values(revoked_at=now))
+    _stop_jobs(theirs, owner)
+    with store.reading() as connection:
+        digests = _digests(connection, owner)
+        uploads = list(connection.execute(sa.select(t.uploads.c.id).where(t.uploads.c.owner == owner)).scalars())
+    for upload_id in uploads:
+        parts.delete(upload_id)
+    with store.writing() as connection:
+        counted = _delete_rows(connection, owner)
+        _forget_cached(connection, digests)
+        left = digests - set(referenced(connection, now))
+        connection.execute(t.blobs.delete().where(t.blobs.c.sha256.in_(left)))
+    for digest in left:
+        artifacts.delete(digest)
+    return ErasureReport(**counted, blobs=len(left))
+
+
+def _stop_jobs(theirs: Store, owner: str) -> None:
+    active = t.jobs.c.state.in_(ACTIVE) & (t.jobs.c.owner == owner)
+    with theirs.reading() as connection:
+        ids = list(connection.execute(sa.select(t.jobs.c.id).where(active)).scalars())
+    running = [job_id for job_id in ids if theirs.cancel(job_id).state != JobState.CANCELED]
+    if running:
+        raise ConflictError(f"{len(running)} jobs of {owner} still run and were asked to stop; repeat in a minute")
+
+
+def _digests(connection: sa.Connection, owner: str) -> set[str]:
+    """The sha256 of all bytes that an owner's rows refer to."""
+    found: set[str] = set()
+    for row in connection.execute(sa.select(t.assets.c.parts, t.assets.c.prepared).where(t.assets.c.owner == owner)):
+        found |= {part["sha256"] for part in row.parts}
+        if row.prepared is not None:
+            found.add(row.prepared["sha256"])
+    made = sa.select(t.artifacts.c.sha256).join(t.jobs, t.jobs.c.id == t.artifacts.c.job_id)
+    return found | set(connection.execute(made.where(t.jobs.c.owner == owner)).scalars())
+
+
+def _delete_rows(connection: sa.Connection, owner: str) -> dict[str, int]:
+    """Rows that hang on a job or an endpoint go with it; tombstones too, so that ids of theirs mean nothing."""
+    counted = {}
+    tables = {"webhooks": t.webhook_endpoints, "jobs": t.jobs, "assets": t.assets, "uploads": t.uploads}
+    for name, table in (tables | {"tombstones": t.tombstones, "keys": t.api_keys}).items():
+        counted[name] = connection.execute(table.delete().where(table.c.owner == owner)).rowcount
+    del counted["tombstones"]
+    return counted
+
+
+def _forget_cached(connection: sa.Connection, digests: set[str]) -> None:
+    """Delete cached stages that gave any of these files. An entry of another owner is only computed again."""
+    for row in connection.execute(sa.select(t.stage_cache.c.key, t.stage_cache.c.files)).all():
+        if any(file["sha256"] in digests for file in row.files):
+            connection.execute(t.stage_cache.delete().where(t.stage_cache.c.key == row.key))

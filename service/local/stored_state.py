@@ -1,0 +1,73 @@
+"""`dynamictree backup`, `restore`, `scrub` and `erase`: the whole of what the service stores."""
+
+import json
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from jobs.artifacts import ArtifactStore, open_artifacts
+from jobs.backup import back_up
+from jobs.backup import restore as restore_backup
+from jobs.erasure import erase_owner
+from jobs.scrub import scrub as read_again
+from jobs.store import Store
+from jobs.upload_parts import open_parts
+from service.local.command_line import StateDir, audit, one_line, settings_of
+
+Folder = Annotated[Path, typer.Argument(help="folder of the backup")]
+
+
+def backup(folder: Folder, state_dir: StateDir = None) -> None:
+    """Save database and bytes into a folder, while the service runs. Bytes that are there already are not copied."""
+    with _opened("backup", state_dir) as (store, artifacts):
+        report = back_up(store, artifacts, folder)
+    audit("backup", state_dir, target=str(folder))
+    typer.echo(json.dumps(asdict(report)))
+    if report.damaged:
+        typer.echo(f"{len(report.damaged)} files are missing or damaged, and are not in the backup", err=True)
+        raise typer.Exit(1)
+
+
+def restore(folder: Folder, state_dir: StateDir = None) -> None:
+    """Fill an empty state with a backup. Stop the service first; jobs that ran are begun anew."""
+    with _opened("restore", state_dir) as (store, artifacts):
+        report = restore_backup(store, artifacts, folder)
+    audit("restore", state_dir, target=str(folder))
+    typer.echo(json.dumps(asdict(report)))
+
+
+def scrub(state_dir: StateDir = None) -> None:
+    """Read all stored bytes and compare them with their hashes. Exit status 1 where some are missing or differ."""
+    with _opened("scrub", state_dir) as (store, artifacts):
+        report = read_again(store, artifacts)
+    typer.echo(json.dumps(asdict(report)))
+    if report.missing or report.different:
+        raise typer.Exit(1)
+
+
+def erase(
+    owner: Annotated[str, typer.Argument(help="as `keys list` shows it")],
+    yes: Annotated[bool, typer.Option("--yes", help="do not ask")] = False,
+    state_dir: StateDir = None,
+) -> None:
+    """Delete everything of one owner: keys, uploads, assets, jobs, products, webhooks. Backups are not touched."""
+    if not yes:
+        typer.confirm(f"Delete everything of owner {owner} for good?", abort=True)
+    with _opened("erase", state_dir) as (store, artifacts):
+        settings = settings_of(state_dir=state_dir)
+        parts = open_parts(settings.resolved_artifacts_url, credentials=settings.s3_credentials)
+        report = erase_owner(store, artifacts, parts, owner)
+    audit("erase", state_dir, target=owner)
+    typer.echo(json.dumps(asdict(report)))
+
+
+@contextmanager
+def _opened(command: str, state_dir: Path | None) -> Iterator[tuple[Store, ArtifactStore]]:
+    with one_line(command):
+        settings = settings_of(state_dir=state_dir)
+        with closing(Store.open(settings.resolved_database_url)) as store:
+            yield store, open_artifacts(settings.resolved_artifacts_url, credentials=settings.s3_credentials)

@@ -1,0 +1,221 @@
+"""A backup restores into an empty store with the same rows and bytes, whichever database either has."""
+
+import threading
+from dataclasses import replace
+from hashlib import sha256
+from pathlib import Path
+
+import pytest
+import sqlalchemy as sa
+
+from jobs import tables as t
+from jobs.artifacts import FolderArtifacts
+from jobs.assets import add_asset, read_asset
+from jobs.attempts import claim, finish_cancel, publish_stage, start_stage, succeed, touch_blob
+from jobs.backup import BACKUP_LEASE, BLOBS, back_up, restore
+from jobs.erasure import erase_owner
+from jobs.errors import BackupError, ConflictError, NotFoundError
+from jobs.keys import create_key
+from jobs.maintenance import hold_lease, living, unreferenced_blobs
+from jobs.records import AssetPart, Claim, JobRecord, OutputFile
+from jobs.scrub import scrub
+from jobs.store import Store
+from jobs.upload_parts import FolderParts
+from jobs.uploads import UploadRecord, add_upload
+from jobs.webhooks import add_endpoint
+from tests.jobs.conftest import add_job, make_asset
+from tests.rows import asset_row
+
+
+@pytest.fixture
+def artifacts(tmp_path: Path) -> FolderArtifacts:
+    return FolderArtifacts(tmp_path / "artifacts")
+
+
+def _put(store: Store, artifacts: FolderArtifacts, folder: Path, content: bytes) -> AssetPart:
+    path = folder / sha256(content).hexdigest()
+    path.write_bytes(content)
+    touch_blob(store, path.name, len(content))
+    artifacts.put(path, path.name)
+    return AssetPart(name="file", sha256=path.name, bytes=len(content))
+
+
+def fill(store: Store, artifacts: FolderArtifacts, folder: Path, owner: str, *, seed: str = "") -> JobRecord:
+    """A key, an upload, a webhook, and a job with one product, all of one owner."""
+    folder.mkdir(exist_ok=True)
+    theirs = store.for_owner(owner)
+    create_key(store, name="k", owner=owner)
+    add_endpoint(theirs, "https://tree.example/", ())
+    add_upload(theirs, _upload(store, f"{owner}{seed}-upload"))
+    part = _put(store, artifacts, folder, f"{owner}{seed} sent".encode())
+    asset = add_asset(theirs, asset_row(part, now=store.clock(), fingerprint=part.sha256))[0]
+    job = add_job(theirs, asset)
+    held = claim(store, job.id, 1, owner="w", lease_s=60)
+    assert held is not None
+    made = _put(store, artifacts, folder, f"{owner}{seed} made".encode())
+    file = OutputFile(name="v", media_type="a/b", sha256=made.sha256, bytes=made.bytes)
+    start_stage(store, held, "voxelize")
+    publish_stage(store, held, "voxelize", (file,), key=made.sha256, cached=False, retention_s=1000)
+    return job
+
+
+def _upload(store: Store, upload_id: str) -> UploadRecord:
+    now = store.clock()
+    return UploadRecord(
+        id=upload_id, state="failed", filename="tree", options={}, length=1, created_at=now, expires_at=now + 100
+    )
+
+
+def _rows(store: Store) -> dict[str, list[dict[str, object]]]:
+    with store.reading() as connection:
+        return {
+            table.name: [
+                dict(row._mapping) for row in connection.execute(sa.select(table).order_by(*table.primary_key))
+            ]
+            for table in t.metadata.sorted_tables
+            if table.name not in {"leases", "outbox"}
+        }
+
+
+@pytest.mark.parametrize("into", ["sqlite", "postgresql"])
+def test_a_restored_state_has_the_same_rows_and_bytes(
+    store: Store, artifacts: FolderArtifacts, tmp_path: Path, into: str, request: pytest.FixtureRequest
+) -> None:
+    if into == "postgresql" and store.engine.dialect.name == "postgresql":
+        pytest.skip("there is one PostgreSQL")
+    jobs = [fill(store, artifacts, tmp_path / "sent", owner) for owner in ("ann", "bob")]
+    report = back_up(store, artifacts, tmp_path / "backup")
+    assert (report.blobs, report.copied, report.damaged) == (4, 4, ())
+    assert back_up(store, artifacts, tmp_path / "backup").copied == 0
+    url = f"sqlite:///{tmp_path / 'new.sqlite'}" if into == "sqlite" else request.getfixturevalue("postgres_url")
+    other = Store.open(url, clock=store.clock)
+    elsewhere = FolderArtifacts(tmp_path / "elsewhere")
+    try:
+        restore(other, elsewhere, tmp_path / "backup")
+        assert _rows(other) == _rows(store)
+        read = scrub(other, elsewhere)
+        assert (read.blobs, read.missing, read.different) == (4, (), ())
+        assert [other.job(job.id) for job in jobs] == [store.job(job.id) for job in jobs]
+        held = claim(other, add_job(other, read_asset(other, jobs[0].asset_id)).id, 1, owner="w", lease_s=60)
+        assert held is not None  # numbered rows go on where the backup ended
+        assert succeed(other, held) == "succeeded"
+        with pytest.raises(ConflictError, match="empty"):
+            restore(other, elsewhere, tmp_path / "backup")
+    finally:
+        if into == "postgresql":
+            with other.engine.begin() as connection:
+                for table in reversed(t.metadata.sorted_tables):
+                    connection.execute(table.delete())
+        other.close()
+
+
+def test_a_backup_is_of_one_moment_while_others_write(store: Store, artifacts: FolderArtifacts, tmp_path: Path) -> None:
+    fill(store, artifacts, tmp_path / "sent", "ann")
+    stop, wrong = threading.Event(), []
+
+    def write() -> None:
+        number = 0
+        while not stop.is_set():
+            try:
+                fill(store, artifacts, tmp_path / "more", "bob", seed=str(number := number + 1))
+            except ConflictError:  # twenty webhooks are allowed
+                continue
+            except Exception as error:  # noqa: BLE001 (the test tells)
+                wrong.append(error)
+                return
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    try:
+        for number in range(3):
+            back_up(store, artifacts, tmp_path / str(number))
+    finally:
+        stop.set()
+        writer.join()
+    assert not wrong
+    for number in range(3):
+        other = Store.open(f"sqlite:///{tmp_path / f'{number}.sqlite'}", clock=store.clock)
+        elsewhere = FolderArtifacts(tmp_path / f"elsewhere-{number}")
+        restore(other, elsewhere, tmp_path / str(number))
+        read = scrub(other, elsewhere)
+        assert read.blobs
+        assert (read.missing, read.different) == ((), ())
+        other.close()
+
+
+def test_a_backup_has_its_lease_while_it_copies(store: Store, artifacts: FolderArtifacts, tmp_path: Path) -> None:
+    fill(store, artifacts, tmp_path / "sent", "ann")
+    seen = []
+
+    class Looking(FolderArtifacts):
+        def read(self, digest: str, **given: int):  # type: ignore[no-untyped-def]
+            seen.append(bool(living(store, BACKUP_LEASE)))
+            return super().read(digest, **given)
+
+    back_up(store, Looking(artifacts.root), tmp_path / "backup")
+    assert seen == [True, True]
+    assert living(store, BACKUP_LEASE) == []
+
+
+def test_one_backup_runs_at_a_time(store: Store, artifacts: FolderArtifacts, tmp_path: Path) -> None:
+    assert hold_lease(store, BACKUP_LEASE, owner="other", lease_s=60)
+    with pytest.raises(ConflictError, match="another backup"):
+        back_up(store, artifacts, tmp_path / "backup")
+
+
+def test_damaged_bytes_are_found(store: Store, artifacts: FolderArtifacts, tmp_path: Path) -> None:
+    fill(store, artifacts, tmp_path / "sent", "ann")
+    gone, changed = sorted(path for path in artifacts.root.rglob("*") if path.is_file())
+    gone.unlink()
+    changed.chmod(0o644)
+    changed.write_bytes(b"x" + changed.read_bytes()[1:])
+    read = scrub(store, artifacts)
+    assert (read.missing, read.different) == ((gone.name,), (changed.name,))
+    assert set(back_up(store, artifacts, tmp_path / "backup").damaged) == {gone.name, changed.name}
+
+
+def test_a_damaged_backup_is_refused(store: Store, artifacts: FolderArtifacts, tmp_path: Path) -> None:
+    fill(store, artifacts, tmp_path / "sent", "ann")
+    back_up(store, artifacts, tmp_path / "backup")
+    other = Store.open(f"sqlite:///{tmp_path / 'new.sqlite'}", clock=store.clock)
+    blob = next(path for path in (tmp_path / "backup" / BLOBS).rglob("*") if path.is_file())
+    blob.write_bytes(b"other")
+    with pytest.raises(BackupError, match="another hash"):
+        restore(other, FolderArtifacts(tmp_path / "elsewhere"), tmp_path / "backup")
+    (tmp_path / "backup" / "database.jsonl.gz").write_bytes(b"no gzip")
+    with pytest.raises(BackupError, match="cannot be read"):
+        restore(other, FolderArtifacts(tmp_path / "elsewhere"), tmp_path / "backup")
+    with other.reading() as connection:
+        assert connection.execute(sa.select(sa.func.count()).select_from(t.jobs)).scalar_one() == 0
+    other.close()
+
+
+def test_an_erased_owner_leaves_nothing(store: Store, artifacts: FolderArtifacts, tmp_path: Path) -> None:
+    parts = FolderParts(tmp_path / "parts")
+    erased, stays = (fill(store, artifacts, tmp_path / "sent", owner) for owner in ("ann", "bob"))
+    (parts.root / "ann-upload").write_bytes(b"private")
+    with pytest.raises(ConflictError, match="still run"):
+        erase_owner(store, artifacts, parts, "ann")
+    finish_cancel(store, Claim(job=replace(store.job(erased.id), attempt=1), owner="w"))
+    report = erase_owner(store, artifacts, parts, "ann")
+    assert (report.keys, report.assets, report.jobs, report.uploads, report.webhooks) == (1, 1, 1, 1, 1)
+    assert report.blobs == 2
+    assert "ann" not in str(_rows(store))
+    assert erased.id not in str(_rows(store))
+    contents = {path.read_bytes() for path in artifacts.root.rglob("*") if path.is_file()}
+    assert contents == {b"bob sent", b"bob made"}
+    assert not list(parts.root.iterdir())
+    with pytest.raises(NotFoundError):
+        store.job(erased.id)
+    assert store.job(stays.id).id == stays.id
+    assert scrub(store, artifacts).missing == ()
+    assert unreferenced_blobs(store) == []
+
+
+def test_bytes_that_another_owner_has_too_stay(store: Store, artifacts: FolderArtifacts, tmp_path: Path) -> None:
+    part = _put(store, artifacts, tmp_path, b"the same tree")
+    for owner in ("ann", "bob"):
+        row = replace(make_asset(store.clock(), owner[0] * 64), parts=(part,), prepared=part)
+        add_asset(store.for_owner(owner), row)
+    assert erase_owner(store, artifacts, FolderParts(tmp_path / "parts"), "ann").blobs == 0
+    assert artifacts.exists(part.sha256)
