@@ -6,6 +6,7 @@ import numpy as np
 import scipy.sparse
 from jaxtyping import Float32, Int32, Shaped
 
+from dynamictree.devoxelize.attachment import Attachments
 from dynamictree.devoxelize.surface_fit import SurfaceFit
 
 
@@ -22,6 +23,7 @@ class VoxelInterpolation:
     num_voxels: int
     fit: SurfaceFit | None = None
     fitted: Int32[np.ndarray, " N"] | None = None  # of the fit's vertices the one that each point is
+    attachments: Attachments | None = None  # of the fit's vertices
 
     def apply(self, values: Shaped[np.ndarray, "V ..."]) -> Shaped[np.ndarray, "N ..."]:
         """Values at voxels to values at points, single precision, real or complex."""

@@ -17,8 +17,11 @@ import numpy as np
 import scipy.sparse
 from jaxtyping import Complex64, Float32, Float64, Int32
 
+from dynamictree.devoxelize.attachment import Attachments
 from dynamictree.devoxelize.interpolation import VoxelInterpolation
+from dynamictree.devoxelize.limit import limited
 from dynamictree.devoxelize.smooth import smooth
+from dynamictree.devoxelize.surface_fit import LINK
 from dynamictree.mesh import TriangleMesh, edges_of, weld
 from dynamictree.voxel.grid import VoxelGrid
 
@@ -43,36 +46,47 @@ class LengthPreservingInterpolation:
     """Smooth interpolation followed by `preserve_lengths`; prepared once per mesh, applied to any spectra."""
 
     mesh: TriangleMesh
+    grid: VoxelGrid
     interpolation: VoxelInterpolation
-    voxel_size_m: float
 
     def apply(self, coefficients: Complex64[np.ndarray, "V K 3"]) -> Complex64[np.ndarray, "N K 3"]:
-        """Spectra at voxels to spectra at vertices [m]."""
-        return preserve_lengths(self.mesh, self.interpolation.apply(coefficients), self.voxel_size_m)
+        """Spectra at voxels to spectra at vertices [m]: no vertex moves much more than the voxels around it."""
+        attachments = self.interpolation.attachments
+        smoothed = self.interpolation.apply(coefficients)
+        moved = preserve_lengths(self.mesh, smoothed, self.grid.voxel_size_m, attachments=attachments)
+        return limited(self.mesh.vertices, moved, self.grid, coefficients)
 
 
 def length_preserving(grid: VoxelGrid, mesh: TriangleMesh) -> LengthPreservingInterpolation:
     """Prepare the devoxelization that products use: `smooth`, then `preserve_lengths`. Dev(·) of paper eq. 1."""
-    return LengthPreservingInterpolation(mesh=mesh, interpolation=smooth(grid, mesh), voxel_size_m=grid.voxel_size_m)
+    return LengthPreservingInterpolation(mesh=mesh, grid=grid, interpolation=smooth(grid, mesh))
 
 
 def preserve_lengths(
-    mesh: TriangleMesh, coefficients: Complex64[np.ndarray, "N K 3"], voxel_size_m: float
+    mesh: TriangleMesh,
+    coefficients: Complex64[np.ndarray, "N K 3"],
+    voxel_size_m: float,
+    *,
+    attachments: Attachments | None = None,
 ) -> Complex64[np.ndarray, "N K 3"]:
     """Remove the stretch of edges from a motion of the mesh's vertices [m]. Vertices at one position move as one.
 
-    The solver takes a fixed number of steps, so that the same input gives the same bits.
+    The solver takes a fixed number of steps, so that the same input gives the same bits. What hangs on another part
+    (`attachments`, of the welded mesh) keeps its gap.
     """
     welded, vertex = weld(mesh)
     first = np.unique(vertex, return_index=True)[1]
     motion = np.ascontiguousarray(coefficients[first].transpose(0, 2, 1))  # [n, 3, K]
-    net = _net(welded, voxel_size_m, _weights(motion))
+    net = _net(welded, voxel_size_m, _weights(motion), attachments)
     steps = max(_MIN_CG_STEPS, min(_CG_STEPS, _CG_STEPS * _CG_VERTICES // len(first)))
 
     mean = np.ascontiguousarray(motion[:, :, :1])
     pose = _without_stretch(net, mean, mean, steps)
     preserved = _without_stretch(net, np.concatenate([pose, motion[:, :, 1:]], axis=2), motion, steps)
-    return np.ascontiguousarray(preserved.transpose(0, 2, 1)[vertex])
+    in_place = preserved.transpose(0, 2, 1)
+    if attachments is not None:
+        in_place = attachments.closed(in_place)
+    return np.ascontiguousarray(in_place[vertex])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,7 +132,9 @@ def _weights(motion: Complex64[np.ndarray, "n 3 K"]) -> Float32[np.ndarray, " n"
     return weights
 
 
-def _net(mesh: TriangleMesh, voxel_size_m: float, weights: Float32[np.ndarray, " n"]) -> _Net:
+def _net(
+    mesh: TriangleMesh, voxel_size_m: float, weights: Float32[np.ndarray, " n"], attachments: Attachments | None
+) -> _Net:
     edges = edges_of(mesh.faces)
     across = mesh.vertices[edges[:, 0]] - mesh.vertices[edges[:, 1]]
     length = np.linalg.norm(across, axis=1)
@@ -127,6 +143,9 @@ def _net(mesh: TriangleMesh, voxel_size_m: float, weights: Float32[np.ndarray, "
     pairs = np.concatenate([edges[:, 0], edges[:, 1]]), np.concatenate([edges[:, 1], edges[:, 0]])
     ties = scipy.sparse.coo_array((np.tile(TURNING * scale**2, 2), pairs), shape=(mesh.num_vertices,) * 2).tocsr()
     turning = scipy.sparse.diags_array(weights + np.asarray(ties.sum(axis=1)).ravel()) - ties
+    if attachments is not None:
+        links = attachments.differences()
+        turning = turning + LINK * TURNING * (links.T @ links)
     each_axis = scipy.sparse.kron(turning, scipy.sparse.eye_array(3)).astype(np.float32).tocsr()
     return _Net(
         edges=edges,

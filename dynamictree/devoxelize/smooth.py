@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import scipy.sparse
 
+from dynamictree.devoxelize.attachment import find_attachments
 from dynamictree.devoxelize.interpolation import VoxelInterpolation
 from dynamictree.devoxelize.nearest import nearest
 from dynamictree.devoxelize.surface_fit import SMOOTHNESS, fit_surface
@@ -30,7 +31,7 @@ def smooth(grid: VoxelGrid, mesh: TriangleMesh, *, smoothness: float = SMOOTHNES
         InputError: a voxel of the grid holds none of the mesh's surface.
     """
     mesh, vertex = weld(mesh)
-    average = surface_average(mesh, grid)
+    average, attachments = surface_average(mesh, grid), find_attachments(mesh, grid)
     shares = _rows_to_one(average.T.tocsr())  # [N, V]
     start, end = edges_of(mesh.faces).T
     pairs = np.concatenate([start, end]), np.concatenate([end, start])
@@ -45,8 +46,9 @@ def smooth(grid: VoxelGrid, mesh: TriangleMesh, *, smoothness: float = SMOOTHNES
         interpolation,
         rows=interpolation.rows[vertex],
         weights=interpolation.weights[vertex],
-        fit=fit_surface(mesh, grid, average, smoothness=smoothness),
+        fit=fit_surface(mesh, grid, average, attachments, smoothness=smoothness),
         fitted=vertex,
+        attachments=attachments,
     )
 
 

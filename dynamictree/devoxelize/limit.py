@@ -1,0 +1,52 @@
+"""A bound on the motion of vertices: a part of a mesh that the fit cannot place well must not fly off."""
+
+import numpy as np
+from jaxtyping import Complex64, Float32
+
+from dynamictree.devoxelize.nearest import nearest
+from dynamictree.spectrum import to_motion
+from dynamictree.voxel.grid import VoxelGrid
+
+MOST_OVER_VOXELS = 1.2
+"""Of the farthest that a voxel around a vertex moves: the farthest that the vertex may."""
+
+_FRAMES_A_BIN = 6  # frames at which the distance is looked at, of each frequency
+_POINTS_AT_ONCE = 20_000
+_AROUND = np.array([(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)], np.int32)
+
+
+def limited(
+    vertices: Float32[np.ndarray, "N 3"],
+    motion: Complex64[np.ndarray, "N K 3"],
+    grid: VoxelGrid,
+    coefficients: Complex64[np.ndarray, "V K 3"],
+) -> Complex64[np.ndarray, "N K 3"]:
+    """Scale down the motion of vertices that move farther than `MOST_OVER_VOXELS` times the voxels around them.
+
+    Around a vertex are its voxel and the 26 that touch it; of a vertex in no voxel, those around the nearest one.
+    """
+    own, most = farthest(coefficients), np.zeros(len(grid), np.float32)
+    for step in _AROUND:
+        rows = grid.rows_of(grid.coords + step)
+        np.maximum(most, np.where(rows >= 0, own[rows], 0), out=most)
+    rows = grid.rows_of(grid.coords_of(vertices))
+    outside = np.flatnonzero(rows < 0)
+    rows[outside] = nearest(grid, vertices[outside]).rows[:, 0]
+    allowed, found = np.float32(MOST_OVER_VOXELS) * most[rows], farthest(motion)
+    too_far = np.flatnonzero(found > allowed)
+    if len(too_far) == 0:
+        return motion
+    bounded = motion.copy()
+    bounded[too_far] *= (allowed[too_far] / found[too_far])[:, None, None]
+    return bounded
+
+
+def farthest(motion: Complex64[np.ndarray, "M K 3"]) -> Float32[np.ndarray, " M"]:
+    """Greatest distance from the rest position over the loop [m]."""
+    result = np.empty(len(motion), np.float32)
+    num_frames = _FRAMES_A_BIN * motion.shape[1]
+    for start in range(0, len(motion), _POINTS_AT_ONCE):
+        some = slice(start, start + _POINTS_AT_ONCE)
+        frames = to_motion(motion[some], num_frames)
+        result[some] = np.sqrt(np.einsum("tnc,tnc->tn", frames, frames).max(axis=0))
+    return result

@@ -1,0 +1,99 @@
+"""No part flies: what hangs loosely on a tree moves as the voxels around it and stays where it hangs."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dynamictree.devoxelize.attachment import find_attachments
+from dynamictree.devoxelize.length_preserving import length_preserving
+from dynamictree.mesh import TriangleMesh, weld
+from dynamictree.spectrum import to_motion
+from dynamictree.voxel.grid import VoxelGrid
+from dynamictree.voxel.voxelize import voxelize
+from tests.devoxelize.test_interpolation import merged, tube
+
+
+def card(middle: np.ndarray, across: np.ndarray) -> TriangleMesh:
+    """A square of two triangles; `across` are its two half diagonals."""
+    corners = middle + np.concatenate([across, -across])
+    return TriangleMesh(vertices=corners.astype(np.float32), faces=np.array([[0, 1, 2], [0, 2, 3]], np.int32))
+
+
+def crowd(seed: int, num_cards: int, size_m: float, spread_m: float) -> tuple[TriangleMesh, np.ndarray]:
+    """A trunk of 10 m amid cards at random; and which of them each vertex is from, 0 being the trunk."""
+    rng = np.random.default_rng(seed)
+    middles = rng.normal(size=(num_cards, 3)) * spread_m + [0, 0, 6]
+    diagonals = rng.normal(size=(num_cards, 2, 3)) * size_m * rng.uniform(0.1, 1, (num_cards, 1, 1))
+    return merged(tube([0, 0, 0], [0, 0, 10], 0.2), *map(card, middles, diagonals))
+
+
+def sway(grid: VoxelGrid, seed: int, noise: float) -> np.ndarray:
+    """Spectra that grow with height, with noise from voxel to voxel."""
+    rng = np.random.default_rng(seed)
+    size = 0.1 * (grid.centres_m[:, 2] / grid.centres_m[:, 2].max()) ** 2
+    drawn = 1 + noise * rng.normal(size=(len(grid), 4, 3, 2))
+    drawn[:, 0, :, 1] = 0  # a mean is real
+    return np.ascontiguousarray(size[:, None, None, None] * drawn, np.float32).view(np.complex64)[..., 0]
+
+
+def most_of_voxels_around(points: np.ndarray, grid: VoxelGrid, reached: np.ndarray) -> np.ndarray:
+    """A slow loop: the most of the voxels within one of each point's, or of the nearest occupied one."""
+    most = np.zeros(len(points))
+    for i, coords in enumerate(grid.coords_of(points)):
+        away = np.abs(grid.coords - coords).max(axis=1)
+        home = grid.coords[np.argmin(((grid.centres_m - points[i]) ** 2).sum(axis=1))] if away.min() > 0 else coords
+        most[i] = reached[np.abs(grid.coords - home).max(axis=1) <= 1].max()
+    return most
+
+
+@settings(max_examples=12, deadline=None, derandomize=True)
+@given(
+    seed=st.integers(0, 1000),
+    num_cards=st.integers(1, 60),
+    size_m=st.sampled_from([0.05, 0.15, 0.3, 1.0]),
+    spread_m=st.sampled_from([0.3, 1.0, 3.0]),
+    noise=st.sampled_from([0.0, 0.3, 3.0]),
+)
+def test_no_vertex_moves_more_than_the_voxels_around_it(
+    seed: int, num_cards: int, size_m: float, spread_m: float, noise: float
+) -> None:
+    mesh, _ = crowd(seed, num_cards, size_m, spread_m)
+    grid = voxelize(mesh, 64).grid
+    coefficients = sway(grid, seed, noise)
+    moved = length_preserving(grid, mesh).apply(coefficients)
+    reached, found = (np.linalg.norm(to_motion(c, 100), axis=2).max(axis=0) for c in (coefficients, moved))
+    # between the frames that the bound looks at, the distance may be a little larger
+    assert (found <= 1.03 * 1.2 * most_of_voxels_around(mesh.vertices, grid, reached) + 1e-7).all()
+
+
+def test_a_loose_part_with_a_small_share_of_its_voxels_does_not_fly() -> None:
+    """A twig of 3.5 voxels beside a trunk whose voxels it shares: it makes up for nothing."""
+    trunk = tube([0, 0, 0], [0, 0, 10], 0.2, sides=24)
+    mesh, owner = merged(trunk, tube([0.21, 0, 7], [0.21, 0, 7.27], 0.0005, rings=2, sides=3))
+    grid = voxelize(mesh, 128).grid
+    coefficients = sway(grid, 0, 0.3)
+    moved = to_motion(length_preserving(grid, mesh).apply(coefficients), 40)
+    beside = (owner == 0) & (np.abs(mesh.vertices[:, 2] - 7.1) < 0.5)
+    reached = np.linalg.norm(moved, axis=2).max(axis=0)
+    assert reached[owner == 1].max() < 1.2 * reached[beside].max()
+
+
+@pytest.mark.parametrize("size_m", [0.05, 0.2, 1.0])
+def test_a_card_stays_where_it_hangs(size_m: float) -> None:
+    """The gap between a card and the trunk grows by no more than 0.3 % of the height, through noise of voxels."""
+    rng = np.random.default_rng(0)
+    cards = [card(np.array([0.2 + 0.9 * size_m, 0, z]), size_m * np.eye(3)[:2]) for z in rng.uniform(3, 9, 20)]
+    mesh, _ = merged(tube([0, 0, 0], [0, 0, 10], 0.2), *cards)
+    grid = voxelize(mesh, 128).grid
+    moved = mesh.vertices + to_motion(length_preserving(grid, mesh).apply(sway(grid, 1, 0.3)), 40)
+    welded, _ = weld(mesh)
+    found = find_attachments(welded, grid)
+    assert len(found) == 20
+    vertex = weld(mesh)[1]
+    place = np.empty((40, welded.num_vertices, 3), np.float32)
+    place[:, vertex] = moved
+    points = np.einsum("bsi,tbsic->tbsc", found.weights, place[:, found.corners])
+    rest = np.einsum("bsi,bsic->bsc", found.weights, welded.vertices[found.corners])
+    gap, gap_at_rest = (np.linalg.norm(p[..., 0, :] - p[..., 1, :], axis=-1) for p in (points, rest))
+    assert np.percentile((gap - gap_at_rest).max(axis=0), 99) < 0.003 * 10
