@@ -84,6 +84,13 @@ def find_key(store: Store, digest: str) -> KeyRecord | None:
     return None if row is None else _key(row)
 
 
+def key_of_id(store: Store, key_id: str) -> KeyRecord | None:
+    """The key with an id, valid or not."""
+    with store.reading() as connection:
+        row = connection.execute(sa.select(t.api_keys).where(t.api_keys.c.id == key_id)).one_or_none()
+    return None if row is None else _key(row)
+
+
 def note_use(store: Store, key: KeyRecord) -> None:
     """Write that a key is used now, unless that was written not long ago."""
     now = store.clock()
@@ -95,9 +102,8 @@ def note_use(store: Store, key: KeyRecord) -> None:
 
 def is_valid(store: Store, key_id: str) -> bool:
     """Whether a key still opens something."""
-    with store.reading() as connection:
-        row = connection.execute(sa.select(t.api_keys).where(t.api_keys.c.id == key_id)).one_or_none()
-    return row is not None and _key(row).valid(store.clock())
+    key = key_of_id(store, key_id)
+    return key is not None and key.valid(store.clock())
 
 
 def keys(store: Store) -> list[KeyRecord]:

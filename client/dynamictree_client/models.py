@@ -433,6 +433,24 @@ class Limits(Model):
     asset_retention_s: float
 
 
+class Link(Model):
+    """A link. Whoever has it may GET the file."""
+
+    # path and query; put the service's own address in front
+    url: str
+    # null where no key is required, and the path itself opens
+    expires_at: datetime | None
+
+
+class LinkRequest(Model):
+    """What is to be opened, and for how long."""
+
+    # of an artifact, a spectrum, or the surface, modes, reach or points of a tree
+    path: str
+    # seconds until the link opens nothing
+    expires_s: int = 3600
+
+
 class Live(Model):
     """The process answers."""
 

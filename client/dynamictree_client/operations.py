@@ -22,6 +22,8 @@ from dynamictree_client.models import (
     JobList,
     JobState,
     Limits,
+    Link,
+    LinkRequest,
     Live,
     Log,
     Manifest,
@@ -248,6 +250,13 @@ def head_artifact(id: str, *, if_none_match: str | None = None) -> Call[bytes]:
         answer=bytes,
         headers={"if-none-match": if_none_match},
     )
+
+
+def create_link(body: LinkRequest) -> Call[Link]:
+    """Sign an address, so that `<model-viewer src>` or a download manager can open it without a header.  The link
+    ends with its time, with the key that asked for it, or with the file.
+    """
+    return Call(method="POST", path="/v1/links", answer=Link, body=body)
 
 
 def get_spectrum(id: str) -> Call[Spectrum]:

@@ -2,6 +2,7 @@
 
 import ipaddress
 import logging
+from dataclasses import replace
 from urllib.parse import urlsplit
 
 import sqlalchemy as sa
@@ -10,13 +11,14 @@ from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from jobs.keys import KeyRecord, digest_of, find_key, note_use
+from jobs.keys import KeyRecord, digest_of, find_key, key_of_id, note_use
 from jobs.keys import Scope as KeyScope
 from jobs.settings import Settings
 from jobs.store import Store
 from service.http.caller import ANYONE, CALLER, Caller, caller_of
 from service.http.problems import ProblemError, problem_response, request_id_of
 from service.http.rate_limit import RateLimiter, Standing, policy_of
+from service.http.signed_links import LINKABLE, LinkSignature
 
 logger = logging.getLogger(__name__)
 
@@ -26,6 +28,9 @@ REMEMBERED_S = 2.0
 MAX_REMEMBERED = 10_000
 FORWARDED = ("forwarded", "x-forwarded-for", "x-forwarded-host", "x-real-ip", "via")
 """Headers that proxies add: behind one on this machine, every request seems to come from this machine."""
+
+LINK_HEADERS = {"Access-Control-Allow-Origin": "*", "Cross-Origin-Resource-Policy": "cross-origin"}
+"""Of an answer to a signed link, which is the permission itself: a page of any site may show the file."""
 
 OVERRIDABLE = frozenset({"PATCH", "DELETE"})
 POLICY_VIOLATION = 1008
@@ -64,7 +69,10 @@ class Authentication:
             await _refuse(error, scope, receive, send)
             return
         scope[CALLER] = caller
-        await self.app(scope, receive, send if standing is None else _with_headers(send, standing.headers))
+        added = {} if standing is None else standing.headers
+        if caller.by_link:
+            added |= LINK_HEADERS
+        await self.app(scope, receive, _with_headers(send, added) if added else send)
 
     async def _caller(self, scope: Scope) -> Caller:
         headers = Headers(scope=scope)
@@ -74,12 +82,30 @@ class Authentication:
         if settings.keys == "loopback":
             require_own_machine(scope, headers, settings.hosts, settings.cors_origins)
             return ANYONE
-        key = await self._key(_bearer(headers), scope["app"].state.services.store)
+        store: Store = scope["app"].state.services.store
+        link = LinkSignature.of_query(scope.get("query_string", b""))
+        if link is not None and "authorization" not in headers:
+            return await self._linked(link, scope, store)
+        key = await self._key(_bearer(headers), store)
         wanted = _scope_of(scope)
         if wanted not in key.scopes:
             detail = f"this key may {', '.join(key.scopes)}; {wanted} is needed here"
             raise ProblemError("forbidden", detail)
         return caller_of(key, settings)
+
+    async def _linked(self, link: LinkSignature, scope: Scope, store: Store) -> Caller:
+        """Who signed a link."""
+        cached = f"id:{link.key_id}"
+        try:
+            key = self._keys[cached]
+        except KeyError:
+            key = self._keys[cached] = await run_in_threadpool(key_of_id, store, link.key_id)
+        right = key is not None and key.valid(store.clock()) and "read" in key.scopes
+        reads = scope["type"] == "http" and scope["method"] in {"GET", "HEAD"}
+        path = scope["path"]
+        if key is None or not (right and reads and LINKABLE.fullmatch(path) and link.opens(key, path, store.clock())):
+            raise _unauthorized("the link has expired, its key was revoked, or it is for another address")
+        return replace(caller_of(key, self.settings), scopes=("read",), by_link=True)
 
     async def _key(self, key: str, store: Store) -> KeyRecord:
         digest, fresh = digest_of(key), False
@@ -147,6 +173,8 @@ def _bearer(headers: Headers) -> str:
 def _scope_of(scope: Scope) -> KeyScope:
     if scope["path"].startswith("/v1/interact"):
         return "interact"
+    if scope["path"] == "/v1/links":
+        return "read"
     return "read" if scope.get("method", "GET") in {"GET", "HEAD"} else "write"
 
 

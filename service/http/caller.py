@@ -17,6 +17,7 @@ class Caller:
     owner: str | None = None
     key_id: str = ""
     scopes: tuple[Scope, ...] = SCOPES
+    by_link: bool = False  # a signed link, in place of the key that signed it
     limits: Mapping[Limit, int] = field(default_factory=dict)  # none where no key is asked for
 
 

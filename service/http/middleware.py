@@ -21,6 +21,9 @@ SECURITY_HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Content-Security-Policy": "default-src 'none'; frame-ancestors 'none'",
 }
+API_VERSION = "1.1"
+"""Of the HTTP contract, not of the program. The second number is raised with each addition: docs/api-changes.md."""
+
 TUS_VERSION = "1.0.0"
 _REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,128}")
 
@@ -47,6 +50,8 @@ class RequestFrame:
                 started = True
                 headers = MutableHeaders(scope=message)
                 headers["X-Request-Id"] = request_id
+                if scope["path"].startswith("/v1/"):
+                    headers["X-Api-Version"] = API_VERSION
                 if scope["path"].startswith("/v1/uploads"):
                     headers["Tus-Resumable"] = TUS_VERSION
                 for name, value in SECURITY_HEADERS.items():

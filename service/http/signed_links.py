@@ -1,0 +1,60 @@
+"""Signed links: one path, for a while, without a key in a header.
+
+A link names the key that signed it, its end and an HMAC over both and the path; nothing is stored. It opens what that
+key opens, so revoking the key ends all its links.
+"""
+
+import hmac
+import re
+from dataclasses import dataclass
+from hashlib import sha256
+from urllib.parse import parse_qs, urlencode
+
+from jobs.keys import KeyRecord
+from service.schemas.base import ULID_PATTERN
+
+_ID = ULID_PATTERN.strip("^$")
+LINKABLE = re.compile(rf"/v1/(artifacts/{_ID}|spectra/{_ID}(/surface|/modes|/reach)?|assets/{_ID}/(surface|points))")
+"""What has a file that a viewer loads by its address."""
+
+MAX_QUERY_BYTES = 2048
+CONTEXT = "dynamictree signed link 1"
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinkSignature:
+    """What a link carries in its query."""
+
+    key_id: str
+    expires: int  # seconds since 1970
+    signature: str
+
+    @classmethod
+    def of_query(cls, query: bytes) -> "LinkSignature | None":
+        """Read a query string; None where it is no link's, or a broken one's."""
+        if len(query) > MAX_QUERY_BYTES or b"signature=" not in query:
+            return None
+        fields = parse_qs(query.decode("latin-1"), keep_blank_values=True)
+        try:
+            [key_id], [expires], [signature] = (fields.get(name, []) for name in ("key_id", "expires", "signature"))
+        except ValueError:
+            return None
+        if not (expires.isascii() and expires.isdecimal() and len(expires) <= 12 and signature.isascii()):
+            return None
+        return cls(key_id=key_id, expires=int(expires), signature=signature)
+
+    def opens(self, key: KeyRecord, path: str, now: float) -> bool:
+        """Whether it was signed with this key for this path, and its time is not over."""
+        expected = _signature(key, path, self.expires)
+        return now < self.expires and hmac.compare_digest(self.signature, expected)
+
+
+def signed(key: KeyRecord, path: str, expires: int) -> str:
+    """The path with its signature, until a time [s since 1970]."""
+    query = {"key_id": key.id, "expires": str(expires), "signature": _signature(key, path, expires)}
+    return f"{path}?{urlencode(query)}"
+
+
+def _signature(key: KeyRecord, path: str, expires: int) -> str:
+    message = "\n".join((CONTEXT, key.id, str(expires), path))
+    return hmac.new(key.digest.encode(), message.encode(), sha256).hexdigest()

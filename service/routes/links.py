@@ -1,0 +1,72 @@
+"""/v1/links: addresses of files that open without a key's header, for a while."""
+
+from datetime import datetime
+from typing import Annotated
+
+from fastapi import APIRouter, Response, status
+from pydantic import Field
+
+from jobs.assets import read_asset
+from jobs.keys import key_of_id
+from service.http.problems import ProblemError
+from service.http.routing import refusals
+from service.http.signed_links import LINKABLE, signed
+from service.schemas.base import Payload, Time, time_of
+from service.services import Owned, OwnedDep
+
+router = APIRouter(prefix="/v1/links", tags=["artifacts"])
+
+DAY_S = 86400
+
+
+class LinkRequest(Payload):
+    """What is to be opened, and for how long."""
+
+    path: Annotated[
+        str,
+        Field(
+            max_length=128,
+            description="of an artifact, a spectrum, or the surface, modes, reach or points of a tree",
+            examples=["/v1/artifacts/01ARZ3NDEKTSV4RRFFQ69G5FAV"],
+        ),
+    ]
+    expires_s: Annotated[int, Field(ge=1, le=7 * DAY_S, description="seconds until the link opens nothing")] = 3600
+
+
+class LinkPayload(Payload):
+    """A link. Whoever has it may GET the file."""
+
+    url: str = Field(description="path and query; put the service's own address in front")
+    expires_at: Time | None = Field(description="null where no key is required, and the path itself opens")
+
+
+@router.post(
+    "", operation_id="createLink", status_code=status.HTTP_201_CREATED, responses=refusals("not-found", "expired")
+)
+def create_link(body: LinkRequest, owned: OwnedDep, response: Response) -> LinkPayload:
+    """Sign an address, so that `<model-viewer src>` or a download manager can open it without a header.
+
+    The link ends with its time, with the key that asked for it, or with the file.
+    """
+    _require_there(owned, body.path)
+    response.headers["Cache-Control"] = "no-store"
+    key = key_of_id(owned.services.store, owned.caller.key_id)
+    if key is None:
+        return LinkPayload(url=body.path, expires_at=None)
+    expires = int(owned.services.store.clock()) + body.expires_s
+    return LinkPayload(url=signed(key, body.path, expires), expires_at=_time(expires))
+
+
+def _time(seconds: int) -> datetime:
+    return time_of(float(seconds))
+
+
+def _require_there(owned: Owned, path: str) -> None:
+    if LINKABLE.fullmatch(path) is None:
+        allowed = "/v1/artifacts/{id}, /v1/spectra/{id}[/surface|/modes|/reach], /v1/assets/{id}/surface|points"
+        raise ProblemError("not-found", f"no link can be made of {path!r}; {allowed} are allowed")
+    kind, object_id = path.split("/")[2:4]
+    if kind == "assets":
+        read_asset(owned.store, object_id)
+    else:
+        owned.store.artifact(object_id)
