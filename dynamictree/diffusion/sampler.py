@@ -1,5 +1,6 @@
 """Samplers: functions of a denoiser, a start and numbers. Deterministic; the random numbers are the start."""
 
+import math
 from collections.abc import Callable
 
 import torch
@@ -19,14 +20,17 @@ def karras_schedule(num_steps: int, *, sigma_min: float, sigma_max: float, rho: 
     return torch.cat([sigmas, torch.zeros(1)])
 
 
-def sample_heun(
+def sample_dpm_multistep(
     denoise: Denoise,
     start: Float[Tensor, "..."],
     sigmas: Float32[Tensor, " _"],
     *,
     on_step: Callable[[int, int], None] | None = None,
 ) -> Float[Tensor, "..."]:
-    """Heun's method, second order. Karras et al. 2022, algorithm 1.
+    """DPM-Solver++(2M), second order with one evaluation per step. Lu et al. 2022, arXiv 2211.01095, algorithm 2.
+
+    In t = -ln σ, with h the step in t and r the last step over this one, D is extrapolated along the last two steps:
+    D' = D + (D - D_last) / (2 r). The first step and the last, to σ = 0, are of first order.
 
     Args:
         denoise: expected clean signal of a noisy one and its noise level.
@@ -35,14 +39,16 @@ def sample_heun(
         on_step: called with the steps done and their number.
     """
     signal, total = start, len(sigmas) - 1
+    last_clean: Tensor | None = None
     for index in range(total):
         sigma, next_sigma = float(sigmas[index]), float(sigmas[index + 1])
-        slope = (signal - denoise(signal, sigma)) / sigma
-        euler = signal + (next_sigma - sigma) * slope
-        if next_sigma > 0:
-            next_slope = (euler - denoise(euler, next_sigma)) / next_sigma
-            euler = signal + (next_sigma - sigma) * (slope + next_slope) / 2
-        signal = euler
+        clean = denoise(signal, sigma)
+        expected = clean
+        if last_clean is not None and next_sigma > 0:
+            ratio = math.log(float(sigmas[index - 1]) / sigma) / math.log(sigma / next_sigma)
+            expected = clean + (clean - last_clean) / (2 * ratio)
+        signal = expected + (next_sigma / sigma) * (signal - expected)
+        last_clean = clean
         if on_step is not None:
             on_step(index + 1, total)
     return signal

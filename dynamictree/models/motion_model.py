@@ -1,11 +1,8 @@
 """The interface that every trained model has."""
 
 import math
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from typing import Protocol, runtime_checkable
-
-import torch
 
 from dynamictree.errors import InputError
 from dynamictree.spectrum import SparseVoxelSpectrum, Wind
@@ -67,14 +64,3 @@ def check_request(wind: Wind, num_steps: int | None) -> None:
         raise InputError(f"the wind's direction is {wind.direction_deg} degrees; it must be finite")
     if num_steps is not None and not 1 <= num_steps <= MAX_STEPS:
         raise InputError(f"num_steps is {num_steps}; 1 to {MAX_STEPS} are allowed")
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Limit torch to one thread: the products are small, and two threads are 10 times slower on a busy machine."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from dynamictree.diffusion.loss import denoising_loss
-from dynamictree.diffusion.sampler import karras_schedule, sample_heun
+from dynamictree.diffusion.sampler import karras_schedule, sample_dpm_multistep
 
 VARIANCE = torch.tensor([4.0, 1.0, 0.01])
 
@@ -32,7 +32,7 @@ def test_the_sampler_follows_the_probability_flow_to_second_order() -> None:
     errors = []
     for num_steps in (10, 20, 40):
         sigmas = karras_schedule(num_steps, sigma_min=0.5, sigma_max=5.0)[:-1]  # stop before the last, Euler step
-        end = sample_heun(best_denoiser, start, sigmas)
+        end = sample_dpm_multistep(best_denoiser, start, sigmas)
         reference = exact_end(start, 5.0) / exact_end(torch.ones(3), 0.5)
         errors.append(float((end - reference).abs().max()))
     assert errors[0] / errors[1] > 3.2
@@ -42,21 +42,21 @@ def test_the_sampler_follows_the_probability_flow_to_second_order() -> None:
 def test_samples_have_the_distribution_that_the_denoiser_knows() -> None:
     sigmas = karras_schedule(18, sigma_min=0.005, sigma_max=40.0)
     start = torch.randn(20_000, 3, generator=torch.Generator().manual_seed(0)) * sigmas[0]
-    samples = sample_heun(best_denoiser, start, sigmas)
+    samples = sample_dpm_multistep(best_denoiser, start, sigmas)
     torch.testing.assert_close(samples.var(dim=0), VARIANCE, rtol=0.12, atol=0)
 
 
 def test_steps_are_reported_and_an_exception_passes_through() -> None:
     told: list[tuple[int, int]] = []
     sigmas = karras_schedule(4, sigma_min=0.1, sigma_max=5.0)
-    sample_heun(best_denoiser, torch.ones(3), sigmas, on_step=lambda done, total: told.append((done, total)))
+    sample_dpm_multistep(best_denoiser, torch.ones(3), sigmas, on_step=lambda done, total: told.append((done, total)))
     assert told == [(1, 4), (2, 4), (3, 4), (4, 4)]
 
     def stop(done: int, total: int) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        sample_heun(best_denoiser, torch.ones(3), sigmas, on_step=stop)
+        sample_dpm_multistep(best_denoiser, torch.ones(3), sigmas, on_step=stop)
 
 
 def test_the_loss_of_the_identity_skip_is_one_whatever_the_noise() -> None:

@@ -11,9 +11,10 @@ from dynamictree.diffusion.channels import CHANNELS, unpack_channels
 from dynamictree.diffusion.sampler import sample_ddim
 from dynamictree.diffusion.schedule import linear_schedule
 from dynamictree.errors import InputError
-from dynamictree.models.motion_model import OnStep, check_request, one_thread
+from dynamictree.models.motion_model import OnStep, check_request
 from dynamictree.models.paper.examples import unit_positions, wind_sizes
 from dynamictree.models.paper.network import PaperNetwork, PaperPreset
+from dynamictree.models.threads import one_thread
 from dynamictree.models.voxel_resolution import coarsened, halvings_between
 from dynamictree.models.weights_file import Provenance, WeightsFile, fill_network, write_weights
 from dynamictree.models.wind import wind_axes

@@ -7,6 +7,7 @@ second with the gusts too, before the network has its say.
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 
 import torch
 from jaxtyping import Complex64, Float32
@@ -22,6 +23,7 @@ from dynamictree.models.small.features import (
 )
 from dynamictree.models.small.foliage import ARM, NUM_TOLD, STEM
 from dynamictree.models.small.surface_shape import NUM_SURFACE
+from dynamictree.models.threads import run_on_cores
 from dynamictree.models.wind import DRAG_EXPONENT, MIN_GUST, REFERENCE_SPEED
 from dynamictree.sparse.pool import pool_to, upsample
 
@@ -34,6 +36,8 @@ NUM_OWN_VECTORS = NUM_VECTORS + 1
 NUM_OWN = NUM_OWN_SCALARS + 3 * NUM_OWN_VECTORS
 NUM_INPUTS = (len(CONTEXT) + 2) * NUM_OWN + NUM_WIND
 CLIP = 5.0  # standard deviations
+BAND = 2048
+"""Rows that one thread takes at a time: few enough that their hidden layers stay in a core's cache."""
 SEEN = 1e-5  # of the height: the least motion whose centroid and lean count
 CENTROID_WEIGHT = 0.15
 LEAN_WEIGHT = 0.5
@@ -86,10 +90,12 @@ class AmplitudeNetwork(nn.Module):
     def of_tree(
         self, tree: TreeFeatures, told: Float32[Tensor, "V O"], wind: Float32[Tensor, "B 4"]
     ) -> tuple[Float32[Tensor, "V 3"], Float32[Tensor, "V J 3"]]:
-        """At all voxels; `told` by the foliage network."""
+        """Lean and ln A at all voxels, without gradients; `told` by the foliage network."""
         at_row = wind[tree.grids.levels[0].sample_of_row, :NUM_WIND]
-        lean, log_amplitude = self(amplitude_inputs(tree, told, wind), at_row)
-        return lean, log_amplitude
+        inputs = amplitude_inputs(tree, told, wind)
+        bands = zip(torch.split(inputs, BAND), torch.split(at_row, BAND), strict=True)
+        lean, log_amplitude = zip(*run_on_cores(partial(self, *band) for band in bands), strict=True)
+        return torch.cat(lean), torch.cat(log_amplitude)
 
 
 def amplitude_inputs(

@@ -75,11 +75,11 @@ class Denoiser(nn.Module):
         """F(c_in x; ln σ), see `diffusion.preconditioning`."""
         noise_features = sinusoid(NOISE_SCALE * sigma.log(), NOISE_FEATURES)
         level_and_bin = self.embed_noise(noise_features) + self.embed_frequency(condition.frequency)
-        embedding = self.mix(level_and_bin + condition.air[:, None])[condition.tree_of_node]
+        embedding = self.mix(level_and_bin + condition.air[:, None])  # [B, J, E]
         size = (condition.log_amplitude - TYPICAL_LOG_AMPLITUDE) / 2
         features = self.join(torch.cat([scaled, size], dim=-1)) + condition.geometry[:, None]
         for block in self.blocks:
-            features = block(features, condition.neighbourhood, embedding)
+            features = block(features, condition.neighbourhood, embedding, condition.tree_of_node)
         residual: Tensor = self.head(functional.layer_norm(features, features.shape[-1:])).float()
         return residual
 

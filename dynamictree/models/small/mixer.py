@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int64
 from scipy.sparse import csr_array
 from torch import Tensor, nn
 from torch.nn import functional
@@ -89,10 +89,13 @@ class MixerBlock(nn.Module):
         self,
         features: Float[Tensor, "W J C"],
         around: Neighbourhood,
-        embedding: Float[Tensor, "W J E"],
+        embedding: Float[Tensor, "B J E"],
+        tree_of_node: Int64[Tensor, " W"],
     ) -> Float[Tensor, "W J C"]:
-        """One layer; `embedding` stands at every row."""
-        scale, shift = self.modulate(embedding).chunk(2, dim=-1)
+        """One layer; `embedding` of each tree's wind, noise level and frequencies."""
+        modulation = self.modulate(embedding)  # [B, J, 2 C]
+        at_node = modulation if len(modulation) == 1 else modulation[tree_of_node]
+        scale, shift = at_node.chunk(2, dim=-1)
         normal = torch.addcmul(shift, functional.layer_norm(features, features.shape[-1:]), 1 + scale)
         hidden = self.near(torch.cat([normal, *(mean(normal) for mean in around.near)], dim=-1))
         for linear, pool, back in zip(self.far, around.pools, around.raises, strict=True):

@@ -64,6 +64,16 @@ def test_the_same_seed_gives_the_same_motion_and_another_seed_another(model: Sma
     np.testing.assert_array_equal(first.coefficients[:, 0], other.coefficients[:, 0])
 
 
+def test_the_motion_does_not_depend_on_the_number_of_cores(
+    model: SmallModel, voxels: SurfaceVoxels, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    motions = []
+    for cores in (1, 4):
+        monkeypatch.setattr("dynamictree.models.threads.num_cores", lambda cores=cores: cores)
+        motions.append(model.generate(voxels, wind=WIND, seed=3, num_steps=2).coefficients)
+    np.testing.assert_array_equal(*motions)
+
+
 def test_what_is_at_the_floor_of_the_training_stands_exactly_still() -> None:
     still = moving(torch.full((2, 15, 3), math.log(FLOOR)))
     assert (still == 0).all()

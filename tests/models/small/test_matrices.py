@@ -75,7 +75,11 @@ def test_a_layer_does_not_look_from_tree_to_tree(tree: TreeFeatures) -> None:
     nodes = [coarsen_features(tree, 2), coarsen_features(turn_features(tree, (1, 0, 2), (1, 1, 1)), 1)]
     around = [neighbourhood(one) for one in nodes]
     features = [torch.randn(len(one.scalars), 3, 8) for one in nodes]
-    embedding = [torch.randn(len(one.scalars), 3, 6) for one in nodes]
-    together = layer(torch.cat(features), batch_neighbourhoods(around), torch.cat(embedding))
-    apart = [layer(*one) for one in zip(features, around, embedding, strict=True)]
+    embedding = torch.randn(2, 3, 6)
+    tree_of_node = torch.repeat_interleave(torch.tensor([0, 1]), torch.tensor([len(one) for one in features]))
+    together = layer(torch.cat(features), batch_neighbourhoods(around), embedding, tree_of_node)
+    apart = [
+        layer(rows, near, embedding[tree : tree + 1], torch.zeros(len(rows), dtype=torch.int64))
+        for tree, (rows, near) in enumerate(zip(features, around, strict=True))
+    ]
     torch.testing.assert_close(together, torch.cat(apart))
