@@ -59,14 +59,14 @@ def run() -> dict[str, object]:
 
 def _pokes(sample: Sample, system: ModalSystem) -> dict[str, list[float]]:
     stems, tree, rng = sample.skeleton, branching(system), np.random.default_rng(0)
-    owner = _stem_of_voxels(sample, system)
+    owner = stem_of_voxels(sample, system)
     wood = surface_average(sample.mesh, system.grid) @ (sample.part != LEAF).astype(np.float64) > 0.5  # [V]
     shares: dict[str, list[float]] = {"all_modes": [], "local": [], "own_weight": []}
     for level in (1, 2):
         candidates = np.intersect1d(stems.stem[stems.level == level], owner[wood])
         for poked in rng.choice(candidates, POKES_A_LEVEL, replace=False):
             base = stems.position[np.flatnonzero(stems.stem == poked)[0]]
-            inside = _line_of(stems, int(poked))[owner]
+            inside = line_of(stems, int(poked))[owner]
             for own in (np.flatnonzero(owner == poked), np.flatnonzero((owner == poked) & wood)):
                 # the outermost voxel of all, mostly a leaf; and of the wood
                 row = int(own[np.argmax(((system.grid.centres_m[own] - base) ** 2).sum(axis=1))])
@@ -78,7 +78,7 @@ def _pokes(sample: Sample, system: ModalSystem) -> dict[str, list[float]]:
     return shares
 
 
-def _stem_of_voxels(sample: Sample, system: ModalSystem) -> np.ndarray:
+def stem_of_voxels(sample: Sample, system: ModalSystem) -> np.ndarray:
     """The stem that most of a voxel's surface is of; a leaf is its stem's."""
     stems, nodes = sample.skeleton, sample.motion.position
     stem_of_node = np.empty(len(nodes), np.int64)
@@ -144,7 +144,7 @@ def _push(sample: Sample, system: ModalSystem) -> dict[str, float]:
     }
 
 
-def _line_of(stems: Skeleton, poked: int) -> np.ndarray:
+def line_of(stems: Skeleton, poked: int) -> np.ndarray:
     """Whether each stem is the poked one, carried by it, or an ancestor of it."""
     above = np.full(len(stems.stem_length_m), -1)
     crossing = (stems.parent >= 0) & (stems.stem[stems.parent] != stems.stem)

@@ -13,17 +13,29 @@ export class Modes {
   // Plain superposition, [V × 3]: q and weights are one array a group, q [K × 2], weights [V] in [0, 1].
   voxels(q, weights) { return this.superposed(this.shapes, q, weights); }
 
+  // A group's bend [[x, y, z] …], given from its grip's bone towards the root, for all bones [B × 3].
+  bends(seedVoxel, bend) {
+    const every = new Float64Array(3 * this.bone_parent.length);
+    let b = this.bone_of_voxel[seedVoxel];
+    for (const turn of bend) { every.set(turn, 3 * b); b = this.bone_parent[b]; }
+    return every;
+  }
+
   // The warp: { rotation [B × 9], place [B × 3] }; a point x of bone b goes to R (x - joint) + place.
-  poses(q, weights) {
+  // bends [B × 3] is the sum of the groups' bends: each turns its bone and everything beyond it.
+  poses(q, weights, bends = new Float64Array(3 * this.bone_parent.length)) {
     const [parent, joint, reach] = [this.bone_parent, this.bone_joint_m, this.bone_reach_m], B = parent.length;
     const count = new Float64Array(B), perBone = weights.map(() => new Float64Array(B));
     this.bone_of_voxel.forEach((b, v) => { count[b] += 1; weights.forEach((w, g) => { perBone[g][b] += w[v]; }); });
     perBone.forEach((w) => w.forEach((_, b) => { w[b] /= count[b]; }));
-    const moved = this.superposed(this.bone_shapes, q, perBone), rotation = new Float64Array(9 * B), place = new Float64Array(3 * B);
+    const moved = this.superposed(this.bone_shapes, q, perBone), rotation = new Float64Array(9 * B), place = new Float64Array(3 * B), frame = new Float64Array(9 * B);
     for (let b = 0; b < B; b++) { // parents come before children
       const a = parent[b] < 0 ? b : parent[b], r = reach.subarray(3 * b, 3 * b + 3);
       const d = [0, 1, 2].map((c) => (moved[3 * b + c] - moved[3 * a + c]) / this.bone_lever_m2[b]);
-      rotation.set(turned(r[1] * d[2] - r[2] * d[1], r[2] * d[0] - r[0] * d[2], r[0] * d[1] - r[1] * d[0]), 9 * b);
+      const bend = turned(...bends.subarray(3 * b, 3 * b + 3));
+      frame.set(parent[b] < 0 ? bend : product(frame.subarray(9 * a, 9 * a + 9), bend), 9 * b);
+      const turn = turned(r[1] * d[2] - r[2] * d[1], r[2] * d[0] - r[0] * d[2], r[0] * d[1] - r[1] * d[0]);
+      rotation.set(product(frame.subarray(9 * b, 9 * b + 9), turn), 9 * b);
       for (let i = 0; i < 3; i++) {
         const along = [0, 1, 2].map((j) => rotation[9 * a + 3 * i + j] * (joint[3 * b + j] - joint[3 * a + j]));
         place[3 * b + i] = parent[b] < 0 ? joint[3 * b + i] : place[3 * a + i] + along[0] + along[1] + along[2];
@@ -43,6 +55,11 @@ export class Modes {
     return u;
   }
 }
+
+const product = (a, b) => Array.from(a, (_, n) => {
+  const [i, j] = [3 * Math.floor(n / 3), n % 3];
+  return a[i] * b[j] + a[i + 1] * b[3 + j] + a[i + 2] * b[6 + j];
+});
 
 function turned(x, y, z) { // Rodrigues
   const angle = Math.max(Math.hypot(x, y, z), 1e-12), [c, s] = [Math.cos(angle), Math.sin(angle)];

@@ -17,8 +17,20 @@ class Modes:
         """Plain superposition: u [V, 3] of one frame, from q [G, K, 2] and weights [G, V] in [0, 1]."""
         return _superposed(self.shapes, q, weights)
 
-    def poses(self, q: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The warp: rotation [B, 3, 3] and place [B, 3] of each bone; its point x goes to R (x - joint) + place."""
+    def bends(self, seed_voxel: int, bend: np.ndarray) -> np.ndarray:
+        """A group's `bend` [n, 3], given from its grip's bone towards the root, for all bones [B, 3]."""
+        bone, every = self.file["bone_of_voxel"][seed_voxel], np.zeros_like(self.file["bone_joint_m"])
+        for turn in bend:
+            every[bone], bone = turn, self.file["bone_parent"][bone]
+        return every
+
+    def poses(
+        self, q: np.ndarray, weights: np.ndarray, bends: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The warp: rotation [B, 3, 3] and place [B, 3] of each bone; its point x goes to R (x - joint) + place.
+
+        `bends` [B, 3] is the sum of the groups' bends: each turns its bone and everything beyond it.
+        """
         bone, parent = self.file["bone_of_voxel"], self.file["bone_parent"]
         joint, reach = self.file["bone_joint_m"], self.file["bone_reach_m"]
         count = np.bincount(bone, minlength=len(parent))
@@ -27,7 +39,11 @@ class Modes:
         above = np.where(parent < 0, np.arange(len(parent)), parent)
         turn = np.cross(reach, moved - moved[above]) / self.file["bone_lever_m2"][:, None]
         rotation, place = np.stack([_rotation(t) for t in turn]), joint.copy()
+        frame = np.stack([_rotation(t) for t in (np.zeros_like(joint) if bends is None else bends)])
         for b in np.flatnonzero(parent >= 0):  # parents come before children
+            frame[b] = frame[parent[b]] @ frame[b]
+        rotation = frame @ rotation
+        for b in np.flatnonzero(parent >= 0):
             place[b] = place[parent[b]] + rotation[parent[b]] @ (joint[b] - joint[parent[b]])
         return rotation, place
 

@@ -8,23 +8,46 @@ import asyncio
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Complex128, Float64
 
 from dynamictree.mesh import TriangleMesh
-from dynamictree.modal.force import generalised_force
-from dynamictree.modal.response import Locality, group_forces, with_bin_zero
-from dynamictree.modal.step import State, Step, run
+from dynamictree.modal.force import Drag, finite, generalised, generalised_force
+from dynamictree.modal.interactive_tree import ForceGroup, InteractiveTree, Locality, Reached
+from dynamictree.modal.local_bend import Bend, own_omega, ring
+from dynamictree.modal.response import group_forces, with_bin_zero
+from dynamictree.modal.step import State, Step, exact_oscillator, run
 from dynamictree.modal.system import ModalSystem
 from service.http.problems import ProblemError
-from service.schemas.forces import MAX_GROUPS, ForcePayload, library_force, locality_payload
+from service.schemas.forces import MAX_GROUPS, ForcePayload, library_force, locality_payload, reached_payload
+
+if TYPE_CHECKING:
+    from dynamictree.modal.pull import Grip, Pull
 
 SETTLED_M = 1e-4
 """A group is dropped once no voxel can move further than this [m]."""
 
 WINDOW = 8
 """Frames that may be sent without an acknowledgement: 130 ms at 60 Hz."""
+
+
+FOLLOW_S = 0.015
+"""Time constant with which a grip follows its pointer: a frame at 60 Hz covers two thirds of what is left."""
+
+STRAIGHT_RAD = 1e-4
+"""A joint that bends and swings less is straight."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hold:
+    """The shape in which a drag by displacement holds its group."""
+
+    q: Complex128[np.ndarray, " M"]
+    bend: Float64[np.ndarray, "n 3"]
+    omega: float  # of the branch, once it is let go [rad/s]
+    reached: Reached
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,6 +57,36 @@ class ModalForce:
     kind: str
     locality: Locality | None
     acceleration: Complex128[np.ndarray, " M"]  # generalised force over modal mass [1/s²]
+    hold: Hold | None = None
+
+
+class Grips:
+    """Places of one stream that were dragged: prepared once, with their last answer as the next one's first guess."""
+
+    def __init__(self, tree: InteractiveTree, system: ModalSystem) -> None:
+        self.tree = tree
+        self.system = system
+        self._last: tuple[object, Grip, float, Pull | None] | None = None
+
+    def hold(self, drag: Drag, group: ForceGroup) -> Hold:
+        """Solve a drag by displacement in the bent shape."""
+        from dynamictree.modal.pull import pull_to  # brings numba
+
+        assert drag.displacement_m is not None
+        key = (group.locality, drag.at.rows.tobytes())
+        if self._last is None or self._last[0] != key:
+            grip = self.tree.grip(self.system, group, drag.at)
+            self._last = (key, grip, own_omega(self.system, drag.at), None)
+        _, grip, omega, near = self._last
+        wanted = finite("displacement_m", drag.displacement_m)
+        pull = pull_to(grip, wanted, near=near)
+        self._last = (key, grip, omega, pull)
+        return Hold(
+            q=generalised(self.system, drag.at, pull.force_n) / self.system.stiffness,
+            bend=pull.bend if group.locality is not None else np.zeros((0, 3)),
+            omega=omega,
+            reached=Reached(wanted_m=wanted, reached_m=pull.reached_m, beyond_m=pull.beyond_m),
+        )
 
 
 def force_of(
@@ -43,6 +96,7 @@ def force_of(
     dt_s: float,
     falloff_m: float | None,
     mesh: Callable[[], TriangleMesh],
+    grips: Grips,
 ) -> ModalForce:
     """Project a message's force onto the modes.
 
@@ -52,9 +106,13 @@ def force_of(
     if payload.start_s != 0 or payload.duration_s is not None:
         raise ProblemError("validation-failed", "forces of a stream begin now; leave start_s and duration_s out")
     force = library_force(payload, system.grid, mesh)
+    (group,) = group_forces([force], falloff_m=falloff_m)
+    if isinstance(force, Drag) and force.displacement_m is not None:
+        still = np.zeros(system.num_modes, np.complex128)
+        return ModalForce(kind="drag", locality=group.locality, acceleration=still, hold=grips.hold(force, group))
     return ModalForce(
         kind=payload.kind,
-        locality=group_forces([force], falloff_m=falloff_m)[0].locality,
+        locality=group.locality,
         acceleration=generalised_force(system, force, dt_s=dt_s, num_frames=1)[0] / system.modal_mass,
     )
 
@@ -71,6 +129,8 @@ class Session:
     woken: asyncio.Event = field(default_factory=asyncio.Event)
     localities: list[Locality | None] = field(default_factory=list)  # one per row of `state`
     state: State = field(init=False)
+    bends: list[Bend] = field(default_factory=list)  # likewise
+    swings: dict[Locality | None, Step] = field(default_factory=dict)  # how a branch rings once it is let go
     constant: dict[str, ModalForce] = field(default_factory=dict)  # by kind; act until released
     impulses: list[ModalForce] = field(default_factory=list)  # act for the next step
     largest_m: Float64[np.ndarray, " M"] = field(init=False)  # displacement per unit of each coordinate, anywhere [m]
@@ -94,8 +154,15 @@ class Session:
             if len(self.localities) >= MAX_GROUPS:
                 raise ProblemError("validation-failed", f"{MAX_GROUPS} places still swing; push one of them, or wait")
             self.localities.append(force.locality)
+            self.bends.append(Bend.straight())
             rest = np.zeros((1, self.system.num_modes), np.complex128)
             self.state = State(q=np.vstack([self.state.q, rest]), q_dot=np.vstack([self.state.q_dot, rest]))
+        if force.hold is not None:
+            index = self.localities.index(force.locality)
+            if len(self.bends[index].turn) != len(force.hold.bend):
+                self.bends[index] = Bend.straight(len(force.hold.bend))
+            zeta = np.array([float(self.system.damping_ratio.min())])
+            self.swings[force.locality] = exact_oscillator(np.array([force.hold.omega]), zeta, self.step.dt_s)
         if force.kind == "impulse":
             self.impulses.append(force)
         else:
@@ -118,13 +185,38 @@ class Session:
         for force in (*self.constant.values(), *self.impulses):
             acceleration[0, self.localities.index(force.locality)] += force.acceleration
         self.impulses.clear()
-        _, self.state = run(self.step, self.state, acceleration)
+        _, moved = run(self.step, self.state, acceleration)
+        drag = self.constant.get("drag")
+        held = self.localities.index(drag.locality) if drag is not None and drag.hold is not None else None
+        for index, locality in enumerate(self.localities):
+            if len(self.bends[index].turn) and index != held:
+                self.bends[index] = ring(self.swings[locality], self.bends[index])
+        if held is not None and drag is not None and drag.hold is not None:
+            self._follow(held, drag.hold, moved)
+        self.state = moved
+        self._drop_settled()
+
+    def _follow(self, index: int, hold: Hold, moved: State) -> None:
+        """Bring a held group nearer to its shape; its rates are those of this motion, so a release does not jump."""
+        share, dt_s = 1 - np.exp(-self.step.dt_s / FOLLOW_S), self.step.dt_s
+        change = share * (hold.q - self.state.q[index])
+        moved.q[index], moved.q_dot[index] = self.state.q[index] + change, change / dt_s
+        before = self.bends[index].turn
+        bent = share * (hold.bend - before)
+        self.bends[index] = Bend(turn=before + bent, rate=bent / dt_s)
+
+    def _drop_settled(self) -> None:
         swing = np.abs(self.state.q) + np.abs(self.state.q_dot) / self.system.omega
         moving = swing @ self.largest_m >= SETTLED_M
         pushed = {force.locality for force in self.constant.values()}
-        rows = [n for n, locality in enumerate(self.localities) if moving[n] or locality in pushed]
+        rows = [
+            n
+            for n, locality in enumerate(self.localities)
+            if moving[n] or locality in pushed or _is_bent(self.bends[n])
+        ]
         if len(rows) < len(self.localities):
             self.localities = [self.localities[n] for n in rows]
+            self.bends = [self.bends[n] for n in rows]
             self.state = State(q=self.state.q[rows], q_dot=self.state.q_dot[rows])
 
     def next_frame(self) -> dict[str, object] | None:
@@ -134,7 +226,17 @@ class Session:
             return None
         self.unacknowledged.append(self.frame)
         q = with_bin_zero(self.state.q)  # [G, K, 2]
-        groups = [{"locality": locality_payload(at), "q": q[n]} for n, at in enumerate(self.localities)]
+        groups = [
+            {"locality": locality_payload(at), "q": q[n], "bend": turn if len(turn := self.bends[n].turn) else None}
+            for n, at in enumerate(self.localities)
+        ]
+        drag = self.constant.get("drag")
         message = {"type": "frame", "frame": self.frame, "skipped": self.skipped, "groups": groups}
+        if drag is not None and drag.hold is not None:
+            message["reached"] = reached_payload(drag.hold.reached)
         self.skipped = 0
         return message
+
+
+def _is_bent(bend: Bend) -> bool:
+    return bool(len(bend.turn)) and float(np.abs(bend.turn).max()) > STRAIGHT_RAD

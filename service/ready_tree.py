@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Int32
 
 from dynamictree.mesh import TriangleMesh
-from dynamictree.modal.response import InteractiveTree
+from dynamictree.modal.interactive_tree import InteractiveTree
 from dynamictree.modal.surface import BoneAttachment, attach_mesh
 
 if TYPE_CHECKING:

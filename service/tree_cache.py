@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from dynamictree.mesh import TriangleMesh
-from dynamictree.modal.response import InteractiveTree
+from dynamictree.modal.interactive_tree import InteractiveTree
 from dynamictree.modal.system import modal_system
 from jobs.assets import read_asset
 from service.ready_tree import MovingGaussians, ReadyTree

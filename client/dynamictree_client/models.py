@@ -281,7 +281,7 @@ class Force(Model):
     impulse_n_s: tuple[float, float, float] | None = None
     # [N], of a drag; or displacement_m
     force_n: tuple[float, float, float] | None = None
-    # [m], of a drag: where the point would rest under the force that is then constant
+    # [m], of a drag: where the point comes to rest, in the bent shape with warp
     displacement_m: tuple[float, float, float] | None = None
     # [m/s], of wind; several are samples, evenly spaced over the duration
     wind_m_s: tuple[float, float, float] | list[tuple[float, float, float]] | None = None
@@ -298,6 +298,8 @@ class Group(Model):
     locality: "Locality | None"
     # [frames, K]; index = frequency bin, bin 0 is no mode and 0
     q: list[list[tuple[float, float]]]
+    # [frames, n] turns of the joints from the grip's bone towards the root [rad]; null: none bends
+    bend: list[list[tuple[float, float, float]]] | None
 
 
 class GroupState(Model):
@@ -308,6 +310,10 @@ class GroupState(Model):
     q: list[tuple[float, float]]
     # [1/s]
     q_dot: list[tuple[float, float]]
+    # local bends [rad], from the grip's bone towards the root
+    bend: list[tuple[float, float, float]] | None = None
+    # [rad/s]
+    bend_rate: list[tuple[float, float, float]] | None = None
 
 
 class Interact(Model):
@@ -325,6 +331,8 @@ class Interact(Model):
     # m of m (q̈ + 2ζω q̇ + ω² q) = Σ conj(φ)·F
     modal_mass_kg_m2: float
     groups: "list[Group]"
+    # of drags by displacement, by group: with warp where they end, without it empty
+    reached: "list[Reached]"
     # the next call's initial_state
     final_state: "State"
 
@@ -353,7 +361,7 @@ class InteractRequest(Model):
     locality: Literal["none", "geodesic"] = "geodesic"
     # [m]; 15 % of the height if unset
     falloff_m: float | None = None
-    # bend, do not stretch; changes voxels and vertices, not modal
+    # bend, do not stretch; a drag by displacement then holds its point in the bent shape
     warp: bool = False
     output: Literal["modal", "voxels", "vertices", "gaussians"] = "modal"
 
@@ -562,6 +570,17 @@ class Queue(Model):
     jobs: int
     oldest_s: float
     running: int
+
+
+class Reached(Model):
+    """How far a drag by displacement goes: less than wanted where the tree would have to stretch."""
+
+    wanted_m: tuple[float, float, float]
+    # where the point rests in the bent shape, from rest [m]
+    reached_m: tuple[float, float, float]
+    error_m: float
+    # why it goes less far; null where it is within 5 %
+    why: str | None
 
 
 class Ready(Model):

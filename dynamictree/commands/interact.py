@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from dynamictree.mesh import TriangleMesh
     from dynamictree.modal.force import Contact, Force
-    from dynamictree.modal.response import Answer, InteractiveTree
+    from dynamictree.modal.interactive_tree import Answer, InteractiveTree
     from dynamictree.modal.system import ModalSystem
 
 FORMATS = ("modal", "motion", "ply")
@@ -74,8 +74,9 @@ def interact(
 ) -> None:
     """Push a tree: spectrum + forces → modal coordinates, moving mesh."""
     from dynamictree.formats.tensors.spectrum import read_spectrum
+    from dynamictree.modal.interactive_tree import InteractiveTree
     from dynamictree.modal.locality import default_falloff_m
-    from dynamictree.modal.response import InteractiveTree, group_forces, respond
+    from dynamictree.modal.response import group_forces, respond
     from dynamictree.modal.step import INTEGRATORS
     from dynamictree.modal.system import modal_system
 
@@ -88,10 +89,16 @@ def interact(
     at = _contact(system, point, voxel, radius)
     forces = _forces(at, impulse=impulse, force=force, displacement=displacement, wind=wind, times=(start, duration))
     groups = group_forces(forces, falloff_m=(falloff or default_falloff_m(system)) if local else None)
-    answer = respond(
-        system, groups, dt_s=1 / fps, num_frames=frames, integrator=chosen, start="held" if held else "rest"
-    )
     tree = InteractiveTree(system)
+    answer = respond(
+        system,
+        groups,
+        dt_s=1 / fps,
+        num_frames=frames,
+        integrator=chosen,
+        start="held" if held else "rest",
+        bent=tree if warp else None,
+    )
     source = None if mesh is None else load_mesh(mesh, up_axis=reading.up_axis, unit_m=reading.unit_m)
     files = _write(tree, answer, source, output, wanted=wanted, fps=fps, warp=warp)
     facts = {
@@ -99,6 +106,7 @@ def interact(
         "num_frames": frames,
         "groups": len(groups),
         "mass_kg": system.mass_kg,
+        "reached_m": [[round(float(x), 4) for x in one.reached_m] for one in answer.reached],
         "place_m": [round(float(x), 4) for x in system.grid.centres_m[at.rows[0]]],
     }
     tell(facts, as_json=as_json)

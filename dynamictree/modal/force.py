@@ -106,14 +106,20 @@ def generalised_force(
     """
     match force:
         case Impulse():
-            vector = _finite("impulse_n_s", force.impulse_n_s)
+            vector = finite("impulse_n_s", force.impulse_n_s)
             rate = _impulse_rate(force, dt_s, num_frames)
-            return np.asarray(rate[:, None] * _at_contact(system, force.at, vector))
+            return np.asarray(rate[:, None] * generalised(system, force.at, vector))
         case Drag():
-            share = _share_of_steps(force.start_s, force.duration_s, dt_s, num_frames)
-            return np.asarray(share[:, None] * _at_contact(system, force.at, drag_force_n(system, force)))
+            share = share_of_steps(force.start_s, force.duration_s, dt_s, num_frames)
+            return np.asarray(share[:, None] * generalised(system, force.at, drag_force_n(system, force)))
         case WindField():
             return _wind(system, force, dt_s, num_frames)
+
+
+def generalised(system: ModalSystem, at: Contact, vector_n: Float64[np.ndarray, " 3"]) -> Complex128[np.ndarray, " M"]:
+    """A force at a contact in modal coordinates, Σ_p conj(φ_k(p)) · F_p [J]."""
+    pushed: Complex128[np.ndarray, " M"] = _shape_at(system, at).conj() @ vector_n
+    return pushed
 
 
 def drag_force_n(system: ModalSystem, drag: Drag) -> Float64[np.ndarray, " 3"]:
@@ -128,9 +134,9 @@ def drag_force_n(system: ModalSystem, drag: Drag) -> Float64[np.ndarray, " 3"]:
     if (drag.force_n is None) == (drag.displacement_m is None):
         raise InputError("a drag has either force_n or displacement_m; give exactly one of them")
     if drag.force_n is not None:
-        return _finite("force_n", drag.force_n)
+        return finite("force_n", drag.force_n)
     assert drag.displacement_m is not None
-    wanted = _finite("displacement_m", drag.displacement_m)
+    wanted = finite("displacement_m", drag.displacement_m)
     give = compliance(system, drag.at)
     if np.trace(give) <= 0:
         raise InputError("the tree does not move at the point that is dragged; aim higher, or at a branch")
@@ -162,7 +168,7 @@ def davis_state(system: ModalSystem, force: Impulse | Drag, *, gain: float = 1.0
     """
     vector = force.impulse_n_s if isinstance(force, Impulse) else force.displacement_m or force.force_n
     assert vector is not None
-    along = _finite("direction", vector)
+    along = finite("direction", vector)
     length = float(np.linalg.norm(along))
     moved = _shape_at(system, force.at) @ (along / max(length, np.finfo(np.float64).tiny))  # φ·d, [M]
     largest = float(np.abs(moved).max())
@@ -179,21 +185,16 @@ def _shape_at(system: ModalSystem, at: Contact) -> Complex128[np.ndarray, "M 3"]
     return np.asarray(np.einsum("p,pmc->mc", at.weights, system.shapes[at.rows].astype(np.complex128)))
 
 
-def _at_contact(system: ModalSystem, at: Contact, vector: Float64[np.ndarray, " 3"]) -> Complex128[np.ndarray, " M"]:
-    pushed: Complex128[np.ndarray, " M"] = _shape_at(system, at).conj() @ vector
-    return pushed
-
-
 def _wind(system: ModalSystem, wind: WindField, dt_s: float, num_frames: int) -> Complex128[np.ndarray, "T M"]:
     """½ρ C A |v| v on every voxel; a surface voxel shows a quarter of its face to any side, as a convex body does."""
     velocity = np.asarray(wind.velocity_m_s, np.float64)
     if len(velocity) == 0:
         raise InputError("the wind has no samples; give at least one velocity")
-    _finite("wind_m_s", velocity.ravel())
+    finite("wind_m_s", velocity.ravel())
     area = system.grid.voxel_size_m**2 / 4
     pressure = AIR_DENSITY_KG_M3 / 2 * DRAG_COEFFICIENT * area * np.linalg.norm(velocity, axis=1, keepdims=True)
     per_voxel_n = pressure * velocity  # [S, 3]
-    share = _share_of_steps(wind.start_s, wind.duration_s, dt_s, num_frames)
+    share = share_of_steps(wind.start_s, wind.duration_s, dt_s, num_frames)
     times = (np.arange(num_frames) + 0.5) * dt_s - wind.start_s
     span = num_frames * dt_s - wind.start_s if wind.duration_s is None else wind.duration_s
     at_samples = np.linspace(0, max(span, dt_s), len(velocity))
@@ -206,16 +207,14 @@ def _wind(system: ModalSystem, wind: WindField, dt_s: float, num_frames: int) ->
 def _impulse_rate(force: Impulse, dt_s: float, num_frames: int) -> Float64[np.ndarray, " T"]:
     """How much of the impulse falls into each step, a second [1/s]."""
     if force.duration_s > 0:
-        return _share_of_steps(force.start_s, force.duration_s, dt_s, num_frames) / force.duration_s
+        return share_of_steps(force.start_s, force.duration_s, dt_s, num_frames) / force.duration_s
     _check_times(force.start_s, force.duration_s)
     step = np.floor(force.start_s / dt_s + 1e-9)  # a start on a step's border belongs to the step that begins there
     rate: Float64[np.ndarray, " T"] = (np.arange(num_frames) == step) / dt_s
     return rate
 
 
-def _share_of_steps(
-    start_s: float, duration_s: float | None, dt_s: float, num_frames: int
-) -> Float64[np.ndarray, " T"]:
+def share_of_steps(start_s: float, duration_s: float | None, dt_s: float, num_frames: int) -> Float64[np.ndarray, " T"]:
     """The share of each step during which a force acts."""
     _check_times(start_s, duration_s)
     begin = np.arange(num_frames) * dt_s
@@ -229,7 +228,12 @@ def _check_times(start_s: float, duration_s: float | None) -> None:
         raise InputError(f"start_s {start_s}, duration_s {duration_s}: both must be finite, the duration not negative")
 
 
-def _finite(name: str, values: Vector | Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
+def finite(name: str, values: Vector | Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
+    """Values as an array.
+
+    Raises:
+        InputError: one of them is not finite.
+    """
     vector = np.asarray(values, np.float64)
     if not np.isfinite(vector).all():
         raise InputError(f"{name} is {vector.tolist()}; every component must be finite")

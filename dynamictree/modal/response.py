@@ -1,102 +1,30 @@
 """From forces to motion: who is pushed together, how it swings, where every voxel goes."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Complex128, Float32, Float64
+from jaxtyping import Complex128, Float64
 
 from dynamictree.errors import InputError
-from dynamictree.modal.force import Force, WindField, davis_state, equilibrium, generalised_force
-from dynamictree.modal.locality import Branching, branching, poke_weights
-from dynamictree.modal.skeleton import Bones, bones_of
+from dynamictree.modal.force import (
+    Drag,
+    Force,
+    WindField,
+    contact_at_voxel,
+    davis_state,
+    equilibrium,
+    finite,
+    generalised_force,
+    share_of_steps,
+)
+from dynamictree.modal.interactive_tree import Answer, ForceGroup, InteractiveTree, Locality, Reached
+from dynamictree.modal.local_bend import Bend, swing
 from dynamictree.modal.step import STEPS, Integrator, State, run
-from dynamictree.modal.surface import BoneAttachment
-from dynamictree.modal.system import ModalSystem, displacement
+from dynamictree.modal.system import ModalSystem
 
 Start = Literal["rest", "held", "davis"]
-FRAMES_AT_ONCE = 32  # of plain superposition: one matrix product, 15 MB at 40,000 voxels
-
-
-@dataclass(frozen=True, kw_only=True)
-class Locality:
-    """Where a group's answer is centred, and how fast it fades."""
-
-    seed_voxel: int
-    falloff_m: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class ForceGroup:
-    """Forces that share modal coordinates; without a locality they move the whole tree."""
-
-    locality: Locality | None = None
-    forces: tuple[Force, ...] = ()
-
-
-@dataclass(frozen=True, kw_only=True)
-class Answer:
-    """Modal coordinates a frame and group, and the state that the next run begins with."""
-
-    groups: tuple[ForceGroup, ...]
-    q: Complex128[np.ndarray, "T G M"]
-    final: State
-
-
-@dataclass(frozen=True)
-class InteractiveTree:
-    """Prepared once a spectrum, asked often. What only displacements need is made when first asked for."""
-
-    system: ModalSystem = field(repr=False)
-
-    @cached_property
-    def branching(self) -> Branching:
-        """Which way the tree grows."""
-        return branching(self.system)
-
-    @cached_property
-    def bones(self) -> Bones:
-        """What turns as one."""
-        return bones_of(self.system)
-
-    def weights(self, groups: Sequence[ForceGroup]) -> Float32[np.ndarray, "G V"]:
-        """How much each voxel takes part in each group."""
-        everywhere = np.ones(len(self.system.grid), np.float32)
-        rows = [
-            poke_weights(self.branching, group.locality.seed_voxel, group.locality.falloff_m)
-            if group.locality
-            else everywhere
-            for group in groups
-        ]
-        return np.stack(rows) if rows else np.zeros((0, len(everywhere)), np.float32)
-
-    def voxels(self, answer: Answer, *, warp: bool = False) -> Iterator[Float32[np.ndarray, "V 3"]]:
-        """Displacement of every voxel, frame after frame [m]."""
-        grid = self.system.grid
-        if warp:
-            own = BoneAttachment(rows=self.bones.bone_of_voxel[:, None], weights=np.ones((len(grid), 1), np.float32))
-            yield from self.bent(answer, grid.centres_m, own)
-            return
-        weights = self.weights(answer.groups)
-        for first in range(0, len(answer.q), FRAMES_AT_ONCE):
-            some = answer.q[first : first + FRAMES_AT_ONCE]
-            moved = np.zeros((len(some), len(grid), 3), np.float32)
-            for index, row in enumerate(weights):
-                moved += row[:, None] * displacement(self.system.shapes, some[:, index])
-            yield from moved
-
-    def bent(
-        self, answer: Answer, points: Float32[np.ndarray, "N 3"], attachment: BoneAttachment
-    ) -> Iterator[Float32[np.ndarray, "N 3"]]:
-        """Displacement of points that bones carry, frame after frame [m]."""
-        from dynamictree.modal.warp import bend, bone_turns, bone_weights, pose  # brings numba
-
-        per_bone = bone_weights(self.bones, self.weights(answer.groups))
-        for q in answer.q:
-            stance = pose(self.bones, bone_turns(self.bones, per_bone, q))
-            yield bend(self.bones, stance, points, attachment.rows, attachment.weights)
 
 
 def with_bin_zero(q: Complex128[np.ndarray, "*rows M"]) -> Float64[np.ndarray, "*rows K 2"]:
@@ -109,10 +37,17 @@ def with_bin_zero(q: Complex128[np.ndarray, "*rows M"]) -> Float64[np.ndarray, "
 def answer_tensors(answer: Answer) -> dict[str, np.ndarray]:
     """An answer as the tensors of a file: `q` [G, T, K, 2], `final_q` and `final_q_dot` [G, K, 2], and localities.
 
-    `seed_voxel` is -1 and `falloff_m` 0 for a group that moves the whole tree.
+    `seed_voxel` is -1 and `falloff_m` 0 for a group that moves the whole tree. Of a group g whose joints bend also
+    `bend_g` [T, n, 3] [rad], `final_bend_g` and `final_bend_rate_g` [n, 3].
     """
     places = [group.locality for group in answer.groups]
-    return {
+    bends = {
+        f"{name}_{index}": array
+        for index, (turns, final) in enumerate(zip(answer.bends, answer.final_bends, strict=True))
+        if turns.shape[1]
+        for name, array in (("bend", turns), ("final_bend", final.turn), ("final_bend_rate", final.rate))
+    }
+    return bends | {
         "q": np.ascontiguousarray(with_bin_zero(answer.q).transpose(1, 0, 2, 3)),
         "final_q": with_bin_zero(answer.final.q),
         "final_q_dot": with_bin_zero(answer.final.q_dot),
@@ -140,19 +75,24 @@ def respond(
     num_frames: int,
     integrator: Integrator = "exact",
     start: Start | State = "rest",
+    start_bends: Sequence[Bend] = (),
+    bent: InteractiveTree | None = None,
 ) -> Answer:
     """Let the tree answer: coordinates at times 0, dt, … and the state after the last step.
 
     It starts at rest; `held`, in equilibrium with what acts at time 0; by `davis`, in his initial state; or from a
-    state of these groups.
+    state of these groups, with their bends.
+
+    With `bent`, the tree whose bent shape is wanted, a drag by displacement holds its point in that shape.
 
     Raises:
         InputError: a force, dt or the start cannot be used.
         UnstableTimestep: the integrator diverges at this dt.
     """
     step = STEPS[integrator](system, dt_s)
+    solved, aims, reached = _solved(system, groups, dt_s, num_frames, None if start == "davis" else bent)
     pushed = np.zeros((num_frames, len(groups), system.num_modes), np.complex128)  # f, [T, G, M]
-    for index, group in enumerate(groups):
+    for index, group in enumerate(solved):
         for force in group.forces:
             pushed[:, index] += generalised_force(system, force, dt_s=dt_s, num_frames=num_frames)
     if isinstance(start, State):
@@ -169,7 +109,66 @@ def respond(
             f"{len(groups)} of {system.num_modes} are needed"
         )
     q, final = run(step, begin, pushed / system.modal_mass)
-    return Answer(groups=tuple(groups), q=q, final=final)
+    begun = [_first_bend(start_bends[index : index + 1], aim, held=start == "held") for index, aim in enumerate(aims)]
+    swings = [_swing(system, group, bend, aim, dt_s) for group, bend, aim in zip(groups, begun, aims, strict=True)]
+    return Answer(
+        groups=tuple(groups),
+        q=q,
+        final=final,
+        bends=tuple(turns for turns, _ in swings),
+        final_bends=tuple(last for _, last in swings),
+        reached=reached,
+    )
+
+
+def _solved(
+    system: ModalSystem, groups: Sequence[ForceGroup], dt_s: float, num_frames: int, bent: InteractiveTree | None
+) -> tuple[list[ForceGroup], list[Float64[np.ndarray, "T n 3"]], tuple[Reached, ...]]:
+    """Replace displacements by the forces that hold them in the bent shape; the bends that go with them, per step."""
+    if bent is None:
+        return list(groups), [np.zeros((num_frames, 0, 3)) for _ in groups], ()
+    from dynamictree.modal.pull import pull_to  # brings numba
+
+    solved, aims, reached = [], [], []
+    for group in groups:
+        forces: list[Force] = []
+        aim = np.zeros((num_frames, 0, 3))
+        for force in group.forces:
+            if not isinstance(force, Drag) or force.displacement_m is None or force.force_n is not None:
+                forces.append(force)
+                continue
+            wanted = finite("displacement_m", force.displacement_m)
+            pull = pull_to(bent.grip(system, group, force.at), wanted)
+            x, y, z = pull.force_n.tolist()
+            forces.append(replace(force, force_n=(x, y, z), displacement_m=None))
+            reached.append(Reached(wanted_m=wanted, reached_m=pull.reached_m, beyond_m=pull.beyond_m))
+            if group.locality is not None:
+                share = share_of_steps(force.start_s, force.duration_s, dt_s, num_frames)
+                part = share[:, None, None] * pull.bend
+                aim = aim + part if aim.shape[1] else part
+        solved.append(ForceGroup(locality=group.locality, forces=tuple(forces)))
+        aims.append(aim)
+    return solved, aims, tuple(reached)
+
+
+def _first_bend(given: Sequence[Bend], aim: Float64[np.ndarray, "T n 3"], *, held: bool) -> Bend:
+    if given and len(given[0].turn):
+        return given[0]
+    straight = Bend.straight(aim.shape[1])
+    return Bend(turn=aim[0], rate=straight.rate) if held else straight
+
+
+def _swing(
+    system: ModalSystem, group: ForceGroup, begin: Bend, aim: Float64[np.ndarray, "T m 3"], dt_s: float
+) -> tuple[Float64[np.ndarray, "T n 3"], Bend]:
+    if aim.shape[1] == 0 and len(begin.turn):
+        aim = np.zeros((len(aim), *begin.turn.shape))
+    if aim.shape[1] == 0:
+        return aim, begin
+    assert group.locality is not None
+    if begin.turn.shape != aim.shape[1:]:
+        raise InputError(f"the state bends {len(begin.turn)} joints; {aim.shape[1]} lie under this place")
+    return swing(system, contact_at_voxel(system.grid, group.locality.seed_voxel), begin, aim, dt_s=dt_s)
 
 
 def _davis(system: ModalSystem, groups: Sequence[ForceGroup]) -> State:

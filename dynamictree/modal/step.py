@@ -43,7 +43,12 @@ class State:
 
 def exact_step(system: ModalSystem, dt_s: float) -> Step:
     """The closed form of the damped oscillator under a held force; stable and exact at every dt and every ζ."""
-    omega, zeta, h = system.omega, system.damping_ratio, _positive(dt_s)
+    return exact_oscillator(system.omega, system.damping_ratio, dt_s)
+
+
+def exact_oscillator(omega: Float64[np.ndarray, " M"], zeta: Float64[np.ndarray, " M"], dt_s: float) -> Step:
+    """`exact_step` of oscillators with these natural frequencies [rad/s] and damping ratios."""
+    h = _positive(dt_s)
     root = np.sqrt(1 - zeta.astype(np.complex128) ** 2)  # imaginary where overdamped
     decay = np.exp(-zeta * omega * h)
     # of the decayed cosine and sine the real part: overdamped they are cosh and sinh, whose growth the decay outweighs

@@ -11,6 +11,10 @@ about its joint, the parent's centre, which the parent carries:
     joint'_b = joint'_a + R_a (joint_b − joint_a),        x' = joint'_b + R_b (x − joint_b).
 
 To first order that is the plain answer less its stretching along the bones; bones never change their length.
+
+A pull may also bend single joints (`pull.py`). A bend κ_b turns bone b and everything beyond it:
+
+    A_b = A_a exp [κ_b]×,        R_b = A_b exp [θ_b]×.
 """
 
 from dataclasses import dataclass
@@ -49,9 +53,9 @@ def bone_turns(
     return np.asarray(turns.astype(np.float32))
 
 
-def pose(bones: Bones, turns: Float32[np.ndarray, "B 3"]) -> Pose:
-    """Turn every bone and carry its children along."""
-    rotation, place = _pose(bones.parent, bones.joint_m, turns)
+def pose(bones: Bones, turns: Float32[np.ndarray, "B 3"], bends: Float32[np.ndarray, "B 3"] | None = None) -> Pose:
+    """Turn every bone and carry its children along; `bends` are κ of the joints."""
+    rotation, place = _pose(bones.parent, bones.joint_m, turns, np.zeros_like(turns) if bends is None else bends)
     return Pose(rotation=rotation, place_m=place)
 
 
@@ -72,20 +76,18 @@ def bend(
 
 @compiled
 @no_type_check
-def _pose(parent, joint, turns):
+def _pose(parent, joint, turns, bends):
+    frame = np.empty((len(parent), 3, 3), np.float32)  # A
     rotation = np.empty((len(parent), 3, 3), np.float32)
     place = np.empty((len(parent), 3), np.float32)
     for b in range(len(parent)):
-        x, y, z = turns[b]
-        angle = np.sqrt(x * x + y * y + z * z)
-        # Rodrigues: R = cos a I + (sin a / a) [θ]× + (1 - cos a)/a² θ θᵀ
-        c = np.cos(angle)
-        s = np.sin(angle) / angle if angle > 1e-4 else 1 - angle * angle / 6
-        d = (1 - c) / (angle * angle) if angle > 1e-2 else 0.5 - angle * angle / 24
-        rotation[b, 0] = (c + d * x * x, d * x * y - s * z, d * x * z + s * y)
-        rotation[b, 1] = (d * x * y + s * z, c + d * y * y, d * y * z - s * x)
-        rotation[b, 2] = (d * x * z - s * y, d * y * z + s * x, c + d * z * z)
         a = parent[b]
+        own, bend = _rotation(turns[b]), _rotation(bends[b])
+        if a < 0:
+            frame[b] = bend
+        else:
+            _multiply(frame[a], bend, frame[b])
+        _multiply(frame[b], own, rotation[b])
         if a < 0:
             place[b] = joint[b]
             continue
@@ -94,6 +96,30 @@ def _pose(parent, joint, turns):
             for j in range(3):
                 place[b, i] += rotation[a, i, j] * (joint[b, j] - joint[a, j])
     return rotation, place
+
+
+@compiled
+@no_type_check
+def _rotation(turn):
+    x, y, z = turn
+    angle = np.sqrt(x * x + y * y + z * z)
+    # Rodrigues: R = cos a I + (sin a / a) [θ]× + (1 - cos a)/a² θ θᵀ
+    c = np.cos(angle)
+    s = np.sin(angle) / angle if angle > 1e-4 else 1 - angle * angle / 6
+    d = (1 - c) / (angle * angle) if angle > 1e-2 else 0.5 - angle * angle / 24
+    matrix = np.empty((3, 3), np.float32)
+    matrix[0] = (c + d * x * x, d * x * y - s * z, d * x * z + s * y)
+    matrix[1] = (d * x * y + s * z, c + d * y * y, d * y * z - s * x)
+    matrix[2] = (d * x * z - s * y, d * y * z + s * x, c + d * z * z)
+    return matrix
+
+
+@compiled
+@no_type_check
+def _multiply(left, right, out):
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = left[i, 0] * right[0, j] + left[i, 1] * right[1, j] + left[i, 2] * right[2, j]
 
 
 @compiled

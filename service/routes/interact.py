@@ -20,8 +20,10 @@ from starlette.types import Receive, Scope, Send
 
 from dynamictree.errors import UnstableTimestep
 from dynamictree.mesh import TriangleMesh
+from dynamictree.modal.interactive_tree import Answer
+from dynamictree.modal.local_bend import Bend
 from dynamictree.modal.locality import default_falloff_m
-from dynamictree.modal.response import Answer, Start, answer_tensors, group_forces, respond, with_bin_zero
+from dynamictree.modal.response import Start, answer_tensors, group_forces, respond, with_bin_zero
 from dynamictree.modal.step import State
 from dynamictree.modal.system import ModalSystem, with_physics
 from service.http.negotiation import JSON, NPZ, SAFETENSORS, chosen
@@ -36,8 +38,10 @@ from service.schemas.forces import (
     LocalityPayload,
     Output,
     StatePayload,
+    Vector,
     library_force,
     locality_payload,
+    reached_payload,
     state_payload,
     with_state,
 )
@@ -65,6 +69,18 @@ class GroupPayload(Payload):
 
     locality: LocalityPayload | None = Field(description="null: the whole tree")
     q: list[list[Complex]] = Field(description="[frames, K]; index = frequency bin, bin 0 is no mode and 0")
+    bend: list[list[Vector]] | None = Field(
+        description="[frames, n] turns of the joints from the grip's bone towards the root [rad]; null: none bends"
+    )
+
+
+class ReachedPayload(Payload):
+    """How far a drag by displacement goes: less than wanted where the tree would have to stretch."""
+
+    wanted_m: Vector
+    reached_m: Vector = Field(description="where the point rests in the bent shape, from rest [m]")
+    error_m: float
+    why: str | None = Field(description="why it goes less far; null where it is within 5 %")
 
 
 class InteractPayload(Payload):
@@ -80,6 +96,9 @@ class InteractPayload(Payload):
     mass_kg: float
     modal_mass_kg_m2: float = Field(description="m of m (q̈ + 2ζω q̇ + ω² q) = Σ conj(φ)·F")
     groups: list[GroupPayload]
+    reached: list[ReachedPayload] = Field(
+        description="of drags by displacement, by group: with warp where they end, without it empty"
+    )
     final_state: StatePayload = Field(description="the next call's initial_state")
 
 
@@ -145,7 +164,7 @@ def _is_short(body: InteractRequest) -> bool:
     """Whether an answer takes a few milliseconds and reads nothing."""
     at_vertices = any(force.at is not None and force.at.vertex is not None for force in body.forces)
     groups = len(body.forces) + (0 if body.initial_state is None else len(body.initial_state.groups))
-    return body.output == "modal" and not at_vertices and body.num_frames * max(groups, 1) <= SHORT
+    return body.output == "modal" and not (at_vertices or body.warp) and body.num_frames * max(groups, 1) <= SHORT
 
 
 def _prepared_response(body: InteractRequest, owned: Owned, media_type: str) -> Response:
@@ -179,13 +198,21 @@ def answer_of(body: InteractRequest, ready: ReadyTree, owned: Owned) -> tuple[Mo
     falloff = None if body.locality == "none" else body.falloff_m or default_falloff_m(system)
     groups = group_forces(forces, falloff_m=falloff)
     begin: Start | State = body.start
+    bends: tuple[Bend, ...] = ()
     if body.initial_state is not None:
-        groups, begin = with_state(groups, body.initial_state, system.num_modes)
+        groups, begin, bends = with_state(groups, body.initial_state, system.num_modes)
     if len(groups) > MAX_GROUPS:
         raise ProblemError("validation-failed", f"{len(groups)} groups of forces; at most {MAX_GROUPS} are allowed")
     try:
         answer = respond(
-            system, groups, dt_s=body.dt_s, num_frames=body.num_frames, integrator=body.integrator, start=begin
+            system,
+            groups,
+            dt_s=body.dt_s,
+            num_frames=body.num_frames,
+            integrator=body.integrator,
+            start=begin,
+            start_bends=bends,
+            bent=ready.tree if body.warp else None,
         )
     except UnstableTimestep as error:
         raise ProblemError(error.code, str(error), extra={"max_dt_s": error.max_dt_s}) from error
@@ -259,10 +286,19 @@ def _facts(body: InteractRequest, system: ModalSystem) -> dict[str, object]:
 def _told(body: InteractRequest, system: ModalSystem, answer: Answer) -> dict[str, object]:
     coordinates = with_bin_zero(answer.q)  # [T, G, K, 2]
     groups = [
-        {"locality": locality_payload(group.locality), "q": np.ascontiguousarray(coordinates[:, index])}
+        {
+            "locality": locality_payload(group.locality),
+            "q": np.ascontiguousarray(coordinates[:, index]),
+            "bend": answer.bends[index] if answer.bends[index].shape[1] else None,
+        }
         for index, group in enumerate(answer.groups)
     ]
-    return _facts(body, system) | {"groups": groups, "final_state": state_payload(answer.groups, answer.final)}
+    final = state_payload(answer.groups, answer.final, answer.final_bends)
+    return _facts(body, system) | {
+        "groups": groups,
+        "reached": [reached_payload(reached) for reached in answer.reached],
+        "final_state": final,
+    }
 
 
 def _packed(arrays: dict[str, np.ndarray], facts: dict[str, object], media_type: str) -> bytes:

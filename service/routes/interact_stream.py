@@ -7,14 +7,15 @@ Every message is a JSON object with a `type`. The client begins with
 and then sends, in any order,
 
     force    force: as in /v1/interact, without times. A drag or a wind replaces the one before and acts until it
-             is released; an impulse acts once
+             is released; an impulse acts once. A drag by displacement_m holds its point there, in the bent shape
     release  kind: `drag` or `wind`, let go
     ack      frame: the highest frame that was drawn
 
 The server sends
 
     opened   rate_hz, frequencies_hz, damping_ratio, modal_mass_kg_m2
-    frame    frame (its number, at frame / rate_hz seconds), skipped (frames left out before it), groups: locality and q
+    frame    frame (its number, at frame / rate_hz seconds), skipped (frames left out before it), groups: locality, q
+             and bend; reached, while a drag by displacement holds a point
     rest     frame: everything has settled; nothing more is sent until the next force
     problem  code, detail, …: what was wrong with a message; the stream goes on, unless it was the first
 
@@ -42,7 +43,7 @@ from dynamictree.modal.step import exact_step
 from dynamictree.modal.system import with_physics
 from service.http.problems import REFUSALS, ProblemError, Refusal, problem_body, problem_of
 from service.http.validation_errors import field_errors, summed_up
-from service.interact_session import Session, force_of
+from service.interact_session import Grips, Session, force_of
 from service.open_streams import until_revoked
 from service.ready_tree import ReadyTree
 from service.schemas.base import Finite, Payload
@@ -176,6 +177,7 @@ async def _receive(socket: WebSocket, owned: Owned, opened: OpenMessage, ready: 
         dt_s=session.step.dt_s,
         falloff_m=falloff_m,
         mesh=partial(with_mesh, owned, ready, opened.spectrum_id),
+        grips=Grips(ready.tree, session.system),
     )
     while True:
         try:

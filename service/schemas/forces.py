@@ -1,6 +1,6 @@
 """Bodies of /v1/interact, and their conversion to the library's types. Metres, newtons, seconds; +Z up."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Annotated, Literal
 
 import numpy as np
@@ -8,7 +8,9 @@ from pydantic import Field, model_validator
 
 from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.force import Contact, Drag, Force, Impulse, WindField, contact_at_point, contact_at_voxel
-from dynamictree.modal.response import ForceGroup, Locality, Start, with_bin_zero
+from dynamictree.modal.interactive_tree import ForceGroup, Locality, Reached
+from dynamictree.modal.local_bend import Bend
+from dynamictree.modal.response import Start, with_bin_zero
 from dynamictree.modal.step import Integrator, State
 from dynamictree.requests import MAX_FRAMES
 from dynamictree.voxel.grid import VoxelGrid
@@ -18,6 +20,8 @@ from service.schemas.base import Finite, Payload
 MAX_FORCES = 32
 MAX_GROUPS = 64
 MAX_WIND_SAMPLES = 600
+CLOSE_SHARE = 0.05  # of a pull: what is nearer counts as reached
+MAX_BENDS = 1024  # joints under one place
 LARGEST = 1e6  # of any vector's component: far beyond a storm, far below what overflows
 
 Component = Annotated[Finite, Field(ge=-LARGEST, le=LARGEST)]
@@ -56,7 +60,7 @@ class ForcePayload(Payload):
     impulse_n_s: Vector | None = Field(default=None, description="[N s], of an impulse")
     force_n: Vector | None = Field(default=None, description="[N], of a drag; or displacement_m")
     displacement_m: Vector | None = Field(
-        default=None, description="[m], of a drag: where the point would rest under the force that is then constant"
+        default=None, description="[m], of a drag: where the point comes to rest, in the bent shape with warp"
     )
     wind_m_s: Vector | list[Vector] | None = Field(
         default=None, description="[m/s], of wind; several are samples, evenly spaced over the duration"
@@ -95,6 +99,10 @@ class GroupStatePayload(Payload):
     locality: LocalityPayload | None = Field(description="null: the whole tree")
     q: list[Complex] = Field(max_length=4096)
     q_dot: list[Complex] = Field(max_length=4096, description="[1/s]")
+    bend: list[Vector] | None = Field(
+        default=None, max_length=MAX_BENDS, description="local bends [rad], from the grip's bone towards the root"
+    )
+    bend_rate: list[Vector] | None = Field(default=None, max_length=MAX_BENDS, description="[rad/s]")
 
 
 class StatePayload(Payload):
@@ -127,7 +135,9 @@ class InteractRequest(Payload):
     initial_state: StatePayload | None = Field(default=None, description="final_state of an earlier call")
     locality: Literal["none", "geodesic"] = Field(default="geodesic", description="what a push may reach")
     falloff_m: Finite | None = Field(default=None, gt=0, le=LARGEST, description="[m]; 15 % of the height if unset")
-    warp: bool = Field(default=False, description="bend, do not stretch; changes voxels and vertices, not modal")
+    warp: bool = Field(
+        default=False, description="bend, do not stretch; a drag by displacement then holds its point in the bent shape"
+    )
     output: Output = "modal"
 
 
@@ -155,8 +165,8 @@ def library_force(force: ForcePayload, grid: VoxelGrid, mesh: Callable[[], Trian
 
 def with_state(
     groups: tuple[ForceGroup, ...], state: StatePayload, num_modes: int
-) -> tuple[tuple[ForceGroup, ...], State]:
-    """The groups of the forces and of an earlier call's end, and the state that they begin with."""
+) -> tuple[tuple[ForceGroup, ...], State, tuple[Bend, ...]]:
+    """The groups of the forces and of an earlier call's end, and the state and bends that they begin with."""
     by_locality = {_locality(group.locality): group for group in state.groups}
     if len(by_locality) != len(state.groups):
         raise ProblemError("validation-failed", "/initial_state/groups: two groups have the same locality")
@@ -164,16 +174,30 @@ def with_state(
     groups += tuple(ForceGroup(locality=locality) for locality in by_locality if locality not in forced)
     rows = [_coordinates(by_locality.get(group.locality), num_modes) for group in groups]
     stacked = np.stack(rows) if rows else np.zeros((0, 2, num_modes), np.complex128)
-    return groups, State(q=stacked[:, 0], q_dot=stacked[:, 1])
+    bends = tuple(_bend(by_locality.get(group.locality)) for group in groups)
+    return groups, State(q=stacked[:, 0], q_dot=stacked[:, 1]), bends
 
 
-def state_payload(groups: tuple[ForceGroup, ...], state: State) -> dict[str, object]:
+def state_payload(groups: tuple[ForceGroup, ...], state: State, bends: Sequence[Bend]) -> dict[str, object]:
     """The state as a response body, as a `StatePayload` reads it."""
     return {
         "groups": [
             {"locality": locality_payload(group.locality), "q": with_bin_zero(q), "q_dot": with_bin_zero(q_dot)}
-            for group, q, q_dot in zip(groups, state.q, state.q_dot, strict=True)
+            | ({"bend": bend.turn, "bend_rate": bend.rate} if len(bend.turn) else {"bend": None, "bend_rate": None})
+            for group, q, q_dot, bend in zip(groups, state.q, state.q_dot, bends, strict=True)
         ]
+    }
+
+
+def reached_payload(reached: Reached) -> dict[str, object]:
+    """How far a drag goes, as a response body."""
+    error = float(np.linalg.norm(reached.wanted_m - reached.reached_m))
+    short = error > CLOSE_SHARE * float(np.linalg.norm(reached.wanted_m))
+    return {
+        "wanted_m": reached.wanted_m.tolist(),
+        "reached_m": reached.reached_m.tolist(),
+        "error_m": error,
+        "why": reached.why if short else None,
     }
 
 
@@ -202,6 +226,17 @@ def _contact(at: AtPayload, grid: VoxelGrid, mesh: Callable[[], TriangleMesh]) -
 
 def _locality(payload: LocalityPayload | None) -> Locality | None:
     return None if payload is None else Locality(seed_voxel=payload.seed_voxel, falloff_m=payload.falloff_m)
+
+
+def _bend(group: GroupStatePayload | None) -> Bend:
+    """Bends of a group; none for a group that is new."""
+    if group is None or not group.bend:
+        return Bend.straight()
+    rate = group.bend_rate or [(0.0, 0.0, 0.0)] * len(group.bend)
+    if len(rate) != len(group.bend) or group.locality is None:
+        detail = f"bend has {len(group.bend)} joints and bend_rate {len(rate)}; give as many, and a locality"
+        raise ProblemError("validation-failed", f"/initial_state/groups: {detail}")
+    return Bend(turn=np.array(group.bend), rate=np.array(rate))
 
 
 def _coordinates(group: GroupStatePayload | None, num_modes: int) -> np.ndarray:

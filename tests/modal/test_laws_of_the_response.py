@@ -7,7 +7,8 @@ from dynamictree.devoxelize.interpolation import VoxelInterpolation
 from dynamictree.errors import InputError
 from dynamictree.modal.force import Drag, Impulse, WindField, contact_at_voxel
 from dynamictree.modal.frames import VertexFrames
-from dynamictree.modal.response import ForceGroup, InteractiveTree, Locality, answer_tensors, group_forces, respond
+from dynamictree.modal.interactive_tree import ForceGroup, InteractiveTree, Locality
+from dynamictree.modal.response import answer_tensors, group_forces, respond
 from dynamictree.modal.step import State
 from dynamictree.modal.system import displacement, modal_system, with_physics
 from tests.modal.trees import fork

@@ -11,8 +11,9 @@ from fastapi.testclient import TestClient
 from safetensors.numpy import load
 
 from dynamictree.modal.force import Drag, Impulse, contact_at_voxel
+from dynamictree.modal.interactive_tree import InteractiveTree
 from dynamictree.modal.locality import default_falloff_m
-from dynamictree.modal.response import InteractiveTree, group_forces, respond
+from dynamictree.modal.response import group_forces, respond
 from dynamictree.modal.system import modal_system
 from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.assets import delete_asset

@@ -23,8 +23,8 @@ import { Modes } from "REFERENCE";
 const [modesPath, requestPath] = process.argv.slice(2);
 const file = readFileSync(modesPath);
 const modes = new Modes(file.buffer.slice(file.byteOffset, file.byteOffset + file.byteLength));
-const { q, weights } = JSON.parse(readFileSync(requestPath, "utf8"));
-const { rotation, place } = modes.poses(q, weights);
+const { q, weights, bends } = JSON.parse(readFileSync(requestPath, "utf8"));
+const { rotation, place } = modes.poses(q, weights, bends && Float64Array.from(bends));
 const told = { voxels: modes.voxels(q, weights), rotation, place };
 console.log(JSON.stringify(told, (_, value) => (ArrayBuffer.isView(value) ? Array.from(value) : value)));
 """
@@ -99,20 +99,27 @@ def test_the_python_reference_bends_as_the_server_does(
     np.testing.assert_allclose(moved, expected, atol=1e-2 * np.abs(expected).max())
 
 
-def test_the_javascript_reference_is_the_python_one(
-    client: TestClient, spectrum_id: str, spectrum: SparseVoxelSpectrum, poke: dict, modes: bytes, tmp_path: Path
-) -> None:
+def in_node(modes: bytes, q: np.ndarray, weights: np.ndarray, folder: Path, bends: np.ndarray | None = None) -> dict:
+    """What the JavaScript reference gives."""
     node = shutil.which("node")
     if node is None:
         pytest.skip("node is not installed: the JavaScript reference needs it")
+    (folder / "modes").write_bytes(modes)
+    request = {"q": q.reshape(len(q), -1).tolist(), "weights": weights.tolist()}
+    if bends is not None:
+        request["bends"] = bends.ravel().tolist()
+    (folder / "request.json").write_text(json.dumps(request))
+    (folder / "driver.mjs").write_text(DRIVER.replace("REFERENCE", REFERENCE.as_uri()))
+    command = [node, str(folder / "driver.mjs"), str(folder / "modes"), str(folder / "request.json")]
+    return json.loads(subprocess.run(command, check=True, capture_output=True, timeout=60).stdout)
+
+
+def test_the_javascript_reference_is_the_python_one(
+    client: TestClient, spectrum_id: str, spectrum: SparseVoxelSpectrum, poke: dict, modes: bytes, tmp_path: Path
+) -> None:
     q, rows, num_voxels = evaluated(client, spectrum_id, *pushes(poke, spectrum), num_frames=12, falloff_m=2.0)
     weights = weights_of(rows, num_voxels)
-    (tmp_path / "modes").write_bytes(modes)
-    request = {"q": q.reshape(len(q), -1).tolist(), "weights": weights.tolist()}
-    (tmp_path / "request.json").write_text(json.dumps(request))
-    (tmp_path / "driver.mjs").write_text(DRIVER.replace("REFERENCE", REFERENCE.as_uri()))
-    command = [node, str(tmp_path / "driver.mjs"), str(tmp_path / "modes"), str(tmp_path / "request.json")]
-    told = json.loads(subprocess.run(command, check=True, capture_output=True, timeout=60).stdout)
+    told = in_node(modes, q, weights, tmp_path)
     reference = Modes(modes)
     rotation, place = reference.poses(q, weights)
     np.testing.assert_allclose(np.reshape(told["voxels"], (-1, 3)), reference.voxels(q, weights), atol=1e-6)
@@ -144,3 +151,62 @@ def test_a_reach_that_is_none_is_refused(client: TestClient, spectrum_id: str, q
 
 def test_modes_of_what_is_no_spectrum_are_not_found(client: TestClient) -> None:
     assert client.get("/v1/spectra/01ARZ3NDEKTSV4RRFFQ69G5FAV/modes").status_code == 404
+
+
+@pytest.fixture
+def drag(poke: dict) -> dict:
+    """A pull at the top, across it."""
+    return {"kind": "drag", "at": poke["at"], "displacement_m": [0.3, 0.1, 0.0]}
+
+
+def test_the_references_bend_joints_as_the_server_does(
+    client: TestClient, spectrum_id: str, spectrum: SparseVoxelSpectrum, drag: dict, modes: bytes, tmp_path: Path
+) -> None:
+    options = {"num_frames": 2, "falloff_m": 2.0, "start": "held", "warp": True}
+    file = load(post(client, spectrum_id, drag, accept="*/*", output="voxels", **options).content)
+    expected = file["displacement"][-1]
+    answer = post(client, spectrum_id, drag, **options).json()
+    (group,) = answer["groups"]
+    weights = reach(client, spectrum_id, group["locality"])[None]
+    np.testing.assert_allclose(file["bend_0"], group["bend"], atol=1e-12)
+    reference = Modes(modes)
+    bends = reference.bends(drag["at"]["voxel"], np.array(group["bend"][-1]))
+    assert np.abs(bends).max() > 0.01
+    q = np.array([group["q"][-1]])
+    rotation, place = reference.poses(q, weights, bends)
+    bone, points = reference.file["bone_of_voxel"], spectrum.grid.centres_m
+    arm = points - reference.file["bone_joint_m"][bone]
+    moved = np.einsum("vij,vj->vi", rotation[bone], arm) + place[bone] - points
+    np.testing.assert_allclose(moved, expected, atol=1e-2 * np.abs(expected).max())
+    (reached,) = answer["reached"]
+    np.testing.assert_allclose(expected[drag["at"]["voxel"]], reached["reached_m"], atol=1e-4)
+    assert reached["error_m"] < 0.05 * np.linalg.norm(reached["wanted_m"])
+    assert reached["why"] is None
+    told = in_node(modes, q, weights, tmp_path, bends)
+    np.testing.assert_allclose(np.reshape(told["rotation"], (-1, 3, 3)), rotation, atol=1e-5)
+    np.testing.assert_allclose(np.reshape(told["place"], (-1, 3)), place, atol=1e-5)
+
+
+def test_a_bend_goes_on_in_the_next_call_and_a_wrong_one_is_refused(
+    client: TestClient, spectrum_id: str, drag: dict
+) -> None:
+    options = {"falloff_m": 2.0, "warp": True}
+    whole = post(client, spectrum_id, drag, num_frames=8, **options).json()
+    first = post(client, spectrum_id, drag, num_frames=4, **options).json()
+    later = drag | {"start_s": -4 / 60}
+    rest = post(client, spectrum_id, later, num_frames=4, initial_state=first["final_state"], **options).json()
+    bends = first["groups"][0]["bend"] + rest["groups"][0]["bend"]
+    np.testing.assert_allclose(bends, whole["groups"][0]["bend"], atol=1e-9)
+    for name in ("bend", "bend_rate"):
+        first["final_state"]["groups"][0][name].append([0.0, 0.0, 0.0])
+    refused = post(client, spectrum_id, later, num_frames=4, initial_state=first["final_state"], **options)
+    assert (refused.status_code, refused.json()["code"]) == (422, "invalid-input")
+
+
+def test_a_pull_that_would_stretch_the_tree_says_how_far_it_goes(
+    client: TestClient, spectrum_id: str, poke: dict
+) -> None:
+    up = {"kind": "drag", "at": poke["at"], "displacement_m": [0.0, 0.0, 2.0]}
+    (reached,) = post(client, spectrum_id, up, num_frames=1, start="held", warp=True).json()["reached"]
+    assert reached["error_m"] > 1.0
+    assert "do not stretch" in reached["why"]

@@ -4,6 +4,7 @@
 
 import threading
 import time
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,7 +12,8 @@ from fastapi.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
 from dynamictree.modal.force import Drag, Impulse, contact_at_voxel
-from dynamictree.modal.response import Locality, group_forces, respond
+from dynamictree.modal.interactive_tree import Answer, ForceGroup, InteractiveTree, Locality
+from dynamictree.modal.response import group_forces, respond
 from dynamictree.modal.step import exact_step
 from dynamictree.modal.system import modal_system
 from dynamictree.spectrum import SparseVoxelSpectrum
@@ -21,6 +23,7 @@ from jobs.tables import assets, jobs
 from service import interact_session, open_streams
 from service.app import create_app
 from service.routes import interact_stream
+from service.schemas.forces import ForcePayload
 from service.services import Services
 from tests.service.pushed import grown, poke, spectrum, spectrum_id  # noqa: F401
 
@@ -116,6 +119,47 @@ def test_who_does_not_acknowledge_gets_few_frames_and_then_the_newest(client: Te
         newest = socket.receive_json()
         assert newest["frame"] > interact_session.WINDOW + 1
         assert newest["skipped"] == newest["frame"] - interact_session.WINDOW - 1
+
+
+def test_a_grip_follows_its_pointer_in_the_bent_shape_and_is_let_go_smoothly(
+    spectrum: SparseVoxelSpectrum,
+) -> None:
+    tree = InteractiveTree(modal_system(spectrum, damping_ratio=0.1))
+    system, dt_s = tree.system, 1 / 60
+    row = int(np.argmax(spectrum.grid.coords[:, 2]))
+    session = interact_session.Session(system=system, step=exact_step(system, dt_s))
+    grips = interact_session.Grips(tree, system)
+    force_of = partial(interact_session.force_of, system=system, dt_s=dt_s, falloff_m=2.0, mesh=list, grips=grips)
+
+    def place() -> np.ndarray:
+        """Where the grip is in the shape that a client draws."""
+        group = ForceGroup(locality=session.localities[0])
+        bends = (session.bends[0].turn[None],)
+        answer = Answer(
+            groups=(group,), q=session.state.q[None], final=session.state, bends=bends, final_bends=tuple(session.bends)
+        )
+        return next(tree.voxels(answer, warp=True))[row].astype(np.float64)
+
+    def pull(target: np.ndarray) -> None:
+        payload = {"kind": "drag", "at": {"voxel": row}, "displacement_m": target.tolist()}
+        session.push(force_of(ForcePayload.model_validate(payload)))
+
+    target, path = np.zeros(3), []
+    for frame in range(30):
+        target = np.array([0.4, 0.2, 0.0]) * min(frame / 15, 1)
+        pull(target)
+        session.tick()
+        path.append(place())
+    assert np.linalg.norm(path[-1] - target) < 0.05 * np.linalg.norm(target)
+    assert session.next_frame()["reached"]["why"] is None
+    session.release("drag")
+    for _ in range(240):
+        session.tick()
+        path.append(place() if session.localities else np.zeros(3))
+    jumps = np.linalg.norm(np.diff(path[29:], n=2, axis=0), axis=1) / dt_s**2
+    omega = system.omega.max()
+    assert jumps.max() < 1.5 * omega**2 * np.linalg.norm(target)
+    assert np.abs(path[-30:]).max() < 0.5 * np.linalg.norm(target), "it rings down"
 
 
 @pytest.mark.parametrize(
