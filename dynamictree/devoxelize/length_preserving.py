@@ -15,9 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse
-from jaxtyping import Complex64, Float32, Float64, Int32
+from jaxtyping import Complex64, Float32, Int32
 
 from dynamictree.devoxelize.attachment import Attachments
+from dynamictree.devoxelize.conjugate_gradients import conjugate_gradients
 from dynamictree.devoxelize.interpolation import VoxelInterpolation
 from dynamictree.devoxelize.limit import limited
 from dynamictree.devoxelize.smooth import smooth
@@ -168,7 +169,7 @@ def _without_stretch(
         now = motion.view(np.float32).reshape(3 * len(motion), -1)  # [3n, 2K]
         pull = strain @ now + shortness.view(np.float32)
         right = net.weight * target.view(np.float32).reshape(now.shape) + ELONGATION * (strain.T @ pull)
-        step = _conjugate_gradients(system, right, now, steps) - now
+        step = conjugate_gradients(system, right, now, steps) - now
         for step_length in _STEP_LENGTHS:
             tried = np.ascontiguousarray(now + np.float32(step_length) * step).view(np.complex64).reshape(motion.shape)
             left = net.shortening(tried)
@@ -178,39 +179,3 @@ def _without_stretch(
             break
         motion, shortness = tried, left
     return motion
-
-
-def _conjugate_gradients(
-    system: scipy.sparse.csr_array,
-    right: Float32[np.ndarray, "M D"],
-    start: Float32[np.ndarray, "M D"],
-    steps: int,
-) -> Float32[np.ndarray, "M D"]:
-    """Solve for all columns at once, preconditioned by the diagonal (Saad, Iterative Methods, algorithm 9.1)."""
-    inverse = (1 / system.diagonal())[:, None]
-    solution = start.copy()
-    residual = right - system @ solution
-    preconditioned = inverse * residual
-    direction = preconditioned.copy()
-    product = _dots(residual, preconditioned)
-    for _ in range(steps):
-        image = system @ direction
-        step = _ratio(product, _dots(direction, image))
-        solution += step * direction
-        residual -= step * image
-        preconditioned = inverse * residual
-        former, product = product, _dots(residual, preconditioned)
-        direction *= _ratio(product, former)
-        direction += preconditioned
-    return solution
-
-
-def _dots(one: Float32[np.ndarray, "M D"], other: Float32[np.ndarray, "M D"]) -> Float64[np.ndarray, " D"]:
-    products: Float64[np.ndarray, " D"] = np.einsum("md,md->d", one, other, dtype=np.float64)
-    return products
-
-
-def _ratio(above: Float64[np.ndarray, " D"], below: Float64[np.ndarray, " D"]) -> Float32[np.ndarray, " D"]:
-    """Quotients, 0 where nothing is left to divide by."""
-    ratios: Float64[np.ndarray, " D"] = np.divide(above, below, out=np.zeros_like(above), where=below > 0)
-    return ratios.astype(np.float32)
