@@ -26,7 +26,7 @@ else
 TORCH_SOURCE := --torch-backend $(TORCH_BACKEND)
 endif
 
-.PHONY: help setup demo test train-gpu docs live js-tools web-check web-format openapi-lint scale-out compose check format openapi lock lock-versions lock-image bench clean browser serve
+.PHONY: help setup demo test train-gpu docs live js-tools web-check web-format openapi-lint scale-out compose check format openapi lock lock-versions lock-image bench clean browser serve sbom
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -68,6 +68,10 @@ attack: $(READY)  ## schemathesis: every operation of the OpenAPI page, all chec
 
 soak: $(READY)  ## an hour of traffic, and what every process weighs meanwhile
 	@$(BIN)/python -m tests.faults.soak --minutes 60
+
+sbom: $(READY)  ## sbom.json: what the image holds of Python, as CycloneDX 1.6, with hashes
+	@$(BIN)/uv tool run -q --from cyclonedx-bom==7.* cyclonedx-py requirements docker/requirements.lock -o sbom.json
+	@$(BIN)/python -c "import json; found = json.load(open('sbom.json')); print(len(found['components']), 'components in sbom.json')"
 
 check: $(READY)  ## format, lint, types, imports, openapi drift
 	@$(BIN)/ruff format --check .

@@ -19,6 +19,7 @@ router = APIRouter(include_in_schema=False)
 MEDIA_TYPES = {
     "html": "text/html; charset=utf-8",
     "css": "text/css; charset=utf-8",
+    "txt": "text/plain; charset=utf-8",
     "js": "text/javascript; charset=utf-8",
     "svg": "image/svg+xml",
     "webp": "image/webp",
@@ -52,6 +53,16 @@ def get_viewer(
     page = read_page("index.html")
     assert page is not None
     return _sent(page, accept_encoding, if_none_match, {"Content-Security-Policy": content_policy(page.content)})
+
+
+@router.api_route("/llms.txt", methods=["GET", "HEAD"])
+def get_llms_text(
+    accept_encoding: Annotated[str, Header()] = "", if_none_match: Annotated[str | None, Header()] = None
+) -> Response:
+    """How to use the service, for language models (llmstxt.org)."""
+    page = read_page("llms.txt")
+    assert page is not None
+    return _sent(page, accept_encoding, if_none_match, {})
 
 
 @router.api_route("/web/{path:path}", methods=["GET", "HEAD"])
