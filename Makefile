@@ -73,9 +73,10 @@ sbom: $(READY)  ## sbom.json: what the image holds of Python, as CycloneDX 1.6, 
 	@$(BIN)/uv tool run -q --from cyclonedx-bom==7.* cyclonedx-py requirements docker/requirements.lock -o sbom.json
 	@$(BIN)/python -c "import json; found = json.load(open('sbom.json')); print(len(found['components']), 'components in sbom.json')"
 
-check: $(READY)  ## format, lint, types, imports, openapi drift
+check: $(READY)  ## format, lint, banned words, types, imports, openapi drift
 	@$(BIN)/ruff format --check .
 	@$(BIN)/ruff check .
+	@$(BIN)/python -m tests.style
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports --no-cache
 	@$(BIN)/python -m service.openapi --check openapi/openapi.json

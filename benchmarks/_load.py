@@ -29,12 +29,12 @@ class Load:
 
 def generator() -> str:
     """Where `h2load` is: H2LOAD, or in the path."""
-    found = os.environ.get("H2LOAD") or shutil.which("h2load")
-    if not found:
+    program = os.environ.get("H2LOAD") or shutil.which("h2load")
+    if not program:
         raise SystemExit(
             "benchmarks: this one needs the load generator h2load (apt install nghttp2-client); H2LOAD may name it"
         )
-    return found
+    return program
 
 
 def load(url: str, *, rate: int, connections: int, seconds: int, body: str | None = None) -> Load:

@@ -53,12 +53,12 @@ def particles_at(points: np.ndarray, *, filled: float = 0.8) -> Particles:
 
 
 def advance(particles: Particles, *, num_substeps: int, gravity: float = 0.0, floor: float = 0.0) -> None:
-    """Move all particles on; nodes below `floor` are held."""
+    """Move all particles on; nodes below `floor` are fixed."""
     lam = YOUNG * POISSON / ((1 + POISSON) * (1 - 2 * POISSON))
     mu = YOUNG / (2 * (1 + POISSON))
     p = particles
     grids = np.zeros((NUM_CORES, GRID**3, 4), np.float32)
-    held = int(floor / SIZE * GRID)
+    fixed_nodes = int(floor / SIZE * GRID)
     stiffness = (np.float32(lam), np.float32(mu))
     with ThreadPoolExecutor(NUM_CORES) as pool:
 
@@ -67,7 +67,7 @@ def advance(particles: Particles, *, num_substeps: int, gravity: float = 0.0, fl
 
         for _ in range(num_substeps):
             on_all_cores(_scatter, p.position, p.velocity, p.affine, p.deformation, p.volume, *stiffness, grids)
-            on_all_cores(_update, grids, np.float32(gravity), held)
+            on_all_cores(_update, grids, np.float32(gravity), fixed_nodes)
             on_all_cores(_gather, p.position, p.velocity, p.affine, p.deformation, grids[0])
 
 
@@ -125,7 +125,7 @@ def _scatter(core, position, velocity, affine, deformation, volume, lam, mu, gri
 
 
 @numba.njit(nogil=True, fastmath=True, cache=True)
-def _update(this, grids, gravity, held):
+def _update(this, grids, gravity, fixed_nodes):
     """Sum the cores' grids into the first; momentum to velocity. Each core takes its share of the rows."""
     for row in range(this * GRID**3 // NUM_CORES, (this + 1) * GRID**3 // NUM_CORES):
         mass = np.float32(0)
@@ -139,7 +139,7 @@ def _update(this, grids, gravity, held):
                 total += grids[core, row, c]
             grids[0, row, c] = total / mass
         grids[0, row, 2] += np.float32(DT_S) * gravity
-        if row % GRID < held:
+        if row % GRID < fixed_nodes:
             grids[0, row, :3] = 0
 
 

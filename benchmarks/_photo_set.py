@@ -55,12 +55,12 @@ def photograph(folder: Path, *, number: int, side: int, species: str = "round-br
 
 
 def surface_score(
-    found: TriangleMesh, true: TriangleMesh, found_cameras: np.ndarray, true_cameras: np.ndarray, share: float
+    result: TriangleMesh, true: TriangleMesh, result_cameras: np.ndarray, true_cameras: np.ndarray, share: float
 ) -> dict[str, float]:
     """Precision, recall and F of points on both surfaces, within a share of the height, after the cameras meet."""
-    scale, rotation, shift = _aligned(found_cameras, true_cameras)
+    scale, rotation, shift = _aligned(result_cameras, true_cameras)
     rng = np.random.default_rng(0)
-    ours = scale * _on_surface(found, rng) @ rotation.T + shift
+    ours = scale * _on_surface(result, rng) @ rotation.T + shift
     theirs = _on_surface(true, rng)
     near = share * true.height_m
     precision = float((cKDTree(theirs).query(ours)[0] < near).mean())
@@ -78,14 +78,14 @@ def _cut_out(renderer: Renderer, camera: Camera, side: int) -> np.ndarray:
     return np.concatenate([seen, 255 * alpha], axis=2).round().astype(np.uint8)
 
 
-def _aligned(found: np.ndarray, true: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+def _aligned(result: np.ndarray, true: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
     """Umeyama 1991."""
-    middle_found, middle_true = found.mean(axis=0), true.mean(axis=0)
-    u, sizes, vt = np.linalg.svd((true - middle_true).T @ (found - middle_found))
+    middle_result, middle_true = result.mean(axis=0), true.mean(axis=0)
+    u, sizes, vt = np.linalg.svd((true - middle_true).T @ (result - middle_result))
     flip = np.diag([1, 1, np.sign(np.linalg.det(u @ vt))])
     rotation = u @ flip @ vt
-    scale = float((sizes * np.diag(flip)).sum() / ((found - middle_found) ** 2).sum())
-    return scale, rotation, middle_true - scale * rotation @ middle_found
+    scale = float((sizes * np.diag(flip)).sum() / ((result - middle_result) ** 2).sum())
+    return scale, rotation, middle_true - scale * rotation @ middle_result
 
 
 def _on_surface(mesh: TriangleMesh, rng: np.random.Generator) -> np.ndarray:

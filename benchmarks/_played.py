@@ -27,8 +27,8 @@ def z_up(vectors: np.ndarray) -> np.ndarray:
     return np.stack([vectors[..., 0], -vectors[..., 2], vectors[..., 1]], axis=-1)
 
 
-def told(content: bytes) -> dict[str, Any]:
-    """`asset.extras` of a GLB."""
+def reported_facts(content: bytes) -> dict[str, Any]:
+    """What a GLB states in `asset.extras`."""
     extras: dict[str, Any] = pygltflib.GLTF2().load_from_bytes(content).asset.extras
     return extras
 

@@ -45,8 +45,8 @@ def started(state: Path, **settings: str) -> Iterator[tuple[str, int]]:
     url = f"http://127.0.0.1:{port}"
     command = [sys.executable, "-m", "uvicorn", "service.app:create_app", "--factory", "--port", str(port)]
     quiet = ["--log-level", "warning", "--no-access-log", "--loop", "uvloop", "--http", "httptools"]
-    told = {f"DYNAMICTREE_{name.upper()}": value for name, value in settings.items()}
-    environment = os.environ | {"DYNAMICTREE_STATE_DIR": str(state)} | told
+    variables = {f"DYNAMICTREE_{name.upper()}": value for name, value in settings.items()}
+    environment = os.environ | {"DYNAMICTREE_STATE_DIR": str(state)} | variables
     process = subprocess.Popen([*command, *quiet], env=environment)
     try:
         _wait(url)
@@ -63,7 +63,7 @@ def published(services: Services, spectrum: SparseVoxelSpectrum, mesh: TriangleM
     bundle, file = io.BytesIO(), io.BytesIO()
     write_mesh_bundle(mesh, bundle)
     write_spectrum(spectrum, file)
-    digest, size = _kept(services, "mesh.safetensors", bundle.getvalue())
+    digest, size = _stored(services, "mesh.safetensors", bundle.getvalue())
     part = AssetPart(name="mesh.safetensors", sha256=digest, bytes=size)
     asset = AssetRecord(
         id=new_id(),
@@ -87,15 +87,15 @@ def published(services: Services, spectrum: SparseVoxelSpectrum, mesh: TriangleM
         created_at=now,
     )
     services.store.add_job(job, stages=("diffuse",))
-    held = claim(services.store, job.id, 1, owner="benchmark", lease_s=60)
-    assert held is not None
-    digest, size = _kept(services, "tree.spectrum.safetensors", file.getvalue())
-    made = OutputFile(
+    lease = claim(services.store, job.id, 1, owner="benchmark", lease_s=60)
+    assert lease is not None
+    digest, size = _stored(services, "tree.spectrum.safetensors", file.getvalue())
+    output = OutputFile(
         name="tree.spectrum.safetensors", media_type="application/octet-stream", sha256=digest, bytes=size
     )
-    start_stage(services.store, held, "diffuse")
-    publish_stage(services.store, held, "diffuse", (made,), key=digest, cached=False, retention_s=1e6)
-    succeed(services.store, held)
+    start_stage(services.store, lease, "diffuse")
+    publish_stage(services.store, lease, "diffuse", (output,), key=digest, cached=False, retention_s=1e6)
+    succeed(services.store, lease)
     return next(artifact.id for artifact in services.store.artifacts_of(job.id))
 
 
@@ -105,7 +105,7 @@ def processor_s(process_id: int) -> float:
     return (int(after_name[11]) + int(after_name[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def _kept(services: Services, name: str, content: bytes) -> tuple[str, int]:
+def _stored(services: Services, name: str, content: bytes) -> tuple[str, int]:
     path = services.settings.state_dir / name
     path.write_bytes(content)
     digest, size = hash_file(path)

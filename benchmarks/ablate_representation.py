@@ -41,16 +41,16 @@ def run() -> dict[str, object]:
             }
             for way, interpolation in ways.items():
                 for count in COUNTS if (resolution, way) == COUNTS_AT else (16,):
-                    kept = truth[:, :count]
-                    flat = kept.reshape(len(kept), -1).view(np.float32)
+                    truncated = truth[:, :count]
+                    flat = truncated.reshape(len(truncated), -1).view(np.float32)
                     voxels = np.ascontiguousarray(average.astype(np.float32) @ flat).view(np.complex64)
                     back = interpolation.apply(voxels.reshape(-1, count, 3))
                     name = f"{resolution}, {way}, K={count}"
                     tables.setdefault(name, []).append(_row(back, truth, sample.mesh.vertices, edges))
                     if way == "smooth" and count == 16:
-                        held = preserve_lengths(sample.mesh, back, grid.voxel_size_m)
+                        preserved = preserve_lengths(sample.mesh, back, grid.voxel_size_m)
                         name = f"{resolution}, smooth and held, K=16"
-                        tables.setdefault(name, []).append(_row(held, truth, sample.mesh.vertices, edges))
+                        tables.setdefault(name, []).append(_row(preserved, truth, sample.mesh.vertices, edges))
     return {
         "value": {
             name: {key: round(float(np.mean([row[key] for row in rows])), 4) for key in rows[0]}

@@ -37,9 +37,9 @@ def run() -> dict[str, object]:
 def _lowest(voxels: SurfaceVoxels, count: int) -> SurfaceVoxels:
     """The part of a tree that has at most `count` voxels: what lies below some height."""
     grid = voxels.grid
-    kept = np.sort(np.argsort(grid.coords[:, 2], kind="stable")[:count])
+    lowest = np.sort(np.argsort(grid.coords[:, 2], kind="stable")[:count])
     part = VoxelGrid(
-        coords=grid.coords[kept], origin_m=grid.origin_m, voxel_size_m=grid.voxel_size_m, resolution=grid.resolution
+        coords=grid.coords[lowest], origin_m=grid.origin_m, voxel_size_m=grid.voxel_size_m, resolution=grid.resolution
     )
-    moments = None if voxels.moments is None else voxels.moments[kept]
-    return SurfaceVoxels(grid=part, normals=voxels.normals[kept], moments=moments)
+    moments = None if voxels.moments is None else voxels.moments[lowest]
+    return SurfaceVoxels(grid=part, normals=voxels.normals[lowest], moments=moments)

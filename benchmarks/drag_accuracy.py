@@ -102,10 +102,10 @@ def _tree(seed: int, species: str, rng: np.random.Generator) -> list[dict[str, o
         length = rng.uniform(0.02, LARGEST_PULL) * system.height_m
         target = length * direction / np.linalg.norm(direction)
         began = time.perf_counter()
-        answer = _held(tree, int(row), target, bent=True)
+        answer = _pulled(tree, int(row), target, bent=True)
         taken_ms = (time.perf_counter() - began) * 1e3
         moved = next(tree.voxels(answer, warp=True)).astype(np.float64)
-        former = next(tree.voxels(_held(tree, int(row), target, bent=False), warp=True))[row]
+        former = next(tree.voxels(_pulled(tree, int(row), target, bent=False), warp=True))[row]
         reached = answer.reached[0]
         inside = line_of(sample.skeleton, int(owner[row]))[owner]
         energy = (moved**2).sum(axis=1)
@@ -128,7 +128,7 @@ def _tree(seed: int, species: str, rng: np.random.Generator) -> list[dict[str, o
     return rows
 
 
-def _held(tree: InteractiveTree, row: int, target: np.ndarray, *, bent: bool) -> Answer:
+def _pulled(tree: InteractiveTree, row: int, target: np.ndarray, *, bent: bool) -> Answer:
     x, y, z = target.tolist()
     drag = Drag(at=contact_at_voxel(tree.system.grid, row), displacement_m=(x, y, z))
     groups = group_forces([drag], falloff_m=default_falloff_m(tree.system))

@@ -23,11 +23,11 @@ BINARY = "application/vnd.safetensors"
 
 
 def run() -> dict[str, object]:
-    made = scene()
-    top = int(np.argmax(made.spectrum.grid.coords[:, 2]))
+    prepared = scene()
+    top = int(np.argmax(prepared.spectrum.grid.coords[:, 2]))
     with (
         tempfile.TemporaryDirectory() as state,
-        serving(Path(state), made.spectrum, made.mesh) as (url, spectrum_id, server),
+        serving(Path(state), prepared.spectrum, prepared.mesh) as (url, spectrum_id, server),
     ):
         push = {"kind": "impulse", "at": {"voxel": top}, "impulse_n_s": [5.0, 1.0, 0.0]}
         body = {"spectrum_id": spectrum_id, "forces": [push], "num_frames": 60}
@@ -40,7 +40,7 @@ def run() -> dict[str, object]:
         "p99": steady["p99_ms"],
         "target_p99": TARGET_P99_MS,
         "rows": figures,
-        "sizes": {"frames": 60, "modes": 15, "voxels": len(made.spectrum.grid)},
+        "sizes": {"frames": 60, "modes": 15, "voxels": len(prepared.spectrum.grid)},
         **machine("numpy", "scipy", "numba"),
     }
 
@@ -58,9 +58,9 @@ async def _measure(url: str, body: dict[str, object], server: int) -> dict[str, 
 
             for _ in range(20):
                 await push()
-            spent, asked = processor_s(server), int(RATE_HZ * RATE_S)
+            spent, num_frames = processor_s(server), int(RATE_HZ * RATE_S)
             figures[f"at 100 requests/s, {name}"] = await _steady(push)
-            cpu_ms = (processor_s(server) - spent) / asked * 1e3
+            cpu_ms = (processor_s(server) - spent) / num_frames * 1e3
             figures[f"at 100 requests/s, {name}"]["server_cpu_ms_a_request"] = round(cpu_ms, 2)
             for clients, requests in REQUESTS.items():
                 figures[f"{clients} clients, {name}"] = await _closed(push, clients, requests)

@@ -1,4 +1,4 @@
-"""How long it takes until a job is accepted and kept, synced to disk, beside a worker that is busy on one thread."""
+"""How long it takes until a job is accepted and stored, synced to disk, beside a worker that is busy on one thread."""
 
 import json
 

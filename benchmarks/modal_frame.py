@@ -19,8 +19,8 @@ TARGET_MS = 8.0
 
 
 def run() -> dict[str, object]:
-    made = scene()
-    system, mesh, grid = made.system, made.mesh, made.spectrum.grid
+    prepared = scene()
+    system, mesh, grid = prepared.system, prepared.mesh, prepared.spectrum.grid
     ties = smooth(grid, mesh)
     vertices = VertexFrames(system, ties.rows, ties.weights)
     deformer = Deformer(gaussians_on(mesh))

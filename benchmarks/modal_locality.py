@@ -1,7 +1,7 @@
 """What a poke reaches, and what a large push stretches, on grown trees.
 
 Share of the kinetic energy outside of the poked stem, what it carries and its ancestors, with and without locality; and
-the 99th percentile of edge stretch where the top is held at 20 % of the height, with plain modes and bent.
+the 99th percentile of edge stretch where the top is pulled aside by 20 % of the height, with plain modes and bent.
 """
 
 import numpy as np
@@ -151,11 +151,11 @@ def line_of(stems: Skeleton, poked: int) -> np.ndarray:
     above[stems.stem[crossing]] = stems.stem[stems.parent[crossing]]
 
     def line(stem: int) -> set[int]:
-        found = set()
+        parts = set()
         while stem >= 0:
-            found.add(stem)
+            parts.add(stem)
             stem = int(above[stem])
-        return found
+        return parts
 
     up = line(poked)
     return np.array([stem in up or poked in line(stem) for stem in range(len(above))])

@@ -21,11 +21,11 @@ NS_LIMIT = 250.0
 
 
 def run() -> dict[str, object]:
-    made = scene()
-    ties = smooth(made.spectrum.grid, made.mesh)
-    vertices = VertexFrames(made.system, ties.rows, ties.weights)
-    binding = gaussians_on(made.mesh)
-    deformer, states = Deformer(binding), knocked(made.system)
+    prepared = scene()
+    ties = smooth(prepared.spectrum.grid, prepared.mesh)
+    vertices = VertexFrames(prepared.system, ties.rows, ties.weights)
+    binding = gaussians_on(prepared.mesh)
+    deformer, states = Deformer(binding), knocked(prepared.system)
     ours = timed(lambda: deformer.pose(vertices.displacement(next(states))))
     some = np.random.default_rng(2).choice(len(binding.cloud.means), 20_000, replace=False)
     rows = {
@@ -40,7 +40,7 @@ def run() -> dict[str, object]:
         "ours_ms_a_frame": ours.rounded() | {"again_after_the_rival": round(again.median_ms, 4)},
         "mpm": rows,
         "paper": {"PhysGaussian_ms": 1800, "DynamicTree_ms": 18.22, "ratio": 99},
-        "sizes": {"vertices": made.mesh.num_vertices, "voxels": len(made.spectrum.grid), "grid": mpm.GRID},
+        "sizes": {"vertices": prepared.mesh.num_vertices, "voxels": len(prepared.spectrum.grid), "grid": mpm.GRID},
         "settings": {
             "dt_s": mpm.DT_S,
             "substeps_a_frame": mpm.SUBSTEPS_A_FRAME,

@@ -28,7 +28,7 @@ TARGET_MINUTES, TARGET_DB, TARGET_F, TARGET_REAL_DB = 20.0, 27.0, 0.8, 22.0
 
 
 def run() -> dict[str, object]:
-    trees = [known_tree(number, side_px) for number, side_px in SETS]
+    trees = [generated_tree(number, side_px) for number, side_px in SETS]
     return {
         "value": trees[-1]["minutes"],
         "unit": "min",
@@ -42,7 +42,7 @@ def run() -> dict[str, object]:
     }
 
 
-def known_tree(number: int, side_px: int) -> dict[str, object]:
+def generated_tree(number: int, side_px: int) -> dict[str, object]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         taken = photograph(folder, number=number, side=side_px)
@@ -50,40 +50,40 @@ def known_tree(number: int, side_px: int) -> dict[str, object]:
         out = folder / "out"
         out.mkdir()
         options = ReconstructOptions(height_m=taken.tree.height_m)
-        found = reconstruct(taken.photos, out, options=options, root=folder)
+        result = reconstruct(taken.photos, out, options=options, root=folder)
         minutes = (time.perf_counter() - start) / 60
     by_name = {path.name: camera for path, camera in zip(taken.photos, taken.cameras, strict=True)}
-    ours = np.array([view.camera.position_m for view in found.views])
-    true = np.array([by_name[view.source].position_m for view in found.views])
-    shown, blank = masked_psnr(found)
+    ours = np.array([view.camera.position_m for view in result.views])
+    true = np.array([by_name[view.source].position_m for view in result.views])
+    splat_psnr_db, blank = masked_psnr(result)
     return {
         "minutes": round(minutes, 2),
-        "seconds": found.report["seconds"],
+        "seconds": result.report["seconds"],
         "num_photos": number,
         "side_px": side_px,
-        "held_out": found.report["held_out"],
-        "held_out_in_mask_db": shown,
+        "held_out": result.report["held_out"],
+        "held_out_in_mask_db": splat_psnr_db,
         "blank_in_mask_db": blank,
-        "surface_at_1_percent": surface_score(found.mesh, taken.tree, ours, true, 0.01),
-        "num_gaussians": found.report["num_gaussians"],
-        "num_faces": found.report["num_faces"],
+        "surface_at_1_percent": surface_score(result.mesh, taken.tree, ours, true, 0.01),
+        "num_gaussians": result.report["num_gaussians"],
+        "num_faces": result.report["num_faces"],
     }
 
 
-def masked_psnr(found: Reconstruction) -> tuple[float, float]:
+def masked_psnr(result: Reconstruction) -> tuple[float, float]:
     """Of the photos held out, before black: the splat's, and a black picture's."""
-    shown, blank = [], []
-    for view in found.views:
-        if view.source not in found.report["held_out"]:
+    splat_psnr_db, blank = [], []
+    for view in result.views:
+        if view.source not in result.report["held_out"]:
             continue
         assert view.alpha is not None
         height, width = view.alpha.shape
         inside = binary_dilation(view.alpha > 0, iterations=DILATED_PX)
         photo = (view.image * (view.alpha[..., None] / 255) / 255).astype(np.float32)[inside]
-        picture = np.clip(render_cloud(found.splat, view.camera, width=width, height=height).color, 0, 1)[inside]
-        shown.append(psnr(picture, photo))
+        picture = np.clip(render_cloud(result.splat, view.camera, width=width, height=height).color, 0, 1)[inside]
+        splat_psnr_db.append(psnr(picture, photo))
         blank.append(psnr(np.zeros_like(photo), photo))
-    return round(float(np.mean(shown)), 2), round(float(np.mean(blank)), 2)
+    return round(float(np.mean(splat_psnr_db)), 2), round(float(np.mean(blank)), 2)
 
 
 def real_photos() -> dict[str, object] | None:
@@ -92,11 +92,11 @@ def real_photos() -> dict[str, object] | None:
         return None
     with tempfile.TemporaryDirectory() as name:
         start = time.perf_counter()
-        found = reconstruct(sorted((Path(samples) / "photos" / "banana").glob("*.JPG")), Path(name))
+        result = reconstruct(sorted((Path(samples) / "photos" / "banana").glob("*.JPG")), Path(name))
         minutes = (time.perf_counter() - start) / 60
-    report = found.report
-    told = ("seconds", "num_photos", "num_registered", "held_out", "held_out_psnr_db", "held_out_size_px")
-    return {"minutes": round(minutes, 2), "target_db": TARGET_REAL_DB, **{key: report[key] for key in told}}
+    report = result.report
+    figures = ("seconds", "num_photos", "num_registered", "held_out", "held_out_psnr_db", "held_out_size_px")
+    return {"minutes": round(minutes, 2), "target_db": TARGET_REAL_DB, **{key: report[key] for key in figures}}
 
 
 def step_ms() -> list[dict[str, object]]:

@@ -12,7 +12,7 @@ from dynamictree.sparse.level import sparse_level
 VOXELS = (2000, 4000, 8000, 16000)
 CHANNELS = (32, 64, 128)
 RESOLUTION = 128
-DENSE_RESOLUTION = 64  # a dense 128³ layer of 32 channels is 0.27 GB and seconds; told is what it would be, times 8
+DENSE_RESOLUTION = 64  # a dense 128³ layer of 32 channels is 0.27 GB and seconds; reported is the time of 64³, times 8
 
 
 def run() -> dict[str, object]:

@@ -1,9 +1,9 @@
 """How fast a file goes in over HTTP, resumable (tus) and as multipart, and how much memory the API takes meanwhile.
 
 `UPLOAD_BYTES` sets the size; the target is meant for 4 GiB. The client writes one buffer over and over to its socket
-and takes part of the two cores; how much processor time the API itself takes for a GB is told beside. The multipart
+and takes part of the two cores; how much processor time the API itself takes for a GB is reported beside. The multipart
 upload is refused in the end, because its bytes are no tree: it is timed to the answer, which comes after the last byte
-was kept and hashed.
+was stored and hashed.
 """
 
 import os
@@ -64,8 +64,8 @@ def run() -> dict[str, object]:
 
 def _tus(url: str, size: int) -> float:
     tus = {"Tus-Resumable": "1.0.0"}
-    made = httpx.post(url + "/v1/uploads", headers=tus | {"Upload-Length": str(size)})
-    where = url + made.headers["Location"]
+    created = httpx.post(url + "/v1/uploads", headers=tus | {"Upload-Length": str(size)})
+    where = url + created.headers["Location"]
     headers = tus | {"Upload-Offset": "0", "Content-Type": "application/offset+octet-stream"}
     began = time.perf_counter()
     status = _send("PATCH", where, headers, b"", size, b"")

@@ -12,9 +12,9 @@ import textwrap
 from pathlib import Path
 from typing import Any
 
-HERE = Path(__file__).parent
-PACKAGE = HERE / "dynamictree_client"
-PAGE = HERE.parent / "openapi" / "openapi.json"
+FOLDER = Path(__file__).parent
+PACKAGE = FOLDER / "dynamictree_client"
+PAGE = FOLDER.parent / "openapi" / "openapi.json"
 HEAD = '"""{what} Made by client/generate.py; do not edit."""\n\n'
 
 Schema = dict[str, Any]
@@ -56,12 +56,12 @@ def main(arguments: list[str] | None = None) -> int:
 def generated() -> dict[Path, str]:
     """Every file that is made, and what it should hold."""
     page = json.loads(PAGE.read_text())
-    parameters_made = {
+    modules = {
         "models.py": models(page["components"]["schemas"]),
         "operations.py": operations(page),
         "synchronous.py": synchronous((PACKAGE / "asynchronous.py").read_text()),
     }
-    return {PACKAGE / name: formatted(text, name) for name, text in parameters_made.items()}
+    return {PACKAGE / name: formatted(text, name) for name, text in modules.items()}
 
 
 def formatted(text: str, name: str) -> str:

@@ -68,7 +68,7 @@ def published(folder: Path) -> Iterator[Path]:
     Raises:
         InputError: nothing can be written there, or there is no room.
     """
-    made = not folder.exists()
+    is_new = not folder.exists()
     try:
         folder.mkdir(parents=True, exist_ok=True)
         written = Path(tempfile.mkdtemp(prefix=".partial-", dir=folder))
@@ -80,7 +80,7 @@ def published(folder: Path) -> Iterator[Path]:
             path.replace(folder / path.name)
     except BaseException as error:
         shutil.rmtree(written)
-        if made:
+        if is_new:
             folder.rmdir()
         if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
             raise InputError(f"there is no room in {folder}: {error.strerror}; free some, or choose another") from None

@@ -121,12 +121,12 @@ def validate_mesh(mesh: TriangleMesh) -> TriangleMesh:
         MeshError: no faces, a value that is not finite, a face that names no vertex, no extent, too much of anything.
     """
     if mesh.num_faces == 0 or mesh.num_vertices < 3:
-        found = f"{mesh.num_vertices} vertices and {mesh.num_faces} faces"
-        raise MeshError(f"the mesh has {found}; at least 3 vertices and 1 triangle are needed")
+        counts = f"{mesh.num_vertices} vertices and {mesh.num_faces} faces"
+        raise MeshError(f"the mesh has {counts}; at least 3 vertices and 1 triangle are needed")
     if mesh.num_vertices > MAX_VERTICES or mesh.num_faces > MAX_FACES:
-        found = f"{mesh.num_vertices:,} vertices and {mesh.num_faces:,} faces"
+        counts = f"{mesh.num_vertices:,} vertices and {mesh.num_faces:,} faces"
         allowed = f"at most {MAX_VERTICES:,} and {MAX_FACES:,} are allowed"
-        raise MeshError(f"the mesh has {found}; {allowed}; decimate it first")
+        raise MeshError(f"the mesh has {counts}; {allowed}; decimate it first")
     finite = np.isfinite(mesh.vertices).all(axis=1)
     if not finite.all():
         index = int(np.argmin(finite))

@@ -1,4 +1,4 @@
-"""How hot loops are compiled and spread over the cores, and how BLAS is kept on one thread.
+"""How hot loops are compiled and spread over the cores, and how BLAS is limited to one thread.
 
 Kernels are plain numba functions that release the GIL and own some rows of their output; threads call them. numba's own
 `parallel=True` would bring OpenMP, which forbids the fork that a Celery worker makes, and triple the compile time.

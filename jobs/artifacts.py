@@ -15,7 +15,7 @@ import obstore
 from obstore.store import ObjectStore
 
 from jobs.errors import StorageFullError
-from jobs.object_storage import REQUEST_PATIENCE_S, answers_told, open_objects
+from jobs.object_storage import REQUEST_PATIENCE_S, open_objects, reporting_refusals
 
 CHUNK_BYTES = 1024 * 1024
 FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
@@ -53,7 +53,7 @@ class FolderArtifacts:
 
     def put(self, path: Path, digest: str) -> None:
         """Keep a file's bytes."""
-        with _room_told():
+        with _reporting_full_disk():
             self._put(path, digest)
 
     def _put(self, path: Path, digest: str) -> None:
@@ -129,12 +129,12 @@ class ObjectArtifacts:
 
     def put(self, path: Path, digest: str) -> None:
         """Keep a file's bytes."""
-        with answers_told():
+        with reporting_refusals():
             obstore.put(self.objects, _key(digest), path)
 
     def read(self, digest: str, *, start: int = 0, stop: int | None = None) -> Iterator[bytes]:
         """Bytes from `start` up to `stop`, in chunks."""
-        with answers_told():
+        with reporting_refusals():
             end = obstore.head(self.objects, _key(digest))["size"] if stop is None else stop
             if end <= start:
                 return
@@ -144,13 +144,13 @@ class ObjectArtifacts:
 
     def fetch(self, digest: str, path: Path) -> None:
         """Make the bytes readable at a path: a download."""
-        with _room_told(), path.open("wb") as target:
+        with _reporting_full_disk(), path.open("wb") as target:
             for chunk in self.read(digest):
                 target.write(chunk)
 
     def exists(self, digest: str) -> bool:
         """Whether the bytes are there."""
-        with answers_told():
+        with reporting_refusals():
             try:
                 obstore.head(self.objects, _key(digest))
             except FileNotFoundError:
@@ -159,7 +159,7 @@ class ObjectArtifacts:
 
     def delete(self, digest: str) -> None:
         """Forget the bytes."""
-        with answers_told():
+        with reporting_refusals():
             obstore.delete(self.objects, _key(digest))
 
     def free_bytes(self) -> int | None:
@@ -195,7 +195,7 @@ def is_full(error: OSError) -> bool:
 
 
 @contextmanager
-def _room_told() -> Iterator[None]:
+def _reporting_full_disk() -> Iterator[None]:
     try:
         yield
     except OSError as error:

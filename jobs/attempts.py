@@ -51,7 +51,9 @@ def renew(store: Store, job_id: str, attempt: int, *, owner: str, lease_s: float
         FencedError: it is no longer ours.
     """
     with store.writing() as connection:
-        change = t.jobs.update().where(_held(job_id, attempt, owner)).values(lease_until=store.clock() + lease_s)
+        change = (
+            t.jobs.update().where(_running_attempt(job_id, attempt, owner)).values(lease_until=store.clock() + lease_s)
+        )
         if connection.execute(change).rowcount == 0:
             raise _fenced(job_id, attempt)
 
@@ -250,10 +252,10 @@ def _end(store: Store, claimed: Claim, target: JobState, **error: str) -> JobSta
 
 
 def _ours(claimed: Claim) -> sa.ColumnElement[bool]:
-    return _held(claimed.job.id, claimed.attempt, claimed.owner)
+    return _running_attempt(claimed.job.id, claimed.attempt, claimed.owner)
 
 
-def _held(job_id: str, attempt: int, owner: str) -> sa.ColumnElement[bool]:
+def _running_attempt(job_id: str, attempt: int, owner: str) -> sa.ColumnElement[bool]:
     mine = (t.jobs.c.id == job_id) & (t.jobs.c.attempt == attempt) & (t.jobs.c.lease_owner == owner)
     return mine & t.jobs.c.state.in_([JobState.RUNNING, JobState.CANCELING])
 

@@ -142,12 +142,12 @@ def _read_rows(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
 def _save_blob(artifacts: ArtifactStore, digest: str, target: Path) -> bool:
     """Copy bytes and check them on the way; whether they are there and right."""
     target.parent.mkdir(parents=True, exist_ok=True)
-    found = sha256()
+    checksum = sha256()
     with tempfile.NamedTemporaryFile(dir=target.parent, prefix=".part-", delete=False) as stream:
         part = Path(stream.name)
         try:
             for chunk in artifacts.read(digest):
-                found.update(chunk)
+                checksum.update(chunk)
                 stream.write(chunk)
             stream.flush()
             os.fsync(stream.fileno())
@@ -157,7 +157,7 @@ def _save_blob(artifacts: ArtifactStore, digest: str, target: Path) -> bool:
         except BaseException:
             part.unlink()
             raise
-    if found.hexdigest() != digest:
+    if checksum.hexdigest() != digest:
         part.unlink()
         return False
     part.replace(target)
@@ -166,10 +166,10 @@ def _save_blob(artifacts: ArtifactStore, digest: str, target: Path) -> bool:
 
 def _hash(path: Path) -> str:
     with path.open("rb") as stream:
-        found = sha256()
+        checksum = sha256()
         while chunk := stream.read(1 << 20):
-            found.update(chunk)
-    return found.hexdigest()
+            checksum.update(chunk)
+    return checksum.hexdigest()
 
 
 def _blob(folder: Path, digest: str) -> Path:

@@ -65,13 +65,13 @@ def _stop_jobs(theirs: Store, owner: str) -> None:
 
 def _digests(connection: sa.Connection, owner: str) -> set[str]:
     """The sha256 of all bytes that an owner's rows refer to."""
-    found: set[str] = set()
+    digests: set[str] = set()
     for row in connection.execute(sa.select(t.assets.c.parts, t.assets.c.prepared).where(t.assets.c.owner == owner)):
-        found |= {part["sha256"] for part in row.parts}
+        digests |= {part["sha256"] for part in row.parts}
         if row.prepared is not None:
-            found.add(row.prepared["sha256"])
-    made = sa.select(t.artifacts.c.sha256).join(t.jobs, t.jobs.c.id == t.artifacts.c.job_id)
-    return found | set(connection.execute(made.where(t.jobs.c.owner == owner)).scalars())
+            digests.add(row.prepared["sha256"])
+    products = sa.select(t.artifacts.c.sha256).join(t.jobs, t.jobs.c.id == t.artifacts.c.job_id)
+    return digests | set(connection.execute(products.where(t.jobs.c.owner == owner)).scalars())
 
 
 def _delete_rows(connection: sa.Connection, owner: str) -> dict[str, int]:

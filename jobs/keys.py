@@ -56,10 +56,10 @@ def create_key(
 ) -> tuple[KeyRecord, str]:
     """Create a key; the second value is the key itself, which is not stored."""
     key = PREFIX + secrets.token_urlsafe(32)
-    made_id, now = new_id(), store.clock()
+    key_id, now = new_id(), store.clock()
     record = KeyRecord(
-        id=made_id,
-        owner=owner or made_id,
+        id=key_id,
+        owner=owner or key_id,
         name=name,
         digest=digest_of(key),
         scopes=scopes,

@@ -36,8 +36,8 @@ def open_objects(
 
 
 @contextmanager
-def answers_told() -> Iterator[None]:
-    """Tell what a storage refuses.
+def reporting_refusals() -> Iterator[None]:
+    """Report what a storage refuses as StorageAwayError.
 
     Raises:
         StorageAwayError: it does not answer, or not as it is asked.

@@ -150,11 +150,11 @@ class Outbound:
                 )
                 response = await client.send(request, stream=True)
             except (httpx.HTTPError, httpx.InvalidURL) as error:
-                raise OutboundError(f"{target.parts.hostname} does not answer: {_told(error)}") from error
+                raise OutboundError(f"{target.parts.hostname} does not answer: {_message_of(error)}") from error
             try:
                 yield response
             except httpx.HTTPError as error:
-                raise OutboundError(f"{target.parts.hostname} broke off: {_told(error)}") from error
+                raise OutboundError(f"{target.parts.hostname} broke off: {_message_of(error)}") from error
             finally:
                 await response.aclose()
 
@@ -178,5 +178,5 @@ class Outbound:
         raise OutboundError(f"there were more than {MAX_REDIRECTS} redirects; give the last address itself")
 
 
-def _told(error: Exception) -> str:
+def _message_of(error: Exception) -> str:
     return str(error) or type(error).__name__

@@ -30,16 +30,16 @@ def scrub(
         digests = sorted(set(referenced(connection, store.clock())))
     size, missing, different = 0, [], []
     for number, digest in enumerate(digests, 1):
-        found = sha256()
+        checksum = sha256()
         try:
             for chunk in artifacts.read(digest):
-                found.update(chunk)
+                checksum.update(chunk)
                 size += len(chunk)
         except FileNotFoundError:
             if _is_referenced(store, digest):  # else retention has deleted it meanwhile
                 missing.append(digest)
         else:
-            if found.hexdigest() != digest:
+            if checksum.hexdigest() != digest:
                 different.append(digest)
         on_blob(number, len(digests))
     return ScrubReport(blobs=len(digests), bytes=size, missing=tuple(missing), different=tuple(different))

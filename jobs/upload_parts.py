@@ -11,7 +11,7 @@ import obstore
 from obstore.exceptions import AlreadyExistsError
 from obstore.store import ObjectStore
 
-from jobs.object_storage import answers_told, open_objects
+from jobs.object_storage import open_objects, reporting_refusals
 
 PREFIX = "uploads"
 SYNC_BYTES = 64 * 1024**2
@@ -137,7 +137,7 @@ class ObjectParts:
 
     def fetch(self, upload_id: str, path: Path) -> None:
         """Make the upload readable at a path: a download."""
-        with path.open("xb") as target, answers_told():
+        with path.open("xb") as target, reporting_refusals():
             for key, _ in self._parts(upload_id):
                 for chunk in obstore.get(self.objects, key).stream(min_chunk_size=CHUNK_BYTES):
                     target.write(bytes(chunk))
@@ -146,7 +146,7 @@ class ObjectParts:
         """Forget the upload."""
         keys = [key for key, _ in self._listed(upload_id)]
         if keys:
-            with answers_told():
+            with reporting_refusals():
                 obstore.delete(self.objects, keys)
 
     def _parts(self, upload_id: str) -> list[tuple[str, int]]:
@@ -160,7 +160,7 @@ class ObjectParts:
         return entries
 
     def _listed(self, upload_id: str) -> list[tuple[str, int]]:
-        with answers_told():
+        with reporting_refusals():
             pages = obstore.list(self.objects, prefix=f"{PREFIX}/{upload_id}")
             return sorted((str(meta["path"]), int(meta["size"])) for page in pages for meta in page)
 
@@ -180,7 +180,7 @@ class ObjectWriter:
         self._folder = folder
         self._offset = offset
         self._waiting = bytearray()
-        self._made: list[str] = []
+        self._written_keys: list[str] = []
 
     def write(self, chunks: Sequence[bytes]) -> None:
         """Append."""
@@ -196,20 +196,20 @@ class ObjectWriter:
 
     def discard(self) -> None:
         """Delete what this writer put."""
-        if self._made:
-            with answers_told():
-                obstore.delete(self._objects, self._made)
+        if self._written_keys:
+            with reporting_refusals():
+                obstore.delete(self._objects, self._written_keys)
 
     def _put(self) -> None:
         key = f"{self._folder}/{self._offset:020d}"
         content = bytes(self._waiting)
         self._waiting.clear()
-        with answers_told():
+        with reporting_refusals():
             try:
                 obstore.put(self._objects, key, content, mode="create")
             except AlreadyExistsError as error:
                 raise BlockingIOError(f"another request has written the upload at {self._offset:,}") from error
-        self._made.append(key)
+        self._written_keys.append(key)
         self._offset += len(content)
 
 

@@ -110,8 +110,8 @@ def receiving_uploads(store: Store) -> list[tuple[str, int]]:
     """Uploads of which bytes are still to come, with the length that was promised."""
     with store.reading() as connection:
         open_ = (t.uploads.c.state == "receiving") & (t.uploads.c.expires_at >= store.clock())
-        found = connection.execute(sa.select(t.uploads.c.id, t.uploads.c.length).where(open_))
-        return [(row.id, row.length or 0) for row in found]
+        rows = connection.execute(sa.select(t.uploads.c.id, t.uploads.c.length).where(open_))
+        return [(row.id, row.length or 0) for row in rows]
 
 
 def expired_uploads(store: Store, *, limit: int = 100) -> list[str]:

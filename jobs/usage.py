@@ -7,7 +7,7 @@ from jobs.states import ACTIVE, JobState
 from jobs.store import Store
 
 
-def kept_bytes(store: Store) -> int:
+def stored_bytes(store: Store) -> int:
     """What the owner's assets, uploads and products take [bytes]."""
     now = store.clock()
     live = t.assets.c.deleted_at.is_(None) & store.mine(t.assets)

@@ -186,7 +186,7 @@ def as_complex(pairs: NDArray[Any]) -> NDArray[np.complex128]:
 
 
 def checked(response: httpx.Response) -> dict[str, Any]:
-    """Give the body, or end with the problem that the service told."""
+    """Give the body, or end with the problem that the service reported."""
     if response.is_error:
         raise SystemExit(f"{response.request.method} {response.request.url}: {response.status_code}\n{response.text}")
     body: dict[str, Any] = response.json()

@@ -23,13 +23,13 @@ def main() -> None:
     for place, k in enumerate(BINS):
         axes = figure.add_subplot(2, 3, place + 1)
         order = np.argsort(-y)
-        shown = axes.scatter(
+        points_drawn = axes.scatter(
             x[order], z[order], c=np.log10(amplitude_mm[order, k] + 1e-9), s=2, vmin=low, vmax=high, cmap="magma"
         )
         axes.set_title(f"k = {k}, {spectrum.frequencies_hz[k]:.2f} Hz")
         axes.set_aspect("equal")
         axes.set_axis_off()
-    figure.colorbar(shown, ax=figure.axes, label="log10 amplitude [mm]", shrink=0.7)
+    figure.colorbar(points_drawn, ax=figure.axes, label="log10 amplitude [mm]", shrink=0.7)
     axes = figure.add_subplot(2, 1, 2)
     reach = np.hypot(x - x.mean(), y - y.mean())
     height = (z - z.min()) / np.ptp(z)

@@ -187,17 +187,17 @@ class Session:
         self.impulses.clear()
         _, moved = run(self.step, self.state, acceleration)
         drag = self.constant.get("drag")
-        held = self.localities.index(drag.locality) if drag is not None and drag.hold is not None else None
+        pulled_group = self.localities.index(drag.locality) if drag is not None and drag.hold is not None else None
         for index, locality in enumerate(self.localities):
-            if len(self.bends[index].turn) and index != held:
+            if len(self.bends[index].turn) and index != pulled_group:
                 self.bends[index] = ring(self.swings[locality], self.bends[index])
-        if held is not None and drag is not None and drag.hold is not None:
-            self._follow(held, drag.hold, moved)
+        if pulled_group is not None and drag is not None and drag.hold is not None:
+            self._follow(pulled_group, drag.hold, moved)
         self.state = moved
         self._drop_settled()
 
     def _follow(self, index: int, hold: Hold, moved: State) -> None:
-        """Bring a held group nearer to its shape; its rates are those of this motion, so a release does not jump."""
+        """Move a pulled group nearer to its shape; its rates are those of this motion, so a release does not jump."""
         share, dt_s = 1 - np.exp(-self.step.dt_s / FOLLOW_S), self.step.dt_s
         change = share * (hold.q - self.state.q[index])
         moved.q[index], moved.q_dot[index] = self.state.q[index] + change, change / dt_s

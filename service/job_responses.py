@@ -13,7 +13,7 @@ POLL_AFTER_S = 1
 
 def tell(owned: Owned, job: JobRecord, response: Response) -> JobPayload:
     """A job, its headers on the response."""
-    return _told(owned, job, *owned.store.standing(job), response)
+    return _job_response(owned, job, *owned.store.standing(job), response)
 
 
 def look(owned: Owned, job_id: str, response: Response) -> tuple[JobRecord, JobPayload]:
@@ -23,7 +23,7 @@ def look(owned: Owned, job_id: str, response: Response) -> tuple[JobRecord, JobP
         NotFoundError, GoneError: there is none, or its record has expired.
     """
     job, position, artifacts = owned.store.look(job_id)
-    return job, _told(owned, job, position, artifacts, response)
+    return job, _job_response(owned, job, position, artifacts, response)
 
 
 def listed(owned: Owned, job: JobRecord) -> JobPayload:
@@ -31,7 +31,7 @@ def listed(owned: Owned, job: JobRecord) -> JobPayload:
     return _payload(owned, job, *owned.store.standing(job))
 
 
-def _told(
+def _job_response(
     owned: Owned, job: JobRecord, position: int | None, artifacts: list[ArtifactRecord], response: Response
 ) -> JobPayload:
     payload = _payload(owned, job, position, artifacts)

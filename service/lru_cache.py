@@ -14,22 +14,22 @@ class LruCache(Generic[T]):
     def __init__(self, max_bytes: int, num_bytes: Callable[[T], int]) -> None:
         self.max_bytes = max_bytes
         self._num_bytes = num_bytes
-        self._kept: OrderedDict[str, T] = OrderedDict()
+        self._entries: OrderedDict[str, T] = OrderedDict()
         self._lock = threading.Lock()
 
     def get(self, key: str) -> T | None:
         """The value, if it is cached."""
         with self._lock:
-            if key in self._kept:
-                self._kept.move_to_end(key)
-            return self._kept.get(key)
+            if key in self._entries:
+                self._entries.move_to_end(key)
+            return self._entries.get(key)
 
     def put(self, key: str, thing: T) -> None:
         """Keep a thing; drop those that were not used for longest. Sizes are asked for anew, for things that grow."""
         with self._lock:
-            self._kept[key] = thing
-            while len(self._kept) > 1 and sum(map(self._num_bytes, self._kept.values())) > self.max_bytes:
-                self._kept.popitem(last=False)
+            self._entries[key] = thing
+            while len(self._entries) > 1 and sum(map(self._num_bytes, self._entries.values())) > self.max_bytes:
+                self._entries.popitem(last=False)
 
     def __len__(self) -> int:
-        return len(self._kept)
+        return len(self._entries)

@@ -42,7 +42,7 @@ def load_spectrum(owned: Owned, spectrum_id: str) -> SparseVoxelSpectrum:
     artifact = spectrum_artifact(owned, spectrum_id)
     spectrum = owned.services.spectra.get(artifact.sha256)
     if spectrum is None:
-        spectrum = read_spectrum(_kept(owned, artifact.sha256, f"spectrum {spectrum_id}"))
+        spectrum = read_spectrum(_stored(owned, artifact.sha256, f"spectrum {spectrum_id}"))
         owned.services.spectra.put(artifact.sha256, spectrum)
     return spectrum
 
@@ -88,7 +88,7 @@ def load_asset_cloud(owned: Owned, asset_id: str) -> GaussianCloud:
     asset = read_asset(owned.store, asset_id)
     if asset.kind != "cloud" or asset.prepared is None:
         raise ConflictError(f"asset {asset_id} is no cloud but {asset.kind}; only splats and scans have points")
-    return read_cloud_bundle(_kept(owned, asset.prepared.sha256, f"cloud {asset.id}")).cloud
+    return read_cloud_bundle(_stored(owned, asset.prepared.sha256, f"cloud {asset.id}")).cloud
 
 
 def load_source_cloud(owned: Owned, spectrum_id: str) -> tuple[Capture, Box | None]:
@@ -105,17 +105,17 @@ def load_source_cloud(owned: Owned, spectrum_id: str) -> tuple[Capture, Box | No
     if asset.kind != "cloud" or asset.prepared is None:
         detail = f"this spectrum's source is of kind {asset.kind}; output gaussians needs a cloud"
         raise ProblemError("invalid-input", f"{detail}. Ask for vertices, voxels or modal")
-    capture = read_cloud_bundle(_kept(owned, asset.prepared.sha256, f"cloud {asset.id}"))
+    capture = read_cloud_bundle(_stored(owned, asset.prepared.sha256, f"cloud {asset.id}"))
     return capture, TypeAdapter(Box | None).validate_python(job.params.get("box_m"))
 
 
 def _mesh(owned: Owned, digest: str, whose: str) -> TriangleMesh:
     from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle
 
-    return read_mesh_bundle(_kept(owned, digest, f"mesh {whose}"))
+    return read_mesh_bundle(_stored(owned, digest, f"mesh {whose}"))
 
 
-def _kept(owned: Owned, digest: str, what: str) -> BytesIO:
+def _stored(owned: Owned, digest: str, what: str) -> BytesIO:
     try:
         return BytesIO(b"".join(owned.services.artifacts.read(digest)))
     except FileNotFoundError as error:

@@ -23,7 +23,7 @@ def job_row(asset: AssetRecord, job_type: JobType = "diffuse", *, now: float, **
     return JobRecord(**usual | values)
 
 
-def kept(artifacts: ArtifactStore, path: Path) -> AssetPart:
+def stored_part(artifacts: ArtifactStore, path: Path) -> AssetPart:
     """A file, its bytes put where bytes are."""
     digest, size = hash_file(path)
     artifacts.put(path, digest)

@@ -111,20 +111,20 @@ def answers(url: str) -> bool:
 
 def postgres(folder: Path) -> tuple[Server, str]:
     """PostgreSQL with its own data, on a unix socket; skipped where it is not installed."""
-    found = sorted(Path("/usr/lib/postgresql").glob("*/bin/initdb")) or [Path(shutil.which("initdb") or "initdb")]
-    if not found[-1].is_file():
+    programs = sorted(Path("/usr/lib/postgresql").glob("*/bin/initdb")) or [Path(shutil.which("initdb") or "initdb")]
+    if not programs[-1].is_file():
         pytest.skip("PostgreSQL is not installed")
     home = Path(tempfile.mkdtemp(prefix="pg-"))  # short: a socket's path may have 107 bytes
     user: list[str] = []
     if os.getuid() == 0:  # PostgreSQL refuses to run as root
         os.chown(home, NOBODY, NOBODY)
         user = ["setpriv", f"--reuid={NOBODY}", f"--regid={NOBODY}", "--clear-groups"]
-    make = [*user, str(found[-1]), "-D", str(home / "data"), "-U", "tree", "-A", "trust", "--no-sync"]
+    make = [*user, str(programs[-1]), "-D", str(home / "data"), "-U", "tree", "-A", "trust", "--no-sync"]
     subprocess.run(make, check=True, capture_output=True, cwd=home)
     options = ["-D", str(home / "data"), "-k", str(home), "-h", "", "-c", "fsync=off"]
     server = Server(
         name="postgres",
-        command=[*user, str(found[-1].with_name("postgres")), *options],
+        command=[*user, str(programs[-1].with_name("postgres")), *options],
         log=folder / "postgres.log",
         cwd=home,
         ready=lambda: _accepts(home / ".s.PGSQL.5432"),

@@ -71,14 +71,14 @@ def test_the_same_seed_gives_the_same_spectrum_and_another_seed_another(tree: Pa
 
 def test_voxelize_then_info_tells_what_was_written(tree: Path, tmp_path: Path) -> None:
     voxels = tmp_path / "tree.voxels.safetensors"
-    made = json.loads(run("voxelize", tree, "-o", voxels, "--resolution", 64, "--json").stdout)
-    told = json.loads(run("info", voxels, "--json").stdout)
-    assert told["num_voxels"] == made["num_voxels"] > 100
-    assert told["resolution"] == 64
+    result = json.loads(run("voxelize", tree, "-o", voxels, "--resolution", 64, "--json").stdout)
+    report = json.loads(run("info", voxels, "--json").stdout)
+    assert report["num_voxels"] == result["num_voxels"] > 100
+    assert report["resolution"] == 64
 
 
 @pytest.mark.parametrize(
-    ("name", "content", "found"),
+    ("name", "content", "message"),
     [
         ("tree.obj", b"v 0 0 0\nv 1 0 0\n", "no faces"),
         ("tree.glb", b"glTF\x02\x00\x00\x00\xff\xff\x00\x00", "truncated"),
@@ -86,14 +86,14 @@ def test_voxelize_then_info_tells_what_was_written(tree: Path, tmp_path: Path) -
     ],
 )
 def test_bad_input_is_one_line_and_exit_2_and_leaves_nothing(
-    tmp_path: Path, name: str, content: bytes, found: str
+    tmp_path: Path, name: str, content: bytes, message: str
 ) -> None:
     source, output = tmp_path / name, tmp_path / "out"
     source.write_bytes(content)
     answer = run("animate", source, "-o", output)
     assert answer.returncode == 2
     assert len(answer.stderr.strip().splitlines()) == 1
-    assert found in answer.stderr
+    assert message in answer.stderr
     assert not output.exists()
 
 

@@ -100,9 +100,9 @@ def _check_command(words: list[str]) -> None:
         if name.startswith("-"):
             assert name in ("--help", "-h")
             return
-        found = command.get_command(None, name)  # type: ignore[arg-type]
-        assert found is not None, name
-        command = found
+        resolved = command.get_command(None, name)  # type: ignore[arg-type]
+        assert resolved is not None, name
+        command = resolved
     options = {option for parameter in command.params for option in [*parameter.opts, *parameter.secondary_opts]}
     for word in words:
         if word.startswith("-") and not re.fullmatch(r"-?[\d.]+", word):

@@ -34,8 +34,8 @@ def test_what_fails_leaves_what_was_there(tmp_path: Path) -> None:
 
 def test_a_place_that_is_no_folder_is_reported(tmp_path: Path) -> None:
     (tmp_path / "out").write_text("a file")
-    told = r"nothing can be written to .*out: File exists; choose another"
-    with pytest.raises(InputError, match=told), published(tmp_path / "out"):
+    message = r"nothing can be written to .*out: File exists; choose another"
+    with pytest.raises(InputError, match=message), published(tmp_path / "out"):
         pass
 
 

@@ -83,7 +83,7 @@ def run_stages(runtime: Runtime, watch: Watch) -> None:
                     photos=photos,
                     report=partial(watch.report, stage.name),
                 )
-                outputs = _made(runtime, watch, stage.name, STAGES[stage.name], given)
+                outputs = _run_stage(runtime, watch, stage.name, STAGES[stage.name], given)
                 _publish(runtime, watch, stage.name, outputs, key=key, cached=False)
             for file in outputs:
                 runtime.artifacts.fetch(file.sha256, inputs / file.name)
@@ -100,7 +100,7 @@ def run_stages(runtime: Runtime, watch: Watch) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def _made(
+def _run_stage(
     runtime: Runtime, watch: Watch, stage: JobType, run: Callable[["StageInput"], Iterable[Path]], given: "StageInput"
 ) -> tuple[OutputFile, ...]:
     """Run a stage; what it had written before it failed is offered all the same: it tells why."""

@@ -72,8 +72,8 @@ def confine(writable: Path, readable: Sequence[Path] = ()) -> tuple[Hold, ...]:
 
 def _filter_calls(libc: ctypes.CDLL) -> bool:
     program = _program(platform.machine())
-    kept = ctypes.create_string_buffer(program, len(program))
-    header = struct.pack("HxxxxxxP", len(program) // 8, ctypes.addressof(kept))
+    instructions = ctypes.create_string_buffer(program, len(program))
+    header = struct.pack("HxxxxxxP", len(program) // 8, ctypes.addressof(instructions))
     if libc.prctl(_PR_SET_SECCOMP, _FILTER, ctypes.create_string_buffer(header, len(header)), 0, 0) == 0:
         return True
     if ctypes.get_errno() == errno.EINVAL:

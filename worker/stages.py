@@ -50,7 +50,7 @@ def reconstruct(given: StageInput) -> Iterable[Path]:
         given.folder,
         params,
         root=_root(given.photos),
-        kept=given.resume_dir,
+        resume_dir=given.resume_dir,
         read_photos=read_confined,
         on_progress=given.report,
     )

@@ -36,7 +36,7 @@ class Call(Generic[T]):
     def arguments(self) -> dict[str, Any]:
         """What httpx' `request` is given."""
         headers = {name: str(value) for name, value in self.headers.items() if value is not None}
-        query = {name: _told(value) for name, value in self.query.items() if value is not None}
+        query = {name: _query_text(value) for name, value in self.query.items() if value is not None}
         given: dict[str, Any] = {"method": self.method, "url": self.path, "params": query, "headers": headers}
         if self.body is not None:
             body = self.body
@@ -72,5 +72,5 @@ def path_of(template: str, arguments: Mapping[str, str]) -> str:
     return template
 
 
-def _told(value: object) -> str:
+def _query_text(value: object) -> str:
     return str(value).lower() if isinstance(value, bool) else str(value)

@@ -86,8 +86,8 @@ def generate(
     )
     with _progress("generate", quiet=as_json) as report:
         manifest = baking.generate(recipe, folder, workers=workers, part=_part(shard), on_shard=report)
-    told = {name: value for name, value in manifest.items() if name != "shards"}
-    tell({"folder": str(folder), **told}, as_json=as_json)
+    facts = {name: value for name, value in manifest.items() if name != "shards"}
+    tell({"folder": str(folder), **facts}, as_json=as_json)
 
 
 @app.command(name="filter")
@@ -133,8 +133,8 @@ def filter_trees(
     if as_json:
         tell({**counts, "worst": worst, "limits": asdict(limits)}, as_json=True)
     else:
-        worst_told = {f"worst {name}": f"{value:.3g}" for name, value in worst.items()}
-        tell({"trees": trees, "accepted": counts["accepted"], **rates, **worst_told}, as_json=False)
+        worst_rows = {f"worst {name}": f"{value:.3g}" for name, value in worst.items()}
+        tell({"trees": trees, "accepted": counts["accepted"], **rates, **worst_rows}, as_json=False)
 
 
 @app.command()
@@ -157,8 +157,8 @@ def sheet(
     output.mkdir(parents=True, exist_ok=True)
     seeds: Sequence[int] = range(first_seed, first_seed + trees)
     if folder is not None:
-        kept = (tree for tree in iter_seen(folder) if not tree.broken and species in (None, tree.species))
-        seeds = [tree.seed for tree in kept if tree.seed >= first_seed][:trees]
+        accepted = (tree for tree in iter_seen(folder) if not tree.broken and species in (None, tree.species))
+        seeds = [tree.seed for tree in accepted if tree.seed >= first_seed][:trees]
     notes: dict[int, str] = {}
     files = []
     with _progress("sheet", quiet=as_json) as report:

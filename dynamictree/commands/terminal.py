@@ -20,13 +20,13 @@ def progress(*, quiet: bool) -> Iterator[Report]:
     from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
     columns = (TextColumn("{task.description:<12}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), disable=quiet) as shown:
+    with Progress(*columns, console=Console(stderr=True), disable=quiet) as progress_bar:
         bars: dict[str, TaskID] = {}
 
         def report(stage: str, done: float) -> None:
             if stage not in bars:
-                bars[stage] = shown.add_task(stage, total=1.0)
-            shown.update(bars[stage], completed=done)
+                bars[stage] = progress_bar.add_task(stage, total=1.0)
+            progress_bar.update(bars[stage], completed=done)
 
         yield report
 

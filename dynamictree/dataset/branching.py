@@ -108,7 +108,7 @@ def grow_children(species: Species, depth: int, parents: Stems, rng: np.random.G
     share = (ring - segment)[:, None]
     low, high = parents.points[row, segment], parents.points[row, segment + 1]
     along = unit(high - low)
-    radius_here = parents.radii[row, segment] * (1 - share[:, 0]) + parents.radii[row, segment + 1] * share[:, 0]
+    parent_radius = parents.radii[row, segment] * (1 - share[:, 0]) + parents.radii[row, segment + 1] * share[:, 0]
 
     relative = ring / parents.segments  # 0 at the parent's base, 1 at its tip
     whole = (parents.length_m * parents.segments / (parents.segments - parents.first))[row].astype(np.float32)
@@ -122,7 +122,7 @@ def grow_children(species: Species, depth: int, parents: Stems, rng: np.random.G
     direction = turned(along, unit(np.cross(along, side)), np.deg2rad(down).astype(np.float32))
 
     thick = parents.radii[row, parents.first[row]] * (length / parents.length_m[row]) ** species.ratio_power
-    radius = np.clip(thick, MIN_RADIUS_M, np.maximum(CHILD_TO_PARENT_RADIUS * radius_here, MIN_RADIUS_M))
+    radius = np.clip(thick, MIN_RADIUS_M, np.maximum(CHILD_TO_PARENT_RADIUS * parent_radius, MIN_RADIUS_M))
     return _grow(
         level,
         base=((1 - share) * low + share * high).astype(np.float32),
@@ -252,11 +252,11 @@ def _fork(
     numbers = np.bincount(clones, minlength=len(direction))
     side = turned(across(direction), direction, rng.uniform(0, 2 * np.pi, len(direction)).astype(np.float32))
     half = np.deg2rad(angle) * rng.uniform(0.4, 0.6, len(direction))
-    kept = turned(direction, side, (-half * (numbers > 0)).astype(np.float32))
+    first_direction = turned(direction, side, (-half * (numbers > 0)).astype(np.float32))
     order = np.arange(len(clones)) - np.searchsorted(clones, clones)
     turn = (2 * np.pi * (order + 1) / (numbers[clones] + 1)).astype(np.float32)
     clone_side = turned(side[clones], direction[clones], turn)
-    return kept, turned(direction[clones], clone_side, (-half[clones]).astype(np.float32))
+    return first_direction, turned(direction[clones], clone_side, (-half[clones]).astype(np.float32))
 
 
 def _bend(

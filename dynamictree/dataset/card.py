@@ -117,11 +117,11 @@ def _spread(measure: str, manifest: Mapping[str, Any]) -> str:
 
 def _arguments(manifest: Mapping[str, Any]) -> str:
     """The options of `generate` that decide the bytes."""
-    told = [f"--trees {manifest['wanted']}", f"--first-seed {manifest['first_seed']}"]
-    told += [f"--trees-per-shard {manifest['trees_per_shard']}"]
-    told += [f"--resolution {size}" for size in manifest["resolutions"]]
-    told += ["--vertex-spectrum"] * manifest["vertex_spectrum"] + ["--no-loop"] * (not manifest["loop"])
-    told += [f"--species {manifest['only_species']}"] * (manifest["only_species"] is not None)
+    arguments = [f"--trees {manifest['wanted']}", f"--first-seed {manifest['first_seed']}"]
+    arguments += [f"--trees-per-shard {manifest['trees_per_shard']}"]
+    arguments += [f"--resolution {size}" for size in manifest["resolutions"]]
+    arguments += ["--vertex-spectrum"] * manifest["vertex_spectrum"] + ["--no-loop"] * (not manifest["loop"])
+    arguments += [f"--species {manifest['only_species']}"] * (manifest["only_species"] is not None)
     limits = {name: value for name, value in manifest["limits"].items() if name != "above_hz"}
-    told += [f"--{name.replace('_', '-')} {value:g}" for name, value in limits.items()]
-    return " ".join(told + ["--review FILE"] * manifest["reviewed"])
+    arguments += [f"--{name.replace('_', '-')} {value:g}" for name, value in limits.items()]
+    return " ".join(arguments + ["--review FILE"] * manifest["reviewed"])

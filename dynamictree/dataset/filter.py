@@ -47,7 +47,7 @@ class Measures:
             ("edge-stretch", self.edge_stretch, limits.edge_stretch),
             ("self-explosion", self.self_explosion, limits.self_explosion),
         )
-        return tuple(rule for rule, found, allowed in checks if not found <= allowed)
+        return tuple(rule for rule, value, allowed in checks if not value <= allowed)
 
 
 def measure(sample: Sample, limits: Limits = DEFAULT_LIMITS, *, frame_step: int = 10) -> Measures:

@@ -152,7 +152,7 @@ def _end_with_parent() -> None:
 def bake_shard(recipe: Recipe, index: int, folder: Path) -> None:
     """Make one shard and its record."""
     trees: list[StoredTree] = []
-    told: list[dict[str, object]] = []
+    records: list[dict[str, object]] = []
     verdicts: list[tuple[str, ...]] = []
     rejected: dict[str, dict[str, object]] = {}
     for seed in recipe.shard_seeds(index):
@@ -170,7 +170,7 @@ def bake_shard(recipe: Recipe, index: int, folder: Path) -> None:
             rejected[str(seed)] = {"rules": list(broken), "species": sample.species, "measures": asdict(measures)}
         else:
             trees.append(store(sample, resolutions=recipe.resolutions, vertex_spectrum=recipe.vertex_spectrum))
-            told.append({**facts_of(sample, trees[-1]), "measures": asdict(measures)})
+            records.append({**facts_of(sample, trees[-1]), "measures": asdict(measures)})
     if len(trees) < recipe.shard_trees(index):
         raise InputError(
             f"only {len(trees)} of {len(verdicts)} trees of shard {index} passed the filter, "
@@ -184,7 +184,7 @@ def bake_shard(recipe: Recipe, index: int, folder: Path) -> None:
         "sha256": hashlib.sha256(content.getvalue()).hexdigest(),
         "bytes": len(content.getvalue()),
         "recipe": recipe.of_shard(index),
-        "trees": told,
+        "trees": records,
         "rejected": rejected,
         "verdicts": rejections(verdicts),
     }
@@ -209,9 +209,11 @@ def is_baked(recipe: Recipe, index: int, folder: Path) -> bool:
     record, shard = folder / f"{shard_name(index)}.json", folder / f"{shard_name(index)}.safetensors"
     if not (record.exists() and shard.exists()):
         return False
-    told = json.loads(record.read_bytes())
-    measured = all("measures" in tree for tree in told["trees"])  # an earlier program told none
-    return bool(measured and told["recipe"] == recipe.of_shard(index) and told["bytes"] == shard.stat().st_size)
+    baked_record = json.loads(record.read_bytes())
+    measured = all("measures" in tree for tree in baked_record["trees"])  # older records have none
+    return bool(
+        measured and baked_record["recipe"] == recipe.of_shard(index) and baked_record["bytes"] == shard.stat().st_size
+    )
 
 
 def manifest_of(recipe: Recipe, folder: Path) -> dict[str, object]:

@@ -13,13 +13,13 @@ from dynamictree.errors import FormatError, InputError
 
 @dataclass(frozen=True, kw_only=True)
 class SeenTree:
-    """A tree that `generate` made and measured, whether it was kept or not."""
+    """A tree that `generate` made and measured, accepted or rejected."""
 
     seed: int
     species: str
     broken: tuple[str, ...]  # rules, by the limits of the bake
     measures: Measures
-    stems: StemTable | None  # of trees that were kept
+    stems: StemTable | None  # of accepted trees
 
 
 def iter_seen(folder: Path) -> Iterator[SeenTree]:
@@ -27,11 +27,11 @@ def iter_seen(folder: Path) -> Iterator[SeenTree]:
 
     Raises:
         InputError: no shard lies in the folder.
-        FormatError: a shard was baked before records told measures.
+        FormatError: a shard was baked before records had measures.
     """
     for path in _records(folder):
         record = json.loads(path.read_bytes())
-        yield from (_kept(tree, path) for tree in record["trees"])
+        yield from (_accepted_tree(tree, path) for tree in record["trees"])
         for seed, tree in record["rejected"].items():
             if "measures" in tree:
                 yield SeenTree(
@@ -44,15 +44,15 @@ def iter_seen(folder: Path) -> Iterator[SeenTree]:
 
 
 def _records(folder: Path) -> list[Path]:
-    found = sorted(folder.glob("4dtree-*.json"))
-    if not found:
+    manifests = sorted(folder.glob("4dtree-*.json"))
+    if not manifests:
         raise InputError(f"no shard lies in {folder}; bake one with `dynamictree dataset generate`")
-    return found
+    return manifests
 
 
-def _kept(tree: Mapping[str, Any], path: Path) -> SeenTree:
+def _accepted_tree(tree: Mapping[str, Any], path: Path) -> SeenTree:
     if "measures" not in tree:
-        raise FormatError(f"{path} tells no measures: an earlier program baked it; remove it and generate again")
+        raise FormatError(f"{path} has no measures: an earlier version baked it; remove it and generate again")
     return SeenTree(
         seed=tree["seed"],
         species=tree["species"],

@@ -26,7 +26,7 @@ def read_review(stream: ByteReader) -> dict[int, Verdict]:
         words = line.split("#")[0].split()
         if not words:
             continue
-        verdict = next((known for known in VERDICTS if len(words) > 1 and words[1] == known), None)
+        verdict = next((allowed for allowed in VERDICTS if len(words) > 1 and words[1] == allowed), None)
         if not words[0].isdigit() or verdict is None:
             raise FormatError(f"line {number} of the review file is {line!r}; write `SEED accept` or `SEED reject`")
         verdicts[int(words[0])] = verdict

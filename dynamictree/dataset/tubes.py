@@ -58,9 +58,9 @@ def tubes(stems: Stems, *, on_ground: bool = False) -> Surface:
 
 def _walls(lower: Int64[np.ndarray, " B"], sides: int) -> Int64[np.ndarray, "F 3"]:
     """Two triangles a side of each segment, from ring node `lower` to the next."""
-    here = np.arange(sides)
-    after = (here + 1) % sides
-    a, b = lower[:, None] * sides + here, lower[:, None] * sides + after  # [B, S]
+    side = np.arange(sides)
+    after = (side + 1) % sides
+    a, b = lower[:, None] * sides + side, lower[:, None] * sides + after  # [B, S]
     c, d = a + sides, b + sides
     return np.stack([np.stack([a, b, d], -1), np.stack([a, d, c], -1)], axis=2).reshape(-1, 3)
 

@@ -59,8 +59,8 @@ class Attachments:
         own = points[:, 1] - points[:, 0]
         depth = _depths(self.children, parent, num_parts)
         for level in range(1, int(depth.max()) + 1):  # a parent's shift is complete before its children's
-            here = np.flatnonzero(depth == level)
-            shift[self.children[here]] = own[here] + shift[parent[here]]
+            level_rows = np.flatnonzero(depth == level)
+            shift[self.children[level_rows]] = own[level_rows] + shift[parent[level_rows]]
         closed: Complex64[np.ndarray, "N K 3"] = motion + shift[self.part]
         return closed
 
@@ -101,16 +101,16 @@ def find_attachments(mesh: TriangleMesh, grid: VoxelGrid) -> Attachments:
     for one in np.unique(size_class[seeking]):
         own, above = np.flatnonzero((seeking & (size_class == one))[owner]), np.flatnonzero(size_class[owner] > one)
         if len(above) and len(own):
-            found = cKDTree(places[above]).query(places[own], distance_upper_bound=reach)
-            gap, nearest = np.asarray(found[0]), np.asarray(found[1])
+            matches = cKDTree(places[above]).query(places[own], distance_upper_bound=reach)
+            gap, nearest = np.asarray(matches[0]), np.asarray(matches[1])
             best = _first_of_each(owner[own], gap)
             pairs.append(np.stack([own[best], above[nearest[best]]], axis=1))
     seeking[owner[np.concatenate(pairs)[:, 0]]] = False
     own = np.flatnonzero(seeking[owner])
     if len(own):  # only parts of about their own size are near
         count = np.arange(1, min(_NEAR_PIECES, len(places)) + 1)
-        found = cKDTree(places).query(places[own], k=count, distance_upper_bound=reach)
-        gap, nearest = np.asarray(found[0]), np.asarray(found[1])
+        matches = cKDTree(places).query(places[own], k=count, distance_upper_bound=reach)
+        gap, nearest = np.asarray(matches[0]), np.asarray(matches[1])
         larger = rank[owner[np.minimum(nearest, len(places) - 1)]] > rank[owner[own]][:, None]
         gap = np.where(larger, gap, np.inf)
         column = np.argmin(gap, axis=1)

@@ -32,12 +32,12 @@ def limited(
     rows = grid.rows_of(grid.coords_of(vertices))
     outside = np.flatnonzero(rows < 0)
     rows[outside] = nearest(grid, vertices[outside]).rows[:, 0]
-    allowed, found = np.float32(MOST_OVER_VOXELS) * most[rows], farthest(motion)
-    too_far = np.flatnonzero(found > allowed)
+    allowed, reached = np.float32(MOST_OVER_VOXELS) * most[rows], farthest(motion)
+    too_far = np.flatnonzero(reached > allowed)
     if len(too_far) == 0:
         return motion
     bounded = motion.copy()
-    bounded[too_far] *= (allowed[too_far] / found[too_far])[:, None, None]
+    bounded[too_far] *= (allowed[too_far] / reached[too_far])[:, None, None]
     return bounded
 
 

@@ -77,9 +77,9 @@ def load_clip(path: Path) -> ImageEmbedder:
     with torch.device("meta"):
         network = CLIPVisionModelWithProjection(CLIPVisionConfig())  # by default, ViT-B/32
     needed = {name: tuple(value.shape) for name, value in network.state_dict().items()}
-    found = {name: tuple(value.shape) for name, value in weights.items()}
-    if needed != found:
-        wrong = sorted(name for name in needed.keys() | found if needed.get(name) != found.get(name))
+    shapes = {name: tuple(value.shape) for name, value in weights.items()}
+    if needed != shapes:
+        wrong = sorted(name for name in needed.keys() | shapes if needed.get(name) != shapes.get(name))
         raise CheckpointError(f"{file} differs from ViT-B/32 in {len(wrong)} tensors, first {wrong[0]!r}; {wanted}")
     # positions are no weights and were not stored: the network is made in memory, then given its weights
     network = CLIPVisionModelWithProjection(CLIPVisionConfig())

@@ -114,9 +114,9 @@ def compare(
     report: dict[str, dict[str, dict[str, float]]] = {}
     for kind, (trees, count) in sets.items():
         rows: dict[str, list[dict[str, float]]] = {}
-        for done, (tree, another, known) in enumerate(trees, start=1):
+        for done, (tree, another, their_motion) in enumerate(trees, start=1):
             reference = TreeReference.of(tree)
-            for contestant, motion, seconds in chain(iter_contest(tree, model, seed), [(another, known, 0.0)]):
+            for contestant, motion, seconds in chain(iter_contest(tree, model, seed), [(another, their_motion, 0.0)]):
                 row = asdict(show(motion, reference, seconds=seconds))
                 if embedder is not None:
                     row["clip_i"], row["clip_t"] = motion_distances(embedder, tree.mesh, motion)

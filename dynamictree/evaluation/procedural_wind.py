@@ -78,7 +78,7 @@ def sway_as_sapling(
         rng: draws two phases a stem.
         wind: strength on the add-on's own scale; 1 is its default.
         gust: of the wind; 1 is the add-on's default.
-        loop: round every frequency to the period's, as the add-on does when it is told to loop.
+        loop: round every frequency to the period's, as the add-on does when its loop option is set.
         num_frames: of 1/24 s.
     """
     around_x, around_z = local_angles(bones, rng, wind=wind, gust=gust, loop=loop, num_frames=num_frames)

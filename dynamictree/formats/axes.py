@@ -1,4 +1,4 @@
-"""Axes and units of files: told by the caller, by the format, or worked out from how the tree stands.
+"""Axes and units of files: stated by the caller or by the format, or inferred from how the tree stands.
 
 Inside, everything is in metres and +Z up. glTF is +Y up and in metres by its specification. OBJ, PLY and STL say
 neither, so both are worked out, and what was found is recorded in `source_up_axis` and `source_scale`:

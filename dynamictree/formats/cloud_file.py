@@ -53,7 +53,7 @@ def read_cloud(
 
 
 def cloud_kind(stream: SeekableReader, *, file_type: str) -> CloudKind:
-    """What a file holds, told by its header alone; the stream is left at its start.
+    """Describe a file by its header alone; the stream is left at its start.
 
     PLY and GLB may hold a mesh or a cloud: a PLY with faces, and a GLB without splats, are meshes.
 

@@ -1,4 +1,4 @@
-"""Mesh files of every kind that is read, and how a file is told by its first bytes."""
+"""Mesh readers by format, and how a format is recognised by a file's first bytes."""
 
 import io
 import re

@@ -152,11 +152,11 @@ def read_elements(stream: SeekableReader, header: PlyHeader, *names: str) -> lis
 
 
 def _binary_rows(stream: SeekableReader, element: PlyElement, layout: np.dtype[np.void]) -> Shaped[np.ndarray, " rows"]:
-    needed, found = element.count * layout.itemsize, remaining_bytes(stream)
-    if needed > found:
+    needed, available = element.count * layout.itemsize, remaining_bytes(stream)
+    if needed > available:
         raise FormatError(
             f"the PLY header says {element.count:,} rows of {layout.itemsize} bytes in {element.name!r}, {needed:,} "
-            f"bytes, but {found:,} are left in the file; it is truncated or its header is wrong"
+            f"bytes, but {available:,} are left in the file; it is truncated or its header is wrong"
         )
     rows = np.frombuffer(stream.read(needed), layout)
     return rows.astype(layout.newbyteorder("="), copy=False)

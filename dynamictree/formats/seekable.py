@@ -22,7 +22,7 @@ class SeekableReader(ByteReader, Protocol):
 
 def remaining_bytes(stream: SeekableReader) -> int:
     """From where a stream stands to its end."""
-    here = stream.tell()
+    position = stream.tell()
     end = stream.seek(0, os.SEEK_END)
-    stream.seek(here)
-    return end - here
+    stream.seek(position)
+    return end - position

@@ -69,10 +69,10 @@ def _directory(entries: list[_Entry], start: int) -> bytes:
 
 def _central_header(entry: _Entry) -> bytes:
     extra = struct.pack("<HHQQQ", 1, 24, entry.size, entry.size, entry.start)
-    made_by = 3 << 8 | _VERSION  # Unix, so that the permissions are read
+    creator_version = 3 << 8 | _VERSION  # Unix, so that the permissions are read
     fixed = struct.pack(
         "<4s6H3I5H2I",
-        b"PK\x01\x02", made_by, _VERSION, 0, 0, _NO_TIME, _FIRST_DAY,
+        b"PK\x01\x02", creator_version, _VERSION, 0, 0, _NO_TIME, _FIRST_DAY,
         entry.crc, _IN_ZIP64, _IN_ZIP64,
         len(entry.name), len(extra), 0, 0, 0,
         _READABLE, _IN_ZIP64,

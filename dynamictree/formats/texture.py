@@ -1,4 +1,4 @@
-"""Images that a mesh file brings: decoded once under a cap, kept as PNG."""
+"""Images that a mesh file brings: decoded once under a size limit, stored as PNG."""
 
 import io
 import math

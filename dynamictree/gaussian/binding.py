@@ -1,4 +1,4 @@
-"""Which face carries which Gaussian. After GaMeS (Waczyńska et al. 2024), but captured Gaussians are kept as they are.
+"""Which face carries which Gaussian. After GaMeS (Waczyńska et al. 2024), but captured Gaussians keep their shapes.
 
 A Gaussian hangs on the surface point nearest to it: barycentric weights in its face, and an offset that turns with the
 face. Gaussians far from every face, or outside of the part that is to move, hang on nothing and stay still.
@@ -60,7 +60,7 @@ def bind(
     """Hang each Gaussian of a capture on its nearest face.
 
     Args:
-        cloud: kept whole, in its order.
+        cloud: its Gaussians stay in their order.
         mesh: at rest, where the cloud is [m].
         mask: which Gaussians may move; all by default.
         max_distance_m: farther ones stay still; by default a share of the mesh's extent, or what a large Gaussian
@@ -76,20 +76,20 @@ def bind(
     if not max_distance_m > 0:
         raise InputError(f"max_distance_m is {max_distance_m:g}; it must be positive")
     triangles = longest_edge_first(mesh.vertices, solid_faces(mesh))
-    found = nearest_faces(cloud.means, mesh.vertices, triangles, max_distance_m)
+    nearest = nearest_faces(cloud.means, mesh.vertices, triangles, max_distance_m)
     if own_reach:
-        found = _with_large_ones(found, cloud, mesh.vertices, triangles, _INSIDE_SHARE * extent)
-    face_of = np.where(mask, found.faces, STILL).astype(np.int32) if mask is not None else found.faces
+        nearest = _with_large_ones(nearest, cloud, mesh.vertices, triangles, _INSIDE_SHARE * extent)
+    face_of = np.where(mask, nearest.faces, STILL).astype(np.int32) if mask is not None else nearest.faces
     if (face_of == STILL).all():
         raise InputError(
             f"no Gaussian is within {max_distance_m:.3g} m of the mesh and in the part that moves; "
             "are cloud and mesh in the same axes and units?"
         )
-    return _compact(cloud, mesh.vertices, triangles, face_of, found.weights)
+    return _compact(cloud, mesh.vertices, triangles, face_of, nearest.weights)
 
 
 def _with_large_ones(
-    found: NearestFaces,
+    nearest: NearestFaces,
     cloud: GaussianCloud,
     vertices: Float32[np.ndarray, "N 3"],
     triangles: Int32[np.ndarray, "F 3"],
@@ -97,14 +97,14 @@ def _with_large_ones(
 ) -> NearestFaces:
     """Bind also those whose own extent reaches a face: the surface of a large Gaussian is far from its middle."""
     reach = _SIGMAS * cloud.scales.max(axis=1)
-    rows = np.flatnonzero((found.faces == STILL) & (reach > 0))
+    rows = np.flatnonzero((nearest.faces == STILL) & (reach > 0))
     if len(rows) == 0:
-        return found
+        return nearest
     farthest = min(float(reach[rows].max()), max_distance_m)
     more = nearest_faces(cloud.means[rows], vertices, triangles, farthest)
     places = np.einsum("gc,gcx->gx", more.weights, vertices[triangles[more.faces]])
     near = (more.faces != STILL) & (np.linalg.norm(cloud.means[rows] - places, axis=1) <= reach[rows])
-    faces, weights = found.faces.copy(), found.weights.copy()
+    faces, weights = nearest.faces.copy(), nearest.weights.copy()
     faces[rows[near]], weights[rows[near]] = more.faces[near], more.weights[near]
     return NearestFaces(faces=faces, weights=weights)
 

@@ -119,7 +119,7 @@ def in_box(
 def look_level(cloud: GaussianCloud, share: float) -> GaussianCloud:
     """A lighter cloud of about `share` of the Gaussians that looks alike from afar: level of detail.
 
-    Kept are the most visible (opacity times area), and each grows so that the covered area stays the same.
+    The most visible Gaussians (opacity times area) remain, and each grows so that the covered area stays the same.
 
     Raises:
         InputError: the share is not in (0, 1].
@@ -131,8 +131,8 @@ def look_level(cloud: GaussianCloud, share: float) -> GaussianCloud:
     rows = level_rows(cloud, share)
     before, after = area_m2(cloud).sum(), area_m2(cloud.subset(rows)).sum()
     growth = np.float32(np.sqrt(before / after))
-    kept = cloud.subset(rows)
-    return replace(kept, scales=kept.scales * growth)
+    subset = cloud.subset(rows)
+    return replace(subset, scales=subset.scales * growth)
 
 
 def level_count(num_gaussians: int, share: float) -> int:

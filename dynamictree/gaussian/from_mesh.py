@@ -48,10 +48,10 @@ def splats_of_mesh(
     check_count(int(counts.sum()))
     faces = np.repeat(np.arange(mesh.num_faces, dtype=np.int32), counts)
     weights = _even_weights(counts, rng)
-    colors, kept = face_colors(mesh, faces, weights, counts)
-    if not kept.any():
+    colors, opaque = face_colors(mesh, faces, weights, counts)
+    if not opaque.any():
         raise InputError("the mesh's texture is transparent on every face; nothing is left to make Gaussians of")
-    faces, weights, colors = faces[kept], weights[kept], colors[kept]
+    faces, weights, colors = faces[opaque], weights[opaque], colors[opaque]
     rotations, scales = face_shapes(corners)
     narrower = np.sqrt(PER_FACE / counts[faces])[:, None]  # more on a face are each smaller
     cloud = GaussianCloud(
@@ -106,8 +106,8 @@ def face_colors(
     level = np.clip(np.floor(0.5 * np.log2(np.maximum(texels, 1))), 0, coarsest).astype(np.int32)
     rgba = np.empty((len(faces), 4), np.float32)
     in_bands(_sample_faces, len(faces), appearance, mesh.faces, faces, level, weights, rgba)
-    kept: Bool[np.ndarray, " G"] = rgba[:, 3] >= appearance.cutoff[appearance.face_material[faces]]
-    return linear_to_srgb(rgba[:, :3]), kept
+    opaque: Bool[np.ndarray, " G"] = rgba[:, 3] >= appearance.cutoff[appearance.face_material[faces]]
+    return linear_to_srgb(rgba[:, :3]), opaque
 
 
 @compiled

@@ -34,11 +34,11 @@ def nearest_faces(
     cell = max(float(extent.max()) / _CELLS_ALONG, float(np.median(edge)) / 2)
     shape = np.floor(extent / cell).astype(np.int64) + 1
     starts, listed = _list_faces(corners, low, cell, shape)
-    found = np.full(len(points), _NONE, np.int32)
+    nearest = np.full(len(points), _NONE, np.int32)
     weights = np.zeros((len(points), 3), np.float32)
     places = points.astype(np.float64)
-    in_bands(_search, len(points), places, corners, low, cell, shape, starts, listed, max_distance, found, weights)
-    return NearestFaces(faces=found, weights=weights)
+    in_bands(_search, len(points), places, corners, low, cell, shape, starts, listed, max_distance, nearest, weights)
+    return NearestFaces(faces=nearest, weights=weights)
 
 
 def _list_faces(
@@ -141,7 +141,7 @@ def _to_cell(p, x, y, z, low, cell):
 
 @compiled
 @no_type_check
-def _search(first, end, points, corners, low, cell, shape, starts, listed, max_distance, found, weights):
+def _search(first, end, points, corners, low, cell, shape, starts, listed, max_distance, nearest, weights):
     home, trial = np.empty(3, np.int64), np.empty(3)
     for g in range(first, end):
         p = points[g]
@@ -172,8 +172,8 @@ def _search(first, end, points, corners, low, cell, shape, starts, listed, max_d
                         for i in range(starts[index], starts[index + 1]):
                             f = listed[i]
                             distance = _closest(p, corners[f, 0], corners[f, 1], corners[f, 2], trial)
-                            if distance < best or (distance == best and found[g] == -1):
+                            if distance < best or (distance == best and nearest[g] == -1):
                                 best = distance
-                                found[g] = f
+                                nearest[g] = f
                                 weights[g, 0], weights[g, 1], weights[g, 2] = trial[0], trial[1], trial[2]
             shell += 1

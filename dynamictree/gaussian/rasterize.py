@@ -74,8 +74,8 @@ def render_cloud(
     """
     check_size(width, height)
     if gsplat_is_there():
-        shown = cloud if pose is None else posed(cloud, pose)
-        color, alpha, depth = render_with_gsplat(shown, camera, width=width, height=height, antialias=antialias)
+        posed_cloud = cloud if pose is None else posed(cloud, pose)
+        color, alpha, depth = render_with_gsplat(posed_cloud, camera, width=width, height=height, antialias=antialias)
         far = np.where(alpha > MIN_ALPHA, depth, np.float32(np.inf)).astype(np.float32)
         return SplatPicture(color=color, alpha=alpha, depth=far)
     return render_on_cpu(cloud, camera, width=width, height=height, pose=pose, antialias=antialias)
@@ -163,10 +163,10 @@ def render_slowly(
         away = pixels - centres[g, :2]
         alpha = opacity[g] * np.exp(-0.5 * np.einsum("hwi,ij,hwj->hw", away, conics[g], away))
         alpha = np.minimum(np.where(alpha < min_alpha, 0, alpha), MAX_ALPHA)
-        shown = alpha * picture[..., 4]
-        picture[..., :3] += shown[..., None] * colors[g]
-        picture[..., 3] += shown * z[g]
-        picture[..., 4] -= shown
+        contribution = alpha * picture[..., 4]
+        picture[..., :3] += contribution[..., None] * colors[g]
+        picture[..., 3] += contribution * z[g]
+        picture[..., 4] -= contribution
     return _finished(picture.astype(np.float32))
 
 
@@ -190,7 +190,7 @@ def check_size(width: int, height: int) -> None:
 
 
 def _view(camera: Camera, width: int, height: int) -> Float32[np.ndarray, " 19"]:
-    """What the kernel is told: rotation by rows, position, focal length, centre, size."""
+    """The camera as the kernel takes it: rotation by rows, position, focal length, centre, size."""
     intrinsics = camera.intrinsics_px(width, height)
     return np.concatenate(
         [

@@ -15,7 +15,7 @@ BLUR_PX2, PIXEL_PX2 = 0.3, 0.1
 antialiasing takes."""
 MIN_ALPHA = 1 / 255
 MAX_ALPHA = 0.99  # both Kerbl et al. 2023, appendix C
-WIDEST = 1.3  # times the half picture: beyond, the projection's slope is held (Kerbl et al.'s own code does so)
+WIDEST = 1.3  # times the half picture: beyond, the projection's slope is clamped (Kerbl et al.'s own code does so)
 _OPAQUE = np.float32(1e-4)  # of the light left: a tile is done, Kerbl et al. 2023, section 6
 
 _HALF, _ONE, _TWO = np.float32(0.5), np.float32(1), np.float32(2)
@@ -51,12 +51,12 @@ def project(first, end, means, quaternions, scales, opacity, sh, rest, view, ant
             half[i, 0], half[i, 1], _ = half_axis(axes, scales[g, i], i, view, slope_x, slope_y, per_z)
         xx, xy, yy, sharp, determinant = covariance(half, blur)
         xx, yy = xx + blur, yy + blur
-        shown = opacity[g]
+        visible_opacity = opacity[g]
         if antialias:
-            shown = shown * np.sqrt(sharp / determinant)
-        if not shown >= _MIN:  # NaN included
+            visible_opacity = visible_opacity * np.sqrt(sharp / determinant)
+        if not visible_opacity >= _MIN:  # NaN included
             continue
-        reach = _TWO * np.log(shown / _MIN)  # squared, in standard deviations: where alpha falls below the least
+        reach = _TWO * np.log(visible_opacity / _MIN)  # squared standard deviations: where alpha falls below _MIN
         column, row = x * per_z + view[13], y * per_z + view[14]
         wide, high = np.sqrt(reach * xx), np.sqrt(reach * yy)
         left, right = int(np.ceil(column - wide - _HALF)), int(np.floor(column + wide - _HALF)) + 1
@@ -68,7 +68,7 @@ def project(first, end, means, quaternions, scales, opacity, sh, rest, view, ant
         per = _ONE / determinant
         ellipses[g, 0], ellipses[g, 1] = column, row
         ellipses[g, 2], ellipses[g, 3], ellipses[g, 4] = yy * per, -xy * per, xx * per
-        ellipses[g, 5], ellipses[g, 9] = shown, z
+        ellipses[g, 5], ellipses[g, 9] = visible_opacity, z
         length = np.sqrt(dx * dx + dy * dy + dz * dz)
         dx, dy, dz = dx / length, dy / length, dz / length
         if turned and degree > 0:
@@ -197,12 +197,12 @@ def _blend_one(e, left, top, from_row, to_row, b):
             p = p * p
             alpha = min(opacity * (p * p), _MAX)
             alpha = alpha if alpha >= _MIN else np.float32(0)
-            shown = alpha * b[_LIGHT + start + j]
-            b[start + j] += shown * red
-            b[_GREEN + start + j] += shown * green
-            b[_BLUE + start + j] += shown * blue
-            b[_DEPTH + start + j] += shown * depth
-            b[_LIGHT + start + j] -= shown
+            contribution = alpha * b[_LIGHT + start + j]
+            b[start + j] += contribution * red
+            b[_GREEN + start + j] += contribution * green
+            b[_BLUE + start + j] += contribution * blue
+            b[_DEPTH + start + j] += contribution * depth
+            b[_LIGHT + start + j] -= contribution
 
 
 @compiled_fused

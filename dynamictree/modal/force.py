@@ -42,13 +42,13 @@ class Impulse:
 
 @dataclass(frozen=True, kw_only=True)
 class Drag:
-    """A pull that is held, then let go: a force, or the displacement that the force would hold it at."""
+    """Pull a point, then release it: by a force, or by the displacement that the force would reach."""
 
     at: Contact
     force_n: Vector | None = None
     displacement_m: Vector | None = None
     start_s: float = 0.0
-    duration_s: float | None = None  # None is held for good: a rest load
+    duration_s: float | None = None  # None: for ever, a rest load
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,7 +160,7 @@ def equilibrium(system: ModalSystem, generalised_n_m: Complex128[np.ndarray, "G 
 def davis_state(system: ModalSystem, force: Impulse | Drag, *, gain: float = 1.0) -> State:
     """Davis et al. 2015, section 4.3: |z_k| = α|φ_k·d|, arg z_k = −arg(φ_k·d), a further −π/2 for an impulse.
 
-    z = q − i q̇/ω, and a held drag has no rate, so its phase says q; an impulse's q is 0 and its rate along the push.
+    z = q − i q̇/ω. A constant drag has no rate, so q has the phase; an impulse has q = 0 and a rate.
     Not additive: d is a direction, and the gain alone says how strong. Here α = gain / max_k|φ_k·d|².
 
     Raises:

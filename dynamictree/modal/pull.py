@@ -160,8 +160,8 @@ class _Linear:
 
     def step(self, damping: float) -> Float64[np.ndarray, " D"]:
         """Minimise the linearised cost plus `damping` times the energy of the step."""
-        kept = damping / (1 + damping) * self.y
+        scaled_multipliers = damping / (1 + damping) * self.y
         soft = self.soft / (1 + damping)
-        aim = self.gap + self.jacobian @ (self.y - kept)
+        aim = self.gap + self.jacobian @ (self.y - scaled_multipliers)
         dual = np.linalg.solve((self.jacobian * soft) @ self.jacobian.T + self.tolerance * np.eye(3), aim)
-        return np.asarray(kept + soft * (self.jacobian.T @ dual) - self.y)
+        return np.asarray(scaled_multipliers + soft * (self.jacobian.T @ dual) - self.y)

@@ -28,10 +28,10 @@ Start = Literal["rest", "held", "davis"]
 
 
 def with_bin_zero(q: Complex128[np.ndarray, "*rows M"]) -> Float64[np.ndarray, "*rows K 2"]:
-    """Coordinates as they are told: real and imaginary parts by frequency bin; bin 0 is no mode and 0."""
-    told = np.zeros((*q.shape[:-1], q.shape[-1] + 1, 2))
-    told[..., 1:, 0], told[..., 1:, 1] = q.real, q.imag
-    return told
+    """Coordinates as a response gives them: real and imaginary parts by frequency bin; bin 0 is no mode and 0."""
+    coordinates = np.zeros((*q.shape[:-1], q.shape[-1] + 1, 2))
+    coordinates[..., 1:, 0], coordinates[..., 1:, 1] = q.real, q.imag
+    return coordinates
 
 
 def answer_tensors(answer: Answer) -> dict[str, np.ndarray]:
@@ -109,7 +109,7 @@ def respond(
             f"{len(groups)} of {system.num_modes} are needed"
         )
     q, final = run(step, begin, pushed / system.modal_mass)
-    begun = [_first_bend(start_bends[index : index + 1], aim, held=start == "held") for index, aim in enumerate(aims)]
+    begun = [_first_bend(start_bends[index : index + 1], aim, pulled=start == "held") for index, aim in enumerate(aims)]
     swings = [_swing(system, group, bend, aim, dt_s) for group, bend, aim in zip(groups, begun, aims, strict=True)]
     return Answer(
         groups=tuple(groups),
@@ -151,11 +151,11 @@ def _solved(
     return solved, aims, tuple(reached)
 
 
-def _first_bend(given: Sequence[Bend], aim: Float64[np.ndarray, "T n 3"], *, held: bool) -> Bend:
+def _first_bend(given: Sequence[Bend], aim: Float64[np.ndarray, "T n 3"], *, pulled: bool) -> Bend:
     if given and len(given[0].turn):
         return given[0]
     straight = Bend.straight(aim.shape[1])
-    return Bend(turn=aim[0], rate=straight.rate) if held else straight
+    return Bend(turn=aim[0], rate=straight.rate) if pulled else straight
 
 
 def _swing(

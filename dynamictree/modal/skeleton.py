@@ -116,9 +116,9 @@ def _merge_small(
     for this in order:
         if parent[this] >= 0 and size[this] < SMALLEST_NODE:
             target[this] = target[parent[this]]
-    kept = [this for this in order if target[this] == this and size[this] > 0]
+    roots = [this for this in order if target[this] == this and size[this] > 0]
     number = np.full(len(parent), -1, np.int64)
-    number[kept] = np.arange(len(kept))
-    above = parent[kept]
+    number[roots] = np.arange(len(roots))
+    above = parent[roots]
     numbered = np.where(above < 0, -1, number[target[above]])
     return number[target[node]].astype(np.int32), numbered.astype(np.int32)

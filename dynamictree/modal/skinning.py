@@ -18,7 +18,7 @@ from dynamictree.skin import JOINTS_PER_VERTEX, Skin, SkinSummary
 from dynamictree.spectrum import SparseVoxelSpectrum, iter_motion
 
 ROUNDS = 2  # a third gains less than a hundredth of the error
-FITTED_VERTICES = 40_000  # of a larger mesh, evenly chosen; all count in the error that is told
+FITTED_VERTICES = 40_000  # of a larger mesh, evenly chosen; all count in the reported error
 _UPRIGHT = 1e-6  # [m²] of a vertex: bones with too few points to fix a rotation do not turn
 
 

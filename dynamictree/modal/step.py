@@ -1,4 +1,4 @@
-"""One step of every oscillator: y⁺ = A y + B a, with y = (q, q̇) and the acceleration a held over the step.
+"""One step of every oscillator: y⁺ = A y + B a, with y = (q, q̇) and the acceleration a constant over the step.
 
 `exact_step` is the default. `symplectic_euler_step` and `explicit_euler_step` (Davis et al. 2015, equation 11, and the
 paper's) are the usual cheap ones; they differ from it in A and B only.
@@ -42,7 +42,7 @@ class State:
 
 
 def exact_step(system: ModalSystem, dt_s: float) -> Step:
-    """The closed form of the damped oscillator under a held force; stable and exact at every dt and every ζ."""
+    """The closed form of the damped oscillator under a constant force; stable and exact at every dt and every ζ."""
     return exact_oscillator(system.omega, system.damping_ratio, dt_s)
 
 
@@ -102,15 +102,15 @@ def run(
     Args:
         step: from one of this module's functions.
         state: at time 0.
-        acceleration: generalised force over modal mass, held over each step [1/s²].
+        acceleration: generalised force over modal mass, constant over each step [1/s²].
     """
     (a, b), (c, d) = step.A
     kick, push = step.B
     q, q_dot = state.q, state.q_dot
     frames = np.empty(acceleration.shape, np.complex128)
-    for n, held in enumerate(acceleration):
+    for n, constant in enumerate(acceleration):
         frames[n] = q
-        q, q_dot = a * q + b * q_dot + kick * held, c * q + d * q_dot + push * held
+        q, q_dot = a * q + b * q_dot + kick * constant, c * q + d * q_dot + push * constant
     return frames, State(q=q, q_dot=q_dot)
 
 

@@ -72,8 +72,8 @@ def _stiffen(
     every = np.arange(len(part))
     member = scipy.sparse.csr_array((np.ones(small.sum()), (every[small], part[small])), shape=(len(part), num_parts))
     mean = scipy.sparse.diags_array(1 / np.maximum(member.sum(axis=0), 1)) @ (member.T @ carried)
-    kept = scipy.sparse.diags_array((~small).astype(np.float64)) @ carried
-    together: scipy.sparse.csr_array = (member @ mean + kept).tocsr()
+    large_parts = scipy.sparse.diags_array((~small).astype(np.float64)) @ carried
+    together: scipy.sparse.csr_array = (member @ mean + large_parts).tocsr()
     return together
 
 
@@ -82,9 +82,9 @@ def _strongest(carried: "scipy.sparse.csr_array") -> BoneAttachment:
     point = np.repeat(np.arange(num_vertices), np.diff(carried.indptr))
     order = np.lexsort((carried.indices, -carried.data, point))
     rank = np.arange(len(point)) - carried.indptr[point]
-    kept = rank < BONES_A_VERTEX
+    strongest = rank < BONES_A_VERTEX
     rows = np.zeros((num_vertices, BONES_A_VERTEX), np.int32)
     weights = np.zeros((num_vertices, BONES_A_VERTEX), np.float32)
-    rows[point[kept], rank[kept]] = carried.indices[order][kept]
-    weights[point[kept], rank[kept]] = carried.data[order][kept]
+    rows[point[strongest], rank[strongest]] = carried.indices[order][strongest]
+    weights[point[strongest], rank[strongest]] = carried.data[order][strongest]
     return BoneAttachment(rows=rows, weights=weights / weights.sum(axis=1, keepdims=True))

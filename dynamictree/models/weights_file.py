@@ -45,8 +45,8 @@ def write_weights(
     provenance: Provenance | None = None,
 ) -> None:
     """Store weights with their preset: matrices as float16, vectors of up to MAX_EXACT numbers as they are."""
-    known = provenance or Provenance()
-    optional = {"step": known.step, "data_sha256": known.data_sha256, "card": known.card}
+    origin = provenance or Provenance()
+    optional = {"step": origin.step, "data_sha256": origin.data_sha256, "card": origin.card}
     metadata = {"format": kind, "version": version, "preset": json.dumps(preset)}
     metadata |= {name: str(value) for name, value in optional.items() if value is not None}
     stored = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}

@@ -17,7 +17,7 @@ def reconstruct_capture(
     params: ReconstructParams,
     *,
     root: Path,
-    kept: Path | None = None,
+    resume_dir: Path | None = None,
     read_photos: ReadPhotos = read_photos,
     on_progress: Callable[[float], None],
 ) -> Capture:
@@ -28,7 +28,7 @@ def reconstruct_capture(
         folder: for the results.
         params: height, training steps and box.
         root: the folder that the files lie in or below, by which they name one another.
-        kept: a folder for intermediate results; a second call continues there.
+        resume_dir: a folder for intermediate results; a second call continues there.
         read_photos: reads photos and camera files.
         on_progress: gets the share done in [0, 1]; what it raises passes through.
 
@@ -42,7 +42,7 @@ def reconstruct_capture(
         folder,
         options=ReconstructOptions(height_m=params.height_m, box_m=params.box_m, schedule=schedule),
         root=root,
-        work=kept,
+        work=resume_dir,
         read_photos=read_photos,
         on_progress=lambda progress: on_progress(progress.total),
     )

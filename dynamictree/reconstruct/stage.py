@@ -36,7 +36,7 @@ class Stage:
 
 
 def find_stage(model: SparseModel, rng: np.random.Generator, *, ground: bool = True) -> Stage:
-    """Find up from how the photos were held, and the ground as the plane below that has most points.
+    """Find the vertical from the photos' orientations, and the ground as the plane below that has most points.
 
     Where two cues of the cameras agree on up, a plane that leans away from it is no ground, unless most points lie on
     it. With `ground=False` none is searched: masks leave it out.

@@ -123,8 +123,8 @@ def _mip_levels(texture: bytes, side_px: int) -> list[Float32[np.ndarray, "H W 4
     try:
         with Image.open(BytesIO(texture)) as image:
             if image.width * image.height > _MAX_TEXTURE_PIXELS:
-                found = f"{image.width} x {image.height} pixels"
-                raise FormatError(f"a texture has {found}; at most {_MAX_TEXTURE_PIXELS:,} are allowed; reduce it")
+                size = f"{image.width} x {image.height} pixels"
+                raise FormatError(f"a texture has {size}; at most {_MAX_TEXTURE_PIXELS:,} are allowed; reduce it")
             pixels = np.array(image.convert("RGBA"))
     except (OSError, Image.DecompressionBombError) as error:
         raise FormatError(f"a texture of {len(texture):,} bytes is no picture that can be read: {error}") from error

@@ -35,8 +35,8 @@ class Look:
 
     def __post_init__(self) -> None:
         if not (1 <= self.width <= MAX_SIDE_PX and 1 <= self.height <= MAX_SIDE_PX and 1 <= self.supersampling <= 4):
-            found = f"{self.width} x {self.height} pixels with {self.supersampling}² samples"
-            raise InputError(f"a picture of {found}; 1 to {MAX_SIDE_PX} pixels a side and 1 to 4 are allowed")
+            size = f"{self.width} x {self.height} pixels with {self.supersampling}² samples"
+            raise InputError(f"a picture of {size}; 1 to {MAX_SIDE_PX} pixels a side and 1 to 4 are allowed")
 
 
 class Buffers(NamedTuple):

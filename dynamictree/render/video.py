@@ -66,8 +66,8 @@ def _of_one_size(
 ) -> Iterator[UInt8[np.ndarray, "H W 3"]]:
     for number, frame in enumerate(frames):
         if frame.shape != shape:
-            found = f"frame {number} is {frame.shape[1]} x {frame.shape[0]} pixels"
-            raise InputError(f"{found}, the first is {shape[1]} x {shape[0]}; all must be of one size")
+            size = f"frame {number} is {frame.shape[1]} x {frame.shape[0]} pixels"
+            raise InputError(f"{size}, the first is {shape[1]} x {shape[0]}; all must be of one size")
         yield frame
 
 

@@ -136,9 +136,9 @@ def _neighbour_pairs(coords: Int64[Tensor, "V 3"]) -> tuple[Pair, ...]:
     pairs = []
     for offset in OFFSETS[:CENTRE]:
         wanted = (shifted * strides).sum(dim=1) + int((torch.tensor(offset, device=coords.device) * strides).sum())
-        found = torch.searchsorted(keys, wanted).clamp_max(len(keys) - 1)
-        hit = keys[found] == wanted
-        pairs.append((rows[hit], order[found[hit]]))
+        position = torch.searchsorted(keys, wanted).clamp_max(len(keys) - 1)
+        hit = keys[position] == wanted
+        pairs.append((rows[hit], order[position[hit]]))
     return tuple(pairs)
 
 

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 OnStep = Callable[[str, int, int, float], None]
-"""Told the part, how much of it is done, how much there is, and a loss (0 where there is none)."""
+"""Called with the stage, the steps done, the steps in total, and a loss (0 where there is none)."""
 
 
 @contextmanager

@@ -42,30 +42,30 @@ def cut_faces(corners: Float64[np.ndarray, "F 3 3"], resolution: int) -> Surface
 @no_type_check
 def _cut(polygon, count, axis, bound, sign, out):
     """Keep the side where sign * (x - bound) >= 0 (Sutherland and Hodgman 1974); gives the number of corners left."""
-    kept = 0
+    num_left = 0
     for i in range(count):
         j = i + 1 if i + 1 < count else 0
-        here = sign * (polygon[i, axis] - bound)
-        there = sign * (polygon[j, axis] - bound)
-        if here >= 0:
+        distance = sign * (polygon[i, axis] - bound)
+        next_distance = sign * (polygon[j, axis] - bound)
+        if distance >= 0:
             for c in range(6):
-                out[kept, c] = polygon[i, c]
-            kept += 1
-        if here * there < 0:
-            share = here / (here - there)
+                out[num_left, c] = polygon[i, c]
+            num_left += 1
+        if distance * next_distance < 0:
+            share = distance / (distance - next_distance)
             for c in range(6):
-                out[kept, c] = polygon[i, c] + share * (polygon[j, c] - polygon[i, c])
-            out[kept, axis] = bound
-            kept += 1
-    return kept
+                out[num_left, c] = polygon[i, c] + share * (polygon[j, c] - polygon[i, c])
+            out[num_left, axis] = bound
+            num_left += 1
+    return num_left
 
 
 @numba.njit(cache=True)
 @no_type_check
 def _slab(polygon, count, axis, index, scratch, out):
     """Keep index <= x <= index + 1."""
-    kept = _cut(polygon, count, axis, float(index), 1.0, scratch)
-    return _cut(scratch, kept, axis, index + 1.0, -1.0, out)
+    left = _cut(polygon, count, axis, float(index), 1.0, scratch)
+    return _cut(scratch, left, axis, index + 1.0, -1.0, out)
 
 
 @numba.njit(cache=True)
@@ -138,6 +138,6 @@ def _cut_one(triangle, face, resolution, start, write, keys, faces, areas, centr
 @no_type_check
 def _cut_all(corners, resolution, counts, starts, write, keys, faces, areas, centroids):
     for face in range(len(corners)):
-        found = _cut_one(corners[face], face, resolution, starts[face], write, keys, faces, areas, centroids)
+        num_pieces = _cut_one(corners[face], face, resolution, starts[face], write, keys, faces, areas, centroids)
         if not write:
-            counts[face] = found
+            counts[face] = num_pieces

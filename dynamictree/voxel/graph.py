@@ -30,9 +30,9 @@ def voxel_graph(grid: VoxelGrid) -> "scipy.sparse.csr_array":
     starts, ends = [], []
     for step in _HALF_OF_STEPS:
         neighbours = grid.rows_of(grid.coords + step)
-        found = np.flatnonzero(neighbours >= 0)
-        starts.append(found)
-        ends.append(neighbours[found].astype(np.int64))
+        occupied = np.flatnonzero(neighbours >= 0)
+        starts.append(occupied)
+        ends.append(neighbours[occupied].astype(np.int64))
     graph = _graph(grid, np.concatenate(starts), np.concatenate(ends))
     while True:
         num_parts, part = connected_components(graph, directed=False)

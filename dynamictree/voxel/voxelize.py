@@ -81,10 +81,10 @@ def surface_average(mesh: TriangleMesh, grid: VoxelGrid) -> scipy.sparse.csr_arr
     pieces = surface_pieces(mesh, grid.origin_m, grid.voxel_size_m, grid.resolution)
     keys = grid.keys
     rows = np.minimum(np.searchsorted(keys, pieces.keys), len(keys) - 1)
-    held = keys[rows] == pieces.keys
-    rows = np.repeat(rows[held], 3)
-    columns = mesh.faces[pieces.faces[held]].ravel()
-    weights = (pieces.areas[held, None] * pieces.centroids[held]).ravel()
+    in_grid = keys[rows] == pieces.keys
+    rows = np.repeat(rows[in_grid], 3)
+    columns = mesh.faces[pieces.faces[in_grid]].ravel()
+    weights = (pieces.areas[in_grid, None] * pieces.centroids[in_grid]).ravel()
     total = np.bincount(rows, weights, minlength=len(grid))
     if (total <= 0).any():
         row = int(np.argmin(total))
@@ -109,14 +109,14 @@ def surface_pieces(
     _refuse_too_much(corners)
     pieces = cut_faces(corners, resolution)
     least = _LEAST_AREA * resolution**2
-    kept = pieces.areas > least
+    large = pieces.areas > least
     x, y, z = np.floor(corners).astype(np.int64).reshape(-1, 3).T
     corner_keys: Int64[np.ndarray, " C"] = (x * resolution + y) * resolution + z
     return SurfacePieces(
-        keys=np.concatenate([pieces.keys[kept], corner_keys]),
-        faces=np.concatenate([solid[pieces.faces[kept]], np.repeat(solid, 3)]).astype(np.int32),
-        areas=np.concatenate([pieces.areas[kept], np.full(len(corner_keys), least)]),
-        centroids=np.concatenate([pieces.centroids[kept], np.tile(np.eye(3, dtype=np.float32), (len(solid), 1))]),
+        keys=np.concatenate([pieces.keys[large], corner_keys]),
+        faces=np.concatenate([solid[pieces.faces[large]], np.repeat(solid, 3)]).astype(np.int32),
+        areas=np.concatenate([pieces.areas[large], np.full(len(corner_keys), least)]),
+        centroids=np.concatenate([pieces.centroids[large], np.tile(np.eye(3, dtype=np.float32), (len(solid), 1))]),
     )
 
 

@@ -37,8 +37,8 @@ class Audited:
             nonlocal status, location
             if message["type"] == "http.response.start":
                 status = message["status"]
-                found = [value for name, value in message["headers"] if name.lower() == b"location"]
-                location = found[0].decode("latin-1") if found else ""
+                locations = [value for name, value in message["headers"] if name.lower() == b"location"]
+                location = locations[0].decode("latin-1") if locations else ""
             await send(message)
 
         try:

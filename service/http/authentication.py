@@ -58,8 +58,8 @@ class Authentication:
             policy = policy_of(scope.get("method", "GET"), scope["path"])
             standing = None if self._limiter is None else await self._limiter.count(caller, policy)
             if standing is not None and not standing.allowed:
-                found = f"{standing.quota} {policy.name} in {policy.window_s} s are allowed"
-                raise ProblemError("rate-limited", f"{found}; wait {standing.reset_s} s", headers=standing.headers)
+                allowance = f"{standing.quota} {policy.name} in {policy.window_s} s are allowed"
+                raise ProblemError("rate-limited", f"{allowance}; wait {standing.reset_s} s", headers=standing.headers)
         except sa.exc.OperationalError:
             logger.warning("the database is away", exc_info=True)
             away = ProblemError("storage-unavailable", "the database does not answer; the key cannot be checked")
@@ -110,15 +110,15 @@ class Authentication:
     async def _key(self, key: str, store: Store) -> KeyRecord:
         digest, fresh = digest_of(key), False
         try:
-            found = self._keys[digest]
+            record = self._keys[digest]
         except KeyError:
-            found = self._keys[digest] = await run_in_threadpool(find_key, store, digest)
+            record = self._keys[digest] = await run_in_threadpool(find_key, store, digest)
             fresh = True
-        if found is None or not found.valid(store.clock()):
+        if record is None or not record.valid(store.clock()):
             raise _unauthorized("the key is unknown, revoked or has expired")
         if fresh:
-            await run_in_threadpool(note_use, store, found)
-        return found
+            await run_in_threadpool(note_use, store, record)
+        return record
 
 
 def require_own_machine(scope: Scope, headers: Headers, hosts: tuple[str, ...], cors_origins: tuple[str, ...]) -> None:

@@ -12,7 +12,7 @@ from dynamictree.errors import DynamicTreeError
 from jobs.artifacts import is_full
 from jobs.errors import JobsError
 from service.http.problems import REFUSALS, ProblemError, problem_of, problem_response, request_id_of
-from service.http.validation_errors import MAX_SHOWN, field_errors, summed_up
+from service.http.validation_errors import MAX_VALUE_CHARS, field_errors, summed_up
 
 logger = logging.getLogger(__name__)
 
@@ -47,7 +47,7 @@ async def _on_http(request: Request, error: Exception) -> Response:
 
 def _problem_of_framework(request: Request, error: HTTPException) -> ProblemError:
     """What Starlette and FastAPI refuse by themselves."""
-    path = request.scope["path"][:MAX_SHOWN]
+    path = request.scope["path"][:MAX_VALUE_CHARS]
     if error.status_code == 404:
         return ProblemError("not-found", f"there is nothing at {path!r}; /openapi.json tells every path")
     if error.status_code == 405:

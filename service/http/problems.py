@@ -194,14 +194,14 @@ def problem_of(error: Refusal) -> ProblemError:
     """The problem that an exception of ours tells. Of those that are not the client's to mend the cause is logged."""
     if isinstance(error, ProblemError):
         return error
-    code = known_code(error)
+    code = problem_code(error)
     if KINDS[code].status == 500:
         logger.error("request failed", exc_info=error)
         return ProblemError(code, "The cause was logged.")
     return ProblemError(code, str(error))
 
 
-def known_code(error: Exception) -> str:
+def problem_code(error: Exception) -> str:
     """The code of an exception of ours, or `internal-error`."""
     code = getattr(error, "code", "internal-error") if isinstance(error, DynamicTreeError | JobsError) else None
     return code if code in KINDS else "internal-error"

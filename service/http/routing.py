@@ -57,13 +57,13 @@ def file_of(media_type: str, description: str) -> dict[int | str, dict[str, Any]
     }
 
 
-async def _known_shape(id: Annotated[str, Path(description="a ULID, as the service gave it")]) -> str:
+async def _valid_id(id: Annotated[str, Path(description="a ULID, as the service gave it")]) -> str:
     if not is_id(id):
         raise ProblemError("not-found", f"there is nothing with the id {id[:64]!r}; ids have 26 letters and digits")
     return id
 
 
-Id = Annotated[str, Depends(_known_shape)]
+Id = Annotated[str, Depends(_valid_id)]
 
 CACHED = {"Cache-Control": "private, max-age=86400"}
 """For what is computed of a spectrum, which never changes."""

@@ -6,7 +6,7 @@ from typing import Any
 from jobs.states import JOB_TYPES
 from service.http.problems import FieldError
 
-MAX_SHOWN = 60
+MAX_VALUE_CHARS = 60
 MAX_ERRORS = 20
 MAX_POINTER = 200
 
@@ -51,15 +51,15 @@ def _detail(error: Mapping[str, Any]) -> str:
         case "extra_forbidden" | "unexpected_keyword_argument":
             return "there is no such field; /openapi.json tells those that there are"
         case "union_tag_invalid":
-            return f"{_shown(more['tag'])} was sent; {more['expected_tags']} are allowed"
+            return f"{_shortened(more['tag'])} was sent; {more['expected_tags']} are allowed"
         case "value_error":
             return message.removeprefix("Value error, ")
         case "model_attributes_type" if isinstance(given, bytes | str):
             return "this is no JSON object; send one, with Content-Type: application/json"
     plain = isinstance(given, str | int | float | None)
-    return f"{message}; {_shown(given)} was sent" if plain else message
+    return f"{message}; {_shortened(given)} was sent" if plain else message
 
 
-def _shown(value: object) -> str:
+def _shortened(value: object) -> str:
     text = repr(value)
-    return text if len(text) <= MAX_SHOWN else text[:MAX_SHOWN] + "…"
+    return text if len(text) <= MAX_VALUE_CHARS else text[:MAX_VALUE_CHARS] + "…"

@@ -55,7 +55,7 @@ def list_keys(state_dir: StateDir = None, as_json: _AsJson = False) -> None:
     with _store(state_dir) as store:
         records = all_keys(store)
     if as_json:
-        typer.echo(json.dumps([_told(key) for key in records]))
+        typer.echo(json.dumps([_key_facts(key) for key in records]))
         return
     for key in records:
         state = "valid" if key.valid(time.time()) else "revoked" if key.revoked_at is not None else "expired"
@@ -72,7 +72,7 @@ def revoke(key_id: Annotated[str, typer.Argument(help="as `keys list` shows it")
     audit("keys revoke", state_dir, target=key_id)
 
 
-def _told(key: KeyRecord) -> dict[str, object]:
+def _key_facts(key: KeyRecord) -> dict[str, object]:
     return {
         "id": key.id,
         "owner": key.owner,

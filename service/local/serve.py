@@ -223,14 +223,14 @@ class Announcer:
         self._as_json = as_json
         self._open_page = open_page
         self._started_at = time.monotonic()
-        self._told = False
+        self._announced = False
 
     def poll(self) -> None:
         """Announce the address once the service is ready; cheap afterwards."""
         seconds = time.monotonic() - self._started_at
-        if self._told or not _ready(self._url):
+        if self._announced or not _ready(self._url):
             return
-        self._told = True
+        self._announced = True
         line = json.dumps({"status": "ready", "url": self._url, "seconds": round(seconds, 2), "pid": os.getpid()})
         typer.echo(line if self._as_json else f"ready {self._url}\nA page to use it from: {_local(self._url)}/")
         sys.stdout.flush()

@@ -23,7 +23,7 @@ _PUSH = {
     "forces": [{"kind": "impulse", "at": {"voxel": 4711}, "impulse_n_s": [0.0, 5.0, 0.0], "duration_s": 0.1}],
     "num_frames": 120,
 }
-_HELD = {
+_PULL_AND_RELEASE = {
     "spectrum_id": _SPECTRUM,
     "forces": [
         {"kind": "drag", "at": {"point_m": [0.4, 0.0, 7.9]}, "displacement_m": [0.0, 0.3, 0.0], "duration_s": 0.5}
@@ -42,7 +42,7 @@ REQUESTS: dict[str, dict[str, Any]] = {
     },
     "interact": {
         "knock": {"summary": "A knock against a branch", "value": _PUSH},
-        "pull": {"summary": "Pull a branch aside, hold it, let go", "value": _HELD},
+        "pull": {"summary": "Pull a branch aside, hold it, let go", "value": _PULL_AND_RELEASE},
     },
 }
 """By operation."""

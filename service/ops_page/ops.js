@@ -1,4 +1,4 @@
-// Asks every few seconds; nothing is kept but the key, and that in this tab alone.
+// Asks every few seconds; only the key is stored, in this tab alone.
 const REFRESH_MS = 5000;
 const byId = (id) => document.getElementById(id);
 const keyField = byId("key");

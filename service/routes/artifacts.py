@@ -36,7 +36,7 @@ def get_artifact(
     artifact = owned.store.artifact(id)
     if matches(if_none_match, _etag(artifact)):
         return Response(status_code=status.HTTP_304_NOT_MODIFIED, headers=_headers(artifact, filename))
-    part = _asked(artifact, range, if_range)
+    part = _requested_range(artifact, range, if_range)
     if not owned.services.artifacts.exists(artifact.sha256):
         raise GoneError(f"the bytes of artefact {id} were removed; run the job again")
     start, stop = (0, artifact.bytes) if part is None else (part.start, part.stop)
@@ -61,7 +61,7 @@ def head_artifact(id: Id, owned: OwnedDep, if_none_match: Annotated[str | None, 
     return Response(headers=sent, media_type=artifact.media_type)
 
 
-def _asked(artifact: ArtifactRecord, header: str | None, if_range: str | None) -> ByteRange | None:
+def _requested_range(artifact: ArtifactRecord, header: str | None, if_range: str | None) -> ByteRange | None:
     if if_range is not None and if_range.strip() != _etag(artifact):
         return None
     try:

@@ -107,7 +107,7 @@ async def create_asset(request: Request, response: Response, owned: OwnedDep) ->
         asset, new = await admit(owned, sorted_out, folder)
     finally:
         await run_in_threadpool(shutil.rmtree, folder)
-    return _told(asset, new, response)
+    return _asset_response(asset, new, response)
 
 
 async def _of_uploads_or_address(request: Request, response: Response, owned: Owned) -> AssetPayload | Response:
@@ -116,7 +116,7 @@ async def _of_uploads_or_address(request: Request, response: Response, owned: Ow
     if wanted.upload_ids is not None:
         uploads = [await run_in_threadpool(upload, owned.store, id) for id in wanted.upload_ids]
         asset, new = await make_asset(owned, uploads, fields)
-        return _told(asset, new, response)
+        return _asset_response(asset, new, response)
     assert wanted.url is not None
     await owned.services.outbound.check(
         wanted.url
@@ -154,7 +154,7 @@ async def _read_json(request: Request, owned: Owned) -> AssetRequest:
         raise RequestValidationError(located) from error
 
 
-def _told(asset: AssetRecord, new: bool, response: Response) -> AssetPayload:
+def _asset_response(asset: AssetRecord, new: bool, response: Response) -> AssetPayload:
     response.headers["Location"] = f"/v1/assets/{asset.id}"
     response.status_code = status.HTTP_201_CREATED if new else status.HTTP_200_OK
     return asset_payload(asset)

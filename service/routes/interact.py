@@ -134,10 +134,10 @@ async def interact(body: InteractRequest, owned: OwnedDep, accept: Annotated[str
     except BaseException:
         await large_slot.aclose()
         raise
-    return HeldResponse(response, large_slot)
+    return SlotResponse(response, large_slot)
 
 
-class HeldResponse(Response):
+class SlotResponse(Response):
     """A large answer that is sent piece by piece, as the client reads, and gives its slot back at the end."""
 
     def __init__(self, response: Response, large_slot: AsyncExitStack) -> None:
@@ -174,7 +174,9 @@ def _prepared_response(body: InteractRequest, owned: Owned, media_type: str) -> 
 def _response(body: InteractRequest, ready: ReadyTree, owned: Owned, media_type: str) -> Response:
     system, answer = answer_of(body, ready, owned)
     if media_type == JSON:
-        return Response(orjson.dumps(_told(body, system, answer), option=orjson.OPT_SERIALIZE_NUMPY), 200, None, JSON)
+        return Response(
+            orjson.dumps(_interact_payload(body, system, answer), option=orjson.OPT_SERIALIZE_NUMPY), 200, None, JSON
+        )
     arrays = answer_tensors(answer)
     if body.output == "gaussians":
         arrays |= _gaussians(body, ready, owned, answer)
@@ -283,7 +285,7 @@ def _facts(body: InteractRequest, system: ModalSystem) -> dict[str, object]:
     }
 
 
-def _told(body: InteractRequest, system: ModalSystem, answer: Answer) -> dict[str, object]:
+def _interact_payload(body: InteractRequest, system: ModalSystem, answer: Answer) -> dict[str, object]:
     coordinates = with_bin_zero(answer.q)  # [T, G, K, 2]
     groups = [
         {

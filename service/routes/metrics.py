@@ -89,11 +89,11 @@ class StoreMetrics:
             yield _gauge("storage_free_bytes", "Room left in the storage", {(): free})
 
 
-def store_gauges(now: Census, known: tuple[str, ...]) -> Iterator[Metric]:
+def store_gauges(now: Census, queue_names: tuple[str, ...]) -> Iterator[Metric]:
     """The state of the service at this moment."""
     states: dict[tuple[str, ...], float] = {(str(state),): now.jobs.get(state, 0) for state in JobState}
     yield _gauge("jobs", "Jobs with a record, by state", states, ["state"])
-    none: dict[tuple[str, ...], float] = {(name,): 0.0 for name in known}
+    none: dict[tuple[str, ...], float] = {(name,): 0.0 for name in queue_names}
     lengths = none | {(queue.name,): queue.jobs for queue in now.queues}
     yield _gauge("queue_jobs", "Jobs that wait", lengths, ["queue"])
     unfinished = none | {(queue.name,): queue.jobs + queue.running for queue in now.queues}

@@ -103,7 +103,7 @@ async def create_upload(
     size = 0
     if with_bytes:
         size = await _append(owned, record, request, 0, checksum)
-        record = await _kept(owned, record, size)
+        record = await _record_progress(owned, record, size)
     sent = _standing(record, size) | {"Location": f"/v1/uploads/{record.id}"}
     return Response(status_code=status.HTTP_201_CREATED, headers=sent)
 
@@ -163,7 +163,7 @@ async def append_to_upload(
         return Response(status_code=status.HTTP_204_NO_CONTENT, headers=_standing(record, record.received))
     await run_in_threadpool(require_room, owned)
     size = await _append(owned, record, request, offset, checksum)
-    record = await _kept(owned, record, size)
+    record = await _record_progress(owned, record, size)
     return Response(status_code=status.HTTP_204_NO_CONTENT, headers=_standing(record, size))
 
 
@@ -205,7 +205,7 @@ async def _append(owned: Owned, record: UploadRecord, request: Request, offset: 
     return await owned.services.upload_writers.append(writer, request.stream(), offset)
 
 
-async def _kept(owned: Owned, record: UploadRecord, size: int) -> UploadRecord:
+async def _record_progress(owned: Owned, record: UploadRecord, size: int) -> UploadRecord:
     """Write down that bytes came; an upload that is whole is closed, and checked against its sha256."""
     changes: dict[str, Any] = {
         "received": size,
@@ -237,15 +237,15 @@ def _require_promised(owned: Owned, record: UploadRecord) -> None:
 
 def _require_version(given: str | None) -> None:
     if given != TUS_VERSION:
-        found = "is not sent" if given is None else f"is {given!r}"
-        detail = f"Tus-Resumable {found}; {TUS_VERSION} is spoken here"
+        value = "is not sent" if given is None else f"is {given!r}"
+        detail = f"Tus-Resumable {value}; {TUS_VERSION} is spoken here"
         raise ProblemError("precondition-failed", detail, headers={"Tus-Version": TUS_VERSION})
 
 
 def _length(header: str | None, owned: Owned) -> int:
     if header is None or not (header.isascii() and header.isdecimal()) or len(header) > 18:
-        found = "is not sent" if header is None else f"is {header!r}"
-        raise ProblemError("bad-request", f"Upload-Length {found}; send the size of the file in bytes")
+        value = "is not sent" if header is None else f"is {header!r}"
+        raise ProblemError("bad-request", f"Upload-Length {value}; send the size of the file in bytes")
     length, allowed = int(header), owned.services.settings.max_upload_bytes
     if length > allowed:
         raise ProblemError("payload-too-large", f"Upload-Length is {length:,}; at most {allowed:,} are allowed")
@@ -258,27 +258,27 @@ def _metadata(header: str | None) -> dict[str, str]:
     """The pairs of Upload-Metadata, those that mean something here checked."""
     if header is not None and len(header) > MAX_METADATA_CHARS:
         raise ProblemError("bad-request", f"Upload-Metadata has more than {MAX_METADATA_CHARS} characters")
-    found: dict[str, str] = {}
+    pairs: dict[str, str] = {}
     for pair in (header or "").split(","):
         name, _, encoded = pair.strip().partition(" ")
         if not name:
             continue
         try:
-            found[name] = base64.b64decode(encoded.strip(), validate=True).decode()
+            pairs[name] = base64.b64decode(encoded.strip(), validate=True).decode()
         except (binascii.Error, ValueError) as error:
             raise wrong_field(
                 f"metadata:{name}", "not-base64", f"the value of {name!r} is no base64 of UTF-8"
             ) from error
-    reading_options({name: found[name] for name in FIELDS if name in found}, where="metadata")
-    promised = found.get("sha256")
+    reading_options({name: pairs[name] for name in FIELDS if name in pairs}, where="metadata")
+    promised = pairs.get("sha256")
     if promised is not None and (len(promised) != 64 or not set(promised) <= _HEX):
         raise _wrong("sha256", "not-a-hash", "sha256 has 64 digits 0-9 a-f")
-    if found.get("asset", "auto") != "auto":
-        raise _wrong("asset", "not-allowed", f"asset is {found['asset']!r}; only auto is allowed")
+    if pairs.get("asset", "auto") != "auto":
+        raise _wrong("asset", "not-allowed", f"asset is {pairs['asset']!r}; only auto is allowed")
     for key in ("filename", "name"):
-        if len(found.get(key, "")) > MAX_NAME_CHARS or "\0" in found.get(key, ""):
+        if len(pairs.get(key, "")) > MAX_NAME_CHARS or "\0" in pairs.get(key, ""):
             raise _wrong(key, "not-allowed", f"{key} has at most {MAX_NAME_CHARS} characters and no NUL")
-    return found
+    return pairs
 
 
 def _wrong(name: str, code: str, detail: str) -> ProblemError:

@@ -3,7 +3,7 @@
 from fastapi import APIRouter
 
 from jobs.keys import Limit
-from jobs.usage import count_active, kept_bytes
+from jobs.usage import count_active, stored_bytes
 from service.http.routing import refusals
 from service.schemas.base import Payload
 from service.services import OwnedDep
@@ -27,6 +27,6 @@ def get_usage(owned: OwnedDep) -> UsagePayload:
     return UsagePayload(
         owner=caller.owner,
         active_jobs=count_active(owned.store),
-        bytes=kept_bytes(owned.store),
+        bytes=stored_bytes(owned.store),
         limits=dict(caller.limits) or None,
     )

@@ -8,7 +8,7 @@ from dynamictree.requests import Reading
 from jobs.records import AssetRecord
 from jobs.states import AssetKind
 from jobs.uploads import UploadRecord, UploadState
-from service.schemas.base import ULID_PATTERN, Payload, Problem, Time, time_of, told_problem
+from service.schemas.base import ULID_PATTERN, Payload, Problem, Time, problem_of, time_of
 
 
 class PartPayload(Payload):
@@ -91,7 +91,7 @@ def upload_payload(upload: UploadRecord, size: int) -> UploadPayload:
         length=upload.length,
         sha256=upload.sha256,
         asset_id=upload.asset_id,
-        error=told_problem(upload.error_code, upload.error_message),
+        error=problem_of(upload.error_code, upload.error_message),
         created_at=time_of(upload.created_at),
         expires_at=time_of(upload.expires_at),
     )

@@ -53,7 +53,7 @@ def maybe_time(seconds: float | None) -> datetime | None:
     return None if seconds is None else time_of(seconds)
 
 
-def told_problem(code: str | None, message: str | None) -> Problem | None:
+def problem_of(code: str | None, message: str | None) -> Problem | None:
     """What went wrong with a job or an upload, as its row has it; None where nothing did."""
     if code is None:
         return None

@@ -8,7 +8,7 @@ from jobs.job_log import Level, LogLine
 from jobs.records import ArtifactRecord, JobRecord
 from jobs.stage_files import MESH, SPECTRUM, VOXELS
 from jobs.states import JobState, JobType, Priority, StageState
-from service.schemas.base import Payload, Problem, Time, maybe_time, time_of, told_problem
+from service.schemas.base import Payload, Problem, Time, maybe_time, problem_of, time_of
 
 
 class StagePayload(Payload):
@@ -150,7 +150,7 @@ def job_payload(
         eta_s=eta_s,
         stages=stages,
         result=_result(job, artifacts),
-        error=told_problem(job.error_code, job.error_message),
+        error=problem_of(job.error_code, job.error_message),
         priority=job.priority,
         webhook=job.webhook_id,
         retry_of=job.retry_of,

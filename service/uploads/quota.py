@@ -3,7 +3,7 @@
 import shutil
 
 from jobs.uploads import receiving_uploads
-from jobs.usage import kept_bytes
+from jobs.usage import stored_bytes
 from service.http.problems import ProblemError
 from service.services import Owned
 
@@ -17,7 +17,7 @@ def require_bytes(owned: Owned, wanted: int) -> None:
     allowed = owned.caller.limits.get("bytes")
     if allowed is None:
         return
-    stored = kept_bytes(owned.store)
+    stored = stored_bytes(owned.store)
     if stored + wanted > allowed:
         raise ProblemError("quota-exceeded", f"you keep {stored:,} bytes, {wanted:,} more pass the {allowed:,} allowed")
 

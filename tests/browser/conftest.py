@@ -44,11 +44,11 @@ def browser() -> Iterator[Browser]:
     installed = os.environ.get("BROWSER_PATH") or next(filter(None, map(shutil.which, NAMES)), None)
     flags = [*FLAGS, "--no-sandbox"] if os.getuid() == 0 else FLAGS
     with sync_playwright() as driver:
-        found = installed or driver.chromium.executable_path  # what `playwright install` has fetched
-        assert Path(found).is_file(), (
+        executable = installed or driver.chromium.executable_path  # what `playwright install` has fetched
+        assert Path(executable).is_file(), (
             f"no browser: install Debian's chromium (of {', '.join(NAMES)}) or set BROWSER_PATH"
         )
-        browser = driver.chromium.launch(executable_path=found, args=list(flags))
+        browser = driver.chromium.launch(executable_path=executable, args=list(flags))
         yield browser
         browser.close()
 

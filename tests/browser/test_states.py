@@ -45,8 +45,8 @@ def axe(request: pytest.FixtureRequest) -> Callable[[Page], list[str]]:
 
     def violations(page: Page) -> list[str]:
         page.evaluate(AXE.read_text())  # the page's policy allows no other script; the driver may evaluate
-        found = page.evaluate("async () => (await axe.run()).violations")
-        return [f"{item['id']}: {item['nodes'][0]['html'][:200]}" for item in found]
+        report = page.evaluate("async () => (await axe.run()).violations")
+        return [f"{item['id']}: {item['nodes'][0]['html'][:200]}" for item in report]
 
     return violations
 

@@ -215,14 +215,14 @@ def test_the_keyboard_is_enough(view: Open, job_url: str) -> None:
 def test_an_error_is_shown_as_the_service_tells_it(view: Open, url: str, tmp_path: Path) -> None:
     broken = tmp_path / "broken.glb"
     broken.write_bytes(b"glTF but not really")
-    told = httpx.post(f"{url}/v1/assets", files={"file": (broken.name, broken.read_bytes())}, timeout=60).json()
+    problem = httpx.post(f"{url}/v1/assets", files={"file": (broken.name, broken.read_bytes())}, timeout=60).json()
     viewer = view(700, 560)
     viewer.open(url)
     viewer.page.set_input_files("#files", str(broken))
     alert = viewer.page.get_by_role("alert")
-    expect(alert).to_contain_text(told["title"])
-    expect(alert).to_contain_text(told["detail"])
-    expect(alert).to_contain_text(told["suggestion"])
+    expect(alert).to_contain_text(problem["title"])
+    expect(alert).to_contain_text(problem["detail"])
+    expect(alert).to_contain_text(problem["suggestion"])
     viewer.picture()
     viewer.page.keyboard.press("Escape")
     expect(alert).to_be_hidden()
@@ -267,9 +267,9 @@ def test_a_splat_is_drawn_in_the_colours_of_the_side_that_is_seen(view: Open, ur
     for turns in (0, 9, 22):
         for _ in range(turns):
             page.keyboard.press("ArrowLeft")
-        shown = steady(viewer)
-        height, width = np.array(shown.shape[:2]) // 2
-        middle = np.median(shown[height - 15 : height + 15, width - 8 : width + 8], axis=(0, 1)) / 255
+        picture = steady(viewer)
+        height, width = np.array(picture.shape[:2]) // 2
+        middle = np.median(picture[height - 15 : height + 15, width - 8 : width + 8], axis=(0, 1)) / 255
         angle -= turns * KEY_RAD
         ahead = np.array([np.cos(angle), np.sin(angle)]) * LEVEL
         np.testing.assert_allclose(

@@ -1,4 +1,4 @@
-"""A real HTTP server on loopback that fails as it is told: what a bad line and a busy service look like."""
+"""A real HTTP server on loopback that fails on demand: what a bad line and a busy service look like."""
 
 import json
 import threading
@@ -9,7 +9,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 
 @dataclass
-class Asked:
+class ReceivedRequest:
     """One request that came in."""
 
     method: str
@@ -22,7 +22,7 @@ class BrokenLine:
     """Answers come from `answer(number of the request, handler)`; `asked` tells what was asked."""
 
     answer: Callable[[int, "Handler"], None]
-    asked: list[Asked] = field(default_factory=list)
+    requests: list[ReceivedRequest] = field(default_factory=list)
     url: str = ""
 
 
@@ -31,9 +31,11 @@ class Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
 
     def do_GET(self) -> None:
-        self.line.asked.append(Asked(self.command, self.path, {k.lower(): v for k, v in self.headers.items()}))
+        self.line.requests.append(
+            ReceivedRequest(self.command, self.path, {k.lower(): v for k, v in self.headers.items()})
+        )
         self.body = self.rfile.read(int(self.headers.get("content-length", 0)))
-        self.line.answer(len(self.line.asked), self)
+        self.line.answer(len(self.line.requests), self)
 
     do_POST = do_PATCH = do_HEAD = do_GET  # noqa: N815 - http.server's names
 

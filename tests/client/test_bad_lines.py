@@ -42,7 +42,7 @@ CONTENT = bytes(range(256)) * 64
 
 
 def artifact(**changes: object) -> Artifact:
-    told = {
+    expected = {
         "id": "A",
         "name": "tree.glb",
         "stage": "animate",
@@ -53,13 +53,13 @@ def artifact(**changes: object) -> Artifact:
         "created_at": "2026-01-01T00:00:00Z",
         "expires_at": "2026-01-02T00:00:00Z",
     }
-    return Artifact.model_validate(told | changes)
+    return Artifact.model_validate(expected | changes)
 
 
 def job(state: str, **changes: object) -> bytes:
     moment = "2026-01-01T00:00:00Z"
     first = {name: next(iter(get_args(field.annotation)), None) for name, field in Job.model_fields.items()}
-    told = {name: value if isinstance(value, str) else None for name, value in first.items()} | {
+    expected = {name: value if isinstance(value, str) else None for name, value in first.items()} | {
         "id": "J",
         "type": "animate",
         "state": state,
@@ -72,7 +72,7 @@ def job(state: str, **changes: object) -> bytes:
         "stages": [],
         "created_at": moment,
     }
-    return Job.model_construct(**(told | changes)).model_dump_json(warnings=False).encode()
+    return Job.model_construct(**(expected | changes)).model_dump_json(warnings=False).encode()
 
 
 def test_a_busy_service_is_asked_again_when_it_says() -> None:
@@ -84,7 +84,7 @@ def test_a_busy_service_is_asked_again_when_it_says() -> None:
 
     with broken_line(answer) as line, Client(line.url, retries=Retries(first_wait_s=1000.0)) as client:
         assert client.send(operations.get_liveness()).status == "ok"
-    assert len(line.asked) == 3
+    assert len(line.requests) == 3
 
 
 def test_a_service_that_wants_to_be_left_alone_for_long_is_not_waited_for() -> None:
@@ -93,7 +93,7 @@ def test_a_service_that_wants_to_be_left_alone_for_long_is_not_waited_for() -> N
             client.send(operations.get_liveness())
         assert caught.value.retry_after_s == 3600
         assert caught.value.code == "rate-limited"
-    assert len(line.asked) == 1
+    assert len(line.requests) == 1
 
 
 @pytest.mark.parametrize(
@@ -126,7 +126,7 @@ def test_a_proxys_page_is_a_problem_too() -> None:
     ):
         with pytest.raises(ServiceFaultError, match=r"http-502: .*Bad Gateway"):
             client.send(operations.get_liveness())
-        assert len(line.asked) == QUICK.attempts
+        assert len(line.requests) == QUICK.attempts
 
 
 def test_what_may_have_been_done_is_only_repeated_where_that_does_no_harm() -> None:
@@ -136,12 +136,12 @@ def test_what_may_have_been_done_is_only_repeated_where_that_does_no_harm() -> N
     ):
         with pytest.raises(ServiceFaultError):
             client.send(operations.cancel_job("J"))
-        assert len(line.asked) == 1
+        assert len(line.requests) == 1
         with pytest.raises(ServiceFaultError):
             client.animate(path_of_a_mesh(line.url, client))
-        created = [asked for asked in line.asked if asked.path == "/v1/jobs"]
+        created = [request for request in line.requests if request.path == "/v1/jobs"]
         assert len(created) == QUICK.attempts
-        assert len({asked.headers["idempotency-key"] for asked in created}) == 1
+        assert len({request.headers["idempotency-key"] for request in created}) == 1
 
 
 def path_of_a_mesh(url: str, client: Client) -> object:
@@ -170,8 +170,13 @@ def test_a_download_that_breaks_off_goes_on_where_it_was(tmp_path: Path) -> None
     with broken_line(answer) as line, Client(line.url, retries=QUICK) as client:
         path = client.download(artifact(), tmp_path / "tree.glb")
     assert path.read_bytes() == CONTENT
-    assert [asked.headers.get("range") for asked in line.asked] == [None, "bytes=5000-", "bytes=10000-", "bytes=15000-"]
-    assert line.asked[1].headers["if-range"] == f'"{artifact().sha256}"'
+    assert [request.headers.get("range") for request in line.requests] == [
+        None,
+        "bytes=5000-",
+        "bytes=10000-",
+        "bytes=15000-",
+    ]
+    assert line.requests[1].headers["if-range"] == f'"{artifact().sha256}"'
     assert list(tmp_path.iterdir()) == [path]
 
 
@@ -187,7 +192,7 @@ def test_a_download_of_an_earlier_process_goes_on(tmp_path: Path) -> None:
 
     with broken_line(answer) as line:
         assert asyncio.run(fetch(line.url)).read_bytes() == CONTENT
-    assert line.asked[0].headers["range"] == "bytes=100-"
+    assert line.requests[0].headers["range"] == "bytes=100-"
 
 
 def test_what_is_too_long_is_begun_anew_and_what_is_all_there_is_not_fetched(tmp_path: Path) -> None:
@@ -199,8 +204,8 @@ def test_what_is_too_long_is_begun_anew_and_what_is_all_there_is_not_fetched(tmp
     ):
         client.download(artifact(), tmp_path / "tree.glb").replace(part)
         assert client.download(artifact(), tmp_path / "tree.glb").read_bytes() == CONTENT
-    assert len(line.asked) == 1
-    assert "range" not in line.asked[0].headers
+    assert len(line.requests) == 1
+    assert "range" not in line.requests[0].headers
 
 
 def test_wrong_bytes_are_thrown_away(tmp_path: Path) -> None:
@@ -221,7 +226,7 @@ def test_a_download_that_never_gets_on_is_given_up(tmp_path: Path) -> None:
         pytest.raises(UnreachableError),
     ):
         client.download(artifact(), tmp_path / "tree.glb")
-    assert len(line.asked) == QUICK.attempts
+    assert len(line.requests) == QUICK.attempts
 
 
 @pytest.mark.parametrize("name", ["../evil", "/etc/evil", "a\\b", "..", ""])
@@ -234,7 +239,7 @@ def test_a_file_is_never_written_elsewhere(tmp_path: Path, name: str) -> None:
         pytest.raises(IntegrityError, match="no plain name"),
     ):
         client.download_all("J", tmp_path / "out")
-    assert len(line.asked) == 1
+    assert len(line.requests) == 1
 
 
 def test_waiting_asks_as_often_as_the_service_likes_and_tells_every_answer() -> None:
@@ -269,10 +274,10 @@ def test_waiting_ends_in_time() -> None:
         pytest.raises(WaitTimeoutError, match="job J is running after 2 s"),
     ):
         client.wait("J", timeout_s=2)
-    assert len(line.asked) == 1
+    assert len(line.requests) == 1
 
 
-def tus(failures: dict[int, int | None], kept: bytearray):  # type: ignore[no-untyped-def]
+def tus(failures: dict[int, int | None], stored: bytearray):  # type: ignore[no-untyped-def]
     """A server that keeps pieces; failures by the number of the piece: a status, or None for a broken line."""
     pieces = itertools.count(1)
 
@@ -282,18 +287,18 @@ def tus(failures: dict[int, int | None], kept: bytearray):  # type: ignore[no-un
         elif handler.command == "POST":
             handler.reply(201, ASSET)
         elif handler.command == "HEAD":
-            handler.reply(200, b"", Upload_Offset=str(len(kept)))
+            handler.reply(200, b"", Upload_Offset=str(len(stored)))
         else:
             failure = failures.get(next(pieces), 204)
-            assert int(handler.headers["upload-offset"]) == len(kept)
+            assert int(handler.headers["upload-offset"]) == len(stored)
             digest = base64.b64encode(hashlib.sha256(handler.body).digest()).decode()
             assert handler.headers["upload-checksum"] == f"sha256 {digest}"
             if failure is None:
-                kept.extend(handler.body)  # it came, but the answer did not
+                stored.extend(handler.body)  # it came, but the answer did not
                 handler.close_connection = True
             elif failure == 204:
-                kept.extend(handler.body)
-                handler.reply(204, b"", Upload_Offset=str(len(kept)))
+                stored.extend(handler.body)
+                handler.reply(204, b"", Upload_Offset=str(len(stored)))
             else:
                 handler.problem(failure, "failed", Retry_After="0")
 
@@ -320,11 +325,11 @@ def test_an_upload_goes_on_where_the_line_broke(
         monkeypatch.setattr(client_module, "PIECE", 7000)
     path = tmp_path / "tree.glb"
     path.write_bytes(CONTENT)
-    kept = bytearray()
-    with broken_line(tus(failures, kept)) as line, Client(line.url, retries=QUICK) as client:
+    stored = bytearray()
+    with broken_line(tus(failures, stored)) as line, Client(line.url, retries=QUICK) as client:
         assert client.upload(path, resumable=True, up_axis="+Y").id == "A"
-    assert bytes(kept) == CONTENT
-    assert line.asked[0].headers["upload-length"] == str(len(CONTENT))
+    assert bytes(stored) == CONTENT
+    assert line.requests[0].headers["upload-length"] == str(len(CONTENT))
 
 
 def test_an_upload_that_is_never_in_step_is_given_up(tmp_path: Path) -> None:
@@ -347,14 +352,14 @@ def test_nothing_to_send_is_reported_before_anything_is_sent(tmp_path: Path) -> 
 
 
 def test_retry_after_is_read_in_both_of_its_forms() -> None:
-    def asked(value: str) -> float | None:
+    def seconds(value: str) -> float | None:
         return retry_after_s(httpx.Response(503, headers={"Retry-After": value}))
 
-    assert asked("7") == 7
-    assert asked("soon") is None
+    assert seconds("7") == 7
+    assert seconds("soon") is None
     in_a_minute = format_datetime(datetime.now(UTC) + timedelta(minutes=1), usegmt=True)
-    assert asked(in_a_minute) == pytest.approx(60, abs=2)
-    assert asked("Wed, 21 Oct 2015 07:28:00 GMT") == 0
+    assert seconds(in_a_minute) == pytest.approx(60, abs=2)
+    assert seconds("Wed, 21 Oct 2015 07:28:00 GMT") == 0
     assert retry_after_s(httpx.Response(503)) is None
 
 

@@ -28,23 +28,30 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(language: str, text: str, folder: Path, url: str) -> str:
-    here = {"URL": url, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
+    environment = {"URL": url, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
     command = [sys.executable, "-W", "error", "-"] if language == "python" else ["bash", "-euo", "pipefail"]
     text = text.replace("http://127.0.0.1:8000", url).replace("localhost:8000", url.removeprefix("http://"))
     answer = subprocess.run(
-        command, input=text, cwd=folder, env=os.environ | here, capture_output=True, text=True, check=False, timeout=600
+        command,
+        input=text,
+        cwd=folder,
+        env=os.environ | environment,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=600,
     )
     assert answer.returncode == 0, f"{text}\n{answer.stdout}\n{answer.stderr}"
     return answer.stdout
 
 
 def test_every_marked_block_runs(url: str, folder: Path) -> None:
-    found = 0
+    count = 0
     for page in sorted((ROOT / "docs").glob("*.md")):
         for _, language, text in MARKED.findall(page.read_text()):
             run(language, text, folder, url)
-            found += 1
-    assert found >= 5
+            count += 1
+    assert count >= 5
     assert (folder / "swaying.glb").stat().st_size > 100_000
     for name in ("tree.glb", "tree.usdz", "tree.vat.zip"):
         assert (folder / "remote-out" / name).exists()
@@ -75,16 +82,16 @@ def test_a_batch_goes_on_where_it_stopped_and_names_what_failed(
     for seed in (3, 4, 5):
         with (trees / f"tree-{seed}.glb").open("wb") as stream:
             write_glb(make_sample(seed, "sapling").mesh, stream)
-    asked = [str(trees), "-o", str(tmp_path / "out"), "--url", url, "--num-steps", "1"]
-    assert batch.main(asked) == 0
+    arguments = [str(trees), "-o", str(tmp_path / "out"), "--url", url, "--num-steps", "1"]
+    assert batch.main(arguments) == 0
     first = (tmp_path / "out" / "tree-4" / "tree.glb").read_bytes()
     with Client(url) as client:
         before = len(client.send(operations.list_jobs(limit=100)).data)
         (trees / "broken.glb").write_bytes(b"no tree")
-        assert batch.main(asked) == 1
+        assert batch.main(arguments) == 1
         assert len(client.send(operations.list_jobs(limit=100)).data) == before
     assert (tmp_path / "out" / "tree-4" / "tree.glb").read_bytes() == first
-    told = capsys.readouterr().out
-    assert "3 of 3 trees sway" in told
-    assert "3 of 4 trees sway" in told
-    assert "broken.glb: unsupported-format" in told or "broken.glb: invalid" in told
+    output = capsys.readouterr().out
+    assert "3 of 3 trees sway" in output
+    assert "3 of 4 trees sway" in output
+    assert "broken.glb: unsupported-format" in output or "broken.glb: invalid" in output

@@ -67,11 +67,11 @@ def test_a_tree_goes_in_and_comes_out_swaying_by_every_way_that_the_client_has(
 
     run = CliRunner()
     at = ["--url", url]
-    asked = ["animate", str(tree), "-o", str(tmp_path / "remote"), "--format", "glb", "--num-steps", "1", "--json"]
-    made = run.invoke(app, [*asked, "--seed", "4", "--wind-speed", "6", *at])
-    assert made.exit_code == 0, made.output
+    arguments = ["animate", str(tree), "-o", str(tmp_path / "remote"), "--format", "glb", "--num-steps", "1", "--json"]
+    result = run.invoke(app, [*arguments, "--seed", "4", "--wind-speed", "6", *at])
+    assert result.exit_code == 0, result.output
     assert (tmp_path / "remote" / "tree.glb").read_bytes() == paths["tree.glb"].read_bytes()
-    remote_id = json.loads(made.stdout)["job"]
+    remote_id = json.loads(result.stdout)["job"]
     assert remote_id in run.invoke(app, ["jobs", *at]).stdout
     assert json.loads(run.invoke(app, ["jobs", "--json", *at]).stdout)[0]["id"] == remote_id
     assert json.loads(run.invoke(app, ["show", remote_id, *at]).stdout)["state"] == "succeeded"
@@ -79,7 +79,7 @@ def test_a_tree_goes_in_and_comes_out_swaying_by_every_way_that_the_client_has(
     got = run.invoke(app, ["get", remote_id, "-o", str(tmp_path / "got"), "--name", "tree.glb", "--json", *at])
     assert json.loads(got.stdout)["files"] == [str(tmp_path / "got" / "tree.glb")]
     assert run.invoke(app, ["cancel", remote_id, *at]).exit_code == 2
-    refused = run.invoke(app, [*asked[:-1], "--format", "doc", *at])
+    refused = run.invoke(app, [*arguments[:-1], "--format", "doc", *at])
     assert refused.exit_code == 2
     assert "formats" in refused.stderr
     with Client(url) as client:

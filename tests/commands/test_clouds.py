@@ -30,8 +30,8 @@ def test_a_splat_comes_out_moving(
     options = ["--format", "splat-ply,splat,png", "--num-steps", "1", "--frames", "4", "--no-loop", "--side-px", "64"]
     part = ["--mask", tmp_path / "mask.npy", "--box=-1,-1,-1,1,1,2", "--sh-degree", "0"]
     assert dynamictree("animate", tree, "-o", output, *options, *part) == 0
-    told = capsys.readouterr()
-    assert told.err.startswith("splat-ply: 4 frames of 400 Gaussians of SH degree 0: 0.1 MB\n")
+    captured = capsys.readouterr()
+    assert captured.err.startswith("splat-ply: 4 frames of 400 Gaussians of SH degree 0: 0.1 MB\n")
     names = {path.name for path in output.iterdir()}
     assert names == {
         "splat.ply.zip",
@@ -47,25 +47,25 @@ def test_info_tells_what_a_splat_is(
     dynamictree: Callable[..., int], tree: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert dynamictree("info", tree, "--json") == 0
-    told = json.loads(capsys.readouterr().out)
-    assert (told["num_gaussians"], told["sh_degree"], told["source_up_axis"]) == (400, 1, "-Y")
+    report = json.loads(capsys.readouterr().out)
+    assert (report["num_gaussians"], report["sh_degree"], report["source_up_axis"]) == (400, 1, "-Y")
 
 
 @pytest.mark.parametrize("what", BAD_CLOUDS)
 def test_a_bad_cloud_is_one_line_and_exit_2_and_leaves_nothing(
     what: str, dynamictree: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    name, content, _, found = BAD_CLOUDS[what]
+    name, content, _, message = BAD_CLOUDS[what]
     (tmp_path / name).write_bytes(content)
     assert dynamictree("animate", tmp_path / name, "-o", tmp_path / "out") == 2
-    told = capsys.readouterr().err
-    assert len(told.strip().splitlines()) == 1
-    assert found in told
+    captured = capsys.readouterr().err
+    assert len(captured.strip().splitlines()) == 1
+    assert message in captured
     assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(
-    ("options", "found"),
+    ("options", "message"),
     [
         (["--box=1,2,3"], "six numbers"),
         (["--box=5,5,5,6,6,6"], "no Gaussian is in the box"),
@@ -76,14 +76,14 @@ def test_a_bad_cloud_is_one_line_and_exit_2_and_leaves_nothing(
 )
 def test_a_wrong_option_is_reported(
     options: list[str],
-    found: str,
+    message: str,
     tree: Path,
     tmp_path: Path,
     dynamictree: Callable[..., int],
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert dynamictree("animate", tree, "-o", tmp_path / "out", *options) == 2
-    assert found in capsys.readouterr().err
+    assert message in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 

@@ -16,11 +16,11 @@ def ran(*arguments):
 
 
 def test_generate_writes_what_it_tells(tmp_path):
-    told = json.loads(ran("generate", tmp_path, "--trees", 1, "--resolution", 32, "--first-seed", 50, "--json"))
-    assert told["trees"] == 1
-    assert told["complete"]
+    report = json.loads(ran("generate", tmp_path, "--trees", 1, "--resolution", 32, "--first-seed", 50, "--json"))
+    assert report["trees"] == 1
+    assert report["complete"]
     manifest = json.loads((tmp_path / "manifest.json").read_text())
-    assert (tmp_path / manifest["shards"][0]["file"]).stat().st_size == told["bytes"]
+    assert (tmp_path / manifest["shards"][0]["file"]).stat().st_size == report["bytes"]
 
 
 def test_generate_honours_the_review(tmp_path):
@@ -41,15 +41,15 @@ def test_filter_prints_the_rate_of_each_rule():
     text = ran("filter", "--trees", 2, "--species", "sapling", "--self-explosion", 0)
     assert "rejected self-explosion: 2 of 2 (100.00 %)" in text
     assert "rejected root-motion: 0 of 2 (0.00 %)" in text
-    told = json.loads(ran("filter", "--trees", 1, "--species", "sapling", "--json"))
-    assert told["seen"] == 1
-    assert 0 < told["worst"]["self_explosion"] < 1
+    report = json.loads(ran("filter", "--trees", 1, "--species", "sapling", "--json"))
+    assert report["seen"] == 1
+    assert 0 < report["worst"]["self_explosion"] < 1
 
 
 def test_sheet_draws_pages_and_never_overwrites_a_review(tmp_path):
     arguments = ("sheet", "-o", tmp_path, "--trees", 2, "--rows", 1, "--species", "sapling", "--json")
-    told = json.loads(ran(*arguments))
-    assert len(told["pages"]) == 2
+    report = json.loads(ran(*arguments))
+    assert len(report["pages"]) == 2
     assert (tmp_path / "review.txt").read_text().splitlines()[1:] == ["0 accept sapling", "1 accept sapling"]
     (tmp_path / "review.txt").write_text("0 reject\n")
     ran(*arguments)
@@ -57,8 +57,8 @@ def test_sheet_draws_pages_and_never_overwrites_a_review(tmp_path):
 
 
 def test_stats_writes_numbers_and_plots(tmp_path):
-    told = json.loads(ran("stats", "-o", tmp_path, "--trees", 2, "--species", "sapling", "--json"))
-    assert told["levels"]["0"]["frequency_hz"] < told["levels"]["2"]["frequency_hz"]
+    report = json.loads(ran("stats", "-o", tmp_path, "--trees", 2, "--species", "sapling", "--json"))
+    assert report["levels"]["0"]["frequency_hz"] < report["levels"]["2"]["frequency_hz"]
     assert (tmp_path / "stats.png").read_bytes().startswith(b"\x89PNG")
     assert json.loads((tmp_path / "stats.json").read_text())["trees"] == 2
 

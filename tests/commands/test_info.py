@@ -19,14 +19,14 @@ def test_a_file_is_described_by_its_bytes(
     voxels, spectrum = tmp_path / "a", tmp_path / "b"
     assert dynamictree("voxelize", triangle, "-o", voxels) == 0
     assert dynamictree("diffuse", voxels, "-o", spectrum, "--num-steps", 1) == 0
-    for path, found in ((triangle, "num_faces: 1"), (voxels, "resolution: 128"), (spectrum, "num_frequencies: 16")):
+    for path, line in ((triangle, "num_faces: 1"), (voxels, "resolution: 128"), (spectrum, "num_frequencies: 16")):
         capsys.readouterr()
         assert dynamictree("info", path) == 0
-        assert found in capsys.readouterr().out.splitlines()
+        assert line in capsys.readouterr().out.splitlines()
 
 
 @pytest.mark.parametrize(
-    ("words", "found"),
+    ("words", "line"),
     [
         ("voxelize triangle.obj -o .", "is a directory"),
         ("voxelize triangle.obj -o triangle.obj/v", "nothing can be written to triangle.obj: File exists"),
@@ -39,12 +39,12 @@ def test_what_is_wrong_is_reported(
     dynamictree: Callable[..., int],
     triangle: Path,
     words: str,
-    found: str,
+    line: str,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(triangle.parent)
     Path("x.voxels.safetensors").write_bytes(TRIANGLE)
     assert dynamictree(*words.split()) == 2
-    assert found in capsys.readouterr().err
+    assert line in capsys.readouterr().err
     assert sorted(path.name for path in Path().iterdir()) == ["triangle.obj", "x.voxels.safetensors"]

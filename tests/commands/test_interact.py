@@ -51,7 +51,7 @@ def test_a_push_writes_coordinates_and_a_moving_mesh(interact, capsys, tmp_path,
         np.testing.assert_allclose(
             motion.vertices, read_mesh(stream, file_type="obj", up_axis="+Z").vertices, atol=1e-6
         )
-    # what is held stays, and swings once it is let go after 6 frames
+    # in equilibrium at the start, and swings once it is released after 6 frames
     np.testing.assert_allclose(motion.displacement[5], motion.displacement[0], atol=1e-5)
     assert np.abs(motion.displacement[11] - motion.displacement[0]).max() > 1e-3
     with zipfile.ZipFile(tmp_path / "frames-ply.zip") as archive:
@@ -73,9 +73,9 @@ def test_a_push_writes_coordinates_and_a_moving_mesh(interact, capsys, tmp_path,
 )
 def test_what_cannot_be_done_is_one_line_and_leaves_nothing(interact, capsys, tmp_path, folder, arguments, words):
     assert interact("-o", tmp_path / "out", *arguments) == 2
-    told = capsys.readouterr().err
-    assert words in told
-    assert told.count("\n") == 1
+    error = capsys.readouterr().err
+    assert words in error
+    assert error.count("\n") == 1
     assert not (tmp_path / "out").exists()
 
 

@@ -45,8 +45,8 @@ def main() -> None:
                 compose=compose, environment=dict(engine.environment) | {"PORT": str(arguments.port)}, client=client
             )
             drill.tell("engine", began, engine.run("version", "--format", "{{.Server.Version}}").strip())
-            with drill.step("base images") as told:
-                told.append(json.dumps(ensure_base_images(engine, folder)))
+            with drill.step("base images") as notes:
+                notes.append(json.dumps(ensure_base_images(engine, folder)))
             drill.docker("down", "--volumes", check=False)  # what an interrupted run left
             try:
                 drill.run_all(build=not arguments.built, image_bytes=lambda: disk_bytes(engine, "dynamictree:0.1.0"))

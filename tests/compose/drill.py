@@ -38,59 +38,59 @@ class Drill:
 
     def run_all(self, *, build: bool, image_bytes: Callable[[], int]) -> None:
         """From the build to the second start."""
-        with self.step("build") as told:
+        with self.step("build") as notes:
             if build:
                 self.docker("build", timeout_s=3600)
-            told.append(f"image {image_bytes() / 1e9:.2f} GB")
-        with self.step("up, all healthy") as told:
+            notes.append(f"image {image_bytes() / 1e9:.2f} GB")
+        with self.step("up, all healthy") as notes:
             self._up()
-            told.append(self._states())
+            notes.append(self._states())
         with self.step("a key, and nothing without one"):
             assert self.client.get("/v1/presets").status_code == 401
             key = self.docker("exec", "-T", "api", "dynamictree", "keys", "create", "drill").split()[0]
             self.client.headers["Authorization"] = f"Bearer {key}"
             assert self.client.get("/v1/presets").status_code == 200
-        with self.step("a first job, its artifacts by their hashes") as told:
+        with self.step("a first job, its artifacts by their hashes") as notes:
             asset = self._upload()
-            told.append(self._finished(self._animate(asset, seed=1)))
+            notes.append(self._finished(self._animate(asset, seed=1)))
         with self.step("the API restarts"):
             self.docker("restart", "api")
             self._until(self._ready, "the API is ready", UP_S)
             self._check_artifacts()
-        with self.step("kill -9 of the worker in diffuse, attempt 2 succeeds") as told:
+        with self.step("kill -9 of the worker in diffuse, attempt 2 succeeds") as notes:
             job = self._in_diffuse(asset, seed=2)
             began = time.monotonic()
             self.docker("exec", "-T", "worker", "sh", "-c", "kill -9 -1", check=False)
-            told.append(self._finished(job, attempt=2) + f", {time.monotonic() - began:.0f} s after the kill")
-        with self.step("the worker is stopped in diffuse and hands back, goes on after a start") as told:
+            notes.append(self._finished(job, attempt=2) + f", {time.monotonic() - began:.0f} s after the kill")
+        with self.step("the worker is stopped in diffuse and hands back, goes on after a start") as notes:
             job = self._in_diffuse(asset, seed=3)
             began = time.monotonic()
             self.docker("stop", "worker", timeout_s=120)
             handed_back = self._job(job)
-            told.append(f"handed back {time.monotonic() - began:.0f} s after the stop")
+            notes.append(f"handed back {time.monotonic() - began:.0f} s after the stop")
             assert (handed_back["state"], handed_back["attempt"]) == ("running", 2), handed_back
             self.docker("start", "worker")
-            told.append(self._finished(job, attempt=2))
+            notes.append(self._finished(job, attempt=2))
         with self.step("every line of ours is JSON"):
             self._check_logs()
         with self.step("down"):
-            told_memory = self._memory()
+            memory_notes = self._memory()
             self.docker("down", "--timeout", "60", timeout_s=300)
-        with self.step("up again, data is there") as told:
+        with self.step("up again, data is there") as notes:
             self._up()
             self._check_artifacts()
-            told += [f"{len(self.artifacts)} artifacts by their hashes", told_memory]
+            notes += [f"{len(self.artifacts)} artifacts by their hashes", memory_notes]
 
     @contextmanager
     def step(self, name: str) -> Iterator[list[str]]:
         """Time a step; what is put into the list is printed beside it."""
-        began, told = time.monotonic(), list[str]()
+        began, notes = time.monotonic(), list[str]()
         try:
-            yield told
+            yield notes
         except BaseException:
-            self.tell(f"FAILED: {name}", began, "; ".join(told))
+            self.tell(f"FAILED: {name}", began, "; ".join(notes))
             raise
-        self.tell(name, began, "; ".join(told))
+        self.tell(name, began, "; ".join(notes))
 
     def tell(self, name: str, began: float, detail: str) -> None:
         """Print one line."""
@@ -124,8 +124,8 @@ class Drill:
     def _states(self) -> str:
         states = {}
         for line in self.docker("ps", "--format", "json").splitlines():
-            found = json.loads(line)
-            states[found["Service"]] = found["Health"]
+            payload = json.loads(line)
+            states[payload["Service"]] = payload["Health"]
         assert states == dict.fromkeys(STARTED, "healthy"), states
         return ", ".join(sorted(states))
 
@@ -157,17 +157,17 @@ class Drill:
     def _job(self, job: str) -> dict[str, Any]:
         answer = self.client.get(f"/v1/jobs/{job}")
         assert answer.status_code == 200, answer.text
-        found: dict[str, Any] = answer.json()
-        return found
+        payload: dict[str, Any] = answer.json()
+        return payload
 
     def _in_diffuse(self, asset: str, *, seed: int) -> str:
         """A job whose network is at work."""
         job = self._animate(asset, seed=seed)
 
         def diffuses() -> bool:
-            found = self._job(job)
-            assert found["state"] in {"queued", "running"}, found
-            return any(stage["name"] == "diffuse" and 0 < stage["progress"] < 1 for stage in found["stages"])
+            payload = self._job(job)
+            assert payload["state"] in {"queued", "running"}, payload
+            return any(stage["name"] == "diffuse" and 0 < stage["progress"] < 1 for stage in payload["stages"])
 
         self._until(diffuses, "the job diffuses", JOB_S, pause_s=0.1)
         return job
@@ -175,9 +175,9 @@ class Drill:
     def _finished(self, job: str, *, attempt: int = 1) -> str:
         """Wait for a job, then download and check what it made."""
         self._until(lambda: self._job(job)["state"] not in {"queued", "running"}, f"job {job} ends", JOB_S)
-        found = self._job(job)
-        assert found["state"] == "succeeded", found
-        assert found["attempt"] == attempt, found
+        payload = self._job(job)
+        assert payload["state"] == "succeeded", payload
+        assert payload["attempt"] == attempt, payload
         for artifact in self.client.get(f"/v1/jobs/{job}/artifacts").json()["artifacts"]:
             self.artifacts[artifact["url"]] = artifact["sha256"]
         self._check_artifacts()

@@ -164,5 +164,5 @@ def _daemon(folder: Path, root: Path) -> Iterator[Engine]:
 
 def disk_bytes(engine: Engine, image: str) -> int:
     """Return the size of an image, as `docker image ls` counts it."""
-    [found] = json.loads(engine.run("image", "inspect", image))
-    return int(found["Size"])
+    [description] = json.loads(engine.run("image", "inspect", image))
+    return int(description["Size"])

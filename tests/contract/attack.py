@@ -22,8 +22,8 @@ def main() -> None:
     parser.add_argument("--examples", type=int, default=50, help="requests of each kind an operation")
     parser.add_argument("--seed", type=int, default=1)
     given, rest = parser.parse_known_args()
-    with tempfile.TemporaryDirectory(prefix="attack-") as made:
-        folder = Path(made)
+    with tempfile.TemporaryDirectory(prefix="attack-") as scratch:
+        folder = Path(scratch)
         queue, redis_url = valkey(folder)
         settings = {"DYNAMICTREE_STATE_DIR": str(folder / "state"), "DYNAMICTREE_REDIS_URL": redis_url}
         front, url = api(folder, settings)

@@ -72,8 +72,8 @@ def test_a_worker_runs_one_job_at_a_time() -> None:
 
 
 def test_secrets_are_made_once(tmp_path: Path) -> None:
-    made = runpy.run_path(str(ROOT / "docker" / "make_secrets.py"))["main"]
-    made(tmp_path / "secrets")
+    make_secrets = runpy.run_path(str(ROOT / "docker" / "make_secrets.py"))["main"]
+    make_secrets(tmp_path / "secrets")
     before = {path.name: path.read_text() for path in (tmp_path / "secrets").iterdir()}
     assert set(before) == {Path(secret["file"]).name for secret in COMPOSE["secrets"].values()}
     assert stat.S_IMODE((tmp_path / "secrets").stat().st_mode) == 0o700
@@ -85,7 +85,7 @@ def test_secrets_are_made_once(tmp_path: Path) -> None:
             "secretKey": before["dynamictree_s3_secret_access_key"],
         }
     ]
-    made(tmp_path / "secrets")
+    make_secrets(tmp_path / "secrets")
     assert {path.name: path.read_text() for path in (tmp_path / "secrets").iterdir()} == before
 
 

@@ -11,7 +11,7 @@ from fastapi.testclient import TestClient
 from dynamictree.errors import CheckpointError
 from jobs.settings import Settings
 from service.app import create_app
-from service.http.problems import KINDS, known_code
+from service.http.problems import KINDS, problem_code
 from service.http.validation_errors import MAX_ERRORS, field_errors
 
 MEMBERS = {"type", "title", "status", "detail", "code", "request_id", "retryable", "suggestion", "errors"}
@@ -118,7 +118,7 @@ def test_a_valid_request_id_is_returned(client: TestClient) -> None:
 
 
 def test_an_unknown_code_is_internal() -> None:
-    assert known_code(ZeroDivisionError()) == "internal-error"
+    assert problem_code(ZeroDivisionError()) == "internal-error"
     assert all(200 <= kind.status < 600 and kind.suggestion for kind in KINDS.values())
 
 
@@ -168,10 +168,10 @@ def test_a_wrong_method_is_answered_with_every_allowed_one(client: TestClient, p
 def test_a_wrong_field_is_reported_with_its_value(client: TestClient, body: object, pointer: str, detail: str) -> None:
     headers = {"Content-Type": "application/json"}
     content = body if isinstance(body, str) else json.dumps(body)
-    told = client.post("/v1/jobs", content=content, headers=headers).json()
-    assert told["errors"][0]["pointer"] == pointer
-    assert told["errors"][0]["detail"].startswith(detail)
-    assert told["detail"].startswith(f"{pointer or 'the body'}: {detail}")
+    payload = client.post("/v1/jobs", content=content, headers=headers).json()
+    assert payload["errors"][0]["pointer"] == pointer
+    assert payload["errors"][0]["detail"].startswith(detail)
+    assert payload["detail"].startswith(f"{pointer or 'the body'}: {detail}")
 
 
 def test_a_body_that_is_not_called_json_is_reported(client: TestClient) -> None:
@@ -191,10 +191,10 @@ def test_a_body_of_nothing_but_errors_has_a_short_answer(client: TestClient) -> 
 
 
 def test_errors_are_bounded() -> None:
-    found = [
+    undocumented = [
         {"type": "extra_forbidden", "loc": ("body", "a" * 1000 + str(n)), "msg": "", "input": 1} for n in range(50_000)
     ]
-    errors = field_errors(found)
+    errors = field_errors(undocumented)
     assert len(errors) == MAX_ERRORS + 1
     assert "49980 more" in errors[-1]["detail"]
     assert len(json.dumps(errors)) < 20_000

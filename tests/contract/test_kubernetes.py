@@ -18,14 +18,16 @@ from service.routes.metrics import store_gauges
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "deploy" / "kubernetes"
 KUSTOMIZATION = yaml.safe_load((FOLDER / "kustomization.yaml").read_text())
-OBJECTS = [found for name in KUSTOMIZATION["resources"] for found in yaml.safe_load_all((FOLDER / name).read_text())]
+OBJECTS = [
+    manifest for name in KUSTOMIZATION["resources"] for manifest in yaml.safe_load_all((FOLDER / name).read_text())
+]
 COMPOSE = yaml.safe_load((ROOT / "docker-compose.yml").read_text())["services"]
 SERVED = "1.31"
 
 
 def _named(kind: str, name: str) -> Any:
-    [found] = [o for o in OBJECTS if o["kind"] == kind and o["metadata"]["name"] == name]
-    return found
+    [manifest] = [o for o in OBJECTS if o["kind"] == kind and o["metadata"]["name"] == name]
+    return manifest
 
 
 def _container(name: str) -> Any:
@@ -37,9 +39,9 @@ def test_every_file_is_a_resource() -> None:
     assert {path.name for path in FOLDER.glob("*.yaml")} == {*KUSTOMIZATION["resources"], "kustomization.yaml"}
 
 
-@pytest.mark.parametrize("found", [o for o in OBJECTS if "keda" not in o["apiVersion"]], ids=lambda o: o["kind"])
-def test_an_object_is_what_kubernetes_expects(found: Any) -> None:
-    kubernetes_validate.validate(found, SERVED, strict=True)
+@pytest.mark.parametrize("manifest", [o for o in OBJECTS if "keda" not in o["apiVersion"]], ids=lambda o: o["kind"])
+def test_an_object_is_what_kubernetes_expects(manifest: Any) -> None:
+    kubernetes_validate.validate(manifest, SERVED, strict=True)
 
 
 def test_the_check_finds_a_misspelt_field() -> None:

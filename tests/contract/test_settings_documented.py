@@ -12,7 +12,7 @@ def test_every_setting_is_documented_and_nothing_else() -> None:
 
 
 def test_documented_numbers_are_the_defaults() -> None:
-    shown = dict(re.findall(r"^\| `(\w+)` \| ([0-9.]+) \|", PAGE, re.MULTILINE))
-    assert len(shown) > 20
-    for name, value in shown.items():
+    documented = dict(re.findall(r"^\| `(\w+)` \| ([0-9.]+) \|", PAGE, re.MULTILINE))
+    assert len(documented) > 20
+    for name, value in documented.items():
         assert float(value) == Settings.model_fields[name].get_default(), name

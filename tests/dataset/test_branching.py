@@ -33,8 +33,8 @@ EVERY_SPECIES = pytest.mark.parametrize("name", list(SPECIES))
     ],
 )
 def test_shape_functions_take_webers_and_penns_values(shape, base, middle, top):
-    found = shape_ratio(shape, np.array([1.0, 0.5, 0.0], np.float32))
-    np.testing.assert_allclose(found, [base, middle, top], rtol=1e-6)
+    ratio = shape_ratio(shape, np.array([1.0, 0.5, 0.0], np.float32))
+    np.testing.assert_allclose(ratio, [base, middle, top], rtol=1e-6)
 
 
 def test_every_shape_is_between_nothing_and_whole():
@@ -53,8 +53,8 @@ def test_there_are_twelve_species_and_the_unseen_ones_are_three():
 
 def test_a_turn_keeps_length_and_turns_by_its_angle(rng):
     axis = np.array([[0, 0, 1]], np.float32)
-    found = turned(np.array([[1, 0, 2]], np.float32), axis, np.array([np.pi / 2], np.float32))
-    np.testing.assert_allclose(found, [[0, 1, 2]], atol=1e-6)
+    vectors = turned(np.array([[1, 0, 2]], np.float32), axis, np.array([np.pi / 2], np.float32))
+    np.testing.assert_allclose(vectors, [[0, 1, 2]], atol=1e-6)
 
 
 def test_perturbation_moves_key_parameters_far_and_the_rest_a_little(rng):

@@ -1,4 +1,4 @@
-"""What is told from a baked folder is what its seeds tell."""
+"""Figures read from a baked folder equal those generated again from its seeds."""
 
 import json
 from dataclasses import asdict
@@ -20,7 +20,7 @@ REJECTED = 41
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Seeds 40 to 43: 40 and 42 kept, 41 rejected by a person, none by a rule."""
+    """Seeds 40 to 43: 40 and 42 accepted, 41 rejected by a person, none by a rule."""
     folder = tmp_path_factory.mktemp("records")
     generate(Recipe(trees=2, first_seed=40, resolutions=(32,), review={REJECTED: "reject"}), folder)
     return folder
@@ -42,16 +42,16 @@ def test_records_tell_what_measuring_the_tree_again_tells(folder):
 
 
 def test_a_tree_that_a_rule_rejected_is_seen_too(tmp_path):
-    found = measure(make_sample(40))
+    measures = measure(make_sample(40))
     recipe = Recipe(
-        trees=1, first_seed=40, resolutions=(32,), limits=Limits(self_explosion=0.99 * found.self_explosion)
+        trees=1, first_seed=40, resolutions=(32,), limits=Limits(self_explosion=0.99 * measures.self_explosion)
     )
     generate(recipe, tmp_path)
-    kept, rejected, *_ = iter_seen(tmp_path)
-    assert (rejected.seed, rejected.broken, rejected.measures) == (40, ("self-explosion",), found)
+    accepted, rejected, *_ = iter_seen(tmp_path)
+    assert (rejected.seed, rejected.broken, rejected.measures) == (40, ("self-explosion",), measures)
     assert rejected.stems is None
-    assert kept.measures.self_explosion <= recipe.limits.self_explosion
-    assert kept.stems is not None
+    assert accepted.measures.self_explosion <= recipe.limits.self_explosion
+    assert accepted.stems is not None
 
 
 def test_a_table_keeps_counts_and_medians_on_its_way_through_json(sapling):
@@ -67,12 +67,12 @@ def test_a_table_keeps_counts_and_medians_on_its_way_through_json(sapling):
 
 
 def test_filter_and_stats_read_a_folder(folder, tmp_path):
-    told = ran("filter", folder, "--self-explosion", 0, "--json")
-    assert (told["seen"], told["accepted"], told["self-explosion"]) == (2, 0, 2)
+    report = ran("filter", folder, "--self-explosion", 0, "--json")
+    assert (report["seen"], report["accepted"], report["self-explosion"]) == (2, 0, 2)
     species = make_sample(40).species
     assert ran("filter", folder, "--species", species, "--json")["seen"] >= 1
-    told = ran("stats", folder, "-o", tmp_path, "--json")
-    assert told["trees"] == 2
+    report = ran("stats", folder, "-o", tmp_path, "--json")
+    assert report["trees"] == 2
     assert (tmp_path / "stats.png").read_bytes().startswith(b"\x89PNG")
 
 

@@ -71,24 +71,24 @@ def test_a_voxel_has_the_motion_of_the_surface_inside(sapling):
 
 
 def test_reading_undoes_writing(sapling, tmp_path):
-    kept = store(sapling, resolutions=(32, 64), vertex_spectrum=True)
+    stored = store(sapling, resolutions=(32, 64), vertex_spectrum=True)
     path = tmp_path / "one.safetensors"
     with path.open("wb") as stream:
-        write_shard([kept], stream)
-    (found,) = iter_shard(str(path))
-    assert (found.seed, found.species, found.wind, found.split) == (7, "sapling", sapling.wind, "train")
-    np.testing.assert_array_equal(found.tensors["vertices"], sapling.mesh.vertices)
-    np.testing.assert_array_equal(found.tensors["faces"], sapling.mesh.faces)
+        write_shard([stored], stream)
+    (tree,) = iter_shard(str(path))
+    assert (tree.seed, tree.species, tree.wind, tree.split) == (7, "sapling", sapling.wind, "train")
+    np.testing.assert_array_equal(tree.tensors["vertices"], sapling.mesh.vertices)
+    np.testing.assert_array_equal(tree.tensors["faces"], sapling.mesh.faces)
     for name, value in asdict(sapling.skeleton).items():
-        np.testing.assert_array_equal(getattr(found.skeleton(), name), value)
+        np.testing.assert_array_equal(getattr(tree.skeleton(), name), value)
     for resolution in (32, 64):
         voxels, spectrum = voxel_spectrum(sapling, resolution)
-        np.testing.assert_array_equal(found.voxels(resolution).grid.coords, voxels.grid.coords)
-        assert found.voxels(resolution).grid.origin_m == voxels.grid.origin_m
-        np.testing.assert_allclose(found.voxels(resolution).normals, voxels.normals, atol=1e-3)
+        np.testing.assert_array_equal(tree.voxels(resolution).grid.coords, voxels.grid.coords)
+        assert tree.voxels(resolution).grid.origin_m == voxels.grid.origin_m
+        np.testing.assert_allclose(tree.voxels(resolution).normals, voxels.normals, atol=1e-3)
         scale = np.abs(spectrum.coefficients).max()
-        np.testing.assert_allclose(found.spectrum(resolution).coefficients, spectrum.coefficients, atol=1e-3 * scale)
-    np.testing.assert_allclose(unpacked(found.tensors["vertex_spectrum"]), sapling.coefficients, atol=1e-3)
+        np.testing.assert_allclose(tree.spectrum(resolution).coefficients, spectrum.coefficients, atol=1e-3 * scale)
+    np.testing.assert_allclose(unpacked(tree.tensors["vertex_spectrum"]), sapling.coefficients, atol=1e-3)
 
 
 def test_unpacking_undoes_packing(rng):
@@ -123,9 +123,9 @@ def test_what_is_no_shard_is_refused(tmp_path):
 
 def test_the_bytes_do_not_depend_on_the_number_of_workers(baked, tmp_path):
     generate(TINY, tmp_path / "two", workers=2)
-    found = contents(tmp_path / "two")
+    contents_of_two = contents(tmp_path / "two")
     for name, content in contents(baked).items():
-        assert found[name] == content, name
+        assert contents_of_two[name] == content, name
 
 
 def test_a_run_goes_on_where_it_was_cut_off(baked, tmp_path):
@@ -135,12 +135,12 @@ def test_a_run_goes_on_where_it_was_cut_off(baked, tmp_path):
         if name.startswith(shard_name(0)):
             (folder / name).write_bytes(content)
     (folder / f"{shard_name(1)}.safetensors").write_bytes(b"half a shard")
-    kept = (folder / f"{shard_name(0)}.safetensors").stat().st_mtime_ns
-    told = []
-    manifest = generate(TINY, folder, on_shard=lambda done, total: told.append((done, total)))
-    assert told == [(2, 3), (3, 3)]
+    stored = (folder / f"{shard_name(0)}.safetensors").stat().st_mtime_ns
+    reports = []
+    manifest = generate(TINY, folder, on_shard=lambda done, total: reports.append((done, total)))
+    assert reports == [(2, 3), (3, 3)]
     assert manifest["complete"]
-    assert (folder / f"{shard_name(0)}.safetensors").stat().st_mtime_ns == kept
+    assert (folder / f"{shard_name(0)}.safetensors").stat().st_mtime_ns == stored
     for name, content in contents(baked).items():
         assert (folder / name).read_bytes() == content
 

@@ -92,9 +92,9 @@ def test_a_bent_twig_is_not_torn() -> None:
     mesh, owner = two_close_twigs()
     motion = bending_motion(mesh, owner > 0)
     assert np.percentile(stretch(mesh, motion), 99) < 0.02
-    found = {how: np.percentile(stretch(mesh, through_voxels(mesh, motion, how)), 99) for how in ("nearest", "smooth")}
-    assert found["smooth"] < 0.03
-    assert found["nearest"] > 0.1
+    result = {how: np.percentile(stretch(mesh, through_voxels(mesh, motion, how)), 99) for how in ("nearest", "smooth")}
+    assert result["smooth"] < 0.03
+    assert result["nearest"] > 0.1
 
 
 def test_the_mean_over_the_surface_in_a_voxel_comes_back() -> None:
@@ -115,9 +115,9 @@ def test_the_same_motion_everywhere_stays_the_same_everywhere(monkeypatch: pytes
     grid = voxelize(mesh, 128).grid
     values = np.tile(np.array([[1.5 + 2j, -3]], np.complex64), (len(grid), 1))
     for interpolation in (nearest(grid, mesh.vertices), smooth(grid, mesh)):
-        found = interpolation.apply(values)
-        assert found.dtype == np.complex64
-        np.testing.assert_allclose(found, np.broadcast_to(values[0], found.shape), rtol=1e-3)
+        result = interpolation.apply(values)
+        assert result.dtype == np.complex64
+        np.testing.assert_allclose(result, np.broadcast_to(values[0], result.shape), rtol=1e-3)
 
 
 def test_clusters_of_vertices_give_what_single_vertices_give(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -138,36 +138,36 @@ def test_a_leaf_card_follows_the_twig_that_it_hangs_on() -> None:
     leafy, part = merged(replace(mesh), card)
     owner = np.concatenate([owner, np.full(4, 1)])
     motion = bending_motion(leafy, owner == 1)
-    found = through_voxels(leafy, motion, "smooth")
-    assert size_of(found[:, part == 1] - motion[:, part == 1]) < 0.2 * size_of(motion[:, part == 1])
+    result = through_voxels(leafy, motion, "smooth")
+    assert size_of(result[:, part == 1] - motion[:, part == 1]) < 0.2 * size_of(motion[:, part == 1])
 
 
 def test_weights_are_shares_of_the_voxels_that_a_vertex_hangs_on() -> None:
     mesh, _ = two_close_twigs()
     grid = voxelize(mesh, 128).grid
-    found = smooth(grid, mesh)
-    np.testing.assert_allclose(found.weights.sum(axis=1), 1, rtol=1e-5)
-    assert found.weights.min() >= 0
-    middle = np.einsum("nm,nmc->nc", found.weights, grid.centres_m[found.rows])
+    result = smooth(grid, mesh)
+    np.testing.assert_allclose(result.weights.sum(axis=1), 1, rtol=1e-5)
+    assert result.weights.min() >= 0
+    middle = np.einsum("nm,nmc->nc", result.weights, grid.centres_m[result.rows])
     assert np.linalg.norm(middle - mesh.vertices, axis=1).max() < 6 * grid.voxel_size_m
 
 
 def test_nearest_is_the_voxel_that_a_point_lies_in() -> None:
     mesh, _ = two_close_twigs()
     grid = voxelize(mesh, 128).grid
-    found = nearest(grid, mesh.vertices)
-    np.testing.assert_array_equal(found.rows[:, 0], grid.rows_of(grid.coords_of(mesh.vertices)))
+    result = nearest(grid, mesh.vertices)
+    np.testing.assert_array_equal(result.rows[:, 0], grid.rows_of(grid.coords_of(mesh.vertices)))
     values = np.arange(len(grid), dtype=np.float32)
-    np.testing.assert_array_equal(found.apply(values), values[found.rows[:, 0]])
+    np.testing.assert_array_equal(result.apply(values), values[result.rows[:, 0]])
 
 
 def test_a_vertex_of_no_face_takes_from_the_nearest_voxel() -> None:
     mesh, _ = two_close_twigs()
     loose = replace(mesh, vertices=np.concatenate([mesh.vertices, np.array([[0, 0, 20]], np.float32)]))
     grid = voxelize(loose, 128).grid
-    found = smooth(grid, loose)
-    assert grid.coords[found.rows[-1, 0], 2] == grid.coords[:, 2].max()
-    assert np.isfinite(found.apply(grid.centres_m)).all()
+    result = smooth(grid, loose)
+    assert grid.coords[result.rows[-1, 0], 2] == grid.coords[:, 2].max()
+    assert np.isfinite(result.apply(grid.centres_m)).all()
 
 
 def test_a_grid_of_another_mesh_is_refused() -> None:

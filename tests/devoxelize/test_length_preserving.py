@@ -35,8 +35,8 @@ def p99(mesh: TriangleMesh, coefficients: np.ndarray) -> float:
 
 def test_a_bending_that_stretches_nothing_stays(twigs: tuple[TriangleMesh, np.ndarray]) -> None:
     mesh, coefficients = twigs
-    held = preserve_lengths(mesh, coefficients, VOXEL_M)
-    difference = to_motion(held - coefficients, 60)
+    preserved = preserve_lengths(mesh, coefficients, VOXEL_M)
+    difference = to_motion(preserved - coefficients, 60)
     assert size_of(difference) < 0.03 * size_of(to_motion(coefficients, 60))
 
 
@@ -62,10 +62,10 @@ def test_noise_beyond_help_does_not_grow(twigs: tuple[TriangleMesh, np.ndarray])
 def test_a_bend_by_linear_displacement_gets_its_length_back() -> None:
     pole = tube([0, 0, 0], [0, 0, 1], 0.03, rings=10)
     lean = np.zeros((pole.num_vertices, 2, 3), np.complex64)
-    lean[:, 0, 0] = 0.2 * pole.vertices[:, 2] ** 2  # held at its root
-    held = preserve_lengths(pole, lean, VOXEL_M)
-    assert p99(pole, held) < 0.3 * p99(pole, lean)
-    height = held[:, 0, 2].real
+    lean[:, 0, 0] = 0.2 * pole.vertices[:, 2] ** 2  # fixed at its root
+    preserved = preserve_lengths(pole, lean, VOXEL_M)
+    assert p99(pole, preserved) < 0.3 * p99(pole, lean)
+    height = preserved[:, 0, 2].real
     assert height[-6:].mean() < height[:6].mean() - 0.01  # the tip comes down
 
 
@@ -114,9 +114,9 @@ def test_small_motions_are_preserved_relative_to_their_size() -> None:
     sway = np.zeros((pole.num_vertices, 3, 3), np.complex64)
     sway[:, 1, 0] = 0.1 * (height / 4) ** 2
     sway[:, 1, 2] = 0.03 * (height / 4) ** 2  # along itself, which it cannot
-    held = preserve_lengths(pole, sway, VOXEL_M)
+    preserved = preserve_lengths(pole, sway, VOXEL_M)
     foot = (height > 0.4) & (height < 1)
-    ratio = np.abs(held[foot, 1, 0]) / np.abs(sway[foot, 1, 0])
+    ratio = np.abs(preserved[foot, 1, 0]) / np.abs(sway[foot, 1, 0])
     np.testing.assert_allclose(ratio, 1, atol=0.1)
 
 

@@ -62,9 +62,9 @@ def test_no_vertex_moves_more_than_the_voxels_around_it(
     grid = voxelize(mesh, 64).grid
     coefficients = sway(grid, seed, noise)
     moved = length_preserving(grid, mesh).apply(coefficients)
-    reached, found = (np.linalg.norm(to_motion(c, 100), axis=2).max(axis=0) for c in (coefficients, moved))
+    reached, farthest = (np.linalg.norm(to_motion(c, 100), axis=2).max(axis=0) for c in (coefficients, moved))
     # between the frames that the bound looks at, the distance may be a little larger
-    assert (found <= 1.03 * 1.2 * most_of_voxels_around(mesh.vertices, grid, reached) + 1e-7).all()
+    assert (farthest <= 1.03 * 1.2 * most_of_voxels_around(mesh.vertices, grid, reached) + 1e-7).all()
 
 
 def test_a_loose_part_with_a_small_share_of_its_voxels_does_not_fly() -> None:
@@ -88,12 +88,12 @@ def test_a_card_stays_where_it_hangs(size_m: float) -> None:
     grid = voxelize(mesh, 128).grid
     moved = mesh.vertices + to_motion(length_preserving(grid, mesh).apply(sway(grid, 1, 0.3)), 40)
     welded, _ = weld(mesh)
-    found = find_attachments(welded, grid)
-    assert len(found) == 20
+    attachments = find_attachments(welded, grid)
+    assert len(attachments) == 20
     vertex = weld(mesh)[1]
     place = np.empty((40, welded.num_vertices, 3), np.float32)
     place[:, vertex] = moved
-    points = np.einsum("bsi,tbsic->tbsc", found.weights, place[:, found.corners])
-    rest = np.einsum("bsi,bsic->bsc", found.weights, welded.vertices[found.corners])
+    points = np.einsum("bsi,tbsic->tbsc", attachments.weights, place[:, attachments.corners])
+    rest = np.einsum("bsi,bsic->bsc", attachments.weights, welded.vertices[attachments.corners])
     gap, gap_at_rest = (np.linalg.norm(p[..., 0, :] - p[..., 1, :], axis=-1) for p in (points, rest))
     assert np.percentile((gap - gap_at_rest).max(axis=0), 99) < 0.003 * 10

@@ -47,10 +47,10 @@ def test_samples_have_the_distribution_that_the_denoiser_knows() -> None:
 
 
 def test_steps_are_reported_and_an_exception_passes_through() -> None:
-    told: list[tuple[int, int]] = []
+    steps: list[tuple[int, int]] = []
     sigmas = karras_schedule(4, sigma_min=0.1, sigma_max=5.0)
-    sample_dpm_multistep(best_denoiser, torch.ones(3), sigmas, on_step=lambda done, total: told.append((done, total)))
-    assert told == [(1, 4), (2, 4), (3, 4), (4, 4)]
+    sample_dpm_multistep(best_denoiser, torch.ones(3), sigmas, on_step=lambda done, total: steps.append((done, total)))
+    assert steps == [(1, 4), (2, 4), (3, 4), (4, 4)]
 
     def stop(done: int, total: int) -> None:
         raise KeyboardInterrupt

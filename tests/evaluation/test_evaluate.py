@@ -25,22 +25,22 @@ def ran(commands: Typer, *arguments: str) -> tuple[dict, str]:
 
 
 def test_the_truth_itself_is_perfect(palm: HeldOutTree) -> None:
-    found = figures_of(palm.truth, TreeReference.of(palm))
+    figures = figures_of(palm.truth, TreeReference.of(palm))
     for name in ("log_amplitude_correlation", "centroid_correlation", "roughness_ratio", "smoothness_loss_ratio"):
-        assert getattr(found, name) == pytest.approx(1, abs=1e-6), name
-    assert found.size_ratio == found.lean_ratio == 1
-    assert found.log_amplitude_rmse == found.log_spectral_distance == found.energy_distance == 0
-    assert found.phase_agreement == found.phase_agreement_truth
+        assert getattr(figures, name) == pytest.approx(1, abs=1e-6), name
+    assert figures.size_ratio == figures.lean_ratio == 1
+    assert figures.log_amplitude_rmse == figures.log_spectral_distance == figures.energy_distance == 0
+    assert figures.phase_agreement == figures.phase_agreement_truth
 
 
 def test_noise_between_neighbours_shows_in_smoothness_and_roughness(palm: HeldOutTree) -> None:
     rng = np.random.default_rng(0)
     rough = (palm.truth * np.exp(0.5j * rng.standard_normal((len(palm.truth), 1, 1)))).astype(np.complex64)
-    found = figures_of(rough, TreeReference.of(palm))
-    assert found.smoothness_loss_ratio > 1.05
-    assert found.roughness_ratio > 1.5
-    assert found.phase_agreement < found.phase_agreement_truth
-    assert found.log_amplitude_rmse == pytest.approx(0, abs=1e-5)
+    figures = figures_of(rough, TreeReference.of(palm))
+    assert figures.smoothness_loss_ratio > 1.05
+    assert figures.roughness_ratio > 1.5
+    assert figures.phase_agreement < figures.phase_agreement_truth
+    assert figures.log_amplitude_rmse == pytest.approx(0, abs=1e-5)
 
 
 def test_evaluation_judges_the_truth_as_good_and_an_untrained_network_as_not(commands: Typer, untrained: Path) -> None:
@@ -78,9 +78,9 @@ def test_the_add_ons_trees_are_judged_by_their_own_frames(samples: Path) -> None
         motion = to_motion(tree.truth)
         baked = read_sapling(path).displacement
         assert np.linalg.norm(motion - baked) < 0.05 * np.linalg.norm(baked)
-        found = figures_of(tree.second, TreeReference.of(tree))
-        assert found.log_amplitude_correlation > 0.9
-        assert found.lean_ratio == pytest.approx(1, abs=0.3)
+        figures = figures_of(tree.second, TreeReference.of(tree))
+        assert figures.log_amplitude_correlation > 0.9
+        assert figures.lean_ratio == pytest.approx(1, abs=0.3)
 
 
 def test_rivals_move_the_same_meshes_and_only_the_bake_jumps(commands: Typer, untrained: Path, samples: Path) -> None:

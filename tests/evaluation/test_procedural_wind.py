@@ -51,10 +51,10 @@ def test_the_formula_is_the_add_ons(baked: SaplingTree, matrices: np.ndarray) ->
         waves = [f(rate * FRAMES) for rate in (fast, 0.7 * fast) for f in (np.sin, np.cos)]
         gust = np.sin(2 * np.pi * GUST_HZ / 24 * FRAMES) + 0.6
         for angle, sign in ((around_x, along[bone, 2]), (around_z, -along[bone, 0])):
-            found, *_ = np.linalg.lstsq(np.stack([*waves, gust], axis=1), angle, rcond=None)
-            assert np.hypot(*found[:2]) == pytest.approx(size[bone] / 50, rel=1e-3)
-            assert np.hypot(*found[2:4]) == pytest.approx(0.65 * size[bone] / 50, rel=1e-3)
-            assert found[4] == pytest.approx(sign * size[bone] / 50, abs=1e-3 * size[bone] / 50)
+            fitted, *_ = np.linalg.lstsq(np.stack([*waves, gust], axis=1), angle, rcond=None)
+            assert np.hypot(*fitted[:2]) == pytest.approx(size[bone] / 50, rel=1e-3)
+            assert np.hypot(*fitted[2:4]) == pytest.approx(0.65 * size[bone] / 50, rel=1e-3)
+            assert fitted[4] == pytest.approx(sign * size[bone] / 50, abs=1e-3 * size[bone] / 50)
             checked += 1
     assert checked > 100
 

@@ -19,19 +19,19 @@ def methods(model, baseline):
 
 def test_a_good_model_meets_every_target_and_no_baseline_is_better():
     worse = {**GOOD, "log_amplitude_rmse": 0.4, "roughness_ratio": 1.3, "stretch_p99": 0.03}
-    told = targets_of(methods(GOOD, worse))
-    assert [one["figure"] for one in told] == [target.figure for target in TARGETS]
-    assert all(one["met"] and one["missed_by"] == 0 and one["better_baselines"] == [] for one in told)
+    report = targets_of(methods(GOOD, worse))
+    assert [one["figure"] for one in report] == [target.figure for target in TARGETS]
+    assert all(one["met"] and one["missed_by"] == 0 and one["better_baselines"] == [] for one in report)
 
 
 @pytest.mark.parametrize("figure", [target.figure for target in TARGETS])
 def test_a_miss_is_reported_with_its_size_and_with_who_does_better(figure):
     poor = {**GOOD, figure: GOOD[figure] - 0.6 if figure.endswith("correlation") else GOOD[figure] + 5}
-    (told,) = [one for one in targets_of(methods(poor, GOOD)) if not one["met"]]
-    assert told["figure"] == figure
-    assert told["missed_by"] > 0.3
-    assert told["better_baselines"] == list(BASELINES)
-    assert told["floor"] == GOOD[figure]
+    (report,) = [one for one in targets_of(methods(poor, GOOD)) if not one["met"]]
+    assert report["figure"] == figure
+    assert report["missed_by"] > 0.3
+    assert report["better_baselines"] == list(BASELINES)
+    assert report["floor"] == GOOD[figure]
 
 
 def test_within_counts_both_sides_of_one():

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from benchmarks._played import played_morphs, played_skin, played_usdz, played_vertex_texture, told
+from benchmarks._played import played_morphs, played_skin, played_usdz, played_vertex_texture, reported_facts
 from dynamictree import method
 from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.errors import InputError
@@ -42,7 +42,7 @@ def truth(tree: tuple[TriangleMesh, SparseVoxelSpectrum]) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def made(
+def products(
     tree: tuple[TriangleMesh, SparseVoxelSpectrum], tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[dict[str, Path], dict[str, Facts]]:
     facts: dict[str, Facts] = {}
@@ -52,7 +52,7 @@ def made(
     return paths, facts
 
 
-Made = tuple[dict[str, Path], dict[str, Facts]]
+Products = tuple[dict[str, Path], dict[str, Facts]]
 
 
 def errors_m(played: np.ndarray, truth: np.ndarray) -> tuple[float, float]:
@@ -61,43 +61,43 @@ def errors_m(played: np.ndarray, truth: np.ndarray) -> tuple[float, float]:
     return float(np.sqrt(gap.mean())), float(np.sqrt(gap.max()))
 
 
-def test_morph_targets_are_exact_and_close_the_loop(made: Made, truth: np.ndarray) -> None:
-    played = played_morphs(made[0]["glb"].read_bytes())
+def test_morph_targets_are_exact_and_close_the_loop(products: Products, truth: np.ndarray) -> None:
+    played = played_morphs(products[0]["glb"].read_bytes())
     assert errors_m(played, truth)[1] < 1e-6
     np.testing.assert_array_equal(played[0], played[-1])
 
 
 @pytest.mark.parametrize(("name", "play"), [("glb-reduced", played_morphs), ("glb-skinned", played_skin)])
-def test_what_is_not_exact_says_how_far_off_it_is(name: str, play, made: Made, truth: np.ndarray) -> None:  # type: ignore[no-untyped-def]
-    content, facts = made[0][name].read_bytes(), made[1][name]
+def test_what_is_not_exact_says_how_far_off_it_is(name: str, play, products: Products, truth: np.ndarray) -> None:  # type: ignore[no-untyped-def]
+    content, facts = products[0][name].read_bytes(), products[1][name]
     rms, most = errors_m(play(content), truth)
     assert facts["rms_error_m"] == pytest.approx(rms, rel=1e-3)
     assert facts["max_error_m"] == pytest.approx(most, rel=1e-3)
     assert facts["relative_error"] == pytest.approx(rms / np.sqrt((truth**2).sum(axis=2).mean()), rel=1e-3)
-    assert told(content) == facts
+    assert reported_facts(content) == facts
     assert 0 < facts["relative_error"] < 0.35
 
 
-def test_only_what_is_not_exact_has_something_to_tell(made: Made) -> None:
-    assert set(made[1]) == {"glb-reduced", "glb-skinned"}
+def test_only_what_is_not_exact_has_something_to_tell(products: Products) -> None:
+    assert set(products[1]) == {"glb-reduced", "glb-skinned"}
 
 
-def test_usd_and_vertex_texture_show_every_frame(made: Made, truth: np.ndarray) -> None:
-    assert errors_m(played_usdz(made[0]["usd"]), truth)[1] < 1e-6
+def test_usd_and_vertex_texture_show_every_frame(products: Products, truth: np.ndarray) -> None:
+    assert errors_m(played_usdz(products[0]["usd"]), truth)[1] < 1e-6
     half = float(np.spacing(np.float16(np.abs(truth).max())))
-    assert errors_m(played_vertex_texture(made[0]["vat"].read_bytes()), truth)[1] < half
+    assert errors_m(played_vertex_texture(products[0]["vat"].read_bytes()), truth)[1] < half
 
 
 def test_trimesh_reads_the_sequence_and_every_glb(
-    made: Made, tree: tuple[TriangleMesh, SparseVoxelSpectrum], truth: np.ndarray
+    products: Products, tree: tuple[TriangleMesh, SparseVoxelSpectrum], truth: np.ndarray
 ) -> None:
     mesh = tree[0]
-    archive = zipfile.ZipFile(made[0]["ply"])
+    archive = zipfile.ZipFile(products[0]["ply"])
     for number in (0, 33, 99):
         frame = trimesh.load(io.BytesIO(archive.read(f"frame_{number:04d}.ply")), file_type="ply", process=False)
         assert np.abs(frame.vertices - mesh.vertices - truth[number]).max() < 2e-6
     for name in ("glb", "glb-reduced", "glb-skinned"):
-        scene = trimesh.load(made[0][name])
+        scene = trimesh.load(products[0][name])
         assert sum(len(part.faces) for part in scene.geometry.values()) == mesh.num_faces
 
 
@@ -111,12 +111,12 @@ def test_a_tree_that_moves_as_one_piece_has_no_skeleton() -> None:
 
 
 @pytest.mark.slow
-def test_khronos_validator_finds_nothing_wrong(made: Made, tmp_path: Path) -> None:
+def test_khronos_validator_finds_nothing_wrong(products: Products, tmp_path: Path) -> None:
     """Needs `make js-tools`."""
     if not (JS_TOOLS / "node_modules" / "gltf-validator").exists() or shutil.which("node") is None:
         pytest.skip("gltf-validator is not there: make js-tools, with node and npm")
-    zipfile.ZipFile(made[0]["vat"]).extract("tree.glb", tmp_path)
-    files = [made[0][name] for name in ("glb", "glb-reduced", "glb-skinned")] + [tmp_path / "tree.glb"]
+    zipfile.ZipFile(products[0]["vat"]).extract("tree.glb", tmp_path)
+    files = [products[0][name] for name in ("glb", "glb-reduced", "glb-skinned")] + [tmp_path / "tree.glb"]
     command = ["node", str(ROOT / "tests" / "js" / "validate_gltf.cjs"), str(JS_TOOLS), *map(str, files)]
     answer = subprocess.run(command, capture_output=True, text=True, check=True)
     reports = json.loads(answer.stdout)

@@ -127,15 +127,15 @@ def test_a_mesh_becomes_a_splat_that_moves(capture: Capture, spectrum: SparseVox
 @pytest.fixture
 def files(capture: Capture, tmp_path: Path) -> Iterator[dict[str, Path]]:
     """The capture, its mesh in the same axes, and a mask, as someone sends them."""
-    made = {"cloud": tmp_path / "tree.SPLAT", "mesh": tmp_path / "mesh.ply", "mask": tmp_path / "mask.npy"}
-    with made["cloud"].open("wb") as stream:
+    files_by_role = {"cloud": tmp_path / "tree.SPLAT", "mesh": tmp_path / "mesh.ply", "mask": tmp_path / "mask.npy"}
+    with files_by_role["cloud"].open("wb") as stream:
         write_splat(capture.cloud, stream)
     mesh = carrying_mesh(capture, BOX)
     turned = mesh.with_vertices(np.ascontiguousarray(mesh.vertices @ up_rotation("-Y").astype(np.float32)))
-    with made["mesh"].open("wb") as stream:
+    with files_by_role["mesh"].open("wb") as stream:
         write_ply(turned, stream)
-    np.save(made["mask"], np.arange(3000) < 2000)
-    return made
+    np.save(files_by_role["mask"], np.arange(3000) < 2000)
+    return files_by_role
 
 
 def test_a_capture_is_read_with_what_came_with_it(capture: Capture, files: dict[str, Path]) -> None:
@@ -157,7 +157,7 @@ def test_a_capture_is_read_with_what_came_with_it(capture: Capture, files: dict[
 
 
 @pytest.mark.parametrize(
-    ("mask", "found"),
+    ("mask", "message"),
     [
         (b"no mask", "no .npy file"),
         (np.zeros(3000, np.bool_), "lets no Gaussian move"),
@@ -167,12 +167,12 @@ def test_a_capture_is_read_with_what_came_with_it(capture: Capture, files: dict[
         (np.ones(5_005_000, np.uint8), "a byte a Gaussian"),
     ],
 )
-def test_a_bad_mask_is_refused(files: dict[str, Path], mask: bytes | np.ndarray, found: str) -> None:
+def test_a_bad_mask_is_refused(files: dict[str, Path], mask: bytes | np.ndarray, message: str) -> None:
     if isinstance(mask, bytes):
         files["mask"].write_bytes(mask)
     else:
         np.save(files["mask"], mask)
-    with pytest.raises(InputError, match=found):
+    with pytest.raises(InputError, match=message):
         load_capture(files["cloud"], mask=files["mask"])
 
 
@@ -189,7 +189,7 @@ def test_what_does_not_fit_together_is_refused(capture: Capture, files: dict[str
 
 
 @pytest.mark.parametrize(
-    ("options", "found"),
+    ("options", "message"),
     [
         ({"formats": ("gif",)}, "formats is 'gif'"),
         ({"share": 0.0}, "share is 0"),
@@ -197,8 +197,8 @@ def test_what_does_not_fit_together_is_refused(capture: Capture, files: dict[str
         ({"first_frame": 600}, "first_frame is 600"),
     ],
 )
-def test_an_option_out_of_bounds_is_reported(options: dict[str, object], found: str) -> None:
-    with pytest.raises(InputError, match=found):
+def test_an_option_out_of_bounds_is_reported(options: dict[str, object], message: str) -> None:
+    with pytest.raises(InputError, match=message):
         ExportParams(**options)  # type: ignore[arg-type]
 
 

@@ -98,8 +98,8 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=60)
     parser.add_argument("--every", type=float, default=10, help="seconds between two polls of one client")
     given = parser.parse_args()
-    with tempfile.TemporaryDirectory(prefix="crowd-") as made:
-        folder = Path(made)
+    with tempfile.TemporaryDirectory(prefix="crowd-") as scratch:
+        folder = Path(scratch)
         settings = {"DYNAMICTREE_STATE_DIR": str(folder / "state"), "DYNAMICTREE_UPLOAD_IDLE_S": "10"}
         front, url = servers.api(folder, settings)
         front.start()
@@ -117,8 +117,8 @@ def main() -> None:
             )
         )
         after = process.memory_full_info().uss / 2**20
-        told = {"pollers": given.pollers, "slow": 2 * given.slow, "seconds": given.seconds, **seen}
-        sys.stdout.write(json.dumps(told | {"api_mib": [round(before, 1), round(after, 1)]}) + "\n")
+        report = {"pollers": given.pollers, "slow": 2 * given.slow, "seconds": given.seconds, **seen}
+        sys.stdout.write(json.dumps(report | {"api_mib": [round(before, 1), round(after, 1)]}) + "\n")
         front.stop()
     answers = seen["answers"]
     assert isinstance(answers, dict)

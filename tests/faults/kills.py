@@ -82,8 +82,8 @@ class Client(threading.Thread):
             name = f"client-{self.number}-{turn}"
             kind = self.rng.choice(list(PARAMS))
             body = {"type": kind, "asset_id": asset_id, "seed": turn, "params": PARAMS[kind]}
-            made = self.ask("PUT", f"/v1/jobs/{name}", json=body)
-            url = f"/v1/jobs/{made['id']}"
+            response = self.ask("PUT", f"/v1/jobs/{name}", json=body)
+            url = f"/v1/jobs/{response['id']}"
             with self.ledger.lock:
                 self.ledger.accepted[name] = url
             if self.rng.random() < 0.1:
@@ -123,7 +123,7 @@ PARAMS: dict[str, dict[str, object]] = {
     "diffuse": {"num_steps": 3},
     "animate": {"num_steps": 3, "formats": ["motion"]},
 }
-MADE = {
+PRODUCTS = {
     "voxelize": {"tree.voxels.safetensors"},
     "diffuse": {"tree.voxels.safetensors", "tree.spectrum.safetensors"},
     "animate": {"tree.voxels.safetensors", "tree.spectrum.safetensors", "motion.safetensors", "preview.png"},
@@ -233,7 +233,7 @@ def broken_laws(ledger: Ledger, engine: sa.Engine, http: httpx.Client, logs: Ite
             broken.append(f"{name} was {seen['state']} and is {None if now is None else now.state}")
         if seen["state"] not in ("succeeded", "canceled"):
             broken.append(f"{name} has {seen['state']}: {seen['error']}")
-        wanted = MADE[str(seen["type"])] if seen["state"] == "succeeded" else None
+        wanted = PRODUCTS[str(seen["type"])] if seen["state"] == "succeeded" else None
         broken += broken_artifacts(http, ledger.accepted[name], wanted)
     published = Counter(match.groups() for text in logs for match in _PUBLISHED.finditer(text))
     broken += [f"stage {stage} of job {job} was published {n} times" for (stage, job), n in published.items() if n > 1]
@@ -288,8 +288,8 @@ def run(folder: Path, *, kills: int, seed: int, clients: int, minutes: float) ->
             what = murderer.strike()
             murderer.deliver_twice()
             murderer.revive()
-            told = {"kill": murderer.kills.total(), "what": what, "seconds": round(time.monotonic() - began)}
-            tell(told | {"accepted": len(ledger.accepted), "ended": len(ledger.ended)})
+            report = {"kill": murderer.kills.total(), "what": what, "seconds": round(time.monotonic() - began)}
+            tell(report | {"accepted": len(ledger.accepted), "ended": len(ledger.ended)})
         killed_s = time.monotonic() - began
         stopped.set()
         deadline = time.monotonic() + LAWS_S
@@ -332,10 +332,10 @@ def main() -> None:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit("stopped"))  # and so end what was started
     folder = given.keep or Path(tempfile.mkdtemp(prefix="faults-"))
     folder.mkdir(parents=True, exist_ok=True)
-    told = run(folder, kills=given.kills, seed=given.seed, clients=given.clients, minutes=given.minutes)
-    tell(told)
-    if told["num_broken"] or told["kills"] != given.kills:
-        sys.exit(f"{told['num_broken']} laws broke, {told['kills']} of {given.kills} kills; logs are in {folder}")
+    report = run(folder, kills=given.kills, seed=given.seed, clients=given.clients, minutes=given.minutes)
+    tell(report)
+    if report["num_broken"] or report["kills"] != given.kills:
+        sys.exit(f"{report['num_broken']} laws broke, {report['kills']} of {given.kills} kills; logs are in {folder}")
     if given.keep is None:
         shutil.rmtree(folder)
 

@@ -73,8 +73,8 @@ def main(folder: Path, port: int) -> None:
         eventlet.spawn(wsgi.server, listening, load(folder, name, SERVER), log_output=False)
     proxy = load(folder, "proxy", PROXY)
     allowed = {"REQUEST_METHOD": "PUT", "swift.authorize_override": True, "swift.authorize": lambda _: None}
-    made = Request.blank(f"/v1/AUTH_tree/{BUCKET}", environ=allowed).get_response(proxy)
-    assert made.is_success, made.status
+    response = Request.blank(f"/v1/AUTH_tree/{BUCKET}", environ=allowed).get_response(proxy)
+    assert response.is_success, response.status
 
     def front(environment: dict[str, object], start_response: Callable[..., object]) -> object:
         if (folder / "busy").exists():

@@ -87,14 +87,14 @@ class Scales:
 
     def slopes(self, until_s: float) -> dict[str, dict[str, float]]:
         """Line through each role's samples after the warm-up."""
-        told = {}
+        report = {}
         for name, weights in self.mib.items():
             at, mib = np.array(self.at_s[name]), np.array(weights)
             late = at > until_s * WARM_SHARE
             if late.sum() < 3:
                 continue
             slope, _ = np.polyfit(at[late] / 3600, mib[late], 1)
-            told[name] = {
+            report[name] = {
                 "mib": round(float(np.median(mib[late])), 1),
                 "mib_first": round(float(mib[late][0]), 1),
                 "mib_last": round(float(mib[late][-1]), 1),
@@ -102,7 +102,7 @@ class Scales:
                 "files": max(self.files[name]),
                 "samples": int(late.sum()),
             }
-        return told
+        return report
 
 
 @dataclass(kw_only=True)
@@ -163,7 +163,7 @@ def run(folder: Path, *, minutes: float, seed: int, pause_s: float) -> dict[str,
     """Let it run so long, and tell what was seen."""
     service = start(folder / "state", **SETTINGS)
     scales, traffic = Scales(), Traffic(service=service, rng=random.Random(seed))
-    began = weighed = told = time.monotonic()
+    began = weighed = reported = time.monotonic()
     visits = 0
     try:
         while (now := time.monotonic()) - began < minutes * 60:
@@ -172,8 +172,8 @@ def run(folder: Path, *, minutes: float, seed: int, pause_s: float) -> dict[str,
             if now - weighed >= SAMPLE_S:
                 weighed = now
                 scales.weigh(service.process.pid, now - began)
-            if now - told >= 60:
-                told = now
+            if now - reported >= 60:
+                reported = now
                 latest = {name: round(mib[-1], 1) for name, mib in scales.mib.items()}
                 tell({"minute": round((now - began) / 60, 1), "visits": visits, "mib": latest})
             time.sleep(pause_s)
@@ -216,10 +216,10 @@ def main() -> None:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit("stopped"))  # and so end what was started
     folder = given.keep or Path(tempfile.mkdtemp(prefix="soak-"))
     folder.mkdir(parents=True, exist_ok=True)
-    told = run(folder, minutes=given.minutes, seed=given.seed, pause_s=given.pause)
-    tell(told)
-    if told["grown"] or told["num_wrong"] or told["exit"]:
-        sys.exit(f"grown: {told['grown']}, wrong answers: {told['num_wrong']}, exit {told['exit']}; see {folder}")
+    report = run(folder, minutes=given.minutes, seed=given.seed, pause_s=given.pause)
+    tell(report)
+    if report["grown"] or report["num_wrong"] or report["exit"]:
+        sys.exit(f"grown: {report['grown']}, wrong answers: {report['num_wrong']}, exit {report['exit']}; see {folder}")
 
 
 if __name__ == "__main__":

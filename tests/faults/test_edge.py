@@ -107,9 +107,9 @@ def _nginx(folder: Path, url: str, secure: int, plain: int) -> "subprocess.Popen
 
 def test_keys_pass_and_what_has_no_key_stays_inside(edge: Edge) -> None:
     with edge.client() as client:
-        found = client.get("/v1/presets")
-        assert found.status_code == 200
-        assert found.headers["strict-transport-security"]
+        response = client.get("/v1/presets")
+        assert response.status_code == 200
+        assert response.headers["strict-transport-security"]
         assert client.get("/livez").status_code == 200
         for path in ("/metrics", "/ops", "/ops/ops.js", "/v1/ops"):
             assert client.get(path).status_code == 404, path
@@ -129,9 +129,9 @@ def test_the_log_has_the_clients_address_not_what_it_claims(edge: Edge) -> None:
 def test_an_upload_streams_through_and_a_broken_one_goes_on(edge: Edge) -> None:
     content = os.urandom(24 * MIB)
     with edge.client() as client:
-        made = client.post("/v1/uploads", headers=TUS | {"Upload-Length": str(len(content))})
-        assert made.status_code == 201, made.text
-        place = made.headers["Location"]
+        created = client.post("/v1/uploads", headers=TUS | {"Upload-Length": str(len(content))})
+        assert created.status_code == 201, created.text
+        place = created.headers["Location"]
         assert place.startswith("/v1/uploads/")
 
         def broken() -> Iterator[bytes]:

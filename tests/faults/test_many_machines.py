@@ -41,8 +41,8 @@ class Machines:
     def owners(self) -> set[str]:
         """Who runs a job now."""
         with self.engine.connect() as connection:
-            held = sa.select(t.jobs.c.lease_owner).where(t.jobs.c.lease_owner.is_not(None))
-            return set(connection.execute(held).scalars())
+            lease_owners = sa.select(t.jobs.c.lease_owner).where(t.jobs.c.lease_owner.is_not(None))
+            return set(connection.execute(lease_owners).scalars())
 
 
 @pytest.fixture(scope="module")

@@ -51,11 +51,11 @@ def through(client: httpx.Client, path: Path) -> AnimatedSplat:
         time.sleep(0.5)
         job = client.get(f"/v1/jobs/{job['id']}").raise_for_status().json()
     assert job["state"] == "succeeded", job["error"]
-    made = {}
+    products = {}
     for artifact in client.get(f"/v1/jobs/{job['id']}/artifacts").json()["artifacts"]:
         content = client.get(artifact["url"]).raise_for_status().content
         assert hashlib.sha256(content).hexdigest() == artifact["sha256"]
-        made[artifact["name"]] = content
-    assert {"mesh.ply", "splat.ply.zip", "preview.png", "preview.mp4"} <= made.keys()
-    assert len(made["splat.ply.zip"]) == promised["splat-ply"]
-    return read_animated_splat(BytesIO(made["tree.animated-splat.safetensors"]))
+        products[artifact["name"]] = content
+    assert {"mesh.ply", "splat.ply.zip", "preview.png", "preview.mp4"} <= products.keys()
+    assert len(products["splat.ply.zip"]) == promised["splat-ply"]
+    return read_animated_splat(BytesIO(products["tree.animated-splat.safetensors"]))

@@ -38,8 +38,8 @@ def assert_exactly_once(service: Service, url: str) -> None:
 
 
 def test_the_service_is_ready(service: Service) -> None:
-    told = service.client.get("/readyz").json()
-    assert set(told.values()) == {"ready", "ok"}
+    readiness = service.client.get("/readyz").json()
+    assert set(readiness.values()) == {"ready", "ok"}
 
 
 def test_a_mesh_goes_in_and_voxels_come_out(service: Service) -> None:

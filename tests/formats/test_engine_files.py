@@ -9,7 +9,7 @@ import OpenEXR
 import pytest
 from pxr import Usd, UsdGeom, UsdShade, UsdValidation
 
-from benchmarks._played import played_skin, played_usdz, played_vertex_texture, told
+from benchmarks._played import played_skin, played_usdz, played_vertex_texture, reported_facts
 from dynamictree.errors import InputError
 from dynamictree.formats.gltf.skin import write_skinned_glb
 from dynamictree.formats.motion.exr import write_exr
@@ -97,12 +97,12 @@ def test_usd_binds_each_face_to_its_material(tmp_path: Path, rng: np.random.Gene
     with path.open("wb") as stream:
         write_motion_usdz(mesh, iter(frames_of(mesh, rng, 1)), stream, fps=24.0)
     stage = Usd.Stage.Open(str(path))
-    found = np.full(mesh.num_faces, -1)
+    result = np.full(mesh.num_faces, -1)
     for prim in stage.Traverse():
         if prim.IsA(UsdGeom.Subset):
             bound, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()
-            found[list(UsdGeom.Subset(prim).GetIndicesAttr().Get())] = int(bound.GetPath().name.split("_")[1])
-    np.testing.assert_array_equal(found, mesh.face_material)
+            result[list(UsdGeom.Subset(prim).GetIndicesAttr().Get())] = int(bound.GetPath().name.split("_")[1])
+    np.testing.assert_array_equal(result, mesh.face_material)
 
 
 def test_the_validators_would_see_a_broken_stage(tmp_path: Path) -> None:
@@ -134,4 +134,4 @@ def test_a_skinned_glb_poses_its_vertices_as_the_skin_does(rng: np.random.Genera
     write_skinned_glb(mesh, skin, summary, stream, fps=24.0)
     expected = np.stack([skin.displacement(mesh.vertices, frame) for frame in (0, 1, 2, 3, 4, 0)])
     np.testing.assert_allclose(played_skin(stream.getvalue()), expected, atol=2e-5)
-    assert told(stream.getvalue())["max_error_m"] == 0.75
+    assert reported_facts(stream.getvalue())["max_error_m"] == 0.75

@@ -289,7 +289,7 @@ def test_draco_is_decoded(rng: np.random.Generator) -> None:
         "indices": 1,
         "extensions": {"KHR_draco_mesh_compression": {"bufferView": 2, "attributes": identities}},
     }
-    found = with_data(
+    result = with_data(
         stream,
         {"byteOffset": 44, "byteLength": len(stream)},
         extensionsRequired=["KHR_draco_mesh_compression"],
@@ -300,11 +300,11 @@ def test_draco_is_decoded(rng: np.random.Generator) -> None:
             {"componentType": 5126, "count": mesh.num_vertices, "type": "VEC2"},
         ],
     )
-    np.testing.assert_allclose(found.vertices, mesh.vertices, atol=1e-4)
-    np.testing.assert_array_equal(found.faces, mesh.faces)
-    assert found.uv is not None
+    np.testing.assert_allclose(result.vertices, mesh.vertices, atol=1e-4)
+    np.testing.assert_array_equal(result.faces, mesh.faces)
+    assert result.uv is not None
     assert mesh.uv is not None
-    np.testing.assert_allclose(found.uv, mesh.uv, atol=1e-2)
+    np.testing.assert_allclose(result.uv, mesh.uv, atol=1e-2)
 
 
 def test_whole_numbers_may_be_written_with_a_point() -> None:

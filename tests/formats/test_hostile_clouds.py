@@ -1,4 +1,4 @@
-"""What a cloud file may claim, and what it is told."""
+"""What a cloud file may claim, and the error that answers it."""
 
 import gzip
 import io

@@ -122,9 +122,9 @@ def test_the_axis_that_the_tree_stands_on_is_found(rng: np.random.Generator, axi
         write_obj(laid, stream)
     else:  # our own PLY names its axis
         stream.write(trimesh.Trimesh(laid.vertices, laid.faces, process=False).export(file_type=file_type))
-    found = read(stream.getvalue(), file_type)
-    assert found.source_up_axis == axis
-    assert found.height_m == pytest.approx(mesh.height_m, rel=1e-5)
+    result = read(stream.getvalue(), file_type)
+    assert result.source_up_axis == axis
+    assert result.height_m == pytest.approx(mesh.height_m, rel=1e-5)
 
 
 def test_a_shape_without_a_foot_stands_on_its_longer_axis(rng: np.random.Generator) -> None:
@@ -153,9 +153,9 @@ def test_centimetres_are_found_and_recorded(rng: np.random.Generator) -> None:
     mesh = trunk_and_crown(rng)
     stream = io.BytesIO()
     write_obj(mesh.with_vertices(mesh.vertices * np.float32(100)), stream)
-    found = read(stream.getvalue(), "obj")
-    assert found.source_scale == 0.01
-    np.testing.assert_allclose(found.vertices, mesh.vertices, rtol=1e-5, atol=1e-5)
+    result = read(stream.getvalue(), "obj")
+    assert result.source_scale == 0.01
+    np.testing.assert_allclose(result.vertices, mesh.vertices, rtol=1e-5, atol=1e-5)
 
 
 def test_every_sample_mesh_is_read(samples: Path) -> None:

@@ -122,12 +122,12 @@ def test_a_number_of_targets_out_of_range_is_refused(rng: np.random.Generator, n
 def test_an_animated_glb_keeps_the_look_and_is_read_by_others(rng: np.random.Generator) -> None:
     mesh = trunk_and_crown(rng)
     content, _ = animated(mesh, sway(rng, mesh))
-    found = read_mesh(io.BytesIO(content), file_type="glb")
-    np.testing.assert_array_equal(found.vertices, mesh.vertices)
-    np.testing.assert_array_equal(found.faces, mesh.faces)
-    np.testing.assert_array_equal(found.uv, mesh.uv)
-    np.testing.assert_array_equal(found.vertex_colors, mesh.vertex_colors)
-    assert found.materials == mesh.materials
+    result = read_mesh(io.BytesIO(content), file_type="glb")
+    np.testing.assert_array_equal(result.vertices, mesh.vertices)
+    np.testing.assert_array_equal(result.faces, mesh.faces)
+    np.testing.assert_array_equal(result.uv, mesh.uv)
+    np.testing.assert_array_equal(result.vertex_colors, mesh.vertex_colors)
+    assert result.materials == mesh.materials
     scene = trimesh.load_scene(io.BytesIO(content), file_type="glb")
     assert sum(len(part.faces) for part in scene.geometry.values()) == mesh.num_faces
 
@@ -143,32 +143,32 @@ def test_every_frame_of_the_zip_is_the_mesh_at_that_frame(rng: np.random.Generat
     assert archive.testzip() is None  # checksums
     assert archive.namelist() == [f"frame_{n:04d}.ply" for n in range(5)]
     for name, displacement in zip(archive.namelist(), to_motion(coefficients)[:5], strict=True):
-        found = read_mesh(io.BytesIO(archive.read(name)), file_type="ply", up_axis="+Z", unit_m=1.0)
-        np.testing.assert_allclose(found.vertices, mesh.vertices + displacement, atol=1e-5)
-        np.testing.assert_array_equal(found.faces, mesh.faces)
-        np.testing.assert_array_equal(found.vertex_colors, mesh.vertex_colors)
+        result = read_mesh(io.BytesIO(archive.read(name)), file_type="ply", up_axis="+Z", unit_m=1.0)
+        np.testing.assert_allclose(result.vertices, mesh.vertices + displacement, atol=1e-5)
+        np.testing.assert_array_equal(result.faces, mesh.faces)
+        np.testing.assert_array_equal(result.vertex_colors, mesh.vertex_colors)
 
 
 def test_frames_of_the_zip_are_read_by_trimesh(rng: np.random.Generator) -> None:
     mesh = trunk_and_crown(rng)
     archive = unzipped(mesh, iter([np.zeros((mesh.num_vertices, 3), np.float32)]))
-    found = trimesh.load_mesh(archive.open("frame_0000.ply"), file_type="ply", process=False)
-    np.testing.assert_allclose(found.vertices, mesh.vertices)
+    result = trimesh.load_mesh(archive.open("frame_0000.ply"), file_type="ply", process=False)
+    np.testing.assert_allclose(result.vertices, mesh.vertices)
 
 
 def test_the_zip_streams_one_frame_at_a_time_and_is_the_same_each_time(rng: np.random.Generator) -> None:
     mesh = trunk_and_crown(rng)
-    asked = 0
+    reads = 0
 
     def frames() -> Iterator[np.ndarray]:
-        nonlocal asked
+        nonlocal reads
         for _ in range(1000):
-            asked += 1
+            reads += 1
             yield np.zeros((mesh.num_vertices, 3), np.float32)
 
     chunks = iter_ply_sequence_zip(mesh, frames())
     next(chunks)
-    assert asked == 1
+    assert reads == 1
     once, again = (b"".join(iter_ply_sequence_zip(mesh, itertools.islice(frames(), 3))) for _ in range(2))
     assert once == again
 
@@ -188,11 +188,11 @@ def test_read_motion_undoes_write_motion(rng: np.random.Generator) -> None:
     displacement = rng.normal(size=(7, mesh.num_vertices, 3)).astype(np.float32)
     write_motion(mesh, iter(displacement), stream, num_frames=7, fps=24.0)
     stream.seek(0)
-    found = read_motion(stream)
-    np.testing.assert_array_equal(found.displacement, displacement)
-    np.testing.assert_array_equal(found.vertices, mesh.vertices)
-    np.testing.assert_array_equal(found.faces, mesh.faces)
-    assert found.fps == 24.0
+    result = read_motion(stream)
+    np.testing.assert_array_equal(result.displacement, displacement)
+    np.testing.assert_array_equal(result.vertices, mesh.vertices)
+    np.testing.assert_array_equal(result.faces, mesh.faces)
+    assert result.fps == 24.0
 
 
 def test_a_motion_whose_faces_name_no_vertex_is_refused(rng: np.random.Generator) -> None:

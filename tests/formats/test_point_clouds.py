@@ -127,7 +127,7 @@ def test_las_that_is_none_or_ends_early_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("packed", "at", "told", "message"),
+    ("packed", "at", "declared", "message"),
     [
         (False, 96, b"\xff\xff\xff\x7f", "points begin at byte 2,147,483,647"),
         (False, 100, b"\xff\xff\xff\xff", "4,294,967,295 records"),  # laspy would read each of them
@@ -136,12 +136,12 @@ def test_las_that_is_none_or_ends_early_is_refused() -> None:
     ],
 )
 def test_a_las_header_may_not_claim_what_the_file_has_no_room_for(
-    packed: bool, at: int, told: bytes, message: str
+    packed: bool, at: int, declared: bytes, message: str
 ) -> None:
     content = bytearray(_las(_lattice(0.2), None, packed=packed).getvalue())
     points_at = int.from_bytes(content[96:100], "little")
     at = {-1: int.from_bytes(content[points_at : points_at + 8], "little") + 4, -2: points_at}.get(at, at)
-    content[at : at + len(told)] = told
+    content[at : at + len(declared)] = declared
     with pytest.raises(FormatError, match=message):
         read_cloud(io.BytesIO(bytes(content)), file_type="las")
 

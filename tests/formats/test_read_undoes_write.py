@@ -37,10 +37,10 @@ def random_mesh(seed: int, sizes: tuple[int, int], has: tuple[bool, bool]) -> Tr
 def test_glb(seed: int, sizes: tuple[int, int], has: tuple[bool, bool]) -> None:
     mesh, stream = random_mesh(seed, sizes, has), io.BytesIO()
     write_glb(mesh, stream)
-    found = read_mesh(io.BytesIO(stream.getvalue()), file_type="glb")
-    assert_geometry(found, mesh)
-    assert_optional(found.uv, mesh.uv, atol=0)
-    assert_optional(found.vertex_colors, mesh.vertex_colors, atol=0)
+    result = read_mesh(io.BytesIO(stream.getvalue()), file_type="glb")
+    assert_geometry(result, mesh)
+    assert_optional(result.uv, mesh.uv, atol=0)
+    assert_optional(result.vertex_colors, mesh.vertex_colors, atol=0)
 
 
 @settings(max_examples=25, deadline=None)
@@ -48,10 +48,10 @@ def test_glb(seed: int, sizes: tuple[int, int], has: tuple[bool, bool]) -> None:
 def test_ply(seed: int, sizes: tuple[int, int], has: tuple[bool, bool]) -> None:
     mesh, stream = random_mesh(seed, sizes, has), io.BytesIO()
     write_ply(mesh, stream)
-    found = read_mesh(io.BytesIO(stream.getvalue()), file_type="ply", up_axis="+Z", unit_m=1.0)
-    assert_geometry(found, mesh)
-    assert_optional(found.uv, mesh.uv, atol=1e-6)
-    assert_optional(found.vertex_colors, mesh.vertex_colors, atol=0)
+    result = read_mesh(io.BytesIO(stream.getvalue()), file_type="ply", up_axis="+Z", unit_m=1.0)
+    assert_geometry(result, mesh)
+    assert_optional(result.uv, mesh.uv, atol=1e-6)
+    assert_optional(result.vertex_colors, mesh.vertex_colors, atol=0)
 
 
 @settings(max_examples=25, deadline=None)
@@ -59,49 +59,49 @@ def test_ply(seed: int, sizes: tuple[int, int], has: tuple[bool, bool]) -> None:
 def test_obj(seed: int, sizes: tuple[int, int], has: tuple[bool, bool]) -> None:
     mesh, stream = random_mesh(seed, sizes, has), io.BytesIO()
     write_obj(mesh, stream)
-    found = read_mesh(io.BytesIO(stream.getvalue()), file_type="obj", up_axis="+Z", unit_m=1.0)
-    assert_geometry(found, mesh)
+    result = read_mesh(io.BytesIO(stream.getvalue()), file_type="obj", up_axis="+Z", unit_m=1.0)
+    assert_geometry(result, mesh)
     if mesh.uv is not None:
-        assert found.uv is not None
+        assert result.uv is not None
         used = np.unique(mesh.faces)
-        np.testing.assert_allclose(found.uv[used], mesh.uv[used], atol=1e-6)
+        np.testing.assert_allclose(result.uv[used], mesh.uv[used], atol=1e-6)
 
 
-def assert_geometry(found: TriangleMesh, expected: TriangleMesh) -> None:
-    np.testing.assert_array_equal(found.vertices, expected.vertices)
-    np.testing.assert_array_equal(found.faces, expected.faces)
+def assert_geometry(result: TriangleMesh, expected: TriangleMesh) -> None:
+    np.testing.assert_array_equal(result.vertices, expected.vertices)
+    np.testing.assert_array_equal(result.faces, expected.faces)
 
 
-def assert_optional(found: np.ndarray | None, expected: np.ndarray | None, *, atol: float) -> None:
+def assert_optional(result: np.ndarray | None, expected: np.ndarray | None, *, atol: float) -> None:
     if expected is None:
-        assert found is None
+        assert result is None
     else:
-        assert found is not None
-        np.testing.assert_allclose(found, expected, atol=atol)
+        assert result is not None
+        np.testing.assert_allclose(result, expected, atol=atol)
 
 
 def test_glb_keeps_materials_and_textures(rng: np.random.Generator) -> None:
     mesh, stream = trunk_and_crown(rng), io.BytesIO()
     write_glb(mesh, stream)
-    found = read_mesh(io.BytesIO(stream.getvalue()), file_type="glb")
-    assert found.materials == mesh.materials
-    assert_optional(found.face_material, mesh.face_material, atol=0)
-    assert_geometry(found, mesh)
+    result = read_mesh(io.BytesIO(stream.getvalue()), file_type="glb")
+    assert result.materials == mesh.materials
+    assert_optional(result.face_material, mesh.face_material, atol=0)
+    assert_geometry(result, mesh)
 
 
 def test_obj_keeps_materials_and_textures(rng: np.random.Generator) -> None:
     mesh, stream = trunk_and_crown(rng), io.BytesIO()
     companions = write_obj(mesh, stream, library="tree.mtl")
-    found = read_mesh(io.BytesIO(stream.getvalue()), file_type="obj", up_axis="+Z", companions=companions)
-    assert found.materials == mesh.materials
-    assert_optional(found.face_material, mesh.face_material, atol=0)
+    result = read_mesh(io.BytesIO(stream.getvalue()), file_type="obj", up_axis="+Z", companions=companions)
+    assert result.materials == mesh.materials
+    assert_optional(result.face_material, mesh.face_material, atol=0)
 
 
 def test_an_obj_without_its_library_keeps_the_names_of_its_materials(rng: np.random.Generator) -> None:
     stream = io.BytesIO()
     write_obj(trunk_and_crown(rng), stream, library="tree.mtl")
-    found = read_mesh(io.BytesIO(stream.getvalue()), file_type="obj", up_axis="+Z")
-    assert [material.name for material in found.materials] == ["bark", "leaf"]
+    result = read_mesh(io.BytesIO(stream.getvalue()), file_type="obj", up_axis="+Z")
+    assert [material.name for material in result.materials] == ["bark", "leaf"]
 
 
 @pytest.mark.parametrize("kind", ["glb", "ply", "obj"])

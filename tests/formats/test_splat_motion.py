@@ -62,12 +62,12 @@ def test_the_archive_holds_the_frames_where_the_capture_lay(splat: AnimatedSplat
             read_cloud(io.BytesIO(archive.read(name)), file_type="ply", up_axis="-Y", unit_m=0.01)
             for name in archive.namelist()
         ]
-    for found, expected in zip(read, iter_splat_frames(binding, frames_of(splat)), strict=True):
-        np.testing.assert_allclose(found.means, expected.means, atol=2e-6)
-        np.testing.assert_allclose(found.scales, expected.scales, rtol=1e-4)
-        np.testing.assert_allclose(found.opacity, expected.opacity, atol=1e-6)
-        np.testing.assert_allclose(np.abs((found.quaternions * expected.quaternions).sum(axis=1)), 1, atol=1e-5)
-        np.testing.assert_allclose(found.sh, expected.sh, atol=2e-4)
+    for frame, expected in zip(read, iter_splat_frames(binding, frames_of(splat)), strict=True):
+        np.testing.assert_allclose(frame.means, expected.means, atol=2e-6)
+        np.testing.assert_allclose(frame.scales, expected.scales, rtol=1e-4)
+        np.testing.assert_allclose(frame.opacity, expected.opacity, atol=1e-6)
+        np.testing.assert_allclose(np.abs((frame.quaternions * expected.quaternions).sum(axis=1)), 1, atol=1e-5)
+        np.testing.assert_allclose(frame.sh, expected.sh, atol=2e-4)
     assert np.abs(read[3].means - read[0].means).max() > 1e-3
 
 
@@ -126,12 +126,12 @@ def changed(splat: AnimatedSplat, name: str, value: np.ndarray | None, **metadat
     length = int.from_bytes(content[:8], "little")
     import json
 
-    known = json.loads(content[8 : 8 + length])["__metadata__"] | metadata
+    header = json.loads(content[8 : 8 + length])["__metadata__"] | metadata
     if value is None:
         tensors.pop(name, None)
     else:
         tensors[name] = value
-    return io.BytesIO(save(tensors, known))
+    return io.BytesIO(save(tensors, header))
 
 
 def test_compact_files_that_lie_are_refused(splat: AnimatedSplat) -> None:

@@ -62,13 +62,13 @@ def with_changes(content: bytes, tensors: Mapping[str, np.ndarray | None], metad
     )
 
 
-def assert_same(found: SparseVoxelSpectrum, expected: SparseVoxelSpectrum) -> None:
-    np.testing.assert_array_equal(found.grid.coords, expected.grid.coords)
-    np.testing.assert_array_equal(found.coefficients, expected.coefficients)
-    assert replace(found, grid=expected.grid, coefficients=expected.coefficients) == expected
-    assert found.grid.origin_m == expected.grid.origin_m
-    assert found.grid.voxel_size_m == expected.grid.voxel_size_m
-    assert found.grid.resolution == expected.grid.resolution
+def assert_same(result: SparseVoxelSpectrum, expected: SparseVoxelSpectrum) -> None:
+    np.testing.assert_array_equal(result.grid.coords, expected.grid.coords)
+    np.testing.assert_array_equal(result.coefficients, expected.coefficients)
+    assert replace(result, grid=expected.grid, coefficients=expected.coefficients) == expected
+    assert result.grid.origin_m == expected.grid.origin_m
+    assert result.grid.voxel_size_m == expected.grid.voxel_size_m
+    assert result.grid.resolution == expected.grid.resolution
 
 
 @pytest.mark.parametrize("dtype", ["float16", "float32"])
@@ -210,11 +210,11 @@ def test_read_voxels_undoes_write_voxels(rng: np.random.Generator) -> None:
     voxels, stream = small_voxels(rng), io.BytesIO()
     write_voxels(voxels, stream)
     stream.seek(0)
-    found = read_voxels(stream)
-    np.testing.assert_array_equal(found.grid.coords, voxels.grid.coords)
-    np.testing.assert_array_equal(found.normals, voxels.normals)
-    np.testing.assert_array_equal(found.moments, voxels.moments)
-    assert found.grid.origin_m == voxels.grid.origin_m
+    result = read_voxels(stream)
+    np.testing.assert_array_equal(result.grid.coords, voxels.grid.coords)
+    np.testing.assert_array_equal(result.normals, voxels.normals)
+    np.testing.assert_array_equal(result.moments, voxels.moments)
+    assert result.grid.origin_m == voxels.grid.origin_m
     bare = io.BytesIO()
     write_voxels(replace(voxels, moments=None), bare)
     assert read_voxels(io.BytesIO(bare.getvalue())).moments is None

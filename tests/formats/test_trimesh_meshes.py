@@ -30,27 +30,27 @@ def read(content: bytes, kind: str, companions: Mapping[str, bytes] | None = Non
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_file_s_vertices_come_in_its_order(rng: np.random.Generator, kind: str) -> None:
     mesh = trunk_and_crown(rng)
-    found = read(exported(mesh, kind), kind, up_axis="+Z", unit_m=1.0)
+    result = read(exported(mesh, kind), kind, up_axis="+Z", unit_m=1.0)
     if kind == "dae":  # COLLADA's writer gives each face corners of its own
-        np.testing.assert_allclose(found.vertices[found.faces], mesh.vertices[mesh.faces], atol=1e-5)
+        np.testing.assert_allclose(result.vertices[result.faces], mesh.vertices[mesh.faces], atol=1e-5)
     else:
-        np.testing.assert_allclose(found.vertices, mesh.vertices, atol=1e-5)
-        np.testing.assert_array_equal(found.faces, mesh.faces)
+        np.testing.assert_allclose(result.vertices, mesh.vertices, atol=1e-5)
+        np.testing.assert_array_equal(result.faces, mesh.faces)
 
 
 def test_a_3mf_is_in_its_own_unit_and_stands_on_z(rng: np.random.Generator) -> None:
     mesh = trunk_and_crown(rng)
-    found = read(exported(mesh, "3mf"), "3mf")
-    assert (found.source_up_axis, found.source_scale) == ("+Z", 0.001)
-    assert found.height_m == pytest.approx(mesh.height_m / 1000, rel=1e-4)
+    result = read(exported(mesh, "3mf"), "3mf")
+    assert (result.source_up_axis, result.source_scale) == ("+Z", 0.001)
+    assert result.height_m == pytest.approx(mesh.height_m / 1000, rel=1e-4)
 
 
 def test_a_collada_file_s_axis_and_unit_are_its_own(rng: np.random.Generator) -> None:
     content = exported(trunk_and_crown(rng), "dae")
     declared = b'<asset><unit name="inch" meter="0.0254"/><up_axis>Z_UP</up_axis>'
     start, end = content.index(b"<asset"), content.index(b"</asset>")
-    found = read(content[:start] + declared + content[end:], "dae")
-    assert (found.source_up_axis, found.source_scale) == ("+Z", 0.0254)
+    result = read(content[:start] + declared + content[end:], "dae")
+    assert (result.source_up_axis, result.source_scale) == ("+Z", 0.0254)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -109,14 +109,14 @@ def test_a_mesh_comes_back_from_trimesh_with_its_texture(rng: np.random.Generato
         face_material=np.zeros(mesh.num_faces, np.int32),
         materials=(leaf,),
     )
-    found = TriangleMesh.from_trimesh(textured.to_trimesh())
-    np.testing.assert_array_equal(found.vertices, mesh.vertices)
-    np.testing.assert_array_equal(found.faces, mesh.faces)
-    assert found.uv is not None
-    np.testing.assert_allclose(found.uv, mesh.uv, atol=1e-6)
-    assert found.materials[0].texture_png is not None
-    assert (found.materials[0].name, found.materials[0].alpha_cutoff) == ("leaf", 0.5)
-    np.testing.assert_allclose(found.materials[0].base_color, leaf.base_color, atol=1 / 255)
+    result = TriangleMesh.from_trimesh(textured.to_trimesh())
+    np.testing.assert_array_equal(result.vertices, mesh.vertices)
+    np.testing.assert_array_equal(result.faces, mesh.faces)
+    assert result.uv is not None
+    np.testing.assert_allclose(result.uv, mesh.uv, atol=1e-6)
+    assert result.materials[0].texture_png is not None
+    assert (result.materials[0].name, result.materials[0].alpha_cutoff) == ("leaf", 0.5)
+    np.testing.assert_allclose(result.materials[0].base_color, leaf.base_color, atol=1 / 255)
 
 
 def test_colours_and_placed_parts_come_from_trimesh(rng: np.random.Generator) -> None:
@@ -127,12 +127,12 @@ def test_colours_and_placed_parts_come_from_trimesh(rng: np.random.Generator) ->
     mirror = np.diag([-1.0, 1.0, 1.0, 1.0])
     mirror[:3, 3] = [10, 0, 0]
     scene.add_geometry(mesh.to_trimesh(), transform=mirror)
-    found = TriangleMesh.from_trimesh(scene)
-    np.testing.assert_array_equal(found.vertices[: mesh.num_vertices], mesh.vertices)
-    np.testing.assert_allclose(found.vertices[mesh.num_vertices :], mesh.vertices * [-1, 1, 1] + [10, 0, 0], atol=1e-6)
-    np.testing.assert_array_equal(found.faces[mesh.num_faces :], mesh.faces[:, ::-1] + mesh.num_vertices)
-    assert found.vertex_colors is not None
-    np.testing.assert_array_equal(found.vertex_colors[: mesh.num_vertices], mesh.vertex_colors)
+    result = TriangleMesh.from_trimesh(scene)
+    np.testing.assert_array_equal(result.vertices[: mesh.num_vertices], mesh.vertices)
+    np.testing.assert_allclose(result.vertices[mesh.num_vertices :], mesh.vertices * [-1, 1, 1] + [10, 0, 0], atol=1e-6)
+    np.testing.assert_array_equal(result.faces[mesh.num_faces :], mesh.faces[:, ::-1] + mesh.num_vertices)
+    assert result.vertex_colors is not None
+    np.testing.assert_array_equal(result.vertex_colors[: mesh.num_vertices], mesh.vertex_colors)
 
 
 def test_a_scene_of_points_is_no_mesh() -> None:

@@ -39,7 +39,7 @@ def fuzz(folder: Path, *, files: int, seed: int) -> dict[str, object]:
             outcome = attempt(READERS[kind], sample)
             assert outcome.verdict == "read", f"a good {kind} file: {outcome.detail}"
     each = max(AT_LEAST, -(-files // len(good)))
-    told: dict[str, object] = {}
+    report: dict[str, object] = {}
     faults = 0
     for kind in good:
         done = folder / f"{kind}-{seed}.jsonl"
@@ -57,12 +57,12 @@ def fuzz(folder: Path, *, files: int, seed: int) -> dict[str, object]:
         verdicts = Counter(row["verdict"] for row in rows)
         faults += len(rows) - verdicts["read"] - verdicts["refused"]
         worst = {"max_s": max(row["s"] for row in rows), "max_mib": max(row["mib"] for row in rows)}
-        told[kind] = dict(verdicts) | worst
-        sys.stdout.write(json.dumps({kind: told[kind]}) + "\n")
+        report[kind] = dict(verdicts) | worst
+        sys.stdout.write(json.dumps({kind: report[kind]}) + "\n")
         sys.stdout.flush()
     bombs, failed = expand(folder)
-    told = {"files": each * len(good), "formats": len(good), "each": each, "seed": seed}
-    return told | {"bombs": bombs, "faults": faults + failed}
+    plan = {"files": each * len(good), "formats": len(good), "each": each, "seed": seed}
+    return plan | {"bombs": bombs, "faults": faults + failed}
 
 
 def expand(folder: Path) -> tuple[int, int]:
@@ -93,10 +93,10 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--state", type=Path, required=True, help="folder of what is done and of what failed")
     given = parser.parse_args()
-    told = fuzz(given.state, files=given.files, seed=given.seed)
-    sys.stdout.write(json.dumps(told) + "\n")
-    if told["faults"]:
-        sys.exit(f"{told['faults']} files at fault; see {given.state}")
+    report = fuzz(given.state, files=given.files, seed=given.seed)
+    sys.stdout.write(json.dumps(report) + "\n")
+    if report["faults"]:
+        sys.exit(f"{report['faults']} files at fault; see {given.state}")
 
 
 if __name__ == "__main__":

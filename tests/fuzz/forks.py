@@ -45,15 +45,15 @@ def attempt(read: Callable[[bytes], object], content: bytes, *, cpu_s: int = CPU
         os.close(answer)
         _child(read, content, answer_to, cpu_s)
     os.close(answer_to)
-    told = b""
+    report = b""
     if select.select([answer], [], [], WALL_S)[0]:
-        told = os.read(answer, 65536)
+        report = os.read(answer, 65536)
     else:
         os.kill(pid, signal.SIGKILL)
     os.close(answer)
     _, status, used = os.wait4(pid, 0)
     seconds = time.monotonic() - begun
-    verdict, detail = json.loads(told) if told else _ended(status, seconds)
+    verdict, detail = json.loads(report) if report else _ended(status, seconds)
     return Outcome(verdict=verdict, detail=detail, seconds=seconds, peak_mib=used.ru_maxrss / 1024 - before_mib)
 
 
@@ -71,14 +71,14 @@ def _child(read: Callable[[bytes], object], content: bytes, answer_to: int, cpu_
     os.dup2(null, 2)
     try:
         read(content)
-        told = ("read", "")
+        report = ("read", "")
     except InputError as error:
-        told = ("refused", f"{type(error).__name__}: {error}"[:300])
+        report = ("refused", f"{type(error).__name__}: {error}"[:300])
     except ProblemError as error:
-        told = ("refused" if KINDS[error.code].status < 500 else "5xx", f"{error.code}: {error.detail}"[:300])
+        report = ("refused" if KINDS[error.code].status < 500 else "5xx", f"{error.code}: {error.detail}"[:300])
     except BaseException as error:  # noqa: BLE001 (this is what is looked for)
-        told = (type(error).__name__, traceback.format_exc()[-3000:])
-    os.write(answer_to, json.dumps(told).encode())
+        report = (type(error).__name__, traceback.format_exc()[-3000:])
+    os.write(answer_to, json.dumps(report).encode())
     os._exit(0)
 
 

@@ -200,9 +200,9 @@ def word(content: bytearray, rng: random.Random) -> None:
     """A number or name of a text, near the head as a rule, becomes another."""
     window = 2000 if rng.random() < 0.6 else len(content)
     pattern = _NUMBER if rng.random() < 0.7 else _TOKEN
-    found = list(pattern.finditer(bytes(content[:window])))
-    if found:
-        chosen = rng.choice(found)
+    matches = list(pattern.finditer(bytes(content[:window])))
+    if matches:
+        chosen = rng.choice(matches)
         content[chosen.start() : chosen.end()] = rng.choice((*WORDS, *map(str, NUMBERS))).encode()
 
 

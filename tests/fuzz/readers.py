@@ -21,7 +21,7 @@ MESHES = (".obj", ".ply", ".glb", ".gltf", ".stl")
 
 
 def mesh(ending: str) -> Callable[[bytes], object]:
-    """As an upload of this name: its type is told by its bytes."""
+    """As an upload of this name: its bytes decide its type."""
 
     def read(content: bytes) -> object:
         file_type = sniff_file_type(content[: 64 * 1024], f"tree.{ending}")

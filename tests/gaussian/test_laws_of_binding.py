@@ -194,13 +194,13 @@ def test_the_nearest_face_is_the_nearest(rng: np.random.Generator) -> None:
     points = (rng.normal(size=(400, 3)) * [3, 1, 1] + [1, 0, 0]).astype(np.float32)
     whole = trimesh.Trimesh(vertices, faces, process=False)
     _, distances, _ = trimesh.proximity.closest_point_naive(whole, points)
-    found = nearest_faces(points, vertices, faces, 2.0)
+    nearest = nearest_faces(points, vertices, faces, 2.0)
     near = distances < 2.0 - 1e-6
-    np.testing.assert_array_equal(found.faces >= 0, near)
-    corners = vertices[faces[found.faces[near]]]
-    places = np.einsum("gc,gcx->gx", found.weights[near], corners)
+    np.testing.assert_array_equal(nearest.faces >= 0, near)
+    corners = vertices[faces[nearest.faces[near]]]
+    places = np.einsum("gc,gcx->gx", nearest.weights[near], corners)
     np.testing.assert_allclose(np.linalg.norm(places - points[near], axis=1), distances[near], atol=1e-5)
-    np.testing.assert_allclose(found.weights[near].sum(axis=1), 1, atol=1e-5)
+    np.testing.assert_allclose(nearest.weights[near].sum(axis=1), 1, atol=1e-5)
 
 
 def test_gaussians_made_on_a_face_stay_on_it(
@@ -270,8 +270,8 @@ def test_importing_clouds_loads_no_compiler() -> None:
     import sys
 
     code = "import sys, dynamictree.formats.cloud_file; print('numba' in sys.modules, 'torch' in sys.modules)"
-    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert io.StringIO(found.stdout).read().strip() == "False False"
+    nearest = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert io.StringIO(nearest.stdout).read().strip() == "False False"
 
 
 def test_a_large_gaussian_hangs_on_the_surface_that_it_reaches_and_the_sky_on_none() -> None:

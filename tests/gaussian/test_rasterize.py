@@ -34,8 +34,8 @@ def camera() -> Camera:
     return Camera.look_at(np.array([0.5, -4.0, 0.7]), np.zeros(3))
 
 
-def decibels(found: np.ndarray, expected: np.ndarray) -> float:
-    return float(-10 * np.log10(max(np.square(found - expected).mean(), 1e-20)))
+def decibels(picture: np.ndarray, expected: np.ndarray) -> float:
+    return float(-10 * np.log10(max(np.square(picture - expected).mean(), 1e-20)))
 
 
 @pytest.mark.parametrize("antialias", [True, False])

@@ -18,7 +18,7 @@ from tests.servers import postgres
 
 @dataclass
 class Clock:
-    """A clock that stands until it is told to move."""
+    """A clock that moves only when a test moves it."""
 
     now: float = 1_000_000.0
 

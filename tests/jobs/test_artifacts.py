@@ -205,8 +205,8 @@ except StorageFullError as error:
     (tmp_path / "disk").mkdir()
     mount = f'mount -t tmpfs -o size=1m tmpfs {tmp_path / "disk"} && exec {sys.executable} -c "$1"'
     command = ["unshare", "--user", "--map-root-user", "--mount", "sh", "-c", mount, "sh", program]
-    told = subprocess.run(command, capture_output=True, text=True, check=False)
-    if "unshare" in told.stderr or "mount" in told.stderr:
-        pytest.skip(f"no mount namespace here: {told.stderr.strip()}")
-    assert told.stdout.startswith("there is no room in the storage: No space left on device"), told.stderr
-    assert told.stdout.endswith("[]\n")
+    output = subprocess.run(command, capture_output=True, text=True, check=False)
+    if "unshare" in output.stderr or "mount" in output.stderr:
+        pytest.skip(f"no mount namespace here: {output.stderr.strip()}")
+    assert output.stdout.startswith("there is no room in the storage: No space left on device"), output.stderr
+    assert output.stdout.endswith("[]\n")

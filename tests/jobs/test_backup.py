@@ -50,12 +50,12 @@ def fill(store: Store, artifacts: FolderArtifacts, folder: Path, owner: str, *, 
     part = _put(store, artifacts, folder, f"{owner}{seed} sent".encode())
     asset = add_asset(theirs, asset_row(part, now=store.clock(), fingerprint=part.sha256))[0]
     job = add_job(theirs, asset)
-    held = claim(store, job.id, 1, owner="w", lease_s=60)
-    assert held is not None
-    made = _put(store, artifacts, folder, f"{owner}{seed} made".encode())
-    file = OutputFile(name="v", media_type="a/b", sha256=made.sha256, bytes=made.bytes)
-    start_stage(store, held, "voxelize")
-    publish_stage(store, held, "voxelize", (file,), key=made.sha256, cached=False, retention_s=1000)
+    lease = claim(store, job.id, 1, owner="w", lease_s=60)
+    assert lease is not None
+    product = _put(store, artifacts, folder, f"{owner}{seed} made".encode())
+    file = OutputFile(name="v", media_type="a/b", sha256=product.sha256, bytes=product.bytes)
+    start_stage(store, lease, "voxelize")
+    publish_stage(store, lease, "voxelize", (file,), key=product.sha256, cached=False, retention_s=1000)
     return job
 
 
@@ -96,9 +96,9 @@ def test_a_restored_state_has_the_same_rows_and_bytes(
         read = scrub(other, elsewhere)
         assert (read.blobs, read.missing, read.different) == (4, (), ())
         assert [other.job(job.id) for job in jobs] == [store.job(job.id) for job in jobs]
-        held = claim(other, add_job(other, read_asset(other, jobs[0].asset_id)).id, 1, owner="w", lease_s=60)
-        assert held is not None  # numbered rows go on where the backup ended
-        assert succeed(other, held) == "succeeded"
+        lease = claim(other, add_job(other, read_asset(other, jobs[0].asset_id)).id, 1, owner="w", lease_s=60)
+        assert lease is not None  # numbered rows go on where the backup ended
+        assert succeed(other, lease) == "succeeded"
         with pytest.raises(ConflictError, match="empty"):
             restore(other, elsewhere, tmp_path / "backup")
     finally:

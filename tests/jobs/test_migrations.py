@@ -62,9 +62,9 @@ def test_old_code_goes_on_with_newer_tables(tmp_path: Path) -> None:
     store = Store.open(url)
     asset = add_asset(store, make_asset(store.clock()))[0]
     job = add_job(store, asset)
-    held = claim(store, job.id, 1, owner="old", lease_s=60)
-    assert held is not None
-    assert succeed(store, held) == "succeeded"
+    lease = claim(store, job.id, 1, owner="old", lease_s=60)
+    assert lease is not None
+    assert succeed(store, lease) == "succeeded"
     store.close()
 
 

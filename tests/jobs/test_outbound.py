@@ -69,19 +69,19 @@ def test_an_address_of_the_world_is_public(address: str) -> None:
     assert is_public(ip_address(address))
 
 
-def known(**names: list[str]) -> "tuple[Outbound, list[str]]":
+def resolver(**names: list[str]) -> "tuple[Outbound, list[str]]":
     """A way out with names of our own, and what it looked up."""
-    asked: list[str] = []
+    lookups: list[str] = []
 
     async def look_up(host: str, port: int) -> list[str]:
-        asked.append(host)
+        lookups.append(host)
         return [names[host.split(".")[0]].pop(0)] if host.split(".")[0] in names else [host]
 
-    return Outbound(look_up=look_up), asked
+    return Outbound(look_up=look_up), lookups
 
 
 def check(url: str, **names: list[str]) -> str:
-    return asyncio.run(known(**names)[0].check(url)).pinned_url
+    return asyncio.run(resolver(**names)[0].check(url)).pinned_url
 
 
 def test_what_is_connected_to_is_what_was_checked() -> None:

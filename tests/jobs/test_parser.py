@@ -1,4 +1,4 @@
-"""What is told of a child that gave no answer."""
+"""The error that reports a child which gave no answer."""
 
 import asyncio
 from pathlib import Path

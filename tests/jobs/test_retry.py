@@ -44,23 +44,23 @@ def test_a_worker_waits_and_a_request_does_not(locked: tuple[Store, sqlite3.Conn
     store.patience_s = 30.0
     began = time.monotonic()
     threading.Timer(0.7, lambda: other.execute("ROLLBACK")).start()
-    held = claim(store, job.id, 1, owner="w", lease_s=60)
-    assert held is not None
+    lease = claim(store, job.id, 1, owner="w", lease_s=60)
+    assert lease is not None
     assert 0.7 <= time.monotonic() - began < 25
 
 
 def test_what_was_committed_may_be_asked_again(store: Store) -> None:
     job = add_job(store, add_asset(store, make_asset(store.clock()))[0], "voxelize")
-    held = claim(store, job.id, 1, owner="w", lease_s=60)
-    assert held is not None
+    lease = claim(store, job.id, 1, owner="w", lease_s=60)
+    assert lease is not None
     again = claim(store, job.id, 1, owner="w", lease_s=60)  # the first answer was lost
     assert again is not None
     assert claim(store, job.id, 1, owner="another", lease_s=60) is None
-    start_stage(store, held, "voxelize")
+    start_stage(store, lease, "voxelize")
     file = OutputFile(name="a", media_type="x/y", sha256="c" * 64, bytes=1)
     for _ in range(2):
-        offer(store, held, "voxelize", (replace(file, name="b"),), retention_s=100)
+        offer(store, lease, "voxelize", (replace(file, name="b"),), retention_s=100)
     for _ in range(2):
-        publish_stage(store, held, "voxelize", (file,), key="k", cached=False, retention_s=100)
+        publish_stage(store, lease, "voxelize", (file,), key="k", cached=False, retention_s=100)
     assert [artifact.name for artifact in store.artifacts_of(job.id)] == ["b", "a"]
-    assert succeed(store, held) == JobState.SUCCEEDED
+    assert succeed(store, lease) == JobState.SUCCEEDED

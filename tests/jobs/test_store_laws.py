@@ -27,8 +27,8 @@ def claim(store: Store, job_id: str, attempt: int = 1, owner: str = "worker-1") 
     return claimed
 
 
-def publish(store: Store, held: Claim) -> None:
-    attempts.publish_stage(store, held, "voxelize", (FILE,), key="k" * 64, cached=False, retention_s=100)
+def publish(store: Store, lease: Claim) -> None:
+    attempts.publish_stage(store, lease, "voxelize", (FILE,), key="k" * 64, cached=False, retention_s=100)
 
 
 def test_every_transition_that_is_not_drawn_is_refused(store: Store, asset: AssetRecord) -> None:
@@ -91,10 +91,10 @@ def test_a_stale_attempt_publishes_nothing(store: Store, asset: AssetRecord, clo
 
 
 def test_a_renewed_lease_is_not_reaped(store: Store, asset: AssetRecord, clock: Clock) -> None:
-    held = claim(store, add_job(store, asset).id)
+    lease = claim(store, add_job(store, asset).id)
     for _ in range(5):
         clock.now += 50
-        attempts.renew(store, held.job.id, 1, owner=held.owner, lease_s=60)
+        attempts.renew(store, lease.job.id, 1, owner=lease.owner, lease_s=60)
         assert maintenance.reap(store, max_lost_attempts=2) == []
 
 
@@ -121,9 +121,9 @@ def test_attempts_are_capped(
 ) -> None:
     job = add_job(store, asset)
     for attempt, stage in enumerate(stages, start=1):
-        held = claim(store, job.id, attempt=attempt)
+        lease = claim(store, job.id, attempt=attempt)
         if stage == "voxelize":
-            attempts.start_stage(store, held, "voxelize")
+            attempts.start_stage(store, lease, "voxelize")
         clock.now += 61
         maintenance.reap(store, max_lost_attempts=2)
     ended = store.job(job.id)
@@ -149,11 +149,11 @@ def test_a_queued_job_is_canceled_at_once(store: Store, asset: AssetRecord) -> N
 
 def test_a_running_job_is_canceled_by_its_worker(store: Store, asset: AssetRecord) -> None:
     job = add_job(store, asset)
-    held = claim(store, job.id)
-    assert not attempts.canceling(store, held)
+    lease = claim(store, job.id)
+    assert not attempts.canceling(store, lease)
     assert store.cancel(job.id).state == JobState.CANCELING
-    assert attempts.canceling(store, held)
-    attempts.finish_cancel(store, held)
+    assert attempts.canceling(store, lease)
+    attempts.finish_cancel(store, lease)
     ended = store.job(job.id)
     assert ended.state == JobState.CANCELED
     assert {stage.state for stage in ended.stages} == {"canceled"}
@@ -162,14 +162,14 @@ def test_a_running_job_is_canceled_by_its_worker(store: Store, asset: AssetRecor
 @pytest.mark.parametrize("way", ["succeed", "fail", "hand-back", "lost"])
 def test_a_cancel_wins_over_the_end(store: Store, asset: AssetRecord, clock: Clock, way: str) -> None:
     job = add_job(store, asset)
-    held = claim(store, job.id)
+    lease = claim(store, job.id)
     store.cancel(job.id)
     if way == "succeed":
-        assert attempts.succeed(store, held) == JobState.CANCELED
+        assert attempts.succeed(store, lease) == JobState.CANCELED
     elif way == "fail":
-        assert attempts.fail(store, held, code="x", message="y") == JobState.CANCELED
+        assert attempts.fail(store, lease, code="x", message="y") == JobState.CANCELED
     elif way == "hand-back":
-        attempts.hand_back(store, held)
+        attempts.hand_back(store, lease)
     else:
         clock.now += 61
         maintenance.reap(store, max_lost_attempts=2)
@@ -257,19 +257,19 @@ def test_what_was_never_there_is_not_found(store: Store) -> None:
 
 def test_the_next_job_reads_what_a_stage_made(store: Store, asset: AssetRecord, clock: Clock) -> None:
     assert attempts.cached_stage(store, "k" * 64) is None
-    held = claim(store, add_job(store, asset).id)
-    attempts.start_stage(store, held, "voxelize")
-    publish(store, held)
+    lease = claim(store, add_job(store, asset).id)
+    attempts.start_stage(store, lease, "voxelize")
+    publish(store, lease)
     publish_again = claim(store, add_job(store, asset).id)
     publish(store, publish_again)
     assert attempts.cached_stage(store, "k" * 64) == (FILE,)
-    assert store.job(held.job.id).stages[0].state == "succeeded"
+    assert store.job(lease.job.id).stages[0].state == "succeeded"
 
 
 def test_an_artifact_expires(store: Store, asset: AssetRecord, clock: Clock) -> None:
-    held = claim(store, add_job(store, asset).id)
-    publish(store, held)
-    artifact = store.artifacts_of(held.job.id)[0]
+    lease = claim(store, add_job(store, asset).id)
+    publish(store, lease)
+    artifact = store.artifacts_of(lease.job.id)[0]
     assert store.artifact(artifact.id) == artifact
     clock.now += 101
     with pytest.raises(GoneError):
@@ -277,12 +277,12 @@ def test_an_artifact_expires(store: Store, asset: AssetRecord, clock: Clock) -> 
 
 
 def test_retention_keeps_what_is_referred_to(store: Store, asset: AssetRecord, clock: Clock) -> None:
-    held = claim(store, add_job(store, asset).id)
+    lease = claim(store, add_job(store, asset).id)
     for digest in ("a" * 64, "b" * 64, FILE.sha256, "d" * 64):
         attempts.touch_blob(store, digest, 5)
-    publish(store, held)
+    publish(store, lease)
     assert maintenance.unreferenced_blobs(store) == []  # all too young
-    attempts.succeed(store, held)
+    attempts.succeed(store, lease)
     clock.now += maintenance.BLOB_GRACE_S + 1
     assert maintenance.unreferenced_blobs(store) == ["d" * 64]
     deleted: list[str] = []
@@ -292,14 +292,14 @@ def test_retention_keeps_what_is_referred_to(store: Store, asset: AssetRecord, c
     with pytest.raises(GoneError):
         read_asset(store, asset.id)
     with pytest.raises(GoneError):
-        store.job(held.job.id)
+        store.job(lease.job.id)
     assert sorted(maintenance.unreferenced_blobs(store)) == ["a" * 64, "b" * 64, FILE.sha256]
 
 
 def test_referenced_bytes_hide_nothing_from_retention(store: Store, clock: Clock) -> None:
-    kept = tuple(AssetPart(name=f"{number}.jpg", sha256=f"{number:064x}", bytes=1) for number in range(5))
-    add_asset(store, asset_row(kept[0], now=clock.now, parts=kept))
-    for digest in (*(part.sha256 for part in kept), "f" * 64):
+    referenced = tuple(AssetPart(name=f"{number}.jpg", sha256=f"{number:064x}", bytes=1) for number in range(5))
+    add_asset(store, asset_row(referenced[0], now=clock.now, parts=referenced))
+    for digest in (*(part.sha256 for part in referenced), "f" * 64):
         attempts.touch_blob(store, digest, 1)
     clock.now += maintenance.BLOB_GRACE_S + 1
     assert maintenance.unreferenced_blobs(store, limit=1) == ["f" * 64]
@@ -342,12 +342,12 @@ def test_jobs_come_newest_first_in_pages(store: Store, asset: AssetRecord) -> No
 
 
 def test_a_final_state_is_written_once(store: Store, asset: AssetRecord) -> None:
-    held = claim(store, add_job(store, asset).id)
-    attempts.succeed(store, held)
+    lease = claim(store, add_job(store, asset).id)
+    attempts.succeed(store, lease)
     with store.writing() as connection:
-        assert not end(connection, held.job.id, JobState.FAILED, now=1.0)
+        assert not end(connection, lease.job.id, JobState.FAILED, now=1.0)
     with pytest.raises(FencedError):
-        attempts.succeed(store, held)
+        attempts.succeed(store, lease)
 
 
 def test_stages_run_what_they_need_upstream() -> None:
@@ -389,8 +389,8 @@ def test_the_place_in_the_queue_counts_turns(store: Store, asset: AssetRecord) -
 def test_a_pause_is_no_crash(store: Store, asset: AssetRecord, clock: Clock) -> None:
     job = add_job(store, asset)
     for attempt in range(1, 6):
-        held = claim(store, job.id, attempt=attempt)
-        attempts.start_stage(store, held, "voxelize")
+        lease = claim(store, job.id, attempt=attempt)
+        attempts.start_stage(store, lease, "voxelize")
         clock.now += 61
         assert maintenance.reap(store, max_lost_attempts=2) == [(job.id, JobState.RUNNING)]
         attempts.report_alive(store, job.id)  # the worker went on, and found its attempt taken

@@ -106,9 +106,9 @@ def test_a_drag_is_the_same_on_finer_steps(system):
 def test_a_constant_force_settles_in_its_equilibrium(spectrum):
     system = modal_system(spectrum, damping_ratio=0.9)
     load = Drag(at=TIP, force_n=(5.0, 0.0, 0.0))
-    held = generalised_force(system, load, dt_s=0.1, num_frames=400)
-    _, end = run(exact_step(system, 0.1), State.at_rest(1, 15), held[:, None] / system.modal_mass)
-    rest = equilibrium(system, held[:1])
+    constant = generalised_force(system, load, dt_s=0.1, num_frames=400)
+    _, end = run(exact_step(system, 0.1), State.at_rest(1, 15), constant[:, None] / system.modal_mass)
+    rest = equilibrium(system, constant[:1])
     np.testing.assert_allclose(end.q, rest.q, atol=1e-9)
     sunk = displacement(system.shapes, rest.q)[0, 39]
     np.testing.assert_allclose(sunk, compliance(system, TIP) @ [5.0, 0.0, 0.0], rtol=1e-4)
@@ -116,16 +116,16 @@ def test_a_constant_force_settles_in_its_equilibrium(spectrum):
 
 def test_a_tree_that_rests_under_its_load_stays(system):
     load = Drag(at=MIDDLE, force_n=(0.0, 0.0, -300.0))
-    held = generalised_force(system, load, dt_s=DT_S, num_frames=60)
-    moved = answer(system, load, num_frames=60, begin=equilibrium(system, held[:1]))
+    constant = generalised_force(system, load, dt_s=DT_S, num_frames=60)
+    moved = answer(system, load, num_frames=60, begin=equilibrium(system, constant[:1]))
     np.testing.assert_allclose(moved, np.broadcast_to(moved[:1], moved.shape), atol=1e-6)
     assert np.abs(moved[0]).max() > 1e-3
 
 
 def test_a_point_fixed_at_a_displacement_rests_there_and_swings_when_released(system):
     hold = Drag(at=TIP, displacement_m=(0.5, -0.3, 0.0), duration_s=0.5)
-    held = generalised_force(system, hold, dt_s=DT_S, num_frames=120)
-    moved = answer(system, hold, num_frames=120, begin=equilibrium(system, held[:1]))[:, 39]
+    constant = generalised_force(system, hold, dt_s=DT_S, num_frames=120)
+    moved = answer(system, hold, num_frames=120, begin=equilibrium(system, constant[:1]))[:, 39]
     softest = np.linalg.eigh(compliance(system, TIP))[1][:, 2]
     np.testing.assert_allclose(moved[:30] @ softest, np.full(30, [0.5, -0.3, 0.0] @ softest), rtol=0.02)
     np.testing.assert_allclose(moved[:30], np.tile(moved[0], (30, 1)), atol=1e-6)
@@ -143,8 +143,8 @@ def test_a_stiff_direction_is_left_out_of_a_drag(spectrum):
 def test_the_state_of_davis_has_his_magnitude_and_phase(system):
     direction = np.array([0.6, 0.8, 0.0])
     moved = system.shapes[39] @ direction
-    held = davis_state(system, Drag(at=TIP, displacement_m=tuple(direction * 7)), gain=0.3)
-    z = held.q[0] - 1j * held.q_dot[0] / system.omega
+    constant = davis_state(system, Drag(at=TIP, displacement_m=tuple(direction * 7)), gain=0.3)
+    z = constant.q[0] - 1j * constant.q_dot[0] / system.omega
     np.testing.assert_allclose(np.abs(z) / np.abs(moved), 0.3 / np.abs(moved).max() ** 2, rtol=1e-5)
     np.testing.assert_allclose(np.angle(z * moved), 0, atol=1e-5)
     struck = davis_state(system, Impulse(at=TIP, impulse_n_s=tuple(direction)), gain=0.3)

@@ -16,9 +16,9 @@ def test_a_rigid_motion_is_found_exactly(rng: np.random.Generator) -> None:
     points, weights = rng.normal(size=(12, 3)), rng.uniform(0.1, 1, 12)
     turn, shift = rotations(rng, 5), rng.normal(size=(5, 3))
     targets = points @ turn.swapaxes(1, 2) + shift[:, None]
-    found_turn, found_shift = _kabsch(points, targets, weights)
-    np.testing.assert_allclose(found_turn, turn, atol=1e-5)
-    np.testing.assert_allclose(found_shift, shift, atol=1e-5)
+    fitted_turn, fitted_shift = _kabsch(points, targets, weights)
+    np.testing.assert_allclose(fitted_turn, turn, atol=1e-5)
+    np.testing.assert_allclose(fitted_shift, shift, atol=1e-5)
 
 
 @pytest.mark.parametrize("count", [1, 2])

@@ -41,17 +41,17 @@ def test_the_grip_is_where_it_was_asked_to_be(forked, vector, share):
     tree, parts = forked
     row = parts["right"][int(share * (len(parts["right"]) - 1))]
     answer = pulled(tree, row, vector)
-    shown = path_of(tree, row, answer)[0]
-    np.testing.assert_allclose(shown, answer.reached[0].reached_m, atol=1e-4)
-    assert np.linalg.norm(shown - vector) < 0.05 * np.linalg.norm(vector)
+    path = path_of(tree, row, answer)[0]
+    np.testing.assert_allclose(path, answer.reached[0].reached_m, atol=1e-4)
+    assert np.linalg.norm(path - vector) < 0.05 * np.linalg.norm(vector)
 
 
 def test_a_pull_along_a_stem_is_not_followed_and_says_so(forked):
     tree, parts = forked
     row = parts["stem"][-1]
     answer = pulled(tree, row, (0.0, 0.0, 0.5))
-    shown = path_of(tree, row, answer)[0]
-    np.testing.assert_allclose(shown, answer.reached[0].reached_m, atol=1e-4)
+    path = path_of(tree, row, answer)[0]
+    np.testing.assert_allclose(path, answer.reached[0].reached_m, atol=1e-4)
     assert answer.reached[0].reached_m[2] < 0.1
 
 

@@ -80,18 +80,18 @@ def test_it_settles(tree):
 def test_a_call_goes_on_where_the_last_one_ended(tree):
     tree, parts = tree
     system = tree.system
-    held = Drag(at=contact_at_voxel(system.grid, int(parts["right"][-1])), force_n=(0.0, 3.0, 0.0), duration_s=0.5)
-    whole = respond(system, group_forces([held], falloff_m=0.5), dt_s=DT_S, num_frames=60)
-    first = respond(system, group_forces([held], falloff_m=0.5), dt_s=DT_S, num_frames=20)
-    later = Drag(at=held.at, force_n=held.force_n, start_s=-20 * DT_S, duration_s=0.5)
+    pull = Drag(at=contact_at_voxel(system.grid, int(parts["right"][-1])), force_n=(0.0, 3.0, 0.0), duration_s=0.5)
+    whole = respond(system, group_forces([pull], falloff_m=0.5), dt_s=DT_S, num_frames=60)
+    first = respond(system, group_forces([pull], falloff_m=0.5), dt_s=DT_S, num_frames=20)
+    later = Drag(at=pull.at, force_n=pull.force_n, start_s=-20 * DT_S, duration_s=0.5)
     second = respond(system, group_forces([later], falloff_m=0.5), dt_s=DT_S, num_frames=40, start=first.final)
     np.testing.assert_allclose(np.concatenate([first.q, second.q]), whole.q, atol=1e-12)
 
 
 def test_an_equilibrium_start_does_not_move_until_it_is_released(tree):
     tree, parts = tree
-    held = Drag(at=contact_at_voxel(tree.system.grid, int(parts["right"][-1])), force_n=(0.0, 3.0, 0.0), duration_s=0.5)
-    answer = respond(tree.system, group_forces([held], falloff_m=0.5), dt_s=DT_S, num_frames=60, start="held")
+    pull = Drag(at=contact_at_voxel(tree.system.grid, int(parts["right"][-1])), force_n=(0.0, 3.0, 0.0), duration_s=0.5)
+    answer = respond(tree.system, group_forces([pull], falloff_m=0.5), dt_s=DT_S, num_frames=60, start="held")
     np.testing.assert_allclose(answer.q[:31], np.broadcast_to(answer.q[:1], answer.q[:31].shape), atol=1e-12)
     assert np.abs(answer.q[35] - answer.q[0]).max() > 1e-3
 
@@ -124,10 +124,10 @@ def test_a_state_of_other_groups_is_refused(tree):
 def test_other_physics_on_the_same_modes_is_the_system_made_with_them(tree):
     spectrum, _ = fork()
     changed = with_physics(tree[0].system, mass_kg=77.0, damping_ratio=0.2)
-    made = modal_system(spectrum, mass_kg=77.0, damping_ratio=0.2)
-    assert changed.modal_mass == made.modal_mass
-    assert np.array_equal(changed.damping_ratio, made.damping_ratio)
-    assert with_physics(changed, mass_kg=None, damping_ratio=0.1).modal_mass == made.modal_mass
+    system = modal_system(spectrum, mass_kg=77.0, damping_ratio=0.2)
+    assert changed.modal_mass == system.modal_mass
+    assert np.array_equal(changed.damping_ratio, system.damping_ratio)
+    assert with_physics(changed, mass_kg=None, damping_ratio=0.1).modal_mass == system.modal_mass
 
 
 def test_nothing_pushed_is_nothing_moved(tree):

@@ -57,15 +57,15 @@ def test_exact_step_is_the_matrix_exponential(spectrum, zeta):
 @pytest.mark.parametrize("zeta", [0.02, 1.3])
 def test_exact_step_agrees_with_scipys_integrator(spectrum, rng, zeta):
     system = modal_system(spectrum, damping_ratio=zeta)
-    held = some_force(system, rng, 12, 1)
+    force = some_force(system, rng, 12, 1)
     begin = some_state(system, rng, 1)
-    frames, end = run(exact_step(system, 0.1), begin, held)
+    frames, end = run(exact_step(system, 0.1), begin, force)
 
     y = np.concatenate([begin.q[0], begin.q_dot[0]])
     for n in range(12):
         np.testing.assert_allclose(frames[n, 0], y[:15], atol=1e-6)
 
-        def rate(_, y, a=held[n, 0]):
+        def rate(_, y, a=force[n, 0]):
             q, v = y[:15], y[15:]
             return np.concatenate([v, a - 2 * zeta * system.omega * v - system.omega**2 * q])
 
@@ -89,11 +89,11 @@ def test_with_no_force_energy_never_grows(spectrum, rng, zeta):
 @pytest.mark.parametrize("make_step", [symplectic_euler_step, explicit_euler_step])
 def test_euler_steps_converge_with_order_one(spectrum, rng, make_step):
     system = modal_system(spectrum, damping_ratio=0.1)
-    begin, held = some_state(system, rng), some_force(system, rng, 1)
-    _, truth = run(exact_step(system, 0.2), begin, held)
+    begin, force = some_state(system, rng), some_force(system, rng, 1)
+    _, truth = run(exact_step(system, 0.2), begin, force)
 
     def error(num_steps):
-        _, end = run(make_step(system, 0.2 / num_steps), begin, np.repeat(held, num_steps, axis=0))
+        _, end = run(make_step(system, 0.2 / num_steps), begin, np.repeat(force, num_steps, axis=0))
         return np.abs(end.q - truth.q).max()
 
     order = np.log2(error(1000) / error(2000))
@@ -101,9 +101,9 @@ def test_euler_steps_converge_with_order_one(spectrum, rng, make_step):
 
 
 def test_exact_step_is_the_same_however_often_it_is_cut(system, rng):
-    begin, held = some_state(system, rng), some_force(system, rng, 1)
-    _, whole = run(exact_step(system, 0.4), begin, held)
-    _, cut = run(exact_step(system, 0.4 / 7), begin, np.repeat(held, 7, axis=0))
+    begin, force = some_state(system, rng), some_force(system, rng, 1)
+    _, whole = run(exact_step(system, 0.4), begin, force)
+    _, cut = run(exact_step(system, 0.4 / 7), begin, np.repeat(force, 7, axis=0))
     np.testing.assert_allclose(cut.q, whole.q, atol=1e-12)
     np.testing.assert_allclose(cut.q_dot, whole.q_dot, atol=1e-10)
 
@@ -112,10 +112,10 @@ def test_exact_step_is_the_same_however_often_it_is_cut(system, rng):
 def test_two_runs_of_n_frames_are_one_run_of_2n(spectrum, rng, integrator):
     system = modal_system(spectrum, damping_ratio=0.3)
     step = STEPS[integrator](system, DT_S)
-    begin, held = some_state(system, rng), some_force(system, rng, 40)
-    whole, whole_end = run(step, begin, held)
-    first, between = run(step, begin, held[:20])
-    second, end = run(step, between, held[20:])
+    begin, force = some_state(system, rng), some_force(system, rng, 40)
+    whole, whole_end = run(step, begin, force)
+    first, between = run(step, begin, force[:20])
+    second, end = run(step, between, force[20:])
     assert np.array_equal(np.concatenate([first, second]), whole)
     assert np.array_equal(end.q, whole_end.q)
 

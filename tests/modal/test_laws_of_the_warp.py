@@ -113,8 +113,8 @@ def test_a_strong_drag_bends_a_grown_tree_and_does_not_stretch_it():
     top = int(np.argmax(voxels.grid.centres_m[:, 2]))
     at = contact_at_voxel(voxels.grid, top)
     softest = np.linalg.eigh(compliance(system, at))[1][:, 2]
-    held = generalised_force(system, Drag(at=at, force_n=tuple(softest.tolist())), dt_s=0.1, num_frames=1)
-    q = equilibrium(system, held).q
+    constant = generalised_force(system, Drag(at=at, force_n=tuple(softest.tolist())), dt_s=0.1, num_frames=1)
+    q = equilibrium(system, constant).q
     q = q * 0.2 * mesh.height_m / np.linalg.norm(displacement(system.shapes, q)[0, top])
 
     bones, interpolation = bones_of(system), smooth(voxels.grid, mesh)

@@ -151,5 +151,5 @@ def test_blender_plays_the_motion_that_the_file_tells(tmp_path: Path) -> None:
     command = [os.environ["BLENDER_PYTHON"], "-c", PLAY, "tree.glb", "places.npy", *map(str, frames)]
     subprocess.run(command, cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(ROOT)}, check=True, timeout=300)
     moved = np.load(tmp_path / "places.npy").reshape(len(frames), -1, 3) - mesh.vertices
-    told = played_morphs((tmp_path / "tree.glb").read_bytes())[list(frames)]
-    np.testing.assert_allclose(moved, told, atol=1e-4)
+    positions = played_morphs((tmp_path / "tree.glb").read_bytes())[list(frames)]
+    np.testing.assert_allclose(moved, positions, atol=1e-4)

@@ -94,7 +94,7 @@ def draw_slowly(leaves: Leaves, camera: Camera, *, width: int, height: int, anti
         away = pixels - centres[g]
         alpha = opacity[g] * torch.exp(-0.5 * torch.einsum("hwi,ij,hwj->hw", away, conics[g], away))
         alpha = torch.where(alpha < MIN_ALPHA, 0.0, alpha).clamp(max=MAX_ALPHA)
-        shown = (alpha * light)[..., None]
-        total = total + shown * torch.cat([colors[g], z[g : g + 1]])
+        visible = (alpha * light)[..., None]
+        total = total + visible * torch.cat([colors[g], z[g : g + 1]])
         light = light * (1 - alpha)
     return torch.cat([total, light[..., None]], dim=-1)

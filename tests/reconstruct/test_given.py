@@ -33,8 +33,8 @@ def write_transforms(folder: Path, orbit: Orbit, *, blender: bool = False, **cha
     for name, camera in zip(names_of(orbit), orbit.cameras, strict=True):
         matrix = np.eye(4)
         matrix[:3] = to_world(camera) * [1, -1, -1, 1]
-        shown = f"./{name.removesuffix('.jpg')}" if blender else name
-        frames.append({"file_path": shown, "transform_matrix": matrix.tolist()})
+        path_in_file = f"./{name.removesuffix('.jpg')}" if blender else name
+        frames.append({"file_path": path_in_file, "transform_matrix": matrix.tolist()})
     lens = {"fl_x": FOCAL, "fl_y": FOCAL, "cx": WIDTH / 2, "cy": HEIGHT / 2, "w": WIDTH, "h": HEIGHT}
     if blender:
         lens = {"camera_angle_x": 2 * np.arctan(0.5 * WIDTH / FOCAL)}
@@ -104,10 +104,10 @@ WRITERS = {
 @pytest.mark.parametrize("name", WRITERS)
 def test_every_format_gives_the_cameras_back(tmp_path, orbit, name):
     WRITERS[name](tmp_path, orbit)
-    found = find_given(tmp_path, sizes_of(orbit))
-    assert found is not None
-    assert [camera.photo for camera in found] == names_of(orbit)
-    for camera, true in zip(found, orbit.cameras, strict=True):
+    given = find_given(tmp_path, sizes_of(orbit))
+    assert given is not None
+    assert [camera.photo for camera in given] == names_of(orbit)
+    for camera, true in zip(given, orbit.cameras, strict=True):
         assert np.allclose(camera.world_to_camera[:, :3], true.world_to_camera, atol=1e-6)
         assert np.allclose(-camera.world_to_camera[:, :3].T @ camera.world_to_camera[:, 3], true.position_m, atol=1e-6)
         assert camera.params[0] == pytest.approx(FOCAL)
@@ -130,12 +130,12 @@ def test_bent_lenses_keep_their_numbers(tmp_path, orbit):
 
 def test_a_scale_in_the_rotation_is_taken_out(tmp_path, orbit):
     path = write_transforms(tmp_path, orbit)
-    told = json.loads(path.read_text())
-    for frame in told["frames"]:
+    document = json.loads(path.read_text())
+    for frame in document["frames"]:
         matrix = np.array(frame["transform_matrix"])
         matrix[:3, :3] *= 2.5
         frame["transform_matrix"] = matrix.tolist()
-    path.write_text(json.dumps(told))
+    path.write_text(json.dumps(document))
     first: GivenCamera = (find_given(tmp_path, sizes_of(orbit)) or ())[0]
     assert np.allclose(first.world_to_camera[:, :3], orbit.cameras[0].world_to_camera, atol=1e-6)
 
@@ -190,9 +190,9 @@ def test_refuses_what_is_no_set_of_cameras(tmp_path, orbit, name):
 
 def test_refuses_a_photo_with_two_cameras_and_cameras_of_other_photos(tmp_path, orbit):
     path = write_transforms(tmp_path, orbit)
-    told = json.loads(path.read_text())
-    told["frames"].append(told["frames"][0])
-    path.write_text(json.dumps(told))
+    document = json.loads(path.read_text())
+    document["frames"].append(document["frames"][0])
+    path.write_text(json.dumps(document))
     with pytest.raises(FormatError, match="names a photo twice"):
         find_given(tmp_path, sizes_of(orbit))
     with pytest.raises(FormatError, match="and no photo that is there"):

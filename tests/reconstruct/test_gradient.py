@@ -74,11 +74,11 @@ def test_gradients_are_autograds_of_the_slow_twin(camera, degree, antialias):
     assert np.abs(picture.detach().numpy() - drawing.picture).max() < 2e-5
     gradient = smooth_noise(rng)
     (picture * torch.tensor(gradient)).sum().backward()
-    found = gradients_of(drawing, gradient)
+    gradients = gradients_of(drawing, gradient)
     for name in FIELDS:
-        true = getattr(leaves, name).grad.numpy().reshape(len(found.table), -1)
+        true = getattr(leaves, name).grad.numpy().reshape(len(gradients.table), -1)
         assert np.abs(true).max() > 1e-3, name
-        assert np.abs(by(found, name) - true).max() < 3e-4 * np.abs(true).max(), name
+        assert np.abs(by(gradients, name) - true).max() < 3e-4 * np.abs(true).max(), name
 
 
 def test_gradients_of_needles_are_autograds_of_the_slow_twin():
@@ -90,11 +90,11 @@ def test_gradients_of_needles_are_autograds_of_the_slow_twin():
     assert np.abs(picture.detach().numpy() - drawing.picture).max() < 1e-4
     gradient = smooth_noise(rng)
     (picture * torch.tensor(gradient)).sum().backward()
-    found = gradients_of(drawing, gradient)
+    gradients = gradients_of(drawing, gradient)
     for name in FIELDS:
-        true = getattr(leaves, name).grad.numpy().reshape(len(found.table), -1)
+        true = getattr(leaves, name).grad.numpy().reshape(len(gradients.table), -1)
         assert np.abs(true).max() > 1e-3, name
-        assert np.abs(by(found, name) - true).max() < 1e-3 * np.abs(true).max(), name
+        assert np.abs(by(gradients, name) - true).max() < 1e-3 * np.abs(true).max(), name
 
 
 def test_gradients_of_needles_are_finite():
@@ -102,8 +102,8 @@ def test_gradients_of_needles_are_finite():
     rng = np.random.default_rng(0)
     values = needles_of(rng, number=20_000, thickness_m=(1e-5, 1e-3))
     drawing = draw(shapes_of(values), CAMERA, width=640, height=480)
-    found = gradients_of(drawing, rng.normal(size=(480, 640, 5)).astype(np.float32))
-    assert np.isfinite(found.table).all()
+    gradients = gradients_of(drawing, rng.normal(size=(480, 640, 5)).astype(np.float32))
+    assert np.isfinite(gradients.table).all()
     assert (drawing.bounds[:, 1] > drawing.bounds[:, 0]).mean() > 0.9
 
 
@@ -124,7 +124,7 @@ def test_gradients_are_finite_differences(rng):
         picture = draw(shapes_of(changed), CAMERA, width=WIDTH, height=HEIGHT).picture
         return float((picture.astype(np.float64) * weights).sum())
 
-    found = gradients_of(draw(shapes_of(values), CAMERA, width=WIDTH, height=HEIGHT), weights)
+    gradients = gradients_of(draw(shapes_of(values), CAMERA, width=WIDTH, height=HEIGHT), weights)
     for name in FIELDS:
         direction = rng.normal(size=values[name].shape)
         if name == "quaternions":  # along the unit sphere
@@ -134,7 +134,7 @@ def test_gradients_are_finite_differences(rng):
         ahead, back = ({**values, name: values[name] + sign * step * direction} for sign in (1, -1))
         slope = (loss(ahead) - loss(back)) / (2 * step)
         # what falls below the least alpha is cut off: a jump that differences see and the gradient does not
-        assert (by(found, name) * direction.reshape(len(direction), -1)).sum() == pytest.approx(
+        assert (by(gradients, name) * direction.reshape(len(direction), -1)).sum() == pytest.approx(
             slope, rel=0.05, abs=0.02
         ), name
 
@@ -154,10 +154,10 @@ def test_what_is_not_seen_has_no_gradient(rng):
     values = leaves_of(rng, number=30)
     behind = np.arange(30) % 2 == 0
     values["means"][behind] += CAMERA.position_m * 2
-    found = gradients_of(draw(shapes_of(values), CAMERA, width=WIDTH, height=HEIGHT), smooth_noise(rng))
+    gradients = gradients_of(draw(shapes_of(values), CAMERA, width=WIDTH, height=HEIGHT), smooth_noise(rng))
     for name in FIELDS:
-        assert not by(found, name)[behind].any()
-        assert by(found, name)[~behind].any()
+        assert not by(gradients, name)[behind].any()
+        assert by(gradients, name)[~behind].any()
 
 
 def test_gradients_do_not_depend_on_the_number_of_threads(rng, monkeypatch):
@@ -184,7 +184,7 @@ def test_light_that_is_used_up_ends_a_tiles_list(rng):
         scales=np.full((number, 3), 2.0, np.float32),
         opacity=np.full(number, 0.9, np.float32),
     )
-    found = gradients_of(draw(flat, CAMERA, width=WIDTH, height=HEIGHT), smooth_noise(rng))
-    assert np.isfinite(found.table).all()
-    assert not found.table[-900:].any()
-    assert found.table[0].any()
+    gradients = gradients_of(draw(flat, CAMERA, width=WIDTH, height=HEIGHT), smooth_noise(rng))
+    assert np.isfinite(gradients.table).all()
+    assert not gradients.table[-900:].any()
+    assert gradients.table[0].any()

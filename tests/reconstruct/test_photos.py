@@ -40,12 +40,12 @@ def declared_png(path: Path, width: int, height: int) -> Path:
 
 def test_photos_keep_their_order_and_are_reduced(tmp_path, eight):
     eight[3] = save_photo(tmp_path / "large.png", (2400, 1200))
-    told = []
-    prepared = prepare_photos(eight, tmp_path / "out", on_photo=lambda done, total: told.append((done, total)))
+    sizes = []
+    prepared = prepare_photos(eight, tmp_path / "out", on_photo=lambda done, total: sizes.append((done, total)))
     assert [photo.source for photo in prepared] == [path.name for path in eight]
     assert (prepared[3].width, prepared[3].height) == (LONG_SIDE_PX, LONG_SIDE_PX // 2)
     assert (prepared[0].width, prepared[0].height) == (400, 300)
-    assert told == [(number, 8) for number in range(9)]
+    assert sizes == [(number, 8) for number in range(9)]
     for photo in prepared:
         with Image.open(tmp_path / "out" / photo.name) as image:
             assert image.format == "JPEG"
@@ -54,7 +54,7 @@ def test_photos_keep_their_order_and_are_reduced(tmp_path, eight):
 
 def test_exif_turns_the_photo_gives_its_focal_length_and_is_left_behind(tmp_path, eight):
     exif = Image.Exif()
-    exif[0x0112] = 6  # the camera was held upright: turn by 90 degrees
+    exif[0x0112] = 6  # the camera stood upright: turn by 90 degrees
     exif.get_ifd(0x8769)[0xA405] = 50  # focal length in 35 mm film
     exif.get_ifd(0x8825)[1] = "N"  # GPS
     eight[0] = save_photo(tmp_path / "turned.jpg", exif=exif)

@@ -29,21 +29,21 @@ from tests.reconstruct.test_given import write_transforms
 pytestmark = pytest.mark.timeout(600)  # half a minute on two free cores; native code that other work may starve
 
 
-def aligned(found: np.ndarray, true: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+def aligned(reconstruction: np.ndarray, true: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
     """Scale, rotation and shift that best take found points to true ones (Umeyama 1991)."""
-    middle_found, middle_true = found.mean(axis=0), true.mean(axis=0)
-    u, sizes, vt = np.linalg.svd((true - middle_true).T @ (found - middle_found))
+    middle_result, middle_true = reconstruction.mean(axis=0), true.mean(axis=0)
+    u, sizes, vt = np.linalg.svd((true - middle_true).T @ (reconstruction - middle_result))
     flip = np.diag([1, 1, np.sign(np.linalg.det(u @ vt))])
     rotation = u @ flip @ vt
-    scale = (sizes * np.diag(flip)).sum() / ((found - middle_found) ** 2).sum()
-    return scale, rotation, middle_true - scale * rotation @ middle_found
+    scale = (sizes * np.diag(flip)).sum() / ((reconstruction - middle_result) ** 2).sum()
+    return scale, rotation, middle_true - scale * rotation @ middle_result
 
 
 OPTIONS = ReconstructOptions(height_m=1.2, schedule=Schedule(num_steps=400, side_px=WIDTH, check_every=100))
 
 
 @pytest.fixture(scope="module")
-def found(orbit: Orbit, tmp_path_factory: pytest.TempPathFactory):
+def reconstruction(orbit: Orbit, tmp_path_factory: pytest.TempPathFactory):
     folder = tmp_path_factory.mktemp("reconstruction")
     shares: list[float] = []
     result = reconstruct(
@@ -53,8 +53,8 @@ def found(orbit: Orbit, tmp_path_factory: pytest.TempPathFactory):
 
 
 @pytest.mark.slow
-def test_the_cameras_are_where_the_photos_were_taken(found, orbit):
-    _, result, _ = found
+def test_the_cameras_are_where_the_photos_were_taken(reconstruction, orbit):
+    _, result, _ = reconstruction
     assert result.report["num_registered"] >= 12
     assert result.report["reprojection_error_px"] < 1
     number = {path.name: row for row, path in enumerate(orbit.photos)}
@@ -68,8 +68,8 @@ def test_the_cameras_are_where_the_photos_were_taken(found, orbit):
 
 
 @pytest.mark.slow
-def test_the_mesh_is_the_thing_without_its_ground(found, orbit):
-    _, result, _ = found
+def test_the_mesh_is_the_thing_without_its_ground(reconstruction, orbit):
+    _, result, _ = reconstruction
     number = {path.name: row for row, path in enumerate(orbit.photos)}
     true_positions = np.array([orbit.cameras[number[view.source]].position_m for view in result.views])
     scale, rotation, shift = aligned(np.array([view.camera.position_m for view in result.views]), true_positions)
@@ -86,8 +86,8 @@ def test_the_mesh_is_the_thing_without_its_ground(found, orbit):
 
 
 @pytest.mark.slow
-def test_files_hold_what_was_found(found, orbit):
-    folder, result, shares = found
+def test_files_hold_what_was_found(reconstruction, orbit):
+    folder, result, shares = reconstruction
     names = ["cameras.json", "mesh.ply", "report.json", "report.png", "scene.ply", "splat.ply"]
     assert sorted(path.name for path in folder.iterdir()) == names
     mesh = read_mesh(io.BytesIO((folder / "mesh.ply").read_bytes()), file_type="ply", up_axis="+Z", unit_m=1.0)
@@ -112,8 +112,8 @@ def test_files_hold_what_was_found(found, orbit):
 
 
 @pytest.mark.slow
-def test_held_out_photos_are_shown_better_than_by_one_colour(found):
-    _, result, _ = found
+def test_held_out_photos_are_shown_better_than_by_one_colour(reconstruction):
+    _, result, _ = reconstruction
     report = result.report
     assert len(report["held_out"]) == 2
     assert not set(report["held_out"]) & set(report["left_out"])
@@ -122,8 +122,8 @@ def test_held_out_photos_are_shown_better_than_by_one_colour(found):
 
 
 @pytest.mark.slow
-def test_the_splat_is_the_thing_without_its_ground(found):
-    _, result, _ = found
+def test_the_splat_is_the_thing_without_its_ground(reconstruction):
+    _, result, _ = reconstruction
     assert 300 < result.splat.num_gaussians < result.scene.num_gaussians
     distance = cKDTree(result.mesh.vertices).query(result.splat.means)[0]
     assert distance.max() < 0.1

@@ -17,6 +17,6 @@ def test_the_mesh_is_shown_at_the_size_of_the_splats_picture(orbit, size):
     """A splat learned at 160 pixels of photos of 400: the mesh was rendered at 400, and no report was written."""
     height, width = size
     row = comparison_row(orbit.stump, orbit.cameras[0], np.zeros((height, 2 * width, 3), np.uint8))
-    shown_height = min(height, 480)
-    assert row.shape == (shown_height, 3 * min(width, 640), 3)
+    visible_height = min(height, 480)
+    assert row.shape == (visible_height, 3 * min(width, 640), 3)
     assert row[:, 2 * min(width, 640) :].any()

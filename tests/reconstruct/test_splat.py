@@ -52,8 +52,8 @@ def test_a_splat_learns_to_show_photos_that_it_was_not_shown(orbit, rng):
 def test_where_photos_are_cut_out_nothing_is_left(orbit, rng):
     fit = fit_splat(small_model(orbit, rng, cut=True), None, replace(SMALL, num_steps=120))
     for pair in fit.pictures:
-        shown = pair[:, 120:].astype(float)
-        assert shown[:, :24].mean() < 0.25 * shown[:, 36:84].mean()
+        blue_half = pair[:, 120:].astype(float)
+        assert blue_half[:, :24].mean() < 0.25 * blue_half[:, 36:84].mean()
 
 
 def test_a_run_that_was_stopped_goes_on_to_the_same_end(orbit, rng, tmp_path):
@@ -87,8 +87,8 @@ def test_a_checkpoint_is_read_as_it_was_written(rng, tmp_path):
     )
     save_progress(progress, tmp_path / "a.npz")
     read = load_progress(tmp_path / "a.npz")
-    for found, true in ((read.table, table), (read.moments.first, table + 1), (read.moments.second, table + 2)):
-        assert np.array_equal(found, true)
+    for restored, true in ((read.table, table), (read.moments.first, table + 1), (read.moments.second, table + 2)):
+        assert np.array_equal(restored, true)
     assert (read.step, read.moments.num_steps, read.num_discarded, read.best_psnr) == (9, 7, 3, 21.5)
     assert read.checks == progress.checks
     assert np.array_equal(read.result, table[:2])
@@ -97,7 +97,7 @@ def test_a_checkpoint_is_read_as_it_was_written(rng, tmp_path):
 def test_the_loss_and_its_gradient_are_torchs(rng):
     picture = rng.random((3, 37, 29)).astype(np.float32)
     photo = np.clip(picture + 0.1 * rng.normal(size=picture.shape), 0, 1).astype(np.float32)
-    found = picture_loss(picture, photo)
+    restored = picture_loss(picture, photo)
     x = torch.tensor(picture.astype(np.float64), requires_grad=True)
     y = torch.tensor(photo.astype(np.float64))
     line = torch.exp(-0.5 * (torch.arange(-5, 6, dtype=torch.float64) / 1.5) ** 2)
@@ -111,8 +111,8 @@ def test_the_loss_and_its_gradient_are_torchs(rng):
     similarity = (2 * mx * my + 1e-4) * (2 * sxy + 9e-4) / ((mx * mx + my * my + 1e-4) * (sx + sy + 9e-4))
     loss = 0.8 * (x - y).abs().mean() + 0.2 * (1 - similarity.mean())
     loss.backward()
-    assert found.value == pytest.approx(loss.item(), rel=1e-5)
-    assert np.abs(found.gradient - x.grad.numpy()).max() < 1e-4 * np.abs(x.grad.numpy()).max()
+    assert restored.value == pytest.approx(loss.item(), rel=1e-5)
+    assert np.abs(restored.gradient - x.grad.numpy()).max() < 1e-4 * np.abs(x.grad.numpy()).max()
     assert psnr(picture, picture + np.float32(0.1)) == pytest.approx(20, abs=1e-3)
 
 
@@ -149,9 +149,9 @@ def test_a_gradient_that_is_not_finite_moves_nothing(rng, value):
 
 def test_gaussians_without_a_finite_gradient_are_discarded_and_counted(orbit, rng, monkeypatch):
     def with_nan(drawing, gradient, *, width):
-        found = gradients_of(drawing, gradient, width=width)
-        found.table[:2, 0] = np.nan
-        return found
+        restored = gradients_of(drawing, gradient, width=width)
+        restored.table[:2, 0] = np.nan
+        return restored
 
     monkeypatch.setattr("dynamictree.reconstruct.optimise.gradients_of", with_nan)
     fit = fit_splat(small_model(orbit, rng), None, replace(SMALL, num_steps=20))
@@ -207,14 +207,14 @@ def test_the_trees_own_gaussians_lie_on_its_mesh(rng):
     assert chosen.tolist() == [True, True, False, False]
 
 
-@pytest.mark.parametrize(("number", "held"), [(14, [3, 10]), (5, [1, 3]), (32, [4, 12, 20, 28])])
-def test_photos_are_held_out_all_along_the_walk(number, held):
-    assert held_out_views(number) == held
+@pytest.mark.parametrize(("number", "expected"), [(14, [3, 10]), (5, [1, 3]), (32, [4, 12, 20, 28])])
+def test_photos_are_held_out_all_along_the_walk(number, expected):
+    assert held_out_views(number) == expected
 
 
 def test_points_are_thinned_evenly_in_space(rng):
     points = np.concatenate([rng.normal(scale=0.01, size=(5000, 3)), rng.uniform(-1, 1, (500, 3))])
-    kept = thinned(points, 300, rng)
-    assert 200 < len(kept) <= 300
-    assert (kept < 5000).sum() < 30
+    thinned_points = thinned(points, 300, rng)
+    assert 200 < len(thinned_points) <= 300
+    assert (thinned_points < 5000).sum() < 30
     assert len(thinned(points[:100], 300, rng)) == 100

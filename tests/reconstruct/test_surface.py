@@ -142,9 +142,9 @@ def together(*surfaces: Surface) -> Surface:
 
 def test_pieces_that_are_near_stay_and_far_ones_and_specks_go():
     trunk, twig, speck, rock = strip(0, 100, 0), strip(52, 30, 2), strip(20, 5, 1), strip(200, 60, 0)
-    kept = main_cluster(together(trunk, twig, speck, rock), gap=3.0)
-    assert np.array_equal(kept.vertices, np.concatenate([trunk.vertices, twig.vertices]))
-    assert len(kept.faces) == 130
+    cluster = main_cluster(together(trunk, twig, speck, rock), gap=3.0)
+    assert np.array_equal(cluster.vertices, np.concatenate([trunk.vertices, twig.vertices]))
+    assert len(cluster.faces) == 130
     assert len(main_cluster(together(trunk, twig, rock), gap=0.6).faces) == 100
     assert len(main_cluster(speck, gap=3.0).faces) == 0
 

@@ -26,11 +26,11 @@ def test_a_camera_that_goes_around_stays_as_far(rng: np.random.Generator) -> Non
 
 
 @pytest.mark.parametrize(
-    ("options", "found"),
+    ("options", "message"),
     [({"side_px": 63}, "side_px is 63"), ({"azimuth_deg": 400.0}, "azimuth"), ({"elevation_deg": 85.0}, "elevation")],
 )
-def test_a_shot_out_of_bounds_is_reported(options: dict[str, float], found: str) -> None:
-    with pytest.raises(InputError, match=found):
+def test_a_shot_out_of_bounds_is_reported(options: dict[str, float], message: str) -> None:
+    with pytest.raises(InputError, match=message):
         Shot(**options)  # type: ignore[arg-type]
 
 

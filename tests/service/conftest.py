@@ -12,7 +12,7 @@ from jobs.settings import Settings
 from jobs.states import JobType
 from service.app import create_app
 from service.services import Services
-from tests.rows import asset_row, kept
+from tests.rows import asset_row, stored_part
 
 
 @pytest.fixture
@@ -48,16 +48,16 @@ def asset(services: Services) -> AssetRecord:
 
 def hold(services: Services, job_id: str) -> Claim:
     """Claim a job as a worker does."""
-    held = claim(services.store, job_id, 1, owner="test", lease_s=60)
-    assert held is not None
-    return held
+    lease = claim(services.store, job_id, 1, owner="test", lease_s=60)
+    assert lease is not None
+    return lease
 
 
-def publish(services: Services, held: Claim, stage: JobType, name: str, content: bytes) -> None:
+def publish(services: Services, lease: Claim, stage: JobType, name: str, content: bytes) -> None:
     """Publish one file of a stage as a worker does."""
     path = services.settings.state_dir / name
     path.write_bytes(content)
-    part = kept(services.artifacts, path)
+    part = stored_part(services.artifacts, path)
     file = OutputFile(name=name, media_type="application/octet-stream", sha256=part.sha256, bytes=part.bytes)
-    start_stage(services.store, held, stage)
-    publish_stage(services.store, held, stage, (file,), key=part.sha256, cached=False, retention_s=1000)
+    start_stage(services.store, lease, stage)
+    publish_stage(services.store, lease, stage, (file,), key=part.sha256, cached=False, retention_s=1000)

@@ -14,7 +14,7 @@ from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.assets import add_asset
 from jobs.attempts import succeed
 from service.services import Services
-from tests.rows import asset_row, job_row, kept
+from tests.rows import asset_row, job_row, stored_part
 from tests.service.conftest import hold, publish
 
 ASSET_ID = "01ARZ3NDEKTSV4RRFFQ69G5FAV"
@@ -35,17 +35,17 @@ def spectrum_id(client: TestClient, services: Services, grown, spectrum: SparseV
     bundle = tmp_path / "mesh.safetensors"
     with bundle.open("wb") as stream:
         write_mesh_bundle(grown.mesh, stream)
-    part = kept(services.artifacts, bundle)
+    part = stored_part(services.artifacts, bundle)
     now = services.store.clock()
     row = asset_row(part, now=now, id=ASSET_ID, expires_at=now + 500)
     job = job_row(add_asset(services.store, row)[0], now=now)
     services.store.add_job(job, stages=("voxelize", "diffuse"))
-    held = hold(services, job.id)
-    publish(services, held, "voxelize", "tree.voxels.safetensors", b"voxels")
+    lease = hold(services, job.id)
+    publish(services, lease, "voxelize", "tree.voxels.safetensors", b"voxels")
     file = io.BytesIO()
     write_spectrum(spectrum, file, dtype="float32")
-    publish(services, held, "diffuse", "tree.spectrum.safetensors", file.getvalue())
-    succeed(services.store, held)
+    publish(services, lease, "diffuse", "tree.spectrum.safetensors", file.getvalue())
+    succeed(services.store, lease)
     return str(client.get(f"/v1/jobs/{job.id}").json()["result"]["spectrum_id"])
 
 

@@ -33,7 +33,7 @@ def test_the_whole_file_comes_with_its_hash(client: TestClient, url: str) -> Non
 
 
 @pytest.mark.parametrize(
-    ("asked", "part"),
+    ("range_header", "part"),
     [
         ("bytes=0-0", slice(0, 1)),
         ("bytes=100-1999999", slice(100, 2_000_000)),
@@ -42,23 +42,23 @@ def test_the_whole_file_comes_with_its_hash(client: TestClient, url: str) -> Non
         ("bytes=0-99999999999", slice(0, None)),
     ],
 )
-def test_a_range_gives_those_bytes(client: TestClient, url: str, asked: str, part: slice) -> None:
-    response = client.get(url, headers={"Range": asked})
+def test_a_range_gives_those_bytes(client: TestClient, url: str, range_header: str, part: slice) -> None:
+    response = client.get(url, headers={"Range": range_header})
     assert response.status_code == 206
     assert response.content == CONTENT[part]
     start = part.indices(len(CONTENT))[0]
     assert response.headers["Content-Range"] == f"bytes {start}-{start + len(response.content) - 1}/{len(CONTENT)}"
 
 
-@pytest.mark.parametrize("asked", ["bytes=0-1,5-6", "bytes=5-1", "lines=1-2", "bytes=-", "bytes=x-y"])
-def test_what_is_no_single_range_gives_the_whole(client: TestClient, url: str, asked: str) -> None:
-    response = client.get(url, headers={"Range": asked})
+@pytest.mark.parametrize("range_header", ["bytes=0-1,5-6", "bytes=5-1", "lines=1-2", "bytes=-", "bytes=x-y"])
+def test_what_is_no_single_range_gives_the_whole(client: TestClient, url: str, range_header: str) -> None:
+    response = client.get(url, headers={"Range": range_header})
     assert (response.status_code, len(response.content)) == (200, len(CONTENT))
 
 
-@pytest.mark.parametrize("asked", [f"bytes={len(CONTENT)}-", "bytes=-0", "bytes=9999999999999999999999-"])
-def test_a_range_past_the_end_is_refused(client: TestClient, url: str, asked: str) -> None:
-    response = client.get(url, headers={"Range": asked})
+@pytest.mark.parametrize("range_header", [f"bytes={len(CONTENT)}-", "bytes=-0", "bytes=9999999999999999999999-"])
+def test_a_range_past_the_end_is_refused(client: TestClient, url: str, range_header: str) -> None:
+    response = client.get(url, headers={"Range": range_header})
     assert (response.status_code, response.json()["code"]) == (416, "range-not-satisfiable")
     assert response.headers["Content-Range"] == f"bytes */{len(CONTENT)}"
 

@@ -57,9 +57,9 @@ def test_a_mesh_becomes_an_asset(client: TestClient, services: Services) -> None
     assert asset["summary"]["extent_m"] == [2.0, 2.0, 4.0]
     assert [part["name"] for part in asset["parts"]] == ["tree.obj", "tree.mtl"]
     assert client.get(response.headers["Location"]).json() == asset
-    kept = read_asset(services.store, asset["id"]).prepared
-    assert kept is not None
-    mesh = read_mesh_bundle(io.BytesIO(b"".join(services.artifacts.read(kept.sha256))))
+    prepared = read_asset(services.store, asset["id"]).prepared
+    assert prepared is not None
+    mesh = read_mesh_bundle(io.BytesIO(b"".join(services.artifacts.read(prepared.sha256))))
     assert mesh.materials[0].name == "bark"
     assert left_behind(services) == []
 

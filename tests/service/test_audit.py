@@ -30,24 +30,24 @@ def test_changes_and_refused_keys_are_written(settings: Settings) -> None:
         assert client.get("/v1/jobs", headers=headers).status_code == 200
         assert all_keys(store)[0].last_used_at == pytest.approx(store.clock(), abs=60)
         body = {"url": "http://127.0.0.1:1/hook", "events": []}
-        made = client.post("/v1/webhook-endpoints", json=body, headers=headers | {"X-Request-Id": "mine"})
-        assert made.status_code == 201, made.text
-        assert client.delete(f"/v1/webhook-endpoints/{made.json()['id']}", headers=headers).status_code == 204
+        response = client.post("/v1/webhook-endpoints", json=body, headers=headers | {"X-Request-Id": "mine"})
+        assert response.status_code == 201, response.text
+        assert client.delete(f"/v1/webhook-endpoints/{response.json()['id']}", headers=headers).status_code == 204
         assert client.post("/v1/jobs", json={}, headers={"Authorization": "Bearer dt_wrong"}).status_code == 401
     created, deleted, refused = _events(settings.state_dir)
     assert (created["actor"], created["owner"], created["outcome"]) == (record.id, "ann", "201")
     assert (created["action"], created["request_id"]) == ("POST /v1/webhook-endpoints", "mine")
-    assert deleted["target"].endswith(made.json()["id"])
+    assert deleted["target"].endswith(response.json()["id"])
     assert (refused["actor"], refused["outcome"]) == ("anyone", "401")
     text = (settings.state_dir / "audit" / "audit.jsonl").read_text()
     assert key not in text
-    assert made.json()["secret"] not in text
+    assert response.json()["secret"] not in text
     assert (settings.state_dir / "audit" / "audit.jsonl").stat().st_mode & 0o777 == 0o600
 
 
 def test_operators_are_written_too(tmp_path: Path) -> None:
-    made = CliRunner().invoke(keys, ["create", "me", "--state-dir", str(tmp_path), "--json", "--expires-days", "1"])
-    key = json.loads(made.stdout)
+    response = CliRunner().invoke(keys, ["create", "me", "--state-dir", str(tmp_path), "--json", "--expires-days", "1"])
+    key = json.loads(response.stdout)
     assert CliRunner().invoke(keys, ["revoke", key["id"], "--state-dir", str(tmp_path)]).exit_code == 0
     listed = json.loads(CliRunner().invoke(keys, ["list", "--state-dir", str(tmp_path), "--json"]).stdout)
     assert listed[0]["last_used_at"] is None

@@ -86,8 +86,8 @@ def test_what_others_own_is_not_there(app_services: tuple[TestClient, Services])
     assert own.json()["id"] != asset["id"]
     body = {"type": "voxelize", "asset_id": asset["id"]}
     job = ann.post("/v1/jobs", json=body, headers={"Idempotency-Key": "k"}).json()
-    held = hold(services, job["id"])
-    publish(services, held, "voxelize", "tree.spectrum.safetensors", b"no spectrum")
+    lease = hold(services, job["id"])
+    publish(services, lease, "voxelize", "tree.spectrum.safetensors", b"no spectrum")
     artifact = ann.get(f"/v1/jobs/{job['id']}/artifacts").json()["artifacts"][0]["id"]
     upload = ann.post("/v1/uploads", headers=TUS | {"Upload-Length": "5"}).headers["Location"]
     hook = ann.post("/v1/webhook-endpoints", json={"url": "https://203.0.113.9/", "events": []})
@@ -114,7 +114,7 @@ def test_what_others_own_is_not_there(app_services: tuple[TestClient, Services])
     assert bob.post("/v1/jobs", json=body).status_code == 404
     mine = bob.post("/v1/jobs", json=body | {"asset_id": own.json()["id"]}, headers={"Idempotency-Key": "k"})
     assert mine.status_code == 202
-    assert [found["id"] for found in bob.get("/v1/jobs").json()["data"]] == [mine.json()["id"]]
+    assert [listed["id"] for listed in bob.get("/v1/jobs").json()["data"]] == [mine.json()["id"]]
     assert bob.get("/v1/usage").json()["active_jobs"] == 1
     assert keyed(app_services, "ann").get(f"/v1/jobs/{job['id']}").status_code == 200
 
@@ -140,9 +140,9 @@ def test_a_key_has_a_rate_and_its_responses_state_it(app_services: tuple[TestCli
     ann = keyed(app_services, "ann", reads_per_min=3)
     left = []
     for _ in range(3):
-        told = ann.get("/v1/limits")
-        assert told.headers["RateLimit-Policy"] == '"reads";q=3;w=60'
-        left.append(told.headers["RateLimit"].split(";")[1])
+        response = ann.get("/v1/limits")
+        assert response.headers["RateLimit-Policy"] == '"reads";q=3;w=60'
+        left.append(response.headers["RateLimit"].split(";")[1])
     assert left == ["r=2", "r=1", "r=0"]
     over = ann.get("/v1/limits")
     assert (over.status_code, over.json()["code"]) == (429, "rate-limited")
@@ -178,11 +178,11 @@ def test_without_keys_only_this_machine_comes_in(
 def test_a_page_of_an_allowed_origin_may_call(settings: Settings) -> None:
     app = create_app(settings.model_copy(update={"cors_origins": ("https://forest.example",)}))
     client = TestClient(app, "http://localhost")
-    asked = {"Origin": "https://forest.example", "Access-Control-Request-Method": "PATCH"}
-    preflight = client.options("/v1/uploads/x", headers=asked)
+    headers = {"Origin": "https://forest.example", "Access-Control-Request-Method": "PATCH"}
+    preflight = client.options("/v1/uploads/x", headers=headers)
     assert preflight.headers["Access-Control-Allow-Origin"] == "https://forest.example"
-    told = client.get("/v1/presets", headers={"Origin": "https://forest.example"})
-    assert "Upload-Offset" in told.headers["Access-Control-Expose-Headers"]
+    response = client.get("/v1/presets", headers={"Origin": "https://forest.example"})
+    assert "Upload-Offset" in response.headers["Access-Control-Expose-Headers"]
     assert "Access-Control-Allow-Origin" not in client.get("/livez", headers={"Origin": "https://evil.example"}).headers
     assert client.get("/v1/presets", headers={"Origin": "https://evil.example"}).status_code == 403
 

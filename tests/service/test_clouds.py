@@ -54,7 +54,7 @@ def mask_of(values: np.ndarray) -> bytes:
     return stream.getvalue()
 
 
-def kept(services: Services, asset_id: str) -> Capture:
+def stored_capture(services: Services, asset_id: str) -> Capture:
     prepared = read_asset(services.store, asset_id).prepared
     assert prepared is not None
     return read_cloud_bundle(BytesIO(b"".join(services.artifacts.read(prepared.sha256))))
@@ -67,7 +67,7 @@ def test_a_splat_becomes_an_asset(client: TestClient, services: Services) -> Non
     asset = response.json()
     assert (asset["kind"], asset["summary"]["num_gaussians"], asset["summary"]["sh_degree"]) == ("cloud", 400, 1)
     assert asset["summary"]["source_up_axis"] == "-Y"
-    np.testing.assert_allclose(kept(services, asset["id"]).cloud.means, cloud.means, atol=1e-6)
+    np.testing.assert_allclose(stored_capture(services, asset["id"]).cloud.means, cloud.means, atol=1e-6)
     again = send(client, ("tree.ply", ply_of(cloud)))
     assert (again.status_code, again.json()["id"], again.json()["kind"]) == (200, asset["id"], "cloud")
     assert left_behind(services) == []
@@ -84,7 +84,7 @@ def test_mask_and_mesh_come_with_a_splat(client: TestClient, services: Services)
     for sent in (files, (("all.zip", zipped(*files)),)):
         asset = send(client, *sent).json()
         assert (asset["kind"], asset["summary"]["num_movable"]) == ("cloud", 300)
-        capture = kept(services, asset["id"])
+        capture = stored_capture(services, asset["id"])
         assert capture.mesh is not None
         np.testing.assert_allclose(capture.mesh.vertices, mesh.vertices, atol=1e-4)
         np.testing.assert_array_equal(capture.mask, mask)
@@ -127,11 +127,11 @@ BAD_CLOUDS = {
 
 @pytest.mark.parametrize("what", ["properties missing", "fifty million", "not finite", "nothing visible", "SOG"])
 def test_a_bad_cloud_is_refused_and_nothing_stays(client: TestClient, services: Services, what: str) -> None:
-    name, content, status, found = BAD_CLOUDS[what]
+    name, content, status, message = BAD_CLOUDS[what]
     response = send(client, (name, content))
     assert response.status_code == status, response.text
     assert response.headers["content-type"] == "application/problem+json"
-    assert found in response.json()["detail"]
+    assert message in response.json()["detail"]
     assert left_behind(services) == []
 
 
@@ -180,9 +180,9 @@ def test_a_mesh_has_no_points(client: TestClient, asset: AssetRecord) -> None:
 def test_the_size_of_a_sequence_is_stated_before_it_is_made(client: TestClient, cloud_id: str) -> None:
     params = {"formats": ["splat-ply"], "num_frames": 10, "loop": False, "share": 0.5, "sh_degree": 0}
     body = {"type": "animate", "asset_id": cloud_id, "params": params}
-    told = client.post("/v1/jobs?validate_only=true", json=body).json()
+    estimate = client.post("/v1/jobs?validate_only=true", json=body).json()
     header = len(ply_of(post_cloud(200)).split(b"end_header\n")[0]) + len(b"end_header\n")
-    assert told["format_bytes"]["splat-ply"] == pytest.approx(10 * (200 * 68 + header), rel=0.02)
+    assert estimate["format_bytes"]["splat-ply"] == pytest.approx(10 * (200 * 68 + header), rel=0.02)
 
 
 def test_what_does_not_fit_is_refused_when_asked(

@@ -39,7 +39,7 @@ def test_the_doctor_tells_what_is_there(tmp_path: Path) -> None:
 )
 def test_the_doctor_tells_what_is_not(tmp_path: Path, name: str, changes: dict[str, object]) -> None:
     settings = Settings(**{"state_dir": tmp_path, **changes})  # type: ignore[arg-type]
-    finding = next(found for found in examine(settings) if found.name == name)
+    finding = next(result for result in examine(settings) if result.name == name)
     assert finding.verdict == "error"
     assert "secret" not in finding.detail.replace("***", "")
 
@@ -87,10 +87,10 @@ def test_connections_do_not_wait_for_acknowledgements() -> None:
 
 
 def test_a_state_folder_has_one_owner(tmp_path: Path) -> None:
-    held = LockedFile(tmp_path / "serve.lock")
+    lease = LockedFile(tmp_path / "serve.lock")
     with pytest.raises(OSError, match="in use"):
         LockedFile(tmp_path / "serve.lock")
-    held.close()
+    lease.close()
     LockedFile(tmp_path / "serve.lock").close()
 
 
@@ -115,19 +115,30 @@ def test_nobody_else_is_let_in_without_a_key(tmp_path: Path, monkeypatch: pytest
 
 def test_a_key_is_made_shown_once_listed_and_revoked(tmp_path: Path) -> None:
     at = ["--state-dir", str(tmp_path / "state")]
-    asked = ["create", "farm", "--owner", "ann", "--scope", "read", "--limit", "reads_per_min=5", "--expires-days", "1"]
-    made = CliRunner().invoke(keys, [*asked, *at, "--json"])
-    key = json.loads(made.stdout)
+    arguments = [
+        "create",
+        "farm",
+        "--owner",
+        "ann",
+        "--scope",
+        "read",
+        "--limit",
+        "reads_per_min=5",
+        "--expires-days",
+        "1",
+    ]
+    created = CliRunner().invoke(keys, [*arguments, *at, "--json"])
+    key = json.loads(created.stdout)
     listed = CliRunner().invoke(keys, ["list", *at, "--json"]).stdout
     assert key["key"] not in listed
-    (told,) = json.loads(listed)
-    assert (told["id"], told["owner"], told["scopes"], told["limits"]) == (
+    (listed_key,) = json.loads(listed)
+    assert (listed_key["id"], listed_key["owner"], listed_key["scopes"], listed_key["limits"]) == (
         key["id"],
         "ann",
         ["read"],
         {"reads_per_min": 5},
     )
-    assert told["valid"]
+    assert listed_key["valid"]
     plain = CliRunner().invoke(keys, ["create", "other", *at])
     assert plain.stdout.startswith("dt_")
     assert CliRunner().invoke(keys, ["revoke", key["id"], *at]).exit_code == 0

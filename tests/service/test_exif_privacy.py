@@ -1,4 +1,4 @@
-"""A photo that is kept tells no place, and is the same picture."""
+"""A stored photo contains no place and is the same picture."""
 
 from hashlib import sha256
 from pathlib import Path

@@ -13,11 +13,11 @@ FACTS = {"num_targets": 8, "rms_error_m": 0.0086, "max_error_m": 0.091}
 
 def test_facts_reach_the_manifest_and_the_cache(client: TestClient, asset: AssetRecord, services: Services) -> None:
     job = create(client, asset)
-    held = hold(services, str(job["id"]))
-    told = OutputFile(name="a.glb", media_type="model/gltf-binary", sha256="a" * 64, bytes=1, facts=FACTS)
+    lease = hold(services, str(job["id"]))
+    output = OutputFile(name="a.glb", media_type="model/gltf-binary", sha256="a" * 64, bytes=1, facts=FACTS)
     silent = OutputFile(name="b.glb", media_type="model/gltf-binary", sha256="b" * 64, bytes=1)
-    start_stage(services.store, held, "voxelize")
-    publish_stage(services.store, held, "voxelize", (told, silent), key="k" * 64, cached=False, retention_s=1000)
+    start_stage(services.store, lease, "voxelize")
+    publish_stage(services.store, lease, "voxelize", (output, silent), key="k" * 64, cached=False, retention_s=1000)
     manifest = client.get(f"/v1/jobs/{job['id']}/artifacts").json()
     assert {artifact["name"]: artifact["facts"] for artifact in manifest["artifacts"]} == {"a.glb": FACTS, "b.glb": {}}
-    assert cached_stage(services.store, "k" * 64) == (told, silent)
+    assert cached_stage(services.store, "k" * 64) == (output, silent)

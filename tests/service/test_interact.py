@@ -33,20 +33,20 @@ def coordinates(group: dict) -> np.ndarray:
 
 def test_the_answer_is_the_librarys(client: TestClient, spectrum_id: str, spectrum: SparseVoxelSpectrum) -> None:
     force = {"kind": "drag", "at": {"voxel": 40}, "force_n": [0.0, 20.0, 0.0], "start_s": 0.05, "duration_s": 0.2}
-    told = post(
+    payload = post(
         client, spectrum_id, force, mass_kg=80.0, damping_ratio=0.1, dt_s=0.02, num_frames=30, falloff_m=0.9
     ).json()
     drag = Drag(at=contact_at_voxel(spectrum.grid, 40), force_n=(0.0, 20.0, 0.0), start_s=0.05, duration_s=0.2)
     system = modal_system(spectrum, mass_kg=80.0, damping_ratio=0.1)
     answer = respond(system, group_forces([drag], falloff_m=0.9), dt_s=0.02, num_frames=30)
-    q = coordinates(told["groups"][0])
+    q = coordinates(payload["groups"][0])
     assert q.shape == (30, 16)
     assert not q[:, 0].any()
     np.testing.assert_allclose(q[:, 1:], answer.q[:, 0], rtol=1e-9)
-    assert told["groups"][0]["locality"] == {"seed_voxel": 40, "falloff_m": 0.9}
-    assert told["modal_mass_kg_m2"] == pytest.approx(system.modal_mass)
-    np.testing.assert_allclose(told["frequencies_hz"][1:], system.omega / (2 * np.pi))
-    assert told["damping_ratio"] == 0.1
+    assert payload["groups"][0]["locality"] == {"seed_voxel": 40, "falloff_m": 0.9}
+    assert payload["modal_mass_kg_m2"] == pytest.approx(system.modal_mass)
+    np.testing.assert_allclose(payload["frequencies_hz"][1:], system.omega / (2 * np.pi))
+    assert payload["damping_ratio"] == 0.1
 
 
 def test_state_in_and_state_out_join_calls(client: TestClient, spectrum_id: str, poke: dict) -> None:
@@ -68,12 +68,12 @@ def test_the_same_request_gives_the_same_bytes(client: TestClient, spectrum_id: 
 
 @pytest.mark.parametrize("media_type", ["application/vnd.safetensors", "application/x-npz"])
 def test_binary_and_json_say_the_same(client: TestClient, spectrum_id: str, poke: dict, media_type: str) -> None:
-    told = post(client, spectrum_id, poke, accept="application/json").json()
+    payload = post(client, spectrum_id, poke, accept="application/json").json()
     response = post(client, spectrum_id, poke, accept=media_type)
     assert response.headers["Content-Type"] == media_type
     arrays = read_binary(response)
-    np.testing.assert_allclose(arrays["q"][0] @ [1, 1j], coordinates(told["groups"][0]), rtol=1e-12)
-    final = told["final_state"]["groups"][0]
+    np.testing.assert_allclose(arrays["q"][0] @ [1, 1j], coordinates(payload["groups"][0]), rtol=1e-12)
+    final = payload["final_state"]["groups"][0]
     np.testing.assert_allclose(arrays["final_q_dot"][0], final["q_dot"], rtol=1e-12)
     assert arrays["seed_voxel"].tolist() == [final["locality"]["seed_voxel"]]
     assert arrays["falloff_m"].tolist() == [final["locality"]["falloff_m"]]

@@ -21,7 +21,7 @@ from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.assets import add_asset, delete_asset, read_asset
 from jobs.attempts import succeed
 from service.services import Services
-from tests.rows import asset_row, job_row, kept
+from tests.rows import asset_row, job_row, stored_part
 from tests.service.conftest import hold, publish
 from tests.service.pushed import grown, poke, post, spectrum  # noqa: F401
 
@@ -40,20 +40,20 @@ def cloud_spectrum(
     path = tmp_path / "cloud.safetensors"
     with path.open("wb") as stream:
         write_cloud_bundle(capture, stream)
-    part = kept(services.artifacts, path)
+    part = stored_part(services.artifacts, path)
     asset = asset_row(part, now=services.store.clock(), kind="cloud")
     top = float(capture.cloud.means[:, 2].max())
     params = {"box_m": [[-50, -50, -50], [50, 50, top - 0.5]]}
     job = job_row(add_asset(services.store, asset)[0], now=services.store.clock(), params=params)
     services.store.add_job(job, stages=("reconstruct", "voxelize", "diffuse"))
-    held = hold(services, job.id)
+    lease = hold(services, job.id)
     mesh, file = BytesIO(), BytesIO()
     write_mesh_bundle(grown.mesh, mesh)
     write_spectrum(spectrum, file, dtype="float32")
-    publish(services, held, "reconstruct", "mesh.safetensors", mesh.getvalue())
-    publish(services, held, "voxelize", "tree.voxels.safetensors", b"voxels")
-    publish(services, held, "diffuse", "tree.spectrum.safetensors", file.getvalue())
-    succeed(services.store, held)
+    publish(services, lease, "reconstruct", "mesh.safetensors", mesh.getvalue())
+    publish(services, lease, "voxelize", "tree.voxels.safetensors", b"voxels")
+    publish(services, lease, "diffuse", "tree.spectrum.safetensors", file.getvalue())
+    succeed(services.store, lease)
     return str(client.get(f"/v1/jobs/{job.id}").json()["result"]["spectrum_id"])
 
 
@@ -61,20 +61,20 @@ def cloud_spectrum(
 def test_gaussians_move_as_the_vertices_do(
     client: TestClient, cloud_spectrum: str, capture: Capture, grown, poke: dict, warp: bool
 ) -> None:
-    asked = {"accept": "application/vnd.safetensors", "num_frames": 3, "dt_s": 0.2, "warp": warp}
-    answer = post(client, cloud_spectrum, poke, output="gaussians", **asked)
+    options = {"accept": "application/vnd.safetensors", "num_frames": 3, "dt_s": 0.2, "warp": warp}
+    answer = post(client, cloud_spectrum, poke, output="gaussians", **options)
     assert answer.status_code == 200, answer.text
-    told = load(answer.content)
-    vertices = load(post(client, cloud_spectrum, poke, output="vertices", **asked).content)["displacement"]
+    frames = load(answer.content)
+    vertices = load(post(client, cloud_spectrum, poke, output="vertices", **options).content)["displacement"]
     low = capture.cloud.means[:, 2] <= capture.cloud.means[:, 2].max() - 0.5
-    np.testing.assert_array_equal(told["rows"], np.flatnonzero(low & (np.arange(2000) % 4 > 0)))
+    np.testing.assert_array_equal(frames["rows"], np.flatnonzero(low & (np.arange(2000) % 4 > 0)))
     binding = bind(capture.cloud, grown.mesh)
     for frame in range(3):
         pose = Deformer(binding).pose(vertices[frame])
         for name in ("means", "quaternions", "scales"):
-            np.testing.assert_allclose(told[name][frame], getattr(pose, name)[told["rows"]], atol=1e-5)
-    assert np.abs(told["means"][2] - told["means"][0]).max() > 1e-4
-    np.testing.assert_array_equal(told["q"].shape[:2], (1, 3))
+            np.testing.assert_allclose(frames[name][frame], getattr(pose, name)[frames["rows"]], atol=1e-5)
+    assert np.abs(frames["means"][2] - frames["means"][0]).max() > 1e-4
+    np.testing.assert_array_equal(frames["q"].shape[:2], (1, 3))
 
 
 def test_too_many_gaussians_are_refused_with_what_fits(

@@ -25,8 +25,8 @@ const file = readFileSync(modesPath);
 const modes = new Modes(file.buffer.slice(file.byteOffset, file.byteOffset + file.byteLength));
 const { q, weights, bends } = JSON.parse(readFileSync(requestPath, "utf8"));
 const { rotation, place } = modes.poses(q, weights, bends && Float64Array.from(bends));
-const told = { voxels: modes.voxels(q, weights), rotation, place };
-console.log(JSON.stringify(told, (_, value) => (ArrayBuffer.isView(value) ? Array.from(value) : value)));
+const payload = { voxels: modes.voxels(q, weights), rotation, place };
+console.log(JSON.stringify(payload, (_, value) => (ArrayBuffer.isView(value) ? Array.from(value) : value)));
 """
 
 
@@ -39,9 +39,9 @@ def modes(client: TestClient, spectrum_id: str) -> bytes:
 
 def evaluated(client: TestClient, spectrum_id: str, *forces: object, **options: object):
     """Last frame's coordinates [G, K, 2] and weights [G, V], as a client gets them."""
-    told = post(client, spectrum_id, *forces, **options).json()
-    q = np.array([group["q"][-1] for group in told["groups"]])
-    weights = [reach(client, spectrum_id, group["locality"]) for group in told["groups"]]
+    payload = post(client, spectrum_id, *forces, **options).json()
+    q = np.array([group["q"][-1] for group in payload["groups"]])
+    weights = [reach(client, spectrum_id, group["locality"]) for group in payload["groups"]]
     length = max((len(row) for row in weights if row is not None), default=0)
     return q, weights, length
 
@@ -119,12 +119,12 @@ def test_the_javascript_reference_is_the_python_one(
 ) -> None:
     q, rows, num_voxels = evaluated(client, spectrum_id, *pushes(poke, spectrum), num_frames=12, falloff_m=2.0)
     weights = weights_of(rows, num_voxels)
-    told = in_node(modes, q, weights, tmp_path)
+    payload = in_node(modes, q, weights, tmp_path)
     reference = Modes(modes)
     rotation, place = reference.poses(q, weights)
-    np.testing.assert_allclose(np.reshape(told["voxels"], (-1, 3)), reference.voxels(q, weights), atol=1e-6)
-    np.testing.assert_allclose(np.reshape(told["rotation"], (-1, 3, 3)), rotation, atol=1e-6)
-    np.testing.assert_allclose(np.reshape(told["place"], (-1, 3)), place, atol=1e-5)
+    np.testing.assert_allclose(np.reshape(payload["voxels"], (-1, 3)), reference.voxels(q, weights), atol=1e-6)
+    np.testing.assert_allclose(np.reshape(payload["rotation"], (-1, 3, 3)), rotation, atol=1e-6)
+    np.testing.assert_allclose(np.reshape(payload["place"], (-1, 3)), place, atol=1e-5)
 
 
 def test_shapes_are_twice_the_coefficients_to_a_part_in_thirty_thousand(
@@ -182,9 +182,9 @@ def test_the_references_bend_joints_as_the_server_does(
     np.testing.assert_allclose(expected[drag["at"]["voxel"]], reached["reached_m"], atol=1e-4)
     assert reached["error_m"] < 0.05 * np.linalg.norm(reached["wanted_m"])
     assert reached["why"] is None
-    told = in_node(modes, q, weights, tmp_path, bends)
-    np.testing.assert_allclose(np.reshape(told["rotation"], (-1, 3, 3)), rotation, atol=1e-5)
-    np.testing.assert_allclose(np.reshape(told["place"], (-1, 3)), place, atol=1e-5)
+    payload = in_node(modes, q, weights, tmp_path, bends)
+    np.testing.assert_allclose(np.reshape(payload["rotation"], (-1, 3, 3)), rotation, atol=1e-5)
+    np.testing.assert_allclose(np.reshape(payload["place"], (-1, 3)), place, atol=1e-5)
 
 
 def test_a_bend_goes_on_in_the_next_call_and_a_wrong_one_is_refused(

@@ -32,19 +32,19 @@ URL = "/v1/interact/stream"
 
 def opened(socket, spectrum_id: str, **options: object) -> dict:
     socket.send_json({"type": "open", "spectrum_id": spectrum_id, **options})
-    told = socket.receive_json()
-    assert told["type"] == "opened", told
-    return told
+    reply = socket.receive_json()
+    assert reply["type"] == "opened", reply
+    return reply
 
 
 def frames(socket, count: int) -> list[dict]:
     """Frames as a client takes them that keeps up."""
     taken = []
     while len(taken) < count:
-        told = socket.receive_json()
-        assert told["type"] == "frame", told
-        socket.send_json({"type": "ack", "frame": told["frame"]})
-        taken.append(told)
+        reply = socket.receive_json()
+        assert reply["type"] == "frame", reply
+        socket.send_json({"type": "ack", "frame": reply["frame"]})
+        taken.append(reply)
     return taken
 
 
@@ -58,11 +58,11 @@ def coordinates(frame: dict, group: int = 0) -> np.ndarray:
 
 def test_frames_are_those_of_the_library(client: TestClient, spectrum_id: str, spectrum: SparseVoxelSpectrum) -> None:
     with client.websocket_connect(URL) as socket:
-        told = opened(socket, spectrum_id, rate_hz=50, mass_kg=80.0, falloff_m=1.0, damping_ratio=0.1)
+        reply = opened(socket, spectrum_id, rate_hz=50, mass_kg=80.0, falloff_m=1.0, damping_ratio=0.1)
         socket.send_json(pull([0.0, 20.0, 0.0]))
         taken = frames(socket, 12)
     system = modal_system(spectrum, mass_kg=80.0, damping_ratio=0.1)
-    assert told["modal_mass_kg_m2"] == pytest.approx(system.modal_mass)
+    assert reply["modal_mass_kg_m2"] == pytest.approx(system.modal_mass)
     drag = Drag(at=contact_at_voxel(spectrum.grid, 40), force_n=(0.0, 20.0, 0.0))
     expected = respond(system, group_forces([drag], falloff_m=1.0), dt_s=1 / 50, num_frames=2000).q[:, 0]
     for frame in taken:
@@ -95,14 +95,14 @@ def test_a_new_pointer_replaces_the_old_and_release_lets_it_settle(
         frames(socket, 5)
         socket.send_json({"type": "release"})
         for _ in range(2000):
-            told = socket.receive_json()
-            if told["type"] == "rest":
+            reply = socket.receive_json()
+            if reply["type"] == "rest":
                 break
-            socket.send_json({"type": "ack", "frame": told["frame"]})
-        assert told["type"] == "rest"
+            socket.send_json({"type": "ack", "frame": reply["frame"]})
+        assert reply["type"] == "rest"
         # it goes on where it was asked to
         socket.send_json({"type": "force", "force": {"kind": "wind", "wind_m_s": [8.0, 0.0, 0.0]}})
-        assert frames(socket, 1)[0]["frame"] > told["frame"]
+        assert frames(socket, 1)[0]["frame"] > reply["frame"]
 
 
 def test_who_does_not_acknowledge_gets_few_frames_and_then_the_newest(client: TestClient, spectrum_id: str) -> None:
@@ -180,9 +180,9 @@ def test_a_bad_message_is_reported_and_the_stream_goes_on(
     with client.websocket_connect(URL) as socket:
         opened(socket, spectrum_id)
         socket.send_json(message)
-        told = socket.receive_json()
-        assert (told["type"], told["code"]) == ("problem", code)
-        assert told["detail"]
+        reply = socket.receive_json()
+        assert (reply["type"], reply["code"]) == ("problem", code)
+        assert reply["detail"]
         socket.send_json(pull([1.0, 0.0, 0.0]))
         assert frames(socket, 1)
 
@@ -194,8 +194,8 @@ def test_places_that_swing_are_bounded(client: TestClient, spectrum_id: str, mon
         for voxel in (40, 41, 42):
             force = {"kind": "impulse", "at": {"voxel": voxel}, "impulse_n_s": [50.0, 0.0, 0.0]}
             socket.send_json({"type": "force", "force": force})
-        told = [socket.receive_json() for _ in range(2)]
-        assert [one["code"] for one in told if one["type"] == "problem"] == ["validation-failed"]
+        reply = [socket.receive_json() for _ in range(2)]
+        assert [one["code"] for one in reply if one["type"] == "problem"] == ["validation-failed"]
 
 
 def test_only_the_event_loop_changes_a_session(

@@ -21,20 +21,20 @@ from tests.service.test_jobs import create
 
 def ended(services: Services, client: TestClient, asset: AssetRecord) -> str:
     job = create(client, asset)
-    held = hold(services, str(job["id"]))
-    publish(services, held, "voxelize", f"{job['id']}.safetensors", b"voxels")
-    succeed(services.store, held)
+    lease = hold(services, str(job["id"]))
+    publish(services, lease, "voxelize", f"{job['id']}.safetensors", b"voxels")
+    succeed(services.store, lease)
     return str(job["id"])
 
 
 def test_a_poll_may_wait_for_the_end(client: TestClient, asset: AssetRecord, services: Services) -> None:
     url = f"/v1/jobs/{create(client, asset)['id']}"
-    held = hold(services, url.rsplit("/", 1)[1])
+    lease = hold(services, url.rsplit("/", 1)[1])
     began = time.monotonic()
     still = client.get(url, headers={"Prefer": "wait=1"})
     assert (still.json()["state"], still.headers["Preference-Applied"]) == ("running", "wait=1")
     assert time.monotonic() - began >= 1
-    timer = threading.Timer(0.3, lambda: succeed(services.store, held))
+    timer = threading.Timer(0.3, lambda: succeed(services.store, lease))
     timer.start()
     assert client.get(url, headers={"Prefer": "respond-async, wait=30"}).json()["state"] == "succeeded"
     timer.join()
@@ -44,10 +44,10 @@ def test_a_poll_with_an_etag_may_wait_for_the_next_change(
     client: TestClient, asset: AssetRecord, services: Services
 ) -> None:
     url = f"/v1/jobs/{create(client, asset)['id']}"
-    held = hold(services, url.rsplit("/", 1)[1])
-    start_stage(services.store, held, "voxelize")
+    lease = hold(services, url.rsplit("/", 1)[1])
+    start_stage(services.store, lease, "voxelize")
     seen = client.get(url).headers["ETag"]
-    timer = threading.Timer(0.3, lambda: report_progress(services.store, held, "voxelize", 0.5))
+    timer = threading.Timer(0.3, lambda: report_progress(services.store, lease, "voxelize", 0.5))
     timer.start()
     changed = client.get(url, headers={"Prefer": "wait=30", "If-None-Match": seen})
     timer.join()
@@ -64,7 +64,7 @@ def test_a_batch_creates_every_valid_job(client: TestClient, asset: AssetRecord)
     assert first.status_code == 202
     assert [item["status"] for item in first.json()["data"]] == [202, 404, 202]
     assert first.json()["data"][1]["problem"]["code"] == "not-found"
-    ids = [[item["job"] and item["job"]["id"] for item in told.json()["data"]] for told in (first, again)]
+    ids = [[item["job"] and item["job"]["id"] for item in response.json()["data"]] for response in (first, again)]
     assert ids[0] == ids[1]
     assert len(client.get("/v1/jobs").json()["data"]) == 2
     assert client.post("/v1/jobs:batch", json={"jobs": []}).status_code == 422
@@ -77,9 +77,9 @@ def test_a_job_has_a_log_that_goes_on(client: TestClient, asset: AssetRecord, se
     first = client.get(url).json()
     assert [line["message"] for line in first["data"]] == ["accepted"]
     assert first["data"][0]["fields"] == {"request_id": "mine"}
-    held = hold(services, job["id"])
-    publish(services, held, "voxelize", "tree.voxels.safetensors", b"voxels")
-    succeed(services.store, held)
+    lease = hold(services, job["id"])
+    publish(services, lease, "voxelize", "tree.voxels.safetensors", b"voxels")
+    succeed(services.store, lease)
     rest = client.get(url, params={"after": first["next_after"]}).json()
     assert [line["message"] for line in rest["data"]] == ["begun by a worker", "stage begun", "stage done", "succeeded"]
     assert client.get(url, params={"after": rest["next_after"]}).json() == {
@@ -102,18 +102,18 @@ def test_the_time_left_comes_from_what_jobs_took_here(
     job = create(client, asset)
     assert job["eta_s"] is None
     clock, now = services.store.clock, services.store.clock()
-    held = hold(services, str(job["id"]))
-    start_stage(services.store, held, "voxelize")
+    lease = hold(services, str(job["id"]))
+    start_stage(services.store, lease, "voxelize")
     services.store.clock = lambda: now + 40
     with services.store.writing() as connection:
         connection.exec_driver_sql("UPDATE stages SET state = 'succeeded', started_at = 0, finished_at = 40")
-    succeed(services.store, held)
+    succeed(services.store, lease)
     with services.store.writing() as connection:
         connection.exec_driver_sql("UPDATE jobs SET started_at = 0, finished_at = 50")
     services.store.clock = clock
     assert hold_lease(services.store, "worker:one", owner="one", lease_s=60)
     waiting = [create(client, asset) for _ in range(3)]
-    assert [told["eta_s"] for told in waiting] == [40.0, 90.0, 140.0]
+    assert [response["eta_s"] for response in waiting] == [40.0, 90.0, 140.0]
     running = hold(services, str(waiting[0]["id"]))
     start_stage(services.store, running, "voxelize")
     report_progress(services.store, running, "voxelize", 0.75)
@@ -135,16 +135,16 @@ def test_an_endpoint_shows_its_secret_once(client: TestClient, services: Service
     for url in ("https://127.0.0.1/", "http://forest.example/", "nonsense"):
         refused = client.post("/v1/webhook-endpoints", json={"url": url})
         assert (refused.status_code, refused.json()["code"]) == (422, "fetch-failed"), url
-    made = client.post("/v1/webhook-endpoints", json={"url": "http://127.0.0.1:9/hook", "events": ["job.failed"]})
-    assert made.status_code == 201
-    assert made.json()["secret"].startswith("whsec_")
-    url = made.headers["Location"]
+    response = client.post("/v1/webhook-endpoints", json={"url": "http://127.0.0.1:9/hook", "events": ["job.failed"]})
+    assert response.status_code == 201
+    assert response.json()["secret"].startswith("whsec_")
+    url = response.headers["Location"]
     assert "secret" not in client.get(url).json()
     assert "secret" not in client.get("/v1/webhook-endpoints").json()["data"][0]
-    assert client.post(url + "/secret").json()["secret"] != made.json()["secret"]
+    assert client.post(url + "/secret").json()["secret"] != response.json()["secret"]
     changed = client.put(url, json={"url": "http://127.0.0.1:9/other"})
     assert changed.json()["url"].endswith("/other")
-    named = create(client, asset, webhook=made.json()["id"])
+    named = create(client, asset, webhook=response.json()["id"])
     client.post(f"/v1/jobs/{named['id']}/cancel")
     deliveries = client.get(url + "/deliveries").json()["data"]
     assert [(one["event"], one["state"], one["job_id"]) for one in deliveries] == [
@@ -156,7 +156,7 @@ def test_an_endpoint_shows_its_secret_once(client: TestClient, services: Service
     assert len(client.get(f"{url}/deliveries?cursor={page['next_cursor']}").json()["data"]) == 1
     assert client.delete(url).status_code == 204
     assert client.get(url).status_code == 404
-    unknown = {"type": "voxelize", "asset_id": asset.id, "webhook": made.json()["id"]}
+    unknown = {"type": "voxelize", "asset_id": asset.id, "webhook": response.json()["id"]}
     assert client.post("/v1/jobs", json=unknown).status_code == 404
 
 

@@ -37,24 +37,24 @@ def test_a_poll_tells_progress_and_then_that_nothing_changed(
     client: TestClient, asset: AssetRecord, services: Services
 ) -> None:
     url = f"/v1/jobs/{create(client, asset)['id']}"
-    held = hold(services, url.rsplit("/", 1)[1])
-    start_stage(services.store, held, "voxelize")
-    report_progress(services.store, held, "voxelize", 0.25)
+    lease = hold(services, url.rsplit("/", 1)[1])
+    start_stage(services.store, lease, "voxelize")
+    report_progress(services.store, lease, "voxelize", 0.25)
     first = client.get(url)
     assert first.json()["progress"] == 0.25
     again = client.get(url, headers={"If-None-Match": first.headers["ETag"]})
     assert (again.status_code, again.content) == (304, b"")
-    report_progress(services.store, held, "voxelize", 0.5)
+    report_progress(services.store, lease, "voxelize", 0.5)
     assert client.get(url, headers={"If-None-Match": first.headers["ETag"]}).json()["progress"] == 0.5
 
 
 def test_products_appear_stage_by_stage(client: TestClient, asset: AssetRecord, services: Services) -> None:
     url = f"/v1/jobs/{create(client, asset)['id']}"
-    held = hold(services, url.rsplit("/", 1)[1])
-    publish(services, held, "voxelize", "tree.voxels.safetensors", b"voxels")
+    lease = hold(services, url.rsplit("/", 1)[1])
+    publish(services, lease, "voxelize", "tree.voxels.safetensors", b"voxels")
     manifest = client.get(url + "/artifacts").json()
     assert not manifest["complete"]
-    succeed(services.store, held)
+    succeed(services.store, lease)
     job = client.get(url).json()
     assert (job["state"], job["progress"]) == ("succeeded", 1.0)
     assert "Retry-After" not in client.get(url).headers
@@ -81,9 +81,9 @@ def test_cancel_is_accepted_twice_and_refused_after_the_end(
     assert client.post(url + "/cancel").json()["state"] == "canceled"
     assert client.post(url + "/cancel").status_code == 202
     url = f"/v1/jobs/{create(client, asset)['id']}"
-    held = hold(services, url.rsplit("/", 1)[1])
+    lease = hold(services, url.rsplit("/", 1)[1])
     assert client.post(url + "/cancel").json()["state"] == "canceling"
-    succeed(services.store, held)
+    succeed(services.store, lease)
     assert client.get(url).json()["state"] == "canceled"
     url = f"/v1/jobs/{create(client, asset)['id']}"
     succeed(services.store, hold(services, url.rsplit("/", 1)[1]))
@@ -208,11 +208,11 @@ def test_a_request_can_be_tried_first(client: TestClient, asset: AssetRecord, se
     assert client.get("/v1/jobs").json()["data"] == []
     assert client.post("/v1/jobs?validate_only=true", json=body | {"seed": -1}).status_code == 422
     for size in (10, 20, 60, 21):
-        held = hold(services, str(create(client, asset)["id"]))
-        publish(services, held, "voxelize", "tree.voxels.safetensors", bytes(size))
-    told = client.post("/v1/jobs?validate_only=true", json=body).json()
-    assert told["est_bytes"] == 20  # of 20.5
-    assert 0 < told["est_seconds"] < 10
+        lease = hold(services, str(create(client, asset)["id"]))
+        publish(services, lease, "voxelize", "tree.voxels.safetensors", bytes(size))
+    payload = client.post("/v1/jobs?validate_only=true", json=body).json()
+    assert payload["est_bytes"] == 20  # of 20.5
+    assert 0 < payload["est_seconds"] < 10
 
 
 def test_a_start_deadline_is_enforced(client: TestClient, asset: AssetRecord, services: Services) -> None:
@@ -227,15 +227,15 @@ def test_a_start_deadline_is_enforced(client: TestClient, asset: AssetRecord, se
 
 def test_a_job_is_followed_by_its_events(client: TestClient, asset: AssetRecord, services: Services) -> None:
     job = create(client, asset)
-    held = hold(services, str(job["id"]))
-    publish(services, held, "voxelize", "tree.voxels.safetensors", b"voxels")
+    lease = hold(services, str(job["id"]))
+    publish(services, lease, "voxelize", "tree.voxels.safetensors", b"voxels")
     url = f"/v1/jobs/{job['id']}/events"
-    timer = threading.Timer(0.5, lambda: succeed(services.store, held))
+    timer = threading.Timer(0.5, lambda: succeed(services.store, lease))
     timer.start()
-    told = client.get(url)
+    payload = client.get(url)
     timer.join()
-    assert told.headers["Content-Type"].startswith("text/event-stream")
-    events = [dict(line.split(": ", 1) for line in event.splitlines()) for event in told.text.strip().split("\n\n")]
+    assert payload.headers["Content-Type"].startswith("text/event-stream")
+    events = [dict(line.split(": ", 1) for line in event.splitlines()) for event in payload.text.strip().split("\n\n")]
     assert [json.loads(event["data"])["state"] for event in events] == ["running", "succeeded"]
     rest = client.get(url, headers={"Last-Event-ID": events[0]["id"]})
     assert rest.text.count("event: job") == 1

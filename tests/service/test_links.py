@@ -34,9 +34,9 @@ def opened(settings: Settings) -> Iterator[Opened]:
         asset = add_asset(services.store.for_owner("ann"), row)[0]
         body = {"type": "voxelize", "asset_id": asset.id}
         job = client.post("/v1/jobs", json=body, headers={"Authorization": f"Bearer {owners}"}).json()
-        held = hold(services, job["id"])
-        publish(services, held, "voxelize", "tree.voxels.safetensors", b"12345")
-        succeed(services.store, held)
+        lease = hold(services, job["id"])
+        publish(services, lease, "voxelize", "tree.voxels.safetensors", b"12345")
+        succeed(services.store, lease)
         headers = {"Authorization": f"Bearer {key}"}
         [artifact] = client.get(f"/v1/jobs/{job['id']}/artifacts", headers=headers).json()["artifacts"]
         yield client, record, headers, artifact["url"]
@@ -44,10 +44,10 @@ def opened(settings: Settings) -> Iterator[Opened]:
 
 def _link(opened: Opened, **more: object) -> str:
     client, _, headers, path = opened
-    made = client.post("/v1/links", json={"path": path} | more, headers=headers)
-    assert made.status_code == 201, made.text
-    assert made.headers["cache-control"] == "no-store"
-    return str(made.json()["url"])
+    response = client.post("/v1/links", json={"path": path} | more, headers=headers)
+    assert response.status_code == 201, response.text
+    assert response.headers["cache-control"] == "no-store"
+    return str(response.json()["url"])
 
 
 def test_a_link_opens_its_file_from_any_page(opened: Opened) -> None:
@@ -106,8 +106,8 @@ def test_another_owner_cannot_sign(opened: Opened) -> None:
     client, _, _, path = opened
     services: Services = client.app.state.services  # type: ignore[attr-defined]
     _, key = create_key(services.store, name="other", owner="bob")
-    made = client.post("/v1/links", json={"path": path}, headers={"Authorization": f"Bearer {key}"})
-    assert made.status_code == 404
+    response = client.post("/v1/links", json={"path": path}, headers={"Authorization": f"Bearer {key}"})
+    assert response.status_code == 404
 
 
 def test_without_keys_a_link_is_the_path(client: TestClient, services: Services, tmp_path: Path) -> None:

@@ -16,9 +16,9 @@ from tests.service.conftest import hold, publish
 def ran(client: TestClient, services: Services, asset: AssetRecord) -> str:
     """One job that a worker ran, and one that waits."""
     ids = [client.post("/v1/jobs", json={"type": "voxelize", "asset_id": asset.id}).json()["id"] for _ in range(2)]
-    held = hold(services, ids[0])
-    publish(services, held, "voxelize", "tree.voxels.safetensors", b"12345")
-    succeed(services.store, held)
+    lease = hold(services, ids[0])
+    publish(services, lease, "voxelize", "tree.voxels.safetensors", b"12345")
+    succeed(services.store, lease)
     return str(ids[0])
 
 
@@ -67,9 +67,9 @@ def test_the_operators_page_loads_nothing_from_elsewhere(client: TestClient) -> 
 
 
 def test_operations_are_named_without_ids(client: TestClient, ran: str) -> None:
-    told = client.get("/v1/ops").json()
-    assert told["jobs"] == {"queued": 1, "succeeded": 1}
-    assert told["queues"][0]["name"] == "cpu"
-    assert told["attempts"] == {"started": 1}
-    assert (told["workers"], told["unsent_messages"]) == (0, 1)
-    assert ran not in str(told)
+    payload = client.get("/v1/ops").json()
+    assert payload["jobs"] == {"queued": 1, "succeeded": 1}
+    assert payload["queues"][0]["name"] == "cpu"
+    assert payload["attempts"] == {"started": 1}
+    assert (payload["workers"], payload["unsent_messages"]) == (0, 1)
+    assert ran not in str(payload)

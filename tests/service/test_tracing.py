@@ -52,21 +52,21 @@ def test_one_trace_from_the_client_over_the_request_to_the_worker(
     traced = settings.model_copy(update={"otlp_endpoint": endpoint})
     with TestClient(create_app(traced), "http://localhost") as client:
         body = {"type": "voxelize", "asset_id": asset.id}
-        made = client.post("/v1/jobs", json=body, headers={"traceparent": CLIENT}).json()
-        held = hold(client.app.state.services, made["id"])  # type: ignore[attr-defined]
-    parent = held.job.traceparent
-    with span(tracer(endpoint, "worker"), "run voxelize", parent=parent, kind=SpanKind.CONSUMER, job_id=held.job.id):
+        payload = client.post("/v1/jobs", json=body, headers={"traceparent": CLIENT}).json()
+        lease = hold(client.app.state.services, payload["id"])  # type: ignore[attr-defined]
+    parent = lease.job.traceparent
+    with span(tracer(endpoint, "worker"), "run voxelize", parent=parent, kind=SpanKind.CONSUMER, job_id=lease.job.id):
         pass
     for process in ("api", "worker"):
         tracer(endpoint, process).span_processor.force_flush()  # type: ignore[attr-defined]
-    by_name = {found.name: found for found in spans}
+    by_name = {one.name: one for one in spans}
     request, attempt = by_name["POST /v1/jobs"], by_name["run voxelize"]
-    assert {found.trace_id.hex() for found in (request, attempt)} == {CLIENT.split("-")[1]}
+    assert {one.trace_id.hex() for one in (request, attempt)} == {CLIENT.split("-")[1]}
     assert request.parent_span_id.hex() == CLIENT.split("-")[2]
     assert attempt.parent_span_id == request.span_id
-    told = {attribute.key: attribute.value for attribute in (*request.attributes, *attempt.attributes)}
-    assert told["http.response.status_code"].int_value == 202
-    assert told["dynamictree.job_id"].string_value == made["id"]
+    attributes = {attribute.key: attribute.value for attribute in (*request.attributes, *attempt.attributes)}
+    assert attributes["http.response.status_code"].int_value == 202
+    assert attributes["dynamictree.job_id"].string_value == payload["id"]
 
 
 def test_a_line_is_an_object_that_names_its_ids() -> None:
@@ -99,7 +99,7 @@ def test_a_traceback_stays_in_its_line() -> None:
 
 
 def test_the_setting_chooses_the_form(capsys: pytest.CaptureFixture[str], settings: Settings) -> None:
-    kept = logging.root.handlers[:], logging.root.level
+    original = logging.root.handlers[:], logging.root.level
     try:
         set_up_logging(settings.model_copy(update={"log_format": "json"}))
         logging.getLogger("y").warning("one")
@@ -107,7 +107,7 @@ def test_the_setting_chooses_the_form(capsys: pytest.CaptureFixture[str], settin
         set_up_logging(settings)
         logging.getLogger("y").warning("two")
     finally:
-        logging.root.handlers, level = kept[0], kept[1]
+        logging.root.handlers, level = original[0], original[1]
         logging.root.setLevel(level)
     first, second = capsys.readouterr().err.splitlines()
     assert json.loads(first)["message"] == "one"

@@ -41,13 +41,13 @@ def whole(client: TestClient, content: bytes, **values: str) -> str:
 
 
 def test_the_protocol_is_announced(client: TestClient) -> None:
-    told = client.options("/v1/uploads")
-    assert told.status_code == 204
-    assert told.headers["Tus-Version"] == "1.0.0"
+    response = client.options("/v1/uploads")
+    assert response.status_code == 204
+    assert response.headers["Tus-Version"] == "1.0.0"
     extensions = {"creation", "creation-with-upload", "checksum", "expiration", "termination"}
-    assert set(told.headers["Tus-Extension"].split(",")) == extensions
-    assert "sha1" in told.headers["Tus-Checksum-Algorithm"].split(",")
-    assert int(told.headers["Tus-Max-Size"]) == 4 * 1024**3
+    assert set(response.headers["Tus-Extension"].split(",")) == extensions
+    assert "sha1" in response.headers["Tus-Checksum-Algorithm"].split(",")
+    assert int(response.headers["Tus-Max-Size"]) == 4 * 1024**3
 
 
 def test_pieces_become_an_upload_and_uploads_an_asset(client: TestClient, services: Services) -> None:
@@ -63,17 +63,17 @@ def test_pieces_become_an_upload_and_uploads_an_asset(client: TestClient, servic
     assert stands.headers["Upload-Metadata"] == metadata(filename="tree.obj")
     ids = [url.rpartition("/")[2], whole(client, MTL, filename="tree.mtl")]
     assert client.get(url).json()["state"] == "received"
-    made = client.post("/v1/assets", json={"upload_ids": ids, "unit_m": 2})
-    assert made.status_code == 201, made.text
-    assert made.json()["summary"]["extent_m"] == [2.0, 2.0, 4.0]
-    assert [part["name"] for part in made.json()["parts"]] == ["tree.obj", "tree.mtl"]
-    assert made.json()["parts"][0]["sha256"] == hashlib.sha256(OBJ).hexdigest()
-    told = client.get(url).json()
-    assert (told["state"], told["asset_id"]) == ("ready", made.json()["id"])
+    created = client.post("/v1/assets", json={"upload_ids": ids, "unit_m": 2})
+    assert created.status_code == 201, created.text
+    assert created.json()["summary"]["extent_m"] == [2.0, 2.0, 4.0]
+    assert [part["name"] for part in created.json()["parts"]] == ["tree.obj", "tree.mtl"]
+    assert created.json()["parts"][0]["sha256"] == hashlib.sha256(OBJ).hexdigest()
+    upload = client.get(url).json()
+    assert (upload["state"], upload["asset_id"]) == ("ready", created.json()["id"])
     again = client.post("/v1/assets", json={"upload_ids": ids, "unit_m": 2})
-    assert (again.status_code, again.json()["id"]) == (200, made.json()["id"])
+    assert (again.status_code, again.json()["id"]) == (200, created.json()["id"])
     files = [("file", ("tree.obj", OBJ)), ("file", ("tree.mtl", MTL))]
-    assert client.post("/v1/assets", files=files, data={"unit_m": "2"}).json()["id"] == made.json()["id"]
+    assert client.post("/v1/assets", files=files, data={"unit_m": "2"}).json()["id"] == created.json()["id"]
     assert left_behind(services) == []
     assert services.upload_parts.size(ids[0]) == 0
 
@@ -82,15 +82,19 @@ def test_an_upload_may_ask_for_its_asset(client: TestClient) -> None:
     packed = zipped(("tree.obj", OBJ), ("tree.mtl", MTL))
     sent = TUS | {"Upload-Length": str(len(packed)), "Upload-Metadata": metadata(filename="a.zip", asset="auto")}
     url = client.post("/v1/uploads", content=packed, headers=BYTES | sent).headers["Location"]
-    told = client.get(url, headers={"Prefer": "wait=30"}).json()
-    assert told["state"] == "ready"
-    assert client.get(f"/v1/assets/{told['asset_id']}").json()["summary"]["num_vertices"] == 4
+    response = client.get(url, headers={"Prefer": "wait=30"}).json()
+    assert response["state"] == "ready"
+    assert client.get(f"/v1/assets/{response['asset_id']}").json()["summary"]["num_vertices"] == 4
 
 
 def test_an_upload_that_is_no_tree_says_so(client: TestClient) -> None:
     id = whole(client, b"hello world\n", filename="tree.obj", asset="auto")
-    told = client.get(f"/v1/uploads/{id}", headers={"Prefer": "wait=30"}).json()
-    assert (told["state"], told["asset_id"], told["error"]["code"]) == ("failed", None, "unsupported-format")
+    response = client.get(f"/v1/uploads/{id}", headers={"Prefer": "wait=30"}).json()
+    assert (response["state"], response["asset_id"], response["error"]["code"]) == (
+        "failed",
+        None,
+        "unsupported-format",
+    )
     assert client.post("/v1/assets", json={"upload_ids": [id]}).status_code == 415
 
 

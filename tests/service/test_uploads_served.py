@@ -62,11 +62,11 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def begin(url: str) -> str:
     promised = hashlib.sha256(CONTENT).hexdigest()
     with forgiven(), io.BytesIO(CONTENT) as stream:
-        made = TusClient(url + "/v1/uploads").uploader(
+        uploader = TusClient(url + "/v1/uploads").uploader(
             file_stream=stream, metadata={"filename": "tree.bin", "sha256": promised}
         )
-        created: str = made.create_url()
-        del made
+        created: str = uploader.create_url()
+        del uploader
     return created
 
 
@@ -74,8 +74,10 @@ def send_part(url: str, offset: int, stop: int) -> socket.socket:
     """Promise the whole rest, send up to `stop`, and leave the connection open."""
     where = urlsplit(url)
     connection = socket.create_connection((where.hostname, where.port))
-    told = BYTES | {"Host": where.netloc, "Upload-Offset": str(offset), "Content-Length": str(LENGTH - offset)}
-    head = f"PATCH {where.path} HTTP/1.1\r\n" + "".join(f"{name}: {value}\r\n" for name, value in told.items()) + "\r\n"
+    headers = BYTES | {"Host": where.netloc, "Upload-Offset": str(offset), "Content-Length": str(LENGTH - offset)}
+    head = (
+        f"PATCH {where.path} HTTP/1.1\r\n" + "".join(f"{name}: {value}\r\n" for name, value in headers.items()) + "\r\n"
+    )
     connection.sendall(head.encode() + CONTENT[offset:stop])
     return connection
 
@@ -86,18 +88,18 @@ def stands_at(url: str) -> int:
 
 def wait_until_at(url: str, least: int) -> int:
     deadline = time.monotonic() + 30
-    while (found := stands_at(url)) < least:
-        assert time.monotonic() < deadline, f"{url} stands at {found}, {least} were sent"
+    while (offset := stands_at(url)) < least:
+        assert time.monotonic() < deadline, f"{url} stands at {offset}, {least} were sent"
         time.sleep(0.05)
-    return found
+    return offset
 
 
 def finish(url: str, file: Path, **options: object) -> None:
     """Go on with the tus client, which asks where the upload stands."""
     with forgiven(), file.open("rb") as stream:
         TusClient("").uploader(file_stream=stream, url=url, **options).upload()
-    told = httpx.get(url).json()
-    assert (told["state"], told["bytes_received"]) == ("received", LENGTH)
+    headers = httpx.get(url).json()
+    assert (headers["state"], headers["bytes_received"]) == ("received", LENGTH)
 
 
 def test_a_tus_client_sends_a_file_in_pieces_with_checksums(server: tuple[Server, str], file: Path) -> None:

@@ -34,13 +34,13 @@ STOPPED = """
 import { Client } from "CLIENT";
 const client = new Client({ fetch: async () => new Response('data: {"state": "succeeded"}\\n\\n') });
 const jobs = [];
-let told = null;
+let stopped = null;
 try {
   for await (const job of client.watch("id", { signal: AbortSignal.abort() })) jobs.push(job);
 } catch (error) {
-  told = error.name;
+  stopped = error.name;
 }
-console.log(JSON.stringify([told, jobs]));
+console.log(JSON.stringify([stopped, jobs]));
 """
 OTHER_HOST = re.compile(r"""["'(=]\s*(?:https?:|wss?:)?//(?!www\.w3\.org|localhost)[a-z]""")
 
@@ -75,10 +75,10 @@ def test_the_page_names_the_hash_of_its_one_inline_script(client: TestClient) ->
     policy = dict(part.split(" ", 1) for part in response.headers["Content-Security-Policy"].split("; "))
     assert policy["default-src"] == "'none'"
     assert "unsafe-inline" not in str(policy)
-    found = Scripts()
-    found.feed(response.text)
-    inline = [text for attrs, text in found.scripts if "src" not in attrs]
-    assert found.forbidden == []
+    scripts = Scripts()
+    scripts.feed(response.text)
+    inline = [text for attrs, text in scripts.scripts if "src" not in attrs]
+    assert scripts.forbidden == []
     [import_map] = inline
     digest = base64.b64encode(hashlib.sha256(import_map.encode()).digest()).decode()
     assert f"'sha256-{digest}'" in policy["script-src"].split()
@@ -180,9 +180,9 @@ def test_a_surface_moves_as_the_library_moves_it(
     parts = tensors["shapes"] * tensors["scale_m"][:, None, None]  # [N, K, 3, 2]
     expected = method.devoxelize(spectrum, grown.mesh)
     expected[:, 1:] *= 2
-    shown = parts[..., 0] + 1j * parts[..., 1]
+    drawn = parts[..., 0] + 1j * parts[..., 1]
     largest = np.abs(expected).max(axis=(0, 2))
-    assert (np.abs(shown - expected).max(axis=(0, 2)) <= largest / 32767 + 1e-9).all()
+    assert (np.abs(drawn - expected).max(axis=(0, 2)) <= largest / 32767 + 1e-9).all()
     assert (tensors["bone_weights"].astype(int).sum(axis=1) == 255).all()
     num_bones = len(load(client.get(f"/v1/spectra/{spectrum_id}/modes").content)["bone_parent"])
     assert tensors["bone_rows"].max() < num_bones

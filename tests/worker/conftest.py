@@ -13,13 +13,13 @@ from jobs.attempts import claim
 from jobs.records import AssetRecord, Claim, JobRecord
 from jobs.settings import Settings
 from jobs.states import JobType, stages_of
-from tests.rows import asset_row, job_row, kept
+from tests.rows import asset_row, job_row, stored_part
 from worker.cancellation import Watch
 from worker.runtime import Runtime, close_runtime, open_runtime
 
 
 @pytest.fixture
-def here(tmp_path: Path) -> Iterator[Runtime]:
+def runtime(tmp_path: Path) -> Iterator[Runtime]:
     settings = Settings(state_dir=tmp_path / "state", lease_s=3, heartbeat_s=0.2, progress_interval_s=0)
     opened = open_runtime(settings)
     yield opened
@@ -34,13 +34,13 @@ def wedge(height_m: float = 2.0) -> TriangleMesh:
 
 
 @pytest.fixture
-def asset(here: Runtime, tmp_path: Path) -> AssetRecord:
+def asset(runtime: Runtime, tmp_path: Path) -> AssetRecord:
     packed = BytesIO()
     write_mesh_bundle(wedge(), packed)
     path = tmp_path / "mesh.safetensors"
     path.write_bytes(packed.getvalue())
-    row = asset_row(kept(here.artifacts, path), now=here.store.clock())
-    return add_asset(here.store, row)[0]
+    row = asset_row(stored_part(runtime.artifacts, path), now=runtime.store.clock())
+    return add_asset(runtime.store, row)[0]
 
 
 PARAMS = {
@@ -59,7 +59,7 @@ PARAMS = {
 
 
 def add_job(
-    here: Runtime,
+    runtime: Runtime,
     asset: AssetRecord,
     job_type: JobType = "voxelize",
     *,
@@ -67,16 +67,16 @@ def add_job(
     **params: object,
 ) -> JobRecord:
     given = PARAMS[job_type] | params  # type: ignore[operator]
-    job = job_row(asset, job_type, now=here.store.clock(), params=given, fresh_from=fresh_from)
-    return here.store.add_job(job, stages=stages_of(job_type, asset.kind))[0]
+    job = job_row(asset, job_type, now=runtime.store.clock(), params=given, fresh_from=fresh_from)
+    return runtime.store.add_job(job, stages=stages_of(job_type, asset.kind))[0]
 
 
-def hold(here: Runtime, job: JobRecord, attempt: int = 1) -> Claim:
-    here.heartbeat.wait()
-    held = claim(here.store, job.id, attempt, owner=here.owner, lease_s=here.settings.lease_s)
-    assert held is not None
-    return held
+def hold(runtime: Runtime, job: JobRecord, attempt: int = 1) -> Claim:
+    runtime.heartbeat.wait()
+    lease = claim(runtime.store, job.id, attempt, owner=runtime.owner, lease_s=runtime.settings.lease_s)
+    assert lease is not None
+    return lease
 
 
-def watch(here: Runtime, held: Claim, stopping: Callable[[], bool] = lambda: False) -> Watch:
-    return Watch(here, replace(held), stopping=stopping)
+def watch(runtime: Runtime, lease: Claim, stopping: Callable[[], bool] = lambda: False) -> Watch:
+    return Watch(runtime, replace(lease), stopping=stopping)

@@ -16,53 +16,53 @@ from dynamictree.gaussian.capture import Capture
 from jobs.assets import add_asset
 from jobs.records import AssetRecord
 from jobs.states import JobState
-from tests.rows import asset_row, kept
+from tests.rows import asset_row, stored_part
 from tests.service.test_clouds import post_cloud
 from tests.worker.conftest import add_job, hold, wedge
 from tests.worker.test_attempt import content, run, with_spectrum
 from worker.runtime import Runtime
 
 
-def keep(here: Runtime, capture: Capture, path: Path) -> AssetRecord:
+def keep(runtime: Runtime, capture: Capture, path: Path) -> AssetRecord:
     with path.open("wb") as stream:
         write_cloud_bundle(capture, stream)
-    row = asset_row(kept(here.artifacts, path), now=here.store.clock(), kind="cloud")
-    return add_asset(here.store, row)[0]
+    row = asset_row(stored_part(runtime.artifacts, path), now=runtime.store.clock(), kind="cloud")
+    return add_asset(runtime.store, row)[0]
 
 
 @pytest.fixture
-def scene(here: Runtime, tmp_path: Path) -> AssetRecord:
+def scene(runtime: Runtime, tmp_path: Path) -> AssetRecord:
     """A post at the origin, and another five metres away."""
     cloud = post_cloud(600)
     means = cloud.means.copy()
     means[400:, 0] += 5
     capture = Capture(cloud=replace(cloud, means=means), mask=np.arange(600) < 400)
-    return keep(here, capture, tmp_path / "cloud.safetensors")
+    return keep(runtime, capture, tmp_path / "cloud.safetensors")
 
 
 def test_a_splat_comes_out_moving_and_what_is_around_it_stays(
-    here: Runtime, scene: AssetRecord, tmp_path: Path
+    runtime: Runtime, scene: AssetRecord, tmp_path: Path
 ) -> None:
     options = {"num_frames": 50, "loop": False, "shot": {"side_px": 64}, "formats": ["splat-ply", "splat", "png"]}
-    held = with_spectrum(here, scene, tmp_path, **options)
-    run(here, held)
-    assert here.store.job(held.job.id).state == JobState.SUCCEEDED
-    made = {artifact.name: artifact for artifact in here.store.artifacts_of(held.job.id)}
-    assert made["splat.ply.zip"].media_type == "application/zip"
-    assert made["preview.png"].media_type == "image/png"
-    with zipfile.ZipFile(BytesIO(content(here, held.job.id, "splat.ply.zip"))) as archive:
+    lease = with_spectrum(runtime, scene, tmp_path, **options)
+    run(runtime, lease)
+    assert runtime.store.job(lease.job.id).state == JobState.SUCCEEDED
+    artifacts = {artifact.name: artifact for artifact in runtime.store.artifacts_of(lease.job.id)}
+    assert artifacts["splat.ply.zip"].media_type == "application/zip"
+    assert artifacts["preview.png"].media_type == "image/png"
+    with zipfile.ZipFile(BytesIO(content(runtime, lease.job.id, "splat.ply.zip"))) as archive:
         first, last = (read_cloud(BytesIO(archive.read(f"frame_{n:04d}.ply")), file_type="ply") for n in (0, 49))
     moved = np.linalg.norm(last.means - first.means, axis=1)
     assert moved[400:].max() == 0
     high = first.means[:400, 2] > 0.8
     assert moved[:400][high].min() > 0.1  # from one end of the sway to the other, 4 · 0.05 m a metre of height
-    splat = read_animated_splat(BytesIO(content(here, held.job.id, "tree.animated-splat.safetensors")))
+    splat = read_animated_splat(BytesIO(content(runtime, lease.job.id, "tree.animated-splat.safetensors")))
     np.testing.assert_array_equal(splat.binding.moving, np.arange(600) < 400)
 
 
-def test_the_mesh_that_came_with_a_cloud_is_taken(here: Runtime, tmp_path: Path) -> None:
+def test_the_mesh_that_came_with_a_cloud_is_taken(runtime: Runtime, tmp_path: Path) -> None:
     capture = Capture(cloud=post_cloud(), mesh=wedge())
-    job = add_job(here, keep(here, capture, tmp_path / "cloud.safetensors"))
-    run(here, hold(here, job))
-    mesh = read_mesh_bundle(BytesIO(content(here, job.id, "mesh.safetensors")))
+    job = add_job(runtime, keep(runtime, capture, tmp_path / "cloud.safetensors"))
+    run(runtime, hold(runtime, job))
+    mesh = read_mesh_bundle(BytesIO(content(runtime, job.id, "mesh.safetensors")))
     np.testing.assert_array_equal(mesh.vertices, wedge().vertices)

@@ -90,9 +90,9 @@ def test_the_folder_that_the_service_was_started_from_stays_closed(
         monkeypatch.setenv(name, value)
     program = [sys.executable, "-P", "-c", READ, str(folder), str(home), *SECRETS]
     done = subprocess.run(program, env=child_environment(), cwd=FOLDER, capture_output=True, text=True, check=True)
-    found = json.loads(done.stdout)
-    environment = found.pop("environment")
-    assert found == dict.fromkeys(SECRETS, "PermissionError")
+    result = json.loads(done.stdout)
+    environment = result.pop("environment")
+    assert result == dict.fromkeys(SECRETS, "PermissionError")
     assert str(home) not in json.dumps(environment)
     assert not [name for name in environment if "SECRET" in name or name.startswith(("DYNAMICTREE", "AWS"))]
     assert not (home / "executed").exists()
@@ -104,5 +104,5 @@ def test_the_checkout_beside_the_code_stays_closed(tmp_path: Path) -> None:
     root = Path(worker.confine.__file__).parents[1]
     program = [sys.executable, "-P", "-c", READ, str(tmp_path), str(root), "docker-compose.yml", "worker/parse.py"]
     done = subprocess.run(program, env=child_environment(), cwd=FOLDER, capture_output=True, text=True, check=True)
-    found = json.loads(done.stdout)
-    assert (found["docker-compose.yml"], found["worker/parse.py"]) == ("PermissionError", "read")
+    result = json.loads(done.stdout)
+    assert (result["docker-compose.yml"], result["worker/parse.py"]) == ("PermissionError", "read")

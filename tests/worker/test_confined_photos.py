@@ -44,16 +44,16 @@ def test_the_child_reads_what_the_library_reads(
     root = photos[0].parent
     if with_cameras:
         _give_cameras(root)
-    listed, told = list_photos(photos, root), []
+    listed, reported = list_photos(photos, root), []
     expected = read_photos(listed, root, tmp_path / "own", lambda *_: None)
 
     def never(*_: object, **__: object) -> None:
         raise AssertionError("decoded in this process")
 
     monkeypatch.setattr(PIL.Image, "open", never)
-    given, prepared = read_confined(listed, root, tmp_path / "confined", lambda *done: told.append(done))
+    given, prepared = read_confined(listed, root, tmp_path / "confined", lambda *done: reported.append(done))
     assert prepared == expected[1]
-    assert told == [(done, 8) for done in range(9)]
+    assert reported == [(done, 8) for done in range(9)]
     for photo in prepared:
         assert (tmp_path / "confined" / photo.name).read_bytes() == (tmp_path / "own" / photo.name).read_bytes()
     assert (given is None) == (not with_cameras)

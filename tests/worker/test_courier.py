@@ -1,4 +1,4 @@
-"""Webhooks, told by the real courier to a real server, their signatures checked by Standard Webhooks' own library."""
+"""Webhooks, sent by the real courier to a real server, their signatures checked by Standard Webhooks' own library."""
 
 import base64
 import hmac
@@ -40,9 +40,9 @@ def receiver() -> Iterator[Receiver]:
     class Listening(BaseHTTPRequestHandler):
         def do_POST(self) -> None:
             body = self.rfile.read(int(self.headers["Content-Length"]))
-            told.came.append(({name.lower(): value for name, value in self.headers.items()}, body))
-            time.sleep(told.wait_s)
-            self.send_response(told.answers.pop(0) if told.answers else 200)
+            hook.came.append(({name.lower(): value for name, value in self.headers.items()}, body))
+            time.sleep(hook.wait_s)
+            self.send_response(hook.answers.pop(0) if hook.answers else 200)
             self.send_header("Location", "/elsewhere")
             self.end_headers()
 
@@ -50,10 +50,10 @@ def receiver() -> Iterator[Receiver]:
             pass
 
     server = ThreadingHTTPServer(("127.0.0.1", 0), Listening)
-    told = Receiver(f"http://127.0.0.1:{server.server_port}/hook")
+    hook = Receiver(f"http://127.0.0.1:{server.server_port}/hook")
     thread = threading.Thread(target=server.serve_forever)
     thread.start()
-    yield told
+    yield hook
     server.shutdown()
     thread.join()
     server.server_close()
@@ -71,12 +71,12 @@ class Scene:
         store = self.store if owner is None else self.store.for_owner(owner)
         asset = add_asset(store, make_asset(store.clock()))[0]
         job = add_job(store, asset, webhook_id=webhook_id, traceparent="00-" + "a" * 32 + "-" + "b" * 16 + "-01")
-        held = claim(self.store, job.id, 1, owner="test", lease_s=60)
-        assert held is not None
+        lease = claim(self.store, job.id, 1, owner="test", lease_s=60)
+        assert lease is not None
         if well:
-            succeed(self.store, held)
+            succeed(self.store, lease)
         else:
-            fail(self.store, held, code="out-of-memory", message="found, allowed")
+            fail(self.store, lease, code="out-of-memory", message="found, allowed")
         return job.id
 
 
@@ -98,12 +98,12 @@ def test_the_end_of_a_job_is_delivered_and_signed(scene: Scene, receiver: Receiv
     job_id = scene.end_a_job()
     assert scene.courier.round() == 1
     headers, body = receiver.came[0]
-    told = Webhook(endpoint.secret).verify(body, headers)
+    hook = Webhook(endpoint.secret).verify(body, headers)
     key = base64.b64decode(endpoint.secret.removeprefix("whsec_"))
     signed = b".".join((headers["webhook-id"].encode(), headers["webhook-timestamp"].encode(), body))
     digest = hmac.digest(key, signed, "sha256")  # as the specification words it, without the library
     assert headers["webhook-signature"] == "v1," + base64.b64encode(digest).decode()
-    assert (told["type"], told["data"]["id"], told["data"]["state"]) == ("job.succeeded", job_id, "succeeded")
+    assert (hook["type"], hook["data"]["id"], hook["data"]["state"]) == ("job.succeeded", job_id, "succeeded")
     assert headers["traceparent"].startswith("00-aaaa")
     with pytest.raises(WebhookVerificationError):
         Webhook(endpoint.secret).verify(body.replace(b"succeeded", b"failed"), headers)
@@ -123,7 +123,7 @@ def test_a_failed_delivery_is_repeated_on_schedule(scene: Scene, receiver: Recei
         tries.append(scene.courier.round())
     assert tries == [1, 0, 1, 0, 1, 0]
     (delivery,) = webhooks.deliveries(scene.store, endpoint.id, before=None, limit=10)
-    assert (delivery.state, [made.status for made in delivery.log]) == ("failed", [500, 302, 503])
+    assert (delivery.state, [attempt.status for attempt in delivery.log]) == ("failed", [500, 302, 503])
     assert "redirects" in delivery.log[1].detail
     assert len({headers["webhook-id"] for headers, _ in receiver.came}) == 1
     again = webhooks.replay(scene.store, endpoint.id, delivery.id)
@@ -196,16 +196,16 @@ def test_what_one_courier_tells_no_other_does(scene: Scene, receiver: Receiver) 
     webhooks.add_endpoint(scene.store, receiver.url, EVENTS)
     scene.end_a_job()
     claimed = [webhooks.claim_due(scene.store, lease_s=30, limit=10, per_owner=4, busy={}) for _ in range(2)]
-    assert [len(found) for found in claimed] == [1, 0]
+    assert [len(deliveries) for deliveries in claimed] == [1, 0]
     scene.now[0] += 31
     assert scene.courier.round() == 1
 
 
 def test_endpoints_have_a_limit(scene: Scene, receiver: Receiver) -> None:
-    made = [webhooks.add_endpoint(scene.store, receiver.url, ()) for _ in range(webhooks.MAX_ENDPOINTS)]
+    attempt = [webhooks.add_endpoint(scene.store, receiver.url, ()) for _ in range(webhooks.MAX_ENDPOINTS)]
     with pytest.raises(ConflictError):
         webhooks.add_endpoint(scene.store, receiver.url, ())
-    webhooks.delete_endpoint(scene.store, made[0].id)
+    webhooks.delete_endpoint(scene.store, attempt[0].id)
     assert len(webhooks.endpoints(scene.store)) == webhooks.MAX_ENDPOINTS - 1
 
 

@@ -12,7 +12,7 @@ from jobs.errors import StorageFullError
 from jobs.maintenance import HOUSEKEEPER_LEASE, hold_lease
 from jobs.settings import Settings
 from jobs.store import Store
-from tests.rows import asset_row, kept
+from tests.rows import asset_row, stored_part
 from tests.worker.conftest import add_job, hold, watch
 from worker.cancellation import require_free_disk
 from worker.disk_reserve import DiskReserve
@@ -74,11 +74,11 @@ def test_a_job_that_fills_the_disk_is_stopped_by_its_own_progress(small_disk: Pa
     try:
         path = small_disk / "mesh"
         path.write_bytes(b"mesh")
-        asset = add_asset(runtime.store, asset_row(kept(runtime.artifacts, path), now=runtime.store.clock()))[0]
-        held = hold(runtime, add_job(runtime, asset))
+        asset = add_asset(runtime.store, asset_row(stored_part(runtime.artifacts, path), now=runtime.store.clock()))[0]
+        lease = hold(runtime, add_job(runtime, asset))
         settings.scratch_dir.mkdir(parents=True, exist_ok=True)
-        with watch(runtime, held) as watching:
-            start_stage(runtime.store, held, "voxelize")
+        with watch(runtime, lease) as watching:
+            start_stage(runtime.store, lease, "voxelize")
             watching.report("voxelize", 0.1)
             (small_disk / "product").write_bytes(bytes(54 * MIB))
             with pytest.raises(StorageFullError):

@@ -17,7 +17,7 @@ from jobs.settings import Settings
 from worker.memory_limit import limit_memory
 
 limit_memory(Settings(job_memory_bytes=int(sys.argv[1])))
-kept = np.ones(64 * 2**20, np.uint8)
+memory = np.ones(64 * 2**20, np.uint8)
 try:
     np.ones(2 * 2**30, np.uint8)
 except MemoryError:

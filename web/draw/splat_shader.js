@@ -44,7 +44,7 @@ vec3 treeColour(sampler2D sh, int g, vec3 at, mat3 R, vec3 eye) {
 }
 
 const GLSL = (harmonics) => /* glsl */ `
-vec4 treeTexel(sampler2D held, int i) { return texelFetch(held, ivec2(i % ${WIDTH}, i / ${WIDTH}), 0); }
+vec4 treeTexel(sampler2D texels, int i) { return texelFetch(texels, ivec2(i % ${WIDTH}, i / ${WIDTH}), 0); }
 vec3 treeVertex(int v, vec3 at, sampler2D moved, sampler2D poses, float bent, sampler2D bones) {
   vec3 x = at + treeTexel(moved, v).xyz;
   if (bent < 0.5) return x;

@@ -42,8 +42,8 @@ export class JobList {
       const updated = new Map(
         (await Promise.all(running.map(({ id }) => this.client.job(id)))).map((job) => [job.id, job]),
       );
-      const kept = later.filter(({ id }) => id < oldest).map((job) => updated.get(job.id) ?? job);
-      this._set([...data, ...kept]);
+      const older = later.filter(({ id }) => id < oldest).map((job) => updated.get(job.id) ?? job);
+      this._set([...data, ...older]);
       await this._show();
     });
   }

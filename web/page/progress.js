@@ -28,13 +28,13 @@ function etaWords(job) {
 function newStage(name) {
   const bar = element("progress", { max: 1 });
   bar.setAttribute("aria-label", text(`stage.${name}`));
-  return element("li", {}, element("span", {}, text(`stage.${name}`)), element("span", { className: "told" }), bar);
+  return element("li", {}, element("span", {}, text(`stage.${name}`)), element("span", { className: "status" }), bar);
 }
 
 function showStage(item, { state, progress, cached }) {
   item.className = state;
   const words = cached ? text("stage.cached") : state === "running" ? percent(progress) : textOrNull(`stage.${state}`);
-  fill(item.querySelector(".told"), words ?? state);
+  fill(item.querySelector(".status"), words ?? state);
   item.querySelector("progress").value = state === "succeeded" ? 1 : progress;
 }
 

@@ -97,15 +97,15 @@ def _placed_parts(document: GltfDocument, drawn: list[tuple[MeshInstance, JsonOb
 
 
 def _part(document: GltfDocument, instance: MeshInstance, primitive: JsonObject, material: int | None) -> MeshPart:
-    data = _read_primitive(document, primitive)
-    positions = data.attributes["POSITION"].astype(np.float64)
+    attributes = _read_primitive(document, primitive)
+    positions = attributes.attributes["POSITION"].astype(np.float64)
     if positions.shape[1] != 3:
         raise FormatError(f"POSITION has {positions.shape[1]} numbers a vertex; 3 are needed")
     mode = integer_field(primitive, "mode", high=6, default=_TRIANGLES)
-    faces = _faces(data.indices, len(positions), mode)
+    faces = _faces(attributes.indices, len(positions), mode)
     transform = instance.transform if instance.joints is None else np.eye(4)
     if instance.joints is not None:
-        positions = _skinned(positions, data.attributes, instance.joints)
+        positions = _skinned(positions, attributes.attributes, instance.joints)
     placed = positions @ transform[:3, :3].T + transform[:3, 3]
     if np.linalg.det(transform[:3, :3]) < 0:
         faces = np.ascontiguousarray(faces[:, ::-1])
@@ -113,8 +113,8 @@ def _part(document: GltfDocument, instance: MeshInstance, primitive: JsonObject,
     return MeshPart(
         vertices=placed.astype(np.float32),
         faces=faces,
-        uv=texture_coordinates(data.attributes, entry, len(positions)),
-        vertex_colors=_colors(data.attributes, len(positions)),
+        uv=texture_coordinates(attributes.attributes, entry, len(positions)),
+        vertex_colors=_colors(attributes.attributes, len(positions)),
         material=-1 if material is None else material,
     )
 
@@ -190,7 +190,7 @@ def _skinned(
 
 
 def _colors(attributes: Mapping[str, Shaped[np.ndarray, "n width"]], count: int) -> UInt8[np.ndarray, "N 4"] | None:
-    """COLOR_0 is linear; what is kept is sRGB."""
+    """Convert COLOR_0, which is linear, to sRGB."""
     if "COLOR_0" not in attributes:
         return None
     stored = attributes["COLOR_0"]

@@ -1,7 +1,7 @@
 """Wavefront OBJ with its MTL and textures, which are looked up only among the files that were sent along.
 
 Vertices follow the `v` lines. A vertex with several texture coordinates keeps its first; copies with the others
-follow after the last `v`. Polygons are cut into fans. Normals are not kept: they follow from the faces.
+follow after the last `v`. Polygons are cut into fans. Normals are dropped: they follow from the faces.
 """
 
 from collections.abc import Mapping
@@ -71,35 +71,37 @@ def read_obj(content: bytes, *, companions: Mapping[str, bytes]) -> TriangleMesh
 
 
 def _sort_lines(lines: list[bytes]) -> _Statements:
-    found = _Statements()
+    lines_by_kind = _Statements()
     material = -1
     num_triangles = 0
     for line in lines:
         keyword, _, rest = line.strip().partition(b" ")
         if keyword == b"v":
-            found.vertices.append(rest)
+            lines_by_kind.vertices.append(rest)
         elif keyword == b"vt":
-            found.texture_places.append(rest)
+            lines_by_kind.texture_places.append(rest)
         elif keyword == b"f":
             tokens = rest.split()
             if len(tokens) < 3:
                 raise FormatError(f"a face of the OBJ file has {len(tokens)} corners; at least 3 are needed")
             num_triangles += len(tokens) - 2
-            if num_triangles > MAX_FACES or len(found.vertices) > MAX_VERTICES:
+            if num_triangles > MAX_FACES or len(lines_by_kind.vertices) > MAX_VERTICES:
                 raise MeshError(
                     f"the OBJ file has more than {MAX_FACES:,} triangles or {MAX_VERTICES:,} vertices; decimate it"
                 )
-            found.corners += [(token, len(found.vertices), len(found.texture_places)) for token in tokens]
-            found.face_sizes.append(len(tokens))
+            lines_by_kind.corners += [
+                (token, len(lines_by_kind.vertices), len(lines_by_kind.texture_places)) for token in tokens
+            ]
+            lines_by_kind.face_sizes.append(len(tokens))
             if material < 0:
-                material = found.material_names.setdefault("", len(found.material_names))
-            found.face_materials.append(material)
+                material = lines_by_kind.material_names.setdefault("", len(lines_by_kind.material_names))
+            lines_by_kind.face_materials.append(material)
         elif keyword == b"usemtl":
             name = rest.strip().decode("utf-8", "replace")[:200]
-            material = found.material_names.setdefault(name, len(found.material_names))
+            material = lines_by_kind.material_names.setdefault(name, len(lines_by_kind.material_names))
         elif keyword == b"mtllib":
-            found.libraries.append(rest.strip().decode("utf-8", "replace"))
-    return found
+            lines_by_kind.libraries.append(rest.strip().decode("utf-8", "replace"))
+    return lines_by_kind
 
 
 def _numbers(lines: list[bytes], keyword: str, widths: tuple[int, ...]) -> Float64[np.ndarray, "n width"]:
@@ -121,17 +123,17 @@ def _corner_rows(
     statements: _Statements, num_vertices: int, num_places: int
 ) -> tuple[Int64[np.ndarray, " C"], Int64[np.ndarray, " C"]]:
     """Row of the vertex and of the texture place of every corner; -1 where it has no place."""
-    known: dict[tuple[bytes, int, int], tuple[int, int]] = {}
+    resolved: dict[tuple[bytes, int, int], tuple[int, int]] = {}
     rows, places = np.empty(len(statements.corners), np.int64), np.empty(len(statements.corners), np.int64)
     for i, corner in enumerate(statements.corners):
         token, vertices_above, places_above = corner
         key = corner if b"-" in token else (token, 0, 0)  # negative numbers count back from where they stand
-        if key not in known:
+        if key not in resolved:
             parts = token.split(b"/")
             place = parts[1] if len(parts) > 1 else b""
             vertex = _resolve(parts[0], vertices_above, num_vertices, token)
-            known[key] = (vertex, _resolve(place, places_above, num_places, token) if place else -1)
-        rows[i], places[i] = known[key]
+            resolved[key] = (vertex, _resolve(place, places_above, num_places, token) if place else -1)
+        rows[i], places[i] = resolved[key]
     return rows, places
 
 
@@ -160,12 +162,12 @@ def _split_by_texture(
     copies = order[is_copy[order]]
     if num_vertices + len(copies) > MAX_VERTICES:
         raise MeshError(f"the OBJ file needs {num_vertices + len(copies):,} vertices; {MAX_VERTICES:,} are allowed")
-    made = np.empty(len(pairs), np.int32)
-    made[owner[vertex]] = vertex
-    made[copies] = num_vertices + np.arange(len(copies))
+    vertex_of_pair = np.empty(len(pairs), np.int32)
+    vertex_of_pair[owner[vertex]] = vertex
+    vertex_of_pair[copies] = num_vertices + np.arange(len(copies))
     place_of = np.full(num_vertices + len(copies), -1, np.int64)
-    place_of[made] = pairs[:, 1]
-    return np.concatenate([np.arange(num_vertices), pairs[copies, 0]]), place_of, made[inverse.ravel()]
+    place_of[vertex_of_pair] = pairs[:, 1]
+    return np.concatenate([np.arange(num_vertices), pairs[copies, 0]]), place_of, vertex_of_pair[inverse.ravel()]
 
 
 def fans(

@@ -42,7 +42,7 @@ def iter_splat_sequence_zip(
 
 
 def splat_sequence_bytes(num_gaussians: int, sh_degree: int, num_frames: int, *, first_number: int = 0) -> int:
-    """Exact size of the archive, told before it is made."""
+    """Exact size of the archive, known before it is written."""
     num_harmonics = (sh_degree + 1) ** 2
     size = len(ply_header(num_gaussians, num_harmonics)) + num_gaussians * 4 * (17 + 3 * (num_harmonics - 1))
     return stored_zip_bytes((f"frame_{first_number + n:04d}.ply", size) for n in range(num_frames))

@@ -38,12 +38,12 @@ def check_las_header(stream: SeekableReader, size: int) -> None:
 
 def _check_chunks(stream: SeekableReader, start: int, points_at: int, row_bytes: int, size: int) -> None:
     stream.seek(start + points_at)
-    found = stream.read(8)
-    table_at = int.from_bytes(found, "little", signed=True)
-    if len(found) == 8 and table_at == -1:  # written to a pipe: the place is told at the end
+    stored = stream.read(8)
+    table_at = int.from_bytes(stored, "little", signed=True)
+    if len(stored) == 8 and table_at == -1:  # written to a pipe: the offset stands at the end
         stream.seek(start + size - 8)
         table_at = int.from_bytes(stream.read(8), "little", signed=True)
-    if not points_at + len(found) <= table_at <= size - 8:
+    if not points_at + len(stored) <= table_at <= size - 8:
         raise FormatError(f"the chunks of the LAZ file are listed at byte {table_at:,} of {size:,}; it is damaged")
     stream.seek(start + table_at + 4)
     num_chunks = int.from_bytes(stream.read(4), "little")

@@ -147,7 +147,7 @@ def _spacing(points: Float64[np.ndarray, "G 3"]) -> Float32[np.ndarray, " G"]:
 
 
 def _byte_color(values: np.ndarray) -> UInt8[np.ndarray, "..."]:
-    """Colours of 16 bits and of floats in [0, 1] to 8 bits; which they are is told by the largest."""
+    """Colours of 16 bits and of floats in [0, 1] to 8 bits; the largest value decides which they are."""
     largest = float(values.max(initial=0))
     if values.dtype.kind == "f" and largest <= 1:
         values = values * 255.0

@@ -24,7 +24,7 @@ def read_mask(stream: SeekableReader) -> Bool[np.ndarray, " G"]:
     except (ValueError, EOFError, MemoryError) as error:
         raise FormatError(f"the mask is no .npy file: {str(error)[:200]}") from error
     if mask.dtype.name not in ("bool", "uint8") or mask.ndim != 1 or (mask.size and mask.max() > 1):
-        found = f"{mask.dtype.name} {list(mask.shape)}"
-        raise FormatError(f"the mask is {found}; one row of bool, or of uint8 that are 0 or 1, is allowed")
+        value = f"{mask.dtype.name} {list(mask.shape)}"
+        raise FormatError(f"the mask is {value}; one row of bool, or of uint8 that are 0 or 1, is allowed")
     result: Bool[np.ndarray, " G"] = mask.astype(np.bool_)
     return result

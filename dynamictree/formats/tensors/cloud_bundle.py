@@ -35,8 +35,8 @@ def write_cloud_bundle(capture: Capture, stream: ByteWriter) -> None:
         packed = BytesIO()
         write_mesh_bundle(capture.mesh, packed)
         tensors["mesh"] = np.frombuffer(packed.getvalue(), np.uint8)
-    told = {"source_up_axis": cloud.source_up_axis, "source_scale": repr(float(cloud.source_scale))}
-    write_tensors(stream, tensors, {"format": FORMAT, "version": VERSION} | told)
+    source = {"source_up_axis": cloud.source_up_axis, "source_scale": repr(float(cloud.source_scale))}
+    write_tensors(stream, tensors, {"format": FORMAT, "version": VERSION} | source)
 
 
 def read_cloud_bundle(stream: ByteReader) -> Capture:

@@ -43,8 +43,8 @@ def read_tensors(
     metadata: dict[str, str] = header.get("__metadata__") or {}
     for name, expected in (("format", file_format), ("version", version)):
         if metadata.get(name) != expected:
-            found = str(metadata.get(name))[:80]
-            raise FormatError(f"the file's {name} is {found!r}; this reader knows {expected!r}")
+            actual = str(metadata.get(name))[:80]
+            raise FormatError(f"the file's {name} is {actual!r}; this reader knows {expected!r}")
     tensors = {}
     for name, entry in described:
         if entry["dtype"] not in _DTYPES:
@@ -105,7 +105,7 @@ def take_tensor(
         raise FormatError(f"the file has no tensor {name!r}; it has {sorted(tensors)[:8]}")
     tensor = tensors[name]
     fits = len(shape) == tensor.ndim and all(
-        want in (None, found) for want, found in zip(shape, tensor.shape, strict=True)
+        want in (None, actual) for want, actual in zip(shape, tensor.shape, strict=True)
     )
     if tensor.dtype.name not in dtypes or not fits:
         allowed = f"{' or '.join(dtypes)} {['any' if n is None else n for n in shape]}"

@@ -21,17 +21,17 @@ from dynamictree.models.small.features import (
     TreeFeatures,
     node_features,
 )
-from dynamictree.models.small.foliage import ARM, NUM_TOLD, STEM
+from dynamictree.models.small.foliage import ARM, NUM_FOLIAGE_VALUES, STEM
 from dynamictree.models.small.surface_shape import NUM_SURFACE
 from dynamictree.models.threads import run_on_cores
 from dynamictree.models.wind import DRAG_EXPONENT, MIN_GUST, REFERENCE_SPEED
 from dynamictree.sparse.pool import pool_to, upsample
 
 FLOOR = 1e-6
-"""Sizes below this share of the height (0.01 mm of a 10 m tree) are not told apart, and stand for standing still."""
+"""Sizes below this share of the height (0.01 mm of a 10 m tree) count as no motion."""
 AXES = 3
 CONTEXT = (2, 4)  # levels of the pyramid
-NUM_OWN_SCALARS = NUM_SCALARS + NUM_SURFACE + NUM_TOLD - 3 + 2 * CHAIN * (3 + 1)
+NUM_OWN_SCALARS = NUM_SCALARS + NUM_SURFACE + NUM_FOLIAGE_VALUES - 3 + 2 * CHAIN * (3 + 1)
 NUM_OWN_VECTORS = NUM_VECTORS + 1
 NUM_OWN = NUM_OWN_SCALARS + 3 * NUM_OWN_VECTORS
 NUM_INPUTS = (len(CONTEXT) + 2) * NUM_OWN + NUM_WIND
@@ -88,30 +88,38 @@ class AmplitudeNetwork(nn.Module):
         return LEAN * out[:, 0] * size[:, None], log_amplitude
 
     def of_tree(
-        self, tree: TreeFeatures, told: Float32[Tensor, "V O"], wind: Float32[Tensor, "B 4"]
+        self, tree: TreeFeatures, foliage_values: Float32[Tensor, "V O"], wind: Float32[Tensor, "B 4"]
     ) -> tuple[Float32[Tensor, "V 3"], Float32[Tensor, "V J 3"]]:
-        """Lean and ln A at all voxels, without gradients; `told` by the foliage network."""
+        """Lean and ln A at all voxels, without gradients; `foliage_values` from the foliage network."""
         at_row = wind[tree.grids.levels[0].sample_of_row, :NUM_WIND]
-        inputs = amplitude_inputs(tree, told, wind)
+        inputs = amplitude_inputs(tree, foliage_values, wind)
         bands = zip(torch.split(inputs, BAND), torch.split(at_row, BAND), strict=True)
         lean, log_amplitude = zip(*run_on_cores(partial(self, *band) for band in bands), strict=True)
         return torch.cat(lean), torch.cat(log_amplitude)
 
 
 def amplitude_inputs(
-    tree: TreeFeatures, told: Float32[Tensor, "V O"], wind: Float32[Tensor, "B 4"]
+    tree: TreeFeatures, foliage_values: Float32[Tensor, "V O"], wind: Float32[Tensor, "B 4"]
 ) -> Float32[Tensor, "V I"]:
     """Features of each voxel in the wind's frame and what the foliage network tells of it and of the stems that bear
     it, their means over its ancestors two and four levels up and over the tree, and the wind. The grid's own axes do
     not enter.
     """
-    bearers = told[:, STEM][tree.chain].flatten(1)
+    bearers = foliage_values[:, STEM][tree.chain].flatten(1)
     described = replace(
         tree,
         scalars=torch.cat(
-            [tree.scalars, tree.surface, told[:, : ARM.start], told[:, ARM.stop :], bearers, tree.girth], dim=1
+            [
+                tree.scalars,
+                tree.surface,
+                foliage_values[:, : ARM.start],
+                foliage_values[:, ARM.stop :],
+                bearers,
+                tree.girth,
+            ],
+            dim=1,
         ),
-        vectors=torch.cat([tree.vectors, told[:, None, ARM]], dim=1),
+        vectors=torch.cat([tree.vectors, foliage_values[:, None, ARM]], dim=1),
     )
     own = node_features(described, wind)
     columns = [own]

@@ -1,7 +1,7 @@
 """What the small model sees of a tree: features of its voxels, and the wind.
 
 Vectors are turned into the wind's frame (downwind, crosswind, up), so that no layer has to learn that the wind may
-come from anywhere; what the kernels' own axes mean is told by the wind's direction on the grid, as two channels.
+come from anywhere; two channels give the wind's direction on the grid, so that the kernels' axes have a meaning.
 """
 
 import math
@@ -28,7 +28,7 @@ from dynamictree.voxel.voxelize import SurfaceVoxels
 
 NUM_LEVELS = 5  # 128³ to 8³
 CHAIN = 4
-"""Stems that a voxel is told of: its own, the one that bears it, and so on towards the root."""
+"""Stems whose features a voxel gets: its own, the one that bears it, and so on towards the root."""
 SHORTEST_STEM = 4  # voxels
 NUM_SCALARS = 16 + 4 * CHAIN
 ROOT_DISTANCE = 2  # of the scalars, the way along the tree to the root over the height
@@ -68,9 +68,9 @@ def tree_features(voxels: SurfaceVoxels) -> TreeFeatures:
     vectors = np.concatenate([np.stack([*_vectors(grid, skeleton, height_m), normals], axis=1), chain_vectors], axis=1)
     chain = np.concatenate([chain, skeleton.foot[chain]], axis=1)
     girth = np.log(section_radius(grid, graph, skeleton.distance_m) + grid.voxel_size_m / 2)[chain]
-    known = voxels.moments is not None
+    has_moments = voxels.moments is not None
     moments = moments_of_normals(normals) if voxels.moments is None else voxels.moments
-    surface, tensors = surface_features(grid, moments, touching(grids.levels[0]), known=known)
+    surface, tensors = surface_features(grid, moments, touching(grids.levels[0]), has_moments=has_moments)
     return TreeFeatures(
         grids=grids,
         scalars=torch.from_numpy(scalars.astype(np.float32)),

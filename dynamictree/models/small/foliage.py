@@ -25,7 +25,7 @@ ARM_SCALE."""
 STEM, ARM = slice(4, 7), slice(7, 10)
 ARM_SCALE = 30.0  # leaves are a 30th of the height
 NUM_MOVING = 15
-NUM_TOLD = NUM_PARTS + NUM_MOVING
+NUM_FOLIAGE_VALUES = NUM_PARTS + NUM_MOVING
 CLIP = 5.0  # standard deviations
 SYMMETRIC = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])  # the numbers in a symmetric tensor
 
@@ -50,7 +50,7 @@ class FoliageNetwork(nn.Module):
 
     mean: Tensor  # [F], of the inputs
     deviation: Tensor
-    told_mean: Tensor  # [O], of what is told
+    told_mean: Tensor  # [O], of the targets
     told_deviation: Tensor
 
     def __init__(self, *, widths: tuple[int, int, int] = (24, 48, 64)) -> None:
@@ -62,18 +62,18 @@ class FoliageNetwork(nn.Module):
         self.widen = nn.ModuleList([nn.Linear(fine, middle), nn.Linear(middle, coarse)])
         self.narrow = nn.ModuleList([nn.Linear(coarse, middle), nn.Linear(middle, fine)])
         self.head = nn.Sequential(
-            nn.LayerNorm(fine), nn.Linear(fine, 4 * fine), nn.SiLU(), nn.Linear(4 * fine, NUM_TOLD)
+            nn.LayerNorm(fine), nn.Linear(fine, 4 * fine), nn.SiLU(), nn.Linear(4 * fine, NUM_FOLIAGE_VALUES)
         )
         self.register_buffer("mean", torch.zeros(NUM_SEEN))
         self.register_buffer("deviation", torch.ones(NUM_SEEN))
-        self.register_buffer("told_mean", torch.zeros(NUM_TOLD))
-        self.register_buffer("told_deviation", torch.ones(NUM_TOLD))
+        self.register_buffer("told_mean", torch.zeros(NUM_FOLIAGE_VALUES))
+        self.register_buffer("told_deviation", torch.ones(NUM_FOLIAGE_VALUES))
 
     def forward(self, tree: TreeFeatures) -> Float32[Tensor, "V O"]:
         """NUM_PARTS, then ln of the size at k = 1 … 15 over the height, at drag and gust 1."""
         standard = self.standard(tree)
-        told: Tensor = standard * self.told_deviation + self.told_mean
-        return told
+        foliage_values: Tensor = standard * self.told_deviation + self.told_mean
+        return foliage_values
 
     def standard(self, tree: TreeFeatures) -> Float32[Tensor, "V O"]:
         """The same with mean 0 and deviation 1 over the training set."""
@@ -87,8 +87,8 @@ class FoliageNetwork(nn.Module):
         coarse = self.up[0](self.down[3](coarse, levels[2]), levels[2])
         middle = self.up[1](middle + upsample(self.narrow[0](coarse).float(), grids.parents[1]), levels[1])
         fine = self.up[2](fine + upsample(self.narrow[1](middle).float(), grids.parents[0]), levels[0])
-        told: Tensor = self.head(fine).float()
-        return told
+        foliage_values: Tensor = self.head(fine).float()
+        return foliage_values
 
 
 def seen(tree: TreeFeatures) -> Float32[Tensor, "V F"]:

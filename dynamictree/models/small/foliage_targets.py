@@ -19,10 +19,10 @@ from dynamictree.voxel.voxelize import surface_average
 
 SHORTEST_M = 1e-3
 LEAST_SIZE = 1e-5
-"""Of the height: what moves less is told as if it moved so much."""
+"""Share of the height: smaller motions are raised to it."""
 
 
-def told_of(
+def foliage_targets_of(
     stored: StoredTree, spectrum: Complex64[Tensor, "V K 3"], *, resolution: int = 128
 ) -> Float32[Tensor, "V O"]:
     """What the foliage network is to tell of each voxel; `spectrum` is over the height, in the wind's frame."""
@@ -78,5 +78,5 @@ def _first_of_piece(mesh: TriangleMesh) -> Int64[np.ndarray, " N"]:
     num_pieces, piece = connected_components(graph, directed=False)
     first = np.full(num_pieces, count)
     np.minimum.at(first, piece, np.arange(count))
-    found: Int64[np.ndarray, " N"] = first[piece].astype(np.int64)
-    return found
+    row_of: Int64[np.ndarray, " N"] = first[piece].astype(np.int64)
+    return row_of

@@ -1,8 +1,7 @@
-"""Leaves swing about their bases: what a leaf does beyond what its base does is a turn, so it goes across the leaf.
+"""Project a leaf's motion relative to its base onto rotations, so that leaves do not stretch.
 
-Sizes and phases are drawn an axis at a time, and a leaf so drawn would grow and shrink along itself, until lengths are
-held on the mesh and flutter is lost with that. Here the part along the leaf is taken off, and the part across it gets
-its size.
+Sizes and phases are drawn per axis, so a leaf would grow and shrink along itself; restoring its lengths on the mesh
+would then remove flutter. This module removes the component along the leaf and rescales the component across it.
 """
 
 from dataclasses import dataclass
@@ -41,22 +40,22 @@ class Leaves:
 
 def leaves_of(
     grid: VoxelGrid,
-    told: Float32[Tensor, "V O"],
+    foliage_values: Float32[Tensor, "V O"],
     free: Float32[Tensor, " V"],
     *,
     height_m: float,
     axes: Float32[np.ndarray, "3 3"],
 ) -> Leaves:
-    """Leaves as the foliage network tells of them.
+    """Build the leaves from the foliage network's output.
 
     Args:
         grid: of the tree.
-        told: by the foliage network.
-        free: 0 where the ground holds a voxel, 1 where it does not.
+        foliage_values: output of the foliage network.
+        free: 0 where the ground fixes a voxel, 1 elsewhere.
         height_m: of the tree.
         axes: the frame that spectra are in.
     """
-    arm = told[:, ARM].numpy() * (height_m / ARM_SCALE)
+    arm = foliage_values[:, ARM].numpy() * (height_m / ARM_SCALE)
     base = np.asarray(cKDTree(grid.centres_m).query(grid.centres_m - arm)[1], np.int64)
     length = np.linalg.norm(arm, axis=1)
     outward = arm @ axes.T / np.maximum(length, np.finfo(np.float32).tiny)[:, None]
@@ -64,7 +63,7 @@ def leaves_of(
     return Leaves(
         base=torch.from_numpy(base),
         outward=torch.from_numpy(outward.astype(np.float32)),
-        share=free * told[:, 0].clamp(0, 1) * torch.from_numpy(out.astype(np.float32)),
+        share=free * foliage_values[:, 0].clamp(0, 1) * torch.from_numpy(out.astype(np.float32)),
     )
 
 

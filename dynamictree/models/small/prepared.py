@@ -33,7 +33,7 @@ SOFTNESS = 0.1
 """ε of `soften`: 0 is phase alone, large is the field as it was drawn. Chosen on validation trees (docs/decisions)."""
 
 
-HELD = 0.02
+FIXED_SHARE = 0.02
 """Of the height: so near to the roots, along the tree, the ground holds the stem, whatever the network guesses."""
 
 
@@ -92,10 +92,10 @@ def prepare_tree(network: SmallNetwork, voxels: SurfaceVoxels, wind: Wind) -> Pr
     coarse, finer = coarsened(voxels, halvings_between(voxels.grid, network.preset.resolution, "small"))
     tree, air, top = tree_features(coarse), wind_vector([wind]), network.preset.top
     height_m, axes = float(tree.height_m[0]), wind_axes(wind)
-    told = network.foliage(tree)
-    lean, log_amplitude = network.amplitude.of_tree(tree, told, air)
+    foliage_values = network.foliage(tree)
+    lean, log_amplitude = network.amplitude.of_tree(tree, foliage_values, air)
     nodes = coarsen_features(tree, top)
-    free = 1 - (-(tree.scalars[:, ROOT_DISTANCE] / HELD).square()).exp()  # [V]
+    free = 1 - (-(tree.scalars[:, ROOT_DISTANCE] / FIXED_SHARE).square()).exp()  # [V]
     smooth = sparse_rows(touching(tree.grids.levels[0]))
     return PreparedTree(
         nodes=nodes,
@@ -105,7 +105,7 @@ def prepare_tree(network: SmallNetwork, voxels: SurfaceVoxels, wind: Wind) -> Pr
         node_log_amplitude=pool_to(log_amplitude, tree.grids, top),
         lean=smooth.apply(lean) * free[:, None],
         amplitude=moving(log_amplitude) * network.energy_gain * free[:, None, None],
-        leaves=leaves_of(coarse.grid, told, free, height_m=height_m, axes=axes),
+        leaves=leaves_of(coarse.grid, foliage_values, free, height_m=height_m, axes=axes),
         lift=sparse_rows(raise_matrix(tree.grids, top, 0)),
         local=sparse_rows(unit_rows(raise_matrix(tree.grids, top - 1, 0))),
         node_scale=network.node_scale,

@@ -14,13 +14,13 @@ from dynamictree.voxel.moments import AREA, NORMAL, OFFSET, SIX, SPREAD
 STEPS = (0, 1, 3, 8)
 """Of the mean over what touches."""
 DIRECTED = (0, 3)
-"""Of STEPS, those whose tensors are told whole."""
+"""Of STEPS, those whose tensors are given in full."""
 NUM_SURFACE = 6 * len(STEPS) + 1
 NUM_TENSORS = 2 * len(DIRECTED)
 
 
 def surface_features(
-    grid: VoxelGrid, moments: Float32[np.ndarray, "V 16"], touching: csr_array, *, known: bool
+    grid: VoxelGrid, moments: Float32[np.ndarray, "V 16"], touching: csr_array, *, has_moments: bool
 ) -> tuple[Float32[np.ndarray, "V S"], Float32[np.ndarray, "V R 3 3"]]:
     """Invariants, and second moments of place and normal in the grid's frame.
 
@@ -28,7 +28,7 @@ def surface_features(
         grid: of the moments.
         moments: see `voxel.moments`.
         touching: mean over what touches, see `lift.touching`.
-        known: whether the moments are a mesh's.
+        has_moments: whether the moments are a mesh's.
     """
     centre = grid.coords.mean(axis=0)
     area = moments[:, AREA].astype(np.float64)
@@ -48,7 +48,7 @@ def surface_features(
             if step in DIRECTED:
                 tensors += [_full(spread), _full(normal)]
         weighted = touching @ weighted
-    columns.append(np.full((len(grid), 1), float(known)))
+    columns.append(np.full((len(grid), 1), float(has_moments)))
     return np.concatenate(columns, axis=1).astype(np.float32), np.stack(tensors, axis=1).astype(np.float32)
 
 

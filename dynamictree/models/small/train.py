@@ -18,7 +18,7 @@ from dynamictree.dataset.shards import shards_sha256
 from dynamictree.models.small.examples import example_of, iter_training
 from dynamictree.models.small.generate import write_small
 from dynamictree.models.small.network import SmallNetwork, SmallPreset
-from dynamictree.models.small.train_foliage import STANDARDISED_ON, foliage_step, known_trees, standardise_foliage
+from dynamictree.models.small.train_foliage import STANDARDISED_ON, foliage_examples, foliage_step, standardise_foliage
 from dynamictree.models.small.training_steps import (
     AmplitudeRows,
     amplitude_rows,
@@ -107,7 +107,7 @@ def _train_foliage(
     trainer = Trainer(network.foliage, plan.foliage)
     trainer.resume(checkpoint)
     if not trainer.finished:
-        measured = known_trees(iter_training(shards, first=0, count=plan.foliage_trees))
+        measured = foliage_examples(iter_training(shards, first=0, count=plan.foliage_trees))
         trees = list(islice(measured, STANDARDISED_ON + trainer.step))
         if trainer.step == 0 and plan.foliage_from is None:
             standardise_foliage(network.foliage, trees)

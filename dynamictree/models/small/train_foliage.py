@@ -12,7 +12,7 @@ from dynamictree.dataset.shards import StoredTree
 from dynamictree.models.small.examples import example_of
 from dynamictree.models.small.features import TreeFeatures, turn_features
 from dynamictree.models.small.foliage import ARM, NUM_PARTS, FoliageNetwork, seen
-from dynamictree.models.small.foliage_targets import told_of
+from dynamictree.models.small.foliage_targets import foliage_targets_of
 from dynamictree.models.small.quarter_turns import SIDES
 from dynamictree.sparse.level import Pyramid
 
@@ -25,14 +25,14 @@ SIZE_WEIGHT = 0.5  # of ln sizes beside parts
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class KnownTree:
-    """A tree, and what is to be told of it; float16, since many lie in memory."""
+class FoliageExample:
+    """Features of a tree and the targets of its voxels; float16, since many lie in memory."""
 
     scalars: Float16[Tensor, "V S"]
     vectors: Float16[Tensor, "V A 3"]
     surface: Float16[Tensor, "V I"]
     tensors: Float16[Tensor, "V R 3 3"]
-    told: Float16[Tensor, "V O"]
+    targets: Float16[Tensor, "V O"]
     bare: TreeFeatures  # without these
 
     def tree(self) -> TreeFeatures:
@@ -49,7 +49,7 @@ class KnownTree:
         )
 
 
-def known_trees(stored: Iterable[StoredTree], *, resolution: int = 128) -> Iterator[KnownTree]:
+def foliage_examples(stored: Iterable[StoredTree], *, resolution: int = 128) -> Iterator[FoliageExample]:
     """Measure trees."""
     for one in stored:
         example = example_of(one, resolution, with_mesh=one.seed % BLIND_EVERY != 0)
@@ -64,36 +64,38 @@ def known_trees(stored: Iterable[StoredTree], *, resolution: int = 128) -> Itera
             surface=torch.empty(0, 0),
             tensors=torch.empty(0, 0, 3, 3),
         )
-        told = told_of(one, example.spectrum, resolution=resolution)
-        yield KnownTree(
+        targets = foliage_targets_of(one, example.spectrum, resolution=resolution)
+        yield FoliageExample(
             scalars=tree.scalars.half(),
             vectors=tree.vectors.half(),
             surface=tree.surface.half(),
             tensors=tree.tensors.half(),
-            told=told.half(),
+            targets=targets.half(),
             bare=bare,
         )
 
 
-def standardise_foliage(network: FoliageNetwork, trees: Sequence[KnownTree]) -> None:
-    """Set the means and deviations of what goes in and what is told."""
+def standardise_foliage(network: FoliageNetwork, trees: Sequence[FoliageExample]) -> None:
+    """Set the means and deviations of the inputs and the targets."""
     some = trees[:STANDARDISED_ON]
     inputs = torch.cat([seen(one.tree())[::7] for one in some])
-    told = torch.cat([one.told[::7].float() for one in some])
+    targets = torch.cat([one.targets[::7].float() for one in some])
     network.mean.copy_(inputs.mean(dim=0))
     network.deviation.copy_(inputs.std(dim=0) + MIN_DEVIATION)
-    network.told_mean.copy_(told.mean(dim=0))
-    network.told_deviation.copy_(told.std(dim=0) + MIN_DEVIATION)
+    network.told_mean.copy_(targets.mean(dim=0))
+    network.told_deviation.copy_(targets.std(dim=0) + MIN_DEVIATION)
     network.told_mean[ARM] = 0  # what is a vector has no mean, and one size for all axes
-    network.told_deviation[ARM] = told[:, ARM].square().mean().sqrt()
+    network.told_deviation[ARM] = targets[:, ARM].square().mean().sqrt()
 
 
-def foliage_step(network: FoliageNetwork, trees: Sequence[KnownTree], rng: np.random.Generator) -> Float32[Tensor, ""]:
+def foliage_step(
+    network: FoliageNetwork, trees: Sequence[FoliageExample], rng: np.random.Generator
+) -> Float32[Tensor, ""]:
     """Squared error over one tree's voxels."""
-    known = trees[int(rng.integers(len(trees)))]
+    example = trees[int(rng.integers(len(trees)))]
     axes, signs = SIDES[int(rng.integers(len(SIDES)))]
-    told = known.told.float()
-    told[:, ARM] = told[:, ARM][:, list(axes)] * torch.tensor(signs, dtype=torch.float32)
-    target = (told - network.told_mean) / network.told_deviation
-    error = (network.standard(turn_features(known.tree(), axes, signs)) - target).square().mean(dim=0)
+    targets = example.targets.float()
+    targets[:, ARM] = targets[:, ARM][:, list(axes)] * torch.tensor(signs, dtype=torch.float32)
+    target = (targets - network.told_mean) / network.told_deviation
+    error = (network.standard(turn_features(example.tree(), axes, signs)) - target).square().mean(dim=0)
     return error[:NUM_PARTS].mean() + SIZE_WEIGHT * error[NUM_PARTS:].mean()

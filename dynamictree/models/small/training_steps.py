@@ -55,9 +55,9 @@ def amplitude_rows(foliage: FoliageNetwork, examples: Iterable[Example], rng: np
     for example in examples:
         wind = wind_vector([example.wind])
         with torch.autocast("cpu", torch.bfloat16):
-            told = foliage(example.tree)
+            foliage_values = foliage(example.tree)
         rows = torch.from_numpy(rng.integers(0, len(example.tree.scalars), VOXELS_A_TREE))
-        inputs.append(amplitude_inputs(example.tree, told, wind)[rows].half())
+        inputs.append(amplitude_inputs(example.tree, foliage_values, wind)[rows].half())
         winds.append(wind[:, :NUM_WIND].expand(VOXELS_A_TREE, NUM_WIND))
         spectra.append(torch.view_as_real(example.spectrum[rows] * HALF_SCALE).half())
     return AmplitudeRows(inputs=torch.cat(inputs), wind=torch.cat(winds), scaled=torch.cat(spectra))

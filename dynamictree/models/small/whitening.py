@@ -19,8 +19,8 @@ from dynamictree.sparse.pool import pool_to
 from dynamictree.spectrum import Wind
 
 WHITE_SHARE = 0.7
-"""Of the noise: white beside what is fitted to the data, so that data and noise are told apart by smoothness too."""
-RESIDUAL_KEPT = 0.1
+"""Of the noise: white beside what is fitted to the data, so that smoothness distinguishes data from noise too."""
+RESIDUAL_SHARE = 0.1
 """Of the variance that nodes do not hold: all of it as noise makes mesh edges 1.6 times too rough, none 0.7 times."""
 NUM_MEASURED = 24
 """Trees that scales and shares are measured on."""
@@ -63,7 +63,7 @@ def measure(network: SmallNetwork, examples: Iterable[Example], rng: np.random.G
     network.energy_gain.copy_((true / guessed.clamp_min(torch.finfo(torch.float32).tiny) * guessed.sum()).sqrt())
     share, pooled_power = torch.stack(power).mean(dim=0)
     network.node_scale.copy_((pooled_power / 2).sqrt())  # real and imaginary part of variance one each
-    network.residual_share.copy_(RESIDUAL_KEPT * (1 - share).clamp(0, 1))
+    network.residual_share.copy_(RESIDUAL_SHARE * (1 - share).clamp(0, 1))
     unit = [(pooled / network.node_scale).numpy() for pooled in nodes]
     fitted = torch.from_numpy(fit_shares(unit, trees, rng)) * (1 - WHITE_SHARE)
     fitted[:, 0] += WHITE_SHARE

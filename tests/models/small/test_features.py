@@ -16,7 +16,7 @@ from dynamictree.models.small.features import (
     turn_features,
     wind_vector,
 )
-from dynamictree.models.small.foliage import ARM, NUM_TOLD
+from dynamictree.models.small.foliage import ARM, NUM_FOLIAGE_VALUES
 from dynamictree.models.small.quarter_turns import SIDES
 from dynamictree.models.small.surface_shape import eigenvalues
 from dynamictree.models.small.voxel_skeleton import FOOT_VOXELS, section_radius, skeleton_of
@@ -40,11 +40,11 @@ def test_inputs_turn_with_tree_and_wind(tree: TreeFeatures, side: tuple[tuple[in
     axes, signs = side
     heading = WIND[:, 2:][:, list(axes[:2])] * torch.tensor(signs[:2])
     wind = torch.cat([WIND[:, :2], heading], dim=1)  # turned with its tree
-    told = torch.randn(len(tree.scalars), NUM_TOLD, generator=torch.Generator().manual_seed(0))
-    told_turned = told.clone()
-    told_turned[:, ARM] = told[:, ARM][:, list(axes)] * torch.tensor(signs)
-    turned = amplitude_inputs(turn_features(tree, axes, signs), told_turned, wind)
-    straight = amplitude_inputs(tree, told, WIND)
+    foliage_values = torch.randn(len(tree.scalars), NUM_FOLIAGE_VALUES, generator=torch.Generator().manual_seed(0))
+    turned_values = foliage_values.clone()
+    turned_values[:, ARM] = foliage_values[:, ARM][:, list(axes)] * torch.tensor(signs)
+    turned = amplitude_inputs(turn_features(tree, axes, signs), turned_values, wind)
+    straight = amplitude_inputs(tree, foliage_values, WIND)
     torch.testing.assert_close(turned, mirror_inputs(straight) if is_mirror(axes, signs) else straight)
 
 
@@ -103,9 +103,11 @@ def test_without_a_mesh_every_voxel_is_a_card_and_says_so(voxels: SurfaceVoxels,
 def test_a_batch_is_its_trees(tree: TreeFeatures) -> None:
     other = turn_features(tree, (0, 1, 2), (-1, 1, 1))
     winds = torch.cat([WIND, wind_vector([Wind(direction_deg=200.0)])])
-    told = torch.randn(2, len(tree.scalars), NUM_TOLD)
-    together = amplitude_inputs(batch_features([tree, other]), told.flatten(0, 1), winds)
-    apart = torch.cat([amplitude_inputs(tree, told[0], winds[:1]), amplitude_inputs(other, told[1], winds[1:])])
+    foliage_values = torch.randn(2, len(tree.scalars), NUM_FOLIAGE_VALUES)
+    together = amplitude_inputs(batch_features([tree, other]), foliage_values.flatten(0, 1), winds)
+    apart = torch.cat(
+        [amplitude_inputs(tree, foliage_values[0], winds[:1]), amplitude_inputs(other, foliage_values[1], winds[1:])]
+    )
     torch.testing.assert_close(together, apart)
     chain = batch_features([tree, other]).chain
     assert (chain[len(tree.chain) :] == tree.chain + len(tree.scalars)).all()
@@ -165,8 +167,8 @@ def test_a_stem_is_as_thick_as_it_is(radius: int) -> None:
         np.concatenate([thick, twig]).astype(np.int32), origin_m=(-6.4, -6.4, 0.0), voxel_size_m=0.1, resolution=128
     )
     graph = voxel_graph(grid)
-    found = section_radius(grid, graph, skeleton_of(grid, graph).distance_m)
+    result = section_radius(grid, graph, skeleton_of(grid, graph).distance_m)
     middle = (grid.coords[:, 2] > 20) & (grid.coords[:, 2] < 50)
     on_twig = grid.coords[:, 0] == 64 + radius + 6
-    np.testing.assert_allclose(np.median(found[middle & ~on_twig]), radius * 0.1, rtol=0.1)
-    assert np.median(found[middle & on_twig]) < 0.1
+    np.testing.assert_allclose(np.median(result[middle & ~on_twig]), radius * 0.1, rtol=0.1)
+    assert np.median(result[middle & on_twig]) < 0.1

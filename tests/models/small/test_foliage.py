@@ -11,13 +11,13 @@ from dynamictree.dataset.sapling import LEAF
 from dynamictree.dataset.shards import StoredTree, store
 from dynamictree.models.small.amplitude import amplitude_losses
 from dynamictree.models.small.examples import example_of
-from dynamictree.models.small.foliage import ARM, NUM_PARTS, NUM_TOLD, FoliageNetwork
+from dynamictree.models.small.foliage import ARM, NUM_FOLIAGE_VALUES, NUM_PARTS, FoliageNetwork
 from dynamictree.models.small.foliage_targets import ARM_SCALE, true_parts
 from dynamictree.models.small.train_foliage import (
     BLIND_EVERY,
-    KnownTree,
+    FoliageExample,
+    foliage_examples,
     foliage_step,
-    known_trees,
     standardise_foliage,
 )
 from dynamictree.models.wind import log_wind_scale
@@ -33,9 +33,9 @@ def stored() -> StoredTree:
 
 
 @pytest.fixture(scope="module")
-def known(stored: StoredTree) -> KnownTree:
-    (known,) = known_trees([stored], resolution=32)
-    return known
+def example(stored: StoredTree) -> FoliageExample:
+    (example,) = foliage_examples([stored], resolution=32)
+    return example
 
 
 def test_parts_tell_leaf_from_wood_and_how_far_out(stored: StoredTree) -> None:
@@ -59,10 +59,10 @@ def test_parts_tell_leaf_from_wood_and_how_far_out(stored: StoredTree) -> None:
 
 def test_some_trees_are_seen_as_voxels_alone(stored: StoredTree) -> None:
     seeds = (BLIND_EVERY, BLIND_EVERY + 1)
-    blind, seeing = known_trees([replace(stored, seed=seed) for seed in seeds], resolution=32)
+    blind, seeing = foliage_examples([replace(stored, seed=seed) for seed in seeds], resolution=32)
     assert (blind.tree().surface[:, -1] == 0).all()
     assert (seeing.tree().surface[:, -1] == 1).all()
-    assert (blind.told == seeing.told).all()
+    assert (blind.targets == seeing.targets).all()
 
 
 def test_sizes_at_drag_and_gust_one_do_not_depend_on_them(stored: StoredTree) -> None:
@@ -72,20 +72,20 @@ def test_sizes_at_drag_and_gust_one_do_not_depend_on_them(stored: StoredTree) ->
     assert log_wind_scale(stronger) - log_wind_scale(stored.wind) == pytest.approx(np.log(3))
 
 
-def test_the_foliage_network_learns_a_tree(known: KnownTree) -> None:
+def test_the_foliage_network_learns_a_tree(example: FoliageExample) -> None:
     torch.manual_seed(0)
     network = FoliageNetwork(widths=(8, 8, 8))
-    standardise_foliage(network, [known])
+    standardise_foliage(network, [example])
     trainer = Trainer(
         network, TrainerOptions(schedule=LearningRateSchedule(num_steps=25, learning_rate=1e-2, warmup_steps=3))
     )
-    losses = [loss for _, loss in trainer.run(lambda rng: foliage_step(network, [known], rng))]
+    losses = [loss for _, loss in trainer.run(lambda rng: foliage_step(network, [example], rng))]
     assert np.mean(losses[-3:]) < 0.7 * np.mean(losses[:3])
-    told = network(known.tree())
-    assert told.shape == (len(known.told), NUM_TOLD)
-    # means and deviations undo themselves: what is told is in the units of what was known
-    error = (told - known.told.float())[:, NUM_PARTS:].square().mean()
-    assert error < known.told.float()[:, NUM_PARTS:].var(dim=0).mean()
+    predicted = network(example.tree())
+    assert predicted.shape == (len(example.targets), NUM_FOLIAGE_VALUES)
+    # means and deviations undo themselves: the prediction has the units of the targets
+    error = (predicted - example.targets.float())[:, NUM_PARTS:].square().mean()
+    assert error < example.targets.float()[:, NUM_PARTS:].var(dim=0).mean()
 
 
 def test_the_truth_has_no_amplitude_error_but_its_axes_scatter(stored: StoredTree) -> None:

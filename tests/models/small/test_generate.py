@@ -94,9 +94,9 @@ def test_what_hardly_moves_hardly_leans() -> None:
 
 
 def test_every_sampler_step_is_reported_and_may_cancel(model: SmallModel, voxels: SurfaceVoxels) -> None:
-    told: list[tuple[int, int]] = []
-    model.generate(voxels, wind=WIND, seed=0, num_steps=3, on_step=lambda *step: told.append(step))
-    assert told == [(1, 3), (2, 3), (3, 3)]
+    steps: list[tuple[int, int]] = []
+    model.generate(voxels, wind=WIND, seed=0, num_steps=3, on_step=lambda *step: steps.append(step))
+    assert steps == [(1, 3), (2, 3), (3, 3)]
 
     def cancel(done: int, total: int) -> None:
         raise Cancelled("enough")

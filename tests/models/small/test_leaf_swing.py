@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from dynamictree.models.small.foliage import ARM, ARM_SCALE, NUM_TOLD
+from dynamictree.models.small.foliage import ARM, ARM_SCALE, NUM_FOLIAGE_VALUES
 from dynamictree.models.small.leaf_swing import MAX_GAIN, Leaves, leaves_of
 from dynamictree.voxel.grid import VoxelGrid
 
@@ -32,11 +32,11 @@ def order(grid: VoxelGrid) -> torch.Tensor:
 
 @pytest.fixture(scope="module")
 def leaves(grid: VoxelGrid, order: torch.Tensor) -> Leaves:
-    told = torch.zeros(7, NUM_TOLD)
-    told[order[1:], 0] = 1
+    foliage_values = torch.zeros(7, NUM_FOLIAGE_VALUES)
+    foliage_values[order[1:], 0] = 1
     arm = torch.from_numpy(grid.centres_m - grid.centres_m[order[TWIG]])
-    told[:, ARM] = arm.float() * ARM_SCALE / HEIGHT_M
-    return leaves_of(grid, told, torch.ones(7), height_m=HEIGHT_M, axes=AXES)
+    foliage_values[:, ARM] = arm.float() * ARM_SCALE / HEIGHT_M
+    return leaves_of(grid, foliage_values, torch.ones(7), height_m=HEIGHT_M, axes=AXES)
 
 
 def motion_of(order: torch.Tensor, twig: torch.Tensor, beyond: torch.Tensor) -> torch.Tensor:
@@ -81,10 +81,12 @@ def test_a_motion_along_a_leaf_is_not_made_a_large_swing(leaves: Leaves, order: 
 
 
 def test_what_the_ground_holds_does_not_swing(grid: VoxelGrid, leaves: Leaves, order: torch.Tensor) -> None:
-    told = torch.zeros(7, NUM_TOLD)
-    told[:, 0] = 1
-    told[:, ARM] = torch.from_numpy(grid.centres_m - grid.centres_m[order[TWIG]]).float() * ARM_SCALE / HEIGHT_M
-    held = leaves_of(grid, told, torch.zeros(7), height_m=HEIGHT_M, axes=AXES)
+    foliage_values = torch.zeros(7, NUM_FOLIAGE_VALUES)
+    foliage_values[:, 0] = 1
+    foliage_values[:, ARM] = (
+        torch.from_numpy(grid.centres_m - grid.centres_m[order[TWIG]]).float() * ARM_SCALE / HEIGHT_M
+    )
+    fixed_leaves = leaves_of(grid, foliage_values, torch.zeros(7), height_m=HEIGHT_M, axes=AXES)
     spectrum = torch.randn(7, 3, 3, dtype=torch.complex64)
-    assert (held.swing(spectrum) == spectrum).all()
+    assert (fixed_leaves.swing(spectrum) == spectrum).all()
     assert (leaves.swing(spectrum) != spectrum).any()

@@ -64,8 +64,8 @@ def test_fitted_shares_are_those_that_made_the_field(tree: TreeFeatures) -> None
     generator = torch.Generator().manual_seed(0)
     drawn = noise_basis(nodes).draw(true, generator, channels=4000).numpy()
     spectrum = ((drawn[..., :2000] + 1j * drawn[..., 2000:]) / np.sqrt(2)).astype(np.complex64)
-    found = fit_shares([spectrum], [nodes], np.random.default_rng(0))
-    np.testing.assert_allclose(found, true.numpy(), atol=0.08)
+    shares = fit_shares([spectrum], [nodes], np.random.default_rng(0))
+    np.testing.assert_allclose(shares, true.numpy(), atol=0.08)
 
 
 def test_a_layer_does_not_look_from_tree_to_tree(tree: TreeFeatures) -> None:
