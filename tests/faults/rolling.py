@@ -23,6 +23,7 @@ from tests import servers
 from tests.faults.conftest import SHORT, wait_for
 from tests.faults.shapes import bumpy_sphere
 
+TREE = Path(__file__).parents[2] / "web" / "examples" / "round-broadleaf.glb"
 ENDED = {"succeeded", "failed", "canceled", "aborted"}
 
 
@@ -44,7 +45,7 @@ def _upload(client: httpx.Client, size: int) -> str:
 
 
 def _create(client: httpx.Client, asset: str, job_type: str, seed: int) -> str:
-    params = {"resolution": 32} | ({"num_steps": 4} if job_type == "diffuse" else {})
+    params = {"num_steps": 4} if job_type == "diffuse" else {"resolution": 64}
     body = {"type": job_type, "asset_id": asset, "seed": seed, "params": params}
     answer = client.post("/v1/jobs", json=body)
     assert answer.status_code == 202, answer.text
@@ -107,15 +108,17 @@ def roll(folder: Path, checkout: Path) -> None:
         _tell("new API and housekeeper", revision=_revision(database_url))
         for client, name in ((new, "new"), (old, "old")):
             assert client.get("/readyz").json()["status"] == "ready"
-            _finish(client, _create(client, _upload(client, 44 if client is new else 48), "diffuse", 1))
+            _finish(client, _create(client, _upload(client, 44 if client is new else 48), "voxelize", 1))
             _tell(f"a job of the {name} API, run by the old worker")
+        with TREE.open("rb") as stream:
+            asset = new.post("/v1/assets", files={"file": (TREE.name, stream)}).json()["id"]
         url = _create(new, asset, "diffuse", 2)
         wait_for(lambda: new.get(url).json()["state"] == "running", "the job runs", 60)
         start(servers.worker(folder, on("worker"), "new"))
         time.sleep(1)
         worker.stop(60)
         _tell("the old worker is stopped, the new one goes on", attempt=_finish(new, url))
-        _finish(old, _create(old, _upload(old, 52), "diffuse", 3))
+        _finish(old, _create(old, _upload(old, 52), "voxelize", 3))
         _tell("a job of the old API, run by the new worker")
 
 
