@@ -1,6 +1,7 @@
 """The viewer as people use it, in a real browser against a real service."""
 
 import io
+import json
 import re
 from collections.abc import Callable
 from contextlib import closing
@@ -16,7 +17,7 @@ from dynamictree.formats.splat.ply import write_gaussian_ply
 from dynamictree.gaussian.cloud import GaussianCloud
 from jobs.keys import create_key
 from jobs.store import Store
-from tests.browser.conftest import Viewer
+from tests.browser.conftest import PICTURES, Viewer
 from tests.servers import api
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
@@ -83,7 +84,8 @@ def on_the_tree(viewer: Viewer) -> tuple[float, float]:
     panel = viewer.page.locator("#panel").bounding_box()
     assert box
     assert panel
-    for x in np.linspace(0.5, 0.44, 3) * panel["x"]:
+    free = panel["x"] if panel["x"] > 100 else box["width"]  # on a phone the panel lies below
+    for x in np.linspace(0.5, 0.44, 3) * free:
         for y in range(70, int(box["height"]) - 180, 12):
             viewer.page.mouse.move(x, y)
             if "over" in (viewer.page.locator("#canvas").get_attribute("class") or ""):
@@ -139,6 +141,66 @@ def test_a_tree_is_given_moves_and_answers_a_pull(view: Open, url: str, tree: Pa
     expect(page.locator("#grip")).to_be_hidden()
     page.mouse.move(5, 300)
     assert changed(first, steady(viewer)) < 0.0005, "the branch does not come back"
+    assert viewer.complaints == []
+
+
+FOLLOWED = """([x, y]) => {
+    const gaps = [], pointer = { x, y };
+    addEventListener("pointermove", (event) => Object.assign(pointer, { x: event.clientX, y: event.clientY }), true);
+    const each = () => {
+        const grip = document.getElementById("grip");
+        if (grip.hidden) { window.gaps = gaps; return; }
+        const at = new DOMMatrix(getComputedStyle(grip).transform);
+        gaps.push(Math.hypot(at.e - pointer.x, at.f - pointer.y));
+        requestAnimationFrame(each);
+    };
+    requestAnimationFrame(each);
+}"""
+
+
+@pytest.mark.parametrize("touch", [False, True], ids=["mouse", "touch"])
+def test_the_branch_stays_under_the_pointer(view: Open, job_url: str, touch: bool) -> None:
+    viewer = view(390, 760, touch=True) if touch else view(900, 620)
+    page = viewer.page
+    viewer.open(job_url)
+    page.wait_for_selector(MOVING, timeout=JOB_MS)
+    page.locator("#speed").fill("0")  # so that the pointer finds the branches where they are at rest
+    page.locator("#play").click()
+    steady(viewer)
+    still = pixels(viewer)
+    if touch:
+        finger = page.context.new_cdp_session(page)
+        x, y = on_the_tree(viewer)
+
+        def put(kind: str, *points: tuple[float, float]) -> None:
+            dots = [{"x": px, "y": py} for px, py in points]
+            finger.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": dots})
+
+        put("touchStart", (x, y))
+        move, lift = (lambda px, py: put("touchMove", (px, py))), (lambda: put("touchEnd"))
+    else:
+        x, y = on_the_tree(viewer)
+        page.mouse.down()
+        move, lift = page.mouse.move, page.mouse.up
+    expect(page.locator("#grip")).to_be_visible()
+    page.wait_for_timeout(800)
+    page.evaluate(FOLLOWED, [x, y])
+    for step in range(1, 41):
+        move(x + 60 * np.sin(step / 40 * np.pi), y + 12 * np.sin(step / 20 * np.pi))
+        page.wait_for_timeout(16)
+    move(x + 50, y)
+    viewer.wait_turns(10)
+    viewer.picture()
+    assert changed(still, pixels(viewer)) > 0.004, "the branch does not follow"
+    lift()
+    expect(page.locator("#grip")).to_be_hidden()
+    viewer.wait_turns()
+    gaps = page.evaluate("window.gaps")
+    figures = {"frames": len(gaps)} | {
+        f"p{share}_px": round(float(np.percentile(gaps, share)), 3) for share in (50, 95, 100)
+    }
+    (PICTURES / f"{viewer.name}.json").write_text(json.dumps(figures))
+    assert np.percentile(gaps, 95) < 5
     assert viewer.complaints == []
 
 

@@ -32,7 +32,7 @@ export function pickVoxel(tree, event, { exact = true } = {}) {
     const cost = at.depth + (Math.max(distance - size, 0) / PICK_PX) * 0.2 * stage.radius;
     if (!best || cost < best.cost) best = { voxel: v, cost };
   }
-  return best?.voxel;
+  return best?.voxel ?? null;
 }
 
 function projected(point, camera, box) {

@@ -189,13 +189,19 @@ export class Tree {
     if (this.splat?.visible) this.splat.evaluate(renderer, this.q, this.turn);
   }
 
-  /** Where a voxel is now [m]. */
-  voxelNow(v, q = this.q) {
+  /** Where the wind alone has a voxel [m]. */
+  voxelInWind(v, q, turn) {
     const { modes } = this;
     const [x, y, z] = modes.voxelAt(v, q);
-    const [c, s] = [Math.cos(this.turn), Math.sin(this.turn)];
+    const [c, s] = [Math.cos(turn), Math.sin(turn)];
     const [cx, cy, cz] = modes.centres.subarray(3 * v, 3 * v + 3);
-    const at = [cx + c * x - s * y, cy + s * x + c * y, cz + z];
+    return [cx + c * x - s * y, cy + s * x + c * y, cz + z];
+  }
+
+  /** Where a voxel is now [m]. */
+  voxelNow(v) {
+    const { modes } = this;
+    const at = this.voxelInWind(v, this.q, this.turn);
     return this.groups.length ? carried(this.boneMotion, modes.bone_of_voxel[v], at) : at;
   }
 

@@ -62,9 +62,49 @@ export class Modes {
     return sum.map((value, b) => value / Math.max(count[b], 1));
   }
 
-  /** The warp: 12 numbers a bone, rows of [R | t]; a point x goes to R x + t. Groups: `{ q: [[re, im]…], perBone }`. */
+  /** Bones from a voxel's own towards the root, without the root. */
+  chain(voxel) {
+    const rows = [];
+    for (let b = this.bone_of_voxel[voxel]; this.bone_parent[b] >= 0; b = this.bone_parent[b]) rows.push(b);
+    return rows;
+  }
+
+  /** Number of voxels that each bone carries, its own included. */
+  carriedVoxels() {
+    const count = new Float64Array(this.B);
+    for (const b of this.bone_of_voxel) count[b] += 1;
+    for (let b = this.B - 1; b > 0; b--) count[this.bone_parent[b]] += count[b]; // parents come before children
+    return count;
+  }
+
+  /** A vector of a bone's frame A_b in the world, and the reverse, as of the last `poses`. */
+  inFrame = (b, v) =>
+    [0, 1, 2].map((i) => [0, 1, 2].reduce((sum, j) => sum + this.frames[9 * b + 3 * i + j] * v[j], 0));
+  fromFrame = (b, v) =>
+    [0, 1, 2].map((j) => [0, 1, 2].reduce((sum, i) => sum + this.frames[9 * b + 3 * i + j] * v[i], 0));
+
+  /** Bends κ of all bones, the sum over the groups. */
+  _bends(groups) {
+    const bends = new Float64Array(3 * this.B);
+    for (const { seed, bend } of groups) {
+      let b = this.bone_of_voxel[seed];
+      for (const turn of bend ?? []) {
+        for (let i = 0; i < 3; i++) bends[3 * b + i] += turn[i];
+        b = this.bone_parent[b];
+      }
+    }
+    return bends;
+  }
+
+  /**
+   * The warp: 12 numbers a bone, rows of [R | t]; a point x goes to R x + t. Groups: `{ q: [[re, im]…], perBone }`, and
+   * of local bends `{ seed, bend: [[x, y, z]…] }`, from the bone of voxel `seed` towards the root.
+   */
   poses(groups, out = new Float32Array(12 * this.B)) {
     const moved = this._boneMoves(groups);
+    const bends = this._bends(groups);
+    this.frames ??= new Float64Array(9 * this.B);
+    const { frames } = this;
     for (let b = 0; b < this.B; b++) {
       // parents come before children
       const root = this.bone_parent[b] < 0;
@@ -72,7 +112,11 @@ export class Modes {
       const d = [0, 1, 2].map((c) => (moved[3 * b + c] - moved[3 * a + c]) / this.bone_lever_m2[b]);
       const r = this.bone_reach_m.subarray(3 * b, 3 * b + 3);
       const joint = this.bone_joint_m.subarray(3 * b, 3 * b + 3);
-      const R = turned(r[1] * d[2] - r[2] * d[1], r[2] * d[0] - r[0] * d[2], r[0] * d[1] - r[1] * d[0]);
+      const own = turned(r[1] * d[2] - r[2] * d[1], r[2] * d[0] - r[0] * d[2], r[0] * d[1] - r[1] * d[0]);
+      const bend = turned(bends[3 * b], bends[3 * b + 1], bends[3 * b + 2]);
+      const frame = root ? bend : product(frames.subarray(9 * a, 9 * a + 9), bend);
+      frames.set(frame, 9 * b);
+      const R = product(frame, own);
       // the joint is a point of the parent, and goes where the parent carries it
       const place = root ? joint : [0, 1, 2].map((i) => row(out, a, i, joint));
       for (let i = 0; i < 3; i++) {
@@ -86,7 +130,7 @@ export class Modes {
   _boneMoves(groups) {
     const moved = new Float32Array(3 * this.B);
     const K = this.K;
-    for (const { q, perBone } of groups)
+    for (const { q, perBone } of groups.filter(({ q }) => q))
       for (let b = 0; b < this.B; b++) {
         if (perBone[b] < 1e-4) continue;
         for (let k = 1; k < K; k++) {
@@ -109,6 +153,13 @@ const row = (poses, b, i, x) => {
   const at = 12 * b + 4 * i;
   return poses[at] * x[0] + poses[at + 1] * x[1] + poses[at + 2] * x[2] + poses[at + 3];
 };
+
+function product(a, b) {
+  const c = new Array(9);
+  for (let i = 0; i < 3; i++)
+    for (let j = 0; j < 3; j++) c[3 * i + j] = a[3 * i] * b[j] + a[3 * i + 1] * b[3 + j] + a[3 * i + 2] * b[6 + j];
+  return c;
+}
 
 function turned(x, y, z) {
   // Rodrigues

@@ -2,8 +2,9 @@
 
 import * as THREE from "three";
 import { pickVoxel } from "../draw/pick.js";
+import { Pin } from "../motion/pin.js";
 
-const FURTHEST = 0.12; // of the height: what a pull comes near to; beyond it bones would turn over
+const EASE_S = 0.1; // in which a grip that was picked beside the pointer comes under it
 const KNOCK = { share: 0.06, seconds: 0.3 }; // of the height, and how long it lasts
 
 export class Hand {
@@ -12,7 +13,8 @@ export class Hand {
     Object.assign(this, { stage, onGrab, onProblem });
     this.tree = null;
     this.push = null;
-    this.grip = null; // { voxel, start, pointer, plane, wanted, at }
+    this.grip = null; // { voxel, pointer, plane, target, beside, at }
+    this.pin = null; // keeps the grip under the pointer; after the release it fades
     this.groups = [];
     this.frame = 0;
     this.damping = undefined; // until it is set, the service takes that of real trees
@@ -58,10 +60,11 @@ export class Hand {
     this.push?.close();
     this.tree = this.push = null;
     this.groups = [];
+    this.pin = null;
   }
 
   get moving() {
-    return this.groups.length > 0 || Boolean(this.grip);
+    return this.groups.length > 0 || Boolean(this.grip) || Boolean(this.pin);
   }
 
   /** For those who use no pointer: displace the top, and let go. */
@@ -82,12 +85,34 @@ export class Hand {
     this.onGrab(null);
   }
 
+  /** The groups to draw under the wind's coordinates: those of the service, and the bend that pins the grip. */
+  groupsIn(q, turn, seconds) {
+    const { grip, pin, tree } = this;
+    if (!pin) return this.groups;
+    if (grip) {
+      grip.beside.multiplyScalar(Math.exp(-seconds / EASE_S));
+      const inWind = tree.voxelInWind(grip.voxel, q, turn);
+      const target = grip.target.clone().add(grip.beside);
+      grip.displacement = target.toArray().map((x, i) => x - inWind[i]);
+      const missing = this.missing ?? [0, 0, 0]; // how far the service says that the tree does not go
+      pin.hold(
+        this.groups,
+        inWind,
+        target.toArray().map((x, i) => x - missing[i]),
+      );
+    } else if (!pin.fade(seconds)) {
+      this.pin = null;
+      return this.groups;
+    }
+    return [...this.groups, pin.group];
+  }
+
   /** Once a frame: send the pointer's last place, acknowledge what was drawn. */
   tick() {
     const { grip } = this;
-    if (grip?.wanted) {
-      this.push.drag({ voxel: grip.voxel }, grip.wanted.toArray());
-      grip.wanted = null;
+    if (grip?.displacement) {
+      this.push.drag({ voxel: grip.voxel }, grip.displacement);
+      grip.displacement = null;
     }
     if (grip) this.onGrab(this.tree.voxelNow(grip.voxel), grip.at);
     if (this.frame) {
@@ -108,22 +133,26 @@ export class Hand {
     const facing = camera.getWorldDirection(new THREE.Vector3());
     const plane = new THREE.Plane().setFromNormalAndCoplanarPoint(facing, start);
     const at = { x: event.clientX, y: event.clientY };
-    this.grip = { voxel, start, pointer: event.pointerId, plane, wanted: null, at };
+    const target = this._onPlane(event, plane) ?? start.clone();
+    const beside = start.clone().sub(target);
+    this.grip = { voxel, pointer: event.pointerId, plane, target, beside, at };
+    this.missing = null;
+    this.pin = new Pin(this.tree.modes, voxel);
     this.onGrab(start.toArray(), at);
   }
 
   _move(event) {
     if (!this.grip) return this._hover(event);
     if (event.pointerId !== this.grip.pointer) return;
+    this.grip.at = { x: event.clientX, y: event.clientY };
+    this.grip.target = this._onPlane(event, this.grip.plane) ?? this.grip.target;
+  }
+
+  /** The pointer's place in the plane through the grip that faces the camera. */
+  _onPlane(event, plane) {
     const caster = new THREE.Raycaster();
     caster.setFromCamera(this.stage.pointer(event), this.stage.camera);
-    const at = caster.ray.intersectPlane(this.grip.plane, new THREE.Vector3());
-    this.grip.at = { x: event.clientX, y: event.clientY };
-    if (!at) return;
-    const limit = FURTHEST * this.stage.height;
-    const pull = at.sub(this.grip.start);
-    const far = pull.length();
-    this.grip.wanted = pull.multiplyScalar(far > 0 ? (limit * Math.tanh(far / limit)) / far : 0);
+    return caster.ray.intersectPlane(plane, new THREE.Vector3());
   }
 
   _hover(event) {
@@ -137,9 +166,12 @@ export class Hand {
     if (event.pointerId === this.grip?.pointer) this.letGo();
   }
 
-  _frame({ frame, groups }) {
+  _frame({ frame, groups, reached }) {
     this.frame = frame;
-    const ready = groups.map(({ locality, q }) => ({ q, perBone: this._weightsOf(locality) }));
+    this.missing = reached?.why ? reached.wanted_m.map((x, i) => x - reached.reached_m[i]) : null;
+    const ready = groups.map(({ locality, q, bend }) => {
+      return { q, bend, seed: locality?.seed_voxel, perBone: this._weightsOf(locality) };
+    });
     this.groups = ready.filter(({ perBone }) => perBone);
   }
 

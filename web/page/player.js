@@ -64,7 +64,10 @@ export class Player {
     this.gain = easing ? this.gain + (this.wanted - this.gain) * (1 - Math.exp(-seconds / EASE_S)) : this.wanted;
     const now = `${this.phase} ${this.gain} ${this.turn} ${JSON.stringify(this.alone)}`;
     const changed = now !== this.drawn;
-    if (changed || hand.moving || tree.groups.length) tree.move(this._coordinates(), this.turn, hand.groups);
+    if (changed || hand.moving || tree.groups.length) {
+      const q = this._coordinates();
+      tree.move(q, this.turn, hand.groupsIn(q, this.turn, seconds));
+    }
     if (changed) this._showTime();
     this.drawn = now;
   }
