@@ -12,7 +12,8 @@ from dynamictree.parallel import compiled, compiled_reordered, in_bands
 class VertexFrames:
     """Plain superposition, prepared once: voxels by real products, vertices by their voxels' weights.
 
-    `displacement` gives what `VoxelInterpolation.apply` gives of `system.displacement`, a few times faster.
+    `displacement` is the mean of each vertex' voxels: what `VoxelInterpolation.apply` gives where there is no `fit`, a
+    few times faster. With a fit it is an approximation. Benchmarks use it; `/v1/interact` applies the fit.
     """
 
     def __init__(
