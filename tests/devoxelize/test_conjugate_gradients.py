@@ -39,8 +39,8 @@ def test_all_columns_take_the_books_steps(num_columns: int) -> None:
     rng = np.random.default_rng(num_columns)
     system = springs(40, rng)
     right, start = (rng.standard_normal((120, num_columns)).astype(np.float32) for _ in range(2))
-    found = conjugate_gradients(system, right, start, 5)
-    np.testing.assert_allclose(found, by_the_book(system, right, start, 5), rtol=2e-3, atol=2e-4)
+    result = conjugate_gradients(system, right, start, 5)
+    np.testing.assert_allclose(result, by_the_book(system, right, start, 5), rtol=2e-3, atol=2e-4)
 
 
 def test_what_is_solved_already_stays() -> None:

@@ -65,9 +65,9 @@ def _finish(client: httpx.Client, url: str) -> int:
 def _revision(url: str) -> str:
     engine = open_engine(url)
     with engine.connect() as connection:
-        found = str(connection.execute(sa.text("SELECT version_num FROM alembic_version")).scalar_one())
+        response = str(connection.execute(sa.text("SELECT version_num FROM alembic_version")).scalar_one())
     engine.dispose()
-    return found
+    return response
 
 
 def roll(folder: Path, checkout: Path) -> None:

@@ -29,5 +29,5 @@ def test_every_operation_and_link_is_there(client: TestClient) -> None:
 
 def test_its_job_is_accepted(client: TestClient, asset: AssetRecord) -> None:
     [body] = re.findall(r'`(\{"type": "animate".*?\})`', TEXT)
-    made = client.post("/v1/jobs", json=json.loads(body.replace("ID", f'"{asset.id}"')))
-    assert made.status_code == 202, made.text
+    response = client.post("/v1/jobs", json=json.loads(body.replace("ID", f'"{asset.id}"')))
+    assert response.status_code == 202, response.text
