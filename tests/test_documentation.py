@@ -109,16 +109,6 @@ def _check_command(words: list[str]) -> None:
             assert word in options | {"--help", "-h"}, f"{command.name} {word}"
 
 
-def test_shaders_look_up_what_the_texture_has() -> None:
-    text = (ROOT / "docs" / "engines.md").read_text()
-    shaders = [shader for language, shader in BLOCK.findall(text) if language in ("hlsl", "glsl")]
-    assert len(shaders) == 3
-    for shader in (re.sub(r"//.*|/\*.*?\*/", "", shader) for shader in shaders):
-        assert shader.count("(") == shader.count(")")
-        assert shader.count("{") == shader.count("}")
-        assert re.search("rows_?per_?frame", shader, re.IGNORECASE)
-
-
 def test_the_reference_tells_every_operation_and_body() -> None:
     page = json.loads((ROOT / "openapi" / "openapi.json").read_text())
     headings = set(re.findall(r"^### (\w+)$", reference(page), re.MULTILINE))

@@ -1,8 +1,8 @@
-"""Wind after Weber and Penn (1995), section 4.4, as Blender's Sapling add-on does it: the procedural rival.
+"""Procedural wind after Weber and Penn (1995), section 4.4, as in Blender's Sapling add-on: a baseline.
 
-It needs a skeleton, which a scan does not have. Written from the formulas; the add-on's own bakes hold it to account in
-`tests/training/test_rival_laws.py`. Each bone turns about its head, in its own axes, by two sinusoids of its stem's own
-frequency and a gust that all stems share; what hangs on it follows.
+It needs a skeleton, which a scan does not have. Written from the formulas; bakes of the add-on are the reference in
+`tests/evaluation/test_procedural_wind.py`. Each bone turns about its head, in its own axes, by two sinusoids of its
+stem's own frequency and a gust that all stems share; what hangs on the bone follows it.
 """
 
 from dataclasses import dataclass

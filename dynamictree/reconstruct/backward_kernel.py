@@ -6,7 +6,6 @@ finished pixel less what came before, so only the picture of the forward pass is
 
 from typing import no_type_check
 
-import numba
 import numpy as np
 
 from dynamictree.gaussian.rasterize_kernel import (
@@ -21,6 +20,7 @@ from dynamictree.gaussian.rasterize_kernel import (
     rotation_axes,
 )
 from dynamictree.gaussian.turn import harmonic_values
+from dynamictree.parallel import compiled_reordered
 
 ENTRY = 10
 """Gradients of a Gaussian in one tile: centre (2), conic (3), shown opacity, colour (3), depth."""
@@ -51,10 +51,8 @@ _SH = tuple(
 )
 _THREE, _FOUR, _SIX = np.float32(3), np.float32(4), np.float32(6)
 
-_compiled = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz", "reassoc"})
 
-
-@_compiled
+@compiled_reordered
 @no_type_check
 def blend_back(first, end, ellipses, bounds, order, starts, picture, gradient, entries):
     """Gradient of each listed Gaussian in each tile; of a picture of colour, depth and light left, and its gradient."""
@@ -81,7 +79,7 @@ def blend_back(first, end, ellipses, bounds, order, starts, picture, gradient, e
                 break
 
 
-@_compiled
+@compiled_reordered
 @no_type_check
 def _one_back(e, left, top, from_row, to_row, b, out):
     across, down, half_a, cross, half_c = left - e[0], top - e[1], _HALF * e[2], e[3], _HALF * e[4]
@@ -133,7 +131,7 @@ def _one_back(e, left, top, from_row, to_row, b, out):
     out[6], out[7], out[8], out[9] = sum_r, sum_g, sum_b, sum_d
 
 
-@_compiled
+@compiled_reordered
 @no_type_check
 def _is_opaque(b):
     most = np.float32(0)
@@ -142,7 +140,7 @@ def _is_opaque(b):
     return most < _OPAQUE
 
 
-@_compiled
+@compiled_reordered
 @no_type_check
 def gather(order, entries, gradients):
     """Sum over the tiles that list a Gaussian, in the order of the tiles: the same with any number of threads."""
@@ -152,7 +150,7 @@ def gather(order, entries, gradients):
             gradients[g, c] += entries[i, c]
 
 
-@_compiled
+@compiled_reordered
 @no_type_check
 def project_back(
     first, end, means, quaternions, scales, opacity, sh, view, antialias, bounds, ellipses, gradients, out
@@ -242,7 +240,7 @@ def project_back(
         out[g, 2] += (tz - outward * dz) / length
 
 
-@_compiled
+@compiled_reordered
 @no_type_check
 def _rotation_back(q, m, out):
     """To the quaternion as an unconstrained one that is made a unit before use: no part along itself."""
@@ -261,7 +259,7 @@ def _rotation_back(q, m, out):
     out[6] += z_g - along * z
 
 
-@_compiled
+@compiled_reordered
 @no_type_check
 def harmonic_slopes(degree, x, y, z, out):
     """Derivatives of `turn.harmonic_values` by the direction's x, y and z."""

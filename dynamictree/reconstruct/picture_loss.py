@@ -2,11 +2,10 @@
 
 from typing import NamedTuple, no_type_check
 
-import numba
 import numpy as np
 from jaxtyping import Float32
 
-from dynamictree.parallel import in_bands
+from dynamictree.parallel import compiled_fused, in_bands
 
 SSIM_SHARE = 0.2  # λ of Kerbl et al.
 _RADIUS, _SIGMA = 5, 1.5  # Wang et al. 2004
@@ -59,10 +58,7 @@ def blur(planes: Float32[np.ndarray, "P H W"]) -> Float32[np.ndarray, "P H W"]:
     return result
 
 
-_compiled = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
-
-
-@_compiled
+@compiled_fused
 @no_type_check
 def _blur_rows(first, end, planes, window, result):
     _, height, width = planes.shape
@@ -82,7 +78,7 @@ def _blur_rows(first, end, planes, window, result):
                 target[j] += weight * row_sum[j + k]
 
 
-@_compiled
+@compiled_fused
 @no_type_check
 def _products(first, end, picture, photo, maps):
     for row in range(first, end):
@@ -91,7 +87,7 @@ def _products(first, end, picture, photo, maps):
             maps[0, row, j], maps[1, row, j], maps[2, row, j], maps[3, row, j] = x, y, x * x + y * y, x * y
 
 
-@_compiled
+@compiled_fused
 @no_type_check
 def _combine(first, end, picture, photo, by_maps, share, gradient, distance):
     """Chain rule through the maps, and the gradient of L1."""
@@ -105,7 +101,7 @@ def _combine(first, end, picture, photo, by_maps, share, gradient, distance):
         distance[row] = total
 
 
-@_compiled
+@compiled_fused
 @no_type_check
 def _compare(first, end, blurred, share, back, values):
     """SSIM of blurred maps, and its derivatives by the mean, the sum of squares and the product."""

@@ -8,9 +8,10 @@ in voxels and its barycentric coordinates, which are cut along with it and so st
 from dataclasses import dataclass
 from typing import no_type_check
 
-import numba
 import numpy as np
 from jaxtyping import Float32, Float64, Int32, Int64
+
+from dynamictree.parallel import compiled
 
 _MAX_CORNERS = 12  # a triangle cut by six planes has at most nine
 
@@ -38,7 +39,7 @@ def cut_faces(corners: Float64[np.ndarray, "F 3 3"], resolution: int) -> Surface
     return SurfacePieces(keys=keys, faces=faces, areas=areas, centroids=centroids)
 
 
-@numba.njit(cache=True)
+@compiled
 @no_type_check
 def _cut(polygon, count, axis, bound, sign, out):
     """Keep the side where sign * (x - bound) >= 0 (Sutherland and Hodgman 1974); gives the number of corners left."""
@@ -60,7 +61,7 @@ def _cut(polygon, count, axis, bound, sign, out):
     return num_left
 
 
-@numba.njit(cache=True)
+@compiled
 @no_type_check
 def _slab(polygon, count, axis, index, scratch, out):
     """Keep index <= x <= index + 1."""
@@ -68,7 +69,7 @@ def _slab(polygon, count, axis, index, scratch, out):
     return _cut(scratch, left, axis, index + 1.0, -1.0, out)
 
 
-@numba.njit(cache=True)
+@compiled
 @no_type_check
 def _range(polygon, count, axis):
     """First and last voxel index along one axis; what lies in a boundary plane belongs to the voxel above it."""
@@ -78,7 +79,7 @@ def _range(polygon, count, axis):
     return int(np.floor(low)), int(np.floor(high))
 
 
-@numba.njit(cache=True)
+@compiled
 @no_type_check
 def _area(polygon, count):
     """Area of a flat polygon, as a fan from its first corner, and the barycentric coordinates of its centroid."""
@@ -98,7 +99,7 @@ def _area(polygon, count):
     return 0.0, polygon[0, 3], polygon[0, 4], polygon[0, 5]
 
 
-@numba.njit(cache=True)
+@compiled
 @no_type_check
 def _cut_one(triangle, face, resolution, start, write, keys, faces, areas, centroids):
     scratch, in_x = np.empty((_MAX_CORNERS, 6)), np.empty((_MAX_CORNERS, 6))
@@ -134,7 +135,7 @@ def _cut_one(triangle, face, resolution, start, write, keys, faces, areas, centr
     return place - start
 
 
-@numba.njit(cache=True)
+@compiled
 @no_type_check
 def _cut_all(corners, resolution, counts, starts, write, keys, faces, areas, centroids):
     for face in range(len(corners)):

@@ -65,9 +65,9 @@ def _finish(client: httpx.Client, url: str) -> int:
 def _revision(url: str) -> str:
     engine = open_engine(url)
     with engine.connect() as connection:
-        response = str(connection.execute(sa.text("SELECT version_num FROM alembic_version")).scalar_one())
+        revision = str(connection.execute(sa.text("SELECT version_num FROM alembic_version")).scalar_one())
     engine.dispose()
-    return response
+    return revision
 
 
 def roll(folder: Path, checkout: Path) -> None:
