@@ -150,7 +150,7 @@ def test_reported_coordinates_begin_with_bin_zero(tree):
 
 
 @pytest.mark.parametrize("local", [False, True])
-def test_the_fast_frame_is_the_slow_one(tree, rng, local):
+def test_vertex_frames_are_the_weighted_mean_of_their_voxels(tree, rng, local):
     tree, _ = tree
     system, num_voxels = tree.system, len(tree.system.grid)
     rows = rng.integers(0, num_voxels, (500, 4)).astype(np.int32)

@@ -10,7 +10,7 @@ const ROUNDS = 4;
 const STEP_RAD = 0.3;
 const MOST_RAD = 1;
 const TOLERANCE = 1e-4; // of the compliance: a direction in which nothing gives way is not followed
-const LET_GO_S = 0.15; // in which the bend goes, once nothing is held
+const LET_GO_S = 0.15; // in which the bend goes, once nothing is pinned
 
 export class Pin {
   constructor(modes, voxel) {
