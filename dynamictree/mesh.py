@@ -53,6 +53,7 @@ class TriangleMesh:
     face_material: Int32[np.ndarray, " F"] | None = None  # index into materials
     materials: tuple[Material, ...] = field(default=())
     source_up_axis: str = "+Z"
+    source_up_confidence: float = 1.0  # in [0, 1]; below 1 the axis was worked out from the shape
     source_scale: float = 1.0  # metres a unit of the source
     warnings: tuple[SourceWarning, ...] = ()
 

@@ -84,6 +84,12 @@ class Reading(Request):
         le=1e6,
         description="Metres per unit of the file (0.01 for centimetres); detected if unset",
     )
+    height_m: Finite | None = Field(
+        default=None,
+        gt=0,
+        lt=1000,
+        description="Height of the tree [m]; scales what is read, in place of unit_m; the file's if unset",
+    )
 
 
 class CloudParams(Request):

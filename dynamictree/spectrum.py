@@ -37,6 +37,9 @@ class SparseVoxelSpectrum:
     seed: int = 0
     wind: Wind | None = None
     source_sha256: str = ""
+    source_up_axis: str = ""  # how the shape was read: empty and None where it is not known
+    source_up_confidence: float | None = None
+    source_scale: float | None = None
 
     def __post_init__(self) -> None:
         if len(self.coefficients) != len(self.grid):

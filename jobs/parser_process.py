@@ -41,6 +41,7 @@ class ParseRequest(BaseModel):
     prepared: Path  # where the mesh or cloud goes, in metres and +Z up
     up_axis: str | None = None
     unit_m: float | None = None
+    height_m: float | None = None
     memory_bytes: int
     cpu_s: int
 

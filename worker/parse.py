@@ -90,6 +90,7 @@ def _cloud(
             file_type=file_type,
             up_axis=request.up_axis,
             unit_m=request.unit_m,
+            height_m=request.height_m,
             mask=opened.enter_context(masks[0].open("rb")) if masks else None,
             mesh=None if mesh is None else (mesh, opened.enter_context(paths[mesh].open("rb"))),
             companions=None
@@ -110,7 +111,12 @@ def _mesh(request: ParseRequest, name: str, file_type: str, beside: Mapping[str,
     companions = beside_model(name, {other: path.read_bytes() for other, path in beside.items()})
     with dict(zip(request.names, request.paths, strict=True))[name].open("rb") as source:
         mesh = read_mesh(
-            source, file_type=file_type, up_axis=request.up_axis, unit_m=request.unit_m, companions=companions
+            source,
+            file_type=file_type,
+            up_axis=request.up_axis,
+            unit_m=request.unit_m,
+            height_m=request.height_m,
+            companions=companions,
         )
     with request.prepared.open("xb") as stream:
         write_mesh_bundle(mesh, stream)

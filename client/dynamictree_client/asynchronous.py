@@ -93,6 +93,7 @@ class AsyncClient:
         kind: str | None = None,
         up_axis: str | None = None,
         unit_m: float | None = None,
+        height_m: float | None = None,
         resumable: bool | None = None,
     ) -> Asset:
         """Send a mesh and what it names, photos, a splat, or a folder of them. The same files are the same asset.
@@ -102,13 +103,14 @@ class AsyncClient:
         files = chosen_files(paths)
         if sum(file.stat().st_size for file in files) > RESUMABLE_ABOVE if resumable is None else resumable:
             ids = [await self.upload_file(file) for file in files]
-            request = {"upload_ids": ids, "kind": kind, "up_axis": up_axis, "unit_m": unit_m}
+            request = {"upload_ids": ids, "kind": kind, "up_axis": up_axis, "unit_m": unit_m, "height_m": height_m}
             body = {name: value for name, value in request.items() if value is not None}
             response = await self._exchange(
                 lambda: {"method": "POST", "url": "/v1/assets", "json": body}, repeatable=True
             )
             return _ASSET.read(response)
-        given = {"kind": kind, "up_axis": up_axis, "unit_m": None if unit_m is None else repr(unit_m)}
+        lengths = {"unit_m": unit_m, "height_m": height_m}
+        given = {"kind": kind, "up_axis": up_axis} | {n: None if v is None else repr(v) for n, v in lengths.items()}
         fields = {name: value for name, value in given.items() if value is not None}
         with ExitStack() as stack:
             response = await self._exchange(lambda: _ASSET.arguments() | form_of(files, fields, stack), repeatable=True)

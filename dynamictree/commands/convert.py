@@ -38,15 +38,15 @@ def convert(
     Meshes are written in metres; OBJ and PLY with +Z up. Splats keep the axes and units of their file; SPZ and GLB are
     +Y up.
     """
-    cloud = load_capture(source, up_axis=reading.up_axis, unit_m=reading.unit_m).cloud if is_cloud(source) else None
-    mesh = load_mesh(source, up_axis=reading.up_axis, unit_m=reading.unit_m) if cloud is None else None
+    cloud = load_capture(source, reading).cloud if is_cloud(source) else None
+    mesh = load_mesh(source, reading) if cloud is None else None
     endings = CLOUD_ENDINGS if mesh is None else MESH_ENDINGS
     if output.suffix.lower() not in endings:
         kind = "splat or scan" if mesh is None else "mesh"
         raise InputError(f"{output.name!r} is no file that a {kind} is written to; choose from {', '.join(endings)}")
     with published(output.parent) as folder:
         if mesh is not None:
-            say_how_read(mesh)
+            say_how_read(mesh, mesh.warnings)
             write_mesh_file(mesh, folder / output.name)
         elif cloud is not None:
             write_cloud_file(cloud, folder / output.name)

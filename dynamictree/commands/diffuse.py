@@ -7,7 +7,7 @@ import typer
 
 from dynamictree.commands.options import OutputFile
 from dynamictree.commands.request_options import with_request_options
-from dynamictree.commands.source import is_tensor_file, read_source
+from dynamictree.commands.source import is_tensor_file, read_source, with_source
 from dynamictree.commands.terminal import AsJson, progress, tell
 from dynamictree.files import opened, published
 from dynamictree.requests import CloudParams, GeneratorGridParams, ModelParams, Reading, SpectrumParams
@@ -31,6 +31,7 @@ def diffuse(
     from dynamictree.formats.tensors.spectrum import write_spectrum
     from dynamictree.formats.tensors.voxels import FORMAT, read_voxels
 
+    mesh = None
     if is_tensor_file(source, FORMAT, ".voxels.safetensors"):
         with opened(source) as stream:
             voxels = read_voxels(stream)
@@ -46,6 +47,8 @@ def diffuse(
             num_steps=params.num_steps,
             on_step=lambda done, total: report("diffuse", done / total),
         )
+    if mesh is not None:
+        spectrum = with_source(spectrum, mesh, source)
     with published(output.parent) as folder, (folder / output.name).open("wb") as stream:
         write_spectrum(spectrum, stream)
     tell({"file": str(output), "num_voxels": len(spectrum.grid), "period_s": spectrum.period_s}, as_json=as_json)

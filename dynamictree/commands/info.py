@@ -29,9 +29,9 @@ def info(
         with opened(source) as stream:
             facts = describe_grid(voxels.read_voxels(stream).grid)
     elif is_cloud(source):
-        facts = describe_capture(load_capture(source, up_axis=reading.up_axis, unit_m=reading.unit_m))
+        facts = describe_capture(load_capture(source, reading))
     else:
-        facts = describe_mesh(load_mesh(source, up_axis=reading.up_axis, unit_m=reading.unit_m))
+        facts = describe_mesh(load_mesh(source, reading))
     if not as_json:
         facts["warnings"] = [f"{entry['message']} ({entry['code']})" for entry in facts.get("warnings", [])] or ["none"]
     tell(facts, as_json=as_json)

@@ -99,7 +99,7 @@ def interact(
         start="held" if held else "rest",
         bent=tree if warp else None,
     )
-    source = None if mesh is None else load_mesh(mesh, up_axis=reading.up_axis, unit_m=reading.unit_m)
+    source = None if mesh is None else load_mesh(mesh, reading)
     files = _write(tree, answer, source, output, wanted=wanted, fps=fps, warp=warp)
     facts = {
         "files": [str(path) for path in files],

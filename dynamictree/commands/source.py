@@ -1,8 +1,11 @@
 """What the user names as the shape of a tree: a mesh, or a cloud and the mesh that carries it."""
 
+import hashlib
+from collections.abc import Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypedDict
 
 import typer
 
@@ -12,7 +15,8 @@ from dynamictree.requests import Box, Reading
 
 if TYPE_CHECKING:
     from dynamictree.gaussian.capture import Capture
-    from dynamictree.mesh import TriangleMesh
+    from dynamictree.mesh import SourceWarning, TriangleMesh
+    from dynamictree.spectrum import SparseVoxelSpectrum
 
 
 def is_tensor_file(path: Path, file_format: str, ending: str) -> bool:
@@ -57,22 +61,39 @@ def read_source(
     if not is_cloud(path):
         if box_m is not None or mask is not None or beside is not None:
             raise InputError(f"{path} is a mesh; --box, --mask and --mesh are for splats and scans")
-        mesh = load_mesh(path, up_axis=reading.up_axis, unit_m=reading.unit_m)
-        say_how_read(mesh)
+        mesh = load_mesh(path, reading)
+        say_how_read(mesh, mesh.warnings)
         return mesh, None
-    capture = load_capture(path, up_axis=reading.up_axis, unit_m=reading.unit_m, mask=mask, mesh=beside)
-    return carrying_mesh(capture, box_m), capture
+    capture = load_capture(path, reading, mask=mask, mesh=beside)
+    mesh = carrying_mesh(capture, box_m)
+    say_how_read(mesh, capture.warnings)
+    return mesh, capture
 
 
-def say_how_read(mesh: "TriangleMesh") -> None:
+def say_how_read(mesh: "TriangleMesh", warnings: "Sequence[SourceWarning]") -> None:
     """Print size, axis and unit as they were read, and what the reader left out, to standard error."""
     unit = f"unit {mesh.source_scale:g} m"
     typer.echo(f"read as {mesh.height_m:.3g} m tall, {mesh.source_up_axis} up, {unit}", err=True)
-    for warning in mesh.warnings:
+    for warning in warnings:
         typer.echo(f"warning: {warning.message} ({warning.code})", err=True)
 
 
-def load_mesh(path: Path, *, up_axis: str | None = None, unit_m: float | None = None) -> "TriangleMesh":
+def with_source(spectrum: "SparseVoxelSpectrum", mesh: "TriangleMesh", path: Path) -> "SparseVoxelSpectrum":
+    """The spectrum, with what it was made from and how that was read."""
+    with opened(path) as stream:
+        digest = hashlib.sha256()
+        while block := stream.read(1 << 20):
+            digest.update(block)
+    return replace(
+        spectrum,
+        source_sha256=digest.hexdigest(),
+        source_up_axis=mesh.source_up_axis,
+        source_up_confidence=mesh.source_up_confidence,
+        source_scale=mesh.source_scale,
+    )
+
+
+def load_mesh(path: Path, reading: Reading | None = None) -> "TriangleMesh":
     """Read a mesh file, and the files beside it that it names (MTL, textures), in metres and +Z up.
 
     Raises:
@@ -83,14 +104,24 @@ def load_mesh(path: Path, *, up_axis: str | None = None, unit_m: float | None = 
     with opened(path) as stream:
         file_type = sniff_file_type(stream.read(4096), path.name)
         stream.seek(0)
-        return read_mesh(stream, file_type=file_type, up_axis=up_axis, unit_m=unit_m, companions=Companions(path))
+        return read_mesh(stream, file_type=file_type, **_how(reading), companions=Companions(path))
+
+
+class _How(TypedDict):
+    up_axis: str | None
+    unit_m: float | None
+    height_m: float | None
+
+
+def _how(reading: Reading | None) -> _How:
+    reading = reading or Reading()
+    return {"up_axis": reading.up_axis, "unit_m": reading.unit_m, "height_m": reading.height_m}
 
 
 def load_capture(
     path: Path,
+    reading: Reading | None = None,
     *,
-    up_axis: str | None = None,
-    unit_m: float | None = None,
     mask: Path | None = None,
     mesh: Path | None = None,
 ) -> "Capture":
@@ -107,8 +138,7 @@ def load_capture(
         return read_capture(
             stream,
             file_type=file_type,
-            up_axis=up_axis,
-            unit_m=unit_m,
+            **_how(reading),
             mask=None if mask is None else stack.enter_context(opened(mask)),
             mesh=None if mesh is None else (mesh.name, stack.enter_context(opened(mesh))),
             companions=None if mesh is None else Companions(mesh),

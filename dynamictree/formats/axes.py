@@ -3,8 +3,7 @@
 Inside, everything is in metres and +Z up. glTF is +Y up and in metres by its specification. OBJ, PLY and STL say
 neither, so both are worked out, and what was found is recorded in `source_up_axis` and `source_scale`:
 
-- up is whichever of +Y and +Z the tree stands on with the narrower foot: the spread of the surface in the lowest tenth
-  of the height, as a share of the spread of all of it. Within a fifth of each other, the taller of the two counts.
+- up is the likeliest of the six axes by several cues, see `upright.py`;
 - the unit is the first of metre, centimetre and millimetre in which the tree is at most 120 m tall.
 """
 
@@ -14,14 +13,12 @@ import numpy as np
 from jaxtyping import Float32, Float64
 
 from dynamictree.errors import InputError
+from dynamictree.formats.upright import CERTAIN, UpAxis, judge_up_axis
 from dynamictree.mesh import SourceWarning, TriangleMesh
 
 TALLEST_TREE_M = 120.0  # Hyperion, the tallest tree known, is 116 m
 USUAL_HEIGHT_M = (0.2, 60.0)
 UNITS_M = (1.0, 0.01, 0.001)
-
-_FOOT_SHARE = 0.1  # of the height
-_CLEARLY_NARROWER = 0.8
 
 # rows are where the file's axes go; +Y is glTF's, −Y that of a scene reconstructed from photos (x right, y down)
 _TO_Z_UP = {
@@ -46,26 +43,66 @@ def up_rotation(up_axis: str) -> Float64[np.ndarray, "3 3"]:
 
 
 def mesh_to_z_up(
-    mesh: TriangleMesh, *, up_axis: str | None, unit_m: float | None, doubt_size: bool = False
+    mesh: TriangleMesh,
+    *,
+    up_axis: str | None,
+    unit_m: float | None,
+    height_m: float | None = None,
+    habit: str | None = None,
+    doubt_size: bool = False,
 ) -> TriangleMesh:
     """Turn and scale a mesh as its file has it; None is worked out.
+
+    Args:
+        mesh: in its file's axes and units.
+        up_axis: the file's.
+        unit_m: metres a unit of the file.
+        height_m: of the tree as it is to be; decides the unit if given [m].
+        habit: the axis that is usual in the file's format, if any.
+        doubt_size: whether an unusual height is worth a warning.
 
     Raises:
         InputError: an unknown axis, or a unit that is not a positive length.
     """
     if unit_m is not None and not (np.isfinite(unit_m) and unit_m > 0):
         raise InputError(f"unit_m is {unit_m}; it must be positive and finite")
-    axis = up_axis or detect_up_axis(mesh)
-    turned = mesh.vertices @ up_rotation(axis).T  # [N, 3] float64
-    scale = unit_m or guess_unit_m(float(np.ptp(turned[:, 2])) if len(turned) else 0.0)
-    height = float(np.ptp(turned[:, 2])) * scale if len(turned) else 0.0
+    judged = UpAxis(axis=up_axis, confidence=1.0) if up_axis else judge_up_axis(mesh, habit=habit)
+    turned = mesh.vertices @ up_rotation(judged.axis).T  # [N, 3] float64
+    found = float(np.ptp(turned[:, 2])) if len(turned) else 0.0
+    scale = scale_to(height_m, found) or unit_m or guess_unit_m(found)
+    doubts = (*axis_warnings(judged), *(size_warnings(found * scale, scale) if doubt_size and not height_m else ()))
     return replace(
         mesh,
         vertices=(turned * scale).astype(np.float32),
-        source_up_axis=axis,
+        source_up_axis=judged.axis,
+        source_up_confidence=round(judged.confidence, 3),
         source_scale=scale * mesh.source_scale,
-        warnings=mesh.warnings + (size_warnings(height, scale) if doubt_size else ()),
+        warnings=mesh.warnings + doubts,
     )
+
+
+def scale_to(height_m: float | None, height: float) -> float | None:
+    """Metres a unit that make a height, in the file's units, the one that is wanted.
+
+    Raises:
+        InputError: the model has no height.
+    """
+    if height_m is None:
+        return None
+    if not height > 0:
+        raise InputError(f"height_m is {height_m:g}, but the model has no height along its up axis; set up_axis")
+    return height_m / height
+
+
+def axis_warnings(judged: UpAxis) -> tuple[SourceWarning, ...]:
+    """Doubt an axis that the shape does not make certain."""
+    if judged.confidence >= CERTAIN:
+        return ()
+    message = (
+        f"the file does not say which way is up; {judged.axis} was taken with a confidence of "
+        f"{judged.confidence:.0%}; set up_axis if the tree lies on its side"
+    )
+    return (SourceWarning(code="orientation-uncertain", message=message),)
 
 
 def size_warnings(height_m: float, scale: float) -> tuple[SourceWarning, ...]:
@@ -76,11 +113,11 @@ def size_warnings(height_m: float, scale: float) -> tuple[SourceWarning, ...]:
     heights = {name: (unit, height_m / scale * unit) for name, unit in units.items() if unit != scale}
     proposal = next(
         (
-            f"; if the file is in {name}, set unit_m to {unit:g} ({height:.3g} m)"
+            f"; if the file is in {name}, set unit_m to {unit:g} ({height:.3g} m), or height_m to its height"
             for name, (unit, height) in heights.items()
             if 1 <= height <= USUAL_HEIGHT_M[1]
         ),
-        "; set unit_m to the metres in one unit of the file",
+        "; set height_m to its height, or unit_m to the metres in one unit of the file",
     )
     low, high = USUAL_HEIGHT_M
     message = f"the model is {height_m:.4g} m tall, outside of the usual {low:g} to {high:g} m{proposal}"
@@ -93,36 +130,6 @@ def vertices_in_source_axes(mesh: TriangleMesh, up_axis: str) -> Float32[np.ndar
     return positions
 
 
-def detect_up_axis(mesh: TriangleMesh) -> str:
-    """+Y or +Z, by the rule above."""
-    if mesh.num_faces == 0:
-        return "+Z"
-    corners = mesh.vertices[mesh.faces].astype(np.float64)  # [F, 3, 3]
-    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    middles = corners.mean(axis=1)
-    foot_y, foot_z = _foot_share(middles, areas, 1), _foot_share(middles, areas, 2)
-    if min(foot_y, foot_z) < _CLEARLY_NARROWER * max(foot_y, foot_z):
-        return "+Y" if foot_y < foot_z else "+Z"
-    return "+Y" if np.ptp(mesh.vertices[:, 1]) > np.ptp(mesh.vertices[:, 2]) else "+Z"
-
-
 def guess_unit_m(height: float) -> float:
     """Metres a unit, by the rule above."""
     return next((unit for unit in UNITS_M if height * unit <= TALLEST_TREE_M), 1.0)
-
-
-def _foot_share(middles: Float64[np.ndarray, "F 3"], areas: Float64[np.ndarray, " F"], up: int) -> float:
-    """Spread across the axis of the lowest tenth over that of all; 1 where there is nothing to tell by."""
-    across = np.delete(middles, up, axis=1)  # [F, 2]
-    height = middles[:, up]
-    low = height <= height.min() + _FOOT_SHARE * np.ptp(height)
-    whole = _spread(across, areas)
-    return _spread(across[low], areas[low]) / whole if whole > 0 else 1.0
-
-
-def _spread(points: Float64[np.ndarray, "F 2"], weights: Float64[np.ndarray, " F"]) -> float:
-    total = weights.sum()
-    if total <= 0:
-        return 0.0
-    middle = weights @ points / total
-    return float(np.sqrt(weights @ ((points - middle) ** 2).sum(axis=1) / total))

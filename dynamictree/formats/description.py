@@ -21,6 +21,7 @@ def describe_mesh(mesh: TriangleMesh) -> dict[str, Any]:
         "extent_m": (high - low).round(4).tolist(),
         "low_m": low.round(4).tolist(),
         "source_up_axis": mesh.source_up_axis,
+        "source_up_confidence": mesh.source_up_confidence,
         "source_scale": mesh.source_scale,
         "height_m": round(mesh.height_m, 4),
         "warnings": [asdict(warning) for warning in mesh.warnings],
@@ -39,6 +40,8 @@ def describe_capture(capture: Capture) -> dict[str, Any]:
         "low_m": low.round(4).tolist(),
         "source_up_axis": cloud.source_up_axis,
         "source_scale": cloud.source_scale,
+        "height_m": round(float(high[2] - low[2]), 4),
+        "warnings": [asdict(warning) for warning in capture.warnings],
     }
 
 
@@ -71,4 +74,7 @@ def describe_spectrum(spectrum: SparseVoxelSpectrum) -> dict[str, Any]:
         if wind is None
         else {"speed_m_s": wind.speed_m_s, "direction_deg": wind.direction_deg, "gust": wind.gust},
         "source_sha256": spectrum.source_sha256,
+        "source_up_axis": spectrum.source_up_axis,
+        "source_scale": spectrum.source_scale,
+        "source_up_confidence": spectrum.source_up_confidence,
     }

@@ -20,6 +20,8 @@ MAX_FILE_BYTES = 1 << 30
 ACCEPTED = "a triangle mesh as OBJ, PLY with faces, STL, OFF, 3MF, COLLADA, glTF or GLB is accepted"
 
 _GLTF_UP_AXIS, _GLTF_UNIT_M = "+Y", 1.0  # glTF 2.0 specification, 3.4
+_HABITS = {"obj": "+Y", "ply": "+Z", "stl": "+Z", "off": "+Z"}
+"""The axis that is usual in a format that does not say."""
 _NOT_MESHES = {
     "las": "a laser scan (LAS or LAZ)",
     "points": "a point cloud as text",
@@ -50,6 +52,7 @@ def read_mesh(
     file_type: str,
     up_axis: str | None = None,
     unit_m: float | None = None,
+    height_m: float | None = None,
     companions: Mapping[str, bytes] | None = None,
 ) -> TriangleMesh:
     """Read a mesh that the method can work on, in metres and +Z up.
@@ -60,6 +63,7 @@ def read_mesh(
         up_axis: the file's own, such as "+Y"; None takes what glTF or a PLY comment says, or works it out
             (see `axes.py`).
         unit_m: metres per unit of the file; None likewise.
+        height_m: of the tree [m]; None takes it from the file and its unit.
         companions: content of the files that the mesh may name (MTL, textures, buffers), by the names it uses.
 
     Raises:
@@ -87,7 +91,15 @@ def read_mesh(
         foreign = read_foreign_mesh(content, file_type=file_type, companions=beside)
         mesh, up_axis, unit_m = foreign.mesh, up_axis or foreign.up_axis, unit_m or foreign.unit_m
     validate_mesh(mesh)  # before its values are used to find axis and unit
-    return validate_mesh(mesh_to_z_up(mesh, up_axis=up_axis, unit_m=unit_m, doubt_size=doubt_size))
+    upright = mesh_to_z_up(
+        mesh,
+        up_axis=up_axis,
+        unit_m=unit_m,
+        height_m=height_m,
+        habit=_HABITS.get(file_type),
+        doubt_size=doubt_size,
+    )
+    return validate_mesh(upright)
 
 
 def sniff_file_type(head: bytes, filename: str = "") -> str:

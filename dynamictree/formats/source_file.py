@@ -6,7 +6,8 @@ from io import BytesIO
 from typing import Literal
 
 from dynamictree.errors import FormatError
-from dynamictree.formats.cloud_file import CLOUD_TYPES, cloud_kind, read_cloud
+from dynamictree.formats.cloud_file import CLOUD_TYPES, cloud_kind, read_cloud, says_unit
+from dynamictree.formats.cloud_size import sized
 from dynamictree.formats.mesh_file import read_mesh, sniff_file_type
 from dynamictree.formats.seekable import SeekableReader
 from dynamictree.formats.splat.mask import read_mask
@@ -44,6 +45,7 @@ def read_capture(
     file_type: str,
     up_axis: str | None = None,
     unit_m: float | None = None,
+    height_m: float | None = None,
     mask: SeekableReader | None = None,
     mesh: tuple[str, SeekableReader] | None = None,
     companions: Mapping[str, bytes] | None = None,
@@ -54,7 +56,8 @@ def read_capture(
         stream: the cloud's file, at its start.
         file_type: such as `source_kind` gives.
         up_axis: the file's; its format's habit if unset.
-        unit_m: metres a unit of the file, by default 1.
+        unit_m: metres a unit of the file; 1 for scans. A splat of unknown unit is made 5 m tall.
+        height_m: of the capture [m], in place of `unit_m`.
         mask: which Gaussians may move (`names.MASK_NAME`).
         mesh: name and content of a mesh that lies where the cloud lies, in the same axes and units.
         companions: files that the mesh may name.
@@ -63,8 +66,11 @@ def read_capture(
         InputError: one of the files cannot be read, or they do not fit together.
     """
     assert file_type in CLOUD_TYPES
-    cloud = read_cloud(stream, file_type=file_type, up_axis=up_axis, unit_m=unit_m)
-    capture = Capture(cloud=cloud, mask=None if mask is None else read_mask(mask))
+    known = unit_m is not None or says_unit(stream, file_type=file_type)
+    cloud, doubts = sized(
+        read_cloud(stream, file_type=file_type, up_axis=up_axis, unit_m=unit_m), height_m=height_m, known=known
+    )
+    capture = Capture(cloud=cloud, mask=None if mask is None else read_mask(mask), warnings=doubts)
     if mesh is None:
         return capture
     name, content = mesh

@@ -7,7 +7,7 @@ from jaxtyping import Bool
 
 from dynamictree.errors import InputError
 from dynamictree.gaussian.cloud import GaussianCloud, in_box
-from dynamictree.mesh import TriangleMesh
+from dynamictree.mesh import SourceWarning, TriangleMesh
 from dynamictree.requests import Box
 
 
@@ -18,6 +18,7 @@ class Capture:
     cloud: GaussianCloud
     mask: Bool[np.ndarray, " G"] | None = None  # which Gaussians may move; all if there is none
     mesh: TriangleMesh | None = None  # what they hang on, where the cloud is; made from the cloud if there is none
+    warnings: tuple[SourceWarning, ...] = ()
 
     def __post_init__(self) -> None:
         if self.mask is not None and len(self.mask) != self.cloud.num_gaussians:

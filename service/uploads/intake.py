@@ -42,7 +42,7 @@ CAMERA_FILES = (
 )
 """What may come with photos: cameras that are known."""
 MAX_PHOTO_BYTES = 30 * 1024**2
-FIELDS = ("kind", "up_axis", "unit_m")
+FIELDS = ("kind", "up_axis", "unit_m", "height_m")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,6 +61,7 @@ class Upload:
             self.kind,
             self.reading.up_axis,
             self.reading.unit_m,
+            self.reading.height_m,
             [[_beside(file.name), file.sha256] for file in self.files],
         ]
         return sha256(json.dumps(meaning).encode()).hexdigest()
@@ -163,6 +164,7 @@ async def admit(owned: Owned, upload: Upload, folder: Path) -> tuple[AssetRecord
         prepared=prepared,
         up_axis=upload.reading.up_axis,
         unit_m=upload.reading.unit_m,
+        height_m=upload.reading.height_m,
         memory_bytes=owned.services.settings.parser_memory_bytes,
         cpu_s=owned.services.settings.parser_cpu_s,
     )

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from dynamictree.commands.source import load_capture, load_mesh
+from dynamictree.requests import Reading
 
 TEXTURED = b"mtllib t.mtl\nv 0 0 0\nv 0.5 0 0\nv 0 0 2\nvt 0 0\nvt 1 0\nvt 0 1\nusemtl bark\nf 1/1 2/2 3/3\n"
 
@@ -25,7 +26,7 @@ def test_a_mesh_keeps_its_triangles_and_its_size(
 ) -> None:
     written = tmp_path / "out" / f"tree.{ending}"
     assert dynamictree("convert", mesh_path, written, "--up-axis", "z") == 0
-    before, after = load_mesh(mesh_path, up_axis="+Z"), load_mesh(written, up_axis=up_axis)
+    before, after = load_mesh(mesh_path, Reading(up_axis="+Z")), load_mesh(written, Reading(up_axis=up_axis))
     np.testing.assert_allclose(after.vertices, before.vertices, atol=1e-6)
     np.testing.assert_array_equal(after.faces, before.faces)
     if ending != "ply":  # PLY has no materials
@@ -40,7 +41,7 @@ def test_a_cloud_keeps_its_gaussians(dynamictree: Callable[..., int], tmp_path: 
     written = tmp_path / f"tree.{ending}"
     assert dynamictree("convert", scan, written) == 0
     before = load_capture(scan).cloud
-    after = load_capture(written, up_axis="+Y" if ending in ("spz", "glb") else "+Z").cloud
+    after = load_capture(written, Reading(up_axis="+Y" if ending in ("spz", "glb") else "+Z", unit_m=1)).cloud
     assert before.num_gaussians == after.num_gaussians
     np.testing.assert_allclose(np.sort(after.means, axis=0), np.sort(before.means, axis=0), atol=2e-3)
 

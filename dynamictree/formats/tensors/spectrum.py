@@ -55,6 +55,12 @@ def write_spectrum(
         "wind": json.dumps(asdict(spectrum.wind) if spectrum.wind else None),
         "source_sha256": spectrum.source_sha256,
     }
+    if spectrum.source_up_axis:
+        metadata |= {
+            "source_up_axis": spectrum.source_up_axis,
+            "source_up_confidence": json.dumps(spectrum.source_up_confidence),
+            "source_scale": json.dumps(spectrum.source_scale),
+        }
     write_tensors(stream, {"coords": spectrum.grid.coords, "coefficients": parts.astype(dtype)}, metadata)
 
 
@@ -78,7 +84,14 @@ def read_spectrum(stream: ByteReader) -> SparseVoxelSpectrum:
         seed=integer(metadata, "seed", low=-(2**63), high=2**64 - 1),
         wind=_wind(metadata),
         source_sha256=_text(metadata, "source_sha256", r"([0-9a-f]{64})?"),
+        source_up_axis=_text(metadata, "source_up_axis", r"([+-][XYZ])?"),
+        source_up_confidence=_number_if_any(metadata, "source_up_confidence"),
+        source_scale=_number_if_any(metadata, "source_scale"),
     )
+
+
+def _number_if_any(metadata: Mapping[str, str], name: str) -> float | None:
+    return None if metadata.get(name, "null") == "null" else number(metadata, name)
 
 
 def _rest(metadata: Mapping[str, str]) -> Rest:

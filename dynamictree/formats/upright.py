@@ -1,0 +1,189 @@
+"""Which way up a mesh stands, by several cues that are weighed against each other, with a confidence.
+
+Each of the six axes is a candidate. The cues of one, from points spread evenly over the surface:
+
+- foot: how narrow the lowest twelfth is, beside the whole and beside the highest;
+- trunk: how far up from the foot it stays narrow, and the same from the top down;
+- balance: how near the middle of the whole lies to the axis through the foot;
+- wood: how much lower wood is than leaves, by the names of materials;
+- stem: how much nearer to the foot than to the top the largest part reaches;
+- taper: how much thicker a trunk that is a part by itself is at the foot than at the tip;
+- mass: how much of the surface is high up;
+- slenderness: how tall it is beside its width.
+
+Their weights are those of a conditional logit (McFadden 1974) over trees of known axis, see docs/decisions/core.md.
+"""
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+
+from dynamictree.mesh import TriangleMesh, edges_of, weld
+
+AXES = ("+X", "-X", "+Y", "-Y", "+Z", "-Z")
+CERTAIN = 0.8
+"""Below this probability the axis is a guess, and the reader warns of it."""
+
+CUES = (
+    "foot", "foot-over-top", "trunk", "trunk-from-top", "balance", "wood", "wood-foot", "stem", "taper", "mass",
+    "slenderness",
+)  # fmt: skip
+WEIGHTS = np.array([-0.07, -0.04, 5.13, -6.65, -1.60, 12.30, 6.06, 0.35, 1.68, 1.02, 2.27])
+HABIT = 0.7
+"""Added to the logit of the axis that is usual in a format: it decides where the shape says nothing."""
+USUAL, LIKELY = ("+Y", "+Z"), 0.65
+"""Where none of the six is likely, the likelier of these: hardly any file stands on its head or side."""
+
+WOOD = re.compile(r"bark|trunk|wood|stem|branch|log\b|stamm|rinde|tronc|holz|twig|limb", re.IGNORECASE)
+LEAF = re.compile(r"lea[fv]|foliage|crown|needle|blatt|laub|feuill|frond|canopy|flower|blossom|petal", re.IGNORECASE)
+
+_POINTS = 20_000
+_SLICES = 24
+_FOOT_SLICES = 2
+_NARROW = 0.4  # of the whole's spread
+_POLE = 0.4  # of the height: least length of a stem
+_POLE_SLICES = 16
+_SLENDER = 0.08  # of a pole's length: the widest that it spreads
+
+
+@dataclass(frozen=True, kw_only=True)
+class UpAxis:
+    """The likeliest axis, and how likely it is."""
+
+    axis: str
+    confidence: float  # in [0, 1]
+
+
+def judge_up_axis(mesh: TriangleMesh, *, habit: str | None = None) -> UpAxis:
+    """Weigh the six axes of a mesh in its file's own; `habit` is the axis that is usual in the file's format."""
+    cues = axis_cues(mesh)
+    if cues is None:
+        return UpAxis(axis=habit or "+Z", confidence=0.0)
+    logits = cues @ WEIGHTS + np.array([HABIT * (axis == habit) for axis in AXES])
+    chances = np.exp(logits - logits.max())
+    chances /= chances.sum()
+    best = int(np.argmax(chances))
+    if chances[best] < LIKELY:
+        best = max((AXES.index(axis) for axis in USUAL), key=lambda row: float(chances[row]))
+    return UpAxis(axis=AXES[best], confidence=float(chances[best]))
+
+
+def axis_cues(mesh: TriangleMesh) -> Float64[np.ndarray, "6 C"] | None:
+    """The cues of each of `AXES`, in the order of `CUES`; None of a mesh without surface."""
+    sampled = _surface_points(mesh)
+    if sampled is None:
+        return None
+    points, faces = sampled
+    points = (points - points.min(axis=0)) / max(float(np.ptp(points, axis=0).max()), 1e-30)
+    kind = _kinds(mesh)[faces]  # 1 wood, 2 leaf, 0 unknown
+    stem = _largest_part(mesh)[faces]
+    rows = []
+    for axis in AXES:
+        column = "XYZ".index(axis[1])
+        height = points[:, column] if axis[0] == "+" else points[:, column].max() - points[:, column]
+        across = np.delete(points, column, axis=1)
+        rows.append(_cues_along(height, across, kind, stem))
+    return np.array(rows)
+
+
+def _cues_along(
+    height: Float64[np.ndarray, " P"],
+    across: Float64[np.ndarray, "P 2"],
+    kind: Int64[np.ndarray, " P"],
+    stem: Int64[np.ndarray, " P"],
+) -> list[float]:
+    extent = max(float(height.max()), 1e-6)
+    share = height / extent
+    whole = max(_spread(across), 1e-6)
+    number = np.minimum((share * _SLICES).astype(int), _SLICES - 1)
+    radii = np.array([_spread(across[number == n]) if (number == n).any() else 0.0 for n in range(_SLICES)])
+    low, high = number < _FOOT_SLICES, number >= _SLICES - _FOOT_SLICES
+    foot, top = max(_spread(across[low]), 0.01 * whole), max(_spread(across[high]), 0.01 * whole)
+    wide = radii > _NARROW * whole
+    trunk, from_top = (int(np.argmax(side)) if side.any() else _SLICES for side in (wide, wide[::-1]))
+    balance = np.linalg.norm(across[low].mean(axis=0) - across.mean(axis=0)) / whole if low.any() else 1.0
+    wood, leaf = kind == 1, kind == 2
+    by_name = wood.any() and leaf.any()
+    largest = share[stem == 1]
+    return [
+        np.log(foot / whole),
+        np.log(foot / top),
+        trunk / _SLICES,
+        from_top / _SLICES,
+        min(float(balance), 3.0),
+        float(share[leaf].mean() - share[wood].mean()) if by_name else 0.0,
+        float(share[leaf].min() - share[wood].min()) if by_name else 0.0,
+        float((1 - largest.max()) - largest.min()),
+        _taper(share, across, stem == 1),
+        float(share.mean() - 0.5),
+        float(np.log(extent / max(float(np.ptp(across, axis=0).max()), 1e-6)).clip(-1.5, 1.5)),
+    ]
+
+
+def _taper(share: Float64[np.ndarray, " P"], across: Float64[np.ndarray, "P 2"], stem: Bool[np.ndarray, " P"]) -> float:
+    """Logarithm of the width of the stem's foot over that of its tip, where the stem is one slender pole; else 0."""
+    own, place = share[stem], across[stem]
+    length = own.max() - own.min()
+    if length < _POLE:
+        return 0.0
+    number = np.minimum(((own - own.min()) / length * _POLE_SLICES).astype(int), _POLE_SLICES - 1)
+    radii = [_spread(place[number == n]) for n in range(_POLE_SLICES)]
+    if max(radii) > _SLENDER * length:
+        return 0.0
+    return float(np.clip(np.log(max(radii[0], 1e-4) / max(radii[-1], 1e-4)), -3, 3))
+
+
+def _spread(across: Float64[np.ndarray, "P 2"]) -> float:
+    """Robust radius about the middle: outlying twigs count little."""
+    if len(across) == 0:
+        return 0.0
+    return float(np.mean(np.linalg.norm(across - across.mean(axis=0), axis=1)))
+
+
+def _surface_points(
+    mesh: TriangleMesh,
+) -> tuple[Float64[np.ndarray, "P 3"], Int64[np.ndarray, " P"]] | None:
+    """Points evenly over the surface, always the same ones, and their faces."""
+    corners = mesh.vertices[mesh.faces].astype(np.float64)
+    doubled = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    total = doubled.sum()
+    if not total > 0:
+        return None
+    rng = np.random.default_rng(0)
+    at = (np.arange(_POINTS) + rng.random(_POINTS)) / _POINTS * total
+    faces = np.minimum(np.searchsorted(np.cumsum(doubled), at), len(doubled) - 1)
+    u, v = np.sqrt(rng.random(_POINTS)), rng.random(_POINTS)
+    weights = np.stack([1 - u, u * (1 - v), u * v], axis=1)
+    points: Float64[np.ndarray, "P 3"] = np.einsum("pi,pic->pc", weights, corners[faces])
+    return points, faces
+
+
+def _kinds(mesh: TriangleMesh) -> Int64[np.ndarray, " F"]:
+    """1 for faces whose material is named for wood, 2 for leaves, 0 for what tells nothing."""
+    if mesh.face_material is None or not mesh.materials:
+        return np.zeros(mesh.num_faces, np.int64)
+    named = [2 if LEAF.search(m.name) else 1 if WOOD.search(m.name) else 0 for m in mesh.materials]
+    found = set(named) - {0}
+    if len(found) == 1:  # what is not named for the one is the other
+        named = [kind or 3 - found.copy().pop() for kind in named]
+    kinds: Int64[np.ndarray, " F"] = np.array(named, np.int64)[mesh.face_material]
+    return kinds
+
+
+def _largest_part(mesh: TriangleMesh) -> Int64[np.ndarray, " F"]:
+    """1 for faces of the connected part with the greatest extent."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    welded, _ = weld(mesh)
+    edges = edges_of(welded.faces)
+    joined = coo_array((np.ones(len(edges), np.int8), edges.T), shape=(welded.num_vertices,) * 2)
+    num_parts, part = connected_components(joined, directed=False)
+    low, high = np.full((num_parts, 3), np.inf), np.full((num_parts, 3), -np.inf)
+    np.minimum.at(low, part, welded.vertices)
+    np.maximum.at(high, part, welded.vertices)
+    largest = int(np.argmax(np.linalg.norm(high - low, axis=1)))
+    of_largest: Int64[np.ndarray, " F"] = (part[welded.faces[:, 0]] == largest).astype(np.int64)
+    return of_largest

@@ -1,0 +1,41 @@
+"""A splat has a free scale: it is made as tall as stated, or 5 m with a warning; a scan is in metres."""
+
+import io
+
+import numpy as np
+import pytest
+
+from dynamictree.formats.cloud_size import DEFAULT_HEIGHT_M, cloud_height
+from dynamictree.formats.source_file import read_capture
+
+
+def splat_bytes(height: float) -> bytes:
+    """A `.splat` of 400 Gaussians, +Y up in its file."""
+    rng = np.random.default_rng(0)
+    rows = np.zeros(400, [("place", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("turn", "u1", 4)])
+    rows["place"] = rng.uniform(0, 1, (400, 3)) * [0.3, height, 0.3]
+    rows["scale"], rows["rgba"], rows["turn"] = 0.01 * height, 255, (255, 128, 128, 128)
+    return rows.tobytes()
+
+
+def test_a_splat_of_unknown_size_is_five_metres_tall_and_doubted() -> None:
+    found = read_capture(io.BytesIO(splat_bytes(1.7)), file_type="splat", up_axis="+Y")
+    assert cloud_height(found.cloud) == pytest.approx(DEFAULT_HEIGHT_M, rel=1e-4)
+    assert [warning.code for warning in found.warnings] == ["size-unknown"]
+
+
+def test_a_stated_height_or_unit_is_taken() -> None:
+    tall = read_capture(io.BytesIO(splat_bytes(1.7)), file_type="splat", up_axis="+Y", height_m=12.0)
+    assert (cloud_height(tall.cloud), tall.warnings) == (pytest.approx(12.0, rel=1e-4), ())
+    metres = read_capture(io.BytesIO(splat_bytes(1.7)), file_type="splat", up_axis="+Y", unit_m=1.0)
+    assert (metres.cloud.source_scale, metres.warnings) == (1.0, ())
+    np.testing.assert_allclose(
+        tall.cloud.scales / metres.cloud.scales, tall.cloud.source_scale / metres.cloud.source_scale, rtol=1e-5
+    )
+
+
+def test_a_scan_keeps_its_metres() -> None:
+    lines = b"".join(b"%f 0 %f\n" % (0.1 * i, 0.1 * i) for i in range(100))
+    found = read_capture(io.BytesIO(lines), file_type="txt")
+    assert found.cloud.source_scale == 1.0
+    assert found.warnings == ()
