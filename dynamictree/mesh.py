@@ -6,7 +6,7 @@ from io import BytesIO
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int32, UInt8
+from jaxtyping import Bool, Float32, Float64, Int32, UInt8
 
 from dynamictree.color import linear_to_srgb
 from dynamictree.errors import MeshError
@@ -56,6 +56,25 @@ class TriangleMesh:
     source_up_confidence: float = 1.0  # in [0, 1]; below 1 the axis was worked out from the shape
     source_scale: float = 1.0  # metres a unit of the source
     warnings: tuple[SourceWarning, ...] = ()
+    still_faces: Bool[np.ndarray, " F"] | None = None  # of what is no plant, such as a pot; None if all may move
+
+    @property
+    def moving_part(self) -> "TriangleMesh":
+        """The same vertices with only the faces that may move."""
+        if self.still_faces is None:
+            return self
+        kept = ~self.still_faces
+        material = None if self.face_material is None else self.face_material[kept]
+        return replace(self, faces=self.faces[kept], face_material=material, still_faces=None)
+
+    @property
+    def still_vertices(self) -> Bool[np.ndarray, " N"]:
+        """Which vertices are of still faces and of no others."""
+        still = np.zeros(self.num_vertices, np.bool_)
+        if self.still_faces is not None:
+            still[self.faces[self.still_faces]] = True
+            still[self.faces[~self.still_faces]] = False
+        return still
 
     @property
     def num_vertices(self) -> int:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse
-from jaxtyping import Float32, Int32, Shaped
+from jaxtyping import Bool, Float32, Int32, Shaped
 
 from dynamictree.devoxelize.attachment import Attachments
 from dynamictree.devoxelize.surface_fit import SurfaceFit
@@ -24,12 +24,15 @@ class VoxelInterpolation:
     fit: SurfaceFit | None = None
     fitted: Int32[np.ndarray, " N"] | None = None  # of the fit's vertices the one that each point is
     attachments: Attachments | None = None  # of the fit's vertices
+    still: Bool[np.ndarray, " N"] | None = None  # points that get no value: what is no plant
 
     def apply(self, values: Shaped[np.ndarray, "V ..."]) -> Shaped[np.ndarray, "N ..."]:
         """Values at voxels to values at points, single precision, real or complex."""
         flat = np.ascontiguousarray(values).reshape(self.num_voxels, -1)
         parts = flat.view(np.float32) if flat.dtype == np.complex64 else flat.astype(np.float32, copy=False)
         result = self._mean(parts) if self.fit is None else self.fit.solve(parts)[self.fitted]  # [N, D]
+        if self.still is not None:
+            result[self.still] = 0
         whole = np.ascontiguousarray(result).view(np.complex64 if flat.dtype == np.complex64 else np.float32)
         return whole.reshape(len(self.rows), *values.shape[1:])
 

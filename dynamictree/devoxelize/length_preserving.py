@@ -54,8 +54,12 @@ class LengthPreservingInterpolation:
         """Spectra at voxels to spectra at vertices [m]: no vertex moves much more than the voxels around it."""
         attachments = self.interpolation.attachments
         smoothed = self.interpolation.apply(coefficients)
-        moved = preserve_lengths(self.mesh, smoothed, self.grid.voxel_size_m, attachments=attachments)
-        return limited(self.mesh.vertices, moved, self.grid, coefficients)
+        moving = self.mesh.moving_part
+        moved = preserve_lengths(moving, smoothed, self.grid.voxel_size_m, attachments=attachments)
+        bounded = limited(self.mesh.vertices, moved, self.grid, coefficients)
+        if self.interpolation.still is not None:
+            bounded[self.interpolation.still] = 0
+        return bounded
 
 
 def length_preserving(grid: VoxelGrid, mesh: TriangleMesh) -> LengthPreservingInterpolation:

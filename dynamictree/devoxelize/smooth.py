@@ -30,7 +30,8 @@ def smooth(grid: VoxelGrid, mesh: TriangleMesh, *, smoothness: float = SMOOTHNES
     Raises:
         InputError: a voxel of the grid holds none of the mesh's surface.
     """
-    mesh, vertex = weld(mesh)
+    still = mesh.still_vertices
+    mesh, vertex = weld(mesh.moving_part)
     average, attachments = surface_average(mesh, grid), find_attachments(mesh, grid)
     shares = _rows_to_one(average.T.tocsr())  # [N, V]
     start, end = edges_of(mesh.faces).T
@@ -49,6 +50,7 @@ def smooth(grid: VoxelGrid, mesh: TriangleMesh, *, smoothness: float = SMOOTHNES
         fit=fit_surface(mesh, grid, average, attachments, smoothness=smoothness),
         fitted=vertex,
         attachments=attachments,
+        still=still if still.any() else None,
     )
 
 

@@ -17,6 +17,7 @@ def describe_mesh(mesh: TriangleMesh) -> dict[str, Any]:
     return {
         "num_vertices": mesh.num_vertices,
         "num_faces": mesh.num_faces,
+        "num_still_faces": 0 if mesh.still_faces is None else int(mesh.still_faces.sum()),
         "num_materials": len(mesh.materials),
         "extent_m": (high - low).round(4).tolist(),
         "low_m": low.round(4).tolist(),

@@ -3,6 +3,7 @@
 import io
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 
 from dynamictree.byte_stream import ByteReader, read_all
 from dynamictree.errors import FormatError
@@ -13,6 +14,7 @@ from dynamictree.formats.mesh.obj import read_obj
 from dynamictree.formats.mesh.ply import read_ply_mesh
 from dynamictree.formats.mesh.stl import is_ascii_stl, read_stl
 from dynamictree.formats.ply_table import read_header
+from dynamictree.formats.still_parts import find_still_faces
 from dynamictree.mesh import TriangleMesh, validate_mesh
 
 MESH_TYPES = ("obj", "ply", "glb", "gltf", "stl", "off", "3mf", "dae")
@@ -99,7 +101,8 @@ def read_mesh(
         habit=_HABITS.get(file_type),
         doubt_size=doubt_size,
     )
-    return validate_mesh(upright)
+    validate_mesh(upright)
+    return replace(upright, still_faces=find_still_faces(upright))
 
 
 def sniff_file_type(head: bytes, filename: str = "") -> str:

@@ -48,6 +48,7 @@ def voxelize(mesh: TriangleMesh, resolution: int = 128) -> SurfaceVoxels:
     """
     if not MIN_RESOLUTION <= resolution <= MAX_RESOLUTION:
         raise InputError(f"the resolution is {resolution}; {MIN_RESOLUTION} to {MAX_RESOLUTION} are allowed")
+    mesh = mesh.moving_part
     if mesh.num_faces == 0:
         raise MeshError("the mesh has no faces; at least 1 triangle is needed")
     origin_m, voxel_size_m = grid_frame(mesh.vertices[np.unique(mesh.faces)], resolution)

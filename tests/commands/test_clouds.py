@@ -31,7 +31,7 @@ def test_a_splat_comes_out_moving(
     part = ["--mask", tmp_path / "mask.npy", "--box=-1,-1,-1,1,1,2", "--sh-degree", "0"]
     assert dynamictree("animate", tree, "-o", output, *options, *part) == 0
     captured = capsys.readouterr()
-    assert captured.err.startswith("splat-ply: 4 frames of 400 Gaussians of SH degree 0: 0.1 MB\n")
+    assert "splat-ply: 4 frames of 400 Gaussians of SH degree 0: 0.1 MB\n" in captured.err
     names = {path.name for path in output.iterdir()}
     assert names == {
         "splat.ply.zip",

@@ -19,7 +19,7 @@ from dynamictree.mesh import Material, SourceWarning, TriangleMesh, validate_mes
 
 VERSION = 1
 MAX_BYTES = 1 << 30
-_OPTIONAL = ("uv", "vertex_colors", "face_material")
+_OPTIONAL = ("uv", "vertex_colors", "face_material", "still_faces")
 
 
 def write_mesh_bundle(mesh: TriangleMesh, stream: ByteWriter) -> None:
@@ -72,6 +72,7 @@ def _mesh(tensors: Mapping[str, Shaped[np.ndarray, "..."]], rest: Mapping[str, A
         uv=tensors.get("uv"),
         vertex_colors=tensors.get("vertex_colors"),
         face_material=tensors.get("face_material"),
+        still_faces=tensors.get("still_faces"),
         materials=tuple(materials),
         source_up_axis=rest["source_up_axis"],
         source_scale=rest["source_scale"],

@@ -1,0 +1,188 @@
+"""What in a file is not the plant: pots, soil, tables, ground and water, stones. It stands still.
+
+A face stands still by the name of its material, or as part of a connected part of the mesh that
+
+- is flat and wide: a plane, a patch of ground, an island;
+- lies low and apart: all of it in the lowest fifth of the height, away from whatever reaches higher;
+- is a vessel: it stands at the bottom, encloses the foot of a part that rises out of it, and is wide all the way up.
+"""
+
+import re
+
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, Int64
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from dynamictree.mesh import TriangleMesh, edges_of, weld
+
+STILL_NAMES = frozenset(
+    " ".join(
+        (
+            "pot pots flowerpot plantpot vase planter soil dirt earth ground terrain table desk plate saucer dish",
+            "water sea ocean lake river pond rock rocks stone stones pebble pebbles sand beach floor concrete",
+            "road path pavement glass ceramic terracotta clay island plane wall fence bench topf erde boden tisch",
+            "wasser stein terre",
+        )
+    ).split()
+)
+"""Words in the names of materials of what is no plant."""
+
+_FLAT = 0.2  # height over the narrower width of what is flat
+_WIDE = 0.5  # its width, of the height of what reaches higher
+_LOW = 0.2  # of the height
+_APART = 0.05  # of the height
+_VESSEL_HEIGHT = 0.5  # of the whole, at most
+_VESSEL_FOOT = 0.05  # of the whole: it stands at most so high
+_VESSEL_WIDTH = 1.5  # over that of what it encloses
+_SPOTS = np.array(
+    [(6, 0, 0), (0, 6, 0), (0, 0, 6), (2, 2, 2), (3, 3, 0), (0, 3, 3), (3, 0, 3), (4, 1, 1), (1, 4, 1), (1, 1, 4)]
+) / np.float64(6)  # barycentric
+_LEAST_PLANT = 0.02  # of the faces: with less left over, nothing is taken away
+
+
+def find_still_faces(mesh: TriangleMesh) -> Bool[np.ndarray, " F"] | None:
+    """Which faces stand still, of a mesh in metres and +Z up; None if all of it may move."""
+    named = _named(mesh)
+    part = _parts(mesh)  # [F]
+    low, high = _bounds(mesh, part)
+    gone = np.zeros(len(low), np.bool_)
+    gone[part[named]] = True  # a part that is named in places is still as a whole
+    for rule in (_flat, _low_and_apart, _vessels):
+        tried = gone | rule(mesh, part, low, high, gone)
+        if (~tried[part]).mean() >= _LEAST_PLANT:
+            gone = tried
+    still: Bool[np.ndarray, " F"] = gone[part]
+    return still if still.any() and not still.all() else None
+
+
+def is_still_name(name: str) -> bool:
+    """Whether a word in a name, split at capitals, digits and signs, names what is no plant."""
+    words = re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", name)
+    return any(word.lower() in STILL_NAMES for word in words)
+
+
+def _named(mesh: TriangleMesh) -> Bool[np.ndarray, " F"]:
+    if mesh.face_material is None:
+        return np.zeros(mesh.num_faces, np.bool_)
+    still = np.array([is_still_name(material.name) for material in mesh.materials], np.bool_)
+    found: Bool[np.ndarray, " F"] = still[mesh.face_material]
+    return np.zeros_like(found) if found.all() else found
+
+
+def _parts(mesh: TriangleMesh) -> Int64[np.ndarray, " F"]:
+    """The connected part of each face; materials split parts, so that soil in a trunk's mesh is one by itself."""
+    welded, _ = weld(mesh)
+    edges = edges_of(welded.faces)
+    joined = coo_array((np.ones(len(edges), np.int8), edges.T), shape=(welded.num_vertices,) * 2)
+    part = connected_components(joined, directed=False)[1][welded.faces[:, 0]].astype(np.int64)
+    if mesh.face_material is not None:
+        part = part * len(mesh.materials) + mesh.face_material
+    found: Int64[np.ndarray, " F"] = np.unique(part, return_inverse=True)[1].astype(np.int64).ravel()
+    return found
+
+
+def _bounds(
+    mesh: TriangleMesh, part: Int64[np.ndarray, " F"]
+) -> tuple[Float64[np.ndarray, "parts 3"], Float64[np.ndarray, "parts 3"]]:
+    corners = mesh.vertices[mesh.faces].astype(np.float64)
+    low, high = np.full((int(part.max()) + 1, 3), np.inf), np.full((int(part.max()) + 1, 3), -np.inf)
+    np.minimum.at(low, part, corners.min(axis=1))
+    np.maximum.at(high, part, corners.max(axis=1))
+    return low, high
+
+
+def _flat(
+    mesh: TriangleMesh,
+    part: Int64[np.ndarray, " F"],
+    low: Float64[np.ndarray, "parts 3"],
+    high: Float64[np.ndarray, "parts 3"],
+    gone: Bool[np.ndarray, " parts"],
+) -> Bool[np.ndarray, " parts"]:
+    extent = high - low
+    narrow = extent[:, :2].min(axis=1)
+    flat = extent[:, 2] < _FLAT * narrow
+    rest = ~(flat | gone)
+    if not rest.any():
+        return np.zeros_like(flat)
+    floor, top = low[rest, 2].min(), high[rest, 2].max()
+    beneath = (low[:, 2] + high[:, 2]) / 2 < floor + 0.1 * (top - floor)
+    found: Bool[np.ndarray, " parts"] = flat & beneath & (narrow > _WIDE * (top - floor))
+    return found
+
+
+def _low_and_apart(
+    mesh: TriangleMesh,
+    part: Int64[np.ndarray, " F"],
+    low: Float64[np.ndarray, "parts 3"],
+    high: Float64[np.ndarray, "parts 3"],
+    gone: Bool[np.ndarray, " parts"],
+) -> Bool[np.ndarray, " parts"]:
+    floor, top = low[~gone, 2].min(), high[~gone, 2].max()
+    lying = ~gone & (high[:, 2] < floor + _LOW * (top - floor))
+    found = np.zeros(len(low), np.bool_)
+    rising = np.flatnonzero((~lying & ~gone)[part])
+    candidates = np.flatnonzero(lying[part])
+    if len(candidates) == 0 or len(rising) == 0:
+        return found
+    reach = _APART * (top - floor)
+    while len(candidates):  # what hangs on what rises, and what hangs on that, is of the plant
+        near = np.zeros(len(low), np.bool_)
+        near[part[candidates[_gaps(mesh, candidates, rising) <= reach]]] = True
+        if not near.any():
+            break
+        rising, candidates = candidates[near[part[candidates]]], candidates[~near[part[candidates]]]
+    found[part[candidates]] = True
+    return found
+
+
+def _gaps(
+    mesh: TriangleMesh, faces: Int64[np.ndarray, " M"], others: Int64[np.ndarray, " L"]
+) -> Float64[np.ndarray, " M"]:
+    """Distance of the corners and middles of some faces from points on others."""
+    corners = mesh.vertices[mesh.faces[others]].astype(np.float64)
+    places = np.einsum("si,fic->fsc", _SPOTS, corners).reshape(-1, 3)
+    own = np.einsum("si,fic->fsc", _SPOTS[:4], mesh.vertices[mesh.faces[faces]].astype(np.float64))
+    distance = np.asarray(cKDTree(places).query(own.reshape(-1, 3))[0]).reshape(-1, 4)
+    gaps: Float64[np.ndarray, " M"] = distance.min(axis=1)
+    return gaps
+
+
+def _vessels(
+    mesh: TriangleMesh,
+    part: Int64[np.ndarray, " F"],
+    low: Float64[np.ndarray, "parts 3"],
+    high: Float64[np.ndarray, "parts 3"],
+    gone: Bool[np.ndarray, " parts"],
+) -> Bool[np.ndarray, " parts"]:
+    floor, top = low[~gone, 2].min(), high[~gone, 2].max()
+    height = top - floor
+    stands = ~gone & (low[:, 2] < floor + _VESSEL_FOOT * height) & (high[:, 2] < floor + _VESSEL_HEIGHT * height)
+    found = np.zeros(len(low), np.bool_)
+    for one in np.flatnonzero(stands)[np.argsort(-(high - low)[stands, :2].max(axis=1))][:50]:
+        rises = ~gone & (high[:, 2] > high[one, 2] + (high[one, 2] - low[one, 2])) & (low[:, 2] < high[one, 2])
+        foot = _feet(mesh, part, np.flatnonzero(rises), float(high[one, 2]))
+        if foot is None:
+            continue
+        inside = ((foot[0] >= low[one, :2]) & (foot[1] <= high[one, :2])).all()
+        wider = (high - low)[one, :2].min() > _VESSEL_WIDTH * (foot[1] - foot[0]).max()
+        found[one] = inside and wider and _wide_all_the_way(mesh.vertices[np.unique(mesh.faces[part == one])])
+    return found
+
+
+def _feet(
+    mesh: TriangleMesh, part: Int64[np.ndarray, " F"], parts: Int64[np.ndarray, " M"], below: float
+) -> tuple[Float64[np.ndarray, "2"], Float64[np.ndarray, "2"]] | None:
+    """Low and high corner, seen from above, of the corners of some parts that lie below a height."""
+    corners = mesh.vertices[np.unique(mesh.faces[np.isin(part, parts)])].astype(np.float64)
+    corners = corners[corners[:, 2] <= below]
+    return (corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)) if len(corners) else None
+
+
+def _wide_all_the_way(points: Float32[np.ndarray, "P 3"]) -> bool:
+    """Whether its outline is wide at every one of four heights, as a pot's is and a branching stem's is not."""
+    share = (points[:, 2] - points[:, 2].min()) / max(float(np.ptp(points[:, 2])), 1e-12)
+    away = np.linalg.norm(points[:, :2] - points[:, :2].mean(axis=0), axis=1)
+    ends = [away[share < 0.25].max(initial=0), away[share > 0.75].max(initial=0)]
+    return bool(min(ends) > 0.4 * away.max())

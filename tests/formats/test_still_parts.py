@@ -1,0 +1,81 @@
+"""Only the plant moves: pots, planes, stones and named things are found, and stand exactly still."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dynamictree.dataset.sapling import grow_tree
+from dynamictree.dataset.species import SPECIES
+from dynamictree.devoxelize.length_preserving import length_preserving
+from dynamictree.formats.still_parts import find_still_faces, is_still_name
+from dynamictree.mesh import Material, TriangleMesh
+from dynamictree.voxel.voxelize import voxelize
+from tests.devoxelize.test_interpolation import merged, tube
+
+
+def tree(species: str = "round-broadleaf") -> TriangleMesh:
+    grown = grow_tree(SPECIES[species], np.random.default_rng(4)).mesh
+    lifted = grown.vertices - grown.vertices.min(axis=0) * np.float32([0, 0, 1])
+    return TriangleMesh(vertices=lifted, faces=grown.faces)
+
+
+def plane(side: float, z: float) -> TriangleMesh:
+    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * side / 2 + [0, 0, z]
+    return TriangleMesh(vertices=corners.astype(np.float32), faces=np.array([[0, 1, 2], [0, 2, 3]], np.int32))
+
+
+def pot(radius: float, height: float, z: float) -> TriangleMesh:
+    return tube([0, 0, z], [0, 0, z + height], radius, rings=4, sides=24)
+
+
+THINGS = {
+    "a plane of forty heights": lambda h: plane(40 * h, 0.01),
+    "a patch of ground": lambda h: plane(1.5 * h, 0.0),
+    "a pot": lambda h: pot(0.15 * h, 0.25 * h, -0.2 * h),
+    "a stone beside it": lambda h: replace(pot(0.03 * h, 0.05 * h, 0), vertices=pot(0.03 * h, 0.05 * h, 0).vertices + np.float32([h, 0, 0])),  # noqa: E501
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", THINGS)
+def test_what_is_no_plant_is_found_and_nothing_else(name: str) -> None:
+    plant = tree()
+    scene, owner = merged(plant, THINGS[name](plant.height_m))
+    found = find_still_faces(scene)
+    assert found is not None
+    np.testing.assert_array_equal(found, owner[scene.faces[:, 0]] == 1)
+
+
+@pytest.mark.parametrize("species", SPECIES)
+def test_nothing_of_a_plant_is_taken_for_a_thing(species: str) -> None:
+    assert find_still_faces(tree(species)) is None
+
+
+def test_a_plant_in_a_scene_moves_as_it_does_alone_and_the_scene_stands_still() -> None:
+    plant = tree()
+    scene, owner = merged(plant, plane(40 * plant.height_m, 0.01), pot(0.1 * plant.height_m, 0.8, -0.7))
+    scene = replace(scene, still_faces=find_still_faces(scene))
+    grid, alone = voxelize(scene, 64).grid, voxelize(plant, 64).grid
+    np.testing.assert_array_equal(grid.coords, alone.coords)  # all voxels are the plant's
+    rng = np.random.default_rng(0)
+    size = 0.1 * (grid.centres_m[:, 2] / plant.height_m)[:, None, None]
+    spectrum = (size * (1 + 0.1 * rng.normal(size=(len(grid), 4, 3)))).astype(np.complex64)
+    moved, by_itself = (length_preserving(grid, mesh).apply(spectrum) for mesh in (scene, plant))
+    assert not moved[owner > 0].any()
+    largest = np.abs(by_itself).max()
+    np.testing.assert_allclose(moved[owner == 0], by_itself, atol=0.02 * largest)
+
+
+def test_names_of_things_are_words() -> None:
+    assert all(map(is_still_name, ("Flower_Pot.001", "potMaterial", "Ground", "waterSurface", "M_Soil")))
+    assert not any(map(is_still_name, ("Bark_Mat", "Leaves", "Potentilla", "basecolor", "tree_material", "")))
+
+
+def test_a_named_part_stands_still_whatever_its_shape() -> None:
+    plant = tree()
+    scene, owner = merged(plant, tube([1, 0, 0], [1, 0, 3], 0.1))
+    face_material = owner[scene.faces[:, 0]].astype(np.int32)
+    materials = (Material(name="Oak"), Material(name="garden_fence"))
+    found = find_still_faces(replace(scene, face_material=face_material, materials=materials))
+    assert found is not None
+    np.testing.assert_array_equal(found, face_material == 1)
