@@ -40,6 +40,7 @@ $(READY): requirements.lock pyproject.toml
 	@test -x $(BIN)/uv || $(BIN)/python -m pip install -q uv
 	@$(BIN)/uv pip install -q --compile-bytecode --python $(BIN)/python $(TORCH_SOURCE) -r requirements.lock
 	@$(BIN)/uv pip install -q --python $(BIN)/python --no-deps -e . -e ./client
+	@echo "== compiling kernels (once)" && $(BIN)/python -m dynamictree.warm_up
 	@touch $@
 
 demo: $(READY)  ## a tree goes in over HTTP and comes out swaying (INPUT=file for your own)

@@ -79,7 +79,7 @@ def generate(
 
     `on_step` gets the sampler steps done and their total; what it raises passes through.
     """
-    return _model(model).generate(voxels, wind=wind or Wind(), seed=seed, num_steps=num_steps, on_step=on_step)
+    return motion_model(model).generate(voxels, wind=wind or Wind(), seed=seed, num_steps=num_steps, on_step=on_step)
 
 
 def devoxelize(
@@ -102,7 +102,8 @@ def triangle_mesh(mesh: "TriangleMesh | trimesh.Trimesh | trimesh.Scene") -> Tri
 
 
 @lru_cache(maxsize=2)
-def _model(name: str) -> "MotionModel":
+def motion_model(name: str) -> "MotionModel":
+    """The trained model of this name, loaded once per process."""
     from dynamictree.models import load_model
 
     return load_model(name)

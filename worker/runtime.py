@@ -2,6 +2,7 @@
 
 import os
 import socket
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 
@@ -51,5 +52,14 @@ def runtime() -> Runtime:
 
 
 def load_heavy_modules() -> None:
-    """Bring in numba and torch, so that the first job need not wait. After the fork, where torch may be imported."""
+    """Import torch and the stages and load the default model, so that the first job waits for neither.
+
+    To be called after the fork, where torch may be imported.
+    """
     import worker.stages  # noqa: F401
+    from dynamictree.errors import CheckpointError
+    from dynamictree.method import motion_model
+    from dynamictree.requests import ModelParams
+
+    with suppress(CheckpointError):  # the job that needs the model reports it
+        motion_model(ModelParams().preset)

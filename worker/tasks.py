@@ -121,6 +121,7 @@ def _arrive(**_: object) -> None:
 def _warm_up() -> None:
     runtime().heartbeat.wait()  # first be there, then be quick
     load_heavy_modules()
+    logger.info("the default model is loaded")
 
 
 @signals.worker_process_shutdown.connect  # type: ignore[untyped-decorator]

@@ -1,0 +1,51 @@
+"""Load the shipped model and compile every kernel that a job of a mesh or a splat calls, with a tree of a few faces.
+
+`python -m dynamictree.warm_up` after an installation: numba caches the machine code on disk, so that the first job of a
+new process waits for none of it. A worker calls it when it starts, to have torch, weights and kernels in memory.
+"""
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from dynamictree import method
+from dynamictree.export.write import write_products
+from dynamictree.gaussian.capture import Capture
+from dynamictree.gaussian.from_mesh import splats_of_mesh
+from dynamictree.gaussian.surface import mesh_of_cloud
+from dynamictree.mesh import TriangleMesh
+from dynamictree.requests import ExportParams, Shot
+
+
+def warm_up() -> None:
+    """Make the default products of a small mesh, and of the splat of it."""
+    mesh = _pole()
+    spectrum = method.generate(method.voxelize(mesh), num_steps=2)
+    cloud = splats_of_mesh(mesh, rng=np.random.default_rng(0)).binding.cloud
+    mesh_of_cloud(cloud)
+    params = ExportParams(num_frames=2, loop=False, shot=Shot(side_px=64))
+    for capture in (None, Capture(cloud=cloud, mesh=mesh)):
+        with TemporaryDirectory() as folder:
+            write_products(mesh, spectrum, params, Path(folder), capture=capture)
+
+
+def _pole() -> TriangleMesh:
+    """A square pole of 1 m with a leaf at its top."""
+    ring = np.array([[0, 0], [0.05, 0], [0.05, 0.05], [0, 0.05]])
+    rings = [np.column_stack([ring, np.full(4, height)]) for height in np.linspace(0, 1, 6)]
+    leaf = np.array([[0.05, 0, 0.9], [0.25, 0.02, 0.95], [0.2, 0.15, 1.0]])
+    sides = [
+        (4 * level + corner, 4 * level + (corner + 1) % 4, 4 * level + 4 + corner, 4 * level + 4 + (corner + 1) % 4)
+        for level in range(5)
+        for corner in range(4)
+    ]
+    faces = [face for a, b, c, d in sides for face in ((a, b, d), (a, d, c))]
+    return TriangleMesh(
+        vertices=np.concatenate([*rings, leaf]).astype(np.float32),
+        faces=np.array([*faces, (24, 25, 26)], np.int32),
+    )
+
+
+if __name__ == "__main__":
+    warm_up()
