@@ -64,7 +64,7 @@ def _draw_mesh(tree: MovingTree, report: Report) -> Iterator[Picture]:
 
     shot = tree.params.shot
     renderer = Renderer(tree.mesh, Look(width=shot.side_px, height=shot.side_px, ground=shot.ground))
-    cameras = cameras_of(shot, tree.mesh.vertices, len(tree.phases))
+    cameras = cameras_of(shot, tree.mesh.vertices[~tree.mesh.still_vertices], len(tree.phases))
     for frame, camera in zip(tree.frames(report), cameras, strict=True):
         yield renderer.picture(frame, camera=camera)
 

@@ -219,3 +219,12 @@ def test_refuses_a_texture_of_too_many_pixels(two_balls):
     textured = replace(two_balls, materials=(huge,), face_material=np.zeros(two_balls.num_faces, np.int32))
     with pytest.raises(FormatError, match="8001 x 8001"):
         render_mesh(textured)
+
+
+def test_the_plant_fills_the_picture_whatever_it_stands_on() -> None:
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 0, 1], [-90, -90, 0], [90, -90, 0], [0, 90, 0]], np.float32)
+    faces = np.array([[0, 1, 2], [3, 4, 5]], np.int32)
+    whole = TriangleMesh(vertices=corners, faces=faces)
+    scene = TriangleMesh(vertices=corners, faces=faces, still_faces=np.array([False, True]))
+    far, near = (np.linalg.norm(Renderer(mesh, Look()).camera.position_m) for mesh in (whole, scene))
+    assert near < 0.1 * far
