@@ -1,7 +1,7 @@
 """Where a pulled place ends up: 500 random places on ten trees, pulled up to 20 % of the height in any direction.
 
-Calls `respond` and `InteractiveTree.bent`, as `/v1/interact` does for `start=held`, `warp=true`. Ten trees: the example
-trees of the demonstration and generated species. Measured: the error of the grip, the stretch of edges, and the energy
+Calls `respond` and `InteractiveTree.bent`, as `/v1/interact` does for `start=held`, `warp=true`. Ten
+generated trees, one of each species. Measured: the error of the grip, the stretch of edges, and the energy
 (displacement squared) of voxels outside of the pulled stem, what it carries and its ancestors. A stem that an ancestor
 carries along counts as outside; `beyond_riding` counts only its motion relative to a rigid ride on its ancestors.
 

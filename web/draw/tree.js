@@ -191,18 +191,16 @@ export class Tree {
 
   /** Where the wind alone has a voxel [m]. */
   voxelInWind(v, q, turn) {
-    const { modes } = this;
-    const [x, y, z] = modes.voxelAt(v, q);
+    const [x, y, z] = this.modes.voxelAt(v, q);
     const [c, s] = [Math.cos(turn), Math.sin(turn)];
-    const [cx, cy, cz] = modes.centres.subarray(3 * v, 3 * v + 3);
+    const [cx, cy, cz] = this.modes.centres.subarray(3 * v, 3 * v + 3);
     return [cx + c * x - s * y, cy + s * x + c * y, cz + z];
   }
 
   /** Where a voxel is now [m]. */
   voxelNow(v) {
-    const { modes } = this;
     const at = this.voxelInWind(v, this.q, this.turn);
-    return this.groups.length ? carried(this.boneMotion, modes.bone_of_voxel[v], at) : at;
+    return this.groups.length ? carried(this.boneMotion, this.modes.bone_of_voxel[v], at) : at;
   }
 
   // ---- the end
@@ -212,8 +210,7 @@ export class Tree {
     this.group.remove(this.mesh, this.ghost);
     this.mesh.geometry.dispose();
     const materials = [this.mesh.material, this.mesh.customDepthMaterial, this.ghost.material].flat();
-    for (const material of materials) material.dispose();
-    for (const texture of this.surface.textures) texture?.dispose();
+    for (const resource of [...materials, ...this.surface.textures]) resource?.dispose();
     this.mesh = this.ghost = null;
   }
 
