@@ -63,9 +63,9 @@ class TriangleMesh:
         """The same vertices with only the faces that may move."""
         if self.still_faces is None:
             return self
-        kept = ~self.still_faces
-        material = None if self.face_material is None else self.face_material[kept]
-        return replace(self, faces=self.faces[kept], face_material=material, still_faces=None)
+        selected = ~self.still_faces
+        material = None if self.face_material is None else self.face_material[selected]
+        return replace(self, faces=self.faces[selected], face_material=material, still_faces=None)
 
     @property
     def still_vertices(self) -> Bool[np.ndarray, " N"]:

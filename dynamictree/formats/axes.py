@@ -68,9 +68,9 @@ def mesh_to_z_up(
         raise InputError(f"unit_m is {unit_m}; it must be positive and finite")
     judged = UpAxis(axis=up_axis, confidence=1.0) if up_axis else judge_up_axis(mesh, habit=habit)
     turned = mesh.vertices @ up_rotation(judged.axis).T  # [N, 3] float64
-    found = float(np.ptp(turned[:, 2])) if len(turned) else 0.0
-    scale = scale_to(height_m, found) or unit_m or guess_unit_m(found)
-    doubts = (*axis_warnings(judged), *(size_warnings(found * scale, scale) if doubt_size and not height_m else ()))
+    matches = float(np.ptp(turned[:, 2])) if len(turned) else 0.0
+    scale = scale_to(height_m, matches) or unit_m or guess_unit_m(matches)
+    doubts = (*axis_warnings(judged), *(size_warnings(matches * scale, scale) if doubt_size and not height_m else ()))
     return replace(
         mesh,
         vertices=(turned * scale).astype(np.float32),

@@ -78,12 +78,12 @@ def cloud_kind(stream: SeekableReader, *, file_type: str) -> CloudKind:
 def says_unit(stream: SeekableReader, *, file_type: str) -> bool:
     """Whether lengths have a unit, as scans and some PLY do; the stream is left at its start."""
     stream.seek(0)
-    known = file_type not in ("splat", "spz", "glb")
+    stated = file_type not in ("splat", "spz", "glb")
     if file_type == "ply":
         header = read_header(stream)
-        known = header.unit_m is not None or _ply_kind(header) == "points"
+        stated = header.unit_m is not None or _ply_kind(header) == "points"
     stream.seek(0)
-    return known
+    return stated
 
 
 def _ply_kind(header: PlyHeader) -> CloudKind:

@@ -15,19 +15,19 @@ _STRAYS = 0.002  # of the Gaussians at each end, which may lie far out
 
 
 def sized(
-    cloud: GaussianCloud, *, height_m: float | None, known: bool
+    cloud: GaussianCloud, *, height_m: float | None, stated: bool
 ) -> tuple[GaussianCloud, tuple[SourceWarning, ...]]:
     """Scale a cloud to a height, or to the default where its unit is not known; and say what is doubtful."""
-    found = cloud_height(cloud)
-    if height_m is None and (known or found == 0):
-        return cloud, size_warnings(found, cloud.source_scale) if found > 0 else ()
-    scale = scale_to(height_m or DEFAULT_HEIGHT_M, found)
+    detected = cloud_height(cloud)
+    if height_m is None and (stated or detected == 0):
+        return cloud, size_warnings(detected, cloud.source_scale) if detected > 0 else ()
+    scale = scale_to(height_m or DEFAULT_HEIGHT_M, detected)
     assert scale is not None
     scaled = replace(transformed(cloud, np.eye(3), scale), source_scale=cloud.source_scale * scale)
     if height_m is not None:
         return scaled, ()
     message = (
-        f"a splat's file does not say how large it is; {found:.3g} units were taken for {DEFAULT_HEIGHT_M:g} m; "
+        f"a splat's file does not say how large it is; {detected:.3g} units were taken for {DEFAULT_HEIGHT_M:g} m; "
         "set height_m to its height, or unit_m to the metres in one unit of the file"
     )
     return scaled, (SourceWarning(code="size-unknown", message=message),)

@@ -66,9 +66,9 @@ def read_capture(
         InputError: one of the files cannot be read, or they do not fit together.
     """
     assert file_type in CLOUD_TYPES
-    known = unit_m is not None or says_unit(stream, file_type=file_type)
+    stated = unit_m is not None or says_unit(stream, file_type=file_type)
     cloud, doubts = sized(
-        read_cloud(stream, file_type=file_type, up_axis=up_axis, unit_m=unit_m), height_m=height_m, known=known
+        read_cloud(stream, file_type=file_type, up_axis=up_axis, unit_m=unit_m), height_m=height_m, stated=stated
     )
     capture = Capture(cloud=cloud, mask=None if mask is None else read_mask(mask), warnings=doubts)
     if mesh is None:

@@ -67,8 +67,8 @@ def _named(mesh: TriangleMesh) -> Bool[np.ndarray, " F"]:
     if mesh.face_material is None:
         return np.zeros(mesh.num_faces, np.bool_)
     still = np.array([is_still_name(material.name) for material in mesh.materials], np.bool_)
-    found: Bool[np.ndarray, " F"] = still[mesh.face_material]
-    return np.zeros_like(found) if found.all() else found
+    detected: Bool[np.ndarray, " F"] = still[mesh.face_material]
+    return np.zeros_like(detected) if detected.all() else detected
 
 
 def _parts(mesh: TriangleMesh) -> Int64[np.ndarray, " F"]:
@@ -79,8 +79,8 @@ def _parts(mesh: TriangleMesh) -> Int64[np.ndarray, " F"]:
     part = connected_components(joined, directed=False)[1][welded.faces[:, 0]].astype(np.int64)
     if mesh.face_material is not None:
         part = part * len(mesh.materials) + mesh.face_material
-    found: Int64[np.ndarray, " F"] = np.unique(part, return_inverse=True)[1].astype(np.int64).ravel()
-    return found
+    detected: Int64[np.ndarray, " F"] = np.unique(part, return_inverse=True)[1].astype(np.int64).ravel()
+    return detected
 
 
 def _bounds(
@@ -108,8 +108,8 @@ def _flat(
         return np.zeros_like(flat)
     floor, top = low[rest, 2].min(), high[rest, 2].max()
     beneath = (low[:, 2] + high[:, 2]) / 2 < floor + 0.1 * (top - floor)
-    found: Bool[np.ndarray, " parts"] = flat & beneath & (narrow > _WIDE * (top - floor))
-    return found
+    detected: Bool[np.ndarray, " parts"] = flat & beneath & (narrow > _WIDE * (top - floor))
+    return detected
 
 
 def _low_and_apart(
@@ -121,11 +121,11 @@ def _low_and_apart(
 ) -> Bool[np.ndarray, " parts"]:
     floor, top = low[~gone, 2].min(), high[~gone, 2].max()
     lying = ~gone & (high[:, 2] < floor + _LOW * (top - floor))
-    found = np.zeros(len(low), np.bool_)
+    detected = np.zeros(len(low), np.bool_)
     rising = np.flatnonzero((~lying & ~gone)[part])
     candidates = np.flatnonzero(lying[part])
     if len(candidates) == 0 or len(rising) == 0:
-        return found
+        return detected
     reach = _APART * (top - floor)
     while len(candidates):  # what hangs on what rises, and what hangs on that, is of the plant
         near = np.zeros(len(low), np.bool_)
@@ -133,8 +133,8 @@ def _low_and_apart(
         if not near.any():
             break
         rising, candidates = candidates[near[part[candidates]]], candidates[~near[part[candidates]]]
-    found[part[candidates]] = True
-    return found
+    detected[part[candidates]] = True
+    return detected
 
 
 def _gaps(
@@ -159,7 +159,7 @@ def _vessels(
     floor, top = low[~gone, 2].min(), high[~gone, 2].max()
     height = top - floor
     stands = ~gone & (low[:, 2] < floor + _VESSEL_FOOT * height) & (high[:, 2] < floor + _VESSEL_HEIGHT * height)
-    found = np.zeros(len(low), np.bool_)
+    detected = np.zeros(len(low), np.bool_)
     for one in np.flatnonzero(stands)[np.argsort(-(high - low)[stands, :2].max(axis=1))][:50]:
         rises = ~gone & (high[:, 2] > high[one, 2] + (high[one, 2] - low[one, 2])) & (low[:, 2] < high[one, 2])
         foot = _feet(mesh, part, np.flatnonzero(rises), float(high[one, 2]))
@@ -167,8 +167,8 @@ def _vessels(
             continue
         inside = ((foot[0] >= low[one, :2]) & (foot[1] <= high[one, :2])).all()
         wider = (high - low)[one, :2].min() > _VESSEL_WIDTH * (foot[1] - foot[0]).max()
-        found[one] = inside and wider and _wide_all_the_way(mesh.vertices[np.unique(mesh.faces[part == one])])
-    return found
+        detected[one] = inside and wider and _wide_all_the_way(mesh.vertices[np.unique(mesh.faces[part == one])])
+    return detected
 
 
 def _feet(

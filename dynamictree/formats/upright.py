@@ -165,9 +165,9 @@ def _kinds(mesh: TriangleMesh) -> Int64[np.ndarray, " F"]:
     if mesh.face_material is None or not mesh.materials:
         return np.zeros(mesh.num_faces, np.int64)
     named = [2 if LEAF.search(m.name) else 1 if WOOD.search(m.name) else 0 for m in mesh.materials]
-    found = set(named) - {0}
-    if len(found) == 1:  # what is not named for the one is the other
-        named = [kind or 3 - found.copy().pop() for kind in named]
+    detected = set(named) - {0}
+    if len(detected) == 1:  # what is not named for the one is the other
+        named = [kind or 3 - detected.copy().pop() for kind in named]
     kinds: Int64[np.ndarray, " F"] = np.array(named, np.int64)[mesh.face_material]
     return kinds
 

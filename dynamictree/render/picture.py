@@ -59,8 +59,8 @@ class Renderer:
         """
         self.mesh = validate_mesh(mesh)
         self.look = look or Look()
-        shown = mesh.vertices[~mesh.still_vertices]  # the plant, not the plane that it stands on
-        self.camera = Camera.orbit(shown, aspect=self.look.width / self.look.height)
+        visible = mesh.vertices[~mesh.still_vertices]  # the plant, not the plane that it stands on
+        self.camera = Camera.orbit(visible, aspect=self.look.width / self.look.height)
         self._appearance = appearance_of(mesh)
         low, high = mesh.vertices.min(axis=0).astype(np.float64), mesh.vertices.max(axis=0).astype(np.float64)
         self._centre = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])

@@ -19,9 +19,9 @@ def splat_bytes(height: float) -> bytes:
 
 
 def test_a_splat_of_unknown_size_is_five_metres_tall_and_doubted() -> None:
-    found = read_capture(io.BytesIO(splat_bytes(1.7)), file_type="splat", up_axis="+Y")
-    assert cloud_height(found.cloud) == pytest.approx(DEFAULT_HEIGHT_M, rel=1e-4)
-    assert [warning.code for warning in found.warnings] == ["size-unknown"]
+    result = read_capture(io.BytesIO(splat_bytes(1.7)), file_type="splat", up_axis="+Y")
+    assert cloud_height(result.cloud) == pytest.approx(DEFAULT_HEIGHT_M, rel=1e-4)
+    assert [warning.code for warning in result.warnings] == ["size-unknown"]
 
 
 def test_a_stated_height_or_unit_is_taken() -> None:
@@ -36,6 +36,6 @@ def test_a_stated_height_or_unit_is_taken() -> None:
 
 def test_a_scan_keeps_its_metres() -> None:
     lines = b"".join(b"%f 0 %f\n" % (0.1 * i, 0.1 * i) for i in range(100))
-    found = read_capture(io.BytesIO(lines), file_type="txt")
-    assert found.cloud.source_scale == 1.0
-    assert found.warnings == ()
+    result = read_capture(io.BytesIO(lines), file_type="txt")
+    assert result.cloud.source_scale == 1.0
+    assert result.warnings == ()

@@ -133,16 +133,16 @@ def test_a_shape_without_a_foot_stands_on_its_longer_axis_and_is_doubted(rng: np
     ball /= np.linalg.norm(ball, axis=1, keepdims=True)
     faces = rng.integers(0, 400, (4000, 3)).astype(np.int32)
     for scale, axis in (([1, 1.4, 1], "+Y"), ([1, 1, 1.4], "+Z")):
-        found = judge_up_axis(TriangleMesh(vertices=(ball * scale).astype(np.float32), faces=faces))
-        assert found.axis == axis
-        assert found.confidence < CERTAIN
+        result = judge_up_axis(TriangleMesh(vertices=(ball * scale).astype(np.float32), faces=faces))
+        assert result.axis == axis
+        assert result.confidence < CERTAIN
 
 
 def test_a_mesh_without_faces_or_area_has_no_axis_to_find() -> None:
     points = np.eye(3, dtype=np.float32)
     for count in (0, 1):
-        found = judge_up_axis(TriangleMesh(vertices=points, faces=np.zeros((count, 3), np.int32)))
-        assert (found.axis, found.confidence) == ("+Z", 0.0)
+        result = judge_up_axis(TriangleMesh(vertices=points, faces=np.zeros((count, 3), np.int32)))
+        assert (result.axis, result.confidence) == ("+Z", 0.0)
 
 
 @pytest.mark.parametrize(

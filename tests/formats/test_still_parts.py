@@ -41,9 +41,9 @@ THINGS = {
 def test_what_is_no_plant_is_found_and_nothing_else(name: str) -> None:
     plant = tree()
     scene, owner = merged(plant, THINGS[name](plant.height_m))
-    found = find_still_faces(scene)
-    assert found is not None
-    np.testing.assert_array_equal(found, owner[scene.faces[:, 0]] == 1)
+    result = find_still_faces(scene)
+    assert result is not None
+    np.testing.assert_array_equal(result, owner[scene.faces[:, 0]] == 1)
 
 
 @pytest.mark.parametrize("species", SPECIES)
@@ -76,6 +76,6 @@ def test_a_named_part_stands_still_whatever_its_shape() -> None:
     scene, owner = merged(plant, tube([1, 0, 0], [1, 0, 3], 0.1))
     face_material = owner[scene.faces[:, 0]].astype(np.int32)
     materials = (Material(name="Oak"), Material(name="garden_fence"))
-    found = find_still_faces(replace(scene, face_material=face_material, materials=materials))
-    assert found is not None
-    np.testing.assert_array_equal(found, face_material == 1)
+    result = find_still_faces(replace(scene, face_material=face_material, materials=materials))
+    assert result is not None
+    np.testing.assert_array_equal(result, face_material == 1)

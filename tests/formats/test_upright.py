@@ -31,8 +31,8 @@ def test_trees_stand_up_from_any_of_six_axes(samples: Path) -> None:
     for mesh in trees(samples):
         for axis in AXES:
             laid = mesh.with_vertices((mesh.vertices @ up_rotation(axis)).astype(np.float32))
-            found = judge_up_axis(laid)
-            verdicts.append((found.axis == axis, found.confidence >= CERTAIN))
+            result = judge_up_axis(laid)
+            verdicts.append((result.axis == axis, result.confidence >= CERTAIN))
     right, sure = np.array(verdicts).T
     assert right.mean() >= 0.98
     assert not (~right & sure).any()  # the rest is flagged
