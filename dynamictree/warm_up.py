@@ -1,9 +1,11 @@
-"""Load the shipped model and compile every kernel that a job of a mesh or a splat calls, with a tree of a few faces.
+"""Compile every kernel that a job of a mesh or a splat calls, with a tree of a few faces.
 
 `python -m dynamictree.warm_up` after an installation: numba caches the machine code on disk, so that the first job of a
-new process waits for none of it. A worker calls it when it starts, to have torch, weights and kernels in memory.
+new process waits for none of it.
 """
 
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -17,17 +19,32 @@ from dynamictree.gaussian.surface import mesh_of_cloud
 from dynamictree.mesh import TriangleMesh
 from dynamictree.requests import ExportParams, Shot
 
+PARAMS = ExportParams(num_frames=2, loop=False, shot=Shot(side_px=64))
+
 
 def warm_up() -> None:
-    """Make the default products of a small mesh, and of the splat of it."""
+    """Compile on two cores: numba compiles one kernel at a time in each process."""
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
+        for compiled in (pool.submit(animate_mesh), pool.submit(animate_splat)):
+            compiled.result()
+
+
+def animate_mesh() -> None:
+    """Make the default products of a small mesh."""
     mesh = _pole()
-    spectrum = method.generate(method.voxelize(mesh), num_steps=2)
+    spectrum = method.generate(method.voxelize(mesh), num_steps=1)
+    with TemporaryDirectory() as folder:
+        write_products(mesh, spectrum, PARAMS, Path(folder))
+
+
+def animate_splat() -> None:
+    """Make the default products of the splat of a small mesh."""
+    mesh = _pole()
     cloud = splats_of_mesh(mesh, rng=np.random.default_rng(0)).binding.cloud
     mesh_of_cloud(cloud)
-    params = ExportParams(num_frames=2, loop=False, shot=Shot(side_px=64))
-    for capture in (None, Capture(cloud=cloud, mesh=mesh)):
-        with TemporaryDirectory() as folder:
-            write_products(mesh, spectrum, params, Path(folder), capture=capture)
+    spectrum = method.generate(method.voxelize(mesh), num_steps=1)
+    with TemporaryDirectory() as folder:
+        write_products(mesh, spectrum, PARAMS, Path(folder), capture=Capture(cloud=cloud, mesh=mesh))
 
 
 def _pole() -> TriangleMesh:
