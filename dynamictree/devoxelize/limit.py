@@ -10,7 +10,7 @@ from dynamictree.voxel.grid import VoxelGrid
 MOST_OVER_VOXELS = 1.2
 """Of the farthest that a voxel around a vertex moves: the farthest that the vertex may."""
 
-_FRAMES_A_BIN = 6  # frames at which the distance is looked at, of each frequency
+_FRAMES_A_BIN = 14  # so many frames a period of the highest frequency miss a peak by 2.5 % at most
 _POINTS_AT_ONCE = 20_000
 _AROUND = np.array([(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)], np.int32)
 

@@ -115,7 +115,7 @@ def _cues_along(
         min(float(balance), 3.0),
         float(share[leaf].mean() - share[wood].mean()) if by_name else 0.0,
         float(share[leaf].min() - share[wood].min()) if by_name else 0.0,
-        float((1 - largest.max()) - largest.min()),
+        float((1 - largest.max()) - largest.min()) if len(largest) else 0.0,
         _taper(share, across, stem == 1),
         float(share.mean() - 0.5),
         float(np.log(extent / max(float(np.ptp(across, axis=0).max()), 1e-6)).clip(-1.5, 1.5)),
@@ -125,7 +125,7 @@ def _cues_along(
 def _taper(share: Float64[np.ndarray, " P"], across: Float64[np.ndarray, "P 2"], stem: Bool[np.ndarray, " P"]) -> float:
     """Logarithm of the width of the stem's foot over that of its tip, where the stem is one slender pole; else 0."""
     own, place = share[stem], across[stem]
-    length = own.max() - own.min()
+    length = own.max() - own.min() if len(own) else 0.0
     if length < _POLE:
         return 0.0
     number = np.minimum(((own - own.min()) / length * _POLE_SLICES).astype(int), _POLE_SLICES - 1)

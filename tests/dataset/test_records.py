@@ -95,5 +95,5 @@ def test_a_folder_without_shards_or_of_an_earlier_program_is_refused(folder, tmp
     for tree in record["trees"]:
         del tree["measures"]
     (tmp_path / f"{shard_name(0)}.json").write_text(json.dumps(record))
-    with pytest.raises(FormatError, match="tells no measures"):
+    with pytest.raises(FormatError, match="has no measures"):
         list(iter_seen(tmp_path))

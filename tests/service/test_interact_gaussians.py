@@ -62,6 +62,7 @@ def test_gaussians_move_as_the_vertices_do(
     client: TestClient, cloud_spectrum: str, capture: Capture, grown, poke: dict, warp: bool
 ) -> None:
     options = {"accept": "application/vnd.safetensors", "num_frames": 3, "dt_s": 0.2, "warp": warp}
+    poke = poke | {"impulse_n_s": [30.0, 10.0, 0.0]}
     answer = post(client, cloud_spectrum, poke, output="gaussians", **options)
     assert answer.status_code == 200, answer.text
     frames = load(answer.content)

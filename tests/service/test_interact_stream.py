@@ -194,8 +194,9 @@ def test_places_that_swing_are_bounded(client: TestClient, spectrum_id: str, mon
         for voxel in (40, 41, 42):
             force = {"kind": "impulse", "at": {"voxel": voxel}, "impulse_n_s": [50.0, 0.0, 0.0]}
             socket.send_json({"type": "force", "force": force})
-        reply = [socket.receive_json() for _ in range(2)]
-        assert [one["code"] for one in reply if one["type"] == "problem"] == ["validation-failed"]
+        replies = (socket.receive_json() for _ in range(10))  # how many frames come before depends on the machine
+        problem = next(reply for reply in replies if reply["type"] == "problem")
+        assert problem["code"] == "validation-failed"
 
 
 def test_only_the_event_loop_changes_a_session(

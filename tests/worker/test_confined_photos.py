@@ -15,7 +15,7 @@ from dynamictree.reconstruct.photo_input import read_photos
 from dynamictree.reconstruct.photos import list_photos
 from jobs.records import AssetPart
 from tests.rows import asset_row, job_row
-from worker.confined_photos import read_confined
+from worker.confined_photos import CHILD, read_confined
 from worker.stages import StageInput, reconstruct
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="Landlock and seccomp are Linux's")
@@ -76,7 +76,7 @@ def test_the_child_is_confined(photos: list[Path], tmp_path: Path) -> None:
     states = []
 
     def look(*_: int) -> None:
-        [child] = psutil.Process().children()
+        [child] = [one for one in psutil.Process().children() if CHILD[-1] in one.cmdline()]
         status = Path(f"/proc/{child.pid}/status").read_text()
         states.append(dict(line.split(":\t") for line in status.splitlines() if line.startswith(("Secc", "NoNew"))))
         assert not [name for name in child.environ() if name.startswith(("DYNAMICTREE", "AWS"))]
