@@ -11,7 +11,7 @@ from dynamictree.models import load_model
 from dynamictree.voxel.graph import voxel_graph
 
 TREES = ((3, "palm"), (5, "weeping"), (7, "pine"), (11, "maple"), (13, "round-broadleaf"))
-STEPS = (2, 4, 8, 16, 100)
+STEPS = (2, 3, 4, 8, 16)
 
 
 def run() -> dict[str, object]:
