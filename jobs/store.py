@@ -85,6 +85,8 @@ class Store:
     ) -> tuple[JobRecord, bool]:
         """Keep a new job, its stages and the message for a worker, in one transaction; tell whether it is new.
 
+        The client's key passes from the job that is run again (`job.retry_of`) to the new one.
+
         Raises:
             GoneError: its asset has gone in the meantime.
             ReusedKeyError: the client's key means a job with another body.
@@ -102,7 +104,7 @@ class Store:
                 connection.execute(t.jobs.insert().values(**row))
             else:
                 client_key = self._own_key(client_key)
-                self._free_key(connection, client_key)
+                self._free_key(connection, client_key, job.retry_of)
                 row |= {"client_key": client_key.key, "body_sha256": client_key.body_sha256}
                 if not insert_new(connection, t.jobs, row, unique="client_key"):
                     return rows.read_job(connection, rows.same_job(connection, client_key)), False
@@ -142,10 +144,11 @@ class Store:
                 f"{matches} of your jobs have not ended, {max_active} are allowed; wait for one, or cancel"
             )
 
-    def _free_key(self, connection: sa.Connection, client_key: ClientKey) -> None:
+    def _free_key(self, connection: sa.Connection, client_key: ClientKey, retry_of: str | None) -> None:
+        free = t.jobs.c.id == retry_of if retry_of is not None else sa.false()
         if client_key.expires_s is not None:
-            old = (t.jobs.c.client_key == client_key.key) & (t.jobs.c.created_at < self.clock() - client_key.expires_s)
-            connection.execute(t.jobs.update().where(old).values(client_key=None))
+            free |= t.jobs.c.created_at < self.clock() - client_key.expires_s
+        connection.execute(t.jobs.update().where((t.jobs.c.client_key == client_key.key) & free).values(client_key=None))
 
     @patient
     def job(self, job_id: str) -> JobRecord:

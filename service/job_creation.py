@@ -33,12 +33,18 @@ def accept(
     *,
     key: str | None,
     expires_s: float | None = None,
+    resume_failed: bool = False,
 ) -> JobPayload:
-    """Check a request and keep its job, or give the one that was made under the same key."""
+    """Check a request and keep its job, or give the one that was made under the same key.
+
+    With `resume_failed`, a job of that key that failed or was aborted is run again, and the new one takes the key.
+    """
     named = None
     if key is not None:
         named = ClientKey(key=key, body_sha256=_fingerprint(body), expires_s=expires_s)
         earlier = owned.store.job_of_key(named)  # first: its asset may have gone, and the queue be full
+        if earlier is not None and resume_failed and earlier.state in (JobState.FAILED, JobState.ABORTED):
+            return _keep(owned, _again(owned, earlier, None, origin), _stage_names(earlier), named, response)
         if earlier is not None:
             return _answer(owned, earlier, False, named, response)
     asset, stages = require_possible(owned, body)
@@ -56,13 +62,21 @@ def accept_again(
     """
     if not old.terminal:
         raise ConflictError(f"job {old.id} is {old.state}; only one that has ended can be run again")
-    stages = tuple(stage.name for stage in old.stages)
+    stages = _stage_names(old)
     if from_stage is not None and from_stage not in stages:
         detail = f"job {old.id} has no stage {from_stage}; it has {', '.join(stages)}"
         raise wrong_field("/from_stage", "unknown-stage", detail)
+    return _keep(owned, _again(owned, old, from_stage, origin), stages, None, response)
+
+
+def _stage_names(job: JobRecord) -> tuple[JobType, ...]:
+    return tuple(stage.name for stage in job.stages)
+
+
+def _again(owned: Owned, old: JobRecord, from_stage: JobType | None, origin: RequestOrigin) -> JobRecord:
     _require_place(owned)
     require_bytes(owned, 0)
-    job = JobRecord(
+    return JobRecord(
         id=new_id(),
         type=old.type,
         state=JobState.QUEUED,
@@ -79,7 +93,6 @@ def accept_again(
         fresh_from=from_stage,
         created_at=owned.store.clock(),
     )
-    return _keep(owned, job, stages, None, response)
 
 
 def _keep(

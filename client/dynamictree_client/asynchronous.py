@@ -159,9 +159,13 @@ class AsyncClient:
         )
         return await self.create_job(request)
 
-    async def create_job(self, request: Any) -> Job:
-        """Create a job of a request of `models`; sent again with the same key if the answer is lost."""
-        call = operations.create_job(request, idempotency_key=uuid4().hex)
+    async def create_job(self, request: Any, *, key: str | None = None, resume_failed: bool = False) -> Job:
+        """Create a job of a request of `models`; sent again with the same key if the answer is lost.
+
+        With a key of your own the same job answers for a day, also to another process; with `resume_failed` a job of
+        that key that failed is run again.
+        """
+        call = operations.create_job(request, idempotency_key=key or uuid4().hex, resume_failed=resume_failed or None)
         job = await self.send(call)
         assert isinstance(job, Job)  # an estimate only comes where one is asked for
         return job

@@ -146,6 +146,7 @@ def create_job(
     body: ReconstructRequest | VoxelizeRequest | DiffuseRequest | AnimateRequest,
     *,
     validate_only: bool | None = None,
+    resume_failed: bool | None = None,
     idempotency_key: str | None = None,
 ) -> Call[Job | Estimate]:
     """Ask for voxels, a spectrum, a motion, or a mesh of photos. What that needs runs first, or is cached."""
@@ -153,7 +154,7 @@ def create_job(
         method="POST",
         path="/v1/jobs",
         answer=Job | Estimate,
-        query={"validate_only": validate_only},
+        query={"validate_only": validate_only, "resume_failed": resume_failed},
         headers={"idempotency-key": idempotency_key},
         body=body,
     )
@@ -175,9 +176,20 @@ def list_jobs(
     )
 
 
-def put_job(id: str, body: ReconstructRequest | VoxelizeRequest | DiffuseRequest | AnimateRequest) -> Call[Job]:
+def put_job(
+    id: str,
+    body: ReconstructRequest | VoxelizeRequest | DiffuseRequest | AnimateRequest,
+    *,
+    resume_failed: bool | None = None,
+) -> Call[Job]:
     """Create a job under a name of the client's; sending it again is harmless. The job's id is in the answer."""
-    return Call(method="PUT", path=path_of("/v1/jobs/{id}", {"id": id}), answer=Job, body=body)
+    return Call(
+        method="PUT",
+        path=path_of("/v1/jobs/{id}", {"id": id}),
+        answer=Job,
+        query={"resume_failed": resume_failed},
+        body=body,
+    )
 
 
 def get_job(id: str, *, if_none_match: str | None = None, prefer: str | None = None) -> Call[Job]:

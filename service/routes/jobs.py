@@ -31,6 +31,10 @@ router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 MAX_PAGE = 100
 _QUOTAS = ("forbidden", "quota-exceeded", "too-many-active-jobs")
 _REFUSALS = ("not-found", "conflict", "expired", "idempotency-key-reused", "queue-full", "disk-full", *_QUOTAS)
+ResumeFailed = Annotated[
+    bool,
+    Query(description="if the job of this key failed or was aborted, run it again as a new job that takes the key"),
+]
 _ACCEPTED = {
     "description": "Accepted",
     **headers(Location="the job", Retry_After="seconds until it is worth a look"),
@@ -56,6 +60,7 @@ def create_job(
     idempotency_key: Annotated[
         str | None, Header(min_length=1, max_length=128, description="the same key within 24 h gives the same job")
     ] = None,
+    resume_failed: ResumeFailed = False,
 ) -> JobPayload | Response:
     """Ask for voxels, a spectrum, a motion, or a mesh of photos. What that needs runs first, or is cached."""
     if validate_only:
@@ -67,7 +72,7 @@ def create_job(
         )
         return Response(estimate.model_dump_json(), media_type="application/json")
     key = None if idempotency_key is None else f"post:{idempotency_key}"
-    return accept(owned, body, origin, response, key=key, expires_s=KEY_EXPIRES_S)
+    return accept(owned, body, origin, response, key=key, expires_s=KEY_EXPIRES_S, resume_failed=resume_failed)
 
 
 @router.put(
@@ -85,10 +90,11 @@ def put_job(
     response: Response,
     owned: OwnedDep,
     origin: Origin,
+    resume_failed: ResumeFailed = False,
 ) -> JobPayload:
     """Create a job under a name of the client's; sending it again is harmless. The job's id is in the answer."""
     try:
-        return accept(owned, body, origin, response, key=f"put:{client_id}")
+        return accept(owned, body, origin, response, key=f"put:{client_id}", resume_failed=resume_failed)
     except ReusedKeyError as error:
         raise ConflictError(str(error)) from error
 

@@ -175,6 +175,36 @@ def test_an_idempotency_key_makes_one_job(client: TestClient, asset: AssetRecord
     assert later.json()["id"] != first.json()["id"]
 
 
+@pytest.mark.parametrize(
+    ("method", "url", "headers", "repeated"),
+    [("POST", "/v1/jobs", {"Idempotency-Key": "k"}, 202), ("PUT", "/v1/jobs/my-tree", {}, 200)],
+)
+def test_the_key_of_a_failed_job_resumes_it_only_if_asked(
+    client: TestClient,
+    asset: AssetRecord,
+    services: Services,
+    method: str,
+    url: str,
+    headers: dict[str, str],
+    repeated: int,
+) -> None:
+    def send(**query: bool) -> tuple[int, dict[str, object]]:
+        body = {"type": "voxelize", "asset_id": asset.id, "seed": 4}
+        response = client.request(method, url, json=body, headers=headers, params=query)
+        return response.status_code, response.json()
+
+    first = send()[1]
+    assert send(resume_failed=True)[1]["id"] == first["id"]  # it has not failed
+    fail(services.store, hold(services, str(first["id"])), code="out-of-memory", message="found, allowed")
+    assert send()[1]["id"] == first["id"]
+    code, second = send(resume_failed=True)
+    assert (code, second["retry_of"], second["seed"], second["state"]) == (202, first["id"], 4, "queued")
+    for query in ({}, {"resume_failed": True}):
+        code, third = send(**query)
+        assert (code, third["id"]) == (repeated, second["id"])
+    assert services.store.job(str(first["id"])).state == "failed"
+
+
 def test_putting_a_job_twice_makes_one(client: TestClient, asset: AssetRecord) -> None:
     body = {"type": "voxelize", "asset_id": asset.id}
     first, again = (client.put("/v1/jobs/my-tree.1", json=body) for _ in range(2))
