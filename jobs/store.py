@@ -148,7 +148,9 @@ class Store:
         free = t.jobs.c.id == retry_of if retry_of is not None else sa.false()
         if client_key.expires_s is not None:
             free |= t.jobs.c.created_at < self.clock() - client_key.expires_s
-        connection.execute(t.jobs.update().where((t.jobs.c.client_key == client_key.key) & free).values(client_key=None))
+        connection.execute(
+            t.jobs.update().where((t.jobs.c.client_key == client_key.key) & free).values(client_key=None)
+        )
 
     @patient
     def job(self, job_id: str) -> JobRecord:

@@ -63,6 +63,18 @@ LIBRARIES = (
         folder="spark-2.2.0",
         files={"LICENSE": "LICENSE.fflate"},
     ),
+    Library(  # the page of the API, /docs
+        name="swagger-ui-dist",
+        version="5.35.0",
+        sha512="U06rpMtW9V3XPGOBeamTUSr0Z09jMX4IJuANpE/EZbAhw0G8CgwrzU4YmXkn/h0wCDNsXdGarTNNHC3sU8yVUQ==",
+        files={
+            "LICENSE": "LICENSE",
+            "NOTICE": "LICENSE.notice",
+            "swagger-ui-bundle.js": "swagger-ui-bundle.js",
+            "swagger-ui-bundle.js.LICENSE.txt": "LICENSE.bundle",
+            "swagger-ui.css": "swagger-ui.css",
+        },
+    ),
 )
 
 
@@ -100,7 +112,7 @@ def fetch(library: Library) -> dict[str, bytes]:
 
 
 def _minified(path: str, content: bytes) -> bytes:
-    if not path.endswith(".js") or path.endswith(".min.js"):
+    if not path.endswith(".js") or path.endswith((".min.js", "-bundle.js")):
         return content
     minified: bytes = subprocess.run(MINIFY, input=content, check=True, capture_output=True).stdout
     return minified

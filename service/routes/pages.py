@@ -1,4 +1,4 @@
-"""`/` and `/web/…`: the viewer's files. They are the same for everyone and need no key."""
+"""`/`, `/docs` and `/web/…`: the viewer, the page of the API and their files. They are the same for everyone."""
 
 import base64
 import gzip
@@ -28,6 +28,12 @@ MEDIA_TYPES = {
 VENDORED = "public, max-age=31536000, immutable"
 """Cache-Control of vendored libraries: their paths hold the version."""
 
+DOCS_POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+"""What the page of the API may load: Swagger UI keeps its icons as data in its style sheet."""
+
 _IMPORT_MAP = re.compile(r'<script type="importmap">(.*?)</script>', re.DOTALL)
 
 
@@ -53,6 +59,16 @@ def get_viewer(
     page = read_page("index.html")
     assert page is not None
     return _sent(page, accept_encoding, if_none_match, {"Content-Security-Policy": content_policy(page.content)})
+
+
+@router.api_route("/docs", methods=["GET", "HEAD"])
+def get_api_page(
+    accept_encoding: Annotated[str, Header()] = "", if_none_match: Annotated[str | None, Header()] = None
+) -> Response:
+    """Every operation of the API, to read and to try."""
+    page = read_page("docs.html")
+    assert page is not None
+    return _sent(page, accept_encoding, if_none_match, {"Content-Security-Policy": DOCS_POLICY})
 
 
 @router.api_route("/llms.txt", methods=["GET", "HEAD"])

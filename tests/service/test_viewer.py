@@ -116,6 +116,16 @@ def test_files_are_packed_and_not_sent_twice(client: TestClient) -> None:
     assert client.head(path).status_code == 200
 
 
+def test_the_api_page_loads_its_own_files_only(client: TestClient) -> None:
+    page = client.get("/docs")
+    policy = dict(part.split(" ", 1) for part in page.headers["Content-Security-Policy"].split("; "))
+    assert policy["default-src"] == "'none'"
+    assert policy["script-src"] == "'self'"
+    files = re.findall(r'(?:src|href)="\./([^"]+)"', page.text)
+    assert {client.get(f"/{path}").status_code for path in files} == {200}
+    assert "<script>" not in page.text
+
+
 def test_vendored_libraries_are_cached_for_ever_under_their_version(client: TestClient) -> None:
     [import_map] = re.findall(r'"three": "\./(web/vendor/[^"]+)"', client.get("/").text)
     assert re.search(r"-\d+\.\d+\.\d+/", import_map)

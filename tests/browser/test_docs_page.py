@@ -1,0 +1,30 @@
+"""The page of the API in a real browser: it lists every operation, and one that is tried answers."""
+
+import json
+from collections.abc import Callable
+
+import httpx
+import pytest
+from playwright.sync_api import expect
+
+from tests.browser.conftest import Viewer
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
+
+
+def test_the_api_page_lists_every_operation_and_runs_one(url: str, view: Callable[..., Viewer]) -> None:
+    viewer = view(1280, 900)
+    page = viewer.page
+    document = httpx.get(f"{url}/openapi.json").json()
+    operations = [operation for path in document["paths"].values() for operation in path.values()]
+    page.goto(f"{url}/docs")
+    expect(page.locator(".opblock")).to_have_count(sum(len(operation.get("tags", [""])) for operation in operations))
+    block = page.locator("[id$=listPresets]")
+    block.locator(".opblock-summary-control").click()
+    block.get_by_role("button", name="Try it out").click()
+    block.get_by_role("button", name="Execute").click()
+    answer = block.locator(".live-responses-table .response-col_description .microlight").first
+    expect(answer).to_contain_text("small")
+    assert json.loads(answer.inner_text())["data"] == httpx.get(f"{url}/v1/presets").json()["data"]
+    viewer.picture()
+    assert viewer.complaints == []  # nothing was stopped by the content policy
