@@ -11,7 +11,6 @@ import sys
 from pathlib import Path
 from typing import Any
 
-WIDEST = 10.0  # what Blender allows; our weights stay within -2 and 2
 SKY = (0.45, 0.55, 0.65)
 
 
@@ -49,9 +48,6 @@ def main(path: Path, picture: Path | None) -> None:
     for curve in (curve for action in bpy.data.actions for curve in curves_of(action)):
         curve.modifiers.new("CYCLES")
     meshes = [thing for thing in scene.objects if thing.type == "MESH"]
-    for shape in (shape for thing in meshes if thing.data.shape_keys for shape in thing.data.shape_keys.key_blocks):
-        # the importer looks at the first key alone, and Blender would cut off what leaves the range
-        shape.slider_min, shape.slider_max = -WIDEST, WIDEST
     corners = [thing.matrix_world @ Vector(corner) for thing in meshes for corner in thing.bound_box]
     low, high = (tuple(pick(axis) for axis in zip(*corners, strict=True)) for pick in (min, max))
     place, aim = viewpoint(low, high)

@@ -367,9 +367,8 @@ SAME_MOTION = """async ([spectrum, job]) => {
     const { isWorthLoading, readShapes } = await import("/web/draw/glb_shapes.js");
     const client = new Client();
     const { tensors, shape } = readTensors(await client.surface(spectrum));
-    const { num_frames } = await client.spectrum(spectrum);
     const file = (await client.artifacts(job)).find(isWorthLoading);
-    const read = await readShapes(await client.bytes(file.url), num_frames);
+    const read = await readShapes(await client.bytes(file.url));
     const K = shape.shapes[1];
     let most = 0;
     for (let i = 0; i < read.shapes.length; i++) {

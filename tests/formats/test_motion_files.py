@@ -75,6 +75,19 @@ def test_31_targets_are_exact_at_the_keys_and_the_last_equals_the_first(
     np.testing.assert_allclose(times, np.arange(num_frames + 1) / 24, rtol=1e-6)
 
 
+@pytest.mark.parametrize("num_targets", [None, 8])
+def test_weights_stay_in_the_range_of_a_slider(rng: np.random.Generator, num_targets: int | None) -> None:
+    mesh = trunk_and_crown(rng)
+    content, _ = animated(mesh, sway(rng, mesh), **({} if num_targets is None else {"num_targets": num_targets}))
+    document = pygltflib.GLTF2().load_from_bytes(content)
+    keys = accessor(document, document.animations[0].samplers[0].output)
+    assert keys.min() >= 0
+    assert keys.max() <= 1
+    assert not document.meshes[0].weights, "all 0: the mesh at rest"
+    result = read_mesh(io.BytesIO(content), file_type="glb")
+    np.testing.assert_array_equal(result.vertices, mesh.vertices)
+
+
 def test_a_whole_spectrum_of_an_even_period_is_exact_too(rng: np.random.Generator) -> None:
     mesh = trunk_and_crown(rng)
     motion = rng.normal(size=(20, mesh.num_vertices, 3)).astype(np.float32)

@@ -85,7 +85,7 @@ export class Scene {
       const { isWorthLoading, readShapes } = await import("../draw/glb_shapes.js");
       const file = artifacts.find(isWorthLoading);
       if (!file) return;
-      const shapes = await readShapes(await this.client.bytes(file.url, { signal }), this.spectrum.num_frames);
+      const shapes = await readShapes(await this.client.bytes(file.url, { signal }));
       if (!signal.aborted) tree.setShapes(shapes);
     }
   }

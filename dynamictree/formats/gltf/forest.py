@@ -13,7 +13,7 @@ from jaxtyping import Complex64, Float64
 from dynamictree.byte_stream import ByteWriter
 from dynamictree.errors import InputError
 from dynamictree.formats.axes import up_rotation
-from dynamictree.formats.gltf.motion import key_weights, morph_targets
+from dynamictree.formats.gltf.motion import clipped_targets, clipped_weights, loop_parts, loop_weights
 from dynamictree.formats.gltf.writer import VERTEX_BUFFER, GlbWriter, add_mesh
 from dynamictree.mesh import TriangleMesh
 
@@ -68,14 +68,14 @@ def write_forest_glb(
     foot = np.array([*mesh.vertices[:, :2].mean(axis=0), mesh.vertices[:, 2].min()], np.float32)
     targets = [
         {"POSITION": writer.add_accessor(target.reshape(-1, 3) @ rotation, target=VERTEX_BUFFER, bounds=True)}
-        for target in morph_targets(coefficients)
+        for target in clipped_targets(loop_parts(coefficients, num_frames))
     ]
     add_mesh(writer, mesh.with_vertices(mesh.vertices - foot), targets=targets)
     times = (np.arange(num_frames + 1) / fps).astype(np.float32)
     clock = writer.add_accessor(times[:, None], bounds=True)
     samplers, channels = list[object](), list[object]()
     for number, tree in enumerate(trees):
-        weights = key_weights(coefficients.shape[1], num_frames, tree.phase_rad)
+        weights = clipped_weights(loop_weights(coefficients.shape[1], num_frames, tree.phase_rad))
         keys = np.concatenate([weights, weights[:1]]).astype(np.float32).reshape(-1, 1)
         samplers.append({"input": clock, "output": writer.add_accessor(keys), "interpolation": "LINEAR"})
         channels.append({"sampler": number, "target": {"node": number, "path": "weights"}})

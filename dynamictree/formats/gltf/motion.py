@@ -1,7 +1,10 @@
 """A motion as GLB morph targets: the real and imaginary parts of the spectrum, weighted over time.
 
-d_n = Re Σ_k w_k c_k e^{2πikn/T} = Re c_0 + Σ_{k≥1} w_k (cos(2πkn/T) Re c_k - sin(2πkn/T) Im c_k), so that 2K - 1
-targets carry the motion, exact at every key. Engines need only support 8; the reduced variant is the best of 8.
+d_n = Re Σ_k w_k c_k e^{2πikn/T} = Re c_0 + Σ_{k≥1} w_k (cos(2πkn/T) Re c_k - sin(2πkn/T) Im c_k) is a constant and
+2K - 2 parts m_i b_i with weights m_i in [-1, 1]. Players such as Blender clip weights to [0, 1], so each part becomes
+a target 2 b_i of weight (1 + m_i) / 2, and the first target, of weight 1, is Re c_0 - Σ b_i. All weights 0, the
+default, are the mesh at rest. 2K - 1 targets carry the motion, exact at every key. Engines need only support 8; the
+reduced variant is the mean with the 7 parts that lose least.
 """
 
 from dataclasses import asdict, dataclass
@@ -52,23 +55,23 @@ def write_motion_glb(
     num_frequencies = coefficients.shape[1]
     if num_targets is not None and not 1 <= num_targets <= 2 * num_frequencies - 1:
         raise InputError(f"num_targets is {num_targets}; 1 to {2 * num_frequencies - 1} are allowed for this spectrum")
-    basis, weights = morph_targets(coefficients), key_weights(num_frequencies, num_frames)
-    whole, all_weights = basis, weights
-    basis, weights, (total, missing) = _reduced(whole, all_weights, num_targets or len(whole))
+    parts, moduli = loop_parts(coefficients, num_frames), loop_weights(num_frequencies, num_frames)
+    few, few_moduli, (total, missing) = _reduced(parts, moduli, num_targets or len(parts))
     summary = MorphSummary(
-        num_targets=len(basis),
+        num_targets=len(few),
         num_keys=num_frames + 1,
         relative_error=float(np.sqrt(missing / total)) if total > 0 else 0.0,
         rms_error_m=float(np.sqrt(missing / (num_frames * len(coefficients)))),
-        max_error_m=_furthest(whole, all_weights, basis, weights),
+        max_error_m=_furthest(parts, moduli, few, few_moduli),
     )
     writer = GlbWriter(extras=asdict(summary))
     rotation = up_rotation("+Y").astype(np.float32)
     accessors = [
         {"POSITION": writer.add_accessor(target.reshape(-1, 3) @ rotation, target=VERTEX_BUFFER, bounds=True)}
-        for target in basis
+        for target in clipped_targets(few)
     ]
     add_mesh(writer, mesh, targets=accessors)
+    weights = clipped_weights(few_moduli)
     keys = np.concatenate([weights, weights[:1]]).astype(np.float32)  # [T + 1, targets]
     times = (np.arange(num_frames + 1) / fps).astype(np.float32)
     sampler = {
@@ -83,53 +86,72 @@ def write_motion_glb(
     return summary
 
 
-def morph_targets(coefficients: Complex64[np.ndarray, "N K 3"]) -> Float32[np.ndarray, "M N3"]:
-    """Re c_0, then Re and Im of each further bin, as rows."""
+def loop_parts(coefficients: Complex64[np.ndarray, "N K 3"], num_frames: int) -> Float32[np.ndarray, "M N3"]:
+    """Re c_0, then w_k Re c_k and w_k Im c_k of each further bin, as rows [m]."""
     by_bin = coefficients.transpose(1, 0, 2).reshape(coefficients.shape[1], -1)  # [K, 3N]
+    by_bin = by_bin * bin_weights(len(by_bin), num_frames).astype(np.float32)[:, None]
     pairs = np.stack([by_bin.real, by_bin.imag], axis=1).reshape(2 * len(by_bin), -1)  # [2K, 3N]
     return np.ascontiguousarray(np.delete(pairs, 1, axis=0))
 
 
-def key_weights(
+def loop_weights(
     num_frequencies: int, num_frames: int, turn: Float64[np.ndarray, " K"] | None = None
 ) -> Float64[np.ndarray, "T M"]:
-    """How far each target is on at each frame; `turn` adds to the phase of each frequency [rad]."""
-    k = np.arange(num_frequencies)
-    angle = 2 * np.pi * np.outer(np.arange(num_frames), k) / num_frames  # [T, K]
+    """How far each part is on at each frame, in [-1, 1], the first always 1; `turn` adds to each phase [rad]."""
+    angle = 2 * np.pi * np.outer(np.arange(num_frames), np.arange(num_frequencies)) / num_frames  # [T, K]
     if turn is not None:
         angle = angle + turn
-    w = bin_weights(num_frequencies, num_frames)
-    pairs = np.stack([w * np.cos(angle), -w * np.sin(angle)], axis=2).reshape(num_frames, -1)
+    pairs = np.stack([np.cos(angle), -np.sin(angle)], axis=2).reshape(num_frames, -1)
     return np.delete(pairs, 1, axis=1)
 
 
+def clipped_targets(parts: Float32[np.ndarray, "M N3"]) -> Float32[np.ndarray, "M N3"]:
+    """Targets that weights in [0, 1] move as `parts` with weights in [-1, 1] do; the first has weight 1."""
+    targets = 2 * parts
+    targets[0] = parts[0] - parts[1:].sum(axis=0, dtype=np.float64)
+    return targets
+
+
+def clipped_weights(weights: Float64[np.ndarray, "T M"]) -> Float64[np.ndarray, "T M"]:
+    """Weights in [0, 1] for `clipped_targets`; the first column is 1."""
+    clipped = (1 + weights) / 2
+    clipped[:, 0] = 1
+    return clipped
+
+
 def _reduced(
-    basis: Float32[np.ndarray, "M N3"], weights: Float64[np.ndarray, "T M"], count: int
+    parts: Float32[np.ndarray, "M N3"], weights: Float64[np.ndarray, "T M"], count: int
 ) -> tuple[Float32[np.ndarray, "R N3"], Float64[np.ndarray, "T R"], tuple[float, float]]:
-    """The best targets and weights of that rank (Eckart and Young 1936); squared sums of the motion and the loss."""
-    gram = (basis @ basis.T).astype(np.float64)
+    """The mean with the best parts of that number (Eckart and Young 1936); squared sums of the motion and the loss."""
+    swaying, swaying_weights = parts[1:], weights[:, 1:]
+    gram = (swaying @ swaying.T).astype(np.float64)
     values, vectors = np.linalg.eigh(gram)
     root = vectors * np.sqrt(np.maximum(values, 0))  # gram = root rootᵀ
-    u, s, _ = np.linalg.svd(weights @ root, full_matrices=False)
-    total = float((s**2).sum())
-    if count == len(basis):
-        return basis, weights, (total, 0.0)
-    targets = (u[:, :count].T @ weights).astype(np.float32) @ basis
-    scale = np.abs(u[:, :count]).max(axis=0)  # weights then stay within -1 and 1
-    return targets * scale[:, None].astype(np.float32), u[:, :count] / scale, (total, float((s[count:] ** 2).sum()))
+    u, s, _ = np.linalg.svd(swaying_weights @ root, full_matrices=False)
+    total = float((s**2).sum() + len(weights) * (parts[0].astype(np.float64) ** 2).sum())
+    if count == len(parts):
+        return parts, weights, (total, 0.0)
+    u, lost = u[:, : count - 1], float((s[count - 1 :] ** 2).sum())
+    largest = np.abs(u).max(axis=0, initial=0)  # weights then stay within -1 and 1
+    best = (u.T @ swaying_weights).astype(np.float32) @ swaying * largest[:, None].astype(np.float32)
+    return (
+        np.concatenate([parts[:1], best]),
+        np.concatenate([weights[:, :1], u / largest], axis=1),
+        (total, lost),
+    )
 
 
 def _furthest(
-    basis: Float32[np.ndarray, "M N3"],
+    parts: Float32[np.ndarray, "M N3"],
     weights: Float64[np.ndarray, "T M"],
     few: Float32[np.ndarray, "R N3"],
     few_weights: Float64[np.ndarray, "T R"],
 ) -> float:
-    """The largest distance between the same vertex at the same frame, with all targets and with a few [m]."""
-    if few is basis:
+    """The largest distance between the same vertex at the same frame, with all parts and with a few [m]."""
+    if few is parts:
         return 0.0
     largest = 0.0
     for row, few_row in zip(weights.astype(np.float32), few_weights.astype(np.float32), strict=True):
-        gap = (row @ basis - few_row @ few).reshape(-1, 3)
+        gap = (row @ parts - few_row @ few).reshape(-1, 3)
         largest = max(largest, float((gap**2).sum(axis=1).max()))
     return float(np.sqrt(largest))
