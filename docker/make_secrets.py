@@ -1,5 +1,6 @@
 """Write the secrets that docker-compose.yml names into docker/secrets, once: `python docker/make_secrets.py`."""
 
+import base64
 import json
 import secrets
 import sys
@@ -9,12 +10,13 @@ FOLDER = Path(__file__).parent / "secrets"
 
 
 def main(folder: Path = FOLDER) -> None:
-    """Write the database's password, the URL that holds it, and object storage's key. What is there stays."""
+    """Write every secret that docker-compose.yml names. What is there stays."""
     folder.mkdir(mode=0o700, exist_ok=True)
     password = _ensure(folder / "postgres_password", secrets.token_urlsafe(32))
     _ensure(folder / "dynamictree_database_url", f"postgresql://tree:{password}@postgres:5432/tree")
     access_key = _ensure(folder / "dynamictree_s3_access_key_id", secrets.token_hex(10))
     secret_key = _ensure(folder / "dynamictree_s3_secret_access_key", secrets.token_urlsafe(30))
+    _ensure(folder / "dynamictree_secret_key", base64.b64encode(secrets.token_bytes(32)).decode())
     identity = {
         "name": "dynamictree",
         "credentials": [{"accessKey": access_key, "secretKey": secret_key}],

@@ -73,6 +73,12 @@ class BackupError(JobsError):
     code = "backup-error"
 
 
+class SecretKeyError(JobsError):
+    """A stored secret cannot be decrypted: the setting `secret_key` is missing or another one."""
+
+    code = "secret-key-error"
+
+
 class FencedError(JobsError):
     """Another attempt owns the job, or it has ended; whoever gets this must stop and publish nothing."""
 

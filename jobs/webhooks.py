@@ -10,6 +10,7 @@ from ulid import ULID
 
 from jobs import tables as t
 from jobs.errors import ConflictError, NotFoundError
+from jobs.secret_box import SecretBox
 from jobs.store import Store
 from jobs.webhook_events import DeliveryState, Event
 
@@ -28,17 +29,22 @@ class Endpoint:
     owner: str
     url: str
     events: tuple[Event, ...]  # of every job; none: only of jobs that name this endpoint
-    secret: str = field(repr=False)
+    secret: str = field(repr=False)  # as stored: encrypted where there is a key for it
     old_secret: str | None = field(default=None, repr=False)
     old_secret_until: float | None = None
     disabled_reason: str | None = None
     created_at: float
 
-    def signing_secrets(self, now: float) -> tuple[str, ...]:
-        """The secrets that sign at a time, the newest first."""
-        if self.old_secret is None or self.old_secret_until is None or self.old_secret_until <= now:
-            return (self.secret,)
-        return self.secret, self.old_secret
+    def signing_secrets(self, now: float, box: SecretBox) -> tuple[str, ...]:
+        """The secrets that sign at a time, the newest first.
+
+        Raises:
+            SecretKeyError: the box has not the key that they were encrypted with.
+        """
+        stored = [self.secret]
+        if self.old_secret is not None and self.old_secret_until is not None and self.old_secret_until > now:
+            stored.append(self.old_secret)
+        return tuple(box.decrypt(secret, self.id) for secret in stored)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,18 +82,19 @@ def new_secret() -> str:
 # -- endpoints
 
 
-def add_endpoint(store: Store, url: str, events: Sequence[Event]) -> Endpoint:
-    """Keep a new endpoint, with a new secret.
+def add_endpoint(store: Store, url: str, events: Sequence[Event], box: SecretBox) -> tuple[Endpoint, str]:
+    """Store a new endpoint; return it and its new secret.
 
     Raises:
         ConflictError: there are too many.
     """
+    secret, endpoint_id = new_secret(), str(ULID())
     new = Endpoint(
-        id=str(ULID()),
+        id=endpoint_id,
         owner=store.owner or "",
         url=url,
         events=tuple(events),
-        secret=new_secret(),
+        secret=box.encrypt(secret, endpoint_id),
         created_at=store.clock(),
     )
     with store.writing() as connection:
@@ -95,7 +102,7 @@ def add_endpoint(store: Store, url: str, events: Sequence[Event]) -> Endpoint:
         if connection.execute(mine).scalar_one() >= MAX_ENDPOINTS:
             raise ConflictError(f"there are {MAX_ENDPOINTS} webhook endpoints, which is the limit; delete one")
         connection.execute(t.webhook_endpoints.insert().values(**asdict(new)))
-    return new
+    return new, secret
 
 
 def endpoints(store: Store) -> list[Endpoint]:
@@ -129,15 +136,17 @@ def change_endpoint(store: Store, endpoint_id: str, **values: object) -> Endpoin
         return _read_endpoint(connection, store, endpoint_id)
 
 
-def rotate_secret(store: Store, endpoint_id: str) -> Endpoint:
-    """Give an endpoint a new secret; the old one signs too for `ROTATION_OVERLAP_S`.
+def rotate_secret(store: Store, endpoint_id: str, box: SecretBox) -> tuple[Endpoint, str]:
+    """Give an endpoint a new secret, and return both; the old one signs too for `ROTATION_OVERLAP_S`.
 
     Raises:
         NotFoundError: there is none.
     """
     old = endpoint(store, endpoint_id)
     until = store.clock() + ROTATION_OVERLAP_S
-    return change_endpoint(store, endpoint_id, secret=new_secret(), old_secret=old.secret, old_secret_until=until)
+    secret = new_secret()
+    stored = box.encrypt(secret, endpoint_id)
+    return change_endpoint(store, endpoint_id, secret=stored, old_secret=old.secret, old_secret_until=until), secret
 
 
 def delete_endpoint(store: Store, endpoint_id: str) -> None:

@@ -12,6 +12,7 @@ from starlette.requests import HTTPConnection
 from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.artifacts import ArtifactStore, open_artifacts
 from jobs.outbound import Outbound
+from jobs.secret_box import SecretBox
 from jobs.settings import Settings
 from jobs.store import Store
 from jobs.upload_parts import PartStore, open_parts
@@ -38,6 +39,7 @@ class Services:
     upload_parts: PartStore
     upload_writers: ActiveWriters
     outbound: Outbound
+    secret_box: SecretBox
     job_durations: JobDurations
     job_notifier: JobNotifier
     spectra: LruCache[SparseVoxelSpectrum]  # by the hash of the spectrum's file
@@ -76,6 +78,7 @@ def open_services(settings: Settings) -> Iterator[Services]:
             upload_parts=open_parts(artifacts_url, credentials=credentials),
             upload_writers=ActiveWriters(),
             outbound=Outbound(private_hosts=settings.outbound_hosts),
+            secret_box=SecretBox(settings.secret_key_bytes),
             job_durations=JobDurations(store),
             job_notifier=JobNotifier(store),
             spectra=LruCache(settings.spectrum_cache_bytes, lambda spectrum: spectrum.num_bytes),

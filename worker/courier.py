@@ -10,8 +10,9 @@ from datetime import UTC, datetime
 import sqlalchemy as sa
 from standardwebhooks import Webhook
 
-from jobs.errors import OutboundError
+from jobs.errors import OutboundError, SecretKeyError
 from jobs.outbound import Outbound
+from jobs.secret_box import SecretBox
 from jobs.settings import Settings
 from jobs.store import Store
 from jobs.webhooks import Delivery, Endpoint, Try, claim_due, record_try
@@ -34,6 +35,7 @@ class Courier:
     def __init__(self, store: Store, settings: Settings, *, outbound: Outbound | None = None) -> None:
         self.store = store
         self.settings = settings
+        self.box = SecretBox(settings.secret_key_bytes)
         self.outbound = outbound or Outbound(private_hosts=settings.outbound_hosts)
         self.looked_at = time.monotonic()  # for whoever watches this thread
         self._running: dict[asyncio.Task[None], str] = {}  # attempts, with the owner of each
@@ -82,7 +84,7 @@ class Courier:
         try:
             async with asyncio.timeout(self.settings.webhook_timeout_s):
                 status, detail = await self._post(delivery, endpoint, datetime.fromtimestamp(round(at), UTC))
-        except OutboundError as error:
+        except (OutboundError, SecretKeyError) as error:
             status, detail = None, str(error)
         except TimeoutError:
             status, detail = None, f"no answer within {self.settings.webhook_timeout_s:g} s"
@@ -101,7 +103,7 @@ class Courier:
             "webhook-timestamp": str(round(signed_at.timestamp())),
             "webhook-signature": " ".join(
                 Webhook(secret).sign(delivery.message_id, signed_at, delivery.payload)
-                for secret in endpoint.signing_secrets(self.store.clock())
+                for secret in endpoint.signing_secrets(self.store.clock(), self.box)
             ),
         }
         if delivery.traceparent:

@@ -85,9 +85,10 @@ class DeliveryListPayload(Payload):
 async def create_endpoint(body: EndpointRequest, response: Response, owned: OwnedDep) -> EndpointWithSecretPayload:
     """Register an address that receives an event when a job ends. The signing secret is returned only here."""
     await owned.services.outbound.check(body.url)
-    new = await run_in_threadpool(webhooks.add_endpoint, owned.store, body.url, body.events)
+    box = owned.services.secret_box
+    new, secret = await run_in_threadpool(webhooks.add_endpoint, owned.store, body.url, body.events, box)
     response.headers["Location"] = f"/v1/webhook-endpoints/{new.id}"
-    return EndpointWithSecretPayload(**_endpoint(new).model_dump(), secret=new.secret)
+    return EndpointWithSecretPayload(**_endpoint(new).model_dump(), secret=secret)
 
 
 @router.get("", operation_id="listWebhookEndpoints", responses=refusals())
@@ -124,8 +125,8 @@ def delete_endpoint(id: Id, owned: OwnedDep) -> None:
 @router.post("/{id}/secret", operation_id="rotateWebhookSecret", responses=refusals("not-found"))
 def rotate_secret(id: Id, owned: OwnedDep) -> EndpointWithSecretPayload:
     """Make a new secret, shown only here. For a day the old one signs too, so that none is refused meanwhile."""
-    new = webhooks.rotate_secret(owned.store, id)
-    return EndpointWithSecretPayload(**_endpoint(new).model_dump(), secret=new.secret)
+    new, secret = webhooks.rotate_secret(owned.store, id, owned.services.secret_box)
+    return EndpointWithSecretPayload(**_endpoint(new).model_dump(), secret=secret)
 
 
 @router.get("/{id}/deliveries", operation_id="listWebhookDeliveries", responses=refusals("not-found"))

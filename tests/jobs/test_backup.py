@@ -19,6 +19,7 @@ from jobs.keys import create_key
 from jobs.maintenance import hold_lease, living, unreferenced_blobs
 from jobs.records import AssetPart, Claim, JobRecord, OutputFile
 from jobs.scrub import scrub
+from jobs.secret_box import SecretBox
 from jobs.store import Store
 from jobs.upload_parts import FolderParts
 from jobs.uploads import UploadRecord, add_upload
@@ -45,7 +46,7 @@ def fill(store: Store, artifacts: FolderArtifacts, folder: Path, owner: str, *, 
     folder.mkdir(exist_ok=True)
     theirs = store.for_owner(owner)
     create_key(store, name="k", owner=owner)
-    add_endpoint(theirs, "https://tree.example/", ())
+    add_endpoint(theirs, "https://tree.example/", (), SecretBox())
     add_upload(theirs, _upload(store, f"{owner}{seed}-upload"))
     part = _put(store, artifacts, folder, f"{owner}{seed} sent".encode())
     asset = add_asset(theirs, asset_row(part, now=store.clock(), fingerprint=part.sha256))[0]

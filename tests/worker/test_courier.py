@@ -11,18 +11,23 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
+import sqlalchemy as sa
 from standardwebhooks import Webhook
 from standardwebhooks.webhooks import WebhookVerificationError
 
+from jobs import tables as t
 from jobs import webhooks
 from jobs.assets import add_asset
 from jobs.attempts import claim, fail, succeed
-from jobs.errors import ConflictError, NotFoundError
-from jobs.settings import Settings
+from jobs.errors import ConflictError, NotFoundError, SecretKeyError, SettingsError
+from jobs.secret_box import SecretBox
+from jobs.settings import Settings, read_settings
 from jobs.store import Store
 from jobs.webhook_events import EVENTS
 from tests.jobs.conftest import add_job, make_asset
 from worker.courier import Courier
+
+PLAIN = SecretBox()
 
 
 @dataclass
@@ -94,7 +99,7 @@ def scene(tmp_path: Path, receiver: Receiver) -> Iterator[Scene]:
 
 
 def test_the_end_of_a_job_is_delivered_and_signed(scene: Scene, receiver: Receiver) -> None:
-    endpoint = webhooks.add_endpoint(scene.store, receiver.url, EVENTS)
+    endpoint = webhooks.add_endpoint(scene.store, receiver.url, EVENTS, PLAIN)[0]
     job_id = scene.end_a_job()
     assert scene.courier.round() == 1
     headers, body = receiver.came[0]
@@ -113,7 +118,7 @@ def test_the_end_of_a_job_is_delivered_and_signed(scene: Scene, receiver: Receiv
 
 
 def test_a_failed_delivery_is_repeated_on_schedule(scene: Scene, receiver: Receiver) -> None:
-    endpoint = webhooks.add_endpoint(scene.store, receiver.url, ("job.failed",))
+    endpoint = webhooks.add_endpoint(scene.store, receiver.url, ("job.failed",), PLAIN)[0]
     scene.end_a_job()
     scene.end_a_job(well=False)
     receiver.answers = [500, 302, 503]
@@ -134,7 +139,7 @@ def test_a_failed_delivery_is_repeated_on_schedule(scene: Scene, receiver: Recei
 
 
 def test_an_endpoint_that_answers_gone_gets_no_more(scene: Scene, receiver: Receiver) -> None:
-    endpoint = webhooks.add_endpoint(scene.store, receiver.url, EVENTS)
+    endpoint = webhooks.add_endpoint(scene.store, receiver.url, EVENTS, PLAIN)[0]
     scene.end_a_job()
     receiver.answers = [410]
     assert scene.courier.round() == 1
@@ -144,19 +149,50 @@ def test_an_endpoint_that_answers_gone_gets_no_more(scene: Scene, receiver: Rece
     assert scene.courier.round() == 0
 
 
+def test_a_secret_is_encrypted_in_the_database_and_signs(scene: Scene, receiver: Receiver) -> None:
+    box = SecretBox(bytes(range(32)))
+    endpoint, secret = webhooks.add_endpoint(scene.store, receiver.url, EVENTS, box)
+    with scene.store.reading() as connection:
+        [row] = connection.execute(sa.select(t.webhook_endpoints)).all()
+    assert secret.removeprefix("whsec_") not in str(row)
+    assert len(row.secret) <= t.webhook_endpoints.c.secret.type.length
+    scene.courier.box = box
+    scene.end_a_job()
+    scene.courier.round()
+    headers, body = receiver.came[0]
+    Webhook(secret).verify(body, headers)
+    scene.courier.box = SecretBox(bytes(32))
+    scene.end_a_job()
+    scene.courier.round()
+    [wrong, _] = webhooks.deliveries(scene.store, endpoint.id, before=None, limit=10)
+    assert (wrong.state, wrong.log[0].status) == ("pending", None)
+    assert "another secret_key" in wrong.log[0].detail
+    with pytest.raises(SecretKeyError, match="missing"):
+        endpoint.signing_secrets(scene.now[0], PLAIN)
+    with pytest.raises(SecretKeyError, match="another"):
+        box.decrypt(endpoint.secret, "of-another-row")
+
+
+def test_a_wrong_secret_key_is_refused_and_not_repeated(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DYNAMICTREE_SECRET_KEY", "hunter2")
+    with pytest.raises(SettingsError, match="base64 of 32 bytes") as refusal:
+        read_settings()
+    assert "hunter2" not in str(refusal.value)
+
+
 def test_for_a_day_the_old_secret_signs_too(scene: Scene, receiver: Receiver) -> None:
-    old = webhooks.add_endpoint(scene.store, receiver.url, EVENTS)
-    new = webhooks.rotate_secret(scene.store, old.id)
+    old = webhooks.add_endpoint(scene.store, receiver.url, EVENTS, PLAIN)[0]
+    new = webhooks.rotate_secret(scene.store, old.id, PLAIN)[0]
     scene.end_a_job()
     scene.courier.round()
     headers, body = receiver.came[0]
     for secret in (old.secret, new.secret):
         assert json.loads(body) == Webhook(secret).verify(body, headers)
-    assert new.signing_secrets(scene.now[0] + webhooks.ROTATION_OVERLAP_S + 1) == (new.secret,)
+    assert new.signing_secrets(scene.now[0] + webhooks.ROTATION_OVERLAP_S + 1, PLAIN) == (new.secret,)
 
 
 def test_an_endpoint_without_events_hears_only_of_jobs_that_name_it(scene: Scene, receiver: Receiver) -> None:
-    endpoint = webhooks.add_endpoint(scene.store, receiver.url, ())
+    endpoint = webhooks.add_endpoint(scene.store, receiver.url, (), PLAIN)[0]
     scene.end_a_job()
     named = scene.end_a_job(webhook_id=endpoint.id)
     assert scene.courier.round() == 1
@@ -165,7 +201,7 @@ def test_an_endpoint_without_events_hears_only_of_jobs_that_name_it(scene: Scene
 
 def test_what_leads_inside_is_not_called(scene: Scene, receiver: Receiver) -> None:
     scene.courier.outbound = type(scene.courier.outbound)()  # as without the setting outbound_hosts
-    endpoint = webhooks.add_endpoint(scene.store, receiver.url, EVENTS)
+    endpoint = webhooks.add_endpoint(scene.store, receiver.url, EVENTS, PLAIN)[0]
     scene.end_a_job()
     assert scene.courier.round() == 1
     (delivery,) = webhooks.deliveries(scene.store, endpoint.id, before=None, limit=10)
@@ -173,8 +209,8 @@ def test_what_leads_inside_is_not_called(scene: Scene, receiver: Receiver) -> No
 
 
 def test_a_bad_address_does_not_stop_other_deliveries(scene: Scene, receiver: Receiver) -> None:
-    broken = webhooks.add_endpoint(scene.store, receiver.url + "/\x7f", EVENTS)
-    webhooks.add_endpoint(scene.store, receiver.url, EVENTS)
+    broken = webhooks.add_endpoint(scene.store, receiver.url + "/\x7f", EVENTS, PLAIN)[0]
+    webhooks.add_endpoint(scene.store, receiver.url, EVENTS, PLAIN)[0]
     scene.end_a_job()
     assert scene.courier.round() == 2
     assert len(receiver.came) == 1
@@ -185,7 +221,7 @@ def test_a_bad_address_does_not_stop_other_deliveries(scene: Scene, receiver: Re
 def test_one_who_is_slow_is_not_waited_for(scene: Scene, receiver: Receiver) -> None:
     scene.courier.settings = scene.courier.settings.model_copy(update={"webhook_timeout_s": 0.2})
     receiver.wait_s = 1.0
-    endpoint = webhooks.add_endpoint(scene.store, receiver.url, EVENTS)
+    endpoint = webhooks.add_endpoint(scene.store, receiver.url, EVENTS, PLAIN)[0]
     scene.end_a_job()
     scene.courier.round()
     (delivery,) = webhooks.deliveries(scene.store, endpoint.id, before=None, limit=10)
@@ -193,7 +229,7 @@ def test_one_who_is_slow_is_not_waited_for(scene: Scene, receiver: Receiver) -> 
 
 
 def test_what_one_courier_tells_no_other_does(scene: Scene, receiver: Receiver) -> None:
-    webhooks.add_endpoint(scene.store, receiver.url, EVENTS)
+    webhooks.add_endpoint(scene.store, receiver.url, EVENTS, PLAIN)[0]
     scene.end_a_job()
     claimed = [webhooks.claim_due(scene.store, lease_s=30, limit=10, per_owner=4, busy={}) for _ in range(2)]
     assert [len(deliveries) for deliveries in claimed] == [1, 0]
@@ -202,9 +238,9 @@ def test_what_one_courier_tells_no_other_does(scene: Scene, receiver: Receiver) 
 
 
 def test_endpoints_have_a_limit(scene: Scene, receiver: Receiver) -> None:
-    attempt = [webhooks.add_endpoint(scene.store, receiver.url, ()) for _ in range(webhooks.MAX_ENDPOINTS)]
+    attempt = [webhooks.add_endpoint(scene.store, receiver.url, (), PLAIN)[0] for _ in range(webhooks.MAX_ENDPOINTS)]
     with pytest.raises(ConflictError):
-        webhooks.add_endpoint(scene.store, receiver.url, ())
+        webhooks.add_endpoint(scene.store, receiver.url, (), PLAIN)[0]
     webhooks.delete_endpoint(scene.store, attempt[0].id)
     assert len(webhooks.endpoints(scene.store)) == webhooks.MAX_ENDPOINTS - 1
 
@@ -212,8 +248,8 @@ def test_endpoints_have_a_limit(scene: Scene, receiver: Receiver) -> None:
 def test_one_owner_s_tarpits_delay_nobody_else(scene: Scene, receiver: Receiver) -> None:
     """One owner's 60 deliveries hang for a second each; another owner's one is made at once."""
     receiver.wait_s = 1.0
-    endpoint = webhooks.add_endpoint(scene.store.for_owner("slow"), receiver.url, EVENTS)
-    other = webhooks.add_endpoint(scene.store.for_owner("quick"), receiver.url, EVENTS)
+    endpoint = webhooks.add_endpoint(scene.store.for_owner("slow"), receiver.url, EVENTS, PLAIN)[0]
+    other = webhooks.add_endpoint(scene.store.for_owner("quick"), receiver.url, EVENTS, PLAIN)[0]
     for owner, count in (("slow", 60), ("quick", 1)):
         for _ in range(count):
             scene.end_a_job(owner=owner)
