@@ -13,7 +13,14 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstra
 from dynamictree.errors import InputError
 
 MAX_FRAMES = 600
-"""Of one motion."""
+"""Of one loop, or of a turbulent motion in a format that is written at once."""
+MAX_TURBULENT_FRAMES = 14_400
+"""Of a turbulent motion in a format that is written frame by frame: ten minutes at 24 fps."""
+MAX_TURBULENT_FILM_FRAMES = 3_600
+"""Of a turbulent motion as a film, whose frames are drawn: two and a half minutes at 24 fps."""
+TURBULENT_S = 10.0
+"""Duration of a turbulent motion where no number of frames is asked for [s]."""
+MAX_FIRST_FRAME = 10_000_000
 MAX_SEED = 2**53 - 1
 """The largest integer that every JSON reader represents exactly."""
 
@@ -26,6 +33,18 @@ Format = Literal[
 MESH_FORMATS: tuple[Format, ...] = ("ply", "glb", "png")
 CLOUD_FORMATS: tuple[Format, ...] = ("splat", "png")
 """What is written where a request names no formats: of a mesh or photos, and of a splat or scan."""
+WindMode = Literal["loop", "turbulent"]
+TURBULENT_FRAMES: dict[Format, int] = {
+    "ply": MAX_TURBULENT_FRAMES,
+    "motion": MAX_TURBULENT_FRAMES,
+    "splat-ply": MAX_TURBULENT_FRAMES,
+    "mp4": MAX_TURBULENT_FILM_FRAMES,
+    "webp": MAX_FRAMES,
+    "png": MAX_TURBULENT_FRAMES,
+    "usd": MAX_FRAMES,
+    "vat": MAX_FRAMES,
+}
+"""The formats that can hold a turbulent motion, and how many frames of it. The others hold one period."""
 Resolution = Literal[32, 64, 128, 256, 512]
 UpAxis = Annotated[
     str,
@@ -173,15 +192,25 @@ class Shot(Request):
 class ExportParams(Request):
     """Which frames of a motion are written, and as what. Frame n shows the motion at time n · speed / fps."""
 
-    first_frame: int = Field(default=0, ge=0, lt=MAX_FRAMES, description="Number of the first frame to write")
+    wind_mode: WindMode = Field(
+        default="loop",
+        description="Motion that repeats after one period, or in turbulent wind that never repeats",
+    )
+    first_frame: int = Field(default=0, ge=0, le=MAX_FIRST_FRAME, description="Number of the first frame to write")
     num_frames: int | None = Field(
-        default=None, ge=1, le=MAX_FRAMES, description="Number of frames to write; one period if unset"
+        default=None,
+        ge=1,
+        le=MAX_TURBULENT_FRAMES,
+        description=f"Number of frames to write, at most {MAX_FRAMES} of a loop; if unset one period, or "
+        f"{TURBULENT_S:g} s of turbulent wind",
     )
     fps: Finite = Field(
         default=24.0, ge=1, le=240, description="Frames per second; does not change the speed of the motion"
     )
     speed: Finite = Field(default=1.0, ge=0.01, le=100, description="Speed of the motion over its natural speed")
-    loop: bool = Field(default=True, description="Refuse a number of frames that is not a whole number of periods")
+    loop: bool = Field(
+        default=True, description="Refuse a number of frames that is not a whole number of periods; not if turbulent"
+    )
     formats: tuple[Format, ...] | None = Field(
         default=None,
         min_length=1,
@@ -203,8 +232,10 @@ class ExportParams(Request):
         """Number of frames to write.
 
         Raises:
-            InputError: `loop` is set and the frames are not a whole number of periods, or there are too many.
+            InputError: a loop is asked for and the frames are not a whole number of periods, or there are too many.
         """
+        if self.wind_mode == "turbulent":
+            return max(round(self.fps * TURBULENT_S), 1) if self.num_frames is None else self.num_frames
         period = self.period_frames(period_s)
         count = max(round(period), 1) if self.num_frames is None else self.num_frames
         if self.loop and not _is_whole(count / period):
@@ -213,8 +244,36 @@ class ExportParams(Request):
                 f" periods of {period_s:.4g} s, so the loop would jump; {_nearest_loops(count, period)}"
             )
         if count > MAX_FRAMES:
-            raise InputError(f"one period is {count} frames; at most {MAX_FRAMES} are allowed: lower fps")
+            subject = "one period is" if self.num_frames is None else "num_frames is"
+            advice = "lower fps" if self.num_frames is None else "take wind_mode turbulent for a longer motion"
+            raise InputError(f"{subject} {count} frames; at most {MAX_FRAMES} of a loop are allowed: {advice}")
         return count
+
+    def chosen_formats(self, *, cloud: bool) -> tuple[Format, ...]:
+        """Formats to write, of a mesh or of a cloud; those by default where none are named.
+
+        Raises:
+            InputError: a format cannot hold a turbulent motion, or not so many frames of it.
+        """
+        usual = CLOUD_FORMATS if cloud else MESH_FORMATS
+        if self.wind_mode == "loop":
+            return self.formats or usual
+        formats = self.formats or tuple(name for name in usual if name in TURBULENT_FRAMES)
+        for name in formats:
+            self._require_turbulent(name)
+        return formats
+
+    def _require_turbulent(self, name: Format) -> None:
+        if name not in TURBULENT_FRAMES:
+            raise InputError(
+                f"a file of format {name} holds one period and no turbulent motion: take {', '.join(TURBULENT_FRAMES)}"
+                f", or {name} with wind_mode loop"
+            )
+        count = self.count_frames(1.0)
+        if count > TURBULENT_FRAMES[name]:
+            raise InputError(
+                f"num_frames is {count}; at most {TURBULENT_FRAMES[name]} are allowed of a turbulent motion as {name}"
+            )
 
 
 def _is_whole(periods: float) -> bool:

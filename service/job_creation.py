@@ -4,7 +4,7 @@ from hashlib import sha256
 
 from fastapi import Response, status
 
-from dynamictree.requests import CLOUD_FORMATS, MESH_FORMATS, AnimateParams, Format
+from dynamictree.requests import AnimateParams, Format
 from jobs.assets import read_asset
 from jobs.errors import ConflictError
 from jobs.records import AssetRecord, ClientKey, JobRecord, Json
@@ -179,7 +179,7 @@ def _resolved(body: JobRequest, asset: AssetRecord) -> dict[str, Json]:
 
 
 def _formats(params: AnimateParams, asset: AssetRecord) -> tuple[Format, ...]:
-    named = params.formats or (CLOUD_FORMATS if asset.kind == "cloud" else MESH_FORMATS)
+    named = params.chosen_formats(cloud=asset.kind == "cloud")
     return tuple(dict.fromkeys((*named, "png")))
 
 
@@ -187,18 +187,27 @@ def format_bytes(body: JobRequest, asset: AssetRecord) -> dict[str, int]:
     """Products whose size is known beforehand.
 
     Raises:
-        InputError: frames that make no loop, or a sequence of splats that would be too large.
+        InputError: frames that make no loop, a format without turbulent motion, or a file that would be too large.
     """
     if not isinstance(body.params, AnimateParams):
         return {}
     # numba comes with the products; loaded beside the first requests, not with this module
+    from dynamictree.export.size import turbulent_bytes
     from dynamictree.formats.motion.splat_sequence import requested_bytes
     from dynamictree.spectrum import FPS, NUM_FRAMES
 
-    num_frames = body.params.count_frames(NUM_FRAMES / FPS)
-    if "splat-ply" not in _formats(body.params, asset) or asset.kind != "cloud":
+    formats, num_frames = _formats(body.params, asset), body.params.count_frames(NUM_FRAMES / FPS)
+    if asset.kind == "mesh" and body.params.wind_mode == "turbulent":
+        num_vertices, num_faces = _count(asset, "num_vertices"), _count(asset, "num_faces")
+        sizes = turbulent_bytes(formats, num_vertices=num_vertices, num_faces=num_faces, num_frames=num_frames)
+        return {str(name): size for name, size in sizes.items()}
+    if "splat-ply" not in formats or asset.kind != "cloud":
         return {}
-    count, degree = asset.summary["num_gaussians"], asset.summary["sh_degree"]
-    assert isinstance(count, int)
-    assert isinstance(degree, int)
+    count, degree = _count(asset, "num_gaussians"), _count(asset, "sh_degree")
     return {"splat-ply": requested_bytes(count, degree, num_frames, body.params)}
+
+
+def _count(asset: AssetRecord, name: str) -> int:
+    count = asset.summary[name]
+    assert isinstance(count, int)
+    return count

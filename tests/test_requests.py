@@ -11,10 +11,14 @@ from pydantic import TypeAdapter, ValidationError
 from dynamictree.cli import Commands
 from dynamictree.errors import InputError
 from dynamictree.requests import (
+    MAX_FIRST_FRAME,
     MAX_FRAMES,
+    MAX_TURBULENT_FILM_FRAMES,
+    MAX_TURBULENT_FRAMES,
     AnimateParams,
     CloudParams,
     ExportParams,
+    Format,
     GeneratorGridParams,
     ModelParams,
     PhotoParams,
@@ -82,7 +86,7 @@ def test_the_help_of_an_option_has_its_unit_and_range() -> None:
     options = {parameter.name: parameter for parameter in Commands()["animate"].params}
     for name, unit, allowed in [
         ("speed_m_s", r"\[m/s]", "0 to 30."),
-        ("first_frame", "", f"0 to {MAX_FRAMES - 1}."),
+        ("first_frame", "", f"0 to {MAX_FIRST_FRAME}."),
         ("share", "", "Above 0 and at most 1."),
         ("resolution", "", "128, 256 or 512."),
         ("formats", "", "splat, png, webp, mp4."),
@@ -139,11 +143,35 @@ def test_frames_are_counted_in_whole_periods(params: ExportParams, count: int) -
         (ExportParams(num_frames=150), "100 or 200 frames make a loop"),
         (ExportParams(num_frames=1, speed=0.9), "no number of frames|frames make a loop"),
         (ExportParams(fps=240.0), "one period is 1000 frames"),
+        (ExportParams(num_frames=MAX_FRAMES + 100), "num_frames is 700.*wind_mode turbulent"),
     ],
 )
 def test_frames_that_would_jump_are_refused(params: ExportParams, message: str) -> None:
     with pytest.raises(InputError, match=message):
         params.count_frames(100 / 24)
+
+
+def test_turbulent_wind_needs_no_whole_period_and_lasts_ten_minutes() -> None:
+    assert ExportParams(wind_mode="turbulent").count_frames(100 / 24) == 240
+    assert ExportParams(wind_mode="turbulent", num_frames=MAX_TURBULENT_FRAMES).count_frames(100 / 24) == 14_400
+    assert ExportParams(wind_mode="turbulent").chosen_formats(cloud=False) == ("ply", "png")
+    assert ExportParams().chosen_formats(cloud=False) == ("ply", "glb", "png")
+
+
+@pytest.mark.parametrize(
+    ("name", "num_frames", "message"),
+    [
+        ("glb", 100, "glb holds one period and no turbulent motion: take ply"),
+        ("splat", 100, "splat holds one period"),
+        ("usd", MAX_FRAMES + 1, "num_frames is 601; at most 600"),
+        ("mp4", MAX_TURBULENT_FILM_FRAMES + 1, "at most 3600 are allowed of a turbulent motion as mp4"),
+    ],
+)
+def test_a_format_that_cannot_hold_a_turbulent_motion_is_refused(name: Format, num_frames: int, message: str) -> None:
+    params = ExportParams(wind_mode="turbulent", num_frames=num_frames, formats=(name,))
+    with pytest.raises(InputError, match=message):
+        params.chosen_formats(cloud=False)
+    assert ExportParams(formats=(name,)).chosen_formats(cloud=False) == (name,)
 
 
 def test_requests_need_pydantic_alone() -> None:

@@ -28,15 +28,17 @@ class AnimateParams(Model):
     wind: "Wind | None" = None
     # Sampler steps; the number of the preset if unset
     num_steps: int | None = None
+    # Motion that repeats after one period, or in turbulent wind that never repeats
+    wind_mode: Literal["loop", "turbulent"] = "loop"
     # Number of the first frame to write
     first_frame: int = 0
-    # Number of frames to write; one period if unset
+    # Number of frames to write, at most 600 of a loop; if unset one period, or 10 s of turbulent wind
     num_frames: int | None = None
     # Frames per second; does not change the speed of the motion
     fps: float = 24.0
     # Speed of the motion over its natural speed
     speed: float = 1.0
-    # Refuse a number of frames that is not a whole number of periods
+    # Refuse a number of frames that is not a whole number of periods; not if turbulent
     loop: bool = True
     # Files to write; if unset ply, glb, png of a mesh or photos, splat, png of a splat or scan
     formats: (
@@ -424,7 +426,10 @@ class Limits(Model):
     max_archive_ratio: int
     max_vertices: int
     max_faces: int
+    # of a loop
     max_frames: int
+    # of a motion that never repeats
+    max_turbulent_frames: int
     max_gaussians: int
     # of a sequence of splats
     max_sequence_bytes: int

@@ -69,6 +69,7 @@ def write_vertex_texture(tree: MovingTree, stream: BinaryIO, report: Report) -> 
     from dynamictree.formats.motion.vertex_texture import iter_vertex_texture_zip
 
     num_frames, params = len(tree.phases), tree.params
+    loop = params.loop and params.wind_mode == "loop"
     stream.writelines(
-        iter_vertex_texture_zip(tree.mesh, tree.frames(report), num_frames=num_frames, fps=params.fps, loop=params.loop)
+        iter_vertex_texture_zip(tree.mesh, tree.frames(report), num_frames=num_frames, fps=params.fps, loop=loop)
     )

@@ -9,6 +9,7 @@ from jaxtyping import Complex64, Float32, Float64
 
 from dynamictree.gaussian.binding import Binding
 from dynamictree.mesh import TriangleMesh
+from dynamictree.modal.turbulence import iter_turbulent_motion, turbulent_wind
 from dynamictree.requests import ExportParams
 from dynamictree.spectrum import SparseVoxelSpectrum, iter_motion
 
@@ -37,11 +38,12 @@ class MovingTree:
     params: ExportParams
     binding: Binding | None = None
     captured: bool = False  # whether pictures show the splat of the binding, or the mesh
+    stride: int = 1  # of every so many frames one is written
 
     @cached_property
     def phases(self) -> Float64[np.ndarray, " M"]:
         """Phases of the frames to write, in periods."""
-        return frame_phases(self.params, self.spectrum.period_s)
+        return frame_phases(self.params, self.spectrum.period_s)[:: self.stride]
 
     @property
     def loop_fps(self) -> float:
@@ -50,6 +52,13 @@ class MovingTree:
 
     def frames(self, report: Report) -> Iterator[Float32[np.ndarray, "N 3"]]:
         """Displacement of the vertices, frame by frame [m]."""
-        for done, frame in enumerate(iter_motion(self.coefficients, self.phases, self.spectrum.num_frames)):
+        for done, frame in enumerate(self._motion()):
             report(done / len(self.phases))
             yield frame
+
+    def _motion(self) -> Iterator[Float32[np.ndarray, "N 3"]]:
+        num_frames = self.spectrum.num_frames
+        if self.params.wind_mode == "loop":
+            return iter_motion(self.coefficients, self.phases, num_frames)
+        wind = turbulent_wind(self.spectrum, seed=self.spectrum.seed)
+        return iter_turbulent_motion(self.coefficients, wind, self.phases * self.spectrum.period_s, num_frames)

@@ -1,6 +1,6 @@
 """Pictures and films of a moving mesh or splat."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import BinaryIO
 
 import numpy as np
@@ -45,8 +45,8 @@ def write_webp(film: Film, stream: BinaryIO, fps: float) -> None:
     write_animation(iter(film), stream, fps=fps, format="webp")
 
 
-def write_mp4(film: Film, stream: BinaryIO, fps: float) -> None:
-    """MP4 video."""
+def write_mp4(film: Iterable[Picture], stream: BinaryIO, fps: float) -> None:
+    """MP4 video, written as its pictures come."""
     from dynamictree.render import write_animation
 
     write_animation(iter(film), stream, fps=fps, format="mp4")

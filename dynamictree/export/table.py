@@ -28,7 +28,7 @@ MEDIA_TYPES = {
     ".mp4": "video/mp4",
 }
 SPEED = frozenset({"speed"})
-FRAMES = SPEED | {"num_frames", "fps", "loop", "first_frame"}
+FRAMES = SPEED | {"wind_mode", "num_frames", "fps", "loop", "first_frame"}
 DETAIL = frozenset({"share", "sh_degree"})
 SHOT = frozenset({"shot"})
 

@@ -1,20 +1,22 @@
 """Write the requested products of one motion into a folder."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from dynamictree.devoxelize.length_preserving import length_preserving
 from dynamictree.export.moving_tree import Facts, MovingTree, Report
-from dynamictree.export.pictures import draw
+from dynamictree.export.pictures import draw, write_mp4
+from dynamictree.export.size import turbulent_bytes
 from dynamictree.export.table import PRODUCTS
 from dynamictree.formats.motion.splat_sequence import requested_bytes
 from dynamictree.gaussian.animate import lighter
 from dynamictree.gaussian.binding import Binding, bind_capture
 from dynamictree.gaussian.capture import Capture
 from dynamictree.mesh import TriangleMesh
-from dynamictree.requests import CLOUD_FORMATS, MESH_FORMATS, Box, ExportParams, Format
+from dynamictree.requests import MAX_FRAMES, Box, ExportParams, Format
 from dynamictree.spectrum import SparseVoxelSpectrum
 
 OnFacts = Callable[[Format, Facts], None]
@@ -41,8 +43,10 @@ def write_products(
         InputError: the frames do not make a loop, though one is asked for; the capture is not where the mesh is;
             or a sequence of splats would be too large.
     """
-    formats = params.formats or (MESH_FORMATS if capture is None else CLOUD_FORMATS)
+    formats = params.chosen_formats(cloud=capture is not None)
     num_frames = params.count_frames(spectrum.period_s)
+    if params.wind_mode == "turbulent":
+        turbulent_bytes(formats, num_vertices=mesh.num_vertices, num_faces=mesh.num_faces, num_frames=num_frames)
     binding = _binding(mesh, formats, capture, box_m)
     if binding is not None and "splat-ply" in formats:
         requested_bytes(binding.cloud.num_gaussians, binding.cloud.sh_degree, num_frames, params)
@@ -97,10 +101,20 @@ def _write(tree: MovingTree, paths: dict[Format, Path], on_progress: Report, on_
 
 
 def _write_films(tree: MovingTree, paths: dict[Format, Path], report: Report) -> None:
-    """Write the products that are made of pictures, which are drawn once."""
+    """Write the products that are made of pictures, which are drawn once.
+
+    A film longer than `MAX_FRAMES` is not stored: the video is written as it is drawn, a sheet gets every n-th frame.
+    """
     from dynamictree.render import spooled
 
-    with spooled(draw(tree, report)) as film:
+    stride = -(-len(tree.phases) // MAX_FRAMES)
+    if stride > 1 and "mp4" in paths:
+        with paths["mp4"].open("wb") as stream:
+            write_mp4(draw(tree, report), stream, tree.params.fps)
+        paths = {name: path for name, path in paths.items() if name != "mp4"}
+    if not paths:
+        return
+    with spooled(draw(replace(tree, stride=stride), report)) as film:
         for name, path in paths.items():
             write_film = PRODUCTS[name].write_film
             assert write_film is not None

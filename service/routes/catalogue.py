@@ -6,7 +6,7 @@ from fastapi import APIRouter
 from pydantic import Field
 
 from dynamictree.formats import suffixes
-from dynamictree.requests import MAX_FRAMES, Format
+from dynamictree.requests import MAX_FRAMES, MAX_TURBULENT_FRAMES, Format
 from dynamictree.weights import list_weights
 from service.http.problems import wrong_field
 from service.http.routing import refusals
@@ -60,7 +60,8 @@ class LimitsPayload(Payload):
     max_archive_ratio: int
     max_vertices: int
     max_faces: int
-    max_frames: int
+    max_frames: int = Field(description="of a loop")
+    max_turbulent_frames: int = Field(description="of a motion that never repeats")
     max_gaussians: int
     max_sequence_bytes: int = Field(description="of a sequence of splats")
     max_forces: int = Field(description="of one push")
@@ -127,6 +128,7 @@ def get_limits(owned: OwnedDep) -> LimitsPayload:
         max_vertices=MAX_VERTICES,
         max_faces=MAX_FACES,
         max_frames=MAX_FRAMES,
+        max_turbulent_frames=MAX_TURBULENT_FRAMES,
         max_gaussians=MAX_GAUSSIANS,
         max_sequence_bytes=MAX_SEQUENCE_BYTES,
         max_forces=forces.MAX_FORCES,

@@ -5,18 +5,22 @@ from typing import get_args
 
 import numpy as np
 import pytest
+from jaxtyping import Float32
 
+from dynamictree.errors import InputError
 from dynamictree.export.table import PRODUCTS
 from dynamictree.export.write import write_products
+from dynamictree.formats.tensors.motion import read_motion
 from dynamictree.gaussian.capture import Capture
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.mesh import TriangleMesh
-from dynamictree.requests import ExportParams, Format, Shot
+from dynamictree.requests import MAX_FRAMES, TURBULENT_FRAMES, ExportParams, Format, Shot
 from dynamictree.spectrum import SparseVoxelSpectrum
 from dynamictree.voxel.voxelize import voxelize
 
 START = ExportParams(num_frames=4, fps=24.0, shot=Shot(side_px=64))
 CHANGED = {
+    "wind_mode": {"wind_mode": "turbulent"},
     "first_frame": {"first_frame": 1},
     "num_frames": {"num_frames": 8},
     "fps": {"fps": 12.0, "num_frames": 2},
@@ -83,7 +87,50 @@ def test_a_product_depends_on_its_options_alone(
     before = content(START)
     assert content(START) == before
     for option, change in CHANGED.items():
+        if option == "wind_mode" and name not in TURBULENT_FRAMES:
+            with pytest.raises(InputError, match=f"format {name} holds one period"):
+                content(START.model_copy(update=change))
+            continue
         depends = not PRODUCTS[name].options.isdisjoint(change)
         assert depends or content(START.model_copy(update=change)) == before, option
     for option in PRODUCTS[name].options - {"loop"}:
         assert content(START.model_copy(update=CHANGED[option])) != before, option
+
+
+def test_a_turbulent_motion_can_be_written_in_parts(
+    capture: Capture, spectrum: SparseVoxelSpectrum, tmp_path: Path
+) -> None:
+    def displacement(**fields: int) -> Float32[np.ndarray, "T N 3"]:
+        assert capture.mesh is not None
+        params = ExportParams(wind_mode="turbulent", formats=("motion",), **fields)
+        with write_products(capture.mesh, spectrum, params, tmp_path)["motion"].open("rb") as stream:
+            return read_motion(stream).displacement
+
+    whole = displacement(num_frames=MAX_FRAMES + 100)
+    assert np.array_equal(displacement(first_frame=MAX_FRAMES + 50, num_frames=50), whole[MAX_FRAMES + 50 :])
+    assert displacement(num_frames=1, first_frame=1_000_000).any()
+    assert len(displacement()) == 240
+
+
+def test_a_long_film_is_written_as_it_is_drawn(
+    capture: Capture, spectrum: SparseVoxelSpectrum, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dynamictree.export.write.MAX_FRAMES", 8)
+    params = ExportParams(
+        wind_mode="turbulent", num_frames=20, formats=("mp4", "png"), shot=Shot(side_px=64, ground=False)
+    )
+    drawn: list[float] = []
+    assert capture.mesh is not None
+    paths = write_products(capture.mesh, spectrum, params, tmp_path, drawn.append, capture=capture)
+    assert all(path.stat().st_size > 1000 for path in paths.values())
+    assert len(drawn) < 20 + 8 + 4
+
+
+def test_files_of_a_turbulent_motion_have_a_largest_size(
+    capture: Capture, spectrum: SparseVoxelSpectrum, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dynamictree.export.size.MAX_SEQUENCE_BYTES", 10_000)
+    assert capture.mesh is not None
+    with pytest.raises(InputError, match="600 frames of 48 vertices as ply"):
+        write_products(capture.mesh, spectrum, ExportParams(wind_mode="turbulent", num_frames=600), tmp_path)
+    assert not list(tmp_path.iterdir())

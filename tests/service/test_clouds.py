@@ -194,6 +194,13 @@ def test_what_does_not_fit_is_refused_when_asked(
     box = {"box_m": [[0, 0, 0], [1, 1, 1]]}
     refused = client.post("/v1/jobs", json={"type": "voxelize", "asset_id": mesh_id, "params": box})
     assert [error["pointer"] for error in refused.json()["errors"]] == ["/params/box_m"]
+    params = {"wind_mode": "turbulent", "num_frames": 14_400}
+    endless = {"type": "animate", "asset_id": mesh_id, "params": params}
+    estimate = client.post("/v1/jobs?validate_only=true", json=endless).json()
+    assert estimate["format_bytes"] == {"ply": 14_400 * (3 * 12 + 13)}
+    refused = client.post("/v1/jobs", json=endless | {"params": params | {"formats": ["glb"]}})
+    assert (refused.status_code, refused.json()["code"]) == (422, "invalid-input")
+    assert "holds one period" in refused.json()["detail"]
     body = {"type": "animate", "asset_id": cloud_id, "params": {"formats": ["splat-ply"]}}
     monkeypatch.setattr("dynamictree.formats.motion.splat_sequence.MAX_SEQUENCE_BYTES", 1000)
     refused = client.post("/v1/jobs", json=body)

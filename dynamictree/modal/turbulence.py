@@ -1,0 +1,213 @@
+"""Wind that never repeats: coordinates of a spectrum's bins in turbulent wind, at any time on its own.
+
+The loop has q_k = exp(2πi f_k t) for every bin k ≥ 1 and q_0 = 1 for the lean. In turbulent wind
+
+    q_k(t) = g(t) J^-1/2 Σ_j exp(i (2π f_kj t + ψ_kj)),  q_0(t) = λ(t),  u(p, t) = Rz(α(t)) Re Σ_k w_k c_k(p) q_k(t).
+
+The J partials of a bin lie at the quantiles of the line of a damped oscillator, |f - f_k| of half-width ζ f_k, so each
+bin is a narrow-band process of unit variance that keeps the bin's amplitude and shape, with the phases between points.
+Gusts slower than the loop can hold multiply the drag, (U(t) / U)^1.4: g(t) is their effect on the sway, smoothed over
+the ring-down of the lowest bin and of unit mean square; λ(t) is the lean, of mean 1, with the resonance of the tree's
+own lowest frequency; α(t) is the turn of the wind's direction. All are sums of M partials with equal shares of the von
+Kármán spectrum. A sum of cosines is endless, bounded, the same in every language, and needs no state.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Complex64, Complex128, Float32, Float64
+
+from dynamictree.modal.real_trees import foliage_of, natural_damping, natural_frequency_hz
+from dynamictree.requests import Wind
+from dynamictree.spectrum import SparseVoxelSpectrum, bin_weights
+
+NUM_PARTIALS = 6
+"""J. |q_k| is at most √J = 2.4 times its root mean square, times g."""
+NUM_GUST_PARTIALS = 12
+"""M."""
+DRAG_EXPONENT = 1.4  # of the speed: plants bend out of the way, Vogel 1989
+LATERAL_SHARE = 0.75  # standard deviation of the speed across the mean wind over that along it, ESDU 85020
+SLOWEST_HZ = 1 / 600  # slower than the ten minutes of a mean wind is another mean wind
+SLOWEST_WIND_M_S = 0.5
+ROUGHNESS_M = 0.3  # of open country with trees and hedges, EN 1991-1-4
+LARGEST_GUST = 0.9  # the factor on the drag stays within 1 ± this
+LARGEST_TURN_RAD = np.pi / 3
+_TIMES_AT_ONCE = 240
+_CELLS = 64  # of the integrals over the spectrum, per partial
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wave:
+    """mean + limit · tanh(Σ_m amplitude_m cos(2π f_m t + phase_m) / limit): a bounded random function of time."""
+
+    mean: float
+    limit: float
+    frequency_hz: Float64[np.ndarray, " M"]
+    amplitude: Float64[np.ndarray, " M"]
+    phase_rad: Float64[np.ndarray, " M"]
+
+    def at(self, times_s: Float64[np.ndarray, " T"]) -> Float64[np.ndarray, " T"]:
+        """Its value at each time."""
+        angle = 2 * np.pi * np.outer(times_s, self.frequency_hz) + self.phase_rad
+        return np.asarray(self.mean + self.limit * np.tanh(np.cos(angle) @ self.amplitude / self.limit))
+
+
+@dataclass(frozen=True, kw_only=True)
+class TurbulentWind:
+    """Coordinates of K bins as functions of time. Built by `turbulent_wind`."""
+
+    seed: int
+    wind: Wind
+    frequencies_hz: Float64[np.ndarray, " K"]  # f_k of the loop
+    natural_frequency_hz: float
+    damping_ratio: float
+    length_scale_m: float  # of the turbulence
+    partial_hz: Float64[np.ndarray, "K J"]  # f_kj; row 0 is of no use: the lean has no partials
+    partial_phase_rad: Float64[np.ndarray, "K J"]
+    strength: Wave  # g
+    lean: Wave  # λ
+    turn_rad: Wave  # α
+
+    @property
+    def bandwidth_hz(self) -> Float64[np.ndarray, " K"]:
+        """Half-width of each bin's line at half of its power [Hz]."""
+        return np.asarray(self.damping_ratio * self.frequencies_hz)
+
+    def coordinates(self, times_s: Float64[np.ndarray, " T"]) -> Complex128[np.ndarray, "T K"]:
+        """q_k at each time."""
+        q = np.empty((len(times_s), len(self.frequencies_hz)), np.complex128)
+        q[:, 0] = self.lean.at(times_s)
+        strength = self.strength.at(times_s) / np.sqrt(self.partial_hz.shape[1])
+        for k in range(1, q.shape[1]):
+            angle = 2 * np.pi * np.outer(times_s, self.partial_hz[k]) + self.partial_phase_rad[k]
+            q[:, k] = strength * np.exp(1j * angle).sum(axis=1)
+        return q
+
+
+def turbulent_wind(spectrum: SparseVoxelSpectrum, *, seed: int = 0, wind: Wind | None = None) -> TurbulentWind:
+    """Coordinates for a spectrum's bins; the same seed gives the same wind.
+
+    Args:
+        spectrum: its height and foliage choose damping and natural frequency.
+        seed: of frequencies and phases.
+        wind: mean speed and gust; by default those that the spectrum was generated for.
+    """
+    rng = np.random.default_rng(seed)
+    wind = wind or spectrum.wind or Wind()
+    height = (int(np.ptp(spectrum.grid.coords[:, 2])) + 1) * spectrum.grid.voxel_size_m
+    foliage = foliage_of(spectrum)
+    damping, natural = natural_damping(foliage), natural_frequency_hz(height, foliage)
+    fastest_gust_hz = 0.5 / spectrum.period_s  # what is faster is in the spectrum
+    length = turbulence_length_m(height)
+    gusts = _gusts(max(wind.speed_m_s, SLOWEST_WIND_M_S) / length, fastest_gust_hz, wind.gust, rng)
+    phase = rng.uniform(0, 2 * np.pi, (2, NUM_GUST_PARTIALS))  # of the speed, and of the direction
+    resonance = gusts.filtered(lambda f: 1 / (1 - (f / natural) ** 2 + 2j * damping * f / natural))
+    smoothing = gusts.filtered(lambda f: 1 / (1 + 1j * f / (damping * natural)))
+    strength = gusts.wave(1.0, LARGEST_GUST, DRAG_EXPONENT * smoothing, phase[0])
+    return TurbulentWind(
+        seed=seed,
+        wind=wind,
+        frequencies_hz=spectrum.frequencies_hz,
+        natural_frequency_hz=natural,
+        damping_ratio=damping,
+        length_scale_m=length,
+        partial_hz=_partials(spectrum.frequencies_hz, damping, fastest_gust_hz, rng),
+        partial_phase_rad=rng.uniform(0, 2 * np.pi, (spectrum.num_frequencies, NUM_PARTIALS)),
+        strength=_of_unit_mean_square(strength),
+        lean=gusts.wave(1.0, LARGEST_GUST, DRAG_EXPONENT * resonance, phase[0]),
+        turn_rad=gusts.wave(0.0, LARGEST_TURN_RAD, LATERAL_SHARE * resonance, phase[1]),
+    )
+
+
+def turbulence_length_m(height_m: float) -> float:
+    """Length of the gusts at the top of a tree [m]; EN 1991-1-4, annex B."""
+    return float(300 * (max(height_m, 2.0) / 200) ** (0.67 + 0.05 * np.log(ROUGHNESS_M)))
+
+
+def iter_turbulent_motion(
+    coefficients: Complex64[np.ndarray, "N K 3"],
+    wind: TurbulentWind,
+    times_s: Float64[np.ndarray, " T"],
+    num_frames: int,
+) -> Iterator[Float32[np.ndarray, "N 3"]]:
+    """Displacement frame by frame, never the whole motion in memory [m]. `num_frames` is T of the spectrum."""
+    num_points, num_frequencies, _ = coefficients.shape
+    stacked = np.concatenate([coefficients.real, -coefficients.imag], axis=1)  # [N, 2K, 3]
+    stacked = np.ascontiguousarray(stacked.transpose(1, 0, 2)).reshape(2 * num_frequencies, num_points * 3)
+    weights = bin_weights(num_frequencies, num_frames)
+    for start in range(0, len(times_s), _TIMES_AT_ONCE):
+        some = times_s[start : start + _TIMES_AT_ONCE]
+        q = weights * wind.coordinates(some)
+        coordinates = np.concatenate([q.real, q.imag], axis=1).astype(np.float32)  # [T, 2K]
+        for row, turn in zip(coordinates, wind.turn_rad.at(some), strict=True):
+            yield (row @ stacked).reshape(num_points, 3) @ turned_about_z(float(turn)).T
+
+
+def turned_about_z(angle_rad: float) -> Float32[np.ndarray, "3 3"]:
+    """Matrix that turns from +X towards +Y."""
+    cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1]], np.float32)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Gusts:
+    """Partials of the speed's slow part over its mean, each of the same variance."""
+
+    edges_hz: Float64[np.ndarray, "M cells"]  # equal parts of the variance within each partial
+    frequency_hz: Float64[np.ndarray, " M"]
+    amplitude: float  # of each
+
+    def filtered(
+        self, transfer: Callable[[Float64[np.ndarray, "*shape"]], Complex128[np.ndarray, "*shape"]]
+    ) -> Complex128[np.ndarray, " M"]:
+        """Transfer of each partial: its size over the whole band of the partial, its phase at the frequency."""
+        size = np.sqrt((np.abs(transfer(self.edges_hz)) ** 2).mean(axis=1))
+        return np.asarray(size * np.exp(1j * np.angle(transfer(self.frequency_hz))))
+
+    def wave(
+        self, mean: float, limit: float, transfer: Complex128[np.ndarray, " M"], phase_rad: Float64[np.ndarray, " M"]
+    ) -> Wave:
+        """What these gusts are behind a filter."""
+        return Wave(
+            mean=mean,
+            limit=limit,
+            frequency_hz=self.frequency_hz,
+            amplitude=self.amplitude * np.abs(transfer),
+            phase_rad=(phase_rad + np.angle(transfer)) % (2 * np.pi),
+        )
+
+
+def _gusts(rate_hz: float, fastest_hz: float, gust: float, rng: np.random.Generator) -> _Gusts:
+    """Split the von Kármán spectrum of a wind that carries `rate_hz` gusts a second past a point."""
+    frequency = np.geomspace(SLOWEST_HZ, fastest_hz, 4096)
+    density = 4 / rate_hz / (1 + 70.8 * (frequency / rate_hz) ** 2) ** (5 / 6)  # over the variance [1/Hz]
+    share = np.concatenate([[0], np.cumsum(np.diff(frequency) * (density[1:] + density[:-1]) / 2)])
+    shares = (np.arange(NUM_GUST_PARTIALS * _CELLS) + 0.5) / (NUM_GUST_PARTIALS * _CELLS) * share[-1]
+    cells = np.interp(shares, share, frequency).reshape(NUM_GUST_PARTIALS, _CELLS)
+    chosen = rng.integers(_CELLS, size=NUM_GUST_PARTIALS)
+    jitter = 1 + 1e-3 * rng.standard_normal(NUM_GUST_PARTIALS)  # no common period
+    return _Gusts(
+        edges_hz=cells,
+        frequency_hz=cells[np.arange(NUM_GUST_PARTIALS), chosen] * jitter,
+        amplitude=gust * float(np.sqrt(2 * share[-1] / NUM_GUST_PARTIALS)),
+    )
+
+
+def _of_unit_mean_square(wave: Wave) -> Wave:
+    """Scale, for the long run: a sum of so many cosines is close to normal."""
+    nodes, weights = np.polynomial.hermite_e.hermegauss(32)
+    spread = np.sqrt((wave.amplitude**2).sum() / 2)
+    values = wave.mean + wave.limit * np.tanh(spread * nodes / wave.limit)
+    size = float(np.sqrt((weights * values**2).sum() / weights.sum()))
+    return replace(wave, mean=wave.mean / size, limit=wave.limit / size, amplitude=wave.amplitude / size)
+
+
+def _partials(
+    frequencies_hz: Float64[np.ndarray, " K"], damping: float, reach_hz: float, rng: np.random.Generator
+) -> Float64[np.ndarray, "K J"]:
+    """One frequency in each part of equal power of every bin's resonance line, cut where the next bin begins."""
+    half_width = np.maximum(damping * frequencies_hz, 1e-9)[:, None]
+    share = (np.arange(NUM_PARTIALS) + rng.uniform(0, 1, (len(frequencies_hz), NUM_PARTIALS))) / NUM_PARTIALS
+    offset = half_width * np.tan((2 * share - 1) * np.arctan(reach_hz / half_width))
+    return np.asarray(frequencies_hz[:, None] + offset)
