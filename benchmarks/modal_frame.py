@@ -22,7 +22,7 @@ def run() -> dict[str, object]:
     prepared = scene()
     system, mesh, grid = prepared.system, prepared.mesh, prepared.spectrum.grid
     ties = smooth(grid, mesh)
-    vertices = VertexFrames(system, ties.rows, ties.weights)
+    vertices = VertexFrames(system, ties)
     deformer = Deformer(gaussians_on(mesh))
     shuffled = Deformer(gaussians_on(mesh, in_face_order=False))
     states = knocked(system)

@@ -23,7 +23,7 @@ NS_LIMIT = 250.0
 def run() -> dict[str, object]:
     prepared = scene()
     ties = smooth(prepared.spectrum.grid, prepared.mesh)
-    vertices = VertexFrames(prepared.system, ties.rows, ties.weights)
+    vertices = VertexFrames(prepared.system, ties)
     binding = gaussians_on(prepared.mesh)
     deformer, states = Deformer(binding), knocked(prepared.system)
     ours = timed(lambda: deformer.pose(vertices.displacement(next(states))))

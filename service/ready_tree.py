@@ -14,6 +14,7 @@ from dynamictree.modal.surface import BoneAttachment, attach_mesh
 if TYPE_CHECKING:
     from dynamictree.devoxelize.interpolation import VoxelInterpolation  # brings numba, which only vertices need
     from dynamictree.gaussian.deform import Deformer  # brings numba
+    from dynamictree.modal.frames import VertexFrames  # likewise
 
 BYTES_A_VOXEL = 1500  # modes, and the graph that displacements need; measured at K = 16
 BYTES_A_VERTEX = 250  # the mesh, and what ties it to voxels and bones
@@ -37,6 +38,7 @@ class ReadyTree:
     expires_at: float  # of the spectrum
     mesh: TriangleMesh | None = None
     interpolation: "VoxelInterpolation | None" = None
+    frames: "VertexFrames | None" = None
     attachment: BoneAttachment | None = None
     gaussians: MovingGaussians | None = None
 
@@ -46,7 +48,8 @@ class ReadyTree:
         vertices = 0 if self.mesh is None else self.mesh.num_vertices
         gaussians = 0 if self.gaussians is None else len(self.gaussians.rows)
         extra_bytes = BYTES_A_VERTEX * vertices + BYTES_A_GAUSSIAN * gaussians
-        return BYTES_A_VOXEL * len(self.tree.system.grid) + extra_bytes
+        basis_bytes = 0 if self.frames is None else self.frames.num_bytes
+        return BYTES_A_VOXEL * len(self.tree.system.grid) + extra_bytes + basis_bytes
 
 
 def vertex_ties(ready: ReadyTree, mesh: TriangleMesh) -> "VoxelInterpolation":
@@ -56,6 +59,15 @@ def vertex_ties(ready: ReadyTree, mesh: TriangleMesh) -> "VoxelInterpolation":
     if ready.interpolation is None:
         ready.interpolation = smooth(ready.tree.system.grid, mesh)
     return ready.interpolation
+
+
+def vertex_frames(ready: ReadyTree, mesh: TriangleMesh) -> "VertexFrames":
+    """The mesh's vertices at any modal coordinates."""
+    from dynamictree.modal.frames import VertexFrames
+
+    if ready.frames is None:
+        ready.frames = VertexFrames(ready.tree.system, vertex_ties(ready, mesh))
+    return ready.frames
 
 
 def bone_ties(ready: ReadyTree, mesh: TriangleMesh) -> BoneAttachment:

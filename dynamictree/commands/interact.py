@@ -207,12 +207,13 @@ def _vertex_frames(
 ) -> "Iterator[np.ndarray]":
     """Displacement of the mesh's vertices, frame after frame [m]."""
     from dynamictree.devoxelize.smooth import smooth
+    from dynamictree.modal.frames import VertexFrames
     from dynamictree.modal.surface import attach_mesh
 
     grid = tree.system.grid
     ties = smooth(grid, mesh)
     if not warp:
-        yield from (ties.apply(moved) for moved in tree.voxels(answer))
+        yield from tree.superposed(answer, VertexFrames(tree.system, ties))
         return
     carried = attach_mesh(tree.bones, mesh, rows=ties.rows, weights=ties.weights, voxel_size_m=grid.voxel_size_m)
     yield from tree.bent(answer, mesh.vertices, carried)

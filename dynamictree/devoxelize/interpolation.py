@@ -30,13 +30,14 @@ class VoxelInterpolation:
         """Values at voxels to values at points, single precision, real or complex."""
         flat = np.ascontiguousarray(values).reshape(self.num_voxels, -1)
         parts = flat.view(np.float32) if flat.dtype == np.complex64 else flat.astype(np.float32, copy=False)
-        result = self._mean(parts) if self.fit is None else self.fit.solve(parts)[self.fitted]  # [N, D]
+        result = self.mean(parts) if self.fit is None else self.fit.solve(parts)[self.fitted]  # [N, D]
         if self.still is not None:
             result[self.still] = 0
         whole = np.ascontiguousarray(result).view(np.complex64 if flat.dtype == np.complex64 else np.float32)
         return whole.reshape(len(self.rows), *values.shape[1:])
 
-    def _mean(self, values: Float32[np.ndarray, "V D"]) -> Float32[np.ndarray, "N D"]:
+    def mean(self, values: Float32[np.ndarray, "V D"]) -> Float32[np.ndarray, "N D"]:
+        """The weighted mean of the values at each point's voxels, without the fit."""
         num_points, width = self.rows.shape
         ends = np.arange(0, num_points * width + 1, width)
         matrix = scipy.sparse.csr_array(

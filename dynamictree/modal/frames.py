@@ -1,74 +1,73 @@
-"""A mesh's vertices, one frame at a time: what a viewer that runs in this process calls sixty times a second."""
+"""A mesh's vertices at any modal coordinates, one frame at a time: what every answer in vertices or Gaussians calls."""
 
 from typing import no_type_check
 
 import numpy as np
-from jaxtyping import Complex128, Float32, Int32
+from jaxtyping import Complex128, Float32
 
+from dynamictree.devoxelize.interpolation import VoxelInterpolation
 from dynamictree.modal.system import ModalSystem
-from dynamictree.parallel import compiled, compiled_reordered, in_bands
+from dynamictree.parallel import compiled_reordered, in_bands
+
+_STEPS = np.iinfo(np.int16).max
+_BLOCK = 1024
+"""Values that are summed together: they and their rows of the basis stay in a core's first cache."""
 
 
 class VertexFrames:
-    """Plain superposition, prepared once: voxels by real products, vertices by their voxels' weights.
+    """u(p) = Σ_g w_g(p) Re Σ_k φ_k(p) q_{g,k} with each φ_k interpolated to the vertices once.
 
-    `displacement` is the mean of each vertex' voxels: what `VoxelInterpolation.apply` gives where there is no `fit`, a
-    few times faster. With a fit it is an approximation. Benchmarks use it; `/v1/interact` applies the fit.
+    The interpolation is linear, so for forces that move the whole tree this is the interpolation of the voxels' motion,
+    without its solve in every frame. φ is stored in 16 bits: steps of max |φ_k| / 32767.
     """
 
-    def __init__(
-        self, system: ModalSystem, rows: Int32[np.ndarray, "N W"], weights: Float32[np.ndarray, "N W"]
-    ) -> None:
-        num_voxels, num_modes, _ = system.shapes.shape
-        stacked = np.concatenate([system.shapes.real, -system.shapes.imag], axis=1)  # Re φq = Re φ Re q - Im φ Im q
-        self._shapes = np.ascontiguousarray(stacked.transpose(0, 2, 1)).reshape(3 * num_voxels, 2 * num_modes)
-        self._rows = np.ascontiguousarray(rows)
-        self._weights = np.ascontiguousarray(weights)
+    def __init__(self, system: ModalSystem, interpolation: VoxelInterpolation) -> None:
+        at_vertices = interpolation.apply(system.shapes)  # [N, M, 3]
+        parts = np.concatenate([at_vertices.real, -at_vertices.imag], axis=1)  # Re φq = Re φ Re q - Im φ Im q
+        flat = parts.transpose(1, 0, 2).reshape(2 * system.num_modes, -1)  # [2M, 3N]
+        self._scale = np.maximum(np.abs(flat).max(axis=1, initial=0), np.finfo(np.float32).tiny) / _STEPS
+        self._basis = np.round(flat / self._scale[:, None]).astype(np.int16)
+        self._interpolation = interpolation
+
+    @property
+    def num_bytes(self) -> int:
+        """Size of the basis [bytes]."""
+        return int(self._basis.nbytes)
+
+    def weights(self, of_voxels: Float32[np.ndarray, "G V"]) -> Float32[np.ndarray, "G N"]:
+        """w_g of each vertex: the mean over the voxels that it depends on."""
+        return np.ascontiguousarray(self._interpolation.mean(np.ascontiguousarray(of_voxels.T)).T)
 
     def displacement(
-        self, q: Complex128[np.ndarray, "G M"], reach: Float32[np.ndarray, "G V"] | None = None
+        self, q: Complex128[np.ndarray, "G M"], weights: Float32[np.ndarray, "G N"] | None = None
     ) -> Float32[np.ndarray, "N 3"]:
         """Displacement of every vertex at one moment [m].
 
         Args:
-            q: modal coordinates, a row a group of forces.
-            reach: w_g of each voxel; by default every group moves the whole tree.
+            q: modal coordinates, a row per group of forces.
+            weights: w_g of each vertex; by default every group moves the whole tree.
         """
-        coordinates = np.concatenate([q.real, q.imag], axis=1).astype(np.float32)  # [G, 2M]
-        if reach is None:
-            coordinates = coordinates.sum(axis=0, keepdims=True)
-            reach = np.ones((1, len(self._shapes) // 3), np.float32)
-        voxels = np.zeros((len(self._shapes) // 3, 3), np.float32)
-        in_bands(_superpose, len(voxels), self._shapes, coordinates, reach, voxels)
-        moved = np.empty((len(self._rows), 3), np.float32)
-        in_bands(_gather, len(moved), voxels, self._rows, self._weights, moved)
-        return moved
+        coordinates = np.concatenate([q.real, q.imag], axis=1) * self._scale  # [G, 2M]
+        moved = np.zeros(self._basis.shape[1], np.float32)
+        if weights is None:
+            whole = np.ascontiguousarray(coordinates.sum(axis=0), np.float32)
+            in_bands(_superpose, -(-len(moved) // _BLOCK), self._basis, whole, moved)
+        else:
+            for row, weight in zip(coordinates.astype(np.float32), weights, strict=True):
+                part = np.zeros_like(moved)
+                in_bands(_superpose, -(-len(moved) // _BLOCK), self._basis, row, part)
+                moved += part * np.repeat(weight, 3)
+        return moved.reshape(-1, 3)
 
 
 @compiled_reordered
 @no_type_check
-def _superpose(first, end, shapes, coordinates, reach, voxels):
-    for v in range(first, end):
-        for group in range(len(coordinates)):
-            row = coordinates[group]
-            for c in range(3):
-                shape = shapes[3 * v + c]
-                total = np.float32(0)
-                for k in range(len(row)):  # a sum in any order, so in vector registers
-                    total += shape[k] * row[k]
-                voxels[v, c] += reach[group, v] * total
-
-
-@compiled
-@no_type_check
-def _gather(first, end, voxels, rows, weights, moved):
-    for n in range(first, end):
-        x = y = z = np.float32(0)
-        for j in range(rows.shape[1]):
-            w = weights[n, j]
-            if w > 0:
-                v = rows[n, j]
-                x += w * voxels[v, 0]
-                y += w * voxels[v, 1]
-                z += w * voxels[v, 2]
-        moved[n, 0], moved[n, 1], moved[n, 2] = x, y, z
+def _superpose(first, end, basis, coordinates, moved):
+    for block in range(first, end):
+        low = block * _BLOCK
+        values = moved[low : low + _BLOCK]
+        for k in range(len(coordinates)):
+            amount = coordinates[k]
+            shape = basis[k, low : low + _BLOCK]
+            for i in range(len(values)):
+                values[i] += amount * np.float32(shape[i])

@@ -17,6 +17,7 @@ from dynamictree.modal.surface import BoneAttachment
 from dynamictree.modal.system import ModalSystem, displacement
 
 if TYPE_CHECKING:
+    from dynamictree.modal.frames import VertexFrames
     from dynamictree.modal.pull import Grip
 
 FRAMES_AT_ONCE = 32  # of plain superposition: one matrix product, 15 MB at 40,000 voxels
@@ -107,6 +108,14 @@ class InteractiveTree:
             for index, row in enumerate(weights):
                 moved += row[:, None] * displacement(self.system.shapes, some[:, index])
             yield from moved
+
+    def superposed(self, answer: Answer, vertices: "VertexFrames") -> Iterator[Float32[np.ndarray, "N 3"]]:
+        """Displacement of a mesh's vertices without warp, frame after frame [m]."""
+        weights = None
+        if any(group.locality for group in answer.groups):
+            weights = vertices.weights(self.weights(answer.groups))
+        for q in answer.q:
+            yield vertices.displacement(q, weights)
 
     def bent(
         self, answer: Answer, points: Float32[np.ndarray, "N 3"], attachment: BoneAttachment

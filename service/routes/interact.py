@@ -29,7 +29,7 @@ from dynamictree.modal.system import ModalSystem, with_physics
 from service.http.negotiation import JSON, NPZ, SAFETENSORS, chosen
 from service.http.problems import ProblemError
 from service.http.routing import refusals
-from service.ready_tree import ReadyTree, bone_ties, vertex_ties
+from service.ready_tree import ReadyTree, bone_ties, vertex_frames
 from service.schemas.base import Payload
 from service.schemas.forces import (
     MAX_GROUPS,
@@ -238,9 +238,7 @@ def _iter_vertices(
     if body.warp:
         yield from ready.tree.bent(answer, mesh.vertices, bone_ties(ready, mesh))
     else:
-        ties = vertex_ties(ready, mesh)
-        for frame in ready.tree.voxels(answer):
-            yield ties.apply(frame)
+        yield from ready.tree.superposed(answer, vertex_frames(ready, mesh))
 
 
 def _gaussians(body: InteractRequest, ready: ReadyTree, owned: Owned, answer: Answer) -> dict[str, np.ndarray]:

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from dynamictree.devoxelize.interpolation import VoxelInterpolation
+from dynamictree.dataset.sample import make_sample, voxel_spectrum
+from dynamictree.devoxelize.smooth import smooth
 from dynamictree.errors import InputError
 from dynamictree.modal.force import Drag, Impulse, WindField, contact_at_voxel
 from dynamictree.modal.frames import VertexFrames
@@ -25,6 +26,11 @@ def voxels(tree, answer, *, warp=False):
 def tree():
     spectrum, parts = fork()
     return InteractiveTree(modal_system(spectrum, mass_kg=30.0)), parts
+
+
+def grown_tree():
+    sample = make_sample(3, "sapling")
+    return sample.mesh, voxel_spectrum(sample)[1]
 
 
 def knock(tree, row, vector=(0.0, 2.0, 0.0)):
@@ -150,14 +156,22 @@ def test_reported_coordinates_begin_with_bin_zero(tree):
 
 
 @pytest.mark.parametrize("local", [False, True])
-def test_vertex_frames_are_the_weighted_mean_of_their_voxels(tree, rng, local):
-    tree, _ = tree
-    system, num_voxels = tree.system, len(tree.system.grid)
-    rows = rng.integers(0, num_voxels, (500, 4)).astype(np.int32)
-    weights = rng.random((500, 4)).astype(np.float32)
+def test_vertex_frames_are_the_fitted_motion_of_the_voxels(rng, local):
+    mesh, spectrum = grown_tree()
+    system, ties = modal_system(spectrum), smooth(spectrum.grid, mesh)
+    assert ties.fit is not None
+    vertices = VertexFrames(system, ties)
     q = rng.normal(size=(2, system.num_modes, 2)).view(np.complex128)[..., 0]
-    reach = rng.random((2, num_voxels)).astype(np.float32) if local else np.ones((2, num_voxels), np.float32)
-    slow = np.einsum("gv,gvc->vc", reach, displacement(system.shapes, q))
-    expected = VoxelInterpolation(rows=rows, weights=weights, num_voxels=num_voxels).apply(slow)
-    fast = VertexFrames(system, rows, weights).displacement(q, reach if local else None)
-    np.testing.assert_allclose(fast, expected, atol=1e-5 * np.abs(expected).max())
+    at_vertices = ties.apply(system.shapes)
+    weights = rng.random((2, len(system.grid))).astype(np.float32) if local else None
+    of_vertices = np.ones((2, mesh.num_vertices)) if weights is None else ties.mean(weights.T).T
+    expected = np.einsum("gn,gnc->nc", of_vertices, displacement(at_vertices, q))
+    frame = vertices.displacement(q, None if weights is None else vertices.weights(weights))
+    rms = np.sqrt((expected**2).mean())
+    assert np.abs(frame - expected).max() < 1e-3 * rms
+    assert np.sqrt(((frame - expected) ** 2).mean()) < 2e-4 * rms
+    mean_m = ties.mean(displacement(system.shapes, q).sum(axis=0))
+    if weights is None:
+        whole = ties.apply(displacement(system.shapes, q).sum(axis=0))
+        assert np.abs(frame - whole).max() < 1e-3 * rms
+        assert np.abs(mean_m - whole).max() > 0.05 * rms  # the plain mean would not do

@@ -62,19 +62,21 @@ def test_gaussians_move_as_the_vertices_do(
     client: TestClient, cloud_spectrum: str, capture: Capture, grown, poke: dict, warp: bool
 ) -> None:
     options = {"accept": "application/vnd.safetensors", "num_frames": 3, "dt_s": 0.2, "warp": warp}
-    poke = poke | {"impulse_n_s": [30.0, 10.0, 0.0]}
+    low = capture.cloud.means[:, 2] <= capture.cloud.means[:, 2].max() - 0.5
+    moving = np.flatnonzero(low & (np.arange(2000) % 4 > 0))
+    highest = capture.cloud.means[moving[np.argmax(capture.cloud.means[moving, 2])]].tolist()
+    poke = poke | {"impulse_n_s": [30.0, 10.0, 0.0], "at": {"point_m": highest, "radius_m": 0.5}}
     answer = post(client, cloud_spectrum, poke, output="gaussians", **options)
     assert answer.status_code == 200, answer.text
     frames = load(answer.content)
     vertices = load(post(client, cloud_spectrum, poke, output="vertices", **options).content)["displacement"]
-    low = capture.cloud.means[:, 2] <= capture.cloud.means[:, 2].max() - 0.5
-    np.testing.assert_array_equal(frames["rows"], np.flatnonzero(low & (np.arange(2000) % 4 > 0)))
+    np.testing.assert_array_equal(frames["rows"], moving)
     binding = bind(capture.cloud, grown.mesh)
     for frame in range(3):
         pose = Deformer(binding).pose(vertices[frame])
         for name in ("means", "quaternions", "scales"):
             np.testing.assert_allclose(frames[name][frame], getattr(pose, name)[frames["rows"]], atol=1e-5)
-    assert np.abs(frames["means"][2] - frames["means"][0]).max() > 1e-4
+    assert np.abs(frames["means"][2] - frames["means"][0]).max() > 1e-3
     np.testing.assert_array_equal(frames["q"].shape[:2], (1, 3))
 
 
