@@ -29,6 +29,7 @@ class Material:
     texture_png: bytes | None = None  # sRGB image that multiplies base_color, or None
     alpha_cutoff: float | None = None  # faces are cut out where alpha is below; None is opaque
     double_sided: bool = True
+    blended: bool = False  # files that are written mix the face with what is behind it instead of cutting it out
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,6 +38,21 @@ class SourceWarning:
 
     code: str
     message: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class SourceGltf:
+    """The glTF document that a mesh was read from: a writer attaches a motion to it and leaves all else as it is.
+
+    Displacements, in the document's own axes and units, become a primitive's own by `to_primitive` and then, for
+    vertices that a skin places, by `to_vertex`.
+    """
+
+    document: bytes  # JSON; its one buffer is `binary`
+    binary: tuple[bytes, ...]
+    primitives: Int32[np.ndarray, "P 4"]  # node, primitive of the node's mesh, first vertex, number of vertices
+    to_primitive: Float64[np.ndarray, "P 3 3"]
+    to_vertex: Float32[np.ndarray, "N 3 3"] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,6 +73,7 @@ class TriangleMesh:
     source_scale: float = 1.0  # metres a unit of the source
     warnings: tuple[SourceWarning, ...] = ()
     still_faces: Bool[np.ndarray, " F"] | None = None  # of what is no plant, such as a pot; None if all may move
+    source_gltf: SourceGltf | None = None  # of glTF only, while its vertices are where the file has them
 
     @property
     def moving_part(self) -> "TriangleMesh":
@@ -65,7 +82,8 @@ class TriangleMesh:
             return self
         selected = ~self.still_faces
         material = None if self.face_material is None else self.face_material[selected]
-        return replace(self, faces=self.faces[selected], face_material=material, still_faces=None)
+        faces = self.faces[selected]
+        return replace(self, faces=faces, face_material=material, still_faces=None, source_gltf=None)
 
     @property
     def still_vertices(self) -> Bool[np.ndarray, " N"]:
@@ -131,7 +149,7 @@ class TriangleMesh:
 
     def with_vertices(self, vertices: Float32[np.ndarray, "N 3"]) -> "TriangleMesh":
         """Give the same mesh with other positions, in the same order [m]."""
-        return replace(self, vertices=vertices)
+        return replace(self, vertices=vertices, source_gltf=None)
 
 
 def validate_mesh(mesh: TriangleMesh) -> TriangleMesh:

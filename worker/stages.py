@@ -114,7 +114,7 @@ def animate(given: StageInput) -> Iterable[Path]:
     with given.files[SPECTRUM].open("rb") as stream:
         spectrum = read_spectrum(stream)
     paths = write_products(
-        _mesh(given),
+        _mesh(given, with_source=True),
         spectrum,
         ExportParams.part_of(given.job.params),
         given.folder,
@@ -152,6 +152,6 @@ def _capture(given: StageInput) -> Capture | None:
         return read_cloud_bundle(stream)
 
 
-def _mesh(given: StageInput) -> TriangleMesh:
+def _mesh(given: StageInput, *, with_source: bool = False) -> TriangleMesh:
     with given.files[MESH_BUNDLE].open("rb") as stream:
-        return read_mesh_bundle(stream)
+        return read_mesh_bundle(stream, with_source=with_source)

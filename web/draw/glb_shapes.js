@@ -7,34 +7,51 @@ const LARGEST_BYTES = 100e6; // 270,000 vertices
 export const isWorthLoading = ({ name, bytes }) => name === "tree.glb" && bytes <= LARGEST_BYTES;
 
 /**
- * Shapes [N, K, 3, 2] in 16-bit steps of `scale_m` [K], as …/surface has them. The file's morph targets are twice the
- * real and imaginary part of each bin; the first is Re c_0 less all of these parts (docs/formats.md).
+ * Shapes [N, K, 3, 2] in 16-bit steps of `scale_m` [K], as …/surface has them; null where a skin places the vertices.
+ * The file's morph targets are twice the real and imaginary part of each bin; the first is Re c_0 less all of these
+ * parts (docs/formats.md).
  */
 export async function readShapes(buffer) {
-  const { scene } = await new GLTFLoader().parseAsync(buffer, "");
-  let mesh = null;
-  scene.traverse((node) => (mesh ??= node.isMesh ? node : null));
-  const targets = mesh.geometry.morphAttributes.position.map(({ array }) => array);
-  const N = targets[0].length / 3;
-  const K = (targets.length + 1) / 2;
-  const lean = Float32Array.from(targets[0]);
-  for (const part of targets.slice(1)) for (let i = 0; i < lean.length; i++) lean[i] += part[i] / 2;
+  const { parser } = await new GLTFLoader().parseAsync(buffer, "");
+  const { num_vertices: N, primitives } = parser.json.animations[0].extras;
+  if (primitives.some(({ to_z_up_m }) => !to_z_up_m)) return null;
+  const K = (parser.json.asset.extras.num_targets + 1) / 2;
   const shapes = new Int16Array(6 * N * K);
   const scale_m = new Float32Array(K);
-  for (let k = 0; k < K; k++) {
-    const parts = k === 0 ? [lean] : [targets[2 * k - 1], targets[2 * k]];
+  const lean = await target(parser, primitives, N, K, 0);
+  for (let k = K - 1; k >= 0; k--) {
+    const parts = k === 0 ? [lean] : await Promise.all([2 * k - 1, 2 * k].map((m) => target(parser, primitives, N, K, m)));
     const step = largestOf(parts) / 32767;
     scale_m[k] = k === 0 ? step : step / 2;
     parts.forEach((part, i) => {
       for (let v = 0; v < N; v++) {
-        const at = 6 * (v * K + k) + i;
-        shapes[at] = Math.round(part[3 * v] / step);
-        shapes[at + 2] = Math.round(-part[3 * v + 2] / step); // glTF's +Y is our +Z
-        shapes[at + 4] = Math.round(part[3 * v + 1] / step);
+        for (let axis = 0; axis < 3; axis++) {
+          const value = part[3 * v + axis];
+          shapes[6 * (v * K + k) + 2 * axis + i] = Math.round(value / step);
+          if (k > 0) lean[3 * v + axis] += value / 2;
+        }
       }
     });
   }
   return { shapes, scale_m };
+}
+
+/** Target m of ours, the last 2K - 1 of each primitive, for all vertices of the mesh: +Z up and in metres. */
+async function target(parser, primitives, N, K, m) {
+  const moved = new Float32Array(3 * N);
+  for (const { node, primitive, first_vertex, to_z_up_m: a } of primitives) {
+    const { targets } = parser.json.meshes[parser.json.nodes[node].mesh].primitives[primitive];
+    const accessor = targets[targets.length - (2 * K - 1) + m].POSITION;
+    const { array } = await parser.getDependency("accessor", accessor);
+    for (let i = 0; i < array.length; i += 3) {
+      const [x, y, z] = [array[i], array[i + 1], array[i + 2]];
+      const at = 3 * first_vertex + i;
+      for (let axis = 0; axis < 3; axis++) {
+        moved[at + axis] = a[3 * axis] * x + a[3 * axis + 1] * y + a[3 * axis + 2] * z;
+      }
+    }
+  }
+  return moved;
 }
 
 function largestOf(parts) {

@@ -86,7 +86,7 @@ export class Scene {
       const file = artifacts.find(isWorthLoading);
       if (!file) return;
       const shapes = await readShapes(await this.client.bytes(file.url, { signal }));
-      if (!signal.aborted) tree.setShapes(shapes);
+      if (shapes && !signal.aborted) tree.setShapes(shapes);
     }
   }
 }

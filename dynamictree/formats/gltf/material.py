@@ -22,7 +22,7 @@ from dynamictree.formats.json_fields import (
 from dynamictree.formats.texture import refuse_many_pixels, texture_as_png
 from dynamictree.mesh import Material, SourceWarning
 
-_BLEND_CUTOFF = 0.5  # leaves drawn by blending are cut out instead; depth-sorted blending is not ours to do
+_BLEND_CUTOFF = 0.5  # our pictures cut out leaves that are drawn by blending; files that are written blend them
 
 
 def gltf_materials(document: GltfDocument) -> tuple[Material, ...]:
@@ -76,6 +76,7 @@ def _material(document: GltfDocument, entry: JsonObject, images: dict[int, bytes
         texture_png=_texture(document, _base_texture(entry), images),
         alpha_cutoff=cutoffs[mode],
         double_sided=entry.get("doubleSided") is True,
+        blended=mode == "BLEND",
     )
 
 

@@ -14,8 +14,7 @@ from jaxtyping import Complex64, Float32, Float64
 
 from dynamictree.byte_stream import ByteWriter
 from dynamictree.errors import InputError
-from dynamictree.formats.axes import up_rotation
-from dynamictree.formats.gltf.writer import VERTEX_BUFFER, GlbWriter, add_mesh
+from dynamictree.formats.gltf.template import open_template
 from dynamictree.mesh import TriangleMesh
 from dynamictree.spectrum import FPS, NUM_FRAMES, bin_weights
 
@@ -45,6 +44,7 @@ def write_motion_glb(
 ) -> MorphSummary:
     """Write one period with `num_frames` + 1 linear keys, the last equal to the first.
 
+    A mesh that was read from glTF stays in its document, which gets targets and an animation, see `template.py`.
     `coefficients` are the spectrum of each vertex [m], `num_frames` is T, `fps` the keys a second of the file's time.
     `num_targets=None` writes all 2K - 1; fewer are chosen so that the squared error is the least possible, which the
     file tells in its `asset.extras`.
@@ -64,25 +64,16 @@ def write_motion_glb(
         rms_error_m=float(np.sqrt(missing / (num_frames * len(coefficients)))),
         max_error_m=_furthest(parts, moduli, few, few_moduli),
     )
-    writer = GlbWriter(extras=asdict(summary))
-    rotation = up_rotation("+Y").astype(np.float32)
-    accessors = [
-        {"POSITION": writer.add_accessor(target.reshape(-1, 3) @ rotation, target=VERTEX_BUFFER, bounds=True)}
-        for target in clipped_targets(few)
-    ]
-    add_mesh(writer, mesh, targets=accessors)
+    targets = clipped_targets(few).reshape(len(few), -1, 3)
+    moving = (targets != 0).any(axis=(0, 2))
+    template = open_template(mesh)
+    nodes, places = template.attach_targets(targets, moving if moving.any() else ~moving)
     weights = clipped_weights(few_moduli)
     keys = np.concatenate([weights, weights[:1]]).astype(np.float32)  # [T + 1, targets]
-    times = (np.arange(num_frames + 1) / fps).astype(np.float32)
-    sampler = {
-        "input": writer.add_accessor(times[:, None], bounds=True),
-        "output": writer.add_accessor(keys.reshape(-1, 1)),
-        "interpolation": "LINEAR",
-    }
-    channel = {"sampler": 0, "target": {"node": 0, "path": "weights"}}
-    writer.append("nodes", {"mesh": 0, "name": "tree"})
-    writer.append("animations", {"name": "sway", "samplers": [sampler], "channels": [channel]})
-    writer.finish(stream)
+    sway = template.add_sway(nodes, (np.arange(num_frames + 1) / fps).astype(np.float32), keys)
+    sway["extras"] = {"num_vertices": mesh.num_vertices, "primitives": places}
+    template.writer.extras = asdict(summary)
+    template.writer.finish(stream)
     return summary
 
 

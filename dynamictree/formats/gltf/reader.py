@@ -16,8 +16,9 @@ from dynamictree.errors import FormatError, MeshError
 from dynamictree.formats.gltf.document import GltfDocument, accessor_layout, open_gltf
 from dynamictree.formats.gltf.material import gltf_materials, texture_coordinates, texture_placement
 from dynamictree.formats.gltf.scene import MeshInstance, mesh_instances
+from dynamictree.formats.gltf.source import PlacedPrimitive, keep_source
 from dynamictree.formats.json_fields import JsonObject, index_field, integer_field, object_field, object_list
-from dynamictree.formats.mesh.parts import MeshPart, join_parts
+from dynamictree.formats.mesh.parts import MeshPart, first_vertices, join_parts
 from dynamictree.mesh import MAX_FACES, MAX_VERTICES, TriangleMesh
 
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
@@ -46,20 +47,22 @@ def read_gltf(content: bytes, *, companions: Mapping[str, bytes]) -> TriangleMes
     _refuse_too_many(document, drawn)
     materials = gltf_materials(document)
     with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is found by validate_mesh
-        parts = _placed_parts(document, drawn)
-    return replace(join_parts(parts, materials), warnings=tuple(document.warnings))
+        parts, placed = _placed_parts(document, drawn)
+        source = keep_source(document, placed)
+    return replace(join_parts(parts, materials), source_gltf=source, warnings=tuple(document.warnings))
 
 
-def _triangle_primitives(mesh: JsonObject) -> list[JsonObject]:
-    primitives = object_list(mesh, "primitives")
-    return [p for p in primitives if integer_field(p, "mode", high=6, default=_TRIANGLES) in (_TRIANGLES, _STRIP, _FAN)]
+def _triangle_primitives(mesh: JsonObject) -> list[tuple[int, JsonObject]]:
+    triangles = (_TRIANGLES, _STRIP, _FAN)
+    primitives = enumerate(object_list(mesh, "primitives"))
+    return [(i, p) for i, p in primitives if integer_field(p, "mode", high=6, default=_TRIANGLES) in triangles]
 
 
-def _refuse_too_many(document: GltfDocument, drawn: list[tuple[MeshInstance, JsonObject]]) -> None:
+def _refuse_too_many(document: GltfDocument, drawn: list[tuple[MeshInstance, tuple[int, JsonObject]]]) -> None:
     """By the counts in the JSON, instances included."""
     num_vertices, num_corners = 0, 0
     seen: set[tuple[int, int]] = set()
-    for instance, primitive in drawn:
+    for instance, (_, primitive) in drawn:
         attributes = object_field(primitive, "attributes")
         position = index_field(attributes, "POSITION", document.accessors, "accessors")
         if position is None:
@@ -78,45 +81,72 @@ def _refuse_too_many(document: GltfDocument, drawn: list[tuple[MeshInstance, Jso
         )
 
 
-def _placed_parts(document: GltfDocument, drawn: list[tuple[MeshInstance, JsonObject]]) -> list[MeshPart]:
+def _placed_parts(
+    document: GltfDocument, drawn: list[tuple[MeshInstance, tuple[int, JsonObject]]]
+) -> tuple[list[MeshPart], list[PlacedPrimitive]]:
+    """The parts in their order, and what each is in the document."""
     parts: list[MeshPart] = []
+    placed: list[PlacedPrimitive] = []
     shared: dict[tuple[int, str, str], int] = {}
     materials = object_list(document.root, "materials")
-    for instance, primitive in drawn:
+    for instance, (number, primitive) in drawn:
         extension = object_field(primitive, "extensions").get("KHR_draco_mesh_compression")
         attributes = object_field(primitive, "attributes")
         material = index_field(primitive, "material", materials, "materials")
         placement = texture_placement({} if material is None else materials[material])
         key = (id(instance), repr(sorted(attributes.items())), placement)
-        part = _part(document, instance, primitive, material)
+        read = _read_primitive(document, primitive)
+        part, skinned = _part(document, instance, primitive, read, material)
         if extension is None and key in shared:
             part = replace(part, vertices_of=shared[key])
         shared.setdefault(key, len(parts))
         parts.append(part)
-    return parts
+        placed.append(
+            PlacedPrimitive(
+                instance=instance,
+                primitive=number,
+                first_vertex=0,
+                num_vertices=len(part.vertices),
+                skinned=skinned,
+                decoded=None if extension is None else _with_indices(read),
+            )
+        )
+    starts = first_vertices(parts)
+    return parts, [replace(p, first_vertex=start) for p, start in zip(placed, starts, strict=True)]
 
 
-def _part(document: GltfDocument, instance: MeshInstance, primitive: JsonObject, material: int | None) -> MeshPart:
-    attributes = _read_primitive(document, primitive)
-    positions = attributes.attributes["POSITION"].astype(np.float64)
+def _with_indices(read: _Primitive) -> Mapping[str, Shaped[np.ndarray, "n width"]]:
+    assert read.indices is not None
+    return {**read.attributes, "INDICES": read.indices[:, None]}
+
+
+def _part(
+    document: GltfDocument, instance: MeshInstance, primitive: JsonObject, read: _Primitive, material: int | None
+) -> tuple[MeshPart, Float64[np.ndarray, "N 3 3"] | None]:
+    """The primitive at its place, and how its skin at rest turns each vertex."""
+    positions = read.attributes["POSITION"].astype(np.float64)
     if positions.shape[1] != 3:
         raise FormatError(f"POSITION has {positions.shape[1]} numbers a vertex; 3 are needed")
     mode = integer_field(primitive, "mode", high=6, default=_TRIANGLES)
-    faces = _faces(attributes.indices, len(positions), mode)
-    transform = instance.transform if instance.joints is None else np.eye(4)
+    faces = _faces(read.indices, len(positions), mode)
+    transform, skinned = instance.transform, None
     if instance.joints is not None:
-        positions = _skinned(positions, attributes.attributes, instance.joints)
+        transform = np.eye(4)
+        matrices = _skin_matrices(read.attributes, instance.joints, len(positions))
+        skinned = matrices[:, :, :3]
+        positions = np.einsum("nij,nj->ni", skinned, positions) + matrices[:, :, 3]
     placed = positions @ transform[:3, :3].T + transform[:3, 3]
     if np.linalg.det(transform[:3, :3]) < 0:
         faces = np.ascontiguousarray(faces[:, ::-1])
     entry = None if material is None else object_list(document.root, "materials")[material]
-    return MeshPart(
+    part = MeshPart(
         vertices=placed.astype(np.float32),
         faces=faces,
-        uv=texture_coordinates(attributes.attributes, entry, len(positions)),
-        vertex_colors=_colors(attributes.attributes, len(positions)),
+        uv=texture_coordinates(read.attributes, entry, len(positions)),
+        vertex_colors=_colors(read.attributes, len(positions)),
         material=-1 if material is None else material,
     )
+    return part, skinned
 
 
 def _read_primitive(document: GltfDocument, primitive: JsonObject) -> _Primitive:
@@ -171,22 +201,19 @@ def _faces(indices: Shaped[np.ndarray, " M"] | None, num_vertices: int, mode: in
     return strip
 
 
-def _skinned(
-    positions: Float64[np.ndarray, "N 3"],
-    attributes: Mapping[str, Shaped[np.ndarray, "n width"]],
-    joints: Float64[np.ndarray, "J 4 4"],
-) -> Float64[np.ndarray, "N 3"]:
+def _skin_matrices(
+    attributes: Mapping[str, Shaped[np.ndarray, "n width"]], joints: Float64[np.ndarray, "J 4 4"], num_vertices: int
+) -> Float64[np.ndarray, "N 3 4"]:
+    """The mean matrix of each vertex' joints."""
     if "JOINTS_0" not in attributes or "WEIGHTS_0" not in attributes:
         raise FormatError("a skinned primitive has no JOINTS_0 or WEIGHTS_0")
     rows, weights = attributes["JOINTS_0"].astype(np.int64), attributes["WEIGHTS_0"].astype(np.float64)
-    if rows.shape != weights.shape or len(rows) != len(positions) or (rows.size and rows.max() >= len(joints)):
+    if rows.shape != weights.shape or len(rows) != num_vertices or (rows.size and rows.max() >= len(joints)):
         raise FormatError(f"a skinned primitive names joints beyond its {len(joints)}, or not for each vertex")
-    result = np.zeros_like(positions)
+    matrices = np.zeros((num_vertices, 3, 4))
     for i in range(rows.shape[1]):
-        matrix = joints[rows[:, i]]  # [N, 4, 4]
-        moved = np.einsum("nij,nj->ni", matrix[:, :3, :3], positions) + matrix[:, :3, 3]
-        result += weights[:, i, None] * moved
-    return result
+        matrices += weights[:, i, None, None] * joints[rows[:, i], :3]
+    return matrices
 
 
 def _colors(attributes: Mapping[str, Shaped[np.ndarray, "n width"]], count: int) -> UInt8[np.ndarray, "N 4"] | None:

@@ -26,6 +26,9 @@ MAX_INSTANCES = 200_000
 class MeshInstance:
     """One mesh of the scene, at one place; `joints` are the matrices of its skin, which then place it alone."""
 
+    node: int
+    place: int | None  # of EXT_mesh_gpu_instancing
+    placed: Float64[np.ndarray, "4 4"]  # of that place, in the node
     mesh: JsonObject
     transform: Float64[np.ndarray, "4 4"]
     joints: Float64[np.ndarray, "J 4 4"] | None
@@ -47,8 +50,16 @@ def mesh_instances(document: GltfDocument) -> Iterator[MeshInstance]:
             continue
         skin = index_field(nodes[index], "skin", skins, "skins")
         joints = None if skin is None else _joint_matrices(document, skins[skin], world)
-        for placed in _instance_transforms(document, nodes[index]):
-            yield MeshInstance(mesh=meshes[mesh], transform=transform @ placed, joints=joints)
+        places = _instance_transforms(document, nodes[index])
+        for number, placed in enumerate(np.eye(4)[None] if places is None else places):
+            yield MeshInstance(
+                node=index,
+                place=None if places is None else number,
+                placed=placed,
+                mesh=meshes[mesh],
+                transform=transform @ placed,
+                joints=joints,
+            )
 
 
 def _world_transforms(document: GltfDocument, nodes: list[JsonObject]) -> dict[int, Float64[np.ndarray, "4 4"]]:
@@ -94,8 +105,8 @@ def _refuse_many_instances(document: GltfDocument, nodes: list[JsonObject]) -> N
         raise FormatError(f"EXT_mesh_gpu_instancing has {total:,} places; at most {MAX_INSTANCES:,} are allowed")
 
 
-def _instance_transforms(document: GltfDocument, node: JsonObject) -> Float64[np.ndarray, "I 4 4"]:
-    """Places of EXT_mesh_gpu_instancing, or the one place of a plain node."""
+def _instance_transforms(document: GltfDocument, node: JsonObject) -> Float64[np.ndarray, "I 4 4"] | None:
+    """Places of EXT_mesh_gpu_instancing; None for a plain node."""
     extension = object_field(object_field(node, "extensions"), "EXT_mesh_gpu_instancing")
     attributes = object_field(extension, "attributes")
     parts = {}
@@ -106,7 +117,7 @@ def _instance_transforms(document: GltfDocument, node: JsonObject) -> Float64[np
             if parts[name].shape[1] != width:
                 raise FormatError(f"EXT_mesh_gpu_instancing has {name} of {parts[name].shape[1]} numbers, not {width}")
     if not parts:
-        return np.eye(4)[None]
+        return None
     count = {len(part) for part in parts.values()}
     if len(count) != 1:
         raise FormatError(f"EXT_mesh_gpu_instancing has attributes of different lengths, {sorted(count)}")

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float32, Shaped, UInt8
@@ -24,14 +25,14 @@ _COMPONENTS = {"float32": _FLOAT, "uint16": _UINT16, "uint32": _UINT32}
 class GlbWriter:
     """The document under construction and the bytes of its one buffer."""
 
-    root: dict[str, list[object]] = field(default_factory=dict)
+    root: dict[str, Any] = field(default_factory=dict)
     chunks: list[bytes] = field(default_factory=list)
     num_bytes: int = 0
     extras: dict[str, object] = field(default_factory=dict)  # of the asset
 
     def append(self, name: str, entry: object) -> int:
         """Add to a list of the document; gives the index there."""
-        entries = self.root.setdefault(name, [])
+        entries: list[object] = self.root.setdefault(name, [])
         entries.append(entry)
         return len(entries) - 1
 
@@ -66,11 +67,13 @@ class GlbWriter:
 
     def finish(self, stream: ByteWriter) -> None:
         """Write the file."""
-        buffers = [{"byteLength": self.num_bytes}]
         scene: dict[str, object] = {"scene": 0, "scenes": [{"nodes": [0]}]}
-        extras = {"extras": self.extras} if self.extras else {}
-        asset = {"version": "2.0", "generator": GENERATOR, **extras}
-        root = {"asset": asset, **scene, **self.root, "buffers": buffers}
+        asset: dict[str, Any] = {"version": "2.0", "generator": GENERATOR, **self.root.get("asset", {})}
+        extras = asset.get("extras", {})
+        if self.extras and isinstance(extras, dict):
+            asset["extras"] = {**extras, **self.extras}
+        (buffer,) = self.root.get("buffers", [{}])
+        root = {**scene, **self.root, "asset": asset, "buffers": [{**buffer, "byteLength": self.num_bytes}]}
         text = json.dumps(root, separators=(",", ":")).encode()
         text += b" " * (-len(text) % 4)
         length = 12 + 8 + len(text) + 8 + self.num_bytes
@@ -134,7 +137,9 @@ def _material(writer: GlbWriter, material: Material) -> dict[str, object]:
     entry: dict[str, object] = {"pbrMetallicRoughness": surface, "doubleSided": material.double_sided}
     if material.name:
         entry["name"] = material.name
-    if material.alpha_cutoff is not None:
+    if material.blended:
+        entry["alphaMode"] = "BLEND"
+    elif material.alpha_cutoff is not None:
         entry |= {"alphaMode": "MASK", "alphaCutoff": material.alpha_cutoff}
     return entry
 

@@ -26,12 +26,7 @@ class MeshPart:
 
 def join_parts(parts: Sequence[MeshPart], materials: tuple[Material, ...]) -> TriangleMesh:
     """One mesh; what has no material gets a white one, a vertex without texture place 0, one without colour white."""
-    own = [part for part in parts if part.vertices_of is None]
-    starts: list[int] = []
-    total = 0
-    for part in parts:
-        starts.append(total if part.vertices_of is None else starts[part.vertices_of])
-        total += len(part.vertices) if part.vertices_of is None else 0
+    own, starts = [part for part in parts if part.vertices_of is None], first_vertices(parts)
     has_uv, has_colors = any(p.uv is not None for p in own), any(p.vertex_colors is not None for p in own)
     uv = [np.zeros((len(p.vertices), 2), np.float32) if p.uv is None else p.uv for p in own]
     colors = [
@@ -47,3 +42,13 @@ def join_parts(parts: Sequence[MeshPart], materials: tuple[Material, ...]) -> Tr
         face_material=None if not materials else np.concatenate(face_material),
         materials=(*materials, _DEFAULT_MATERIAL) if materials and any(p.material < 0 for p in parts) else materials,
     )
+
+
+def first_vertices(parts: Sequence[MeshPart]) -> list[int]:
+    """Where the vertices of each part begin in the joined mesh."""
+    starts: list[int] = []
+    total = 0
+    for part in parts:
+        starts.append(total if part.vertices_of is None else starts[part.vertices_of])
+        total += len(part.vertices) if part.vertices_of is None else 0
+    return starts

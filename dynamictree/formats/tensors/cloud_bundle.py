@@ -54,5 +54,5 @@ def read_cloud_bundle(stream: ByteReader) -> Capture:
             **parts, source_up_axis=metadata["source_up_axis"], source_scale=number(metadata, "source_scale")
         ),
         mask=None if mask is None else mask.astype(np.bool_),
-        mesh=read_mesh_bundle(BytesIO(tensors["mesh"].tobytes())) if "mesh" in tensors else None,
+        mesh=read_mesh_bundle(BytesIO(tensors["mesh"].tobytes()), with_source=True) if "mesh" in tensors else None,
     )

@@ -15,7 +15,7 @@ from safetensors.numpy import load, save
 
 from dynamictree.byte_stream import ByteReader, ByteWriter, read_all
 from dynamictree.errors import FormatError
-from dynamictree.mesh import Material, SourceWarning, TriangleMesh, validate_mesh
+from dynamictree.mesh import Material, SourceGltf, SourceWarning, TriangleMesh, validate_mesh
 
 VERSION = 1
 MAX_BYTES = 1 << 30
@@ -36,12 +36,14 @@ def write_mesh_bundle(mesh: TriangleMesh, stream: ByteWriter) -> None:
         "source_scale": mesh.source_scale,
         "warnings": [asdict(warning) for warning in mesh.warnings],
     }
+    if mesh.source_gltf is not None:
+        tensors |= _source_tensors(mesh.source_gltf)
     tensors["rest"] = np.frombuffer(json.dumps(rest).encode(), np.uint8)
     stream.write(save({name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}))
 
 
-def read_mesh_bundle(stream: ByteReader) -> TriangleMesh:
-    """Undo `write_mesh_bundle`.
+def read_mesh_bundle(stream: ByteReader, *, with_source: bool = False) -> TriangleMesh:
+    """Undo `write_mesh_bundle`; the document that the mesh was read from is large and only for writers of GLB.
 
     Raises:
         FormatError: it is no such file, or of another version.
@@ -53,11 +55,36 @@ def read_mesh_bundle(stream: ByteReader) -> TriangleMesh:
         version = rest["version"]
         if version == VERSION:
             mesh = _mesh(tensors, rest)
+            if with_source and "source_document" in tensors:
+                mesh = replace(mesh, source_gltf=_source(tensors, mesh.num_vertices))
     except (SafetensorError, KeyError, TypeError, ValueError, AttributeError) as error:
         raise FormatError(f"not a mesh bundle: {error}") from error
     if version != VERSION:
         raise FormatError(f"the mesh bundle is of version {version}; this reader knows {VERSION}")
     return validate_mesh(mesh)
+
+
+def _source_tensors(source: SourceGltf) -> dict[str, Shaped[np.ndarray, "..."]]:
+    tensors: dict[str, Shaped[np.ndarray, ...]] = {
+        "source_document": np.frombuffer(source.document, np.uint8),
+        "source_binary": np.frombuffer(b"".join(source.binary), np.uint8),
+        "source_primitives": source.primitives,
+        "source_to_primitive": source.to_primitive,
+    }
+    return tensors | ({} if source.to_vertex is None else {"source_to_vertex": source.to_vertex})
+
+
+def _source(tensors: Mapping[str, Shaped[np.ndarray, "..."]], num_vertices: int) -> SourceGltf:
+    primitives, to_primitive = tensors["source_primitives"], tensors["source_to_primitive"]
+    if to_primitive.shape != (len(primitives), 3, 3) or (primitives[:, 2:].sum(axis=1) > num_vertices).any():
+        raise FormatError(f"the mesh bundle's source has {len(primitives)} primitives that do not fit its vertices")
+    return SourceGltf(
+        document=tensors["source_document"].tobytes(),
+        binary=(tensors["source_binary"].tobytes(),),
+        primitives=primitives,
+        to_primitive=to_primitive,
+        to_vertex=tensors.get("source_to_vertex"),
+    )
 
 
 def _mesh(tensors: Mapping[str, Shaped[np.ndarray, "..."]], rest: Mapping[str, Any]) -> TriangleMesh:

@@ -1,0 +1,259 @@
+"""The document that a mesh was read from, with all of its files inside, so that a writer can return everything in it.
+
+Buffers become one, images move into it, Draco streams become plain accessors, and GPU instances become nodes. Nothing
+else changes: materials, textures, attributes, nodes, names, extras, extensions, skins and animations stay as they are.
+"""
+
+import json
+import mimetypes
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float32, Float64, Shaped
+
+from dynamictree.errors import FormatError
+from dynamictree.formats.companions import KTX2_MAGIC, find_companion
+from dynamictree.formats.gltf.document import GltfDocument, uri_bytes
+from dynamictree.formats.gltf.scene import MeshInstance
+from dynamictree.formats.json_fields import object_list, text_field
+from dynamictree.mesh import SourceGltf, SourceWarning
+
+MAX_SOURCE_BYTES = 256 << 20
+"""Of a document with its files: what a job can hold in memory beside the motion."""
+MAX_SOURCE_PRIMITIVES = 4000
+"""Primitives with 31 targets each are 30 MB of JSON; players take seconds to parse it."""
+INSTANCING, DRACO = "EXT_mesh_gpu_instancing", "KHR_draco_mesh_compression"
+_IMAGE_MAGIC = (
+    (b"\x89PNG\r\n\x1a\n", "image/png"),
+    (b"\xff\xd8\xff", "image/jpeg"),
+    (KTX2_MAGIC, "image/ktx2"),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlacedPrimitive:
+    """A primitive of the document, and where its vertices are in the mesh."""
+
+    instance: MeshInstance
+    primitive: int  # of the instance's mesh
+    first_vertex: int
+    num_vertices: int
+    skinned: Float64[np.ndarray, "n 3 3"] | None  # how its skin at rest turns each vertex
+    decoded: Mapping[str, Shaped[np.ndarray, "n width"]] | None  # of its Draco stream; INDICES are the faces' corners
+
+
+@dataclass(kw_only=True)
+class _Merged:
+    """The document's JSON under change, and the bytes of its one buffer."""
+
+    root: dict[str, Any]
+    chunks: list[bytes] = field(default_factory=list)
+    num_bytes: int = 0
+
+    def add_bytes(self, content: bytes) -> int:
+        """Give the offset of bytes that are added, padded to four."""
+        start = self.num_bytes
+        padding = b"\0" * (-len(content) % 4)
+        self.chunks += [content, padding] if padding else [content]
+        self.num_bytes += len(content) + len(padding)
+        return start
+
+    def add_view(self, content: bytes) -> int:
+        """Give the index of a view of bytes that are added."""
+        view = {"buffer": 0, "byteOffset": self.add_bytes(content), "byteLength": len(content)}
+        views = self.root.setdefault("bufferViews", [])
+        views.append(view)
+        return len(views) - 1
+
+
+def keep_source(document: GltfDocument, placed: Sequence[PlacedPrimitive]) -> SourceGltf | None:
+    """The document for writers; None, with a warning, where it is too large or breaks the specification."""
+    try:
+        files = _files(document)
+        num_bytes = sum(map(len, document.buffers)) + sum(map(len, files.values()))
+        if len(placed) > MAX_SOURCE_PRIMITIVES or num_bytes > MAX_SOURCE_BYTES:
+            allowed = f"{MAX_SOURCE_PRIMITIVES:,} and {MAX_SOURCE_BYTES:,} are allowed for that"
+            why = f"it has {len(placed):,} parts and {num_bytes:,} bytes; {allowed}"
+        else:
+            return _source(document, placed, files)
+    except (FormatError, KeyError, IndexError, TypeError, ValueError, AttributeError, RecursionError) as error:
+        why = f"a part of it that is not needed for the motion is damaged: {str(error)[:80]}"
+    message = f"GLB export cannot return the file's materials and nodes unchanged, only base colours: {why}"
+    document.warnings.append(SourceWarning(code="looks-reduced", message=message))
+    return None
+
+
+def _source(document: GltfDocument, placed: Sequence[PlacedPrimitive], files: Mapping[int, bytes]) -> SourceGltf:
+    merged = _Merged(root=json.loads(json.dumps(document.root, allow_nan=False), parse_float=_number))
+    _merge_buffers(document, merged)
+    _embed_images(merged, files)
+    _decode_draco(merged, placed)
+    nodes = _instances_as_nodes(merged, placed)
+    if not merged.root.get("scenes"):
+        children = {child for node in merged.root["nodes"] for child in node.get("children", [])}
+        merged.root["scenes"] = [{"nodes": [n for n in range(len(merged.root["nodes"])) if n not in children]}]
+    _warn_of_motion(document)
+    rows = [[node, p.primitive, p.first_vertex, p.num_vertices] for node, p in zip(nodes, placed, strict=True)]
+    return SourceGltf(
+        document=json.dumps(merged.root, separators=(",", ":")).encode(),
+        binary=tuple(merged.chunks),
+        primitives=np.array(rows, np.int32).reshape(-1, 4),
+        to_primitive=np.stack([_inverse(_linear(p)) for p in placed]),
+        to_vertex=_to_vertices(placed),
+    )
+
+
+def _number(text: str) -> int | float:
+    """A number of JSON; some writers put indices as 3.0."""
+    value = float(text)
+    return int(value) if value.is_integer() and abs(value) < 2**53 else value
+
+
+def _files(document: GltfDocument) -> dict[int, bytes]:
+    """Content of the images that lie outside of the buffers and were sent along, by their index."""
+    files = {}
+    for index, image in enumerate(object_list(document.root, "images")):
+        uri = text_field(image, "uri")
+        content = uri_bytes(uri, {}) if uri.startswith("data:") else find_companion(uri, document.companions)
+        if content is not None:
+            files[index] = content
+    return files
+
+
+def _merge_buffers(document: GltfDocument, merged: _Merged) -> None:
+    starts = [merged.add_bytes(content) for content in document.buffers]
+    for view in merged.root.get("bufferViews", []):
+        view["byteOffset"] = int(view.get("byteOffset", 0)) + starts[int(view["buffer"])]
+        view["buffer"] = 0
+    first = (merged.root.get("buffers") or [{}])[0]
+    merged.root["buffers"] = [{name: value for name, value in first.items() if name not in ("uri", "byteLength")}]
+
+
+def _embed_images(merged: _Merged, files: Mapping[int, bytes]) -> None:
+    for index, content in files.items():
+        image = merged.root["images"][index]
+        uri = image.pop("uri")
+        if "name" not in image and not uri.startswith("data:"):
+            image["name"] = uri
+        image["mimeType"] = _mime_type(content, str(image.get("mimeType", "")), uri)
+        image["bufferView"] = merged.add_view(content)
+
+
+def _mime_type(content: bytes, stated: str, uri: str) -> str:
+    if content[:4] == b"RIFF" and content[8:12] == b"WEBP":
+        return "image/webp"
+    by_bytes = next((kind for magic, kind in _IMAGE_MAGIC if content.startswith(magic)), "")
+    return by_bytes or stated or mimetypes.guess_type(uri)[0] or "application/octet-stream"
+
+
+def _decode_draco(merged: _Merged, placed: Sequence[PlacedPrimitive]) -> None:
+    """Write what Draco streams hold as accessors; the streams' bytes stay in the buffer, unused."""
+    accessors: list[dict[str, Any]] = merged.root.get("accessors", [])
+    done: set[tuple[int, int]] = set()
+    for part in placed:
+        key = (int(merged.root["nodes"][part.instance.node]["mesh"]), part.primitive)
+        if part.decoded is None or key in done:
+            continue
+        done.add(key)
+        primitive = merged.root["meshes"][key[0]]["primitives"][key[1]]
+        named = primitive["extensions"].pop(DRACO)["attributes"]
+        if not primitive["extensions"]:
+            del primitive["extensions"]
+        for name in named:
+            if name in part.decoded and name in primitive["attributes"]:
+                old = accessors[int(primitive["attributes"][name])]
+                primitive["attributes"][name] = _add_accessor(merged, old, part.decoded[name])
+        old = accessors[int(primitive["indices"])] if "indices" in primitive else {"type": "SCALAR"}
+        corners = part.decoded["INDICES"].astype(np.uint32)
+        primitive["indices"] = _add_accessor(merged, {**old, "componentType": 5125}, corners)
+    if done and not any(DRACO in str(mesh) for mesh in merged.root["meshes"]):
+        _forget_extension(merged.root, DRACO)
+
+
+def _add_accessor(merged: _Merged, old: Mapping[str, Any], elements: Shaped[np.ndarray, "n width"]) -> int:
+    dtypes = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
+    stored = np.ascontiguousarray(elements, dtypes[int(old["componentType"])])
+    padding = -(stored.itemsize * stored.shape[1]) % 4  # vertices start at multiples of four bytes
+    view = merged.add_view(np.pad(stored.view(np.uint8).reshape(len(stored), -1), ((0, 0), (0, padding))).tobytes())
+    if padding:
+        merged.root["bufferViews"][view]["byteStride"] = stored.itemsize * stored.shape[1] + padding
+    entry = {name: value for name, value in old.items() if name not in ("byteOffset", "sparse")}
+    merged.root["accessors"].append(entry | {"bufferView": view, "count": len(stored)})
+    return len(merged.root["accessors"]) - 1
+
+
+def _instances_as_nodes(merged: _Merged, placed: Sequence[PlacedPrimitive]) -> list[int]:
+    """The node of each primitive, after each place of an instanced mesh has become a node below it."""
+    nodes: list[dict[str, Any]] = merged.root["nodes"]
+    node_of: dict[tuple[int, int], int] = {}
+    meshes: dict[int, int] = {}
+    result = []
+    for part in placed:
+        instance = part.instance
+        if instance.place is None:
+            result.append(instance.node)
+            continue
+        above = nodes[instance.node]
+        if instance.node not in meshes:
+            meshes[instance.node] = above.pop("mesh")
+            del above["extensions"][INSTANCING]
+            if not above["extensions"]:
+                del above["extensions"]
+        key = (instance.node, instance.place)
+        if key not in node_of:
+            node_of[key] = len(nodes)
+            above.setdefault("children", []).append(len(nodes))
+            matrix = instance.placed.T.ravel().tolist()  # stored by columns
+            nodes.append({"mesh": meshes[instance.node], "matrix": matrix})
+        result.append(node_of[key])
+    if node_of and not any(INSTANCING in node.get("extensions", {}) for node in nodes):
+        _forget_extension(merged.root, INSTANCING)
+    return result
+
+
+def _forget_extension(root: dict[str, Any], name: str) -> None:
+    for listed in ("extensionsUsed", "extensionsRequired"):
+        rest = [other for other in root.pop(listed, []) if other != name]
+        if rest:
+            root[listed] = rest
+
+
+def _linear(part: PlacedPrimitive) -> Float64[np.ndarray, "3 3"]:
+    """How a displacement of the primitive's own vertices shows in the scene; a skin alone places its vertices."""
+    return np.eye(3) if part.skinned is not None else part.instance.transform[:3, :3]
+
+
+def _inverse(matrices: Float64[np.ndarray, "*n 3 3"]) -> Float64[np.ndarray, "*n 3 3"]:
+    """The inverse, or the nearest to one for a node that is flattened."""
+    try:
+        inverse: Float64[np.ndarray, "*n 3 3"] = np.linalg.inv(matrices)
+    except np.linalg.LinAlgError:
+        inverse = np.linalg.pinv(matrices)
+    return inverse
+
+
+def _to_vertices(placed: Sequence[PlacedPrimitive]) -> Float32[np.ndarray, "N 3 3"] | None:
+    if all(part.skinned is None for part in placed):
+        return None
+    count = max(part.first_vertex + part.num_vertices for part in placed)
+    matrices: Float32[np.ndarray, "N 3 3"] = np.tile(np.eye(3, dtype=np.float32), (count, 1, 1))
+    for part in placed:
+        if part.skinned is not None:
+            rows = slice(part.first_vertex, part.first_vertex + part.num_vertices)
+            matrices[rows] = _inverse(part.skinned)
+    return matrices
+
+
+def _warn_of_motion(document: GltfDocument) -> None:
+    """Say that a file's own animations are no part of ours."""
+    animations = object_list(document.root, "animations")
+    if not animations:
+        return
+    names = ", ".join(repr(str(entry.get("name", "unnamed"))[:40]) for entry in animations[:5])
+    message = (
+        f"the file has {len(animations)} animations of its own ({names}), which are not part of the motion; GLB export "
+        "leaves them in the file after 'sway', without those of its own morph targets; other formats drop them"
+    )
+    document.warnings.append(SourceWarning(code="animations-ignored", message=message))

@@ -1,0 +1,186 @@
+"""The file that a motion is attached to: the document that the mesh was read from, or one made of the mesh.
+
+Targets are attached primitive by primitive, in the primitive's own axes and units; what does not move gets none.
+"""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float32, Float64
+
+from dynamictree.formats.axes import up_rotation
+from dynamictree.formats.gltf.writer import VERTEX_BUFFER, GlbWriter, add_mesh
+from dynamictree.mesh import SourceGltf, TriangleMesh
+
+_Matrices = Float64[np.ndarray, "3 3"] | Float64[np.ndarray, "n 3 3"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class MorphSlot:
+    """A primitive of the file that targets can be attached to."""
+
+    node: int
+    primitive: int  # of the node's mesh
+    rows: slice  # of the mesh's vertices
+    to_local: _Matrices  # from displacements of the mesh to the primitive's own
+
+    def local(self, displacement: Float32[np.ndarray, "N 3"]) -> Float32[np.ndarray, "n 3"]:
+        """The primitive's part of a displacement, in its own axes and units."""
+        own = displacement[self.rows]
+        if self.to_local.ndim == 2:
+            return (own @ self.to_local.T).astype(np.float32)
+        turned: Float32[np.ndarray, "n 3"] = np.einsum("nij,nj->ni", self.to_local, own).astype(np.float32)
+        return turned
+
+    def described(self) -> dict[str, object]:
+        """Where the vertices are in the mesh, and the matrix from the primitive's displacements to +Z up and metres."""
+        entry: dict[str, object] = {"node": self.node, "primitive": self.primitive, "first_vertex": self.rows.start}
+        if self.to_local.ndim == 3:
+            return entry  # a skin turns each vertex in its own way
+        return entry | {"to_z_up_m": np.linalg.pinv(self.to_local).ravel().tolist()}  # by rows
+
+
+@dataclass(kw_only=True)
+class Template:
+    """A document under construction, and where its vertices are in the mesh."""
+
+    writer: GlbWriter
+    slots: Sequence[MorphSlot]
+    own_weights: dict[int, list[float]] = field(default_factory=dict)  # of the targets a morphing node had before
+    still: dict[int, dict[str, int]] = field(default_factory=dict)  # targets of zeros, by their number of vertices
+
+    def attach_targets(
+        self, targets: Float32[np.ndarray, "M N 3"], moving: Bool[np.ndarray, " N"]
+    ) -> tuple[list[int], list[dict[str, object]]]:
+        """Attach targets to what moves.
+
+        Returns:
+            The nodes that then morph; and where the vertices of their primitives are in the mesh, for programs that
+            look for them.
+        """
+        by_node: dict[int, dict[int, MorphSlot]] = {}
+        for slot in self.slots:
+            by_node.setdefault(slot.node, {})[slot.primitive] = slot
+        nodes = [node for node, slots in by_node.items() if any(moving[slot.rows].any() for slot in slots.values())]
+        written: dict[tuple[int, int, bytes], list[dict[str, int]]] = {}
+        places: list[dict[str, object]] = []
+        for node in nodes:
+            mesh = self._own_mesh(node)
+            for number, primitive in enumerate(mesh["primitives"]):
+                place = by_node[node].get(number)
+                if place is None or not moving[place.rows].any():
+                    count = self.writer.root["accessors"][primitive["attributes"]["POSITION"]]["count"]
+                    added = [self._zeros(count)] * len(targets)
+                else:
+                    key = (place.rows.start, place.rows.stop, place.to_local.tobytes())
+                    if key not in written:
+                        written[key] = [self._target(place, target) for target in targets]
+                        places.append(place.described())
+                    added = written[key]
+                primitive["targets"] = [*primitive.get("targets", []), *added]
+            self._extend_weights(node, mesh, len(targets))
+        return nodes, places
+
+    def _target(self, slot: MorphSlot, displacement: Float32[np.ndarray, "N 3"]) -> dict[str, int]:
+        return {"POSITION": self.writer.add_accessor(slot.local(displacement), target=VERTEX_BUFFER, bounds=True)}
+
+    def _own_mesh(self, node: int) -> dict[str, Any]:
+        """The node's mesh; a copy of it if other nodes show it too."""
+        root = self.writer.root
+        index = root["nodes"][node]["mesh"]
+        if sum(other.get("mesh") == index for other in root["nodes"]) > 1:
+            root["nodes"][node]["mesh"] = self.writer.append("meshes", json.loads(json.dumps(root["meshes"][index])))
+        mesh: dict[str, Any] = root["meshes"][root["nodes"][node]["mesh"]]
+        return mesh
+
+    def _zeros(self, count: int) -> dict[str, int]:
+        """A target that moves nothing; real zeros, since not every player reads an accessor without a view."""
+        if count not in self.still:
+            zeros = np.zeros((count, 3), np.float32)
+            self.still[count] = {"POSITION": self.writer.add_accessor(zeros, target=VERTEX_BUFFER, bounds=True)}
+        return self.still[count]
+
+    def _extend_weights(self, node: int, mesh: dict[str, Any], count: int) -> None:
+        """Defaults and names of the targets that the mesh had before are followed by those of ours."""
+        before = len(mesh["primitives"][0]["targets"]) - count
+        entry = self.writer.root["nodes"][node]
+        self.own_weights[node] = list(entry.get("weights") or mesh.get("weights") or [0.0] * before)
+        for holder in (entry, mesh):
+            if "weights" in holder:
+                holder["weights"] = [*holder["weights"], *[0.0] * count]
+        names = mesh.get("extras", {}).get("targetNames") if isinstance(mesh.get("extras"), dict) else None
+        if isinstance(names, list) and before:
+            mesh["extras"]["targetNames"] = [*names, *(f"sway_{number}" for number in range(count))]
+
+    def add_sway(
+        self, nodes: Sequence[int], times: Float32[np.ndarray, " T"], keys: Float32[np.ndarray, "T R"]
+    ) -> dict[str, Any]:
+        """Add the animation before the file's own; of these, what moved the same weights ends."""
+        clock = self.writer.add_accessor(times[:, None], bounds=True)
+        samplers, channels = list[object](), list[object]()
+        of_defaults: dict[tuple[float, ...], int] = {}
+        for node in nodes:
+            defaults = tuple(self.own_weights[node])
+            if defaults not in of_defaults:
+                of_defaults[defaults] = len(samplers)
+                whole = np.concatenate([np.tile(np.array(defaults, np.float32), (len(keys), 1)), keys], axis=1)
+                output = self.writer.add_accessor(whole.reshape(-1, 1))
+                samplers.append({"input": clock, "output": output, "interpolation": "LINEAR"})
+            channels.append({"sampler": of_defaults[defaults], "target": {"node": node, "path": "weights"}})
+        sway: dict[str, Any] = {"name": "sway", "samplers": samplers, "channels": channels}
+        others = [_without_weights(entry, set(nodes)) for entry in self.writer.root.get("animations", [])]
+        self.writer.root["animations"] = [sway, *(entry for entry in others if entry["channels"])]
+        return sway
+
+
+def open_template(mesh: TriangleMesh) -> Template:
+    """The document of the mesh's source, else one mesh in one node."""
+    if mesh.source_gltf is not None:
+        return _of_source(mesh, mesh.source_gltf)
+    writer = GlbWriter()
+    add_mesh(writer, mesh)
+    writer.append("nodes", {"mesh": 0, "name": "tree"})
+    rows, to_local = slice(0, mesh.num_vertices), up_rotation("+Y").T
+    primitives = range(len(writer.root["meshes"][0]["primitives"]))
+    return Template(
+        writer=writer, slots=[MorphSlot(node=0, primitive=i, rows=rows, to_local=to_local) for i in primitives]
+    )
+
+
+def _of_source(mesh: TriangleMesh, source: SourceGltf) -> Template:
+    chunks = list(source.binary)
+    writer = GlbWriter(root=json.loads(source.document), chunks=chunks, num_bytes=sum(map(len, chunks)))
+    from_mesh = up_rotation(mesh.source_up_axis).T / mesh.source_scale
+    if mesh.source_up_axis != "+Y" or mesh.source_scale != 1.0:
+        _stand_upright(writer.root, np.linalg.inv(from_mesh))
+    slots = []
+    for (node, primitive, first, count), to_primitive in zip(
+        source.primitives.tolist(), source.to_primitive, strict=True
+    ):
+        rows = slice(first, first + count)
+        to_local = to_primitive @ from_mesh
+        if source.to_vertex is not None:
+            to_local = source.to_vertex[rows].astype(np.float64) @ to_local
+        slots.append(MorphSlot(node=node, primitive=primitive, rows=rows, to_local=to_local))
+    return Template(writer=writer, slots=slots)
+
+
+def _stand_upright(root: dict[str, Any], to_z_up: Float64[np.ndarray, "3 3"]) -> None:
+    """Put the scene below a node that turns and scales it to metres and +Y up, where the caller says it is not."""
+    scene = root["scenes"][root.get("scene", 0)]
+    matrix = np.eye(4)
+    matrix[:3, :3] = up_rotation("+Y").T @ to_z_up
+    root["nodes"].append({"name": "upright", "children": scene["nodes"], "matrix": matrix.T.ravel().tolist()})
+    scene["nodes"] = [len(root["nodes"]) - 1]
+
+
+def _without_weights(animation: dict[str, Any], nodes: set[int]) -> dict[str, Any]:
+    channels = [
+        channel
+        for channel in animation["channels"]
+        if channel["target"].get("path") != "weights" or channel["target"].get("node") not in nodes
+    ]
+    return {**animation, "channels": channels}
