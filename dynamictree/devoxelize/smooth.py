@@ -8,7 +8,7 @@ import scipy.sparse
 from dynamictree.devoxelize.attachment import find_attachments
 from dynamictree.devoxelize.interpolation import VoxelInterpolation
 from dynamictree.devoxelize.nearest import nearest
-from dynamictree.devoxelize.surface_fit import SMOOTHNESS, fit_surface
+from dynamictree.devoxelize.surface_fit import MAX_FACTORED, SMOOTHNESS, fit_surface
 from dynamictree.mesh import TriangleMesh, edges_of, weld
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import surface_average
@@ -16,7 +16,9 @@ from dynamictree.voxel.voxelize import surface_average
 MAX_VOXELS_PER_POINT = 8
 
 
-def smooth(grid: VoxelGrid, mesh: TriangleMesh, *, smoothness: float = SMOOTHNESS) -> VoxelInterpolation:
+def smooth(
+    grid: VoxelGrid, mesh: TriangleMesh, *, smoothness: float = SMOOTHNESS, max_factored: int = MAX_FACTORED
+) -> VoxelInterpolation:
     """Find the smoothest motion of the mesh whose mean in each voxel is the voxel's value, see `surface_fit.py`.
 
     Only connected surface counts: a twig that passes close by has no influence. `rows` and `weights` are the voxels
@@ -26,6 +28,7 @@ def smooth(grid: VoxelGrid, mesh: TriangleMesh, *, smoothness: float = SMOOTHNES
         grid: of this mesh, from `voxelize`.
         mesh: in its rest pose.
         smoothness: cost of an uneven motion relative to that of a mean that differs from the voxel's value.
+        max_factored: unknowns of the fit; where there are more, a vertex gets the mean of its voxels by area.
 
     Raises:
         InputError: a voxel of the grid holds none of the mesh's surface.
@@ -47,7 +50,7 @@ def smooth(grid: VoxelGrid, mesh: TriangleMesh, *, smoothness: float = SMOOTHNES
         interpolation,
         rows=interpolation.rows[vertex],
         weights=interpolation.weights[vertex],
-        fit=fit_surface(mesh, grid, average, attachments, smoothness=smoothness),
+        fit=fit_surface(mesh, grid, average, attachments, smoothness=smoothness, max_factored=max_factored),
         fitted=vertex,
         attachments=attachments,
         still=still if still.any() else None,

@@ -27,6 +27,10 @@ SMOOTHNESS = 0.03
 MAX_NODES = 40_000
 """Largest number of unknowns. Larger meshes are solved on clusters of vertices, which are smaller than a voxel."""
 
+MAX_FACTORED = 120_000
+"""Largest number of unknowns that are solved for: in dense foliage each cluster touches dozens, and the factors of
+240,000 do not fit into 16 GB. Beyond, points take the mean of the voxels around them."""
+
 LINK = 100.0
 """How stiff a part is connected to what it hangs on, over an edge as long as a voxel."""
 
@@ -61,8 +65,12 @@ def fit_surface(
     attachments: Attachments,
     *,
     smoothness: float = SMOOTHNESS,
-) -> SurfaceFit:
-    """Factor the system for one mesh and grid; `average` is `surface_average` of the two, `smoothness` is λ."""
+    max_factored: int = MAX_FACTORED,
+) -> SurfaceFit | None:
+    """Factor the system for one mesh and grid; None if it has more than `max_factored` unknowns.
+
+    `average` is `surface_average` of the two, `smoothness` is λ.
+    """
     start, end = edges_of(mesh.faces).T
     ties = _edge_ties(mesh, start, end, grid.voxel_size_m)
     links = attachments.differences()
@@ -74,6 +82,8 @@ def fit_surface(
     if mesh.num_vertices > MAX_NODES:
         prolongation = _clusters(mesh, grid, stiffness.tocsr(), attachments.part)
         mean, stiffness = mean @ prolongation, prolongation.T @ stiffness @ prolongation
+    if mean.shape[1] > max_factored:
+        return None
     anchor = _ANCHOR * scipy.sparse.eye_array(mean.shape[1])
     system = (mean.T @ mean + smoothness * stiffness + anchor).tocsc()
     # symmetric and positive definite: no pivoting, and an ordering for Cholesky's pattern

@@ -27,6 +27,23 @@ def halvings_between(grid: VoxelGrid, resolution: int, model: str) -> int:
     return int(math.log2(ratio))
 
 
+def halvings_served(grid: VoxelGrid, resolution: int, model: str, *, max_voxels: int) -> int:
+    """The same, and as often again as a dense tree needs to have at most so many voxels.
+
+    Raises:
+        InputError: the grid is coarser, or finer by no power of two.
+    """
+    halvings = halvings_between(grid, resolution, model)
+    while len(grid) > max_voxels and _num_coarse(grid, halvings) > max_voxels:
+        halvings += 1
+    return halvings
+
+
+def _num_coarse(grid: VoxelGrid, halvings: int) -> int:
+    x, y, z = (grid.coords >> halvings).astype(np.int64).T
+    return len(np.unique((x * grid.resolution + y) * grid.resolution + z))
+
+
 def coarsened(voxels: SurfaceVoxels, halvings: int) -> tuple[SurfaceVoxels, csr_array | None]:
     """The same tree on a coarser grid, and the matrix that interpolates values back; None for no halvings."""
     if halvings == 0:

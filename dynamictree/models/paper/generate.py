@@ -78,7 +78,7 @@ class PaperModel:
         grids = pyramid(torch.from_numpy(fine.grid.coords.astype(np.int64)), preset.num_levels)
         count = len(grids.levels[preset.num_halvings])
         if count > MAX_VOXELS:
-            allowed = f"at most {MAX_VOXELS:,} are allowed; remove ground and background from the mesh"
+            allowed = f"at most {MAX_VOXELS:,} are allowed; take a lower resolution"
             raise InputError(f"the tree has {count:,} voxels at {preset.resolution}; {allowed}")
         with torch.no_grad(), one_thread():
             unit = self._sample(fine, grids, seed, num_steps or preset.num_steps, on_step)

@@ -14,7 +14,7 @@ from dynamictree.errors import InputError
 from dynamictree.models.motion_model import OnStep, check_request
 from dynamictree.models.small.denoiser import denoise
 from dynamictree.models.small.network import SmallNetwork, SmallPreset
-from dynamictree.models.small.prepared import PreparedTree, prepare_tree
+from dynamictree.models.small.prepared import MAX_NETWORK_VOXELS, PreparedTree, prepare_tree
 from dynamictree.models.threads import one_thread, run_on_cores
 from dynamictree.models.voxel_resolution import halvings_between
 from dynamictree.models.weights_file import Provenance, WeightsFile, fill_network, write_weights
@@ -25,8 +25,8 @@ from dynamictree.voxel.voxelize import SurfaceVoxels
 NUM_STEPS = 4
 BAND = 2
 """Frequencies that one thread denoises together: few enough that their hidden layers stay in a core's cache."""
-MAX_VOXELS = 150_000
-"""At the network's own resolution; the dataset's trees have 8,000 to 35,000. Memory and time grow linearly."""
+MAX_VOXELS = 2_400_000
+"""Of the spectrum's grid, which takes 400 bytes per voxel. The network reads fewer (`prepared.MAX_NETWORK_VOXELS`)."""
 
 
 class SmallModel:
@@ -35,8 +35,9 @@ class SmallModel:
     KIND = "dynamictree-small"
     VERSION = "5"
 
-    def __init__(self, network: SmallNetwork, *, name: str) -> None:
+    def __init__(self, network: SmallNetwork, *, name: str, max_network_voxels: int = MAX_NETWORK_VOXELS) -> None:
         self.network, self.name = network.eval().requires_grad_(False), name
+        self.max_network_voxels = max_network_voxels
 
     @classmethod
     def from_weights(cls, stored: WeightsFile, *, name: str) -> "SmallModel":
@@ -76,7 +77,7 @@ class SmallModel:
 
     def prepare(self, voxels: SurfaceVoxels, wind: Wind) -> PreparedTree:
         """Deterministic part: amplitudes, lean, and the matrices between nodes and voxels."""
-        return prepare_tree(self.network, voxels, wind)
+        return prepare_tree(self.network, voxels, wind, max_voxels=self.max_network_voxels)
 
     def _denoise(
         self, prepared: PreparedTree, noise: Float32[Tensor, "W J 6"], num_steps: int, on_step: OnStep | None
@@ -110,11 +111,10 @@ class SmallModel:
         return denoise_band
 
     def _check(self, grid: VoxelGrid, wind: Wind, num_steps: int | None) -> None:
-        limit = MAX_VOXELS * 4 ** halvings_between(grid, self.resolution, self.name)
-        if len(grid) > limit:
-            allowed = f"at most {limit:,} are allowed at {grid.resolution}"
+        halvings_between(grid, self.resolution, self.name)
+        if len(grid) > MAX_VOXELS:
             raise InputError(
-                f"the tree has {len(grid):,} voxels; {allowed}; remove ground and background from the mesh"
+                f"the tree has {len(grid):,} voxels; at most {MAX_VOXELS:,} are allowed; take a lower resolution"
             )
         check_request(wind, num_steps)
 

@@ -22,7 +22,7 @@ from dynamictree.models.small.features import (
 from dynamictree.models.small.leaf_swing import Leaves, leaves_of
 from dynamictree.models.small.mixer import Neighbourhood, neighbourhood
 from dynamictree.models.small.network import SmallNetwork
-from dynamictree.models.voxel_resolution import coarsened, halvings_between
+from dynamictree.models.voxel_resolution import coarsened, halvings_served
 from dynamictree.models.wind import wind_axes
 from dynamictree.sparse.matrices import SparseRows, raise_matrix, sparse_rows, touching, unit_rows
 from dynamictree.sparse.pool import pool_to
@@ -32,6 +32,9 @@ from dynamictree.voxel.voxelize import SurfaceVoxels
 SOFTNESS = 0.1
 """ε of `soften`: 0 is phase alone, large is the field as it was drawn. Chosen on validation trees (docs/decisions)."""
 
+MAX_NETWORK_VOXELS = 150_000
+"""Voxels that the network reads; a denser tree is generated on a grid twice as coarse, and raised. The dataset's trees
+have 8,000 to 35,000. Memory and time grow linearly: 6 kB per voxel (docs/decisions)."""
 
 FIXED_SHARE = 0.02
 """Of the height: so near to the roots, along the tree, the ground holds the stem, whatever the network guesses."""
@@ -87,9 +90,12 @@ def soften(field: Complex64[Tensor, "V J 3"]) -> Complex64[Tensor, "V J 3"]:
     return field * torch.sqrt((1 + SOFTNESS**2) / (power + SOFTNESS**2))
 
 
-def prepare_tree(network: SmallNetwork, voxels: SurfaceVoxels, wind: Wind) -> PreparedTree:
+def prepare_tree(
+    network: SmallNetwork, voxels: SurfaceVoxels, wind: Wind, *, max_voxels: int = MAX_NETWORK_VOXELS
+) -> PreparedTree:
     """Measure the tree, ask the amplitude network, make the matrices."""
-    coarse, finer = coarsened(voxels, halvings_between(voxels.grid, network.preset.resolution, "small"))
+    halvings = halvings_served(voxels.grid, network.preset.resolution, "small", max_voxels=max_voxels)
+    coarse, finer = coarsened(voxels, halvings)
     tree, air, top = tree_features(coarse), wind_vector([wind]), network.preset.top
     height_m, axes = float(tree.height_m[0]), wind_axes(wind)
     foliage_values = network.foliage(tree)

@@ -17,7 +17,7 @@ from dynamictree.models.small.denoiser import DenoiserShape
 from dynamictree.models.small.generate import MAX_VOXELS, SmallModel, write_small
 from dynamictree.models.small.network import SmallNetwork, SmallPreset
 from dynamictree.models.small.prepared import soften
-from dynamictree.models.voxel_resolution import coarsened
+from dynamictree.models.voxel_resolution import coarsened, halvings_served
 from dynamictree.spectrum import Wind
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import SurfaceVoxels
@@ -119,6 +119,28 @@ def test_a_finer_grid_is_generated_at_the_networks_own_and_raised(model: SmallMo
     assert coarsened(voxels, 0) == (voxels, None)
 
 
+def test_a_dense_tree_is_generated_on_a_coarser_grid_and_raised(model: SmallModel) -> None:
+    dense = _block(20)
+    small = SmallModel(model.network, name="tiny", max_network_voxels=len(dense.grid) - 1)
+    spectrum = small.generate(dense, wind=WIND, seed=0, num_steps=1)
+    pairs = spectrum.coefficients.reshape(10, 2, 10, 2, 10, 2, 16, 3)
+    within = np.ptp(np.abs(pairs), axis=(1, 3, 5)).mean()
+    assert np.isfinite(spectrum.coefficients).all()
+    assert 0 < within < 0.5 * np.abs(pairs).mean()  # eight voxels of one node differ by interpolation alone
+
+
+def test_a_grid_is_halved_until_the_network_can_read_it() -> None:
+    grid = _block(16).grid
+    for most, halvings in ((16**3, 0), (8**3, 1), (8**3 - 1, 2), (1, 4)):
+        assert halvings_served(grid, 128, "small", max_voxels=most) == halvings
+
+
+def _block(side: int, resolution: int = 128) -> SurfaceVoxels:
+    coords = np.argwhere(np.ones((side, side, side), bool)).astype(np.int32)
+    grid = VoxelGrid(coords=coords, origin_m=(0.0, 0.0, 0.0), voxel_size_m=0.1, resolution=resolution)
+    return SurfaceVoxels(grid=grid, normals=np.broadcast_to(np.float32([0, 0, 1]), coords.shape))
+
+
 def test_what_the_model_does_not_serve_is_refused(model: SmallModel, voxels: SurfaceVoxels) -> None:
     coarse = VoxelGrid.from_coords(
         voxels.grid.coords // 2, origin_m=voxels.grid.origin_m, voxel_size_m=0.2, resolution=64
@@ -126,11 +148,10 @@ def test_what_the_model_does_not_serve_is_refused(model: SmallModel, voxels: Sur
     blank = SurfaceVoxels(grid=coarse, normals=np.zeros((len(coarse), 3), np.float32))
     with pytest.raises(InputError, match="accepts 128, 256 and 512"):
         model.generate(blank, wind=WIND, seed=0)
-    full = np.argwhere(np.ones((54, 54, 54), bool)).astype(np.int32)
-    assert len(full) > MAX_VOXELS
-    block = VoxelGrid.from_coords(full, origin_m=(0.0, 0.0, 0.0), voxel_size_m=0.1, resolution=128)
-    with pytest.raises(InputError, match="157,464 voxels; at most 150,000"):
-        model.generate(SurfaceVoxels(grid=block, normals=np.zeros((len(block), 3), np.float32)), wind=WIND, seed=0)
+    block = _block(134, resolution=256)
+    assert len(block.grid) > MAX_VOXELS
+    with pytest.raises(InputError, match="2,406,104 voxels; at most 2,400,000 are allowed; take a lower resolution"):
+        model.generate(block, wind=WIND, seed=0)
     for wind, reason in (
         (replace(WIND, speed_m_s=31.0), "speed is 31"),
         (replace(WIND, gust=-0.1), "gust is -0.1"),

@@ -1,0 +1,84 @@
+"""Dense foliage is served: generated on a grid that the network can read, and raised to the one that was asked for."""
+
+import io
+import resource
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dynamictree import method
+from dynamictree.devoxelize.smooth import smooth
+from dynamictree.export.write import write_products
+from dynamictree.formats.tensors.spectrum import read_spectrum, write_spectrum
+from dynamictree.mesh import TriangleMesh
+from dynamictree.models import load_model
+from dynamictree.models.small.generate import SmallModel
+from dynamictree.requests import ExportParams
+from dynamictree.spectrum import SparseVoxelSpectrum, Wind
+
+MAX_BYTES = 4 << 30
+
+
+def bush(num_cards: int, *, card_m: float, radius_m: float = 2.5) -> TriangleMesh:
+    """A ball of square cards at random, on a square trunk."""
+    rng = np.random.default_rng(0)
+    directions = rng.normal(size=(num_cards, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    middles = directions * np.cbrt(rng.random((num_cards, 1))) * radius_m + [0, 0, 1.05 * radius_m]
+    along, across = np.linalg.qr(rng.normal(size=(num_cards, 3, 2)))[0].transpose(2, 0, 1) * card_m / 2
+    cards = middles[:, None] + np.stack([-along - across, along - across, along + across, across - along], axis=1)
+    square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * 0.05
+    trunk = np.concatenate([np.c_[square, np.zeros(4)], np.c_[square, np.full(4, radius_m)]])
+    sides = [(i, (i + 1) % 4, (i + 1) % 4 + 4) for i in range(4)] + [(i, (i + 1) % 4 + 4, i + 4) for i in range(4)]
+    squares = 4 * np.arange(num_cards)[:, None, None] + np.array([[0, 1, 2], [0, 2, 3]])
+    return TriangleMesh(
+        vertices=np.concatenate([trunk, cards.reshape(-1, 3)]).astype(np.float32),
+        faces=np.concatenate([np.array(sides), 8 + squares.reshape(-1, 3)]).astype(np.int32),
+    )
+
+
+def rms_m(spectrum: SparseVoxelSpectrum) -> float:
+    """Of the motion about its mean pose."""
+    power = np.abs(spectrum.coefficients[:, 1:]) ** 2
+    return float(np.sqrt(2 * power.sum(axis=(1, 2)).mean()))
+
+
+def test_a_bush_moves_as_much_when_it_is_generated_coarsely(tmp_path: Path) -> None:
+    mesh = bush(120, card_m=0.2)
+    voxels = method.voxelize(mesh)
+    shipped = load_model("small")
+    assert isinstance(shipped, SmallModel)
+    small = SmallModel(shipped.network, name="small", max_network_voxels=len(voxels.grid) - 1)
+    fine, coarse = (model.generate(voxels, wind=Wind(), seed=0, num_steps=1) for model in (shipped, small))
+    assert rms_m(coarse) == pytest.approx(rms_m(fine), rel=0.3)
+    stream = io.BytesIO()
+    write_spectrum(coarse, stream)
+    stream.seek(0)
+    assert len(read_spectrum(stream).grid) == len(voxels.grid)
+    paths = write_products(mesh, coarse, ExportParams(formats=("glb",)), tmp_path)
+    assert paths["glb"].stat().st_size > 0
+
+
+def test_a_mesh_too_large_for_a_fit_moves_by_the_means_of_its_voxels() -> None:
+    mesh = bush(60, card_m=0.2)
+    grid = method.voxelize(mesh).grid
+    interpolation = smooth(grid, mesh, max_factored=1)
+    assert interpolation.fit is None
+    shear = grid.centres_m * np.float32([0.1, 0, 0])
+    exact = mesh.vertices * np.float32([0.1, 0, 0])
+    np.testing.assert_allclose(interpolation.apply(shear), exact, atol=0.1 * 0.2)  # of the size of a card
+
+
+@pytest.mark.slow
+def test_a_million_voxels_are_served_in_bounded_memory() -> None:
+    mesh = bush(110_000, card_m=0.15)
+    voxels = method.voxelize(mesh)
+    assert 900_000 < len(voxels.grid) < 1_400_000
+    spectrum = method.generate(voxels)
+    assert len(spectrum.grid) == len(voxels.grid)
+    assert np.isfinite(spectrum.coefficients).all()
+    assert 0.01 < rms_m(spectrum) < 1.0
+    motion = method.devoxelize(spectrum, mesh)
+    assert np.abs(motion).max() <= 1.5 * np.abs(spectrum.coefficients).max()
+    assert 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss < MAX_BYTES
