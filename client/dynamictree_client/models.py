@@ -110,8 +110,9 @@ class Asset(Model):
     id: str
     kind: Literal["mesh", "photos", "cloud"]
     parts: "list[Part]"
-    # what was found in it, lengths in metres; `warnings` are objects with `code` and `message`
-    summary: dict[str, str | int | float | list[float] | list[dict[str, str]] | None]
+    # what was found in it, lengths in metres; `warnings` are objects with `code` and `message`, `still_parts` what
+    # is not the plant and does not move: `name` and `why`
+    summary: dict[str, str | int | float | list[float] | list[dict[str, str | int]] | None]
     # RFC 3339, UTC
     created_at: datetime
     # RFC 3339, UTC

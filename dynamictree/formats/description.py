@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from dynamictree.gaussian.capture import Capture
+from dynamictree.gaussian.capture import Capture, moving_part
 from dynamictree.mesh import TriangleMesh
 from dynamictree.spectrum import SparseVoxelSpectrum
 from dynamictree.voxel.grid import VoxelGrid
@@ -32,11 +32,15 @@ def describe_mesh(mesh: TriangleMesh) -> dict[str, Any]:
 def describe_capture(capture: Capture) -> dict[str, Any]:
     """Counts, place [m] and how the source's axes and units were read."""
     cloud = capture.cloud
+    sizes = np.bincount(np.zeros(0, np.uint8) if capture.part_of is None else capture.part_of, minlength=1)[1:]
     low, high = cloud.means.min(axis=0).astype(np.float64), cloud.means.max(axis=0).astype(np.float64)
     return {
         "num_gaussians": cloud.num_gaussians,
         "sh_degree": cloud.sh_degree,
-        "num_movable": cloud.num_gaussians if capture.mask is None else int(capture.mask.sum()),
+        "num_movable": int(moving_part(capture).sum()),
+        "still_parts": [
+            asdict(part) | {"num_gaussians": int(size)} for part, size in zip(capture.still_parts, sizes, strict=True)
+        ],
         "extent_m": (high - low).round(4).tolist(),
         "low_m": low.round(4).tolist(),
         "source_up_axis": cloud.source_up_axis,

@@ -11,7 +11,7 @@ from dynamictree.formats.cloud_size import sized
 from dynamictree.formats.mesh_file import read_mesh, sniff_file_type
 from dynamictree.formats.seekable import SeekableReader
 from dynamictree.formats.splat.mask import read_mask
-from dynamictree.gaussian.capture import Capture
+from dynamictree.gaussian.capture import Capture, with_still_parts
 
 SourceKind = Literal["mesh", "cloud"]
 HEAD_BYTES = 64 * 1024
@@ -70,7 +70,7 @@ def read_capture(
     cloud, doubts = sized(
         read_cloud(stream, file_type=file_type, up_axis=up_axis, unit_m=unit_m), height_m=height_m, stated=stated
     )
-    capture = Capture(cloud=cloud, mask=None if mask is None else read_mask(mask), warnings=doubts)
+    capture = with_still_parts(Capture(cloud=cloud, mask=None if mask is None else read_mask(mask), warnings=doubts))
     if mesh is None:
         return capture
     name, content = mesh

@@ -1,14 +1,18 @@
 """A splat or scan as someone sends it: the cloud, which of it may move, and a mesh if one came with it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, UInt8
+from scipy.spatial import cKDTree
 
 from dynamictree.errors import InputError
 from dynamictree.gaussian.cloud import GaussianCloud, in_box
+from dynamictree.gaussian.still_gaussians import StillPart, find_still_gaussians
 from dynamictree.mesh import SourceWarning, TriangleMesh
 from dynamictree.requests import Box
+
+_VISIBLE = 0.1  # opacity of Gaussians that decide on the faces near them
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,6 +23,8 @@ class Capture:
     mask: Bool[np.ndarray, " G"] | None = None  # which Gaussians may move; all if there is none
     mesh: TriangleMesh | None = None  # what they hang on, where the cloud is; made from the cloud if there is none
     warnings: tuple[SourceWarning, ...] = ()
+    still_parts: tuple[StillPart, ...] = ()  # what was found to be no plant
+    part_of: UInt8[np.ndarray, " G"] | None = None  # number of the part from 1, or 0; None if there are none
 
     def __post_init__(self) -> None:
         if self.mask is not None and len(self.mask) != self.cloud.num_gaussians:
@@ -30,13 +36,23 @@ class Capture:
             raise InputError("the mask lets no Gaussian move; set it to 1 where the tree is")
 
 
+def with_still_parts(capture: Capture) -> Capture:
+    """The capture with what is not the plant found in it, unless a mask says what may move."""
+    if capture.mask is not None:
+        return capture
+    parts, part_of = find_still_gaussians(capture.cloud)
+    return replace(capture, still_parts=parts, part_of=part_of) if parts else capture
+
+
 def moving_part(capture: Capture, box_m: Box | None = None) -> Bool[np.ndarray, " G"]:
-    """Which Gaussians may move: those of the mask and in the box.
+    """Which Gaussians may move: those of the mask, or of the plant if there is none, and in the box.
 
     Raises:
         InputError: there are none.
     """
     mask = np.ones(capture.cloud.num_gaussians, np.bool_) if capture.mask is None else capture.mask
+    if capture.part_of is not None:
+        mask = mask & (capture.part_of == 0)
     if box_m is None:
         return mask
     both: Bool[np.ndarray, " G"] = mask & in_box(capture.cloud, *box_m)
@@ -48,10 +64,25 @@ def moving_part(capture: Capture, box_m: Box | None = None) -> Bool[np.ndarray, 
 def carrying_mesh(capture: Capture, box_m: Box | None = None) -> TriangleMesh:
     """The mesh that was sent, or one of the part that moves: what is voxelised, and what the Gaussians hang on.
 
+    Of a mesh that was sent, faces stand still where Gaussians do.
+
     Raises:
         InputError: nothing is in the box, or nothing is opaque enough to have a surface.
     """
     from dynamictree.gaussian.surface import mesh_of_cloud
 
     moving = moving_part(capture, box_m)
-    return capture.mesh or mesh_of_cloud(capture.cloud.subset(moving))
+    if capture.mesh is None:
+        return mesh_of_cloud(capture.cloud.subset(moving))
+    return capture.mesh if moving.all() else _still_where_gaussians_are(capture.mesh, capture.cloud, ~moving)
+
+
+def _still_where_gaussians_are(mesh: TriangleMesh, cloud: GaussianCloud, still: Bool[np.ndarray, " G"]) -> TriangleMesh:
+    visible = np.flatnonzero(cloud.opacity >= _VISIBLE)
+    if len(visible) == 0:
+        return mesh
+    middles = mesh.vertices[mesh.faces].mean(axis=1)
+    faces = still[visible][cKDTree(cloud.means[visible]).query(middles)[1]]
+    if mesh.still_faces is not None:
+        faces |= mesh.still_faces
+    return mesh if faces.all() else replace(mesh, still_faces=faces)

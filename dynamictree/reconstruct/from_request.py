@@ -1,10 +1,11 @@
 """Reconstruction as the command line and a job request it."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from dynamictree.formats.suffixes import PHOTO_SUFFIXES
-from dynamictree.gaussian.capture import Capture
+from dynamictree.gaussian.capture import Capture, carrying_mesh, with_still_parts
 from dynamictree.reconstruct import ReconstructOptions, reconstruct
 from dynamictree.reconstruct.optimise import Schedule
 from dynamictree.reconstruct.photo_input import ReadPhotos, read_photos
@@ -46,4 +47,5 @@ def reconstruct_capture(
         read_photos=read_photos,
         on_progress=lambda progress: on_progress(progress.total),
     )
-    return Capture(cloud=result.splat, mesh=result.mesh)
+    capture = with_still_parts(Capture(cloud=result.splat, mesh=result.mesh))
+    return replace(capture, mesh=carrying_mesh(capture))

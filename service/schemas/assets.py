@@ -25,8 +25,9 @@ class AssetPayload(Payload):
     id: str
     kind: AssetKind
     parts: list[PartPayload]
-    summary: dict[str, str | int | float | list[float] | list[dict[str, str]] | None] = Field(
-        description="what was found in it, lengths in metres; `warnings` are objects with `code` and `message`"
+    summary: dict[str, str | int | float | list[float] | list[dict[str, str | int]] | None] = Field(
+        description="what was found in it, lengths in metres; `warnings` are objects with `code` and `message`, "
+        "`still_parts` what is not the plant and does not move: `name` and `why`"
     )
     created_at: Time
     expires_at: Time

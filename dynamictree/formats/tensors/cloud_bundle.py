@@ -3,6 +3,8 @@
 Internal: written by the process that parses an upload, read by those that must not parse it again.
 """
 
+import json
+from dataclasses import asdict
 from io import BytesIO
 
 import numpy as np
@@ -13,6 +15,7 @@ from dynamictree.formats.tensors.container import number, read_tensors, take_ten
 from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle, write_mesh_bundle
 from dynamictree.gaussian.capture import Capture
 from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.gaussian.still_gaussians import StillPart
 
 FORMAT, VERSION = "cloud-bundle", "1"
 MAX_BYTES = 3 << 30
@@ -35,7 +38,10 @@ def write_cloud_bundle(capture: Capture, stream: ByteWriter) -> None:
         packed = BytesIO()
         write_mesh_bundle(capture.mesh, packed)
         tensors["mesh"] = np.frombuffer(packed.getvalue(), np.uint8)
+    if capture.part_of is not None:
+        tensors["part_of"] = capture.part_of
     source = {"source_up_axis": cloud.source_up_axis, "source_scale": repr(float(cloud.source_scale))}
+    source["still_parts"] = json.dumps([asdict(part) for part in capture.still_parts])
     write_tensors(stream, tensors, {"format": FORMAT, "version": VERSION} | source)
 
 
@@ -49,10 +55,14 @@ def read_cloud_bundle(stream: ByteReader) -> Capture:
     tensors, metadata = read_tensors(stream, file_format=FORMAT, version=VERSION, max_bytes=MAX_BYTES)
     parts = {name: take_tensor(tensors, name, dtypes=("float32",), shape=shape) for name, shape in _SHAPES.items()}
     mask = take_tensor(tensors, "mask", dtypes=("uint8",), shape=(None,)) if "mask" in tensors else None
+    parts_text = metadata.get("still_parts", "[]")
+    part_of = take_tensor(tensors, "part_of", dtypes=("uint8",), shape=(None,)) if "part_of" in tensors else None
     return Capture(
         cloud=GaussianCloud(
             **parts, source_up_axis=metadata["source_up_axis"], source_scale=number(metadata, "source_scale")
         ),
         mask=None if mask is None else mask.astype(np.bool_),
         mesh=read_mesh_bundle(BytesIO(tensors["mesh"].tobytes()), with_source=True) if "mesh" in tensors else None,
+        still_parts=tuple(StillPart(**part) for part in json.loads(parts_text)),
+        part_of=part_of,
     )

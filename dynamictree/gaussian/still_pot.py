@@ -1,0 +1,173 @@
+"""Pots in a cloud: a closed wall from the bottom up, with soil in it, out of which something narrower rises."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+
+from dynamictree.gaussian.still_ground import Points, is_level
+
+Wall = tuple[Float64[np.ndarray, "2"], Float64[np.ndarray, " S"]]
+"""Axis, and distance from it in each sector [m]."""
+
+_MOST_OF_A_SLICE = 2000  # points; enough for its outline
+_STRAYS = 0.002  # of the points at the bottom
+_SECTORS = 24
+_SLICES = 60  # of the height
+_HIGHEST = 0.6  # of the height: the soil lies below
+_THICKEST = 5  # slices that the soil may fill
+_LEAST_SLICES = 4  # of wall below the soil
+_WALLED = 0.6  # of the sectors, and of the slices below the soil
+_THIN = 0.1  # spread of a wall over its distance from the axis
+_LEAST_RADIUS = 0.04  # of the height
+_INSIDE = 0.8  # of the outline: here the soil is seen
+_SOIL = 0.85  # of the cells inside, at least, are filled by soil
+_RISING = 0.65  # of them, at most, by what rises out of it; and by what is below
+_CELLS = 8  # along the outline's radius
+_OUTSIDE = 1.12  # of the outline: so far out something is still of the pot
+_SAUCER = (1.6, 0.15)  # of the outline, and of the height of the soil
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pot:
+    """Where a pot is [m]."""
+
+    axis: Float64[np.ndarray, "2"]
+    outline: Float64[np.ndarray, " S"]  # distance of its wall in each sector
+    low: float
+    soil: float
+    rim: float
+
+
+def find_pot(points: Points, height_m: float, rng: np.random.Generator) -> Pot | None:
+    """The pot that the lowest of the points are of, or None where none is to be seen for sure.
+
+    A trunk is a closed wall as well, but nothing level fills it.
+    """
+    low = float(np.quantile(points[:, 2], _STRAYS))
+    side = height_m / _SLICES
+    order = np.argsort(points[:, 2])
+    ends = np.searchsorted(points[order, 2], low + side * np.arange(int(_SLICES * _HIGHEST) + 1))
+    rows = [points[order[a:b]] for a, b in pairwise(ends)]
+    walls = [_wall(row) for row in rows]
+    for soil in range(_LEAST_SLICES, len(rows) - 1):
+        below = [wall for wall in walls[:soil] if wall is not None]
+        if len(below) < max(_LEAST_SLICES, _WALLED * soil):
+            continue
+        wall = _joined(below)
+        if np.median(wall[1]) < _LEAST_RADIUS * height_m:
+            continue
+        top = _top_of_soil(rows, soil, wall)
+        if top is None or not _is_soil(rows[soil:top], wall, rng):
+            continue
+        rim = top
+        while rim < len(rows) and _goes_on(walls[rim], wall):
+            rim += 1
+        axis, outline = _joined(below + [one for one in walls[soil:rim] if one is not None and _goes_on(one, wall)])
+        return Pot(axis=axis, outline=outline, low=low, soil=low + top * side, rim=low + rim * side)
+    return None
+
+
+def in_pot(pot: Pot, points: Points) -> Bool[np.ndarray, " P"]:
+    """Which points are of a pot: below the top of its soil, in the rim around it, or in a saucer below it."""
+    away, sector = _polar(points, pot.axis)
+    share, height = away / pot.outline[sector], points[:, 2]
+    saucer = (share < _SAUCER[0]) & (height < pot.low + _SAUCER[1] * (pot.soil - pot.low))
+    below = (share < _OUTSIDE) & (height < pot.soil)
+    rim = (share < _OUTSIDE) & (share > _INSIDE) & (height < pot.rim)
+    inside: Bool[np.ndarray, " P"] = saucer | below | rim
+    return inside
+
+
+def _polar(
+    points: Float64[np.ndarray, "P _"], axis: Float64[np.ndarray, "2"]
+) -> tuple[Float64[np.ndarray, " P"], Int64[np.ndarray, " P"]]:
+    """Distance of points from a vertical axis [m], and the sector that they lie in."""
+    offset = points[:, :2] - axis
+    turn = np.arctan2(offset[:, 1], offset[:, 0]) / (2 * np.pi) % 1
+    return np.hypot(offset[:, 0], offset[:, 1]), np.minimum((turn * _SECTORS).astype(np.int64), _SECTORS - 1)
+
+
+def _wall(points: Points) -> Wall | None:
+    """The wall that most points of a slice lie on, or None."""
+    if len(points) < 2 * _SECTORS:
+        return None
+    points = points[:: -(-len(points) // _MOST_OF_A_SLICE)]
+    axis = np.asarray(points[:, :2].mean(axis=0))
+    for _ in range(6):
+        distance, spread = _by_sector(points, axis)
+        seen = np.isfinite(distance)
+        if seen.sum() < _WALLED * _SECTORS:
+            return None
+        turn = (np.flatnonzero(seen) + 0.5) / _SECTORS * 2 * np.pi
+        on = distance[seen, None] * np.column_stack([np.cos(turn), np.sin(turn)])
+        circle = np.linalg.lstsq(np.column_stack([2 * on, np.ones(len(on))]), (on**2).sum(axis=1), rcond=None)[0]
+        axis = axis + circle[:2]
+    thin = spread < _THIN * distance  # not where unseen
+    if thin.sum() < _WALLED * _SECTORS:
+        return None
+    return axis, np.where(thin, distance, np.median(distance[thin]))
+
+
+def _by_sector(
+    points: Points, axis: Float64[np.ndarray, "2"]
+) -> tuple[Float64[np.ndarray, " S"], Float64[np.ndarray, " S"]]:
+    """Median distance from the axis in each sector, and the median deviation from it; NaN where nothing is [m]."""
+    away, sector = _polar(points, axis)
+    distance = _middle(away, sector)
+    return distance, _middle(np.abs(away - distance[sector]), sector)
+
+
+def _middle(values: Float64[np.ndarray, " P"], sector: Int64[np.ndarray, " P"]) -> Float64[np.ndarray, " S"]:
+    """Median of the values in each sector; NaN where there are fewer than two."""
+    count = np.bincount(sector, minlength=_SECTORS)
+    place = np.minimum(np.cumsum(count) - count + count // 2, len(values) - 1)
+    return np.where(count >= 2, values[np.lexsort((values, sector))][place], np.nan)
+
+
+def _joined(walls: Sequence[Wall]) -> Wall:
+    """One wall around several slices."""
+    return np.median([axis for axis, _ in walls], axis=0), np.max([outline for _, outline in walls], axis=0)
+
+
+def _goes_on(one: Wall | None, wall: Wall) -> bool:
+    """Whether a slice's wall is that of the slices below."""
+    if one is None:
+        return False
+    radius = float(np.median(wall[1]))
+    beside = float(np.hypot(*(one[0] - wall[0])))
+    return bool(beside < 0.25 * radius and 0.7 < np.median(one[1]) / radius < 1.4)
+
+
+def _top_of_soil(rows: Sequence[Points], soil: int, wall: Wall) -> int | None:
+    """The slice above a layer that fills the outline and begins at a slice; None if it is no thin layer."""
+    if any(_filled(row, wall) > _RISING for row in rows[soil - 2 : soil]):
+        return None
+    if _filled(np.concatenate(rows[soil : soil + 2]), wall) < _SOIL:
+        return None
+    for top in range(soil + 1, min(soil + _THICKEST, len(rows) - 1) + 1):
+        if _filled(rows[top], wall) <= _RISING:
+            return top
+    return None
+
+
+def _filled(points: Points, wall: Wall) -> float:
+    """Share of the cells inside the outline that hold a point."""
+    axis, outline = wall
+    side = float(np.median(outline)) / _CELLS
+    across = (np.arange(-_CELLS, _CELLS) + 0.5) * side
+    away, sector = _polar(np.stack(np.meshgrid(across, across, indexing="ij"), axis=-1).reshape(-1, 2), np.zeros(2))
+    inside = away < _INSIDE * outline[sector]
+    cells = np.floor((points[:, :2] - axis) / side).astype(np.int64) + _CELLS
+    cells = cells[((cells >= 0) & (cells < 2 * _CELLS)).all(axis=1)]
+    hold = np.zeros((2 * _CELLS, 2 * _CELLS), np.bool_)
+    hold[cells[:, 0], cells[:, 1]] = True
+    return float(hold.ravel()[inside].mean())
+
+
+def _is_soil(rows: Sequence[Points], wall: Wall, rng: np.random.Generator) -> bool:
+    layer = np.concatenate(rows)
+    away, sector = _polar(layer, wall[0])
+    return is_level(layer[away < _INSIDE * wall[1][sector]], float(np.median(wall[1])) / 4, rng)
