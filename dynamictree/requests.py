@@ -149,7 +149,7 @@ class GeneratorGridParams(Request):
 class ModelParams(Request):
     """Which model generates the motion, and which of its motions."""
 
-    preset: str = Field(default="small", max_length=64, description="The model that generates the motion")
+    preset: str = Field(default="small", max_length=1024, description="The model that generates the motion")
     seed: int = Field(default=0, ge=0, le=MAX_SEED, description="The same seed gives the same motion")
 
 

@@ -21,6 +21,8 @@ OPTION_NAMES = {
     "elevation_deg": "elevation",
 }
 """Of the fields whose option is not called as they are, in kebab-case."""
+_SECOND_NAMES = {"preset": ("--model",)}
+"""Options that may be written in two ways: a model may also be a file of weights."""
 _TYPES = {"integer": int, "number": float, "boolean": bool, "string": str, "array": str}
 
 Schema = dict[str, Any]
@@ -84,7 +86,8 @@ def _parameter(name: str, schema: Schema) -> inspect.Parameter:
         inspect.Parameter.KEYWORD_ONLY,
         default=default,
         annotation=Annotated[
-            python_type | None if default is None else python_type, typer.Option(declared, help=help_text)
+            python_type | None if default is None else python_type,
+            typer.Option(declared, *_SECOND_NAMES.get(name, ()), help=help_text),
         ],
     )
 

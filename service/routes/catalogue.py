@@ -72,9 +72,14 @@ class LimitsPayload(Payload):
     asset_retention_s: float = Field(description="lifetime of uploads after their last use [s]")
 
 
+MAX_PRESET_NAME = 64
+"""Characters that the job store has for a model's name."""
+
+
 def preset_sizes() -> dict[str, int]:
     """Models that jobs may name, with the size of their weights [bytes]."""
-    return {name: path.stat().st_size for name, path in sorted(list_weights().items())}
+    models = sorted(list_weights().items())
+    return {name: path.stat().st_size for name, path in models if len(name) <= MAX_PRESET_NAME}
 
 
 def require_preset(name: str) -> None:
