@@ -21,7 +21,7 @@ from jobs.tracing import span, tracer
 from worker.app import app, stopping
 from worker.attempt import run_stages
 from worker.cancellation import HandedBack, Watch
-from worker.memory_limit import is_out_of_memory, limit_memory
+from worker.memory_limit import is_out_of_memory, limit_memory, return_freed_memory
 from worker.runtime import Runtime, close_runtime, load_heavy_modules, runtime
 
 logger = logging.getLogger(__name__)
@@ -35,6 +35,10 @@ class JobTask(Task):  # type: ignore[misc]
     """Writes how an attempt ended, when it did not end well."""
 
     throws = (Cancelled, FencedError, HandedBack, DynamicTreeError, *TYPED)  # expected; logged without a traceback
+
+    def after_return(self, *_: object) -> None:
+        """Called by Celery in the process that ran the task, however it ended."""
+        return_freed_memory()
 
     def on_failure(
         self, exc: BaseException, task_id: str, args: tuple[str, int], kwargs: dict[str, object], einfo: object

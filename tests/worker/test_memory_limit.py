@@ -32,6 +32,24 @@ def test_an_allocation_beyond_the_limit_raises(allowed: int, printed: str) -> No
     assert done.stdout.strip() == printed
 
 
+FREED = """
+import psutil
+from worker.memory_limit import return_freed_memory
+
+blocks = [b"x" * 60_000 for _ in range(4000)]  # below the size that is mapped by itself
+last = b"x" * 60_001  # above them all, so that the heap does not shrink by itself
+del blocks
+before = psutil.Process().memory_full_info().uss
+return_freed_memory()
+print((before - psutil.Process().memory_full_info().uss) / 2**20)
+"""
+
+
+def test_freed_memory_is_returned_to_the_system() -> None:
+    done = subprocess.run([sys.executable, "-c", FREED], capture_output=True, text=True, check=True, timeout=120)
+    assert float(done.stdout) > 200  # of 229 MiB
+
+
 @pytest.mark.parametrize("name", ["memory.max", "memory/memory.limit_in_bytes"])
 def test_a_container_has_what_its_group_allows(tmp_path: Path, name: str) -> None:
     (tmp_path / name).parent.mkdir(exist_ok=True)
