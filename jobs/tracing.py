@@ -9,12 +9,18 @@ from functools import cache
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from opentelemetry.sdk.trace import TracerProvider
     from opentelemetry.trace import Span, SpanKind, Tracer
 
 
-@cache
 def tracer(endpoint: str, process: str) -> "Tracer":
-    """Spans of this process, sent to a collector in batches. One for each process; not to be made before a fork."""
+    """Spans of this process, sent to a collector in batches."""
+    return tracer_provider(endpoint, process).get_tracer("dynamictree")
+
+
+@cache
+def tracer_provider(endpoint: str, process: str) -> "TracerProvider":
+    """One for each process; not to be made before a fork."""
     from opentelemetry.exporter.otlp.proto.http.trace_exporter import OTLPSpanExporter
     from opentelemetry.sdk.resources import Resource
     from opentelemetry.sdk.trace import TracerProvider
@@ -23,7 +29,7 @@ def tracer(endpoint: str, process: str) -> "Tracer":
     provider = TracerProvider(resource=Resource.create({"service.name": f"dynamictree-{process}"}))
     sender = OTLPSpanExporter(endpoint=endpoint.rstrip("/") + "/v1/traces")
     provider.add_span_processor(BatchSpanProcessor(sender, schedule_delay_millis=1000))
-    return provider.get_tracer("dynamictree")
+    return provider
 
 
 @contextmanager

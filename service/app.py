@@ -21,7 +21,6 @@ from service.http.audit import Audited
 from service.http.authentication import Authentication
 from service.http.middleware import BodyLimit, RequestFrame
 from service.http.problems import problem_response, request_id_of
-from service.http.tracing import Traced
 from service.openapi.document import DESCRIPTION, SERVERS, described
 from service.routes import (
     artifacts,
@@ -133,9 +132,11 @@ def create_app(settings: Settings | None = None) -> FastAPI:
             expose_headers=EXPOSED,
         )
     app.add_middleware(Measured)
-    if settings.otlp_endpoint is not None:
-        app.add_middleware(Traced, endpoint=settings.otlp_endpoint)
     app.add_middleware(RequestFrame)
+    if settings.otlp_endpoint is not None:
+        from service.http.tracing import trace_requests
+
+        trace_requests(app, settings.otlp_endpoint)
     return app
 
 

@@ -54,12 +54,15 @@ def test_one_trace_from_the_client_over_the_request_to_the_worker(
         body = {"type": "voxelize", "asset_id": asset.id}
         payload = client.post("/v1/jobs", json=body, headers={"traceparent": CLIENT}).json()
         lease = hold(client.app.state.services, payload["id"])  # type: ignore[attr-defined]
+        client.get(f"/v1/artifacts/{lease.job.id}?key_id=1&expires=1&signature=secret")
     parent = lease.job.traceparent
     with span(tracer(endpoint, "worker"), "run voxelize", parent=parent, kind=SpanKind.CONSUMER, job_id=lease.job.id):
         pass
     for process in ("api", "worker"):
         tracer(endpoint, process).span_processor.force_flush()  # type: ignore[attr-defined]
+    assert all(b"secret" not in one.SerializeToString() for one in spans)
     by_name = {one.name: one for one in spans}
+    assert "GET /v1/artifacts/{id}" in by_name
     request, attempt = by_name["POST /v1/jobs"], by_name["run voxelize"]
     assert {one.trace_id.hex() for one in (request, attempt)} == {CLIENT.split("-")[1]}
     assert request.parent_span_id.hex() == CLIENT.split("-")[2]
