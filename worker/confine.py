@@ -29,19 +29,41 @@ _NUMBER_AT, _MACHINE_AT = 0, 4  # in struct seccomp_data
 _X32 = 0x4000_0000  # the other numbering of x86_64
 
 _MACHINES = {"x86_64": 0xC000_003E, "aarch64": 0xC000_00B7}
-_DENIED: dict[str, tuple[int, ...]] = {
-    # socket connect accept sendto recvfrom sendmsg recvmsg bind listen socketpair accept4, execve execveat, ptrace
-    # process_vm_readv/writev kill pidfd_open pidfd_getfd, mount unshare setns open_by_handle_at bpf perf_event_open
-    # add_key request_key keyctl userfaultfd io_uring_setup/enter/register
-    "x86_64": (
-        *(41, 42, 43, 44, 45, 46, 47, 49, 50, 53, 288, 59, 322, 101, 310, 311, 62, 434, 438),
-        *(165, 272, 308, 304, 321, 298, 248, 249, 250, 323, 425, 426, 427),
-    ),
-    "aarch64": (
-        *(198, 203, 202, 206, 207, 211, 212, 200, 201, 199, 242, 221, 281, 117, 270, 271, 129, 434, 438),
-        *(40, 97, 268, 265, 280, 241, 217, 218, 219, 282, 425, 426, 427),
-    ),
+_DENIED = {
+    "socket": (41, 198),
+    "connect": (42, 203),
+    "accept": (43, 202),
+    "accept4": (288, 242),
+    "sendto": (44, 206),
+    "recvfrom": (45, 207),
+    "sendmsg": (46, 211),
+    "recvmsg": (47, 212),
+    "bind": (49, 200),
+    "listen": (50, 201),
+    "socketpair": (53, 199),
+    "execve": (59, 221),
+    "execveat": (322, 281),
+    "ptrace": (101, 117),
+    "process_vm_readv": (310, 270),
+    "process_vm_writev": (311, 271),
+    "kill": (62, 129),
+    "pidfd_open": (434, 434),
+    "pidfd_getfd": (438, 438),
+    "mount": (165, 40),
+    "unshare": (272, 97),
+    "setns": (308, 268),
+    "open_by_handle_at": (304, 265),
+    "bpf": (321, 280),
+    "perf_event_open": (298, 241),
+    "add_key": (248, 217),
+    "request_key": (249, 218),
+    "keyctl": (250, 219),
+    "userfaultfd": (323, 282),
+    "io_uring_setup": (425, 425),
+    "io_uring_enter": (426, 426),
+    "io_uring_register": (427, 427),
 }
+"""System calls and their numbers on each of `_MACHINES`."""
 
 _CREATE_RULESET, _ADD_RULE, _RESTRICT_SELF = 444, 445, 446
 _PATH_BENEATH = 1
@@ -83,7 +105,7 @@ def _filter_calls(libc: ctypes.CDLL) -> bool:
 
 def _program(machine: str) -> bytes:
     """Instructions of the filter: another machine's calls and the denied ones fail with EPERM."""
-    denied = _DENIED[machine]
+    denied = [numbers[list(_MACHINES).index(machine)] for numbers in _DENIED.values()]
     end = len(denied) + 2  # instructions from the first comparison to the denial
 
     def instruction(code: int, yes: int, no: int, value: int) -> bytes:

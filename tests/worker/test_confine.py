@@ -1,5 +1,7 @@
 """What a confined process can no longer do: each tried in a process of its own, before and after."""
 
+import ctypes
+import ctypes.util
 import json
 import subprocess
 import sys
@@ -106,3 +108,13 @@ def test_the_checkout_beside_the_code_stays_closed(tmp_path: Path) -> None:
     done = subprocess.run(program, env=child_environment(), cwd=FOLDER, capture_output=True, text=True, check=True)
     result = json.loads(done.stdout)
     assert (result["docker-compose.yml"], result["worker/parse.py"]) == ("PermissionError", "read")
+
+
+def test_denied_calls_have_the_numbers_of_libseccomp() -> None:
+    library = ctypes.util.find_library("seccomp")
+    if library is None:
+        pytest.skip("no libseccomp on this machine")
+    number_of = ctypes.CDLL(library).seccomp_syscall_resolve_name_arch
+    for i, architecture in enumerate(worker.confine._MACHINES.values()):
+        expected = {name: number_of(architecture, name.encode()) for name in worker.confine._DENIED}
+        assert {name: numbers[i] for name, numbers in worker.confine._DENIED.items()} == expected
