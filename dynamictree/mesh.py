@@ -6,7 +6,7 @@ from io import BytesIO
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int32, UInt8
+from jaxtyping import Bool, Float, Float32, Float64, Int32, UInt8
 
 from dynamictree.color import linear_to_srgb
 from dynamictree.errors import MeshError
@@ -68,6 +68,9 @@ class TriangleMesh:
     vertex_colors: UInt8[np.ndarray, "N 4"] | None = None  # sRGB and alpha
     face_material: Int32[np.ndarray, " F"] | None = None  # index into materials
     materials: tuple[Material, ...] = field(default=())
+    normals: Float32[np.ndarray, "N 3"] | None = (
+        None  # the source's own for shading, of unit length; 0 where it has none
+    )
     source_up_axis: str = "+Z"
     source_up_confidence: float = 1.0  # in [0, 1]; below 1 the axis was worked out from the shape
     source_scale: float = 1.0  # metres a unit of the source
@@ -149,7 +152,7 @@ class TriangleMesh:
 
     def with_vertices(self, vertices: Float32[np.ndarray, "N 3"]) -> "TriangleMesh":
         """Give the same mesh with other positions, in the same order [m]."""
-        return replace(self, vertices=vertices, source_gltf=None)
+        return replace(self, vertices=vertices, normals=None, source_gltf=None)
 
 
 def validate_mesh(mesh: TriangleMesh) -> TriangleMesh:
@@ -186,6 +189,25 @@ def validate_mesh(mesh: TriangleMesh) -> TriangleMesh:
             f"{MAX_EXTENT_RATIO:g} times its size; move it nearer to the origin"
         )
     return mesh
+
+
+def vertex_normals(vertices: Float64[np.ndarray, "N 3"], faces: Int32[np.ndarray, "F 3"]) -> Float64[np.ndarray, "N 3"]:
+    """Mean normal of the faces around each vertex, by area; not of unit length."""
+    a, b, c = vertices[faces[:, 0]], vertices[faces[:, 1]], vertices[faces[:, 2]]
+    crosses = np.cross(b - a, c - a)  # [F, 3], twice the area long
+    normals = np.zeros_like(vertices)
+    for axis in range(3):
+        for corner in range(3):
+            normals[:, axis] += np.bincount(faces[:, corner], crosses[:, axis], minlength=len(vertices))
+    return normals
+
+
+def unit_vectors(vectors: Float[np.ndarray, "N 3"]) -> Float32[np.ndarray, "N 3"]:
+    """The same directions; 0 where a vector is 0 or not finite."""
+    sound = np.nan_to_num(vectors, nan=0.0, posinf=0.0, neginf=0.0)
+    length = np.linalg.norm(sound, axis=1, keepdims=True)
+    units: Float32[np.ndarray, "N 3"] = (sound / np.where(length > 0, length, 1)).astype(np.float32)
+    return units
 
 
 def edges_of(faces: Int32[np.ndarray, "F 3"]) -> Int32[np.ndarray, "E 2"]:

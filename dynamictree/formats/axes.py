@@ -74,6 +74,7 @@ def mesh_to_z_up(
     return replace(
         mesh,
         vertices=(turned * scale).astype(np.float32),
+        normals=None if mesh.normals is None else (mesh.normals @ up_rotation(judged.axis).T).astype(np.float32),
         source_up_axis=judged.axis,
         source_up_confidence=round(judged.confidence, 3),
         source_scale=scale * mesh.source_scale,

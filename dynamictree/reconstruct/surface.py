@@ -10,14 +10,13 @@ from scipy.spatial import cKDTree
 
 from dynamictree.errors import InputError, ReconstructionError
 from dynamictree.gaussian.surface import mesh_of_cloud
-from dynamictree.mesh import TriangleMesh, edges_of
+from dynamictree.mesh import TriangleMesh, edges_of, vertex_normals
 from dynamictree.reconstruct.cameras import ADVICE
 from dynamictree.reconstruct.fusion import NOTHING, Surface, above, fuse, main_cluster
 from dynamictree.reconstruct.scene import GAP, LEAST_FACES, Scene
 from dynamictree.reconstruct.splat_table import cloud_of
 from dynamictree.reconstruct.views import SparseModel, View
 from dynamictree.render import Look, Renderer
-from dynamictree.render.shade import vertex_normals
 
 MAX_FACES = 120_000
 _FINE_VOXELS = 240  # along the longest side

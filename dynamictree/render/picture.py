@@ -10,13 +10,13 @@ from PIL import Image
 
 from dynamictree.byte_stream import ByteWriter
 from dynamictree.errors import InputError
-from dynamictree.mesh import TriangleMesh, validate_mesh
+from dynamictree.mesh import TriangleMesh, validate_mesh, vertex_normals
 from dynamictree.parallel import in_bands
 from dynamictree.render.appearance import appearance_of
 from dynamictree.render.camera import Camera
 from dynamictree.render.light import BARE_SUN, OPEN_SKY, SkyVolume, SunMap, sky_volume, sun_map
 from dynamictree.render.raster import ScreenTriangles, Visible, rasterise, screen_triangles
-from dynamictree.render.shade import Scene, View, shade_rows, vertex_normals
+from dynamictree.render.shade import Scene, View, shade_rows
 
 MAX_SIDE_PX = 4096
 """Of a picture: 4096² with 2×2 samples is half a gigabyte of z-buffer."""

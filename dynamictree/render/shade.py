@@ -42,17 +42,6 @@ class View(NamedTuple):
     supersampling: int
 
 
-def vertex_normals(vertices: Float64[np.ndarray, "N 3"], faces: Int32[np.ndarray, "F 3"]) -> Float64[np.ndarray, "N 3"]:
-    """Mean normal of the faces around each vertex, by area; not of unit length."""
-    a, b, c = vertices[faces[:, 0]], vertices[faces[:, 1]], vertices[faces[:, 2]]
-    crosses = np.cross(b - a, c - a)  # [F, 3], twice the area long
-    normals = np.zeros_like(vertices)
-    for axis in range(3):
-        for corner in range(3):
-            normals[:, axis] += np.bincount(faces[:, corner], crosses[:, axis], minlength=len(vertices))
-    return normals
-
-
 @compiled
 @no_type_check
 def shade_rows(first, end, picture, visible_face, triangles, scene, view):

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import DracoPy
 import numpy as np
-from jaxtyping import Float64, Int32, Shaped, UInt8
+from jaxtyping import Float32, Float64, Int32, Shaped, UInt8
 
 from dynamictree.color import linear_to_srgb
 from dynamictree.errors import FormatError, MeshError
@@ -19,7 +19,7 @@ from dynamictree.formats.gltf.scene import MeshInstance, mesh_instances
 from dynamictree.formats.gltf.source import PlacedPrimitive, keep_source
 from dynamictree.formats.json_fields import JsonObject, index_field, integer_field, object_field, object_list
 from dynamictree.formats.mesh.parts import MeshPart, first_vertices, join_parts
-from dynamictree.mesh import MAX_FACES, MAX_VERTICES, TriangleMesh
+from dynamictree.mesh import MAX_FACES, MAX_VERTICES, TriangleMesh, unit_vectors
 
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 
@@ -145,6 +145,7 @@ def _part(
         uv=texture_coordinates(read.attributes, entry, len(positions)),
         vertex_colors=_colors(read.attributes, len(positions)),
         material=-1 if material is None else material,
+        normals=_normals(read.attributes, transform[:3, :3] if skinned is None else skinned, len(positions)),
     )
     return part, skinned
 
@@ -156,7 +157,7 @@ def _read_primitive(document: GltfDocument, primitive: JsonObject) -> _Primitive
         return _decode_draco(document, extension)
     read = {}
     for name in attributes:
-        if name.startswith(("POSITION", "TEXCOORD_", "COLOR_0", "JOINTS_0", "WEIGHTS_0")):
+        if name.startswith(("POSITION", "NORMAL", "TEXCOORD_", "COLOR_0", "JOINTS_0", "WEIGHTS_0")):
             accessor = index_field(attributes, name, document.accessors, "accessors")
             assert accessor is not None
             read[name] = document.accessor(accessor)
@@ -214,6 +215,23 @@ def _skin_matrices(
     for i in range(rows.shape[1]):
         matrices += weights[:, i, None, None] * joints[rows[:, i], :3]
     return matrices
+
+
+def _normals(
+    attributes: Mapping[str, Shaped[np.ndarray, "n width"]], matrices: Float64[np.ndarray, "*n 3 3"], count: int
+) -> Float32[np.ndarray, "N 3"] | None:
+    """NORMAL as the node or the skin turns it; 0 where that has no direction."""
+    if "NORMAL" not in attributes:
+        return None
+    stored = attributes["NORMAL"].astype(np.float64)
+    if stored.shape != (count, 3):
+        raise FormatError(f"NORMAL has shape {list(stored.shape)}; {[count, 3]} is needed")
+    x, y, z = (matrices[..., i, :] for i in range(3))
+    cofactors = np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)], axis=-2)  # det · inverse transpose
+    sign = np.where((x * cofactors[..., 0, :]).sum(axis=-1) < 0, -1.0, 1.0)  # of the determinant
+    return unit_vectors(
+        np.einsum("...,...ij,nj->ni" if matrices.ndim == 2 else "n,nij,nj->ni", sign, cofactors, stored)
+    )
 
 
 def _colors(attributes: Mapping[str, Shaped[np.ndarray, "n width"]], count: int) -> UInt8[np.ndarray, "N 4"] | None:

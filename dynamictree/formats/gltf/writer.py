@@ -10,7 +10,8 @@ from jaxtyping import Float32, Shaped, UInt8
 
 from dynamictree.byte_stream import ByteWriter
 from dynamictree.color import srgb_to_linear
-from dynamictree.formats.axes import vertices_in_source_axes
+from dynamictree.formats.axes import up_rotation, vertices_in_source_axes
+from dynamictree.formats.gltf.normals import rest_normals
 from dynamictree.mesh import Material, TriangleMesh
 
 GENERATOR = "dynamictree"
@@ -102,6 +103,8 @@ def add_mesh(
     attributes = {
         "POSITION": writer.add_accessor(vertices_in_source_axes(mesh, "+Y"), target=VERTEX_BUFFER, bounds=True)
     }
+    normals = rest_normals(mesh) @ up_rotation("+Y").astype(np.float32)
+    attributes["NORMAL"] = writer.add_accessor(normals, target=VERTEX_BUFFER)
     if mesh.uv is not None:
         attributes["TEXCOORD_0"] = writer.add_accessor(mesh.uv, target=VERTEX_BUFFER)
     if mesh.vertex_colors is not None:

@@ -1,19 +1,20 @@
 """Wavefront OBJ with its MTL and textures, which are looked up only among the files that were sent along.
 
 Vertices follow the `v` lines. A vertex with several texture coordinates keeps its first; copies with the others
-follow after the last `v`. Polygons are cut into fans. Normals are dropped: they follow from the faces.
+follow after the last `v`. Polygons are cut into fans. A vertex has the mean
+normal of its corners.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Float64, Int32, Int64, UInt8
+from jaxtyping import Float32, Float64, Int32, Int64, UInt8
 
 from dynamictree.errors import FormatError, MeshError
 from dynamictree.formats.companions import find_companion
 from dynamictree.formats.texture import refuse_many_pixels, texture_as_png
-from dynamictree.mesh import MAX_FACES, MAX_VERTICES, Material, SourceWarning, TriangleMesh
+from dynamictree.mesh import MAX_FACES, MAX_VERTICES, Material, SourceWarning, TriangleMesh, unit_vectors
 
 _CUTOFF = 0.5  # of a material with a map_d
 
@@ -24,7 +25,8 @@ class _Statements:
 
     vertices: list[bytes] = field(default_factory=list)
     texture_places: list[bytes] = field(default_factory=list)
-    corners: list[tuple[bytes, int, int]] = field(default_factory=list)  # token, number of v and vt lines above it
+    normals: list[bytes] = field(default_factory=list)
+    corners: list[tuple[bytes, int, int, int]] = field(default_factory=list)  # token, number of v, vt, vn lines above
     face_sizes: list[int] = field(default_factory=list)
     face_materials: list[int] = field(default_factory=list)
     material_names: dict[str, int] = field(default_factory=dict)
@@ -48,7 +50,9 @@ def read_obj(content: bytes, *, companions: Mapping[str, bytes]) -> TriangleMesh
         raise FormatError("the OBJ file has faces but no vertices; it is damaged")
     table = _numbers(statements.vertices, "v", (3, 4, 6, 7))
     places = _numbers(statements.texture_places, "vt", (1, 2, 3)) if statements.texture_places else None
-    rows, place_rows = _corner_rows(statements, len(table), 0 if places is None else len(places))
+    directions = _directions(statements.normals)
+    counts = (len(table), 0 if places is None else len(places), len(directions))
+    rows, place_rows, normal_rows = _corner_rows(statements, counts)
     original, place_of, corners = _split_by_texture(rows, place_rows, len(table))
     faces, source_face = fans(corners, np.array(statements.face_sizes))
     warnings: list[SourceWarning] = []
@@ -64,6 +68,7 @@ def read_obj(content: bytes, *, companions: Mapping[str, bytes]) -> TriangleMesh
         faces=faces,
         uv=uv,
         vertex_colors=_colors(table, original),
+        normals=_normals(directions, normal_rows, corners, len(original)),
         face_material=np.array(statements.face_materials, np.int32)[source_face] if materials else None,
         materials=materials,
         warnings=tuple(warnings),
@@ -80,6 +85,8 @@ def _sort_lines(lines: list[bytes]) -> _Statements:
             lines_by_kind.vertices.append(rest)
         elif keyword == b"vt":
             lines_by_kind.texture_places.append(rest)
+        elif keyword == b"vn":
+            lines_by_kind.normals.append(rest)
         elif keyword == b"f":
             tokens = rest.split()
             if len(tokens) < 3:
@@ -89,9 +96,8 @@ def _sort_lines(lines: list[bytes]) -> _Statements:
                 raise MeshError(
                     f"the OBJ file has more than {MAX_FACES:,} triangles or {MAX_VERTICES:,} vertices; decimate it"
                 )
-            lines_by_kind.corners += [
-                (token, len(lines_by_kind.vertices), len(lines_by_kind.texture_places)) for token in tokens
-            ]
+            above = (len(lines_by_kind.vertices), len(lines_by_kind.texture_places), len(lines_by_kind.normals))
+            lines_by_kind.corners += [(token, *above) for token in tokens]
             lines_by_kind.face_sizes.append(len(tokens))
             if material < 0:
                 material = lines_by_kind.material_names.setdefault("", len(lines_by_kind.material_names))
@@ -120,21 +126,37 @@ def _numbers(lines: list[bytes], keyword: str, widths: tuple[int, ...]) -> Float
 
 
 def _corner_rows(
-    statements: _Statements, num_vertices: int, num_places: int
-) -> tuple[Int64[np.ndarray, " C"], Int64[np.ndarray, " C"]]:
-    """Row of the vertex and of the texture place of every corner; -1 where it has no place."""
-    resolved: dict[tuple[bytes, int, int], tuple[int, int]] = {}
-    rows, places = np.empty(len(statements.corners), np.int64), np.empty(len(statements.corners), np.int64)
+    statements: _Statements, counts: tuple[int, int, int]
+) -> tuple[Int64[np.ndarray, " C"], Int64[np.ndarray, " C"], Int64[np.ndarray, " C"]]:
+    """Row of the vertex, the texture place and the normal of every corner; -1 where it has none."""
+    resolved: dict[tuple[bytes, int, int, int], tuple[int, int, int]] = {}
+    rows = np.empty((len(statements.corners), 3), np.int64)
     for i, corner in enumerate(statements.corners):
-        token, vertices_above, places_above = corner
-        key = corner if b"-" in token else (token, 0, 0)  # negative numbers count back from where they stand
+        token, *above = corner
+        key = corner if b"-" in token else (token, 0, 0, 0)  # negative numbers count back from where they stand
         if key not in resolved:
-            parts = token.split(b"/")
-            place = parts[1] if len(parts) > 1 else b""
-            vertex = _resolve(parts[0], vertices_above, num_vertices, token)
-            resolved[key] = (vertex, _resolve(place, places_above, num_places, token) if place else -1)
-        rows[i], places[i] = resolved[key]
-    return rows, places
+            parts = [*token.split(b"/"), b"", b""]
+            vertex = _resolve(parts[0], above[0], counts[0], token)
+            place = _resolve(parts[1], above[1], counts[1], token) if parts[1] else -1
+            resolved[key] = (vertex, place, _normal_row(parts[2], above[2], counts[2]))
+        rows[i] = resolved[key]
+    return rows[:, 0], rows[:, 1], rows[:, 2]
+
+
+def _normal_row(number: bytes, above: int, count: int) -> int:
+    """As `_resolve`, but -1 for what is not there: a shape needs no normals."""
+    try:
+        return _resolve(number, above, count, number)
+    except FormatError:
+        return -1
+
+
+def _directions(lines: list[bytes]) -> Float64[np.ndarray, "n 3"]:
+    """The `vn` lines; none where they cannot be read, as a shape needs no normals."""
+    try:
+        return _numbers(lines, "vn", (3,)) if lines else np.zeros((0, 3))
+    except FormatError:
+        return np.zeros((0, 3))
 
 
 def _resolve(number: bytes, above: int, count: int, token: bytes) -> int:
@@ -179,6 +201,21 @@ def fans(
     step = np.arange(len(polygon)) - np.repeat(np.cumsum(sizes - 2) - (sizes - 2), sizes - 2)
     faces = np.stack([corners[start], corners[start + step + 1], corners[start + step + 2]], axis=1)
     return faces.astype(np.int32), polygon
+
+
+def _normals(
+    directions: Float64[np.ndarray, "n 3"],
+    rows: Int64[np.ndarray, " C"],
+    corners: Int32[np.ndarray, " C"],
+    num_vertices: int,
+) -> Float32[np.ndarray, "N 3"] | None:
+    """The mean of the normals at each vertex' corners."""
+    stated = rows >= 0
+    if not stated.any():
+        return None
+    units = unit_vectors(directions).astype(np.float64)[rows[stated]]
+    total = [np.bincount(corners[stated], units[:, axis], minlength=num_vertices) for axis in range(3)]
+    return unit_vectors(np.stack(total, axis=1))
 
 
 def _colors(table: Float64[np.ndarray, "n width"], rows: Int64[np.ndarray, " N"]) -> UInt8[np.ndarray, "N 4"] | None:

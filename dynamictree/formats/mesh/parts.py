@@ -22,11 +22,14 @@ class MeshPart:
     vertex_colors: UInt8[np.ndarray, "N 4"] | None
     material: int  # -1: none
     vertices_of: int | None = None
+    normals: Float32[np.ndarray, "N 3"] | None = None
 
 
 def join_parts(parts: Sequence[MeshPart], materials: tuple[Material, ...]) -> TriangleMesh:
     """One mesh; what has no material gets a white one, a vertex without texture place 0, one without colour white."""
     own, starts = [part for part in parts if part.vertices_of is None], first_vertices(parts)
+    has_normals = any(p.normals is not None for p in own)
+    normals = [np.zeros_like(p.vertices) if p.normals is None else p.normals for p in own]
     has_uv, has_colors = any(p.uv is not None for p in own), any(p.vertex_colors is not None for p in own)
     uv = [np.zeros((len(p.vertices), 2), np.float32) if p.uv is None else p.uv for p in own]
     colors = [
@@ -39,6 +42,7 @@ def join_parts(parts: Sequence[MeshPart], materials: tuple[Material, ...]) -> Tr
         faces=np.concatenate([part.faces + np.int32(start) for part, start in zip(parts, starts, strict=True)]),
         uv=np.concatenate(uv) if has_uv else None,
         vertex_colors=np.concatenate(colors) if has_colors else None,
+        normals=np.concatenate(normals) if has_normals else None,
         face_material=None if not materials else np.concatenate(face_material),
         materials=(*materials, _DEFAULT_MATERIAL) if materials and any(p.material < 0 for p in parts) else materials,
     )

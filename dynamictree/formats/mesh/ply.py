@@ -13,7 +13,7 @@ from dynamictree.formats.companions import find_companion
 from dynamictree.formats.mesh.obj import fans
 from dynamictree.formats.ply_table import PlyElement, PlyHeader, read_elements, read_header
 from dynamictree.formats.texture import texture_as_png
-from dynamictree.mesh import MAX_FACES, MAX_VERTICES, Material, TriangleMesh
+from dynamictree.mesh import MAX_FACES, MAX_VERTICES, Material, TriangleMesh, unit_vectors
 
 _UV_NAMES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
 _LIST_NAMES = ("vertex_indices", "vertex_index")
@@ -64,6 +64,7 @@ def read_ply_mesh(content: bytes, *, companions: Mapping[str, bytes]) -> Triangl
         faces=faces,
         uv=_uv(rows),
         vertex_colors=_colors(rows),
+        normals=_normals(rows),
         face_material=np.zeros(len(faces), np.int32) if material else None,
         materials=(material,) if material else (),
     )
@@ -195,6 +196,12 @@ def _uv(rows: Shaped[np.ndarray, " N"]) -> Float32[np.ndarray, "N 2"] | None:
         return None
     with np.errstate(over="ignore", invalid="ignore"):
         return np.stack([rows[pair[0]].astype(np.float32), 1 - rows[pair[1]].astype(np.float32)], axis=1)
+
+
+def _normals(rows: Shaped[np.ndarray, " N"]) -> Float32[np.ndarray, "N 3"] | None:
+    if not {"nx", "ny", "nz"} <= set(rows.dtype.names or ()):
+        return None
+    return unit_vectors(np.stack([rows[name].astype(np.float64) for name in ("nx", "ny", "nz")], axis=1))
 
 
 def _colors(rows: Shaped[np.ndarray, " N"]) -> UInt8[np.ndarray, "N 4"] | None:

@@ -19,7 +19,7 @@ from dynamictree.mesh import Material, SourceGltf, SourceWarning, TriangleMesh, 
 
 VERSION = 1
 MAX_BYTES = 1 << 30
-_OPTIONAL = ("uv", "vertex_colors", "face_material", "still_faces")
+_OPTIONAL = ("uv", "vertex_colors", "face_material", "still_faces", "normals")
 
 
 def write_mesh_bundle(mesh: TriangleMesh, stream: ByteWriter) -> None:
@@ -100,6 +100,7 @@ def _mesh(tensors: Mapping[str, Shaped[np.ndarray, "..."]], rest: Mapping[str, A
         vertex_colors=tensors.get("vertex_colors"),
         face_material=tensors.get("face_material"),
         still_faces=tensors.get("still_faces"),
+        normals=tensors.get("normals"),
         materials=tuple(materials),
         source_up_axis=rest["source_up_axis"],
         source_scale=rest["source_scale"],

@@ -1,0 +1,74 @@
+"""Normals of a mesh for shading: those of its source, else smooth ones; and how they turn while it moves."""
+
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+from jaxtyping import Float32, Float64
+
+from dynamictree.mesh import TriangleMesh, unit_vectors, vertex_normals
+
+_SMOOTH = 0.5
+"""Cosine of the angle up to which vertices at one place share a normal: 60°."""
+_NEIGHBOURS = 32  # vertices at one place that are compared; more are leaves that cross there
+
+
+def rest_normals(mesh: TriangleMesh) -> Float32[np.ndarray, "N 3"]:
+    """A unit vector per vertex: the source's own, or the mean of the faces around its place; +Z where there is none."""
+    normals = _smooth_normals(mesh)
+    if mesh.normals is not None:
+        stated = (mesh.normals != 0).any(axis=1, keepdims=True)
+        normals = np.where(stated, mesh.normals, normals)
+    normals[~(normals != 0).any(axis=1)] = (0, 0, 1)
+    return normals
+
+
+def iter_normals(
+    mesh: TriangleMesh, frames: Iterable[Float32[np.ndarray, "N 3"]]
+) -> Iterator[Float32[np.ndarray, "N 3"]]:
+    """The normals at each frame: those at rest, turned as the faces around the vertex turn.
+
+    `frames` are displacements [m].
+    """
+    rest, before = rest_normals(mesh), unit_vectors(_face_normals(mesh, None))
+    for displacement in frames:
+        yield _turned(rest, before, unit_vectors(_face_normals(mesh, displacement)))
+
+
+def angles_rad(normals: Float32[np.ndarray, "N 3"], others: Float32[np.ndarray, "N 3"]) -> Float64[np.ndarray, " N"]:
+    """Angle between two directions per vertex, as exact for small ones as for large ones."""
+    a, b = unit_vectors(normals).astype(np.float64), unit_vectors(others).astype(np.float64)
+    angle: Float64[np.ndarray, " N"] = 2 * np.arctan2(np.linalg.norm(a - b, axis=1), np.linalg.norm(a + b, axis=1))
+    return angle
+
+
+def _face_normals(mesh: TriangleMesh, displacement: Float32[np.ndarray, "N 3"] | None) -> Float64[np.ndarray, "N 3"]:
+    vertices = mesh.vertices if displacement is None else mesh.vertices + displacement
+    return vertex_normals(vertices.astype(np.float64), mesh.faces)
+
+
+def _smooth_normals(mesh: TriangleMesh) -> Float32[np.ndarray, "N 3"]:
+    """Files split vertices at seams of the texture: vertices at one place share a normal unless there is an edge."""
+    own = _face_normals(mesh, None)
+    _, place = np.unique(mesh.vertices, axis=0, return_inverse=True)
+    order = np.argsort(place.ravel(), kind="stable")
+    place, own = place.ravel()[order], own[order]
+    unit, total = unit_vectors(own), own.copy()
+    for offset in range(1, min(int(np.bincount(place).max()), _NEIGHBOURS)):
+        near = (place[offset:] == place[:-offset]) & ((unit[offset:] * unit[:-offset]).sum(axis=1) > _SMOOTH)
+        total[:-offset][near] += own[offset:][near]
+        total[offset:][near] += own[:-offset][near]
+    normals = np.empty_like(unit)
+    normals[order] = unit_vectors(total)
+    return normals
+
+
+def _turned(
+    normals: Float32[np.ndarray, "N 3"], before: Float32[np.ndarray, "N 3"], after: Float32[np.ndarray, "N 3"]
+) -> Float32[np.ndarray, "N 3"]:
+    """The normals, turned by the smallest rotation from one direction to another; not turned where one is 0."""
+    axis = np.cross(before, after)
+    cosine = (before * after).sum(axis=1, keepdims=True)
+    once = np.cross(axis, normals)
+    turned = normals + once + np.cross(axis, once) / np.maximum(1 + cosine, 1e-3)
+    sound = (before != 0).any(axis=1, keepdims=True) & (after != 0).any(axis=1, keepdims=True)
+    return unit_vectors(np.where(sound, turned, normals).astype(np.float64))

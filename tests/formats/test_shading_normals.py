@@ -1,0 +1,93 @@
+"""Normals for shading: those of the source where it has any, smooth ones otherwise, turned with the surface."""
+
+import io
+
+import numpy as np
+import pytest
+import trimesh
+
+from dynamictree.formats.gltf.normals import angles_rad, iter_normals, rest_normals
+from dynamictree.formats.gltf.writer import write_glb
+from dynamictree.formats.mesh_file import read_mesh
+from dynamictree.mesh import TriangleMesh, vertex_normals
+from tests.formats.artists import TURNED, Artist, document_of
+
+ROOF = "v 0 0 0\nv 2 0 0\nv 2 1 1\nv 0 1 1\nv 2 2 0\nv 0 2 0\nvn 0 -1 1\nvn 0 1 1\n"
+
+
+def ball() -> TriangleMesh:
+    source = trimesh.creation.icosphere(subdivisions=4, radius=2.0)
+    return TriangleMesh(vertices=np.array(source.vertices, np.float32), faces=np.array(source.faces, np.int32))
+
+
+def box() -> TriangleMesh:
+    source = trimesh.creation.box((1, 2, 3))
+    source.unmerge_vertices()
+    return TriangleMesh(vertices=np.array(source.vertices, np.float32), faces=np.array(source.faces, np.int32))
+
+
+@pytest.mark.parametrize("place", [{}, TURNED, {"scale": [-2, 1, 3]}])
+def test_normals_of_gltf_stay_across_their_faces_wherever_a_node_puts_them(place: dict[str, object]) -> None:
+    artist = Artist()
+    corners = np.float32([[0, 0, 0], [1, 0.5, 0], [0, 1, 0.3]])
+    across = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+    normals = np.tile(across / np.linalg.norm(across), (3, 1)).astype(np.float32)
+    attributes = {"POSITION": artist.accessor(corners), "NORMAL": artist.accessor(normals)}
+    artist.add("meshes", {"primitives": [{"attributes": attributes}]})
+    artist.add("nodes", {"mesh": 0, **place})
+    artist.scene(0)
+    mesh = read_mesh(io.BytesIO(artist.glb()), file_type="glb")
+    assert mesh.normals is not None
+    faces = vertex_normals(mesh.vertices.astype(np.float64), mesh.faces).astype(np.float32)
+    assert angles_rad(mesh.normals, faces).max() < 1e-5
+
+
+def test_normals_of_obj_are_turned_upright_with_it() -> None:
+    faces = "f 1//1 2//1 3//1 4//1\nf 4//2 3//2 5//2 6//2\n"
+    mesh = read_mesh(io.BytesIO((ROOF + faces).encode()), file_type="obj", up_axis="+Y", unit_m=1.0)
+    assert mesh.normals is not None
+    half = np.sqrt(0.5)
+    np.testing.assert_allclose(mesh.normals[:2], [[0, -half, -half]] * 2, atol=1e-6)  # (0, -1, 1) of +Y up
+    np.testing.assert_allclose(mesh.normals[2:4], [[0, -1, 0]] * 2, atol=1e-6)  # the ridge has both
+    np.testing.assert_allclose(mesh.normals[4:], [[0, -half, half]] * 2, atol=1e-6)
+
+
+@pytest.mark.parametrize("faces", ["f 1//9 2//9 3//9\n", "f 1//a 2//1 3//-7\n", "vn 0 1\nf 1//1 2//1 3//1\n"])
+def test_damaged_normals_of_obj_refuse_no_file(faces: str) -> None:
+    mesh = read_mesh(io.BytesIO((ROOF + faces).encode()), file_type="obj", up_axis="+Z", unit_m=1.0)
+    assert np.isfinite(rest_normals(mesh)).all()
+
+
+def test_without_normals_a_ball_is_smooth_and_a_box_has_edges() -> None:
+    sphere = ball()
+    assert angles_rad(rest_normals(sphere), sphere.vertices).max() < 0.01
+    cube = box()
+    faces = vertex_normals(cube.vertices.astype(np.float64), cube.faces).astype(np.float32)
+    assert angles_rad(rest_normals(cube), faces).max() < 1e-5
+
+
+def test_a_seam_of_the_texture_does_not_show() -> None:
+    sphere = ball()
+    split = TriangleMesh(
+        vertices=sphere.vertices[sphere.faces.ravel()],
+        faces=np.arange(3 * sphere.num_faces, dtype=np.int32).reshape(-1, 3),
+    )
+    assert angles_rad(rest_normals(split), split.vertices).max() < 0.02
+
+
+def test_every_written_glb_has_normals_of_unit_length() -> None:
+    stream = io.BytesIO()
+    write_glb(ball(), stream)
+    document = document_of(stream.getvalue())
+    (primitive,) = document.root["meshes"][0]["primitives"]
+    normals = document.accessor(primitive["attributes"]["NORMAL"])
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-6)
+    positions = document.accessor(primitive["attributes"]["POSITION"])
+    assert angles_rad(normals, positions).max() < 0.01
+
+
+def test_normals_turn_with_the_surface() -> None:
+    sphere = ball()
+    turn = trimesh.transformations.rotation_matrix(0.7, [1, 2, 0.5])[:3, :3]
+    (normals,) = iter_normals(sphere, [(sphere.vertices @ turn.T - sphere.vertices).astype(np.float32)])
+    assert angles_rad(normals, (sphere.vertices @ turn.T).astype(np.float32)).max() < 0.01
