@@ -40,7 +40,7 @@ const jobs = new JobList(client, {
   onOpen: (id) => open(id),
   onProblem: (error) => onProblem(error, () => jobs.show()),
 });
-const wind = new WindPanel(stage, player, { onMake: makeForWind });
+const wind = new WindPanel(stage, player, { onMake: makeForWind, onProblem: (error) => onProblem(error) });
 const views = new ViewPanel(stage, player);
 const form = new TreeForm(stage, { onApply: remake, tree: () => scene.tree });
 
@@ -62,6 +62,7 @@ function onMotion(tree, spectrum, job) {
   hand.take(tree, remoteSource(client, spectrum.id, tree.modes.V));
   player.start(tree, spectrum);
   wind.wind = player.made;
+  wind.start(() => client.wind(spectrum.id)).catch((error) => onProblem(error));
   views.show();
   const { name } = machine.facts;
   const voxels = text("caption.voxels", { n: number(spectrum.num_voxels) });

@@ -128,6 +128,10 @@ export class Client {
     return this.json("GET", `/v1/spectra/${id}`);
   }
 
+  wind(id) {
+    return this.json("GET", `/v1/spectra/${id}/wind`);
+  }
+
   modes(id, options) {
     return this.bytes(`/v1/spectra/${id}/modes`, options);
   }

@@ -721,6 +721,35 @@ class Try(Model):
     seconds: float
 
 
+class TurbulentWind(Model):
+    """Coordinates of the bins in wind that never repeats, as sums of cosines. docs/engines.md evaluates them."""
+
+    spectrum_id: str
+    seed: int
+    # mean speed, direction and gust
+    wind: "Wind"
+    # lowest, of a tree of this height
+    natural_frequency_hz: float
+    # of a tree with this foliage
+    damping_ratio: float
+    # of the turbulence at the top of the tree
+    length_scale_m: float
+    # of the K bins; bin 0 is the lean
+    frequencies_hz: list[float]
+    # half-width of each bin's line at half of its power
+    bandwidth_hz: list[float]
+    # [K - 1][J] from bin 1
+    partial_hz: list[list[float]]
+    # [K - 1][J] from bin 1
+    partial_phase_rad: list[list[float]]
+    # factor on the coordinates of bins 1 to K - 1
+    strength: "Wave"
+    # coordinate of bin 0, which is real
+    lean: "Wave"
+    # of the whole displacement about the vertical, from +X towards +Y
+    turn_rad: "Wave"
+
+
 class Upload(Model):
     """A file that comes in pieces, or from an address."""
 
@@ -780,6 +809,16 @@ class VoxelizeRequest(Model):
     start_deadline_s: float | None = None
     type: Literal["voxelize"]
     params: "VoxelizeParams | None" = None
+
+
+class Wave(Model):
+    """mean + limit · tanh(Σ_m amplitude_m cos(2π frequency_hz_m t + phase_rad_m) / limit)."""
+
+    mean: float
+    limit: float
+    frequency_hz: list[float]
+    amplitude: list[float]
+    phase_rad: list[float]
 
 
 class Wind(Model):

@@ -33,6 +33,7 @@ from dynamictree_client.models import (
     ReconstructRequest,
     RetryRequest,
     Spectrum,
+    TurbulentWind,
     Upload,
     Usage,
     VoxelizeRequest,
@@ -274,6 +275,16 @@ def create_link(body: LinkRequest) -> Call[Link]:
 def get_spectrum(id: str) -> Call[Spectrum]:
     """What a spectrum is: frequencies, voxels, bounds, model. The coefficients are the artefact's bytes."""
     return Call(method="GET", path=path_of("/v1/spectra/{id}", {"id": id}), answer=Spectrum)
+
+
+def get_wind(id: str, *, seed: int | None = None, gust: float | None = None) -> Call[TurbulentWind]:
+    """Wind that never repeats, as a table of cosines: with the mode shapes it gives every voxel at any time."""
+    return Call(
+        method="GET",
+        path=path_of("/v1/spectra/{id}/wind", {"id": id}),
+        answer=TurbulentWind,
+        query={"seed": seed, "gust": gust},
+    )
 
 
 def interact(body: InteractRequest, *, accept: str | None = None) -> Call[Interact | bytes]:

@@ -1,9 +1,13 @@
-"""/v1/spectra: properties of a spectrum; its bytes are an artifact."""
+"""/v1/spectra: properties of a spectrum and of its wind; its bytes are an artifact."""
 
-from fastapi import APIRouter
+from dataclasses import replace
+from typing import Annotated
+
+from fastapi import APIRouter, Query
 from pydantic import Field
 
-from dynamictree.requests import Wind
+from dynamictree.modal.turbulence import Wave, turbulent_wind
+from dynamictree.requests import MAX_SEED, Wind
 from service.http.routing import Id, refusals
 from service.schemas.base import Payload
 from service.services import OwnedDep
@@ -60,4 +64,73 @@ def get_spectrum(id: Id, owned: OwnedDep) -> SpectrumPayload:
         seed=spectrum.seed,
         wind=spectrum.wind,
         artifact_url=f"/v1/artifacts/{id}",
+    )
+
+
+class WavePayload(Payload):
+    """mean + limit · tanh(Σ_m amplitude_m cos(2π frequency_hz_m t + phase_rad_m) / limit)."""
+
+    mean: float
+    limit: float
+    frequency_hz: list[float]
+    amplitude: list[float]
+    phase_rad: list[float]
+
+
+class TurbulentWindPayload(Payload):
+    """Coordinates of the bins in wind that never repeats, as sums of cosines. docs/engines.md evaluates them."""
+
+    spectrum_id: str
+    seed: int
+    wind: Wind = Field(description="mean speed, direction and gust")
+    natural_frequency_hz: float = Field(description="lowest, of a tree of this height")
+    damping_ratio: float = Field(description="of a tree with this foliage")
+    length_scale_m: float = Field(description="of the turbulence at the top of the tree")
+    frequencies_hz: list[float] = Field(description="of the K bins; bin 0 is the lean")
+    bandwidth_hz: list[float] = Field(description="half-width of each bin's line at half of its power")
+    partial_hz: list[list[float]] = Field(description="[K - 1][J] from bin 1")
+    partial_phase_rad: list[list[float]] = Field(description="[K - 1][J] from bin 1")
+    strength: WavePayload = Field(description="factor on the coordinates of bins 1 to K - 1")
+    lean: WavePayload = Field(description="coordinate of bin 0, which is real")
+    turn_rad: WavePayload = Field(description="of the whole displacement about the vertical, from +X towards +Y")
+
+
+@router.get("/{id}/wind", operation_id="getWind", responses=refusals("not-found", "expired"))
+def get_wind(
+    id: Id,
+    owned: OwnedDep,
+    seed: Annotated[int, Query(ge=0, le=MAX_SEED, description="the same seed gives the same wind")] = 0,
+    gust: Annotated[
+        float | None,
+        Query(ge=0, le=2, allow_inf_nan=False, description="standard deviation of the speed over its mean"),
+    ] = None,
+) -> TurbulentWindPayload:
+    """Wind that never repeats, as a table of cosines: with the mode shapes it gives every voxel at any time."""
+    spectrum = load_spectrum(owned, id)
+    wind = spectrum.wind or Wind()
+    turbulent = turbulent_wind(spectrum, seed=seed, wind=wind if gust is None else replace(wind, gust=gust))
+    return TurbulentWindPayload(
+        spectrum_id=id,
+        seed=seed,
+        wind=turbulent.wind,
+        natural_frequency_hz=turbulent.natural_frequency_hz,
+        damping_ratio=turbulent.damping_ratio,
+        length_scale_m=turbulent.length_scale_m,
+        frequencies_hz=turbulent.frequencies_hz.tolist(),
+        bandwidth_hz=turbulent.bandwidth_hz.tolist(),
+        partial_hz=turbulent.partial_hz[1:].tolist(),
+        partial_phase_rad=turbulent.partial_phase_rad[1:].tolist(),
+        strength=_wave(turbulent.strength),
+        lean=_wave(turbulent.lean),
+        turn_rad=_wave(turbulent.turn_rad),
+    )
+
+
+def _wave(wave: Wave) -> WavePayload:
+    return WavePayload(
+        mean=wave.mean,
+        limit=wave.limit,
+        frequency_hz=wave.frequency_hz.tolist(),
+        amplitude=wave.amplitude.tolist(),
+        phase_rad=wave.phase_rad.tolist(),
     )

@@ -229,6 +229,15 @@ def test_views_wind_and_the_tree_at_rest_change_the_picture(view: Open, job_url:
     expect(page.locator("#make-wind")).to_be_visible()
     page.wait_for_timeout(3000)
     assert changed(before, pixels(viewer)) > 0.005
+    page.locator("#wind-endless").check(force=True)
+    expect(page.locator("#time")).to_be_disabled()
+    page.locator("#play").click()
+    expect(page.locator("#clock")).to_have_text(re.compile(r"^([5-9]|\d\d)\.\d s$"))  # the loop has 4.17 s
+    page.locator("#play").click()
+    viewer.picture()
+    assert changed(before, pixels(viewer)) > 0.005
+    page.locator("#wind-modes input[value=loop]").check(force=True)
+    expect(page.locator("#time")).to_be_enabled()
     assert viewer.complaints == []
 
 

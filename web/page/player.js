@@ -1,6 +1,7 @@
-// Time: the wind's loop is played, paused and scrubbed; what is pushed goes on in real time.
+// Time: the wind's loop is played, paused and scrubbed, endless wind goes on; what is pushed goes on in real time.
 
 import { windCoordinates, windGain } from "../motion/modes.js";
+import { turbulentCoordinates } from "../motion/turbulence.js";
 import { $, describe } from "./dom.js";
 import { number, text } from "./texts.js";
 
@@ -13,6 +14,8 @@ export class Player {
     this.hand = hand;
     this.playing = true;
     this.phase = 0;
+    this.seconds = 0; // of endless wind
+    this.turbulent = null; // its table of cosines; null plays the loop
     this.gain = 0;
     this.wanted = 1;
     this.turn = 0;
@@ -28,6 +31,7 @@ export class Player {
   start(tree, { period_s: period, wind }) {
     Object.assign(this, { tree, period, made: wind ?? { speed_m_s: 5, direction_deg: 0 }, gain: 0, phase: 0 });
     this.drawn = null;
+    this.setTurbulent(null);
     this.setPlaying(!matchMedia("(prefers-reduced-motion: reduce)").matches);
   }
 
@@ -39,6 +43,12 @@ export class Player {
     this.playing = playing;
     $("play").dataset.playing = playing;
     $("play").setAttribute("aria-label", text(playing ? "time.pause" : "time.play"));
+  }
+
+  /** Play wind that never repeats, from the answer of /v1/spectra/{id}/wind; null plays the loop. */
+  setTurbulent(wind) {
+    this.turbulent = wind;
+    $("time").disabled = Boolean(wind);
   }
 
   /** Preview a wind: the same motion, stronger or weaker and turned. Returns the factor. */
@@ -59,14 +69,15 @@ export class Player {
   advance(seconds) {
     const { tree, hand } = this;
     if (!tree?.moves) return;
-    if (this.playing) this.phase = (this.phase + seconds / this.period) % 1;
+    if (this.playing && this.turbulent) this.seconds += seconds;
+    else if (this.playing) this.phase = (this.phase + seconds / this.period) % 1;
     const easing = Math.abs(this.gain - this.wanted) > 1e-3;
     this.gain = easing ? this.gain + (this.wanted - this.gain) * (1 - Math.exp(-seconds / EASE_S)) : this.wanted;
-    const now = `${this.phase} ${this.gain} ${this.turn} ${JSON.stringify(this.alone)}`;
+    const now = `${this.turbulent ? this.seconds : this.phase} ${this.gain} ${this.turn} ${JSON.stringify(this.alone)}`;
     const changed = now !== this.drawn;
     if (changed || hand.moving || tree.groups.length) {
-      const q = this._coordinates();
-      tree.move(q, this.turn, hand.groupsIn(q, this.turn, seconds));
+      const { q, turn } = this._coordinates();
+      tree.move(q, turn, hand.groupsIn(q, turn, seconds));
     }
     if (changed) this._showTime();
     this.drawn = now;
@@ -74,16 +85,25 @@ export class Player {
 
   _coordinates() {
     const { K } = this.tree.modes;
-    if (!this.alone) return windCoordinates(K, this.phase, this.gain);
+    if (!this.alone && this.turbulent) {
+      const { q, turn } = turbulentCoordinates(this.turbulent, this.seconds, this.gain);
+      return { q, turn: this.turn + turn };
+    }
+    if (!this.alone) return { q: windCoordinates(K, this.phase, this.gain), turn: this.turn };
     const { k, times } = this.alone;
     const q = new Float32Array(2 * K);
-    const angle = 2 * Math.PI * Math.min(k, MOST_TURNS) * this.phase;
+    const phase = this.turbulent ? (this.seconds / this.period) % 1 : this.phase;
+    const angle = 2 * Math.PI * Math.min(k, MOST_TURNS) * phase;
     q[2 * k] = times * Math.cos(angle);
     q[2 * k + 1] = times * Math.sin(angle);
-    return q;
+    return { q, turn: this.turn };
   }
 
   _showTime() {
+    if (this.turbulent) {
+      $("clock").textContent = text("time.seconds", { n: number(this.seconds, 1) });
+      return;
+    }
     $("time").value = this.phase;
     $("clock").textContent = `${number(this.phase * this.period, 2)} / ${number(this.period, 2)} s`;
     describe($("time"), null, text("time.at", { n: number(this.phase * this.period, 1) }));

@@ -8,16 +8,32 @@ export const PRESETS = { calm: 0.5, breeze: 3, wind: 8, gale: 17 }; // m/s
 const FULL_M_S = 12; // from here on the arrow is at its darkest
 
 export class WindPanel {
-  /** `onMake(wind)` is called with the wind that a motion is to be made for. */
-  constructor(stage, player, { onMake }) {
+  /** `onMake(wind)` is called with the wind that a motion is to be made for; a problem of the service to `onProblem`. */
+  constructor(stage, player, { onMake, onProblem }) {
     Object.assign(this, { stage, player });
     this.active = false;
+    for (const choice of document.getElementsByName("wind-mode")) {
+      choice.onchange = () => this._setMode().catch(onProblem);
+    }
     const items = Object.entries(PRESETS).map(([name, value]) => this._presetItem(name, value));
     $("wind-presets").replaceChildren(...items);
     $("speed").oninput = () => this.show();
     $("direction").oninput = () => this.show();
     $("make-wind").onclick = () => onMake(this.wind);
     this._watchDial();
+  }
+
+  /** Begin with a motion; `turbulent()` asks for its endless wind. */
+  start(turbulent) {
+    this.turbulent = turbulent;
+    return this._setMode();
+  }
+
+  async _setMode() {
+    const { turbulent, player } = this;
+    if (!$("wind-endless").checked || !turbulent) return player.setTurbulent(null);
+    const table = await turbulent();
+    if (this.turbulent === turbulent && $("wind-endless").checked) player.setTurbulent(table);
   }
 
   _presetItem(name, value) {

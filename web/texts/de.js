@@ -65,6 +65,8 @@ export default {
   "wind.breeze": "Brise",
   "wind.wind": "Wind",
   "wind.gale": "Sturm",
+  "wind.loop": "Schleife",
+  "wind.endless": "Endloser Wind",
   "wind.speed": "Geschwindigkeit",
   "wind.direction": "Weht nach",
   "wind.points": "O NO N NW W SW S SO",

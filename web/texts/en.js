@@ -65,6 +65,8 @@ export default {
   "wind.breeze": "Breeze",
   "wind.wind": "Wind",
   "wind.gale": "Gale",
+  "wind.loop": "Loop",
+  "wind.endless": "Endless wind",
   "wind.speed": "Speed",
   "wind.direction": "Blows to",
   "wind.points": "E NE N NW W SW S SE",
