@@ -20,6 +20,7 @@ from dynamictree.mesh import TriangleMesh
 from dynamictree.requests import ExportParams, Shot
 
 PARAMS = ExportParams(num_frames=2, loop=False, shot=Shot(side_px=64))
+TURBULENT = ExportParams(wind_mode="turbulent", num_frames=2, formats=("motion",))
 
 
 def warm_up() -> None:
@@ -30,11 +31,12 @@ def warm_up() -> None:
 
 
 def animate_mesh() -> None:
-    """Make the default products of a small mesh."""
+    """Make the default products of a small mesh, and a motion whose frames are freed from stretch."""
     mesh = _pole()
     spectrum = method.generate(method.voxelize(mesh), num_steps=1)
     with TemporaryDirectory() as folder:
-        write_products(mesh, spectrum, PARAMS, Path(folder))
+        for params in (PARAMS, TURBULENT):
+            write_products(mesh, spectrum, params, Path(folder))
 
 
 def animate_splat() -> None:

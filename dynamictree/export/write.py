@@ -5,7 +5,15 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Complex64
 
+from dynamictree.devoxelize.inextensible import (
+    LARGEST_STRETCH,
+    InextensiblePose,
+    inextensible_pose,
+    typical_stretch,
+    without_stretch,
+)
 from dynamictree.devoxelize.length_preserving import length_preserving
 from dynamictree.export.moving_tree import Facts, MovingTree, Report
 from dynamictree.export.pictures import draw, write_mp4
@@ -50,10 +58,12 @@ def write_products(
     binding = _binding(mesh, formats, capture, box_m)
     if binding is not None and "splat-ply" in formats:
         requested_bytes(binding.cloud.num_gaussians, binding.cloud.sh_degree, num_frames, params)
+    coefficients, pose = _motion(mesh, spectrum, params)
     tree = MovingTree(
         mesh=mesh,
         spectrum=spectrum,
-        coefficients=length_preserving(spectrum.grid, mesh).apply(spectrum.coefficients),
+        coefficients=coefficients,
+        pose=pose,
         params=params,
         binding=None if binding is None else lighter(binding, share=params.share, sh_degree=params.sh_degree),
         captured=capture is not None,
@@ -61,6 +71,19 @@ def write_products(
     paths = {name: folder / PRODUCTS[name].file_name for name in formats}
     _write(tree, paths, on_progress or (lambda done: None), on_facts or (lambda name, facts: None))
     return paths
+
+
+def _motion(
+    mesh: TriangleMesh, spectrum: SparseVoxelSpectrum, params: ExportParams
+) -> tuple[Complex64[np.ndarray, "N K 3"], InextensiblePose | None]:
+    """Spectrum of the vertices [m], and what preserves lengths in each frame where the motion is large or turbulent."""
+    interpolation = length_preserving(spectrum.grid, mesh)
+    coefficients = interpolation.apply(spectrum.coefficients)
+    large = typical_stretch(interpolation, coefficients) > LARGEST_STRETCH
+    if not large and params.wind_mode == "loop":
+        return coefficients, None
+    pose = inextensible_pose(interpolation, coefficients)
+    return without_stretch(pose, coefficients, spectrum.num_frames) if large else coefficients, pose
 
 
 def _binding(

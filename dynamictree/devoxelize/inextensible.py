@@ -1,0 +1,236 @@
+"""Poses without stretch: what a large motion would stretch bends instead, frame by frame.
+
+A spectrum adds displacements, and a displacement that would turn a branch by an angle stretches it once the angle is
+large. So each frame is read as directions and turns, and the pose is built from these again. With x the rest positions,
+p those of the frame, l_ij the length of an edge at rest and h the edge of a voxel:
+
+- a leaf card or another small part that hangs on a larger one moves rigidly: by the rotation nearest to its motion,
+  and with the point that it hangs on;
+- elsewhere the pose y minimises, with d_ij the direction of p_i - p_j,
+
+      Σ_ij w_ij |y_i - y_j - l_ij d_ij|² + Σ_i a_i |y_i - p_i|²,    w_ij = (h / l_ij)²,
+
+  and then `ROUNDS` times the same with y for p (projective dynamics, Bouaziz et al. 2014: one factorisation serves all
+  frames). a_i is small, and large where the tree hardly moves.
+
+A direction turns by less than a right angle however far the motion goes, so the motion saturates.
+"""
+
+from dataclasses import dataclass
+from typing import no_type_check
+
+import numpy as np
+import scipy.sparse
+from jaxtyping import Bool, Complex64, Float32, Float64, Int32, Int64
+
+from dynamictree.devoxelize.attachment import SMALL_PART_VOXELS, Attachments
+from dynamictree.devoxelize.length_preserving import LengthPreservingInterpolation
+from dynamictree.mesh import edges_of, weld
+from dynamictree.parallel import compiled, in_bands
+from dynamictree.spectrum import from_motion, iter_motion
+
+LARGEST_STRETCH = 0.01
+"""99th percentile of the edges' stretch in a loop; a motion with less is left as it is."""
+ROUNDS = 10
+_ANCHOR = 0.01  # a of a vertex with the mean motion, see docs/decisions/core.md
+_ANCHOR_SHARES = (0.01, 100.0)  # of the motion over its mean
+_SHORTEST_EDGE = 0.05  # in voxels; shorter edges are no stiffer
+_CARD_VERTICES = 8  # with so few, a part that hangs is a card at any size
+_SAMPLED_EDGES = 200_000
+_SAMPLED_FRAMES = 16
+_TURNS = 30  # of the iteration to the nearest rotation
+
+
+@dataclass(frozen=True, kw_only=True)
+class InextensiblePose:
+    """Frames of one mesh without stretch; prepared once, applied to any displacement. Built by `inextensible_pose`."""
+
+    vertex: Int32[np.ndarray, " N"]  # vertices at one position are one
+    first: Int64[np.ndarray, " n"]
+    rest: Float64[np.ndarray, "n 3"]  # [m]
+    still: Bool[np.ndarray, " N"]
+    attachments: Attachments
+    elastic: Int64[np.ndarray, " m"]  # rows of vertices in parts that bend
+    edges: Int64[np.ndarray, "E 2"]  # of these
+    anchor: Float64[np.ndarray, " m"]
+    factor: "scipy.sparse.linalg.SuperLU"
+    pull: scipy.sparse.csr_array  # [m, E], weighted
+    rigid: Int64[np.ndarray, " r"]  # rows of vertices in parts that do not
+
+    def apply(self, displacement: Float32[np.ndarray, "N 3"]) -> Float32[np.ndarray, "N 3"]:
+        """The pose nearest to this one whose edges keep their lengths [m]."""
+        moved = self.rest + displacement[self.first].astype(np.float64)
+        pose = moved.copy()
+        if len(self.elastic):
+            pose[self.elastic] = self._bent(moved[self.elastic])
+        if len(self.rigid):
+            pose[self.rigid] = self._turned(moved[self.rigid])
+        shift = (pose - self.rest).astype(np.complex64)[:, None]
+        unstretched = np.ascontiguousarray(self.attachments.closed(shift)[:, 0].real[self.vertex])
+        unstretched[self.still] = 0
+        return unstretched
+
+    def _bent(self, moved: Float64[np.ndarray, "m 3"]) -> Float64[np.ndarray, "m 3"]:
+        start, end = self.edges.T
+        rest = self.rest[self.elastic]
+        across = rest[start] - rest[end]
+        length = np.linalg.norm(across, axis=1, keepdims=True)
+        direction = moved[start] - moved[end]
+        pose = moved
+        for _ in range(1 + ROUNDS):
+            target = direction * (length / np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-12))
+            pose = self.factor.solve(self.pull @ target + self.anchor[:, None] * pose)
+            direction = pose[start] - pose[end]
+        return pose
+
+    def _turned(self, moved: Float64[np.ndarray, "r 3"]) -> Float64[np.ndarray, "r 3"]:
+        part, rest = self.attachments.part[self.rigid], self.rest[self.rigid]
+        num_parts = int(self.attachments.part.max()) + 1
+        count = np.maximum(np.bincount(part, minlength=num_parts), 1)[:, None]
+        middle, rest_middle = (_sums(part, points, num_parts) / count for points in (moved, rest))
+        offset, rest_offset = moved - middle[part], rest - rest_middle[part]
+        products = (offset[:, :, None] * rest_offset[:, None]).reshape(-1, 9)
+        turn = nearest_rotations(_sums(part, products, num_parts).reshape(-1, 3, 3))
+        turned: Float64[np.ndarray, "r 3"] = middle[part] + np.einsum("nij,nj->ni", turn[part], rest_offset)
+        return turned
+
+
+def inextensible_pose(
+    interpolation: LengthPreservingInterpolation, coefficients: Complex64[np.ndarray, "N K 3"]
+) -> InextensiblePose:
+    """Prepare for the mesh of an interpolation; `coefficients` are its vertices' [m], and say what hardly moves."""
+    attachments = interpolation.interpolation.attachments
+    mesh, vertex = weld(interpolation.mesh.moving_part)
+    assert attachments is not None
+    first = np.unique(vertex, return_index=True)[1]
+    voxel_m = interpolation.grid.voxel_size_m
+    rest = mesh.vertices.astype(np.float64)
+    is_rigid = _cards(attachments, rest, voxel_m)[attachments.part]
+    elastic, rigid = np.flatnonzero(~is_rigid), np.flatnonzero(is_rigid)
+    row = np.cumsum(~is_rigid) - 1
+    edges = edges_of(mesh.faces)
+    edges = row[edges[~is_rigid[edges[:, 0]]]]
+    length = np.linalg.norm(rest[elastic][edges[:, 0]] - rest[elastic][edges[:, 1]], axis=1)
+    edges, length = edges[length > 0], length[length > 0]
+    weight = (voxel_m / np.maximum(length, _SHORTEST_EDGE * voxel_m)) ** 2
+    power = np.abs(coefficients[first][elastic]) ** 2
+    size = np.sqrt(power.sum(axis=(1, 2), dtype=np.float64))
+    share = size / max(float(size.mean()) if len(size) else 0.0, 1e-30)
+    anchor = _ANCHOR / share.clip(*_ANCHOR_SHARES) ** 2
+    number = np.arange(len(edges))
+    ends = (np.concatenate([edges[:, 0], edges[:, 1]]), np.concatenate([number, number]))
+    signs = np.repeat([1.0, -1.0], len(edges))
+    shape = (len(elastic), len(edges))
+    difference = scipy.sparse.csr_array((signs, ends), shape=shape)
+    pull = (difference * weight).tocsr()
+    system = (pull @ difference.T + scipy.sparse.diags_array(anchor)).tocsc()
+    return InextensiblePose(
+        vertex=vertex,
+        first=first,
+        rest=rest,
+        still=interpolation.mesh.still_vertices,
+        attachments=attachments,
+        elastic=elastic,
+        edges=edges,
+        anchor=anchor,
+        factor=_factorised(system),
+        pull=pull,
+        rigid=rigid,
+    )
+
+
+def without_stretch(
+    pose: InextensiblePose, coefficients: Complex64[np.ndarray, "N K 3"], num_frames: int
+) -> Complex64[np.ndarray, "N K 3"]:
+    """The K frequencies of a loop whose frames do not stretch; some stretch comes back with the frequencies above K."""
+    frames = iter_motion(coefficients, np.arange(num_frames) / num_frames, num_frames)
+    return from_motion(np.stack([pose.apply(frame) for frame in frames]), coefficients.shape[1])
+
+
+def typical_stretch(
+    interpolation: LengthPreservingInterpolation, coefficients: Complex64[np.ndarray, "N K 3"]
+) -> float:
+    """99th percentile of |length / length at rest - 1| over edges and frames of a loop, from a sample of both."""
+    vertices, edges = interpolation.mesh.vertices, edges_of(interpolation.mesh.faces)
+    edges = edges[:: -(-len(edges) // _SAMPLED_EDGES)]
+    across = vertices[edges[:, 0]] - vertices[edges[:, 1]]
+    length = np.linalg.norm(across, axis=1)
+    edges, across, length = edges[length > 0], across[length > 0], length[length > 0]
+    if len(edges) == 0:
+        return 0.0
+    difference = coefficients[edges[:, 0]] - coefficients[edges[:, 1]]
+    phases = np.arange(_SAMPLED_FRAMES) / _SAMPLED_FRAMES
+    frames = iter_motion(difference, phases, 2 * _SAMPLED_FRAMES * coefficients.shape[1])
+    return float(np.percentile([np.abs(np.linalg.norm(across + frame, axis=1) / length - 1) for frame in frames], 99))
+
+
+def nearest_rotations(matrices: Float64[np.ndarray, "n 3 3"]) -> Float64[np.ndarray, "n 3 3"]:
+    """The rotation nearest to each matrix; also of flat and of zero ones. After Müller et al. 2016."""
+    rotations = np.empty_like(matrices)
+    if len(matrices):
+        in_bands(_rotate, len(matrices), np.ascontiguousarray(matrices), rotations)
+    return rotations
+
+
+@compiled
+@no_type_check  # numba compiles no checked function
+def _rotate(
+    first: int, end: int, matrices: Float64[np.ndarray, "n 3 3"], rotations: Float64[np.ndarray, "n 3 3"]
+) -> None:
+    """Write the nearest rotations of some rows: turn by the mean moment of the columns until there is none."""
+    for row in range(first, end):
+        a = matrices[row]
+        w, x, y, z = 1.0, 0.0, 0.0, 0.0
+        r = rotations[row]
+        for _ in range(_TURNS):
+            r[0, 0], r[0, 1], r[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
+            r[1, 0], r[1, 1], r[1, 2] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
+            r[2, 0], r[2, 1], r[2, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
+            across_x = across_y = across_z = along = 0.0
+            for k in range(3):
+                across_x += r[1, k] * a[2, k] - r[2, k] * a[1, k]
+                across_y += r[2, k] * a[0, k] - r[0, k] * a[2, k]
+                across_z += r[0, k] * a[1, k] - r[1, k] * a[0, k]
+                along += r[0, k] * a[0, k] + r[1, k] * a[1, k] + r[2, k] * a[2, k]
+            scale = 1 / (abs(along) + 1e-30)
+            across_x, across_y, across_z = across_x * scale, across_y * scale, across_z * scale
+            angle = np.sqrt(across_x * across_x + across_y * across_y + across_z * across_z)
+            if angle < 1e-7:
+                break
+            sine = np.sin(angle / 2) / angle
+            c, i, j, k = np.cos(angle / 2), across_x * sine, across_y * sine, across_z * sine
+            w, x, y, z = (
+                c * w - i * x - j * y - k * z,
+                c * x + i * w + j * z - k * y,
+                c * y - i * z + j * w + k * x,
+                c * z + i * y - j * x + k * w,
+            )
+            size = 1 / np.sqrt(w * w + x * x + y * y + z * z)
+            w, x, y, z = w * size, x * size, y * size, z * size
+
+
+def _cards(attachments: Attachments, rest: Float64[np.ndarray, "n 3"], voxel_m: float) -> Bool[np.ndarray, " parts"]:
+    """Parts that hang on another and are small or have few vertices."""
+    part = attachments.part
+    num_parts = int(part.max()) + 1
+    low, high = np.full((num_parts, 3), np.inf), np.full((num_parts, 3), -np.inf)
+    np.minimum.at(low, part, rest)
+    np.maximum.at(high, part, rest)
+    small = (high - low).max(axis=1) < SMALL_PART_VOXELS * voxel_m
+    hangs = np.zeros(num_parts, bool)
+    hangs[attachments.children] = True
+    return np.asarray(hangs & (small | (np.bincount(part, minlength=num_parts) <= _CARD_VERTICES)))
+
+
+def _sums(
+    part: Int32[np.ndarray, " r"], values: Float64[np.ndarray, "r C"], num_parts: int
+) -> Float64[np.ndarray, "P C"]:
+    return np.stack([np.bincount(part, column, num_parts) for column in values.T], axis=1)
+
+
+def _factorised(system: scipy.sparse.csc_array) -> "scipy.sparse.linalg.SuperLU":
+    import scipy.sparse.linalg
+
+    return scipy.sparse.linalg.splu(
+        system, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+    )
