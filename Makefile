@@ -26,7 +26,7 @@ else
 TORCH_SOURCE := --torch-backend $(TORCH_BACKEND)
 endif
 
-.PHONY: help setup demo test train-gpu docs live js-tools web-check web-format openapi-lint scale-out compose check format openapi lock lock-versions lock-image bench clean browser serve sbom
+.PHONY: help setup demo test train-gpu docs live js-tools web-check web-format openapi-lint scale-out compose check format openapi lock lock-versions lock-image bench clean browser serve sbom gallery
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -129,6 +129,9 @@ browser: $(READY)  ## the viewer in a real Chromium, its client in node
 	  echo "== no browser found: fetching Chromium for playwright (Debian: apt-get install chromium)"; $(BIN)/playwright install --with-deps chromium; }
 	@command -v node >/dev/null || { echo "node 20 or newer is needed (Debian: apt-get install nodejs)"; exit 1; }
 	@$(BIN)/python -m pytest -q -rs tests/browser
+
+gallery: $(READY)  ## every mesh, splat and scan of GALLERY="folder folder" on one page, build/gallery/index.html
+	@$(BIN)/python -m recipes.gallery $(or $(GALLERY),$(DYNAMICTREE_SAMPLES),web/examples) -o build/gallery
 
 bench: $(READY)  ## every benchmark, one JSON object a line
 	@$(BIN)/python -m benchmarks

@@ -1,6 +1,7 @@
 """Recipes do what they say: a forest in which no two trees move alike, and a timeline in Blender."""
 
 import os
+import re
 import subprocess
 from itertools import combinations
 from pathlib import Path
@@ -16,7 +17,7 @@ from dynamictree.formats.gltf.forest import plant_forest
 from dynamictree.formats.gltf.motion import write_motion_glb
 from dynamictree.formats.gltf.writer import write_glb
 from dynamictree.formats.tensors.spectrum import write_spectrum
-from recipes import blender_import, forest
+from recipes import blender_import, forest, gallery
 
 COUNT = 9
 ROOT = Path(__file__).parents[2]
@@ -158,3 +159,20 @@ def test_blender_plays_the_motion_that_the_file_tells(way: str, tmp_path: Path) 
     moved = np.load(tmp_path / "places.npy").reshape(len(frames), -1, 3) - mesh.vertices
     positions = played_morphs((tmp_path / "tree.glb").read_bytes())[list(frames)]
     np.testing.assert_allclose(moved, positions, atol=1e-5)
+
+
+@pytest.mark.slow
+def test_the_gallery_shows_each_file_or_why_it_was_refused(tmp_path: Path) -> None:
+    trees = tmp_path / "trees"
+    trees.mkdir()
+    with (trees / "sapling.glb").open("wb") as stream:
+        write_glb(make_sample(3, "sapling").mesh, stream)
+    (trees / "empty.obj").write_text("")
+    (trees / "readme.txt").write_text("not a tree")
+    assert gallery.main([str(trees), "-o", str(tmp_path / "out"), "--options", "--num-steps 1 --side-px 64"]) == 0
+    page = (tmp_path / "out/index.html").read_text()
+    assert "1 of 2 files move" in page
+    assert "readme" not in page
+    [picture] = re.findall(r'<img src="([^"]+)"', page)
+    assert (tmp_path / "out" / picture).read_bytes().startswith(b"\x89PNG")
+    assert re.search(r'class="error">[^<]*empty', page)
