@@ -12,6 +12,7 @@ from pathlib import Path
 
 import httpx
 
+from benchmarks._machine import machine
 from recipes.demo import grow_demo_tree, served
 
 BUSY_JOBS = 40
@@ -25,6 +26,19 @@ class Load:
     p50_ms: float
     p99_ms: float
     statuses: dict[int, int]
+
+    def figures(self, *, target_ms: float) -> dict[str, object]:
+        """The report of a benchmark whose value is the slowest hundredth."""
+        return {
+            "value": round(self.p99_ms, 1),
+            "unit": "ms",
+            "target": target_ms,
+            "p50_ms": round(self.p50_ms, 1),
+            "requests_s": round(self.requests_s, 1),
+            "statuses": self.statuses,
+            "load_generator": "h2load",
+            **machine("uvicorn", "fastapi", "sqlalchemy"),
+        }
 
 
 def generator() -> str:

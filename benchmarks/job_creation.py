@@ -3,7 +3,6 @@
 import json
 
 from benchmarks._load import busy_service, load
-from benchmarks._machine import machine
 
 TARGET_MS = 50.0
 RATE = 20
@@ -15,13 +14,4 @@ def run() -> dict[str, object]:
         body = json.dumps({"type": "voxelize", "asset_id": asset})
         load(url + "/v1/jobs", rate=RATE, connections=2, seconds=3, body=body)
         measured = load(url + "/v1/jobs", rate=RATE, connections=2, seconds=SECONDS, body=body)
-    return {
-        "value": round(measured.p99_ms, 1),
-        "unit": "ms",
-        "target": TARGET_MS,
-        "p50_ms": round(measured.p50_ms, 1),
-        "requests_s": round(measured.requests_s, 1),
-        "statuses": measured.statuses,
-        "load_generator": "h2load",
-        **machine("uvicorn", "fastapi", "sqlalchemy"),
-    }
+    return measured.figures(target_ms=TARGET_MS)

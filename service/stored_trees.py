@@ -1,6 +1,7 @@
 """Load spectra, and the meshes and clouds that they were made for, from storage."""
 
 from io import BytesIO
+from typing import Literal
 
 from pydantic import TypeAdapter
 
@@ -70,10 +71,7 @@ def load_asset_mesh(owned: Owned, asset_id: str) -> TriangleMesh:
         NotFoundError, GoneError: there is none, or it has expired.
         ConflictError: the asset is of another kind.
     """
-    asset = read_asset(owned.store, asset_id)
-    if asset.kind != "mesh" or asset.prepared is None:
-        raise ConflictError(f"asset {asset_id} is no mesh but {asset.kind}; a job makes its mesh")
-    return _mesh(owned, asset.prepared.sha256, asset_id)
+    return _mesh(owned, _prepared(owned, asset_id, "mesh", "a job makes its mesh"), asset_id)
 
 
 def load_asset_cloud(owned: Owned, asset_id: str) -> GaussianCloud:
@@ -85,10 +83,8 @@ def load_asset_cloud(owned: Owned, asset_id: str) -> GaussianCloud:
     """
     from dynamictree.formats.tensors.cloud_bundle import read_cloud_bundle
 
-    asset = read_asset(owned.store, asset_id)
-    if asset.kind != "cloud" or asset.prepared is None:
-        raise ConflictError(f"asset {asset_id} is no cloud but {asset.kind}; only splats and scans have points")
-    return read_cloud_bundle(_stored(owned, asset.prepared.sha256, f"cloud {asset.id}")).cloud
+    digest = _prepared(owned, asset_id, "cloud", "only splats and scans have points")
+    return read_cloud_bundle(_stored(owned, digest, f"cloud {asset_id}")).cloud
 
 
 def load_source_cloud(owned: Owned, spectrum_id: str) -> tuple[Capture, Box | None]:
@@ -107,6 +103,14 @@ def load_source_cloud(owned: Owned, spectrum_id: str) -> tuple[Capture, Box | No
         raise ProblemError("invalid-input", f"{detail}. Ask for vertices, voxels or modal")
     capture = read_cloud_bundle(_stored(owned, asset.prepared.sha256, f"cloud {asset.id}"))
     return capture, TypeAdapter(Box | None).validate_python(job.params.get("box_m"))
+
+
+def _prepared(owned: Owned, asset_id: str, kind: Literal["mesh", "cloud"], otherwise: str) -> str:
+    """Digest of the file that was read out of an asset of this kind."""
+    asset = read_asset(owned.store, asset_id)
+    if asset.kind != kind or asset.prepared is None:
+        raise ConflictError(f"asset {asset_id} is no {kind} but {asset.kind}; {otherwise}")
+    return asset.prepared.sha256
 
 
 def _mesh(owned: Owned, digest: str, whose: str) -> TriangleMesh:

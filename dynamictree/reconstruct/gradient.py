@@ -25,6 +25,11 @@ class Shapes:
     opacity: Float32[np.ndarray, " G"]
     sh: Float32[np.ndarray, "G H 3"]
 
+    @property
+    def arrays(self) -> tuple[np.ndarray, ...]:
+        """Every field, in the order in which the kernels take them."""
+        return self.means, self.quaternions, self.scales, self.opacity, self.sh
+
 
 @dataclass(frozen=True, kw_only=True)
 class Gradients:
@@ -56,11 +61,7 @@ def draw(shapes: Shapes, camera: Camera, *, width: int, height: int, antialias: 
     in_bands(
         project,
         number,
-        shapes.means,
-        shapes.quaternions,
-        shapes.scales,
-        shapes.opacity,
-        shapes.sh,
+        *shapes.arrays,
         shapes.quaternions,
         view,
         antialias,
@@ -100,11 +101,7 @@ def gradients_of(drawing: Drawing, gradient: Float32[np.ndarray, "H W 5"], *, wi
     in_bands(
         project_back,
         number,
-        shapes.means,
-        shapes.quaternions,
-        shapes.scales,
-        shapes.opacity,
-        shapes.sh,
+        *shapes.arrays,
         drawing.view,
         drawing.antialias,
         bounds,

@@ -9,7 +9,7 @@ from functools import cache
 from importlib import resources
 from typing import Annotated
 
-from fastapi import APIRouter, Header, Response
+from fastapi import APIRouter, Depends, Header, Response
 
 from service.http.problems import ProblemError
 from service.http.ranges import matches
@@ -51,48 +51,59 @@ class Page:
         return f'"{hashlib.sha256(self.content).hexdigest()[:32]}"'
 
 
+class Browser:
+    """What a browser takes, and what it has."""
+
+    def __init__(
+        self, accept_encoding: Annotated[str, Header()] = "", if_none_match: Annotated[str | None, Header()] = None
+    ) -> None:
+        self.accept_encoding, self.if_none_match = accept_encoding, if_none_match
+
+    def answer(self, page: Page, headers: dict[str, str]) -> Response:
+        """The page, packed where the browser takes that; 304 where it has it."""
+        headers = {"ETag": page.etag, "Cache-Control": "no-cache", "Vary": "Accept-Encoding"} | headers
+        if matches(self.if_none_match, page.etag):
+            return Response(None, 304, headers)
+        if page.packed is page.content or "gzip" not in self.accept_encoding:
+            return Response(page.content, 200, headers, page.media_type)
+        return Response(page.packed, 200, headers | {"Content-Encoding": "gzip"}, page.media_type)
+
+
+BrowserDep = Annotated[Browser, Depends()]
+
+
 @router.api_route("/", methods=["GET", "HEAD"])
-def get_viewer(
-    accept_encoding: Annotated[str, Header()] = "", if_none_match: Annotated[str | None, Header()] = None
-) -> Response:
+def get_viewer(browser: BrowserDep) -> Response:
     """The viewer."""
     page = read_page("index.html")
     assert page is not None
-    return _sent(page, accept_encoding, if_none_match, {"Content-Security-Policy": content_policy(page.content)})
+    return browser.answer(page, {"Content-Security-Policy": content_policy(page.content)})
 
 
 @router.api_route("/docs", methods=["GET", "HEAD"])
-def get_api_page(
-    accept_encoding: Annotated[str, Header()] = "", if_none_match: Annotated[str | None, Header()] = None
-) -> Response:
+def get_api_page(browser: BrowserDep) -> Response:
     """Every operation of the API, to read and to try."""
     page = read_page("docs.html")
     assert page is not None
-    return _sent(page, accept_encoding, if_none_match, {"Content-Security-Policy": DOCS_POLICY})
+    return browser.answer(page, {"Content-Security-Policy": DOCS_POLICY})
 
 
 @router.api_route("/llms.txt", methods=["GET", "HEAD"])
-def get_llms_text(
-    accept_encoding: Annotated[str, Header()] = "", if_none_match: Annotated[str | None, Header()] = None
-) -> Response:
+def get_llms_text(browser: BrowserDep) -> Response:
     """How to use the service, for language models (llmstxt.org)."""
     page = read_page("llms.txt")
     assert page is not None
-    return _sent(page, accept_encoding, if_none_match, {})
+    return browser.answer(page, {})
 
 
 @router.api_route("/web/{path:path}", methods=["GET", "HEAD"])
-def get_page_file(
-    path: str,
-    accept_encoding: Annotated[str, Header()] = "",
-    if_none_match: Annotated[str | None, Header()] = None,
-) -> Response:
+def get_page_file(path: str, browser: BrowserDep) -> Response:
     """What the viewer is made of."""
     page = read_page(path)
     if page is None:
         raise ProblemError("not-found", f"the viewer has no file {path[:128]!r}")
     headers = {"Cache-Control": VENDORED} if path.startswith("vendor/") else {}
-    return _sent(page, accept_encoding, if_none_match, headers)
+    return browser.answer(page, headers)
 
 
 def content_policy(page: bytes) -> str:
@@ -128,12 +139,3 @@ def read_page(path: str) -> Page | None:
     content = file.read_bytes()
     packed = gzip.compress(content, 6, mtime=0)
     return Page(media_type=media_type, content=content, packed=min(content, packed, key=len))
-
-
-def _sent(page: Page, accept_encoding: str, if_none_match: str | None, headers: dict[str, str]) -> Response:
-    headers = {"ETag": page.etag, "Cache-Control": "no-cache", "Vary": "Accept-Encoding"} | headers
-    if matches(if_none_match, page.etag):
-        return Response(None, 304, headers)
-    if page.packed is page.content or "gzip" not in accept_encoding:
-        return Response(page.content, 200, headers, page.media_type)
-    return Response(page.packed, 200, headers | {"Content-Encoding": "gzip"}, page.media_type)

@@ -12,6 +12,8 @@ from typing import Any
 
 import httpx
 
+from tests.compose.engine import run_program
+
 ROOT = Path(__file__).parents[2]
 TREE = ROOT / "web" / "examples" / "round-broadleaf.glb"
 OURS = ("api", "worker", "housekeeper")
@@ -100,18 +102,8 @@ class Drill:
 
     def docker(self, *command: str, timeout_s: float = 600, check: bool = True) -> str:
         """Run `docker compose …` and return what it prints."""
-        done = subprocess.run(
-            [*self.compose, *command],
-            cwd=ROOT,
-            env=self.environment,
-            capture_output=True,
-            text=True,
-            timeout=timeout_s,
-            check=False,
-        )
-        if check and done.returncode != 0:
-            raise RuntimeError(f"docker compose {' '.join(command)}:\n{done.stdout[-2000:]}{done.stderr[-4000:]}")
-        return done.stdout
+        whole = (*self.compose, *command)
+        return run_program(whole, self.environment, timeout_s=timeout_s, check=check, folder=ROOT).stdout
 
     def write_logs(self, path: Path) -> None:
         """Keep what the containers said."""

@@ -12,7 +12,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,6 +32,18 @@ START_S = 90
 STOP_S = 60
 
 
+def run_program(
+    command: Sequence[str], environment: Mapping[str, str], *, timeout_s: float, check: bool, folder: Path | None = None
+) -> subprocess.CompletedProcess[str]:
+    """Run a program to its end; with `check`, a failure is a RuntimeError with what the program wrote."""
+    done = subprocess.run(
+        command, cwd=folder, env=environment, capture_output=True, text=True, timeout=timeout_s, check=False
+    )
+    if check and done.returncode != 0:
+        raise RuntimeError(f"{' '.join(command)}:\n{done.stdout[-2000:]}{done.stderr[-4000:]}")
+    return done
+
+
 @dataclass(frozen=True, kw_only=True)
 class Engine:
     """How to reach an engine."""
@@ -42,16 +54,7 @@ class Engine:
 
     def run(self, *command: str, timeout_s: float = 120, check: bool = True) -> str:
         """Run a docker command and return what it prints."""
-        done = subprocess.run(
-            [self.docker, *command],
-            env=self.environment,
-            capture_output=True,
-            text=True,
-            timeout=timeout_s,
-            check=False,
-        )
-        if check and done.returncode != 0:
-            raise RuntimeError(f"docker {' '.join(command)}: {done.stderr[-3000:] or done.stdout[-3000:]}")
+        done = run_program((self.docker, *command), self.environment, timeout_s=timeout_s, check=check)
         return done.stdout + (done.stderr if not check else "")
 
 

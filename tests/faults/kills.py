@@ -6,14 +6,12 @@ a law broke.
 """
 
 import argparse
-import json
 import os
 import random
 import re
 import shutil
 import signal
 import sys
-import tempfile
 import threading
 import time
 from collections import Counter
@@ -33,6 +31,7 @@ from jobs.database import open_engine
 from jobs.messages import RUN_JOB
 from tests import servers
 from tests.faults.conftest import SHORT
+from tests.faults.drill import parse, tell
 from tests.faults.shapes import bumpy_sphere
 
 ENDED = {"succeeded", "failed", "canceled", "aborted"}
@@ -316,22 +315,13 @@ def run(folder: Path, *, kills: int, seed: int, clients: int, minutes: float) ->
         }
 
 
-def tell(what: dict[str, object]) -> None:
-    sys.stdout.write(json.dumps(what) + "\n")
-    sys.stdout.flush()
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--kills", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--clients", type=int, default=3)
     parser.add_argument("--minutes", type=float, default=30, help="kill no more after so long")
-    parser.add_argument("--keep", type=Path, help="folder for logs and products; a temporary one if unset")
-    given = parser.parse_args()
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit("stopped"))  # and so end what was started
-    folder = given.keep or Path(tempfile.mkdtemp(prefix="faults-"))
-    folder.mkdir(parents=True, exist_ok=True)
+    given, folder = parse(parser, prefix="faults-")
     report = run(folder, kills=given.kills, seed=given.seed, clients=given.clients, minutes=given.minutes)
     tell(report)
     if report["num_broken"] or report["kills"] != given.kills:

@@ -5,12 +5,9 @@ steady state is reached. Prints a line a minute and a summary; exits with 1 if a
 """
 
 import argparse
-import json
 import random
-import signal
 import statistics
 import sys
-import tempfile
 import time
 from collections import Counter, defaultdict
 from contextlib import suppress
@@ -23,6 +20,7 @@ import numpy as np
 import psutil
 
 from tests.faults.conftest import Service, start, stop
+from tests.faults.drill import parse, tell
 from tests.faults.shapes import bumpy_sphere
 
 SAMPLE_S = 15.0
@@ -201,21 +199,12 @@ def run(folder: Path, *, minutes: float, seed: int, pause_s: float) -> dict[str,
     }
 
 
-def tell(what: dict[str, object]) -> None:
-    sys.stdout.write(json.dumps(what) + "\n")
-    sys.stdout.flush()
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--minutes", type=float, default=60)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--pause", type=float, default=5, help="seconds between two users")
-    parser.add_argument("--keep", type=Path, help="folder for state and log; a temporary one if unset")
-    given = parser.parse_args()
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit("stopped"))  # and so end what was started
-    folder = given.keep or Path(tempfile.mkdtemp(prefix="soak-"))
-    folder.mkdir(parents=True, exist_ok=True)
+    given, folder = parse(parser, prefix="soak-")
     report = run(folder, minutes=given.minutes, seed=given.seed, pause_s=given.pause)
     tell(report)
     if report["grown"] or report["num_wrong"] or report["exit"]:
