@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger(__name__)
 
-STAGE_VERSION = "9"
+STAGE_VERSION = "10"
 """Part of every stage's key; raised when a stage makes something else of the same inputs."""
 
 SOURCE = "source"

@@ -14,7 +14,8 @@ from dynamictree.devoxelize.surface_fit import SurfaceFit
 class VoxelInterpolation:
     """Weights from voxels to the points of one mesh.
 
-    `rows` and `weights` are the voxels that each point depends on; the weights are not negative and sum to 1. With a
+    `rows` and `weights` are the voxels that each point depends on; the weights are not negative and sum to 1, or
+    are all 0 for what stands still. With a
     `fit`, a value is not the weighted mean of the values of voxels, but that of the smoothest motion with these means.
     """
 

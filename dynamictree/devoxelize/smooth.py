@@ -49,7 +49,7 @@ def smooth(
     return replace(
         interpolation,
         rows=interpolation.rows[vertex],
-        weights=interpolation.weights[vertex],
+        weights=np.where(still[:, None], np.float32(0), interpolation.weights[vertex]),
         fit=fit_surface(mesh, grid, average, attachments, smoothness=smoothness, max_factored=max_factored),
         fitted=vertex,
         attachments=attachments,

@@ -36,12 +36,22 @@ def skin_of(
     ties = smooth(spectrum.grid, mesh)
     tied = attach_mesh(bones, mesh, rows=ties.rows, weights=ties.weights, voxel_size_m=spectrum.grid.voxel_size_m)
     weights = tied.weights[:, :JOINTS_PER_VERTEX]  # the strongest come first
-    weights = weights / weights.sum(axis=1, keepdims=True)
+    total = weights.sum(axis=1, keepdims=True)
+    weights = weights / np.where(total > 0, total, 1)
     rows = tied.rows[:, :JOINTS_PER_VERTEX]
     rotation, translation = _fitted(bones.parent, rows, weights, mesh.vertices, coefficients, spectrum.num_frames)
+    parent, joint_m = bones.parent, bones.joint_m
+    still = total[:, 0] == 0
+    if still.any():  # a root that never moves carries them
+        rows, weights = rows.copy(), weights.copy()
+        rows[still], weights[still, 0] = len(parent), 1
+        parent = np.append(parent, np.int32(-1))
+        joint_m = np.concatenate([joint_m, mesh.vertices[still].mean(axis=0, keepdims=True)])
+        rotation = np.concatenate([rotation, np.broadcast_to(np.eye(3), (len(rotation), 1, 3, 3))], axis=1)
+        translation = np.concatenate([translation, np.zeros_like(translation[:, :1])], axis=1)
     skin = Skin(
-        parent=bones.parent,
-        joint_m=bones.joint_m,
+        parent=parent,
+        joint_m=joint_m,
         rows=rows,
         weights=weights,
         rotation=rotation.astype(np.float32),

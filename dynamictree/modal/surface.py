@@ -17,7 +17,7 @@ LONG_VOXELS = 2.0  # edges that are longer share less, so that a coarse trunk do
 
 @dataclass(frozen=True, kw_only=True)
 class BoneAttachment:
-    """Each vertex' bones and their weights, which sum to 1."""
+    """Each vertex' bones and their weights, which sum to 1, or are all 0 where it stands still."""
 
     rows: Int32[np.ndarray, "N W"]
     weights: Float32[np.ndarray, "N W"]
@@ -31,7 +31,8 @@ def attach_mesh(
     weights: Float32[np.ndarray, "N M"],
     voxel_size_m: float,
 ) -> BoneAttachment:
-    """Give each vertex the bones of its voxels (`rows` and `weights`), spread along the mesh's own edges."""
+    """Give each vertex the bones of its voxels (`rows` and `weights`), spread along the edges of what may move."""
+    mesh = mesh.moving_part
     num_vertices, width = rows.shape
     points = np.repeat(np.arange(num_vertices), width)
     shape = (num_vertices, len(bones.parent))
@@ -87,4 +88,5 @@ def _strongest(carried: "scipy.sparse.csr_array") -> BoneAttachment:
     weights = np.zeros((num_vertices, BONES_A_VERTEX), np.float32)
     rows[point[strongest], rank[strongest]] = carried.indices[order][strongest]
     weights[point[strongest], rank[strongest]] = carried.data[order][strongest]
-    return BoneAttachment(rows=rows, weights=weights / weights.sum(axis=1, keepdims=True))
+    total = weights.sum(axis=1, keepdims=True)
+    return BoneAttachment(rows=rows, weights=weights / np.where(total > 0, total, 1))

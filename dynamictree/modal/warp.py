@@ -66,7 +66,10 @@ def bend(
     rows: Int32[np.ndarray, "N W"],
     weights: Float32[np.ndarray, "N W"],
 ) -> Float32[np.ndarray, "N 3"]:
-    """Displacement of points, each the weighted mean of where its bones `rows` would carry it [m]."""
+    """Displacement of points, each the weighted mean of where its bones `rows` would carry it [m].
+
+    A point whose weights are all 0 stays where it is.
+    """
     # x' = Σ w (R x + t) with t = joint' - R joint
     shift = posed.place_m - np.einsum("bij,bj->bi", posed.rotation, bones.joint_m)
     moved = np.empty_like(points)
@@ -127,7 +130,13 @@ def _multiply(left, right, out):
 def _bend(first, end, rotation, shift, points, rows, weights, moved):
     for n in range(first, end):
         x, y, z = points[n]
+        carried = False
+        for j in range(rows.shape[1]):
+            carried |= weights[n, j] > 0
         for i in range(3):
+            if not carried:
+                moved[n, i] = 0
+                continue
             total = np.float32(0)
             for j in range(rows.shape[1]):
                 w = weights[n, j]

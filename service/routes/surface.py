@@ -96,7 +96,7 @@ def _near_motion(ready: ReadyTree, mesh: TriangleMesh) -> dict[str, np.ndarray]:
 
     neighbours = cKDTree(grid.centres_m).query(mesh.vertices, k=np.arange(1, TIES + 1))
     far, rows = np.asarray(neighbours[0]), np.asarray(neighbours[1])  # [N, TIES]
-    weights = np.asarray(1 / (far**2 + grid.voxel_size_m**2))
+    weights = np.where(mesh.still_vertices[:, None], 0, 1 / (far**2 + grid.voxel_size_m**2))
     return {
         "tie_rows": rows.astype(np.int32),
         "tie_weights": _bytes(weights),
@@ -106,9 +106,10 @@ def _near_motion(ready: ReadyTree, mesh: TriangleMesh) -> dict[str, np.ndarray]:
 
 
 def _bytes(weights: np.ndarray) -> np.ndarray:
-    """Weights that sum to 1 as bytes that sum to 255; what rounding leaves over goes to the first."""
-    scaled = np.rint(255 * weights / weights.sum(axis=1, keepdims=True)).astype(np.int32)
-    scaled[:, 0] += 255 - scaled.sum(axis=1)
+    """Weights as bytes that sum to 255; what rounding leaves over goes to the first. All 0 where all are 0."""
+    total = weights.sum(axis=1, keepdims=True)
+    scaled = np.rint(255 * weights / np.where(total > 0, total, 1)).astype(np.int32)
+    scaled[:, 0] += np.where(total[:, 0] > 0, 255, 0) - scaled.sum(axis=1)
     result: np.ndarray = scaled.astype(np.uint8)
     return result
 

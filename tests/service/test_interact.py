@@ -10,16 +10,20 @@ import pytest
 from fastapi.testclient import TestClient
 from safetensors.numpy import load
 
+from dynamictree.devoxelize.smooth import smooth
+from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.force import Drag, Impulse, contact_at_voxel
 from dynamictree.modal.interactive_tree import InteractiveTree
 from dynamictree.modal.locality import default_falloff_m
 from dynamictree.modal.response import group_forces, respond
+from dynamictree.modal.skinning import skin_of
 from dynamictree.modal.system import modal_system
 from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.assets import delete_asset
 from jobs.settings import Settings
 from service.app import create_app
 from service.http.caller import ANYONE
+from service.ready_tree import ReadyTree, bone_ties, vertex_frames
 from service.schemas.forces import MAX_FORCES
 from service.services import Services
 from service.tree_cache import living_tree
@@ -318,3 +322,36 @@ def test_large_answers_are_made_a_few_at_a_time(
         slots.total = 1
         for _ in range(3):  # each gives its slot back
             assert post(client, spectrum_id, poke, accept="*/*", output="voxels", num_frames=3).status_code == 200
+
+
+def on_a_plane(mesh: TriangleMesh) -> TriangleMesh:
+    """The mesh with a plane below it that stands still: the last four vertices."""
+    plane = np.float32([[-9, -9, 0], [9, -9, 0], [9, 9, 0], [-9, 9, 0]])
+    faces = np.concatenate([mesh.faces, np.int32([[0, 1, 2], [0, 2, 3]]) + mesh.num_vertices])
+    still = np.arange(len(faces)) >= mesh.num_faces
+    return TriangleMesh(vertices=np.concatenate([mesh.vertices, plane]), faces=faces, still_faces=still)
+
+
+@pytest.mark.parametrize("warp", [False, True])
+def test_vertices_of_still_parts_do_not_move_under_pushes(
+    grown, spectrum: SparseVoxelSpectrum, poke: dict, warp: bool
+) -> None:
+    mesh = on_a_plane(grown.mesh)
+    ready = ReadyTree(InteractiveTree(modal_system(spectrum)), expires_at=0.0)
+    push = Impulse(at=contact_at_voxel(spectrum.grid, poke["at"]["voxel"]), impulse_n_s=(30.0, 1.0, 0.0))
+    for falloff_m in (None, 2.0):
+        answer = respond(ready.tree.system, group_forces([push], falloff_m=falloff_m), dt_s=1 / 60, num_frames=3)
+        if warp:
+            frames = np.stack(list(ready.tree.bent(answer, mesh.vertices, bone_ties(ready, mesh))))
+        else:
+            frames = np.stack(list(ready.tree.superposed(answer, vertex_frames(ready, mesh))))
+        assert not frames[:, -4:].any()
+        assert np.abs(frames[-1, :-4]).max() > 1e-4
+
+
+def test_a_skin_does_not_move_still_parts(grown, spectrum: SparseVoxelSpectrum) -> None:
+    mesh = on_a_plane(grown.mesh)
+    skin, _ = skin_of(spectrum, mesh, smooth(spectrum.grid, mesh).apply(spectrum.coefficients))
+    np.testing.assert_allclose(skin.weights.sum(axis=1), 1, atol=1e-5)
+    assert not skin.displacement(mesh.vertices, 10)[-4:].any()
+    assert np.abs(skin.displacement(mesh.vertices, 10)[:-4]).max() > 1e-3

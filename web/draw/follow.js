@@ -7,6 +7,7 @@ import { DISPLACE } from "./field.js";
 const BONES = /* glsl */ `
 attribute vec4 boneRows; attribute vec4 boneWeights;
 mat4 poseOfPoint() {
+  if (dot(boneWeights, vec4(1.0)) < 0.5) return mat4(1.0); // of what is no plant
   mat4 pose = mat4(0.0);
   for (int i = 0; i < 4; i++) pose += boneWeights[i] * poseOf(int(boneRows[i] + 0.5));
   return pose;

@@ -49,6 +49,7 @@ vec3 treeVertex(int v, vec3 at, sampler2D moved, sampler2D poses, float bent, sa
   vec3 x = at + treeTexel(moved, v).xyz;
   if (bent < 0.5) return x;
   vec4 row = treeTexel(bones, 2 * v), weight = treeTexel(bones, 2 * v + 1);
+  if (dot(weight, vec4(1.0)) < 0.5) return x; // of what is no plant
   vec3 sum = vec3(0.0);
   for (int i = 0; i < 4; i++) {
     int bone = int(row[i] + 0.5);
