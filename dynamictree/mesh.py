@@ -56,6 +56,14 @@ class SourceGltf:
 
 
 @dataclass(frozen=True, kw_only=True)
+class StillPart:
+    """Something that was detected to be no plant and stands still, and why."""
+
+    name: str
+    why: str
+
+
+@dataclass(frozen=True, kw_only=True)
 class TriangleMesh:
     """One mesh of one or many parts. Vertex order is the source's; displacement files follow it.
 
@@ -75,6 +83,9 @@ class TriangleMesh:
     source_up_confidence: float = 1.0  # in [0, 1]; below 1 the axis was worked out from the shape
     source_scale: float = 1.0  # metres a unit of the source
     warnings: tuple[SourceWarning, ...] = ()
+    part_names: tuple[str, ...] = ()  # of nodes or groups, with those above them: "Pot/Cylinder"
+    face_part: Int32[np.ndarray, " F"] | None = None  # index into part_names
+    still_parts: tuple[StillPart, ...] = ()  # what was detected to be no plant
     still_faces: Bool[np.ndarray, " F"] | None = None  # of what is no plant, such as a pot; None if all may move
     source_gltf: SourceGltf | None = None  # of glTF only, while its vertices are where the file has them
 
@@ -85,8 +96,9 @@ class TriangleMesh:
             return self
         selected = ~self.still_faces
         material = None if self.face_material is None else self.face_material[selected]
+        part = None if self.face_part is None else self.face_part[selected]
         faces = self.faces[selected]
-        return replace(self, faces=faces, face_material=material, still_faces=None, source_gltf=None)
+        return replace(self, faces=faces, face_material=material, face_part=part, still_faces=None, source_gltf=None)
 
     @property
     def still_vertices(self) -> Bool[np.ndarray, " N"]:

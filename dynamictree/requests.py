@@ -27,6 +27,9 @@ MAX_SEED = 2**53 - 1
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Box = tuple[tuple[Finite, Finite, Finite], tuple[Finite, Finite, Finite]]
 """Low and high corner [m], +Z up."""
+PartNames = Annotated[
+    tuple[Annotated[str, StringConstraints(min_length=1, max_length=200)], ...], Field(min_length=1, max_length=64)
+]
 Format = Literal[
     "ply", "glb", "glb-reduced", "glb-skinned", "usd", "vat", "motion", "splat-ply", "splat", "png", "webp", "mp4"
 ]
@@ -112,11 +115,23 @@ class Reading(Request):
 
 
 class CloudParams(Request):
-    """Which part of a splat or scan may move."""
+    """Which parts move: by default the plant as it is detected; `moving`, then `still`, then `box_m` change that."""
 
     box_m: Box | None = Field(
         default=None,
-        description="Of a splat or scan, only what is inside moves: low and high corner [m], +Z up; all if unset",
+        description="Only what is inside moves: low and high corner [m], +Z up; all of the plant if unset",
+    )
+    still: PartNames | None = Field(
+        default=None,
+        description="Parts that stand still: nodes and materials of a mesh, still_parts of a splat or scan; "
+        "* fits any letters, ? one",
+    )
+    moving: PartNames | None = Field(
+        default=None, description="Parts that move although they were detected as no plant, named as in still"
+    )
+    still_box_m: Box | None = Field(default=None, description="What is inside stands still: low and high corner [m]")
+    moving_box_m: Box | None = Field(
+        default=None, description="What is inside moves although it was detected as no plant: low and high corner [m]"
     )
 
 

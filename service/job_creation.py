@@ -4,7 +4,7 @@ from hashlib import sha256
 
 from fastapi import Response, status
 
-from dynamictree.requests import AnimateParams, Format
+from dynamictree.requests import AnimateParams, CloudParams, Format
 from jobs.assets import read_asset
 from jobs.errors import ConflictError
 from jobs.records import AssetRecord, ClientKey, JobRecord, Json
@@ -131,9 +131,10 @@ def require_possible(owned: Owned, body: JobRequest) -> tuple[AssetRecord, tuple
     stages = stages_of(body.type, asset.kind)
     if "diffuse" in stages:
         require_preset(body.preset)
-    if body.params.box_m is not None and asset.kind != "cloud":
-        detail = f"asset {asset.id} is of kind {asset.kind}; only of a cloud a part may move"
-        raise wrong_field("/params/box_m", "not-allowed", detail)
+    chosen = [name for name in CloudParams.model_fields if getattr(body.params, name) is not None]
+    if chosen and asset.kind == "photos":
+        detail = f"asset {asset.id} is of kind photos, in which no part has a place or name yet"
+        raise wrong_field(f"/params/{chosen[0]}", "not-allowed", detail)
     size = sum(format_bytes(body, asset).values())
     require_room(owned, size)
     require_bytes(owned, size)
@@ -171,8 +172,9 @@ def _require_place(owned: Owned) -> None:
 def _resolved(body: JobRequest, asset: AssetRecord) -> dict[str, Json]:
     """The job's parameters for the worker: default formats filled in, and always a picture."""
     params: dict[str, Json] = body.params.model_dump(mode="json")
-    if body.params.box_m is None:
-        del params["box_m"]
+    for name in CloudParams.model_fields:
+        if params[name] is None:
+            del params[name]
     if isinstance(body.params, AnimateParams):
         params["formats"] = list(_formats(body.params, asset))
     return params

@@ -3,13 +3,12 @@
 from io import BytesIO
 from typing import Literal
 
-from pydantic import TypeAdapter
-
 from dynamictree.formats.tensors.spectrum import read_spectrum
 from dynamictree.gaussian.capture import Capture
 from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.gaussian.part_choice import with_choice
 from dynamictree.mesh import TriangleMesh
-from dynamictree.requests import Box
+from dynamictree.requests import CloudParams
 from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.assets import read_asset
 from jobs.errors import ConflictError, GoneError, NotFoundError
@@ -57,7 +56,8 @@ def load_source_mesh(owned: Owned, spectrum_id: str) -> TriangleMesh:
     artifact = spectrum_artifact(owned, spectrum_id)
     asset = read_asset(owned.store, owned.store.job(artifact.job_id).asset_id)
     if asset.prepared is not None and asset.kind == "mesh":
-        return _mesh(owned, asset.prepared.sha256, asset.id)
+        job = owned.store.job(artifact.job_id)
+        return with_choice(_mesh(owned, asset.prepared.sha256, asset.id), CloudParams.part_of(job.params))
     bundles = [other for other in owned.store.artifacts_of(artifact.job_id) if other.name == MESH_BUNDLE]
     if not bundles:
         raise GoneError(f"the mesh of spectrum {spectrum_id} was removed; run the job again")
@@ -87,8 +87,8 @@ def load_asset_cloud(owned: Owned, asset_id: str) -> GaussianCloud:
     return read_cloud_bundle(_stored(owned, digest, f"cloud {asset_id}")).cloud
 
 
-def load_source_cloud(owned: Owned, spectrum_id: str) -> tuple[Capture, Box | None]:
-    """The cloud that a spectrum was made for, and the box of its job: only what is inside moves.
+def load_source_cloud(owned: Owned, spectrum_id: str) -> tuple[Capture, CloudParams]:
+    """The cloud that a spectrum was made for, and what of it moves in its job.
 
     Raises:
         NotFoundError, GoneError: there is no such spectrum, or its asset has expired.
@@ -102,7 +102,7 @@ def load_source_cloud(owned: Owned, spectrum_id: str) -> tuple[Capture, Box | No
         detail = f"this spectrum's source is of kind {asset.kind}; output gaussians needs a cloud"
         raise ProblemError("invalid-input", f"{detail}. Ask for vertices, voxels or modal")
     capture = read_cloud_bundle(_stored(owned, asset.prepared.sha256, f"cloud {asset.id}"))
-    return capture, TypeAdapter(Box | None).validate_python(job.params.get("box_m"))
+    return capture, CloudParams.part_of(job.params)
 
 
 def _prepared(owned: Owned, asset_id: str, kind: Literal["mesh", "cloud"], otherwise: str) -> str:

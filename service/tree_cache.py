@@ -64,8 +64,8 @@ def moving_gaussians(owned: Owned, ready: ReadyTree, spectrum_id: str) -> Moving
 
     mesh = with_mesh(owned, ready, spectrum_id)
     if ready.gaussians is None:
-        capture, box = load_source_cloud(owned, spectrum_id)
-        binding = bind_capture(capture, mesh, box)
+        capture, choice = load_source_cloud(owned, spectrum_id)
+        binding = bind_capture(capture, mesh, choice)
         rows = np.flatnonzero(binding.moving).astype(np.int32)
         moving = replace(
             binding,

@@ -41,7 +41,7 @@ INPUTS: dict[JobType, tuple[str, ...]] = {
 }
 PARAMS: dict[JobType, tuple[type[Request], ...]] = {
     "reconstruct": (ReconstructParams,),
-    "voxelize": (GridParams,),
+    "voxelize": (GridParams, CloudParams),
     "diffuse": (SpectrumParams,),
     "animate": (ExportParams, CloudParams),
 }

@@ -17,6 +17,7 @@ from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle, write_mesh
 from dynamictree.formats.tensors.spectrum import read_spectrum, write_spectrum
 from dynamictree.formats.tensors.voxels import read_voxels, write_voxels
 from dynamictree.gaussian.capture import Capture, carrying_mesh
+from dynamictree.gaussian.part_choice import with_choice
 from dynamictree.mesh import TriangleMesh
 from dynamictree.requests import CloudParams, ExportParams, GridParams, ReconstructParams, SpectrumParams
 from jobs.records import JobRecord
@@ -72,7 +73,7 @@ def _mesh_of_cloud(given: StageInput) -> Iterable[Path]:
     given.report(0.0)
     capture = _capture(given)
     assert capture is not None
-    mesh = carrying_mesh(capture, CloudParams.part_of(given.job.params).box_m)
+    mesh = carrying_mesh(capture, CloudParams.part_of(given.job.params))
     with (given.folder / MESH).open("xb") as stream:
         write_ply(mesh, stream)
     with (given.folder / MESH_BUNDLE).open("xb") as stream:
@@ -120,7 +121,7 @@ def animate(given: StageInput) -> Iterable[Path]:
         given.folder,
         given.report,
         capture=_capture(given),
-        box_m=CloudParams.part_of(given.job.params).box_m,
+        choice=CloudParams.part_of(given.job.params),
         on_facts=lambda name, facts: given.facts.update({PRODUCTS[name].file_name: facts}),
     )
     return paths.values()
@@ -153,5 +154,7 @@ def _capture(given: StageInput) -> Capture | None:
 
 
 def _mesh(given: StageInput, *, with_source: bool = False) -> TriangleMesh:
+    """The mesh that moves; one that was made of a cloud or photos has its still faces already."""
     with given.files[MESH_BUNDLE].open("rb") as stream:
-        return read_mesh_bundle(stream, with_source=with_source)
+        mesh = read_mesh_bundle(stream, with_source=with_source)
+    return mesh if CLOUD_BUNDLE in given.files else with_choice(mesh, CloudParams.part_of(given.job.params))

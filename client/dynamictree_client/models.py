@@ -19,8 +19,17 @@ JobState = Literal["queued", "running", "canceling", "succeeded", "failed", "can
 class AnimateParams(Model):
     """Parameters of a job that writes a motion. The service writes png besides the formats that are asked for."""
 
-    # Of a splat or scan, only what is inside moves: low and high corner [m], +Z up; all if unset
+    # Only what is inside moves: low and high corner [m], +Z up; all of the plant if unset
     box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
+    # Parts that stand still: nodes and materials of a mesh, still_parts of a splat or scan; * fits any letters, ?
+    # one
+    still: list[str] | None = None
+    # Parts that move although they were detected as no plant, named as in still
+    moving: list[str] | None = None
+    # What is inside stands still: low and high corner [m]
+    still_box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
+    # What is inside moves although it was detected as no plant: low and high corner [m]
+    moving_box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
     # Of photos: the tree's height [m], which they do not show; 1 m if unset
     height_m: float | None = None
     # Of photos: training steps of the splat; 3000 if unset
@@ -179,8 +188,17 @@ class Delivery(Model):
 class DiffuseParams(Model):
     """Parameters of a job that generates a spectrum."""
 
-    # Of a splat or scan, only what is inside moves: low and high corner [m], +Z up; all if unset
+    # Only what is inside moves: low and high corner [m], +Z up; all of the plant if unset
     box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
+    # Parts that stand still: nodes and materials of a mesh, still_parts of a splat or scan; * fits any letters, ?
+    # one
+    still: list[str] | None = None
+    # Parts that move although they were detected as no plant, named as in still
+    moving: list[str] | None = None
+    # What is inside stands still: low and high corner [m]
+    still_box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
+    # What is inside moves although it was detected as no plant: low and high corner [m]
+    moving_box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
     # Of photos: the tree's height [m], which they do not show; 1 m if unset
     height_m: float | None = None
     # Of photos: training steps of the splat; 3000 if unset
@@ -603,8 +621,17 @@ class Ready(Model):
 class ReconstructParams(Model):
     """Parameters of a job that makes a mesh of photos or a cloud."""
 
-    # Of a splat or scan, only what is inside moves: low and high corner [m], +Z up; all if unset
+    # Only what is inside moves: low and high corner [m], +Z up; all of the plant if unset
     box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
+    # Parts that stand still: nodes and materials of a mesh, still_parts of a splat or scan; * fits any letters, ?
+    # one
+    still: list[str] | None = None
+    # Parts that move although they were detected as no plant, named as in still
+    moving: list[str] | None = None
+    # What is inside stands still: low and high corner [m]
+    still_box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
+    # What is inside moves although it was detected as no plant: low and high corner [m]
+    moving_box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
     # Of photos: the tree's height [m], which they do not show; 1 m if unset
     height_m: float | None = None
     # Of photos: training steps of the splat; 3000 if unset
@@ -782,8 +809,17 @@ class Usage(Model):
 class VoxelizeParams(Model):
     """Parameters of a job that makes the voxels of a surface."""
 
-    # Of a splat or scan, only what is inside moves: low and high corner [m], +Z up; all if unset
+    # Only what is inside moves: low and high corner [m], +Z up; all of the plant if unset
     box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
+    # Parts that stand still: nodes and materials of a mesh, still_parts of a splat or scan; * fits any letters, ?
+    # one
+    still: list[str] | None = None
+    # Parts that move although they were detected as no plant, named as in still
+    moving: list[str] | None = None
+    # What is inside stands still: low and high corner [m]
+    still_box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
+    # What is inside moves although it was detected as no plant: low and high corner [m]
+    moving_box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
     # Of photos: the tree's height [m], which they do not show; 1 m if unset
     height_m: float | None = None
     # Of photos: training steps of the splat; 3000 if unset

@@ -42,7 +42,7 @@ def animate(
     from dynamictree.export.write import write_products
     from dynamictree.formats.tensors.spectrum import write_spectrum
 
-    shape, capture = read_source(source, reading, box_m=cloud.box_m, mask=mask, beside=mesh)
+    shape, capture = read_source(source, reading, choice=cloud, mask=mask, beside=mesh)
     if capture is not None and not as_json:
         _print_sequence_size(capture, export)
     inexact: dict[str, Facts] = {}
@@ -67,7 +67,7 @@ def animate(
             folder,
             lambda done: report("animate", done),
             capture=capture,
-            box_m=cloud.box_m,
+            choice=cloud,
             on_facts=lambda name, facts: inexact.update({PRODUCTS[name].file_name: facts}),
         )
         names = sorted(path.name for path in folder.iterdir())

@@ -36,7 +36,7 @@ def diffuse(
         with opened(source) as stream:
             voxels = read_voxels(stream)
     else:
-        mesh, _ = read_source(source, reading, box_m=cloud.box_m)
+        mesh, _ = read_source(source, reading, choice=cloud)
         voxels = method.voxelize(mesh, resolution=grid.resolution)
     with progress(quiet=as_json) as report:
         spectrum = method.generate(

@@ -15,6 +15,8 @@ OPTION_NAMES = {
     "num_frames": "frames",
     "formats": "format",
     "box_m": "box",
+    "still_box_m": "still-box",
+    "moving_box_m": "moving-box",
     "speed_m_s": "wind-speed",
     "direction_deg": "wind-direction",
     "azimuth_deg": "azimuth",
@@ -101,8 +103,10 @@ def _kind(schema: Schema) -> Schema:
 def _allowed(kind: Schema) -> str:
     """The range or the choices of a field, for its help."""
     if kind["type"] == "array":
-        choices = kind.get("items", {}).get("enum")
-        return "x,y,z,x,y,z" if choices is None else f"Comma-separated: {', '.join(choices)}"
+        if "items" not in kind:
+            return "x,y,z,x,y,z"
+        choices = kind["items"].get("enum", ["names"])
+        return f"Comma-separated: {', '.join(choices)}"
     if "enum" in kind:
         *most, last = map(str, kind["enum"])
         return f"{', '.join(most)} or {last}"

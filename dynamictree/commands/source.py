@@ -11,7 +11,7 @@ import typer
 
 from dynamictree.errors import InputError
 from dynamictree.files import Companions, opened
-from dynamictree.requests import Box, Reading
+from dynamictree.requests import CloudParams, Reading
 
 if TYPE_CHECKING:
     from dynamictree.gaussian.capture import Capture
@@ -47,7 +47,7 @@ def read_source(
     path: Path,
     reading: Reading,
     *,
-    box_m: Box | None = None,
+    choice: CloudParams | None = None,
     mask: Path | None = None,
     beside: Path | None = None,
 ) -> "tuple[TriangleMesh, Capture | None]":
@@ -57,15 +57,16 @@ def read_source(
         InputError: a file cannot be read, or they do not fit together.
     """
     from dynamictree.gaussian.capture import carrying_mesh
+    from dynamictree.gaussian.part_choice import with_choice
 
     if not is_cloud(path):
-        if box_m is not None or mask is not None or beside is not None:
-            raise InputError(f"{path} is a mesh; --box, --mask and --mesh are for splats and scans")
-        mesh = load_mesh(path, reading)
+        if mask is not None or beside is not None:
+            raise InputError(f"{path} is a mesh; --mask and --mesh are for splats and scans")
+        mesh = with_choice(load_mesh(path, reading), choice or CloudParams())
         say_how_read(mesh, mesh.warnings)
         return mesh, None
     capture = load_capture(path, reading, mask=mask, mesh=beside)
-    mesh = carrying_mesh(capture, box_m)
+    mesh = carrying_mesh(capture, choice)
     say_how_read(mesh, capture.warnings)
     return mesh, capture
 

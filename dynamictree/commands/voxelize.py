@@ -21,7 +21,7 @@ def voxelize(
     from dynamictree import method
     from dynamictree.formats.tensors.voxels import write_voxels
 
-    mesh, _ = read_source(source, reading, box_m=cloud.box_m)
+    mesh, _ = read_source(source, reading, choice=cloud)
     voxels = method.voxelize(mesh, resolution=grid.resolution)
     with published(output.parent) as folder, (folder / output.name).open("wb") as stream:
         write_voxels(voxels, stream)

@@ -24,7 +24,7 @@ from dynamictree.gaussian.animate import lighter
 from dynamictree.gaussian.binding import Binding, bind_capture
 from dynamictree.gaussian.capture import Capture
 from dynamictree.mesh import TriangleMesh
-from dynamictree.requests import MAX_FRAMES, Box, ExportParams, Format
+from dynamictree.requests import MAX_FRAMES, CloudParams, ExportParams, Format
 from dynamictree.spectrum import SparseVoxelSpectrum
 
 OnFacts = Callable[[Format, Facts], None]
@@ -39,7 +39,7 @@ def write_products(
     on_progress: Report | None = None,
     *,
     capture: Capture | None = None,
-    box_m: Box | None = None,
+    choice: CloudParams | None = None,
     on_facts: OnFacts | None = None,
 ) -> dict[Format, Path]:
     """Write the requested products of one motion into a folder; give their paths by format.
@@ -55,7 +55,7 @@ def write_products(
     num_frames = params.count_frames(spectrum.period_s)
     if params.wind_mode == "turbulent":
         turbulent_bytes(formats, num_vertices=mesh.num_vertices, num_faces=mesh.num_faces, num_frames=num_frames)
-    binding = _binding(mesh, formats, capture, box_m)
+    binding = _binding(mesh, formats, capture, choice)
     if binding is not None and "splat-ply" in formats:
         requested_bytes(binding.cloud.num_gaussians, binding.cloud.sh_degree, num_frames, params)
     coefficients, pose = _motion(mesh, spectrum, params)
@@ -87,13 +87,13 @@ def _motion(
 
 
 def _binding(
-    mesh: TriangleMesh, formats: Sequence[Format], capture: Capture | None, box_m: Box | None
+    mesh: TriangleMesh, formats: Sequence[Format], capture: Capture | None, choice: CloudParams | None
 ) -> Binding | None:
     """Bind the capture to the mesh; without one, make a splat of the mesh if a product needs it, always the same."""
     from dynamictree.gaussian.from_mesh import splats_of_mesh
 
     if capture is not None:
-        return bind_capture(capture, mesh, box_m)
+        return bind_capture(capture, mesh, choice)
     if all(PRODUCTS[name].shows != "splat" for name in formats):
         return None
     return splats_of_mesh(mesh, rng=np.random.default_rng(0)).binding

@@ -6,9 +6,12 @@ from typing import Any
 import numpy as np
 
 from dynamictree.gaussian.capture import Capture, moving_part
+from dynamictree.gaussian.part_choice import part_names
 from dynamictree.mesh import TriangleMesh
 from dynamictree.spectrum import SparseVoxelSpectrum
 from dynamictree.voxel.grid import VoxelGrid
+
+_MOST_NAMES = 50  # of parts
 
 
 def describe_mesh(mesh: TriangleMesh) -> dict[str, Any]:
@@ -18,6 +21,8 @@ def describe_mesh(mesh: TriangleMesh) -> dict[str, Any]:
         "num_vertices": mesh.num_vertices,
         "num_faces": mesh.num_faces,
         "num_still_faces": 0 if mesh.still_faces is None else int(mesh.still_faces.sum()),
+        "still_parts": [asdict(part) for part in mesh.still_parts],
+        "part_names": ", ".join(part_names(mesh)[:_MOST_NAMES]),
         "num_materials": len(mesh.materials),
         "extent_m": (high - low).round(4).tolist(),
         "low_m": low.round(4).tolist(),

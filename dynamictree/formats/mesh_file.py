@@ -14,7 +14,7 @@ from dynamictree.formats.mesh.obj import read_obj
 from dynamictree.formats.mesh.ply import read_ply_mesh
 from dynamictree.formats.mesh.stl import is_ascii_stl, read_stl
 from dynamictree.formats.ply_table import read_header
-from dynamictree.formats.still_parts import find_still_faces
+from dynamictree.formats.still_parts import find_still_parts
 from dynamictree.mesh import TriangleMesh, validate_mesh
 
 MESH_TYPES = ("obj", "ply", "glb", "gltf", "stl", "off", "3mf", "dae")
@@ -102,7 +102,8 @@ def read_mesh(
         doubt_size=doubt_size,
     )
     validate_mesh(upright)
-    return replace(upright, still_faces=find_still_faces(upright))
+    parts, still = find_still_parts(upright)
+    return replace(upright, still_parts=parts, still_faces=still)
 
 
 def sniff_file_type(head: bytes, filename: str = "") -> str:

@@ -1,6 +1,6 @@
 """What in a file is not the plant: pots, soil, tables, ground and water, stones. It stands still.
 
-A face stands still by the name of its material, or as part of a connected part of the mesh that
+A face stands still by the name of its material, node or group, or as part of a connected part of the mesh that
 
 - is flat and wide: a plane, a patch of ground, an island;
 - lies low and apart: all of it in the lowest fifth of the height, away from whatever reaches higher;
@@ -15,7 +15,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from dynamictree.mesh import TriangleMesh, edges_of, weld
+from dynamictree.mesh import StillPart, TriangleMesh, edges_of, weld
 
 STILL_NAMES = frozenset(
     " ".join(
@@ -27,7 +27,12 @@ STILL_NAMES = frozenset(
         )
     ).split()
 )
-"""Words in the names of materials of what is no plant."""
+"""Words in the names of materials and nodes of what is no plant."""
+_OF_SHAPES = frozenset({"plane", "plate", "island", "earth", "wall"})
+"""Of nodes these are names that modelling programs give, or of a scene's root."""
+_GROUND = StillPart(name="ground", why="flat and wide, at the bottom")
+_THINGS = StillPart(name="things", why="low, and apart from what rises higher")
+_POT = StillPart(name="pot", why="a vessel around the foot of what rises out of it")
 
 _FLAT = 0.2  # height over the narrower width of what is flat
 _WIDE = 0.5  # its width, of the height of what reaches higher
@@ -42,33 +47,47 @@ _SPOTS = np.array(
 _LEAST_PLANT = 0.02  # of the faces: with less left over, nothing is taken away
 
 
-def find_still_faces(mesh: TriangleMesh) -> Bool[np.ndarray, " F"] | None:
-    """Which faces stand still, of a mesh in metres and +Z up; None if all of it may move."""
-    named = _named(mesh)
+def find_still_parts(mesh: TriangleMesh) -> tuple[tuple[StillPart, ...], Bool[np.ndarray, " F"] | None]:
+    """What stands still of a mesh in metres and +Z up, and which faces; None if all of it may move."""
+    named, parts = _named(mesh)
     part = _parts(mesh)  # [F]
     low, high = _bounds(mesh, part)
     gone = np.zeros(len(low), np.bool_)
     gone[part[named]] = True  # a part that is named in places is still as a whole
-    for rule in (_flat, _low_and_apart, _vessels):
+    for rule, detected in ((_flat, _GROUND), (_low_and_apart, _THINGS), (_vessels, _POT)):
         tried = gone | rule(mesh, part, low, high, gone)
         if (~tried[part]).mean() >= _LEAST_PLANT:
+            parts += [detected] if (tried & ~gone).any() else []
             gone = tried
     still: Bool[np.ndarray, " F"] = gone[part]
-    return still if still.any() and not still.all() else None
+    return (tuple(parts), still) if still.any() and not still.all() else ((), None)
 
 
-def is_still_name(name: str) -> bool:
-    """Whether a word in a name, split at capitals, digits and signs, names what is no plant."""
+def find_still_faces(mesh: TriangleMesh) -> Bool[np.ndarray, " F"] | None:
+    """Which faces stand still, of a mesh in metres and +Z up; None if all of it may move."""
+    return find_still_parts(mesh)[1]
+
+
+def is_still_name(name: str, *, but: frozenset[str] = frozenset()) -> bool:
+    """Whether a word in a name, split at capitals, digits and signs, names what is no plant; `but` do not."""
     words = re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", name)
-    return any(word.lower() in STILL_NAMES for word in words)
+    return any(word.lower() in STILL_NAMES - but for word in words)
 
 
-def _named(mesh: TriangleMesh) -> Bool[np.ndarray, " F"]:
-    if mesh.face_material is None:
-        return np.zeros(mesh.num_faces, np.bool_)
-    still = np.array([is_still_name(material.name) for material in mesh.materials], np.bool_)
-    detected: Bool[np.ndarray, " F"] = still[mesh.face_material]
-    return np.zeros_like(detected) if detected.all() else detected
+def _named(mesh: TriangleMesh) -> tuple[Bool[np.ndarray, " F"], list[StillPart]]:
+    """Faces whose material, node or group is named as something that is no plant."""
+    named, parts = np.zeros(mesh.num_faces, np.bool_), list[StillPart]()
+    for owner, names, meaningless in (
+        (mesh.face_material, [material.name for material in mesh.materials], frozenset[str]()),
+        (mesh.face_part, list(mesh.part_names), _OF_SHAPES),
+    ):
+        if owner is None:
+            continue
+        still = np.array([is_still_name(name, but=meaningless) for name in names], np.bool_)
+        if not still[owner].all():
+            named |= still[owner]
+            parts += [StillPart(name=names[i], why="its name") for i in np.unique(owner[still[owner]])]
+    return (named, parts) if not named.all() else (np.zeros_like(named), [])
 
 
 def _parts(mesh: TriangleMesh) -> Int64[np.ndarray, " F"]:

@@ -15,7 +15,7 @@ from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.nearest import NearestFaces, nearest_faces
 from dynamictree.gaussian.rotation import quaternion_matrices
 from dynamictree.mesh import TriangleMesh
-from dynamictree.requests import Box
+from dynamictree.requests import CloudParams
 
 STILL = -1
 FLOATER_SHARE = 0.06
@@ -109,13 +109,13 @@ def _with_large_ones(
     return NearestFaces(faces=faces, weights=weights)
 
 
-def bind_capture(capture: Capture, mesh: TriangleMesh, box_m: Box | None = None) -> Binding:
+def bind_capture(capture: Capture, mesh: TriangleMesh, choice: CloudParams | None = None) -> Binding:
     """Hang the part of a capture that moves on the mesh; the rest stays still.
 
     Raises:
         InputError: the cloud is not where the mesh is.
     """
-    return bind(capture.cloud, mesh, mask=moving_part(capture, box_m))
+    return bind(capture.cloud, mesh, mask=moving_part(capture, choice))
 
 
 def bind_to_faces(

@@ -7,10 +7,11 @@ from jaxtyping import Bool, UInt8
 from scipy.spatial import cKDTree
 
 from dynamictree.errors import InputError
-from dynamictree.gaussian.cloud import GaussianCloud, in_box
-from dynamictree.gaussian.still_gaussians import StillPart, find_still_gaussians
-from dynamictree.mesh import SourceWarning, TriangleMesh
-from dynamictree.requests import Box
+from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.gaussian.part_choice import choose_gaussians
+from dynamictree.gaussian.still_gaussians import find_still_gaussians
+from dynamictree.mesh import SourceWarning, StillPart, TriangleMesh
+from dynamictree.requests import CloudParams
 
 _VISIBLE = 0.1  # opacity of Gaussians that decide on the faces near them
 
@@ -44,37 +45,37 @@ def with_still_parts(capture: Capture) -> Capture:
     return replace(capture, still_parts=parts, part_of=part_of) if parts else capture
 
 
-def moving_part(capture: Capture, box_m: Box | None = None) -> Bool[np.ndarray, " G"]:
-    """Which Gaussians may move: those of the mask, or of the plant if there is none, and in the box.
+def moving_part(capture: Capture, choice: CloudParams | None = None) -> Bool[np.ndarray, " G"]:
+    """Which Gaussians may move: those of the mask, or of the plant if there is none, and what the request says.
 
     Raises:
-        InputError: there are none.
+        InputError: there are none, or a name or box that fits nothing.
     """
     mask = np.ones(capture.cloud.num_gaussians, np.bool_) if capture.mask is None else capture.mask
     if capture.part_of is not None:
         mask = mask & (capture.part_of == 0)
-    if box_m is None:
+    if choice is None:
         return mask
-    both: Bool[np.ndarray, " G"] = mask & in_box(capture.cloud, *box_m)
-    if not both.any():
-        raise InputError(f"no Gaussian of the mask is in the box from {box_m[0]} to {box_m[1]}; enlarge one of them")
-    return both
+    names = [part.name for part in capture.still_parts]
+    return choose_gaussians(capture.cloud.means, mask, names, capture.part_of, choice)
 
 
-def carrying_mesh(capture: Capture, box_m: Box | None = None) -> TriangleMesh:
+def carrying_mesh(capture: Capture, choice: CloudParams | None = None) -> TriangleMesh:
     """The mesh that was sent, or one of the part that moves: what is voxelised, and what the Gaussians hang on.
 
-    Of a mesh that was sent, faces stand still where Gaussians do.
+    Of a mesh that was sent, faces stand still where detected parts of the cloud do.
 
     Raises:
         InputError: nothing is in the box, or nothing is opaque enough to have a surface.
     """
     from dynamictree.gaussian.surface import mesh_of_cloud
 
-    moving = moving_part(capture, box_m)
+    moving = moving_part(capture, choice)
     if capture.mesh is None:
         return mesh_of_cloud(capture.cloud.subset(moving))
-    return capture.mesh if moving.all() else _still_where_gaussians_are(capture.mesh, capture.cloud, ~moving)
+    if capture.part_of is None:
+        return capture.mesh
+    return _still_where_gaussians_are(capture.mesh, capture.cloud, (capture.part_of > 0) & ~moving)
 
 
 def _still_where_gaussians_are(mesh: TriangleMesh, cloud: GaussianCloud, still: Bool[np.ndarray, " G"]) -> TriangleMesh:

@@ -3,8 +3,6 @@
 Each is taken only where its shape leaves no doubt; what is not found can be named with a box or a mask.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from jaxtyping import Bool, Float64, UInt8
 from scipy.sparse import coo_array
@@ -14,6 +12,7 @@ from scipy.spatial import cKDTree
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.still_ground import Points, find_ground
 from dynamictree.gaussian.still_pot import find_pot, in_pot
+from dynamictree.mesh import StillPart
 
 _SOLID = 0.05  # opacity
 _LARGE = 0.1  # of the extent: Gaussians of the background
@@ -26,14 +25,6 @@ _LOW = 0.2  # of the height: so high things beside it reach
 _SMALL = 0.2  # of the points: all that lies apart
 _FEW = 0.02  # of the points: floaters
 _LEAST_PLANT = 0.02  # of the points: with fewer left over, nothing is taken away
-
-
-@dataclass(frozen=True, kw_only=True)
-class StillPart:
-    """Something that stands still, and why."""
-
-    name: str
-    why: str
 
 
 GROUND = StillPart(name="ground", why="a level plane at the bottom, wider than what stands on it")

@@ -48,4 +48,4 @@ def reconstruct_capture(
         on_progress=lambda progress: on_progress(progress.total),
     )
     capture = with_still_parts(Capture(cloud=result.splat, mesh=result.mesh))
-    return replace(capture, mesh=carrying_mesh(capture))
+    return replace(capture, mesh=carrying_mesh(capture, params))

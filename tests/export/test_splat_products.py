@@ -22,7 +22,7 @@ from dynamictree.formats.tensors.animated_splat import read_animated_splat
 from dynamictree.formats.tensors.cloud_bundle import read_cloud_bundle, write_cloud_bundle
 from dynamictree.gaussian.capture import Capture, carrying_mesh, moving_part
 from dynamictree.gaussian.cloud import GaussianCloud
-from dynamictree.requests import ExportParams, Shot
+from dynamictree.requests import CloudParams, ExportParams, Shot
 from dynamictree.spectrum import SparseVoxelSpectrum
 from dynamictree.voxel.voxelize import voxelize
 
@@ -51,7 +51,7 @@ def capture() -> Capture:
 @pytest.fixture(scope="module")
 def spectrum(capture: Capture) -> SparseVoxelSpectrum:
     """Bends along +X as the square of the height, four frames a loop; its sections turn as those of a rod do."""
-    grid = voxelize(carrying_mesh(capture, BOX), 32).grid
+    grid = voxelize(carrying_mesh(capture, CloudParams(box_m=BOX)), 32).grid
     coefficients = np.zeros((len(grid), 2, 3), np.complex64)
     x, _, z = grid.centres_m.T
     coefficients[:, 1, 0] = 0.05 * z**2
@@ -62,8 +62,8 @@ def spectrum(capture: Capture) -> SparseVoxelSpectrum:
 def animated(
     capture: Capture, spectrum: SparseVoxelSpectrum, folder: Path, options: ExportParams, done: list[float]
 ) -> dict[str, Path]:
-    mesh = carrying_mesh(capture, BOX)
-    return write_products(mesh, spectrum, options, folder, done.append, capture=capture, box_m=BOX)
+    mesh = carrying_mesh(capture, CloudParams(box_m=BOX))
+    return write_products(mesh, spectrum, options, folder, done.append, capture=capture, choice=CloudParams(box_m=BOX))
 
 
 def test_all_products_show_one_motion(capture: Capture, spectrum: SparseVoxelSpectrum, tmp_path: Path) -> None:
@@ -75,7 +75,7 @@ def test_all_products_show_one_motion(capture: Capture, spectrum: SparseVoxelSpe
     with zipfile.ZipFile(paths["splat-ply"]) as archive:
         frames = [read_cloud(io.BytesIO(archive.read(name)), file_type="ply") for name in archive.namelist()]
     assert len(frames) == 4
-    cloud, tree = capture.cloud, moving_part(capture, BOX)
+    cloud, tree = capture.cloud, moving_part(capture, CloudParams(box_m=BOX))
     np.testing.assert_array_equal(tree, np.arange(3000) < 2000)
     for frame in frames:
         np.testing.assert_allclose(frame.means[~tree], cloud.means[~tree], atol=1e-6)  # the pot stays
@@ -118,7 +118,7 @@ def test_a_film_is_made(capture: Capture, spectrum: SparseVoxelSpectrum, tmp_pat
 
 
 def test_a_mesh_becomes_a_splat_that_moves(capture: Capture, spectrum: SparseVoxelSpectrum, tmp_path: Path) -> None:
-    mesh = carrying_mesh(capture, BOX)
+    mesh = carrying_mesh(capture, CloudParams(box_m=BOX))
     paths = write_products(mesh, spectrum, ExportParams(formats=("splat", "webp"), shot=SMALL), tmp_path)
     with paths["splat"].open("rb") as stream:
         splat = read_animated_splat(stream)
@@ -132,7 +132,7 @@ def files(capture: Capture, tmp_path: Path) -> Iterator[dict[str, Path]]:
     files_by_role = {"cloud": tmp_path / "tree.SPLAT", "mesh": tmp_path / "mesh.ply", "mask": tmp_path / "mask.npy"}
     with files_by_role["cloud"].open("wb") as stream:
         write_splat(capture.cloud, stream)
-    mesh = carrying_mesh(capture, BOX)
+    mesh = carrying_mesh(capture, CloudParams(box_m=BOX))
     turned = mesh.with_vertices(np.ascontiguousarray(mesh.vertices @ up_rotation("-Y").astype(np.float32)))
     with files_by_role["mesh"].open("wb") as stream:
         write_ply(turned, stream)
@@ -146,9 +146,11 @@ def test_a_capture_is_read_with_what_came_with_it(capture: Capture, files: dict[
     assert scale > 1
     np.testing.assert_allclose(read.cloud.means, capture.cloud.means * scale, atol=1e-5)
     assert read.mesh is not None
-    np.testing.assert_allclose(read.mesh.vertices, carrying_mesh(capture, BOX).vertices * scale, atol=1e-4)
+    np.testing.assert_allclose(
+        read.mesh.vertices, carrying_mesh(capture, CloudParams(box_m=BOX)).vertices * scale, atol=1e-4
+    )
     assert carrying_mesh(read) is read.mesh
-    np.testing.assert_array_equal(moving_part(read), moving_part(capture, BOX))
+    np.testing.assert_array_equal(moving_part(read), moving_part(capture, CloudParams(box_m=BOX)))
     packed = io.BytesIO()
     write_cloud_bundle(read, packed)
     packed.seek(0)
@@ -185,7 +187,7 @@ def test_what_does_not_fit_together_is_refused(capture: Capture, files: dict[str
         load_capture(files["cloud"], mesh=files["cloud"])
     pot = replace(capture, mask=np.arange(3000) >= 2000)
     with pytest.raises(InputError, match="no Gaussian of the mask is in the box"):
-        moving_part(pot, BOX)
+        moving_part(pot, CloudParams(box_m=BOX))
     sog = tmp_path / "tree.sog"
     sog.write_bytes(b"PK\x03\x04")
     with pytest.raises(FormatError, match="SOG files are not read"):

@@ -19,7 +19,7 @@ from jobs.records import AssetRecord
 from jobs.states import stages_of
 from service.routes import points
 from service.services import Services
-from tests.service.test_assets import left_behind, send, zipped
+from tests.service.test_assets import left_behind, photo, send, zipped
 
 
 def post_cloud(count: int = 400, *, degree: int = 0) -> GaussianCloud:
@@ -191,9 +191,10 @@ def test_what_does_not_fit_is_refused_when_asked(
     client: TestClient, cloud_id: str, services: Services, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     mesh_id = send(client, ("tree.obj", b"v 0 0 0\nv 1 0 0\nv 0 0 1\nf 1 2 3\n")).json()["id"]
-    box = {"box_m": [[0, 0, 0], [1, 1, 1]]}
-    refused = client.post("/v1/jobs", json={"type": "voxelize", "asset_id": mesh_id, "params": box})
-    assert [error["pointer"] for error in refused.json()["errors"]] == ["/params/box_m"]
+    photos_id = send(client, *((f"p{i}.jpg", photo(i)) for i in range(8))).json()["id"]
+    for params in ({"box_m": [[0, 0, 0], [1, 1, 1]]}, {"still": ["pot"]}):
+        refused = client.post("/v1/jobs", json={"type": "voxelize", "asset_id": photos_id, "params": params})
+        assert [error["pointer"] for error in refused.json()["errors"]] == [f"/params/{next(iter(params))}"]
     params = {"wind_mode": "turbulent", "num_frames": 14_400}
     endless = {"type": "animate", "asset_id": mesh_id, "params": params}
     estimate = client.post("/v1/jobs?validate_only=true", json=endless).json()

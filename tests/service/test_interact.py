@@ -325,11 +325,13 @@ def test_large_answers_are_made_a_few_at_a_time(
 
 
 def on_a_plane(mesh: TriangleMesh) -> TriangleMesh:
-    """The mesh with a plane below it that stands still: the last four vertices."""
-    plane = np.float32([[-9, -9, 0], [9, -9, 0], [9, 9, 0], [-9, 9, 0]])
+    """The mesh with a plane in its crown that stands still: the last four vertices."""
+    plane = np.float32([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) + np.quantile(mesh.vertices, 0.9, axis=0)
     faces = np.concatenate([mesh.faces, np.int32([[0, 1, 2], [0, 2, 3]]) + mesh.num_vertices])
     still = np.arange(len(faces)) >= mesh.num_faces
-    return TriangleMesh(vertices=np.concatenate([mesh.vertices, plane]), faces=faces, still_faces=still)
+    return TriangleMesh(
+        vertices=np.concatenate([mesh.vertices, plane]).astype(np.float32), faces=faces, still_faces=still
+    )
 
 
 @pytest.mark.parametrize("warp", [False, True])

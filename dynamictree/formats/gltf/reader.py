@@ -146,6 +146,7 @@ def _part(
         vertex_colors=_colors(read.attributes, len(positions)),
         material=-1 if material is None else material,
         normals=_normals(read.attributes, transform[:3, :3] if skinned is None else skinned, len(positions)),
+        name=instance.path,
     )
     return part, skinned
 

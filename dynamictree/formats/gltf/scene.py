@@ -18,6 +18,7 @@ from dynamictree.formats.json_fields import (
 )
 
 _INSTANCE_WIDTHS = {"TRANSLATION": 3, "ROTATION": 4, "SCALE": 3}
+_MOST_STEPS = 16  # of a node's path
 MAX_INSTANCES = 200_000
 """Places of EXT_mesh_gpu_instancing in a scene. Each is a matrix and a part of the mesh."""
 
@@ -27,6 +28,7 @@ class MeshInstance:
     """One mesh of the scene, at one place; `joints` are the matrices of its skin, which then place it alone."""
 
     node: int
+    path: str  # names of the node and of those above it, joined by slashes
     place: int | None  # of EXT_mesh_gpu_instancing
     placed: Float64[np.ndarray, "4 4"]  # of that place, in the node
     mesh: JsonObject
@@ -43,6 +45,7 @@ def mesh_instances(document: GltfDocument) -> Iterator[MeshInstance]:
     nodes, meshes = object_list(document.root, "nodes"), object_list(document.root, "meshes")
     skins = object_list(document.root, "skins")
     world = _world_transforms(document, nodes)
+    paths = _paths(nodes)
     _refuse_many_instances(document, [nodes[index] for index in world])
     for index, transform in world.items():
         mesh = index_field(nodes[index], "mesh", meshes, "meshes")
@@ -54,12 +57,29 @@ def mesh_instances(document: GltfDocument) -> Iterator[MeshInstance]:
         for number, placed in enumerate(np.eye(4)[None] if places is None else places):
             yield MeshInstance(
                 node=index,
+                path=paths[index],
                 place=None if places is None else number,
                 placed=placed,
                 mesh=meshes[mesh],
                 transform=transform @ placed,
                 joints=joints,
             )
+
+
+def _paths(nodes: list[JsonObject]) -> list[str]:
+    """Of each node its name after those above it. A slash in a name becomes a space."""
+    above = {child: index for index, node in enumerate(nodes) for child in index_list(node, "children", nodes)}
+    paths = []
+    for index in range(len(nodes)):
+        names: list[str] = []
+        step: int | None = index
+        while step is not None and len(names) < _MOST_STEPS:
+            name = nodes[step].get("name")
+            if isinstance(name, str) and name.strip():
+                names.append(name.strip().replace("/", " ")[:200])
+            step = above.get(step)
+        paths.append("/".join(reversed(names)))
+    return paths
 
 
 def _world_transforms(document: GltfDocument, nodes: list[JsonObject]) -> dict[int, Float64[np.ndarray, "4 4"]]:

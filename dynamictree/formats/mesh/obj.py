@@ -30,6 +30,8 @@ class _Statements:
     face_sizes: list[int] = field(default_factory=list)
     face_materials: list[int] = field(default_factory=list)
     material_names: dict[str, int] = field(default_factory=dict)
+    face_parts: list[int] = field(default_factory=list)
+    part_names: dict[str, int] = field(default_factory=dict)  # of objects and groups
     libraries: list[str] = field(default_factory=list)
 
 
@@ -71,13 +73,21 @@ def read_obj(content: bytes, *, companions: Mapping[str, bytes]) -> TriangleMesh
         normals=_normals(directions, normal_rows, corners, len(original)),
         face_material=np.array(statements.face_materials, np.int32)[source_face] if materials else None,
         materials=materials,
+        part_names=(*statements.part_names, "") if statements.part_names else (),
+        face_part=_parts(statements)[source_face] if statements.part_names else None,
         warnings=tuple(warnings),
     )
 
 
+def _parts(statements: _Statements) -> Int32[np.ndarray, " P"]:
+    """The part of each polygon; those above the first name are of the last, which has none."""
+    part = np.array(statements.face_parts, np.int32)
+    return np.where(part < 0, len(statements.part_names), part).astype(np.int32)
+
+
 def _sort_lines(lines: list[bytes]) -> _Statements:
     lines_by_kind = _Statements()
-    material = -1
+    material, part = -1, -1
     num_triangles = 0
     for line in lines:
         keyword, _, rest = line.strip().partition(b" ")
@@ -102,9 +112,13 @@ def _sort_lines(lines: list[bytes]) -> _Statements:
             if material < 0:
                 material = lines_by_kind.material_names.setdefault("", len(lines_by_kind.material_names))
             lines_by_kind.face_materials.append(material)
+            lines_by_kind.face_parts.append(part)
         elif keyword == b"usemtl":
             name = rest.strip().decode("utf-8", "replace")[:200]
             material = lines_by_kind.material_names.setdefault(name, len(lines_by_kind.material_names))
+        elif keyword in (b"o", b"g"):
+            name = rest.strip().decode("utf-8", "replace")[:200]
+            part = lines_by_kind.part_names.setdefault(name, len(lines_by_kind.part_names))
         elif keyword == b"mtllib":
             lines_by_kind.libraries.append(rest.strip().decode("utf-8", "replace"))
     return lines_by_kind

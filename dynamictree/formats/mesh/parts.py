@@ -23,6 +23,7 @@ class MeshPart:
     material: int  # -1: none
     vertices_of: int | None = None
     normals: Float32[np.ndarray, "N 3"] | None = None
+    name: str = ""  # of its node, after those above it
 
 
 def join_parts(parts: Sequence[MeshPart], materials: tuple[Material, ...]) -> TriangleMesh:
@@ -37,7 +38,11 @@ def join_parts(parts: Sequence[MeshPart], materials: tuple[Material, ...]) -> Tr
     ]
     default = len(materials)
     face_material = [np.full(len(p.faces), p.material if p.material >= 0 else default, np.int32) for p in parts]
+    names = tuple(dict.fromkeys(part.name for part in parts))
+    face_part = [np.full(len(part.faces), names.index(part.name), np.int32) for part in parts] if any(names) else None
     return TriangleMesh(
+        part_names=names if face_part else (),
+        face_part=np.concatenate(face_part) if face_part else None,
         vertices=np.concatenate([part.vertices for part in own]),
         faces=np.concatenate([part.faces + np.int32(start) for part, start in zip(parts, starts, strict=True)]),
         uv=np.concatenate(uv) if has_uv else None,

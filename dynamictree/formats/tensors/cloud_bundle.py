@@ -15,7 +15,7 @@ from dynamictree.formats.tensors.container import number, read_tensors, take_ten
 from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle, write_mesh_bundle
 from dynamictree.gaussian.capture import Capture
 from dynamictree.gaussian.cloud import GaussianCloud
-from dynamictree.gaussian.still_gaussians import StillPart
+from dynamictree.mesh import StillPart
 
 FORMAT, VERSION = "cloud-bundle", "1"
 MAX_BYTES = 3 << 30

@@ -15,11 +15,11 @@ from safetensors.numpy import load, save
 
 from dynamictree.byte_stream import ByteReader, ByteWriter, read_all
 from dynamictree.errors import FormatError
-from dynamictree.mesh import Material, SourceGltf, SourceWarning, TriangleMesh, validate_mesh
+from dynamictree.mesh import Material, SourceGltf, SourceWarning, StillPart, TriangleMesh, validate_mesh
 
 VERSION = 1
 MAX_BYTES = 1 << 30
-_OPTIONAL = ("uv", "vertex_colors", "face_material", "still_faces", "normals")
+_OPTIONAL = ("uv", "vertex_colors", "face_material", "face_part", "still_faces", "normals")
 
 
 def write_mesh_bundle(mesh: TriangleMesh, stream: ByteWriter) -> None:
@@ -35,6 +35,8 @@ def write_mesh_bundle(mesh: TriangleMesh, stream: ByteWriter) -> None:
         "source_up_axis": mesh.source_up_axis,
         "source_scale": mesh.source_scale,
         "warnings": [asdict(warning) for warning in mesh.warnings],
+        "part_names": mesh.part_names,
+        "still_parts": [asdict(part) for part in mesh.still_parts],
     }
     if mesh.source_gltf is not None:
         tensors |= _source_tensors(mesh.source_gltf)
@@ -99,6 +101,9 @@ def _mesh(tensors: Mapping[str, Shaped[np.ndarray, "..."]], rest: Mapping[str, A
         uv=tensors.get("uv"),
         vertex_colors=tensors.get("vertex_colors"),
         face_material=tensors.get("face_material"),
+        part_names=tuple(rest.get("part_names", ())),
+        face_part=tensors.get("face_part"),
+        still_parts=tuple(StillPart(**part) for part in rest.get("still_parts", ())),
         still_faces=tensors.get("still_faces"),
         normals=tensors.get("normals"),
         materials=tuple(materials),

@@ -1,0 +1,122 @@
+"""Parts that a request names, or puts into a box, stand still or move, whatever was detected."""
+
+from io import BytesIO
+
+import numpy as np
+import pytest
+import trimesh
+from typer.testing import CliRunner
+
+from dynamictree.cli import app
+from dynamictree.errors import InputError
+from dynamictree.formats.mesh_file import read_mesh
+from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle, write_mesh_bundle
+from dynamictree.gaussian.part_choice import choose_gaussians, with_choice
+from dynamictree.mesh import TriangleMesh
+from dynamictree.requests import CloudParams
+
+
+def scene() -> bytes:
+    """A stem, a lantern on it and a flowerpot below, as a GLB whose nodes are named."""
+    result = trimesh.Scene()
+    for parent, name, size, height in (
+        ("world", "Stem", 0.2, 2.0),
+        ("Lamp", "Cylinder.001", 0.4, 1.5),
+        ("world", "FlowerPot", 0.5, 0.0),
+    ):
+        if parent not in result.graph.nodes:
+            result.graph.update(frame_from="world", frame_to=parent)
+        box = trimesh.creation.box([size, size if name != "Stem" else 4, size])
+        box.apply_translation([0, height, 0])
+        result.add_geometry(box, node_name=name, geom_name=f"mesh {name}", parent_node_name=parent)
+    return bytes(result.export(file_type="glb"))
+
+
+def read() -> TriangleMesh:
+    """As a worker has it: through the bundle."""
+    stream = BytesIO()
+    write_mesh_bundle(read_mesh(BytesIO(scene()), file_type="glb"), stream)
+    return read_mesh_bundle(BytesIO(stream.getvalue()))
+
+
+def still_names(mesh: TriangleMesh, **options: object) -> set[str]:
+    """Which nodes stand still."""
+    chosen = with_choice(mesh, CloudParams.model_validate(options))
+    still = np.zeros(mesh.num_faces, np.bool_) if chosen.still_faces is None else chosen.still_faces
+    assert mesh.face_part is not None
+    return {mesh.part_names[part].rpartition("/")[2] for part in np.unique(mesh.face_part[still])}
+
+
+def test_nodes_are_named_with_those_above_them_and_give_reasons() -> None:
+    mesh = read()
+    assert {"Lamp/Cylinder.001", "FlowerPot"} <= {name.removeprefix("world/") for name in mesh.part_names}
+    assert [(part.name.removeprefix("world/"), part.why) for part in mesh.still_parts] == [("FlowerPot", "its name")]
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        ({}, {"FlowerPot"}),
+        ({"still": ("lamp",)}, {"FlowerPot", "Cylinder.001"}),
+        ({"still": ("Cyl*",)}, {"FlowerPot", "Cylinder.001"}),
+        ({"moving": ("flower?ot",)}, set()),
+        ({"moving": ("*",), "still": ("Stem",)}, {"Stem"}),
+        ({"still_box_m": ((-1, -1, 1.2), (1, 1, 1.8))}, {"FlowerPot", "Cylinder.001", "Stem"}),
+        ({"moving_box_m": ((-1, -1, -1), (1, 1, 0.6))}, set()),
+        ({"moving": ("*",), "box_m": ((-9, -9, 1.2), (9, 9, 9))}, {"FlowerPot", "Stem"}),
+    ],
+)
+def test_what_a_request_says_goes_before_what_was_detected(options: dict, expected: set[str]) -> None:
+    assert still_names(read(), **options) == expected
+
+
+def test_a_name_that_fits_nothing_is_refused_with_the_names_that_exist() -> None:
+    with pytest.raises(InputError, match=r"still names 'vase', and no part is called so; there are .*Stem.*FlowerPot"):
+        with_choice(read(), CloudParams(still=("vase",)))
+
+
+def test_nothing_left_to_move_is_refused() -> None:
+    with pytest.raises(InputError, match="leave no face that moves"):
+        with_choice(read(), CloudParams(still=("*",)))
+
+
+def test_groups_of_an_obj_have_names() -> None:
+    square = "v 0 0 {0}\nv 1 0 {0}\nv 1 1 {0}\nv 0 1 {0}\n"
+    text = square.format(0) + "f 1 2 3 4\no Bush\n" + square.format(1) + "f 5 6 7 8\ng Basket\nf 5 7 8\n"
+    mesh = read_mesh(BytesIO(text.encode()), file_type="obj", up_axis="+Z", unit_m=1.0)
+    assert mesh.face_part is not None
+    assert [mesh.part_names[part] for part in mesh.face_part] == ["", "", "Bush", "Bush", "Basket"]
+    chosen = with_choice(mesh, CloudParams(still=("basket",), moving=("Bush",)))
+    assert chosen.still_faces is not None
+    assert chosen.still_faces[-1]
+    assert not chosen.still_faces[2:4].any()
+
+
+def test_detected_parts_of_a_cloud_are_named_and_boxes_go_before_them() -> None:
+    means = np.float32([[0, 0, 0], [0, 0, 1], [0, 0, 2], [0, 0, 3]])
+    part_of = np.array([1, 2, 0, 0], np.uint8)
+
+    def moving(**options: object) -> list[int]:
+        choice = CloudParams.model_validate(options)
+        rows = choose_gaussians(means, part_of == 0, ["ground", "pot"], part_of, choice)
+        return np.flatnonzero(rows).tolist()
+
+    low = ((-1, -1, 0.5), (1, 1, 2.5))
+    assert moving() == [2, 3]
+    assert moving(moving=("pot",)) == [1, 2, 3]
+    assert moving(moving_box_m=low) == [1, 2, 3]
+    assert moving(still_box_m=low) == [3]
+    assert moving(moving=("*",), box_m=low) == [1, 2]
+    with pytest.raises(InputError, match="there are ground, pot"):
+        moving(still=("table",))
+    with pytest.raises(InputError, match="no Gaussian moves"):
+        moving(still_box_m=((-1, -1, 1.5), (1, 1, 9)))
+
+
+def test_the_command_line_refuses_a_name_that_fits_nothing(tmp_path) -> None:
+    path = tmp_path / "tree.glb"
+    path.write_bytes(scene())
+    arguments = ["voxelize", str(path), "-o", str(tmp_path / "a.voxels.safetensors"), "--resolution", "32"]
+    result = CliRunner().invoke(app, [*arguments, "--still", "vase"])
+    assert isinstance(result.exception, (InputError, SystemExit))
+    assert CliRunner().invoke(app, [*arguments, "--still", "Lamp,FlowerPot", "--json"]).exit_code == 0
