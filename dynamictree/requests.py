@@ -237,6 +237,9 @@ class ExportParams(Request):
     sh_degree: int = Field(
         default=3, ge=0, le=3, description="Highest degree of a splat's spherical harmonics to write"
     )
+    normals: bool = Field(
+        default=False, description="Write normals that move: as targets of glb and glb-reduced, as a texture of vat"
+    )
     shot: Shot = Field(default_factory=Shot)
 
     def period_frames(self, period_s: float) -> float:

@@ -73,6 +73,8 @@ class AnimateParams(Model):
     share: float = 1.0
     # Highest degree of a splat's spherical harmonics to write
     sh_degree: int = 3
+    # Write normals that move: as targets of glb and glb-reduced, as a texture of vat
+    normals: bool = False
     shot: "Shot | None" = None
 
 

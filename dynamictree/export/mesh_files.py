@@ -21,9 +21,17 @@ def write_displacements(tree: MovingTree, stream: BinaryIO, report: Report) -> N
     write_motion(tree.mesh, tree.frames(report), stream, num_frames=len(tree.phases), fps=tree.params.fps)
 
 
-def write_glb(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
+def write_glb(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts | None:
     """GLB with two morph targets per frequency: the exact loop."""
-    write_motion_glb(tree.mesh, tree.coefficients, stream, num_frames=tree.spectrum.num_frames, fps=tree.loop_fps)
+    summary = write_motion_glb(
+        tree.mesh,
+        tree.coefficients,
+        stream,
+        num_frames=tree.spectrum.num_frames,
+        fps=tree.loop_fps,
+        with_normals=tree.params.normals,
+    )
+    return asdict(summary) if tree.params.normals else None
 
 
 def write_reduced_glb(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
@@ -35,6 +43,7 @@ def write_reduced_glb(tree: MovingTree, stream: BinaryIO, report: Report) -> Fac
         num_frames=tree.spectrum.num_frames,
         fps=tree.loop_fps,
         num_targets=min(REDUCED_TARGETS, 2 * tree.coefficients.shape[1] - 1),
+        with_normals=tree.params.normals,
     )
     return asdict(summary)
 
@@ -66,10 +75,17 @@ def write_vertex_texture(tree: MovingTree, stream: BinaryIO, report: Report) -> 
     Raises:
         InputError: no texture can hold the motion.
     """
+    from dynamictree.formats.gltf.normals import iter_normals
     from dynamictree.formats.motion.vertex_texture import iter_vertex_texture_zip
 
-    num_frames, params = len(tree.phases), tree.params
-    loop = params.loop and params.wind_mode == "loop"
+    params = tree.params
     stream.writelines(
-        iter_vertex_texture_zip(tree.mesh, tree.frames(report), num_frames=num_frames, fps=params.fps, loop=loop)
+        iter_vertex_texture_zip(
+            tree.mesh,
+            tree.frames(report),
+            num_frames=len(tree.phases),
+            fps=params.fps,
+            loop=params.loop and params.wind_mode == "loop",
+            normals=iter_normals(tree.mesh, tree.frames(report)) if params.normals else None,
+        )
     )

@@ -31,6 +31,7 @@ SPEED = frozenset({"speed"})
 FRAMES = SPEED | {"wind_mode", "num_frames", "fps", "loop", "first_frame"}
 DETAIL = frozenset({"share", "sh_degree"})
 SHOT = frozenset({"shot"})
+NORMALS = frozenset({"normals"})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,14 +72,14 @@ PRODUCTS: dict[Format, Product] = {
         title="Animated GLB",
         file_name="tree.glb",
         shows="mesh",
-        options=SPEED,
+        options=SPEED | NORMALS,
         write=write_glb,
     ),
     "glb-reduced": Product(
         title="Animated GLB, 8 targets",
         file_name="tree-8-targets.glb",
         shows="mesh",
-        options=SPEED,
+        options=SPEED | NORMALS,
         write=write_reduced_glb,
     ),
     "glb-skinned": Product(
@@ -99,7 +100,7 @@ PRODUCTS: dict[Format, Product] = {
         title="Vertex animation texture",
         file_name="tree.vat.zip",
         shows="mesh",
-        options=FRAMES,
+        options=FRAMES | NORMALS,
         write=write_vertex_texture,
     ),
     "motion": Product(

@@ -29,6 +29,7 @@ CHANGED = {
     "share": {"share": 0.5},
     "sh_degree": {"sh_degree": 0},
     "shot": {"shot": Shot(side_px=64, azimuth_deg=120.0)},
+    "normals": {"normals": True},
 }
 
 

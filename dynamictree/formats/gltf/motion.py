@@ -14,9 +14,10 @@ from jaxtyping import Complex64, Float32, Float64
 
 from dynamictree.byte_stream import ByteWriter
 from dynamictree.errors import InputError
+from dynamictree.formats.gltf.normals import NormalError, iter_normals, rest_normals
 from dynamictree.formats.gltf.template import open_template
 from dynamictree.mesh import TriangleMesh
-from dynamictree.spectrum import FPS, NUM_FRAMES, bin_weights
+from dynamictree.spectrum import FPS, NUM_FRAMES, bin_weights, iter_motion
 
 REDUCED_TARGETS = 8
 """glTF 2.0, section 3.7.2.2: what every engine is asked to support."""
@@ -33,6 +34,11 @@ class MorphSummary:
     max_error_m: float  # of any vertex at any frame
 
 
+@dataclass(frozen=True, kw_only=True)
+class ShadedMorphSummary(MorphSummary, NormalError):
+    """The same of a file whose targets move normals."""
+
+
 def write_motion_glb(
     mesh: TriangleMesh,
     coefficients: Complex64[np.ndarray, "N K 3"],
@@ -41,6 +47,7 @@ def write_motion_glb(
     num_frames: int = NUM_FRAMES,
     fps: float = FPS,
     num_targets: int | None = None,
+    with_normals: bool = False,
 ) -> MorphSummary:
     """Write one period with `num_frames` + 1 linear keys, the last equal to the first.
 
@@ -48,6 +55,8 @@ def write_motion_glb(
     `coefficients` are the spectrum of each vertex [m], `num_frames` is T, `fps` the keys a second of the file's time.
     `num_targets=None` writes all 2K - 1; fewer are chosen so that the squared error is the least possible, which the
     file tells in its `asset.extras`.
+
+    `with_normals` writes targets of normals as well, those with the least squared error for the same weights.
 
     Raises:
         InputError: the number of targets is out of range.
@@ -69,6 +78,12 @@ def write_motion_glb(
     template = open_template(mesh)
     nodes, places = template.attach_targets(targets, moving if moving.any() else ~moving)
     weights = clipped_weights(few_moduli)
+    if with_normals:
+        phases = np.arange(num_frames) / num_frames
+        error = template.attach_normals(
+            rest_normals(mesh), lambda: iter_normals(mesh, iter_motion(coefficients, phases, num_frames)), weights
+        )
+        summary = ShadedMorphSummary(**asdict(summary), **asdict(error))
     keys = np.concatenate([weights, weights[:1]]).astype(np.float32)  # [T + 1, targets]
     sway = template.add_sway(nodes, (np.arange(num_frames + 1) / fps).astype(np.float32), keys)
     sway["extras"] = {"num_vertices": mesh.num_vertices, "primitives": places}

@@ -1,6 +1,7 @@
 """Normals of a mesh for shading: those of its source, else smooth ones; and how they turn while it moves."""
 
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float32, Float64
@@ -39,6 +40,59 @@ def angles_rad(normals: Float32[np.ndarray, "N 3"], others: Float32[np.ndarray, 
     a, b = unit_vectors(normals).astype(np.float64), unit_vectors(others).astype(np.float64)
     angle: Float64[np.ndarray, " N"] = 2 * np.arctan2(np.linalg.norm(a - b, axis=1), np.linalg.norm(a + b, axis=1))
     return angle
+
+
+def turn_normals(
+    normals: Float32[np.ndarray, "N 3"], matrices: Float64[np.ndarray, "*n 3 3"]
+) -> Float32[np.ndarray, "N 3"]:
+    """Normals of a surface whose points the matrices move, one for all or one per vertex: by the inverse transpose."""
+    x, y, z = (matrices[..., i, :] for i in range(3))
+    cofactors = np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)], axis=-2)  # det · inverse transpose
+    sign = np.where((x * cofactors[..., 0, :]).sum(axis=-1) < 0, -1.0, 1.0)  # of the determinant
+    return unit_vectors(
+        np.einsum("...,...ij,nj->ni" if matrices.ndim == 2 else "n,nij,nj->ni", sign, cofactors, normals)
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class NormalError:
+    """How far normals that targets move are from those of the surface, over all vertices and frames."""
+
+    normal_error_deg: float  # root mean square
+    max_normal_error_deg: float
+    still_normal_error_deg: float  # root mean square, where the normals of the rest pose stayed
+
+
+@dataclass(kw_only=True)
+class NormalErrors:
+    """Sums over frames."""
+
+    count: int = 0
+    squares: float = 0.0
+    still_squares: float = 0.0
+    largest: float = 0.0
+
+    def add(
+        self,
+        truth: Float32[np.ndarray, "n 3"],
+        morphed: Float32[np.ndarray, "n 3"],
+        still: Float32[np.ndarray, "n 3"],
+    ) -> None:
+        """Add the vertices of a frame."""
+        angle = angles_rad(morphed, truth)
+        self.count += len(truth)
+        self.squares += float((angle**2).sum())
+        self.still_squares += float((angles_rad(still, truth) ** 2).sum())
+        self.largest = max(self.largest, float(angle.max()))
+
+    def summary(self) -> NormalError:
+        """Errors in degrees."""
+        count = max(self.count, 1)
+        return NormalError(
+            normal_error_deg=float(np.rad2deg(np.sqrt(self.squares / count))),
+            max_normal_error_deg=float(np.rad2deg(self.largest)),
+            still_normal_error_deg=float(np.rad2deg(np.sqrt(self.still_squares / count))),
+        )
 
 
 def _face_normals(mesh: TriangleMesh, displacement: Float32[np.ndarray, "N 3"] | None) -> Float64[np.ndarray, "N 3"]:

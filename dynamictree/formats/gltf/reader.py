@@ -15,6 +15,7 @@ from dynamictree.color import linear_to_srgb
 from dynamictree.errors import FormatError, MeshError
 from dynamictree.formats.gltf.document import GltfDocument, accessor_layout, open_gltf
 from dynamictree.formats.gltf.material import gltf_materials, texture_coordinates, texture_placement
+from dynamictree.formats.gltf.normals import turn_normals
 from dynamictree.formats.gltf.scene import MeshInstance, mesh_instances
 from dynamictree.formats.gltf.source import PlacedPrimitive, keep_source
 from dynamictree.formats.json_fields import JsonObject, index_field, integer_field, object_field, object_list
@@ -227,12 +228,7 @@ def _normals(
     stored = attributes["NORMAL"].astype(np.float64)
     if stored.shape != (count, 3):
         raise FormatError(f"NORMAL has shape {list(stored.shape)}; {[count, 3]} is needed")
-    x, y, z = (matrices[..., i, :] for i in range(3))
-    cofactors = np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)], axis=-2)  # det · inverse transpose
-    sign = np.where((x * cofactors[..., 0, :]).sum(axis=-1) < 0, -1.0, 1.0)  # of the determinant
-    return unit_vectors(
-        np.einsum("...,...ij,nj->ni" if matrices.ndim == 2 else "n,nij,nj->ni", sign, cofactors, stored)
-    )
+    return turn_normals(unit_vectors(stored), matrices)
 
 
 def _colors(attributes: Mapping[str, Shaped[np.ndarray, "n width"]], count: int) -> UInt8[np.ndarray, "N 4"] | None:

@@ -4,7 +4,7 @@ Targets are attached primitive by primitive, in the primitive's own axes and uni
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64
 
 from dynamictree.formats.axes import up_rotation
+from dynamictree.formats.gltf.normals import NormalError, NormalErrors, turn_normals
 from dynamictree.formats.gltf.writer import VERTEX_BUFFER, GlbWriter, add_mesh
 from dynamictree.mesh import SourceGltf, TriangleMesh
 
@@ -35,6 +36,10 @@ class MorphSlot:
         turned: Float32[np.ndarray, "n 3"] = np.einsum("nij,nj->ni", self.to_local, own).astype(np.float32)
         return turned
 
+    def local_normals(self, normals: Float32[np.ndarray, "N 3"]) -> Float32[np.ndarray, "n 3"]:
+        """The primitive's part of normals of the mesh, in its own axes."""
+        return turn_normals(normals[self.rows], self.to_local)
+
     def described(self) -> dict[str, object]:
         """Where the vertices are in the mesh, and the matrix from the primitive's displacements to +Z up and metres."""
         entry: dict[str, object] = {"node": self.node, "primitive": self.primitive, "first_vertex": self.rows.start}
@@ -50,6 +55,7 @@ class Template:
     writer: GlbWriter
     slots: Sequence[MorphSlot]
     own_weights: dict[int, list[float]] = field(default_factory=dict)  # of the targets a morphing node had before
+    moved: list[tuple[MorphSlot, list[dict[str, int]]]] = field(default_factory=list)  # that have normals, with targets
     still: dict[int, dict[str, int]] = field(default_factory=dict)  # targets of zeros, by their number of vertices
 
     def attach_targets(
@@ -66,6 +72,7 @@ class Template:
             by_node.setdefault(slot.node, {})[slot.primitive] = slot
         nodes = [node for node, slots in by_node.items() if any(moving[slot.rows].any() for slot in slots.values())]
         written: dict[tuple[int, int, bytes], list[dict[str, int]]] = {}
+        self.moved = []
         places: list[dict[str, object]] = []
         for node in nodes:
             mesh = self._own_mesh(node)
@@ -79,10 +86,34 @@ class Template:
                     if key not in written:
                         written[key] = [self._target(place, target) for target in targets]
                         places.append(place.described())
+                        if "NORMAL" in primitive["attributes"]:
+                            self.moved.append((place, written[key]))
                     added = written[key]
                 primitive["targets"] = [*primitive.get("targets", []), *added]
             self._extend_weights(node, mesh, len(targets))
         return nodes, places
+
+    def attach_normals(
+        self,
+        rest: Float32[np.ndarray, "N 3"],
+        frames: Callable[[], Iterable[Float32[np.ndarray, "N 3"]]],
+        weights: Float64[np.ndarray, "T M"],
+    ) -> NormalError:
+        """Give targets the normals that, with the same weights, come nearest to those of the frames."""
+        solve = np.linalg.pinv(weights).astype(np.float32)  # [M, T]
+        errors = NormalErrors()
+        still = [slot.local_normals(rest) for slot, _ in self.moved]
+        deltas = [np.zeros((len(solve), *own.shape), np.float32) for own in still]
+        for number, normals in enumerate(frames()):
+            for (slot, _), own, delta in zip(self.moved, still, deltas, strict=True):
+                delta += solve[:, number, None, None] * (slot.local_normals(normals) - own)
+        for row, normals in zip(weights.astype(np.float32), frames(), strict=True):
+            for (slot, _), own, delta in zip(self.moved, still, deltas, strict=True):
+                errors.add(slot.local_normals(normals), own + np.tensordot(row, delta, 1), own)
+        for (_, targets), delta in zip(self.moved, deltas, strict=True):
+            for target, normals in zip(targets, delta, strict=True):
+                target["NORMAL"] = self.writer.add_accessor(normals, target=VERTEX_BUFFER)
+        return errors.summary()
 
     def _target(self, slot: MorphSlot, displacement: Float32[np.ndarray, "N 3"]) -> dict[str, int]:
         return {"POSITION": self.writer.add_accessor(slot.local(displacement), target=VERTEX_BUFFER, bounds=True)}

@@ -1,7 +1,8 @@
 """A motion as a vertex animation texture: what engines play in the vertex shader, instance by instance.
 
 A ZIP of `tree.glb` (at rest; its second texture coordinates say where in the texture a vertex is), `displacement.exr`
-(half floats, metres, glTF's axes) and `vat.json`. A frame takes `rows_per_frame` rows of texels, frame 0 on top.
+(half floats, metres, glTF's axes), `vat.json` and, where asked for, `normal.exr` in the same layout. A frame takes
+`rows_per_frame` rows of texels, frame 0 on top.
 """
 
 import io
@@ -55,20 +56,21 @@ def texture_layout(num_vertices: int, num_frames: int) -> TextureLayout:
 
 
 def iter_vertex_texture_zip(
-    mesh: TriangleMesh, frames: Iterable[Float32[np.ndarray, "N 3"]], *, num_frames: int, fps: float, loop: bool
+    mesh: TriangleMesh,
+    frames: Iterable[Float32[np.ndarray, "N 3"]],
+    *,
+    num_frames: int,
+    fps: float,
+    loop: bool,
+    normals: Iterable[Float32[np.ndarray, "N 3"]] | None = None,
 ) -> Iterator[bytes]:
-    """Chunks of the archive; `frames` are displacements [m].
+    """Chunks of the archive; `frames` are displacements [m], `normals` the unit normals at each frame.
 
     Raises:
         InputError: the mesh and its frames do not fit into one texture.
     """
     layout = texture_layout(mesh.num_vertices, num_frames)
-    texels = np.zeros((num_frames, layout.rows_per_frame * layout.width, 3), np.float16)
-    rotation = up_rotation("+Y").astype(np.float32)
-    largest = 0.0
-    for number, displacement in enumerate(frames):
-        texels[number, : mesh.num_vertices] = (displacement @ rotation).astype(np.float16)
-        largest = max(largest, float(np.abs(displacement).max()))
+    texels, largest = _texels(frames, layout)
     facts = {
         "format": "vertex-animation-texture",
         "version": VERSION,
@@ -88,13 +90,30 @@ def iter_vertex_texture_zip(
         "max_displacement_m": largest,
         "half_float_error_m": float(np.spacing(np.float16(largest))) / 2,
     }
+    directions = [] if normals is None else [("normal.exr", [_picture(_texels(normals, layout)[0])])]
+    if normals is not None:
+        facts["normal_texture"] = "normal.exr"
     yield from iter_stored_zip(
         [
             ("vat.json", [json.dumps(facts, indent=1).encode()]),
             ("tree.glb", [_rest(mesh, layout)]),
-            ("displacement.exr", [_picture(texels.reshape(layout.height, layout.width, 3))]),
+            ("displacement.exr", [_picture(texels)]),
+            *directions,
         ]
     )
+
+
+def _texels(
+    frames: Iterable[Float32[np.ndarray, "N 3"]], layout: TextureLayout
+) -> tuple[Float16[np.ndarray, "H W 3"], float]:
+    """Vectors of all frames where the layout has them, in glTF's axes; and the largest number among them."""
+    texels = np.zeros((layout.num_frames, layout.rows_per_frame * layout.width, 3), np.float16)
+    rotation = up_rotation("+Y").astype(np.float32)
+    largest = 0.0
+    for number, vectors in enumerate(frames):
+        texels[number, : len(vectors)] = (vectors @ rotation).astype(np.float16)
+        largest = max(largest, float(np.abs(vectors).max()))
+    return texels.reshape(layout.height, layout.width, 3), largest
 
 
 def _rest(mesh: TriangleMesh, layout: TextureLayout) -> bytes:
