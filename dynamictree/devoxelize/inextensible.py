@@ -36,6 +36,8 @@ _ANCHOR = 0.01  # a of a vertex with the mean motion, see docs/decisions/core.md
 _ANCHOR_SHARES = (0.01, 100.0)  # of the motion over its mean
 _SHORTEST_EDGE = 0.05  # in voxels; shorter edges are no stiffer
 _CARD_VERTICES = 8  # with so few, a part that hangs is a card at any size
+_CLOSE, _SHARE_APART = 0.001, 0.01
+"""A pose is good enough where all but this share of its edges have their lengths to this accuracy."""
 _SAMPLED_EDGES = 200_000
 _SAMPLED_FRAMES = 16
 _TURNS = 30  # of the iteration to the nearest rotation
@@ -81,6 +83,9 @@ class InextensiblePose:
             target = direction * (length / np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-12))
             pose = self.factor.solve(self.pull @ target + self.anchor[:, None] * pose)
             direction = pose[start] - pose[end]
+            change = np.abs(np.linalg.norm(direction, axis=1, keepdims=True) - length)
+            if np.count_nonzero(change > _CLOSE * length) < _SHARE_APART * len(length):
+                break
         return pose
 
     def _turned(self, moved: Float64[np.ndarray, "r 3"]) -> Float64[np.ndarray, "r 3"]:

@@ -17,7 +17,8 @@ from dynamictree.devoxelize.inextensible import (
 )
 from dynamictree.devoxelize.length_preserving import LengthPreservingInterpolation, length_preserving
 from dynamictree.mesh import TriangleMesh, edges_of
-from dynamictree.spectrum import Wind, to_motion
+from dynamictree.modal.turbulence import iter_turbulent_motion, turbulent_wind
+from dynamictree.spectrum import SparseVoxelSpectrum, Wind, to_motion
 from dynamictree.voxel.voxelize import voxelize
 
 Motion = Float32[np.ndarray, "T N 3"]
@@ -66,6 +67,19 @@ def test_edges_keep_their_length_however_large_the_motion(sample: Sample, times:
     linear = np.float32(times) * to_motion(sample.coefficients)[::10]
     assert np.percentile(stretch(sample.mesh, linear), 99) > 0.05
     assert np.percentile(stretch(sample.mesh, sample.frames(times)), 99) < 0.02
+
+
+def test_endless_wind_stretches_no_more_than_the_loop(sample: Sample) -> None:
+    grid = sample.interpolation.grid
+    still = np.zeros((len(grid), 16, 3), np.complex64)
+    wind = turbulent_wind(SparseVoxelSpectrum(grid=grid, coefficients=still, wind=Wind(speed_m_s=6.0)), seed=1)
+    strong = np.complex64(3) * sample.coefficients
+    times = np.arange(0, 60, 3.1)
+    endless = np.stack([sample.pose.apply(frame) for frame in iter_turbulent_motion(strong, wind, times, 100)])
+    loop, endless_stretch = (
+        np.percentile(stretch(sample.mesh, motion), 99) for motion in (sample.frames(3.0), endless)
+    )
+    assert endless_stretch < max(1.1 * loop, 0.005)
 
 
 def test_leaf_cards_are_rigid_in_any_wind(sample: Sample) -> None:
