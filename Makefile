@@ -26,7 +26,7 @@ else
 TORCH_SOURCE := --torch-backend $(TORCH_BACKEND)
 endif
 
-.PHONY: help setup demo test train-gpu docs live js-tools web-check web-format openapi-lint scale-out compose check format openapi lock lock-versions lock-image bench clean browser serve sbom gallery
+.PHONY: help setup demo test slow train-gpu docs live js-tools web-check web-format openapi-lint scale-out compose check format openapi lock lock-versions lock-image bench clean browser serve sbom gallery
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -51,6 +51,9 @@ serve: $(READY)  ## the service, and its page in your browser (PORT=8001 where 8
 
 test: $(READY)  ## the test suite, without the slow marks
 	@$(BIN)/python -m pytest -q -n $(TEST_WORKERS) --dist worksteal -m "not slow and not gpu" $(TESTS)
+
+slow: $(READY)  ## what `test` leaves out, without the browser: kills, training, judges from outside (1 h)
+	@$(BIN)/python -m pytest -q -m "slow and not gpu" --ignore=tests/browser $(TESTS)
 
 scale-out: $(READY)  ## API and two workers as processes of their own on PostgreSQL, Redis and S3, all real (1 min)
 	@$(BIN)/python -m pytest -q tests/faults/test_many_machines.py

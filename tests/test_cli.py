@@ -1,25 +1,38 @@
-"""The command line as a user or a script meets it: real processes, real files."""
+"""The command line as a user or a script meets it: real files, and one real process for all."""
 
 import json
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import pytest
 import typer
 from safetensors.numpy import load_file
 
-from dynamictree.cli import app
+from dynamictree.cli import app, main
 from dynamictree.dataset.sample import make_sample
 from dynamictree.formats.mesh.ply_writer import write_ply
 
 
-def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "dynamictree.cli", *map(str, arguments)]
-    return subprocess.run(command, check=False, capture_output=True, text=True, timeout=170)
+class Run(Protocol):
+    def __call__(self, *arguments: str | float | Path) -> subprocess.CompletedProcess[str]: ...
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+    """Run a command in this process."""
+
+    def call(*arguments: str | float | Path) -> subprocess.CompletedProcess[str]:
+        words = ["dynamictree", *map(str, arguments)]
+        monkeypatch.setattr(sys, "argv", words)
+        with pytest.raises(SystemExit) as ended:
+            main()
+        return subprocess.CompletedProcess(words, int(ended.value.code or 0), *capsys.readouterr())
+
+    return call
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +64,9 @@ def leaves(command: Any, name: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def test_animate_writes_every_product_and_says_so_in_json(tree: Path, tmp_path: Path) -> None:
-    answer = run("animate", tree, "-o", tmp_path / "out", "--format", "ply,glb,motion,png", "--seed", 1, "--json")
+    options = ["-o", str(tmp_path / "out"), "--format", "ply,glb,motion,png", "--num-steps", "1", "--json"]
+    command = [sys.executable, "-m", "dynamictree.cli", "animate", str(tree), *options]
+    answer = subprocess.run(command, check=False, capture_output=True, text=True, timeout=170)
     assert answer.returncode == 0, answer.stderr
     files = {Path(name).name for name in json.loads(answer.stdout)["files"]}
     assert files == {"motion.ply.zip", "tree.glb", "motion.safetensors", "preview.png", "tree.spectrum.safetensors"}
@@ -60,7 +75,7 @@ def test_animate_writes_every_product_and_says_so_in_json(tree: Path, tmp_path: 
     assert np.isfinite(motion["displacement"]).all()
 
 
-def test_the_same_seed_gives_the_same_spectrum_and_another_seed_another(tree: Path, tmp_path: Path) -> None:
+def test_the_same_seed_gives_the_same_spectrum_and_another_seed_another(run: Run, tree: Path, tmp_path: Path) -> None:
     files = {}
     for name, seed in [("a", 1), ("b", 1), ("c", 2)]:
         files[name] = tmp_path / f"{name}.spectrum.safetensors"
@@ -69,7 +84,7 @@ def test_the_same_seed_gives_the_same_spectrum_and_another_seed_another(tree: Pa
     assert files["a"].read_bytes() != files["c"].read_bytes()
 
 
-def test_voxelize_then_info_tells_what_was_written(tree: Path, tmp_path: Path) -> None:
+def test_voxelize_then_info_tells_what_was_written(run: Run, tree: Path, tmp_path: Path) -> None:
     voxels = tmp_path / "tree.voxels.safetensors"
     result = json.loads(run("voxelize", tree, "-o", voxels, "--resolution", 64, "--json").stdout)
     report = json.loads(run("info", voxels, "--json").stdout)
@@ -86,7 +101,7 @@ def test_voxelize_then_info_tells_what_was_written(tree: Path, tmp_path: Path) -
     ],
 )
 def test_bad_input_is_one_line_and_exit_2_and_leaves_nothing(
-    tmp_path: Path, name: str, content: bytes, message: str
+    run: Run, tmp_path: Path, name: str, content: bytes, message: str
 ) -> None:
     source, output = tmp_path / name, tmp_path / "out"
     source.write_bytes(content)
@@ -97,14 +112,14 @@ def test_bad_input_is_one_line_and_exit_2_and_leaves_nothing(
     assert not output.exists()
 
 
-def test_frames_that_make_no_loop_are_refused_with_the_nearest_that_do(tree: Path, tmp_path: Path) -> None:
+def test_frames_that_make_no_loop_are_refused_with_the_nearest_that_do(run: Run, tree: Path, tmp_path: Path) -> None:
     answer = run("animate", tree, "-o", tmp_path / "out", "--frames", "90")
     assert answer.returncode == 2
     assert "100" in answer.stderr
     assert not (tmp_path / "out").exists()
 
 
-def test_a_missing_file_is_named(tmp_path: Path) -> None:
+def test_a_missing_file_is_named(run: Run, tmp_path: Path) -> None:
     answer = run("info", tmp_path / "none.obj")
     assert answer.returncode == 2
     assert "none.obj" in answer.stderr

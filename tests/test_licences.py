@@ -26,7 +26,9 @@ def test_packages_declare_the_licence_whose_text_they_carry(path: Path) -> None:
 @pytest.mark.parametrize("library", LIBRARIES, ids=lambda library: library.name)
 def test_the_notice_names_every_vendored_library(library) -> None:
     notice = " ".join((ROOT / "NOTICE").read_text().split())
-    name = {"three": "three.js", "@sparkjsdev/spark": "Spark"}.get(library.name, library.name)
+    name = {"three": "three.js", "@sparkjsdev/spark": "Spark", "swagger-ui-dist": "Swagger UI"}.get(
+        library.name, library.name
+    )
     assert f"{name} {library.version}" in notice
     for target in library.files.values():
         if "LICENSE" in target:

@@ -230,6 +230,7 @@ def test_a_shard_can_be_written_to_any_stream(sapling):
     assert first.getvalue() == second.getvalue()
 
 
+@pytest.mark.slow
 def test_workers_end_with_a_killed_parent(tmp_path):
     program = [
         sys.executable,

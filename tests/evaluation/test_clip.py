@@ -27,6 +27,7 @@ def picture(seed: int) -> np.ndarray:
     return np.random.default_rng(seed).integers(0, 256, (224, 224, 3)).astype(np.uint8)
 
 
+@pytest.mark.slow
 def test_the_weights_are_those_of_the_file_and_of_vit_b_32(tmp_path: Path) -> None:
     """The file as it is published: with another tower's tensors, and positions among the weights."""
     with torch.device("meta"):

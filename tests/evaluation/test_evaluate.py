@@ -43,6 +43,7 @@ def test_noise_between_neighbours_shows_in_smoothness_and_roughness(palm: HeldOu
     assert figures.log_amplitude_rmse == pytest.approx(0, abs=1e-5)
 
 
+@pytest.mark.slow
 def test_evaluation_judges_the_truth_as_good_and_an_untrained_network_as_not(commands: Typer, untrained: Path) -> None:
     report, said = ran(commands, "--model", str(untrained), "--trees", "1", "--training-trees", "2", "--steps", "1")
     assert set(report["groups"]) == {"seen-species", "unseen-species"}
@@ -83,6 +84,7 @@ def test_the_add_ons_trees_are_judged_by_their_own_frames(samples: Path) -> None
         assert figures.lean_ratio == pytest.approx(1, abs=0.3)
 
 
+@pytest.mark.slow
 def test_rivals_move_the_same_meshes_and_only_the_bake_jumps(commands: Typer, untrained: Path, samples: Path) -> None:
     report, said = ran(
         commands, "--model", str(untrained), "--rival", "sapling", "--trees", "1", "--samples", str(samples)

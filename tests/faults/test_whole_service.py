@@ -55,6 +55,7 @@ def test_a_mesh_goes_in_and_voxels_come_out(service: Service) -> None:
     assert again["stages"][0]["cached"]  # type: ignore[index]
 
 
+@pytest.mark.slow
 def test_a_killed_worker_loses_no_job(service: Service) -> None:
     asset_id = service.upload("big.obj", bumpy_sphere(150))
     pid = service.worker_pid()
@@ -68,6 +69,7 @@ def test_a_killed_worker_loses_no_job(service: Service) -> None:
     assert_exactly_once(service, url)
 
 
+@pytest.mark.slow
 def test_a_killed_pool_process_loses_no_job(service: Service) -> None:
     asset_id = service.upload("big.obj", bumpy_sphere(150, seed=1))
     url = service.create(type="voxelize", asset_id=asset_id, params={"resolution": 256})
@@ -78,6 +80,7 @@ def test_a_killed_pool_process_loses_no_job(service: Service) -> None:
     assert_exactly_once(service, url)
 
 
+@pytest.mark.slow
 def test_a_killed_redis_loses_no_job(service: Service) -> None:
     asset_id = service.upload("tree.obj", bumpy_sphere(30, seed=2))
     server = next(c for c in psutil.Process(service.process.pid).children() if "valkey" in c.name())
@@ -122,6 +125,7 @@ def test_a_cancel_is_honoured_within_a_step(service: Service) -> None:
     assert reached - stage["progress"] < 0.02  # 20 of 1,000 steps
 
 
+@pytest.mark.slow
 def test_a_stop_hands_the_job_back_and_a_start_goes_on(tmp_path: Path) -> None:
     first = start(tmp_path / "state")
     asset_id = first.upload("big.obj", bumpy_sphere(150, seed=5))

@@ -141,6 +141,7 @@ def _write_to_full_disk(path: Path) -> None:
         full.write(b"more")
 
 
+@pytest.mark.slow
 def test_the_camera_process_ends_with_its_killed_parent(orbit, tmp_path):
     code = (
         "import os, signal, sys\n"

@@ -115,6 +115,7 @@ dist.destroy_process_group()
 """
 
 
+@pytest.mark.slow
 def test_processes_draw_their_own_batches_and_keep_the_same_weights(tmp_path: Path) -> None:
     import socket
 

@@ -25,6 +25,7 @@ SMALL = PaperPreset(
 )
 
 
+@pytest.mark.slow
 def test_the_full_preset_has_the_papers_size() -> None:
     with torch.device("meta"):
         network = PaperNetwork(PaperPreset())

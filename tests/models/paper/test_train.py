@@ -72,6 +72,7 @@ def test_trained_weights_load_with_their_preset_step_and_data(shard: str, tmp_pa
     assert np.isfinite(list(figures.values())).all()
 
 
+@pytest.mark.slow
 def test_loading_workers_give_the_same_losses(shard: str, tmp_path: Path) -> None:
     (tmp_path / "here").mkdir()
     (tmp_path / "workers").mkdir()
