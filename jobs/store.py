@@ -1,7 +1,7 @@
 """The job store: jobs, stages and artifacts, in SQLite or PostgreSQL through SQLAlchemy.
 
 Other rows have modules of their own (`assets.py`, `uploads.py`, `webhooks.py`, `keys.py`); what a worker does to a
-running job is in `attempts.py`, what the housekeeper does in `upkeep.py`.
+running job is in `attempts.py`, what the housekeeper does in `maintenance.py`.
 """
 
 import time

@@ -53,6 +53,25 @@ def blocks(*languages: str) -> Iterator[pytest.param]:
                 yield pytest.param(text, id=f"{page.stem}-{number}-{language}")
 
 
+def test_modules_that_are_named_exist() -> None:
+    listed = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True).stdout.split()
+    paths = {f"/{path}" for path in listed}
+    readable = [
+        path
+        for path in listed
+        if re.match(r"(docs|dynamictree|jobs|service|web/(?!vendor)|worker)/.*\.(py|md|js)", path)
+    ]
+    missing = [
+        f"{path}: {name}"
+        for path in readable
+        for name in re.findall(r"`([\w/]+\.py)`|see ([\w/]+\.js)\b", (ROOT / path).read_text())
+        for name in filter(None, name)
+        if name != "pydantic.py"  # an attacker's, in an example
+        and not any(file.endswith(f"/{name}") for file in paths)
+    ]
+    assert missing == []
+
+
 def test_every_problem_has_an_entry_and_every_entry_is_a_problem() -> None:
     entries = re.findall(r"^### (.+)$", (ROOT / "docs" / "troubleshooting.md").read_text(), re.MULTILINE)
     assert sorted(entries) == sorted(KINDS)

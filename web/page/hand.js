@@ -26,7 +26,7 @@ export class Hand {
 
   /**
    * Pull at this tree. `source.push(options)` opens a push, `source.reach(locality)` gives the weights [V] of a group;
-   * see motion/remote.js and motion/oscillators.js.
+   * see motion/remote.js and motion/modes.js.
    */
   take(tree, source) {
     this.leave();

@@ -5,7 +5,7 @@ import { Person } from "../draw/person.js";
 import { $, describe, element, fill } from "./dom.js";
 import { fromUnit, length, lengthUnit, number, text, toUnit } from "./texts.js";
 
-/** Rows are where a file's axes go; the same table as in dynamictree/formats/mesh/axes.py. */
+/** Rows are where a file's axes go; the same table as in dynamictree/formats/axes.py. */
 const TO_Z_UP = {
   "+X": [0, 1, 0, 0, 0, 1, 1, 0, 0],
   "-X": [0, 0, 1, 0, 1, 0, -1, 0, 0],

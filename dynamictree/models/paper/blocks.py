@@ -1,4 +1,4 @@
-"""The pieces that both presets are made of. After XCube's sparse U-Net, see docs/decisions."""
+"""Building blocks of the encoder and the U-Net. After XCube's sparse U-Net, see docs/decisions."""
 
 import math
 from dataclasses import dataclass
