@@ -87,6 +87,7 @@ class TriangleMesh:
     face_part: Int32[np.ndarray, " F"] | None = None  # index into part_names
     still_parts: tuple[StillPart, ...] = ()  # what was detected to be no plant
     still_faces: Bool[np.ndarray, " F"] | None = None  # of what is no plant, such as a pot; None if all may move
+    face_tree: Int32[np.ndarray, " F"] | None = None  # of several trees the one, from 0; -1 for still faces
     source_gltf: SourceGltf | None = None  # of glTF only, while its vertices are where the file has them
 
     @property
@@ -97,8 +98,17 @@ class TriangleMesh:
         selected = ~self.still_faces
         material = None if self.face_material is None else self.face_material[selected]
         part = None if self.face_part is None else self.face_part[selected]
+        tree = None if self.face_tree is None else np.maximum(self.face_tree[selected], 0)
         faces = self.faces[selected]
-        return replace(self, faces=faces, face_material=material, face_part=part, still_faces=None, source_gltf=None)
+        return replace(
+            self,
+            faces=faces,
+            face_material=material,
+            face_part=part,
+            still_faces=None,
+            face_tree=tree,
+            source_gltf=None,
+        )
 
     @property
     def still_vertices(self) -> Bool[np.ndarray, " N"]:
@@ -142,7 +152,7 @@ class TriangleMesh:
             parts = [_from_trimesh(source, np.eye(4))]
         if not parts:
             raise MeshError("the scene has no triangles; a mesh with faces is needed, not points or lines")
-        return _joined(parts)
+        return joined(parts)
 
     def to_trimesh(self) -> "trimesh.Trimesh":
         """Convert to a mesh of trimesh with the same vertices in the same order; several materials become colours."""
@@ -293,8 +303,8 @@ def _to_trimesh_material(material: Material) -> "trimesh.visual.material.PBRMate
     )
 
 
-def _joined(parts: Sequence[TriangleMesh]) -> TriangleMesh:
-    """Concatenate; what has no texture coordinates gets zeros, no colour white, no material a white one."""
+def joined(parts: Sequence[TriangleMesh]) -> TriangleMesh:
+    """Concatenate meshes; what has no texture coordinates gets zeros, no colour white, no material a white one."""
     materials: list[Material] = []
     face_material, starts = list[Int32[np.ndarray, " F"]](), np.cumsum([0, *(part.num_vertices for part in parts)])
     for part in parts:

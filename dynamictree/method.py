@@ -22,6 +22,7 @@ from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.mesh import TriangleMesh
 from dynamictree.requests import GridParams, Resolution, Wind
 from dynamictree.spectrum import SparseVoxelSpectrum, iter_motion
+from dynamictree.trees.of_mesh import stand_resolution
 from dynamictree.voxel.voxelize import SurfaceVoxels
 from dynamictree.voxel.voxelize import voxelize as voxelize_surface
 
@@ -63,7 +64,8 @@ def animate_splat(
 
 def voxelize(mesh: "TriangleMesh | trimesh.Trimesh | trimesh.Scene", *, resolution: Resolution = 128) -> SurfaceVoxels:
     """Find the voxels that the surface occupies, with their normals. Paper section 3.3."""
-    return voxelize_surface(triangle_mesh(mesh), GridParams(resolution=resolution).resolution)
+    mesh = triangle_mesh(mesh)
+    return voxelize_surface(mesh, stand_resolution(mesh, GridParams(resolution=resolution).resolution))
 
 
 def generate(
@@ -79,7 +81,11 @@ def generate(
 
     `on_step` gets the sampler steps done and their total; what it raises passes through.
     """
-    return motion_model(model).generate(voxels, wind=wind or Wind(), seed=seed, num_steps=num_steps, on_step=on_step)
+    from dynamictree.models.several_trees import generate_trees
+
+    return generate_trees(
+        motion_model(model), voxels, wind=wind or Wind(), seed=seed, num_steps=num_steps, on_step=on_step
+    )
 
 
 def devoxelize(

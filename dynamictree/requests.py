@@ -133,6 +133,12 @@ class CloudParams(Request):
     moving_box_m: Box | None = Field(
         default=None, description="What is inside moves although it was detected as no plant: low and high corner [m]"
     )
+    tree: int | None = Field(
+        default=None,
+        ge=1,
+        le=10_000,
+        description="Of a file of several trees only this one, as `trees` numbers them; if unset all, each by itself",
+    )
 
 
 class PhotoParams(Request):

@@ -52,7 +52,10 @@ class ParseAnswer(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     kind: AssetKind | None = None
-    summary: Mapping[str, str | float | int | list[float] | list[dict[str, str]] | None] | None = None
+    summary: (
+        Mapping[str, str | float | int | list[float] | list[dict[str, str]] | list[dict[str, int | float]] | None]
+        | None
+    ) = None
     code: str | None = None
     message: str = ""
 

@@ -135,10 +135,21 @@ def require_possible(owned: Owned, body: JobRequest) -> tuple[AssetRecord, tuple
     if chosen and asset.kind == "photos":
         detail = f"asset {asset.id} is of kind photos, in which no part has a place or name yet"
         raise wrong_field(f"/params/{chosen[0]}", "not-allowed", detail)
+    if body.params.tree is not None:
+        _require_tree(body.params.tree, asset)
     size = sum(format_bytes(body, asset).values())
     require_room(owned, size)
     require_bytes(owned, size)
     return asset, stages
+
+
+def _require_tree(number: int, asset: AssetRecord) -> None:
+    trees = asset.summary.get("trees")
+    if not isinstance(trees, list):
+        detail = f"asset {asset.id} is of kind {asset.kind}; trees are separated in meshes, splats and scans"
+        raise wrong_field("/params/tree", "not-allowed", detail)
+    if number > len(trees):
+        raise wrong_field("/params/tree", "out-of-range", f"asset {asset.id} holds {len(trees)} trees, not {number}")
 
 
 def _record(owned: Owned, body: JobRequest, asset: AssetRecord, origin: RequestOrigin) -> JobRecord:

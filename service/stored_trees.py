@@ -4,12 +4,13 @@ from io import BytesIO
 from typing import Literal
 
 from dynamictree.formats.tensors.spectrum import read_spectrum
-from dynamictree.gaussian.capture import Capture
+from dynamictree.gaussian.capture import Capture, move_only_tree
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.part_choice import with_choice
 from dynamictree.mesh import TriangleMesh
 from dynamictree.requests import CloudParams
 from dynamictree.spectrum import SparseVoxelSpectrum
+from dynamictree.trees.of_mesh import only_tree_of
 from jobs.assets import read_asset
 from jobs.errors import ConflictError, GoneError, NotFoundError
 from jobs.records import ArtifactRecord
@@ -54,10 +55,12 @@ def load_source_mesh(owned: Owned, spectrum_id: str) -> TriangleMesh:
         NotFoundError, GoneError: there is no such spectrum, or its asset has expired.
     """
     artifact = spectrum_artifact(owned, spectrum_id)
-    asset = read_asset(owned.store, owned.store.job(artifact.job_id).asset_id)
+    job = owned.store.job(artifact.job_id)
+    asset = read_asset(owned.store, job.asset_id)
     if asset.prepared is not None and asset.kind == "mesh":
-        job = owned.store.job(artifact.job_id)
-        return with_choice(_mesh(owned, asset.prepared.sha256, asset.id), CloudParams.part_of(job.params))
+        params = CloudParams.part_of(job.params)
+        mesh = with_choice(_mesh(owned, asset.prepared.sha256, asset.id), params)
+        return mesh if params.tree is None else only_tree_of(mesh, params.tree)
     bundles = [other for other in owned.store.artifacts_of(artifact.job_id) if other.name == MESH_BUNDLE]
     if not bundles:
         raise GoneError(f"the mesh of spectrum {spectrum_id} was removed; run the job again")
@@ -102,7 +105,8 @@ def load_source_cloud(owned: Owned, spectrum_id: str) -> tuple[Capture, CloudPar
         detail = f"this spectrum's source is of kind {asset.kind}; output gaussians needs a cloud"
         raise ProblemError("invalid-input", f"{detail}. Ask for vertices, voxels or modal")
     capture = read_cloud_bundle(_stored(owned, asset.prepared.sha256, f"cloud {asset.id}"))
-    return capture, CloudParams.part_of(job.params)
+    params = CloudParams.part_of(job.params)
+    return capture if params.tree is None else move_only_tree(capture, params.tree), params
 
 
 def _prepared(owned: Owned, asset_id: str, kind: Literal["mesh", "cloud"], otherwise: str) -> str:

@@ -16,10 +16,11 @@ from dynamictree.formats.tensors.cloud_bundle import read_cloud_bundle, write_cl
 from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle, write_mesh_bundle
 from dynamictree.formats.tensors.spectrum import read_spectrum, write_spectrum
 from dynamictree.formats.tensors.voxels import read_voxels, write_voxels
-from dynamictree.gaussian.capture import Capture, carrying_mesh
+from dynamictree.gaussian.capture import Capture, carrying_mesh, only_tree
 from dynamictree.gaussian.part_choice import with_choice
 from dynamictree.mesh import TriangleMesh
 from dynamictree.requests import CloudParams, ExportParams, GridParams, ReconstructParams, SpectrumParams
+from dynamictree.trees.of_mesh import only_tree_of
 from jobs.records import JobRecord
 from jobs.stage_files import CLOUD_BUNDLE, MESH, MESH_BUNDLE, SPECTRUM, VOXELS
 from jobs.states import JobType
@@ -150,11 +151,17 @@ def _capture(given: StageInput) -> Capture | None:
     if CLOUD_BUNDLE not in given.files:
         return None
     with given.files[CLOUD_BUNDLE].open("rb") as stream:
-        return read_cloud_bundle(stream)
+        capture = read_cloud_bundle(stream)
+    number = CloudParams.part_of(given.job.params).tree
+    return capture if number is None else only_tree(capture, number)
 
 
 def _mesh(given: StageInput, *, with_source: bool = False) -> TriangleMesh:
     """The mesh that moves; one that was made of a cloud or photos has its still faces already."""
     with given.files[MESH_BUNDLE].open("rb") as stream:
         mesh = read_mesh_bundle(stream, with_source=with_source)
-    return mesh if CLOUD_BUNDLE in given.files else with_choice(mesh, CloudParams.part_of(given.job.params))
+    if CLOUD_BUNDLE in given.files:  # made of the chosen tree
+        return mesh
+    params = CloudParams.part_of(given.job.params)
+    chosen = with_choice(mesh, params)
+    return chosen if params.tree is None else only_tree_of(chosen, params.tree)

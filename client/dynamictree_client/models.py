@@ -30,6 +30,8 @@ class AnimateParams(Model):
     still_box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
     # What is inside moves although it was detected as no plant: low and high corner [m]
     moving_box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
+    # Of a file of several trees only this one, as `trees` numbers them; if unset all, each by itself
+    tree: int | None = None
     # Of photos: the tree's height [m], which they do not show; 1 m if unset
     height_m: float | None = None
     # Of photos: training steps of the splat; 3000 if unset
@@ -122,8 +124,11 @@ class Asset(Model):
     kind: Literal["mesh", "photos", "cloud"]
     parts: "list[Part]"
     # what was found in it, lengths in metres; `warnings` are objects with `code` and `message`, `still_parts` what
-    # is not the plant and does not move: `name` and `why`
-    summary: dict[str, str | int | float | list[float] | list[dict[str, str | int]] | None]
+    # is not the plant and does not move: `name` and `why`, `trees` where each stands and how tall it is: `tree`
+    # (its number), `x_m`, `y_m`, `z_m` and `height_m`
+    summary: dict[
+        str, str | int | float | list[float] | list[dict[str, str | int]] | list[dict[str, int | float]] | None
+    ]
     # RFC 3339, UTC
     created_at: datetime
     # RFC 3339, UTC
@@ -201,6 +206,8 @@ class DiffuseParams(Model):
     still_box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
     # What is inside moves although it was detected as no plant: low and high corner [m]
     moving_box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
+    # Of a file of several trees only this one, as `trees` numbers them; if unset all, each by itself
+    tree: int | None = None
     # Of photos: the tree's height [m], which they do not show; 1 m if unset
     height_m: float | None = None
     # Of photos: training steps of the splat; 3000 if unset
@@ -634,6 +641,8 @@ class ReconstructParams(Model):
     still_box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
     # What is inside moves although it was detected as no plant: low and high corner [m]
     moving_box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
+    # Of a file of several trees only this one, as `trees` numbers them; if unset all, each by itself
+    tree: int | None = None
     # Of photos: the tree's height [m], which they do not show; 1 m if unset
     height_m: float | None = None
     # Of photos: training steps of the splat; 3000 if unset
@@ -822,6 +831,8 @@ class VoxelizeParams(Model):
     still_box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
     # What is inside moves although it was detected as no plant: low and high corner [m]
     moving_box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
+    # Of a file of several trees only this one, as `trees` numbers them; if unset all, each by itself
+    tree: int | None = None
     # Of photos: the tree's height [m], which they do not show; 1 m if unset
     height_m: float | None = None
     # Of photos: training steps of the splat; 3000 if unset

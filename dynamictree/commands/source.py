@@ -56,16 +56,20 @@ def read_source(
     Raises:
         InputError: a file cannot be read, or they do not fit together.
     """
-    from dynamictree.gaussian.capture import carrying_mesh
+    from dynamictree.gaussian.capture import carrying_mesh, only_tree
     from dynamictree.gaussian.part_choice import with_choice
+    from dynamictree.trees.of_mesh import only_tree_of
 
+    number = None if choice is None else choice.tree
     if not is_cloud(path):
         if mask is not None or beside is not None:
             raise InputError(f"{path} is a mesh; --mask and --mesh are for splats and scans")
         mesh = with_choice(load_mesh(path, reading), choice or CloudParams())
         say_how_read(mesh, mesh.warnings)
-        return mesh, None
+        return mesh if number is None else only_tree_of(mesh, number), None
     capture = load_capture(path, reading, mask=mask, mesh=beside)
+    if number is not None:
+        capture = only_tree(capture, number)
     mesh = carrying_mesh(capture, choice)
     say_how_read(mesh, capture.warnings)
     return mesh, capture

@@ -24,7 +24,7 @@ import scipy.sparse
 from jaxtyping import Bool, Complex64, Float32, Float64, Int32, Int64
 
 from dynamictree.devoxelize.attachment import SMALL_PART_VOXELS, Attachments
-from dynamictree.devoxelize.length_preserving import LengthPreservingInterpolation
+from dynamictree.devoxelize.length_preserving import LengthPreservingInterpolation, TreesInterpolation
 from dynamictree.mesh import edges_of, weld
 from dynamictree.parallel import compiled, in_bands
 from dynamictree.spectrum import from_motion, iter_motion
@@ -144,8 +144,33 @@ def inextensible_pose(
     )
 
 
+@dataclass(frozen=True, kw_only=True)
+class TreesPose:
+    """Poses of several trees of one mesh; what is of none stands still."""
+
+    num_vertices: int
+    trees: tuple[tuple[Int32[np.ndarray, " _"], InextensiblePose], ...]
+
+    def apply(self, displacement: Float32[np.ndarray, "N 3"]) -> Float32[np.ndarray, "N 3"]:
+        """The pose nearest to this one whose edges keep their lengths [m]."""
+        unstretched = np.zeros((self.num_vertices, 3), np.float32)
+        for vertices, pose in self.trees:
+            unstretched[vertices] = pose.apply(np.ascontiguousarray(displacement[vertices]))
+        return unstretched
+
+
+def pose_of(
+    interpolation: LengthPreservingInterpolation | TreesInterpolation, coefficients: Complex64[np.ndarray, "N K 3"]
+) -> InextensiblePose | TreesPose:
+    """`inextensible_pose` of one tree, or of each of several by itself."""
+    if isinstance(interpolation, LengthPreservingInterpolation):
+        return inextensible_pose(interpolation, coefficients)
+    poses = tuple((rows, inextensible_pose(tree, coefficients[rows])) for rows, _, tree in interpolation.trees)
+    return TreesPose(num_vertices=interpolation.num_vertices, trees=poses)
+
+
 def without_stretch(
-    pose: InextensiblePose, coefficients: Complex64[np.ndarray, "N K 3"], num_frames: int
+    pose: InextensiblePose | TreesPose, coefficients: Complex64[np.ndarray, "N K 3"], num_frames: int
 ) -> Complex64[np.ndarray, "N K 3"]:
     """The K frequencies of a loop whose frames do not stretch; some stretch comes back with the frequencies above K."""
     frames = iter_motion(coefficients, np.arange(num_frames) / num_frames, num_frames)
@@ -153,9 +178,14 @@ def without_stretch(
 
 
 def typical_stretch(
-    interpolation: LengthPreservingInterpolation, coefficients: Complex64[np.ndarray, "N K 3"]
+    interpolation: LengthPreservingInterpolation | TreesInterpolation, coefficients: Complex64[np.ndarray, "N K 3"]
 ) -> float:
-    """99th percentile of |length / length at rest - 1| over edges and frames of a loop, from a sample of both."""
+    """99th percentile of |length / length at rest - 1| over edges and frames of a loop, from a sample of both.
+
+    Of several trees, that of the one with most.
+    """
+    if isinstance(interpolation, TreesInterpolation):
+        return max(typical_stretch(tree, coefficients[vertices]) for vertices, _, tree in interpolation.trees)
     vertices, edges = interpolation.mesh.vertices, edges_of(interpolation.mesh.faces)
     edges = edges[:: -(-len(edges) // _SAMPLED_EDGES)]
     across = vertices[edges[:, 0]] - vertices[edges[:, 1]]

@@ -11,7 +11,7 @@ Solved by Gauss-Newton steps: first for the mean pose alone (k = 0), then for al
 edges of the mean pose.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse
@@ -25,6 +25,7 @@ from dynamictree.devoxelize.smooth import smooth
 from dynamictree.devoxelize.surface_fit import LINK
 from dynamictree.mesh import TriangleMesh, edges_of, weld
 from dynamictree.voxel.grid import VoxelGrid
+from dynamictree.voxel.voxelize import voxel_trees
 
 ELONGATION = 30.0
 """μ, see docs/decisions/core.md."""
@@ -62,9 +63,43 @@ class LengthPreservingInterpolation:
         return bounded
 
 
-def length_preserving(grid: VoxelGrid, mesh: TriangleMesh) -> LengthPreservingInterpolation:
-    """Prepare the devoxelization that products use: `smooth`, then `preserve_lengths`. Dev(·) of paper eq. 1."""
+def length_preserving(grid: VoxelGrid, mesh: TriangleMesh) -> "LengthPreservingInterpolation | TreesInterpolation":
+    """Prepare the devoxelization that products use: `smooth`, then `preserve_lengths`. Dev(·) of paper eq. 1.
+
+    Each of several trees is devoxelized by itself, from the voxels in which it has most of the surface.
+    """
+    if mesh.face_tree is not None:
+        return _of_trees(grid, mesh.moving_part)
     return LengthPreservingInterpolation(mesh=mesh, grid=grid, interpolation=smooth(grid, mesh))
+
+
+@dataclass(frozen=True, kw_only=True)
+class TreesInterpolation:
+    """Several trees of one mesh, each with its own interpolation; what is of none stands still."""
+
+    num_vertices: int
+    trees: tuple[tuple[Int32[np.ndarray, " _"], Int32[np.ndarray, " _"], LengthPreservingInterpolation], ...]
+
+    def apply(self, coefficients: Complex64[np.ndarray, "V K 3"]) -> Complex64[np.ndarray, "N K 3"]:
+        """Spectra at voxels to spectra at vertices [m]."""
+        moved = np.zeros((self.num_vertices, *coefficients.shape[1:]), np.complex64)
+        for vertices, rows, tree in self.trees:
+            moved[vertices] = tree.apply(np.ascontiguousarray(coefficients[rows]))
+        return moved
+
+
+def _of_trees(grid: VoxelGrid, mesh: TriangleMesh) -> TreesInterpolation:
+    assert mesh.face_tree is not None
+    tree_of_voxel = voxel_trees(mesh, grid)
+    trees = []
+    for number in np.unique(tree_of_voxel[tree_of_voxel >= 0]):
+        rows = np.flatnonzero(tree_of_voxel == number).astype(np.int32)
+        vertices, corner = np.unique(mesh.faces[mesh.face_tree == number], return_inverse=True)
+        alone = TriangleMesh(vertices=mesh.vertices[vertices], faces=corner.reshape(-1, 3).astype(np.int32))
+        own = replace(grid, coords=grid.coords[rows])
+        interpolation = LengthPreservingInterpolation(mesh=alone, grid=own, interpolation=smooth(own, alone))
+        trees.append((vertices, rows, interpolation))
+    return TreesInterpolation(num_vertices=mesh.num_vertices, trees=tuple(trees))
 
 
 def preserve_lengths(

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Complex64, Float32, Float64
 
-from dynamictree.devoxelize.inextensible import InextensiblePose
+from dynamictree.devoxelize.inextensible import InextensiblePose, TreesPose
 from dynamictree.gaussian.binding import Binding
 from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.turbulence import iter_turbulent_motion, turbulent_wind
@@ -37,7 +37,7 @@ class MovingTree:
     spectrum: SparseVoxelSpectrum  # of the voxels
     coefficients: Complex64[np.ndarray, "N K 3"]  # of the vertices [m]
     params: ExportParams
-    pose: InextensiblePose | None = None  # makes each frame bend where it would stretch
+    pose: InextensiblePose | TreesPose | None = None  # makes each frame bend where it would stretch
     binding: Binding | None = None
     captured: bool = False  # whether pictures show the splat of the binding, or the mesh
     stride: int = 1  # of every so many frames one is written

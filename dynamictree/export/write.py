@@ -10,7 +10,8 @@ from jaxtyping import Complex64
 from dynamictree.devoxelize.inextensible import (
     LARGEST_STRETCH,
     InextensiblePose,
-    inextensible_pose,
+    TreesPose,
+    pose_of,
     typical_stretch,
     without_stretch,
 )
@@ -75,14 +76,14 @@ def write_products(
 
 def _motion(
     mesh: TriangleMesh, spectrum: SparseVoxelSpectrum, params: ExportParams
-) -> tuple[Complex64[np.ndarray, "N K 3"], InextensiblePose | None]:
+) -> tuple[Complex64[np.ndarray, "N K 3"], InextensiblePose | TreesPose | None]:
     """Spectrum of the vertices [m], and what preserves lengths in each frame where the motion is large or turbulent."""
     interpolation = length_preserving(spectrum.grid, mesh)
     coefficients = interpolation.apply(spectrum.coefficients)
     large = typical_stretch(interpolation, coefficients) > LARGEST_STRETCH
     if not large and params.wind_mode == "loop":
         return coefficients, None
-    pose = inextensible_pose(interpolation, coefficients)
+    pose = pose_of(interpolation, coefficients)
     return without_stretch(pose, coefficients, spectrum.num_frames) if large else coefficients, pose
 
 

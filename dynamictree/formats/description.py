@@ -4,14 +4,17 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float32, Int32
 
 from dynamictree.gaussian.capture import Capture, moving_part
 from dynamictree.gaussian.part_choice import part_names
 from dynamictree.mesh import TriangleMesh
 from dynamictree.spectrum import SparseVoxelSpectrum
+from dynamictree.trees.of_mesh import mesh_points
 from dynamictree.voxel.grid import VoxelGrid
 
 _MOST_NAMES = 50  # of parts
+_FOOT = 0.05  # of a tree's height: its lowest part, in whose middle it stands
 
 
 def describe_mesh(mesh: TriangleMesh) -> dict[str, Any]:
@@ -30,6 +33,7 @@ def describe_mesh(mesh: TriangleMesh) -> dict[str, Any]:
         "source_up_confidence": mesh.source_up_confidence,
         "source_scale": mesh.source_scale,
         "height_m": round(mesh.height_m, 4),
+        "trees": describe_trees(*mesh_points(mesh)),
         "warnings": [asdict(warning) for warning in mesh.warnings],
     }
 
@@ -51,8 +55,26 @@ def describe_capture(capture: Capture) -> dict[str, Any]:
         "source_up_axis": cloud.source_up_axis,
         "source_scale": cloud.source_scale,
         "height_m": round(float(high[2] - low[2]), 4),
+        "trees": describe_trees(cloud.means, capture.tree),
         "warnings": [asdict(warning) for warning in capture.warnings],
     }
+
+
+def describe_trees(
+    points: Float32[np.ndarray, "P 3"], tree: Int32[np.ndarray, " P"] | None
+) -> list[dict[str, int | float]]:
+    """Number, foot [m] and height [m] of each tree that some points belong to; all to one if `tree` is None."""
+    numbers = np.zeros(len(points), np.int32) if tree is None else tree
+    described: list[dict[str, int | float]] = []
+    for number in range(int(numbers.max()) + 1):
+        own = points[numbers == number]
+        if len(own) == 0:
+            continue
+        low, height = float(own[:, 2].min()), float(np.ptp(own[:, 2]))
+        x, y = np.median(own[own[:, 2] <= low + _FOOT * height, :2], axis=0).tolist()
+        place = {"x_m": round(x, 4), "y_m": round(y, 4), "z_m": round(low, 4), "height_m": round(height, 4)}
+        described.append({"tree": number + 1, **place})
+    return described
 
 
 def describe_grid(grid: VoxelGrid) -> dict[str, Any]:

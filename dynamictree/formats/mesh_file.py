@@ -16,6 +16,7 @@ from dynamictree.formats.mesh.stl import is_ascii_stl, read_stl
 from dynamictree.formats.ply_table import read_header
 from dynamictree.formats.still_parts import find_still_parts
 from dynamictree.mesh import TriangleMesh, validate_mesh
+from dynamictree.trees.of_mesh import with_trees
 
 MESH_TYPES = ("obj", "ply", "glb", "gltf", "stl", "off", "3mf", "dae")
 MAX_FILE_BYTES = 1 << 30
@@ -103,7 +104,7 @@ def read_mesh(
     )
     validate_mesh(upright)
     parts, still = find_still_parts(upright)
-    return replace(upright, still_parts=parts, still_faces=still)
+    return with_trees(replace(upright, still_parts=parts, still_faces=still))
 
 
 def sniff_file_type(head: bytes, filename: str = "") -> str:

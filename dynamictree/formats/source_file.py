@@ -5,13 +5,17 @@ from dataclasses import replace
 from io import BytesIO
 from typing import Literal
 
+import numpy as np
+
 from dynamictree.errors import FormatError
 from dynamictree.formats.cloud_file import CLOUD_TYPES, cloud_kind, read_cloud, says_unit
 from dynamictree.formats.cloud_size import sized
 from dynamictree.formats.mesh_file import read_mesh, sniff_file_type
 from dynamictree.formats.seekable import SeekableReader
 from dynamictree.formats.splat.mask import read_mask
-from dynamictree.gaussian.capture import Capture, with_still_parts
+from dynamictree.gaussian.capture import Capture, moving_part, with_still_parts
+from dynamictree.trees.choose import several_trees
+from dynamictree.trees.segment import segment_trees
 
 SourceKind = Literal["mesh", "cloud"]
 HEAD_BYTES = 64 * 1024
@@ -72,7 +76,7 @@ def read_capture(
     )
     capture = with_still_parts(Capture(cloud=cloud, mask=None if mask is None else read_mask(mask), warnings=doubts))
     if mesh is None:
-        return capture
+        return _with_trees(capture, is_scan=cloud_kind(stream, file_type=file_type) == "points")
     name, content = mesh
     kind, mesh_type = source_kind(content, name)
     if kind != "mesh":
@@ -89,3 +93,18 @@ def read_capture(
             companions=companions,
         ),
     )
+
+
+def _with_trees(capture: Capture, *, is_scan: bool) -> Capture:
+    """The same, with the trees in it separated if there are several.
+
+    Raises:
+        InputError: a scan of more than one tree shows no stems.
+    """
+    moving = np.flatnonzero(moving_part(capture))
+    segmentation = segment_trees(capture.cloud.means[moving].astype(np.float64), is_scan=is_scan)
+    if len(segmentation.trees) == 1:
+        return capture
+    tree = np.full(capture.cloud.num_gaussians, -1, np.int32)
+    tree[moving] = segmentation.tree_of_point
+    return replace(capture, tree=tree, warnings=(*capture.warnings, several_trees(len(segmentation.trees))))

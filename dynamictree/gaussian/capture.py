@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, UInt8
+from jaxtyping import Bool, Int32, UInt8
 from scipy.spatial import cKDTree
 
 from dynamictree.errors import InputError
@@ -12,6 +12,7 @@ from dynamictree.gaussian.part_choice import choose_gaussians
 from dynamictree.gaussian.still_gaussians import find_still_gaussians
 from dynamictree.mesh import SourceWarning, StillPart, TriangleMesh
 from dynamictree.requests import CloudParams
+from dynamictree.trees.choose import require_tree
 
 _VISIBLE = 0.1  # opacity of Gaussians that decide on the faces near them
 
@@ -23,6 +24,7 @@ class Capture:
     cloud: GaussianCloud
     mask: Bool[np.ndarray, " G"] | None = None  # which Gaussians may move; all if there is none
     mesh: TriangleMesh | None = None  # what they hang on, where the cloud is; made from the cloud if there is none
+    tree: Int32[np.ndarray, " G"] | None = None  # of several trees the one, from 0; -1 for ground; None for one tree
     warnings: tuple[SourceWarning, ...] = ()
     still_parts: tuple[StillPart, ...] = ()  # what was found to be no plant
     part_of: UInt8[np.ndarray, " G"] | None = None  # number of the part from 1, or 0; None if there are none
@@ -35,6 +37,8 @@ class Capture:
             )
         if self.mask is not None and not self.mask.any():
             raise InputError("the mask lets no Gaussian move; set it to 1 where the tree is")
+        if self.tree is not None and len(self.tree) != self.cloud.num_gaussians:
+            raise InputError(f"{len(self.tree):,} numbers of trees for {self.cloud.num_gaussians:,} Gaussians")
 
 
 def with_still_parts(capture: Capture) -> Capture:
@@ -54,6 +58,8 @@ def moving_part(capture: Capture, choice: CloudParams | None = None) -> Bool[np.
     mask = np.ones(capture.cloud.num_gaussians, np.bool_) if capture.mask is None else capture.mask
     if capture.part_of is not None:
         mask = mask & (capture.part_of == 0)
+    if capture.tree is not None:
+        mask = mask & (capture.tree >= 0)  # the ground stands still
     if choice is None:
         return mask
     names = [part.name for part in capture.still_parts]
@@ -68,11 +74,12 @@ def carrying_mesh(capture: Capture, choice: CloudParams | None = None) -> Triang
     Raises:
         InputError: nothing is in the box, or nothing is opaque enough to have a surface.
     """
-    from dynamictree.gaussian.surface import mesh_of_cloud
+    from dynamictree.gaussian.surface import mesh_of_cloud, mesh_of_trees
 
     moving = moving_part(capture, choice)
     if capture.mesh is None:
-        return mesh_of_cloud(capture.cloud.subset(moving))
+        cloud = capture.cloud.subset(moving)
+        return mesh_of_cloud(cloud) if capture.tree is None else mesh_of_trees(cloud, capture.tree[moving])
     if capture.part_of is None:
         return capture.mesh
     return _still_where_gaussians_are(capture.mesh, capture.cloud, (capture.part_of > 0) & ~moving)
@@ -87,3 +94,28 @@ def _still_where_gaussians_are(mesh: TriangleMesh, cloud: GaussianCloud, still: 
     if mesh.still_faces is not None:
         faces |= mesh.still_faces
     return mesh if faces.all() else replace(mesh, still_faces=faces)
+
+
+def only_tree(capture: Capture, number: int) -> Capture:
+    """One of several trees by itself, counted from 1; without the ground.
+
+    Raises:
+        InputError: there is no such tree.
+    """
+    require_tree(number, 1 if capture.tree is None else int(capture.tree.max()) + 1)
+    if capture.tree is None:
+        return capture
+    own = (capture.tree == number - 1) & moving_part(capture)
+    return replace(capture, cloud=capture.cloud.subset(own), mask=None, tree=None, part_of=None, still_parts=())
+
+
+def move_only_tree(capture: Capture, number: int) -> Capture:
+    """The whole cloud, of which only one of several trees may move; counted from 1.
+
+    Raises:
+        InputError: there is no such tree, or the mask lets none of it move.
+    """
+    require_tree(number, 1 if capture.tree is None else int(capture.tree.max()) + 1)
+    if capture.tree is None:
+        return capture
+    return replace(capture, mask=moving_part(capture) & (capture.tree == number - 1), tree=None)

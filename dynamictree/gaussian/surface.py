@@ -3,10 +3,11 @@
 The condition of the network only needs which voxels the tree occupies, and binding only a face near each Gaussian.
 """
 
+from dataclasses import replace
 from typing import no_type_check
 
 import numpy as np
-from jaxtyping import Float32, UInt8
+from jaxtyping import Float32, Int32, UInt8
 from scipy.ndimage import binary_dilation, label
 from scipy.spatial import KDTree
 
@@ -14,7 +15,7 @@ from dynamictree.errors import InputError
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.gaussian.rotation import quaternion_matrices
-from dynamictree.mesh import TriangleMesh
+from dynamictree.mesh import TriangleMesh, joined
 from dynamictree.parallel import compiled, in_bands
 
 CELLS_ALONG = 256
@@ -22,6 +23,10 @@ CELLS_ALONG = 256
 LEVEL = 0.3
 """Of the opacity that a lone opaque Gaussian reaches; SuGaR takes its surface there too."""
 MAX_FACES = 100_000
+CELLS_ALONG_TREE = 160
+"""The same of each of several trees."""
+LEAST_FACES = 10_000
+"""Of each of several trees."""
 _LEAST_SIGMA = 0.5  # cells: thinner Gaussians are widened so that none falls between the cells
 _REACH = 2.5  # standard deviations; beyond, a Gaussian adds less than a sixth of the level
 _BORDER = 3  # empty cells around, so that the surface closes
@@ -65,6 +70,24 @@ def mesh_of_cloud(cloud: GaussianCloud, *, cells_along: int = CELLS_ALONG, max_f
         source_up_axis=cloud.source_up_axis,
         source_scale=cloud.source_scale,
     )
+
+
+def mesh_of_trees(cloud: GaussianCloud, tree: Int32[np.ndarray, " G"]) -> TriangleMesh:
+    """The surfaces of several trees side by side, each on a grid of its own.
+
+    Raises:
+        InputError: nothing is opaque enough to have a surface.
+    """
+    numbers = np.unique(tree)
+    if len(numbers) == 1:
+        return mesh_of_cloud(cloud)
+    most = max(MAX_FACES // len(numbers), LEAST_FACES)
+    parts = [
+        mesh_of_cloud(cloud.subset(tree == number), cells_along=CELLS_ALONG_TREE, max_faces=most) for number in numbers
+    ]
+    face_tree = np.repeat(np.arange(len(parts), dtype=np.int32), [part.num_faces for part in parts])
+    axis, scale = cloud.source_up_axis, cloud.source_scale
+    return replace(joined(parts), face_tree=face_tree, source_up_axis=axis, source_scale=scale)
 
 
 def _fill(density: Float32[np.ndarray, "X Y Z"]) -> None:

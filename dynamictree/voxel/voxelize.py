@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse
-from jaxtyping import Bool, Float32, Float64, Int64
+from jaxtyping import Bool, Float32, Float64, Int32, Int64
 
 from dynamictree.errors import InputError, MeshError
 from dynamictree.mesh import TriangleMesh
@@ -30,6 +30,7 @@ class SurfaceVoxels:
     grid: VoxelGrid
     normals: Float32[np.ndarray, "V 3"]  # unit length
     moments: Float32[np.ndarray, "V 16"] | None = None  # see `voxel.moments`; None where no mesh is known
+    tree: Int32[np.ndarray, " V"] | None = None  # of several trees the one, from 0; None if there is one
 
 
 def voxelize(mesh: TriangleMesh, resolution: int = 128) -> SurfaceVoxels:
@@ -61,7 +62,37 @@ def voxelize(mesh: TriangleMesh, resolution: int = 128) -> SurfaceVoxels:
         coords=coords.astype(np.int32), origin_m=origin_m, voxel_size_m=voxel_size_m, resolution=resolution
     )
     normals, moments = _mean_normals(mesh, grid, pieces, rows), moments_of(mesh, grid, pieces, rows)
-    return SurfaceVoxels(grid=grid, normals=normals, moments=moments)
+    tree = None if mesh.face_tree is None else _largest_share(mesh.face_tree, pieces, rows, len(grid))
+    return SurfaceVoxels(grid=grid, normals=normals, moments=moments, tree=tree)
+
+
+def voxel_trees(mesh: TriangleMesh, grid: VoxelGrid) -> Int32[np.ndarray, " V"]:
+    """Of a mesh of several trees, the one that has most of the surface in each voxel; -1 where there is none."""
+    mesh = mesh.moving_part
+    assert mesh.face_tree is not None
+    pieces = surface_pieces(mesh, grid.origin_m, grid.voxel_size_m, grid.resolution)
+    keys = grid.keys
+    rows = np.minimum(np.searchsorted(keys, pieces.keys), len(keys) - 1)
+    in_grid = keys[rows] == pieces.keys
+    pieces = SurfacePieces(
+        keys=pieces.keys[in_grid],
+        faces=pieces.faces[in_grid],
+        areas=pieces.areas[in_grid],
+        centroids=pieces.centroids[in_grid],
+    )
+    return _largest_share(mesh.face_tree, pieces, rows[in_grid], len(grid))
+
+
+def _largest_share(
+    face_tree: Int32[np.ndarray, " F"], pieces: SurfacePieces, rows: Int64[np.ndarray, " P"], num_voxels: int
+) -> Int32[np.ndarray, " V"]:
+    num_trees = int(face_tree.max()) + 1
+    keys, group = np.unique(rows * num_trees + face_tree[pieces.faces], return_inverse=True)
+    area = np.bincount(group, pieces.areas)
+    order = np.lexsort((area, keys // num_trees))  # the last of each voxel has the most
+    trees = np.full(num_voxels, -1, np.int32)
+    trees[keys[order] // num_trees] = keys[order] % num_trees
+    return trees
 
 
 def surface_moments(mesh: TriangleMesh, grid: VoxelGrid) -> Float32[np.ndarray, "V 16"]:

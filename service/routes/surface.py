@@ -73,10 +73,16 @@ def mesh_tensors(mesh: TriangleMesh) -> dict[str, np.ndarray]:
 
 def _own_motion(ready: ReadyTree, mesh: TriangleMesh, spectrum: SparseVoxelSpectrum) -> dict[str, np.ndarray]:
     """A spectrum for each vertex, and the bones that carry it."""
-    from dynamictree.devoxelize.length_preserving import LengthPreservingInterpolation  # imports numba
+    from dynamictree.devoxelize.length_preserving import (  # imports numba
+        LengthPreservingInterpolation,
+        length_preserving,
+    )
 
-    ties = LengthPreservingInterpolation(mesh=mesh, grid=spectrum.grid, interpolation=vertex_ties(ready, mesh))
-    constrained = ties.apply(spectrum.coefficients)  # [N, K, 3], as in the products
+    if mesh.face_tree is None:  # [N, K, 3], as in the products
+        ties = LengthPreservingInterpolation(mesh=mesh, grid=spectrum.grid, interpolation=vertex_ties(ready, mesh))
+        constrained = ties.apply(spectrum.coefficients)
+    else:
+        constrained = length_preserving(spectrum.grid, mesh).apply(spectrum.coefficients)
     weights = bin_weights(spectrum.num_frequencies, spectrum.num_frames)
     shapes, scale = quantised(constrained * weights[:, None])  # bin 0 is the lean, the others φ_k = 2 c_k
     carried = bone_ties(ready, mesh)

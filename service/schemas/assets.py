@@ -25,9 +25,12 @@ class AssetPayload(Payload):
     id: str
     kind: AssetKind
     parts: list[PartPayload]
-    summary: dict[str, str | int | float | list[float] | list[dict[str, str | int]] | None] = Field(
+    summary: dict[
+        str, str | int | float | list[float] | list[dict[str, str | int]] | list[dict[str, int | float]] | None
+    ] = Field(
         description="what was found in it, lengths in metres; `warnings` are objects with `code` and `message`, "
-        "`still_parts` what is not the plant and does not move: `name` and `why`"
+        "`still_parts` what is not the plant and does not move: `name` and `why`, "
+        "`trees` where each stands and how tall it is: `tree` (its number), `x_m`, `y_m`, `z_m` and `height_m`"
     )
     created_at: Time
     expires_at: Time

@@ -34,6 +34,8 @@ def write_cloud_bundle(capture: Capture, stream: ByteWriter) -> None:
     tensors: dict[str, Shaped[np.ndarray, ...]] = {name: getattr(cloud, name) for name in _SHAPES}
     if capture.mask is not None:
         tensors["mask"] = capture.mask.astype(np.uint8)
+    if capture.tree is not None:
+        tensors["tree"] = capture.tree
     if capture.mesh is not None:
         packed = BytesIO()
         write_mesh_bundle(capture.mesh, packed)
@@ -62,6 +64,7 @@ def read_cloud_bundle(stream: ByteReader) -> Capture:
             **parts, source_up_axis=metadata["source_up_axis"], source_scale=number(metadata, "source_scale")
         ),
         mask=None if mask is None else mask.astype(np.bool_),
+        tree=take_tensor(tensors, "tree", dtypes=("int32",), shape=(None,)) if "tree" in tensors else None,
         mesh=read_mesh_bundle(BytesIO(tensors["mesh"].tobytes()), with_source=True) if "mesh" in tensors else None,
         still_parts=tuple(StillPart(**part) for part in json.loads(parts_text)),
         part_of=part_of,

@@ -19,7 +19,7 @@ from dynamictree.mesh import Material, SourceGltf, SourceWarning, StillPart, Tri
 
 VERSION = 1
 MAX_BYTES = 1 << 30
-_OPTIONAL = ("uv", "vertex_colors", "face_material", "face_part", "still_faces", "normals")
+_OPTIONAL = ("uv", "vertex_colors", "face_material", "face_part", "still_faces", "face_tree", "normals")
 
 
 def write_mesh_bundle(mesh: TriangleMesh, stream: ByteWriter) -> None:
@@ -106,6 +106,7 @@ def _mesh(tensors: Mapping[str, Shaped[np.ndarray, "..."]], rest: Mapping[str, A
         still_parts=tuple(StillPart(**part) for part in rest.get("still_parts", ())),
         still_faces=tensors.get("still_faces"),
         normals=tensors.get("normals"),
+        face_tree=tensors.get("face_tree"),
         materials=tuple(materials),
         source_up_axis=rest["source_up_axis"],
         source_scale=rest["source_scale"],

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 
 import numpy as np
-from jaxtyping import Float32, Shaped
+from jaxtyping import Float32, Int32, Shaped
 
 from dynamictree.byte_stream import ByteReader, ByteWriter
 from dynamictree.errors import FormatError
@@ -22,7 +22,8 @@ def write_voxels(voxels: SurfaceVoxels, stream: ByteWriter) -> None:
     """Write; undone by `read_voxels` bit by bit."""
     metadata = {"format": FORMAT, "version": VERSION, **grid_metadata(voxels.grid)}
     moments = {} if voxels.moments is None else {"moments": voxels.moments}
-    write_tensors(stream, {"coords": voxels.grid.coords, "normals": voxels.normals, **moments}, metadata)
+    tree = {} if voxels.tree is None else {"tree": voxels.tree}
+    write_tensors(stream, {"coords": voxels.grid.coords, "normals": voxels.normals, **moments, **tree}, metadata)
 
 
 def read_voxels(stream: ByteReader) -> SurfaceVoxels:
@@ -37,7 +38,17 @@ def read_voxels(stream: ByteReader) -> SurfaceVoxels:
     longest = float(np.linalg.norm(normals, axis=1).max())
     if longest > _LONGEST_NORMAL:
         raise FormatError(f"a normal is {longest:.4g} long; normals have unit length")
-    return SurfaceVoxels(grid=grid, normals=normals, moments=_moments(tensors, len(grid)))
+    moments, tree = _moments(tensors, len(grid)), _trees(tensors, len(grid))
+    return SurfaceVoxels(grid=grid, normals=normals, moments=moments, tree=tree)
+
+
+def _trees(tensors: Mapping[str, Shaped[np.ndarray, "..."]], num_voxels: int) -> Int32[np.ndarray, " V"] | None:
+    if "tree" not in tensors:
+        return None
+    tree = take_tensor(tensors, "tree", dtypes=("int32",), shape=(num_voxels,))
+    if tree.min() < 0 or tree.max() >= num_voxels:
+        raise FormatError(f"trees are numbered from {tree.min()} to {tree.max()}; 0 to {num_voxels - 1} are allowed")
+    return tree
 
 
 def _moments(tensors: Mapping[str, Shaped[np.ndarray, "..."]], num_voxels: int) -> Float32[np.ndarray, "V 16"] | None:

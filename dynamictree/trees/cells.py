@@ -1,0 +1,122 @@
+"""Points in cells of one size: which are occupied, how high above the ground, and which hang together."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy  # its parts come in when they are used: the service starts without them
+from jaxtyping import Bool, Float64, Int64
+
+CELLS_TALL = 200
+"""Cells in the height of the tallest tree: 0.1 m of 20 m, so that a stem is two to four cells wide."""
+MAX_CELLS_ALONG = 1500
+_WINDOW = 1 / 6  # of the height: the lowest point so near is on the ground
+_TILE = 5  # cells: the ground's height is judged on tiles so wide
+_GAP = 2.5  # cells: what is farther apart does not hang together
+_NEIGHBOURS = 12
+_GROUND = 0.02  # of the height: what is lower is ground, where there is ground
+_GROUND_COVER = 0.4  # of the tiles that hold anything, with something that low: then there is ground
+
+
+@dataclass(frozen=True, kw_only=True)
+class OccupiedCells:
+    """Cells that hold points, in ascending order of x, y, z."""
+
+    coords: Int64[np.ndarray, "V 3"]
+    above: Float64[np.ndarray, " V"]  # height above the ground near by [cells]
+    ground: Bool[np.ndarray, " V"]  # which are ground, not plant
+    size_m: float  # of a cell
+    low_m: Float64[np.ndarray, "3"]  # low corner of cell (0, 0, 0)
+    cell_of_point: Int64[np.ndarray, " P"]
+
+    @property
+    def centres_m(self) -> Float64[np.ndarray, "V 3"]:
+        """Middle of each cell [m]."""
+        return self.low_m + (self.coords + 0.5) * self.size_m
+
+
+def occupy(points: Float64[np.ndarray, "P 3"]) -> OccupiedCells:
+    """Put points into cells, in metres and +Z up."""
+    low = points.min(axis=0)
+    extent = points.max(axis=0) - low
+    size = max(float(extent[2]) / CELLS_TALL, float(extent.max()) / MAX_CELLS_ALONG)
+    coords = np.floor((points - low) / size).astype(np.int64)
+    span = coords.max(axis=0) + 1
+    keys, cell = np.unique((coords[:, 0] * span[1] + coords[:, 1]) * span[2] + coords[:, 2], return_inverse=True)
+    coords = np.stack([keys // (span[1] * span[2]), keys // span[2] % span[1], keys % span[2]], axis=1)
+    tall = int(span[2])
+    lowest, tile = _lowest_near(coords, tall)
+    above, low_cells, cover = _above(coords, tile, lowest + _downhill(lowest, tall))
+    if cover < _GROUND_COVER:  # there is no ground whose slope could be measured
+        above, low_cells, cover = _above(coords, tile, lowest)
+    return OccupiedCells(
+        coords=coords,
+        above=above,
+        ground=low_cells & (cover >= _GROUND_COVER),
+        size_m=size,
+        low_m=low,
+        cell_of_point=cell.ravel().astype(np.int64),
+    )
+
+
+def _lowest_near(
+    coords: Int64[np.ndarray, "V 3"], tall: int
+) -> tuple[Float64[np.ndarray, "X Y"], tuple[Int64[np.ndarray, " V"], Int64[np.ndarray, " V"]]]:
+    """Height of the lowest cell around each tile; and the tile that each cell stands on."""
+    from scipy.ndimage import minimum_filter, uniform_filter
+
+    tile = coords[:, 0] // _TILE, coords[:, 1] // _TILE
+    lowest = np.full((int(tile[0].max()) + 1, int(tile[1].max()) + 1), np.inf)
+    np.minimum.at(lowest, tile, coords[:, 2])
+    near = minimum_filter(lowest, size=2 * _reach(tall) + 1, mode="nearest")
+    near[~np.isfinite(near)] = near[np.isfinite(near)].min()
+    smooth: Float64[np.ndarray, "X Y"] = uniform_filter(near, size=2 * _reach(tall) + 1, mode="nearest")
+    return smooth, tile
+
+
+def _reach(tall: int) -> int:
+    return max(1, round(_WINDOW * tall / _TILE))
+
+
+def _downhill(lowest: Float64[np.ndarray, "X Y"], tall: int) -> float:
+    """How much lower than its middle the lowest of a window lies on the slope of the whole."""
+    plane = np.stack([*np.indices(lowest.shape), np.ones(lowest.shape)], axis=-1).reshape(-1, 3)
+    slope = np.linalg.lstsq(plane, lowest.ravel(), rcond=None)[0][:2]
+    return float(np.abs(slope).sum()) * _reach(tall)
+
+
+def _above(
+    coords: Int64[np.ndarray, "V 3"],
+    tile: tuple[Int64[np.ndarray, " V"], Int64[np.ndarray, " V"]],
+    ground: Float64[np.ndarray, "X Y"],
+) -> tuple[Float64[np.ndarray, " V"], Bool[np.ndarray, " V"], float]:
+    """Height above the ground [cells], which cells are as low as the ground, and the share of the tiles with any."""
+    above = coords[:, 2] - ground[tile]
+    low = above < _GROUND * (coords[:, 2].max() + 1)
+    numbers = tile[0] * ground.shape[1] + tile[1]
+    return above, low, len(np.unique(numbers[low])) / len(np.unique(numbers))
+
+
+def join(coords: Int64[np.ndarray, "V 3"]) -> "scipy.sparse.csr_array":
+    """Squared distances [cells²] between cells that are near each other: a gap costs more than a way around it."""
+    from scipy.spatial import cKDTree
+
+    num_neighbours = min(_NEIGHBOURS + 1, len(coords))
+    nearest = cKDTree(coords).query(coords, k=num_neighbours, distance_upper_bound=_GAP)
+    distance, neighbour = (np.asarray(column).ravel() for column in nearest)
+    start = np.repeat(np.arange(len(coords)), num_neighbours)
+    near = np.isfinite(distance) & (distance > 0)
+    places = (start[near], neighbour[near])
+    graph = scipy.sparse.coo_array((distance[near] ** 2, places), shape=(len(coords),) * 2).tocsr()
+    joined: scipy.sparse.csr_array = graph.maximum(graph.T).tocsr()
+    return joined
+
+
+def parts_of(coords: Int64[np.ndarray, "V 3"]) -> Int64[np.ndarray, " V"]:
+    """Number of the part that each cell belongs to, by face, edge or corner."""
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    pairs = cKDTree(coords).query_pairs(1.8, output_type="ndarray")
+    joined = scipy.sparse.coo_array((np.ones(len(pairs), np.int8), pairs.T), shape=(len(coords),) * 2)
+    part: Int64[np.ndarray, " V"] = connected_components(joined, directed=False)[1].astype(np.int64)
+    return part

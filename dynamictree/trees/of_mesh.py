@@ -1,0 +1,125 @@
+"""The trees in a mesh: points on its surface are separated, and each connected part goes to one tree."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float32, Float64, Int32, Int64
+
+from dynamictree.mesh import TriangleMesh, edges_of, weld
+from dynamictree.trees.cells import CELLS_TALL
+from dynamictree.trees.choose import require_tree, several_trees
+from dynamictree.trees.segment import segment_trees
+
+MAX_POINTS = 500_000
+MAX_RESOLUTION = 512
+_DENSITY = 1.5  # points per cell of surface
+_STEPS = 0.7548776662466927, 0.5698402909980532  # the plastic number's, which fill a square evenly
+_ONE_TREE = 0.9  # of a connected part's points in one tree: then all of it is
+
+
+def with_trees(mesh: TriangleMesh) -> TriangleMesh:
+    """The same mesh, with the trees in it separated if there are several."""
+    moving = mesh.moving_part
+    points, face = surface_points(moving)
+    if len(points) == 0 or np.ptp(points[:, 2]) <= 0:
+        return mesh
+    segmentation = segment_trees(points)
+    count = len(segmentation.trees)
+    if count == 1:
+        return mesh
+    trees = _of_faces(moving, face, segmentation.tree_of_point, count)
+    face_tree = np.full(mesh.num_faces, -1, np.int32)
+    face_tree[np.ones(mesh.num_faces, np.bool_) if mesh.still_faces is None else ~mesh.still_faces] = trees
+    return replace(mesh, face_tree=face_tree, warnings=(*mesh.warnings, several_trees(count)))
+
+
+def surface_points(mesh: TriangleMesh) -> tuple[Float64[np.ndarray, "P 3"], Int64[np.ndarray, " P"]]:
+    """Points over the surface, as dense as the cells in which trees are separated; and the face of each."""
+    corners = mesh.vertices[mesh.faces].astype(np.float64)
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    size = float(np.ptp(corners[:, :, 2])) / CELLS_TALL
+    if size <= 0:
+        return np.zeros((0, 3)), np.zeros(0, np.int64)
+    count = np.ceil(_DENSITY * np.maximum(area / size**2, longest / size)) + 1
+    count = np.ceil(count * min(1.0, MAX_POINTS / count.sum())).astype(np.int64)
+    face = np.repeat(np.arange(mesh.num_faces), count)
+    u, v = (np.arange(len(face)) * step % 1 for step in _STEPS)
+    root = np.sqrt(u)
+    weights = np.stack([1 - root, root * (1 - v), root * v], axis=1)
+    points: Float64[np.ndarray, "P 3"] = np.einsum("pi,pic->pc", weights, corners[face])
+    return points, face.astype(np.int64)
+
+
+def mesh_points(mesh: TriangleMesh) -> tuple[Float32[np.ndarray, "P 3"], Int32[np.ndarray, " P"] | None]:
+    """The corners of the plant's faces, and the tree of each if there are several."""
+    moving = mesh.moving_part
+    trees = None if moving.face_tree is None else np.repeat(moving.face_tree, 3)
+    return mesh.vertices[moving.faces.ravel()], trees
+
+
+def only_tree_of(mesh: TriangleMesh, number: int) -> TriangleMesh:
+    """One of several trees by itself, counted from 1; without what stands still.
+
+    Raises:
+        InputError: there is no such tree.
+    """
+    require_tree(number, 1 if mesh.face_tree is None else int(mesh.face_tree.max()) + 1)
+    if mesh.face_tree is None:
+        return mesh
+    own = mesh.face_tree == number - 1
+    vertices, corner = np.unique(mesh.faces[own], return_inverse=True)
+    return replace(
+        mesh,
+        vertices=mesh.vertices[vertices],
+        faces=corner.reshape(-1, 3).astype(np.int32),
+        uv=None if mesh.uv is None else mesh.uv[vertices],
+        vertex_colors=None if mesh.vertex_colors is None else mesh.vertex_colors[vertices],
+        normals=None if mesh.normals is None else mesh.normals[vertices],
+        face_material=None if mesh.face_material is None else mesh.face_material[own],
+        face_part=None if mesh.face_part is None else mesh.face_part[own],
+        still_faces=None if mesh.still_faces is None or not mesh.still_faces[own].any() else mesh.still_faces[own],
+        face_tree=None,
+        source_gltf=None,
+    )
+
+
+def stand_resolution(mesh: TriangleMesh, resolution: int) -> int:
+    """Resolution of the grid of several trees, so that the largest has about the resolution of a single one."""
+    points, tree = mesh_points(mesh)
+    if tree is None:
+        return resolution
+    largest = max(float(np.ptp(points[tree == number], axis=0).max()) for number in np.unique(tree))
+    doublings = max(0, round(math.log2(float(np.ptp(points, axis=0).max()) / largest)))
+    return max(resolution, min(resolution << doublings, MAX_RESOLUTION))
+
+
+def _of_faces(
+    mesh: TriangleMesh, face: Int64[np.ndarray, " P"], tree: Int32[np.ndarray, " P"], count: int
+) -> Int32[np.ndarray, " F"]:
+    """The tree of each face: that of its connected part, or of its own points where a part spans several trees."""
+    part = _parts(mesh)
+    votes = np.zeros((int(part.max()) + 1, count))
+    standing = tree >= 0
+    np.add.at(votes, (part[face[standing]], tree[standing]), 1)
+    own = np.zeros((mesh.num_faces, count))
+    np.add.at(own, (face[standing], tree[standing]), 1)
+    whole = votes.max(axis=1) >= _ONE_TREE * votes.sum(axis=1)
+    small = np.bincount(part, minlength=len(votes)) < 0.01 * mesh.num_faces
+    shared = ~(whole | small)[part] & (own.sum(axis=1) > 0)
+    trees: Int32[np.ndarray, " F"] = np.where(shared, own.argmax(axis=1), votes.argmax(axis=1)[part]).astype(np.int32)
+    return trees
+
+
+def _parts(mesh: TriangleMesh) -> Int64[np.ndarray, " F"]:
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    welded, _ = weld(mesh)
+    edges = edges_of(welded.faces)
+    touching = coo_array((np.ones(len(edges), np.int8), edges.T), shape=(welded.num_vertices,) * 2)
+    part: Int64[np.ndarray, " F"] = connected_components(touching, directed=False)[1][welded.faces[:, 0]].astype(
+        np.int64
+    )
+    return part

@@ -1,0 +1,154 @@
+"""Individual trees in points: stems by slices, crowns by comparative shortest paths from the stems.
+
+What hangs together and stands on the ground is one tree, or as many as it has stems. A cell belongs to the stem from
+which the way to it is shortest, relative to the stem's radius to the power 2/3: a thick stem bears a wide crown (Tao
+et al., Segmenting tree crowns from terrestrial and mobile LiDAR data by exploring ecological theories, 2015). What
+hangs on nothing belongs to the tree that is nearest.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64, Int32, Int64
+
+from dynamictree.errors import InputError
+from dynamictree.trees.cells import OccupiedCells, join, occupy
+from dynamictree.trees.stems import Stem, find_stems, join_stems
+
+SHORTEST = 0.3
+"""Of the height of the tallest tree: what is lower is undergrowth."""
+_STANDS = 0.1  # of the height: so near to the ground the lowest of a tree begins
+_FEWEST = 0.03  # of the cells of the largest part: less is debris
+_RADIUS_POWER = 2 / 3
+_WIDEST = 4.0  # times the height: a wider part with one stem is no tree
+_FOOT = 0.03  # of the height: so near to a stem's middle, what lies on the ground is its foot
+
+
+@dataclass(frozen=True, kw_only=True)
+class TreePosition:
+    """Where a tree stands and how tall it is."""
+
+    foot_m: tuple[float, float, float]
+    height_m: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Segmentation:
+    """The trees in some points, from the left to the right (by x, then y), and the tree of each point."""
+
+    trees: tuple[TreePosition, ...]
+    tree_of_point: Int32[np.ndarray, " P"]  # -1 for ground
+
+
+def segment_trees(points: Float64[np.ndarray, "P 3"], *, is_scan: bool = False) -> Segmentation:
+    """Find the trees, in metres and +Z up.
+
+    Raises:
+        InputError: the points are a scan, reach far wider than they are tall, and no stems tell them apart.
+    """
+    if np.ptp(points[:, 2]) <= 0:
+        return _one_tree(points)
+    cells = occupy(points)
+    plant = np.flatnonzero(~cells.ground)
+    seeds = _seeds(cells, plant)
+    if len(seeds) <= 1:
+        if is_scan:
+            _refuse_canopy(cells, plant)
+        return _one_tree(points)
+    label = np.full(len(cells.coords), -1, np.int64)
+    label[plant] = _grow(cells, plant, seeds)
+    label = _with_feet(cells, label, seeds)
+    return _in_order(cells, label[cells.cell_of_point], label)
+
+
+def _seeds(cells: OccupiedCells, plant: Int64[np.ndarray, " M"]) -> list[Stem]:
+    """Where each tree begins: its stem, or of what hangs together and shows no stem its lowest cells."""
+    from scipy.sparse.csgraph import connected_components
+
+    above = cells.above[plant]
+    part = connected_components(join(cells.coords[plant]), directed=False)[1]
+    count = np.bincount(part)
+    top, bottom = np.zeros(len(count)), np.full(len(count), np.inf)
+    np.maximum.at(top, part, above)
+    np.minimum.at(bottom, part, above)
+    tall = float(top.max()) + 1
+    stands = (bottom <= _STANDS * tall) & (top - bottom >= SHORTEST * tall) & (count >= _FEWEST * count.max())
+    stems: list[Stem] = []
+    for one in np.flatnonzero(stands):
+        rows = plant[part == one]
+        own = find_stems(cells.coords, cells.above, rows)
+        if not own:
+            foot = rows[cells.above[rows] <= bottom[one] + 0.05 * tall]
+            middle = np.median(cells.coords[foot, :2], axis=0)
+            own = [Stem(cells=foot, middle=middle, higher=middle, radius=1.0)]
+        stems += own
+    return join_stems(stems, tall)
+
+
+def _grow(cells: OccupiedCells, plant: Int64[np.ndarray, " M"], seeds: list[Stem]) -> Int64[np.ndarray, " M"]:
+    """The tree of each cell of the plants."""
+    from scipy.sparse.csgraph import dijkstra
+    from scipy.spatial import cKDTree
+
+    place = np.full(len(cells.coords), -1)
+    place[plant] = np.arange(len(plant))
+    graph = join(cells.coords[plant])
+    best, label = np.full(len(plant), np.inf), np.full(len(plant), -1)
+    for number, seed in enumerate(seeds):
+        way = dijkstra(graph, directed=False, indices=place[seed.cells], min_only=True)
+        way /= seed.radius**_RADIUS_POWER
+        closer = way < best
+        best[closer], label[closer] = way[closer], number
+    loose = np.flatnonzero(label < 0)
+    if len(loose):
+        reached = np.flatnonzero(label >= 0)
+        nearest = np.asarray(cKDTree(cells.coords[plant[reached]]).query(cells.coords[plant[loose]])[1])
+        label[loose] = label[reached[nearest]]
+    return label.astype(np.int64)
+
+
+def _with_feet(cells: OccupiedCells, label: Int64[np.ndarray, " V"], seeds: list[Stem]) -> Int64[np.ndarray, " V"]:
+    """Give the ground cells under a stem to its tree."""
+    from scipy.spatial import cKDTree
+
+    ground = np.flatnonzero(cells.ground)
+    if len(ground):
+        middles = np.array([seed.middle for seed in seeds])
+        away, nearest = cKDTree(middles).query(cells.coords[ground, :2])
+        under = away < _FOOT * cells.above.max()
+        label[ground[under]] = np.asarray(nearest)[under]
+    return label
+
+
+def _in_order(
+    cells: OccupiedCells, tree_of_point: Int64[np.ndarray, " P"], label: Int64[np.ndarray, " V"]
+) -> Segmentation:
+    """Number the trees by where they stand."""
+    centres = cells.centres_m
+    trees = []
+    for number in range(int(label.max()) + 1):
+        own = centres[label == number]
+        low = own[own[:, 2] <= own[:, 2].min() + 0.05 * np.ptp(own[:, 2])]
+        foot = (*np.median(low[:, :2], axis=0).tolist(), float(own[:, 2].min() - cells.size_m / 2))
+        trees.append(TreePosition(foot_m=foot, height_m=float(np.ptp(own[:, 2]) + cells.size_m)))
+    order = sorted(range(len(trees)), key=lambda number: trees[number].foot_m)
+    renumber = np.full(len(trees) + 1, -1, np.int32)
+    renumber[order] = np.arange(len(trees))
+    return Segmentation(trees=tuple(trees[number] for number in order), tree_of_point=renumber[tree_of_point])
+
+
+def _one_tree(points: Float64[np.ndarray, "P 3"]) -> Segmentation:
+    low, high = points.min(axis=0), points.max(axis=0)
+    near = points[points[:, 2] <= low[2] + 0.05 * (high[2] - low[2])]
+    foot = (*np.median(near[:, :2], axis=0).tolist(), float(low[2]))
+    tree = TreePosition(foot_m=foot, height_m=float(high[2] - low[2]))
+    return Segmentation(trees=(tree,), tree_of_point=np.zeros(len(points), np.int32))
+
+
+def _refuse_canopy(cells: OccupiedCells, plant: Int64[np.ndarray, " M"]) -> None:
+    extent = np.ptp(cells.coords[plant], axis=0) * cells.size_m
+    if extent[:2].min() > _WIDEST * extent[2]:
+        raise InputError(
+            f"the file is {extent[0]:.3g} m by {extent[1]:.3g} m and {extent[2]:.3g} m tall, so it holds more than one "
+            "tree, but no stems are seen by which to separate them; cut one tree out, or scan from the ground"
+        )

@@ -1,0 +1,119 @@
+"""Stems: what stands on the ground, compact and upright, apart from what is around it.
+
+Stems are looked for as forest inventories do, in slices near breast height: connected parts of a slice that are
+narrow, go through it from below to above, and go on in the slices above it at nearly the same place. The tips of
+hanging branches are thin beside the stem that bears them, the boughs of conifers are wide or lean.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+
+from dynamictree.trees.cells import parts_of
+
+SLICE = (0.03, 0.10)
+"""Of the height above the ground: where stems are looked for, and 1 to 2 m of a tree of 20 m."""
+HIGHER = (0.10, 0.17)
+NARROW = 0.07
+"""Of the height: the largest radius of a stem."""
+UPRIGHT = 0.03
+"""Of the height: how far a stem leans from the slice to the higher one."""
+THINNEST = 0.3
+"""Of the cells of the most massive stem: thinner ones are twigs that hang to the ground."""
+NEAREST = 0.04
+"""Of the height: stems that stand closer are of one tree."""
+FORK = 0.15
+"""Of the height: stems that stand so close and lean apart are of one tree."""
+_APART_HIGHER = 1.15  # times their distance in the slice, in the higher slice: they grow from one foot
+_THROUGH = 0.8  # of the slice's thickness
+_ALONE = 0.5  # of the cells within three radii, in the stem itself
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stem:
+    """One stem, in cells."""
+
+    cells: Int64[np.ndarray, " M"]  # rows of the cells in the slice
+    middle: Float64[np.ndarray, "2"]
+    higher: Float64[np.ndarray, "2"]  # its middle in the higher slice
+    radius: float
+
+
+def find_stems(
+    coords: Int64[np.ndarray, "V 3"], above: Float64[np.ndarray, " V"], rows: Int64[np.ndarray, " M"]
+) -> list[Stem]:
+    """The stems among some cells, whose height is their own tallest; stems of one tree are joined."""
+    tall = float(above[rows].max()) + 1
+    lower = _columns(coords, above, rows, tall, SLICE)
+    upper = _columns(coords, above, rows, tall, HIGHER)
+    stems = []
+    for column in lower:
+        goes_on = [other for other in upper if np.linalg.norm(other.middle - column.middle) < UPRIGHT * tall]
+        if goes_on:
+            nearest = min(goes_on, key=lambda other: float(np.linalg.norm(other.middle - column.middle)))
+            stems.append(Stem(cells=column.cells, middle=column.middle, higher=nearest.middle, radius=column.radius))
+    if not stems:
+        return []
+    most = max(len(stem.cells) for stem in stems)
+    return join_stems([stem for stem in stems if len(stem.cells) >= THINNEST * most], tall)
+
+
+def _columns(
+    coords: Int64[np.ndarray, "V 3"],
+    above: Float64[np.ndarray, " V"],
+    rows: Int64[np.ndarray, " M"],
+    tall: float,
+    between: tuple[float, float],
+) -> list[Stem]:
+    """Narrow parts of a slice that go through it and stand apart."""
+    low, high = between[0] * tall, between[1] * tall
+    inside = rows[(above[rows] >= low) & (above[rows] < high)]
+    if len(inside) == 0:
+        return []
+    part = parts_of(coords[inside])
+    columns = []
+    for one in np.flatnonzero(np.bincount(part) >= _THROUGH * (high - low)):
+        cells = inside[part == one]
+        middle = np.median(coords[cells, :2], axis=0)
+        away = np.linalg.norm(coords[cells, :2] - middle, axis=1)
+        radius = float(np.median(away))
+        through = np.ptp(above[cells]) + 1 >= _THROUGH * (high - low)
+        if through and radius <= NARROW * tall and _is_alone(coords, inside, middle, radius):
+            columns.append(Stem(cells=cells, middle=middle, higher=middle, radius=max(radius, 0.5)))
+    return columns
+
+
+def _is_alone(
+    coords: Int64[np.ndarray, "V 3"], inside: Int64[np.ndarray, " M"], middle: Float64[np.ndarray, "2"], radius: float
+) -> bool:
+    """Whether most of what is around a column is the column."""
+    away = np.linalg.norm(coords[inside, :2] - middle, axis=1)
+    own = 1.5 * radius + 1
+    around: Bool[np.ndarray, " M"] = away < 3 * own
+    return bool((away < own).sum() >= _ALONE * around.sum())
+
+
+def join_stems(stems: list[Stem], tall: float) -> list[Stem]:
+    """Stems that stand close, or close enough and lean apart, as one; `tall` in cells."""
+    group = list(range(len(stems)))
+    for i, one in enumerate(stems):
+        for j in range(i):
+            other = stems[j]
+            near = float(np.linalg.norm(one.middle - other.middle))
+            forked = float(np.linalg.norm(one.higher - other.higher)) > _APART_HIGHER * near
+            if near < NEAREST * tall or (near < FORK * tall and forked):
+                group = [group[j] if number == group[i] else number for number in group]
+    joined = []
+    for number in sorted(set(group)):
+        members = [stem for stem, own in zip(stems, group, strict=True) if own == number]
+        thickest = max(members, key=lambda stem: len(stem.cells))
+        joined.append(
+            Stem(
+                cells=np.concatenate([stem.cells for stem in members]),
+                middle=thickest.middle,
+                higher=thickest.higher,
+                radius=thickest.radius,
+            )
+        )
+    return joined

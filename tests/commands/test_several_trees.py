@@ -1,0 +1,30 @@
+"""The command line tells how many trees a file holds, and takes one of them."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dynamictree.formats.mesh.ply_writer import write_ply
+from dynamictree.mesh import joined
+from tests.trees.stand import tree
+
+
+def test_the_command_line_counts_the_trees_and_takes_one(
+    tmp_path: Path, dynamictree: Callable[..., int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    one = tree(6.0, num_cards=60)
+    scene = joined([one.with_vertices(one.vertices + np.float32([5 * i, 0, 0])) for i in range(3)])
+    path = tmp_path / "three.ply"
+    with path.open("wb") as stream:
+        write_ply(scene, stream)
+    assert dynamictree("info", path, "--json") == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert [entry["tree"] for entry in facts["trees"]] == [1, 2, 3]
+    assert [entry["x_m"] for entry in facts["trees"]] == pytest.approx([0, 5, 10], abs=0.2)
+    assert dynamictree("voxelize", path, "-o", tmp_path / "second", "--tree", 2, "--json") == 0
+    assert json.loads(capsys.readouterr().out)["voxel_size_m"] == pytest.approx(6.0 * 0.99 / 125, rel=0.05)
+    assert dynamictree("voxelize", path, "-o", tmp_path / "fourth", "--tree", 4) == 2
+    assert "tree is 4, and the file holds 3 trees" in capsys.readouterr().err

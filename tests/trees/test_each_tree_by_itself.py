@@ -1,0 +1,103 @@
+"""Each tree of a file moves as it would alone, on its own foot; one can be chosen by its number."""
+
+import io
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dynamictree import method
+from dynamictree.devoxelize.inextensible import pose_of, typical_stretch, without_stretch
+from dynamictree.devoxelize.length_preserving import length_preserving
+from dynamictree.errors import FormatError
+from dynamictree.export.write import write_products
+from dynamictree.formats.tensors.cloud_bundle import read_cloud_bundle, write_cloud_bundle
+from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle, write_mesh_bundle
+from dynamictree.formats.tensors.voxels import read_voxels, write_voxels
+from dynamictree.gaussian.capture import Capture, carrying_mesh, move_only_tree, moving_part, only_tree
+from dynamictree.mesh import TriangleMesh, joined
+from dynamictree.models.several_trees import tree_voxels
+from dynamictree.requests import ExportParams
+from dynamictree.spectrum import Wind
+from dynamictree.trees.of_mesh import stand_resolution
+from tests.service.test_clouds import post_cloud
+from tests.trees.stand import tree
+
+
+@pytest.fixture(scope="module")
+def pair() -> TriangleMesh:
+    """Two trees whose crowns touch, labelled."""
+    left, right = tree(6.0, seed=0, num_cards=60), tree(5.0, seed=1, num_cards=60)
+    both = joined([left, right.with_vertices(right.vertices + np.float32([2.1, 0, 0]))])
+    return replace(both, face_tree=np.repeat(np.int32([0, 1]), [left.num_faces, right.num_faces]))
+
+
+def test_a_tree_moves_as_it_does_alone_and_its_foot_stays(pair: TriangleMesh) -> None:
+    voxels = method.voxelize(pair)
+    assert voxels.tree is not None
+    spectrum = method.generate(voxels, wind=Wind(), seed=3, num_steps=1)
+    for number in (0, 1):
+        rows = np.flatnonzero(voxels.tree == number)
+        alone = method.motion_model("small").generate(
+            tree_voxels(voxels, rows), wind=Wind(), seed=3 + number, num_steps=1
+        )
+        assert (spectrum.coefficients[rows] == alone.coefficients).all()
+    motion = np.abs(method.devoxelize(spectrum, pair)).max(axis=(1, 2))
+    for number, height_m in ((0, 6.0), (1, 5.0)):
+        own = np.unique(pair.faces[pair.face_tree == number])
+        up = pair.vertices[own, 2] / height_m
+        assert motion[own][up < 0.02].max() < 1e-3 * height_m
+        assert motion[own][up > 0.6].mean() > 20 * motion[own][up < 0.02].max()
+
+
+def test_the_products_of_a_stand_keep_lengths_in_each_tree(pair: TriangleMesh, tmp_path: Path) -> None:
+    spectrum = method.generate(method.voxelize(pair), wind=Wind(speed_m_s=20.0), num_steps=1)
+    interpolation = length_preserving(spectrum.grid, pair)
+    strong = 6 * interpolation.apply(spectrum.coefficients)
+    unstretched = without_stretch(pose_of(interpolation, strong), strong, 40)
+    assert typical_stretch(interpolation, unstretched) < 0.5 * typical_stretch(interpolation, strong)
+    paths = write_products(pair, spectrum, ExportParams(formats=("motion",)), tmp_path)
+    assert paths["motion"].stat().st_size > 12 * 100 * pair.num_vertices
+
+
+def test_trees_side_by_side_get_a_grid_as_fine_as_a_single_one(pair: TriangleMesh) -> None:
+    alone = tree(6.0)
+    apart = joined([alone, alone.with_vertices(alone.vertices + np.float32([24, 0, 0]))])
+    labelled = replace(apart, face_tree=np.repeat(np.int32([0, 1]), alone.num_faces))
+    assert [stand_resolution(mesh, 128) for mesh in (alone, pair, labelled)] == [128, 128, 512]
+
+
+def test_bundles_and_voxel_files_hold_the_trees(pair: TriangleMesh) -> None:
+    stream = io.BytesIO()
+    write_mesh_bundle(pair, stream)
+    assert (read_mesh_bundle(io.BytesIO(stream.getvalue())).face_tree == pair.face_tree).all()
+    voxels, stream = method.voxelize(pair, resolution=32), io.BytesIO()
+    write_voxels(voxels, stream)
+    assert (read_voxels(io.BytesIO(stream.getvalue())).tree == voxels.tree).all()
+    stream = io.BytesIO()
+    write_voxels(replace(voxels, tree=np.full(len(voxels.grid), -1, np.int32)), stream)
+    with pytest.raises(FormatError, match="trees are numbered from -1"):
+        read_voxels(io.BytesIO(stream.getvalue()))
+
+
+def test_one_tree_of_a_cloud_is_cut_out_or_moves_alone_and_the_ground_stays() -> None:
+    post = post_cloud(400)
+    means = np.concatenate([post.means, post.means + np.float32([3, 0, 0])])
+    twice = np.arange(400).repeat(2).reshape(400, 2).T.ravel()
+    cloud = replace(post.subset(twice), means=means)
+    number = np.repeat(np.int32([0, 1]), 400)
+    number[:10] = -1
+    capture = Capture(cloud=cloud, tree=number)
+    stream = io.BytesIO()
+    write_cloud_bundle(capture, stream)
+    again = read_cloud_bundle(io.BytesIO(stream.getvalue()))
+    assert again.tree is not None
+    assert (again.tree == number).all()
+    assert moving_part(capture).sum() == 790
+    assert (only_tree(capture, 2).cloud.means[:, 0] > 1.5).all()
+    assert (moving_part(move_only_tree(capture, 2)) == (number == 1)).all()
+    mesh = carrying_mesh(capture)
+    assert mesh.face_tree is not None
+    middles = mesh.vertices[mesh.faces].mean(axis=1)
+    assert ((middles[:, 0] > 1.5) == (mesh.face_tree == 1)).all()

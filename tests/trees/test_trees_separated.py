@@ -1,0 +1,103 @@
+"""Several trees in one file are separated, and one tree stays one."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dynamictree.commands.source import is_cloud, load_capture, load_mesh
+from dynamictree.dataset.sapling import grow_tree
+from dynamictree.dataset.species import SPECIES
+from dynamictree.errors import InputError
+from dynamictree.mesh import TriangleMesh, joined
+from dynamictree.trees.of_mesh import only_tree_of, surface_points, with_trees
+from dynamictree.trees.segment import segment_trees
+from tests.trees.stand import HEIGHTS_M, PLACES_M, on_ground, scattered, share_right, stand_of_five, tree
+
+
+def num_trees(mesh: TriangleMesh) -> int:
+    return len(segment_trees(surface_points(mesh)[0]).trees)
+
+
+def test_five_trees_in_a_mesh_are_separated_by_face() -> None:
+    mesh, truth = stand_of_five()
+    labelled = with_trees(mesh)
+    assert labelled.face_tree is not None
+    assert labelled.face_tree.max() + 1 == 5
+    assert share_right(labelled.face_tree.astype(np.int64), truth) >= 0.95
+    assert [warning.code for warning in labelled.warnings] == ["several-trees"]
+
+
+def test_five_trees_in_a_scan_are_separated_by_point_and_the_ground_is_of_none() -> None:
+    mesh, truth = stand_of_five()
+    face = np.random.default_rng(0).integers(0, mesh.num_faces, 60_000)
+    plants, ground = on_ground(scattered(mesh, face).astype(np.float64))
+    result = segment_trees(np.concatenate([plants, ground]), is_scan=True)
+    assert len(result.trees) == 5
+    assert share_right(result.tree_of_point[: len(plants)].astype(np.int64), truth[face]) >= 0.95
+    assert (result.tree_of_point[len(plants) :] == -1).mean() >= 0.9
+
+
+def test_trees_are_numbered_from_left_to_right_with_their_feet_and_heights() -> None:
+    mesh, _ = stand_of_five()
+    trees = segment_trees(surface_points(mesh)[0]).trees
+    order = sorted(range(5), key=lambda number: PLACES_M[number])
+    for number, result in zip(order, trees, strict=True):
+        np.testing.assert_allclose(result.foot_m[:2], PLACES_M[number], atol=0.3)
+        assert result.height_m == pytest.approx(HEIGHTS_M[number], rel=0.05)
+
+
+def test_one_of_several_trees_is_cut_out_as_it_stands() -> None:
+    mesh, truth = stand_of_five()
+    labelled = with_trees(mesh)
+    leftmost = only_tree_of(labelled, 1)
+    assert leftmost.face_tree is None
+    assert leftmost.num_faces == pytest.approx((truth == 4).sum(), rel=0.05)
+    np.testing.assert_allclose(leftmost.vertices[:8, :2].mean(axis=0), PLACES_M[4], atol=0.1)
+    with pytest.raises(InputError, match="tree is 6, and the file holds 5 trees, numbered from 1"):
+        only_tree_of(labelled, 6)
+    with pytest.raises(InputError, match="tree is 2, and the file holds 1 tree"):
+        only_tree_of(tree(5.0), 2)
+
+
+@pytest.mark.parametrize("name", SPECIES)
+def test_one_tree_of_any_species_stays_one(name: str) -> None:
+    for seed in (0, 1):
+        mesh = grow_tree(SPECIES[name], np.random.default_rng([seed, len(name)])).mesh
+        assert num_trees(replace(mesh, materials=(), face_material=None)) == 1
+
+
+def test_stems_that_grow_from_one_foot_are_of_one_tree() -> None:
+    """A birch of three stems that lean apart, and a bush of five."""
+    for count, apart, lean in ((3, 0.2, 0.12), (5, 0.35, 0.25)):
+        stems = []
+        for turn in 2 * np.pi * np.arange(count) / count:
+            one = tree(6.0, seed=count, num_cards=120)
+            out = np.array([np.cos(turn), np.sin(turn)])
+            moved = one.vertices.astype(np.float64)
+            moved[:, :2] += out * (apart + lean * moved[:, 2:])
+            stems.append(one.with_vertices(moved.astype(np.float32)))
+        assert num_trees(joined(stems)) == 1
+
+
+def test_a_canopy_without_stems_is_refused_with_a_reason() -> None:
+    rng = np.random.default_rng(0)
+    canopy = np.c_[rng.uniform(0, 60, (40_000, 2)), rng.uniform(6, 8, 40_000)]
+    with pytest.raises(InputError, match="no stems are seen by which to separate them"):
+        segment_trees(canopy, is_scan=True)
+    assert len(segment_trees(canopy).trees) == 1
+
+
+def test_files_of_one_tree_stay_one(samples: Path) -> None:
+    for name in (
+        "mesh/tree-lime.glb",
+        "mesh/quaternius_common_tree/CommonTree_2.obj",
+        "scan/tls_tree_1.txt",
+        "splat/tree_10k.splat",
+    ):
+        path = samples / name
+        if is_cloud(path):
+            assert load_capture(path).tree is None
+        else:
+            assert load_mesh(path).face_tree is None
