@@ -146,7 +146,7 @@ def wooded() -> Artist:
     variants = {"KHR_materials_variants": {"mappings": [{"material": cut, "variants": [0]}]}}
     artist.root["extensions"] = {
         "KHR_materials_variants": {"variants": [{"name": "winter"}]},
-        "KHR_lights_punctual": {"lights": [{"type": "sun", "name": "noon"}]},
+        "KHR_lights_punctual": {"lights": [{"type": "directional", "name": "noon"}]},
     }
     crown = artist.cone(leaf, base=2.0, extensions=variants, extras={"species": "lime"})
     dust = {"attributes": {"POSITION": artist.accessor(np.zeros((5, 3), np.float32))}, "mode": 0}
