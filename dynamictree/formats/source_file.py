@@ -14,12 +14,21 @@ from dynamictree.formats.mesh_file import read_mesh, sniff_file_type
 from dynamictree.formats.seekable import SeekableReader
 from dynamictree.formats.splat.mask import read_mask
 from dynamictree.gaussian.capture import Capture, moving_part, with_still_parts
+from dynamictree.mesh import SourceWarning
 from dynamictree.trees.choose import several_trees
 from dynamictree.trees.segment import segment_trees
 
 SourceKind = Literal["mesh", "cloud"]
 HEAD_BYTES = 64 * 1024
-_SOG = "SOG files are not read: no library is kept for them; convert it with `splat-transform tree.sog tree.ply`"
+_CONVERTED = {
+    "sog": "SOG files are not read: no library is kept for them; convert it with `splat-transform tree.sog tree.ply`",
+    "ksplat": ".ksplat files are not read; convert it with `splat-transform tree.ksplat tree.ply`",
+    "folder": "this is meta.json of a splat in a SOG folder, which is not read; convert it with "
+    "`splat-transform meta.json tree.ply`",
+}
+FEWEST_GAUSSIANS = 500
+"""Of a splat that can look like a plant."""
+_FLAT = 0.25  # height over width of what does not stand upright
 
 
 def source_kind(stream: SeekableReader, name: str) -> tuple[SourceKind, str]:
@@ -29,12 +38,15 @@ def source_kind(stream: SeekableReader, name: str) -> tuple[SourceKind, str]:
         FormatError: it is neither, or a header breaks its format's rules.
     """
     ending = name.rpartition(".")[2].lower()
-    if ending == "sog":
-        raise FormatError(_SOG)
+    if ending in ("sog", "ksplat"):
+        raise FormatError(_CONVERTED[ending])
     if ending in ("splat", "spz"):
         return "cloud", ending
     stream.seek(0)
-    file_type = sniff_file_type(stream.read(HEAD_BYTES), name)
+    head = stream.read(HEAD_BYTES)
+    if head.lstrip().startswith(b"{") and all(word in head for word in (b'"means"', b'"quats"', b'"scales"')):
+        raise FormatError(_CONVERTED["folder"])
+    file_type = sniff_file_type(head, name)
     stream.seek(0)
     if file_type in ("points", "las"):
         return "cloud", "txt" if file_type == "points" else "las"
@@ -75,6 +87,7 @@ def read_capture(
         read_cloud(stream, file_type=file_type, up_axis=up_axis, unit_m=unit_m), height_m=height_m, stated=stated
     )
     capture = with_still_parts(Capture(cloud=cloud, mask=None if mask is None else read_mask(mask), warnings=doubts))
+    capture = replace(capture, warnings=(*doubts, *_doubt_plant(capture)))
     if mesh is None:
         return _with_trees(capture, is_scan=cloud_kind(stream, file_type=file_type) == "points")
     name, content = mesh
@@ -108,3 +121,20 @@ def _with_trees(capture: Capture, *, is_scan: bool) -> Capture:
     tree = np.full(capture.cloud.num_gaussians, -1, np.int32)
     tree[moving] = segmentation.tree_of_point
     return replace(capture, tree=tree, warnings=(*capture.warnings, several_trees(len(segmentation.trees))))
+
+
+def _doubt_plant(capture: Capture) -> tuple[SourceWarning, ...]:
+    """A warning if what moves is too little for a plant, or lies flat."""
+    points = capture.cloud.means[moving_part(capture)]
+    low, high = np.quantile(points, [0.02, 0.98], axis=0)
+    width, height = float((high - low)[:2].max()), float((high - low)[2])
+    if len(points) < FEWEST_GAUSSIANS:
+        message = f"{len(points):,} Gaussians or points can hardly show a plant; usual are 10,000 and more"
+    elif height < _FLAT * width:
+        message = (
+            f"what moves is {height:.3g} m tall and {width:.3g} m wide, so nothing stands upright; "
+            "set up_axis if it lies, or box_m to the plant if it is in a scene"
+        )
+    else:
+        return ()
+    return (SourceWarning(code="not-like-a-plant", message=message),)

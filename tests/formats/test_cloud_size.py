@@ -10,10 +10,10 @@ from dynamictree.formats.source_file import read_capture
 
 
 def splat_bytes(height: float) -> bytes:
-    """A `.splat` of 400 Gaussians, +Y up in its file."""
+    """A `.splat` of 600 Gaussians, +Y up in its file."""
     rng = np.random.default_rng(0)
-    rows = np.zeros(400, [("place", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("turn", "u1", 4)])
-    rows["place"] = rng.uniform(0, 1, (400, 3)) * [0.3, height, 0.3]
+    rows = np.zeros(600, [("place", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("turn", "u1", 4)])
+    rows["place"] = rng.uniform(0, 1, (600, 3)) * [0.3, height, 0.3]
     rows["scale"], rows["rgba"], rows["turn"] = 0.01 * height, 255, (255, 128, 128, 128)
     return rows.tobytes()
 
@@ -35,7 +35,7 @@ def test_a_stated_height_or_unit_is_taken() -> None:
 
 
 def test_a_scan_keeps_its_metres() -> None:
-    lines = b"".join(b"%f 0 %f\n" % (0.1 * i, 0.1 * i) for i in range(100))
+    lines = b"".join(b"%f 0 %f\n" % (0.01 * i, 0.01 * i) for i in range(600))
     result = read_capture(io.BytesIO(lines), file_type="txt")
     assert result.cloud.source_scale == 1.0
     assert result.warnings == ()

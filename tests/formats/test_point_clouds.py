@@ -9,6 +9,7 @@ import pytest
 from dynamictree.errors import FormatError, InputError
 from dynamictree.formats.cloud_file import cloud_kind, read_cloud
 from dynamictree.formats.scan.points import cloud_of_points
+from dynamictree.formats.source_file import read_capture, source_kind
 from dynamictree.gaussian.harmonics import SH_0
 
 
@@ -166,3 +167,39 @@ def test_a_las_header_that_ends_within_itself_is_refused() -> None:
         content[96:100] = size.to_bytes(4, "little")
         with pytest.raises(InputError):
             read_cloud(io.BytesIO(bytes(content[:size])), file_type="las")
+
+
+def test_columns_of_text_are_found_by_their_names() -> None:
+    text = 'id;"Z (m)";"X (m)";"Y (m)";intensity;R;G;B\n1;9;1;2;7;200;0;0\n2;8;3;4;7;0;200;0\n3;7;5;6;7;0;0;200\n'
+    cloud = read_cloud(io.BytesIO(text.encode()), file_type="csv")
+    np.testing.assert_allclose(cloud.means, [[1, 2, 9], [3, 4, 8], [5, 6, 7]])
+    assert np.argmax(cloud.sh[:, 0], axis=1).tolist() == [0, 1, 2]
+
+
+def test_a_table_without_positions_is_refused_with_its_columns() -> None:
+    text = "branch,radius,length,start_x,start_y,start_z\n" + "1,2,3,4,5,6\n" * 4
+    with pytest.raises(FormatError, match="columns are branch, radius, length, startx, starty, startz"):
+        read_cloud(io.BytesIO(text.encode()), file_type="csv")
+
+
+@pytest.mark.parametrize(
+    ("name", "content"), [("tree.ksplat", b"\0" * 99), ("meta.json", b'{"means": {}, "scales": {}, "quats": {}}')]
+)
+def test_splats_that_are_not_read_are_refused_with_the_command_that_converts_them(name: str, content: bytes) -> None:
+    with pytest.raises(FormatError, match=f"splat-transform {name} tree.ply"):
+        source_kind(io.BytesIO(content), name)
+
+
+def test_an_unknown_format_is_refused_with_all_that_are_read() -> None:
+    with pytest.raises(FormatError, match=r"OBJ.*splat.*SPZ.*LAZ.*CSV.*JPEG"):
+        source_kind(io.BytesIO(b"\x01\x02\x03"), "tree.xyz1")
+
+
+@pytest.mark.parametrize(("count", "height", "doubted"), [(400, 5.0, True), (2000, 0.3, True), (2000, 5.0, False)])
+def test_what_does_not_look_like_a_plant_is_doubted(
+    count: int, height: float, doubted: bool, rng: np.random.Generator
+) -> None:
+    lines = rng.uniform([-1, -1, 0], [1, 1, height], size=(count, 3))
+    content = "\n".join(f"{x:.4f} {y:.4f} {z:.4f}" for x, y, z in lines).encode()
+    capture = read_capture(io.BytesIO(content), file_type="txt")
+    assert ("not-like-a-plant" in [warning.code for warning in capture.warnings]) == doubted

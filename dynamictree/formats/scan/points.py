@@ -1,6 +1,7 @@
 """Point clouds of scans: PLY without faces, XYZ text, LAS and LAZ. A Gaussian a point, sized by its neighbours."""
 
 import io
+import re
 import struct
 
 import numpy as np
@@ -17,6 +18,11 @@ from dynamictree.gaussian.cloud import MAX_GAUSSIANS, GaussianCloud, check_count
 UP_AXIS = "+Z"
 """Surveying instruments stand level and count heights upward."""
 _COLORS = (("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue"), ("r", "g", "b"))
+_AXIS_NAMES = (
+    ("x", "xm", "px", "posx", "pointx", "easting", "east"),
+    ("y", "ym", "py", "posy", "pointy", "northing", "north"),
+    ("z", "zm", "pz", "posz", "pointz", "height", "elevation", "altitude"),
+)
 _NUM_NEIGHBOURS = 3  # Kerbl et al. 2023, section 5.2: a Gaussian as wide as its three nearest neighbours are far
 _LARGEST_SPACING = 4.0  # in medians: a stray point stays small
 _OPACITY = 0.9  # surfaces that were scanned are solid; below 1, neighbours blend
@@ -50,18 +56,22 @@ def read_points_rows(stream: SeekableReader, header: PlyHeader, *, up_axis: str,
 def read_points_text(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: float = 1.0) -> GaussianCloud:
     """Read lines of x y z, divided by blanks, commas or semicolons; of six or more columns the last three are a colour.
 
-    A first line that is not numbers, and lines that begin with # or //, are passed over.
+    A first line that names the columns says which are x, y and z; other first lines that are not numbers, and lines
+    that begin with # or //, are passed over.
 
     Raises:
-        FormatError: lines that are not numbers, or of less than three.
+        FormatError: lines that are not numbers, or of less than three; columns that are named, none of them x, y or z.
         InputError: values that are not finite, too many points, all at one place.
     """
     size = remaining_bytes(stream)
     if size > 100 * MAX_GAUSSIANS:
         raise InputError(f"the text is {size:,} bytes; at most {MAX_GAUSSIANS:,} points are allowed; decimate it first")
-    content = stream.read().translate(bytes.maketrans(b",;\t", b"   "))
-    lines = [line for line in content.splitlines() if line.strip() and not line.lstrip().startswith((b"#", b"//"))]
+    raw = stream.read()
+    content = raw.translate(bytes.maketrans(b",;\t", b"   "))
+    lines = [line for line in content.splitlines() if line.strip() and not _is_comment(line)]
+    names = list[str]()
     if lines and not _is_numbers(lines[0]):
+        names = _column_names(next(line for line in raw.splitlines() if line.strip() and not _is_comment(line)))
         lines = lines[1:]
     check_count(len(lines))
     try:
@@ -70,8 +80,39 @@ def read_points_text(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: 
         raise FormatError(f"the file is no table of numbers: {error}") from error
     if table.shape[1] < 3:
         raise FormatError(f"the lines have {table.shape[1]} numbers; at least x, y and z are needed")
+    if len(names) == table.shape[1]:
+        table = _named_columns(table, names)
     colors = _byte_color(table[:, -3:]) if table.shape[1] >= 6 and _looks_like_color(table[:, -3:]) else None
     return to_z_up(cloud_of_points(table[:, :3], colors), up_axis=up_axis, unit_m=unit_m)
+
+
+def _is_comment(line: bytes) -> bool:
+    return line.lstrip().startswith((b"#", b"//"))
+
+
+def _column_names(line: bytes) -> list[str]:
+    """The words of a table's first line, without units, quotes and signs, in lower case."""
+    text = re.sub(r"\(.*?\)|\[.*?\]", "", line.decode("utf-8", "replace"))
+    delimiter = next((sign for sign in ",;\t" if sign in text), None)
+    words = [re.sub(r"[^a-z0-9]", "", word.lower()) for word in text.split(delimiter)]
+    return words if delimiter is not None else [word for word in words if word]
+
+
+def _named_columns(table: Float64[np.ndarray, "G columns"], names: list[str]) -> Float64[np.ndarray, "G width"]:
+    """The columns of positions, and of colours if there are any.
+
+    Raises:
+        FormatError: no x, y or z is named.
+    """
+    places = [next((names.index(name) for name in options if name in names), None) for options in _AXIS_NAMES]
+    if any(place is None for place in places):
+        raise FormatError(
+            f"the table's columns are {', '.join(names)[:300]}; a point cloud has columns x, y and z. Is it a table of "
+            "cylinders or of measurements (QSM)? Send the points that it was made from"
+        )
+    color = next(([names.index(name) for name in three] for three in _COLORS if set(three) <= set(names)), [])
+    columns: Float64[np.ndarray, "G width"] = table[:, [place for place in places if place is not None] + color]
+    return columns
 
 
 def read_las(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: float = 1.0) -> GaussianCloud:
