@@ -9,7 +9,8 @@ import pytest
 from dynamictree.errors import FormatError, InputError
 from dynamictree.formats.cloud_file import cloud_kind, read_cloud
 from dynamictree.formats.scan.points import cloud_of_points
-from dynamictree.formats.source_file import read_capture, source_kind
+from dynamictree.formats.source_file import _doubt_plant, source_kind
+from dynamictree.gaussian.capture import Capture
 from dynamictree.gaussian.harmonics import SH_0
 
 
@@ -200,6 +201,5 @@ def test_what_does_not_look_like_a_plant_is_doubted(
     count: int, height: float, doubted: bool, rng: np.random.Generator
 ) -> None:
     lines = rng.uniform([-1, -1, 0], [1, 1, height], size=(count, 3))
-    content = "\n".join(f"{x:.4f} {y:.4f} {z:.4f}" for x, y, z in lines).encode()
-    capture = read_capture(io.BytesIO(content), file_type="txt")
-    assert ("not-like-a-plant" in [warning.code for warning in capture.warnings]) == doubted
+    warnings = _doubt_plant(Capture(cloud=cloud_of_points(lines)))
+    assert ("not-like-a-plant" in [warning.code for warning in warnings]) == doubted
