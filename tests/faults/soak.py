@@ -28,7 +28,10 @@ WARM_SHARE = 0.25
 """The first quarter is left out: models, caches and pools fill."""
 
 GROWTH_SHARE, GROWTH_MIB = 0.08, 16.0
-"""What the line through a process's samples may rise in an hour, whichever is more."""
+"""What the line through a process's quietest samples may rise in an hour, whichever is more."""
+
+QUIET_SAMPLES = 12
+"""The least of so many samples, three minutes, counts: what a job needs while it runs is no growth."""
 
 SETTINGS = {
     "DYNAMICTREE_LEASE_S": "60",
@@ -84,16 +87,20 @@ class Scales:
                 self.files[name].append(process.num_fds())
 
     def slopes(self, until_s: float) -> dict[str, dict[str, float]]:
-        """Line through each role's samples after the warm-up."""
+        """Line through the least of every QUIET_SAMPLES of each role after the warm-up."""
         report = {}
         for name, weights in self.mib.items():
             at, mib = np.array(self.at_s[name]), np.array(weights)
             late = at > until_s * WARM_SHARE
             if late.sum() < 3:
                 continue
-            slope, _ = np.polyfit(at[late] / 3600, mib[late], 1)
+            starts = np.arange(0, late.sum(), QUIET_SAMPLES)
+            quiet = np.minimum.reduceat(mib[late], starts)
+            slope = np.polyfit(at[late][starts] / 3600, quiet, 1)[0] if len(quiet) > 1 else 0.0
             report[name] = {
                 "mib": round(float(np.median(mib[late])), 1),
+                "mib_quiet_first": round(float(quiet[0]), 1),
+                "mib_quiet_last": round(float(quiet[-1]), 1),
                 "mib_first": round(float(mib[late][0]), 1),
                 "mib_last": round(float(mib[late][-1]), 1),
                 "slope_mib_per_h": round(float(slope), 2),
