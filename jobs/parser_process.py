@@ -52,10 +52,7 @@ class ParseAnswer(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     kind: AssetKind | None = None
-    summary: (
-        Mapping[str, str | float | int | list[float] | list[dict[str, str]] | list[dict[str, int | float]] | None]
-        | None
-    ) = None
+    summary: Mapping[str, str | float | int | list[float] | list[dict[str, str | int | float]] | None] | None = None
     code: str | None = None
     message: str = ""
 

@@ -32,6 +32,8 @@ from dynamictree.spectrum import from_motion, iter_motion
 LARGEST_STRETCH = 0.01
 """99th percentile of the edges' stretch in a loop; a motion with less is left as it is."""
 ROUNDS = 10
+"""At most; fewer for meshes of more than `_SOLVED_ROWS` / 10 vertices, and at least two."""
+_SOLVED_ROWS = 150_000
 _ANCHOR = 0.01  # a of a vertex with the mean motion, see docs/decisions/core.md
 _ANCHOR_SHARES = (0.01, 100.0)  # of the motion over its mean
 _SHORTEST_EDGE = 0.05  # in voxels; shorter edges are no stiffer
@@ -79,7 +81,8 @@ class InextensiblePose:
         length = np.linalg.norm(across, axis=1, keepdims=True)
         direction = moved[start] - moved[end]
         pose = moved
-        for _ in range(1 + ROUNDS):
+        rounds = min(ROUNDS, max(2, _SOLVED_ROWS // len(moved)))
+        for _ in range(1 + rounds):
             target = direction * (length / np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-12))
             pose = self.factor.solve(self.pull @ target + self.anchor[:, None] * pose)
             direction = pose[start] - pose[end]

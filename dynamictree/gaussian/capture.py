@@ -3,8 +3,8 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy  # its parts come in when they are used: the service starts without them
 from jaxtyping import Bool, Int32, UInt8
-from scipy.spatial import cKDTree
 
 from dynamictree.errors import InputError
 from dynamictree.gaussian.cloud import GaussianCloud
@@ -90,7 +90,7 @@ def _still_where_gaussians_are(mesh: TriangleMesh, cloud: GaussianCloud, still: 
     if len(visible) == 0:
         return mesh
     middles = mesh.vertices[mesh.faces].mean(axis=1)
-    faces = still[visible][cKDTree(cloud.means[visible]).query(middles)[1]]
+    faces = still[visible][scipy.spatial.cKDTree(cloud.means[visible]).query(middles)[1]]
     if mesh.still_faces is not None:
         faces |= mesh.still_faces
     return mesh if faces.all() else replace(mesh, still_faces=faces)

@@ -4,10 +4,8 @@ Each is taken only where its shape leaves no doubt; what is not found can be nam
 """
 
 import numpy as np
+import scipy  # its parts come in when they are used: the service starts without them
 from jaxtyping import Bool, Float64, UInt8
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.still_ground import Points, find_ground
@@ -90,12 +88,12 @@ def _apart(
         ((places - first) * [span[1] * span[2], span[2], 1]).sum(axis=1), return_inverse=True, return_counts=True
     )
     cells = np.stack([keys // (span[1] * span[2]), keys // span[2] % span[1], keys % span[2]], axis=1)
-    pairs = cKDTree(cells).query_pairs(1.8, output_type="ndarray")  # cells that touch, at corners as well
-    joined = coo_array((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(cells),) * 2)
-    number, group = connected_components(joined, directed=False)
+    pairs = scipy.spatial.cKDTree(cells).query_pairs(1.8, output_type="ndarray")  # cells that touch, at corners as well
+    joined = scipy.sparse.coo_array((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(cells),) * 2)
+    number, group = scipy.sparse.csgraph.connected_components(joined, directed=False)
     size = np.bincount(group, count, minlength=number)
     main = int(size.argmax())
-    distance = cKDTree(cells[group == main]).query(cells)[0] - 1.0  # at least, in cells
+    distance = scipy.spatial.cKDTree(cells[group == main]).query(cells)[0] - 1.0  # at least, in cells
     gap, top = np.full(number, np.inf), np.full(number, -np.inf)
     np.minimum.at(gap, group, distance * _CELL)
     np.maximum.at(top, group, cells[:, 2] * _CELL)

@@ -1,9 +1,8 @@
 """Ground and tables in a cloud: a plane at the bottom that is filled, wide and flat."""
 
 import numpy as np
+import scipy  # its parts come in when they are used: the service starts without them
 from jaxtyping import Bool, Float64, Int64
-from scipy.ndimage import binary_closing, label
-from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 Points = Float64[np.ndarray, "_ 3"]
 
@@ -91,8 +90,8 @@ def _fit_plane(
 def _largest_patch(columns: Int64[np.ndarray, " C"]) -> Bool[np.ndarray, "X Y"]:
     seen = np.zeros((_COLUMNS, _COLUMNS), np.bool_)
     seen[columns // _COLUMNS, columns % _COLUMNS] = True
-    closed = binary_closing(np.pad(seen, 2), np.ones((3, 3), np.bool_))[2:-2, 2:-2]
-    pieces, count = label(closed | seen, np.ones((3, 3)))
+    closed = scipy.ndimage.binary_closing(np.pad(seen, 2), np.ones((3, 3), np.bool_))[2:-2, 2:-2]
+    pieces, count = scipy.ndimage.label(closed | seen, np.ones((3, 3)))
     if count == 0:
         return seen
     largest: Bool[np.ndarray, "X Y"] = seen & (pieces == 1 + np.argmax(np.bincount(pieces.ravel())[1:]))
@@ -105,8 +104,8 @@ def _fills(patch: Bool[np.ndarray, "X Y"]) -> bool:
         return False
     corners = (places[:, None] + [[0, 0], [0, 1], [1, 0], [1, 1]]).reshape(-1, 2)
     try:
-        return bool(len(places) > _FILLED * ConvexHull(corners).volume)
-    except QhullError:
+        return bool(len(places) > _FILLED * scipy.spatial.ConvexHull(corners).volume)
+    except scipy.spatial.QhullError:
         return False
 
 
@@ -122,7 +121,9 @@ def is_level(points: Points, reach: float, rng: np.random.Generator) -> bool:
     if len(points) < _FEWEST:
         return False
     chosen = points[rng.choice(len(points), min(len(points), 500), replace=False)]  # so few that grains even out
-    near = np.asarray(cKDTree(chosen).query(chosen, k=min(12, len(chosen)), distance_upper_bound=2 * reach)[1])
+    near = np.asarray(
+        scipy.spatial.cKDTree(chosen).query(chosen, k=min(12, len(chosen)), distance_upper_bound=2 * reach)[1]
+    )
     enough = (near < len(chosen)).sum(axis=1) >= 5
     if not enough.any():
         return False

@@ -186,7 +186,7 @@ def test_what_does_not_fit_together_is_refused(capture: Capture, files: dict[str
     with pytest.raises(FormatError, match="send one cloud"):
         load_capture(files["cloud"], mesh=files["cloud"])
     pot = replace(capture, mask=np.arange(3000) >= 2000)
-    with pytest.raises(InputError, match="no Gaussian of the mask is in the box"):
+    with pytest.raises(InputError, match="no Gaussian moves that is of the mask and of the box"):
         moving_part(pot, CloudParams(box_m=BOX))
     sog = tmp_path / "tree.sog"
     sog.write_bytes(b"PK\x03\x04")
