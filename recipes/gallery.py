@@ -18,7 +18,8 @@ from pathlib import Path
 
 from dynamictree.formats.suffixes import CLOUD_SUFFIXES, MESH_SUFFIXES
 
-NO_TREES = ("license.txt", "readme.txt")
+NO_TREES = ("license.txt", "readme.txt", "sources.md")
+NO_FOLDER = "licenses"
 STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; margin: 2rem; max-width: 80rem }
 section { display: grid; grid-template-columns: minmax(0, 34rem) 1fr; gap: 0 1.5rem; padding: 1rem 0 }
@@ -45,7 +46,7 @@ def tree_files(folders: list[Path]) -> Iterator[tuple[str, Path]]:
     for folder in folders:
         for path in sorted(folder.rglob("*")):
             readable = path.suffix.lower() in {*MESH_SUFFIXES, *CLOUD_SUFFIXES}
-            if path.is_file() and readable and path.name.lower() not in NO_TREES:
+            if path.is_file() and readable and path.name.lower() not in NO_TREES and NO_FOLDER not in path.parts:
                 yield str(path.relative_to(folder.parent)), path
 
 

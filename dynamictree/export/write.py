@@ -28,6 +28,8 @@ from dynamictree.mesh import TriangleMesh
 from dynamictree.requests import MAX_FRAMES, CloudParams, ExportParams, Format
 from dynamictree.spectrum import SparseVoxelSpectrum
 
+FRAMES_A_FREQUENCY = 4
+"""From so many frames the loop without stretch is read; two would do, were there nothing above its frequencies."""
 OnFacts = Callable[[Format, Facts], None]
 """Gets a format that is not exact, and how far its file is from the motion."""
 
@@ -84,7 +86,8 @@ def _motion(
     if not large and params.wind_mode == "loop":
         return coefficients, None
     pose = pose_of(interpolation, coefficients)
-    return without_stretch(pose, coefficients, spectrum.num_frames) if large else coefficients, pose
+    frames = FRAMES_A_FREQUENCY * spectrum.num_frequencies
+    return without_stretch(pose, coefficients, frames) if large else coefficients, pose
 
 
 def _binding(

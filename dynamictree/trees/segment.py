@@ -50,6 +50,8 @@ def segment_trees(points: Float64[np.ndarray, "P 3"], *, is_scan: bool = False) 
         return _one_tree(points)
     cells = occupy(points)
     plant = np.flatnonzero(~cells.ground)
+    if len(plant) == 0:
+        return _one_tree(points)
     seeds = _seeds(cells, plant)
     if len(seeds) <= 1:
         if is_scan:

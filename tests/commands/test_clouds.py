@@ -68,7 +68,7 @@ def test_a_bad_cloud_is_one_line_and_exit_2_and_leaves_nothing(
     ("options", "message"),
     [
         (["--box=1,2,3"], "six numbers"),
-        (["--box=5,5,5,6,6,6"], "no Gaussian is in the box"),
+        (["--box=5,5,5,6,6,6"], "nothing is in box_m"),
         (["--mask", "none.npy"], "none.npy cannot be read"),
         (["--share", "0"], "--share is 0"),
         (["--format", "gif"], "--format is 'gif'"),
@@ -85,12 +85,3 @@ def test_a_wrong_option_is_reported(
     assert dynamictree("animate", tree, "-o", tmp_path / "out", *options) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
-
-
-def test_a_box_is_for_clouds(
-    dynamictree: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    mesh = tmp_path / "tree.obj"
-    mesh.write_bytes(b"v 0 0 0\nv 1 0 0\nv 0 0 1\nf 1 2 3\n")
-    assert dynamictree("voxelize", mesh, "-o", tmp_path / "v.safetensors", "--box=0,0,0,1,1,1") == 2
-    assert "for splats and scans" in capsys.readouterr().err

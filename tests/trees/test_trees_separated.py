@@ -101,3 +101,8 @@ def test_files_of_one_tree_stay_one(samples: Path) -> None:
             assert load_capture(path).tree is None
         else:
             assert load_mesh(path).face_tree is None
+
+
+def test_points_that_are_all_ground_are_one_tree(rng: np.random.Generator) -> None:
+    points = np.column_stack([rng.random((500, 2)) * 10, rng.random(500) * 1e-3])
+    assert len(segment_trees(points).trees) == 1
