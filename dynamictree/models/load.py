@@ -14,12 +14,15 @@ def load_model(name_or_path: str = "small") -> MotionModel:
         CheckpointError: the file is of no kind or version that this program reads.
     """
     from dynamictree.models.paper.generate import PaperModel
+    from dynamictree.models.paper.network import PaperNetwork
     from dynamictree.models.small.generate import SmallModel
+    from dynamictree.models.small.network import SmallNetwork
 
     path = weights_path(name_or_path)
     stored = read_weights(path)
-    for model in (SmallModel, PaperModel):
-        if (stored.kind, stored.version) == (model.KIND, model.VERSION):
-            return model.from_weights(stored, name=path.stem)
-    needed = ", ".join(f"{model.KIND} version {model.VERSION}" for model in (SmallModel, PaperModel))
+    if (stored.kind, stored.version) == (SmallNetwork.KIND, SmallNetwork.VERSION):
+        return SmallModel(stored.network(SmallNetwork, path.stem), name=path.stem)
+    if (stored.kind, stored.version) == (PaperNetwork.KIND, PaperNetwork.VERSION):
+        return PaperModel(stored.network(PaperNetwork, path.stem), name=path.stem)
+    needed = ", ".join(f"{kind.KIND} version {kind.VERSION}" for kind in (SmallNetwork, PaperNetwork))
     raise CheckpointError(f"{path.name} is {stored.kind} version {stored.version}; {needed} can be loaded")

@@ -1,10 +1,11 @@
 """Trained weights as a safetensors file whose metadata says which network they belong to and how it was trained."""
 
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any, ClassVar, TypeVar
 
+from pydantic import TypeAdapter, ValidationError
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor, nn
@@ -13,6 +14,21 @@ from dynamictree.errors import CheckpointError
 
 MAX_EXACT = 48
 """Scales of frequencies go down to 1e-6, where float16 has few digits; they cost nothing in full."""
+
+
+class StorableNetwork(nn.Module):
+    """A network that its preset, a dataclass, describes completely."""
+
+    KIND: ClassVar[str]  # format name in the weights file
+    VERSION: ClassVar[str]
+    PRESET: ClassVar[type]
+
+    def __init__(self, preset: Any) -> None:
+        super().__init__()
+        self.preset = preset
+
+
+Network = TypeVar("Network", bound=StorableNetwork)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,22 +50,34 @@ class WeightsFile:
     tensors: dict[str, Tensor]
     provenance: Provenance = field(default_factory=Provenance)
 
+    def network(self, kind: type[Network], name: str) -> Network:
+        """The network with its weights; `name` is what an error calls it.
 
-def write_weights(
-    path: Path,
-    *,
-    kind: str,
-    version: str,
-    preset: Mapping[str, object],
-    tensors: Mapping[str, Tensor],
-    provenance: Provenance | None = None,
-) -> None:
+        Raises:
+            CheckpointError: the preset or the tensors do not fit the network.
+        """
+        try:
+            network = kind(TypeAdapter(kind.PRESET).validate_python(self.preset))
+        except ValidationError as error:
+            first = error.errors()[0]
+            where = ".".join(map(str, first["loc"]))
+            raise CheckpointError(f"{name} has a preset that cannot be read: {where}: {first['msg']}") from error
+        try:
+            network.load_state_dict(self.tensors)
+        except RuntimeError as error:
+            raise CheckpointError(
+                f"{name} does not fit its own preset: {str(error).splitlines()[1].strip()}"
+            ) from error
+        return network
+
+
+def write_weights(network: StorableNetwork, path: Path, provenance: Provenance | None = None) -> None:
     """Store weights with their preset: matrices as float16, vectors of up to MAX_EXACT numbers as they are."""
     origin = provenance or Provenance()
     optional = {"step": origin.step, "data_sha256": origin.data_sha256, "card": origin.card}
-    metadata = {"format": kind, "version": version, "preset": json.dumps(preset)}
+    metadata = {"format": network.KIND, "version": network.VERSION, "preset": json.dumps(asdict(network.preset))}
     metadata |= {name: str(value) for name, value in optional.items() if value is not None}
-    stored = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
+    stored = {name: value.detach().cpu().contiguous() for name, value in network.state_dict().items()}
     save_file({name: one if one.numel() <= MAX_EXACT else one.half() for name, one in stored.items()}, path, metadata)
 
 
@@ -77,15 +105,3 @@ def read_weights(path: Path) -> WeightsFile:
             card=metadata.get("card"),
         ),
     )
-
-
-def fill_network(network: nn.Module, tensors: Mapping[str, Tensor], name: str) -> None:
-    """Load tensors into a network.
-
-    Raises:
-        CheckpointError: they do not fit it.
-    """
-    try:
-        network.load_state_dict(dict(tensors))
-    except RuntimeError as error:
-        raise CheckpointError(f"{name} does not fit its own preset: {str(error).splitlines()[1].strip()}") from error

@@ -7,8 +7,8 @@ from typer import Typer
 from dynamictree.commands.evaluate import evaluate
 from dynamictree.evaluation.held_out_trees import HeldOutTree, iter_held_out
 from dynamictree.models.small.denoiser import DenoiserShape
-from dynamictree.models.small.generate import write_small
 from dynamictree.models.small.network import SmallNetwork, SmallPreset
+from dynamictree.models.weights_file import write_weights
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -23,7 +23,7 @@ def untrained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     torch.manual_seed(0)
     shape = DenoiserShape(width=8, embedding=8, num_blocks=1)
     path = tmp_path_factory.mktemp("weights") / "tiny.safetensors"
-    write_small(SmallNetwork(SmallPreset(amplitude_width=8, amplitude_depth=1, denoiser=shape)), path)
+    write_weights(SmallNetwork(SmallPreset(amplitude_width=8, amplitude_depth=1, denoiser=shape)), path)
     return path
 
 

@@ -7,10 +7,10 @@ import torch
 
 from dynamictree.errors import InputError
 from dynamictree.models import load_model
-from dynamictree.models.paper.generate import PaperModel, write_paper
+from dynamictree.models.paper.generate import PaperModel
 from dynamictree.models.paper.network import PaperNetwork, paper_preset
 from dynamictree.models.small.generate import SmallModel
-from dynamictree.models.weights_file import Provenance, read_weights
+from dynamictree.models.weights_file import Provenance, read_weights, write_weights
 from dynamictree.weights import ENVIRONMENT_VARIABLE, list_weights
 
 
@@ -23,7 +23,7 @@ def test_every_model_that_is_listed_loads() -> None:
 
 def test_a_file_of_the_papers_kind_loads_with_what_is_known_of_it(tmp_path: Path) -> None:
     path = tmp_path / "own.safetensors"
-    write_paper(PaperNetwork(paper_preset(8, 16)), path, Provenance(step=7, data_sha256="abc", card="# own"))
+    write_weights(PaperNetwork(paper_preset(8, 16)), path, Provenance(step=7, data_sha256="abc", card="# own"))
     model = load_model(str(path))
     assert isinstance(model, PaperModel)
     assert (model.name, model.resolution) == ("own", 64)
@@ -32,7 +32,7 @@ def test_a_file_of_the_papers_kind_loads_with_what_is_known_of_it(tmp_path: Path
 
 def test_a_folder_of_models_joins_the_shipped_ones(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     torch.manual_seed(0)
-    write_paper(PaperNetwork(paper_preset(8, 16)), tmp_path / "mine.safetensors")
+    write_weights(PaperNetwork(paper_preset(8, 16)), tmp_path / "mine.safetensors")
     with pytest.raises(InputError, match=r"no model 'mine'; available: .*small"):
         load_model("mine")
     monkeypatch.setenv(ENVIRONMENT_VARIABLE, str(tmp_path))

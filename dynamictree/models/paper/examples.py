@@ -7,7 +7,7 @@ A spectrum is stored over the tree's height, in the wind's frame, and divided by
 import hashlib
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
 import numpy as np
@@ -146,7 +146,7 @@ class ExampleCache(torch.utils.data.Dataset[PaperExample]):
         Raises:
             InputError: the shards hold no trees for training.
         """
-        identity = json.dumps([preset.to_json(), *map(_fingerprint, shards)])
+        identity = json.dumps([asdict(preset), *map(_fingerprint, shards)])
         self.folder = folder / hashlib.sha256(identity.encode()).hexdigest()[:16]
         self.folder.mkdir(parents=True, exist_ok=True)
         complete = self.folder / "complete"

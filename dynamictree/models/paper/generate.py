@@ -1,7 +1,5 @@
 """Generate a spectrum with the paper's network: DDIM, frequency by frequency."""
 
-from pathlib import Path
-
 import numpy as np
 import torch
 from jaxtyping import Complex64, Float32
@@ -13,10 +11,9 @@ from dynamictree.diffusion.schedule import linear_schedule
 from dynamictree.errors import InputError
 from dynamictree.models.motion_model import OnStep, check_request
 from dynamictree.models.paper.examples import unit_positions, wind_sizes
-from dynamictree.models.paper.network import PaperNetwork, PaperPreset
+from dynamictree.models.paper.network import PaperNetwork
 from dynamictree.models.threads import one_thread
 from dynamictree.models.voxel_resolution import coarsened, halvings_between
-from dynamictree.models.weights_file import Provenance, WeightsFile, fill_network, write_weights
 from dynamictree.models.wind import wind_axes
 from dynamictree.sparse.level import Pyramid, pyramid
 from dynamictree.sparse.matrices import raise_matrix
@@ -35,24 +32,11 @@ CLIP = 8.0
 
 
 class PaperModel:
-    """The paper's network with its sampler: a `MotionModel`."""
-
-    KIND = "dynamictree-paper"
-    VERSION = "1"
+    """The paper's network with its sampler, on the GPU where there is one: a `MotionModel`."""
 
     def __init__(self, network: PaperNetwork, *, name: str) -> None:
-        self.network, self.name = network.eval().requires_grad_(False), name
-
-    @classmethod
-    def from_weights(cls, stored: WeightsFile, *, name: str) -> "PaperModel":
-        """Build the network from its weights file, on the GPU where there is one.
-
-        Raises:
-            CheckpointError: the tensors do not fit the preset.
-        """
-        network = PaperNetwork(PaperPreset.from_json(stored.preset))
-        fill_network(network, stored.tensors, name)
-        return cls(network.to("cuda" if torch.cuda.is_available() else "cpu"), name=name)
+        self.network = network.eval().requires_grad_(False).to("cuda" if torch.cuda.is_available() else "cpu")
+        self.name = name
 
     @property
     def resolution(self) -> int:
@@ -124,18 +108,6 @@ class PaperModel:
                 sample_ddim(predict_noise, noise, schedule, num_steps=num_steps, clip=CLIP, on_step=report)
             )
         return _complex_rows(torch.cat(generated, dim=1))
-
-
-def write_paper(network: PaperNetwork, path: Path, provenance: Provenance | None = None) -> None:
-    """Store a paper network's weights."""
-    write_weights(
-        path,
-        kind=PaperModel.KIND,
-        version=PaperModel.VERSION,
-        preset=network.preset.to_json(),
-        tensors=network.state_dict(),
-        provenance=provenance,
-    )
 
 
 def _complex_rows(channels: Float32[Tensor, "V K 6"]) -> Complex64[np.ndarray, "V K 3"]:

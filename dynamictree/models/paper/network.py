@@ -5,8 +5,7 @@ concatenated; diffusion step and bin modulate every residual block. Frequencies 
 between voxels and channels, and do not see one another. What the paper leaves open: docs/decisions/diffusion.md.
 """
 
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from dataclasses import dataclass, field
 
 import torch
 from jaxtyping import Float, Float32, Int64
@@ -16,6 +15,7 @@ from dynamictree.diffusion.channels import CHANNELS
 from dynamictree.diffusion.embedding import sinusoid
 from dynamictree.models.paper.encoder import SparseEncoder
 from dynamictree.models.paper.unet import SparseUNet, UNetShape
+from dynamictree.models.weights_file import StorableNetwork
 from dynamictree.sparse.level import Pyramid
 
 
@@ -45,22 +45,6 @@ class PaperPreset:
         """Levels of the pyramid of grids, from the encoder's finest to the U-Net's coarsest."""
         return self.num_halvings + len(self.unet.multipliers)
 
-    def to_json(self) -> dict[str, object]:
-        """Plain values."""
-        return asdict(self)
-
-    @classmethod
-    def from_json(cls, values: dict[str, object]) -> "PaperPreset":
-        """Undo `to_json`, after a round trip through JSON too."""
-        shape, widths = values["unet"], values["encoder_widths"]
-        assert isinstance(shape, dict), f"the U-Net has no shape: {shape}"
-        assert isinstance(widths, list | tuple), f"the encoder has no widths: {widths}"
-        tuples: dict[str, Any] = {
-            name: tuple(value) if isinstance(value, list) else value for name, value in shape.items()
-        }
-        changed = {"unet": UNetShape(**tuples), "encoder_widths": tuple(widths)}
-        return cls(**{**values, **changed})  # type: ignore[arg-type]
-
 
 def paper_preset(width: int = 128, resolution: int = 128) -> PaperPreset:
     """The paper's network, or one in its proportions with `width` channels at the U-Net's first level."""
@@ -80,14 +64,15 @@ def paper_small_preset() -> PaperPreset:
     )
 
 
-class PaperNetwork(nn.Module):
+class PaperNetwork(StorableNetwork):
     """Encoder and U-Net, and what spectra are divided by."""
 
+    KIND, VERSION, PRESET = "dynamictree-paper", "1", PaperPreset
+    preset: PaperPreset
     frequency_sizes: Tensor  # [K], of a component over the height
 
     def __init__(self, preset: PaperPreset) -> None:
-        super().__init__()
-        self.preset = preset
+        super().__init__(preset)
         base, embedding = preset.unet.base, preset.unet.embedding
         self.encoder = SparseEncoder(base=preset.encoder_base, widths=preset.encoder_widths)
         self.unet = SparseUNet(CHANNELS + preset.encoder_widths[-1], CHANNELS, preset.unet)

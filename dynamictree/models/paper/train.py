@@ -23,11 +23,10 @@ from dynamictree.diffusion.channels import pack_channels
 from dynamictree.diffusion.loss import LocalSmoothness
 from dynamictree.diffusion.schedule import linear_schedule
 from dynamictree.models.paper.examples import ExampleCache, PaperBatch, PaperExample, batch_of
-from dynamictree.models.paper.generate import write_paper
 from dynamictree.models.paper.loss import paper_loss
 from dynamictree.models.paper.network import PaperNetwork, PaperPreset, paper_small_preset
 from dynamictree.models.paper.sample_figures import sample_figures
-from dynamictree.models.weights_file import Provenance
+from dynamictree.models.weights_file import Provenance, write_weights
 from dynamictree.training.distributed import num_processes, process_rank, wait_for_all
 from dynamictree.training.progress import OnStep
 from dynamictree.training.schedules import LearningRateSchedule
@@ -155,7 +154,7 @@ def train_paper(
         provenance = Provenance(step=trainer.step, data_sha256=data_sha256)
         average = trainer.average
         assert isinstance(average, PaperNetwork)
-        write_paper(average, weights, provenance)
+        write_weights(average, weights, provenance)
 
     for step, loss in trainer.run(loss_of, folder / "checkpoint.safetensors"):
         if on_step is not None:

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 
 import torch
 from jaxtyping import Float32
@@ -13,11 +12,10 @@ from dynamictree.diffusion.sampler import karras_schedule, sample_dpm_multistep
 from dynamictree.errors import InputError
 from dynamictree.models.motion_model import OnStep, check_request
 from dynamictree.models.small.denoiser import denoise
-from dynamictree.models.small.network import SmallNetwork, SmallPreset
+from dynamictree.models.small.network import SmallNetwork
 from dynamictree.models.small.prepared import MAX_NETWORK_VOXELS, PreparedTree, prepare_tree
 from dynamictree.models.threads import one_thread, run_on_cores
 from dynamictree.models.voxel_resolution import halvings_between
-from dynamictree.models.weights_file import Provenance, WeightsFile, fill_network, write_weights
 from dynamictree.spectrum import SparseVoxelSpectrum, Wind
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import SurfaceVoxels
@@ -32,23 +30,9 @@ MAX_VOXELS = 2_400_000
 class SmallModel:
     """Amplitudes by regression, phases by diffusion: a `MotionModel`."""
 
-    KIND = "dynamictree-small"
-    VERSION = "5"
-
     def __init__(self, network: SmallNetwork, *, name: str, max_network_voxels: int = MAX_NETWORK_VOXELS) -> None:
         self.network, self.name = network.eval().requires_grad_(False), name
         self.max_network_voxels = max_network_voxels
-
-    @classmethod
-    def from_weights(cls, stored: WeightsFile, *, name: str) -> "SmallModel":
-        """Build the network from its weights file.
-
-        Raises:
-            CheckpointError: the tensors do not fit the preset.
-        """
-        network = SmallNetwork(SmallPreset.from_json(stored.preset))
-        fill_network(network, stored.tensors, name)
-        return cls(network, name=name)
 
     @property
     def resolution(self) -> int:
@@ -117,15 +101,3 @@ class SmallModel:
                 f"the tree has {len(grid):,} voxels; at most {MAX_VOXELS:,} are allowed; take a lower resolution"
             )
         check_request(wind, num_steps)
-
-
-def write_small(network: SmallNetwork, path: Path, provenance: Provenance | None = None) -> None:
-    """Store a small network's weights."""
-    write_weights(
-        path,
-        kind=SmallModel.KIND,
-        version=SmallModel.VERSION,
-        preset=network.preset.to_json(),
-        tensors=network.state_dict(),
-        provenance=provenance,
-    )

@@ -6,17 +6,18 @@ the smooth noise that stands for what is smaller than a node, ρ² its share. ln
 energy, the more the less sure it is: g gives each frequency and axis its share of the whole again.
 """
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 
 import torch
 from jaxtyping import Float32
-from torch import Tensor, nn
+from torch import Tensor
 
 from dynamictree.models.small.amplitude import AmplitudeNetwork
 from dynamictree.models.small.correlated_noise import NUM_SCALES
 from dynamictree.models.small.denoiser import Denoiser, DenoiserShape
 from dynamictree.models.small.features import TreeFeatures
 from dynamictree.models.small.foliage import FoliageNetwork
+from dynamictree.models.weights_file import StorableNetwork
 
 AXES = 3
 
@@ -35,32 +36,19 @@ class SmallPreset:
     sigma_min: float = 0.02
     sigma_max: float = 10.0
 
-    def to_json(self) -> dict[str, object]:
-        """Plain values."""
-        return asdict(self)
 
-    @classmethod
-    def from_json(cls, values: dict[str, object]) -> "SmallPreset":
-        """Undo `to_json` after a way through JSON."""
-        stored = values["denoiser"]
-        assert isinstance(stored, dict), f"the denoiser has no shape: {stored}"
-        widths = values["foliage_widths"]
-        assert isinstance(widths, list), f"the foliage network has no widths: {widths}"
-        changed = {"denoiser": DenoiserShape(**stored), "foliage_widths": tuple(widths)}
-        return cls(**{**values, **changed})  # type: ignore[arg-type]
-
-
-class SmallNetwork(nn.Module):
+class SmallNetwork(StorableNetwork):
     """The three networks, and what was measured on the training set between their trainings."""
 
+    KIND, VERSION, PRESET = "dynamictree-small", "5", SmallPreset
+    preset: SmallPreset
     noise_shares: Tensor  # [J, S]
     node_scale: Tensor  # [J, 3], s
     residual_share: Tensor  # [J, 3], ρ²
     energy_gain: Tensor  # [J, 3], g
 
     def __init__(self, preset: SmallPreset) -> None:
-        super().__init__()
-        self.preset = preset
+        super().__init__(preset)
         moving = preset.num_frequencies - 1
         self.foliage = FoliageNetwork(widths=preset.foliage_widths)
         self.amplitude = AmplitudeNetwork(

@@ -16,7 +16,6 @@ from torch import Tensor
 
 from dynamictree.dataset.shards import shards_sha256
 from dynamictree.models.small.examples import example_of, iter_training
-from dynamictree.models.small.generate import write_small
 from dynamictree.models.small.network import SmallNetwork, SmallPreset
 from dynamictree.models.small.train_foliage import STANDARDISED_ON, foliage_examples, foliage_step, standardise_foliage
 from dynamictree.models.small.training_steps import (
@@ -29,7 +28,7 @@ from dynamictree.models.small.training_steps import (
     write_rows,
 )
 from dynamictree.models.small.whitening import NUM_MEASURED, measure, white_example
-from dynamictree.models.weights_file import Provenance
+from dynamictree.models.weights_file import Provenance, write_weights
 from dynamictree.training.checkpoints import load_part
 from dynamictree.training.distributed import num_processes, process_rank, wait_for_all
 from dynamictree.training.schedules import LearningRateSchedule
@@ -87,7 +86,7 @@ def train_small(
     _train_amplitude(network, plan, rows, folder / "amplitude.safetensors", on_step)
     _train_denoiser(network, plan, shards, folder / "denoiser.safetensors", on_step)
     if process_rank() == 0:
-        write_small(
+        write_weights(
             network,
             folder / "small.safetensors",
             Provenance(step=plan.denoiser.schedule.num_steps, data_sha256=shards_sha256(shards)),

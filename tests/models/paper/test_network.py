@@ -1,7 +1,5 @@
 """The paper's network and losses, at a size that a CPU can take steps with."""
 
-import json
-
 import numpy as np
 import pytest
 import torch
@@ -41,11 +39,6 @@ def test_the_two_stages_and_the_halved_rate() -> None:
     schedule = training.options().schedule
     assert schedule.rate_at(0) == 1e-4
     assert schedule.rate_at(69_999) == pytest.approx(1.25e-5)
-
-
-@pytest.mark.parametrize("preset", [PaperPreset(), paper_small_preset()])
-def test_a_preset_round_trips_through_json(preset: PaperPreset) -> None:
-    assert PaperPreset.from_json(json.loads(json.dumps(preset.to_json()))) == preset
 
 
 def test_the_small_preset_fits_into_20_megabytes() -> None:

@@ -17,7 +17,7 @@ from dynamictree.dataset.shards import StoredTree, shards_sha256, store, write_s
 from dynamictree.errors import InputError
 from dynamictree.models import load_model
 from dynamictree.models.paper.examples import ExampleCache, paper_example, wind_sizes
-from dynamictree.models.paper.network import PaperPreset, paper_preset
+from dynamictree.models.paper.network import PaperNetwork, paper_preset
 from dynamictree.models.paper.train import PaperTraining, frequency_sizes, train_paper
 from dynamictree.models.weights_file import read_weights
 from dynamictree.models.wind import wind_axes
@@ -63,7 +63,7 @@ def test_trained_weights_load_with_their_preset_step_and_data(shard: str, tmp_pa
     model = load_model(str(path))
     assert (model.name, model.resolution) == ("paper", 32)
     stored = read_weights(path)
-    assert PaperPreset.from_json(stored.preset) == RUN.preset
+    assert stored.network(PaperNetwork, "paper").preset == RUN.preset
     assert stored.provenance.step == 1
     assert stored.provenance.data_sha256 == shards_sha256([shard])
     assert stored.tensors["frequency_sizes"].shape == (16,)

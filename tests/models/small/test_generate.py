@@ -14,10 +14,11 @@ from dynamictree.errors import Cancelled, CheckpointError, InputError
 from dynamictree.models import MotionModel, load_model
 from dynamictree.models.small.amplitude import FLOOR, NUM_INPUTS, moving
 from dynamictree.models.small.denoiser import DenoiserShape
-from dynamictree.models.small.generate import MAX_VOXELS, SmallModel, write_small
+from dynamictree.models.small.generate import MAX_VOXELS, SmallModel
 from dynamictree.models.small.network import SmallNetwork, SmallPreset
 from dynamictree.models.small.prepared import soften
 from dynamictree.models.voxel_resolution import coarsened, halvings_served
+from dynamictree.models.weights_file import write_weights
 from dynamictree.spectrum import Wind
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import SurfaceVoxels
@@ -165,7 +166,7 @@ def test_what_the_model_does_not_serve_is_refused(model: SmallModel, voxels: Sur
 
 def test_a_network_round_trips_through_its_file(tmp_path: Path, voxels: SurfaceVoxels) -> None:
     network = tiny_network().half().float()  # what float16 holds
-    write_small(network, tmp_path / "one.safetensors")
+    write_weights(network, tmp_path / "one.safetensors")
     model = load_model(str(tmp_path / "one.safetensors"))
     assert isinstance(model, SmallModel)
     assert model.network.preset == network.preset
@@ -181,12 +182,16 @@ def test_files_that_are_no_models_are_refused(tmp_path: Path) -> None:
     broken.write_bytes(b"no header")
     with pytest.raises(CheckpointError, match="no safetensors file"):
         load_model(str(broken))
-    save_file({"a": torch.zeros(1)}, broken, {"format": SmallModel.KIND, "version": "0"})
+    save_file({"a": torch.zeros(1)}, broken, {"format": SmallNetwork.KIND, "version": "0"})
     with pytest.raises(CheckpointError, match="version 0"):
+        load_model(str(broken))
+    kind = {"format": SmallNetwork.KIND, "version": SmallNetwork.VERSION}
+    save_file({"a": torch.zeros(1)}, broken, {**kind, "preset": '{"denoiser": {"width": "wide"}}'})
+    with pytest.raises(CheckpointError, match=r"a preset that cannot be read: denoiser\.width: .*integer"):
         load_model(str(broken))
     network = tiny_network()
     del network.denoiser.head.bias
-    write_small(network, broken)
+    write_weights(network, broken)
     with pytest.raises(CheckpointError, match="does not fit its own preset"):
         load_model(str(broken))
 
