@@ -11,21 +11,27 @@ from pathlib import Path
 
 from jobs.artifacts import hash_file
 from service.http.multipart import ReceivedFile
+from service.http.problems import ProblemError
 
-MAX_SEGMENTS = 200
 _EXIF, _XMP = b"Exif\0\0", b"http://ns.adobe.com/"
-_APP1, _APP13, _SCAN = 0xE1, 0xED, 0xDA  # EXIF and XMP; IPTC, which names towns; where the picture begins
+_APP1, _APP13 = 0xE1, 0xED  # EXIF and XMP; IPTC, which names towns
+_MARKER = re.compile(rb"\xff+[^\x00\xd0-\xd7\xff]", re.DOTALL)  # in the coded picture there is no other
+_BARE, _END = (0x01, 0xD8), 0xD9  # markers without a length
 _GPS = 0x8825
 _TIFF_TEXT = frozenset({700, 33723, 34377})  # XMP, IPTC, Photoshop's
 _EXIF_CHUNKS = (b"eXIf", b"EXIF")
 _TEXT_CHUNKS = (b"XMP ", b"iTXt", b"tEXt", b"zTXt")
 _PLACE_TEXT = re.compile(rb"XML:com\.adobe\.xmp\0|Raw profile type ", re.DOTALL)
-MAX_CHUNKS = 10_000
+MAX_CHUNKS, MAX_PAGES = 10_000, 1_000
 _SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8}  # bytes of a TIFF type
 
 
 def without_place(file: ReceivedFile) -> ReceivedFile:
-    """The same photo without the place where it was taken, in JPEG, PNG, WebP and TIFF."""
+    """The same photo without the place where it was taken, in JPEG, PNG, WebP and TIFF.
+
+    Raises:
+        ProblemError: it is a BigTIFF, whose directories have another form.
+    """
     with file.path.open("rb") as stream:
         head = stream.read(12)
     if head.startswith(b"\xff\xd8"):
@@ -36,6 +42,8 @@ def without_place(file: ReceivedFile) -> ReceivedFile:
         changed = _blank_chunks(file.path, start=12, is_png=False)
     elif head[:4] in (b"II*\0", b"MM\0*"):
         changed = _blank_tiff_file(file.path)
+    elif head[:4] in (b"II+\0", b"MM\0+"):
+        raise ProblemError("unsupported-format", f"photo {file.name!r} is a BigTIFF; save it as TIFF, JPEG or PNG")
     else:
         changed = False
     if not changed:
@@ -45,23 +53,25 @@ def without_place(file: ReceivedFile) -> ReceivedFile:
 
 
 def _blank_jpeg(path: Path) -> bool:
-    changed = False
-    with path.open("r+b") as stream:
-        stream.seek(2)
-        for _ in range(MAX_SEGMENTS):
-            head = stream.read(4)
-            if len(head) < 4 or head[0] != 0xFF or head[1] == _SCAN:
-                break
-            length = int.from_bytes(head[2:], "big") - 2
-            start = stream.tell()
-            content = stream.read(max(length, 0)) if head[1] in (_APP1, _APP13) else b""
-            blank = _blanked(head[1], content)
-            if blank != content:
-                stream.seek(start)
-                stream.write(blank)
-                changed = True
-            stream.seek(start + max(length, 0))
-    return changed
+    """Blank EXIF, XMP and IPTC wherever they stand, and what follows the picture: other pictures, films, notes."""
+    content = bytearray(path.read_bytes())
+    before = bytes(content)
+    at = 2
+    while marker := _MARKER.search(content, at):
+        at, kind = marker.end(), content[marker.end() - 1]
+        if kind == _END:
+            content[at:] = bytes(len(content) - at)
+            break
+        if kind in _BARE:
+            continue
+        end = at + max(int.from_bytes(content[at : at + 2], "big"), 2)
+        if kind in (_APP1, _APP13):
+            content[at + 2 : end] = _blanked(kind, bytes(content[at + 2 : end]))
+        at = end
+    if content == before:
+        return False
+    path.write_bytes(content)
+    return True
 
 
 def _blank_chunks(path: Path, *, start: int, is_png: bool) -> bool:
@@ -125,26 +135,37 @@ def _blanked(marker: int, content: bytes) -> bytes:
 
 
 def _blank_gps(tiff: bytearray, also: frozenset[int] = frozenset()) -> None:
-    """Empty the directory of GPS, and zero what it had pointed to, and the values of the tags `also`.
+    """Empty the directories of GPS of all pages, and zero what they point to, and the values of the tags `also`.
 
     Raises:
         struct.error: an offset that leads outside.
         KeyError: a byte order or a type that there is not.
     """
     order = {b"II": "<", b"MM": ">"}[bytes(tiff[:2])]
-    (first,) = struct.unpack_from(f"{order}I", tiff, 4)
-    (count,) = struct.unpack_from(f"{order}H", tiff, first)
-    for entry in range(first + 2, first + 2 + 12 * count, 12):
-        tag, kind, number, place = struct.unpack_from(f"{order}HHII", tiff, entry)
-        if tag in also and (size := _SIZES[kind] * number) > 4:
-            tiff[place : place + size] = bytes(max(min(place + size, len(tiff)) - place, 0))
-        if tag != _GPS:
-            continue
-        (inside,) = struct.unpack_from(f"{order}H", tiff, place)
-        for field in range(place + 2, place + 2 + 12 * inside, 12):
-            _, kind, number, value = struct.unpack_from(f"{order}HHII", tiff, field)
-            size = _SIZES[kind] * number
-            if size > 4:
-                tiff[value : value + size] = bytes(max(min(value + size, len(tiff)) - value, 0))
-            tiff[field : field + 12] = bytes(12)
-        struct.pack_into(f"{order}H", tiff, place, 0)
+    (directory,) = struct.unpack_from(f"{order}I", tiff, 4)
+    seen = set[int]()
+    while directory and directory not in seen and len(seen) < MAX_PAGES:
+        seen.add(directory)
+        (count,) = struct.unpack_from(f"{order}H", tiff, directory)
+        end = directory + 2 + 12 * count
+        for entry in range(directory + 2, end, 12):
+            tag, kind, number, place = struct.unpack_from(f"{order}HHII", tiff, entry)
+            if tag in also and (size := _SIZES[kind] * number) > 4:
+                _zero(tiff, place, size)
+            if tag == _GPS:
+                _blank_gps_directory(tiff, order, place)
+        directory = struct.unpack_from(f"{order}I", tiff, end)[0] if end + 4 <= len(tiff) else 0
+
+
+def _blank_gps_directory(tiff: bytearray, order: str, place: int) -> None:
+    (count,) = struct.unpack_from(f"{order}H", tiff, place)
+    for field in range(place + 2, place + 2 + 12 * count, 12):
+        _, kind, number, value = struct.unpack_from(f"{order}HHII", tiff, field)
+        if (size := _SIZES[kind] * number) > 4:
+            _zero(tiff, value, size)
+        tiff[field : field + 12] = bytes(12)
+    struct.pack_into(f"{order}H", tiff, place, 0)
+
+
+def _zero(tiff: bytearray, at: int, size: int) -> None:
+    tiff[at : at + size] = bytes(max(min(at + size, len(tiff)) - at, 0))

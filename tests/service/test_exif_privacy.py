@@ -1,5 +1,6 @@
 """A stored photo contains no place and is the same picture."""
 
+import io
 from hashlib import sha256
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import pytest
 from PIL import Image, PngImagePlugin
 
 from service.http.multipart import ReceivedFile
+from service.http.problems import ProblemError
 from service.uploads.exif_privacy import without_place
 
 GPS, ORIENTATION, FOCAL = 0x8825, 0x0112, 0xA405
@@ -123,3 +125,60 @@ def test_a_file_that_only_begins_as_a_jpeg_is_left_alone(tmp_path):
     path.write_bytes(b"\xff\xd8\xff\xe1\xff")
     before = received(path)
     assert without_place(before) == before
+
+
+def exif_of_a_place() -> bytes:
+    exif = Image.Exif()
+    exif[ORIENTATION] = 6
+    exif.get_ifd(GPS).update({2: (48.0, 8.0, 13.25), 29: "2026:11:21"})
+    return exif.tobytes()
+
+
+def jpeg(**options: object) -> bytes:
+    written = io.BytesIO()
+    pixels = np.random.default_rng(0).integers(0, 255, (48, 64, 3)).astype(np.uint8)
+    Image.fromarray(pixels).save(written, format="JPEG", **options)
+    return written.getvalue()
+
+
+def places_in_a_jpeg() -> dict[str, bytes]:
+    located, plain = jpeg(exif=exif_of_a_place()), jpeg(progressive=True)
+    at = located.index(b"\xff\xe1")
+    segment = located[at : at + 2 + int.from_bytes(located[at + 2 : at + 4], "big")]
+    second_scan = plain.index(b"\xff\xda", plain.index(b"\xff\xda") + 2)
+    return {
+        "after fill bytes": located[:2] + b"\xff\xff\xff" + located[2:],
+        "between scans": plain[:second_scan] + segment + plain[second_scan:],
+        "before the end": plain[:-2] + segment + plain[-2:],
+        "in a second picture": plain + located,
+        "in a film behind": plain + b"....ftypmp42....\xa9xyz 2026:11:21 +48.1+11.5/",
+    }
+
+
+@pytest.mark.parametrize("where", places_in_a_jpeg())
+def test_a_jpeg_tells_no_place_wherever_it_stands(tmp_path, where):
+    content = places_in_a_jpeg()[where]
+    assert b"2026:11:21" in content
+    path = tmp_path / "a.jpg"
+    path.write_bytes(content)
+    pixels = np.asarray(Image.open(path))
+    after = without_place(received(path))
+    assert b"2026:11:21" not in path.read_bytes()
+    assert after.sha256 == sha256(path.read_bytes()).hexdigest()
+    assert np.array_equal(np.asarray(Image.open(path)), pixels)
+
+
+def test_every_page_of_a_tiff_tells_no_place(tmp_path):
+    located = exif_of_a_place().removeprefix(b"Exif\0\0")  # MM, 42, 8: its directory comes first
+    path = tmp_path / "a.tif"
+    pages = bytearray(located[:4] + len(located).to_bytes(4, "big") + located[8:])
+    path.write_bytes(bytes(pages) + b"\0\0" + (8).to_bytes(4, "big"))  # an empty page, then that of the place
+    without_place(received(path))
+    assert b"2026:11:21" not in path.read_bytes()
+
+
+def test_a_tiff_of_another_form_is_refused(tmp_path):
+    path = tmp_path / "a.tif"
+    path.write_bytes(b"II+\0\x08\0\0\0" + bytes(60))
+    with pytest.raises(ProblemError, match="BigTIFF; save it as TIFF"):
+        without_place(received(path))
