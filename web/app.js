@@ -7,10 +7,12 @@ import { relativePaths, sortFiles } from "./page/bundles.js";
 import { $, ask, describe, fill, paintRanges } from "./page/dom.js";
 import { watchDrops } from "./page/drop.js";
 import { Files } from "./page/files.js";
+import { runFrames } from "./page/frames.js";
 import { Hand } from "./page/hand.js";
 import { JobList } from "./page/jobs.js";
 import { watchKeys } from "./page/keyboard.js";
 import { layOut, showGrip, showHint } from "./page/layout.js";
+import { LiveTree } from "./page/live.js";
 import { Machine } from "./page/machine.js";
 import { Player } from "./page/player.js";
 import { hideProblem, showNotice, showProblem } from "./page/problem.js";
@@ -27,13 +29,14 @@ import { WindPanel } from "./page/wind.js";
 
 translate();
 applyTheme();
-const client = new Client({ key: sessionStorage.getItem("key"), storage: localStorage });
+const client = new Client({ key: sessionStorage.getItem("key"), storage: globalThis.localStorage });
 const limits = client.json("GET", "/v1/limits");
 const stage = newStage();
 const machine = new Machine(onState);
 const hand = new Hand(stage, { onGrab: (point, pointer) => showGrip(stage, point, pointer), onProblem: showProblem });
 const player = new Player(hand);
 const scene = new Scene(stage, client, { onMotion, onClear });
+const live = new LiveTree(scene, client, onLive);
 const session = new Session(client, machine, scene, { onJob: (id) => setAddress(`#job=${id}`), onKey: askKey });
 const files = new Files(client, { onProblem: (error) => onProblem(error) });
 const jobs = new JobList(client, {
@@ -52,10 +55,24 @@ function onState(state, facts, before) {
   showProgress(state, facts);
   if (facts.job) files.follow(facts.job, facts.name);
   if (state !== "welcome") form.set(facts);
+  if (state !== "welcome") leaveLive();
+  else if (!linkedJob()) live.show().catch(() => {}); // the page works without it
   if (state === "failed" && before !== "failed") showProblem(facts.problem, () => session.retry());
   if (state === "moving" && facts.problem) showProblem(facts.problem, () => session.retry());
   if (state !== before || state === "queued") layOut(stage, state);
   if (state === "moving" && before !== "moving") showHint();
+}
+
+function leaveLive() {
+  live.leave();
+  delete document.body.dataset.live;
+}
+
+function onLive({ tree, source, spectrum }) {
+  hand.take(tree, source);
+  player.start(tree, spectrum);
+  wind.wind = player.made;
+  document.body.dataset.live = true;
 }
 
 function onMotion(tree, spectrum, job) {
@@ -143,8 +160,10 @@ function setAddress(hash, push = false) {
   else history.replaceState(null, "", hash);
 }
 
+const linkedJob = () => new URLSearchParams(location.hash.slice(1)).get("job");
+
 function route() {
-  const id = new URLSearchParams(location.hash.slice(1)).get("job");
+  const id = linkedJob();
   if (id && id !== session.jobId) session.open(id);
   else if (!id && machine.state !== "welcome") session.leave();
 }
@@ -154,22 +173,7 @@ function leave(options) {
   session.leave(options);
 }
 
-// ---- frames
-
-let last = performance.now();
-
-function eachFrame(now) {
-  const seconds = Math.min((now - last) / 1000, 0.5);
-  last = now;
-  stage.controls.update();
-  player.advance(seconds);
-  if (stage.draw(now, (renderer) => scene.tree?.prepare(renderer))) {
-    document.body.dataset.frames = Number(document.body.dataset.frames ?? 0) + 1;
-  }
-  document.body.dataset.sharp = stage.resolution.sharp && !stage.stale;
-  hand.tick();
-  requestAnimationFrame(eachFrame);
-}
+// ---- wiring
 
 function newStage() {
   try {
@@ -185,8 +189,6 @@ function look() {
   wind.show();
   if (scene.tree?.moves) views.show();
 }
-
-// ---- wiring
 
 $("new").onclick = () => leave();
 $("cancel").onclick = () => leave({ cancel: true });
@@ -215,7 +217,7 @@ describe($("damping"), $("damping-out"), text("push.natural"));
 paintRanges();
 look();
 onState("welcome", {}, null);
-requestAnimationFrame(eachFrame);
+runFrames({ stage, player, scene, hand });
 route();
 document.body.dataset.ready = "true";
 

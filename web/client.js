@@ -128,6 +128,11 @@ export class Client {
     return this.json("GET", `/v1/spectra/${id}`);
   }
 
+  /** `{ url, expires_at }`: an address that opens a file without a key, for a while. */
+  link(path, expires_s) {
+    return this.json("POST", "/v1/links", { path, expires_s });
+  }
+
   wind(id) {
     return this.json("GET", `/v1/spectra/${id}/wind`);
   }

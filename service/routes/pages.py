@@ -11,6 +11,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Depends, Header, Response
 
+from service.http.negotiation import SAFETENSORS
 from service.http.problems import ProblemError
 from service.http.ranges import matches
 
@@ -24,6 +25,7 @@ MEDIA_TYPES = {
     "svg": "image/svg+xml",
     "webp": "image/webp",
     "glb": "model/gltf-binary",
+    "safetensors": SAFETENSORS,
 }
 VENDORED = "public, max-age=31536000, immutable"
 """Cache-Control of vendored libraries: their paths hold the version."""

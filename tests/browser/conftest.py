@@ -1,5 +1,6 @@
 """A real service and a real browser: Debian's Chromium, drawing in software. `make browser` runs these."""
 
+import io
 import os
 import shutil
 import time
@@ -7,7 +8,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from dynamictree.dataset.sample import make_sample
@@ -96,6 +99,17 @@ class Viewer:
             })""",
             count,
         )
+
+
+def picture_of(viewer: Viewer, part: dict[str, float]) -> np.ndarray:
+    """A part of the window, [H, W, 3]."""
+    shot = viewer.page.screenshot(clip=part)  # type: ignore[arg-type]
+    return np.asarray(Image.open(io.BytesIO(shot)).convert("RGB")).astype(int)
+
+
+def changed(one: np.ndarray, other: np.ndarray) -> float:
+    """Share of the pixels that differ clearly."""
+    return float((np.abs(one - other).max(axis=2) > 24).mean())
 
 
 @pytest.fixture

@@ -4,6 +4,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { Problem, patiently } from "../../web/client.js";
 import { Resolution } from "../../web/draw/resolution.js";
+import { ringing, swayFrequency } from "../../web/motion/local.js";
 import { relativePaths, sortFiles } from "../../web/page/bundles.js";
 import { readDrop } from "../../web/page/drop.js";
 import { Machine, TRANSITIONS } from "../../web/page/machine.js";
@@ -243,4 +244,23 @@ test("slow frames get fewer pixels, quick ones all of them, a still picture is d
   assert.ok(!resolution.settles(now + 100) && resolution.settles(now + 300));
   frames(120, 10);
   assert.ok(resolution.scale === 1 && resolution.sharp);
+});
+
+test("what is let go swings about its rest, less far each time", () => {
+  assert.equal(ringing(0, 2, 0.13), 1);
+  const swing = Array.from({ length: 400 }, (_, i) => ringing(i / 100, 2, 0.13));
+  assert.ok(Math.abs(swing[1] - 1) < 0.01, "it begins without velocity");
+  assert.ok(Math.min(...swing) < -0.5 && Math.min(...swing) > -1);
+  const crossings = swing.filter((x, i) => i && x * swing[i - 1] < 0).length;
+  assert.ok(Math.abs(crossings - 16) <= 1, `${crossings} crossings in four seconds at 2 Hz`);
+  assert.ok(Math.abs(swing.at(-1)) < 0.01);
+});
+
+test("a voxel that moves in one bin alone sways at its frequency", () => {
+  const K = 4;
+  const shapes = new Int16Array(2 * K * 6);
+  shapes[6 * (K + 2)] = 100; // voxel 1, bin 2
+  const modes = { K, shapes, scale_m: [0, 1, 1, 1], frequencies_hz: [0, 0.5, 1, 1.5] };
+  assert.equal(swayFrequency(modes, 1), 1);
+  assert.equal(swayFrequency(modes, 0), 0.5);
 });

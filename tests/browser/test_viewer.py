@@ -1,6 +1,5 @@
 """The viewer as people use it, in a real browser against a real service."""
 
-import io
 import json
 import re
 from collections.abc import Callable
@@ -10,14 +9,13 @@ from pathlib import Path
 import httpx
 import numpy as np
 import pytest
-from PIL import Image
 from playwright.sync_api import expect
 
 from dynamictree.formats.splat.ply import write_gaussian_ply
 from dynamictree.gaussian.cloud import GaussianCloud
 from jobs.keys import create_key
 from jobs.store import Store
-from tests.browser.conftest import PICTURES, Viewer
+from tests.browser.conftest import PICTURES, Viewer, changed, picture_of
 from tests.servers import api
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
@@ -44,13 +42,7 @@ def pixels(viewer: Viewer) -> np.ndarray:
     assert box
     right = panel["x"] if panel and panel["y"] < box["height"] / 2 else box["width"]
     clip = {"x": 0, "y": 60, "width": right - 10, "height": box["height"] - 160}
-    shot = viewer.page.screenshot(clip=clip)  # type: ignore[arg-type]
-    return np.asarray(Image.open(io.BytesIO(shot)).convert("RGB")).astype(int)
-
-
-def changed(one: np.ndarray, other: np.ndarray) -> float:
-    """Share of the pixels that differ clearly."""
-    return float((np.abs(one - other).max(axis=2) > 24).mean())
+    return picture_of(viewer, clip)
 
 
 def scrub(viewer: Viewer, share: float) -> np.ndarray:

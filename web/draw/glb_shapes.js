@@ -20,7 +20,8 @@ export async function readShapes(buffer) {
   const scale_m = new Float32Array(K);
   const lean = await target(parser, primitives, N, K, 0);
   for (let k = K - 1; k >= 0; k--) {
-    const parts = k === 0 ? [lean] : await Promise.all([2 * k - 1, 2 * k].map((m) => target(parser, primitives, N, K, m)));
+    const parts =
+      k === 0 ? [lean] : await Promise.all([2 * k - 1, 2 * k].map((m) => target(parser, primitives, N, K, m)));
     const step = largestOf(parts) / 32767;
     scale_m[k] = k === 0 ? step : step / 2;
     parts.forEach((part, i) => {

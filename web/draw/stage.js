@@ -29,7 +29,7 @@ export class Stage {
     this.camera.up.set(0, 0, 1);
     this.surroundings = new Surroundings(this.scene);
     this.resolution = new Resolution();
-    this.margins = { right: 0, bottom: 0, top: 0 };
+    this.margins = { left: 0, right: 0, bottom: 0, top: 0 };
     this.stale = true; // the picture on the screen is not the scene any more
     this._setControls();
     this.frame({ min: new THREE.Vector3(-3, -3, 0), max: new THREE.Vector3(3, 3, 9) });
@@ -119,12 +119,12 @@ export class Stage {
     const { clientWidth: width, clientHeight: height } = this.canvas;
     if (!width || !height) return;
     this._setSize(width, height, this.resolution.scale);
-    const { right = 0, bottom = 0, top = 0 } = this.margins ?? {};
+    const { left = 0, right = 0, bottom = 0, top = 0 } = this.margins ?? {};
     const before = this.free;
-    this.free = { width: Math.max(width - right, 1), height: Math.max(height - bottom - top, 1) };
+    this.free = { width: Math.max(width - left - right, 1), height: Math.max(height - bottom - top, 1) };
     this.camera.aspect = this.free.width / this.free.height;
     // the camera sees the free part; the view offset adds what lies around it
-    this.camera.setViewOffset(this.free.width, this.free.height, 0, -top, width, height);
+    this.camera.setViewOffset(this.free.width, this.free.height, -left, -top, width, height);
     this.camera.updateProjectionMatrix();
     this.stale = true;
     if (!before || Math.abs(before.width / before.height - this.camera.aspect) > 0.25) this.home();

@@ -9,11 +9,20 @@ const PLAYER_PX = 84;
 
 /** The tree stands in the middle of what the panels leave free. */
 export function layOut(stage, state) {
+  if (state === "welcome") return stage.clear(besideWelcome());
   const panel = $("panel").getBoundingClientRect();
   const beside = panel.width > 0 && panel.top < innerHeight / 3;
   const card = $("progress").getBoundingClientRect(); // 0 high while it is hidden
   const bottom = state === "moving" ? PLAYER_PX : card.height && card.height + 40;
   stage.clear({ right: beside ? innerWidth - panel.left : 0, top: 56, bottom });
+}
+
+/** The live tree stands beside the welcome, or above it where the window is narrow. */
+function besideWelcome() {
+  const welcome = $("welcome").getBoundingClientRect();
+  const first = $("welcome").firstElementChild.getBoundingClientRect();
+  const beside = welcome.width < 0.9 * innerWidth;
+  return { left: beside ? welcome.right : 0, right: 0, top: 56, bottom: beside ? 0 : innerHeight - first.top };
 }
 
 export function showHint() {

@@ -48,6 +48,14 @@ export class Scene {
     return this.tree;
   }
 
+  /** A tree in motion from what is at hand: a surface that was read, and Modes. */
+  stand(surface, modes) {
+    const tree = this._tree();
+    tree.setSurface(surface, { hidden: Boolean(tree.points) });
+    tree.setModes(modes);
+    return tree;
+  }
+
   /** The tree in motion, from the service's spectrum. */
   async motion(job, signal) {
     const id = job.result.spectrum_id;
@@ -59,11 +67,7 @@ export class Scene {
     const read = await readSurface(surface);
     if (signal.aborted) return;
     $("photos").replaceChildren();
-    const tree = this._tree();
-    tree.setSurface(read, { hidden: Boolean(tree.points) });
-    tree.setModes(new Modes(modes));
-    this.spectrum = spectrum;
-    this.onMotion(tree, spectrum, job);
+    this.onMotion(this.stand(read, new Modes(modes)), spectrum, job);
   }
 
   /** What only the job's files contain: Gaussians of a cloud or of photos, else the own motion of a large mesh. */

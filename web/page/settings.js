@@ -1,6 +1,7 @@
 // Language and units, remembered in this browser.
 
 import { $, element } from "./dom.js";
+import { store } from "./storage.js";
 import { LANGUAGES, language, lengthUnit, setLengthUnit } from "./texts.js";
 
 export function buildSettings() {
@@ -13,7 +14,7 @@ export function buildSettings() {
   $("open-settings").onclick = () => $("settings").showModal();
   $("settings").querySelector(".close").onclick = () => $("settings").close();
   $("language").onchange = () => {
-    localStorage.setItem("language", $("language").value);
+    store("language", $("language").value);
     location.reload();
   };
   $("unit").onchange = () => {

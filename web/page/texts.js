@@ -2,21 +2,22 @@
 
 import de from "../texts/de.js";
 import en from "../texts/en.js";
+import { store, stored } from "./storage.js";
 
 export const LANGUAGES = { en: { name: "English", texts: en }, de: { name: "Deutsch", texts: de } };
 const FEET = 3.28084; // a metre
 const MILES_PER_HOUR = 2.23694; // a metre per second
 
-const preferred = localStorage.getItem("language") ?? navigator.languages.find((tag) => tag.slice(0, 2) in LANGUAGES);
+const preferred = stored("language") ?? navigator.languages.find((tag) => tag.slice(0, 2) in LANGUAGES);
 export const language = (preferred ?? "en").slice(0, 2) in LANGUAGES ? (preferred ?? "en").slice(0, 2) : "en";
 const locale = navigator.languages.find((tag) => tag.startsWith(language)) ?? language;
 
 /** "m" or "ft". */
-export let lengthUnit = localStorage.getItem("unit") ?? "m";
+export let lengthUnit = stored("unit") ?? "m";
 
 export function setLengthUnit(unit) {
   lengthUnit = unit;
-  localStorage.setItem("unit", unit);
+  store("unit", unit);
 }
 
 /** The text of a key; `{name}` stands for a value. */

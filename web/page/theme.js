@@ -1,17 +1,19 @@
 // Light or dark, by the system's wish or by the button. The choice is stored in this browser.
 
+import { store, stored } from "./storage.js";
+
 const system = matchMedia("(prefers-color-scheme: dark)");
 
-export const currentTheme = () => localStorage.getItem("theme") ?? (system.matches ? "dark" : "light");
+export const currentTheme = () => stored("theme") ?? (system.matches ? "dark" : "light");
 
 export function switchTheme() {
-  localStorage.setItem("theme", currentTheme() === "dark" ? "light" : "dark");
+  store("theme", currentTheme() === "dark" ? "light" : "dark");
   applyTheme();
 }
 
 export function applyTheme() {
-  const stored = localStorage.getItem("theme");
-  if (stored) document.documentElement.dataset.theme = stored;
+  const theme = stored("theme");
+  if (theme) document.documentElement.dataset.theme = theme;
 }
 
 export const onSystemTheme = (listener) => system.addEventListener("change", listener);

@@ -13,6 +13,7 @@ export default {
   "page.context": "Die Grafikkarte wurde zurückgesetzt; das Bild kommt von selbst wieder.",
 
   "welcome.title": "Ein Baum hinein, und er bewegt sich.",
+  "welcome.pull": "Zieh an einem Ast und lass los. Dann nimm deinen eigenen Baum.",
   "welcome.drop": "Fotos, ein Mesh, einen Splat oder einen Ordner hier ablegen",
   "welcome.one": "ein Baum, der frei steht",
   "welcome.choose": "Dateien wählen",

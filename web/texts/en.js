@@ -13,6 +13,7 @@ export default {
   "page.context": "The graphics card was reset; the picture comes back by itself.",
 
   "welcome.title": "Give a tree. See it move.",
+  "welcome.pull": "Pull a branch of this one and let go, then bring your own.",
   "welcome.drop": "Drop photos, a mesh, a splat or a folder here",
   "welcome.one": "one tree, standing free",
   "welcome.choose": "Choose files",

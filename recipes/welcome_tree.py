@@ -1,0 +1,72 @@
+"""Write what the tree behind the page's welcome moves by: its surface and its modes, as the service serves them.
+
+    python -m recipes.welcome_tree
+
+Runs a service of its own on one of the page's examples, with the shipped model. The files are thinned for a download:
+every eighth voxel, since voxels only say where a pull takes hold; and shapes in steps of 8 bits, which gzip halves.
+"""
+
+import argparse
+import gzip
+import tempfile
+from pathlib import Path
+
+import httpx
+import numpy as np
+from safetensors import safe_open
+from safetensors.numpy import save
+
+from recipes.demo import checked, served
+
+EXAMPLES = Path(__file__).parents[1] / "web" / "examples"
+LONGEST_S = 600.0
+EVERY_VOXEL = 8
+STEP = 256
+PER_VOXEL = ("coords", "shapes", "bone_of_voxel", "lean_m")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--example", default="round-broadleaf", help="name of a mesh in web/examples")
+    parser.add_argument("--output", type=Path, default=EXAMPLES, help="folder for the two files")
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory(prefix="dynamictree-") as folder:
+        state = Path(folder)
+        with (
+            served(state / "state", state / "serve.log") as url,
+            httpx.Client(base_url=url, timeout=LONGEST_S) as client,
+        ):
+            write_motion(client, EXAMPLES / f"{arguments.example}.glb", arguments.output)
+
+
+def write_motion(client: httpx.Client, mesh: Path, output: Path) -> None:
+    """Write `<name>.surface.safetensors` and `<name>.modes.safetensors` beside each other."""
+    asset = checked(client.post("/v1/assets", files={"file": (mesh.name, mesh.read_bytes())}))
+    job = checked(client.post("/v1/jobs", json={"type": "diffuse", "asset_id": asset["id"], "seed": 7}))
+    while job["state"] in ("queued", "running"):
+        job = checked(client.get(f"/v1/jobs/{job['id']}", headers={"Prefer": "wait=30"}))
+    if job["state"] != "succeeded":
+        raise SystemExit(f"the job {job['state']}: {job['error']}")
+    for name in ("surface", "modes"):
+        path = output / f"{mesh.stem}.{name}.safetensors"
+        path.write_bytes(client.get(f"/v1/spectra/{job['result']['spectrum_id']}/{name}").raise_for_status().content)
+        path.write_bytes(thinned(path))
+        print(
+            f"{path}  {path.stat().st_size / 1e6:.2f} MB, {len(gzip.compress(path.read_bytes(), 6)) / 1e6:.2f} packed"
+        )
+
+
+def thinned(path: Path) -> bytes:
+    """Every eighth voxel of a modes file, and 16-bit shapes rounded to 8 bits."""
+    with safe_open(path, "np") as file:
+        metadata, tensors = file.metadata(), {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    if "coords" in tensors:
+        tensors |= {name: np.ascontiguousarray(tensors[name][::EVERY_VOXEL]) for name in PER_VOXEL}
+    for name in tensors.keys() & {"shapes", "bone_shapes"}:
+        largest = 32767 // STEP
+        tensors[name] = (np.clip(np.rint(tensors[name] / STEP), -largest, largest) * STEP).astype(np.int16)
+    return save(tensors, metadata)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,23 @@
+// The tree behind the welcome: it sways and answers a pull before anything is uploaded, and no job is made for it.
+
+import { EXAMPLE, fetchParts, standParts } from "./parts.js";
+
+export class LiveTree {
+  /** `onMotion({ tree, source, spectrum })` is called once it stands. */
+  constructor(scene, client, onMotion) {
+    Object.assign(this, { scene, client, onMotion });
+    this.visit = 0;
+  }
+
+  /** Put it on the empty stage; what is opened in the meantime has precedence. */
+  async show() {
+    const visit = ++this.visit;
+    this.files ??= fetchParts(this.client, EXAMPLE);
+    const standing = await standParts(this.scene, await this.files, () => visit === this.visit);
+    if (standing) this.onMotion(standing);
+  }
+
+  leave() {
+    this.visit++;
+  }
+}

@@ -1,0 +1,56 @@
+// Where a tree is drawn from, and how it is put on a stage of its own: by addresses alone, without a job or a key.
+
+import { readSurface } from "../draw/surface.js";
+import { localSource } from "../motion/local.js";
+import { Modes } from "../motion/modes.js";
+
+const NAMES = ["surface", "modes", "splat"];
+const READABLE = /^\/v1\/(spectra|artifacts)\/[0-9A-Z]{26}(\/surface|\/modes)?(\?[\w=&-]*)?$/;
+
+const example = (name) => `/web/examples/round-broadleaf.${name}.safetensors`;
+export const EXAMPLE = { surface: example("surface"), modes: example("modes") };
+
+/** Paths of a job's surface, modes and, of a cloud, Gaussians. */
+export async function partsOf(client, job) {
+  const spectrum = `/v1/spectra/${job.result.spectrum_id}`;
+  const artifacts = await client.artifacts(job.id);
+  const splat = artifacts.find(({ name }) => name === "tree.animated-splat.safetensors");
+  return { surface: `${spectrum}/surface`, modes: `${spectrum}/modes`, ...(splat && { splat: splat.url }) };
+}
+
+/** The same paths, each with a signature that opens it without a key, where the service wants one. */
+export async function signedParts(client, parts, expires_s) {
+  const links = await Promise.all(
+    Object.entries(parts).map(async ([name, path]) => [name, await client.link(path, expires_s)]),
+  );
+  const ends = links.map(([, { expires_at }]) => expires_at).filter(Boolean);
+  return { parts: Object.fromEntries(links.map(([name, { url }]) => [name, url])), expires_at: ends[0] ?? null };
+}
+
+/** The parts that a fragment names; null where it names none, or other addresses than those of trees. */
+export function partsIn(fragment) {
+  const given = NAMES.map((name) => [name, fragment.get(name)]).filter(([, path]) => path);
+  const parts = Object.fromEntries(given);
+  const whole = parts.surface && parts.modes;
+  return whole && given.every(([, path]) => READABLE.test(path)) ? parts : null;
+}
+
+/** The contents of parts. */
+export async function fetchParts(client, parts) {
+  const files = Object.entries(parts).map(async ([name, path]) => [name, await client.bytes(path)]);
+  return Object.fromEntries(await Promise.all(files));
+}
+
+/** Stand a tree on the scene from its parts' contents: `{ tree, source, spectrum }`; null if it is not wanted any more. */
+export async function standParts(scene, { surface, modes, splat }, isWanted = () => true) {
+  const read = await readSurface(surface);
+  if (!isWanted()) return null;
+  const motion = new Modes(modes);
+  const tree = scene.stand(read, motion);
+  if (splat) {
+    const { isUncoloured, readSplat } = await import("../draw/splat.js");
+    const gaussians = readSplat(splat);
+    if (!isUncoloured(gaussians)) await tree.setSplat(gaussians);
+  }
+  return { tree, source: localSource(motion), spectrum: { period_s: 1 / motion.frequencies_hz[1] } };
+}
