@@ -5,7 +5,7 @@ from base64 import b64decode
 from hashlib import sha256
 from pathlib import Path
 from tempfile import gettempdir
-from typing import TYPE_CHECKING, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 from pydantic import Field, SecretStr, ValidationError, field_validator, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
@@ -97,6 +97,7 @@ class Settings(BaseSettings):
     max_connections_per_address: int = Field(default=256, ge=1)
     hosts: tuple[str, ...] = ()
     cors_origins: tuple[str, ...] = ()
+    embed_origins: tuple[Annotated[str, Field(pattern=r"^(\*|https?://[A-Za-z0-9.*:\[\]-]+)$")], ...] = ()
     log_level: Literal["DEBUG", "INFO", "WARNING", "ERROR"] = "INFO"
     log_format: Literal["text", "json"] = "text"
     audit_log_bytes: int = Field(default=64 * MIB, ge=0)

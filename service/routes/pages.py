@@ -9,7 +9,7 @@ from functools import cache
 from importlib import resources
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, Header, Response
+from fastapi import APIRouter, Depends, Header, Request, Response
 
 from service.http.negotiation import SAFETENSORS
 from service.http.problems import ProblemError
@@ -35,6 +35,10 @@ DOCS_POLICY = (
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
 """What the page of the API may load: Swagger UI keeps its icons as data in its style sheet."""
+
+ELEMENT = "embed/dynamic-tree.js"
+ANY_SITE = {"Access-Control-Allow-Origin": "*", "Cross-Origin-Resource-Policy": "cross-origin"}
+"""A module script of another site is loaded with CORS."""
 
 _IMPORT_MAP = re.compile(r'<script type="importmap">(.*?)</script>', re.DOTALL)
 
@@ -82,6 +86,15 @@ def get_viewer(browser: BrowserDep) -> Response:
     return browser.answer(page, {"Content-Security-Policy": content_policy(page.content)})
 
 
+@router.api_route("/embed", methods=["GET", "HEAD"])
+def get_embed_page(browser: BrowserDep, request: Request) -> Response:
+    """One tree, for a frame in the pages of `embed_origins`."""
+    page = read_page("embed.html")
+    assert page is not None
+    ancestors = " ".join(("'self'", *request.app.state.services.settings.embed_origins))
+    return browser.answer(page, {"Content-Security-Policy": content_policy(page.content, ancestors=ancestors)})
+
+
 @router.api_route("/docs", methods=["GET", "HEAD"])
 def get_api_page(browser: BrowserDep) -> Response:
     """Every operation of the API, to read and to try."""
@@ -105,10 +118,12 @@ def get_page_file(path: str, browser: BrowserDep) -> Response:
     if page is None:
         raise ProblemError("not-found", f"the viewer has no file {path[:128]!r}")
     headers = {"Cache-Control": VENDORED} if path.startswith("vendor/") else {}
+    if path == ELEMENT:
+        headers |= ANY_SITE
     return browser.answer(page, headers)
 
 
-def content_policy(page: bytes) -> str:
+def content_policy(page: bytes, *, ancestors: str = "'none'") -> str:
     """What the page may load: its own files; blobs for textures and Spark's sorting worker, which is WebAssembly.
 
     Browsers take an import map only inline, so its hash is named.
@@ -124,7 +139,7 @@ def content_policy(page: bytes) -> str:
         "worker-src": "'self' blob:",
         "base-uri": "'none'",
         "form-action": "'none'",
-        "frame-ancestors": "'none'",
+        "frame-ancestors": ancestors,
     }
     return "; ".join(f"{name} {sources}" for name, sources in allowed.items())
 

@@ -18,12 +18,15 @@ from threading import Thread
 import numpy as np
 import pytest
 from fastapi.testclient import TestClient
+from pydantic import ValidationError
 from safetensors.numpy import load
 
 import web
 from dynamictree import method
 from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.records import AssetRecord
+from jobs.settings import Settings
+from service.app import create_app
 from service.local.serve import Announcer
 from service.routes import surface
 from tests.service.pushed import ASSET_ID, grown, spectrum, spectrum_id  # noqa: F401
@@ -244,3 +247,25 @@ def test_serve_tells_of_the_page_and_opens_it_when_asked(
     page = f"http://127.0.0.1:{server.server_port}/"
     assert opened == [page]
     assert capsys.readouterr().out.splitlines()[:2] == [f"ready {url}", f"A page to use it from: {page}"]
+
+
+def test_only_sites_of_the_list_may_frame_the_embedded_tree(settings: Settings) -> None:
+    with TestClient(create_app(settings.model_copy(update={"embed_origins": ("https://a.example",)}))) as client:
+        embedded, page = client.get("/embed"), client.get("/")
+    assert "frame-ancestors 'self' https://a.example" in embedded.headers["Content-Security-Policy"].split("; ")
+    assert "X-Frame-Options" not in embedded.headers
+    assert "frame-ancestors 'none'" in page.headers["Content-Security-Policy"].split("; ")
+    assert page.headers["X-Frame-Options"] == "DENY"
+
+
+@pytest.mark.parametrize("origin", ["https://a.example; script-src *", "a.example", "javascript:"])
+def test_an_origin_that_is_none_is_refused(tmp_path: Path, origin: str) -> None:
+    with pytest.raises(ValidationError, match="embed_origins"):
+        Settings(state_dir=tmp_path, embed_origins=(origin,))
+
+
+def test_any_site_may_load_the_element_and_nothing_else(client: TestClient) -> None:
+    element = client.get("/web/embed/dynamic-tree.js")
+    assert element.headers["Access-Control-Allow-Origin"] == "*"
+    assert element.headers["Cross-Origin-Resource-Policy"] == "cross-origin"
+    assert "Access-Control-Allow-Origin" not in client.get("/web/embed/page.js").headers
