@@ -76,6 +76,7 @@ def axis_cues(mesh: TriangleMesh) -> Float64[np.ndarray, "6 C"] | None:
     if sampled is None:
         return None
     points, faces = sampled
+    points = np.asfortranarray(points)  # so that each coordinate is contiguous
     points = (points - points.min(axis=0)) / max(float(np.ptp(points, axis=0).max()), 1e-30)
     kind = _kinds(mesh)[faces]  # 1 wood, 2 leaf, 0 unknown
     stem = _largest_part(mesh)[faces]
@@ -98,7 +99,7 @@ def _cues_along(
     share = height / extent
     whole = max(_spread(across), 1e-6)
     number = np.minimum((share * _SLICES).astype(int), _SLICES - 1)
-    radii = np.array([_spread(across[number == n]) if (number == n).any() else 0.0 for n in range(_SLICES)])
+    radii = _spreads(across, number, _SLICES)
     low, high = number < _FOOT_SLICES, number >= _SLICES - _FOOT_SLICES
     foot, top = max(_spread(across[low]), 0.01 * whole), max(_spread(across[high]), 0.01 * whole)
     wide = radii > _NARROW * whole
@@ -129,17 +130,25 @@ def _taper(share: Float64[np.ndarray, " P"], across: Float64[np.ndarray, "P 2"],
     if length < _POLE:
         return 0.0
     number = np.minimum(((own - own.min()) / length * _POLE_SLICES).astype(int), _POLE_SLICES - 1)
-    radii = [_spread(place[number == n]) for n in range(_POLE_SLICES)]
-    if max(radii) > _SLENDER * length:
+    radii = _spreads(place, number, _POLE_SLICES)
+    if radii.max() > _SLENDER * length:
         return 0.0
     return float(np.clip(np.log(max(radii[0], 1e-4) / max(radii[-1], 1e-4)), -3, 3))
 
 
 def _spread(across: Float64[np.ndarray, "P 2"]) -> float:
     """Robust radius about the middle: outlying twigs count little."""
-    if len(across) == 0:
-        return 0.0
-    return float(np.mean(np.linalg.norm(across - across.mean(axis=0), axis=1)))
+    return float(_spreads(across, np.zeros(len(across), np.int64), 1)[0])
+
+
+def _spreads(
+    across: Float64[np.ndarray, "P 2"], number: Int64[np.ndarray, " P"], count: int
+) -> Float64[np.ndarray, " S"]:
+    """Robust radius of each slice about its own middle; 0 of an empty slice."""
+    size = np.maximum(np.bincount(number, minlength=count), 1)
+    x, y = (column - (np.bincount(number, column, count) / size)[number] for column in across.T)
+    spreads: Float64[np.ndarray, " S"] = np.bincount(number, np.sqrt(x * x + y * y), count) / size
+    return spreads
 
 
 def _surface_points(

@@ -1,10 +1,14 @@
 """Points in cells of one size: which are occupied, how high above the ground, and which hang together."""
 
 from dataclasses import dataclass
+from itertools import product
+from typing import TypeAlias
 
 import numpy as np
 import scipy  # its parts come in when they are used: the service starts without them
 from jaxtyping import Bool, Float64, Int64
+
+Rows: TypeAlias = Int64[np.ndarray, " R"]
 
 CELLS_TALL = 200
 """Cells in the height of the tallest tree: 0.1 m of 20 m, so that a stem is two to four cells wide."""
@@ -97,18 +101,49 @@ def _above(
 
 
 def join(coords: Int64[np.ndarray, "V 3"]) -> "scipy.sparse.csr_array":
-    """Squared distances [cells²] between cells that are near each other: a gap costs more than a way around it."""
-    from scipy.spatial import cKDTree
+    """Squared distances [cells²] between cells that are near each other: a gap costs more than a way around it.
 
-    num_neighbours = min(_NEIGHBOURS + 1, len(coords))
-    nearest = cKDTree(coords).query(coords, k=num_neighbours, distance_upper_bound=_GAP)
-    distance, neighbour = (np.asarray(column).ravel() for column in nearest)
-    start = np.repeat(np.arange(len(coords)), num_neighbours)
-    near = np.isfinite(distance) & (distance > 0)
-    places = (start[near], neighbour[near])
-    graph = scipy.sparse.coo_array((distance[near] ** 2, places), shape=(len(coords),) * 2).tocsr()
-    joined: scipy.sparse.csr_array = graph.maximum(graph.T).tocsr()
-    return joined
+    The cells are in ascending order of x, y, z; a pair is joined once, if one is among the nearest of the other.
+    """
+    pairs = _near_pairs(coords)
+    count = np.zeros(len(coords), np.int64)  # nearer cells around each
+    starts, ends, costs = [], [], []
+    for offset in sorted(pairs, key=_squared):
+        start, end = pairs[offset]
+        among_nearest = count[start] < _NEIGHBOURS
+        count[start] += 1
+        among_nearest |= count[end] < _NEIGHBOURS
+        count[end] += 1
+        starts.append(start[among_nearest])
+        ends.append(end[among_nearest])
+        costs.append(np.full(int(among_nearest.sum()), float(_squared(offset))))
+    places = np.concatenate(starts), np.concatenate(ends)
+    return scipy.sparse.coo_array((np.concatenate(costs), places), shape=(len(coords),) * 2).tocsr()
+
+
+def _near_pairs(coords: Int64[np.ndarray, "V 3"]) -> dict[tuple[int, int, int], tuple[Rows, Rows]]:
+    """Rows of the pairs of cells at each offset within the gap; of an offset and its opposite there is one."""
+    reach = int(_GAP)
+    columns = [column for column in product(range(-reach, reach + 1), repeat=2) if column >= (0, 0)]
+    _, span_y, span_z = coords.max(axis=0) + 1 + 2 * reach  # so wide that no key belongs to two places
+    keys = (coords[:, 0] * span_y + coords[:, 1]) * span_z + coords[:, 2]
+    after_last = np.append(keys, np.iinfo(np.int64).max)
+    pairs = {}
+    for x, y in columns:
+        column = keys + (x * span_y + y) * span_z
+        first = 1 if (x, y) == (0, 0) else -reach
+        place = np.searchsorted(keys, column + first)
+        for z in range(first, reach + 1):
+            occupied = after_last[place] == column + z
+            if _squared((x, y, z)) <= _GAP**2:
+                start = np.flatnonzero(occupied)
+                pairs[x, y, z] = start, place[start]
+            place += occupied
+    return pairs
+
+
+def _squared(offset: tuple[int, int, int]) -> int:
+    return sum(along * along for along in offset)
 
 
 def parts_of(coords: Int64[np.ndarray, "V 3"]) -> Int64[np.ndarray, " V"]:

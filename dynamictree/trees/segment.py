@@ -9,6 +9,7 @@ hangs on nothing belongs to the tree that is nearest.
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # its parts come in when they are used: the service starts without them
 from jaxtyping import Float64, Int32, Int64
 
 from dynamictree.errors import InputError
@@ -52,23 +53,24 @@ def segment_trees(points: Float64[np.ndarray, "P 3"], *, is_scan: bool = False) 
     plant = np.flatnonzero(~cells.ground)
     if len(plant) == 0:
         return _one_tree(points)
-    seeds = _seeds(cells, plant)
+    graph = join(cells.coords[plant])
+    seeds = _seeds(cells, plant, graph)
     if len(seeds) <= 1:
         if is_scan:
             _refuse_canopy(cells, plant)
         return _one_tree(points)
     label = np.full(len(cells.coords), -1, np.int64)
-    label[plant] = _grow(cells, plant, seeds)
+    label[plant] = _grow(cells, plant, graph, seeds)
     label = _with_feet(cells, label, seeds)
     return _in_order(cells, label[cells.cell_of_point], label)
 
 
-def _seeds(cells: OccupiedCells, plant: Int64[np.ndarray, " M"]) -> list[Stem]:
+def _seeds(cells: OccupiedCells, plant: Int64[np.ndarray, " M"], graph: "scipy.sparse.csr_array") -> list[Stem]:
     """Where each tree begins: its stem, or of what hangs together and shows no stem its lowest cells."""
     from scipy.sparse.csgraph import connected_components
 
     above = cells.above[plant]
-    part = connected_components(join(cells.coords[plant]), directed=False)[1]
+    part = connected_components(graph, directed=False)[1]
     count = np.bincount(part)
     top, bottom = np.zeros(len(count)), np.full(len(count), np.inf)
     np.maximum.at(top, part, above)
@@ -87,14 +89,15 @@ def _seeds(cells: OccupiedCells, plant: Int64[np.ndarray, " M"]) -> list[Stem]:
     return join_stems(stems, tall)
 
 
-def _grow(cells: OccupiedCells, plant: Int64[np.ndarray, " M"], seeds: list[Stem]) -> Int64[np.ndarray, " M"]:
+def _grow(
+    cells: OccupiedCells, plant: Int64[np.ndarray, " M"], graph: "scipy.sparse.csr_array", seeds: list[Stem]
+) -> Int64[np.ndarray, " M"]:
     """The tree of each cell of the plants."""
     from scipy.sparse.csgraph import dijkstra
     from scipy.spatial import cKDTree
 
     place = np.full(len(cells.coords), -1)
     place[plant] = np.arange(len(plant))
-    graph = join(cells.coords[plant])
     best, label = np.full(len(plant), np.inf), np.full(len(plant), -1)
     for number, seed in enumerate(seeds):
         way = dijkstra(graph, directed=False, indices=place[seed.cells], min_only=True)
