@@ -74,12 +74,11 @@ def carrying_mesh(capture: Capture, choice: CloudParams | None = None) -> Triang
     Raises:
         InputError: nothing is in the box, or nothing is opaque enough to have a surface.
     """
-    from dynamictree.gaussian.surface import mesh_of_cloud, mesh_of_trees
+    from dynamictree.gaussian.surface import mesh_of_trees
 
     moving = moving_part(capture, choice)
     if capture.mesh is None:
-        cloud = capture.cloud.subset(moving)
-        return mesh_of_cloud(cloud) if capture.tree is None else mesh_of_trees(cloud, capture.tree[moving])
+        return mesh_of_trees(capture.cloud.subset(moving), None if capture.tree is None else capture.tree[moving])
     if capture.part_of is None:
         return capture.mesh
     return _still_where_gaussians_are(capture.mesh, capture.cloud, (capture.part_of > 0) & ~moving)

@@ -23,10 +23,12 @@ CELLS_ALONG = 256
 LEVEL = 0.3
 """Of the opacity that a lone opaque Gaussian reaches; SuGaR takes its surface there too."""
 MAX_FACES = 100_000
-CELLS_ALONG_TREE = 160
-"""The same of each of several trees."""
 LEAST_FACES = 10_000
-"""Of each of several trees."""
+"""The surface of a cloud of few Gaussians, or of each of several trees, may have so many."""
+FACES_PER_GAUSSIAN = 4
+"""More show no more: the detail of a surface is that of its Gaussians, and every vertex costs at devoxelization."""
+CELLS_ALONG_TREE = 160
+"""Of each of several trees, in place of `CELLS_ALONG`."""
 _LEAST_SIGMA = 0.5  # cells: thinner Gaussians are widened so that none falls between the cells
 _REACH = 2.5  # standard deviations; beyond, a Gaussian adds less than a sixth of the level
 _BORDER = 3  # empty cells around, so that the surface closes
@@ -72,15 +74,15 @@ def mesh_of_cloud(cloud: GaussianCloud, *, cells_along: int = CELLS_ALONG, max_f
     )
 
 
-def mesh_of_trees(cloud: GaussianCloud, tree: Int32[np.ndarray, " G"]) -> TriangleMesh:
-    """The surfaces of several trees side by side, each on a grid of its own.
+def mesh_of_trees(cloud: GaussianCloud, tree: Int32[np.ndarray, " G"] | None = None) -> TriangleMesh:
+    """The surface of one tree; or of several side by side, each on a grid of its own.
 
     Raises:
         InputError: nothing is opaque enough to have a surface.
     """
-    numbers = np.unique(tree)
-    if len(numbers) == 1:
-        return mesh_of_cloud(cloud)
+    if tree is None or len(numbers := np.unique(tree)) == 1:
+        most = max(LEAST_FACES, FACES_PER_GAUSSIAN * cloud.num_gaussians)
+        return mesh_of_cloud(cloud, max_faces=min(MAX_FACES, most))
     most = max(MAX_FACES // len(numbers), LEAST_FACES)
     parts = [
         mesh_of_cloud(cloud.subset(tree == number), cells_along=CELLS_ALONG_TREE, max_faces=most) for number in numbers

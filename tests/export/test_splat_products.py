@@ -22,6 +22,8 @@ from dynamictree.formats.tensors.animated_splat import read_animated_splat
 from dynamictree.formats.tensors.cloud_bundle import read_cloud_bundle, write_cloud_bundle
 from dynamictree.gaussian.capture import Capture, carrying_mesh, moving_part
 from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.gaussian.surface import FACES_PER_GAUSSIAN, LEAST_FACES
+from dynamictree.mesh import TriangleMesh
 from dynamictree.requests import CloudParams, ExportParams, Shot
 from dynamictree.spectrum import SparseVoxelSpectrum
 from dynamictree.voxel.voxelize import voxelize
@@ -49,9 +51,15 @@ def capture() -> Capture:
 
 
 @pytest.fixture(scope="module")
-def spectrum(capture: Capture) -> SparseVoxelSpectrum:
+def mesh(capture: Capture) -> TriangleMesh:
+    """The surface of the post, with which it moves."""
+    return carrying_mesh(capture, CloudParams(box_m=BOX))
+
+
+@pytest.fixture(scope="module")
+def spectrum(mesh: TriangleMesh) -> SparseVoxelSpectrum:
     """Bends along +X as the square of the height, four frames a loop; its sections turn as those of a rod do."""
-    grid = voxelize(carrying_mesh(capture, CloudParams(box_m=BOX)), 32).grid
+    grid = voxelize(mesh, 32).grid
     coefficients = np.zeros((len(grid), 2, 3), np.complex64)
     x, _, z = grid.centres_m.T
     coefficients[:, 1, 0] = 0.05 * z**2
@@ -60,16 +68,26 @@ def spectrum(capture: Capture) -> SparseVoxelSpectrum:
 
 
 def animated(
-    capture: Capture, spectrum: SparseVoxelSpectrum, folder: Path, options: ExportParams, done: list[float]
+    capture: Capture,
+    mesh: TriangleMesh,
+    spectrum: SparseVoxelSpectrum,
+    folder: Path,
+    options: ExportParams,
+    done: list[float],
 ) -> dict[str, Path]:
-    mesh = carrying_mesh(capture, CloudParams(box_m=BOX))
     return write_products(mesh, spectrum, options, folder, done.append, capture=capture, choice=CloudParams(box_m=BOX))
 
 
-def test_all_products_show_one_motion(capture: Capture, spectrum: SparseVoxelSpectrum, tmp_path: Path) -> None:
+def test_a_surface_has_no_more_detail_than_its_gaussians(mesh: TriangleMesh) -> None:
+    assert LEAST_FACES <= 1.1 * mesh.num_faces <= 1.1 * max(LEAST_FACES, 2000 * FACES_PER_GAUSSIAN)
+
+
+def test_all_products_show_one_motion(
+    capture: Capture, mesh: TriangleMesh, spectrum: SparseVoxelSpectrum, tmp_path: Path
+) -> None:
     done: list[float] = []
     options = ExportParams(formats=("splat-ply", "splat", "png", "glb"), shot=SMALL)
-    paths = animated(capture, spectrum, tmp_path, options, done)
+    paths = animated(capture, mesh, spectrum, tmp_path, options, done)
     assert done == sorted(done)
     assert done[-1] == 1
     with zipfile.ZipFile(paths["splat-ply"]) as archive:
@@ -93,12 +111,12 @@ def test_all_products_show_one_motion(capture: Capture, spectrum: SparseVoxelSpe
 
 
 def test_a_part_of_the_motion_and_of_the_cloud_is_asked_for(
-    capture: Capture, spectrum: SparseVoxelSpectrum, tmp_path: Path
+    capture: Capture, mesh: TriangleMesh, spectrum: SparseVoxelSpectrum, tmp_path: Path
 ) -> None:
     options = ExportParams(
         formats=("splat-ply",), first_frame=2, num_frames=1, loop=False, share=0.1, sh_degree=0, shot=SMALL
     )
-    paths = animated(capture, spectrum, tmp_path, options, [])
+    paths = animated(capture, mesh, spectrum, tmp_path, options, [])
     with zipfile.ZipFile(paths["splat-ply"]) as archive:
         assert archive.namelist() == ["frame_0002.ply"]
         frame = read_cloud(io.BytesIO(archive.read("frame_0002.ply")), file_type="ply")
@@ -108,17 +126,16 @@ def test_a_part_of_the_motion_and_of_the_cloud_is_asked_for(
     assert paths["splat-ply"].stat().st_size == requested_bytes(3000, 0, 1, options)
 
 
-def test_a_film_is_made(capture: Capture, spectrum: SparseVoxelSpectrum, tmp_path: Path) -> None:
+def test_a_film_is_made(capture: Capture, mesh: TriangleMesh, spectrum: SparseVoxelSpectrum, tmp_path: Path) -> None:
     pytest.importorskip("imageio_ffmpeg")
     options = ExportParams(formats=("mp4", "webp"), shot=SMALL.model_copy(update={"orbit": True, "ground": False}))
-    paths = animated(capture, spectrum, tmp_path, options, [])
+    paths = animated(capture, mesh, spectrum, tmp_path, options, [])
     assert b"ftyp" in paths["mp4"].read_bytes()[:12]
     with Image.open(paths["webp"]) as film:
         assert getattr(film, "n_frames", 1) == 4
 
 
-def test_a_mesh_becomes_a_splat_that_moves(capture: Capture, spectrum: SparseVoxelSpectrum, tmp_path: Path) -> None:
-    mesh = carrying_mesh(capture, CloudParams(box_m=BOX))
+def test_a_mesh_becomes_a_splat_that_moves(mesh: TriangleMesh, spectrum: SparseVoxelSpectrum, tmp_path: Path) -> None:
     paths = write_products(mesh, spectrum, ExportParams(formats=("splat", "webp"), shot=SMALL), tmp_path)
     with paths["splat"].open("rb") as stream:
         splat = read_animated_splat(stream)
@@ -127,12 +144,11 @@ def test_a_mesh_becomes_a_splat_that_moves(capture: Capture, spectrum: SparseVox
 
 
 @pytest.fixture
-def files(capture: Capture, tmp_path: Path) -> Iterator[dict[str, Path]]:
+def files(capture: Capture, mesh: TriangleMesh, tmp_path: Path) -> Iterator[dict[str, Path]]:
     """The capture, its mesh in the same axes, and a mask, as someone sends them."""
     files_by_role = {"cloud": tmp_path / "tree.SPLAT", "mesh": tmp_path / "mesh.ply", "mask": tmp_path / "mask.npy"}
     with files_by_role["cloud"].open("wb") as stream:
         write_splat(capture.cloud, stream)
-    mesh = carrying_mesh(capture, CloudParams(box_m=BOX))
     turned = mesh.with_vertices(np.ascontiguousarray(mesh.vertices @ up_rotation("-Y").astype(np.float32)))
     with files_by_role["mesh"].open("wb") as stream:
         write_ply(turned, stream)
@@ -140,15 +156,13 @@ def files(capture: Capture, tmp_path: Path) -> Iterator[dict[str, Path]]:
     return files_by_role
 
 
-def test_a_capture_is_read_with_what_came_with_it(capture: Capture, files: dict[str, Path]) -> None:
+def test_a_capture_is_read_with_what_came_with_it(capture: Capture, mesh: TriangleMesh, files: dict[str, Path]) -> None:
     read = load_capture(files["cloud"], mask=files["mask"], mesh=files["mesh"])
     scale = read.cloud.source_scale  # the file states no unit: 5 m high
     assert scale > 1
     np.testing.assert_allclose(read.cloud.means, capture.cloud.means * scale, atol=1e-5)
     assert read.mesh is not None
-    np.testing.assert_allclose(
-        read.mesh.vertices, carrying_mesh(capture, CloudParams(box_m=BOX)).vertices * scale, atol=1e-4
-    )
+    np.testing.assert_allclose(read.mesh.vertices, mesh.vertices * scale, atol=1e-4)
     assert carrying_mesh(read) is read.mesh
     np.testing.assert_array_equal(moving_part(read), moving_part(capture, CloudParams(box_m=BOX)))
     packed = io.BytesIO()
@@ -209,9 +223,13 @@ def test_an_option_out_of_bounds_is_reported(options: dict[str, object], message
 
 
 def test_too_large_a_sequence_is_refused_before_it_is_made(
-    capture: Capture, spectrum: SparseVoxelSpectrum, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    capture: Capture,
+    mesh: TriangleMesh,
+    spectrum: SparseVoxelSpectrum,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("dynamictree.formats.motion.splat_sequence.MAX_SEQUENCE_BYTES", 1000)
     with pytest.raises(InputError, match="ask for fewer frames"):
-        animated(capture, spectrum, tmp_path, ExportParams(formats=("splat-ply",)), [])
+        animated(capture, mesh, spectrum, tmp_path, ExportParams(formats=("splat-ply",)), [])
     assert not list(tmp_path.iterdir())
