@@ -6,7 +6,7 @@ from io import BytesIO
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Float64, Int32, UInt8
+from jaxtyping import Bool, Float, Float32, Float64, Int, Int32, UInt8
 
 from dynamictree.color import linear_to_srgb
 from dynamictree.errors import MeshError
@@ -249,6 +249,27 @@ def weld(mesh: TriangleMesh) -> tuple[TriangleMesh, Int32[np.ndarray, " N"]]:
     places, vertex = np.unique(mesh.vertices, axis=0, return_inverse=True)
     vertex = vertex.ravel().astype(np.int32)
     return TriangleMesh(vertices=places, faces=vertex[mesh.faces]), vertex
+
+
+def connected_parts(faces: Int32[np.ndarray, "F 3"], num_vertices: int) -> Int32[np.ndarray, " N"]:
+    """Number of the connected part that each vertex belongs to."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    edges = edges_of(faces)
+    joined = coo_array((np.ones(len(edges), np.int8), edges.T), shape=(num_vertices, num_vertices))
+    part: Int32[np.ndarray, " N"] = connected_components(joined, directed=False)[1].astype(np.int32)
+    return part
+
+
+def part_bounds(
+    part: Int[np.ndarray, " N"], points: Float32[np.ndarray, "N 3"]
+) -> tuple[Float64[np.ndarray, "parts 3"], Float64[np.ndarray, "parts 3"]]:
+    """Low and high corner of the points of each part [m]."""
+    low, high = np.full((int(part.max()) + 1, 3), np.inf), np.full((int(part.max()) + 1, 3), -np.inf)
+    np.minimum.at(low, part, points)
+    np.maximum.at(high, part, points)
+    return low, high
 
 
 def _from_trimesh(source: "trimesh.Trimesh", placed: Float64[np.ndarray, "4 4"]) -> TriangleMesh:

@@ -18,6 +18,18 @@ def samples() -> Path:
     return Path(folder)
 
 
+@pytest.fixture(scope="session")
+def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small tree as a GLB."""
+    from dynamictree.dataset.sample import make_sample
+    from dynamictree.formats.gltf.writer import write_glb
+
+    path = tmp_path_factory.mktemp("trees") / "sapling.glb"
+    with path.open("wb") as stream:
+        write_glb(make_sample(3, "sapling").mesh, stream)
+    return path
+
+
 @pytest.fixture
 def rng() -> np.random.Generator:
     """A generator that is the same in every run."""

@@ -13,8 +13,6 @@ import typer
 from safetensors.numpy import load_file
 
 from dynamictree.cli import app, main
-from dynamictree.dataset.sample import make_sample
-from dynamictree.formats.mesh.ply_writer import write_ply
 
 
 class Run(Protocol):
@@ -33,14 +31,6 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> 
         return subprocess.CompletedProcess(words, int(ended.value.code or 0), *capsys.readouterr())
 
     return call
-
-
-@pytest.fixture(scope="module")
-def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("cli") / "tree.ply"
-    with path.open("wb") as stream:
-        write_ply(make_sample(3, "sapling").mesh, stream)
-    return path
 
 
 def test_every_command_has_a_name_and_every_option_has_help() -> None:

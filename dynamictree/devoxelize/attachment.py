@@ -9,10 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse
 from jaxtyping import Complex64, Float32, Float64, Int32, Int64
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from dynamictree.mesh import TriangleMesh, edges_of
+from dynamictree.mesh import TriangleMesh, connected_parts, part_bounds
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import surface_pieces
 
@@ -81,10 +80,9 @@ def _depths(
 
 def find_attachments(mesh: TriangleMesh, grid: VoxelGrid) -> Attachments:
     """Find what hangs where in a mesh whose vertices at one place are one, and its grid."""
-    edges = edges_of(mesh.faces)
-    joined = scipy.sparse.coo_array((np.ones(len(edges), np.int8), edges.T), shape=(mesh.num_vertices,) * 2)
-    part = connected_components(joined, directed=False)[1].astype(np.int32)
-    extent = _extents(mesh, part) / grid.voxel_size_m  # [parts]
+    part = connected_parts(mesh.faces, mesh.num_vertices)
+    low, high = part_bounds(part, mesh.vertices)
+    extent: Float64[np.ndarray, " parts"] = (high - low).max(axis=1) / grid.voxel_size_m
     size_class = np.floor(np.log(np.maximum(extent, 1e-3)) / np.log(_CLEARLY_LARGER)).astype(np.int64)
     rank = np.empty(len(extent), np.int64)
     rank[np.argsort(extent, kind="stable")] = np.arange(len(extent))
@@ -136,12 +134,3 @@ def _attachments(
 ) -> Attachments:
     corners = mesh.faces[faces]  # [B, 2, 3]
     return Attachments(part=part, children=part[corners[:, 0, 0]], corners=corners, weights=weights)
-
-
-def _extents(mesh: TriangleMesh, part: Int32[np.ndarray, " N"]) -> Float64[np.ndarray, " parts"]:
-    num_parts = int(part.max()) + 1
-    low, high = np.full((num_parts, 3), np.inf), np.full((num_parts, 3), -np.inf)
-    np.minimum.at(low, part, mesh.vertices)
-    np.maximum.at(high, part, mesh.vertices)
-    extents: Float64[np.ndarray, " parts"] = (high - low).max(axis=1)
-    return extents

@@ -4,7 +4,7 @@ from dataclasses import asdict
 from typing import BinaryIO
 
 from dynamictree.export.moving_tree import Facts, MovingTree, Report
-from dynamictree.formats.gltf.motion import write_motion_glb
+from dynamictree.formats.gltf.motion import MorphSummary, write_motion_glb
 from dynamictree.formats.motion.ply_sequence import iter_ply_sequence_zip
 from dynamictree.formats.tensors.motion import write_motion
 
@@ -23,29 +23,25 @@ def write_displacements(tree: MovingTree, stream: BinaryIO, report: Report) -> N
 
 def write_glb(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts | None:
     """GLB with two morph targets per frequency: the exact loop."""
-    summary = write_motion_glb(
-        tree.mesh,
-        tree.coefficients,
-        stream,
-        num_frames=tree.spectrum.num_frames,
-        fps=tree.loop_fps,
-        with_normals=tree.params.normals,
-    )
+    summary = _write_glb(tree, stream)
     return asdict(summary) if tree.params.normals else None
 
 
 def write_reduced_glb(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
     """GLB with the few morph targets that approximate the loop best."""
-    summary = write_motion_glb(
+    return asdict(_write_glb(tree, stream, num_targets=min(REDUCED_TARGETS, 2 * tree.coefficients.shape[1] - 1)))
+
+
+def _write_glb(tree: MovingTree, stream: BinaryIO, num_targets: int | None = None) -> MorphSummary:
+    return write_motion_glb(
         tree.mesh,
         tree.coefficients,
         stream,
         num_frames=tree.spectrum.num_frames,
         fps=tree.loop_fps,
-        num_targets=min(REDUCED_TARGETS, 2 * tree.coefficients.shape[1] - 1),
+        num_targets=num_targets,
         with_normals=tree.params.normals,
     )
-    return asdict(summary)
 
 
 def write_skinned_glb(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:

@@ -34,7 +34,7 @@ SHOT = frozenset({"shot"})
 NORMALS = frozenset({"normals"})
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Product:
     """One format: its file, what it shows, the fields of `ExportParams` that it depends on, and its writer.
 
@@ -61,89 +61,27 @@ def media_type(file_name: str) -> str:
 
 
 PRODUCTS: dict[Format, Product] = {
-    "ply": Product(
-        title="PLY sequence",
-        file_name="motion.ply.zip",
-        shows="mesh",
-        options=FRAMES,
-        write=write_ply_sequence,
-    ),
-    "glb": Product(
-        title="Animated GLB",
-        file_name="tree.glb",
-        shows="mesh",
-        options=SPEED | NORMALS,
-        write=write_glb,
-    ),
+    "ply": Product("PLY sequence", "motion.ply.zip", "mesh", FRAMES, write=write_ply_sequence),
+    "glb": Product("Animated GLB", "tree.glb", "mesh", SPEED | NORMALS, write=write_glb),
     "glb-reduced": Product(
-        title="Animated GLB, 8 targets",
-        file_name="tree-8-targets.glb",
-        shows="mesh",
-        options=SPEED | NORMALS,
-        write=write_reduced_glb,
+        "Animated GLB, 8 targets", "tree-8-targets.glb", "mesh", SPEED | NORMALS, write=write_reduced_glb
     ),
-    "glb-skinned": Product(
-        title="Skinned GLB",
-        file_name="tree-skinned.glb",
-        shows="mesh",
-        options=SPEED,
-        write=write_skinned_glb,
-    ),
-    "usd": Product(
-        title="USD",
-        file_name="tree.usdz",
-        shows="mesh",
-        options=FRAMES,
-        write=write_usdz,
-    ),
-    "vat": Product(
-        title="Vertex animation texture",
-        file_name="tree.vat.zip",
-        shows="mesh",
-        options=FRAMES | NORMALS,
-        write=write_vertex_texture,
-    ),
-    "motion": Product(
-        title="Motion, every frame",
-        file_name="motion.safetensors",
-        shows="mesh",
-        options=FRAMES,
-        write=write_displacements,
-    ),
-    "splat-ply": Product(
-        title="Splat sequence",
-        file_name="splat.ply.zip",
-        shows="splat",
-        options=FRAMES | DETAIL,
-        write=write_splat_sequence,
-    ),
+    "glb-skinned": Product("Skinned GLB", "tree-skinned.glb", "mesh", SPEED, write=write_skinned_glb),
+    "usd": Product("USD", "tree.usdz", "mesh", FRAMES, write=write_usdz),
+    "vat": Product("Vertex animation texture", "tree.vat.zip", "mesh", FRAMES | NORMALS, write=write_vertex_texture),
+    "motion": Product("Motion, every frame", "motion.safetensors", "mesh", FRAMES, write=write_displacements),
+    "splat-ply": Product("Splat sequence", "splat.ply.zip", "splat", FRAMES | DETAIL, write=write_splat_sequence),
     "splat": Product(
-        title="Animated splat",
-        file_name="tree.animated-splat.safetensors",
-        shows="splat",
-        options=SPEED | DETAIL,
-        write=write_compact_splat,
+        "Animated splat", "tree.animated-splat.safetensors", "splat", SPEED | DETAIL, write=write_compact_splat
     ),
     "png": Product(
-        title="Preview picture",
-        file_name="preview.png",
-        shows="pictures",
-        options=FRAMES | DETAIL | SHOT,
+        "Preview picture",
+        "preview.png",
+        "pictures",
+        FRAMES | DETAIL | SHOT,
         write=write_mesh_sheet,
         write_film=write_film_sheet,
     ),
-    "webp": Product(
-        title="Preview, animated",
-        file_name="preview.webp",
-        shows="pictures",
-        options=FRAMES | DETAIL | SHOT,
-        write_film=write_webp,
-    ),
-    "mp4": Product(
-        title="Preview, video",
-        file_name="preview.mp4",
-        shows="pictures",
-        options=FRAMES | DETAIL | SHOT,
-        write_film=write_mp4,
-    ),
+    "webp": Product("Preview, animated", "preview.webp", "pictures", FRAMES | DETAIL | SHOT, write_film=write_webp),
+    "mp4": Product("Preview, video", "preview.mp4", "pictures", FRAMES | DETAIL | SHOT, write_film=write_mp4),
 }

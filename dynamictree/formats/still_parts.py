@@ -8,14 +8,13 @@ A face stands still by the name of its material, node or group, or as part of a 
 """
 
 import re
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from dynamictree.mesh import StillPart, TriangleMesh, edges_of, weld
+from dynamictree.mesh import StillPart, TriangleMesh, connected_parts, part_bounds, weld
 
 STILL_NAMES = frozenset(
     " ".join(
@@ -47,20 +46,35 @@ _SPOTS = np.array(
 _LEAST_PLANT = 0.02  # of the faces: with less left over, nothing is taken away
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Parts:
+    """The connected parts of a mesh, with the corners of their bounding boxes [m]."""
+
+    mesh: TriangleMesh
+    of_face: Int64[np.ndarray, " F"]
+    low: Float64[np.ndarray, "parts 3"]
+    high: Float64[np.ndarray, "parts 3"]
+
+    @classmethod
+    def of(cls, mesh: TriangleMesh) -> "_Parts":
+        of_face = _part_of_face(mesh)
+        low, high = part_bounds(np.repeat(of_face, 3), mesh.vertices[mesh.faces.ravel()])
+        return cls(mesh=mesh, of_face=of_face, low=low, high=high)
+
+
 def find_still_parts(mesh: TriangleMesh) -> tuple[tuple[StillPart, ...], Bool[np.ndarray, " F"] | None]:
     """What stands still of a mesh in metres and +Z up, and which faces; None if all of it may move."""
-    named, parts = _named(mesh)
-    part = _parts(mesh)  # [F]
-    low, high = _bounds(mesh, part)
-    gone = np.zeros(len(low), np.bool_)
-    gone[part[named]] = True  # a part that is named in places is still as a whole
+    named, still_parts = _named(mesh)
+    parts = _Parts.of(mesh)
+    gone = np.zeros(len(parts.low), np.bool_)
+    gone[parts.of_face[named]] = True  # a part that is named in places is still as a whole
     for rule, detected in ((_flat, _GROUND), (_low_and_apart, _THINGS), (_vessels, _POT)):
-        tried = gone | rule(mesh, part, low, high, gone)
-        if (~tried[part]).mean() >= _LEAST_PLANT:
-            parts += [detected] if (tried & ~gone).any() else []
+        tried = gone | rule(parts, gone)
+        if (~tried[parts.of_face]).mean() >= _LEAST_PLANT:
+            still_parts += [detected] if (tried & ~gone).any() else []
             gone = tried
-    still: Bool[np.ndarray, " F"] = gone[part]
-    return (tuple(parts), still) if still.any() and not still.all() else ((), None)
+    still: Bool[np.ndarray, " F"] = gone[parts.of_face]
+    return (tuple(still_parts), still) if still.any() and not still.all() else ((), None)
 
 
 def find_still_faces(mesh: TriangleMesh) -> Bool[np.ndarray, " F"] | None:
@@ -90,35 +104,18 @@ def _named(mesh: TriangleMesh) -> tuple[Bool[np.ndarray, " F"], list[StillPart]]
     return (named, parts) if not named.all() else (np.zeros_like(named), [])
 
 
-def _parts(mesh: TriangleMesh) -> Int64[np.ndarray, " F"]:
+def _part_of_face(mesh: TriangleMesh) -> Int64[np.ndarray, " F"]:
     """The connected part of each face; materials split parts, so that soil in a trunk's mesh is one by itself."""
     welded, _ = weld(mesh)
-    edges = edges_of(welded.faces)
-    joined = coo_array((np.ones(len(edges), np.int8), edges.T), shape=(welded.num_vertices,) * 2)
-    part = connected_components(joined, directed=False)[1][welded.faces[:, 0]].astype(np.int64)
+    part = connected_parts(welded.faces, welded.num_vertices)[welded.faces[:, 0]].astype(np.int64)
     if mesh.face_material is not None:
         part = part * len(mesh.materials) + mesh.face_material
     detected: Int64[np.ndarray, " F"] = np.unique(part, return_inverse=True)[1].astype(np.int64).ravel()
     return detected
 
 
-def _bounds(
-    mesh: TriangleMesh, part: Int64[np.ndarray, " F"]
-) -> tuple[Float64[np.ndarray, "parts 3"], Float64[np.ndarray, "parts 3"]]:
-    corners = mesh.vertices[mesh.faces].astype(np.float64)
-    low, high = np.full((int(part.max()) + 1, 3), np.inf), np.full((int(part.max()) + 1, 3), -np.inf)
-    np.minimum.at(low, part, corners.min(axis=1))
-    np.maximum.at(high, part, corners.max(axis=1))
-    return low, high
-
-
-def _flat(
-    mesh: TriangleMesh,
-    part: Int64[np.ndarray, " F"],
-    low: Float64[np.ndarray, "parts 3"],
-    high: Float64[np.ndarray, "parts 3"],
-    gone: Bool[np.ndarray, " parts"],
-) -> Bool[np.ndarray, " parts"]:
+def _flat(parts: _Parts, gone: Bool[np.ndarray, " parts"]) -> Bool[np.ndarray, " parts"]:
+    low, high = parts.low, parts.high
     extent = high - low
     narrow = extent[:, :2].min(axis=1)
     flat = extent[:, 2] < _FLAT * narrow
@@ -131,13 +128,8 @@ def _flat(
     return detected
 
 
-def _low_and_apart(
-    mesh: TriangleMesh,
-    part: Int64[np.ndarray, " F"],
-    low: Float64[np.ndarray, "parts 3"],
-    high: Float64[np.ndarray, "parts 3"],
-    gone: Bool[np.ndarray, " parts"],
-) -> Bool[np.ndarray, " parts"]:
+def _low_and_apart(parts: _Parts, gone: Bool[np.ndarray, " parts"]) -> Bool[np.ndarray, " parts"]:
+    part, low, high = parts.of_face, parts.low, parts.high
     floor, top = low[~gone, 2].min(), high[~gone, 2].max()
     lying = ~gone & (high[:, 2] < floor + _LOW * (top - floor))
     detected = np.zeros(len(low), np.bool_)
@@ -148,7 +140,7 @@ def _low_and_apart(
     reach = _APART * (top - floor)
     while len(candidates):  # what hangs on what rises, and what hangs on that, is of the plant
         near = np.zeros(len(low), np.bool_)
-        near[part[candidates[_gaps(mesh, candidates, rising) <= reach]]] = True
+        near[part[candidates[_gaps(parts.mesh, candidates, rising) <= reach]]] = True
         if not near.any():
             break
         rising, candidates = candidates[near[part[candidates]]], candidates[~near[part[candidates]]]
@@ -168,13 +160,8 @@ def _gaps(
     return gaps
 
 
-def _vessels(
-    mesh: TriangleMesh,
-    part: Int64[np.ndarray, " F"],
-    low: Float64[np.ndarray, "parts 3"],
-    high: Float64[np.ndarray, "parts 3"],
-    gone: Bool[np.ndarray, " parts"],
-) -> Bool[np.ndarray, " parts"]:
+def _vessels(parts: _Parts, gone: Bool[np.ndarray, " parts"]) -> Bool[np.ndarray, " parts"]:
+    mesh, part, low, high = parts.mesh, parts.of_face, parts.low, parts.high
     floor, top = low[~gone, 2].min(), high[~gone, 2].max()
     height = top - floor
     stands = ~gone & (low[:, 2] < floor + _VESSEL_FOOT * height) & (high[:, 2] < floor + _VESSEL_HEIGHT * height)

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from dynamictree.mesh import TriangleMesh, edges_of, weld
+from dynamictree.mesh import TriangleMesh, connected_parts, part_bounds, weld
 
 AXES = ("+X", "-X", "+Y", "-Y", "+Z", "-Z")
 CERTAIN = 0.8
@@ -183,16 +183,9 @@ def _kinds(mesh: TriangleMesh) -> Int64[np.ndarray, " F"]:
 
 def _largest_part(mesh: TriangleMesh) -> Int64[np.ndarray, " F"]:
     """1 for faces of the connected part with the greatest extent."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     welded, _ = weld(mesh)
-    edges = edges_of(welded.faces)
-    joined = coo_array((np.ones(len(edges), np.int8), edges.T), shape=(welded.num_vertices,) * 2)
-    num_parts, part = connected_components(joined, directed=False)
-    low, high = np.full((num_parts, 3), np.inf), np.full((num_parts, 3), -np.inf)
-    np.minimum.at(low, part, welded.vertices)
-    np.maximum.at(high, part, welded.vertices)
+    part = connected_parts(welded.faces, welded.num_vertices)
+    low, high = part_bounds(part, welded.vertices)
     largest = int(np.argmax(np.linalg.norm(high - low, axis=1)))
     of_largest: Int64[np.ndarray, " F"] = (part[welded.faces[:, 0]] == largest).astype(np.int64)
     return of_largest

@@ -101,7 +101,7 @@ def only_tree(capture: Capture, number: int) -> Capture:
     Raises:
         InputError: there is no such tree.
     """
-    require_tree(number, 1 if capture.tree is None else int(capture.tree.max()) + 1)
+    require_tree(number, capture.tree)
     if capture.tree is None:
         return capture
     own = (capture.tree == number - 1) & moving_part(capture)
@@ -114,7 +114,7 @@ def move_only_tree(capture: Capture, number: int) -> Capture:
     Raises:
         InputError: there is no such tree, or the mask lets none of it move.
     """
-    require_tree(number, 1 if capture.tree is None else int(capture.tree.max()) + 1)
+    require_tree(number, capture.tree)
     if capture.tree is None:
         return capture
     return replace(capture, mask=moving_part(capture) & (capture.tree == number - 1), tree=None)

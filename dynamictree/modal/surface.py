@@ -6,7 +6,7 @@ import numpy as np
 import scipy  # its parts come in when they are used: the service starts without them
 from jaxtyping import Float32, Int32
 
-from dynamictree.mesh import TriangleMesh, edges_of
+from dynamictree.mesh import TriangleMesh, connected_parts, edges_of, part_bounds
 from dynamictree.modal.skeleton import Bones
 
 BONES_A_VERTEX = 6
@@ -39,7 +39,7 @@ def attach_mesh(
     carried = scipy.sparse.csr_array((weights.ravel(), (points, bones.bone_of_voxel[rows.ravel()])), shape=shape)
     graph = _shared(mesh, LONG_VOXELS * voxel_size_m)
     spread = scipy.sparse.diags_array(1 / graph.sum(axis=1)) @ graph
-    carried = _stiffen(carried, graph, mesh, STIFF_VOXELS * voxel_size_m)
+    carried = _stiffen(carried, mesh, STIFF_VOXELS * voxel_size_m)
     for _ in range(SPREAD):
         carried = spread @ carried
     return _strongest(carried.tocsr())
@@ -59,19 +59,13 @@ def _shared(mesh: TriangleMesh, long_m: float) -> "scipy.sparse.csr_array":
     return scipy.sparse.csr_array((values, pairs), shape=(len(loops), len(loops)))
 
 
-def _stiffen(
-    carried: "scipy.sparse.csr_array", graph: "scipy.sparse.csr_array", mesh: TriangleMesh, size_m: float
-) -> "scipy.sparse.csr_array":
+def _stiffen(carried: "scipy.sparse.csr_array", mesh: TriangleMesh, size_m: float) -> "scipy.sparse.csr_array":
     """One mean for all vertices of a connected part that is small."""
-    from scipy.sparse.csgraph import connected_components
-
-    num_parts, part = connected_components(graph, directed=False)
-    low, high = np.full((num_parts, 3), np.inf), np.full((num_parts, 3), -np.inf)
-    np.minimum.at(low, part, mesh.vertices)
-    np.maximum.at(high, part, mesh.vertices)
+    part = connected_parts(mesh.faces, mesh.num_vertices)
+    low, high = part_bounds(part, mesh.vertices)
     small = ((high - low).max(axis=1) < size_m)[part]  # [N]
     every = np.arange(len(part))
-    member = scipy.sparse.csr_array((np.ones(small.sum()), (every[small], part[small])), shape=(len(part), num_parts))
+    member = scipy.sparse.csr_array((np.ones(small.sum()), (every[small], part[small])), shape=(len(part), len(low)))
     mean = scipy.sparse.diags_array(1 / np.maximum(member.sum(axis=0), 1)) @ (member.T @ carried)
     large_parts = scipy.sparse.diags_array((~small).astype(np.float64)) @ carried
     together: scipy.sparse.csr_array = (member @ mean + large_parts).tocsr()

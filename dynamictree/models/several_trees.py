@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Int64
 
 from dynamictree.models.motion_model import MotionModel, OnStep
-from dynamictree.spectrum import NUM_FREQUENCIES, SparseVoxelSpectrum, Wind
+from dynamictree.spectrum import SparseVoxelSpectrum, Wind
 from dynamictree.voxel.voxelize import SurfaceVoxels
 
 RESOLUTIONS = (128, 256, 512)
@@ -28,20 +28,21 @@ def generate_trees(
     if voxels.tree is None:
         return model.generate(voxels, wind=wind, seed=seed, num_steps=num_steps, on_step=on_step)
     numbers = np.unique(voxels.tree).tolist()
-    coefficients = np.zeros((len(voxels.grid), NUM_FREQUENCIES, 3), np.complex64)
-    generated = None
+    spectra = []
     for index, number in enumerate(numbers):
         rows = np.flatnonzero(voxels.tree == number)
-        generated = model.generate(
+        spectrum = model.generate(
             tree_voxels(voxels, rows),
             wind=wind,
             seed=seed + int(number),
             num_steps=num_steps,
             on_step=None if on_step is None else _share(on_step, index, len(numbers)),
         )
-        coefficients[rows] = generated.coefficients
-    assert generated is not None
-    return replace(generated, grid=voxels.grid, coefficients=coefficients, seed=seed)
+        spectra.append((rows, spectrum.coefficients))
+    coefficients = np.zeros((len(voxels.grid), *spectra[0][1].shape[1:]), np.complex64)
+    for rows, of_tree in spectra:
+        coefficients[rows] = of_tree
+    return replace(spectrum, grid=voxels.grid, coefficients=coefficients, seed=seed)
 
 
 def tree_voxels(voxels: SurfaceVoxels, rows: Int64[np.ndarray, " M"]) -> SurfaceVoxels:

@@ -6,10 +6,9 @@ from typing import NamedTuple, no_type_check
 import numpy as np
 from jaxtyping import Float32, Float64, Int32, Int64
 from scipy.ndimage import label, maximum_filter, minimum_filter
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from skimage.measure import marching_cubes
 
+from dynamictree.mesh import connected_parts
 from dynamictree.parallel import compiled, in_bands
 from dynamictree.reconstruct.stereo import StereoView
 
@@ -77,10 +76,7 @@ def main_cluster(surface: Surface, gap: float) -> Surface:
     """
     if len(surface.faces) == 0:
         return surface
-    number = len(surface.vertices)
-    start, end = surface.faces[:, [0, 1]].ravel(), surface.faces[:, [1, 2]].ravel()
-    links = coo_array((np.ones(len(start), bool), (start, end)), shape=(number, number))
-    piece_of_face = connected_components(links, directed=False)[1][surface.faces[:, 0]]
+    piece_of_face = connected_parts(surface.faces, len(surface.vertices))[surface.faces[:, 0]]
     large = np.flatnonzero((np.bincount(piece_of_face) >= _SPECK_FACES)[piece_of_face])
     if len(large) == 0:
         return NOTHING

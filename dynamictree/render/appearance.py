@@ -6,12 +6,10 @@ from typing import NamedTuple, no_type_check
 import numpy as np
 from jaxtyping import Bool, Float32, Int32
 from PIL import Image
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from dynamictree.color import linear_from_bytes
 from dynamictree.errors import FormatError
-from dynamictree.mesh import Material, TriangleMesh
+from dynamictree.mesh import Material, TriangleMesh, connected_parts
 from dynamictree.parallel import compiled
 
 _TEXTURE_SIDE_PX = 1024  # larger textures are reduced: more than a picture of this renderer shows
@@ -94,20 +92,12 @@ def _is_leafy(material: Material) -> bool:
 
 def foliage_faces(faces: Int32[np.ndarray, "F 3"], num_vertices: int) -> Bool[np.ndarray, " F"]:
     """Whether each face belongs to a small separate piece, as leaves do."""
-    corners = faces.T
-    links = coo_array(
-        (
-            np.ones(2 * len(faces), bool),
-            (np.concatenate([corners[0], corners[1]]), np.concatenate([corners[1], corners[2]])),
-        ),
-        shape=(num_vertices, num_vertices),
-    )
-    num_pieces, piece = connected_components(links, directed=False)
-    size = np.bincount(piece[corners[0]], minlength=num_pieces)
+    piece = connected_parts(faces, num_vertices)
+    size = np.bincount(piece[faces[:, 0]], minlength=int(piece.max(initial=-1)) + 1)
     small = size <= _LEAF_FACES
     if small[size > 0].all():  # nothing but pieces: a mesh without shared vertices tells nothing
         return np.zeros(len(faces), bool)
-    leaves: Bool[np.ndarray, " F"] = small[piece[corners[0]]]
+    leaves: Bool[np.ndarray, " F"] = small[piece[faces[:, 0]]]
     return leaves
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float32, Float64, Int32, Int64
 
-from dynamictree.mesh import TriangleMesh, edges_of, weld
+from dynamictree.mesh import TriangleMesh, connected_parts, weld
 from dynamictree.trees.cells import CELLS_TALL
 from dynamictree.trees.choose import require_tree, several_trees
 from dynamictree.trees.segment import segment_trees
@@ -65,7 +65,7 @@ def only_tree_of(mesh: TriangleMesh, number: int) -> TriangleMesh:
     Raises:
         InputError: there is no such tree.
     """
-    require_tree(number, 1 if mesh.face_tree is None else int(mesh.face_tree.max()) + 1)
+    require_tree(number, mesh.face_tree)
     if mesh.face_tree is None:
         return mesh
     own = mesh.face_tree == number - 1
@@ -112,14 +112,7 @@ def _of_faces(
     return trees
 
 
-def _parts(mesh: TriangleMesh) -> Int64[np.ndarray, " F"]:
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
+def _parts(mesh: TriangleMesh) -> Int32[np.ndarray, " F"]:
     welded, _ = weld(mesh)
-    edges = edges_of(welded.faces)
-    touching = coo_array((np.ones(len(edges), np.int8), edges.T), shape=(welded.num_vertices,) * 2)
-    part: Int64[np.ndarray, " F"] = connected_components(touching, directed=False)[1][welded.faces[:, 0]].astype(
-        np.int64
-    )
+    part: Int32[np.ndarray, " F"] = connected_parts(welded.faces, welded.num_vertices)[welded.faces[:, 0]]
     return part

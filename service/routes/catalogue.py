@@ -106,25 +106,15 @@ def get_limits(owned: OwnedDep) -> LimitsPayload:
     from dynamictree.gaussian.cloud import MAX_GAUSSIANS, MAX_SEQUENCE_BYTES
     from dynamictree.mesh import MAX_FACES, MAX_VERTICES
 
-    settings = owned.services.settings
-    return LimitsPayload(
+    return LimitsPayload.of(
+        owned.services.settings,
         mesh_formats=[suffix.lstrip(".") for suffix in suffixes.MESH_SUFFIXES],
         cloud_formats=[suffix.lstrip(".") for suffix in suffixes.CLOUD_SUFFIXES],
         photo_formats=[suffix.lstrip(".") for suffix in suffixes.PHOTO_SUFFIXES],
         products=[
-            ProductPayload(
-                format=name,
-                title=product.title,
-                file_name=product.file_name,
-                media_type=product.media_type,
-                shows=product.shows,
-                options=sorted(product.options),
-            )
+            ProductPayload.of(product, format=name, options=sorted(product.options))
             for name, product in PRODUCTS.items()
         ],
-        max_json_bytes=settings.max_json_bytes,
-        max_interact_bytes=settings.max_interact_bytes,
-        max_multipart_bytes=settings.max_multipart_bytes,
         min_photos=suffixes.MIN_PHOTOS,
         max_photos=suffixes.MAX_PHOTOS,
         max_photo_bytes=intake.MAX_PHOTO_BYTES,
@@ -139,7 +129,4 @@ def get_limits(owned: OwnedDep) -> LimitsPayload:
         max_forces=forces.MAX_FORCES,
         max_force_groups=forces.MAX_GROUPS,
         max_displacement_bytes=interact.MAX_DISPLACEMENT_BYTES,
-        max_queued_jobs=settings.max_queued_jobs,
-        artifact_retention_s=settings.artifact_retention_s,
-        asset_retention_s=settings.asset_retention_s,
     )

@@ -46,9 +46,9 @@ def get_spectrum(id: Id, owned: OwnedDep) -> SpectrumPayload:
     spectrum = load_spectrum(owned, id)
     grid = spectrum.grid
     low, high = grid.coords.min(axis=0), grid.coords.max(axis=0) + 1
-    return SpectrumPayload(
+    return SpectrumPayload.of(
+        spectrum,
         id=id,
-        num_frequencies=spectrum.num_frequencies,
         frequencies_hz=[float(value) for value in spectrum.frequencies_hz],
         num_voxels=len(grid),
         resolution=grid.resolution,
@@ -56,13 +56,6 @@ def get_spectrum(id: Id, owned: OwnedDep) -> SpectrumPayload:
         origin_m=list(grid.origin_m),
         low_m=[float(o + c * grid.voxel_size_m) for o, c in zip(grid.origin_m, low, strict=True)],
         high_m=[float(o + c * grid.voxel_size_m) for o, c in zip(grid.origin_m, high, strict=True)],
-        fps=spectrum.fps,
-        num_frames=spectrum.num_frames,
-        period_s=spectrum.period_s,
-        rest=spectrum.rest,
-        model=spectrum.model,
-        seed=spectrum.seed,
-        wind=spectrum.wind,
         artifact_url=f"/v1/artifacts/{id}",
     )
 

@@ -8,9 +8,8 @@ from starlette.concurrency import run_in_threadpool
 
 from jobs import webhooks
 from jobs.webhook_events import EVENTS, DeliveryState, Event
-from jobs.webhooks import Delivery, Endpoint
 from service.http.routing import Cursor, Id, headers, refusals
-from service.schemas.base import Payload, Time, maybe_time, time_of
+from service.schemas.base import Payload, Time
 from service.services import OwnedDep
 
 router = APIRouter(prefix="/v1/webhook-endpoints", tags=["webhooks"])
@@ -88,19 +87,19 @@ async def create_endpoint(body: EndpointRequest, response: Response, owned: Owne
     box = owned.services.secret_box
     new, secret = await run_in_threadpool(webhooks.add_endpoint, owned.store, body.url, body.events, box)
     response.headers["Location"] = f"/v1/webhook-endpoints/{new.id}"
-    return EndpointWithSecretPayload(**_endpoint(new).model_dump(), secret=secret)
+    return EndpointWithSecretPayload.of(new, secret=secret)
 
 
 @router.get("", operation_id="listWebhookEndpoints", responses=refusals())
 def list_endpoints(owned: OwnedDep) -> EndpointListPayload:
     """Every endpoint."""
-    return EndpointListPayload(data=[_endpoint(endpoint) for endpoint in webhooks.endpoints(owned.store)])
+    return EndpointListPayload(data=[EndpointPayload.of(endpoint) for endpoint in webhooks.endpoints(owned.store)])
 
 
 @router.get("/{id}", operation_id="getWebhookEndpoint", responses=refusals("not-found"))
 def get_endpoint(id: Id, owned: OwnedDep) -> EndpointPayload:
     """One endpoint."""
-    return _endpoint(webhooks.endpoint(owned.store, id))
+    return EndpointPayload.of(webhooks.endpoint(owned.store, id))
 
 
 @router.put("/{id}", operation_id="putWebhookEndpoint", responses=refusals("not-found", "fetch-failed"))
@@ -108,7 +107,7 @@ async def put_endpoint(id: Id, body: EndpointRequest, owned: OwnedDep) -> Endpoi
     """Change address and events; a disabled endpoint is enabled again."""
     await owned.services.outbound.check(body.url)
     changes = {"url": body.url, "events": list(body.events), "disabled_reason": None}
-    return _endpoint(await run_in_threadpool(webhooks.change_endpoint, owned.store, id, **changes))
+    return EndpointPayload.of(await run_in_threadpool(webhooks.change_endpoint, owned.store, id, **changes))
 
 
 @router.delete(
@@ -126,7 +125,7 @@ def delete_endpoint(id: Id, owned: OwnedDep) -> None:
 def rotate_secret(id: Id, owned: OwnedDep) -> EndpointWithSecretPayload:
     """Make a new secret, shown only here. For a day the old one signs too, so that none is refused meanwhile."""
     new, secret = webhooks.rotate_secret(owned.store, id, owned.services.secret_box)
-    return EndpointWithSecretPayload(**_endpoint(new).model_dump(), secret=secret)
+    return EndpointWithSecretPayload.of(new, secret=secret)
 
 
 @router.get("/{id}/deliveries", operation_id="listWebhookDeliveries", responses=refusals("not-found"))
@@ -140,7 +139,8 @@ def list_deliveries(
     records = webhooks.deliveries(owned.store, id, before=cursor, limit=limit + 1)
     page = records[:limit]
     return DeliveryListPayload(
-        data=[_delivery(delivery) for delivery in page], next_cursor=page[-1].id if len(records) > limit else None
+        data=[DeliveryPayload.of(delivery, tries=delivery.log) for delivery in page],
+        next_cursor=page[-1].id if len(records) > limit else None,
     )
 
 
@@ -152,31 +152,5 @@ def list_deliveries(
 )
 def replay_delivery(id: Id, delivery_id: str, owned: OwnedDep) -> DeliveryPayload:
     """Tell it again, as a new delivery of the same message: the receiver knows it by its webhook-id."""
-    return _delivery(webhooks.replay(owned.store, id, delivery_id))
-
-
-def _endpoint(endpoint: Endpoint) -> EndpointPayload:
-    return EndpointPayload(
-        id=endpoint.id,
-        url=endpoint.url,
-        events=list(endpoint.events),
-        disabled_reason=endpoint.disabled_reason,
-        created_at=time_of(endpoint.created_at),
-    )
-
-
-def _delivery(delivery: Delivery) -> DeliveryPayload:
-    tries = [
-        TryPayload(at=time_of(new.at), status=new.status, detail=new.detail, seconds=new.seconds)
-        for new in delivery.log
-    ]
-    return DeliveryPayload(
-        id=delivery.id,
-        message_id=delivery.message_id,
-        event=delivery.event,
-        job_id=delivery.job_id,
-        state=delivery.state,
-        tries=tries,
-        next_at=maybe_time(delivery.next_at),
-        created_at=time_of(delivery.created_at),
-    )
+    delivery = webhooks.replay(owned.store, id, delivery_id)
+    return DeliveryPayload.of(delivery, tries=delivery.log)

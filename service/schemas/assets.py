@@ -8,7 +8,7 @@ from dynamictree.requests import Reading
 from jobs.records import AssetRecord
 from jobs.states import AssetKind
 from jobs.uploads import UploadRecord, UploadState
-from service.schemas.base import ULID_PATTERN, Payload, Problem, Time, problem_of, time_of
+from service.schemas.base import ULID_PATTERN, Payload, Problem, Time, problem_of
 
 
 class PartPayload(Payload):
@@ -75,27 +75,9 @@ class UploadPayload(Payload):
 
 def asset_payload(asset: AssetRecord) -> AssetPayload:
     """An asset as a response body."""
-    return AssetPayload(
-        id=asset.id,
-        kind=asset.kind,
-        parts=[PartPayload(name=part.name, sha256=part.sha256, bytes=part.bytes) for part in asset.parts],
-        summary=dict(asset.summary),
-        created_at=time_of(asset.created_at),
-        expires_at=time_of(asset.expires_at),
-    )
+    return AssetPayload.of(asset)
 
 
 def upload_payload(upload: UploadRecord, size: int) -> UploadPayload:
     """An upload as a response body, with the number of bytes received."""
-    return UploadPayload(
-        id=upload.id,
-        state=upload.state,
-        filename=upload.filename,
-        bytes_received=size,
-        length=upload.length,
-        sha256=upload.sha256,
-        asset_id=upload.asset_id,
-        error=problem_of(upload.error_code, upload.error_message),
-        created_at=time_of(upload.created_at),
-        expires_at=time_of(upload.expires_at),
-    )
+    return UploadPayload.of(upload, bytes_received=size, error=problem_of(upload.error_code, upload.error_message))

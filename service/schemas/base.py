@@ -1,7 +1,7 @@
 """Base classes and types of request and response bodies. Unknown fields are refused."""
 
 from datetime import UTC, datetime
-from typing import Annotated
+from typing import Annotated, Self
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -17,6 +17,12 @@ class Payload(BaseModel):
     """Root of all bodies."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+    @classmethod
+    def of(cls, record: object, **others: object) -> Self:
+        """A body with the fields that a record has by the same name; times in seconds since 1970 become RFC 3339."""
+        own = {name: getattr(record, name) for name in cls.model_fields if name not in others and hasattr(record, name)}
+        return cls.model_validate(own | others, from_attributes=True)
 
 
 class FieldErrorPayload(Payload):
@@ -46,11 +52,6 @@ class Problem(BaseModel):
 def time_of(seconds: float) -> datetime:
     """Seconds since 1970 as a time."""
     return datetime.fromtimestamp(seconds, UTC)
-
-
-def maybe_time(seconds: float | None) -> datetime | None:
-    """A time that may not be."""
-    return None if seconds is None else time_of(seconds)
 
 
 def problem_of(code: str | None, message: str | None) -> Problem | None:

@@ -8,7 +8,7 @@ from jobs.job_log import Level, LogLine
 from jobs.records import ArtifactRecord, JobRecord
 from jobs.stage_files import MESH, SPECTRUM, VOXELS
 from jobs.states import JobState, JobType, Priority, StageState
-from service.schemas.base import Payload, Problem, Time, maybe_time, problem_of, time_of
+from service.schemas.base import Payload, Problem, Time, problem_of
 
 
 class StagePayload(Payload):
@@ -125,40 +125,16 @@ def job_payload(
     retention_s: float,
 ) -> JobPayload:
     """A job as a response body."""
-    stages = [
-        StagePayload(
-            name=stage.name,
-            state=stage.state,
-            progress=stage.progress,
-            cached=stage.cached,
-            started_at=maybe_time(stage.started_at),
-            finished_at=maybe_time(stage.finished_at),
-        )
-        for stage in job.stages
-    ]
-    return JobPayload(
-        id=job.id,
-        type=job.type,
-        state=job.state,
-        asset_id=job.asset_id,
-        preset=job.preset,
-        seed=job.seed,
-        params=dict(job.params),
-        attempt=job.attempt,
-        progress=sum(stage.progress for stage in stages) / len(stages),
+    return JobPayload.of(
+        job,
+        progress=sum(stage.progress for stage in job.stages) / len(job.stages),
         queue_position=queue_position,
         eta_s=eta_s,
-        stages=stages,
         result=_result(job, artifacts),
         error=problem_of(job.error_code, job.error_message),
-        priority=job.priority,
         webhook=job.webhook_id,
-        retry_of=job.retry_of,
-        start_deadline_at=maybe_time(job.start_deadline),
-        created_at=time_of(job.created_at),
-        started_at=maybe_time(job.started_at),
-        finished_at=maybe_time(job.finished_at),
-        expires_at=maybe_time(None if job.finished_at is None else job.finished_at + retention_s),
+        start_deadline_at=job.start_deadline,
+        expires_at=None if job.finished_at is None else job.finished_at + retention_s,
     )
 
 
@@ -176,28 +152,10 @@ def _result(job: JobRecord, artifacts: list[ArtifactRecord]) -> ResultPayload | 
 
 def log_payload(lines: list[LogLine], after: int) -> LogPayload:
     """A page of a job's log as a response body; `after` is where it began."""
-    data = [
-        LogLinePayload(id=n.id, at=time_of(n.at), level=n.level, message=n.message, fields=dict(n.fields))
-        for n in lines
-    ]
-    return LogPayload(data=data, next_after=lines[-1].id if lines else after)
+    return LogPayload(data=[LogLinePayload.of(line) for line in lines], next_after=lines[-1].id if lines else after)
 
 
 def manifest_payload(job: JobRecord, artifacts: list[ArtifactRecord]) -> ManifestPayload:
     """A job's manifest as a response body."""
-    listed = [
-        ArtifactPayload(
-            id=artifact.id,
-            name=artifact.name,
-            stage=artifact.stage,
-            media_type=artifact.media_type,
-            bytes=artifact.bytes,
-            sha256=artifact.sha256,
-            url=f"/v1/artifacts/{artifact.id}",
-            facts=dict(artifact.facts),
-            created_at=time_of(artifact.created_at),
-            expires_at=time_of(artifact.expires_at),
-        )
-        for artifact in artifacts
-    ]
+    listed = [ArtifactPayload.of(artifact, url=f"/v1/artifacts/{artifact.id}") for artifact in artifacts]
     return ManifestPayload(job_id=job.id, complete=job.state == JobState.SUCCEEDED, artifacts=listed)

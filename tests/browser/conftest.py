@@ -13,8 +13,6 @@ import pytest
 from PIL import Image
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
-from dynamictree.dataset.sample import make_sample
-from dynamictree.formats.gltf.writer import write_glb
 from recipes.demo import served
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
@@ -32,14 +30,6 @@ def url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     folder = tmp_path_factory.mktemp("served")
     with served(folder / "state", folder / "serve.log") as url:
         yield url
-
-
-@pytest.fixture(scope="session")
-def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("trees") / "sapling.glb"
-    with path.open("wb") as stream:
-        write_glb(make_sample(3, "sapling").mesh, stream)
-    return path
 
 
 @pytest.fixture(scope="session")

@@ -12,18 +12,7 @@ from dynamictree_client.models import AnimateParams, At, Force, InteractRequest,
 from safetensors.numpy import load
 from typer.testing import CliRunner
 
-from dynamictree.dataset.sample import make_sample
-from dynamictree.formats.gltf.writer import write_glb
-
 PARAMS = AnimateParams(wind=Wind(speed_m_s=6.0), formats=["glb", "glb-reduced"], num_steps=1)
-
-
-@pytest.fixture(scope="module")
-def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("trees") / "tree.glb"
-    with path.open("wb") as stream:
-        write_glb(make_sample(3, "sapling").mesh, stream)
-    return path
 
 
 @pytest.mark.slow

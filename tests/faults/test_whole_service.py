@@ -56,25 +56,18 @@ def test_a_mesh_goes_in_and_voxels_come_out(service: Service) -> None:
 
 
 @pytest.mark.slow
-def test_a_killed_worker_loses_no_job(service: Service) -> None:
-    asset_id = service.upload("big.obj", bumpy_sphere(150))
+@pytest.mark.parametrize(("killed", "seed"), [("worker and pool", 0), ("pool process", 1)])
+def test_a_killed_worker_loses_no_job(service: Service, killed: str, seed: int) -> None:
+    asset_id = service.upload("big.obj", bumpy_sphere(150, seed=seed))
     pid = service.worker_pid()
     url = service.create(type="voxelize", asset_id=asset_id, params={"resolution": 256})
     wait_for(lambda: service.client.get(url).json()["stages"][0]["state"] == "running", "the stage")
-    parent = psutil.Process(pid).parent()
-    assert parent is not None
-    os.killpg(os.getpgid(parent.pid), signal.SIGKILL)  # the worker and its pool
-    job = service.finish(url)
-    assert (job["state"], job["attempt"]) == ("succeeded", 2), job
-    assert_exactly_once(service, url)
-
-
-@pytest.mark.slow
-def test_a_killed_pool_process_loses_no_job(service: Service) -> None:
-    asset_id = service.upload("big.obj", bumpy_sphere(150, seed=1))
-    url = service.create(type="voxelize", asset_id=asset_id, params={"resolution": 256})
-    wait_for(lambda: service.client.get(url).json()["stages"][0]["state"] == "running", "the stage")
-    os.kill(service.worker_pid(), signal.SIGKILL)
+    if killed == "pool process":
+        os.kill(pid, signal.SIGKILL)
+    else:
+        parent = psutil.Process(pid).parent()
+        assert parent is not None
+        os.killpg(os.getpgid(parent.pid), signal.SIGKILL)
     job = service.finish(url)
     assert (job["state"], job["attempt"]) == ("succeeded", 2), job
     assert_exactly_once(service, url)

@@ -2,6 +2,7 @@
 
 import io
 import json
+import zipfile
 from collections.abc import Mapping
 
 import numpy as np
@@ -75,3 +76,11 @@ def triangle_gltf(**changes: object) -> tuple[dict[str, object], bytes]:
         "buffers": [{"byteLength": 42}],
     }
     return root | changes, positions + indices
+
+
+def zipped(files: Mapping[str, bytes]) -> bytes:
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in files.items():
+            archive.writestr(name, content)
+    return stream.getvalue()

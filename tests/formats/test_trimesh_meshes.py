@@ -2,7 +2,6 @@
 
 import io
 import tracemalloc
-import zipfile
 from collections.abc import Mapping
 
 import numpy as np
@@ -11,7 +10,7 @@ import pytest
 from dynamictree.errors import FormatError, InputError, MeshError
 from dynamictree.formats.mesh_file import read_mesh, sniff_file_type
 from dynamictree.mesh import Material, TriangleMesh
-from tests.formats.meshes import image_bytes, trunk_and_crown
+from tests.formats.meshes import image_bytes, trunk_and_crown, zipped
 
 KINDS = ["off", "3mf", "dae"]
 
@@ -75,14 +74,6 @@ def test_a_truncated_file_is_refused(rng: np.random.Generator, kind: str) -> Non
 def test_a_hostile_file_is_refused_before_it_is_parsed(content: bytes, kind: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         read_mesh(io.BytesIO(content), file_type=kind)
-
-
-def zipped(files: Mapping[str, bytes]) -> bytes:
-    stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, content in files.items():
-            archive.writestr(name, content)
-    return stream.getvalue()
 
 
 def test_a_3mf_that_unpacks_to_much_is_refused_without_unpacking() -> None:

@@ -3,7 +3,6 @@
 import gzip
 import io
 import json
-import zipfile
 import zlib
 from collections.abc import Callable
 
@@ -28,7 +27,7 @@ from dynamictree.mesh import TriangleMesh
 from dynamictree.spectrum import SparseVoxelSpectrum
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import SurfaceVoxels
-from tests.formats.meshes import gltf_bytes, image_bytes, triangle_gltf, trunk_and_crown
+from tests.formats.meshes import gltf_bytes, image_bytes, triangle_gltf, trunk_and_crown, zipped
 
 
 def tree() -> TriangleMesh:
@@ -124,30 +123,22 @@ def photo(kind: str, mode: str = "RGB") -> bytes:
     return stream.getvalue()
 
 
-def packed(files: dict[str, bytes]) -> bytes:
-    stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, content in files.items():
-            archive.writestr(name, content)
-    return stream.getvalue()
-
-
 def gltf_zip() -> bytes:
     root, binary = triangle_gltf()
     root |= {"buffers": [{"byteLength": 42, "uri": "tree.bin"}], "images": [{"uri": "bark.png"}]}
     root |= {"textures": [{"source": 0}], "materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}]}
     files = {"tree.gltf": json.dumps(root).encode(), "tree.bin": binary, "bark.png": image_bytes()}
-    return packed(files)
+    return zipped(files)
 
 
 def obj_zip() -> bytes:
     stream = io.BytesIO()
     beside = write_obj(tree(), stream, library="tree.mtl")
-    return packed({"tree.obj": stream.getvalue(), **beside})
+    return zipped({"tree.obj": stream.getvalue(), **beside})
 
 
 def photo_zip() -> bytes:
-    return packed({f"{number}.jpg": photo("JPEG") for number in range(8)})
+    return zipped({f"{number}.jpg": photo("JPEG") for number in range(8)})
 
 
 def spz4() -> bytes:
