@@ -7,12 +7,12 @@ face. Gaussians far from every face, or outside of the part that is to move, han
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int32
+from jaxtyping import Bool, Float32, Float64, Int32
 
 from dynamictree.errors import InputError
 from dynamictree.gaussian.capture import Capture, moving_part
 from dynamictree.gaussian.cloud import GaussianCloud
-from dynamictree.gaussian.nearest import NearestFaces, nearest_faces
+from dynamictree.gaussian.nearest import nearest_faces
 from dynamictree.gaussian.rotation import quaternion_matrices
 from dynamictree.mesh import TriangleMesh
 from dynamictree.requests import CloudParams
@@ -70,43 +70,28 @@ def bind(
         InputError: nothing is left to move, or the mesh has no face that is a triangle at all.
     """
     extent = float(np.ptp(mesh.vertices, axis=0).max())
-    own_reach = max_distance_m is None
-    if max_distance_m is None:
-        max_distance_m = FLOATER_SHARE * extent
-    if not max_distance_m > 0:
+    if max_distance_m is not None and not max_distance_m > 0:
         raise InputError(f"max_distance_m is {max_distance_m:g}; it must be positive")
+    rows = np.arange(cloud.num_gaussians) if mask is None else np.flatnonzero(mask)
+    reach = _own_reach(cloud.scales[rows], extent) if max_distance_m is None else np.full(len(rows), max_distance_m)
     triangles = longest_edge_first(mesh.vertices, solid_faces(mesh))
-    nearest = nearest_faces(cloud.means, mesh.vertices, triangles, max_distance_m)
-    if own_reach:
-        nearest = _with_large_ones(nearest, cloud, mesh.vertices, triangles, _INSIDE_SHARE * extent)
-    face_of = np.where(mask, nearest.faces, STILL).astype(np.int32) if mask is not None else nearest.faces
-    if (face_of == STILL).all():
+    nearest = nearest_faces(cloud.means[rows], mesh.vertices, triangles, reach)
+    if (nearest.faces == STILL).all():
         raise InputError(
-            f"no Gaussian is within {max_distance_m:.3g} m of the mesh and in the part that moves; "
+            f"no Gaussian is within {reach.max(initial=0):.3g} m of the mesh and in the part that moves; "
             "are cloud and mesh in the same axes and units?"
         )
-    return _compact(cloud, mesh.vertices, triangles, face_of, nearest.weights)
+    face_of = np.full(cloud.num_gaussians, STILL, np.int32)
+    weights = np.zeros((cloud.num_gaussians, 3), np.float32)
+    face_of[rows], weights[rows] = nearest.faces, nearest.weights
+    return _compact(cloud, mesh.vertices, triangles, face_of, weights)
 
 
-def _with_large_ones(
-    nearest: NearestFaces,
-    cloud: GaussianCloud,
-    vertices: Float32[np.ndarray, "N 3"],
-    triangles: Int32[np.ndarray, "F 3"],
-    max_distance_m: float,
-) -> NearestFaces:
-    """Bind also those whose own extent reaches a face: the surface of a large Gaussian is far from its middle."""
-    reach = _SIGMAS * cloud.scales.max(axis=1)
-    rows = np.flatnonzero((nearest.faces == STILL) & (reach > 0))
-    if len(rows) == 0:
-        return nearest
-    farthest = min(float(reach[rows].max()), max_distance_m)
-    more = nearest_faces(cloud.means[rows], vertices, triangles, farthest)
-    places = np.einsum("gc,gcx->gx", more.weights, vertices[triangles[more.faces]])
-    near = (more.faces != STILL) & (np.linalg.norm(cloud.means[rows] - places, axis=1) <= reach[rows])
-    faces, weights = nearest.faces.copy(), nearest.weights.copy()
-    faces[rows[near]], weights[rows[near]] = more.faces[near], more.weights[near]
-    return NearestFaces(faces=faces, weights=weights)
+def _own_reach(scales: Float32[np.ndarray, "G 3"], extent: float) -> Float64[np.ndarray, " G"]:
+    """How far from a face a Gaussian hangs on it [m]: the surface of a large one is far from its middle."""
+    surface = _SIGMAS * scales.max(axis=1).astype(np.float64)
+    result: Float64[np.ndarray, " G"] = np.clip(surface, FLOATER_SHARE * extent, _INSIDE_SHARE * extent)
+    return result
 
 
 def bind_capture(capture: Capture, mesh: TriangleMesh, choice: CloudParams | None = None) -> Binding:

@@ -24,9 +24,9 @@ def nearest_faces(
     points: Float32[np.ndarray, "G 3"],
     vertices: Float32[np.ndarray, "N 3"],
     faces: Int32[np.ndarray, "F 3"],
-    max_distance: float,
+    reach: float | Float64[np.ndarray, " G"],
 ) -> NearestFaces:
-    """Search outward from each point's cell, shell by shell, until no nearer face can follow."""
+    """Search outward from each point's cell, shell by shell, until no nearer face can follow or its reach ends."""
     corners = vertices[faces].astype(np.float64)  # [F, 3, 3]
     low = corners.min(axis=(0, 1))
     extent = corners.max(axis=(0, 1)) - low
@@ -37,7 +37,8 @@ def nearest_faces(
     nearest = np.full(len(points), _NONE, np.int32)
     weights = np.zeros((len(points), 3), np.float32)
     places = points.astype(np.float64)
-    in_bands(_search, len(points), places, corners, low, cell, shape, starts, listed, max_distance, nearest, weights)
+    limits = np.ascontiguousarray(np.broadcast_to(np.float64(reach), len(points)))
+    in_bands(_search, len(points), places, corners, low, cell, shape, starts, listed, limits, nearest, weights)
     return NearestFaces(faces=nearest, weights=weights)
 
 
@@ -141,11 +142,11 @@ def _to_cell(p, x, y, z, low, cell):
 
 @compiled
 @no_type_check
-def _search(first, end, points, corners, low, cell, shape, starts, listed, max_distance, nearest, weights):
+def _search(first, end, points, corners, low, cell, shape, starts, listed, reach, nearest, weights):
     home, trial = np.empty(3, np.int64), np.empty(3)
     for g in range(first, end):
         p = points[g]
-        best = max_distance * max_distance
+        best = reach[g] * reach[g]
         shell, outside = 0, 0.0
         for d in range(3):
             place = (p[d] - low[d]) / cell

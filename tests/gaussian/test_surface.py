@@ -56,7 +56,7 @@ def png(pixels: np.ndarray) -> bytes:
 
 def test_the_surface_lies_around_the_gaussians(rng: np.random.Generator) -> None:
     cloud = sphere_cloud(rng)
-    mesh = mesh_of_cloud(cloud, cells_along=64)
+    mesh = mesh_of_cloud(cloud, cells_along=64, max_faces=100_000)
     shape = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     assert shape.is_watertight
     radii = np.linalg.norm(mesh.vertices - [3, 0, 0], axis=1)
