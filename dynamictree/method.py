@@ -9,6 +9,7 @@ Importing this module loads no torch; `generate` does.
 """
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
@@ -62,10 +63,16 @@ def animate_splat(
     yield from iter_splat_frames(binding, motion)
 
 
-def voxelize(mesh: "TriangleMesh | trimesh.Trimesh | trimesh.Scene", *, resolution: Resolution = 128) -> SurfaceVoxels:
-    """Find the voxels that the surface occupies, with their normals. Paper section 3.3."""
+def voxelize(
+    mesh: "TriangleMesh | trimesh.Trimesh | trimesh.Scene", *, resolution: Resolution = 128, source_sha256: str = ""
+) -> SurfaceVoxels:
+    """Find the voxels that the surface occupies, with their normals. Paper section 3.3.
+
+    They record `source_sha256`, the hash of the mesh's file, and how that was read; so does what is generated of them.
+    """
     mesh = triangle_mesh(mesh)
-    return voxelize_surface(mesh, stand_resolution(mesh, GridParams(resolution=resolution).resolution))
+    resolution = stand_resolution(mesh, GridParams(resolution=resolution).resolution)
+    return voxelize_surface(mesh, resolution, source_sha256=source_sha256)
 
 
 def generate(
@@ -83,9 +90,10 @@ def generate(
     """
     from dynamictree.models.several_trees import generate_trees
 
-    return generate_trees(
+    spectrum = generate_trees(
         motion_model(model), voxels, wind=wind or Wind(), seed=seed, num_steps=num_steps, on_step=on_step
     )
+    return replace(spectrum, source=voxels.source)
 
 
 def devoxelize(

@@ -6,7 +6,7 @@ A coefficient is a length in metres (`norm="forward"`). The displacement at fram
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, get_args
 
 import numpy as np
@@ -14,6 +14,7 @@ from jaxtyping import Complex64, Float32, Float64
 
 from dynamictree.errors import InputError
 from dynamictree.requests import Wind as Wind
+from dynamictree.source import Source
 from dynamictree.voxel.grid import VoxelGrid
 
 NUM_FREQUENCIES = 16  # K, paper section 3.2
@@ -36,10 +37,7 @@ class SparseVoxelSpectrum:
     model: str = ""
     seed: int = 0
     wind: Wind | None = None
-    source_sha256: str = ""
-    source_up_axis: str = ""  # how the shape was read: empty and None where it is not known
-    source_up_confidence: float | None = None
-    source_scale: float | None = None
+    source: Source = field(default_factory=Source)
 
     def __post_init__(self) -> None:
         if len(self.coefficients) != len(self.grid):

@@ -2,6 +2,7 @@
 
 from dataclasses import asdict, replace
 from hashlib import sha256
+from typing import Any
 
 import sqlalchemy as sa
 
@@ -57,6 +58,14 @@ def read_asset(store: Store, asset_id: str) -> AssetRecord:
     if asset.deleted_at is not None:
         raise GoneError(f"asset {asset_id} was deleted or has expired; upload it again")
     return asset
+
+
+def asset_summary(store: Store, asset_id: str) -> dict[str, Any] | None:
+    """What was found in an asset, deleted or not; None once its record is removed."""
+    with store.reading() as connection:
+        this = (t.assets.c.id == asset_id) & store.mine(t.assets)
+        summary: dict[str, Any] | None = connection.execute(sa.select(t.assets.c.summary).where(this)).scalar()
+    return summary
 
 
 def delete_asset(store: Store, asset_id: str) -> None:

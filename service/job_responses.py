@@ -4,6 +4,7 @@ from hashlib import sha256
 
 from fastapi import Response
 
+from jobs.assets import asset_summary
 from jobs.records import ArtifactRecord, JobRecord
 from service.schemas.jobs import JobPayload, job_payload
 from service.services import Owned
@@ -48,6 +49,7 @@ def _payload(owned: Owned, job: JobRecord, position: int | None, artifacts: list
     return job_payload(
         job,
         artifacts,
+        source=asset_summary(owned.store, job.asset_id) if artifacts else None,
         queue_position=position,
         eta_s=owned.services.job_durations.eta_s(job, position),
         retention_s=owned.services.settings.job_retention_s,

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger(__name__)
 
-STAGE_VERSION = "10"
+STAGE_VERSION = "11"
 """Part of every stage's key; raised when a stage makes something else of the same inputs."""
 
 SOURCE = "source"
@@ -80,6 +80,7 @@ def run_stages(runtime: Runtime, watch: Watch) -> None:
                     folder=own,
                     resume_dir=resume_dir,
                     files=files,
+                    source_sha256="" if asset.kind == "photos" else asset.parts[0].sha256,
                     photos=photos,
                     report=partial(watch.report, stage.name),
                 )

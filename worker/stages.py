@@ -34,6 +34,7 @@ class StageInput:
     folder: Path  # its own, empty
     resume_dir: Path  # of the job's attempts on this machine: what is half done
     files: dict[str, Path]  # what earlier stages made; the asset's mesh as MESH_BUNDLE, or its cloud as CLOUD_BUNDLE
+    source_sha256: str  # of the file that holds the shape; empty for photos
     photos: tuple[Path, ...]  # with the cameras and masks that came with them
     report: Callable[[float], None]  # share done in [0, 1]; raises when the stage should stop
     facts: dict[str, Facts] = field(default_factory=dict)  # filled in: what a file has to tell, by its name
@@ -85,7 +86,8 @@ def _mesh_of_cloud(given: StageInput) -> Iterable[Path]:
 def voxelize(given: StageInput) -> Iterable[Path]:
     """Mesh to voxels."""
     given.report(0.0)
-    voxels = method.voxelize(_mesh(given), resolution=GridParams.part_of(given.job.params).resolution)
+    resolution = GridParams.part_of(given.job.params).resolution
+    voxels = method.voxelize(_mesh(given), resolution=resolution, source_sha256=given.source_sha256)
     with (given.folder / VOXELS).open("xb") as stream:
         write_voxels(voxels, stream)
     return [given.folder / VOXELS]

@@ -676,6 +676,12 @@ class Result(Model):
     voxels_id: str | None
     # for /v1/spectra and /v1/interact
     spectrum_id: str | None
+    # how what was uploaded was read, as in the asset's `summary`: height, up axis, unit, `warnings`, `still_parts`;
+    # null once the asset's record is removed
+    source: (
+        dict[str, str | int | float | list[float] | list[dict[str, str | int]] | list[dict[str, int | float]] | None]
+        | None
+    )
     artifacts_url: str
 
 

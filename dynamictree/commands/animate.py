@@ -7,7 +7,7 @@ import typer
 
 from dynamictree.commands.options import OutputFolder, SourcePath
 from dynamictree.commands.request_options import with_request_options
-from dynamictree.commands.source import read_source, with_source
+from dynamictree.commands.source import file_sha256, read_source
 from dynamictree.commands.terminal import AsJson, progress, tell
 from dynamictree.files import published
 from dynamictree.requests import CloudParams, ExportParams, GeneratorGridParams, ModelParams, Reading, SpectrumParams
@@ -47,7 +47,7 @@ def animate(
         _print_sequence_size(capture, export)
     inexact: dict[str, Facts] = {}
     with progress(quiet=as_json) as report, published(output) as folder:
-        voxels = method.voxelize(shape, resolution=grid.resolution)
+        voxels = method.voxelize(shape, resolution=grid.resolution, source_sha256=file_sha256(source))
         report("voxelize", 1.0)
         spectrum = method.generate(
             voxels,
@@ -57,7 +57,6 @@ def animate(
             num_steps=generation.num_steps,
             on_step=lambda done, total: report("diffuse", done / total),
         )
-        spectrum = with_source(spectrum, shape, source)
         with (folder / "tree.spectrum.safetensors").open("wb") as stream:
             write_spectrum(spectrum, stream)
         write_products(

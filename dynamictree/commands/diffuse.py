@@ -7,7 +7,7 @@ import typer
 
 from dynamictree.commands.options import OutputFile
 from dynamictree.commands.request_options import with_request_options
-from dynamictree.commands.source import is_tensor_file, read_source, with_source
+from dynamictree.commands.source import file_sha256, is_tensor_file, read_source
 from dynamictree.commands.terminal import AsJson, progress, tell
 from dynamictree.files import opened, published
 from dynamictree.requests import CloudParams, GeneratorGridParams, ModelParams, Reading, SpectrumParams
@@ -31,13 +31,12 @@ def diffuse(
     from dynamictree.formats.tensors.spectrum import write_spectrum
     from dynamictree.formats.tensors.voxels import FORMAT, read_voxels
 
-    mesh = None
     if is_tensor_file(source, FORMAT, ".voxels.safetensors"):
         with opened(source) as stream:
             voxels = read_voxels(stream)
     else:
         mesh, _ = read_source(source, reading, choice=cloud)
-        voxels = method.voxelize(mesh, resolution=grid.resolution)
+        voxels = method.voxelize(mesh, resolution=grid.resolution, source_sha256=file_sha256(source))
     with progress(quiet=as_json) as report:
         spectrum = method.generate(
             voxels,
@@ -47,8 +46,6 @@ def diffuse(
             num_steps=params.num_steps,
             on_step=lambda done, total: report("diffuse", done / total),
         )
-    if mesh is not None:
-        spectrum = with_source(spectrum, mesh, source)
     with published(output.parent) as folder, (folder / output.name).open("wb") as stream:
         write_spectrum(spectrum, stream)
     tell({"file": str(output), "num_voxels": len(spectrum.grid), "period_s": spectrum.period_s}, as_json=as_json)

@@ -3,7 +3,6 @@
 import hashlib
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict
 
@@ -16,7 +15,6 @@ from dynamictree.requests import CloudParams, Reading
 if TYPE_CHECKING:
     from dynamictree.gaussian.capture import Capture
     from dynamictree.mesh import SourceWarning, TriangleMesh
-    from dynamictree.spectrum import SparseVoxelSpectrum
 
 
 def is_tensor_file(path: Path, file_format: str, ending: str) -> bool:
@@ -83,19 +81,14 @@ def say_how_read(mesh: "TriangleMesh", warnings: "Sequence[SourceWarning]") -> N
         typer.echo(f"warning: {warning.message} ({warning.code})", err=True)
 
 
-def with_source(spectrum: "SparseVoxelSpectrum", mesh: "TriangleMesh", path: Path) -> "SparseVoxelSpectrum":
-    """The spectrum, with what it was made from and how that was read."""
+def file_sha256(path: Path) -> str:
+    """Hash of a file's bytes.
+
+    Raises:
+        InputError: it cannot be read.
+    """
     with opened(path) as stream:
-        digest = hashlib.sha256()
-        while block := stream.read(1 << 20):
-            digest.update(block)
-    return replace(
-        spectrum,
-        source_sha256=digest.hexdigest(),
-        source_up_axis=mesh.source_up_axis,
-        source_up_confidence=mesh.source_up_confidence,
-        source_scale=mesh.source_scale,
-    )
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def load_mesh(path: Path, reading: Reading | None = None) -> "TriangleMesh":

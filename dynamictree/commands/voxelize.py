@@ -2,7 +2,7 @@
 
 from dynamictree.commands.options import OutputFile, SourcePath
 from dynamictree.commands.request_options import with_request_options
-from dynamictree.commands.source import read_source
+from dynamictree.commands.source import file_sha256, read_source
 from dynamictree.commands.terminal import AsJson, tell
 from dynamictree.files import published
 from dynamictree.requests import CloudParams, GridParams, Reading
@@ -22,7 +22,7 @@ def voxelize(
     from dynamictree.formats.tensors.voxels import write_voxels
 
     mesh, _ = read_source(source, reading, choice=cloud)
-    voxels = method.voxelize(mesh, resolution=grid.resolution)
+    voxels = method.voxelize(mesh, resolution=grid.resolution, source_sha256=file_sha256(source))
     with published(output.parent) as folder, (folder / output.name).open("wb") as stream:
         write_voxels(voxels, stream)
     tell(

@@ -105,8 +105,5 @@ def describe_spectrum(spectrum: SparseVoxelSpectrum) -> dict[str, Any]:
         "wind": None
         if wind is None
         else {"speed_m_s": wind.speed_m_s, "direction_deg": wind.direction_deg, "gust": wind.gust},
-        "source_sha256": spectrum.source_sha256,
-        "source_up_axis": spectrum.source_up_axis,
-        "source_scale": spectrum.source_scale,
-        "source_up_confidence": spectrum.source_up_confidence,
+        **{f"source_{name}": value for name, value in asdict(spectrum.source).items()},
     }

@@ -1,6 +1,6 @@
 """The surface of a mesh as occupied voxels, and vertex values as means over the surface in each. Paper section 3.3."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.sparse
@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float32, Float64, Int32, Int64
 
 from dynamictree.errors import InputError, MeshError
 from dynamictree.mesh import TriangleMesh
+from dynamictree.source import Source
 from dynamictree.voxel.clip import SurfacePieces, cut_faces
 from dynamictree.voxel.grid import VoxelGrid, grid_frame
 from dynamictree.voxel.moments import moments_of
@@ -31,9 +32,10 @@ class SurfaceVoxels:
     normals: Float32[np.ndarray, "V 3"]  # unit length
     moments: Float32[np.ndarray, "V 16"] | None = None  # see `voxel.moments`; None where no mesh is known
     tree: Int32[np.ndarray, " V"] | None = None  # of several trees the one, from 0; None if there is one
+    source: Source = field(default_factory=Source)
 
 
-def voxelize(mesh: TriangleMesh, resolution: int = 128) -> SurfaceVoxels:
+def voxelize(mesh: TriangleMesh, resolution: int = 128, *, source_sha256: str = "") -> SurfaceVoxels:
     """The voxels that hold a piece of the surface, with the mean normal of the surface in each.
 
     A voxel is half-open: what lies in the plane between two belongs to the upper one. Where the two sides of a thin
@@ -42,6 +44,7 @@ def voxelize(mesh: TriangleMesh, resolution: int = 128) -> SurfaceVoxels:
     Args:
         mesh: with finite vertices; faces without area are passed over.
         resolution: voxels along the cube's edge, 32 to 512.
+        source_sha256: of the file that the mesh was read from, to be recorded.
 
     Raises:
         InputError: the resolution is out of range.
@@ -63,7 +66,13 @@ def voxelize(mesh: TriangleMesh, resolution: int = 128) -> SurfaceVoxels:
     )
     normals, moments = _mean_normals(mesh, grid, pieces, rows), moments_of(mesh, grid, pieces, rows)
     tree = None if mesh.face_tree is None else _largest_share(mesh.face_tree, pieces, rows, len(grid))
-    return SurfaceVoxels(grid=grid, normals=normals, moments=moments, tree=tree)
+    source = Source(
+        sha256=source_sha256,
+        up_axis=mesh.source_up_axis,
+        up_confidence=mesh.source_up_confidence,
+        scale=mesh.source_scale,
+    )
+    return SurfaceVoxels(grid=grid, normals=normals, moments=moments, tree=tree, source=source)
 
 
 def voxel_trees(mesh: TriangleMesh, grid: VoxelGrid) -> Int32[np.ndarray, " V"]:

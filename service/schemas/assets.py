@@ -19,15 +19,18 @@ class PartPayload(Payload):
     bytes: int
 
 
+AssetSummary = dict[
+    str, str | int | float | list[float] | list[dict[str, str | int]] | list[dict[str, int | float]] | None
+]
+
+
 class AssetPayload(Payload):
     """An upload that was read and can be used."""
 
     id: str
     kind: AssetKind
     parts: list[PartPayload]
-    summary: dict[
-        str, str | int | float | list[float] | list[dict[str, str | int]] | list[dict[str, int | float]] | None
-    ] = Field(
+    summary: AssetSummary = Field(
         description="what was found in it, lengths in metres; `warnings` are objects with `code` and `message`, "
         "`still_parts` what is not the plant and does not move: `name` and `why`, "
         "`trees` where each stands and how tall it is: `tree` (its number), `x_m`, `y_m`, `z_m` and `height_m`"

@@ -8,6 +8,7 @@ from jobs.job_log import Level, LogLine
 from jobs.records import ArtifactRecord, JobRecord
 from jobs.stage_files import MESH, SPECTRUM, VOXELS
 from jobs.states import JobState, JobType, Priority, StageState
+from service.schemas.assets import AssetSummary
 from service.schemas.base import Payload, Problem, Time, problem_of
 
 
@@ -28,6 +29,10 @@ class ResultPayload(Payload):
     mesh_id: str | None = Field(description="artefact of the reconstructed mesh")
     voxels_id: str | None
     spectrum_id: str | None = Field(description="for /v1/spectra and /v1/interact")
+    source: AssetSummary | None = Field(
+        description="how what was uploaded was read, as in the asset's `summary`: height, up axis, unit, `warnings`, "
+        "`still_parts`; null once the asset's record is removed"
+    )
     artifacts_url: str
 
 
@@ -120,6 +125,7 @@ def job_payload(
     job: JobRecord,
     artifacts: list[ArtifactRecord],
     *,
+    source: AssetSummary | None,
     queue_position: int | None,
     eta_s: float | None,
     retention_s: float,
@@ -130,7 +136,7 @@ def job_payload(
         progress=sum(stage.progress for stage in job.stages) / len(job.stages),
         queue_position=queue_position,
         eta_s=eta_s,
-        result=_result(job, artifacts),
+        result=_result(job, artifacts, source),
         error=problem_of(job.error_code, job.error_message),
         webhook=job.webhook_id,
         start_deadline_at=job.start_deadline,
@@ -138,7 +144,7 @@ def job_payload(
     )
 
 
-def _result(job: JobRecord, artifacts: list[ArtifactRecord]) -> ResultPayload | None:
+def _result(job: JobRecord, artifacts: list[ArtifactRecord], source: AssetSummary | None) -> ResultPayload | None:
     if not artifacts:
         return None
     ids = {artifact.name: artifact.id for artifact in artifacts}
@@ -146,6 +152,7 @@ def _result(job: JobRecord, artifacts: list[ArtifactRecord]) -> ResultPayload | 
         mesh_id=ids.get(MESH),
         voxels_id=ids.get(VOXELS),
         spectrum_id=ids.get(SPECTRUM),
+        source=source,
         artifacts_url=f"/v1/jobs/{job.id}/artifacts",
     )
 

@@ -1,4 +1,5 @@
 from collections.abc import Callable
+from hashlib import sha256
 from pathlib import Path
 
 import pytest
@@ -19,7 +20,8 @@ def test_a_file_is_described_by_its_bytes(
     voxels, spectrum = tmp_path / "a", tmp_path / "b"
     assert dynamictree("voxelize", triangle, "-o", voxels) == 0
     assert dynamictree("diffuse", voxels, "-o", spectrum, "--num-steps", 1) == 0
-    for path, line in ((triangle, "num_faces: 1"), (voxels, "resolution: 128"), (spectrum, "num_frequencies: 16")):
+    made_of = f"source_sha256: {sha256(TRIANGLE).hexdigest()}"
+    for path, line in ((triangle, "num_faces: 1"), (voxels, "resolution: 128"), (spectrum, made_of)):
         capsys.readouterr()
         assert dynamictree("info", path) == 0
         assert line in capsys.readouterr().out.splitlines()

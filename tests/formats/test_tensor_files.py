@@ -14,6 +14,7 @@ from dynamictree.errors import FormatError, InputError, NumericsError
 from dynamictree.formats.tensors import container
 from dynamictree.formats.tensors.spectrum import read_spectrum, write_spectrum
 from dynamictree.formats.tensors.voxels import read_voxels, write_voxels
+from dynamictree.source import Source
 from dynamictree.spectrum import SparseVoxelSpectrum, Wind
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.moments import moments_of_normals
@@ -39,7 +40,7 @@ def small_spectrum(rng: np.random.Generator, num_voxels: int = 50) -> SparseVoxe
         model="small-1",
         seed=2**40,
         wind=Wind(speed_m_s=7.5, direction_deg=-90.0, gust=0.2),
-        source_sha256="0123456789abcdef" * 4,
+        source=Source(sha256="0123456789abcdef" * 4),
     )
 
 
@@ -78,7 +79,7 @@ def test_read_undoes_write(rng: np.random.Generator, dtype: str) -> None:
 
 
 def test_a_spectrum_without_wind_or_source_survives(rng: np.random.Generator) -> None:
-    spectrum = replace(small_spectrum(rng), wind=None, source_sha256="", model="")
+    spectrum = replace(small_spectrum(rng), wind=None, source=Source(), model="")
     assert_same(read_spectrum(io.BytesIO(written(spectrum))), spectrum)
 
 
@@ -203,7 +204,8 @@ def small_voxels(rng: np.random.Generator) -> SurfaceVoxels:
     grid = small_spectrum(rng).grid
     normals = rng.normal(size=(len(grid), 3))
     unit = (normals / np.linalg.norm(normals, axis=1)[:, None]).astype(np.float32)
-    return SurfaceVoxels(grid=grid, normals=unit, moments=moments_of_normals(unit))
+    source = Source(up_axis="+Y", up_confidence=1.0, scale=0.01)
+    return SurfaceVoxels(grid=grid, normals=unit, moments=moments_of_normals(unit), source=source)
 
 
 def test_read_voxels_undoes_write_voxels(rng: np.random.Generator) -> None:
@@ -215,6 +217,7 @@ def test_read_voxels_undoes_write_voxels(rng: np.random.Generator) -> None:
     np.testing.assert_array_equal(result.normals, voxels.normals)
     np.testing.assert_array_equal(result.moments, voxels.moments)
     assert result.grid.origin_m == voxels.grid.origin_m
+    assert result.source == voxels.source
     bare = io.BytesIO()
     write_voxels(replace(voxels, moments=None), bare)
     assert read_voxels(io.BytesIO(bare.getvalue())).moments is None

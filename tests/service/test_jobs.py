@@ -58,6 +58,7 @@ def test_products_appear_stage_by_stage(client: TestClient, asset: AssetRecord, 
     job = client.get(url).json()
     assert (job["state"], job["progress"]) == ("succeeded", 1.0)
     assert "Retry-After" not in client.get(url).headers
+    assert job["result"]["source"] == asset.summary
     manifest = client.get(job["result"]["artifacts_url"]).json()
     assert manifest["complete"]
     assert [(a["name"], a["bytes"], a["id"]) for a in manifest["artifacts"]] == [

@@ -80,6 +80,7 @@ def test_a_voxelize_job_makes_a_voxel_file(runtime: Runtime, asset: AssetRecord)
     run(runtime, hold(runtime, job))
     voxels = read_voxels(BytesIO(content(runtime, job.id, VOXELS)))
     assert voxels.grid.resolution == 32
+    assert (voxels.source.sha256, voxels.source.up_axis) == (asset.parts[0].sha256, "+Z")
     assert runtime.store.job(job.id).state == JobState.SUCCEEDED
     assert list(runtime.settings.scratch_dir.iterdir()) == []
 

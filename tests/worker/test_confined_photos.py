@@ -99,6 +99,7 @@ def test_a_stage_decodes_no_photo_itself(photos: list[Path], tmp_path: Path, mon
         folder=tmp_path,
         resume_dir=tmp_path / "resume",
         files={},
+        source_sha256="",
         photos=tuple(photos),
         report=lambda share: None,
     )

@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from collections.abc import Mapping
 
 import numpy as np
@@ -11,6 +12,7 @@ from safetensors import SafetensorError, deserialize
 from dynamictree.byte_stream import ByteReader, ByteWriter, read_all
 from dynamictree.errors import FormatError
 from dynamictree.formats.seekable import SeekableReader
+from dynamictree.source import Source
 from dynamictree.voxel.grid import VoxelGrid
 
 MAX_FILE_BYTES = 1 << 30
@@ -139,6 +141,44 @@ def read_grid(tensors: Mapping[str, Shaped[np.ndarray, "..."]], metadata: Mappin
         voxel_size_m=number(metadata, "voxel_size_m"),
         resolution=integer(metadata, "resolution", low=1, high=MAX_RESOLUTION),
     )
+
+
+def source_metadata(source: Source) -> dict[str, str]:
+    """What a shape was read from as strings; undone by `source_of`."""
+    if not source.up_axis:
+        return {"source_sha256": source.sha256}
+    return {
+        "source_sha256": source.sha256,
+        "source_up_axis": source.up_axis,
+        "source_up_confidence": json.dumps(source.up_confidence),
+        "source_scale": json.dumps(source.scale),
+    }
+
+
+def source_of(metadata: Mapping[str, str]) -> Source:
+    """What the shape of a file was read from.
+
+    Raises:
+        FormatError: a field is out of range.
+    """
+    confidence, scale = (
+        None if metadata.get(name, "null") == "null" else number(metadata, name)
+        for name in ("source_up_confidence", "source_scale")
+    )
+    return Source(
+        sha256=text(metadata, "source_sha256", r"([0-9a-f]{64})?"),
+        up_axis=text(metadata, "source_up_axis", r"([+-][XYZ])?"),
+        up_confidence=confidence,
+        scale=scale,
+    )
+
+
+def text(metadata: Mapping[str, str], name: str, allowed: str) -> str:
+    """A field that matches a regular expression as a whole; empty where it is missing."""
+    found = metadata.get(name, "")
+    if not re.fullmatch(allowed, found):
+        raise FormatError(f"metadata {name!r} is {found[:80]!r}; what matches {allowed} is allowed")
+    return found
 
 
 def number(metadata: Mapping[str, str], name: str) -> float:

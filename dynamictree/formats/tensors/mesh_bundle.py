@@ -33,6 +33,7 @@ def write_mesh_bundle(mesh: TriangleMesh, stream: ByteWriter) -> None:
         "version": VERSION,
         "materials": [asdict(replace(material, texture_png=None)) for material in mesh.materials],
         "source_up_axis": mesh.source_up_axis,
+        "source_up_confidence": mesh.source_up_confidence,
         "source_scale": mesh.source_scale,
         "warnings": [asdict(warning) for warning in mesh.warnings],
         "part_names": mesh.part_names,
@@ -109,6 +110,7 @@ def _mesh(tensors: Mapping[str, Shaped[np.ndarray, "..."]], rest: Mapping[str, A
         face_tree=tensors.get("face_tree"),
         materials=tuple(materials),
         source_up_axis=rest["source_up_axis"],
+        source_up_confidence=rest.get("source_up_confidence", 1.0),
         source_scale=rest["source_scale"],
         warnings=tuple(SourceWarning(**entry) for entry in rest.get("warnings", ())),
     )

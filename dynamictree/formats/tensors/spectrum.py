@@ -1,7 +1,6 @@
 """`*.spectrum.safetensors`: a sparse voxel spectrum, readable wherever safetensors is. See docs/formats.md."""
 
 import json
-import re
 from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Literal
@@ -18,7 +17,10 @@ from dynamictree.formats.tensors.container import (
     number_fields,
     read_grid,
     read_tensors,
+    source_metadata,
+    source_of,
     take_tensor,
+    text,
     write_tensors,
 )
 from dynamictree.spectrum import RESTS, Rest, SparseVoxelSpectrum, Wind
@@ -53,14 +55,8 @@ def write_spectrum(
         "model": spectrum.model,
         "seed": str(spectrum.seed),
         "wind": json.dumps(asdict(spectrum.wind) if spectrum.wind else None),
-        "source_sha256": spectrum.source_sha256,
+        **source_metadata(spectrum.source),
     }
-    if spectrum.source_up_axis:
-        metadata |= {
-            "source_up_axis": spectrum.source_up_axis,
-            "source_up_confidence": json.dumps(spectrum.source_up_confidence),
-            "source_scale": json.dumps(spectrum.source_scale),
-        }
     write_tensors(stream, {"coords": spectrum.grid.coords, "coefficients": parts.astype(dtype)}, metadata)
 
 
@@ -80,18 +76,11 @@ def read_spectrum(stream: ByteReader) -> SparseVoxelSpectrum:
         fps=number(metadata, "fps"),
         num_frames=integer(metadata, "num_frames", low=1, high=MAX_FRAMES),
         rest=_rest(metadata),
-        model=_text(metadata, "model", rf"[^\x00-\x1f]{{0,{MAX_TEXT_CHARS}}}"),
+        model=text(metadata, "model", rf"[^\x00-\x1f]{{0,{MAX_TEXT_CHARS}}}"),
         seed=integer(metadata, "seed", low=-(2**63), high=2**64 - 1),
         wind=_wind(metadata),
-        source_sha256=_text(metadata, "source_sha256", r"([0-9a-f]{64})?"),
-        source_up_axis=_text(metadata, "source_up_axis", r"([+-][XYZ])?"),
-        source_up_confidence=_number_if_any(metadata, "source_up_confidence"),
-        source_scale=_number_if_any(metadata, "source_scale"),
+        source=source_of(metadata),
     )
-
-
-def _number_if_any(metadata: Mapping[str, str], name: str) -> float | None:
-    return None if metadata.get(name, "null") == "null" else number(metadata, name)
 
 
 def _rest(metadata: Mapping[str, str]) -> Rest:
@@ -105,10 +94,3 @@ def _wind(metadata: Mapping[str, str]) -> Wind | None:
     if metadata.get("wind", "null") == "null":
         return None
     return Wind(**number_fields(metadata, "wind", ("speed_m_s", "direction_deg", "gust")))
-
-
-def _text(metadata: Mapping[str, str], name: str, allowed: str) -> str:
-    text = metadata.get(name, "")
-    if not re.fullmatch(allowed, text):
-        raise FormatError(f"metadata {name!r} is {text[:80]!r}; what matches {allowed} is allowed")
-    return text

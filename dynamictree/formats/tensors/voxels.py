@@ -7,7 +7,15 @@ from jaxtyping import Float32, Int32, Shaped
 
 from dynamictree.byte_stream import ByteReader, ByteWriter
 from dynamictree.errors import FormatError
-from dynamictree.formats.tensors.container import grid_metadata, read_grid, read_tensors, take_tensor, write_tensors
+from dynamictree.formats.tensors.container import (
+    grid_metadata,
+    read_grid,
+    read_tensors,
+    source_metadata,
+    source_of,
+    take_tensor,
+    write_tensors,
+)
 from dynamictree.voxel.moments import AREA, NUM_MOMENTS
 from dynamictree.voxel.voxelize import SurfaceVoxels
 
@@ -20,7 +28,7 @@ _LARGEST_MOMENT = 1.01  # of all but the area: offsets and spreads lie inside a 
 
 def write_voxels(voxels: SurfaceVoxels, stream: ByteWriter) -> None:
     """Write; undone by `read_voxels` bit by bit."""
-    metadata = {"format": FORMAT, "version": VERSION, **grid_metadata(voxels.grid)}
+    metadata = {"format": FORMAT, "version": VERSION, **grid_metadata(voxels.grid), **source_metadata(voxels.source)}
     moments = {} if voxels.moments is None else {"moments": voxels.moments}
     tree = {} if voxels.tree is None else {"tree": voxels.tree}
     write_tensors(stream, {"coords": voxels.grid.coords, "normals": voxels.normals, **moments, **tree}, metadata)
@@ -39,7 +47,7 @@ def read_voxels(stream: ByteReader) -> SurfaceVoxels:
     if longest > _LONGEST_NORMAL:
         raise FormatError(f"a normal is {longest:.4g} long; normals have unit length")
     moments, tree = _moments(tensors, len(grid)), _trees(tensors, len(grid))
-    return SurfaceVoxels(grid=grid, normals=normals, moments=moments, tree=tree)
+    return SurfaceVoxels(grid=grid, normals=normals, moments=moments, tree=tree, source=source_of(metadata))
 
 
 def _trees(tensors: Mapping[str, Shaped[np.ndarray, "..."]], num_voxels: int) -> Int32[np.ndarray, " V"] | None:
