@@ -71,8 +71,8 @@ def voxelize(
     They record `source_sha256`, the hash of the mesh's file, and how that was read; so does what is generated of them.
     """
     mesh = triangle_mesh(mesh)
-    resolution = stand_resolution(mesh, GridParams(resolution=resolution).resolution)
-    return voxelize_surface(mesh, resolution, source_sha256=source_sha256)
+    finest = stand_resolution(mesh, GridParams(resolution=resolution).resolution)
+    return voxelize_surface(mesh, finest, source_sha256=source_sha256)
 
 
 def generate(

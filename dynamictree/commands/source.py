@@ -88,7 +88,10 @@ def file_sha256(path: Path) -> str:
         InputError: it cannot be read.
     """
     with opened(path) as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
+        digest = hashlib.sha256()
+        while block := stream.read(1 << 20):
+            digest.update(block)
+    return digest.hexdigest()
 
 
 def load_mesh(path: Path, reading: Reading | None = None) -> "TriangleMesh":
