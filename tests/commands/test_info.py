@@ -20,8 +20,8 @@ def test_a_file_is_described_by_its_bytes(
     voxels, spectrum = tmp_path / "a", tmp_path / "b"
     assert dynamictree("voxelize", triangle, "-o", voxels) == 0
     assert dynamictree("diffuse", voxels, "-o", spectrum, "--num-steps", 1) == 0
-    made_of = f"source_sha256: {sha256(TRIANGLE).hexdigest()}"
-    for path, line in ((triangle, "num_faces: 1"), (voxels, "resolution: 128"), (spectrum, made_of)):
+    source_line = f"source_sha256: {sha256(TRIANGLE).hexdigest()}"
+    for path, line in ((triangle, "num_faces: 1"), (voxels, "resolution: 128"), (spectrum, source_line)):
         capsys.readouterr()
         assert dynamictree("info", path) == 0
         assert line in capsys.readouterr().out.splitlines()

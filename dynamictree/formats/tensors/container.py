@@ -175,10 +175,10 @@ def source_of(metadata: Mapping[str, str]) -> Source:
 
 def text(metadata: Mapping[str, str], name: str, allowed: str) -> str:
     """A field that matches a regular expression as a whole; empty where it is missing."""
-    found = metadata.get(name, "")
-    if not re.fullmatch(allowed, found):
-        raise FormatError(f"metadata {name!r} is {found[:80]!r}; what matches {allowed} is allowed")
-    return found
+    value = metadata.get(name, "")
+    if not re.fullmatch(allowed, value):
+        raise FormatError(f"metadata {name!r} is {value[:80]!r}; what matches {allowed} is allowed")
+    return value
 
 
 def number(metadata: Mapping[str, str], name: str) -> float:
