@@ -17,11 +17,11 @@ from benchmarks.modal_locality import line_of, stem_of_voxels
 from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.devoxelize.smooth import smooth
 from dynamictree.mesh import edges_of
+from dynamictree.modal.bone_attachment import BoneAttachment, attach_mesh
 from dynamictree.modal.force import Drag, contact_at_voxel
 from dynamictree.modal.interactive_tree import Answer, InteractiveTree
 from dynamictree.modal.locality import default_falloff_m
 from dynamictree.modal.response import group_forces, respond
-from dynamictree.modal.surface import BoneAttachment, attach_mesh
 from dynamictree.modal.system import modal_system
 
 TREES = (

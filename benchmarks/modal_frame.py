@@ -8,11 +8,11 @@ from benchmarks._interaction import gaussians_on, scene
 from benchmarks._machine import machine, timed
 from dynamictree.devoxelize.smooth import smooth
 from dynamictree.gaussian.deform import Deformer
+from dynamictree.modal.bone_attachment import attach_mesh
+from dynamictree.modal.bones import bones_of
 from dynamictree.modal.frames import VertexFrames
-from dynamictree.modal.skeleton import bones_of
 from dynamictree.modal.step import State, exact_step
 from dynamictree.modal.step import run as run_modes
-from dynamictree.modal.surface import attach_mesh
 from dynamictree.modal.warp import bend, bone_turns, pose
 
 TARGET_MS = 8.0

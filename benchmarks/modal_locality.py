@@ -13,12 +13,12 @@ from dynamictree.dataset.sapling import LEAF
 from dynamictree.dataset.stem_skeleton import Skeleton
 from dynamictree.devoxelize.smooth import smooth
 from dynamictree.mesh import edges_of
+from dynamictree.modal.bone_attachment import attach_mesh
+from dynamictree.modal.bones import bones_of
 from dynamictree.modal.force import Drag, Impulse, compliance, contact_at_voxel, equilibrium, generalised_force
 from dynamictree.modal.locality import branching, default_falloff_m, poke_weights
-from dynamictree.modal.skeleton import bones_of
 from dynamictree.modal.step import State, exact_step
 from dynamictree.modal.step import run as run_modes
-from dynamictree.modal.surface import attach_mesh
 from dynamictree.modal.system import ModalSystem, displacement, modal_system
 from dynamictree.modal.warp import bend, bone_turns, pose
 from dynamictree.voxel.voxelize import surface_average

@@ -14,8 +14,8 @@ import numpy as np
 from dynamictree import method
 from dynamictree.export.write import write_products
 from dynamictree.gaussian.capture import Capture
+from dynamictree.gaussian.cloud_mesh import mesh_of_cloud
 from dynamictree.gaussian.from_mesh import splats_of_mesh
-from dynamictree.gaussian.surface import mesh_of_cloud
 from dynamictree.mesh import TriangleMesh
 from dynamictree.requests import ExportParams, Shot
 

@@ -14,12 +14,12 @@ from dynamictree import method
 from dynamictree.dataset.sample import make_sample
 from dynamictree.devoxelize.smooth import smooth
 from dynamictree.mesh import TriangleMesh
+from dynamictree.modal.bone_attachment import attach_mesh
 from dynamictree.modal.force import Drag, contact_at_voxel, generalised_force
 from dynamictree.modal.interactive_tree import Answer, InteractiveTree
 from dynamictree.modal.locality import branching, poke_weights
 from dynamictree.modal.response import group_forces
 from dynamictree.modal.step import State, exact_step, run
-from dynamictree.modal.surface import attach_mesh
 from dynamictree.modal.system import ModalSystem, modal_system
 from dynamictree.render import Camera, Look, Renderer
 from dynamictree.spectrum import SparseVoxelSpectrum, Wind, iter_motion

@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Int32
 
 from dynamictree.mesh import TriangleMesh
+from dynamictree.modal.bone_attachment import BoneAttachment, attach_mesh
 from dynamictree.modal.interactive_tree import InteractiveTree
-from dynamictree.modal.surface import BoneAttachment, attach_mesh
 
 if TYPE_CHECKING:
     from dynamictree.devoxelize.interpolation import VoxelInterpolation  # brings numba, which only vertices need

@@ -207,8 +207,8 @@ def _vertex_frames(
 ) -> "Iterator[np.ndarray]":
     """Displacement of the mesh's vertices, frame after frame [m]."""
     from dynamictree.devoxelize.smooth import smooth
+    from dynamictree.modal.bone_attachment import attach_mesh
     from dynamictree.modal.frames import VertexFrames
-    from dynamictree.modal.surface import attach_mesh
 
     grid = tree.system.grid
     ties = smooth(grid, mesh)

@@ -74,7 +74,7 @@ def carrying_mesh(capture: Capture, choice: CloudParams | None = None) -> Triang
     Raises:
         InputError: nothing is in the box, or nothing is opaque enough to have a surface.
     """
-    from dynamictree.gaussian.surface import mesh_of_trees
+    from dynamictree.gaussian.cloud_mesh import mesh_of_trees
 
     moving = moving_part(capture, choice)
     if capture.mesh is None:

@@ -12,7 +12,7 @@ from typing import no_type_check
 import numpy as np
 from jaxtyping import Float32, Float64, Int64
 
-from dynamictree.modal.skeleton import Bones
+from dynamictree.modal.bones import Bones
 from dynamictree.parallel import compiled
 
 

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Complex128, Float32, Float64, Int64
 
+from dynamictree.modal.bone_attachment import BoneAttachment
+from dynamictree.modal.bones import Bones, bones_of
 from dynamictree.modal.force import Contact, Force
 from dynamictree.modal.local_bend import Bend
 from dynamictree.modal.locality import Branching, branching, poke_weights
-from dynamictree.modal.skeleton import Bones, bones_of
 from dynamictree.modal.step import State
-from dynamictree.modal.surface import BoneAttachment
 from dynamictree.modal.system import ModalSystem, displacement
 
 if TYPE_CHECKING:

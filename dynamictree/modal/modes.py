@@ -12,7 +12,7 @@ import json
 import numpy as np
 from jaxtyping import Complex64, Float32, Int16
 
-from dynamictree.modal.skeleton import Bones
+from dynamictree.modal.bones import Bones
 from dynamictree.modal.system import ModalSystem
 
 FORMAT = "tree-modes"

@@ -18,8 +18,8 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int64
 
 from dynamictree.modal.bone_chain import Chain, chain_to, reach
+from dynamictree.modal.bones import Bones
 from dynamictree.modal.force import Contact, compliance, generalised
-from dynamictree.modal.skeleton import Bones
 from dynamictree.modal.system import ModalSystem
 from dynamictree.modal.warp import bone_turns
 

@@ -1,6 +1,6 @@
 """The wind's own sway on a skeleton: rigid motions of bones that are nearest to it. After Le and Deng 2012 (SSDR).
 
-Bones and the vertices that they carry come from the spectrum (`skeleton.py`, `surface.py`). What is left are each
+Bones and the vertices that they carry come from the spectrum (`bones.py`, `bone_attachment.py`). What is left are each
 bone's rotations and translations, frame by frame: Kabsch's fit to the vertices' own motion, one bone after the other,
 each against what the others leave. Stiffer than the motion: leaves that flutter within a bone are lost.
 """
@@ -11,8 +11,8 @@ from jaxtyping import Complex64, Float32, Float64
 from dynamictree.devoxelize.smooth import smooth
 from dynamictree.errors import InputError
 from dynamictree.mesh import TriangleMesh
-from dynamictree.modal.skeleton import bones_of
-from dynamictree.modal.surface import attach_mesh
+from dynamictree.modal.bone_attachment import attach_mesh
+from dynamictree.modal.bones import bones_of
 from dynamictree.modal.system import modal_system
 from dynamictree.skin import JOINTS_PER_VERTEX, Skin, SkinSummary
 from dynamictree.spectrum import SparseVoxelSpectrum, iter_motion

@@ -23,7 +23,7 @@ from typing import no_type_check
 import numpy as np
 from jaxtyping import Complex128, Float32, Int32
 
-from dynamictree.modal.skeleton import Bones
+from dynamictree.modal.bones import Bones
 from dynamictree.parallel import compiled, in_bands
 
 

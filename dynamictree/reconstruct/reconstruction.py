@@ -13,6 +13,7 @@ from dynamictree.errors import InputError, ReconstructionError
 from dynamictree.gaussian.cloud import in_box
 from dynamictree.mesh import TriangleMesh
 from dynamictree.reconstruct.cameras import find_cameras
+from dynamictree.reconstruct.coloured_mesh import Shape, best_surface, finished_shape
 from dynamictree.reconstruct.cut import cloud_in_metres, of_the_tree
 from dynamictree.reconstruct.given import files_with_cameras
 from dynamictree.reconstruct.optimise import Schedule
@@ -23,7 +24,6 @@ from dynamictree.reconstruct.report import quality_warnings, write_cameras, writ
 from dynamictree.reconstruct.result import Reconstruction, Report
 from dynamictree.reconstruct.scene import find_scene
 from dynamictree.reconstruct.splat import SplatFit, fit_splat
-from dynamictree.reconstruct.surface import Shape, best_surface, finished_shape
 from dynamictree.reconstruct.views import SparseModel, read_model
 from dynamictree.reconstruct.work_folder import WorkFolder, opened_work
 

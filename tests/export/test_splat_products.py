@@ -22,7 +22,7 @@ from dynamictree.formats.tensors.animated_splat import read_animated_splat
 from dynamictree.formats.tensors.cloud_bundle import read_cloud_bundle, write_cloud_bundle
 from dynamictree.gaussian.capture import Capture, carrying_mesh, moving_part
 from dynamictree.gaussian.cloud import GaussianCloud
-from dynamictree.gaussian.surface import FACES_PER_GAUSSIAN, LEAST_FACES
+from dynamictree.gaussian.cloud_mesh import FACES_PER_GAUSSIAN, LEAST_FACES
 from dynamictree.mesh import TriangleMesh
 from dynamictree.requests import CloudParams, ExportParams, Shot
 from dynamictree.spectrum import SparseVoxelSpectrum

@@ -7,9 +7,9 @@ from scipy.spatial.transform import Rotation
 from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.devoxelize.smooth import smooth
 from dynamictree.mesh import TriangleMesh, edges_of
+from dynamictree.modal.bone_attachment import attach_mesh
+from dynamictree.modal.bones import bones_of
 from dynamictree.modal.force import Drag, compliance, contact_at_voxel, equilibrium, generalised_force
-from dynamictree.modal.skeleton import bones_of
-from dynamictree.modal.surface import attach_mesh
 from dynamictree.modal.system import displacement, modal_system
 from dynamictree.modal.warp import bend, bone_turns, bone_weights, pose
 from dynamictree.spectrum import SparseVoxelSpectrum

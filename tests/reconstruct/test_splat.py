@@ -20,7 +20,7 @@ from dynamictree.reconstruct.splat_start import thinned
 from dynamictree.reconstruct.splat_table import LOG_SCALE, LOGIT, MEAN, cloud_of, table_of_points
 from dynamictree.reconstruct.views import SparseModel, View
 from tests.reconstruct.conftest import Orbit
-from tests.reconstruct.test_surface import model_of
+from tests.reconstruct.test_coloured_mesh import model_of
 
 SMALL = Schedule(num_steps=160, side_px=120, check_every=40, coarser=((0.4, 2),), densify_every=40, degree_every=40)
 

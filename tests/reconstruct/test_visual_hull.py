@@ -13,7 +13,7 @@ from dynamictree.reconstruct.splat_start import first_table
 from dynamictree.reconstruct.views import View
 from dynamictree.reconstruct.visual_hull import hull_points
 from tests.reconstruct.conftest import Orbit
-from tests.reconstruct.test_surface import model_of, views_of
+from tests.reconstruct.test_coloured_mesh import model_of, views_of
 
 WIDTH, HEIGHT = 240, 180
 

@@ -9,7 +9,7 @@ from scipy.sparse import coo_array
 from scipy.spatial import cKDTree
 
 from dynamictree.errors import InputError, ReconstructionError
-from dynamictree.gaussian.surface import mesh_of_cloud
+from dynamictree.gaussian.cloud_mesh import mesh_of_cloud
 from dynamictree.mesh import TriangleMesh, edges_of, vertex_normals
 from dynamictree.reconstruct.cameras import ADVICE
 from dynamictree.reconstruct.fusion import NOTHING, Surface, above, fuse, main_cluster

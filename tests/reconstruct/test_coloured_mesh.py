@@ -9,12 +9,12 @@ from scipy.spatial import cKDTree
 
 from dynamictree.errors import ReconstructionError
 from dynamictree.mesh import TriangleMesh
+from dynamictree.reconstruct.coloured_mesh import finished_shape, photo_colors, stereo_surface
 from dynamictree.reconstruct.depth import rays_through, stereo_view
 from dynamictree.reconstruct.fusion import Box, Surface, above, fuse, main_cluster
 from dynamictree.reconstruct.scene import find_scene
 from dynamictree.reconstruct.stage import camera_up, find_stage
 from dynamictree.reconstruct.stereo import DepthRange, Hypotheses, agreed_depths, match_view, neighbours_of
-from dynamictree.reconstruct.surface import finished_shape, photo_colors, stereo_surface
 from dynamictree.reconstruct.views import SparseModel, View
 from dynamictree.render import Look, Renderer
 from tests.reconstruct.conftest import Orbit

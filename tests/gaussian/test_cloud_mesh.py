@@ -11,11 +11,11 @@ from PIL import Image
 from dynamictree.errors import InputError
 from dynamictree.gaussian.binding import bind
 from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.gaussian.cloud_mesh import mesh_of_cloud, opacity_grid
 from dynamictree.gaussian.deform import Deformer
 from dynamictree.gaussian.from_mesh import PER_FACE, face_shapes, splats_of_mesh
 from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.gaussian.rotation import quaternion_matrices
-from dynamictree.gaussian.surface import mesh_of_cloud, opacity_grid
 from dynamictree.mesh import Material, TriangleMesh
 
 

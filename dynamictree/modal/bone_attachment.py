@@ -7,7 +7,7 @@ import scipy  # its parts come in when they are used: the service starts without
 from jaxtyping import Float32, Int32
 
 from dynamictree.mesh import TriangleMesh, connected_parts, edges_of, part_bounds
-from dynamictree.modal.skeleton import Bones
+from dynamictree.modal.bones import Bones
 
 BONES_A_VERTEX = 6
 STIFF_VOXELS = 12.0  # a part of the mesh that is smaller moves as one: a leaf keeps its shape
