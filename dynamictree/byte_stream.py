@@ -1,4 +1,4 @@
-"""What readers and writers ask of a stream; an open binary file and `io.BytesIO` both do."""
+"""Protocols of the streams that readers and writers accept, such as an open binary file or `io.BytesIO`."""
 
 from typing import Protocol, runtime_checkable
 
@@ -10,7 +10,7 @@ class ByteReader(Protocol):
     """A source of bytes."""
 
     def read(self, size: int = -1, /) -> bytes:
-        """At most `size` bytes, all that is left if negative."""
+        """Return at most `size` bytes; all remaining bytes if `size` is negative."""
 
 
 @runtime_checkable
@@ -18,11 +18,11 @@ class ByteWriter(Protocol):
     """A sink of bytes."""
 
     def write(self, content: bytes, /) -> object:
-        """Take all of `content`."""
+        """Write all of `content`."""
 
 
 def read_all(stream: ByteReader, max_bytes: int) -> bytes:
-    """The rest of a stream.
+    """Read the rest of a stream.
 
     Raises:
         FormatError: it holds more than `max_bytes`.

@@ -1,4 +1,4 @@
-"""`dynamictree`: the commands by name, each imported when it is called.
+"""The command line `dynamictree`: every command by name, imported only when it is called.
 
 Those of other packages (`serve`, `doctor`, …) come from the entry-point group `dynamictree.commands`.
 """
@@ -30,7 +30,7 @@ OWN_COMMANDS = {
 
 
 class Commands(Mapping[str, Any]):
-    """Every command by its name, imported when it is asked for. Typer keeps its click private, hence no type."""
+    """Mapping of command names to commands, imported on access. Typer keeps its click private, hence no type."""
 
     def __init__(self) -> None:
         self._plugins = entry_points(group=PLUGIN_GROUP)
@@ -58,7 +58,7 @@ class Commands(Mapping[str, Any]):
 
 
 class LazyGroup(TyperGroup):
-    """A group that imports no command before it is called."""
+    """Command group that imports a command only when it is called."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
@@ -77,11 +77,11 @@ app = typer.Typer(
 
 @app.callback()
 def _root() -> None:
-    """Typer wants one where a group has no command of its own."""
+    """Empty callback, which Typer requires for a group without a command of its own."""
 
 
 def main() -> None:
-    """Run the command line; what the user can mend is one line and exit status 2."""
+    """Run the command line; an error that the user can correct is printed on one line, with exit status 2."""
     try:
         app()
     except DynamicTreeError as error:

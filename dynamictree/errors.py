@@ -1,4 +1,4 @@
-"""What can go wrong that a caller can act on.
+"""Exceptions that the library raises on purpose.
 
     DynamicTreeError
     ├── InputError              what was given cannot be used
@@ -24,7 +24,7 @@ class DynamicTreeError(Exception):
 
 
 class InputError(DynamicTreeError):
-    """What was given cannot be used."""
+    """An input cannot be used."""
 
     code = "invalid-input"
 

@@ -1,4 +1,4 @@
-"""Files that somebody names by a path: opened with a word on why not, written whole or not at all."""
+"""Files named by a path: opened with a clear error, and written atomically."""
 
 import errno
 import os
@@ -16,7 +16,7 @@ COMPANION_SUFFIXES = (".mtl", ".bin", ".png", ".jpg", ".jpeg", ".webp", ".ktx2",
 
 @contextmanager
 def opened(path: Path) -> Iterator[BinaryIO]:
-    """Open a file that somebody named.
+    """Open a file; an error says what is wrong with the path.
 
     Raises:
         InputError: it cannot be read.

@@ -1,4 +1,4 @@
-"""How hot loops are compiled and spread over the cores, and how BLAS is limited to one thread.
+"""Compilation of hot loops with numba, their distribution over the cores, and a one-thread limit for BLAS.
 
 Kernels are plain numba functions that release the GIL and own some rows of their output; threads call them. numba's own
 `parallel=True` would bring OpenMP, which forbids the fork that a Celery worker makes, and triple the compile time.

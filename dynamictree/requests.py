@@ -1,4 +1,4 @@
-"""What may be requested: every parameter with its range, default, unit and meaning. The only place.
+"""All request parameters with range, default, unit and meaning. They are declared only here.
 
 The options of the command line, the bodies of HTTP requests and the cache keys of the worker are built from these
 models, so a new parameter is added here and nowhere else. They need pydantic alone.

@@ -23,10 +23,10 @@ FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 
 
 class ArtifactStore(Protocol):
-    """Where bytes lie under their sha256. StorageAwayError where it does not answer, StorageFullError without room."""
+    """Storage of files by their sha256. Raises StorageAwayError, or StorageFullError without room."""
 
     def put(self, path: Path, digest: str) -> None:
-        """Keep a file's bytes; atomic, and harmless where they are there already."""
+        """Store a file's bytes atomically; does nothing if they are stored already."""
 
     def read(self, digest: str, *, start: int = 0, stop: int | None = None) -> Iterator[bytes]:
         """Bytes from `start` up to `stop`, in chunks. FileNotFoundError where there are none."""
@@ -35,24 +35,24 @@ class ArtifactStore(Protocol):
         """Make the bytes readable at a path. FileNotFoundError where there are none."""
 
     def exists(self, digest: str) -> bool:
-        """Whether the bytes are there."""
+        """Whether the bytes are stored."""
 
     def delete(self, digest: str) -> None:
-        """Forget the bytes; harmless where there are none."""
+        """Delete the bytes, if any."""
 
     def free_bytes(self) -> int | None:
         """Room left [bytes]; None where that has no meaning. What is wrong with the storage passes through."""
 
 
 class FolderArtifacts:
-    """A folder. Written beside, synced, renamed."""
+    """Storage in a folder: files are written beside, synced and renamed."""
 
     def __init__(self, root: Path) -> None:
         self.root = root
         root.mkdir(parents=True, exist_ok=True)
 
     def put(self, path: Path, digest: str) -> None:
-        """Keep a file's bytes."""
+        """Store a file's bytes."""
         with _reporting_full_disk():
             self._put(path, digest)
 
@@ -91,11 +91,11 @@ class FolderArtifacts:
         path.symlink_to(self._path(digest))
 
     def exists(self, digest: str) -> bool:
-        """Whether the bytes are there."""
+        """Whether the bytes are stored."""
         return self._path(digest).exists()
 
     def delete(self, digest: str) -> None:
-        """Forget the bytes."""
+        """Delete the bytes."""
         self._path(digest).unlink(missing_ok=True)
 
     def free_bytes(self) -> int | None:
@@ -128,7 +128,7 @@ class ObjectArtifacts:
         self.objects = objects
 
     def put(self, path: Path, digest: str) -> None:
-        """Keep a file's bytes."""
+        """Store a file's bytes."""
         with reporting_refusals():
             obstore.put(self.objects, _key(digest), path)
 
@@ -149,7 +149,7 @@ class ObjectArtifacts:
                 target.write(chunk)
 
     def exists(self, digest: str) -> bool:
-        """Whether the bytes are there."""
+        """Whether the bytes are stored."""
         with reporting_refusals():
             try:
                 obstore.head(self.objects, _key(digest))
@@ -158,7 +158,7 @@ class ObjectArtifacts:
         return True
 
     def delete(self, digest: str) -> None:
-        """Forget the bytes."""
+        """Delete the bytes."""
         with reporting_refusals():
             obstore.delete(self.objects, _key(digest))
 

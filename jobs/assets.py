@@ -16,7 +16,7 @@ from jobs.store import Store
 
 
 def add_asset(store: Store, asset: AssetRecord) -> tuple[AssetRecord, bool]:
-    """Keep an asset, or give the one that is there with the same fingerprint; tell whether it is new."""
+    """Store an asset, or return the existing one with the same fingerprint, and whether it is new."""
     with store.writing() as connection:
         asset = replace(asset, owner=store.owner or "")
         live = _live(store, asset.fingerprint)
@@ -29,7 +29,7 @@ def add_asset(store: Store, asset: AssetRecord) -> tuple[AssetRecord, bool]:
 
 
 def find_asset(store: Store, fingerprint: str) -> AssetRecord | None:
-    """The living asset of this fingerprint."""
+    """Find the undeleted asset with this fingerprint."""
     with store.reading() as connection:
         row = connection.execute(
             sa.select(t.assets).where(t.assets.c.live_fingerprint == _live(store, fingerprint))
@@ -38,13 +38,13 @@ def find_asset(store: Store, fingerprint: str) -> AssetRecord | None:
 
 
 def _live(store: Store, fingerprint: str) -> str:
-    """What is unique among living assets: each owner has assets of their own, their bytes are shared."""
+    """Unique key of an undeleted asset: owners have separate assets but share bytes."""
     return sha256(f"{store.owner} {fingerprint}".encode()).hexdigest() if store.owner else fingerprint
 
 
 @patient
 def read_asset(store: Store, asset_id: str) -> AssetRecord:
-    """One asset.
+    """Read one asset.
 
     Raises:
         NotFoundError, GoneError: there is none, or it was deleted or has expired.
@@ -69,7 +69,7 @@ def asset_summary(store: Store, asset_id: str) -> dict[str, Any] | None:
 
 
 def delete_asset(store: Store, asset_id: str) -> None:
-    """Forget an asset; its bytes go with the next retention run.
+    """Delete an asset; the next retention run deletes its bytes.
 
     Raises:
         ConflictError: a job that has not ended needs it.

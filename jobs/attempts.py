@@ -19,7 +19,7 @@ from jobs.store import Store, new_id
 
 @patient
 def claim(store: Store, job_id: str, attempt: int, *, owner: str, lease_s: float) -> Claim | None:
-    """Take the right to run an attempt, if it is still to be run and nobody holds it. Compare and set."""
+    """Claim an attempt by compare-and-set, if it is still due and unclaimed."""
     now = store.clock()
     with store.writing() as connection:
         free = t.jobs.c.lease_owner.is_(None) | (t.jobs.c.lease_owner == owner)  # ours: the first answer was lost
@@ -45,7 +45,7 @@ def claim(store: Store, job_id: str, attempt: int, *, owner: str, lease_s: float
 
 
 def renew(store: Store, job_id: str, attempt: int, *, owner: str, lease_s: float) -> None:
-    """Prolong the lease.
+    """Renew the lease.
 
     Raises:
         FencedError: it is no longer ours.
@@ -60,7 +60,7 @@ def renew(store: Store, job_id: str, attempt: int, *, owner: str, lease_s: float
 
 @patient
 def canceling(store: Store, claimed: Claim) -> bool:
-    """Whether someone asked this job to stop.
+    """Whether cancellation of this job was requested.
 
     Raises:
         FencedError: the attempt is no longer ours.
@@ -86,7 +86,7 @@ def start_stage(store: Store, claimed: Claim, stage: JobType) -> None:
 
 @patient
 def report_progress(store: Store, claimed: Claim, stage: JobType, progress: float) -> None:
-    """Tell how much of a stage is done, a share in [0, 1]."""
+    """Store the progress of a stage, a share in [0, 1]."""
     with store.writing() as connection:
         _touch(connection, claimed)
         row = (t.stages.c.job_id == claimed.job.id) & (t.stages.c.name == stage) & (t.stages.c.state == "running")
@@ -104,7 +104,7 @@ def publish_stage(
     cached: bool,
     retention_s: float,
 ) -> None:
-    """Offer what a stage made and remember it for other jobs, if the attempt is still ours.
+    """Publish a stage's files and cache them for other jobs, if the attempt is still ours.
 
     Raises:
         FencedError: it is not; nothing is published.
@@ -131,7 +131,7 @@ def publish_stage(
 
 @patient
 def offer(store: Store, claimed: Claim, stage: JobType, files: tuple[OutputFile, ...], *, retention_s: float) -> None:
-    """Offer what a stage had made before it failed; the stage is not done by it, and no other job takes it.
+    """Publish the files of a failed stage, without finishing the stage or caching the files.
 
     Raises:
         FencedError: the attempt is no longer ours; nothing is offered.
@@ -146,7 +146,7 @@ def offer(store: Store, claimed: Claim, stage: JobType, files: tuple[OutputFile,
 
 @patient
 def cached_stage(store: Store, key: str) -> tuple[OutputFile, ...] | None:
-    """What the same stage made of the same inputs before."""
+    """Cached files of the same stage with the same inputs."""
     with store.reading() as connection:
         files = connection.execute(
             sa.select(t.stage_cache.c.files).where(t.stage_cache.c.key == key)
@@ -156,20 +156,20 @@ def cached_stage(store: Store, key: str) -> tuple[OutputFile, ...] | None:
 
 @patient
 def touch_blob(store: Store, sha256: str, num_bytes: int) -> None:
-    """Tell that these bytes are about to be referred to, so that retention leaves them for an hour."""
+    """Mark bytes as about to be referenced, so that retention leaves them for an hour."""
     with store.writing() as connection:
         upsert(connection, t.blobs, {"sha256": sha256, "bytes": num_bytes, "touched_at": store.clock()})
 
 
 @patient
 def succeed(store: Store, claimed: Claim) -> JobState:
-    """End the attempt well; where a cancel came first, the job is canceled. Gives the final state."""
+    """End the attempt with success, or as canceled if a cancel came first; return the final state."""
     return _end(store, claimed, JobState.SUCCEEDED)
 
 
 @patient
 def fail(store: Store, claimed: Claim, *, code: str, message: str) -> JobState:
-    """End the attempt with an error; where a cancel came first, the job is canceled. Gives the final state."""
+    """End the attempt with an error, or as canceled if a cancel came first; return the final state."""
     return _end(store, claimed, JobState.FAILED, error_code=code, error_message=message)
 
 
@@ -183,7 +183,7 @@ def finish_cancel(store: Store, claimed: Claim) -> None:
 
 @patient
 def hand_back(store: Store, claimed: Claim) -> None:
-    """Give the attempt up so that another worker begins the next one; no loss is counted."""
+    """Release the attempt for another worker, without counting a lost one."""
     with store.writing() as connection:
         if _state(connection, claimed) == JobState.CANCELING:
             end(connection, claimed.job.id, JobState.CANCELED, now=store.clock())

@@ -35,7 +35,7 @@ BATCH_ROWS = 500
 
 @dataclass(frozen=True, kw_only=True)
 class BackupReport:
-    """What was saved or restored."""
+    """Numbers of saved or restored rows and files."""
 
     rows: int
     blobs: int
@@ -140,7 +140,7 @@ def _read_rows(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
 
 
 def _save_blob(artifacts: ArtifactStore, digest: str, target: Path) -> bool:
-    """Copy bytes and check them on the way; whether they are there and right."""
+    """Copy bytes and verify their hash; return whether they are stored and correct."""
     target.parent.mkdir(parents=True, exist_ok=True)
     checksum = sha256()
     with tempfile.NamedTemporaryFile(dir=target.parent, prefix=".part-", delete=False) as stream:

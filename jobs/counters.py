@@ -18,7 +18,7 @@ def count(connection: sa.Connection, name: str, label: str = "", by: float = 1.0
 
 
 def count_seconds(connection: sa.Connection, name: str, label: str, seconds: float) -> None:
-    """Sort a duration into its class, and add it to the sum."""
+    """Add a duration to its histogram bucket and to the sum."""
     bound = next((bound for bound in SECONDS if seconds <= bound), float("inf"))
     count(connection, f"{name}_bucket", f"{label}:{bound:g}")
     count(connection, f"{name}_sum", label, seconds)

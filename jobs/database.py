@@ -58,7 +58,7 @@ def upsert(
     *,
     only_if: sa.ColumnElement[bool] | None = None,
 ) -> bool:
-    """Insert a row, or change the one with its primary key if `only_if` holds there; tell whether either was done."""
+    """Insert a row, or update the one with its primary key if `only_if` holds; return whether a row was written."""
     keys = [column.name for column in table.primary_key.columns]
     changes = {name: value for name, value in values.items() if name not in keys}
     statement = (
@@ -77,7 +77,7 @@ def add_up(connection: sa.Connection, table: sa.Table, keys: Mapping[str, object
 
 
 def insert_new(connection: sa.Connection, table: sa.Table, values: Mapping[str, object], *, unique: str) -> bool:
-    """Insert a row unless one has the same value in a unique column; tell whether it was."""
+    """Insert a row unless a unique column already has its value; return whether it was inserted."""
     statement = _insert(connection, table).values(values).on_conflict_do_nothing(index_elements=[unique])
     return _touched_a_row(connection, table, statement)
 

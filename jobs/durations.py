@@ -8,7 +8,7 @@ from jobs.store import Store
 
 
 def stage_seconds(store: Store, stage: JobType, *, limit: int = 50) -> list[float]:
-    """How long a stage took lately where it was really run [s]."""
+    """Recent durations of a stage, cached runs excluded [s]."""
     ran = (t.stages.c.name == stage) & (t.stages.c.state == "succeeded") & t.stages.c.cached.is_(False)
     columns = (t.stages.c.started_at, t.stages.c.finished_at)
     query = sa.select(*columns).where(ran).order_by(t.stages.c.finished_at.desc()).limit(limit)
@@ -17,7 +17,7 @@ def stage_seconds(store: Store, stage: JobType, *, limit: int = 50) -> list[floa
 
 
 def stage_bytes(store: Store, stage: JobType, *, limit: int = 50) -> list[int]:
-    """How much a stage made lately, job by job."""
+    """Recent output sizes of a stage, per job [bytes]."""
     total = sa.func.sum(t.artifacts.c.bytes)
     newest = sa.func.max(t.artifacts.c.created_at).desc()
     query = sa.select(total).where(t.artifacts.c.stage == stage).group_by(t.artifacts.c.job_id)
@@ -26,7 +26,7 @@ def stage_bytes(store: Store, stage: JobType, *, limit: int = 50) -> list[int]:
 
 
 def run_seconds(store: Store, *, limit: int = 50) -> list[float]:
-    """How long jobs lately took a worker, from start to end [s]."""
+    """Recent run times of jobs, from start to end [s]."""
     ran = (t.jobs.c.state == JobState.SUCCEEDED) & t.jobs.c.started_at.is_not(None)
     columns = (t.jobs.c.started_at, t.jobs.c.finished_at)
     query = sa.select(*columns).where(ran).order_by(t.jobs.c.finished_at.desc()).limit(limit)

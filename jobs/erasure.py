@@ -1,4 +1,4 @@
-"""Erase everything of one owner: keys, files, jobs, products, webhooks, and the traces that ids leave."""
+"""Erase all data of one owner: keys, files, jobs, products, webhooks and tombstones."""
 
 from dataclasses import dataclass
 

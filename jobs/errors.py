@@ -44,7 +44,7 @@ class ConflictError(JobsError):
 
 
 class ReusedKeyError(JobsError):
-    """The client's key means a request with another body."""
+    """The client's key was used for a request with another body."""
 
     code = "idempotency-key-reused"
 
@@ -56,13 +56,13 @@ class QuotaError(JobsError):
 
 
 class StorageAwayError(JobsError):
-    """The storage of the bytes does not answer, or refuses us."""
+    """The byte storage does not respond, or refuses access."""
 
     code = "storage-unavailable"
 
 
 class StorageFullError(JobsError):
-    """The storage of the bytes has no room."""
+    """The byte storage is full."""
 
     code = "disk-full"
 

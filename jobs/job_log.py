@@ -32,7 +32,7 @@ def note(
 
 
 def lines(connection: sa.Connection, job_id: str, *, after: int, limit: int) -> list[LogLine]:
-    """The lines after one, oldest first."""
+    """Lines after a given id, oldest first."""
     wanted = (t.job_logs.c.job_id == job_id) & (t.job_logs.c.id > after)
     query = sa.select(t.job_logs).where(wanted).order_by(t.job_logs.c.id).limit(limit)
     return [

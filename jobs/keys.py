@@ -27,7 +27,7 @@ USE_WRITTEN_S = 3600.0
 
 @dataclass(frozen=True, kw_only=True)
 class KeyRecord:
-    """A key, without the key."""
+    """Record of a key, without the key itself."""
 
     id: str
     owner: str
@@ -41,7 +41,7 @@ class KeyRecord:
     last_used_at: float | None = None  # within `USE_WRITTEN_S`
 
     def valid(self, now: float) -> bool:
-        """Whether it opens anything at a time."""
+        """Whether the key is valid at a time."""
         return self.revoked_at is None and (self.expires_at is None or now < self.expires_at)
 
 
@@ -78,21 +78,21 @@ def digest_of(key: str) -> str:
 
 
 def find_key(store: Store, digest: str) -> KeyRecord | None:
-    """The key of a hash, valid or not."""
+    """Find the key with a hash, valid or not."""
     with store.reading() as connection:
         row = connection.execute(sa.select(t.api_keys).where(t.api_keys.c.digest == digest)).one_or_none()
     return None if row is None else _key(row)
 
 
 def key_of_id(store: Store, key_id: str) -> KeyRecord | None:
-    """The key with an id, valid or not."""
+    """Find the key with an id, valid or not."""
     with store.reading() as connection:
         row = connection.execute(sa.select(t.api_keys).where(t.api_keys.c.id == key_id)).one_or_none()
     return None if row is None else _key(row)
 
 
 def note_use(store: Store, key: KeyRecord) -> None:
-    """Write that a key is used now, unless that was written not long ago."""
+    """Record the time of use of a key, at most once per interval."""
     now = store.clock()
     stale = t.api_keys.c.last_used_at.is_(None) | (t.api_keys.c.last_used_at < now - USE_WRITTEN_S)
     if key.last_used_at is None or key.last_used_at < now - USE_WRITTEN_S:
@@ -101,7 +101,7 @@ def note_use(store: Store, key: KeyRecord) -> None:
 
 
 def is_valid(store: Store, key_id: str) -> bool:
-    """Whether a key still opens something."""
+    """Whether a key is still valid."""
     key = key_of_id(store, key_id)
     return key is not None and key.valid(store.clock())
 
@@ -113,7 +113,7 @@ def keys(store: Store) -> list[KeyRecord]:
 
 
 def revoke_key(store: Store, key_id: str) -> None:
-    """Let a key open nothing any more. What its owner made stays.
+    """Revoke a key. Its owner's data stay.
 
     Raises:
         NotFoundError: there is no such key, or it was revoked before.

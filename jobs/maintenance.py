@@ -28,7 +28,7 @@ HOUSEKEEPER_LEASE = "housekeeper"
 
 
 def hold_lease(store: Store, name: str, *, owner: str, lease_s: float) -> bool:
-    """Take or prolong a named lease, so that one process acts; tell whether it is ours."""
+    """Take or renew a named lease, so that one process acts; return whether it is ours."""
     now = store.clock()
     free = (t.leases.c.owner == owner) | (t.leases.c.until <= now)
     with store.writing() as connection:
@@ -49,7 +49,7 @@ def living(store: Store, prefix: str) -> list[str]:
 
 
 def unsent(store: Store, *, window: int) -> list[RunJob]:
-    """Messages to send now. At most `window` per queue are out and unclaimed, and owners take turns.
+    """Messages to send now: at most `window` unclaimed ones per queue, owners in turn.
 
     The queue in Redis is first in, first out; fairness comes from keeping it short. The next message is that of the
     owner with the fewest jobs running or sent; among equals, the oldest.
@@ -79,7 +79,7 @@ def unsent(store: Store, *, window: int) -> list[RunJob]:
 
 
 def unclaimed(store: Store, *, sent_before: float, limit: int = 100) -> list[RunJob]:
-    """Messages that were sent before a time, and that no worker acted upon: lost with the queue, or still in it."""
+    """Messages sent before a time that no worker has claimed: lost, or still in the queue."""
     query = (
         sa.select(t.outbox.c.job_id, t.outbox.c.attempt, t.jobs.c.queue)
         .join(t.jobs, t.jobs.c.id == t.outbox.c.job_id)
@@ -92,14 +92,14 @@ def unclaimed(store: Store, *, sent_before: float, limit: int = 100) -> list[Run
 
 
 def mark_sent(store: Store, message: RunJob) -> None:
-    """Remember that a message went out."""
+    """Record that a message was sent."""
     with store.writing() as connection:
         row = (t.outbox.c.job_id == message.job_id) & (t.outbox.c.attempt == message.attempt)
         connection.execute(t.outbox.update().where(row).values(sent_at=store.clock()))
 
 
 def reap(store: Store, *, max_lost_attempts: int) -> list[tuple[str, JobState]]:
-    """Take jobs from workers that no longer renew their lease: next attempt, or the end. Gives id and state."""
+    """End attempts whose lease expired: start the next attempt or fail the job; return id and state."""
     reaped = []
     for job_id in _stale(store):
         with store.writing() as connection:
@@ -162,7 +162,7 @@ def abort_overdue(store: Store) -> int:
 
 
 def forget_expired(store: Store, *, job_retention_s: float, cache_retention_s: float) -> None:
-    """Drop assets, jobs and cached stages past their time. Records of artefacts stay with their job, for 410."""
+    """Delete expired assets, jobs and cached stages. Artifact records stay with their job, for status 410."""
     now = store.clock()
     with store.writing() as connection:
         in_use = sa.select(t.jobs.c.asset_id).where(t.jobs.c.finished_at.is_(None))

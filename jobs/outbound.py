@@ -42,7 +42,7 @@ _SPECIAL = tuple(  # IANA's registries of special addresses: what the interprete
 
 
 async def look_up(host: str, port: int) -> list[str]:
-    """Addresses of a name, from the system."""
+    """Resolve a name with the system's resolver."""
     results = await asyncio.get_running_loop().getaddrinfo(host, port, type=socket.SOCK_STREAM)
     return [str(entry[4][0]) for entry in results]
 
@@ -62,7 +62,7 @@ def is_public(address: Address) -> bool:
 
 @dataclass(frozen=True, kw_only=True)
 class Target:
-    """Where a request goes: a URL, and the one address that was checked for it."""
+    """Target of a request: a URL and its checked address."""
 
     url: str
     parts: SplitResult
@@ -78,13 +78,13 @@ class Target:
 
 @dataclass(frozen=True, kw_only=True)
 class Outbound:
-    """The way out. `private_hosts` (host or host:port) may be private and may speak plain HTTP."""
+    """Client for outbound requests. `private_hosts` (host or host:port) may be private and use plain HTTP."""
 
     private_hosts: tuple[str, ...] = ()
     look_up: Lookup = field(default=look_up)
 
     async def check(self, url: str) -> Target:
-        """Look a URL's name up and check where it leads.
+        """Resolve a URL's host and check its address.
 
         Raises:
             OutboundError: it is no URL that may be called, or leads to a private address.

@@ -30,7 +30,7 @@ INHERITED = ("PATH", "LANG", "LD_LIBRARY_PATH", "PYTHONHOME", "PYTHONDONTWRITEBY
 
 
 class ParseRequest(BaseModel):
-    """What the child is asked to read. The models are first, the others stand beside them."""
+    """Files that the child reads: models first, then their companions."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -47,7 +47,7 @@ class ParseRequest(BaseModel):
 
 
 class ParseAnswer(BaseModel):
-    """What the child found: a summary, or why it cannot be used."""
+    """Answer of the child: a summary, or why the files cannot be used."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -58,7 +58,7 @@ class ParseAnswer(BaseModel):
 
 
 def child_environment() -> dict[str, str]:
-    """What the child sees of this process's environment."""
+    """Environment variables of the child process."""
     inherited = {name: value for name, value in os.environ.items() if name in INHERITED or name.startswith("LC_")}
     return inherited | {"HOME": FOLDER, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 

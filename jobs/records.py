@@ -20,7 +20,7 @@ class AssetPart:
 
 @dataclass(frozen=True, kw_only=True)
 class AssetRecord:
-    """What someone uploaded, checked."""
+    """A checked upload."""
 
     id: str
     owner: str = ""  # empty where no key was asked for
@@ -35,7 +35,7 @@ class AssetRecord:
 
     @property
     def bytes(self) -> int:
-        """What was sent."""
+        """Size of all files [bytes]."""
         return sum(part.bytes for part in self.parts)
 
 
@@ -88,7 +88,7 @@ class JobRecord:
 
 @dataclass(frozen=True, kw_only=True)
 class ClientKey:
-    """What a client calls its request, so that sending it twice makes one job."""
+    """Idempotency key of a request, so that sending it twice creates one job."""
 
     key: str
     body_sha256: str
@@ -131,5 +131,5 @@ class Claim:
 
     @property
     def attempt(self) -> int:
-        """The fence: what another attempt has begun, this one may not publish."""
+        """Number of the attempt, which fences off writes of older attempts."""
         return self.job.attempt

@@ -10,7 +10,7 @@ import sqlalchemy as sa
 
 
 class HasPatience(Protocol):
-    """An object that says how long its methods may wait for the database."""
+    """Object whose `patience_s` limits how long its methods wait for the database."""
 
     patience_s: float
 
@@ -25,7 +25,7 @@ PAUSE_S = 0.5
 
 
 def patient(ask: Callable[Concatenate[S, P], T]) -> Callable[Concatenate[S, P], T]:
-    """Ask again while the database is restarted, or its disk full, for as long as the store's `patience_s`.
+    """Retry while the database restarts or its disk is full, for at most `patience_s`.
 
     Only for what may be done twice: an answer that was lost on the way back may have been a commit.
     """

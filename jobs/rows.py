@@ -34,7 +34,7 @@ _NUM_AHEAD = sa.select(sa.func.count()).where(  # owners take turns, see mainten
 
 
 def move(connection: sa.Connection, job_id: str, target: JobState, **values: object) -> bool:
-    """Compare and set: bring a job to a state that its present one allows, or tell that it does not."""
+    """Change a job's state by compare-and-set; return False if its current state does not allow it."""
     allowed = (t.jobs.c.id == job_id) & t.jobs.c.state.in_(states_before(target))
     change = t.jobs.update().where(allowed).values(state=target, version=t.jobs.c.version + 1, **values)
     return connection.execute(change).rowcount == 1
@@ -50,7 +50,7 @@ def end(
     error_message: str | None = None,
     **values: object,
 ) -> bool:
-    """Bring a job to a final state: lease given up, message withdrawn, stages closed."""
+    """Move a job to a final state: release its lease, withdraw its message, close its stages."""
     values |= {"finished_at": now, "lease_owner": None, "lease_until": None}
     if not move(connection, job_id, target, error_code=error_code, error_message=error_message, **values):
         return False
@@ -89,7 +89,7 @@ def _position(connection: sa.Connection, job: JobRecord) -> int | None:
 
 
 def artifacts_of(connection: sa.Connection, job_id: str) -> list[ArtifactRecord]:
-    """What a job offers so far, in the order it was made."""
+    """Artifacts of a job so far, in order of creation."""
     return [ArtifactRecord(**row._mapping) for row in connection.execute(_ARTIFACTS, {"id": job_id})]
 
 

@@ -21,7 +21,7 @@ class QueueLength:
 
 @dataclass(frozen=True, kw_only=True)
 class Census:
-    """What is counted."""
+    """Counts of the whole service."""
 
     jobs: dict[str, int]  # by state, of those with a record
     queues: tuple[QueueLength, ...]

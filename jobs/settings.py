@@ -172,7 +172,7 @@ class Settings(BaseSettings):
 
     @property
     def secret_key_bytes(self) -> bytes | None:
-        """What secrets in the database are encrypted with; none where they are not."""
+        """Key that encrypts secrets in the database; None without encryption."""
         return None if self.secret_key is None else b64decode(self.secret_key.get_secret_value())
 
     @property

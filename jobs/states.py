@@ -7,7 +7,7 @@ from jobs.errors import ConflictError
 
 
 class JobState(StrEnum):
-    """Where a job is. The last four are final."""
+    """States of a job. The last four are final."""
 
     QUEUED = "queued"
     RUNNING = "running"
@@ -39,7 +39,7 @@ StageState = Literal["queued", "running", "succeeded", "failed", "canceled"]
 
 
 def states_before(target: JobState) -> frozenset[JobState]:
-    """The states from which a job may come to `target`; a compare-and-set names them."""
+    """States from which a job may change to `target`, for compare-and-set."""
     return frozenset(state for state, following in TRANSITIONS.items() if target in following)
 
 

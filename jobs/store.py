@@ -29,7 +29,7 @@ def new_id() -> str:
 
 
 class Store:
-    """One process's way to the job store; with an owner, it knows only what is theirs."""
+    """Access of one process to the job store; with an owner, restricted to the owner's rows."""
 
     def __init__(self, engine: sa.Engine, *, clock: Callable[[], float] = time.time, owner: str | None = None) -> None:
         self.engine = engine
@@ -38,11 +38,11 @@ class Store:
         self.patience_s = 0.0  # how long what is marked @patient waits for a database that is away
 
     def for_owner(self, owner: str) -> "Store":
-        """The same store, as one owner may see it: what is someone else's is not there."""
+        """Restrict the store to the rows of one owner."""
         return Store(self.engine, clock=self.clock, owner=owner)
 
     def mine(self, table: sa.Table) -> sa.ColumnElement[bool]:
-        """The rows that this store knows."""
+        """Restrict a query to the owner's rows."""
         return sa.true() if self.owner is None else table.c.owner == self.owner
 
     @classmethod
@@ -64,7 +64,7 @@ class Store:
 
     @contextmanager
     def snapshot(self) -> Iterator[sa.Connection]:
-        """A transaction that sees one moment, however long it reads. SQLite's always do."""
+        """Transaction with a consistent snapshot, as SQLite's always have."""
         options = {} if self.engine.dialect.name == "sqlite" else {"isolation_level": "REPEATABLE READ"}
         with self.engine.connect().execution_options(reading=True, **options) as connection, connection.begin():
             yield connection
@@ -83,7 +83,7 @@ class Store:
         client_key: ClientKey | None = None,
         max_active: int | None = None,
     ) -> tuple[JobRecord, bool]:
-        """Keep a new job, its stages and the message for a worker, in one transaction; tell whether it is new.
+        """Store a new job, its stages and message in one transaction; return whether it is new.
 
         The client's key passes from the job that is run again (`job.retry_of`) to the new one.
 
@@ -235,7 +235,7 @@ class Store:
             return rows.standing(connection, job)
 
     def cancel(self, job_id: str) -> JobRecord:
-        """Ask a job to stop. One that no worker holds is canceled at once; asking again changes nothing.
+        """Cancel a job, at once if no worker runs it; repeating it changes nothing.
 
         Raises:
             ConflictError: it has ended otherwise.
@@ -254,7 +254,7 @@ class Store:
 
     @patient
     def artifacts_of(self, job_id: str) -> list[ArtifactRecord]:
-        """What a job offers so far, in the order it was made."""
+        """Artifacts of a job so far, in order of creation."""
         with self.reading() as connection:
             return rows.artifacts_of(connection, job_id)
 

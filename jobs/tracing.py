@@ -46,6 +46,6 @@ def span(
 
 
 def traceparent(begun: "Span") -> str:
-    """How a span is named to those who come after it."""
+    """W3C traceparent of the current span."""
     context = begun.get_span_context()
     return f"00-{context.trace_id:032x}-{context.span_id:016x}-{context.trace_flags:02x}"

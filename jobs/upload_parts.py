@@ -30,26 +30,26 @@ class PartWriter(Protocol):
         """Append."""
 
     def keep(self) -> None:
-        """Make what was written last, whatever happens from now on."""
+        """Make the written bytes durable."""
 
     def discard(self) -> None:
-        """Forget what this writer wrote."""
+        """Discard the bytes of this writer."""
 
 
 class PartStore(Protocol):
-    """Where uploads lie until they are whole. StorageAwayError where it does not answer."""
+    """Storage of incomplete uploads. Raises StorageAwayError if it does not respond."""
 
     def size(self, upload_id: str) -> int:
         """How many bytes are there, from the first one without a gap."""
 
     def writer(self, upload_id: str, offset: int) -> PartWriter:
-        """Go on at the byte `offset`, which is the upload's size. BlockingIOError while someone else writes."""
+        """Continue at byte `offset`, the upload's size. Raises BlockingIOError while another writer is active."""
 
     def fetch(self, upload_id: str, path: Path) -> None:
         """Make the upload readable at a path."""
 
     def delete(self, upload_id: str) -> None:
-        """Forget the upload; harmless where there is none."""
+        """Delete the upload, if any."""
 
 
 class FolderParts:
@@ -65,7 +65,7 @@ class FolderParts:
         return path.stat().st_size if path.exists() else 0
 
     def writer(self, upload_id: str, offset: int) -> "FileWriter":
-        """Go on at a byte."""
+        """Continue at a byte offset."""
         return FileWriter(self.root / upload_id, offset)
 
     def fetch(self, upload_id: str, path: Path) -> None:
@@ -73,7 +73,7 @@ class FolderParts:
         path.hardlink_to(self.root / upload_id)
 
     def delete(self, upload_id: str) -> None:
-        """Forget the upload."""
+        """Delete the upload."""
         (self.root / upload_id).unlink(missing_ok=True)
 
 
@@ -132,7 +132,7 @@ class ObjectParts:
         return sum(size for _, size in self._parts(upload_id))
 
     def writer(self, upload_id: str, offset: int) -> "ObjectWriter":
-        """Go on at a byte."""
+        """Continue at a byte offset."""
         return ObjectWriter(self.objects, f"{PREFIX}/{upload_id}", offset)
 
     def fetch(self, upload_id: str, path: Path) -> None:
@@ -143,7 +143,7 @@ class ObjectParts:
                     target.write(bytes(chunk))
 
     def delete(self, upload_id: str) -> None:
-        """Forget the upload."""
+        """Delete the upload."""
         keys = [key for key, _ in self._listed(upload_id)]
         if keys:
             with reporting_refusals():

@@ -40,7 +40,7 @@ class UploadRecord:
 
 
 def add_upload(store: Store, upload: UploadRecord) -> UploadRecord:
-    """Keep a new upload."""
+    """Store a new upload."""
     upload = replace(upload, owner=store.owner or "")
     with store.writing() as connection:
         connection.execute(t.uploads.insert().values(**asdict(upload)))
@@ -48,7 +48,7 @@ def add_upload(store: Store, upload: UploadRecord) -> UploadRecord:
 
 
 def upload(store: Store, upload_id: str) -> UploadRecord:
-    """One upload.
+    """Read one upload.
 
     Raises:
         NotFoundError, GoneError: there is none, or it has expired.
@@ -74,7 +74,7 @@ def change_upload(store: Store, upload_id: str, *, was: tuple[UploadState, ...] 
 
 
 def delete_upload(store: Store, upload_id: str) -> None:
-    """Forget an upload; its bytes are the caller's to delete, before.
+    """Delete an upload's record; the caller deletes its bytes first.
 
     Raises:
         NotFoundError, GoneError: there is none, or it has expired.

@@ -49,7 +49,7 @@ class Endpoint:
 
 @dataclass(frozen=True, kw_only=True)
 class Try:
-    """One attempt to tell."""
+    """One delivery attempt."""
 
     at: float
     status: int | None  # none where no answer came
@@ -150,7 +150,7 @@ def rotate_secret(store: Store, endpoint_id: str, box: SecretBox) -> tuple[Endpo
 
 
 def delete_endpoint(store: Store, endpoint_id: str) -> None:
-    """Forget an endpoint and its deliveries.
+    """Delete an endpoint and its deliveries.
 
     Raises:
         NotFoundError: there is none.
@@ -191,7 +191,7 @@ def deliveries(store: Store, endpoint_id: str, *, before: str | None, limit: int
 
 
 def replay(store: Store, endpoint_id: str, delivery_id: str) -> Delivery:
-    """Tell it again at once: a new delivery of the same message.
+    """Queue a new delivery of the same message.
 
     Raises:
         NotFoundError: there is no such endpoint or delivery.
@@ -241,7 +241,7 @@ def claim_due(
 
 
 def record_try(store: Store, delivery: Delivery, new: Try, *, retry_s: Sequence[float]) -> DeliveryState:
-    """Write down how an attempt went, and when the next one is due. 410 disables the endpoint."""
+    """Record the result of an attempt and the next due time. Status 410 disables the endpoint."""
     log = [*(asdict(earlier) for earlier in delivery.log), asdict(new)]
     delivered = new.status is not None and 200 <= new.status < 300
     over = delivered or new.status == 410 or len(log) >= len(retry_s)

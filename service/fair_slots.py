@@ -17,7 +17,7 @@ class FairSlots:
 
     @asynccontextmanager
     async def slot(self, owner: str) -> AsyncIterator[None]:
-        """Wait for a slot and hold it."""
+        """Context manager that waits for a slot and occupies it."""
         entry = (owner, asyncio.get_running_loop().create_future())
         self._waiting.append(entry)
         self._grant()

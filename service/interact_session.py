@@ -42,7 +42,7 @@ STRAIGHT_RAD = 1e-4
 
 @dataclass(frozen=True, kw_only=True)
 class Hold:
-    """The shape in which a drag by displacement holds its group."""
+    """Target shape of a group that a drag by displacement holds."""
 
     q: Complex128[np.ndarray, " M"]
     bend: Float64[np.ndarray, "n 3"]
@@ -61,7 +61,7 @@ class ModalForce:
 
 
 class Grips:
-    """Places of one stream that were dragged: prepared once, with their last answer as the next one's first guess."""
+    """Dragged points of one stream, prepared once; each solution is the initial guess of the next."""
 
     def __init__(self, tree: InteractiveTree, system: ModalSystem) -> None:
         self.tree = tree
@@ -145,7 +145,7 @@ class Session:
         return not (self.localities or self.constant or self.impulses)
 
     def push(self, force: ModalForce) -> None:
-        """Let a force act from the next step on.
+        """Apply a force from the next step on.
 
         Raises:
             ProblemError: too many groups move already.

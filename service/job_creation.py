@@ -35,7 +35,7 @@ def accept(
     expires_s: float | None = None,
     resume_failed: bool = False,
 ) -> JobPayload:
-    """Check a request and keep its job, or give the one that was made under the same key.
+    """Validate a request and store its job, or return the job created with the same key.
 
     With `resume_failed`, a job of that key that failed or was aborted is run again, and the new one takes the key.
     """
@@ -54,7 +54,7 @@ def accept(
 def accept_again(
     owned: Owned, old: JobRecord, from_stage: JobType | None, origin: RequestOrigin, response: Response
 ) -> JobPayload:
-    """Keep a new job that is asked for what an old one was; stages from `from_stage` on take nothing from the cache.
+    """Store a new job with an old one's request; stages from `from_stage` on ignore the cache.
 
     Raises:
         ConflictError: the old one has not ended.
@@ -115,7 +115,7 @@ def _fingerprint(body: JobRequest) -> str:
 
 
 def require_possible(owned: Owned, body: JobRequest) -> tuple[AssetRecord, tuple[JobType, ...]]:
-    """The asset and the stages of a request that can be taken.
+    """Return the asset and stages of a request, or refuse it.
 
     Raises:
         ProblemError, JobsError, InputError: it cannot; the message says why.

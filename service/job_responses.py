@@ -13,12 +13,12 @@ POLL_AFTER_S = 1
 
 
 def tell(owned: Owned, job: JobRecord, response: Response) -> JobPayload:
-    """A job, its headers on the response."""
+    """Response body of a job; sets the response's headers."""
     return _job_response(owned, job, *owned.store.standing(job), response)
 
 
 def look(owned: Owned, job_id: str, response: Response) -> tuple[JobRecord, JobPayload]:
-    """A job by its id, all of one moment: the record and its response body.
+    """Read a job in one transaction: its record and response body.
 
     Raises:
         NotFoundError, GoneError: there is none, or its record has expired.
@@ -28,7 +28,7 @@ def look(owned: Owned, job_id: str, response: Response) -> tuple[JobRecord, JobP
 
 
 def listed(owned: Owned, job: JobRecord) -> JobPayload:
-    """A job among others."""
+    """Response body of a job in a list."""
     return _payload(owned, job, *owned.store.standing(job))
 
 

@@ -25,7 +25,7 @@ class LruCache(Generic[T]):
             return self._entries.get(key)
 
     def put(self, key: str, thing: T) -> None:
-        """Keep a thing; drop those that were not used for longest. Sizes are asked for anew, for things that grow."""
+        """Store a value and evict the least recently used ones. Sizes are measured again, since values may grow."""
         with self._lock:
             self._entries[key] = thing
             while len(self._entries) > 1 and sum(map(self._num_bytes, self._entries.values())) > self.max_bytes:

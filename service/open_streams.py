@@ -31,7 +31,7 @@ class OpenStreams:
 
     @contextmanager
     def opened(self, caller: Caller) -> Iterator[None]:
-        """Count one stream while it is open.
+        """Context manager that counts one stream while it is open.
 
         Raises:
             ProblemError: the owner, or the process, has too many.

@@ -23,7 +23,7 @@ BYTES_A_GAUSSIAN = 250  # at rest, and laid out for the deformer
 
 @dataclass(frozen=True)
 class MovingGaussians:
-    """Those of a cloud that hang on the mesh. The deformer is one pose's at a time."""
+    """Gaussians bound to the mesh. The deformer computes one pose at a time."""
 
     rows: Int32[np.ndarray, " M"]  # in the cloud
     deformer: "Deformer"
@@ -32,7 +32,7 @@ class MovingGaussians:
 
 @dataclass
 class ReadyTree:
-    """A tree, and its source mesh once something on it was asked for."""
+    """A tree prepared for interaction; its source mesh is loaded on demand."""
 
     tree: InteractiveTree
     expires_at: float  # of the spectrum
@@ -44,7 +44,7 @@ class ReadyTree:
 
     @property
     def num_bytes(self) -> int:
-        """About what it takes [bytes]."""
+        """Approximate size [bytes]."""
         vertices = 0 if self.mesh is None else self.mesh.num_vertices
         gaussians = 0 if self.gaussians is None else len(self.gaussians.rows)
         extra_bytes = BYTES_A_VERTEX * vertices + BYTES_A_GAUSSIAN * gaussians
@@ -53,7 +53,7 @@ class ReadyTree:
 
 
 def vertex_ties(ready: ReadyTree, mesh: TriangleMesh) -> "VoxelInterpolation":
-    """What ties the mesh's vertices to the voxels."""
+    """Interpolation from the voxels to the mesh's vertices."""
     from dynamictree.devoxelize.smooth import smooth
 
     if ready.interpolation is None:
@@ -62,7 +62,7 @@ def vertex_ties(ready: ReadyTree, mesh: TriangleMesh) -> "VoxelInterpolation":
 
 
 def vertex_frames(ready: ReadyTree, mesh: TriangleMesh) -> "VertexFrames":
-    """The mesh's vertices at any modal coordinates."""
+    """Basis that gives the mesh's vertices at any modal coordinates."""
     from dynamictree.modal.frames import VertexFrames
 
     if ready.frames is None:
@@ -71,7 +71,7 @@ def vertex_frames(ready: ReadyTree, mesh: TriangleMesh) -> "VertexFrames":
 
 
 def bone_ties(ready: ReadyTree, mesh: TriangleMesh) -> BoneAttachment:
-    """What ties the mesh's vertices to the bones."""
+    """Weights that attach the mesh's vertices to the bones."""
     if ready.attachment is None:
         ties = vertex_ties(ready, mesh)
         grid = ready.tree.system.grid

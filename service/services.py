@@ -1,4 +1,4 @@
-"""Everything the process opens once at start-up, and the part of it that one caller may see."""
+"""Services that the process opens at start-up, and their restriction to one caller."""
 
 import asyncio
 from collections.abc import Iterator

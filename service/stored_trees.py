@@ -21,7 +21,7 @@ from service.services import Owned
 
 
 def spectrum_artifact(owned: Owned, spectrum_id: str) -> ArtifactRecord:
-    """The artefact that a spectrum is.
+    """Artifact record of a spectrum.
 
     Raises:
         NotFoundError, GoneError: there is none, it is of another kind, or it has expired.
@@ -68,7 +68,7 @@ def load_source_mesh(owned: Owned, spectrum_id: str) -> TriangleMesh:
 
 
 def load_asset_mesh(owned: Owned, asset_id: str) -> TriangleMesh:
-    """The mesh that an asset is.
+    """Mesh of an asset.
 
     Raises:
         NotFoundError, GoneError: there is none, or it has expired.
@@ -78,7 +78,7 @@ def load_asset_mesh(owned: Owned, asset_id: str) -> TriangleMesh:
 
 
 def load_asset_cloud(owned: Owned, asset_id: str) -> GaussianCloud:
-    """The cloud that an asset is.
+    """Cloud of an asset.
 
     Raises:
         NotFoundError, GoneError: there is none, or it has expired.
@@ -110,7 +110,7 @@ def load_source_cloud(owned: Owned, spectrum_id: str) -> tuple[Capture, CloudPar
 
 
 def _prepared(owned: Owned, asset_id: str, kind: Literal["mesh", "cloud"], otherwise: str) -> str:
-    """Digest of the file that was read out of an asset of this kind."""
+    """Digest of the prepared file of an asset of this kind."""
     asset = read_asset(owned.store, asset_id)
     if asset.kind != kind or asset.prepared is None:
         raise ConflictError(f"asset {asset_id} is no {kind} but {asset.kind}; {otherwise}")

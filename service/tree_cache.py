@@ -35,7 +35,7 @@ def living_tree(owned: Owned, spectrum_id: str) -> ReadyTree | None:
 
 
 def _key(owned: Owned, spectrum_id: str) -> str:
-    """An owner finds only what they were allowed to load."""
+    """Cache key, which includes the owner."""
     return f"{owned.caller.owner or ''}/{spectrum_id}"
 
 
@@ -53,7 +53,7 @@ def with_mesh(owned: Owned, ready: ReadyTree, spectrum_id: str) -> TriangleMesh:
 
 
 def moving_gaussians(owned: Owned, ready: ReadyTree, spectrum_id: str) -> MovingGaussians:
-    """What of the source cloud moves, hung on the mesh that was made of it.
+    """Moving Gaussians of the source cloud, bound to its mesh.
 
     Raises:
         GoneError: the asset has expired.

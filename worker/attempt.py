@@ -49,7 +49,7 @@ PARAMS: dict[JobType, tuple[type[Request], ...]] = {
 
 
 def run_stages(runtime: Runtime, watch: Watch) -> None:
-    """Run what is left to run. Whatever a stage raises passes through."""
+    """Run the remaining stages. An exception of a stage passes through."""
     # numba and the formats come in with the first job, so that a worker is there at once
     from worker.stages import STAGES, StageInput, photo_name
 
@@ -104,7 +104,7 @@ def run_stages(runtime: Runtime, watch: Watch) -> None:
 def _run_stage(
     runtime: Runtime, watch: Watch, stage: JobType, run: Callable[["StageInput"], Iterable[Path]], given: "StageInput"
 ) -> tuple[OutputFile, ...]:
-    """Run a stage; what it had written before it failed is offered all the same: it tells why."""
+    """Run a stage; files that it wrote before a failure are published too, since they may explain it."""
     try:
         return _keep(runtime, run(given), given.facts)
     except Cancelled:
@@ -116,7 +116,7 @@ def _run_stage(
 
 
 def stage_key(job: JobRecord, stage: JobType, hashes: Mapping[str, str]) -> str:
-    """sha256 over all that decides what a stage makes: the files that go in, parameters, seed, model, code."""
+    """sha256 of all inputs of a stage: files, parameters, seed, model and code."""
     inputs = {name: hashes[name] for name in INPUTS[stage]}
     params = [model.part_of(job.params).model_dump(mode="json") for model in PARAMS[stage]]
     meaning: list[object] = [stage, STAGE_VERSION, version("dynamictree"), inputs, params]
@@ -172,7 +172,7 @@ def _fresh(job: JobRecord, stage: JobType) -> bool:
 
 
 def _finished(runtime: Runtime, job: JobRecord, stage: JobType) -> tuple[OutputFile, ...] | None:
-    """What an earlier attempt of the same job published."""
+    """Files that an earlier attempt of this job published."""
     if not any(other.name == stage and other.state == "succeeded" for other in job.stages):
         return None
     outputs = [artifact for artifact in runtime.store.artifacts_of(job.id) if artifact.stage == stage]
@@ -182,7 +182,7 @@ def _finished(runtime: Runtime, job: JobRecord, stage: JobType) -> tuple[OutputF
 
 
 def _from_cache(runtime: Runtime, watch: Watch, stage: JobType, key: str) -> tuple[OutputFile, ...] | None:
-    """What any job made of the same inputs, if its bytes are all there."""
+    """Files that any job made from the same inputs, if all their bytes are stored."""
     files = cached_stage(runtime.store, key)
     if files is None:
         return None

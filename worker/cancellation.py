@@ -19,7 +19,7 @@ class HandedBack(Exception):
 
 
 class Watch:
-    """A heartbeat for one attempt, and the question that every step asks."""
+    """Heartbeat of one attempt, and the cancellation check between steps."""
 
     def __init__(self, resources: Runtime, claimed: Claim, *, stopping: Callable[[], bool]) -> None:
         self.resources = resources
@@ -37,7 +37,7 @@ class Watch:
         self.resources.heartbeat.drop()
 
     def check(self) -> None:
-        """Go on, or not.
+        """Raise if the attempt should stop.
 
         Raises:
             Cancelled: someone asked the job to stop.
@@ -65,7 +65,7 @@ class Watch:
 
 
 def require_free_disk(settings: Settings) -> None:
-    """Refuse to write on where less than half of `min_free_bytes` is free: the database needs the rest.
+    """Raise if less than half of `min_free_bytes` is free, which the database needs.
 
     Raises:
         StorageFullError: it is.

@@ -1,4 +1,4 @@
-"""Takes from a process what it does not need: the network, other programs, other files. Linux; no privilege needed.
+"""Sandbox for a process: no network, no other programs, no other files. Linux; no privilege needed.
 
 Landlock (kernel 5.13) leaves it Python, its libraries and one folder; seccomp (kernel 3.17) leaves it no socket, no
 `exec`, no io_uring, no look into other processes. `dynamictree doctor` tells what of it a machine has.
@@ -73,7 +73,7 @@ _ACCESS_BITS = {1: 13, 2: 14, 3: 15, 4: 15, 5: 16}  # how many kinds of access e
 
 
 def confine(writable: Path, readable: Sequence[Path] = ()) -> tuple[Hold, ...]:
-    """Confine this process for good, and tell what holds it.
+    """Confine this process permanently; return the mechanisms in effect.
 
     It may write below `writable`, and read `readable` and what Python and its libraries need.
 

@@ -30,7 +30,7 @@ ERRORS = {error.code: error for error in (FormatError, InputError)}
 
 
 class PhotoRequest(BaseModel):
-    """Which files the child reads, and where it writes."""
+    """Files that the child process reads, and its output folder."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 

@@ -45,7 +45,7 @@ class Courier:
         asyncio.run(self._run(stopped))
 
     def round(self) -> int:
-        """Make one attempt at what is due and wait for all of them; return their number."""
+        """Attempt every due delivery once, wait for all, and return their number."""
         return asyncio.run(self._round())
 
     async def _run(self, stopped: threading.Event) -> None:

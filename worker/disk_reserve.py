@@ -1,4 +1,4 @@
-"""A file that is given up when the disk is full, so that the database can write and retention can free space."""
+"""Reserve file that is deleted when the disk is full, so that the database can write and retention can free space."""
 
 import logging
 import os
@@ -19,7 +19,7 @@ class DiskReserve:
         self.reserve_bytes = reserve_bytes
 
     def balance(self) -> None:
-        """Give the reserve up where the disk is full; take it again once there is four times as much room."""
+        """Delete the reserve if the disk is full; create it again once four times its size is free."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
         free = shutil.disk_usage(self.path.parent).free
         there = self.path.exists()

@@ -32,7 +32,7 @@ PRESENCE_S = 5.0
 
 
 class Heartbeat:
-    """The worker's end: which attempt it holds."""
+    """The worker's side of the heartbeat."""
 
     def __init__(self, settings: Settings, owner: str) -> None:
         self._first: dict[str, str | int | float] = {
@@ -47,11 +47,11 @@ class Heartbeat:
 
     @property
     def pid(self) -> int:
-        """The process that beats."""
+        """Id of the heartbeat process."""
         return self._process.pid
 
     def wait(self) -> None:
-        """Wait until the process beats; start it again if it has died. To be done before a lease is taken."""
+        """Wait until the heartbeat process runs; restart it if it has died. Call it before taking a lease."""
         with self._waiting:  # it says so once; of two threads that read, one would wait for ever
             while (died := self._process.poll() is not None) or not self._beats:
                 if died:
@@ -61,11 +61,11 @@ class Heartbeat:
                 self._beats = self._process.stdout.readline() == READY
 
     def hold(self, claimed: Claim) -> None:
-        """Renew this attempt's lease from now on."""
+        """Start renewing this attempt's lease."""
         self._tell({"job_id": claimed.job.id, "attempt": claimed.attempt})
 
     def drop(self) -> None:
-        """Renew no lease any more."""
+        """Stop renewing the lease."""
         self._tell({})
 
     def leave(self) -> None:
@@ -97,14 +97,14 @@ class Heartbeat:
 
 @dataclass(frozen=True, kw_only=True)
 class Beat:
-    """The process's end: what one turn does."""
+    """The heartbeat process's side."""
 
     store: Store
     owner: str
     lease_s: float
 
     def renew(self, job_id: str, attempt: int) -> bool:
-        """Prolong an attempt's lease; tell whether it is worth trying again."""
+        """Renew an attempt's lease; return whether to continue."""
         try:
             renew(self.store, job_id, attempt, owner=self.owner, lease_s=self.lease_s)
         except FencedError:
@@ -115,7 +115,7 @@ class Beat:
         return True
 
     def say_present(self) -> None:
-        """Tell that the worker is there."""
+        """Renew the worker's own lease."""
         try:
             hold_lease(self.store, WORKER_LEASES + self.owner, owner=self.owner, lease_s=3 * PRESENCE_S)
         except sa.exc.SQLAlchemyError:
@@ -123,7 +123,7 @@ class Beat:
 
 
 def main() -> None:
-    """Beat until stdin ends."""
+    """Renew leases until stdin ends."""
     set_up_logging(read_settings())
     first = json.loads(sys.stdin.buffer.readline())
     store = Store.open(first["database_url"])

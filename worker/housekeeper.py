@@ -70,7 +70,7 @@ AWAY = (sa.exc.SQLAlchemyError, OperationalError, redis.RedisError, StorageAwayE
 
 @dataclass(frozen=True, kw_only=True)
 class Housekeeper:
-    """The duties, and what they need."""
+    """Periodic duties with their connections."""
 
     settings: Settings
     store: Store
@@ -80,13 +80,13 @@ class Housekeeper:
     redis: redis.Redis
 
     def send(self) -> None:
-        """Send messages of jobs that wait, as many as workers will soon take."""
+        """Send messages of waiting jobs, up to the window that workers will soon take."""
         window = len(living(self.store, WORKER_LEASES)) + SENT_AHEAD
         for message in unsent(self.store, window=window):
             self._send(message)
 
     def send_again(self) -> None:
-        """Send again what was lost with the queue: sent long ago, not begun, and no longer in there."""
+        """Send lost messages again: sent long ago, not started, and no longer in the queue."""
         messages = unclaimed(self.store, sent_before=self.store.clock() - self.settings.resend_s)
         empty = {queue for queue in {message.queue for message in messages} if self.redis.llen(queue) == 0}
         for message in messages:
@@ -95,13 +95,13 @@ class Housekeeper:
                 self._send(message)
 
     def reap(self) -> None:
-        """Take jobs from workers that are gone, and end those that nobody began in time."""
+        """Take jobs from dead workers, and end jobs past their start deadline."""
         for job_id, state in reap(self.store, max_lost_attempts=self.settings.max_lost_attempts):
             logger.warning("job %s was left by its worker; it is %s now", job_id, state)
         abort_overdue(self.store)
 
     def forget(self) -> None:
-        """Drop what is past its time, and bytes that nothing refers to."""
+        """Delete expired records, and bytes without references."""
         settings = self.settings
         forget_expired(
             self.store, job_retention_s=settings.job_retention_s, cache_retention_s=settings.artifact_retention_s
@@ -123,7 +123,7 @@ class Housekeeper:
 
 
 def _each(things: Iterable[Thing], remove: Callable[[Thing], None]) -> None:
-    """Remove things one by one; one that cannot be removed keeps none of the others."""
+    """Remove items one by one; a failure does not stop the others."""
     failed = 0
     for thing in things:
         try:
@@ -165,7 +165,7 @@ def open_housekeeper(settings: Settings) -> Housekeeper:
 
 
 class PauseDetector:
-    """Notices that this process stood still, or that the clock was set: leases may have run out with nobody dead."""
+    """Detects that this process was paused or the clock set: leases may have expired without a crash."""
 
     def __init__(
         self, *, longest_s: float, wall: Callable[[], float] = time.time, steady: Callable[[], float] = time.monotonic
@@ -186,14 +186,14 @@ class PauseDetector:
 
 @dataclass(kw_only=True)
 class Turn:
-    """A duty, and when it comes again."""
+    """A duty and its next due time."""
 
     duty: Callable[[], None]
     every_s: float
     due: float = 0.0
 
     def take(self, now: float) -> None:
-        """Do the duty if it is due; soon again where something was away."""
+        """Run the duty if it is due; retry soon if a service did not respond."""
         if now >= self.due:
             self.due = now + (self.every_s if _done(self.duty) else max(self.every_s, AWAY_PAUSE_S))
 
@@ -229,7 +229,7 @@ def run(keeper: Housekeeper, stopped: threading.Event) -> None:
 
 
 def _done(duty: Callable[[], bool | None]) -> bool:
-    """Do it, and tell whether it could be done; what is away will be there again."""
+    """Run a duty; return False if a service did not respond."""
     try:
         return duty() is not False
     except AWAY as error:

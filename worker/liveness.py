@@ -17,13 +17,13 @@ class Liveness(bootsteps.StartStopStep):  # type: ignore[misc]
     requires = frozenset({"celery.worker.components:Timer"})
 
     def start(self, parent: WorkController) -> None:
-        """Begin; the timer runs in the loop that also takes messages."""
+        """Start the timer in the event loop that also receives messages."""
         self._path = read_settings().worker_alive_file
         if self._path is not None:
             self._path.touch()
             parent.timer.call_repeatedly(TOUCH_S, self._path.touch)
 
     def stop(self, parent: WorkController) -> None:
-        """Say that this worker is gone."""
+        """Remove the file."""
         if self._path is not None:
             self._path.unlink(missing_ok=True)

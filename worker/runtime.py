@@ -14,7 +14,7 @@ from worker.heartbeat import Heartbeat
 
 @dataclass(frozen=True, kw_only=True)
 class Runtime:
-    """One process of one worker."""
+    """Connections and settings of one worker process."""
 
     settings: Settings
     store: Store
@@ -24,7 +24,7 @@ class Runtime:
 
 
 def open_runtime(settings: Settings) -> Runtime:
-    """Connect, and say that this worker is there. Connections survive no fork: call it in the process that works."""
+    """Open connections and register this worker. Call it after the fork: connections do not survive one."""
     owner = f"{socket.gethostname()}:{os.getpid()}"
     store = Store.open(settings.resolved_database_url)
     store.patience_s = settings.patience_s
@@ -40,14 +40,14 @@ def open_runtime(settings: Settings) -> Runtime:
 
 
 def close_runtime(resources: Runtime) -> None:
-    """Say that this worker is gone, and disconnect."""
+    """Unregister this worker and close connections."""
     resources.heartbeat.leave()
     resources.store.close()
 
 
 @cache
 def runtime() -> Runtime:
-    """Give the process's own, opened at its first use."""
+    """Return this process's runtime, opened at the first call."""
     return open_runtime(read_settings())
 
 

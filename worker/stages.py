@@ -28,7 +28,7 @@ from jobs.states import JobType
 
 @dataclass(frozen=True, kw_only=True)
 class StageInput:
-    """What a stage gets."""
+    """Input of a stage."""
 
     job: JobRecord
     folder: Path  # its own, empty
@@ -41,7 +41,7 @@ class StageInput:
 
 
 def reconstruct(given: StageInput) -> Iterable[Path]:
-    """Photos or a cloud to a mesh."""
+    """Reconstruct a mesh from photos or a cloud."""
     if CLOUD_BUNDLE in given.files:
         return _mesh_of_cloud(given)
     from dynamictree.reconstruct.from_request import reconstruct_capture  # not at start: it is long
@@ -66,7 +66,7 @@ def reconstruct(given: StageInput) -> Iterable[Path]:
 
 
 def _root(photos: tuple[Path, ...]) -> Path:
-    """The folder that all of them lie in or below."""
+    """Deepest common folder of the photos."""
     return Path(os.path.commonpath([path.parent for path in photos]))
 
 
@@ -84,7 +84,7 @@ def _mesh_of_cloud(given: StageInput) -> Iterable[Path]:
 
 
 def voxelize(given: StageInput) -> Iterable[Path]:
-    """Mesh to voxels."""
+    """Voxelize the mesh."""
     given.report(0.0)
     resolution = GridParams.part_of(given.job.params).resolution
     voxels = method.voxelize(_mesh(given), resolution=resolution, source_sha256=given.source_sha256)
@@ -94,7 +94,7 @@ def voxelize(given: StageInput) -> Iterable[Path]:
 
 
 def diffuse(given: StageInput) -> Iterable[Path]:
-    """Voxels to spectrum."""
+    """Generate a spectrum from the voxels."""
     given.report(0.0)
     with given.files[VOXELS].open("rb") as stream:
         voxels = read_voxels(stream)
@@ -113,7 +113,7 @@ def diffuse(given: StageInput) -> Iterable[Path]:
 
 
 def animate(given: StageInput) -> Iterable[Path]:
-    """Spectrum to motion, in the files that were asked for."""
+    """Write the motion of a spectrum in the requested formats."""
     given.report(0.0)
     with given.files[SPECTRUM].open("rb") as stream:
         spectrum = read_spectrum(stream)

@@ -32,7 +32,7 @@ TYPED = (GoneError, StorageAwayError, StorageFullError)
 
 
 class JobTask(Task):  # type: ignore[misc]
-    """Writes how an attempt ended, when it did not end well."""
+    """Task base class that records how a failed attempt ended."""
 
     throws = (Cancelled, FencedError, HandedBack, DynamicTreeError, *TYPED)  # expected; logged without a traceback
 
@@ -56,7 +56,7 @@ class JobTask(Task):  # type: ignore[misc]
 
 
 def end_attempt(resources: Runtime, claimed: Claim, error: BaseException) -> None:
-    """Write what an exception means for the job.
+    """Record the consequence of an exception for the job.
 
     Raises:
         FencedError: the attempt is no longer ours.

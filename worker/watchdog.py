@@ -1,4 +1,4 @@
-"""End a worker that takes no messages although there are some.
+"""End a worker that takes no messages although the queue has some.
 
 Kombu may stop consuming without a word after a reconnection (kombu#2492, celery#10502) while the process answers pings;
 what started the worker then starts it again.
@@ -26,13 +26,13 @@ REDIS_TIMEOUT_S = 5.0
 
 @dataclass(kw_only=True)
 class Idleness:
-    """How long a queue has waited for a worker that does nothing."""
+    """Time that a queue has waited for an idle worker."""
 
     limit_s: float
     since: float | None = None
 
     def too_long(self, *, waiting: int, busy: bool, now: float) -> bool:
-        """Take one look; tell whether it is time to give up."""
+        """Check once; return whether the worker should end."""
         if busy or waiting == 0:
             self.since = None
             return False
@@ -41,7 +41,7 @@ class Idleness:
 
 
 def watch(settings: Settings, stopped: threading.Event) -> None:
-    """Look every few seconds until stopped; end this process and its forks when it has been idle for too long."""
+    """Check every few seconds until stopped; end this process and its forks if it is idle for too long."""
     queues = queues_of(settings.queue)
     idle = Idleness(limit_s=settings.idle_limit_s)
     client = redis.Redis.from_url(

@@ -46,7 +46,7 @@ ENDED = ("succeeded", "failed", "canceled", "aborted")
 
 
 class AsyncClient:
-    """A service at an address. Requests that may be are sent again, as `retries` says.
+    """Client of a service at a URL. Repeatable requests are retried as `retries` says.
 
     `transport` is httpx'; by default the network.
     """
@@ -152,7 +152,7 @@ class AsyncClient:
         seed: int = 0,
         preset: str = "small",
     ) -> Job:
-        """Ask for the motion of an asset, or of a file that is sent first."""
+        """Create a job for the motion of an asset, or of files that are uploaded first."""
         asset = source if isinstance(source, Asset) else await self.upload(source)
         request = AnimateRequest(
             type="animate", asset_id=asset.id, params=params or AnimateParams(), seed=seed, preset=preset
@@ -160,7 +160,7 @@ class AsyncClient:
         return await self.create_job(request)
 
     async def create_job(self, request: Any, *, key: str | None = None, resume_failed: bool = False) -> Job:
-        """Create a job of a request of `models`; sent again with the same key if the answer is lost.
+        """Create a job; the request is repeated with the same key if the answer is lost.
 
         With a key of your own the same job answers for a day, also to another process; with `resume_failed` a job of
         that key that failed is run again.
@@ -173,7 +173,7 @@ class AsyncClient:
     async def wait(
         self, job: Job | str, *, timeout_s: float | None = None, on_progress: Callable[[Job], None] | None = None
     ) -> Job:
-        """Ask until a job has ended, as often as the service likes; `on_progress` gets every answer.
+        """Poll a job until it has ended, at the interval that the service asks for; `on_progress` gets every answer.
 
         Raises:
             JobEndedError: it did not succeed.
@@ -226,7 +226,7 @@ class AsyncClient:
     async def download_all(
         self, job: Job | str, folder: PathLike, *, names: Iterable[str] | None = None
     ) -> dict[str, Path]:
-        """Fetch every file of a job, or those of these names, into a folder; give their places by name."""
+        """Download all files of a job, or the named ones, into a folder; return their paths by name."""
         wanted = None if names is None else set(names)
         Path(folder).mkdir(parents=True, exist_ok=True)
         return {
@@ -259,7 +259,7 @@ class AsyncClient:
             attempt += 1
 
     async def _pause(self, attempt: int, outcome: httpx.Response | httpx.TransportError, *, repeatable: bool) -> None:
-        """Wait before the next attempt, or tell why there is none."""
+        """Wait before the next attempt, or raise if there is none."""
         wait_s = self._retries.wait_s(attempt, outcome, repeatable=repeatable)
         if wait_s is not None:
             await asyncio.sleep(wait_s)

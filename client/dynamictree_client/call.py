@@ -34,7 +34,7 @@ class Call(Generic[T]):
         return self.method in IDEMPOTENT or self.headers.get("idempotency-key") is not None
 
     def arguments(self) -> dict[str, Any]:
-        """What httpx' `request` is given."""
+        """Arguments of httpx' `request`."""
         headers = {name: str(value) for name, value in self.headers.items() if value is not None}
         query = {name: _query_text(value) for name, value in self.query.items() if value is not None}
         given: dict[str, Any] = {"method": self.method, "url": self.path, "params": query, "headers": headers}

@@ -1,4 +1,4 @@
-"""`dynamictree remote`: the command line's work, done by a service elsewhere."""
+"""`dynamictree remote`: use a remote service from the command line."""
 
 import json
 import sys
@@ -129,7 +129,7 @@ def limits(url: Url = LOCAL, api_key: Key = None) -> None:
 
 @contextmanager
 def _service(url: str, api_key: str | None) -> Iterator[Client]:
-    """A client; what goes wrong is one line and exit status 2."""
+    """Open a client; an error is printed on one line, with exit status 2."""
     try:
         with Client(url, api_key=api_key) as client:
             yield client

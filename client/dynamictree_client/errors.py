@@ -48,7 +48,7 @@ class ProblemError(ClientError):
 
 
 class InvalidRequestError(ProblemError):
-    """Mend the request or the input."""
+    """The request or the input is wrong."""
 
 
 class AccessError(ProblemError):

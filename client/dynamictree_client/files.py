@@ -39,12 +39,12 @@ def form_of(files: Sequence[Path], fields: dict[str, str], stack: ExitStack) -> 
 
 
 def upload_headers(name: str, size: int) -> dict[str, str]:
-    """What begins an upload: tus 1.0, creation."""
+    """Headers that create an upload (tus 1.0)."""
     return {**TUS, "Upload-Length": str(size), "Upload-Metadata": f"filename {_base64(name.encode())}"}
 
 
 def piece_headers(offset: int, piece: bytes) -> dict[str, str]:
-    """What goes with a piece: tus 1.0, checksum."""
+    """Headers of one piece of an upload (tus 1.0, with checksum)."""
     checksum = f"sha256 {_base64(hashlib.sha256(piece).digest())}"
     return {
         **TUS,
@@ -59,7 +59,7 @@ def _base64(content: bytes) -> str:
 
 
 def place_of(artifact: Artifact, folder: Path) -> Path:
-    """Where a file of that name goes.
+    """Path of a downloaded file of that name.
 
     Raises:
         IntegrityError: the name leads elsewhere.
@@ -71,7 +71,7 @@ def place_of(artifact: Artifact, folder: Path) -> Path:
 
 
 def bytes_there(part: Path, artifact: Artifact) -> int:
-    """How much of a download that broke off is there; what is too much is thrown away."""
+    """Size of an interrupted download; excess bytes are removed."""
     size = part.stat().st_size if part.exists() else 0
     if size > artifact.bytes:
         part.unlink()
@@ -80,7 +80,7 @@ def bytes_there(part: Path, artifact: Artifact) -> int:
 
 
 def finish(part: Path, artifact: Artifact, path: Path) -> Path:
-    """Give a whole download its name.
+    """Rename a complete download to its final name.
 
     Raises:
         IntegrityError: its bytes are not those that the service announced; they are thrown away.

@@ -29,7 +29,7 @@ Axes = tuple[float, float, float]
 
 
 class UploadedTree(BaseModel):
-    """An asset as `animate` takes it."""
+    """An uploaded asset, as input of `animate`."""
 
     asset_id: str
     kind: str
@@ -37,7 +37,7 @@ class UploadedTree(BaseModel):
 
 
 class JobReport(BaseModel):
-    """Where a job is. `spectrum_id` is what `interact` takes, `files` what `download` takes."""
+    """State of a job. `spectrum_id` is the input of `interact`, `files` that of `download`."""
 
     job_id: str
     state: str

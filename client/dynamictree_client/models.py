@@ -13,7 +13,7 @@ class Model(BaseModel):
 
 
 JobState = Literal["queued", "running", "canceling", "succeeded", "failed", "canceled", "aborted"]
-"""Where a job is. The last four are final."""
+"""States of a job. The last four are final."""
 
 
 class AnimateParams(Model):
@@ -81,7 +81,7 @@ class AnimateParams(Model):
 
 
 class AnimateRequest(Model):
-    """To the motion."""
+    """Generate a motion and write it as files."""
 
     # The model that generates the motion
     preset: str = "small"
@@ -149,7 +149,7 @@ class At(Model):
 
 
 class BatchItem(Model):
-    """What became of one job of a batch: the job, or why there is none."""
+    """Result of one item of a batch: the job, or why it was refused."""
 
     # what the request would have been answered by itself
     status: int
@@ -158,7 +158,7 @@ class BatchItem(Model):
 
 
 class Batch(Model):
-    """What became of a batch, in its order."""
+    """Results of a batch, in the order of the request."""
 
     data: "list[BatchItem]"
 
@@ -218,7 +218,7 @@ class DiffuseParams(Model):
 
 
 class DiffuseRequest(Model):
-    """To the spectrum."""
+    """Generate a spectrum."""
 
     # The model that generates the motion
     preset: str = "small"
@@ -237,7 +237,7 @@ class DiffuseRequest(Model):
 
 
 class EndpointList(Model):
-    """Every endpoint."""
+    """All endpoints."""
 
     data: "list[Endpoint]"
 
@@ -254,7 +254,7 @@ class Endpoint(Model):
 
 
 class EndpointRequest(Model):
-    """An address to tell."""
+    """URL and events of an endpoint."""
 
     # https
     url: str
@@ -268,7 +268,7 @@ class EndpointRequest(Model):
 
 
 class EndpointWithSecret(Model):
-    """The only time that a secret is shown."""
+    """An endpoint with its secret, which is returned only once."""
 
     id: str
     url: str
@@ -281,7 +281,7 @@ class EndpointWithSecret(Model):
 
 
 class Estimate(Model):
-    """A request that would be accepted, and what it would take."""
+    """Estimated duration and size of a valid request."""
 
     valid: Literal[True] = True
     # median of this service's own history [s]; null without one
@@ -302,7 +302,7 @@ class FieldError(Model):
 
 
 class Force(Model):
-    """One push."""
+    """One force on the tree."""
 
     kind: Literal["impulse", "drag", "wind"]
     # of an impulse or a drag; wind blows everywhere
@@ -368,7 +368,7 @@ class Interact(Model):
 
 
 class InteractRequest(Model):
-    """Push a tree."""
+    """Forces on a tree, and the response to compute."""
 
     # from a job's result
     spectrum_id: str
@@ -437,7 +437,7 @@ class Job(Model):
 
 
 class Limits(Model):
-    """What is refused beyond. Sizes in bytes."""
+    """Limits of requests and uploads. Sizes in bytes."""
 
     mesh_formats: list[str]
     cloud_formats: list[str]
@@ -484,7 +484,7 @@ class Link(Model):
 
 
 class LinkRequest(Model):
-    """What is to be opened, and for how long."""
+    """Path to open without a key, and for how long."""
 
     # of an artifact, a spectrum, or the surface, modes, reach or points of a tree
     path: str
@@ -499,7 +499,7 @@ class Live(Model):
 
 
 class Locality(Model):
-    """Where a group's answer is centred, and over which length it fades."""
+    """Centre of a group's response, and the length over which it fades."""
 
     seed_voxel: int
     falloff_m: float
@@ -526,7 +526,7 @@ class Log(Model):
 
 
 class Manifest(Model):
-    """What a job offers."""
+    """Files that a job has produced."""
 
     job_id: str
     # whether the job has succeeded and nothing will be added
@@ -650,7 +650,7 @@ class ReconstructParams(Model):
 
 
 class ReconstructRequest(Model):
-    """Photos to a mesh."""
+    """Reconstruct a mesh from photos."""
 
     # The model that generates the motion
     preset: str = "small"
@@ -669,7 +669,7 @@ class ReconstructRequest(Model):
 
 
 class Result(Model):
-    """Where the products are."""
+    """Ids of the products."""
 
     # artefact of the reconstructed mesh
     mesh_id: str | None
@@ -749,13 +749,13 @@ class Stage(Model):
 
 
 class State(Model):
-    """What one call ends with and the next begins with."""
+    """State at the end of one call, from which the next call continues."""
 
     groups: "list[GroupState]"
 
 
 class Try(Model):
-    """One attempt to tell."""
+    """One delivery attempt."""
 
     # RFC 3339, UTC
     at: datetime
@@ -848,7 +848,7 @@ class VoxelizeParams(Model):
 
 
 class VoxelizeRequest(Model):
-    """To the occupied voxels and their normals."""
+    """Compute the occupied voxels and their normals."""
 
     # The model that generates the motion
     preset: str = "small"

@@ -41,7 +41,7 @@ from dynamictree_client.models import (
 
 
 def get_upload_protocol() -> Call[None]:
-    """What of tus is spoken here."""
+    """Supported tus versions, extensions and checksums."""
     return Call(method="OPTIONS", path="/v1/uploads", answer=None)
 
 
@@ -72,7 +72,7 @@ def create_upload(
 
 
 def head_upload(id: str, *, tus_resumable: str | None = None) -> Call[None]:
-    """Where an upload stands."""
+    """Current offset of an upload."""
     return Call(
         method="HEAD",
         path=path_of("/v1/uploads/{id}", {"id": id}),
@@ -137,7 +137,7 @@ def delete_asset(id: str) -> Call[None]:
 
 
 def create_jobs(body: BatchRequest, *, idempotency_key: str | None = None) -> Call[Batch]:
-    """Ask for several products. One that is refused keeps none of the others; each tells its own status."""
+    """Create several jobs. Each is accepted or refused separately, with its own status."""
     return Call(
         method="POST", path="/v1/jobs:batch", answer=Batch, headers={"idempotency-key": idempotency_key}, body=body
     )
@@ -150,7 +150,7 @@ def create_job(
     resume_failed: bool | None = None,
     idempotency_key: str | None = None,
 ) -> Call[Job | Estimate]:
-    """Ask for voxels, a spectrum, a motion, or a mesh of photos. What that needs runs first, or is cached."""
+    """Create a job for voxels, a spectrum, a motion, or a mesh of photos. Earlier stages run first or are cached."""
     return Call(
         method="POST",
         path="/v1/jobs",
@@ -323,7 +323,7 @@ def get_surface(id: str) -> Call[bytes]:
 
 
 def list_webhook_endpoints() -> Call[EndpointList]:
-    """Every endpoint."""
+    """All endpoints."""
     return Call(method="GET", path="/v1/webhook-endpoints", answer=EndpointList)
 
 
@@ -363,7 +363,7 @@ def list_webhook_deliveries(id: str, *, cursor: str | None = None, limit: int | 
 
 
 def replay_webhook_delivery(delivery_id: str, id: str) -> Call[Delivery]:
-    """Tell it again, as a new delivery of the same message: the receiver knows it by its webhook-id."""
+    """Send a message again as a new delivery; the receiver recognises it by its webhook-id."""
     return Call(
         method="POST",
         path=path_of(

@@ -45,7 +45,7 @@ ENDED = ("succeeded", "failed", "canceled", "aborted")
 
 
 class Client:
-    """A service at an address. Requests that may be are sent again, as `retries` says.
+    """Client of a service at a URL. Repeatable requests are retried as `retries` says.
 
     `transport` is httpx'; by default the network.
     """
@@ -149,7 +149,7 @@ class Client:
         seed: int = 0,
         preset: str = "small",
     ) -> Job:
-        """Ask for the motion of an asset, or of a file that is sent first."""
+        """Create a job for the motion of an asset, or of files that are uploaded first."""
         asset = source if isinstance(source, Asset) else self.upload(source)
         request = AnimateRequest(
             type="animate", asset_id=asset.id, params=params or AnimateParams(), seed=seed, preset=preset
@@ -157,7 +157,7 @@ class Client:
         return self.create_job(request)
 
     def create_job(self, request: Any, *, key: str | None = None, resume_failed: bool = False) -> Job:
-        """Create a job of a request of `models`; sent again with the same key if the answer is lost.
+        """Create a job; the request is repeated with the same key if the answer is lost.
 
         With a key of your own the same job answers for a day, also to another process; with `resume_failed` a job of
         that key that failed is run again.
@@ -170,7 +170,7 @@ class Client:
     def wait(
         self, job: Job | str, *, timeout_s: float | None = None, on_progress: Callable[[Job], None] | None = None
     ) -> Job:
-        """Ask until a job has ended, as often as the service likes; `on_progress` gets every answer.
+        """Poll a job until it has ended, at the interval that the service asks for; `on_progress` gets every answer.
 
         Raises:
             JobEndedError: it did not succeed.
@@ -221,7 +221,7 @@ class Client:
         return finish(part, artifact, path)
 
     def download_all(self, job: Job | str, folder: PathLike, *, names: Iterable[str] | None = None) -> dict[str, Path]:
-        """Fetch every file of a job, or those of these names, into a folder; give their places by name."""
+        """Download all files of a job, or the named ones, into a folder; return their paths by name."""
         wanted = None if names is None else set(names)
         Path(folder).mkdir(parents=True, exist_ok=True)
         return {
@@ -254,7 +254,7 @@ class Client:
             attempt += 1
 
     def _pause(self, attempt: int, outcome: httpx.Response | httpx.TransportError, *, repeatable: bool) -> None:
-        """Wait before the next attempt, or tell why there is none."""
+        """Wait before the next attempt, or raise if there is none."""
         wait_s = self._retries.wait_s(attempt, outcome, repeatable=repeatable)
         if wait_s is not None:
             time.sleep(wait_s)

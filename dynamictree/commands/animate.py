@@ -1,4 +1,4 @@
-"""`dynamictree animate`: a shape to files that show its motion."""
+"""`dynamictree animate`: generate a motion and write it as files."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any

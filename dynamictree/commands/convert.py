@@ -1,4 +1,4 @@
-"""`dynamictree convert`: a mesh, splat or scan as a file of another format."""
+"""`dynamictree convert`: convert a mesh, splat or scan to another file format."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated

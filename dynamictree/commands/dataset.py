@@ -59,7 +59,7 @@ def generate(
     self_explosion: SelfExplosion = 0.22,
     as_json: AsJson = False,
 ) -> None:
-    """Bake a dataset into a folder; goes on where it was cut off."""
+    """Generate a dataset into a folder; an interrupted run continues."""
     from dynamictree.dataset import generate as baking
     from dynamictree.dataset.filter import Limits
     from dynamictree.dataset.review import read_review
@@ -221,7 +221,7 @@ def export(
     formats: Annotated[str, typer.Option("--format", help="Comma-separated: glb, ply (zip of frames), usd.")] = "glb",
     as_json: AsJson = False,
 ) -> None:
-    """Write one tree of the dataset with its motion."""
+    """Write one tree of the dataset and its motion as files for other programs."""
     from dynamictree.dataset.export import EXPORTS, export_sample
     from dynamictree.dataset.sample import make_sample
 
@@ -236,7 +236,7 @@ def export(
 
 
 def _part(text: str) -> tuple[int, int]:
-    """`i/n` as two numbers."""
+    """Parse `i/n` as two numbers."""
     index, slash, count = text.partition("/")
     if not (slash and index.isdigit() and count.isdigit()):
         raise InputError(f"--shard is {text!r}; write i/n, 0/1 for all of the work")
@@ -245,7 +245,7 @@ def _part(text: str) -> tuple[int, int]:
 
 @contextmanager
 def _progress(stage: str, *, quiet: bool) -> Iterator[Callable[[int, int], None]]:
-    """A bar on standard error that counts trees."""
+    """Progress bar on standard error that counts trees."""
     from rich.console import Console
     from rich.progress import (
         BarColumn,

@@ -1,4 +1,4 @@
-"""`dynamictree diffuse`: a shape to the spectrum of its motion."""
+"""`dynamictree diffuse`: generate the spectrum of a tree's motion."""
 
 from pathlib import Path
 from typing import Annotated

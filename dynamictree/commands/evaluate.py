@@ -1,4 +1,4 @@
-"""`dynamictree evaluate`."""
+"""`dynamictree evaluate`: compare a model with its baselines on held-out trees."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -105,7 +105,7 @@ def evaluate(
 
 
 def _sapling(folder: Path | None) -> Sequence[Path]:
-    """The add-on's trees, or one line that there are none."""
+    """Find the trees of Blender's Sapling add-on; print one line if there are none."""
     from dynamictree.evaluation.sapling_file import sapling_files
 
     if folder is None:
@@ -115,7 +115,7 @@ def _sapling(folder: Path | None) -> Sequence[Path]:
 
 
 def _embedder(weights: Path | None) -> "ImageEmbedder | None":
-    """CLIP, or one line that there is none."""
+    """Load CLIP; print one line if its weights are missing."""
     from dynamictree.evaluation.clip import load_clip
 
     if weights is None:
@@ -138,7 +138,7 @@ def _compare(
 
 
 def print_figures(report: dict[str, Any]) -> None:
-    """Figures by group, targets, and whether the model passes."""
+    """Print the figures of each group, the targets, and whether the model passes."""
     for group, rows in report["groups"].items():
         _print_columns(f"{group}: mean over {report['trees'][group]} trees", rows)
     for group, rows in report.get("clip", {}).items():
@@ -156,7 +156,7 @@ def print_figures(report: dict[str, Any]) -> None:
 
 
 def print_rivals(report: dict[str, Any]) -> None:
-    """The contest by set of trees."""
+    """Print the comparison with procedural wind, one table per set of trees."""
     from dynamictree.evaluation.contest import CONTESTANTS
 
     for kind, rows in report["sets"].items():
@@ -166,7 +166,7 @@ def print_rivals(report: dict[str, Any]) -> None:
 
 
 def print_classifier(report: dict[str, Any]) -> None:
-    """How often it was right, and whether that counts."""
+    """Print the accuracy of the classifier, and whether the result is valid."""
     for kind, share in report["right"].items():
         typer.echo(f"true motion and {kind} separated in {100 * share:.1f} % of cases")
     verdict = "valid" if report["valid"] else "not valid"
@@ -174,13 +174,13 @@ def print_classifier(report: dict[str, Any]) -> None:
 
 
 def print_laws(report: dict[str, Any]) -> None:
-    """The share of trees that satisfy each law, and medians."""
+    """Print the share of trees that satisfy each law, and medians."""
     _print_columns(f"share of {len(report['trees'])} trees", {"share": report["laws"]})
     _print_columns("medians", {"median": report["medians"]})
 
 
 def _print_columns(title: str, rows: Mapping[str, Mapping[str, float]]) -> None:
-    """A column a method, a row a figure."""
+    """Print a table with a column per method and a row per figure."""
     from rich.console import Console
     from rich.table import Table
 

@@ -1,4 +1,4 @@
-"""`dynamictree info`: what a file holds."""
+"""`dynamictree info`: print what a file contains."""
 
 from pathlib import Path
 from typing import Annotated
@@ -18,7 +18,7 @@ def info(
     reading: Reading,
     as_json: AsJson = False,
 ) -> None:
-    """Say what a file holds."""
+    """Print what a file contains."""
     from dynamictree.formats.description import describe_capture, describe_grid, describe_mesh, describe_spectrum
     from dynamictree.formats.tensors import spectrum, voxels
 

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM that let a long command save its work first."""
+"""Handle Ctrl-C and SIGTERM so that a long command can save its work before it ends."""
 
 import signal
 from collections.abc import Callable, Iterator
@@ -11,7 +11,7 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class Interrupted(Cancelled):
-    """A signal asked the command to stop."""
+    """Raised when a signal (Ctrl-C or SIGTERM) asks the command to stop."""
 
     def __init__(self, number: int) -> None:
         super().__init__(f"stopped by {signal.Signals(number).name}")

@@ -64,7 +64,7 @@ def _is_request(annotation: object) -> bool:
 
 
 def _fields(schema: Schema, definitions: Schema | None = None) -> Iterator[tuple[Place, Schema]]:
-    """Every field of a model by its place, with its JSON schema; of a nested model the fields."""
+    """Iterate over the fields of a model with their path and JSON schema; a nested model yields its own fields."""
     definitions = schema.get("$defs", {}) if definitions is None else definitions
     for name, field in schema["properties"].items():
         if "$ref" in field:
@@ -95,7 +95,7 @@ def _parameter(name: str, schema: Schema) -> inspect.Parameter:
 
 
 def _kind(schema: Schema) -> Schema:
-    """The type of a field, null left out."""
+    """JSON schema of a field without its null alternative."""
     kind: Schema = next(one for one in schema.get("anyOf", [schema]) if one["type"] != "null")
     return kind
 
@@ -133,7 +133,7 @@ def _option_name(field: str) -> str:
 
 
 def _checked(model: type[Request], values: dict[Place, tuple[Any, Schema]]) -> Request:
-    """A model of the values that were given.
+    """Build and validate a request model from option values.
 
     Raises:
         InputError: a value is not allowed.
@@ -153,7 +153,7 @@ def _checked(model: type[Request], values: dict[Place, tuple[Any, Schema]]) -> R
 
 
 def _split(name: str, text: str, kind: Schema) -> list[Any]:
-    """A comma-separated list: of names, or the six numbers of a box."""
+    """Split a comma-separated option into names, or into the six numbers of a box."""
     parts = [part.strip() for part in text.split(",")]
     if "items" in kind:
         return parts

@@ -1,4 +1,4 @@
-"""What the user names as the shape of a tree: a mesh, or a cloud and the mesh that carries it."""
+"""Read the input shape of a command: a mesh, or a splat or scan with the mesh that carries it."""
 
 import hashlib
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def is_tensor_file(path: Path, file_format: str, ending: str) -> bool:
-    """Whether a file says that it is of a format of ours, or its name says so.
+    """Whether a file has one of the project's own tensor formats, by its metadata or its name.
 
     Raises:
         InputError: it cannot be read.
@@ -49,7 +49,7 @@ def read_source(
     mask: Path | None = None,
     beside: Path | None = None,
 ) -> "tuple[TriangleMesh, Capture | None]":
-    """The mesh that a file holds; or the cloud, and the mesh that carries what of it moves.
+    """Read a mesh; or read a splat or scan, and return it with the mesh that carries its moving part.
 
     Raises:
         InputError: a file cannot be read, or they do not fit together.

@@ -30,7 +30,7 @@ def stage_progress(*, as_json: bool) -> Iterator[Report]:
 
 
 class _Lines:
-    """One line at the begin and end of each stage, and some in between."""
+    """Log one line at the beginning and end of each stage, and a few in between."""
 
     def __init__(
         self, text_of: Callable[[Progress, float | None], str], *, every_s: float = 0.0, every_share: float = 0.0
@@ -55,7 +55,7 @@ class _Lines:
 
 
 def remaining_s(share: float, elapsed_s: float) -> float | None:
-    """Estimate how long a stage will still take; None at its begin."""
+    """Estimate the remaining time of a stage [s]; None at its beginning."""
     return elapsed_s * (1 - share) / share if share >= _LEAST_SHARE else None
 
 

@@ -1,4 +1,4 @@
-"""How the commands tell what they do: progress on standard error, results on standard output."""
+"""Output of commands: progress on standard error, results on standard output."""
 
 import json
 from collections.abc import Callable, Iterator
@@ -15,7 +15,7 @@ Report = Callable[[str, float], None]
 
 @contextmanager
 def progress(*, quiet: bool) -> Iterator[Report]:
-    """A bar a stage; none where a program reads the output."""
+    """Show one progress bar per stage; nothing if `quiet`, for output that a program reads."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
@@ -32,7 +32,7 @@ def progress(*, quiet: bool) -> Iterator[Report]:
 
 
 def tell(facts: dict[str, Any], *, as_json: bool) -> None:
-    """Print what came out, for a person or for a program."""
+    """Print the result as aligned text or as JSON."""
     if as_json:
         typer.echo(json.dumps(facts))
         return

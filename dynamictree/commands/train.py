@@ -1,4 +1,4 @@
-"""`dynamictree train`."""
+"""`dynamictree train`: train a model on a dataset's shards."""
 
 import json
 from dataclasses import asdict, replace
@@ -110,7 +110,7 @@ def train(
 
 
 def _in_turn(folders: list[list[str]]) -> list[str]:
-    """The first of each, the second of each, and so on to the end of the longest."""
+    """Interleave lists: the first item of each, then the second of each, until the longest ends."""
     return [shard for row in zip_longest(*folders) for shard in row if shard is not None]
 
 
@@ -165,7 +165,7 @@ def _run(
     threads: int,
     quiet: bool,
 ) -> Path:
-    """Train and give the weights file."""
+    """Train and return the path of the weights file."""
     import torch
 
     from dynamictree.models.small.train import SmallTraining

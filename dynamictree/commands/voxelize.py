@@ -1,4 +1,4 @@
-"""`dynamictree voxelize`: a shape to its voxels."""
+"""`dynamictree voxelize`: convert a shape to its occupied voxels."""
 
 from dynamictree.commands.options import OutputFile, SourcePath
 from dynamictree.commands.request_options import with_request_options

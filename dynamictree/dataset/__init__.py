@@ -1,1 +1,1 @@
-"""4DTree: trees that grow, and sway, from a seed."""
+"""4DTree: a generator of animated trees; each tree and its motion follow from a seed."""

@@ -14,7 +14,7 @@ CHILD_TO_PARENT_RADIUS = 0.8  # a child's first ring stays inside its parent's t
 
 @dataclass(frozen=True, kw_only=True)
 class Stems:
-    """All stems of one level, a row each, R segments between P = R + 1 rings.
+    """All stems of one branching level: one row per stem, R segments between P = R + 1 rings.
 
     A stem that split off another of its level shares that one's rings before `first`.
     """
@@ -53,7 +53,7 @@ def shape_ratio(shape: Shape, place: Float32[np.ndarray, " M"]) -> Float32[np.nd
 def turned(
     vectors: Float[np.ndarray, "M 3"], axes: Float[np.ndarray, "M 3"], angles: Float[np.ndarray, " M"]
 ) -> Float32[np.ndarray, "M 3"]:
-    """Vectors turned about unit axes by angles [rad]. Rodrigues."""
+    """Rotate vectors about unit axes by angles [rad] (Rodrigues' formula)."""
     cosine, sine = np.cos(angles)[:, None], np.sin(angles)[:, None]
     along = (vectors * axes).sum(axis=1, keepdims=True) * axes
     moved: Float32[np.ndarray, "M 3"] = vectors * cosine + np.cross(axes, vectors) * sine + along * (1 - cosine)
@@ -61,21 +61,21 @@ def turned(
 
 
 def unit(vectors: Float[np.ndarray, "... 3"]) -> Float32[np.ndarray, "... 3"]:
-    """Vectors of length 1."""
+    """Scale vectors to length 1."""
     length = np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9)
     shortened: Float32[np.ndarray, ...] = vectors / length
     return shortened.astype(np.float32)
 
 
 def across(directions: Float[np.ndarray, "M 3"]) -> Float32[np.ndarray, "M 3"]:
-    """A unit vector square to each direction; level where that can be."""
+    """Unit vector perpendicular to each direction, horizontal where possible."""
     steep = np.abs(directions[:, 2:]) > 0.999
     reference = np.where(steep, np.array([[1, 0, 0]], np.float32), np.array([[0, 0, 1]], np.float32))
     return unit(np.cross(reference, directions))
 
 
 def grow_trunks(species: Species, rng: np.random.Generator) -> Stems:
-    """Level 0: stems out of the ground, at z = 0."""
+    """Grow the stems of level 0 from the ground, z = 0."""
     level = species.levels[0]
     count = max(1, round(level.count)) if level.count > 1.5 else 1
     height = species.height_m[0]
@@ -101,7 +101,7 @@ def grow_trunks(species: Species, rng: np.random.Generator) -> Stems:
 
 
 def grow_children(species: Species, depth: int, parents: Stems, rng: np.random.Generator) -> Stems:
-    """Level `depth` on the stems of the level above."""
+    """Grow the stems of level `depth` on those of the level before."""
     level = species.levels[depth]
     row, ring = _places(species, depth, parents, rng)
     segment = np.minimum(ring.astype(np.int32), parents.segments - 1)
@@ -238,7 +238,7 @@ def _grow(
 
 
 def _whole(expected: float, count: int, rng: np.random.Generator) -> Int32[np.ndarray, " M"]:
-    """Whole numbers whose mean is `expected`."""
+    """Draw integers whose mean is `expected`."""
     return np.floor(expected + rng.uniform(0, 1, count)).astype(np.int32)
 
 

@@ -1,4 +1,4 @@
-"""The dataset card: what someone who finds the folder wants to know."""
+"""The dataset card: a Markdown description of a dataset folder."""
 
 from collections.abc import Mapping
 from typing import Any

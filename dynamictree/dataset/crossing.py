@@ -1,4 +1,4 @@
-"""Trees of no species: parts of several, widely changed, so that a network cannot know a tree by its kind.
+"""Trees that mix the parameters of several species, so that a network cannot recognise a tree by its species.
 
 Only species for training are crossed; what is held out stays unseen.
 """
@@ -26,7 +26,7 @@ TRUNK_TAPER, BRANCH_TAPER = (0.25, 1.0), (0.6, 1.0)
 
 
 def crossed_species(rng: np.random.Generator) -> Species:
-    """The trunk of one species, each level of branches of another, leaves of their own."""
+    """Mix species: the trunk of one, each level of branches of another, and separate leaves."""
     parents = [species for species in SPECIES.values() if not species.held_out]
     frame = _one_of(parents, rng)
     num_levels = int(rng.choice([depth for depth, _ in DEPTHS], p=[share for _, share in DEPTHS]))
@@ -82,7 +82,7 @@ def _factor(largest: float, rng: np.random.Generator) -> float:
 
 
 def _between(bounds: tuple[float, float], rng: np.random.Generator) -> float:
-    """Evenly in logarithms."""
+    """Draw between two values, uniform in the logarithm."""
     return math.exp(float(rng.uniform(math.log(bounds[0]), math.log(bounds[1]))))
 
 

@@ -1,4 +1,4 @@
-"""Which animated trees are fit to learn from: four rules on the motion. Paper appendix A, step 2."""
+"""Select training trees by four rules on their motion. Paper appendix A, step 2."""
 
 from collections import Counter
 from collections.abc import Iterable
@@ -18,7 +18,7 @@ Rule = Literal["high-frequency", "root-motion", "edge-stretch", "self-explosion"
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """The largest value of each measure that is let through."""
+    """Largest accepted value of each measure."""
 
     above_hz: float = 3.0  # what counts as high: beyond the sway of all stems but the smallest
     high_frequency: float = 0.001  # share of the motion's energy
@@ -32,7 +32,7 @@ DEFAULT_LIMITS = Limits()
 
 @dataclass(frozen=True, kw_only=True)
 class Measures:
-    """What the rules look at."""
+    """Measured values of a motion that the rules compare with limits."""
 
     high_frequency: float
     root_motion: float
@@ -98,7 +98,7 @@ def edge_stretch(
 
 
 def rejections(verdicts: Iterable[tuple[str, ...]]) -> dict[str, int]:
-    """How many trees there were, how many were let through, and how often each rule was broken."""
+    """Count the trees, the accepted ones, and the violations of each rule."""
     rules: Counter[str] = Counter(
         {"high-frequency": 0, "root-motion": 0, "edge-stretch": 0, "self-explosion": 0, "accepted": 0, "seen": 0}
     )

@@ -1,4 +1,4 @@
-"""Bake a dataset into a folder, shard by shard. A shard depends on its number and the recipe, on nothing else.
+"""Generate a dataset shard by shard. The content of a shard depends only on its number and the recipe.
 
 Shard i takes its trees from the seeds `first_seed + i · 4 · trees_per_shard` and up, those that the filter and the
 review let through. Beside each shard lies a record (JSON) with its sha256; a shard with a fitting record is not made
@@ -33,7 +33,7 @@ PAPER_TREES = 8786  # paper appendix A
 
 @dataclass(frozen=True, kw_only=True)
 class Recipe:
-    """All that decides the bytes of a dataset."""
+    """Parameters that determine the content of a dataset."""
 
     trees: int = PAPER_TREES  # accepted
     first_seed: int = 0
@@ -47,11 +47,11 @@ class Recipe:
 
     @property
     def num_shards(self) -> int:
-        """How many files there will be."""
+        """Number of shard files."""
         return -(-self.trees // self.trees_per_shard)
 
     def shard_seeds(self, index: int) -> range:
-        """The seeds that a shard may use."""
+        """Range of seeds that a shard may use."""
         start = self.first_seed + index * SEEDS_A_TREE * self.trees_per_shard
         return range(start, start + SEEDS_A_TREE * self.trees_per_shard)
 
@@ -88,7 +88,7 @@ def generate(
     part: tuple[int, int] = (0, 1),
     on_shard: Callable[[int, int], None] = lambda done, total: None,
 ) -> dict[str, object]:
-    """Bake the shards that are not there yet, and write the manifest and the card.
+    """Generate the missing shards, and write the manifest and the card.
 
     Args:
         recipe: what to bake.
@@ -122,7 +122,7 @@ def generate(
 
 
 def _baking(recipe: Recipe, missing: list[int], folder: Path, workers: int) -> Iterator[int]:
-    """Bake shards here or in processes; give each one's number when it is done."""
+    """Generate shards in this process or in worker processes; yield the number of each finished shard."""
     if workers == 1:
         for shard in missing:
             bake_shard(recipe, shard, folder)
@@ -138,7 +138,7 @@ def _baking(recipe: Recipe, missing: list[int], folder: Path, workers: int) -> I
 
 
 def _end_with_parent() -> None:
-    """A worker whose parent was killed would bake on for nobody."""
+    """End this worker process if its parent is killed."""
     parent = multiprocessing.parent_process()
 
     def wait() -> None:
@@ -150,7 +150,7 @@ def _end_with_parent() -> None:
 
 
 def bake_shard(recipe: Recipe, index: int, folder: Path) -> None:
-    """Make one shard and its record."""
+    """Generate one shard and its record."""
     trees: list[StoredTree] = []
     records: list[dict[str, object]] = []
     verdicts: list[tuple[str, ...]] = []
@@ -192,7 +192,7 @@ def bake_shard(recipe: Recipe, index: int, folder: Path) -> None:
 
 
 def facts_of(sample: Sample, tree: StoredTree) -> dict[str, object]:
-    """What a record tells of a tree, so that `filter` and `stats` need not make it again."""
+    """Values of a tree that are stored in the record, so that `filter` and `stats` need not generate the tree again."""
     return {
         "seed": sample.seed,
         "species": sample.species,
@@ -266,7 +266,7 @@ def spread_of(measures: Sequence[Mapping[str, float]]) -> dict[str, dict[str, fl
 
 
 def _write(path: Path, content: bytes) -> None:
-    """All of it, or nothing: a reader never sees half a file."""
+    """Write a file atomically."""
     unfinished = path.with_name(f".{path.name}.{os.getpid()}")
     unfinished.write_bytes(content)
     unfinished.replace(path)

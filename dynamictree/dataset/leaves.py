@@ -15,7 +15,7 @@ DOWN = np.array([[0, 0, -1]], np.float32)
 
 @dataclass(frozen=True, kw_only=True)
 class Leaves:
-    """Cards; each turns about its base, which is fixed to a stem."""
+    """Leaf cards; each rotates about its base, which is fixed to a stem."""
 
     base: Float32[np.ndarray, "Q 3"]  # [m], on the stem's axis
     axis: Float32[np.ndarray, "Q 3"]  # unit, base to tip

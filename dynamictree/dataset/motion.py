@@ -1,4 +1,4 @@
-"""Rigid motions of nodes, and what follows from them for vertices: displacement and spectrum."""
+"""Rigid motion of each node, and the displacement and spectrum of vertices that follow from it."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""What the wind does to one stem: its lean, its natural frequency, and its answer to gusts.
+"""Response of one stem to wind: its lean, its natural frequency, and its motion in gusts.
 
 A stem of length L is one damped oscillator a direction, of natural frequency 0.955 / √L Hz (the law of Sapling, whose
 b = 1 / (4 √L) is in radians a frame of 1/24 s). The drag's mean bends it downwind by an angle θ that grows with L / r;
@@ -34,7 +34,7 @@ SLOWEST_CARRIER_M_S = 1.0  # gusts travel no slower than this, or their phase wo
 
 @dataclass(frozen=True, kw_only=True)
 class Gusts:
-    """What the wind does at each of its frequencies; the same for the whole tree."""
+    """Amplitude and phase of the wind at each gust frequency, shared by the whole tree."""
 
     wind: Wind
     bins: Float64[np.ndarray, " J"]  # in units of fps / T; whole numbers in loop mode
@@ -101,7 +101,7 @@ def answer(
 
 
 def stray(gusts: Gusts, count: int, rng: np.random.Generator) -> Float32[np.ndarray, "M J 3"]:
-    """How far the phases of `count` stems lie from their parents' [rad]."""
+    """Draw the phase offsets of `count` stems from their parents [rad]."""
     spread = PHASE_SPREAD_RAD * gusts.bins[:, None]
     return (spread * rng.standard_normal((count, len(gusts.bins), 3), np.float32)).astype(np.float32)
 

@@ -1,4 +1,4 @@
-"""What a baked folder tells of its trees without reading one: the records beside its shards."""
+"""Read the records beside the shards, which describe the trees without loading them."""
 
 import json
 from collections.abc import Iterator, Mapping

@@ -1,4 +1,4 @@
-"""Unit quaternions (wxyz) by component, `[4, ...]`: what a chain of small turns needs."""
+"""Unit quaternions (wxyz) with the components first, `[4, ...]`, for chains of small rotations."""
 
 import numpy as np
 from jaxtyping import Float32
@@ -26,7 +26,7 @@ def product(first: Float32[np.ndarray, "4 ..."], second: Float32[np.ndarray, "4 
 
 
 def to_matrix(quaternion: Float32[np.ndarray, "4 ..."]) -> Float32[np.ndarray, "3 3 ..."]:
-    """Rotation less the identity."""
+    """Rotation matrix minus the identity."""
     w, x, y, z = quaternion
     rows = [
         [-2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -46,7 +46,7 @@ def cross(first: Float32[np.ndarray, "3 ..."], second: Float32[np.ndarray, "3 ..
 def carried(
     quaternion: Float32[np.ndarray, "4 ..."], vector: Float32[np.ndarray, "3 ..."]
 ) -> Float32[np.ndarray, "3 ..."]:
-    """A vector turned by each quaternion."""
+    """Rotate a vector by each quaternion."""
     x, y, z = vector
     matrix = to_matrix(quaternion)
     turned = matrix[:, 0] * x + matrix[:, 1] * y + matrix[:, 2] * z

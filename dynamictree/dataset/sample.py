@@ -28,7 +28,7 @@ Split = Literal["train", "validation", "unseen-species"]
 
 @dataclass(frozen=True, kw_only=True)
 class Sample:
-    """A tree, its wind, and how it moves."""
+    """A tree, its wind, and its motion."""
 
     seed: int
     species: str
@@ -47,7 +47,7 @@ class Sample:
 
 
 def make_sample(seed: int, species: str | None = None, *, wind: Wind | None = None, loop: bool = True) -> Sample:
-    """Grow and move the tree of a seed; the same bytes whenever and wherever.
+    """Generate the tree and motion of a seed; the result is identical on every run and machine.
 
     Args:
         seed: 0 or more.

@@ -1,4 +1,4 @@
-"""A whole tree from a species and a generator of chance: stems, leaves, mesh."""
+"""Generate a tree from a species and a random generator: stems, leaves and mesh."""
 
 from dataclasses import dataclass, replace
 

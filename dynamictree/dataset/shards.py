@@ -1,4 +1,4 @@
-"""Shards: files of some trees each, the same bytes for the same seeds. safetensors, so that any language reads them.
+"""Shards: safetensors files of several trees each; the same seeds give the same bytes.
 
 Tensors of tree SEED are named `SEED/name`, the seed in seven digits or more:
 
@@ -33,7 +33,7 @@ METADATA = "4dtree"
 
 @dataclass(frozen=True, kw_only=True)
 class StoredTree:
-    """One tree as it lies in a shard: the grids first, the mesh when asked."""
+    """One tree in a shard; its mesh is read on demand."""
 
     seed: int
     species: str
@@ -43,7 +43,7 @@ class StoredTree:
     grids: dict[int, tuple[tuple[float, float, float], float]]  # resolution: origin and voxel size [m]
 
     def voxels(self, resolution: int = 128) -> SurfaceVoxels:
-        """Where the surface is, at one of the stored resolutions."""
+        """Occupied voxels with normals, at one of the stored resolutions."""
         origin_m, voxel_size_m = self.grids[resolution]
         grid = VoxelGrid(
             coords=self.tensors[f"r{resolution}.coords"].astype(np.int32),
@@ -58,7 +58,7 @@ class StoredTree:
         return TriangleMesh(vertices=self.tensors["vertices"], faces=self.tensors["faces"])
 
     def spectrum(self, resolution: int = 128) -> SparseVoxelSpectrum:
-        """How it moves, at one of the stored resolutions."""
+        """Spectrum of the motion, at one of the stored resolutions."""
         return SparseVoxelSpectrum(
             grid=self.voxels(resolution).grid,
             coefficients=unpacked(self.tensors[f"r{resolution}.spectrum"]),
@@ -101,7 +101,7 @@ def unpacked(pairs: Float16[np.ndarray, "N K 3 2"]) -> Complex64[np.ndarray, "N 
 
 
 def store(sample: Sample, *, resolutions: tuple[int, ...], vertex_spectrum: bool = False) -> StoredTree:
-    """What a shard keeps of a sample."""
+    """Convert a sample to what a shard stores."""
     tensors: dict[str, np.ndarray] = {
         "vertices": sample.mesh.vertices,
         "faces": sample.mesh.faces,

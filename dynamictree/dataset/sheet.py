@@ -1,4 +1,4 @@
-"""Pages of trees to look at: the rest pose and a strip of its motion. Paper appendix A, step 3."""
+"""Contact sheets for manual review: the rest pose and a strip of the motion. Paper appendix A, step 3."""
 
 from collections.abc import Sequence
 

@@ -1,4 +1,4 @@
-"""What a species looks like, in the parameters of Weber and Penn (SIGGRAPH 1995), and our presets."""
+"""Species parameters after Weber and Penn (SIGGRAPH 1995), and our presets."""
 
 from dataclasses import dataclass, replace
 from typing import Literal, get_args

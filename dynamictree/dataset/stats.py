@@ -1,4 +1,4 @@
-"""What the trees of a dataset are like, stem by stem: lengths, radii, frequencies and amplitudes by level."""
+"""Statistics of a dataset's stems: lengths, radii, frequencies and amplitudes by level."""
 
 import io
 from collections.abc import Mapping, Sequence
@@ -17,7 +17,7 @@ MEASURED = ("length_m", "radius_m", "frequency_hz", "amplitude_rad")
 
 @dataclass(frozen=True, kw_only=True)
 class StemTable:
-    """A row a stem, or a row a level, and what concerns the whole tree."""
+    """One row per stem or per level, and values of the whole tree."""
 
     level: Int8[np.ndarray, " S"]
     length_m: Float32[np.ndarray, " S"]

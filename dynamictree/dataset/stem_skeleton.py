@@ -1,4 +1,4 @@
-"""The skeleton under the surface: a node a ring, a bone from each to its parent."""
+"""Skeleton of the stems: one node per ring, and a bone from each node to its parent."""
 
 from dataclasses import dataclass
 

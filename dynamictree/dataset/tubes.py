@@ -1,4 +1,4 @@
-"""The surface of stems: a tube each, whose first ring lies inside the parent."""
+"""Surface of the stems: one tube per stem, whose first ring lies inside the parent."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ from dynamictree.dataset.branching import Stems, across, unit
 
 @dataclass(frozen=True, kw_only=True)
 class Surface:
-    """A piece of mesh. Every vertex belongs to a node, whose motion it follows."""
+    """Part of the mesh; every vertex follows the motion of one node."""
 
     vertices: Float32[np.ndarray, "N 3"]  # [m]
     faces: Int32[np.ndarray, "F 3"]

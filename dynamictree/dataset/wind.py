@@ -1,4 +1,4 @@
-"""Sway: every stem an elastic rod that the wind drives and its parent carries; leaves are rigid cards on springs.
+"""Wind simulation: each stem is an elastic rod on its moving parent; leaves are rigid cards on springs.
 
 `oscillator` gives each stem's deflection. Here it becomes a chain of turns: every segment takes its share of the bend,
 Weber and Penn's (1 − z) / r, and children inherit. Turns are exact, so that nothing stretches.
@@ -32,7 +32,7 @@ from dynamictree.spectrum import NUM_FRAMES, Wind
 
 @dataclass(frozen=True, kw_only=True)
 class _Pose:
-    """Where some stems are at one ring, and how they are turned there; arrays that a walk fills in place."""
+    """Position and rotation of some stems at one ring; `_move` updates the arrays in place."""
 
     place: Float32[np.ndarray, "3 M T"]  # of the ring's centre [m]
     turn: Float32[np.ndarray, "4 M T"]  # quaternion
@@ -43,7 +43,7 @@ class _Pose:
 
 @dataclass(frozen=True, kw_only=True)
 class _Moving:
-    """One level in motion."""
+    """Motion of all stems of one level."""
 
     place: Float32[np.ndarray, "P 3 M T"]  # by ring
     turn: Float32[np.ndarray, "R 4 M T"]  # by segment
@@ -125,7 +125,7 @@ def _move(
 
 
 def _upright(base: Float32[np.ndarray, "M 3"], ticks: Complex64[np.ndarray, "J T"]) -> _Pose:
-    """All stems where they are at rest."""
+    """Pose of all stems at rest."""
     count, (num_bins, num_frames) = len(base), ticks.shape
     turn = np.zeros((4, count, num_frames), np.float32)
     turn[0] = 1
@@ -139,7 +139,7 @@ def _upright(base: Float32[np.ndarray, "M 3"], ticks: Complex64[np.ndarray, "J T
 
 
 def _begin(stems: Stems, born: Int64[np.ndarray, " C"], pose: _Pose, parent: _Moving | None) -> _Pose:
-    """Where stems begin: on the stem they split from, on the parent's segment, or, the trunk, on the ground."""
+    """Pose at the base of stems: on the stem they split from, on the parent's segment, or on the ground (trunk)."""
     source = stems.parent[born]
     if stems.first[born[0]] > 0:
         return _Pose(
@@ -173,7 +173,7 @@ def _step(
     deflection: Float32[np.ndarray, "3 M T"],
     angle: Complex64[np.ndarray, "M J 3"],
 ) -> None:
-    """Turn by one segment's share of the bend, and go to its end."""
+    """Rotate by one segment's share of the bend, and move to the end of the segment."""
     axis = segment / np.maximum(np.linalg.norm(segment, axis=1, keepdims=True), 1e-9)
     bend = share[None, :, None] * cross(axis.T[:, :, None], deflection)
     pose.turn[:] = product(pose.turn, turn_of(bend))
@@ -197,7 +197,7 @@ def _in_time(
 
 
 def _bending_share(stems: Stems, *, still_root: bool) -> Float32[np.ndarray, "M R"]:
-    """What part of a stem's whole bend each of its segments takes; the trunk's first, in the ground, none."""
+    """Share of a stem's bend that each segment takes; 0 for the trunk's first segment, which is in the ground."""
     ring = np.arange(stems.segments)
     place = (ring - stems.first[:, None]) / (stems.segments + 1 - stems.first[:, None])
     share = np.where(ring >= stems.first[:, None], (1 - place) / stems.radii[:, :-1], 0)

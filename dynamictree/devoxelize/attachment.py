@@ -1,4 +1,4 @@
-"""Where small loose parts of a mesh, such as leaf cards, hang on larger ones.
+"""Find where small separate parts of a mesh, such as leaf cards, are attached to larger parts.
 
 Files rarely join a leaf to its twig: it is a part of its own that only comes near. A part hangs by its point that is
 nearest to a larger part, on the nearest point there. Parts that are far from anything larger hang on nothing.
@@ -31,7 +31,7 @@ _CLEARLY_LARGER = 2.0
 
 @dataclass(frozen=True, kw_only=True)
 class Attachments:
-    """B parts that hang on others."""
+    """B parts that are attached to others."""
 
     part: Int32[np.ndarray, " N"]  # of each vertex
     children: Int32[np.ndarray, " B"]  # the parts that hang
@@ -48,7 +48,7 @@ class Attachments:
         return scipy.sparse.csr_array((values.ravel(), self.corners.ravel(), ends), shape=shape)
 
     def closed(self, motion: Complex64[np.ndarray, "N K 3"]) -> Complex64[np.ndarray, "N K 3"]:
-        """Shift every part that hangs, so that its gap to the point where it hangs stays as it is at rest."""
+        """Shift every attached part so that its gap to the attachment point stays as at rest."""
         if len(self) == 0:
             return motion
         num_parts = int(self.part.max()) + 1
@@ -67,7 +67,7 @@ class Attachments:
 def _depths(
     children: Int32[np.ndarray, " B"], parent: Int32[np.ndarray, " B"], num_parts: int
 ) -> Int64[np.ndarray, " B"]:
-    """1 for parts that hang on one that hangs on nothing, one more for each step further out."""
+    """Attachment depth of each part: 1 if its parent is not attached to anything, one more per step."""
     depth_of = np.zeros(num_parts, np.int64)
     while True:
         depth = depth_of[parent] + 1
@@ -79,7 +79,7 @@ def _depths(
 
 
 def find_attachments(mesh: TriangleMesh, grid: VoxelGrid) -> Attachments:
-    """Find what hangs where in a mesh whose vertices at one place are one, and its grid."""
+    """Find the attachments in a welded mesh and its grid."""
     part = connected_parts(mesh.faces, mesh.num_vertices)
     low, high = part_bounds(part, mesh.vertices)
     extent: Float64[np.ndarray, " parts"] = (high - low).max(axis=1) / grid.voxel_size_m

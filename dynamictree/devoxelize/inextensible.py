@@ -1,4 +1,4 @@
-"""Poses without stretch: what a large motion would stretch bends instead, frame by frame.
+"""Poses without stretch: large motions bend the mesh and keep edge lengths, frame by frame.
 
 A spectrum adds displacements, and a displacement that would turn a branch by an angle stretches it once the angle is
 large. So each frame is read as directions and turns, and the pose is built from these again. With x the rest positions,
@@ -149,7 +149,7 @@ def inextensible_pose(
 
 @dataclass(frozen=True, kw_only=True)
 class TreesPose:
-    """Poses of several trees of one mesh; what is of none stands still."""
+    """Poses of several trees of one mesh; vertices of no tree stand still."""
 
     num_vertices: int
     trees: tuple[tuple[Int32[np.ndarray, " _"], InextensiblePose], ...]
@@ -248,7 +248,7 @@ def _rotate(
 
 
 def _cards(attachments: Attachments, rest: Float64[np.ndarray, "n 3"], voxel_m: float) -> Bool[np.ndarray, " parts"]:
-    """Parts that hang on another and are small or have few vertices."""
+    """Attached parts that are small or have few vertices."""
     part = attachments.part
     num_parts = int(part.max()) + 1
     low, high = np.full((num_parts, 3), np.inf), np.full((num_parts, 3), -np.inf)

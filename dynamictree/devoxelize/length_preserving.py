@@ -75,7 +75,7 @@ def length_preserving(grid: VoxelGrid, mesh: TriangleMesh) -> "LengthPreservingI
 
 @dataclass(frozen=True, kw_only=True)
 class TreesInterpolation:
-    """Several trees of one mesh, each with its own interpolation; what is of none stands still."""
+    """Several trees of one mesh, each with its own interpolation; vertices of no tree stand still."""
 
     num_vertices: int
     trees: tuple[tuple[Int32[np.ndarray, " _"], Int32[np.ndarray, " _"], LengthPreservingInterpolation], ...]

@@ -1,4 +1,4 @@
-"""A bound on the motion of vertices: a part of a mesh that the fit cannot place well must not fly off."""
+"""Bound on the displacement of vertices, for mesh parts that the fit cannot place well."""
 
 import numpy as np
 from jaxtyping import Complex64, Float32

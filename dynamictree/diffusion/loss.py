@@ -1,4 +1,4 @@
-"""The losses, as functions of numbers. A loss is a few lines."""
+"""Loss functions of diffusion models: L_DM, EDM's denoising loss, and L_LSS."""
 
 from dataclasses import dataclass
 
@@ -40,7 +40,7 @@ def local_smoothness(
     *,
     weights: LocalSmoothness,
 ) -> Float32[Tensor, ""]:
-    """L_LSS, paper eq. 3: what each voxel differs from its nearest ones by.
+    """L_LSS, paper eq. 3: weighted difference of each voxel from its nearest neighbours.
 
     Args:
         spectrum: real parts of x, y, z, then imaginary ones.

@@ -1,4 +1,4 @@
-"""DDPM's steps: how much of the signal is left at each."""
+"""Noise schedule of DDPM: share of the signal at each step."""
 
 from dataclasses import dataclass
 

@@ -1,1 +1,1 @@
-"""What a model is measured by: figures, baselines, a procedural rival, a classifier and CLIP."""
+"""Evaluation of models: figures, baselines, procedural wind, a classifier and CLIP."""

@@ -102,7 +102,7 @@ def regression(
 
 
 def noise_only(model: SmallModel, voxels: SurfaceVoxels, wind: Wind, seed: int) -> Complex64[np.ndarray, "V K 3"]:
-    """A times the noise that the diffusion starts from: what there is without a diffusion."""
+    """Amplitude A times the initial noise of the sampler: the model without its diffusion."""
     generator = torch.Generator().manual_seed(seed)
     with torch.no_grad():
         prepared = model.prepare(voxels, wind)

@@ -96,7 +96,7 @@ def classify(
     tries: int = 50,
     on_step: OnStep = lambda part, done, total, loss: None,
 ) -> dict[str, Any]:
-    """How often a classifier is right about each kind of motion against the true one, by vertex; 0.5 is guessing.
+    """Accuracy of a classifier that separates each kind of motion from the true one, by vertex; 0.5 is chance.
 
     Args:
         name: of a shipped model, or a file.
@@ -145,7 +145,7 @@ def classify(
 
 
 def _small_trees(count: int, max_voxels: int, tries: int) -> Iterator[HeldOutTree]:
-    """Trees of seen and unseen species in turn, the large ones left out."""
+    """Trees of seen and unseen species in turn, without the large ones."""
     groups: tuple[SpeciesGroup, ...] = get_args(SpeciesGroup)
     both = [iter_held_out(group, tries * count) for group in groups]
     given = 0
@@ -159,7 +159,7 @@ def _small_trees(count: int, max_voxels: int, tries: int) -> Iterator[HeldOutTre
 
 
 def share_right(truth: Float64[np.ndarray, "P D"], fake: Float64[np.ndarray, "P D"], *, seed: int) -> float:
-    """How often a classifier is right on trees that it was not trained on. Row i of both is tree i."""
+    """Cross-validated accuracy of a classifier on held-out trees. Row i of both inputs is tree i."""
     try:
         from sklearn.ensemble import HistGradientBoostingClassifier
         from sklearn.model_selection import GroupKFold

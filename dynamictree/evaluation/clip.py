@@ -30,7 +30,7 @@ BATCH = 16
 
 
 class ImageEmbedder:
-    """Pictures to unit vectors."""
+    """CLIP image tower: pictures to unit vectors."""
 
     def __init__(self, network: "CLIPVisionModelWithProjection") -> None:
         self.network = network.train(mode=False).requires_grad_(False)
@@ -119,7 +119,7 @@ def _frames(
 
 
 def _pixels(picture: UInt8[np.ndarray, "H W 3"]) -> Float32[Tensor, "3 S S"]:
-    """A picture as CLIP wants it: the middle square, 224², normalised by colour."""
+    """Preprocess a picture for CLIP: centre square, 224², colours normalised."""
     height, width = picture.shape[:2]
     side = min(height, width)
     top, left = (height - side) // 2, (width - side) // 2

@@ -1,4 +1,4 @@
-"""The paper's last table as a program: one clean mesh, moved by our model and by Sapling's procedural wind.
+"""The paper's last table: one clean mesh, animated by our model and by Sapling's procedural wind.
 
 The paper's own figures come from a user study (authenticity, complexity, structure, quality). Measured here is what
 needs no true motion: smoothness, stretch, roots, loop, number of frequencies, time, CLIP.
@@ -48,7 +48,7 @@ CONTESTANTS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Showing:
-    """One contestant on one tree, measured without a truth."""
+    """Figures of one method on one tree that need no true motion."""
 
     smoothness_loss: float  # L_LSS of the voxels' means, over their mean size
     roughness: float  # along the mesh's edges
@@ -105,7 +105,7 @@ def compare(
     embedder: ImageEmbedder | None = None,
     on_step: OnStep = lambda part, done, total, loss: None,
 ) -> dict[str, Any]:
-    """Mean figures a set of trees and contestant; CLIP-I and CLIP-T too where there are weights."""
+    """Mean figures per set of trees and method; CLIP-I and CLIP-T where CLIP's weights are available."""
     model = load_model(name)
     sets: dict[str, tuple[Iterator[tuple[HeldOutTree, str, Motion]], int]] = {
         "sapling trees": (_their_trees(sapling), len(sapling)),

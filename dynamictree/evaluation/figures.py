@@ -1,4 +1,4 @@
-"""One motion beside the true one: every figure of it."""
+"""Compare one motion with the true one: every figure."""
 
 from dataclasses import dataclass
 
@@ -29,7 +29,7 @@ from dynamictree.voxel.voxelize import surface_average
 
 @dataclass(frozen=True, kw_only=True)
 class Figures:
-    """One method on one tree. Ratios are to the truth's own figure."""
+    """Figures of one method on one tree. Ratios are relative to the figure of the true motion."""
 
     log_amplitude_correlation: float
     log_amplitude_rmse: float
@@ -50,7 +50,7 @@ class Figures:
 
 @dataclass(frozen=True, kw_only=True)
 class TreeReference:
-    """What all methods on a tree are measured with, made once."""
+    """Prepared data of a tree that all methods are measured with."""
 
     tree: HeldOutTree
     edges: Int32[np.ndarray, "E 2"]

@@ -1,4 +1,4 @@
-"""Trees that no training sees, each moved by two true winds of one kind."""
+"""Held-out trees, each with two simulated motions in the same wind."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ Group = Literal["seen-species", "unseen-species", "sapling"]
 
 @dataclass(frozen=True, kw_only=True)
 class HeldOutTree:
-    """A tree and how it truly moves, twice: the same wind, other gusts."""
+    """A tree and two simulated motions: the same mean wind, different gusts."""
 
     species: str
     wind: Wind

@@ -41,7 +41,7 @@ TIP_SHARE = 0.05  # of the vertices, the highest ones
 
 @dataclass(frozen=True, kw_only=True)
 class TreeLaws:
-    """What is measured on one tree."""
+    """Measurements of one tree."""
 
     species: str
     height_m: float

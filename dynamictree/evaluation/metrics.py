@@ -1,4 +1,4 @@
-"""How near a motion is to the true one, by vertex. Plain functions of coefficients [N, K, 3] in metres."""
+"""Error metrics of a motion against the true one, by vertex: functions of coefficients [N, K, 3] in metres."""
 
 import numpy as np
 import torch

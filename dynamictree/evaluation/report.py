@@ -37,7 +37,7 @@ CLIP_METHODS = ("truth", "model", "by-height mean")
 
 @dataclass(frozen=True, kw_only=True)
 class Methods:
-    """The model, and what the baselines are fitted to."""
+    """The model and the fitted baselines."""
 
     model: MotionModel
     by_height: ByHeight

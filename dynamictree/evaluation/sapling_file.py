@@ -17,7 +17,7 @@ WOOD = 0  # in `part`
 
 @dataclass(frozen=True, kw_only=True)
 class SaplingTree:
-    """One of them."""
+    """One tree of Sapling with its motion."""
 
     name: str
     mesh: TriangleMesh

@@ -25,7 +25,7 @@ class Target:
     bound: float
 
     def error(self, value: float) -> float:
-        """By how much a value misses; 0 where it does not."""
+        """Distance of a value from the bound; 0 if it meets the bound."""
         return max(0.0, self.badness(value) - (-self.bound if self.sense == "at least" else self.bound))
 
     def badness(self, value: float) -> float:

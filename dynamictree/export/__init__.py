@@ -1,1 +1,1 @@
-"""Files that show a motion: one table of products (`table.py`), and a module of writers for each kind."""
+"""Export of motions: one table of products (`table.py`), and one module of writers for each kind."""

@@ -1,4 +1,4 @@
-"""A tree, its motion and the frames to write: what every writer of a product gets."""
+"""Input of every product writer: a tree, its motion and the frames to write."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

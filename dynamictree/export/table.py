@@ -1,4 +1,4 @@
-"""The products: what a motion can be written as. A new format is added here, and to `requests.Format`."""
+"""The table of export products. A new format is added here and to `requests.Format`."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

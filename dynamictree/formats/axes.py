@@ -1,4 +1,4 @@
-"""Axes and units of files: stated by the caller or by the format, or inferred from how the tree stands.
+"""Axes and units of files: given by the caller or the format, or inferred from the shape of the tree.
 
 Inside, everything is in metres and +Z up. glTF is +Y up and in metres by its specification. OBJ, PLY and STL say
 neither, so both are worked out, and what was found is recorded in `source_up_axis` and `source_scale`:
@@ -51,7 +51,7 @@ def mesh_to_z_up(
     habit: str | None = None,
     doubt_size: bool = False,
 ) -> TriangleMesh:
-    """Turn and scale a mesh as its file has it; None is worked out.
+    """Convert a mesh from its file's axes and unit to +Z up and metres; None is inferred.
 
     Args:
         mesh: in its file's axes and units.
@@ -83,7 +83,7 @@ def mesh_to_z_up(
 
 
 def scale_to(height_m: float | None, height: float) -> float | None:
-    """Metres a unit that make a height, in the file's units, the one that is wanted.
+    """Metres per unit for which a height in the file's units becomes the requested height.
 
     Raises:
         InputError: the model has no height.
@@ -96,7 +96,7 @@ def scale_to(height_m: float | None, height: float) -> float | None:
 
 
 def axis_warnings(judged: UpAxis) -> tuple[SourceWarning, ...]:
-    """Doubt an axis that the shape does not make certain."""
+    """Warnings about an up axis that the shape leaves uncertain."""
     if judged.confidence >= CERTAIN:
         return ()
     message = (
@@ -107,7 +107,7 @@ def axis_warnings(judged: UpAxis) -> tuple[SourceWarning, ...]:
 
 
 def size_warnings(height_m: float, scale: float) -> tuple[SourceWarning, ...]:
-    """Doubt a height that trees hardly have, and propose the unit that makes it usual."""
+    """Warnings about an unlikely height, with the unit that would make it usual."""
     if USUAL_HEIGHT_M[0] <= height_m <= USUAL_HEIGHT_M[1]:
         return ()
     units = {"centimetres": 0.01, "inches": 0.0254, "millimetres": 0.001, "metres": 1.0}
@@ -132,5 +132,5 @@ def vertices_in_source_axes(mesh: TriangleMesh, up_axis: str) -> Float32[np.ndar
 
 
 def guess_unit_m(height: float) -> float:
-    """Metres a unit, by the rule above."""
+    """Guess the metres per unit, by the rule above."""
     return next((unit for unit in UNITS_M if height * unit <= TALLEST_TREE_M), 1.0)

@@ -1,4 +1,4 @@
-"""How clouds change axes and units: from a file's to metres and +Z up, and back."""
+"""Axes and units of clouds: conversion from a file's to metres and +Z up, and back."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Clouds of any kind, by the type of their file."""
+"""Readers of splats and scans, chosen by file type."""
 
 from collections.abc import Callable
 from typing import Literal, get_args

@@ -1,4 +1,4 @@
-"""How tall a capture is: scans are in metres, a splat has the free scale of its training."""
+"""Size of captures: scans are in metres, the scale of a splat is arbitrary."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""How a model names the files that lie beside it: a relative path, or else a base name that is unique."""
+"""Find files that a model refers to: by relative path, or by a unique base name."""
 
 from collections.abc import Mapping
 from pathlib import PurePosixPath
@@ -8,7 +8,7 @@ KTX2_MAGIC = b"\xabKTX 20\xbb\r\n\x1a\n"
 
 
 def find_companion(name: str, companions: Mapping[str, bytes]) -> bytes | None:
-    """The content of a file that a model names, None where it was not sent along.
+    """Content of a file that a model refers to; None if it was not uploaded.
 
     Backslashes, `./` and percent codes are understood. A path that leads outside of the model's folder, or an absolute
     one, is never followed.

@@ -1,4 +1,4 @@
-"""What a file holds, in a few named facts: `dynamictree info` and the service's metadata say the same."""
+"""Summaries of file contents, shared by `dynamictree info` and the service's metadata."""
 
 from dataclasses import asdict
 from typing import Any

@@ -1,4 +1,4 @@
-"""Fields of a JSON document from outside, with their kinds and bounds checked."""
+"""Typed and bounded access to fields of untrusted JSON."""
 
 import json
 import math

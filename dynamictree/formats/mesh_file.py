@@ -111,7 +111,7 @@ def read_mesh(
 
 
 def sniff_file_type(head: bytes, filename: str = "") -> str:
-    """What a file is by its first kilobyte or more; the name's ending counts only where the bytes do not tell.
+    """Recognise a file's type by its first kilobyte or more; the file name decides only if the bytes do not.
 
     Gives one of `MESH_TYPES`, or `las`, `points`, `splat`, `spz`, `zip`, `png`, `jpeg`, `safetensors`.
 

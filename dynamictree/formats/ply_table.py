@@ -57,7 +57,7 @@ class PlyElement:
 
 @dataclass(frozen=True, kw_only=True)
 class PlyHeader:
-    """What the file says of itself; the data begin where the stream stands after `read_header`."""
+    """Parsed header; the data begin at the stream's position after `read_header`."""
 
     encoding: str
     elements: tuple[PlyElement, ...]

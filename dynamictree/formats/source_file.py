@@ -1,4 +1,4 @@
-"""What someone sends as the shape of a tree: a mesh, or a cloud with a mask or a mesh beside it."""
+"""Read any input shape: a mesh, or a cloud with an optional mask and mesh."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -109,7 +109,7 @@ def read_capture(
 
 
 def _with_trees(capture: Capture, *, is_scan: bool) -> Capture:
-    """The same, with the trees in it separated if there are several.
+    """Separate the trees of a capture if there are several.
 
     Raises:
         InputError: a scan of more than one tree shows no stems.

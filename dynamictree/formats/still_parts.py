@@ -1,4 +1,4 @@
-"""What in a file is not the plant: pots, soil, tables, ground and water, stones. It stands still.
+"""Detect the parts of a mesh that are not the plant and stand still: pots, soil, tables, ground, water, stones.
 
 A face stands still by the name of its material, node or group, or as part of a connected part of the mesh that
 

@@ -1,4 +1,4 @@
-"""Names and numbers by which files are sorted before they are opened."""
+"""File name endings and limits by which uploads are classified before they are opened."""
 
 MESH_SUFFIXES = (".obj", ".ply", ".glb", ".gltf", ".stl", ".off", ".3mf", ".dae")
 POINT_SUFFIXES = (".xyz", ".txt", ".csv", ".asc", ".pts")

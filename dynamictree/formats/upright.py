@@ -1,4 +1,4 @@
-"""Which way up a mesh stands, by several cues that are weighed against each other, with a confidence.
+"""Detect the up axis of a mesh from several weighted cues, with a confidence.
 
 Each of the six axes is a candidate. The cues of one, from points spread evenly over the surface:
 
@@ -50,7 +50,7 @@ _SLENDER = 0.08  # of a pole's length: the widest that it spreads
 
 @dataclass(frozen=True, kw_only=True)
 class UpAxis:
-    """The likeliest axis, and how likely it is."""
+    """The most likely up axis and its probability."""
 
     axis: str
     confidence: float  # in [0, 1]
@@ -137,7 +137,7 @@ def _taper(share: Float64[np.ndarray, " P"], across: Float64[np.ndarray, "P 2"],
 
 
 def _spread(across: Float64[np.ndarray, "P 2"]) -> float:
-    """Robust radius about the middle: outlying twigs count little."""
+    """Robust radius about the median: outlying twigs count little."""
     return float(_spreads(across, np.zeros(len(across), np.int64), 1)[0])
 
 

@@ -1,4 +1,4 @@
-"""A cloud that moves: what hangs on the mesh, frame by frame, never the whole motion in memory."""
+"""Animate a bound cloud frame by frame, without the whole motion in memory."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -75,7 +75,7 @@ def lighter(binding: Binding, *, share: float = 1.0, sh_degree: int = 3) -> Bind
 
 
 def without_idle_vertices(splat: AnimatedSplat) -> AnimatedSplat:
-    """Only the vertices and faces that carry something: what is worth storing."""
+    """Remove vertices and faces that carry no Gaussian, before storing."""
     binding = splat.binding
     faces, face_row = np.unique(binding.face_of[binding.moving], return_inverse=True)
     used, corner = np.unique(binding.triangles[faces], return_inverse=True)

@@ -1,4 +1,4 @@
-"""Which face carries which Gaussian. After GaMeS (Waczyńska et al. 2024), but captured Gaussians keep their shapes.
+"""Bind Gaussians to mesh faces. After GaMeS (Waczyńska et al. 2024), but captured Gaussians keep their shapes.
 
 A Gaussian hangs on the surface point nearest to it: barycentric weights in its face, and an offset that turns with the
 face. Gaussians far from every face, or outside of the part that is to move, hang on nothing and stay still.
@@ -27,7 +27,7 @@ _THINNEST = 1e-4  # height of a face over its longest edge; thinner ones have no
 
 @dataclass(frozen=True, kw_only=True)
 class Binding:
-    """A cloud at rest and what carries it. Corner 0 to 1 is the longest edge of each triangle."""
+    """A cloud at rest and the triangles that carry it. Corners 0 and 1 are the longest edge of each triangle."""
 
     cloud: GaussianCloud
     vertices: Float32[np.ndarray, "N 3"]  # of the mesh at rest [m]
@@ -45,7 +45,7 @@ class Binding:
 
     @property
     def moving(self) -> Bool[np.ndarray, " G"]:
-        """Which Gaussians hang on a face."""
+        """Which Gaussians are bound to a face."""
         result: Bool[np.ndarray, " G"] = self.face_of != STILL
         return result
 
@@ -57,7 +57,7 @@ def bind(
     mask: Bool[np.ndarray, " G"] | None = None,
     max_distance_m: float | None = None,
 ) -> Binding:
-    """Hang each Gaussian of a capture on its nearest face.
+    """Bind each Gaussian of a capture to its nearest face.
 
     Args:
         cloud: its Gaussians stay in their order.
@@ -95,7 +95,7 @@ def _own_reach(scales: Float32[np.ndarray, "G 3"], extent: float) -> Float64[np.
 
 
 def bind_capture(capture: Capture, mesh: TriangleMesh, choice: CloudParams | None = None) -> Binding:
-    """Hang the part of a capture that moves on the mesh; the rest stays still.
+    """Bind the moving part of a capture to the mesh; the rest stands still.
 
     Raises:
         InputError: the cloud is not where the mesh is.
@@ -106,7 +106,7 @@ def bind_capture(capture: Capture, mesh: TriangleMesh, choice: CloudParams | Non
 def bind_to_faces(
     cloud: GaussianCloud, mesh: TriangleMesh, faces: Int32[np.ndarray, " G"], weights: Float32[np.ndarray, "G 3"]
 ) -> Binding:
-    """Hang each Gaussian on a face that is known, such as the one it was made from."""
+    """Bind each Gaussian to a given face, such as the one it was made from."""
     rolled = longest_edge_first(mesh.vertices, mesh.faces)
     shift = np.argmax(rolled[:, :1] == mesh.faces, axis=1)  # [F]
     rolled_weights = np.take_along_axis(weights, (shift[faces][:, None] + np.arange(3)) % 3, axis=1)
@@ -129,7 +129,7 @@ def pseudo_mesh(cloud: GaussianCloud, *, reach: float = 1.0) -> TriangleMesh:
 def bind_to_pseudo_mesh(
     cloud: GaussianCloud, mesh: TriangleMesh, *, mask: Bool[np.ndarray, " G"] | None = None
 ) -> Binding:
-    """Hang each Gaussian on its own triangle of `pseudo_mesh`; those without extent stay still."""
+    """Bind each Gaussian to its own triangle of `pseudo_mesh`; those without extent stand still."""
     weights = np.tile(np.array([1, 0, 0], np.float32), (cloud.num_gaussians, 1))
     own = bind_to_faces(cloud, mesh, np.arange(cloud.num_gaussians, dtype=np.int32), weights)
     keep = _is_solid(mesh.vertices, mesh.faces)
@@ -178,7 +178,7 @@ def _compact(
     face_of: Int32[np.ndarray, " G"],
     weights: Float32[np.ndarray, "G 3"],
 ) -> Binding:
-    """Keep only the triangles that carry something."""
+    """Remove triangles without Gaussians."""
     used, row = np.unique(face_of[face_of != STILL], return_inverse=True)
     compacted = np.full(len(face_of), STILL, np.int32)
     compacted[face_of != STILL] = row

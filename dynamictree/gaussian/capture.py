@@ -1,4 +1,4 @@
-"""A splat or scan as someone sends it: the cloud, which of it may move, and a mesh if one came with it."""
+"""A splat or scan as uploaded: the cloud, an optional mask of what may move, and an optional mesh."""
 
 from dataclasses import dataclass, replace
 

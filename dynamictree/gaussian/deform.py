@@ -36,7 +36,7 @@ class Pose:
 
 
 class Deformer:
-    """Prepare once, pose often."""
+    """Computes poses of a bound cloud; prepared once per binding."""
 
     def __init__(self, binding: Binding) -> None:
         self.binding = binding

@@ -1,4 +1,4 @@
-"""Real spherical harmonics to degree 3: their values, and how coefficients turn with what carries them."""
+"""Real spherical harmonics to degree 3: values, and rotation of coefficients."""
 
 from functools import cache
 

@@ -1,4 +1,4 @@
-"""Which parts of a mesh, splat or scan move: as they were detected, and as a request says by name or box."""
+"""Choose the moving parts of a mesh, splat or scan: detected ones, changed by the request's names and boxes."""
 
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""What in a splat or scan is not the plant: ground, tables, pots, things beside it, floaters. It stands still.
+"""Detect the parts of a splat or scan that are not the plant and stand still: ground, tables, pots, things, floaters.
 
 Each is taken only where its shape leaves no doubt; what is not found can be named with a box or a mask.
 """

@@ -1,4 +1,4 @@
-"""Harmonics that turn with their Gaussians, fast: the twin of `harmonics.turn_sh`, both cores and one pass."""
+"""Fast rotation of spherical harmonics: the compiled twin of `harmonics.turn_sh`, one pass on all cores."""
 
 from typing import no_type_check
 

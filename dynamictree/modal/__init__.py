@@ -1,1 +1,1 @@
-"""The spectrum as a modal basis: how the tree answers a push."""
+"""The spectrum as a modal basis: response of the tree to forces."""

@@ -1,4 +1,4 @@
-"""What pushes the tree, as generalised force a step: linear in every force, additive over them.
+"""Forces on the tree, projected to generalised forces per step; linear in each force and additive.
 
 A force of F newtons at the points p pushes coordinate k with f_k = Σ_p conj(φ_k(p)) · F_p joules. Time is cut into
 steps, and each step gets the force's mean over it, so an impulse keeps its newton-seconds whatever dt is.
@@ -32,7 +32,7 @@ class Contact:
 
 @dataclass(frozen=True, kw_only=True)
 class Impulse:
-    """A knock: so many newton-seconds, spread evenly over its duration (0 is within one step)."""
+    """An impulse [N s], spread evenly over its duration (0 is within one step)."""
 
     at: Contact
     impulse_n_s: Vector

@@ -69,22 +69,22 @@ class Answer:
 
 @dataclass(frozen=True)
 class InteractiveTree:
-    """Prepared once a spectrum, asked often. What only displacements need is made when first asked for."""
+    """Prepared once per spectrum and used for many requests; data that only displacements need are made on demand."""
 
     system: ModalSystem = field(repr=False)
 
     @cached_property
     def branching(self) -> Branching:
-        """Which way the tree grows."""
+        """Branching structure of the tree."""
         return branching(self.system)
 
     @cached_property
     def bones(self) -> Bones:
-        """What turns as one."""
+        """The bones, each of which rotates as one rigid body."""
         return bones_of(self.system)
 
     def weights(self, groups: Sequence[ForceGroup]) -> Float32[np.ndarray, "G V"]:
-        """How much each voxel takes part in each group."""
+        """Weight of each voxel in each group."""
         everywhere = np.ones(len(self.system.grid), np.float32)
         rows = [
             poke_weights(self.branching, group.locality.seed_voxel, group.locality.falloff_m)

@@ -1,4 +1,4 @@
-"""Local bends over time: how the joints between a pulled point and the root follow the pull and ring when it ends.
+"""Local bends over time: joints between a dragged point and the root follow the drag, and swing when it ends.
 
 All joints of one place swing together, as one oscillator whose frequency is that at which the modes ring there:
 

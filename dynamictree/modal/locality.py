@@ -1,4 +1,4 @@
-"""What a poke may reach: the modes are the whole tree's, so each group of forces is given a weight a voxel.
+"""Locality of a push: modes span the whole tree, so each group of forces has a weight per voxel.
 
     u(p) = Σ_g w_g(p) Re Σ_k φ_k(p) q_{g,k},        w_g(p) = exp(−(c_g(p) / falloff)²)
 
@@ -31,19 +31,19 @@ REACH = 3.0  # falloffs, beyond which a weight (1e-4) is zero
 
 @dataclass(frozen=True, kw_only=True)
 class Branching:
-    """The tree as ways between its voxels; prepared once a spectrum, asked once a poke."""
+    """Graph of paths between the voxels; prepared once per spectrum, used once per push."""
 
     ways: "scipy.sparse.csr_array"  # [2V, 2V]; rows V to 2V - 1 are the same voxels after a way towards the root
 
 
 def default_falloff_m(system: ModalSystem) -> float:
-    """What a poke that names no falloff gets [m]."""
+    """Default falloff of a push [m]."""
     levels = int(np.ptp(system.grid.coords[:, 2])) + 1
     return FALLOFF_SHARE * levels * system.grid.voxel_size_m
 
 
 def branching(system: ModalSystem) -> Branching:
-    """Read from voxels and their motion which way the tree grows."""
+    """Find the branching structure from the voxels and their motion."""
     edges = voxel_graph(system.grid).tocoo()
     start, end = edges.row, edges.col
     length = edges.data * (1 + STRANGER * strangeness(system, start, end))  # [E]
@@ -62,7 +62,7 @@ def branching(system: ModalSystem) -> Branching:
 
 
 def poke_weights(tree: Branching, seed_voxel: int, falloff_m: float) -> Float32[np.ndarray, " V"]:
-    """How much each voxel takes part in the answer to a push at one: 1 there and outward of it.
+    """Weight of each voxel in the response to a push at one voxel: 1 there and outward of it.
 
     Raises:
         InputError: no such voxel, or the falloff is no length.

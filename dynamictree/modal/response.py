@@ -1,4 +1,4 @@
-"""From forces to motion: who is pushed together, how it swings, where every voxel goes."""
+"""Response to forces: grouping of forces, modal coordinates, and displacement of every voxel."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -78,7 +78,7 @@ def respond(
     start_bends: Sequence[Bend] = (),
     bent: InteractiveTree | None = None,
 ) -> Answer:
-    """Let the tree answer: coordinates at times 0, dt, … and the state after the last step.
+    """Compute the response: modal coordinates at times 0, dt, … and the state after the last step.
 
     It starts at rest; `held`, in equilibrium with what acts at time 0; by `davis`, in his initial state; or from a
     state of these groups, with their bends.

@@ -1,4 +1,4 @@
-"""The wind's own sway on a skeleton: rigid motions of bones that are nearest to it. After Le and Deng 2012 (SSDR).
+"""Skeletal approximation of a loop: the rigid motions of bones nearest to it. After Le and Deng 2012 (SSDR).
 
 Bones and the vertices that they carry come from the spectrum (`bones.py`, `bone_attachment.py`). What is left are each
 bone's rotations and translations, frame by frame: Kabsch's fit to the vertices' own motion, one bone after the other,

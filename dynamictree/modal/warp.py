@@ -1,4 +1,4 @@
-"""Large pushes: bend where plain modes would stretch.
+"""Warp: rotate bones under large pushes, where linear modes would stretch the tree.
 
 A mode moves each point along a straight line, so a branch that is pushed far grows longer. Here the plain answer
 turns bones instead. The centre of bone b wants to go by u_b = Σ_g w_g(b) Re Σ_k φ_k(b) q_{g,k}, w and φ the means
@@ -29,7 +29,7 @@ from dynamictree.parallel import compiled, in_bands
 
 @dataclass(frozen=True, kw_only=True)
 class Pose:
-    """Where every bone stands: x' = rotation (x - joint) + place."""
+    """Pose of every bone: x' = rotation (x - joint) + place."""
 
     rotation: Float32[np.ndarray, "B 3 3"]
     place_m: Float32[np.ndarray, "B 3"]  # joint'
@@ -54,7 +54,7 @@ def bone_turns(
 
 
 def pose(bones: Bones, turns: Float32[np.ndarray, "B 3"], bends: Float32[np.ndarray, "B 3"] | None = None) -> Pose:
-    """Turn every bone and carry its children along; `bends` are κ of the joints."""
+    """Forward kinematics: rotate every bone together with its children; `bends` are κ of the joints."""
     rotation, place = _pose(bones.parent, bones.joint_m, turns, np.zeros_like(turns) if bends is None else bends)
     return Pose(rotation=rotation, place_m=place)
 

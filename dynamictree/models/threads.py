@@ -1,4 +1,4 @@
-"""How inference is spread over the cores: whole calls on threads of their own, one thread within each call.
+"""Parallel inference: independent calls run on separate threads, each with one torch thread.
 
 torch's own threads wait for one another in every operation. The products are small, and on a busy machine two such
 threads were measured 10 times slower than one. Calls that are independent need no such barrier, and their results do
@@ -18,7 +18,7 @@ Result = TypeVar("Result")
 
 
 def run_on_cores(calls: Iterable[Callable[[], Result]]) -> list[Result]:
-    """Results of independent calls, in their order, without gradients; the first exception passes through."""
+    """Run independent calls without gradients; return results in order, or raise the first exception."""
 
     def without_gradients(call: Callable[[], Result]) -> Result:
         with torch.no_grad():  # a setting of each thread

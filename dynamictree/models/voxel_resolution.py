@@ -15,7 +15,7 @@ from dynamictree.voxel.voxelize import SurfaceVoxels
 
 
 def halvings_between(grid: VoxelGrid, resolution: int, model: str) -> int:
-    """How often a grid must be halved to have a resolution.
+    """Number of halvings from a grid's resolution to a given one.
 
     Raises:
         InputError: the grid is coarser, or finer by no power of two.
@@ -28,7 +28,7 @@ def halvings_between(grid: VoxelGrid, resolution: int, model: str) -> int:
 
 
 def halvings_served(grid: VoxelGrid, resolution: int, model: str, *, max_voxels: int) -> int:
-    """The same, and as often again as a dense tree needs to have at most so many voxels.
+    """Number of halvings, with further ones until a dense tree has at most a given number of voxels.
 
     Raises:
         InputError: the grid is coarser, or finer by no power of two.

@@ -26,5 +26,5 @@ def log_drag(wind: Wind) -> float:
 
 
 def log_wind_scale(wind: Wind) -> float:
-    """Ln of the swaying's size over its size at drag and gust 1."""
+    """Ln of the motion's size over its size at drag and gust 1."""
     return log_drag(wind) + math.log(max(wind.gust, MIN_GUST))

@@ -180,7 +180,7 @@ def _shrink(schedule: Schedule, step: int) -> int:
 
 
 def _worn_out(progress: SplatProgress, schedule: Schedule) -> bool:
-    """Whether the last checks at full size were all worse than one before them."""
+    """Whether the last checks at full size were all worse than an earlier one."""
     full = [value for step, _, value in progress.checks if _shrink(schedule, step - 1) == 1]
     since = len(full) - 1 - int(np.argmax(full)) if full else 0
     return since >= schedule.patience

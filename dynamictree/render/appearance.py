@@ -1,4 +1,4 @@
-"""What the surface of a mesh looks like: colours, textures with cut-outs, and clay where it has neither."""
+"""Appearance of a mesh's surface: colours, textures with cut-outs, or plain clay without either."""
 
 from io import BytesIO
 from typing import NamedTuple, no_type_check

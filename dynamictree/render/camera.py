@@ -1,4 +1,4 @@
-"""Where a picture is taken from."""
+"""Pinhole cameras."""
 
 from dataclasses import dataclass
 

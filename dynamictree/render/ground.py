@@ -1,4 +1,4 @@
-"""What stands behind and below a picture that knows no light of its own: sky, level floor, a shadow on it."""
+"""Backdrop for pictures of splats: sky, level floor, and a shadow on it."""
 
 import numpy as np
 from jaxtyping import Float, Float32, Float64

@@ -1,4 +1,4 @@
-"""How much of the sun and of the sky a point sees.
+"""Visibility of sun and sky at a point.
 
 The sun casts shadows from a depth map. The sky is dimmed as leaves dim it in a crown (Beer and Lambert): the surface in
 a coarse grid is an optical density, through which a few directions are followed. Both are

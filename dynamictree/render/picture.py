@@ -1,4 +1,4 @@
-"""A mesh and a camera in, a picture out."""
+"""Render a mesh from a camera to a picture."""
 
 from dataclasses import dataclass
 from io import BytesIO
@@ -24,7 +24,7 @@ MAX_SIDE_PX = 4096
 
 @dataclass(frozen=True, kw_only=True)
 class Look:
-    """How a picture is made."""
+    """Settings of the renderer."""
 
     width: int = 512
     height: int = 512

@@ -1,4 +1,4 @@
-"""From what each sample sees to a picture: Lambert's law under a sun and a sky, a ground below, a sky behind."""
+"""Shade samples to a picture: Lambert's law under sun and sky, with ground and sky behind."""
 
 from typing import NamedTuple, no_type_check
 

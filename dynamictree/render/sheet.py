@@ -1,4 +1,4 @@
-"""A still that tells that the tree moves: the preview of a motion."""
+"""Preview of a motion as one still picture."""
 
 from dataclasses import replace
 

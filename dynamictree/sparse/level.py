@@ -1,4 +1,4 @@
-"""Which voxels exist and which touch: built once a grid, shared by all layers and all sampling steps.
+"""Occupied voxels and their neighbour pairs: built once per grid, shared by all layers and sampling steps.
 
 The rows of a batch are its samples one after another. A level holds, for 13 of the 26 directions, the pairs of rows
 (a, b) with coords[b] = coords[a] + offset; the other 13 directions are the same pairs read backwards.

@@ -1,4 +1,4 @@
-"""Between a level and the next coarser one, onto grids that exist already: topology is never invented."""
+"""Pooling and upsampling between a level and the next coarser one, on existing grids only."""
 
 import torch
 from jaxtyping import Inexact, Int64

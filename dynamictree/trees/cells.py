@@ -1,4 +1,4 @@
-"""Points in cells of one size: which are occupied, how high above the ground, and which hang together."""
+"""Occupied cells of a point cloud: height above ground and connected parts."""
 
 from dataclasses import dataclass
 from itertools import product

@@ -1,4 +1,4 @@
-"""Choose one of several trees."""
+"""Choice of one of several trees."""
 
 import numpy as np
 from jaxtyping import Int32

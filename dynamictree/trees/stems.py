@@ -1,4 +1,4 @@
-"""Stems: what stands on the ground, compact and upright, apart from what is around it.
+"""Find stems: compact, upright, separate clusters of cells on the ground.
 
 Stems are looked for as forest inventories do, in slices near breast height: connected parts of a slice that are
 narrow, go through it from below to above, and go on in the slices above it at nearly the same place. The tips of

@@ -1,1 +1,1 @@
-"""Occupied voxels: where a surface is, and how values get there and back."""
+"""Voxelization: occupied voxels of a surface, and averages of vertex values in them."""

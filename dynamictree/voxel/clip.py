@@ -1,4 +1,4 @@
-"""Cut triangles along a grid: how much of each lies in each voxel, exactly.
+"""Clip triangles to a grid: the exact area of each in each voxel.
 
 A triangle is cut into slabs along x, each slab's polygon along y, each of those along z. The range of the next cut is
 that of the polygon at hand, so only voxels that the triangle meets are visited. A corner is six numbers: its position

@@ -1,4 +1,4 @@
-"""Which voxels hang together, and how far along the tree each is from its root."""
+"""Graph of touching voxels, and distances along the tree from its root."""
 
 import numpy as np
 import scipy  # its parts come in when they are used: the service starts without them

@@ -1,4 +1,4 @@
-"""How the surface lies inside each voxel: what tells a card from a twig that is thinner than a voxel."""
+"""Moments of the surface inside each voxel, which distinguish a card from a thin twig."""
 
 import numpy as np
 from jaxtyping import Float32, Float64, Int32, Int64

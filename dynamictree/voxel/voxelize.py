@@ -26,7 +26,7 @@ _CANCELLED = 0.2
 
 @dataclass(frozen=True, kw_only=True)
 class SurfaceVoxels:
-    """What the network sees of a tree: where its surface is and which way it faces."""
+    """Voxelized surface of a tree: occupied voxels, normals and moments."""
 
     grid: VoxelGrid
     normals: Float32[np.ndarray, "V 3"]  # unit length

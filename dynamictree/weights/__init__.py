@@ -1,4 +1,4 @@
-"""Where trained weights lie: the shipped ones in this folder, a user's own in the folder DYNAMICTREE_MODELS."""
+"""Locations of trained weights: shipped ones in this folder, the user's own in the folder DYNAMICTREE_MODELS."""
 
 import os
 from pathlib import Path

@@ -20,7 +20,7 @@ REFUSED = frozenset({401, 403})
 
 
 class Audited:
-    """Around authentication: it knows the caller once the request has passed."""
+    """Middleware around authentication, which provides the caller once the request has passed."""
 
     def __init__(self, app: ASGIApp, settings: Settings) -> None:
         self.app = app

@@ -38,7 +38,7 @@ PROTOCOL_KEY = "bearer."
 
 
 class Authentication:
-    """Around everything under /v1: who asks, whether they may, how often they did."""
+    """Middleware for /v1: authentication, scopes and rate limits."""
 
     def __init__(self, app: ASGIApp, settings: Settings) -> None:
         self.app = app
@@ -47,7 +47,7 @@ class Authentication:
         self._keys: TTLCache[str, KeyRecord | None] = TTLCache(MAX_REMEMBERED, REMEMBERED_S)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Let one request in, or not."""
+        """Accept or refuse one request."""
         if scope["type"] not in {"http", "websocket"} or not scope["path"].startswith("/v1/"):
             await self.app(scope, receive, send)
             return
@@ -94,7 +94,7 @@ class Authentication:
         return caller_of(key, settings)
 
     async def _linked(self, link: LinkSignature, scope: Scope, store: Store) -> Caller:
-        """Who signed a link."""
+        """Caller who signed a link."""
         cached = f"id:{link.key_id}"
         try:
             key = self._keys[cached]

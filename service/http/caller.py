@@ -12,7 +12,7 @@ CALLER = "dynamictree.caller"
 
 @dataclass(frozen=True, kw_only=True)
 class Caller:
-    """Who asks. Without an owner: whoever reaches a service that asks for no key; they may see everything."""
+    """The caller of a request. Without an owner, the service requires no key and the caller sees everything."""
 
     owner: str | None = None
     key_id: str = ""
@@ -25,6 +25,6 @@ ANYONE = Caller()
 
 
 def caller_of(key: KeyRecord, settings: Settings) -> Caller:
-    """The caller that a key means; its own limits go before the settings'."""
+    """Caller of a key; limits of the key override those of the settings."""
     limits: dict[Limit, int] = {name: getattr(settings, f"limit_{name}") for name in LIMITS}
     return Caller(owner=key.owner, key_id=key.id, scopes=key.scopes, limits=limits | dict(key.limits))

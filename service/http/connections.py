@@ -52,7 +52,7 @@ class BoundedProtocol(HttpToolsProtocol):
     # -- connections
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Count the connection of its address, and begin to wait for the first head."""
+        """Count the connection of this address, and start the timeout for the first head."""
         super().connection_made(transport)
         allowed = self.app_state.get("max_connections_per_address", MAX_PER_ADDRESS)
         self._address = self.client[0] if self.client else None  # none on a unix socket
@@ -77,7 +77,7 @@ class BoundedProtocol(HttpToolsProtocol):
     # -- requests
 
     def data_received(self, data: bytes) -> None:
-        """Parse, unless the parser only gathers a field that does not end."""
+        """Parse received bytes; refuse a header field that grows without end."""
         if self._refused:
             return
         self._unparsed += len(data)
@@ -86,7 +86,7 @@ class BoundedProtocol(HttpToolsProtocol):
             self._refuse(b"431 Request Header Fields Too Large", b"A header has more than 64 KiB.")
 
     def on_message_begin(self) -> None:
-        """Begin to wait for the head of a further request."""
+        """Start the timeout for the head of the next request."""
         super().on_message_begin()
         self._head_bytes = self._head_fields = self._unparsed = 0
         self._body_open = True
@@ -108,7 +108,7 @@ class BoundedProtocol(HttpToolsProtocol):
         super().on_header(name, value)
 
     def on_headers_complete(self) -> None:
-        """Begin to wait for the end of the body."""
+        """Start the timeout for the end of the body."""
         self._unparsed = 0
         self._expect(REQUEST_TIMEOUT_S)
         if not self._refused:
@@ -127,7 +127,7 @@ class BoundedProtocol(HttpToolsProtocol):
         super().on_message_complete()
 
     def on_response_complete(self) -> None:
-        """Give the rest of a body that nobody reads any more little time."""
+        """Allow little time for the rest of a body that is no longer read."""
         super().on_response_complete()
         if self._body_open and not self.transport.is_closing():
             self._expect(UNREAD_TIMEOUT_S)
@@ -146,12 +146,12 @@ class BoundedProtocol(HttpToolsProtocol):
     # -- responses
 
     def pause_writing(self) -> None:
-        """Begin to look whether the client still reads."""
+        """Start to check whether the client still reads."""
         super().pause_writing()
         self._watch_writing(self.transport.get_write_buffer_size())
 
     def resume_writing(self) -> None:
-        """The client has read."""
+        """Stop the check: the client has read."""
         super().resume_writing()
         self._watch_writing(None)
 

@@ -35,7 +35,7 @@ class RequestFrame:
         self.app = app
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Frame one request."""
+        """Add request id and headers to one request."""
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
@@ -120,7 +120,7 @@ class BodyLimit:
 
 
 def body_limit(path: str, settings: Settings) -> int:
-    """How many bytes a body may have."""
+    """Largest allowed body of a route [bytes]."""
     if path == "/v1/assets":
         return settings.max_multipart_bytes
     if path == "/v1/uploads" or path.startswith("/v1/uploads/"):

@@ -40,7 +40,7 @@ class Form:
 
 
 async def receive_form(content_type: str, body: AsyncIterator[bytes], folder: Path) -> Form:
-    """Take a body apart; its files lie in `folder` as part-0, part-1 and so on.
+    """Parse a multipart body; its files are written to `folder` as part-0, part-1 and so on.
 
     Raises:
         ProblemError: it is no multipart/form-data, is broken, or has too many or too large parts.
@@ -65,7 +65,7 @@ async def receive_form(content_type: str, body: AsyncIterator[bytes], folder: Pa
 
 
 async def _feed(parser: MultipartParser, body: AsyncIterator[bytes]) -> None:
-    """While a thread takes one batch apart, writes and hashes it, the next one comes in."""
+    """Parse, write and hash one batch in a thread while the next one is received."""
     loop = asyncio.get_running_loop()
     working: asyncio.Future[int] | None = None
     batch: list[bytes] = []

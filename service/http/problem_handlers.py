@@ -46,7 +46,7 @@ async def _on_http(request: Request, error: Exception) -> Response:
 
 
 def _problem_of_framework(request: Request, error: HTTPException) -> ProblemError:
-    """What Starlette and FastAPI refuse by themselves."""
+    """Problem for a refusal by Starlette or FastAPI."""
     path = request.scope["path"][:MAX_VALUE_CHARS]
     if error.status_code == 404:
         return ProblemError("not-found", f"there is nothing at {path!r}; /openapi.json tells every path")

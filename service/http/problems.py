@@ -176,7 +176,7 @@ def problem_response(
     headers: Mapping[str, str] | None = None,
     extra: Mapping[str, object] | None = None,
 ) -> Response:
-    """The response that tells a problem."""
+    """Response with a problem object."""
     body = problem_body(code, detail, request_id=request_id, errors=errors) | dict(extra or {})
     sent = dict(headers or {})
     if KINDS[code].status in {429, 503}:
@@ -191,7 +191,7 @@ def wrong_field(pointer: str, code: str, detail: str) -> ProblemError:
 
 
 def problem_of(error: Refusal) -> ProblemError:
-    """The problem that an exception of ours tells. Of those that are not the client's to mend the cause is logged."""
+    """Problem of one of our exceptions. The cause is logged if the client cannot correct it."""
     if isinstance(error, ProblemError):
         return error
     code = problem_code(error)

@@ -37,7 +37,7 @@ INTERACT = Policy(name="interact", limit="interact_per_s", window_s=1)
 
 @dataclass(frozen=True, kw_only=True)
 class Standing:
-    """Where a key stands after a request. IETF draft ratelimit-headers."""
+    """Remaining requests of a key after a request. IETF draft ratelimit-headers."""
 
     policy: Policy
     quota: int
@@ -57,7 +57,7 @@ class Standing:
 
 
 def policy_of(method: str, path: str) -> Policy:
-    """What a request counts as."""
+    """Rate-limit policy of a request."""
     if path.startswith("/v1/interact"):
         return INTERACT
     if method in {"GET", "HEAD", "OPTIONS"}:

@@ -16,7 +16,7 @@ _TRACEPARENT = re.compile(r"[0-9a-f]{2}-[0-9a-f]{32}-[0-9a-f]{16}-[0-9a-f]{2}")
 
 @dataclass(frozen=True, kw_only=True)
 class RequestOrigin:
-    """Names of one request."""
+    """Request id and trace context of one request."""
 
     request_id: str | None
     traceparent: str | None

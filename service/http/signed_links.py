@@ -23,7 +23,7 @@ CONTEXT = "dynamictree signed link 1"
 
 @dataclass(frozen=True, kw_only=True)
 class LinkSignature:
-    """What a link carries in its query."""
+    """Signature of a link in its query string."""
 
     key_id: str
     expires: int  # seconds since 1970
@@ -31,7 +31,7 @@ class LinkSignature:
 
     @classmethod
     def of_query(cls, query: bytes) -> "LinkSignature | None":
-        """Read a query string; None where it is no link's, or a broken one's."""
+        """Parse a query string; None if it has no valid signature fields."""
         if len(query) > MAX_QUERY_BYTES or b"signature=" not in query:
             return None
         fields = parse_qs(query.decode("latin-1"), keep_blank_values=True)
@@ -44,7 +44,7 @@ class LinkSignature:
         return cls(key_id=key_id, expires=int(expires), signature=signature)
 
     def opens(self, key: KeyRecord, path: str, now: float) -> bool:
-        """Whether it was signed with this key for this path, and its time is not over."""
+        """Whether the signature is valid for this key and path and has not expired."""
         expected = _signature(key, path, self.expires)
         return now < self.expires and hmac.compare_digest(self.signature, expected)
 

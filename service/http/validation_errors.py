@@ -12,7 +12,7 @@ MAX_POINTER = 200
 
 
 def field_errors(raw_errors: Sequence[Mapping[str, Any]]) -> list[FieldError]:
-    """The first fields that are wrong, of `ValidationError.errors()` or FastAPI's."""
+    """First wrong fields of `ValidationError.errors()` or FastAPI's errors."""
     errors: list[FieldError] = [
         {"pointer": _pointer(error), "code": error["type"].replace("_", "-"), "detail": _detail(error)}
         for error in raw_errors[:MAX_ERRORS]
@@ -25,7 +25,7 @@ def field_errors(raw_errors: Sequence[Mapping[str, Any]]) -> list[FieldError]:
 
 
 def summed_up(errors: Sequence[FieldError]) -> str:
-    """All of them in one text."""
+    """Summarise field errors in one text."""
     return "; ".join(f"{error['pointer'] or 'the body'}: {error['detail']}" for error in errors)
 
 

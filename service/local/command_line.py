@@ -36,7 +36,7 @@ def audit(action: str, state_dir: Path | None, *, target: str, owner: str = "") 
 
 @contextmanager
 def one_line(command: str) -> Iterator[None]:
-    """What the user can mend is one line and exit status 2."""
+    """Print an error that the user can correct on one line, with exit status 2."""
     try:
         yield
     except (JobsError, OSError) as error:

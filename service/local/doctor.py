@@ -31,7 +31,7 @@ MIN_MEMORY_BYTES = 4 * GIB
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """One thing that was looked at."""
+    """Result of one check."""
 
     name: str
     verdict: Verdict
@@ -42,7 +42,7 @@ def doctor(
     state_dir: StateDir = None,
     as_json: Annotated[bool, typer.Option("--json", help="print the findings as JSON")] = False,
 ) -> None:
-    """Look whether this machine can run the service; exit 1 if it cannot."""
+    """Check whether this machine can run the service; exit status 1 if it cannot."""
     with one_line("doctor"):
         settings = settings_of(state_dir=state_dir)
     findings = examine(settings)
@@ -56,7 +56,7 @@ def doctor(
 
 
 def examine(settings: Settings) -> list[Finding]:
-    """Look at everything."""
+    """Run all checks."""
     checks: list[Callable[[Settings], Finding]] = [
         _python,
         _memory,

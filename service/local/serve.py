@@ -92,7 +92,7 @@ def require_keys_beyond_loopback(host: str, settings: Settings) -> None:
 
 
 def plans(settings: Settings, listening: socket.socket) -> list[ChildPlan]:
-    """The children, in the order in which they need one another."""
+    """Child processes in the order in which they depend on one another."""
     environment = os.environ | {
         "DYNAMICTREE_STATE_DIR": str(settings.state_dir.resolve()),
         "DYNAMICTREE_WORKER_THREADS": str(settings.worker_threads),
@@ -193,7 +193,7 @@ def listen(host: str, port: int) -> socket.socket:
 
 
 class LockedFile:
-    """A file that one process holds; the lock goes with the process, however it ends.
+    """Lock file of one process; the lock ends with the process.
 
     Raises:
         OSError: another process has it.

@@ -27,7 +27,7 @@ _LIBC = (
 
 @dataclass(frozen=True, kw_only=True)
 class ChildPlan:
-    """What a child is, and how it is stopped."""
+    """Command of a child process, and how it is stopped."""
 
     name: str
     command: Sequence[str]
@@ -38,7 +38,7 @@ class ChildPlan:
 
 
 class Child:
-    """One process that should run."""
+    """A supervised process."""
 
     def __init__(self, plan: ChildPlan) -> None:
         self.plan = plan
@@ -68,7 +68,7 @@ class Child:
         logger.info("%s runs as process %s", self.plan.name, self._process.pid)
 
     def look_after(self) -> None:
-        """Notice that it died; start it again once its backoff is over."""
+        """Check the process; restart it after its backoff if it has died."""
         now = time.monotonic()
         if self._process is not None:
             code = self._process.poll()
@@ -86,7 +86,7 @@ class Child:
             self.start()
 
     def stop(self) -> None:
-        """Ask it to end, and end it when it does not."""
+        """Stop the process: SIGTERM, then SIGKILL after the grace period."""
         if self._process is None:
             return
         self._process.terminate()
@@ -99,7 +99,7 @@ class Child:
         self._process = None
 
     def _end_group(self) -> None:
-        """End what the child itself has started and left."""
+        """End the remaining processes of the child's group."""
         assert self._process is not None
         try:
             os.killpg(self._process.pid, signal.SIGKILL)

@@ -89,7 +89,7 @@ def _operations(page: Page) -> Iterator[Page]:
 
 
 def _nodes(node: object) -> Iterator[Page]:
-    """Every object in the page."""
+    """Iterate over every object in the document."""
     if isinstance(node, dict):
         yield node
         for child in node.values():

@@ -24,7 +24,7 @@ class BatchRequest(Payload):
 
 
 class BatchItemPayload(Payload):
-    """What became of one job of a batch: the job, or why there is none."""
+    """Result of one item of a batch: the job, or why it was refused."""
 
     status: int = Field(description="what the request would have been answered by itself")
     job: JobPayload | None
@@ -32,7 +32,7 @@ class BatchItemPayload(Payload):
 
 
 class BatchPayload(Payload):
-    """What became of a batch, in its order."""
+    """Results of a batch, in the order of the request."""
 
     data: list[BatchItemPayload]
 
@@ -49,7 +49,7 @@ def create_jobs(
         str | None, Header(min_length=1, max_length=128, description="the same key within 24 h gives the same jobs")
     ] = None,
 ) -> BatchPayload:
-    """Ask for several products. One that is refused keeps none of the others; each tells its own status."""
+    """Create several jobs. Each is accepted or refused separately, with its own status."""
     return BatchPayload(
         data=[
             _one(

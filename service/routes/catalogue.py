@@ -44,7 +44,7 @@ class ProductPayload(Payload):
 
 
 class LimitsPayload(Payload):
-    """What is refused beyond. Sizes in bytes."""
+    """Limits of requests and uploads. Sizes in bytes."""
 
     mesh_formats: list[str]
     cloud_formats: list[str]

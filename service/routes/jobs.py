@@ -62,7 +62,7 @@ def create_job(
     ] = None,
     resume_failed: ResumeFailed = False,
 ) -> JobPayload | Response:
-    """Ask for voxels, a spectrum, a motion, or a mesh of photos. What that needs runs first, or is cached."""
+    """Create a job for voxels, a spectrum, a motion, or a mesh of photos. Earlier stages run first or are cached."""
     if validate_only:
         asset, stages = require_possible(owned, body)
         estimate = EstimatePayload(

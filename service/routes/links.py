@@ -20,7 +20,7 @@ DAY_S = 86400
 
 
 class LinkRequest(Payload):
-    """What is to be opened, and for how long."""
+    """Path to open without a key, and for how long."""
 
     path: Annotated[
         str,

@@ -66,7 +66,7 @@ def get_metrics(owned: OwnedDep) -> Response:
 
 
 class StoreMetrics:
-    """What the store knows, asked at the scrape."""
+    """Metrics read from the store at each scrape."""
 
     def __init__(self, store: Store, artifacts: ArtifactStore, queues: tuple[str, ...]) -> None:
         self.store = store
@@ -74,11 +74,11 @@ class StoreMetrics:
         self.queues = queues  # with a value always: an autoscaler takes a missing one for a failure
 
     def describe(self) -> list[Metric]:
-        """Nothing, so that registering asks no database."""
+        """Describe nothing, so that registering makes no query."""
         return []
 
     def collect(self) -> Iterator[Metric]:
-        """Every family."""
+        """Collect every metric family."""
         store = self.store
         with store.reading() as connection:
             counted, now = tallies(connection), census(connection, store.clock())
@@ -143,7 +143,7 @@ def _counter(name: str, what: str, values: Mapping[str, float], labels: list[str
 
 
 class Measured:
-    """Around the routes: how long each request took. A path that is no route counts as one."""
+    """Middleware that measures the duration of each request. Unknown paths share one label."""
 
     def __init__(self, app: ASGIApp) -> None:
         self.app = app

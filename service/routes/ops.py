@@ -64,7 +64,7 @@ def get_page() -> Response:
 
 @router.get("/ops/{name}", include_in_schema=False)
 def get_part(name: Literal["ops.js", "style.css"]) -> Response:
-    """What it is made of."""
+    """Files of the operator's page."""
     return _sent(name)
 
 

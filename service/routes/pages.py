@@ -58,7 +58,7 @@ class Page:
 
 
 class Browser:
-    """What a browser takes, and what it has."""
+    """Encodings that a browser accepts, and the ETag that it has cached."""
 
     def __init__(
         self, accept_encoding: Annotated[str, Header()] = "", if_none_match: Annotated[str | None, Header()] = None
@@ -113,7 +113,7 @@ def get_llms_text(browser: BrowserDep) -> Response:
 
 @router.api_route("/web/{path:path}", methods=["GET", "HEAD"])
 def get_page_file(path: str, browser: BrowserDep) -> Response:
-    """What the viewer is made of."""
+    """Files of the viewer."""
     page = read_page(path)
     if page is None:
         raise ProblemError("not-found", f"the viewer has no file {path[:128]!r}")

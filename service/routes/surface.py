@@ -60,7 +60,7 @@ def get_surface(id: Id, owned: OwnedDep) -> Response:
 
 
 def mesh_tensors(mesh: TriangleMesh) -> dict[str, np.ndarray]:
-    """What a mesh is drawn from."""
+    """Tensors from which a viewer draws a mesh."""
     tensors: dict[str, np.ndarray] = {"vertices": mesh.vertices, "faces": mesh.faces}
     for name in ("uv", "vertex_colors", "face_material"):
         if getattr(mesh, name) is not None:
@@ -96,7 +96,7 @@ def _own_motion(ready: ReadyTree, mesh: TriangleMesh, spectrum: SparseVoxelSpect
 
 
 def _near_motion(ready: ReadyTree, mesh: TriangleMesh) -> dict[str, np.ndarray]:
-    """The voxels nearest to each vertex, and their bones: a glance instead of a solve."""
+    """Nearest voxels of each vertex and their bones: faster than `_own_motion`, for large meshes."""
     grid, bones = ready.tree.system.grid, ready.tree.bones
     from scipy.spatial import cKDTree  # not at start: half a second
 

@@ -49,7 +49,7 @@ _ERRORS = ("precondition-failed", "unsupported-format", "conflict", "checksum-mi
 
 @router.options("", operation_id="getUploadProtocol", status_code=status.HTTP_204_NO_CONTENT, responses=refusals())
 async def get_protocol(owned: OwnedDep) -> Response:
-    """What of tus is spoken here."""
+    """Supported tus versions, extensions and checksums."""
     protocol_headers = {
         "Tus-Version": TUS_VERSION,
         "Tus-Extension": ",".join(EXTENSIONS),
@@ -116,7 +116,7 @@ async def create_upload(
     | {200: {"description": "Where it stands", **_STANDS}},
 )
 def head_upload(id: Id, owned: OwnedDep, tus_resumable: _Version = None) -> Response:
-    """Where an upload stands."""
+    """Current offset of an upload."""
     _require_version(tus_resumable)
     record = upload(owned.store, id)
     size = owned.services.upload_parts.size(id) if record.state == "receiving" else record.received

@@ -16,7 +16,7 @@ router = APIRouter(prefix="/v1/webhook-endpoints", tags=["webhooks"])
 
 
 class EndpointRequest(Payload):
-    """An address to tell."""
+    """URL and events of an endpoint."""
 
     url: str = Field(max_length=2048, description="https")
     events: tuple[Event, ...] = Field(
@@ -35,19 +35,19 @@ class EndpointPayload(Payload):
 
 
 class EndpointWithSecretPayload(EndpointPayload):
-    """The only time that a secret is shown."""
+    """An endpoint with its secret, which is returned only once."""
 
     secret: str = Field(description="whsec_ and base64: the key of HMAC-SHA256 over id.timestamp.body")
 
 
 class EndpointListPayload(Payload):
-    """Every endpoint."""
+    """All endpoints."""
 
     data: list[EndpointPayload]
 
 
 class TryPayload(Payload):
-    """One attempt to tell."""
+    """One delivery attempt."""
 
     at: Time
     status: int | None = Field(description="null where no answer came")
@@ -92,7 +92,7 @@ async def create_endpoint(body: EndpointRequest, response: Response, owned: Owne
 
 @router.get("", operation_id="listWebhookEndpoints", responses=refusals())
 def list_endpoints(owned: OwnedDep) -> EndpointListPayload:
-    """Every endpoint."""
+    """All endpoints."""
     return EndpointListPayload(data=[EndpointPayload.of(endpoint) for endpoint in webhooks.endpoints(owned.store)])
 
 
@@ -151,6 +151,6 @@ def list_deliveries(
     responses=refusals("not-found"),
 )
 def replay_delivery(id: Id, delivery_id: str, owned: OwnedDep) -> DeliveryPayload:
-    """Tell it again, as a new delivery of the same message: the receiver knows it by its webhook-id."""
+    """Send a message again as a new delivery; the receiver recognises it by its webhook-id."""
     delivery = webhooks.replay(owned.store, id, delivery_id)
     return DeliveryPayload.of(delivery, tries=delivery.log)

@@ -14,7 +14,7 @@ Time = Annotated[datetime, Field(description="RFC 3339, UTC")]
 
 
 class Payload(BaseModel):
-    """Root of all bodies."""
+    """Base class of all bodies."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -55,7 +55,7 @@ def time_of(seconds: float) -> datetime:
 
 
 def problem_of(code: str | None, message: str | None) -> Problem | None:
-    """What went wrong with a job or an upload, as its row has it; None where nothing did."""
+    """Problem of a failed job or upload; None if it did not fail."""
     if code is None:
         return None
     valid_code = code if code in KINDS else "internal-error"

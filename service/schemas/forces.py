@@ -53,7 +53,7 @@ class AtPayload(Payload):
 
 
 class ForcePayload(Payload):
-    """One push."""
+    """One force on the tree."""
 
     kind: Literal["impulse", "drag", "wind"]
     at: AtPayload | None = Field(default=None, description="of an impulse or a drag; wind blows everywhere")
@@ -87,7 +87,7 @@ class ForcePayload(Payload):
 
 
 class LocalityPayload(Payload):
-    """Where a group's answer is centred, and over which length it fades."""
+    """Centre of a group's response, and the length over which it fades."""
 
     seed_voxel: int = Field(ge=0)
     falloff_m: Finite = Field(gt=0, le=LARGEST)
@@ -106,13 +106,13 @@ class GroupStatePayload(Payload):
 
 
 class StatePayload(Payload):
-    """What one call ends with and the next begins with."""
+    """State at the end of one call, from which the next call continues."""
 
     groups: list[GroupStatePayload] = Field(max_length=MAX_GROUPS)
 
 
 class InteractRequest(Payload):
-    """Push a tree."""
+    """Forces on a tree, and the response to compute."""
 
     spectrum_id: str = Field(max_length=64, description="from a job's result")
     forces: list[ForcePayload] = Field(default_factory=list, max_length=MAX_FORCES)
@@ -142,7 +142,7 @@ class InteractRequest(Payload):
 
 
 def library_force(force: ForcePayload, grid: VoxelGrid, mesh: Callable[[], TriangleMesh]) -> Force:
-    """The library's force.
+    """Convert to the library's force.
 
     Raises:
         InputError, ProblemError: it acts nowhere on this tree.

@@ -23,28 +23,28 @@ class _JobRequest(ModelParams):
 
 
 class ReconstructRequest(_JobRequest):
-    """Photos to a mesh."""
+    """Reconstruct a mesh from photos."""
 
     type: Literal["reconstruct"]
     params: ReconstructParams = Field(default_factory=ReconstructParams)
 
 
 class VoxelizeRequest(_JobRequest):
-    """To the occupied voxels and their normals."""
+    """Compute the occupied voxels and their normals."""
 
     type: Literal["voxelize"]
     params: VoxelizeParams = Field(default_factory=VoxelizeParams)
 
 
 class DiffuseRequest(_JobRequest):
-    """To the spectrum."""
+    """Generate a spectrum."""
 
     type: Literal["diffuse"]
     params: DiffuseParams = Field(default_factory=DiffuseParams)
 
 
 class AnimateRequest(_JobRequest):
-    """To the motion."""
+    """Generate a motion and write it as files."""
 
     type: Literal["animate"]
     params: AnimateParams = Field(default_factory=AnimateParams)

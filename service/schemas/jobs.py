@@ -24,7 +24,7 @@ class StagePayload(Payload):
 
 
 class ResultPayload(Payload):
-    """Where the products are."""
+    """Ids of the products."""
 
     mesh_id: str | None = Field(description="artefact of the reconstructed mesh")
     voxels_id: str | None
@@ -71,7 +71,7 @@ class JobListPayload(Payload):
 
 
 class EstimatePayload(Payload):
-    """A request that would be accepted, and what it would take."""
+    """Estimated duration and size of a valid request."""
 
     valid: Literal[True] = True
     est_seconds: float | None = Field(description="median of this service's own history [s]; null without one")
@@ -114,7 +114,7 @@ class ArtifactPayload(Payload):
 
 
 class ManifestPayload(Payload):
-    """What a job offers."""
+    """Files that a job has produced."""
 
     job_id: str
     complete: bool = Field(description="whether the job has succeeded and nothing will be added")

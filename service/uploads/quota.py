@@ -9,7 +9,7 @@ from service.services import Owned
 
 
 def require_bytes(owned: Owned, wanted: int) -> None:
-    """Refuse what an owner has no room for.
+    """Refuse bytes beyond the owner's quota.
 
     Raises:
         ProblemError: with `wanted` more bytes they would keep more than is allowed.

@@ -29,10 +29,10 @@ CHECKSUMS = ("sha1", "sha256")
 
 
 class Hash(Protocol):
-    """What hashlib gives."""
+    """Protocol of hashlib's hash objects."""
 
     def update(self, content: bytes, /) -> None:
-        """Take more in."""
+        """Add bytes to the hash."""
 
     def digest(self) -> bytes:
         """Give the hash so far."""
@@ -40,7 +40,7 @@ class Hash(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Checksum:
-    """What the client says of one PATCH."""
+    """Checksum that the client declares for one PATCH."""
 
     algorithm: str
     expected: bytes
@@ -64,7 +64,7 @@ class Checksum:
 
 
 def stands_elsewhere(offset: int, size: int) -> ProblemError:
-    """The refusal of bytes that begin at an offset where the upload does not stand."""
+    """Problem for bytes that do not begin at the upload's offset."""
     reason = f"Upload-Offset is {offset:,}, the upload stands at {size:,}"
     return ProblemError("upload-offset-conflict", reason, headers={"Upload-Offset": str(size)})
 

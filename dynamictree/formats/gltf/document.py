@@ -163,7 +163,7 @@ def glb_json(stream: ByteReader) -> JsonObject:
 
 
 def uri_bytes(uri: str, companions: Mapping[str, bytes]) -> bytes:
-    """What a URI stands for: data in the file, or a companion by its name; nothing outside."""
+    """Content of a URI: data in the file, or a companion by its name; never anything else."""
     if uri.startswith("data:"):
         head, _, body = uri.partition(",")
         try:
@@ -196,7 +196,7 @@ def _component_type(accessor: JsonObject) -> np.dtype[np.generic]:
 
 
 def _without_effect(root: JsonObject) -> set[str]:
-    """Required extensions that change how surfaces shine or are lit, and nothing that is read here."""
+    """Names of required extensions that only change shading or lighting, and so can be ignored."""
     return {
         name
         for name in text_list(root, "extensionsRequired")

@@ -25,7 +25,7 @@ REDUCED_TARGETS = 8
 
 @dataclass(frozen=True, kw_only=True)
 class MorphSummary:
-    """What was written, and what reducing it cost."""
+    """Summary of the file: number of targets, and the error of the reduction."""
 
     num_targets: int
     num_keys: int
@@ -36,7 +36,7 @@ class MorphSummary:
 
 @dataclass(frozen=True, kw_only=True)
 class ShadedMorphSummary(MorphSummary, NormalError):
-    """The same of a file whose targets move normals."""
+    """Summary of a file whose targets also move normals."""
 
 
 def write_motion_glb(
@@ -103,7 +103,7 @@ def loop_parts(coefficients: Complex64[np.ndarray, "N K 3"], num_frames: int) ->
 def loop_weights(
     num_frequencies: int, num_frames: int, turn: Float64[np.ndarray, " K"] | None = None
 ) -> Float64[np.ndarray, "T M"]:
-    """How far each part is on at each frame, in [-1, 1], the first always 1; `turn` adds to each phase [rad]."""
+    """Weight of each part at each frame, in [-1, 1], the first always 1; `turn` adds to each phase [rad]."""
     angle = 2 * np.pi * np.outer(np.arange(num_frames), np.arange(num_frequencies)) / num_frames  # [T, K]
     if turn is not None:
         angle = angle + turn

@@ -27,7 +27,7 @@ _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 
 @dataclass(frozen=True, kw_only=True)
 class _Primitive:
-    """What a primitive's accessors or its Draco stream hold, not yet placed."""
+    """Decoded arrays of a primitive, before its node's transform."""
 
     attributes: Mapping[str, Shaped[np.ndarray, "n width"]]
     indices: Shaped[np.ndarray, " M"] | None
@@ -60,7 +60,7 @@ def _triangle_primitives(mesh: JsonObject) -> list[tuple[int, JsonObject]]:
 
 
 def _refuse_too_many(document: GltfDocument, drawn: list[tuple[MeshInstance, tuple[int, JsonObject]]]) -> None:
-    """By the counts in the JSON, instances included."""
+    """Check the numbers of vertices and faces in the JSON, instances included."""
     num_vertices, num_corners = 0, 0
     seen: set[tuple[int, int]] = set()
     for instance, (_, primitive) in drawn:

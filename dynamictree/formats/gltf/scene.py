@@ -67,7 +67,7 @@ def mesh_instances(document: GltfDocument) -> Iterator[MeshInstance]:
 
 
 def _paths(nodes: list[JsonObject]) -> list[str]:
-    """Of each node its name after those above it. A slash in a name becomes a space."""
+    """Path of names from the root to each node. A slash in a name becomes a space."""
     above = {child: index for index, node in enumerate(nodes) for child in index_list(node, "children", nodes)}
     paths = []
     for index in range(len(nodes)):
@@ -113,7 +113,7 @@ def _local_transform(node: JsonObject) -> Float64[np.ndarray, "4 4"]:
 
 
 def _refuse_many_instances(document: GltfDocument, nodes: list[JsonObject]) -> None:
-    """By the counts of the accessors, before one is read."""
+    """Check the number of instances by the counts of the accessors, before any is read."""
     total = 0
     for node in nodes:
         extension = object_field(object_field(node, "extensions"), "EXT_mesh_gpu_instancing")

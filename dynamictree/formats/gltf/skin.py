@@ -77,7 +77,7 @@ def _relative_to_parents(
 
 
 def _steady(wxyz: np.ndarray) -> np.ndarray:
-    """As x, y, z, w, of the two signs the one nearer to the frame before."""
+    """Quaternions x, y, z, w with the sign that is nearer to the previous frame."""
     xyzw = wxyz[:, [1, 2, 3, 0]]
     turns = (xyzw[1:] * xyzw[:-1]).sum(axis=1) < 0
     sign = np.where(np.cumsum(turns) % 2 == 1, -1.0, 1.0)

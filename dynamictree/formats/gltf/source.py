@@ -106,7 +106,7 @@ def _source(document: GltfDocument, placed: Sequence[PlacedPrimitive], files: Ma
 
 
 def _number(text: str) -> int | float:
-    """A number of JSON; some writers put indices as 3.0."""
+    """Convert a JSON number to an integer; some writers write indices as 3.0."""
     value = float(text)
     return int(value) if value.is_integer() and abs(value) < 2**53 else value
 

@@ -1,4 +1,4 @@
-"""The file that a motion is attached to: the document that the mesh was read from, or one made of the mesh.
+"""The document that a motion is added to: the mesh's source document, or a new one.
 
 Targets are attached primitive by primitive, in the primitive's own axes and units; what does not move gets none.
 """
@@ -128,7 +128,7 @@ class Template:
         return mesh
 
     def _zeros(self, count: int) -> dict[str, int]:
-        """A target that moves nothing; real zeros, since not every player reads an accessor without a view."""
+        """Accessor of zeros for a target without displacement; some players cannot read an accessor without a view."""
         if count not in self.still:
             zeros = np.zeros((count, 3), np.float32)
             self.still[count] = {"POSITION": self.writer.add_accessor(zeros, target=VERTEX_BUFFER, bounds=True)}

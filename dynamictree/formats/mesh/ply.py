@@ -90,7 +90,7 @@ def _read_polygons(
 def _uniform_polygons(
     content: bytes, face: PlyElement, name: str, order: str
 ) -> tuple[Int32[np.ndarray, " C"], Int64[np.ndarray, " P"]] | None:
-    """At once, if the lists are as long in every face as in the first; None if not."""
+    """Read all faces at once if every list has the length of the first; otherwise None."""
     fields: list[tuple[str, str, tuple[int, ...]]] = []
     at = 0
     for place, (label, kind) in enumerate(face.properties):
@@ -117,7 +117,7 @@ def _uniform_polygons(
 def _mixed_polygons(
     content: bytes, face: PlyElement, name: str, order: str
 ) -> tuple[Int32[np.ndarray, " C"], Int64[np.ndarray, " P"]]:
-    """Face by face, for files that mix triangles and larger polygons."""
+    """Read face by face, for files that mix triangles and larger polygons."""
     corners, sizes = [], np.empty(face.count, np.int64)
     layout = [
         (label, [np.dtype(order + name) for name in kind.split() if name != "list"]) for label, kind in face.properties
@@ -218,7 +218,7 @@ def _colors(rows: Shaped[np.ndarray, " N"]) -> UInt8[np.ndarray, "N 4"] | None:
 
 
 def _material(content: bytes, companions: Mapping[str, bytes]) -> Material | None:
-    """Of the texture that a `comment TextureFile` names, if it was sent along."""
+    """Material of the texture that a `comment TextureFile` names, if it was uploaded."""
     for line in content[:65_536].partition(b"end_header")[0].splitlines():
         words = line.decode("latin-1").split(maxsplit=2)
         if words[:2] == ["comment", "TextureFile"] and len(words) == 3:

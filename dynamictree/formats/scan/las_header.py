@@ -1,4 +1,4 @@
-"""What a LAS header may claim. laspy and lazrs believe it: a lie costs them minutes, or all memory and the process.
+"""Check a LAS header before laspy and lazrs trust it: false counts cost minutes, all memory, or a crash.
 
 LAS 1.4 R15, sections 2.4 and 2.5; the chunk table is LASzip's.
 """

@@ -1,4 +1,4 @@
-"""How 3DGS files keep opacity, scale and colour: as what the optimiser saw before its activations."""
+"""Convert between 3DGS' stored values (logits, logarithms, harmonics) and opacity, scale and colour."""
 
 import numpy as np
 from jaxtyping import Float, Float32

@@ -193,7 +193,7 @@ def _bytes(values: Num[np.ndarray, "G ..."]) -> UInt8[np.ndarray, "G bytes"]:
 
 
 def _coarse(coefficients: Float32[np.ndarray, "G D 3"], bits: int) -> Float32[np.ndarray, "G D 3"]:
-    """Rounded so that fewer values occur and compression gains; zero stays zero."""
+    """Round coefficients to fewer values, for better compression; zero stays zero."""
     bucket = 1 << 8 - bits
     result: Float32[np.ndarray, "G D 3"] = (
         (np.rint(coefficients * 128 + 128) + bucket // 2) // bucket * bucket

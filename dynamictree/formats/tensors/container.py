@@ -1,4 +1,4 @@
-"""safetensors with a version and a grid in the metadata: what spectrum and voxel files share."""
+"""Shared parts of the project's safetensors files: format, version and grid in the metadata."""
 
 import json
 import math

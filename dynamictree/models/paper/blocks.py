@@ -15,7 +15,7 @@ from dynamictree.sparse.pool import average_pool, upsample
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Resample:
-    """From one level to the next coarser one (mean of the children) or the next finer one (nearest)."""
+    """Resample features to the next coarser level (mean of the children) or the next finer one (nearest)."""
 
     before: SparseLevel
     after: SparseLevel

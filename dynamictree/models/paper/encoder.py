@@ -22,7 +22,7 @@ NORMAL_FEATURES = 3
 
 
 class SparseEncoder(nn.Module):
-    """From the finest level of a pyramid to its level `len(widths) - 1`."""
+    """Encode the finest level of a pyramid to its level `len(widths) - 1`."""
 
     def __init__(self, *, base: int = 32, widths: tuple[int, ...] = (32, 64, 128), num_groups: int = 8) -> None:
         super().__init__()

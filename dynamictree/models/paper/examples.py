@@ -45,7 +45,7 @@ class PaperExample:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PaperBatch:
-    """Trees as the network reads them."""
+    """Batch of trees as the network's input."""
 
     positions: Float32[Tensor, "X 3"]  # of the fine voxels, in [-1, 1]
     normals: Float32[Tensor, "X 3"]

@@ -1,4 +1,4 @@
-"""Figures of one generated motion beside the true one, to watch a training by."""
+"""Figures of one generated motion against the true one, to monitor training."""
 
 import numpy as np
 import torch

@@ -1,4 +1,4 @@
-"""A U-Net over the levels of a pyramid. The grids are given: what is pooled away comes back where it was."""
+"""Sparse U-Net over the levels of a given pyramid; upsampling restores exactly the pooled voxels."""
 
 from dataclasses import dataclass
 from itertools import pairwise

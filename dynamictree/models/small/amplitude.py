@@ -1,4 +1,4 @@
-"""How far each voxel moves at each frequency, and how far it leans: the part of a motion that shape and wind decide.
+"""Amplitude of each voxel at each frequency, and its lean: the deterministic part of a motion.
 
 The network gives, in the wind's frame and as a share of the tree's height, the mean displacement c_0 and the size A of
 every other coefficient. What is left, u = c / A, is what the diffusion model learns. Both grow with the drag, the
@@ -155,7 +155,7 @@ class AmplitudeLosses:
     lean: Float32[Tensor, ""]  # over its square
 
     def total(self) -> Float32[Tensor, ""]:
-        """Weighted."""
+        """Weighted sum."""
         weighted: Tensor = self.logarithmic + self.overall + CENTROID_WEIGHT * self.centroid + LEAN_WEIGHT * self.lean
         return weighted
 
@@ -163,7 +163,7 @@ class AmplitudeLosses:
 def amplitude_losses(
     lean: Float32[Tensor, "R 3"], log_amplitude: Float32[Tensor, "R J 3"], spectrum: Complex64[Tensor, "R K 3"]
 ) -> AmplitudeLosses:
-    """What is wrong with a guess, in four ways.
+    """Four squared errors of a predicted amplitude and lean.
 
     In logarithms every voxel and every frequency counts alike; what E ln |c| lacks to ln A is measured afterwards. The
     second adds what is seen most, the frequencies that carry the motion: a² = Σ A² is all of it. The third holds low

@@ -1,4 +1,4 @@
-"""Noise that is as smooth along the tree as the motion is, so that smoothness need not be learnt.
+"""Noise with the spatial correlation of the motion, so that the network need not learn smoothness.
 
 Each node draws from several fields at once: white at the nodes, smoothed along the stems, raised from coarser levels,
 and one number for the whole tree. All have unit variance at every node; their shares are fitted, a frequency, to how
@@ -31,7 +31,7 @@ NUM_SCALES = 2 + len(STEPS_ALONG) + 3
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NoiseBasis:
-    """Fields of one tree: matrices [W, n] with rows of unit length."""
+    """Noise basis of one tree: matrices [W, n] with rows of unit length."""
 
     fields: tuple[SparseRows, ...]
 
@@ -49,7 +49,7 @@ class NoiseBasis:
 
 
 def noise_basis(nodes: TreeFeatures) -> NoiseBasis:
-    """The fields of a tree, given at its nodes (see `coarsen_features`)."""
+    """Build the noise basis of a tree, given at its nodes (see `coarsen_features`)."""
     return NoiseBasis(fields=tuple(sparse_rows(matrix) for matrix in field_matrices(nodes)))
 
 
@@ -87,7 +87,7 @@ def fit_shares(
 
 
 def _pairs(nodes: TreeFeatures, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes with themselves, with neighbours, with what bears them, with others of the same ancestor, and with any."""
+    """Pairs of nodes: with themselves, neighbours, ancestors, siblings, and random ones."""
     grids, size = nodes.grids, len(nodes.scalars)
     bearer = np.arange(size)
     bearer[nodes.links[:, 0].numpy()] = nodes.links[:, 1].numpy()

@@ -24,7 +24,7 @@ NOISE_SCALE = 25.0
 
 @dataclass(frozen=True, kw_only=True)
 class DenoiserShape:
-    """Widths and depth."""
+    """Widths and depth of the denoiser."""
 
     width: int = 64
     embedding: int = 96
@@ -58,7 +58,7 @@ class Denoiser(nn.Module):
         log_amplitude: Float32[Tensor, "W J 3"],
         neighbourhood: Neighbourhood,
     ) -> "DenoiserCondition":
-        """What does not change from step to step, of trees whose features lie on their nodes (`coarsen_features`)."""
+        """Compute the step-independent condition of trees whose features are on their nodes (`coarsen_features`)."""
         air = torch.cat([wind[:, :NUM_WIND], nodes.height_m.log()[:, None]], dim=1)
         return DenoiserCondition(
             geometry=self.describe(node_features(nodes, wind)).float(),
@@ -86,7 +86,7 @@ class Denoiser(nn.Module):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DenoiserCondition:
-    """What the denoiser knows of its trees, winds and frequencies."""
+    """Condition of the denoiser: trees, winds and frequencies."""
 
     geometry: Float32[Tensor, "W C"]
     air: Float32[Tensor, "B E"]

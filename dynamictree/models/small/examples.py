@@ -1,4 +1,4 @@
-"""From the dataset's trees to what training sees of them."""
+"""Training examples of the small model, made from the dataset's trees."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -46,7 +46,7 @@ def iter_training(paths: Sequence[str], *, first: int, count: int) -> Iterator[S
 
 
 def example_of(stored: StoredTree, resolution: int = 128, *, with_mesh: bool = True) -> Example:
-    """A tree of a shard; without its mesh as one that comes as voxels."""
+    """Convert a tree of a shard; `with_mesh=False` treats it as voxels without moments."""
     voxels, coefficients = stored.voxels(resolution), stored.spectrum(resolution).coefficients
     tree = tree_features(replace(voxels, moments=surface_moments(stored.mesh(), voxels.grid)) if with_mesh else voxels)
     turned = coefficients @ wind_axes(stored.wind).T / float(tree.height_m[0])
@@ -54,7 +54,7 @@ def example_of(stored: StoredTree, resolution: int = 128, *, with_mesh: bool = T
 
 
 def make_example(seed: int, resolution: int = 128) -> Example:
-    """The dataset's tree of a seed."""
+    """Generate the dataset's tree of a seed, and convert it."""
     sample = make_sample(seed)
     voxels, spectrum = voxel_spectrum(sample, resolution)
     tree = tree_features(voxels)

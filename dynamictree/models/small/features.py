@@ -1,4 +1,4 @@
-"""What the small model sees of a tree: features of its voxels, and the wind.
+"""Input features of the small model: per-voxel features of a tree, and the wind.
 
 Vectors are turned into the wind's frame (downwind, crosswind, up), so that no layer has to learn that the wind may
 come from anywhere; two channels give the wind's direction on the grid, so that the kernels' axes have a meaning.
@@ -41,7 +41,7 @@ AXIS_STEPS = 6
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TreeFeatures:
-    """One tree or a batch of trees, without the wind."""
+    """Features of one tree or a batch of trees, without the wind."""
 
     grids: Pyramid
     scalars: Float32[Tensor, "V S"]
@@ -55,7 +55,7 @@ class TreeFeatures:
 
 
 def tree_features(voxels: SurfaceVoxels) -> TreeFeatures:
-    """Measure a voxelised tree."""
+    """Compute the features of a voxelized tree."""
     grid, normals = voxels.grid, voxels.normals
     grids = pyramid(torch.from_numpy(grid.coords.astype(np.int64)), NUM_LEVELS)
     graph = _graph(grid, grids.levels[0])
@@ -85,7 +85,7 @@ def tree_features(voxels: SurfaceVoxels) -> TreeFeatures:
 
 
 def batch_features(trees: Sequence[TreeFeatures]) -> TreeFeatures:
-    """Several trees as one batch."""
+    """Concatenate several trees to one batch."""
     starts = np.cumsum([0, *(len(tree.scalars) for tree in trees[:-1])]).tolist()
     return TreeFeatures(
         grids=batch_pyramids([tree.grids for tree in trees]),
@@ -141,7 +141,7 @@ def wind_vector(winds: Sequence[Wind]) -> Float32[Tensor, "B 4"]:
 
 
 def node_features(tree: TreeFeatures, wind: Float32[Tensor, "B 4"]) -> Float32[Tensor, "V F"]:
-    """All that the network sees of a voxel, vectors in the wind's frame."""
+    """All features of a voxel, with vectors in the wind's frame."""
     sample = tree.grids.levels[0].sample_of_row
     cosine, sine = wind[sample, 2, None], wind[sample, 3, None]  # [V, 1]
     east, north = tree.vectors[..., 0], tree.vectors[..., 1]  # [V, A]

@@ -1,4 +1,4 @@
-"""What a voxel is part of: leaf or wood, how far out on its leaf, and so how it moves apart from what bears it.
+"""Foliage network: predicts for each voxel leaf or wood, the position on its leaf, and the leaf's own motion.
 
 A leaf swings about its base, fast; wood does not. Where a voxel's leaf begins is written in the shape around it, so
 here, and only here, the small model convolves: three levels, few channels. It is trained by itself, against what the

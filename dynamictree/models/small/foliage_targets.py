@@ -1,4 +1,4 @@
-"""What the dataset knows of its trees' voxels, for the foliage network to learn: see `diffusion.foliage`."""
+"""Training targets of the foliage network (see `foliage.py`), computed from the dataset's trees."""
 
 import numpy as np
 import torch
@@ -25,7 +25,7 @@ LEAST_SIZE = 1e-5
 def foliage_targets_of(
     stored: StoredTree, spectrum: Complex64[Tensor, "V K 3"], *, resolution: int = 128
 ) -> Float32[Tensor, "V O"]:
-    """What the foliage network is to tell of each voxel; `spectrum` is over the height, in the wind's frame."""
+    """Targets of each voxel; `spectrum` is divided by the height, in the wind's frame."""
     parts = torch.from_numpy(true_parts(stored, stored.voxels(resolution).grid))
     return torch.cat([parts, log_size(spectrum, stored.wind)], dim=1)
 
@@ -37,7 +37,7 @@ def log_size(spectrum: Complex64[Tensor, "V K 3"], wind: Wind) -> Float32[Tensor
 
 
 def true_parts(stored: StoredTree, grid: VoxelGrid) -> Float32[np.ndarray, "V 10"]:
-    """Means over the surface in each voxel, of what each vertex is part of."""
+    """Mean over the surface in each voxel of the part labels of its vertices."""
     mesh = stored.mesh()
     at_vertex = _at_vertices(stored, mesh)
     parts: Float32[np.ndarray, "V 10"] = (surface_average(mesh, grid) @ at_vertex).astype(np.float32)

@@ -22,14 +22,14 @@ BASE_VOXELS = 0.5
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Leaves:
-    """For each voxel the leaf that it lies on, as far as it does."""
+    """The leaf of each voxel, with a weight."""
 
     base: Int64[Tensor, " V"]  # the voxel that the leaf grows from
     outward: Float32[Tensor, "V 3"]  # unit vector from there
     share: Float32[Tensor, " V"]  # 0 on wood and at a leaf's base
 
     def swing(self, spectrum: Complex64[Tensor, "V K 3"]) -> Complex64[Tensor, "V K 3"]:
-        """The same motion, leaves turning about their bases; the mean pose (k = 0) is not made larger."""
+        """Replace the leaves' motion by rotations about their bases; the mean pose (k = 0) does not grow."""
         beyond = spectrum - spectrum[self.base]
         outward = self.outward[:, None].to(spectrum.dtype)
         across = beyond - (beyond * outward).sum(dim=2, keepdim=True) * outward

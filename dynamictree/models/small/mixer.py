@@ -1,4 +1,4 @@
-"""The small denoiser's body: rows that look at their neighbourhood at several scales at once.
+"""Body of the small denoiser: layers that mix each node with means over its neighbourhood at several scales.
 
 A tree's nodes are few and its motion has no preferred grid direction once vectors stand in the wind's frame. So instead
 of 27 taps a layer sees five fixed means (the node itself, what touches it, its ancestors' one and two levels up, the
@@ -28,7 +28,7 @@ from dynamictree.sparse.matrices import (
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SparseOperator:
-    """A sparse matrix and its transpose, for the way there and the way back."""
+    """A sparse matrix and its transpose, which the gradient needs."""
 
     forward: SparseRows
     backward: SparseRows
@@ -41,7 +41,7 @@ class SparseOperator:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Neighbourhood:
-    """The means that a layer sees, of one tree or of a batch."""
+    """Operators of the neighbourhood means that a layer reads, of one tree or of a batch."""
 
     near: tuple[SparseOperator, ...]  # [W, W]: over what touches, what bears, and what is borne
     pools: tuple[SparseOperator, ...]  # [coarser, W]: mean over the nodes of an ancestor; the last is the whole tree
@@ -49,7 +49,7 @@ class Neighbourhood:
 
 
 def neighbourhood(nodes: TreeFeatures) -> Neighbourhood:
-    """Of one tree, given at its nodes (see `coarsen_features`)."""
+    """Build the operators of one tree, given at its nodes (see `coarsen_features`)."""
     grids, size = nodes.grids, len(nodes.scalars)
     pools = [pool_matrix(grids, depth, 0) for depth in (1, 2)]
     raises = [raise_matrix(grids, depth, 0, steps=1) for depth in (1, 2)]
@@ -63,7 +63,7 @@ def neighbourhood(nodes: TreeFeatures) -> Neighbourhood:
 
 
 def batch_neighbourhoods(trees: Sequence[Neighbourhood]) -> Neighbourhood:
-    """Several trees' as one block-diagonal one."""
+    """Combine several trees' operators block-diagonally."""
     return Neighbourhood(
         near=tuple(_block(same) for same in zip(*(tree.near for tree in trees), strict=True)),
         pools=tuple(_block(same) for same in zip(*(tree.pools for tree in trees), strict=True)),

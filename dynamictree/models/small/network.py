@@ -38,7 +38,7 @@ class SmallPreset:
 
 
 class SmallNetwork(StorableNetwork):
-    """The three networks, and what was measured on the training set between their trainings."""
+    """The three networks, and statistics of the training set that were measured between their trainings."""
 
     KIND, VERSION, PRESET = "dynamictree-small", "5", SmallPreset
     preset: SmallPreset

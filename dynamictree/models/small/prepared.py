@@ -1,4 +1,4 @@
-"""One tree in one wind, ready for chance: what amplitude network and geometry say, and how nodes become voxels."""
+"""Deterministic part of sampling, precomputed for one tree and one wind."""
 
 import math
 from dataclasses import dataclass
@@ -42,7 +42,7 @@ FIXED_SHARE = 0.02
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PreparedTree:
-    """Everything about a tree that the sampler and what follows it need."""
+    """Precomputed data of a tree for the sampler and for the steps after it."""
 
     nodes: TreeFeatures
     wind: Float32[Tensor, "1 4"]
@@ -72,7 +72,7 @@ class PreparedTree:
         return self.leaves.swing(torch.cat([self.lean[:, None].to(field.dtype), field * self.amplitude], dim=1))
 
     def to_metres(self, relative: Complex64[Tensor, "V K 3"]) -> Complex64[np.ndarray, "X K 3"]:
-        """In the tree's own frame, on the grid that was asked for [m]."""
+        """Convert to the tree's own frame, on the requested grid [m]."""
         coefficients = relative.numpy() @ self.axes * self.height_m
         if self.finer is not None:
             raised = self.finer @ coefficients.reshape(len(coefficients), -1)
@@ -93,7 +93,7 @@ def soften(field: Complex64[Tensor, "V J 3"]) -> Complex64[Tensor, "V J 3"]:
 def prepare_tree(
     network: SmallNetwork, voxels: SurfaceVoxels, wind: Wind, *, max_voxels: int = MAX_NETWORK_VOXELS
 ) -> PreparedTree:
-    """Measure the tree, ask the amplitude network, make the matrices."""
+    """Compute features, amplitudes and interpolation matrices of a tree."""
     halvings = halvings_served(voxels.grid, network.preset.resolution, "small", max_voxels=max_voxels)
     coarse, finer = coarsened(voxels, halvings)
     tree, air, top = tree_features(coarse), wind_vector([wind]), network.preset.top

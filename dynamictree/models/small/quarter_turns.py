@@ -1,4 +1,4 @@
-"""The eight sides from which a voxel grid can be seen exactly: quarter turns about the vertical, and their mirrors."""
+"""The eight exact symmetries of a voxel grid: quarter turns about the vertical, and their mirrors."""
 
 SIDES: tuple[tuple[tuple[int, int, int], tuple[int, int, int]], ...] = tuple(
     (axes, (east, north, 1)) for axes in ((0, 1, 2), (1, 0, 2)) for east in (1, -1) for north in (1, -1)

@@ -1,4 +1,4 @@
-"""What the surface in and around a voxel looks like: line, plane or clump, and whether one card or many sides.
+"""Shape features of the surface in and around a voxel: line, plane or clump, one card or many sides.
 
 Moments of the surface (`voxel.moments`) are averaged along the tree over wider and wider surroundings; eigenvalues do
 not change when the tree is turned, and mean the same on any species.

@@ -41,7 +41,7 @@ TREES_A_FILE = 25
 
 @dataclass(frozen=True, kw_only=True)
 class SmallTraining:
-    """The resolved run. Each part takes the next trees of the shards, so that none judges itself by what it knows."""
+    """Settings of a training run. Each part takes other trees, so that none is measured on its training data."""
 
     foliage_trees: int = 800
     amplitude_trees: int = 1200
@@ -125,7 +125,7 @@ def _train_foliage(
 def _rows(
     network: SmallNetwork, plan: SmallTraining, shards: Sequence[str], folder: Path, on_step: OnTrainingStep | None
 ) -> AmplitudeRows:
-    """Made by the first process, read by all."""
+    """Training rows of the amplitude network: written by the first process, read by all."""
     paths = [folder / f"{first:06d}.safetensors" for first in range(0, plan.amplitude_trees, TREES_A_FILE)]
     if process_rank() == 0:
         folder.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""Training of the foliage network: whole trees, one a step, each seen from one of eight sides."""
+"""Training of the foliage network: one whole tree per step, in one of eight symmetries."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -36,7 +36,7 @@ class FoliageExample:
     bare: TreeFeatures  # without these
 
     def tree(self) -> TreeFeatures:
-        """As the network sees it, which sees no chain of stems."""
+        """Features for the network, without the chain of stems."""
         count = len(self.scalars)
         return replace(
             self.bare,
@@ -50,7 +50,7 @@ class FoliageExample:
 
 
 def foliage_examples(stored: Iterable[StoredTree], *, resolution: int = 128) -> Iterator[FoliageExample]:
-    """Measure trees."""
+    """Compute features and targets of trees."""
     for one in stored:
         example = example_of(one, resolution, with_mesh=one.seed % BLIND_EVERY != 0)
         tree = example.tree

@@ -1,4 +1,4 @@
-"""The small model's training: amplitude first, then, over what it leaves, the diffusion."""
+"""Training steps of the small model: the amplitude network, then the denoiser of the whitened residual."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -34,7 +34,7 @@ HALF_SCALE = 1000.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class AmplitudeRows:
-    """Voxels drawn from many trees, as the amplitude network sees them; float16, since there are many."""
+    """Inputs and targets of voxels drawn from many trees; float16 to save memory."""
 
     inputs: Float16[Tensor, "R I"]
     wind: Float32[Tensor, "R 2"]
@@ -44,13 +44,13 @@ class AmplitudeRows:
         return len(self.inputs)
 
     def spectrum(self, rows: Int64[Tensor, " S"]) -> Complex64[Tensor, "S K 3"]:
-        """Over the height, in the wind's frame."""
+        """Spectrum divided by the height, in the wind's frame."""
         return torch.view_as_complex(self.scaled[rows].float() / HALF_SCALE)
 
 
 @torch.no_grad()
 def amplitude_rows(foliage: FoliageNetwork, examples: Iterable[Example], rng: np.random.Generator) -> AmplitudeRows:
-    """VOXELS_A_TREE of each tree."""
+    """Draw VOXELS_A_TREE voxels of each tree."""
     inputs, winds, spectra = [], [], []
     for example in examples:
         wind = wind_vector([example.wind])
@@ -64,7 +64,7 @@ def amplitude_rows(foliage: FoliageNetwork, examples: Iterable[Example], rng: np
 
 
 def write_rows(rows: AmplitudeRows, path: Path) -> None:
-    """All of it, or nothing."""
+    """Write rows atomically."""
     partial = path.with_suffix(".partial")
     save_file({"inputs": rows.inputs, "wind": rows.wind, "scaled": rows.scaled}, partial)
     partial.rename(path)
@@ -78,7 +78,7 @@ def read_rows(paths: Sequence[Path]) -> AmplitudeRows:
 
 
 def standardise(network: AmplitudeNetwork, rows: AmplitudeRows) -> None:
-    """Set the mean and deviation that the network takes off its inputs."""
+    """Set the mean and deviation by which the network normalises its inputs."""
     some = rows.inputs[:: max(1, len(rows) // STANDARDISED_ON)].float()
     network.mean.copy_(some.mean(dim=0))
     network.deviation.copy_(some.std(dim=0) + MIN_DEVIATION)

@@ -1,4 +1,4 @@
-"""What a voxel grid tells of the stems in it: the shortest paths to the root, read as a branching structure."""
+"""Branching structure of a voxel grid, read from the shortest paths to the root."""
 
 from dataclasses import dataclass
 
@@ -20,7 +20,7 @@ SECTION_VOXELS = 2
 
 @dataclass(frozen=True, kw_only=True)
 class Skeleton:
-    """Each voxel's place on the stem that it belongs to. A stem goes on into the child that reaches furthest."""
+    """Position of each voxel on its stem. A stem continues in the child that reaches furthest."""
 
     parent: Int32[np.ndarray, " V"]  # next voxel towards the root; a root is its own
     distance_m: Float32[np.ndarray, " V"]  # along the tree to the root [m]

@@ -1,4 +1,4 @@
-"""Between the two trainings: what the amplitude network leaves over is put on the nodes and measured."""
+"""Whitening: divide spectra by the predicted amplitude, average on the nodes, and measure the statistics."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ NUM_MEASURED = 24
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WhiteExample:
-    """What the denoiser learns from: a tree's whitened spectrum on its nodes."""
+    """Training example of the denoiser: a tree's whitened spectrum on its nodes."""
 
     nodes: TreeFeatures
     wind: Wind
@@ -73,7 +73,7 @@ def measure(network: SmallNetwork, examples: Iterable[Example], rng: np.random.G
 def _energy_shares(
     spectrum: Complex64[Tensor, "V K 3"], amplitude: Float32[Tensor, "V J 3"]
 ) -> Float32[Tensor, "2 J 3"]:
-    """Of a tree and of the guess at it, over the tree's energy in all."""
+    """Energy of a tree and of its prediction, divided by the tree's total energy."""
     energies = torch.stack([one.square().sum(dim=0) for one in (spectrum[:, 1:].abs(), amplitude)])
     return energies / energies[0].sum()
 
