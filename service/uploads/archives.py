@@ -54,7 +54,7 @@ def unpack(
     """
     try:
         with zipfile.ZipFile(archive.path) as opened:
-            entries = [entry for entry in opened.infolist() if not entry.is_dir()]
+            entries = [entry for entry in opened.infolist() if not entry.filename.endswith("/")]
             require_room(_check(entries, archive.bytes))
             left = MAX_UNPACKED_BYTES
             files = []

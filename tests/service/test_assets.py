@@ -136,6 +136,9 @@ def test_a_zip_with_a_link_a_twin_or_damage_is_rejected(client: TestClient) -> N
     assert "symbolic link" in send(client, ("all.zip", packed.getvalue())).json()["detail"]
     twin = zipped(("tree.obj", OBJ), ("tref.obj", OBJ)).replace(b"tref", b"tree")
     assert "twice" in send(client, ("all.zip", twin)).json()["detail"]
+    nameless = zipped(("tree.obj", OBJ), ("~~~", b"x")).replace(b"~~~", b"\0ab")  # zipfile reads a name to its NUL
+    refused = send(client, ("all.zip", nameless))
+    assert (refused.status_code, refused.json()["code"]) == (422, "archive-rejected")
     whole = bytearray(zipped(("tree.obj", OBJ * 100)))
     whole[60:80] = bytes(20)
     assert send(client, ("all.zip", bytes(whole))).json()["code"] == "archive-rejected"
