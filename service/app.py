@@ -111,6 +111,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         redoc_url=None,
         openapi_url="/openapi.json",
         separate_input_output_schemas=False,
+        redirect_slashes=False,  # it would send the key on to the request's own Host, without TLS behind a proxy
         description=DESCRIPTION,
         servers=SERVERS,
     )

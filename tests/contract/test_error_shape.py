@@ -52,6 +52,12 @@ def test_an_unknown_path(client: TestClient) -> None:
     assert_problem(client.get("/v1/nothing"), 404, "not-found")
 
 
+def test_a_slash_too_many_sends_nobody_and_no_key_elsewhere(client: TestClient) -> None:
+    answer = client.get("/v1/jobs/", follow_redirects=False)
+    assert_problem(answer, 404, "not-found")
+    assert "Location" not in answer.headers
+
+
 def test_a_wrong_method(client: TestClient) -> None:
     response = client.put("/v1/jobs")
     assert_problem(response, 405, "method-not-allowed")
