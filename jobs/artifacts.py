@@ -49,7 +49,7 @@ class FolderArtifacts:
 
     def __init__(self, root: Path) -> None:
         self.root = root
-        root.mkdir(parents=True, exist_ok=True)
+        root.mkdir(mode=0o700, parents=True, exist_ok=True)
 
     def put(self, path: Path, digest: str) -> None:
         """Store a file's bytes."""
@@ -60,7 +60,7 @@ class FolderArtifacts:
         target = self._path(digest)
         if target.exists():
             return
-        target.parent.mkdir(parents=True, exist_ok=True)
+        target.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         beside = target.with_name(f".{digest}.{secrets.token_hex(8)}")
         try:
             _link_or_copy(path, beside)

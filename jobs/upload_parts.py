@@ -57,7 +57,7 @@ class FolderParts:
 
     def __init__(self, root: Path) -> None:
         self.root = root
-        root.mkdir(parents=True, exist_ok=True)
+        root.mkdir(mode=0o700, parents=True, exist_ok=True)
 
     def size(self, upload_id: str) -> int:
         """How many bytes are there."""

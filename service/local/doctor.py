@@ -95,7 +95,7 @@ def _environment(_: Settings) -> Finding:
 def _state(settings: Settings) -> Finding:
     folder = settings.state_dir.resolve()
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         probe = folder / f".doctor-{os.getpid()}"
         probe.touch()
         probe.unlink()

@@ -152,7 +152,7 @@ def _absolute(url: str) -> str:
 def redis_plan(settings: Settings) -> ChildPlan:
     """The embedded Redis: a unix socket, an append-only file, no eviction, data under the state folder."""
     folder = settings.state_dir.resolve() / "redis"
-    folder.mkdir(parents=True, exist_ok=True)
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     settings.redis_socket.unlink(missing_ok=True)
     options = REDIS_CONFIG | {"dir": str(folder), "unixsocket": str(settings.redis_socket), "unixsocketperm": "700"}
     command = [str(get_binary_path())]
@@ -200,7 +200,7 @@ class LockedFile:
     """
 
     def __init__(self, path: Path) -> None:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         self._stream = path.open("a")
         try:
             fcntl.flock(self._stream, fcntl.LOCK_EX | fcntl.LOCK_NB)

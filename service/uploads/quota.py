@@ -29,7 +29,7 @@ def require_room(owned: Owned, wanted: int = 0) -> None:
         ProblemError: less than `min_free_bytes` would be left after `wanted` more.
     """
     settings = owned.services.settings
-    settings.scratch_dir.mkdir(parents=True, exist_ok=True)
+    settings.scratch_dir.mkdir(mode=0o700, parents=True, exist_ok=True)
     free = shutil.disk_usage(settings.scratch_dir).free
     in_storage = owned.services.artifacts.free_bytes()
     promised = 0

@@ -11,7 +11,8 @@ from typer.testing import CliRunner
 from jobs.settings import Settings
 from service.local.doctor import doctor, examine
 from service.local.keys import app as keys
-from service.local.serve import LockedFile, listen, plans, require_keys_beyond_loopback, serve
+from service.local.serve import LockedFile, listen, plans, redis_plan, require_keys_beyond_loopback, serve
+from service.services import open_services
 
 app = typer.Typer()
 app.command("serve")(serve)
@@ -92,6 +93,17 @@ def test_a_state_folder_has_one_owner(tmp_path: Path) -> None:
         LockedFile(tmp_path / "serve.lock")
     lease.close()
     LockedFile(tmp_path / "serve.lock").close()
+
+
+def test_only_the_owner_of_the_process_reads_what_is_stored(tmp_path: Path) -> None:
+    settings = Settings(state_dir=tmp_path / "new")
+    LockedFile(settings.state_dir / "serve.lock").close()
+    redis_plan(settings)
+    with open_services(settings):
+        pass
+    examine(Settings(state_dir=tmp_path / "examined"))
+    for folder in ("new", "new/redis", "new/artifacts", "new/artifacts/uploads", "examined"):
+        assert (tmp_path / folder).stat().st_mode & 0o777 == 0o700, folder
 
 
 def test_where_redis_has_a_url_none_is_started(tmp_path: Path) -> None:
