@@ -12,7 +12,7 @@ import sys
 from collections import defaultdict
 from pathlib import Path
 
-FOLDERS = ("torch/include", "torch/test", "torch/share", "torch/testing/_internal")
+FOLDERS = ("torch/include", "torch/test", "torch/share")
 TESTED = ("networkx", "numba", "numpy", "scipy", "skimage", "sympy")
 """Packages whose folders named `tests` go."""
 
