@@ -1,5 +1,6 @@
 """Keys, owners, quotas, rates, origins: who comes in, and to what."""
 
+import threading
 import time
 from collections.abc import Iterator
 
@@ -10,8 +11,10 @@ from starlette.websockets import WebSocketDisconnect
 
 from jobs.keys import Limit, Scope, create_key, revoke_key
 from jobs.settings import Settings
+from service import open_streams
 from service.app import create_app
 from service.http import authentication
+from service.routes import job_events
 from service.services import Services
 from tests.service.conftest import hold, publish
 from tests.service.test_assets import OBJ, send
@@ -63,6 +66,22 @@ def test_a_revoked_or_expired_key_opens_nothing(app_services: tuple[TestClient, 
     revoke_key(services.store, record.id)
     time.sleep(authentication.REMEMBERED_S + 0.1)  # a replica may know the key for so long
     assert client.get("/v1/usage", headers=headers).status_code == 401
+
+
+def test_a_key_that_is_revoked_ends_the_events_that_it_follows(
+    app_services: tuple[TestClient, Services], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(open_streams, "CHECK_S", 0.05)
+    monkeypatch.setattr(job_events, "HEARTBEAT_S", 0.2)
+    store = app_services[1].store
+    record, key = create_key(store, name="test", owner="ann")
+    client = TestClient(app_services[0].app, "http://trees.example", headers={"Authorization": f"Bearer {key}"})
+    asset = send(client, TREE).json()["id"]
+    job = client.post("/v1/jobs", json={"type": "voxelize", "asset_id": asset}).json()["id"]
+    timer = threading.Timer(0.3, lambda: revoke_key(store, record.id))
+    timer.start()
+    assert client.get(f"/v1/jobs/{job}/events").text.count("event: job") == 1  # the job waits; its events end
+    timer.join()
 
 
 def test_a_key_does_only_what_its_scopes_say(app_services: tuple[TestClient, Services]) -> None:

@@ -228,6 +228,8 @@ def test_a_key_changes_with_what_decides_the_stage(runtime: Runtime, asset: Asse
     assert stage_key(replace(job, seed=5, id="other"), "voxelize", {MESH_BUNDLE: "a", VOXELS: "b"}) == key
     assert stage_key(replace(job, params={"resolution": 64}), "voxelize", {MESH_BUNDLE: "a"}) != key
     assert stage_key(job, "voxelize", {MESH_BUNDLE: "c"}) != key
+    owners = {stage_key(replace(job, owner=owner), "voxelize", {MESH_BUNDLE: "a"}) for owner in ("ann", "bob")}
+    assert len(owners | {key}) == 3  # `cached: true` would tell one owner of another's bytes
 
 
 def test_a_model_that_is_not_there_is_named() -> None:
