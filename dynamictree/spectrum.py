@@ -20,6 +20,7 @@ from dynamictree.voxel.grid import VoxelGrid
 NUM_FREQUENCIES = 16  # K, paper section 3.2
 NUM_FRAMES = 100  # T, paper section 5
 FPS = 24.0  # Blender's default, in which the paper's dataset was baked
+_FRAMES_AT_ONCE, _VALUES_AT_ONCE = 16, 4_000_000
 
 Rest = Literal["unloaded", "first-frame", "mean"]
 RESTS: tuple[Rest, ...] = get_args(Rest)
@@ -99,6 +100,14 @@ def to_motion(
     return np.fft.irfft(spectrum, n=num_frames, axis=0, norm="forward").astype(np.float32)
 
 
+def synthesis(num_frequencies: int, num_frames: int) -> Float32[np.ndarray, "D T"]:
+    """Matrix from the re and im of each coefficient in turn to the frames of one period: `to_motion` as a product."""
+    angle = 2 * np.pi * np.outer(np.arange(num_frequencies), np.arange(num_frames)) / num_frames
+    turns = np.stack([np.cos(angle), -np.sin(angle)], axis=1)  # [K, 2, T]
+    turns *= bin_weights(num_frequencies, num_frames)[:, None, None]
+    return turns.reshape(2 * num_frequencies, num_frames).astype(np.float32)
+
+
 def displacement_at(
     coefficients: Complex64[np.ndarray, "N K 3"], phase: float, num_frames: int = NUM_FRAMES
 ) -> Float32[np.ndarray, "N 3"]:
@@ -113,13 +122,14 @@ def displacement_at(
 def iter_motion(
     coefficients: Complex64[np.ndarray, "N K 3"], phases: Float64[np.ndarray, " M"], num_frames: int = NUM_FRAMES
 ) -> Iterator[Float32[np.ndarray, "N 3"]]:
-    """One frame of displacement after another, never the whole motion in memory [m]."""
+    """One frame of displacement after another, never the whole motion in memory: a few at once [m]."""
     num_points, num_frequencies, _ = coefficients.shape
     # real part of a complex sum as one real product: [cos, -sin] · [re, im]
     stacked = np.concatenate([coefficients.real, coefficients.imag], axis=1)  # [N, 2K, 3]
     stacked = np.ascontiguousarray(stacked.transpose(1, 0, 2)).reshape(2 * num_frequencies, num_points * 3)
     weights = bin_weights(num_frequencies, num_frames)
-    for phase in phases:
-        angle = 2 * np.pi * phase * np.arange(num_frequencies)
-        turn = np.concatenate([weights * np.cos(angle), -weights * np.sin(angle)]).astype(np.float32)
-        yield (turn @ stacked).reshape(num_points, 3)
+    at_once = int(np.clip(_VALUES_AT_ONCE // max(3 * num_points, 1), 1, _FRAMES_AT_ONCE))
+    for start in range(0, len(phases), at_once):
+        angle = 2 * np.pi * np.outer(phases[start : start + at_once], np.arange(num_frequencies))
+        turns = np.concatenate([weights * np.cos(angle), -weights * np.sin(angle)], axis=1).astype(np.float32)
+        yield from (turns @ stacked).reshape(-1, num_points, 3)

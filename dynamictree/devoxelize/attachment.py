@@ -12,8 +12,10 @@ from jaxtyping import Complex64, Float32, Float64, Int32, Int64
 from scipy.spatial import cKDTree
 
 from dynamictree.mesh import TriangleMesh, connected_parts, part_bounds
+from dynamictree.parallel import num_cores
+from dynamictree.voxel.clip import SurfacePieces
 from dynamictree.voxel.grid import VoxelGrid
-from dynamictree.voxel.voxelize import surface_pieces
+from dynamictree.voxel.voxelize import grid_pieces
 
 SMALL_PART_VOXELS = 8.0
 """Largest extent of a part that hangs on another, in voxels. The voxels of a larger one say how it moves."""
@@ -78,8 +80,8 @@ def _depths(
     return result
 
 
-def find_attachments(mesh: TriangleMesh, grid: VoxelGrid) -> Attachments:
-    """Find the attachments in a welded mesh and its grid."""
+def find_attachments(mesh: TriangleMesh, grid: VoxelGrid, pieces: SurfacePieces | None = None) -> Attachments:
+    """Find the attachments in a welded mesh and its grid; `pieces` are those of both, if they are there."""
     part = connected_parts(mesh.faces, mesh.num_vertices)
     low, high = part_bounds(part, mesh.vertices)
     extent: Float64[np.ndarray, " parts"] = (high - low).max(axis=1) / grid.voxel_size_m
@@ -91,7 +93,7 @@ def find_attachments(mesh: TriangleMesh, grid: VoxelGrid) -> Attachments:
     if not seeking.any():
         nothing = np.zeros((0, 2), np.int64)
         return _attachments(mesh, part, nothing.astype(np.int32), np.zeros((0, 2, 3), np.float32))
-    pieces = surface_pieces(mesh, grid.origin_m, grid.voxel_size_m, grid.resolution)
+    pieces = pieces or grid_pieces(mesh, grid)
     owner = part[mesh.faces[pieces.faces, 0]]
     places = np.einsum("pi,pic->pc", pieces.centroids, mesh.vertices[mesh.faces[pieces.faces]])
     reach = MAX_GAP_VOXELS * grid.voxel_size_m
@@ -99,16 +101,13 @@ def find_attachments(mesh: TriangleMesh, grid: VoxelGrid) -> Attachments:
     for one in np.unique(size_class[seeking]):
         own, above = np.flatnonzero((seeking & (size_class == one))[owner]), np.flatnonzero(size_class[owner] > one)
         if len(above) and len(own):
-            matches = cKDTree(places[above]).query(places[own], distance_upper_bound=reach)
-            gap, nearest = np.asarray(matches[0]), np.asarray(matches[1])
-            best = _first_of_each(owner[own], gap)
-            pairs.append(np.stack([own[best], above[nearest[best]]], axis=1))
+            gap, nearest = _near(places[above], places[own], reach_m=reach, count=1)
+            best = _first_of_each(owner[own], gap[:, 0])
+            pairs.append(np.stack([own[best], above[nearest[best, 0]]], axis=1))
     seeking[owner[np.concatenate(pairs)[:, 0]]] = False
     own = np.flatnonzero(seeking[owner])
     if len(own):  # only parts of about their own size are near
-        count = np.arange(1, min(_NEAR_PIECES, len(places)) + 1)
-        matches = cKDTree(places).query(places[own], k=count, distance_upper_bound=reach)
-        gap, nearest = np.asarray(matches[0]), np.asarray(matches[1])
+        gap, nearest = _near(places, places[own], reach_m=reach, count=min(_NEAR_PIECES, len(places)))
         larger = rank[owner[np.minimum(nearest, len(places) - 1)]] > rank[owner[own]][:, None]
         gap = np.where(larger, gap, np.inf)
         column = np.argmin(gap, axis=1)
@@ -116,6 +115,15 @@ def find_attachments(mesh: TriangleMesh, grid: VoxelGrid) -> Attachments:
         pairs.append(np.stack([own[best], nearest[best, column[best]]], axis=1))
     chosen = np.concatenate(pairs)
     return _attachments(mesh, part, pieces.faces[chosen], pieces.centroids[chosen])
+
+
+def _near(
+    places: Float32[np.ndarray, "P 3"], points: Float32[np.ndarray, "M 3"], *, reach_m: float, count: int
+) -> tuple[Float64[np.ndarray, "M count"], Int64[np.ndarray, "M count"]]:
+    """Distance and row of the nearest places to each point, nearest first; infinite and P where there is none."""
+    tree = cKDTree(places, balanced_tree=False, compact_nodes=False)  # few queries: quick to build
+    matches = tree.query(points, k=np.arange(1, count + 1), distance_upper_bound=reach_m, workers=num_cores())
+    return np.asarray(matches[0]), np.asarray(matches[1])
 
 
 def _first_of_each(group: Int32[np.ndarray, " M"], gap: Float64[np.ndarray, " M"]) -> Int64[np.ndarray, " B"]:

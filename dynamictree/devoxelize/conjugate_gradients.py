@@ -1,4 +1,4 @@
-"""Conjugate gradients for many right-hand sides at once, preconditioned by the diagonal, on all cores.
+"""Conjugate gradients for many right-hand sides at once, preconditioned by the blocks of vertices, on all cores.
 
 Saad, Iterative Methods for Sparse Linear Systems, algorithm 9.1. Columns have steps of their own, so bands of WIDTH
 columns are solved on threads of their own; a band's vectors stay in a core's cache.
@@ -37,7 +37,7 @@ def conjugate_gradients(
     """
     blocks = system.tobsr((_AXES, _AXES))
     matrix = blocks.indptr, blocks.indices, blocks.data.ravel()
-    inverse = (1 / system.diagonal()).astype(np.float32)
+    inverse = np.linalg.inv(_diagonal_blocks(blocks)).astype(np.float32).ravel()
     num_rows, num_columns = right.shape
 
     def solve(first: int) -> Float32[np.ndarray, "M w"]:
@@ -51,13 +51,20 @@ def conjugate_gradients(
         return np.concatenate(list(pool.map(solve, range(0, num_columns, WIDTH))), axis=1)
 
 
+def _diagonal_blocks(blocks: scipy.sparse.bsr_array) -> Float64[np.ndarray, "n 3 3"]:
+    """What each vertex's displacement does to its own force: edges are stiff along, and soft across."""
+    vertex = np.repeat(np.arange(len(blocks.indptr) - 1), np.diff(blocks.indptr))
+    diagonal: Float64[np.ndarray, "n 3 3"] = blocks.data[vertex == blocks.indices].astype(np.float64)
+    return diagonal
+
+
 @compiled_reordered
 @no_type_check  # numba compiles no checked function
 def _solve_band(
     starts: Int32[np.ndarray, " n_1"],
     neighbours: Int32[np.ndarray, " B"],
     blocks: Float32[np.ndarray, " 9B"],
-    inverse: Float32[np.ndarray, " M"],
+    inverse: Float32[np.ndarray, " 3M"],
     residual: Float32[np.ndarray, " 16M"],
     solution: Float32[np.ndarray, " 16M"],
     steps: int,
@@ -67,7 +74,7 @@ def _solve_band(
     step, product, former = np.zeros(WIDTH, np.float32), np.zeros(WIDTH), np.zeros(WIDTH)
     _multiply(starts, neighbours, blocks, solution, image)
     _add(np.full(WIDTH, np.float32(-1)), image, residual)
-    _scale(inverse, residual, direction)
+    _precondition(inverse, residual, direction)
     _dots(residual, direction, product)
     for _ in range(steps):
         _multiply(starts, neighbours, blocks, direction, image)
@@ -75,7 +82,7 @@ def _solve_band(
         _ratio(product, former, step)
         _add(step, direction, solution)
         _add(-step, image, residual)
-        _scale(inverse, residual, image)
+        _precondition(inverse, residual, image)
         former[:] = product
         _dots(residual, image, product)
         _ratio(product, former, step)
@@ -156,14 +163,21 @@ def _scale_and_add(
 
 @compiled_reordered
 @no_type_check  # numba compiles no checked function
-def _scale(
-    inverse: Float32[np.ndarray, " M"], values: Float32[np.ndarray, " 16M"], scaled: Float32[np.ndarray, " 16M"]
+def _precondition(
+    inverse: Float32[np.ndarray, " 3M"], values: Float32[np.ndarray, " 16M"], scaled: Float32[np.ndarray, " 16M"]
 ) -> None:
-    """Write each row times its factor."""
-    for row in range(len(inverse)):
-        factor, first = inverse[row], np.uint64(WIDTH * row)
+    """Write the rows of each vertex times its block of `inverse`."""
+    for vertex in range(len(inverse) // 9):
+        own, at = np.uint64(_AXES * WIDTH * vertex), 9 * vertex
+        xx, xy, xz = inverse[at], inverse[at + 1], inverse[at + 2]
+        yx, yy, yz = inverse[at + 3], inverse[at + 4], inverse[at + 5]
+        zx, zy, zz = inverse[at + 6], inverse[at + 7], inverse[at + 8]
         for column in range(WIDTH):
-            scaled[first + np.uint64(column)] = factor * values[first + np.uint64(column)]
+            lane = own + np.uint64(column)
+            x, y, z = values[lane], values[lane + np.uint64(WIDTH)], values[lane + np.uint64(2 * WIDTH)]
+            scaled[lane] = xx * x + xy * y + xz * z
+            scaled[lane + np.uint64(WIDTH)] = yx * x + yy * y + yz * z
+            scaled[lane + np.uint64(2 * WIDTH)] = zx * x + zy * y + zz * z
 
 
 @compiled_reordered

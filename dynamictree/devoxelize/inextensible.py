@@ -16,7 +16,9 @@ p those of the frame, l_ij the length of an edge at rest and h the edge of a vox
 A direction turns by less than a right angle however far the motion goes, so the motion saturates.
 """
 
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import no_type_check
 
 import numpy as np
@@ -24,7 +26,13 @@ import scipy.sparse
 from jaxtyping import Bool, Complex64, Float32, Float64, Int32, Int64
 
 from dynamictree.devoxelize.attachment import SMALL_PART_VOXELS, Attachments
-from dynamictree.devoxelize.length_preserving import LengthPreservingInterpolation, TreesInterpolation
+from dynamictree.devoxelize.length_preserving import (
+    LengthPreservingInterpolation,
+    OnProgress,
+    TreesInterpolation,
+    ignore_progress,
+)
+from dynamictree.devoxelize.symmetric_factor import SymmetricFactor, factored
 from dynamictree.mesh import edges_of, weld
 from dynamictree.parallel import compiled, in_bands
 from dynamictree.spectrum import from_motion, iter_motion
@@ -40,6 +48,7 @@ _SHORTEST_EDGE = 0.05  # in voxels; shorter edges are no stiffer
 _CARD_VERTICES = 8  # with so few, a part that hangs is a card at any size
 _CLOSE, _SHARE_APART = 0.001, 0.01
 """A pose is good enough where all but this share of its edges have their lengths to this accuracy."""
+_FRAMES_AT_ONCE = 10  # two bands of the solver
 _SAMPLED_EDGES = 200_000
 _SAMPLED_FRAMES = 16
 _TURNS = 30  # of the iteration to the nearest rotation
@@ -57,39 +66,57 @@ class InextensiblePose:
     elastic: Int64[np.ndarray, " m"]  # rows of vertices in parts that bend
     edges: Int64[np.ndarray, "E 2"]  # of these
     anchor: Float64[np.ndarray, " m"]
-    factor: "scipy.sparse.linalg.SuperLU"
+    factor: SymmetricFactor
     pull: scipy.sparse.csr_array  # [m, E], weighted
     rigid: Int64[np.ndarray, " r"]  # rows of vertices in parts that do not
 
     def apply(self, displacement: Float32[np.ndarray, "N 3"]) -> Float32[np.ndarray, "N 3"]:
         """The pose nearest to this one whose edges keep their lengths [m]."""
-        moved = self.rest + displacement[self.first].astype(np.float64)
-        pose = moved.copy()
-        if len(self.elastic):
-            pose[self.elastic] = self._bent(moved[self.elastic])
-        if len(self.rigid):
-            pose[self.rigid] = self._turned(moved[self.rigid])
-        shift = (pose - self.rest).astype(np.complex64)[:, None]
-        unstretched = np.ascontiguousarray(self.attachments.closed(shift)[:, 0].real[self.vertex])
-        unstretched[self.still] = 0
-        return unstretched
+        return next(self.iter_poses([displacement]))
 
-    def _bent(self, moved: Float64[np.ndarray, "m 3"]) -> Float64[np.ndarray, "m 3"]:
-        start, end = self.edges.T
+    def iter_poses(self, frames: Iterable[Float32[np.ndarray, "N 3"]]) -> Iterator[Float32[np.ndarray, "N 3"]]:
+        """The pose nearest to each frame whose edges keep their lengths [m]; several at once, on all cores."""
+        for some in _batches(frames, _FRAMES_AT_ONCE):
+            moved = [self.rest + frame[self.first].astype(np.float64) for frame in some]
+            bent = self._bent([frame[self.elastic] for frame in moved]) if len(self.elastic) else []
+            for index, frame in enumerate(moved):
+                pose = frame.copy()
+                if bent:
+                    pose[self.elastic] = bent[index]
+                if len(self.rigid):
+                    pose[self.rigid] = self._turned(frame[self.rigid])
+                shift = (pose - self.rest).astype(np.complex64)[:, None]
+                unstretched = np.ascontiguousarray(self.attachments.closed(shift)[:, 0].real[self.vertex])
+                unstretched[self.still] = 0
+                yield unstretched
+
+    def _bent(self, frames: Sequence[Float64[np.ndarray, "m 3"]]) -> list[Float64[np.ndarray, "m 3"]]:
         rest = self.rest[self.elastic]
-        across = rest[start] - rest[end]
-        length = np.linalg.norm(across, axis=1, keepdims=True)
-        direction = moved[start] - moved[end]
-        pose = moved
-        rounds = min(ROUNDS, max(2, _SOLVED_ROWS // len(moved)))
-        for _ in range(1 + rounds):
-            target = direction * (length / np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-12))
-            pose = self.factor.solve(self.pull @ target + self.anchor[:, None] * pose)
-            direction = pose[start] - pose[end]
-            change = np.abs(np.linalg.norm(direction, axis=1, keepdims=True) - length)
-            if np.count_nonzero(change > _CLOSE * length) < _SHARE_APART * len(length):
+        start, end = self.edges.T
+        length = np.linalg.norm(rest[start] - rest[end], axis=1)
+        poses, directions = list(frames), [frame[start] - frame[end] for frame in frames]
+        left = list(range(len(poses)))
+        for _ in range(1 + min(ROUNDS, max(2, _SOLVED_ROWS // len(rest)))):
+            right = [self._drawn(poses[index], directions[index], length) for index in left]
+            solved = self.factor.solve(np.concatenate(right, axis=1))
+            for place, index in enumerate(left):
+                poses[index] = solved[:, 3 * place : 3 * place + 3]
+                directions[index] = poses[index][start] - poses[index][end]
+            left = [index for index in left if not _fits(directions[index], length)]
+            if not left:
                 break
-        return pose
+        return poses
+
+    def _drawn(
+        self,
+        pose: Float64[np.ndarray, "m 3"],
+        direction: Float64[np.ndarray, "E 3"],
+        length: Float64[np.ndarray, " E"],
+    ) -> Float64[np.ndarray, "m 3"]:
+        """Right-hand side of the system that draws each edge to its length."""
+        scale = length / np.maximum(np.sqrt(np.einsum("ec,ec->e", direction, direction)), 1e-12)
+        drawn: Float64[np.ndarray, "m 3"] = self.pull @ (direction * scale[:, None]) + self.anchor[:, None] * pose
+        return drawn
 
     def _turned(self, moved: Float64[np.ndarray, "r 3"]) -> Float64[np.ndarray, "r 3"]:
         part, rest = self.attachments.part[self.rigid], self.rest[self.rigid]
@@ -141,7 +168,7 @@ def inextensible_pose(
         elastic=elastic,
         edges=edges,
         anchor=anchor,
-        factor=_factorised(system),
+        factor=factored(system),
         pull=pull,
         rigid=rigid,
     )
@@ -154,12 +181,15 @@ class TreesPose:
     num_vertices: int
     trees: tuple[tuple[Int32[np.ndarray, " _"], InextensiblePose], ...]
 
-    def apply(self, displacement: Float32[np.ndarray, "N 3"]) -> Float32[np.ndarray, "N 3"]:
-        """The pose nearest to this one whose edges keep their lengths [m]."""
-        unstretched = np.zeros((self.num_vertices, 3), np.float32)
-        for vertices, pose in self.trees:
-            unstretched[vertices] = pose.apply(np.ascontiguousarray(displacement[vertices]))
-        return unstretched
+    def iter_poses(self, frames: Iterable[Float32[np.ndarray, "N 3"]]) -> Iterator[Float32[np.ndarray, "N 3"]]:
+        """The pose nearest to each frame whose edges keep their lengths [m]; several at once, on all cores."""
+        for some in _batches(frames, _FRAMES_AT_ONCE):
+            unstretched = np.zeros((len(some), self.num_vertices, 3), np.float32)
+            for vertices, tree in self.trees:
+                own = (np.ascontiguousarray(frame[vertices]) for frame in some)
+                for index, pose in enumerate(tree.iter_poses(own)):
+                    unstretched[index, vertices] = pose
+            yield from unstretched
 
 
 def pose_of(
@@ -173,11 +203,21 @@ def pose_of(
 
 
 def without_stretch(
-    pose: InextensiblePose | TreesPose, coefficients: Complex64[np.ndarray, "N K 3"], num_frames: int
+    pose: InextensiblePose | TreesPose,
+    coefficients: Complex64[np.ndarray, "N K 3"],
+    num_frames: int,
+    on_progress: OnProgress = ignore_progress,
 ) -> Complex64[np.ndarray, "N K 3"]:
-    """The K frequencies of a loop whose frames do not stretch; some stretch comes back with the frequencies above K."""
+    """The K frequencies of a loop whose frames do not stretch; some stretch comes back with the frequencies above K.
+
+    `on_progress` gets the share done after each frame; what it raises passes through.
+    """
+    unstretched = np.empty((num_frames, len(coefficients), 3), np.float32)
     frames = iter_motion(coefficients, np.arange(num_frames) / num_frames, num_frames)
-    return from_motion(np.stack([pose.apply(frame) for frame in frames]), coefficients.shape[1])
+    for index, frame in enumerate(pose.iter_poses(frames)):
+        unstretched[index] = frame
+        on_progress((index + 1) / num_frames)
+    return from_motion(unstretched, coefficients.shape[1])
 
 
 def typical_stretch(
@@ -260,15 +300,19 @@ def _cards(attachments: Attachments, rest: Float64[np.ndarray, "n 3"], voxel_m: 
     return np.asarray(hangs & (small | (np.bincount(part, minlength=num_parts) <= _CARD_VERTICES)))
 
 
+def _batches(frames: Iterable[Float32[np.ndarray, "N 3"]], size: int) -> Iterator[list[Float32[np.ndarray, "N 3"]]]:
+    """Lists of up to `size` frames, as they come."""
+    source = iter(frames)
+    while some := list(islice(source, size)):
+        yield some
+
+
+def _fits(direction: Float64[np.ndarray, "E 3"], length: Float64[np.ndarray, " E"]) -> bool:
+    change = np.abs(np.sqrt(np.einsum("ec,ec->e", direction, direction)) - length)
+    return bool(np.count_nonzero(change > _CLOSE * length) < _SHARE_APART * len(length))
+
+
 def _sums(
     part: Int32[np.ndarray, " r"], values: Float64[np.ndarray, "r C"], num_parts: int
 ) -> Float64[np.ndarray, "P C"]:
     return np.stack([np.bincount(part, column, num_parts) for column in values.T], axis=1)
-
-
-def _factorised(system: scipy.sparse.csc_array) -> "scipy.sparse.linalg.SuperLU":
-    import scipy.sparse.linalg
-
-    return scipy.sparse.linalg.splu(
-        system, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-    )

@@ -11,6 +11,8 @@ Solved by Gauss-Newton steps: first for the mean pose alone (k = 0), then for al
 edges of the mean pose.
 """
 
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,6 +26,8 @@ from dynamictree.devoxelize.limit import limited
 from dynamictree.devoxelize.smooth import smooth
 from dynamictree.devoxelize.surface_fit import LINK
 from dynamictree.mesh import TriangleMesh, edges_of, weld
+from dynamictree.parallel import num_cores, single_thread
+from dynamictree.spectrum import bin_weights, synthesis
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import voxel_trees
 
@@ -34,13 +38,21 @@ TURNING = 0.1
 
 _LARGEST_WEIGHT = 100.0
 _ROUNDS = 3  # Gauss-Newton steps
+_MEAN_SHARE = 0.3  # of the time goes to the mean pose
 _STEP_LENGTHS = (1.0, 0.5)  # tried in this order: the harmonics of large rotations make whole steps overshoot
-_CG_STEPS = 60
+_CG_STEPS = 20
 _CG_VERTICES = 40_000  # larger meshes get fewer steps: their edges are shorter, and stretch is more local
-_MIN_CG_STEPS = 12
+_MIN_CG_STEPS = 8
 _SHORTEST_EDGE = 0.01  # in voxels; shorter edges are no stiffer
 _FRAMES_PER_BIN = 4  # elongation has twice the motion's bandwidth
-_EDGES_AT_ONCE = 50_000
+_EDGES_AT_ONCE = 2_000  # their frames stay in a core's cache
+
+OnProgress = Callable[[float], None]
+"""Gets the share done in [0, 1]; what it raises passes through."""
+
+
+def ignore_progress(share: float) -> None:
+    """Where nobody asks for progress."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,12 +63,14 @@ class LengthPreservingInterpolation:
     grid: VoxelGrid
     interpolation: VoxelInterpolation
 
-    def apply(self, coefficients: Complex64[np.ndarray, "V K 3"]) -> Complex64[np.ndarray, "N K 3"]:
+    def apply(
+        self, coefficients: Complex64[np.ndarray, "V K 3"], on_progress: OnProgress = ignore_progress
+    ) -> Complex64[np.ndarray, "N K 3"]:
         """Spectra at voxels to spectra at vertices [m]: no vertex moves much more than the voxels around it."""
         attachments = self.interpolation.attachments
         smoothed = self.interpolation.apply(coefficients)
-        moving = self.mesh.moving_part
-        moved = preserve_lengths(moving, smoothed, self.grid.voxel_size_m, attachments=attachments)
+        moving, size_m = self.mesh.moving_part, self.grid.voxel_size_m
+        moved = preserve_lengths(moving, smoothed, size_m, attachments=attachments, on_progress=on_progress)
         bounded = limited(self.mesh.vertices, moved, self.grid, coefficients)
         if self.interpolation.still is not None:
             bounded[self.interpolation.still] = 0
@@ -80,10 +94,13 @@ class TreesInterpolation:
     num_vertices: int
     trees: tuple[tuple[Int32[np.ndarray, " _"], Int32[np.ndarray, " _"], LengthPreservingInterpolation], ...]
 
-    def apply(self, coefficients: Complex64[np.ndarray, "V K 3"]) -> Complex64[np.ndarray, "N K 3"]:
+    def apply(
+        self, coefficients: Complex64[np.ndarray, "V K 3"], on_progress: OnProgress = ignore_progress
+    ) -> Complex64[np.ndarray, "N K 3"]:
         """Spectra at voxels to spectra at vertices [m]."""
         moved = np.zeros((self.num_vertices, *coefficients.shape[1:]), np.complex64)
-        for vertices, rows, tree in self.trees:
+        for done, (vertices, rows, tree) in enumerate(self.trees):
+            on_progress(done / len(self.trees))
             moved[vertices] = tree.apply(np.ascontiguousarray(coefficients[rows]))
         return moved
 
@@ -108,11 +125,13 @@ def preserve_lengths(
     voxel_size_m: float,
     *,
     attachments: Attachments | None = None,
+    on_progress: OnProgress = ignore_progress,
 ) -> Complex64[np.ndarray, "N K 3"]:
     """Remove the stretch of edges from a motion of the mesh's vertices [m]. Vertices at one position move as one.
 
     The solver takes a fixed number of steps, so that the same input gives the same bits. What hangs on another part
-    (`attachments`, of the welded mesh) keeps its gap.
+    (`attachments`, of the welded mesh) keeps its gap. `on_progress` gets the share done before each step; what it
+    raises passes through.
     """
     welded, vertex = weld(mesh)
     first = np.unique(vertex, return_index=True)[1]
@@ -121,8 +140,11 @@ def preserve_lengths(
     steps = max(_MIN_CG_STEPS, min(_CG_STEPS, _CG_STEPS * _CG_VERTICES // len(first)))
 
     mean = np.ascontiguousarray(motion[:, :, :1])
-    pose = _without_stretch(net, mean, mean, steps)
-    preserved = _without_stretch(net, np.concatenate([pose, motion[:, :, 1:]], axis=2), motion, steps)
+    pose = _without_stretch(net, mean, mean, steps, lambda done: on_progress(_MEAN_SHARE * done))
+    start = np.concatenate([pose, motion[:, :, 1:]], axis=2)
+    preserved = _without_stretch(
+        net, start, motion, steps, lambda done: on_progress(_MEAN_SHARE + (1 - _MEAN_SHARE) * done)
+    )
     in_place = preserved.transpose(0, 2, 1)
     if attachments is not None:
         in_place = attachments.closed(in_place)
@@ -153,15 +175,22 @@ class _Net:
     def shortening(self, motion: Complex64[np.ndarray, "n 3 K"]) -> Complex64[np.ndarray, "E K"]:
         """How much too short each edge is, times `scale`, as a spectrum over the loop."""
         num_frequencies = motion.shape[2]
-        shortness = np.empty((len(self.edges), num_frequencies), np.complex64)
-        for start in range(0, len(self.edges), _EDGES_AT_ONCE):
+        num_frames = _FRAMES_PER_BIN * num_frequencies
+        to_frames = synthesis(num_frequencies, num_frames)
+        to_bins = to_frames.T / (num_frames * np.repeat(bin_weights(num_frequencies, num_frames), 2))  # [T, 2K]
+        parts, shortness = motion.view(np.float32), np.empty((len(self.edges), 2 * num_frequencies), np.float32)
+
+        def fill(start: int) -> None:
             some = slice(start, start + _EDGES_AT_ONCE)
-            relative = motion[self.edges[some, 0]] - motion[self.edges[some, 1]]
-            frames = np.fft.irfft(relative, n=_FRAMES_PER_BIN * num_frequencies, axis=2, norm="forward")
-            length = np.linalg.norm(frames + self.across[some, :, None], axis=1)
-            short = self.scale[some, None] * (self.length[some, None] - length)
-            shortness[some] = np.fft.rfft(short, axis=1, norm="forward")[:, :num_frequencies]
-        return shortness
+            relative = parts[self.edges[some, 0]] - parts[self.edges[some, 1]]  # [e, 3, 2K]
+            frames = (relative.reshape(-1, 2 * num_frequencies) @ to_frames).reshape(-1, 3, num_frames)
+            frames += self.across[some, :, None]
+            length = np.sqrt(np.square(frames).sum(axis=1))
+            shortness[some] = (self.scale[some, None] * (self.length[some, None] - length)) @ to_bins
+
+        with single_thread(), ThreadPoolExecutor(num_cores()) as pool:
+            list(pool.map(fill, range(0, len(self.edges), _EDGES_AT_ONCE)))
+        return shortness.view(np.complex64)
 
 
 def _weights(motion: Complex64[np.ndarray, "n 3 K"]) -> Float32[np.ndarray, " n"]:
@@ -198,11 +227,16 @@ def _net(
 
 
 def _without_stretch(
-    net: _Net, motion: Complex64[np.ndarray, "n 3 K"], target: Complex64[np.ndarray, "n 3 K"], steps: int
+    net: _Net,
+    motion: Complex64[np.ndarray, "n 3 K"],
+    target: Complex64[np.ndarray, "n 3 K"],
+    steps: int,
+    on_progress: OnProgress,
 ) -> Complex64[np.ndarray, "n 3 K"]:
     """Take Gauss-Newton steps from `motion` as long as each reduces elongation; `target` is the motion to stay near."""
     shortness = net.shortening(motion)
-    for _ in range(_ROUNDS):
+    for done in range(_ROUNDS):
+        on_progress(done / _ROUNDS)
         strain = net.strain(motion[:, :, :1])
         system = (net.turning + ELONGATION * (strain.T @ strain)).tocsr()
         now = motion.view(np.float32).reshape(3 * len(motion), -1)  # [3n, 2K]

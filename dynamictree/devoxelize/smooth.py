@@ -11,7 +11,7 @@ from dynamictree.devoxelize.nearest import nearest
 from dynamictree.devoxelize.surface_fit import MAX_FACTORED, SMOOTHNESS, fit_surface
 from dynamictree.mesh import TriangleMesh, edges_of, weld
 from dynamictree.voxel.grid import VoxelGrid
-from dynamictree.voxel.voxelize import surface_average
+from dynamictree.voxel.voxelize import grid_pieces, surface_average
 
 MAX_VOXELS_PER_POINT = 8
 
@@ -35,7 +35,8 @@ def smooth(
     """
     still = mesh.still_vertices
     mesh, vertex = weld(mesh.moving_part)
-    average, attachments = surface_average(mesh, grid), find_attachments(mesh, grid)
+    pieces = grid_pieces(mesh, grid)
+    average, attachments = surface_average(mesh, grid, pieces), find_attachments(mesh, grid, pieces)
     shares = _rows_to_one(average.T.tocsr())  # [N, V]
     start, end = edges_of(mesh.faces).T
     pairs = np.concatenate([start, end]), np.concatenate([end, start])
@@ -68,7 +69,8 @@ def _strongest(shares: scipy.sparse.csr_array, width: int) -> VoxelInterpolation
     """Keep the largest weights of each row, scaled to sum to 1; rows that have fewer are filled with weight 0."""
     num_points, num_voxels = shares.shape
     point = np.repeat(np.arange(num_points), np.diff(shares.indptr))
-    order = np.lexsort((shares.indices, -shares.data, point))
+    shares.sort_indices()
+    order = np.lexsort((-shares.data, point))
     rank = np.arange(len(point)) - shares.indptr[point]  # in sorted order
     strongest = rank < width
     rows, weights = np.zeros((num_points, width), np.int32), np.zeros((num_points, width), np.float32)

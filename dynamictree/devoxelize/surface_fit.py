@@ -14,10 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse
-import scipy.sparse.linalg
 from jaxtyping import Float32, Int32, Int64
 
 from dynamictree.devoxelize.attachment import Attachments
+from dynamictree.devoxelize.symmetric_factor import SymmetricFactor, factored
 from dynamictree.mesh import TriangleMesh, edges_of
 from dynamictree.voxel.grid import VoxelGrid
 
@@ -48,7 +48,7 @@ class SurfaceFit:
     """The factorised system of one mesh and grid, which solves for any values."""
 
     pull: scipy.sparse.csr_array  # [nodes, V]
-    factor: scipy.sparse.linalg.SuperLU
+    factor: SymmetricFactor
     prolongation: scipy.sparse.csr_array | None  # [N, nodes]; None where nodes are vertices
 
     def solve(self, values: Float32[np.ndarray, "V D"]) -> Float32[np.ndarray, "N D"]:
@@ -86,11 +86,7 @@ def fit_surface(
         return None
     anchor = _ANCHOR * scipy.sparse.eye_array(mean.shape[1])
     system = (mean.T @ mean + smoothness * stiffness + anchor).tocsc()
-    # symmetric and positive definite: no pivoting, and an ordering for Cholesky's pattern
-    factor = scipy.sparse.linalg.splu(
-        system, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-    )
-    return SurfaceFit(pull=(mean.T @ values).tocsr(), factor=factor, prolongation=prolongation)
+    return SurfaceFit(pull=(mean.T @ values).tocsr(), factor=factored(system), prolongation=prolongation)
 
 
 def _with_minorities(

@@ -54,9 +54,10 @@ class MovingTree:
 
     def frames(self, report: Report) -> Iterator[Float32[np.ndarray, "N 3"]]:
         """Displacement of the vertices, frame by frame [m]."""
-        for done, frame in enumerate(self._motion()):
+        frames = self._motion() if self.pose is None else self.pose.iter_poses(self._motion())
+        for done, frame in enumerate(frames):
             report(done / len(self.phases))
-            yield frame if self.pose is None else self.pose.apply(frame)
+            yield frame
 
     def _motion(self) -> Iterator[Float32[np.ndarray, "N 3"]]:
         num_frames = self.spectrum.num_frames

@@ -79,7 +79,7 @@ def voxel_trees(mesh: TriangleMesh, grid: VoxelGrid) -> Int32[np.ndarray, " V"]:
     """Of a mesh of several trees, the one that has most of the surface in each voxel; -1 where there is none."""
     mesh = mesh.moving_part
     assert mesh.face_tree is not None
-    pieces = surface_pieces(mesh, grid.origin_m, grid.voxel_size_m, grid.resolution)
+    pieces = grid_pieces(mesh, grid)
     keys = grid.keys
     rows = np.minimum(np.searchsorted(keys, pieces.keys), len(keys) - 1)
     in_grid = keys[rows] == pieces.keys
@@ -110,16 +110,16 @@ def surface_moments(mesh: TriangleMesh, grid: VoxelGrid) -> Float32[np.ndarray, 
     return moments_of(mesh, grid, pieces, np.searchsorted(grid.keys, pieces.keys))
 
 
-def surface_average(mesh: TriangleMesh, grid: VoxelGrid) -> scipy.sparse.csr_array:
+def surface_average(mesh: TriangleMesh, grid: VoxelGrid, pieces: SurfacePieces | None = None) -> scipy.sparse.csr_array:
     """Weights [V, N] that turn values at vertices into their mean over the surface in each voxel; rows sum to 1.
 
     Exact for values that are linear on each face. Paper appendix A averages the vertices of a voxel instead, which
-    leaves voxels in the middle of large faces without a value.
+    leaves voxels in the middle of large faces without a value. `pieces` are those of `grid_pieces`, if they are there.
 
     Raises:
         InputError: a voxel of the grid holds none of the mesh's surface.
     """
-    pieces = surface_pieces(mesh, grid.origin_m, grid.voxel_size_m, grid.resolution)
+    pieces = pieces or grid_pieces(mesh, grid)
     keys = grid.keys
     rows = np.minimum(np.searchsorted(keys, pieces.keys), len(keys) - 1)
     in_grid = keys[rows] == pieces.keys
@@ -134,6 +134,11 @@ def surface_average(mesh: TriangleMesh, grid: VoxelGrid) -> scipy.sparse.csr_arr
         )
     average = scipy.sparse.coo_array((weights / total[rows], (rows, columns)), shape=(len(grid), mesh.num_vertices))
     return average.tocsr().astype(np.float32)
+
+
+def grid_pieces(mesh: TriangleMesh, grid: VoxelGrid) -> SurfacePieces:
+    """Pieces of faces in the voxels of a grid."""
+    return surface_pieces(mesh, grid.origin_m, grid.voxel_size_m, grid.resolution)
 
 
 def surface_pieces(
