@@ -5,21 +5,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Complex64
 
-from dynamictree.devoxelize.inextensible import (
-    LARGEST_STRETCH,
-    InextensiblePose,
-    TreesPose,
-    pose_of,
-    typical_stretch,
-    without_stretch,
-)
-from dynamictree.devoxelize.length_preserving import length_preserving
 from dynamictree.export.moving_tree import Facts, MovingTree, Report
 from dynamictree.export.pictures import draw, write_mp4
 from dynamictree.export.size import turbulent_bytes
 from dynamictree.export.table import PRODUCTS
+from dynamictree.export.vertex_motion import Recall, vertex_motion
 from dynamictree.formats.motion.splat_sequence import requested_bytes
 from dynamictree.gaussian.animate import lighter
 from dynamictree.gaussian.binding import Binding, bind_capture
@@ -28,8 +19,8 @@ from dynamictree.mesh import TriangleMesh
 from dynamictree.requests import MAX_FRAMES, CloudParams, ExportParams, Format
 from dynamictree.spectrum import SparseVoxelSpectrum
 
-FRAMES_A_FREQUENCY = 4
-"""From so many frames the loop without stretch is read; two would do, were there nothing above its frequencies."""
+MOTION_SHARE = 0.4
+"""Of the progress: the motion of the vertices, before the first file."""
 OnFacts = Callable[[Format, Facts], None]
 """Gets a format that is not exact, and how far its file is from the motion."""
 
@@ -44,11 +35,13 @@ def write_products(
     capture: Capture | None = None,
     choice: CloudParams | None = None,
     on_facts: OnFacts | None = None,
+    recall: Recall | None = None,
 ) -> dict[Format, Path]:
     """Write the requested products of one motion into a folder; give their paths by format.
 
     Where a capture is given, pictures and splats show it; else splats are made from the mesh.
-    `on_progress` gets the share done in [0, 1]; what it raises passes through.
+    `on_progress` gets the share done in [0, 1]; what it raises passes through. `recall` gives results that other
+    products of the same motion left.
 
     Raises:
         InputError: the frames do not make a loop, though one is asked for; the capture is not where the mesh is;
@@ -61,7 +54,14 @@ def write_products(
     binding = _binding(mesh, formats, capture, choice)
     if binding is not None and "splat-ply" in formats:
         requested_bytes(binding.cloud.num_gaussians, binding.cloud.sh_degree, num_frames, params)
-    coefficients, pose = _motion(mesh, spectrum, params)
+    report = on_progress or (lambda done: None)
+    coefficients, pose = vertex_motion(
+        mesh,
+        spectrum,
+        every_frame=params.wind_mode == "turbulent",
+        recall=recall,
+        on_progress=lambda done: report(MOTION_SHARE * done),
+    )
     tree = MovingTree(
         mesh=mesh,
         spectrum=spectrum,
@@ -72,22 +72,13 @@ def write_products(
         captured=capture is not None,
     )
     paths = {name: folder / PRODUCTS[name].file_name for name in formats}
-    _write(tree, paths, on_progress or (lambda done: None), on_facts or (lambda name, facts: None))
+    _write(
+        tree,
+        paths,
+        lambda done: report(MOTION_SHARE + (1 - MOTION_SHARE) * done),
+        on_facts or (lambda name, facts: None),
+    )
     return paths
-
-
-def _motion(
-    mesh: TriangleMesh, spectrum: SparseVoxelSpectrum, params: ExportParams
-) -> tuple[Complex64[np.ndarray, "N K 3"], InextensiblePose | TreesPose | None]:
-    """Spectrum of the vertices [m], and what preserves lengths in each frame where the motion is large or turbulent."""
-    interpolation = length_preserving(spectrum.grid, mesh)
-    coefficients = interpolation.apply(spectrum.coefficients)
-    large = typical_stretch(interpolation, coefficients) > LARGEST_STRETCH
-    if not large and params.wind_mode == "loop":
-        return coefficients, None
-    pose = pose_of(interpolation, coefficients)
-    frames = FRAMES_A_FREQUENCY * spectrum.num_frequencies
-    return without_stretch(pose, coefficients, frames) if large else coefficients, pose
 
 
 def _binding(

@@ -1,0 +1,89 @@
+"""The motion of vertices is computed once per spectrum and mesh, and is the same from its files as fresh."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dynamictree import method
+from dynamictree.devoxelize.inextensible import typical_stretch
+from dynamictree.devoxelize.length_preserving import length_preserving
+from dynamictree.errors import Cancelled
+from dynamictree.export.write import write_products
+from dynamictree.mesh import TriangleMesh
+from dynamictree.requests import ExportParams
+from dynamictree.spectrum import SparseVoxelSpectrum
+from tests.devoxelize.test_interpolation import two_close_twigs
+
+
+class Folder:
+    """A place for results that counts how often each is computed."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.computed: list[str] = []
+
+    def recall(self, name: str, make: Callable[[Path], None]) -> Path:
+        path = self.root / f"{name}.stored"
+        if not path.exists():
+            self.computed.append(name)
+            make(path)
+        return path
+
+
+def spectrum_of(mesh: TriangleMesh, *, lean_m: float) -> SparseVoxelSpectrum:
+    grid = method.voxelize(mesh, resolution=64).grid
+    coefficients = np.zeros((len(grid), 4, 3), np.complex64)
+    height = grid.centres_m[:, 2] - grid.centres_m[:, 2].min()
+    coefficients[:, 1, 0] = lean_m * (height / height.max()) ** 2
+    return SparseVoxelSpectrum(grid=grid, coefficients=coefficients)
+
+
+@pytest.mark.parametrize("lean_m", [0.01, 1.0], ids=["breeze", "storm"])
+def test_products_of_two_requests_are_those_of_one(tmp_path: Path, lean_m: float) -> None:
+    mesh, _ = two_close_twigs()
+    spectrum = spectrum_of(mesh, lean_m=lean_m)
+    ties = length_preserving(spectrum.grid, mesh)
+    assert (typical_stretch(ties, ties.apply(spectrum.coefficients)) > 0.01) == (lean_m == 1.0)
+    stored = Folder(tmp_path)
+    written = {}
+    for formats in (("motion",), ("ply",), ("motion", "ply")):
+        folder = tmp_path / "-".join(formats)
+        folder.mkdir()
+        recall = stored.recall if len(formats) == 1 else None
+        paths = write_products(mesh, spectrum, ExportParams(formats=formats), folder, recall=recall)
+        written[formats] = {name: path.read_bytes() for name, path in paths.items()}
+    assert written["motion",] | written["ply",] == written["motion", "ply"]
+    assert sorted(stored.computed) == ["motion", "ties"]
+
+
+def test_another_wind_of_a_tree_shares_what_ties_its_vertices(tmp_path: Path) -> None:
+    mesh, _ = two_close_twigs()
+    stored = Folder(tmp_path)
+    for name, lean_m in (("calm", 0.01), ("strong", 0.02)):
+        folder = tmp_path / name
+        folder.mkdir()
+        (tmp_path / "motion.stored").unlink(missing_ok=True)  # as under a key of its own
+        write_products(
+            mesh, spectrum_of(mesh, lean_m=lean_m), ExportParams(formats=("glb",)), folder, recall=stored.recall
+        )
+    assert stored.computed == ["motion", "ties", "motion"]
+
+
+def test_a_storm_reports_progress_and_stops_before_its_first_file(tmp_path: Path) -> None:
+    mesh, _ = two_close_twigs()
+    spectrum, shares = spectrum_of(mesh, lean_m=1.0), list[float]()
+    write_products(mesh, spectrum, ExportParams(formats=("glb",)), tmp_path, shares.append)
+    assert shares == sorted(shares)
+    assert len([share for share in shares if 0.2 < share <= 0.4]) >= 16  # the frames of the loop without stretch
+
+    def cancel(share: float) -> None:
+        if share > 0.3:
+            raise Cancelled("stop")
+
+    folder = tmp_path / "canceled"
+    folder.mkdir()
+    with pytest.raises(Cancelled):
+        write_products(mesh, spectrum, ExportParams(formats=("glb",)), folder, cancel)
+    assert list(folder.iterdir()) == []
