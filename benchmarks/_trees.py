@@ -1,0 +1,57 @@
+"""The demo tree with fewer or more vertices: same branches, same voxels where nothing is left out."""
+
+import numpy as np
+
+from dynamictree.dataset.sample import make_sample
+from dynamictree.mesh import TriangleMesh, edges_of
+from recipes.demo import SEED, SPECIES
+
+
+def demo_mesh(num_vertices: int | None = None) -> TriangleMesh:
+    """The demo tree; cut down to its lowest vertices or with its longest edges halved until it has about so many."""
+    mesh = make_sample(SEED, SPECIES).mesh
+    mesh = TriangleMesh(vertices=mesh.vertices, faces=mesh.faces)
+    if num_vertices is None:
+        return mesh
+    if num_vertices < mesh.num_vertices:
+        return _lowest(mesh, num_vertices)
+    while mesh.num_vertices < num_vertices:
+        mesh = _halved(mesh, num_vertices - mesh.num_vertices)
+    return mesh
+
+
+def _lowest(mesh: TriangleMesh, num_vertices: int) -> TriangleMesh:
+    below = np.sort(mesh.vertices[:, 2])[num_vertices - 1]
+    faces = mesh.faces[(mesh.vertices[mesh.faces, 2] <= below).all(axis=1)]
+    used, corners = np.unique(faces, return_inverse=True)
+    return TriangleMesh(vertices=mesh.vertices[used], faces=corners.reshape(-1, 3).astype(np.int32))
+
+
+def _halved(mesh: TriangleMesh, most: int) -> TriangleMesh:
+    """Split faces at the middle of the longest edges, each face at one edge at most."""
+    edges = edges_of(mesh.faces)
+    length = np.linalg.norm(mesh.vertices[edges[:, 0]] - mesh.vertices[edges[:, 1]], axis=1)
+    corners = np.stack([mesh.faces, np.roll(mesh.faces, -1, axis=1)], axis=2)  # [F, 3, 2]
+    keys = np.sort(corners, axis=2).astype(np.int64) @ np.array([mesh.num_vertices, 1])
+    edge_keys = np.sort(edges, axis=1).astype(np.int64) @ np.array([mesh.num_vertices, 1])
+    sorted_keys = np.argsort(edge_keys)
+    edge = sorted_keys[np.searchsorted(edge_keys[sorted_keys], keys)]  # [F, 3]
+    longest = length[edge].argmax(axis=1)
+    own = edge[np.arange(len(edge)), longest]  # the edge that each face would halve
+    agree = np.bincount(own, minlength=len(edges)) == np.bincount(edge.ravel(), minlength=len(edges))
+    chosen = np.flatnonzero(agree)  # longest of all faces around, so that no face is left with a vertex on its edge
+    chosen = chosen[np.argsort(-length[chosen], kind="stable")][:most]
+    middle = np.full(len(edges), -1, np.int64)
+    middle[chosen] = mesh.num_vertices + np.arange(len(chosen))
+    vertices = np.concatenate([mesh.vertices, mesh.vertices[edges[chosen]].mean(axis=1)]).astype(np.float32)
+    split = middle[own] >= 0
+    rolled = np.take_along_axis(mesh.faces, (longest[:, None] + np.arange(3)) % 3, axis=1)[split]
+    halves = middle[own[split]]
+    faces = np.concatenate(
+        [
+            mesh.faces[~split],
+            np.column_stack([rolled[:, 0], halves, rolled[:, 2]]),
+            np.column_stack([halves, rolled[:, 1], rolled[:, 2]]),
+        ]
+    )
+    return TriangleMesh(vertices=vertices, faces=faces.astype(np.int32))
