@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from dynamictree.commands.options import OutputFile
+from dynamictree.commands.options import OutputFile, shape_file
 from dynamictree.commands.request_options import with_request_options
 from dynamictree.commands.source import file_sha256, is_tensor_file, read_source
 from dynamictree.commands.terminal import AsJson, progress, tell
@@ -16,7 +16,10 @@ from dynamictree.requests import CloudParams, GeneratorGridParams, ModelParams, 
 @with_request_options
 def diffuse(
     source: Annotated[
-        Path, typer.Argument(help="A mesh, a splat, a scan, or a *.voxels.safetensors that `voxelize` wrote.")
+        Path,
+        typer.Argument(
+            callback=shape_file, help="A mesh, a splat, a scan, or a *.voxels.safetensors that `voxelize` wrote."
+        ),
     ],
     output: OutputFile,
     cloud: CloudParams,

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from dynamictree.commands.options import shape_file
 from dynamictree.commands.request_options import with_request_options
 from dynamictree.commands.source import is_cloud, is_tensor_file, load_capture, load_mesh
 from dynamictree.commands.terminal import AsJson, tell
@@ -14,7 +15,7 @@ from dynamictree.requests import Reading
 
 @with_request_options
 def info(
-    source: Annotated[Path, typer.Argument(help="A mesh, splat, scan, voxel or spectrum file.")],
+    source: Annotated[Path, typer.Argument(callback=shape_file, help="A mesh, splat, scan, voxel or spectrum file.")],
     reading: Reading,
     as_json: AsJson = False,
 ) -> None:

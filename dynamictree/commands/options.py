@@ -5,11 +5,52 @@ from typing import Annotated
 
 import typer
 
+from dynamictree.errors import InputError
+from dynamictree.formats.suffixes import (
+    CLOUD_SUFFIXES,
+    MESH_SUFFIXES,
+    PHOTO_SUFFIXES,
+    POINT_SUFFIXES,
+    SOG_FOLDER_FILE,
+)
+
+_SHAPE_SUFFIXES = tuple(
+    suffix
+    for suffix in dict.fromkeys((*MESH_SUFFIXES, *CLOUD_SUFFIXES, ".sog", ".ksplat"))
+    if suffix not in POINT_SUFFIXES
+)
+_MOST_NAMES = 10  # of a message
+
+
+def shape_file(path: Path) -> Path:
+    """The path itself; of a folder, the one file in it, or one level below, that holds the shape of a tree.
+
+    Raises:
+        InputError: none does, or several do.
+    """
+    if not path.is_dir():
+        return path
+    entries = sorted(entry for pattern in ("*", "*/*") for entry in path.glob(pattern) if entry.is_file())
+    shapes = [entry for entry in entries if entry.suffix.lower() in _SHAPE_SUFFIXES or entry.name == SOG_FOLDER_FILE]
+    shapes = [entry for entry in shapes if entry.parent == path] or shapes
+    shapes = shapes or [entry for entry in entries if entry.suffix.lower() in POINT_SUFFIXES]
+    if len(shapes) == 1:
+        return shapes[0]
+    if shapes:
+        names = ", ".join(str(one.relative_to(path)) for one in shapes[:_MOST_NAMES])
+        raise InputError(f"{path} holds {len(shapes)} shapes: {names}; name one of them")
+    if any(entry.suffix.lower() in PHOTO_SUFFIXES for entry in entries):
+        raise InputError(f"{path} is a folder of pictures; `dynamictree reconstruct` makes a tree of photos")
+    names = ", ".join((*_SHAPE_SUFFIXES, *POINT_SUFFIXES))
+    raise InputError(f"{path} is a folder, and no file in it ends in {names}; name the tree's file")
+
+
 SourcePath = Annotated[
     Path,
     typer.Argument(
+        callback=shape_file,
         help="A mesh: OBJ (with its MTL and textures beside it), PLY, GLB, glTF or STL. Or a splat: PLY, .splat, SPZ, "
-        "GLB. Or a scan: PLY without faces, XYZ text, LAS, LAZ."
+        "GLB. Or a scan: PLY without faces, XYZ text, LAS, LAZ. Or a folder with one of them.",
     ),
 ]
 OutputFolder = Annotated[

@@ -27,12 +27,45 @@ def test_a_file_is_described_by_its_bytes(
         assert line in capsys.readouterr().out.splitlines()
 
 
+@pytest.mark.parametrize("name", ["tree.obj", "source/tree.obj"])
+def test_a_folder_stands_for_the_one_shape_in_it(
+    dynamictree: Callable[..., int], name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for other in ("textures/bark.png", "license.txt", name):
+        (tmp_path / other).parent.mkdir(exist_ok=True)
+        (tmp_path / other).write_bytes(TRIANGLE)
+    assert dynamictree("info", tmp_path) == 0
+    assert "num_faces: 1" in capsys.readouterr().out.splitlines()
+
+
+@pytest.mark.parametrize(
+    ("names", "line"),
+    [
+        ((), "is a folder, and no file in it ends in .obj, .ply"),
+        (("a.jpg", "b.jpg"), "is a folder of pictures; `dynamictree reconstruct` makes a tree of photos"),
+        (("a.obj", "b.ply"), "holds 2 shapes: a.obj, b.ply; name one of them"),
+        (("meta.json", "means_l.webp"), "convert it with `splat-transform meta.json tree.ply`"),
+    ],
+)
+def test_a_folder_without_one_shape_is_refused(
+    dynamictree: Callable[..., int],
+    names: tuple[str, ...],
+    line: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    for name in names:
+        (tmp_path / name).write_text('{"means": {}, "quats": {}, "scales": {}}')
+    assert dynamictree("animate", tmp_path, "-o", tmp_path / "out") == 2
+    assert line in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("words", "line"),
     [
         ("voxelize triangle.obj -o .", "is a directory"),
         ("voxelize triangle.obj -o triangle.obj/v", "nothing can be written to triangle.obj: File exists"),
-        ("animate . -o out", ". is a folder; name a file in it"),
+        ("interact . -o out", ". is a folder; name a file in it"),
         ("info x.voxels.safetensors", "the file is no surface-voxels"),
         ("anmate triangle.obj", "Did you mean 'animate'?"),
     ],
