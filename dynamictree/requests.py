@@ -24,6 +24,9 @@ MAX_FIRST_FRAME = 10_000_000
 MAX_SEED = 2**53 - 1
 """The largest integer that every JSON reader represents exactly."""
 
+LARGEST = 1e6
+"""Of any component of a vector, mass or length in a request: far beyond a storm, far below what overflows."""
+
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Box = tuple[tuple[Finite, Finite, Finite], tuple[Finite, Finite, Finite]]
 """Low and high corner [m], +Z up."""
@@ -36,6 +39,7 @@ Format = Literal[
 MESH_FORMATS: tuple[Format, ...] = ("ply", "glb", "png")
 CLOUD_FORMATS: tuple[Format, ...] = ("splat", "png")
 """What is written where a request names no formats: of a mesh or photos, and of a splat or scan."""
+Integrator = Literal["exact", "symplectic-euler", "explicit-euler"]
 WindMode = Literal["loop", "turbulent"]
 TURBULENT_FRAMES: dict[Format, int] = {
     "ply": MAX_TURBULENT_FRAMES,
@@ -193,6 +197,38 @@ class SpectrumParams(Request):
     wind: Wind = Field(default_factory=Wind)
     num_steps: int | None = Field(
         default=None, ge=1, le=1000, description="Sampler steps; the number of the preset if unset"
+    )
+
+
+class SwingParams(Request):
+    """How a tree answers forces, see docs/interaction.md."""
+
+    damping_ratio: Finite | None = Field(
+        default=None, ge=0, le=2, description="Of every mode; 1 is critical; 0.04 (bare) to 0.13 (in leaf) if unset"
+    )
+    frequency_hz: Finite | None = Field(
+        default=None,
+        gt=0,
+        le=100,
+        description="Lowest natural frequency [Hz]; measured for the tree's height if unset",
+    )
+    mass_kg: Finite | None = Field(
+        default=None, gt=0, le=LARGEST, description="Mass that moves [kg]; by the tree's height if unset"
+    )
+    locality: Literal["none", "geodesic"] = Field(
+        default="geodesic", description="What a push may reach: the whole tree, or its branch and less of what bears it"
+    )
+    falloff_m: Finite | None = Field(
+        default=None, gt=0, le=LARGEST, description="Length over which a push fades [m]; 15 % of the height if unset"
+    )
+
+
+class InteractParams(SwingParams):
+    """How the answer of a tree to forces is computed."""
+
+    integrator: Integrator = Field(default="exact", description="How a time step is computed")
+    warp: bool = Field(
+        default=False, description="Bend, do not stretch; a drag by displacement then holds its point in the bent shape"
     )
 
 

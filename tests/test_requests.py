@@ -20,6 +20,7 @@ from dynamictree.requests import (
     ExportParams,
     Format,
     GeneratorGridParams,
+    InteractParams,
     ModelParams,
     PhotoParams,
     Reading,
@@ -32,6 +33,9 @@ from dynamictree.requests import (
 OWN_OPTIONS = {
     "animate": {"source", "output", "mask", "mesh", "as_json"},
     "reconstruct": {"photos", "output", "fresh", "as_json"},
+    "interact": {"spectrum", "output", "mesh", "formats", "as_json"}
+    | {"impulse", "force", "displacement", "wind", "point", "voxel", "radius", "start", "duration", "held"}
+    | {"frames", "fps"},
 }
 
 
@@ -50,6 +54,7 @@ def names(*models: type[Request]) -> set[str]:
     [
         ("animate", (ExportParams, CloudParams, GeneratorGridParams, ModelParams, SpectrumParams, Reading)),
         ("reconstruct", (PhotoParams,)),
+        ("interact", (InteractParams, Reading)),
     ],
 )
 def test_a_command_has_one_option_per_field(command: str, models: tuple[type[Request], ...]) -> None:
@@ -57,7 +62,7 @@ def test_a_command_has_one_option_per_field(command: str, models: tuple[type[Req
     assert set(options) == names(*models) | OWN_OPTIONS[command]
     schema = AnimateParams.model_json_schema()
     for name, field in (schema["properties"] | schema["$defs"]["Shot"]["properties"]).items():
-        if name in options and field.get("type") not in ("array", None):
+        if name in names(*models) and field.get("type") not in ("array", None):
             assert options[name].default == field["default"], name
 
 

@@ -370,29 +370,30 @@ class Interact(Model):
 class InteractRequest(Model):
     """Forces on a tree, and the response to compute."""
 
+    # Of every mode; 1 is critical; 0.04 (bare) to 0.13 (in leaf) if unset
+    damping_ratio: float | None = None
+    # Lowest natural frequency [Hz]; measured for the tree's height if unset
+    frequency_hz: float | None = None
+    # Mass that moves [kg]; by the tree's height if unset
+    mass_kg: float | None = None
+    # What a push may reach: the whole tree, or its branch and less of what bears it
+    locality: Literal["none", "geodesic"] = "geodesic"
+    # Length over which a push fades [m]; 15 % of the height if unset
+    falloff_m: float | None = None
+    # How a time step is computed
+    integrator: Literal["exact", "symplectic-euler", "explicit-euler"] = "exact"
+    # Bend, do not stretch; a drag by displacement then holds its point in the bent shape
+    warp: bool = False
     # from a job's result
     spectrum_id: str
     forces: "list[Force] | None" = None
-    # of every mode; 1 is critical. Unset: 0.04 (bare) to 0.13 (in leaf)
-    damping_ratio: float | None = None
-    # lowest natural frequency [Hz]. Unset: as measured for the tree's height
-    frequency_hz: float | None = None
-    # that moves; by the height if unset
-    mass_kg: float | None = None
     # of a step, which is a frame [s]
     dt_s: float = 0.016666666666666666
     num_frames: int = 60
-    integrator: Literal["exact", "symplectic-euler", "explicit-euler"] = "exact"
     # without initial_state: at rest, in equilibrium with the forces, or Davis'
     start: Literal["rest", "held", "davis"] = "rest"
     # final_state of an earlier call
     initial_state: "State | None" = None
-    # what a push may reach
-    locality: Literal["none", "geodesic"] = "geodesic"
-    # [m]; 15 % of the height if unset
-    falloff_m: float | None = None
-    # bend, do not stretch; a drag by displacement then holds its point in the bent shape
-    warp: bool = False
     output: Literal["modal", "voxels", "vertices", "gaussians"] = "modal"
 
 

@@ -12,7 +12,7 @@ from dynamictree.commands.source import load_mesh
 from dynamictree.commands.terminal import AsJson, tell
 from dynamictree.errors import InputError
 from dynamictree.files import opened, published
-from dynamictree.requests import Reading
+from dynamictree.requests import InteractParams, Reading
 
 if TYPE_CHECKING:
     import numpy as np
@@ -33,6 +33,7 @@ def interact(
     spectrum: Annotated[Path, typer.Argument(help="A *.spectrum.safetensors that `diffuse` or `animate` wrote.")],
     output: OutputFolder,
     reading: Reading,
+    params: InteractParams,
     mesh: Annotated[
         Path | None, typer.Option(help="The mesh that the spectrum was made for; motion and ply need it.")
     ] = None,
@@ -55,52 +56,38 @@ def interact(
     held: Annotated[bool, typer.Option(help="Begin in equilibrium with the pull, to be let go.")] = False,
     frames: Annotated[int, typer.Option(min=1, max=6000, help="Frames to write.")] = 120,
     fps: Annotated[float, typer.Option(min=1, max=1000, help="Frames a second, each one step.")] = 60.0,
-    damping: Annotated[
-        float | None, typer.Option(min=0, max=2, help="Damping ratio; by the foliage (0.04 to 0.13) if not given.")
-    ] = None,
-    frequency: Annotated[
-        float | None, typer.Option(min=1e-3, max=100, help="Lowest natural frequency [Hz]; by the height if not given.")
-    ] = None,
-    mass: Annotated[
-        float | None, typer.Option(min=1e-6, max=1e6, help="Mass that moves [kg]; by the tree's height if not given.")
-    ] = None,
-    integrator: Annotated[str, typer.Option(help="exact, symplectic-euler or explicit-euler.")] = "exact",
-    local: Annotated[bool, typer.Option(help="A push reaches its branch, less its ancestors, others barely.")] = True,
-    falloff: Annotated[
-        float | None, typer.Option(min=1e-6, max=1e6, help="Reach of a push [m]; 15 % of the height if not given.")
-    ] = None,
-    warp: Annotated[bool, typer.Option(help="Bend under large pushes instead of stretching.")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Push a tree: spectrum + forces → modal coordinates, moving mesh."""
     from dynamictree.formats.tensors.spectrum import read_spectrum
     from dynamictree.modal.interactive_tree import InteractiveTree
-    from dynamictree.modal.locality import default_falloff_m
+    from dynamictree.modal.locality import chosen_falloff_m
     from dynamictree.modal.response import group_forces, respond
-    from dynamictree.modal.step import INTEGRATORS
     from dynamictree.modal.system import modal_system
 
     wanted = _formats(formats, has_mesh=mesh is not None)
-    chosen = next((name for name in INTEGRATORS if name == integrator), None)
-    if chosen is None:
-        raise InputError(f"there is no integrator {integrator!r}; choose one of {', '.join(INTEGRATORS)}")
     with opened(spectrum) as stream:
-        system = modal_system(read_spectrum(stream), mass_kg=mass, damping_ratio=damping, frequency_hz=frequency)
+        system = modal_system(
+            read_spectrum(stream),
+            mass_kg=params.mass_kg,
+            damping_ratio=params.damping_ratio,
+            frequency_hz=params.frequency_hz,
+        )
     at = _contact(system, point, voxel, radius)
     forces = _forces(at, impulse=impulse, force=force, displacement=displacement, wind=wind, times=(start, duration))
-    groups = group_forces(forces, falloff_m=(falloff or default_falloff_m(system)) if local else None)
+    groups = group_forces(forces, falloff_m=chosen_falloff_m(system, params))
     tree = InteractiveTree(system)
     answer = respond(
         system,
         groups,
         dt_s=1 / fps,
         num_frames=frames,
-        integrator=chosen,
+        integrator=params.integrator,
         start="held" if held else "rest",
-        bent=tree if warp else None,
+        bent=tree if params.warp else None,
     )
     source = None if mesh is None else load_mesh(mesh, reading)
-    files = _write(tree, answer, source, output, wanted=wanted, fps=fps, warp=warp)
+    files = _write(tree, answer, source, output, wanted=wanted, fps=fps, warp=params.warp)
     facts = {
         "files": [str(path) for path in files],
         "num_frames": frames,

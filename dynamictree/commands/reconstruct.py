@@ -36,15 +36,13 @@ def reconstruct(
     An interrupted run leaves its finished stages in a folder beside the output; the same command continues there.
     """
     from dynamictree.commands.stage_progress import stage_progress
-    from dynamictree.reconstruct import Progress, ReconstructOptions
+    from dynamictree.reconstruct import Progress
     from dynamictree.reconstruct import reconstruct as reconstruct_photos
-    from dynamictree.reconstruct.optimise import Schedule
+    from dynamictree.reconstruct.from_request import options_of
 
     if not photos.is_dir():
         raise InputError(f"{photos} is no folder; give the folder that holds the photos")
     paths = sorted(path for path in photos.rglob("*") if path.is_file() and path.suffix.lower() in PHOTO_SUFFIXES)
-    schedule = Schedule() if params.splat_steps is None else Schedule(num_steps=params.splat_steps)
-    options = ReconstructOptions(height_m=params.height_m, schedule=schedule)
     work = output.resolve().with_name(f"{output.resolve().name}.unfinished")
     if fresh:
         shutil.rmtree(work, ignore_errors=True)
@@ -55,7 +53,9 @@ def reconstruct(
                 report(progress)
                 check()
 
-            reconstruct_photos(paths, folder, options=options, root=photos, work=work, on_progress=on_progress)
+            reconstruct_photos(
+                paths, folder, options=options_of(params), root=photos, work=work, on_progress=on_progress
+            )
             names = sorted(path.name for path in folder.iterdir())
             facts = json.loads((folder / "report.json").read_text())
     except BaseException as error:

@@ -21,6 +21,10 @@ OPTION_NAMES = {
     "direction_deg": "wind-direction",
     "azimuth_deg": "azimuth",
     "elevation_deg": "elevation",
+    "damping_ratio": "damping",
+    "frequency_hz": "frequency",
+    "mass_kg": "mass",
+    "falloff_m": "falloff",
 }
 """Of the fields whose option is not called as they are, in kebab-case."""
 _SECOND_NAMES = {"preset": ("--model",)}

@@ -20,6 +20,7 @@ from jaxtyping import Float32, Float64, Int
 
 from dynamictree.errors import InputError
 from dynamictree.modal.system import ModalSystem
+from dynamictree.requests import SwingParams
 from dynamictree.voxel.graph import root_distance, voxel_graph
 
 OUTWARD = 32.0
@@ -40,6 +41,11 @@ def default_falloff_m(system: ModalSystem) -> float:
     """Default falloff of a push [m]."""
     levels = int(np.ptp(system.grid.coords[:, 2])) + 1
     return FALLOFF_SHARE * levels * system.grid.voxel_size_m
+
+
+def chosen_falloff_m(system: ModalSystem, params: SwingParams) -> float | None:
+    """Falloff of a request [m]; None where a push moves the whole tree."""
+    return None if params.locality == "none" else params.falloff_m or default_falloff_m(system)
 
 
 def branching(system: ModalSystem) -> Branching:

@@ -21,8 +21,9 @@ from dynamictree.modal.force import (
 )
 from dynamictree.modal.interactive_tree import Answer, ForceGroup, InteractiveTree, Locality, Reached
 from dynamictree.modal.local_bend import Bend, swing
-from dynamictree.modal.step import STEPS, Integrator, State, run
+from dynamictree.modal.step import STEPS, State, run
 from dynamictree.modal.system import ModalSystem
+from dynamictree.requests import Integrator
 
 Start = Literal["rest", "held", "davis"]
 

@@ -6,15 +6,15 @@ paper's) are the usual cheap ones; they differ from it in A and B only.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 from jaxtyping import Complex128, Float64
 
 from dynamictree.errors import InputError, UnstableTimestep
 from dynamictree.modal.system import ModalSystem
+from dynamictree.requests import Integrator
 
-Integrator = Literal["exact", "symplectic-euler", "explicit-euler"]
 INTEGRATORS: tuple[Integrator, ...] = get_args(Integrator)
 
 

@@ -9,7 +9,13 @@ from dynamictree.gaussian.capture import Capture, carrying_mesh, with_still_part
 from dynamictree.reconstruct import ReconstructOptions, reconstruct
 from dynamictree.reconstruct.optimise import Schedule
 from dynamictree.reconstruct.photo_input import ReadPhotos, read_photos
-from dynamictree.requests import ReconstructParams
+from dynamictree.requests import PhotoParams, ReconstructParams
+
+
+def options_of(params: PhotoParams) -> ReconstructOptions:
+    """Options of the reconstruction that a request asks for."""
+    schedule = Schedule() if params.splat_steps is None else Schedule(num_steps=params.splat_steps)
+    return ReconstructOptions(height_m=params.height_m, schedule=schedule)
 
 
 def reconstruct_capture(
@@ -37,11 +43,10 @@ def reconstruct_capture(
         InputError: a file is no photo, or there are too few or too many.
         ReconstructionError: the photos do not fit together.
     """
-    schedule = Schedule() if params.splat_steps is None else Schedule(num_steps=params.splat_steps)
     result = reconstruct(
         [path for path in files if path.suffix.lower() in PHOTO_SUFFIXES],
         folder,
-        options=ReconstructOptions(height_m=params.height_m, box_m=params.box_m, schedule=schedule),
+        options=replace(options_of(params), box_m=params.box_m),
         root=root,
         work=resume_dir,
         read_photos=read_photos,

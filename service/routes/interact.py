@@ -22,7 +22,7 @@ from dynamictree.errors import UnstableTimestep
 from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.interactive_tree import Answer
 from dynamictree.modal.local_bend import Bend
-from dynamictree.modal.locality import default_falloff_m
+from dynamictree.modal.locality import chosen_falloff_m
 from dynamictree.modal.response import Start, answer_tensors, group_forces, respond, with_bin_zero
 from dynamictree.modal.step import State
 from dynamictree.modal.system import ModalSystem, with_physics
@@ -197,8 +197,7 @@ def answer_of(body: InteractRequest, ready: ReadyTree, owned: Owned) -> tuple[Mo
     forces = [
         library_force(force, system.grid, lambda: with_mesh(owned, ready, body.spectrum_id)) for force in body.forces
     ]
-    falloff = None if body.locality == "none" else body.falloff_m or default_falloff_m(system)
-    groups = group_forces(forces, falloff_m=falloff)
+    groups = group_forces(forces, falloff_m=chosen_falloff_m(system, body))
     begin: Start | State = body.start
     bends: tuple[Bend, ...] = ()
     if body.initial_state is not None:

@@ -38,16 +38,17 @@ from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 from pydantic import Field, TypeAdapter, ValidationError
 from starlette.concurrency import run_in_threadpool
 
-from dynamictree.modal.locality import default_falloff_m
+from dynamictree.modal.locality import chosen_falloff_m
 from dynamictree.modal.step import exact_step
 from dynamictree.modal.system import with_physics
+from dynamictree.requests import SwingParams
 from service.http.problems import REFUSALS, ProblemError, Refusal, problem_body, problem_of
 from service.http.validation_errors import field_errors, summed_up
 from service.interact_session import Grips, Session, force_of
 from service.open_streams import until_revoked
 from service.ready_tree import ReadyTree
 from service.schemas.base import Finite, Payload
-from service.schemas.forces import LARGEST, ForcePayload
+from service.schemas.forces import ForcePayload
 from service.services import Owned, owned_by_caller
 from service.tree_cache import ready_tree, with_mesh
 
@@ -63,16 +64,11 @@ INVALID, TOO_LARGE, DONE, BUSY = 1008, 1009, 1000, 1013
 PROTOCOL = "dynamictree"
 
 
-class OpenMessage(Payload):
+class OpenMessage(SwingParams):
     """The first message."""
 
     type: Literal["open"]
     spectrum_id: str = Field(max_length=64)
-    damping_ratio: Finite | None = Field(default=None, ge=0, le=2)
-    frequency_hz: Finite | None = Field(default=None, gt=0, le=100)
-    mass_kg: Finite | None = Field(default=None, gt=0, le=LARGEST)
-    locality: Literal["none", "geodesic"] = "geodesic"
-    falloff_m: Finite | None = Field(default=None, gt=0, le=LARGEST)
     rate_hz: Finite = Field(default=60.0, ge=1, le=120)
 
 
@@ -170,12 +166,11 @@ async def _open(socket: WebSocket, owned: Owned) -> tuple[OpenMessage, ReadyTree
 
 async def _receive(socket: WebSocket, owned: Owned, opened: OpenMessage, ready: ReadyTree, session: Session) -> None:
     """Take messages until the client disconnects or falls silent."""
-    falloff_m = None if opened.locality == "none" else opened.falloff_m or default_falloff_m(session.system)
     project = partial(
         force_of,
         system=session.system,
         dt_s=session.step.dt_s,
-        falloff_m=falloff_m,
+        falloff_m=chosen_falloff_m(session.system, opened),
         mesh=partial(with_mesh, owned, ready, opened.spectrum_id),
         grips=Grips(ready.tree, session.system),
     )

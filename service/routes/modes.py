@@ -9,9 +9,9 @@ from safetensors.numpy import save
 
 from dynamictree.modal.locality import poke_weights
 from dynamictree.modal.modes import mode_metadata, mode_tensors
+from dynamictree.requests import LARGEST
 from service.http.negotiation import SAFETENSORS
 from service.http.routing import CACHED, Id, file_of, refusals
-from service.schemas.forces import LARGEST
 from service.services import OwnedDep
 from service.stored_trees import load_spectrum
 from service.tree_cache import ready_tree

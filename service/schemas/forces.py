@@ -11,8 +11,8 @@ from dynamictree.modal.force import Contact, Drag, Force, Impulse, WindField, co
 from dynamictree.modal.interactive_tree import ForceGroup, Locality, Reached
 from dynamictree.modal.local_bend import Bend
 from dynamictree.modal.response import Start, with_bin_zero
-from dynamictree.modal.step import Integrator, State
-from dynamictree.requests import MAX_FRAMES
+from dynamictree.modal.step import State
+from dynamictree.requests import LARGEST, MAX_FRAMES, InteractParams
 from dynamictree.voxel.grid import VoxelGrid
 from service.http.problems import ProblemError
 from service.schemas.base import Finite, Payload
@@ -22,7 +22,6 @@ MAX_GROUPS = 64
 MAX_WIND_SAMPLES = 600
 CLOSE_SHARE = 0.05  # of a pull: what is nearer counts as reached
 MAX_BENDS = 1024  # joints under one place
-LARGEST = 1e6  # of any vector's component: far beyond a storm, far below what overflows
 
 Component = Annotated[Finite, Field(ge=-LARGEST, le=LARGEST)]
 Vector = tuple[Component, Component, Component]
@@ -111,33 +110,17 @@ class StatePayload(Payload):
     groups: list[GroupStatePayload] = Field(max_length=MAX_GROUPS)
 
 
-class InteractRequest(Payload):
+class InteractRequest(InteractParams):
     """Forces on a tree, and the response to compute."""
 
     spectrum_id: str = Field(max_length=64, description="from a job's result")
     forces: list[ForcePayload] = Field(default_factory=list, max_length=MAX_FORCES)
-    damping_ratio: Finite | None = Field(
-        default=None, ge=0, le=2, description="of every mode; 1 is critical. Unset: 0.04 (bare) to 0.13 (in leaf)"
-    )
-    frequency_hz: Finite | None = Field(
-        default=None,
-        gt=0,
-        le=100,
-        description="lowest natural frequency [Hz]. Unset: as measured for the tree's height",
-    )
-    mass_kg: Finite | None = Field(default=None, gt=0, le=LARGEST, description="that moves; by the height if unset")
     dt_s: Finite = Field(default=1 / 60, gt=0, le=10, description="of a step, which is a frame [s]")
     num_frames: int = Field(default=60, ge=1, le=MAX_FRAMES)
-    integrator: Integrator = "exact"
     start: Start = Field(
         default="rest", description="without initial_state: at rest, in equilibrium with the forces, or Davis'"
     )
     initial_state: StatePayload | None = Field(default=None, description="final_state of an earlier call")
-    locality: Literal["none", "geodesic"] = Field(default="geodesic", description="what a push may reach")
-    falloff_m: Finite | None = Field(default=None, gt=0, le=LARGEST, description="[m]; 15 % of the height if unset")
-    warp: bool = Field(
-        default=False, description="bend, do not stretch; a drag by displacement then holds its point in the bent shape"
-    )
     output: Output = "modal"
 
 

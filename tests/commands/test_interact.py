@@ -31,7 +31,7 @@ def interact(dynamictree, folder):
     return partial(dynamictree, "interact", folder / "tree.spectrum.safetensors")
 
 
-@pytest.mark.parametrize("warp", [[], ["--warp", "--no-local"]])
+@pytest.mark.parametrize("warp", [[], ["--warp", "--locality", "none"]])
 def test_a_push_writes_coordinates_and_a_moving_mesh(interact, capsys, tmp_path, folder, warp):
     code = interact("-o", tmp_path, "--mesh", folder / "tree.obj", "--format", "modal,motion,ply",
         "--displacement", -0.5, 0, 0, "--up-axis", "+Z", "--held", "--duration", 0.1, "--frames", 12, "--json", *warp,
@@ -64,7 +64,10 @@ def test_a_push_writes_coordinates_and_a_moving_mesh(interact, capsys, tmp_path,
         ([], "nothing pushes"),
         (["--impulse", 1, 0, 0, "--format", "glb"], "no format 'glb'"),
         (["--impulse", 1, 0, 0, "--format", "motion"], "--mesh"),
-        (["--impulse", 1, 0, 0, "--integrator", "verlet"], "no integrator"),
+        (
+            ["--impulse", 1, 0, 0, "--integrator", "verlet"],
+            "--integrator is 'verlet': it should be 'exact', 'symp",
+        ),
         (["--impulse", 1, 0, 0, "--integrator", "explicit-euler"], "diverges"),
         (["--impulse", 1, 0, 0, "--point", 99, 0, 0], "outside of the tree"),
         (["--impulse", 1, 0, 0, "--point", 0, 0, 0, "--voxel", 3], "given twice"),
@@ -81,7 +84,7 @@ def test_what_cannot_be_done_is_one_line_and_leaves_nothing(interact, capsys, tm
 
 def test_every_kind_of_push_and_place_is_taken(interact, capsys, tmp_path, folder):
     code = interact("-o", tmp_path, "--impulse", 1, 0, 0, "--force", 0, 5, 0, "--wind", 4, 0, 0,
-        "--voxel", 400, "--radius", 1.0, "--frames", 3, "--no-local",
+        "--voxel", 400, "--radius", 1.0, "--frames", 3, "--locality", "none",
     )  # fmt: skip
     assert code == 0
     assert "groups: 1" in capsys.readouterr().out

@@ -89,10 +89,10 @@ export class Files {
     }
   }
 
-  /** Formats of the service's own description, with what each is for. */
+  /** The service's products, with what each is for. */
   async _offer() {
     try {
-      this.formats ??= formatsOf(await this.client.json("GET", "/openapi.json"));
+      this.formats ??= (await this.client.json("GET", "/v1/limits")).products.map(({ format }) => format);
     } catch (error) {
       return this.onProblem(error);
     }
@@ -124,14 +124,4 @@ export class Files {
     chip.style.removeProperty("--share");
     chip.disabled = false;
   }
-}
-
-/** The values of `AnimateParams.formats`, wherever the schema keeps them. */
-function formatsOf({ components: { schemas } }) {
-  const valuesOf = (schema) => {
-    if (!schema) return [];
-    if (schema.$ref) return valuesOf(schemas[schema.$ref.split("/").pop()]);
-    return schema.enum ?? [...valuesOf(schema.items), ...(schema.anyOf ?? []).flatMap(valuesOf)];
-  };
-  return valuesOf(schemas.AnimateParams.properties.formats);
 }
