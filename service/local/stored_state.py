@@ -8,11 +8,13 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from sqlalchemy.engine import make_url
 
 from jobs.artifacts import ArtifactStore, open_artifacts
 from jobs.backup import back_up
 from jobs.backup import restore as restore_backup
 from jobs.erasure import erase_owner
+from jobs.errors import SettingsError
 from jobs.scrub import scrub as read_again
 from jobs.store import Store
 from jobs.upload_parts import open_parts
@@ -34,7 +36,7 @@ def backup(folder: Folder, state_dir: StateDir = None) -> None:
 
 def restore(folder: Folder, state_dir: StateDir = None) -> None:
     """Fill an empty state with a backup. Stop the service first; jobs that ran are begun anew."""
-    with _opened("restore", state_dir) as (store, artifacts):
+    with _opened("restore", state_dir, must_exist=False) as (store, artifacts):
         report = restore_backup(store, artifacts, folder)
     audit("restore", state_dir, target=str(folder))
     typer.echo(json.dumps(asdict(report)))
@@ -66,8 +68,22 @@ def erase(
 
 
 @contextmanager
-def _opened(command: str, state_dir: Path | None) -> Iterator[tuple[Store, ArtifactStore]]:
+def _opened(command: str, state_dir: Path | None, *, must_exist: bool = True) -> Iterator[tuple[Store, ArtifactStore]]:
     with one_line(command):
         settings = settings_of(state_dir=state_dir)
+        if must_exist:
+            _require_database(settings.resolved_database_url)
         with closing(Store.open(settings.resolved_database_url)) as store:
             yield store, open_artifacts(settings.resolved_artifacts_url, credentials=settings.s3_credentials)
+
+
+def _require_database(url: str) -> None:
+    """Refuse to make an empty SQLite database where a service's own was meant.
+
+    Raises:
+        SettingsError: there is none.
+    """
+    parts = make_url(url)
+    if parts.get_backend_name() == "sqlite" and not Path(parts.database or "").is_file():
+        advice = "name the service's folder by --state-dir or DYNAMICTREE_STATE_DIR"
+        raise SettingsError(f"there is no database at {parts.database}; {advice}")

@@ -12,11 +12,14 @@ from jobs.settings import Settings
 from service.local.doctor import doctor, examine
 from service.local.keys import app as keys
 from service.local.serve import LockedFile, listen, plans, redis_plan, require_keys_beyond_loopback, serve
+from service.local.stored_state import backup, erase, restore, scrub
 from service.services import open_services
 
 app = typer.Typer()
 app.command("serve")(serve)
 app.command("doctor")(doctor)
+for command in (backup, restore, scrub, erase):
+    app.command(command.__name__)(command)
 
 
 def test_the_doctor_tells_what_is_there(tmp_path: Path) -> None:
@@ -158,3 +161,25 @@ def test_a_key_is_made_shown_once_listed_and_revoked(tmp_path: Path) -> None:
     assert CliRunner().invoke(keys, ["revoke", key["id"], *at]).exit_code == 2
     for wrong in (["--scope", "fly"], ["--limit", "jobs=3"], ["--limit", "bytes=-1"]):
         assert CliRunner().invoke(keys, ["create", "x", *wrong, *at]).exit_code == 2
+
+
+@pytest.mark.parametrize("command", [["backup", "b"], ["scrub"], ["erase", "ann", "--yes"]])
+def test_no_empty_state_is_made_where_a_service_s_own_is_meant(
+    command: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    refused = CliRunner().invoke(app, command)
+    assert refused.exit_code == 2
+    assert "--state-dir" in refused.output
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_state_is_backed_up_and_restored_by_commands(tmp_path: Path) -> None:
+    old, new, folder = (str(tmp_path / name) for name in ("old", "new", "backup"))
+    CliRunner().invoke(keys, ["create", "farm", "--owner", "ann", "--state-dir", old])
+    steps = [["backup", folder, "--state-dir", old], ["restore", folder, "--state-dir", new]]
+    steps += [[*command, "--state-dir", new] for command in (["scrub"], ["erase", "ann", "--yes"])]
+    for step in steps:
+        done = CliRunner().invoke(app, step)
+        assert done.exit_code == 0, (step, done.output)
+    assert json.loads(done.output)["keys"] == 1
