@@ -108,6 +108,7 @@ def plans(settings: Settings, listening: socket.socket) -> list[ChildPlan]:
         sys.executable,
         "-m",
         "celery",
+        "--quiet",  # no banner among the lines of the log
         "--workdir",
         "/",
         "-A",
