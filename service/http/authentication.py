@@ -26,8 +26,8 @@ REMEMBERED_S = 2.0
 """A key that was looked up is believed for so long: a revoked one works so much longer at most."""
 
 MAX_REMEMBERED = 10_000
-FORWARDED = ("forwarded", "x-forwarded-for", "x-forwarded-host", "x-real-ip", "via")
-"""Headers that proxies add: behind one on this machine, every request seems to come from this machine."""
+FORWARDED = ("forwarded", "x-forwarded-", "x-real-ip", "via", "cf-connecting-ip", "true-client-ip", "x-client-ip")
+"""Beginnings of headers that proxies add: behind one on this machine, every request seems to come from this machine."""
 
 LINK_HEADERS = {"Access-Control-Allow-Origin": "*", "Cross-Origin-Resource-Policy": "cross-origin"}
 """Of an answer to a signed link, which is the permission itself: a page of any site may show the file."""
@@ -132,7 +132,7 @@ def require_own_machine(scope: Scope, headers: Headers, hosts: tuple[str, ...], 
     if arrived is not None and not arrived.is_loopback:
         detail = f"the request came to {arrived}, and no key is required; set DYNAMICTREE_KEYS=required"
         raise ProblemError("forbidden", f"{detail}, and make one with `dynamictree keys create`")
-    if through := next((name for name in FORWARDED if name in headers), None):
+    if through := next((name for name in headers if name.startswith(FORWARDED)), None):
         detail = f"the request came through a proxy ({through}), and no key is required"
         raise ProblemError("forbidden", f"{detail}; set DYNAMICTREE_KEYS=required")
     name = urlsplit("//" + headers.get("host", "")).hostname or ""

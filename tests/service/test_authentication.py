@@ -226,7 +226,9 @@ def test_a_websocket_where_there_is_none_is_refused(app_services: tuple[TestClie
         pass
 
 
-@pytest.mark.parametrize("header", ["Forwarded", "X-Forwarded-For", "X-Real-IP", "Via"])
+@pytest.mark.parametrize(
+    "header", ["Forwarded", "X-Forwarded-For", "X-Forwarded-Proto", "CF-Connecting-IP", "X-Real-IP", "Via"]
+)
 def test_without_keys_nothing_comes_in_through_a_proxy(client: TestClient, header: str) -> None:
     refused = client.get("/v1/presets", headers={header: "10.0.0.1"})
     assert (refused.status_code, refused.json()["code"]) == (403, "forbidden")
