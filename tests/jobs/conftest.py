@@ -5,9 +5,10 @@ from pathlib import Path
 
 import pytest
 
+from jobs import attempts
 from jobs.assets import add_asset
 from jobs.errors import StorageAwayError
-from jobs.records import AssetPart, AssetRecord, JobRecord
+from jobs.records import AssetPart, AssetRecord, Claim, JobRecord, OutputFile
 from jobs.states import JobType, stages_of
 from jobs.store import Store
 from jobs.tables import metadata
@@ -77,3 +78,16 @@ def make_asset(now: float, fingerprint: str = "f" * 64) -> AssetRecord:
 def add_job(store: Store, asset: AssetRecord, job_type: JobType = "diffuse", **values: object) -> JobRecord:
     job = job_row(asset, job_type, now=store.clock(), **values)
     return store.add_job(job, stages=stages_of(job_type, asset.kind))[0]
+
+
+FILE = OutputFile(name="tree.voxels.safetensors", media_type="application/octet-stream", sha256="c" * 64, bytes=5)
+
+
+def claim(store: Store, job_id: str, attempt: int = 1, owner: str = "worker-1") -> Claim:
+    claimed = attempts.claim(store, job_id, attempt, owner=owner, lease_s=60)
+    assert claimed is not None
+    return claimed
+
+
+def publish(store: Store, lease: Claim) -> None:
+    attempts.publish_stage(store, lease, "voxelize", (FILE,), key="k" * 64, cached=False, retention_s=100)

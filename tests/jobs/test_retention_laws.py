@@ -1,0 +1,123 @@
+"""Assets, cached stages, artifacts and bytes: who shares them, and how long they stay."""
+
+from functools import partial
+
+import pytest
+
+from jobs import attempts, maintenance
+from jobs.assets import add_asset, delete_asset, read_asset
+from jobs.errors import ConflictError, GoneError, NotFoundError, StorageAwayError
+from jobs.records import AssetPart, AssetRecord
+from jobs.store import Store
+from tests.jobs.conftest import FILE, Clock, add_job, claim, make_asset, publish
+from tests.rows import asset_row
+
+
+def test_the_same_fingerprint_is_the_same_asset(store: Store, clock: Clock) -> None:
+    first, new = add_asset(store, make_asset(clock.now))
+    assert new
+    clock.now += 100
+    second, new = add_asset(store, make_asset(clock.now))
+    assert not new
+    assert (second.id, second.expires_at) == (first.id, clock.now + 1000)
+    delete_asset(store, first.id)
+    third, new = add_asset(store, make_asset(clock.now))
+    assert new
+    assert third.id != first.id
+
+
+def test_an_asset_in_use_is_not_deleted(store: Store, asset: AssetRecord) -> None:
+    job = add_job(store, asset)
+    with pytest.raises(ConflictError, match=job.id):
+        delete_asset(store, asset.id)
+    store.cancel(job.id)
+    delete_asset(store, asset.id)
+    with pytest.raises(GoneError):
+        read_asset(store, asset.id)
+    with pytest.raises(GoneError):
+        add_job(store, asset)
+
+
+def test_what_was_never_there_is_not_found(store: Store) -> None:
+    for read in (
+        partial(read_asset, store),
+        store.job,
+        store.artifact,
+        store.cancel,
+        partial(delete_asset, store),
+    ):
+        with pytest.raises(NotFoundError):
+            read("01ARZ3NDEKTSV4RRFFQ69G5FAV")
+
+
+def test_the_next_job_reads_what_a_stage_made(store: Store, asset: AssetRecord, clock: Clock) -> None:
+    assert attempts.cached_stage(store, "k" * 64) is None
+    lease = claim(store, add_job(store, asset).id)
+    attempts.start_stage(store, lease, "voxelize")
+    publish(store, lease)
+    publish_again = claim(store, add_job(store, asset).id)
+    publish(store, publish_again)
+    assert attempts.cached_stage(store, "k" * 64) == (FILE,)
+    assert store.job(lease.job.id).stages[0].state == "succeeded"
+
+
+def test_an_artifact_expires(store: Store, asset: AssetRecord, clock: Clock) -> None:
+    lease = claim(store, add_job(store, asset).id)
+    publish(store, lease)
+    artifact = store.artifacts_of(lease.job.id)[0]
+    assert store.artifact(artifact.id) == artifact
+    clock.now += 101
+    with pytest.raises(GoneError):
+        store.artifact(artifact.id)
+
+
+def test_retention_keeps_what_is_referred_to(store: Store, asset: AssetRecord, clock: Clock) -> None:
+    lease = claim(store, add_job(store, asset).id)
+    for digest in ("a" * 64, "b" * 64, FILE.sha256, "d" * 64):
+        attempts.touch_blob(store, digest, 5)
+    publish(store, lease)
+    assert maintenance.unreferenced_blobs(store) == []  # all too young
+    attempts.succeed(store, lease)
+    clock.now += maintenance.BLOB_GRACE_S + 1
+    assert maintenance.unreferenced_blobs(store) == ["d" * 64]
+    deleted: list[str] = []
+    maintenance.forget_blob(store, "d" * 64, deleted.append)
+    assert deleted == ["d" * 64]
+    maintenance.forget_expired(store, job_retention_s=10, cache_retention_s=10)
+    with pytest.raises(GoneError):
+        read_asset(store, asset.id)
+    with pytest.raises(GoneError):
+        store.job(lease.job.id)
+    assert sorted(maintenance.unreferenced_blobs(store)) == ["a" * 64, "b" * 64, FILE.sha256]
+
+
+def test_referenced_bytes_hide_nothing_from_retention(store: Store, clock: Clock) -> None:
+    referenced = tuple(AssetPart(name=f"{number}.jpg", sha256=f"{number:064x}", bytes=1) for number in range(5))
+    add_asset(store, asset_row(referenced[0], now=clock.now, parts=referenced))
+    for digest in (*(part.sha256 for part in referenced), "f" * 64):
+        attempts.touch_blob(store, digest, 1)
+    clock.now += maintenance.BLOB_GRACE_S + 1
+    assert maintenance.unreferenced_blobs(store, limit=1) == ["f" * 64]
+
+
+def test_bytes_that_are_sent_again_are_not_deleted(store: Store, clock: Clock) -> None:
+    attempts.touch_blob(store, "d" * 64, 5)
+    clock.now += maintenance.BLOB_GRACE_S + 1
+    assert maintenance.unreferenced_blobs(store) == ["d" * 64]
+    attempts.touch_blob(store, "d" * 64, 5)
+    deleted: list[str] = []
+    maintenance.forget_blob(store, "d" * 64, deleted.append)
+    assert deleted == []
+    clock.now += maintenance.BLOB_GRACE_S + 1
+    assert maintenance.unreferenced_blobs(store) == ["d" * 64]
+
+
+def test_bytes_that_could_not_be_deleted_stay_known(store: Store, clock: Clock) -> None:
+    def away(digest: str) -> None:
+        raise StorageAwayError("away")
+
+    attempts.touch_blob(store, "d" * 64, 5)
+    clock.now += maintenance.BLOB_GRACE_S + 1
+    with pytest.raises(StorageAwayError):
+        maintenance.forget_blob(store, "d" * 64, away)
+    assert maintenance.unreferenced_blobs(store) == ["d" * 64]
