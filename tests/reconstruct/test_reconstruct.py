@@ -117,7 +117,7 @@ def test_held_out_photos_are_shown_better_than_by_one_colour(reconstruction):
     report = result.report
     assert len(report["held_out"]) == 2
     assert not set(report["held_out"]) & set(report["left_out"])
-    assert min(report["held_out_psnr_db"]) > 17  # 17.7 to 19.5 after 400 steps: they differ with the cameras found
+    assert min(report["held_out_psnr_db"]) > 17.5  # 17.7 to 19.5 after 400 steps: they differ with the cameras found
     assert np.mean(report["held_out_psnr_db"]) > np.mean(report["held_out_blank_psnr_db"]) + 6
 
 
