@@ -62,7 +62,7 @@ def write_forest_glb(
     fps: float,
     wind_deg: float = 0.0,
 ) -> None:
-    """Write one period; keys as in `glb_motion`. `wind_deg` is where the wind blows to, from +X towards +Y."""
+    """Write one period; keys as in `write_motion_glb`. `wind_deg` is where the wind blows to, from +X towards +Y."""
     writer = GlbWriter()
     rotation = up_rotation("+Y").astype(np.float32)
     foot = np.array([*mesh.vertices[:, :2].mean(axis=0), mesh.vertices[:, 2].min()], np.float32)
