@@ -46,7 +46,7 @@ def erase_owner(store: Store, artifacts: ArtifactStore, parts: PartStore, owner:
         parts.delete(upload_id)
     with store.writing() as connection:
         counted = _delete_rows(connection, owner)
-        _forget_cached(connection, digests)
+        digests |= _forget_cached(connection, digests)
         left = digests - set(referenced(connection, now))
         connection.execute(t.blobs.delete().where(t.blobs.c.sha256.in_(left)))
     for digest in left:
@@ -84,8 +84,15 @@ def _delete_rows(connection: sa.Connection, owner: str) -> dict[str, int]:
     return counted
 
 
-def _forget_cached(connection: sa.Connection, digests: set[str]) -> None:
-    """Delete cached stages that gave any of these files. An entry of another owner is only computed again."""
+def _forget_cached(connection: sa.Connection, digests: set[str]) -> set[str]:
+    """Delete cached stages that gave or used any of these files; give all files that they name.
+
+    An entry of another owner is only computed again.
+    """
+    forgotten: set[str] = set()
     for row in connection.execute(sa.select(t.stage_cache.c.key, t.stage_cache.c.files)).all():
-        if any(file["sha256"] in digests for file in row.files):
+        files = {file["sha256"] for file in row.files}
+        if files & digests:
             connection.execute(t.stage_cache.delete().where(t.stage_cache.c.key == row.key))
+            forgotten |= files
+    return forgotten

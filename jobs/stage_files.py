@@ -5,3 +5,6 @@ MESH_BUNDLE = "mesh.safetensors"  # a reconstructed mesh, for the next stages
 CLOUD_BUNDLE = "cloud.safetensors"  # a splat or scan as it was read, for the stages that move it
 VOXELS = "tree.voxels.safetensors"
 SPECTRUM = "tree.spectrum.safetensors"
+
+STAGE_VERSION = "12"
+"""Part of every stage's key; raised when a stage makes something else of the same inputs."""

@@ -18,19 +18,18 @@ from jobs.artifacts import hash_file
 from jobs.assets import read_asset
 from jobs.attempts import cached_stage, offer, publish_stage, start_stage, touch_blob
 from jobs.errors import FencedError
+from jobs.intermediates import RESULT_SOURCES, find_intermediate, intermediate_key, remember_intermediate
 from jobs.records import AssetRecord, JobRecord, OutputFile
-from jobs.stage_files import CLOUD_BUNDLE, MESH_BUNDLE, SPECTRUM, VOXELS
+from jobs.stage_files import CLOUD_BUNDLE, MESH_BUNDLE, SPECTRUM, STAGE_VERSION, VOXELS
 from jobs.states import JOB_TYPES, JobType
 from worker.cancellation import HandedBack, Watch
 from worker.runtime import Runtime
 
 if TYPE_CHECKING:
+    from dynamictree.export.vertex_motion import Result
     from worker.stages import StageInput
 
 logger = logging.getLogger(__name__)
-
-STAGE_VERSION = "11"
-"""Part of every stage's key; raised when a stage makes something else of the same inputs."""
 
 SOURCE = "source"
 INPUTS: dict[JobType, tuple[str, ...]] = {
@@ -46,6 +45,8 @@ PARAMS: dict[JobType, tuple[type[Request], ...]] = {
     "animate": (ExportParams, CloudParams),
 }
 """The files and parameters that change what a stage makes."""
+
+OCTETS = "application/octet-stream"
 
 
 def run_stages(runtime: Runtime, watch: Watch) -> None:
@@ -65,6 +66,7 @@ def run_stages(runtime: Runtime, watch: Watch) -> None:
         files = _fetch_prepared(runtime, asset, inputs)
         photos = _fetch_photos(runtime, asset, inputs / "photos", photo_name)
         hashes = dict.fromkeys((MESH_BUNDLE, CLOUD_BUNDLE, SOURCE), asset.fingerprint)
+        sources = _prepared_sources(asset)
         for stage in job.stages:
             watch.check()
             outputs = _finished(runtime, job, stage.name)
@@ -83,6 +85,7 @@ def run_stages(runtime: Runtime, watch: Watch) -> None:
                     source_sha256="" if asset.kind == "photos" else asset.parts[0].sha256,
                     photos=photos,
                     report=partial(watch.report, stage.name),
+                    recall=partial(_recall, runtime, job, own, sources, _fresh(job, stage.name)),
                 )
                 outputs = _run_stage(runtime, watch, stage.name, STAGES[stage.name], given)
                 _publish(runtime, watch, stage.name, outputs, key=key, cached=False)
@@ -90,6 +93,7 @@ def run_stages(runtime: Runtime, watch: Watch) -> None:
                 runtime.artifacts.fetch(file.sha256, inputs / file.name)
                 files[file.name] = inputs / file.name
                 hashes[file.name] = file.sha256
+                sources[file.name] = file
     except (HandedBack, FencedError):
         raise  # the next attempt continues from this folder, if it comes to this machine
     except BaseException:
@@ -110,7 +114,11 @@ def _run_stage(
     except Cancelled:
         raise
     except DynamicTreeError:
-        left = _keep(runtime, sorted(path for path in given.folder.iterdir() if path.is_file()), given.facts)
+        left = _keep(
+            runtime,
+            sorted(path for path in given.folder.iterdir() if path.is_file() and path.name[0] != "."),
+            given.facts,
+        )
         offer(runtime.store, watch.claimed, stage, left, retention_s=runtime.settings.artifact_retention_s)
         raise
 
@@ -149,6 +157,42 @@ def _fetch_prepared(runtime: Runtime, asset: AssetRecord, inputs: Path) -> dict[
     name = CLOUD_BUNDLE if asset.kind == "cloud" else MESH_BUNDLE
     runtime.artifacts.fetch(asset.prepared.sha256, inputs / name)
     return {name: inputs / name}
+
+
+def _prepared_sources(asset: AssetRecord) -> dict[str, OutputFile]:
+    """The file that the parser wrote, as stages name theirs."""
+    if asset.prepared is None:
+        return {}
+    name = CLOUD_BUNDLE if asset.kind == "cloud" else MESH_BUNDLE
+    part = asset.prepared
+    return {name: OutputFile(name=name, media_type=OCTETS, sha256=part.sha256, bytes=part.bytes)}
+
+
+def _recall(
+    runtime: Runtime,
+    job: JobRecord,
+    folder: Path,
+    sources: Mapping[str, OutputFile],
+    fresh: bool,
+    name: "Result",
+    make: Callable[[Path], None],
+) -> Path:
+    """The file of a result that does not depend on the formats: an earlier job's, or computed and remembered."""
+    path = folder / f".{name}"
+    used = [sources[source] for source in RESULT_SOURCES[name]]
+    choice = CloudParams.part_of(job.params).model_dump(mode="json")
+    key = intermediate_key(name, job, [file.sha256 for file in used], choice)
+    file = None if fresh else find_intermediate(runtime.store, runtime.artifacts, key)
+    if file is not None:
+        runtime.artifacts.fetch(file.sha256, path)
+    else:
+        make(path)
+        digest, size = hash_file(path)
+        touch_blob(runtime.store, digest, size)
+        runtime.artifacts.put(path, digest)
+        file = OutputFile(name=name, media_type=OCTETS, sha256=digest, bytes=size)
+    remember_intermediate(runtime.store, key, name, file, used)
+    return path
 
 
 def _fetch_photos(

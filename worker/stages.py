@@ -9,6 +9,7 @@ from pathlib import Path, PurePosixPath
 from dynamictree import method
 from dynamictree.export.moving_tree import Facts
 from dynamictree.export.table import PRODUCTS
+from dynamictree.export.vertex_motion import Recall
 from dynamictree.export.write import write_products
 from dynamictree.formats.mesh.ply_writer import write_ply
 from dynamictree.formats.suffixes import PHOTO_SUFFIXES
@@ -36,6 +37,7 @@ class StageInput:
     files: dict[str, Path]  # what earlier stages made; the asset's mesh as MESH_BUNDLE, or its cloud as CLOUD_BUNDLE
     source_sha256: str  # of the file that holds the shape; empty for photos
     photos: tuple[Path, ...]  # with the cameras and masks that came with them
+    recall: Recall  # gives results that other jobs may have computed
     report: Callable[[float], None]  # share done in [0, 1]; raises when the stage should stop
     facts: dict[str, Facts] = field(default_factory=dict)  # filled in: what a file has to tell, by its name
 
@@ -126,6 +128,7 @@ def animate(given: StageInput) -> Iterable[Path]:
         capture=_capture(given),
         choice=CloudParams.part_of(given.job.params),
         on_facts=lambda name, facts: given.facts.update({PRODUCTS[name].file_name: facts}),
+        recall=given.recall,
     )
     return paths.values()
 

@@ -12,16 +12,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import sqlalchemy as sa
 from celery.exceptions import SoftTimeLimitExceeded
 
 from dynamictree.errors import Cancelled, CheckpointError, MeshError
+from dynamictree.export.vertex_motion import MotionSource
 from dynamictree.formats.tensors.spectrum import write_spectrum
 from dynamictree.formats.tensors.voxels import read_voxels
 from dynamictree.requests import AnimateParams, VoxelizeParams
 from dynamictree.spectrum import SparseVoxelSpectrum
+from jobs import tables as t
 from jobs.artifacts import hash_file
 from jobs.attempts import hand_back, publish_stage, start_stage, succeed
+from jobs.erasure import _forget_cached
 from jobs.errors import FencedError, GoneError
+from jobs.intermediates import RESULT_SOURCES
 from jobs.maintenance import living, reap
 from jobs.records import AssetRecord, Claim, OutputFile
 from jobs.stage_files import MESH_BUNDLE, SPECTRUM, VOXELS
@@ -120,6 +125,37 @@ def test_the_next_attempt_goes_on_where_the_last_one_was(runtime: Runtime, asset
     assert [artifact.name for artifact in artifacts] == [VOXELS, SPECTRUM, "motion.ply.zip", "motion.safetensors"]
     for artifact in artifacts:
         assert sha256(content(runtime, job.id, artifact.name)).hexdigest() == artifact.sha256
+
+
+def test_another_format_does_not_compute_the_motion_again(
+    runtime: Runtime, asset: AssetRecord, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    computed = []
+    whole = MotionSource._computed
+    monkeypatch.setattr(
+        MotionSource, "_computed", lambda self, report: computed.append(self.spectrum) or whole(self, report)
+    )
+    contents = {}
+    for number, formats in enumerate((["ply"], ["motion"], ["ply", "motion"])):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        lease = with_spectrum(runtime, asset, folder, formats=formats)
+        run(runtime, lease)
+        names = [artifact.name for artifact in runtime.store.artifacts_of(lease.job.id)][2:]
+        contents[number] = {name: content(runtime, lease.job.id, name) for name in names}
+    assert len(computed) == 1
+    assert contents[0] | contents[1] == contents[2]
+
+
+def test_a_result_that_is_shared_is_erased_with_its_owner(runtime: Runtime, asset: AssetRecord, tmp_path: Path) -> None:
+    run(runtime, with_spectrum(runtime, asset, tmp_path))
+    with runtime.store.reading() as connection:
+        rows = connection.execute(sa.select(t.stage_cache.c.stage, t.stage_cache.c.files)).all()
+    shared = {row.stage: row.files for row in rows if row.stage in RESULT_SOURCES}
+    assert {name: tuple(file["name"] for file in files[1:]) for name, files in shared.items()} == RESULT_SOURCES
+    with runtime.store.writing() as connection:
+        forgotten = _forget_cached(connection, {asset.prepared.sha256} if asset.prepared else set())
+    assert {files[0]["sha256"] for files in shared.values()} <= forgotten
 
 
 def test_a_cancel_is_honoured_at_the_next_step(runtime: Runtime, asset: AssetRecord, tmp_path: Path) -> None:

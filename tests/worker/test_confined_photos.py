@@ -101,6 +101,7 @@ def test_a_stage_decodes_no_photo_itself(photos: list[Path], tmp_path: Path, mon
         files={},
         source_sha256="",
         photos=tuple(photos),
+        recall=lambda name, make: tmp_path / name,
         report=lambda share: None,
     )
     given.resume_dir.mkdir()

@@ -1,0 +1,45 @@
+"""Results that a stage computes on its way and that other jobs and the API use again: stored as stages are, by key.
+
+An entry names the files that it was computed from, so that it is forgotten with them.
+"""
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict
+from hashlib import sha256
+from importlib.metadata import version
+
+from jobs import tables as t
+from jobs.artifacts import ArtifactStore
+from jobs.attempts import cached_stage, touch_blob
+from jobs.database import upsert
+from jobs.records import JobRecord, OutputFile
+from jobs.retry import patient
+from jobs.stage_files import MESH_BUNDLE, SPECTRUM, STAGE_VERSION, VOXELS
+from jobs.store import Store
+
+RESULT_SOURCES = {"ties": (VOXELS, MESH_BUNDLE), "motion": (SPECTRUM, MESH_BUNDLE)}
+"""The files that each result is computed from."""
+
+
+def intermediate_key(name: str, job: JobRecord, sources: Iterable[str], choice: Mapping[str, object]) -> str:
+    """sha256 over all that decides a result: the hashes of its sources, what of them moves (`choice`), owner, code."""
+    meaning = [name, STAGE_VERSION, version("dynamictree"), list(sources), dict(choice), job.owner or ""]
+    return sha256(json.dumps(meaning, sort_keys=True).encode()).hexdigest()
+
+
+def find_intermediate(store: Store, artifacts: ArtifactStore, key: str) -> OutputFile | None:
+    """The file of a result, if it was computed before and its bytes are there."""
+    files = cached_stage(store, key)
+    if not files:
+        return None
+    touch_blob(store, files[0].sha256, files[0].bytes)
+    return files[0] if artifacts.exists(files[0].sha256) else None
+
+
+@patient
+def remember_intermediate(store: Store, key: str, name: str, file: OutputFile, sources: Iterable[OutputFile]) -> None:
+    """Remember a result, and that it is used now."""
+    files = [asdict(each) for each in (file, *sources)]
+    with store.writing() as connection:
+        upsert(connection, t.stage_cache, {"key": key, "stage": name, "files": files, "used_at": store.clock()})
