@@ -13,6 +13,7 @@ from dynamictree.spectrum import SparseVoxelSpectrum
 from dynamictree.trees.of_mesh import only_tree_of
 from jobs.assets import read_asset
 from jobs.errors import ConflictError, GoneError, NotFoundError
+from jobs.intermediates import RESULT_SOURCES, find_intermediate, intermediate_key
 from jobs.records import ArtifactRecord
 from jobs.stage_files import MESH_BUNDLE, SPECTRUM
 from service.http.problems import ProblemError
@@ -65,6 +66,26 @@ def load_source_mesh(owned: Owned, spectrum_id: str) -> TriangleMesh:
     if not bundles:
         raise GoneError(f"the mesh of spectrum {spectrum_id} was removed; run the job again")
     return _mesh(owned, bundles[0].sha256, f"of spectrum {spectrum_id}")
+
+
+def load_result(owned: Owned, spectrum_id: str, name: str) -> BytesIO | None:
+    """What a job computed for a spectrum and its mesh on its way to the products, by `RESULT_SOURCES`; None without.
+
+    Raises:
+        NotFoundError, GoneError: there is no such spectrum, or its asset has expired.
+    """
+    artifact = spectrum_artifact(owned, spectrum_id)
+    job = owned.store.job(artifact.job_id)
+    asset = read_asset(owned.store, job.asset_id)
+    digests = {other.name: other.sha256 for other in owned.store.artifacts_of(job.id)}
+    if asset.prepared is not None and asset.kind == "mesh":
+        digests[MESH_BUNDLE] = asset.prepared.sha256
+    if not digests.keys() >= set(RESULT_SOURCES[name]):
+        return None
+    choice = CloudParams.part_of(job.params).model_dump(mode="json")
+    key = intermediate_key(name, job, [digests[source] for source in RESULT_SOURCES[name]], choice)
+    file = find_intermediate(owned.store, owned.services.artifacts, key)
+    return None if file is None else _stored(owned, file.sha256, f"{name} of spectrum {spectrum_id}")
 
 
 def load_asset_mesh(owned: Owned, asset_id: str) -> TriangleMesh:

@@ -1,6 +1,7 @@
 """Load trees for interaction, from memory where they were used recently."""
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -10,7 +11,16 @@ from dynamictree.modal.system import modal_system
 from jobs.assets import read_asset
 from service.ready_tree import MovingGaussians, ReadyTree
 from service.services import Owned
-from service.stored_trees import load_source_cloud, load_source_mesh, load_spectrum, spectrum_artifact
+from service.stored_trees import (
+    load_result,
+    load_source_cloud,
+    load_source_mesh,
+    load_spectrum,
+    spectrum_artifact,
+)
+
+if TYPE_CHECKING:
+    from dynamictree.devoxelize.interpolation import VoxelInterpolation
 
 
 def ready_tree(owned: Owned, spectrum_id: str) -> ReadyTree:
@@ -49,7 +59,16 @@ def with_mesh(owned: Owned, ready: ReadyTree, spectrum_id: str) -> TriangleMesh:
     read_asset(owned.store, owned.store.job(artifact.job_id).asset_id)  # tells when it has expired
     if ready.mesh is None:
         ready.mesh = load_source_mesh(owned, spectrum_id)
+        ready.interpolation = _stored_ties(owned, spectrum_id)
     return ready.mesh
+
+
+def _stored_ties(owned: Owned, spectrum_id: str) -> "VoxelInterpolation | None":
+    """What ties the vertices to the voxels, where a job has computed it."""
+    from dynamictree.formats.tensors.vertex_ties import read_ties  # brings numba
+
+    stream = load_result(owned, spectrum_id, "ties")
+    return None if stream is None else read_ties(stream)
 
 
 def moving_gaussians(owned: Owned, ready: ReadyTree, spectrum_id: str) -> MovingGaussians:

@@ -5,16 +5,17 @@ import json
 import numpy as np
 from fastapi import APIRouter
 from fastapi.responses import Response
+from jaxtyping import Complex64
 from safetensors.numpy import save
 
 from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.modes import quantised
-from dynamictree.spectrum import SparseVoxelSpectrum, bin_weights
+from dynamictree.spectrum import bin_weights
 from service.http.negotiation import SAFETENSORS
 from service.http.routing import CACHED, Id, file_of, refusals
 from service.ready_tree import ReadyTree, bone_ties, vertex_ties
-from service.services import OwnedDep
-from service.stored_trees import load_asset_mesh, load_spectrum
+from service.services import Owned, OwnedDep
+from service.stored_trees import load_asset_mesh, load_result, load_spectrum
 from service.tree_cache import ready_tree, with_mesh
 
 router = APIRouter(prefix="/v1", tags=["spectra"])
@@ -55,7 +56,7 @@ def get_surface(id: Id, owned: OwnedDep) -> Response:
     ready = ready_tree(owned, id)
     mesh = with_mesh(owned, ready, id)
     own = mesh.num_vertices <= MAX_OWN_SHAPES
-    motion = _own_motion(ready, mesh, load_spectrum(owned, id)) if own else _near_motion(ready, mesh)
+    motion = _own_motion(owned, id, ready, mesh) if own else _near_motion(ready, mesh)
     return _response(mesh_tensors(mesh) | motion, mesh)
 
 
@@ -71,18 +72,10 @@ def mesh_tensors(mesh: TriangleMesh) -> dict[str, np.ndarray]:
     return tensors
 
 
-def _own_motion(ready: ReadyTree, mesh: TriangleMesh, spectrum: SparseVoxelSpectrum) -> dict[str, np.ndarray]:
+def _own_motion(owned: Owned, spectrum_id: str, ready: ReadyTree, mesh: TriangleMesh) -> dict[str, np.ndarray]:
     """A spectrum for each vertex, and the bones that carry it."""
-    from dynamictree.devoxelize.length_preserving import (  # imports numba
-        LengthPreservingInterpolation,
-        length_preserving,
-    )
-
-    if mesh.face_tree is None:  # [N, K, 3], as in the products
-        ties = LengthPreservingInterpolation(mesh=mesh, grid=spectrum.grid, interpolation=vertex_ties(ready, mesh))
-        constrained = ties.apply(spectrum.coefficients)
-    else:
-        constrained = length_preserving(spectrum.grid, mesh).apply(spectrum.coefficients)
+    spectrum = load_spectrum(owned, spectrum_id)
+    constrained = _motion_of_products(owned, spectrum_id, ready, mesh)  # [N, K, 3]
     weights = bin_weights(spectrum.num_frequencies, spectrum.num_frames)
     shapes, scale = quantised(constrained * weights[:, None])  # bin 0 is the lean, the others φ_k = 2 c_k
     carried = bone_ties(ready, mesh)
@@ -93,6 +86,26 @@ def _own_motion(ready: ReadyTree, mesh: TriangleMesh, spectrum: SparseVoxelSpect
         "bone_rows": np.take_along_axis(carried.rows, strongest, axis=1).astype(np.uint16),
         "bone_weights": _bytes(np.take_along_axis(carried.weights, strongest, axis=1)),
     }
+
+
+def _motion_of_products(
+    owned: Owned, spectrum_id: str, ready: ReadyTree, mesh: TriangleMesh
+) -> Complex64[np.ndarray, "N K 3"]:
+    """The vertices' motion as in the products: that of the job, or computed where no job has needed it."""
+    from dynamictree.devoxelize.length_preserving import (  # imports numba
+        LengthPreservingInterpolation,
+        length_preserving,
+    )
+    from dynamictree.formats.tensors.vertex_motion import read_vertex_motion
+
+    stream = load_result(owned, spectrum_id, "motion")
+    if stream is not None:
+        return read_vertex_motion(stream).coefficients
+    spectrum = load_spectrum(owned, spectrum_id)
+    if mesh.face_tree is not None:
+        return length_preserving(spectrum.grid, mesh).apply(spectrum.coefficients)
+    ties = LengthPreservingInterpolation(mesh=mesh, grid=spectrum.grid, interpolation=vertex_ties(ready, mesh))
+    return ties.apply(spectrum.coefficients)
 
 
 def _near_motion(ready: ReadyTree, mesh: TriangleMesh) -> dict[str, np.ndarray]:
