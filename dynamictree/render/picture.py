@@ -1,6 +1,7 @@
 """Render a mesh from a camera to a picture."""
 
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 from io import BytesIO
 from typing import NamedTuple
 
@@ -12,7 +13,7 @@ from dynamictree.byte_stream import ByteWriter
 from dynamictree.errors import InputError
 from dynamictree.mesh import TriangleMesh, validate_mesh, vertex_normals
 from dynamictree.parallel import in_bands
-from dynamictree.render.appearance import appearance_of
+from dynamictree.render.appearance import Appearance, appearance_of
 from dynamictree.render.camera import Camera
 from dynamictree.render.light import BARE_SUN, OPEN_SKY, SkyVolume, SunMap, sky_volume, sun_map
 from dynamictree.render.raster import ScreenTriangles, Visible, rasterise, screen_triangles
@@ -47,6 +48,13 @@ class Buffers(NamedTuple):
     face: Int32[np.ndarray, "H W"]  # -1 where nothing is
 
 
+class _Surface(NamedTuple):
+    """Faces that are drawn, all of a mesh or some."""
+
+    faces: Int32[np.ndarray, "F 3"]
+    appearance: Appearance
+
+
 class Renderer:
     """Pictures of one mesh in many poses: its colours and the light in its crown are prepared once."""
 
@@ -70,6 +78,13 @@ class Renderer:
         self._sky: SkyVolume = sky_volume(mesh.vertices, mesh.faces) if self.look.shadows else OPEN_SKY
         self._sun: SunMap = self._shadow_of(mesh.vertices)
 
+    def with_size(self, *, width: int, height: int) -> "Renderer":
+        """Draw the same mesh in the same light in another size of picture."""
+        other = copy(self)
+        other.look = replace(self.look, width=width, height=height)
+        other.camera = Camera.orbit(self.mesh.vertices[~self.mesh.still_vertices], aspect=width / height)
+        return other
+
     def picture(
         self,
         displacement: Float32[np.ndarray, "N 3"] | None = None,
@@ -84,14 +99,18 @@ class Renderer:
         look, camera = self.look, camera or self.camera
         rows = rows or range(look.height)
         vertices = self.mesh.vertices if displacement is None else self.mesh.vertices + displacement
-        triangles, visible = self._see(vertices, camera, rows, look.supersampling)
-        moved = displacement is not None and len(rows) == look.height
+        whole = len(rows) == look.height
+        surface = _Surface(self.mesh.faces, self._appearance)
+        if not whole:
+            surface = self._near_rows(surface, vertices, camera, rows)
+        triangles, visible = self._see(surface, vertices, camera, rows, look.supersampling)
+        moved = displacement is not None and whole
         positions = vertices.astype(np.float64)
         scene = Scene(
             vertices=positions,
-            normals=vertex_normals(positions, self.mesh.faces),
-            faces=self.mesh.faces,
-            appearance=self._appearance,
+            normals=vertex_normals(positions, surface.faces),
+            faces=surface.faces,
+            appearance=surface.appearance,
             sun_direction=self._sun_direction,
             sun=self._shadow_of(vertices) if moved else self._sun,
             sky=self._sky,
@@ -110,7 +129,8 @@ class Renderer:
     def buffers(self, camera: Camera | None = None) -> Buffers:
         """Depth, normals and faces of the rest pose, one sample a pixel."""
         camera = camera or self.camera
-        _, visible = self._see(self.mesh.vertices, camera, range(self.look.height), 1)
+        surface = _Surface(self.mesh.faces, self._appearance)
+        _, visible = self._see(surface, self.mesh.vertices, camera, range(self.look.height), 1)
         seen = visible.face >= 0
         depth = np.where(seen, 1 / np.where(seen, visible.nearness, 1), np.inf).astype(np.float32)
         a, b, c = (self.mesh.vertices[self.mesh.faces[:, corner]].astype(np.float64) for corner in range(3))
@@ -126,15 +146,43 @@ class Renderer:
             return BARE_SUN
         return sun_map(vertices, self.mesh.faces, self._appearance, self._sun_direction)
 
-    def _see(
+    def _near_rows(
+        self, surface: "_Surface", vertices: Float32[np.ndarray, "N 3"], camera: Camera, rows: range
+    ) -> "_Surface":
+        """The faces that may be seen in some rows, and those around their vertices, which bend their normals."""
+        _, y, depth = self._homogeneous(vertices, camera, rows, 1).T
+        row = y / np.where(depth > 0, depth, 1)
+        above, below, behind = row < 0, row > len(rows), depth <= 0
+        corners = surface.faces
+        outside = above[corners].all(axis=1) | below[corners].all(axis=1)
+        seen = ~outside | behind[corners].any(axis=1)
+        used = np.zeros(len(vertices), np.bool_)
+        used[corners[seen]] = True
+        near = used[corners].any(axis=1)
+        material = surface.appearance.face_material[near]
+        return _Surface(corners[near], surface.appearance._replace(face_material=material))
+
+    def _homogeneous(
         self, vertices: Float32[np.ndarray, "N 3"], camera: Camera, rows: range, supersampling: int
+    ) -> Float64[np.ndarray, "N 3"]:
+        to_sample = _samples(camera, self.look, rows, supersampling)
+        to_rows: Float64[np.ndarray, "3 3"] = to_sample @ camera.world_to_camera
+        homogeneous: Float64[np.ndarray, "N 3"] = (vertices - camera.position_m) @ to_rows.T
+        return homogeneous
+
+    def _see(
+        self,
+        surface: "_Surface",
+        vertices: Float32[np.ndarray, "N 3"],
+        camera: Camera,
+        rows: range,
+        supersampling: int,
     ) -> tuple[ScreenTriangles, Visible]:
         size = {"width": self.look.width * supersampling, "height": len(rows) * supersampling}
-        to_sample = _samples(camera, self.look, rows, supersampling)
-        homogeneous = (vertices - camera.position_m) @ (to_sample @ camera.world_to_camera).T  # [N, 3]
-        faces, ones = self.mesh.faces, np.ones(len(vertices), np.float32)
-        triangles = screen_triangles(np.ascontiguousarray(homogeneous), faces, self._appearance, **size)
-        return triangles, rasterise(triangles, faces, ones, self._appearance, **size)
+        homogeneous = np.ascontiguousarray(self._homogeneous(vertices, camera, rows, supersampling))
+        ones = np.ones(len(vertices), np.float32)
+        triangles = screen_triangles(homogeneous, surface.faces, surface.appearance, **size)
+        return triangles, rasterise(triangles, surface.faces, ones, surface.appearance, **size)
 
 
 def render_mesh(

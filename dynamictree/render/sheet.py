@@ -53,8 +53,8 @@ def preview_sheet(
     amplitude = sway_amplitude(coefficients, num_frames)
     still = still_renderer.picture(displacement_at(coefficients, 0.0, num_frames))
     line, window = _slice_window(mesh, amplitude, camera)
-    time_slice = _space_time_slice(mesh, coefficients, num_frames, window)
-    strip = _frames_in_a_row(mesh, coefficients, num_frames)
+    time_slice = _space_time_slice(still_renderer, coefficients, num_frames, window)
+    strip = _frames_in_a_row(still_renderer, coefficients, num_frames)
 
     half = (_STILL_PX - _TITLE_PX) // 2
     sheet = Image.new("RGB", (_STILL_PX + _SIDE_PX, 2 * _TITLE_PX + _STILL_PX + _STRIP_PX[1]), _PAPER)
@@ -116,9 +116,9 @@ def _slice_window(
 
 
 def _space_time_slice(
-    mesh: TriangleMesh, coefficients: Complex64[np.ndarray, "N K 3"], num_frames: int, window: Camera
+    renderer: Renderer, coefficients: Complex64[np.ndarray, "N K 3"], num_frames: int, window: Camera
 ) -> UInt8[np.ndarray, "T W 3"]:
-    renderer = Renderer(mesh, Look(width=_SIDE_PX, height=_SIDE_PX))
+    renderer = renderer.with_size(width=_SIDE_PX, height=_SIDE_PX)
     middle = range(_SIDE_PX // 2, _SIDE_PX // 2 + 1)
     phases = np.arange(num_frames) / num_frames
     frames = iter_motion(coefficients, phases, num_frames)
@@ -126,9 +126,9 @@ def _space_time_slice(
 
 
 def _frames_in_a_row(
-    mesh: TriangleMesh, coefficients: Complex64[np.ndarray, "N K 3"], num_frames: int
+    renderer: Renderer, coefficients: Complex64[np.ndarray, "N K 3"], num_frames: int
 ) -> UInt8[np.ndarray, "H W 3"]:
-    renderer = Renderer(mesh, Look(width=_STRIP_PX[0], height=_STRIP_PX[1]))
+    renderer = renderer.with_size(width=_STRIP_PX[0], height=_STRIP_PX[1])
     phases = np.arange(_NUM_STRIP) / _NUM_STRIP
     frames = iter_motion(coefficients, phases, num_frames)
     return np.concatenate([renderer.picture(frame) for frame in frames], axis=1)
