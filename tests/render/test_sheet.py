@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from dynamictree.render import Camera, amplitude_colors, preview_sheet, sway_amplitude
+from dynamictree.render import Camera, Renderer, amplitude_colors, preview_sheet, sway_amplitude
 from dynamictree.render.sheet import _slice_window, _space_time_slice
 from dynamictree.spectrum import from_motion, to_motion
 
@@ -35,7 +35,7 @@ def test_the_slice_shows_movement_where_there_is_some_and_straight_lines_where_n
     moving, still = swaying(two_balls, 0.15), np.zeros((two_balls.num_vertices, 16, 3), np.complex64)
     for coefficients, moves in ((moving, True), (still, False)):
         _, window = _slice_window(two_balls, sway_amplitude(coefficients), camera)
-        stacked = _space_time_slice(two_balls, coefficients, 100, window)
+        stacked = _space_time_slice(Renderer(two_balls), coefficients, 100, window)
         assert stacked.shape[0] == 100
         changes = np.abs(stacked.astype(int) - stacked[:1]).max(axis=2) > 30
         assert changes.any() == moves
