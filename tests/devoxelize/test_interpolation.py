@@ -111,6 +111,7 @@ def test_the_mean_over_the_surface_in_a_voxel_comes_back() -> None:
 @pytest.mark.parametrize("max_nodes", [10, 40_000])
 def test_the_same_motion_everywhere_stays_the_same_everywhere(monkeypatch: pytest.MonkeyPatch, max_nodes: int) -> None:
     monkeypatch.setattr(surface_fit, "MAX_NODES", max_nodes)
+    monkeypatch.setattr(surface_fit, "MERGED", 2.0)
     mesh, _ = two_close_twigs()
     grid = voxelize(mesh, 128).grid
     values = np.tile(np.array([[1.5 + 2j, -3]], np.complex64), (len(grid), 1))
@@ -125,6 +126,7 @@ def test_clusters_of_vertices_give_what_single_vertices_give(monkeypatch: pytest
     motion = bending_motion(mesh, owner == 1)
     one_by_one = through_voxels(mesh, motion, "smooth")
     monkeypatch.setattr(surface_fit, "MAX_NODES", 10)
+    monkeypatch.setattr(surface_fit, "MERGED", 2.0)
     assert size_of(through_voxels(mesh, motion, "smooth") - one_by_one) < 0.1 * size_of(one_by_one)
 
 
@@ -175,3 +177,14 @@ def test_a_grid_of_another_mesh_is_refused() -> None:
     other = replace(mesh, vertices=mesh.vertices * np.float32(0.5))
     with pytest.raises(InputError, match="voxelize this mesh"):
         smooth(voxelize(mesh, 64).grid, other)
+
+
+@pytest.mark.parametrize(("resolution", "merges"), [(256, False), (32, True)])
+def test_only_vertices_that_lie_close_are_merged(
+    monkeypatch: pytest.MonkeyPatch, resolution: int, merges: bool
+) -> None:
+    monkeypatch.setattr(surface_fit, "MAX_NODES", 10)
+    mesh, _ = two_close_twigs()
+    fit = smooth(voxelize(mesh, resolution).grid, mesh).fit
+    assert fit is not None
+    assert (fit.prolongation is not None) == merges
