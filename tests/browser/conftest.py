@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import httpx
 import numpy as np
 import pytest
 from PIL import Image
@@ -30,6 +31,25 @@ def url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     folder = tmp_path_factory.mktemp("served")
     with served(folder / "state", folder / "serve.log") as url:
         yield url
+
+
+def animated(url: str, mesh: Path, *, key: str | None = None) -> str:
+    """Make a mesh move in few steps; gives the id of the job, which has ended."""
+    headers = {"Authorization": f"Bearer {key}"} if key else {}
+    with httpx.Client(base_url=url, timeout=60, headers=headers) as client:
+        asset = client.post("/v1/assets", files={"file": (mesh.name, mesh.read_bytes())}).json()
+        request = {"type": "animate", "asset_id": asset["id"], "params": {"formats": ["glb"], "num_steps": 1}}
+        job = client.post("/v1/jobs", json=request).json()
+        while job["state"] in {"queued", "running"}:
+            job = client.get(f"/v1/jobs/{job['id']}", headers={"Prefer": "wait=30"}).json()
+    assert job["state"] == "succeeded", job["error"]
+    return str(job["id"])
+
+
+@pytest.fixture(scope="session")
+def job_id(url: str, tree: Path) -> str:
+    """A job that has ended with a motion."""
+    return animated(url, tree)
 
 
 @pytest.fixture(scope="session")

@@ -6,10 +6,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 import httpx
+import numpy as np
 import pytest
 from playwright.sync_api import Page, expect
 
+from dynamictree.formats.mesh.ply_writer import write_ply
+from dynamictree.mesh import joined
 from tests.browser.conftest import Viewer
+from tests.trees import stand
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 
@@ -23,18 +27,6 @@ LIT = """() => { const gl = document.getElementById("canvas").getContext("webgl2
 def state(page: Page, name: str) -> None:
     """Wait for a state of the page."""
     page.wait_for_selector(f"body[data-state={name}]", state="attached", timeout=JOB_MS)
-
-
-@pytest.fixture(scope="module")
-def job_id(url: str, tree: Path) -> str:
-    """A job that has ended with a motion."""
-    with httpx.Client(base_url=url, timeout=60) as client:
-        asset = client.post("/v1/assets", files={"file": (tree.name, tree.read_bytes())}).json()
-        request = {"type": "animate", "asset_id": asset["id"], "params": {"formats": ["glb"], "num_steps": 1}}
-        job = client.post("/v1/jobs", json=request).json()
-        while client.get(f"/v1/jobs/{job['id']}", headers={"Prefer": "wait=30"}).json()["state"] != "succeeded":
-            continue
-    return str(job["id"])
 
 
 @pytest.fixture
@@ -250,4 +242,26 @@ def test_sliders_say_their_values(view: Open, url: str, job_id: str) -> None:
     assert box
     page.mouse.click(box["x"] + box["width"] / 2, box["y"] + 4)
     expect(page.locator("#direction")).to_have_attribute("aria-valuetext", "90° N")
+    assert viewer.complaints == []
+
+
+def test_one_of_several_trees_is_chosen(view: Open, url: str, tmp_path: Path) -> None:
+    one = stand.tree(6.0, num_cards=60)
+    pair = joined([one, one.with_vertices(one.vertices + np.float32([5, 0, 0]))])
+    with (tmp_path / "pair.ply").open("wb") as stream:
+        write_ply(pair, stream)
+    viewer = view(1000, 700)
+    page = viewer.page
+    viewer.open(url)
+    page.set_input_files("#files", str(tmp_path / "pair.ply"))
+    page.locator("#tree-details summary").click()
+    expect(page.locator("#which-tree option")).to_have_text(["All 2", "Tree 1, 6.0 m", "Tree 2, 6.0 m"])
+    page.locator("#which-tree").select_option("2")
+    viewer.picture()
+    with page.expect_request(lambda request: request.method == "POST" and request.url.endswith("/v1/jobs")) as sent:
+        page.locator("#apply-tree").click()
+    assert sent.value.post_data_json["params"]["tree"] == 2
+    expect(page.locator("#which-tree")).to_have_value("2")
+    page.locator("#cancel").click()
+    state(page, "welcome")
     assert viewer.complaints == []

@@ -46,6 +46,7 @@ export class TreeForm {
     fill($("tree-unit"), lengthUnit);
     $("up-axis").value = up ?? "+Z";
     $("gust").value = job?.params.wind?.gust ?? 0.3;
+    this._listTrees(asset.summary.trees ?? [], job?.params.tree);
     const canReread = asset.kind === "photos" || Boolean(files);
     for (const id of ["tree-height", "up-axis"]) $(id).disabled = !canReread;
     $("up-box").hidden = asset.kind === "photos";
@@ -78,6 +79,18 @@ export class TreeForm {
     return reading;
   }
 
+  /** Of a file of several trees one can be chosen; otherwise each moves by itself. */
+  _listTrees(trees, chosen) {
+    const words = ({ tree, height_m: high }) => text("tree.nth", { n: number(tree), height: length(high) });
+    const options = trees.map((entry) => element("option", { value: entry.tree }, words(entry)));
+    $("which-tree").replaceChildren(
+      element("option", { value: "" }, text("tree.all", { n: trees.length })),
+      ...options,
+    );
+    $("which-tree").value = chosen ?? "";
+    $("which-box").hidden = trees.length < 2;
+  }
+
   /** The tree's height if `axis` of its file were up [m]. */
   _turnedHeight(axis) {
     const { extent_m: extent = [1, 1, this.height] } = this.asset.summary;
@@ -97,6 +110,7 @@ export class TreeForm {
       seed: this.request.seed,
       params: { ...params, wind: { ...wind, gust: Number($("gust").value) } },
     };
+    if (!$("which-box").hidden) request.params.tree = Number($("which-tree").value) || null;
     if (height) request.params.height_m = height;
     if (this.asset.kind === "cloud") request.params.box_m = $("crop-on").checked ? this._box() : null;
     this.onApply({ reading, request, newUpload: Object.keys(reading).length > 0 });
