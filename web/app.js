@@ -17,9 +17,12 @@ import { Machine } from "./page/machine.js";
 import { Player } from "./page/player.js";
 import { hideProblem, showNotice, showProblem } from "./page/problem.js";
 import { showProgress, tabTitle } from "./page/progress.js";
+import { Recorder } from "./page/record.js";
+import { watchRoom } from "./page/room.js";
 import { Scene } from "./page/scene.js";
 import { Session, stem } from "./page/session.js";
 import { buildSettings } from "./page/settings.js";
+import { ShareDialog } from "./page/share.js";
 import { length, number, percent, text, translate } from "./page/texts.js";
 import { applyTheme, currentTheme, onSystemTheme, switchTheme } from "./page/theme.js";
 import { TreeForm } from "./page/tree_form.js";
@@ -67,6 +70,8 @@ function leaveLive() {
   live.leave();
   delete document.body.dataset.live;
 }
+
+const treeName = () => machine.facts.name || text("tree.one");
 
 function onLive({ tree, source, spectrum }) {
   hand.take(tree, source);
@@ -190,6 +195,9 @@ function look() {
   if (scene.tree?.moves) views.show();
 }
 
+new ShareDialog(client, { tree: () => ({ job: machine.facts.job, name: treeName() }), onProblem });
+new Recorder(stage, player, { name: treeName, onProblem });
+watchRoom(() => layOut(stage, machine.state));
 $("new").onclick = () => leave();
 $("cancel").onclick = () => leave({ cancel: true });
 $("problem-close").onclick = () => (machine.state === "failed" ? leave() : hideProblem());

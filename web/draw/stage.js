@@ -31,6 +31,7 @@ export class Stage {
     this.resolution = new Resolution();
     this.margins = { left: 0, right: 0, bottom: 0, top: 0 };
     this.stale = true; // the picture on the screen is not the scene any more
+    this.prepare = () => {}; // (renderer), before each draw
     this._setControls();
     this.frame({ min: new THREE.Vector3(-3, -3, 0), max: new THREE.Vector3(3, 3, 9) });
     canvas.addEventListener("webglcontextlost", () => onContext(true));
@@ -108,6 +109,20 @@ export class Stage {
     this.stale = true;
   }
 
+  /** Move the view by shares of what it sees. */
+  pan(right, up) {
+    const { camera, controls } = this;
+    const seen = 2 * camera.position.distanceTo(controls.target) * Math.tan((camera.fov * Math.PI) / 360);
+    const step = new THREE.Vector3()
+      .setFromMatrixColumn(camera.matrixWorld, 0)
+      .multiplyScalar(right * seen)
+      .addScaledVector(new THREE.Vector3().setFromMatrixColumn(camera.matrixWorld, 1), up * seen);
+    camera.position.add(step);
+    controls.target.add(step);
+    controls.update();
+    this.stale = true;
+  }
+
   /** Parts of the canvas that panels lie over [px]: the tree stands in the middle of the rest. */
   clear(margins) {
     if (JSON.stringify(margins) === JSON.stringify(this.margins)) return;
@@ -154,17 +169,27 @@ export class Stage {
 
   // ---- drawing
 
-  /** Draw if something has changed; `prepare(renderer)` is called before. Whether anything was drawn. */
-  draw(now, prepare) {
+  /** Draw if something has changed. Whether anything was drawn. */
+  draw(now) {
     const full = !this.stale && this.resolution.settles(now);
     if ((!this.stale && !full) || this.renderer.getContext().isContextLost()) return false;
     const shadow = full ? true : this.resolution.next(now);
     if (full) this.resolution.sharp = true;
-    this._setSize(this.canvas.clientWidth, this.canvas.clientHeight, full ? 1 : this.resolution.scale);
+    this._render(full ? 1 : this.resolution.scale, shadow);
+    return true;
+  }
+
+  /** Draw with all pixels, for a picture that is taken in the same turn. */
+  drawNow() {
+    this._render(1, true);
+    this.resolution.sharp = true;
+  }
+
+  _render(scale, shadow) {
+    this._setSize(this.canvas.clientWidth, this.canvas.clientHeight, scale);
     this.renderer.shadowMap.needsUpdate = shadow;
-    prepare?.(this.renderer);
+    this.prepare(this.renderer);
     this.stale = false;
     this.renderer.render(this.scene, this.camera);
-    return true;
   }
 }

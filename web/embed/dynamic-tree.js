@@ -5,7 +5,9 @@ const LOOK = new CSSStyleSheet();
 LOOK.replaceSync(`
   :host { display: block; aspect-ratio: 4 / 3; }
   :host([hidden]) { display: none; }
-  iframe { display: block; width: 100%; height: 100%; border: 0; }
+  iframe { display: block; width: 100%; height: 100%; border: 0; color-scheme: light dark; }
+  :host([theme="light"]) iframe { color-scheme: light; } /* a frame of another scheme is not transparent */
+  :host([theme="dark"]) iframe { color-scheme: dark; }
 `);
 
 export class DynamicTree extends HTMLElement {
@@ -17,7 +19,6 @@ export class DynamicTree extends HTMLElement {
     this.frame.allow = "fullscreen";
     this.frame.loading = "lazy";
     this.frame.referrerPolicy = "no-referrer";
-    this.frame.setAttribute("sandbox", "allow-scripts allow-same-origin");
     const root = this.attachShadow({ mode: "open" });
     root.adoptedStyleSheets = [LOOK];
     root.append(this.frame);

@@ -16,6 +16,13 @@ export function element(name, properties = {}, ...children) {
 export const button = (content, onclick, properties = {}) =>
   element("button", { type: "button", textContent: content, onclick, ...properties });
 
+/** Hand a file to the browser's downloads. */
+export function saveBlob(name, blob) {
+  const address = URL.createObjectURL(blob);
+  element("a", { href: address, download: name }).click();
+  setTimeout(() => URL.revokeObjectURL(address), 60_000);
+}
+
 export function paintRange(input) {
   const share = (input.value - input.min) / (input.max - input.min);
   input.style.setProperty("--share", `${share * 100}%`);

@@ -1,7 +1,7 @@
 // The panel's files: what a job has written, what is being written, what can be.
 
 import { hasEnded } from "../client.js";
-import { $, button, element, keyedChildren } from "./dom.js";
+import { $, button, element, keyedChildren, saveBlob } from "./dom.js";
 import { bytes, percent, text, textOrNull } from "./texts.js";
 
 /** In the order in which they are listed. */
@@ -81,9 +81,7 @@ export class Files {
 
   async _save(name, url) {
     try {
-      const blob = URL.createObjectURL(new Blob([await this.client.bytes(url)]));
-      element("a", { href: blob, download: name }).click();
-      setTimeout(() => URL.revokeObjectURL(blob), 60_000);
+      saveBlob(name, new Blob([await this.client.bytes(url)]));
     } catch (error) {
       this.onProblem(error);
     }

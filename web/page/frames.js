@@ -5,13 +5,14 @@ const LONGEST_S = 0.5; // a tab that was in the background goes on from where it
 /** Draw the scene's tree for ever; `body[data-frames]` and `body[data-sharp]` say how far it is. */
 export function runFrames({ stage, player, scene, hand }) {
   const { dataset } = document.body;
+  stage.prepare = (renderer) => scene.tree?.prepare(renderer);
   let last = performance.now();
   const next = (now) => {
     const seconds = Math.min((now - last) / 1000, LONGEST_S);
     last = now;
     stage.controls.update();
     player.advance(seconds);
-    if (stage.draw(now, (renderer) => scene.tree?.prepare(renderer))) dataset.frames = Number(dataset.frames ?? 0) + 1;
+    if (stage.draw(now)) dataset.frames = Number(dataset.frames ?? 0) + 1;
     dataset.sharp = stage.resolution.sharp && !stage.stale;
     hand.tick();
     requestAnimationFrame(next);

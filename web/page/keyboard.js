@@ -3,6 +3,7 @@
 import { hideProblem } from "./problem.js";
 
 const STEP_RAD = 0.12;
+const PAN = 0.06; // of what the view sees
 
 export function watchKeys({ stage, hand, player }) {
   const playOrPause = () => player.tree && player.setPlaying(!player.playing);
@@ -19,11 +20,18 @@ export function watchKeys({ stage, hand, player }) {
     p: () => hand.knock(),
     P: () => hand.knock(),
   };
+  const shifted = {
+    ArrowLeft: () => stage.pan(-PAN, 0),
+    ArrowRight: () => stage.pan(PAN, 0),
+    ArrowUp: () => stage.pan(0, PAN),
+    ArrowDown: () => stage.pan(0, -PAN),
+  };
   addEventListener("keydown", (event) => {
     if (document.querySelector("dialog[open]") || event.ctrlKey || event.metaKey || event.altKey) return;
     if (event.key === "Escape") return hand.grip ? hand.letGo() : hideProblem();
-    if (event.target.matches?.("input, button, summary, a, select") || !actions[event.key]) return;
+    const action = (event.shiftKey && shifted[event.key]) || actions[event.key];
+    if (event.target.matches?.("input, button, summary, a, select, textarea") || !action) return;
     event.preventDefault();
-    actions[event.key]();
+    action();
   });
 }

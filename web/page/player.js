@@ -19,6 +19,7 @@ export class Player {
     this.gain = 0;
     this.wanted = 1;
     this.turn = 0;
+    this.scripted = null; // { phase, seconds } that a recording asks for
     this.alone = null; // { k, times }: one mode by itself, enlarged
     $("play").onclick = () => this.setPlaying(!this.playing);
     $("time").oninput = () => {
@@ -69,7 +70,8 @@ export class Player {
   advance(seconds) {
     const { tree, hand } = this;
     if (!tree?.moves) return;
-    if (this.playing && this.turbulent) this.seconds += seconds;
+    if (this.scripted) Object.assign(this, this.scripted);
+    else if (this.playing && this.turbulent) this.seconds += seconds;
     else if (this.playing) this.phase = (this.phase + seconds / this.period) % 1;
     const easing = Math.abs(this.gain - this.wanted) > 1e-3;
     this.gain = easing ? this.gain + (this.wanted - this.gain) * (1 - Math.exp(-seconds / EASE_S)) : this.wanted;
