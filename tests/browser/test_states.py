@@ -223,6 +223,12 @@ def test_no_rule_of_accessibility_is_broken(
     viewer.picture()
     assert axe(page) == [], "moving"
     assert page.evaluate("document.documentElement.scrollWidth") <= width
+    page.locator("#share").click()
+    expect(page.locator("#share-embed")).to_have_value(re.compile(job_id))
+    assert axe(page) == [], "share"
+    page.goto(f"{url}/embed#job={job_id}")
+    state(page, "moving")
+    assert axe(page) == [], "embed"
 
 
 def test_sliders_say_their_values(view: Open, url: str, job_id: str) -> None:
@@ -255,7 +261,7 @@ def test_one_of_several_trees_is_chosen(view: Open, url: str, tmp_path: Path) ->
     viewer.open(url)
     page.set_input_files("#files", str(tmp_path / "pair.ply"))
     page.locator("#tree-details summary").click()
-    expect(page.locator("#which-tree option")).to_have_text(["All 2", "Tree 1, 6.0 m", "Tree 2, 6.0 m"])
+    expect(page.locator("#which-tree option")).to_have_text(["All 2", "Tree 1, 5.9 m", "Tree 2, 5.9 m"])
     page.locator("#which-tree").select_option("2")
     viewer.picture()
     with page.expect_request(lambda request: request.method == "POST" and request.url.endswith("/v1/jobs")) as sent:
