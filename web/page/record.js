@@ -39,6 +39,8 @@ export class Recorder {
    */
   async video() {
     const { stage, player } = this;
+    const { tree } = player;
+    const goesOn = () => this.recording && player.tree === tree; // another tree may have been opened
     const turning = stage.controls.autoRotate;
     const loops = turning ? LOOPS_A_TURN : 1;
     const seconds = player.turbulent ? ENDLESS_S : loops * player.period;
@@ -49,7 +51,7 @@ export class Recorder {
     this.recording = true;
     stage.controls.autoRotate = false;
     try {
-      for (let n = 0; n < count && this.recording; n++) {
+      for (let n = 0; n < count && goesOn(); n++) {
         player.scripted = { phase: ((n * loops) / count) % 1, seconds: began + (n * seconds) / count };
         player.advance(0);
         if (turning) stage.orbit((2 * Math.PI) / count, 0);
@@ -58,7 +60,7 @@ export class Recorder {
         await encoder.add(copy.canvas, (1e6 * n * seconds) / count, n % KEY_FRAMES === 0);
         fill($("save-video"), text("record.stop", { share: percent(n / count) }));
       }
-      return this.recording ? await encoder.finish(1000 * seconds) : null;
+      return goesOn() ? await encoder.finish(1000 * seconds) : null;
     } finally {
       this.recording = false;
       player.scripted = null;
