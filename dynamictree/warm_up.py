@@ -13,10 +13,14 @@ import numpy as np
 
 from dynamictree import method
 from dynamictree.export.write import write_products
+from dynamictree.gaussian.animate import iter_poses
+from dynamictree.gaussian.binding import bind
 from dynamictree.gaussian.capture import Capture
 from dynamictree.gaussian.cloud_mesh import mesh_of_cloud
 from dynamictree.gaussian.from_mesh import splats_of_mesh
+from dynamictree.gaussian.rasterize import render_cloud
 from dynamictree.mesh import TriangleMesh
+from dynamictree.render.shot import cameras_of
 from dynamictree.requests import ExportParams, Shot
 
 PARAMS = ExportParams(num_frames=2, loop=False, shot=Shot(side_px=64))
@@ -40,9 +44,16 @@ def animate_mesh() -> None:
 
 
 def animate_splat() -> None:
-    """Make the default products of the splat of a small mesh."""
+    """Make the default products of the splat of a small mesh.
+
+    What only splats need comes first, so that the other process compiles what meshes need too, and this one reads it.
+    """
     mesh = _pole()
     cloud = splats_of_mesh(mesh, rng=np.random.default_rng(0)).binding.cloud
+    binding = bind(cloud, mesh)
+    (pose,) = iter_poses(binding, [np.zeros_like(mesh.vertices)])
+    (camera,) = cameras_of(PARAMS.shot, mesh.vertices, 1)
+    render_cloud(cloud, camera, width=PARAMS.shot.side_px, height=PARAMS.shot.side_px, pose=pose)
     mesh_of_cloud(cloud)
     spectrum = method.generate(method.voxelize(mesh), num_steps=1)
     with TemporaryDirectory() as folder:

@@ -17,6 +17,9 @@ _BOUNCE = (0.26, 0.24, 0.21)  # from the ground, on what faces down
 _GROUND = (0.46, 0.465, 0.45)
 _HORIZON, _ZENITH = (0.80, 0.84, 0.88), (0.36, 0.53, 0.78)
 
+# looks at the sun per pixel and per sample of a pixel; as integers of one type, one compilation serves both
+_PIXEL_LOOKS, _SAMPLE_LOOKS = np.int64(MAX_LOOKS), np.int64(3)
+
 
 class Scene(NamedTuple):
     """A mesh in its light."""
@@ -61,13 +64,15 @@ def shade_rows(first, end, picture, visible_face, triangles, scene, view):
                 alike = alike and visible_face[top + sample // n, left + sample % n] == face
             if alike:
                 at = (left + 0.5 * n, top + 0.5 * n)
-                red, green, blue = _sample_light(at, face, triangles, scene, view, (phase, MAX_LOOKS))
+                red, green, blue = _sample_light(at, face, triangles, scene, view, (phase, _PIXEL_LOOKS))
             else:
                 red, green, blue = 0.0, 0.0, 0.0
                 for sample in range(n * n):
                     y, x = top + sample // n, left + sample % n
                     at = (x + 0.5, y + 0.5)
-                    r, g, b = _sample_light(at, visible_face[y, x], triangles, scene, view, (phase + sample, 3))
+                    r, g, b = _sample_light(
+                        at, visible_face[y, x], triangles, scene, view, (phase + sample, _SAMPLE_LOOKS)
+                    )
                     red, green, blue = red + r / (n * n), green + g / (n * n), blue + b / (n * n)
             picture[row, column, 0] = _srgb_byte(red)
             picture[row, column, 1] = _srgb_byte(green)

@@ -14,6 +14,7 @@ from jaxtyping import Float32, Float64, Int32, Int64
 from dynamictree.parallel import compiled
 
 _MAX_CORNERS = 12  # a triangle cut by six planes has at most nine
+_X, _Y, _Z = np.int64(0), np.int64(1), np.int64(2)  # with a type, so that one compilation serves the three
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,19 +111,19 @@ def _cut_one(triangle, face, resolution, start, write, keys, faces, areas, centr
         for c in range(3):
             polygon[i, c] = triangle[i, c]
     place = start
-    first_x, last_x = _range(polygon, 3, 0)
+    first_x, last_x = _range(polygon, len(polygon), _X)
     for x in range(first_x, last_x + 1):
-        count_x = _slab(polygon, 3, 0, x, scratch, in_x)
+        count_x = _slab(polygon, len(polygon), _X, x, scratch, in_x)
         if count_x == 0:
             continue
-        first_y, last_y = _range(in_x, count_x, 1)
+        first_y, last_y = _range(in_x, count_x, _Y)
         for y in range(first_y, last_y + 1):
-            count_y = _slab(in_x, count_x, 1, y, scratch, in_xy)
+            count_y = _slab(in_x, count_x, _Y, y, scratch, in_xy)
             if count_y == 0:
                 continue
-            first_z, last_z = _range(in_xy, count_y, 2)
+            first_z, last_z = _range(in_xy, count_y, _Z)
             for z in range(first_z, last_z + 1):
-                count_z = _slab(in_xy, count_y, 2, z, scratch, in_xyz)
+                count_z = _slab(in_xy, count_y, _Z, z, scratch, in_xyz)
                 if count_z == 0:
                     continue
                 if write:
