@@ -15,7 +15,7 @@ TESTS ?=
 FUZZ_STATE ?= .fuzz
 ENGINE ?= auto
 ENGINE_DIR ?= .cache/engine
-# Two workers on two cores; more would only add set-up.
+# Two workers on two cores, a thread each; more would only add set-up and waiting.
 TEST_WORKERS ?= 2
 
 # A folder of wheels that pip is told of (PIP_FIND_LINKS) may hold a CPU build of torch; else take PyTorch's own CPU index.
@@ -25,6 +25,9 @@ TORCH_SOURCE :=
 else
 TORCH_SOURCE := --torch-backend $(TORCH_BACKEND)
 endif
+
+# Dozens of processes would each compile hundreds of modules anew where the shell forbids Python to write bytecode.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help setup demo test slow train-gpu docs live js-tools web-check web-format openapi-lint scale-out compose check format openapi lock lock-versions lock-image bench clean browser serve sbom gallery
 
@@ -38,9 +41,11 @@ $(READY): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and f"Python 3.11 or newer is needed, found {sys.version.split()[0]}; call make PYTHON=...")'
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@test -x $(BIN)/uv || $(BIN)/python -m pip install -q uv
-	@$(BIN)/uv pip install -q --compile-bytecode --python $(BIN)/python $(TORCH_SOURCE) -r requirements.lock
+	@$(BIN)/uv pip install -q --python $(BIN)/python $(TORCH_SOURCE) -r requirements.lock
 	@$(BIN)/uv pip install -q --python $(BIN)/python --no-deps -e . -e ./client
-	@echo "== compiling kernels (once)" && $(BIN)/python -m dynamictree.warm_up
+	@echo "== compiling kernels (once)"
+	@$(BIN)/python -m dynamictree.warm_up & kernels=$$!; \
+	  $(BIN)/python -c 'import uvicorn.main, service.app, worker.parse, worker.housekeeper, worker.tasks' && wait $$kernels
 	@touch $@
 
 demo: $(READY)  ## a tree goes in over HTTP and comes out swaying (INPUT=file for your own)
@@ -50,7 +55,7 @@ serve: $(READY)  ## the service, and its page in your browser (PORT=8001 where 8
 	@$(BIN)/dynamictree serve --open --port $(PORT)
 
 test: $(READY)  ## the test suite, without the slow marks
-	@$(BIN)/python -m pytest -q -n $(TEST_WORKERS) --dist worksteal -m "not slow and not gpu" $(TESTS)
+	@OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n $(TEST_WORKERS) --dist worksteal -m "not slow and not gpu" $(TESTS)
 
 slow: $(READY)  ## what `test` leaves out, without the browser: kills, training, judges from outside (1 h)
 	@$(BIN)/python -m pytest -q -m "slow and not gpu" --ignore=tests/browser $(TESTS)
@@ -136,7 +141,7 @@ browser: $(READY)  ## the viewer in a real Chromium, its client in node
 gallery: $(READY)  ## every mesh, splat and scan of GALLERY="folder folder" on one page, build/gallery/index.html
 	@$(BIN)/python -m recipes.gallery $(or $(GALLERY),$(DYNAMICTREE_SAMPLES),web/examples) -o build/gallery
 
-bench: $(READY)  ## every benchmark, one JSON object a line
+bench: $(READY)  ## every benchmark, one JSON object a line; build/benchmarks.md is the table
 	@$(BIN)/python -m benchmarks
 
 # CUDA's packages are left out: torch's own build brings them where it needs them. The image's lock has no development
