@@ -16,7 +16,7 @@ from service.app import create_app
 from service.services import Services
 from tests.service.conftest import change_services, hold, publish
 from tests.service.test_assets import OBJ, left_behind
-from tests.service.test_jobs import create
+from tests.service.test_jobs import claimed, create
 
 
 def ended(services: Services, client: TestClient, asset: AssetRecord) -> str:
@@ -28,8 +28,7 @@ def ended(services: Services, client: TestClient, asset: AssetRecord) -> str:
 
 
 def test_a_poll_may_wait_for_the_end(client: TestClient, asset: AssetRecord, services: Services) -> None:
-    url = f"/v1/jobs/{create(client, asset)['id']}"
-    lease = hold(services, url.rsplit("/", 1)[1])
+    url, lease = claimed(client, asset, services)
     began = time.monotonic()
     still = client.get(url, headers={"Prefer": "wait=1"})
     assert (still.json()["state"], still.headers["Preference-Applied"]) == ("running", "wait=1")
@@ -43,8 +42,7 @@ def test_a_poll_may_wait_for_the_end(client: TestClient, asset: AssetRecord, ser
 def test_a_poll_with_an_etag_may_wait_for_the_next_change(
     client: TestClient, asset: AssetRecord, services: Services
 ) -> None:
-    url = f"/v1/jobs/{create(client, asset)['id']}"
-    lease = hold(services, url.rsplit("/", 1)[1])
+    url, lease = claimed(client, asset, services)
     start_stage(services.store, lease, "voxelize")
     seen = client.get(url).headers["ETag"]
     timer = threading.Timer(0.3, lambda: report_progress(services.store, lease, "voxelize", 0.5))

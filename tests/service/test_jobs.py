@@ -6,7 +6,7 @@ from fastapi.testclient import TestClient
 
 from jobs.attempts import fail, report_progress, start_stage, succeed
 from jobs.maintenance import abort_overdue
-from jobs.records import AssetRecord
+from jobs.records import AssetRecord, Claim
 from jobs.store import new_id
 from service.job_creation import KEY_EXPIRES_S
 from service.services import Services
@@ -17,6 +17,12 @@ def create(client: TestClient, asset: AssetRecord, **body: object) -> dict[str, 
     response = client.post("/v1/jobs", json={"type": "voxelize", "asset_id": asset.id, **body})
     assert response.status_code == 202, response.text
     return response.json()  # type: ignore[no-any-return]
+
+
+def claimed(client: TestClient, asset: AssetRecord, services: Services) -> tuple[str, Claim]:
+    """A new job's address, and a worker's claim on it."""
+    job_id = str(create(client, asset)["id"])
+    return f"/v1/jobs/{job_id}", hold(services, job_id)
 
 
 def test_a_job_is_accepted_and_reported(client: TestClient, asset: AssetRecord) -> None:
@@ -36,8 +42,7 @@ def test_a_job_is_accepted_and_reported(client: TestClient, asset: AssetRecord) 
 def test_a_poll_tells_progress_and_then_that_nothing_changed(
     client: TestClient, asset: AssetRecord, services: Services
 ) -> None:
-    url = f"/v1/jobs/{create(client, asset)['id']}"
-    lease = hold(services, url.rsplit("/", 1)[1])
+    url, lease = claimed(client, asset, services)
     start_stage(services.store, lease, "voxelize")
     report_progress(services.store, lease, "voxelize", 0.25)
     first = client.get(url)
@@ -49,8 +54,7 @@ def test_a_poll_tells_progress_and_then_that_nothing_changed(
 
 
 def test_products_appear_stage_by_stage(client: TestClient, asset: AssetRecord, services: Services) -> None:
-    url = f"/v1/jobs/{create(client, asset)['id']}"
-    lease = hold(services, url.rsplit("/", 1)[1])
+    url, lease = claimed(client, asset, services)
     publish(services, lease, "voxelize", "tree.voxels.safetensors", b"voxels")
     manifest = client.get(url + "/artifacts").json()
     assert not manifest["complete"]
@@ -67,8 +71,8 @@ def test_products_appear_stage_by_stage(client: TestClient, asset: AssetRecord, 
 
 
 def test_a_failed_job_carries_a_problem(client: TestClient, asset: AssetRecord, services: Services) -> None:
-    url = f"/v1/jobs/{create(client, asset)['id']}"
-    fail(services.store, hold(services, url.rsplit("/", 1)[1]), code="out-of-memory", message="found, allowed")
+    url, lease = claimed(client, asset, services)
+    fail(services.store, lease, code="out-of-memory", message="found, allowed")
     job = client.get(url).json()
     assert job["state"] == "failed"
     assert (job["error"]["code"], job["error"]["detail"]) == ("out-of-memory", "found, allowed")
@@ -81,13 +85,12 @@ def test_cancel_is_accepted_twice_and_refused_after_the_end(
     url = f"/v1/jobs/{create(client, asset)['id']}"
     assert client.post(url + "/cancel").json()["state"] == "canceled"
     assert client.post(url + "/cancel").status_code == 202
-    url = f"/v1/jobs/{create(client, asset)['id']}"
-    lease = hold(services, url.rsplit("/", 1)[1])
+    url, lease = claimed(client, asset, services)
     assert client.post(url + "/cancel").json()["state"] == "canceling"
     succeed(services.store, lease)
     assert client.get(url).json()["state"] == "canceled"
-    url = f"/v1/jobs/{create(client, asset)['id']}"
-    succeed(services.store, hold(services, url.rsplit("/", 1)[1]))
+    url, lease = claimed(client, asset, services)
+    succeed(services.store, lease)
     assert client.post(url + "/cancel").json()["code"] == "conflict"
 
 
