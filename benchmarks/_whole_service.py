@@ -19,7 +19,7 @@ from dynamictree.formats.gltf.writer import write_glb
 from dynamictree.mesh import TriangleMesh
 from recipes.demo import served
 
-POLL_S = 0.02
+POLL_S = 0.1
 PATIENCE_S = 900.0
 
 

@@ -1,7 +1,7 @@
 """Many small trees at once: jobs per minute with one and with two worker processes, beside single jobs one by one.
 
-Every worker has one thread. With two workers, two owners' queues are not needed to see both busy; that the queue is
-fair between owners is a law of its own (tests/jobs).
+Every worker has one thread. Fairness between owners is a law of the store's tests. DYNAMICTREE_BENCHMARK_BATCH shortens
+a run.
 """
 
 import os
