@@ -9,7 +9,7 @@ from dynamictree.voxel.grid import VoxelGrid
 
 
 def nearest(grid: VoxelGrid, points: Float32[np.ndarray, "N 3"]) -> VoxelInterpolation:
-    """Give each point the value of the voxel that it lies in, or of the nearest one. Paper section 3.5.
+    """Give each point the value of the voxel that it lies in, or of the nearest one. Paper section 3.6.
 
     Neighbouring vertices in different voxels move apart: this tears faces, which `smooth` does not.
     """

@@ -1,4 +1,4 @@
-"""CLIP-I and CLIP-T, paper section 5: how far frames are from the input view, and from one another, for ViT-B/32.
+"""CLIP-I and CLIP-T, paper section 6: how far frames are from the input view, and from one another, for ViT-B/32.
 
 The image tower is `transformers`' (extra `evaluate`); its weights are the user's own file, nothing is fetched.
 """

@@ -69,7 +69,7 @@ def splats_of_mesh(
 def face_shapes(
     corners: Float64[np.ndarray, "F 3 3"],
 ) -> tuple[Float64[np.ndarray, "F 3 3"], Float64[np.ndarray, "F 3"]]:
-    """GaMeS' axes r₁ (normal), r₂ (centroid to corner 2), r₃ as columns, and scales along them; see method facts, 5."""
+    """GaMeS' axes r₁ (normal), r₂ (centroid to corner 2), r₃ as columns, and scales along them."""
     tiny = 1e-12
     middle = corners.mean(axis=1)
     to_second, to_third = corners[:, 1] - middle, corners[:, 2] - middle

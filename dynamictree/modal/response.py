@@ -1,4 +1,4 @@
-"""Response to forces: grouping of forces, modal coordinates, and displacement of every voxel."""
+"""Response to forces: they are grouped by where they act, and give modal coordinates over time."""
 
 from collections.abc import Sequence
 from dataclasses import replace

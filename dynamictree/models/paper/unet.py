@@ -17,7 +17,7 @@ from dynamictree.sparse.norm import SampleGroupNorm
 
 @dataclass(frozen=True, kw_only=True)
 class UNetShape:
-    """Widths and depths. The defaults are the paper's (section 6): 128 channels, depth 2, [1, 2, 4, 4], 8 heads."""
+    """Widths and depths. The defaults are the paper's (appendix B): 128 channels, depth 2, [1, 2, 4, 4], 8 heads."""
 
     base: int = 128
     multipliers: tuple[int, ...] = (1, 2, 4, 4)
