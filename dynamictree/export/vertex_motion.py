@@ -46,6 +46,7 @@ class MotionSource:
     mesh: TriangleMesh
     spectrum: SparseVoxelSpectrum
     recall: Recall | None = None
+    ties: LengthPreservingInterpolation | None = None  # where they are in memory already
 
     def motion(self, on_progress: OnProgress) -> VertexMotion:
         """Spectrum of the vertices [m]; `on_progress` gets the share done, and what it raises passes through."""
@@ -81,6 +82,8 @@ class MotionSource:
         return VertexMotion(linear=linear, bent=bent)
 
     def _ties(self) -> LengthPreservingInterpolation | TreesInterpolation:
+        if self.ties is not None:
+            return self.ties
         if self.recall is None or self.mesh.face_tree is not None:
             return length_preserving(self.spectrum.grid, self.mesh)
 

@@ -91,21 +91,19 @@ def _own_motion(owned: Owned, spectrum_id: str, ready: ReadyTree, mesh: Triangle
 def _motion_of_products(
     owned: Owned, spectrum_id: str, ready: ReadyTree, mesh: TriangleMesh
 ) -> Complex64[np.ndarray, "N K 3"]:
-    """The vertices' motion as in the products: that of the job, or computed where no job has needed it."""
-    from dynamictree.devoxelize.length_preserving import (  # imports numba
-        LengthPreservingInterpolation,
-        length_preserving,
-    )
+    """The vertices' motion as in the products: that of the job, or computed where no job has needed it yet."""
+    from dynamictree.devoxelize.length_preserving import LengthPreservingInterpolation  # imports numba
+    from dynamictree.export.vertex_motion import MotionSource
     from dynamictree.formats.tensors.vertex_motion import read_vertex_motion
 
     stream = load_result(owned, spectrum_id, "motion")
     if stream is not None:
         return read_vertex_motion(stream).coefficients
     spectrum = load_spectrum(owned, spectrum_id)
-    if mesh.face_tree is not None:
-        return length_preserving(spectrum.grid, mesh).apply(spectrum.coefficients)
-    ties = LengthPreservingInterpolation(mesh=mesh, grid=spectrum.grid, interpolation=vertex_ties(ready, mesh))
-    return ties.apply(spectrum.coefficients)
+    ties = None
+    if mesh.face_tree is None:
+        ties = LengthPreservingInterpolation(mesh=mesh, grid=spectrum.grid, interpolation=vertex_ties(ready, mesh))
+    return MotionSource(mesh=mesh, spectrum=spectrum, ties=ties).motion(lambda done: None).coefficients
 
 
 def _near_motion(ready: ReadyTree, mesh: TriangleMesh) -> dict[str, np.ndarray]:
