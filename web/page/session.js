@@ -142,8 +142,10 @@ export class Session {
     const watch = async () => {
       for await (job of this.client.watch(jobId, run)) {
         run.update({ job, away: null });
-        if (job.result?.spectrum_id) motion ??= this._showMotion(job, run);
-        else if (job.state === "running") run.send("started");
+        if (job.result?.spectrum_id) {
+          motion ??= this._showMotion(job, run);
+          motion.catch(() => {}); // awaited below, unless the watch is left before
+        } else if (job.state === "running") run.send("started");
         else if (job.state === "queued" && this.machine.state === "running") run.send("waiting");
       }
     };
