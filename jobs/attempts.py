@@ -151,7 +151,7 @@ def cached_stage(store: Store, key: str) -> tuple[OutputFile, ...] | None:
         files = connection.execute(
             sa.select(t.stage_cache.c.files).where(t.stage_cache.c.key == key)
         ).scalar_one_or_none()
-    return None if files is None else tuple(OutputFile(**file) for file in files)
+    return None if files is None else tuple(OutputFile(**file) for file in files if not file.get("source"))
 
 
 @patient

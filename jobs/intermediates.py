@@ -1,6 +1,6 @@
 """Results that a stage computes on its way and that other jobs and the API use again: stored as stages are, by key.
 
-An entry names the files that it was computed from, so that it is forgotten with them.
+An entry names the files that it was computed from as `source`: it is forgotten with them, and does not retain them.
 """
 
 import json
@@ -40,6 +40,6 @@ def find_intermediate(store: Store, artifacts: ArtifactStore, key: str) -> Outpu
 @patient
 def remember_intermediate(store: Store, key: str, name: str, file: OutputFile, sources: Iterable[OutputFile]) -> None:
     """Remember a result, and that it is used now."""
-    files = [asdict(each) for each in (file, *sources)]
+    files = [asdict(file), *({"name": each.name, "sha256": each.sha256, "source": True} for each in sources)]
     with store.writing() as connection:
         upsert(connection, t.stage_cache, {"key": key, "stage": name, "files": files, "used_at": store.clock()})

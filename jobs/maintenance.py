@@ -197,7 +197,7 @@ def referenced(connection: sa.Connection, now: float) -> Iterator[str]:
     """Hashes of all bytes that a row refers to; some more than once."""
     yield from connection.execute(sa.select(t.artifacts.c.sha256).where(t.artifacts.c.expires_at > now)).scalars()
     for files in connection.execute(sa.select(t.stage_cache.c.files)).scalars():
-        yield from (file["sha256"] for file in files)
+        yield from (file["sha256"] for file in files if not file.get("source"))
     query = sa.select(t.assets.c.parts, t.assets.c.prepared).where(t.assets.c.deleted_at.is_(None))
     for row in connection.execute(query):
         yield from (part["sha256"] for part in row.parts)

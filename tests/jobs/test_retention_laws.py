@@ -7,7 +7,8 @@ import pytest
 from jobs import attempts, maintenance
 from jobs.assets import add_asset, delete_asset, read_asset
 from jobs.errors import ConflictError, GoneError, NotFoundError, StorageAwayError
-from jobs.records import AssetPart, AssetRecord
+from jobs.intermediates import remember_intermediate
+from jobs.records import AssetPart, AssetRecord, OutputFile
 from jobs.store import Store
 from tests.jobs.conftest import FILE, Clock, add_job, claim, make_asset, publish
 from tests.rows import asset_row
@@ -89,6 +90,16 @@ def test_retention_keeps_what_is_referred_to(store: Store, asset: AssetRecord, c
     with pytest.raises(GoneError):
         store.job(lease.job.id)
     assert sorted(maintenance.unreferenced_blobs(store)) == ["a" * 64, "b" * 64, FILE.sha256]
+
+
+def test_a_shared_result_does_not_retain_the_upload_it_was_computed_from(store: Store, clock: Clock) -> None:
+    upload = OutputFile(name="mesh", media_type="model/ply", sha256="e" * 64, bytes=5)
+    for digest in (FILE.sha256, upload.sha256):
+        attempts.touch_blob(store, digest, 5)
+    remember_intermediate(store, "k" * 64, "motion", FILE, [upload])
+    clock.now += maintenance.BLOB_GRACE_S + 1
+    assert maintenance.unreferenced_blobs(store) == [upload.sha256]
+    assert attempts.cached_stage(store, "k" * 64) == (FILE,)
 
 
 def test_referenced_bytes_hide_nothing_from_retention(store: Store, clock: Clock) -> None:
