@@ -200,16 +200,19 @@ def format_bytes(body: JobRequest, asset: AssetRecord) -> dict[str, int]:
     """Products whose size is known beforehand.
 
     Raises:
-        InputError: frames that make no loop, a format without turbulent motion, or a file that would be too large.
+        InputError: frames that make no loop, a format without turbulent motion, a file that would be too large, or a
+            format whose library is not installed.
     """
     if not isinstance(body.params, AnimateParams):
         return {}
     # numba comes with the products; loaded beside the first requests, not with this module
     from dynamictree.export.size import turbulent_bytes
+    from dynamictree.export.table import require_available
     from dynamictree.formats.motion.splat_sequence import requested_bytes
     from dynamictree.spectrum import FPS, NUM_FRAMES
 
     formats, num_frames = _formats(body.params, asset), body.params.count_frames(NUM_FRAMES / FPS)
+    require_available(formats)
     if asset.kind == "mesh" and body.params.wind_mode == "turbulent":
         num_vertices, num_faces = _count(asset, "num_vertices"), _count(asset, "num_faces")
         sizes = turbulent_bytes(formats, num_vertices=num_vertices, num_faces=num_faces, num_frames=num_frames)

@@ -1,10 +1,12 @@
 """The table of export products. A new format is added here and to `requests.Format`."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import PurePosixPath
 from typing import BinaryIO, Literal
 
+from dynamictree.errors import InputError
 from dynamictree.export.mesh_files import (
     write_displacements,
     write_glb,
@@ -39,13 +41,16 @@ class Product:
     """One format: its file, what it shows, the fields of `ExportParams` that it depends on, and its writer.
 
     A product with `write_film` is made of pictures that are drawn once for all of them; one with both writers is made
-    of pictures where a splat was captured.
+    of pictures where a splat was captured. A product with `module` and `extra` needs a library that only this extra of
+    the package installs.
     """
 
     title: str
     file_name: str
     shows: Literal["mesh", "splat", "pictures"]
     options: frozenset[str]
+    module: str = ""
+    extra: str = ""
     write: Callable[[MovingTree, BinaryIO, Report], Facts | None] | None = None
     write_film: Callable[[Film, BinaryIO, float], None] | None = None
 
@@ -53,6 +58,11 @@ class Product:
     def media_type(self) -> str:
         """Media type of the file."""
         return media_type(self.file_name)
+
+    @property
+    def available(self) -> bool:
+        """Whether the library that it needs is installed."""
+        return not self.module or find_spec(self.module) is not None
 
 
 def media_type(file_name: str) -> str:
@@ -67,7 +77,7 @@ PRODUCTS: dict[Format, Product] = {
         "Animated GLB, 8 targets", "tree-8-targets.glb", "mesh", SPEED | NORMALS, write=write_reduced_glb
     ),
     "glb-skinned": Product("Skinned GLB", "tree-skinned.glb", "mesh", SPEED, write=write_skinned_glb),
-    "usd": Product("USD", "tree.usdz", "mesh", FRAMES, write=write_usdz),
+    "usd": Product("USD", "tree.usdz", "mesh", FRAMES, "pxr", "usd", write=write_usdz),
     "vat": Product("Vertex animation texture", "tree.vat.zip", "mesh", FRAMES | NORMALS, write=write_vertex_texture),
     "motion": Product("Motion, every frame", "motion.safetensors", "mesh", FRAMES, write=write_displacements),
     "splat-ply": Product("Splat sequence", "splat.ply.zip", "splat", FRAMES | DETAIL, write=write_splat_sequence),
@@ -83,5 +93,33 @@ PRODUCTS: dict[Format, Product] = {
         write_film=write_film_sheet,
     ),
     "webp": Product("Preview, animated", "preview.webp", "pictures", FRAMES | DETAIL | SHOT, write_film=write_webp),
-    "mp4": Product("Preview, video", "preview.mp4", "pictures", FRAMES | DETAIL | SHOT, write_film=write_mp4),
+    "mp4": Product(
+        "Preview, video",
+        "preview.mp4",
+        "pictures",
+        FRAMES | DETAIL | SHOT,
+        "imageio_ffmpeg",
+        "video",
+        write_film=write_mp4,
+    ),
 }
+
+
+def available_products() -> dict[Format, Product]:
+    """The products that this installation can write."""
+    return {name: product for name, product in PRODUCTS.items() if product.available}
+
+
+def require_available(formats: Iterable[Format]) -> None:
+    """Refuse formats whose library is not installed.
+
+    Raises:
+        InputError: one is not; the message says how to install it.
+    """
+    for name in formats:
+        product = PRODUCTS[name]
+        if not product.available:
+            raise InputError(
+                f"format {name} needs the Python module {product.module}, which is not installed: "
+                f"pip install 'dynamictree[{product.extra}]'"
+            )

@@ -9,7 +9,7 @@ import numpy as np
 from dynamictree.export.moving_tree import Facts, MovingTree, Report
 from dynamictree.export.pictures import draw, write_mp4
 from dynamictree.export.size import turbulent_bytes
-from dynamictree.export.table import PRODUCTS
+from dynamictree.export.table import PRODUCTS, require_available
 from dynamictree.export.vertex_motion import Recall, vertex_motion
 from dynamictree.formats.motion.splat_sequence import requested_bytes
 from dynamictree.gaussian.animate import lighter
@@ -45,9 +45,10 @@ def write_products(
 
     Raises:
         InputError: the frames do not make a loop, though one is asked for; the capture is not where the mesh is;
-            or a sequence of splats would be too large.
+            a sequence of splats would be too large; or a format's library is not installed.
     """
     formats = params.chosen_formats(cloud=capture is not None)
+    require_available(formats)
     num_frames = params.count_frames(spectrum.period_s)
     if params.wind_mode == "turbulent":
         turbulent_bytes(formats, num_vertices=mesh.num_vertices, num_faces=mesh.num_faces, num_frames=num_frames)

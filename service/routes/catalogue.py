@@ -102,7 +102,7 @@ def list_presets() -> PresetListPayload:
 @router.get("/limits", operation_id="getLimits", responses=refusals())
 def get_limits(owned: OwnedDep) -> LimitsPayload:
     """Sizes, numbers and formats that are allowed."""
-    from dynamictree.export.table import PRODUCTS
+    from dynamictree.export.table import available_products
     from dynamictree.gaussian.cloud import MAX_GAUSSIANS, MAX_SEQUENCE_BYTES
     from dynamictree.mesh import MAX_FACES, MAX_VERTICES
 
@@ -113,7 +113,7 @@ def get_limits(owned: OwnedDep) -> LimitsPayload:
         photo_formats=[suffix.lstrip(".") for suffix in suffixes.PHOTO_SUFFIXES],
         products=[
             ProductPayload.of(product, format=name, options=sorted(product.options))
-            for name, product in PRODUCTS.items()
+            for name, product in available_products().items()
         ],
         min_photos=suffixes.MIN_PHOTOS,
         max_photos=suffixes.MAX_PHOTOS,

@@ -8,7 +8,7 @@ import pytest
 from jaxtyping import Float32
 
 from dynamictree.errors import InputError
-from dynamictree.export.table import PRODUCTS
+from dynamictree.export.table import PRODUCTS, available_products
 from dynamictree.export.write import MOTION_SHARE, write_products
 from dynamictree.formats.tensors.motion import read_motion
 from dynamictree.gaussian.capture import Capture
@@ -134,4 +134,17 @@ def test_files_of_a_turbulent_motion_have_a_largest_size(
     assert capture.mesh is not None
     with pytest.raises(InputError, match="600 frames of 48 vertices as ply"):
         write_products(capture.mesh, spectrum, ExportParams(wind_mode="turbulent", num_frames=600), tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_format_without_its_library_says_how_to_install_it(
+    capture: Capture, spectrum: SparseVoxelSpectrum, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dynamictree.export.table.find_spec", lambda name: None)
+    assert not {"usd", "mp4"} & set(available_products())
+    assert {"glb", "vat", "png"} <= set(available_products())
+    assert capture.mesh is not None
+    params = ExportParams(formats=("glb", "usd"), num_frames=4)
+    with pytest.raises(InputError, match=r"format usd needs .* pxr, .*pip install 'dynamictree\[usd\]'"):
+        write_products(capture.mesh, spectrum, params, tmp_path)
     assert not list(tmp_path.iterdir())

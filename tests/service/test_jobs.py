@@ -278,3 +278,15 @@ def test_a_job_is_followed_by_its_events(client: TestClient, asset: AssetRecord,
     assert (
         services.streams.total - sum(services.streams._open.values()) == services.streams.total
     )  # all were given back
+
+
+def test_a_format_without_its_library_is_neither_offered_nor_accepted(
+    client: TestClient, asset: AssetRecord, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert "usd" in [product["format"] for product in client.get("/v1/limits").json()["products"]]
+    monkeypatch.setattr("dynamictree.export.table.find_spec", lambda name: None)
+    assert "usd" not in [product["format"] for product in client.get("/v1/limits").json()["products"]]
+    body = {"type": "animate", "asset_id": asset.id, "params": {"formats": ["usd"]}}
+    response = client.post("/v1/jobs", json=body)
+    assert response.status_code == 422
+    assert "pip install 'dynamictree[usd]'" in response.json()["detail"]
