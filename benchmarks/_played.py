@@ -104,6 +104,15 @@ def played_usdz(path: Path) -> np.ndarray:
     return np.stack([np.array(points.Get(code)) for code in points.GetTimeSamples()]) - rest
 
 
+def played_alembic(path: Path) -> np.ndarray:
+    """Points of every sample: [T, N, 3]."""
+    from alembic3d import Abc, AbcGeom
+
+    schema = AbcGeom.IPolyMesh(Abc.IArchive(str(path)).getTop(), "tree").getSchema()
+    samples = schema.getPositionsProperty().samples
+    return z_up(np.stack([np.array(memoryview(points)) for points in samples]))
+
+
 def played_vertex_texture(content: bytes) -> np.ndarray:
     """What a vertex shader looks up, frame by frame: [T, N, 3]. Needs OpenEXR."""
     import OpenEXR

@@ -34,7 +34,19 @@ PartNames = Annotated[
     tuple[Annotated[str, StringConstraints(min_length=1, max_length=200)], ...], Field(min_length=1, max_length=64)
 ]
 Format = Literal[
-    "ply", "glb", "glb-reduced", "glb-skinned", "usd", "vat", "motion", "splat-ply", "splat", "png", "webp", "mp4"
+    "ply",
+    "glb",
+    "glb-reduced",
+    "glb-skinned",
+    "usd",
+    "alembic",
+    "vat",
+    "motion",
+    "splat-ply",
+    "splat",
+    "png",
+    "webp",
+    "mp4",
 ]
 MESH_FORMATS: tuple[Format, ...] = ("ply", "glb", "png")
 CLOUD_FORMATS: tuple[Format, ...] = ("splat", "png")
@@ -49,6 +61,7 @@ TURBULENT_FRAMES: dict[Format, int] = {
     "webp": MAX_FRAMES,
     "png": MAX_TURBULENT_FRAMES,
     "usd": MAX_FRAMES,
+    "alembic": MAX_FRAMES,
     "vat": MAX_FRAMES,
 }
 """The formats that can hold a turbulent motion, and how many frames of it. The others hold one period."""

@@ -60,6 +60,7 @@ class AnimateParams(Model):
                 "glb-reduced",
                 "glb-skinned",
                 "usd",
+                "alembic",
                 "vat",
                 "motion",
                 "splat-ply",
@@ -587,7 +588,19 @@ class Product(Model):
     """One format that a motion can be written as."""
 
     format: Literal[
-        "ply", "glb", "glb-reduced", "glb-skinned", "usd", "vat", "motion", "splat-ply", "splat", "png", "webp", "mp4"
+        "ply",
+        "glb",
+        "glb-reduced",
+        "glb-skinned",
+        "usd",
+        "alembic",
+        "vat",
+        "motion",
+        "splat-ply",
+        "splat",
+        "png",
+        "webp",
+        "mp4",
     ]
     title: str
     file_name: str

@@ -65,6 +65,13 @@ def write_usdz(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
     write_motion_usdz(tree.mesh, tree.frames(report), stream, fps=tree.params.fps)
 
 
+def write_alembic(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
+    """Alembic with a sample per frame."""
+    from dynamictree.formats.motion.alembic import write_motion_alembic
+
+    write_motion_alembic(tree.mesh, tree.frames(report), stream, fps=tree.params.fps)
+
+
 def write_vertex_texture(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
     """Vertex animation texture with its GLB, in a zip.
 

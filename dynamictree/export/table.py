@@ -8,6 +8,7 @@ from typing import BinaryIO, Literal
 
 from dynamictree.errors import InputError
 from dynamictree.export.mesh_files import (
+    write_alembic,
     write_displacements,
     write_glb,
     write_ply_sequence,
@@ -78,6 +79,7 @@ PRODUCTS: dict[Format, Product] = {
     ),
     "glb-skinned": Product("Skinned GLB", "tree-skinned.glb", "mesh", SPEED, write=write_skinned_glb),
     "usd": Product("USD", "tree.usdz", "mesh", FRAMES, "pxr", "usd", write=write_usdz),
+    "alembic": Product("Alembic", "tree.abc", "mesh", FRAMES, "alembic3d", "alembic", write=write_alembic),
     "vat": Product("Vertex animation texture", "tree.vat.zip", "mesh", FRAMES | NORMALS, write=write_vertex_texture),
     "motion": Product("Motion, every frame", "motion.safetensors", "mesh", FRAMES, write=write_displacements),
     "splat-ply": Product("Splat sequence", "splat.ply.zip", "splat", FRAMES | DETAIL, write=write_splat_sequence),

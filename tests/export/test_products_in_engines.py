@@ -5,19 +5,29 @@ import json
 import shutil
 import subprocess
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
+from alembic3d import Abc, AbcGeom
 
-from benchmarks._played import played_morphs, played_skin, played_usdz, played_vertex_texture, reported_facts
+from benchmarks._played import (
+    played_alembic,
+    played_morphs,
+    played_skin,
+    played_usdz,
+    played_vertex_texture,
+    reported_facts,
+)
 from dynamictree import method
 from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.errors import InputError
 from dynamictree.export.moving_tree import Facts
 from dynamictree.export.table import PRODUCTS
 from dynamictree.export.write import write_products
+from dynamictree.formats.motion.alembic import write_motion_alembic
 from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.skinning import skin_of
 from dynamictree.requests import ExportParams
@@ -86,6 +96,30 @@ def test_usd_and_vertex_texture_show_every_frame(products: Products, truth: np.n
     assert errors_m(played_usdz(products[0]["usd"]), truth)[1] < 1e-6
     half = float(np.spacing(np.float16(np.abs(truth).max())))
     assert errors_m(played_vertex_texture(products[0]["vat"].read_bytes()), truth)[1] < half
+
+
+def test_alembic_shows_every_frame_with_material_sets_and_seams(
+    products: Products, tree: tuple[TriangleMesh, SparseVoxelSpectrum], truth: np.ndarray
+) -> None:
+    mesh, path = tree[0], products[0]["alembic"]
+    assert errors_m(played_alembic(path) - mesh.vertices, truth)[1] < 1e-6
+    schema = AbcGeom.IPolyMesh(Abc.IArchive(str(path)).getTop(), "tree").getSchema()
+    assert schema.getTimeSampling().getSampleTime(1) == pytest.approx(1 / 24)
+    corners = np.array(memoryview(schema.getValue().getFaceIndices())).reshape(-1, 3)
+    np.testing.assert_array_equal(corners[:, ::-1], mesh.faces)
+    assert mesh.face_material is not None
+    assert list(schema.getFaceSetNames()) == [material.name for material in mesh.materials]
+    for number, material in enumerate(mesh.materials):
+        faces = schema.getFaceSet(material.name).getSchema().getValue().getFaces()
+        np.testing.assert_array_equal(np.array(memoryview(faces)), np.flatnonzero(mesh.face_material == number))
+    uv = np.random.default_rng(0).random((mesh.num_vertices, 2)).astype(np.float32)
+    with path.with_name("seams.abc").open("wb") as stream:
+        write_motion_alembic(replace(mesh, uv=uv), [np.zeros_like(mesh.vertices)], stream, fps=24.0)
+    schema = AbcGeom.IPolyMesh(Abc.IArchive(stream.name).getTop(), "tree").getSchema()
+    read = schema.getUVsParam().getExpandedValue(Abc.ISampleSelector(0)).getVals()
+    np.testing.assert_allclose(
+        np.array(memoryview(read)), uv[mesh.faces[:, ::-1].ravel()] * [1, -1] + [0, 1], atol=1e-7
+    )
 
 
 def test_trimesh_reads_the_sequence_and_every_glb(

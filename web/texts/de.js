@@ -159,6 +159,8 @@ export default {
   "format.glb-skinned.for": "Engines ohne Morph-Ziele",
   "format.usd": "USD",
   "format.usd.for": "Omniverse, Houdini, iPhone",
+  "format.alembic": "Alembic",
+  "format.alembic.for": "Maya, Houdini, Film",
   "format.vat": "Vertex-Textur",
   "format.vat.for": "ganze Wälder in einer Engine",
   "format.ply": "PLY-Folge",

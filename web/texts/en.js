@@ -159,6 +159,8 @@ export default {
   "format.glb-skinned.for": "engines without morph targets",
   "format.usd": "USD",
   "format.usd.for": "Omniverse, Houdini, iPhone",
+  "format.alembic": "Alembic",
+  "format.alembic.for": "Maya, Houdini, film",
   "format.vat": "Vertex texture",
   "format.vat.for": "whole forests in an engine",
   "format.ply": "PLY sequence",
