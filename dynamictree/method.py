@@ -10,7 +10,7 @@ Importing this module loads no torch; `generate` does.
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -90,10 +90,8 @@ def generate(
     """
     from dynamictree.models.several_trees import generate_trees
 
-    spectrum = generate_trees(
-        motion_model(model), voxels, wind=wind or Wind(), seed=seed, num_steps=num_steps, on_step=on_step
-    )
-    return replace(spectrum, source=voxels.source)
+    of_one = partial(motion_model(model).generate, wind=wind or Wind(), num_steps=num_steps)
+    return replace(generate_trees(of_one, voxels, seed=seed, on_step=on_step), source=voxels.source)
 
 
 def devoxelize(

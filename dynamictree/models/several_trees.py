@@ -1,43 +1,39 @@
 """Several trees in one grid: each is generated separately, with its own root and seed."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from jaxtyping import Int64
 
-from dynamictree.models.motion_model import MotionModel, OnStep
-from dynamictree.spectrum import SparseVoxelSpectrum, Wind
+from dynamictree.models.motion_model import OnStep
+from dynamictree.spectrum import SparseVoxelSpectrum
 from dynamictree.voxel.voxelize import SurfaceVoxels
 
 RESOLUTIONS = (128, 256, 512)
 
 
 def generate_trees(
-    model: MotionModel,
-    voxels: SurfaceVoxels,
-    *,
-    wind: Wind,
-    seed: int,
-    num_steps: int | None = None,
-    on_step: OnStep | None = None,
+    generate: "partial[SparseVoxelSpectrum]", voxels: SurfaceVoxels, *, seed: int, on_step: OnStep | None = None
 ) -> SparseVoxelSpectrum:
-    """Generate the spectrum of one motion of one tree or of several, see `MotionModel.generate`.
+    """Generate the spectrum of one motion of one tree or of several.
 
     Tree n of several gets the seed `seed` + n. What a tree is given does not depend on the others.
+
+    Args:
+        generate: `MotionModel.generate` of a model, with wind and number of steps.
+        voxels: of all trees.
+        seed: of the first tree.
+        on_step: see OnStep; steps are counted over all trees.
     """
     if voxels.tree is None:
-        return model.generate(voxels, wind=wind, seed=seed, num_steps=num_steps, on_step=on_step)
+        return generate(voxels, seed=seed, on_step=on_step)
     numbers = np.unique(voxels.tree).tolist()
     spectra = []
     for index, number in enumerate(numbers):
         rows = np.flatnonzero(voxels.tree == number)
-        spectrum = model.generate(
-            tree_voxels(voxels, rows),
-            wind=wind,
-            seed=seed + int(number),
-            num_steps=num_steps,
-            on_step=None if on_step is None else _share(on_step, index, len(numbers)),
-        )
+        own_steps = None if on_step is None else _share(on_step, index, len(numbers))
+        spectrum = generate(tree_voxels(voxels, rows), seed=seed + int(number), on_step=own_steps)
         spectra.append((rows, spectrum.coefficients))
     coefficients = np.zeros((len(voxels.grid), *spectra[0][1].shape[1:]), np.complex64)
     for rows, of_tree in spectra:
