@@ -39,9 +39,7 @@ class ParseRequest(BaseModel):
     names: tuple[str, ...]
     paths: tuple[Path, ...]
     prepared: Path  # where the mesh or cloud goes, in metres and +Z up
-    up_axis: str | None = None
-    unit_m: float | None = None
-    height_m: float | None = None
+    reading: Mapping[str, str | float | None] = {}  # fields of `Reading`
     memory_bytes: int
     cpu_s: int
 

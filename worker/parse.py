@@ -12,6 +12,7 @@ from contextlib import ExitStack
 from pathlib import Path, PurePosixPath
 
 from dynamictree.errors import DynamicTreeError
+from dynamictree.requests import Reading
 from jobs.parser_process import ParseAnswer, ParseRequest
 from worker.confine import confine
 
@@ -88,9 +89,7 @@ def _cloud(
         capture = read_capture(
             opened.enter_context(paths[name].open("rb")),
             file_type=file_type,
-            up_axis=request.up_axis,
-            unit_m=request.unit_m,
-            height_m=request.height_m,
+            reading=Reading.part_of(request.reading),
             mask=opened.enter_context(masks[0].open("rb")) if masks else None,
             mesh=None if mesh is None else (mesh, opened.enter_context(paths[mesh].open("rb"))),
             companions=None
@@ -113,9 +112,7 @@ def _mesh(request: ParseRequest, name: str, file_type: str, beside: Mapping[str,
         mesh = read_mesh(
             source,
             file_type=file_type,
-            up_axis=request.up_axis,
-            unit_m=request.unit_m,
-            height_m=request.height_m,
+            reading=Reading.part_of(request.reading),
             companions=companions,
         )
     with request.prepared.open("xb") as stream:

@@ -4,7 +4,7 @@ import hashlib
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, TypedDict
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -105,18 +105,7 @@ def load_mesh(path: Path, reading: Reading | None = None) -> "TriangleMesh":
     with opened(path) as stream:
         file_type = sniff_file_type(stream.read(4096), path.name)
         stream.seek(0)
-        return read_mesh(stream, file_type=file_type, **_how(reading), companions=Companions(path))
-
-
-class _How(TypedDict):
-    up_axis: str | None
-    unit_m: float | None
-    height_m: float | None
-
-
-def _how(reading: Reading | None) -> _How:
-    reading = reading or Reading()
-    return {"up_axis": reading.up_axis, "unit_m": reading.unit_m, "height_m": reading.height_m}
+        return read_mesh(stream, file_type=file_type, reading=reading, companions=Companions(path))
 
 
 def load_capture(
@@ -139,7 +128,7 @@ def load_capture(
         return read_capture(
             stream,
             file_type=file_type,
-            **_how(reading),
+            reading=reading,
             mask=None if mask is None else stack.enter_context(opened(mask)),
             mesh=None if mesh is None else (mesh.name, stack.enter_context(opened(mesh))),
             companions=None if mesh is None else Companions(mesh),

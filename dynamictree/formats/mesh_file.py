@@ -16,6 +16,7 @@ from dynamictree.formats.mesh.stl import is_ascii_stl, read_stl
 from dynamictree.formats.ply_table import read_header
 from dynamictree.formats.still_parts import find_still_parts
 from dynamictree.mesh import TriangleMesh, validate_mesh
+from dynamictree.requests import Reading
 from dynamictree.trees.of_mesh import with_trees
 
 MESH_TYPES = ("obj", "ply", "glb", "gltf", "stl", "off", "3mf", "dae")
@@ -56,9 +57,7 @@ def read_mesh(
     stream: ByteReader,
     *,
     file_type: str,
-    up_axis: str | None = None,
-    unit_m: float | None = None,
-    height_m: float | None = None,
+    reading: Reading | None = None,
     companions: Mapping[str, bytes] | None = None,
 ) -> TriangleMesh:
     """Read a mesh that the method can work on, in metres and +Z up.
@@ -66,10 +65,8 @@ def read_mesh(
     Args:
         stream: the file's bytes.
         file_type: one of `MESH_TYPES`, such as `sniff_file_type` gives.
-        up_axis: the file's own, such as "+Y"; None takes what glTF or a PLY comment says, or works it out
+        reading: the file's axis and unit; what is unset is as glTF or a PLY comment says, or is worked out
             (see `axes.py`).
-        unit_m: metres per unit of the file; None likewise.
-        height_m: of the tree [m]; None takes it from the file and its unit.
         companions: content of the files that the mesh may name (MTL, textures, buffers), by the names it uses.
 
     Raises:
@@ -79,6 +76,8 @@ def read_mesh(
         what = _NOT_MESHES.get(file_type, f"of type {file_type[:20]!r}")
         raise FormatError(f"the file is {what}; {ACCEPTED}")
     content = read_all(stream, MAX_FILE_BYTES)
+    reading = reading or Reading()
+    up_axis, unit_m = reading.up_axis, reading.unit_m
     doubt_size = unit_m is None  # what the format says of its unit is a habit, not a measurement
     beside = companions or {}
     if file_type in ("glb", "gltf"):
@@ -101,7 +100,7 @@ def read_mesh(
         mesh,
         up_axis=up_axis,
         unit_m=unit_m,
-        height_m=height_m,
+        height_m=reading.height_m,
         habit=_HABITS.get(file_type),
         doubt_size=doubt_size,
     )

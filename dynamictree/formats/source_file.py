@@ -15,6 +15,7 @@ from dynamictree.formats.seekable import SeekableReader
 from dynamictree.formats.splat.mask import read_mask
 from dynamictree.gaussian.capture import Capture, moving_part, with_still_parts
 from dynamictree.mesh import SourceWarning
+from dynamictree.requests import Reading
 from dynamictree.trees.choose import several_trees
 from dynamictree.trees.segment import segment_trees
 
@@ -59,9 +60,7 @@ def read_capture(
     stream: SeekableReader,
     *,
     file_type: str,
-    up_axis: str | None = None,
-    unit_m: float | None = None,
-    height_m: float | None = None,
+    reading: Reading | None = None,
     mask: SeekableReader | None = None,
     mesh: tuple[str, SeekableReader] | None = None,
     companions: Mapping[str, bytes] | None = None,
@@ -71,9 +70,8 @@ def read_capture(
     Args:
         stream: the cloud's file, at its start.
         file_type: such as `source_kind` gives.
-        up_axis: the file's; its format's habit if unset.
-        unit_m: metres a unit of the file; 1 for scans. A splat of unknown unit is made 5 m tall.
-        height_m: of the capture [m], in place of `unit_m`.
+        reading: the file's axis and unit; if unset its format's habit and, for scans, 1 m. A splat of unknown unit
+            is made 5 m tall.
         mask: which Gaussians may move (`names.MASK_NAME`).
         mesh: name and content of a mesh that lies where the cloud lies, in the same axes and units.
         companions: files that the mesh may name.
@@ -82,10 +80,10 @@ def read_capture(
         InputError: one of the files cannot be read, or they do not fit together.
     """
     assert file_type in CLOUD_TYPES
-    stated = unit_m is not None or says_unit(stream, file_type=file_type)
-    cloud, doubts = sized(
-        read_cloud(stream, file_type=file_type, up_axis=up_axis, unit_m=unit_m), height_m=height_m, stated=stated
-    )
+    reading = reading or Reading()
+    stated = reading.unit_m is not None or says_unit(stream, file_type=file_type)
+    as_it_is = read_cloud(stream, file_type=file_type, up_axis=reading.up_axis, unit_m=reading.unit_m)
+    cloud, doubts = sized(as_it_is, height_m=reading.height_m, stated=stated)
     capture = with_still_parts(Capture(cloud=cloud, mask=None if mask is None else read_mask(mask), warnings=doubts))
     capture = replace(capture, warnings=(*doubts, *_doubt_plant(capture)))
     if mesh is None:
@@ -101,8 +99,7 @@ def read_capture(
         mesh=read_mesh(
             BytesIO(content.read()),
             file_type=mesh_type,
-            up_axis=cloud.source_up_axis,
-            unit_m=cloud.source_scale,
+            reading=Reading(up_axis=cloud.source_up_axis, unit_m=cloud.source_scale),
             companions=companions,
         ),
     )

@@ -162,9 +162,7 @@ async def admit(owned: Owned, upload: Upload, folder: Path) -> tuple[AssetRecord
         names=tuple(_beside(file.name) for file in upload.files),
         paths=tuple(file.path for file in upload.files),
         prepared=prepared,
-        up_axis=upload.reading.up_axis,
-        unit_m=upload.reading.unit_m,
-        height_m=upload.reading.height_m,
+        reading=upload.reading.model_dump(),
         memory_bytes=owned.services.settings.parser_memory_bytes,
         cpu_s=owned.services.settings.parser_cpu_s,
     )

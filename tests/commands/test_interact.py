@@ -13,6 +13,7 @@ from dynamictree.formats.mesh.obj_writer import write_obj
 from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.formats.tensors.motion import read_motion
 from dynamictree.formats.tensors.spectrum import write_spectrum
+from dynamictree.requests import Reading
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +50,7 @@ def test_a_push_writes_coordinates_and_a_moving_mesh(interact, capsys, tmp_path,
         motion = read_motion(stream)
     with (folder / "tree.obj").open("rb") as stream:
         np.testing.assert_allclose(
-            motion.vertices, read_mesh(stream, file_type="obj", up_axis="+Z").vertices, atol=1e-6
+            motion.vertices, read_mesh(stream, file_type="obj", reading=Reading(up_axis="+Z")).vertices, atol=1e-6
         )
     # in equilibrium at the start, and swings once it is released after 6 frames
     np.testing.assert_allclose(motion.displacement[5], motion.displacement[0], atol=1e-5)

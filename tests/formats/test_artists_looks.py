@@ -20,6 +20,7 @@ from dynamictree.formats.gltf.motion import write_motion_glb
 from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle, write_mesh_bundle
 from dynamictree.mesh import TriangleMesh
+from dynamictree.requests import Reading
 from dynamictree.spectrum import to_motion
 from tests.formats import artists
 from tests.formats.artists import Artist, Document, document_of
@@ -245,7 +246,7 @@ def test_files_beside_a_model_move_into_the_glb() -> None:
 
 
 def test_a_model_that_is_said_to_lie_is_turned_and_scaled_by_one_node() -> None:
-    mesh = read_mesh(io.BytesIO(artists.wooded().glb()), file_type="glb", up_axis="-X", unit_m=0.01)
+    mesh = read_mesh(io.BytesIO(artists.wooded().glb()), file_type="glb", reading=Reading(up_axis="-X", unit_m=0.01))
     coefficients = coefficients_of(mesh)
     document = animated(mesh, coefficients)
     moved = mesh.vertices + to_motion(coefficients, 10)[3]

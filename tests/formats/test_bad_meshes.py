@@ -16,6 +16,7 @@ from dynamictree.formats.mesh.obj_writer import write_obj
 from dynamictree.formats.mesh.ply_writer import write_ply
 from dynamictree.formats.mesh_file import MESH_TYPES, read_mesh, sniff_file_type
 from dynamictree.mesh import TriangleMesh
+from dynamictree.requests import Reading
 from tests.formats.meshes import gltf_bytes, image_bytes, triangle_gltf, trunk_and_crown
 
 
@@ -260,12 +261,12 @@ def test_other_kinds_of_file_are_refused_with_what_is_accepted(file_type: str) -
 @pytest.mark.parametrize("unit_m", [0.0, -1.0, np.nan, np.inf])
 def test_a_unit_that_is_no_length_is_refused(rng: np.random.Generator, unit_m: float) -> None:
     with pytest.raises(InputError, match="unit_m"):
-        read_mesh(io.BytesIO(written(trunk_and_crown(rng), "ply")), file_type="ply", unit_m=unit_m)
+        read_mesh(io.BytesIO(written(trunk_and_crown(rng), "ply")), file_type="ply", reading=Reading(unit_m=unit_m))
 
 
 def test_an_axis_that_is_none_is_refused(rng: np.random.Generator) -> None:
     with pytest.raises(InputError, match="up_axis is 'up'"):
-        read_mesh(io.BytesIO(written(trunk_and_crown(rng), "ply")), file_type="ply", up_axis="up")
+        read_mesh(io.BytesIO(written(trunk_and_crown(rng), "ply")), file_type="ply", reading=Reading(up_axis="up"))
 
 
 @pytest.mark.parametrize(

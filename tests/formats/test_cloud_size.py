@@ -7,6 +7,7 @@ import pytest
 
 from dynamictree.formats.cloud_size import DEFAULT_HEIGHT_M, cloud_height
 from dynamictree.formats.source_file import read_capture
+from dynamictree.requests import Reading
 
 
 def splat_bytes(height: float) -> bytes:
@@ -19,15 +20,15 @@ def splat_bytes(height: float) -> bytes:
 
 
 def test_a_splat_of_unknown_size_is_five_metres_tall_and_doubted() -> None:
-    result = read_capture(io.BytesIO(splat_bytes(1.7)), file_type="splat", up_axis="+Y")
+    result = read_capture(io.BytesIO(splat_bytes(1.7)), file_type="splat", reading=Reading(up_axis="+Y"))
     assert cloud_height(result.cloud) == pytest.approx(DEFAULT_HEIGHT_M, rel=1e-4)
     assert [warning.code for warning in result.warnings] == ["size-unknown"]
 
 
 def test_a_stated_height_or_unit_is_taken() -> None:
-    tall = read_capture(io.BytesIO(splat_bytes(1.7)), file_type="splat", up_axis="+Y", height_m=12.0)
+    tall = read_capture(io.BytesIO(splat_bytes(1.7)), file_type="splat", reading=Reading(up_axis="+Y", height_m=12.0))
     assert (cloud_height(tall.cloud), tall.warnings) == (pytest.approx(12.0, rel=1e-4), ())
-    metres = read_capture(io.BytesIO(splat_bytes(1.7)), file_type="splat", up_axis="+Y", unit_m=1.0)
+    metres = read_capture(io.BytesIO(splat_bytes(1.7)), file_type="splat", reading=Reading(up_axis="+Y", unit_m=1.0))
     assert (metres.cloud.source_scale, metres.warnings) == (1.0, ())
     np.testing.assert_allclose(
         tall.cloud.scales / metres.cloud.scales, tall.cloud.source_scale / metres.cloud.source_scale, rtol=1e-5

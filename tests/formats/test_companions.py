@@ -12,6 +12,7 @@ from dynamictree.formats.companions import KTX2_MAGIC, beside_model, find_compan
 from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle, write_mesh_bundle
 from dynamictree.mesh import TriangleMesh
+from dynamictree.requests import Reading
 from tests.formats.meshes import image_bytes, triangle_gltf
 
 FILES = {"scene.bin": b"1", "textures/My Bark.png": b"2", "a/leaf.png": b"3", "b/leaf.png": b"4"}
@@ -100,7 +101,10 @@ def test_a_size_that_trees_do_not_have_is_doubted(scale: float, unit_m: float | 
     root, binary = triangle_gltf(buffers=[{"byteLength": 42, "uri": "scene.bin"}])
     binary = (np.frombuffer(binary[:36], np.float32) * np.float32(scale)).tobytes() + binary[36:]
     mesh = read_mesh(
-        io.BytesIO(json.dumps(root).encode()), file_type="gltf", unit_m=unit_m, companions={"scene.bin": binary}
+        io.BytesIO(json.dumps(root).encode()),
+        file_type="gltf",
+        reading=Reading(unit_m=unit_m),
+        companions={"scene.bin": binary},
     )
     if proposal is None:
         assert mesh.warnings == ()

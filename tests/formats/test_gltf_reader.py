@@ -13,6 +13,7 @@ from dynamictree.formats.axes import up_rotation
 from dynamictree.formats.gltf.writer import write_glb
 from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.mesh import TriangleMesh
+from dynamictree.requests import Reading
 from tests.formats.meshes import gltf_bytes, image_bytes, triangle_gltf, trunk_and_crown
 
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 0, 1]], np.float32)  # of triangle_gltf, +Z up
@@ -46,7 +47,7 @@ def test_gltf_turns_from_y_up_to_z_up() -> None:
 
 def test_gltf_follows_explicit_axes_and_units() -> None:
     root, binary = triangle_gltf()
-    mesh = read(gltf_bytes(root, binary), "glb", up_axis="+Z", unit_m=0.01)
+    mesh = read(gltf_bytes(root, binary), "glb", reading=Reading(up_axis="+Z", unit_m=0.01))
     np.testing.assert_allclose(mesh.vertices, np.float32([[0, 0, 0], [0.01, 0, 0], [0, 0.01, 0]]))
     assert (mesh.source_up_axis, mesh.source_scale) == ("+Z", 0.01)
 

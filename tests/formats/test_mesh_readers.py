@@ -13,6 +13,7 @@ from dynamictree.formats.mesh.ply_writer import write_ply
 from dynamictree.formats.mesh_file import read_mesh, sniff_file_type
 from dynamictree.formats.upright import CERTAIN, judge_up_axis
 from dynamictree.mesh import TriangleMesh
+from dynamictree.requests import Reading
 from tests.formats.meshes import image_bytes, trunk_and_crown
 
 
@@ -42,7 +43,7 @@ f 1/1 2/2 \\
   3/3 4/4
 f -4/-1 -2/-3 -1/-4
 """
-    mesh = read(text, "obj", up_axis="+Z")
+    mesh = read(text, "obj", reading=Reading(up_axis="+Z"))
     np.testing.assert_array_equal(mesh.vertices[:4], [[0, 0, 0], [1, 0, 0], [1, 0, 1], [0, 0, 1]])
     np.testing.assert_array_equal(mesh.vertices[mesh.faces[2]], mesh.vertices[[0, 2, 3]])
     np.testing.assert_array_equal(mesh.faces[:2], [[0, 1, 2], [0, 2, 3]])
@@ -59,7 +60,7 @@ def test_stl_binary_and_ascii_share_their_equal_corners() -> None:
         content = square.export(file_type=form)
         content = content.encode() if isinstance(content, str) else content
         assert sniff_file_type(content[:1024], "a.stl") == "stl"
-        mesh = read(content, "stl", up_axis="+Z")
+        mesh = read(content, "stl", reading=Reading(up_axis="+Z"))
         np.testing.assert_array_equal(mesh.vertices, square.vertices)
         np.testing.assert_array_equal(mesh.faces, square.faces)
 
@@ -88,7 +89,7 @@ def test_ply_of_every_encoding(form: str, mixed: bool) -> None:
         for polygon in polygons:
             content += bytes([9, len(polygon)]) + np.array(polygon, order + "i4").tobytes()
             content += b"\x01" + np.array([0.5], order + "f4").tobytes()
-    mesh = read(head.encode() + content, "ply", up_axis="+Z")
+    mesh = read(head.encode() + content, "ply", reading=Reading(up_axis="+Z"))
     np.testing.assert_array_equal(mesh.vertices, [[0, 0, 0], [1, 0, 0], [1, 0, 1], [0, 0, 1]])
     expected = [[0, 1, 2], [0, 1, 2], [0, 2, 3]] if mixed else [[0, 1, 2], [0, 2, 3]]
     np.testing.assert_array_equal(mesh.faces, expected)

@@ -16,6 +16,7 @@ from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.formats.motion.ply_sequence import iter_ply_sequence_zip
 from dynamictree.formats.tensors.motion import read_motion, write_motion
 from dynamictree.mesh import TriangleMesh
+from dynamictree.requests import Reading
 from dynamictree.spectrum import from_motion, iter_motion, to_motion
 from tests.formats.meshes import trunk_and_crown
 from tests.formats.test_tensor_files import with_changes
@@ -156,7 +157,7 @@ def test_every_frame_of_the_zip_is_the_mesh_at_that_frame(rng: np.random.Generat
     assert archive.testzip() is None  # checksums
     assert archive.namelist() == [f"frame_{n:04d}.ply" for n in range(5)]
     for name, displacement in zip(archive.namelist(), to_motion(coefficients)[:5], strict=True):
-        result = read_mesh(io.BytesIO(archive.read(name)), file_type="ply", up_axis="+Z", unit_m=1.0)
+        result = read_mesh(io.BytesIO(archive.read(name)), file_type="ply", reading=Reading(up_axis="+Z", unit_m=1.0))
         np.testing.assert_allclose(result.vertices, mesh.vertices + displacement, atol=1e-5)
         np.testing.assert_array_equal(result.faces, mesh.faces)
         np.testing.assert_array_equal(result.vertex_colors, mesh.vertex_colors)

@@ -13,7 +13,7 @@ from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle, write_mesh_bundle
 from dynamictree.gaussian.part_choice import choose_gaussians, with_choice
 from dynamictree.mesh import TriangleMesh
-from dynamictree.requests import CloudParams
+from dynamictree.requests import CloudParams, Reading
 
 
 def scene() -> bytes:
@@ -83,7 +83,7 @@ def test_nothing_left_to_move_is_refused() -> None:
 def test_groups_of_an_obj_have_names() -> None:
     square = "v 0 0 {0}\nv 1 0 {0}\nv 1 1 {0}\nv 0 1 {0}\n"
     text = square.format(0) + "f 1 2 3 4\no Bush\n" + square.format(1) + "f 5 6 7 8\ng Basket\nf 5 7 8\n"
-    mesh = read_mesh(BytesIO(text.encode()), file_type="obj", up_axis="+Z", unit_m=1.0)
+    mesh = read_mesh(BytesIO(text.encode()), file_type="obj", reading=Reading(up_axis="+Z", unit_m=1.0))
     assert mesh.face_part is not None
     assert [mesh.part_names[part] for part in mesh.face_part] == ["", "", "Bush", "Bush", "Basket"]
     chosen = with_choice(mesh, CloudParams(still=("basket",), moving=("Bush",)))

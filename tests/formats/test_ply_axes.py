@@ -13,6 +13,7 @@ from dynamictree.formats.ply_table import read_header
 from dynamictree.formats.splat.ply import write_gaussian_ply
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.mesh import TriangleMesh
+from dynamictree.requests import Reading
 
 
 def lying_mesh() -> TriangleMesh:
@@ -35,7 +36,7 @@ def test_our_own_mesh_is_read_back_as_it_stood():
 def test_what_the_caller_says_counts_more_than_the_comment():
     mesh, stream = lying_mesh(), io.BytesIO()
     write_ply(mesh, stream)
-    read = read_mesh(io.BytesIO(stream.getvalue()), file_type="ply", up_axis="+Y", unit_m=0.5)
+    read = read_mesh(io.BytesIO(stream.getvalue()), file_type="ply", reading=Reading(up_axis="+Y", unit_m=0.5))
     assert (read.source_up_axis, read.source_scale) == ("+Y", 0.5)
 
 

@@ -12,6 +12,7 @@ from dynamictree.formats.mesh.obj_writer import write_obj
 from dynamictree.formats.mesh.ply_writer import write_ply
 from dynamictree.formats.mesh_file import read_mesh, sniff_file_type
 from dynamictree.mesh import TriangleMesh
+from dynamictree.requests import Reading
 from tests.formats.meshes import trunk_and_crown
 
 shapes = given(
@@ -48,7 +49,7 @@ def test_glb(seed: int, sizes: tuple[int, int], has: tuple[bool, bool]) -> None:
 def test_ply(seed: int, sizes: tuple[int, int], has: tuple[bool, bool]) -> None:
     mesh, stream = random_mesh(seed, sizes, has), io.BytesIO()
     write_ply(mesh, stream)
-    result = read_mesh(io.BytesIO(stream.getvalue()), file_type="ply", up_axis="+Z", unit_m=1.0)
+    result = read_mesh(io.BytesIO(stream.getvalue()), file_type="ply", reading=Reading(up_axis="+Z", unit_m=1.0))
     assert_geometry(result, mesh)
     assert_optional(result.uv, mesh.uv, atol=1e-6)
     assert_optional(result.vertex_colors, mesh.vertex_colors, atol=0)
@@ -59,7 +60,7 @@ def test_ply(seed: int, sizes: tuple[int, int], has: tuple[bool, bool]) -> None:
 def test_obj(seed: int, sizes: tuple[int, int], has: tuple[bool, bool]) -> None:
     mesh, stream = random_mesh(seed, sizes, has), io.BytesIO()
     write_obj(mesh, stream)
-    result = read_mesh(io.BytesIO(stream.getvalue()), file_type="obj", up_axis="+Z", unit_m=1.0)
+    result = read_mesh(io.BytesIO(stream.getvalue()), file_type="obj", reading=Reading(up_axis="+Z", unit_m=1.0))
     assert_geometry(result, mesh)
     if mesh.uv is not None:
         assert result.uv is not None
@@ -92,7 +93,9 @@ def test_glb_keeps_materials_and_textures(rng: np.random.Generator) -> None:
 def test_obj_keeps_materials_and_textures(rng: np.random.Generator) -> None:
     mesh, stream = trunk_and_crown(rng), io.BytesIO()
     companions = write_obj(mesh, stream, library="tree.mtl")
-    result = read_mesh(io.BytesIO(stream.getvalue()), file_type="obj", up_axis="+Z", companions=companions)
+    result = read_mesh(
+        io.BytesIO(stream.getvalue()), file_type="obj", reading=Reading(up_axis="+Z"), companions=companions
+    )
     assert result.materials == mesh.materials
     assert_optional(result.face_material, mesh.face_material, atol=0)
 
@@ -100,7 +103,7 @@ def test_obj_keeps_materials_and_textures(rng: np.random.Generator) -> None:
 def test_an_obj_without_its_library_keeps_the_names_of_its_materials(rng: np.random.Generator) -> None:
     stream = io.BytesIO()
     write_obj(trunk_and_crown(rng), stream, library="tree.mtl")
-    result = read_mesh(io.BytesIO(stream.getvalue()), file_type="obj", up_axis="+Z")
+    result = read_mesh(io.BytesIO(stream.getvalue()), file_type="obj", reading=Reading(up_axis="+Z"))
     assert [material.name for material in result.materials] == ["bark", "leaf"]
 
 

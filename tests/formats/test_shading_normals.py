@@ -10,6 +10,7 @@ from dynamictree.formats.gltf.normals import angles_rad, iter_normals, rest_norm
 from dynamictree.formats.gltf.writer import write_glb
 from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.mesh import TriangleMesh, vertex_normals
+from dynamictree.requests import Reading
 from tests.formats.artists import TURNED, Artist, document_of
 
 ROOF = "v 0 0 0\nv 2 0 0\nv 2 1 1\nv 0 1 1\nv 2 2 0\nv 0 2 0\nvn 0 -1 1\nvn 0 1 1\n"
@@ -44,7 +45,7 @@ def test_normals_of_gltf_stay_across_their_faces_wherever_a_node_puts_them(place
 
 def test_normals_of_obj_are_turned_upright_with_it() -> None:
     faces = "f 1//1 2//1 3//1 4//1\nf 4//2 3//2 5//2 6//2\n"
-    mesh = read_mesh(io.BytesIO((ROOF + faces).encode()), file_type="obj", up_axis="+Y", unit_m=1.0)
+    mesh = read_mesh(io.BytesIO((ROOF + faces).encode()), file_type="obj", reading=Reading(up_axis="+Y", unit_m=1.0))
     assert mesh.normals is not None
     half = np.sqrt(0.5)
     np.testing.assert_allclose(mesh.normals[:2], [[0, -half, -half]] * 2, atol=1e-6)  # (0, -1, 1) of +Y up
@@ -54,7 +55,7 @@ def test_normals_of_obj_are_turned_upright_with_it() -> None:
 
 @pytest.mark.parametrize("faces", ["f 1//9 2//9 3//9\n", "f 1//a 2//1 3//-7\n", "vn 0 1\nf 1//1 2//1 3//1\n"])
 def test_damaged_normals_of_obj_refuse_no_file(faces: str) -> None:
-    mesh = read_mesh(io.BytesIO((ROOF + faces).encode()), file_type="obj", up_axis="+Z", unit_m=1.0)
+    mesh = read_mesh(io.BytesIO((ROOF + faces).encode()), file_type="obj", reading=Reading(up_axis="+Z", unit_m=1.0))
     assert np.isfinite(rest_normals(mesh)).all()
 
 

@@ -10,6 +10,7 @@ import pytest
 from dynamictree.errors import FormatError, InputError, MeshError
 from dynamictree.formats.mesh_file import read_mesh, sniff_file_type
 from dynamictree.mesh import Material, TriangleMesh
+from dynamictree.requests import Reading
 from tests.formats.meshes import image_bytes, trunk_and_crown, zipped
 
 KINDS = ["off", "3mf", "dae"]
@@ -29,7 +30,7 @@ def read(content: bytes, kind: str, companions: Mapping[str, bytes] | None = Non
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_file_s_vertices_come_in_its_order(rng: np.random.Generator, kind: str) -> None:
     mesh = trunk_and_crown(rng)
-    result = read(exported(mesh, kind), kind, up_axis="+Z", unit_m=1.0)
+    result = read(exported(mesh, kind), kind, reading=Reading(up_axis="+Z", unit_m=1.0))
     if kind == "dae":  # COLLADA's writer gives each face corners of its own
         np.testing.assert_allclose(result.vertices[result.faces], mesh.vertices[mesh.faces], atol=1e-5)
     else:

@@ -14,6 +14,7 @@ from dynamictree.formats.axes import up_rotation
 from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.formats.upright import AXES, CERTAIN, judge_up_axis
 from dynamictree.mesh import TriangleMesh
+from dynamictree.requests import Reading
 
 
 def trees(samples: Path | None) -> Iterator[TriangleMesh]:
@@ -52,6 +53,8 @@ def test_what_is_doubtful_is_said() -> None:
     mesh = read_mesh(io.BytesIO("\n".join(lines).encode()), file_type="obj")
     assert "orientation-uncertain" in [warning.code for warning in mesh.warnings]
     assert mesh.source_up_confidence < CERTAIN
-    stated = read_mesh(io.BytesIO("\n".join(lines).encode()), file_type="obj", up_axis="+Z", height_m=3.0)
+    stated = read_mesh(
+        io.BytesIO("\n".join(lines).encode()), file_type="obj", reading=Reading(up_axis="+Z", height_m=3.0)
+    )
     assert (stated.warnings, stated.source_up_confidence) == ((), 1.0)
     assert stated.height_m == pytest.approx(3.0, rel=1e-6)

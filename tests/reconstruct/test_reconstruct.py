@@ -23,6 +23,7 @@ from dynamictree.reconstruct.checkpoint import load_progress
 from dynamictree.reconstruct.mapping import pairs_to_match
 from dynamictree.reconstruct.optimise import Schedule
 from dynamictree.reconstruct.photos import list_photos, prepare_photos
+from dynamictree.requests import Reading
 from tests.reconstruct.conftest import WIDTH, Orbit
 from tests.reconstruct.test_given import write_transforms
 
@@ -90,7 +91,9 @@ def test_files_hold_what_was_found(reconstruction, orbit):
     folder, result, shares = reconstruction
     names = ["cameras.json", "mesh.ply", "report.json", "report.png", "scene.ply", "splat.ply"]
     assert sorted(path.name for path in folder.iterdir()) == names
-    mesh = read_mesh(io.BytesIO((folder / "mesh.ply").read_bytes()), file_type="ply", up_axis="+Z", unit_m=1.0)
+    mesh = read_mesh(
+        io.BytesIO((folder / "mesh.ply").read_bytes()), file_type="ply", reading=Reading(up_axis="+Z", unit_m=1.0)
+    )
     assert np.allclose(mesh.vertices, result.mesh.vertices)
     assert np.array_equal(mesh.vertex_colors, result.mesh.vertex_colors)
     report = json.loads((folder / "report.json").read_text())
