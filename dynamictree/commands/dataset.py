@@ -8,8 +8,10 @@ from typing import Annotated
 
 import typer
 
+from dynamictree.commands.request_options import with_request_options
 from dynamictree.commands.terminal import AsJson, tell
 from dynamictree.errors import InputError
+from dynamictree.requests import DatasetLimits
 
 app = typer.Typer(
     no_args_is_help=True, help="4DTree: animated trees from seeds; generate, filter, sheet, stats, export."
@@ -23,19 +25,13 @@ BakedFolder = Annotated[
 FirstSeed = Annotated[int, typer.Option(min=0, max=2**40, help="Seed of the first tree.")]
 Workers = Annotated[int, typer.Option(min=1, max=256, help="Processes; the bytes do not depend on their number.")]
 SpeciesName = Annotated[str | None, typer.Option(help="Only this species; drawn from the seed if not given.")]
-HighFrequency = Annotated[
-    float, typer.Option(min=0, max=1, help="Reject where more than this share of the energy is above 3 Hz.")
-]
-RootMotion = Annotated[float, typer.Option(min=0, max=1, help="Reject where roots move more, share of the height.")]
-EdgeStretch = Annotated[float, typer.Option(min=0, max=10, help="Reject where edges stretch more, share of length.")]
-SelfExplosion = Annotated[
-    float, typer.Option(min=0, max=10, help="Reject where a vertex goes farther, share of the height.")
-]
 
 
 @app.command()
+@with_request_options
 def generate(
     folder: Folder,
+    limits: DatasetLimits,
     trees: Annotated[int, typer.Option(min=1, max=10_000_000, help="Accepted trees wanted.")] = 8786,
     first_seed: FirstSeed = 0,
     trees_per_shard: Annotated[int, typer.Option(min=1, max=1000, help="Trees in a file.")] = 25,
@@ -53,15 +49,10 @@ def generate(
         str | None, typer.Option(help="Only this species, or `crossed`: parts of several; drawn if not given.")
     ] = None,
     workers: Workers = 1,
-    high_frequency: HighFrequency = 0.001,
-    root_motion: RootMotion = 0.001,
-    edge_stretch: EdgeStretch = 0.02,
-    self_explosion: SelfExplosion = 0.22,
     as_json: AsJson = False,
 ) -> None:
     """Generate a dataset into a folder; an interrupted run continues."""
     from dynamictree.dataset import generate as baking
-    from dynamictree.dataset.filter import Limits
     from dynamictree.dataset.review import read_review
 
     verdicts = {}
@@ -76,12 +67,7 @@ def generate(
         vertex_spectrum=vertex_spectrum,
         loop=loop,
         species=species,
-        limits=Limits(
-            high_frequency=high_frequency,
-            root_motion=root_motion,
-            edge_stretch=edge_stretch,
-            self_explosion=self_explosion,
-        ),
+        limits=limits,
         review=verdicts,
     )
     with _progress("generate", quiet=as_json) as report:
@@ -91,30 +77,22 @@ def generate(
 
 
 @app.command(name="filter")
+@with_request_options
 def filter_trees(
+    limits: DatasetLimits,
     folder: BakedFolder = None,
     trees: Annotated[int, typer.Option(min=1, max=1_000_000, help="Trees to look at, from seeds.")] = 100,
     first_seed: FirstSeed = 0,
     species: SpeciesName = None,
-    high_frequency: HighFrequency = 0.001,
-    root_motion: RootMotion = 0.001,
-    edge_stretch: EdgeStretch = 0.02,
-    self_explosion: SelfExplosion = 0.22,
     as_json: AsJson = False,
 ) -> None:
     """Print how many trees each rule would reject, and the worst of each measure; writes nothing."""
     from dataclasses import asdict
 
-    from dynamictree.dataset.filter import Limits, measure, rejections
+    from dynamictree.dataset.filter import measure, rejections
     from dynamictree.dataset.records import iter_seen
     from dynamictree.dataset.sample import make_sample
 
-    limits = Limits(
-        high_frequency=high_frequency,
-        root_motion=root_motion,
-        edge_stretch=edge_stretch,
-        self_explosion=self_explosion,
-    )
     if folder is not None:
         measures = [tree.measures for tree in iter_seen(folder) if species in (None, tree.species)]
         trees = len(measures)
@@ -131,7 +109,7 @@ def filter_trees(
              if rule not in ("seen", "accepted")}  # fmt: skip
     worst = {name: max(getattr(one, name) for one in measures) for name in asdict(measures[0])}
     if as_json:
-        tell({**counts, "worst": worst, "limits": asdict(limits)}, as_json=True)
+        tell({**counts, "worst": worst, "limits": limits.model_dump()}, as_json=True)
     else:
         worst_rows = {f"worst {name}": f"{value:.3g}" for name, value in worst.items()}
         tell({"trees": trees, "accepted": counts["accepted"], **rates, **worst_rows}, as_json=False)

@@ -11,23 +11,13 @@ from jaxtyping import Float32, Int32
 from dynamictree.dataset.sample import Sample
 from dynamictree.mesh import edges_of
 from dynamictree.parallel import single_thread
+from dynamictree.requests import DatasetLimits
 from dynamictree.spectrum import FPS
 
 Rule = Literal["high-frequency", "root-motion", "edge-stretch", "self-explosion"]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Limits:
-    """Largest accepted value of each measure."""
-
-    above_hz: float = 3.0  # what counts as high: beyond the sway of all stems but the smallest
-    high_frequency: float = 0.001  # share of the motion's energy
-    root_motion: float = 0.001  # of the height
-    edge_stretch: float = 0.02  # 99.9th percentile over edges and frames
-    self_explosion: float = 0.22  # largest displacement, of the height
-
-
-DEFAULT_LIMITS = Limits()
+DEFAULT_LIMITS = DatasetLimits()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +29,7 @@ class Measures:
     edge_stretch: float
     self_explosion: float
 
-    def broken(self, limits: Limits) -> tuple[Rule, ...]:
+    def broken(self, limits: DatasetLimits) -> tuple[Rule, ...]:
         """The rules that this motion breaks; a measure that is not finite breaks its rule."""
         checks: tuple[tuple[Rule, float, float], ...] = (
             ("high-frequency", self.high_frequency, limits.high_frequency),
@@ -50,7 +40,7 @@ class Measures:
         return tuple(rule for rule, value, allowed in checks if not value <= allowed)
 
 
-def measure(sample: Sample, limits: Limits = DEFAULT_LIMITS, *, frame_step: int = 10) -> Measures:
+def measure(sample: Sample, limits: DatasetLimits = DEFAULT_LIMITS, *, frame_step: int = 10) -> Measures:
     """Measure a sample: energies on its nodes at every frame, the rest on its vertices at every `frame_step`-th."""
     step = sample.motion.every(frame_step)
     displacement = step.displacement(sample.mesh.vertices, sample.node)

@@ -20,12 +20,13 @@ from pathlib import Path
 import numpy as np
 
 from dynamictree.dataset.card import write_card
-from dynamictree.dataset.filter import DEFAULT_LIMITS, Limits, measure, rejections
+from dynamictree.dataset.filter import DEFAULT_LIMITS, measure, rejections
 from dynamictree.dataset.review import Verdict
 from dynamictree.dataset.sample import VERSION, Sample, make_sample
 from dynamictree.dataset.shards import StoredTree, store, write_shard
 from dynamictree.dataset.stats import table_facts, tables_of
 from dynamictree.errors import InputError
+from dynamictree.requests import DatasetLimits
 
 SEEDS_A_TREE = 4  # a shard gives up when so many times its trees were tried
 PAPER_TREES = 8786  # paper appendix A
@@ -42,7 +43,7 @@ class Recipe:
     vertex_spectrum: bool = False
     loop: bool = True
     species: str | None = None  # only this one; by default drawn from the seeds
-    limits: Limits = DEFAULT_LIMITS
+    limits: DatasetLimits = DEFAULT_LIMITS
     review: Mapping[int, Verdict] = field(default_factory=dict)
 
     @property
@@ -69,7 +70,7 @@ class Recipe:
             "resolutions": list(self.resolutions),
             "vertex_spectrum": self.vertex_spectrum,
             "loop": self.loop,
-            "limits": asdict(self.limits),
+            "limits": self.limits.model_dump(),
             "review": {str(seed): self.review[seed] for seed in sorted(self.review) if seed in seeds},
         }
         return decided if self.species is None else {**decided, "species": self.species}
@@ -237,7 +238,7 @@ def manifest_of(recipe: Recipe, folder: Path) -> dict[str, object]:
         "vertex_spectrum": recipe.vertex_spectrum,
         "loop": recipe.loop,
         "only_species": recipe.species,
-        "limits": asdict(recipe.limits),
+        "limits": recipe.limits.model_dump(),
         "reviewed": bool(recipe.review),
         "verdicts": dict(sorted(verdicts.items())),
         "species": dict(sorted(Counter(tree["species"] for tree in trees).items())),

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from dynamictree.dataset.filter import (
-    Limits,
     Measures,
     edge_stretch,
     high_frequency_energy,
@@ -14,6 +13,7 @@ from dynamictree.dataset.filter import (
 )
 from dynamictree.dataset.motion import Sway
 from dynamictree.dataset.sample import make_sample
+from dynamictree.requests import DatasetLimits
 
 FRAMES = np.arange(100)
 
@@ -29,35 +29,35 @@ def spoiled(sample, change):
 def test_the_generators_trees_pass_in_a_moderate_wind(name):
     sample = make_sample(1, name)
     sample = make_sample(1, name, wind=replace(sample.wind, speed_m_s=5.0))
-    assert measure(sample).broken(Limits()) == ()
+    assert measure(sample).broken(DatasetLimits()) == ()
 
 
 def test_shaking_twigs_are_rejected(sapling):
     def shake(shift):
         shift[:, -200:, 0] += 0.05 * sapling.mesh.height_m * np.cos(np.pi * FRAMES)[:, None]
 
-    assert "high-frequency" in measure(spoiled(sapling, shake)).broken(Limits())
+    assert "high-frequency" in measure(spoiled(sapling, shake)).broken(DatasetLimits())
 
 
 def test_a_moving_root_is_rejected(sapling):
     def slide(shift):
         shift[:, 0, 0] += 0.01 * sapling.mesh.height_m * np.sin(2 * np.pi * FRAMES / 100 + 1)
 
-    assert measure(spoiled(sapling, slide)).broken(Limits())[0] == "root-motion"
+    assert measure(spoiled(sapling, slide)).broken(DatasetLimits())[0] == "root-motion"
 
 
 def test_torn_tubes_are_rejected(sapling):
     def tear(shift):
         shift[:, 1::2] += 0.02 * sapling.mesh.height_m
 
-    assert "edge-stretch" in measure(spoiled(sapling, tear)).broken(Limits())
+    assert "edge-stretch" in measure(spoiled(sapling, tear)).broken(DatasetLimits())
 
 
 def test_an_explosion_is_rejected(sapling):
     def explode(shift):
         shift[:, 1:] *= 40
 
-    assert "self-explosion" in measure(spoiled(sapling, explode)).broken(Limits())
+    assert "self-explosion" in measure(spoiled(sapling, explode)).broken(DatasetLimits())
 
 
 def test_what_is_not_finite_breaks_every_rule_that_sees_it(sapling):
@@ -65,7 +65,7 @@ def test_what_is_not_finite_breaks_every_rule_that_sees_it(sapling):
         shift[50, 1:] = np.nan
 
     with np.errstate(invalid="ignore"):
-        broken = measure(spoiled(sapling, burst)).broken(Limits())
+        broken = measure(spoiled(sapling, burst)).broken(DatasetLimits())
     assert {"high-frequency", "edge-stretch", "self-explosion"} <= set(broken)
 
 
@@ -98,7 +98,7 @@ def test_root_motion_looks_at_the_ground_only():
 def test_rejections_count_every_rule_that_was_broken():
     fine = Measures(high_frequency=0.0, root_motion=0.0, edge_stretch=0.0, self_explosion=0.0)
     bad = replace(fine, edge_stretch=1.0, self_explosion=1.0)
-    counts = rejections(one.broken(Limits()) for one in (fine, bad, bad))
+    counts = rejections(one.broken(DatasetLimits()) for one in (fine, bad, bad))
     assert counts == {
         "seen": 3,
         "accepted": 1,

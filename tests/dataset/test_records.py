@@ -8,12 +8,13 @@ import pytest
 from typer.testing import CliRunner
 
 from dynamictree.commands.dataset import app
-from dynamictree.dataset.filter import Limits, measure
+from dynamictree.dataset.filter import measure
 from dynamictree.dataset.generate import Recipe, generate, shard_name
 from dynamictree.dataset.records import iter_seen
 from dynamictree.dataset.sample import make_sample
 from dynamictree.dataset.stats import MEASURED, numbers_of, table_facts, table_of, tables_of
 from dynamictree.errors import FormatError, InputError
+from dynamictree.requests import DatasetLimits
 
 REJECTED = 41
 
@@ -44,7 +45,7 @@ def test_records_tell_what_measuring_the_tree_again_tells(folder):
 def test_a_tree_that_a_rule_rejected_is_seen_too(tmp_path):
     measures = measure(make_sample(40))
     recipe = Recipe(
-        trees=1, first_seed=40, resolutions=(32,), limits=Limits(self_explosion=0.99 * measures.self_explosion)
+        trees=1, first_seed=40, resolutions=(32,), limits=DatasetLimits(self_explosion=0.99 * measures.self_explosion)
     )
     generate(recipe, tmp_path)
     accepted, rejected, *_ = iter_seen(tmp_path)

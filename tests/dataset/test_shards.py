@@ -11,12 +11,12 @@ import psutil
 import pytest
 import safetensors.numpy
 
-from dynamictree.dataset.filter import Limits
 from dynamictree.dataset.generate import Recipe, bake_shard, generate, is_baked, manifest_of, shard_name
 from dynamictree.dataset.sample import VALIDATION_EVERY, make_sample, split_of, voxel_spectrum
 from dynamictree.dataset.shards import iter_shard, packed, store, to_half, unpacked, write_shard
 from dynamictree.dataset.species import SPECIES
 from dynamictree.errors import FormatError, InputError
+from dynamictree.requests import DatasetLimits
 
 TINY = Recipe(trees=3, trees_per_shard=2, resolutions=(32,), first_seed=40)
 
@@ -197,7 +197,7 @@ def test_rejected_trees_are_replaced_by_the_next(baked, tmp_path):
 
 
 def test_an_accepted_tree_is_stored_whatever_the_filter_says(tmp_path):
-    impossible = Limits(self_explosion=0.0)
+    impossible = DatasetLimits(self_explosion=0.0)
     recipe = replace(TINY, trees=1, limits=impossible, review={43: "accept"})
     bake_shard(recipe, 0, tmp_path)
     record = json.loads((tmp_path / f"{shard_name(0)}.json").read_bytes())
@@ -206,7 +206,7 @@ def test_an_accepted_tree_is_stored_whatever_the_filter_says(tmp_path):
 
 
 def test_limits_that_let_nothing_through_are_reported(tmp_path):
-    recipe = replace(TINY, trees=1, trees_per_shard=1, limits=Limits(self_explosion=0.0))
+    recipe = replace(TINY, trees=1, trees_per_shard=1, limits=DatasetLimits(self_explosion=0.0))
     with pytest.raises(InputError, match="only 0 of 4 trees"):
         bake_shard(recipe, 0, tmp_path)
     assert list(tmp_path.iterdir()) == []
