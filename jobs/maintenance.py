@@ -10,7 +10,7 @@ from jobs.attempts import begin_next_attempt
 from jobs.counters import count
 from jobs.database import upsert
 from jobs.messages import RunJob
-from jobs.rows import end
+from jobs.rows import bury, end
 from jobs.states import JobState
 from jobs.store import Store
 
@@ -168,10 +168,7 @@ def forget_expired(store: Store, *, job_retention_s: float, cache_retention_s: f
         in_use = sa.select(t.jobs.c.asset_id).where(t.jobs.c.finished_at.is_(None))
         old = (t.assets.c.expires_at < now) & t.assets.c.deleted_at.is_(None) & t.assets.c.id.not_in(in_use)
         connection.execute(t.assets.update().where(old).values(deleted_at=now, live_fingerprint=None))
-        ended = t.jobs.c.finished_at < now - job_retention_s
-        tombs = sa.select(t.jobs.c.id, t.jobs.c.owner, sa.literal("job"), sa.literal(now)).where(ended)
-        connection.execute(t.tombstones.insert().from_select(["id", "owner", "kind", "gone_at"], tombs))
-        connection.execute(t.jobs.delete().where(ended))
+        bury(connection, t.jobs.c.finished_at < now - job_retention_s, now=now)
         connection.execute(t.tombstones.delete().where(t.tombstones.c.gone_at < now - TOMBSTONE_S))
         connection.execute(t.stage_cache.delete().where(t.stage_cache.c.used_at < now - cache_retention_s))
 

@@ -40,6 +40,13 @@ def move(connection: sa.Connection, job_id: str, target: JobState, **values: obj
     return connection.execute(change).rowcount == 1
 
 
+def bury(connection: sa.Connection, which: sa.ColumnElement[bool], *, now: float) -> None:
+    """Delete the chosen jobs, and all rows that hang on them; their ids are known as gone for a while."""
+    tombs = sa.select(t.jobs.c.id, t.jobs.c.owner, sa.literal("job"), sa.literal(now)).where(which)
+    connection.execute(t.tombstones.insert().from_select(["id", "owner", "kind", "gone_at"], tombs))
+    connection.execute(t.jobs.delete().where(which))
+
+
 def end(
     connection: sa.Connection,
     job_id: str,

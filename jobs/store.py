@@ -168,7 +168,7 @@ class Store:
         except NotFoundError:
             tomb = (t.tombstones.c.id == job_id) & self.mine(t.tombstones)
             if connection.execute(sa.select(t.tombstones.c.id).where(tomb)).one_or_none() is not None:
-                raise GoneError(f"the record of job {job_id} has expired; create it again") from None
+                raise GoneError(f"job {job_id} was deleted or has expired; create it again") from None
             raise
         if self.owner is not None and job.owner != self.owner:
             raise NotFoundError(f"there is no job {job_id}")
@@ -251,6 +251,19 @@ class Store:
             if holder is None:
                 rows.end(connection, job_id, JobState.CANCELED, now=self.clock())
             return rows.read_job(connection, job_id)
+
+    def delete_job(self, job_id: str) -> None:
+        """Delete a job that has ended, with its log and the records of its files; retention deletes their bytes.
+
+        Raises:
+            ConflictError: it has not ended.
+            NotFoundError, GoneError: there is none, or it was deleted or has expired.
+        """
+        with self.writing() as connection:
+            job = self._read_job(connection, job_id)
+            if not job.terminal:
+                raise ConflictError(f"job {job_id} is {job.state}; cancel it, and delete it once it has ended")
+            rows.bury(connection, t.jobs.c.id == job_id, now=self.clock())
 
     @patient
     def artifacts_of(self, job_id: str) -> list[ArtifactRecord]:

@@ -106,6 +106,13 @@ def cancel(job_id: JobId, url: Url = LOCAL, api_key: Key = None) -> None:
 
 
 @app.command()
+def delete(job_id: JobId, url: Url = LOCAL, api_key: Key = None) -> None:
+    """Delete a job that has ended, and its files."""
+    with _service(url, api_key) as client:
+        client.send(operations.delete_job(job_id))
+
+
+@app.command()
 def get(
     job_id: JobId,
     output: Output,

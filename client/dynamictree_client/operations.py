@@ -205,6 +205,11 @@ def get_job(id: str, *, if_none_match: str | None = None, prefer: str | None = N
     )
 
 
+def delete_job(id: str) -> Call[None]:
+    """Forget a job that has ended, its log and its files. Other jobs keep what they share with it."""
+    return Call(method="DELETE", path=path_of("/v1/jobs/{id}", {"id": id}), answer=None)
+
+
 def retry_job(id: str, body: RetryRequest | None = None) -> Call[Job]:
     """Run a job that has ended again, as a new job."""
     return Call(method="POST", path=path_of("/v1/jobs/{id}/retry", {"id": id}), answer=Job, body=body)

@@ -178,6 +178,12 @@ def _text(content: bytes, what: str) -> str:
         text = content.decode()
     except UnicodeDecodeError as error:
         raise ProblemError("bad-request", f"the {what} is not UTF-8; encode it so") from error
-    if "\0" in text or (what in {"name", "filename"} and len(text) > MAX_NAME_CHARS):
-        raise ProblemError("bad-request", f"the {what} holds a NUL or is longer than {MAX_NAME_CHARS} characters")
+    if "\0" in text or (what in {"name", "filename"} and not is_name(text)):
+        detail = f"the {what} holds a control character or is longer than {MAX_NAME_CHARS} characters"
+        raise ProblemError("bad-request", detail)
     return text
+
+
+def is_name(text: str) -> bool:
+    """Whether a text can be shown and logged as a file's name."""
+    return len(text) <= MAX_NAME_CHARS and not any(char < " " or char == "\x7f" for char in text)

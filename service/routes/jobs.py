@@ -183,6 +183,17 @@ def cancel_job(id: Id, response: Response, owned: OwnedDep) -> JobPayload:
     return tell(owned, owned.store.cancel(id), response)
 
 
+@router.delete(
+    "/{id}",
+    operation_id="deleteJob",
+    status_code=status.HTTP_204_NO_CONTENT,
+    responses=refusals("not-found", "conflict", "expired"),
+)
+def delete_job(id: Id, owned: OwnedDep) -> None:
+    """Forget a job that has ended, its log and its files. Other jobs keep what they share with it."""
+    owned.store.delete_job(id)
+
+
 @router.get("/{id}/artifacts", operation_id="listArtifacts", responses=refusals("not-found"))
 def list_artifacts(id: Id, owned: OwnedDep) -> ManifestPayload:
     """The files that a job made so far, with their hashes. Stages that finished stay, whatever came after them."""

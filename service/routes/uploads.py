@@ -14,6 +14,7 @@ from jobs.artifacts import hash_file
 from jobs.store import new_id
 from jobs.uploads import UploadRecord, add_upload, change_upload, delete_upload, upload
 from service.http.middleware import TUS_VERSION
+from service.http.multipart import MAX_NAME_CHARS, is_name
 from service.http.prefer_wait import LOOK_S, WaitS
 from service.http.problems import ProblemError, wrong_field
 from service.http.routing import Id, headers, refusals
@@ -28,7 +29,6 @@ router = APIRouter(prefix="/v1/uploads", tags=["uploads"])
 EXTENSIONS = ("creation", "creation-with-upload", "checksum", "expiration", "termination")
 CONTENT_TYPE = "application/offset+octet-stream"
 MAX_METADATA_CHARS = 8192
-MAX_NAME_CHARS = 255
 _HEX = frozenset("0123456789abcdef")
 
 _Version = Annotated[str | None, Header(alias="Tus-Resumable", description="1.0.0")]
@@ -276,8 +276,8 @@ def _metadata(header: str | None) -> dict[str, str]:
     if pairs.get("asset", "auto") != "auto":
         raise _wrong("asset", "not-allowed", f"asset is {pairs['asset']!r}; only auto is allowed")
     for key in ("filename", "name"):
-        if len(pairs.get(key, "")) > MAX_NAME_CHARS or "\0" in pairs.get(key, ""):
-            raise _wrong(key, "not-allowed", f"{key} has at most {MAX_NAME_CHARS} characters and no NUL")
+        if not is_name(pairs.get(key, "")):
+            raise _wrong(key, "not-allowed", f"{key} has at most {MAX_NAME_CHARS} characters and no control character")
     return pairs
 
 

@@ -166,6 +166,19 @@ def test_an_asset_in_use_is_not_deleted(client: TestClient, asset: AssetRecord) 
     assert client.get(f"/v1/assets/{asset.id}").status_code == 410
 
 
+def test_an_ended_job_can_be_deleted_with_its_files(client: TestClient, asset: AssetRecord, services: Services) -> None:
+    url, lease = claimed(client, asset, services)
+    publish(services, lease, "voxelize", "tree.voxels.safetensors", b"voxels")
+    (artifact,) = client.get(url + "/artifacts").json()["artifacts"]
+    assert client.delete(url).json()["code"] == "conflict"
+    succeed(services.store, lease)
+    assert client.delete(url).status_code == 204
+    gone = [client.get(path).status_code for path in (url, url + "/logs", url + "/artifacts", artifact["url"])]
+    assert gone == [410, 410, 410, 404]
+    assert client.delete(url).status_code == 410
+    assert client.get("/v1/jobs").json()["data"] == []
+
+
 def test_an_idempotency_key_makes_one_job(client: TestClient, asset: AssetRecord, services: Services) -> None:
     body = {"type": "voxelize", "asset_id": asset.id}
     first, again = (client.post("/v1/jobs", json=body, headers={"Idempotency-Key": "k"}) for _ in range(2))

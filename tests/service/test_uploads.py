@@ -149,6 +149,8 @@ def test_a_promised_sha256_is_checked(client: TestClient) -> None:
         (TUS | {"Upload-Length": "5", "Upload-Metadata": metadata(filename="x" * 300)}, 422),
         (TUS | {"Upload-Length": "5", "Upload-Metadata": metadata(name="x" * 5000)}, 422),
         (TUS | {"Upload-Length": "5", "Upload-Metadata": metadata(name="a\0b")}, 422),
+        (TUS | {"Upload-Length": "5", "Upload-Metadata": metadata(filename="a\nb")}, 422),
+        (TUS | {"Upload-Length": "5", "Upload-Metadata": metadata(filename="\x1b[31m")}, 422),
         (TUS | {"Upload-Length": "5", "Upload-Metadata": "a " + "A" * 9000}, 400),
     ],
 )
