@@ -9,12 +9,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Complex64, Float32, Float64
+from jaxtyping import Complex64, Float32, Float64, Int64
 from scipy.optimize import nnls
 from scipy.sparse import csr_array, eye_array
 from torch import Tensor
 
 from dynamictree.models.small.features import TreeFeatures
+from dynamictree.sparse.level import Pyramid
 from dynamictree.sparse.matrices import (
     SparseRows,
     link_matrices,
@@ -48,16 +49,16 @@ class NoiseBasis:
         return total
 
 
-def noise_basis(nodes: TreeFeatures) -> NoiseBasis:
+def noise_basis(grids: Pyramid, links: Int64[Tensor, "L 2"]) -> NoiseBasis:
     """Build the noise basis of a tree, given at its nodes (see `coarsen_features`)."""
-    return NoiseBasis(fields=tuple(sparse_rows(matrix) for matrix in field_matrices(nodes)))
+    return NoiseBasis(fields=tuple(sparse_rows(matrix) for matrix in field_matrices(grids, links)))
 
 
-def field_matrices(nodes: TreeFeatures) -> tuple[csr_array, ...]:
+def field_matrices(grids: Pyramid, links: Int64[Tensor, "L 2"]) -> tuple[csr_array, ...]:
     """[W, n] of each scale, finest first; rows of unit length."""
-    grids, size = nodes.grids, len(nodes.scalars)
+    size = len(grids.levels[0])
     white = csr_array(eye_array(size, format="csr", dtype=np.float32))
-    down, up = link_matrices(nodes.links, size)
+    down, up = link_matrices(links, size)
     step = csr_array((white + down + up) / 3)
     along, walked = [], white
     for count in range(1, max(STEPS_ALONG) + 1):
@@ -76,7 +77,7 @@ def fit_shares(
     covariances, products = [], []
     for spectrum, nodes in zip(spectra, trees, strict=True):
         first, second = _pairs(nodes, rng)
-        fields = field_matrices(nodes)
+        fields = field_matrices(nodes.grids, nodes.links)
         overlap = [np.asarray(field[first].multiply(field[second]).sum(axis=1)).ravel() for field in fields]
         covariances.append(np.stack(overlap, axis=1))  # [P, S]
         products.append((spectrum[first] * spectrum[second].conj()).real.mean(axis=2))  # [P, J]

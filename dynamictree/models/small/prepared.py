@@ -21,7 +21,7 @@ from dynamictree.models.small.features import (
 )
 from dynamictree.models.small.leaf_swing import Leaves, leaves_of
 from dynamictree.models.small.mixer import Neighbourhood, neighbourhood
-from dynamictree.models.small.network import SmallNetwork
+from dynamictree.models.small.network import Regression
 from dynamictree.models.voxel_resolution import coarsened, halvings_served
 from dynamictree.models.wind import wind_axes
 from dynamictree.sparse.matrices import SparseRows, raise_matrix, sparse_rows, touching, unit_rows
@@ -44,6 +44,7 @@ FIXED_SHARE = 0.02
 class PreparedTree:
     """Precomputed data of a tree for the sampler and for the steps after it."""
 
+    voxels: SurfaceVoxels  # that the network reads
     nodes: TreeFeatures
     wind: Float32[Tensor, "1 4"]
     noise: NoiseBasis
@@ -91,7 +92,7 @@ def soften(field: Complex64[Tensor, "V J 3"]) -> Complex64[Tensor, "V J 3"]:
 
 
 def prepare_tree(
-    network: SmallNetwork, voxels: SurfaceVoxels, wind: Wind, *, max_voxels: int = MAX_NETWORK_VOXELS
+    network: Regression, voxels: SurfaceVoxels, wind: Wind, *, max_voxels: int = MAX_NETWORK_VOXELS
 ) -> PreparedTree:
     """Compute features, amplitudes and interpolation matrices of a tree."""
     halvings = halvings_served(voxels.grid, network.preset.resolution, "small", max_voxels=max_voxels)
@@ -104,9 +105,10 @@ def prepare_tree(
     free = 1 - (-(tree.scalars[:, ROOT_DISTANCE] / FIXED_SHARE).square()).exp()  # [V]
     smooth = sparse_rows(touching(tree.grids.levels[0]))
     return PreparedTree(
+        voxels=coarse,
         nodes=nodes,
         wind=air,
-        noise=noise_basis(nodes),
+        noise=noise_basis(nodes.grids, nodes.links),
         neighbourhood=neighbourhood(nodes),
         node_log_amplitude=pool_to(log_amplitude, tree.grids, top),
         lean=smooth.apply(lean) * free[:, None],

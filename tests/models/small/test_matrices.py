@@ -48,11 +48,11 @@ def test_touching_reaches_neighbours_only(tree: TreeFeatures) -> None:
 
 def test_noise_has_unit_variance_at_every_node(tree: TreeFeatures) -> None:
     nodes = coarsen_features(tree, 2)
-    for field in field_matrices(nodes):
+    for field in field_matrices(nodes.grids, nodes.links):
         np.testing.assert_allclose(np.asarray(field.multiply(field).sum(axis=1)).ravel(), 1, rtol=1e-5)
     shares = torch.rand(4, NUM_SCALES)
     shares = shares / shares.sum(dim=1, keepdim=True)
-    drawn = noise_basis(nodes).draw(shares, torch.Generator().manual_seed(0), channels=20_000)
+    drawn = noise_basis(nodes.grids, nodes.links).draw(shares, torch.Generator().manual_seed(0), channels=20_000)
     torch.testing.assert_close(drawn.square().mean(dim=2), torch.ones(len(nodes.scalars), 4), atol=0.06, rtol=0)
 
 
@@ -62,7 +62,7 @@ def test_fitted_shares_are_those_that_made_the_field(tree: TreeFeatures) -> None
     true[0, 0], true[0, -1] = 0.25, 0.75  # white, and one for the whole tree
     true[1, 0], true[1, 4] = 0.5, 0.5  # white, and along the stems
     generator = torch.Generator().manual_seed(0)
-    drawn = noise_basis(nodes).draw(true, generator, channels=4000).numpy()
+    drawn = noise_basis(nodes.grids, nodes.links).draw(true, generator, channels=4000).numpy()
     spectrum = ((drawn[..., :2000] + 1j * drawn[..., 2000:]) / np.sqrt(2)).astype(np.complex64)
     shares = fit_shares([spectrum], [nodes], np.random.default_rng(0))
     np.testing.assert_allclose(shares, true.numpy(), atol=0.08)
