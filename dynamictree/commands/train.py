@@ -48,6 +48,9 @@ def train(
     smoothness_from: Annotated[
         int | None, typer.Option(min=0, max=MAX, help="Paper: first step with L_LSS; the preset's if not given.")
     ] = None,
+    smoothness_weight: Annotated[
+        float | None, typer.Option(min=0.0, max=1000.0, help="Paper: of L_LSS beside L_DM, 1 if not given.")
+    ] = None,
     width: Annotated[
         int | None, typer.Option(min=8, max=1024, help="Paper: channels of the U-Net's first level, 128 if not given.")
     ] = None,
@@ -61,6 +64,10 @@ def train(
     micro_trees: Annotated[int, typer.Option(min=1, max=4096, help="Paper: trees per pass and process.")] = 1,
     frequencies: Annotated[
         int | None, typer.Option(min=1, max=16, help="Paper: frequencies of each of these trees per pass.")
+    ] = None,
+    add: Annotated[
+        list[str] | None,
+        typer.Option(help="Paper: what to add to the paper's recipe: wind, amplitude, stems, noise; may be repeated."),
     ] = None,
     workers: Annotated[int, typer.Option(min=0, max=256, help="Paper: processes that load trees.")] = 0,
     bf16: Annotated[bool | None, typer.Option(help="Multiply in bfloat16; the preset's if not given.")] = None,
@@ -88,8 +95,10 @@ def train(
             preset,
             width,
             resolution,
+            add or [],
             num_steps=steps,
             smoothness_from=smoothness_from,
+            smoothness_weight=smoothness_weight,
             batch_size=batch,
             frequencies_per_tree=frequencies,
             micro_trees=micro_trees,
@@ -139,10 +148,10 @@ def _small_training(
 
 
 def _paper_training(
-    preset: str, width: int | None, resolution: int | None, **changes: int | bool | None
+    preset: str, width: int | None, resolution: int | None, additions: list[str], **changes: int | float | None
 ) -> "PaperTraining":
     from dynamictree.errors import InputError
-    from dynamictree.models.paper.network import paper_preset
+    from dynamictree.models.paper.network import paper_preset, with_additions
     from dynamictree.models.paper.train import PaperTraining, paper_small_training
 
     if preset == "paper-small":
@@ -152,7 +161,8 @@ def _paper_training(
     else:
         plain = PaperTraining(preset=paper_preset(width or 128, resolution or 128))
     chosen = {name: value for name, value in changes.items() if value is not None}
-    return replace(plain, **chosen)  # type: ignore[arg-type]
+    network = with_additions(plain.preset, additions)
+    return replace(plain, preset=network, time_shifts="amplitude" in additions, **chosen)  # type: ignore[arg-type]
 
 
 def _run(

@@ -20,7 +20,7 @@ def save_checkpoint(
 ) -> None:
     """Write a checkpoint atomically: a reader never sees half of it."""
     tensors = {}
-    for name, parameter in network.named_parameters():
+    for name, parameter in _trained(network):
         state = optimizer.state[parameter]
         tensors[f"first.{name}"], tensors[f"second.{name}"] = state["exp_avg"], state["exp_avg_sq"]
     for prefix, module in (("weights", network), ("average", average)):
@@ -48,10 +48,14 @@ def load_checkpoint(path: Path, *, network: nn.Module, average: nn.Module, optim
             "exp_avg": tensors[f"first.{name}"],
             "exp_avg_sq": tensors[f"second.{name}"],
         }
-        for index, (name, _) in enumerate(network.named_parameters())
+        for index, (name, _) in enumerate(_trained(network))
     }
     optimizer.load_state_dict({"state": moments, "param_groups": optimizer.state_dict()["param_groups"]})
     return step
+
+
+def _trained(network: nn.Module) -> list[tuple[str, nn.Parameter]]:
+    return [(name, one) for name, one in network.named_parameters() if one.requires_grad]
 
 
 def load_part(module: nn.Module, tensors: dict[str, Tensor], prefix: str) -> None:

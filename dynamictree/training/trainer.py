@@ -44,8 +44,9 @@ class Trainer:
     def __init__(self, network: nn.Module, options: TrainerOptions) -> None:
         self.network, self.options, self.step = network, options, 0
         self.average = copy.deepcopy(network).requires_grad_(False)
+        trained = [parameter for parameter in network.parameters() if parameter.requires_grad]
         self.optimizer = torch.optim.AdamW(
-            network.parameters(), lr=options.schedule.learning_rate, weight_decay=options.weight_decay
+            trained, lr=options.schedule.learning_rate, weight_decay=options.weight_decay
         )
 
     @property

@@ -1,8 +1,11 @@
 """Generate a spectrum with the paper's network: DDIM, frequency by frequency."""
 
+from dataclasses import replace
+from functools import partial
+
 import numpy as np
 import torch
-from jaxtyping import Complex64, Float32
+from jaxtyping import Complex64, Float32, Int64
 from torch import Tensor
 
 from dynamictree.diffusion.channels import CHANNELS, unpack_channels
@@ -11,8 +14,10 @@ from dynamictree.diffusion.schedule import linear_schedule
 from dynamictree.errors import InputError
 from dynamictree.models.motion_model import OnStep, check_request
 from dynamictree.models.paper.examples import unit_positions, wind_sizes
-from dynamictree.models.paper.network import PaperNetwork
-from dynamictree.models.threads import one_thread
+from dynamictree.models.paper.network import PaperInputs, PaperNetwork
+from dynamictree.models.small.features import node_features
+from dynamictree.models.small.prepared import prepare_tree
+from dynamictree.models.threads import one_thread, run_on_cores
 from dynamictree.models.voxel_resolution import coarsened, halvings_between
 from dynamictree.models.wind import wind_axes
 from dynamictree.sparse.level import Pyramid, pyramid
@@ -23,9 +28,10 @@ from dynamictree.voxel.voxelize import SurfaceVoxels
 
 OUTPUT_RESOLUTION = 128
 """Spectra of a coarser grid are interpolated onto this one, which the rest of the method works on."""
+BAND = 4
+"""Frequencies that one thread denoises together."""
 MAX_ACTIVATIONS = 4_000_000
-"""Values in one layer of the U-Net's first level that a pass may have; frequencies are split into passes by it.
-The peak of memory was not measured."""
+"""Values in one layer of the U-Net's first level that a band of frequencies may have."""
 MAX_VOXELS = 150_000  # of the spectrum's grid
 CLIP = 8.0
 """Bound on the spectrum of unit size that a step of DDIM implies: 98 % of the data's energy lies below it."""
@@ -57,57 +63,104 @@ class PaperModel:
         The wind's direction turns the motion and its speed and gust scale it; the paper's network knows no wind.
         """
         check_request(wind, num_steps)
+        steps = num_steps or self.network.preset.num_steps
+        generator = torch.Generator().manual_seed(seed)
+        with torch.no_grad(), one_thread():
+            if self.network.regression is None:
+                grid, coefficients = self._plain(voxels, wind, generator, steps, on_step)
+            else:
+                grid, coefficients = self._of_regression(voxels, wind, generator, steps, on_step)
+        return SparseVoxelSpectrum(grid=grid, coefficients=coefficients, model=self.name, seed=seed, wind=wind)
+
+    def _plain(
+        self,
+        voxels: SurfaceVoxels,
+        wind: Wind,
+        generator: torch.Generator,
+        num_steps: int,
+        on_step: OnStep | None,
+    ) -> tuple[VoxelGrid, Complex64[np.ndarray, "V K 3"]]:
+        """The whole spectrum comes from the diffusion."""
         preset = self.network.preset
         fine, _ = coarsened(voxels, halvings_between(voxels.grid, self.resolution, self.name))
-        grids = pyramid(torch.from_numpy(fine.grid.coords.astype(np.int64)), preset.num_levels)
-        count = len(grids.levels[preset.num_halvings])
+        inputs = self._inputs(fine, wind)
+        count = len(inputs.grids.levels[preset.num_halvings])
         if count > MAX_VOXELS:
             allowed = f"at most {MAX_VOXELS:,} are allowed; take a lower resolution"
             raise InputError(f"the tree has {count:,} voxels at {preset.resolution}; {allowed}")
-        with torch.no_grad(), one_thread():
-            unit = self._sample(fine, grids, seed, num_steps or preset.num_steps, on_step)
+        bins = torch.arange(preset.num_frequencies)
+        # frequency first, so that the noise of a bin does not depend on the others
+        start = torch.randn(len(bins), count, CHANNELS, generator=generator).transpose(0, 1)
+        unit = _complex_rows(self._sample(inputs, bins, start, num_steps, on_step))
         height_m = (int(np.ptp(fine.grid.coords[:, 2])) + 1) * fine.grid.voxel_size_m
         sizes = self.network.frequency_sizes.cpu().numpy() * wind_sizes(wind, preset.num_frequencies) * height_m
         coefficients = (unit * sizes[:, None]) @ wind_axes(wind)
         coefficients[:, 0].imag = 0
-        grid, coefficients = _on_output_grid(fine.grid, grids, preset.num_halvings, coefficients)
-        return SparseVoxelSpectrum(
-            grid=grid, coefficients=coefficients.astype(np.complex64), model=self.name, seed=seed, wind=wind
+        return _on_output_grid(fine.grid, inputs.grids, preset.num_halvings, coefficients)
+
+    def _of_regression(
+        self,
+        voxels: SurfaceVoxels,
+        wind: Wind,
+        generator: torch.Generator,
+        num_steps: int,
+        on_step: OnStep | None,
+    ) -> tuple[VoxelGrid, Complex64[np.ndarray, "V K 3"]]:
+        """Lean and amplitudes come from the regression, the whitened spectrum on the nodes from the diffusion."""
+        network, preset = self.network, self.network.preset
+        assert network.regression is not None
+        halvings_between(voxels.grid, self.resolution, self.name)
+        prepared = prepare_tree(network.regression, voxels, wind)
+        inputs = self._inputs(prepared.voxels, wind)
+        inputs = replace(
+            inputs,
+            stems=node_features(prepared.nodes, prepared.wind) if preset.stems else None,
+            log_amplitude=prepared.node_log_amplitude,
         )
+        bins = torch.arange(1, preset.num_frequencies)
+        if preset.noise_along_tree:
+            start = prepared.noise.draw(network.regression.noise_shares.cpu(), generator, channels=CHANNELS)
+        else:
+            start = torch.randn(len(bins), len(prepared.nodes.scalars), CHANNELS, generator=generator).transpose(0, 1)
+        whitened = self._sample(inputs, bins, start, num_steps, on_step).cpu()
+        return voxels.grid, prepared.to_metres(prepared.assemble(whitened, generator))
+
+    def _inputs(self, fine: SurfaceVoxels, wind: Wind) -> PaperInputs:
+        preset = self.network.preset
+        coords = torch.from_numpy(fine.grid.coords.astype(np.int64))
+        positions, normals = unit_positions(coords, fine.grid.resolution), torch.from_numpy(fine.normals)
+        if preset.wind_frame:
+            axes = torch.from_numpy(wind_axes(wind))
+            positions, normals = positions @ axes.T, normals @ axes.T
+        return PaperInputs(positions=positions, normals=normals, grids=pyramid(coords, preset.num_levels))
 
     def _sample(
-        self, fine: SurfaceVoxels, grids: Pyramid, seed: int, num_steps: int, on_step: OnStep | None
-    ) -> Complex64[np.ndarray, "V K 3"]:
-        """Spectra of unit size, all frequencies, as many per pass as MAX_ACTIVATIONS allows."""
-        network, preset = self.network, self.network.preset
-        device = network.frequency_sizes.device
-        grids = grids.to(device)
-        positions = unit_positions(torch.from_numpy(fine.grid.coords.astype(np.int64)), fine.grid.resolution)
-        condition = network.encoder(positions.to(device), torch.from_numpy(fine.normals).to(device), grids)
-        count = len(condition)
-        start = torch.randn(
-            preset.num_frequencies, count, CHANNELS, generator=torch.Generator().manual_seed(seed)
-        )  # frequency first, so that the noise of a bin does not depend on the others
-        per_pass = max(1, MAX_ACTIVATIONS // (count * preset.unet.base))
-        passes = torch.split(torch.arange(preset.num_frequencies), per_pass)
-        generated = []
-        for index, bins in enumerate(passes):
+        self,
+        inputs: PaperInputs,
+        bins: Int64[Tensor, " J"],
+        start: Float32[Tensor, "V J 6"],
+        num_steps: int,
+        on_step: OnStep | None,
+    ) -> Float32[Tensor, "V J 6"]:
+        """Spectra of unit size at some frequencies. These do not see one another: bands of them run on all cores."""
+        device = self.network.frequency_sizes.device
+        inputs, schedule = inputs.to(device), linear_schedule().to(device)
+        condition = self.network.condition(inputs)
+        band = max(1, MAX_ACTIVATIONS // (len(condition) * self.network.preset.unet.base))
+        bands = torch.split(torch.arange(len(bins)), min(band, BAND) if device.type == "cpu" else band)
 
-            def predict_noise(noisy: Tensor, step: int, bins: Tensor = bins) -> Tensor:
-                steps = torch.full((1, len(bins)), step, device=device)
-                noise: Tensor = network(noisy, steps, bins[None].to(device), condition, grids)
-                return noise
+        def predict_band(noisy: Tensor, step: int, band: Tensor) -> Tensor:
+            own = bins[band][None].to(device)
+            predicted: Tensor = self.network(noisy[:, band], torch.full_like(own, step), own, condition, inputs)
+            return predicted
 
-            def report(done: int, total: int, before: int = index * num_steps) -> None:
-                if on_step is not None:
-                    on_step(before + done, len(passes) * total)
+        def predict_noise(noisy: Tensor, step: int) -> Tensor:
+            calls = [partial(predict_band, noisy, step, one) for one in bands]
+            predicted = run_on_cores(calls) if device.type == "cpu" else [call() for call in calls]
+            return torch.cat(predicted, dim=1)
 
-            noise = start[bins].transpose(0, 1).contiguous().to(device)
-            schedule = linear_schedule().to(device)
-            generated.append(
-                sample_ddim(predict_noise, noise, schedule, num_steps=num_steps, clip=CLIP, on_step=report)
-            )
-        return _complex_rows(torch.cat(generated, dim=1))
+        noise = start.contiguous().to(device)
+        return sample_ddim(predict_noise, noise, schedule, num_steps=num_steps, clip=CLIP, on_step=on_step)
 
 
 def _complex_rows(channels: Float32[Tensor, "V K 6"]) -> Complex64[np.ndarray, "V K 3"]:
@@ -117,7 +170,7 @@ def _complex_rows(channels: Float32[Tensor, "V K 6"]) -> Complex64[np.ndarray, "
 
 def _on_output_grid(
     fine: VoxelGrid, grids: Pyramid, halvings: int, coefficients: np.ndarray
-) -> tuple[VoxelGrid, np.ndarray]:
+) -> tuple[VoxelGrid, Complex64[np.ndarray, "V K 3"]]:
     """The spectrum on its own grid, or interpolated along touching voxels onto a finer one up to OUTPUT_RESOLUTION."""
     target = halvings
     while target > 0 and fine.resolution >> target < OUTPUT_RESOLUTION:
@@ -129,6 +182,6 @@ def _on_output_grid(
         resolution=fine.resolution >> target,
     )
     if target == halvings:
-        return grid, coefficients
+        return grid, coefficients.astype(np.complex64)
     raised = raise_matrix(grids, halvings, target) @ coefficients.reshape(len(coefficients), -1)
-    return grid, raised.reshape(-1, *coefficients.shape[1:])
+    return grid, raised.reshape(-1, *coefficients.shape[1:]).astype(np.complex64)

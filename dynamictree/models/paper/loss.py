@@ -4,6 +4,7 @@ import torch
 from jaxtyping import Float32, Int64
 from torch import Tensor
 
+from dynamictree.diffusion.channels import CHANNELS
 from dynamictree.diffusion.loss import LocalSmoothness, local_smoothness, noise_loss
 from dynamictree.diffusion.schedule import NoiseSchedule, predicted_clean
 from dynamictree.models.paper.examples import PaperBatch
@@ -19,6 +20,7 @@ def paper_loss(
     schedule: NoiseSchedule,
     generator: torch.Generator,
     smoothness: LocalSmoothness | None,
+    smoothness_weight: float = 1.0,
 ) -> Float32[Tensor, ""]:
     """L_DM, and with `smoothness` also L_LSS of the clean spectrum that the predicted noise implies.
 
@@ -31,19 +33,34 @@ def paper_loss(
         frequency: bins of each tree.
         schedule: of the noise.
         generator: draws steps and noise, on the CPU.
-        smoothness: weights of L_LSS; None in the first stage.
+        smoothness: constants of L_LSS; None in the first stage.
+        smoothness_weight: of L_LSS beside L_DM; the paper gives none.
     """
-    sample = batch.grids.levels[network.preset.num_halvings].sample_of_row
+    sample = batch.inputs.grids.levels[network.preset.num_halvings].sample_of_row
     step = torch.randint(0, len(schedule.alpha_bar), frequency.shape, generator=generator).to(clean.device)
-    noise = torch.randn(clean.shape, generator=generator).to(clean.device)
+    noise = batch_noise(network, batch, frequency, generator).to(clean.device)
     alpha_bar = schedule.alpha_bar[step][sample][..., None]  # [V, J, 1]
     noisy = alpha_bar.sqrt() * clean + (1 - alpha_bar).sqrt() * noise
-    condition = network.encoder(batch.positions, batch.normals, batch.grids)
-    predicted = network(noisy, step, frequency, condition, batch.grids).float()
+    predicted = network(noisy, step, frequency, network.condition(batch.inputs), batch.inputs).float()
     loss = noise_loss(predicted.flatten(0, 1), noise.flatten(0, 1))
     if smoothness is not None:
         implied = alpha_bar * predicted_clean(noisy, predicted, alpha_bar)
         neighbours = batch.neighbours, batch.distances_m
         each = [local_smoothness(one, *neighbours, weights=smoothness) for one in implied.unbind(dim=1)]
-        loss = loss + torch.stack(each).mean()
+        loss = loss + smoothness_weight * torch.stack(each).mean()
     return loss
+
+
+def batch_noise(
+    network: PaperNetwork, batch: PaperBatch, frequency: Int64[Tensor, "B J"], generator: torch.Generator
+) -> Float32[Tensor, "V J 6"]:
+    """Noise of unit variance: white, or correlated along each tree as the regression's shares say."""
+    if not network.preset.noise_along_tree:
+        return torch.randn(len(batch.spectrum), frequency.shape[1], CHANNELS, generator=generator)
+    assert network.regression is not None
+    shares = network.regression.noise_shares.cpu()
+    drawn = [
+        basis.draw(shares[bins - 1], generator, channels=CHANNELS)
+        for basis, bins in zip(batch.noise, frequency.cpu(), strict=True)
+    ]
+    return torch.cat(drawn)

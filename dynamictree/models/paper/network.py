@@ -5,7 +5,8 @@ concatenated; diffusion step and bin modulate every residual block. Frequencies 
 between voxels and channels, and do not see one another. What the paper leaves open: docs/decisions/diffusion.md.
 """
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import torch
 from jaxtyping import Float, Float32, Int64
@@ -13,10 +14,18 @@ from torch import Tensor, nn
 
 from dynamictree.diffusion.channels import CHANNELS
 from dynamictree.diffusion.embedding import sinusoid
+from dynamictree.errors import InputError
 from dynamictree.models.paper.encoder import SparseEncoder
 from dynamictree.models.paper.unet import SparseUNet, UNetShape
+from dynamictree.models.small.denoiser import TYPICAL_LOG_AMPLITUDE
+from dynamictree.models.small.features import NUM_FEATURES
+from dynamictree.models.small.network import AXES, Regression, SmallPreset
 from dynamictree.models.weights_file import StorableNetwork
 from dynamictree.sparse.level import Pyramid
+
+ADDITIONS = ("wind", "amplitude", "stems", "noise")
+"""What `dynamictree train --add` knows: fields of the preset that the paper does not have."""
+NODE_RESOLUTION = SmallPreset().resolution >> SmallPreset().top
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,6 +38,10 @@ class PaperPreset:
     encoder_widths: tuple[int, ...] = (32, 64, 128)  # one per level, from the finest: 512³, 256³, 128³
     unet: UNetShape = field(default_factory=UNetShape)
     num_steps: int = 100  # of DDIM
+    wind_frame: bool = False  # encoder reads positions and normals in the wind's frame; the paper knows no wind
+    regression: SmallPreset | None = None  # generate what its amplitudes leave, see `models.small.network`
+    stems: bool = False  # with a regression: features of the chain of stems are added to the condition
+    noise_along_tree: bool = False  # with a regression: noise is correlated along the tree
 
     @property
     def num_halvings(self) -> int:
@@ -53,15 +66,61 @@ def paper_preset(width: int = 128, resolution: int = 128) -> PaperPreset:
     return PaperPreset(resolution=resolution, encoder_base=narrow, encoder_widths=(narrow, middle, width), unet=unet)
 
 
+def with_additions(preset: PaperPreset, additions: Sequence[str]) -> PaperPreset:
+    """A preset with some of ADDITIONS to the paper.
+
+    Raises:
+        InputError: one is unknown, or needs another that is missing.
+    """
+    unknown = sorted(set(additions) - set(ADDITIONS))
+    if unknown:
+        raise InputError(f"there is no addition {unknown[0]!r}; choose {', '.join(ADDITIONS)}")
+    if {"stems", "noise"} & set(additions) and "amplitude" not in additions:
+        raise InputError("stems and noise need the addition amplitude")
+    if "amplitude" in additions and preset.resolution != NODE_RESOLUTION:
+        raise InputError(f"amplitude needs --resolution {NODE_RESOLUTION}, the grid is {preset.resolution}")
+    return replace(
+        preset,
+        wind_frame="wind" in additions,
+        regression=SmallPreset() if "amplitude" in additions else None,
+        stems="stems" in additions,
+        noise_along_tree="noise" in additions,
+    )
+
+
 def paper_small_preset() -> PaperPreset:
-    """An eighth of the paper's channels on a 32³ grid, for a CPU: its condition is the 128³ grid of the data."""
+    """An eighth of the paper's channels and half of its depth on a 32³ grid, for a CPU.
+
+    Its condition is the 128³ grid of the data.
+    """
     return PaperPreset(
         resolution=32,
         encoder_base=8,
         encoder_widths=(8, 16, 32),
-        unet=UNetShape(base=16, embedding=64),
+        unet=UNetShape(base=16, num_blocks=1, num_skips=2, embedding=64),
         num_steps=20,
     )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PaperInputs:
+    """Input of the network about trees, besides noise, step and frequency."""
+
+    positions: Float32[Tensor, "X 3"]  # of the fine voxels, in [-1, 1], in the grid's or the wind's frame
+    normals: Float32[Tensor, "X 3"]  # in the same frame
+    grids: Pyramid
+    stems: Float32[Tensor, "V F"] | None = None  # `node_features` of the spectrum's voxels
+    log_amplitude: Float32[Tensor, "V J 3"] | None = None  # of the regression, k >= 1
+
+    def to(self, device: torch.device) -> "PaperInputs":
+        """The same on a device."""
+        return PaperInputs(
+            positions=self.positions.to(device),
+            normals=self.normals.to(device),
+            grids=self.grids.to(device),
+            stems=None if self.stems is None else self.stems.to(device),
+            log_amplitude=None if self.log_amplitude is None else self.log_amplitude.to(device),
+        )
 
 
 class PaperNetwork(StorableNetwork):
@@ -73,12 +132,26 @@ class PaperNetwork(StorableNetwork):
 
     def __init__(self, preset: PaperPreset) -> None:
         super().__init__(preset)
-        base, embedding = preset.unet.base, preset.unet.embedding
+        base, embedding, width = preset.unet.base, preset.unet.embedding, preset.encoder_widths[-1]
         self.encoder = SparseEncoder(base=preset.encoder_base, widths=preset.encoder_widths)
-        self.unet = SparseUNet(CHANNELS + preset.encoder_widths[-1], CHANNELS, preset.unet)
+        sizes = 0 if preset.regression is None else AXES
+        self.unet = SparseUNet(CHANNELS + width + sizes, CHANNELS, preset.unet)
         self.embed_step = nn.Sequential(nn.Linear(base, embedding), nn.SiLU(), nn.Linear(embedding, embedding))
         self.embed_frequency = nn.Embedding(preset.num_frequencies, embedding)
         self.register_buffer("frequency_sizes", torch.ones(preset.num_frequencies))
+        self.regression = None if preset.regression is None else Regression(preset.regression).requires_grad_(False)
+        self.describe_stems = (
+            nn.Sequential(nn.Linear(NUM_FEATURES, 2 * width), nn.SiLU(), nn.Linear(2 * width, width))
+            if preset.stems
+            else None
+        )
+
+    def condition(self, inputs: PaperInputs) -> Float[Tensor, "V D"]:
+        """The latent condition g, with the features of stems where the preset has them."""
+        condition: Tensor = self.encoder(inputs.positions, inputs.normals, inputs.grids)
+        if self.describe_stems is not None:
+            condition = condition + self.describe_stems(inputs.stems)
+        return condition
 
     def forward(
         self,
@@ -86,13 +159,17 @@ class PaperNetwork(StorableNetwork):
         step: Int64[Tensor, "B J"],
         frequency: Int64[Tensor, "B J"],
         condition: Float[Tensor, "V D"],
-        grids: Pyramid,
+        inputs: PaperInputs,
     ) -> Float[Tensor, "V J 6"]:
-        """ε_θ(s_l; l, g, f). `grids` is the encoder's pyramid; the spectrum lives on its level `num_halvings`."""
+        """ε_θ(s_l; l, g, f). The spectrum lives on level `num_halvings` of the encoder's pyramid."""
         sinusoids = sinusoid(step.float(), self.preset.unet.base)
         embedding = self.embed_step(sinusoids) + self.embed_frequency(frequency)  # [B, J, E]
-        repeated = condition[:, None].expand(-1, noisy.shape[1], -1)
+        features = [noisy, condition[:, None].expand(-1, noisy.shape[1], -1)]
+        if inputs.log_amplitude is not None:
+            bins = frequency[inputs.grids.levels[self.preset.num_halvings].sample_of_row] - 1  # [V, J]
+            chosen = inputs.log_amplitude.gather(1, bins[..., None].expand(-1, -1, AXES))
+            features.append((chosen - TYPICAL_LOG_AMPLITUDE) / 2)
         predicted: Tensor = self.unet(
-            torch.cat([noisy, repeated], dim=-1), grids, embedding, top=self.preset.num_halvings
+            torch.cat(features, dim=-1), inputs.grids, embedding, top=self.preset.num_halvings
         )
         return predicted

@@ -10,6 +10,7 @@ from dynamictree.diffusion.sampler import sample_ddim
 from dynamictree.diffusion.schedule import linear_schedule
 from dynamictree.models.paper.examples import PaperExample, batch_of
 from dynamictree.models.paper.generate import CLIP
+from dynamictree.models.paper.loss import batch_noise
 from dynamictree.models.paper.network import PaperNetwork
 
 
@@ -21,13 +22,13 @@ def sample_figures(network: nn.Module, example: PaperExample, *, num_steps: int,
     batch = batch_of([example], preset).to(device)
     bins = torch.arange(1, preset.num_frequencies, device=device)
     truth = pack_channels(batch.spectrum[:, 1:])  # [V, J, 6]
-    condition = network.encoder(batch.positions, batch.normals, batch.grids)
+    condition = network.condition(batch.inputs)
 
     def predict_noise(noisy: Tensor, step: int) -> Tensor:
-        noise: Tensor = network(noisy, torch.full_like(bins, step)[None], bins[None], condition, batch.grids)
+        noise: Tensor = network(noisy, torch.full_like(bins, step)[None], bins[None], condition, batch.inputs)
         return noise
 
-    start = torch.randn(truth.shape, generator=torch.Generator().manual_seed(seed)).to(device)
+    start = batch_noise(network, batch, bins[None], torch.Generator().manual_seed(seed)).to(device)
     drawn = sample_ddim(predict_noise, start, linear_schedule().to(device), num_steps=num_steps, clip=CLIP)
     drawn = drawn * network.frequency_sizes[1:, None]
     rough = [roughness(one, batch.neighbours) for one in (drawn, truth)]

@@ -45,7 +45,7 @@ def test_a_seed_decides_the_motion_which_lies_on_the_given_voxels(model: PaperMo
     assert (first.coefficients[:, 0].imag == 0).all()
 
 
-def test_passes_of_few_frequencies_give_the_same_motion(
+def test_bands_of_few_frequencies_give_the_same_motion(
     model: PaperModel, voxels: SurfaceVoxels, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = model.generate(voxels, wind=WIND, seed=3).coefficients
@@ -53,7 +53,7 @@ def test_passes_of_few_frequencies_give_the_same_motion(
     monkeypatch.setattr(generate, "MAX_ACTIVATIONS", 1)
     split = model.generate(voxels, wind=WIND, seed=3, on_step=lambda *step: steps.append(step)).coefficients
     np.testing.assert_allclose(split, whole, rtol=1e-3, atol=1e-7)
-    assert steps == [(number, 16 * 3) for number in range(1, 16 * 3 + 1)]
+    assert steps == [(1, 3), (2, 3), (3, 3)]
 
 
 def test_the_wind_turns_and_scales_the_motion(model: PaperModel, voxels: SurfaceVoxels) -> None:

@@ -10,7 +10,7 @@ from dynamictree.diffusion.schedule import linear_schedule
 from dynamictree.models.paper.encoder import POSITION_FEATURES, fourier_features
 from dynamictree.models.paper.examples import PaperExample, batch_of
 from dynamictree.models.paper.loss import paper_loss
-from dynamictree.models.paper.network import PaperNetwork, PaperPreset, paper_small_preset
+from dynamictree.models.paper.network import PaperInputs, PaperNetwork, PaperPreset, paper_small_preset
 from dynamictree.models.paper.train import PaperTraining, clean_channels
 from dynamictree.models.paper.unet import UNetShape
 from dynamictree.sparse.level import pyramid
@@ -89,7 +89,12 @@ def test_the_loss_falls_in_a_few_steps_in_both_stages(voxels: SurfaceVoxels) -> 
     height = torch.unique(coords // 4, dim=0)[:, 2].float()
     spectrum = torch.complex(height / 32 - 0.4, height / 32 - 0.4)[:, None, None].expand(-1, 16, 3)  # smooth in height
     example = PaperExample(
-        coords=coords, normals=torch.from_numpy(voxels.normals), resolution=128, voxel_size_m=0.4, spectrum=spectrum
+        coords=coords,
+        normals=torch.from_numpy(voxels.normals),
+        resolution=128,
+        voxel_size_m=0.4,
+        spectrum=spectrum,
+        axes=torch.eye(3),
     )
     batch = batch_of([example, example], SMALL)
     optimizer = torch.optim.AdamW(network.parameters(), lr=3e-3)
@@ -117,12 +122,13 @@ def test_frequencies_that_share_a_pass_do_not_see_one_another(voxels: SurfaceVox
         torch.nn.init.normal_(parameter, std=0.05)
     grids = pyramid(torch.from_numpy(voxels.grid.coords.astype(np.int64)), SMALL.num_levels)
     count = len(grids.levels[2])
+    inputs = PaperInputs(positions=torch.zeros(0, 3), normals=torch.zeros(0, 3), grids=grids)
     noisy, condition = torch.randn(count, 3, 6), torch.randn(count, 16)
     step, frequency = torch.tensor([[7, 100, 900]]), torch.tensor([[1, 5, 9]])
-    together = network(noisy, step, frequency, condition, grids)
+    together = network(noisy, step, frequency, condition, inputs)
     for column in range(3):
         one = slice(column, column + 1)
-        alone = network(noisy[:, one], step[:, one], frequency[:, one], condition, grids)
+        alone = network(noisy[:, one], step[:, one], frequency[:, one], condition, inputs)
         torch.testing.assert_close(together[:, one], alone, atol=1e-5, rtol=1e-4)
 
 
