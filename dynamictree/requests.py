@@ -65,6 +65,7 @@ TURBULENT_FRAMES: dict[Format, int] = {
     "vat": MAX_FRAMES,
 }
 """The formats that can hold a turbulent motion, and how many frames of it. The others hold one period."""
+Joints = Literal[32, 64, 256]
 Resolution = Literal[32, 64, 128, 256, 512]
 UpAxis = Annotated[
     str,
@@ -295,6 +296,7 @@ class ExportParams(Request):
     normals: bool = Field(
         default=False, description="Write normals that move: as targets of glb and glb-reduced, as a texture of vat"
     )
+    joints: Joints = Field(default=64, description="Joints of glb-skinned, at most")
     shot: Shot = Field(default_factory=Shot)
 
     def period_frames(self, period_s: float) -> float:

@@ -78,6 +78,8 @@ class AnimateParams(Model):
     sh_degree: int = 3
     # Write normals that move: as targets of glb and glb-reduced, as a texture of vat
     normals: bool = False
+    # Joints of glb-skinned, at most
+    joints: Literal[32, 64, 256] = 64
     shot: "Shot | None" = None
 
 

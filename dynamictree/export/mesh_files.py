@@ -45,15 +45,13 @@ def _write_glb(tree: MovingTree, stream: BinaryIO, num_targets: int | None = Non
 
 
 def write_skinned_glb(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
-    """GLB with a skeleton and a skin that approximate the loop.
-
-    Raises:
-        InputError: the spectrum has no skeleton.
-    """
+    """GLB with joints and a skin that approximate the loop."""
     from dynamictree.formats.gltf import skin as skin_file
-    from dynamictree.modal.skinning import skin_of
+    from dynamictree.modal.fitted_skin import fitted_skin
 
-    skin, summary = skin_of(tree.spectrum, tree.mesh, tree.coefficients)
+    skin, summary = fitted_skin(
+        tree.mesh, tree.coefficients, num_frames=tree.spectrum.num_frames, num_joints=tree.params.joints
+    )
     skin_file.write_skinned_glb(tree.mesh, skin, summary, stream, fps=tree.loop_fps)
     return asdict(summary)
 

@@ -35,6 +35,7 @@ FRAMES = SPEED | {"wind_mode", "num_frames", "fps", "loop", "first_frame"}
 DETAIL = frozenset({"share", "sh_degree"})
 SHOT = frozenset({"shot"})
 NORMALS = frozenset({"normals"})
+JOINTS = frozenset({"joints"})
 
 
 @dataclass(frozen=True)
@@ -77,7 +78,7 @@ PRODUCTS: dict[Format, Product] = {
     "glb-reduced": Product(
         "Animated GLB, 8 targets", "tree-8-targets.glb", "mesh", SPEED | NORMALS, write=write_reduced_glb
     ),
-    "glb-skinned": Product("Skinned GLB", "tree-skinned.glb", "mesh", SPEED, write=write_skinned_glb),
+    "glb-skinned": Product("Skinned GLB", "tree-skinned.glb", "mesh", SPEED | JOINTS, write=write_skinned_glb),
     "usd": Product("USD", "tree.usdz", "mesh", FRAMES, "pxr", "usd", write=write_usdz),
     "alembic": Product("Alembic", "tree.abc", "mesh", FRAMES, "alembic3d", "alembic", write=write_alembic),
     "vat": Product("Vertex animation texture", "tree.vat.zip", "mesh", FRAMES | NORMALS, write=write_vertex_texture),

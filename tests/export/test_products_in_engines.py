@@ -29,7 +29,8 @@ from dynamictree.export.table import PRODUCTS
 from dynamictree.export.write import write_products
 from dynamictree.formats.motion.alembic import write_motion_alembic
 from dynamictree.mesh import TriangleMesh
-from dynamictree.modal.skinning import skin_of
+from dynamictree.modal.branch_skin import branch_skin
+from dynamictree.modal.fitted_skin import fitted_skin
 from dynamictree.requests import ExportParams
 from dynamictree.spectrum import SparseVoxelSpectrum, iter_motion
 from dynamictree.voxel.voxelize import voxelize
@@ -135,13 +136,27 @@ def test_trimesh_reads_the_sequence_and_every_glb(
         assert sum(len(part.faces) for part in scene.geometry.values()) == mesh.num_faces
 
 
+def test_more_joints_are_nearer_to_the_motion(
+    tree: tuple[TriangleMesh, SparseVoxelSpectrum], products: Products
+) -> None:
+    few = np.arange(0, tree[0].num_vertices, 5)
+    some = TriangleMesh(vertices=tree[0].vertices[few], faces=np.array([[0, 1, 2]], np.int32))
+    coefficients = method.devoxelize(tree[1], tree[0])[few]
+    errors = [
+        fitted_skin(some, coefficients, num_frames=33, num_joints=count)[1].relative_error for count in (8, 32, 128)
+    ]
+    assert errors[0] > 1.3 * errors[1] > 1.3 * 1.3 * errors[2]
+    assert products[1]["glb-skinned"]["num_joints"] <= 64
+    assert products[1]["glb-skinned"]["relative_error"] < 0.08
+
+
 def test_a_tree_that_moves_as_one_piece_has_no_skeleton() -> None:
     sample = make_sample(3, "sapling")
     trunk = TriangleMesh(vertices=sample.mesh.vertices * np.float32([1, 1, 0.01]), faces=sample.mesh.faces)
     flat = voxelize(trunk, 32)
     still = SparseVoxelSpectrum(grid=flat.grid, coefficients=np.ones((len(flat.grid), 2, 3), np.complex64))
     with pytest.raises(InputError, match="no skeleton was found"):
-        skin_of(still, trunk, np.ones((trunk.num_vertices, 2, 3), np.complex64))
+        branch_skin(still, trunk, np.ones((trunk.num_vertices, 2, 3), np.complex64))
 
 
 @pytest.mark.slow

@@ -30,6 +30,7 @@ CHANGED = {
     "sh_degree": {"sh_degree": 0},
     "shot": {"shot": Shot(side_px=64, azimuth_deg=120.0)},
     "normals": {"normals": True},
+    "joints": {"joints": 256},
 }
 
 

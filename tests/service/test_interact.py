@@ -12,11 +12,11 @@ from safetensors.numpy import load
 
 from dynamictree.devoxelize.smooth import smooth
 from dynamictree.mesh import TriangleMesh
+from dynamictree.modal.branch_skin import branch_skin
 from dynamictree.modal.force import Drag, Impulse, contact_at_voxel
 from dynamictree.modal.interactive_tree import InteractiveTree
 from dynamictree.modal.locality import default_falloff_m
 from dynamictree.modal.response import group_forces, respond
-from dynamictree.modal.skinning import skin_of
 from dynamictree.modal.system import modal_system
 from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.assets import delete_asset
@@ -353,7 +353,7 @@ def test_vertices_of_still_parts_do_not_move_under_pushes(
 
 def test_a_skin_does_not_move_still_parts(grown, spectrum: SparseVoxelSpectrum) -> None:
     mesh = on_a_plane(grown.mesh)
-    skin, _ = skin_of(spectrum, mesh, smooth(spectrum.grid, mesh).apply(spectrum.coefficients))
+    skin, _ = branch_skin(spectrum, mesh, smooth(spectrum.grid, mesh).apply(spectrum.coefficients))
     np.testing.assert_allclose(skin.weights.sum(axis=1), 1, atol=1e-5)
     assert not skin.displacement(mesh.vertices, 10)[-4:].any()
     assert np.abs(skin.displacement(mesh.vertices, 10)[:-4]).max() > 1e-3

@@ -1,8 +1,9 @@
-"""Skeletal approximation of a loop: the rigid motions of bones nearest to it. After Le and Deng 2012 (SSDR).
+"""A skin whose joints lie in the branches, with the rigid motions nearest to a loop. For engines that simulate joints.
 
 Bones and the vertices that they carry come from the spectrum (`bones.py`, `bone_attachment.py`). What is left are each
 bone's rotations and translations, frame by frame: Kabsch's fit to the vertices' own motion, one bone after the other,
-each against what the others leave. Stiffer than the motion: leaves that flutter within a bone are lost.
+each against what the others leave. Stiffer than the motion: leaves that flutter within a bone are lost; a skin that
+only plays the motion is nearer to it with the joints of `fitted_skin.py`.
 """
 
 import numpy as np
@@ -22,7 +23,7 @@ FITTED_VERTICES = 40_000  # of a larger mesh, evenly chosen; all count in the re
 _UPRIGHT = 1e-6  # [m²] of a vertex: bones with too few points to fix a rotation do not turn
 
 
-def skin_of(
+def branch_skin(
     spectrum: SparseVoxelSpectrum, mesh: TriangleMesh, coefficients: Complex64[np.ndarray, "N K 3"]
 ) -> tuple[Skin, SkinSummary]:
     """Find a skeleton and fit its bones to one period of the vertices' motion.
@@ -57,7 +58,7 @@ def skin_of(
         rotation=rotation.astype(np.float32),
         translation_m=translation.astype(np.float32),
     )
-    return skin, _summary(skin, mesh.vertices, coefficients, spectrum.num_frames)
+    return skin, summary_of(skin, mesh.vertices, coefficients, spectrum.num_frames)
 
 
 def _fitted(
@@ -78,25 +79,25 @@ def _fitted(
     target = left.copy()
     for bone, (at, slot) in enumerate(members):  # first as if each were alone
         if len(at):
-            rotation[:, bone], translation[:, bone] = _kabsch(points[at], target[:, at], weights[at, slot])
+            rotation[:, bone], translation[:, bone] = nearest_rigid_motion(points[at], target[:, at], weights[at, slot])
         elif parent[bone] >= 0:
             rotation[:, bone], translation[:, bone] = rotation[:, parent[bone]], translation[:, parent[bone]]
-        left[:, at] -= weights[at, slot][:, None] * _carried(points[at], rotation[:, bone], translation[:, bone])
+        left[:, at] -= weights[at, slot][:, None] * carried(points[at], rotation[:, bone], translation[:, bone])
     for _ in range(ROUNDS):
         for bone, (at, slot) in enumerate(members):
             if not len(at):
                 continue
             w = weights[at, slot]
-            own = left[:, at] + w[:, None] * _carried(points[at], rotation[:, bone], translation[:, bone])
-            rotation[:, bone], translation[:, bone] = _kabsch(points[at], own / w[:, None], w**2)
-            left[:, at] = own - w[:, None] * _carried(points[at], rotation[:, bone], translation[:, bone])
+            own = left[:, at] + w[:, None] * carried(points[at], rotation[:, bone], translation[:, bone])
+            rotation[:, bone], translation[:, bone] = nearest_rigid_motion(points[at], own / w[:, None], w**2)
+            left[:, at] = own - w[:, None] * carried(points[at], rotation[:, bone], translation[:, bone])
     return rotation, translation
 
 
-def _kabsch(
+def nearest_rigid_motion(
     points: Float64[np.ndarray, "n 3"], targets: Float64[np.ndarray, "T n 3"], weights: Float64[np.ndarray, " n"]
 ) -> tuple[Float64[np.ndarray, "T 3 3"], Float64[np.ndarray, "T 3"]]:
-    """The rigid motions with the least Σ w |R p + t - q|². Kabsch 1976."""
+    """The rigid motion of each frame with the least Σ w |R p + t - q|². Kabsch 1976."""
     share = weights / weights.sum()
     middle, aims = share @ points, share @ targets  # [3], [T, 3]
     cross = np.swapaxes(targets - aims[:, None], 1, 2) @ (share[:, None] * (points - middle))  # Σ w q pᵀ, [T, 3, 3]
@@ -106,17 +107,19 @@ def _kabsch(
     return rotation, aims - rotation @ middle
 
 
-def _carried(
+def carried(
     points: Float64[np.ndarray, "n 3"],
     rotation: Float64[np.ndarray, "T 3 3"],
     translation: Float64[np.ndarray, "T 3"],
 ) -> Float64[np.ndarray, "T n 3"]:
+    """Where one joint carries points, frame by frame."""
     return np.asarray(points @ np.swapaxes(rotation, 1, 2) + translation[:, None])
 
 
-def _summary(
+def summary_of(
     skin: Skin, vertices: Float32[np.ndarray, "N 3"], coefficients: Complex64[np.ndarray, "N K 3"], num_frames: int
 ) -> SkinSummary:
+    """How far a skin is from one period of the motion."""
     total = missing = largest = 0.0
     for frame, moved in enumerate(iter_motion(coefficients, np.arange(num_frames) / num_frames, num_frames)):
         gap = ((skin.displacement(vertices, frame) - moved) ** 2).sum(axis=1)

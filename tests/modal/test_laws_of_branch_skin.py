@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dynamictree.modal.skinning import _fitted, _kabsch
+from dynamictree.modal.branch_skin import _fitted, nearest_rigid_motion
 from dynamictree.spectrum import iter_motion
 
 
@@ -16,7 +16,7 @@ def test_a_rigid_motion_is_found_exactly(rng: np.random.Generator) -> None:
     points, weights = rng.normal(size=(12, 3)), rng.uniform(0.1, 1, 12)
     turn, shift = rotations(rng, 5), rng.normal(size=(5, 3))
     targets = points @ turn.swapaxes(1, 2) + shift[:, None]
-    fitted_turn, fitted_shift = _kabsch(points, targets, weights)
+    fitted_turn, fitted_shift = nearest_rigid_motion(points, targets, weights)
     np.testing.assert_allclose(fitted_turn, turn, atol=1e-5)
     np.testing.assert_allclose(fitted_shift, shift, atol=1e-5)
 
@@ -24,14 +24,14 @@ def test_a_rigid_motion_is_found_exactly(rng: np.random.Generator) -> None:
 @pytest.mark.parametrize("count", [1, 2])
 def test_too_few_points_do_not_turn_at_rest(rng: np.random.Generator, count: int) -> None:
     points = rng.normal(size=(count, 3))
-    turn, shift = _kabsch(points, np.broadcast_to(points, (3, count, 3)).copy(), np.ones(count))
+    turn, shift = nearest_rigid_motion(points, np.broadcast_to(points, (3, count, 3)).copy(), np.ones(count))
     np.testing.assert_allclose(turn, np.broadcast_to(np.eye(3), (3, 3, 3)), atol=1e-9)
     np.testing.assert_allclose(shift, 0, atol=1e-9)
 
 
 def test_rotations_are_proper_even_for_a_mirrored_target(rng: np.random.Generator) -> None:
     points = rng.normal(size=(9, 3))
-    turn, _ = _kabsch(points, (points * [1, 1, -1])[None], np.ones(9))
+    turn, _ = nearest_rigid_motion(points, (points * [1, 1, -1])[None], np.ones(9))
     assert np.linalg.det(turn[0]) == pytest.approx(1)
 
 
