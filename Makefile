@@ -91,9 +91,14 @@ check: $(READY)  ## format, lint, banned words, types, imports, openapi drift
 	@$(BIN)/python -m service.openapi --check openapi/openapi.json
 	@$(BIN)/python client/generate.py --check
 
+TRAIN_DATA ?= data/4dtree
+TRAIN_TREES ?= 8786
+TRAIN_FOLDER ?= runs/paper
+TRAIN_OPTIONS ?= --device cuda --workers 4 --frequencies 4
+
 train-gpu: $(READY)  ## bake the dataset where it is missing, then train the paper's network on a GPU (continues a stopped run)
-	@$(BIN)/dynamictree dataset generate data/4dtree --workers $$(nproc)
-	@$(BIN)/dynamictree train runs/paper --preset paper --dataset data/4dtree --device cuda --workers 4 --frequencies 4
+	@$(BIN)/dynamictree dataset generate $(TRAIN_DATA) --trees $(TRAIN_TREES) --workers $$(nproc)
+	@$(BIN)/dynamictree train $(TRAIN_FOLDER) --preset paper --dataset $(TRAIN_DATA) $(TRAIN_OPTIONS)
 
 docs: $(READY)  ## the documentation's site, in site/ (links are checked, nothing is fetched)
 	@$(BIN)/python -m recipes.api_reference docs/api.md

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import asdict, replace
+from functools import partial
 from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -202,6 +203,14 @@ def _train(
     from dynamictree.models.small.train import train_small
 
     if isinstance(plan, PaperTraining):
-        train_paper(plan, shards, folder, weights=weights, device=device, on_step=on_step)
+        train_paper(
+            plan,
+            shards,
+            folder,
+            weights=weights,
+            device=device,
+            on_step=on_step,
+            on_figures=partial(typer.echo, err=True),
+        )
     else:
         train_small(plan, shards, folder, on_step=on_step)

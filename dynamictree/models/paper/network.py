@@ -88,6 +88,12 @@ def with_additions(preset: PaperPreset, additions: Sequence[str]) -> PaperPreset
     )
 
 
+def additions_of(preset: PaperPreset) -> tuple[str, ...]:
+    """The additions that a preset has: undoes `with_additions`."""
+    has = preset.wind_frame, preset.regression is not None, preset.stems, preset.noise_along_tree
+    return tuple(name for name, one in zip(ADDITIONS, has, strict=True) if one)
+
+
 def paper_small_preset() -> PaperPreset:
     """An eighth of the paper's channels and half of its depth on a 32³ grid, for a CPU.
 

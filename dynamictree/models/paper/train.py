@@ -6,9 +6,8 @@ worker processes, so that no step voxelizes.
 """
 
 import json
-import logging
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -25,7 +24,7 @@ from dynamictree.diffusion.schedule import linear_schedule
 from dynamictree.errors import CheckpointError
 from dynamictree.models.paper.examples import ExampleCache, PaperBatch, PaperExample, batch_of
 from dynamictree.models.paper.loss import paper_loss
-from dynamictree.models.paper.network import PaperNetwork, PaperPreset, paper_small_preset
+from dynamictree.models.paper.network import PaperNetwork, PaperPreset, additions_of, paper_small_preset
 from dynamictree.models.paper.sample_figures import sample_figures
 from dynamictree.models.small.network import Regression, SmallNetwork
 from dynamictree.models.weights_file import Provenance, read_weights, write_weights
@@ -38,8 +37,6 @@ from dynamictree.weights import weights_path
 
 NUM_MEASURED = 50  # trees that the sizes of frequencies are measured on
 FIGURES_STEPS = 20  # of DDIM
-
-logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,6 +108,7 @@ def train_paper(
     weights: Path | None = None,
     device: torch.device | None = None,
     on_step: OnStep | None = None,
+    on_figures: Callable[[str], None] | None = None,
 ) -> PaperNetwork:
     """Train into a folder: `cache/`, `checkpoint.safetensors` to resume from, `figures.jsonl`, and the weights.
 
@@ -124,6 +122,7 @@ def train_paper(
         weights: file of the weights; `paper.safetensors` in the folder if not given.
         device: the CPU if not given.
         on_step: called with "paper", the step, the number of steps and the loss.
+        on_figures: called with each line of `figures.jsonl`.
     """
     weights = weights or folder / "paper.safetensors"
     device = device or torch.device("cpu")
@@ -162,8 +161,9 @@ def train_paper(
 
     data_sha256, reported_at = shards_sha256(shards), time.monotonic()
 
-    def write() -> None:
-        provenance = Provenance(step=trainer.step, data_sha256=data_sha256)
+    def write(loss: float) -> None:
+        card = training_card(weights.stem, plan, trees=len(cache), step=trainer.step, loss=loss)
+        provenance = Provenance(step=trainer.step, data_sha256=data_sha256, card=card)
         average = trainer.average
         assert isinstance(average, PaperNetwork)
         write_weights(average, weights, provenance)
@@ -173,15 +173,30 @@ def train_paper(
             on_step("paper", step, plan.num_steps, loss)
         due = plan.figures_every_s is not None and time.monotonic() - reported_at > plan.figures_every_s
         if process_rank() == 0 and (due or step == plan.num_steps):
-            write()
+            write(loss)
             if due:
                 figures = sample_figures(trainer.average, cache[0], num_steps=FIGURES_STEPS)
                 line = json.dumps({"step": step, "loss": round(loss, 4), **figures})
                 with (folder / "figures.jsonl").open("a") as log:
                     log.write(line + "\n")
-                logger.info("sampled", extra={"figures": line})
+                if on_figures is not None:
+                    on_figures(line)
             reported_at = time.monotonic()
     return network
+
+
+def training_card(name: str, plan: PaperTraining, *, trees: int, step: int, loss: float) -> str:
+    """What the run itself knows of its weights, in Markdown; how good they are is for `dynamictree evaluate`."""
+    additions = ", ".join(additions_of(plan.preset)) or "none"
+    facts = {
+        "network": f"the paper's on {plan.preset.resolution}³, {plan.preset.unet.base} channels at its first level",
+        "additions": additions,
+        "data": f"{trees} trees",
+        "steps": f"{step} of batch {plan.batch_size}; with L_LSS from step {plan.smoothness_from}",
+        "loss of the last step": f"{loss:.3f}",
+    }
+    rows = "".join(f"| {name} | {value} |\n" for name, value in facts.items())
+    return f"# {name}\n\n| | |\n|---|---|\n{rows}"
 
 
 def frequency_sizes(cache: ExampleCache, plan: PaperTraining) -> Float32[Tensor, " K"]:

@@ -14,7 +14,7 @@ from dynamictree.models import load_model
 from dynamictree.models.paper.examples import PaperExample, batch_of, paper_example
 from dynamictree.models.paper.generate import PaperModel
 from dynamictree.models.paper.loss import batch_noise
-from dynamictree.models.paper.network import ADDITIONS, PaperNetwork, PaperPreset, with_additions
+from dynamictree.models.paper.network import ADDITIONS, PaperNetwork, PaperPreset, additions_of, with_additions
 from dynamictree.models.paper.train import PaperTraining, clean_channels, load_regression, train_paper
 from dynamictree.models.paper.unet import UNetShape
 from dynamictree.models.small.denoiser import DenoiserShape
@@ -146,6 +146,12 @@ def test_training_leaves_the_regression_as_it_is_and_resumes(small: str, tmp_pat
     model = load_model(str(tmp_path / "paper.safetensors"))
     assert isinstance(model, PaperModel)
     assert model.network.preset == PRESET
+
+
+@pytest.mark.parametrize("count", range(1, 5))
+def test_a_preset_names_its_additions(count: int) -> None:
+    assert additions_of(with_additions(PLAIN, ADDITIONS[:count])) == ADDITIONS[:count]
+    assert additions_of(PLAIN) == ()
 
 
 def test_additions_that_do_not_fit_are_refused(tmp_path: Path) -> None:

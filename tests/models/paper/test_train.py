@@ -65,6 +65,7 @@ def test_trained_weights_load_with_their_preset_step_and_data(shard: str, tmp_pa
     stored = read_weights(path)
     assert stored.network(PaperNetwork, "paper").preset == RUN.preset
     assert stored.provenance.step == 1
+    assert "| data | 2 trees |" in str(stored.provenance.card)
     assert stored.provenance.data_sha256 == shards_sha256([shard])
     assert stored.tensors["frequency_sizes"].shape == (16,)
     figures = json.loads((tmp_path / "figures.jsonl").read_text())
