@@ -12,7 +12,7 @@ from dynamictree.errors import InputError
 from dynamictree.training.progress import OnStep, bars
 
 if TYPE_CHECKING:
-    from dynamictree.evaluation.clip import ImageEmbedder
+    from dynamictree.evaluation.frame_distances import ImageEmbedder
 
 RIVALS = ("sapling",)
 
@@ -54,6 +54,9 @@ def evaluate(
         Path | None,
         typer.Option(help="CLIP's ViT-B/32 (model.safetensors, or its folder), for CLIP-I and CLIP-T.", exists=True),
     ] = None,
+    effnet: Annotated[
+        bool, typer.Option(help="EffNet-I and EffNet-T: frames are drawn and seen by EfficientNet-Lite0 (slow).")
+    ] = False,
     threads: Annotated[int, typer.Option(min=1, max=256, help="Of this process.")] = 2,
     as_json: AsJson = False,
 ) -> None:
@@ -72,10 +75,10 @@ def evaluate(
             report = evaluate_laws(trees, seed=seed, on_step=on_step)
         typer.echo(json.dumps(report)) if as_json else print_laws(report)
         return
-    files, embedder = _sapling(samples), _embedder(clip)
+    files, embedders = _sapling(samples), _embedders(clip, effnet=effnet)
     with bars(quiet=as_json) as on_step:
         if rival is not None:
-            report = _compare(model, trees, seed, files, embedder, on_step)
+            report = _compare(model, trees, seed, files, embedders, on_step)
         elif classifier:
             from dynamictree.evaluation.classifier import classify
 
@@ -91,7 +94,7 @@ def evaluate(
                 seed=seed,
                 num_steps=steps,
                 sapling=files,
-                embedder=embedder,
+                embedders=embedders,
                 on_step=on_step,
             )
     if as_json:
@@ -114,14 +117,14 @@ def _sapling(folder: Path | None) -> Sequence[Path]:
     return sapling_files(folder)
 
 
-def _embedder(weights: Path | None) -> "ImageEmbedder | None":
-    """Load CLIP; print one line if its weights are missing."""
+def _embedders(clip: Path | None, *, effnet: bool) -> "Sequence[ImageEmbedder]":
+    """Load the image networks that are asked for; print one line if none is."""
     from dynamictree.evaluation.clip import load_clip
+    from dynamictree.evaluation.effnet import load_effnet
 
-    if weights is None:
-        typer.echo("CLIP-I and CLIP-T are left out: give ViT-B/32's weights with --clip to have them", err=True)
-        return None
-    return load_clip(weights)
+    if clip is None and not effnet:
+        typer.echo("no frames are judged: --effnet does, and --clip with the file of ViT-B/32's weights", err=True)
+    return [*([load_clip(clip)] if clip is not None else []), *([load_effnet()] if effnet else [])]
 
 
 def _compare(
@@ -129,20 +132,20 @@ def _compare(
     trees: int,
     seed: int,
     files: Sequence[Path],
-    embedder: "ImageEmbedder | None",
+    embedders: "Sequence[ImageEmbedder]",
     on_step: OnStep,
 ) -> dict[str, Any]:
     from dynamictree.evaluation.contest import compare
 
-    return compare(model, num_trees=trees, seed=seed, sapling=files, embedder=embedder, on_step=on_step)
+    return compare(model, num_trees=trees, seed=seed, sapling=files, embedders=embedders, on_step=on_step)
 
 
 def print_figures(report: dict[str, Any]) -> None:
     """Print the figures of each group, the targets, and whether the model passes."""
     for group, rows in report["groups"].items():
         _print_columns(f"{group}: mean over {report['trees'][group]} trees", rows)
-    for group, rows in report.get("clip", {}).items():
-        _print_columns(f"{group}: CLIP", rows)
+    for group, rows in report.get("frame_distances", {}).items():
+        _print_columns(f"{group}: distances of frames", rows)
     seeds = report["seed_difference"]
     typer.echo(f"difference between two seeds {seeds['model']:.2f}, between two true winds {seeds['truth']:.2f}")
     for target in report["targets"]:

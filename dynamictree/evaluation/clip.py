@@ -1,59 +1,42 @@
-"""CLIP-I and CLIP-T, paper section 6: how far frames are from the input view, and from one another, for ViT-B/32.
+"""CLIP's image tower, ViT-B/32, for CLIP-I and CLIP-T (paper section 6).
 
-The image tower is `transformers`' (extra `evaluate`); its weights are the user's own file, nothing is fetched.
+The tower is `transformers`' (extra `evaluate`); its weights are the user's own file, nothing is fetched.
 """
 
-from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
 import torch
-from jaxtyping import Complex64, Float32, UInt8
-from PIL import Image
+from jaxtyping import Float32
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from dynamictree.errors import CheckpointError, InputError
-from dynamictree.mesh import TriangleMesh
-from dynamictree.render import Camera, Look, Renderer
-from dynamictree.spectrum import NUM_FRAMES, iter_motion
 
 if TYPE_CHECKING:
     from transformers import CLIPVisionModelWithProjection
 
-SIDE_PX = 224
 MEAN = (0.48145466, 0.4578275, 0.40821073)  # of the pictures that CLIP was trained on
 DEVIATION = (0.26862954, 0.26130258, 0.27577711)
 TOWER = ("vision_model.", "visual_projection.")
-BATCH = 16
 
 
-class ImageEmbedder:
-    """CLIP image tower: pictures to unit vectors."""
+class ClipEmbedder:
+    """Embeds pictures by CLIP's image tower."""
+
+    name = "clip"
 
     def __init__(self, network: "CLIPVisionModelWithProjection") -> None:
         self.network = network.train(mode=False).requires_grad_(False)
 
-    def embed(self, pictures: Iterable[UInt8[np.ndarray, "_ _ 3"]]) -> Float32[Tensor, "P D"]:
-        """One row a picture; pictures are taken as they come, a batch at a time."""
-        rows, waiting = [], []
-        for picture in pictures:
-            waiting.append(_pixels(picture))
-            if len(waiting) == BATCH:
-                rows.append(self._embed(waiting))
-                waiting = []
-        if waiting:
-            rows.append(self._embed(waiting))
-        return torch.cat(rows)
-
-    def _embed(self, pixels: list[Float32[Tensor, "3 S S"]]) -> Float32[Tensor, "P D"]:
-        with torch.no_grad():
-            embedded: Tensor = self.network(pixel_values=torch.stack(pixels)).image_embeds
-        return torch.nn.functional.normalize(embedded, dim=1)
+    def features(self, pixels: Float32[Tensor, "P 3 S S"]) -> Float32[Tensor, "P D"]:
+        """Features of pictures of values in [0, 1]."""
+        mean, deviation = (torch.tensor(one)[:, None, None] for one in (MEAN, DEVIATION))
+        image_embeds: Tensor = self.network(pixel_values=(pixels - mean) / deviation).image_embeds
+        return image_embeds
 
 
-def load_clip(path: Path) -> ImageEmbedder:
+def load_clip(path: Path) -> ClipEmbedder:
     """ViT-B/32 from a file, or a folder that holds `model.safetensors`; a text tower beside it is left alone.
 
     Raises:
@@ -84,48 +67,4 @@ def load_clip(path: Path) -> ImageEmbedder:
     # positions are no weights and were not stored: the network is made in memory, then given its weights
     network = CLIPVisionModelWithProjection(CLIPVisionConfig())
     network.load_state_dict(weights)
-    return ImageEmbedder(network)
-
-
-def clip_distances(
-    embedder: ImageEmbedder, view: UInt8[np.ndarray, "H W 3"], frames: Iterable[UInt8[np.ndarray, "_ _ 3"]]
-) -> tuple[float, float]:
-    """CLIP-I and CLIP-T: 1 − cosine, the mean over frames to the input view and to the frame before."""
-    (seen,) = embedder.embed([view])
-    rows = embedder.embed(frames)
-    return float(1 - (rows @ seen).mean()), float(1 - (rows[1:] * rows[:-1]).sum(dim=1).mean())
-
-
-def motion_distances(
-    embedder: ImageEmbedder,
-    mesh: TriangleMesh,
-    coefficients: Complex64[np.ndarray, "N K 3"],
-    *,
-    num_frames: int = NUM_FRAMES,
-) -> tuple[float, float]:
-    """CLIP-I and CLIP-T of a motion of a mesh; the input view is the tree at rest from where the frames are seen."""
-    renderer = Renderer(mesh, Look(width=SIDE_PX, height=SIDE_PX))
-    camera = Camera.orbit(mesh.vertices, aspect=1.0)
-    return clip_distances(
-        embedder, renderer.picture(camera=camera), _frames(renderer, camera, coefficients, num_frames)
-    )
-
-
-def _frames(
-    renderer: Renderer, camera: Camera, coefficients: Complex64[np.ndarray, "N K 3"], num_frames: int
-) -> Iterator[UInt8[np.ndarray, "H W 3"]]:
-    for displacement in iter_motion(coefficients, np.arange(num_frames) / num_frames):
-        yield renderer.picture(displacement, camera=camera)
-
-
-def _pixels(picture: UInt8[np.ndarray, "H W 3"]) -> Float32[Tensor, "3 S S"]:
-    """Preprocess a picture for CLIP: centre square, 224², colours normalised."""
-    height, width = picture.shape[:2]
-    side = min(height, width)
-    top, left = (height - side) // 2, (width - side) // 2
-    square = Image.fromarray(picture[top : top + side, left : left + side])
-    if side != SIDE_PX:
-        square = square.resize((SIDE_PX, SIDE_PX), Image.Resampling.BICUBIC)
-    scaled = np.asarray(square, np.float32) / 255
-    normal = (scaled - np.array(MEAN, np.float32)) / np.array(DEVIATION, np.float32)
-    return torch.from_numpy(np.ascontiguousarray(normal.transpose(2, 0, 1)))
+    return ClipEmbedder(network)

@@ -15,8 +15,8 @@ import numpy as np
 from jaxtyping import Complex64
 
 from dynamictree.devoxelize.length_preserving import length_preserving
-from dynamictree.evaluation.clip import ImageEmbedder, motion_distances
 from dynamictree.evaluation.figures import TreeReference
+from dynamictree.evaluation.frame_distances import ImageEmbedder, motion_distances
 from dynamictree.evaluation.held_out_trees import HeldOutTree, iter_held_out, iter_sapling
 from dynamictree.evaluation.metrics import (
     amplitude,
@@ -102,10 +102,10 @@ def compare(
     num_trees: int,
     seed: int,
     sapling: Sequence[Path] = (),
-    embedder: ImageEmbedder | None = None,
+    embedders: Sequence[ImageEmbedder] = (),
     on_step: OnStep = lambda part, done, total, loss: None,
 ) -> dict[str, Any]:
-    """Mean figures per set of trees and method; CLIP-I and CLIP-T where CLIP's weights are available."""
+    """Mean figures per set of trees and method; distances of frames for each image network."""
     model = load_model(name)
     sets: dict[str, tuple[Iterator[tuple[HeldOutTree, str, Motion]], int]] = {
         "sapling trees": (_their_trees(sapling), len(sapling)),
@@ -118,8 +118,9 @@ def compare(
             reference = TreeReference.of(tree)
             for contestant, motion, seconds in chain(iter_contest(tree, model, seed), [(another, their_motion, 0.0)]):
                 row = asdict(show(motion, reference, seconds=seconds))
-                if embedder is not None:
-                    row["clip_i"], row["clip_t"] = motion_distances(embedder, tree.mesh, motion)
+                for embedder in embedders:
+                    distances = motion_distances(embedder, tree.mesh, motion)
+                    row[f"{embedder.name}_i"], row[f"{embedder.name}_t"] = distances
                 rows.setdefault(contestant, []).append(row)
             on_step(kind, done, count, 0.0)
         if rows:

@@ -1,7 +1,7 @@
 """Compare a model with its baselines on trees that no training saw: one row of figures per method."""
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import chain
 from pathlib import Path
@@ -21,8 +21,8 @@ from dynamictree.evaluation.baselines import (
     regression,
     training_tree,
 )
-from dynamictree.evaluation.clip import ImageEmbedder, motion_distances
 from dynamictree.evaluation.figures import TreeReference, figures_of
+from dynamictree.evaluation.frame_distances import ImageEmbedder, distance_error, motion_distances
 from dynamictree.evaluation.held_out_trees import Group, HeldOutTree, iter_held_out, iter_sapling
 from dynamictree.evaluation.metrics import energy_by_frequency, relative_difference
 from dynamictree.evaluation.targets import RULE, passes, targets_of
@@ -32,7 +32,8 @@ from dynamictree.spectrum import SparseVoxelSpectrum
 from dynamictree.training.progress import OnStep
 from dynamictree.voxel.voxelize import voxelize
 
-CLIP_METHODS = ("truth", "model", "by-height mean")
+DRAWN_METHODS = ("truth", "model", "by-height mean", "second wind")
+"""Whose frames are drawn for image networks; the truth comes first."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,7 +96,7 @@ def evaluate_model(
     seed: int,
     num_steps: int | None = None,
     sapling: Sequence[Path] = (),
-    embedder: ImageEmbedder | None = None,
+    embedders: Sequence[ImageEmbedder] = (),
     on_step: OnStep = lambda part, done, total, loss: None,
 ) -> dict[str, Any]:
     """Mean figures by group and method, the targets, and whether the model passes.
@@ -108,7 +109,7 @@ def evaluate_model(
         seed: of the generated motions.
         num_steps: of the sampler.
         sapling: files of trees that Blender's add-on baked, a third group.
-        embedder: CLIP, for CLIP-I and CLIP-T of the model, the truth and the by-height mean.
+        embedders: image networks; each gives distances of frames for `DRAWN_METHODS`.
         on_step: called with the group, the trees done, their number, and 0.
     """
     model = load_model(name)
@@ -116,7 +117,7 @@ def evaluate_model(
     methods = Methods(model=model, by_height=fit_by_height(trees), training_trees=trees)
     begun = time.process_time()
     reports = {
-        group: evaluate_group(own, methods, seed=seed, num_steps=num_steps, embedder=embedder, on_step=on_step)
+        group: evaluate_group(own, methods, seed=seed, num_steps=num_steps, embedders=embedders, on_step=on_step)
         for group in get_args(Group)
         if (own := trees_of_group(group, num_trees, sapling)).count
     }
@@ -126,7 +127,7 @@ def evaluate_model(
         "trees": {group: one.count for group, one in reports.items()},
         "groups": {group: one.figures for group, one in reports.items()},
         "energy_by_frequency": {group: one.energies for group, one in reports.items()},
-        **({"clip": {group: one.clip for group, one in reports.items()}} if embedder is not None else {}),
+        **({"frame_distances": {group: one.frame_distances for group, one in reports.items()}} if embedders else {}),
         "seed_difference": {"model": float(between[0]), "truth": float(between[1])},
         "targets": targets_of(reports["unseen-species"].figures),
         "rule": RULE,
@@ -142,7 +143,7 @@ class GroupReport:
     count: int
     figures: dict[str, dict[str, float]]
     energies: dict[str, list[float]]
-    clip: dict[str, dict[str, float]]
+    frame_distances: dict[str, dict[str, float]]
     seed_difference: tuple[float, float]
 
 
@@ -161,24 +162,26 @@ def evaluate_group(
     *,
     seed: int,
     num_steps: int | None,
-    embedder: ImageEmbedder | None,
+    embedders: Sequence[ImageEmbedder],
     on_step: OnStep,
 ) -> GroupReport:
     """Measure every method on every tree of a group."""
     rows: dict[str, list[dict[str, float]]] = {}
-    clip: dict[str, list[dict[str, float]]] = {}
+    drawn: dict[str, list[dict[str, float]]] = {}
     shares: dict[str, list[Float64[np.ndarray, " J"]]] = {}
     difference = (0.0, 0.0)
     for index, tree in enumerate(group.trees):
         reference = TreeReference.of(tree)
+        true_distances: dict[str, tuple[float, float]] = {}
         motions = chain([("truth", tree.truth)], iter_motions(reference, methods, seed=seed, num_steps=num_steps))
         for method, motion in motions:
             shares.setdefault(method, []).append(energy_by_frequency(motion))
             if method != "truth":
                 rows.setdefault(method, []).append(asdict(figures_of(motion, reference)))
-            if embedder is not None and method in CLIP_METHODS:
-                near, smooth_in_time = motion_distances(embedder, tree.mesh, motion)
-                clip.setdefault(method, []).append({"clip_i": near, "clip_t": smooth_in_time})
+            if embedders and method in DRAWN_METHODS:
+                seen = {one.name: motion_distances(one, tree.mesh, motion) for one in embedders}
+                true_distances = seen if method == "truth" else true_distances
+                drawn.setdefault(method, []).append(_distance_columns(seen, true_distances))
         if index == 0:
             difference = seed_difference(tree, methods.model, num_steps)
         on_step(group.group, index + 1, group.count, 0.0)
@@ -186,9 +189,20 @@ def evaluate_group(
         count=group.count,
         figures={method: mean_of(of_method) for method, of_method in rows.items()},
         energies={method: np.mean(one, axis=0).round(5).tolist() for method, one in shares.items()},
-        clip={method: mean_of(of_method) for method, of_method in clip.items()},
+        frame_distances={method: mean_of(of_method) for method, of_method in drawn.items()},
         seed_difference=difference,
     )
+
+
+def _distance_columns(
+    seen: Mapping[str, tuple[float, float]], truth: Mapping[str, tuple[float, float]]
+) -> dict[str, float]:
+    """Columns of each image network: both distances, and how far they are from those of the true motion."""
+    return {
+        f"{name}_{column}": value
+        for name, (near, smooth) in seen.items()
+        for column, value in (("i", near), ("t", smooth), ("error", distance_error((near, smooth), truth[name])))
+    }
 
 
 def trees_of_group(group: Group, num_trees: int, sapling: Sequence[Path]) -> TreeGroup:

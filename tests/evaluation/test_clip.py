@@ -9,18 +9,19 @@ from safetensors.torch import save_file
 
 from dynamictree.dataset.sample import make_sample
 from dynamictree.errors import CheckpointError, InputError
-from dynamictree.evaluation.clip import ImageEmbedder, clip_distances, load_clip, motion_distances
+from dynamictree.evaluation.clip import ClipEmbedder, load_clip
+from dynamictree.evaluation.frame_distances import embedded, frame_distances, motion_distances
 
 transformers = pytest.importorskip("transformers", reason="the extra `evaluate` is not installed")
 
 
 @pytest.fixture(scope="module")
-def embedder() -> ImageEmbedder:
+def embedder() -> ClipEmbedder:
     torch.manual_seed(0)
     config = transformers.CLIPVisionConfig(
         hidden_size=64, intermediate_size=64, num_hidden_layers=2, num_attention_heads=2, projection_dim=32
     )
-    return ImageEmbedder(transformers.CLIPVisionModelWithProjection(config))
+    return ClipEmbedder(transformers.CLIPVisionModelWithProjection(config))
 
 
 def picture(seed: int) -> np.ndarray:
@@ -40,32 +41,32 @@ def test_the_weights_are_those_of_the_file_and_of_vit_b_32(tmp_path: Path) -> No
     assert sum(one.numel() for one in loaded.network.parameters()) == 87_849_216
     assert all(torch.equal(value, weights[name]) for name, value in loaded.network.state_dict().items())
     assert not loaded.network.training
-    (row,) = loaded.embed([picture(0)])
+    (row,) = embedded(loaded, [picture(0)])
     assert row.shape == (512,)
     assert float(row.norm()) == pytest.approx(1)
 
 
-def test_frames_that_are_the_view_are_at_no_distance(embedder: ImageEmbedder) -> None:
-    near, between = clip_distances(embedder, picture(0), [picture(0)] * 2)
+def test_frames_that_are_the_view_are_at_no_distance(embedder: ClipEmbedder) -> None:
+    near, between = frame_distances(embedder, picture(0), [picture(0)] * 2)
     assert near == pytest.approx(0, abs=1e-5)
     assert between == pytest.approx(0, abs=1e-5)
 
 
-def test_clip_i_looks_at_the_view_and_clip_t_at_the_frame_before(embedder: ImageEmbedder) -> None:
-    near, between = clip_distances(embedder, picture(0), [picture(1)] * 3)
+def test_clip_i_looks_at_the_view_and_clip_t_at_the_frame_before(embedder: ClipEmbedder) -> None:
+    near, between = frame_distances(embedder, picture(0), [picture(1)] * 3)
     assert near > 1e-4
     assert between == pytest.approx(0, abs=1e-5)
-    forth = clip_distances(embedder, picture(0), [picture(0), picture(1), picture(0)])
+    forth = frame_distances(embedder, picture(0), [picture(0), picture(1), picture(0)])
     assert forth[0] == pytest.approx(near / 3, rel=1e-2)
     assert forth[1] == pytest.approx(near, rel=1e-2)
 
 
-def test_a_wide_picture_is_cut_to_its_middle(embedder: ImageEmbedder) -> None:
+def test_a_wide_picture_is_cut_to_its_middle(embedder: ClipEmbedder) -> None:
     wide = np.concatenate([picture(5)[:, :50], picture(0), picture(6)[:, :50]], axis=1)
-    assert clip_distances(embedder, picture(0), [wide])[0] == pytest.approx(0, abs=1e-5)
+    assert frame_distances(embedder, picture(0), [wide])[0] == pytest.approx(0, abs=1e-5)
 
 
-def test_a_tree_that_moves_more_is_farther_from_its_rest(embedder: ImageEmbedder) -> None:
+def test_a_tree_that_moves_more_is_farther_from_its_rest(embedder: ClipEmbedder) -> None:
     sample = make_sample(3, "sapling")
     still = motion_distances(embedder, sample.mesh, np.zeros_like(sample.coefficients), num_frames=2)
     moving = motion_distances(embedder, sample.mesh, sample.coefficients, num_frames=2)

@@ -57,7 +57,7 @@ def test_evaluation_judges_the_truth_as_good_and_an_untrained_network_as_not(com
         assert all(sum(shares) == pytest.approx(1, abs=1e-3) for shares in energies.values())
     assert [one["figure"] for one in report["targets"]] == [target.figure for target in TARGETS]
     assert report["passes"] is False
-    assert "clip" not in report
+    assert "frame_distances" not in report
     assert said.count("CLIP-I and CLIP-T are left out") == 1
     assert said.count("--samples") == 1
 
@@ -108,7 +108,7 @@ def test_figures_and_verdicts_are_printed_for_people(capsys: pytest.CaptureFixtu
             "model": "small",
             "trees": {"unseen-species": 3},
             "groups": {"unseen-species": methods},
-            "clip": {"unseen-species": {"truth": {"clip_i": 0.01, "clip_t": 0.02}}},
+            "frame_distances": {"unseen-species": {"truth": {"clip_i": 0.01, "clip_t": 0.02}}},
             "seed_difference": {"model": 1.2, "truth": 1.1},
             "targets": targets_of(methods),
             "rule": "the rule",

@@ -1,0 +1,105 @@
+"""How far the frames of a motion are from the tree at rest (-I), and from the frame before (-T), for an image network.
+
+1 - cosine of two feature vectors, the mean over frames; CLIP-I and CLIP-T of the paper's section 6 where the network is
+CLIP. Values of different networks do not compare.
+"""
+
+from collections.abc import Iterable, Iterator
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+import torch
+from jaxtyping import Complex64, Float32, UInt8
+from PIL import Image
+from torch import Tensor
+
+from dynamictree.mesh import TriangleMesh
+from dynamictree.render import Camera, Look, Renderer
+from dynamictree.spectrum import NUM_FRAMES, iter_motion
+
+SIDE_PX = 224
+BATCH = 16
+LARGEST_ERROR = 5.0
+"""Error of a motion that is still, or of one against a truth that is: e to this power, beyond all that moves."""
+
+Picture = UInt8[np.ndarray, "_ _ 3"]
+
+
+@runtime_checkable
+class ImageEmbedder(Protocol):
+    """A network that gives pictures features. `name` is the prefix of its figures."""
+
+    name: str
+
+    def features(self, pixels: Float32[Tensor, "P 3 S S"]) -> Float32[Tensor, "P D"]:
+        """Features of pictures of values in [0, 1], `SIDE_PX` wide and high."""
+        ...
+
+
+def embedded(embedder: ImageEmbedder, pictures: Iterable[Picture]) -> Float32[Tensor, "P D"]:
+    """One unit vector a picture; pictures are taken as they come, a batch at a time."""
+    rows, waiting = [], []
+    for picture in pictures:
+        waiting.append(_pixels(picture))
+        if len(waiting) == BATCH:
+            rows.append(_unit(embedder, waiting))
+            waiting = []
+    if waiting:
+        rows.append(_unit(embedder, waiting))
+    return torch.cat(rows)
+
+
+def frame_distances(embedder: ImageEmbedder, view: Picture, frames: Iterable[Picture]) -> tuple[float, float]:
+    """The mean distance of frames to the input view, and to the frame before."""
+    (seen,) = embedded(embedder, [view])
+    rows = embedded(embedder, frames)
+    return float(1 - (rows @ seen).mean()), float(1 - (rows[1:] * rows[:-1]).sum(dim=1).mean())
+
+
+def motion_distances(
+    embedder: ImageEmbedder,
+    mesh: TriangleMesh,
+    coefficients: Complex64[np.ndarray, "N K 3"],
+    *,
+    num_frames: int = NUM_FRAMES,
+) -> tuple[float, float]:
+    """`frame_distances` of a motion of a mesh; the input view is the tree at rest from where the frames are seen."""
+    renderer = Renderer(mesh, Look(width=SIDE_PX, height=SIDE_PX))
+    camera = Camera.orbit(mesh.vertices, aspect=1.0)
+    frames = _frames(renderer, camera, coefficients, num_frames)
+    return frame_distances(embedder, renderer.picture(camera=camera), frames)
+
+
+def distance_error(distances: tuple[float, float], truth: tuple[float, float]) -> float:
+    """The larger |ln ratio| of two distances to those of the true motion.
+
+    A small distance alone is no quality: frames that stand still are at none.
+    """
+    pairs = zip(distances, truth, strict=True)
+    return max(
+        LARGEST_ERROR if min(pair) <= 0 else min(abs(float(np.log(pair[0] / pair[1]))), LARGEST_ERROR) for pair in pairs
+    )
+
+
+def _frames(
+    renderer: Renderer, camera: Camera, coefficients: Complex64[np.ndarray, "N K 3"], num_frames: int
+) -> Iterator[Picture]:
+    for displacement in iter_motion(coefficients, np.arange(num_frames) / num_frames):
+        yield renderer.picture(displacement, camera=camera)
+
+
+def _unit(embedder: ImageEmbedder, pixels: list[Float32[Tensor, "3 S S"]]) -> Float32[Tensor, "P D"]:
+    with torch.no_grad():
+        return torch.nn.functional.normalize(embedder.features(torch.stack(pixels)), dim=1)
+
+
+def _pixels(picture: Picture) -> Float32[Tensor, "3 S S"]:
+    """The picture's centre square at `SIDE_PX`, values in [0, 1]."""
+    height, width = picture.shape[:2]
+    side = min(height, width)
+    top, left = (height - side) // 2, (width - side) // 2
+    square = Image.fromarray(picture[top : top + side, left : left + side])
+    if side != SIDE_PX:
+        square = square.resize((SIDE_PX, SIDE_PX), Image.Resampling.BICUBIC)
+    scaled = np.asarray(square, np.float32) / 255
+    return torch.from_numpy(np.ascontiguousarray(scaled.transpose(2, 0, 1)))
