@@ -6,5 +6,5 @@ CLOUD_BUNDLE = "cloud.safetensors"  # a splat or scan as it was read, for the st
 VOXELS = "tree.voxels.safetensors"
 SPECTRUM = "tree.spectrum.safetensors"
 
-STAGE_VERSION = "12"
+STAGE_VERSION = "13"
 """Part of every stage's key; raised when a stage makes something else of the same inputs."""

@@ -1,14 +1,16 @@
 """Find where small separate parts of a mesh, such as leaf cards, are attached to larger parts.
 
 Files rarely join a leaf to its twig: it is a part of its own that only comes near. A part hangs by its point that is
-nearest to a larger part, on the nearest point there. Parts that are far from anything larger hang on nothing.
+nearest to a larger part, on the nearest point there: on one that is clearly larger if there is one, on a twig rather
+than on another card. A branch of its own hangs where its end touches. What is far from all that is larger hangs on
+nothing.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse
-from jaxtyping import Complex64, Float32, Float64, Int32, Int64
+from jaxtyping import Bool, Complex64, Float32, Float64, Int32, Int64
 from scipy.spatial import cKDTree
 
 from dynamictree.mesh import TriangleMesh, connected_parts, part_bounds
@@ -26,9 +28,22 @@ FEW_VERTICES = 24
 MAX_GAP_VOXELS = 2.0
 """Farther from any larger part, a part moves by its own voxels; nearer ones may share voxels with it."""
 
+TWIG_GAP_VOXELS, TWIG_GAP_SHARE = 6.5, 0.65
+"""The same for a card and a twig that is clearly larger, at most this share of the card's extent: artists place cards
+near twigs, not on them."""
+
+TOUCHING_VOXELS = 1.0
+"""A branch that is a part of its own hangs on what its end touches."""
+
 _NEAR_PIECES = 32
-_CLEARLY_LARGER = 2.0
+_CLEARLY_LARGER = 1.7
 """A part hangs on one that is this much larger if one is near, so that leaves hang on twigs and not on each other."""
+_CLASSES_PER_DOUBLING = 4  # of extents: each has a search tree of what is clearly larger
+_AT_END = 0.3  # of the extent: how far from the middle of a branch its end is, at least
+_SEAM_VOXELS = 3.0  # the foot of a branch is within this of its contact
+_SEAM_PLACES = 4
+_NO_PAIRS = np.zeros((0, 2), np.int64)
+_NOWHERE = np.zeros((0, 2, 3), np.int32), np.zeros((0, 2, 3), np.float32)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,15 +54,18 @@ class Attachments:
     children: Int32[np.ndarray, " B"]  # the parts that hang
     corners: Int32[np.ndarray, "B 2 3"]  # by which face of theirs, on which face of the other part
     weights: Float32[np.ndarray, "B 2 3"]  # and where in these, barycentric
+    seam_corners: Int32[np.ndarray, "S 2 3"]  # further places where they touch the same parts
+    seam_weights: Float32[np.ndarray, "S 2 3"]
 
     def __len__(self) -> int:
         return len(self.children)
 
     def differences(self) -> "scipy.sparse.csr_array":
-        """Rows that take the value where a part hangs from the value of its own point there [B, N]."""
-        values = self.weights.astype(np.float64) * np.array([[1], [-1]])
-        ends, shape = 6 * np.arange(len(self) + 1), (len(self), len(self.part))
-        return scipy.sparse.csr_array((values.ravel(), self.corners.ravel(), ends), shape=shape)
+        """Rows that take the value where a part hangs from the value of its own point there [B + S, N]."""
+        corners = np.concatenate([self.corners, self.seam_corners])
+        values = np.concatenate([self.weights, self.seam_weights]).astype(np.float64) * np.array([[1], [-1]])
+        ends, shape = 6 * np.arange(len(corners) + 1), (len(corners), len(self.part))
+        return scipy.sparse.csr_array((values.ravel(), corners.ravel(), ends), shape=shape)
 
     def closed(self, motion: Complex64[np.ndarray, "N K 3"]) -> Complex64[np.ndarray, "N K 3"]:
         """Shift every attached part so that its gap to the attachment point stays as at rest."""
@@ -85,36 +103,112 @@ def find_attachments(mesh: TriangleMesh, grid: VoxelGrid, pieces: SurfacePieces 
     part = connected_parts(mesh.faces, mesh.num_vertices)
     low, high = part_bounds(part, mesh.vertices)
     extent: Float64[np.ndarray, " parts"] = (high - low).max(axis=1) / grid.voxel_size_m
-    size_class = np.floor(np.log(np.maximum(extent, 1e-3)) / np.log(_CLEARLY_LARGER)).astype(np.int64)
+    if len(extent) == 1:
+        return _attachments(mesh, part, None, _NO_PAIRS, _NO_PAIRS)
     rank = np.empty(len(extent), np.int64)
     rank[np.argsort(extent, kind="stable")] = np.arange(len(extent))
-    coarse = np.bincount(part) <= FEW_VERTICES
-    seeking = ((extent < SMALL_PART_VOXELS) | coarse) & (rank < len(extent) - 1)
-    if not seeking.any():
-        nothing = np.zeros((0, 2), np.int64)
-        return _attachments(mesh, part, nothing.astype(np.int32), np.zeros((0, 2, 3), np.float32))
+    small, card = extent < SMALL_PART_VOXELS, np.bincount(part) <= FEW_VERTICES
+    stands = ~small & (low[:, 2] < low[:, 2].min() + grid.voxel_size_m)  # a trunk never hangs on its crown
+    loose = (small | card) & ~stands
     pieces = pieces or grid_pieces(mesh, grid)
     owner = part[mesh.faces[pieces.faces, 0]]
     places = np.einsum("pi,pic->pc", pieces.centroids, mesh.vertices[mesh.faces[pieces.faces]])
-    reach = MAX_GAP_VOXELS * grid.voxel_size_m
-    pairs = [np.zeros((0, 2), np.int64)]  # of pieces
-    for one in np.unique(size_class[seeking]):
-        own, above = np.flatnonzero((seeking & (size_class == one))[owner]), np.flatnonzero(size_class[owner] > one)
-        if len(above) and len(own):
-            gap, nearest = _near(places[above], places[own], reach_m=reach, count=1)
-            best = _first_of_each(owner[own], gap[:, 0])
-            pairs.append(np.stack([own[best], above[nearest[best, 0]]], axis=1))
-    seeking[owner[np.concatenate(pairs)[:, 0]]] = False
-    own = np.flatnonzero(seeking[owner])
-    if len(own):  # only parts of about their own size are near
-        gap, nearest = _near(places, places[own], reach_m=reach, count=min(_NEAR_PIECES, len(places)))
-        larger = rank[owner[np.minimum(nearest, len(places) - 1)]] > rank[owner[own]][:, None]
-        gap = np.where(larger, gap, np.inf)
+    everything = np.ones(len(extent), bool)
+    surface = _Surface(places=places, owner=owner, extent=extent, voxel_size_m=grid.voxel_size_m)
+
+    on_larger = surface.near_larger(~stands, everything, MAX_GAP_VOXELS)
+    hangs = loose[owner[on_larger[:, 0]]]
+    branch = ~hangs & surface.touches_at_end(on_larger)
+    seams = surface.around(on_larger[branch])
+    pairs = [on_larger[hangs | branch]]
+    seeking = loose & (rank < len(extent) - 1)
+
+    def left() -> Bool[np.ndarray, " parts"]:
+        seeking[owner[pairs[-1][:, 0]]] = False
+        remaining: Bool[np.ndarray, " parts"] = seeking
+        return remaining
+
+    pairs.append(surface.near_any_larger(left(), ~card, rank))  # a twig of about the same size
+    pairs.append(surface.near_larger(left() & card, ~card, TWIG_GAP_VOXELS))
+    pairs.append(surface.near_any_larger(left(), everything, rank))  # another card
+    pairs.append(surface.near_larger(left() & card, everything, TWIG_GAP_VOXELS))
+    return _attachments(mesh, part, pieces, np.concatenate(pairs), seams)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Surface:
+    """The pieces of all parts."""
+
+    places: Float32[np.ndarray, "P 3"]  # [m]
+    owner: Int32[np.ndarray, " P"]  # part of each
+    extent: Float64[np.ndarray, " parts"]  # in voxels
+    voxel_size_m: float
+
+    def near_larger(
+        self, seeking: Bool[np.ndarray, " parts"], allowed: Bool[np.ndarray, " parts"], gap_voxels: float
+    ) -> Int64[np.ndarray, "B 2"]:
+        """Of each part that seeks, its piece nearest to an allowed part that is clearly larger, and the one there."""
+        size_class = np.ceil(np.log2(np.maximum(self.extent, 1)) * _CLASSES_PER_DOUBLING).astype(np.int64)
+        pairs = [_NO_PAIRS]
+        for one in np.unique(size_class[seeking]):
+            larger = allowed & (self.extent >= _CLEARLY_LARGER * 2.0 ** (one / _CLASSES_PER_DOUBLING))
+            own, above = (np.flatnonzero(some[self.owner]) for some in (seeking & (size_class == one), larger))
+            if len(above) and len(own):
+                share = TWIG_GAP_SHARE * 2.0 ** (one / _CLASSES_PER_DOUBLING)
+                reach_m = max(MAX_GAP_VOXELS, min(gap_voxels, share)) * self.voxel_size_m
+                gap, nearest = _near(self.places[above], self.places[own], reach_m=reach_m, count=1)
+                best = _first_of_each(self.owner[own], gap[:, 0])
+                pairs.append(np.stack([own[best], above[nearest[best, 0]]], axis=1))
+        return np.concatenate(pairs)
+
+    def near_any_larger(
+        self,
+        seeking: Bool[np.ndarray, " parts"],
+        allowed: Bool[np.ndarray, " parts"],
+        rank: Int64[np.ndarray, " parts"],
+    ) -> Int64[np.ndarray, "B 2"]:
+        """The same with an allowed part that is larger by however little."""
+        own, above = (np.flatnonzero(some[self.owner]) for some in (seeking, allowed))
+        if len(own) == 0 or len(above) == 0:
+            return _NO_PAIRS
+        count = min(_NEAR_PIECES, len(above))
+        reach_m = MAX_GAP_VOXELS * self.voxel_size_m
+        gap, nearest = _near(self.places[above], self.places[own], reach_m=reach_m, count=count)
+        other = above[np.minimum(nearest, len(above) - 1)]
+        gap = np.where(rank[self.owner[other]] > rank[self.owner[own]][:, None], gap, np.inf)
         column = np.argmin(gap, axis=1)
-        best = _first_of_each(owner[own], gap[np.arange(len(own)), column])
-        pairs.append(np.stack([own[best], nearest[best, column[best]]], axis=1))
-    chosen = np.concatenate(pairs)
-    return _attachments(mesh, part, pieces.faces[chosen], pieces.centroids[chosen])
+        best = _first_of_each(self.owner[own], gap[np.arange(len(own)), column])
+        return np.stack([own[best], other[best, column[best]]], axis=1)
+
+    def touches_at_end(self, pairs: Int64[np.ndarray, "B 2"]) -> Bool[np.ndarray, " B"]:
+        """Whether a part touches the other, and not with its middle, as branches that cross do."""
+        count = np.maximum(np.bincount(self.owner, minlength=len(self.extent)), 1)
+        sums = [np.bincount(self.owner, axis, len(self.extent)) for axis in self.places.T]
+        middle = np.stack(sums, axis=1) / count[:, None]
+        (own, other), part = self.places[pairs].transpose(1, 0, 2), self.owner[pairs[:, 0]]
+        from_middle = np.linalg.norm(own - middle[part], axis=1) / self.voxel_size_m
+        touches = np.linalg.norm(own - other, axis=1) <= TOUCHING_VOXELS * self.voxel_size_m
+        return np.asarray(touches & (from_middle >= _AT_END * self.extent[part]))
+
+    def around(self, pairs: Int64[np.ndarray, "B 2"]) -> Int64[np.ndarray, "S 2"]:
+        """Further pieces with which a part touches the other, around each place where they do."""
+        seams = [_NO_PAIRS]
+        for own, other in pairs:
+            near = np.flatnonzero(self.owner == self.owner[own])
+            near = near[self._apart(near, own) <= _SEAM_VOXELS]
+            there = np.flatnonzero(self.owner == self.owner[other])
+            there = there[self._apart(there, own) <= _SEAM_VOXELS + TOUCHING_VOXELS]
+            gap, nearest = _near(
+                self.places[there], self.places[near], reach_m=TOUCHING_VOXELS * self.voxel_size_m, count=1
+            )
+            touching = np.flatnonzero(np.isfinite(gap[:, 0]))
+            few = touching[np.linspace(0, len(touching) - 1, _SEAM_PLACES).astype(np.int64)]
+            seams.append(np.stack([near[few], there[nearest[few, 0]]], axis=1))
+        return np.concatenate(seams)
+
+    def _apart(self, pieces: Int64[np.ndarray, " M"], piece: np.int64) -> Float32[np.ndarray, " M"]:
+        away: Float32[np.ndarray, " M"] = np.linalg.norm(self.places[pieces] - self.places[piece], axis=1)
+        return np.asarray(away / np.float32(self.voxel_size_m), np.float32)
 
 
 def _near(
@@ -137,8 +231,17 @@ def _first_of_each(group: Int32[np.ndarray, " M"], gap: Float64[np.ndarray, " M"
 def _attachments(
     mesh: TriangleMesh,
     part: Int32[np.ndarray, " N"],
-    faces: Int32[np.ndarray, "B 2"],
-    weights: Float32[np.ndarray, "B 2 3"],
+    pieces: SurfacePieces | None,
+    pairs: Int64[np.ndarray, "B 2"],
+    seams: Int64[np.ndarray, "S 2"],
 ) -> Attachments:
-    corners = mesh.faces[faces]  # [B, 2, 3]
-    return Attachments(part=part, children=part[corners[:, 0, 0]], corners=corners, weights=weights)
+    ends = [(mesh.faces[pieces.faces[p]], pieces.centroids[p]) if pieces else _NOWHERE for p in (pairs, seams)]
+    (corners, weights), (seam_corners, seam_weights) = ends
+    return Attachments(
+        part=part,
+        children=part[corners[:, 0, 0]],
+        corners=corners,
+        weights=weights,
+        seam_corners=seam_corners,
+        seam_weights=seam_weights,
+    )

@@ -97,3 +97,50 @@ def test_a_card_stays_where_it_hangs(size_m: float) -> None:
     rest = np.einsum("bsi,bsic->bsc", attachments.weights, welded.vertices[attachments.corners])
     gap, gap_at_rest = (np.linalg.norm(p[..., 0, :] - p[..., 1, :], axis=-1) for p in (points, rest))
     assert np.percentile((gap - gap_at_rest).max(axis=0), 99) < 0.003 * 10
+
+
+def attached(mesh: TriangleMesh, owner: np.ndarray) -> dict[int, int]:
+    """On which of the merged meshes each one hangs."""
+    welded, vertex = weld(mesh)
+    of_vertex = np.empty(welded.num_vertices, np.int64)
+    of_vertex[vertex] = owner
+    attachments = find_attachments(welded, voxelize(mesh, 128).grid)
+    return {int(of_vertex[own[0]]): int(of_vertex[other[0]]) for own, other in attachments.corners}
+
+
+def test_a_card_hangs_on_the_twig_near_it_and_not_on_the_next_card() -> None:
+    """Cards of 0.8 m in a chain, 1.2 to 2 voxels from one another, 3 from the trunk: each is the trunk's."""
+    across = 0.4 * np.eye(3)[1:]
+    chain = [card(np.array([0.2 + 3 * 10 / 128, 0.0, 5 + 0.95 * i]), (1 + 0.01 * i) * across) for i in range(5)]
+    mesh, owner = merged(tube([0, 0, 0], [0, 0, 10], 0.2), *chain)
+    assert attached(mesh, owner) == dict.fromkeys(range(1, 6), 0)
+
+
+def test_a_branch_hangs_where_its_foot_is_and_not_where_it_crosses() -> None:
+    trunk = tube([0, 0, 0], [0, 0, 10], 0.2, rings=40, sides=12)
+    foot = tube([0.15, 0, 6], [2.5, 0, 7], 0.08, rings=10, sides=8)
+    crossing = tube([-1.2, 0.25, 3], [1.2, 0.25, 3], 0.08, rings=10, sides=8)
+    mesh, owner = merged(trunk, foot, crossing)
+    assert attached(mesh, owner) == {1: 0}
+
+
+def test_a_trunk_does_not_hang_on_its_crown() -> None:
+    """A trunk of six sides below a larger crown: its foot would follow the crown."""
+    mesh, owner = merged(tube([0, 0, 0], [0, 0, 4], 0.2, rings=2, sides=6), tube([0, 0, 3.9], [0, 0, 10], 0.3))
+    assert 0 not in attached(mesh, owner)
+
+
+def test_the_foot_of_a_branch_stays_in_the_bark() -> None:
+    """All around it moves as the bark there, to 0.3 % of the height, through noise of voxels."""
+    trunk = tube([0, 0, 0], [0, 0, 10], 0.3, rings=40, sides=12)
+    mesh, _ = merged(trunk, tube([0.28, 0, 6], [2.5, 0, 7], 0.12, rings=12, sides=8))
+    grid = voxelize(mesh, 128).grid
+    moved = to_motion(length_preserving(grid, mesh).apply(sway(grid, 1, 0.3)), 40)
+    welded, vertex = weld(mesh)
+    place = np.empty((40, welded.num_vertices, 3), np.float32)
+    place[:, vertex] = moved
+    attachments = find_attachments(welded, grid)
+    apart = np.stack([attachments.differences() @ frame for frame in place])
+    assert len(attachments) == 1
+    assert apart.shape[1] == 5
+    assert np.linalg.norm(apart, axis=2).max() < 0.003 * 10

@@ -16,7 +16,7 @@ from dynamictree.devoxelize.surface_fit import SurfaceFit
 from dynamictree.devoxelize.symmetric_factor import SymmetricFactor
 from dynamictree.formats.tensors.container import integer, read_tensors, write_tensors
 
-FORMAT, VERSION = "vertex-ties", "1"
+FORMAT, VERSION = "vertex-ties", "2"
 Tensors = dict[str, Shaped[np.ndarray, "..."]]
 
 
