@@ -2,6 +2,9 @@
 
 import json
 import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
@@ -13,7 +16,7 @@ from dynamictree.commands.request_options import with_request_options
 from dynamictree.commands.terminal import AsJson, tell
 from dynamictree.errors import InputError
 from dynamictree.files import published
-from dynamictree.formats.suffixes import PHOTO_SUFFIXES
+from dynamictree.formats.suffixes import MAX_PHOTOS, MIN_PHOTOS, PHOTO_SUFFIXES
 from dynamictree.requests import PhotoParams
 
 
@@ -23,11 +26,15 @@ def reconstruct(
         Path,
         typer.Argument(
             help="A folder of 8 to 300 photos (JPEG, PNG, WebP, TIFF), taken around the tree; cameras in it "
-            "(transforms.json, a COLMAP model, poses_bounds.npy) and a folder `masks` are heeded."
+            "(transforms.json, a COLMAP model, poses_bounds.npy) and a folder `masks` are heeded. Or a film (MP4, MOV, "
+            "WebM) of a walk around the tree."
         ),
     ],
     output: OutputFolder,
     params: PhotoParams,
+    video_frames: Annotated[
+        int, typer.Option(min=MIN_PHOTOS, max=MAX_PHOTOS, help="Of a film: sharp frames that are taken as photos.")
+    ] = 40,
     fresh: Annotated[bool, typer.Option(help="Start anew, whatever an interrupted run has left.")] = False,
     as_json: AsJson = False,
 ) -> None:
@@ -40,22 +47,23 @@ def reconstruct(
     from dynamictree.reconstruct import reconstruct as reconstruct_photos
     from dynamictree.reconstruct.from_request import options_of
 
-    if not photos.is_dir():
-        raise InputError(f"{photos} is no folder; give the folder that holds the photos")
-    paths = sorted(path for path in photos.rglob("*") if path.is_file() and path.suffix.lower() in PHOTO_SUFFIXES)
     work = output.resolve().with_name(f"{output.resolve().name}.unfinished")
     if fresh:
         shutil.rmtree(work, ignore_errors=True)
     try:
-        with stopping_on_signals() as check, stage_progress(as_json=as_json) as report, published(output) as folder:
+        with (
+            _photo_folder(photos, video_frames) as root,
+            stopping_on_signals() as check,
+            stage_progress(as_json=as_json) as report,
+            published(output) as folder,
+        ):
+            paths = sorted(path for path in root.rglob("*") if path.is_file() and path.suffix.lower() in PHOTO_SUFFIXES)
 
             def on_progress(progress: Progress) -> None:
                 report(progress)
                 check()
 
-            reconstruct_photos(
-                paths, folder, options=options_of(params), root=photos, work=work, on_progress=on_progress
-            )
+            reconstruct_photos(paths, folder, options=options_of(params), root=root, work=work, on_progress=on_progress)
             names = sorted(path.name for path in folder.iterdir())
             facts = json.loads((folder / "report.json").read_text())
     except BaseException as error:
@@ -69,3 +77,22 @@ def reconstruct(
         raise
     shutil.rmtree(work)
     tell({"files": [str(output / name) for name in names], **facts}, as_json=as_json)
+
+
+@contextmanager
+def _photo_folder(source: Path, video_frames: int) -> Iterator[Path]:
+    """The folder itself; of a film, one with its sharpest frames, which are the same in every run.
+
+    Raises:
+        InputError: neither a folder nor a film.
+    """
+    if source.is_dir():
+        yield source
+        return
+    from dynamictree.reconstruct.video_frames import SUFFIXES, write_sharp_frames
+
+    if source.suffix.lower() not in SUFFIXES:
+        raise InputError(f"{source} is no folder of photos and no film ({', '.join(SUFFIXES)}); give one of them")
+    with tempfile.TemporaryDirectory() as folder:
+        write_sharp_frames(source, Path(folder), count=video_frames)
+        yield Path(folder)
