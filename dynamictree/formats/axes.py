@@ -18,6 +18,8 @@ from dynamictree.mesh import SourceWarning, TriangleMesh
 
 TALLEST_TREE_M = 120.0  # Hyperion, the tallest tree known, is 116 m
 USUAL_HEIGHT_M = (0.2, 60.0)
+OTHERWISE = 0.95
+"""How sure the shape must be of another axis than that of the format to be worth a warning."""
 UNITS_M = (1.0, 0.01, 0.001)
 
 # rows are where the file's axes go; +Y is glTF's, −Y that of a scene reconstructed from photos (x right, y down)
@@ -102,6 +104,20 @@ def axis_warnings(judged: UpAxis) -> tuple[SourceWarning, ...]:
     message = (
         f"the file does not say which way is up; {judged.axis} was taken with a confidence of "
         f"{judged.confidence:.0%}; set up_axis if the tree lies on its side"
+    )
+    return (SourceWarning(code="orientation-uncertain", message=message),)
+
+
+def axis_doubts(judged: UpAxis | None, taken: str) -> tuple[SourceWarning, ...]:
+    """A warning if a shape that was turned from `taken` up to +Z up clearly stands along another axis."""
+    if judged is None or judged.axis == "+Z" or judged.confidence < OTHERWISE:
+        return ()
+    direction = up_rotation(taken).T @ up_rotation(judged.axis)[2]
+    column = int(np.argmax(np.abs(direction)))
+    axis = ("+" if direction[column] > 0 else "-") + "XYZ"[column]
+    message = (
+        f"{taken} was taken as up, as is usual in such files, but the shape stands upright along {axis} with a "
+        f"confidence of {judged.confidence:.0%}; set up_axis to {axis} if the plant lies on its side"
     )
     return (SourceWarning(code="orientation-uncertain", message=message),)
 

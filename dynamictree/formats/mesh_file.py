@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from dynamictree.byte_stream import ByteReader, read_all
 from dynamictree.errors import FormatError
-from dynamictree.formats.axes import mesh_to_z_up
+from dynamictree.formats.axes import axis_doubts, mesh_to_z_up
 from dynamictree.formats.gltf.reader import read_gltf
 from dynamictree.formats.mesh.foreign import read_foreign_mesh
 from dynamictree.formats.mesh.obj import read_obj
@@ -15,6 +15,7 @@ from dynamictree.formats.mesh.ply import read_ply_mesh
 from dynamictree.formats.mesh.stl import is_ascii_stl, read_stl
 from dynamictree.formats.ply_table import read_header
 from dynamictree.formats.still_parts import find_still_parts
+from dynamictree.formats.upright import judge_standing
 from dynamictree.mesh import TriangleMesh, validate_mesh
 from dynamictree.requests import Reading
 from dynamictree.trees.of_mesh import with_trees
@@ -106,7 +107,11 @@ def read_mesh(
     )
     validate_mesh(upright)
     parts, still = find_still_parts(upright)
-    return with_trees(replace(upright, still_parts=parts, still_faces=still))
+    whole = replace(upright, still_parts=parts, still_faces=still)
+    if reading.up_axis is None and file_type in ("glb", "gltf", "dae", "3mf"):  # these state an axis
+        doubts = axis_doubts(judge_standing(whole.moving_part), upright.source_up_axis)
+        whole = replace(whole, warnings=whole.warnings + doubts)
+    return with_trees(whole)
 
 
 def sniff_file_type(head: bytes, filename: str = "") -> str:

@@ -8,11 +8,13 @@ from typing import Literal
 import numpy as np
 
 from dynamictree.errors import FormatError
+from dynamictree.formats.axes import axis_doubts
 from dynamictree.formats.cloud_file import CLOUD_TYPES, cloud_kind, read_cloud, says_unit
 from dynamictree.formats.cloud_size import sized
 from dynamictree.formats.mesh_file import read_mesh, sniff_file_type
 from dynamictree.formats.seekable import SeekableReader
 from dynamictree.formats.splat.mask import read_mask
+from dynamictree.formats.upright import judge_up_axis_of_points
 from dynamictree.gaussian.capture import Capture, moving_part, with_still_parts
 from dynamictree.mesh import SourceWarning
 from dynamictree.requests import Reading
@@ -29,6 +31,7 @@ _CONVERTED = {
 }
 FEWEST_GAUSSIANS = 500
 """Of a splat that can look like a plant."""
+_VISIBLE = 0.1  # opacity of Gaussians that show the shape
 _FLAT = 0.25  # height over width of what does not stand upright
 
 
@@ -85,7 +88,8 @@ def read_capture(
     as_it_is = read_cloud(stream, file_type=file_type, up_axis=reading.up_axis, unit_m=reading.unit_m)
     cloud, doubts = sized(as_it_is, height_m=reading.height_m, stated=stated)
     capture = with_still_parts(Capture(cloud=cloud, mask=None if mask is None else read_mask(mask), warnings=doubts))
-    capture = replace(capture, warnings=(*doubts, *_doubt_plant(capture)))
+    sides = () if reading.up_axis else _doubt_axis(capture)
+    capture = replace(capture, warnings=(*doubts, *sides, *_doubt_plant(capture)))
     if mesh is None:
         return _with_trees(capture, is_scan=cloud_kind(stream, file_type=file_type) == "points")
     name, content = mesh
@@ -118,6 +122,13 @@ def _with_trees(capture: Capture, *, is_scan: bool) -> Capture:
     tree = np.full(capture.cloud.num_gaussians, -1, np.int32)
     tree[moving] = segmentation.tree_of_point
     return replace(capture, tree=tree, warnings=(*capture.warnings, several_trees(len(segmentation.trees))))
+
+
+def _doubt_axis(capture: Capture) -> tuple[SourceWarning, ...]:
+    """A warning if the shape of what moves stands upright along another axis than that of the file's format."""
+    points = capture.cloud.means[moving_part(capture) & (capture.cloud.opacity >= _VISIBLE)]
+    judged = judge_up_axis_of_points(points) if len(points) >= FEWEST_GAUSSIANS else None
+    return axis_doubts(judged, capture.cloud.source_up_axis)
 
 
 def _doubt_plant(capture: Capture) -> tuple[SourceWarning, ...]:

@@ -15,11 +15,12 @@ Their weights are those of a conditional logit (McFadden 1974) over trees of kno
 """
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
+from jaxtyping import Bool, Float32, Float64, Int64
 
+from dynamictree.formats.still_parts import find_still_faces
 from dynamictree.mesh import TriangleMesh, connected_parts, part_bounds, weld
 
 AXES = ("+X", "-X", "+Y", "-Y", "+Z", "-Z")
@@ -40,6 +41,7 @@ WOOD = re.compile(r"bark|trunk|wood|stem|branch|log\b|stamm|rinde|tronc|holz|twi
 LEAF = re.compile(r"lea[fv]|foliage|crown|needle|blatt|laub|feuill|frond|canopy|flower|blossom|petal", re.IGNORECASE)
 
 _POINTS = 20_000
+_OUTLIERS = (0.002, 0.998)  # of the coordinates of splats and scans
 _SLICES = 24
 _FOOT_SLICES = 2
 _NARROW = 0.4  # of the whole's spread
@@ -57,10 +59,28 @@ class UpAxis:
 
 
 def judge_up_axis(mesh: TriangleMesh, *, habit: str | None = None) -> UpAxis:
-    """Weigh the six axes of a mesh in its file's own; `habit` is the axis that is usual in the file's format."""
+    """Weigh the six axes of a mesh in its file's own; `habit` is the axis that is usual in the file's format.
+
+    Where that leaves a doubt, each axis is weighed by the plant alone: without what would stand still if it were up.
+    """
     cues = axis_cues(mesh)
     if cues is None:
         return UpAxis(axis=habit or "+Z", confidence=0.0)
+    judged = _likeliest(cues, habit)
+    if judged.confidence >= CERTAIN:
+        return judged
+    alone = np.stack([_cues_of_plant(mesh, axis, row) for axis, row in zip(AXES, cues, strict=True)])
+    second = _likeliest(alone, habit)
+    return second if second.confidence > judged.confidence else judged
+
+
+def judge_standing(mesh: TriangleMesh) -> UpAxis | None:
+    """The most likely of the six axes of a mesh that stands on +Z as its file says; None of one without surface."""
+    cues = axis_cues(mesh)
+    return None if cues is None else _likeliest(cues, "+Z")
+
+
+def _likeliest(cues: Float64[np.ndarray, "6 C"], habit: str | None) -> UpAxis:
     logits = cues @ WEIGHTS + np.array([HABIT * (axis == habit) for axis in AXES])
     chances = np.exp(logits - logits.max())
     chances /= chances.sum()
@@ -70,18 +90,45 @@ def judge_up_axis(mesh: TriangleMesh, *, habit: str | None = None) -> UpAxis:
     return UpAxis(axis=AXES[best], confidence=float(chances[best]))
 
 
-def axis_cues(mesh: TriangleMesh) -> Float64[np.ndarray, "6 C"] | None:
-    """The cues of each of `AXES`, in the order of `CUES`; None of a mesh without surface."""
+def _cues_of_plant(mesh: TriangleMesh, axis: str, cues: Float64[np.ndarray, " C"]) -> Float64[np.ndarray, " C"]:
+    """The cues of one axis without the ground, pot and things that there would be; `cues` if there were none."""
+    column, sign = "XYZ".index(axis[1]), 1 if axis[0] == "+" else -1
+    others = [other for other in range(3) if other != column]
+    standing = np.stack([mesh.vertices[:, others[0]], mesh.vertices[:, others[1]], sign * mesh.vertices[:, column]], 1)
+    still = find_still_faces(mesh.with_vertices(np.ascontiguousarray(standing)))
+    plant = None if still is None else axis_cues(replace(mesh, still_faces=still).moving_part, axes=(axis,))
+    own: Float64[np.ndarray, " C"] = cues if plant is None else plant[0]
+    return own
+
+
+def judge_up_axis_of_points(points: Float32[np.ndarray, "P 3"]) -> UpAxis:
+    """The most likely of the six axes by the points of a splat or scan alone; outlying ones do not count."""
+    drawn = points[np.random.default_rng(0).permutation(len(points))[:_POINTS]].astype(np.float64)
+    low, high = np.quantile(drawn, _OUTLIERS, axis=0)
+    drawn = drawn[((drawn >= low) & (drawn <= high)).all(axis=1)]
+    unknown = np.zeros(len(drawn), np.int64)
+    return _likeliest(_cues_of_points(drawn, unknown, unknown, AXES), None)
+
+
+def axis_cues(mesh: TriangleMesh, axes: tuple[str, ...] = AXES) -> Float64[np.ndarray, "A C"] | None:
+    """The cues of each axis, in the order of `CUES`; None of a mesh without surface."""
     sampled = _surface_points(mesh)
     if sampled is None:
         return None
     points, faces = sampled
+    return _cues_of_points(points, _kinds(mesh)[faces], _largest_part(mesh)[faces], axes)
+
+
+def _cues_of_points(
+    points: Float64[np.ndarray, "P 3"],
+    kind: Int64[np.ndarray, " P"],  # 1 wood, 2 leaf, 0 unknown
+    stem: Int64[np.ndarray, " P"],
+    axes: tuple[str, ...],
+) -> Float64[np.ndarray, "A C"]:
     points = np.asfortranarray(points)  # so that each coordinate is contiguous
     points = (points - points.min(axis=0)) / max(float(np.ptp(points, axis=0).max()), 1e-30)
-    kind = _kinds(mesh)[faces]  # 1 wood, 2 leaf, 0 unknown
-    stem = _largest_part(mesh)[faces]
     rows = []
-    for axis in AXES:
+    for axis in axes:
         column = "XYZ".index(axis[1])
         height = points[:, column] if axis[0] == "+" else points[:, column].max() - points[:, column]
         across = np.delete(points, column, axis=1)

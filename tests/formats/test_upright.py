@@ -7,13 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from dynamictree.dataset.sapling import grow_tree
 from dynamictree.dataset.species import SPECIES
 from dynamictree.formats.axes import up_rotation
 from dynamictree.formats.mesh_file import read_mesh
+from dynamictree.formats.source_file import read_capture
 from dynamictree.formats.upright import AXES, CERTAIN, judge_up_axis
-from dynamictree.mesh import TriangleMesh
+from dynamictree.mesh import TriangleMesh, joined
 from dynamictree.requests import Reading
 
 
@@ -58,3 +60,44 @@ def test_what_is_doubtful_is_said() -> None:
     )
     assert (stated.warnings, stated.source_up_confidence) == ((), 1.0)
     assert stated.height_m == pytest.approx(3.0, rel=1e-6)
+
+
+def ball(middle: tuple[float, float, float], radius: float) -> TriangleMesh:
+    return TriangleMesh.from_trimesh(trimesh.creation.icosphere(1, radius).apply_translation(middle))
+
+
+@pytest.fixture(scope="module")
+def pine() -> TriangleMesh:
+    mesh = grow_tree(SPECIES["pine"], np.random.default_rng([11, 4])).mesh
+    return TriangleMesh(vertices=mesh.vertices, faces=mesh.faces)
+
+
+def test_a_tree_in_a_scene_stands_up_from_any_of_six_axes() -> None:
+    """A ball on a pole with stones that lie wider than its crown: the plant alone says what is up."""
+    pole = TriangleMesh.from_trimesh(trimesh.creation.cylinder(0.12, 2).apply_translation((0, 0, 1)))
+    stones = [ball((x, y, 0.1), 0.15) for x, y in ((2.0, 0.3), (-1.5, 1.2), (0.4, -1.8), (1.2, 1.9))]
+    scene = joined([pole, ball((0, 0, 2.4), 0.7), *stones])
+    for axis in AXES:
+        laid = scene.with_vertices((scene.vertices @ up_rotation(axis)).astype(np.float32))
+        assert judge_up_axis(laid).axis == axis
+
+
+@pytest.mark.parametrize("axis", ["+X", "+Y", "+Z"])
+def test_a_file_whose_axis_its_shape_denies_is_flagged_with_the_other(pine: TriangleMesh, axis: str) -> None:
+    """glTF is +Y up by its specification, scans are +Z by habit: exporters and scanners differ."""
+    laid = (pine.vertices @ up_rotation(axis)).astype(np.float32)
+    content = trimesh.Trimesh(laid, pine.faces, process=False).export(file_type="glb")
+    mesh = read_mesh(io.BytesIO(content), file_type="glb")
+    doubts = [warning.message for warning in mesh.warnings if warning.code == "orientation-uncertain"]
+    assert [f"set up_axis to {axis} " in message for message in doubts] == ([] if axis == "+Y" else [True])
+
+    surface = trimesh.sample.sample_surface(trimesh.Trimesh(laid, pine.faces, process=False), 4000, seed=0)[0]
+    points = "\n".join(f"{x:.4f} {y:.4f} {z:.4f}" for x, y, z in surface)
+    capture = read_capture(io.BytesIO(points.encode()), file_type="txt")
+    doubts = [warning.message for warning in capture.warnings if warning.code == "orientation-uncertain"]
+    assert [f"set up_axis to {axis} " in message for message in doubts] == ([] if axis == "+Z" else [True])
+    assert not [
+        w
+        for w in read_capture(io.BytesIO(points.encode()), file_type="txt", reading=Reading(up_axis="+X")).warnings
+        if w.code == "orientation-uncertain"
+    ]
