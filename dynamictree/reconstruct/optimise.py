@@ -128,7 +128,7 @@ def _one_step(
         wanted = target.photo * target.alpha[..., None] + behind * (1 - target.alpha[..., None])
     light = drawing.picture[..., 4]
     composited = drawing.picture[..., :3] + behind * light[..., None]
-    loss = picture_loss(_planes(composited), _planes(wanted), ssim_share=SSIM_SHARE)
+    loss = picture_loss(planes_of(composited), planes_of(wanted), ssim_share=SSIM_SHARE)
     gradient = np.zeros_like(drawing.picture)
     gradient[..., :3] = loss.gradient.transpose(1, 2, 0)
     gradient[..., 4] = gradient[..., :3] @ behind
@@ -212,7 +212,8 @@ def cut_out(target: Target) -> Float32[np.ndarray, "H W 3"]:
     return target.photo if target.alpha is None else target.photo * target.alpha[..., None]
 
 
-def _planes(picture: Float32[np.ndarray, "H W 3"]) -> Float32[np.ndarray, "3 H W"]:
+def planes_of(picture: Float32[np.ndarray, "H W 3"]) -> Float32[np.ndarray, "3 H W"]:
+    """A picture as one plane a channel."""
     return np.ascontiguousarray(picture.transpose(2, 0, 1))
 
 

@@ -51,6 +51,11 @@ def psnr(picture: Float32[np.ndarray, "*shape"], photo: Float32[np.ndarray, "*sh
     return -10 * float(np.log10(max(np.square(picture - photo, dtype=np.float64).mean(), 1e-12)))
 
 
+def ssim(picture: Float32[np.ndarray, "3 H W"], photo: Float32[np.ndarray, "3 H W"]) -> float:
+    """Structural similarity, the mean over pixels and channels; 1 for the same picture."""
+    return 1 - picture_loss(picture, photo, ssim_share=1.0).value
+
+
 def blur(planes: Float32[np.ndarray, "P H W"]) -> Float32[np.ndarray, "P H W"]:
     """Each plane blurred by SSIM's window, zero beyond its edges; its own adjoint."""
     result = np.empty_like(planes)

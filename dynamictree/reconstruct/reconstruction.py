@@ -154,6 +154,8 @@ def _result(
         num_gaussians_scene=whole.num_gaussians,
         held_out=list(fit.held_out),
         held_out_psnr_db=[round(value, 2) for value in fit.psnr_db],
+        held_out_masked_psnr_db=[round(value, 2) for value in fit.masked_db],
+        held_out_ssim=[round(value, 4) for value in fit.ssim],
         held_out_blank_psnr_db=[round(value, 2) for value in fit.blank_db],
         held_out_size_px=list(fit.size_px),
         warnings=quality_warnings(fit.psnr_db, fit.blank_db),

@@ -26,6 +26,8 @@ class Report(TypedDict):
     num_gaussians_scene: int
     held_out: list[str]  # photos that the splat was not learned from
     held_out_psnr_db: list[float]  # of each
+    held_out_masked_psnr_db: list[float]  # inside the mask; empty without masks
+    held_out_ssim: list[float]
     held_out_blank_psnr_db: list[float]  # of a picture of one colour, for comparison
     held_out_size_px: list[int]
     warnings: list[str]  # what makes the result doubtful, and what to do

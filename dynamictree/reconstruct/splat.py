@@ -11,12 +11,22 @@ from jaxtyping import Float32, UInt8
 from dynamictree.reconstruct.adam import AdamState
 from dynamictree.reconstruct.checkpoint import load_progress, save_progress
 from dynamictree.reconstruct.depth import DepthMaps
-from dynamictree.reconstruct.optimise import Schedule, SplatProgress, Target, cut_out, drawn, optimise, smaller
-from dynamictree.reconstruct.picture_loss import psnr
+from dynamictree.reconstruct.optimise import (
+    Schedule,
+    SplatProgress,
+    Target,
+    cut_out,
+    drawn,
+    optimise,
+    planes_of,
+    smaller,
+)
+from dynamictree.reconstruct.picture_loss import psnr, ssim
 from dynamictree.reconstruct.splat_start import first_table
 from dynamictree.reconstruct.views import SparseModel, View
 
 START_GAUSSIANS = 25_000
+_INSIDE = 0.5  # alpha
 _ONE_IN = 8  # photos is held out, and two at least
 _SAVE_EVERY_S, _REPORT_EVERY_S = 20.0, 0.25
 
@@ -28,6 +38,8 @@ class SplatFit:
     table: Float32[np.ndarray, "G P"]
     held_out: tuple[str, ...]  # photos, by their own names
     psnr_db: tuple[float, ...]  # of each of them
+    masked_db: tuple[float, ...]  # PSNR inside the mask; none without masks
+    ssim: tuple[float, ...]
     blank_db: tuple[float, ...]  # of a picture of one colour, the photo's mean, beside it
     pictures: tuple[UInt8[np.ndarray, "H W 3"], ...]  # each photo, and beside it what the splat shows
     size_px: tuple[int, int]  # width and height of the first
@@ -114,6 +126,12 @@ def _judged(end: SplatProgress, views: list[View], unseen: list[Target], schedul
         table=end.result,
         held_out=tuple(view.source for view in views),
         psnr_db=tuple(psnr(picture, photo) for picture, photo in zip(pictures, photos, strict=True)),
+        masked_db=tuple(
+            psnr(picture[target.alpha > _INSIDE], photo[target.alpha > _INSIDE])
+            for picture, photo, target in zip(pictures, photos, targets, strict=True)
+            if target.alpha is not None
+        ),
+        ssim=tuple(ssim(planes_of(picture), planes_of(photo)) for picture, photo in zip(pictures, photos, strict=True)),
         blank_db=tuple(psnr(np.broadcast_to(photo.mean(axis=(0, 1)), photo.shape), photo) for photo in photos),
         pictures=tuple(np.rint(pair * 255).astype(np.uint8) for pair in pairs),
         size_px=(photos[0].shape[1], photos[0].shape[0]),

@@ -14,7 +14,7 @@ from dynamictree.reconstruct.cut import cloud_in_metres, of_the_tree
 from dynamictree.reconstruct.densify import DensityRules, densified, fainter
 from dynamictree.reconstruct.gradient import gradients_of
 from dynamictree.reconstruct.optimise import Schedule, SplatProgress
-from dynamictree.reconstruct.picture_loss import picture_loss, psnr
+from dynamictree.reconstruct.picture_loss import picture_loss, psnr, ssim
 from dynamictree.reconstruct.splat import fit_splat, held_out_views
 from dynamictree.reconstruct.splat_start import thinned
 from dynamictree.reconstruct.splat_table import LOG_SCALE, LOGIT, MEAN, cloud_of, table_of_points
@@ -46,11 +46,14 @@ def test_a_splat_learns_to_show_photos_that_it_was_not_shown(orbit, rng):
     assert fit.held_out == ("photo_03.jpg", "photo_10.jpg")
     assert fit.size_px == (120, 90)
     assert np.mean(fit.psnr_db) > np.mean(fit.blank_db) + 5
+    assert fit.masked_db == ()
+    assert 0.3 < min(fit.ssim) <= max(fit.ssim) < 1
     assert max(value for *_, value in fit.checks if np.isfinite(value)) == pytest.approx(np.mean(fit.psnr_db), abs=0.01)
 
 
 def test_where_photos_are_cut_out_nothing_is_left(orbit, rng):
     fit = fit_splat(small_model(orbit, rng, cut=True), None, replace(SMALL, num_steps=120))
+    assert all(inside < whole for inside, whole in zip(fit.masked_db, fit.psnr_db, strict=True))  # the black is easy
     for pair in fit.pictures:
         blue_half = pair[:, 120:].astype(float)
         assert blue_half[:, :24].mean() < 0.25 * blue_half[:, 36:84].mean()
@@ -111,6 +114,7 @@ def test_the_loss_and_its_gradient_are_torchs(rng):
     similarity = (2 * mx * my + 1e-4) * (2 * sxy + 9e-4) / ((mx * mx + my * my + 1e-4) * (sx + sy + 9e-4))
     loss = 0.8 * (x - y).abs().mean() + 0.2 * (1 - similarity.mean())
     loss.backward()
+    assert ssim(picture, photo) == pytest.approx(similarity.mean().item(), rel=1e-5)
     assert restored.value == pytest.approx(loss.item(), rel=1e-5)
     assert np.abs(restored.gradient - x.grad.numpy()).max() < 1e-4 * np.abs(x.grad.numpy()).max()
     assert psnr(picture, picture + np.float32(0.1)) == pytest.approx(20, abs=1e-3)
