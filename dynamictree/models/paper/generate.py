@@ -28,7 +28,7 @@ from dynamictree.voxel.voxelize import SurfaceVoxels
 
 OUTPUT_RESOLUTION = 128
 """Spectra of a coarser grid are interpolated onto this one, which the rest of the method works on."""
-BAND = 4
+BAND = 8
 """Frequencies that one thread denoises together."""
 MAX_ACTIVATIONS = 4_000_000
 """Values in one layer of the U-Net's first level that a band of frequencies may have."""
