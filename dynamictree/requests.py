@@ -38,6 +38,7 @@ Format = Literal[
     "glb",
     "glb-reduced",
     "glb-skinned",
+    "lod",
     "usd",
     "alembic",
     "vat",

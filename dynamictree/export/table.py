@@ -7,6 +7,7 @@ from pathlib import PurePosixPath
 from typing import BinaryIO, Literal
 
 from dynamictree.errors import InputError
+from dynamictree.export.engine_files import write_levels
 from dynamictree.export.mesh_files import (
     write_alembic,
     write_displacements,
@@ -79,6 +80,7 @@ PRODUCTS: dict[Format, Product] = {
         "Animated GLB, 8 targets", "tree-8-targets.glb", "mesh", SPEED | NORMALS, write=write_reduced_glb
     ),
     "glb-skinned": Product("Skinned GLB", "tree-skinned.glb", "mesh", SPEED | JOINTS, write=write_skinned_glb),
+    "lod": Product("Levels of detail", "tree.lod.zip", "mesh", SPEED, write=write_levels),
     "usd": Product("USD", "tree.usdz", "mesh", FRAMES, "pxr", "usd", write=write_usdz),
     "alembic": Product("Alembic", "tree.abc", "mesh", FRAMES, "alembic3d", "alembic", write=write_alembic),
     "vat": Product("Vertex animation texture", "tree.vat.zip", "mesh", FRAMES | NORMALS, write=write_vertex_texture),

@@ -70,7 +70,7 @@ def appearance_of(mesh: TriangleMesh) -> Appearance:
     vertex_rgb = np.ones((mesh.num_vertices, 3), np.float32) if colors is None else linear_from_bytes(colors[:, :3])
     base = np.array([material.base_color for material in materials], np.float32)
     cutoff = np.array([material.alpha_cutoff or 0 for material in materials], np.float32)
-    leafy = [_is_leafy(material) for material in materials] if has_colors else [False, True]
+    leafy = [is_leafy(material) for material in materials] if has_colors else [False, True]
     return Appearance(
         uv=np.zeros((mesh.num_vertices, 2), np.float32) if mesh.uv is None else np.array(mesh.uv, np.float32),
         vertex_rgb=vertex_rgb,
@@ -84,8 +84,8 @@ def appearance_of(mesh: TriangleMesh) -> Appearance:
     )
 
 
-def _is_leafy(material: Material) -> bool:
-    """Cards are cut out; others say it in their name."""
+def is_leafy(material: Material) -> bool:
+    """Whether a material is of leaves: cards are cut out, others say it in their name."""
     named = any(word in material.name.lower() for word in ("leaf", "leaves", "foliage", "needle"))
     return named or material.alpha_cutoff is not None
 

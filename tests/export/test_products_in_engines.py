@@ -90,7 +90,7 @@ def test_what_is_not_exact_says_how_far_off_it_is(name: str, play, products: Pro
 
 
 def test_only_what_is_not_exact_has_something_to_tell(products: Products) -> None:
-    assert set(products[1]) == {"glb-reduced", "glb-skinned"}
+    assert set(products[1]) == {"glb-reduced", "glb-skinned", "lod"}
 
 
 def test_usd_and_vertex_texture_show_every_frame(products: Products, truth: np.ndarray) -> None:

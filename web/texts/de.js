@@ -157,6 +157,8 @@ export default {
   "format.glb-reduced.for": "Unity, Unreal, Telefone",
   "format.glb-skinned": "GLB mit Skelett",
   "format.glb-skinned.for": "Engines ohne Morph-Ziele",
+  "format.lod": "GLB, Detailstufen",
+  "format.lod.for": "Unreal, Unity, Godot: nah und fern",
   "format.usd": "USD",
   "format.usd.for": "Omniverse, Houdini, iPhone",
   "format.alembic": "Alembic",

@@ -157,6 +157,8 @@ export default {
   "format.glb-reduced.for": "Unity, Unreal, phones",
   "format.glb-skinned": "GLB, skinned",
   "format.glb-skinned.for": "engines without morph targets",
+  "format.lod": "GLB, levels of detail",
+  "format.lod.for": "Unreal, Unity, Godot: near and far",
   "format.usd": "USD",
   "format.usd.for": "Omniverse, Houdini, iPhone",
   "format.alembic": "Alembic",

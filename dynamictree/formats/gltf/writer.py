@@ -98,8 +98,12 @@ def add_mesh(
     *,
     targets: Sequence[dict[str, int]] = (),
     more_attributes: Mapping[str, int] | None = None,
-) -> None:
-    """Add the mesh with morph targets and further attributes, given as accessors, that all of its primitives share."""
+    materials: Sequence[int] | None = None,
+) -> Sequence[int]:
+    """Add the mesh with morph targets and further attributes, given as accessors, that all of its primitives share.
+
+    Gives the indices of its materials, which the next mesh may share.
+    """
     attributes = {
         "POSITION": writer.add_accessor(vertices_in_source_axes(mesh, "+Y"), target=VERTEX_BUFFER, bounds=True)
     }
@@ -111,7 +115,8 @@ def add_mesh(
         colors = linear_colors(mesh.vertex_colors)
         attributes["COLOR_0"] = writer.add_accessor(colors, target=VERTEX_BUFFER, normalized=True)
     attributes |= more_attributes or {}
-    materials = [writer.append("materials", _material(writer, material)) for material in mesh.materials]
+    if materials is None:
+        materials = [writer.append("materials", _material(writer, material)) for material in mesh.materials]
     face_material = np.zeros(mesh.num_faces, np.int32) if mesh.face_material is None else mesh.face_material
     primitives = []
     for number in np.unique(face_material):
@@ -126,6 +131,7 @@ def add_mesh(
             primitive["targets"] = list(targets)
         primitives.append(primitive)
     writer.append("meshes", {"name": "tree", "primitives": primitives})
+    return materials
 
 
 def _material(writer: GlbWriter, material: Material) -> dict[str, object]:

@@ -1,0 +1,359 @@
+"""Levels of detail of a moving tree: fewer triangles, the same motion; last, cards with a picture of the tree.
+
+Wood is simplified; its vertices are vertices of the source, with their texture coordinates and motion. Leaves are
+thinned, and those that stay grow about their attachment by as much as keeps the area of all; they move as before.
+"""
+
+import io
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Complex64, Float32, Float64, Int32, Int64
+from PIL import Image
+
+from dynamictree.mesh import Material, TriangleMesh, connected_parts, part_bounds, weld
+from dynamictree.render import Camera, Look, Renderer
+from dynamictree.render.appearance import foliage_faces, is_leafy
+from dynamictree.spectrum import iter_motion
+
+SHARES = (1.0, 0.4, 0.15, 0.05)
+"""Of the triangles, level by level."""
+LARGEST_GROWTH = 4.0  # of a leaf; a level of very few leaves has less area than the tree
+_FEWEST_FACES = 100  # of wood of one material
+_FEWEST_BRANCHES = 16  # as parts of their own; fewer parts are all simplified, none is left out
+_BRANCH_SHARE = 1.4  # faces of a thin branch over those that quadrics leave of it; fewer, and they take the trunk
+_LONGEST_RIM = 24  # edges around the open end of a branch
+_SPLITS = 4  # vertices at one place that are tried for a face, at seams of the texture
+_FEWEST_LEAVES = 16  # fewer small pieces are no foliage: a pot, a trunk of a few faces
+_SAMPLES_PER_FACE = 16  # points at which a level's motion is compared, besides its vertices
+_MOST_SAMPLES = 200_000
+_SILHOUETTE_PX = 192
+_CARD_PX = 512  # height of the picture on a card
+_CARD_ROWS, _CARD_COLUMNS = 6, 4  # faces of a card
+_CARD_VIEWS_DEG = (0.0, 90.0)
+_FAR = 40.0  # distance of the card's camera over the tree's height: nearly parallel rays
+
+
+@dataclass(frozen=True, kw_only=True)
+class LevelError:
+    """How a level differs from the tree, over all of the tree's vertices and frames."""
+
+    num_triangles: int
+    num_vertices: int
+    relative_error: float  # root mean square of what is missing of the motion over that of the motion
+    rms_error_m: float
+    max_error_m: float
+    silhouette: float  # pixels that both cover over pixels that one covers, seen from two sides at rest
+
+
+@dataclass(frozen=True, kw_only=True)
+class Level:
+    """One level of detail: a mesh, the spectrum of its vertices [m], and how it differs."""
+
+    mesh: TriangleMesh
+    coefficients: Complex64[np.ndarray, "N K 3"]
+    error: LevelError
+
+
+def levels_of(mesh: TriangleMesh, coefficients: Complex64[np.ndarray, "N K 3"], num_frames: int) -> list[Level]:
+    """Levels with `SHARES` of the triangles, and cards."""
+    leaves = _leaf_parts(mesh)
+    meshes = [(mesh, coefficients)]
+    meshes += [_reduced(mesh, coefficients, leaves, share) for share in SHARES[1:]]
+    meshes.append(_cards(mesh, coefficients))
+    views = [_silhouette(mesh, azimuth, mesh) for azimuth in _CARD_VIEWS_DEG]
+    levels = []
+    for level, motion in meshes:
+        own = [_silhouette(level, azimuth, mesh) for azimuth in _CARD_VIEWS_DEG]
+        both = sum(int((a & b).sum()) for a, b in zip(views, own, strict=True))
+        either = sum(int((a | b).sum()) for a, b in zip(views, own, strict=True))
+        relative, rms, largest = motion_error(mesh, coefficients, level, motion, num_frames)
+        error = LevelError(
+            num_triangles=level.num_faces,
+            num_vertices=level.num_vertices,
+            relative_error=relative,
+            rms_error_m=rms,
+            max_error_m=largest,
+            silhouette=both / max(either, 1),
+        )
+        levels.append(Level(mesh=level, coefficients=motion, error=error))
+    return levels
+
+
+def motion_error(
+    mesh: TriangleMesh,
+    coefficients: Complex64[np.ndarray, "N K 3"],
+    level: TriangleMesh,
+    motion: Complex64[np.ndarray, "M K 3"],
+    num_frames: int,
+) -> tuple[float, float, float]:
+    """Error of a level's motion: relative and absolute root mean square, and the largest [m].
+
+    Each vertex of the tree is compared with the point of the level's surface that is nearest to it at rest.
+    """
+    from scipy.spatial import cKDTree
+
+    if level is mesh:
+        return 0.0, 0.0, 0.0
+    rng = np.random.default_rng(0)
+    count = min(_SAMPLES_PER_FACE * level.num_faces, _MOST_SAMPLES)
+    face = np.concatenate([np.arange(level.num_faces), rng.integers(level.num_faces, size=count)])
+    weights = rng.dirichlet((1, 1, 1), len(face)).astype(np.float32)
+    corners = np.concatenate([level.faces[face], np.repeat(np.arange(level.num_vertices)[:, None], 3, axis=1)])
+    weights = np.concatenate([weights, np.tile(np.array([1, 0, 0], np.float32), (level.num_vertices, 1))])
+    points = np.einsum("pc,pcx->px", weights, level.vertices[corners])
+    nearest = cKDTree(points).query(mesh.vertices)[1]
+    corners, weights = corners[nearest], weights[nearest]
+    phases = np.arange(num_frames) / num_frames
+    total = missing = most = 0.0
+    for truth, moved in zip(
+        iter_motion(coefficients, phases, num_frames), iter_motion(motion, phases, num_frames), strict=True
+    ):
+        gap = ((np.einsum("pc,pcx->px", weights, moved[corners]) - truth) ** 2).sum(axis=1)
+        total, missing = total + float((truth**2).sum()), missing + float(gap.sum())
+        most = max(most, float(gap.max()))
+    relative = float(np.sqrt(missing / total)) if total > 0 else 0.0
+    return relative, float(np.sqrt(missing / (num_frames * mesh.num_vertices))), float(np.sqrt(most))
+
+
+def _leaf_parts(mesh: TriangleMesh) -> Int64[np.ndarray, " F"]:
+    """Number of the leaf that each face belongs to, in an order along a curve through space; -1 for wood."""
+    surface, _ = weld(mesh)
+    part = connected_parts(surface.faces, surface.num_vertices)[surface.faces[:, 0]]
+    leaf = foliage_faces(surface.faces, surface.num_vertices)
+    leafy = np.array([is_leafy(material) for material in mesh.materials])
+    if leafy.any():
+        face_material = np.zeros(mesh.num_faces, np.int32) if mesh.face_material is None else mesh.face_material
+        leaf &= leafy[face_material]
+    if mesh.still_faces is not None:
+        leaf &= ~mesh.still_faces
+    numbers, own = np.unique(part[leaf], return_inverse=True)
+    if len(numbers) < _FEWEST_LEAVES:
+        return np.full(mesh.num_faces, -1)
+    centre = (
+        np.stack([np.bincount(own, mesh.vertices[mesh.faces[leaf]].mean(axis=1)[:, axis]) for axis in range(3)], axis=1)
+        / np.bincount(own)[:, None]
+    )
+    rank = np.empty(len(numbers), np.int64)
+    rank[np.argsort(_curve(centre), kind="stable")] = np.arange(len(numbers))
+    result = np.full(mesh.num_faces, -1)
+    result[leaf] = rank[own]
+    return result
+
+
+def _curve(points: Float64[np.ndarray, "P 3"]) -> Int64[np.ndarray, " P"]:
+    """Places on a Morton curve: neighbours on it are neighbours in space."""
+    extent = np.maximum(np.ptp(points, axis=0), 1e-9)
+    cell = np.floor((points - points.min(axis=0)) / extent * 1023).astype(np.int64)
+    return np.asarray(
+        sum(((cell[:, axis] >> bit) & 1) << (3 * bit + axis) for bit in range(10) for axis in range(3)), np.int64
+    )
+
+
+def _reduced(
+    mesh: TriangleMesh, coefficients: Complex64[np.ndarray, "N K 3"], leaves: Int64[np.ndarray, " F"], share: float
+) -> tuple[TriangleMesh, Complex64[np.ndarray, "M K 3"]]:
+    """A share of the triangles: wood simplified by material, leaves thinned."""
+    face_material = np.zeros(mesh.num_faces, np.int32) if mesh.face_material is None else mesh.face_material
+    stays = (leaves >= 0) & (np.floor((leaves + 1) * share) > np.floor(leaves * share))
+    faces, materials = [mesh.faces[stays]], [face_material[stays]]
+    for number in np.unique(face_material[leaves < 0]).tolist():
+        faces.append(_simplified(mesh, mesh.faces[(leaves < 0) & (face_material == number)], share))
+        materials.append(np.full(len(faces[-1]), number, np.int32))
+    vertices = _grown(mesh, leaves, stays)
+    used, corners = np.unique(np.concatenate(faces), return_inverse=True)
+    level = TriangleMesh(
+        vertices=vertices[used],
+        faces=corners.reshape(-1, 3).astype(np.int32),
+        uv=None if mesh.uv is None else mesh.uv[used],
+        vertex_colors=None if mesh.vertex_colors is None else mesh.vertex_colors[used],
+        face_material=np.concatenate(materials) if mesh.materials else None,
+        materials=mesh.materials,
+    )
+    return level, coefficients[used]
+
+
+def _simplified(mesh: TriangleMesh, faces: Int32[np.ndarray, "F 3"], share: float) -> Int32[np.ndarray, "S 3"]:
+    """Fewer faces over vertices of the mesh: quadric error, each new vertex replaced by the nearest of the old ones."""
+    import fast_simplification
+    from scipy.spatial import cKDTree
+
+    own = np.unique(faces)
+    places, place = np.unique(mesh.vertices[own], axis=0, return_inverse=True)
+    corners = place.ravel()[np.searchsorted(own, faces)].astype(np.int32)
+    target = max(round(share * len(faces)), _FEWEST_FACES)
+    if target >= len(faces):
+        return faces
+    thick = _thickest(places, corners, round(_BRANCH_SHARE * target))
+    target = max(target, round(len(thick) / _BRANCH_SHARE) if len(thick) < len(corners) else 0)
+    points, fewer = fast_simplification.simplify(*_capped(places, thick), target_count=target)
+    fewer = _without_degenerate(np.asarray(cKDTree(places).query(points)[1])[fewer].reshape(-1, 3))
+    return _corners_at(mesh, own, place.ravel(), fewer)
+
+
+def _thickest(
+    places: Float32[np.ndarray, "P 3"], faces: Int32[np.ndarray, "F 3"], count: int
+) -> Int32[np.ndarray, "S 3"]:
+    """About as many faces: those of the thickest branches, where most branches are parts of their own."""
+    part = connected_parts(faces, len(places))[faces[:, 0]]
+    if len(np.unique(part)) < _FEWEST_BRANCHES:
+        return faces
+    corners = places[faces].astype(np.float64)
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    low, high = part_bounds(np.repeat(part, 3), corners.reshape(-1, 3).astype(np.float32))
+    thickness = np.bincount(part, area) / np.maximum(np.linalg.norm(high - low, axis=1), 1e-9)
+    order = np.argsort(-thickness[part], kind="stable")
+    last = part[order[min(count, len(order)) - 1]]
+    return np.asarray(faces[thickness[part] >= thickness[last]])
+
+
+def _without_degenerate(faces: Int64[np.ndarray, "F 3"]) -> Int64[np.ndarray, "S 3"]:
+    a, b, c = faces.T
+    return np.asarray(faces[(a != b) & (b != c) & (c != a)])
+
+
+def _capped(
+    places: Float32[np.ndarray, "P 3"], faces: Int32[np.ndarray, "F 3"]
+) -> tuple[Float32[np.ndarray, "Q 3"], Int32[np.ndarray, "G 3"]]:
+    """Close the open ends of branches, whose rims could not be simplified."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
+    keys, reverse = edges[:, 0] * len(places) + edges[:, 1], edges[:, 1] * len(places) + edges[:, 0]
+    rim = edges[~np.isin(keys, reverse)]
+    shape = (len(places), len(places))
+    _, loop = connected_components(coo_array((np.ones(len(rim)), rim.T), shape=shape), directed=False)
+    length = np.bincount(loop[rim[:, 0]], minlength=int(loop.max()) + 1)
+    rim = rim[length[loop[rim[:, 0]]] <= _LONGEST_RIM]
+    ends, end = np.unique(loop[rim[:, 0]], return_inverse=True)
+    if not len(ends):
+        return places, faces
+    total = np.stack([np.bincount(end, places[rim[:, 0], axis]) for axis in range(3)], axis=1)
+    middle = (total / np.bincount(end)[:, None]).astype(np.float32)
+    caps = np.column_stack([rim[:, 1], rim[:, 0], len(places) + end])
+    return np.concatenate([places, middle]), np.concatenate([faces, caps.astype(np.int32)])
+
+
+def _corners_at(
+    mesh: TriangleMesh, own: Int32[np.ndarray, " n"], place: Int64[np.ndarray, " n"], faces: Int64[np.ndarray, "S 3"]
+) -> Int32[np.ndarray, "S 3"]:
+    """Vertices for faces of places: where several are at one place, those that are nearest on the texture."""
+    order = np.argsort(place, kind="stable")
+    first = np.searchsorted(place[order], np.arange(int(place.max()) + 1))
+    count = np.diff(np.append(first, len(order)))
+    choices = own[order[first[:, None] + np.minimum(np.arange(_SPLITS), count[:, None] - 1)]]  # [P, _SPLITS]
+    if mesh.uv is None:
+        return np.asarray(choices[faces, 0].astype(np.int32))
+    best = np.full(len(faces), np.inf)
+    chosen = choices[faces, 0].astype(np.int32)
+    for splits in np.ndindex(_SPLITS, _SPLITS, _SPLITS):
+        trial = np.stack([choices[faces[:, corner], split] for corner, split in enumerate(splits)], axis=1)
+        uv = mesh.uv[trial]
+        spread = sum(((uv[:, a] - uv[:, b]) ** 2).sum(axis=1) for a, b in ((0, 1), (1, 2), (2, 0)))
+        better = spread < best
+        best[better], chosen[better] = spread[better], trial[better]
+    return np.asarray(chosen)
+
+
+def _grown(
+    mesh: TriangleMesh,
+    leaves: Int64[np.ndarray, " F"],
+    stays: Bool[np.ndarray, " F"],
+) -> Float32[np.ndarray, "N 3"]:
+    """Vertices, remaining leaves grown about the vertex that is nearest to the wood."""
+    from scipy.spatial import cKDTree
+
+    vertices = mesh.vertices.copy()
+    if not stays.any():
+        return vertices
+    corners = mesh.vertices[mesh.faces].astype(np.float64)
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    growth = min(float(np.sqrt(area[leaves >= 0].sum() / max(area[stays].sum(), 1e-12))), LARGEST_GROWTH)
+    leaf = np.full(mesh.num_vertices, -1)
+    leaf[mesh.faces[stays]] = leaves[stays][:, None]
+    own = np.flatnonzero(leaf >= 0)
+    wood = np.unique(mesh.faces[leaves < 0])
+    gap = cKDTree(mesh.vertices[wood]).query(mesh.vertices[own])[0] if len(wood) else mesh.vertices[own, 2]
+    order = own[np.lexsort((np.asarray(gap), leaf[own]))]
+    numbers, first = np.unique(leaf[order], return_index=True)
+    attached = order[first][np.searchsorted(numbers, leaf[own])]
+    vertices[own] += np.float32(growth - 1) * (mesh.vertices[own] - mesh.vertices[attached])
+    return vertices
+
+
+def _silhouette(mesh: TriangleMesh, azimuth_deg: float, whole: TriangleMesh) -> Bool[np.ndarray, "H W"]:
+    """Which pixels a mesh covers, where a camera sees all of another."""
+    camera = Camera.orbit(whole.vertices, azimuth_deg=azimuth_deg, elevation_deg=0.0)
+    look = Look(width=_SILHOUETTE_PX, height=_SILHOUETTE_PX, ground=False, shadows=False)
+    return np.asarray(Renderer(mesh, look).buffers(camera).face >= 0)
+
+
+def _cards(
+    mesh: TriangleMesh, coefficients: Complex64[np.ndarray, "N K 3"]
+) -> tuple[TriangleMesh, Complex64[np.ndarray, "M K 3"]]:
+    """Upright cards that cross at the tree's axis, one per view, with the motion of what they show."""
+    low, high = mesh.vertices.min(axis=0).astype(np.float64), mesh.vertices.max(axis=0).astype(np.float64)
+    middle, height = (low + high) / 2, float(high[2] - low[2])
+    half = float(np.abs(mesh.vertices[:, :2] - middle[:2]).max())
+    vertices, uv, faces = list[np.ndarray](), list[np.ndarray](), list[np.ndarray]()
+    lines = np.meshgrid(np.linspace(0, 1, _CARD_COLUMNS + 1), np.linspace(0, 1, _CARD_ROWS + 1))
+    column, row = lines[0].ravel(), lines[1].ravel()
+    corner = np.arange(_CARD_ROWS * (_CARD_COLUMNS + 1)).reshape(_CARD_ROWS, -1)[:, :-1].ravel()
+    above = corner + _CARD_COLUMNS + 1
+    quads = np.concatenate([np.stack([corner, corner + 1, above + 1], 1), np.stack([corner, above + 1, above], 1)])
+    for number, azimuth in enumerate(np.radians(_CARD_VIEWS_DEG)):
+        across = np.array([np.cos(azimuth), np.sin(azimuth)])
+        place = middle[:2] + np.outer((2 * column - 1) * half, across)
+        vertices.append(np.column_stack([place, low[2] + row * height]))
+        uv.append(np.column_stack([(number + column) / len(_CARD_VIEWS_DEG), 1 - row]))
+        faces.append(quads + number * len(column))
+    picture = Material(
+        name="impostor",
+        base_color=(1.0, 1.0, 1.0, 1.0),
+        texture_png=_card_picture(mesh, middle, half, height),
+        alpha_cutoff=0.5,
+        double_sided=True,
+    )
+    places = np.concatenate(vertices)
+    cards = TriangleMesh(
+        vertices=places.astype(np.float32),
+        faces=np.concatenate(faces).astype(np.int32),
+        uv=np.concatenate(uv).astype(np.float32),
+        face_material=np.zeros(len(quads) * len(_CARD_VIEWS_DEG), np.int32),
+        materials=(picture,),
+    )
+    return cards, _mean_motion(mesh, coefficients, places, height / _CARD_ROWS)
+
+
+def _mean_motion(
+    mesh: TriangleMesh, coefficients: Complex64[np.ndarray, "N K 3"], places: Float64[np.ndarray, "P 3"], reach_m: float
+) -> Complex64[np.ndarray, "P K 3"]:
+    """Mean motion of the vertices around each place, the nearer the more."""
+    some = slice(None, None, -(-mesh.num_vertices // _MOST_SAMPLES))
+    coefficients = coefficients[some]
+    distance = ((places[:, None] - mesh.vertices[None, some].astype(np.float64)) ** 2).sum(axis=2)  # [P, N]
+    nearest = distance.min(axis=1, keepdims=True)
+    weight = np.exp((nearest - distance) / (2 * (reach_m / 2) ** 2))
+    weight /= weight.sum(axis=1, keepdims=True)
+    flat = weight.astype(np.float32) @ coefficients.reshape(len(coefficients), -1)
+    return np.asarray(flat.reshape(len(places), *coefficients.shape[1:]).astype(np.complex64))
+
+
+def _card_picture(mesh: TriangleMesh, middle: Float64[np.ndarray, "3"], half: float, height: float) -> bytes:
+    """PNG with a view per card side by side, cut out along the tree's outline."""
+    width = max(16, round(_CARD_PX * 2 * half / height / 16) * 16)
+    look = Look(width=min(width, 4 * _CARD_PX), height=_CARD_PX, ground=False)
+    renderer = Renderer(mesh, look)
+    fine = Renderer(mesh, replace(look, width=2 * look.width, height=2 * look.height, shadows=False))
+    views = []
+    for azimuth in np.radians(_CARD_VIEWS_DEG):
+        away = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0]) * _FAR * height
+        angle = float(np.degrees(2 * np.arctan(0.5 / _FAR)))
+        camera = Camera.look_at(middle + away, middle, vertical_fov_deg=angle)
+        covered = (fine.buffers(camera).face >= 0).astype(np.float32)
+        alpha = covered.reshape(look.height, 2, look.width, 2).mean(axis=(1, 3))
+        views.append(np.dstack([renderer.picture(camera=camera), np.round(255 * alpha).astype(np.uint8)]))
+    stream = io.BytesIO()
+    Image.fromarray(np.concatenate(views, axis=1)).save(stream, "PNG")
+    return stream.getvalue()
