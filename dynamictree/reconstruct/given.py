@@ -67,13 +67,17 @@ def find_given(root: Path, sizes: Sizes) -> tuple[GivenCamera, ...] | None:
     """
     for path in sorted(root.rglob(TRANSFORMS)):
         return _matched(_transforms(_read(path, MAX_JSON_BYTES), sizes), sizes, path.name)
+    by_order = sorted(root.rglob(LLFF))
     for names in COLMAP:
         for path in sorted(root.rglob(names[0])):
             beside = path.with_name(names[1])
             if not beside.is_file():
                 raise FormatError(f"{path.name} is there and {beside.name} is not; give both")
-            return _matched(_colmap(_read(path), _read(beside), names[0].endswith("bin")), sizes, path.name)
-    for path in sorted(root.rglob(LLFF)):
+            cameras = _colmap(_read(path), _read(beside), names[0].endswith("bin"))
+            if by_order and not any(_photo_named(camera.photo, sizes) for camera in cameras):
+                continue  # LLFF's reduced photos have other names, in the same order
+            return _matched(cameras, sizes, path.name)
+    for path in by_order:
         return _llff(_read(path, MAX_JSON_BYTES), sizes)
     return None
 

@@ -1,5 +1,6 @@
 """Check photos, turn them upright, reduce them, and remove EXIF with its GPS position."""
 
+import re
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -19,6 +20,7 @@ LONG_SIDE_PX = 1200  # to which photos are reduced: two cores match a pair in a 
 
 _EXIF_IFD, _FOCAL_35MM, _ORIENTATION = 0x8769, 0xA405, 0x0112
 _SIDEWAYS = (5, 6, 7, 8)
+_REDUCED = re.compile(r"(?P<name>images|rgb)(_(?P<by>[0-9]{1,2}))?")
 _OPAQUE = 255  # alpha
 _FILM_WIDTH_MM = 36.0
 _FOCAL_RANGE_MM = (8, 800)  # EXIF says 0 for unknown, and anything after some editors
@@ -53,7 +55,7 @@ def list_photos(paths: Sequence[Path], root: Path | None = None) -> list[PhotoFi
         for path in sorted(root.rglob("*")):
             if path.parent.name == MASKS and path.is_file():
                 masks[path.name] = masks[path.stem] = path
-    photo_paths = [path for path in paths if root is None or path.parent.name != MASKS]
+    photo_paths = [path for path in _without_reduced(paths) if root is None or path.parent.name != MASKS]
     alike = root is not None and len({path.name for path in photo_paths}) < len(photo_paths)
     photos = []
     for path in photo_paths:
@@ -64,6 +66,16 @@ def list_photos(paths: Sequence[Path], root: Path | None = None) -> list[PhotoFi
         bare = next(photo.name for photo in photos if photo.mask is None)
         raise InputError(f"there are masks, but none for {bare}; give one a photo, of the same name, or none at all")
     return photos
+
+
+def _without_reduced(paths: Sequence[Path]) -> list[Path]:
+    """Leave out the reduced copies of photos that LLFF and nerfstudio lay beside them, as `images_4`."""
+    copies: dict[Path, list[int]] = {}
+    for folder in {path.parent for path in paths}:
+        if (match := _REDUCED.fullmatch(folder.name)) is not None:
+            copies.setdefault(folder.with_name(match["name"]), []).append(int(match["by"] or 1))
+    largest = {whole.with_name(whole.name + (f"_{min(by)}" if min(by) > 1 else "")) for whole, by in copies.items()}
+    return [path for path in paths if _REDUCED.fullmatch(path.parent.name) is None or path.parent in largest]
 
 
 def sizes_of(photo: PhotoFile) -> tuple[tuple[int, int], tuple[int, int]]:

@@ -115,6 +115,16 @@ def test_every_format_gives_the_cameras_back(tmp_path, orbit, name):
         assert camera.params[-2:] == (WIDTH / 2, HEIGHT / 2)
 
 
+def test_a_downloaded_llff_folder_of_reduced_photos_takes_the_poses_in_order(tmp_path, orbit):
+    write_colmap_binary(tmp_path / "sparse" / "0", orbit)
+    write_llff(tmp_path / "llff", orbit)
+    sizes = dict(zip((f"images_4/image{n:03}.png" for n in range(99)), sizes_of(orbit).values(), strict=False))
+    given = find_given(tmp_path, sizes)
+    assert given is not None
+    assert [camera.photo for camera in given] == list(sizes)
+    assert {camera.model for camera in find_given(tmp_path, sizes_of(orbit)) or ()} == {"PINHOLE"}  # names lead
+
+
 def test_no_cameras_are_none(tmp_path, orbit):
     assert find_given(tmp_path, sizes_of(orbit)) is None
 

@@ -146,6 +146,24 @@ def test_masks_and_alpha_are_stored_beside_the_photo(tmp_path, eight):
         list_photos(eight, tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("folders", "taken"),
+    [
+        (["images", "images_4", "images_8"], "images"),
+        (["images_4", "images_8"], "images_4"),
+        (["images_8"], "images_8"),
+        (["walk", "images_of_a_walk"], None),
+    ],
+)
+def test_reduced_copies_of_photos_are_left_out(tmp_path, folders, taken):
+    paths = []
+    for folder in folders:
+        (tmp_path / folder).mkdir()
+        paths += [save_photo(tmp_path / folder / f"{number}.png", (40, 30)) for number in range(2)]
+    listed = {photo.path.parent.name for photo in list_photos(paths, tmp_path)}
+    assert listed == ({taken} if taken else set(folders))
+
+
 def test_an_alpha_channel_is_a_mask(tmp_path, eight):
     pixels = np.full((300, 400, 4), 200, np.uint8)
     pixels[:, :100, 3] = 0
