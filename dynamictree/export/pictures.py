@@ -1,41 +1,42 @@
 """Pictures and films of a moving mesh or splat."""
 
 from collections.abc import Iterable, Iterator
-from typing import BinaryIO
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
 from jaxtyping import Float32, UInt8
-from PIL import Image
 
 from dynamictree.export.moving_tree import MovingTree, Report
 from dynamictree.gaussian.animate import iter_poses, lighter
 from dynamictree.gaussian.binding import Binding
 from dynamictree.gaussian.cloud import GaussianCloud, area_m2
+from dynamictree.gaussian.deform import Pose
 from dynamictree.render.camera import Camera
 from dynamictree.render.shot import cameras_of
+
+if TYPE_CHECKING:
+    from dynamictree.render import Backdrop
 
 Picture = UInt8[np.ndarray, "H W 3"]
 Film = UInt8[np.ndarray, "M H W 3"]
 
 PREVIEW_GAUSSIANS = 200_000
 """A larger cloud is drawn at a lower level of detail: 0.2 s per picture on two cores."""
-_STRIP = 8  # pictures in the row at the bottom of a sheet
 _MOST = 0.95  # of the Gaussians; a few may be as large as the scene
 _STRAYS = 0.001  # share of the Gaussians, the lowest, that may lie below the floor
 
 
-def write_mesh_sheet(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
-    """PNG of the mesh: one picture, the amplitude of the sway in colours, a space-time slice and a row of frames."""
+def write_sheet(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
+    """PNG: one picture, the amplitude of the sway in colours, a space-time slice and a row of frames."""
+    from dynamictree.export.splat_sheet import splat_sheet
     from dynamictree.render import preview_sheet, write_png
 
-    write_png(preview_sheet(tree.mesh, tree.coefficients, num_frames=tree.spectrum.num_frames), stream)
-
-
-def write_film_sheet(film: Film, stream: BinaryIO, fps: float) -> None:
-    """PNG of a film: its first frame, a space-time slice and a row of frames."""
-    from dynamictree.render import write_png
-
-    write_png(_sheet(film), stream)
+    if tree.captured and tree.binding is not None:
+        sheet = splat_sheet(tree, tree.binding, report)
+    else:
+        sheet = preview_sheet(tree.mesh, tree.coefficients, num_frames=tree.spectrum.num_frames)
+    write_png(sheet, stream)
 
 
 def write_webp(film: Film, stream: BinaryIO, fps: float) -> None:
@@ -71,38 +72,52 @@ def _draw_mesh(tree: MovingTree, report: Report) -> Iterator[Picture]:
 
 def _draw_splat(tree: MovingTree, binding: Binding, report: Report) -> Iterator[Picture]:
     """Draw the Gaussians over a floor with their shadow and a sky."""
-    from dynamictree.gaussian.rasterize import render_cloud
-    from dynamictree.render import Backdrop
-
     shot, side = tree.params.shot, tree.params.shot.side_px
-    binding = lighter(binding, share=min(1.0, PREVIEW_GAUSSIANS / binding.cloud.num_gaussians))
-    cloud = binding.cloud
-    bounds = _bounding_points(cloud.subset(binding.moving))
-    floor = float(np.quantile(bounds[:, 2], _STRAYS))
-    centre, radius = _footprint(bounds)
-    covered = (np.pi * area_m2(cloud) * cloud.opacity)[binding.moving]
+    scene = SplatScene.of(binding, ground=shot.ground)
     behind: tuple[Camera, Backdrop] | None = None
-    poses = iter_poses(binding, tree.frames(report))
-    for pose, camera in zip(poses, cameras_of(shot, bounds, len(tree.phases)), strict=True):
+    poses = iter_poses(scene.binding, tree.frames(report))
+    for pose, camera in zip(poses, cameras_of(shot, scene.bounds, len(tree.phases)), strict=True):
         if behind is None or behind[0] is not camera:
-            ground = floor if shot.ground else -np.inf
-            behind = (camera, Backdrop(camera, side_px=side, ground_m=ground, centre_m=centre, radius_m=radius))
-        backdrop = behind[1].picture(pose.means[binding.moving], covered) if shot.ground else behind[1].picture()
-        yield render_cloud(cloud, camera, width=side, height=side, pose=pose).over(backdrop)
+            behind = (camera, scene.backdrop(camera, (side, side)))
+        yield scene.picture(camera, (side, side), pose, behind[1])
 
 
-def _sheet(film: Film) -> UInt8[np.ndarray, "A B 3"]:
-    """The first frame; beside it one of its rows over time, the paper's space-time slice; below, a row of frames."""
-    side = film.shape[1]
-    chosen = np.linspace(0, len(film), _STRIP, endpoint=False).astype(int)
-    row = int(film[chosen].std(axis=0).mean(axis=(1, 2)).argmax())  # the row in which most moves
-    marked = film[0].copy()
-    marked[row, ::8] = (200, 40, 40)
-    times = np.linspace(0, len(film) - 1, side).round().astype(int)
-    above = np.concatenate([marked, film[times, row]], axis=1)  # [side, 2 side, 3]
-    small = 2 * side // _STRIP
-    below = [np.asarray(Image.fromarray(film[n]).resize((small, small), Image.Resampling.LANCZOS)) for n in chosen]
-    return np.concatenate([above, np.concatenate(below, axis=1)])
+@dataclass(frozen=True, kw_only=True)
+class SplatScene:
+    """A bound splat over a floor, to be drawn."""
+
+    binding: Binding
+    bounds: Float32[np.ndarray, "M 3"]  # what a picture must contain [m]
+    covered_m2: Float32[np.ndarray, " moving"]  # how much light each Gaussian that moves takes
+    ground: bool  # whether there is a floor
+
+    @classmethod
+    def of(cls, binding: Binding, *, ground: bool) -> "SplatScene":
+        """Prepare; a large cloud at a lower level of detail."""
+        binding = lighter(binding, share=min(1.0, PREVIEW_GAUSSIANS / binding.cloud.num_gaussians))
+        cloud = binding.cloud
+        covered = (np.pi * area_m2(cloud) * cloud.opacity)[binding.moving]
+        bounds = _bounding_points(cloud.subset(binding.moving))
+        return cls(binding=binding, bounds=bounds, covered_m2=covered, ground=ground)
+
+    def backdrop(self, camera: Camera, size_px: tuple[int, int]) -> "Backdrop":
+        """Sky and floor behind it, for one camera."""
+        from dynamictree.render import Backdrop
+
+        floor = float(np.quantile(self.bounds[:, 2], _STRAYS)) if self.ground else -np.inf
+        centre, radius = _footprint(self.bounds)
+        return Backdrop(camera, size_px=size_px, ground_m=floor, centre_m=centre, radius_m=radius)
+
+    def picture(
+        self, camera: Camera, size_px: tuple[int, int], pose: Pose, backdrop: "Backdrop", *, shadow: bool = True
+    ) -> Picture:
+        """One picture of a pose."""
+        from dynamictree.gaussian.rasterize import render_cloud
+
+        moving = self.binding.moving
+        behind = backdrop.picture(pose.means[moving], self.covered_m2) if shadow and self.ground else backdrop.picture()
+        width, height = size_px
+        return render_cloud(self.binding.cloud, camera, width=width, height=height, pose=pose).over(behind)
 
 
 def _bounding_points(cloud: GaussianCloud) -> Float32[np.ndarray, "M 3"]:

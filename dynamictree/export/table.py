@@ -19,7 +19,7 @@ from dynamictree.export.mesh_files import (
     write_vertex_texture,
 )
 from dynamictree.export.moving_tree import Facts, MovingTree, Report
-from dynamictree.export.pictures import Film, write_film_sheet, write_mesh_sheet, write_mp4, write_webp
+from dynamictree.export.pictures import Film, write_mp4, write_sheet, write_webp
 from dynamictree.export.splat_files import write_compact_splat, write_splat_sequence
 from dynamictree.requests import Format
 
@@ -43,9 +43,8 @@ JOINTS = frozenset({"joints"})
 class Product:
     """One format: its file, what it shows, the fields of `ExportParams` that it depends on, and its writer.
 
-    A product with `write_film` is made of pictures that are drawn once for all of them; one with both writers is made
-    of pictures where a splat was captured. A product with `module` and `extra` needs a library that only this extra of
-    the package installs.
+    A product with `write_film` is made of pictures that are drawn once for all of them. A product with `module` and
+    `extra` needs a library that only this extra of the package installs.
     """
 
     title: str
@@ -89,14 +88,7 @@ PRODUCTS: dict[Format, Product] = {
     "splat": Product(
         "Animated splat", "tree.animated-splat.safetensors", "splat", SPEED | DETAIL, write=write_compact_splat
     ),
-    "png": Product(
-        "Preview picture",
-        "preview.png",
-        "pictures",
-        FRAMES | DETAIL | SHOT,
-        write=write_mesh_sheet,
-        write_film=write_film_sheet,
-    ),
+    "png": Product("Preview picture", "preview.png", "pictures", DETAIL | SHOT, write=write_sheet),
     "webp": Product("Preview, animated", "preview.webp", "pictures", FRAMES | DETAIL | SHOT, write_film=write_webp),
     "mp4": Product(
         "Preview, video",

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
@@ -63,11 +64,11 @@ class MotionSource:
 
     def pose(self, motion: VertexMotion) -> InextensiblePose | TreesPose:
         """What makes each frame of this motion bend where it would stretch."""
-        return pose_of(self._ties(), motion.linear)
+        return pose_of(self._ties, motion.linear)
 
     def _computed(self, on_progress: OnProgress) -> VertexMotion:
         on_progress(0.0)
-        ties = self._ties()
+        ties = self._ties
         on_progress(_TIES_SHARE)
         linear = ties.apply(
             self.spectrum.coefficients, lambda done: on_progress(_TIES_SHARE + done * (_LINEAR_SHARE - _TIES_SHARE))
@@ -81,6 +82,7 @@ class MotionSource:
         )
         return VertexMotion(linear=linear, bent=bent)
 
+    @cached_property
     def _ties(self) -> LengthPreservingInterpolation | TreesInterpolation:
         if self.ties is not None:
             return self.ties

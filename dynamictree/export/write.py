@@ -105,7 +105,7 @@ def _write(tree: MovingTree, paths: dict[Format, Path], on_progress: Report, on_
 
     for name, path in paths.items():
         product = PRODUCTS[name]
-        if product.write is None or (tree.captured and product.write_film is not None):
+        if product.write is None:
             films[name] = path
             continue
         with path.open("wb") as stream:

@@ -23,12 +23,19 @@ class Backdrop:
     """Sky and floor for one camera, prepared once; the shadow on it moves."""
 
     def __init__(
-        self, camera: Camera, *, side_px: int, ground_m: float, centre_m: Float[np.ndarray, "2"], radius_m: float
+        self,
+        camera: Camera,
+        *,
+        size_px: tuple[int, int],
+        ground_m: float,
+        centre_m: Float[np.ndarray, "2"],
+        radius_m: float,
     ) -> None:
-        """Look at a level floor; lengths in metres."""
-        place = (np.stack(np.meshgrid(*[np.arange(side_px) + 0.5] * 2), axis=-1)).reshape(-1, 2)  # [P, 2]
+        """Look at a level floor; lengths in metres, width and height of the picture in pixels."""
+        width, height = size_px
+        place = np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), axis=-1).reshape(-1, 2)  # [P, 2]
         rays = np.concatenate([place, np.ones((len(place), 1))], axis=1)
-        rays = rays @ np.linalg.inv(camera.intrinsics_px(side_px, side_px)).T @ camera.world_to_camera
+        rays = rays @ np.linalg.inv(camera.intrinsics_px(width, height)).T @ camera.world_to_camera
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         up = np.clip(rays[:, 2:], 0, 1)
         share = 1 - np.exp(-4 * up)
@@ -38,7 +45,7 @@ class Backdrop:
         ground = camera.position_m[:2] + rays[hit, :2] * (drop / -rays[hit, 2:])
         away = np.linalg.norm(ground - centre_m, axis=1, keepdims=True) / (_FADE * radius_m)
         picture[hit] = _FLOOR + (1 - np.exp(-(away**2))) * (_HORIZON - _FLOOR)
-        self._picture = picture.astype(np.float32).reshape(side_px, side_px, 3)
+        self._picture = picture.astype(np.float32).reshape(height, width, 3)
         self._hit = hit
         self._low_m = np.asarray(centre_m, np.float64) - _REACH * radius_m
         self._cell_m = 2 * _REACH * radius_m / _CELLS

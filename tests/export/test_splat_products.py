@@ -105,9 +105,31 @@ def test_all_products_show_one_motion(
         assert read_animated_splat(stream).binding.cloud.num_gaussians == 3000
     with Image.open(paths["png"]) as picture:
         pixels = np.asarray(picture).astype(int)
-    assert pixels.shape == (160, 256, 3)
-    slices = pixels[:128, 128:]
-    assert np.abs(slices[0] - slices[64]).max() > 50  # left, then right
+    slices = pixels[440:820, 800:]
+    assert np.abs(slices[10] - slices[200]).max() > 50  # left, then right
+
+
+def test_a_sheet_shows_the_sway_in_colours_and_what_stands_in_grey(
+    capture: Capture, mesh: TriangleMesh, spectrum: SparseVoxelSpectrum, tmp_path: Path
+) -> None:
+    beside = np.where(np.arange(3000) < 2000, 0, -0.7).astype(np.float32)  # the pot is nearer, and in the picture
+    cloud = replace(capture.cloud, means=capture.cloud.means + beside[:, None] * np.float32([1, 0, 0]))
+    near = replace(capture, cloud=cloud, mask=beside == 0)
+    paths = animated(near, mesh, spectrum, tmp_path, ExportParams(formats=("png",), shot=SMALL), [])
+    with Image.open(paths["png"]) as picture:
+        pixels = np.asarray(picture).astype(int)
+    assert pixels.shape == (1084, 1280, 3)
+    assert (pixels[:26, :400].min(axis=2) < 120).any()  # a title
+    sway = pixels[26:410, 800:].reshape(-1, 3)
+    yellow, blue = (sway @ [1, 0, -1] > 100), (sway @ [-1, 0, 1] > 30) & (sway[:, 0] < 90)
+    grey = np.ptp(sway, axis=1) < 12
+    grey &= np.abs(sway.mean(axis=1) - 149) < 12  # the pot beside the post
+    assert min(yellow.sum(), blue.sum(), grey.sum()) > 300, (
+        yellow.sum(),
+        blue.sum(),
+        grey.sum(),
+        Image.open(paths["png"]).save("/tmp/w/inputs/x.png"),
+    )
 
 
 def test_a_part_of_the_motion_and_of_the_cloud_is_asked_for(

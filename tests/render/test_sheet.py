@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from dynamictree.render import Camera, Renderer, amplitude_colors, preview_sheet, sway_amplitude
-from dynamictree.render.sheet import _slice_window, _space_time_slice
+from dynamictree.render.sheet import _space_time_slice, slice_window
 from dynamictree.spectrum import from_motion, to_motion
 
 
@@ -30,11 +30,17 @@ def test_colours_run_from_still_to_most():
     assert (amplitude_colors(np.zeros(3, np.float32))[:, :3] == amplitude_colors(np.float32([0, 1]))[0, :3]).all()
 
 
+def test_what_stands_still_is_grey():
+    colors = amplitude_colors(np.float32([0.0, 0.5, 1.0]), np.array([True, False, False])).astype(int)
+    assert np.ptp(colors[0, :3]) < 10
+    assert (colors[1:] == amplitude_colors(np.float32([0.0, 0.5, 1.0]))[1:]).all()
+
+
 def test_the_slice_shows_movement_where_there_is_some_and_straight_lines_where_not(two_balls):
     camera = Camera.orbit(two_balls.vertices)
     moving, still = swaying(two_balls, 0.15), np.zeros((two_balls.num_vertices, 16, 3), np.complex64)
     for coefficients, moves in ((moving, True), (still, False)):
-        _, window = _slice_window(two_balls, sway_amplitude(coefficients), camera)
+        _, window = slice_window(two_balls.vertices, sway_amplitude(coefficients), camera)
         stacked = _space_time_slice(Renderer(two_balls), coefficients, 100, window)
         assert stacked.shape[0] == 100
         changes = np.abs(stacked.astype(int) - stacked[:1]).max(axis=2) > 30
@@ -64,7 +70,7 @@ def test_a_sheet_has_every_part(two_balls):
 def test_the_slice_window_lies_inside_the_picture(two_balls, amplitude_m):
     coefficients = swaying(two_balls, amplitude_m)
     camera = Camera.orbit(two_balls.vertices)
-    (first, last, row), window = _slice_window(two_balls, sway_amplitude(coefficients), camera)
+    (first, last, row), window = slice_window(two_balls.vertices, sway_amplitude(coefficients), camera)
     assert 0 <= first < last <= 800
     assert 0 <= row < 800
     assert window.focal / camera.focal == pytest.approx(800 / (last - first), rel=0.02)

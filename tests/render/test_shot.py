@@ -36,7 +36,7 @@ def test_a_shot_out_of_bounds_is_reported(options: dict[str, float], message: st
 
 def test_a_shadow_lies_where_the_sun_puts_it() -> None:
     camera = cameras_of(Shot(elevation_deg=40.0), np.array([[-1, -1, 0], [1, 1, 2.0]]), 1)[0]
-    backdrop = Backdrop(camera, side_px=64, ground_m=0.0, centre_m=np.zeros(2), radius_m=1.5)
+    backdrop = Backdrop(camera, size_px=(64, 64), ground_m=0.0, centre_m=np.zeros(2), radius_m=1.5)
     covered = np.full(2, 0.01, np.float32)
     shadow = backdrop.shadow(np.array([[0, 0, 0], [0, 0, 0.95]], np.float32), covered)
     assert np.isclose(shadow.sum() * (2 * 2.2 * 1.5 / 160) ** 2, 0.02, rtol=1e-3)  # no light is lost twice
