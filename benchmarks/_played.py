@@ -48,7 +48,7 @@ def played_skin(content: bytes) -> np.ndarray:
     rest = accessor(document, attributes.POSITION).astype(np.float64)
     joints, weights = accessor(document, attributes.JOINTS_0), accessor(document, attributes.WEIGHTS_0)
     inverse = accessor(document, skin.inverseBindMatrices).reshape(-1, 4, 4).swapaxes(1, 2).astype(np.float64)
-    world = _world_matrices(document)
+    world = world_matrices(document)
     matrices = np.stack([world[node] for node in skin.joints], axis=1) @ inverse  # [T + 1, B, 4, 4]
     homogeneous = np.concatenate([rest, np.ones((len(rest), 1))], axis=1)
     moved = [
@@ -57,7 +57,7 @@ def played_skin(content: bytes) -> np.ndarray:
     return z_up(np.stack(moved) - rest)
 
 
-def _world_matrices(document: pygltflib.GLTF2) -> dict[int, np.ndarray]:
+def world_matrices(document: pygltflib.GLTF2) -> dict[int, np.ndarray]:
     """Matrix of every node at every key: [T + 1, 4, 4]."""
     animation = document.animations[0]
     moving: dict[tuple[int, str], np.ndarray] = {}

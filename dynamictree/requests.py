@@ -39,6 +39,7 @@ Format = Literal[
     "glb-reduced",
     "glb-skinned",
     "lod",
+    "rig",
     "usd",
     "alembic",
     "vat",

@@ -2,12 +2,21 @@
 
 import io
 import json
+from collections.abc import Sequence
 from dataclasses import asdict
-from typing import BinaryIO
+from typing import TYPE_CHECKING, BinaryIO
+
+import numpy as np
 
 from dynamictree.export.moving_tree import Facts, MovingTree, Report
 from dynamictree.formats.gltf.motion import write_motion_glb
+from dynamictree.formats.gltf.skin import joint_name, write_joint_meshes_glb, write_skinned_glb
 from dynamictree.formats.stored_zip import iter_stored_zip
+from dynamictree.mesh import TriangleMesh
+
+if TYPE_CHECKING:
+    from dynamictree.modal.branch_groups import Capsule
+    from dynamictree.skin import Skin
 
 COVERAGE = (0.5, 0.25, 0.1, 0.04, 0.0)
 """Share of the screen's height below which the next level is shown."""
@@ -48,3 +57,85 @@ def write_levels(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
         facts[f"lod{number}_relative_error"] = level.error.relative_error
         facts[f"lod{number}_max_error_m"] = level.error.max_error_m
     return facts
+
+
+def write_rig(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
+    """A skin whose joints lie in the branches, Unreal's wind groups of its joints, and collision capsules.
+
+    Raises:
+        InputError: the spectrum tells of no branches.
+    """
+    from dynamictree.export.levels import wood_vertices
+    from dynamictree.modal.bones import bones_of
+    from dynamictree.modal.branch_groups import capsules
+    from dynamictree.modal.branch_skin import branch_skin
+    from dynamictree.modal.system import modal_system
+
+    skin, summary = branch_skin(tree.spectrum, tree.mesh, tree.coefficients)
+    report(0.5)
+    shapes = capsules(bones_of(modal_system(tree.spectrum)), skin, tree.mesh.vertices, wood_vertices(tree.mesh))
+    rig, collision = io.BytesIO(), io.BytesIO()
+    write_skinned_glb(tree.mesh, skin, summary, rig, fps=tree.loop_fps)
+    parts = {capsule.joint: _capsule_mesh(capsule) for capsule in shapes}
+    write_joint_meshes_glb(parts, skin, collision, fps=tree.loop_fps, name="UCP_tree")
+    files = {
+        "tree-rig.glb": rig.getvalue(),
+        "tree-collision.glb": collision.getvalue(),
+        "collision.json": _text({"unit": "m", "axes": "+Y up", "capsules": [_described(one) for one in shapes]}),
+        "dynamic-wind.json": _text(dynamic_wind(skin)),
+    }
+    stream.writelines(iter_stored_zip((name, [content]) for name, content in files.items()))
+    return asdict(summary)
+
+
+def dynamic_wind(skin: "Skin") -> dict[str, object]:
+    """The file that Unreal 5.7's Dynamic Wind imports for a skeletal mesh: a group per branch order.
+
+    A group's influence is how far its joints bend in the motion, over the largest of all groups.
+    """
+    from dynamictree.modal.branch_groups import bending_rad, branch_orders
+
+    order, bending = branch_orders(skin.parent), bending_rad(skin)
+    spread = {number: np.quantile(bending[order == number], [0.1, 0.5, 0.9]) for number in np.unique(order).tolist()}
+    largest = max(float(values[2]) for values in spread.values()) or 1.0
+    groups = []
+    for number, values in spread.items():
+        low, middle, high = (round(float(value) / largest, 4) for value in values)
+        groups.append(
+            {
+                "bUseDualInfluence": number > 0,
+                "Influence": middle,
+                "MinInfluence": low,
+                "MaxInfluence": high,
+                "ShiftTop": 0.0,
+                "bIsTrunkGroup": number == 0,
+            }
+        )
+    names = sorted(spread)
+    joints = [
+        {"JointName": joint_name(joint), "SimulationGroupIndex": names.index(number)}
+        for joint, number in enumerate(order.tolist())
+    ]
+    return {"Joints": joints, "SimulationGroups": groups, "bIsGroundCover": False, "GustAttenuation": 0.0}
+
+
+def _capsule_mesh(capsule: "Capsule") -> TriangleMesh:
+    import trimesh
+
+    axis = capsule.end_m.astype(np.float64) - capsule.start_m
+    shape = trimesh.creation.capsule(height=float(np.linalg.norm(axis)), radius=capsule.radius_m, count=[8, 8])
+    turned = trimesh.geometry.align_vectors([0, 0, 1], axis if np.linalg.norm(axis) > 0 else [0, 0, 1])
+    vertices = np.asarray(shape.vertices) @ turned[:3, :3].T + (capsule.start_m + capsule.end_m) / 2
+    return TriangleMesh(vertices=vertices.astype(np.float32), faces=np.asarray(shape.faces, np.int32))
+
+
+def _described(capsule: "Capsule") -> dict[str, object]:
+    def y_up(point: Sequence[float]) -> list[float]:
+        return [round(float(value), 5) for value in (point[0], point[2], -point[1])]
+
+    ends = {"start_m": y_up(capsule.start_m.tolist()), "end_m": y_up(capsule.end_m.tolist())}
+    return {"joint": joint_name(capsule.joint), **ends, "radius_m": round(capsule.radius_m, 5)}
+
+
+def _text(content: dict[str, object]) -> bytes:
+    return json.dumps(content, indent=1).encode()

@@ -116,6 +116,13 @@ def motion_error(
     return relative, float(np.sqrt(missing / (num_frames * mesh.num_vertices))), float(np.sqrt(most))
 
 
+def wood_vertices(mesh: TriangleMesh) -> Bool[np.ndarray, " N"]:
+    """Which vertices are of no leaf: of a trunk, of branches, and of crowns that are one surface."""
+    wood = np.zeros(mesh.num_vertices, np.bool_)
+    wood[mesh.faces[_leaf_parts(mesh) < 0]] = True
+    return np.asarray(wood & ~mesh.still_vertices)
+
+
 def _leaf_parts(mesh: TriangleMesh) -> Int64[np.ndarray, " F"]:
     """Number of the leaf that each face belongs to, in an order along a curve through space; -1 for wood."""
     surface, _ = weld(mesh)

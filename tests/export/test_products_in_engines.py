@@ -9,17 +9,21 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pygltflib
 import pytest
 import trimesh
 from alembic3d import Abc, AbcGeom
 
 from benchmarks._played import (
+    accessor,
     played_alembic,
     played_morphs,
     played_skin,
     played_usdz,
     played_vertex_texture,
     reported_facts,
+    world_matrices,
+    z_up,
 )
 from dynamictree import method
 from dynamictree.dataset.sample import make_sample, voxel_spectrum
@@ -90,7 +94,7 @@ def test_what_is_not_exact_says_how_far_off_it_is(name: str, play, products: Pro
 
 
 def test_only_what_is_not_exact_has_something_to_tell(products: Products) -> None:
-    assert set(products[1]) == {"glb-reduced", "glb-skinned", "lod"}
+    assert set(products[1]) == {"glb-reduced", "glb-skinned", "lod", "rig"}
 
 
 def test_usd_and_vertex_texture_show_every_frame(products: Products, truth: np.ndarray) -> None:
@@ -148,6 +152,52 @@ def test_more_joints_are_nearer_to_the_motion(
     assert errors[0] > 1.3 * errors[1] > 1.3 * 1.3 * errors[2]
     assert products[1]["glb-skinned"]["num_joints"] <= 64
     assert products[1]["glb-skinned"]["relative_error"] < 0.08
+
+
+def test_a_rig_has_wind_groups_for_its_joints(products: Products, truth: np.ndarray) -> None:
+    archive = zipfile.ZipFile(products[0]["rig"])
+    content = archive.read("tree-rig.glb")
+    rms, _ = errors_m(played_skin(content), truth)
+    assert products[1]["rig"]["rms_error_m"] == pytest.approx(rms, rel=1e-3)
+    document = pygltflib.GLTF2().load_from_bytes(content)
+    wind = json.loads(archive.read("dynamic-wind.json"))
+    assert [joint["JointName"] for joint in wind["Joints"]] == [
+        document.nodes[n].name for n in document.skins[0].joints
+    ]
+    groups = wind["SimulationGroups"]
+    assert {joint["SimulationGroupIndex"] for joint in wind["Joints"]} == set(range(len(groups)))
+    assert [group["bIsTrunkGroup"] for group in groups] == [True] + [False] * (len(groups) - 1)
+    assert all(0 <= g["MinInfluence"] <= g["Influence"] <= g["MaxInfluence"] <= 1 for g in groups)
+    assert groups[0]["Influence"] < groups[1]["Influence"]  # a trunk bends less than what it bears
+
+
+def test_capsules_lie_in_the_wood_and_follow_it(
+    products: Products, tree: tuple[TriangleMesh, SparseVoxelSpectrum], truth: np.ndarray
+) -> None:
+    archive, mesh = zipfile.ZipFile(products[0]["rig"]), tree[0]
+    wood = np.unique(mesh.faces[mesh.face_material == 0])
+    solid = pygltflib.GLTF2().load_from_bytes(archive.read("tree-collision.glb"))
+    capsules = {capsule["joint"]: capsule for capsule in json.loads(archive.read("collision.json"))["capsules"]}
+    world, inside = world_matrices(solid), np.zeros(len(wood), bool)
+    gaps, sways = list[np.ndarray](), list[np.ndarray]()
+    for number, node in enumerate(solid.nodes):
+        if node.mesh is None:
+            continue
+        capsule = capsules[node.name.removeprefix("UCP_tree_")]
+        local = accessor(solid, solid.meshes[node.mesh].primitives[0].attributes.POSITION)
+        placed = z_up(local @ world[number][:, :3, :3].swapaxes(1, 2) + world[number][:, None, :3, 3])[:100]
+        start, end = z_up(np.array([capsule["start_m"], capsule["end_m"]]))
+        axis = end - start
+        along = np.clip((mesh.vertices[wood] - start) @ axis / max(axis @ axis, 1e-9), 0, 1)
+        near = np.linalg.norm(mesh.vertices[wood] - start - along[:, None] * axis, axis=1) < 1.2 * capsule["radius_m"]
+        inside |= near
+        if near.any():
+            sways.append(truth[:, wood[near]].mean(axis=1))
+            middle = (placed.max(axis=1) + placed.min(axis=1)) / 2
+            gaps.append(middle - (start + end) / 2 - sways[-1])
+    assert len(sways) > 20
+    assert inside.mean() > 0.6
+    assert np.sqrt((np.array(gaps) ** 2).mean() / (np.array(sways) ** 2).mean()) < 0.5
 
 
 def test_a_tree_that_moves_as_one_piece_has_no_skeleton() -> None:

@@ -159,6 +159,8 @@ export default {
   "format.glb-skinned.for": "Engines ohne Morph-Ziele",
   "format.lod": "GLB, Detailstufen",
   "format.lod.for": "Unreal, Unity, Godot: nah und fern",
+  "format.rig": "Skelett mit Kapseln",
+  "format.rig.for": "Dynamic Wind in Unreal, Kollisionen",
   "format.usd": "USD",
   "format.usd.for": "Omniverse, Houdini, iPhone",
   "format.alembic": "Alembic",

@@ -159,6 +159,8 @@ export default {
   "format.glb-skinned.for": "engines without morph targets",
   "format.lod": "GLB, levels of detail",
   "format.lod.for": "Unreal, Unity, Godot: near and far",
+  "format.rig": "Rig with capsules",
+  "format.rig.for": "Unreal’s Dynamic Wind, ragdolls",
   "format.usd": "USD",
   "format.usd.for": "Omniverse, Houdini, iPhone",
   "format.alembic": "Alembic",

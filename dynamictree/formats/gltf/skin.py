@@ -3,6 +3,7 @@
 What engines play most cheaply, at the price of an error, which the file tells in its `asset.extras`.
 """
 
+from collections.abc import Mapping
 from dataclasses import asdict
 
 import numpy as np
@@ -15,6 +16,8 @@ from dynamictree.gaussian.rotation import matrix_quaternions
 from dynamictree.mesh import TriangleMesh
 from dynamictree.skin import Skin, SkinSummary
 
+_FIRST = 2  # node of joint 0: after the mesh and the skeleton
+
 
 def write_skinned_glb(mesh: TriangleMesh, skin: Skin, summary: SkinSummary, stream: ByteWriter, *, fps: float) -> None:
     """Write one period with T + 1 linear keys, the last equal to the first; exact at the keys, as the skin has them."""
@@ -26,11 +29,43 @@ def write_skinned_glb(mesh: TriangleMesh, skin: Skin, summary: SkinSummary, stre
     }
     add_mesh(writer, mesh, more_attributes=attributes)
     writer.append("nodes", {"mesh": 0, "skin": 0, "name": "tree"})
-    turn = up_rotation("+Y")  # file to +Z up
-    rest = skin.joint_m.astype(np.float64) @ turn
-    first = 2  # node of joint 0
-    _add_joints(writer, skin.parent, rest, first)
+    rest = _rest(skin)
+    _add_joints(writer, skin.parent, rest)
+    _add_skin(writer, rest)
     writer.append("scenes", {"nodes": [0, 1]})
+    _add_sway(writer, skin, fps)
+    writer.finish(stream)
+
+
+def write_joint_meshes_glb(
+    parts: Mapping[int, TriangleMesh], skin: Skin, stream: ByteWriter, *, fps: float, name: str = "part"
+) -> None:
+    """Write meshes that joints carry, each as a node `NAME_joint_n` below its joint, with the motion of the joints."""
+    writer = GlbWriter()
+    writer.append("nodes", {"name": "tree"})
+    rest = _rest(skin)
+    _add_joints(writer, skin.parent, rest)
+    for joint, mesh in parts.items():
+        add_mesh(writer, mesh.with_vertices(mesh.vertices - skin.joint_m[joint]))
+        node = writer.append("nodes", {"mesh": len(writer.root["meshes"]) - 1, "name": f"{name}_joint_{joint}"})
+        writer.root["nodes"][_FIRST + joint].setdefault("children", []).append(node)
+    writer.append("scenes", {"nodes": [1]})
+    _add_sway(writer, skin, fps)
+    writer.finish(stream)
+
+
+def joint_name(joint: int) -> str:
+    """Name of a joint's node."""
+    return f"joint_{joint}"
+
+
+def _rest(skin: Skin) -> np.ndarray:
+    """Where the joints are at rest, in the file's axes."""
+    return np.asarray(skin.joint_m.astype(np.float64) @ up_rotation("+Y"))
+
+
+def _add_sway(writer: GlbWriter, skin: Skin, fps: float) -> None:
+    rest, turn = _rest(skin), up_rotation("+Y")  # file to +Z up
     turned = turn.T @ skin.rotation.astype(np.float64) @ turn  # [T, B, 3, 3]
     place = np.einsum("tbij,bj->tbi", turned, rest) + skin.translation_m.astype(np.float64) @ turn
     rotation, translation = _relative_to_parents(skin.parent, turned, place)
@@ -41,28 +76,30 @@ def write_skinned_glb(mesh: TriangleMesh, skin: Skin, summary: SkinSummary, stre
         keys = {"rotation": _steady(matrix_quaternions(rotation[:, joint])), "translation": translation[:, joint]}
         for path, values in keys.items():
             looped = np.concatenate([values, values[:1]]).astype(np.float32)
-            channels.append({"sampler": len(samplers), "target": {"node": first + joint, "path": path}})
+            channels.append({"sampler": len(samplers), "target": {"node": _FIRST + joint, "path": path}})
             samplers.append({"input": clock, "output": writer.add_accessor(looped), "interpolation": "LINEAR"})
     writer.append("animations", {"name": "sway", "samplers": samplers, "channels": channels})
-    writer.finish(stream)
 
 
-def _add_joints(writer: GlbWriter, parent: Int32[np.ndarray, " B"], rest: np.ndarray, first: int) -> None:
-    """A node a joint under one that holds them all, and the skin."""
+def _add_joints(writer: GlbWriter, parent: Int32[np.ndarray, " B"], rest: np.ndarray) -> None:
+    """A node per joint under one that holds them all."""
     children: list[list[int]] = [[] for _ in parent]
     for joint, above in enumerate(parent.tolist()):
         if above >= 0:
-            children[above].append(first + joint)
-    roots = [first + joint for joint in np.flatnonzero(parent < 0).tolist()]
+            children[above].append(_FIRST + joint)
+    roots = [_FIRST + joint for joint in np.flatnonzero(parent < 0).tolist()]
     writer.append("nodes", {"name": "skeleton", "children": roots})
     offset = rest - np.where(parent[:, None] >= 0, rest[parent], 0)
     for joint, below in enumerate(children):
-        node: dict[str, object] = {"name": f"joint_{joint}", "translation": offset[joint].tolist()}
+        node: dict[str, object] = {"name": joint_name(joint), "translation": offset[joint].tolist()}
         writer.append("nodes", node | ({"children": below} if below else {}))
+
+
+def _add_skin(writer: GlbWriter, rest: np.ndarray) -> None:
     inverse = np.tile(np.eye(4, dtype=np.float32), (len(rest), 1, 1))
     inverse[:, 3, :3] = -rest  # column-major, as glTF has it
     matrices = writer.add_accessor(inverse.reshape(-1, 16))
-    joints = list(range(first, first + len(rest)))
+    joints = list(range(_FIRST, _FIRST + len(rest)))
     writer.append("skins", {"inverseBindMatrices": matrices, "joints": joints, "skeleton": 1})
 
 

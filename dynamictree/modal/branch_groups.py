@@ -1,0 +1,73 @@
+"""What engines that move a tree's joints themselves need to know of them: branch orders, influence, capsules."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, Int32, Int64
+
+from dynamictree.modal.bones import Bones
+from dynamictree.skin import Skin
+
+MAX_ORDER = 3  # finer branches count as these
+_THINNEST_M = 0.005
+_INSIDE = 0.5  # of the vertices that a bone carries; the others are of twigs that stick out
+
+
+@dataclass(frozen=True, kw_only=True)
+class Capsule:
+    """A ball that was swept along a segment [m], carried by a joint. Length and radius are those at rest."""
+
+    joint: int
+    start_m: Float32[np.ndarray, "3"]
+    end_m: Float32[np.ndarray, "3"]
+    radius_m: float
+
+
+def branch_orders(parent: Int32[np.ndarray, " B"]) -> Int64[np.ndarray, " B"]:
+    """Order of the branch that each joint belongs to: 0 the trunk, 1 what leaves the trunk, and so on.
+
+    A joint's branch goes on in the child that carries most joints.
+    """
+    size = np.ones(len(parent), np.int64)
+    for joint in range(len(parent) - 1, -1, -1):  # children come after their parents
+        if parent[joint] >= 0:
+            size[parent[joint]] += size[joint]
+    order = np.zeros(len(parent), np.int64)
+    for joint in range(len(parent)):
+        above = parent[joint]
+        if above >= 0:
+            siblings = np.flatnonzero(parent == above)
+            leads = siblings[np.argmax(size[siblings])] == joint
+            order[joint] = order[above] if leads else min(order[above] + 1, MAX_ORDER)
+    return order
+
+
+def bending_rad(skin: Skin) -> Float64[np.ndarray, " B"]:
+    """Root mean square angle by which each joint turns against its parent over the loop."""
+    turned = skin.rotation.astype(np.float64)
+    above = np.where(skin.parent[:, None, None] >= 0, turned[:, np.maximum(skin.parent, 0)], np.eye(3))
+    cosine = (np.einsum("tbij,tbij->tb", above, turned) - 1) / 2  # of the trace of aboveᵀ turned
+    return np.asarray(np.sqrt((np.arccos(np.clip(cosine, -1, 1)) ** 2).mean(axis=0)))
+
+
+def capsules(
+    bones: Bones, skin: Skin, vertices: Float32[np.ndarray, "N 3"], wood: Bool[np.ndarray, " N"]
+) -> list[Capsule]:
+    """A capsule for each bone that carries wood; those of a trunk, not its twigs, set the radius."""
+    strongest = skin.rows[np.arange(len(vertices)), skin.weights.argmax(axis=1)]
+    capsules_of_wood = []
+    for joint in range(len(bones.parent)):
+        own = vertices[wood & (strongest == joint)].astype(np.float64)
+        if len(own):
+            start, reach = bones.joint_m[joint].astype(np.float64), bones.reach_m[joint].astype(np.float64)
+            along = np.clip((own - start) @ reach / max(float(reach @ reach), 1e-12), 0, 1)
+            distance = np.linalg.norm(own - start - along[:, None] * reach, axis=1)
+            capsules_of_wood.append(
+                Capsule(
+                    joint=joint,
+                    start_m=bones.joint_m[joint],
+                    end_m=bones.joint_m[joint] + bones.reach_m[joint],
+                    radius_m=max(float(np.quantile(distance, _INSIDE)), _THINNEST_M),
+                )
+            )
+    return capsules_of_wood
