@@ -44,6 +44,7 @@ const session = new Session(client, machine, scene, { onJob: (id) => setAddress(
 const files = new Files(client, { onProblem: (error) => onProblem(error) });
 const jobs = new JobList(client, {
   onOpen: (id) => open(id),
+  onDeleted: (id) => id === session.jobId && session.deleted(),
   onProblem: (error) => onProblem(error, () => jobs.show()),
 });
 const wind = new WindPanel(stage, player, { onMake: makeForWind, onProblem: (error) => onProblem(error) });
@@ -51,6 +52,8 @@ const views = new ViewPanel(stage, player);
 const form = new TreeForm(stage, { onApply: remake, tree: () => scene.tree });
 
 // ---- states
+
+let shownProblem = null; // one that was closed stays closed
 
 function onState(state, facts, before) {
   document.body.dataset.state = state;
@@ -60,11 +63,15 @@ function onState(state, facts, before) {
   if (state !== "welcome") form.set(facts);
   if (state !== "welcome") leaveLive();
   else if (!linkedJob()) live.show().catch(() => {}); // the page works without it
-  if (state === "failed" && before !== "failed") showProblem(facts.problem, () => session.retry());
+  if (state === "failed" && facts.problem !== shownProblem)
+    showProblem(facts.problem, isGone(facts.problem) ? null : () => session.retry());
+  shownProblem = facts.problem;
   if (state === "moving" && facts.problem) showProblem(facts.problem, () => session.retry());
   if (state !== before || state === "queued") layOut(stage, state);
   if (state === "moving" && before !== "moving") showHint();
 }
+
+const isGone = ({ code }) => code === "job-deleted" || code === "expired";
 
 function leaveLive() {
   live.leave();

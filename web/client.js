@@ -99,6 +99,11 @@ export class Client {
     return this.json("POST", `/v1/jobs/${id}/retry`, body);
   }
 
+  /** Forget a job that has ended, with its files. */
+  deleteJob(id) {
+    return this.json("DELETE", `/v1/jobs/${id}`);
+  }
+
   /** One page: `{ data, next_cursor }`, newest first. */
   jobs({ limit = 20, cursor, state, type } = {}) {
     const query = Object.entries({ limit, cursor, state, type }).filter(([, value]) => value !== undefined);

@@ -1,6 +1,7 @@
 // The page's logic that needs no browser: states, sessions, which files belong together.
 
 import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
 import { test } from "node:test";
 import { Problem, patiently } from "../../web/client.js";
 import { Resolution } from "../../web/draw/resolution.js";
@@ -9,6 +10,8 @@ import { relativePaths, sortFiles } from "../../web/page/bundles.js";
 import { readDrop } from "../../web/page/drop.js";
 import { Machine, TRANSITIONS } from "../../web/page/machine.js";
 import { Session, stem } from "../../web/page/session.js";
+import de from "../../web/texts/de.js";
+import en from "../../web/texts/en.js";
 
 const limits = { mesh_formats: ["obj", "ply", "glb", "gltf"], cloud_formats: ["ply", "splat", "spz", "txt", "xyz"] };
 const file = (path, size = 10) => ({ name: path.split("/").pop(), path, size, lastModified: 0 });
@@ -229,6 +232,22 @@ test("only breaks of the connection are waited out", async () => {
     patiently(() => Promise.reject(new Problem({ code: "not-found" }, { status: 404 }))),
     { code: "not-found" },
   );
+});
+
+test("the job that is shown was deleted: the card says so, and its tree is gone", async () => {
+  const { session, machine } = begin({ jobs: [job("succeeded", moving)] });
+  await session.open("J1");
+  session.deleted();
+  assert.deepEqual([machine.state, machine.facts.problem.code], ["failed", "job-deleted"]);
+});
+
+test("every language has every text, and each format is told", () => {
+  const keys = Object.keys(en).sort();
+  assert.deepEqual(Object.keys(de).sort(), keys);
+  const { schemas } = JSON.parse(readFileSync("openapi/openapi.json", "utf8")).components;
+  for (const format of schemas.ProductPayload.properties.format.enum) {
+    assert.ok(keys.includes(`format.${format}`) && keys.includes(`format.${format}.for`), format);
+  }
 });
 
 // ---- drawing

@@ -169,6 +169,30 @@ def test_the_job_list_stays_while_it_is_refreshed(view: Open, url: str, job_id: 
     assert viewer.complaints == []
 
 
+def test_a_job_is_deleted_by_the_second_press(view: Open, url: str, tree: Path) -> None:
+    with httpx.Client(base_url=url, timeout=60) as client:
+        asset = client.post("/v1/assets", files={"file": (tree.name, tree.read_bytes())}).json()
+        job = client.post("/v1/jobs", json={"type": "voxelize", "asset_id": asset["id"]}).json()
+        client.get(f"/v1/jobs/{job['id']}", headers={"Prefer": "wait=30"})
+    viewer = view(390, 760, touch=True)
+    page = viewer.page
+    viewer.open(f"{url}/#job={job['id']}")
+    expect(page.get_by_role("alert")).to_contain_text("voxels only", timeout=JOB_MS)
+    page.locator("#open-jobs").click()
+    item = page.locator(f"#job-list [data-key='{job['id']}']")
+    item.locator(".delete").click()
+    expect(item.locator(".delete")).to_have_text("Delete it and its files?")
+    viewer.picture()
+    assert httpx.get(f"{url}/v1/jobs/{job['id']}", timeout=60).status_code == 200, "one press is not enough"
+    item.locator(".delete").click()
+    expect(item).to_have_count(0)
+    assert httpx.get(f"{url}/v1/jobs/{job['id']}", timeout=60).status_code == 410
+    page.keyboard.press("Escape")
+    expect(page.get_by_role("alert")).to_contain_text("You have deleted this tree")
+    expect(page.locator("#problem-retry")).to_be_hidden()
+    assert viewer.complaints == []
+
+
 def test_the_graphics_context_is_lost_and_comes_back(view: Open, url: str, job_id: str) -> None:
     viewer = view(900, 620)
     page = viewer.page

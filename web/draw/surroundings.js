@@ -15,6 +15,7 @@ const LOOKS = {
   },
   dark: { sky: 0xb4c8e2, earth: 0x3a3f3c, ambient: 1.25, sun: 0xe9efff, strength: 2.6, ground: 0x2b353c, shadow: 0.5 },
 };
+const ARROW_SHARE = 0.85; // of what is seen beside the tree
 const FADE = [
   [0, 1],
   [0.35, 0.85],
@@ -60,7 +61,7 @@ export class Surroundings {
       disc.scale.setScalar(radius * 2.3);
     }
     this.arrow.position.set(middle.x, middle.y, bottom);
-    this.arrow.scale.setScalar(radius);
+    this.radius = radius;
     this.sun.target.position.copy(middle);
     this.sun.position.copy(middle).addScaledVector(SUN, 4 * radius);
     const reach = 1.25 * radius;
@@ -69,6 +70,11 @@ export class Surroundings {
     this.sun.shadow.camera.updateProjectionMatrix();
     this.sun.shadow.normalBias = radius * 0.012;
     this.sun.shadow.bias = -0.0008;
+  }
+
+  /** Draw the arrow so near that it stays in the view, of which `half` is seen on either side [m]. */
+  bringArrowNear(half) {
+    this.arrow.scale.setScalar(Math.min(this.radius, ARROW_SHARE * half));
   }
 
   wind(direction_deg, strength, colour) {

@@ -11,6 +11,7 @@ const ORDER = [
   "tree-8-targets.glb",
   "tree-skinned.glb",
   "tree.usdz",
+  "tree.abc",
   "tree.vat.zip",
   "motion.ply.zip",
   "splat.ply.zip",

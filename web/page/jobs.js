@@ -7,10 +7,12 @@ import { date, duration, number, percent, speed, text } from "./texts.js";
 
 const REFRESH_MS = 2000;
 const PAGE = 20;
+const CERTAIN_MS = 4000; // in which a second press deletes
 
 export class JobList {
-  constructor(client, { onOpen, onProblem }) {
-    Object.assign(this, { client, onOpen, onProblem });
+  /** `onOpen(id)`, `onDeleted(id)`: a job was opened or deleted; `onProblem(problem)`. */
+  constructor(client, { onOpen, onDeleted, onProblem }) {
+    Object.assign(this, { client, onOpen, onDeleted, onProblem });
     this.dialog = $("jobs");
     this.names = new Map(); // of assets
     this.pictures = new Map(); // address of a job's preview, or null
@@ -98,16 +100,15 @@ export class JobList {
     const open = button(text("jobs.open"), () => this._open(job.id), { className: "open" });
     const cancel = button(text("jobs.cancel"), () => this._act(this.client.cancel(job.id)), { className: "cancel" });
     const retry = button(text("jobs.retry"), () => this._act(this.client.retry(job.id)), { className: "retry" });
-    for (const node of [open, cancel, retry]) {
-      node.setAttribute("aria-label", `${node.textContent}: ${name}, ${date(job.created_at)}`);
-    }
+    const remove = button(text("jobs.delete"), () => this._delete(job.id, remove), { className: "delete" });
+    for (const node of [open, cancel, retry, remove]) nameFully(node, `${name}, ${date(job.created_at)}`);
     const title = element("b", {}, name);
     const picture = element("img", { alt: "", width: 56, height: 56 });
     const state = element("small", { className: "state" });
     const line = element("small", {}, state, ` · ${date(job.created_at)}`);
     const words = element("div", { className: "words" }, title, ` · ${text(`job.${job.type}`)}${wind}`, line);
     words.append(element("small", { className: "why" }));
-    return element("li", {}, picture, words, element("span", { className: "actions" }, cancel, retry, open));
+    return element("li", {}, picture, words, element("span", { className: "actions" }, remove, cancel, retry, open));
   }
 
   _update(job) {
@@ -117,6 +118,7 @@ export class JobList {
     fill(item.querySelector(".state"), stateWords(job));
     fill(item.querySelector(".why"), job.error ? `${job.error.title}: ${job.error.detail}` : "");
     item.querySelector(".cancel").hidden = ended;
+    item.querySelector(".delete").hidden = !ended;
     item.querySelector(".retry").hidden = !ended || job.state === "succeeded";
     if (ended && job.result) this._showPicture(job.id, item.querySelector("img"));
   }
@@ -132,6 +134,28 @@ export class JobList {
     if (blob) picture.src = URL.createObjectURL(new Blob([blob], { type: "image/png" }));
   }
 
+  /** The first press asks, the second deletes. */
+  _delete(id, node) {
+    const ask = (asks) => {
+      node.classList.toggle("asks", asks);
+      node.textContent = text(asks ? "jobs.delete-really" : "jobs.delete");
+      nameFully(node, node.dataset.of);
+    };
+    if (!node.classList.contains("asks")) {
+      ask(true);
+      node.onblur = () => ask(false);
+      setTimeout(() => ask(false), CERTAIN_MS);
+      return null;
+    }
+    return this._try(async () => {
+      await this.client.deleteJob(id).catch(unlessGone);
+      this.jobs.delete(id);
+      this.onDeleted(id);
+      await this._refresh();
+      this.dialog.querySelector(".close").focus(); // the pressed button is gone
+    });
+  }
+
   _open(id) {
     this.dialog.close();
     this.onOpen(id);
@@ -143,6 +167,16 @@ export class JobList {
       await this._refresh();
     });
   }
+}
+
+/** The accessible name of a button of the list: what it does, and to which job. */
+function nameFully(node, of) {
+  node.dataset.of = of;
+  node.setAttribute("aria-label", `${node.textContent}: ${of}`);
+}
+
+function unlessGone(problem) {
+  if (problem.status !== 410) throw problem;
 }
 
 function stateWords(job) {

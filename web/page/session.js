@@ -82,6 +82,13 @@ export class Session {
     });
   }
 
+  /** The job that is shown was deleted: nothing of it can be asked for any more. */
+  deleted() {
+    this.run.abort();
+    this.scene.clear();
+    this.machine.send("failed", { problem: new Problem({ code: "job-deleted" }) });
+  }
+
   /** Back to the welcome; a job goes on unless `cancel` is set. */
   leave({ cancel = false } = {}) {
     const { job } = this.machine.facts;
