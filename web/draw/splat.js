@@ -5,6 +5,8 @@ import { readTensors } from "../motion/tensors.js";
 import { Field } from "./field.js";
 import { halvesOf, modifier, WIDTH } from "./splat_shader.js";
 
+const SAME_PLACE = 1e-6; // of the tree's size: a camera that has moved less stands still
+
 /** The body of a `.animated-splat.safetensors`; its harmonics stay the half floats that a texture takes. */
 export function readSplat(buffer) {
   const { tensors, shape, metadata } = readTensors(buffer, { halves: ["sh"] });
@@ -102,9 +104,12 @@ export class SplatView {
 
   /** Before each draw. What has not changed is not sorted anew, so that a still picture comes to rest. */
   evaluate(renderer, q, turn) {
-    const { position } = this.stage.camera;
-    const now = [turn, ...position, ...q].join();
-    if (now === this.before && !this.uniforms.bent.value && !this.values.bent.value) return;
+    const { camera, radius } = this.stage;
+    const { position } = camera;
+    const now = [turn, ...q].join();
+    // the controls compute the camera's place anew in each frame, which moves it in its last digits
+    const stays = this.values.eye.value.distanceTo(position) < SAME_PLACE * radius;
+    if (now === this.before && stays && !this.uniforms.bent.value && !this.values.bent.value) return;
     this.before = now;
     this.field.evaluate(renderer, q, turn);
     this.values.eye.value.copy(position);
