@@ -12,6 +12,7 @@ const ORDER = [
   "tree-skinned.glb",
   "tree.usdz",
   "tree.abc",
+  "tree.lod.zip",
   "tree.vat.zip",
   "motion.ply.zip",
   "splat.ply.zip",

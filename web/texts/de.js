@@ -142,6 +142,7 @@ export default {
   "file.tree-skinned.glb": "GLB mit Skelett",
   "file.tree.usdz": "USD",
   "file.tree.abc": "Alembic",
+  "file.tree.lod.zip": "GLB, Detailstufen",
   "file.tree.vat.zip": "Vertex-Textur",
   "file.motion.ply.zip": "PLY-Folge",
   "file.splat.ply.zip": "Splat-Folge",

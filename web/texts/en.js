@@ -142,6 +142,7 @@ export default {
   "file.tree-skinned.glb": "Skinned GLB",
   "file.tree.usdz": "USD",
   "file.tree.abc": "Alembic",
+  "file.tree.lod.zip": "GLB, levels of detail",
   "file.tree.vat.zip": "Vertex animation texture",
   "file.motion.ply.zip": "PLY sequence",
   "file.splat.ply.zip": "Splat sequence",
