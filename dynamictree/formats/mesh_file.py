@@ -13,6 +13,7 @@ from dynamictree.formats.mesh.foreign import read_foreign_mesh
 from dynamictree.formats.mesh.obj import read_obj
 from dynamictree.formats.mesh.ply import read_ply_mesh
 from dynamictree.formats.mesh.stl import is_ascii_stl, read_stl
+from dynamictree.formats.plant_likeness import doubt_plant
 from dynamictree.formats.ply_table import read_header
 from dynamictree.formats.still_parts import find_still_parts
 from dynamictree.formats.upright import judge_standing
@@ -111,7 +112,7 @@ def read_mesh(
     if reading.up_axis is None and file_type in ("glb", "gltf", "dae", "3mf"):  # these state an axis
         doubts = axis_doubts(judge_standing(whole.moving_part), upright.source_up_axis)
         whole = replace(whole, warnings=whole.warnings + doubts)
-    return with_trees(whole)
+    return with_trees(replace(whole, warnings=whole.warnings + doubt_plant(whole)))
 
 
 def sniff_file_type(head: bytes, filename: str = "") -> str:

@@ -112,7 +112,7 @@ def judge_up_axis_of_points(points: Float32[np.ndarray, "P 3"]) -> UpAxis:
 
 def axis_cues(mesh: TriangleMesh, axes: tuple[str, ...] = AXES) -> Float64[np.ndarray, "A C"] | None:
     """The cues of each axis, in the order of `CUES`; None of a mesh without surface."""
-    sampled = _surface_points(mesh)
+    sampled = surface_points(mesh)
     if sampled is None:
         return None
     points, faces = sampled
@@ -198,7 +198,7 @@ def _spreads(
     return spreads
 
 
-def _surface_points(
+def surface_points(
     mesh: TriangleMesh,
 ) -> tuple[Float64[np.ndarray, "P 3"], Int64[np.ndarray, " P"]] | None:
     """Points evenly over the surface, always the same ones, and their faces."""
