@@ -1,8 +1,10 @@
 """Writers of the products that show a moving mesh."""
 
+import io
 from dataclasses import asdict
 from typing import BinaryIO
 
+from dynamictree.byte_stream import ByteWriter
 from dynamictree.export.moving_tree import Facts, MovingTree, Report
 from dynamictree.formats.gltf.motion import MorphSummary, write_motion_glb
 from dynamictree.formats.motion.ply_sequence import iter_ply_sequence_zip
@@ -27,12 +29,21 @@ def write_glb(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts | Non
     return asdict(summary) if tree.params.normals else None
 
 
+def write_page(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
+    """HTML file that plays the exact loop from disk, without a server."""
+    from dynamictree.formats.motion.html import write_html
+
+    glb = io.BytesIO()
+    _write_glb(tree, glb)
+    write_html(glb.getvalue(), stream, title="A tree in the wind")
+
+
 def write_reduced_glb(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
     """GLB with the few morph targets that approximate the loop best."""
     return asdict(_write_glb(tree, stream, num_targets=min(REDUCED_TARGETS, 2 * tree.coefficients.shape[1] - 1)))
 
 
-def _write_glb(tree: MovingTree, stream: BinaryIO, num_targets: int | None = None) -> MorphSummary:
+def _write_glb(tree: MovingTree, stream: ByteWriter, num_targets: int | None = None) -> MorphSummary:
     return write_motion_glb(
         tree.mesh,
         tree.coefficients,

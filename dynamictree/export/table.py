@@ -12,6 +12,7 @@ from dynamictree.export.mesh_files import (
     write_alembic,
     write_displacements,
     write_glb,
+    write_page,
     write_ply_sequence,
     write_reduced_glb,
     write_skinned_glb,
@@ -68,7 +69,7 @@ class Product:
 
 
 def media_type(file_name: str) -> str:
-    """Media type of a file, by the end of its name."""
+    """Media type of a file, by the end of its name. A page is a download: it must not run in the service's origin."""
     return MEDIA_TYPES.get(PurePosixPath(file_name).suffix, "application/octet-stream")
 
 
@@ -81,6 +82,7 @@ PRODUCTS: dict[Format, Product] = {
     "glb-skinned": Product("Skinned GLB", "tree-skinned.glb", "mesh", SPEED | JOINTS, write=write_skinned_glb),
     "lod": Product("Levels of detail", "tree.lod.zip", "mesh", SPEED, write=write_levels),
     "rig": Product("Rig, collision, wind groups", "tree.rig.zip", "mesh", SPEED, write=write_rig),
+    "html": Product("Web page that plays from disk", "tree.html", "mesh", SPEED | NORMALS, write=write_page),
     "usd": Product("USD", "tree.usdz", "mesh", FRAMES, "pxr", "usd", write=write_usdz),
     "alembic": Product("Alembic", "tree.abc", "mesh", FRAMES, "alembic3d", "alembic", write=write_alembic),
     "vat": Product("Vertex animation texture", "tree.vat.zip", "mesh", FRAMES | NORMALS, write=write_vertex_texture),

@@ -163,6 +163,8 @@ export default {
   "format.lod.for": "Unreal, Unity, Godot: nah und fern",
   "format.rig": "Skelett mit Kapseln",
   "format.rig.for": "Dynamic Wind in Unreal, Kollisionen",
+  "format.html": "Webseite",
+  "format.html.for": "eine Datei, die ohne Server spielt",
   "format.usd": "USD",
   "format.usd.for": "Omniverse, Houdini, iPhone",
   "format.alembic": "Alembic",

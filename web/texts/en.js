@@ -163,6 +163,8 @@ export default {
   "format.lod.for": "Unreal, Unity, Godot: near and far",
   "format.rig": "Rig with capsules",
   "format.rig.for": "Unreal’s Dynamic Wind, ragdolls",
+  "format.html": "Web page",
+  "format.html.for": "one file that plays from disk, to send on",
   "format.usd": "USD",
   "format.usd.for": "Omniverse, Houdini, iPhone",
   "format.alembic": "Alembic",
