@@ -5,6 +5,7 @@ import { readFileSync } from "node:fs";
 import { test } from "node:test";
 import { Problem, patiently } from "../../web/client.js";
 import { Resolution } from "../../web/draw/resolution.js";
+import { forestMotions, forestPlaces, gustAt } from "../../web/motion/company.js";
 import { ringing, swayFrequency } from "../../web/motion/local.js";
 import { relativePaths, sortFiles } from "../../web/page/bundles.js";
 import { readDrop } from "../../web/page/drop.js";
@@ -273,6 +274,28 @@ test("what is let go swings about its rest, less far each time", () => {
   const crossings = swing.filter((x, i) => i && x * swing[i - 1] < 0).length;
   assert.ok(Math.abs(crossings - 16) <= 1, `${crossings} crossings in four seconds at 2 Hz`);
   assert.ok(Math.abs(swing.at(-1)) < 0.01);
+});
+
+test("a forest: nine copies whose gust travels with the wind, each turned back by its yaw", () => {
+  const places = forestPlaces(6);
+  assert.equal(places.length, 9);
+  for (const [i, { x, y }] of places.entries()) {
+    for (const other of [{ x: 0, y: 0 }, ...places.slice(0, i)]) assert.ok(Math.hypot(x - other.x, y - other.y) > 4);
+  }
+  const wind = { K: 3, phase: 0.2, period: 4, gain: 1, turn: 0.5, direction_rad: 0, speed_m_s: 5 };
+  const [near, far] = forestMotions(
+    [
+      { x: 0, y: 7, yaw: 0 },
+      { x: 10, y: 0, yaw: 2 },
+    ],
+    wind,
+  ); // prettier-ignore
+  const later = forestMotions([{ x: 0, y: 0, yaw: 0 }], { ...wind, phase: 0.2 - 10 / 5 / 4 })[0];
+  assert.deepEqual(far.q, later.q, "10 m downwind it comes 2 s later");
+  assert.ok(near.q[2] !== far.q[2]);
+  assert.ok(Math.abs(far.turn - (0.5 - 2)) < 1e-12);
+  const mean = Array.from({ length: 64 }, (_, i) => gustAt(i / 64)).reduce((sum, gust) => sum + gust / 64, 0);
+  assert.ok(Math.abs(mean - 1) < 1e-9);
 });
 
 test("a voxel that moves in one bin alone sways at its frequency", () => {

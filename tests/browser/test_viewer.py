@@ -233,6 +233,30 @@ def test_views_wind_and_the_tree_at_rest_change_the_picture(view: Open, job_url:
     assert viewer.complaints == []
 
 
+def test_a_second_wind_and_a_forest_stand_beside_the_tree(view: Open, job_url: str) -> None:
+    viewer = view(900, 620)
+    page = viewer.page
+    viewer.open(job_url)
+    page.wait_for_selector(MOVING, timeout=JOB_MS)
+    page.locator("#play").click()
+    steady(viewer)
+    alone = scrub(viewer, 0.0)
+    page.locator("#company input[value=pair]").check(force=True)
+    expect(page.locator("#other-speed")).to_have_attribute("aria-valuetext", "12.0 m/s")
+    pair = steady(viewer)
+    assert changed(alone, pair) > 0.02
+    page.locator("#other-speed").fill("0")
+    assert changed(pair, steady(viewer)) > 0.002, "the other tree has the same wind"
+    page.locator("#company input[value=forest]").check(force=True)
+    forest = scrub(viewer, 0.0)
+    viewer.picture()
+    assert changed(forest, scrub(viewer, 0.5)) > 0.004
+    assert changed(forest, scrub(viewer, 1.0)) == 0, "the forest's loop does not close"
+    page.locator("#company input[value=one]").check(force=True)
+    assert changed(alone, scrub(viewer, 0.0)) == 0, "the tree is not as before"
+    assert viewer.complaints == []
+
+
 def test_on_a_phone_everything_is_within_reach(view: Open, job_url: str) -> None:
     viewer = view(390, 760, touch=True)
     page = viewer.page

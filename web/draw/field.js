@@ -10,8 +10,8 @@ const VERTEX = "void main() { gl_Position = vec4(position.xy, 0.0, 1.0); }";
 const FRAGMENT = /* glsl */ `
 precision highp isampler2D;
 uniform isampler2D shapes;
-uniform vec2 q[BINS];      // times metres a step
-uniform vec2 turn;         // cosine and sine: the wind's direction against the one the motion was made for
+uniform vec2 q[BINS * COPIES]; // times metres a step
+uniform vec2 turn[COPIES];     // cosine and sine: the wind's direction against the one the motion was made for
 uniform int shown;         // the bin whose size goes to alpha; -1 for none
 uniform float shownScale;
 ivec2 step3(int point, int k, int c) {
@@ -19,49 +19,49 @@ ivec2 step3(int point, int k, int c) {
   return texelFetch(shapes, ivec2(at % ${WIDTH}, at / ${WIDTH}), 0).xy;
 }
 void main() {
-  int point = int(gl_FragCoord.y) * ${WIDTH} + int(gl_FragCoord.x);
+  int copy = int(gl_FragCoord.y) / ROWS;
+  int point = (int(gl_FragCoord.y) - copy * ROWS) * ${WIDTH} + int(gl_FragCoord.x);
   if (point >= POINTS) discard;
   vec3 u = vec3(0.0);
   for (int k = 0; k < BINS; k++) for (int c = 0; c < 3; c++) {
     vec2 phi = vec2(step3(point, k, c));
-    u[c] += phi.x * q[k].x - phi.y * q[k].y;
+    vec2 now = q[copy * BINS + k];
+    u[c] += phi.x * now.x - phi.y * now.y;
   }
   float size = 0.0;
   if (shown >= 0) {
     for (int c = 0; c < 3; c++) { vec2 phi = vec2(step3(point, shown, c)); size += dot(phi, phi); }
     size = sqrt(size) * shownScale;
   }
-  gl_FragColor = vec4(turn.x * u.x - turn.y * u.y, turn.y * u.x + turn.x * u.y, u.z, size);
+  vec2 t = turn[copy];
+  gl_FragColor = vec4(t.x * u.x - t.y * u.y, t.y * u.x + t.x * u.y, u.z, size);
 }`;
 
 export class Field {
-  /** Shapes [P, K, 3, 2] in steps of `scale` [K] metres. */
-  constructor(shapes, scale, P) {
+  /** Shapes [P, K, 3, 2] in steps of `scale` [K] metres, or the texture of a field that has them. */
+  constructor(shapes, scale, P, copies = 1) {
     const K = scale.length;
-    this.K = K;
-    this.scale = scale;
-    const rows = Math.ceil((P * K * 3) / WIDTH);
-    const padded = new Int16Array(2 * WIDTH * rows);
-    padded.set(shapes);
-    this.shapes = new THREE.DataTexture(padded, WIDTH, rows, THREE.RGIntegerFormat, THREE.ShortType);
-    this.shapes.internalFormat = "RG16I";
-    this.shapes.needsUpdate = true;
-    this.target = new THREE.WebGLRenderTarget(WIDTH, Math.ceil(P / WIDTH), {
+    Object.assign(this, { K, scale, P });
+    this.rows = Math.ceil(P / WIDTH); // of one copy
+    this.borrowed = shapes.isTexture;
+    this.shapes = this.borrowed ? shapes : shapesTexture(shapes, P * K * 3);
+    this.target = new THREE.WebGLRenderTarget(WIDTH, copies * this.rows, {
       type: THREE.FloatType,
       minFilter: THREE.NearestFilter,
       magFilter: THREE.NearestFilter,
       depthBuffer: false,
       generateMipmaps: false,
     });
-    this.q = Array.from({ length: K }, () => new THREE.Vector2());
+    this.q = Array.from({ length: K * copies }, () => new THREE.Vector2());
+    this.turn = Array.from({ length: copies }, () => new THREE.Vector2(1, 0));
     this.material = new THREE.ShaderMaterial({
-      defines: { BINS: K, POINTS: P },
+      defines: { BINS: K, POINTS: P, COPIES: copies, ROWS: this.rows },
       vertexShader: VERTEX,
       fragmentShader: FRAGMENT,
       uniforms: {
         shapes: { value: this.shapes },
         q: { value: this.q },
-        turn: { value: new THREE.Vector2(1, 0) },
+        turn: { value: this.turn },
         shown: { value: -1 },
         shownScale: { value: 1 },
       },
@@ -76,6 +76,11 @@ export class Field {
     this.camera = new THREE.Camera();
   }
 
+  /** The same points several times, one below the other. */
+  copied(copies) {
+    return new Field(this.shapes, this.scale, this.P, copies);
+  }
+
   get texture() {
     return this.target.texture;
   }
@@ -88,8 +93,16 @@ export class Field {
 
   /** Coordinates [2K] and the wind's turn [rad] to displacements. */
   evaluate(renderer, q, angle = 0) {
-    for (let k = 0; k < this.K; k++) this.q[k].set(q[2 * k] * this.scale[k], q[2 * k + 1] * this.scale[k]);
-    this.material.uniforms.turn.value.set(Math.cos(angle), Math.sin(angle));
+    this.evaluateAll(renderer, [{ q, turn: angle }]);
+  }
+
+  /** The same of each copy. */
+  evaluateAll(renderer, motions) {
+    const { K, scale } = this;
+    motions.forEach(({ q, turn }, copy) => {
+      for (let k = 0; k < K; k++) this.q[copy * K + k].set(q[2 * k] * scale[k], q[2 * k + 1] * scale[k]);
+      this.turn[copy].set(Math.cos(turn), Math.sin(turn));
+    });
     const before = renderer.getRenderTarget();
     renderer.setRenderTarget(this.target);
     renderer.render(this.scene, this.camera);
@@ -97,11 +110,21 @@ export class Field {
   }
 
   dispose() {
-    this.shapes.dispose();
+    if (!this.borrowed) this.shapes.dispose();
     this.target.dispose();
     this.material.dispose();
     this.scene.children[0].geometry.dispose();
   }
+}
+
+function shapesTexture(shapes, texels) {
+  const rows = Math.ceil(texels / WIDTH);
+  const padded = new Int16Array(2 * WIDTH * rows);
+  padded.set(shapes);
+  const texture = new THREE.DataTexture(padded, WIDTH, rows, THREE.RGIntegerFormat, THREE.ShortType);
+  texture.internalFormat = "RG16I";
+  texture.needsUpdate = true;
+  return texture;
 }
 
 // ---- what a vertex shader needs to stand where the field and the bones carry it
@@ -110,7 +133,12 @@ export const DISPLACE = /* glsl */ `
 uniform highp sampler2D moved;    // by point: displacement, share of the shown mode
 uniform highp sampler2D poses;    // three texels a bone: rows of [R | t]
 uniform float bent;               // 1 where something is pushed
+#ifdef USE_INSTANCING
+uniform int copyRows;             // texels below each other of one copy
+vec4 movedAt(int point) { return texelFetch(moved, ivec2(point % ${WIDTH}, point / ${WIDTH} + gl_InstanceID * copyRows), 0); }
+#else
 vec4 movedAt(int point) { return texelFetch(moved, ivec2(point % ${WIDTH}, point / ${WIDTH}), 0); }
+#endif
 mat4 poseOf(int bone) {
   ivec2 at = ivec2(3 * (bone % 256), bone / 256);
   return transpose(mat4(texelFetch(poses, at, 0), texelFetch(poses, at + ivec2(1, 0), 0), texelFetch(poses, at + ivec2(2, 0), 0), vec4(0.0, 0.0, 0.0, 1.0)));

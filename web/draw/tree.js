@@ -2,6 +2,7 @@
 
 import * as THREE from "three";
 import { carried } from "../motion/modes.js";
+import { Copies } from "./copies.js";
 import { buildCubes, disposeCubes } from "./cubes.js";
 import { Field, PoseTexture } from "./field.js";
 import { surfaceMaterials } from "./follow.js";
@@ -87,6 +88,7 @@ export class Tree {
     this.uniforms.moved.value = this.field.texture;
     this.largest = largestSwing(surface);
     this._setMaterials();
+    if (this.copies) this.setCopies(this.copies.places);
   }
 
   _voxelField() {
@@ -121,6 +123,28 @@ export class Tree {
     this.setView(this.view);
   }
 
+  /** The tree again at these places, each moved by `moveCopies`; none for an empty list. */
+  setCopies(places) {
+    this._dropCopies();
+    if (places.length && this.field && !this.hidden) {
+      this.copies = new Copies(this, places);
+      this.group.add(this.copies.mesh);
+    }
+    this.stage.frame(this.copies ? this.copies.box.union(this.box) : this.box);
+    this.setView(this.view);
+  }
+
+  moveCopies(motions) {
+    this.copies?.move(motions);
+  }
+
+  _dropCopies() {
+    if (!this.copies) return;
+    this.group.remove(this.copies.mesh);
+    this.copies.dispose();
+    this.copies = null;
+  }
+
   // ---- how it is drawn
 
   /** surface, wire, voxels or modes. */
@@ -134,6 +158,7 @@ export class Tree {
       this.mesh.visible = !cubes;
       for (const material of [this.mesh.material].flat()) material.wireframe = view === "wire";
     }
+    if (this.copies) this.copies.mesh.visible = view === "surface";
     this._showOne();
     this.uniforms.coloured.value = view === "modes" ? 1 : 0;
     this.stage.stale = true;
@@ -185,6 +210,7 @@ export class Tree {
     if (!this.q) return;
     const cubes = this.cubes?.visible;
     if (this.field && (this.field !== this.voxelField || !cubes)) this.field.evaluate(renderer, this.q, this.turn);
+    this.copies?.prepare(renderer);
     if (cubes) this.voxelField.evaluate(renderer, this.q, this.turn);
     if (this.splat?.visible) this.splat.evaluate(renderer, this.q, this.turn);
   }
@@ -216,6 +242,7 @@ export class Tree {
 
   dispose() {
     this.disposed = true;
+    this._dropCopies();
     this._dropMesh();
     this.splat?.dispose();
     this.points?.dispose();

@@ -1,5 +1,6 @@
 // Time: the wind's loop is played, paused and scrubbed, endless wind goes on; what is pushed goes on in real time.
 
+import { forestMotions, forestPlaces, gustAt, pairPlaces } from "../motion/company.js";
 import { windCoordinates, windGain } from "../motion/modes.js";
 import { turbulentCoordinates } from "../motion/turbulence.js";
 import { $, describe } from "./dom.js";
@@ -32,6 +33,7 @@ export class Player {
   start(tree, { period_s: period, wind }) {
     Object.assign(this, { tree, period, made: wind ?? { speed_m_s: 5, direction_deg: 0 }, gain: 0, phase: 0 });
     this.drawn = null;
+    this.company = "one";
     this.setTurbulent(null);
     this.setPlaying(!matchMedia("(prefers-reduced-motion: reduce)").matches);
   }
@@ -55,8 +57,20 @@ export class Player {
   /** Preview a wind: the same motion, stronger or weaker and turned. Returns the factor. */
   setWind({ speed_m_s: speed, direction_deg: direction }) {
     this.wanted = windGain(speed, this.made.speed_m_s);
+    Object.assign(this, { speed, direction_rad: (direction * Math.PI) / 180 });
     this.turn = ((direction - this.made.direction_deg) * Math.PI) / 180;
     return this.wanted;
+  }
+
+  /** What stands beside the tree: "one" for nothing, "pair" for the same tree in a wind of `speed_m_s`, or "forest". */
+  setCompany(kind, speed_m_s = this.speed) {
+    const { box } = this.tree;
+    const width = Math.max(box.max.x - box.min.x, box.max.y - box.min.y);
+    if (kind !== this.company) {
+      this.tree.setCopies(kind === "forest" ? forestPlaces(width) : kind === "pair" ? pairPlaces(width) : []);
+    }
+    this.company = kind;
+    this.otherGain = windGain(speed_m_s, this.made.speed_m_s);
   }
 
   /** Show one mode by itself, enlarged; returns how many times. */
@@ -75,12 +89,13 @@ export class Player {
     else if (this.playing) this.phase = (this.phase + seconds / this.period) % 1;
     const easing = Math.abs(this.gain - this.wanted) > 1e-3;
     this.gain = easing ? this.gain + (this.wanted - this.gain) * (1 - Math.exp(-seconds / EASE_S)) : this.wanted;
-    const now = `${this.turbulent ? this.seconds : this.phase} ${this.gain} ${this.turn} ${JSON.stringify(this.alone)}`;
+    const now = `${this.turbulent ? this.seconds : this.phase} ${this.gain} ${this.turn} ${JSON.stringify(this.alone)} ${this.company} ${this.otherGain}`;
     const changed = now !== this.drawn;
     if (changed || hand.moving || tree.groups.length) {
       const { q, turn } = this._coordinates();
       tree.move(q, turn, hand.groupsIn(q, turn, seconds));
     }
+    if (changed && tree.copies) tree.moveCopies(this._companyMotions(tree.copies.places));
     if (changed) this._showTime();
     this.drawn = now;
   }
@@ -91,7 +106,8 @@ export class Player {
       const { q, turn } = turbulentCoordinates(this.turbulent, this.seconds, this.gain);
       return { q, turn: this.turn + turn };
     }
-    if (!this.alone) return { q: windCoordinates(K, this.phase, this.gain), turn: this.turn };
+    const gust = this.company === "forest" ? gustAt(this.phase) : 1;
+    if (!this.alone) return { q: windCoordinates(K, this.phase, gust * this.gain), turn: this.turn };
     const { k, times } = this.alone;
     const q = new Float32Array(2 * K);
     const phase = this.turbulent ? (this.seconds / this.period) % 1 : this.phase;
@@ -99,6 +115,16 @@ export class Player {
     q[2 * k] = times * Math.cos(angle);
     q[2 * k + 1] = times * Math.sin(angle);
     return { q, turn: this.turn };
+  }
+
+  _companyMotions(places) {
+    const { K } = this.tree.modes;
+    const { phase, period, seconds, turbulent, gain, turn, direction_rad, speed: speed_m_s } = this;
+    if (this.company === "forest")
+      return forestMotions(places, { K, phase, period, seconds, turbulent, gain, turn, direction_rad, speed_m_s });
+    if (!turbulent) return places.map(() => ({ q: windCoordinates(K, phase, this.otherGain), turn }));
+    const now = turbulentCoordinates(turbulent, seconds, this.otherGain);
+    return places.map(() => ({ q: now.q, turn: turn + now.turn }));
   }
 
   _showTime() {
