@@ -47,6 +47,7 @@ Format = Literal[
     "motion",
     "splat-ply",
     "splat",
+    "usd-splat",
     "png",
     "webp",
     "mp4",
@@ -64,6 +65,7 @@ TURBULENT_FRAMES: dict[Format, int] = {
     "webp": MAX_FRAMES,
     "png": MAX_TURBULENT_FRAMES,
     "usd": MAX_FRAMES,
+    "usd-splat": MAX_FRAMES,
     "alembic": MAX_FRAMES,
     "vat": MAX_FRAMES,
 }

@@ -15,6 +15,19 @@ def write_splat_sequence(tree: MovingTree, stream: BinaryIO, report: Report) -> 
     stream.writelines(iter_splat_sequence_zip(tree.binding, frames, first_number=tree.params.first_frame))
 
 
+def write_usd_splat(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
+    """USD with a Gaussian splat that has a time sample per frame.
+
+    Raises:
+        InputError: the file would be too large.
+    """
+    from dynamictree.formats.motion.usd_splat import write_splat_usdz
+
+    assert tree.binding is not None
+    params = tree.params
+    write_splat_usdz(tree.binding, tree.frames(report), stream, num_frames=len(tree.phases), fps=params.fps)
+
+
 def write_compact_splat(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
     """The splat at rest, what carries it and the spectrum: a player computes the frames."""
     assert tree.binding is not None

@@ -9,9 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from pxr import Usd, UsdGeom, UsdVol
 
 from dynamictree.commands.source import load_capture
 from dynamictree.errors import FormatError, InputError
+from dynamictree.export.vertex_motion import vertex_motion
 from dynamictree.export.write import write_products
 from dynamictree.formats.axes import up_rotation
 from dynamictree.formats.cloud_file import read_cloud
@@ -20,12 +22,14 @@ from dynamictree.formats.motion.splat_sequence import requested_bytes
 from dynamictree.formats.splat.splat import write_splat
 from dynamictree.formats.tensors.animated_splat import read_animated_splat
 from dynamictree.formats.tensors.cloud_bundle import read_cloud_bundle, write_cloud_bundle
+from dynamictree.gaussian.animate import iter_poses
+from dynamictree.gaussian.binding import bind_capture
 from dynamictree.gaussian.capture import Capture, carrying_mesh, moving_part
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.cloud_mesh import FACES_PER_GAUSSIAN, LEAST_FACES
 from dynamictree.mesh import TriangleMesh
 from dynamictree.requests import CloudParams, ExportParams, Shot
-from dynamictree.spectrum import SparseVoxelSpectrum
+from dynamictree.spectrum import SparseVoxelSpectrum, iter_motion
 from dynamictree.voxel.voxelize import voxelize
 
 BOX = ((-0.3, -0.3, -0.1), (0.3, 0.3, 1.1))
@@ -255,3 +259,29 @@ def test_too_large_a_sequence_is_refused_before_it_is_made(
     with pytest.raises(InputError, match="ask for fewer frames"):
         animated(capture, mesh, spectrum, tmp_path, ExportParams(formats=("splat-ply",)), [])
     assert not list(tmp_path.iterdir())
+
+
+def test_usd_has_every_pose_of_the_splat(
+    capture: Capture, mesh: TriangleMesh, spectrum: SparseVoxelSpectrum, tmp_path: Path
+) -> None:
+    params = ExportParams(formats=("usd-splat",), num_frames=4)
+    choice = CloudParams(box_m=BOX)
+    path = write_products(mesh, spectrum, params, tmp_path, capture=capture, choice=choice)["usd-splat"]
+    stage = Usd.Stage.Open(str(path))
+    splat = UsdVol.ParticleField3DGaussianSplat(stage.GetPrimAtPath("/Tree/Splat"))
+    assert splat.GetPositionsAttr().GetTimeSamples() == [0, 1, 2, 3]
+    assert UsdGeom.GetStageMetersPerUnit(stage) == 1
+    binding = bind_capture(capture, mesh, choice)
+    coefficients, bends = vertex_motion(mesh, spectrum, on_progress=lambda done: None)
+    assert bends is not None
+    poses = list(iter_poses(binding, bends.iter_poses(iter_motion(coefficients, np.arange(4) / 4, 4))))
+    assert np.abs(poses[0].means - poses[2].means).max() > 0.1
+    for code, pose in enumerate(poses):
+        np.testing.assert_allclose(np.array(splat.GetPositionsAttr().Get(code)), pose.means, atol=1e-6)
+        np.testing.assert_allclose(np.array(splat.GetScaleshAttr().Get(code)), pose.scales, rtol=1e-3)
+        for row, turned in list(enumerate(splat.GetOrientationshAttr().Get(code)))[::500]:
+            wxyz = np.array([turned.GetReal(), *turned.GetImaginary()])
+            np.testing.assert_allclose(wxyz, pose.quaternions[row], atol=1e-3)
+    np.testing.assert_allclose(np.array(splat.GetOpacitiesAttr().Get()), 0.9)
+    harmonics = np.array(splat.GetRadianceSphericalHarmonicsCoefficientsAttr().Get())
+    np.testing.assert_allclose(harmonics, capture.cloud.sh[:, 0])

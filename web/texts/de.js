@@ -184,6 +184,8 @@ export default {
   "format.splat-ply.for": "ein Splat je Bild",
   "format.splat": "Splat",
   "format.splat.for": "ein Splat, der sich bewegt",
+  "format.usd-splat": "USD-Splat",
+  "format.usd-splat.for": "Omniverse, usdview",
   "format.png": "Bild",
   "format.png.for": "ein Standbild",
   "format.webp": "WebP",

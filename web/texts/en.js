@@ -184,6 +184,8 @@ export default {
   "format.splat-ply.for": "one splat per frame",
   "format.splat": "Splat",
   "format.splat.for": "one splat that moves",
+  "format.usd-splat": "USD splat",
+  "format.usd-splat.for": "Omniverse, usdview",
   "format.png": "Picture",
   "format.png.for": "a still",
   "format.webp": "WebP",
