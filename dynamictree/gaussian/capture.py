@@ -105,7 +105,8 @@ def only_tree(capture: Capture, number: int) -> Capture:
     if capture.tree is None:
         return capture
     own = (capture.tree == number - 1) & moving_part(capture)
-    return replace(capture, cloud=capture.cloud.subset(own), mask=None, tree=None, part_of=None, still_parts=())
+    nothing = None if capture.part_of is None else np.zeros(int(own.sum()), np.uint8)  # names of parts stay valid
+    return replace(capture, cloud=capture.cloud.subset(own), mask=None, tree=None, part_of=nothing)
 
 
 def move_only_tree(capture: Capture, number: int) -> Capture:

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float32, Float64, Int32, Int64
 
+from dynamictree.errors import InputError
 from dynamictree.mesh import TriangleMesh, connected_parts, weld
 from dynamictree.trees.cells import CELLS_TALL
 from dynamictree.trees.choose import require_tree, several_trees
@@ -63,12 +64,14 @@ def only_tree_of(mesh: TriangleMesh, number: int) -> TriangleMesh:
     """One of several trees by itself, counted from 1; without what stands still.
 
     Raises:
-        InputError: there is no such tree.
+        InputError: there is no such tree, or all of it is to stand still.
     """
     require_tree(number, mesh.face_tree)
     if mesh.face_tree is None:
         return mesh
     own = mesh.face_tree == number - 1
+    if mesh.still_faces is not None and mesh.still_faces[own].all():
+        raise InputError(f"still, still_box_m and box_m leave nothing of tree {number} that moves")
     vertices, corner = np.unique(mesh.faces[own], return_inverse=True)
     return replace(
         mesh,

@@ -16,9 +16,9 @@ from dynamictree.formats.tensors.cloud_bundle import read_cloud_bundle, write_cl
 from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle, write_mesh_bundle
 from dynamictree.formats.tensors.voxels import read_voxels, write_voxels
 from dynamictree.gaussian.capture import Capture, carrying_mesh, move_only_tree, moving_part, only_tree
-from dynamictree.mesh import TriangleMesh, joined
+from dynamictree.mesh import StillPart, TriangleMesh, joined
 from dynamictree.models.several_trees import tree_voxels
-from dynamictree.requests import ExportParams
+from dynamictree.requests import CloudParams, ExportParams
 from dynamictree.spectrum import Wind
 from dynamictree.trees.of_mesh import stand_resolution
 from tests.service.test_clouds import post_cloud
@@ -96,6 +96,12 @@ def test_one_tree_of_a_cloud_is_cut_out_or_moves_alone_and_the_ground_stays() ->
     assert (again.tree == number).all()
     assert moving_part(capture).sum() == 790
     assert (only_tree(capture, 2).cloud.means[:, 0] > 1.5).all()
+    grounded = replace(
+        capture, still_parts=(StillPart(name="ground", why="flat"),), part_of=np.zeros(len(number), np.uint8)
+    )
+    second, low = only_tree(grounded, 2), ((-9.0, -9.0, -9.0), (9.0, 9.0, 0.5))
+    moving = moving_part(second, CloudParams(still=("ground",), still_box_m=low))
+    np.testing.assert_array_equal(moving, second.cloud.means[:, 2] > 0.5)
     assert (moving_part(move_only_tree(capture, 2)) == (number == 1)).all()
     mesh = carrying_mesh(capture)
     assert mesh.face_tree is not None
