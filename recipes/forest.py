@@ -10,7 +10,7 @@ import numpy as np
 
 from dynamictree import method
 from dynamictree.commands.source import load_mesh
-from dynamictree.formats.gltf.forest import plant_forest, write_forest_glb
+from dynamictree.formats.gltf.forest import TravellingGusts, plant_forest, write_forest_glb
 from dynamictree.formats.tensors.spectrum import read_spectrum
 
 
@@ -22,13 +22,18 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--trees", type=int, default=100)
     parser.add_argument("--spacing", type=float, help="metres from tree to tree; by the crown's width if not given")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--gust-speed", type=float, help="gusts cross the forest at so many m/s; without it none do")
     chosen = parser.parse_args(arguments)
     mesh = load_mesh(chosen.mesh)
     with chosen.spectrum.open("rb") as stream:
         spectrum = read_spectrum(stream)
     spacing_m = chosen.spacing or 0.9 * float(np.ptp(mesh.vertices[:, :2], axis=0).max())
     rng = np.random.default_rng(chosen.seed)
-    trees = plant_forest(rng, chosen.trees, num_frequencies=spectrum.num_frequencies, spacing_m=spacing_m)
+    wind_deg = spectrum.wind.direction_deg if spectrum.wind else 0.0
+    gusts = None
+    if chosen.gust_speed is not None:
+        gusts = TravellingGusts(speed_m_s=chosen.gust_speed, wind_deg=wind_deg, period_s=spectrum.period_s)
+    trees = plant_forest(rng, chosen.trees, num_frequencies=spectrum.num_frequencies, spacing_m=spacing_m, gusts=gusts)
     with chosen.output.open("wb") as stream:
         write_forest_glb(
             mesh,
@@ -37,7 +42,7 @@ def main(arguments: list[str] | None = None) -> None:
             stream,
             num_frames=spectrum.num_frames,
             fps=spectrum.fps,
-            wind_deg=spectrum.wind.direction_deg if spectrum.wind else 0.0,
+            wind_deg=wind_deg,
         )
     print(f"{chosen.output}: {len(trees)} trees, {chosen.output.stat().st_size / 1e6:.1f} MB")
 

@@ -3,6 +3,7 @@
 import os
 import re
 import subprocess
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
@@ -13,10 +14,11 @@ import pytest
 from benchmarks._played import accessor, played_morphs, z_up
 from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.errors import InputError
-from dynamictree.formats.gltf.forest import plant_forest
-from dynamictree.formats.gltf.motion import write_motion_glb
+from dynamictree.formats.gltf.forest import TravellingGusts, plant_forest
+from dynamictree.formats.gltf.motion import loop_parts, loop_weights, write_motion_glb
 from dynamictree.formats.gltf.writer import write_glb
 from dynamictree.formats.tensors.spectrum import write_spectrum
+from dynamictree.spectrum import iter_motion
 from recipes import blender_import, forest, gallery
 
 COUNT = 9
@@ -126,6 +128,7 @@ import sys
 from pathlib import Path
 import bpy
 import numpy as np
+from dynamictree.spectrum import iter_motion
 from recipes import blender_import
 
 if sys.argv[3] == "plain":
@@ -176,3 +179,18 @@ def test_the_gallery_shows_each_file_or_why_it_was_refused(tmp_path: Path) -> No
     [picture] = re.findall(r'<img src="([^"]+)"', page)
     assert (tmp_path / "out" / picture).read_bytes().startswith(b"\x89PNG")
     assert re.search(r'class="error">[^<]*empty', page)
+
+
+def test_a_gust_reaches_a_tree_as_late_as_its_way_is_long(rng: np.random.Generator) -> None:
+    gusts = TravellingGusts(speed_m_s=6.0, wind_deg=30.0, period_s=4.0, variety=0.0)
+    trees = plant_forest(rng, 9, num_frequencies=4, spacing_m=7.0, gusts=gusts)
+    coefficients = (rng.normal(size=(5, 4, 3)) + 1j * rng.normal(size=(5, 4, 3))).astype(np.complex64)
+    downwind = np.array([np.cos(np.pi / 6), np.sin(np.pi / 6)])
+    delays_s = [np.array(tree.position_m[:2]) @ downwind / 6.0 for tree in trees]
+    assert np.ptp(delays_s) > 1
+    for tree, delay_s in zip(trees, delays_s, strict=True):
+        moved = loop_weights(4, 20, tree.phase_rad) @ loop_parts(coefficients, 20)
+        later = np.stack(list(iter_motion(coefficients, np.arange(20) / 20 - delay_s / 4.0, 20)))
+        np.testing.assert_allclose(moved.reshape(20, 5, 3), later, atol=1e-5)
+    with pytest.raises(InputError, match="speed above 0"):
+        plant_forest(rng, 4, num_frequencies=4, spacing_m=7.0, gusts=replace(gusts, speed_m_s=0.0))

@@ -28,11 +28,28 @@ class StandingTree:
     phase_rad: Float64[np.ndarray, " K"]  # 0 for k = 0, the lean
 
 
-def plant_forest(rng: np.random.Generator, count: int, *, num_frequencies: int, spacing_m: float) -> list[StandingTree]:
-    """Draw trees on a jittered grid, 0.8 to 1.25 times as large as the first.
+@dataclass(frozen=True, kw_only=True)
+class TravellingGusts:
+    """Gusts that cross a forest: a tree sways as the one upwind of it did, as much later as the gust takes."""
+
+    speed_m_s: float  # of the gusts over the ground
+    wind_deg: float  # where the wind blows to, from +X towards +Y
+    period_s: float  # of the loop
+    variety: float = 0.25  # share of a whole turn by which phases differ besides, at random
+
+
+def plant_forest(
+    rng: np.random.Generator,
+    count: int,
+    *,
+    num_frequencies: int,
+    spacing_m: float,
+    gusts: TravellingGusts | None = None,
+) -> list[StandingTree]:
+    """Draw trees on a jittered grid, 0.8 to 1.25 times as large as the first; phases at random, or by the gusts.
 
     Raises:
-        InputError: no trees.
+        InputError: no trees, or gusts that stand still.
     """
     if count < 1:
         raise InputError(f"{count} trees are asked for; at least 1 is needed")
@@ -40,6 +57,8 @@ def plant_forest(rng: np.random.Generator, count: int, *, num_frequencies: int, 
     place = np.stack(np.divmod(np.arange(count), side), axis=1) - (side - 1) / 2  # [count, 2]
     place = (place + rng.uniform(-0.3, 0.3, place.shape)) * spacing_m
     phase = rng.uniform(0, 2 * np.pi, (count, num_frequencies))
+    if gusts is not None:
+        phase = gusts.variety * phase + _gust_phase(place, gusts, num_frequencies)
     phase[:, 0] = 0
     return [
         StandingTree(
@@ -50,6 +69,17 @@ def plant_forest(rng: np.random.Generator, count: int, *, num_frequencies: int, 
         )
         for (x, y), own in zip(place, phase, strict=True)
     ]
+
+
+def _gust_phase(
+    place_m: Float64[np.ndarray, "n 2"], gusts: TravellingGusts, num_frequencies: int
+) -> Float64[np.ndarray, "n K"]:
+    """Phase of each frequency at each tree, which delays its motion by the gust's way [rad]."""
+    if not gusts.speed_m_s > 0:
+        raise InputError(f"gusts travel at {gusts.speed_m_s} m/s; a speed above 0 is needed")
+    angle = np.deg2rad(gusts.wind_deg)
+    delay_s = place_m @ [np.cos(angle), np.sin(angle)] / gusts.speed_m_s
+    return np.asarray(-2 * np.pi * np.outer(delay_s / gusts.period_s, np.arange(num_frequencies)))
 
 
 def write_forest_glb(
