@@ -20,6 +20,7 @@ from dynamictree.render.sheet import (
     STRIP_PX,
     amplitude_colors,
     composed_sheet,
+    plant_height,
     slice_window,
     sway_amplitude,
 )
@@ -47,7 +48,6 @@ def splat_sheet(tree: MovingTree, binding: Binding, report: Report) -> UInt8[np.
     phases = np.arange(NUM_STRIP) / NUM_STRIP
     strip = [scene.picture(small, STRIP_PX, deformer.pose(frame), backdrop) for frame in splat.displacements(phases)]
     report(0.6)
-    plant = scene.binding.cloud.means[moving, 2]
     standing = f" ({np.count_nonzero(~moving):,} stand still)" if not moving.all() else ""
     return composed_sheet(
         still=still,
@@ -55,7 +55,7 @@ def splat_sheet(tree: MovingTree, binding: Binding, report: Report) -> UInt8[np.
         time_slice=_space_time_slice(scene, splat, amplitude, window),
         strip=np.concatenate(strip, axis=1),
         line=line,
-        title=f"{binding.cloud.num_gaussians:,} Gaussians{standing}, {np.ptp(plant):.3g} m high",
+        title=f"{binding.cloud.num_gaussians:,} Gaussians{standing}, {plant_height(tree.mesh)} high",
         most_m=float(amplitude.max()),
         some_stand=not moving.all(),
         num_frames=num_frames,
