@@ -12,6 +12,7 @@ import { Hand } from "./page/hand.js";
 import { JobList } from "./page/jobs.js";
 import { watchKeys } from "./page/keyboard.js";
 import { layOut, showGrip, showHint } from "./page/layout.js";
+import { LightPanel } from "./page/light.js";
 import { LiveTree } from "./page/live.js";
 import { Machine } from "./page/machine.js";
 import { Player } from "./page/player.js";
@@ -203,6 +204,7 @@ function look() {
 }
 
 new ShareDialog(client, { tree: () => ({ job: machine.facts.job, name: treeName() }), onProblem });
+new LightPanel(stage);
 new Recorder(stage, player, { name: treeName, onProblem });
 watchRoom(() => layOut(stage, machine.state));
 $("new").onclick = () => leave();

@@ -190,7 +190,7 @@ def test_a_job_is_deleted_by_the_second_press(view: Open, url: str, tree: Path) 
     page.keyboard.press("Escape")
     expect(page.get_by_role("alert")).to_contain_text("You have deleted this tree")
     expect(page.locator("#problem-retry")).to_be_hidden()
-    assert viewer.complaints == []
+    assert [text for text in viewer.complaints if "410" not in text] == []
 
 
 def test_the_graphics_context_is_lost_and_comes_back(view: Open, url: str, job_id: str) -> None:
@@ -241,6 +241,7 @@ def test_no_rule_of_accessibility_is_broken(
     page.goto(f"{url}/#job={job_id}")
     state(page, "moving")
     viewer.wait_frames(2)
+    page.locator("#light-section summary").click()
     page.locator("#tree-details summary").click()
     page.locator("#more summary").click()
     expect(page.locator("#more-formats li").first).to_be_attached()

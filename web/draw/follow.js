@@ -78,7 +78,7 @@ const COLOURS = {
 
 /** Make a material's vertices follow; `uniforms` are the tree's. `kind` is a key of KINDS. */
 export function makeFollow(material, uniforms, kind) {
-  const lit = material.isMeshLambertMaterial;
+  const lit = material.isMeshLambertMaterial || material.isMeshStandardMaterial;
   const declared = kind === "cubes" ? "attribute float voxelRow;" : "";
   material.onBeforeCompile = (shader) => {
     Object.assign(shader.uniforms, uniforms);
@@ -101,7 +101,10 @@ export function makeFollow(material, uniforms, kind) {
       // normals of foliage look outward on both sides
       .replace(
         "#include <normal_fragment_begin>",
-        "float faceDirection = 1.0; vec3 normal = normalize(vNormal); vec3 nonPerturbedNormal = normal;",
+        `float faceDirection = 1.0; vec3 normal = normalize(vNormal); vec3 nonPerturbedNormal = normal;
+#ifdef USE_NORMALMAP_TANGENTSPACE
+  mat3 tbn = getTangentFrame(-vViewPosition, normal, vNormalMapUv);
+#endif`,
       );
   };
   material.customProgramCacheKey = () => `follow-${material.type}-${kind}`;
@@ -115,7 +118,10 @@ export function surfaceMaterials(surface, uniforms) {
   const kind = surface.tie_rows ? "nearVoxels" : "vertices";
   const all = surface.materials.length ? surface.materials : [PLAIN];
   const lit = all.map(({ base_color: [r, g, b], alpha_cutoff: cutoff }, index) => {
-    const material = new THREE.MeshLambertMaterial({
+    const shiny = surface.looks?.[index];
+    const Kind = shiny ? THREE.MeshStandardMaterial : THREE.MeshLambertMaterial;
+    const material = new Kind({
+      ...shiny,
       color: new THREE.Color(r, g, b),
       map: surface.textures[index] ?? null,
       vertexColors: true,

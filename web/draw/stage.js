@@ -66,6 +66,12 @@ export class Stage {
     this.stale = true;
   }
 
+  /** See Surroundings.sunPlace. */
+  moveSun(place) {
+    this.surroundings.sunPlace = place;
+    this.stale = true;
+  }
+
   // ---- camera
 
   /** Put camera, ground and shadow around a box. */

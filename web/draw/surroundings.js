@@ -1,8 +1,10 @@
 // What stands around a tree: light, ground with shadow, and the arrow that the wind blows along.
 
 import * as THREE from "three";
+import { environmentOf } from "./environment.js";
 
-const SUN = new THREE.Vector3(0.55, -0.62, 1.0).normalize();
+const SUN = { from_deg: 312, height_deg: 50 }; // +Y is north, 0° is east
+const REFLECTED = 0.4; // of the environment: the sky lights all materials besides
 const LOOKS = {
   light: {
     sky: 0xf4f8ff,
@@ -39,12 +41,16 @@ export class Surroundings {
     this.ground.renderOrder = -2;
     this.shade.renderOrder = -1;
     this.arrow = windArrow();
+    this.scene = scene;
+    this.sunPlace = SUN;
     scene.add(this.sky, this.sun, this.sun.target, this.ground, this.shade, this.arrow);
   }
 
   /** Colours of the theme: "light" or "dark". */
   look(name) {
     const look = LOOKS[name];
+    this.colours = look;
+    if (this.scene.environment) this.reflect(this.renderer);
     this.sky.color.set(look.sky);
     this.sky.groundColor.set(look.earth);
     this.sky.intensity = look.ambient;
@@ -52,6 +58,28 @@ export class Surroundings {
     this.sun.intensity = look.strength;
     this.ground.material.color.set(look.ground);
     this.shade.material.opacity = look.shadow;
+  }
+
+  /** Give shiny materials something to reflect. */
+  reflect(renderer) {
+    this.renderer = renderer;
+    this.scene.environment?.dispose();
+    this.scene.environment = environmentOf(renderer, this.colours);
+    this.scene.environmentRotation.set(Math.PI / 2, 0, 0); // its top is +Y, ours +Z
+    this.scene.environmentIntensity = REFLECTED;
+  }
+
+  /** Where the sun is seen from the tree: the direction over the ground, and the height above it [degrees both]. */
+  set sunPlace(place) {
+    this._sunPlace = place;
+    const [from, height] = [place.from_deg, place.height_deg].map(THREE.MathUtils.degToRad);
+    const level = Math.cos(height);
+    this.sunward = new THREE.Vector3(level * Math.cos(from), level * Math.sin(from), Math.sin(height));
+    this.sun.position.copy(this.sun.target.position).addScaledVector(this.sunward, 4 * (this.radius ?? 1));
+  }
+
+  get sunPlace() {
+    return this._sunPlace;
   }
 
   /** Place everything under a box of this middle, radius and lowest z. */
@@ -63,7 +91,7 @@ export class Surroundings {
     this.arrow.position.set(middle.x, middle.y, bottom);
     this.radius = radius;
     this.sun.target.position.copy(middle);
-    this.sun.position.copy(middle).addScaledVector(SUN, 4 * radius);
+    this.sunPlace = this.sunPlace;
     const reach = 1.25 * radius;
     const box = { left: -reach, right: reach, top: reach, bottom: -reach, near: radius, far: 8 * radius };
     Object.assign(this.sun.shadow.camera, box);

@@ -91,6 +91,16 @@ export class Tree {
     if (this.copies) this.setCopies(this.copies.places);
   }
 
+  /** Metal, roughness and maps of the materials, one a material or null, once a file says more than colours. */
+  setLooks(looks) {
+    this.surface.looks = looks;
+    const maps = looks.flatMap((look) => (look ? [look.normalMap, look.roughnessMap] : []));
+    this.surface.textures.push(...maps); // behind the colours, to be disposed of with them
+    this.stage.surroundings.reflect(this.stage.renderer);
+    this._setMaterials();
+    if (this.copies) this.setCopies(this.copies.places);
+  }
+
   _voxelField() {
     this.voxelField ??= new Field(this.modes.shapes, this.modes.scale_m, this.modes.V);
     return this.voxelField;

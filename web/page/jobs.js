@@ -7,7 +7,7 @@ import { date, duration, number, percent, speed, text } from "./texts.js";
 
 const REFRESH_MS = 2000;
 const PAGE = 20;
-const CERTAIN_MS = 4000; // in which a second press deletes
+const CERTAIN_MS = 15_000; // in which a second press deletes
 
 export class JobList {
   /** `onOpen(id)`, `onDeleted(id)`: a job was opened or deleted; `onProblem(problem)`. */

@@ -25,7 +25,11 @@ export class Recorder {
     $("save-video").hidden = !globalThis.VideoEncoder; // only browsers of late, over https or on localhost
   }
 
-  /** The view as PNG; without the ground its background is transparent. */
+  get _isTransparent() {
+    return document.body.dataset.background === "none" || !this.stage.surroundings.ground.visible;
+  }
+
+  /** The view as PNG; its background is transparent where that is chosen, or the ground hidden. */
   picture() {
     const copy = this._copier();
     this.stage.drawNow();
@@ -71,7 +75,7 @@ export class Recorder {
 
   /** A function that copies the free part of the stage into a canvas of its own. */
   _copier() {
-    const { canvas: source, margins, surroundings } = this.stage;
+    const { canvas: source, margins } = this.stage;
     const { left = 0, right = 0, top = 0, bottom = 0 } = margins;
     const part = [left, top, source.clientWidth - left - right, source.clientHeight - top - bottom];
     const ratio = Math.min(devicePixelRatio, 2);
@@ -80,13 +84,14 @@ export class Recorder {
     const pen = canvas.getContext("2d");
     const sky = pen.createLinearGradient(0, 0, 0, canvas.height);
     const { color, backgroundColor } = getComputedStyle($("sky"));
-    sky.addColorStop(0, color);
+    const plain = document.body.dataset.background === "plain";
+    sky.addColorStop(0, plain ? backgroundColor : color);
     sky.addColorStop(0.72, backgroundColor);
     const copy = () => {
       const scale = source.width / source.clientWidth;
       pen.clearRect(0, 0, canvas.width, canvas.height);
       pen.fillStyle = sky;
-      if (surroundings.ground.visible) pen.fillRect(0, 0, canvas.width, canvas.height);
+      if (!this._isTransparent) pen.fillRect(0, 0, canvas.width, canvas.height);
       pen.drawImage(source, ...part.map((length) => length * scale), 0, 0, canvas.width, canvas.height);
     };
     return Object.assign(copy, { canvas });

@@ -85,12 +85,25 @@ export class Scene {
       else await tree.setSplat(read);
     } else if (tree.points) {
       tree.showMesh(); // nothing else of this job moves
-    } else if (tree.usesNearVoxels) {
-      const { isWorthLoading, readShapes } = await import("../draw/glb_shapes.js");
-      const file = artifacts.find(isWorthLoading);
-      if (!file) return;
-      const shapes = await readShapes(await this.client.bytes(file.url, { signal }));
-      if (shapes && !signal.aborted) tree.setShapes(shapes);
+    } else {
+      const file = artifacts.find(({ name }) => name === "tree.glb");
+      if (file && tree.usesNearVoxels) await this._ownMotion(tree, file, signal);
+      if (file) await this._looks(tree, file, signal).catch(() => {}); // matt without them
     }
+  }
+
+  async _ownMotion(tree, file, signal) {
+    const { isWorthLoading, readShapes } = await import("../draw/glb_shapes.js");
+    if (!isWorthLoading(file)) return;
+    const shapes = await readShapes(await this.client.bytes(file.url, { signal }));
+    if (shapes && !signal.aborted) tree.setShapes(shapes);
+  }
+
+  /** Metal, roughness and maps of normals, which the surface does not have. */
+  async _looks(tree, file, signal) {
+    const { readLooks } = await import("../draw/glb_looks.js");
+    const read = (from, to) => this.client.bytes(file.url, { signal, headers: { Range: `bytes=${from}-${to - 1}` } });
+    const looks = await readLooks(read);
+    if (looks?.length === tree.surface.materials.length && !signal.aborted) tree.setLooks(looks);
   }
 }

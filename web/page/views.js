@@ -12,10 +12,6 @@ export class ViewPanel {
     $("rest").onchange = () => this._showRest();
     $("company").onchange = () => this._showCompany();
     $("other-speed").oninput = () => this._showCompany();
-    $("ground").onchange = () => {
-      stage.surroundings.groundVisible = $("ground").checked;
-      stage.stale = true;
-    };
     $("turntable").onchange = () => {
       stage.controls.autoRotate = $("turntable").checked;
     };

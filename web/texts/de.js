@@ -95,6 +95,14 @@ export default {
   "mode.alone": "Diese Mode allein, vergrößert",
   "mode.times": "{n}-mal vergrößert",
 
+  "light.title": "Licht und Hintergrund",
+  "light.from": "Sonne aus",
+  "light.height": "Höhe der Sonne",
+  "light.background": "Hintergrund",
+  "light.sky": "Himmel",
+  "light.plain": "Einfarbig",
+  "light.none": "Durchsichtig",
+
   "push.title": "Anstoßen",
   "push.note": "An einem Ast ziehen und loslassen. Neben dem Baum ziehen, um die Ansicht zu drehen.",
   "push.damping": "Dämpfung",

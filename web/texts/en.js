@@ -95,6 +95,14 @@ export default {
   "mode.alone": "This mode alone, enlarged",
   "mode.times": "enlarged {n} times",
 
+  "light.title": "Light and background",
+  "light.from": "Sun from",
+  "light.height": "Height of the sun",
+  "light.background": "Background",
+  "light.sky": "Sky",
+  "light.plain": "Plain",
+  "light.none": "Transparent",
+
   "push.title": "Push",
   "push.note": "Pull a branch and let go. Drag beside the tree to turn the view.",
   "push.damping": "Damping",

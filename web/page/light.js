@@ -1,0 +1,34 @@
+// The panel's light: where the sun stands, what lies under the tree and behind it.
+
+import { $, describe } from "./dom.js";
+import { degrees, text } from "./texts.js";
+
+export class LightPanel {
+  constructor(stage) {
+    this.stage = stage;
+    $("sun-from").oninput = $("sun-height").oninput = () => this._showSun();
+    $("ground").onchange = () => {
+      stage.surroundings.groundVisible = $("ground").checked;
+      stage.stale = true;
+    };
+    $("background").onchange = () => {
+      document.body.dataset.background = $("background").value;
+    };
+    const { from_deg, height_deg } = stage.surroundings.sunPlace;
+    $("sun-from").value = from_deg;
+    $("sun-height").value = height_deg;
+    this._describe();
+  }
+
+  _showSun() {
+    this.stage.moveSun({ from_deg: Number($("sun-from").value), height_deg: Number($("sun-height").value) });
+    this._describe();
+  }
+
+  _describe() {
+    const from = Number($("sun-from").value);
+    const points = text("wind.points").split(" ");
+    describe($("sun-from"), $("sun-from-out"), `${degrees(from)} ${points[Math.round(from / 45) % 8]}`);
+    describe($("sun-height"), $("sun-height-out"), degrees(Number($("sun-height").value)));
+  }
+}
