@@ -7,6 +7,8 @@ from dynamictree.errors import InputError
 
 SHIPPED = Path(__file__).parent
 SUFFIX = ".safetensors"
+CHECKPOINT = "checkpoint"
+"""Name of a training's state, which a run's folder holds beside its weights."""
 ENVIRONMENT_VARIABLE = "DYNAMICTREE_MODELS"
 
 
@@ -15,7 +17,8 @@ def list_weights() -> dict[str, Path]:
     folders = [SHIPPED]
     if os.environ.get(ENVIRONMENT_VARIABLE):
         folders.append(Path(os.environ[ENVIRONMENT_VARIABLE]))
-    return {path.stem: path for folder in folders for path in sorted(folder.glob(f"*{SUFFIX}"))}
+    files = [path for folder in folders for path in sorted(folder.glob(f"*{SUFFIX}"))]
+    return {path.stem: path for path in files if path.stem != CHECKPOINT}
 
 
 def weights_path(name_or_path: str) -> Path:

@@ -99,8 +99,9 @@ def plans(settings: Settings, listening: socket.socket) -> list[ChildPlan]:
         "DYNAMICTREE_DATABASE_URL": _absolute(settings.resolved_database_url),
         "PYTHONSAFEPATH": "1",  # a `pydantic.py` in the current folder is no module of ours
     }
-    if secrets := os.environ.get("DYNAMICTREE_SECRETS_DIR"):
-        environment["DYNAMICTREE_SECRETS_DIR"] = str(Path(secrets).resolve())
+    for name in ("DYNAMICTREE_SECRETS_DIR", "DYNAMICTREE_MODELS"):  # children have other current folders
+        if folder := os.environ.get(name):
+            environment[name] = str(Path(folder).resolve())
     threads = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), str(settings.worker_threads))
     worker_name = f"{settings.queue}-{os.getpid()}@%h"
     # Celery imports the application with the current folder ahead of all others

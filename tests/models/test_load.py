@@ -36,5 +36,7 @@ def test_a_folder_of_models_joins_the_shipped_ones(tmp_path: Path, monkeypatch: 
     with pytest.raises(InputError, match=r"no model 'mine'; available: .*small"):
         load_model("mine")
     monkeypatch.setenv(ENVIRONMENT_VARIABLE, str(tmp_path))
+    (tmp_path / "checkpoint.safetensors").write_bytes(b"a run's state")
     assert {"mine", "small"} <= list_weights().keys()
+    assert "checkpoint" not in list_weights()
     assert load_model("mine").name == "mine"

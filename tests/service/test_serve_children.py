@@ -27,11 +27,13 @@ def test_modules_of_the_current_folder_are_not_run(tmp_path: Path, monkeypatch: 
         assert done.returncode == 0, (name, done.stderr)
 
 
-def test_a_database_of_the_current_folder_is_the_same_for_the_children(
+def test_a_database_and_models_of_the_current_folder_are_the_same_for_the_children(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("DYNAMICTREE_MODELS", "models")
     settings = Settings(state_dir=Path("state"), database_url="sqlite:///jobs.sqlite")
     with closing(socket.socket()) as listening:
         worker = next(plan for plan in plans(settings, listening) if plan.name == "worker")
     assert make_url(worker.environment["DYNAMICTREE_DATABASE_URL"]).database == str(tmp_path / "jobs.sqlite")
+    assert worker.environment["DYNAMICTREE_MODELS"] == str(tmp_path / "models")
