@@ -124,10 +124,10 @@ export class TreeForm {
 
   /** Turn and scale the tree at rest as the form says. */
   _preview() {
-    const group = this.tree()?.group;
-    if (!group || !this.asset) return this._showPerson();
+    const { group, box } = this.tree() ?? {}; // of the tree alone, not of a forest
+    if (!box || !this.asset) return this._showPerson();
     const moved = $("up-axis").value !== (this.asset.summary.source_up_axis ?? "+Z");
-    const { middle, box } = this.stage;
+    const middle = box.getCenter(new THREE.Vector3());
     group.matrixAutoUpdate = false;
     group.matrix.identity();
     if (moved) {
