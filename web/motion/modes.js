@@ -51,6 +51,14 @@ export class Modes {
     return u;
   }
 
+  /** Where the wind alone has a voxel [m]. */
+  voxelInWind(v, q, turn) {
+    const [x, y, z] = this.voxelAt(v, q);
+    const [c, s] = [Math.cos(turn), Math.sin(turn)];
+    const [cx, cy, cz] = this.centres.subarray(3 * v, 3 * v + 3);
+    return [cx + c * x - s * y, cy + s * x + c * y, cz + z];
+  }
+
   /** Mean weight of each bone's voxels in a group, once a group. */
   boneWeights(weights) {
     const sum = new Float32Array(this.B);
@@ -178,4 +186,20 @@ function turned(x, y, z) {
     z * y * (1 - c) + x * s,
     c + z * z * (1 - c),
   ];
+}
+
+/** The furthest that each bin moves any point [m]. */
+export function largestSwing({ shapes, scale_m: scale }) {
+  const K = scale.length;
+  const P = shapes.length / (6 * K);
+  const most = new Float64Array(K);
+  for (let p = 0; p < P; p++) {
+    for (let k = 0; k < K; k++) {
+      let sum = 0;
+      const start = 6 * (p * K + k);
+      for (let i = start; i < start + 6; i++) sum += shapes[i] * shapes[i];
+      if (sum > most[k]) most[k] = sum;
+    }
+  }
+  return most.map((sum, k) => Math.sqrt(sum) * scale[k]);
 }

@@ -91,7 +91,7 @@ export class Hand {
     if (!pin) return this.groups;
     if (grip) {
       grip.beside.multiplyScalar(Math.exp(-seconds / EASE_S));
-      const inWind = tree.voxelInWind(grip.voxel, q, turn);
+      const inWind = tree.modes.voxelInWind(grip.voxel, q, turn);
       const target = grip.target.clone().add(grip.beside);
       grip.displacement = target.toArray().map((x, i) => x - inWind[i]);
       const missing = this.missing ?? [0, 0, 0]; // how far the service says that the tree does not go

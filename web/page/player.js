@@ -95,7 +95,7 @@ export class Player {
       const { q, turn } = this._coordinates();
       tree.move(q, turn, hand.groupsIn(q, turn, seconds));
     }
-    if (changed && tree.copies) tree.moveCopies(this._companyMotions(tree.copies.places));
+    if (changed && tree.copies) tree.copies.move(this._companyMotions(tree.copies.places));
     if (changed) this._showTime();
     this.drawn = now;
   }
