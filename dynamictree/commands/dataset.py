@@ -10,8 +10,8 @@ import typer
 
 from dynamictree.commands.request_options import with_request_options
 from dynamictree.commands.terminal import AsJson, tell
+from dynamictree.dataset.limits import DatasetLimits
 from dynamictree.errors import InputError
-from dynamictree.requests import DatasetLimits
 
 app = typer.Typer(
     no_args_is_help=True, help="4DTree: animated trees from seeds; generate, filter, sheet, stats, export."

@@ -8,10 +8,10 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float32, Int32
 
+from dynamictree.dataset.limits import DatasetLimits
 from dynamictree.dataset.sample import Sample
 from dynamictree.mesh import edges_of
 from dynamictree.parallel import single_thread
-from dynamictree.requests import DatasetLimits
 from dynamictree.spectrum import FPS
 
 Rule = Literal["high-frequency", "root-motion", "edge-stretch", "self-explosion"]

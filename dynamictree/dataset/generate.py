@@ -21,12 +21,12 @@ import numpy as np
 
 from dynamictree.dataset.card import write_card
 from dynamictree.dataset.filter import DEFAULT_LIMITS, measure, rejections
+from dynamictree.dataset.limits import DatasetLimits
 from dynamictree.dataset.review import Verdict
 from dynamictree.dataset.sample import VERSION, Sample, make_sample
 from dynamictree.dataset.shards import StoredTree, store, write_shard
 from dynamictree.dataset.stats import table_facts, tables_of
 from dynamictree.errors import InputError
-from dynamictree.requests import DatasetLimits
 
 SEEDS_A_TREE = 4  # a shard gives up when so many times its trees were tried
 PAPER_TREES = 8786  # paper appendix A

@@ -11,9 +11,9 @@ from dynamictree.dataset.filter import (
     rejections,
     root_motion,
 )
+from dynamictree.dataset.limits import DatasetLimits
 from dynamictree.dataset.motion import Sway
 from dynamictree.dataset.sample import make_sample
-from dynamictree.requests import DatasetLimits
 
 FRAMES = np.arange(100)
 

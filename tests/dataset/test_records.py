@@ -10,11 +10,11 @@ from typer.testing import CliRunner
 from dynamictree.commands.dataset import app
 from dynamictree.dataset.filter import measure
 from dynamictree.dataset.generate import Recipe, generate, shard_name
+from dynamictree.dataset.limits import DatasetLimits
 from dynamictree.dataset.records import iter_seen
 from dynamictree.dataset.sample import make_sample
 from dynamictree.dataset.stats import MEASURED, numbers_of, table_facts, table_of, tables_of
 from dynamictree.errors import FormatError, InputError
-from dynamictree.requests import DatasetLimits
 
 REJECTED = 41
 

@@ -12,11 +12,11 @@ import pytest
 import safetensors.numpy
 
 from dynamictree.dataset.generate import Recipe, bake_shard, generate, is_baked, manifest_of, shard_name
+from dynamictree.dataset.limits import DatasetLimits
 from dynamictree.dataset.sample import VALIDATION_EVERY, make_sample, split_of, voxel_spectrum
 from dynamictree.dataset.shards import iter_shard, packed, store, to_half, unpacked, write_shard
 from dynamictree.dataset.species import SPECIES
 from dynamictree.errors import FormatError, InputError
-from dynamictree.requests import DatasetLimits
 
 TINY = Recipe(trees=3, trees_per_shard=2, resolutions=(32,), first_seed=40)
 
