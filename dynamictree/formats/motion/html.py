@@ -7,7 +7,8 @@ from html import escape
 from importlib.resources import files
 from typing import BinaryIO
 
-_THREE = files("web") / "vendor" / "three-0.187.0"
+from web.vendor import FOLDER, LIBRARIES
+
 _MODULES = {
     "three-core": "three.core.js",
     "three": "three.module.js",
@@ -16,6 +17,7 @@ _MODULES = {
     "gltf-loader": "addons/loaders/GLTFLoader.js",
     "orbit-controls": "addons/controls/OrbitControls.js",
 }
+_THREE = next(library for library in LIBRARIES if library.name == "three")
 _IMPORT = re.compile(r"""(from\s*|import\s*)(["'])(\.{1,2}/[^"']*)\2""")
 
 
@@ -23,7 +25,7 @@ def write_html(glb: bytes, stream: BinaryIO, *, title: str) -> None:
     """Write a page that shows the first animation of a GLB, with a camera that the reader moves."""
     parts = [_part(f"module-{name}", _module(path), f' data-module="{name}"') for name, path in _MODULES.items()]
     parts.append(_part("tree", glb))
-    licence = (_THREE / "LICENSE").read_text(encoding="utf-8").strip()
+    licence = _vendored("LICENSE").strip()
     page = (files(__package__) / "player.html").read_text(encoding="utf-8")
     page = page.replace("TITLE", escape(title)).replace("PARTS", f"<!-- three.js:\n{licence}\n-->\n" + "\n".join(parts))
     stream.write(page.encode())
@@ -32,8 +34,12 @@ def write_html(glb: bytes, stream: BinaryIO, *, title: str) -> None:
 def _module(path: str) -> bytes:
     """A module whose imports of neighbours name them as the page's import map does."""
     names = {place.rpartition("/")[2]: name for name, place in _MODULES.items()}
-    text = (_THREE / path).read_text(encoding="utf-8")
-    return _IMPORT.sub(lambda match: f'{match[1]}"{names[match[3].rpartition("/")[2]]}"', text).encode()
+    own = _IMPORT.sub(lambda match: f'{match[1]}"{names[match[3].rpartition("/")[2]]}"', _vendored(path))
+    return own.encode()
+
+
+def _vendored(path: str) -> str:
+    return (FOLDER / _THREE.target(path)).read_text(encoding="utf-8")
 
 
 def _part(name: str, content: bytes, more: str = "") -> str:
