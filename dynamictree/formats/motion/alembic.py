@@ -68,7 +68,9 @@ def face_set_names(names: list[str]) -> list[str]:
     given: list[str] = []
     for number, name in enumerate(names):
         plain = name.replace("/", "_") or f"material_{number}"
-        given.append(plain if plain not in given else f"{plain}_{number}")
+        while plain in given:
+            plain = f"{plain}_{number}"
+        given.append(plain)
     return given
 
 
