@@ -337,9 +337,11 @@ def _mean_motion(
     mesh: TriangleMesh, coefficients: Complex64[np.ndarray, "N K 3"], places: Float64[np.ndarray, "P 3"], reach_m: float
 ) -> Complex64[np.ndarray, "P K 3"]:
     """Mean motion of the vertices around each place, the nearer the more."""
+    from scipy.spatial.distance import cdist
+
     some = slice(None, None, -(-mesh.num_vertices // _MOST_SAMPLES))
     coefficients = coefficients[some]
-    distance = ((places[:, None] - mesh.vertices[None, some].astype(np.float64)) ** 2).sum(axis=2)  # [P, N]
+    distance = cdist(places, mesh.vertices[some].astype(np.float64), "sqeuclidean")  # [P, N]
     nearest = distance.min(axis=1, keepdims=True)
     weight = np.exp((nearest - distance) / (2 * (reach_m / 2) ** 2))
     weight /= weight.sum(axis=1, keepdims=True)
