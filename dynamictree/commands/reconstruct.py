@@ -16,7 +16,7 @@ from dynamictree.commands.request_options import with_request_options
 from dynamictree.commands.terminal import AsJson, tell
 from dynamictree.errors import InputError
 from dynamictree.files import published
-from dynamictree.formats.suffixes import MAX_PHOTOS, MIN_PHOTOS, PHOTO_SUFFIXES
+from dynamictree.formats.suffixes import MAX_PHOTOS, MIN_PHOTOS, PHOTO_SUFFIXES, PHOTOS_OF_VIDEO
 from dynamictree.requests import PhotoParams
 
 
@@ -34,7 +34,7 @@ def reconstruct(
     params: PhotoParams,
     video_frames: Annotated[
         int, typer.Option(min=MIN_PHOTOS, max=MAX_PHOTOS, help="Of a film: sharp frames that are taken as photos.")
-    ] = 40,
+    ] = PHOTOS_OF_VIDEO,
     fresh: Annotated[bool, typer.Option(help="Start anew, whatever an interrupted run has left.")] = False,
     as_json: AsJson = False,
 ) -> None:

@@ -9,3 +9,4 @@ MASK_NAME = "mask.npy"  # of a cloud: one bool a Gaussian
 PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp")
 MASKS = "masks"  # folder of the masks of photos
 MIN_PHOTOS, MAX_PHOTOS = 8, 300
+PHOTOS_OF_VIDEO = 40  # a walk of 360° at 9° per photo: neighbours match, and two cores match all pairs in minutes

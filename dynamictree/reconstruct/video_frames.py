@@ -12,12 +12,9 @@ import scipy.ndimage
 from jaxtyping import Float64, Int64
 
 from dynamictree.errors import FormatError, InputError
-from dynamictree.formats.suffixes import MAX_PHOTOS, MIN_PHOTOS
+from dynamictree.formats.suffixes import MAX_PHOTOS, MIN_PHOTOS, PHOTOS_OF_VIDEO
 
 SUFFIXES = (".mp4", ".mov", ".m4v", ".webm", ".mkv", ".avi")
-PHOTOS_OF_VIDEO = 40
-"""A walk of 360° at 9° a photo: neighbours still match, and two cores match all pairs in some minutes."""
-
 PROBE_PX = 256  # side of the squares on which sharpness is judged; their ratio is the same for all frames of a film
 _CENTRE = 0.7  # of a stretch, in whose middle its frame is chosen, so that two chosen ones are not neighbours
 
@@ -42,7 +39,8 @@ def write_sharp_frames(video: Path, folder: Path, *, count: int = PHOTOS_OF_VIDE
     frames = chosen_frames(sharpness, count)
     picked = "+".join(f"eq(n,{frame})" for frame in frames)
     folder.mkdir(parents=True, exist_ok=True)
-    with _ffmpeg(video, "-vf", f"select='{picked}'", "-fps_mode", "passthrough", str(folder / "frame-%04d.png")):
+    output = ("-vf", f"select='{picked}'", "-fps_mode", "passthrough", "-pix_fmt", "rgb24")  # phones film in 10 bits
+    with _ffmpeg(video, *output, str(folder / "frame-%04d.png")):
         pass
     return sorted(folder.glob("frame-*.png"))
 
