@@ -19,6 +19,8 @@ from recipes.demo import served
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 FLAGS = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
 LOUD = frozenset({"error", "warning"})
+MOVING = "body[data-state=moving]"
+JOB_MS = 240_000.0
 PICTURES = Path(__file__).parents[2] / "build" / "browser"
 """Where screenshots go."""
 
@@ -120,6 +122,41 @@ def picture_of(viewer: Viewer, part: dict[str, float]) -> np.ndarray:
 def changed(one: np.ndarray, other: np.ndarray) -> float:
     """Share of the pixels that differ clearly."""
     return float((np.abs(one - other).max(axis=2) > 24).mean())
+
+
+def pixels(viewer: Viewer) -> np.ndarray:
+    """The middle of the stage, [H, W, 3]."""
+    box = viewer.page.locator("#canvas").bounding_box()
+    panel = viewer.page.locator("#panel").bounding_box()
+    assert box
+    right = panel["x"] if panel and panel["y"] < box["height"] / 2 else box["width"]
+    clip = {"x": 0, "y": 60, "width": right - 10, "height": box["height"] - 160}
+    return picture_of(viewer, clip)
+
+
+def scrub(viewer: Viewer, share: float) -> np.ndarray:
+    """The picture at a place of the loop."""
+    viewer.page.locator("#time").evaluate(
+        "(slider, share) => { slider.value = share; slider.dispatchEvent(new Event('input')); }", share
+    )
+    viewer.wait_turns()
+    viewer.wait_sharp()
+    return pixels(viewer)
+
+
+def steady(viewer: Viewer) -> np.ndarray:
+    """The picture once nothing changes any more, the hint among it."""
+    viewer.page.wait_for_selector("#hint.going", state="attached")
+    before = pixels(viewer)
+    for _ in range(90):
+        viewer.page.wait_for_timeout(1000)
+        viewer.wait_turns()
+        viewer.wait_sharp()
+        now = pixels(viewer)
+        if changed(before, now) == 0:
+            return now
+        before = now
+    raise AssertionError("the picture does not come to rest")
 
 
 @pytest.fixture

@@ -1,6 +1,5 @@
 """The viewer as people use it, in a real browser against a real service."""
 
-import base64
 import json
 import re
 from collections.abc import Callable
@@ -10,22 +9,18 @@ from pathlib import Path
 import httpx
 import numpy as np
 import pytest
-from PIL import Image
 from playwright.sync_api import expect
 
 from dynamictree.formats.splat.ply import write_gaussian_ply
 from dynamictree.gaussian.cloud import GaussianCloud
 from jobs.keys import create_key
 from jobs.store import Store
-from tests.browser.conftest import PICTURES, Viewer, changed, picture_of
-from tests.formats.artists import wooded
+from tests.browser.conftest import JOB_MS, MOVING, PICTURES, Viewer, changed, pixels, scrub, steady
 from tests.servers import api
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 
 Open = Callable[..., Viewer]
-MOVING = "body[data-state=moving]"
-JOB_MS = 240_000.0
 AHEAD_RAD, LEVEL, KEY_RAD = np.arctan2(1, 0.38), np.hypot(1, 0.38) / np.linalg.norm([1, 0.38, 0.2]), 0.12
 """Where the camera looks at first, the level part of that, and how far an arrow key turns it: web/draw/stage.js."""
 Y_1, LOPSIDED = 0.4886025, 0.8  # the harmonics of degree 1, and a coefficient
@@ -36,41 +31,6 @@ NAMELESS = """() => [...document.querySelectorAll("button, input, a, canvas, sum
     .filter((node) => node.checkVisibility() && node.type !== "file")
     .filter((node) => !(node.getAttribute("aria-label") || node.labels?.length || node.textContent.trim()))
     .map((node) => node.outerHTML)"""
-
-
-def pixels(viewer: Viewer) -> np.ndarray:
-    """The middle of the stage, [H, W, 3]."""
-    box = viewer.page.locator("#canvas").bounding_box()
-    panel = viewer.page.locator("#panel").bounding_box()
-    assert box
-    right = panel["x"] if panel and panel["y"] < box["height"] / 2 else box["width"]
-    clip = {"x": 0, "y": 60, "width": right - 10, "height": box["height"] - 160}
-    return picture_of(viewer, clip)
-
-
-def scrub(viewer: Viewer, share: float) -> np.ndarray:
-    """The picture at a place of the loop."""
-    viewer.page.locator("#time").evaluate(
-        "(slider, share) => { slider.value = share; slider.dispatchEvent(new Event('input')); }", share
-    )
-    viewer.wait_turns()
-    viewer.wait_sharp()
-    return pixels(viewer)
-
-
-def steady(viewer: Viewer) -> np.ndarray:
-    """The picture once nothing changes any more, the hint among it."""
-    viewer.page.wait_for_selector("#hint.going", state="attached")
-    before = pixels(viewer)
-    for _ in range(90):
-        viewer.page.wait_for_timeout(1000)
-        viewer.wait_turns()
-        viewer.wait_sharp()
-        now = pixels(viewer)
-        if changed(before, now) == 0:
-            return now
-        before = now
-    raise AssertionError("the picture does not come to rest")
 
 
 def on_the_tree(viewer: Viewer) -> tuple[float, float]:
@@ -234,77 +194,6 @@ def test_views_wind_and_the_tree_at_rest_change_the_picture(view: Open, job_url:
     page.locator("#wind-modes input[value=loop]").check(force=True)
     expect(page.locator("#time")).to_be_enabled()
     assert viewer.complaints == []
-
-
-def test_a_second_wind_and_a_forest_stand_beside_the_tree(view: Open, job_url: str) -> None:
-    viewer = view(900, 620)
-    page = viewer.page
-    viewer.open(job_url)
-    page.wait_for_selector(MOVING, timeout=JOB_MS)
-    page.locator("#play").click()
-    steady(viewer)
-    alone = scrub(viewer, 0.0)
-    page.locator("#company input[value=pair]").check(force=True)
-    expect(page.locator("#other-speed")).to_have_attribute("aria-valuetext", "12.0 m/s")
-    pair = steady(viewer)
-    assert changed(alone, pair) > 0.02
-    page.locator("#other-speed").fill("0")
-    assert changed(pair, steady(viewer)) > 0.002, "the other tree has the same wind"
-    page.locator("#company input[value=forest]").check(force=True)
-    forest = scrub(viewer, 0.0)
-    viewer.picture()
-    assert changed(forest, scrub(viewer, 0.5)) > 0.004
-    assert changed(forest, scrub(viewer, 1.0)) == 0, "the forest's loop does not close"
-    page.locator("#company input[value=one]").check(force=True)
-    assert changed(alone, scrub(viewer, 0.0)) == 0, "the tree is not as before"
-    assert viewer.complaints == []
-
-
-def test_the_sun_moves_and_the_background_goes(view: Open, job_url: str, tmp_path: Path) -> None:
-    viewer = view(900, 620)
-    page = viewer.page
-    viewer.open(job_url)
-    page.wait_for_selector(MOVING, timeout=JOB_MS)
-    page.locator("#play").click()
-    before = steady(viewer)
-    page.locator("#light-section summary").click()
-    page.locator("#sun-from").fill("135")
-    page.locator("#sun-height").fill("20")
-    expect(page.locator("#sun-from")).to_have_attribute("aria-valuetext", "135° NW")
-    assert changed(before, steady(viewer)) > 0.01, "the shadow stays where it was"
-    page.locator("#background").select_option("none")
-    with page.expect_download() as sent:
-        page.locator("#save-picture").click()
-    sent.value.save_as(tmp_path / "view.png")
-    with Image.open(tmp_path / "view.png") as picture:
-        assert picture.getpixel((2, 2))[3] == 0
-    viewer.picture()
-    assert viewer.complaints == []
-
-
-LOOKS = """async (base64) => {
-    const { readLooks } = await import("/web/draw/glb_looks.js");
-    const bytes = Uint8Array.from(atob(base64), (sign) => sign.charCodeAt(0));
-    const looks = await readLooks(async (from, to) => bytes.slice(from, to).buffer);
-    return looks.map((look) => look && [look.metalness, look.roughness, Boolean(look.normalMap),
-        Boolean(look.roughnessMap), look.normalScale.toArray()]);
-}"""
-
-
-def test_metal_roughness_and_normals_are_read_from_a_glb(view: Open, url: str) -> None:
-    artist = wooded()
-    bark = artist.root["materials"][0]["pbrMetallicRoughness"]
-    viewer = view(700, 560)
-    viewer.open(url)
-
-    def looks() -> object:
-        return viewer.page.evaluate(LOOKS, base64.b64encode(artist.glb()).decode())
-
-    assert looks() == [[0, 0.7, False, False, [0.5, -0.5]], None, None], "maps that lie elsewhere than the colours"
-    del bark["baseColorTexture"]["extensions"]
-    assert looks() == [[0, 0.7, True, False, [0.5, -0.5]], None, None]
-    del bark["metallicRoughnessTexture"]["texCoord"]
-    assert looks() == [[1, 0.7, True, True, [0.5, -0.5]], None, None]
 
 
 def test_on_a_phone_everything_is_within_reach(view: Open, job_url: str) -> None:

@@ -1,0 +1,87 @@
+"""What stands around the tree: other trees, light, background, and the looks of its materials."""
+
+import base64
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from PIL import Image
+from playwright.sync_api import expect
+
+from tests.browser.conftest import JOB_MS, MOVING, Viewer, changed, scrub, steady
+from tests.formats.artists import wooded
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
+
+Open = Callable[..., Viewer]
+
+
+def test_a_second_wind_and_a_forest_stand_beside_the_tree(view: Open, url: str, job_id: str) -> None:
+    viewer = view(900, 620)
+    page = viewer.page
+    viewer.open(f"{url}/#job={job_id}")
+    page.wait_for_selector(MOVING, timeout=JOB_MS)
+    page.locator("#play").click()
+    steady(viewer)
+    alone = scrub(viewer, 0.0)
+    page.locator("#company input[value=pair]").check(force=True)
+    expect(page.locator("#other-speed")).to_have_attribute("aria-valuetext", "12.0 m/s")
+    pair = steady(viewer)
+    assert changed(alone, pair) > 0.02
+    page.locator("#other-speed").fill("0")
+    assert changed(pair, steady(viewer)) > 0.002, "the other tree has the same wind"
+    page.locator("#company input[value=forest]").check(force=True)
+    forest = scrub(viewer, 0.0)
+    viewer.picture()
+    assert changed(forest, scrub(viewer, 0.5)) > 0.004
+    assert changed(forest, scrub(viewer, 1.0)) == 0, "the forest's loop does not close"
+    page.locator("#company input[value=one]").check(force=True)
+    assert changed(alone, scrub(viewer, 0.0)) == 0, "the tree is not as before"
+    assert viewer.complaints == []
+
+
+def test_the_sun_moves_and_the_background_goes(view: Open, url: str, job_id: str, tmp_path: Path) -> None:
+    viewer = view(900, 620)
+    page = viewer.page
+    viewer.open(f"{url}/#job={job_id}")
+    page.wait_for_selector(MOVING, timeout=JOB_MS)
+    page.locator("#play").click()
+    before = steady(viewer)
+    page.locator("#light-section summary").click()
+    page.locator("#sun-from").fill("135")
+    page.locator("#sun-height").fill("20")
+    expect(page.locator("#sun-from")).to_have_attribute("aria-valuetext", "135° NW")
+    assert changed(before, steady(viewer)) > 0.01, "the shadow stays where it was"
+    page.locator("#background").select_option("none")
+    with page.expect_download() as sent:
+        page.locator("#save-picture").click()
+    sent.value.save_as(tmp_path / "view.png")
+    with Image.open(tmp_path / "view.png") as picture:
+        assert picture.getpixel((2, 2))[3] == 0
+    viewer.picture()
+    assert viewer.complaints == []
+
+
+LOOKS = """async (base64) => {
+    const { readLooks } = await import("/web/draw/glb_looks.js");
+    const bytes = Uint8Array.from(atob(base64), (sign) => sign.charCodeAt(0));
+    const looks = await readLooks(async (from, to) => bytes.slice(from, to).buffer);
+    return looks.map((look) => look && [look.metalness, look.roughness, Boolean(look.normalMap),
+        Boolean(look.roughnessMap), look.normalScale.toArray()]);
+}"""
+
+
+def test_metal_roughness_and_normals_are_read_from_a_glb(view: Open, url: str) -> None:
+    artist = wooded()
+    bark = artist.root["materials"][0]["pbrMetallicRoughness"]
+    viewer = view(700, 560)
+    viewer.open(url)
+
+    def looks() -> object:
+        return viewer.page.evaluate(LOOKS, base64.b64encode(artist.glb()).decode())
+
+    assert looks() == [[0, 0.7, False, False, [0.5, -0.5]], None, None], "maps that lie elsewhere than the colours"
+    del bark["baseColorTexture"]["extensions"]
+    assert looks() == [[0, 0.7, True, False, [0.5, -0.5]], None, None]
+    del bark["metallicRoughnessTexture"]["texCoord"]
+    assert looks() == [[1, 0.7, True, True, [0.5, -0.5]], None, None]
