@@ -20,7 +20,7 @@ from dynamictree.spectrum import NUM_FRAMES, iter_motion
 SIDE_PX = 224
 BATCH = 16
 LARGEST_ERROR = 5.0
-"""Error of a motion that is still, or of one against a truth that is: e to this power, beyond all that moves."""
+"""Bound on |ln ratio|, which is infinite where one of the two motions stands still."""
 
 Picture = UInt8[np.ndarray, "_ _ 3"]
 

@@ -48,7 +48,8 @@ def sector_difference(points: Float64[np.ndarray, "P 3"]) -> float:
     across = points[:, :2] - points[:, :2].mean(axis=0)
     away = np.linalg.norm(across, axis=1)
     share = (points[:, 2] - points[:, 2].min()) / max(float(np.ptp(points[:, 2])), 1e-30)
-    sector = np.minimum(((np.arctan2(across[:, 1], across[:, 0]) / (2 * np.pi) + 0.5) * _SECTORS).astype(int), 7)
+    turn = np.arctan2(across[:, 1], across[:, 0]) / (2 * np.pi) + 0.5
+    sector = np.minimum((turn * _SECTORS).astype(int), _SECTORS - 1)
     height = np.minimum((share * _HEIGHTS).astype(int), _HEIGHTS - 1)
     radius = np.minimum((away / max(float(np.quantile(away, _OUTERMOST)), 1e-30) * _RADII).astype(int), _RADII - 1)
     cell = (sector * _HEIGHTS + height) * _RADII + radius

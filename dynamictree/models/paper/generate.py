@@ -60,7 +60,8 @@ class PaperModel:
     ) -> SparseVoxelSpectrum:
         """Generate the spectrum of one motion, see `MotionModel.generate`.
 
-        The wind's direction turns the motion and its speed and gust scale it; the paper's network knows no wind.
+        The paper's network knows no wind: its direction turns the motion, its speed and gust scale it. With additions
+        to the paper it is an input, as the preset says.
         """
         check_request(wind, num_steps)
         steps = num_steps or self.network.preset.num_steps
