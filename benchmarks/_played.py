@@ -123,7 +123,7 @@ def played_vertex_texture(content: bytes) -> np.ndarray:
         picture = archive.extract(facts["texture"], folder)
         texels = OpenEXR.File(picture).channels()["RGB"].pixels.astype(np.float32)
     document = pygltflib.GLTF2().load_from_bytes(archive.read(facts["mesh"]))
-    u, v = accessor(document, document.meshes[0].primitives[0].attributes.TEXCOORD_1).T
+    u, v = accessor(document, getattr(document.meshes[0].primitives[0].attributes, facts["lookup_attribute"])).T
     assert texels.shape == (facts["height"], facts["width"], 3)
     frames = []
     for frame in range(facts["num_frames"]):

@@ -35,8 +35,8 @@ def convert(
 ) -> None:
     """Write a mesh, splat or scan in another format; the ending of OUTPUT names it.
 
-    Meshes are written in metres; OBJ and PLY with +Z up. Splats keep the axes and units of their file; SPZ and GLB are
-    +Y up.
+    Meshes are written in metres; OBJ and PLY with +Z up. A glTF that becomes GLB keeps all that is in it. Splats keep
+    the axes and units of their file; SPZ and GLB are +Y up.
     """
     cloud = load_capture(source, reading).cloud if is_cloud(source) else None
     mesh = load_mesh(source, reading) if cloud is None else None
@@ -56,14 +56,14 @@ def convert(
 
 def write_mesh_file(mesh: "TriangleMesh", path: Path) -> None:
     """Write a mesh in the format of the path's ending; an OBJ with its MTL and textures beside it."""
-    from dynamictree.formats.gltf.writer import write_glb
+    from dynamictree.formats.gltf.template import open_template
     from dynamictree.formats.mesh.obj_writer import write_obj
     from dynamictree.formats.mesh.ply_writer import write_ply
 
     with path.open("wb") as stream:
         match path.suffix.lower():
             case ".glb":
-                write_glb(mesh, stream)
+                open_template(mesh).writer.finish(stream)
             case ".ply":
                 write_ply(mesh, stream)
             case _:

@@ -40,6 +40,11 @@ class MorphSlot:
         """The primitive's part of normals of the mesh, in its own axes."""
         return turn_normals(normals[self.rows], self.to_local)
 
+    @property
+    def metres_per_unit(self) -> float:
+        """The most metres that a unit of the primitive's displacements can be."""
+        return float(np.linalg.norm(np.linalg.pinv(self.to_local), 2, axis=(-2, -1)).max())
+
     def described(self) -> dict[str, object]:
         """Where the vertices are in the mesh, and the matrix from the primitive's displacements to +Z up and metres."""
         entry: dict[str, object] = {"node": self.node, "primitive": self.primitive, "first_vertex": self.rows.start}
@@ -92,6 +97,27 @@ class Template:
                 primitive["targets"] = [*primitive.get("targets", []), *added]
             self._extend_weights(node, mesh, len(targets))
         return nodes, places
+
+    def attach_texture_coordinates(self, places: Float32[np.ndarray, "N 2"]) -> str:
+        """Attach a set of texture coordinates after those that the primitives have; gives its name."""
+        root = self.writer.root
+        meshes = {slot.node: self._own_mesh(slot.node) for slot in self.slots}
+        number = max(1, *(_num_texture_sets(p) for mesh in meshes.values() for p in mesh["primitives"]))
+        written: dict[tuple[int, int], int] = {}
+        zeros: dict[int, int] = {}
+        for slot in self.slots:
+            attributes = meshes[slot.node]["primitives"][slot.primitive]["attributes"]
+            key = (slot.rows.start, slot.rows.stop)
+            if key not in written:
+                written[key] = self.writer.add_accessor(places[slot.rows], target=VERTEX_BUFFER)
+            for gap in range(number):  # sets are numbered without gaps
+                if f"TEXCOORD_{gap}" not in attributes:
+                    count = root["accessors"][attributes["POSITION"]]["count"]
+                    if count not in zeros:
+                        zeros[count] = self.writer.add_accessor(np.zeros((count, 2), np.float32), target=VERTEX_BUFFER)
+                    attributes[f"TEXCOORD_{gap}"] = zeros[count]
+            attributes[f"TEXCOORD_{number}"] = written[key]
+        return f"TEXCOORD_{number}"
 
     def attach_normals(
         self,
@@ -206,6 +232,11 @@ def _stand_upright(root: dict[str, Any], to_z_up: Float64[np.ndarray, "3 3"]) ->
     matrix[:3, :3] = up_rotation("+Y").T @ to_z_up
     root["nodes"].append({"name": "upright", "children": scene["nodes"], "matrix": matrix.T.ravel().tolist()})
     scene["nodes"] = [len(root["nodes"]) - 1]
+
+
+def _num_texture_sets(primitive: dict[str, Any]) -> int:
+    numbers = (name.removeprefix("TEXCOORD_") for name in primitive["attributes"] if name.startswith("TEXCOORD_"))
+    return 1 + max((int(number) for number in numbers if number.isdecimal()), default=-1)
 
 
 def _without_weights(animation: dict[str, Any], nodes: set[int]) -> dict[str, Any]:
