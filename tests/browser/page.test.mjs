@@ -264,6 +264,14 @@ test("slow frames get fewer pixels, quick ones all of them, a still picture is d
   assert.ok(!resolution.settles(now + 100) && resolution.settles(now + 300));
   frames(120, 10);
   assert.ok(resolution.scale === 1 && resolution.sharp);
+  frames(20, 1100);
+  assert.equal(resolution.scale, 0.5, "frames of more than a second are slow, no pauses");
+  frames(120, 10);
+  for (let i = 0; i < 20; i++) {
+    resolution.pause();
+    frames(1, 1100);
+  }
+  assert.equal(resolution.scale, 1, "a still picture costs nothing");
 });
 
 test("what is let go swings about its rest, less far each time", () => {

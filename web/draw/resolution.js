@@ -6,7 +6,7 @@ const STEP = 0.8;
 const LEAST = 0.5;
 const SETTLE_MS = 250; // a picture that has not changed for so long is drawn in full
 const PATIENCE = 6; // frames between two changes
-const LONGEST_MS = 500; // a longer gap is a pause, not a frame
+const LONGEST_MS = 500; // a single frame counts as no more: the tab may have been in the background
 
 export class Resolution {
   constructor() {
@@ -15,6 +15,7 @@ export class Resolution {
     this.mean = 0;
     this.before = 0;
     this.since = 0;
+    this.paused = true;
     this.sharp = true; // the picture on the screen has all its pixels and its shadow
   }
 
@@ -23,9 +24,15 @@ export class Resolution {
     const elapsed = now - this.before;
     this.before = now;
     this.frame++;
-    if (elapsed < LONGEST_MS) this._adapt(elapsed);
+    if (!this.paused) this._adapt(Math.min(elapsed, LONGEST_MS));
+    this.paused = false;
     this.sharp = this.scale === 1;
     return this.frame % this.shadowEvery === 0;
+  }
+
+  /** Call in a turn in which nothing is drawn: the time to the next frame says nothing of its cost. */
+  pause() {
+    this.paused = true;
   }
 
   /** Whether a picture that was drawn with fewer pixels is now to be drawn in full. */

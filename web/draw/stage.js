@@ -179,7 +179,10 @@ export class Stage {
   /** Draw if something has changed. Whether anything was drawn. */
   draw(now) {
     const full = !this.stale && this.resolution.settles(now);
-    if ((!this.stale && !full) || this.renderer.getContext().isContextLost()) return false;
+    if ((!this.stale && !full) || this.renderer.getContext().isContextLost()) {
+      this.resolution.pause();
+      return false;
+    }
     const shadow = full ? true : this.resolution.next(now);
     if (full) this.resolution.sharp = true;
     this._render(full ? 1 : this.resolution.scale, shadow);

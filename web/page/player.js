@@ -32,7 +32,7 @@ export class Player {
   /** Begin with a tree's motion; `wind` is the one that it was made for. */
   start(tree, { period_s: period, wind }) {
     Object.assign(this, { tree, period, made: wind ?? { speed_m_s: 5, direction_deg: 0 }, gain: 0, phase: 0 });
-    this.drawn = null;
+    this.drawn = this.shownTime = null;
     this.company = "one";
     this.setTurbulent(null);
     this.setPlaying(!matchMedia("(prefers-reduced-motion: reduce)").matches);
@@ -89,14 +89,17 @@ export class Player {
     else if (this.playing) this.phase = (this.phase + seconds / this.period) % 1;
     const easing = Math.abs(this.gain - this.wanted) > 1e-3;
     this.gain = easing ? this.gain + (this.wanted - this.gain) * (1 - Math.exp(-seconds / EASE_S)) : this.wanted;
-    const now = `${this.turbulent ? this.seconds : this.phase} ${this.gain} ${this.turn} ${JSON.stringify(this.alone)} ${this.company} ${this.otherGain}`;
+    const time = this.turbulent ? this.seconds : this.phase;
+    const windless = !this.gain && !this.alone && !(this.company === "pair" && this.otherGain);
+    const now = JSON.stringify([windless || time, this.gain, this.turn, this.alone, this.company, this.otherGain]);
     const changed = now !== this.drawn;
     if (changed || hand.moving || tree.groups.length) {
       const { q, turn } = this._coordinates();
       tree.move(q, turn, hand.groupsIn(q, turn, seconds));
     }
     if (changed && tree.copies) tree.copies.move(this._companyMotions(tree.copies.places));
-    if (changed) this._showTime();
+    if (time !== this.shownTime) this._showTime();
+    this.shownTime = time;
     this.drawn = now;
   }
 
