@@ -6,6 +6,7 @@ from io import BytesIO
 from typing import Literal
 
 import numpy as np
+import scipy  # its parts come in when they are used: the service starts without them
 
 from dynamictree.errors import FormatError
 from dynamictree.formats.axes import axis_doubts
@@ -16,6 +17,8 @@ from dynamictree.formats.seekable import SeekableReader
 from dynamictree.formats.splat.mask import read_mask
 from dynamictree.formats.upright import judge_up_axis_of_points
 from dynamictree.gaussian.capture import Capture, moving_part, with_still_parts
+from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.gaussian.still_gaussians import touching_groups
 from dynamictree.mesh import SourceWarning
 from dynamictree.requests import Reading
 from dynamictree.trees.choose import several_trees
@@ -32,6 +35,10 @@ _CONVERTED = {
 FEWEST_GAUSSIANS = 500
 """Of a splat that can look like a plant."""
 _VISIBLE = 0.1  # opacity of Gaussians that show the shape
+_GAP, _SOME = 4.0, 5_000
+"""Gaps beside which Gaussians are specks, in their middle axis' standard deviation; and how many are looked at."""
+_CELL, _TOGETHER = 0.03, 0.5
+"""Of the height: what is so near hangs together; and the least share of a plant that does."""
 _FLAT = 0.25  # height over width of what does not stand upright
 
 
@@ -143,6 +150,25 @@ def _doubt_plant(capture: Capture) -> tuple[SourceWarning, ...]:
             f"what moves is {height:.3g} m tall and {width:.3g} m wide, so nothing stands upright; "
             "set up_axis if it lies, or box_m to the plant if it is in a scene"
         )
+    elif (together := _share_together(capture.cloud.subset(moving_part(capture)), height)) < _TOGETHER:
+        message = (
+            f"what moves are specks far from each other, of which {together:.0%} hang together; those of a plant "
+            "touch: send the splat as it was before it was thinned out"
+        )
     else:
         return ()
     return (SourceWarning(code="not-like-a-plant", message=message),)
+
+
+def _share_together(cloud: GaussianCloud, height_m: float) -> float:
+    """Share of the visible Gaussians in the largest group where they are small beside their gaps, else 1."""
+    cloud = cloud.subset(cloud.opacity >= _VISIBLE)
+    if cloud.num_gaussians < 2:
+        return 1.0
+    points = cloud.means.astype(np.float64)
+    some = np.random.default_rng(0).permutation(len(points))[:_SOME]
+    gap = np.asarray(scipy.spatial.cKDTree(points).query(points[some], k=2)[0])[:, 1]
+    if np.median(gap) < _GAP * np.median(np.sort(cloud.scales[some], axis=1)[:, 1]):
+        return 1.0
+    _, _, count, group = touching_groups(points, _CELL * height_m)
+    return float(np.bincount(group, count).max() / len(points))

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int
+from jaxtyping import Bool, Float32, Float64, Int
 
 from dynamictree.errors import InputError
 
@@ -119,7 +119,8 @@ def in_box(
 def look_level(cloud: GaussianCloud, share: float) -> GaussianCloud:
     """A lighter cloud of about `share` of the Gaussians that looks alike from afar: level of detail.
 
-    The most visible Gaussians (opacity times area) remain, and each grows so that the covered area stays the same.
+    A Gaussian remains with a chance in proportion to what it shows (opacity times area), and grows by as much as its
+    chance was small: everywhere about as much is covered as before.
 
     Raises:
         InputError: the share is not in (0, 1].
@@ -129,10 +130,9 @@ def look_level(cloud: GaussianCloud, share: float) -> GaussianCloud:
     if share == 1:
         return cloud
     rows = level_rows(cloud, share)
-    before, after = area_m2(cloud).sum(), area_m2(cloud.subset(rows)).sum()
-    growth = np.float32(np.sqrt(before / after))
     subset = cloud.subset(rows)
-    return replace(subset, scales=subset.scales * growth)
+    growth = 1 / np.sqrt(_chances(cloud, share)[rows])
+    return replace(subset, scales=subset.scales * growth[:, None].astype(np.float32))
 
 
 def level_count(num_gaussians: int, share: float) -> int:
@@ -142,9 +142,21 @@ def level_count(num_gaussians: int, share: float) -> int:
 
 def level_rows(cloud: GaussianCloud, share: float) -> Int[np.ndarray, " M"]:
     """Which Gaussians a level of detail keeps, in ascending order."""
+    taken = np.floor(np.cumsum(_chances(cloud, share)) + 0.5)  # systematic sampling (Madow 1949): as many as wanted
+    return np.flatnonzero(np.diff(taken, prepend=0.0) > 0)
+
+
+def _chances(cloud: GaussianCloud, share: float) -> Float64[np.ndarray, " G"]:
+    """Chance of each Gaussian to remain, at most 1; their sum is how many remain."""
     count = level_count(cloud.num_gaussians, share)
-    visible = area_m2(cloud) * cloud.opacity
-    return np.sort(np.argpartition(-visible, count - 1)[:count])
+    visible = np.maximum((area_m2(cloud) * cloud.opacity).astype(np.float64), 1e-30)
+    ascending = np.sort(visible)
+    sums = np.cumsum(ascending)
+    certain = np.arange(len(visible))[::-1]  # how many larger ones remain for sure
+    unit = sums / np.maximum(count - certain, 1e-9)  # so that the rest makes up the count
+    fits = (certain < count) & (ascending <= unit * (1 + 1e-12))
+    chances: Float64[np.ndarray, " G"] = np.minimum(visible / unit[np.flatnonzero(fits)[-1]], 1.0)
+    return chances
 
 
 def area_m2(cloud: GaussianCloud) -> Float32[np.ndarray, " G"]:

@@ -5,7 +5,7 @@ Each is taken only where its shape leaves no doubt; what is not found can be nam
 
 import numpy as np
 import scipy  # its parts come in when they are used: the service starts without them
-from jaxtyping import Bool, Float64, UInt8
+from jaxtyping import Bool, Float64, Int32, Int64, UInt8
 
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.still_ground import Points, find_ground
@@ -82,15 +82,8 @@ def _apart(
     means: Float64[np.ndarray, "G 3"], solid: Bool[np.ndarray, " G"], height_m: float
 ) -> dict[StillPart, Bool[np.ndarray, " G"]]:
     """What lies low and apart from the largest group of the solid Gaussians, and few Gaussians far from it."""
-    places = np.floor(means[solid] / (_CELL * height_m)).astype(np.int64)
-    first, span = places.min(axis=0), np.ptp(places, axis=0) + 1
-    keys, cell, count = np.unique(
-        ((places - first) * [span[1] * span[2], span[2], 1]).sum(axis=1), return_inverse=True, return_counts=True
-    )
-    cells = np.stack([keys // (span[1] * span[2]), keys // span[2] % span[1], keys % span[2]], axis=1)
-    pairs = scipy.spatial.cKDTree(cells).query_pairs(1.8, output_type="ndarray")  # cells that touch, at corners as well
-    joined = scipy.sparse.coo_array((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(cells),) * 2)
-    number, group = scipy.sparse.csgraph.connected_components(joined, directed=False)
+    cells, cell, count, group = touching_groups(means[solid], _CELL * height_m)
+    number = int(group.max()) + 1
     size = np.bincount(group, count, minlength=number)
     main = int(size.argmax())
     distance = scipy.spatial.cKDTree(cells[group == main]).query(cells)[0] - 1.0  # at least, in cells
@@ -104,6 +97,21 @@ def _apart(
     for part, groups in ((THINGS, low), (FLOATERS, few)):
         rows = np.zeros(len(means), np.bool_)
         if size[groups].sum() <= _SMALL * size.sum():
-            rows[solid] = groups[group][cell.ravel()]
+            rows[solid] = groups[group][cell]
         result[part] = rows
     return result
+
+
+def touching_groups(
+    points: Points, side_m: float
+) -> tuple[Int64[np.ndarray, "C 3"], Int64[np.ndarray, " P"], Int64[np.ndarray, " C"], Int32[np.ndarray, " C"]]:
+    """Filled cells of a grid, the cell of each point, their numbers of points, and their groups of cells that touch."""
+    places = np.floor(points / side_m).astype(np.int64)
+    first, span = places.min(axis=0), np.ptp(places, axis=0) + 1
+    keys, cell, count = np.unique(
+        ((places - first) * [span[1] * span[2], span[2], 1]).sum(axis=1), return_inverse=True, return_counts=True
+    )
+    cells = np.stack([keys // (span[1] * span[2]), keys // span[2] % span[1], keys % span[2]], axis=1)
+    pairs = scipy.spatial.cKDTree(cells).query_pairs(1.8, output_type="ndarray")  # at corners as well
+    joined = scipy.sparse.coo_array((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(cells),) * 2)
+    return cells, cell.ravel(), count, scipy.sparse.csgraph.connected_components(joined, directed=False)[1]

@@ -1,6 +1,7 @@
 """Preview of a motion as one still picture."""
 
 from dataclasses import replace
+from io import BytesIO
 
 import numpy as np
 from jaxtyping import Bool, Complex64, Float32, UInt8
@@ -142,8 +143,19 @@ def _sway_picture(
 
 def _bare(material: Material) -> Material:
     """White; a texture stays only where it cuts the face out."""
-    texture = None if material.alpha_cutoff is None else material.texture_png
+    shape = None if material.alpha_cutoff is None else material.texture_png
+    texture = None if shape is None else _white(shape)
     return replace(material, base_color=(1.0, 1.0, 1.0, material.base_color[3]), texture_png=texture)
+
+
+def _white(texture: bytes) -> bytes:
+    """The texture's alpha alone."""
+    with Image.open(BytesIO(texture)) as picture:
+        alpha = picture.convert("RGBA").getchannel("A")
+    white = Image.merge("LA", (Image.new("L", alpha.size, 255), alpha))
+    content = BytesIO()
+    white.save(content, "png", compress_level=1)
+    return content.getvalue()
 
 
 def slice_window(

@@ -1,12 +1,14 @@
 """Scans become Gaussians as wide as their points are apart."""
 
 import io
+from dataclasses import replace
 
 import laspy  # type: ignore[import-untyped]
 import numpy as np
 import pytest
 
 from dynamictree.errors import FormatError, InputError
+from dynamictree.formats.axes import up_rotation
 from dynamictree.formats.cloud_file import cloud_kind, read_cloud
 from dynamictree.formats.scan.points import cloud_of_points
 from dynamictree.formats.source_file import _doubt_plant, source_kind
@@ -63,7 +65,9 @@ def test_las_and_laz_keep_positions_and_colours(rng: np.random.Generator, packed
 
 def test_las_without_colours_is_grey() -> None:
     cloud = read_cloud(_las(_lattice(0.2), None, packed=False), file_type="las")
-    assert np.unique(cloud.sh, axis=0).shape[0] == 1
+    red, green, blue = (cloud.sh[:, 0] * SH_0 + 0.5).T
+    assert 0.1 < green.min() <= green.max() < 0.7
+    np.testing.assert_allclose([red / green, blue / green], np.tile([[0.93], [0.79]], len(green)), atol=0.02)
 
 
 def test_text_is_read_with_any_delimiter_header_and_colours() -> None:
@@ -203,3 +207,28 @@ def test_what_does_not_look_like_a_plant_is_doubted(
     lines = rng.uniform([-1, -1, 0], [1, 1, height], size=(count, 3))
     warnings = _doubt_plant(Capture(cloud=cloud_of_points(lines)))
     assert ("not-like-a-plant" in [warning.code for warning in warnings]) == doubted
+
+
+def test_specks_far_from_each_other_are_doubted(rng: np.random.Generator) -> None:
+    places = rng.uniform([-1, -1, 0], [1, 1, 2], size=(2000, 3))
+    solid = cloud_of_points(places)
+    specks = replace(solid, scales=solid.scales / 20)
+    codes = [[warning.code for warning in _doubt_plant(Capture(cloud=cloud))] for cloud in (solid, specks)]
+    assert codes == [[], ["not-like-a-plant"]]
+    along = np.stack([np.zeros(2000), np.zeros(2000), np.linspace(0, 5, 2000)], axis=1)
+    stem = cloud_of_points(along + rng.normal(0, 0.01, along.shape))
+    assert _doubt_plant(Capture(cloud=replace(stem, scales=stem.scales / 20))) == ()  # small, but they hang together
+
+
+@pytest.mark.parametrize("up_axis", ["+Z", "-Y"])
+def test_points_without_colour_are_lit_from_above(up_axis: str, rng: np.random.Generator) -> None:
+    ball = rng.uniform(-1, 1, size=(40_000, 3))
+    ball = ball[np.linalg.norm(ball, axis=1) < 1][:20_000]  # a crown
+    cloud = cloud_of_points(ball, up_axis=up_axis)
+    light = (cloud.sh[:, 0] * SH_0 + 0.5).mean(axis=1)
+    height = (ball @ up_rotation(up_axis).T)[:, 2]
+    outer = np.linalg.norm(ball, axis=1) > 0.9
+    assert light[outer & (height > 0.5)].mean() > 1.3 * light[outer & (height < -0.5)].mean()
+    assert light[outer & (height > 0.5)].mean() > 1.1 * light[~outer & (height < 0)].mean()
+    colored = cloud_of_points(ball, np.full((20_000, 3), 90, np.uint8))
+    np.testing.assert_allclose(colored.sh[:, 0] * SH_0 + 0.5, 90 / 255, atol=1e-5)

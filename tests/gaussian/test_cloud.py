@@ -55,11 +55,24 @@ def test_a_level_of_detail_covers_the_same_area(rng: np.random.Generator) -> Non
     cloud = make_cloud(rng, 1000)
     light = look_level(cloud, 0.25)
     assert light.num_gaussians == 250
-    np.testing.assert_allclose(area_m2(light).sum(), area_m2(cloud).sum(), rtol=1e-4)
+    before, after = ((area_m2(own) * own.opacity).sum() for own in (cloud, light))
+    np.testing.assert_allclose(after, before, rtol=1e-4)
     assert look_level(cloud, 1.0) is cloud
     for share in (0.0, 1.5, float("nan")):
         with pytest.raises(InputError, match="level of detail"):
             look_level(cloud, share)
+
+
+def test_a_level_of_detail_covers_fine_parts_as_well_as_coarse_ones(rng: np.random.Generator) -> None:
+    cloud = make_cloud(rng, 4000)
+    fine = np.arange(4000) < 3000  # a stem, scanned from near
+    size = np.where(fine, 0.01, 0.03).astype(np.float32)
+    cloud = replace(cloud, scales=np.repeat(size[:, None], 3, axis=1), opacity=np.full(4000, 0.9, np.float32))
+    cloud = replace(cloud, means=cloud.means + np.where(fine, 100, 0).astype(np.float32)[:, None])
+    light = look_level(cloud, 0.1)
+    assert light.num_gaussians == 400
+    for part, whole in ((light.means[:, 0] > 50, fine), (light.means[:, 0] < 50, ~fine)):
+        np.testing.assert_allclose(area_m2(light)[part].sum(), area_m2(cloud)[whole].sum(), rtol=0.02)
 
 
 def test_a_lower_degree_keeps_the_lower_harmonics(rng: np.random.Generator) -> None:

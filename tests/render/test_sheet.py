@@ -1,8 +1,12 @@
+from io import BytesIO
+
 import numpy as np
 import pytest
+from PIL import Image
 
+from dynamictree.mesh import Material
 from dynamictree.render import Camera, Renderer, amplitude_colors, preview_sheet, sway_amplitude
-from dynamictree.render.sheet import _space_time_slice, slice_window
+from dynamictree.render.sheet import _bare, _space_time_slice, slice_window
 from dynamictree.spectrum import from_motion, to_motion
 
 
@@ -74,3 +78,16 @@ def test_the_slice_window_lies_inside_the_picture(two_balls, amplitude_m):
     assert 0 <= first < last <= 800
     assert 0 <= row < 800
     assert window.focal / camera.focal == pytest.approx(800 / (last - first), rel=0.02)
+
+
+def test_the_sway_in_colours_takes_a_texture_for_its_outline_alone():
+    picture = Image.new("RGBA", (4, 4), (10, 80, 20, 255))
+    picture.putpixel((0, 0), (200, 0, 0, 0))
+    content = BytesIO()
+    picture.save(content, "png")
+    leaf = _bare(Material(texture_png=content.getvalue(), alpha_cutoff=0.5, base_color=(0.1, 0.3, 0.1, 1.0)))
+    seen = np.asarray(Image.open(BytesIO(leaf.texture_png)).convert("RGBA"))
+    assert (seen[..., :3] == 255).all()
+    assert seen[0, 0, 3] == 0
+    assert (seen[1:, :, 3] == 255).all()
+    assert leaf.base_color == (1.0, 1.0, 1.0, 1.0)

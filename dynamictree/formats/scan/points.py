@@ -8,9 +8,10 @@ import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
 from dynamictree.errors import FormatError, InputError
-from dynamictree.formats.cloud_axes import to_z_up
+from dynamictree.formats.cloud_axes import to_z_up, up_rotation
 from dynamictree.formats.ply_table import PlyHeader, read_elements, read_header
 from dynamictree.formats.scan.las_header import HEADER_BYTES, check_las_header
+from dynamictree.formats.scan.shading import shaded_colors
 from dynamictree.formats.seekable import SeekableReader, remaining_bytes
 from dynamictree.formats.splat.activations import harmonic_from_color
 from dynamictree.gaussian.cloud import MAX_GAUSSIANS, GaussianCloud, check_count, validate_cloud
@@ -26,7 +27,6 @@ _AXIS_NAMES = (
 _NUM_NEIGHBOURS = 3  # Kerbl et al. 2023, section 5.2: a Gaussian as wide as its three nearest neighbours are far
 _LARGEST_SPACING = 4.0  # in medians: a stray point stays small
 _OPACITY = 0.9  # surfaces that were scanned are solid; below 1, neighbours blend
-_GREY = (120, 130, 105)  # sRGB of points that come without colour
 _MAX_OFFSET_SIZES = 100.0  # in extents: farther from the origin, float32 would round what was measured
 
 
@@ -50,7 +50,7 @@ def read_points_rows(stream: SeekableReader, header: PlyHeader, *, up_axis: str,
     points = np.stack([rows[name].astype(np.float64) for name in "xyz"], axis=1)
     names = next((names for names in _COLORS if vertex.names.issuperset(names)), None)
     colors = None if names is None else np.stack([_byte_color(rows[name]) for name in names], axis=1)
-    return to_z_up(cloud_of_points(points, colors), up_axis=up_axis, unit_m=unit_m)
+    return to_z_up(cloud_of_points(points, colors, up_axis=up_axis), up_axis=up_axis, unit_m=unit_m)
 
 
 def read_points_text(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: float = 1.0) -> GaussianCloud:
@@ -83,7 +83,7 @@ def read_points_text(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: 
     if len(names) == table.shape[1]:
         table = _named_columns(table, names)
     colors = _byte_color(table[:, -3:]) if table.shape[1] >= 6 and _looks_like_color(table[:, -3:]) else None
-    return to_z_up(cloud_of_points(table[:, :3], colors), up_axis=up_axis, unit_m=unit_m)
+    return to_z_up(cloud_of_points(table[:, :3], colors, up_axis=up_axis), up_axis=up_axis, unit_m=unit_m)
 
 
 def _is_comment(line: bytes) -> bool:
@@ -139,11 +139,11 @@ def read_las(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: float = 
     colors = None
     if {"red", "green", "blue"} <= set(las.point_format.dimension_names):
         colors = _byte_color(np.stack([las.red, las.green, las.blue], axis=1).astype(np.float64))
-    return to_z_up(cloud_of_points(points, colors), up_axis=up_axis, unit_m=unit_m)
+    return to_z_up(cloud_of_points(points, colors, up_axis=up_axis), up_axis=up_axis, unit_m=unit_m)
 
 
 def cloud_of_points(
-    points: Float64[np.ndarray, "G 3"], colors: UInt8[np.ndarray, "G 3"] | None = None
+    points: Float64[np.ndarray, "G 3"], colors: UInt8[np.ndarray, "G 3"] | None = None, *, up_axis: str = UP_AXIS
 ) -> GaussianCloud:
     """A round Gaussian a point, as wide as its neighbours are far; points far from the origin are moved to it.
 
@@ -161,7 +161,7 @@ def cloud_of_points(
         points = points - np.floor(points.mean(axis=0))
     scales = np.repeat(_spacing(points)[:, None], 3, axis=1)
     if colors is None:
-        colors = np.tile(np.array(_GREY, np.uint8), (len(points), 1))
+        colors = shaded_colors(points @ up_rotation(up_axis).T, spacing=2 * float(np.median(scales)))
     return validate_cloud(
         GaussianCloud(
             means=points.astype(np.float32),
