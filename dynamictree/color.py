@@ -1,4 +1,4 @@
-"""The sRGB transfer curve, IEC 61966-2-1: display values to linear light and back, both in [0, 1]."""
+"""The sRGB transfer curve, IEC 61966-2-1: display values to linear light and back, both in [0, 1]; greys."""
 
 from typing import no_type_check
 
@@ -7,6 +7,8 @@ from jaxtyping import Float, Float32, UInt8
 
 LINEAR_END = 0.0031308  # of linear light, below which the curve is a line
 DISPLAY_END = 0.04045  # the same place as a display value
+STILL_SHARE = 0.5  # of its luminance what stands still is drawn with, in grey: white sand would outshine the plant
+LUMINANCE = (0.2126, 0.7152, 0.0722)  # of red, green and blue, BT.709
 
 
 def linear_to_srgb(linear: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
@@ -27,6 +29,15 @@ def linear_from_bytes(srgb: UInt8[np.ndarray, "*shape"]) -> Float32[np.ndarray, 
     """Decode sRGB bytes to linear light in [0, 1]."""
     linear: Float32[np.ndarray, "*shape"] = srgb_to_linear(np.arange(256) / 255).astype(np.float32)[srgb]
     return linear
+
+
+def greyed(rgb: Float32[np.ndarray, "*shape 3"]) -> Float32[np.ndarray, "*shape 3"]:
+    """Take the colour out of what stands still, so that it differs from the plant: its luminance in all channels.
+
+    It is linear, so that a product of greyed factors is grey, and coefficients of harmonics can be given as well.
+    """
+    grey: Float32[np.ndarray, "*shape 1"] = (rgb @ np.array(LUMINANCE, np.float32))[..., None]
+    return np.broadcast_to(grey, rgb.shape).copy()
 
 
 def srgb_slope(linear: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:

@@ -263,6 +263,10 @@ class Shot(Request):
     )
     orbit: bool = Field(default=False, description="Go around the tree once while the frames go by")
     ground: bool = Field(default=True, description="Draw a floor with a shadow")
+    grey_still: bool = Field(
+        default=True,
+        description="Draw what stands still because it is no plant (a pot, a table, the ground) in grey in films",
+    )
 
 
 class ExportParams(Request):

@@ -729,6 +729,8 @@ class Shot(Model):
     orbit: bool = False
     # Draw a floor with a shadow
     ground: bool = True
+    # Draw what stands still because it is no plant (a pot, a table, the ground) in grey in films
+    grey_still: bool = True
 
 
 class Spectrum(Model):

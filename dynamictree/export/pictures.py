@@ -1,17 +1,19 @@
 """Pictures and films of a moving mesh or splat."""
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
-from jaxtyping import Float32, UInt8
+from jaxtyping import Bool, Float32, UInt8
 
+from dynamictree.color import STILL_SHARE, greyed, linear_to_srgb
 from dynamictree.export.moving_tree import MovingTree, Report
 from dynamictree.gaussian.animate import iter_poses, lighter
 from dynamictree.gaussian.binding import Binding
 from dynamictree.gaussian.cloud import GaussianCloud, area_m2
 from dynamictree.gaussian.deform import Pose
+from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.render.camera import Camera
 from dynamictree.render.shot import cameras_of
 
@@ -64,7 +66,8 @@ def _draw_mesh(tree: MovingTree, report: Report) -> Iterator[Picture]:
     from dynamictree.render import Look, Renderer
 
     shot = tree.params.shot
-    renderer = Renderer(tree.mesh, Look(width=shot.side_px, height=shot.side_px, ground=shot.ground))
+    look = Look(width=shot.side_px, height=shot.side_px, ground=shot.ground, grey_still=shot.grey_still)
+    renderer = Renderer(tree.mesh, look)
     cameras = cameras_of(shot, tree.mesh.vertices[~tree.mesh.still_vertices], len(tree.phases))
     for frame, camera in zip(tree.frames(report), cameras, strict=True):
         yield renderer.picture(frame, camera=camera)
@@ -73,7 +76,7 @@ def _draw_mesh(tree: MovingTree, report: Report) -> Iterator[Picture]:
 def _draw_splat(tree: MovingTree, binding: Binding, report: Report) -> Iterator[Picture]:
     """Draw the Gaussians over a floor with their shadow and a sky."""
     shot, side = tree.params.shot, tree.params.shot.side_px
-    scene = SplatScene.of(binding, ground=shot.ground)
+    scene = SplatScene.of(binding, ground=shot.ground, grey_still=shot.grey_still)
     behind: tuple[Camera, Backdrop] | None = None
     poses = iter_poses(scene.binding, tree.frames(report))
     for pose, camera in zip(poses, cameras_of(shot, scene.bounds, len(tree.phases)), strict=True):
@@ -92,9 +95,11 @@ class SplatScene:
     ground: bool  # whether there is a floor
 
     @classmethod
-    def of(cls, binding: Binding, *, ground: bool) -> "SplatScene":
-        """Prepare; a large cloud at a lower level of detail."""
+    def of(cls, binding: Binding, *, ground: bool, grey_still: bool = False) -> "SplatScene":
+        """Prepare; a large cloud at a lower level of detail, what stands still in grey if asked."""
         binding = lighter(binding, share=min(1.0, PREVIEW_GAUSSIANS / binding.cloud.num_gaussians))
+        if grey_still:
+            binding = replace(binding, cloud=_grey_where(binding.cloud, ~binding.moving))
         cloud = binding.cloud
         covered = (np.pi * area_m2(cloud) * cloud.opacity)[binding.moving]
         bounds = _bounding_points(cloud.subset(binding.moving))
@@ -118,6 +123,15 @@ class SplatScene:
         behind = backdrop.picture(pose.means[moving], self.covered_m2) if shadow and self.ground else backdrop.picture()
         width, height = size_px
         return render_cloud(self.binding.cloud, camera, width=width, height=height, pose=pose).over(behind)
+
+
+def _grey_where(cloud: GaussianCloud, still: Bool[np.ndarray, " G"]) -> GaussianCloud:
+    """Take the colours out of Gaussians, and darken them to `STILL_SHARE`; 0.5 + Σ sh Y is a display value."""
+    share = linear_to_srgb(np.array([STILL_SHARE], np.float32))
+    sh = cloud.sh.copy()
+    sh[still] = share * greyed(sh[still])
+    sh[still, 0] -= (1 - share) * 0.5 / np.float32(SH_0)
+    return replace(cloud, sh=sh)
 
 
 def _bounding_points(cloud: GaussianCloud) -> Float32[np.ndarray, "M 3"]:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Int32
 from PIL import Image
 
-from dynamictree.color import linear_from_bytes
+from dynamictree.color import STILL_SHARE, greyed, linear_from_bytes
 from dynamictree.errors import FormatError
 from dynamictree.mesh import Material, TriangleMesh, connected_parts
 from dynamictree.parallel import compiled
@@ -35,8 +35,10 @@ class Appearance(NamedTuple):
     texels: Float32[np.ndarray, "P 4"]  # RGB times alpha, and alpha
 
 
-def appearance_of(mesh: TriangleMesh) -> Appearance:
+def appearance_of(mesh: TriangleMesh, *, grey_still: bool = False) -> Appearance:
     """Collect the mesh's colours; give it two clays, wood and leaf, if it has none.
+
+    With `grey_still`, what stands still because it is no plant is grey.
 
     Raises:
         FormatError: a texture is not a picture, or too large.
@@ -50,27 +52,19 @@ def appearance_of(mesh: TriangleMesh) -> Appearance:
     else:
         materials = (Material(base_color=(*_WOOD, 1.0)), Material(base_color=(*_LEAF, 1.0)))
         face_material = foliage_faces(mesh.faces, mesh.num_vertices).astype(np.int32)
-    levels = np.zeros((len(materials), _NUM_LEVELS, 3), np.int32)
-    texels, num_texels = [np.zeros((1, 4), np.float32)], 1
-    textures = {material.texture_png for material in materials if material.texture_png is not None}
-    side_px = _side_px(len(textures))
-    row_of: dict[bytes, int] = {}  # the first material of a texture; others share its texels
-    for row, material in enumerate(materials):
-        if material.texture_png is None:
-            continue
-        first = row_of.setdefault(material.texture_png, row)
-        if first < row:
-            levels[row] = levels[first]
-            continue
-        for level, image in enumerate(_mip_levels(material.texture_png, side_px)):
-            levels[row, level] = num_texels, image.shape[1], image.shape[0]
-            texels.append(image.reshape(-1, 4))
-            num_texels += image.shape[0] * image.shape[1]
+    leafy = [is_leafy(material) for material in materials] if has_colors else [False, True]
     colors = mesh.vertex_colors
     vertex_rgb = np.ones((mesh.num_vertices, 3), np.float32) if colors is None else linear_from_bytes(colors[:, :3])
+    num_colored = len(materials)
+    if grey_still and mesh.still_faces is not None:  # each material a second time, for the faces that stand still
+        face_material = np.where(mesh.still_faces, face_material + num_colored, face_material)
+        materials, leafy = (*materials, *materials), [*leafy, *leafy]
+        vertex_rgb[mesh.still_vertices] = greyed(vertex_rgb[mesh.still_vertices])
+    used = np.unique(face_material)
+    texels, levels = _texels(materials, num_colored, used)
     base = np.array([material.base_color for material in materials], np.float32)
+    base[num_colored:, :3] = STILL_SHARE * greyed(base[num_colored:, :3])
     cutoff = np.array([material.alpha_cutoff or 0 for material in materials], np.float32)
-    leafy = [is_leafy(material) for material in materials] if has_colors else [False, True]
     return Appearance(
         uv=np.zeros((mesh.num_vertices, 2), np.float32) if mesh.uv is None else np.array(mesh.uv, np.float32),
         vertex_rgb=vertex_rgb,
@@ -80,8 +74,36 @@ def appearance_of(mesh: TriangleMesh) -> Appearance:
         cutoff=cutoff,
         transmission=np.where(leafy, _LEAF_TRANSMISSION, 0).astype(np.float32),
         texture_levels=levels,
-        texels=np.concatenate(texels),
+        texels=texels,
     )
+
+
+def _texels(
+    materials: tuple[Material, ...], num_colored: int, used: Int32[np.ndarray, " U"]
+) -> tuple[Float32[np.ndarray, "P 4"], Int32[np.ndarray, "M L 3"]]:
+    """Texels of all mip levels, and where each material's levels begin; grey ones of materials from `num_colored`.
+
+    A texture of several materials is decoded once; grey copies of materials that no face has get none.
+    """
+    levels = np.zeros((len(materials), _NUM_LEVELS, 3), np.int32)
+    texels, num_texels = [np.zeros((1, 4), np.float32)], 1
+    rows = [row for row in range(len(materials)) if row < num_colored or row in used]
+    textures = [(row, png) for row in rows if (png := materials[row].texture_png) is not None]
+    row_of: dict[tuple[bytes, bool], int] = {}  # the first material of a texture; others share its texels
+    side_px = _side_px(len({(png, row >= num_colored) for row, png in textures}))
+    for row, png in textures:
+        grey = row >= num_colored
+        first = row_of.setdefault((png, grey), row)
+        if first < row:
+            levels[row] = levels[first]
+            continue
+        for level, image in enumerate(_mip_levels(png, side_px)):
+            if grey:
+                image[..., :3] = greyed(image[..., :3])
+            levels[row, level] = num_texels, image.shape[1], image.shape[0]
+            texels.append(image.reshape(-1, 4))
+            num_texels += image.shape[0] * image.shape[1]
+    return np.concatenate(texels), levels
 
 
 def is_leafy(material: Material) -> bool:

@@ -31,6 +31,7 @@ class Look:
     height: int = 512
     supersampling: int = 2  # samples a pixel along each axis
     ground: bool = True  # a level floor below the lowest vertex
+    grey_still: bool = False  # what stands still because it is no plant without its colours
     shadows: bool = True  # of the sun, and the sky dimmed by what is around
     sun_direction: tuple[float, float, float] = (-0.40, -0.45, 0.95)  # towards it
 
@@ -69,7 +70,7 @@ class Renderer:
         self.look = look or Look()
         visible = mesh.vertices[~mesh.still_vertices]  # the plant, not the plane that it stands on
         self.camera = Camera.orbit(visible, aspect=self.look.width / self.look.height)
-        self._appearance = appearance_of(mesh)
+        self._appearance = appearance_of(mesh, grey_still=self.look.grey_still)
         low, high = mesh.vertices.min(axis=0).astype(np.float64), mesh.vertices.max(axis=0).astype(np.float64)
         self._centre = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
         self._radius_m = float(np.linalg.norm(high - low)) / 2

@@ -13,6 +13,7 @@ from pxr import Usd, UsdGeom, UsdVol
 
 from dynamictree.commands.source import load_capture
 from dynamictree.errors import FormatError, InputError
+from dynamictree.export.pictures import SplatScene
 from dynamictree.export.vertex_motion import vertex_motion
 from dynamictree.export.write import write_products
 from dynamictree.formats.axes import up_rotation
@@ -82,6 +83,13 @@ def animated(
     return write_products(mesh, spectrum, options, folder, done.append, capture=capture, choice=CloudParams(box_m=BOX))
 
 
+def beside_the_post(capture: Capture) -> Capture:
+    """The pot is nearer, and in the picture."""
+    beside = np.where(np.arange(3000) < 2000, 0, -0.7).astype(np.float32)
+    cloud = replace(capture.cloud, means=capture.cloud.means + beside[:, None] * np.float32([1, 0, 0]))
+    return replace(capture, cloud=cloud, mask=beside == 0)
+
+
 def test_a_surface_has_no_more_detail_than_its_gaussians(mesh: TriangleMesh) -> None:
     assert LEAST_FACES <= 1.1 * mesh.num_faces <= 1.1 * max(LEAST_FACES, 2000 * FACES_PER_GAUSSIAN)
 
@@ -116,9 +124,7 @@ def test_all_products_show_one_motion(
 def test_a_sheet_shows_the_sway_in_colours_and_what_stands_in_grey(
     capture: Capture, mesh: TriangleMesh, spectrum: SparseVoxelSpectrum, tmp_path: Path
 ) -> None:
-    beside = np.where(np.arange(3000) < 2000, 0, -0.7).astype(np.float32)  # the pot is nearer, and in the picture
-    cloud = replace(capture.cloud, means=capture.cloud.means + beside[:, None] * np.float32([1, 0, 0]))
-    near = replace(capture, cloud=cloud, mask=beside == 0)
+    near = beside_the_post(capture)
     paths = animated(near, mesh, spectrum, tmp_path, ExportParams(formats=("png",), shot=SMALL), [])
     with Image.open(paths["png"]) as picture:
         pixels = np.asarray(picture).astype(int)
@@ -159,6 +165,26 @@ def test_a_film_is_made(capture: Capture, mesh: TriangleMesh, spectrum: SparseVo
     assert b"ftyp" in paths["mp4"].read_bytes()[:12]
     with Image.open(paths["webp"]) as film:
         assert getattr(film, "n_frames", 1) == 4
+
+
+def test_films_show_what_stands_still_in_grey(
+    capture: Capture, mesh: TriangleMesh, spectrum: SparseVoxelSpectrum, tmp_path: Path
+) -> None:
+    """The pot beside the post has the colours of the file only if asked for."""
+    near = beside_the_post(capture)
+    colours = {}
+    for grey in (True, False):
+        scene = SplatScene.of(bind_capture(near, mesh), ground=False, grey_still=grey)
+        still = ~scene.binding.moving
+        assert still.sum() == 1000
+        assert (scene.binding.cloud.sh[~still] == capture.cloud.sh[~still]).all()
+        assert (np.ptp(scene.binding.cloud.sh[still, 0], axis=1).max() < 1e-5) == grey
+        (folder := tmp_path / str(grey)).mkdir()
+        shot = SMALL.model_copy(update={"ground": False, "grey_still": grey})
+        paths = animated(near, mesh, spectrum, folder, ExportParams(formats=("webp",), shot=shot), [])
+        with Image.open(paths["webp"]) as film:
+            colours[grey] = np.ptp(np.asarray(film.convert("RGB")).astype(int), axis=2)
+    assert (colours[True] < 12).sum() > (colours[False] < 12).sum() + 300
 
 
 def test_a_mesh_becomes_a_splat_that_moves(mesh: TriangleMesh, spectrum: SparseVoxelSpectrum, tmp_path: Path) -> None:

@@ -228,3 +228,30 @@ def test_the_plant_fills_the_picture_whatever_it_stands_on() -> None:
     scene = TriangleMesh(vertices=corners, faces=faces, still_faces=np.array([False, True]))
     far, near = (np.linalg.norm(Renderer(mesh, Look()).camera.position_m) for mesh in (whole, scene))
     assert near < 0.1 * far
+
+
+@pytest.mark.parametrize("kind", ["vertices", "material", "texture"])
+def test_what_stands_still_is_drawn_in_grey_if_asked(two_balls: TriangleMesh, kind: str) -> None:
+    """The red ball in front stands still: with the option it has no colour, and all else is as before."""
+    count = two_balls.num_faces // 2
+    still = np.arange(two_balls.num_faces) < count
+    mesh = replace(two_balls, still_faces=still)
+    if kind != "vertices":
+        red = Material(base_color=(0.7, 0.03, 0.02, 1.0))
+        if kind == "texture":
+            red = Material(texture_png=png_of(np.tile(np.uint8([220, 40, 30]), (4, 4, 1))))
+        blue = Material(base_color=(0.02, 0.05, 0.6, 1.0))
+        mesh = replace(mesh, vertex_colors=None, materials=(red, blue), face_material=(~still).astype(np.int32))
+    plain = Renderer(mesh, PLAIN).picture().astype(int)
+    grey = Renderer(mesh, replace(PLAIN, grey_still=True)).picture().astype(int)
+    ball = Renderer(mesh, PLAIN).buffers().face
+    inside = (ball >= 0) & (ball < count)
+    assert inside.sum() > 300
+    for step in (-1, 1):  # its rim is mixed with what is behind
+        inside &= np.roll(inside, step, axis=0) & np.roll(inside, step, axis=1)
+    others = ~((ball >= 0) & (ball < count))
+    for step in (-1, 1):
+        others &= np.roll(others, step, axis=0) & np.roll(others, step, axis=1)
+    assert np.median(np.ptp(plain[inside], axis=1)) > 60
+    assert np.median(np.ptp(grey[inside], axis=1)) < 25  # the light itself is warm
+    assert (grey[others] == plain[others]).all()
