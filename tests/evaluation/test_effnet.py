@@ -13,6 +13,7 @@ pytest.importorskip("efficientnet_lite_pytorch", reason="the extra `evaluate` is
 NUM_DRAWN = 12
 
 
+@pytest.mark.slow
 def test_torn_shuffled_and_frozen_motions_are_farther_from_the_truth_than_another_wind() -> None:
     from dynamictree.evaluation.effnet import load_effnet
 

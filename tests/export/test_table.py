@@ -33,7 +33,7 @@ CHANGED = {
     "joints": {"joints": 256},
 }
 
-SLOW = ("glb-skinned", "lod", "rig", "usd", "usd-splat", "mp4")
+SLOW = ("glb-skinned", "lod", "rig", "usd", "usd-splat", "mp4", "png")
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +79,9 @@ def test_every_format_of_a_request_is_a_product_with_its_own_file() -> None:
     assert PRODUCTS["motion"].media_type == "application/octet-stream"
 
 
-@pytest.mark.parametrize("name", [name for name in PRODUCTS if name not in SLOW])
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in PRODUCTS]
+)
 def test_a_product_depends_on_its_options_alone(
     name: Format, capture: Capture, spectrum: SparseVoxelSpectrum, tmp_path: Path
 ) -> None:

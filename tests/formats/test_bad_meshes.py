@@ -313,7 +313,7 @@ def test_mutated_files_raise_nothing_but_input_errors(
     content = np.frombuffer(stl(triangles) if file_type == "stl" else written(mesh, file_type), np.uint8)
     head = min(1600, len(content))
     refused = 0
-    for _ in range(300):
+    for _ in range(80):
         mutated = content.copy()
         places = np.concatenate([rng.integers(0, len(content), 2), rng.integers(0, head, 3)])
         mutated[places] = rng.integers(0, 256, len(places))
@@ -321,4 +321,4 @@ def test_mutated_files_raise_nothing_but_input_errors(
             read(mutated[: rng.integers(1, len(content)) if rng.random() < 0.2 else None].tobytes(), file_type)
         except InputError:
             refused += 1
-    assert refused > 30
+    assert refused > 8

@@ -33,7 +33,7 @@ def random_mesh(seed: int, sizes: tuple[int, int], has: tuple[bool, bool]) -> Tr
     )
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=10, deadline=None)
 @shapes
 def test_glb(seed: int, sizes: tuple[int, int], has: tuple[bool, bool]) -> None:
     mesh, stream = random_mesh(seed, sizes, has), io.BytesIO()
@@ -44,7 +44,7 @@ def test_glb(seed: int, sizes: tuple[int, int], has: tuple[bool, bool]) -> None:
     assert_optional(result.vertex_colors, mesh.vertex_colors, atol=0)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=10, deadline=None)
 @shapes
 def test_ply(seed: int, sizes: tuple[int, int], has: tuple[bool, bool]) -> None:
     mesh, stream = random_mesh(seed, sizes, has), io.BytesIO()
@@ -55,7 +55,7 @@ def test_ply(seed: int, sizes: tuple[int, int], has: tuple[bool, bool]) -> None:
     assert_optional(result.vertex_colors, mesh.vertex_colors, atol=0)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=10, deadline=None)
 @shapes
 def test_obj(seed: int, sizes: tuple[int, int], has: tuple[bool, bool]) -> None:
     mesh, stream = random_mesh(seed, sizes, has), io.BytesIO()

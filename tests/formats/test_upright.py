@@ -31,8 +31,8 @@ def trees(samples: Path | None) -> Iterator[TriangleMesh]:
 
 def test_trees_stand_up_from_any_of_six_axes(samples: Path) -> None:
     verdicts = []
-    for mesh in trees(samples):
-        for axis in AXES:
+    for number, mesh in enumerate(trees(samples)):
+        for axis in AXES[number % 2 :: 2]:  # `benchmarks upright_trees` takes all six of each
             laid = mesh.with_vertices((mesh.vertices @ up_rotation(axis)).astype(np.float32))
             result = judge_up_axis(laid)
             verdicts.append((result.axis == axis, result.confidence >= CERTAIN))

@@ -51,6 +51,7 @@ def test_a_splat_learns_to_show_photos_that_it_was_not_shown(orbit, rng):
     assert max(value for *_, value in fit.checks if np.isfinite(value)) == pytest.approx(np.mean(fit.psnr_db), abs=0.01)
 
 
+@pytest.mark.slow
 def test_where_photos_are_cut_out_nothing_is_left(orbit, rng):
     fit = fit_splat(small_model(orbit, rng, cut=True), None, replace(SMALL, num_steps=120))
     assert all(inside < whole for inside, whole in zip(fit.masked_db, fit.psnr_db, strict=True))  # the black is easy

@@ -87,7 +87,7 @@ def test_a_zip_is_refused_before_it_is_unpacked_onto_a_full_disk(small_disk: Pat
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("tree.obj", TREE)
-        archive.writestr("notes.txt", np.random.default_rng(0).integers(0, 2, 40 * MIB, np.uint8).tobytes())
+        archive.writestr("notes.txt", np.random.default_rng(0).integers(0, 2, MIB, np.uint8).tobytes() * 40)
     own = {"state_dir": small_disk, "min_free_bytes": 24 * MIB}
     with TestClient(create_app(settings.model_copy(update=own)), "http://localhost") as client:
         sent = client.post("/v1/assets", files={"file": ("tree.zip", packed.getvalue())})

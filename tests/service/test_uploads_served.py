@@ -35,7 +35,7 @@ def forgiven() -> Iterator[None]:
         gc.collect()
 
 
-@pytest.fixture(scope="module", params=["folder", "objects"])
+@pytest.fixture(scope="module", params=["folder", pytest.param("objects", marks=pytest.mark.slow)])
 def server(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Server, str]]:
     folder = tmp_path_factory.mktemp("uploads")
     environment = {"DYNAMICTREE_STATE_DIR": str(folder / "state")}
