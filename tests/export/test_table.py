@@ -34,6 +34,7 @@ CHANGED = {
 }
 
 SLOW = ("glb-skinned", "lod", "rig", "usd", "usd-splat", "mp4", "png")
+SAME_AT_THIS_SIZE = {("glb-skinned", "joints")}  # 48 vertices need fewer joints than the least allowed
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +101,8 @@ def test_a_product_depends_on_its_options_alone(
         depends = not PRODUCTS[name].options.isdisjoint(change)
         assert depends or content(START.model_copy(update=change)) == before, option
     for option in PRODUCTS[name].options - {"loop"}:
-        assert content(START.model_copy(update=CHANGED[option])) != before, option
+        same = (name, option) in SAME_AT_THIS_SIZE
+        assert same == (content(START.model_copy(update=CHANGED[option])) == before), option
 
 
 def test_a_turbulent_motion_can_be_written_in_parts(

@@ -3,7 +3,6 @@
 +Z up, metres, vertices in the source's order. Needs usd-core, the extra `usd`.
 """
 
-import shutil
 import tempfile
 from collections.abc import Iterable
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from dynamictree.formats.gltf.writer import linear_colors
+from dynamictree.formats.motion.usdz import write_usdz
 from dynamictree.mesh import Material, TriangleMesh
 
 _ROOT, _SURFACE, _LOOKS = "/Tree", "/Tree/Surface", "/Tree/Looks"
@@ -22,19 +22,11 @@ def write_motion_usdz(
     mesh: TriangleMesh, frames: Iterable[Float32[np.ndarray, "N 3"]], stream: BinaryIO, *, fps: float
 ) -> None:
     """Write displacements [m], a time code a frame, from 0."""
-    from pxr import Sdf
-
     with tempfile.TemporaryDirectory(prefix="dynamictree-usd-") as folder:
         textures = _texture_files(mesh, Path(folder))
         layer = Path(folder) / "tree.usdc"
         _write_layer(mesh, frames, layer, fps, textures)
-        archive = Sdf.ZipFileWriter.CreateNew(str(Path(folder) / "tree.usdz"))
-        archive.AddFile(str(layer), layer.name)
-        for name in textures.values():
-            archive.AddFile(str(Path(folder) / name), name)
-        archive.Save()
-        with (Path(folder) / "tree.usdz").open("rb") as written:
-            shutil.copyfileobj(written, stream)
+        write_usdz([layer, *(Path(folder) / name for name in textures.values())], stream)
 
 
 def _texture_files(mesh: TriangleMesh, folder: Path) -> dict[int, str]:

@@ -3,7 +3,6 @@
 +Z up, metres. Colours are those at rest: harmonics do not turn with the Gaussians. Needs usd-core, the extra `usd`.
 """
 
-import shutil
 import tempfile
 from collections.abc import Iterable
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from dynamictree.errors import InputError
+from dynamictree.formats.motion.usdz import write_usdz
 from dynamictree.gaussian.animate import iter_poses
 from dynamictree.gaussian.binding import Binding
 from dynamictree.gaussian.cloud import MAX_SEQUENCE_BYTES
@@ -28,7 +28,7 @@ def write_splat_usdz(
     Raises:
         InputError: the file would be too large.
     """
-    from pxr import Sdf, Usd, UsdGeom, UsdVol, Vt
+    from pxr import Usd, UsdGeom, UsdVol, Vt
 
     cloud = binding.cloud
     size = _BYTES * cloud.num_gaussians * num_frames
@@ -64,8 +64,4 @@ def write_splat_usdz(
         stage.SetStartTimeCode(0)
         stage.SetEndTimeCode(frame)
         stage.GetRootLayer().Save()
-        archive = Sdf.ZipFileWriter.CreateNew(str(Path(folder) / "splat.usdz"))
-        archive.AddFile(str(layer), layer.name)
-        archive.Save()
-        with (Path(folder) / "splat.usdz").open("rb") as written:
-            shutil.copyfileobj(written, stream)
+        write_usdz([layer], stream)
