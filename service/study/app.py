@@ -13,7 +13,10 @@ from service.study.films import MEDIA_TYPES, Films
 from service.study.votes import Answer, Votes
 
 PAGE = Path(__file__).parent / "page"
-POLICY = "default-src 'none'; script-src 'self'; style-src 'self'; media-src 'self'; img-src 'self' data:; connect-src 'self'"
+POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; media-src 'self'; img-src 'self' data:; "
+    "connect-src 'self'"
+)
 COOKIE = "participant"
 A_YEAR_S = 365 * 24 * 3600
 
