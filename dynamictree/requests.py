@@ -71,6 +71,7 @@ TURBULENT_FRAMES: dict[Format, int] = {
 }
 """The formats that can hold a turbulent motion, and how many frames of it. The others hold one period."""
 Joints = Literal[32, 64, 256]
+GlbCompression = Literal["none", "meshopt"]
 Resolution = Literal[32, 64, 128, 256, 512]
 UpAxis = Annotated[
     str,
@@ -304,6 +305,10 @@ class ExportParams(Request):
     )
     normals: bool = Field(
         default=False, description="Write normals that move: as targets of glb and glb-reduced, as a texture of vat"
+    )
+    glb_compression: GlbCompression = Field(
+        default="none",
+        description="Compression of glb and glb-reduced: meshopt needs a reader of EXT_meshopt_compression",
     )
     joints: Joints = Field(default=64, description="Joints of glb-skinned, at most")
     shot: Shot = Field(default_factory=Shot)

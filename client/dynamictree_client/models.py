@@ -82,6 +82,8 @@ class AnimateParams(Model):
     sh_degree: int = 3
     # Write normals that move: as targets of glb and glb-reduced, as a texture of vat
     normals: bool = False
+    # Compression of glb and glb-reduced: meshopt needs a reader of EXT_meshopt_compression
+    glb_compression: Literal["none", "meshopt"] = "none"
     # Joints of glb-skinned, at most
     joints: Literal[32, 64, 256] = 64
     shot: "Shot | None" = None

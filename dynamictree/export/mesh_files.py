@@ -9,6 +9,7 @@ from dynamictree.export.moving_tree import Facts, MovingTree, Report
 from dynamictree.formats.gltf.motion import MorphSummary, write_motion_glb
 from dynamictree.formats.motion.ply_sequence import iter_ply_sequence_zip
 from dynamictree.formats.tensors.motion import write_motion
+from dynamictree.requests import GlbCompression
 
 REDUCED_TARGETS = 8  # morph targets that glTF asks every engine to support
 
@@ -25,8 +26,9 @@ def write_displacements(tree: MovingTree, stream: BinaryIO, report: Report) -> N
 
 def write_glb(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts | None:
     """GLB with two morph targets per frequency: the exact loop."""
-    summary = _write_glb(tree, stream)
-    return asdict(summary) if tree.params.normals else None
+    summary = _write_glb(tree, stream, compression=tree.params.glb_compression)
+    inexact = tree.params.normals or tree.params.glb_compression != "none"
+    return asdict(summary) if inexact else None
 
 
 def write_page(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
@@ -40,10 +42,13 @@ def write_page(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
 
 def write_reduced_glb(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
     """GLB with the few morph targets that approximate the loop best."""
-    return asdict(_write_glb(tree, stream, num_targets=min(REDUCED_TARGETS, 2 * tree.coefficients.shape[1] - 1)))
+    num_targets = min(REDUCED_TARGETS, 2 * tree.coefficients.shape[1] - 1)
+    return asdict(_write_glb(tree, stream, num_targets, compression=tree.params.glb_compression))
 
 
-def _write_glb(tree: MovingTree, stream: ByteWriter, num_targets: int | None = None) -> MorphSummary:
+def _write_glb(
+    tree: MovingTree, stream: ByteWriter, num_targets: int | None = None, *, compression: GlbCompression = "none"
+) -> MorphSummary:
     return write_motion_glb(
         tree.mesh,
         tree.coefficients,
@@ -52,6 +57,7 @@ def _write_glb(tree: MovingTree, stream: ByteWriter, num_targets: int | None = N
         fps=tree.loop_fps,
         num_targets=num_targets,
         with_normals=tree.params.normals,
+        compressed=compression == "meshopt",
     )
 
 

@@ -38,6 +38,7 @@ DETAIL = frozenset({"share", "sh_degree"})
 SHOT = frozenset({"shot"})
 NORMALS = frozenset({"normals"})
 JOINTS = frozenset({"joints"})
+COMPRESSION = frozenset({"glb_compression"})
 
 
 @dataclass(frozen=True)
@@ -75,9 +76,9 @@ def media_type(file_name: str) -> str:
 
 PRODUCTS: dict[Format, Product] = {
     "ply": Product("PLY sequence", "motion.ply.zip", "mesh", FRAMES, write=write_ply_sequence),
-    "glb": Product("Animated GLB", "tree.glb", "mesh", SPEED | NORMALS, write=write_glb),
+    "glb": Product("Animated GLB", "tree.glb", "mesh", SPEED | NORMALS | COMPRESSION, write=write_glb),
     "glb-reduced": Product(
-        "Animated GLB, 8 targets", "tree-8-targets.glb", "mesh", SPEED | NORMALS, write=write_reduced_glb
+        "Animated GLB, 8 targets", "tree-8-targets.glb", "mesh", SPEED | NORMALS | COMPRESSION, write=write_reduced_glb
     ),
     "glb-skinned": Product("Skinned GLB", "tree-skinned.glb", "mesh", SPEED | JOINTS, write=write_skinned_glb),
     "lod": Product("Levels of detail", "tree.lod.zip", "mesh", SPEED, write=write_levels),

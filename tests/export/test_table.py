@@ -31,6 +31,7 @@ CHANGED = {
     "shot": {"shot": Shot(side_px=64, azimuth_deg=120.0)},
     "normals": {"normals": True},
     "joints": {"joints": 256},
+    "glb_compression": {"glb_compression": "meshopt"},
 }
 
 SLOW = ("glb-skinned", "lod", "rig", "usd", "usd-splat", "mp4", "png")

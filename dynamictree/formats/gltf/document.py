@@ -11,6 +11,7 @@ from jaxtyping import Shaped
 from dynamictree.byte_stream import ByteReader
 from dynamictree.errors import FormatError
 from dynamictree.formats.companions import find_companion
+from dynamictree.formats.gltf.meshopt import decompressed, is_fallback
 from dynamictree.formats.json_fields import (
     JsonObject,
     index_field,
@@ -31,7 +32,9 @@ READ_EXTENSIONS = frozenset(
         "KHR_gaussian_splatting",
         "KHR_mesh_quantization",
         "KHR_texture_basisu",
+        "KHR_meshopt_compression",
         "KHR_texture_transform",
+        "EXT_meshopt_compression",
         "EXT_texture_webp",
     }
 )
@@ -135,9 +138,11 @@ def open_gltf(content: bytes, *, companions: Mapping[str, bytes]) -> GltfDocumen
             f"the file requires the glTF extension {', '.join(refused)[:200]}, which is not read; "
             f"export without it (read are {', '.join(sorted(READ_EXTENSIONS))})"
         )
+    buffers = [_buffer(entry, i, binary, companions) for i, entry in enumerate(object_list(root, "buffers"))]
+    root, plain_buffers = decompressed(root, buffers)
     return GltfDocument(
         root=root,
-        buffers=tuple(_buffer(entry, i, binary, companions) for i, entry in enumerate(object_list(root, "buffers"))),
+        buffers=plain_buffers,
         views=tuple(object_list(root, "bufferViews")),
         accessors=tuple(object_list(root, "accessors")),
         companions=companions,
@@ -231,6 +236,8 @@ def _buffer(entry: JsonObject, index: int, binary: bytes | None, companions: Map
         content = uri_bytes(text_field(entry, "uri"), companions)
     elif index == 0 and binary is not None:
         content = binary
+    elif is_fallback(entry):
+        return b""
     else:
         raise FormatError(f"buffers[{index}] has neither a uri nor the GLB's binary chunk")
     length = integer_field(entry, "byteLength", high=_MAX_BYTES)

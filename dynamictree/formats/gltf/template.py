@@ -4,7 +4,7 @@ Targets are attached primitive by primitive, in the primitive's own axes and uni
 """
 
 import json
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -140,6 +140,23 @@ class Template:
             for target, normals in zip(targets, delta, strict=True):
                 target["NORMAL"] = self.writer.add_accessor(normals, target=VERTEX_BUFFER)
         return errors.summary()
+
+    def changes(
+        self, changed: Mapping[int, Float32[np.ndarray, "n w"]], nodes: Sequence[int], count: int, num_vertices: int
+    ) -> Float32[np.ndarray, "S N3"]:
+        """What changes of accessors do to the mesh at rest and to its last `count` targets, in the mesh's axes [m]."""
+        moved: Float32[np.ndarray, "S N 3"] = np.zeros((1 + count, num_vertices, 3), np.float32)
+        for slot in self.slots:
+            mesh = self.writer.root["meshes"][self.writer.root["nodes"][slot.node]["mesh"]]
+            primitive = mesh["primitives"][slot.primitive]
+            targets = primitive["targets"][-count:] if slot.node in nodes else []
+            to_mesh = np.linalg.pinv(slot.to_local)
+            for row, index in enumerate([primitive["attributes"]["POSITION"], *(one["POSITION"] for one in targets)]):
+                if index in changed:
+                    moved[row, slot.rows] = np.einsum(
+                        "...ij,nj->ni" if to_mesh.ndim == 2 else "nij,nj->ni", to_mesh, changed[index]
+                    )
+        return moved.reshape(1 + count, -1)
 
     def _target(self, slot: MorphSlot, displacement: Float32[np.ndarray, "N 3"]) -> dict[str, int]:
         return {"POSITION": self.writer.add_accessor(slot.local(displacement), target=VERTEX_BUFFER, bounds=True)}

@@ -73,8 +73,8 @@ class GlbWriter:
         extras = asset.get("extras", {})
         if self.extras and isinstance(extras, dict):
             asset["extras"] = {**extras, **self.extras}
-        (buffer,) = self.root.get("buffers", [{}])
-        root = {**scene, **self.root, "asset": asset, "buffers": [{**buffer, "byteLength": self.num_bytes}]}
+        buffer, *fallbacks = self.root.get("buffers", [{}])
+        root = {**scene, **self.root, "asset": asset, "buffers": [{**buffer, "byteLength": self.num_bytes}, *fallbacks]}
         text = json.dumps(root, separators=(",", ":")).encode()
         text += b" " * (-len(text) % 4)
         length = 12 + 8 + len(text) + 8 + self.num_bytes

@@ -1,0 +1,159 @@
+"""GLB with EXT_meshopt_compression: what we write and read, judged by glTF-Transform with meshoptimizer."""
+
+import io
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dynamictree.dataset.sample import make_sample, voxel_spectrum
+from dynamictree.errors import FormatError, InputError
+from dynamictree.export.write import write_products
+from dynamictree.formats.gltf import meshopt as packing
+from dynamictree.formats.gltf.document import GltfDocument, open_gltf
+from dynamictree.formats.mesh_file import read_mesh
+from dynamictree.mesh import TriangleMesh
+from dynamictree.requests import ExportParams
+from dynamictree.spectrum import SparseVoxelSpectrum
+from tests.formats.artists import document_of
+from tests.formats.meshes import gltf_bytes
+
+JS = Path(__file__).parents[1] / "js"
+JS_TOOLS = Path(__file__).parents[2] / ".cache" / "js-tools"
+LARGEST_M = 1e-3
+"""Of a compressed GLB's vertices to those of the plain one, in any frame."""
+Tree = tuple[TriangleMesh, SparseVoxelSpectrum]
+Files = dict[str, tuple[bytes, dict[str, float]]]
+
+
+@pytest.fixture(scope="module")
+def tree() -> Tree:
+    sample = make_sample(3, "sapling")
+    return sample.mesh, voxel_spectrum(sample, 32)[1]
+
+
+@pytest.fixture(scope="module")
+def files(tree: Tree, tmp_path_factory: pytest.TempPathFactory) -> Files:
+    """A GLB with and without compression, and its stated errors."""
+    written: Files = {}
+    for name in ("none", "meshopt"):
+        facts: dict[str, dict[str, float]] = {}
+        params = ExportParams(formats=("glb",), glb_compression=name)
+        folder = tmp_path_factory.mktemp(name)
+        path = write_products(*tree, params, folder, on_facts=facts.__setitem__)["glb"]
+        written[name] = (path.read_bytes(), facts.get("glb", {}))
+    return written
+
+
+def frames(document: GltfDocument) -> np.ndarray:
+    """Vertices of the first primitive at every key, in the file's axes."""
+    root = json.loads(json.dumps(document.root))
+    primitive = root["meshes"][0]["primitives"][0]
+    targets = np.stack([document.accessor(one["POSITION"])[:, :3] for one in primitive["targets"]])
+    keys = document.accessor(root["animations"][0]["samplers"][0]["output"]).reshape(-1, len(targets))
+    return document.accessor(primitive["attributes"]["POSITION"]) + np.einsum("tm,mnc->tnc", keys, targets)
+
+
+def test_a_compressed_file_shows_the_motion_and_says_how_far_off_it_is(files: Files) -> None:
+    plain, _ = files["none"]
+    packed, facts = files["meshopt"]
+    assert len(packed) < 0.4 * len(plain)
+    gap = np.linalg.norm(frames(open_gltf(packed, companions={})) - frames(open_gltf(plain, companions={})), axis=2)[
+        :-1
+    ]
+    assert 0 < gap.max() < LARGEST_M
+    assert facts["max_error_m"] == pytest.approx(gap.max(), rel=1e-2)
+    assert facts["rms_error_m"] == pytest.approx(np.sqrt((gap**2).mean()), rel=1e-2)
+
+
+def test_a_compressed_file_is_read_as_the_mesh_that_it_holds(files: Files, tree: Tree) -> None:
+    mesh = read_mesh(io.BytesIO(files["meshopt"][0]), file_type="glb")
+    np.testing.assert_array_equal(np.sort(mesh.faces, axis=1), np.sort(tree[0].faces, axis=1))
+    np.testing.assert_allclose(mesh.vertices, tree[0].vertices, atol=1e-4)
+    assert mesh.source_gltf is not None
+    assert b"meshopt" not in mesh.source_gltf.document
+
+
+def test_large_and_small_motions_keep_their_share(tree: Tree, tmp_path: Path) -> None:
+    for factor in (30.0, 0.02):
+        coefficients = (tree[1].coefficients * np.float32(factor)).astype(np.complex64)
+        moved = SparseVoxelSpectrum(grid=tree[1].grid, coefficients=coefficients)
+        played = []
+        for name in ("none", "meshopt"):
+            params = ExportParams(formats=("glb",), glb_compression=name)
+            content = write_products(tree[0], moved, params, tmp_path)["glb"].read_bytes()
+            played.append(frames(open_gltf(content, companions={})))
+        motion = played[0] - played[0].mean(axis=0)
+        gap = (played[1] - played[1][0]) - (played[0] - played[0][0])
+        assert np.sqrt((gap**2).mean() / (motion**2).mean()) < 0.02
+
+
+def changed(content: bytes, change: dict[str, object], *, cut: int = 0) -> bytes:
+    """The file with another description of its first compressed view, or with bytes of it lost."""
+    document = document_of(content)
+    view = next(one for one in document.root["bufferViews"] if "extensions" in one)
+    entry = view["extensions"]["EXT_meshopt_compression"]
+    entry.update(change)
+    binary = bytearray(document.buffers[0])
+    binary[entry["byteOffset"] : entry["byteOffset"] + cut] = b"\xff" * cut
+    return gltf_bytes(document.root, bytes(binary))
+
+
+@pytest.mark.parametrize(
+    ("change", "cut", "message"),
+    [
+        ({}, 8, "cannot be decoded"),
+        ({"byteLength": 1 << 39}, 0, "truncated"),
+        ({"count": 1 << 31, "byteStride": 256}, 0, "more than 1,073,741,824 bytes"),
+        ({"mode": "OTHER"}, 0, "mode must be"),
+        ({"buffer": 9}, 0, "0 to 1"),
+    ],
+)
+def test_a_damaged_stream_is_refused(files: Files, change: dict[str, object], cut: int, message: str) -> None:
+    with pytest.raises(FormatError, match=message):
+        open_gltf(changed(files["meshopt"][0], change, cut=cut), companions={})
+
+
+def test_without_the_binding_files_are_refused_with_the_command(
+    files: Files, tree: Tree, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setitem(sys.modules, "meshopt", None)
+    with pytest.raises(FormatError, match=r"pip install 'dynamictree\[meshopt\]'"):
+        open_gltf(files["meshopt"][0], companions={})
+    with pytest.raises(InputError, match=r"pip install 'dynamictree\[meshopt\]'"):
+        write_products(*tree, ExportParams(formats=("glb",), glb_compression="meshopt"), tmp_path)
+
+
+def test_fallback_buffers_alone_have_no_bytes() -> None:
+    assert packing.is_fallback({"extensions": {"EXT_meshopt_compression": {"fallback": True}}})
+    assert not packing.is_fallback({"extensions": {"EXT_meshopt_compression": {}}})
+
+
+def by_gltf_transform(*arguments: str | Path) -> str:
+    if not (JS_TOOLS / "node_modules" / "@gltf-transform").exists() or shutil.which("node") is None:
+        pytest.skip("glTF-Transform is not there: make js-tools, with node and npm")
+    command = ["node", str(JS / "meshopt_gltf.mjs"), str(JS_TOOLS), *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
+
+
+@pytest.mark.slow
+def test_gltf_transform_plays_what_we_write(files: Files, tmp_path: Path) -> None:
+    (tmp_path / "packed.glb").write_bytes(files["meshopt"][0])
+    played = np.array(json.loads(by_gltf_transform("play", tmp_path / "packed.glb")))
+    truth = frames(open_gltf(files["none"][0], companions={}))[::20]
+    assert np.linalg.norm(played.reshape(truth.shape) - truth, axis=2).max() < LARGEST_M
+
+
+@pytest.mark.slow
+def test_we_read_what_gltf_transform_packs(files: Files, tree: Tree, tmp_path: Path) -> None:
+    (tmp_path / "plain.glb").write_bytes(files["none"][0])
+    by_gltf_transform("pack", tmp_path / "plain.glb", tmp_path / "packed.glb")
+    packed = (tmp_path / "packed.glb").read_bytes()
+    assert b"EXT_meshopt_compression" in packed
+    mesh = read_mesh(io.BytesIO(packed), file_type="glb")
+    assert mesh.num_faces == tree[0].num_faces
+    np.testing.assert_allclose(mesh.vertices.max(axis=0), tree[0].vertices.max(axis=0), atol=2e-3)
