@@ -40,6 +40,7 @@ Format = Literal[
     "glb-skinned",
     "lod",
     "rig",
+    "wind",
     "html",
     "usd",
     "alembic",

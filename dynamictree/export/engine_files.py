@@ -88,6 +88,23 @@ def write_rig(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
     return asdict(summary)
 
 
+def write_engine_wind(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
+    """Wind that an engine evaluates itself: mode shapes, cosines, shaders, and baked vertex attributes.
+
+    Raises:
+        InputError: no texture holds the mode shapes.
+    """
+    from dynamictree.export.engine_wind import iter_engine_wind_zip
+    from dynamictree.modal.branch_pivots import branch_pivots
+    from dynamictree.modal.turbulence import turbulent_wind
+
+    pivots = branch_pivots(tree.spectrum, tree.mesh, tree.coefficients)
+    report(0.5)
+    wind = turbulent_wind(tree.spectrum, seed=tree.spectrum.seed)
+    num_frames = tree.spectrum.num_frames
+    stream.writelines(iter_engine_wind_zip(tree.mesh, tree.coefficients, wind, pivots, num_frames=num_frames))
+
+
 def dynamic_wind(skin: "Skin") -> dict[str, object]:
     """The file that Unreal 5.7's Dynamic Wind imports for a skeletal mesh: a group per branch order.
 

@@ -7,7 +7,7 @@ from pathlib import PurePosixPath
 from typing import BinaryIO, Literal
 
 from dynamictree.errors import InputError
-from dynamictree.export.engine_files import write_levels, write_rig
+from dynamictree.export.engine_files import write_engine_wind, write_levels, write_rig
 from dynamictree.export.mesh_files import (
     write_alembic,
     write_displacements,
@@ -83,6 +83,7 @@ PRODUCTS: dict[Format, Product] = {
     "glb-skinned": Product("Skinned GLB", "tree-skinned.glb", "mesh", SPEED | JOINTS, write=write_skinned_glb),
     "lod": Product("Levels of detail", "tree.lod.zip", "mesh", SPEED, write=write_levels),
     "rig": Product("Rig, collision, wind groups", "tree.rig.zip", "mesh", SPEED, write=write_rig),
+    "wind": Product("Wind for engines", "tree.wind.zip", "mesh", frozenset(), write=write_engine_wind),
     "html": Product("Web page that plays from disk", "tree.html", "mesh", SPEED | NORMALS, write=write_page),
     "usd": Product("USD", "tree.usdz", "mesh", FRAMES, "pxr", "usd", write=write_usdz),
     "alembic": Product("Alembic", "tree.abc", "mesh", FRAMES, "alembic3d", "alembic", write=write_alembic),

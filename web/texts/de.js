@@ -180,6 +180,8 @@ export default {
   "format.html.for": "eine Datei, die ohne Server spielt",
   "format.usd": "USD",
   "format.usd.for": "Omniverse, Houdini, iPhone",
+  "format.wind": "Wind für Engines",
+  "format.wind.for": "Shader, Laub",
   "format.alembic": "Alembic",
   "format.alembic.for": "Maya, Houdini, Film",
   "format.vat": "Vertex-Textur",

@@ -180,6 +180,8 @@ export default {
   "format.html.for": "one file that plays from disk, to send on",
   "format.usd": "USD",
   "format.usd.for": "Omniverse, Houdini, iPhone",
+  "format.wind": "Wind for engines",
+  "format.wind.for": "Shaders, foliage",
   "format.alembic": "Alembic",
   "format.alembic.for": "Maya, Houdini, film",
   "format.vat": "Vertex texture",

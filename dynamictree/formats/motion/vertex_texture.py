@@ -114,6 +114,19 @@ def iter_vertex_texture_zip(
     )
 
 
+def plain_vertex_texture(
+    mesh: TriangleMesh, layout: TextureLayout, vectors: Iterable[Float32[np.ndarray, "N 3"]]
+) -> tuple[bytes, bytes, float]:
+    """A GLB of one node, whose TEXCOORD_1 is the lookup; an EXR of vectors in its axes; and the EXR's rounding [m]."""
+    uv = np.zeros((mesh.num_vertices, 2), np.float32) if mesh.uv is None else mesh.uv
+    template = open_template(replace(mesh, source_gltf=None, uv=uv))
+    assert template.attach_texture_coordinates(_lookup(layout, mesh.num_vertices)) == "TEXCOORD_1"
+    texels = _Texels(layout, template.slots, MorphSlot.local)
+    picture, rest = _picture(texels.of(vectors)), io.BytesIO()
+    template.writer.finish(rest)
+    return rest.getvalue(), picture, texels.error_m
+
+
 def _template(mesh: TriangleMesh) -> Template:
     """The mesh's document; a new one where the source's units are so small or large that halves do not hold them."""
     template = open_template(mesh)

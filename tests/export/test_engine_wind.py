@@ -1,0 +1,129 @@
+"""The product `wind`: its files give the library's turbulent motion to an evaluator that is not the library's."""
+
+import io
+import json
+import shutil
+import subprocess
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pygltflib
+import pytest
+
+from benchmarks._played import accessor, z_up
+from dynamictree import method
+from dynamictree.dataset.sample import make_sample, voxel_spectrum
+from dynamictree.export.engine_wind import SHADERS
+from dynamictree.export.write import write_products
+from dynamictree.mesh import TriangleMesh
+from dynamictree.modal.branch_pivots import branch_pivots
+from dynamictree.modal.turbulence import iter_turbulent_motion, turbulent_wind
+from dynamictree.requests import ExportParams
+from dynamictree.spectrum import SparseVoxelSpectrum
+from recipes.wind_reference import coordinates, wave_at
+
+Tree = tuple[TriangleMesh, SparseVoxelSpectrum]
+SECONDS = (0.0, 3.7, 412.0)
+
+
+@pytest.fixture(scope="module")
+def tree() -> Tree:
+    sample = make_sample(3, "sapling")
+    return sample.mesh, voxel_spectrum(sample, 32)[1]
+
+
+@pytest.fixture(scope="module")
+def archive(tree: Tree, tmp_path_factory: pytest.TempPathFactory) -> zipfile.ZipFile:
+    path = write_products(*tree, ExportParams(formats=("wind",)), tmp_path_factory.mktemp("wind"))["wind"]
+    return zipfile.ZipFile(io.BytesIO(path.read_bytes()))
+
+
+def modes_of(archive: zipfile.ZipFile, tmp_path: Path) -> np.ndarray:
+    """Parts of the mode shapes where the mesh's lookup finds them: [2K - 1, N, 3], +Z up [m]."""
+    facts = json.loads(archive.read("wind.json"))
+    texels = OpenEXR.File(archive.extract("modes.exr", tmp_path)).channels()["RGB"].pixels.astype(np.float64)
+    document = pygltflib.GLTF2().load_from_bytes(archive.read("tree-modes.glb"))
+    u, v = accessor(document, document.meshes[0].primitives[0].attributes.TEXCOORD_1).T
+    step = facts["rows_per_part"] / facts["height"]
+    rows = [np.floor((v + part * step) * facts["height"]).astype(int) for part in range(facts["num_parts"])]
+    return z_up(np.stack([texels[row, np.floor(u * facts["width"]).astype(int)] for row in rows]))
+
+
+def test_the_reference_moves_the_mode_shapes_as_the_library_does(
+    archive: zipfile.ZipFile, tree: Tree, tmp_path: Path
+) -> None:
+    mesh, spectrum = tree
+    modes, wind = modes_of(archive, tmp_path), json.loads(archive.read("wind.json"))["wind"]
+    shapes = method.devoxelize(spectrum, mesh)
+    own = turbulent_wind(spectrum, seed=spectrum.seed)
+    truth = list(iter_turbulent_motion(shapes, own, np.array(SECONDS), spectrum.num_frames))
+    for seconds, expected in zip(SECONDS, truth, strict=True):
+        q = coordinates(wind, seconds)
+        moved = modes[0] * q[0].real + np.einsum("k,knc->nc", q[1:].real, modes[1::2])
+        moved -= np.einsum("k,knc->nc", q[1:].imag, modes[2::2])
+        turn = wave_at(wind["turn_rad"], seconds)
+        cosine, sine = np.cos(turn), np.sin(turn)
+        moved = moved @ np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]])
+        assert np.linalg.norm(moved - expected, axis=1).max() < 1e-3
+        assert np.linalg.norm(expected, axis=1).max() > 0.02
+
+
+def test_baked_attributes_say_what_the_motion_says(archive: zipfile.ZipFile, tree: Tree) -> None:
+    mesh, spectrum = tree
+    document = pygltflib.GLTF2().load_from_bytes(archive.read("tree-wind.glb"))
+    attributes = document.meshes[0].primitives[0].attributes
+    colour = accessor(document, attributes.COLOR_0) / 65535
+    shapes = method.devoxelize(spectrum, mesh)
+    pivots = branch_pivots(spectrum, mesh, shapes)
+    assert colour[:, 0].max() == 1
+    top, foot = mesh.vertices[:, 2].argmax(), mesh.vertices[:, 2].argmin()
+    assert colour[top, 0] > 0.2 > colour[foot, 0]
+    assert np.ptp(colour[:, 1]) > 0.1
+    assert colour[:, 2].min() > 0
+    assert (colour[:, 3] == 1).all()
+    first, second = accessor(document, attributes.TEXCOORD_1), accessor(document, attributes.TEXCOORD_2)
+    pivot = z_up(np.column_stack([first, second[:, 0]]))
+    np.testing.assert_allclose(pivot, pivots.pivot_m, atol=1e-6)
+    assert second[:, 1].min() == 0
+    assert second[:, 1].max() >= 1
+    largest = document.asset.extras["largest_weight_m"]
+    weights = np.sqrt((np.abs(shapes[:, 0]) ** 2).sum(axis=1) + 2 * (np.abs(shapes[:, 1:]) ** 2).sum(axis=(1, 2)))
+    np.testing.assert_allclose(colour[:, 0] * largest, weights, atol=1e-4 * largest)
+
+
+def test_a_tree_that_moves_as_one_piece_turns_about_its_foot(tree: Tree) -> None:
+    mesh, spectrum = tree
+    still = SparseVoxelSpectrum(grid=spectrum.grid, coefficients=np.zeros_like(spectrum.coefficients))
+    pivots = branch_pivots(still, mesh, np.zeros((mesh.num_vertices, 16, 3), np.complex64))
+    assert len(pivots.order) == mesh.num_vertices
+    assert pivots.order.min() == 0
+
+
+def test_shaders_are_short_and_have_the_numbers_inside(archive: zipfile.ZipFile) -> None:
+    for name in SHADERS:
+        text = archive.read(name).decode()
+        assert len(text.splitlines()) <= 60
+        assert not any(word in text for word in ("CORE", "CONSTANTS", "_TABLE", "TEXTUREvec2"))
+        assert ("vec2" in text) != name.endswith(".hlsl")
+
+
+@pytest.mark.parametrize("name", ["wind-unity.hlsl", "wind-unreal.hlsl"])
+def test_glslang_compiles_the_hlsl(archive: zipfile.ZipFile, name: str, tmp_path: Path) -> None:
+    """Needs Debian's `glslang-tools`; the engines' own types and wrappers stand around the code."""
+    if shutil.which("glslangValidator") is None:
+        pytest.skip("glslangValidator is not there: apt-get install glslang-tools")
+    text = archive.read(name).decode()
+    if "unity" in name:
+        types = "struct UnityTexture2D { Texture2D tex; }; struct UnitySamplerState { SamplerState samplerstate; };"
+        call = "UnityTexture2D t = { T }; UnitySamplerState s = { S }; float3 d; Wind_float(l, 1, t, s, d);"
+        text = f"Texture2D T; SamplerState S; {types}\n{text}float4 main(float2 l : A) : SV_Position {{ {call} "
+    else:
+        code = text.partition("TreeWind tree;")
+        head = f"Texture2D Modes; SamplerState ModesSampler;\n{code[0]}float3 custom(float2 Lookup, float Seconds) {{"
+        text = f"{head} TreeWind tree;{code[2]} }}\nfloat4 main(float2 l : A) : SV_Position {{ float3 d = custom(l, 1);"
+    (tmp_path / "wind.hlsl").write_text(text + " return float4(d, 1); }")
+    command = ["glslangValidator", "-D", "-S", "vert", "-e", "main", "-V", "wind.hlsl", "-o", "wind.spv"]
+    answer = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert answer.returncode == 0, answer.stdout
