@@ -28,7 +28,7 @@ def write_levels(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
     from dynamictree.formats.gltf.lod import write_lod_glb
 
     num_frames = tree.spectrum.num_frames
-    levels = levels_of(tree.mesh, tree.coefficients, num_frames)
+    levels = levels_of(tree.mesh, tree.coefficients, num_frames, lambda done: report(0.8 * done))
     errors = [asdict(level.error) | {"coverage": share} for level, share in zip(levels, COVERAGE, strict=True)]
     together = io.BytesIO()
     write_lod_glb(
@@ -41,7 +41,7 @@ def write_levels(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
     )
     files = [("lod.json", json.dumps({"levels": errors}, indent=1).encode()), ("tree-lod.glb", together.getvalue())]
     for number, level in enumerate(levels):
-        report(number / len(levels))
+        report(0.8 + 0.2 * number / len(levels))
         single = io.BytesIO()
         write_motion_glb(level.mesh, level.coefficients, single, num_frames=num_frames, fps=tree.loop_fps)
         files.append((f"tree-lod{number}.glb", single.getvalue()))

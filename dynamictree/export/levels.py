@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Complex64, Float32, Float64, Int32, Int64
 from PIL import Image
 
+from dynamictree.export.moving_tree import Report
 from dynamictree.mesh import Material, TriangleMesh, connected_parts, part_bounds, weld
 from dynamictree.render import Camera, Look, Renderer
 from dynamictree.render.appearance import foliage_faces, is_leafy
@@ -55,15 +56,26 @@ class Level:
     error: LevelError
 
 
-def levels_of(mesh: TriangleMesh, coefficients: Complex64[np.ndarray, "N K 3"], num_frames: int) -> list[Level]:
-    """Levels with `SHARES` of the triangles, and cards."""
+def levels_of(
+    mesh: TriangleMesh,
+    coefficients: Complex64[np.ndarray, "N K 3"],
+    num_frames: int,
+    on_progress: Report = lambda done: None,
+) -> list[Level]:
+    """Levels with `SHARES` of the triangles, and cards.
+
+    `on_progress` gets the share done; what it raises passes through.
+    """
     leaves = _leaf_parts(mesh)
     meshes = [(mesh, coefficients)]
-    meshes += [_reduced(mesh, coefficients, leaves, share) for share in SHARES[1:]]
+    for number, share in enumerate(SHARES[1:]):
+        on_progress(number / (2 * len(SHARES)))
+        meshes.append(_reduced(mesh, coefficients, leaves, share))
     meshes.append(_cards(mesh, coefficients))
     views = [_silhouette(mesh, azimuth, mesh) for azimuth in _CARD_VIEWS_DEG]
     levels = []
-    for level, motion in meshes:
+    for number, (level, motion) in enumerate(meshes):
+        on_progress((1 + number / len(meshes)) / 2)
         own = [_silhouette(level, azimuth, mesh) for azimuth in _CARD_VIEWS_DEG]
         both = sum(int((a & b).sum()) for a, b in zip(views, own, strict=True))
         either = sum(int((a | b).sum()) for a, b in zip(views, own, strict=True))

@@ -67,7 +67,11 @@ def write_skinned_glb(tree: MovingTree, stream: BinaryIO, report: Report) -> Fac
     from dynamictree.modal.fitted_skin import fitted_skin
 
     skin, summary = fitted_skin(
-        tree.mesh, tree.coefficients, num_frames=tree.spectrum.num_frames, num_joints=tree.params.joints
+        tree.mesh,
+        tree.coefficients,
+        num_frames=tree.spectrum.num_frames,
+        num_joints=tree.params.joints,
+        on_progress=report,
     )
     skin_file.write_skinned_glb(tree.mesh, skin, summary, stream, fps=tree.loop_fps)
     return asdict(summary)

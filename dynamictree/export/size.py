@@ -15,7 +15,12 @@ def turbulent_bytes(
     Raises:
         InputError: one would be too large.
     """
-    per_frame = {"ply": 12 * num_vertices + 13 * num_faces, "motion": 12 * num_vertices}
+    per_frame = {
+        "ply": 12 * num_vertices + 13 * num_faces,
+        "motion": 12 * num_vertices,
+        "usd": 12 * num_vertices,  # points; what stays is small beside them
+        "alembic": 12 * num_vertices,
+    }
     sizes = {name: per_frame[name] * num_frames for name in formats if name in per_frame}
     for name, size in sizes.items():
         if size > MAX_SEQUENCE_BYTES:

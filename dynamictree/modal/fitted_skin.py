@@ -5,6 +5,7 @@ then weights and motions are fitted in turn, each against what the others leave.
 for joints that lie in branches see `branch_skin.py`.
 """
 
+from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
@@ -23,13 +24,24 @@ SMALLEST_CLUSTER = 8  # vertices; two joints are not made of fewer
 _STILL_M = 1e-6  # vertices that move less hang on the root, which never moves
 _CARRIES = 1e-4  # weight below which a vertex does not guide a joint
 
+_CLUSTERS_SHARE, _FIT_SHARE, _WEIGHTS_SHARE = 0.3, 0.7, 0.9  # of the time, about
+
+OnProgress = Callable[[float], None]
 Motions = tuple[Float64[np.ndarray, "T B 3 3"], Float64[np.ndarray, "T B 3"]]
 
 
 def fitted_skin(
-    mesh: TriangleMesh, coefficients: Complex64[np.ndarray, "N K 3"], *, num_frames: int, num_joints: int
+    mesh: TriangleMesh,
+    coefficients: Complex64[np.ndarray, "N K 3"],
+    *,
+    num_frames: int,
+    num_joints: int,
+    on_progress: OnProgress = lambda done: None,
 ) -> tuple[Skin, SkinSummary]:
-    """Fit at most `num_joints` joints to one period of `num_frames` frames. Joint 0 is the root, at rest always."""
+    """Fit at most `num_joints` joints to one period of `num_frames` frames. Joint 0 is the root, at rest always.
+
+    `on_progress` gets the share done; what it raises passes through.
+    """
     points = mesh.vertices.astype(np.float64)
     few = 2 * coefficients.shape[1] + 1  # frames that determine the loop, and its interpolation between them
     moving = np.abs(coefficients).max(axis=(1, 2)) > _STILL_M
@@ -38,8 +50,10 @@ def fitted_skin(
     if moving.any():
         guides = np.flatnonzero(moving)
         guides = guides[:: -(-len(guides) // FITTED_VERTICES)]
-        motions = _fit(points[guides], _positions(points, coefficients, guides, few, num_frames), num_joints)
-        rows[moving], weights[moving] = _weights_of_all(points, coefficients, moving, motions, num_frames)
+        motions = _fit(
+            points[guides], _positions(points, coefficients, guides, few, num_frames), num_joints, on_progress
+        )
+        rows[moving], weights[moving] = _weights_of_all(points, coefficients, moving, motions, num_frames, on_progress)
         motions = _interpolated(motions, num_frames)
         targets = _positions(points, coefficients, guides, num_frames, num_frames)
         rotation, translation = _refitted(points[guides], targets, motions, rows[guides], weights[guides])
@@ -73,29 +87,36 @@ def _at_rest(num_frames: int, num_joints: int) -> Motions:
     return np.tile(np.eye(3), (num_frames, num_joints, 1, 1)), np.zeros((num_frames, num_joints, 3))
 
 
-def _fit(points: Float64[np.ndarray, "n 3"], targets: Float64[np.ndarray, "T n 3"], num_joints: int) -> Motions:
+def _fit(
+    points: Float64[np.ndarray, "n 3"], targets: Float64[np.ndarray, "T n 3"], num_joints: int, on_progress: OnProgress
+) -> Motions:
     """Motions of joints, the first of which stays at rest."""
-    rotation, translation = _clusters(points, targets, num_joints - 1)
+    rotation, translation = _clusters(points, targets, num_joints - 1, on_progress)
     still = _at_rest(len(targets), 1)
     motions: Motions = (np.concatenate([still[0], rotation], 1), np.concatenate([still[1], translation], 1))
     earlier = None
-    for _ in range(ROUNDS):
+    for number in range(ROUNDS):
+        on_progress(_CLUSTERS_SHARE + (_FIT_SHARE - _CLUSTERS_SHARE) * number / ROUNDS)
         earlier = skin_weights(points, targets, *motions, earlier)
         motions = _refitted(points, targets, motions, *earlier)
     return motions
 
 
-def _clusters(points: Float64[np.ndarray, "n 3"], targets: Float64[np.ndarray, "T n 3"], count: int) -> Motions:
+def _clusters(
+    points: Float64[np.ndarray, "n 3"], targets: Float64[np.ndarray, "T n 3"], count: int, on_progress: OnProgress
+) -> Motions:
     """Rigid motions of clusters of vertices, doubled until there are as many: the worst split first."""
     label = np.zeros(len(points), np.int64)
     num = 1
     while True:
+        on_progress(_CLUSTERS_SHARE * (num / max(count, 1)) / 2)
         rotation, translation = _at_rest(len(targets), num)
         for _ in range(CLUSTER_ROUNDS):
             for cluster in np.unique(label).tolist():
                 at = np.flatnonzero(label == cluster)
                 motion = nearest_rigid_motion(points[at], targets[:, at], np.ones(len(at)))
                 rotation[:, cluster], translation[:, cluster] = motion
+            on_progress(_CLUSTERS_SHARE * (num / max(count, 1)) / 2)
             error = joint_errors(points, targets, np.concatenate([rotation, translation[..., None]], axis=3))
             label = error.argmin(axis=1)
         own = error[np.arange(len(points)), label]
@@ -150,10 +171,13 @@ def _weights_of_all(
     moving: Bool[np.ndarray, " N"],
     motions: Motions,
     num_frames: int,
+    on_progress: OnProgress,
 ) -> tuple[Int64[np.ndarray, "n 4"], Float64[np.ndarray, "n 4"]]:
     """Weights of every moving vertex for joints that were fitted to some of them."""
     rows, weights = list[Int64[np.ndarray, "m 4"]](), list[Float64[np.ndarray, "m 4"]]()
-    for part in np.array_split(np.flatnonzero(moving), -(-int(moving.sum()) // FITTED_VERTICES)):
+    parts = np.array_split(np.flatnonzero(moving), -(-int(moving.sum()) // FITTED_VERTICES))
+    for number, part in enumerate(parts):
+        on_progress(_FIT_SHARE + (_WEIGHTS_SHARE - _FIT_SHARE) * number / len(parts))
         targets = _positions(points, coefficients, part, len(motions[0]), num_frames)
         chosen = skin_weights(points[part], targets, *motions)
         for _ in range(2):

@@ -16,7 +16,7 @@ from dynamictree import method
 from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.export.levels import SHARES
 from dynamictree.export.moving_tree import Facts
-from dynamictree.export.write import write_products
+from dynamictree.export.write import MOTION_SHARE, write_products
 from dynamictree.mesh import TriangleMesh, connected_parts
 from dynamictree.requests import ExportParams
 from dynamictree.spectrum import iter_motion
@@ -31,7 +31,11 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Written:
     facts: dict[str, Facts] = {}
     folder: Path = tmp_path_factory.mktemp("lod")
     options = ExportParams(formats=("lod",))
-    path = write_products(sample.mesh, spectrum, options, folder, on_facts=facts.__setitem__)["lod"]
+    shares: list[float] = []
+    path = write_products(sample.mesh, spectrum, options, folder, shares.append, on_facts=facts.__setitem__)["lod"]
+    own = [share for share in shares if MOTION_SHARE < share < 1]
+    assert own == sorted(own)
+    assert len(set(own)) > 10
     truth = np.stack(list(iter_motion(method.devoxelize(spectrum, sample.mesh), np.arange(100) / 100)))
     return sample.mesh, truth, zipfile.ZipFile(path), facts["lod"]
 

@@ -140,8 +140,10 @@ def test_files_of_a_turbulent_motion_have_a_largest_size(
 ) -> None:
     monkeypatch.setattr("dynamictree.export.size.MAX_SEQUENCE_BYTES", 10_000)
     assert capture.mesh is not None
-    with pytest.raises(InputError, match="600 frames of 48 vertices as ply"):
-        write_products(capture.mesh, spectrum, ExportParams(wind_mode="turbulent", num_frames=600), tmp_path)
+    for name in ("ply", "usd", "alembic", "motion"):
+        params = ExportParams(wind_mode="turbulent", num_frames=600, formats=(name,))
+        with pytest.raises(InputError, match=f"600 frames of 48 vertices as {name}"):
+            write_products(capture.mesh, spectrum, params, tmp_path)
     assert not list(tmp_path.iterdir())
 
 

@@ -33,6 +33,24 @@ def test_a_mesh_at_rest_hangs_on_the_root_alone(rng: np.random.Generator) -> Non
     assert (summary.num_joints, summary.max_error_m, skin.parent.tolist()) == (1, 0.0, [-1])
 
 
+def test_the_fit_reports_its_progress_and_ends_where_the_report_raises(rng: np.random.Generator) -> None:
+    mesh = cloud(rng, 90)
+    coefficients = (0.1 * rng.normal(size=(90, 4, 3))).astype(np.complex64)
+    shares: list[float] = []
+    fitted_skin(mesh, coefficients, num_frames=40, num_joints=8, on_progress=shares.append)
+    assert shares == sorted(shares)
+    assert len(set(shares)) > 8
+    assert 0 <= shares[0] < 0.1
+    assert 0.5 < shares[-1] <= 1
+
+    def cancel(done: float) -> None:
+        if done > 0.2:
+            raise InterruptedError
+
+    with pytest.raises(InterruptedError):
+        fitted_skin(mesh, coefficients, num_frames=40, num_joints=8, on_progress=cancel)
+
+
 def test_weights_of_up_to_four_joints_are_found_again(rng: np.random.Generator) -> None:
     points, num_frames, num_joints = rng.normal(size=(40, 3)), 9, 7
     rotation = np.tile(np.eye(3), (num_frames, num_joints, 1, 1))
