@@ -66,6 +66,8 @@ def mesh_tensors(mesh: TriangleMesh) -> dict[str, np.ndarray]:
     for name in ("uv", "vertex_colors", "face_material"):
         if getattr(mesh, name) is not None:
             tensors[name] = getattr(mesh, name)
+    if (still := mesh.still_vertices).any():
+        tensors["still"] = still.view(np.uint8)
     for index, material in enumerate(mesh.materials):
         if material.texture_png is not None:
             tensors[f"texture_{index}"] = np.frombuffer(material.texture_png, np.uint8)

@@ -10,6 +10,7 @@ import re
 import shutil
 import subprocess
 import webbrowser
+from dataclasses import replace
 from html.parser import HTMLParser
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
@@ -180,6 +181,15 @@ def test_an_asset_is_shown_as_it_was_read(client: TestClient, spectrum_id: str, 
     np.testing.assert_array_equal(tensors["vertices"], grown.mesh.vertices)
     np.testing.assert_array_equal(tensors["faces"], grown.mesh.faces)
     assert "shapes" not in tensors
+
+
+def test_a_surface_names_the_vertices_that_stand_still(grown) -> None:
+    faces = grown.mesh.faces
+    still = np.arange(len(faces)) < 5
+    tensors = surface.mesh_tensors(replace(grown.mesh, still_faces=still))
+    alone = np.setdiff1d(faces[:5], faces[5:])
+    np.testing.assert_array_equal(np.flatnonzero(tensors["still"]), alone)
+    assert "still" not in surface.mesh_tensors(grown.mesh)
 
 
 def test_an_asset_that_is_no_mesh_or_has_lost_its_bytes_has_no_surface(client: TestClient, asset: AssetRecord) -> None:

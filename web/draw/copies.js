@@ -5,7 +5,7 @@ import { surfaceMaterials } from "./follow.js";
 
 export class Copies {
   /** `field` holds the tree's shapes; `places` are `{ x, y, yaw, size }` as of motion/company.js. */
-  constructor({ surface, field, box, still }, places) {
+  constructor({ surface, field, box, still, uniforms: { greyStill } }, places) {
     this.places = places;
     this.field = field.copied(places.length);
     const uniforms = {
@@ -14,6 +14,7 @@ export class Copies {
       poses: { value: still },
       bent: { value: 0 },
       coloured: { value: 0 },
+      greyStill,
     };
     const { lit, depth } = surfaceMaterials(surface, uniforms);
     this.mesh = new THREE.InstancedMesh(surface.geometry, lit, places.length);

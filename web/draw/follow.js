@@ -5,6 +5,8 @@ import { DISPLACE } from "./field.js";
 
 /** Weighted mean of the four bones of a vertex. */
 const BONES = /* glsl */ `
+attribute float still;
+float stillness() { return still; }
 attribute vec4 boneRows; attribute vec4 boneWeights;
 mat4 poseOfPoint() {
   if (dot(boneWeights, vec4(1.0)) < 0.5) return mat4(1.0); // of what is no plant
@@ -36,6 +38,7 @@ vec4 fieldOfPoint() {
   cubes: /* glsl */ `
 uniform highp sampler2D voxels; // by voxel: centre, bone
 uniform float halfSize;
+float stillness() { return 0.0; }
 int voxelOfPoint() { return int(voxelRow + 0.5); }
 vec4 voxelTexel() { int v = voxelOfPoint(); return texelFetch(voxels, ivec2(v % 2048, v / 2048), 0); }
 vec4 fieldOfPoint() { return movedAt(voxelOfPoint()); }
@@ -55,11 +58,13 @@ vec3 restPoint() {
 
 const FOLLOW = /* glsl */ `
 varying float vShare;
+varying float vStill;
 mat4 pose;
 vec3 follow() {
   vec3 rest = restPoint();
   vec4 field = fieldOfPoint();
   vShare = field.w;
+  vStill = stillness();
   pose = bent > 0.5 ? poseOfPoint() : mat4(1.0);
   return (pose * vec4(rest + field.xyz, 1.0)).xyz;
 }`;
@@ -71,6 +76,12 @@ vec3 ramp(float s) {
   vec3 a = vec3(0.10, 0.11, 0.24), b = vec3(0.08, 0.38, 0.55), c = vec3(0.22, 0.66, 0.47), d = vec3(0.99, 0.88, 0.30);
   return s < 0.33 ? mix(a, b, s / 0.33) : s < 0.66 ? mix(b, c, (s - 0.33) / 0.33) : mix(c, d, (s - 0.66) / 0.34);
 }`;
+
+// what stands still because it is no plant, as dynamictree/color.py draws it in films
+export const LUMINANCE = "vec3(0.2126, 0.7152, 0.0722)";
+const GREY = /* glsl */ `
+const float STILL_SHARE = 0.5;
+vec3 greyed(vec3 rgb) { return vec3(STILL_SHARE * dot(rgb, ${LUMINANCE})); }`;
 
 const COLOURS = {
   cubes: "diffuseColor.rgb = mix(vec3(0.22, 0.42, 0.30), vec3(0.62, 0.74, 0.55), 0.5 + 0.5 * normalize(vNormal).y);",
@@ -93,10 +104,11 @@ export function makeFollow(material, uniforms, kind) {
       )
       .replace("#include <begin_vertex>", `vec3 transformed = ${lit ? "followed" : "follow()"};`);
     shader.fragmentShader = shader.fragmentShader
-      .replace("#include <common>", `#include <common>\nuniform float coloured; varying float vShare;\n${RAMP}`)
+      .replace("#include <common>", `#include <common>\nuniform float coloured, greyStill; varying float vShare, vStill;\n${RAMP}\n${GREY}`)
       .replace(
         "#include <color_fragment>",
-        `#include <color_fragment>\n${(lit && COLOURS[kind]) ?? ""}\nif (coloured > 0.5) diffuseColor.rgb = ramp(vShare);`,
+        `#include <color_fragment>\n${(lit && COLOURS[kind]) ?? ""}\nif (coloured > 0.5) diffuseColor.rgb = mix(ramp(vShare), vec3(STILL_SHARE), vStill);
+else if (greyStill > 0.5) diffuseColor.rgb = mix(diffuseColor.rgb, greyed(diffuseColor.rgb), vStill);`,
       )
       // normals of foliage look outward on both sides
       .replace(
@@ -138,4 +150,12 @@ export function surfaceMaterials(surface, uniforms) {
     alphaTest: cut < 0 ? 0 : all[cut].alpha_cutoff,
   });
   return { lit: lit.length === 1 ? lit[0] : lit, depth: makeFollow(depth, uniforms, kind) };
+}
+
+/** The tree at rest, to be laid over the one that moves. */
+export function ghostOf(geometry) {
+  const faint = { transparent: true, opacity: 0.22, depthWrite: false, side: THREE.DoubleSide };
+  const ghost = new THREE.Mesh(geometry, new THREE.MeshBasicMaterial(faint));
+  ghost.visible = false;
+  return ghost;
 }

@@ -36,6 +36,7 @@ export class SplatView {
     view.stage = stage;
     view.field = fieldOf(splat);
     view.uniforms = uniforms;
+    view.standsInPart = splat.face_of.some((face) => face < 0);
     view.harmonics = harmonicsThatFit(splat, stage.renderer.capabilities.maxTextureSize);
     view.textures = texturesOf(splat, carriers, view.harmonics);
     const cloud = new spark.ExtSplats({ maxSplats: splat.G }); // places in single precision: half would be 8 mm at 10 m
@@ -88,6 +89,7 @@ export class SplatView {
       bones: dynoSampler2D(this.textures.bones),
       sh: dynoSampler2D(this.textures.sh),
       eye: dynoVec3(new THREE.Vector3()),
+      grey: dynoFloat(this.uniforms.greyStill.value),
     };
   }
 
@@ -106,13 +108,15 @@ export class SplatView {
   evaluate(renderer, q, turn) {
     const { camera, radius } = this.stage;
     const { position } = camera;
-    const now = [turn, ...q].join();
+    const grey = this.uniforms.greyStill.value;
+    const now = [grey, turn, ...q].join();
     // the controls compute the camera's place anew in each frame, which moves it in its last digits
     const stays = this.values.eye.value.distanceTo(position) < SAME_PLACE * radius;
     if (now === this.before && stays && !this.uniforms.bent.value && !this.values.bent.value) return;
     this.before = now;
     this.field.evaluate(renderer, q, turn);
     this.values.eye.value.copy(position);
+    this.values.grey.value = grey;
     this.values.bent.value = this.uniforms.bent.value;
     this.values.poses.value = this.uniforms.poses.value;
     this.mesh.updateVersion();

@@ -29,6 +29,7 @@ function buildGeometry(surface) {
   const geometry = new THREE.BufferGeometry();
   geometry.setAttribute("position", new THREE.BufferAttribute(surface.vertices, 3));
   if (surface.uv) geometry.setAttribute("uv", new THREE.BufferAttribute(surface.uv, 2));
+  geometry.setAttribute("still", new THREE.BufferAttribute(surface.still ?? new Uint8Array(surface.N), 1));
   setBones(geometry, surface);
   const { index, groups } = byMaterial(surface);
   geometry.setIndex(new THREE.BufferAttribute(index, 1));

@@ -5,7 +5,7 @@ import { carried, largestSwing } from "../motion/modes.js";
 import { Copies } from "./copies.js";
 import { buildCubes, disposeCubes } from "./cubes.js";
 import { Field, PoseTexture, zeroTexture } from "./field.js";
-import { surfaceMaterials } from "./follow.js";
+import { ghostOf, surfaceMaterials } from "./follow.js";
 import { topVoxel } from "./pick.js";
 
 export class Tree {
@@ -19,6 +19,7 @@ export class Tree {
       poses: { value: this.still },
       bent: { value: 0 },
       coloured: { value: 0 },
+      greyStill: { value: 1 },
     };
     this.view = "surface";
     this.groups = []; // of pushes: { q, perBone }
@@ -32,6 +33,11 @@ export class Tree {
 
   get usesNearVoxels() {
     return Boolean(this.surface?.tie_rows);
+  }
+
+  /** Whether parts of it stand still because they are no plant. */
+  get standsInPart() {
+    return this.splat?.standsInPart ?? Boolean(this.surface?.still);
   }
 
   /** The voxel that stands highest. */
@@ -52,9 +58,7 @@ export class Tree {
     this.mesh = new THREE.Mesh(surface.geometry);
     this.mesh.castShadow = this.mesh.receiveShadow = true;
     this.mesh.frustumCulled = false;
-    const ghost = { transparent: true, opacity: 0.22, depthWrite: false, side: THREE.DoubleSide };
-    this.ghost = new THREE.Mesh(surface.geometry, new THREE.MeshBasicMaterial(ghost));
-    this.ghost.visible = false;
+    this.ghost = ghostOf(surface.geometry);
     this.group.add(this.mesh, this.ghost);
     this._setMaterials();
     if (!same) this.stage.frame(boundingBox);
@@ -185,13 +189,6 @@ export class Tree {
   /** Colour the share that a bin has in the motion of each place; null for none. */
   setShown(k) {
     this.field?.show(k, k === null ? 1 : this.largest[k]);
-    this.stage.stale = true;
-  }
-
-  setGhost(visible, colour) {
-    if (!this.ghost) return;
-    this.ghost.visible = visible;
-    this.ghost.material.color.set(colour);
     this.stage.stale = true;
   }
 

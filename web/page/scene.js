@@ -8,9 +8,9 @@ import { $, element } from "./dom.js";
 const MOST_PHOTOS = 24;
 
 export class Scene {
-  /** `onMotion(tree, spectrum, job)` is called once there is a tree that moves. */
-  constructor(stage, client, { onMotion = () => {}, onClear = () => {} } = {}) {
-    Object.assign(this, { stage, client, onMotion, onClear });
+  /** `onMotion(tree, spectrum, job)` is called once there is a tree that moves, `onComplete()` with all of its files. */
+  constructor(stage, client, { onMotion = () => {}, onComplete = () => {}, onClear = () => {} } = {}) {
+    Object.assign(this, { stage, client, onMotion, onComplete, onClear });
     this.tree = null;
   }
 
@@ -90,6 +90,7 @@ export class Scene {
       if (file && tree.usesNearVoxels) await this._ownMotion(tree, file, signal);
       if (file) await this._looks(tree, file, signal).catch(() => {}); // matt without them
     }
+    if (!signal.aborted) this.onComplete();
   }
 
   async _ownMotion(tree, file, signal) {

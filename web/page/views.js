@@ -10,6 +10,7 @@ export class ViewPanel {
     $("views").onchange = () => this.show();
     $("mode").oninput = $("mode-alone").onchange = () => this._showMode();
     $("rest").onchange = () => this._showRest();
+    $("grey-still").onchange = () => this._showGrey();
     $("company").onchange = () => this._showCompany();
     $("other-speed").oninput = () => this._showCompany();
     $("turntable").onchange = () => {
@@ -26,6 +27,7 @@ export class ViewPanel {
     this.player.tree?.setView(this.view);
     this._showMode();
     this._showRest();
+    this._showGrey();
     this._showCompany();
   }
 
@@ -55,7 +57,18 @@ export class ViewPanel {
     fill($("mode-most"), words.join(", "));
   }
 
+  _showGrey() {
+    const { tree } = this.player;
+    $("grey-box").hidden = !tree?.standsInPart;
+    if (tree) tree.uniforms.greyStill.value = $("grey-still").checked ? 1 : 0;
+    this.stage.stale = true;
+  }
+
   _showRest() {
-    this.player.tree?.setGhost($("rest").checked, accent());
+    const { ghost } = this.player.tree ?? {};
+    if (!ghost) return;
+    ghost.visible = $("rest").checked;
+    ghost.material.color.set(accent());
+    this.stage.stale = true;
   }
 }

@@ -83,6 +83,7 @@ export default {
   "view.voxels": "Voxel",
   "view.modes": "Moden",
   "view.rest": "Mit dem ruhenden Baum vergleichen",
+  "view.grey": "Was stillsteht, in Grau",
   "view.turntable": "Langsam drehen",
   "view.ground": "Boden und Schatten",
   "company.title": "Wie viele Bäume",

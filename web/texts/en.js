@@ -83,6 +83,7 @@ export default {
   "view.voxels": "Voxels",
   "view.modes": "Modes",
   "view.rest": "Compare with the tree at rest",
+  "view.grey": "What stands still in grey",
   "view.turntable": "Turn slowly",
   "view.ground": "Ground and shadow",
   "company.title": "How many trees",

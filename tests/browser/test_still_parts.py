@@ -1,0 +1,171 @@
+"""What stands still because it is no plant, in a mesh and in a splat: it is grey, and does not move."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+from playwright.sync_api import expect
+
+from dynamictree.dataset.sample import make_sample
+from dynamictree.formats.gltf.writer import write_glb
+from dynamictree.formats.splat.ply import write_gaussian_ply
+from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.gaussian.harmonics import SH_0
+from dynamictree.mesh import Material
+from tests.browser.conftest import JOB_MS, MOVING, Viewer, changed, picture_of, scrub
+from tests.devoxelize.test_interpolation import merged, tube
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
+
+Open = Callable[..., Viewer]
+POT_M = 0.5
+TERRACOTTA = (0.62, 0.17, 0.06)
+DISPLACEMENTS = """async (spectrum) => {
+    const load = (path) => import(`/web/${path}.js`);
+    const [{ Client }, { Stage }, { Tree }] = await Promise.all(["client", "draw/stage", "draw/tree"].map(load));
+    const [{ readSurface }, { Modes, windCoordinates }] = await Promise.all(
+        ["draw/surface", "motion/modes"].map(load));
+    const client = new Client();
+    const surface = await readSurface(await client.surface(spectrum));
+    const modes = new Modes(await client.modes(spectrum));
+    const stage = new Stage(document.createElement("canvas"));
+    const tree = new Tree(stage);
+    tree.setSurface(surface);
+    tree.setModes(modes);
+    tree.move(windCoordinates(modes.K, 0.3, 1), 0.4, []);
+    tree.prepare(stage.renderer);
+    const { target, rows } = tree.field;
+    const texels = new Float32Array(4 * 2048 * rows);
+    stage.renderer.readRenderTargetPixels(target, 0, 0, 2048, rows, texels);
+    const most = { still: 0, others: 0, bones: 0, count: 0 };
+    for (let v = 0; v < surface.N; v++) {
+        const kind = surface.still[v] ? "still" : "others";
+        most[kind] = Math.max(most[kind], Math.hypot(texels[4 * v], texels[4 * v + 1], texels[4 * v + 2]));
+        if (!surface.still[v]) continue;
+        most.count++;
+        for (let i = 0; i < 4; i++) most.bones = Math.max(most.bones, surface.bone_weights[4 * v + i]);
+    }
+    return most;
+}"""
+
+
+def animated(url: str, path: Path, fields: dict[str, str], params: dict[str, Any]) -> dict[str, Any]:
+    """The job of a file, which has ended."""
+    with httpx.Client(base_url=url, timeout=60) as client:
+        asset = client.post("/v1/assets", files={"file": (path.name, path.read_bytes())}, data=fields).json()
+        request = {"type": "animate", "asset_id": asset["id"], "params": params | {"num_steps": 1}}
+        job: dict[str, Any] = client.post("/v1/jobs", json=request).json()
+        while job["state"] in {"queued", "running"}:
+            job = client.get(f"/v1/jobs/{job['id']}", headers={"Prefer": "wait=30"}).json()
+    assert job["state"] == "succeeded", job["error"]
+    return job
+
+
+@pytest.fixture(scope="module")
+def potted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A sapling in a pot of terracotta."""
+    plant = make_sample(3, "sapling").mesh
+    wide = 0.12 * plant.height_m
+    mesh, owner = merged(plant, tube([0, 0, 0], [0, 0, POT_M], wide, rings=4, sides=24))
+    green, pot = (
+        Material(name="plant", base_color=(0.1, 0.3, 0.05, 1.0)),
+        Material(name="Pot", base_color=(*TERRACOTTA, 1.0)),
+    )
+    mesh = replace(mesh, materials=(green, pot), face_material=owner[mesh.faces[:, 0]].astype(np.int32))
+    path = tmp_path_factory.mktemp("pots") / "potted.glb"
+    with path.open("wb") as stream:
+        write_glb(mesh, stream)
+    return path
+
+
+@pytest.fixture(scope="module")
+def splat(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A green pillar of 3 m, and a red ball beside its foot."""
+    rng = np.random.default_rng(0)
+    height, angle = rng.uniform(0, 3, 4000), rng.uniform(0, 2 * np.pi, 4000)
+    pillar = np.stack([0.15 * np.cos(angle), 0.15 * np.sin(angle), height], axis=1)
+    ball = rng.normal(size=(2000, 3))
+    ball = 0.3 * ball / np.linalg.norm(ball, axis=1, keepdims=True) + [1.0, 0, 0.3]
+    colour = np.repeat(np.float32([[0.1, 0.6, 0.1], [0.9, 0.1, 0.1]]), [4000, 2000], axis=0)
+    cloud = GaussianCloud(
+        means=np.concatenate([pillar, ball]).astype(np.float32),
+        quaternions=np.tile(np.float32([1, 0, 0, 0]), (6000, 1)),
+        scales=np.full((6000, 3), 0.03, np.float32),
+        opacity=np.full(6000, 0.99, np.float32),
+        sh=((colour - 0.5) / np.float32(SH_0))[:, None],
+    )
+    path = tmp_path_factory.mktemp("splats") / "pillar.ply"
+    with path.open("wb") as stream:
+        write_gaussian_ply(cloud, stream)
+    return path
+
+
+def where_red(viewer: Viewer) -> tuple[dict[str, float], np.ndarray]:
+    """The box of the red pixels of the stage [px], a little smaller, once the colours are shown."""
+    viewer.page.locator("#grey-still").uncheck()
+    scrub(viewer, 0.0)
+    canvas = viewer.page.locator("#canvas").bounding_box()
+    assert canvas
+    whole = picture_of(viewer, {"x": 0, "y": 60, "width": 600, "height": canvas["height"] - 160})
+    red = (whole[..., 0] - whole[..., 1] > 40) & (whole[..., 0] - whole[..., 2] > 40)
+    rows, columns = np.nonzero(red)
+    assert len(rows) > 300, "nothing red in the picture"
+    top, bottom = np.percentile(rows, [15, 85])
+    left, right = np.percentile(columns, [15, 85])
+    box = {"x": float(left), "y": float(60 + top), "width": float(right - left), "height": float(bottom - top)}
+    return box, picture_of(viewer, box)
+
+
+def stands_grey_and_still(viewer: Viewer) -> None:
+    """Of the red thing: with its colours it is the same at two places of the loop, and without them it is grey."""
+    page = viewer.page
+    page.locator("#play").click()
+    page.locator("#light-section summary").click()
+    page.locator("#sun-height").fill("8")  # the shadow of the crown falls beside it
+    box, before = where_red(viewer)
+    whole = scrub(viewer, 0.0)
+    moved = scrub(viewer, 0.4)
+    assert changed(whole, moved) > 0.002, "the plant does not move"
+    assert changed(before, picture_of(viewer, box)) == 0, "it moves"
+    assert np.median(np.ptp(before, axis=2)) > 60
+    page.locator("#grey-still").check()
+    scrub(viewer, 0.4)
+    viewer.picture()
+    assert np.median(np.ptp(picture_of(viewer, box), axis=2)) < 25
+
+
+def test_the_pot_of_a_mesh_is_grey_and_its_vertices_do_not_move(view: Open, url: str, potted: Path) -> None:
+    job = animated(url, potted, {}, {"formats": ["glb"]})
+    viewer = view(900, 620)
+    viewer.open(f"{url}/#job={job['id']}")
+    viewer.page.wait_for_selector(MOVING, timeout=JOB_MS)
+    most = viewer.page.evaluate(DISPLACEMENTS, job["result"]["spectrum_id"])
+    assert most["count"] > 90
+    assert most["still"] == most["bones"] == 0
+    assert most["others"] > 0.005
+    expect(viewer.page.locator("#grey-still")).to_be_visible()
+    stands_grey_and_still(viewer)
+    assert viewer.complaints == []
+
+
+def test_still_gaussians_stand_still_in_the_splat_shader(view: Open, url: str, splat: Path) -> None:
+    box = [[0.6, -0.5, -0.1], [1.5, 0.5, 0.7]]
+    job = animated(url, splat, {"up_axis": "+Z", "unit_m": "1"}, {"formats": ["splat"], "still_box_m": box})
+    viewer = view(900, 620)
+    viewer.open(f"{url}/#job={job['id']}")
+    viewer.page.wait_for_selector(MOVING, timeout=JOB_MS)
+    expect(viewer.page.locator("#grey-still")).to_be_visible(timeout=JOB_MS)
+    stands_grey_and_still(viewer)
+    assert viewer.complaints == []
+
+
+def test_a_tree_without_a_pot_has_no_such_switch(view: Open, url: str, job_id: str) -> None:
+    viewer = view(900, 620)
+    viewer.open(f"{url}/#job={job_id}")
+    viewer.page.wait_for_selector(MOVING, timeout=JOB_MS)
+    expect(viewer.page.locator("#artifacts li")).not_to_have_count(0)
+    expect(viewer.page.locator("#grey-still")).to_be_hidden()
