@@ -39,7 +39,7 @@ const stage = newStage();
 const machine = new Machine(onState);
 const hand = new Hand(stage, { onGrab: (point, pointer) => showGrip(stage, point, pointer), onProblem: showProblem });
 const player = new Player(hand);
-const scene = new Scene(stage, client, { onMotion, onComplete: () => views.show(), onClear });
+const scene = new Scene(stage, client, { onMotion, onComplete: () => views.show(), onDraft, onClear });
 const live = new LiveTree(scene, client, onLive);
 const session = new Session(client, machine, scene, { onJob: (id) => setAddress(`#job=${id}`), onKey: askKey });
 const files = new Files(client, { onProblem: (error) => onProblem(error) });
@@ -100,7 +100,12 @@ function onMotion(tree, spectrum, job) {
   files.follow(job, name);
 }
 
+function onDraft(height) {
+  fill($("height-note"), text("draft.height", { height: length(height), person: length(1.75) }));
+}
+
 function onClear() {
+  fill($("height-note"), "");
   hideProblem();
   hand.leave();
   player.stop();

@@ -107,7 +107,14 @@ const job = (state, more = {}) => ({
   ...more,
 });
 const moving = { result: { spectrum_id: "S1" } };
-const silent = { clear() {}, photos() {}, rest: async () => {}, motion: async () => {}, products: async () => {} };
+const silent = {
+  clear() {},
+  photos() {},
+  dropped: async () => {},
+  rest: async () => {},
+  motion: async () => {},
+  products: async () => {},
+};
 
 function begin({ jobs = [], ...client } = {}) {
   const states = [];

@@ -104,7 +104,10 @@ export function makeFollow(material, uniforms, kind) {
       )
       .replace("#include <begin_vertex>", `vec3 transformed = ${lit ? "followed" : "follow()"};`);
     shader.fragmentShader = shader.fragmentShader
-      .replace("#include <common>", `#include <common>\nuniform float coloured, greyStill; varying float vShare, vStill;\n${RAMP}\n${GREY}`)
+      .replace(
+        "#include <common>",
+        `#include <common>\nuniform float coloured, greyStill; varying float vShare, vStill;\n${RAMP}\n${GREY}`,
+      )
       .replace(
         "#include <color_fragment>",
         `#include <color_fragment>\n${(lit && COLOURS[kind]) ?? ""}\nif (coloured > 0.5) diffuseColor.rgb = mix(ramp(vShare), vec3(STILL_SHARE), vStill);

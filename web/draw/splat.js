@@ -28,6 +28,15 @@ export function isUncoloured({ sh, G, harmonics }) {
   return harmonics === 1;
 }
 
+/** Spark's renderer of a stage, one for all splats; sorting takes longer than a frame, and draws anew when it ends. */
+export function sparkRenderer(spark, stage) {
+  const onDirty = () => {
+    stage.stale = true;
+  };
+  stage.sparkRenderer ??= new spark.SparkRenderer({ renderer: stage.renderer, accumExtSplats: true, onDirty });
+  return stage.sparkRenderer;
+}
+
 export class SplatView {
   /** `poses` and `bent` are the tree's uniforms, `carriers` four bones and weights of each vertex. */
   static async make(stage, splat, carriers, uniforms) {
@@ -60,14 +69,7 @@ export class SplatView {
       cloud.pushSplat(at, scales, turn, splat.opacity[g], grey);
     }
     cloud.updateTextures();
-    const redraw = () => {
-      stage.stale = true;
-    }; // sorting takes longer than a frame
-    view.renderer = stage.sparkRenderer ??= new spark.SparkRenderer({
-      renderer: stage.renderer,
-      accumExtSplats: true,
-      onDirty: redraw,
-    });
+    view.renderer = sparkRenderer(spark, stage);
     stage.scene.add(view.renderer);
     view.values = view._values(spark.dyno);
     view.mesh = new spark.SplatMesh({

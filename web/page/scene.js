@@ -1,5 +1,6 @@
 // What stands on the stage: photos, the tree at rest, in motion, and what the job's files add.
 
+import { Person } from "../draw/person.js";
 import { readSurface } from "../draw/surface.js";
 import { Tree } from "../draw/tree.js";
 import { Modes } from "../motion/modes.js";
@@ -8,9 +9,16 @@ import { $, element } from "./dom.js";
 const MOST_PHOTOS = 24;
 
 export class Scene {
-  /** `onMotion(tree, spectrum, job)` is called once there is a tree that moves, `onComplete()` with all of its files. */
-  constructor(stage, client, { onMotion = () => {}, onComplete = () => {}, onClear = () => {} } = {}) {
-    Object.assign(this, { stage, client, onMotion, onComplete, onClear });
+  /**
+   * `onMotion(tree, spectrum, job)` is called once there is a tree that moves, `onComplete()` with all of its
+   * files, `onDraft(height_m)` once what was dropped is drawn.
+   */
+  constructor(
+    stage,
+    client,
+    { onMotion = () => {}, onComplete = () => {}, onDraft = () => {}, onClear = () => {} } = {},
+  ) {
+    Object.assign(this, { stage, client, onMotion, onComplete, onDraft, onClear });
     this.tree = null;
   }
 
@@ -18,6 +26,7 @@ export class Scene {
     this.onClear();
     this.tree?.dispose();
     this.tree = null;
+    this._dropDraft();
     this.complete = false; // the job's files are on the stage
     for (const picture of $("photos").children) URL.revokeObjectURL(picture.src);
     $("photos").replaceChildren();
@@ -29,6 +38,28 @@ export class Scene {
     if (pictures.length < files.length / 2) return;
     const blobs = pictures.slice(0, MOST_PHOTOS).map((file) => file.content ?? file);
     $("photos").replaceChildren(...blobs.map((blob) => element("img", { src: URL.createObjectURL(blob), alt: "" })));
+  }
+
+  /** What was dropped, from the files themselves, with a person beside it; until the service has read them. */
+  async dropped(files, { signal }) {
+    const { readDropped } = await import("../draw/dropped.js");
+    const draft = await readDropped(files, this.stage);
+    if (!draft || draft.box.isEmpty()) return;
+    if (signal.aborted || this.tree) return draft.dispose();
+    this.draft = draft;
+    this.stage.scene.add(draft.object);
+    this.stage.frame(draft.box);
+    this.person ??= new Person(this.stage);
+    this.person.show(!draft.sizeless, 1);
+    if (!draft.sizeless) this.onDraft(this.stage.height);
+  }
+
+  _dropDraft() {
+    if (!this.draft) return;
+    this.stage.scene.remove(this.draft.object);
+    this.draft.dispose();
+    this.draft = null;
+    this.person.show(false, 1);
   }
 
   /** What was uploaded, at rest. */
@@ -44,6 +75,7 @@ export class Scene {
   }
 
   _tree() {
+    this._dropDraft();
     this.tree ??= new Tree(this.stage);
     return this.tree;
   }

@@ -8,7 +8,7 @@ const FIRST_FORMATS = { mesh: ["glb"], cloud: ["splat"], photos: ["glb", "splat"
 
 export class Session {
   /**
-   * `scene` draws: `clear()`, `photos(files)`, `rest(asset, signal)`, `motion(job, signal)`, `products(job, signal)`.
+   * `scene` draws: `clear()`, `photos(files)`, `dropped(files, run)`, `rest(asset, signal)`, `motion(job, signal)`, `products(job, signal)`.
    * `onJob(id)` is called with the job that is followed; `onKey(again)` where the service requires an API key.
    */
   constructor(client, machine, scene, { onJob = () => {}, onKey = () => {} } = {}) {
@@ -27,6 +27,7 @@ export class Session {
     const again = () => this.upload(files, { name, reading, request });
     return this._begin("upload", { name, files, reading, share: 0 }, again, async (run) => {
       this.scene.photos(files);
+      this.scene.dropped(files, run).catch(() => {}); // only a preview
       const onProgress = (share) => run.update({ share });
       const send = () => this.client.upload(files, { ...reading, signal: run.signal, onProgress });
       const asset = await patiently(send, run);

@@ -2,25 +2,17 @@
 
 import * as THREE from "three";
 import { Person } from "../draw/person.js";
+import { AXES, toZUp } from "../draw/upright.js";
 import { $, describe, element, fill } from "./dom.js";
 import { fromUnit, length, lengthUnit, number, text, toUnit } from "./texts.js";
 
-/** Rows are where a file's axes go; the same table as in dynamictree/formats/axes.py. */
-const TO_Z_UP = {
-  "+X": [0, 1, 0, 0, 0, 1, 1, 0, 0],
-  "-X": [0, 0, 1, 0, 1, 0, -1, 0, 0],
-  "+Y": [1, 0, 0, 0, 0, -1, 0, 1, 0],
-  "-Y": [1, 0, 0, 0, 0, 1, 0, -1, 0],
-  "+Z": [1, 0, 0, 0, 1, 0, 0, 0, 1],
-  "-Z": [1, 0, 0, 0, -1, 0, 0, 0, -1],
-};
 const SIDES = ["x", "y", "z"].flatMap((axis) => [`${axis}-low`, `${axis}-high`]);
 
 export class TreeForm {
   /** `onApply({ reading, request, newUpload })`; `tree()` gives the tree on the stage. */
   constructor(stage, { onApply, tree }) {
     Object.assign(this, { stage, onApply, tree });
-    $("up-axis").replaceChildren(...Object.keys(TO_Z_UP).map((axis) => element("option", { value: axis }, axis)));
+    $("up-axis").replaceChildren(...AXES.map((axis) => element("option", { value: axis }, axis)));
     $("crop").replaceChildren(...SIDES.map(cropSlider));
     $("crop").oninput = () => this._showBox();
     $("crop-on").onchange = () => this._showBox();
@@ -100,8 +92,7 @@ export class TreeForm {
 
   /** The rotation from how the tree stands now to how it would stand. */
   _turn(axis) {
-    const from = new THREE.Matrix3().set(...TO_Z_UP[this.asset.summary.source_up_axis ?? "+Z"]).transpose();
-    return new THREE.Matrix3().set(...TO_Z_UP[axis]).multiply(from);
+    return toZUp(axis).multiply(toZUp(this.asset.summary.source_up_axis ?? "+Z").transpose());
   }
 
   _apply({ height_m: height, ...reading }) {

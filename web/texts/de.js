@@ -33,6 +33,8 @@ export default {
   "tree.photos": "{n} Fotos",
   "caption.voxels": "{n} Voxel",
 
+  "draft.height": "Nach seiner Datei ist dieser Baum {height} hoch; der Mensch misst {person}.",
+
   "progress.title": "Fortschritt",
   "progress.cancel": "Abbrechen",
   "progress.before": "{n} davor",

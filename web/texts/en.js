@@ -33,6 +33,8 @@ export default {
   "tree.photos": "{n} photos",
   "caption.voxels": "{n} voxels",
 
+  "draft.height": "As its file says, this tree is {height} high; the person is {person}.",
+
   "progress.title": "Progress",
   "progress.cancel": "Cancel",
   "progress.before": "{n} before it",

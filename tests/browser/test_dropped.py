@@ -1,0 +1,83 @@
+"""What is dropped is drawn at once, from the file itself: the service has not got a byte of it."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from playwright.sync_api import expect
+
+from dynamictree.dataset.sample import make_sample
+from dynamictree.formats.gltf.writer import write_glb
+from dynamictree.formats.mesh.ply_writer import write_ply
+from dynamictree.formats.splat.ply import write_gaussian_ply
+from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.mesh import TriangleMesh
+from tests.browser.conftest import Viewer, changed, pixels
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
+
+Open = Callable[..., Viewer]
+
+
+def obj_of(mesh: TriangleMesh) -> bytes:
+    """A mesh as OBJ, +Y up, without materials."""
+    lines = [f"v {x} {z} {-y}" for x, y, z in mesh.vertices]
+    lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in mesh.faces]
+    return "\n".join(lines).encode()
+
+
+def stl_of(mesh: TriangleMesh) -> bytes:
+    """A mesh as binary STL."""
+    rows = np.zeros(mesh.num_faces, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")]))
+    rows["corners"] = mesh.vertices[mesh.faces]
+    return bytes(80) + np.uint32(mesh.num_faces).tobytes() + rows.tobytes()
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """One sapling in every format, and a splat."""
+    mesh, folder = make_sample(3, "sapling").mesh, tmp_path_factory.mktemp("dropped")
+    paths = {kind: folder / f"tree.{kind}" for kind in ("glb", "obj", "stl", "ply")} | {"splat": folder / "splat.ply"}
+    with paths["glb"].open("wb") as stream:
+        write_glb(mesh, stream)
+    with paths["ply"].open("wb") as stream:
+        write_ply(mesh, stream)
+    paths["obj"].write_bytes(obj_of(mesh))
+    paths["stl"].write_bytes(stl_of(mesh))
+    rng = np.random.default_rng(0)
+    cloud = GaussianCloud(
+        means=rng.uniform([-0.3, -1.5, -0.3], [0.3, 1.5, 0.3], (3000, 3)).astype(np.float32),
+        quaternions=np.tile(np.float32([1, 0, 0, 0]), (3000, 1)),
+        scales=np.full((3000, 3), 0.05, np.float32),
+        opacity=np.full(3000, 0.99, np.float32),
+        sh=np.zeros((3000, 1, 3), np.float32),
+    )
+    with paths["splat"].open("wb") as stream:
+        write_gaussian_ply(cloud, stream)
+    return paths
+
+
+@pytest.mark.parametrize("kind", ["glb", "obj", "stl", "ply", "splat"])
+def test_it_is_drawn_while_its_upload_has_not_begun(view: Open, url: str, files: dict[str, Path], kind: str) -> None:
+    viewer = view(900, 620)
+    page = viewer.page
+    page.route("**/v1/assets", lambda route: None)  # it waits for ever
+    page.route("**/web/examples/*.safetensors", lambda route: route.abort())  # no live tree
+    viewer.open(url)
+    page.locator("#welcome").evaluate("(node) => { node.style.visibility = 'hidden'; }")
+    empty = pixels(viewer)
+    page.set_input_files("#files", str(files[kind]))
+    expect(page.locator("body")).to_have_attribute("data-state", "uploading")
+    if kind != "splat":  # its file states no size
+        high = make_sample(3, "sapling").mesh.height_m
+        expect(page.locator("#height-note")).to_contain_text(f"{high:.1f} m high; the person is 1.8 m")
+    for _ in range(120):
+        if changed(empty, pixels(viewer)) > 0.01:
+            break
+        page.wait_for_timeout(500)
+    viewer.picture()
+    assert changed(empty, pixels(viewer)) > 0.01, "nothing is drawn"
+    page.locator("#cancel").click()
+    expect(page.locator("#height-note")).to_have_text("")
+    assert [text for text in viewer.complaints if "Failed to load resource" not in text] == []

@@ -1,0 +1,122 @@
+// What was dropped, drawn from the files themselves: something to look at before the service has read them.
+
+import * as THREE from "three";
+import { makeUpright } from "./upright.js";
+
+const LARGEST_BYTES = 150e6;
+/** Which way is up where nothing says so; the service looks at the shape as well. */
+const UP = { glb: "+Y", gltf: "+Y", obj: "+Y", stl: "+Z", ply: "+Z", splat: "-Y", spz: "-Y", ksplat: "-Y", sog: "-Y" };
+const SPLATS = new Set(["splat", "spz", "ksplat", "sog"]);
+const CLAY = { color: 0xb9b3a4, side: THREE.DoubleSide };
+const load = (name) => import(`three/addons/loaders/${name}Loader.js`);
+
+const READERS = { glb: readGltf, gltf: readGltf, obj: readObj, stl: readStl, ply: readPly };
+
+/**
+ * `{ object, box, sizeless, dispose }` of the first of `files`, `{ name, path, content }` with paths relative to it; null for
+ * what no loader here reads. A splat, whose file states no size, needs the stage, which has Spark's renderer.
+ */
+export async function readDropped(files, stage) {
+  const [{ name, content }] = files;
+  const suffix = name.split(".").pop().toLowerCase();
+  if (!(suffix in UP) || content.size > LARGEST_BYTES) return null;
+  const addresses = new Map();
+  try {
+    const read = SPLATS.has(suffix) || (suffix === "ply" && (await isSplat(content))) ? readSplat : READERS[suffix];
+    const address = (path) => addressOf(path, files, addresses);
+    const { object, box, sizeless = false } = await read(files, { stage, address });
+    return { ...makeUpright(object, UP[suffix], box), sizeless, dispose: () => dispose(object) };
+  } finally {
+    for (const address of addresses.values()) URL.revokeObjectURL(address);
+  }
+}
+
+/** The address of a companion: by its path, else by its name alone. */
+function addressOf(path, files, addresses) {
+  const wanted = decodeURIComponent(path).replace(/^\.\//, "");
+  const base = (of) => of.split(/[/\\]/).pop().toLowerCase();
+  const file = files.find((one) => one.path === wanted) ?? files.find((one) => base(one.path) === base(wanted));
+  if (!file) return path;
+  if (!addresses.has(file)) addresses.set(file, URL.createObjectURL(file.content));
+  return addresses.get(file);
+}
+
+async function readGltf([{ content }], { address }) {
+  const { GLTFLoader } = await load("GLTF");
+  const manager = new THREE.LoadingManager();
+  manager.setURLModifier((url) => (/^(blob|data):/.test(url) ? url : address(url)));
+  const { scene } = await new GLTFLoader(manager).parseAsync(await content.arrayBuffer(), "");
+  return { object: scene };
+}
+
+async function readObj([{ content }, ...others], { address }) {
+  const { OBJLoader } = await load("OBJ");
+  const loader = new OBJLoader();
+  const library = others.find(({ name }) => /\.mtl$/i.test(name));
+  if (library) {
+    const { MTLLoader } = await load("MTL");
+    const manager = new THREE.LoadingManager();
+    manager.setURLModifier(address);
+    const done = new Promise((resolve) => Object.assign(manager, { onLoad: resolve, onError: resolve }));
+    const materials = new MTLLoader(manager).parse(await library.content.text(), "");
+    materials.preload();
+    const all = Object.values(materials.materials);
+    if (all.some(({ map }) => map)) await done;
+    for (const material of all) if (!material.map?.image) material.map = null; // it was not dropped along
+    loader.setMaterials(materials);
+  }
+  const object = loader.parse(await content.text());
+  object.traverse((node) => {
+    for (const material of [node.material ?? []].flat()) material.side = THREE.DoubleSide;
+  });
+  return { object };
+}
+
+async function readStl([{ content }]) {
+  const { STLLoader } = await load("STL");
+  return { object: clay(new STLLoader().parse(await content.arrayBuffer())) };
+}
+
+async function readPly([{ content }]) {
+  const { PLYLoader } = await load("PLY");
+  const geometry = new PLYLoader().parse(await content.arrayBuffer());
+  if (geometry.index) return { object: clay(geometry) };
+  const vertexColors = Boolean(geometry.attributes.color);
+  const material = { size: 2, sizeAttenuation: false, vertexColors, color: vertexColors ? 0xffffff : 0x6b756f };
+  return { object: new THREE.Points(geometry, new THREE.PointsMaterial(material)) };
+}
+
+function clay(geometry) {
+  if (!geometry.attributes.normal) geometry.computeVertexNormals();
+  const vertexColors = Boolean(geometry.attributes.color);
+  return new THREE.Mesh(
+    geometry,
+    new THREE.MeshLambertMaterial({ ...CLAY, ...(vertexColors && { vertexColors, color: 0xffffff }) }),
+  );
+}
+
+async function isSplat(content) {
+  const head = await content.slice(0, 4096).text();
+  return /property \w+ (f_dc_0|scale_0|packed_scale)/.test(head);
+}
+
+async function readSplat([{ name, content }], { stage }) {
+  const { sparkRenderer } = await import("./splat.js");
+  const spark = await import("spark");
+  const object = new spark.SplatMesh({ fileBytes: new Uint8Array(await content.arrayBuffer()), fileName: name });
+  await object.initialized;
+  const renderer = sparkRenderer(spark, stage);
+  object.add(renderer);
+  return { object, box: object.getBoundingBox(true), sizeless: true };
+}
+
+function dispose(object) {
+  object.traverse((node) => {
+    node.geometry?.dispose?.();
+    for (const material of [node.material ?? []].flat()) {
+      material.map?.dispose();
+      material.dispose?.();
+    }
+  });
+  object.dispose?.();
+}
