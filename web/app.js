@@ -15,6 +15,7 @@ import { layOut, showGrip, showHint } from "./page/layout.js";
 import { LightPanel } from "./page/light.js";
 import { LiveTree } from "./page/live.js";
 import { Machine } from "./page/machine.js";
+import { linkedJob } from "./page/parts.js";
 import { Player } from "./page/player.js";
 import { hideProblem, showNotice, showProblem } from "./page/problem.js";
 import { showProgress, tabTitle } from "./page/progress.js";
@@ -35,12 +36,13 @@ translate();
 applyTheme();
 const client = new Client({ key: sessionStorage.getItem("key"), storage: globalThis.localStorage });
 const limits = client.json("GET", "/v1/limits");
+const liveFiles = linkedJob() ? null : LiveTree.prefetch(client);
 const stage = newStage();
 const machine = new Machine(onState);
 const hand = new Hand(stage, { onGrab: (point, pointer) => showGrip(stage, point, pointer), onProblem: showProblem });
 const player = new Player(hand);
 const scene = new Scene(stage, client, { onMotion, onComplete: () => views.show(), onDraft, onClear });
-const live = new LiveTree(scene, client, onLive);
+const live = new LiveTree(scene, client, { onMotion: onLive, files: liveFiles });
 const session = new Session(client, machine, scene, { onJob: (id) => setAddress(`#job=${id}`), onKey: askKey });
 const files = new Files(client, { onProblem: (error) => onProblem(error) });
 const jobs = new JobList(client, {
@@ -177,8 +179,6 @@ function setAddress(hash, push = false) {
   if (push) history.pushState(null, "", hash);
   else history.replaceState(null, "", hash);
 }
-
-const linkedJob = () => new URLSearchParams(location.hash.slice(1)).get("job");
 
 function route() {
   const id = linkedJob();

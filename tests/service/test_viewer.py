@@ -88,6 +88,28 @@ def test_the_page_names_the_hash_of_its_one_inline_script(client: TestClient) ->
     assert f"'sha256-{digest}'" in policy["script-src"].split()
 
 
+STATIC_IMPORT = re.compile(r'''^(?:import|export)\s(?:[^"';]*?\sfrom\s)?"([^"]+)"''', re.MULTILINE)
+
+
+def imported(path: Path, modules: set[Path]) -> set[Path]:
+    """A module and all that it imports before it runs, of ours, added to `modules`."""
+    if path not in modules:
+        modules.add(path)
+        for name in STATIC_IMPORT.findall(path.read_text()):
+            if name.startswith("."):
+                imported((path.parent / name).resolve(), modules)
+    return modules
+
+
+def test_every_module_that_the_page_begins_with_is_loaded_at_once() -> None:
+    """Without the list they are found level by level, which delays the first picture."""
+    page = (WEB / "index.html").read_text()
+    listed = re.findall(r'<link rel="modulepreload" href="./web/([^"]+)">', page)
+    ours = {path for path in listed if not path.startswith("vendor/")}
+    assert ours == {str(path.relative_to(WEB)) for path in imported(WEB / "app.js", set())} - {"app.js"}
+    assert len(listed) == len(ours) + 3 == len(set(listed))
+
+
 def test_nothing_of_ours_names_another_host() -> None:
     kinds = {".js", ".css", ".html", ".svg"}
     ours = [path for path in WEB.rglob("*") if path.suffix in kinds and FOLDER not in path.parents]
