@@ -28,7 +28,7 @@ from dynamictree.formats.tensors.vertex_ties import read_ties, write_ties
 from dynamictree.mesh import TriangleMesh
 from dynamictree.spectrum import SparseVoxelSpectrum
 
-FRAMES_A_FREQUENCY = 4
+FRAMES_A_FREQUENCY = 3
 """From so many frames the loop without stretch is read; two would do, were there nothing above its frequencies."""
 MAX_STORED_BYTES = 1 << 28
 """Larger results are computed again: reading them would take as long."""

@@ -22,7 +22,7 @@ CELLS_ALONG = 256
 """Grid cells along the largest extent: two a voxel of the paper's 128³ grid."""
 LEVEL = 0.3
 """Of the opacity that a lone opaque Gaussian reaches; SuGaR takes its surface there too."""
-MAX_FACES = 40_000
+MAX_FACES = 24_000
 LEAST_FACES = 10_000
 """The surface of a cloud of few Gaussians, or of each of several trees, may have so many."""
 FACES_PER_GAUSSIAN = 4

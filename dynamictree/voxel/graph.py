@@ -4,7 +4,7 @@ import numpy as np
 import scipy  # its parts come in when they are used: the service starts without them
 from jaxtyping import Float32, Int32, Int64, Shaped
 
-from dynamictree.voxel.grid import VoxelGrid
+from dynamictree.voxel.grid import VoxelGrid, distinct
 
 ROOT_SHARE = 0.02
 """Of the tree's height: voxels this near to the lowest may stand in the ground, see `root_rows`."""
@@ -75,7 +75,7 @@ def root_distance(graph: "scipy.sparse.csr_array", grid: VoxelGrid) -> Float32[n
 def _graph(grid: VoxelGrid, starts: Int64[np.ndarray, " E"], ends: Int64[np.ndarray, " E"]) -> "scipy.sparse.csr_array":
     """Both directions of every edge, each once, in a fixed order."""
     low, high = np.minimum(starts, ends).astype(np.int64), np.maximum(starts, ends).astype(np.int64)
-    keys = np.unique(low * len(grid) + high)
+    keys = distinct(low * len(grid) + high)
     low, high = keys // len(grid), keys % len(grid)
     lengths = np.linalg.norm((grid.coords[low] - grid.coords[high]) * grid.voxel_size_m, axis=1).astype(np.float32)
     rows, columns = np.concatenate([low, high]), np.concatenate([high, low])

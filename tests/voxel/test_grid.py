@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynamictree.errors import InputError
-from dynamictree.voxel.grid import VoxelGrid, grid_frame
+from dynamictree.voxel.grid import VoxelGrid, distinct, grid_frame
 
 
 def grid_of(coords: np.ndarray | list[list[int]], **options: object) -> VoxelGrid:
@@ -73,3 +73,8 @@ def test_a_grid_that_cannot_be_is_refused(coords: list[list[int]], options: dict
     frame = {"origin_m": (0.0, 0.0, 0.0), "voxel_size_m": 0.25, "resolution": 32} | options
     with pytest.raises(InputError, match=message):
         VoxelGrid(coords=np.array(coords, np.int32).reshape(-1, 3), **frame)
+
+
+def test_distinct_keys_are_those_of_numpy(rng: np.random.Generator) -> None:
+    for keys in (rng.integers(-50, 50, 400), np.zeros(3, np.int64), np.zeros(0, np.int64)):
+        np.testing.assert_array_equal(distinct(keys), np.unique(keys))
