@@ -4,7 +4,8 @@ Inside, everything is in metres and +Z up. glTF is +Y up and in metres by its sp
 neither, so both are worked out, and what was found is recorded in `source_up_axis` and `source_scale`:
 
 - up is the likeliest of the six axes by several cues, see `upright.py`;
-- the unit is the first of metre, centimetre and millimetre in which the tree is at most 120 m tall.
+- the unit is the first of metre, centimetre and millimetre (STL: metre and millimetre) in which the tree is at most
+  120 m tall.
 """
 
 from dataclasses import replace
@@ -21,6 +22,7 @@ USUAL_HEIGHT_M = (0.2, 60.0)
 OTHERWISE = 0.95
 """How sure the shape must be of another axis than that of the format to be worth a warning."""
 UNITS_M = (1.0, 0.01, 0.001)
+UNIT_NAMES = {"centimetres": 0.01, "inches": 0.0254, "millimetres": 0.001, "metres": 1.0}
 
 # rows are where the file's axes go; +Y is glTF's, −Y that of a scene reconstructed from photos (x right, y down)
 _TO_Z_UP = {
@@ -52,6 +54,7 @@ def mesh_to_z_up(
     height_m: float | None = None,
     habit: str | None = None,
     doubt_size: bool = False,
+    units_m: tuple[float, ...] = UNITS_M,
 ) -> TriangleMesh:
     """Convert a mesh from its file's axes and unit to +Z up and metres; None is inferred.
 
@@ -61,7 +64,8 @@ def mesh_to_z_up(
         unit_m: metres a unit of the file.
         height_m: of the tree as it is to be; decides the unit if given [m].
         habit: the axis that is usual in the file's format, if any.
-        doubt_size: whether an unusual height is worth a warning.
+        doubt_size: whether an unusual height, or a unit that was guessed, is worth a warning.
+        units_m: that are usual in the file's format, the likeliest first.
 
     Raises:
         InputError: an unknown axis, or a unit that is not a positive length.
@@ -71,8 +75,10 @@ def mesh_to_z_up(
     judged = UpAxis(axis=up_axis, confidence=1.0) if up_axis else judge_up_axis(mesh, habit=habit)
     turned = mesh.vertices @ up_rotation(judged.axis).T  # [N, 3] float64
     matches = float(np.ptp(turned[:, 2])) if len(turned) else 0.0
-    scale = scale_to(height_m, matches) or unit_m or guess_unit_m(matches)
-    doubts = (*axis_warnings(judged), *(size_warnings(matches * scale, scale) if doubt_size and not height_m else ()))
+    scale = scale_to(height_m, matches) or unit_m or guess_unit_m(matches, units_m)
+    doubts = axis_warnings(judged)
+    if doubt_size and not height_m:
+        doubts += size_warnings(matches * scale, scale) or (guess_warnings(matches, scale) if unit_m is None else ())
     return replace(
         mesh,
         vertices=(turned * scale).astype(np.float32),
@@ -126,8 +132,7 @@ def size_warnings(height_m: float, scale: float) -> tuple[SourceWarning, ...]:
     """Warnings about an unlikely height, with the unit that would make it usual."""
     if USUAL_HEIGHT_M[0] <= height_m <= USUAL_HEIGHT_M[1]:
         return ()
-    units = {"centimetres": 0.01, "inches": 0.0254, "millimetres": 0.001, "metres": 1.0}
-    heights = {name: (unit, height_m / scale * unit) for name, unit in units.items() if unit != scale}
+    heights = {name: (unit, height_m / scale * unit) for name, unit in UNIT_NAMES.items() if unit != scale}
     proposal = next(
         (
             f"; if the file is in {name}, set unit_m to {unit:g} ({height:.3g} m), or height_m to its height"
@@ -147,6 +152,19 @@ def vertices_in_source_axes(mesh: TriangleMesh, up_axis: str) -> Float32[np.ndar
     return positions
 
 
-def guess_unit_m(height: float) -> float:
+def guess_unit_m(height: float, units_m: tuple[float, ...] = UNITS_M) -> float:
     """Guess the metres per unit, by the rule above."""
-    return next((unit for unit in UNITS_M if height * unit <= TALLEST_TREE_M), 1.0)
+    return next((unit for unit in units_m if height * unit <= TALLEST_TREE_M), 1.0)
+
+
+def guess_warnings(height: float, scale: float) -> tuple[SourceWarning, ...]:
+    """A warning that a unit other than the metre was guessed, with the heights in others."""
+    if scale == 1.0:
+        return ()
+    others = [f"{height * unit:.3g} m in {name}" for name, unit in UNIT_NAMES.items() if unit not in (scale, 1.0)]
+    names = {unit: name for name, unit in UNIT_NAMES.items()}
+    message = (
+        f"the file does not say its unit; {height:.4g} units were taken for {names[scale]} ({height * scale:.3g} m); "
+        f"it would be {' or '.join(others)}: set unit_m, or height_m to its height"
+    )
+    return (SourceWarning(code="size-doubtful", message=message),)

@@ -8,14 +8,14 @@ from dynamictree.formats.gltf import gaussian as gltf_gaussian
 from dynamictree.formats.gltf.document import glb_json
 from dynamictree.formats.json_fields import object_field, object_list
 from dynamictree.formats.ply_table import PlyHeader, read_header
-from dynamictree.formats.scan import points
+from dynamictree.formats.scan import pcd, points
 from dynamictree.formats.seekable import SeekableReader
 from dynamictree.formats.splat import compressed_ply, splat, spz
 from dynamictree.formats.splat import ply as gaussian_ply
 from dynamictree.gaussian.cloud import GaussianCloud
 
 CloudKind = Literal["gaussians", "compressed-gaussians", "points", "mesh"]
-CloudType = Literal["ply", "splat", "spz", "glb", "xyz", "txt", "csv", "asc", "pts", "las", "laz"]
+CloudType = Literal["ply", "splat", "spz", "glb", "xyz", "txt", "csv", "asc", "pts", "pcd", "las", "laz"]
 CLOUD_TYPES: tuple[CloudType, ...] = get_args(CloudType)
 
 _READERS: dict[str, tuple[Callable[..., GaussianCloud], str]] = {
@@ -23,6 +23,7 @@ _READERS: dict[str, tuple[Callable[..., GaussianCloud], str]] = {
     "spz": (spz.read_spz, spz.UP_AXIS),
     "glb": (gltf_gaussian.read_gltf_gaussian, gltf_gaussian.UP_AXIS),
     **dict.fromkeys(("xyz", "txt", "csv", "asc", "pts"), (points.read_points_text, points.UP_AXIS)),
+    "pcd": (pcd.read_pcd, pcd.UP_AXIS),
     **dict.fromkeys(("las", "laz"), (points.read_las, points.UP_AXIS)),
 }
 

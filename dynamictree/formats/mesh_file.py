@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from dynamictree.byte_stream import ByteReader, read_all
 from dynamictree.errors import FormatError
-from dynamictree.formats.axes import axis_doubts, mesh_to_z_up
+from dynamictree.formats.axes import UNITS_M, axis_doubts, mesh_to_z_up
 from dynamictree.formats.gltf.reader import read_gltf
 from dynamictree.formats.mesh.foreign import read_foreign_mesh
 from dynamictree.formats.mesh.obj import read_obj
@@ -15,8 +15,9 @@ from dynamictree.formats.mesh.ply import read_ply_mesh
 from dynamictree.formats.mesh.stl import is_ascii_stl, read_stl
 from dynamictree.formats.plant_likeness import doubt_plant
 from dynamictree.formats.ply_table import read_header
+from dynamictree.formats.refused import advice_for
 from dynamictree.formats.still_parts import find_still_parts
-from dynamictree.formats.upright import judge_standing
+from dynamictree.formats.upright import judge_each_standing, judge_standing
 from dynamictree.mesh import TriangleMesh, validate_mesh
 from dynamictree.requests import Reading
 from dynamictree.trees.of_mesh import with_trees
@@ -25,7 +26,7 @@ MESH_TYPES = ("obj", "ply", "glb", "gltf", "stl", "off", "3mf", "dae")
 MAX_FILE_BYTES = 1 << 30
 ACCEPTED = (
     "a triangle mesh as OBJ, PLY with faces, STL, OFF, 3MF, COLLADA, glTF or GLB is accepted, a splat as PLY, .splat, "
-    "SPZ or GLB, a scan as LAS, LAZ, PLY, XYZ, TXT, CSV, ASC or PTS, and photos as JPEG or PNG"
+    "SPZ or GLB, a scan as LAS, LAZ, PLY, PCD, XYZ, TXT, CSV, ASC or PTS, and photos as JPEG or PNG"
 )
 
 _GLTF_UP_AXIS, _GLTF_UNIT_M = "+Y", 1.0  # glTF 2.0 specification, 3.4
@@ -33,10 +34,11 @@ _HABITS = {"obj": "+Y", "ply": "+Z", "stl": "+Z", "off": "+Z"}
 """The axis that is usual in a format that does not say."""
 _NOT_MESHES = {
     "las": "a laser scan (LAS or LAZ)",
+    "pcd": "a laser scan (PCD)",
     "points": "a point cloud as text",
     "splat": "a Gaussian splat",
     "spz": "a Gaussian splat (SPZ)",
-    "zip": "a ZIP archive",
+    "zip": "a ZIP archive: unpack it and give the folder or the model in it",
     "png": "a PNG image",
     "jpeg": "a JPEG image",
     "safetensors": "a safetensors file",
@@ -46,6 +48,7 @@ _MAGIC = (
     (b"ply\n", "ply"),
     (b"ply\r", "ply"),
     (b"LASF", "las"),
+    (b"# .PCD", "pcd"),
     (b"PK\x03\x04", "zip"),
     (b"\x89PNG\r\n\x1a\n", "png"),
     (b"\xff\xd8\xff", "jpeg"),
@@ -105,12 +108,14 @@ def read_mesh(
         height_m=reading.height_m,
         habit=_HABITS.get(file_type),
         doubt_size=doubt_size,
+        units_m=(1.0, 0.001) if file_type == "stl" else UNITS_M,
     )
     validate_mesh(upright)
     parts, still = find_still_parts(upright)
     whole = replace(upright, still_parts=parts, still_faces=still)
     if reading.up_axis is None and file_type in ("glb", "gltf", "dae", "3mf"):  # these state an axis
-        doubts = axis_doubts(judge_standing(whole.moving_part), upright.source_up_axis)
+        standing = judge_each_standing(whole.moving_part) or judge_standing(whole.moving_part)
+        doubts = axis_doubts(standing, upright.source_up_axis)
         whole = replace(whole, warnings=whole.warnings + doubts)
     return with_trees(replace(whole, warnings=whole.warnings + doubt_plant(whole)))
 
@@ -118,7 +123,7 @@ def read_mesh(
 def sniff_file_type(head: bytes, filename: str = "") -> str:
     """Recognise a file's type by its first kilobyte or more; the file name decides only if the bytes do not.
 
-    Gives one of `MESH_TYPES`, or `las`, `points`, `splat`, `spz`, `zip`, `png`, `jpeg`, `safetensors`.
+    Gives one of `MESH_TYPES`, or `las`, `pcd`, `points`, `splat`, `spz`, `zip`, `png`, `jpeg`, `safetensors`.
 
     Raises:
         FormatError: it is none of these.
@@ -128,6 +133,8 @@ def sniff_file_type(head: bytes, filename: str = "") -> str:
         return "3mf"
     for magic, kind in _MAGIC:
         if head.startswith(magic):
+            if kind == "zip" and (advice := advice_for(head, ending)) is not None:  # USDZ
+                raise FormatError(f"{advice}; {ACCEPTED}")
             return kind
     if head[:2] == b"\x1f\x8b" and ending == "spz":
         return "spz"
@@ -144,6 +151,8 @@ def sniff_file_type(head: bytes, filename: str = "") -> str:
         return "stl"
     if ending == "splat":
         return "splat"
+    if (advice := advice_for(head, ending)) is not None:
+        raise FormatError(f"{advice}; {ACCEPTED}")
     text = b"\0" not in head
     if text and ending != "txt" and _OBJ_LINE.search(head):
         return "obj"

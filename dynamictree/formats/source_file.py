@@ -59,8 +59,8 @@ def source_kind(stream: SeekableReader, name: str) -> tuple[SourceKind, str]:
         raise FormatError(_CONVERTED["folder"])
     file_type = sniff_file_type(head, name)
     stream.seek(0)
-    if file_type in ("points", "las"):
-        return "cloud", "txt" if file_type == "points" else "las"
+    if file_type in ("points", "las", "pcd"):
+        return "cloud", "txt" if file_type == "points" else file_type
     if file_type in ("ply", "glb") and cloud_kind(stream, file_type=file_type) != "mesh":
         return "cloud", file_type
     return "mesh", file_type

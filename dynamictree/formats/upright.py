@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
 
 from dynamictree.formats.still_parts import find_still_faces
+from dynamictree.gaussian.still_gaussians import touching_groups
 from dynamictree.mesh import TriangleMesh, connected_parts, part_bounds, weld
 
 AXES = ("+X", "-X", "+Y", "-Y", "+Z", "-Z")
@@ -41,6 +42,8 @@ WOOD = re.compile(r"bark|trunk|wood|stem|branch|log\b|stamm|rinde|tronc|holz|twi
 LEAF = re.compile(r"lea[fv]|foliage|crown|needle|blatt|laub|feuill|frond|canopy|flower|blossom|petal", re.IGNORECASE)
 
 _POINTS = 20_000
+_APART, _SHARE = 0.03, 0.05
+"""Of the whole's longest side: what is so far apart are two trees; and the least share of the points of one."""
 _OUTLIERS = (0.002, 0.998)  # of the coordinates of splats and scans
 _SLICES = 24
 _FOOT_SLICES = 2
@@ -78,6 +81,33 @@ def judge_standing(mesh: TriangleMesh) -> UpAxis | None:
     """The most likely of the six axes of a mesh that stands on +Z as its file says; None of one without surface."""
     cues = axis_cues(mesh)
     return None if cues is None else _likeliest(cues, "+Z")
+
+
+def judge_each_standing(mesh: TriangleMesh) -> UpAxis | None:
+    """The axis along which most of several trees apart from each other stand, each by itself; None of a single one.
+
+    Together they are wide, and say nothing.
+    """
+    sampled = surface_points(mesh)
+    if sampled is None:
+        return None
+    points, faces = sampled
+    _, cell, _, group_of_cell = touching_groups(points, _APART * float(np.ptp(points, axis=0).max()))
+    group = group_of_cell[cell]
+    large = np.flatnonzero(np.bincount(group) > _SHARE * len(points))
+    if len(large) < 2:
+        return None
+    of_face = np.full(mesh.num_faces, -1)
+    of_face[faces] = group  # faces too small for a point say little
+    alone = [judge_standing(replace(mesh, still_faces=of_face != one).moving_part) for one in large]
+    judged = [own for own in alone if own is not None]
+    if len(judged) < 2:
+        return None
+    chances = {axis: [own.confidence for own in judged if own.axis == axis] for axis in AXES}
+    axis = max(AXES, key=lambda one: len(chances[one]))
+    if 2 * len(chances[axis]) <= len(judged):
+        return None
+    return UpAxis(axis=axis, confidence=float(np.mean(chances[axis])))
 
 
 def _likeliest(cues: Float64[np.ndarray, "6 C"], habit: str | None) -> UpAxis:

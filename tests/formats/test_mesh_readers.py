@@ -154,6 +154,26 @@ def test_units_follow_from_how_tall_a_tree_can_be(height: float, unit: float) ->
     assert guess_unit_m(height) == unit
 
 
+def test_a_unit_that_was_guessed_is_said(rng: np.random.Generator) -> None:
+    mesh = trunk_and_crown(rng)
+    for kind, units, unit in (("obj", 100, 0.01), ("stl", 500, 0.001), ("obj", 1, 1.0), ("stl", 1, 1.0)):
+        vertices = mesh.vertices * np.float32(units)
+        content = trimesh.Trimesh(vertices, mesh.faces, process=False).export(file_type=kind)
+        result = read(content.encode() if isinstance(content, str) else content, kind)
+        assert result.source_scale == unit
+        doubts = [warning.message for warning in result.warnings if warning.code == "size-doubtful"]
+        assert len(doubts) == (unit != 1)
+        assert all(f"{1000 * result.height_m / (1000 * unit):.4g} units" in doubt for doubt in doubts)
+
+
+def test_names_with_umlauts_of_windows_programs_find_their_files() -> None:
+    content = "mtllib Größe.mtl\nv 0 0 0\nv 1 0 0\nv 0 2 0\nusemtl Blätter\nf 1 2 3\n".encode("latin-1")
+    library = "newmtl Blätter\nKd 0.1 0.6 0.1\n".encode("latin-1")
+    mesh = read_mesh(io.BytesIO(content), file_type="obj", companions={"Größe.mtl": library})
+    assert [material.name for material in mesh.materials] == ["Blätter"]
+    assert mesh.materials[0].base_color[1] > mesh.materials[0].base_color[0]
+
+
 def test_centimetres_are_found_and_recorded(rng: np.random.Generator) -> None:
     mesh = trunk_and_crown(rng)
     stream = io.BytesIO()

@@ -232,3 +232,18 @@ def test_points_without_colour_are_lit_from_above(up_axis: str, rng: np.random.G
     assert light[outer & (height > 0.5)].mean() > 1.1 * light[~outer & (height < 0)].mean()
     colored = cloud_of_points(ball, np.full((20_000, 3), 90, np.uint8))
     np.testing.assert_allclose(colored.sh[:, 0] * SH_0 + 0.5, 90 / 255, atol=1e-5)
+
+
+def test_the_number_of_points_before_a_scan_is_no_point() -> None:
+    rows = np.concatenate([_lattice(0.5, 3), np.full((27, 1), -1024), np.tile([10, 20, 30], (27, 1))], axis=1)
+    block = "27\n" + "\n".join(" ".join(f"{value:g}" for value in row) for row in rows) + "\n"
+    cloud = read_cloud(io.BytesIO((block + block).encode()), file_type="pts")
+    np.testing.assert_allclose(cloud.means, np.tile(_lattice(0.5, 3), (2, 1)), atol=1e-6)
+    np.testing.assert_allclose(cloud.sh[0, 0] * SH_0 + 0.5, np.array([10, 20, 30]) / 255, atol=1e-5)
+
+
+@pytest.mark.parametrize("delimiter", [";", "; ", "\t", " "])
+def test_decimal_commas_are_read(delimiter: str) -> None:
+    lines = [delimiter.join(f"{value:.2f}".replace(".", ",") for value in row) for row in _lattice(-0.25, 3)]
+    cloud = read_cloud(io.BytesIO("\n".join(["X;Y;Z".replace(";", delimiter), *lines]).encode()), file_type="txt")
+    np.testing.assert_allclose(cloud.means, _lattice(-0.25, 3), atol=1e-6)

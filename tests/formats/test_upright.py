@@ -101,3 +101,17 @@ def test_a_file_whose_axis_its_shape_denies_is_flagged_with_the_other(pine: Tria
         for w in read_capture(io.BytesIO(points.encode()), file_type="txt", reading=Reading(up_axis="+X")).warnings
         if w.code == "orientation-uncertain"
     ]
+
+
+@pytest.mark.parametrize(("up_axis", "doubted"), [("+Z", True), ("+Y", False)])
+def test_several_trees_that_lie_in_a_gltf_are_flagged(up_axis: str, doubted: bool) -> None:
+    tree = replace(
+        grow_tree(SPECIES["round-broadleaf"], np.random.default_rng(1)).mesh, materials=(), face_material=None
+    )
+    away = np.array([3 * tree.height_m, 0, 0], np.float32)
+    plot = joined([tree, tree.with_vertices(tree.vertices + away)])
+    laid = trimesh.Trimesh(plot.vertices @ (up_rotation(up_axis)), plot.faces, process=False)
+    mesh = read_mesh(io.BytesIO(laid.export(file_type="glb")), file_type="glb")
+    messages = [warning.message for warning in mesh.warnings if warning.code == "orientation-uncertain"]
+    assert len(messages) == doubted
+    assert all("set up_axis to +Z" in message for message in messages)

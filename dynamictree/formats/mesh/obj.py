@@ -114,14 +114,22 @@ def _sort_lines(lines: list[bytes]) -> _Statements:
             lines_by_kind.face_materials.append(material)
             lines_by_kind.face_parts.append(part)
         elif keyword == b"usemtl":
-            name = rest.strip().decode("utf-8", "replace")[:200]
+            name = _text(rest.strip())[:200]
             material = lines_by_kind.material_names.setdefault(name, len(lines_by_kind.material_names))
         elif keyword in (b"o", b"g"):
-            name = rest.strip().decode("utf-8", "replace")[:200]
+            name = _text(rest.strip())[:200]
             part = lines_by_kind.part_names.setdefault(name, len(lines_by_kind.part_names))
         elif keyword == b"mtllib":
-            lines_by_kind.libraries.append(rest.strip().decode("utf-8", "replace"))
+            lines_by_kind.libraries.append(_text(rest.strip()))
     return lines_by_kind
+
+
+def _text(content: bytes) -> str:
+    """UTF-8, or Latin-1 as programs on Windows write names with umlauts."""
+    try:
+        return content.decode("utf-8")
+    except UnicodeDecodeError:
+        return content.decode("latin-1")
 
 
 def _numbers(lines: list[bytes], keyword: str, widths: tuple[int, ...]) -> Float64[np.ndarray, "n width"]:
@@ -259,7 +267,7 @@ def _materials(
 def _read_mtl(content: bytes, companions: Mapping[str, bytes], warnings: list[SourceWarning]) -> dict[str, Material]:
     fields: dict[str, dict[str, str]] = {}
     current: dict[str, str] = {}
-    for line in content.decode("utf-8", "replace").splitlines():
+    for line in _text(content).splitlines():
         keyword, _, rest = line.strip().partition(" ")
         if keyword == "newmtl":
             current = fields.setdefault(rest.strip()[:200], {})

@@ -66,9 +66,11 @@ def read_points_text(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: 
     size = remaining_bytes(stream)
     if size > 100 * MAX_GAUSSIANS:
         raise InputError(f"the text is {size:,} bytes; at most {MAX_GAUSSIANS:,} points are allowed; decimate it first")
-    raw = stream.read()
+    raw = _with_decimal_points(stream.read())
     content = raw.translate(bytes.maketrans(b",;\t", b"   "))
     lines = [line for line in content.splitlines() if line.strip() and not _is_comment(line)]
+    if lines and lines[0].strip().isdigit():  # PTS: the number of points stands before each scan
+        lines = [line for line in lines if len(line.split()) > 1]
     names = list[str]()
     if lines and not _is_numbers(lines[0]):
         names = _column_names(next(line for line in raw.splitlines() if line.strip() and not _is_comment(line)))
@@ -84,6 +86,16 @@ def read_points_text(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: 
         table = _named_columns(table, names)
     colors = _byte_color(table[:, -3:]) if table.shape[1] >= 6 and _looks_like_color(table[:, -3:]) else None
     return to_z_up(cloud_of_points(table[:, :3], colors, up_axis=up_axis), up_axis=up_axis, unit_m=unit_m)
+
+
+def _with_decimal_points(text: bytes) -> bytes:
+    """The text with points for decimal commas, where its first line of numbers has them."""
+    lines = text[: 1 << 16].splitlines()
+    first = next((line for line in lines if not _is_comment(line) and line[:1].strip(b"-+ \t0123456789") == b""), b"")
+    words = re.split(rb"[;\s]+", first.strip())
+    commas = sum(b"," in word for word in words)
+    is_number = all(re.fullmatch(rb"[-+]?[0-9]+(,[0-9]+)?([eE][-+]?[0-9]+)?", word) for word in words)
+    return text.replace(b",", b".") if commas and is_number and len(words) >= 3 else text
 
 
 def _is_comment(line: bytes) -> bool:

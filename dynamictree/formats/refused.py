@@ -1,0 +1,50 @@
+"""Advice for files of formats that are not read: what to export or unpack instead."""
+
+_BLENDER = "open it in Blender and choose File, Export, glTF 2.0"
+_SCAN = "save it as LAZ, PLY or XYZ, for instance with CloudCompare"
+_CAD = "export it as STL, OBJ or glTF from the program that made it"
+_UNPACK = "unpack it and give the folder or the file in it"
+_BY_ENDING = {
+    **dict.fromkeys(("fbx", "blend", "3ds", "abc", "x3d", "wrl", "usd", "usda", "usdc", "usdz"), _BLENDER),
+    **dict.fromkeys(
+        ("max", "ma", "mb", "c4d", "skp", "spm", "st", "st9"), "export it as glTF from the program it is of"
+    ),
+    **dict.fromkeys(("dxf", "dwg", "step", "stp", "iges", "igs"), _CAD),
+    **dict.fromkeys(("e57", "ptx", "rcp", "rcs", "fls", "zfs"), _SCAN),
+    **dict.fromkeys(("rar", "7z", "tar", "tgz", "gz", "bz2", "xz"), _UNPACK),
+    **dict.fromkeys(("heic", "heif", "avif"), "save the photos as JPEG"),
+    **dict.fromkeys(
+        ("mp4", "mov", "avi", "mkv", "webm"), "a film of a walk around the tree is for `dynamictree reconstruct`"
+    ),
+    "mtl": "these are the materials of an OBJ, which lie beside it: give the OBJ",
+    "bin": "this is the buffer of a glTF, which lies beside it: give the .gltf",
+}
+_BY_BYTES = (
+    (b"Kaydara FBX Binary", "FBX", _BLENDER),
+    (b"; FBX ", "FBX", _BLENDER),
+    (b"BLENDER", "Blender", _BLENDER),
+    (b"PXR-USDC", "USD", _BLENDER),
+    (b"#usda", "USD", _BLENDER),
+    (b"Ogawa", "Alembic", _BLENDER),
+    (b"ASTM-E57", "E57", _SCAN),
+    (b"ISO-10303-21", "STEP", _CAD),
+    (b"Rar!", "RAR", _UNPACK),
+    (b"7z\xbc\xaf\x27\x1c", "7-Zip", _UNPACK),
+    (b"\x1f\x8b", "gzip", _UNPACK),
+    (b"version https://git-lfs", "Git LFS", "this is a pointer in place of the file: run `git lfs pull`"),
+    (b"<!doctype html", "HTML", "this is a web page in place of the file: download it again"),
+    (b"<html", "HTML", "this is a web page in place of the file: download it again"),
+)
+
+
+def advice_for(head: bytes, ending: str) -> str | None:
+    """What a file is that is not read, and what to do; None where nothing is known. `ending` is in lower case."""
+    if not head:
+        return "the file is empty; download or export it again"
+    start = head.lstrip(b"\xef\xbb\xbf \t\r\n")
+    for first, name, advice in _BY_BYTES:
+        if start[: len(first)].lower() == first.lower():
+            return f"{name} files are not read; {advice}"
+    if ending in _BY_ENDING:
+        return f".{ending} files are not read; {_BY_ENDING[ending]}"
+    return None

@@ -1,0 +1,123 @@
+"""Point clouds of the Point Cloud Library (.pcd, version 0.7): ASCII and binary; compressed ones are refused."""
+
+import io
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import UInt8
+
+from dynamictree.errors import FormatError
+from dynamictree.formats.cloud_axes import to_z_up
+from dynamictree.formats.scan.points import cloud_of_points
+from dynamictree.formats.seekable import SeekableReader, remaining_bytes
+from dynamictree.gaussian.cloud import GaussianCloud, check_count
+
+MAGIC = b"# .PCD"
+UP_AXIS = "+Z"
+_MAX_HEADER_BYTES = 64 * 1024
+_MAX_WIDTH = 10_000  # numbers per point
+_KINDS = {"F": "f", "I": "i", "U": "u"}
+_SIZES = {"f": (4, 8), "i": (1, 2, 4, 8), "u": (1, 2, 4, 8)}
+_COLOR = ("rgb", "rgba")
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Header:
+    fields: np.dtype[np.void]
+    count: int
+    coding: str
+
+
+def read_pcd(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: float = 1.0) -> GaussianCloud:
+    """Read x, y, z and, if there, `rgb`; points that are not finite are places where nothing was measured.
+
+    Raises:
+        FormatError: not PCD, compressed, no positions, shorter than its header says.
+        InputError: too many points, all at one place.
+    """
+    header = _read_header(stream)
+    check_count(header.count)
+    rows = _rows(stream, header)
+    points = np.stack([rows[name].astype(np.float64) for name in "xyz"], axis=1)
+    measured = np.isfinite(points).all(axis=1)
+    check_count(int(measured.sum()))
+    name = next((name for name in _COLOR if name in (header.fields.names or ())), None)
+    colors = None if name is None else _colors(rows[name])[measured]
+    return to_z_up(cloud_of_points(points[measured], colors, up_axis=up_axis), up_axis=up_axis, unit_m=unit_m)
+
+
+def _read_header(stream: SeekableReader) -> _Header:
+    entries: dict[str, list[str]] = {}
+    while "DATA" not in entries:
+        line = stream.readline(_MAX_HEADER_BYTES)
+        if not line or stream.tell() > _MAX_HEADER_BYTES:
+            raise FormatError("the PCD file's header has no line DATA; the file is truncated or none of version 0.7")
+        words = line.decode("utf-8", "replace").split()
+        if words and not words[0].startswith("#"):
+            entries[words[0].upper()] = words[1:]
+    try:
+        names, kinds = entries["FIELDS"], [_KINDS[kind] for kind in entries["TYPE"]]
+        sizes, widths = (
+            [int(size) for size in entries["SIZE"]],
+            [int(n) for n in entries.get("COUNT", ["1"] * len(names))],
+        )
+        count, coding = int(entries["POINTS"][0]), entries["DATA"][0].lower()
+        columns = list(zip(names, kinds, sizes, widths, strict=True))
+    except (KeyError, ValueError, IndexError) as error:
+        raise FormatError(f"the PCD file's header is damaged: {error}") from error
+    if any(size not in _SIZES[kind] or width < 1 for _, kind, size, width in columns) or sum(widths) > _MAX_WIDTH:
+        raise FormatError("the PCD file's header has fields of a size that there is not")
+    if not {"x", "y", "z"} <= {name for name, _, _, width in columns if width == 1}:
+        raise FormatError(f"the PCD file's fields are {', '.join(names)[:200]}; x, y and z are needed")
+    if coding not in ("ascii", "binary"):
+        raise FormatError(
+            f"the PCD file's data are {coding[:30]!r}; ascii and binary are read: convert it with "
+            "`pcl_convert_pcd_ascii_binary in.pcd out.pcd 1`"
+        )
+    fields = [
+        (_unique(name, number, names), f"<{kind}{size}", (width,))
+        for number, (name, kind, size, width) in enumerate(columns)
+    ]
+    return _Header(
+        fields=np.dtype([field if field[2] != (1,) else field[:2] for field in fields]), count=count, coding=coding
+    )
+
+
+def _unique(name: str, number: int, names: list[str]) -> str:
+    """The field's name; padding fields are all called `_`."""
+    return name if names.index(name) == number else f"{name}#{number}"
+
+
+def _rows(stream: SeekableReader, header: _Header) -> np.ndarray:
+    size = remaining_bytes(stream)
+    if header.coding == "binary":
+        needed = header.count * header.fields.itemsize
+        if size < needed:
+            raise FormatError(
+                f"the PCD file has {size:,} bytes of points where its header says {needed:,}; it is truncated"
+            )
+        return np.frombuffer(stream.read(needed), header.fields)
+    try:
+        table = np.loadtxt(io.BytesIO(stream.read()), np.float64, ndmin=2, comments=None, max_rows=header.count)
+    except ValueError as error:
+        raise FormatError(f"the PCD file's points are no table of numbers: {error}") from error
+    ends = np.cumsum([int(np.prod(header.fields[name].shape, dtype=int)) for name in header.fields.names or ()])
+    if len(table) < header.count or table.shape[1] != ends[-1]:
+        raise FormatError(
+            f"the PCD file has {len(table):,} lines of {table.shape[1]} numbers where its header says "
+            f"{header.count:,} of {ends[-1]}; it is truncated or damaged"
+        )
+    rows = np.zeros(header.count, header.fields)
+    for name, end in zip(header.fields.names or (), ends, strict=True):
+        if header.fields[name].shape == ():
+            rows[name] = table[:, end - 1]
+    return rows
+
+
+def _colors(packed: np.ndarray) -> UInt8[np.ndarray, "G 3"]:
+    """Red, green and blue of integers 0xRRGGBB, which PCL often stores as the bits of a float."""
+    bits = packed.view(np.uint32) if packed.dtype == np.float32 else packed.astype(np.uint32)
+    colors: UInt8[np.ndarray, "G 3"] = np.stack([bits >> 16 & 255, bits >> 8 & 255, bits & 255], axis=1).astype(
+        np.uint8
+    )
+    return colors
