@@ -6,6 +6,7 @@ import struct
 import warnings
 from collections.abc import Iterable
 
+import numpy as np
 from PIL import Image, UnidentifiedImageError
 
 from dynamictree.errors import FormatError
@@ -14,7 +15,8 @@ MAX_PIXELS = 50_000_000
 MAX_TOTAL_PIXELS = 400_000_000
 """Of all images of one file together: 24 of 4096 x 4096."""
 
-_FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TGA")
+_FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TGA", "TIFF", "DDS")
+_LARGEST = {"I": 65_535.0, "F": 1.0}  # values of grey pictures of more than eight bits, by the mode's first letter
 
 
 def refuse_many_pixels(images: Iterable[bytes]) -> None:
@@ -40,7 +42,7 @@ def texture_as_png(content: bytes, name: str) -> bytes:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # our own cap is checked below
-            image = Image.open(io.BytesIO(content), formats=_FORMATS)
+            image: Image.Image = Image.open(io.BytesIO(content), formats=_FORMATS)
         width, height = image.size
         if width * height > MAX_PIXELS:
             raise FormatError(f"texture {name!r} has {width} x {height} pixels; at most {MAX_PIXELS:,} are allowed")
@@ -51,6 +53,9 @@ def texture_as_png(content: bytes, name: str) -> bytes:
         raise FormatError(f"texture {name!r} is damaged: {str(error)[:120]}") from error
     if image.format == "PNG" and image.mode in ("RGB", "RGBA", "L", "LA", "P"):
         return content
+    if image.mode[0] in _LARGEST:  # Pillow would clip them at 255
+        share = np.asarray(image, np.float64) / _LARGEST[image.mode[0]]
+        image = Image.fromarray(np.round(np.nan_to_num(share).clip(0, 1) * 255).astype(np.uint8))
     stream = io.BytesIO()
     image.convert("RGBA" if "A" in image.getbands() else "RGB").save(stream, "PNG")
     return stream.getvalue()

@@ -221,6 +221,19 @@ def test_a_texture_s_transform_moves_its_coordinates() -> None:
     assert mesh.materials[0].alpha_cutoff == 0.5
 
 
+def test_the_colour_of_glossy_materials_is_read() -> None:
+    glossy = {"diffuseFactor": [0.1, 0.4, 0.2, 1.0], "diffuseTexture": {"index": 0}}
+    uri = "data:image/png;base64," + base64.b64encode(image_bytes()).decode()
+    mesh = read_gltf(
+        materials=[{"extensions": {"KHR_materials_pbrSpecularGlossiness": glossy}}],
+        images=[{"uri": uri}],
+        textures=[{"source": 0}],
+        meshes=[{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1, "material": 0}]}],
+    )
+    assert mesh.materials[0].base_color == (0.1, 0.4, 0.2, 1.0)
+    assert mesh.materials[0].texture_png == image_bytes()
+
+
 def test_a_jpeg_texture_becomes_png() -> None:
     jpeg = base64.b64encode(image_bytes("JPEG")).decode()
     mesh = read_gltf(

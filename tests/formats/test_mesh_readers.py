@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 
 from dynamictree.formats.axes import guess_unit_m, up_rotation
 from dynamictree.formats.mesh.obj_writer import write_obj
@@ -152,6 +153,25 @@ def test_a_mesh_without_faces_or_area_has_no_axis_to_find() -> None:
 )
 def test_units_follow_from_how_tall_a_tree_can_be(height: float, unit: float) -> None:
     assert guess_unit_m(height) == unit
+
+
+@pytest.mark.parametrize(
+    ("kind", "mode", "value", "seen"),
+    [("PNG", "I;16", 0x8080, 128), ("TIFF", "I;16", 0x8080, 128), ("TIFF", "F", 0.5, 128), ("DDS", "RGB", 90, 90)],
+)
+def test_textures_of_many_bits_and_of_engines_keep_their_brightness(
+    kind: str, mode: str, value: float, seen: int
+) -> None:
+    stream = io.BytesIO()
+    pixels = np.full((4, 4) if mode != "RGB" else (4, 4, 3), value, {"I;16": "<u2", "F": "<f4", "RGB": "u1"}[mode])
+    Image.fromarray(pixels).save(stream, kind)
+    library = b"newmtl leaf\nKd 1 1 1\nmap_Kd leaf.png\n"
+    content = b"mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 2 0\nvt 0 0\nusemtl leaf\nf 1/1 2/1 3/1\n"
+    mesh = read(content, "obj", companions={"a.mtl": library, "leaf.png": stream.getvalue()})
+    texture = mesh.materials[0].texture_png
+    assert texture is not None
+    decoded = np.asarray(Image.open(io.BytesIO(texture)).convert("RGB"))
+    np.testing.assert_allclose(decoded, seen, atol=1)
 
 
 def test_a_unit_that_was_guessed_is_said(rng: np.random.Generator) -> None:

@@ -247,3 +247,10 @@ def test_decimal_commas_are_read(delimiter: str) -> None:
     lines = [delimiter.join(f"{value:.2f}".replace(".", ",") for value in row) for row in _lattice(-0.25, 3)]
     cloud = read_cloud(io.BytesIO("\n".join(["X;Y;Z".replace(";", delimiter), *lines]).encode()), file_type="txt")
     np.testing.assert_allclose(cloud.means, _lattice(-0.25, 3), atol=1e-6)
+
+
+def test_a_table_of_gaussians_is_no_scan() -> None:
+    names = "x,y,z,scale_0,scale_1,scale_2,f_dc_0,f_dc_1,f_dc_2,opacity,rot_0,rot_1,rot_2,rot_3"
+    rows = [",".join(["0.5"] * 14), ",".join(["0.25"] * 14)]
+    with pytest.raises(FormatError, match=r"Gaussians.*splat-transform tree\.csv tree\.ply"):
+        read_cloud(io.BytesIO("\n".join([names, *rows]).encode()), file_type="csv")

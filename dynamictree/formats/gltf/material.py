@@ -60,12 +60,21 @@ def texture_placement(material: JsonObject) -> str:
 
 
 def _base_texture(material: JsonObject) -> JsonObject:
-    return object_field(object_field(material, "pbrMetallicRoughness"), "baseColorTexture")
+    surface, _, texture = _surface(material)
+    return object_field(surface, texture)
+
+
+def _surface(material: JsonObject) -> tuple[JsonObject, str, str]:
+    """The fields of a material's surface, with the names of its colour and of its texture."""
+    glossy = object_field(object_field(material, "extensions"), "KHR_materials_pbrSpecularGlossiness")  # Sketchfab's
+    if glossy:
+        return glossy, "diffuseFactor", "diffuseTexture"
+    return object_field(material, "pbrMetallicRoughness"), "baseColorFactor", "baseColorTexture"
 
 
 def _material(document: GltfDocument, entry: JsonObject, images: dict[int, bytes | None]) -> Material:
-    surface = object_field(entry, "pbrMetallicRoughness")
-    red, green, blue, alpha = (min(max(v, 0.0), 1.0) for v in numbers_field(surface, "baseColorFactor", 4, (1.0,) * 4))
+    surface, color, _ = _surface(entry)
+    red, green, blue, alpha = (min(max(v, 0.0), 1.0) for v in numbers_field(surface, color, 4, (1.0,) * 4))
     mode = text_field(entry, "alphaMode", "OPAQUE")
     cutoffs = {"OPAQUE": None, "MASK": number_field(entry, "alphaCutoff", 0.5), "BLEND": _BLEND_CUTOFF}
     if mode not in cutoffs:

@@ -114,8 +114,10 @@ def _named_columns(table: Float64[np.ndarray, "G columns"], names: list[str]) ->
     """The columns of positions, and of colours if there are any.
 
     Raises:
-        FormatError: no x, y or z is named.
+        FormatError: no x, y or z is named, or the rows are Gaussians.
     """
+    if {"scale0", "rot0"} <= set(names):
+        raise FormatError("the table is of Gaussians; convert it with `splat-transform tree.csv tree.ply`")
     places = [next((names.index(name) for name in options if name in names), None) for options in _AXIS_NAMES]
     if any(place is None for place in places):
         raise FormatError(
