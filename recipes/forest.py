@@ -23,6 +23,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--spacing", type=float, help="metres from tree to tree; by the crown's width if not given")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--gust-speed", type=float, help="gusts cross the forest at so many m/s; without it none do")
+    parser.add_argument("--motions", type=int, help="GPU instances: trees share so many motions")
     chosen = parser.parse_args(arguments)
     mesh = load_mesh(chosen.mesh)
     with chosen.spectrum.open("rb") as stream:
@@ -43,6 +44,7 @@ def main(arguments: list[str] | None = None) -> None:
             num_frames=spectrum.num_frames,
             fps=spectrum.fps,
             wind_deg=wind_deg,
+            num_motions=chosen.motions,
         )
     print(f"{chosen.output}: {len(trees)} trees, {chosen.output.stat().st_size / 1e6:.1f} MB")
 

@@ -1,10 +1,11 @@
 """Recipes do what they say: a forest in which no two trees move alike, and a timeline in Blender."""
 
+import io
 import os
 import re
 import subprocess
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,8 @@ from dynamictree.errors import InputError
 from dynamictree.formats.gltf.forest import TravellingGusts, plant_forest
 from dynamictree.formats.gltf.motion import loop_parts, loop_weights, write_motion_glb
 from dynamictree.formats.gltf.writer import write_glb
-from dynamictree.formats.tensors.spectrum import write_spectrum
+from dynamictree.formats.mesh_file import read_mesh
+from dynamictree.formats.tensors.spectrum import read_spectrum, write_spectrum
 from dynamictree.spectrum import iter_motion
 from recipes import blender_import, forest, gallery
 
@@ -194,3 +196,32 @@ def test_a_gust_reaches_a_tree_as_late_as_its_way_is_long(rng: np.random.Generat
         np.testing.assert_allclose(moved.reshape(20, 5, 3), later, atol=1e-5)
     with pytest.raises(InputError, match="speed above 0"):
         plant_forest(rng, 4, num_frequencies=4, spacing_m=7.0, gusts=replace(gusts, speed_m_s=0.0))
+
+
+def test_instanced_trees_share_motions_and_stand_where_the_others_do(planted: pygltflib.GLTF2) -> None:
+    folder = planted.path.parent
+    inputs = [str(folder / "tree.glb"), str(folder / "tree.spectrum.safetensors")]
+    output = folder / "instanced.glb"
+    forest.main([*inputs, "-o", str(output), "--trees", str(COUNT), "--motions", "3"])
+    document = pygltflib.GLTF2().load(str(output))
+    assert document.extensionsRequired == ["EXT_mesh_gpu_instancing"]
+    assert len(document.nodes) == len(document.animations[0].channels) == 3
+    named = [node.extensions["EXT_mesh_gpu_instancing"]["attributes"] for node in document.nodes]
+    places = np.concatenate([accessor(document, one["TRANSLATION"]) for one in named])
+    sizes = np.concatenate([accessor(document, one["SCALE"]) for one in named])
+    placed = np.column_stack([places, sizes[:, 0]])
+    there = np.array([[*node.translation, node.scale[0]] for node in planted.nodes])
+    np.testing.assert_allclose(placed[placed[:, 0].argsort()], there[there[:, 0].argsort()], atol=1e-5)
+    with (folder / "tree.spectrum.safetensors").open("rb") as stream:
+        wind = read_spectrum(stream).wind
+    angle = np.deg2rad(wind.direction_deg if wind else 0.0)
+    ranges = [z_up(accessor(document, one["TRANSLATION"])) @ [np.cos(angle), np.sin(angle), 0] for one in named]
+    assert all(a.max() <= b.min() for a, b in pairwise(ranges))
+    keys = [accessor(document, sampler.output) for sampler in document.animations[0].samplers]
+    assert not np.allclose(keys[0], keys[1])
+    mesh = read_mesh(io.BytesIO(output.read_bytes()), file_type="glb")
+    assert (
+        mesh.num_vertices == COUNT * accessor(document, document.meshes[0].primitives[0].attributes.POSITION).shape[0]
+    )
+    with pytest.raises(InputError, match="10 motions are asked for; 1 to 9"):
+        forest.main([*inputs, "-o", str(output), "--trees", str(COUNT), "--motions", "10"])

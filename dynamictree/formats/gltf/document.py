@@ -34,6 +34,7 @@ READ_EXTENSIONS = frozenset(
         "KHR_texture_basisu",
         "KHR_meshopt_compression",
         "KHR_texture_transform",
+        "EXT_mesh_gpu_instancing",
         "EXT_meshopt_compression",
         "EXT_texture_webp",
     }

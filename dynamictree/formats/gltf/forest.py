@@ -14,6 +14,7 @@ from dynamictree.byte_stream import ByteWriter
 from dynamictree.errors import InputError
 from dynamictree.formats.axes import up_rotation
 from dynamictree.formats.gltf.motion import clipped_targets, clipped_weights, loop_parts, loop_weights
+from dynamictree.formats.gltf.source import INSTANCING
 from dynamictree.formats.gltf.writer import VERTEX_BUFFER, GlbWriter, add_mesh
 from dynamictree.mesh import TriangleMesh
 
@@ -91,8 +92,13 @@ def write_forest_glb(
     num_frames: int,
     fps: float,
     wind_deg: float = 0.0,
+    num_motions: int | None = None,
 ) -> None:
-    """Write one period; keys as in `write_motion_glb`. `wind_deg` is where the wind blows to, from +X towards +Y."""
+    """Write one period; keys as in `write_motion_glb`. `wind_deg` is where the wind blows to, from +X towards +Y.
+
+    With `num_motions` trees that are neighbours along the wind share a motion, and are GPU instances of one node
+    (EXT_mesh_gpu_instancing), none mirrored: a renderer draws each motion once.
+    """
     writer = GlbWriter()
     rotation = up_rotation("+Y").astype(np.float32)
     foot = np.array([*mesh.vertices[:, :2].mean(axis=0), mesh.vertices[:, 2].min()], np.float32)
@@ -104,15 +110,46 @@ def write_forest_glb(
     times = (np.arange(num_frames + 1) / fps).astype(np.float32)
     clock = writer.add_accessor(times[:, None], bounds=True)
     samplers, channels = list[object](), list[object]()
-    for number, tree in enumerate(trees):
-        weights = clipped_weights(loop_weights(coefficients.shape[1], num_frames, tree.phase_rad))
+    groups = [[tree] for tree in trees] if num_motions is None else _by_motion(trees, num_motions, wind_deg)
+    for number, group in enumerate(groups):
+        middle = group[len(group) // 2]
+        weights = clipped_weights(loop_weights(coefficients.shape[1], num_frames, middle.phase_rad))
         keys = np.concatenate([weights, weights[:1]]).astype(np.float32).reshape(-1, 1)
         samplers.append({"input": clock, "output": writer.add_accessor(keys), "interpolation": "LINEAR"})
         channels.append({"sampler": number, "target": {"node": number, "path": "weights"}})
-        writer.append("nodes", {"mesh": 0, "name": f"tree_{number}", **_placed(tree, rotation, wind_deg)})
-    writer.append("scenes", {"nodes": list(range(len(trees)))})
+        if num_motions is None:
+            writer.append("nodes", {"mesh": 0, "name": f"tree_{number}", **_placed(middle, rotation, wind_deg)})
+        else:
+            placed = {"extensions": {INSTANCING: {"attributes": _instances(writer, group, rotation)}}}
+            writer.append("nodes", {"mesh": 0, "name": f"trees_{number}", **placed})
+    if num_motions is not None:
+        writer.root |= {name: [INSTANCING] for name in ("extensionsUsed", "extensionsRequired")}
+    writer.append("scenes", {"nodes": list(range(len(groups)))})
     writer.append("animations", {"name": "sway", "samplers": samplers, "channels": channels})
     writer.finish(stream)
+
+
+def _by_motion(trees: Sequence[StandingTree], num_motions: int, wind_deg: float) -> list[list[StandingTree]]:
+    """Equal groups of trees in their order along the wind.
+
+    Raises:
+        InputError: fewer than one motion, or more than trees.
+    """
+    if not 1 <= num_motions <= len(trees):
+        raise InputError(f"{num_motions} motions are asked for; 1 to {len(trees)}, the number of trees, are possible")
+    angle = np.deg2rad(wind_deg)
+    along = np.array([tree.position_m[:2] for tree in trees]) @ [np.cos(angle), np.sin(angle)]
+    return [[trees[i] for i in part] for part in np.array_split(np.argsort(along, kind="stable"), num_motions)]
+
+
+def _instances(writer: GlbWriter, trees: Sequence[StandingTree], rotation: np.ndarray) -> dict[str, int]:
+    """Accessors of places and sizes, in glTF's axes."""
+    places = np.array([tree.position_m for tree in trees]) @ rotation
+    scales = np.repeat([[tree.scale] for tree in trees], 3, axis=1)
+    return {
+        name: writer.add_accessor(values.astype(np.float32))
+        for name, values in (("TRANSLATION", places), ("SCALE", scales))
+    }
 
 
 def _placed(tree: StandingTree, rotation: np.ndarray, wind_deg: float) -> dict[str, object]:
