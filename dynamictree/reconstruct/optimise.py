@@ -1,7 +1,7 @@
 """Optimisation of Gaussians against the photos. Kerbl et al. 2023, with a schedule for two cores.
 
 Coarse to fine: the first steps see small pictures, which cost little; Mip-Splatting's filter makes what is learned
-there hold at every size. Some photos are held out; the best picture of them ends the work early.
+there hold at every size. Some photos choose: the best picture of them ends the work early.
 """
 
 from collections.abc import Callable, Sequence
@@ -64,28 +64,28 @@ class SplatProgress:
     moments: AdamState
     step: int
     pull: Pull | None = None  # since Gaussians were last made
-    best_psnr: float = -np.inf  # of the held-out photos, at full size
+    best_psnr: float = -np.inf  # of the choosing photos, at full size
     best: Float32[np.ndarray, "B P"] | None = None
     num_discarded: int = 0  # Gaussians whose gradient was not finite
-    checks: tuple[tuple[int, int, float], ...] = ()  # step, number of Gaussians, PSNR of held-out photos [dB]
+    checks: tuple[tuple[int, int, float], ...] = ()  # step, number of Gaussians, PSNR of the choosing photos [dB]
 
     @property
     def result(self) -> Float32[np.ndarray, "R P"]:
-        """Gaussians with the best PSNR of held-out photos, or the last ones."""
+        """Gaussians with the best PSNR of the choosing photos, or the last ones."""
         return self.table if self.best is None else self.best
 
 
 def optimise(
     start: SplatProgress,
     targets: Sequence[Target],
-    held_out: Sequence[Target],
+    choosing: Sequence[Target],
     schedule: Schedule,
     *,
     extent: float,
     on_step: Callable[[SplatProgress], None] = lambda progress: None,
 ) -> SplatProgress:
     """Optimise, split and prune Gaussians; `on_step` may save the state, or raise to stop."""
-    levels = _Levels(targets, held_out, schedule)
+    levels = _Levels(targets, choosing, schedule)
     pull = start.pull or Pull(len(start.table))
     progress = replace(start, pull=pull)
     while progress.step < schedule.num_steps and not _worn_out(progress, schedule):
@@ -105,7 +105,7 @@ def optimise(
             progress = replace(progress, table=table, moments=moments, pull=pull)
         if schedule.reset_at is not None and progress.step == round(schedule.reset_at * schedule.num_steps):
             fainter(progress.table, progress.moments)
-        if held_out and progress.step % schedule.check_every == 0:
+        if choosing and progress.step % schedule.check_every == 0:
             progress = _checked(progress, levels, schedule, degree)
     return progress
 
@@ -187,14 +187,14 @@ def _worn_out(progress: SplatProgress, schedule: Schedule) -> bool:
 
 
 def _checked(progress: SplatProgress, levels: "_Levels", schedule: Schedule, degree: int) -> SplatProgress:
-    psnr_db = held_out_psnr(progress.table, levels.held_out, degree)
+    psnr_db = mean_psnr(progress.table, levels.choosing, degree)
     progress = replace(progress, checks=(*progress.checks, (progress.step, len(progress.table), psnr_db)))
     if _shrink(schedule, progress.step) > 1 or psnr_db <= progress.best_psnr:
         return progress
     return replace(progress, best_psnr=psnr_db, best=progress.table.copy())
 
 
-def held_out_psnr(table: Float32[np.ndarray, "G P"], targets: Sequence[Target], sh_degree: int) -> float:
+def mean_psnr(table: Float32[np.ndarray, "G P"], targets: Sequence[Target], sh_degree: int) -> float:
     """Mean over the photos [dB]."""
     return float(np.mean([psnr(drawn(table, target, sh_degree), cut_out(target)) for target in targets]))
 
@@ -220,8 +220,8 @@ def planes_of(picture: Float32[np.ndarray, "H W 3"]) -> Float32[np.ndarray, "3 H
 class _Levels:
     """The photos at every size that is used, and which comes next: each once, then in another order."""
 
-    def __init__(self, targets: Sequence[Target], held_out: Sequence[Target], schedule: Schedule) -> None:
-        self.held_out = [smaller(target, schedule.side_px) for target in held_out]
+    def __init__(self, targets: Sequence[Target], choosing: Sequence[Target], schedule: Schedule) -> None:
+        self.choosing = [smaller(target, schedule.side_px) for target in choosing]
         sides = {1: schedule.side_px, **{by: schedule.side_px // by for _, by in schedule.coarser}}
         self._targets = {by: [smaller(target, side) for target in targets] for by, side in sides.items()}
 

@@ -153,6 +153,7 @@ def _result(
         num_gaussians=int(own.sum()),
         num_gaussians_scene=whole.num_gaussians,
         held_out=list(fit.held_out),
+        chosen_by=list(fit.chosen_by),
         held_out_psnr_db=[round(value, 2) for value in fit.psnr_db],
         held_out_masked_psnr_db=[round(value, 2) for value in fit.masked_db],
         held_out_ssim=[round(value, 4) for value in fit.ssim],

@@ -24,7 +24,8 @@ class Report(TypedDict):
     num_faces: int
     num_gaussians: int  # of the tree
     num_gaussians_scene: int
-    held_out: list[str]  # photos that the splat was not learned from
+    held_out: list[str]  # photos that the splat was not learned from and that judge it
+    chosen_by: list[str]  # photos that chose the best of its states, and are neither learned from nor held out
     held_out_psnr_db: list[float]  # of each
     held_out_masked_psnr_db: list[float]  # inside the mask; empty without masks
     held_out_ssim: list[float]

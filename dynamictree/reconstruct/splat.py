@@ -1,8 +1,12 @@
-"""Fit a splat to the photos; some are held out for validation, and the state is saved regularly."""
+"""Fit a splat to the photos, and save the state regularly.
+
+Some photos are held out and judge the result; others, which are not learned from either, choose the best state of it.
+"""
 
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +32,7 @@ from dynamictree.reconstruct.views import SparseModel, View
 START_GAUSSIANS = 25_000
 _INSIDE = 0.5  # alpha
 _ONE_IN = 8  # photos is held out, and two at least
+_CHOOSES_ONE_IN = 16  # and one at least
 _SAVE_EVERY_S, _REPORT_EVERY_S = 20.0, 0.25
 
 
@@ -37,6 +42,7 @@ class SplatFit:
 
     table: Float32[np.ndarray, "G P"]
     held_out: tuple[str, ...]  # photos, by their own names
+    chosen_by: tuple[str, ...]  # photos that chose the best state
     psnr_db: tuple[float, ...]  # of each of them
     masked_db: tuple[float, ...]  # PSNR inside the mask; none without masks
     ssim: tuple[float, ...]
@@ -45,13 +51,21 @@ class SplatFit:
     size_px: tuple[int, int]  # width and height of the first
     num_steps: int
     num_discarded: int  # Gaussians whose gradient was not finite
-    checks: tuple[tuple[int, int, float], ...]
+    checks: tuple[tuple[int, int, float], ...]  # by the photos that choose
 
 
 def held_out_views(number: int) -> list[int]:
     """Every eighth of the photos and at least two, spread over the walk, neither the first nor the last."""
     count = max(2, number // _ONE_IN)
     return [int((place + 0.5) * number / count) for place in range(count)]
+
+
+def choosing_views(number: int) -> list[int]:
+    """One in 16 of the photos and at least one, each in the middle between two that are held out."""
+    held_out = held_out_views(number)
+    between = [(first + second) // 2 for first, second in pairwise(held_out)]
+    count = min(max(1, number // _CHOOSES_ONE_IN), len(between))
+    return [between[int((place + 0.5) * len(between) / count)] for place in range(count)]
 
 
 def fit_splat(
@@ -62,18 +76,19 @@ def fit_splat(
     saved: Path | None = None,
     on_progress: Callable[[float, float | None], None] = lambda share, psnr_db: None,
 ) -> SplatFit:
-    """Fit Gaussians to all photos but those held out, which only decide when to stop.
+    """Fit Gaussians to all photos but those that choose the best state, and those held out, which judge it.
 
     Args:
         model: in the stage's frame.
-        depths: of the same views, where stereo has some; those of the held-out photos are not used.
+        depths: of the same views, where stereo has some; only those of photos that are learned from are used.
         schedule: how long and how fine.
         saved: a file for the state, every 20 s and when `on_progress` raises; the run continues from it if it exists.
-        on_progress: gets the share that is done and the PSNR [dB] of held-out photos at the last check, every quarter
-            of a second; what it raises passes through.
+        on_progress: gets the share that is done and the PSNR [dB] of the choosing photos at the last check, every
+            quarter of a second; what it raises passes through.
     """
     held_out_rows = held_out_views(len(model.views))
-    learned = [view for view in range(len(model.views)) if view not in held_out_rows]
+    choosing_rows = choosing_views(len(model.views))
+    learned = [view for view in range(len(model.views)) if view not in {*held_out_rows, *choosing_rows}]
     cut = any(view.alpha is not None for view in model.views)
     table = first_table(
         _some_views(model, learned),
@@ -104,11 +119,12 @@ def fit_splat(
                 raise
 
     targets = [_target(model.views[view], None if depths is None else depths.depths[view]) for view in learned]
-    unseen = [_target(model.views[view], None) for view in held_out_rows]
-    end = optimise(start, targets, unseen, schedule, extent=camera_extent(model.views), on_step=step)
+    choosing = [_target(model.views[view], None) for view in choosing_rows]
+    end = optimise(start, targets, choosing, schedule, extent=camera_extent(model.views), on_step=step)
     if saved is not None:
         save_progress(end, saved)
-    return _judged(end, [model.views[view] for view in held_out_rows], unseen, schedule)
+    fit = _judged(end, [model.views[view] for view in held_out_rows], schedule)
+    return replace(fit, chosen_by=tuple(model.views[view].source for view in choosing_rows))
 
 
 def camera_extent(views: Sequence[View]) -> float:
@@ -117,14 +133,15 @@ def camera_extent(views: Sequence[View]) -> float:
     return 1.1 * float(np.linalg.norm(positions - positions.mean(axis=0), axis=1).max())
 
 
-def _judged(end: SplatProgress, views: list[View], unseen: list[Target], schedule: Schedule) -> SplatFit:
-    targets = [smaller(target, schedule.side_px) for target in unseen]
+def _judged(end: SplatProgress, views: list[View], schedule: Schedule) -> SplatFit:
+    targets = [smaller(_target(view, None), schedule.side_px) for view in views]
     pictures = [drawn(end.result, target, schedule.sh_degree) for target in targets]
     photos = [cut_out(target) for target in targets]
     pairs = [np.concatenate([photo, picture], axis=1) for photo, picture in zip(photos, pictures, strict=True)]
     return SplatFit(
         table=end.result,
         held_out=tuple(view.source for view in views),
+        chosen_by=(),
         psnr_db=tuple(psnr(picture, photo) for picture, photo in zip(pictures, photos, strict=True)),
         masked_db=tuple(
             psnr(picture[target.alpha > _INSIDE], photo[target.alpha > _INSIDE])

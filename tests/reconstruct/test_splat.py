@@ -15,7 +15,7 @@ from dynamictree.reconstruct.densify import DensityRules, densified, fainter
 from dynamictree.reconstruct.gradient import gradients_of
 from dynamictree.reconstruct.optimise import Schedule, SplatProgress
 from dynamictree.reconstruct.picture_loss import picture_loss, psnr, ssim
-from dynamictree.reconstruct.splat import fit_splat, held_out_views
+from dynamictree.reconstruct.splat import choosing_views, fit_splat, held_out_views
 from dynamictree.reconstruct.splat_start import thinned
 from dynamictree.reconstruct.splat_table import LOG_SCALE, LOGIT, MEAN, cloud_of, table_of_points
 from dynamictree.reconstruct.views import SparseModel, View
@@ -48,7 +48,27 @@ def test_a_splat_learns_to_show_photos_that_it_was_not_shown(orbit, rng):
     assert np.mean(fit.psnr_db) > np.mean(fit.blank_db) + 5
     assert fit.masked_db == ()
     assert 0.3 < min(fit.ssim) <= max(fit.ssim) < 1
-    assert max(value for *_, value in fit.checks if np.isfinite(value)) == pytest.approx(np.mean(fit.psnr_db), abs=0.01)
+    assert fit.chosen_by == ("photo_06.jpg",)
+
+
+def test_the_photos_that_judge_have_no_say_in_the_result(orbit, rng):
+    model, schedule = small_model(orbit, rng), replace(SMALL, num_steps=40, check_every=8)
+    fit = fit_splat(model, None, schedule)
+    noise = [
+        replace(view, image=rng.integers(0, 256, view.image.shape, np.uint8)) if view.source in fit.held_out else view
+        for view in model.views
+    ]
+    other = fit_splat(replace(model, views=tuple(noise)), None, schedule)
+    np.testing.assert_array_equal(other.table, fit.table)
+    assert np.mean(other.psnr_db) < np.mean(fit.psnr_db) - 1
+
+
+@pytest.mark.parametrize("number", [8, 9, 16, 40, 300])
+def test_photos_that_choose_are_neither_learned_nor_judge(number):
+    choosing, judging = choosing_views(number), held_out_views(number)
+    assert len(set(choosing)) == len(choosing) == max(1, number // 16)
+    assert not set(choosing) & set(judging)
+    assert len(choosing) + len(judging) <= 0.4 * number
 
 
 @pytest.mark.slow
