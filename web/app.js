@@ -103,11 +103,11 @@ function onMotion(tree, spectrum, job) {
 }
 
 function onDraft(height) {
-  fill($("height-note"), text("draft.height", { height: length(height), person: length(1.75) }));
+  const words = height === null ? "" : text("draft.height", { height: length(height), person: length(1.75) });
+  fill($("height-note"), words);
 }
 
 function onClear() {
-  fill($("height-note"), "");
   hideProblem();
   hand.leave();
   player.stop();

@@ -11,7 +11,7 @@ const MOST_PHOTOS = 24;
 export class Scene {
   /**
    * `onMotion(tree, spectrum, job)` is called once there is a tree that moves, `onComplete()` with all of its
-   * files, `onDraft(height_m)` once what was dropped is drawn.
+   * files, `onDraft(height_m)` once what was dropped is drawn, null when it goes.
    */
   constructor(
     stage,
@@ -60,6 +60,7 @@ export class Scene {
     this.draft.dispose();
     this.draft = null;
     this.person.show(false, 1);
+    this.onDraft(null);
   }
 
   /** What was uploaded, at rest. */
