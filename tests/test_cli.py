@@ -56,7 +56,7 @@ def leaves(command: Any, name: str = "") -> Iterator[tuple[str, Any]]:
 def test_animate_writes_every_product_and_says_so_in_json(tree: Path, tmp_path: Path) -> None:
     options = ["-o", str(tmp_path / "out"), "--format", "ply,glb,motion,png", "--num-steps", "1", "--json"]
     command = [sys.executable, "-m", "dynamictree.cli", "animate", str(tree), *options]
-    answer = subprocess.run(command, check=False, capture_output=True, text=True, timeout=170)
+    answer = subprocess.run(command, check=False, capture_output=True, text=True, timeout=600)
     assert answer.returncode == 0, answer.stderr
     files = {Path(name).name for name in json.loads(answer.stdout)["files"]}
     assert files == {"motion.ply.zip", "tree.glb", "motion.safetensors", "preview.png", "tree.spectrum.safetensors"}
