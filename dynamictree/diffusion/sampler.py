@@ -60,7 +60,7 @@ def sample_ddim(
     schedule: NoiseSchedule,
     *,
     num_steps: int = 100,
-    clip: float | None = None,
+    limit: Callable[[Tensor], Tensor] | None = None,
     on_step: Callable[[int, int], None] | None = None,
 ) -> Float[Tensor, "..."]:
     """DDIM, deterministic (η = 0), evenly spaced. Song et al. 2021, arXiv 2010.02502, eq. 12; 100 steps in the paper.
@@ -70,7 +70,7 @@ def sample_ddim(
         start: unit noise.
         schedule: what the network was trained with.
         num_steps: of the schedule's steps, evenly spaced, the last included.
-        clip: bound on the clean signal that a step implies: at high noise it is an amplified error.
+        limit: applied to the clean signal that a step implies: at high noise it is an error of ε divided by √ᾱ.
         on_step: called with the steps done and their number.
     """
     steps = torch.linspace(len(schedule.alpha_bar) - 1, 0, num_steps).round().long().tolist()
@@ -80,8 +80,8 @@ def sample_ddim(
         next_alpha_bar = schedule.alpha_bar[steps[index + 1]] if index + 1 < num_steps else torch.ones_like(alpha_bar)
         noise = predict_noise(signal, step)
         clean = (signal - (1 - alpha_bar).sqrt() * noise) / alpha_bar.sqrt()
-        if clip is not None:
-            clean = clean.clamp(-clip, clip)
+        if limit is not None:
+            clean = limit(clean)
             noise = (signal - alpha_bar.sqrt() * clean) / (1 - alpha_bar).sqrt()
         signal = next_alpha_bar.sqrt() * clean + (1 - next_alpha_bar).sqrt() * noise
         if on_step is not None:

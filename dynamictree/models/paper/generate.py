@@ -161,7 +161,19 @@ class PaperModel:
             return torch.cat(predicted, dim=1)
 
         noise = start.contiguous().to(device)
-        return sample_ddim(predict_noise, noise, schedule, num_steps=num_steps, clip=CLIP, on_step=on_step)
+        return sample_ddim(
+            predict_noise, noise, schedule, num_steps=num_steps, limit=at_most_unit_size, on_step=on_step
+        )
+
+
+def at_most_unit_size(clean: Float32[Tensor, "V J 6"]) -> Float32[Tensor, "V J 6"]:
+    """Scale each frequency down to a root mean square of 1, which the data have, and clamp to CLIP.
+
+    The expected clean signal is never larger than the data. Without this the first steps, where an error of ε is
+    divided by √ᾱ = 0.006, end at CLIP everywhere, and later steps do not come back from there.
+    """
+    size = clean.square().mean(dim=(0, 2), keepdim=True).sqrt()
+    return (clean / size.clamp(min=1)).clamp(-CLIP, CLIP)
 
 
 def _complex_rows(channels: Float32[Tensor, "V K 6"]) -> Complex64[np.ndarray, "V K 3"]:

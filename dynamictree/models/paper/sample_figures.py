@@ -9,7 +9,7 @@ from dynamictree.diffusion.channels import pack_channels
 from dynamictree.diffusion.sampler import sample_ddim
 from dynamictree.diffusion.schedule import linear_schedule
 from dynamictree.models.paper.examples import PaperExample, batch_of
-from dynamictree.models.paper.generate import CLIP
+from dynamictree.models.paper.generate import at_most_unit_size
 from dynamictree.models.paper.loss import batch_noise
 from dynamictree.models.paper.network import PaperNetwork
 
@@ -29,7 +29,9 @@ def sample_figures(network: nn.Module, example: PaperExample, *, num_steps: int,
         return noise
 
     start = batch_noise(network, batch, bins[None], torch.Generator().manual_seed(seed)).to(device)
-    drawn = sample_ddim(predict_noise, start, linear_schedule().to(device), num_steps=num_steps, clip=CLIP)
+    drawn = sample_ddim(
+        predict_noise, start, linear_schedule().to(device), num_steps=num_steps, limit=at_most_unit_size
+    )
     drawn = drawn * network.frequency_sizes[1:, None]
     rough = [roughness(one, batch.neighbours) for one in (drawn, truth)]
     power = [one.square().sum(dim=(1, 2)) for one in (drawn, truth)]

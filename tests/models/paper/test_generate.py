@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 import torch
 
+from dynamictree.diffusion.sampler import sample_ddim
+from dynamictree.diffusion.schedule import linear_schedule
 from dynamictree.errors import Cancelled, InputError
 from dynamictree.models.paper import generate
-from dynamictree.models.paper.generate import PaperModel
+from dynamictree.models.paper.generate import PaperModel, at_most_unit_size
 from dynamictree.models.paper.network import PaperNetwork, PaperPreset
 from dynamictree.models.paper.unet import UNetShape
 from dynamictree.spectrum import Wind
@@ -82,3 +84,13 @@ def test_a_step_may_cancel_and_bad_requests_are_refused(model: PaperModel, voxel
     coarse = SurfaceVoxels(grid=grid, normals=np.zeros((len(grid), 3), np.float32))
     with pytest.raises(InputError, match="accepts 128, 256 and 512"):
         model.generate(coarse, wind=WIND, seed=0)
+
+
+def test_what_is_drawn_is_of_the_datas_size_however_wrong_the_network_is() -> None:
+    """An error of ε is divided by √ᾱ at the first steps; it does not stay in the sample."""
+    generator = torch.Generator().manual_seed(0)
+    start, error = torch.randn(2, 50, 3, 6, generator=generator)
+    drawn = sample_ddim(
+        lambda noisy, step: noisy + 0.3 * error, start, linear_schedule(), num_steps=20, limit=at_most_unit_size
+    )
+    assert drawn.square().mean(dim=(0, 2)).max() <= 1 + 1e-5
