@@ -95,6 +95,7 @@ READERS: dict[str, Callable[[bytes], object]] = {
     "splat": cloud("splat"),
     "spz": cloud("spz"),
     "las": cloud("las"),
+    "pcd": cloud("pcd"),
     "xyz": cloud("xyz"),
     "khr-glb": cloud("glb"),
     "spectrum": tensors(read_spectrum),

@@ -87,6 +87,15 @@ def las(*, packed: bool) -> bytes:
     return stream.getvalue()
 
 
+def pcd(*, packed: bool) -> bytes:
+    points = np.random.default_rng(5).uniform(0, 5, (60, 3)).astype("<f4")
+    head = "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 60\nHEIGHT 1\n"
+    head += "VIEWPOINT 0 0 0 1 0 0 0\nPOINTS 60\nDATA "
+    if packed:
+        return head.encode() + b"binary\n" + points.tobytes()
+    return (head + "ascii\n" + "".join("{:.4f} {:.4f} {:.4f}\n".format(*row) for row in points.tolist())).encode()
+
+
 def xyz(separator: str = " ") -> bytes:
     points = np.random.default_rng(4).uniform(0, 5, (60, 6))
     return "\n".join(separator.join(f"{value:.3f}" for value in row) for row in points).encode()
@@ -172,6 +181,7 @@ def seeds() -> dict[str, list[bytes]]:
         "splat": [written(write_splat, cloud(0))],
         "spz": [written(write_spz, cloud(0)), written(write_spz, cloud(3)), spz4()],
         "las": [las(packed=False), las(packed=True)],
+        "pcd": [pcd(packed=False), pcd(packed=True)],
         "xyz": [xyz(), xyz(", "), b"x y z\n" + xyz("\t")],
         "khr-glb": [written(write_gltf_gaussian, cloud(1))],
         "spectrum": [spectrum()],
