@@ -75,3 +75,10 @@ def test_damaged_files_are_refused(content: bytes, advice: str) -> None:
 def test_too_many_points_are_refused_before_memory_is_taken() -> None:
     with pytest.raises(InputError, match="at most"):
         read_cloud(io.BytesIO(pcd("binary").replace(b"POINTS 50", b"POINTS 50000000000")), file_type="pcd")
+
+
+def test_a_colour_of_several_numbers_is_none() -> None:
+    content = pcd("binary", padded=True, size=3).replace(b"FIELDS x y z _ rgb", b"FIELDS x y z rgb _")
+    with_colors = read_cloud(io.BytesIO(content), file_type="pcd")
+    without = read_cloud(io.BytesIO(content.replace(b"z rgb _", b"z rg_ __")), file_type="pcd")
+    np.testing.assert_array_equal(with_colors.sh, without.sh)
