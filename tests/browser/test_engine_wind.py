@@ -16,19 +16,15 @@ from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.export.write import write_products
 from dynamictree.modal.turbulence import iter_turbulent_motion, turbulent_wind
 from dynamictree.requests import ExportParams
+from tests.browser.shaders import COMPILER
 
-RUN = """
+RUN = (
+    """
 async ([module, width, height, texels, lookup, times]) => {
   const { wind } = await import(URL.createObjectURL(new Blob([module], { type: "text/javascript" })));
-  const gl = document.createElement("canvas").getContext("webgl2");
-  const compile = (type, text) => {
-    const shader = gl.createShader(type);
-    gl.shaderSource(shader, "#version 300 es\\nprecision highp float;\\n" + text);
-    gl.compileShader(shader);
-    if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS)) throw new Error(gl.getShaderInfoLog(shader));
-    return shader;
-  };
-  const program = gl.createProgram();
+"""
+    + COMPILER
+    + """  const program = gl.createProgram();
   const main = "in vec2 at; uniform float t; out vec3 moved; void main() { moved = wind(at, t); }";
   gl.attachShader(program, compile(gl.VERTEX_SHADER, "#define ROW(v) (v)\\n" + wind + main));
   gl.attachShader(program, compile(gl.FRAGMENT_SHADER, "out vec4 c; void main() { c = vec4(1.0); }"));
@@ -58,6 +54,7 @@ async ([module, width, height, texels, lookup, times]) => {
   });
 }
 """
+)
 
 
 @pytest.mark.slow

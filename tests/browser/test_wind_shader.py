@@ -8,20 +8,16 @@ import pytest
 from playwright.sync_api import Browser
 
 from dynamictree.modal.turbulence import Wave, turbulent_wind
+from tests.browser.shaders import COMPILER
 from tests.modal.conftest import rod_spectrum
 
 DOCS = Path(__file__).parents[2] / "docs" / "engines.md"
-RUN = """
+RUN = (
+    """
 ([source, partial, gust, bound, times]) => {
-  const gl = document.createElement("canvas").getContext("webgl2");
-  const compile = (type, text) => {
-    const shader = gl.createShader(type);
-    gl.shaderSource(shader, "#version 300 es\\nprecision highp float;\\n" + text);
-    gl.compileShader(shader);
-    if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS)) throw new Error(gl.getShaderInfoLog(shader));
-    return shader;
-  };
-  const program = gl.createProgram();
+"""
+    + COMPILER
+    + """  const program = gl.createProgram();
   const main = source + "uniform float t; out vec2 q; void main() { q = coordinate(gl_VertexID + 1, t); }";
   gl.attachShader(program, compile(gl.VERTEX_SHADER, main));
   gl.attachShader(program, compile(gl.FRAGMENT_SHADER, "out vec4 c; void main() { c = vec4(1.0); }"));
@@ -45,6 +41,7 @@ RUN = """
   });
 }
 """
+)
 
 
 @pytest.mark.slow
