@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from dynamictree.formats.gltf.writer import linear_colors
-from dynamictree.formats.motion.usdz import write_usdz
+from dynamictree.formats.motion.usdz import pack_usdz
 from dynamictree.mesh import Material, TriangleMesh
 
 _ROOT, _SURFACE, _LOOKS = "/Tree", "/Tree/Surface", "/Tree/Looks"
@@ -26,7 +26,7 @@ def write_motion_usdz(
         textures = _texture_files(mesh, Path(folder))
         layer = Path(folder) / "tree.usdc"
         _write_layer(mesh, frames, layer, fps, textures)
-        write_usdz([layer, *(Path(folder) / name for name in textures.values())], stream)
+        pack_usdz([layer, *(Path(folder) / name for name in textures.values())], stream)
 
 
 def _texture_files(mesh: TriangleMesh, folder: Path) -> dict[int, str]:

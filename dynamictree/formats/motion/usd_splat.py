@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from dynamictree.errors import InputError
-from dynamictree.formats.motion.usdz import write_usdz
+from dynamictree.formats.motion.usdz import pack_usdz
 from dynamictree.gaussian.animate import iter_poses
 from dynamictree.gaussian.binding import Binding
 from dynamictree.gaussian.cloud import MAX_SEQUENCE_BYTES
@@ -64,4 +64,4 @@ def write_splat_usdz(
         stage.SetStartTimeCode(0)
         stage.SetEndTimeCode(frame)
         stage.GetRootLayer().Save()
-        write_usdz([layer], stream)
+        pack_usdz([layer], stream)

@@ -9,7 +9,7 @@ from typing import BinaryIO
 NO_TIME_S = 315_576_000  # 1 January 1980 at noon: the first day that a ZIP can name
 
 
-def write_usdz(files: Sequence[Path], stream: BinaryIO) -> None:
+def pack_usdz(files: Sequence[Path], stream: BinaryIO) -> None:
     """Pack files of one folder, the layer first, under their own names; their times of change are set to 1980."""
     from pxr import Sdf
 
