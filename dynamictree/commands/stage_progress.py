@@ -69,7 +69,7 @@ def _event(progress: Progress, eta_s: float | None) -> str:
 def _line(progress: Progress, eta_s: float | None) -> str:
     notes = [f"{progress.stage}: {100 * progress.share:.0f} %"]
     if progress.psnr_db is not None:
-        notes.append(f"{progress.psnr_db:.1f} dB in photos that choose")
+        notes.append(f"{progress.psnr_db:.1f} dB in photos not learned from")
     if eta_s is not None and progress.share < 1:
         notes.append(f"about {eta_s:.0f} s left")
     return ", ".join(notes)
