@@ -159,6 +159,7 @@ def test_a_recorded_loop_closes_and_a_picture_has_all_pixels(
     assert picture.shape[2] == 4
     assert picture[..., 3].min() == 255, "the sky is missing"
     assert picture[..., :3].std() > 10
+    page.locator("summary", has=page.locator("#h-light")).click()
     page.locator("#ground").uncheck()
     with page.expect_download() as saved:
         page.locator("#save-picture").click()
