@@ -67,9 +67,26 @@ def role(process: psutil.Process) -> str:
     return "serve" if "dynamictree.cli" in words else "other"
 
 
+def anonymous_bytes(pid: int) -> int:
+    """Memory of a process that no file backs, swapped parts included.
+
+    A process's private pages (USS) jump by the size of torch's libraries, about 120 MiB, when another process maps the
+    same files or no longer does.
+
+    Raises:
+        psutil.NoSuchProcess: it has ended.
+    """
+    try:
+        lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()[1:]
+    except (FileNotFoundError, ProcessLookupError) as error:
+        raise psutil.NoSuchProcess(pid) from error
+    kib = {line.split(":")[0]: int(line.split()[1]) for line in lines}
+    return 1024 * (kib["Anonymous"] + kib["Swap"])
+
+
 @dataclass(kw_only=True)
 class Scales:
-    """Memory of every role over time. USS where it can be read: what ends with the process."""
+    """Anonymous memory of every role over time."""
 
     at_s: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
     mib: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
@@ -83,7 +100,7 @@ class Scales:
                 if name in ("parser", "other"):
                     continue
                 self.at_s[name].append(now_s)
-                self.mib[name].append(process.memory_full_info().uss / 2**20)
+                self.mib[name].append(anonymous_bytes(process.pid) / 2**20)
                 self.files[name].append(process.num_fds())
 
     def slopes(self, until_s: float) -> dict[str, dict[str, float]]:
