@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 PRESETS = ("small", "paper", "paper-small")
 DEVICES = ("auto", "cpu", "cuda")
+PREDICTIONS = ("noise", "velocity")
 MAX = 10_000_000
 
 
@@ -70,6 +71,10 @@ def train(
         list[str] | None,
         typer.Option(help="Paper: what to add to the paper's recipe: wind, amplitude, stems, noise; may be repeated."),
     ] = None,
+    predict: Annotated[
+        str | None,
+        typer.Option(help=f"Paper: {' or '.join(PREDICTIONS)}, what the network predicts; the preset's if not given."),
+    ] = None,
     workers: Annotated[int, typer.Option(min=0, max=256, help="Paper: processes that load trees.")] = 0,
     bf16: Annotated[bool | None, typer.Option(help="Multiply in bfloat16; the preset's if not given.")] = None,
     device: Annotated[str, typer.Option(help=f"{', '.join(DEVICES)}; small trains on the CPU.")] = "auto",
@@ -84,6 +89,8 @@ def train(
         raise InputError(f"there is no training for preset {preset!r}; choose {' or '.join(PRESETS)}")
     if device not in DEVICES:
         raise InputError(f"there is no device {device!r}; choose {', '.join(DEVICES)}")
+    if predict not in (None, *PREDICTIONS):
+        raise InputError(f"no network predicts {predict!r}; choose {' or '.join(PREDICTIONS)}")
     plan: SmallTraining | PaperTraining
     if preset == "small":
         numbers = foliage_steps, amplitude_steps, denoiser_steps
@@ -97,6 +104,7 @@ def train(
             width,
             resolution,
             add or [],
+            predict,
             num_steps=steps,
             smoothness_from=smoothness_from,
             smoothness_weight=smoothness_weight,
@@ -149,7 +157,12 @@ def _small_training(
 
 
 def _paper_training(
-    preset: str, width: int | None, resolution: int | None, additions: list[str], **changes: int | float | None
+    preset: str,
+    width: int | None,
+    resolution: int | None,
+    additions: list[str],
+    predict: str | None,
+    **changes: int | float | None,
 ) -> "PaperTraining":
     from dynamictree.errors import InputError
     from dynamictree.models.paper.network import paper_preset, with_additions
@@ -163,6 +176,8 @@ def _paper_training(
         plain = PaperTraining(preset=paper_preset(width or 128, resolution or 128))
     chosen = {name: value for name, value in changes.items() if value is not None}
     network = with_additions(plain.preset, additions)
+    if predict is not None:
+        network = replace(network, prediction=predict)  # type: ignore[arg-type]
     return replace(plain, preset=network, time_shifts="amplitude" in additions, **chosen)  # type: ignore[arg-type]
 
 

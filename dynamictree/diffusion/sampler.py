@@ -55,22 +55,20 @@ def sample_dpm_multistep(
 
 
 def sample_ddim(
-    predict_noise: Callable[[Tensor, int], Tensor],
+    predict_clean: Callable[[Tensor, int], Tensor],
     start: Float[Tensor, "..."],
     schedule: NoiseSchedule,
     *,
     num_steps: int = 100,
-    limit: Callable[[Tensor], Tensor] | None = None,
     on_step: Callable[[int, int], None] | None = None,
 ) -> Float[Tensor, "..."]:
     """DDIM, deterministic (η = 0), evenly spaced. Song et al. 2021, arXiv 2010.02502, eq. 12; 100 steps in the paper.
 
     Args:
-        predict_noise: ε of a noisy signal and the index of its step.
+        predict_clean: expected clean signal, from the noisy one and the index of its step, see `predicted_clean`.
         start: unit noise.
         schedule: what the network was trained with.
         num_steps: of the schedule's steps, evenly spaced, the last included.
-        limit: applied to the clean signal that a step implies: at high noise it is an error of ε divided by √ᾱ.
         on_step: called with the steps done and their number.
     """
     steps = torch.linspace(len(schedule.alpha_bar) - 1, 0, num_steps).round().long().tolist()
@@ -78,11 +76,8 @@ def sample_ddim(
     for index, step in enumerate(steps):
         alpha_bar = schedule.alpha_bar[step]
         next_alpha_bar = schedule.alpha_bar[steps[index + 1]] if index + 1 < num_steps else torch.ones_like(alpha_bar)
-        noise = predict_noise(signal, step)
-        clean = (signal - (1 - alpha_bar).sqrt() * noise) / alpha_bar.sqrt()
-        if limit is not None:
-            clean = limit(clean)
-            noise = (signal - alpha_bar.sqrt() * clean) / (1 - alpha_bar).sqrt()
+        clean = predict_clean(signal, step)
+        noise = (signal - alpha_bar.sqrt() * clean) / (1 - alpha_bar).sqrt()
         signal = next_alpha_bar.sqrt() * clean + (1 - next_alpha_bar).sqrt() * noise
         if on_step is not None:
             on_step(index + 1, num_steps)

@@ -6,6 +6,8 @@ import torch
 from jaxtyping import Float32
 from torch import Tensor
 
+from dynamictree.diffusion.prediction import Prediction
+
 NUM_STEPS = 1000
 BETAS = (1e-4, 0.02)  # Ho et al. 2020, and XCube
 
@@ -27,8 +29,15 @@ def linear_schedule(num_steps: int = NUM_STEPS) -> NoiseSchedule:
     return NoiseSchedule(alpha_bar=(1 - betas).cumprod(dim=0).float())
 
 
-def predicted_clean(
-    noisy: Float32[Tensor, "*batch C"], noise: Float32[Tensor, "*batch C"], alpha_bar: Float32[Tensor, "*batch 1"]
-) -> Float32[Tensor, "*batch C"]:
-    """The signal that a predicted noise implies: (x − √(1 − ᾱ) ε) / √ᾱ."""
-    return (noisy - (1 - alpha_bar).sqrt() * noise) / alpha_bar.sqrt()
+def zero_terminal(schedule: NoiseSchedule) -> NoiseSchedule:
+    """The same with nothing of the signal at the last step, which is what sampling starts from.
+
+    √ᾱ is shifted and scaled, and the first step stays as it is. Lin et al. 2023, arXiv 2305.08891, algorithm 1.
+    """
+    root = schedule.alpha_bar.sqrt()
+    return NoiseSchedule(alpha_bar=((root - root[-1]) * root[0] / (root[0] - root[-1])).square())
+
+
+def schedule_of(prediction: Prediction) -> NoiseSchedule:
+    """The linear schedule; for velocity with a last step of noise alone, of which ε could say nothing."""
+    return linear_schedule() if prediction == "noise" else zero_terminal(linear_schedule())

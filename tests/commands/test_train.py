@@ -69,6 +69,9 @@ def test_a_dry_run_prints_the_resolved_run_and_does_nothing(commands: Typer, tmp
     assert (paper["num_steps"], paper["smoothness_from"]) == (70_000, 40_000)
     assert (paper["batch_size"], paper["micro_trees"]) == (48, 4)
     assert paper["preset"]["encoder_widths"] == [32, 64, 128]
+    assert paper["preset"]["prediction"] == "noise"
+    changed = CliRunner().invoke(commands, [*arguments, "--preset", "paper", "--predict", "velocity"]).stdout
+    assert json.loads(changed)["preset"]["prediction"] == "velocity"
     assert not (tmp_path / "run").exists()
 
 
@@ -76,6 +79,8 @@ def test_an_unknown_preset_is_refused(commands: Typer, tmp_path: Path) -> None:
     result = CliRunner().invoke(commands, ["train", str(tmp_path), "--dataset", str(tmp_path), "--preset", "huge"])
     assert isinstance(result.exception, InputError)
     assert "'huge'" in str(result.exception)
+    other = CliRunner().invoke(commands, ["train", str(tmp_path), "--dataset", str(tmp_path), "--predict", "x"])
+    assert "no network predicts 'x'" in str(other.exception)
 
 
 def test_a_folder_without_shards_is_refused_and_too_few_trees_are(

@@ -10,9 +10,10 @@ from torch import Tensor
 
 from dynamictree.diffusion.channels import CHANNELS, unpack_channels
 from dynamictree.diffusion.sampler import sample_ddim
-from dynamictree.diffusion.schedule import linear_schedule
+from dynamictree.diffusion.schedule import schedule_of
 from dynamictree.errors import InputError
 from dynamictree.models.motion_model import OnStep, check_request
+from dynamictree.models.paper.denoise import denoise
 from dynamictree.models.paper.examples import unit_positions, wind_sizes
 from dynamictree.models.paper.network import PaperInputs, PaperNetwork
 from dynamictree.models.small.features import node_features
@@ -33,8 +34,6 @@ BAND = 8
 MAX_ACTIVATIONS = 4_000_000
 """Values in one layer of the U-Net's first level that a band of frequencies may have."""
 MAX_VOXELS = 150_000  # of the spectrum's grid
-CLIP = 8.0
-"""Bound on the spectrum of unit size that a step of DDIM implies: 98 % of the data's energy lies below it."""
 
 
 class PaperModel:
@@ -145,35 +144,21 @@ class PaperModel:
     ) -> Float32[Tensor, "V J 6"]:
         """Spectra of unit size at some frequencies. These do not see one another: bands of them run on all cores."""
         device = self.network.frequency_sizes.device
-        inputs, schedule = inputs.to(device), linear_schedule().to(device)
+        inputs, schedule = inputs.to(device), schedule_of(self.network.preset.prediction).to(device)
         condition = self.network.condition(inputs)
         band = max(1, MAX_ACTIVATIONS // (len(condition) * self.network.preset.unet.base))
         bands = torch.split(torch.arange(len(bins)), min(band, BAND) if device.type == "cpu" else band)
 
         def predict_band(noisy: Tensor, step: int, band: Tensor) -> Tensor:
-            own = bins[band][None].to(device)
-            predicted: Tensor = self.network(noisy[:, band], torch.full_like(own, step), own, condition, inputs)
-            return predicted
+            return denoise(self.network, noisy[:, band], step, bins[band].to(device), condition, inputs, schedule)
 
-        def predict_noise(noisy: Tensor, step: int) -> Tensor:
+        def predict_clean(noisy: Tensor, step: int) -> Tensor:
             calls = [partial(predict_band, noisy, step, one) for one in bands]
             predicted = run_on_cores(calls) if device.type == "cpu" else [call() for call in calls]
             return torch.cat(predicted, dim=1)
 
         noise = start.contiguous().to(device)
-        return sample_ddim(
-            predict_noise, noise, schedule, num_steps=num_steps, limit=at_most_unit_size, on_step=on_step
-        )
-
-
-def at_most_unit_size(clean: Float32[Tensor, "V J 6"]) -> Float32[Tensor, "V J 6"]:
-    """Scale each frequency down to a root mean square of 1, which the data have, and clamp to CLIP.
-
-    The expected clean signal is never larger than the data. Without this the first steps, where an error of ε is
-    divided by √ᾱ = 0.006, end at CLIP everywhere, and later steps do not come back from there.
-    """
-    size = clean.square().mean(dim=(0, 2), keepdim=True).sqrt()
-    return (clean / size.clamp(min=1)).clamp(-CLIP, CLIP)
+        return sample_ddim(predict_clean, noise, schedule, num_steps=num_steps, on_step=on_step)
 
 
 def _complex_rows(channels: Float32[Tensor, "V K 6"]) -> Complex64[np.ndarray, "V K 3"]:

@@ -5,8 +5,9 @@ from jaxtyping import Float32, Int64
 from torch import Tensor
 
 from dynamictree.diffusion.channels import CHANNELS
-from dynamictree.diffusion.loss import LocalSmoothness, local_smoothness, noise_loss
-from dynamictree.diffusion.schedule import NoiseSchedule, predicted_clean
+from dynamictree.diffusion.loss import LocalSmoothness, local_smoothness, prediction_loss
+from dynamictree.diffusion.prediction import predicted_clean, prediction_target
+from dynamictree.diffusion.schedule import NoiseSchedule
 from dynamictree.models.paper.examples import PaperBatch
 from dynamictree.models.paper.network import PaperNetwork
 
@@ -22,9 +23,9 @@ def paper_loss(
     smoothness: LocalSmoothness | None,
     smoothness_weight: float = 1.0,
 ) -> Float32[Tensor, ""]:
-    """L_DM, and with `smoothness` also L_LSS of the clean spectrum that the predicted noise implies.
+    """L_DM, and with `smoothness` also L_LSS of the clean spectrum that the prediction implies.
 
-    L_LSS is weighted by ᾱ: at high noise the implied spectrum is an amplified error.
+    L_LSS is weighted by ᾱ: at high noise the spectrum that ε implies is an amplified error.
 
     Args:
         network: in training.
@@ -42,9 +43,11 @@ def paper_loss(
     alpha_bar = schedule.alpha_bar[step][sample][..., None]  # [V, J, 1]
     noisy = alpha_bar.sqrt() * clean + (1 - alpha_bar).sqrt() * noise
     predicted = network(noisy, step, frequency, network.condition(batch.inputs), batch.inputs).float()
-    loss = noise_loss(predicted.flatten(0, 1), noise.flatten(0, 1))
+    kind = network.preset.prediction
+    target = prediction_target(clean, noise, alpha_bar, kind)
+    loss = prediction_loss(predicted.flatten(0, 1), target.flatten(0, 1))
     if smoothness is not None:
-        implied = alpha_bar * predicted_clean(noisy, predicted, alpha_bar)
+        implied = alpha_bar * predicted_clean(noisy, predicted, alpha_bar, kind)
         neighbours = batch.neighbours, batch.distances_m
         each = [local_smoothness(one, *neighbours, weights=smoothness) for one in implied.unbind(dim=1)]
         loss = loss + smoothness_weight * torch.stack(each).mean()

@@ -7,9 +7,9 @@ from torch import Tensor, nn
 
 from dynamictree.diffusion.channels import pack_channels
 from dynamictree.diffusion.sampler import sample_ddim
-from dynamictree.diffusion.schedule import linear_schedule
+from dynamictree.diffusion.schedule import schedule_of
+from dynamictree.models.paper.denoise import denoise
 from dynamictree.models.paper.examples import PaperExample, batch_of
-from dynamictree.models.paper.generate import at_most_unit_size
 from dynamictree.models.paper.loss import batch_noise
 from dynamictree.models.paper.network import PaperNetwork
 
@@ -22,17 +22,13 @@ def sample_figures(network: nn.Module, example: PaperExample, *, num_steps: int,
     batch = batch_of([example], preset).to(device)
     bins = torch.arange(1, preset.num_frequencies, device=device)
     truth = pack_channels(batch.spectrum[:, 1:])  # [V, J, 6]
-    condition = network.condition(batch.inputs)
+    condition, schedule = network.condition(batch.inputs), schedule_of(preset.prediction).to(device)
 
-    def predict_noise(noisy: Tensor, step: int) -> Tensor:
-        noise: Tensor = network(noisy, torch.full_like(bins, step)[None], bins[None], condition, batch.inputs)
-        return noise
+    def predict_clean(noisy: Tensor, step: int) -> Tensor:
+        return denoise(network, noisy, step, bins, condition, batch.inputs, schedule)
 
     start = batch_noise(network, batch, bins[None], torch.Generator().manual_seed(seed)).to(device)
-    drawn = sample_ddim(
-        predict_noise, start, linear_schedule().to(device), num_steps=num_steps, limit=at_most_unit_size
-    )
-    drawn = drawn * network.frequency_sizes[1:, None]
+    drawn = sample_ddim(predict_clean, start, schedule, num_steps=num_steps) * network.frequency_sizes[1:, None]
     rough = [roughness(one, batch.neighbours) for one in (drawn, truth)]
     power = [one.square().sum(dim=(1, 2)) for one in (drawn, truth)]
     mean_power = [one.square().mean(dim=(0, 2)).log() for one in (drawn, truth)]

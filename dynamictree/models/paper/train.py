@@ -20,7 +20,7 @@ from torch.utils.data import DataLoader
 from dynamictree.dataset.shards import shards_sha256
 from dynamictree.diffusion.channels import pack_channels
 from dynamictree.diffusion.loss import LocalSmoothness
-from dynamictree.diffusion.schedule import linear_schedule
+from dynamictree.diffusion.schedule import schedule_of
 from dynamictree.errors import CheckpointError
 from dynamictree.models.paper.examples import ExampleCache, PaperBatch, PaperExample, batch_of
 from dynamictree.models.paper.loss import paper_loss
@@ -139,7 +139,7 @@ def train_paper(
     trainer = Trainer(network.to(device), plan.options())
     trainer.resume(folder / "checkpoint.safetensors")
     batches = _batches(cache, plan, first_pass=trainer.step * trainer.options.accumulate)
-    schedule = linear_schedule().to(device)
+    schedule = schedule_of(plan.preset.prediction).to(device)
 
     def loss_of(rng: np.random.Generator) -> Float32[Tensor, ""]:
         batch = next(batches)
@@ -191,6 +191,7 @@ def training_card(name: str, plan: PaperTraining, *, trees: int, step: int, loss
     facts = {
         "network": f"the paper's on {plan.preset.resolution}³, {plan.preset.unet.base} channels at its first level",
         "additions": additions,
+        "predicts": plan.preset.prediction,
         "data": f"{trees} trees",
         "steps": f"{step} of batch {plan.batch_size}; with L_LSS from step {plan.smoothness_from}",
         "loss of the last step": f"{loss:.3f}",

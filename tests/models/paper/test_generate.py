@@ -1,18 +1,26 @@
 """The paper's model as callers see it: deterministic, cancellable, and scaled by the wind."""
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from safetensors import safe_open
+from safetensors.torch import save_file
 
+from dynamictree.diffusion.prediction import predicted_clean
 from dynamictree.diffusion.sampler import sample_ddim
 from dynamictree.diffusion.schedule import linear_schedule
 from dynamictree.errors import Cancelled, InputError
+from dynamictree.models import load_model
 from dynamictree.models.paper import generate
-from dynamictree.models.paper.generate import PaperModel, at_most_unit_size
+from dynamictree.models.paper.denoise import at_most_unit_size
+from dynamictree.models.paper.generate import PaperModel
 from dynamictree.models.paper.network import PaperNetwork, PaperPreset
 from dynamictree.models.paper.unet import UNetShape
+from dynamictree.models.weights_file import write_weights
 from dynamictree.spectrum import Wind
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import SurfaceVoxels
@@ -86,11 +94,42 @@ def test_a_step_may_cancel_and_bad_requests_are_refused(model: PaperModel, voxel
         model.generate(coarse, wind=WIND, seed=0)
 
 
-def test_what_is_drawn_is_of_the_datas_size_however_wrong_the_network_is() -> None:
+def test_what_is_drawn_from_noise_is_of_the_datas_size_however_wrong_the_network_is() -> None:
     """An error of ε is divided by √ᾱ at the first steps; it does not stay in the sample."""
     generator = torch.Generator().manual_seed(0)
     start, error = torch.randn(2, 50, 3, 6, generator=generator)
-    drawn = sample_ddim(
-        lambda noisy, step: noisy + 0.3 * error, start, linear_schedule(), num_steps=20, limit=at_most_unit_size
-    )
+    schedule = linear_schedule()
+
+    def predict_clean(noisy: torch.Tensor, step: int) -> torch.Tensor:
+        return at_most_unit_size(predicted_clean(noisy, noisy + 0.3 * error, schedule.alpha_bar[step], "noise"))
+
+    drawn = sample_ddim(predict_clean, start, schedule, num_steps=20)
     assert drawn.square().mean(dim=(0, 2)).max() <= 1 + 1e-5
+
+
+def test_a_file_of_velocity_is_sampled_as_such_and_one_of_before_the_field_as_noise(
+    model: PaperModel, voxels: SurfaceVoxels, tmp_path: Path
+) -> None:
+    network = PaperNetwork(replace(PRESET, prediction="velocity"))
+    network.load_state_dict(model.network.state_dict())
+    write_weights(network, tmp_path / "velocity.safetensors")
+    write_weights(model.network, tmp_path / "noise.safetensors")
+    before = safetensors_without(tmp_path / "noise.safetensors", "prediction")
+    velocity, noise, older = (
+        load_model(str(path)).generate(voxels, wind=WIND, seed=0).coefficients
+        for path in (tmp_path / "velocity.safetensors", tmp_path / "noise.safetensors", before)
+    )
+    assert (older == noise).all()
+    assert np.abs(velocity - noise).max() > 0.1 * np.abs(noise).max()
+
+
+def safetensors_without(path: Path, name: str) -> Path:
+    """A copy of a weights file whose preset lacks a field."""
+    with safe_open(path, "pt") as stored:
+        tensors = {key: stored.get_tensor(key) for key in stored.keys()}  # noqa: SIM118
+        metadata = stored.metadata()
+    preset = json.loads(metadata["preset"])
+    del preset[name]
+    copy = path.with_name("before.safetensors")
+    save_file(tensors, copy, {**metadata, "preset": json.dumps(preset)})
+    return copy
