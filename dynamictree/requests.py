@@ -48,6 +48,7 @@ Format = Literal[
     "motion",
     "splat-ply",
     "splat",
+    "html-splat",
     "usd-splat",
     "png",
     "webp",

@@ -30,11 +30,25 @@ def write_usd_splat(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
 
 def write_compact_splat(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
     """The splat at rest, what carries it and the spectrum: a player computes the frames."""
+    write_animated_splat(_animated(tree), stream)
+
+
+def write_splat_page(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
+    """HTML file that plays the splat's loop from disk, without a server.
+
+    Raises:
+        InputError: the splat is too large for a page.
+    """
+    from dynamictree.formats.motion.html import write_splat_html
+
+    write_splat_html(_animated(tree), stream, title="A tree in the wind")
+
+
+def _animated(tree: MovingTree) -> AnimatedSplat:
     assert tree.binding is not None
-    animated = AnimatedSplat(
+    return AnimatedSplat(
         binding=tree.binding,
         coefficients=tree.coefficients,
         num_frames=tree.spectrum.num_frames,
         fps=tree.loop_fps,
     )
-    write_animated_splat(animated, stream)

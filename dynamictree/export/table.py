@@ -21,7 +21,7 @@ from dynamictree.export.mesh_files import (
 )
 from dynamictree.export.moving_tree import Facts, MovingTree, Report
 from dynamictree.export.pictures import Film, write_mp4, write_sheet, write_webp
-from dynamictree.export.splat_files import write_compact_splat, write_splat_sequence, write_usd_splat
+from dynamictree.export.splat_files import write_compact_splat, write_splat_page, write_splat_sequence, write_usd_splat
 from dynamictree.requests import Format
 
 MEDIA_TYPES = {
@@ -93,6 +93,7 @@ PRODUCTS: dict[Format, Product] = {
     "splat": Product(
         "Animated splat", "tree.animated-splat.safetensors", "splat", SPEED | DETAIL, write=write_compact_splat
     ),
+    "html-splat": Product("Web page of a splat", "tree-splat.html", "splat", SPEED | DETAIL, write=write_splat_page),
     "usd-splat": Product("USD splat", "tree-splat.usdz", "splat", FRAMES | DETAIL, "pxr", "usd", write=write_usd_splat),
     "png": Product("Preview picture", "preview.png", "pictures", DETAIL | SHOT, write=write_sheet),
     "webp": Product("Preview, animated", "preview.webp", "pictures", FRAMES | DETAIL | SHOT, write_film=write_webp),

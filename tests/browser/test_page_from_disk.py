@@ -1,24 +1,30 @@
-"""`tree.html` plays in a real Chromium from disk, without a server, where the spectrum has its vertices."""
+"""Pages that play from disk in a real Chromium, without a server, where the spectrum has vertices and Gaussians."""
 
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-from playwright.sync_api import Browser
+from jaxtyping import Complex64
+from playwright.sync_api import Browser, Page
 
 from benchmarks._played import z_up
 from dynamictree import method
-from dynamictree.dataset.sample import make_sample, voxel_spectrum
+from dynamictree.dataset.sample import Sample, make_sample, voxel_spectrum
 from dynamictree.export.write import write_products
+from dynamictree.gaussian.animate import iter_poses, lighter
+from dynamictree.gaussian.from_mesh import splats_of_mesh
 from dynamictree.requests import ExportParams
-from dynamictree.spectrum import iter_motion
+from dynamictree.spectrum import SparseVoxelSpectrum, iter_motion
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
+FRAMES = (0, 31, 77)
+Opened = Callable[[Path], Page]
 
 PLACES = """(time) => {
   const places = [];
   player.renderer.setAnimationLoop(null);
-  player.mixer.setTime(time);
+  player.seek(time);
   player.tree.traverse((part) => {
     if (part.isMesh && !places.length) {
       for (let i = 0; i < part.geometry.attributes.position.count; i++) {
@@ -29,20 +35,86 @@ PLACES = """(time) => {
   return places;
 }"""
 
+# what Spark has worked out for its own drawing: places as bits of floats in the first texture
+GAUSSIANS = """async (time) => {
+  const { renderer, scene, camera, gaussians, splat } = player;
+  renderer.setAnimationLoop(null);
+  player.seek(time);
+  await gaussians.renderer.update({ scene, camera });
+  const { target } = gaussians.renderer.current;
+  const bits = new Uint32Array(4 * target.width * Math.ceil(splat.G / target.width));
+  renderer.setRenderTarget(target, 0);
+  const gl = renderer.getContext();
+  gl.readBuffer(gl.COLOR_ATTACHMENT0);
+  gl.readPixels(0, 0, target.width, bits.length / 4 / target.width, gl.RGBA_INTEGER, gl.UNSIGNED_INT, bits);
+  renderer.setRenderTarget(null);
+  const values = new Float32Array(bits.buffer);
+  return Array.from({ length: splat.G }, (_, g) => [...values.subarray(4 * g, 4 * g + 3)]);
+}"""
 
-def test_the_page_plays_the_motion_from_disk(browser: Browser, tmp_path: Path) -> None:
-    sample = make_sample(3, "sapling")
-    spectrum = voxel_spectrum(sample, 32)[1]
-    path = write_products(sample.mesh, spectrum, ExportParams(formats=("html",)), tmp_path)["html"]
+
+@pytest.fixture(scope="module")
+def sample() -> Sample:
+    return make_sample(3, "sapling")
+
+
+@pytest.fixture(scope="module")
+def spectrum(sample: Sample) -> SparseVoxelSpectrum:
+    return voxel_spectrum(sample, 32)[1]
+
+
+@pytest.fixture(scope="module")
+def coefficients(sample: Sample, spectrum: SparseVoxelSpectrum) -> Complex64[np.ndarray, "N K 3"]:
+    return method.devoxelize(spectrum, sample.mesh)
+
+
+@pytest.fixture
+def opened(browser: Browser) -> Iterator[Opened]:
+    """Opens a page from disk, without a network; nothing may be complained of."""
     page = browser.new_page(viewport={"width": 320, "height": 320}, offline=True)
     problems: list[str] = []
     page.on("pageerror", lambda error: problems.append(str(error)))
     page.on("console", lambda message: problems.append(message.text) if message.type == "error" else None)
-    page.goto(path.as_uri())
-    page.wait_for_function("window.player", timeout=60_000)
-    truth = list(iter_motion(method.devoxelize(spectrum, sample.mesh), np.arange(100) / 100))
-    for frame in (0, 31, 77):
+
+    def _open(path: Path) -> Page:
+        page.goto(path.as_uri())
+        page.wait_for_function("window.player", timeout=60_000)
+        return page
+
+    yield _open
+    page.close()
+    assert not problems
+
+
+def test_the_page_plays_the_motion_from_disk(
+    opened: Opened,
+    sample: Sample,
+    spectrum: SparseVoxelSpectrum,
+    coefficients: Complex64[np.ndarray, "N K 3"],
+    tmp_path: Path,
+) -> None:
+    path = write_products(sample.mesh, spectrum, ExportParams(formats=("html",)), tmp_path)["html"]
+    page = opened(path)
+    truth = list(iter_motion(coefficients, np.arange(100) / 100))
+    for frame in FRAMES:
         moved = z_up(np.array(page.evaluate(PLACES, frame / 24))) - sample.mesh.vertices
         assert np.abs(moved - truth[frame]).max() < 1e-4
-    assert not problems
-    page.close()
+
+
+def test_the_page_plays_a_splat_from_disk(
+    opened: Opened,
+    sample: Sample,
+    spectrum: SparseVoxelSpectrum,
+    coefficients: Complex64[np.ndarray, "N K 3"],
+    tmp_path: Path,
+) -> None:
+    params = ExportParams(formats=("html-splat",), share=0.1)
+    page = opened(write_products(sample.mesh, spectrum, params, tmp_path)["html-splat"])
+    binding = lighter(splats_of_mesh(sample.mesh, rng=np.random.default_rng(0)).binding, share=0.1)
+    truth = list(iter_poses(binding, iter_motion(coefficients, np.array(FRAMES) / 100)))
+    assert np.linalg.norm(truth[1].means - truth[2].means, axis=1).max() > 0.05
+    for frame, pose in zip(FRAMES, truth, strict=True):
+        places = np.array(page.evaluate(GAUSSIANS, frame / 24))
+        far = np.linalg.norm(places - pose.means, axis=1)
+        assert far.max() < 1e-3
+    page.wait_for_function("player.gaussians.drawn", timeout=60_000)

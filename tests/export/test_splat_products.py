@@ -311,3 +311,15 @@ def test_usd_has_every_pose_of_the_splat(
     np.testing.assert_allclose(np.array(splat.GetOpacitiesAttr().Get()), 0.9)
     harmonics = np.array(splat.GetRadianceSphericalHarmonicsCoefficientsAttr().Get())
     np.testing.assert_allclose(harmonics, capture.cloud.sh[:, 0])
+
+
+def test_a_splat_too_large_for_a_page_is_refused(
+    capture: Capture,
+    mesh: TriangleMesh,
+    spectrum: SparseVoxelSpectrum,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("dynamictree.formats.motion.html.MAX_SPLAT_BYTES", 1000)
+    with pytest.raises(InputError, match=r"3,000 Gaussians as html-splat .* ask for a lower share"):
+        write_products(mesh, spectrum, ExportParams(formats=("html-splat",)), tmp_path, capture=capture)

@@ -34,7 +34,7 @@ CHANGED = {
     "glb_compression": {"glb_compression": "meshopt"},
 }
 
-SLOW = ("glb-skinned", "lod", "rig", "wind", "usd", "usd-splat", "mp4", "png")
+SLOW = ("glb-skinned", "lod", "rig", "wind", "usd", "usd-splat", "html-splat", "mp4", "png")
 SAME_AT_THIS_SIZE = {("glb-skinned", "joints")}  # 48 vertices need fewer joints than the least allowed
 
 

@@ -17,6 +17,7 @@ export function readSplat(buffer) {
     K: shape.coefficients[1],
     harmonics: shape.sh[1],
     frames: Number(metadata.num_frames),
+    fps: Number(metadata.fps),
   };
 }
 

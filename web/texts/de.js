@@ -197,6 +197,8 @@ export default {
   "format.splat-ply.for": "ein Splat je Bild",
   "format.splat": "Splat",
   "format.splat.for": "ein Splat, der sich bewegt",
+  "format.html-splat": "Webseite, Splat",
+  "format.html-splat.for": "ein Splat, das von der Platte läuft, zum Verschicken",
   "format.usd-splat": "USD-Splat",
   "format.usd-splat.for": "Omniverse, usdview",
   "format.png": "Bild",

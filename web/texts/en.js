@@ -197,6 +197,8 @@ export default {
   "format.splat-ply.for": "one splat per frame",
   "format.splat": "Splat",
   "format.splat.for": "one splat that moves",
+  "format.html-splat": "Web page, splat",
+  "format.html-splat.for": "a splat that plays from disk, to send on",
   "format.usd-splat": "USD splat",
   "format.usd-splat.for": "Omniverse, usdview",
   "format.png": "Picture",

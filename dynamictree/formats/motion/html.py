@@ -1,47 +1,109 @@
-"""An animated mesh as one HTML file that plays from disk: three.js, its loader and the GLB, all inside."""
+"""A moving tree as one HTML file that plays from disk: viewer, its libraries and the tree, all inside."""
 
 import base64
 import gzip
+import io
 import re
+from functools import cache
 from html import escape
 from importlib.resources import files
+from pathlib import PurePosixPath
 from typing import BinaryIO
 
+from dynamictree.errors import InputError
+from dynamictree.formats.tensors.animated_splat import write_animated_splat
+from dynamictree.gaussian.animate import AnimatedSplat
 from web.vendor import FOLDER, LIBRARIES
 
-_MODULES = {
-    "three-core": "three.core.js",
-    "three": "three.module.js",
-    "buffer-geometry-utils": "addons/utils/BufferGeometryUtils.js",
-    "skeleton-utils": "addons/utils/SkeletonUtils.js",
-    "gltf-loader": "addons/loaders/GLTFLoader.js",
-    "orbit-controls": "addons/controls/OrbitControls.js",
+MAX_SPLAT_BYTES = 256 * 1024**2
+"""Of the splat inside a page: in base64 it has to stay below the longest text that browsers allow, 512 MiB."""
+_THREE, _SPARK = (next(one for one in LIBRARIES if one.name == name) for name in ("three", "@sparkjsdev/spark"))
+_CORE = {
+    "three-core": f"vendor/{_THREE.target('three.core.js')}",
+    "three": f"vendor/{_THREE.target('three.module.js')}",
+    "orbit-controls": f"vendor/{_THREE.target('addons/controls/OrbitControls.js')}",
 }
-_THREE = next(library for library in LIBRARIES if library.name == "three")
+_MESH = {
+    "buffer-geometry-utils": f"vendor/{_THREE.target('addons/utils/BufferGeometryUtils.js')}",
+    "skeleton-utils": f"vendor/{_THREE.target('addons/utils/SkeletonUtils.js')}",
+    "gltf-loader": f"vendor/{_THREE.target('addons/loaders/GLTFLoader.js')}",
+}
+_SPLAT = {
+    "three/addons/postprocessing/Pass.js": f"vendor/{_THREE.target('addons/postprocessing/Pass.js')}",
+    "spark": f"vendor/{_SPARK.target('spark.module.min.js')}",
+    "tensors": "motion/tensors.js",
+    "modes": "motion/modes.js",
+    "field": "draw/field.js",
+    "follow": "draw/follow.js",
+    "splat-shader": "draw/splat_shader.js",
+    "splat": "draw/splat.js",
+}
+_LICENCES = {"three.js": _THREE.target("LICENSE"), "Spark": _SPARK.target("LICENSE")}
+_LICENCES |= {"fflate": f"{_SPARK.target('LICENSE')}.fflate"}
+_PLAYERS = {
+    "player_mesh.js": (_CORE | _MESH, ("three.js",)),
+    "player_splat.js": (_CORE | _SPLAT, tuple(_LICENCES)),
+}
+"""The pages' scripts; their modules by name in the import map, with places in `web/`; whose licences they state."""
 _IMPORT = re.compile(r"""(from\s*|import\s*)(["'])(\.{1,2}/[^"']*)\2""")
 
 
 def write_html(glb: bytes, stream: BinaryIO, *, title: str) -> None:
     """Write a page that shows the first animation of a GLB, with a camera that the reader moves."""
-    parts = [_part(f"module-{name}", _module(path), f' data-module="{name}"') for name, path in _MODULES.items()]
-    parts.append(_part("tree", glb))
-    licence = _vendored("LICENSE").strip()
-    page = (files(__package__) / "player.html").read_text(encoding="utf-8")
-    page = page.replace("TITLE", escape(title)).replace("PARTS", f"<!-- three.js:\n{licence}\n-->\n" + "\n".join(parts))
-    stream.write(page.encode())
+    _write_page("player_mesh.js", glb, stream, title)
 
 
-def _module(path: str) -> bytes:
+def write_splat_html(splat: AnimatedSplat, stream: BinaryIO, *, title: str) -> None:
+    """Write a page that plays the loop of a splat, with a camera that the reader moves.
+
+    Raises:
+        InputError: the splat is too large for a page.
+        NumericsError: a value is larger than a half float can hold.
+    """
+    content = io.BytesIO()
+    write_animated_splat(splat, content)
+    size = content.tell()
+    if size > MAX_SPLAT_BYTES:
+        raise InputError(
+            f"{splat.binding.cloud.num_gaussians:,} Gaussians as html-splat are {size / 1e6:.0f} MB, above "
+            f"{MAX_SPLAT_BYTES / 1e6:.0f} MB: ask for a lower share or sh_degree, or for the format splat"
+        )
+    _write_page("player_splat.js", content.getvalue(), stream, title)
+
+
+def _write_page(player: str, tree: bytes, stream: BinaryIO, title: str) -> None:
+    head, middle, tail = re.split("TITLE|PARTS", _beside("player.html"))
+    for piece in (head, escape(title), middle, _viewer(player), _part('id="tree"', tree), tail):
+        stream.write(piece.encode())
+
+
+@cache
+def _viewer(player: str) -> str:
+    """Licences and modules of a page, whose script `player` lies beside this one."""
+    modules, licences = _PLAYERS[player]
+    texts = [f"<!-- {name}:\n{_of_web(f'vendor/{_LICENCES[name]}').strip()}\n-->\n" for name in licences]
+    names = {PurePosixPath(place).name: name for name, place in modules.items()}
+    sources = {name: _with_names(_of_web(place), names) for name, place in modules.items()}
+    parts = [
+        _part(f'data-module="{name}"', source.encode())
+        for name, source in (sources | {"scene": _beside(player)}).items()
+    ]
+    return "".join([*texts, *parts])
+
+
+def _with_names(source: str, names: dict[str, str]) -> str:
     """A module whose imports of neighbours name them as the page's import map does."""
-    names = {place.rpartition("/")[2]: name for name, place in _MODULES.items()}
-    own = _IMPORT.sub(lambda match: f'{match[1]}"{names[match[3].rpartition("/")[2]]}"', _vendored(path))
-    return own.encode()
+    return _IMPORT.sub(lambda match: f'{match[1]}"{names[PurePosixPath(match[3]).name]}"', source)
 
 
-def _vendored(path: str) -> str:
-    return (FOLDER / _THREE.target(path)).read_text(encoding="utf-8")
+def _of_web(place: str) -> str:
+    return (FOLDER.parent / place).read_text(encoding="utf-8")
 
 
-def _part(name: str, content: bytes, more: str = "") -> str:
+def _beside(name: str) -> str:
+    return (files(__package__) / name).read_text(encoding="utf-8")
+
+
+def _part(attribute: str, content: bytes) -> str:
     packed = base64.b64encode(gzip.compress(content, mtime=0)).decode()
-    return f'<script type="text/plain" id="{name}"{more}>{packed}</script>'
+    return f'<script type="text/plain" {attribute}>{packed}</script>\n'
