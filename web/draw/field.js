@@ -132,7 +132,7 @@ function shapesTexture(shapes, texels) {
 export const DISPLACE = /* glsl */ `
 uniform highp sampler2D moved;    // by point: displacement, share of the shown mode
 uniform highp sampler2D poses;    // three texels a bone: rows of [R | t]
-uniform float bent;               // 1 where something is pushed
+uniform int bent;                 // 1 where something is pushed
 #ifdef USE_INSTANCING
 uniform int copyRows;             // texels below each other of one copy
 vec4 movedAt(int point) { return texelFetch(moved, ivec2(point % ${WIDTH}, point / ${WIDTH} + gl_InstanceID * copyRows), 0); }

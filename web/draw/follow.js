@@ -9,10 +9,13 @@ attribute float still;
 float stillness() { return still; }
 attribute vec4 boneRows; attribute vec4 boneWeights;
 mat4 poseOfPoint() {
-  if (dot(boneWeights, vec4(1.0)) < 0.5) return mat4(1.0); // of what is no plant
   mat4 pose = mat4(0.0);
-  for (int i = 0; i < 4; i++) pose += boneWeights[i] * poseOf(int(boneRows[i] + 0.5));
-  return pose;
+  float carried = 0.0; // 0 for what is no plant
+  for (int i = 0; i < 4 * bent; i++) { // software skips a loop, not a branch
+    pose += boneWeights[i] * poseOf(int(boneRows[i] + 0.5));
+    carried += boneWeights[i];
+  }
+  return pose + mat4(1.0 - carried);
 }
 vec3 restPoint() { restNormal = normal; return position; }`;
 
@@ -42,7 +45,7 @@ float stillness() { return 0.0; }
 int voxelOfPoint() { return int(voxelRow + 0.5); }
 vec4 voxelTexel() { int v = voxelOfPoint(); return texelFetch(voxels, ivec2(v % 2048, v / 2048), 0); }
 vec4 fieldOfPoint() { return movedAt(voxelOfPoint()); }
-mat4 poseOfPoint() { return poseOf(int(voxelTexel().w + 0.5)); }
+mat4 poseOfPoint() { return bent == 0 ? mat4(1.0) : poseOf(int(voxelTexel().w + 0.5)); }
 vec3 restPoint() {
   vec3 centre = voxelTexel().xyz;
   vec3 toEye = isOrthographic ? vec3(viewMatrix[0][2], viewMatrix[1][2], viewMatrix[2][2]) : cameraPosition - centre;
@@ -65,7 +68,7 @@ vec3 follow() {
   vec4 field = fieldOfPoint();
   vShare = field.w;
   vStill = stillness();
-  pose = bent > 0.5 ? poseOfPoint() : mat4(1.0);
+  pose = poseOfPoint();
   return (pose * vec4(rest + field.xyz, 1.0)).xyz;
 }`;
 

@@ -9,7 +9,9 @@ const PATIENCE = 6; // frames between two changes
 const LONGEST_MS = 500; // a single frame counts as no more: the tab may have been in the background
 
 export class Resolution {
-  constructor() {
+  /** A still picture is drawn at `stillScale` of the pixel ratio. */
+  constructor(stillScale = 1) {
+    this.stillScale = stillScale;
     this.scale = 1; // of the pixel ratio
     this.frame = 0;
     this.mean = 0;
@@ -26,7 +28,7 @@ export class Resolution {
     this.frame++;
     if (!this.paused) this._adapt(Math.min(elapsed, LONGEST_MS));
     this.paused = false;
-    this.sharp = this.scale === 1;
+    this.sharp = this.scale >= this.stillScale;
     return this.frame % this.shadowEvery === 0;
   }
 

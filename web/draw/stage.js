@@ -3,6 +3,7 @@
 import * as THREE from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { Resolution } from "./resolution.js";
+import { drawsInSoftware } from "./software.js";
 import { Surroundings } from "./surroundings.js";
 
 const FIELD_OF_VIEW = 30;
@@ -12,9 +13,10 @@ export class Stage {
   /** `onContext(lost)` is called when the graphics context is lost and when it is back. */
   constructor(canvas, { onContext = () => {} } = {}) {
     this.canvas = canvas;
+    const soft = drawsInSoftware();
     this.renderer = new THREE.WebGLRenderer({
       canvas,
-      antialias: true,
+      antialias: !soft, // it costs half of the frames there
       alpha: true,
       powerPreference: "high-performance",
     });
@@ -28,7 +30,7 @@ export class Stage {
     this.camera = new THREE.PerspectiveCamera(FIELD_OF_VIEW, 1, 0.05, 1000);
     this.camera.up.set(0, 0, 1);
     this.surroundings = new Surroundings(this.scene);
-    this.resolution = new Resolution();
+    this.resolution = new Resolution(soft ? 2 : 1);
     this.margins = { left: 0, right: 0, bottom: 0, top: 0 };
     this.stale = true; // the picture on the screen is not the scene any more
     this.prepare = () => {}; // (renderer), before each draw
@@ -185,7 +187,7 @@ export class Stage {
     }
     const shadow = full ? true : this.resolution.next(now);
     if (full) this.resolution.sharp = true;
-    this._render(full ? 1 : this.resolution.scale, shadow);
+    this._render(full ? this.resolution.stillScale : this.resolution.scale, shadow);
     return true;
   }
 

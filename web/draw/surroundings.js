@@ -2,6 +2,7 @@
 
 import * as THREE from "three";
 import { environmentOf } from "./environment.js";
+import { Ground } from "./ground.js";
 
 const SUN = { from_deg: 312, height_deg: 50 }; // +Y is north, 0° is east
 const REFLECTED = 0.4; // of the environment: the sky lights all materials besides
@@ -18,12 +19,6 @@ const LOOKS = {
   dark: { sky: 0xb4c8e2, earth: 0x3a3f3c, ambient: 1.25, sun: 0xe9efff, strength: 2.6, ground: 0x2b353c, shadow: 0.5 },
 };
 const ARROW_SHARE = 0.85; // of what is seen beside the tree
-const FADE = [
-  [0, 1],
-  [0.35, 0.85],
-  [0.7, 0.3],
-  [1, 0],
-];
 
 export class Surroundings {
   constructor(scene) {
@@ -33,17 +28,11 @@ export class Surroundings {
     this.sun.castShadow = true;
     this.sun.shadow.mapSize.set(2048, 2048);
     this.sun.shadow.radius = 3;
-    const disc = new THREE.CircleGeometry(1, 96);
-    const ground = { map: fadingDisc(), transparent: true, depthWrite: false };
-    this.ground = new THREE.Mesh(disc, new THREE.MeshBasicMaterial(ground));
-    this.shade = new THREE.Mesh(disc, new THREE.ShadowMaterial({ transparent: true, depthWrite: false }));
-    this.shade.receiveShadow = true;
-    this.ground.renderOrder = -2;
-    this.shade.renderOrder = -1;
+    this.ground = new Ground();
     this.arrow = windArrow();
     this.scene = scene;
     this.sunPlace = SUN;
-    scene.add(this.sky, this.sun, this.sun.target, this.ground, this.shade, this.arrow);
+    scene.add(this.sky, this.sun, this.sun.target, this.ground, this.arrow);
   }
 
   /** Colours of the theme: "light" or "dark". */
@@ -56,8 +45,7 @@ export class Surroundings {
     this.sky.intensity = look.ambient;
     this.sun.color.set(look.sun);
     this.sun.intensity = look.strength;
-    this.ground.material.color.set(look.ground);
-    this.shade.material.opacity = look.shadow;
+    this.ground.look(look);
   }
 
   /** Give shiny materials something to reflect. */
@@ -84,10 +72,8 @@ export class Surroundings {
 
   /** Place everything under a box of this middle, radius and lowest z. */
   frame(middle, radius, bottom) {
-    for (const disc of [this.ground, this.shade]) {
-      disc.position.set(middle.x, middle.y, bottom - 0.002 * radius);
-      disc.scale.setScalar(radius * 2.3);
-    }
+    this.ground.position.set(middle.x, middle.y, bottom - 0.002 * radius);
+    this.ground.scale.setScalar(radius * 2.3);
     this.arrow.position.set(middle.x, middle.y, bottom);
     this.radius = radius;
     this.sun.target.position.copy(middle);
@@ -113,19 +99,8 @@ export class Surroundings {
   }
 
   set groundVisible(visible) {
-    this.ground.visible = this.shade.visible = visible;
+    this.ground.visible = visible;
   }
-}
-
-function fadingDisc() {
-  const picture = document.createElement("canvas");
-  picture.width = picture.height = 256;
-  const pen = picture.getContext("2d");
-  const fade = pen.createRadialGradient(128, 128, 0, 128, 128, 128);
-  for (const [at, alpha] of FADE) fade.addColorStop(at, `rgba(255,255,255,${alpha})`);
-  pen.fillStyle = fade;
-  pen.fillRect(0, 0, 256, 256);
-  return new THREE.CanvasTexture(picture);
 }
 
 /** Three chevrons on the ground before the tree, pointing along +X. */
