@@ -82,16 +82,23 @@ def generate(
     seed: int = 0,
     model: str = "small",
     num_steps: int | None = None,
+    wind_bands: bool = False,
     on_step: Callable[[int, int], None] | None = None,
 ) -> SparseVoxelSpectrum:
     """Generate the spectrum of a motion of these voxels. Paper section 3.4.
 
+    With `wind_bands` the model is asked for five winds as well: how strong each mode is there.
     `on_step` gets the sampler steps done and their total; what it raises passes through.
     """
     from dynamictree.models.several_trees import generate_trees
+    from dynamictree.models.several_winds import with_bands
 
-    of_one = partial(motion_model(model).generate, wind=wind or Wind(), num_steps=num_steps)
-    return replace(generate_trees(of_one, voxels, seed=seed, on_step=on_step), source=voxels.source)
+    def in_wind(blowing: Wind, report: Callable[[int, int], None] | None) -> SparseVoxelSpectrum:
+        of_one = partial(motion_model(model).generate, wind=blowing, num_steps=num_steps)
+        return generate_trees(of_one, voxels, seed=seed, on_step=report)
+
+    own = wind or Wind()
+    return replace(with_bands(in_wind, own, on_step) if wind_bands else in_wind(own, on_step), source=voxels.source)
 
 
 def devoxelize(

@@ -220,6 +220,10 @@ class SpectrumParams(Request):
     num_steps: int | None = Field(
         default=None, ge=1, le=1000, description="Sampler steps; the number of the preset if unset"
     )
+    wind_bands: bool = Field(
+        default=False,
+        description="Ask the model for winds of 1, 4, 8, 14 and 20 m/s as well: how strong each mode is in any wind",
+    )
 
 
 class SwingParams(Request):

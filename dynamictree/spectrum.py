@@ -16,6 +16,7 @@ from dynamictree.errors import InputError
 from dynamictree.requests import Wind as Wind
 from dynamictree.source import Source
 from dynamictree.voxel.grid import VoxelGrid
+from dynamictree.wind_bands import WindBands, power_law
 
 NUM_FREQUENCIES = 16  # K, paper section 3.2
 NUM_FRAMES = 100  # T, paper section 5
@@ -38,6 +39,7 @@ class SparseVoxelSpectrum:
     model: str = ""
     seed: int = 0
     wind: Wind | None = None
+    bands: WindBands | None = None  # sizes of its modes in other winds, where the model was asked for them
     source: Source = field(default_factory=Source)
 
     def __post_init__(self) -> None:
@@ -52,11 +54,20 @@ class SparseVoxelSpectrum:
             raise InputError(f"fps is {self.fps}; it must be positive and finite")
         if not np.isfinite(self.coefficients).all():
             raise InputError("the spectrum holds values that are not finite")
+        if self.bands is not None and self.bands.num_frequencies != self.num_frequencies:
+            count = self.bands.num_frequencies
+            raise InputError(f"the wind bands have {count} frequencies, the spectrum {self.num_frequencies}")
 
     @property
     def num_frequencies(self) -> int:
         """K."""
         return int(self.coefficients.shape[1])
+
+    @property
+    def wind_bands(self) -> WindBands:
+        """Gains of its modes in other winds: the model's, or a power law where it was not asked for them."""
+        own = (self.wind or Wind()).speed_m_s
+        return self.bands or power_law(own, self.num_frequencies)
 
     @property
     def num_bytes(self) -> int:
@@ -133,3 +144,9 @@ def iter_motion(
         angle = 2 * np.pi * np.outer(phases[start : start + at_once], np.arange(num_frequencies))
         turns = np.concatenate([weights * np.cos(angle), -weights * np.sin(angle)], axis=1).astype(np.float32)
         yield from (turns @ stacked).reshape(-1, num_points, 3)
+
+
+def mode_sizes(coefficients: Complex64[np.ndarray, "V K 3"]) -> Float64[np.ndarray, " K"]:
+    """Root mean square of each bin over the voxels [m]."""
+    power = np.square(np.abs(coefficients), dtype=np.float64).sum(axis=2)
+    return np.asarray(np.sqrt(power.mean(axis=0)))

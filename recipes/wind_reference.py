@@ -12,8 +12,18 @@ def wave_at(wave: dict[str, Any], seconds: float) -> float:
     return float(wave["mean"] + wave["limit"] * np.tanh(total / wave["limit"]))
 
 
-def coordinates(wind: dict[str, Any], seconds: float) -> np.ndarray:
-    """q [K] complex, of the answer of GET /v1/spectra/{id}/wind; a point moves by Rz(turn_rad) Re Σ_k φ_k q_k."""
+def gains(bands: dict[str, Any], speed_m_s: float) -> np.ndarray:
+    """Factor [K] on each coordinate in a wind of this mean speed: linear in speed^1.4 between the bands."""
+    drag = np.array(bands["speeds_m_s"]) ** 1.4
+    return np.array([np.interp(speed_m_s**1.4, drag, column) for column in np.array(bands["gains"]).T])
+
+
+def coordinates(wind: dict[str, Any], seconds: float, speed_m_s: float | None = None) -> np.ndarray:
+    """q [K] complex, of the answer of GET /v1/spectra/{id}/wind; a point moves by Rz(turn_rad) Re Σ_k φ_k q_k.
+
+    `speed_m_s` is the mean speed now, by default the answer's.
+    """
     angle = 2 * np.pi * np.array(wind["partial_hz"]) * seconds + np.array(wind["partial_phase_rad"])  # [K - 1, J]
     sway = wave_at(wind["strength"], seconds) * np.exp(1j * angle).sum(axis=1) / np.sqrt(angle.shape[1])
-    return np.concatenate([[wave_at(wind["lean"], seconds)], sway])
+    speed = wind["wind"]["speed_m_s"] if speed_m_s is None else speed_m_s
+    return gains(wind["bands"], speed) * np.concatenate([[wave_at(wind["lean"], seconds)], sway])

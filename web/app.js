@@ -159,9 +159,10 @@ function open(jobId) {
   session.open(jobId);
 }
 
-function makeForWind(value) {
+function makeForWind(value, bands = false) {
   const { job } = machine.facts;
   const params = { ...job.params, wind: { ...job.params.wind, ...value } };
+  if (bands) params.wind_bands = true;
   session.animate({ seed: job.seed, preset: job.preset, params });
 }
 

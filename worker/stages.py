@@ -107,6 +107,7 @@ def diffuse(given: StageInput) -> Iterable[Path]:
         seed=given.job.seed,
         wind=params.wind,
         num_steps=params.num_steps,
+        wind_bands=params.wind_bands,
         on_step=lambda done, total: given.report(done / total),
     )
     with (given.folder / SPECTRUM).open("xb") as stream:

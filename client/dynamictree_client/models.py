@@ -39,6 +39,8 @@ class AnimateParams(Model):
     wind: "Wind | None" = None
     # Sampler steps; the number of the preset if unset
     num_steps: int | None = None
+    # Ask the model for winds of 1, 4, 8, 14 and 20 m/s as well: how strong each mode is in any wind
+    wind_bands: bool = False
     # Motion that repeats after one period, or in turbulent wind that never repeats
     wind_mode: Literal["loop", "turbulent"] = "loop"
     # Number of the first frame to write
@@ -226,6 +228,8 @@ class DiffuseParams(Model):
     wind: "Wind | None" = None
     # Sampler steps; the number of the preset if unset
     num_steps: int | None = None
+    # Ask the model for winds of 1, 4, 8, 14 and 20 m/s as well: how strong each mode is in any wind
+    wind_bands: bool = False
 
 
 class DiffuseRequest(Model):
@@ -763,6 +767,8 @@ class Spectrum(Model):
     model: str
     seed: int
     wind: "Wind | None"
+    # null unless the job asked for them
+    wind_bands: "WindBands | None"
     units: str = "m"
     up_axis: str = "+Z"
     artifact_url: str
@@ -822,6 +828,8 @@ class TurbulentWind(Model):
     strength: "Wave"
     # coordinate of bin 0, which is real
     lean: "Wave"
+    # factors on the coordinates by mean speed: by the model where the job asked for wind_bands, else a power law
+    bands: "WindBands"
     # of the whole displacement about the vertical, from +X towards +Y
     turn_rad: "Wave"
 
@@ -917,3 +925,12 @@ class Wind(Model):
     direction_deg: float = 0.0
     # Standard deviation of the speed over its mean
     gust: float = 0.3
+
+
+class WindBands(Model):
+    """How much stronger each mode is in other winds. Between two speeds the gain is linear in speed^1.4."""
+
+    # [B] rising from 0; above the last the gains stay
+    speeds_m_s: list[float]
+    # [B][K] over the size in the spectrum's own wind; bin 0 is the lean
+    gains: list[list[float]]

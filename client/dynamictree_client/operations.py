@@ -282,13 +282,15 @@ def get_spectrum(id: str) -> Call[Spectrum]:
     return Call(method="GET", path=path_of("/v1/spectra/{id}", {"id": id}), answer=Spectrum)
 
 
-def get_wind(id: str, *, seed: int | None = None, gust: float | None = None) -> Call[TurbulentWind]:
+def get_wind(
+    id: str, *, seed: int | None = None, gust: float | None = None, speed_m_s: float | None = None
+) -> Call[TurbulentWind]:
     """Wind that never repeats, as a table of cosines: with the mode shapes it gives every voxel at any time."""
     return Call(
         method="GET",
         path=path_of("/v1/spectra/{id}/wind", {"id": id}),
         answer=TurbulentWind,
-        query={"seed": seed, "gust": gust},
+        query={"seed": seed, "gust": gust, "speed_m_s": speed_m_s},
     )
 
 

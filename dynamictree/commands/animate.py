@@ -55,6 +55,7 @@ def animate(
             seed=model.seed,
             wind=generation.wind,
             num_steps=generation.num_steps,
+            wind_bands=generation.wind_bands,
             on_step=lambda done, total: report("diffuse", done / total),
         )
         with (folder / "tree.spectrum.safetensors").open("wb") as stream:

@@ -47,6 +47,7 @@ def diffuse(
             seed=model.seed,
             wind=params.wind,
             num_steps=params.num_steps,
+            wind_bands=params.wind_bands,
             on_step=lambda done, total: report("diffuse", done / total),
         )
     with published(output.parent) as folder, (folder / output.name).open("wb") as stream:

@@ -23,8 +23,9 @@ from dynamictree.formats.stored_zip import iter_stored_zip
 from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.branch_pivots import BranchPivots
 from dynamictree.modal.turbulence import TurbulentWind
+from dynamictree.wind_bands import DRAG_EXPONENT
 
-VERSION = 1
+VERSION = 2
 SHADERS = ("wind-three.js", "wind-godot.gdshader", "wind-unity.hlsl", "wind-unreal.hlsl")
 
 
@@ -84,6 +85,7 @@ def shader(name: str, wind: TurbulentWind, layout: TextureLayout) -> str:
         "NUM_BINS": len(wind.frequencies_hz) - 1,
         "NUM_PARTIALS": wind.partial_hz.shape[1],
         "NUM_GUSTS": len(wind.strength.frequency_hz),
+        "NUM_BANDS": len(wind.bands.speeds_m_s),
         "STRENGTH_MEAN": wind.strength.mean,
         "STRENGTH_LIMIT": wind.strength.limit,
         "LEAN_MEAN": wind.lean.mean,
@@ -95,13 +97,16 @@ def shader(name: str, wind: TurbulentWind, layout: TextureLayout) -> str:
     text = text.replace("CONSTANTS", "\n".join(lines))
     hlsl = name.endswith(".hlsl")
     text = text.replace("TEXTURE", "Texture2D modes, SamplerState point_sampler, " if hlsl else "")
-    for table, rows in (("GUSTS", gusts), ("PARTIALS", partials)):
+    gains = np.asarray(wind.bands.gains).reshape(-1, 1)
+    drags = np.asarray(wind.bands.speeds_m_s)[:, None] ** DRAG_EXPONENT
+    for table, rows in (("GUSTS", gusts), ("PARTIALS", partials), ("DRAGS", drags), ("GAINS", gains)):
         text = text.replace(f"{table}_TABLE", _table(table, rows, hlsl=hlsl))
+    text = text.replace("OWN_M_S", _number(wind.wind.speed_m_s))
     return (re.sub(r"\bvec([23])\b", r"float\1", text) if hlsl else text) + "\n"
 
 
 def _table(name: str, rows: np.ndarray, *, hlsl: bool) -> str:
-    kind = f"vec{rows.shape[1]}"
+    kind = f"vec{rows.shape[1]}" if rows.shape[1] > 1 else "float"
     values = ", ".join(f"{kind}({', '.join(map(_number, row))})" for row in rows.tolist())
     if hlsl:
         return f"static const {kind} {name}[{len(rows)}] = {{ {values} }};"

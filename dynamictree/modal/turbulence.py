@@ -2,13 +2,15 @@
 
 The loop has q_k = exp(2πi f_k t) for every bin k ≥ 1 and q_0 = 1 for the lean. In turbulent wind
 
-    q_k(t) = g(t) J^-1/2 Σ_j exp(i (2π f_kj t + ψ_kj)),  q_0(t) = λ(t),  u(p, t) = Rz(α(t)) Re Σ_k w_k c_k(p) q_k(t).
+    q_k(t) = b_k g(t) J^-1/2 Σ_j exp(i (2π f_kj t + ψ_kj)),  q_0(t) = b_0 λ(t),
+    u(p, t) = Rz(α(t)) Re Σ_k w_k c_k(p) q_k(t).
 
 The J partials of a bin lie at the quantiles of the line of a damped oscillator, |f - f_k| of half-width ζ f_k, so each
 bin is a narrow-band process of unit variance that keeps the bin's amplitude and shape, with the phases between points.
 Gusts slower than the loop can hold multiply the drag, (U(t) / U)^1.4: g(t) is their effect on the sway, smoothed over
 the ring-down of the lowest bin and of unit mean square; λ(t) is the lean, of mean 1, with the resonance of the tree's
-own lowest frequency; α(t) is the turn of the wind's direction. All are sums of M partials with equal shares of the von
+own lowest frequency; α(t) is the turn of the wind's direction; b_k is the gain of the mean speed, 1 at the
+spectrum's own (`wind_bands`). All are sums of M partials with equal shares of the von
 Kármán spectrum. A sum of cosines is endless, bounded, the same in every language, and needs no state.
 """
 
@@ -21,12 +23,12 @@ from jaxtyping import Complex64, Complex128, Float32, Float64
 from dynamictree.modal.real_trees import foliage_of, natural_damping, natural_frequency_hz
 from dynamictree.requests import Wind
 from dynamictree.spectrum import SparseVoxelSpectrum, bin_weights
+from dynamictree.wind_bands import DRAG_EXPONENT, WindBands
 
 NUM_PARTIALS = 6
 """J. |q_k| is at most √J = 2.4 times its root mean square, times g."""
 NUM_GUST_PARTIALS = 12
 """M."""
-DRAG_EXPONENT = 1.4  # of the speed: plants bend out of the way, Vogel 1989
 LATERAL_SHARE = 0.75  # standard deviation of the speed across the mean wind over that along it, ESDU 85020
 SLOWEST_HZ = 1 / 600  # slower than the ten minutes of a mean wind is another mean wind
 SLOWEST_WIND_M_S = 0.5
@@ -68,6 +70,7 @@ class TurbulentWind:
     strength: Wave  # g
     lean: Wave  # λ
     turn_rad: Wave  # α
+    bands: WindBands  # b by mean speed
 
     @property
     def bandwidth_hz(self) -> Float64[np.ndarray, " K"]:
@@ -75,14 +78,14 @@ class TurbulentWind:
         return np.asarray(self.damping_ratio * self.frequencies_hz)
 
     def coordinates(self, times_s: Float64[np.ndarray, " T"]) -> Complex128[np.ndarray, "T K"]:
-        """q_k at each time."""
+        """q_k at each time, in a wind of the mean speed of `wind`."""
         q = np.empty((len(times_s), len(self.frequencies_hz)), np.complex128)
         q[:, 0] = self.lean.at(times_s)
         strength = self.strength.at(times_s) / np.sqrt(self.partial_hz.shape[1])
         for k in range(1, q.shape[1]):
             angle = 2 * np.pi * np.outer(times_s, self.partial_hz[k]) + self.partial_phase_rad[k]
             q[:, k] = strength * np.exp(1j * angle).sum(axis=1)
-        return q
+        return np.asarray(q * self.bands.at(self.wind.speed_m_s))
 
 
 def turbulent_wind(spectrum: SparseVoxelSpectrum, *, seed: int = 0, wind: Wind | None = None) -> TurbulentWind:
@@ -116,6 +119,7 @@ def turbulent_wind(spectrum: SparseVoxelSpectrum, *, seed: int = 0, wind: Wind |
         partial_phase_rad=rng.uniform(0, 2 * np.pi, (spectrum.num_frequencies, NUM_PARTIALS)),
         strength=_of_unit_mean_square(strength),
         lean=gusts.wave(1.0, LARGEST_GUST, DRAG_EXPONENT * resonance, phase[0]),
+        bands=spectrum.wind_bands,
         turn_rad=gusts.wave(0.0, LARGEST_TURN_RAD, LATERAL_SHARE * resonance, phase[1]),
     )
 

@@ -32,7 +32,7 @@ def generate_trees(
     spectra = []
     for index, number in enumerate(numbers):
         rows = np.flatnonzero(voxels.tree == number)
-        own_steps = None if on_step is None else _share(on_step, index, len(numbers))
+        own_steps = share_of_steps(on_step, index, len(numbers))
         spectrum = generate(tree_voxels(voxels, rows), seed=seed + int(number), on_step=own_steps)
         spectra.append((rows, spectrum.coefficients))
     coefficients = np.zeros((len(voxels.grid), *spectra[0][1].shape[1:]), np.complex64)
@@ -60,5 +60,8 @@ def tree_voxels(voxels: SurfaceVoxels, rows: Int64[np.ndarray, " M"]) -> Surface
     )
 
 
-def _share(on_step: OnStep, index: int, count: int) -> OnStep:
+def share_of_steps(on_step: OnStep | None, index: int, count: int) -> OnStep | None:
+    """What one of `count` runs reports its steps to, so that they are counted over all."""
+    if on_step is None:
+        return None
     return lambda done, total: on_step(index * total + done, count * total)

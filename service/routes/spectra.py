@@ -8,12 +8,20 @@ from pydantic import Field
 
 from dynamictree.modal.turbulence import Wave, turbulent_wind
 from dynamictree.requests import MAX_SEED, Wind
+from dynamictree.wind_bands import WindBands
 from service.http.routing import Id, refusals
 from service.schemas.base import Payload
 from service.services import OwnedDep
 from service.stored_trees import load_spectrum
 
 router = APIRouter(prefix="/v1/spectra", tags=["spectra"])
+
+
+class WindBandsPayload(Payload):
+    """How much stronger each mode is in other winds. Between two speeds the gain is linear in speed^1.4."""
+
+    speeds_m_s: list[float] = Field(description="[B] rising from 0; above the last the gains stay")
+    gains: list[list[float]] = Field(description="[B][K] over the size in the spectrum's own wind; bin 0 is the lean")
 
 
 class SpectrumPayload(Payload):
@@ -35,6 +43,7 @@ class SpectrumPayload(Payload):
     model: str
     seed: int
     wind: Wind | None
+    wind_bands: WindBandsPayload | None = Field(description="null unless the job asked for them")
     units: str = "m"
     up_axis: str = "+Z"
     artifact_url: str
@@ -56,6 +65,7 @@ def get_spectrum(id: Id, owned: OwnedDep) -> SpectrumPayload:
         origin_m=list(grid.origin_m),
         low_m=[float(o + c * grid.voxel_size_m) for o, c in zip(grid.origin_m, low, strict=True)],
         high_m=[float(o + c * grid.voxel_size_m) for o, c in zip(grid.origin_m, high, strict=True)],
+        wind_bands=None if spectrum.bands is None else _bands(spectrum.bands),
         artifact_url=f"/v1/artifacts/{id}",
     )
 
@@ -85,6 +95,10 @@ class TurbulentWindPayload(Payload):
     partial_phase_rad: list[list[float]] = Field(description="[K - 1][J] from bin 1")
     strength: WavePayload = Field(description="factor on the coordinates of bins 1 to K - 1")
     lean: WavePayload = Field(description="coordinate of bin 0, which is real")
+    bands: WindBandsPayload = Field(
+        description="factors on the coordinates by mean speed: by the model where the job asked for wind_bands, else a "
+        "power law"
+    )
     turn_rad: WavePayload = Field(description="of the whole displacement about the vertical, from +X towards +Y")
 
 
@@ -97,11 +111,20 @@ def get_wind(
         float | None,
         Query(ge=0, le=2, allow_inf_nan=False, description="standard deviation of the speed over its mean"),
     ] = None,
+    speed_m_s: Annotated[
+        float | None,
+        Query(ge=0, le=30, allow_inf_nan=False, description="mean speed; the spectrum's own if unset [m/s]"),
+    ] = None,
 ) -> TurbulentWindPayload:
     """Wind that never repeats, as a table of cosines: with the mode shapes it gives every voxel at any time."""
     spectrum = load_spectrum(owned, id)
     wind = spectrum.wind or Wind()
-    turbulent = turbulent_wind(spectrum, seed=seed, wind=wind if gust is None else replace(wind, gust=gust))
+    wind = replace(
+        wind,
+        gust=wind.gust if gust is None else gust,
+        speed_m_s=wind.speed_m_s if speed_m_s is None else speed_m_s,
+    )
+    turbulent = turbulent_wind(spectrum, seed=seed, wind=wind)
     return TurbulentWindPayload(
         spectrum_id=id,
         seed=seed,
@@ -115,8 +138,13 @@ def get_wind(
         partial_phase_rad=turbulent.partial_phase_rad[1:].tolist(),
         strength=_wave(turbulent.strength),
         lean=_wave(turbulent.lean),
+        bands=_bands(turbulent.bands),
         turn_rad=_wave(turbulent.turn_rad),
     )
+
+
+def _bands(bands: WindBands) -> WindBandsPayload:
+    return WindBandsPayload(speeds_m_s=list(bands.speeds_m_s), gains=[list(row) for row in bands.gains])
 
 
 def _wave(wave: Wave) -> WavePayload:

@@ -5,6 +5,7 @@ import { readFileSync } from "node:fs";
 import { test } from "node:test";
 import { Problem, patiently } from "../../web/client.js";
 import { Resolution } from "../../web/draw/resolution.js";
+import { bandGains, powerLaw } from "../../web/motion/bands.js";
 import { forestMotions, forestPlaces, gustAt } from "../../web/motion/company.js";
 import { ringing, swayFrequency } from "../../web/motion/local.js";
 import { relativePaths, sortFiles } from "../../web/page/bundles.js";
@@ -297,7 +298,7 @@ test("a forest: nine copies whose gust travels with the wind, each turned back b
   for (const [i, { x, y }] of places.entries()) {
     for (const other of [{ x: 0, y: 0 }, ...places.slice(0, i)]) assert.ok(Math.hypot(x - other.x, y - other.y) > 4);
   }
-  const wind = { K: 3, phase: 0.2, period: 4, gain: 1, turn: 0.5, direction_rad: 0, speed_m_s: 5 };
+  const wind = { K: 3, phase: 0.2, period: 4, gains: [1, 1, 1], turn: 0.5, direction_rad: 0, speed_m_s: 5 };
   const [near, far] = forestMotions(
     [
       { x: 0, y: 7, yaw: 0 },
@@ -311,6 +312,21 @@ test("a forest: nine copies whose gust travels with the wind, each turned back b
   assert.ok(Math.abs(far.turn - (0.5 - 2)) < 1e-12);
   const mean = Array.from({ length: 64 }, (_, i) => gustAt(i / 64)).reduce((sum, gust) => sum + gust / 64, 0);
   assert.ok(Math.abs(mean - 1) < 1e-9);
+});
+
+test("gains are the model's at its speeds, rise between them, and stay above the last", () => {
+  const bands = { speeds_m_s: [0, 1, 4, 20], gains: [[0, 0], [0.1, 0.2], [0.7, 0.6], [5, 4]] }; // prettier-ignore
+  bands.speeds_m_s.forEach((speed, b) => {
+    assert.deepEqual(bandGains(bands, speed), bands.gains[b]);
+  });
+  const swept = Array.from({ length: 121 }, (_, i) => bandGains(bands, i / 4));
+  swept.slice(1).forEach((gains, i) => {
+    for (const k of [0, 1]) assert.ok(gains[k] >= swept[i][k] && gains[k] - swept[i][k] < 0.15, `${(i + 1) / 4} m/s`);
+  });
+  assert.deepEqual(bandGains(bands, 30), [5, 4]);
+  const law = powerLaw(2, 6);
+  assert.equal(bandGains(law, 6)[1], 1);
+  assert.ok(Math.abs(bandGains(law, 12)[1] - 2 ** 1.4) < 1e-12);
 });
 
 test("a voxel that moves in one bin alone sways at its frequency", () => {

@@ -2,6 +2,7 @@
 
 import io
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,15 +18,16 @@ from dynamictree.export.write import write_products
 from dynamictree.modal.turbulence import iter_turbulent_motion, turbulent_wind
 from dynamictree.requests import ExportParams
 from tests.browser.shaders import COMPILER
+from tests.export.test_engine_wind import with_gains
 
 RUN = (
     """
-async ([module, width, height, texels, lookup, times]) => {
+async ([module, width, height, texels, lookup, times, speeds]) => {
   const { wind } = await import(URL.createObjectURL(new Blob([module], { type: "text/javascript" })));
 """
     + COMPILER
     + """  const program = gl.createProgram();
-  const main = "in vec2 at; uniform float t; out vec3 moved; void main() { moved = wind(at, t); }";
+  const main = "in vec2 at; uniform float t, speed; out vec3 moved; void main() { moved = wind(at, t, speed); }";
   gl.attachShader(program, compile(gl.VERTEX_SHADER, "#define ROW(v) (v)\\n" + wind + main));
   gl.attachShader(program, compile(gl.FRAGMENT_SHADER, "out vec4 c; void main() { c = vec4(1.0); }"));
   gl.transformFeedbackVaryings(program, ["moved"], gl.INTERLEAVED_ATTRIBS);
@@ -43,8 +45,9 @@ async ([module, width, height, texels, lookup, times]) => {
   gl.bindBufferBase(gl.TRANSFORM_FEEDBACK_BUFFER, 0, gl.createBuffer());
   gl.bufferData(gl.TRANSFORM_FEEDBACK_BUFFER, count * 12, gl.STREAM_READ);
   gl.enable(gl.RASTERIZER_DISCARD);
-  return times.map((seconds) => {
+  return times.map((seconds, number) => {
     gl.uniform1f(gl.getUniformLocation(program, "t"), seconds);
+    gl.uniform1f(gl.getUniformLocation(program, "speed"), speeds[number]);
     gl.beginTransformFeedback(gl.POINTS);
     gl.drawArrays(gl.POINTS, 0, count);
     gl.endTransformFeedback();
@@ -61,22 +64,26 @@ async ([module, width, height, texels, lookup, times]) => {
 @pytest.mark.timeout(300)
 def test_the_shipped_shader_moves_vertices_as_the_library_does(browser: Browser, tmp_path: Path) -> None:
     sample = make_sample(3, "sapling")
-    spectrum = voxel_spectrum(sample, 32)[1]
+    spectrum = with_gains(voxel_spectrum(sample, 32)[1])
     path = write_products(sample.mesh, spectrum, ExportParams(formats=("wind",)), tmp_path)["wind"]
     archive = zipfile.ZipFile(io.BytesIO(path.read_bytes()))
     texels = OpenEXR.File(archive.extract("modes.exr", tmp_path)).channels()["RGB"].pixels.astype(np.float32)
     height, width, _ = texels.shape
     document = pygltflib.GLTF2().load_from_bytes(archive.read("tree-modes.glb"))
     lookup = accessor(document, document.meshes[0].primitives[0].attributes.TEXCOORD_1)
-    times = np.array([0.0, 3.7, 120.0])
+    assert spectrum.wind is not None
+    times, speeds = np.array([0.0, 3.7, 120.0]), (spectrum.wind.speed_m_s, 1.0, 20.0)
     page = browser.new_page()
     colours = np.concatenate([texels, np.ones((height, width, 1), np.float32)], axis=2).ravel().tolist()
     module = archive.read("wind-three.js").decode()
-    there = page.evaluate(RUN, [module, width, height, colours, lookup.ravel().tolist(), times.tolist()])
+    given = [module, width, height, colours, lookup.ravel().tolist(), times.tolist(), list(speeds)]
+    there = page.evaluate(RUN, given)
     page.close()
     own = turbulent_wind(spectrum, seed=spectrum.seed)
     shapes = method.devoxelize(spectrum, sample.mesh)
-    truth = np.stack(list(iter_turbulent_motion(shapes, own, times, spectrum.num_frames)))
+    winds = [replace(own, wind=replace(own.wind, speed_m_s=speed)) for speed in speeds]
+    moments = zip(winds, times[:, None], strict=True)
+    truth = np.stack([next(iter_turbulent_motion(shapes, *moment, spectrum.num_frames)) for moment in moments])
     gap = np.linalg.norm(z_up(np.array(there).reshape(truth.shape)) - truth, axis=2)
     assert gap.max() < 1e-3
     assert np.linalg.norm(truth, axis=2).max() > 0.02

@@ -5,6 +5,7 @@ import json
 import shutil
 import subprocess
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,16 +23,25 @@ from dynamictree.modal.branch_pivots import branch_pivots
 from dynamictree.modal.turbulence import iter_turbulent_motion, turbulent_wind
 from dynamictree.requests import ExportParams
 from dynamictree.spectrum import SparseVoxelSpectrum
+from dynamictree.wind_bands import bands_of_sizes
 from recipes.wind_reference import coordinates, wave_at
 
 Tree = tuple[TriangleMesh, SparseVoxelSpectrum]
 SECONDS = (0.0, 3.7, 412.0)
+STORM_M_S = 20.0
+
+
+def with_gains(spectrum: SparseVoxelSpectrum) -> SparseVoxelSpectrum:
+    """Each mode as much stronger in a storm as its number says."""
+    assert spectrum.wind is not None
+    own = spectrum.wind.speed_m_s
+    return replace(spectrum, bands=bands_of_sizes({own: np.ones(16), STORM_M_S: np.arange(1.0, 17) / 4}, own))
 
 
 @pytest.fixture(scope="module")
 def tree() -> Tree:
     sample = make_sample(3, "sapling")
-    return sample.mesh, voxel_spectrum(sample, 32)[1]
+    return sample.mesh, with_gains(voxel_spectrum(sample, 32)[1])
 
 
 @pytest.fixture(scope="module")
@@ -51,16 +61,18 @@ def modes_of(archive: zipfile.ZipFile, tmp_path: Path) -> np.ndarray:
     return z_up(np.stack([texels[row, np.floor(u * facts["width"]).astype(int)] for row in rows]))
 
 
+@pytest.mark.parametrize("speed_m_s", [None, STORM_M_S])
 def test_the_reference_moves_the_mode_shapes_as_the_library_does(
-    archive: zipfile.ZipFile, tree: Tree, tmp_path: Path
+    archive: zipfile.ZipFile, tree: Tree, tmp_path: Path, speed_m_s: float | None
 ) -> None:
     mesh, spectrum = tree
     modes, wind = modes_of(archive, tmp_path), json.loads(archive.read("wind.json"))["wind"]
     shapes = method.devoxelize(spectrum, mesh)
     own = turbulent_wind(spectrum, seed=spectrum.seed)
+    own = own if speed_m_s is None else replace(own, wind=replace(own.wind, speed_m_s=speed_m_s))
     truth = list(iter_turbulent_motion(shapes, own, np.array(SECONDS), spectrum.num_frames))
     for seconds, expected in zip(SECONDS, truth, strict=True):
-        q = coordinates(wind, seconds)
+        q = coordinates(wind, seconds, speed_m_s)
         moved = modes[0] * q[0].real + np.einsum("k,knc->nc", q[1:].real, modes[1::2])
         moved -= np.einsum("k,knc->nc", q[1:].imag, modes[2::2])
         turn = wave_at(wind["turn_rad"], seconds)
@@ -117,12 +129,13 @@ def test_glslang_compiles_the_hlsl(archive: zipfile.ZipFile, name: str, tmp_path
     text = archive.read(name).decode()
     if "unity" in name:
         types = "struct UnityTexture2D { Texture2D tex; }; struct UnitySamplerState { SamplerState samplerstate; };"
-        call = "UnityTexture2D t = { T }; UnitySamplerState s = { S }; float3 d; Wind_float(l, 1, t, s, d);"
+        call = "UnityTexture2D t = { T }; UnitySamplerState s = { S }; float3 d; Wind_float(l, 1, 8, t, s, d);"
         text = f"Texture2D T; SamplerState S; {types}\n{text}float4 main(float2 l : A) : SV_Position {{ {call} "
     else:
         code = text.partition("TreeWind tree;")
-        head = f"Texture2D Modes; SamplerState ModesSampler;\n{code[0]}float3 custom(float2 Lookup, float Seconds) {{"
-        text = f"{head} TreeWind tree;{code[2]} }}\nfloat4 main(float2 l : A) : SV_Position {{ float3 d = custom(l, 1);"
+        head = "Texture2D Modes; SamplerState ModesSampler;\n"
+        start = f"{head}{code[0]}float3 custom(float2 Lookup, float Seconds, float Speed) {{ TreeWind tree;"
+        text = f"{start}{code[2]} }}\nfloat4 main(float2 l : A) : SV_Position {{ float3 d = custom(l, 1, 8);"
     (tmp_path / "wind.hlsl").write_text(text + " return float4(d, 1); }")
     command = ["glslangValidator", "-D", "-S", "vert", "-e", "main", "-V", "wind.hlsl", "-o", "wind.spv"]
     answer = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)

@@ -61,7 +61,7 @@ def test_a_seed_gives_one_wind_and_another_seed_another(spectrum: SparseVoxelSpe
 
 
 def test_it_is_bounded_in_a_wild_wind_too(spectrum: SparseVoxelSpectrum) -> None:
-    wild = turbulent_wind(spectrum, wind=Wind(speed_m_s=20.0, gust=2.0))
+    wild = turbulent_wind(replace(spectrum, wind=Wind(speed_m_s=20.0, gust=2.0)))
     q = wild.coordinates(np.arange(0, 36_000, 0.7))
     assert q[:, 0].real.min() >= 0
     assert q[:, 0].real.max() <= 2

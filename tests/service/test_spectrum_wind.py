@@ -5,6 +5,7 @@
 import json
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,17 +15,32 @@ from fastapi.testclient import TestClient
 
 from dynamictree.modal.turbulence import turbulent_wind
 from dynamictree.spectrum import SparseVoxelSpectrum
+from dynamictree.wind_bands import bands_of_sizes
 from recipes.wind_reference import coordinates, wave_at
-from tests.service.pushed import grown, spectrum, spectrum_id  # noqa: F401
+from tests.service.pushed import grown, spectrum_id  # noqa: F401
+from tests.service.pushed import spectrum as of_one_wind  # noqa: F401
 
+GAINS = [4.0, *(6.0 - k / 8 for k in range(1, 16))]  # values that float32 holds
 TIMES_S = [0.0, 0.37, 59.9, 3600.25]
+SPEED_M_S = 12.0
 MODULE = Path(__file__).parents[2] / "web" / "motion" / "turbulence.js"
 DRIVER = f"""
 import {{ turbulentCoordinates }} from "{MODULE.as_uri()}";
+import {{ bandGains }} from "{MODULE.with_name("bands.js").as_uri()}";
+const SPEED = {SPEED_M_S};
 const wind = JSON.parse(process.argv[2]);
-const at = (t) => {{ const {{ q, turn }} = turbulentCoordinates(wind, t); return {{ q: Array.from(q), turn }}; }};
-console.log(JSON.stringify({TIMES_S}.map(at)));
+const gains = bandGains(wind.bands, SPEED);
+const at = (t) => turbulentCoordinates(wind, t, gains);
+const plain = ({{ q, turn }}) => ({{ q: Array.from(q), turn }});
+console.log(JSON.stringify({TIMES_S}.map((t) => plain(at(t)))));
 """
+
+
+@pytest.fixture(scope="module")
+def spectrum(of_one_wind: SparseVoxelSpectrum) -> SparseVoxelSpectrum:
+    assert of_one_wind.wind is not None
+    own = of_one_wind.wind.speed_m_s
+    return replace(of_one_wind, bands=bands_of_sizes({own: np.ones(16), 20.0: np.array(GAINS)}, own))
 
 
 @pytest.fixture
@@ -53,9 +69,20 @@ def test_the_pages_module_gives_the_python_references_coordinates(wind: dict[str
     done = subprocess.run([node, str(driver), json.dumps(wind)], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     for seconds, there in zip(TIMES_S, json.loads(done.stdout), strict=True):
-        q = coordinates(wind, seconds)
+        q = coordinates(wind, seconds, SPEED_M_S)
         np.testing.assert_allclose(there["q"], np.stack([q.real, q.imag], axis=1).ravel(), atol=1e-6)
         assert there["turn"] == pytest.approx(wave_at(wind["turn_rad"], seconds), abs=1e-9)
+
+
+def test_a_speed_of_the_request_makes_each_mode_as_strong_as_the_model_says(
+    client: TestClient, spectrum_id: str, spectrum: SparseVoxelSpectrum, wind: dict[str, Any]
+) -> None:
+    assert client.get(f"/v1/spectra/{spectrum_id}").json()["wind_bands"]["gains"][2] == GAINS
+    answer = client.get(f"/v1/spectra/{spectrum_id}/wind", params={"seed": 7, "speed_m_s": 20.0}).json()
+    assert answer["bands"] == wind["bands"]
+    own, storm = coordinates(wind | {"wind": answer["wind"]}, 0.0), coordinates(wind, 0.0)
+    np.testing.assert_allclose(own / storm, GAINS)
+    assert answer["wind"]["speed_m_s"] == 20.0
 
 
 def test_a_gust_of_the_request_replaces_the_spectrums(client: TestClient, spectrum_id: str) -> None:

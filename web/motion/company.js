@@ -44,17 +44,17 @@ export const delayAt = ({ x, y }, direction_rad, speed_m_s) =>
 export const gustAt = (phase) => 0.625 + ((1 + Math.cos(2 * Math.PI * phase)) / 2) ** 2;
 
 /**
- * Coordinates [2K] and turn [rad] in each copy's own axes. `wind` is `{ K, phase, period, seconds, turbulent, gain,
+ * Coordinates [2K] and turn [rad] in each copy's own axes. `wind` is `{ K, phase, period, seconds, turbulent, gains,
  * turn, direction_rad, speed_m_s }`: of the loop, or of endless wind where `turbulent` is its table.
  */
 export function forestMotions(places, wind) {
   return places.map((place) => {
     const delay = delayAt(place, wind.direction_rad, wind.speed_m_s);
     if (wind.turbulent) {
-      const { q, turn } = turbulentCoordinates(wind.turbulent, wind.seconds - delay, wind.gain);
+      const { q, turn } = turbulentCoordinates(wind.turbulent, wind.seconds - delay, wind.gains);
       return { q, turn: wind.turn + turn - place.yaw };
     }
     const phase = wind.phase - delay / wind.period;
-    return { q: windCoordinates(wind.K, phase, wind.gain * gustAt(phase)), turn: wind.turn - place.yaw };
+    return { q: windCoordinates(wind.K, phase, wind.gains, gustAt(phase)), turn: wind.turn - place.yaw };
   });
 }

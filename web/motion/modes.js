@@ -2,18 +2,16 @@
 
 import { readTensors } from "./tensors.js";
 
-/** Of the shipped model: a crown yields, so the wind's force grows with U^1.4, not U² (Vogel). */
-const DRAG_EXPONENT = 1.4;
-
-/** How much stronger the sway of a wind is than that of another [m/s both]. */
-export const windGain = (speed, reference) => (Math.max(speed, 0) / Math.max(reference, 0.1)) ** DRAG_EXPONENT;
-
-/** Coordinates of the wind's own loop: the lean, and q_k = e^{2πik·phase}. Real and imaginary part of K bins. */
-export function windCoordinates(K, phase, gain = 1) {
+/**
+ * Coordinates of the wind's own loop: the lean, and q_k = e^{2πik·phase}. Real and imaginary part of K bins. `gains` are
+ * those of the mean speed (`bandGains`), `gust` is a factor on all.
+ */
+export function windCoordinates(K, phase, gains = null, gust = 1) {
   const q = new Float32Array(2 * K);
   for (let k = 0; k < K; k++) {
-    q[2 * k] = gain * Math.cos(2 * Math.PI * k * phase);
-    q[2 * k + 1] = gain * Math.sin(2 * Math.PI * k * phase);
+    const size = gust * (gains?.[k] ?? 1);
+    q[2 * k] = size * Math.cos(2 * Math.PI * k * phase);
+    q[2 * k + 1] = size * Math.sin(2 * Math.PI * k * phase);
   }
   return q;
 }

@@ -1,7 +1,8 @@
 // Time: the wind's loop is played, paused and scrubbed, endless wind goes on; what is pushed goes on in real time.
 
 import { forestMotions, forestPlaces, gustAt, pairPlaces } from "../motion/company.js";
-import { windCoordinates, windGain } from "../motion/modes.js";
+import { bandGains, powerLaw } from "../motion/bands.js";
+import { windCoordinates } from "../motion/modes.js";
 import { turbulentCoordinates } from "../motion/turbulence.js";
 import { $, describe } from "./dom.js";
 import { number, text } from "./texts.js";
@@ -17,8 +18,8 @@ export class Player {
     this.phase = 0;
     this.seconds = 0; // of endless wind
     this.turbulent = null; // its table of cosines; null plays the loop
-    this.gain = 0;
-    this.wanted = 1;
+    this.windSpeed = 0; // as it is shown; follows `speed`, the slider's
+    this.speed = 0;
     this.turn = 0;
     this.scripted = null; // { phase, seconds } that a recording asks for
     this.alone = null; // { k, times }: one mode by itself, enlarged
@@ -30,8 +31,11 @@ export class Player {
   }
 
   /** Begin with a tree's motion; `wind` is the one that it was made for. */
-  start(tree, { period_s: period, wind }) {
-    Object.assign(this, { tree, period, made: wind ?? { speed_m_s: 5, direction_deg: 0 }, gain: 0, phase: 0 });
+  start(tree, { period_s: period, wind, wind_bands: bands = null }) {
+    const made = wind ?? { speed_m_s: 5, direction_deg: 0 };
+    Object.assign(this, { tree, period, made, windSpeed: 0, speed: made.speed_m_s, phase: 0 });
+    this.bands = bands ?? powerLaw(tree.modes.K, made.speed_m_s);
+    this.hasBands = Boolean(bands);
     this.drawn = this.shownTime = null;
     this.company = "one";
     this.setTurbulent(null);
@@ -54,12 +58,11 @@ export class Player {
     $("time").disabled = Boolean(wind);
   }
 
-  /** Preview a wind: the same motion, stronger or weaker and turned. Returns the factor. */
+  /** Show another wind: the same motion, each mode stronger or weaker, and turned. Returns how far it sways. */
   setWind({ speed_m_s: speed, direction_deg: direction }) {
-    this.wanted = windGain(speed, this.made.speed_m_s);
     Object.assign(this, { speed, direction_rad: (direction * Math.PI) / 180 });
     this.turn = ((direction - this.made.direction_deg) * Math.PI) / 180;
-    return this.wanted;
+    return bandGains(this.bands, speed)[1];
   }
 
   /** What stands beside the tree: "one" for nothing, "pair" for the same tree in a wind of `speed_m_s`, or "forest". */
@@ -70,7 +73,7 @@ export class Player {
       this.tree.setCopies(kind === "forest" ? forestPlaces(width) : kind === "pair" ? pairPlaces(width) : []);
     }
     this.company = kind;
-    this.otherGain = windGain(speed_m_s, this.made.speed_m_s);
+    this.otherSpeed = speed_m_s;
   }
 
   /** Show one mode by itself, enlarged; returns how many times. */
@@ -87,11 +90,12 @@ export class Player {
     if (this.scripted) Object.assign(this, this.scripted);
     else if (this.playing && this.turbulent) this.seconds += seconds;
     else if (this.playing) this.phase = (this.phase + seconds / this.period) % 1;
-    const easing = Math.abs(this.gain - this.wanted) > 1e-3;
-    this.gain = easing ? this.gain + (this.wanted - this.gain) * (1 - Math.exp(-seconds / EASE_S)) : this.wanted;
+    const behind = this.speed - this.windSpeed;
+    this.windSpeed = Math.abs(behind) > 1e-3 ? this.windSpeed + behind * (1 - Math.exp(-seconds / EASE_S)) : this.speed;
+    this.gains = bandGains(this.bands, this.windSpeed);
     const time = this.turbulent ? this.seconds : this.phase;
-    const windless = !this.gain && !this.alone && !(this.company === "pair" && this.otherGain);
-    const now = JSON.stringify([windless || time, this.gain, this.turn, this.alone, this.company, this.otherGain]);
+    const windless = !this.windSpeed && !this.alone && !(this.company === "pair" && this.otherSpeed);
+    const now = JSON.stringify([windless || time, this.windSpeed, this.turn, this.alone, this.company, this.otherSpeed]);
     const changed = now !== this.drawn;
     if (changed || hand.moving || tree.groups.length) {
       const { q, turn } = this._coordinates();
@@ -106,11 +110,11 @@ export class Player {
   _coordinates() {
     const { K } = this.tree.modes;
     if (!this.alone && this.turbulent) {
-      const { q, turn } = turbulentCoordinates(this.turbulent, this.seconds, this.gain);
+      const { q, turn } = turbulentCoordinates(this.turbulent, this.seconds, this.gains);
       return { q, turn: this.turn + turn };
     }
     const gust = this.company === "forest" ? gustAt(this.phase) : 1;
-    if (!this.alone) return { q: windCoordinates(K, this.phase, gust * this.gain), turn: this.turn };
+    if (!this.alone) return { q: windCoordinates(K, this.phase, this.gains, gust), turn: this.turn };
     const { k, times } = this.alone;
     const q = new Float32Array(2 * K);
     const phase = this.turbulent ? (this.seconds / this.period) % 1 : this.phase;
@@ -122,11 +126,12 @@ export class Player {
 
   _companyMotions(places) {
     const { K } = this.tree.modes;
-    const { phase, period, seconds, turbulent, gain, turn, direction_rad, speed: speed_m_s } = this;
+    const { phase, period, seconds, turbulent, gains, turn, direction_rad, speed: speed_m_s } = this;
     if (this.company === "forest")
-      return forestMotions(places, { K, phase, period, seconds, turbulent, gain, turn, direction_rad, speed_m_s });
-    if (!turbulent) return places.map(() => ({ q: windCoordinates(K, phase, this.otherGain), turn }));
-    const now = turbulentCoordinates(turbulent, seconds, this.otherGain);
+      return forestMotions(places, { K, phase, period, seconds, turbulent, gains, turn, direction_rad, speed_m_s });
+    const others = bandGains(this.bands, this.otherSpeed);
+    if (!turbulent) return places.map(() => ({ q: windCoordinates(K, phase, others), turn }));
+    const now = turbulentCoordinates(turbulent, seconds, others);
     return places.map(() => ({ q: now.q, turn: turn + now.turn }));
   }
 

@@ -4,11 +4,14 @@ import { $, button, describe, element, fill } from "./dom.js";
 import { degrees, number, speed as speedWords, text } from "./texts.js";
 import { accent } from "./theme.js";
 
-export const PRESETS = { calm: 0.5, breeze: 3, wind: 8, gale: 17 }; // m/s
+export const PRESETS = { calm: 1, breeze: 4, wind: 8, gale: 14, storm: 20 }; // m/s, those that the model is asked for
 const FULL_M_S = 12; // from here on the arrow is at its darkest
 
 export class WindPanel {
-  /** `onMake(wind)` is called with the wind that a motion is to be made for; a problem of the service to `onProblem`. */
+  /**
+   * `onMake(wind, bands)` is called with the wind that a motion is to be made for, and whether the model is to be asked for
+   * all winds; a problem of the service to `onProblem`.
+   */
   constructor(stage, player, { onMake, onProblem }) {
     Object.assign(this, { stage, player });
     this.active = false;
@@ -20,6 +23,7 @@ export class WindPanel {
     $("speed").oninput = () => this.show();
     $("direction").oninput = () => this.show();
     $("make-wind").onclick = () => onMake(this.wind);
+    $("make-bands").onclick = () => onMake(this.player.made, true);
     this._watchDial();
   }
 
@@ -72,14 +76,15 @@ export class WindPanel {
   }
 
   _note(speed, direction, times) {
-    const { made } = this.player;
+    const { made, hasBands } = this.player;
+    $("make-bands").hidden = hasBands;
     const turn = Math.abs(((direction - made.direction_deg + 540) % 360) - 180);
     const sameSpeed = Math.abs(speed - made.speed_m_s) < 0.01;
     const same = sameSpeed && turn < 0.01;
     $("make-wind").hidden = same;
     if (same) return text("wind.same");
     const parts = [text("wind.preview")];
-    if (!sameSpeed) parts.push(text("wind.times", { n: number(times, times < 10 ? 1 : 0) }));
+    if (!sameSpeed) parts.push(text(hasBands ? "wind.times-bands" : "wind.times", { n: number(times, times < 10 ? 1 : 0) }));
     if (turn >= 0.01) parts.push(text("wind.turned", { angle: degrees(turn) }));
     return `${parts.join(", ")}.`;
   }

@@ -68,6 +68,7 @@ export default {
   "wind.breeze": "Breeze",
   "wind.wind": "Wind",
   "wind.gale": "Gale",
+  "wind.storm": "Storm",
   "wind.loop": "Loop",
   "wind.endless": "Endless wind",
   "wind.speed": "Speed",
@@ -76,8 +77,10 @@ export default {
   "wind.same": "The wind that this motion was made for.",
   "wind.preview": "A preview: the same motion",
   "wind.times": "{n} times as far (speed to the power 1.4)",
+  "wind.times-bands": "{n} times as far, says the model",
   "wind.turned": "turned by {angle}",
   "wind.make": "Make the motion for this wind",
+  "wind.bands": "Ask the model for all winds",
 
   "view.title": "View",
   "view.surface": "Tree",

@@ -24,6 +24,7 @@ from dynamictree.formats.tensors.container import (
     write_tensors,
 )
 from dynamictree.spectrum import RESTS, Rest, SparseVoxelSpectrum, Wind
+from dynamictree.wind_bands import WindBands
 
 FORMAT = "sparse-voxel-spectrum"
 VERSION = "1"
@@ -57,7 +58,8 @@ def write_spectrum(
         "wind": json.dumps(asdict(spectrum.wind) if spectrum.wind else None),
         **source_metadata(spectrum.source),
     }
-    write_tensors(stream, {"coords": spectrum.grid.coords, "coefficients": parts.astype(dtype)}, metadata)
+    tensors = {"coords": spectrum.grid.coords, "coefficients": parts.astype(dtype)}
+    write_tensors(stream, tensors | _band_tensors(spectrum.bands), metadata)
 
 
 def read_spectrum(stream: ByteReader) -> SparseVoxelSpectrum:
@@ -79,8 +81,26 @@ def read_spectrum(stream: ByteReader) -> SparseVoxelSpectrum:
         model=text(metadata, "model", rf"[^\x00-\x1f]{{0,{MAX_TEXT_CHARS}}}"),
         seed=integer(metadata, "seed", low=-(2**63), high=2**64 - 1),
         wind=_wind(metadata),
+        bands=_bands(tensors, coefficients.shape[1]),
         source=source_of(metadata),
     )
+
+
+def _band_tensors(bands: WindBands | None) -> dict[str, np.ndarray]:
+    if bands is None:
+        return {}
+    return {
+        "band_speeds_m_s": np.asarray(bands.speeds_m_s, np.float32),
+        "band_gains": np.asarray(bands.gains, np.float32),
+    }
+
+
+def _bands(tensors: Mapping[str, np.ndarray], num_frequencies: int) -> WindBands | None:
+    if "band_speeds_m_s" not in tensors:
+        return None
+    speeds = take_tensor(tensors, "band_speeds_m_s", dtypes=("float32",), shape=(None,))
+    gains = take_tensor(tensors, "band_gains", dtypes=("float32",), shape=(len(speeds), num_frequencies))
+    return WindBands(speeds_m_s=tuple(speeds.tolist()), gains=tuple(map(tuple, gains.tolist())))
 
 
 def _rest(metadata: Mapping[str, str]) -> Rest:

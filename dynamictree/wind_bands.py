@@ -1,0 +1,71 @@
+"""How much stronger each mode sways in other winds than its own, so that one spectrum serves all speeds.
+
+The gain g_k(U) of bin k is linear in the drag, U^1.4, between the speeds of a table; so it is exact at these speeds,
+continuous between them, 0 in no wind, and constant above the last one.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from dynamictree.errors import InputError
+
+BANDS_M_S = {"calm": 1.0, "breeze": 4.0, "wind": 8.0, "gale": 14.0, "storm": 20.0}
+"""Mean speeds that the model is asked for [m/s]."""
+DRAG_EXPONENT = 1.4  # of the speed: plants bend out of the way, Vogel 1989
+SLOWEST_M_S, FASTEST_M_S = 0.1, 30.0
+MAX_BANDS = 64
+
+
+@dataclass(frozen=True, kw_only=True)
+class WindBands:
+    """Gains of the K bins by wind speed, over the spectrum's own; bin 0 is the lean. Speeds begin with 0 and rise."""
+
+    speeds_m_s: tuple[float, ...]
+    gains: tuple[tuple[float, ...], ...]  # [B][K]
+
+    def __post_init__(self) -> None:
+        rising = all(low < high for low, high in zip(self.speeds_m_s, self.speeds_m_s[1:], strict=False))
+        if not 2 <= len(self.speeds_m_s) <= MAX_BANDS or self.speeds_m_s[0] != 0 or not rising:
+            raise InputError(f"speeds of wind bands are {self.speeds_m_s[:8]}; 0 and up to {MAX_BANDS - 1} rising ones")
+        table = np.asarray(self.gains, np.float64)
+        if len(table) != len(self.speeds_m_s) or table.ndim != 2 or not (np.isfinite(table) & (table >= 0)).all():
+            raise InputError("gains of wind bands are not one row per speed, finite and at least 0")
+
+    @property
+    def num_frequencies(self) -> int:
+        """K."""
+        return len(self.gains[0])
+
+    def at(self, speed_m_s: float) -> Float64[np.ndarray, " K"]:
+        """Gain of each bin in a wind of this mean speed."""
+        drag, table = np.asarray(self.speeds_m_s) ** DRAG_EXPONENT, np.asarray(self.gains, np.float64)
+        now = max(speed_m_s, 0.0) ** DRAG_EXPONENT
+        return np.array([np.interp(now, drag, column) for column in table.T])
+
+
+def power_law(speed_m_s: float, num_frequencies: int) -> WindBands:
+    """Gains of a spectrum that no other wind was generated for: (U / own)^1.4 for every bin, up to 30 m/s."""
+    own = max(speed_m_s, SLOWEST_M_S)
+    speeds = (0.0, own) if own >= FASTEST_M_S else (0.0, own, FASTEST_M_S)
+    gains = [(speed / own) ** DRAG_EXPONENT for speed in speeds]
+    return WindBands(speeds_m_s=speeds, gains=tuple((gain,) * num_frequencies for gain in gains))
+
+
+def bands_of_sizes(sizes: Mapping[float, Float64[np.ndarray, " K"]], own_m_s: float) -> WindBands:
+    """Gains from the size of each mode by wind speed; the spectrum's own speed is among them and has gain 1.
+
+    Values are those that float32 holds, so that a file gives them back as they are.
+    """
+    own = sizes[own_m_s]
+    rows = {
+        max(speed, SLOWEST_M_S): np.divide(size, own, out=np.ones_like(own), where=own > 0)
+        for speed, size in sizes.items()
+    }
+    speeds = sorted(rows)
+    table = np.asarray([np.zeros_like(own), *(rows[speed] for speed in speeds)], np.float32)
+    return WindBands(
+        speeds_m_s=tuple(np.asarray([0.0, *speeds], np.float32).tolist()), gains=tuple(map(tuple, table.tolist()))
+    )
