@@ -92,9 +92,7 @@ def _cloud(
             reading=Reading.part_of(request.reading),
             mask=opened.enter_context(masks[0].open("rb")) if masks else None,
             mesh=None if mesh is None else (mesh, opened.enter_context(paths[mesh].open("rb"))),
-            companions=None
-            if mesh is None
-            else beside_model(mesh, {other: path.read_bytes() for other, path in beside.items()}),
+            companions=beside_model(mesh or name, {other: path.read_bytes() for other, path in beside.items()}),
         )
     with request.prepared.open("xb") as stream:
         write_cloud_bundle(capture, stream)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from dynamictree.mesh import TriangleMesh
 
 MESH_ENDINGS = (".glb", ".obj", ".ply")
-CLOUD_ENDINGS = (".ply", ".splat", ".spz", ".glb")
+CLOUD_ENDINGS = (".ply", ".splat", ".spz", ".sog", ".glb")
 
 
 @with_request_options
@@ -27,7 +27,8 @@ def convert(
     output: Annotated[
         Path,
         typer.Argument(
-            dir_okay=False, help="File to write. Of a mesh: .glb, .obj, .ply. Of a cloud: .ply, .splat, .spz, .glb."
+            dir_okay=False,
+            help="File to write. Of a mesh: .glb, .obj, .ply. Of a cloud: .ply, .splat, .spz, .sog, .glb.",
         ),
     ],
     reading: Reading,
@@ -76,9 +77,16 @@ def write_cloud_file(cloud: "GaussianCloud", path: Path) -> None:
     """Write a cloud in the format of the path's ending."""
     from dynamictree.formats.gltf.gaussian import write_gltf_gaussian
     from dynamictree.formats.splat.ply import write_gaussian_ply
+    from dynamictree.formats.splat.sog import write_sog
     from dynamictree.formats.splat.splat import write_splat
     from dynamictree.formats.splat.spz import write_spz
 
-    writers = {".ply": write_gaussian_ply, ".splat": write_splat, ".spz": write_spz, ".glb": write_gltf_gaussian}
+    writers = {
+        ".ply": write_gaussian_ply,
+        ".splat": write_splat,
+        ".spz": write_spz,
+        ".sog": write_sog,
+        ".glb": write_gltf_gaussian,
+    }
     with path.open("wb") as stream:
         writers[path.suffix.lower()](cloud, stream)

@@ -15,9 +15,7 @@ from dynamictree.formats.suffixes import (
 )
 
 _SHAPE_SUFFIXES = tuple(
-    suffix
-    for suffix in dict.fromkeys((*MESH_SUFFIXES, *CLOUD_SUFFIXES, ".sog", ".ksplat"))
-    if suffix not in POINT_SUFFIXES
+    suffix for suffix in dict.fromkeys((*MESH_SUFFIXES, *CLOUD_SUFFIXES)) if suffix not in POINT_SUFFIXES
 )
 _MOST_NAMES = 10  # of a message
 

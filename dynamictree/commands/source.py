@@ -132,5 +132,5 @@ def load_capture(
             reading=reading,
             mask=None if mask is None else stack.enter_context(opened(mask)),
             mesh=None if mesh is None else (mesh.name, stack.enter_context(opened(mesh))),
-            companions=None if mesh is None else Companions(mesh),
+            companions=Companions(mesh or path),
         )

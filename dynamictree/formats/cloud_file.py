@@ -10,17 +10,23 @@ from dynamictree.formats.json_fields import object_field, object_list
 from dynamictree.formats.ply_table import PlyHeader, read_header
 from dynamictree.formats.scan import pcd, points
 from dynamictree.formats.seekable import SeekableReader
-from dynamictree.formats.splat import compressed_ply, splat, spz
+from dynamictree.formats.splat import compressed_ply, ksplat, sog, splat, spz
 from dynamictree.formats.splat import ply as gaussian_ply
 from dynamictree.gaussian.cloud import GaussianCloud
 
 CloudKind = Literal["gaussians", "compressed-gaussians", "points", "mesh"]
-CloudType = Literal["ply", "splat", "spz", "glb", "xyz", "txt", "csv", "asc", "pts", "pcd", "las", "laz"]
+CloudType = Literal[
+    "ply", "splat", "spz", "sog", "ksplat", "glb", "xyz", "txt", "csv", "asc", "pts", "pcd", "las", "laz"
+]
 CLOUD_TYPES: tuple[CloudType, ...] = get_args(CloudType)
+SPLAT_TYPES: tuple[CloudType, ...] = ("splat", "spz", "sog", "ksplat")
+"""Those whose ending decides: all that is in them are Gaussians."""
 
 _READERS: dict[str, tuple[Callable[..., GaussianCloud], str]] = {
     "splat": (splat.read_splat, splat.UP_AXIS),
     "spz": (spz.read_spz, spz.UP_AXIS),
+    "sog": (sog.read_sog, sog.UP_AXIS),
+    "ksplat": (ksplat.read_ksplat, ksplat.UP_AXIS),
     "glb": (gltf_gaussian.read_gltf_gaussian, gltf_gaussian.UP_AXIS),
     **dict.fromkeys(("xyz", "txt", "csv", "asc", "pts"), (points.read_points_text, points.UP_AXIS)),
     "pcd": (pcd.read_pcd, pcd.UP_AXIS),
@@ -69,7 +75,7 @@ def cloud_kind(stream: SeekableReader, *, file_type: str) -> CloudKind:
         splats = any(gltf_gaussian.EXTENSION in object_field(primitive, "extensions") for primitive in primitives)
         kind = "gaussians" if splats else "mesh"
     elif file_type in _READERS:
-        kind = "gaussians" if file_type in ("splat", "spz") else "points"
+        kind = "gaussians" if file_type in SPLAT_TYPES else "points"
     else:
         kind = "mesh"
     stream.seek(0)
@@ -79,7 +85,7 @@ def cloud_kind(stream: SeekableReader, *, file_type: str) -> CloudKind:
 def says_unit(stream: SeekableReader, *, file_type: str) -> bool:
     """Whether lengths have a unit, as scans and some PLY do; the stream is left at its start."""
     stream.seek(0)
-    stated = file_type not in ("splat", "spz", "glb")
+    stated = file_type not in (*SPLAT_TYPES, "glb")
     if file_type == "ply":
         header = read_header(stream)
         stated = header.unit_m is not None or _ply_kind(header) == "points"

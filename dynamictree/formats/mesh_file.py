@@ -26,7 +26,7 @@ MESH_TYPES = ("obj", "ply", "glb", "gltf", "stl", "off", "3mf", "dae")
 MAX_FILE_BYTES = 1 << 30
 ACCEPTED = (
     "a triangle mesh as OBJ, PLY with faces, STL, OFF, 3MF, COLLADA, glTF or GLB is accepted, a splat as PLY, .splat, "
-    "SPZ or GLB, a scan as LAS, LAZ, PLY, PCD, XYZ, TXT, CSV, ASC or PTS, and photos as JPEG or PNG"
+    "SPZ, SOG, .ksplat or GLB, a scan as LAS, LAZ, PLY, PCD, XYZ, TXT, CSV, ASC or PTS, and photos as JPEG or PNG"
 )
 
 _GLTF_UP_AXIS, _GLTF_UNIT_M = "+Y", 1.0  # glTF 2.0 specification, 3.4

@@ -10,11 +10,12 @@ import scipy  # its parts come in when they are used: the service starts without
 
 from dynamictree.errors import FormatError
 from dynamictree.formats.axes import axis_doubts
-from dynamictree.formats.cloud_file import CLOUD_TYPES, cloud_kind, read_cloud, says_unit
+from dynamictree.formats.cloud_file import CLOUD_TYPES, SPLAT_TYPES, cloud_kind, read_cloud, says_unit
 from dynamictree.formats.cloud_size import sized
 from dynamictree.formats.mesh_file import read_mesh, sniff_file_type
 from dynamictree.formats.seekable import SeekableReader
 from dynamictree.formats.splat.mask import read_mask
+from dynamictree.formats.splat.sog import bundled, is_folder_file
 from dynamictree.formats.upright import judge_up_axis_of_points
 from dynamictree.gaussian.capture import Capture, moving_part, with_still_parts
 from dynamictree.gaussian.cloud import GaussianCloud
@@ -26,12 +27,6 @@ from dynamictree.trees.segment import segment_trees
 
 SourceKind = Literal["mesh", "cloud"]
 HEAD_BYTES = 64 * 1024
-_CONVERTED = {
-    "sog": "SOG files are not read: no library is kept for them; convert it with `splat-transform tree.sog tree.ply`",
-    "ksplat": ".ksplat files are not read; convert it with `splat-transform tree.ksplat tree.ply`",
-    "folder": "this is meta.json of a splat in a SOG folder, which is not read; convert it with "
-    "`splat-transform meta.json tree.ply`",
-}
 FEWEST_GAUSSIANS = 500
 """Of a splat that can look like a plant."""
 _VISIBLE = 0.1  # opacity of Gaussians that show the shape
@@ -49,14 +44,12 @@ def source_kind(stream: SeekableReader, name: str) -> tuple[SourceKind, str]:
         FormatError: it is neither, or a header breaks its format's rules.
     """
     ending = name.rpartition(".")[2].lower()
-    if ending in ("sog", "ksplat"):
-        raise FormatError(_CONVERTED[ending])
-    if ending in ("splat", "spz"):
+    if ending in SPLAT_TYPES:
         return "cloud", ending
     stream.seek(0)
     head = stream.read(HEAD_BYTES)
     if head.lstrip().startswith(b"{") and all(word in head for word in (b'"means"', b'"quats"', b'"scales"')):
-        raise FormatError(_CONVERTED["folder"])
+        return "cloud", "sog"
     file_type = sniff_file_type(head, name)
     stream.seek(0)
     if file_type in ("points", "las", "pcd"):
@@ -84,7 +77,7 @@ def read_capture(
             is made 5 m tall.
         mask: which Gaussians may move (`names.MASK_NAME`).
         mesh: name and content of a mesh that lies where the cloud lies, in the same axes and units.
-        companions: files that the mesh may name.
+        companions: files that the mesh, or the `meta.json` of a SOG folder, may name.
 
     Raises:
         InputError: one of the files cannot be read, or they do not fit together.
@@ -92,6 +85,8 @@ def read_capture(
     assert file_type in CLOUD_TYPES
     reading = reading or Reading()
     stated = reading.unit_m is not None or says_unit(stream, file_type=file_type)
+    if file_type == "sog" and is_folder_file(stream):
+        stream = bundled(stream, companions or {})
     as_it_is = read_cloud(stream, file_type=file_type, up_axis=reading.up_axis, unit_m=reading.unit_m)
     cloud, doubts = sized(as_it_is, height_m=reading.height_m, stated=stated)
     capture = with_still_parts(Capture(cloud=cloud, mask=None if mask is None else read_mask(mask), warnings=doubts))

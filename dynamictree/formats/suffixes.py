@@ -2,7 +2,7 @@
 
 MESH_SUFFIXES = (".obj", ".ply", ".glb", ".gltf", ".stl", ".off", ".3mf", ".dae")
 POINT_SUFFIXES = (".xyz", ".txt", ".csv", ".asc", ".pts")
-CLOUD_SUFFIXES = (".ply", ".splat", ".spz", ".glb", ".las", ".laz", ".pcd", *POINT_SUFFIXES)
+CLOUD_SUFFIXES = (".ply", ".splat", ".spz", ".sog", ".ksplat", ".glb", ".las", ".laz", ".pcd", *POINT_SUFFIXES)
 SOG_FOLDER_FILE = "meta.json"  # of a splat in a folder of pictures
 MASK_NAME = "mask.npy"  # of a cloud: one bool a Gaussian
 

@@ -1,5 +1,6 @@
 """Gaussian clouds in memory: metres, +Z up, quaternions wxyz, linear scales, opacity in [0, 1]."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -56,6 +57,20 @@ class GaussianCloud:
             opacity=self.opacity[rows],
             sh=self.sh[rows],
         )
+
+
+def joined(clouds: Sequence[GaussianCloud]) -> GaussianCloud:
+    """One cloud of the highest degree among several."""
+    width = max(cloud.sh.shape[1] for cloud in clouds)
+    widened = [np.pad(cloud.sh, ((0, 0), (0, width - cloud.sh.shape[1]), (0, 0))) for cloud in clouds]
+    return replace(
+        clouds[0],
+        means=np.concatenate([cloud.means for cloud in clouds]),
+        quaternions=np.concatenate([cloud.quaternions for cloud in clouds]),
+        scales=np.concatenate([cloud.scales for cloud in clouds]),
+        opacity=np.concatenate([cloud.opacity for cloud in clouds]),
+        sh=np.concatenate(widened),
+    )
 
 
 def check_count(num_gaussians: int) -> None:

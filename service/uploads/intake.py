@@ -18,6 +18,7 @@ from dynamictree.formats.suffixes import (
     MIN_PHOTOS,
     PHOTO_SUFFIXES,
     POINT_SUFFIXES,
+    SOG_FOLDER_FILE,
 )
 from dynamictree.requests import Reading
 from jobs.artifacts import hash_file
@@ -129,6 +130,7 @@ def _models(files: list[ReceivedFile]) -> tuple[ReceivedFile, ...]:
     if len(files) == 1:
         return (files[0],)  # whatever its name: its bytes tell
     certain = [file for file in files if _suffix(file) in {*MESH_SUFFIXES, *CLOUD_SUFFIXES} - {*POINT_SUFFIXES}]
+    certain = certain or [file for file in files if PurePosixPath(file.name).name == SOG_FOLDER_FILE]
     points = [file for file in files if _suffix(file) in POINT_SUFFIXES]
     models = certain or points  # text beside a model is a note or a licence
     if certain and points and all(_suffix(file) != ".txt" for file in points):

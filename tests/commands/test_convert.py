@@ -33,7 +33,7 @@ def test_a_mesh_keeps_its_triangles_and_its_size(
         np.testing.assert_allclose(after.materials[0].base_color, before.materials[0].base_color, atol=1e-3)
 
 
-@pytest.mark.parametrize("ending", ["ply", "splat", "spz", "glb"])
+@pytest.mark.parametrize("ending", ["ply", "splat", "spz", "sog", "glb"])
 def test_a_cloud_keeps_its_gaussians(dynamictree: Callable[..., int], tmp_path: Path, ending: str) -> None:
     rng = np.random.default_rng(3)
     scan = tmp_path / "scan.xyz"
@@ -41,7 +41,8 @@ def test_a_cloud_keeps_its_gaussians(dynamictree: Callable[..., int], tmp_path: 
     written = tmp_path / f"tree.{ending}"
     assert dynamictree("convert", scan, written) == 0
     before = load_capture(scan).cloud
-    after = load_capture(written, Reading(up_axis="+Y" if ending in ("spz", "glb") else "+Z", unit_m=1)).cloud
+    up_axis = {"spz": "+Y", "glb": "+Y", "sog": "-Y"}.get(ending, "+Z")
+    after = load_capture(written, Reading(up_axis=up_axis, unit_m=1)).cloud
     assert before.num_gaussians == after.num_gaussians
     np.testing.assert_allclose(np.sort(after.means, axis=0), np.sort(before.means, axis=0), atol=2e-3)
 

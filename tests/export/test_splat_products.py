@@ -256,7 +256,7 @@ def test_what_does_not_fit_together_is_refused(capture: Capture, files: dict[str
         moving_part(pot, CloudParams(box_m=BOX))
     sog = tmp_path / "tree.sog"
     sog.write_bytes(b"PK\x03\x04")
-    with pytest.raises(FormatError, match="SOG files are not read"):
+    with pytest.raises(FormatError, match="the SOG file is no ZIP archive"):
         load_capture(sog)
 
 

@@ -12,12 +12,15 @@ import pytest
 from dynamictree.formats.cloud_axes import to_source_axes, to_z_up
 from dynamictree.formats.cloud_file import cloud_kind, read_cloud
 from dynamictree.formats.gltf.gaussian import write_gltf_gaussian
+from dynamictree.formats.splat.codebook import palette_of
 from dynamictree.formats.splat.ply import property_names, write_gaussian_ply
+from dynamictree.formats.splat.sog import write_sog
 from dynamictree.formats.splat.splat import write_splat
 from dynamictree.formats.splat.spz import write_spz
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.harmonics import harmonics
 from dynamictree.gaussian.rotation import quaternion_matrices
+from tests.formats.ksplat_bytes import ksplat_bytes
 
 Write = Callable[[GaussianCloud, BinaryIO], None]
 
@@ -82,6 +85,60 @@ def test_spz_stays_within_its_rounding(rng: np.random.Generator, degree: int) ->
     rest = up.sh[:, 1:] - cloud.sh[:, 1:]
     assert degree == 0 or np.sqrt((rest**2).mean()) < 0.125 / np.sqrt(12) * 1.2  # a bucket of 4 bits, evenly filled
     assert np.abs((covariances(up) - covariances(cloud)) / cloud.scales.max(axis=1)[:, None, None] ** 2).max() < 0.08
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_sog_stays_within_its_rounding(rng: np.random.Generator, degree: int) -> None:
+    cloud = make_cloud(rng, degree=degree, up_axis="+Z", unit_m=0.1)
+    again = read_back(cloud, write_sog, "sog")
+    assert again.num_gaussians == 300
+    assert again.sh_degree == degree
+    order = ((again.means[None] - cloud.means[:, None]) ** 2).sum(axis=2).argmin(axis=1)
+    again = again.subset(order)
+    np.testing.assert_allclose(again.means, cloud.means, atol=4e-4)
+    np.testing.assert_allclose(np.log(again.scales), np.log(cloud.scales), atol=0.1)
+    np.testing.assert_allclose(again.opacity, cloud.opacity, atol=0.5 / 255 + 1e-6)
+    np.testing.assert_allclose(again.sh, cloud.sh, atol=0.03)
+    assert np.abs((covariances(again) - covariances(cloud)) / cloud.scales.max(axis=1)[:, None, None] ** 2).max() < 0.2
+    assert np.sqrt(((np.log(again.scales) - np.log(cloud.scales)) ** 2).mean()) < 0.01
+
+
+def test_sog_of_few_values_keeps_them(rng: np.random.Generator) -> None:
+    cloud = make_cloud(rng, degree=0)
+    scales = np.exp(np.linspace(-6, -1, 200)).astype(np.float32)[rng.integers(0, 200, (300, 3))]
+    few = replace(
+        cloud, scales=scales, means=np.zeros((300, 3), np.float32), opacity=np.arange(300, dtype=np.float32) / 299
+    )
+    again = read_back(few, write_sog, "sog")
+    assert not again.means.any()
+    np.testing.assert_allclose(np.sort(again.scales, axis=0), np.sort(scales, axis=0), rtol=1e-5)
+
+
+def test_a_palette_has_a_near_row_for_every_row(rng: np.random.Generator) -> None:
+    middles = rng.normal(size=(32, 9))
+    of = rng.integers(0, 32, 5000)
+    rows = (middles[of] + 0.01 * rng.normal(size=(5000, 9))).astype(np.float32)
+    palette, labels = palette_of(rows, 1024)
+    assert len(palette) == 1024
+    assert np.bincount(labels).max() <= 5
+    error = np.sqrt(((palette[labels] - rows) ** 2).mean())
+    assert error < 0.1 * rows.std()
+    exact, every = palette_of(rows[:1000], 1024)
+    np.testing.assert_array_equal(exact[every], rows[:1000])
+
+
+@pytest.mark.parametrize("level", [0, 1, 2])
+@pytest.mark.parametrize("degree", [0, 1, 2])
+def test_ksplat_is_read_within_its_rounding(rng: np.random.Generator, level: int, degree: int) -> None:
+    cloud = make_cloud(rng, degree=degree)
+    cloud = replace(cloud, means=np.clip(cloud.means, -2.4, 2.4))
+    again = read_cloud(io.BytesIO(ksplat_bytes(cloud, level)), file_type="ksplat", up_axis="+Z")
+    np.testing.assert_allclose(again.means, cloud.means, atol=1e-6 if level == 0 else 1e-4)
+    np.testing.assert_allclose(again.scales, cloud.scales, rtol=1e-6 if level == 0 else 1e-3)
+    np.testing.assert_allclose(again.opacity, cloud.opacity, atol=0.5 / 255 + 1e-6)
+    np.testing.assert_allclose(again.sh[:, 0], cloud.sh[:, 0], atol=0.5 / 255 / 0.282 + 1e-6)
+    np.testing.assert_allclose(again.sh[:, 1:], cloud.sh[:, 1:], atol=(1e-6, 1e-3, 0.5 / 127)[level])
+    np.testing.assert_allclose(covariances(again), covariances(cloud), rtol=0.02, atol=1e-3 * cloud.scales.max() ** 2)
 
 
 def test_spz_holds_clouds_that_reach_far(rng: np.random.Generator) -> None:

@@ -1,6 +1,7 @@
 """Clouds that pass through tools that are not ours: trimesh, and PlayCanvas' splat-transform (`make js-tools`)."""
 
 import subprocess
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 
@@ -8,13 +9,14 @@ import numpy as np
 import pytest
 import trimesh
 
-from dynamictree.errors import FormatError
 from dynamictree.formats.cloud_file import read_cloud
 from dynamictree.formats.source_file import source_kind
 from dynamictree.formats.splat.ply import property_names, write_gaussian_ply
+from dynamictree.formats.splat.sog import write_sog
 from dynamictree.formats.splat.splat import write_splat
 from dynamictree.formats.splat.spz import write_spz
 from dynamictree.gaussian.cloud import GaussianCloud
+from tests.formats.ksplat_bytes import ksplat_bytes
 from tests.formats.test_cloud_round_trips import covariances, make_cloud
 
 TOOL = Path(__file__).parents[2] / ".cache" / "js-tools" / "node_modules" / ".bin" / "splat-transform"
@@ -74,7 +76,7 @@ def transform() -> Path:
 
 def through(tool: Path, source: Path, target: Path) -> GaussianCloud:
     """What splat-transform makes of a file, read by us."""
-    subprocess.run([tool, "--overwrite", source, target], check=True, capture_output=True, timeout=120)
+    subprocess.run([tool, "--overwrite", "-g", "cpu", source, target], check=True, capture_output=True, timeout=120)
     with target.open("rb") as stream:
         kind, file_type = source_kind(stream, target.name)
         assert kind == "cloud"
@@ -123,8 +125,34 @@ def test_splat_transform_reads_our_splat_and_spz(transform: Path, tmp_path: Path
 
 
 @pytest.mark.slow
-def test_a_sog_is_refused_by_name(transform: Path, tmp_path: Path, rng: np.random.Generator) -> None:
+@pytest.mark.parametrize("degree", [0, 1])
+def test_splat_transform_and_we_read_each_others_sog(
+    transform: Path, tmp_path: Path, rng: np.random.Generator, degree: int
+) -> None:
+    cloud = make_cloud(rng, degree=degree)
+    with (tmp_path / "ours.sog").open("wb") as stream:
+        write_sog(cloud, stream)
+    of_ours = through(transform, tmp_path / "ours.sog", tmp_path / "of-ours.ply")
+    assert_alike(of_ours, cloud, 0.02)
+    np.testing.assert_allclose(sorted_like(of_ours, cloud).sh, cloud.sh, atol=0.03)
     with (tmp_path / "ours.ply").open("wb") as stream:
-        write_gaussian_ply(make_cloud(rng, degree=0), stream)
-    with pytest.raises(FormatError, match=r"splat-transform tree\.sog tree\.ply"):
-        through(transform, tmp_path / "ours.ply", tmp_path / "theirs.sog")
+        write_gaussian_ply(cloud, stream)
+    theirs = through(transform, tmp_path / "ours.ply", tmp_path / "theirs.sog")
+    assert_alike(theirs, cloud, 0.03)
+    np.testing.assert_allclose(sorted_like(theirs, cloud).sh[:, 0], cloud.sh[:, 0], atol=0.03)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("level", [0, 1, 2])
+def test_splat_transform_and_we_read_the_same_ksplat(
+    transform: Path, tmp_path: Path, rng: np.random.Generator, level: int
+) -> None:
+    cloud = make_cloud(rng, degree=2)
+    cloud = replace(cloud, means=np.clip(cloud.means, -2.4, 2.4))
+    (tmp_path / "a.ksplat").write_bytes(ksplat_bytes(cloud, level))
+    theirs = through(transform, tmp_path / "a.ksplat", tmp_path / "theirs.ply")
+    with (tmp_path / "a.ksplat").open("rb") as stream:
+        ours = read_cloud(stream, file_type="ksplat")
+    for name in ("means", "scales", "opacity", "sh"):
+        np.testing.assert_allclose(getattr(ours, name), getattr(theirs, name), rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(covariances(ours), covariances(theirs), rtol=1e-3, atol=1e-6)

@@ -187,14 +187,6 @@ def test_a_table_without_positions_is_refused_with_its_columns() -> None:
         read_cloud(io.BytesIO(text.encode()), file_type="csv")
 
 
-@pytest.mark.parametrize(
-    ("name", "content"), [("tree.ksplat", b"\0" * 99), ("meta.json", b'{"means": {}, "scales": {}, "quats": {}}')]
-)
-def test_splats_that_are_not_read_are_refused_with_the_command_that_converts_them(name: str, content: bytes) -> None:
-    with pytest.raises(FormatError, match=f"splat-transform {name} tree.ply"):
-        source_kind(io.BytesIO(content), name)
-
-
 def test_an_unknown_format_is_refused_with_all_that_are_read() -> None:
     with pytest.raises(FormatError, match=r"OBJ.*splat.*SPZ.*LAZ.*CSV.*JPEG"):
         source_kind(io.BytesIO(b"\x01\x02\x03"), "tree.xyz1")

@@ -8,6 +8,7 @@ import zipfile
 import zlib
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -52,6 +53,26 @@ def spz_of_zeros() -> bytes:
     for start in range(0, size, len(chunk)):
         parts.append(packer.compress(chunk[: size - start]))
     return b"".join([*parts, packer.flush()])
+
+
+def sog_of_one_colour() -> bytes:
+    """Five million Gaussians of degree 3 in pictures of one colour, which lossless WebP packs 10,000 to one."""
+    count, side = 5_000_000, 2240
+    picture, palette = (io.BytesIO() for _ in range(2))
+    Image.new("RGBA", (side, side)).save(picture, "WEBP", lossless=True)
+    Image.new("RGBA", (64 * 15, 1)).save(palette, "WEBP", lossless=True)
+    names = {"means": ("l", "u"), "scales": ("s",), "quats": ("q",), "sh0": ("c",), "shN": ("p", "n")}
+    meta: dict[str, Any] = {name: {"files": list(files), "codebook": [0.0] * 256} for name, files in names.items()}
+    meta["means"] |= {"mins": [0, 0, 0], "maxs": [1, 1, 1]}
+    meta["shN"] |= {"bands": 3, "count": 64}
+    files = {name: picture.getvalue() for group in names.values() for name in group} | {"p": palette.getvalue()}
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as archive:
+        for name, content in (
+            files | {"meta.json": json.dumps(meta | {"version": 2, "count": count}).encode()}
+        ).items():
+            archive.writestr(name, content)
+    return stream.getvalue()
 
 
 def cameras_of_nothing() -> bytes:
@@ -132,6 +153,7 @@ BOMBS: dict[str, tuple[Callable[[], bytes], Callable[[bytes], object], str]] = {
     "many images": (many_images, _looks, "refused"),
     "many instances": (many_instances, READERS["glb"], "refused"),
     "spz of zeros": (spz_of_zeros, READERS["spz"], "refused"),
+    "SOG of one colour": (sog_of_one_colour, READERS["sog"], "refused"),
     "cameras of nothing": (cameras_of_nothing, _cameras, "refused"),
     "zip of cameras": (zip_of_cameras, READERS["zip"], "refused"),
     "deep JSON": (deep_json, READERS["glb"], "refused"),

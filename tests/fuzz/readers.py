@@ -94,6 +94,8 @@ READERS: dict[str, Callable[[bytes], object]] = {
     "gltf-zip": archive,
     "splat": cloud("splat"),
     "spz": cloud("spz"),
+    "sog": cloud("sog"),
+    "ksplat": cloud("ksplat"),
     "las": cloud("las"),
     "pcd": cloud("pcd"),
     "xyz": cloud("xyz"),

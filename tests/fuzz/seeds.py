@@ -16,6 +16,7 @@ from dynamictree.formats.gltf.writer import write_glb
 from dynamictree.formats.mesh.obj_writer import write_obj
 from dynamictree.formats.mesh.ply_writer import write_ply
 from dynamictree.formats.splat.ply import write_gaussian_ply
+from dynamictree.formats.splat.sog import write_sog
 from dynamictree.formats.splat.splat import write_splat
 from dynamictree.formats.splat.spz import write_spz
 from dynamictree.formats.tensors.mesh_bundle import write_mesh_bundle
@@ -27,6 +28,7 @@ from dynamictree.mesh import TriangleMesh
 from dynamictree.spectrum import SparseVoxelSpectrum
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import SurfaceVoxels
+from tests.formats.ksplat_bytes import ksplat_bytes
 from tests.formats.meshes import gltf_bytes, image_bytes, triangle_gltf, trunk_and_crown, zipped
 
 
@@ -180,6 +182,8 @@ def seeds() -> dict[str, list[bytes]]:
         "gltf-zip": [gltf_zip()],
         "splat": [written(write_splat, cloud(0))],
         "spz": [written(write_spz, cloud(0)), written(write_spz, cloud(3)), spz4()],
+        "sog": [written(write_sog, cloud(0)), written(write_sog, cloud(3))],
+        "ksplat": [ksplat_bytes(cloud(degree), level) for degree, level in ((0, 0), (2, 1), (1, 2))],
         "las": [las(packed=False), las(packed=True)],
         "pcd": [pcd(packed=False), pcd(packed=True)],
         "xyz": [xyz(), xyz(", "), b"x y z\n" + xyz("\t")],

@@ -118,7 +118,7 @@ BAD_CLOUDS = {
     "nothing visible": ("a.ply", with_values(opacity=0.0), 422, "nothing is visible"),
     "zeros": ("a.splat", bytes(64), 422, "nothing is visible"),
     "half a record": ("a.splat", splat_of(post_cloud())[:-5], 415, "32"),
-    "SOG": ("tree.sog", zipped(("meta.json", b"{}")), 415, "SOG files are not read"),
+    "SOG": ("tree.sog", zipped(("meta.json", b"{}")), 415, "version 1"),
     "one place": ("scan.txt", b"0.1 0.2 0.3\n" * 50, 422, "at one place"),
     "no numbers": ("scan.xyz", b"1 2 3\n1 2 x\n", 415, "numbers"),
     "no LAS": ("scan.las", b"LASF" + bytes(300), 415, "LAS"),

@@ -1,7 +1,6 @@
 """GLB files with KHR_gaussian_splatting: point primitives with rotation xyzw, linear scale, opacity and harmonics."""
 
 from dataclasses import replace
-from functools import reduce
 
 import numpy as np
 from jaxtyping import Float32, Float64
@@ -16,7 +15,7 @@ from dynamictree.formats.gltf.scene import mesh_instances
 from dynamictree.formats.gltf.writer import GlbWriter
 from dynamictree.formats.json_fields import JsonObject, index_field, integer_field, object_field, object_list
 from dynamictree.formats.splat.activations import scales_from_log
-from dynamictree.gaussian.cloud import SH_DEGREES, GaussianCloud, check_count, validate_cloud
+from dynamictree.gaussian.cloud import SH_DEGREES, GaussianCloud, check_count, joined, validate_cloud
 from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.gaussian.rotation import polar_rotations, unit_quaternions
 
@@ -47,7 +46,7 @@ def read_gltf_gaussian(stream: ByteReader, *, up_axis: str = UP_AXIS, unit_m: fl
     if min(cloud.scales.min() for cloud in stored) < 0:  # a length is never negative: an early draft's logarithms
         stored = [replace(cloud, scales=scales_from_log(cloud.scales)) for cloud in stored]
     clouds = [_placed(cloud, transform) for cloud, (transform, _) in zip(stored, primitives, strict=True)]
-    return to_z_up(validate_cloud(_joined(clouds)), up_axis=up_axis, unit_m=unit_m)
+    return to_z_up(validate_cloud(joined(clouds)), up_axis=up_axis, unit_m=unit_m)
 
 
 def write_gltf_gaussian(cloud: GaussianCloud, stream: ByteWriter) -> None:
@@ -146,14 +145,3 @@ def _placed(cloud: GaussianCloud, transform: Float64[np.ndarray, "4 4"]) -> Gaus
         )
     turned = transformed(cloud, rotation, scale)
     return replace(turned, means=(turned.means + transform[:3, 3]).astype(np.float32))
-
-
-def _joined(clouds: list[GaussianCloud]) -> GaussianCloud:
-    """One cloud of the highest degree among them."""
-    width = max(cloud.sh.shape[1] for cloud in clouds)
-    widened = [np.pad(cloud.sh, ((0, 0), (0, width - cloud.sh.shape[1]), (0, 0))) for cloud in clouds]
-    parts = {
-        name: reduce(lambda a, b: np.concatenate([a, b]), [getattr(cloud, name) for cloud in clouds])
-        for name in ("means", "quaternions", "scales", "opacity")
-    }
-    return replace(clouds[0], sh=np.concatenate(widened), **parts)

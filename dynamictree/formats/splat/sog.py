@@ -1,0 +1,316 @@
+"""SOG files of PlayCanvas, version 2: lossless WebP pictures of one pixel a Gaussian, and `meta.json`, in a ZIP.
+
+Places are 16-bit steps of sign(x) ln(1 + |x|), logarithms of scales and first harmonics bytes that name one of 256
+numbers, further harmonics 16 bits that name a row of a palette of such bytes.
+"""
+
+import io
+import json
+import warnings
+import zipfile
+from collections.abc import Mapping
+
+import numpy as np
+from jaxtyping import Float32, Int, Shaped, UInt8
+from PIL import Image, UnidentifiedImageError
+
+from dynamictree.byte_stream import ByteWriter, read_all
+from dynamictree.errors import FormatError
+from dynamictree.formats.axes import up_rotation
+from dynamictree.formats.cloud_axes import to_source_axes, to_z_up, transformed
+from dynamictree.formats.companions import find_companion
+from dynamictree.formats.json_fields import (
+    JsonObject,
+    integer_field,
+    numbers_field,
+    object_field,
+    parse_object,
+    text_list,
+)
+from dynamictree.formats.seekable import SeekableReader, remaining_bytes
+from dynamictree.formats.splat.activations import log_from_scales, scales_from_log
+from dynamictree.formats.splat.codebook import CODES, codes_of, palette_of
+from dynamictree.formats.suffixes import SOG_FOLDER_FILE
+from dynamictree.gaussian.cloud import GaussianCloud, check_count, validate_cloud
+from dynamictree.gaussian.rotation import unit_quaternions
+
+META = SOG_FOLDER_FILE
+UP_AXIS = "-Y"
+"""As a PLY of the same scene."""
+_VERSION = 2
+_PARTS = ("means", "scales", "quats", "sh0", "shN")
+_MAX_META_BYTES = 1 << 20
+_MAX_FILES = 64
+_MAX_RATIO = 100  # unpacked over packed bytes; clouds of real trees are below 5
+_ALWAYS_BYTES = 16 << 20  # unpacked, whatever the ratio
+_SPARE_PIXELS = 1 << 16  # of a picture beyond one a Gaussian: rows are filled up
+_ROW = 64  # palette entries beside each other
+_MAX_PALETTE = 1 << 16
+_STEPS = 65_535
+_FIRST_TAG = 252  # alpha of a rotation: this and the place of the largest of w, x, y, z
+_OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
+_LARGEST = 1e30  # of a codebook's numbers; larger ones overflow
+_FAR = 80.0  # exponents beyond overflow float32, and are refused as not finite
+_UNREADABLE = (zipfile.BadZipFile, zipfile.LargeZipFile, NotImplementedError, RuntimeError, OSError, EOFError)
+
+
+def read_sog(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: float = 1.0) -> GaussianCloud:
+    """Read a bundle.
+
+    Raises:
+        FormatError: no ZIP of a SOG of version 2, pictures that are missing or do not fit, or damaged.
+        InputError: nothing visible, too many Gaussians.
+    """
+    files = _unpacked(stream)
+    meta = parse_object(files.get(META, b""), META)
+    if meta.get("version") != _VERSION:
+        raise FormatError(
+            f"the SOG file is of version {str(meta.get('version', 1))[:20]}; {_VERSION} is understood: "
+            "convert it with `splat-transform old.sog new.sog`"
+        )
+    count = integer_field(meta, "count", high=1 << 32)
+    check_count(count)
+    _refuse_bomb(count, sum(map(len, files.values())))
+    low, high = (_picture(files, meta, "means", count, place) for place in (0, 1))
+    rotations, scales, colors = (_picture(files, meta, name, count) for name in ("quats", "scales", "sh0"))
+    first = _codebook(meta, "sh0")[colors[:, :3]]  # [G, 3]
+    cloud = GaussianCloud(
+        means=_means(object_field(meta, "means"), low, high),
+        quaternions=unit_quaternions(_rotations(rotations)),
+        scales=scales_from_log(_codebook(meta, "scales")[scales[:, :3]]),
+        opacity=colors[:, 3] / np.float32(255),
+        sh=np.concatenate([first[:, None], _harmonics(files, meta, count)], axis=1),
+    )
+    return to_z_up(validate_cloud(cloud), up_axis=up_axis, unit_m=unit_m)
+
+
+def is_folder_file(stream: SeekableReader) -> bool:
+    """Whether a stream is `meta.json` and no bundle; it is left at its start."""
+    head = stream.read(1)
+    stream.seek(0)
+    return head == b"{"
+
+
+def bundled(meta: SeekableReader, beside: Mapping[str, bytes]) -> SeekableReader:
+    """The files of a SOG folder as one bundle; pictures that are not there are left to `read_sog` to name.
+
+    Raises:
+        FormatError: `meta.json` is larger than is allowed, or no JSON.
+    """
+    content = read_all(meta, _MAX_META_BYTES)
+    described = parse_object(content, META)
+    pictures = [name for part in _PARTS for name in text_list(object_field(described, part), "files")]
+    parts = {name: find_companion(name, beside) for name in pictures[:_MAX_FILES]}
+    files = {META: content} | {name: part for name, part in parts.items() if part is not None}
+    return io.BytesIO(_zipped(files))
+
+
+def write_sog(cloud: GaussianCloud, stream: ByteWriter) -> None:
+    """Write a bundle in the source's units and −Y up, its Gaussians in Morton order; harmonics lose most."""
+    turn = up_rotation(UP_AXIS).T @ up_rotation(cloud.source_up_axis)
+    source = transformed(to_source_axes(cloud), turn, 1.0)
+    log_places = np.sign(source.means) * np.log1p(np.abs(source.means.astype(np.float64)))
+    low, high = log_places.min(axis=0), log_places.max(axis=0)
+    steps = np.rint((log_places - low) / np.maximum(high - low, 1e-30) * _STEPS).astype(np.int64)
+    order = _morton_order(steps)
+    source, steps = source.subset(order), steps[order]
+    scale_codes, scale_book = codes_of(log_from_scales(source.scales))
+    color_codes, color_book = codes_of(source.sh[:, 0])
+    opacity = np.rint(source.opacity[:, None] * 255).astype(np.uint8)
+    pictures = {
+        "means_l": _opaque(steps & 255),
+        "means_u": _opaque(steps >> 8),
+        "scales": _opaque(scale_codes),
+        "quats": _packed_rotations(source.quaternions),
+        "sh0": np.concatenate([color_codes, opacity], axis=1),
+    }
+    meta: dict[str, object] = {
+        "version": _VERSION,
+        "count": source.num_gaussians,
+        "means": {"mins": low.tolist(), "maxs": high.tolist(), "files": ["means_l.webp", "means_u.webp"]},
+        "scales": {"codebook": scale_book.tolist(), "files": ["scales.webp"]},
+        "quats": {"files": ["quats.webp"]},
+        "sh0": {"codebook": color_book.tolist(), "files": ["sh0.webp"]},
+    }
+    files = {f"{name}.webp": _webp(pixels, _width(len(pixels))) for name, pixels in pictures.items()}
+    if source.sh_degree:
+        meta["shN"] = _write_harmonics(source, files)
+    files = {META: json.dumps(meta).encode()} | files
+    stream.write(_zipped(files))
+
+
+def _zipped(files: Mapping[str, bytes]) -> bytes:
+    """A stored archive without zip64 records, which PlayCanvas' readers do not know, and without a date."""
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w") as archive:
+        for name, part in files.items():
+            archive.writestr(zipfile.ZipInfo(name), part)
+    return content.getvalue()
+
+
+def _unpacked(stream: SeekableReader) -> dict[str, bytes]:
+    """The archive's files by name, in memory."""
+    size = remaining_bytes(stream)
+    try:
+        with zipfile.ZipFile(io.BytesIO(stream.read())) as archive:
+            entries = archive.infolist()
+            total = sum(entry.file_size for entry in entries)
+            if len(entries) > _MAX_FILES or total > max(_MAX_RATIO * size, _ALWAYS_BYTES):
+                raise FormatError(
+                    f"the SOG archive has {len(entries):,} files of {total:,} bytes in {size:,}; at most {_MAX_FILES} "
+                    f"files and {_MAX_RATIO}:1 are allowed"
+                )
+            if any(entry.filename == META and entry.file_size > _MAX_META_BYTES for entry in entries):
+                raise FormatError(
+                    f"{META} of the SOG file is larger than the {_MAX_META_BYTES:,} bytes that are allowed"
+                )
+            return {entry.filename: archive.read(entry) for entry in entries}
+    except (*_UNREADABLE, ValueError) as error:
+        raise FormatError(f"the SOG file is no ZIP archive that can be read: {str(error)[:120]}") from error
+
+
+def _refuse_bomb(count: int, packed_bytes: int) -> None:
+    unpacked = 20 * count  # five pictures
+    if unpacked > max(packed_bytes * _MAX_RATIO, _ALWAYS_BYTES):
+        raise FormatError(
+            f"the SOG file says {count:,} Gaussians, {unpacked:,} bytes, in pictures of {packed_bytes:,}; "
+            f"at most {_MAX_RATIO}:1 is allowed"
+        )
+
+
+def _picture(
+    files: Mapping[str, bytes], meta: JsonObject, name: str, count: int, place: int = 0
+) -> UInt8[np.ndarray, "G 4"]:
+    """RGBA of the first `count` pixels of a picture that `meta` names."""
+    return _pixels(files, meta, name, place, count).reshape(-1, 4)[:count]
+
+
+def _pixels(
+    files: Mapping[str, bytes], meta: JsonObject, name: str, place: int, count: int
+) -> UInt8[np.ndarray, "H W 4"]:
+    """All pixels of a picture, which has at least `count`, and not many more."""
+    names = text_list(object_field(meta, name), "files")
+    if place >= len(names) or names[place] not in files:
+        raise FormatError(f"the SOG file lacks picture {place + 1} of {name}: {META} names {', '.join(names)[:80]!r}")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # our own cap is checked below
+            image: Image.Image = Image.open(io.BytesIO(files[names[place]]), formats=("WEBP",))
+        width, height = image.size
+        if not count <= width * height <= count + _SPARE_PIXELS:
+            raise FormatError(
+                f"picture {names[place][:40]!r} of the SOG file has {width} x {height} pixels; {count:,} and at most "
+                f"{_SPARE_PIXELS:,} more are needed"
+            )
+        return np.asarray(image.convert("RGBA"))
+    except (UnidentifiedImageError, Image.DecompressionBombError, OSError, SyntaxError, ValueError, EOFError) as error:
+        raise FormatError(
+            f"picture {names[place][:40]!r} of the SOG file is no sound WebP: {str(error)[:80]}"
+        ) from error
+
+
+def _codebook(meta: JsonObject, name: str) -> Float32[np.ndarray, " 256"]:
+    numbers = np.array(numbers_field(object_field(meta, name), "codebook", CODES, []), np.float64)
+    return np.clip(numbers, -_LARGEST, _LARGEST).astype(np.float32)
+
+
+def _means(
+    bounds: JsonObject, low: UInt8[np.ndarray, "G 4"], high: UInt8[np.ndarray, "G 4"]
+) -> Float32[np.ndarray, "G 3"]:
+    least, most = (np.array(numbers_field(bounds, name, 3, [])) for name in ("mins", "maxs"))
+    steps = low[:, :3] + 256.0 * high[:, :3]
+    logs = least + (most - least) * (steps / _STEPS)
+    logs = np.where(np.abs(logs) > _FAR, np.inf, logs)
+    return (np.sign(logs) * np.expm1(np.abs(logs))).astype(np.float32)
+
+
+def _rotations(pixels: UInt8[np.ndarray, "G 4"]) -> Float32[np.ndarray, "G 4"]:
+    """Three bytes are the smaller components over 1/√2; alpha names the largest. Others are no turn."""
+    others = (pixels[:, :3] / np.float32(127.5) - 1) / np.float32(np.sqrt(2))
+    tagged = pixels[:, 3] >= _FIRST_TAG
+    largest = np.where(tagged, pixels[:, 3], _FIRST_TAG).astype(np.intp) - _FIRST_TAG
+    quaternions = np.empty((len(pixels), 4), np.float32)
+    np.put_along_axis(quaternions, _OTHERS[largest], np.where(tagged[:, None], others, 0), axis=1)
+    rest = np.sqrt(np.maximum(0, 1 - (others * others).sum(axis=1)))
+    np.put_along_axis(quaternions, largest[:, None], np.where(tagged, rest, 1)[:, None].astype(np.float32), axis=1)
+    return quaternions
+
+
+def _packed_rotations(quaternions: Float32[np.ndarray, "G 4"]) -> UInt8[np.ndarray, "G 4"]:
+    largest = np.abs(quaternions).argmax(axis=1)
+    sign = np.where(np.take_along_axis(quaternions, largest[:, None], axis=1) < 0, -1, 1)
+    others = np.take_along_axis(quaternions * sign, _OTHERS[largest], axis=1)
+    packed = np.clip(np.rint((others * np.sqrt(2) + 1) * 127.5), 0, 255)
+    return np.concatenate([packed, _FIRST_TAG + largest[:, None]], axis=1).astype(np.uint8)
+
+
+def _harmonics(files: Mapping[str, bytes], meta: JsonObject, count: int) -> Float32[np.ndarray, "G D 3"]:
+    """Those above degree 0."""
+    described = object_field(meta, "shN")
+    degree = integer_field(described, "bands", high=3, default=0)
+    if degree == 0:
+        return np.empty((count, 0, 3), np.float32)
+    width = (degree + 1) ** 2 - 1
+    entries = integer_field(described, "count", high=_MAX_PALETTE)
+    rows = -(-entries // _ROW)
+    pixels = _pixels(files, meta, "shN", 0, rows * _ROW * width)
+    if pixels.shape[1] != _ROW * width or pixels.shape[0] < rows:
+        raise FormatError(
+            f"the SOG palette is {pixels.shape[1]} x {pixels.shape[0]}; {_ROW * width} x {rows} are needed for "
+            f"{entries:,} entries of degree {degree}"
+        )
+    palette = _codebook(meta, "shN")[pixels[:rows, :, :3].reshape(-1, width, 3)]
+    labels = _picture(files, meta, "shN", count, 1).astype(np.int64)
+    chosen = labels[:, 0] + 256 * labels[:, 1]
+    if chosen.max() >= entries:
+        raise FormatError(f"a Gaussian of the SOG file names palette entry {chosen.max():,} of {entries:,}")
+    chosen_rows: Float32[np.ndarray, "G D 3"] = palette[chosen]
+    return chosen_rows
+
+
+def _write_harmonics(cloud: GaussianCloud, files: dict[str, bytes]) -> dict[str, object]:
+    """Add the pictures of the harmonics above degree 0; gives their entry in `meta.json`."""
+    width = cloud.sh.shape[1] - 1
+    palette, labels = palette_of(cloud.sh[:, 1:].reshape(cloud.num_gaussians, -1), _MAX_PALETTE)
+    codes, book = codes_of(palette)
+    padded = np.zeros((-(-len(codes) // _ROW) * _ROW, width, 3), np.uint8)
+    padded[: len(codes)] = codes.reshape(-1, width, 3)
+    pictures = {
+        "shN_centroids.webp": (_opaque(padded.reshape(-1, 3)), _ROW * width),
+        "shN_labels.webp": (
+            _opaque(np.stack([labels & 255, labels >> 8, np.zeros_like(labels)], axis=1)),
+            _width(len(labels)),
+        ),
+    }
+    files |= {name: _webp(pixels, columns) for name, (pixels, columns) in pictures.items()}
+    return {"count": len(codes), "bands": cloud.sh_degree, "codebook": book.tolist(), "files": list(pictures)}
+
+
+def _morton_order(steps: Int[np.ndarray, "G 3"]) -> Int[np.ndarray, " G"]:
+    """Neighbours in space become neighbours in the pictures, which then take less."""
+    key = np.zeros(len(steps), np.int64)
+    for bit in range(16):
+        for axis in range(3):
+            key |= (steps[:, axis] >> bit & 1) << 3 * bit + axis
+    result: Int[np.ndarray, " G"] = np.argsort(key, kind="stable")
+    return result
+
+
+def _opaque(channels: Shaped[np.ndarray, "P 3"]) -> UInt8[np.ndarray, "P 4"]:
+    alpha = np.full((len(channels), 1), 255)
+    return np.concatenate([channels, alpha], axis=1).astype(np.uint8)
+
+
+def _width(count: int) -> int:
+    """Of a picture that is about square, in whole blocks of four."""
+    return 4 * int(np.ceil(np.sqrt(count) / 4))
+
+
+def _webp(pixels: UInt8[np.ndarray, "P 4"], width: int) -> bytes:
+    """The pixels row by row; `exact` keeps the colours of what is transparent."""
+    rows = -(-len(pixels) // width)
+    padded = np.zeros((rows * width, 4), np.uint8)
+    padded[: len(pixels)] = pixels
+    content = io.BytesIO()
+    Image.fromarray(padded.reshape(rows, width, 4)).save(content, "WEBP", lossless=True, exact=True, method=3)
+    return content.getvalue()
