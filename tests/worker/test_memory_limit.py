@@ -10,6 +10,8 @@ import pytest
 from jobs.settings import GIB, MIB
 from worker.memory_limit import available_bytes, is_out_of_memory
 
+ROOT = Path(__file__).parents[2]
+
 PROGRAM = """
 import sys
 import numpy as np
@@ -48,6 +50,42 @@ print((before - psutil.Process().memory_full_info().uss) / 2**20)
 def test_freed_memory_is_returned_to_the_system() -> None:
     done = subprocess.run([sys.executable, "-c", FREED], capture_output=True, text=True, check=True, timeout=120)
     assert float(done.stdout) > 200  # of 229 MiB
+
+
+OF_THREADS = """
+import os
+import threading
+
+import worker.app
+from tests.faults.soak import anonymous_bytes
+from worker.memory_limit import return_freed_memory
+
+before = anonymous_bytes(os.getpid())
+large = b"x" * 30 * 2**20
+del large  # glibc maps by itself only what is larger from now on
+filled = threading.Barrier(6)
+
+
+def allocate():
+    blocks = [b"x" * 60_000 for _ in range(500)]
+    filled.wait()
+    del blocks
+
+
+threads = [threading.Thread(target=allocate) for _ in range(6)]
+for thread in threads:
+    thread.start()
+for thread in threads:
+    thread.join()
+return_freed_memory()
+print((anonymous_bytes(os.getpid()) - before) / 2**20)
+"""
+
+
+def test_what_threads_have_freed_is_returned_to_the_system() -> None:
+    program = [sys.executable, "-c", OF_THREADS]
+    done = subprocess.run(program, capture_output=True, text=True, check=True, timeout=120, cwd=ROOT)
+    assert float(done.stdout) < 20  # of 172 MiB
 
 
 @pytest.mark.parametrize("name", ["memory.max", "memory/memory.limit_in_bytes"])
