@@ -21,6 +21,10 @@ MAX_TURBULENT_FILM_FRAMES = 3_600
 TURBULENT_S = 10.0
 """Duration of a turbulent motion where no number of frames is asked for [s]."""
 MAX_FIRST_FRAME = 10_000_000
+MIN_PHOTOS, MAX_PHOTOS = 8, 300
+"""Of one reconstruction."""
+PHOTOS_OF_VIDEO = 40
+"""Of a walk of 360°, one per 9°: neighbours match, and two cores match all pairs in minutes."""
 MAX_SEED = 2**53 - 1
 """The largest integer that every JSON reader represents exactly."""
 
@@ -178,6 +182,12 @@ class PhotoParams(Request):
     )
     splat_steps: int | None = Field(
         default=None, ge=100, le=30_000, description="Of photos: training steps of the splat; 3000 if unset"
+    )
+    video_frames: int | None = Field(
+        default=None,
+        ge=MIN_PHOTOS,
+        le=MAX_PHOTOS,
+        description=f"Of a film: sharp frames that are taken as photos; {PHOTOS_OF_VIDEO} if unset",
     )
 
 

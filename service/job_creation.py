@@ -4,7 +4,7 @@ from hashlib import sha256
 
 from fastapi import Response, status
 
-from dynamictree.requests import AnimateParams, CloudParams, Format
+from dynamictree.requests import PHOTOS_OF_VIDEO, AnimateParams, CloudParams, Format
 from jobs.assets import read_asset
 from jobs.errors import ConflictError
 from jobs.records import AssetRecord, ClientKey, JobRecord, Json
@@ -114,6 +114,13 @@ def _fingerprint(body: JobRequest) -> str:
     return sha256(body.model_dump_json().encode()).hexdigest()
 
 
+def _require_frames(wanted: int, asset: AssetRecord) -> None:
+    frames = asset.summary.get("film_frames")
+    if isinstance(frames, int) and frames < wanted:
+        detail = f"the film has {frames} frames, {wanted} are to be chosen; film a slow walk around the tree"
+        raise wrong_field("/params/video_frames", "not-allowed", detail)
+
+
 def require_possible(owned: Owned, body: JobRequest) -> tuple[AssetRecord, tuple[JobType, ...]]:
     """Return the asset and stages of a request, or refuse it.
 
@@ -135,6 +142,7 @@ def require_possible(owned: Owned, body: JobRequest) -> tuple[AssetRecord, tuple
     if chosen and asset.kind == "photos":
         detail = f"asset {asset.id} is of kind photos, in which no part has a place or name yet"
         raise wrong_field(f"/params/{chosen[0]}", "not-allowed", detail)
+    _require_frames(body.params.video_frames or PHOTOS_OF_VIDEO, asset)
     if body.params.tree is not None:
         _require_tree(body.params.tree, asset)
     size = sum(format_bytes(body, asset).values())

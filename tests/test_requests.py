@@ -32,7 +32,7 @@ from dynamictree.requests import (
 
 OWN_OPTIONS = {
     "animate": {"source", "output", "mask", "mesh", "as_json"},
-    "reconstruct": {"photos", "output", "video_frames", "fresh", "as_json"},
+    "reconstruct": {"photos", "output", "fresh", "as_json"},
     "interact": {"spectrum", "output", "mesh", "formats", "as_json"}
     | {"impulse", "force", "displacement", "wind", "point", "voxel", "radius", "start", "duration", "held"}
     | {"frames", "fps"},

@@ -1,7 +1,8 @@
 """Sandbox for a process: no network, no other programs, no other files. Linux; no privilege needed.
 
 Landlock (kernel 5.13) leaves it Python, its libraries and one folder; seccomp (kernel 3.17) leaves it no socket, no
-`exec`, no io_uring, no look into other processes. `dynamictree doctor` tells what of it a machine has.
+`exec`, no io_uring, no look into other processes. A process that needs one program may run that one, which is
+confined alike. `dynamictree doctor` tells what of it a machine has.
 """
 
 import ctypes
@@ -11,7 +12,7 @@ import platform
 import site
 import struct
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -72,10 +73,11 @@ _FILE_BITS = _EXECUTE | 1 << 1 | _READ_FILE | 1 << 14  # the only ones that a ru
 _ACCESS_BITS = {1: 13, 2: 14, 3: 15, 4: 15, 5: 16}  # how many kinds of access each version of Landlock knows
 
 
-def confine(writable: Path, readable: Sequence[Path] = ()) -> tuple[Hold, ...]:
+def confine(writable: Path, readable: Sequence[Path] = (), *, program: Path | None = None) -> tuple[Hold, ...]:
     """Confine this process permanently; return the mechanisms in effect.
 
-    It may write below `writable`, and read `readable` and what Python and its libraries need.
+    It may write below `writable`, and read `readable` and what Python and its libraries need. It may run `program`, a
+    static executable; where the kernel has no Landlock, with it any other that it can read.
 
     Raises:
         OSError: the kernel offers a hold and then refuses it.
@@ -85,15 +87,15 @@ def confine(writable: Path, readable: Sequence[Path] = ()) -> tuple[Hold, ...]:
     libc = ctypes.CDLL(None, use_errno=True)
     _call(libc.prctl, _PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0)
     holds: list[Hold] = []
-    if _restrict_files(libc, writable, readable):
+    if _restrict_files(libc, writable, readable, program):
         holds.append("landlock")
-    if _filter_calls(libc):
+    if _filter_calls(libc, () if program is None else ("execve",)):
         holds.append("seccomp")
     return tuple(holds)
 
 
-def _filter_calls(libc: ctypes.CDLL) -> bool:
-    program = _program(platform.machine())
+def _filter_calls(libc: ctypes.CDLL, allowed: Collection[str]) -> bool:
+    program = _program(platform.machine(), allowed)
     instructions = ctypes.create_string_buffer(program, len(program))
     header = struct.pack("HxxxxxxP", len(program) // 8, ctypes.addressof(instructions))
     if libc.prctl(_PR_SET_SECCOMP, _FILTER, ctypes.create_string_buffer(header, len(header)), 0, 0) == 0:
@@ -103,9 +105,9 @@ def _filter_calls(libc: ctypes.CDLL) -> bool:
     raise OSError(ctypes.get_errno(), "seccomp")
 
 
-def _program(machine: str) -> bytes:
+def _program(machine: str, allowed: Collection[str] = ()) -> bytes:
     """Instructions of the filter: another machine's calls and the denied ones fail with EPERM."""
-    denied = [numbers[list(_MACHINES).index(machine)] for numbers in _DENIED.values()]
+    denied = [numbers[list(_MACHINES).index(machine)] for name, numbers in _DENIED.items() if name not in allowed]
     end = len(denied) + 2  # instructions from the first comparison to the denial
 
     def instruction(code: int, yes: int, no: int, value: int) -> bytes:
@@ -122,7 +124,7 @@ def _program(machine: str) -> bytes:
     return b"".join(lines)
 
 
-def _restrict_files(libc: ctypes.CDLL, writable: Path, readable: Sequence[Path]) -> bool:
+def _restrict_files(libc: ctypes.CDLL, writable: Path, readable: Sequence[Path], program: Path | None) -> bool:
     version = libc.syscall(_CREATE_RULESET, None, ctypes.c_size_t(0), 1)
     if version < 1:
         return False  # a kernel without it, or it is switched off
@@ -132,8 +134,9 @@ def _restrict_files(libc: ctypes.CDLL, writable: Path, readable: Sequence[Path])
     size = 24 if version >= 6 else 16 if version >= 4 else 8
     rules = _call(libc.syscall, _CREATE_RULESET, ctypes.create_string_buffer(attributes, 24), ctypes.c_size_t(size), 0)
     try:
-        _allow(libc, rules, [writable], every)
-        _allow(libc, rules, [*_readable(), *readable], (_READ_FILE | _READ_DIR | _EXECUTE) & every)
+        _allow(libc, rules, [writable], every & ~_EXECUTE)
+        _allow(libc, rules, [*_readable(), *readable], _READ_FILE | _READ_DIR)
+        _allow(libc, rules, [] if program is None else [program], _READ_FILE | _EXECUTE)
         _call(libc.syscall, _RESTRICT_SELF, rules, 0)
     finally:
         os.close(rules)

@@ -5,28 +5,23 @@ The worker itself decodes only what the child has written anew.
 """
 
 import os
-import subprocess
 import sys
 from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from dynamictree.errors import DynamicTreeError, FormatError, InputError
+from dynamictree.errors import DynamicTreeError, InputError
 from dynamictree.reconstruct.given import GivenCamera
 from dynamictree.reconstruct.photo_input import Given, OnPhoto, read_photos
 from dynamictree.reconstruct.photos import Photo, PhotoFile
-from jobs.parser_process import FOLDER, child_environment
 from worker.confine import confine
+from worker.confined_child import ERRORS, answers
 
-CHILD = ("-P", "-m", "worker.confined_photos")
-WAIT_S = 10.0
-"""For a child to end that has closed its output."""
-
-MAX_LINE_BYTES = 16 * 2**20
-ERRORS = {error.code: error for error in (FormatError, InputError)}
+CHILD = "worker.confined_photos"
 
 
 class PhotoRequest(BaseModel):
@@ -61,30 +56,12 @@ def read_confined(
     """
     folder.mkdir(parents=True, exist_ok=True)
     request = PhotoRequest(photos=tuple(photos), root=root, folder=folder)
-    with subprocess.Popen(
-        [sys.executable, *CHILD],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        env=child_environment(),
-        cwd=FOLDER,
-        start_new_session=True,
-    ) as child:
-        assert child.stdin is not None
-        assert child.stdout is not None
-        try:
-            child.stdin.write(request.model_dump_json().encode())
-            child.stdin.close()
-            while line := child.stdout.readline(MAX_LINE_BYTES):
-                answer = PhotoAnswer.model_validate_json(line)
-                if answer.done is None:
-                    return _result(answer)
-                on_photo(*answer.done)
-            child.wait(WAIT_S)
-        except BrokenPipeError:
-            pass  # it died before it read the request
-        finally:
-            child.kill()
-    raise InputError(f"reading the photos ended with exit code {child.returncode}; export them again, or reduce them")
+    with closing(answers(CHILD, request)) as lines:
+        while True:
+            answer = PhotoAnswer.model_validate_json(next(lines))
+            if answer.done is None:
+                return _result(answer)
+            on_photo(*answer.done)
 
 
 def _result(answer: PhotoAnswer) -> tuple[Given, list[Photo]]:

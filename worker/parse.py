@@ -7,11 +7,13 @@ the first byte.
 import os
 import resource
 import sys
+import tempfile
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path, PurePosixPath
 
 from dynamictree.errors import DynamicTreeError
+from dynamictree.formats.suffixes import FILM_SUFFIXES
 from dynamictree.requests import Reading
 from jobs.parser_process import ParseAnswer, ParseRequest
 from worker.confine import confine
@@ -27,11 +29,12 @@ def main() -> None:
     """Read the request, read the files, write the answer."""
     request = ParseRequest.model_validate_json(sys.stdin.buffer.read())
     _limit(request)
-    confine(request.prepared.parent, request.paths)
     answer_to = os.dup(1)
     os.dup2(2, 1)  # what a library prints is no answer
+    film = request.kind == "photos" and request.names[0].lower().endswith(FILM_SUFFIXES)
     try:
-        answer = _photos(request) if request.kind == "photos" else _model(request)
+        confine(request.prepared.parent, request.paths, program=_ffmpeg() if film else None)
+        answer = _film(request) if film else _photos(request) if request.kind == "photos" else _model(request)
     except DynamicTreeError as error:
         answer = ParseAnswer(code=error.code, message=str(error))
     except ModuleNotFoundError:
@@ -145,6 +148,25 @@ def _photos(request: ParseRequest) -> ParseAnswer:
             return _unusable(f"photo {name!r} is damaged: {error}; export it again")
     largest = max(sizes)
     return ParseAnswer(summary={"num_photos": number, "largest_pixels": [float(n) for n in largest]})
+
+
+def _ffmpeg() -> Path:
+    from dynamictree.formats.film import ffmpeg_program
+
+    return Path(ffmpeg_program()).resolve()
+
+
+def _film(request: ParseRequest) -> ParseAnswer:
+    """A walk around a tree: its picture alone is copied, and a job chooses sharp frames of it."""
+    from dynamictree.formats.film import copy_picture, film_facts
+
+    tempfile.tempdir = str(request.prepared.parent)
+    facts = film_facts(request.paths[0], request.names[0])
+    facts.require_usable(request.names[0])
+    copy_picture(request.paths[0], request.prepared)
+    largest = [float(facts.width), float(facts.height)]
+    summary = {"num_photos": 1, "largest_pixels": largest, "film_s": facts.duration_s, "film_frames": facts.num_frames}
+    return ParseAnswer(summary=summary)
 
 
 def _unusable(message: str) -> ParseAnswer:

@@ -47,6 +47,7 @@ def reconstruct(given: StageInput) -> Iterable[Path]:
     if CLOUD_BUNDLE in given.files:
         return _mesh_of_cloud(given)
     from dynamictree.reconstruct.from_request import reconstruct_capture  # not at start: it is long
+    from worker.confined_film import write_confined_frames
     from worker.confined_photos import read_confined
 
     params = ReconstructParams.part_of(given.job.params)
@@ -57,6 +58,7 @@ def reconstruct(given: StageInput) -> Iterable[Path]:
         root=_root(given.photos),
         resume_dir=given.resume_dir,
         read_photos=read_confined,
+        write_frames=write_confined_frames,
         on_progress=given.report,
     )
     assert capture.mesh is not None

@@ -36,6 +36,8 @@ class AnimateParams(Model):
     height_m: float | None = None
     # Of photos: training steps of the splat; 3000 if unset
     splat_steps: int | None = None
+    # Of a film: sharp frames that are taken as photos; 40 if unset
+    video_frames: int | None = None
     wind: "Wind | None" = None
     # Sampler steps; the number of the preset if unset
     num_steps: int | None = None
@@ -225,6 +227,8 @@ class DiffuseParams(Model):
     height_m: float | None = None
     # Of photos: training steps of the splat; 3000 if unset
     splat_steps: int | None = None
+    # Of a film: sharp frames that are taken as photos; 40 if unset
+    video_frames: int | None = None
     wind: "Wind | None" = None
     # Sampler steps; the number of the preset if unset
     num_steps: int | None = None
@@ -458,6 +462,8 @@ class Limits(Model):
     mesh_formats: list[str]
     cloud_formats: list[str]
     photo_formats: list[str]
+    # of a walk around one tree, from which photos are chosen
+    film_formats: list[str]
     # what params.formats of an animate job may name
     products: "list[Product]"
     max_json_bytes: int
@@ -466,6 +472,10 @@ class Limits(Model):
     min_photos: int
     max_photos: int
     max_photo_bytes: int
+    max_film_bytes: int
+    max_film_s: float
+    # width times height
+    max_film_pixels: int
     max_archive_entries: int
     max_archive_ratio: int
     max_vertices: int
@@ -681,6 +691,8 @@ class ReconstructParams(Model):
     height_m: float | None = None
     # Of photos: training steps of the splat; 3000 if unset
     splat_steps: int | None = None
+    # Of a film: sharp frames that are taken as photos; 40 if unset
+    video_frames: int | None = None
 
 
 class ReconstructRequest(Model):
@@ -883,6 +895,8 @@ class VoxelizeParams(Model):
     height_m: float | None = None
     # Of photos: training steps of the splat; 3000 if unset
     splat_steps: int | None = None
+    # Of a film: sharp frames that are taken as photos; 40 if unset
+    video_frames: int | None = None
     # Voxels along the side of the cube
     resolution: Literal[32, 64, 128, 256, 512] = 128
 

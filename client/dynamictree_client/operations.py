@@ -122,7 +122,7 @@ def delete_upload(id: str, *, tus_resumable: str | None = None) -> Call[None]:
 
 
 def create_asset(body: dict[str, Any]) -> Call[Asset | Upload]:
-    """Send a mesh or photos, name uploads that hold them, or an address to fetch them from; that takes a while."""
+    """Send a mesh, photos or a film, name uploads that hold them, or an address to fetch them from."""
     return Call(method="POST", path="/v1/assets", answer=Asset | Upload, body=body)
 
 

@@ -16,8 +16,8 @@ from dynamictree.commands.request_options import with_request_options
 from dynamictree.commands.terminal import AsJson, tell
 from dynamictree.errors import InputError
 from dynamictree.files import published
-from dynamictree.formats.suffixes import MAX_PHOTOS, MIN_PHOTOS, PHOTO_SUFFIXES, PHOTOS_OF_VIDEO
-from dynamictree.requests import PhotoParams
+from dynamictree.formats.suffixes import PHOTO_SUFFIXES
+from dynamictree.requests import PHOTOS_OF_VIDEO, PhotoParams
 
 
 @with_request_options
@@ -32,9 +32,6 @@ def reconstruct(
     ],
     output: OutputFolder,
     params: PhotoParams,
-    video_frames: Annotated[
-        int, typer.Option(min=MIN_PHOTOS, max=MAX_PHOTOS, help="Of a film: sharp frames that are taken as photos.")
-    ] = PHOTOS_OF_VIDEO,
     fresh: Annotated[bool, typer.Option(help="Start anew, whatever an interrupted run has left.")] = False,
     as_json: AsJson = False,
 ) -> None:
@@ -52,7 +49,7 @@ def reconstruct(
         shutil.rmtree(work, ignore_errors=True)
     try:
         with (
-            _photo_folder(photos, video_frames) as root,
+            _photo_folder(photos, params.video_frames or PHOTOS_OF_VIDEO) as root,
             stopping_on_signals() as check,
             stage_progress(as_json=as_json) as report,
             published(output) as folder,
@@ -94,5 +91,5 @@ def _photo_folder(source: Path, video_frames: int) -> Iterator[Path]:
     if source.suffix.lower() not in SUFFIXES:
         raise InputError(f"{source} is no folder of photos and no film ({', '.join(SUFFIXES)}); give one of them")
     with tempfile.TemporaryDirectory() as folder:
-        write_sharp_frames(source, Path(folder), count=video_frames)
+        write_sharp_frames(source, Path(folder), video_frames)
         yield Path(folder)

@@ -13,8 +13,10 @@ _BY_ENDING = {
     **dict.fromkeys(("e57", "ptx", "rcp", "rcs", "fls", "zfs"), _SCAN),
     **dict.fromkeys(("rar", "7z", "tar", "tgz", "gz", "bz2", "xz"), _UNPACK),
     **dict.fromkeys(("heic", "heif", "avif"), "save the photos as JPEG"),
+    **dict.fromkeys(("mp4", "mov", "m4v"), "a film of a walk around the tree is for `dynamictree reconstruct`"),
     **dict.fromkeys(
-        ("mp4", "mov", "avi", "mkv", "webm"), "a film of a walk around the tree is for `dynamictree reconstruct`"
+        ("avi", "mkv", "webm"),
+        "a film of a walk around the tree is for `dynamictree reconstruct`; to upload it, export it as MP4",
     ),
     "mtl": "these are the materials of an OBJ, which lie beside it: give the OBJ",
     "bin": "this is the buffer of a glTF, which lies beside it: give the .gltf",

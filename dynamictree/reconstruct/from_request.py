@@ -1,15 +1,19 @@
 """Reconstruction as the command line and a job request it."""
 
+import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from dynamictree.formats.suffixes import PHOTO_SUFFIXES
+from dynamictree.formats.suffixes import FILM_SUFFIXES, PHOTO_SUFFIXES
 from dynamictree.gaussian.capture import Capture, carrying_mesh, with_still_parts
 from dynamictree.reconstruct import ReconstructOptions, reconstruct
 from dynamictree.reconstruct.optimise import Schedule
 from dynamictree.reconstruct.photo_input import ReadPhotos, read_photos
-from dynamictree.requests import PhotoParams, ReconstructParams
+from dynamictree.reconstruct.video_frames import write_sharp_frames
+from dynamictree.requests import PHOTOS_OF_VIDEO, PhotoParams, ReconstructParams
+
+WriteFrames = Callable[[Path, Path, int, Callable[[], None]], list[Path]]
 
 
 def options_of(params: PhotoParams) -> ReconstructOptions:
@@ -24,25 +28,30 @@ def reconstruct_capture(
     params: ReconstructParams,
     *,
     root: Path,
-    resume_dir: Path | None = None,
+    resume_dir: Path,
     read_photos: ReadPhotos = read_photos,
+    write_frames: WriteFrames = write_sharp_frames,
     on_progress: Callable[[float], None],
 ) -> Capture:
     """Reconstruct a splat and a mesh from photos; all that is made of them is written into the folder.
 
     Args:
-        files: photos, and what may come with them: masks, `transforms.json`, a COLMAP model, `poses_bounds.npy`.
+        files: a film, or photos and what may come with them: masks, and cameras as `find_given` reads them.
         folder: for the results.
         params: height, training steps and box.
         root: the folder that the files lie in or below, by which they name one another.
         resume_dir: a folder for intermediate results; a second call continues there.
         read_photos: reads photos and camera files.
+        write_frames: chooses photos from a film.
         on_progress: gets the share done in [0, 1]; what it raises passes through.
 
     Raises:
-        InputError: a file is no photo, or there are too few or too many.
+        InputError: a file is no photo or film, or there are too few or too many.
         ReconstructionError: the photos do not fit together.
     """
+    if files[0].suffix.lower() in FILM_SUFFIXES:
+        root = resume_dir / "frames"
+        files = _frames(files[0], root, params, write_frames, lambda: on_progress(0.0))
     result = reconstruct(
         [path for path in files if path.suffix.lower() in PHOTO_SUFFIXES],
         folder,
@@ -54,3 +63,15 @@ def reconstruct_capture(
     )
     capture = with_still_parts(Capture(cloud=result.splat, mesh=result.mesh))
     return replace(capture, mesh=carrying_mesh(capture, params))
+
+
+def _frames(
+    film: Path, folder: Path, params: PhotoParams, write_frames: WriteFrames, on_work: Callable[[], None]
+) -> list[Path]:
+    """The film's sharp frames in a folder, which an interrupted attempt may have finished."""
+    if not folder.exists():
+        unfinished = folder.with_suffix(".unfinished")
+        shutil.rmtree(unfinished, ignore_errors=True)
+        write_frames(film, unfinished, params.video_frames or PHOTOS_OF_VIDEO, on_work)
+        unfinished.rename(folder)
+    return sorted(folder.iterdir())

@@ -7,7 +7,7 @@ from fastapi.exceptions import RequestValidationError
 from pydantic import ValidationError
 from starlette.concurrency import run_in_threadpool
 
-from dynamictree.formats.suffixes import CLOUD_SUFFIXES, MASK_NAME, MESH_SUFFIXES, PHOTO_SUFFIXES
+from dynamictree.formats.suffixes import CLOUD_SUFFIXES, FILM_SUFFIXES, MASK_NAME, MESH_SUFFIXES, PHOTO_SUFFIXES
 from dynamictree.requests import Reading
 from jobs import assets as asset_rows
 from jobs.records import AssetRecord
@@ -31,7 +31,8 @@ _FORM = {
         "description": f"One mesh ({', '.join(MESH_SUFFIXES)}) and what it names (MTL, textures); or one splat or scan "
         f"({', '.join(CLOUD_SUFFIXES)}), with a mesh that lies where it lies and a {MASK_NAME} if you have them (one "
         "bool a Gaussian: where it may move); or 8 to 300 "
-        f"photos ({', '.join(PHOTO_SUFFIXES)}), as parts with filenames; or one zip of either.",
+        f"photos ({', '.join(PHOTO_SUFFIXES)}), as parts with filenames; or a film of a walk around one tree "
+        f"({', '.join(FILM_SUFFIXES)}); or one zip of any of these.",
         "content": {
             "application/json": {"schema": AssetRequest.model_json_schema()},
             "multipart/form-data": {
@@ -93,7 +94,7 @@ _FORM = {
     },
 )
 async def create_asset(request: Request, response: Response, owned: OwnedDep) -> AssetPayload | Response:
-    """Send a mesh or photos, name uploads that hold them, or an address to fetch them from; that takes a while."""
+    """Send a mesh, photos or a film, name uploads that hold them, or an address to fetch them from."""
     length = int(request.headers.get("content-length", "0"))
     await run_in_threadpool(require_room, owned, length)
     if request.headers.get("content-type", "").partition(";")[0].strip() == "application/json":

@@ -5,8 +5,8 @@ from typing import Literal
 from fastapi import APIRouter
 from pydantic import Field
 
-from dynamictree.formats import suffixes
-from dynamictree.requests import MAX_FRAMES, MAX_TURBULENT_FRAMES, Format
+from dynamictree.formats import film, suffixes
+from dynamictree.requests import MAX_FRAMES, MAX_PHOTOS, MAX_TURBULENT_FRAMES, MIN_PHOTOS, Format
 from dynamictree.weights import list_weights
 from service.http.problems import wrong_field
 from service.http.routing import refusals
@@ -49,6 +49,7 @@ class LimitsPayload(Payload):
     mesh_formats: list[str]
     cloud_formats: list[str]
     photo_formats: list[str]
+    film_formats: list[str] = Field(description="of a walk around one tree, from which photos are chosen")
     products: list[ProductPayload] = Field(description="what params.formats of an animate job may name")
     max_json_bytes: int
     max_interact_bytes: int
@@ -56,6 +57,9 @@ class LimitsPayload(Payload):
     min_photos: int
     max_photos: int
     max_photo_bytes: int
+    max_film_bytes: int
+    max_film_s: float
+    max_film_pixels: int = Field(description="width times height")
     max_archive_entries: int
     max_archive_ratio: int
     max_vertices: int
@@ -111,13 +115,17 @@ def get_limits(owned: OwnedDep) -> LimitsPayload:
         mesh_formats=[suffix.lstrip(".") for suffix in suffixes.MESH_SUFFIXES],
         cloud_formats=[suffix.lstrip(".") for suffix in suffixes.CLOUD_SUFFIXES],
         photo_formats=[suffix.lstrip(".") for suffix in suffixes.PHOTO_SUFFIXES],
+        film_formats=[suffix.lstrip(".") for suffix in suffixes.FILM_SUFFIXES],
         products=[
             ProductPayload.of(product, format=name, options=sorted(product.options))
             for name, product in available_products().items()
         ],
-        min_photos=suffixes.MIN_PHOTOS,
-        max_photos=suffixes.MAX_PHOTOS,
+        min_photos=MIN_PHOTOS,
+        max_photos=MAX_PHOTOS,
         max_photo_bytes=intake.MAX_PHOTO_BYTES,
+        max_film_bytes=film.MAX_FILM_BYTES,
+        max_film_s=film.MAX_FILM_S,
+        max_film_pixels=film.MAX_FILM_PIXELS,
         max_archive_entries=archives.MAX_ENTRIES,
         max_archive_ratio=archives.MAX_RATIO,
         max_vertices=MAX_VERTICES,

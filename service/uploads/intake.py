@@ -10,17 +10,17 @@ from pathlib import Path, PurePosixPath
 from pydantic import ValidationError
 from starlette.concurrency import run_in_threadpool
 
+from dynamictree.formats.film import MAX_FILM_BYTES
 from dynamictree.formats.suffixes import (
     CLOUD_SUFFIXES,
+    FILM_SUFFIXES,
     MASKS,
-    MAX_PHOTOS,
     MESH_SUFFIXES,
-    MIN_PHOTOS,
     PHOTO_SUFFIXES,
     POINT_SUFFIXES,
     SOG_FOLDER_FILE,
 )
-from dynamictree.requests import Reading
+from dynamictree.requests import MAX_PHOTOS, MIN_PHOTOS, Reading
 from jobs.artifacts import hash_file
 from jobs.assets import add_asset, find_asset
 from jobs.attempts import touch_blob
@@ -56,6 +56,11 @@ class Upload:
     reading: Reading = field(default_factory=Reading)
 
     @property
+    def is_film(self) -> bool:
+        """Whether the photos are to be chosen from a film."""
+        return self.kind == "photos" and _suffix(self.files[0]) in FILM_SUFFIXES
+
+    @property
     def fingerprint(self) -> str:
         """sha256 over all that decides what the asset means; names count, because files name one another."""
         meaning = [
@@ -82,9 +87,11 @@ def sort_out(owned: Owned, form: Form, folder: Path) -> Upload:
         raise ProblemError("validation-failed", "the form has no file; send at least one part with a filename")
     with_photos = [file for file in files if _suffix(file) in PHOTO_SUFFIXES or _is_camera_file(file)]
     pictures = [file for file in with_photos if not _is_camera_file(file)]
-    kind = form.fields.get("kind") or ("photos" if pictures and len(with_photos) == len(files) else "mesh")
+    films = [file for file in files if _suffix(file) in FILM_SUFFIXES]
+    of_photos = films or (pictures and len(with_photos) == len(files))
+    kind = form.fields.get("kind") or ("photos" if of_photos else "mesh")
     if kind == "photos":
-        return Upload(kind="photos", files=_photos(files))
+        return Upload(kind="photos", files=_film(files) if films else _photos(files))
     models = _models(files)
     beside = tuple(file for file in files if file not in models)
     return Upload(kind="mesh", num_models=len(models), files=(*models, *beside), reading=reading)
@@ -108,6 +115,17 @@ def reading_options(fields: Mapping[str, str], *, where: str = "form") -> Readin
     except ValidationError as error:
         wrong = field_errors([one | {"loc": (where, *one["loc"])} for one in error.errors()])
         raise ProblemError("validation-failed", summed_up(wrong), errors=wrong) from None
+
+
+def _film(files: list[ReceivedFile]) -> tuple[ReceivedFile]:
+    if len(files) > 1:
+        reason = f"there are {len(files)} files with a film among them; send the film of one walk by itself, or photos"
+        raise ProblemError("invalid-input", reason)
+    [film] = files
+    if film.bytes > MAX_FILM_BYTES:
+        reason = f"the film {film.name!r} has {film.bytes:,} bytes; at most {MAX_FILM_BYTES:,} are allowed; cut it"
+        raise ProblemError("payload-too-large", reason)
+    return (film,)
 
 
 def _photos(files: list[ReceivedFile]) -> tuple[ReceivedFile, ...]:
@@ -172,23 +190,22 @@ async def admit(owned: Owned, upload: Upload, folder: Path) -> tuple[AssetRecord
         answer = await parse(request, owned.services.settings)
     if answer.summary is None:
         raise ProblemError(answer.code or "invalid-input", answer.message)
-    kind = answer.kind or upload.kind
-    bundle = None if kind == "photos" else prepared
-    return await run_in_threadpool(_keep, owned, replace(upload, kind=kind), bundle, answer.summary, expires_at)
+    upload = replace(upload, kind=answer.kind or upload.kind)
+    return await run_in_threadpool(_keep, owned, upload, prepared, answer.summary, expires_at)
 
 
 def _keep(
-    owned: Owned, upload: Upload, prepared: Path | None, summary: Mapping[str, Json], expires_at: float
+    owned: Owned, upload: Upload, prepared: Path, summary: Mapping[str, Json], expires_at: float
 ) -> tuple[AssetRecord, bool]:
-    parts = tuple(AssetPart(name=_beside(file.name), sha256=file.sha256, bytes=file.bytes) for file in upload.files)
-    mesh = None
-    if prepared is not None:
+    files = (_picture_alone(upload.files[0], prepared),) if upload.is_film else upload.files
+    parts = tuple(AssetPart(name=_beside(file.name), sha256=file.sha256, bytes=file.bytes) for file in files)
+    located = [(file.path, part) for file, part in zip(files, parts, strict=True)]
+    bundle = None
+    if upload.kind != "photos":
         digest, size = hash_file(prepared)
         name = MESH_BUNDLE if upload.kind == "mesh" else CLOUD_BUNDLE
-        mesh = AssetPart(name=name, sha256=digest, bytes=size)
-    located = [(file.path, part) for file, part in zip(upload.files, parts, strict=True)]
-    if prepared is not None and mesh is not None:
-        located.append((prepared, mesh))
+        bundle = AssetPart(name=name, sha256=digest, bytes=size)
+        located.append((prepared, bundle))
     for path, part in located:
         touch_blob(owned.store, part.sha256, part.bytes)
         owned.services.artifacts.put(path, part.sha256)
@@ -199,12 +216,19 @@ def _keep(
             kind=upload.kind,
             fingerprint=replace(upload, kind="photos" if upload.kind == "photos" else "mesh").fingerprint,
             parts=parts,
-            prepared=mesh,
+            prepared=bundle,
             summary=summary,
             created_at=owned.store.clock(),
             expires_at=expires_at,
         ),
     )
+
+
+def _picture_alone(film: ReceivedFile, prepared: Path) -> ReceivedFile:
+    """The film as it is stored: an MP4 without sound, place and names of devices."""
+    digest, size = hash_file(prepared)
+    name = PurePosixPath(_beside(film.name)).with_suffix(".mp4").name
+    return ReceivedFile(name=name, path=prepared, sha256=digest, bytes=size)
 
 
 def _beside(name: str) -> str:

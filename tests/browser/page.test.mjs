@@ -15,7 +15,11 @@ import { Session, stem } from "../../web/page/session.js";
 import de from "../../web/texts/de.js";
 import en from "../../web/texts/en.js";
 
-const limits = { mesh_formats: ["obj", "ply", "glb", "gltf"], cloud_formats: ["ply", "splat", "spz", "txt", "xyz"] };
+const limits = {
+  mesh_formats: ["obj", "ply", "glb", "gltf"],
+  cloud_formats: ["ply", "splat", "spz", "txt", "xyz"],
+  film_formats: ["mp4", "mov", "m4v"],
+};
 const file = (path, size = 10) => ({ name: path.split("/").pop(), path, size, lastModified: 0 });
 const paths = (bundles) => bundles.map((bundle) => bundle.map(({ path }) => path).sort());
 const away = () => new Problem({ code: "unreachable" });
@@ -68,6 +72,7 @@ test("photos are one tree; notes beside a model are no scan; nothing is no tree"
     ["oak.glb", "readme.txt"],
   ]);
   assert.equal(sortFiles([file("scan.txt")], limits).bundles.length, 1);
+  assert.deepEqual(paths(sortFiles([file("readme.txt"), file("Walk.MOV")], limits).bundles), [["Walk.MOV"]]);
   assert.deepEqual(sortFiles([file("a.doc"), file("b.pdf")], limits).bundles, []);
   assert.equal(sortFiles([file("oak.glb", 0)], limits).empty.length, 1);
 });

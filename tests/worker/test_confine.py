@@ -59,6 +59,34 @@ def test_a_confined_process_reaches_neither_network_nor_programs_nor_other_files
     assert after == {name: "done" if name in allowed else "PermissionError" for name in before}
 
 
+RUN = """
+import json, shutil, subprocess, sys
+from pathlib import Path
+from worker.confine import confine
+
+program, copy = Path(sys.argv[2]), Path(sys.argv[1], "copy")
+holds = confine(Path(sys.argv[1]), program=program)
+shutil.copy(program, copy)
+def tried(path):
+    try:
+        return subprocess.run([path, "-version"], capture_output=True).returncode
+    except PermissionError:
+        return "PermissionError"
+print(json.dumps([tried(program), tried("/bin/true"), tried(copy), holds]))
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="Landlock and seccomp are Linux's")
+def test_a_confined_process_runs_the_program_that_it_needs_and_no_other(tmp_path: Path) -> None:
+    ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="the extra `video` is not installed").get_ffmpeg_exe()
+    program = [sys.executable, "-c", RUN, str(tmp_path), ffmpeg]
+    done = subprocess.run(program, capture_output=True, text=True, check=True)
+    needed, other, copied, holds = json.loads(done.stdout)
+    assert (needed, "seccomp" in holds) == (0, True)
+    if "landlock" in holds:
+        assert (other, copied) == ("PermissionError", "PermissionError")
+
+
 SECRETS = (".ssh/id_rsa", "state/jobs.sqlite", "docker/secrets/postgres_password")
 READ = """
 import json, os, sys

@@ -76,7 +76,7 @@ def test_the_child_is_confined(photos: list[Path], tmp_path: Path) -> None:
     states = []
 
     def look(*_: int) -> None:
-        [child] = [one for one in psutil.Process().children() if CHILD[-1] in one.cmdline()]
+        [child] = [one for one in psutil.Process().children() if CHILD in one.cmdline()]
         status = Path(f"/proc/{child.pid}/status").read_text()
         states.append(dict(line.split(":\t") for line in status.splitlines() if line.startswith(("Secc", "NoNew"))))
         assert not [name for name in child.environ() if name.startswith(("DYNAMICTREE", "AWS"))]

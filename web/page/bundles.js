@@ -18,12 +18,14 @@ export function sortFiles(files, limits) {
   const used = files.filter((file) => !/(^|\/)(\.|__MACOSX)/.test(pathOf(file)));
   const isModel = (file) => mesh.has(suffixOf(file.name)) || cloud.has(suffixOf(file.name));
   const strong = used.filter((file) => isModel(file) && !WEAK.has(suffixOf(file.name)));
-  const models = strong.length ? strong : used.filter(isModel);
+  const films = used.filter((file) => limits.film_formats.includes(suffixOf(file.name)));
+  const models = strong.length || films.length ? strong : used.filter(isModel);
   const empty = used.filter((file) => file.size === 0);
   const zips = used.filter((file) => suffixOf(file.name) === "zip");
   const photos = used.filter((file) => PHOTOS.has(suffixOf(file.name)));
   if (!models.length && photos.length) return { bundles: [used], empty };
   const heads = [...models, ...zips];
+  if (!heads.length && films.length) return { bundles: films.map((film) => [film]), empty };
   if (!heads.length) return { bundles: [], unknown: used, empty };
   if (isPair(heads, mesh, cloud)) return { bundles: [[...used]], empty };
   const beside = used.filter((file) => !heads.includes(file));

@@ -172,9 +172,9 @@ export class Session {
 
 const jobProblem = (job) => new Problem(job.error ?? { title: `The job is ${job.state}`, code: `job-${job.state}` });
 
-/** What an upload is called: its file's name without folder and suffix; empty for photos. */
+/** What an upload is called: its file's name without folder and suffix; empty for photos, of which a film is one file. */
 export function nameOf({ kind, parts }) {
-  return kind === "photos" ? "" : stem(parts[0].name);
+  return kind === "photos" && parts.length > 1 ? "" : stem(parts[0].name);
 }
 
 export function stem(path) {

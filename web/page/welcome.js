@@ -42,6 +42,10 @@ export function showFormats(limits) {
   const list = (names) => names.map((name) => name.toUpperCase()).join(", ");
   const mesh = text("formats.mesh", { list: list(limits.mesh_formats) });
   const cloud = text("formats.cloud", { list: list(limits.cloud_formats) });
-  const photos = text("formats.photos", { min: limits.min_photos, max: limits.max_photos });
+  const photos = text("formats.photos", {
+    min: limits.min_photos,
+    max: limits.max_photos,
+    list: list(limits.film_formats),
+  });
   fill($("formats"), [mesh, cloud, photos].join("; "));
 }

@@ -14,7 +14,7 @@ export default {
 
   "welcome.title": "Ein Baum hinein, und er bewegt sich.",
   "welcome.pull": "Zieh an einem Ast und lass los. Dann nimm deinen eigenen Baum.",
-  "welcome.drop": "Fotos, ein Mesh, einen Splat oder einen Ordner hier ablegen",
+  "welcome.drop": "Fotos, einen Film, ein Mesh, einen Splat oder einen Ordner hier ablegen",
   "welcome.one": "ein Baum, der frei steht",
   "welcome.choose": "Dateien wählen",
   "welcome.folder": "Ordner wählen",
@@ -26,7 +26,7 @@ export default {
   "example.conifer": "Nadelbaum",
   "formats.mesh": "Mesh: {list}",
   "formats.cloud": "Splat oder Scan: {list}",
-  "formats.photos": "oder {min} bis {max} Fotos rings um einen Baum",
+  "formats.photos": "oder {min} bis {max} Fotos rings um einen Baum, oder ein Film eines Gangs um ihn ({list})",
   "begin.others": "{n} Bäume beginnen. Der erste ist zu sehen, die anderen stehen unter Aufträge.",
 
   "tree.one": "Baum",
@@ -252,7 +252,7 @@ export default {
   "problem.empty-file.do": "Die Datei noch einmal speichern oder herunterladen, dann hier ablegen.",
   "problem.no-model": "Unter diesen {n} Dateien ist kein Baum",
   "problem.no-model.do":
-    "Ein Mesh, einen Splat, einen Scan oder mindestens 8 Fotos ablegen; die Formate stehen auf dieser Seite.",
+    "Ein Mesh, einen Splat, einen Scan, einen Film oder mindestens 8 Fotos ablegen; die Formate stehen auf dieser Seite.",
   "problem.unreadable-drop": "Das Abgelegte lässt sich nicht lesen",
   "problem.unreadable-drop.do": "Den Ordner oder die Dateien stattdessen mit den Knöpfen wählen.",
   "problem.no-webgl": "Dieser Browser kann den Baum nicht zeichnen",

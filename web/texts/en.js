@@ -14,7 +14,7 @@ export default {
 
   "welcome.title": "Give a tree. See it move.",
   "welcome.pull": "Pull a branch of this one and let go, then bring your own.",
-  "welcome.drop": "Drop photos, a mesh, a splat or a folder here",
+  "welcome.drop": "Drop photos, a film, a mesh, a splat or a folder here",
   "welcome.one": "one tree, standing free",
   "welcome.choose": "Choose files",
   "welcome.folder": "Choose a folder",
@@ -26,7 +26,7 @@ export default {
   "example.conifer": "Conifer",
   "formats.mesh": "Mesh: {list}",
   "formats.cloud": "splat or scan: {list}",
-  "formats.photos": "or {min} to {max} photos all around one tree",
+  "formats.photos": "or {min} to {max} photos all around one tree, or a film of a walk around it ({list})",
   "begin.others": "{n} trees begin. The first is shown, the others are under Jobs.",
 
   "tree.one": "Tree",
@@ -251,7 +251,7 @@ export default {
   "problem.empty-file": "“{name}” is empty",
   "problem.empty-file.do": "Save or download it again, then drop it here.",
   "problem.no-model": "There is no tree among these {n} files",
-  "problem.no-model.do": "Drop a mesh, a splat, a scan, or at least 8 photos; the formats are named on this page.",
+  "problem.no-model.do": "Drop a mesh, a splat, a scan, at least 8 photos, or a film; the formats are named on this page.",
   "problem.unreadable-drop": "What was dropped cannot be read",
   "problem.unreadable-drop.do": "Choose the folder or the files with the buttons instead.",
   "problem.no-webgl": "This browser cannot draw the tree",

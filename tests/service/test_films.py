@@ -1,0 +1,92 @@
+"""A film of a walk around a tree as an asset of photos: what is stored of it, and what is refused."""
+
+from pathlib import Path
+
+import pytest
+from fastapi.testclient import TestClient
+
+from dynamictree.formats import film
+from dynamictree.formats.film import film_facts
+from jobs.assets import read_asset
+from service.services import Services
+from service.uploads import intake
+from tests.formats.films import DEVICE, PLACES, write_film
+from tests.service.test_uploads import append, begin
+
+
+def send(client: TestClient, *paths: Path, **fields: str) -> object:
+    return client.post("/v1/assets", files=[("file", (path.name, path.read_bytes())) for path in paths], data=fields)
+
+
+def stored(services: Services, asset_id: str) -> bytes:
+    [part] = read_asset(services.store, asset_id).parts
+    return b"".join(services.artifacts.read(part.sha256))
+
+
+@pytest.mark.parametrize("name", ["walk.mp4", "walk.MOV"])
+def test_a_film_becomes_an_asset_of_photos_without_sound_and_place(
+    client: TestClient, services: Services, tmp_path: Path, name: str
+) -> None:
+    path = write_film(tmp_path / name)
+    sent = path.read_bytes()
+    assert any(box in sent for box in PLACES)
+    assert DEVICE.encode() in sent
+    response = send(client, path)
+    assert response.status_code == 201, response.text
+    asset = response.json()
+    assert (asset["kind"], asset["summary"]) == (
+        "photos",
+        {"num_photos": 1, "largest_pixels": [320.0, 240.0], "film_s": 3.0, "film_frames": 60},
+    )
+    assert [part["name"] for part in asset["parts"]] == ["walk.mp4"]
+    film_bytes = stored(services, asset["id"])
+    assert not any(word in film_bytes for word in (*PLACES, DEVICE.encode(), b"soun"))
+    (tmp_path / "kept.mp4").write_bytes(film_bytes)
+    assert film_facts(tmp_path / "kept.mp4", "kept").num_frames == 60
+    assert send(client, path).json()["id"] == asset["id"]
+
+
+def test_a_film_in_pieces_is_the_same_asset(client: TestClient, tmp_path: Path) -> None:
+    path = write_film(tmp_path / "walk.mp4")
+    content = path.read_bytes()
+    upload = begin(client, len(content), filename="walk.mp4")
+    append(client, upload, 0, content[:10_000])
+    append(client, upload, 10_000, content[10_000:])
+    asset = client.post("/v1/assets", json={"upload_ids": [upload.rpartition("/")[2]]})
+    assert asset.status_code == 201, asset.text
+    assert asset.json()["kind"] == "photos"
+    assert send(client, path).json()["id"] == asset.json()["id"]
+
+
+def test_a_film_is_checked(client: TestClient, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    good = write_film(tmp_path / "walk.mp4")
+    assert "by itself" in send(client, good, write_film(tmp_path / "more.mp4")).json()["detail"]
+    (tmp_path / "broken.mp4").write_bytes(good.read_bytes()[:2000])
+    broken = send(client, tmp_path / "broken.mp4").json()
+    assert (broken["code"], "broken.mp4 cannot be read as a film" in broken["detail"]) == ("unsupported-format", True)
+    (tmp_path / "text.mp4").write_bytes(b"no film")
+    assert send(client, tmp_path / "text.mp4").status_code == 415
+    for reason, wrong in (
+        ("64 x 64 pixels; at least 240", write_film(tmp_path / "small.mp4", size=(64, 64))),
+        ("takes 301 s", write_film(tmp_path / "long.mp4", seconds=301, fps=1)),
+        ("5120 x 2880 pixels; at most 9,437,184", write_film(tmp_path / "large.mp4", size=(5120, 2880), seconds=0.5)),
+        ("has 4 frames; at least 8", write_film(tmp_path / "short.mp4", seconds=0.2)),
+    ):
+        refused = send(client, wrong).json()
+        assert (refused["code"], reason in refused["detail"]) == ("invalid-input", True), refused
+    monkeypatch.setattr(intake, "MAX_FILM_BYTES", 1000)
+    assert send(client, good).json()["code"] == "payload-too-large"
+
+
+def test_limits_tell_what_films_are_taken(client: TestClient) -> None:
+    limits = client.get("/v1/limits").json()
+    assert limits["film_formats"] == ["mp4", "mov", "m4v"]
+    assert (limits["max_film_s"], limits["max_film_pixels"]) == (film.MAX_FILM_S, film.MAX_FILM_PIXELS)
+
+
+def test_a_film_with_fewer_frames_than_wanted_photos_makes_no_job(client: TestClient, tmp_path: Path) -> None:
+    asset = send(client, write_film(tmp_path / "walk.mp4", seconds=1.5)).json()["id"]
+    refused = client.post("/v1/jobs", json={"type": "reconstruct", "asset_id": asset})
+    assert (refused.status_code, "30 frames, 40 are" in refused.json()["detail"]) == (422, True)
+    wanted = {"type": "reconstruct", "asset_id": asset, "params": {"video_frames": 20}}
+    assert client.post("/v1/jobs", json=wanted).status_code in (201, 202)
