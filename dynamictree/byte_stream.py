@@ -1,8 +1,12 @@
 """Protocols of the streams that readers and writers accept, such as an open binary file or `io.BytesIO`."""
 
+import io
 from typing import Protocol, runtime_checkable
 
 from dynamictree.errors import FormatError
+
+CHUNK_BYTES = 1 << 20
+"""Asked for at a time: an open file allocates all that it is asked for, however short it is."""
 
 
 @runtime_checkable
@@ -27,7 +31,9 @@ def read_all(stream: ByteReader, max_bytes: int) -> bytes:
     Raises:
         FormatError: it holds more than `max_bytes`.
     """
-    content = stream.read(max_bytes + 1)
-    if len(content) > max_bytes:
+    content = io.BytesIO()
+    while chunk := stream.read(min(CHUNK_BYTES, max_bytes + 1 - content.tell())):
+        content.write(chunk)
+    if content.tell() > max_bytes:
         raise FormatError(f"the file is larger than the {max_bytes:,} bytes that are allowed")
-    return content
+    return content.getvalue()
