@@ -106,7 +106,7 @@ def paper_small_preset() -> PaperPreset:
         encoder_base=8,
         encoder_widths=(8, 16, 32),
         unet=UNetShape(base=16, num_blocks=1, num_skips=2, embedding=64),
-        num_steps=20,
+        num_steps=10,
     )
 
 

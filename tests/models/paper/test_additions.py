@@ -14,7 +14,14 @@ from dynamictree.models import load_model
 from dynamictree.models.paper.examples import PaperExample, batch_of, paper_example
 from dynamictree.models.paper.generate import PaperModel
 from dynamictree.models.paper.loss import batch_noise
-from dynamictree.models.paper.network import ADDITIONS, PaperNetwork, PaperPreset, additions_of, with_additions
+from dynamictree.models.paper.network import (
+    ADDITIONS,
+    PaperNetwork,
+    PaperPreset,
+    additions_of,
+    paper_small_preset,
+    with_additions,
+)
 from dynamictree.models.paper.train import PaperTraining, clean_channels, load_regression, train_paper
 from dynamictree.models.paper.unet import UNetShape
 from dynamictree.models.small.denoiser import DenoiserShape
@@ -164,3 +171,9 @@ def test_additions_that_do_not_fit_are_refused(tmp_path: Path) -> None:
     write_weights(PaperNetwork(PLAIN), tmp_path / "paper.safetensors")
     with pytest.raises(CheckpointError, match="dynamictree-paper"):
         load_regression(SmallNetwork(SMALL), str(tmp_path / "paper.safetensors"))
+
+
+def test_the_shipped_file_is_of_the_preset_that_training_takes() -> None:
+    model = load_model("paper-small")
+    assert isinstance(model, PaperModel)
+    assert model.network.preset == with_additions(paper_small_preset(), ADDITIONS)
