@@ -214,9 +214,8 @@ def format_bytes(body: JobRequest, asset: AssetRecord) -> dict[str, int]:
     if not isinstance(body.params, AnimateParams):
         return {}
     # numba comes with the products; loaded beside the first requests, not with this module
-    from dynamictree.export.size import turbulent_bytes
+    from dynamictree.export.size import splat_bytes, turbulent_bytes
     from dynamictree.export.table import require_available
-    from dynamictree.formats.motion.splat_sequence import requested_bytes
     from dynamictree.spectrum import FPS, NUM_FRAMES
 
     formats, num_frames = _formats(body.params, asset), body.params.count_frames(NUM_FRAMES / FPS)
@@ -225,10 +224,10 @@ def format_bytes(body: JobRequest, asset: AssetRecord) -> dict[str, int]:
         num_vertices, num_faces = _count(asset, "num_vertices"), _count(asset, "num_faces")
         sizes = turbulent_bytes(formats, num_vertices=num_vertices, num_faces=num_faces, num_frames=num_frames)
         return {str(name): size for name, size in sizes.items()}
-    if "splat-ply" not in formats or asset.kind != "cloud":
+    if asset.kind != "cloud":
         return {}
-    count, degree = _count(asset, "num_gaussians"), _count(asset, "sh_degree")
-    return {"splat-ply": requested_bytes(count, degree, num_frames, body.params)}
+    sizes = splat_bytes(_count(asset, "num_gaussians"), _count(asset, "sh_degree"), num_frames, body.params)
+    return {str(name): size for name, size in sizes.items()}
 
 
 def _count(asset: AssetRecord, name: str) -> int:

@@ -78,18 +78,16 @@ def animate(
 
 
 def _print_sequence_size(capture: "Capture", export: ExportParams) -> None:
-    """Print how large a sequence of splats will be, before it is written."""
-    from dynamictree.formats.motion.splat_sequence import requested_bytes
+    """Print how large files of every frame of a splat will be, before they are written."""
+    from dynamictree.export.size import splat_bytes
     from dynamictree.gaussian.cloud import level_count
     from dynamictree.spectrum import FPS, NUM_FRAMES
 
-    if "splat-ply" not in (export.formats or ()):
-        return
     cloud, num_frames = capture.cloud, export.count_frames(NUM_FRAMES / FPS)
     count, degree = level_count(cloud.num_gaussians, export.share), min(cloud.sh_degree, export.sh_degree)
-    megabytes = requested_bytes(cloud.num_gaussians, cloud.sh_degree, num_frames, export) / 1e6
-    size = f"{num_frames} frames of {count:,} Gaussians of SH degree {degree}: {megabytes:,.1f} MB"
-    typer.echo(f"splat-ply: {size}", err=True)
+    for name, size in splat_bytes(cloud.num_gaussians, cloud.sh_degree, num_frames, export).items():
+        what = f"{num_frames} frames of {count:,} Gaussians of SH degree {degree}"
+        typer.echo(f"{name}: {what}: {size / 1e6:,.1f} MB", err=True)
 
 
 def _error_line(name: str, facts: "Facts") -> str:

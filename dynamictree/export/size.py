@@ -3,8 +3,10 @@
 from collections.abc import Iterable
 
 from dynamictree.errors import InputError
-from dynamictree.gaussian.cloud import MAX_SEQUENCE_BYTES
-from dynamictree.requests import Format
+from dynamictree.formats.motion.splat_sequence import requested_bytes
+from dynamictree.formats.motion.usd_splat import usd_splat_bytes
+from dynamictree.gaussian.cloud import MAX_SEQUENCE_BYTES, level_count
+from dynamictree.requests import ExportParams, Format
 
 
 def turbulent_bytes(
@@ -28,4 +30,18 @@ def turbulent_bytes(
                 f"{num_frames} frames of {num_vertices:,} vertices as {name} are {size / 1e9:.1f} GB, above "
                 f"{MAX_SEQUENCE_BYTES / 1e9:.1f} GB: ask for fewer frames, or evaluate /v1/spectra/{{id}}/wind"
             )
+    return sizes
+
+
+def splat_bytes(num_gaussians: int, sh_degree: int, num_frames: int, params: ExportParams) -> dict[Format, int]:
+    """Size of the asked files that hold every frame of a splat, the least one of USD [bytes].
+
+    Raises:
+        InputError: one would be too large.
+    """
+    sizes: dict[Format, int] = {}
+    if "splat-ply" in (params.formats or ()):
+        sizes["splat-ply"] = requested_bytes(num_gaussians, sh_degree, num_frames, params)
+    if "usd-splat" in (params.formats or ()):
+        sizes["usd-splat"] = usd_splat_bytes(level_count(num_gaussians, params.share), num_frames)
     return sizes

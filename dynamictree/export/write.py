@@ -8,10 +8,9 @@ import numpy as np
 
 from dynamictree.export.moving_tree import Facts, MovingTree, Report
 from dynamictree.export.pictures import draw, write_mp4
-from dynamictree.export.size import turbulent_bytes
+from dynamictree.export.size import splat_bytes, turbulent_bytes
 from dynamictree.export.table import PRODUCTS, require_available
 from dynamictree.export.vertex_motion import Recall, vertex_motion
-from dynamictree.formats.motion.splat_sequence import requested_bytes
 from dynamictree.gaussian.animate import lighter
 from dynamictree.gaussian.binding import Binding, bind_capture
 from dynamictree.gaussian.capture import Capture
@@ -53,8 +52,8 @@ def write_products(
     if params.wind_mode == "turbulent":
         turbulent_bytes(formats, num_vertices=mesh.num_vertices, num_faces=mesh.num_faces, num_frames=num_frames)
     binding = _binding(mesh, formats, capture, choice)
-    if binding is not None and "splat-ply" in formats:
-        requested_bytes(binding.cloud.num_gaussians, binding.cloud.sh_degree, num_frames, params)
+    if binding is not None:
+        splat_bytes(binding.cloud.num_gaussians, binding.cloud.sh_degree, num_frames, params)
     report = on_progress or (lambda done: None)
     coefficients, pose = vertex_motion(
         mesh,

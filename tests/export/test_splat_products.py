@@ -284,6 +284,9 @@ def test_too_large_a_sequence_is_refused_before_it_is_made(
     monkeypatch.setattr("dynamictree.formats.motion.splat_sequence.MAX_SEQUENCE_BYTES", 1000)
     with pytest.raises(InputError, match="ask for fewer frames"):
         animated(capture, mesh, spectrum, tmp_path, ExportParams(formats=("splat-ply",)), [])
+    monkeypatch.setattr("dynamictree.formats.motion.usd_splat.MAX_SEQUENCE_BYTES", 1000)
+    with pytest.raises(InputError, match=r"Gaussians as usd-splat .* fewer frames or a lower share"):
+        animated(capture, mesh, spectrum, tmp_path, ExportParams(formats=("usd-splat",)), [])
     assert not list(tmp_path.iterdir())
 
 

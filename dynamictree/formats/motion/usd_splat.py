@@ -20,6 +20,21 @@ from dynamictree.gaussian.cloud import MAX_SEQUENCE_BYTES
 _BYTES = 12 + 8 + 6  # a Gaussian and frame: its place in floats, its rotation and scales in halves
 
 
+def usd_splat_bytes(num_gaussians: int, num_frames: int) -> int:
+    """Least size of the file, known before it is written: what stays is small beside what moves.
+
+    Raises:
+        InputError: it would be too large.
+    """
+    size = _BYTES * num_gaussians * num_frames
+    if size > MAX_SEQUENCE_BYTES:
+        raise InputError(
+            f"{num_frames} frames of {num_gaussians:,} Gaussians as usd-splat are {size / 1e9:.1f} GB, above "
+            f"{MAX_SEQUENCE_BYTES / 1e9:.1f} GB: ask for fewer frames or a lower share"
+        )
+    return size
+
+
 def write_splat_usdz(
     binding: Binding, frames: Iterable[Float32[np.ndarray, "N 3"]], stream: BinaryIO, *, num_frames: int, fps: float
 ) -> None:
@@ -31,12 +46,7 @@ def write_splat_usdz(
     from pxr import Usd, UsdGeom, UsdVol, Vt
 
     cloud = binding.cloud
-    size = _BYTES * cloud.num_gaussians * num_frames
-    if size > MAX_SEQUENCE_BYTES:
-        raise InputError(
-            f"{num_frames} frames of {cloud.num_gaussians:,} Gaussians as usd-splat are {size / 1e9:.1f} GB, above "
-            f"{MAX_SEQUENCE_BYTES / 1e9:.1f} GB: ask for fewer frames or a lower share"
-        )
+    usd_splat_bytes(cloud.num_gaussians, num_frames)
     with tempfile.TemporaryDirectory(prefix="dynamictree-usd-") as folder:
         layer = Path(folder) / "splat.usdc"
         stage = Usd.Stage.CreateNew(str(layer))
