@@ -104,6 +104,26 @@ def played_usdz(path: Path) -> np.ndarray:
     return np.stack([np.array(points.Get(code)) for code in points.GetTimeSamples()]) - rest
 
 
+def played_usd_skin(path: Path) -> np.ndarray:
+    """Points of every time code as usd-core's own skinning has them, less those of rest: [T, N, 3]."""
+    from pxr import Usd, UsdGeom, UsdSkel, Vt
+
+    stage = Usd.Stage.Open(str(path))
+    [surface] = [prim for prim in stage.Traverse() if prim.IsA(UsdGeom.Mesh)]
+    root = UsdSkel.Root(stage.GetDefaultPrim())
+    cache = UsdSkel.Cache()
+    cache.Populate(root, Usd.PrimDefaultPredicate)
+    skinning = cache.GetSkinningQuery(surface)
+    skeleton = cache.GetSkelQuery(UsdSkel.Skeleton(stage.GetPrimAtPath("/Tree/Skeleton")))
+    rest = UsdGeom.Mesh(surface).GetPointsAttr().Get()
+    frames = []
+    for code in range(int(stage.GetEndTimeCode()) + 1):
+        points = Vt.Vec3fArray(rest)
+        assert skinning.ComputeSkinnedPoints(skeleton.ComputeSkinningTransforms(code), points, code)
+        frames.append(np.array(points))
+    return np.stack(frames) - np.array(rest)
+
+
 def played_alembic(path: Path) -> np.ndarray:
     """Points of every sample: [T, N, 3]."""
     from alembic3d import Abc, AbcGeom

@@ -47,6 +47,7 @@ Format = Literal[
     "wind",
     "html",
     "usd",
+    "usd-skinned",
     "alembic",
     "vat",
     "motion",
@@ -326,7 +327,7 @@ class ExportParams(Request):
         default="none",
         description="Compression of glb and glb-reduced: meshopt needs a reader of EXT_meshopt_compression",
     )
-    joints: Joints = Field(default=64, description="Joints of glb-skinned, at most")
+    joints: Joints = Field(default=64, description="Joints of glb-skinned and usd-skinned, at most")
     shot: Shot = Field(default_factory=Shot)
 
     def period_frames(self, period_s: float) -> float:

@@ -68,6 +68,7 @@ class AnimateParams(Model):
                 "wind",
                 "html",
                 "usd",
+                "usd-skinned",
                 "alembic",
                 "vat",
                 "motion",
@@ -90,7 +91,7 @@ class AnimateParams(Model):
     normals: bool = False
     # Compression of glb and glb-reduced: meshopt needs a reader of EXT_meshopt_compression
     glb_compression: Literal["none", "meshopt"] = "none"
-    # Joints of glb-skinned, at most
+    # Joints of glb-skinned and usd-skinned, at most
     joints: Literal[32, 64, 256] = 64
     shot: "Shot | None" = None
 
@@ -621,6 +622,7 @@ class Product(Model):
         "wind",
         "html",
         "usd",
+        "usd-skinned",
         "alembic",
         "vat",
         "motion",

@@ -2,7 +2,7 @@
 
 import io
 from dataclasses import asdict
-from typing import BinaryIO
+from typing import TYPE_CHECKING, BinaryIO
 
 from dynamictree.byte_stream import ByteWriter
 from dynamictree.export.moving_tree import Facts, MovingTree, Report
@@ -10,6 +10,9 @@ from dynamictree.formats.gltf.motion import MorphSummary, write_motion_glb
 from dynamictree.formats.motion.ply_sequence import iter_ply_sequence_zip
 from dynamictree.formats.tensors.motion import write_motion
 from dynamictree.requests import GlbCompression
+
+if TYPE_CHECKING:
+    from dynamictree.skin import Skin, SkinSummary
 
 REDUCED_TARGETS = 8  # morph targets that glTF asks every engine to support
 
@@ -64,17 +67,31 @@ def _write_glb(
 def write_skinned_glb(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
     """GLB with joints and a skin that approximate the loop."""
     from dynamictree.formats.gltf import skin as skin_file
+
+    skin, summary = _fitted(tree, report)
+    skin_file.write_skinned_glb(tree.mesh, skin, summary, stream, fps=tree.loop_fps)
+    return asdict(summary)
+
+
+def write_skinned_usdz(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
+    """USD with the same joints and weights, in a USDZ package."""
+    from dynamictree.formats.motion import usd_skin
+
+    skin, summary = _fitted(tree, report)
+    usd_skin.write_skinned_usdz(tree.mesh, skin, stream, fps=tree.loop_fps)
+    return asdict(summary)
+
+
+def _fitted(tree: MovingTree, report: Report) -> tuple["Skin", "SkinSummary"]:
     from dynamictree.modal.fitted_skin import fitted_skin
 
-    skin, summary = fitted_skin(
+    return fitted_skin(
         tree.mesh,
         tree.coefficients,
         num_frames=tree.spectrum.num_frames,
         num_joints=tree.params.joints,
         on_progress=report,
     )
-    skin_file.write_skinned_glb(tree.mesh, skin, summary, stream, fps=tree.loop_fps)
-    return asdict(summary)
 
 
 def write_usdz(tree: MovingTree, stream: BinaryIO, report: Report) -> None:

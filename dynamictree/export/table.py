@@ -16,6 +16,7 @@ from dynamictree.export.mesh_files import (
     write_ply_sequence,
     write_reduced_glb,
     write_skinned_glb,
+    write_skinned_usdz,
     write_usdz,
     write_vertex_texture,
 )
@@ -86,6 +87,9 @@ PRODUCTS: dict[Format, Product] = {
     "wind": Product("Wind for engines", "tree.wind.zip", "mesh", frozenset(), write=write_engine_wind),
     "html": Product("Web page that plays from disk", "tree.html", "mesh", SPEED | NORMALS, write=write_page),
     "usd": Product("USD", "tree.usdz", "mesh", FRAMES, "pxr", "usd", write=write_usdz),
+    "usd-skinned": Product(
+        "USD with a skeleton", "tree-skinned.usdz", "mesh", SPEED | JOINTS, "pxr", "usd", write=write_skinned_usdz
+    ),
     "alembic": Product("Alembic", "tree.abc", "mesh", FRAMES, "alembic3d", "alembic", write=write_alembic),
     "vat": Product("Vertex animation texture", "tree.vat.zip", "mesh", FRAMES | NORMALS, write=write_vertex_texture),
     "motion": Product("Motion, every frame", "motion.safetensors", "mesh", FRAMES, write=write_displacements),

@@ -13,12 +13,14 @@ import pygltflib
 import pytest
 import trimesh
 from alembic3d import Abc, AbcGeom
+from pxr import Usd, UsdGeom
 
 from benchmarks._played import (
     accessor,
     played_alembic,
     played_morphs,
     played_skin,
+    played_usd_skin,
     played_usdz,
     played_vertex_texture,
     reported_facts,
@@ -94,13 +96,29 @@ def test_what_is_not_exact_says_how_far_off_it_is(name: str, play, products: Pro
 
 
 def test_only_what_is_not_exact_has_something_to_tell(products: Products) -> None:
-    assert set(products[1]) == {"glb-reduced", "glb-skinned", "lod", "rig"}
+    assert set(products[1]) == {"glb-reduced", "glb-skinned", "usd-skinned", "lod", "rig"}
 
 
 def test_usd_and_vertex_texture_show_every_frame(products: Products, truth: np.ndarray) -> None:
     assert errors_m(played_usdz(products[0]["usd"]), truth)[1] < 1e-6
     half = float(np.spacing(np.float16(np.abs(truth).max())))
     assert errors_m(played_vertex_texture(products[0]["vat"].read_bytes()), truth)[1] < half
+
+
+def test_usd_core_skins_the_mesh_as_the_fitted_joints_do(
+    products: Products, tree: tuple[TriangleMesh, SparseVoxelSpectrum], truth: np.ndarray
+) -> None:
+    path = products[0]["usd-skinned"]
+    played, facts = played_usd_skin(path), products[1]["usd-skinned"]
+    assert facts == products[1]["glb-skinned"]
+    rms, most = errors_m(played, truth)
+    assert facts["rms_error_m"] == pytest.approx(rms, rel=1e-3)
+    assert facts["max_error_m"] == pytest.approx(most, rel=1e-3)
+    np.testing.assert_allclose(played[-1], played[0], atol=1e-7)
+    np.testing.assert_allclose(played, played_skin(products[0]["glb-skinned"].read_bytes()), atol=1e-5)
+    stage = Usd.Stage.Open(str(path))
+    assert UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z
+    assert stage.GetTimeCodesPerSecond() == 24
 
 
 def test_alembic_shows_every_frame_with_material_sets_and_seams(

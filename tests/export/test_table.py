@@ -34,8 +34,11 @@ CHANGED = {
     "glb_compression": {"glb_compression": "meshopt"},
 }
 
-SLOW = ("glb-skinned", "lod", "rig", "wind", "usd", "usd-splat", "html-splat", "mp4", "png")
-SAME_AT_THIS_SIZE = {("glb-skinned", "joints")}  # 48 vertices need fewer joints than the least allowed
+SLOW = ("glb-skinned", "lod", "rig", "wind", "usd", "usd-skinned", "usd-splat", "html-splat", "mp4", "png")
+SAME_AT_THIS_SIZE = {
+    ("glb-skinned", "joints"),
+    ("usd-skinned", "joints"),
+}  # 48 vertices need fewer joints than the least allowed
 
 
 @pytest.fixture(scope="module")

@@ -9,11 +9,12 @@ import OpenEXR
 import pytest
 from pxr import Usd, UsdGeom, UsdShade, UsdValidation
 
-from benchmarks._played import played_skin, played_usdz, played_vertex_texture, reported_facts
+from benchmarks._played import played_skin, played_usd_skin, played_usdz, played_vertex_texture, reported_facts
 from dynamictree.errors import InputError
 from dynamictree.formats.gltf.skin import write_skinned_glb
 from dynamictree.formats.motion.exr import write_exr
 from dynamictree.formats.motion.usd import write_motion_usdz
+from dynamictree.formats.motion.usd_skin import write_skinned_usdz
 from dynamictree.formats.motion.vertex_texture import MAX_SIDE, iter_vertex_texture_zip, texture_layout
 from dynamictree.gaussian.rotation import quaternion_matrices, unit_quaternions
 from dynamictree.mesh import TriangleMesh
@@ -124,6 +125,19 @@ def random_skin(mesh: TriangleMesh, rng: np.random.Generator, num_frames: int = 
         rotation=quaternion_matrices(turns).reshape(num_frames, 3, 3, 3),
         translation_m=rng.normal(size=(num_frames, 3, 3)).astype(np.float32),
     )
+
+
+def test_a_skinned_usd_poses_its_vertices_as_the_skin_does(tmp_path: Path, rng: np.random.Generator) -> None:
+    mesh = trunk_and_crown(rng)
+    skin = random_skin(mesh, rng)
+    path = tmp_path / "tree.usdz"
+    with path.open("wb") as stream:
+        write_skinned_usdz(mesh, skin, stream, fps=30.0)
+    expected = np.stack([skin.displacement(mesh.vertices, frame) for frame in (0, 1, 2, 3, 4, 0)])
+    np.testing.assert_allclose(played_usd_skin(path), expected, atol=2e-5)
+    stage = Usd.Stage.Open(str(path))
+    assert problems_of(stage) == []
+    assert zipfile.ZipFile(path).namelist() == ["tree.usdc", "texture_1.png"]
 
 
 def test_a_skinned_glb_poses_its_vertices_as_the_skin_does(rng: np.random.Generator) -> None:

@@ -11,8 +11,11 @@ from pathlib import Path
 import numpy as np
 import pygltflib
 import pytest
+from pxr import Usd, UsdGeom
 
 from benchmarks._played import accessor, played_morphs, z_up
+from dynamictree import method
+from dynamictree.commands.source import load_mesh
 from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.errors import InputError
 from dynamictree.formats.gltf.forest import TravellingGusts, plant_forest
@@ -96,6 +99,39 @@ def test_trees_share_one_mesh_and_stand_apart(planted: pygltflib.GLTF2) -> None:
     places = np.array([node.translation for node in planted.nodes])
     assert min(np.linalg.norm(a - b) for a, b in combinations(places, 2)) > 0.3
     np.testing.assert_allclose(places[:, 1], 0, atol=1e-6)
+
+
+def test_a_forest_as_usd_has_instances_of_few_motions(planted: pygltflib.GLTF2) -> None:
+    folder = planted.path.parent
+    inputs = [str(folder / "tree.glb"), str(folder / "tree.spectrum.safetensors")]
+    output = folder / "forest.usdz"
+    forest.main([*inputs, "-o", str(output), "--trees", str(COUNT), "--motions", "3"])
+    stage = Usd.Stage.Open(str(output))
+    instancer = UsdGeom.PointInstancer(stage.GetDefaultPrim())
+    motions = [stage.GetPrimAtPath(path) for path in instancer.GetPrototypesRel().GetTargets()]
+    assert len(motions) == 3
+    assert sorted(np.bincount(instancer.GetProtoIndicesAttr().Get()).tolist()) == [3, 3, 3]
+    placed = np.column_stack([instancer.GetPositionsAttr().Get(), np.array(instancer.GetScalesAttr().Get())[:, 0]])
+    there = np.array([[*z_up(np.array([node.translation]))[0], node.scale[0]] for node in planted.nodes])
+    np.testing.assert_allclose(placed[placed[:, 0].argsort()], there[there[:, 0].argsort()], atol=1e-5)
+    sample = make_sample(3, "sapling")
+    with (folder / "tree.spectrum.safetensors").open("rb") as stream:
+        coefficients = method.devoxelize(read_spectrum(stream), load_mesh(folder / "tree.glb"))
+    points = [UsdGeom.Mesh(prim.GetChild("Surface")).GetPointsAttr() for prim in motions]
+    assert [attribute.GetTimeSamples() for attribute in points] == [list(range(100))] * 3
+    rest = np.array(points[0].Get())
+    np.testing.assert_array_equal(np.array(points[2].Get()), rest)
+    lean = coefficients[:, 0].real
+    sizes = []
+    for attribute in points:
+        moved = np.stack([np.array(attribute.Get(code)) for code in range(100)]) - rest
+        np.testing.assert_allclose(moved.mean(axis=0), lean, atol=1e-5)  # all lean alike
+        spectrum = np.fft.fft(moved, axis=0)[1:16] / 100
+        np.testing.assert_allclose(np.abs(spectrum), np.abs(coefficients.transpose(1, 0, 2)[1:]), atol=1e-5)
+        sizes.append(moved)
+    assert np.abs(sizes[0] - sizes[1]).max() > 0.01
+    boxes = instancer.ComputeExtentAtTime(Usd.TimeCode(0), Usd.TimeCode(0))
+    assert boxes[1][2] > 1.2 * np.ptp(sample.mesh.vertices[:, 2]) * 0.8
 
 
 def test_a_forest_without_trees_is_refused() -> None:

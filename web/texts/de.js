@@ -186,6 +186,8 @@ export default {
   "format.html.for": "eine Datei, die ohne Server spielt",
   "format.usd": "USD",
   "format.usd.for": "Omniverse, Houdini, iPhone",
+  "format.usd-skinned": "USD, Skelett",
+  "format.usd-skinned.for": "UsdSkel: Omniverse, Maya, Unreal",
   "format.wind": "Wind für Engines",
   "format.wind.for": "Shader, Laub",
   "format.alembic": "Alembic",

@@ -186,6 +186,8 @@ export default {
   "format.html.for": "one file that plays from disk, to send on",
   "format.usd": "USD",
   "format.usd.for": "Omniverse, Houdini, iPhone",
+  "format.usd-skinned": "USD, skeleton",
+  "format.usd-skinned.for": "UsdSkel: Omniverse, Maya, Unreal",
   "format.wind": "Wind for engines",
   "format.wind.for": "Shaders, foliage",
   "format.alembic": "Alembic",

@@ -68,12 +68,12 @@ def _add_sway(writer: GlbWriter, skin: Skin, fps: float) -> None:
     rest, turn = _rest(skin), up_rotation("+Y")  # file to +Z up
     turned = turn.T @ skin.rotation.astype(np.float64) @ turn  # [T, B, 3, 3]
     place = np.einsum("tbij,bj->tbi", turned, rest) + skin.translation_m.astype(np.float64) @ turn
-    rotation, translation = _relative_to_parents(skin.parent, turned, place)
+    rotation, translation = relative_to_parents(skin.parent, turned, place)
     times = (np.arange(len(place) + 1) / fps).astype(np.float32)
     clock = writer.add_accessor(times[:, None], bounds=True)
     samplers, channels = list[object](), list[object]()
     for joint in range(len(skin.parent)):
-        keys = {"rotation": _steady(matrix_quaternions(rotation[:, joint])), "translation": translation[:, joint]}
+        keys = {"rotation": steady(matrix_quaternions(rotation[:, joint])), "translation": translation[:, joint]}
         for path, values in keys.items():
             looped = np.concatenate([values, values[:1]]).astype(np.float32)
             channels.append({"sampler": len(samplers), "target": {"node": _FIRST + joint, "path": path}})
@@ -103,7 +103,7 @@ def _add_skin(writer: GlbWriter, rest: np.ndarray) -> None:
     writer.append("skins", {"inverseBindMatrices": matrices, "joints": joints, "skeleton": 1})
 
 
-def _relative_to_parents(
+def relative_to_parents(
     parent: Int32[np.ndarray, " B"], rotation: np.ndarray, place: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Each joint's rotation [T, B, 3, 3] and place [T, B, 3] as its parent sees it."""
@@ -113,7 +113,7 @@ def _relative_to_parents(
     return outer @ rotation, np.einsum("tbij,tbj->tbi", outer, place - origin)
 
 
-def _steady(wxyz: np.ndarray) -> np.ndarray:
+def steady(wxyz: np.ndarray) -> np.ndarray:
     """Quaternions x, y, z, w with the sign that is nearer to the previous frame."""
     xyzw = wxyz[:, [1, 2, 3, 0]]
     turns = (xyzw[1:] * xyzw[:-1]).sum(axis=1) < 0

@@ -15,7 +15,7 @@ from dynamictree.formats.gltf.writer import linear_colors
 from dynamictree.formats.motion.usdz import pack_usdz
 from dynamictree.mesh import Material, TriangleMesh
 
-_ROOT, _SURFACE, _LOOKS = "/Tree", "/Tree/Surface", "/Tree/Looks"
+_ROOT = "/Tree"
 
 
 def write_motion_usdz(
@@ -23,13 +23,13 @@ def write_motion_usdz(
 ) -> None:
     """Write displacements [m], a time code a frame, from 0."""
     with tempfile.TemporaryDirectory(prefix="dynamictree-usd-") as folder:
-        textures = _texture_files(mesh, Path(folder))
+        textures = texture_files(mesh, Path(folder))
         layer = Path(folder) / "tree.usdc"
         _write_layer(mesh, frames, layer, fps, textures)
         pack_usdz([layer, *(Path(folder) / name for name in textures.values())], stream)
 
 
-def _texture_files(mesh: TriangleMesh, folder: Path) -> dict[int, str]:
+def texture_files(mesh: TriangleMesh, folder: Path) -> dict[int, str]:
     """Textures beside the layer, by the numbers of their materials."""
     names = {}
     for number, material in enumerate(mesh.materials):
@@ -52,19 +52,20 @@ def _write_layer(
     root = UsdGeom.Xform.Define(stage, _ROOT)
     stage.SetDefaultPrim(root.GetPrim())
     Usd.ModelAPI(root).SetKind(Kind.Tokens.component)
-    _define_surface(stage, mesh)
-    last = _set_points(stage, mesh, frames)
+    define_surface(stage, _ROOT, mesh)
+    last = set_points(stage, f"{_ROOT}/Surface", mesh, frames)
     stage.SetStartTimeCode(0)
     stage.SetEndTimeCode(last)
-    for number, material in enumerate(mesh.materials):
-        _define_material(stage, number, material, textures.get(number))
+    define_looks(stage, _ROOT, mesh, textures)
     stage.Save()
 
 
-def _define_surface(stage: Any, mesh: TriangleMesh) -> None:
+def define_surface(stage: Any, root: str, mesh: TriangleMesh) -> None:
+    """The mesh at rest as `Surface` below `root`, with its faces bound to the materials of `define_looks`."""
     from pxr import Sdf, UsdGeom, UsdShade, Vt
 
-    surface = UsdGeom.Mesh.Define(stage, _SURFACE)
+    surface = UsdGeom.Mesh.Define(stage, f"{root}/Surface")
+    surface.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(mesh.vertices)))
     surface.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(mesh.num_faces, 3, np.int32)))
     surface.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(np.ascontiguousarray(mesh.faces.ravel())))
     surface.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
@@ -81,22 +82,21 @@ def _define_surface(stage: Any, mesh: TriangleMesh) -> None:
     if not mesh.materials:
         return
     binding = UsdShade.MaterialBindingAPI.Apply(surface.GetPrim())
-    binding.Bind(UsdShade.Material.Define(stage, f"{_LOOKS}/Material_0"))
+    binding.Bind(UsdShade.Material.Define(stage, f"{root}/Looks/Material_0"))
     face_material = np.zeros(mesh.num_faces, np.int32) if mesh.face_material is None else mesh.face_material
     for number in np.unique(face_material).tolist():
         chosen = np.flatnonzero(face_material == number).astype(np.int32)
         part = binding.CreateMaterialBindSubset(f"Part_{number}", Vt.IntArray.FromNumpy(chosen))
-        looks = UsdShade.Material.Define(stage, f"{_LOOKS}/Material_{number}")
+        looks = UsdShade.Material.Define(stage, f"{root}/Looks/Material_{number}")
         UsdShade.MaterialBindingAPI.Apply(part.GetPrim()).Bind(looks)
 
 
-def _set_points(stage: Any, mesh: TriangleMesh, frames: Iterable[Float32[np.ndarray, "N 3"]]) -> int:
-    """Write every frame; gives the last one's time code. The default is the tree at rest."""
+def set_points(stage: Any, path: str, mesh: TriangleMesh, frames: Iterable[Float32[np.ndarray, "N 3"]]) -> int:
+    """Write every frame of a surface; gives the last one's time code."""
     from pxr import Gf, UsdGeom, Vt
 
-    surface = UsdGeom.Mesh.Get(stage, _SURFACE)
+    surface = UsdGeom.Mesh.Get(stage, path)
     points, extent = surface.CreatePointsAttr(), surface.CreateExtentAttr()
-    points.Set(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(mesh.vertices)))
     frame = 0
     for frame, displacement in enumerate(frames):
         moved = mesh.vertices + displacement
@@ -106,22 +106,28 @@ def _set_points(stage: Any, mesh: TriangleMesh, frames: Iterable[Float32[np.ndar
     return frame
 
 
-def _define_material(stage: Any, number: int, material: Material, texture: str | None) -> None:
+def define_looks(stage: Any, root: str, mesh: TriangleMesh, textures: dict[int, str]) -> None:
+    """The materials as `Looks` below `root`; `textures` are names of files beside the layer."""
+    for number, material in enumerate(mesh.materials):
+        _define_material(stage, f"{root}/Looks/Material_{number}", material, textures.get(number))
+
+
+def _define_material(stage: Any, path: str, material: Material, texture: str | None) -> None:
     """Base color, as glTF has it, as a UsdPreviewSurface."""
     from pxr import Gf, Sdf, UsdShade
 
-    looks = UsdShade.Material.Define(stage, f"{_LOOKS}/Material_{number}")
-    preview = UsdShade.Shader.Define(stage, f"{_LOOKS}/Material_{number}/Preview")
+    looks = UsdShade.Material.Define(stage, path)
+    preview = UsdShade.Shader.Define(stage, f"{path}/Preview")
     preview.CreateIdAttr("UsdPreviewSurface")
     preview.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(1.0)
     preview.CreateInput("metallic", Sdf.ValueTypeNames.Float).Set(0.0)
     diffuse = preview.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
     diffuse.Set(Gf.Vec3f(*material.base_color[:3]))
     if texture is not None:
-        reader = UsdShade.Shader.Define(stage, f"{_LOOKS}/Material_{number}/Coordinates")
+        reader = UsdShade.Shader.Define(stage, f"{path}/Coordinates")
         reader.CreateIdAttr("UsdPrimvarReader_float2")
         reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
-        image = UsdShade.Shader.Define(stage, f"{_LOOKS}/Material_{number}/Texture")
+        image = UsdShade.Shader.Define(stage, f"{path}/Texture")
         image.CreateIdAttr("UsdUVTexture")
         image.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(Sdf.AssetPath(texture))
         image.CreateInput("sourceColorSpace", Sdf.ValueTypeNames.Token).Set("sRGB")

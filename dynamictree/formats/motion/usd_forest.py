@@ -1,0 +1,81 @@
+"""A forest as USD: a `PointInstancer` over a few trees that differ in phase, each with a time sample a frame.
+
++Z up, metres. Needs usd-core, the extra `usd`.
+"""
+
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from jaxtyping import Complex64
+
+from dynamictree.errors import InputError
+from dynamictree.formats.gltf.forest import StandingTree, by_motion
+from dynamictree.formats.motion.usd import define_looks, define_surface, set_points, texture_files
+from dynamictree.formats.motion.usdz import pack_usdz
+from dynamictree.gaussian.cloud import MAX_SEQUENCE_BYTES
+from dynamictree.mesh import TriangleMesh
+from dynamictree.spectrum import iter_motion
+
+_FOREST = "/Forest"
+_MOTIONS = f"{_FOREST}/Motions"
+
+
+def write_forest_usdz(
+    mesh: TriangleMesh,
+    coefficients: Complex64[np.ndarray, "N K 3"],
+    trees: Sequence[StandingTree],
+    stream: BinaryIO,
+    *,
+    num_frames: int,
+    fps: float,
+    num_motions: int,
+    wind_deg: float = 0.0,
+) -> None:
+    """Write one period, a time code a frame from 0; trees that are neighbours along the wind share a motion.
+
+    Raises:
+        InputError: fewer than one motion, more than trees, or a file that would be too large.
+    """
+    from pxr import Sdf, Usd, UsdGeom, Vt
+
+    groups = by_motion(trees, num_motions, wind_deg)
+    size = 12 * mesh.num_vertices * num_frames * num_motions
+    if size > MAX_SEQUENCE_BYTES:
+        raise InputError(f"{num_motions} motions are {size / 1e9:.1f} GB as USD: ask for fewer motions")
+    foot = np.array([*mesh.vertices[:, :2].mean(axis=0), mesh.vertices[:, 2].min()], np.float32)
+    standing = mesh.with_vertices(mesh.vertices - foot)
+    with tempfile.TemporaryDirectory(prefix="dynamictree-usd-") as folder:
+        textures = texture_files(mesh, Path(folder))
+        layer = Path(folder) / "forest.usdc"
+        stage = Usd.Stage.CreateNew(str(layer))
+        UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+        UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+        stage.SetTimeCodesPerSecond(fps)
+        stage.SetFramesPerSecond(fps)
+        forest = UsdGeom.PointInstancer.Define(stage, _FOREST)
+        stage.SetDefaultPrim(forest.GetPrim())
+        stage.DefinePrim(_MOTIONS, "Scope")
+        phases = np.arange(num_frames) / num_frames
+        for number, group in enumerate(groups):
+            path = f"{_MOTIONS}/motion_{number}"
+            prim = UsdGeom.Xform.Define(stage, path).GetPrim()
+            if number == 0:
+                define_surface(stage, path, standing)
+                define_looks(stage, path, standing, textures)
+            else:
+                prim.GetReferences().AddInternalReference(f"{_MOTIONS}/motion_0")
+            turn = np.exp(1j * group[len(group) // 2].phase_rad).astype(np.complex64)
+            own = coefficients * turn[None, :, None]
+            set_points(stage, f"{path}/Surface", standing, iter_motion(own, phases, num_frames))
+        every = [(tree, number) for number, group in enumerate(groups) for tree in group]
+        forest.CreatePrototypesRel().SetTargets([Sdf.Path(f"{_MOTIONS}/motion_{n}") for n in range(len(groups))])
+        forest.CreateProtoIndicesAttr(Vt.IntArray([number for _, number in every]))
+        forest.CreatePositionsAttr(Vt.Vec3fArray([tree.position_m for tree, _ in every]))
+        forest.CreateScalesAttr(Vt.Vec3fArray([(tree.scale,) * 3 for tree, _ in every]))
+        stage.SetStartTimeCode(0)
+        stage.SetEndTimeCode(num_frames - 1)
+        stage.Save()
+        pack_usdz([layer, *(Path(folder) / name for name in textures.values())], stream)

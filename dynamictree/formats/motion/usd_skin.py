@@ -1,0 +1,95 @@
+"""A motion as USD with a skeleton (`UsdSkel`): the joints and weights of the skinned GLB, in a USDZ package.
+
++Z up, metres, vertices in the source's order. Needs usd-core, the extra `usd`.
+"""
+
+import tempfile
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from dynamictree.formats.gltf.skin import joint_name, relative_to_parents, steady
+from dynamictree.formats.motion.usd import define_looks, define_surface, texture_files
+from dynamictree.formats.motion.usdz import pack_usdz
+from dynamictree.gaussian.rotation import matrix_quaternions
+from dynamictree.mesh import TriangleMesh
+from dynamictree.skin import JOINTS_PER_VERTEX, Skin
+
+_ROOT, _SKELETON, _SWAY = "/Tree", "/Tree/Skeleton", "/Tree/Skeleton/Sway"
+
+
+def write_skinned_usdz(mesh: TriangleMesh, skin: Skin, stream: BinaryIO, *, fps: float) -> None:
+    """Write one period, a time code a frame; the last of T + 1 shows the first frame again."""
+    from pxr import Kind, Usd, UsdGeom, UsdSkel
+
+    with tempfile.TemporaryDirectory(prefix="dynamictree-usd-") as folder:
+        textures = texture_files(mesh, Path(folder))
+        layer = Path(folder) / "tree.usdc"
+        stage = Usd.Stage.CreateNew(str(layer))
+        UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+        UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+        stage.SetTimeCodesPerSecond(fps)
+        stage.SetFramesPerSecond(fps)
+        root = UsdSkel.Root.Define(stage, _ROOT)
+        stage.SetDefaultPrim(root.GetPrim())
+        Usd.ModelAPI(root).SetKind(Kind.Tokens.component)
+        define_surface(stage, _ROOT, mesh)
+        define_looks(stage, _ROOT, mesh, textures)
+        joints = _joint_paths(skin)
+        _define_skeleton(stage, skin, joints)
+        _define_sway(stage, skin, joints)
+        _bind(stage, f"{_ROOT}/Surface", skin)
+        stage.SetStartTimeCode(0)
+        stage.SetEndTimeCode(len(skin.rotation))
+        stage.Save()
+        pack_usdz([layer, *(Path(folder) / name for name in textures.values())], stream)
+
+
+def _joint_paths(skin: Skin) -> list[str]:
+    """Of each joint its name below those of its parents, which come before it."""
+    paths = list[str]()
+    for joint, parent in enumerate(skin.parent.tolist()):
+        paths.append(f"{paths[parent]}/{joint_name(joint)}" if parent >= 0 else joint_name(joint))
+    return paths
+
+
+def _define_skeleton(stage: Any, skin: Skin, joints: list[str]) -> None:
+    from pxr import Gf, UsdSkel, Vt
+
+    skeleton = UsdSkel.Skeleton.Define(stage, _SKELETON)
+    skeleton.CreateJointsAttr(joints)
+    offset = skin.joint_m - np.where(skin.parent[:, None] >= 0, skin.joint_m[skin.parent], 0)
+    places = {"bind": skin.joint_m, "rest": offset}
+    bind, rest = ([Gf.Matrix4d(1).SetTranslate(Gf.Vec3d(*place)) for place in places[name].tolist()] for name in places)
+    skeleton.CreateBindTransformsAttr(Vt.Matrix4dArray(bind))
+    skeleton.CreateRestTransformsAttr(Vt.Matrix4dArray(rest))
+    UsdSkel.BindingAPI.Apply(skeleton.GetPrim()).CreateAnimationSourceRel().SetTargets([_SWAY])
+
+
+def _define_sway(stage: Any, skin: Skin, joints: list[str]) -> None:
+    from pxr import UsdSkel, Vt
+
+    sway = UsdSkel.Animation.Define(stage, _SWAY)
+    sway.CreateJointsAttr(joints)
+    sway.CreateScalesAttr(Vt.Vec3hArray.FromNumpy(np.ones((len(joints), 3), np.float16)))
+    turned = skin.rotation.astype(np.float64)
+    place = np.einsum("tbij,bj->tbi", turned, skin.joint_m) + skin.translation_m
+    rotation, translation = relative_to_parents(skin.parent, turned, place)
+    xyzw = np.stack([steady(matrix_quaternions(rotation[:, joint])) for joint in range(len(joints))], axis=1)
+    rotations, translations = sway.CreateRotationsAttr(), sway.CreateTranslationsAttr()
+    for code in range(len(turned) + 1):
+        frame = code % len(turned)
+        rotations.Set(Vt.QuatfArray.FromNumpy(np.ascontiguousarray(xyzw[frame], np.float32)), code)
+        translations.Set(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(translation[frame], np.float32)), code)
+
+
+def _bind(stage: Any, surface: str, skin: Skin) -> None:
+    from pxr import UsdSkel, Vt
+
+    binding = UsdSkel.BindingAPI.Apply(stage.GetPrimAtPath(surface))
+    used = skin.weights > 0
+    rows, weights = np.where(used, skin.rows, 0).ravel(), np.where(used, skin.weights, 0).ravel()
+    binding.CreateJointIndicesPrimvar(False, JOINTS_PER_VERTEX).Set(Vt.IntArray.FromNumpy(rows.astype(np.int32)))
+    binding.CreateJointWeightsPrimvar(False, JOINTS_PER_VERTEX).Set(Vt.FloatArray.FromNumpy(weights.astype(np.float32)))
+    binding.CreateSkeletonRel().SetTargets([_SKELETON])
