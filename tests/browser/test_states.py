@@ -267,12 +267,29 @@ def test_sliders_say_their_values(view: Open, url: str, job_id: str) -> None:
     assert silent == []
     assert page.evaluate("document.querySelectorAll('output').length") == 0, "live regions per frame"
     page.locator("#wind-presets button", has_text="Gale").click()
-    expect(page.locator("#speed")).to_have_attribute("aria-valuetext", "17.0 m/s")
+    expect(page.locator("#speed")).to_have_attribute("aria-valuetext", "14.0 m/s")
     expect(page.locator("#wind-presets [aria-pressed=true]")).to_have_text("Gale")
     box = page.locator("#dial").bounding_box()
     assert box
     page.mouse.click(box["x"] + box["width"] / 2, box["y"] + 4)
     expect(page.locator("#direction")).to_have_attribute("aria-valuetext", "90° N")
+    assert viewer.complaints == []
+
+
+def test_the_model_is_asked_for_all_winds(view: Open, url: str, job_id: str) -> None:
+    viewer = view(900, 620)
+    page = viewer.page
+    viewer.open(f"{url}/#job={job_id}")
+    state(page, "moving")
+    page.locator("#wind-presets button", has_text="Storm").click()
+    expect(page.locator("#wind-note")).to_contain_text("speed to the power 1.4")
+    page.get_by_role("button", name="Ask the model for all winds").click()
+    expect(page.locator("body")).not_to_have_attribute("data-state", "moving", timeout=JOB_MS)
+    state(page, "moving")
+    expect(page.locator("#make-bands")).to_be_hidden()
+    expect(page.locator("#wind-note")).to_have_text("The wind that this motion was made for.")
+    page.locator("#wind-presets button", has_text="Storm").click()
+    expect(page.locator("#wind-note")).to_contain_text("says the model")
     assert viewer.complaints == []
 
 
