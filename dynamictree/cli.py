@@ -24,6 +24,7 @@ OWN_COMMANDS = {
     "info": "dynamictree.commands.info:info",
     "interact": "dynamictree.commands.interact:interact",
     "reconstruct": "dynamictree.commands.reconstruct:reconstruct",
+    "recut": "dynamictree.commands.recut:recut",
     "train": "dynamictree.commands.train:train",
     "voxelize": "dynamictree.commands.voxelize:voxelize",
 }

@@ -150,7 +150,8 @@ class CloudParams(Request):
 
     box_m: Box | None = Field(
         default=None,
-        description="Only what is inside moves: low and high corner [m], +Z up; all of the plant if unset",
+        description="Only what is inside moves: low and high corner [m], +Z up; all of the plant if unset. Of photos: "
+        "only what is inside is the plant, in the frame of the job that had the same height_m and no box",
     )
     still: PartNames | None = Field(
         default=None,
@@ -172,15 +173,9 @@ class CloudParams(Request):
     )
 
 
-class PhotoParams(Request):
-    """How to reconstruct a tree from photos."""
+class LearningParams(Request):
+    """What decides on the scene that is learned from photos, before the tree is cut out of it."""
 
-    height_m: Finite | None = Field(
-        default=None,
-        gt=0,
-        lt=1000,
-        description="Of photos: the tree's height [m], which they do not show; 1 m if unset",
-    )
     splat_steps: int | None = Field(
         default=None, ge=100, le=30_000, description="Of photos: training steps of the splat; 3000 if unset"
     )
@@ -189,6 +184,29 @@ class PhotoParams(Request):
         ge=MIN_PHOTOS,
         le=MAX_PHOTOS,
         description=f"Of a film: sharp frames that are taken as photos; {PHOTOS_OF_VIDEO} if unset",
+    )
+
+
+class PhotoParams(LearningParams):
+    """How to reconstruct a tree from photos."""
+
+    height_m: Finite | None = Field(
+        default=None,
+        gt=0,
+        lt=1000,
+        description="Of photos: the tree's height [m], which they do not show; 1 m if unset",
+    )
+
+
+class CutParams(Request):
+    """How to cut the plant out of a finished reconstruction."""
+
+    box_m: Box | None = Field(
+        default=None,
+        description="Only what is inside is the plant: low and high corner [m] in the frame of the folder's files",
+    )
+    height_m: Finite | None = Field(
+        default=None, gt=0, lt=1000, description="The plant's height [m]; if unset the scale stays"
     )
 
 

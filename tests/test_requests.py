@@ -17,6 +17,7 @@ from dynamictree.requests import (
     MAX_TURBULENT_FRAMES,
     AnimateParams,
     CloudParams,
+    CutParams,
     ExportParams,
     Format,
     GeneratorGridParams,
@@ -32,6 +33,7 @@ from dynamictree.requests import (
 
 OWN_OPTIONS = {
     "animate": {"source", "output", "mask", "mesh", "as_json"},
+    "recut": {"source", "output", "as_json"},
     "reconstruct": {"photos", "output", "fresh", "as_json"},
     "interact": {"spectrum", "output", "mesh", "formats", "as_json"}
     | {"impulse", "force", "displacement", "wind", "point", "voxel", "radius", "start", "duration", "held"}
@@ -54,6 +56,7 @@ def names(*models: type[Request]) -> set[str]:
     [
         ("animate", (ExportParams, CloudParams, GeneratorGridParams, ModelParams, SpectrumParams, Reading)),
         ("reconstruct", (PhotoParams,)),
+        ("recut", (CutParams,)),
         ("interact", (InteractParams, Reading)),
     ],
 )

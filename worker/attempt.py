@@ -12,7 +12,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dynamictree.errors import Cancelled, CheckpointError, DynamicTreeError
-from dynamictree.requests import CloudParams, ExportParams, GridParams, ReconstructParams, Request, SpectrumParams
+from dynamictree.requests import (
+    CloudParams,
+    ExportParams,
+    GridParams,
+    LearningParams,
+    ReconstructParams,
+    Request,
+    SpectrumParams,
+)
 from dynamictree.weights import list_weights
 from jobs.artifacts import hash_file
 from jobs.assets import read_asset
@@ -160,9 +168,13 @@ def _fetch_prepared(runtime: Runtime, asset: AssetRecord, inputs: Path) -> dict[
 
 
 def _prepared_sources(asset: AssetRecord) -> dict[str, OutputFile]:
-    """The file that the parser wrote, as stages name theirs."""
+    """The file that the parser wrote, as stages name theirs; of photos all parts, and what they mean together."""
     if asset.prepared is None:
-        return {}
+        meaning = OutputFile(name=SOURCE, media_type=OCTETS, sha256=asset.fingerprint, bytes=0)
+        parts = [
+            OutputFile(name=part.name, media_type=OCTETS, sha256=part.sha256, bytes=part.bytes) for part in asset.parts
+        ]
+        return {SOURCE: meaning} | {f"{SOURCE}/{index}": part for index, part in enumerate(parts)}
     name = CLOUD_BUNDLE if asset.kind == "cloud" else MESH_BUNDLE
     part = asset.prepared
     return {name: OutputFile(name=name, media_type=OCTETS, sha256=part.sha256, bytes=part.bytes)}
@@ -179,8 +191,12 @@ def _recall(
 ) -> Path:
     """The file of a result that does not depend on the formats: an earlier job's, or computed and remembered."""
     path = folder / f".{name}"
-    used = [sources[source] for source in RESULT_SOURCES[name]]
-    choice = CloudParams.part_of(job.params).model_dump(mode="json")
+    if name == "reconstruction":
+        used = [file for source, file in sources.items() if source.startswith(SOURCE)]
+        choice = LearningParams.part_of(job.params).model_dump(mode="json")
+    else:
+        used = [sources[source] for source in RESULT_SOURCES[name]]
+        choice = CloudParams.part_of(job.params).model_dump(mode="json")
     key = intermediate_key(name, job, [file.sha256 for file in used], choice)
     file = None if fresh else find_intermediate(runtime.store, runtime.artifacts, key)
     if file is not None:

@@ -57,6 +57,7 @@ def reconstruct(given: StageInput) -> Iterable[Path]:
         params,
         root=_root(given.photos),
         resume_dir=given.resume_dir,
+        recall=given.recall,
         read_photos=read_confined,
         write_frames=write_confined_frames,
         on_progress=given.report,
@@ -66,7 +67,7 @@ def reconstruct(given: StageInput) -> Iterable[Path]:
         write_mesh_bundle(capture.mesh, stream)
     with (given.folder / CLOUD_BUNDLE).open("xb") as stream:
         write_cloud_bundle(capture, stream)
-    return sorted(given.folder.iterdir())
+    return sorted(path for path in given.folder.iterdir() if not path.name.startswith("."))
 
 
 def _root(photos: tuple[Path, ...]) -> Path:

@@ -19,7 +19,8 @@ JobState = Literal["queued", "running", "canceling", "succeeded", "failed", "can
 class AnimateParams(Model):
     """Parameters of a job that writes a motion. The service writes png besides the formats that are asked for."""
 
-    # Only what is inside moves: low and high corner [m], +Z up; all of the plant if unset
+    # Only what is inside moves: low and high corner [m], +Z up; all of the plant if unset. Of photos: only what is
+    # inside is the plant, in the frame of the job that had the same height_m and no box
     box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
     # Parts that stand still: nodes and materials of a mesh, still_parts of a splat or scan; * fits any letters, ?
     # one
@@ -32,12 +33,12 @@ class AnimateParams(Model):
     moving_box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
     # Of a file of several trees only this one, as `trees` numbers them; if unset all, each by itself
     tree: int | None = None
-    # Of photos: the tree's height [m], which they do not show; 1 m if unset
-    height_m: float | None = None
     # Of photos: training steps of the splat; 3000 if unset
     splat_steps: int | None = None
     # Of a film: sharp frames that are taken as photos; 40 if unset
     video_frames: int | None = None
+    # Of photos: the tree's height [m], which they do not show; 1 m if unset
+    height_m: float | None = None
     wind: "Wind | None" = None
     # Sampler steps; the number of the preset if unset
     num_steps: int | None = None
@@ -211,7 +212,8 @@ class Delivery(Model):
 class DiffuseParams(Model):
     """Parameters of a job that generates a spectrum."""
 
-    # Only what is inside moves: low and high corner [m], +Z up; all of the plant if unset
+    # Only what is inside moves: low and high corner [m], +Z up; all of the plant if unset. Of photos: only what is
+    # inside is the plant, in the frame of the job that had the same height_m and no box
     box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
     # Parts that stand still: nodes and materials of a mesh, still_parts of a splat or scan; * fits any letters, ?
     # one
@@ -224,12 +226,12 @@ class DiffuseParams(Model):
     moving_box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
     # Of a file of several trees only this one, as `trees` numbers them; if unset all, each by itself
     tree: int | None = None
-    # Of photos: the tree's height [m], which they do not show; 1 m if unset
-    height_m: float | None = None
     # Of photos: training steps of the splat; 3000 if unset
     splat_steps: int | None = None
     # Of a film: sharp frames that are taken as photos; 40 if unset
     video_frames: int | None = None
+    # Of photos: the tree's height [m], which they do not show; 1 m if unset
+    height_m: float | None = None
     wind: "Wind | None" = None
     # Sampler steps; the number of the preset if unset
     num_steps: int | None = None
@@ -676,7 +678,8 @@ class Ready(Model):
 class ReconstructParams(Model):
     """Parameters of a job that makes a mesh of photos or a cloud."""
 
-    # Only what is inside moves: low and high corner [m], +Z up; all of the plant if unset
+    # Only what is inside moves: low and high corner [m], +Z up; all of the plant if unset. Of photos: only what is
+    # inside is the plant, in the frame of the job that had the same height_m and no box
     box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
     # Parts that stand still: nodes and materials of a mesh, still_parts of a splat or scan; * fits any letters, ?
     # one
@@ -689,12 +692,12 @@ class ReconstructParams(Model):
     moving_box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
     # Of a file of several trees only this one, as `trees` numbers them; if unset all, each by itself
     tree: int | None = None
-    # Of photos: the tree's height [m], which they do not show; 1 m if unset
-    height_m: float | None = None
     # Of photos: training steps of the splat; 3000 if unset
     splat_steps: int | None = None
     # Of a film: sharp frames that are taken as photos; 40 if unset
     video_frames: int | None = None
+    # Of photos: the tree's height [m], which they do not show; 1 m if unset
+    height_m: float | None = None
 
 
 class ReconstructRequest(Model):
@@ -880,7 +883,8 @@ class Usage(Model):
 class VoxelizeParams(Model):
     """Parameters of a job that makes the voxels of a surface."""
 
-    # Only what is inside moves: low and high corner [m], +Z up; all of the plant if unset
+    # Only what is inside moves: low and high corner [m], +Z up; all of the plant if unset. Of photos: only what is
+    # inside is the plant, in the frame of the job that had the same height_m and no box
     box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
     # Parts that stand still: nodes and materials of a mesh, still_parts of a splat or scan; * fits any letters, ?
     # one
@@ -893,12 +897,12 @@ class VoxelizeParams(Model):
     moving_box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
     # Of a file of several trees only this one, as `trees` numbers them; if unset all, each by itself
     tree: int | None = None
-    # Of photos: the tree's height [m], which they do not show; 1 m if unset
-    height_m: float | None = None
     # Of photos: training steps of the splat; 3000 if unset
     splat_steps: int | None = None
     # Of a film: sharp frames that are taken as photos; 40 if unset
     video_frames: int | None = None
+    # Of photos: the tree's height [m], which they do not show; 1 m if unset
+    height_m: float | None = None
     # Voxels along the side of the cube
     resolution: Literal[32, 64, 128, 256, 512] = 128
 

@@ -43,6 +43,7 @@ def reconstruct(
     from dynamictree.reconstruct import Progress
     from dynamictree.reconstruct import reconstruct as reconstruct_photos
     from dynamictree.reconstruct.from_request import options_of
+    from dynamictree.reconstruct.recut import recut
 
     work = output.resolve().with_name(f"{output.resolve().name}.unfinished")
     if fresh:
@@ -61,6 +62,8 @@ def reconstruct(
                 check()
 
             reconstruct_photos(paths, folder, options=options_of(params), root=root, work=work, on_progress=on_progress)
+            if params.height_m is not None:
+                recut(folder, folder, height_m=params.height_m)
             names = sorted(path.name for path in folder.iterdir())
             facts = json.loads((folder / "report.json").read_text())
     except BaseException as error:

@@ -34,8 +34,8 @@ MAX_STORED_BYTES = 1 << 28
 """Larger results are computed again: reading them would take as long."""
 _TIES_SHARE, _LINEAR_SHARE = 0.2, 0.5  # of the time of all, about
 
-Result = Literal["ties", "motion"]
-"""What ties vertices to voxels, the same for all seeds and winds; and the vertices' motion."""
+Result = Literal["ties", "motion", "reconstruction"]
+"""What ties vertices to voxels, the same for all seeds and winds; the vertices' motion; and what photos show."""
 Recall = Callable[[Result, Callable[[Path], None]], Path]
 """Gives the file of a result; where there is none, calls the function that writes it to a path."""
 

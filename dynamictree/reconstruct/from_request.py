@@ -4,22 +4,25 @@ import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 from dynamictree.formats.suffixes import FILM_SUFFIXES, PHOTO_SUFFIXES
 from dynamictree.gaussian.capture import Capture, carrying_mesh, with_still_parts
 from dynamictree.reconstruct import ReconstructOptions, reconstruct
 from dynamictree.reconstruct.optimise import Schedule
 from dynamictree.reconstruct.photo_input import ReadPhotos, read_photos
+from dynamictree.reconstruct.recut import pack, recut, unpack
 from dynamictree.reconstruct.video_frames import write_sharp_frames
-from dynamictree.requests import PHOTOS_OF_VIDEO, PhotoParams, ReconstructParams
+from dynamictree.requests import PHOTOS_OF_VIDEO, LearningParams, ReconstructParams
 
+Recall = Callable[[Literal["reconstruction"], Callable[[Path], None]], Path]
 WriteFrames = Callable[[Path, Path, int, Callable[[], None]], list[Path]]
 
 
-def options_of(params: PhotoParams) -> ReconstructOptions:
-    """Options of the reconstruction that a request asks for."""
+def options_of(params: LearningParams) -> ReconstructOptions:
+    """Options of the reconstruction that a request asks for; box and height come after it."""
     schedule = Schedule() if params.splat_steps is None else Schedule(num_steps=params.splat_steps)
-    return ReconstructOptions(height_m=params.height_m, schedule=schedule)
+    return ReconstructOptions(schedule=schedule)
 
 
 def reconstruct_capture(
@@ -29,6 +32,7 @@ def reconstruct_capture(
     *,
     root: Path,
     resume_dir: Path,
+    recall: Recall,
     read_photos: ReadPhotos = read_photos,
     write_frames: WriteFrames = write_sharp_frames,
     on_progress: Callable[[float], None],
@@ -41,6 +45,7 @@ def reconstruct_capture(
         params: height, training steps and box.
         root: the folder that the files lie in or below, by which they name one another.
         resume_dir: a folder for intermediate results; a second call continues there.
+        recall: gives the scene that was learned from the same photos, if any, whatever the box and height were.
         read_photos: reads photos and camera files.
         write_frames: chooses photos from a film.
         on_progress: gets the share done in [0, 1]; what it raises passes through.
@@ -49,24 +54,33 @@ def reconstruct_capture(
         InputError: a file is no photo or film, or there are too few or too many.
         ReconstructionError: the photos do not fit together.
     """
-    if files[0].suffix.lower() in FILM_SUFFIXES:
-        root = resume_dir / "frames"
-        files = _frames(files[0], root, params, write_frames, lambda: on_progress(0.0))
-    result = reconstruct(
-        [path for path in files if path.suffix.lower() in PHOTO_SUFFIXES],
-        folder,
-        options=replace(options_of(params), box_m=params.box_m),
-        root=root,
-        work=resume_dir,
-        read_photos=read_photos,
-        on_progress=lambda progress: on_progress(progress.total),
-    )
-    capture = with_still_parts(Capture(cloud=result.splat, mesh=result.mesh))
-    return replace(capture, mesh=carrying_mesh(capture, params))
+
+    def learn(archive: Path) -> None:
+        sources, top = files, root
+        if files[0].suffix.lower() in FILM_SUFFIXES:
+            top = resume_dir / "frames"
+            sources = _frames(files[0], top, params, write_frames, lambda: on_progress(0.0))
+        reconstruct(
+            [path for path in sources if path.suffix.lower() in PHOTO_SUFFIXES],
+            folder,
+            options=options_of(params),
+            root=top,
+            work=resume_dir,
+            read_photos=read_photos,
+            on_progress=lambda progress: on_progress(progress.total),
+        )
+        pack(folder, archive)
+
+    unpack(recall("reconstruction", learn), folder)
+    capture = recut(folder, folder, height_m=params.height_m)
+    if params.box_m is not None:
+        capture = recut(folder, folder, box_m=params.box_m, height_m=params.height_m)
+    capture = with_still_parts(capture)
+    return replace(capture, mesh=carrying_mesh(capture))
 
 
 def _frames(
-    film: Path, folder: Path, params: PhotoParams, write_frames: WriteFrames, on_work: Callable[[], None]
+    film: Path, folder: Path, params: LearningParams, write_frames: WriteFrames, on_work: Callable[[], None]
 ) -> list[Path]:
     """The film's sharp frames in a folder, which an interrupted attempt may have finished."""
     if not folder.exists():

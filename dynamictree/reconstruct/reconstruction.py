@@ -3,15 +3,10 @@
 import tempfile
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
-import numpy as np
-from jaxtyping import Bool
-
 from dynamictree.errors import InputError, ReconstructionError
-from dynamictree.gaussian.cloud import in_box
-from dynamictree.mesh import TriangleMesh
 from dynamictree.reconstruct.cameras import find_cameras
 from dynamictree.reconstruct.coloured_mesh import Shape, best_surface, finished_shape
 from dynamictree.reconstruct.cut import cloud_in_metres, of_the_tree
@@ -30,15 +25,12 @@ from dynamictree.reconstruct.work_folder import WorkFolder, opened_work
 UNKNOWN_HEIGHT_M = 1.0  # of a mesh whose scale is unknown
 _LEAST_GAUSSIANS = 50
 
-Corner = tuple[float, float, float]
-
 
 @dataclass(frozen=True, kw_only=True)
 class ReconstructOptions:
     """Facts about the subject, and how long the splat is learned."""
 
     height_m: float | None = None  # of the tree; photos alone tell no size
-    box_m: tuple[Corner, Corner] | None = None  # only what is inside is returned
     schedule: Schedule = field(default_factory=Schedule)
 
     def __post_init__(self) -> None:
@@ -130,9 +122,6 @@ def _result(
     whole = cloud_in_metres(fit.table, shape.scale, shape.origin)
     own = of_the_tree(whole, shape.mesh.vertices, radius_m=shape.scale)
     mesh = shape.mesh
-    if options.box_m is not None:
-        own &= in_box(whole, *options.box_m)
-        mesh = _in_box(mesh, options.box_m)
     if own.sum() < _LEAST_GAUSSIANS:
         raise ReconstructionError(
             f"{int(own.sum())} Gaussians lie on the mesh; at least {_LEAST_GAUSSIANS} must; take photos from nearer"
@@ -147,6 +136,7 @@ def _result(
         ground_found=shape.ground_found,
         scale="unknown" if options.height_m is None else "given",
         height_m=mesh.height_m,
+        radius_m=shape.scale,
         mesh_by=mesh_by,
         num_vertices=mesh.num_vertices,
         num_faces=mesh.num_faces,
@@ -166,14 +156,3 @@ def _result(
         processor_seconds={part: round(taken, 2) for part, taken in clock.processor_seconds.items()},
     )
     return Reconstruction(mesh=mesh, splat=whole.subset(own), scene=whole, views=shape.model.views, report=report)
-
-
-def _in_box(mesh: TriangleMesh, box_m: tuple[Corner, Corner]) -> TriangleMesh:
-    low, high = np.array(box_m)
-    inside: Bool[np.ndarray, " N"] = np.all((mesh.vertices >= low) & (mesh.vertices <= high), axis=1)
-    faces = mesh.faces[inside[mesh.faces].all(axis=1)]
-    if len(faces) == 0:
-        raise InputError(f"no triangle is in the box from {box_m[0]} to {box_m[1]}; enlarge it")
-    used, rows = np.unique(faces, return_inverse=True)
-    colors = None if mesh.vertex_colors is None else mesh.vertex_colors[used]
-    return replace(mesh, vertices=mesh.vertices[used], faces=rows.reshape(-1, 3).astype(np.int32), vertex_colors=colors)

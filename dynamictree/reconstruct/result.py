@@ -19,6 +19,7 @@ class Report(TypedDict):
     ground_found: bool
     scale: str  # `given` or `unknown`: photos alone tell no size, a mesh of unknown scale is 1 m high
     height_m: float
+    radius_m: float  # of the region that the photos look at
     mesh_by: str  # `stereo` or `splat`: made from depth maps or from the splat's opacity
     num_vertices: int
     num_faces: int

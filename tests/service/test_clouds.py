@@ -193,7 +193,7 @@ def test_what_does_not_fit_is_refused_when_asked(
 ) -> None:
     mesh_id = send(client, ("tree.obj", b"v 0 0 0\nv 1 0 0\nv 0 0 1\nf 1 2 3\n")).json()["id"]
     photos_id = send(client, *((f"p{i}.jpg", photo(i)) for i in range(8))).json()["id"]
-    for params in ({"box_m": [[0, 0, 0], [1, 1, 1]]}, {"still": ["pot"]}):
+    for params in ({"still_box_m": [[0, 0, 0], [1, 1, 1]]}, {"still": ["pot"]}):
         refused = client.post("/v1/jobs", json={"type": "voxelize", "asset_id": photos_id, "params": params})
         assert [error["pointer"] for error in refused.json()["errors"]] == [f"/params/{next(iter(params))}"]
     params = {"wind_mode": "turbulent", "num_frames": 14_400}

@@ -2,6 +2,7 @@
 
 import json
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -93,6 +94,11 @@ def test_a_stage_decodes_no_photo_itself(photos: list[Path], tmp_path: Path, mon
         return open_image(path, **options)  # type: ignore[arg-type]
 
     monkeypatch.setattr(PIL.Image, "open", opening)
+
+    def recall(name: str, make: Callable[[Path], None]) -> Path:
+        make(tmp_path / name)
+        return tmp_path / name
+
     row = asset_row(AssetPart(name="a", sha256="a" * 64, bytes=1), now=0.0)
     given = StageInput(
         job=job_row(row, "reconstruct", now=0.0),
@@ -101,7 +107,7 @@ def test_a_stage_decodes_no_photo_itself(photos: list[Path], tmp_path: Path, mon
         files={},
         source_sha256="",
         photos=tuple(photos),
-        recall=lambda name, make: tmp_path / name,
+        recall=recall,
         report=lambda share: None,
     )
     given.resume_dir.mkdir()

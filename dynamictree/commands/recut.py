@@ -1,0 +1,30 @@
+"""`dynamictree recut`: the plant out of a finished reconstruction, without learning again."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from dynamictree.commands.options import OutputFolder
+from dynamictree.commands.request_options import with_request_options
+from dynamictree.commands.terminal import AsJson, tell
+from dynamictree.files import published
+from dynamictree.requests import CutParams
+
+
+@with_request_options
+def recut(
+    source: Annotated[Path, typer.Argument(help="The output folder of `dynamictree reconstruct`, or of this command.")],
+    output: OutputFolder,
+    params: CutParams,
+    as_json: AsJson = False,
+) -> None:
+    """Cut the plant out of a finished reconstruction by a box, and give it its height; nothing is learned again."""
+    from dynamictree.reconstruct.recut import recut as recut_folder
+
+    with published(output) as folder:
+        recut_folder(source, folder, box_m=params.box_m, height_m=params.height_m)
+        names = sorted(path.name for path in folder.iterdir())
+        facts = json.loads((folder / "report.json").read_text())
+    tell({"files": [str(output / name) for name in names], **facts}, as_json=as_json)

@@ -1,0 +1,56 @@
+"""Files of a finished reconstruction whose shape is known: a stem between floor and lamp."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from dynamictree.formats.mesh.ply_writer import write_ply
+from dynamictree.formats.splat.ply import write_gaussian_ply
+from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.mesh import TriangleMesh
+
+BOX = ((-0.3, -0.3, 0.2), (0.3, 0.3, 1.5))
+NUM_STEM, NUM_FLOOR, NUM_LAMP = 200, 300, 100
+
+
+def tube(radius: float, low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
+    turn, level = np.meshgrid(np.linspace(0, 2 * np.pi, 13), np.linspace(low, high, 41), indexing="ij")
+    points = np.stack([radius * np.cos(turn), radius * np.sin(turn), level], axis=2).reshape(-1, 3)
+    index = np.arange(13 * 41).reshape(13, 41)
+    a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
+    return points, np.concatenate([np.stack([a, b, c], 2), np.stack([a, c, d], 2)]).reshape(-1, 3)
+
+
+def write_finished(folder: Path) -> None:
+    """Gaussians of a stem of 1 m, a floor below and a lamp above; the mesh lacks the lamp."""
+    folder.mkdir()
+    rng = np.random.default_rng(0)
+    stem, stem_faces = tube(0.03, 0.3, 1.3)
+    floor, floor_faces = tube(1.0, 0.0, 0.05)
+    vertices = np.concatenate([stem, floor]).astype(np.float32)
+    faces = np.concatenate([stem_faces, floor_faces + len(stem)]).astype(np.int32)
+    with (folder / "mesh.ply").open("wb") as stream:
+        write_ply(TriangleMesh(vertices=vertices, faces=faces), stream)
+    means = np.concatenate(
+        [
+            np.stack([0 * np.arange(NUM_STEM), 0 * np.arange(NUM_STEM), np.linspace(0.3, 1.3, NUM_STEM)], axis=1),
+            np.concatenate([rng.uniform(-1, 1, (NUM_FLOOR, 2)), np.zeros((NUM_FLOOR, 1))], axis=1),
+            np.array([0, 0, 2.2]) + 0.08 * rng.normal(size=(NUM_LAMP, 3)),
+        ]
+    ).astype(np.float32)
+    number = len(means)
+    scene = GaussianCloud(
+        means=means,
+        quaternions=np.tile(np.float32([1, 0, 0, 0]), (number, 1)),
+        scales=np.full((number, 3), 0.02, np.float32),
+        opacity=np.full(number, 0.9, np.float32),
+        sh=np.zeros((number, 1, 3), np.float32),
+        source_up_axis="-Y",
+    )
+    with (folder / "scene.ply").open("wb") as stream:
+        write_gaussian_ply(scene, stream)
+    camera = {"photo": "a.jpg", "position_m": [2.0, 0.5, 1.0], "world_to_camera": np.eye(3).tolist()}
+    (folder / "cameras.json").write_text(json.dumps({"scale": "unknown", "cameras": [camera]}))
+    (folder / "report.json").write_text(json.dumps({"scale": "unknown", "radius_m": 2.0, "num_photos": 1}))
+    (folder / "report.png").write_bytes(b"picture")

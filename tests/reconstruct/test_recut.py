@@ -1,0 +1,104 @@
+"""A finished reconstruction is cut again: a stem between floor and lamp."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from dynamictree.cli import app
+from dynamictree.errors import InputError
+from dynamictree.formats.mesh.ply import read_ply_mesh
+from dynamictree.formats.splat.ply import read_gaussian_ply
+from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.reconstruct.recut import pack, recut, unpack
+from tests.reconstruct.finished import BOX, NUM_FLOOR, NUM_LAMP, NUM_STEM, write_finished
+
+
+@pytest.fixture
+def finished(tmp_path: Path) -> Path:
+    write_finished(tmp_path / "finished")
+    return tmp_path / "finished"
+
+
+def cloud(path: Path) -> GaussianCloud:
+    with path.open("rb") as stream:
+        return read_gaussian_ply(stream)
+
+
+def test_only_the_plant_is_left_and_has_the_height_that_is_asked_for(finished: Path, tmp_path: Path) -> None:
+    target = tmp_path / "cut"
+    target.mkdir()
+    capture = recut(finished, target, box_m=BOX, height_m=2.5)
+    assert capture.mesh is not None
+    assert capture.mesh.height_m == pytest.approx(2.5, rel=1e-5)
+    assert capture.mesh.vertices[:, 2].min() == pytest.approx(0, abs=1e-6)
+    splat = cloud(target / "splat.ply")
+    assert splat.num_gaussians == NUM_STEM
+    np.testing.assert_allclose([splat.means[:, 2].min(), splat.means[:, 2].max()], [0, 2.5], atol=1e-5)
+    np.testing.assert_allclose(splat.scales, 2.5 * 0.02, rtol=1e-4)
+    assert cloud(target / "scene.ply").num_gaussians == NUM_STEM + NUM_FLOOR + NUM_LAMP
+    mesh = read_ply_mesh((target / "mesh.ply").read_bytes(), companions={})
+    np.testing.assert_allclose(mesh.vertices, capture.mesh.vertices, atol=1e-6)
+    report = json.loads((target / "report.json").read_text())
+    assert (report["scale"], report["num_photos"], report["num_gaussians"]) == ("given", 1, NUM_STEM)
+    assert (target / "report.png").read_bytes() == b"picture"
+
+
+def test_cameras_look_at_what_they_saw(finished: Path, tmp_path: Path) -> None:
+    def directions(folder: Path) -> np.ndarray:
+        [camera] = json.loads((folder / "cameras.json").read_text())["cameras"]
+        toward = cloud(folder / "scene.ply").means - np.array(camera["position_m"])
+        return toward / np.linalg.norm(toward, axis=1, keepdims=True)
+
+    before = directions(finished)
+    recut(finished, finished, box_m=BOX, height_m=0.7)
+    np.testing.assert_allclose(directions(finished), before, atol=1e-5)
+
+
+def test_a_cut_and_then_a_height_is_both_at_once(finished: Path, tmp_path: Path) -> None:
+    for name in ("once", "first", "second"):
+        (tmp_path / name).mkdir()
+    recut(finished, tmp_path / "once", box_m=BOX, height_m=3.0)
+    recut(finished, tmp_path / "first", box_m=BOX)
+    assert json.loads((tmp_path / "first" / "report.json").read_text())["scale"] == "unknown"
+    recut(tmp_path / "first", tmp_path / "second", height_m=3.0)
+    once, twice = (cloud(tmp_path / name / "scene.ply") for name in ("once", "second"))
+    np.testing.assert_allclose(twice.means, once.means, atol=1e-5)
+
+
+def test_what_the_mesh_lacks_gets_a_surface_of_its_gaussians(finished: Path, tmp_path: Path) -> None:
+    capture = recut(finished, finished, box_m=((-0.5, -0.5, 1.9), (0.5, 0.5, 2.6)))
+    assert capture.mesh is not None
+    assert capture.mesh.num_faces > 100
+    assert capture.cloud.num_gaussians > 0.9 * NUM_LAMP
+
+
+def test_a_box_of_nothing_and_a_folder_of_something_else_are_refused(finished: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"no Gaussian is in the box"):
+        recut(finished, finished, box_m=((5.0, 5.0, 5.0), (6.0, 6.0, 6.0)))
+    with pytest.raises(InputError, match=r"Gaussians of a plant are in the box; at least 50"):
+        recut(finished, finished, box_m=((-0.1, -0.1, 0.5), (0.1, 0.1, 0.6)))
+    with pytest.raises(InputError, match=r"holds no report\.json"):
+        recut(tmp_path, tmp_path)
+    (finished / "report.json").write_text("{}")
+    with pytest.raises(InputError, match="earlier version"):
+        recut(finished, finished)
+
+
+def test_unpack_undoes_pack(finished: Path, tmp_path: Path) -> None:
+    pack(finished, tmp_path / "all.zip")
+    unpack(tmp_path / "all.zip", tmp_path / "again")
+    names = sorted(path.name for path in finished.iterdir())
+    assert sorted(path.name for path in (tmp_path / "again").iterdir()) == names
+    assert all((finished / name).read_bytes() == (tmp_path / "again" / name).read_bytes() for name in names)
+
+
+def test_the_command_writes_another_folder(finished: Path, tmp_path: Path) -> None:
+    box = ",".join(str(value) for corner in BOX for value in corner)
+    arguments = ["recut", str(finished), "-o", str(tmp_path / "plant"), "--box", box, "--height-m", "1.4", "--json"]
+    done = CliRunner().invoke(app, arguments)
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.output)["height_m"] == pytest.approx(1.4, rel=1e-5)
+    assert cloud(tmp_path / "plant" / "splat.ply").num_gaussians == NUM_STEM

@@ -1,0 +1,71 @@
+"""A second job on the same photos, with a box and a height, learns nothing again."""
+
+from functools import partial
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from dynamictree.errors import ReconstructionError
+from dynamictree.formats.splat.ply import read_gaussian_ply
+from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle
+from dynamictree.reconstruct.recut import pack
+from jobs.assets import add_asset
+from jobs.records import AssetRecord, JobRecord
+from jobs.stage_files import MESH_BUNDLE
+from jobs.states import stages_of
+from tests.reconstruct.finished import BOX, NUM_STEM, write_finished
+from tests.rows import asset_row, job_row, stored_part
+from tests.worker.conftest import hold, watch
+from worker.attempt import _prepared_sources, _recall, run_stages
+from worker.runtime import Runtime
+
+
+@pytest.fixture
+def photos(runtime: Runtime, tmp_path: Path) -> AssetRecord:
+    """Eight photos of noise, of which nobody learns anything."""
+    parts = []
+    for number in range(8):
+        Image.effect_noise((400, 300), 10 + number).convert("RGB").save(tmp_path / f"{number}.png")
+        parts.append(stored_part(runtime.artifacts, tmp_path / f"{number}.png"))
+    row = asset_row(parts[0], now=0.0, kind="photos", parts=tuple(parts), prepared=None, expires_at=1e12)
+    return add_asset(runtime.store, row)[0]
+
+
+def reconstruct_job(runtime: Runtime, photos: AssetRecord, **params: object) -> JobRecord:
+    job = job_row(photos, "reconstruct", now=runtime.store.clock(), params=params)
+    return runtime.store.add_job(job, stages=stages_of("reconstruct", "photos"))[0]
+
+
+@pytest.fixture
+def learned(runtime: Runtime, photos: AssetRecord, tmp_path: Path) -> AssetRecord:
+    """The same, as if a job had learned stem, floor and lamp from them."""
+    write_finished(tmp_path / "finished")
+    job = reconstruct_job(runtime, photos, height_m=9.0)
+    make = partial(pack, tmp_path / "finished")
+    _recall(runtime, job, tmp_path, _prepared_sources(photos), False, "reconstruction", make)
+    return photos
+
+
+def content(runtime: Runtime, job: JobRecord, name: str) -> BytesIO:
+    artifacts = {artifact.name: artifact for artifact in runtime.store.artifacts_of(job.id)}
+    return BytesIO(b"".join(runtime.artifacts.read(artifacts[name].sha256)))
+
+
+def test_a_box_and_a_height_cut_what_was_learned(runtime: Runtime, learned: AssetRecord) -> None:
+    box = (2.0 / 1.3 * np.array(BOX)).tolist()  # the mesh is 1.3 m high, floor and all, and 2 m without a box
+    job = reconstruct_job(runtime, learned, height_m=2.0, box_m=box)
+    with watch(runtime, hold(runtime, job)) as watching:
+        run_stages(runtime, watching)
+    assert read_gaussian_ply(content(runtime, job, "splat.ply")).num_gaussians == NUM_STEM
+    mesh = read_mesh_bundle(content(runtime, job, MESH_BUNDLE))
+    np.testing.assert_allclose([mesh.vertices[:, 2].min(), mesh.height_m], [0, 2.0], atol=1e-5)
+    assert "report.json" in {artifact.name for artifact in runtime.store.artifacts_of(job.id)}
+
+
+def test_other_training_learns_again(runtime: Runtime, learned: AssetRecord) -> None:
+    job = reconstruct_job(runtime, learned, splat_steps=100)
+    with watch(runtime, hold(runtime, job)) as watching, pytest.raises(ReconstructionError):
+        run_stages(runtime, watching)
