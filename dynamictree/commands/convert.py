@@ -37,7 +37,7 @@ def convert(
     """Write a mesh, splat or scan in another format; the ending of OUTPUT names it.
 
     Meshes are written in metres; OBJ and PLY with +Z up. A glTF that becomes GLB keeps all that is in it. Splats keep
-    the axes and units of their file; SPZ and GLB are +Y up.
+    the axes and units of their file; SPZ and GLB are +Y up, SOG is -Y up.
     """
     cloud = load_capture(source, reading).cloud if is_cloud(source) else None
     mesh = load_mesh(source, reading) if cloud is None else None

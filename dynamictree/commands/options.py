@@ -47,8 +47,9 @@ SourcePath = Annotated[
     Path,
     typer.Argument(
         callback=shape_file,
-        help="A mesh: OBJ (with its MTL and textures beside it), PLY, GLB, glTF or STL. Or a splat: PLY, .splat, SPZ, "
-        "GLB. Or a scan: PLY without faces, XYZ text, LAS, LAZ. Or a folder with one of them.",
+        help="A mesh: OBJ (with its MTL and textures beside it), PLY, GLB, glTF, STL, OFF, 3MF or COLLADA. Or a splat: "
+        "PLY, .splat, SPZ, SOG, .ksplat, GLB. Or a scan: PLY without faces, XYZ, TXT, CSV, PTS, PCD, LAS, LAZ. Or a "
+        "folder with one of them.",
     ),
 ]
 OutputFolder = Annotated[
