@@ -44,7 +44,7 @@ def test_a_folder_stands_for_the_one_shape_in_it(
         ((), "is a folder, and no file in it ends in .obj, .ply"),
         (("a.jpg", "b.jpg"), "is a folder of pictures; `dynamictree reconstruct` makes a tree of photos"),
         (("a.obj", "b.ply"), "holds 2 shapes: a.obj, b.ply; name one of them"),
-        (("meta.json", "means_l.webp"), "convert it with `splat-transform meta.json tree.ply`"),
+        (("meta.json", "means_l.webp"), "the SOG file is of version 1; 2 is understood"),
     ],
 )
 def test_a_folder_without_one_shape_is_refused(

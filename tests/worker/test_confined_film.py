@@ -1,7 +1,7 @@
 """The frames of a job's film are chosen by a confined child, with the same result as without it."""
 
-import os
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import psutil
@@ -32,12 +32,12 @@ def test_the_child_writes_what_the_library_writes_and_ffmpeg_is_confined_too(fil
 
     def look() -> None:
         for child in psutil.Process().children(recursive=True):
-            if "ffmpeg" in (child.cmdline() or [""])[0]:
-                status = Path(f"/proc/{child.pid}/status").read_text()
-                states.append(
-                    dict(line.split(":\t") for line in status.splitlines() if line.startswith(("Sec", "NoN")))
-                )
-                assert not [name for name in child.environ() if name.startswith(("DYNAMICTREE", "AWS"))]
+            with suppress(psutil.Error, OSError):  # it has just ended
+                if "ffmpeg" in (child.cmdline() or [""])[0]:
+                    status = Path(f"/proc/{child.pid}/status").read_text()
+                    rows = dict(line.split(":\t") for line in status.splitlines() if line.startswith(("Sec", "NoN")))
+                    assert not [name for name in child.environ() if name.startswith(("DYNAMICTREE", "AWS"))]
+                    states.append(rows)
 
     frames = write_confined_frames(film, tmp_path / "confined", COUNT, look)
     assert [path.name for path in frames] == [path.name for path in own]
@@ -54,15 +54,16 @@ def test_a_film_that_cannot_be_used_is_named(film: Path, tmp_path: Path) -> None
 
 
 def test_a_cancelled_job_ends_the_child_and_ffmpeg(film: Path, tmp_path: Path) -> None:
-    running: list[int] = []
+    others = set(psutil.Process().children(recursive=True))
+    running: set[psutil.Process] = set()
 
     def cancel() -> None:
-        running.extend(child.pid for child in psutil.Process().children(recursive=True))
+        running.update(set(psutil.Process().children(recursive=True)) - others)
         if running:
             raise Cancelled("asked to stop")
 
     with pytest.raises(Cancelled):
         write_confined_frames(film, tmp_path / "out", COUNT, cancel)
-    psutil.wait_procs([psutil.Process(pid) for pid in running if psutil.pid_exists(pid)], timeout=10)
-    assert not [pid for pid in running if pid != os.getpid() and psutil.pid_exists(pid)]
+    _, alive = psutil.wait_procs(list(running), timeout=10)
+    assert not alive
     assert not list((tmp_path / "out").glob("frame-*.png"))
