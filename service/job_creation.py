@@ -138,7 +138,7 @@ def require_possible(owned: Owned, body: JobRequest) -> tuple[AssetRecord, tuple
     stages = stages_of(body.type, asset.kind)
     if "diffuse" in stages:
         require_preset(body.preset)
-    chosen = [name for name in set(CloudParams.model_fields) - {"box_m"} if getattr(body.params, name) is not None]
+    chosen = [name for name in CloudParams.model_fields if name != "box_m" and getattr(body.params, name) is not None]
     if chosen and asset.kind == "photos":
         detail = f"asset {asset.id} is of kind photos, in which no part has a place or name yet"
         raise wrong_field(f"/params/{chosen[0]}", "not-allowed", detail)

@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dynamictree.errors import Cancelled, CheckpointError, DynamicTreeError
+from dynamictree.request_model import Request
 from dynamictree.requests import (
     CloudParams,
     ExportParams,
     GridParams,
     LearningParams,
     ReconstructParams,
-    Request,
     SpectrumParams,
 )
 from dynamictree.weights import list_weights

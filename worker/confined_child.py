@@ -4,8 +4,8 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Generator
-from contextlib import suppress
+from collections.abc import Callable, Generator, Iterator
+from contextlib import contextmanager, suppress
 
 from pydantic import BaseModel
 
@@ -19,6 +19,20 @@ WAIT_S = 10.0
 """For a child to end that has closed its output."""
 
 MAX_LINE_BYTES = 16 * 2**20
+
+
+@contextmanager
+def answering() -> Iterator[Callable[[BaseModel], None]]:
+    """In the child: gives what writes an answer as a line; whatever else is printed goes to stderr."""
+    answer_to = os.dup(1)
+    os.dup2(2, 1)
+    with os.fdopen(answer_to, "w") as stream:
+
+        def tell(answer: BaseModel) -> None:
+            stream.write(answer.model_dump_json() + "\n")
+            stream.flush()
+
+        yield tell
 
 
 def answers(module: str, request: BaseModel) -> Generator[bytes, None, None]:

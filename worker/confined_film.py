@@ -3,7 +3,6 @@
 `python -m worker.confined_film`: request on stdin; on stdout one JSON line per step, then one with the result.
 """
 
-import os
 import resource
 import sys
 import tempfile
@@ -17,7 +16,7 @@ from dynamictree.errors import DynamicTreeError, InputError
 from dynamictree.formats.film import ffmpeg_program
 from dynamictree.reconstruct.video_frames import write_sharp_frames
 from worker.confine import confine
-from worker.confined_child import ERRORS, answers
+from worker.confined_child import ERRORS, answering, answers
 
 MEMORY_BYTES = 6 * 2**30
 """Of each process: decoding 4K takes below one."""
@@ -67,14 +66,7 @@ def main() -> None:
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
     confine(request.folder, [request.video], program=Path(ffmpeg_program()).resolve())
     tempfile.tempdir = str(request.folder)
-    answer_to = os.dup(1)
-    os.dup2(2, 1)  # what a library prints is no answer
-    with os.fdopen(answer_to, "w") as stream:
-
-        def tell(answer: FilmAnswer) -> None:
-            stream.write(answer.model_dump_json() + "\n")
-            stream.flush()
-
+    with answering() as tell:
         try:
             frames = write_sharp_frames(request.video, request.folder, request.count, lambda: tell(FilmAnswer()))
         except DynamicTreeError as error:

@@ -4,7 +4,6 @@
 The worker itself decodes only what the child has written anew.
 """
 
-import os
 import sys
 from collections.abc import Sequence
 from contextlib import closing
@@ -19,7 +18,7 @@ from dynamictree.reconstruct.given import GivenCamera
 from dynamictree.reconstruct.photo_input import Given, OnPhoto, read_photos
 from dynamictree.reconstruct.photos import Photo, PhotoFile
 from worker.confine import confine
-from worker.confined_child import ERRORS, answers
+from worker.confined_child import ERRORS, answering, answers
 
 CHILD = "worker.confined_photos"
 
@@ -81,14 +80,7 @@ def main() -> None:
     """Give up all but the files named, then read them."""
     request = PhotoRequest.model_validate_json(sys.stdin.buffer.read())
     confine(request.folder, _readable(request))
-    answer_to = os.dup(1)
-    os.dup2(2, 1)  # what a library prints is no answer
-    with os.fdopen(answer_to, "w") as stream:
-
-        def tell(answer: PhotoAnswer) -> None:
-            stream.write(answer.model_dump_json() + "\n")
-            stream.flush()
-
+    with answering() as tell:
         try:
             given, prepared = read_photos(
                 request.photos, request.root, request.folder, lambda *done: tell(PhotoAnswer(done=done))

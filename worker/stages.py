@@ -130,7 +130,7 @@ def animate(given: StageInput) -> Iterable[Path]:
         given.folder,
         given.report,
         capture=_capture(given),
-        choice=CloudParams.part_of(given.job.params),
+        choice=_choice(given),
         on_facts=lambda name, facts: given.facts.update({PRODUCTS[name].file_name: facts}),
         recall=given.recall,
     )
@@ -154,6 +154,12 @@ def photo_name(index: int, name: str) -> str:
     safe = [re.sub(r"[^\w.() -]", "_", part)[-100:] for part in parts[-6:]]
     alone = len(safe) < 2 and safe[-1].lower().endswith(PHOTO_SUFFIXES)
     return "/".join([f"{index:04d}" if alone else "all", *safe])
+
+
+def _choice(given: StageInput) -> CloudParams:
+    """The parts that move. The box of photos has been cut out, scaled and moved: it means nothing in that frame."""
+    choice = CloudParams.part_of(given.job.params)
+    return choice.model_copy(update={"box_m": None}) if given.photos else choice
 
 
 def _capture(given: StageInput) -> Capture | None:

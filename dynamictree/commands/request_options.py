@@ -9,7 +9,7 @@ import typer
 from pydantic import ValidationError
 
 from dynamictree.errors import InputError
-from dynamictree.requests import Request, explanation
+from dynamictree.request_model import Request, explanation
 
 OPTION_NAMES = {
     "num_frames": "frames",

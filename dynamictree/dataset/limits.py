@@ -2,7 +2,8 @@
 
 from pydantic import Field
 
-from dynamictree.requests import Finite, Request
+from dynamictree.request_model import Request
+from dynamictree.requests import Finite
 
 
 class DatasetLimits(Request):

@@ -14,9 +14,7 @@ from dynamictree.formats.suffixes import OTHER_FILM_SUFFIXES
 from dynamictree.requests import MIN_PHOTOS
 
 MAX_FILM_BYTES = 2 * 2**30
-MAX_FILM_S = (
-    300.0  # a walk around a tree takes half a minute to two; decoding all frames takes about as long as the film
-)
+MAX_FILM_S = 300.0  # a walk around a tree takes half a minute to two
 MAX_FILM_FRAMES = 36_000  # MAX_FILM_S at 120 frames per second
 MAX_FILM_PIXELS = 4096 * 2304  # what phones call 4K
 MIN_FILM_SIDE_PX = 240

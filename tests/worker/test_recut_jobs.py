@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import safetensors.numpy
 from PIL import Image
 
 from dynamictree.errors import ReconstructionError
@@ -63,6 +64,19 @@ def test_a_box_and_a_height_cut_what_was_learned(runtime: Runtime, learned: Asse
     mesh = read_mesh_bundle(content(runtime, job, MESH_BUNDLE))
     np.testing.assert_allclose([mesh.vertices[:, 2].min(), mesh.height_m], [0, 2.0], atol=1e-5)
     assert "report.json" in {artifact.name for artifact in runtime.store.artifacts_of(job.id)}
+
+
+def test_all_that_was_cut_out_moves(runtime: Runtime, learned: AssetRecord) -> None:
+    """The box is in the frame of before the cut: afterwards it holds a part of the plant only."""
+    box = (2.0 / 1.3 * np.array(BOX)).tolist()
+    params = {"height_m": 2.0, "box_m": box, "num_steps": 1, "formats": ["splat"]}
+    job = job_row(learned, "animate", now=runtime.store.clock(), params=params)
+    job = runtime.store.add_job(job, stages=stages_of("animate", "photos"))[0]
+    with watch(runtime, hold(runtime, job)) as watching:
+        run_stages(runtime, watching)
+    tensors = safetensors.numpy.load(content(runtime, job, "tree.animated-splat.safetensors").getvalue())
+    assert len(tensors["face_of"]) == NUM_STEM
+    assert (tensors["face_of"] >= 0).all()
 
 
 def test_other_training_learns_again(runtime: Runtime, learned: AssetRecord) -> None:

@@ -39,16 +39,24 @@ def texture_files(mesh: TriangleMesh, folder: Path) -> dict[int, str]:
     return names
 
 
-def _write_layer(
-    mesh: TriangleMesh, frames: Iterable[Float32[np.ndarray, "N 3"]], path: Path, fps: float, textures: dict[int, str]
-) -> None:
-    from pxr import Kind, Usd, UsdGeom
+def new_stage(path: Path, fps: float) -> Any:
+    """An empty stage in metres and +Z up, a time code a frame, in a new layer."""
+    from pxr import Usd, UsdGeom
 
     stage = Usd.Stage.CreateNew(str(path))
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     stage.SetTimeCodesPerSecond(fps)
     stage.SetFramesPerSecond(fps)
+    return stage
+
+
+def _write_layer(
+    mesh: TriangleMesh, frames: Iterable[Float32[np.ndarray, "N 3"]], path: Path, fps: float, textures: dict[int, str]
+) -> None:
+    from pxr import Kind, Usd, UsdGeom
+
+    stage = new_stage(path, fps)
     root = UsdGeom.Xform.Define(stage, _ROOT)
     stage.SetDefaultPrim(root.GetPrim())
     Usd.ModelAPI(root).SetKind(Kind.Tokens.component)

@@ -13,7 +13,7 @@ from jaxtyping import Complex64
 
 from dynamictree.errors import InputError
 from dynamictree.formats.gltf.forest import StandingTree, by_motion
-from dynamictree.formats.motion.usd import define_looks, define_surface, set_points, texture_files
+from dynamictree.formats.motion.usd import define_looks, define_surface, new_stage, set_points, texture_files
 from dynamictree.formats.motion.usdz import pack_usdz
 from dynamictree.gaussian.cloud import MAX_SEQUENCE_BYTES
 from dynamictree.mesh import TriangleMesh
@@ -39,7 +39,7 @@ def write_forest_usdz(
     Raises:
         InputError: fewer than one motion, more than trees, or a file that would be too large.
     """
-    from pxr import Sdf, Usd, UsdGeom, Vt
+    from pxr import Sdf, UsdGeom, Vt
 
     groups = by_motion(trees, num_motions, wind_deg)
     size = 12 * mesh.num_vertices * num_frames * num_motions
@@ -50,11 +50,7 @@ def write_forest_usdz(
     with tempfile.TemporaryDirectory(prefix="dynamictree-usd-") as folder:
         textures = texture_files(mesh, Path(folder))
         layer = Path(folder) / "forest.usdc"
-        stage = Usd.Stage.CreateNew(str(layer))
-        UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
-        UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-        stage.SetTimeCodesPerSecond(fps)
-        stage.SetFramesPerSecond(fps)
+        stage = new_stage(layer, fps)
         forest = UsdGeom.PointInstancer.Define(stage, _FOREST)
         stage.SetDefaultPrim(forest.GetPrim())
         stage.DefinePrim(_MOTIONS, "Scope")

@@ -10,7 +10,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from dynamictree.formats.gltf.skin import joint_name, relative_to_parents, steady
-from dynamictree.formats.motion.usd import define_looks, define_surface, texture_files
+from dynamictree.formats.motion.usd import define_looks, define_surface, new_stage, texture_files
 from dynamictree.formats.motion.usdz import pack_usdz
 from dynamictree.gaussian.rotation import matrix_quaternions
 from dynamictree.mesh import TriangleMesh
@@ -21,16 +21,12 @@ _ROOT, _SKELETON, _SWAY = "/Tree", "/Tree/Skeleton", "/Tree/Skeleton/Sway"
 
 def write_skinned_usdz(mesh: TriangleMesh, skin: Skin, stream: BinaryIO, *, fps: float) -> None:
     """Write one period, a time code a frame; the last of T + 1 shows the first frame again."""
-    from pxr import Kind, Usd, UsdGeom, UsdSkel
+    from pxr import Kind, Usd, UsdSkel
 
     with tempfile.TemporaryDirectory(prefix="dynamictree-usd-") as folder:
         textures = texture_files(mesh, Path(folder))
         layer = Path(folder) / "tree.usdc"
-        stage = Usd.Stage.CreateNew(str(layer))
-        UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
-        UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-        stage.SetTimeCodesPerSecond(fps)
-        stage.SetFramesPerSecond(fps)
+        stage = new_stage(layer, fps)
         root = UsdSkel.Root.Define(stage, _ROOT)
         stage.SetDefaultPrim(root.GetPrim())
         Usd.ModelAPI(root).SetKind(Kind.Tokens.component)

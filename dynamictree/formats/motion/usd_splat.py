@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from dynamictree.errors import InputError
+from dynamictree.formats.motion.usd import new_stage
 from dynamictree.formats.motion.usdz import pack_usdz
 from dynamictree.gaussian.animate import iter_poses
 from dynamictree.gaussian.binding import Binding
@@ -43,17 +44,13 @@ def write_splat_usdz(
     Raises:
         InputError: the file would be too large.
     """
-    from pxr import Usd, UsdGeom, UsdVol, Vt
+    from pxr import UsdGeom, UsdVol, Vt
 
     cloud = binding.cloud
     usd_splat_bytes(cloud.num_gaussians, num_frames)
     with tempfile.TemporaryDirectory(prefix="dynamictree-usd-") as folder:
         layer = Path(folder) / "splat.usdc"
-        stage = Usd.Stage.CreateNew(str(layer))
-        UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
-        UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-        stage.SetTimeCodesPerSecond(fps)
-        stage.SetFramesPerSecond(fps)
+        stage = new_stage(layer, fps)
         stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/Tree").GetPrim())
         splat = UsdVol.ParticleField3DGaussianSplat.Define(stage, "/Tree/Splat")
         splat.CreateOpacitiesAttr(Vt.FloatArray.FromNumpy(cloud.opacity))
