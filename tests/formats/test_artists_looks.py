@@ -7,179 +7,38 @@ import json
 import os
 import shutil
 import subprocess
-import tempfile
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import DracoPy
 import numpy as np
-import OpenEXR
 import pytest
 
 from dynamictree.commands.convert import write_mesh_file
 from dynamictree.commands.source import load_mesh
 from dynamictree.formats.gltf.motion import write_motion_glb
 from dynamictree.formats.mesh_file import read_mesh
-from dynamictree.formats.motion.vertex_texture import iter_vertex_texture_zip
-from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle, write_mesh_bundle
 from dynamictree.mesh import TriangleMesh
 from dynamictree.requests import Reading
 from dynamictree.spectrum import to_motion
 from tests.formats import artists
 from tests.formats.artists import Artist, Document, document_of
+from tests.formats.looks import (
+    MODELS,
+    UNCHANGED,
+    animated,
+    animated_twin,
+    coefficients_of,
+    floats,
+    looks,
+    played,
+    through_the_parser,
+    without_motion,
+)
 
 ROOT = Path(__file__).parents[2]
 JS_TOOLS = ROOT / ".cache" / "js-tools"
 SAMPLES = Path(os.environ.get("DYNAMICTREE_SAMPLES", "/nowhere"))
-UNCHANGED = [artists.wooded, artists.repeated, artists.skinned, artists.morphing, artists.quantised]
-MODELS = [*UNCHANGED, artists.instanced, artists.compressed]
-
-
-def coefficients_of(mesh: TriangleMesh, num_frequencies: int = 4) -> np.ndarray:
-    rng = np.random.default_rng(0)
-    parts = rng.normal(0, 0.02 * mesh.height_m, (mesh.num_vertices, num_frequencies, 6)).astype(np.float32)
-    return parts.view(np.complex64)
-
-
-def animated(mesh: TriangleMesh, coefficients: np.ndarray) -> Document:
-    stream = io.BytesIO()
-    write_motion_glb(mesh, coefficients, stream, num_frames=10)
-    return document_of(stream.getvalue())
-
-
-def looks(document: Document) -> dict[str, Any]:
-    """All that the document shows, without indices: content in the place of each accessor, view and image."""
-    root = copy.deepcopy(document.root)
-
-    def values(index: int) -> tuple[Any, ...]:
-        entry = root["accessors"][index]
-        described = {name: value for name, value in entry.items() if name not in ("bufferView", "byteOffset")}
-        return described, document.accessor(index).tobytes() if "bufferView" in entry else b""
-
-    for mesh in root["meshes"]:
-        for primitive in mesh["primitives"]:
-            primitive["attributes"] = {name: values(index) for name, index in primitive["attributes"].items()}
-            if "indices" in primitive:
-                primitive["indices"] = values(primitive["indices"])
-            primitive["targets"] = [{n: values(i) for n, i in t.items()} for t in primitive.get("targets", [])]
-    for node in root["nodes"]:
-        if "mesh" in node:
-            node["mesh"] = root["meshes"][node["mesh"]]
-    for skin in root.get("skins", []):
-        skin["inverseBindMatrices"] = values(skin["inverseBindMatrices"])
-    for animation in root.get("animations", []):
-        for sampler in animation["samplers"]:
-            sampler |= {name: values(sampler[name]) for name in ("input", "output")}
-    for index, image in enumerate(root.get("images", [])):
-        content = document.image(index)
-        uri = image.pop("uri", None)
-        image |= {"content": content, "name": image.get("name", uri)}
-        image.pop("bufferView", None)
-        image.pop("mimeType", None)
-    for name in ("meshes", "accessors", "bufferViews", "buffers"):
-        root.pop(name, None)
-    return root
-
-
-def without_motion(document: Document) -> dict[str, Any]:
-    """Its looks, less what animating added."""
-    root = looks(document)
-    facts = root["asset"].pop("extras")
-    animations = root.pop("animations")
-    assert animations[0]["name"] == "sway"
-    if animations[1:]:
-        root["animations"] = animations[1:]
-    for node in root["nodes"]:
-        mesh = node.get("mesh")
-        if mesh is None or len(mesh["primitives"][0]["targets"]) < facts["num_targets"]:
-            continue
-        for primitive in mesh["primitives"]:
-            del primitive["targets"][-facts["num_targets"] :]
-        if "weights" in mesh:
-            del mesh["weights"][-facts["num_targets"] :]
-        if "targetNames" in mesh.get("extras", {}):
-            del mesh["extras"]["targetNames"][-facts["num_targets"] :]
-    return root
-
-
-def played(document: Document, key: int) -> np.ndarray:
-    """Vertices of the scene at a key of the first animation, +Z up, parents before children."""
-    root = document.root
-    own = {}
-    for channel in root["animations"][0]["channels"]:
-        sampler = root["animations"][0]["samplers"][channel["sampler"]]
-        keys = document.accessor(sampler["output"]).reshape(root["accessors"][sampler["input"]]["count"], -1)
-        own[channel["target"]["node"]] = keys[key]
-
-    def moved(node: int, primitive: dict[str, Any]) -> np.ndarray:
-        targets = zip(own[node], primitive["targets"], strict=True)
-        return sum(weight * floats(document, target["POSITION"]) for weight, target in targets)
-
-    return standing(document, moved)
-
-
-def standing(document: Document, moved: Callable[[int, dict[str, Any]], np.ndarray | float]) -> np.ndarray:
-    """Vertices of the scene with what is added to the positions of each node's primitives, +Z up."""
-    root = document.root
-    world: dict[int, np.ndarray] = {}
-
-    def visit(index: int, above: np.ndarray) -> None:
-        world[index] = above @ local_matrix(root["nodes"][index])
-        for child in root["nodes"][index].get("children", []):
-            visit(child, world[index])
-
-    for first in root["scenes"][root["scene"]]["nodes"]:
-        visit(first, np.eye(4))
-    vertices = []
-    for index, matrix in world.items():
-        node = root["nodes"][index]
-        if "mesh" not in node:
-            continue
-        for primitive in root["meshes"][node["mesh"]]["primitives"]:
-            if primitive.get("mode", 4) != 4:
-                continue
-            position = floats(document, primitive["attributes"]["POSITION"]) + moved(index, primitive)
-            place = np.tile(matrix[:3], (len(position), 1, 1))
-            if "skin" in node:
-                skin = root["skins"][node["skin"]]
-                bind = document.accessor(skin["inverseBindMatrices"]).reshape(-1, 4, 4).swapaxes(1, 2)
-                joints = np.stack([world[j] for j in skin["joints"]]) @ bind
-                chosen = document.accessor(primitive["attributes"]["JOINTS_0"])
-                weights = document.accessor(primitive["attributes"]["WEIGHTS_0"])
-                place = np.einsum("nj,njab->nab", weights, joints[chosen])[:, :3]
-            vertices.append(np.einsum("nij,nj->ni", place[:, :, :3], position) + place[:, :, 3])
-    x, y, z = np.concatenate(vertices).T
-    return np.stack([x, -z, y], axis=1)
-
-
-def floats(document: Document, index: int) -> np.ndarray:
-    stored = document.accessor(index)
-    return stored / np.iinfo(stored.dtype).max if stored.dtype.kind == "i" else stored.astype(np.float64)
-
-
-def local_matrix(node: dict[str, Any]) -> np.ndarray:
-    if "matrix" in node:
-        return np.array(node["matrix"], float).reshape(4, 4).T
-    x, y, z, w = node.get("rotation", (0, 0, 0, 1))
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    matrix = np.eye(4)
-    matrix[:3, :3] = (np.eye(3) + 2 * w * cross + 2 * cross @ cross) * node.get("scale", (1, 1, 1))
-    matrix[:3, 3] = node.get("translation", (0, 0, 0))
-    return matrix
-
-
-def through_the_parser(mesh: TriangleMesh) -> TriangleMesh:
-    """The mesh as a job's worker gets it."""
-    stream = io.BytesIO()
-    write_mesh_bundle(mesh, stream)
-    return read_mesh_bundle(io.BytesIO(stream.getvalue()), with_source=True)
-
-
-def animated_twin(glb: bytes) -> Document:
-    mesh = through_the_parser(read_mesh(io.BytesIO(glb), file_type="glb"))
-    return animated(mesh, coefficients_of(mesh))
 
 
 @pytest.mark.parametrize("model", UNCHANGED)
@@ -238,65 +97,6 @@ def played_default(document: Document, mesh: TriangleMesh) -> np.ndarray | float
         return 0.0
     x, y, z = 0.5 * floats(document, primitive["targets"][0]["POSITION"]).T
     return np.stack([x, -z, y], axis=1)
-
-
-def vertex_texture(mesh: TriangleMesh, frames: np.ndarray) -> tuple[dict[str, Any], Document, np.ndarray]:
-    """What `vat.json` says, the GLB at rest, and the texels [height, width, 3]."""
-    chunks = iter_vertex_texture_zip(mesh, iter(frames), num_frames=len(frames), fps=24.0, loop=True)
-    archive = zipfile.ZipFile(io.BytesIO(b"".join(chunks)))
-    with tempfile.TemporaryDirectory() as folder:
-        picture = OpenEXR.File(archive.extract("displacement.exr", folder)).channels()["RGB"].pixels
-    return json.loads(archive.read("vat.json")), document_of(archive.read("tree.glb")), picture.astype(np.float64)
-
-
-def shaded(facts: dict[str, Any], document: Document, texels: np.ndarray, frame: int) -> np.ndarray:
-    """Vertices of the scene as a vertex shader places them."""
-
-    def moved(_: int, primitive: dict[str, Any]) -> np.ndarray:
-        u, v = document.accessor(primitive["attributes"][facts["lookup_attribute"]]).T
-        row = np.floor(v * facts["height"]).astype(int) + frame * facts["rows_per_frame"]
-        return texels[row, np.floor(u * facts["width"]).astype(int)]
-
-    return standing(document, moved)
-
-
-@pytest.mark.parametrize("model", MODELS)
-def test_a_vertex_texture_moves_a_model_of_an_artist_as_its_mesh(model: Callable[[], Artist]) -> None:
-    mesh = read_mesh(io.BytesIO(model().glb()), file_type="glb")
-    frames = to_motion(coefficients_of(mesh), 5)
-    facts, document, texels = vertex_texture(through_the_parser(mesh), frames)
-    still = standing(document, lambda node, primitive: 0.0)
-    for number in (0, 3):
-        gap = np.abs(shaded(facts, document, texels, number) - still - frames[number]).max()
-        assert 0 < gap < np.sqrt(3) * facts["half_float_error_m"] + 3e-6 * np.abs(mesh.vertices).max()
-    assert facts["half_float_error_m"] < 3e-3 * np.abs(frames).max()
-
-
-@pytest.mark.parametrize("model", UNCHANGED)
-def test_a_vertex_texture_adds_nothing_but_its_lookup(model: Callable[[], Artist]) -> None:
-    glb = model().glb()
-    mesh = through_the_parser(read_mesh(io.BytesIO(glb), file_type="glb"))
-    facts, document, _ = vertex_texture(mesh, to_motion(coefficients_of(mesh), 2))
-    before, after = looks(document_of(glb)), looks(document)
-    number = int(facts["lookup_attribute"].removeprefix("TEXCOORD_"))
-    for old, new in zip(before["nodes"], after["nodes"], strict=True):
-        for plain, own in zip(*(node.get("mesh", {}).get("primitives", []) for node in (old, new)), strict=True):
-            if facts["lookup_attribute"] not in own["attributes"]:
-                continue  # neither points nor lines move
-            for index in range(number + 1):
-                if f"TEXCOORD_{index}" not in plain["attributes"]:
-                    own["attributes"].pop(f"TEXCOORD_{index}")
-    assert after == before
-
-
-def test_a_model_in_units_that_halves_do_not_hold_is_written_anew(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dynamictree.formats.motion.vertex_texture._SMALLEST_UNIT", 1e3)
-    mesh = read_mesh(io.BytesIO(artists.wooded().glb()), file_type="glb")
-    frames = to_motion(coefficients_of(mesh), 2)
-    facts, document, texels = vertex_texture(mesh, frames)
-    assert [node["name"] for node in document.root["nodes"]] == ["tree"]
-    moved = shaded(facts, document, texels, 1)[: mesh.num_vertices]  # each primitive has all of them
-    assert np.abs(moved - mesh.vertices - frames[1]).max() < 3e-3
 
 
 @pytest.mark.parametrize("model", UNCHANGED)

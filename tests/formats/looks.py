@@ -1,0 +1,163 @@
+"""What a glTF document shows and how it moves, as tests of artists' models compare it."""
+
+import copy
+import io
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from dynamictree.formats.gltf.motion import write_motion_glb
+from dynamictree.formats.mesh_file import read_mesh
+from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle, write_mesh_bundle
+from dynamictree.mesh import TriangleMesh
+from tests.formats import artists
+from tests.formats.artists import Document, document_of
+
+UNCHANGED = [artists.wooded, artists.repeated, artists.skinned, artists.morphing, artists.quantised]
+MODELS = [*UNCHANGED, artists.instanced, artists.compressed]
+
+
+def coefficients_of(mesh: TriangleMesh, num_frequencies: int = 4) -> np.ndarray:
+    rng = np.random.default_rng(0)
+    parts = rng.normal(0, 0.02 * mesh.height_m, (mesh.num_vertices, num_frequencies, 6)).astype(np.float32)
+    return parts.view(np.complex64)
+
+
+def animated(mesh: TriangleMesh, coefficients: np.ndarray) -> Document:
+    stream = io.BytesIO()
+    write_motion_glb(mesh, coefficients, stream, num_frames=10)
+    return document_of(stream.getvalue())
+
+
+def looks(document: Document) -> dict[str, Any]:
+    """All that the document shows, without indices: content in the place of each accessor, view and image."""
+    root = copy.deepcopy(document.root)
+
+    def values(index: int) -> tuple[Any, ...]:
+        entry = root["accessors"][index]
+        described = {name: value for name, value in entry.items() if name not in ("bufferView", "byteOffset")}
+        return described, document.accessor(index).tobytes() if "bufferView" in entry else b""
+
+    for mesh in root["meshes"]:
+        for primitive in mesh["primitives"]:
+            primitive["attributes"] = {name: values(index) for name, index in primitive["attributes"].items()}
+            if "indices" in primitive:
+                primitive["indices"] = values(primitive["indices"])
+            primitive["targets"] = [{n: values(i) for n, i in t.items()} for t in primitive.get("targets", [])]
+    for node in root["nodes"]:
+        if "mesh" in node:
+            node["mesh"] = root["meshes"][node["mesh"]]
+    for skin in root.get("skins", []):
+        skin["inverseBindMatrices"] = values(skin["inverseBindMatrices"])
+    for animation in root.get("animations", []):
+        for sampler in animation["samplers"]:
+            sampler |= {name: values(sampler[name]) for name in ("input", "output")}
+    for index, image in enumerate(root.get("images", [])):
+        content = document.image(index)
+        uri = image.pop("uri", None)
+        image |= {"content": content, "name": image.get("name", uri)}
+        image.pop("bufferView", None)
+        image.pop("mimeType", None)
+    for name in ("meshes", "accessors", "bufferViews", "buffers"):
+        root.pop(name, None)
+    return root
+
+
+def without_motion(document: Document) -> dict[str, Any]:
+    """Its looks, less what animating added."""
+    root = looks(document)
+    facts = root["asset"].pop("extras")
+    animations = root.pop("animations")
+    assert animations[0]["name"] == "sway"
+    if animations[1:]:
+        root["animations"] = animations[1:]
+    for node in root["nodes"]:
+        mesh = node.get("mesh")
+        if mesh is None or len(mesh["primitives"][0]["targets"]) < facts["num_targets"]:
+            continue
+        for primitive in mesh["primitives"]:
+            del primitive["targets"][-facts["num_targets"] :]
+        if "weights" in mesh:
+            del mesh["weights"][-facts["num_targets"] :]
+        if "targetNames" in mesh.get("extras", {}):
+            del mesh["extras"]["targetNames"][-facts["num_targets"] :]
+    return root
+
+
+def played(document: Document, key: int) -> np.ndarray:
+    """Vertices of the scene at a key of the first animation, +Z up, parents before children."""
+    root = document.root
+    own = {}
+    for channel in root["animations"][0]["channels"]:
+        sampler = root["animations"][0]["samplers"][channel["sampler"]]
+        keys = document.accessor(sampler["output"]).reshape(root["accessors"][sampler["input"]]["count"], -1)
+        own[channel["target"]["node"]] = keys[key]
+
+    def moved(node: int, primitive: dict[str, Any]) -> np.ndarray:
+        targets = zip(own[node], primitive["targets"], strict=True)
+        return sum(weight * floats(document, target["POSITION"]) for weight, target in targets)
+
+    return standing(document, moved)
+
+
+def standing(document: Document, moved: Callable[[int, dict[str, Any]], np.ndarray | float]) -> np.ndarray:
+    """Vertices of the scene with what is added to the positions of each node's primitives, +Z up."""
+    root = document.root
+    world: dict[int, np.ndarray] = {}
+
+    def visit(index: int, above: np.ndarray) -> None:
+        world[index] = above @ local_matrix(root["nodes"][index])
+        for child in root["nodes"][index].get("children", []):
+            visit(child, world[index])
+
+    for first in root["scenes"][root["scene"]]["nodes"]:
+        visit(first, np.eye(4))
+    vertices = []
+    for index, matrix in world.items():
+        node = root["nodes"][index]
+        if "mesh" not in node:
+            continue
+        for primitive in root["meshes"][node["mesh"]]["primitives"]:
+            if primitive.get("mode", 4) != 4:
+                continue
+            position = floats(document, primitive["attributes"]["POSITION"]) + moved(index, primitive)
+            place = np.tile(matrix[:3], (len(position), 1, 1))
+            if "skin" in node:
+                skin = root["skins"][node["skin"]]
+                bind = document.accessor(skin["inverseBindMatrices"]).reshape(-1, 4, 4).swapaxes(1, 2)
+                joints = np.stack([world[j] for j in skin["joints"]]) @ bind
+                chosen = document.accessor(primitive["attributes"]["JOINTS_0"])
+                weights = document.accessor(primitive["attributes"]["WEIGHTS_0"])
+                place = np.einsum("nj,njab->nab", weights, joints[chosen])[:, :3]
+            vertices.append(np.einsum("nij,nj->ni", place[:, :, :3], position) + place[:, :, 3])
+    x, y, z = np.concatenate(vertices).T
+    return np.stack([x, -z, y], axis=1)
+
+
+def floats(document: Document, index: int) -> np.ndarray:
+    stored = document.accessor(index)
+    return stored / np.iinfo(stored.dtype).max if stored.dtype.kind == "i" else stored.astype(np.float64)
+
+
+def local_matrix(node: dict[str, Any]) -> np.ndarray:
+    if "matrix" in node:
+        return np.array(node["matrix"], float).reshape(4, 4).T
+    x, y, z, w = node.get("rotation", (0, 0, 0, 1))
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    matrix = np.eye(4)
+    matrix[:3, :3] = (np.eye(3) + 2 * w * cross + 2 * cross @ cross) * node.get("scale", (1, 1, 1))
+    matrix[:3, 3] = node.get("translation", (0, 0, 0))
+    return matrix
+
+
+def through_the_parser(mesh: TriangleMesh) -> TriangleMesh:
+    """The mesh as a job's worker gets it."""
+    stream = io.BytesIO()
+    write_mesh_bundle(mesh, stream)
+    return read_mesh_bundle(io.BytesIO(stream.getvalue()), with_source=True)
+
+
+def animated_twin(glb: bytes) -> Document:
+    mesh = through_the_parser(read_mesh(io.BytesIO(glb), file_type="glb"))
+    return animated(mesh, coefficients_of(mesh))
