@@ -35,7 +35,8 @@ PLACES = """(time) => {
   return places;
 }"""
 
-# what Spark has worked out for its own drawing: places as bits of floats in the first texture
+# what Spark has worked out for its own drawing: places as bits of floats in the first texture;
+# before its first sorting has ended it may leave out an update
 GAUSSIANS = """async (time) => {
   const { renderer, scene, camera, gaussians, splat } = player;
   renderer.setAnimationLoop(null);
@@ -110,6 +111,7 @@ def test_the_page_plays_a_splat_from_disk(
 ) -> None:
     params = ExportParams(formats=("html-splat",), share=0.1)
     page = opened(write_products(sample.mesh, spectrum, params, tmp_path)["html-splat"])
+    page.wait_for_function("player.gaussians.drawn", timeout=60_000)
     binding = lighter(splats_of_mesh(sample.mesh, rng=np.random.default_rng(0)).binding, share=0.1)
     truth = list(iter_poses(binding, iter_motion(coefficients, np.array(FRAMES) / 100)))
     assert np.linalg.norm(truth[1].means - truth[2].means, axis=1).max() > 0.05
@@ -117,4 +119,3 @@ def test_the_page_plays_a_splat_from_disk(
         places = np.array(page.evaluate(GAUSSIANS, frame / 24))
         far = np.linalg.norm(places - pose.means, axis=1)
         assert far.max() < 1e-3
-    page.wait_for_function("player.gaussians.drawn", timeout=60_000)

@@ -34,7 +34,6 @@ export function sparkRenderer(spark, stage) {
   const onDirty = () => {
     stage.stale = true;
   };
-  stage.resolution.stillScale = 1; // Gaussians have soft edges
   stage.sparkRenderer ??= new spark.SparkRenderer({ renderer: stage.renderer, accumExtSplats: true, onDirty });
   return stage.sparkRenderer;
 }

@@ -133,6 +133,7 @@ export class Tree {
     const { SplatView, carriersOf } = await import("./splat.js");
     const view = await SplatView.make(this.stage, splat, carriersOf(splat, this.surface, this.modes), this.uniforms);
     if (this.disposed) return view.dispose();
+    this.stage.resolution.stillScale = 1; // Gaussians have soft edges
     this.splat = view;
     this.setView(this.view);
   }
