@@ -85,13 +85,16 @@ def write_skinned_usdz(tree: MovingTree, stream: BinaryIO, report: Report) -> Fa
 def _fitted(tree: MovingTree, report: Report) -> tuple["Skin", "SkinSummary"]:
     from dynamictree.modal.fitted_skin import fitted_skin
 
-    return fitted_skin(
-        tree.mesh,
-        tree.coefficients,
-        num_frames=tree.spectrum.num_frames,
-        num_joints=tree.params.joints,
-        on_progress=report,
-    )
+    num_joints = tree.params.joints
+    if num_joints not in tree.fits:
+        tree.fits[num_joints] = fitted_skin(
+            tree.mesh,
+            tree.coefficients,
+            num_frames=tree.spectrum.num_frames,
+            num_joints=num_joints,
+            on_progress=report,
+        )
+    return tree.fits[num_joints]
 
 
 def write_usdz(tree: MovingTree, stream: BinaryIO, report: Report) -> None:

@@ -1,7 +1,7 @@
 """Input of every product writer: a tree, its motion and the frames to write."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -12,6 +12,7 @@ from dynamictree.gaussian.binding import Binding
 from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.turbulence import iter_turbulent_motion, turbulent_wind
 from dynamictree.requests import ExportParams
+from dynamictree.skin import Skin, SkinSummary
 from dynamictree.spectrum import SparseVoxelSpectrum, iter_motion
 
 Report = Callable[[float], None]
@@ -41,6 +42,7 @@ class MovingTree:
     binding: Binding | None = None
     captured: bool = False  # whether pictures show the splat of the binding, or the mesh
     stride: int = 1  # of every so many frames one is written
+    fits: dict[int, tuple[Skin, SkinSummary]] = field(default_factory=dict)  # cache, by the number of joints
 
     @cached_property
     def phases(self) -> Float64[np.ndarray, " M"]:

@@ -12,6 +12,7 @@ from dynamictree.devoxelize.length_preserving import length_preserving
 from dynamictree.errors import Cancelled
 from dynamictree.export.write import write_products
 from dynamictree.mesh import TriangleMesh
+from dynamictree.modal import fitted_skin
 from dynamictree.requests import ExportParams
 from dynamictree.spectrum import SparseVoxelSpectrum
 from tests.devoxelize.test_interpolation import two_close_twigs
@@ -69,6 +70,17 @@ def test_another_wind_of_a_tree_shares_what_ties_its_vertices(tmp_path: Path) ->
             mesh, spectrum_of(mesh, lean_m=lean_m), ExportParams(formats=("glb",)), folder, recall=stored.recall
         )
     assert stored.computed == ["motion", "ties", "motion"]
+
+
+def test_two_products_of_one_skin_fit_it_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    mesh, _ = two_close_twigs()
+    fits, fitted = list[int](), fitted_skin.fitted_skin
+    monkeypatch.setattr(
+        fitted_skin, "fitted_skin", lambda *given, **options: fits.append(1) or fitted(*given, **options)
+    )
+    params = ExportParams(formats=("glb-skinned", "usd-skinned"), joints=32)
+    write_products(mesh, spectrum_of(mesh, lean_m=0.01), params, tmp_path)
+    assert len(fits) == 1
 
 
 def test_a_storm_reports_progress_and_stops_before_its_first_file(tmp_path: Path) -> None:

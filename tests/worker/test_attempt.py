@@ -23,12 +23,13 @@ from dynamictree.requests import AnimateParams, VoxelizeParams
 from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs import tables as t
 from jobs.artifacts import hash_file
+from jobs.assets import read_asset
 from jobs.attempts import hand_back, publish_stage, start_stage, succeed
 from jobs.erasure import _forget_cached
 from jobs.errors import FencedError, GoneError
 from jobs.intermediates import RESULT_SOURCES
 from jobs.maintenance import living, reap
-from jobs.records import AssetRecord, Claim, OutputFile
+from jobs.records import AssetRecord, Claim, JobRecord, OutputFile
 from jobs.stage_files import MESH_BUNDLE, SPECTRUM, VOXELS
 from jobs.states import JobState, JobType
 from tests.worker.conftest import add_job, hold, watch
@@ -51,12 +52,16 @@ def content(runtime: Runtime, job_id: str, name: str) -> bytes:
 
 def with_spectrum(runtime: Runtime, asset: AssetRecord, tmp_path: Path, **params: object) -> Claim:
     """Attempt 2 of an animate job; attempt 1 had made voxels and a spectrum, and was handed back."""
-    voxels_job = add_job(runtime, asset)
+    return give_spectrum(runtime, add_job(runtime, asset, "animate", **params), tmp_path)
+
+
+def give_spectrum(runtime: Runtime, job: JobRecord, tmp_path: Path) -> Claim:
+    """Attempt 2 of a job whose first attempt had made voxels and a spectrum, and was handed back."""
+    voxels_job = add_job(runtime, read_asset(runtime.store, job.asset_id))
     run(runtime, hold(runtime, voxels_job))
     grid = read_voxels(BytesIO(content(runtime, voxels_job.id, VOXELS))).grid
     coefficients = np.zeros((len(grid), 16, 3), np.complex64)
     coefficients[:, 1, 0] = 0.05 * grid.centres_m[:, 2]
-    job = add_job(runtime, asset, "animate", **params)
     lease = hold(runtime, job)
     stages: tuple[tuple[JobType, str, bytes], ...] = (
         ("voxelize", VOXELS, content(runtime, voxels_job.id, VOXELS)),
