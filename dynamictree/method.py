@@ -39,7 +39,7 @@ def animate(
     wind: Wind | None = None,
     seed: int = 0,
     model: str = "small",
-    num_frames: int = 100,
+    num_frames: int | None = None,
 ) -> Iterator[Float32[np.ndarray, "N 3"]]:
     """Positions of the mesh's vertices, frame by frame over one loop of the generated motion [m]."""
     mesh = triangle_mesh(mesh)
@@ -54,7 +54,7 @@ def animate_splat(
     mesh: "TriangleMesh | trimesh.Trimesh",
     spectrum: SparseVoxelSpectrum,
     *,
-    num_frames: int = 100,
+    num_frames: int | None = None,
 ) -> Iterator[GaussianCloud]:
     """Frames of a splat that moves with the mesh in it: the paper's output."""
     mesh = triangle_mesh(mesh)
@@ -82,20 +82,27 @@ def generate(
     seed: int = 0,
     model: str = "small",
     num_steps: int | None = None,
+    period_s: float | None = None,
     wind_bands: bool = False,
     on_step: Callable[[int, int], None] | None = None,
 ) -> SparseVoxelSpectrum:
     """Generate the spectrum of a motion of these voxels. Paper section 3.4.
 
+    By default the period follows the tree's height: 4.17 s up to 7 m, 16.7 s from 22 m (a paper's model: 4.17 s).
     With `wind_bands` the model is asked for five winds as well: how strong each mode is there.
     `on_step` gets the sampler steps done and their total; what it raises passes through.
     """
+    from dynamictree.models.periods import PERIOD_S, in_period, period_by_height
     from dynamictree.models.several_trees import generate_trees
     from dynamictree.models.several_winds import with_bands
 
+    trained = motion_model(model)
+    if period_s is None:
+        period_s = period_by_height(voxels) if trained.slower_when_tall else PERIOD_S
+
     def in_wind(blowing: Wind, report: Callable[[int, int], None] | None) -> SparseVoxelSpectrum:
-        of_one = partial(motion_model(model).generate, wind=blowing, num_steps=num_steps)
-        return generate_trees(of_one, voxels, seed=seed, on_step=report)
+        of_one = partial(trained.generate, wind=blowing, num_steps=num_steps)
+        return generate_trees(in_period(of_one, period_s), voxels, seed=seed, on_step=report)
 
     own = wind or Wind()
     return replace(with_bands(in_wind, own, on_step) if wind_bands else in_wind(own, on_step), source=voxels.source)
@@ -109,9 +116,13 @@ def devoxelize(
 
 
 def displace(
-    vertex_spectrum: Complex64[np.ndarray, "N K 3"], spectrum: SparseVoxelSpectrum, *, num_frames: int = 100
+    vertex_spectrum: Complex64[np.ndarray, "N K 3"], spectrum: SparseVoxelSpectrum, *, num_frames: int | None = None
 ) -> Iterator[Float32[np.ndarray, "N 3"]]:
-    """Displacement of each vertex over one loop, frame by frame [m]: the inverse Fourier transform of paper eq. 1."""
+    """Displacement of each vertex over one loop, frame by frame [m]: the inverse Fourier transform of paper eq. 1.
+
+    `num_frames` are spread over the loop; by default there is one every 1/24 s.
+    """
+    num_frames = spectrum.num_frames if num_frames is None else num_frames
     return iter_motion(vertex_spectrum, np.arange(num_frames) / num_frames, spectrum.num_frames)
 
 

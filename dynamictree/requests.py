@@ -10,10 +10,13 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, ConfigDict, Field, StringConstraints
 
 from dynamictree.errors import InputError
+from dynamictree.loop_frames import is_whole, nearest_loops
 from dynamictree.request_model import Request
 
-MAX_FRAMES = 600
-"""Of one loop, or of a turbulent motion in a format that is written at once."""
+MAX_FRAMES = 1_000
+"""Of one loop, as 16.7 s at 60 fps, or of a turbulent motion in a format that is written at once."""
+PAPER_PERIOD_S = 100 / 24
+"""Of the paper's loop [s]."""
 MAX_TURBULENT_FRAMES = 14_400
 """Of a turbulent motion in a format that is written frame by frame: ten minutes at 24 fps."""
 MAX_TURBULENT_FILM_FRAMES = 3_600
@@ -212,6 +215,13 @@ class SpectrumParams(Request):
     num_steps: int | None = Field(
         default=None, ge=1, le=1000, description="Sampler steps; the number of the preset if unset"
     )
+    period_s: Finite | None = Field(
+        default=None,
+        ge=2,
+        le=30,
+        description="Length of the loop [s]; if unset by the tree's height: 4.17 s up to 7 m, 16.7 s from 22 m; 4.17 s "
+        "where num_frames is set or the preset is the paper's",
+    )
     wind_bands: bool = Field(
         default=False,
         description="Ask the model for winds of 1, 4, 8, 14 and 20 m/s as well: how strong each mode is in any wind",
@@ -311,6 +321,11 @@ class ExportParams(Request):
     joints: Joints = Field(default=64, description="Joints of glb-skinned and usd-skinned, at most")
     shot: Shot = Field(default_factory=Shot)
 
+    @property
+    def wanted_period_s(self) -> float | None:
+        """Period that a number of frames was counted for: the paper's; None where the tree's height may choose [s]."""
+        return PAPER_PERIOD_S if self.wind_mode == "loop" and self.loop and self.num_frames is not None else None
+
     def period_frames(self, period_s: float) -> float:
         """Frames in one period of the motion."""
         return self.fps * period_s / self.speed
@@ -325,10 +340,10 @@ class ExportParams(Request):
             return max(round(self.fps * TURBULENT_S), 1) if self.num_frames is None else self.num_frames
         period = self.period_frames(period_s)
         count = max(round(period), 1) if self.num_frames is None else self.num_frames
-        if self.loop and not _is_whole(count / period):
+        if self.loop and not is_whole(count / period):
             raise InputError(
                 f"{count} frames at {self.fps:g} fps and speed {self.speed:g} are {count / period:.4g}"
-                f" periods of {period_s:.4g} s, so the loop would jump; {_nearest_loops(count, period)}"
+                f" periods of {period_s:.4g} s, so the loop would jump; {nearest_loops(count, period, MAX_FRAMES)}"
             )
         if count > MAX_FRAMES:
             subject = "one period is" if self.num_frames is None else "num_frames is"
@@ -361,19 +376,6 @@ class ExportParams(Request):
             raise InputError(
                 f"num_frames is {count}; at most {TURBULENT_FRAMES[name]} are allowed of a turbulent motion as {name}"
             )
-
-
-def _is_whole(periods: float) -> bool:
-    return round(periods) >= 1 and abs(periods - round(periods)) < 1e-6
-
-
-def _nearest_loops(count: int, period_frames: float) -> str:
-    loops = [count for count in range(1, MAX_FRAMES + 1) if _is_whole(count / period_frames)]
-    if not loops:
-        return f"no number of frames up to {MAX_FRAMES} makes a loop at this fps and speed: take fps 24 or loop=false"
-    below = [loop for loop in loops if loop < count][-1:]
-    above = [loop for loop in loops if loop > count][:1]
-    return f"{' or '.join(map(str, below + above))} frames make a loop; or take loop=false"
 
 
 class ReconstructParams(PhotoParams, CloudParams):

@@ -196,7 +196,13 @@ def _resolved(body: JobRequest, asset: AssetRecord) -> dict[str, Json]:
             del params[name]
     if isinstance(body.params, AnimateParams):
         params["formats"] = list(_formats(body.params, asset))
+        params["period_s"] = _period_s(body.params)
     return params
+
+
+def _period_s(params: AnimateParams) -> float | None:
+    """As asked for, or as the number of frames means it; None where the tree's height chooses [s]."""
+    return params.period_s or params.wanted_period_s
 
 
 def _formats(params: AnimateParams, asset: AssetRecord) -> tuple[Format, ...]:
@@ -216,9 +222,11 @@ def format_bytes(body: JobRequest, asset: AssetRecord) -> dict[str, int]:
     # numba comes with the products; loaded beside the first requests, not with this module
     from dynamictree.export.size import splat_bytes, turbulent_bytes
     from dynamictree.export.table import require_available
-    from dynamictree.spectrum import FPS, NUM_FRAMES
+    from dynamictree.modal.real_trees import loop_period_s
 
-    formats, num_frames = _formats(body.params, asset), body.params.count_frames(NUM_FRAMES / FPS)
+    height_m = asset.summary.get("height_m")
+    period_s = _period_s(body.params) or loop_period_s(height_m if isinstance(height_m, float) else 0.0)
+    formats, num_frames = _formats(body.params, asset), body.params.count_frames(period_s)
     require_available(formats)
     if asset.kind == "mesh" and body.params.wind_mode == "turbulent":
         num_vertices, num_faces = _count(asset, "num_vertices"), _count(asset, "num_faces")

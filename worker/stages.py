@@ -110,6 +110,7 @@ def diffuse(given: StageInput) -> Iterable[Path]:
         seed=given.job.seed,
         wind=params.wind,
         num_steps=params.num_steps,
+        period_s=params.period_s,
         wind_bands=params.wind_bands,
         on_step=lambda done, total: given.report(done / total),
     )

@@ -42,13 +42,16 @@ class AnimateParams(Model):
     wind: "Wind | None" = None
     # Sampler steps; the number of the preset if unset
     num_steps: int | None = None
+    # Length of the loop [s]; if unset by the tree's height: 4.17 s up to 7 m, 16.7 s from 22 m; 4.17 s where
+    # num_frames is set or the preset is the paper's
+    period_s: float | None = None
     # Ask the model for winds of 1, 4, 8, 14 and 20 m/s as well: how strong each mode is in any wind
     wind_bands: bool = False
     # Motion that repeats after one period, or in turbulent wind that never repeats
     wind_mode: Literal["loop", "turbulent"] = "loop"
     # Number of the first frame to write
     first_frame: int = 0
-    # Number of frames to write, at most 600 of a loop; if unset one period, or 10 s of turbulent wind
+    # Number of frames to write, at most 1000 of a loop; if unset one period, or 10 s of turbulent wind
     num_frames: int | None = None
     # Frames per second; does not change the speed of the motion
     fps: float = 24.0
@@ -235,6 +238,9 @@ class DiffuseParams(Model):
     wind: "Wind | None" = None
     # Sampler steps; the number of the preset if unset
     num_steps: int | None = None
+    # Length of the loop [s]; if unset by the tree's height: 4.17 s up to 7 m, 16.7 s from 22 m; 4.17 s where
+    # num_frames is set or the preset is the paper's
+    period_s: float | None = None
     # Ask the model for winds of 1, 4, 8, 14 and 20 m/s as well: how strong each mode is in any wind
     wind_bands: bool = False
 

@@ -43,8 +43,9 @@ def animate(
     from dynamictree.formats.tensors.spectrum import write_spectrum
 
     shape, capture = read_source(source, reading, choice=cloud, mask=mask, beside=mesh)
+    period_s = generation.period_s or export.wanted_period_s
     if capture is not None and not as_json:
-        _print_sequence_size(capture, export)
+        _print_sequence_size(capture, export, period_s)
     inexact: dict[str, Facts] = {}
     with progress(quiet=as_json) as report, published(output) as folder:
         voxels = method.voxelize(shape, resolution=grid.resolution, source_sha256=file_sha256(source))
@@ -55,6 +56,7 @@ def animate(
             seed=model.seed,
             wind=generation.wind,
             num_steps=generation.num_steps,
+            period_s=period_s,
             wind_bands=generation.wind_bands,
             on_step=lambda done, total: report("diffuse", done / total),
         )
@@ -77,13 +79,14 @@ def animate(
     tell(result, as_json=as_json)
 
 
-def _print_sequence_size(capture: "Capture", export: ExportParams) -> None:
+def _print_sequence_size(capture: "Capture", export: ExportParams, period_s: float | None) -> None:
     """Print how large files of every frame of a splat will be, before they are written."""
     from dynamictree.export.size import splat_bytes
     from dynamictree.gaussian.cloud import level_count
-    from dynamictree.spectrum import FPS, NUM_FRAMES
+    from dynamictree.modal.real_trees import loop_period_s
 
-    cloud, num_frames = capture.cloud, export.count_frames(NUM_FRAMES / FPS)
+    cloud, z_m = capture.cloud, capture.cloud.means[:, 2]
+    num_frames = export.count_frames(period_s or loop_period_s(float(z_m.max() - z_m.min())))
     count, degree = level_count(cloud.num_gaussians, export.share), min(cloud.sh_degree, export.sh_degree)
     for name, size in splat_bytes(cloud.num_gaussians, cloud.sh_degree, num_frames, export).items():
         what = f"{num_frames} frames of {count:,} Gaussians of SH degree {degree}"

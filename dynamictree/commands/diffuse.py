@@ -47,6 +47,7 @@ def diffuse(
             seed=model.seed,
             wind=params.wind,
             num_steps=params.num_steps,
+            period_s=params.period_s,
             wind_bands=params.wind_bands,
             on_step=lambda done, total: report("diffuse", done / total),
         )

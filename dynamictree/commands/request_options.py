@@ -13,6 +13,7 @@ from dynamictree.request_model import Request, explanation
 
 OPTION_NAMES = {
     "num_frames": "frames",
+    "period_s": "period",
     "formats": "format",
     "box_m": "box",
     "still_box_m": "still-box",
@@ -86,7 +87,7 @@ def _parameter(name: str, schema: Schema) -> inspect.Parameter:
     declared = f"{option}/--no-{option[2:]}" if kind["type"] == "boolean" else option
     help_text = ". ".join(filter(None, (schema["description"], _allowed(kind)))).replace("[", r"\[") + "."
     default = None if kind["type"] == "array" else schema.get("default")
-    python_type = _TYPES[kind["type"]]
+    python_type: Any = list[str] if "items" in kind else _TYPES[kind["type"]]
     return inspect.Parameter(
         name,
         inspect.Parameter.KEYWORD_ONLY,
@@ -110,7 +111,7 @@ def _allowed(kind: Schema) -> str:
         if "items" not in kind:
             return "x,y,z,x,y,z"
         choices = kind["items"].get("enum", ["names"])
-        return f"Comma-separated: {', '.join(choices)}"
+        return f"Comma-separated, or the option again: {', '.join(choices)}"
     if "enum" in kind:
         *most, last = map(str, kind["enum"])
         return f"{', '.join(most)} or {last}"
@@ -144,25 +145,28 @@ def _checked(model: type[Request], values: dict[Place, tuple[Any, Schema]]) -> R
     """
     filled: Schema = {}
     for (*above, name), (value, schema) in values.items():
-        if value is None:
+        if value is None or value == []:
             continue
         target = filled
         for step in above:
             target = target.setdefault(step, {})
-        target[name] = _split(name, value, _kind(schema)) if _kind(schema)["type"] == "array" else value
+        kind = _kind(schema)
+        target[name] = _names(value) if "items" in kind else _box(name, value) if kind["type"] == "array" else value
     try:
         return model.model_validate(filled)
     except ValidationError as error:
         raise InputError(explanation(error, lambda place: _option_name(place[-1]))) from None
 
 
-def _split(name: str, text: str, kind: Schema) -> list[Any]:
-    """Split a comma-separated option into names, or into the six numbers of a box."""
-    parts = [part.strip() for part in text.split(",")]
-    if "items" in kind:
-        return parts
+def _names(values: list[str]) -> list[str]:
+    """Names of an option that may hold several and may stand several times."""
+    return [part.strip() for value in values for part in value.split(",")]
+
+
+def _box(name: str, text: str) -> list[list[float]]:
+    """Six numbers of a box."""
     try:
-        x0, y0, z0, x1, y1, z1 = map(float, parts)
+        x0, y0, z0, x1, y1, z1 = map(float, text.split(","))
     except ValueError:
         raise InputError(
             f"{_option_name(name)} is {text!r}: six numbers are needed, x,y,z,x,y,z of the low and the high corner"

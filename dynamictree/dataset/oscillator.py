@@ -37,7 +37,7 @@ class Gusts:
     """Amplitude and phase of the wind at each gust frequency, shared by the whole tree."""
 
     wind: Wind
-    bins: Float64[np.ndarray, " J"]  # in units of fps / T; whole numbers in loop mode
+    bins: Float64[np.ndarray, " J"]  # in units of fps / T; whole numbers in a loop of T frames
     phase: Float32[np.ndarray, "J 3"]  # [rad]
     axes: Float32[np.ndarray, "3 3"]  # rows: downwind, level across, up
 
@@ -49,11 +49,11 @@ class Gusts:
         return amplitude
 
 
-def gusts_of(wind: Wind, rng: np.random.Generator, *, loop: bool = True) -> Gusts:
-    """Gust frequencies: the bins 1 to K - 1 of a loop, or, free, one at random near each."""
-    bins = np.arange(1, NUM_FREQUENCIES, dtype=np.float64)
+def gusts_of(wind: Wind, rng: np.random.Generator, *, loop: bool = True, times: int = 1) -> Gusts:
+    """Gust frequencies: all bins up to K of a loop of `times` T frames, or, free, one at random near each."""
+    bins = np.arange(1, NUM_FREQUENCIES * times) / times
     if not loop:
-        bins = bins + rng.uniform(-0.5, 0.5, len(bins))
+        bins = bins + rng.uniform(-0.5, 0.5, len(bins)) / times
     heading = np.deg2rad(wind.direction_deg)
     cosine, sine = np.cos(heading), np.sin(heading)
     return Gusts(

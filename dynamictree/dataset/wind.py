@@ -66,9 +66,17 @@ class _Moving:
         )
 
 
-def sway(tree: Tree, wind: Wind, rng: np.random.Generator, *, num_frames: int = NUM_FRAMES, loop: bool = True) -> Sway:
-    """Move a tree in the wind for `num_frames` frames at 24 fps."""
-    gusts = gusts_of(wind, rng, loop=loop)
+def sway(
+    tree: Tree,
+    wind: Wind,
+    rng: np.random.Generator,
+    *,
+    num_frames: int = NUM_FRAMES,
+    loop: bool = True,
+    times: int = 1,
+) -> Sway:
+    """Move a tree in the wind for `num_frames` frames at 24 fps; a loop has `times` T of them."""
+    gusts = gusts_of(wind, rng, loop=loop, times=times)
     ticks = clock(gusts, num_frames)
     levels: list[_Moving] = []
     motions = []

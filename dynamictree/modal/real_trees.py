@@ -8,7 +8,7 @@ f = 3.69 H^-1.02 Hz. Damping: damped cosines fitted to 19 pull-and-release recor
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from dynamictree.spectrum import SparseVoxelSpectrum
+from dynamictree.spectrum import FPS, NUM_FRAMES, SparseVoxelSpectrum
 from dynamictree.voxel.grid import VoxelGrid
 
 BARE_DAMPING_RATIO, LEAF_DAMPING_RATIO = 0.039, 0.13
@@ -18,6 +18,10 @@ FLUTTER_ABOVE_HZ = 1.4  # leaves move here, stems of trees hardly
 FLUTTER_SHARE = (0.005, 0.010)
 """Share of the energy above it: bare generated trees have at most the first, trees in leaf at least the second."""
 FILLED_OF_27 = (11.8, 12.4)  # likewise; ten bare trees have 10.5 to 11.8, six pines 12.2 to 13.4
+LEAST_BINS = 2
+"""Of a loop's spectrum, the lean not counted, up to the lowest natural frequency."""
+MAX_LOOP_TIMES = 4
+"""Longest loop that a height chooses, over the paper's: 16.7 s. Trees above 29 m would want more."""
 _KEY_STRIDE = 1024
 
 
@@ -30,6 +34,17 @@ def natural_frequency_hz(height_m: float, foliage: float) -> float:
 def natural_damping(foliage: float) -> float:
     """Damping ratio of a released pull, between the medians of bare trees and trees in leaf."""
     return float(BARE_DAMPING_RATIO ** (1 - foliage) * LEAF_DAMPING_RATIO**foliage)
+
+
+def loop_times(height_m: float) -> int:
+    """Length of the loop in which a tree of this height sways at its own pace, over the paper's 4.17 s."""
+    slowest_s = LEAST_BINS / natural_frequency_hz(height_m, foliage=0.5)
+    return int(np.clip(np.ceil(slowest_s * FPS / NUM_FRAMES), 1, MAX_LOOP_TIMES))
+
+
+def loop_period_s(height_m: float) -> float:
+    """Period that a tree of this height chooses [s]."""
+    return loop_times(height_m) * NUM_FRAMES / FPS
 
 
 def foliage_of(spectrum: SparseVoxelSpectrum) -> float:

@@ -28,6 +28,10 @@ class MotionModel(Protocol):
     def resolution(self) -> int:
         """Resolution of the voxel grid that `generate` needs."""
 
+    @property
+    def slower_when_tall(self) -> bool:
+        """Whether a spectrum's period is by default that of the tree's height; else 4.17 s."""
+
     def generate(
         self,
         voxels: SurfaceVoxels,

@@ -1,7 +1,7 @@
 """Several trees in one grid: each is generated separately, with its own root and seed."""
 
+from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 from jaxtyping import Int64
@@ -14,7 +14,7 @@ RESOLUTIONS = (128, 256, 512)
 
 
 def generate_trees(
-    generate: "partial[SparseVoxelSpectrum]", voxels: SurfaceVoxels, *, seed: int, on_step: OnStep | None = None
+    generate: Callable[..., SparseVoxelSpectrum], voxels: SurfaceVoxels, *, seed: int, on_step: OnStep | None = None
 ) -> SparseVoxelSpectrum:
     """Generate the spectrum of one motion of one tree or of several.
 

@@ -320,7 +320,15 @@ test("a forest: nine copies whose gust travels with the wind, each turned back b
 });
 
 test("gains are the model's at its speeds, rise between them, and stay above the last", () => {
-  const bands = { speeds_m_s: [0, 1, 4, 20], gains: [[0, 0], [0.1, 0.2], [0.7, 0.6], [5, 4]] }; // prettier-ignore
+  const bands = {
+    speeds_m_s: [0, 1, 4, 20],
+    gains: [
+      [0, 0],
+      [0.1, 0.2],
+      [0.7, 0.6],
+      [5, 4],
+    ],
+  }; // prettier-ignore
   bands.speeds_m_s.forEach((speed, b) => {
     assert.deepEqual(bandGains(bands, speed), bands.gains[b]);
   });

@@ -27,7 +27,19 @@ def test_a_splat_comes_out_moving(
 ) -> None:
     np.save(tmp_path / "mask.npy", np.arange(400) < 300)
     output = tmp_path / "out"
-    options = ["--format", "splat-ply,splat,png", "--num-steps", "1", "--frames", "4", "--no-loop", "--side-px", "64"]
+    options = [
+        "--format",
+        "splat-ply, splat",
+        "--format",
+        "png",
+        "--num-steps",
+        "1",
+        "--frames",
+        "4",
+        "--no-loop",
+        "--side-px",
+        "64",
+    ]
     part = ["--mask", tmp_path / "mask.npy", "--box=-1,-1,-1,1,1,2", "--sh-degree", "0"]
     assert dynamictree("animate", tree, "-o", output, *options, *part) == 0
     captured = capsys.readouterr()

@@ -10,7 +10,7 @@ const VERTEX = "void main() { gl_Position = vec4(position.xy, 0.0, 1.0); }";
 const FRAGMENT = /* glsl */ `
 precision highp isampler2D;
 uniform isampler2D shapes;
-uniform vec2 q[BINS * COPIES]; // times metres a step
+uniform highp sampler2D q; // by bin and copy, times metres a step: a forest of tall trees has too many for uniforms
 uniform vec2 turn[COPIES];     // cosine and sine: the wind's direction against the one the motion was made for
 uniform int shown;         // the bin whose size goes to alpha; -1 for none
 uniform float shownScale;
@@ -25,7 +25,7 @@ void main() {
   vec3 u = vec3(0.0);
   for (int k = 0; k < BINS; k++) for (int c = 0; c < 3; c++) {
     vec2 phi = vec2(step3(point, k, c));
-    vec2 now = q[copy * BINS + k];
+    vec2 now = texelFetch(q, ivec2(k, copy), 0).xy;
     u[c] += phi.x * now.x - phi.y * now.y;
   }
   float size = 0.0;
@@ -52,7 +52,7 @@ export class Field {
       depthBuffer: false,
       generateMipmaps: false,
     });
-    this.q = Array.from({ length: K * copies }, () => new THREE.Vector2());
+    this.q = new THREE.DataTexture(new Float32Array(2 * K * copies), K, copies, THREE.RGFormat, THREE.FloatType);
     this.turn = Array.from({ length: copies }, () => new THREE.Vector2(1, 0));
     this.material = new THREE.ShaderMaterial({
       defines: { BINS: K, POINTS: P, COPIES: copies, ROWS: this.rows },
@@ -100,9 +100,11 @@ export class Field {
   evaluateAll(renderer, motions) {
     const { K, scale } = this;
     motions.forEach(({ q, turn }, copy) => {
-      for (let k = 0; k < K; k++) this.q[copy * K + k].set(q[2 * k] * scale[k], q[2 * k + 1] * scale[k]);
+      const row = this.q.image.data.subarray(2 * K * copy);
+      for (let i = 0; i < 2 * K; i++) row[i] = q[i] * scale[i >> 1];
       this.turn[copy].set(Math.cos(turn), Math.sin(turn));
     });
+    this.q.needsUpdate = true;
     const before = renderer.getRenderTarget();
     renderer.setRenderTarget(this.target);
     renderer.render(this.scene, this.camera);
@@ -111,6 +113,7 @@ export class Field {
 
   dispose() {
     if (!this.borrowed) this.shapes.dispose();
+    this.q.dispose();
     this.target.dispose();
     this.material.dispose();
     this.scene.children[0].geometry.dispose();

@@ -1,7 +1,7 @@
 // Time: the wind's loop is played, paused and scrubbed, endless wind goes on; what is pushed goes on in real time.
 
-import { forestMotions, forestPlaces, gustAt, pairPlaces } from "../motion/company.js";
 import { bandGains, powerLaw } from "../motion/bands.js";
+import { forestMotions, forestPlaces, gustAt, pairPlaces } from "../motion/company.js";
 import { windCoordinates } from "../motion/modes.js";
 import { turbulentCoordinates } from "../motion/turbulence.js";
 import { $, describe } from "./dom.js";
@@ -95,7 +95,14 @@ export class Player {
     this.gains = bandGains(this.bands, this.windSpeed);
     const time = this.turbulent ? this.seconds : this.phase;
     const windless = !this.windSpeed && !this.alone && !(this.company === "pair" && this.otherSpeed);
-    const now = JSON.stringify([windless || time, this.windSpeed, this.turn, this.alone, this.company, this.otherSpeed]);
+    const now = JSON.stringify([
+      windless || time,
+      this.windSpeed,
+      this.turn,
+      this.alone,
+      this.company,
+      this.otherSpeed,
+    ]);
     const changed = now !== this.drawn;
     if (changed || hand.moving || tree.groups.length) {
       const { q, turn } = this._coordinates();

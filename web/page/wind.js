@@ -84,7 +84,8 @@ export class WindPanel {
     $("make-wind").hidden = same;
     if (same) return text("wind.same");
     const parts = [text("wind.preview")];
-    if (!sameSpeed) parts.push(text(hasBands ? "wind.times-bands" : "wind.times", { n: number(times, times < 10 ? 1 : 0) }));
+    if (!sameSpeed)
+      parts.push(text(hasBands ? "wind.times-bands" : "wind.times", { n: number(times, times < 10 ? 1 : 0) }));
     if (turn >= 0.01) parts.push(text("wind.turned", { angle: degrees(turn) }));
     return `${parts.join(", ")}.`;
   }

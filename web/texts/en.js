@@ -253,7 +253,8 @@ export default {
   "problem.empty-file": "“{name}” is empty",
   "problem.empty-file.do": "Save or download it again, then drop it here.",
   "problem.no-model": "There is no tree among these {n} files",
-  "problem.no-model.do": "Drop a mesh, a splat, a scan, at least 8 photos, or a film; the formats are named on this page.",
+  "problem.no-model.do":
+    "Drop a mesh, a splat, a scan, at least 8 photos, or a film; the formats are named on this page.",
   "problem.unreadable-drop": "What was dropped cannot be read",
   "problem.unreadable-drop.do": "Choose the folder or the files with the buttons instead.",
   "problem.no-webgl": "This browser cannot draw the tree",

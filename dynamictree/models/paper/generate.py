@@ -39,6 +39,8 @@ MAX_VOXELS = 150_000  # of the spectrum's grid
 class PaperModel:
     """The paper's network with its sampler, on the GPU where there is one: a `MotionModel`."""
 
+    slower_when_tall = False  # the paper has one period
+
     def __init__(self, network: PaperNetwork, *, name: str) -> None:
         self.network = network.eval().requires_grad_(False).to("cuda" if torch.cuda.is_available() else "cpu")
         self.name = name

@@ -30,6 +30,8 @@ MAX_VOXELS = 2_400_000
 class SmallModel:
     """Amplitudes by regression, phases by diffusion: a `MotionModel`."""
 
+    slower_when_tall = True
+
     def __init__(self, network: SmallNetwork, *, name: str, max_network_voxels: int = MAX_NETWORK_VOXELS) -> None:
         self.network, self.name = network.eval().requires_grad_(False), name
         self.max_network_voxels = max_network_voxels

@@ -1,0 +1,113 @@
+"""Spectra of any period from a model of one: tall trees sway slowly, so their loop is longer.
+
+In the simulator that the models learn from, the response of a stem at bin k depends on its slenderness and on k / (f P)
+alone, f its natural frequency and P the period. So a tree of height H moves with the period λP as the same tree of the
+height h with f(h) = λ f(H) does with P, enlarged H / h times: the model is asked for that smaller tree. What is faster
+than its K bins is flutter, of leaves that do not grow with the tree: the model is asked for the tree itself.
+
+Where a bin of the model is wider than one of the spectrum, it becomes several of the same power together, each with a
+phase of its own, so that flutter does not repeat within the loop.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Complex64
+
+from dynamictree.dataset.oscillator import FREQUENCY_AT_1M_HZ, TALL_EXPONENT, TALL_M
+from dynamictree.modal.real_trees import loop_times
+from dynamictree.models.motion_model import OnStep
+from dynamictree.models.several_trees import share_of_steps
+from dynamictree.spectrum import FPS, NUM_FRAMES, NUM_FREQUENCIES, SparseVoxelSpectrum, mode_sizes
+from dynamictree.voxel.voxelize import SurfaceVoxels
+
+PERIOD_S = NUM_FRAMES / FPS
+"""Of the motions that models learn from: 4.17 s."""
+MAX_FREQUENCIES = 48
+"""K of the longest periods: three times the memory and files of K = 16, and flutter up to 2.8 Hz at 16.7 s."""
+MAX_VALUES = 38_400_000
+"""Voxels times frequencies, above which flutter is left out: 0.9 GB."""
+
+Generate = Callable[..., SparseVoxelSpectrum]
+"""`MotionModel.generate` with wind and number of steps: takes voxels, seed and on_step."""
+
+
+def period_by_height(voxels: SurfaceVoxels) -> float:
+    """Period of a spectrum of these voxels [s]; of several trees, that of the tallest."""
+    numbers = np.zeros(len(voxels.grid), np.int64) if voxels.tree is None else voxels.tree
+    return PERIOD_S * max(loop_times(_height_m(voxels, numbers == number)) for number in np.unique(numbers))
+
+
+def in_period(generate: Generate, period_s: float) -> Generate:
+    """Generate spectra of this period, rounded to whole frames, of one tree each. 4.17 s are what the model gives."""
+    num_frames = round(period_s * FPS)
+    if num_frames == NUM_FRAMES:
+        return generate
+
+    def generate_in_period(voxels: SurfaceVoxels, *, seed: int, on_step: OnStep | None = None) -> SparseVoxelSpectrum:
+        longer, height_m = num_frames / NUM_FRAMES, _height_m(voxels)
+        times = min(max(longer, 1.0), float(loop_times(height_m)))
+        rng = np.random.default_rng(seed)
+        highest = min(MAX_FREQUENCIES, max(MAX_VALUES // len(voxels.grid), NUM_FREQUENCIES)) - 1
+        flutter = generate(voxels, seed=seed, on_step=share_of_steps(on_step, 0, 2 if times > 1 else 1))
+        coefficients = _mixed(flutter, spread_bins(longer, highest, rng))
+        if times > 1:
+            enlarged = _enlargement(height_m, times)
+            sway = generate(_shrunk(voxels, enlarged), seed=seed, on_step=share_of_steps(on_step, 1, 2))
+            slow = _mixed(sway, enlarged * spread_bins(longer / times, highest, rng))
+            coefficients[:, : slow.shape[1]] = slow
+        return replace(flutter, coefficients=coefficients, num_frames=num_frames)
+
+    return generate_in_period
+
+
+def spread_bins(longer: float, highest: int, rng: np.random.Generator) -> Complex64[np.ndarray, "K J"]:
+    """Matrix from the bins of one period to those of one `longer` times as long, up to bin `highest`; keeps the power.
+
+    A bin goes to the nearest frequencies; several that come from one, or make one, get phases of their own.
+    """
+    if longer == 1:
+        return np.eye(NUM_FREQUENCIES, dtype=np.complex64)
+    last = NUM_FREQUENCIES - 1
+    if longer > 1:
+        target = np.arange(1, min(int(np.ceil((last + 0.5) * longer)) - 1, highest) + 1)
+        source = np.rint(target / longer).astype(np.int64)
+    else:
+        source = np.arange(1, NUM_FREQUENCIES)
+        target = np.maximum(np.rint(source * longer).astype(np.int64), 1)
+    target, source = target[source > 0], source[source > 0]
+    phase = rng.uniform(0, 2 * np.pi, len(source))
+    matrix = np.zeros((target.max() + 1, NUM_FREQUENCIES), np.complex64)
+    matrix[0, 0] = 1
+    matrix[target, source] = np.exp(1j * phase) / np.sqrt(np.bincount(source)[source])
+    return matrix
+
+
+def _mixed(spectrum: SparseVoxelSpectrum, matrix: Complex64[np.ndarray, "K J"]) -> Complex64[np.ndarray, "V K 3"]:
+    """Product of each voxel's spectrum with the matrix; sums of bins get the power of their parts."""
+    mixed = np.ascontiguousarray(np.einsum("vjc,kj->vkc", spectrum.coefficients, matrix, optimize=True))
+    parts = mode_sizes(spectrum.coefficients) ** 2 @ (np.abs(matrix) ** 2).T
+    power = mode_sizes(mixed) ** 2
+    scale = np.sqrt(np.divide(parts, power, out=np.ones_like(parts), where=power > 0))
+    mixed *= scale[:, None].astype(np.float32)
+    return mixed
+
+
+def _enlargement(height_m: float, times: float) -> float:
+    """H / h: how much smaller the tree is that is `times` as fast, by the simulator's law of frequency and length."""
+    frequency_hz = FREQUENCY_AT_1M_HZ / np.sqrt(height_m) * min(TALL_M / height_m, 1) ** (TALL_EXPONENT - 0.5)
+    return float(max(height_m * (times * frequency_hz / FREQUENCY_AT_1M_HZ) ** 2, 1.0))
+
+
+def _height_m(voxels: SurfaceVoxels, rows: np.ndarray | slice = slice(None)) -> float:
+    return (int(np.ptp(voxels.grid.coords[rows, 2])) + 1) * voxels.grid.voxel_size_m
+
+
+def _shrunk(voxels: SurfaceVoxels, times: float) -> SurfaceVoxels:
+    """The same tree, so many times smaller, about the origin. Moments are in voxels."""
+    x, y, z = voxels.grid.origin_m
+    grid = replace(
+        voxels.grid, origin_m=(x / times, y / times, z / times), voxel_size_m=voxels.grid.voxel_size_m / times
+    )
+    return replace(voxels, grid=grid)
