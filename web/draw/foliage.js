@@ -68,7 +68,7 @@ function boxesOf(part, vertices, N) {
 }
 
 /** The connected part of each vertex: union-find over the faces. */
-function connectedParts(faces, N) {
+export function connectedParts(faces, N) {
   const parent = Uint32Array.from({ length: N }, (_, v) => v);
   const root = (v) => {
     let at = v;

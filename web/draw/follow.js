@@ -1,6 +1,7 @@
 // Materials whose vertices follow the displacement field and the bones: one shader, three kinds of geometry.
 
 import * as THREE from "three";
+import { CARDS } from "./cards.js";
 import { DISPLACE } from "./field.js";
 
 /** Weighted mean of the four bones of a vertex. */
@@ -24,9 +25,10 @@ vec3 restPoint() { restNormal = normal; return position; }`;
  * it (`poseOfPoint`), and where it is at rest (`restPoint`, which sets `restNormal`).
  */
 const KINDS = {
-  /** Each vertex has its own displacement. */
+  /** Each vertex has its own displacement, those of a leaf card one together. */
   vertices: `${BONES}
-vec4 fieldOfPoint() { return movedAt(gl_VertexID); }`,
+${CARDS}
+vec4 fieldOfPoint() { vec4 own = movedAt(gl_VertexID); return vec4(cardMoved(own.xyz), own.w); }`,
 
   /** A vertex has the weighted mean of its four nearest voxels. */
   nearVoxels: `${BONES}

@@ -2,6 +2,7 @@
 
 import * as THREE from "three";
 import { readTensors } from "../motion/tensors.js";
+import { noCards } from "./cards.js";
 import { softenFoliage } from "./foliage.js";
 
 /** `{ geometry, materials, ... }` of the body of …/surface. */
@@ -30,6 +31,7 @@ function buildGeometry(surface) {
   geometry.setAttribute("position", new THREE.BufferAttribute(surface.vertices, 3));
   if (surface.uv) geometry.setAttribute("uv", new THREE.BufferAttribute(surface.uv, 2));
   geometry.setAttribute("still", new THREE.BufferAttribute(surface.still ?? new Uint8Array(surface.N), 1));
+  geometry.setAttribute("cardRows", noCards(surface.N));
   setBones(geometry, surface);
   const { index, groups } = byMaterial(surface);
   geometry.setIndex(new THREE.BufferAttribute(index, 1));
