@@ -76,7 +76,6 @@ def test_cards_keep_their_size_in_a_storm(view: Open, url: str) -> None:
         growth[rigid] = np.percentile(np.abs(areas(faces, moved[:, :3])[large] / before[large] - 1), 99)
     hung = rows[rows[:, 0] >= 0, 0]
     gap = np.linalg.norm(bent[hung, :3] - moved[hung, :3], axis=1).max()
-    print(growth)
     assert growth[True] < 0.001
     assert growth[False] > 0.1
     assert gap < 1e-5
