@@ -22,6 +22,7 @@ from dynamictree.modal.response import group_forces
 from dynamictree.modal.step import State, exact_step, run
 from dynamictree.modal.system import ModalSystem, modal_system
 from dynamictree.render import Camera, Look, Renderer
+from dynamictree.requests import PAPER_PERIOD_S
 from dynamictree.spectrum import SparseVoxelSpectrum, Wind, iter_motion
 
 PICTURE = Path(__file__).parent.parent / "docs" / "pictures" / "moving.webp"
@@ -40,7 +41,7 @@ MAX_BYTES = 3_000_000
 
 def main() -> None:
     mesh = make_sample(SEED, SPECIES).mesh
-    spectrum = method.generate(method.voxelize(mesh), seed=SEED, wind=WIND)
+    spectrum = method.generate(method.voxelize(mesh), seed=SEED, wind=WIND, period_s=PAPER_PERIOD_S)
     system = modal_system(spectrum, damping_ratio=DAMPING_RATIO)
     camera = camera_of(mesh)
     voxel, displacement_m = branch_pull(system, camera.world_to_camera[0])
