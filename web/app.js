@@ -3,7 +3,7 @@
 import { Client, Problem } from "./client.js";
 import { Stage } from "./draw/stage.js";
 import { remoteSource } from "./motion/remote.js";
-import { relativePaths, sortFiles } from "./page/bundles.js";
+import { relativePaths, treesAmong } from "./page/bundles.js";
 import { $, ask, describe, fill, paintRanges } from "./page/dom.js";
 import { watchDrops } from "./page/drop.js";
 import { Files } from "./page/files.js";
@@ -133,19 +133,15 @@ async function askKey(again) {
 
 /** Begin with files: the first tree is shown, the others run beside it. */
 async function begin(given) {
-  if (!given.length) return;
-  const { bundles, unknown, empty } = sortFiles(given, await limits.catch(() => NO_LIMITS));
-  if (empty.length) return showProblem(new Problem({ code: "empty-file", name: empty[0].name }));
-  if (!bundles.length && unknown.length > 1) {
-    return showProblem(new Problem({ code: "no-model", name: unknown[0].name, n: unknown.length }));
+  try {
+    const [first, ...others] = treesAmong(given, await limits.catch(() => null));
+    start(first);
+    if (others.length) showNotice(text("begin.others", { n: number(others.length + 1) }));
+    for (const bundle of others) session.uploadInBackground(relativePaths(bundle)).catch((error) => onProblem(error));
+  } catch (error) {
+    showProblem(error);
   }
-  const [first, ...others] = bundles.length ? bundles : [unknown];
-  start(first);
-  if (others.length) showNotice(text("begin.others", { n: number(others.length + 1) }));
-  for (const bundle of others) session.uploadInBackground(relativePaths(bundle)).catch((error) => onProblem(error));
 }
-
-const NO_LIMITS = { mesh_formats: [], cloud_formats: [] };
 
 function start(bundle, name = bundle.length > 1 && isPhotos(bundle) ? "" : stem(bundle[0].path ?? bundle[0].name)) {
   setAddress("#new", true);

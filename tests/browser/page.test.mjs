@@ -8,7 +8,7 @@ import { Resolution } from "../../web/draw/resolution.js";
 import { bandGains, powerLaw } from "../../web/motion/bands.js";
 import { forestMotions, forestPlaces, gustAt } from "../../web/motion/company.js";
 import { ringing, swayFrequency } from "../../web/motion/local.js";
-import { relativePaths, sortFiles } from "../../web/page/bundles.js";
+import { relativePaths, sortFiles, treesAmong } from "../../web/page/bundles.js";
 import { readDrop } from "../../web/page/drop.js";
 import { Machine, TRANSITIONS } from "../../web/page/machine.js";
 import { Session, stem } from "../../web/page/session.js";
@@ -75,6 +75,14 @@ test("photos are one tree; notes beside a model are no scan; nothing is no tree"
   assert.deepEqual(paths(sortFiles([file("readme.txt"), file("Walk.MOV")], limits).bundles), [["Walk.MOV"]]);
   assert.deepEqual(sortFiles([file("a.doc"), file("b.pdf")], limits).bundles, []);
   assert.equal(sortFiles([file("oak.glb", 0)], limits).empty.length, 1);
+});
+
+test("what holds no tree is said to hold none, and one file is sent even where nothing is known of formats", () => {
+  assert.throws(() => treesAmong([], limits), { code: "empty-folder" });
+  assert.throws(() => treesAmong([file("oak/.DS_Store")], limits), { code: "empty-folder" });
+  assert.throws(() => treesAmong([file("oak.glb", 0)], limits), { code: "empty-file", name: "oak.glb" });
+  assert.throws(() => treesAmong([file("a.doc"), file("b.pdf")], limits), { code: "no-model", n: 2 });
+  assert.deepEqual(paths(treesAmong([file("oak.glb")], null)), [["oak.glb"]]);
 });
 
 test("a dropped folder is read whole, with its paths", async () => {

@@ -1,5 +1,7 @@
 // Which of the dropped files belong together: one bundle is one tree.
 
+import { Problem } from "../client/problem.js";
+
 const PHOTOS = new Set(["jpg", "jpeg", "png", "webp", "heic", "heif", "tif", "tiff"]);
 /** Formats that may also be notes or cameras: alone they are a scan, beside a model they are not. */
 const WEAK = new Set(["txt", "xyz", "csv", "pts", "asc"]);
@@ -30,6 +32,19 @@ export function sortFiles(files, limits) {
   if (isPair(heads, mesh, cloud)) return { bundles: [[...used]], empty };
   const beside = used.filter((file) => !heads.includes(file));
   return { bundles: heads.map((head) => [head, ...companions(head, heads, beside)]), empty };
+}
+
+/** Where the service does not say what it reads, one file is sent as it is. */
+const NO_LIMITS = { mesh_formats: [], cloud_formats: [], film_formats: [] };
+
+/** The bundles of files, one at least; `limits` is null where they are not known. Throws a Problem where no tree is among them. */
+export function treesAmong(files, limits) {
+  const { bundles, unknown, empty } = sortFiles(files, limits ?? NO_LIMITS);
+  if (empty.length) throw new Problem({ code: "empty-file", name: empty[0].name });
+  if (bundles.length) return bundles;
+  if (!unknown.length) throw new Problem({ code: "empty-folder" });
+  if (unknown.length > 1) throw new Problem({ code: "no-model", n: unknown.length });
+  return [unknown];
 }
 
 /** One cloud and one mesh in the same place are one tree. */

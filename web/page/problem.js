@@ -9,7 +9,10 @@ export function showProblem(problem, again = null) {
   const words = textOrNull(`problem.${code}`, problem);
   fill($("problem-title"), words ?? title ?? text("problem.page"));
   fill($("problem-suggestion"), textOrNull(`problem.${code}.do`, problem) ?? suggestion ?? "");
-  const original = [words ? title : "", detail || message, words ? suggestion : ""].filter(Boolean).join(". ");
+  const ours = Boolean(words) && !detail && !problem.status; // the service has said nothing
+  const original = ours
+    ? ""
+    : [words ? title : "", detail || message, words ? suggestion : ""].filter(Boolean).join(". ");
   fill($("problem-detail"), original);
   const fields = errors.filter((error) => !detail?.includes(error.detail));
   const items = fields.map((error) => element("li", {}, `${error.pointer}: ${error.detail}`));

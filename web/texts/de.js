@@ -252,6 +252,8 @@ export default {
   "problem.close": "Schließen",
   "problem.empty-file": "„{name}“ ist leer",
   "problem.empty-file.do": "Die Datei noch einmal speichern oder herunterladen, dann hier ablegen.",
+  "problem.empty-folder": "Dieser Ordner ist leer",
+  "problem.empty-folder.do": "Einen Ordner mit einem Modell und seinen Dateien oder mit Fotos eines Baums ablegen.",
   "problem.no-model": "Unter diesen {n} Dateien ist kein Baum",
   "problem.no-model.do":
     "Ein Mesh, einen Splat, einen Scan, einen Film oder mindestens 8 Fotos ablegen; die Formate stehen auf dieser Seite.",

@@ -252,6 +252,8 @@ export default {
   "problem.close": "Close",
   "problem.empty-file": "“{name}” is empty",
   "problem.empty-file.do": "Save or download it again, then drop it here.",
+  "problem.empty-folder": "This folder is empty",
+  "problem.empty-folder.do": "Drop a folder that holds a model with its files, or photos of one tree.",
   "problem.no-model": "There is no tree among these {n} files",
   "problem.no-model.do":
     "Drop a mesh, a splat, a scan, at least 8 photos, or a film; the formats are named on this page.",
