@@ -85,9 +85,23 @@ def render_on_cpu(
     cloud: GaussianCloud, camera: Camera, *, width: int, height: int, pose: Pose | None = None, antialias: bool = True
 ) -> SplatPicture:
     """`render_cloud` without CUDA, whatever is there."""
+    ellipses, bounds = projected(cloud, camera, width=width, height=height, pose=pose, antialias=antialias)
+    order, starts = tile_lists(ellipses, bounds, width, height)
+    picture = np.zeros((height, width, 5), np.float32)
+    in_bands(blend, len(starts) - 1, ellipses, bounds, order, starts, picture)
+    return _finished(picture)
+
+
+def projected(
+    cloud: GaussianCloud, camera: Camera, *, width: int, height: int, pose: Pose | None = None, antialias: bool = True
+) -> tuple[Float32[np.ndarray, "G 10"], Int32[np.ndarray, "G 4"]]:
+    """Ellipses in the picture (centre, conic, opacity, colour, depth), and left, right, top and bottom of each [px].
+
+    Nothing is written where a Gaussian is not seen, so its bounds are empty.
+    """
     now = pose or Pose(means=cloud.means, quaternions=cloud.quaternions, scales=cloud.scales)
     ellipses = np.zeros((cloud.num_gaussians, 10), np.float32)
-    bounds = np.zeros((cloud.num_gaussians, 4), np.int32)  # left, right, top, bottom; empty where not seen
+    bounds = np.zeros((cloud.num_gaussians, 4), np.int32)
     in_bands(
         project,
         cloud.num_gaussians,
@@ -103,10 +117,7 @@ def render_on_cpu(
         ellipses,
         bounds,
     )
-    order, starts = tile_lists(ellipses, bounds, width, height)
-    picture = np.zeros((height, width, 5), np.float32)
-    in_bands(blend, len(starts) - 1, ellipses, bounds, order, starts, picture)
-    return _finished(picture)
+    return ellipses, bounds
 
 
 def tile_lists(
