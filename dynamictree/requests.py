@@ -35,6 +35,7 @@ LARGEST = 1e6
 """Of any component of a vector, mass or length in a request: far beyond a storm, far below what overflows."""
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
+Share = Annotated[float, Field(ge=0, le=1)]
 Box = tuple[tuple[Finite, Finite, Finite], tuple[Finite, Finite, Finite]]
 """Low and high corner [m], +Z up."""
 PartNames = Annotated[
@@ -139,6 +140,28 @@ class CloudParams(Request):
     )
 
 
+class Scribble(Request):
+    """A stroke on a photo, or a click, that says what is seen under it."""
+
+    photo: str = Field(min_length=1, max_length=1024, description="The photo's name, as in cameras.json")
+    plant: bool = Field(description="Whether the plant is under it, or something else")
+    points: tuple[tuple[Share, Share], ...] = Field(
+        min_length=1,
+        max_length=1000,
+        description="Places along the stroke, from left and from top, as shares of the photo's width and height",
+    )
+
+
+Scribbles = Annotated[tuple[Scribble, ...], Field(min_length=1, max_length=200)]
+_SCRIBBLES = (
+    "Strokes on photos that say what is the plant and what is not; all else is decided by them and by what the photos "
+    "show of it"
+)
+_ONLY_PLANT = (
+    "Cut out the plant without strokes: not the ground, not what is far, but what stands in the middle of the photos"
+)
+
+
 class LearningParams(Request):
     """What decides on the scene that is learned from photos, before the tree is cut out of it."""
 
@@ -162,6 +185,8 @@ class PhotoParams(LearningParams):
         lt=1000,
         description="Of photos: the tree's height [m], which they do not show; 1 m if unset",
     )
+    scribbles: Scribbles | None = Field(default=None, description=_SCRIBBLES)
+    only_plant: bool = Field(default=False, description=_ONLY_PLANT)
 
 
 class CutParams(Request):
@@ -174,6 +199,13 @@ class CutParams(Request):
     height_m: Finite | None = Field(
         default=None, gt=0, lt=1000, description="The plant's height [m]; if unset the scale stays"
     )
+    scribbles: Scribbles | None = Field(default=None, description=_SCRIBBLES)
+    only_plant: bool = Field(default=False, description=_ONLY_PLANT)
+
+    @property
+    def cuts(self) -> bool:
+        """Whether the plant is cut out at all."""
+        return self.box_m is not None or self.scribbles is not None or self.only_plant
 
 
 class GridParams(Request):

@@ -39,6 +39,12 @@ class AnimateParams(Model):
     video_frames: int | None = None
     # Of photos: the tree's height [m], which they do not show; 1 m if unset
     height_m: float | None = None
+    # Strokes on photos that say what is the plant and what is not; all else is decided by them and by what the
+    # photos show of it
+    scribbles: "list[Scribble] | None" = None
+    # Cut out the plant without strokes: not the ground, not what is far, but what stands in the middle of the
+    # photos
+    only_plant: bool = False
     wind: "Wind | None" = None
     # Sampler steps; the number of the preset if unset
     num_steps: int | None = None
@@ -235,6 +241,12 @@ class DiffuseParams(Model):
     video_frames: int | None = None
     # Of photos: the tree's height [m], which they do not show; 1 m if unset
     height_m: float | None = None
+    # Strokes on photos that say what is the plant and what is not; all else is decided by them and by what the
+    # photos show of it
+    scribbles: "list[Scribble] | None" = None
+    # Cut out the plant without strokes: not the ground, not what is far, but what stands in the middle of the
+    # photos
+    only_plant: bool = False
     wind: "Wind | None" = None
     # Sampler steps; the number of the preset if unset
     num_steps: int | None = None
@@ -704,6 +716,12 @@ class ReconstructParams(Model):
     video_frames: int | None = None
     # Of photos: the tree's height [m], which they do not show; 1 m if unset
     height_m: float | None = None
+    # Strokes on photos that say what is the plant and what is not; all else is decided by them and by what the
+    # photos show of it
+    scribbles: "list[Scribble] | None" = None
+    # Cut out the plant without strokes: not the ground, not what is far, but what stands in the middle of the
+    # photos
+    only_plant: bool = False
 
 
 class ReconstructRequest(Model):
@@ -747,6 +765,17 @@ class RetryRequest(Model):
 
     # this stage and those after it run anew; without it, what is cached is taken
     from_stage: Literal["reconstruct", "voxelize", "diffuse", "animate"] | None = None
+
+
+class Scribble(Model):
+    """A stroke on a photo, or a click, that says what is seen under it."""
+
+    # The photo's name, as in cameras.json
+    photo: str
+    # Whether the plant is under it, or something else
+    plant: bool
+    # Places along the stroke, from left and from top, as shares of the photo's width and height
+    points: list[tuple[float, float]]
 
 
 class Shot(Model):
@@ -909,6 +938,12 @@ class VoxelizeParams(Model):
     video_frames: int | None = None
     # Of photos: the tree's height [m], which they do not show; 1 m if unset
     height_m: float | None = None
+    # Strokes on photos that say what is the plant and what is not; all else is decided by them and by what the
+    # photos show of it
+    scribbles: "list[Scribble] | None" = None
+    # Cut out the plant without strokes: not the ground, not what is far, but what stands in the middle of the
+    # photos
+    only_plant: bool = False
     # Voxels along the side of the cube
     resolution: Literal[32, 64, 128, 256, 512] = 128
 

@@ -17,7 +17,7 @@ from dynamictree.commands.terminal import AsJson, tell
 from dynamictree.errors import InputError
 from dynamictree.files import published
 from dynamictree.formats.suffixes import PHOTO_SUFFIXES
-from dynamictree.requests import PHOTOS_OF_VIDEO, PhotoParams
+from dynamictree.requests import PHOTOS_OF_VIDEO, CutParams, PhotoParams
 
 
 @with_request_options
@@ -62,8 +62,9 @@ def reconstruct(
                 check()
 
             reconstruct_photos(paths, folder, options=options_of(params), root=root, work=work, on_progress=on_progress)
-            if params.height_m is not None:
-                recut(folder, folder, height_m=params.height_m)
+            cut = CutParams.part_of(params.model_dump())
+            if cut.cuts or cut.height_m is not None:
+                recut(folder, folder, cut)
             names = sorted(path.name for path in folder.iterdir())
             facts = json.loads((folder / "report.json").read_text())
     except BaseException as error:

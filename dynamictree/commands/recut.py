@@ -20,11 +20,15 @@ def recut(
     params: CutParams,
     as_json: AsJson = False,
 ) -> None:
-    """Cut the plant out of a finished reconstruction by a box, and give it its height; nothing is learned again."""
+    """Cut the plant out of a finished reconstruction, and give it its height; nothing is learned again.
+
+    By a box, by strokes on photos (--scribble "IMG_3.jpg plant 0.5,0.4 0.5,0.7" and --scribble "IMG_3.jpg other
+    0.1,0.9", places as shares of the photo's width and height), or without help (--only-plant).
+    """
     from dynamictree.reconstruct.recut import recut as recut_folder
 
     with published(output) as folder:
-        recut_folder(source, folder, box_m=params.box_m, height_m=params.height_m)
+        recut_folder(source, folder, params)
         names = sorted(path.name for path in folder.iterdir())
         facts = json.loads((folder / "report.json").read_text())
     tell({"files": [str(output / name) for name in names], **facts}, as_json=as_json)

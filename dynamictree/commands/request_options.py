@@ -2,6 +2,7 @@
 
 import functools
 import inspect
+import re
 from collections.abc import Callable, Iterator
 from typing import Annotated, Any
 
@@ -15,6 +16,7 @@ OPTION_NAMES = {
     "num_frames": "frames",
     "period_s": "period",
     "formats": "format",
+    "scribbles": "scribble",
     "box_m": "box",
     "still_box_m": "still-box",
     "moving_box_m": "moving-box",
@@ -31,6 +33,9 @@ OPTION_NAMES = {
 _SECOND_NAMES = {"preset": ("--model",)}
 """Options that may be written in two ways: a model may also be a file of weights."""
 _TYPES = {"integer": int, "number": float, "boolean": bool, "string": str, "array": str}
+
+_PLANT, _OTHER = "plant", "other"
+"""What a stroke may say."""
 
 Schema = dict[str, Any]
 Place = tuple[str, ...]
@@ -110,6 +115,8 @@ def _allowed(kind: Schema) -> str:
     if kind["type"] == "array":
         if "items" not in kind:
             return "x,y,z,x,y,z"
+        if _is_repeated(kind):
+            return f"PHOTO {_PLANT}|{_OTHER} X,Y X,Y ..., once per stroke"
         choices = kind["items"].get("enum", ["names"])
         return f"Comma-separated, or the option again: {', '.join(choices)}"
     if "enum" in kind:
@@ -150,12 +157,34 @@ def _checked(model: type[Request], values: dict[Place, tuple[Any, Schema]]) -> R
         target = filled
         for step in above:
             target = target.setdefault(step, {})
-        kind = _kind(schema)
-        target[name] = _names(value) if "items" in kind else _box(name, value) if kind["type"] == "array" else value
+        target[name] = _read(name, value, _kind(schema))
     try:
         return model.model_validate(filled)
     except ValidationError as error:
         raise InputError(explanation(error, lambda place: _option_name(place[-1]))) from None
+
+
+def _is_repeated(kind: Schema) -> bool:
+    """Whether a field holds models, here strokes, one per option; not names or numbers."""
+    return "$ref" in kind.get("items", {})
+
+
+def _read(name: str, value: Any, kind: Schema) -> Any:
+    if _is_repeated(kind):
+        return [_stroke(name, text) for text in value]
+    if "items" in kind:
+        return _names(value)
+    return _box(name, value) if kind["type"] == "array" else value
+
+
+def _stroke(name: str, text: str) -> Schema:
+    """Read a stroke: photo, what is under it, and places."""
+    pattern = rf"(.+?)\s+({_PLANT}|{_OTHER})((?:\s+[^\s,]+,[^\s,]+)+)\s*"
+    if not (parts := re.fullmatch(pattern, text)):
+        problem = f'a photo, {_PLANT} or {_OTHER}, and places are needed, as "IMG_3.jpg {_PLANT} 0.5,0.4 0.5,0.7"'
+        raise InputError(f"{_option_name(name)} is {text!r}: {problem}")
+    photo, what, places = parts.groups()
+    return {"photo": photo, "plant": what == _PLANT, "points": [place.split(",") for place in places.split()]}
 
 
 def _names(values: list[str]) -> list[str]:

@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.reconstruct.splat_table import cloud_of
 
-_BESIDE = 0.02  # of the region's radius: how far from the mesh a Gaussian of the tree may stand
+BESIDE = 0.02  # of the region's radius: how far from the mesh a Gaussian of the tree may stand
 _LARGEST = 0.15  # of the region's radius: what is wider belongs to the background
 _FAINTEST = 0.02
 
@@ -25,7 +25,7 @@ def of_the_tree(
     cloud: GaussianCloud, vertices: Float32[np.ndarray, "N 3"], *, radius_m: float
 ) -> Bool[np.ndarray, " G"]:
     """Select Gaussians near the mesh's vertices that are neither wide nor faint; the radius is the region's [m]."""
-    distance = cKDTree(vertices).query(cloud.means, distance_upper_bound=_BESIDE * radius_m)[0]
+    distance = cKDTree(vertices).query(cloud.means, distance_upper_bound=BESIDE * radius_m)[0]
     narrow = cloud.scales.max(axis=1) < _LARGEST * radius_m
     chosen: Bool[np.ndarray, " G"] = np.isfinite(distance) & narrow & (cloud.opacity > _FAINTEST)
     return chosen

@@ -13,7 +13,7 @@ from dynamictree.reconstruct.optimise import Schedule
 from dynamictree.reconstruct.photo_input import ReadPhotos, read_photos
 from dynamictree.reconstruct.recut import pack, recut, unpack
 from dynamictree.reconstruct.video_frames import write_sharp_frames
-from dynamictree.requests import PHOTOS_OF_VIDEO, LearningParams, ReconstructParams
+from dynamictree.requests import PHOTOS_OF_VIDEO, CutParams, LearningParams, ReconstructParams
 
 Recall = Callable[[Literal["reconstruction"], Callable[[Path], None]], Path]
 WriteFrames = Callable[[Path, Path, int, Callable[[], None]], list[Path]]
@@ -72,9 +72,10 @@ def reconstruct_capture(
         pack(folder, archive)
 
     unpack(recall("reconstruction", learn), folder)
-    capture = recut(folder, folder, height_m=params.height_m)
-    if params.box_m is not None:
-        capture = recut(folder, folder, box_m=params.box_m, height_m=params.height_m)
+    cut = CutParams.part_of(params.model_dump())
+    capture = recut(folder, folder, CutParams(height_m=params.height_m))
+    if cut.cuts:
+        capture = recut(folder, folder, cut)
     capture = with_still_parts(capture)
     return replace(capture, mesh=carrying_mesh(capture))
 

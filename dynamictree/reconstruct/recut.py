@@ -9,21 +9,22 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float32, Float64
 
-from dynamictree.errors import InputError, MeshError
+from dynamictree.errors import InputError
 from dynamictree.files import opened
 from dynamictree.formats.mesh.ply import read_ply_mesh
 from dynamictree.formats.mesh.ply_writer import write_ply
 from dynamictree.formats.splat.ply import read_gaussian_ply, write_gaussian_ply
 from dynamictree.gaussian.capture import Capture, carrying_mesh, with_still_parts
 from dynamictree.gaussian.cloud import GaussianCloud, in_box
-from dynamictree.gaussian.cloud_mesh import mesh_of_cloud
 from dynamictree.mesh import TriangleMesh
-from dynamictree.reconstruct.cut import of_the_tree
-from dynamictree.requests import Box
+from dynamictree.reconstruct.cut import BESIDE, of_the_tree
+from dynamictree.reconstruct.cut_mesh import mesh_in_box, plant_mesh
+from dynamictree.reconstruct.plant_cut import plant_of
+from dynamictree.reconstruct.seen_from import read_cameras
+from dynamictree.reconstruct.soot import soot_of
+from dynamictree.requests import CutParams
 
-_LEAST_FACES = 50
 _LEAST_GAUSSIANS = 50
-_CELLS = 320  # along the longest side of a surface that is made anew
 _PICTURES = ("report.png",)
 
 
@@ -55,31 +56,26 @@ class Finished:
         )
 
 
-def recut(source: Path, target: Path, *, box_m: Box | None = None, height_m: float | None = None) -> Capture:
-    """Write the files of a finished reconstruction again, of what is in a box alone, and as high as asked for.
+def recut(source: Path, target: Path, choice: CutParams) -> Capture:
+    """Write the files of a finished reconstruction again, of the plant alone, and as high as asked for.
 
-    What is in the box stands on z = 0 afterwards. Without a box the mesh stays as it is, without a height the scale.
+    The plant is what is in a box, what strokes on photos say (`plant_of`), or both. What is cut out stands on z = 0
+    afterwards. Without a cut the mesh stays as it is, without a height the scale.
 
     Args:
         source: folder of a finished reconstruction.
         target: folder for the files; may be the same.
-        box_m: low and high corner, in the frame of the files in `source`.
-        height_m: of the plant in the box: of the mesh without pots, ground and what else is found to be no plant.
+        choice: the box, in the frame of the files in `source`; strokes; and the height of the plant: of the mesh
+            without pots, ground and what else is found to be no plant.
 
     Raises:
-        InputError: the folder holds no reconstruction, or the box no plant.
+        InputError: the folder holds no reconstruction, or box and strokes no plant.
     """
     finished = _read(source)
-    mesh, places = finished.mesh, finished.mesh.vertices
-    own = np.ones(finished.scene.num_gaussians, np.bool_)
-    if box_m is not None:
-        own = in_box(finished.scene, *box_m)
-        mesh, places = _mesh_in(box_m, finished.mesh, finished.scene.subset(own))
-    own &= of_the_tree(finished.scene, places, radius_m=finished.report["radius_m"])
-    if own.sum() < _LEAST_GAUSSIANS:
-        raise InputError(f"{int(own.sum())} Gaussians of a plant are in the box; at least {_LEAST_GAUSSIANS} must be")
+    own, mesh = _cut_out(finished, choice)
+    height_m = choice.height_m
     scale = 1.0 if height_m is None else height_m / _plant_height(finished.scene.subset(own), mesh)
-    ground = np.array([0.0, 0.0, 0.0 if box_m is None else mesh.vertices[:, 2].min()])
+    ground = np.array([0.0, 0.0, mesh.vertices[:, 2].min() if choice.cuts else 0.0])
     moved = replace(finished, mesh=mesh).moved(scale, ground)
     origin_of_scale = "unknown" if height_m is None and finished.report["scale"] == "unknown" else "given"
     moved.cameras["scale"] = origin_of_scale
@@ -96,6 +92,30 @@ def recut(source: Path, target: Path, *, box_m: Box | None = None, height_m: flo
         if source != target:
             (target / name).write_bytes((source / name).read_bytes())
     return Capture(cloud=plant, mesh=moved.mesh)
+
+
+def _cut_out(finished: Finished, choice: CutParams) -> tuple[Bool[np.ndarray, " G"], TriangleMesh]:
+    """The plant's Gaussians and its mesh."""
+    scene, radius_m = finished.scene, finished.report["radius_m"]
+    mesh, places = finished.mesh, finished.mesh.vertices
+    own = np.ones(scene.num_gaussians, np.bool_) if choice.box_m is None else in_box(scene, *choice.box_m)
+    if choice.scribbles or choice.only_plant:
+        views = read_cameras(finished.cameras)
+        own &= plant_of(scene, views, choice.scribbles or ())
+        _require_plant(own)
+        own &= ~soot_of(scene, own, views)
+        mesh = plant_mesh(mesh, scene, own, beside_m=BESIDE * radius_m)
+    else:
+        if choice.box_m is not None:
+            mesh, places = mesh_in_box(choice.box_m, mesh, scene.subset(own))
+        own &= of_the_tree(scene, places, radius_m=radius_m)
+    _require_plant(own)
+    return own, mesh
+
+
+def _require_plant(own: Bool[np.ndarray, " G"]) -> None:
+    if own.sum() < _LEAST_GAUSSIANS:
+        raise InputError(f"{int(own.sum())} Gaussians of a plant are in the cut; at least {_LEAST_GAUSSIANS} must be")
 
 
 def pack(folder: Path, archive: Path) -> None:
@@ -141,21 +161,3 @@ def _plant_height(cloud: GaussianCloud, mesh: TriangleMesh) -> float:
     carrying = carrying_mesh(with_still_parts(Capture(cloud=cloud, mesh=mesh)))
     faces = mesh.faces if carrying.still_faces is None else mesh.faces[~carrying.still_faces]
     return float(np.ptp(mesh.vertices[faces, 2]))
-
-
-def _mesh_in(box_m: Box, mesh: TriangleMesh, cloud: GaussianCloud) -> tuple[TriangleMesh, Float32[np.ndarray, "M 3"]]:
-    """The part of the mesh in the box, or the surface of the Gaussians there; and places that the plant is near to."""
-    low, high = np.array(box_m)
-    inside: Bool[np.ndarray, " N"] = np.all((mesh.vertices >= low) & (mesh.vertices <= high), axis=1)
-    faces = mesh.faces[inside[mesh.faces].all(axis=1)]
-    if len(faces) < _LEAST_FACES:
-        try:
-            return mesh_of_cloud(cloud, cells_along=_CELLS), cloud.means
-        except (InputError, MeshError, ValueError) as error:
-            raise InputError(f"nothing in the box from {box_m[0]} to {box_m[1]} has a surface; enlarge it") from error
-    used, rows = np.unique(faces, return_inverse=True)
-    colors = None if mesh.vertex_colors is None else mesh.vertex_colors[used]
-    cropped = TriangleMesh(
-        vertices=mesh.vertices[used], faces=rows.reshape(-1, 3).astype(np.int32), vertex_colors=colors
-    )
-    return cropped, cropped.vertices

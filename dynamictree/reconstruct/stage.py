@@ -44,7 +44,7 @@ def find_stage(model: SparseModel, rng: np.random.Generator, *, ground: bool = T
     positions = np.array([view.camera.position_m for view in model.views])
     forward = np.array([view.camera.world_to_camera[2] for view in model.views])
     up, cues_agree = camera_up(positions, np.array([view.camera.world_to_camera for view in model.views]))
-    focus = _nearest_to_axes(positions, forward)
+    focus = nearest_to_axes(positions, forward)
     distance = np.linalg.norm(positions - focus, axis=1)
     half_sides = [0.5 * max(1.0, view.image.shape[1] / view.image.shape[0]) / view.camera.focal for view in model.views]
     radius = float(np.median(distance * half_sides))
@@ -81,7 +81,7 @@ def camera_up(
     return (cues[best], True) if agreeing[best] > 1 else (mean_up, False)
 
 
-def _nearest_to_axes(
+def nearest_to_axes(
     positions: Float64[np.ndarray, "V 3"], forward: Float64[np.ndarray, "V 3"]
 ) -> Float64[np.ndarray, "3"]:
     """The point of least squared distance to all viewing axes."""

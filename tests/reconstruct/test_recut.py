@@ -13,6 +13,7 @@ from dynamictree.formats.mesh.ply import read_ply_mesh
 from dynamictree.formats.splat.ply import read_gaussian_ply
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.reconstruct.recut import pack, recut, unpack
+from dynamictree.requests import CutParams
 from tests.reconstruct.finished import BOX, NUM_FLOOR, NUM_LAMP, NUM_STEM, write_finished
 
 
@@ -30,7 +31,7 @@ def cloud(path: Path) -> GaussianCloud:
 def test_only_the_plant_is_left_and_has_the_height_that_is_asked_for(finished: Path, tmp_path: Path) -> None:
     target = tmp_path / "cut"
     target.mkdir()
-    capture = recut(finished, target, box_m=BOX, height_m=2.5)
+    capture = recut(finished, target, CutParams(box_m=BOX, height_m=2.5))
     assert capture.mesh is not None
     assert capture.mesh.height_m == pytest.approx(2.5, rel=1e-5)
     assert capture.mesh.vertices[:, 2].min() == pytest.approx(0, abs=1e-6)
@@ -53,23 +54,23 @@ def test_cameras_look_at_what_they_saw(finished: Path, tmp_path: Path) -> None:
         return toward / np.linalg.norm(toward, axis=1, keepdims=True)
 
     before = directions(finished)
-    recut(finished, finished, box_m=BOX, height_m=0.7)
+    recut(finished, finished, CutParams(box_m=BOX, height_m=0.7))
     np.testing.assert_allclose(directions(finished), before, atol=1e-5)
 
 
 def test_a_cut_and_then_a_height_is_both_at_once(finished: Path, tmp_path: Path) -> None:
     for name in ("once", "first", "second"):
         (tmp_path / name).mkdir()
-    recut(finished, tmp_path / "once", box_m=BOX, height_m=3.0)
-    recut(finished, tmp_path / "first", box_m=BOX)
+    recut(finished, tmp_path / "once", CutParams(box_m=BOX, height_m=3.0))
+    recut(finished, tmp_path / "first", CutParams(box_m=BOX))
     assert json.loads((tmp_path / "first" / "report.json").read_text())["scale"] == "unknown"
-    recut(tmp_path / "first", tmp_path / "second", height_m=3.0)
+    recut(tmp_path / "first", tmp_path / "second", CutParams(height_m=3.0))
     once, twice = (cloud(tmp_path / name / "scene.ply") for name in ("once", "second"))
     np.testing.assert_allclose(twice.means, once.means, atol=1e-5)
 
 
 def test_what_the_mesh_lacks_gets_a_surface_of_its_gaussians(finished: Path, tmp_path: Path) -> None:
-    capture = recut(finished, finished, box_m=((-0.5, -0.5, 1.9), (0.5, 0.5, 2.6)))
+    capture = recut(finished, finished, CutParams(box_m=((-0.5, -0.5, 1.9), (0.5, 0.5, 2.6))))
     assert capture.mesh is not None
     assert capture.mesh.num_faces > 100
     assert capture.cloud.num_gaussians > 0.9 * NUM_LAMP
@@ -77,14 +78,14 @@ def test_what_the_mesh_lacks_gets_a_surface_of_its_gaussians(finished: Path, tmp
 
 def test_a_box_of_nothing_and_a_folder_of_something_else_are_refused(finished: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"no Gaussian is in the box"):
-        recut(finished, finished, box_m=((5.0, 5.0, 5.0), (6.0, 6.0, 6.0)))
-    with pytest.raises(InputError, match=r"Gaussians of a plant are in the box; at least 50"):
-        recut(finished, finished, box_m=((-0.1, -0.1, 0.5), (0.1, 0.1, 0.6)))
+        recut(finished, finished, CutParams(box_m=((5.0, 5.0, 5.0), (6.0, 6.0, 6.0))))
+    with pytest.raises(InputError, match=r"Gaussians of a plant are in the cut; at least 50"):
+        recut(finished, finished, CutParams(box_m=((-0.1, -0.1, 0.5), (0.1, 0.1, 0.6))))
     with pytest.raises(InputError, match=r"holds no report\.json"):
-        recut(tmp_path, tmp_path)
+        recut(tmp_path, tmp_path, CutParams())
     (finished / "report.json").write_text("{}")
     with pytest.raises(InputError, match="earlier version"):
-        recut(finished, finished)
+        recut(finished, finished, CutParams())
 
 
 def test_unpack_undoes_pack(finished: Path, tmp_path: Path) -> None:

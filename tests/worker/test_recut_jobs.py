@@ -18,6 +18,7 @@ from jobs.records import AssetRecord, JobRecord
 from jobs.stage_files import MESH_BUNDLE
 from jobs.states import stages_of
 from tests.reconstruct.finished import BOX, NUM_STEM, write_finished
+from tests.reconstruct.planted import potted, stroke_across, write_planted
 from tests.rows import asset_row, job_row, stored_part
 from tests.worker.conftest import hold, watch
 from worker.attempt import _prepared_sources, _recall, run_stages
@@ -50,6 +51,16 @@ def learned(runtime: Runtime, photos: AssetRecord, tmp_path: Path) -> AssetRecor
     return photos
 
 
+@pytest.fixture
+def learned_potted(runtime: Runtime, photos: AssetRecord, tmp_path: Path) -> AssetRecord:
+    """The same, as if a job had learned a potted plant from them."""
+    write_planted(potted(), tmp_path / "finished")
+    make = partial(pack, tmp_path / "finished")
+    job = reconstruct_job(runtime, photos, height_m=9.0)
+    _recall(runtime, job, tmp_path, _prepared_sources(photos), False, "reconstruction", make)
+    return photos
+
+
 def content(runtime: Runtime, job: JobRecord, name: str) -> BytesIO:
     artifacts = {artifact.name: artifact for artifact in runtime.store.artifacts_of(job.id)}
     return BytesIO(b"".join(runtime.artifacts.read(artifacts[name].sha256)))
@@ -64,6 +75,17 @@ def test_a_box_and_a_height_cut_what_was_learned(runtime: Runtime, learned: Asse
     mesh = read_mesh_bundle(content(runtime, job, MESH_BUNDLE))
     np.testing.assert_allclose([mesh.vertices[:, 2].min(), mesh.height_m], [0, 2.0], atol=1e-5)
     assert "report.json" in {artifact.name for artifact in runtime.store.artifacts_of(job.id)}
+
+
+def test_a_stroke_cuts_what_was_learned(runtime: Runtime, learned_potted: AssetRecord) -> None:
+    stroke = stroke_across(potted(), 0).model_dump(mode="json")
+    job = reconstruct_job(runtime, learned_potted, height_m=2.0, scribbles=[stroke])
+    with watch(runtime, hold(runtime, job)) as watching:
+        run_stages(runtime, watching)
+    splat = read_gaussian_ply(content(runtime, job, "splat.ply"))
+    number = int(potted().plant.sum())
+    assert 0.95 * number < splat.num_gaussians <= number
+    assert read_mesh_bundle(content(runtime, job, MESH_BUNDLE)).height_m == pytest.approx(2.0, rel=0.02)
 
 
 def test_all_that_was_cut_out_moves(runtime: Runtime, learned: AssetRecord) -> None:

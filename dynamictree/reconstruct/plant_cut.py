@@ -1,0 +1,152 @@
+"""Separate the plant's Gaussians from all others by a minimum cut. GrabCut (Rother et al. 2004), on Gaussians.
+
+The graph joins each Gaussian with its nearest neighbours, by edges that are the stronger the nearer and the more alike
+in colour they are. Strokes decide for what is seen under them; all else is decided by colour, the proposal and the
+smallest sum of edges that the cut severs.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, Int8, Int64
+from scipy.ndimage import gaussian_filter
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import breadth_first_order, dijkstra, maximum_flow
+from scipy.spatial import cKDTree
+from skimage.color import rgb2lab
+
+from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.gaussian.harmonics import SH_0
+from dynamictree.reconstruct.plant_proposal import Proposal, propose
+from dynamictree.reconstruct.scribbles import marked
+from dynamictree.reconstruct.seen_from import SeenFrom
+from dynamictree.requests import Scribble
+
+_NEIGHBOURS = 10
+_ROUNDS = 4  # of colours from the cut, and the cut from colours
+_SMOOTHNESS = 1.5  # of an edge between neighbours of one colour, in log odds
+_COLOR_SPREAD = 12.0  # CIELAB, a just visible difference being about 2: half an edge at this times 1.2
+_MOST_COLOR = 2.0  # log odds that a colour can give
+_PROPOSED = 1.0  # log odds of what the proposal takes for the plant
+_REJECTED = 4.0  # and of what it takes for background
+_CERTAIN = 1000.0
+_UNIT = 1000  # of a capacity: the flow is in integers
+_BINS = (12, 18, 18)  # of lightness, and of green to red and blue to yellow, from -90 to 90
+_STROKE_ODDS = 6.0  # log odds beside a stroke
+_STROKE_REACH = 20.0  # steps between neighbours of one colour, after which they are e times less
+_COLOR_STEP = 8.0  # CIELAB: a difference that makes a step twice as long
+
+
+def plant_of(cloud: GaussianCloud, views: list[SeenFrom], scribbles: Sequence[Scribble] = ()) -> Bool[np.ndarray, " G"]:
+    """Which Gaussians are the plant: by strokes, and by what the photos circle and the ground is.
+
+    Raises:
+        InputError: a stroke names no photo with a camera, or nothing is seen below all strokes of the plant.
+    """
+    proposal = propose(cloud, views)
+    strokes = marked(cloud, views, scribbles)
+    rows = np.flatnonzero(proposal.near | (strokes != 0))
+    own = np.zeros(cloud.num_gaussians, np.bool_)
+    own[rows] = _cut(cloud.subset(rows), _rows_of(proposal, rows), strokes[rows])
+    return own
+
+
+def _rows_of(proposal: Proposal, rows: Int64[np.ndarray, " M"]) -> Proposal:
+    return Proposal(near=proposal.near[rows], background=proposal.background[rows], central=proposal.central[rows])
+
+
+def _cut(cloud: GaussianCloud, proposal: Proposal, strokes: Int8[np.ndarray, " G"]) -> Bool[np.ndarray, " G"]:
+    color = lab_of(cloud)
+    edges, weights = _edges(cloud, color)
+    prior = np.where(proposal.central, _PROPOSED, 0.0) - np.where(proposal.background, _REJECTED, 0.0)
+    prior += _stroke_odds(cloud, color, edges, strokes)
+    own = proposal.central & (strokes >= 0) | (strokes > 0)
+    for _ in range(_ROUNDS):
+        odds = prior + _color_odds(color, cloud.opacity, own)
+        odds = np.where(strokes == 0, odds, _CERTAIN * strokes)
+        previous, own = own, minimum_cut(odds, edges, weights)
+        if (previous == own).all():
+            break
+    return own
+
+
+def lab_of(cloud: GaussianCloud) -> Float32[np.ndarray, "G 3"]:
+    """Mean colour of each Gaussian from all around, in CIELAB."""
+    lab: Float32[np.ndarray, "G 3"] = rgb2lab(np.clip(cloud.sh[:, 0] * SH_0 + 0.5, 0, 1)).astype(np.float32)
+    return lab
+
+
+def _edges(
+    cloud: GaussianCloud, color: Float32[np.ndarray, "G 3"]
+) -> tuple[Int64[np.ndarray, "E 2"], Float64[np.ndarray, " E"]]:
+    """Pairs of neighbours, each once, and the price of parting them, in log odds."""
+    number = cloud.num_gaussians
+    query = cKDTree(cloud.means).query(cloud.means, k=min(_NEIGHBOURS + 1, number))
+    distance, near = np.asarray(query[0]), np.asarray(query[1])
+    first = np.repeat(np.arange(number), near.shape[1] - 1)
+    pairs = np.sort(np.stack([first, near[:, 1:].ravel()], axis=1), axis=1)
+    pairs, rows = np.unique(pairs, axis=0, return_index=True)
+    apart = distance[:, 1:].ravel()[rows]
+    alike = np.exp(-(((color[pairs[:, 0]] - color[pairs[:, 1]]) ** 2).sum(axis=1)) / (2 * _COLOR_SPREAD**2))
+    spacing = np.median(distance[:, 1:])
+    return pairs, _SMOOTHNESS * alike / (1 + (apart / (2 * spacing)) ** 2)
+
+
+def _stroke_odds(
+    cloud: GaussianCloud,
+    color: Float32[np.ndarray, "G 3"],
+    edges: Int64[np.ndarray, "E 2"],
+    strokes: Int8[np.ndarray, " G"],
+) -> Float64[np.ndarray, " G"]:
+    """Log odds from strokes, which fade with the way from them: along neighbours, longer where the colour changes."""
+    number = cloud.num_gaussians
+    first, second = edges.T
+    length = np.linalg.norm(cloud.means[first] - cloud.means[second], axis=1)
+    change = np.linalg.norm(color[first] - color[second], axis=1) / _COLOR_STEP
+    steps = coo_array((length / np.median(length) * (1 + change**2) + 1e-9, (first, second)), shape=(number, number))
+    odds = np.zeros(number)
+    for sign in (1, -1):
+        if (strokes == sign).any():
+            seeds = np.flatnonzero(strokes == sign)
+            far = dijkstra(steps.tocsr(), directed=False, indices=seeds, min_only=True, limit=6 * _STROKE_REACH)
+            odds += sign * _STROKE_ODDS * np.exp(-far / _STROKE_REACH)
+    return odds
+
+
+def _color_odds(
+    color: Float32[np.ndarray, "G 3"], weight: Float32[np.ndarray, " G"], own: Bool[np.ndarray, " G"]
+) -> Float64[np.ndarray, " G"]:
+    """Log odds of each colour among the chosen against the others, from smoothed histograms."""
+    low, high = np.array([0.0, -90.0, -90.0]), np.array([100.0, 90.0, 90.0])
+    share = np.clip((color - low) / (high - low), 0, 1 - 1e-6)
+    cell = tuple((share * _BINS).astype(np.int64).T)
+    densities = []
+    for rows in (own, ~own):
+        histogram = np.zeros(_BINS)
+        np.add.at(histogram, tuple(axis[rows] for axis in cell), weight[rows])
+        smooth = gaussian_filter(histogram, 0.7)
+        densities.append(smooth / max(smooth.sum(), 1e-12) + 1e-5)
+    odds: Float64[np.ndarray, " G"] = np.clip(np.log(densities[0] / densities[1]), -_MOST_COLOR, _MOST_COLOR)[cell]
+    return odds
+
+
+def minimum_cut(
+    odds: Float64[np.ndarray, " G"], edges: Int64[np.ndarray, "E 2"], weights: Float64[np.ndarray, " E"]
+) -> Bool[np.ndarray, " G"]:
+    """The choice with the smallest sum of severed edges and of log odds against it; what is undecided is not chosen."""
+    number = len(odds)
+    source, sink = number, number + 1
+    every = np.arange(number)
+    price = np.rint(_UNIT * weights).astype(np.int32)
+    gain = np.rint(_UNIT * odds).astype(np.int32)
+    rows = np.concatenate([edges[:, 0], edges[:, 1], np.full(number, source), every])
+    columns = np.concatenate([edges[:, 1], edges[:, 0], every, np.full(number, sink)])
+    capacity = np.concatenate([price, price, np.maximum(gain, 0), np.maximum(-gain, 0)])
+    graph = coo_array((capacity, (rows, columns)), shape=(number + 2, number + 2)).tocsr()
+    graph.eliminate_zeros()
+    residual = (graph - maximum_flow(graph, source, sink, method="dinic").flow).tocsr()
+    residual.data[residual.data < 0] = 0
+    residual.eliminate_zeros()
+    chosen = np.zeros(number + 2, np.bool_)
+    chosen[breadth_first_order(residual, source, return_predecessors=False)] = True
+    return chosen[:number]

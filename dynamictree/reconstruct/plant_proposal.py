@@ -1,0 +1,96 @@
+"""What is probably the plant in a scene of Gaussians, without help: not ground, not far, what the cameras circle."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64
+from scipy.spatial import cKDTree
+
+from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.gaussian.still_gaussians import find_still_gaussians, touching_groups
+from dynamictree.reconstruct.scene_planes import behind_planes
+from dynamictree.reconstruct.seen_from import SeenFrom, focus_of
+
+_NEAR = 0.85  # of the cameras' distance from what they look at: farther away is background
+_IN_PICTURE = 0.5  # of the photos must hold what is the plant: floors, walls and cloths go on beyond them
+_WIDE = 0.15  # of the cameras' distance: a Gaussian so wide belongs to the background
+_FAINT = 0.05  # opacity that shows next to nothing
+_CELL = 0.02  # of the cameras' distance: what is so near to one another is one thing
+_WHOLE = 0.7  # of a thing's Gaussians must lie in most photos
+_CENTRAL = 0.5  # of half the picture: things farther from the middle count little
+_APART_CELLS = 4.0  # between the plant and a loose piece of it
+_MOST_VIEWS = 40
+
+
+@dataclass(frozen=True, kw_only=True)
+class Proposal:
+    """Of each Gaussian what the cameras and the ground say of it."""
+
+    near: Bool[np.ndarray, " G"]  # can be the plant at all
+    background: Bool[np.ndarray, " G"]  # near, and surely not the plant: ground, pot, what leaves the pictures
+    central: Bool[np.ndarray, " G"]  # probably the plant: the largest thing in the middle of the pictures
+
+
+def propose(cloud: GaussianCloud, views: list[SeenFrom]) -> Proposal:
+    """Separate what is far, what is ground, pot or thing, and what stands in the middle of the photos."""
+    chosen = [views[row] for row in np.unique(np.linspace(0, len(views) - 1, _MOST_VIEWS).round().astype(int))]
+    focus, distance = focus_of(chosen)
+    means = cloud.means.astype(np.float64)
+    away = np.linalg.norm(means - focus, axis=1)
+    near = (away < _NEAR * distance) & (cloud.scales.max(axis=1) < _WIDE * distance) & (cloud.opacity > _FAINT)
+    background = np.zeros(cloud.num_gaussians, np.bool_)
+    if not near.any():
+        return Proposal(near=near, background=background, central=background)
+    coverage, middle = _places_in_pictures(means, chosen)
+    rows = np.flatnonzero(near)
+    cameras = np.array([view.camera.position_m for view in chosen])
+    background[rows] = behind_planes(means[rows], cameras, focus, distance)
+    rows = np.flatnonzero(near & ~background & (coverage >= _IN_PICTURE))
+    if len(rows):
+        background[rows] = find_still_gaussians(cloud.subset(rows))[1] > 0
+    rows = np.flatnonzero(near & ~background)
+    inside = _inside_groups(means[rows], coverage[rows] >= _IN_PICTURE, middle[rows], cell_m=_CELL * distance)
+    background[rows] = ~inside
+    central = near & ~background & (coverage >= _IN_PICTURE)
+    return Proposal(near=near, background=background | (near & (coverage < _IN_PICTURE)), central=central)
+
+
+def _places_in_pictures(
+    points: Float64[np.ndarray, "G 3"], views: list[SeenFrom]
+) -> tuple[Float64[np.ndarray, " G"], Float64[np.ndarray, " G"]]:
+    """Share of the pictures that hold each point, and its mean distance from their middle: 1 at a side."""
+    coverage, total = np.zeros(len(points)), np.zeros(len(points))
+    for view in views:
+        x, y, depth = view.camera.project(points, view.width, view.height).T
+        off = np.maximum(np.abs(2 * x / view.width - 1), np.abs(2 * y / view.height - 1))
+        inside = (depth > 0) & (off < 1)
+        coverage += inside
+        total += np.where(inside, off, 1.0)
+    return coverage / len(views), total / len(views)
+
+
+def _inside_groups(
+    points: Float64[np.ndarray, "G 3"],
+    coverage: Bool[np.ndarray, " G"],
+    middle: Float64[np.ndarray, " G"],
+    *,
+    cell_m: float,
+) -> Bool[np.ndarray, " G"]:
+    """Points of the things that the pictures hold whole, and of those only the most central and what is near to it."""
+    if len(points) == 0:
+        return np.zeros(0, np.bool_)
+    cells, cell, _, group_of_cell = touching_groups(points, cell_m)
+    group = group_of_cell[cell]
+    number = int(group.max()) + 1
+    size = np.bincount(group, minlength=number)
+    whole = np.bincount(group, coverage, minlength=number) / size
+    central = np.bincount(group, np.exp(-((middle / _CENTRAL) ** 2)), minlength=number)
+    good = whole >= _WHOLE
+    if not good.any():
+        return coverage.copy()
+    main = int(np.argmax(np.where(good, central, -1)))
+    gap = cKDTree(cells[group_of_cell == main]).query(cells)[0]
+    nearest = np.full(number, np.inf)
+    np.minimum.at(nearest, group_of_cell, gap)
+    chosen: Bool[np.ndarray, " G"] = (good & (nearest < _APART_CELLS))[group]
+    return chosen

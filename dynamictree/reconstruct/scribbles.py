@@ -1,0 +1,59 @@
+"""Strokes on photos, and the Gaussians that are seen under them."""
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Int8, Int64
+
+from dynamictree.errors import InputError
+from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.gaussian.visibility import weights_at
+from dynamictree.reconstruct.seen_from import SeenFrom, view_of_photo
+from dynamictree.requests import Scribble
+
+_SIDE_PX = 480  # of the picture that strokes are drawn on
+_CLICK_PX = 1  # to each side of a stroke of one point
+_LEAST_WEIGHT = 0.15  # of a pixel: a Gaussian with less is not what was meant
+
+
+def marked(cloud: GaussianCloud, views: list[SeenFrom], scribbles: Sequence[Scribble]) -> Int8[np.ndarray, " G"]:
+    """1 for Gaussians seen under strokes of the plant, -1 under other strokes, 0 elsewhere.
+
+    A Gaussian under both belongs to the stroke in whose pixels it has the larger share.
+
+    Raises:
+        InputError: a stroke names no photo with a camera, or nothing is seen below all strokes of the plant.
+    """
+    weights = {True: np.zeros(cloud.num_gaussians, np.float32), False: np.zeros(cloud.num_gaussians, np.float32)}
+    for scribble in scribbles:
+        view = view_of_photo(views, scribble.photo).reduced(_SIDE_PX)
+        pixels = _pixels(scribble, view.width, view.height)
+        under = weights_at(cloud, view.camera, pixels, width=view.width, height=view.height)
+        weights[scribble.plant] = np.maximum(weights[scribble.plant], under)
+    plant, other = weights[True], weights[False]
+    result = np.zeros(cloud.num_gaussians, np.int8)
+    result[(plant >= _LEAST_WEIGHT) & (plant >= other)] = 1
+    result[(other >= _LEAST_WEIGHT) & (other > plant)] = -1
+    if any(scribble.plant for scribble in scribbles) and not (result > 0).any():
+        raise InputError("nothing is seen under the strokes of the plant; draw them where scene.ply shows it")
+    return result
+
+
+def _pixels(scribble: Scribble, width: int, height: int) -> Int64[np.ndarray, "P 2"]:
+    """Column and row of the pixels of a stroke, each once."""
+    at = [(min(int(y * height), height - 1), min(int(x * width), width - 1)) for x, y in scribble.points]
+    if len(at) == 1:
+        (row, column), reach = at[0], np.arange(-_CLICK_PX, _CLICK_PX + 1)
+        rows, columns = (one.ravel() for one in np.meshgrid(row + reach, column + reach))
+    else:
+        rows, columns = (np.concatenate(one) for one in zip(*(_segment(*ends) for ends in pairwise(at)), strict=True))
+    pixels: Int64[np.ndarray, "P 2"] = np.unique(np.stack([columns, rows], axis=1), axis=0).astype(np.int64)
+    return pixels
+
+
+def _segment(first: tuple[int, int], last: tuple[int, int]) -> tuple[Int64[np.ndarray, " P"], Int64[np.ndarray, " P"]]:
+    """Rows and columns of the pixels from one to another."""
+    number = max(abs(last[0] - first[0]), abs(last[1] - first[1])) + 1
+    rows, columns = (np.rint(np.linspace(a, b, number)).astype(np.int64) for a, b in zip(first, last, strict=True))
+    return rows, columns

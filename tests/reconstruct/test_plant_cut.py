@@ -1,0 +1,117 @@
+"""The plant is cut out of splats whose truth is known: without help, and with one stroke on one photo."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from dynamictree.cli import app
+from dynamictree.errors import InputError
+from dynamictree.formats.mesh.ply import read_ply_mesh
+from dynamictree.formats.splat.ply import read_gaussian_ply
+from dynamictree.gaussian.rasterize import render_on_cpu
+from dynamictree.gaussian.visibility import weights_at
+from dynamictree.reconstruct.plant_cut import minimum_cut, plant_of
+from dynamictree.reconstruct.plant_proposal import propose
+from dynamictree.reconstruct.scribbles import marked
+from dynamictree.requests import Scribble
+from tests.reconstruct.planted import Planted, coloured, on_lawn, potted, stroke_across, write_planted
+
+BENCH = 2
+
+
+def test_a_potted_plant_is_cut_out_without_help() -> None:
+    planted = potted()
+    own = plant_of(planted.scene, list(planted.views))
+    assert planted.iou(own) > 0.95
+    assert (own & planted.plant).sum() > 0.97 * planted.plant.sum()
+
+
+def test_one_stroke_takes_away_what_leans_on_the_trunk() -> None:
+    planted = on_lawn()
+    views = list(planted.views)
+    alone = planted.iou(plant_of(planted.scene, views))
+    assert alone > 0.8  # the bench touches the trunk: nothing tells that it is not the tree
+    own = plant_of(planted.scene, views, [stroke_across(planted, BENCH)])
+    assert planted.iou(own) > max(0.95, alone)
+
+
+def test_a_stroke_overrules_the_proposal() -> None:
+    """The bench is what is wanted; the tree is crossed out."""
+    planted = on_lawn()
+    bench, tree = stroke_across(planted, BENCH), stroke_across(planted, 0)
+    strokes = [bench.model_copy(update={"plant": True}), tree.model_copy(update={"plant": False})]
+    own = plant_of(planted.scene, list(planted.views), strokes)
+    under = marked(planted.scene, list(planted.views), strokes)
+    assert own[under > 0].all()
+    assert not own[under < 0].any()
+
+
+def test_only_gaussians_that_are_seen_are_under_a_stroke() -> None:
+    planted = on_lawn()
+    under = marked(planted.scene, list(planted.views), [stroke_across(planted, BENCH)])
+    assert set(np.unique(under)) == {-1, 0}
+    owners = planted.owner[under < 0]
+    assert (owners == BENCH).mean() > 0.8  # the rest hangs before it
+    assert not (owners == 4).any()  # the sky is behind
+
+
+def test_far_things_and_wide_planes_are_no_proposal() -> None:
+    for planted, others in ((potted(), (1, 2, 4)), (on_lawn(), (1, 3, 4))):
+        central = propose(planted.scene, list(planted.views)).central
+        for part in others:
+            assert central[planted.owner == part].mean() < 0.02, part
+        assert central[planted.owner == 0].mean() > 0.97
+
+
+def test_shares_in_a_pixel_add_up_to_its_alpha() -> None:
+    planted: Planted = potted()
+    view = planted.held_out[0]
+    picture = render_on_cpu(planted.scene, view.camera, width=view.width, height=view.height)
+    for pixel in ((120, 90), (60, 120), (200, 40)):
+        weights = weights_at(planted.scene, view.camera, np.array([pixel]), width=view.width, height=view.height)
+        assert weights.sum() == pytest.approx(picture.alpha[pixel[1], pixel[0]], abs=1e-3)
+
+
+def test_a_cut_is_the_cheapest_of_all() -> None:
+    rng = np.random.default_rng(0)
+    number = 9
+    edges = np.array([(a, b) for a in range(number) for b in range(a)])
+    for _ in range(5):
+        odds, weights = rng.normal(size=number), 0.3 * rng.random(len(edges))
+        choices = (np.arange(2**number)[:, None] >> np.arange(number)) & 1  # [2^N, N]
+        severed = (choices[:, edges[:, 0]] != choices[:, edges[:, 1]]) @ weights
+        best = choices[np.argmin(severed - choices @ odds)]
+        np.testing.assert_array_equal(minimum_cut(odds, edges, weights), best > 0)
+
+
+def test_a_stroke_on_no_photo_and_one_on_nothing_are_refused() -> None:
+    planted = potted()
+    views = list(planted.views)
+    with pytest.raises(InputError, match=r"'no.jpg' is no photo that has a camera; cameras.json names 00.jpg"):
+        plant_of(planted.scene, views, [Scribble(photo="no.jpg", plant=True, points=((0.5, 0.5),))])
+    empty = coloured(planted.scene.subset(planted.owner == 5), (0.8, 0.8, 0.8))
+    with pytest.raises(InputError, match="nothing is seen under the strokes of the plant"):
+        marked(empty, views, [Scribble(photo="00.jpg", plant=True, points=((0.01, 0.99),))])
+
+
+def test_the_command_cuts_by_strokes_and_meshes_the_plant_alone(tmp_path: Path) -> None:
+    planted = on_lawn()
+    write_planted(planted, tmp_path / "finished")
+    stroke = stroke_across(planted, BENCH)
+    text = f"{stroke.photo} other " + " ".join(f"{x},{y}" for x, y in stroke.points)
+    arguments = ["recut", str(tmp_path / "finished"), "-o", str(tmp_path / "plant"), "--scribble", text]
+    done = CliRunner().invoke(app, [*arguments, "--height-m", "3", "--json"])
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.output)["height_m"] == pytest.approx(3, rel=0.01)
+    with (tmp_path / "plant" / "splat.ply").open("rb") as stream:
+        cloud = read_gaussian_ply(stream)
+    assert 0.9 * planted.plant.sum() < cloud.num_gaussians < 1.02 * planted.plant.sum()
+    mesh = read_ply_mesh((tmp_path / "plant" / "mesh.ply").read_bytes(), companions={})
+    assert mesh.vertices[:, 2].min() == pytest.approx(0, abs=1e-5)
+    true = planted.scene.means[planted.plant]
+    assert np.ptp(mesh.vertices, axis=0).max() < 3 * 1.1 * np.ptp(true, axis=0).max() / np.ptp(true[:, 2])
+    wrong = CliRunner().invoke(app, [*arguments[:-1], "0.5,0.5"])
+    assert "a photo, plant or other, and places are needed" in str(wrong.exception)
