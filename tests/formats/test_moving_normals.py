@@ -17,8 +17,8 @@ from dynamictree.mesh import TriangleMesh
 from dynamictree.spectrum import to_motion
 from tests.formats import artists
 from tests.formats.artists import Document, document_of
+from tests.formats.looks import local_matrix
 from tests.formats.meshes import trunk_and_crown
-from tests.formats.test_artists_looks import local_matrix
 
 FRAMES = 20
 

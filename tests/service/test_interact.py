@@ -235,7 +235,7 @@ def test_a_force_that_is_none_is_refused(
 
 @pytest.mark.parametrize(
     ("options", "limit"),
-    [({"num_frames": 601}, "600"), ({"dt_s": 0}, "0"), ({"damping_ratio": -1}, "0"), ({"mass_kg": 0}, "0")],
+    [({"num_frames": 1001}, "1000"), ({"dt_s": 0}, "0"), ({"damping_ratio": -1}, "0"), ({"mass_kg": 0}, "0")],
 )
 def test_a_number_beyond_its_limit_is_refused_with_the_limit(
     client: TestClient, spectrum_id: str, poke: dict, options: dict, limit: str

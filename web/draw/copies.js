@@ -5,7 +5,7 @@ import { surfaceMaterials } from "./follow.js";
 
 export class Copies {
   /** `field` holds the tree's shapes; `places` are `{ x, y, yaw, size }` as of motion/company.js. */
-  constructor({ surface, field, box, still, uniforms: { greyStill, restAt } }, places) {
+  constructor({ surface, field, box, still, uniforms: { greyStill } }, places) {
     this.places = places;
     this.field = field.copied(places.length);
     const uniforms = {
@@ -15,7 +15,6 @@ export class Copies {
       bent: { value: 0 },
       coloured: { value: 0 },
       greyStill,
-      restAt,
     };
     const { lit, depth } = surfaceMaterials(surface, uniforms);
     this.mesh = new THREE.InstancedMesh(surface.geometry, lit, places.length);

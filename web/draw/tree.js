@@ -2,7 +2,6 @@
 
 import * as THREE from "three";
 import { carried, largestSwing } from "../motion/modes.js";
-import { setCards } from "./cards.js";
 import { Copies } from "./copies.js";
 import { buildCubes, disposeCubes } from "./cubes.js";
 import { Field, PoseTexture, zeroTexture } from "./field.js";
@@ -17,7 +16,6 @@ export class Tree {
     this.still = zeroTexture();
     this.uniforms = {
       moved: { value: this.still },
-      restAt: { value: this.still },
       poses: { value: this.still },
       bent: { value: 0 },
       coloured: { value: 0 },
@@ -80,7 +78,7 @@ export class Tree {
     const { surface } = this;
     this.poses = new PoseTexture(modes.B);
     this.uniforms.poses.value = this.poses.texture;
-    if (surface?.shapes) this._setField();
+    if (surface?.shapes) this.field = new Field(surface.shapes, surface.scale_m, surface.N);
     if (this.usesNearVoxels) this.field = this._voxelField();
     if (this.field) this.uniforms.moved.value = this.field.texture;
     this.largest = largestSwing(surface?.shapes ? surface : modes);
@@ -90,7 +88,7 @@ export class Tree {
   setShapes({ shapes, scale_m }) {
     const { surface } = this;
     Object.assign(surface, { shapes, scale_m, tie_rows: null });
-    this._setField();
+    this.field = new Field(shapes, scale_m, surface.N);
     this.uniforms.moved.value = this.field.texture;
     this.largest = largestSwing(surface);
     this._setMaterials();
@@ -105,12 +103,6 @@ export class Tree {
     this.stage.surroundings.reflect(this.stage.renderer);
     this._setMaterials();
     if (this.copies) this.setCopies(this.copies.places);
-  }
-
-  _setField() {
-    const { surface } = this;
-    this.field = new Field(surface.shapes, surface.scale_m, surface.N);
-    this.uniforms.restAt.value = setCards(surface);
   }
 
   _voxelField() {
