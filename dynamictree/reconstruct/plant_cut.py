@@ -85,7 +85,8 @@ def _edges(
     distance, near = np.asarray(query[0]), np.asarray(query[1])
     first = np.repeat(np.arange(number), near.shape[1] - 1)
     pairs = np.sort(np.stack([first, near[:, 1:].ravel()], axis=1), axis=1)
-    pairs, rows = np.unique(pairs, axis=0, return_index=True)
+    rows = np.unique(pairs[:, 0] * number + pairs[:, 1], return_index=True)[1]  # of axis 0 it takes 10 times as long
+    pairs = pairs[rows]
     apart = distance[:, 1:].ravel()[rows]
     alike = np.exp(-(((color[pairs[:, 0]] - color[pairs[:, 1]]) ** 2).sum(axis=1)) / (2 * _COLOR_SPREAD**2))
     spacing = np.median(distance[:, 1:])
