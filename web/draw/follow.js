@@ -3,6 +3,7 @@
 import * as THREE from "three";
 import { CARDS, setCards } from "./cards.js";
 import { DISPLACE } from "./field.js";
+import { LUMINANCE } from "./luminance.js";
 
 /** Weighted mean of the four bones of a vertex. */
 const BONES = /* glsl */ `
@@ -83,7 +84,6 @@ vec3 ramp(float s) {
 }`;
 
 // what stands still because it is no plant, as dynamictree/color.py draws it in films
-export const LUMINANCE = "vec3(0.2126, 0.7152, 0.0722)";
 const GREY = /* glsl */ `
 const float STILL_SHARE = 0.5;
 vec3 greyed(vec3 rgb) { return vec3(STILL_SHARE * dot(rgb, ${LUMINANCE})); }`;

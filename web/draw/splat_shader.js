@@ -1,6 +1,6 @@
 // The deformation of Gaussians in Spark's own shader: the rules of docs/formats-splat.md.
 
-import { LUMINANCE } from "./follow.js";
+import { LUMINANCE } from "./luminance.js";
 
 const STILL_SHARE = "0.735"; // of display values: half of the light
 /** Texels of a row of every texture that the shader reads. */

@@ -34,7 +34,7 @@ _SPLAT = {
     "tensors": "motion/tensors.js",
     "modes": "motion/modes.js",
     "field": "draw/field.js",
-    "follow": "draw/follow.js",
+    "luminance": "draw/luminance.js",
     "splat-shader": "draw/splat_shader.js",
     "splat": "draw/splat.js",
 }
