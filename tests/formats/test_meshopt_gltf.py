@@ -15,10 +15,12 @@ from dynamictree.errors import FormatError, InputError
 from dynamictree.export.write import write_products
 from dynamictree.formats.gltf import meshopt as packing
 from dynamictree.formats.gltf.document import GltfDocument, open_gltf
+from dynamictree.formats.gltf.template import open_template
 from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.mesh import TriangleMesh
 from dynamictree.requests import ExportParams
 from dynamictree.spectrum import SparseVoxelSpectrum
+from tests.formats import artists
 from tests.formats.artists import document_of
 from tests.formats.meshes import gltf_bytes
 
@@ -90,6 +92,24 @@ def test_large_and_small_motions_keep_their_share(tree: Tree, tmp_path: Path) ->
         motion = played[0] - played[0].mean(axis=0)
         gap = (played[1] - played[1][0]) - (played[0] - played[0][0])
         assert np.sqrt((gap**2).mean() / (motion**2).mean()) < 0.02
+
+
+def test_normals_stay_where_the_source_states_no_target_of_its_views() -> None:
+    mesh = read_mesh(io.BytesIO(artists.wooded().glb()), file_type="glb")
+    read = []
+    for compressed in (False, True):
+        writer = open_template(mesh).writer
+        if compressed:
+            packing.compress(writer)
+        stream = io.BytesIO()
+        writer.finish(stream)
+        read.append(open_gltf(stream.getvalue(), companions={}))
+    primitives = [part for entry in json.loads(json.dumps(read[0].root))["meshes"] for part in entry["primitives"]]
+    with_normals = [primitive for primitive in primitives if "NORMAL" in primitive["attributes"]]
+    assert with_normals
+    for primitive in with_normals:
+        plain, packed = (document.accessor(primitive["attributes"]["NORMAL"]) for document in read)
+        np.testing.assert_allclose(packed, plain, atol=0.01)
 
 
 def changed(content: bytes, change: dict[str, object], *, cut: int = 0) -> bytes:

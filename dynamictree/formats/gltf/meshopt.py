@@ -103,7 +103,7 @@ def compress(writer: GlbWriter) -> dict[int, Float32[np.ndarray, "count width"]]
             }
         }
         view |= {"buffer": 1, "byteOffset": unpacked, "byteLength": count * stride}
-        if view.get("target") == 34962:
+        if roles[index] not in ("faces", "keys"):  # whether or not the source states the view's target
             view["byteStride"] = stride
         unpacked += count * stride + -(count * stride) % 4
         writer.root["accessors"][index] |= dict(stream.accessor)
