@@ -83,6 +83,7 @@ TURBULENT_FRAMES: dict[Format, int] = {
 """The formats that can hold a turbulent motion, and how many frames of it. The others hold one period."""
 Joints = Literal[32, 64, 256]
 GlbCompression = Literal["none", "meshopt"]
+GlbTextures = Literal["source", "webp"]
 Resolution = Literal[32, 64, 128, 256, 512]
 UpAxis = Annotated[
     str,
@@ -349,6 +350,11 @@ class ExportParams(Request):
     glb_compression: GlbCompression = Field(
         default="none",
         description="Compression of glb and glb-reduced: meshopt needs a reader of EXT_meshopt_compression",
+    )
+    glb_textures: GlbTextures = Field(
+        default="source",
+        description="Textures of glb, glb-reduced and glb-skinned: PNG and JPEG as in the source, or WebP where that "
+        "is smaller, which needs a reader of EXT_texture_webp",
     )
     joints: Joints = Field(default=64, description="Joints of glb-skinned and usd-skinned, at most")
     shot: Shot = Field(default_factory=Shot)

@@ -101,6 +101,9 @@ class AnimateParams(Model):
     normals: bool = False
     # Compression of glb and glb-reduced: meshopt needs a reader of EXT_meshopt_compression
     glb_compression: Literal["none", "meshopt"] = "none"
+    # Textures of glb, glb-reduced and glb-skinned: PNG and JPEG as in the source, or WebP where that is smaller,
+    # which needs a reader of EXT_texture_webp
+    glb_textures: Literal["source", "webp"] = "source"
     # Joints of glb-skinned and usd-skinned, at most
     joints: Literal[32, 64, 256] = 64
     shot: "Shot | None" = None

@@ -9,7 +9,7 @@ from dynamictree.export.moving_tree import Facts, MovingTree, Report
 from dynamictree.formats.gltf.motion import MorphSummary, write_motion_glb
 from dynamictree.formats.motion.ply_sequence import iter_ply_sequence_zip
 from dynamictree.formats.tensors.motion import write_motion
-from dynamictree.requests import GlbCompression
+from dynamictree.requests import GlbCompression, GlbTextures
 
 if TYPE_CHECKING:
     from dynamictree.skin import Skin, SkinSummary
@@ -29,8 +29,9 @@ def write_displacements(tree: MovingTree, stream: BinaryIO, report: Report) -> N
 
 def write_glb(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts | None:
     """GLB with two morph targets per frequency: the exact loop."""
-    summary = _write_glb(tree, stream, compression=tree.params.glb_compression)
-    inexact = tree.params.normals or tree.params.glb_compression != "none"
+    params = tree.params
+    summary = _write_glb(tree, stream, compression=params.glb_compression, textures=params.glb_textures)
+    inexact = params.normals or params.glb_compression != "none"
     return asdict(summary) if inexact else None
 
 
@@ -46,11 +47,19 @@ def write_page(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
 def write_reduced_glb(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
     """GLB with the few morph targets that approximate the loop best."""
     num_targets = min(REDUCED_TARGETS, 2 * tree.coefficients.shape[1] - 1)
-    return asdict(_write_glb(tree, stream, num_targets, compression=tree.params.glb_compression))
+    params = tree.params
+    return asdict(
+        _write_glb(tree, stream, num_targets, compression=params.glb_compression, textures=params.glb_textures)
+    )
 
 
 def _write_glb(
-    tree: MovingTree, stream: ByteWriter, num_targets: int | None = None, *, compression: GlbCompression = "none"
+    tree: MovingTree,
+    stream: ByteWriter,
+    num_targets: int | None = None,
+    *,
+    compression: GlbCompression = "none",
+    textures: GlbTextures = "source",
 ) -> MorphSummary:
     return write_motion_glb(
         tree.mesh,
@@ -61,6 +70,7 @@ def _write_glb(
         num_targets=num_targets,
         with_normals=tree.params.normals,
         compressed=compression == "meshopt",
+        as_webp=textures == "webp",
     )
 
 
@@ -69,7 +79,9 @@ def write_skinned_glb(tree: MovingTree, stream: BinaryIO, report: Report) -> Fac
     from dynamictree.formats.gltf import skin as skin_file
 
     skin, summary = _fitted(tree, report)
-    skin_file.write_skinned_glb(tree.mesh, skin, summary, stream, fps=tree.loop_fps)
+    skin_file.write_skinned_glb(
+        tree.mesh, skin, summary, stream, fps=tree.loop_fps, as_webp=tree.params.glb_textures == "webp"
+    )
     return asdict(summary)
 
 

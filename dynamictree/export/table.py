@@ -40,6 +40,8 @@ SHOT = frozenset({"shot"})
 NORMALS = frozenset({"normals"})
 JOINTS = frozenset({"joints"})
 COMPRESSION = frozenset({"glb_compression"})
+TEXTURES = frozenset({"glb_textures"})
+MORPHS = SPEED | NORMALS | COMPRESSION | TEXTURES
 
 
 @dataclass(frozen=True)
@@ -77,11 +79,17 @@ def media_type(file_name: str) -> str:
 
 PRODUCTS: dict[Format, Product] = {
     "ply": Product("PLY sequence", "motion.ply.zip", "mesh", FRAMES, write=write_ply_sequence),
-    "glb": Product("Animated GLB", "tree.glb", "mesh", SPEED | NORMALS | COMPRESSION, write=write_glb),
+    "glb": Product("Animated GLB", "tree.glb", "mesh", MORPHS, write=write_glb),
     "glb-reduced": Product(
-        "Animated GLB, 8 targets", "tree-8-targets.glb", "mesh", SPEED | NORMALS | COMPRESSION, write=write_reduced_glb
+        "Animated GLB, 8 targets",
+        "tree-8-targets.glb",
+        "mesh",
+        SPEED | NORMALS | COMPRESSION | TEXTURES,
+        write=write_reduced_glb,
     ),
-    "glb-skinned": Product("Skinned GLB", "tree-skinned.glb", "mesh", SPEED | JOINTS, write=write_skinned_glb),
+    "glb-skinned": Product(
+        "Skinned GLB", "tree-skinned.glb", "mesh", SPEED | JOINTS | TEXTURES, write=write_skinned_glb
+    ),
     "lod": Product("Levels of detail", "tree.lod.zip", "mesh", SPEED, write=write_levels),
     "rig": Product("Rig, collision, wind groups", "tree.rig.zip", "mesh", SPEED, write=write_rig),
     "wind": Product("Wind for engines", "tree.wind.zip", "mesh", frozenset(), write=write_engine_wind),

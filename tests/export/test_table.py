@@ -1,11 +1,13 @@
 """The table of products says what each product is and depends on."""
 
+import io
 from pathlib import Path
 from typing import get_args
 
 import numpy as np
 import pytest
 from jaxtyping import Float32
+from PIL import Image
 
 from dynamictree.errors import InputError
 from dynamictree.export.table import PRODUCTS, available_products
@@ -13,7 +15,7 @@ from dynamictree.export.write import MOTION_SHARE, write_products
 from dynamictree.formats.tensors.motion import read_motion
 from dynamictree.gaussian.capture import Capture
 from dynamictree.gaussian.cloud import GaussianCloud
-from dynamictree.mesh import TriangleMesh
+from dynamictree.mesh import Material, TriangleMesh
 from dynamictree.requests import MAX_FRAMES, TURBULENT_FRAMES, ExportParams, Format, Shot
 from dynamictree.spectrum import SparseVoxelSpectrum
 from dynamictree.voxel.voxelize import voxelize
@@ -32,6 +34,7 @@ CHANGED = {
     "normals": {"normals": True},
     "joints": {"joints": 256},
     "glb_compression": {"glb_compression": "meshopt"},
+    "glb_textures": {"glb_textures": "webp"},
 }
 
 SLOW = ("glb-skinned", "lod", "rig", "wind", "usd", "usd-skinned", "usd-splat", "html-splat", "mp4", "png")
@@ -61,9 +64,15 @@ def capture() -> Capture:
         for a in range(8)
         for up in (0, 1)
     ]
-    return Capture(
-        cloud=cloud, mesh=TriangleMesh(vertices=vertices.astype(np.float32), faces=np.array(faces, np.int32))
+    bark = io.BytesIO()
+    Image.linear_gradient("L").resize((64, 64)).convert("RGB").save(bark, "PNG", compress_level=1)
+    mesh = TriangleMesh(
+        vertices=vertices.astype(np.float32),
+        faces=np.array(faces, np.int32),
+        uv=vertices[:, 1:].astype(np.float32),
+        materials=(Material(texture_png=bark.getvalue()),),
     )
+    return Capture(cloud=cloud, mesh=mesh)
 
 
 @pytest.fixture(scope="module")

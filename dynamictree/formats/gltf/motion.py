@@ -17,6 +17,7 @@ from dynamictree.errors import InputError
 from dynamictree.formats.gltf.meshopt import compress
 from dynamictree.formats.gltf.normals import NormalError, iter_normals, rest_normals
 from dynamictree.formats.gltf.template import open_template
+from dynamictree.formats.gltf.webp import webp_textures
 from dynamictree.mesh import TriangleMesh
 from dynamictree.spectrum import FPS, NUM_FRAMES, bin_weights, iter_motion
 
@@ -50,6 +51,7 @@ def write_motion_glb(
     num_targets: int | None = None,
     with_normals: bool = False,
     compressed: bool = False,
+    as_webp: bool = False,
 ) -> MorphSummary:
     """Write one period with `num_frames` + 1 linear keys, the last equal to the first.
 
@@ -59,7 +61,8 @@ def write_motion_glb(
     file tells in its `asset.extras`.
 
     `with_normals` writes targets of normals as well, those with the least squared error for the same weights.
-    `compressed` packs the file with meshoptimizer; the summary's errors then count what that changes.
+    `compressed` packs the file with meshoptimizer; the summary's errors then count what that changes. `as_webp` writes
+    textures as WebP where that is smaller.
 
     Raises:
         InputError: the number of targets is out of range, or meshoptimizer is not installed.
@@ -90,6 +93,8 @@ def write_motion_glb(
     keys = np.concatenate([weights, weights[:1]]).astype(np.float32)  # [T + 1, targets]
     sway = template.add_sway(nodes, (np.arange(num_frames + 1) / fps).astype(np.float32), keys)
     sway["extras"] = {"num_vertices": mesh.num_vertices, "primitives": places}
+    if as_webp:
+        webp_textures(template.writer)
     if compressed:
         change = template.changes(compress(template.writer), nodes, len(targets), mesh.num_vertices)
         rms, largest = _distances(parts, moduli, few, few_moduli, (change, weights))

@@ -11,6 +11,7 @@ from jaxtyping import Int32
 
 from dynamictree.byte_stream import ByteWriter
 from dynamictree.formats.axes import up_rotation
+from dynamictree.formats.gltf.webp import webp_textures
 from dynamictree.formats.gltf.writer import VERTEX_BUFFER, GlbWriter, add_mesh
 from dynamictree.gaussian.rotation import matrix_quaternions
 from dynamictree.mesh import TriangleMesh
@@ -19,8 +20,13 @@ from dynamictree.skin import Skin, SkinSummary
 _FIRST = 2  # node of joint 0: after the mesh and the skeleton
 
 
-def write_skinned_glb(mesh: TriangleMesh, skin: Skin, summary: SkinSummary, stream: ByteWriter, *, fps: float) -> None:
-    """Write one period with T + 1 linear keys, the last equal to the first; exact at the keys, as the skin has them."""
+def write_skinned_glb(
+    mesh: TriangleMesh, skin: Skin, summary: SkinSummary, stream: ByteWriter, *, fps: float, as_webp: bool = False
+) -> None:
+    """Write one period with T + 1 linear keys, the last equal to the first; exact at the keys, as the skin has them.
+
+    `as_webp` writes textures as WebP where that is smaller.
+    """
     writer = GlbWriter(extras=asdict(summary))
     used = skin.weights > 0
     attributes = {
@@ -34,6 +40,8 @@ def write_skinned_glb(mesh: TriangleMesh, skin: Skin, summary: SkinSummary, stre
     _add_skin(writer, rest)
     writer.append("scenes", {"nodes": [0, 1]})
     _add_sway(writer, skin, fps)
+    if as_webp:
+        webp_textures(writer)
     writer.finish(stream)
 
 
