@@ -3,11 +3,12 @@
 import { Client } from "../client.js";
 import { Stage } from "../draw/stage.js";
 import { $, fill } from "../page/dom.js";
+import { fetchExample } from "../page/example.js";
 import { runFrames } from "../page/frames.js";
 import { Hand } from "../page/hand.js";
 import { watchKeys } from "../page/keyboard.js";
 import { showGrip, showHint } from "../page/layout.js";
-import { EXAMPLE, fetchParts, partsIn, partsOf, standParts } from "../page/parts.js";
+import { fetchParts, partsIn, partsOf, standParts } from "../page/parts.js";
 import { Player } from "../page/player.js";
 import { Scene } from "../page/scene.js";
 import { text, textOrNull, translate } from "../page/texts.js";
@@ -39,7 +40,7 @@ async function begin() {
   onSystemTheme(() => stage.look(theme()));
   watchKeys({ stage, hand, player });
   runFrames({ stage, player, scene, hand });
-  const { tree, source, spectrum } = await standParts(scene, await fetchParts(client, await chosenParts()));
+  const { tree, source, spectrum } = await standParts(scene, await chosenFiles());
   hand.take(tree, source);
   player.start(tree, spectrum);
   document.body.dataset.state = "moving";
@@ -47,12 +48,11 @@ async function begin() {
   tell({ state: "moving" });
 }
 
-/** What the address names: parts, a job, or nothing, which is the example. */
-async function chosenParts() {
-  const parts = partsIn(options);
-  if (parts) return parts;
+/** The files of what the address names: parts, a job, or nothing, which is the example. */
+async function chosenFiles() {
   const id = options.get("job");
-  return id ? partsOf(client, await client.job(id)) : EXAMPLE;
+  const parts = partsIn(options) ?? (id && (await partsOf(client, await client.job(id))));
+  return parts ? fetchParts(client, parts) : fetchExample();
 }
 
 /** The page around the frame learns the state, and nothing else. */

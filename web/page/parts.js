@@ -7,12 +7,6 @@ import { Modes } from "../motion/modes.js";
 const NAMES = ["surface", "modes", "splat"];
 const READABLE = /^\/v1\/(spectra|artifacts)\/[0-9A-Z]{26}(\/surface|\/modes)?(\?[\w=&-]*)?$/;
 
-const example = (name) => `/web/examples/round-broadleaf.${name}.safetensors`;
-export const EXAMPLE = { surface: example("surface"), modes: example("modes") };
-
-/** The job that the page's address names; null for none. */
-export const linkedJob = () => new URLSearchParams(location.hash.slice(1)).get("job");
-
 /** Paths of a job's surface, modes and, of a cloud, Gaussians. */
 export async function partsOf(client, job) {
   const spectrum = `/v1/spectra/${job.result.spectrum_id}`;

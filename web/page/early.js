@@ -1,0 +1,7 @@
+// Runs before the page's other modules are there: where the page opens with the welcome, its tree is loaded meanwhile.
+
+import { fetchExample, linkedJob } from "./example.js";
+
+/** The files of the welcome's tree; null where the page opens with a job. */
+export const early = linkedJob() ? null : fetchExample();
+early?.catch(() => {}); // the page works without it

@@ -1,0 +1,19 @@
+// The tree behind the welcome: two files of the page, which need no service.
+
+const example = (name) => `/web/examples/round-broadleaf.${name}.safetensors`;
+const EXAMPLE = { surface: example("surface"), modes: example("modes") };
+
+/** The job that the page's address names; null for none. */
+export const linkedJob = () => new URLSearchParams(location.hash.slice(1)).get("job");
+
+/** Surface and modes, as `standParts` takes them. */
+export async function fetchExample() {
+  const files = Object.entries(EXAMPLE).map(async ([name, path]) => [name, await bytesOf(path)]);
+  return Object.fromEntries(await Promise.all(files));
+}
+
+async function bytesOf(path) {
+  const response = await fetch(path);
+  if (!response.ok) throw new Error(`${path}: ${response.status}`);
+  return response.arrayBuffer();
+}
