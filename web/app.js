@@ -4,7 +4,8 @@ import { Client, Problem } from "./client.js";
 import { Stage } from "./draw/stage.js";
 import { remoteSource } from "./motion/remote.js";
 import { relativePaths, treesAmong } from "./page/bundles.js";
-import { $, ask, describe, fill, paintRanges } from "./page/dom.js";
+import { CompanyPanel, makeOther } from "./page/company.js";
+import { $, ask, fill, paintRanges } from "./page/dom.js";
 import { watchDrops } from "./page/drop.js";
 import { linkedJob } from "./page/example.js";
 import { Files } from "./page/files.js";
@@ -19,13 +20,14 @@ import { Machine } from "./page/machine.js";
 import { Player } from "./page/player.js";
 import { hideProblem, showNotice, showProblem } from "./page/problem.js";
 import { showProgress, tabTitle } from "./page/progress.js";
+import { buildPushPanel } from "./page/push_panel.js";
 import { Recorder } from "./page/record.js";
 import { watchRoom } from "./page/room.js";
 import { Scene } from "./page/scene.js";
 import { Session, stem } from "./page/session.js";
 import { buildSettings } from "./page/settings.js";
 import { ShareDialog } from "./page/share.js";
-import { length, number, percent, text, translate } from "./page/texts.js";
+import { length, number, text, translate } from "./page/texts.js";
 import { applyTheme, currentTheme, onSystemTheme, switchTheme } from "./page/theme.js";
 import { TreeForm } from "./page/tree_form.js";
 import { ViewPanel } from "./page/views.js";
@@ -40,7 +42,7 @@ const stage = newStage();
 const machine = new Machine(onState);
 const hand = new Hand(stage, { onGrab: (point, pointer) => showGrip(stage, point, pointer), onProblem: showProblem });
 const player = new Player(hand);
-const scene = new Scene(stage, client, { onMotion, onComplete: () => views.show(), onDraft, onClear });
+const scene = new Scene(stage, client, { onMotion, onComplete: showViews, onDraft, onClear });
 const live = new LiveTree(scene, { onMotion: onLive });
 const session = new Session(client, machine, scene, { onJob: (id) => setAddress(`#job=${id}`), onKey: askKey });
 const files = new Files(client, { onProblem: (error) => onProblem(error) });
@@ -49,7 +51,11 @@ const jobs = new JobList(client, {
   onDeleted: (id) => id === session.jobId && session.deleted(),
   onProblem: (error) => onProblem(error, () => jobs.show()),
 });
-const wind = new WindPanel(stage, player, { onMake: makeForWind, onProblem: (error) => onProblem(error) });
+const company = new CompanyPanel(stage, player, {
+  otherMotion: (run) => makeOther(client, scene, machine.facts.job, run),
+  onProblem,
+});
+const wind = new WindPanel(stage, player, { onMake: makeForWind, onEndless: () => company.takeWind(), onProblem });
 const views = new ViewPanel(stage, player);
 const form = new TreeForm(stage, { onApply: remake, tree: () => scene.tree });
 
@@ -94,11 +100,16 @@ function onMotion(tree, spectrum, job) {
   player.start(tree, spectrum);
   wind.wind = player.made;
   wind.start(() => client.wind(spectrum.id)).catch((error) => onProblem(error));
-  views.show();
+  showViews();
   const { name } = machine.facts;
   const voxels = text("caption.voxels", { n: number(spectrum.num_voxels) });
   fill($("caption"), [name || text("tree.one"), length(stage.height), voxels].join(" · "));
   files.follow(job, name);
+}
+
+function showViews() {
+  views.show();
+  company.show();
 }
 
 function onDraft(height) {
@@ -110,6 +121,7 @@ function onClear() {
   hideProblem();
   hand.leave();
   player.stop();
+  company.clear();
   files.clear();
   form.clear();
   fill($("caption"), "");
@@ -201,7 +213,7 @@ function newStage() {
 function look() {
   stage.look(currentTheme());
   wind.show();
-  if (scene.tree?.moves) views.show();
+  if (scene.tree?.moves) showViews();
 }
 
 new ShareDialog(client, { tree: () => ({ job: machine.facts.job, name: treeName() }), onProblem });
@@ -216,9 +228,6 @@ $("theme").onclick = () => {
   switchTheme();
   look();
 };
-$("knock").onclick = () => hand.knock();
-$("damping").oninput = () => showDamping();
-$("damping").onchange = () => hand.setDamping(Number($("damping").value) / 100);
 onSystemTheme(look);
 addEventListener("resize", () => layOut(stage, machine.state));
 addEventListener("popstate", route);
@@ -231,14 +240,10 @@ buildWelcome({
   onExample: async (example) => start([await exampleFile(example)], text(example.name)),
 });
 limits.then(showFormats, () => {});
-describe($("damping"), $("damping-out"), text("push.natural"));
+buildPushPanel(hand);
 paintRanges();
 look();
 onState("welcome", {}, null);
-runFrames({ stage, player, scene, hand });
+runFrames({ stage, player, scene, hand, onDraw: () => company.place() });
 route();
 document.body.dataset.ready = "true";
-
-function showDamping() {
-  describe($("damping"), $("damping-out"), percent(Number($("damping").value) / 100));
-}

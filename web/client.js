@@ -138,8 +138,8 @@ export class Client {
     return this.json("POST", "/v1/links", { path, expires_s });
   }
 
-  wind(id) {
-    return this.json("GET", `/v1/spectra/${id}/wind`);
+  wind(id, { seed = 0 } = {}) {
+    return this.json("GET", `/v1/spectra/${id}/wind?seed=${seed}`);
   }
 
   modes(id, options) {

@@ -4,6 +4,7 @@ import base64
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from PIL import Image
 from playwright.sync_api import expect
@@ -38,6 +39,48 @@ def test_a_second_wind_and_a_forest_stand_beside_the_tree(view: Open, url: str, 
     page.locator("#company input[value=one]").check(force=True)
     assert changed(alone, scrub(viewer, 0.0)) == 0, "the tree is not as before"
     assert viewer.complaints == []
+
+
+def test_other_gusts_stand_beside_the_tree(view: Open, url: str, job_id: str) -> None:
+    viewer = view(900, 620)
+    page = viewer.page
+    viewer.open(f"{url}/#job={job_id}")
+    page.wait_for_selector(MOVING, timeout=JOB_MS)
+    page.locator("#play").click()
+    page.locator("#company input[value=pair]").check(force=True)
+    plates = page.locator("#plates span")
+    expect(plates).to_have_text(["5.0 m/s", "12.0 m/s"])
+    page.locator("#other-speed").fill("5")
+    steady(viewer)
+    same = crowns(scrub(viewer, 0.3))
+    with page.expect_request(lambda request: request.method == "POST" and request.url.endswith("/v1/jobs")) as sent:
+        page.locator("#pair-kinds input[value=gusts]").check(force=True)
+    assert sent.value.post_data_json["seed"] == 1
+    viewer.wait_turns()
+    expect(page.locator("#plates")).to_be_hidden()  # nothing differs yet
+    expect(page.locator("#pair-note")).to_contain_text("Both stand in the same wind", timeout=JOB_MS)
+    expect(plates).to_have_text(["Gusts A", "Gusts B"])
+    other = crowns(scrub(viewer, 0.3))
+    viewer.picture()
+    assert changed(same[0], other[0]) < 0.001, "the tree itself has other gusts"
+    assert changed(same[1], other[1]) > 0.004, "the other tree has the same gusts"
+    page.locator("#canvas").focus()
+    for _ in range(6):
+        page.keyboard.press("ArrowLeft")
+    turned = crowns(scrub(viewer, 0.3))
+    assert min(changed(before, now) for before, now in zip(other, turned, strict=True)) > 0.01, "two cameras"
+    page.locator("#wind-endless").check(force=True)
+    page.locator("#play").click()
+    viewer.wait_frames(3)
+    page.locator("#pair-kinds input[value=speed]").check(force=True)
+    expect(plates).to_have_text(["5.0 m/s", "5.0 m/s"])
+    assert viewer.complaints == []
+
+
+def crowns(picture: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Left and right half of a picture, without the ground."""
+    height, width = picture.shape[:2]
+    return picture[: int(0.6 * height), : width // 2], picture[: int(0.6 * height), width // 2 :]
 
 
 def test_the_sun_moves_and_the_background_goes(view: Open, url: str, job_id: str, tmp_path: Path) -> None:

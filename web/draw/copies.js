@@ -4,10 +4,14 @@ import * as THREE from "three";
 import { surfaceMaterials } from "./follow.js";
 
 export class Copies {
-  /** `field` holds the tree's shapes; `places` are `{ x, y, yaw, size }` as of motion/company.js. */
-  constructor({ surface, field, box, still, uniforms: { greyStill } }, places) {
-    this.places = places;
-    this.field = field.copied(places.length);
+  /**
+   * `field` holds the tree's shapes; `places` are `{ x, y, yaw, size }` as of motion/company.js. `other` is the field of
+   * another motion, which the copies have in place of the tree's.
+   */
+  constructor({ surface, field, box, still, uniforms: { greyStill } }, places, other = null) {
+    Object.assign(this, { places, other });
+    const source = other ?? field;
+    this.field = source.copied(places.length);
     const uniforms = {
       moved: { value: this.field.texture },
       copyRows: { value: this.field.rows },
@@ -16,7 +20,8 @@ export class Copies {
       coloured: { value: 0 },
       greyStill,
     };
-    const { lit, depth } = surfaceMaterials(surface, uniforms);
+    const ties = source.byVoxel ? surface.geometry.attributes.tieRows : null;
+    const { lit, depth } = surfaceMaterials({ ...surface, tie_rows: ties }, uniforms);
     this.mesh = new THREE.InstancedMesh(surface.geometry, lit, places.length);
     this.mesh.customDepthMaterial = depth;
     this.mesh.castShadow = this.mesh.receiveShadow = true;
@@ -48,6 +53,7 @@ export class Copies {
   }
 
   dispose() {
+    this.mesh.removeFromParent();
     this.field.dispose();
     for (const material of [this.mesh.material, this.mesh.customDepthMaterial].flat()) material.dispose();
     this.mesh.dispose();

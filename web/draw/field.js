@@ -120,6 +120,14 @@ export class Field {
   }
 }
 
+/** The field of another motion of the same tree, of the contents of its surface file, or of its Modes where the mesh is large. */
+export function fieldOf({ shapes, scale_m: scale, vertices }, modes) {
+  return shapes ? new Field(shapes, scale, vertices.length / 3) : voxelFieldOf(modes);
+}
+
+export const voxelFieldOf = ({ shapes, scale_m: scale, V }) =>
+  Object.assign(new Field(shapes, scale, V), { byVoxel: true });
+
 function shapesTexture(shapes, texels) {
   const rows = Math.ceil(texels / WIDTH);
   const padded = new Int16Array(2 * WIDTH * rows);

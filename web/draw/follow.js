@@ -144,7 +144,7 @@ export function surfaceMaterials(surface, uniforms) {
     const material = new Kind({
       ...shiny,
       color: new THREE.Color(r, g, b),
-      map: surface.textures[index] ?? null,
+      map: (surface.materials.length && surface.textures[index]) || null, // other textures lie behind those of materials
       vertexColors: true,
       alphaTest: cutoff ?? 0,
       side: THREE.DoubleSide,

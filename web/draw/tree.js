@@ -4,7 +4,7 @@ import * as THREE from "three";
 import { carried, largestSwing } from "../motion/modes.js";
 import { Copies } from "./copies.js";
 import { buildCubes, disposeCubes } from "./cubes.js";
-import { Field, PoseTexture, zeroTexture } from "./field.js";
+import { Field, PoseTexture, voxelFieldOf, zeroTexture } from "./field.js";
 import { ghostOf, surfaceMaterials } from "./follow.js";
 import { topVoxel } from "./pick.js";
 
@@ -70,6 +70,7 @@ export class Tree {
     const { lit, depth } = surfaceMaterials(this.surface, this.uniforms);
     this.mesh.material = lit;
     this.mesh.customDepthMaterial = depth;
+    if (this.copies) this.setCopies(this.copies.places, this.copies.other);
     this.setView(this.view);
   }
 
@@ -86,13 +87,11 @@ export class Tree {
 
   /** A large mesh's own motion in place of its nearest voxels', once the job's files contain it. */
   setShapes({ shapes, scale_m }) {
-    const { surface } = this;
-    Object.assign(surface, { shapes, scale_m, tie_rows: null });
-    this.field = new Field(shapes, scale_m, surface.N);
+    Object.assign(this.surface, { shapes, scale_m, tie_rows: null });
+    this.field = new Field(shapes, scale_m, this.surface.N);
     this.uniforms.moved.value = this.field.texture;
-    this.largest = largestSwing(surface);
+    this.largest = largestSwing(this.surface);
     this._setMaterials();
-    if (this.copies) this.setCopies(this.copies.places);
   }
 
   /** Metal, roughness and maps of the materials, one a material or null, once a file says more than colours. */
@@ -102,12 +101,10 @@ export class Tree {
     this.surface.textures.push(...maps); // behind the colours, to be disposed of with them
     this.stage.surroundings.reflect(this.stage.renderer);
     this._setMaterials();
-    if (this.copies) this.setCopies(this.copies.places);
   }
 
   _voxelField() {
-    this.voxelField ??= new Field(this.modes.shapes, this.modes.scale_m, this.modes.V);
-    return this.voxelField;
+    return (this.voxelField ??= voxelFieldOf(this.modes));
   }
 
   /** The points of a cloud at rest, until its Gaussians move. */
@@ -138,22 +135,20 @@ export class Tree {
     this.setView(this.view);
   }
 
-  /** The tree again at these places, each moved by `copies.move`; none for an empty list. */
-  setCopies(places) {
-    this._dropCopies();
+  /**
+   * The tree again at these places, each moved by `copies.move`; none for an empty list. `field` is that of another
+   * motion of the same tree, where the copies have one.
+   */
+  setCopies(places, field = null) {
+    const moved = JSON.stringify(places) !== JSON.stringify(this.copies?.places ?? []);
+    this.copies?.dispose();
+    this.copies = null;
     if (places.length && this.field && !this.hidden) {
-      this.copies = new Copies(this, places);
+      this.copies = new Copies(this, places, field);
       this.group.add(this.copies.mesh);
     }
-    this.stage.frame(this.copies ? this.copies.box.union(this.box) : this.box);
+    if (moved) this.stage.frame(this.copies ? this.copies.box.union(this.box) : this.box);
     this.setView(this.view);
-  }
-
-  _dropCopies() {
-    if (!this.copies) return;
-    this.group.remove(this.copies.mesh);
-    this.copies.dispose();
-    this.copies = null;
   }
 
   // ---- how it is drawn
@@ -236,7 +231,7 @@ export class Tree {
 
   dispose() {
     this.disposed = true;
-    this._dropCopies();
+    this.copies?.dispose();
     this._dropMesh();
     this.splat?.dispose();
     this.points?.dispose();

@@ -2,8 +2,8 @@
 
 const LONGEST_S = 0.5; // a tab that was in the background goes on from where it was
 
-/** Draw the scene's tree for ever; `body[data-frames]` and `body[data-sharp]` say how far it is. */
-export function runFrames({ stage, player, scene, hand }) {
+/** Draw the scene's tree for ever; `body[data-frames]` and `body[data-sharp]` say how far it is; `onDraw()` follows each. */
+export function runFrames({ stage, player, scene, hand, onDraw = () => {} }) {
   const { dataset } = document.body;
   stage.prepare = (renderer) => scene.tree?.prepare(renderer);
   let last = performance.now();
@@ -12,7 +12,10 @@ export function runFrames({ stage, player, scene, hand }) {
     last = now;
     stage.controls.update();
     player.advance(seconds);
-    if (stage.draw(now)) dataset.frames = Number(dataset.frames ?? 0) + 1;
+    if (stage.draw(now)) {
+      dataset.frames = Number(dataset.frames ?? 0) + 1;
+      onDraw();
+    }
     dataset.sharp = stage.resolution.sharp && !stage.stale;
     hand.tick();
     requestAnimationFrame(next);

@@ -38,6 +38,7 @@ export class Player {
     this.hasBands = Boolean(bands);
     this.drawn = this.shownTime = null;
     this.company = "one";
+    this.other = null;
     this.setTurbulent(null);
     this.setPlaying(!matchMedia("(prefers-reduced-motion: reduce)").matches);
   }
@@ -65,15 +66,18 @@ export class Player {
     return bandGains(this.bands, speed)[1];
   }
 
-  /** What stands beside the tree: "one" for nothing, "pair" for the same tree in a wind of `speed_m_s`, or "forest". */
-  setCompany(kind, speed_m_s = this.speed) {
+  /**
+   * What stands beside the tree: "one" for nothing, "pair" for the same tree in a wind of `speed_m_s` (null for the same
+   * wind), or "forest". `other` is another motion for it: `{ id, field, bands, turbulent }`.
+   */
+  setCompany(kind, speed_m_s = null, other = null) {
     const { box } = this.tree;
     const width = Math.max(box.max.x - box.min.x, box.max.y - box.min.y);
-    if (kind !== this.company) {
-      this.tree.setCopies(kind === "forest" ? forestPlaces(width) : kind === "pair" ? pairPlaces(width) : []);
+    if (kind !== this.company || other !== this.other) {
+      const places = kind === "forest" ? forestPlaces(width) : kind === "pair" ? pairPlaces(width) : [];
+      this.tree.setCopies(places, other?.field);
     }
-    this.company = kind;
-    this.otherSpeed = speed_m_s;
+    Object.assign(this, { company: kind, otherSpeed: speed_m_s, other });
   }
 
   /** Show one mode by itself, enlarged; returns how many times. */
@@ -95,14 +99,8 @@ export class Player {
     this.gains = bandGains(this.bands, this.windSpeed);
     const time = this.turbulent ? this.seconds : this.phase;
     const windless = !this.windSpeed && !this.alone && !(this.company === "pair" && this.otherSpeed);
-    const now = JSON.stringify([
-      windless || time,
-      this.windSpeed,
-      this.turn,
-      this.alone,
-      this.company,
-      this.otherSpeed,
-    ]);
+    const beside = [this.company, this.otherSpeed, this.other?.id, Boolean(this.other?.turbulent)];
+    const now = JSON.stringify([windless || time, this.windSpeed, this.turn, this.alone, ...beside]);
     const changed = now !== this.drawn;
     if (changed || hand.moving || tree.groups.length) {
       const { q, turn } = this._coordinates();
@@ -136,9 +134,9 @@ export class Player {
     const { phase, period, seconds, turbulent, gains, turn, direction_rad, speed: speed_m_s } = this;
     if (this.company === "forest")
       return forestMotions(places, { K, phase, period, seconds, turbulent, gains, turn, direction_rad, speed_m_s });
-    const others = bandGains(this.bands, this.otherSpeed);
+    const others = bandGains(this.other?.bands ?? this.bands, this.otherSpeed ?? this.windSpeed);
     if (!turbulent) return places.map(() => ({ q: windCoordinates(K, phase, others), turn }));
-    const now = turbulentCoordinates(turbulent, seconds, others);
+    const now = turbulentCoordinates(this.other?.turbulent ?? turbulent, seconds, others);
     return places.map(() => ({ q: now.q, turn: turn + now.turn }));
   }
 

@@ -1,12 +1,15 @@
 // What stands on the stage: photos, the tree at rest, in motion, and what the job's files add.
 
+import { fieldOf } from "../draw/field.js";
 import { Person } from "../draw/person.js";
 import { readSurface } from "../draw/surface.js";
 import { Tree } from "../draw/tree.js";
 import { Modes } from "../motion/modes.js";
+import { readTensors } from "../motion/tensors.js";
 import { $, element } from "./dom.js";
 
 const MOST_PHOTOS = 24;
+const OTHER_WIND = 1; // seed of the endless wind beside the tree
 
 export class Scene {
   /**
@@ -101,6 +104,15 @@ export class Scene {
     if (signal.aborted) return;
     $("photos").replaceChildren();
     this.onMotion(this.stand(read, new Modes(modes)), spectrum, job);
+  }
+
+  /** Another motion of the tree on the stage, from its spectrum: `{ id, field, bands, wind }`; `wind()` asks for its endless wind. */
+  async otherMotion(id, signal) {
+    const [spectrum, surface] = await Promise.all([this.client.spectrum(id), this.client.surface(id, { signal })]);
+    const { tensors } = readTensors(surface);
+    const modes = tensors.shapes ? null : new Modes(await this.client.modes(id, { signal }));
+    const wind = () => this.client.wind(id, { seed: OTHER_WIND });
+    return { id, field: fieldOf(tensors, modes), bands: spectrum.wind_bands, wind };
   }
 
   /** What only the job's files contain: Gaussians of a cloud or of photos, else the own motion of a large mesh. */

@@ -1,7 +1,7 @@
 // The panel's views: tree, wire, voxels, modes, and the tree at rest over it.
 
 import { $, describe, fill } from "./dom.js";
-import { length, number, speed, text } from "./texts.js";
+import { length, number, text } from "./texts.js";
 import { accent } from "./theme.js";
 
 export class ViewPanel {
@@ -11,8 +11,6 @@ export class ViewPanel {
     $("mode").oninput = $("mode-alone").onchange = () => this._showMode();
     $("rest").onchange = () => this._showRest();
     $("grey-still").onchange = () => this._showGrey();
-    $("company").onchange = () => this._showCompany();
-    $("other-speed").oninput = () => this._showCompany();
     $("turntable").onchange = () => {
       stage.controls.autoRotate = $("turntable").checked;
     };
@@ -28,19 +26,6 @@ export class ViewPanel {
     this._showMode();
     this._showRest();
     this._showGrey();
-    this._showCompany();
-  }
-
-  /** Alone, beside itself in another wind, or in a forest of its own kind. */
-  _showCompany() {
-    const { tree } = this.player;
-    if (!tree?.moves) return;
-    $("company").hidden = Boolean(tree.hidden); // Gaussians have no copies
-    const kind = tree.hidden ? "one" : $("company").querySelector(":checked").value;
-    $("pair-box").hidden = kind !== "pair";
-    const other = Number($("other-speed").value);
-    this.player.setCompany(kind, other);
-    describe($("other-speed"), $("other-speed-out"), speed(other));
   }
 
   _showMode() {

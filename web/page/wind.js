@@ -10,10 +10,10 @@ const FULL_M_S = 12; // from here on the arrow is at its darkest
 export class WindPanel {
   /**
    * `onMake(wind, bands)` is called with the wind that a motion is to be made for, and whether the model is to be asked for
-   * all winds; a problem of the service to `onProblem`.
+   * all winds; `onEndless()` once endless wind is played; a problem of the service to `onProblem`.
    */
-  constructor(stage, player, { onMake, onProblem }) {
-    Object.assign(this, { stage, player });
+  constructor(stage, player, { onMake, onEndless, onProblem }) {
+    Object.assign(this, { stage, player, onEndless });
     this.active = false;
     for (const choice of document.getElementsByName("wind-mode")) {
       choice.onchange = () => this._setMode().catch(onProblem);
@@ -37,7 +37,9 @@ export class WindPanel {
     const { turbulent, player } = this;
     if (!$("wind-endless").checked || !turbulent) return player.setTurbulent(null);
     const table = await turbulent();
-    if (this.turbulent === turbulent && $("wind-endless").checked) player.setTurbulent(table);
+    if (this.turbulent !== turbulent || !$("wind-endless").checked) return;
+    player.setTurbulent(table);
+    await this.onEndless();
   }
 
   _presetItem(name, value) {
