@@ -28,7 +28,7 @@ MEDIA_TYPES = {
 }
 TEXT_LEVEL = 6
 TENSORS_LEVEL = 1
-"""Of gzip. The welcome's tree is 5 % larger than with level 6 and packed in a fifth of the time, for which visitors wait."""
+"""Of gzip. The welcome's tree is 5 % larger than with level 6, and packed in a fifth of the time."""
 
 VENDORED = "public, max-age=31536000, immutable"
 """Cache-Control of vendored libraries: their paths hold the version."""
@@ -137,17 +137,18 @@ async def own_page(path: str) -> Page:
     return page
 
 
-_pages: dict[str, Page] = {}  # those that were asked for; what does not exist is not remembered
+packed_pages: dict[str, Page] = {}
+"""Those that were asked for, by path; what does not exist is not remembered."""
 
 
 async def read_page(path: str) -> Page | None:
     """A file of the package `web`, or None where there is no such file or it is none for browsers."""
-    if path not in _pages:
+    if path not in packed_pages:
         page = await run_in_threadpool(pack_page, path)
         if page is None:
             return None
-        _pages[path] = page
-    return _pages[path]
+        packed_pages[path] = page
+    return packed_pages[path]
 
 
 def pack_page(path: str) -> Page | None:

@@ -29,7 +29,7 @@ from jobs.records import AssetRecord
 from jobs.settings import Settings
 from service.app import create_app
 from service.local.serve import Announcer
-from service.routes import surface
+from service.routes import pages, surface
 from tests.service.pushed import ASSET_ID, grown, spectrum, spectrum_id  # noqa: F401
 from web.vendor import FOLDER, LIBRARIES, SUMS
 
@@ -108,6 +108,13 @@ def test_every_module_that_the_page_begins_with_is_loaded_at_once() -> None:
     ours = {path for path in listed if not path.startswith("vendor/")}
     assert ours == {str(path.relative_to(WEB)) for path in imported(WEB / "app.js", set())} - {"app.js"}
     assert len(listed) == len(ours) + 3 == len(set(listed))
+
+
+def test_addresses_that_do_not_exist_take_no_memory(client: TestClient) -> None:
+    client.get("/web/app.js")
+    before = set(pages.packed_pages)
+    assert {client.get(f"/web/none-{number}.js").status_code for number in range(20)} == {404}
+    assert set(pages.packed_pages) == before
 
 
 def test_nothing_of_ours_names_another_host() -> None:
