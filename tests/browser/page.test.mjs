@@ -274,6 +274,14 @@ test("every language has every text, and each format is told", () => {
 
 // ---- drawing
 
+test("where drawing is slow the first frames have few pixels already, and a still picture all of them", () => {
+  const resolution = new Resolution(2, true);
+  resolution.next(0);
+  assert.ok(resolution.scale === 0.5 && !resolution.sharp && resolution.settles(300));
+  for (let now = 0; now < 1200; now += 10) resolution.next(now);
+  assert.equal(resolution.scale, 1, "it is not slow after all");
+});
+
 test("slow frames get fewer pixels, quick ones all of them, a still picture is drawn in full", () => {
   const resolution = new Resolution();
   let now = 0;

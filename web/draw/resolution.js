@@ -9,10 +9,10 @@ const PATIENCE = 6; // frames between two changes
 const LONGEST_MS = 500; // a single frame counts as no more: the tab may have been in the background
 
 export class Resolution {
-  /** A still picture is drawn at `stillScale` of the pixel ratio. */
-  constructor(stillScale = 1) {
+  /** A still picture is drawn at `stillScale` of the pixel ratio; `slow` begins with the fewest pixels. */
+  constructor(stillScale = 1, slow = false) {
     this.stillScale = stillScale;
-    this.scale = 1; // of the pixel ratio
+    this.scale = slow ? LEAST : 1; // of the pixel ratio
     this.frame = 0;
     this.mean = 0;
     this.before = 0;

@@ -30,7 +30,7 @@ export class Stage {
     this.camera = new THREE.PerspectiveCamera(FIELD_OF_VIEW, 1, 0.05, 1000);
     this.camera.up.set(0, 0, 1);
     this.surroundings = new Surroundings(this.scene);
-    this.resolution = new Resolution(soft ? 2 : 1);
+    this.resolution = new Resolution(soft ? 2 : 1, soft);
     this.margins = { left: 0, right: 0, bottom: 0, top: 0 };
     this.stale = true; // the picture on the screen is not the scene any more
     this.prepare = () => {}; // (renderer), before each draw
