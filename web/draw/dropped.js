@@ -46,6 +46,9 @@ async function readGltf([{ content }], { address }) {
   const manager = new THREE.LoadingManager();
   manager.setURLModifier((url) => (/^(blob|data):/.test(url) ? url : address(url)));
   const { scene } = await new GLTFLoader(manager).parseAsync(await content.arrayBuffer(), "");
+  scene.traverse(({ material }) => {
+    for (const one of [material ?? []].flat()) if (one.metalness) one.metalness = 0; // metal is black under no sky
+  });
   return { object: scene };
 }
 
