@@ -1,11 +1,19 @@
 """What all request parameters have in common: unknown fields are refused, and errors name field and value."""
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from dynamictree.errors import InputError
+
+LARGEST = 1e6
+"""Of any component of a vector, mass or length in a request: far beyond a storm, far below what overflows."""
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Share = Annotated[float, Field(ge=0, le=1)]
+Box = tuple[tuple[Finite, Finite, Finite], tuple[Finite, Finite, Finite]]
+"""Low and high corner [m], +Z up."""
 
 
 class Request(BaseModel):

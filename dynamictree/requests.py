@@ -1,7 +1,7 @@
-"""All request parameters with range, default, unit and meaning. They are declared only here.
+"""All request parameters with range, default, unit and meaning; those of photos are in `photo_requests`.
 
 The options of the command line, the bodies of HTTP requests and the cache keys of the worker are built from these
-models, so a new parameter is added here and nowhere else. They need pydantic alone.
+models, so a new parameter is added in one of both and nowhere else. They need pydantic alone.
 """
 
 from dataclasses import dataclass
@@ -11,7 +11,8 @@ from pydantic import AfterValidator, ConfigDict, Field, StringConstraints
 
 from dynamictree.errors import InputError
 from dynamictree.loop_frames import is_whole, nearest_loops
-from dynamictree.request_model import Request
+from dynamictree.photo_requests import PhotoParams
+from dynamictree.request_model import LARGEST, Box, Finite, Request
 
 MAX_FRAMES = 1_000
 """Of one loop, as 16.7 s at 60 fps, or of a turbulent motion in a format that is written at once."""
@@ -24,20 +25,9 @@ MAX_TURBULENT_FILM_FRAMES = 3_600
 TURBULENT_S = 10.0
 """Duration of a turbulent motion where no number of frames is asked for [s]."""
 MAX_FIRST_FRAME = 10_000_000
-MIN_PHOTOS, MAX_PHOTOS = 8, 300
-"""Of one reconstruction."""
-PHOTOS_OF_VIDEO = 40
-"""Of a walk of 360°, one per 9°: neighbours match, and two cores match all pairs in minutes."""
 MAX_SEED = 2**53 - 1
 """The largest integer that every JSON reader represents exactly."""
 
-LARGEST = 1e6
-"""Of any component of a vector, mass or length in a request: far beyond a storm, far below what overflows."""
-
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Share = Annotated[float, Field(ge=0, le=1)]
-Box = tuple[tuple[Finite, Finite, Finite], tuple[Finite, Finite, Finite]]
-"""Low and high corner [m], +Z up."""
 PartNames = Annotated[
     tuple[Annotated[str, StringConstraints(min_length=1, max_length=200)], ...], Field(min_length=1, max_length=64)
 ]
@@ -139,74 +129,6 @@ class CloudParams(Request):
         le=10_000,
         description="Of a file of several trees only this one, as `trees` numbers them; if unset all, each by itself",
     )
-
-
-class Scribble(Request):
-    """A stroke on a photo, or a click, that says what is seen under it."""
-
-    photo: str = Field(min_length=1, max_length=1024, description="The photo's name, as in cameras.json")
-    plant: bool = Field(description="Whether the plant is under it, or something else")
-    points: tuple[tuple[Share, Share], ...] = Field(
-        min_length=1,
-        max_length=1000,
-        description="Places along the stroke, from left and from top, as shares of the photo's width and height",
-    )
-
-
-Scribbles = Annotated[tuple[Scribble, ...], Field(min_length=1, max_length=200)]
-_SCRIBBLES = (
-    "Strokes on photos that say what is the plant and what is not; all else is decided by them and by what the photos "
-    "show of it"
-)
-_ONLY_PLANT = (
-    "Cut out the plant without strokes: not the ground, not what is far, but what stands in the middle of the photos"
-)
-
-
-class LearningParams(Request):
-    """What decides on the scene that is learned from photos, before the tree is cut out of it."""
-
-    splat_steps: int | None = Field(
-        default=None, ge=100, le=30_000, description="Of photos: training steps of the splat; 3000 if unset"
-    )
-    video_frames: int | None = Field(
-        default=None,
-        ge=MIN_PHOTOS,
-        le=MAX_PHOTOS,
-        description=f"Of a film: sharp frames that are taken as photos; {PHOTOS_OF_VIDEO} if unset",
-    )
-
-
-class PhotoParams(LearningParams):
-    """How to reconstruct a tree from photos."""
-
-    height_m: Finite | None = Field(
-        default=None,
-        gt=0,
-        lt=1000,
-        description="Of photos: the tree's height [m], which they do not show; 1 m if unset",
-    )
-    scribbles: Scribbles | None = Field(default=None, description=_SCRIBBLES)
-    only_plant: bool = Field(default=False, description=_ONLY_PLANT)
-
-
-class CutParams(Request):
-    """How to cut the plant out of a finished reconstruction."""
-
-    box_m: Box | None = Field(
-        default=None,
-        description="Only what is inside is the plant: low and high corner [m] in the frame of the folder's files",
-    )
-    height_m: Finite | None = Field(
-        default=None, gt=0, lt=1000, description="The plant's height [m]; if unset the scale stays"
-    )
-    scribbles: Scribbles | None = Field(default=None, description=_SCRIBBLES)
-    only_plant: bool = Field(default=False, description=_ONLY_PLANT)
-
-    @property
-    def cuts(self) -> bool:
-        """Whether the plant is cut out at all."""
-        return self.box_m is not None or self.scribbles is not None or self.only_plant
 
 
 class GridParams(Request):

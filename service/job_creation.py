@@ -4,7 +4,8 @@ from hashlib import sha256
 
 from fastapi import Response, status
 
-from dynamictree.requests import PHOTOS_OF_VIDEO, AnimateParams, CloudParams, Format
+from dynamictree.photo_requests import PHOTOS_OF_VIDEO
+from dynamictree.requests import AnimateParams, CloudParams, Format
 from jobs.assets import read_asset
 from jobs.errors import ConflictError
 from jobs.records import AssetRecord, ClientKey, JobRecord, Json

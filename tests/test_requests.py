@@ -10,6 +10,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from dynamictree.cli import Commands
 from dynamictree.errors import InputError
+from dynamictree.photo_requests import CutParams, PhotoParams
 from dynamictree.requests import (
     MAX_FIRST_FRAME,
     MAX_FRAMES,
@@ -17,13 +18,11 @@ from dynamictree.requests import (
     MAX_TURBULENT_FRAMES,
     AnimateParams,
     CloudParams,
-    CutParams,
     ExportParams,
     Format,
     GeneratorGridParams,
     InteractParams,
     ModelParams,
-    PhotoParams,
     Reading,
     Request,
     Shot,

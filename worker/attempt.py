@@ -12,15 +12,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dynamictree.errors import Cancelled, CheckpointError, DynamicTreeError
+from dynamictree.photo_requests import LearningParams
 from dynamictree.request_model import Request
-from dynamictree.requests import (
-    CloudParams,
-    ExportParams,
-    GridParams,
-    LearningParams,
-    ReconstructParams,
-    SpectrumParams,
-)
+from dynamictree.requests import CloudParams, ExportParams, GridParams, ReconstructParams, SpectrumParams
 from dynamictree.weights import list_weights
 from jobs.artifacts import hash_file
 from jobs.assets import read_asset

@@ -17,7 +17,7 @@ from dynamictree.commands.terminal import AsJson, tell
 from dynamictree.errors import InputError
 from dynamictree.files import published
 from dynamictree.formats.suffixes import PHOTO_SUFFIXES
-from dynamictree.requests import PHOTOS_OF_VIDEO, CutParams, PhotoParams
+from dynamictree.photo_requests import PHOTOS_OF_VIDEO, CutParams, PhotoParams
 
 
 @with_request_options

@@ -10,7 +10,7 @@ from dynamictree.commands.options import OutputFolder
 from dynamictree.commands.request_options import with_request_options
 from dynamictree.commands.terminal import AsJson, tell
 from dynamictree.files import published
-from dynamictree.requests import CutParams
+from dynamictree.photo_requests import CutParams
 
 
 @with_request_options

@@ -2,8 +2,7 @@
 
 from pydantic import Field
 
-from dynamictree.request_model import Request
-from dynamictree.requests import Finite
+from dynamictree.request_model import Finite, Request
 
 
 class DatasetLimits(Request):

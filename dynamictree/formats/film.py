@@ -11,7 +11,7 @@ from typing import IO
 
 from dynamictree.errors import FormatError, InputError
 from dynamictree.formats.suffixes import OTHER_FILM_SUFFIXES
-from dynamictree.requests import MIN_PHOTOS
+from dynamictree.photo_requests import MIN_PHOTOS
 
 MAX_FILM_BYTES = 2 * 2**30
 MAX_FILM_S = 300.0  # a walk around a tree takes half a minute to two

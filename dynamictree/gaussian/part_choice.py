@@ -9,7 +9,8 @@ from jaxtyping import Bool, Float32, UInt8
 
 from dynamictree.errors import InputError
 from dynamictree.mesh import TriangleMesh
-from dynamictree.requests import Box, CloudParams
+from dynamictree.request_model import Box
+from dynamictree.requests import CloudParams
 
 _MOST_NAMES = 30  # of a message
 

@@ -8,7 +8,7 @@ from dynamictree.errors import InputError, MeshError
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.cloud_mesh import mesh_of_cloud
 from dynamictree.mesh import TriangleMesh
-from dynamictree.requests import Box
+from dynamictree.request_model import Box
 
 _LEAST_FACES = 50
 _CELLS = 320  # along the longest side of a surface that is made anew

@@ -8,12 +8,13 @@ from typing import Literal
 
 from dynamictree.formats.suffixes import FILM_SUFFIXES, PHOTO_SUFFIXES
 from dynamictree.gaussian.capture import Capture, carrying_mesh, with_still_parts
+from dynamictree.photo_requests import PHOTOS_OF_VIDEO, CutParams, LearningParams
 from dynamictree.reconstruct import ReconstructOptions, reconstruct
 from dynamictree.reconstruct.optimise import Schedule
 from dynamictree.reconstruct.photo_input import ReadPhotos, read_photos
 from dynamictree.reconstruct.recut import pack, recut, unpack
 from dynamictree.reconstruct.video_frames import write_sharp_frames
-from dynamictree.requests import PHOTOS_OF_VIDEO, CutParams, LearningParams, ReconstructParams
+from dynamictree.requests import ReconstructParams
 
 Recall = Callable[[Literal["reconstruction"], Callable[[Path], None]], Path]
 WriteFrames = Callable[[Path, Path, int, Callable[[], None]], list[Path]]

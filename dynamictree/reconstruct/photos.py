@@ -11,7 +11,7 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 
 from dynamictree.errors import FormatError, InputError
 from dynamictree.formats.suffixes import MASKS
-from dynamictree.requests import MAX_PHOTOS, MIN_PHOTOS
+from dynamictree.photo_requests import MAX_PHOTOS, MIN_PHOTOS
 
 FORMATS = ("JPEG", "PNG", "WEBP", "TIFF")
 MAX_PHOTO_BYTES = 64 * 2**20

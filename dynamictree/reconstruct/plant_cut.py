@@ -17,10 +17,10 @@ from skimage.color import rgb2lab
 
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.harmonics import SH_0
+from dynamictree.photo_requests import Scribble
 from dynamictree.reconstruct.plant_proposal import Proposal, propose
 from dynamictree.reconstruct.scribbles import marked
 from dynamictree.reconstruct.seen_from import SeenFrom
-from dynamictree.requests import Scribble
 
 _NEIGHBOURS = 10
 _ROUNDS = 4  # of colours from the cut, and the cut from colours

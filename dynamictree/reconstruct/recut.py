@@ -17,12 +17,12 @@ from dynamictree.formats.splat.ply import read_gaussian_ply, write_gaussian_ply
 from dynamictree.gaussian.capture import Capture, carrying_mesh, with_still_parts
 from dynamictree.gaussian.cloud import GaussianCloud, in_box
 from dynamictree.mesh import TriangleMesh
+from dynamictree.photo_requests import CutParams
 from dynamictree.reconstruct.cut import BESIDE, of_the_tree
 from dynamictree.reconstruct.cut_mesh import mesh_in_box, plant_mesh
 from dynamictree.reconstruct.plant_cut import plant_of
 from dynamictree.reconstruct.seen_from import read_cameras
 from dynamictree.reconstruct.soot import soot_of
-from dynamictree.requests import CutParams
 
 _LEAST_GAUSSIANS = 50
 _PICTURES = ("report.png",)

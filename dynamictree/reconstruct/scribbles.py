@@ -9,8 +9,8 @@ from jaxtyping import Int8, Int64
 from dynamictree.errors import InputError
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.visibility import weights_at
+from dynamictree.photo_requests import Scribble
 from dynamictree.reconstruct.seen_from import SeenFrom, view_of_photo
-from dynamictree.requests import Scribble
 
 _SIDE_PX = 480  # of the picture that strokes are drawn on
 _CLICK_PX = 1  # to each side of a stroke of one point

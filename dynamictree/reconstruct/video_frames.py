@@ -10,8 +10,8 @@ from jaxtyping import Float64, Int64
 from dynamictree.errors import FormatError, InputError
 from dynamictree.formats.film import MAX_FILM_FRAMES, decoded
 from dynamictree.formats.suffixes import FILM_SUFFIXES, OTHER_FILM_SUFFIXES
+from dynamictree.photo_requests import MAX_PHOTOS, MIN_PHOTOS, PHOTOS_OF_VIDEO
 from dynamictree.reconstruct.photos import LONG_SIDE_PX
-from dynamictree.requests import MAX_PHOTOS, MIN_PHOTOS, PHOTOS_OF_VIDEO
 
 SUFFIXES = (*FILM_SUFFIXES, *OTHER_FILM_SUFFIXES)
 PROBE_PX = 256  # side of the squares on which sharpness is judged; their ratio is the same for all frames of a film

@@ -6,7 +6,8 @@ from fastapi import APIRouter
 from pydantic import Field
 
 from dynamictree.formats import film, suffixes
-from dynamictree.requests import MAX_FRAMES, MAX_PHOTOS, MAX_TURBULENT_FRAMES, MIN_PHOTOS, Format
+from dynamictree.photo_requests import MAX_PHOTOS, MIN_PHOTOS
+from dynamictree.requests import MAX_FRAMES, MAX_TURBULENT_FRAMES, Format
 from dynamictree.weights import list_weights
 from service.http.problems import wrong_field
 from service.http.routing import refusals

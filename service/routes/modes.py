@@ -9,7 +9,7 @@ from safetensors.numpy import save
 
 from dynamictree.modal.locality import poke_weights
 from dynamictree.modal.modes import mode_metadata, mode_tensors
-from dynamictree.requests import LARGEST
+from dynamictree.request_model import LARGEST
 from service.http.negotiation import SAFETENSORS
 from service.http.routing import CACHED, Id, file_of, refusals
 from service.services import OwnedDep

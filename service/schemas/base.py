@@ -5,7 +5,7 @@ from typing import Annotated, Self
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from dynamictree.requests import Finite as Finite
+from dynamictree.request_model import Finite as Finite
 from service.http.problems import KINDS, problem_body
 
 ULID_PATTERN = "^[0-9A-HJKMNP-TV-Z]{26}$"

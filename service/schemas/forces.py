@@ -12,7 +12,8 @@ from dynamictree.modal.interactive_tree import ForceGroup, Locality, Reached
 from dynamictree.modal.local_bend import Bend
 from dynamictree.modal.response import Start, with_bin_zero
 from dynamictree.modal.step import State
-from dynamictree.requests import LARGEST, MAX_FRAMES, InteractParams
+from dynamictree.request_model import LARGEST
+from dynamictree.requests import MAX_FRAMES, InteractParams
 from dynamictree.voxel.grid import VoxelGrid
 from service.http.problems import ProblemError
 from service.schemas.base import Finite, Payload

@@ -20,7 +20,8 @@ from dynamictree.formats.suffixes import (
     POINT_SUFFIXES,
     SOG_FOLDER_FILE,
 )
-from dynamictree.requests import MAX_PHOTOS, MIN_PHOTOS, Reading
+from dynamictree.photo_requests import MAX_PHOTOS, MIN_PHOTOS
+from dynamictree.requests import Reading
 from jobs.artifacts import hash_file
 from jobs.assets import add_asset, find_asset
 from jobs.attempts import touch_blob

@@ -13,9 +13,9 @@ from dynamictree.gaussian.cloud import GaussianCloud, joined
 from dynamictree.gaussian.cloud_mesh import mesh_of_cloud
 from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.gaussian.rasterize import render_on_cpu
+from dynamictree.photo_requests import Scribble
 from dynamictree.reconstruct.seen_from import SeenFrom
 from dynamictree.render.camera import Camera
-from dynamictree.requests import Scribble
 from tests.gaussian.test_still_gaussians import plant, pot, splat_of
 
 WIDTH, HEIGHT = 240, 180

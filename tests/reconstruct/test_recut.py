@@ -12,8 +12,8 @@ from dynamictree.errors import InputError
 from dynamictree.formats.mesh.ply import read_ply_mesh
 from dynamictree.formats.splat.ply import read_gaussian_ply
 from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.photo_requests import CutParams
 from dynamictree.reconstruct.recut import pack, recut, unpack
-from dynamictree.requests import CutParams
 from tests.reconstruct.finished import BOX, NUM_FLOOR, NUM_LAMP, NUM_STEM, write_finished
 
 

@@ -1,0 +1,80 @@
+"""Request parameters of a reconstruction from photos, with range, default, unit and meaning."""
+
+from typing import Annotated
+
+from pydantic import Field
+
+from dynamictree.request_model import Box, Finite, Request, Share
+
+MIN_PHOTOS, MAX_PHOTOS = 8, 300
+"""Of one reconstruction."""
+PHOTOS_OF_VIDEO = 40
+"""Of a walk of 360°, one per 9°: neighbours match, and two cores match all pairs in minutes."""
+
+
+class Scribble(Request):
+    """A stroke on a photo, or a click, that says what is seen under it."""
+
+    photo: str = Field(min_length=1, max_length=1024, description="The photo's name, as in cameras.json")
+    plant: bool = Field(description="Whether the plant is under it, or something else")
+    points: tuple[tuple[Share, Share], ...] = Field(
+        min_length=1,
+        max_length=1000,
+        description="Places along the stroke, from left and from top, as shares of the photo's width and height",
+    )
+
+
+Scribbles = Annotated[tuple[Scribble, ...], Field(min_length=1, max_length=200)]
+_SCRIBBLES = (
+    "Strokes on photos that say what is the plant and what is not; all else is decided by them and by what the photos "
+    "show of it"
+)
+_ONLY_PLANT = (
+    "Cut out the plant without strokes: not the ground, not what is far, but what stands in the middle of the photos"
+)
+
+
+class LearningParams(Request):
+    """What decides on the scene that is learned from photos, before the tree is cut out of it."""
+
+    splat_steps: int | None = Field(
+        default=None, ge=100, le=30_000, description="Of photos: training steps of the splat; 3000 if unset"
+    )
+    video_frames: int | None = Field(
+        default=None,
+        ge=MIN_PHOTOS,
+        le=MAX_PHOTOS,
+        description=f"Of a film: sharp frames that are taken as photos; {PHOTOS_OF_VIDEO} if unset",
+    )
+
+
+class PhotoParams(LearningParams):
+    """How to reconstruct a tree from photos."""
+
+    height_m: Finite | None = Field(
+        default=None,
+        gt=0,
+        lt=1000,
+        description="Of photos: the tree's height [m], which they do not show; 1 m if unset",
+    )
+    scribbles: Scribbles | None = Field(default=None, description=_SCRIBBLES)
+    only_plant: bool = Field(default=False, description=_ONLY_PLANT)
+
+
+class CutParams(Request):
+    """How to cut the plant out of a finished reconstruction."""
+
+    box_m: Box | None = Field(
+        default=None,
+        description="Only what is inside is the plant: low and high corner [m] in the frame of the folder's files",
+    )
+    height_m: Finite | None = Field(
+        default=None, gt=0, lt=1000, description="The plant's height [m]; if unset the scale stays"
+    )
+    scribbles: Scribbles | None = Field(default=None, description=_SCRIBBLES)
+    only_plant: bool = Field(default=False, description=_ONLY_PLANT)
+
+    @property
+    def cuts(self) -> bool:
+        """Whether the plant is cut out at all."""
+        return self.box_m is not None or self.scribbles is not None or self.only_plant
