@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from dynamictree.errors import InputError, ReconstructionError
-from dynamictree.reconstruct.cameras import find_cameras
+from dynamictree.reconstruct.cameras import ADVICE, find_cameras
 from dynamictree.reconstruct.coloured_mesh import Shape, best_surface, finished_shape
 from dynamictree.reconstruct.cut import cloud_in_metres, of_the_tree
 from dynamictree.reconstruct.given import files_with_cameras
@@ -124,7 +124,8 @@ def _result(
     mesh = shape.mesh
     if own.sum() < _LEAST_GAUSSIANS:
         raise ReconstructionError(
-            f"{int(own.sum())} Gaussians lie on the mesh; at least {_LEAST_GAUSSIANS} must; take photos from nearer"
+            f"{int(own.sum())} Gaussians lie on the mesh; at least {_LEAST_GAUSSIANS} must; "
+            f"the cameras may be wrong; {ADVICE}"
         )
     registered = {view.source for view in shape.model.views}
     report = Report(
