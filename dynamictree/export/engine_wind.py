@@ -2,7 +2,8 @@
 
 A ZIP of `tree-modes.glb` (at rest; TEXCOORD_1 is the lookup), `modes.exr` (Re c_0, then w_k Re c_k and w_k Im c_k of
 each further bin, laid out as the frames of a vertex texture), `wind.json`, a shader per engine that has the wind's
-numbers inside, and `tree-wind.glb`, whose vertex colours and texture coordinates a foliage shader reads.
+numbers inside, `tree-wind.glb`, whose vertex colours and texture coordinates a foliage shader reads, and the files of
+`pivot_painter.py`.
 """
 
 import io
@@ -15,6 +16,7 @@ from importlib.resources import files
 import numpy as np
 from jaxtyping import Complex64, Float32
 
+from dynamictree.export.pivot_painter import PIVOT_PAINTER, pivot_painter_files
 from dynamictree.formats.axes import up_rotation
 from dynamictree.formats.gltf.motion import loop_parts
 from dynamictree.formats.gltf.writer import VERTEX_BUFFER, GlbWriter, add_mesh
@@ -51,6 +53,7 @@ def iter_engine_wind_zip(
         "mesh": "tree-modes.glb",
         "texture": "modes.exr",
         "baked": "tree-wind.glb",
+        "pivot_painter": PIVOT_PAINTER,
         "width": layout.width,
         "height": layout.height,
         "rows_per_part": layout.rows_per_frame,
@@ -68,6 +71,7 @@ def iter_engine_wind_zip(
             ("tree-modes.glb", [rest]),
             ("modes.exr", [picture]),
             ("tree-wind.glb", [baked_glb(mesh, coefficients, wind, pivots)]),
+            *((name, [content]) for name, content in pivot_painter_files(mesh, pivots).items()),
             *shaders,
         ]
     )

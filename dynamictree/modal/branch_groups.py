@@ -28,18 +28,38 @@ def branch_orders(parent: Int32[np.ndarray, " B"]) -> Int64[np.ndarray, " B"]:
 
     A joint's branch goes on in the child that carries most joints.
     """
+    order = np.zeros(len(parent), np.int64)
+    leads = _goes_on(parent)
+    for joint, above in enumerate(parent):
+        if above >= 0:
+            order[joint] = order[above] if leads[joint] else min(order[above] + 1, MAX_ORDER)
+    return order
+
+
+def branches_of(parent: Int32[np.ndarray, " B"]) -> tuple[Int64[np.ndarray, " B"], Int64[np.ndarray, " E"]]:
+    """Branch of each joint, and the first joint of each branch. Finer ones than `MAX_ORDER` belong to theirs."""
+    branch, order, first = np.zeros(len(parent), np.int64), branch_orders(parent), list[int]()
+    leads = _goes_on(parent)
+    for joint, above in enumerate(parent):
+        if above >= 0 and (leads[joint] or order[above] == MAX_ORDER):
+            branch[joint] = branch[above]
+        else:
+            branch[joint] = len(first)
+            first.append(joint)
+    return branch, np.array(first, np.int64)
+
+
+def _goes_on(parent: Int32[np.ndarray, " B"]) -> Bool[np.ndarray, " B"]:
+    """Whether a joint goes on in its parent's branch: it carries more joints than the parent's other children."""
     size = np.ones(len(parent), np.int64)
     for joint in range(len(parent) - 1, -1, -1):  # children come after their parents
         if parent[joint] >= 0:
             size[parent[joint]] += size[joint]
-    order = np.zeros(len(parent), np.int64)
-    for joint in range(len(parent)):
-        above = parent[joint]
-        if above >= 0:
-            siblings = np.flatnonzero(parent == above)
-            leads = siblings[np.argmax(size[siblings])] == joint
-            order[joint] = order[above] if leads else min(order[above] + 1, MAX_ORDER)
-    return order
+    leads = np.zeros(len(parent), np.bool_)
+    for above in np.unique(parent[parent >= 0]):
+        siblings = np.flatnonzero(parent == above)
+        leads[siblings[np.argmax(size[siblings])]] = True
+    return leads
 
 
 def bending_rad(skin: Skin) -> Float64[np.ndarray, " B"]:

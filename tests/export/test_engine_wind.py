@@ -12,6 +12,7 @@ import numpy as np
 import OpenEXR
 import pygltflib
 import pytest
+from PIL import Image
 
 from benchmarks._played import accessor, z_up
 from dynamictree import method
@@ -19,6 +20,7 @@ from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.export.engine_wind import SHADERS
 from dynamictree.export.write import write_products
 from dynamictree.mesh import TriangleMesh
+from dynamictree.modal.branch_groups import branches_of
 from dynamictree.modal.branch_pivots import branch_pivots
 from dynamictree.modal.turbulence import iter_turbulent_motion, turbulent_wind
 from dynamictree.requests import ExportParams
@@ -105,12 +107,63 @@ def test_baked_attributes_say_what_the_motion_says(archive: zipfile.ZipFile, tre
     np.testing.assert_allclose(colour[:, 0] * largest, weights, atol=1e-4 * largest)
 
 
+def test_pivot_painter_textures_are_read_as_the_branches(archive: zipfile.ZipFile, tree: Tree, tmp_path: Path) -> None:
+    mesh, spectrum = tree
+    names = json.loads(archive.read("wind.json"))["pivot_painter"]
+    texels = OpenEXR.File(archive.extract(names["position_and_index"], tmp_path)).channels()["RGBA"].pixels
+    height, width, _ = texels.shape
+    picture = np.asarray(Image.open(io.BytesIO(archive.read(names["x_vector_and_extent"]))))
+    assert picture.shape == (height, width, 4)
+    document = pygltflib.GLTF2().load_from_bytes(archive.read(names["mesh"]))
+    u, v = accessor(document, document.meshes[0].primitives[0].attributes.TEXCOORD_1).T
+    texel = np.floor(v * height).astype(int) * width + np.floor(u * width).astype(int)
+    pivot_cm = texels[..., :3].reshape(-1, 3).astype(np.float64)
+    parent = np.ascontiguousarray(texels[..., 3]).astype(np.float16).view(np.uint16).reshape(-1).astype(int) - 1024
+    axis = picture[..., :3].reshape(-1, 3) / 255 * 2 - 1
+    extent_cm = np.round(picture[..., 3].reshape(-1) / 255 * 256) * 8
+    pivots = branch_pivots(spectrum, mesh, method.devoxelize(spectrum, mesh))
+    used = np.unique(texel)
+    assert len(used) > 3
+    np.testing.assert_array_equal(texel, pivots.branch)
+    unreal_cm = mesh.vertices.astype(np.float64) * [100, -100, 100]
+    np.testing.assert_allclose(pivot_cm[texel], pivots.foot_m[pivots.branch] * [100, -100, 100], atol=0.13)
+    np.testing.assert_allclose(np.linalg.norm(axis[used], axis=1), 1, atol=0.02)
+    along = np.einsum("nc,nc->n", unreal_cm - pivot_cm[texel], axis[texel])
+    for branch in used:
+        assert -9 < extent_cm[branch] - max(along[texel == branch].max(), 8) < 12
+    steps, above = 0, np.arange(len(pivots.parent))
+    while (parent[above] != above).any():
+        above, steps = parent[above], steps + 1
+    assert steps <= 3  # what PivotPainter2FoliageShader follows
+    assert parent[0] == 0
+    foot = mesh.vertices[:, 2].argmin()
+    assert texel[foot] == 0
+
+
+def test_a_branch_goes_on_in_one_child_and_finer_ones_than_four_levels_in_all(rng: np.random.Generator) -> None:
+    branch, first = branches_of(np.array([-1, 0, 1, 2, 3, 1, 5, 5], np.int32))
+    assert (branch.tolist(), first.tolist()) == ([0, 0, 0, 0, 0, 1, 1, 2], [0, 5, 7])
+    parent = np.array([-1, *(rng.integers(max(0, joint - 6), joint) for joint in range(1, 400))], np.int32)
+    branch, first = branches_of(parent)
+    goes_on = branch[1:] == branch[parent[1:]]
+    np.testing.assert_array_equal(np.flatnonzero(~goes_on) + 1, first[1:])
+    steps = [0]
+    for joint in first[1:]:
+        steps.append(steps[branch[parent[joint]]] + 1)
+    assert max(steps) == 3
+    for joint in range(400):
+        children = np.flatnonzero(parent == joint)
+        same = (branch[children] == branch[joint]).sum()
+        assert same == (len(children) if steps[branch[joint]] == 3 else min(len(children), 1))
+
+
 def test_a_tree_that_moves_as_one_piece_turns_about_its_foot(tree: Tree) -> None:
     mesh, spectrum = tree
     still = SparseVoxelSpectrum(grid=spectrum.grid, coefficients=np.zeros_like(spectrum.coefficients))
     pivots = branch_pivots(still, mesh, np.zeros((mesh.num_vertices, 16, 3), np.complex64))
     assert len(pivots.order) == mesh.num_vertices
     assert pivots.order.min() == 0
+    assert (pivots.parent.tolist(), pivots.branch.max()) == ([0], 0)
 
 
 def test_shaders_are_short_and_have_the_numbers_inside(archive: zipfile.ZipFile) -> None:
