@@ -14,12 +14,14 @@ from pxr import Usd, UsdGeom, UsdVol
 from dynamictree.commands.source import load_capture
 from dynamictree.errors import FormatError, InputError
 from dynamictree.export.pictures import SplatScene
+from dynamictree.export.size import splat_bytes
 from dynamictree.export.vertex_motion import vertex_motion
 from dynamictree.export.write import write_products
 from dynamictree.formats.axes import up_rotation
 from dynamictree.formats.cloud_file import read_cloud
 from dynamictree.formats.mesh.ply_writer import write_ply
 from dynamictree.formats.motion.splat_sequence import requested_bytes
+from dynamictree.formats.motion.usd_splat import usd_splat_bytes
 from dynamictree.formats.splat.splat import write_splat
 from dynamictree.formats.tensors.animated_splat import read_animated_splat
 from dynamictree.formats.tensors.cloud_bundle import read_cloud_bundle, write_cloud_bundle
@@ -296,6 +298,9 @@ def test_usd_has_every_pose_of_the_splat(
     params = ExportParams(formats=("usd-splat",), num_frames=4)
     choice = CloudParams(box_m=BOX)
     path = write_products(mesh, spectrum, params, tmp_path, capture=capture, choice=choice)["usd-splat"]
+    assert 1 < path.stat().st_size / usd_splat_bytes(3000, 4) < 1.3
+    half = ExportParams(formats=("usd-splat",), share=0.5)
+    assert splat_bytes(3000, 0, 4, half) == {"usd-splat": usd_splat_bytes(1500, 4)}
     stage = Usd.Stage.Open(str(path))
     splat = UsdVol.ParticleField3DGaussianSplat(stage.GetPrimAtPath("/Tree/Splat"))
     assert splat.GetPositionsAttr().GetTimeSamples() == [0, 1, 2, 3]

@@ -10,6 +10,7 @@ from jaxtyping import Float32
 from PIL import Image
 
 from dynamictree.errors import InputError
+from dynamictree.export.size import turbulent_bytes
 from dynamictree.export.table import PRODUCTS, available_products
 from dynamictree.export.write import MOTION_SHARE, write_products
 from dynamictree.formats.tensors.motion import read_motion
@@ -150,8 +151,14 @@ def test_a_long_film_is_written_as_it_is_drawn(
 def test_files_of_a_turbulent_motion_have_a_largest_size(
     capture: Capture, spectrum: SparseVoxelSpectrum, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("dynamictree.export.size.MAX_SEQUENCE_BYTES", 10_000)
     assert capture.mesh is not None
+    formats: tuple[Format, ...] = ("ply", "motion")
+    params = ExportParams(wind_mode="turbulent", num_frames=32, formats=formats)
+    stated = turbulent_bytes(formats, num_vertices=48, num_faces=80, num_frames=32)
+    for name, path in write_products(capture.mesh, spectrum, params, tmp_path).items():
+        assert 1 <= path.stat().st_size / stated[name] < 1.6
+        path.unlink()
+    monkeypatch.setattr("dynamictree.export.size.MAX_SEQUENCE_BYTES", 10_000)
     for name in ("ply", "usd", "alembic", "motion"):
         params = ExportParams(wind_mode="turbulent", num_frames=600, formats=(name,))
         with pytest.raises(InputError, match=f"600 frames of 48 vertices as {name}"):

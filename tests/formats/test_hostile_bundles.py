@@ -30,6 +30,7 @@ def files() -> Files:
     write_sog(make_cloud(np.random.default_rng(1), degree=1), stream)
     with zipfile.ZipFile(stream) as archive:
         assert not archive.testzip()
+        assert {entry.date_time[0] for entry in archive.infolist()} == {1980}  # the same bytes on any day
         return {name: archive.read(name) for name in archive.namelist()}
 
 
@@ -100,6 +101,7 @@ def test_a_sog_archive_has_bounds(files: Files) -> None:
     refused(packed(files | {"meta.json": b" " * (2 << 20)}), "larger than the 1,048,576 bytes")
     refused(packed(files | {"quats.webp": picture(300, 300)}), "300 x 300 pixels")
     refused(packed(files | {"quats.webp": files["quats.webp"][:60]}), "no sound WebP")
+    refused(packed(files | {"shN_centroids.webp": picture(96, 10)}), "palette is 96 x 10; 192 x 5")
 
 
 def test_a_rotation_of_no_known_kind_is_none(files: Files) -> None:
