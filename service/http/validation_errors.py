@@ -13,6 +13,7 @@ MAX_POINTER = 200
 
 def field_errors(raw_errors: Sequence[Mapping[str, Any]]) -> list[FieldError]:
     """First wrong fields of `ValidationError.errors()` or FastAPI's errors."""
+    raw_errors = [error for error in raw_errors if not _follows(error, raw_errors)]
     errors: list[FieldError] = [
         {"pointer": _pointer(error), "code": error["type"].replace("_", "-"), "detail": _detail(error)}
         for error in raw_errors[:MAX_ERRORS]
@@ -22,6 +23,14 @@ def field_errors(raw_errors: Sequence[Mapping[str, Any]]) -> list[FieldError]:
             {"pointer": "", "code": "more", "detail": f"{len(raw_errors) - MAX_ERRORS} more fields are wrong"}
         )
     return errors
+
+
+def _follows(error: Mapping[str, Any], others: Sequence[Mapping[str, Any]]) -> bool:
+    """Whether a list counts as too short only since wrong members were left out of it."""
+    place = tuple(error["loc"])
+    return error["type"] == "too_short" and any(
+        len(other["loc"]) > len(place) and tuple(other["loc"][: len(place)]) == place for other in others
+    )
 
 
 def summed_up(errors: Sequence[FieldError]) -> str:

@@ -39,6 +39,13 @@ def test_a_job_is_accepted_and_reported(client: TestClient, asset: AssetRecord) 
     assert client.get(f"/v1/jobs/{job['id']}").json() == job
 
 
+def test_an_unknown_format_is_one_error(client: TestClient, asset: AssetRecord) -> None:
+    request = {"type": "animate", "asset_id": asset.id, "params": {"formats": ["sog"]}}
+    problem = client.post("/v1/jobs", json=request).json()
+    assert [error["pointer"] for error in problem["errors"]] == ["/params/formats/0"]
+    assert "'sog' was sent" in problem["detail"]
+
+
 def test_a_poll_tells_progress_and_then_that_nothing_changed(
     client: TestClient, asset: AssetRecord, services: Services
 ) -> None:
