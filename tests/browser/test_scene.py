@@ -57,7 +57,7 @@ def test_other_gusts_stand_beside_the_tree(view: Open, url: str, job_id: str) ->
         page.locator("#pair-kinds input[value=gusts]").check(force=True)
     assert sent.value.post_data_json["seed"] == 1
     viewer.wait_turns()
-    expect(page.locator("#plates")).to_be_hidden()  # nothing differs yet
+    expect(plates.first).to_be_hidden()  # nothing differs yet
     expect(page.locator("#pair-note")).to_contain_text("Both stand in the same wind", timeout=JOB_MS)
     expect(plates).to_have_text(["Gusts A", "Gusts B"])
     other = crowns(scrub(viewer, 0.3))
