@@ -13,7 +13,7 @@ MAX_POINTER = 200
 
 def field_errors(raw_errors: Sequence[Mapping[str, Any]]) -> list[FieldError]:
     """First wrong fields of `ValidationError.errors()` or FastAPI's errors."""
-    raw_errors = [error for error in raw_errors if not _follows(error, raw_errors)]
+    raw_errors = _own(raw_errors)
     errors: list[FieldError] = [
         {"pointer": _pointer(error), "code": error["type"].replace("_", "-"), "detail": _detail(error)}
         for error in raw_errors[:MAX_ERRORS]
@@ -25,12 +25,10 @@ def field_errors(raw_errors: Sequence[Mapping[str, Any]]) -> list[FieldError]:
     return errors
 
 
-def _follows(error: Mapping[str, Any], others: Sequence[Mapping[str, Any]]) -> bool:
-    """Whether a list counts as too short only since wrong members were left out of it."""
-    place = tuple(error["loc"])
-    return error["type"] == "too_short" and any(
-        len(other["loc"]) > len(place) and tuple(other["loc"][: len(place)]) == place for other in others
-    )
+def _own(raw_errors: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """All but lists that count as too short only since wrong members were left out of them."""
+    above = {tuple(error["loc"][:end]) for error in raw_errors for end in range(len(error["loc"]))}
+    return [error for error in raw_errors if error["type"] != "too_short" or tuple(error["loc"]) not in above]
 
 
 def summed_up(errors: Sequence[FieldError]) -> str:
