@@ -14,6 +14,7 @@ from dynamictree.reconstruct.seen_from import SeenFrom, view_of_photo
 
 _SIDE_PX = 480  # of the picture that strokes are drawn on
 _CLICK_PX = 1  # to each side of a stroke of one point
+_MOST_PIXELS = 1000  # of a stroke, evenly along it: each costs a look at every Gaussian
 _LEAST_WEIGHT = 0.15  # of a pixel: a Gaussian with less is not what was meant
 
 
@@ -41,7 +42,7 @@ def marked(cloud: GaussianCloud, views: list[SeenFrom], scribbles: Sequence[Scri
 
 
 def _pixels(scribble: Scribble, width: int, height: int) -> Int64[np.ndarray, "P 2"]:
-    """Column and row of the pixels of a stroke, each once."""
+    """Column and row of the pixels of a stroke, each once; of a long one some of them."""
     at = [(min(int(y * height), height - 1), min(int(x * width), width - 1)) for x, y in scribble.points]
     if len(at) == 1:
         (row, column), reach = at[0], np.arange(-_CLICK_PX, _CLICK_PX + 1)
@@ -49,7 +50,7 @@ def _pixels(scribble: Scribble, width: int, height: int) -> Int64[np.ndarray, "P
     else:
         rows, columns = (np.concatenate(one) for one in zip(*(_segment(*ends) for ends in pairwise(at)), strict=True))
     pixels: Int64[np.ndarray, "P 2"] = np.unique(np.stack([columns, rows], axis=1), axis=0).astype(np.int64)
-    return pixels
+    return pixels[:: -(-len(pixels) // _MOST_PIXELS)]
 
 
 def _segment(first: tuple[int, int], last: tuple[int, int]) -> tuple[Int64[np.ndarray, " P"], Int64[np.ndarray, " P"]]:

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -73,6 +74,21 @@ def test_shares_in_a_pixel_add_up_to_its_alpha() -> None:
     for pixel in ((120, 90), (60, 120), (200, 40)):
         weights = weights_at(planted.scene, view.camera, np.array([pixel]), width=view.width, height=view.height)
         assert weights.sum() == pytest.approx(picture.alpha[pixel[1], pixel[0]], abs=1e-3)
+
+
+def test_a_stroke_over_the_whole_photo_costs_no_more_than_a_thousand_pixels(monkeypatch: pytest.MonkeyPatch) -> None:
+    planted = potted()
+    looked_at: list[int] = []
+
+    def counted(*given: Any, **size: int) -> np.ndarray:
+        looked_at.append(len(given[2]))
+        return weights_at(*given, **size)
+
+    monkeypatch.setattr("dynamictree.reconstruct.scribbles.weights_at", counted)
+    across = tuple((float(number % 2), number / 200) for number in range(200))
+    everything = Scribble(photo=planted.views[0].photo, plant=True, points=across)
+    assert (marked(planted.scene, list(planted.views), [everything]) > 0).any()
+    assert 500 < looked_at[0] <= 1000
 
 
 def test_a_cut_is_the_cheapest_of_all() -> None:

@@ -34,6 +34,19 @@ def test_a_plant_as_green_as_its_lawn_keeps_its_gaussians() -> None:
     assert not soot_of(green, planted.plant, list(planted.views)).any()
 
 
+def test_pale_leaves_between_leaves_of_nearly_their_colour_are_no_soot() -> None:
+    planted = potted()
+    tree, cloth = planted.scene.subset(planted.plant), coloured(planted.scene.subset(~planted.plant), CLOTH)
+    darker = np.full(3, 1 / np.sqrt(3))
+    halves = [
+        coloured(tree.subset(np.arange(start, tree.num_gaussians, 2)), tuple(np.subtract(CLOTH, off * darker)))
+        for start, off in ((0, 0.19), (1, 0.11))  # unlike the cloth, and so little apart from it that it may be soot
+    ]
+    scene = joined([cloth, *halves])
+    is_plant = np.arange(scene.num_gaussians) >= cloth.num_gaussians
+    assert soot_of(scene, is_plant, list(planted.views)).mean() < 0.01
+
+
 def test_nothing_is_dropped_where_there_is_no_background() -> None:
     tree = potted().scene.subset(potted().plant)
     assert not soot_of(tree, np.ones(tree.num_gaussians, np.bool_), list(potted().views)).any()
