@@ -172,7 +172,8 @@ export class JobList {
 /** The accessible name of a button of the list: what it does, and to which job. */
 function nameFully(node, of) {
   node.dataset.of = of;
-  node.setAttribute("aria-label", `${node.textContent}: ${of}`);
+  const words = node.textContent;
+  node.setAttribute("aria-label", `${words}${words.endsWith("?") ? "" : ":"} ${of}`);
 }
 
 function unlessGone(problem) {

@@ -1,0 +1,87 @@
+"""Rules of accessibility on what the page shows, by axe-core: three sizes, light and dark."""
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.browser.conftest import JOB_MS, MOVING, Viewer
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
+
+Open = Callable[..., Viewer]
+AXE = Path(__file__).parents[2] / ".cache/js-tools/node_modules/axe-core/axe.min.js"
+SIZES = [(1100, 720, "light"), (390, 760, "dark"), (780, 360, "light")]
+
+
+@pytest.fixture
+def axe(request: pytest.FixtureRequest) -> Callable[[Page], list[str]]:
+    """Violations of the accessibility rules, of what the page shows now."""
+    if not AXE.is_file():
+        pytest.skip("axe-core is not installed: make js-tools")
+
+    def violations(page: Page) -> list[str]:
+        page.evaluate(AXE.read_text())  # the page's policy allows no other script; the driver may evaluate
+        report = page.evaluate("async () => (await axe.run()).violations")
+        return [f"{item['id']}: {item['nodes'][0]['html'][:200]}" for item in report]
+
+    return violations
+
+
+@pytest.mark.parametrize(("width", "height", "scheme"), SIZES)
+def test_no_rule_of_accessibility_is_broken(
+    view: Open, url: str, job_id: str, axe: Callable[[Page], list[str]], width: int, height: int, scheme: str
+) -> None:
+    viewer = view(width, height, scheme=scheme, touch=width < 800)
+    page = viewer.page
+    viewer.open(url)
+    assert axe(page) == [], "welcome"
+    page.locator("#open-jobs").click()
+    expect(page.locator("#job-list li").first).to_be_visible()
+    assert axe(page) == [], "jobs"
+    page.keyboard.press("Escape")
+    page.goto(f"{url}/#job={job_id}")
+    page.wait_for_selector(MOVING, state="attached", timeout=JOB_MS)
+    viewer.wait_frames(2)
+    page.locator("#light-section summary").click()
+    page.locator("#tree-details summary").click()
+    page.locator("#more summary").click()
+    expect(page.locator("#more-formats li").first).to_be_attached()
+    viewer.picture()
+    assert axe(page) == [], "moving"
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    page.locator("#share").click()
+    expect(page.locator("#share-embed")).to_have_value(re.compile(job_id))
+    assert axe(page) == [], "share"
+    page.goto(f"{url}/embed#job={job_id}")
+    page.wait_for_selector(MOVING, state="attached", timeout=JOB_MS)
+    assert axe(page) == [], "embed"
+
+
+@pytest.mark.parametrize(("width", "height", "scheme"), SIZES)
+def test_company_and_the_question_before_a_delete_break_no_rule(
+    view: Open, url: str, job_id: str, axe: Callable[[Page], list[str]], width: int, height: int, scheme: str
+) -> None:
+    viewer = view(width, height, scheme=scheme, touch=width < 800)
+    page = viewer.page
+    viewer.open(f"{url}/#job={job_id}")
+    page.wait_for_selector(MOVING, state="attached", timeout=JOB_MS)
+    page.locator("#company input[value=forest]").check(force=True)
+    viewer.wait_frames(2)
+    assert axe(page) == [], "forest"
+    page.locator("#company input[value=pair]").check(force=True)
+    expect(page.locator("#plates span").first).to_be_visible()
+    assert axe(page) == [], "compared with another speed"
+    page.locator("#pair-kinds input[value=gusts]").check(force=True)
+    expect(page.locator("#pair-note")).to_contain_text("Both stand in the same wind", timeout=JOB_MS)
+    expect(page.locator("#plates span").first).to_be_visible()
+    viewer.picture()
+    assert axe(page) == [], "compared with other gusts"
+    page.locator("#open-jobs").click()
+    remove = page.locator(f"#job-list [data-key='{job_id}'] .delete")
+    remove.click()
+    expect(remove).to_have_text("Delete it and its files?")
+    assert axe(page) == [], "the question before a delete"
+    assert viewer.complaints == []
