@@ -51,8 +51,9 @@ def reconstruct(
 ) -> Reconstruction:
     """Find cameras, depths, a splat and a mesh, and write each to the folder as soon as it is ready.
 
-    The files are `cameras.json`; `splat.ply` (the tree) and `scene.ply` (everything); `mesh.ply`; `report.json` and
-    `report.png`. Without a height the mesh is 1 m high and the report calls its scale unknown.
+    The files are `cameras.json`; `photos.safetensors` (some of the photos, to draw strokes on); `splat.ply` (the tree)
+    and `scene.ply` (everything); `mesh.ply`; `report.json` and `report.png`. Without a height the mesh is 1 m high and
+    the report calls its scale unknown.
 
     Args:
         photos: JPEG, PNG, WebP or TIFF files.

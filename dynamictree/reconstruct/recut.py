@@ -20,12 +20,13 @@ from dynamictree.mesh import TriangleMesh
 from dynamictree.photo_requests import CutParams
 from dynamictree.reconstruct.cut import BESIDE, of_the_tree
 from dynamictree.reconstruct.cut_mesh import mesh_in_box, plant_mesh
+from dynamictree.reconstruct.photo_previews import PHOTO_PREVIEWS
 from dynamictree.reconstruct.plant_cut import plant_of
 from dynamictree.reconstruct.seen_from import read_cameras
 from dynamictree.reconstruct.soot import soot_of
 
 _LEAST_GAUSSIANS = 50
-_PICTURES = ("report.png",)
+_PICTURES = ("report.png", PHOTO_PREVIEWS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,7 +90,7 @@ def recut(source: Path, target: Path, choice: CutParams) -> Capture:
     plant = moved.scene.subset(own)
     _write(moved, plant, target)
     for name in _PICTURES:
-        if source != target:
+        if source != target and (source / name).exists():  # earlier versions wrote no previews of photos
             (target / name).write_bytes((source / name).read_bytes())
     return Capture(cloud=plant, mesh=moved.mesh)
 

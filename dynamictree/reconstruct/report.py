@@ -11,6 +11,7 @@ from PIL import Image
 from dynamictree.formats.mesh.ply_writer import write_ply
 from dynamictree.formats.splat.ply import write_gaussian_ply
 from dynamictree.mesh import TriangleMesh
+from dynamictree.reconstruct.photo_previews import write_photo_previews
 from dynamictree.reconstruct.result import Reconstruction
 from dynamictree.reconstruct.splat import SplatFit
 from dynamictree.reconstruct.views import View
@@ -34,7 +35,7 @@ def quality_warnings(psnr_db: Sequence[float], blank_psnr_db: Sequence[float]) -
 
 
 def write_result(result: Reconstruction, fit: SplatFit, folder: Path) -> None:
-    """Write `mesh.ply`, `splat.ply`, `scene.ply`, `cameras.json`, `report.json` and `report.png`."""
+    """Write `mesh.ply`, `splat.ply`, `scene.ply`, cameras, previews of photos, `report.json` and `report.png`."""
     with (folder / "mesh.ply").open("wb") as stream:
         write_ply(result.mesh, stream)
     with (folder / "splat.ply").open("wb") as stream:
@@ -42,6 +43,7 @@ def write_result(result: Reconstruction, fit: SplatFit, folder: Path) -> None:
     with (folder / "scene.ply").open("wb") as stream:
         write_gaussian_ply(result.scene, stream)
     write_cameras(result.views, folder, scale=result.report["scale"])
+    write_photo_previews(result.views, folder)
     (folder / "report.json").write_text(json.dumps(result.report, indent=1))
     by_name = {view.source: view for view in result.views}
     rows = [

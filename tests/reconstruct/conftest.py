@@ -66,10 +66,13 @@ def stump_and_ground(rng: np.random.Generator) -> tuple[TriangleMesh, TriangleMe
 
 @pytest.fixture(scope="session")
 def orbit(tmp_path_factory: pytest.TempPathFactory) -> Orbit:
+    return photographed(tmp_path_factory.mktemp("photos"))
+
+
+def photographed(folder: Path) -> Orbit:
     """Fourteen photos from around and a little above."""
     stump, scene = stump_and_ground(np.random.default_rng(5))
     renderer = Renderer(scene, Look(width=WIDTH, height=HEIGHT, ground=False))
-    folder = tmp_path_factory.mktemp("photos")
     cameras, photos = [], []
     for number in range(14):
         turn = np.radians(number * 360 / 14)

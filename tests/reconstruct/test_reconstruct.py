@@ -89,7 +89,7 @@ def test_the_mesh_is_the_thing_without_its_ground(reconstruction, orbit):
 @pytest.mark.slow
 def test_files_hold_what_was_found(reconstruction, orbit):
     folder, result, shares = reconstruction
-    names = ["cameras.json", "mesh.ply", "report.json", "report.png", "scene.ply", "splat.ply"]
+    names = ["cameras.json", "mesh.ply", "photos.safetensors", "report.json", "report.png", "scene.ply", "splat.ply"]
     assert sorted(path.name for path in folder.iterdir()) == names
     mesh = read_mesh(
         io.BytesIO((folder / "mesh.ply").read_bytes()), file_type="ply", reading=Reading(up_axis="+Z", unit_m=1.0)
