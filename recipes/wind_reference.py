@@ -27,3 +27,10 @@ def coordinates(wind: dict[str, Any], seconds: float, speed_m_s: float | None = 
     sway = wave_at(wind["strength"], seconds) * np.exp(1j * angle).sum(axis=1) / np.sqrt(angle.shape[1])
     speed = wind["wind"]["speed_m_s"] if speed_m_s is None else speed_m_s
     return gains(wind["bands"], speed) * np.concatenate([[wave_at(wind["lean"], seconds)], sway])
+
+
+def turned(theta: np.ndarray, arm_m: np.ndarray) -> np.ndarray:
+    """Arms [N, 3] from the pivots of leaf cards, turned by atan |θ| about θ [N, 3]: they keep their lengths."""
+    c = 1 / np.sqrt(1 + (theta**2).sum(axis=1, keepdims=True))
+    along = (theta * arm_m).sum(axis=1, keepdims=True)
+    return c * arm_m + c * np.cross(theta, arm_m) + c**2 / (1 + c) * along * theta

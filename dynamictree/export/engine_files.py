@@ -94,6 +94,7 @@ def write_engine_wind(tree: MovingTree, stream: BinaryIO, report: Report) -> Non
     Raises:
         InputError: no texture holds the mode shapes.
     """
+    from dynamictree.export.card_turns import card_turns
     from dynamictree.export.engine_wind import iter_engine_wind_zip
     from dynamictree.modal.branch_pivots import branch_pivots
     from dynamictree.modal.turbulence import turbulent_wind
@@ -102,7 +103,8 @@ def write_engine_wind(tree: MovingTree, stream: BinaryIO, report: Report) -> Non
     report(0.5)
     wind = turbulent_wind(tree.spectrum, seed=tree.spectrum.seed)
     num_frames = tree.spectrum.num_frames
-    stream.writelines(iter_engine_wind_zip(tree.mesh, tree.coefficients, wind, pivots, num_frames=num_frames))
+    cards = card_turns(tree.mesh, tree.coefficients, tree.spectrum.grid.voxel_size_m)
+    stream.writelines(iter_engine_wind_zip(tree.mesh, tree.coefficients, wind, pivots, cards, num_frames=num_frames))
 
 
 def dynamic_wind(skin: "Skin") -> dict[str, object]:

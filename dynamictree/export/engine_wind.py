@@ -1,7 +1,8 @@
 """Wind that engines evaluate: mode shapes in a texture, coordinates as cosines, shaders, baked vertex attributes.
 
 A ZIP of `tree-modes.glb` (at rest; TEXCOORD_1 is the lookup), `modes.exr` (Re c_0, then w_k Re c_k and w_k Im c_k of
-each further bin, laid out as the frames of a vertex texture), `wind.json`, a shader per engine that has the wind's
+each further bin, laid out as the frames of a vertex texture; those of leaf cards are followed by turns and arms, see
+`card_turns.py`), `wind.json`, a shader per engine that has the wind's
 numbers inside, `tree-wind.glb`, whose vertex colours and texture coordinates a foliage shader reads, and the files of
 `pivot_painter.py`.
 """
@@ -16,6 +17,7 @@ from importlib.resources import files
 import numpy as np
 from jaxtyping import Complex64, Float32
 
+from dynamictree.export.card_turns import CardTurns
 from dynamictree.export.pivot_painter import PIVOT_PAINTER, pivot_painter_files
 from dynamictree.formats.axes import up_rotation
 from dynamictree.formats.gltf.motion import loop_parts
@@ -27,7 +29,12 @@ from dynamictree.modal.branch_pivots import BranchPivots
 from dynamictree.modal.turbulence import TurbulentWind
 from dynamictree.wind_bands import DRAG_EXPONENT
 
-VERSION = 2
+VERSION = 3
+_CARDS = (
+    "#define TURN(part) MODE((part) + 2 * NUM_BINS + 1)",
+    "#define ARM (MODE(4 * NUM_BINS + 2) + MODE(4 * NUM_BINS + 3))",
+)
+_NO_CARDS = ("#define TURN(part) vec3(0.0, 0.0, 0.0)", "#define ARM vec3(0.0, 0.0, 0.0)")
 SHADERS = ("wind-three.js", "wind-godot.gdshader", "wind-unity.hlsl", "wind-unreal.hlsl")
 
 
@@ -36,17 +43,23 @@ def iter_engine_wind_zip(
     coefficients: Complex64[np.ndarray, "N K 3"],
     wind: TurbulentWind,
     pivots: BranchPivots,
+    cards: CardTurns | None,
     *,
     num_frames: int,
 ) -> Iterator[bytes]:
-    """Chunks of the archive; `num_frames` is T of the spectrum.
+    """Chunks of the archive; `num_frames` is T of the spectrum, `cards` are those of the mesh.
 
     Raises:
         InputError: no texture holds the mode shapes.
     """
-    parts = loop_parts(coefficients, num_frames).reshape(-1, mesh.num_vertices, 3)
-    layout = texture_layout(mesh.num_vertices, len(parts))
-    rest, picture, error_m = plain_vertex_texture(mesh, layout, parts)
+
+    def parts_of(modes: Complex64[np.ndarray, "N K 3"]) -> Float32[np.ndarray, "M N 3"]:
+        return loop_parts(modes, num_frames).reshape(-1, mesh.num_vertices, 3)
+
+    moved = parts_of(coefficients if cards is None else cards.moved)
+    turned = [] if cards is None else [parts_of(cards.turn), _in_halves(cards.arm_m)]
+    layout = texture_layout(mesh.num_vertices, len(moved) + sum(map(len, turned)))
+    rest, picture, rounding = plain_vertex_texture(mesh, layout, moved, *turned)
     facts = {
         "format": "engine-wind",
         "version": VERSION,
@@ -57,14 +70,15 @@ def iter_engine_wind_zip(
         "width": layout.width,
         "height": layout.height,
         "rows_per_part": layout.rows_per_frame,
-        "num_parts": len(parts),
+        "num_parts": len(moved),
         "parts": "Re c_0, then w_k Re c_k and w_k Im c_k of bins 1 to K - 1",
+        "cards": None if cards is None else {"turns": len(moved), "arm": 2 * len(moved), "rounding_rad": rounding[1]},
         "unit": "m",
         "axes": "+Y up, right-handed, as in glTF",
-        "half_float_error_m": error_m,
+        "half_float_error_m": rounding[0],
         "wind": _described(wind),
     }
-    shaders = ((name, [shader(name, wind, layout).encode()]) for name in SHADERS)
+    shaders = ((name, [shader(name, wind, layout, cards=cards is not None).encode()]) for name in SHADERS)
     yield from iter_stored_zip(
         [
             ("wind.json", [json.dumps(facts, indent=1).encode()]),
@@ -77,8 +91,14 @@ def iter_engine_wind_zip(
     )
 
 
-def shader(name: str, wind: TurbulentWind, layout: TextureLayout) -> str:
-    """Code for one engine, with the wind's numbers and the texture's layout inside."""
+def _in_halves(vectors: Float32[np.ndarray, "N 3"]) -> Float32[np.ndarray, "2 N 3"]:
+    """The vectors as halves hold them, and what is missing then."""
+    rounded = vectors.astype(np.float16).astype(np.float32)
+    return np.stack([rounded, vectors - rounded])
+
+
+def shader(name: str, wind: TurbulentWind, layout: TextureLayout, *, cards: bool) -> str:
+    """Code for one engine with the wind's numbers and the texture's layout inside; `cards`: whether it holds turns."""
     folder = files(__package__) / "wind_shaders"
     text = (folder / name).read_text(encoding="utf-8").rstrip()
     text = text.replace("CORE", (folder / "core.glsl").read_text(encoding="utf-8").rstrip())
@@ -98,6 +118,7 @@ def shader(name: str, wind: TurbulentWind, layout: TextureLayout) -> str:
         "PART_STEP": layout.rows_per_frame / layout.height,
     }
     lines = [f"#define {key} {value if isinstance(value, int) else _number(value)}" for key, value in numbers.items()]
+    lines += _CARDS if cards else _NO_CARDS
     text = text.replace("CONSTANTS", "\n".join(lines))
     hlsl = name.endswith(".hlsl")
     text = text.replace("TEXTURE", "Texture2D modes, SamplerState point_sampler, " if hlsl else "")

@@ -6,7 +6,6 @@ import json
 import re
 import zipfile
 from collections.abc import Iterator
-from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from threading import Thread
@@ -18,11 +17,10 @@ import pytest
 from playwright.sync_api import Browser
 from scipy.spatial import cKDTree
 
+from benchmarks._engine_wind import read_engine_wind
 from benchmarks._played import z_up
-from dynamictree import method
 from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.export.write import write_products
-from dynamictree.modal.turbulence import iter_turbulent_motion, turbulent_wind
 from dynamictree.requests import ExportParams
 from tests.export.test_engine_wind import with_gains
 
@@ -107,7 +105,7 @@ def decoded(picture: str, count: int) -> np.ndarray:
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
-def test_godot_moves_vertices_as_the_library_does(browser: Browser, serve: Any, tmp_path: Path) -> None:
+def test_godot_moves_vertices_as_the_reference_does(browser: Browser, serve: Any, tmp_path: Path) -> None:
     if not ENGINE.exists():
         pytest.skip("Godot's build for browsers is missing; call `make js-tools`")
     sample = make_sample(3, "sapling")
@@ -127,10 +125,9 @@ def test_godot_moves_vertices_as_the_library_does(browser: Browser, serve: Any, 
     vertices = z_up(np.frombuffer(base64.b64decode(readings["vertices"]), np.float32).reshape(-1, 3))
     distance, rows = cKDTree(sample.mesh.vertices).query(vertices)
     assert distance.max() < 1e-3
-    own, shapes = turbulent_wind(spectrum, seed=spectrum.seed), method.devoxelize(spectrum, sample.mesh)
+    engine = read_engine_wind(product)
     for index, (moment, speed) in enumerate(runs):
-        wind = replace(own, wind=replace(own.wind, speed_m_s=speed))
-        truth = next(iter_turbulent_motion(shapes, wind, np.array([moment]), spectrum.num_frames))[rows]
+        truth = engine.displacement(moment, speed)[rows]
         axes = [decoded(picture, len(vertices)) for picture in readings["pictures"][3 * index : 3 * index + 3]]
         gap = np.linalg.norm(z_up(np.stack(axes, axis=1)) - truth, axis=1)
         assert gap.max() < 1e-3

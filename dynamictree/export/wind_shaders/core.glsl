@@ -13,7 +13,8 @@ float gain(int k, float mean_speed) { // of bin k over its size at the speed the
 }
 vec3 wind(TEXTUREvec2 lookup, float t, float mean_speed) { // displacement [m] in glTF's axes, of the vertex with this TEXCOORD_1
   PARTIALS_TABLE
-  vec3 moved = MODE(0) * gain(0, mean_speed) * wave(NUM_GUSTS, LEAN_MEAN, LEAN_LIMIT, t);
+  float lean = gain(0, mean_speed) * wave(NUM_GUSTS, LEAN_MEAN, LEAN_LIMIT, t);
+  vec3 moved = MODE(0) * lean, theta = TURN(0) * lean;
   float strength = wave(0, STRENGTH_MEAN, STRENGTH_LIMIT, t) / sqrt(float(NUM_PARTIALS));
   for (int k = 0; k < NUM_BINS; k++) {
     vec2 q = vec2(0.0, 0.0);
@@ -21,8 +22,14 @@ vec3 wind(TEXTUREvec2 lookup, float t, float mean_speed) { // displacement [m] i
       float angle = 6.2831853 * PARTIALS[NUM_PARTIALS * k + j].x * t + PARTIALS[NUM_PARTIALS * k + j].y;
       q += vec2(cos(angle), sin(angle));
     }
-    moved += strength * gain(k + 1, mean_speed) * (MODE(2 * k + 1) * q.x - MODE(2 * k + 2) * q.y);
+    q *= strength * gain(k + 1, mean_speed);
+    moved += MODE(2 * k + 1) * q.x - MODE(2 * k + 2) * q.y;
+    theta += TURN(2 * k + 1) * q.x - TURN(2 * k + 2) * q.y;
   }
   float turn = wave(2 * NUM_GUSTS, 0.0, TURN_LIMIT, t);
-  return vec3(cos(turn) * moved.x + sin(turn) * moved.z, moved.y, cos(turn) * moved.z - sin(turn) * moved.x);
+  moved = vec3(cos(turn) * moved.x + sin(turn) * moved.z, moved.y, cos(turn) * moved.z - sin(turn) * moved.x);
+  theta = vec3(cos(turn) * theta.x + sin(turn) * theta.z, theta.y, cos(turn) * theta.z - sin(turn) * theta.x);
+  vec3 arm = ARM; // from the pivot of this vertex' leaf card, which turns by atan |theta| and keeps its size
+  float c = 1.0 / sqrt(1.0 + dot(theta, theta));
+  return moved + (c - 1.0) * arm + c * cross(theta, arm) + c * c / (1.0 + c) * dot(theta, arm) * theta;
 }
