@@ -116,6 +116,8 @@ def publish_stage(
         current = connection.execute(sa.select(t.stages.c.state, t.stages.c.started_at).where(row_of)).one()
         if current.state == "succeeded":
             return  # asked again, because the answer to the first commit was lost
+        offered = (t.artifacts.c.job_id == claimed.job.id) & (t.artifacts.c.stage == stage)
+        connection.execute(t.artifacts.delete().where(offered))
         _add_artifacts(connection, claimed, stage, files, now=now, retention_s=retention_s)
         entry = {"key": key, "stage": stage, "files": [asdict(file) for file in files], "used_at": now}
         upsert(connection, t.stage_cache, entry)
@@ -131,16 +133,21 @@ def publish_stage(
 
 @patient
 def offer(store: Store, claimed: Claim, stage: JobType, files: tuple[OutputFile, ...], *, retention_s: float) -> None:
-    """Publish the files of a failed stage, without finishing the stage or caching the files.
+    """Publish files of a stage that goes on or has failed; later ones of the same name take their place.
+
+    The stage is not finished by it, and the files are not cached.
 
     Raises:
         FencedError: the attempt is no longer ours; nothing is offered.
     """
     with store.writing() as connection:
         _touch(connection, claimed)
-        current = sa.select(t.artifacts.c.name).where(t.artifacts.c.job_id == claimed.job.id)
-        there = set(connection.execute(current).scalars())  # asked again, the answer to the first commit was lost
-        new = tuple(file for file in files if file.name not in there)
+        of_job = t.artifacts.c.job_id == claimed.job.id
+        columns = (t.artifacts.c.name, t.artifacts.c.sha256)
+        there = {(row.name, row.sha256) for row in connection.execute(sa.select(*columns).where(of_job))}
+        new = tuple(file for file in files if (file.name, file.sha256) not in there)
+        names = [file.name for file in new]
+        connection.execute(t.artifacts.delete().where(of_job & t.artifacts.c.name.in_(names)))
         _add_artifacts(connection, claimed, stage, new, now=store.clock(), retention_s=retention_s)
 
 

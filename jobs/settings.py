@@ -177,7 +177,7 @@ class Settings(BaseSettings):
 
     @property
     def scratch_dir(self) -> Path:
-        """Half-received uploads and half-made results; emptied at start."""
+        """Half-received uploads and half-made results; `serve` deletes all but half-done reconstructions at start."""
         return self.state_dir.resolve() / "scratch"
 
 

@@ -8,3 +8,5 @@ SPECTRUM = "tree.spectrum.safetensors"
 
 STAGE_VERSION = "13"
 """Part of every stage's key; raised when a stage makes something else of the same inputs."""
+HALF_DONE = "half-done-"
+"""First part of the names of folders in scratch that hold half-done reconstructions."""

@@ -19,12 +19,12 @@ from dynamictree.weights import list_weights
 from jobs.artifacts import hash_file
 from jobs.assets import read_asset
 from jobs.attempts import cached_stage, offer, publish_stage, start_stage, touch_blob
-from jobs.errors import FencedError
 from jobs.intermediates import RESULT_SOURCES, find_intermediate, intermediate_key, remember_intermediate
 from jobs.records import AssetRecord, JobRecord, OutputFile
 from jobs.stage_files import CLOUD_BUNDLE, MESH_BUNDLE, SPECTRUM, STAGE_VERSION, VOXELS
 from jobs.states import JOB_TYPES, JobType
-from worker.cancellation import HandedBack, Watch
+from worker.cancellation import Watch
+from worker.half_done import alone_in, empty, half_done_folder
 from worker.runtime import Runtime
 
 if TYPE_CHECKING:
@@ -59,9 +59,7 @@ def run_stages(runtime: Runtime, watch: Watch) -> None:
     job = watch.claimed.job
     asset = read_asset(runtime.store, job.asset_id)
     folder = runtime.settings.scratch_dir / f"job-{job.id}-{job.attempt}"
-    resume_dir = runtime.settings.scratch_dir / f"resume-{job.id}"
     shutil.rmtree(folder, ignore_errors=True)
-    resume_dir.mkdir(parents=True, exist_ok=True)
     inputs = folder / "inputs"
     inputs.mkdir(parents=True)
     try:
@@ -82,12 +80,13 @@ def run_stages(runtime: Runtime, watch: Watch) -> None:
                 given = StageInput(
                     job=job,
                     folder=own,
-                    resume_dir=resume_dir,
+                    resume_dir=half_done_folder(runtime.settings, job),
                     files=files,
                     source_sha256="" if asset.kind == "photos" else asset.parts[0].sha256,
                     photos=photos,
                     report=partial(watch.report, stage.name),
-                    recall=partial(_recall, runtime, job, own, sources, _fresh(job, stage.name)),
+                    recall=partial(_recall, runtime, watch, stage.name, own, sources),
+                    publish=partial(_publish_part, runtime, watch, stage.name),
                 )
                 outputs = _run_stage(runtime, watch, stage.name, STAGES[stage.name], given)
                 _publish(runtime, watch, stage.name, outputs, key=key, cached=False)
@@ -96,13 +95,6 @@ def run_stages(runtime: Runtime, watch: Watch) -> None:
                 files[file.name] = inputs / file.name
                 hashes[file.name] = file.sha256
                 sources[file.name] = file
-    except (HandedBack, FencedError):
-        raise  # the next attempt continues from this folder, if it comes to this machine
-    except BaseException:
-        shutil.rmtree(resume_dir, ignore_errors=True)
-        raise
-    else:
-        shutil.rmtree(resume_dir, ignore_errors=True)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 
@@ -176,14 +168,15 @@ def _prepared_sources(asset: AssetRecord) -> dict[str, OutputFile]:
 
 def _recall(
     runtime: Runtime,
-    job: JobRecord,
+    watch: Watch,
+    stage: JobType,
     folder: Path,
     sources: Mapping[str, OutputFile],
-    fresh: bool,
     name: "Result",
     make: Callable[[Path], None],
 ) -> Path:
     """The file of a result that does not depend on the formats: an earlier job's, or computed and remembered."""
+    job = watch.claimed.job
     path = folder / f".{name}"
     if name == "reconstruction":
         used = [file for source, file in sources.items() if source.startswith(SOURCE)]
@@ -192,17 +185,45 @@ def _recall(
         used = [sources[source] for source in RESULT_SOURCES[name]]
         choice = CloudParams.part_of(job.params).model_dump(mode="json")
     key = intermediate_key(name, job, [file.sha256 for file in used], choice)
-    file = None if fresh else find_intermediate(runtime.store, runtime.artifacts, key)
+    find = partial(find_intermediate, runtime.store, runtime.artifacts, key)
+    file = None if _fresh(job, stage) else find()
     if file is not None:
         runtime.artifacts.fetch(file.sha256, path)
+    elif name == "reconstruction":
+        file = _learn(runtime, watch, stage, path, find, make)
     else:
         make(path)
-        digest, size = hash_file(path)
-        touch_blob(runtime.store, digest, size)
-        runtime.artifacts.put(path, digest)
-        file = OutputFile(name=name, media_type=OCTETS, sha256=digest, bytes=size)
+        file = _stored(runtime, path, name)
     remember_intermediate(runtime.store, key, name, file, used)
     return path
+
+
+def _learn(
+    runtime: Runtime,
+    watch: Watch,
+    stage: JobType,
+    path: Path,
+    find: Callable[[], OutputFile | None],
+    make: Callable[[Path], None],
+) -> OutputFile:
+    """Learn a scene from photos, one job at a time; those that waited find what the first one learned."""
+    job = watch.claimed.job
+    folder = half_done_folder(runtime.settings, job)
+    with alone_in(folder, partial(watch.report, stage, 0.0)) as waited:
+        if _fresh(job, stage) and job.attempt == 1:
+            empty(folder)
+        elif waited and (file := find()) is not None:
+            runtime.artifacts.fetch(file.sha256, path)
+            return file
+        make(path)
+        return _stored(runtime, path, "reconstruction")
+
+
+def _stored(runtime: Runtime, path: Path, name: str) -> OutputFile:
+    digest, size = hash_file(path)
+    touch_blob(runtime.store, digest, size)
+    runtime.artifacts.put(path, digest)
+    return OutputFile(name=name, media_type=OCTETS, sha256=digest, bytes=size)
 
 
 def _fetch_photos(
@@ -262,6 +283,17 @@ def _keep(
         file = OutputFile(name=path.name, media_type=media_type(path.name), sha256=digest, bytes=size)
         outputs.append(replace(file, facts=facts.get(path.name, {})))
     return tuple(outputs)
+
+
+def _publish_part(runtime: Runtime, watch: Watch, stage: JobType, path: Path) -> None:
+    """Publish a file of a stage that goes on; the stage's end replaces it."""
+    offer(
+        runtime.store,
+        watch.claimed,
+        stage,
+        _keep(runtime, [path], {}),
+        retention_s=runtime.settings.artifact_retention_s,
+    )
 
 
 def _publish(

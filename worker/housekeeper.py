@@ -22,8 +22,9 @@ from celery import Celery
 from kombu.exceptions import OperationalError
 
 from jobs.artifacts import ArtifactStore, open_artifacts
+from jobs.assets import read_asset
 from jobs.backup import BACKUP_LEASE
-from jobs.errors import StorageAwayError
+from jobs.errors import GoneError, NotFoundError, StorageAwayError
 from jobs.logging_setup import set_up_logging
 from jobs.maintenance import (
     HOUSEKEEPER_LEASE,
@@ -43,11 +44,13 @@ from jobs.maintenance import (
 )
 from jobs.messages import RUN_JOB, RunJob
 from jobs.settings import Settings, read_settings
+from jobs.stage_files import HALF_DONE
 from jobs.store import Store
 from jobs.upload_parts import PartStore, open_parts
 from jobs.uploads import bury, expired_uploads
 from worker.courier import Courier
 from worker.disk_reserve import DiskReserve
+from worker.half_done import asset_of, discard
 
 logger = logging.getLogger(__name__)
 Thing = TypeVar("Thing")
@@ -111,11 +114,32 @@ class Housekeeper:
         if not living(self.store, BACKUP_LEASE):  # it copies bytes of rows that may have gone meanwhile
             _each(unreferenced_blobs(self.store), lambda digest: forget_blob(self.store, digest, self.artifacts.delete))
         if settings.scratch_dir.is_dir():
-            _each(settings.scratch_dir.iterdir(), _remove_if_old)
+            _each(settings.scratch_dir.iterdir(), self._forget_scratch)
 
     def _forget_upload(self, upload_id: str) -> None:
         self.parts.delete(upload_id)
         bury(self.store, upload_id)
+
+    def _forget_scratch(self, left: Path) -> None:
+        """Delete what was left a day ago; half-done work also where its asset is gone or the disk is full."""
+        old = time.time() - left.stat().st_mtime > SCRATCH_AGE_S
+        if left.name.startswith(HALF_DONE) and left.is_dir():
+            if old or self._short_of_disk() or not self._has_asset(asset_of(left)):
+                discard(left)
+        elif old and left.is_dir() and not left.is_symlink():
+            shutil.rmtree(left)
+        elif old:
+            left.unlink(missing_ok=True)
+
+    def _short_of_disk(self) -> bool:
+        return shutil.disk_usage(self.settings.scratch_dir).free < self.settings.min_free_bytes
+
+    def _has_asset(self, asset_id: str) -> bool:
+        try:
+            read_asset(self.store, asset_id)
+        except (NotFoundError, GoneError):
+            return False
+        return True
 
     def _send(self, message: RunJob) -> None:
         self.queue.send_task(RUN_JOB, args=message.args, queue=message.queue, retry=False)
@@ -133,15 +157,6 @@ def _each(things: Iterable[Thing], remove: Callable[[Thing], None]) -> None:
             failed += 1
             if failed == MAX_FAILURES:  # the storage is away
                 raise
-
-
-def _remove_if_old(left: Path) -> None:
-    if time.time() - left.stat().st_mtime <= SCRATCH_AGE_S:
-        return
-    if left.is_dir() and not left.is_symlink():
-        shutil.rmtree(left)
-    else:
-        left.unlink(missing_ok=True)
 
 
 def open_housekeeper(settings: Settings) -> Housekeeper:

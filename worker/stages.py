@@ -33,11 +33,12 @@ class StageInput:
 
     job: JobRecord
     folder: Path  # its own, empty
-    resume_dir: Path  # of the job's attempts on this machine: what is half done
+    resume_dir: Path  # of photos: what jobs on them have half done on this machine
     files: dict[str, Path]  # what earlier stages made; the asset's mesh as MESH_BUNDLE, or its cloud as CLOUD_BUNDLE
     source_sha256: str  # of the file that holds the shape; empty for photos
     photos: tuple[Path, ...]  # with the cameras and masks that came with them
-    recall: Recall  # gives results that other jobs may have computed
+    recall: Recall  # gives results that other jobs may have computed; of photos, alone in `resume_dir`
+    publish: Callable[[Path], None]  # makes a file an artifact before the stage has ended
     report: Callable[[float], None]  # share done in [0, 1]; raises when the stage should stop
     facts: dict[str, Facts] = field(default_factory=dict)  # filled in: what a file has to tell, by its name
 
@@ -61,6 +62,7 @@ def reconstruct(given: StageInput) -> Iterable[Path]:
         read_photos=read_confined,
         write_frames=write_confined_frames,
         on_progress=given.report,
+        on_file=given.publish,
     )
     assert capture.mesh is not None
     with (given.folder / MESH_BUNDLE).open("xb") as stream:

@@ -21,6 +21,7 @@ from jobs.tracing import span, tracer
 from worker.app import app, stopping
 from worker.attempt import run_stages
 from worker.cancellation import HandedBack, Watch
+from worker.half_done import half_done_folder
 from worker.memory_limit import is_out_of_memory, limit_memory, return_freed_memory
 from worker.runtime import Runtime, close_runtime, load_heavy_modules, runtime
 
@@ -80,7 +81,9 @@ def end_attempt(resources: Runtime, claimed: Claim, error: BaseException) -> Non
             )
         case SoftTimeLimitExceeded():
             allowed = f"{resources.settings.soft_time_limit_s} s are allowed"
-            fail(store, claimed, code="time-limit", message=f"the job took too long; {allowed}; simplify the input")
+            half_done = half_done_folder(resources.settings, claimed.job).is_dir()
+            advice = "run it again: it goes on where it was" if half_done else "simplify the input"
+            fail(store, claimed, code="time-limit", message=f"the job took too long; {allowed}; {advice}")
         case _:
             logger.error("job %s failed", claimed.job.id, exc_info=error)
             fail(store, claimed, code="internal-error", message="The cause was logged.")

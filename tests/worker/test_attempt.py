@@ -213,15 +213,6 @@ def test_a_lost_lease_stops_the_attempt(runtime: Runtime, asset: AssetRecord) ->
             watching.check()
 
 
-def test_a_lost_lease_leaves_what_the_next_attempt_goes_on_from(runtime: Runtime, asset: AssetRecord) -> None:
-    lease = hold(runtime, add_job(runtime, asset))
-    with watch(runtime, lease) as watching:
-        hand_back(runtime.store, lease)
-        with pytest.raises(FencedError):
-            run_stages(runtime, watching)
-    assert [left.name for left in runtime.settings.scratch_dir.iterdir()] == [f"resume-{lease.job.id}"]
-
-
 def test_a_lost_lease_is_no_error_of_the_job(
     runtime: Runtime, asset: AssetRecord, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -108,6 +108,7 @@ def test_a_stage_decodes_no_photo_itself(photos: list[Path], tmp_path: Path, mon
         source_sha256="",
         photos=tuple(photos),
         recall=recall,
+        publish=lambda path: None,
         report=lambda share: None,
     )
     given.resume_dir.mkdir()

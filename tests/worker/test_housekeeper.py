@@ -6,7 +6,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -22,11 +22,13 @@ from jobs.errors import StorageAwayError
 from jobs.maintenance import BLOB_GRACE_S, hold_lease, release_lease, unsent
 from jobs.records import AssetPart, JobRecord
 from jobs.settings import Settings
+from jobs.stage_files import HALF_DONE
 from jobs.upload_parts import FolderParts
 from jobs.uploads import UploadRecord, add_upload, expired_uploads
 from tests.jobs.conftest import Clock, PartsAway
 from tests.rows import asset_row, job_row
 from worker.courier import Courier
+from worker.half_done import alone_in
 from worker.housekeeper import Housekeeper, PauseDetector, open_housekeeper, run, run_all
 
 
@@ -177,6 +179,30 @@ def test_scratch_is_emptied_of_old_files_and_folders(keeper: Housekeeper) -> Non
         os.utime(scratch / name, (0, 0))
     keeper.forget()
     assert sorted(path.name for path in scratch.iterdir()) == ["check-new", "upload-new"]
+
+
+def test_half_done_work_goes_with_its_asset_after_a_day_and_when_the_disk_is_full(keeper: Housekeeper) -> None:
+    def folder(asset_id: str, frames: int) -> Path:
+        path = keeper.settings.scratch_dir / f"{HALF_DONE}{asset_id}-{frames}"
+        path.mkdir(parents=True, exist_ok=True)
+        return path
+
+    def left() -> list[Path]:
+        return sorted(path for path in keeper.settings.scratch_dir.iterdir() if path.is_dir())
+
+    asset_id = add_job(keeper).asset_id
+    stays, old, gone = folder(asset_id, 40), folder(asset_id, 41), folder("nobody", 40)
+    os.utime(old, (0, 0))
+    keeper.forget()
+    assert left() == [stays]
+    full = replace(keeper, settings=keeper.settings.model_copy(update={"min_free_bytes": 2**62}))
+    with suppress(KeyError), alone_in(folder(asset_id, 42), lambda: None):
+        full.forget()
+        assert left() == [folder(asset_id, 42)]
+        raise KeyError
+    full.forget()
+    assert not left()
+    assert not gone.exists()
 
 
 def test_one_upload_that_cannot_be_removed_keeps_no_other(keeper: Housekeeper) -> None:

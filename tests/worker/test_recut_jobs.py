@@ -41,24 +41,27 @@ def reconstruct_job(runtime: Runtime, photos: AssetRecord, **params: object) -> 
     return runtime.store.add_job(job, stages=stages_of("reconstruct", "photos"))[0]
 
 
+def remember(runtime: Runtime, photos: AssetRecord, job: JobRecord, folder: Path) -> AssetRecord:
+    """As if the job had learned what is in the folder `finished`."""
+    watching = watch(runtime, hold(runtime, job))
+    recall = partial(_recall, runtime, watching, "reconstruct", folder, _prepared_sources(photos))
+    recall("reconstruction", partial(pack, folder / "finished"))
+    return photos
+
+
 @pytest.fixture
 def learned(runtime: Runtime, photos: AssetRecord, tmp_path: Path) -> AssetRecord:
     """The same, as if a job had learned stem, floor and lamp from them."""
     write_finished(tmp_path / "finished")
     job = reconstruct_job(runtime, photos, height_m=9.0)
-    make = partial(pack, tmp_path / "finished")
-    _recall(runtime, job, tmp_path, _prepared_sources(photos), False, "reconstruction", make)
-    return photos
+    return remember(runtime, photos, job, tmp_path)
 
 
 @pytest.fixture
 def learned_potted(runtime: Runtime, photos: AssetRecord, tmp_path: Path) -> AssetRecord:
     """The same, as if a job had learned a potted plant from them."""
     write_planted(potted(), tmp_path / "finished")
-    make = partial(pack, tmp_path / "finished")
-    job = reconstruct_job(runtime, photos, height_m=9.0)
-    _recall(runtime, job, tmp_path, _prepared_sources(photos), False, "reconstruction", make)
-    return photos
+    return remember(runtime, photos, reconstruct_job(runtime, photos, height_m=9.0), tmp_path)
 
 
 def content(runtime: Runtime, job: JobRecord, name: str) -> BytesIO:

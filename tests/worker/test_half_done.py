@@ -1,0 +1,226 @@
+"""Half-done work on photos outlasts its job: the next job on them goes on there."""
+
+import json
+import os
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import pytest
+from celery.exceptions import SoftTimeLimitExceeded
+
+from dynamictree.errors import Cancelled, InputError
+from dynamictree.reconstruct.checkpoint import load_progress
+from jobs.assets import add_asset
+from jobs.attempts import offer, publish_stage, start_stage
+from jobs.records import AssetRecord, JobRecord, OutputFile
+from jobs.states import JobState, JobType, stages_of
+from tests.formats.films import write_film
+from tests.reconstruct.conftest import Orbit, orbit  # noqa: F401
+from tests.reconstruct.test_given import write_transforms
+from tests.rows import asset_row, job_row, stored_part
+from tests.worker.conftest import hold, watch
+from worker.attempt import _prepared_sources, _recall, run_stages
+from worker.cancellation import Watch
+from worker.half_done import alone_in, discard, half_done_folder
+from worker.runtime import Runtime
+from worker.tasks import end_attempt
+
+FRAMES = 8
+
+
+class Limited(Watch):
+    """Ends the attempt at a share of a stage, as Celery's time limit does."""
+
+    limit = 1.0
+
+    def report(self, stage: JobType, progress: float) -> None:
+        super().report(stage, progress)
+        if progress > self.limit:
+            raise SoftTimeLimitExceeded
+
+
+def add_photos(runtime: Runtime, paths: list[Path]) -> AssetRecord:
+    parts = tuple(
+        replace(stored_part(runtime.artifacts, path), name=f"{path.parent.name}/{path.name}") for path in paths
+    )
+    row = asset_row(parts[0], now=0.0, kind="photos", parts=parts, prepared=None, expires_at=1e12)
+    return add_asset(runtime.store, row)[0]
+
+
+@pytest.fixture
+def film(runtime: Runtime, tmp_path: Path) -> AssetRecord:
+    return add_photos(runtime, [write_film(tmp_path / "walk.mp4", seconds=1.0)])
+
+
+def add_job(runtime: Runtime, asset: AssetRecord, **params: object) -> JobRecord:
+    job = job_row(asset, "reconstruct", now=runtime.store.clock(), params={"video_frames": FRAMES} | params)
+    return runtime.store.add_job(job, stages=stages_of("reconstruct", "photos"))[0]
+
+
+def ended(runtime: Runtime, job: JobRecord, limit: float) -> JobRecord:
+    """The job after its time limit, met at a share of the reconstruction."""
+    lease = hold(runtime, job)
+    with Limited(runtime, lease, stopping=lambda: False) as watching:
+        watching.limit = limit
+        with pytest.raises(SoftTimeLimitExceeded) as met:
+            run_stages(runtime, watching)
+    end_attempt(runtime, lease, met.value)
+    return runtime.store.job(job.id)
+
+
+def test_another_job_goes_on_after_a_time_limit(runtime: Runtime, film: AssetRecord) -> None:
+    first, second = add_job(runtime, film), add_job(runtime, film, splat_steps=100)
+    failed = ended(runtime, first, 0.03)
+    assert (failed.state, failed.error_code) == (JobState.FAILED, "time-limit")
+    assert "run it again: it goes on where it was" in (failed.error_message or "")
+    frames = half_done_folder(runtime.settings, first) / "frames"
+    written = {path.name: path.stat().st_mtime_ns for path in frames.iterdir()}
+    assert len(written) == FRAMES
+    ended(runtime, second, 0.03)
+    assert {path.name: path.stat().st_mtime_ns for path in frames.iterdir()} == written
+    ended(runtime, add_job(runtime, film, video_frames=9), 0.03)
+    assert {path.name: path.stat().st_mtime_ns for path in frames.iterdir()} == written
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+def test_a_scene_is_learned_on_where_a_time_limit_ended_it(
+    runtime: Runtime,
+    orbit: Orbit,  # noqa: F811
+    tmp_path: Path,
+) -> None:
+    photos = tmp_path / "images"
+    photos.mkdir()
+    paths = [Path(os.link(path, photos / path.name) or photos / path.name) for path in orbit.photos]
+    asset = add_photos(runtime, [*paths, write_transforms(tmp_path / "cameras", orbit)])
+    job = ended(runtime, add_job(runtime, asset, splat_steps=100), 0.6)
+    assert [artifact.name for artifact in runtime.store.artifacts_of(job.id)] == ["cameras.json"]
+    work = half_done_folder(runtime.settings, job)
+    steps = load_progress(work / "splat.npz").step
+    assert 0 < steps < 100
+    again = add_job(runtime, asset, splat_steps=100, height_m=1.2)
+    shares: list[float] = []
+
+    class Listening(Watch):
+        def report(self, stage: JobType, progress: float) -> None:
+            super().report(stage, progress)
+            shares.append(progress)
+
+    with Listening(runtime, hold(runtime, again), stopping=lambda: False) as watching:
+        run_stages(runtime, watching)
+    artifacts = {artifact.name: artifact for artifact in runtime.store.artifacts_of(again.id)}
+    assert {"cameras.json", "splat.ply", "mesh.ply", "report.json"} <= artifacts.keys()
+    report = json.loads(b"".join(runtime.artifacts.read(artifacts["report.json"].sha256)))
+    assert report["splat_steps"] == 100
+    assert report["seconds"]["cameras"] + report["seconds"]["depth"] < 0.2 * report["seconds"]["splat"]
+    assert not [share for share in shares if 0.46 < share < 0.45 + 0.5 * steps / 100]  # no step is learned twice
+    assert list(runtime.settings.scratch_dir.iterdir()) == []
+
+
+def test_who_waits_takes_what_the_first_job_learned(runtime: Runtime, film: AssetRecord, tmp_path: Path) -> None:
+    first, second = add_job(runtime, film), add_job(runtime, film)
+    began, release = threading.Event(), threading.Event()
+    learned = []
+
+    def make(path: Path) -> None:
+        began.set()
+        release.wait(30)
+        path.write_bytes(b"learned")
+        learned.append(path)
+
+    def recall(job: JobRecord) -> None:
+        folder = tmp_path / job.id
+        folder.mkdir()
+        watching = watch(runtime, hold(runtime, job))
+        path = _recall(runtime, watching, "reconstruct", folder, _prepared_sources(film), "reconstruction", make)
+        assert path.read_bytes() == b"learned"
+        done.append(job.id)
+
+    done: list[str] = []
+    threads = [threading.Thread(target=recall, args=(job,)) for job in (first, second)]
+    threads[0].start()
+    assert began.wait(30)
+    threads[1].start()
+    time.sleep(0.2)
+    release.set()
+    for thread in threads:
+        thread.join(60)
+    assert done == [first.id, second.id]
+    assert len(learned) == 1
+    assert list(runtime.settings.scratch_dir.iterdir()) == []
+
+
+@pytest.fixture
+def work(runtime: Runtime, film: AssetRecord) -> Path:
+    folder = half_done_folder(runtime.settings, add_job(runtime, film))
+    folder.mkdir(parents=True)
+    return folder
+
+
+@pytest.fixture
+def at_work(work: Path) -> Iterator[None]:
+    with suppress(SoftTimeLimitExceeded), alone_in(work, lambda: None):
+        yield
+        raise SoftTimeLimitExceeded
+
+
+@pytest.mark.usefixtures("at_work")
+def test_a_job_that_waits_can_be_canceled(work: Path) -> None:
+    def cancel() -> None:
+        raise Cancelled("asked to stop")
+
+    with pytest.raises(Cancelled), alone_in(work, cancel):
+        raise AssertionError("two jobs in one folder")
+    discard(work)
+    assert work.is_dir()
+
+
+def test_photos_that_cannot_be_used_leave_nothing(work: Path) -> None:
+    with suppress(InputError), alone_in(work, lambda: None):
+        (work / "frames").mkdir()
+        raise InputError("no photos")
+    assert not work.exists()
+    with suppress(InputError), alone_in(work, lambda: None):
+        (work / "views.json").touch()
+        raise InputError("cameras, but no surface")
+    assert work.is_dir()
+
+
+def test_a_stage_that_is_run_anew_begins_at_once_with_nothing(
+    runtime: Runtime, film: AssetRecord, tmp_path: Path
+) -> None:
+    job = job_row(film, "reconstruct", now=0.0, params={"video_frames": FRAMES}, fresh_from="reconstruct")
+    job = runtime.store.add_job(job, stages=stages_of("reconstruct", "photos"))[0]
+    work = half_done_folder(runtime.settings, job)
+    work.mkdir(parents=True)
+    (work / "views.json").touch()
+
+    def make(path: Path) -> None:
+        assert not list(work.iterdir())
+        path.touch()
+
+    recall = partial(_recall, runtime, watch(runtime, hold(runtime, job)), "reconstruct", tmp_path)
+    recall(_prepared_sources(film), "reconstruction", make)
+
+
+def test_what_was_offered_is_replaced(runtime: Runtime, film: AssetRecord) -> None:
+    def file(name: str, digit: str) -> OutputFile:
+        return OutputFile(name=name, media_type="text/plain", sha256=digit * 64, bytes=1)
+
+    def names() -> list[tuple[str, str]]:
+        return [(artifact.name, artifact.sha256[0]) for artifact in runtime.store.artifacts_of(lease.job.id)]
+
+    lease = hold(runtime, add_job(runtime, film))
+    start_stage(runtime.store, lease, "reconstruct")
+    for digit in "aab":
+        offer(runtime.store, lease, "reconstruct", (file("cameras.json", digit),), retention_s=9)
+    offer(runtime.store, lease, "reconstruct", (file("draft.ply", "d"),), retention_s=9)
+    assert names() == [("cameras.json", "b"), ("draft.ply", "d")]
+    files = (file("cameras.json", "c"), file("mesh.ply", "e"))
+    publish_stage(runtime.store, lease, "reconstruct", files, key="k", cached=False, retention_s=9)
+    assert names() == [("cameras.json", "c"), ("mesh.ply", "e")]
