@@ -4,7 +4,7 @@ from hashlib import sha256
 
 from fastapi import Response, status
 
-from dynamictree.photo_requests import PHOTOS_OF_VIDEO
+from dynamictree.photo_requests import PHOTOS_OF_VIDEO, PhotoParams
 from dynamictree.requests import AnimateParams, CloudParams, Format
 from jobs.assets import read_asset
 from jobs.errors import ConflictError
@@ -143,6 +143,7 @@ def require_possible(owned: Owned, body: JobRequest) -> tuple[AssetRecord, tuple
     if chosen and asset.kind == "photos":
         detail = f"asset {asset.id} is of kind photos, in which no part has a place or name yet"
         raise wrong_field(f"/params/{chosen[0]}", "not-allowed", detail)
+    _require_photos(body, asset)
     _require_frames(body.params.video_frames or PHOTOS_OF_VIDEO, asset)
     if body.params.tree is not None:
         _require_tree(body.params.tree, asset)
@@ -150,6 +151,18 @@ def require_possible(owned: Owned, body: JobRequest) -> tuple[AssetRecord, tuple
     require_room(owned, size)
     require_bytes(owned, size)
     return asset, stages
+
+
+def _require_photos(body: JobRequest, asset: AssetRecord) -> None:
+    """Refuse what only photos and films have; a tree's height is taken with every asset."""
+    names = body.params.model_fields_set & (PhotoParams.model_fields.keys() - {"height_m"})
+    chosen = sorted(name for name in names if getattr(body.params, name) != PhotoParams.model_fields[name].default)
+    if chosen and asset.kind != "photos":
+        detail = (
+            f"asset {asset.id} is of kind {asset.kind}; {chosen[0]} is allowed with photos or a film only; "
+            "choose the parts of a mesh or cloud that move by box_m, still, moving or tree"
+        )
+        raise wrong_field(f"/params/{chosen[0]}", "not-allowed", detail)
 
 
 def _require_tree(number: int, asset: AssetRecord) -> None:

@@ -310,3 +310,25 @@ def test_a_format_without_its_library_is_neither_offered_nor_accepted(
     response = client.post("/v1/jobs", json=body)
     assert response.status_code == 422
     assert "pip install 'dynamictree[usd]'" in response.json()["detail"]
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("scribbles", [{"photo": "a.jpg", "plant": True, "points": [[0.5, 0.5]]}]),
+        ("only_plant", True),
+        ("splat_steps", 500),
+        ("video_frames", 20),
+    ],
+)
+def test_what_only_photos_have_is_refused_of_a_mesh(
+    client: TestClient, asset: AssetRecord, name: str, value: object
+) -> None:
+    body = {"type": "animate", "asset_id": asset.id, "params": {"height_m": 3.0, name: value}}
+    refused = client.post("/v1/jobs", json=body)
+    assert (refused.status_code, refused.headers["content-type"]) == (422, "application/problem+json")
+    [error] = refused.json()["errors"]
+    assert (error["pointer"], error["code"]) == (f"/params/{name}", "not-allowed")
+    assert f"of kind mesh; {name} is allowed with photos or a film only" in error["detail"]
+    unset = {"scribbles": None, "only_plant": False, "splat_steps": None, "video_frames": None}
+    assert client.post("/v1/jobs", json=body | {"params": unset}).status_code == 202
