@@ -1,12 +1,21 @@
-"""The interface that every trained model has."""
+"""What every trained model has in common: how a motion is asked for."""
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Protocol, runtime_checkable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Complex64
 
 from dynamictree.errors import InputError
 from dynamictree.spectrum import SparseVoxelSpectrum, Wind
+from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import SurfaceVoxels
+
+if TYPE_CHECKING:
+    import torch
 
 OnStep = Callable[[int, int], None]
 """Called after each sampler step with the steps done and their total; an exception that it raises cancels the run."""
@@ -16,21 +25,38 @@ GUSTS = (0.0, 2.0)
 MAX_STEPS = 1000
 
 
-@runtime_checkable
-class MotionModel(Protocol):
+@dataclass(frozen=True, kw_only=True)
+class Sampling:
+    """How one motion is drawn: where its noise comes from, in how many steps, and who hears of them."""
+
+    generator: "torch.Generator"
+    num_steps: int
+    on_step: OnStep | None
+
+
+class MotionModel(ABC):
     """A trained network that generates motion for a voxelized tree."""
 
-    @property
-    def name(self) -> str:
-        """File name of the weights without its suffix."""
+    name: str
+    """File name of the weights without its suffix."""
+    slower_when_tall: bool
+    """Whether a spectrum's period is by default that of the tree's height; else 4.17 s."""
 
     @property
+    @abstractmethod
     def resolution(self) -> int:
         """Resolution of the voxel grid that `generate` needs."""
 
     @property
-    def slower_when_tall(self) -> bool:
-        """Whether a spectrum's period is by default that of the tree's height; else 4.17 s."""
+    @abstractmethod
+    def default_steps(self) -> int:
+        """Of the sampler, where a request names no number."""
+
+    @abstractmethod
+    def _coefficients(
+        self, voxels: SurfaceVoxels, wind: Wind, sampling: Sampling
+    ) -> tuple[VoxelGrid, Complex64[np.ndarray, "V K 3"]]:
+        """The motion [m] and the grid that it is on."""
 
     def generate(
         self,
@@ -53,9 +79,19 @@ class MotionModel(Protocol):
         Raises:
             InputError: a resolution, voxel count, wind or number of steps outside of what the model accepts.
         """
+        import torch
+
+        from dynamictree.models.threads import one_thread
+
+        _check_request(wind, num_steps)
+        generator = torch.Generator().manual_seed(seed)
+        sampling = Sampling(generator=generator, num_steps=num_steps or self.default_steps, on_step=on_step)
+        with torch.no_grad(), one_thread():
+            grid, coefficients = self._coefficients(voxels, wind, sampling)
+        return SparseVoxelSpectrum(grid=grid, coefficients=coefficients, model=self.name, seed=seed, wind=wind)
 
 
-def check_request(wind: Wind, num_steps: int | None) -> None:
+def _check_request(wind: Wind, num_steps: int | None) -> None:
     """Refuse winds and numbers of steps that no model accepts.
 
     Raises:

@@ -13,14 +13,19 @@ from dynamictree.mesh import joined
 from tests.trees.stand import tree
 
 
-def test_the_command_line_counts_the_trees_and_takes_one(
-    tmp_path: Path, dynamictree: Callable[..., int], capsys: pytest.CaptureFixture[str]
-) -> None:
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    """A file of three trees in a row."""
     one = tree(6.0, num_cards=60)
     scene = joined([one.with_vertices(one.vertices + np.float32([5 * i, 0, 0])) for i in range(3)])
-    path = tmp_path / "three.ply"
-    with path.open("wb") as stream:
+    with (path := tmp_path / "three.ply").open("wb") as stream:
         write_ply(scene, stream)
+    return path
+
+
+def test_the_command_line_counts_the_trees_and_takes_one(
+    path: Path, tmp_path: Path, dynamictree: Callable[..., int], capsys: pytest.CaptureFixture[str]
+) -> None:
     assert dynamictree("info", path, "--json") == 0
     facts = json.loads(capsys.readouterr().out)
     assert [entry["tree"] for entry in facts["trees"]] == [1, 2, 3]
@@ -32,14 +37,9 @@ def test_the_command_line_counts_the_trees_and_takes_one(
 
 
 def test_one_tree_is_taken_and_a_part_of_it_stands_still(
-    tmp_path: Path, dynamictree: Callable[..., int], capsys: pytest.CaptureFixture[str]
+    path: Path, tmp_path: Path, dynamictree: Callable[..., int], capsys: pytest.CaptureFixture[str]
 ) -> None:
     """`--tree` with boxes: only what is left of that tree is voxelized, whatever stands still in the others."""
-    one = tree(6.0, num_cards=60)
-    scene = joined([one.with_vertices(one.vertices + np.float32([5 * i, 0, 0])) for i in range(3)])
-    path = tmp_path / "three.ply"
-    with path.open("wb") as stream:
-        write_ply(scene, stream)
 
     def voxels(name: str, *options: object) -> np.ndarray:
         assert dynamictree("voxelize", path, "-o", tmp_path / name, "--tree", 2, *options) == 0

@@ -31,7 +31,7 @@ from dynamictree.gaussian.capture import Capture, carrying_mesh, moving_part
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.cloud_mesh import FACES_PER_GAUSSIAN, LEAST_FACES
 from dynamictree.mesh import TriangleMesh
-from dynamictree.requests import CloudParams, ExportParams, Shot
+from dynamictree.requests import CloudParams, ExportParams, Format, Shot
 from dynamictree.spectrum import SparseVoxelSpectrum, iter_motion
 from dynamictree.voxel.voxelize import voxelize
 
@@ -276,20 +276,28 @@ def test_an_option_out_of_bounds_is_reported(options: dict[str, object], message
         ExportParams(**options)  # type: ignore[arg-type]
 
 
-def test_too_large_a_sequence_is_refused_before_it_is_made(
+@pytest.mark.parametrize(
+    ("name", "limit", "message"),
+    [
+        ("splat-ply", "splat_sequence.MAX_SEQUENCE_BYTES", "ask for fewer frames"),
+        ("usd-splat", "usd_splat.MAX_SEQUENCE_BYTES", r"Gaussians as usd-splat .* fewer frames or a lower share"),
+        ("html-splat", "html.MAX_SPLAT_BYTES", r"3,000 Gaussians as html-splat .* ask for a lower share"),
+    ],
+)
+def test_too_large_a_splat_is_refused_before_a_byte_is_written(
     capture: Capture,
     mesh: TriangleMesh,
     spectrum: SparseVoxelSpectrum,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
+    name: Format,
+    limit: str,
+    message: str,
 ) -> None:
-    monkeypatch.setattr("dynamictree.formats.motion.splat_sequence.MAX_SEQUENCE_BYTES", 1000)
-    with pytest.raises(InputError, match="ask for fewer frames"):
-        animated(capture, mesh, spectrum, tmp_path, ExportParams(formats=("splat-ply",)), [])
-    monkeypatch.setattr("dynamictree.formats.motion.usd_splat.MAX_SEQUENCE_BYTES", 1000)
-    with pytest.raises(InputError, match=r"Gaussians as usd-splat .* fewer frames or a lower share"):
-        animated(capture, mesh, spectrum, tmp_path, ExportParams(formats=("usd-splat",)), [])
-    assert not list(tmp_path.iterdir())
+    monkeypatch.setattr(f"dynamictree.formats.motion.{limit}", 1000)
+    with pytest.raises(InputError, match=message):
+        write_products(mesh, spectrum, ExportParams(formats=(name,)), tmp_path, capture=capture)
+    assert [path for path in tmp_path.iterdir() if path.stat().st_size] == []
 
 
 def test_usd_has_every_pose_of_the_splat(
@@ -319,15 +327,3 @@ def test_usd_has_every_pose_of_the_splat(
     np.testing.assert_allclose(np.array(splat.GetOpacitiesAttr().Get()), 0.9)
     harmonics = np.array(splat.GetRadianceSphericalHarmonicsCoefficientsAttr().Get())
     np.testing.assert_allclose(harmonics, capture.cloud.sh[:, 0])
-
-
-def test_a_splat_too_large_for_a_page_is_refused(
-    capture: Capture,
-    mesh: TriangleMesh,
-    spectrum: SparseVoxelSpectrum,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr("dynamictree.formats.motion.html.MAX_SPLAT_BYTES", 1000)
-    with pytest.raises(InputError, match=r"3,000 Gaussians as html-splat .* ask for a lower share"):
-        write_products(mesh, spectrum, ExportParams(formats=("html-splat",)), tmp_path, capture=capture)

@@ -12,18 +12,18 @@ from dynamictree.diffusion.channels import CHANNELS, unpack_channels
 from dynamictree.diffusion.sampler import sample_ddim
 from dynamictree.diffusion.schedule import schedule_of
 from dynamictree.errors import InputError
-from dynamictree.models.motion_model import OnStep, check_request
+from dynamictree.models.motion_model import MotionModel, Sampling
 from dynamictree.models.paper.denoise import denoise
 from dynamictree.models.paper.examples import unit_positions, wind_sizes
 from dynamictree.models.paper.network import PaperInputs, PaperNetwork
 from dynamictree.models.small.features import node_features
 from dynamictree.models.small.prepared import prepare_tree
-from dynamictree.models.threads import one_thread, run_on_cores
+from dynamictree.models.threads import run_on_cores
 from dynamictree.models.voxel_resolution import coarsened, halvings_between
 from dynamictree.models.wind import wind_axes
 from dynamictree.sparse.level import Pyramid, pyramid
 from dynamictree.sparse.matrices import raise_matrix
-from dynamictree.spectrum import SparseVoxelSpectrum, Wind
+from dynamictree.spectrum import Wind
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import SurfaceVoxels
 
@@ -36,8 +36,8 @@ MAX_ACTIVATIONS = 4_000_000
 MAX_VOXELS = 150_000  # of the spectrum's grid
 
 
-class PaperModel:
-    """The paper's network with its sampler, on the GPU where there is one: a `MotionModel`."""
+class PaperModel(MotionModel):
+    """The paper's network with its sampler, on the GPU where there is one."""
 
     slower_when_tall = False  # the paper has one period
 
@@ -50,37 +50,23 @@ class PaperModel:
         """Resolution of the voxel grid that the encoder reads."""
         return self.network.preset.condition_resolution
 
-    def generate(
-        self,
-        voxels: SurfaceVoxels,
-        *,
-        wind: Wind,
-        seed: int,
-        num_steps: int | None = None,
-        on_step: OnStep | None = None,
-    ) -> SparseVoxelSpectrum:
-        """Generate the spectrum of one motion, see `MotionModel.generate`.
+    @property
+    def default_steps(self) -> int:
+        """As the preset says."""
+        return self.network.preset.num_steps
 
-        The paper's network knows no wind: its direction turns the motion, its speed and gust scale it. With additions
-        to the paper it is an input, as the preset says.
+    def _coefficients(
+        self, voxels: SurfaceVoxels, wind: Wind, sampling: Sampling
+    ) -> tuple[VoxelGrid, Complex64[np.ndarray, "V K 3"]]:
+        """The paper's network knows no wind: its direction turns the motion, its speed and gust scale it.
+
+        With additions to the paper it is an input, as the preset says.
         """
-        check_request(wind, num_steps)
-        steps = num_steps or self.network.preset.num_steps
-        generator = torch.Generator().manual_seed(seed)
-        with torch.no_grad(), one_thread():
-            if self.network.regression is None:
-                grid, coefficients = self._plain(voxels, wind, generator, steps, on_step)
-            else:
-                grid, coefficients = self._of_regression(voxels, wind, generator, steps, on_step)
-        return SparseVoxelSpectrum(grid=grid, coefficients=coefficients, model=self.name, seed=seed, wind=wind)
+        draw = self._plain if self.network.regression is None else self._of_regression
+        return draw(voxels, wind, sampling)
 
     def _plain(
-        self,
-        voxels: SurfaceVoxels,
-        wind: Wind,
-        generator: torch.Generator,
-        num_steps: int,
-        on_step: OnStep | None,
+        self, voxels: SurfaceVoxels, wind: Wind, sampling: Sampling
     ) -> tuple[VoxelGrid, Complex64[np.ndarray, "V K 3"]]:
         """The whole spectrum comes from the diffusion."""
         preset = self.network.preset
@@ -92,8 +78,8 @@ class PaperModel:
             raise InputError(f"the tree has {count:,} voxels at {preset.resolution}; {allowed}")
         bins = torch.arange(preset.num_frequencies)
         # frequency first, so that the noise of a bin does not depend on the others
-        start = torch.randn(len(bins), count, CHANNELS, generator=generator).transpose(0, 1)
-        unit = _complex_rows(self._sample(inputs, bins, start, num_steps, on_step))
+        start = torch.randn(len(bins), count, CHANNELS, generator=sampling.generator).transpose(0, 1)
+        unit = _complex_rows(self._sample(inputs, bins, start, sampling))
         height_m = (int(np.ptp(fine.grid.coords[:, 2])) + 1) * fine.grid.voxel_size_m
         sizes = self.network.frequency_sizes.cpu().numpy() * wind_sizes(wind, preset.num_frequencies) * height_m
         coefficients = (unit * sizes[:, None]) @ wind_axes(wind)
@@ -101,12 +87,7 @@ class PaperModel:
         return _on_output_grid(fine.grid, inputs.grids, preset.num_halvings, coefficients)
 
     def _of_regression(
-        self,
-        voxels: SurfaceVoxels,
-        wind: Wind,
-        generator: torch.Generator,
-        num_steps: int,
-        on_step: OnStep | None,
+        self, voxels: SurfaceVoxels, wind: Wind, sampling: Sampling
     ) -> tuple[VoxelGrid, Complex64[np.ndarray, "V K 3"]]:
         """Lean and amplitudes come from the regression, the whitened spectrum on the nodes from the diffusion."""
         network, preset = self.network, self.network.preset
@@ -121,11 +102,13 @@ class PaperModel:
         )
         bins = torch.arange(1, preset.num_frequencies)
         if preset.noise_along_tree:
-            start = prepared.noise.draw(network.regression.noise_shares.cpu(), generator, channels=CHANNELS)
+            start = prepared.noise.draw(network.regression.noise_shares.cpu(), sampling.generator, channels=CHANNELS)
         else:
-            start = torch.randn(len(bins), len(prepared.nodes.scalars), CHANNELS, generator=generator).transpose(0, 1)
-        whitened = self._sample(inputs, bins, start, num_steps, on_step).cpu()
-        return voxels.grid, prepared.to_metres(prepared.assemble(whitened, generator))
+            start = torch.randn(
+                len(bins), len(prepared.nodes.scalars), CHANNELS, generator=sampling.generator
+            ).transpose(0, 1)
+        whitened = self._sample(inputs, bins, start, sampling).cpu()
+        return voxels.grid, prepared.to_metres(prepared.assemble(whitened, sampling.generator))
 
     def _inputs(self, fine: SurfaceVoxels, wind: Wind) -> PaperInputs:
         preset = self.network.preset
@@ -141,8 +124,7 @@ class PaperModel:
         inputs: PaperInputs,
         bins: Int64[Tensor, " J"],
         start: Float32[Tensor, "V J 6"],
-        num_steps: int,
-        on_step: OnStep | None,
+        sampling: Sampling,
     ) -> Float32[Tensor, "V J 6"]:
         """Spectra of unit size at some frequencies. These do not see one another: bands of them run on all cores."""
         device = self.network.frequency_sizes.device
@@ -160,7 +142,7 @@ class PaperModel:
             return torch.cat(predicted, dim=1)
 
         noise = start.contiguous().to(device)
-        return sample_ddim(predict_clean, noise, schedule, num_steps=num_steps, on_step=on_step)
+        return sample_ddim(predict_clean, noise, schedule, num_steps=sampling.num_steps, on_step=sampling.on_step)
 
 
 def _complex_rows(channels: Float32[Tensor, "V K 6"]) -> Complex64[np.ndarray, "V K 3"]:

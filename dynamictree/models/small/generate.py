@@ -3,20 +3,21 @@
 from collections.abc import Callable
 from functools import partial
 
+import numpy as np
 import torch
-from jaxtyping import Float32
+from jaxtyping import Complex64, Float32
 from torch import Tensor
 
 from dynamictree.diffusion.channels import CHANNELS
 from dynamictree.diffusion.sampler import karras_schedule, sample_dpm_multistep
 from dynamictree.errors import InputError
-from dynamictree.models.motion_model import OnStep, check_request
+from dynamictree.models.motion_model import MotionModel, Sampling
 from dynamictree.models.small.denoiser import denoise
 from dynamictree.models.small.network import SmallNetwork
 from dynamictree.models.small.prepared import MAX_NETWORK_VOXELS, PreparedTree, prepare_tree
-from dynamictree.models.threads import one_thread, run_on_cores
+from dynamictree.models.threads import run_on_cores
 from dynamictree.models.voxel_resolution import halvings_between
-from dynamictree.spectrum import SparseVoxelSpectrum, Wind
+from dynamictree.spectrum import Wind
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import SurfaceVoxels
 
@@ -27,8 +28,8 @@ MAX_VOXELS = 2_400_000
 """Of the spectrum's grid, which takes 400 bytes per voxel. The network reads fewer (`prepared.MAX_NETWORK_VOXELS`)."""
 
 
-class SmallModel:
-    """Amplitudes by regression, phases by diffusion: a `MotionModel`."""
+class SmallModel(MotionModel):
+    """Amplitudes by regression, phases by diffusion."""
 
     slower_when_tall = True
 
@@ -41,36 +42,30 @@ class SmallModel:
         """Resolution of the voxel grid that the network works on."""
         return self.network.preset.resolution
 
-    def generate(
-        self,
-        voxels: SurfaceVoxels,
-        *,
-        wind: Wind,
-        seed: int,
-        num_steps: int | None = None,
-        on_step: OnStep | None = None,
-    ) -> SparseVoxelSpectrum:
-        """Generate the spectrum of one motion, see `MotionModel.generate`."""
-        self._check(voxels.grid, wind, num_steps)
-        generator = torch.Generator().manual_seed(seed)
-        with torch.no_grad(), one_thread():
-            prepared = self.prepare(voxels, wind)
-            start = prepared.noise.draw(self.network.noise_shares, generator, channels=CHANNELS)
-            whitened = self._denoise(prepared, start, num_steps or NUM_STEPS, on_step)
-            relative = prepared.assemble(whitened, generator)
-        coefficients = prepared.to_metres(relative)
-        return SparseVoxelSpectrum(grid=voxels.grid, coefficients=coefficients, model=self.name, seed=seed, wind=wind)
+    @property
+    def default_steps(self) -> int:
+        """Four: more change little."""
+        return NUM_STEPS
+
+    def _coefficients(
+        self, voxels: SurfaceVoxels, wind: Wind, sampling: Sampling
+    ) -> tuple[VoxelGrid, Complex64[np.ndarray, "V K 3"]]:
+        self._check(voxels.grid)
+        prepared = self.prepare(voxels, wind)
+        start = prepared.noise.draw(self.network.noise_shares, sampling.generator, channels=CHANNELS)
+        whitened = self._denoise(prepared, start, sampling)
+        return voxels.grid, prepared.to_metres(prepared.assemble(whitened, sampling.generator))
 
     def prepare(self, voxels: SurfaceVoxels, wind: Wind) -> PreparedTree:
         """Deterministic part: amplitudes, lean, and the matrices between nodes and voxels."""
         return prepare_tree(self.network, voxels, wind, max_voxels=self.max_network_voxels)
 
     def _denoise(
-        self, prepared: PreparedTree, noise: Float32[Tensor, "W J 6"], num_steps: int, on_step: OnStep | None
+        self, prepared: PreparedTree, noise: Float32[Tensor, "W J 6"], sampling: Sampling
     ) -> Float32[Tensor, "W J 6"]:
         """A whitened spectrum on the nodes. Frequencies do not see one another: bands of them run on all cores."""
         preset = self.network.preset
-        sigmas = karras_schedule(num_steps, sigma_min=preset.sigma_min, sigma_max=preset.sigma_max)
+        sigmas = karras_schedule(sampling.num_steps, sigma_min=preset.sigma_min, sigma_max=preset.sigma_max)
         bands = [slice(k, k + BAND) for k in range(0, preset.num_frequencies - 1, BAND)]
         denoisers = [self._band_denoiser(prepared, band) for band in bands]
 
@@ -78,7 +73,7 @@ class SmallModel:
             calls = [partial(one, noisy[:, band], sigma) for one, band in zip(denoisers, bands, strict=True)]
             return torch.cat(run_on_cores(calls), dim=1)
 
-        return sample_dpm_multistep(denoise_all, noise * sigmas[0], sigmas, on_step=on_step)
+        return sample_dpm_multistep(denoise_all, noise * sigmas[0], sigmas, on_step=sampling.on_step)
 
     def _band_denoiser(self, prepared: PreparedTree, band: slice) -> Callable[[Tensor, float], Tensor]:
         network = self.network.denoiser
@@ -96,10 +91,9 @@ class SmallModel:
 
         return denoise_band
 
-    def _check(self, grid: VoxelGrid, wind: Wind, num_steps: int | None) -> None:
+    def _check(self, grid: VoxelGrid) -> None:
         halvings_between(grid, self.resolution, self.name)
         if len(grid) > MAX_VOXELS:
             raise InputError(
                 f"the tree has {len(grid):,} voxels; at most {MAX_VOXELS:,} are allowed; take a lower resolution"
             )
-        check_request(wind, num_steps)
