@@ -20,6 +20,7 @@ export class Tree {
       bent: { value: 0 },
       coloured: { value: 0 },
       greyStill: { value: 1 },
+      restAt: { value: this.still }, // a sampler without a texture spoils every draw
     };
     this.view = "surface";
     this.groups = []; // of pushes: { q, perBone }
