@@ -177,3 +177,9 @@ def test_a_format_without_its_library_says_how_to_install_it(
     with pytest.raises(InputError, match=r"format usd needs .* pxr, .*pip install 'dynamictree\[usd\]'"):
         write_products(capture.mesh, spectrum, params, tmp_path)
     assert not list(tmp_path.iterdir())
+
+
+def test_the_page_on_engines_lists_every_product() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "engines.md").read_text(encoding="utf-8")
+    rows = [line for line in page.partition("## Choose a format")[2].splitlines() if line.startswith("| `")]
+    assert [name for name in PRODUCTS if not any(f"`{name}`" in row for row in rows)] == []
