@@ -27,10 +27,11 @@ MAX_STEPS = 1000
 
 @dataclass(frozen=True, kw_only=True)
 class Sampling:
-    """How one motion is drawn: where its noise comes from, in how many steps, and who hears of them."""
+    """How one motion is drawn: where its noise comes from, steps, first bin, and who hears of it."""
 
     generator: "torch.Generator"
     num_steps: int
+    lowest_bin: int
     on_step: OnStep | None
 
 
@@ -65,6 +66,7 @@ class MotionModel(ABC):
         wind: Wind,
         seed: int,
         num_steps: int | None = None,
+        lowest_bin: int = 1,
         on_step: OnStep | None = None,
     ) -> SparseVoxelSpectrum:
         """Generate the spectrum of one motion; the same seed gives the same motion.
@@ -74,6 +76,7 @@ class MotionModel(ABC):
             wind: speed within SPEEDS_M_S, gust within GUSTS.
             seed: of the noise that the sampler starts from.
             num_steps: of the sampler, 1 to MAX_STEPS; by default the model's own.
+            lowest_bin: swaying bins below this one are not needed and may hold anything; the others do not change.
             on_step: see OnStep.
 
         Raises:
@@ -85,7 +88,9 @@ class MotionModel(ABC):
 
         _check_request(wind, num_steps)
         generator = torch.Generator().manual_seed(seed)
-        sampling = Sampling(generator=generator, num_steps=num_steps or self.default_steps, on_step=on_step)
+        sampling = Sampling(
+            generator=generator, num_steps=num_steps or self.default_steps, lowest_bin=lowest_bin, on_step=on_step
+        )
         with torch.no_grad(), one_thread():
             grid, coefficients = self._coefficients(voxels, wind, sampling)
         return SparseVoxelSpectrum(grid=grid, coefficients=coefficients, model=self.name, seed=seed, wind=wind)

@@ -3,7 +3,8 @@
 In the simulator that the models learn from, the response of a stem at bin k depends on its slenderness and on k / (f P)
 alone, f its natural frequency and P the period. So a tree of height H moves with the period λP as the same tree of the
 height h with f(h) = λ f(H) does with P, enlarged H / h times: the model is asked for that smaller tree. What is faster
-than its K bins is flutter, of leaves that do not grow with the tree: the model is asked for the tree itself.
+than its K bins is flutter, of leaves that do not grow with the tree: the model is asked for the tree itself, and for
+these bins alone.
 
 Where a bin of the model is wider than one of the spectrum, it becomes several of the same power together, each with a
 phase of its own, so that flutter does not repeat within the loop.
@@ -30,7 +31,7 @@ MAX_VALUES = 38_400_000
 """Voxels times frequencies, above which flutter is left out: 0.9 GB."""
 
 Generate = Callable[..., SparseVoxelSpectrum]
-"""`MotionModel.generate` with wind and number of steps: takes voxels, seed and on_step."""
+"""`MotionModel.generate` with wind and number of steps: takes voxels, seed, lowest_bin and on_step."""
 
 
 def period_by_height(voxels: SurfaceVoxels) -> float:
@@ -50,12 +51,18 @@ def in_period(generate: Generate, period_s: float) -> Generate:
         times = min(max(longer, 1.0), float(loop_times(height_m)))
         rng = np.random.default_rng(seed)
         highest = min(MAX_FREQUENCIES, max(MAX_VALUES // len(voxels.grid), NUM_FREQUENCIES)) - 1
-        flutter = generate(voxels, seed=seed, on_step=share_of_steps(on_step, 0, 2 if times > 1 else 1))
-        coefficients = _mixed(flutter, spread_bins(longer, highest, rng))
+        flutter_bins = spread_bins(longer, highest, rng)
+        enlarged = _enlargement(height_m, times)
+        sway_bins = enlarged * spread_bins(longer / times, highest, rng)
+        own = flutter_bins[len(sway_bins) if times > 1 else 0 :].any(axis=0)
+        lowest = max(int(own.argmax()), 1) if own.any() else NUM_FREQUENCIES
+        flutter = generate(
+            voxels, seed=seed, lowest_bin=lowest, on_step=share_of_steps(on_step, 0, 2 if times > 1 else 1)
+        )
+        coefficients = _mixed(flutter, flutter_bins)
         if times > 1:
-            enlarged = _enlargement(height_m, times)
             sway = generate(_shrunk(voxels, enlarged), seed=seed, on_step=share_of_steps(on_step, 1, 2))
-            slow = _mixed(sway, enlarged * spread_bins(longer / times, highest, rng))
+            slow = _mixed(sway, sway_bins)
             coefficients[:, : slow.shape[1]] = slow
         return replace(flutter, coefficients=coefficients, num_frames=num_frames)
 

@@ -35,12 +35,15 @@ def simulated(height_m: float, *, times: int = 1) -> np.ndarray:
     return np.abs(q[0, :, 0])
 
 
-def of_simulator(voxels: SurfaceVoxels, *, seed: int, on_step: OnStep | None = None) -> SparseVoxelSpectrum:
-    """A model that knows the simulator by heart: each voxel moves by the angle times its height."""
+def of_simulator(
+    voxels: SurfaceVoxels, *, seed: int, lowest_bin: int = 1, on_step: OnStep | None = None
+) -> SparseVoxelSpectrum:
+    """A model that knows the simulator by heart, but bins not needed: a voxel moves by angle times height."""
     grid = voxels.grid
     height_m = (np.ptp(grid.coords[:, 2]) + 1) * grid.voxel_size_m
     coefficients = np.zeros((len(grid), NUM_FREQUENCIES, 3), np.complex64)
     coefficients[:, 1:, 0] = grid.centres_m[:, 2:] * simulated(height_m)
+    coefficients[:, 1:lowest_bin] = 1e6
     if on_step is not None:
         on_step(1, 1)
     return SparseVoxelSpectrum(grid=grid, coefficients=coefficients, seed=seed)

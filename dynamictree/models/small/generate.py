@@ -66,12 +66,13 @@ class SmallModel(MotionModel):
         """A whitened spectrum on the nodes. Frequencies do not see one another: bands of them run on all cores."""
         preset = self.network.preset
         sigmas = karras_schedule(sampling.num_steps, sigma_min=preset.sigma_min, sigma_max=preset.sigma_max)
-        bands = [slice(k, k + BAND) for k in range(0, preset.num_frequencies - 1, BAND)]
+        first = (sampling.lowest_bin - 1) // BAND * BAND
+        bands = [slice(k, k + BAND) for k in range(first, preset.num_frequencies - 1, BAND)]
         denoisers = [self._band_denoiser(prepared, band) for band in bands]
 
         def denoise_all(noisy: Tensor, sigma: float) -> Tensor:
             calls = [partial(one, noisy[:, band], sigma) for one, band in zip(denoisers, bands, strict=True)]
-            return torch.cat(run_on_cores(calls), dim=1)
+            return torch.cat([noisy[:, :first], *run_on_cores(calls)], dim=1)
 
         return sample_dpm_multistep(denoise_all, noise * sigmas[0], sigmas, on_step=sampling.on_step)
 

@@ -19,7 +19,7 @@ from dynamictree.models.small.network import SmallNetwork, SmallPreset
 from dynamictree.models.small.prepared import soften
 from dynamictree.models.voxel_resolution import coarsened, halvings_served
 from dynamictree.models.weights_file import write_weights
-from dynamictree.spectrum import Wind
+from dynamictree.spectrum import NUM_FREQUENCIES, Wind
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import SurfaceVoxels
 
@@ -63,6 +63,15 @@ def test_the_same_seed_gives_the_same_motion_and_another_seed_another(model: Sma
     assert (first.coefficients[:, 0].imag == 0).all()
     # the lean is decided by shape and wind, not by chance
     np.testing.assert_array_equal(first.coefficients[:, 0], other.coefficients[:, 0])
+
+
+@pytest.mark.parametrize("lowest_bin", [4, 7, NUM_FREQUENCIES])
+def test_what_is_generated_does_not_depend_on_bins_that_are_left_out(
+    model: SmallModel, voxels: SurfaceVoxels, lowest_bin: int
+) -> None:
+    whole, part = (model.generate(voxels, wind=WIND, seed=3, num_steps=2, lowest_bin=k) for k in (1, lowest_bin))
+    np.testing.assert_array_equal(part.coefficients[:, lowest_bin:], whole.coefficients[:, lowest_bin:])
+    assert (part.coefficients[:, 1] != whole.coefficients[:, 1]).any()
 
 
 def test_the_motion_does_not_depend_on_the_number_of_cores(
