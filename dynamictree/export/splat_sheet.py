@@ -21,6 +21,7 @@ from dynamictree.render.sheet import (
     amplitude_colors,
     composed_sheet,
     plant_height,
+    slice_phases,
     slice_window,
     sway_amplitude,
 )
@@ -106,7 +107,7 @@ def _space_time_slice(
     flat = replace(window, focal=window.focal * shrink, centre=centre)
     size_px = (SIDE_PX, _SLICE_ROWS)
     backdrop = scene.backdrop(flat, size_px)
-    frames = splat.displacements(np.arange(splat.num_frames) / splat.num_frames)
+    frames = splat.displacements(slice_phases(splat.num_frames))
     poses = iter_poses(binding, frames)
     rows = [few.picture(flat, size_px, pose, backdrop, shadow=False)[_SLICE_ROWS // 2] for pose in poses]
     return np.stack(rows)

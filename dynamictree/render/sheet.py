@@ -4,7 +4,7 @@ from dataclasses import replace
 from io import BytesIO
 
 import numpy as np
-from jaxtyping import Bool, Complex64, Float32, UInt8
+from jaxtyping import Bool, Complex64, Float32, Float64, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from dynamictree.mesh import Material, TriangleMesh
@@ -16,6 +16,8 @@ STILL_PX, SIDE_PX = 800, 480
 """Side of the large picture, width of the two beside it."""
 STRIP_PX, NUM_STRIP = (160, 232), 8
 """Width and height of the pictures in the row, and how many there are."""
+SLICE_TIMES = 100
+"""Rows of the slice at most: a long loop shows no more on the sheet."""
 _TITLE_PX = 26  # above each part
 HALF_PX = (STILL_PX - _TITLE_PX) // 2
 """Height of the pictures beside the large one."""
@@ -92,7 +94,7 @@ def composed_sheet(
     Args:
         still: the large picture, in which `line` has the slice's first and last column and its row.
         sway: the amplitude in colours, of `SIDE_PX` times `HALF_PX`.
-        time_slice: the line, a row per frame.
+        time_slice: the line, at one phase of the loop a row.
         strip: `NUM_STRIP` frames side by side.
         line: in the large picture [px].
         title: of the large picture.
@@ -180,13 +182,18 @@ def slice_window(
     return (int(column - half), int(column + half), row), zoomed
 
 
+def slice_phases(num_frames: int) -> Float64[np.ndarray, " T"]:
+    """Phases in a loop of the rows of a slice, in periods."""
+    rows = min(num_frames, SLICE_TIMES)
+    return np.arange(rows) / rows
+
+
 def _space_time_slice(
     renderer: Renderer, coefficients: Complex64[np.ndarray, "N K 3"], num_frames: int, window: Camera
 ) -> UInt8[np.ndarray, "T W 3"]:
     renderer = renderer.with_size(width=SIDE_PX, height=SIDE_PX)
     middle = range(SIDE_PX // 2, SIDE_PX // 2 + 1)
-    phases = np.arange(num_frames) / num_frames
-    frames = iter_motion(coefficients, phases, num_frames)
+    frames = iter_motion(coefficients, slice_phases(num_frames), num_frames)
     return np.concatenate([renderer.picture(frame, camera=window, rows=middle) for frame in frames])
 
 

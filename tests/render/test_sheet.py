@@ -6,7 +6,7 @@ from PIL import Image
 
 from dynamictree.mesh import Material
 from dynamictree.render import Camera, Renderer, amplitude_colors, preview_sheet, sway_amplitude
-from dynamictree.render.sheet import _bare, _space_time_slice, slice_window
+from dynamictree.render.sheet import SLICE_TIMES, _bare, _space_time_slice, slice_window
 from dynamictree.spectrum import from_motion, to_motion
 
 
@@ -51,6 +51,13 @@ def test_the_slice_shows_movement_where_there_is_some_and_straight_lines_where_n
         assert changes.any() == moves
         # twice a loop: half a loop later the line shows the same
         assert np.abs(stacked[:50].astype(int) - stacked[50:]).max() <= 40
+
+
+def test_a_long_loop_is_drawn_at_no_more_times(two_balls):
+    long = np.pad(swaying(two_balls, 0.15), ((0, 0), (0, 31), (0, 0)))
+    _, window = slice_window(two_balls.vertices, sway_amplitude(long, 400), Camera.orbit(two_balls.vertices))
+    whole, short = (_space_time_slice(Renderer(two_balls), long, frames, window) for frames in (400, SLICE_TIMES))
+    np.testing.assert_array_equal(whole, short)
 
 
 def test_a_sheet_has_every_part(two_balls):
