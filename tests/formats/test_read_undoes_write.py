@@ -1,6 +1,7 @@
 """Mesh files: read undoes write, vertex order included."""
 
 import io
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from dynamictree.formats.gltf.writer import write_glb
 from dynamictree.formats.mesh.obj_writer import write_obj
 from dynamictree.formats.mesh.ply_writer import write_ply
 from dynamictree.formats.mesh_file import read_mesh, sniff_file_type
-from dynamictree.mesh import TriangleMesh
+from dynamictree.mesh import TriangleMesh, unit_vectors
 from dynamictree.requests import Reading
 from tests.formats.meshes import trunk_and_crown
 
@@ -66,6 +67,25 @@ def test_obj(seed: int, sizes: tuple[int, int], has: tuple[bool, bool]) -> None:
         assert result.uv is not None
         used = np.unique(mesh.faces)
         np.testing.assert_allclose(result.uv[used], mesh.uv[used], atol=1e-6)
+
+
+def test_obj_keeps_groups_normals_and_colours(rng: np.random.Generator) -> None:
+    mesh = trunk_and_crown(rng)
+    normals = unit_vectors(rng.normal(size=(mesh.num_vertices, 3)))
+    colors = rng.integers(0, 256, (mesh.num_vertices, 4)).astype(np.uint8) | np.uint8([0, 0, 0, 255])
+    part = rng.integers(0, 2, mesh.num_faces).astype(np.int32)
+    names = ("Oak/Lower half", "Crown")
+    mesh = replace(mesh, normals=normals, vertex_colors=colors, part_names=names, face_part=part)
+    stream = io.BytesIO()
+    write_obj(mesh, stream)
+    result = read_mesh(io.BytesIO(stream.getvalue()), file_type="obj", reading=Reading(up_axis="+Z", unit_m=1.0))
+    assert_geometry(result, mesh)
+    assert result.face_part is not None
+    assert [result.part_names[one] for one in result.face_part] == [names[one] for one in part]
+    used = np.unique(mesh.faces)
+    assert result.normals is not None
+    np.testing.assert_allclose(result.normals[used], normals[used], atol=1e-6)
+    assert_optional(result.vertex_colors, colors, atol=0)
 
 
 def assert_geometry(result: TriangleMesh, expected: TriangleMesh) -> None:

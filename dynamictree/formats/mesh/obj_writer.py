@@ -1,5 +1,7 @@
 """Meshes as OBJ text with an MTL beside it: metres, +Z up, in the mesh's vertex order."""
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from dynamictree.byte_stream import ByteWriter
@@ -7,24 +9,44 @@ from dynamictree.mesh import TriangleMesh
 
 
 def write_obj(mesh: TriangleMesh, stream: ByteWriter, *, library: str = "") -> dict[str, bytes]:
-    """Write the mesh; gives the files that `library` stands for, the MTL and its textures, by name.
+    """Write the mesh with its groups, colours and normals; gives MTL and textures by name, if `library` is one.
 
     Positions have nine digits, which is what float32 needs to come back the same.
     """
     lines = [f"mtllib {library}"] if library else []
-    lines += [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in mesh.vertices.tolist()]
-    has_uv = mesh.uv is not None
+    places = mesh.vertices.tolist()
+    if mesh.vertex_colors is not None:
+        places = np.hstack([mesh.vertices, mesh.vertex_colors[:, :3] / 255]).tolist()
+    lines += _rows("v", places)
+    corner = "{0}"
     if mesh.uv is not None:
-        lines += [f"vt {u:.9g} {1 - v:.9g}" for u, v in mesh.uv.tolist()]
-    face_material = np.zeros(mesh.num_faces, np.int32) if mesh.face_material is None else mesh.face_material
-    current = -1
-    for face, material in zip((mesh.faces + 1).tolist(), face_material.tolist(), strict=True):
-        if mesh.materials and material != current:
-            lines.append(f"usemtl {_name(mesh, material)}")
-            current = material
-        lines.append("f " + " ".join(f"{corner}/{corner}" if has_uv else str(corner) for corner in face))
+        lines += _rows("vt", (mesh.uv * [1, -1] + [0, 1]).tolist())
+        corner = "{0}/{0}"
+    if mesh.normals is not None:
+        lines += _rows("vn", mesh.normals.tolist())
+        corner = "{0}/{0}/{0}" if mesh.uv is not None else "{0}//{0}"
+    written: tuple[str, ...] = ()
+    for face, belongs in zip((mesh.faces + 1).tolist(), _belongings(mesh), strict=True):
+        lines += [line for line in belongs if line not in written]
+        written = belongs
+        lines.append("f " + " ".join(corner.format(vertex) for vertex in face))
     stream.write("\n".join(lines).encode() + b"\n")
     return _library(mesh, library) if library else {}
+
+
+def _rows(keyword: str, rows: list[list[float]]) -> list[str]:
+    return [f"{keyword} " + " ".join(f"{number:.9g}" for number in row) for row in rows]
+
+
+def _belongings(mesh: TriangleMesh) -> Iterator[tuple[str, ...]]:
+    """The lines that say the group and the material of each face."""
+    nothing = np.zeros(mesh.num_faces, np.int32)
+    groups = [f"g {name}".rstrip() for name in mesh.part_names] if mesh.face_part is not None else [""]
+    materials = [f"usemtl {_name(mesh, number)}" for number in range(len(mesh.materials))] or [""]
+    group_of = nothing if mesh.face_part is None else mesh.face_part
+    material_of = nothing if mesh.face_material is None else mesh.face_material
+    for group, material in zip(group_of.tolist(), material_of.tolist(), strict=True):
+        yield tuple(line for line in (groups[group], materials[material]) if line)
 
 
 def _name(mesh: TriangleMesh, material: int) -> str:
