@@ -20,6 +20,7 @@ MODULES = (
     "worker.parse",
     "uvicorn.main",
     "pycolmap",
+    "pyapriltags",
 )
 
 

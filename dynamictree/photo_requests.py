@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from dynamictree.request_model import Box, Finite, Request, Share
 
@@ -24,10 +24,15 @@ class Scribble(Request):
     )
 
 
+MarkerEdge = Annotated[Finite, Field(gt=0, lt=10)]
 Scribbles = Annotated[tuple[Scribble, ...], Field(min_length=1, max_length=200)]
 _SCRIBBLES = (
     "Strokes on photos that say what is the plant and what is not; all else is decided by them and by what the photos "
     "show of it"
+)
+_MARKER = (
+    "Of photos that show a printed marker (AprilTag 36h11): edge of its black square [m], which gives the scale; a "
+    "marker of the sheet in the documentation gives it without this"
 )
 _ONLY_PLANT = (
     "Cut out the plant without strokes: not the ground, not what is far, but what stands in the middle of the photos"
@@ -57,8 +62,14 @@ class PhotoParams(LearningParams):
         lt=1000,
         description="Of photos: the tree's height [m], which they do not show; 1 m if unset",
     )
+    marker_m: MarkerEdge | None = Field(default=None, description=_MARKER)
     scribbles: Scribbles | None = Field(default=None, description=_SCRIBBLES)
     only_plant: bool = Field(default=False, description=_ONLY_PLANT)
+
+    @model_validator(mode="after")
+    def _one_scale(self) -> "PhotoParams":
+        _require_one_scale(self.height_m, self.marker_m)
+        return self
 
 
 class CutParams(Request):
@@ -71,10 +82,26 @@ class CutParams(Request):
     height_m: Finite | None = Field(
         default=None, gt=0, lt=1000, description="The plant's height [m]; if unset the scale stays"
     )
+    marker_m: MarkerEdge | None = Field(default=None, description=_MARKER)
     scribbles: Scribbles | None = Field(default=None, description=_SCRIBBLES)
     only_plant: bool = Field(default=False, description=_ONLY_PLANT)
+
+    @model_validator(mode="after")
+    def _one_scale(self) -> "CutParams":
+        _require_one_scale(self.height_m, self.marker_m)
+        return self
 
     @property
     def cuts(self) -> bool:
         """Whether the plant is cut out at all."""
         return self.box_m is not None or self.scribbles is not None or self.only_plant
+
+    @property
+    def scales(self) -> bool:
+        """Whether a scale is asked for."""
+        return self.height_m is not None or self.marker_m is not None
+
+
+def _require_one_scale(height_m: float | None, marker_m: float | None) -> None:
+    if height_m is not None and marker_m is not None:
+        raise ValueError("height_m and marker_m both give the scale; send one of them")

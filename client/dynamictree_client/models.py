@@ -39,6 +39,9 @@ class AnimateParams(Model):
     video_frames: int | None = None
     # Of photos: the tree's height [m], which they do not show; 1 m if unset
     height_m: float | None = None
+    # Of photos that show a printed marker (AprilTag 36h11): edge of its black square [m], which gives the scale; a
+    # marker of the sheet in the documentation gives it without this
+    marker_m: float | None = None
     # Strokes on photos that say what is the plant and what is not; all else is decided by them and by what the
     # photos show of it
     scribbles: "list[Scribble] | None" = None
@@ -244,6 +247,9 @@ class DiffuseParams(Model):
     video_frames: int | None = None
     # Of photos: the tree's height [m], which they do not show; 1 m if unset
     height_m: float | None = None
+    # Of photos that show a printed marker (AprilTag 36h11): edge of its black square [m], which gives the scale; a
+    # marker of the sheet in the documentation gives it without this
+    marker_m: float | None = None
     # Strokes on photos that say what is the plant and what is not; all else is decided by them and by what the
     # photos show of it
     scribbles: "list[Scribble] | None" = None
@@ -719,6 +725,9 @@ class ReconstructParams(Model):
     video_frames: int | None = None
     # Of photos: the tree's height [m], which they do not show; 1 m if unset
     height_m: float | None = None
+    # Of photos that show a printed marker (AprilTag 36h11): edge of its black square [m], which gives the scale; a
+    # marker of the sheet in the documentation gives it without this
+    marker_m: float | None = None
     # Strokes on photos that say what is the plant and what is not; all else is decided by them and by what the
     # photos show of it
     scribbles: "list[Scribble] | None" = None
@@ -941,6 +950,9 @@ class VoxelizeParams(Model):
     video_frames: int | None = None
     # Of photos: the tree's height [m], which they do not show; 1 m if unset
     height_m: float | None = None
+    # Of photos that show a printed marker (AprilTag 36h11): edge of its black square [m], which gives the scale; a
+    # marker of the sheet in the documentation gives it without this
+    marker_m: float | None = None
     # Strokes on photos that say what is the plant and what is not; all else is decided by them and by what the
     # photos show of it
     scribbles: "list[Scribble] | None" = None

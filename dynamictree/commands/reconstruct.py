@@ -63,7 +63,7 @@ def reconstruct(
 
             reconstruct_photos(paths, folder, options=options_of(params), root=root, work=work, on_progress=on_progress)
             cut = CutParams.part_of(params.model_dump())
-            if cut.cuts or cut.height_m is not None:
+            if cut.cuts or cut.scales:
                 recut(folder, folder, cut)
             names = sorted(path.name for path in folder.iterdir())
             facts = json.loads((folder / "report.json").read_text())

@@ -72,8 +72,10 @@ def best_surface(table: Float32[np.ndarray, "G P"], scene: Scene) -> tuple[Surfa
     return splat_surface(table, scene), "splat"
 
 
-def finished_shape(surface: Surface, scene: Scene, *, height_m: float) -> Shape:
+def finished_shape(surface: Surface, scene: Scene, *, height_m: float, unit_m: float | None = None) -> Shape:
     """Decimate, smooth, scale and colour a surface, and place it on the ground.
+
+    A unit of the scene is `unit_m` long where that is known; if not, the surface becomes `height_m` high.
 
     Raises:
         ReconstructionError: there is no surface.
@@ -83,7 +85,7 @@ def finished_shape(surface: Surface, scene: Scene, *, height_m: float) -> Shape:
     bottom = surface.vertices.min(axis=0).astype(np.float64)
     middle = np.median(surface.vertices, axis=0).astype(np.float64)
     origin = np.array([middle[0], middle[1], bottom[2]])
-    scale = height_m / float(np.ptp(surface.vertices[:, 2]))
+    scale = unit_m or height_m / float(np.ptp(surface.vertices[:, 2]))
     model = scene.model.transformed(scale, np.eye(3), origin)
     vertices = (scale * (surface.vertices - origin)).astype(np.float32)
     mesh = TriangleMesh(vertices=vertices, faces=surface.faces)

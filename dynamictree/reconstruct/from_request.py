@@ -77,7 +77,7 @@ def reconstruct_capture(
 
     unpack(recall("reconstruction", learn), folder)
     cut = CutParams.part_of(params.model_dump())
-    capture = recut(folder, folder, CutParams(height_m=params.height_m))
+    capture = recut(folder, folder, CutParams(height_m=params.height_m, marker_m=params.marker_m))
     if cut.cuts:
         capture = recut(folder, folder, cut)
     capture = with_still_parts(capture)

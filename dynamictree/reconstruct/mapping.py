@@ -18,6 +18,9 @@ from typing import TypedDict
 
 import numpy as np
 import pycolmap
+from PIL import Image
+
+from dynamictree.reconstruct.marker_detection import MarkerFinder
 
 MAX_MEMORY_BYTES = 12 * 2**30
 EXHAUSTIVE_UP_TO = 60  # photos; beyond, each is matched with the next ones and with some at growing distances
@@ -233,12 +236,15 @@ def _write_model(folder: Path, model: pycolmap.Reconstruction, masked: list[str]
     point_row = {point_id: row for row, point_id in enumerate(pinholes.points3D)}
     views: list[dict[str, object]] = []
     seen: list[tuple[int, int]] = []
+    finder = MarkerFinder()
     for image in sorted(pinholes.images.values(), key=lambda image: image.name):
         if not image.has_pose:
             continue
         camera = pinholes.cameras[image.camera_id]
         pose = image.cam_from_world()
         seen += [(len(views), point_row[point.point3D_id]) for point in image.get_observation_points2D()]
+        with Image.open(undistorted / "images" / image.name) as picture:
+            markers = finder.find(np.array(picture.convert("L")))
         views.append(
             {
                 "name": image.name,
@@ -248,6 +254,7 @@ def _write_model(folder: Path, model: pycolmap.Reconstruction, masked: list[str]
                 "height": camera.height,
                 "focal_px": [camera.focal_length_x, camera.focal_length_y],
                 "principal_px": [camera.principal_point_x, camera.principal_point_y],
+                "markers": markers,
             }
         )
     points = list(pinholes.points3D.values())

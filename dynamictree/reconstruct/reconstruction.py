@@ -11,12 +11,13 @@ from dynamictree.reconstruct.cameras import ADVICE, find_cameras
 from dynamictree.reconstruct.coloured_mesh import Shape, best_surface, finished_shape
 from dynamictree.reconstruct.cut import cloud_in_metres, of_the_tree
 from dynamictree.reconstruct.given import files_with_cameras
+from dynamictree.reconstruct.markers import Marker, find_markers, metres_per_unit
 from dynamictree.reconstruct.optimise import Schedule
 from dynamictree.reconstruct.photo_input import ReadPhotos, read_photos
 from dynamictree.reconstruct.photos import PhotoFile, list_photos
 from dynamictree.reconstruct.progress import OnProgress, Progress, StageClock, ignore_progress
 from dynamictree.reconstruct.report import quality_warnings, write_cameras, write_result
-from dynamictree.reconstruct.result import Reconstruction, Report
+from dynamictree.reconstruct.result import MarkerReport, Reconstruction, Report
 from dynamictree.reconstruct.scene import find_scene
 from dynamictree.reconstruct.splat import SplatFit, fit_splat
 from dynamictree.reconstruct.views import SparseModel, read_model
@@ -52,8 +53,8 @@ def reconstruct(
     """Find cameras, depths, a splat and a mesh, and write each to the folder as soon as it is ready.
 
     The files are `cameras.json`; `photos.safetensors` (some of the photos, to draw strokes on); `splat.ply` (the tree)
-    and `scene.ply` (everything); `mesh.ply`; `report.json` and `report.png`. Without a height the mesh is 1 m high and
-    the report calls its scale unknown.
+    and `scene.ply` (everything); `mesh.ply`; `report.json` and `report.png`. Without a height, or a marker of
+    the sheet in the photos, the mesh is 1 m high and the report calls its scale unknown.
 
     Args:
         photos: JPEG, PNG, WebP or TIFF files.
@@ -86,8 +87,11 @@ def reconstruct(
             fit = fit_splat(scene.matched, scene.coarse, options.schedule, saved=space.splat, on_progress=report)
     with clock.stage("mesh"):
         surface, mesh_by = best_surface(fit.table, scene)
-        shape = finished_shape(surface, scene, height_m=options.height_m or UNKNOWN_HEIGHT_M)
-    result = _result(listed, model, fit, shape, options, clock, mesh_by=mesh_by)
+        markers = find_markers(scene.model.views)
+        unit_m = None if options.height_m else metres_per_unit(markers)
+        shape = finished_shape(surface, scene, height_m=options.height_m or UNKNOWN_HEIGHT_M, unit_m=unit_m)
+    origin_of_scale = "given" if options.height_m else "marker" if unit_m else "unknown"
+    result = _result(listed, model, fit, shape, markers, clock, mesh_by=mesh_by, scale=origin_of_scale)
     write_result(result, fit, folder)
     on_progress(Progress(stage="mesh", share=1.0, total=1.0))
     return result
@@ -115,10 +119,11 @@ def _result(
     model: SparseModel,
     fit: SplatFit,
     shape: Shape,
-    options: ReconstructOptions,
+    markers: Sequence[Marker],
     clock: StageClock,
     *,
     mesh_by: str,
+    scale: str,
 ) -> Reconstruction:
     whole = cloud_in_metres(fit.table, shape.scale, shape.origin)
     own = of_the_tree(whole, shape.mesh.vertices, radius_m=shape.scale)
@@ -136,7 +141,11 @@ def _result(
         reprojection_error_px=model.reprojection_error_px,
         num_points=len(model.points),
         ground_found=shape.ground_found,
-        scale="unknown" if options.height_m is None else "given",
+        scale=scale,
+        markers=[
+            MarkerReport(number=marker.number, edge_m=shape.scale * marker.edge, num_photos=marker.num_photos)
+            for marker in markers
+        ],
         height_m=mesh.height_m,
         radius_m=shape.scale,
         mesh_by=mesh_by,

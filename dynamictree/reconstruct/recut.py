@@ -49,11 +49,12 @@ class Finished:
             camera | {"position_m": (scale * (np.array(camera["position_m"]) - origin)).tolist()}
             for camera in self.cameras["cameras"]
         ]
+        markers = [marker | {"edge_m": scale * marker["edge_m"]} for marker in self.report.get("markers", ())]
         return Finished(
             mesh=replace(self.mesh, vertices=points(self.mesh.vertices)),
             scene=replace(self.scene, means=points(self.scene.means), scales=self.scene.scales * np.float32(scale)),
             cameras=self.cameras | {"cameras": cameras},
-            report=self.report | {"radius_m": scale * self.report["radius_m"]},
+            report=self.report | {"radius_m": scale * self.report["radius_m"], "markers": markers},
         )
 
 
@@ -74,11 +75,9 @@ def recut(source: Path, target: Path, choice: CutParams) -> Capture:
     """
     finished = _read(source)
     own, mesh = _cut_out(finished, choice)
-    height_m = choice.height_m
-    scale = 1.0 if height_m is None else height_m / _plant_height(finished.scene.subset(own), mesh)
+    scale, origin_of_scale = _scale(finished, choice, own, mesh)
     ground = np.array([0.0, 0.0, mesh.vertices[:, 2].min() if choice.cuts else 0.0])
     moved = replace(finished, mesh=mesh).moved(scale, ground)
-    origin_of_scale = "unknown" if height_m is None and finished.report["scale"] == "unknown" else "given"
     moved.cameras["scale"] = origin_of_scale
     moved.report.update(
         scale=origin_of_scale,
@@ -112,6 +111,25 @@ def _cut_out(finished: Finished, choice: CutParams) -> tuple[Bool[np.ndarray, " 
         own &= of_the_tree(scene, places, radius_m=radius_m)
     _require_plant(own)
     return own, mesh
+
+
+def _scale(finished: Finished, choice: CutParams, own: Bool[np.ndarray, " G"], mesh: TriangleMesh) -> tuple[float, str]:
+    """By what the result is enlarged, and what says so: `given`, `marker`, or as before.
+
+    Raises:
+        InputError: the photos show no marker.
+    """
+    if choice.height_m is not None:
+        return choice.height_m / _plant_height(finished.scene.subset(own), mesh), "given"
+    if choice.marker_m is None:
+        return 1.0, finished.report["scale"]
+    markers = finished.report.get("markers", ())
+    if not markers:
+        raise InputError(
+            "no marker was found in three photos; lay the sheet flat beside the plant, all of its white border in the "
+            "picture and the square at least 30 pixels wide, or give height_m"
+        )
+    return choice.marker_m / markers[0]["edge_m"], "marker"
 
 
 def _require_plant(own: Bool[np.ndarray, " G"]) -> None:

@@ -8,6 +8,14 @@ from dynamictree.mesh import TriangleMesh
 from dynamictree.reconstruct.views import View
 
 
+class MarkerReport(TypedDict):
+    """A printed marker in the photos."""
+
+    number: int
+    edge_m: float  # of its black square, as measured in the result
+    num_photos: int  # that it was placed by
+
+
 class Report(TypedDict):
     """Contents of `report.json`."""
 
@@ -17,7 +25,8 @@ class Report(TypedDict):
     reprojection_error_px: float
     num_points: int
     ground_found: bool
-    scale: str  # `given` or `unknown`: photos alone tell no size, a mesh of unknown scale is 1 m high
+    scale: str  # `given`, `marker` or `unknown`: photos alone tell no size, a mesh of unknown scale is 1 m high
+    markers: list[MarkerReport]  # found in at least three photos, those in most photos first
     height_m: float
     radius_m: float  # of the region that the photos look at
     mesh_by: str  # `stereo` or `splat`: made from depth maps or from the splat's opacity

@@ -1,7 +1,8 @@
 """Registered photos: an undistorted picture and its camera each, and the points that they share."""
 
 import json
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ class View:
     image: UInt8[np.ndarray, "H W 3"]  # undistorted
     camera: Camera
     alpha: UInt8[np.ndarray, "H W"] | None = None  # of what is wanted, 255 where it is; None where nothing is cut out
+    markers: Mapping[int, Float64[np.ndarray, "4 2"]] = field(default_factory=dict)  # corners [px], by number
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,7 +77,8 @@ def read_model(folder: Path, sources: dict[str, str]) -> SparseModel | None:
         with Image.open(folder / "undistorted" / "images" / view["name"]) as image:
             pixels = np.array(image.convert("RGB"))
         alpha = _mask(folder / "undistorted-masks" / "images" / view["name"])
-        views.append(View(source=sources[view["name"]], image=pixels, camera=camera, alpha=alpha))
+        markers = {marker["number"]: np.array(marker["corners_px"]) for marker in view.get("markers", ())}
+        views.append(View(source=sources[view["name"]], image=pixels, camera=camera, alpha=alpha, markers=markers))
     return SparseModel(
         views=tuple(views),
         points=positions,

@@ -11,6 +11,7 @@ HEAVY = {
     "trimesh",
     "celery",
     "alembic",
+    "pyapriltags",
     "pycolmap",
     "skimage",
     "scipy.sparse",

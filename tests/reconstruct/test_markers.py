@@ -1,0 +1,171 @@
+"""A printed marker of known size gives the scale of photos that show it."""
+
+import json
+from dataclasses import replace
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from dynamictree.errors import InputError
+from dynamictree.mesh import Material, TriangleMesh
+from dynamictree.photo_requests import CutParams, PhotoParams
+from dynamictree.reconstruct import ReconstructOptions, reconstruct
+from dynamictree.reconstruct.marker_detection import MarkerFinder
+from dynamictree.reconstruct.markers import SHEET_EDGES_M, Marker, find_markers, metres_per_unit
+from dynamictree.reconstruct.optimise import Schedule
+from dynamictree.reconstruct.recut import recut
+from dynamictree.reconstruct.views import View
+from dynamictree.render import Camera, Look, Renderer
+from recipes.marker_sheet import SHEET, marker_cells, sheet
+from tests.reconstruct.conftest import stump_and_ground
+from tests.reconstruct.finished import write_finished
+
+NUMBER, EDGE_M = 585, 0.1
+WIDTH, HEIGHT = 640, 480
+PX_PER_CELL = 24
+
+
+def marker_png(number: int) -> bytes:
+    cells = np.kron(marker_cells(number), np.ones((PX_PER_CELL, PX_PER_CELL), np.bool_))
+    stream = BytesIO()
+    Image.fromarray(np.where(cells, 245, 12).astype(np.uint8)).convert("RGB").save(stream, format="PNG")
+    return stream.getvalue()
+
+
+def with_marker(scene: TriangleMesh, enlarged: float) -> TriangleMesh:
+    """The scene with a marker that lies on the ground, turned and a little tilted."""
+    assert scene.uv is not None
+    assert scene.face_material is not None
+    half = 0.5 * enlarged * EDGE_M * 10 / 8  # with its white border
+    turn = np.radians(25)
+    corners = half * np.array([[-1, 1, 0], [1, 1, 0.05], [1, -1, 0.05], [-1, -1, 0]])
+    rotation = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
+    corners = corners @ rotation.T + [0.8, 0.25, 0.03]
+    return TriangleMesh(
+        vertices=np.concatenate([scene.vertices, corners]).astype(np.float32),
+        faces=np.concatenate([scene.faces, np.int32([[0, 2, 1], [0, 3, 2]]) + scene.num_vertices]),
+        uv=np.concatenate([scene.uv, np.float32([[0, 0], [1, 0], [1, 1], [0, 1]])]),
+        face_material=np.concatenate([scene.face_material, np.full(2, len(scene.materials), np.int32)]),
+        materials=(*scene.materials, Material(base_color=(1.0, 1.0, 1.0, 1.0), texture_png=marker_png(NUMBER))),
+    )
+
+
+def photographed(scene: TriangleMesh, number: int, arc_deg: float) -> list[View]:
+    renderer = Renderer(scene, Look(width=WIDTH, height=HEIGHT, ground=False))
+    views = []
+    for count in range(number):
+        turn = np.radians(count * arc_deg / number - 40)
+        place = np.array([2.9 * np.cos(turn), 2.9 * np.sin(turn), 1.3 + 0.3 * (count % 2)])
+        camera = Camera.look_at(place, np.array([0.0, 0, 0.5]), vertical_fov_deg=38.0)
+        views.append(View(source=f"{count:02d}.jpg", image=renderer.picture(camera=camera), camera=camera))
+    return views
+
+
+@pytest.fixture(scope="module")
+def views() -> list[View]:
+    """Photos of a marker 31 to 45 pixels wide, with what is found in them."""
+    _, scene = stump_and_ground(np.random.default_rng(5))
+    finder, result = MarkerFinder(), []
+    for view in photographed(with_marker(scene, 1.5), 7, 90.0):
+        grey = np.array(Image.fromarray(view.image).convert("L"))
+        markers = {marker["number"]: np.array(marker["corners_px"]) for marker in finder.find(grey)}
+        result.append(replace(view, markers=markers))
+    return result
+
+
+def test_a_marker_in_photos_has_its_size(views: list[View]) -> None:
+    assert sum(NUMBER in view.markers for view in views) >= 5
+    [marker] = find_markers(views)
+    assert (marker.number, marker.num_photos >= 5) == (NUMBER, True)
+    assert marker.edge == pytest.approx(1.5 * EDGE_M, rel=0.02)
+    assert metres_per_unit([marker]) == pytest.approx(1 / 1.5, rel=0.02)
+
+
+def test_the_scale_is_that_of_the_cameras(views: list[View]) -> None:
+    larger = [replace(v, camera=replace(v.camera, position_m=7 * v.camera.position_m)) for v in views]
+    assert find_markers(larger)[0].edge == pytest.approx(7 * find_markers(views)[0].edge, rel=1e-9)
+
+
+def test_a_photo_that_shows_it_elsewhere_is_left_out(views: list[View]) -> None:
+    bad = next(count for count, view in enumerate(views) if view.markers)
+    moved = {number: corners + np.array([60, 0]) for number, corners in views[bad].markers.items()}
+    changed = [replace(view, markers=moved) if count == bad else view for count, view in enumerate(views)]
+    [whole], [marker] = find_markers(views), find_markers(changed)
+    assert marker.num_photos == whole.num_photos - 1
+    assert marker.edge == pytest.approx(whole.edge, rel=0.01)
+
+
+def test_two_photos_and_what_is_no_square_are_no_marker(views: list[View]) -> None:
+    seen = [view for view in views if view.markers]
+    assert find_markers(seen[:2]) == ()
+    narrow = [replace(v, markers={k: c * [1, 0.5] for k, c in v.markers.items()}) for v in seen]
+    assert find_markers(narrow) == ()
+
+
+def test_only_markers_of_the_sheet_tell_a_scale_by_themselves() -> None:
+    assert metres_per_unit([Marker(number=3, edge=0.2, num_photos=9)]) is None
+    both = [Marker(number=584, edge=0.05, num_photos=9), Marker(number=586, edge=0.3, num_photos=3)]
+    assert metres_per_unit(both) == pytest.approx(0.75 * 1 + 0.25 * 0.5)
+
+
+def test_the_sheet_in_the_documentation_is_the_one_that_is_read() -> None:
+    assert SHEET.read_text() == sheet()
+    for number, edge_m in SHEET_EDGES_M.items():
+        assert f'width="{1000 * edge_m:g}" height="{1000 * edge_m:g}"' in sheet()
+        picture = 255 * np.kron(marker_cells(number), np.ones((8, 8))).astype(np.uint8)
+        padded = np.pad(picture, 40, constant_values=255)
+        [marker] = MarkerFinder().find(padded)
+        assert marker["number"] == number
+        sides = np.linalg.norm(np.diff(marker["corners_px"], axis=0, append=marker["corners_px"][:1]), axis=1)
+        np.testing.assert_allclose(sides, 64, atol=1)
+        assert MarkerFinder().find(np.concatenate([padded, padded])) == []
+
+
+def test_a_recut_takes_the_scale_from_a_marker_of_another_size(tmp_path: Path) -> None:
+    write_finished(tmp_path / "finished")
+    with pytest.raises(InputError, match="no marker was found in three photos"):
+        recut(tmp_path / "finished", tmp_path / "finished", CutParams(marker_m=0.2))
+    report = json.loads((tmp_path / "finished" / "report.json").read_text())
+    report["markers"] = [{"number": 3, "edge_m": 0.5, "num_photos": 4}]
+    (tmp_path / "finished" / "report.json").write_text(json.dumps(report))
+    (tmp_path / "metric").mkdir()
+    capture = recut(tmp_path / "finished", tmp_path / "metric", CutParams(marker_m=0.2))
+    assert capture.mesh is not None
+    assert capture.mesh.height_m == pytest.approx(1.3 * 0.2 / 0.5, rel=1e-5)
+    metric = json.loads((tmp_path / "metric" / "report.json").read_text())
+    assert metric["scale"] == "marker"
+    assert metric["markers"][0]["edge_m"] == pytest.approx(0.2)
+    recut(tmp_path / "metric", tmp_path / "metric", CutParams(only_plant=False))
+    assert json.loads((tmp_path / "metric" / "report.json").read_text())["scale"] == "marker"
+
+
+@pytest.mark.parametrize("model", [CutParams, PhotoParams])
+def test_height_and_marker_are_not_both_given(model: type[CutParams] | type[PhotoParams]) -> None:
+    with pytest.raises(InputError, match="height_m and marker_m both give the scale"):
+        model(height_m=1.0, marker_m=0.1)
+    with pytest.raises(InputError, match="marker_m is 0"):
+        model(marker_m=0.0)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+def test_photos_with_a_marker_become_a_plant_of_its_true_height(tmp_path: Path) -> None:
+    """Cameras are found, so their unit is any; the stump is 1.2 m high above the ground and twice as large as life."""
+    _, scene = stump_and_ground(np.random.default_rng(5))
+    for view in photographed(with_marker(scene, 2.0), 14, 360.0):
+        Image.fromarray(view.image).save(tmp_path / view.source, quality=95)
+    out = tmp_path / "out"
+    out.mkdir()
+    schedule = Schedule(num_steps=100, side_px=320, check_every=50)
+    photos = sorted(tmp_path.glob("*.jpg"))
+    result = reconstruct(photos, out, options=ReconstructOptions(schedule=schedule))
+    assert result.report["scale"] == "marker"
+    [marker] = result.report["markers"]
+    assert marker["edge_m"] == pytest.approx(EDGE_M, rel=1e-6)
+    positions = np.array([view.camera.position_m for view in result.views])
+    radius_m = np.linalg.norm(positions[:, :2] - positions[:, :2].mean(axis=0), axis=1).mean()
+    assert radius_m == pytest.approx(2.9 / 2, rel=0.02)
+    assert result.report["height_m"] == pytest.approx(0.6, rel=0.06)  # the mesh begins above the ground
