@@ -3,6 +3,7 @@
 import json
 import os
 import selectors
+import shutil
 import signal
 import subprocess
 import sys
@@ -47,7 +48,7 @@ def find_cameras(
     """
     prepared_cameras = None if given is None else _at_prepared_size(given, photos)
     job = json.dumps({"folder": str(folder), "photos": [asdict(photo) for photo in photos], "given": prepared_cameras})
-    (folder / "features.db").unlink(missing_ok=True)  # of an interrupted search
+    _delete_leftovers(folder)
     command = [sys.executable, "-m", "dynamictree.reconstruct.mapping"]
     with (
         (folder / "mapping.log").open("w+b") as log,
@@ -71,6 +72,13 @@ def find_cameras(
         problem = f"{registered} of {len(photos)} photos fit together"
         raise ReconstructionError(f"{problem}; at least {MIN_REGISTERED} must; {ADVICE}")
     return model
+
+
+def _delete_leftovers(folder: Path) -> None:
+    """Delete what an interrupted search wrote: COLMAP adds to its database, and copies over no photo that is there."""
+    (folder / "features.db").unlink(missing_ok=True)
+    for name in ("sparse", "chosen", "undistorted", "masks", "undistorted-masks"):
+        shutil.rmtree(folder / name, ignore_errors=True)
 
 
 def _at_prepared_size(given: Sequence[GivenCamera], photos: Sequence[Photo]) -> list[dict[str, object]]:
