@@ -90,7 +90,7 @@ const treeName = () => machine.facts.name || text("tree.one");
 
 function onLive({ tree, source, spectrum }) {
   hand.take(tree, source);
-  player.start(tree, spectrum);
+  player.start(tree, spectrum, { atRest: false });
   wind.wind = player.made;
   document.body.dataset.live = true;
 }

@@ -1,7 +1,7 @@
 // Leaf cards and other small parts move rigidly, however far they go: as a sum of modes they would grow in strong wind.
 
 import * as THREE from "three";
-import { connectedParts } from "./foliage.js";
+import { partsOf } from "./foliage.js";
 
 const MOST_VERTICES = 24; // with no more, a part is a card of any size, as in the products
 const SMALL_VOXELS = 8;
@@ -25,23 +25,17 @@ export function setCards(surface) {
 }
 
 /** Rows of three vertices that say how the card of a vertex moves, the first where it moves least; −1 without a card. */
-export function cardCorners({ N, vertices, faces, shapes, scale_m: scale }) {
+export function cardCorners(surface) {
+  const { N, vertices, shapes, scale_m: scale } = surface;
   const parts = new Map();
-  connectedParts(faces, N).forEach((part, v) => {
+  partsOf(surface).forEach((part, v) => {
     if (!parts.has(part)) parts.set(part, []);
     parts.get(part).push(v);
   });
-  const largest =
-    (SMALL_VOXELS / 128) *
-    Math.max(
-      ...extentOf(
-        vertices,
-        Array.from({ length: N }, (_, v) => v),
-      ),
-    );
+  const largest = (SMALL_VOXELS / 128) * extentOf(vertices, Array(N).keys());
   const corners = new Float32Array(3 * N).fill(-1);
   for (const rows of parts.values()) {
-    if (rows.length > MOST_VERTICES && Math.max(...extentOf(vertices, rows)) > largest) continue;
+    if (rows.length > MOST_VERTICES && extentOf(vertices, rows) > largest) continue;
     const chosen = threeOf(rows, vertices, (v) => swing(v, shapes, scale));
     if (chosen) for (const v of rows) corners.set(chosen, 3 * v);
   }
@@ -50,14 +44,17 @@ export function cardCorners({ N, vertices, faces, shapes, scale_m: scale }) {
 
 /** The vertex that moves least, the one that is farthest from it, and the one that is farthest from their line. */
 function threeOf(rows, vertices, swingOf) {
-  const at = (v) => new THREE.Vector3().fromArray(vertices, 3 * v);
   const first = best(rows, (v) => -swingOf(v));
-  const origin = at(first);
-  const second = best(rows, (v) => at(v).distanceToSquared(origin));
-  const along = at(second).sub(origin);
-  const area = (v) => at(v).sub(origin).cross(along).lengthSq();
+  const [x, y, z] = [0, 1, 2].map((c) => vertices[3 * first + c]);
+  const squared = (v) => (vertices[3 * v] - x) ** 2 + (vertices[3 * v + 1] - y) ** 2 + (vertices[3 * v + 2] - z) ** 2;
+  const second = best(rows, squared);
+  const [ax, ay, az] = [vertices[3 * second] - x, vertices[3 * second + 1] - y, vertices[3 * second + 2] - z];
+  const area = (v) => {
+    const [bx, by, bz] = [vertices[3 * v] - x, vertices[3 * v + 1] - y, vertices[3 * v + 2] - z];
+    return (by * az - bz * ay) ** 2 + (bz * ax - bx * az) ** 2 + (bx * ay - by * ax) ** 2;
+  };
   const third = best(rows, area);
-  return area(third) > 1e-6 * along.lengthSq() ** 2 ? [first, second, third] : null;
+  return area(third) > 1e-6 * squared(second) ** 2 ? [first, second, third] : null;
 }
 
 function best(rows, scoreOf) {
@@ -71,22 +68,28 @@ function best(rows, scoreOf) {
 }
 
 function swing(v, shapes, scale) {
-  const K = scale.length;
   let power = 0;
-  for (let i = 0; i < 6 * K; i++) power += (shapes[6 * K * v + i] * scale[Math.floor(i / 6)]) ** 2;
+  let at = 6 * scale.length * v;
+  for (let k = 0; k < scale.length; k++) {
+    let sum = 0;
+    for (const end = at + 6; at < end; at++) sum += shapes[at] * shapes[at];
+    power += sum * scale[k] * scale[k];
+  }
   return power;
 }
 
+/** The longest side of the box around some vertices. */
 function extentOf(vertices, rows) {
   const low = [Infinity, Infinity, Infinity];
   const high = [-Infinity, -Infinity, -Infinity];
   for (const v of rows) {
     for (let c = 0; c < 3; c++) {
-      low[c] = Math.min(low[c], vertices[3 * v + c]);
-      high[c] = Math.max(high[c], vertices[3 * v + c]);
+      const value = vertices[3 * v + c];
+      if (value < low[c]) low[c] = value;
+      if (value > high[c]) high[c] = value;
     }
   }
-  return high.map((value, c) => value - low[c]);
+  return Math.max(...high.map((value, c) => value - low[c]));
 }
 
 /** What a vertex shader needs: `cardMoved` is the displacement of this vertex with its card. */

@@ -8,7 +8,7 @@ const LEAF_FACES = 400;
 /** Change the normals of small parts, and set the vertex colours of all. */
 export function softenFoliage(geometry, surface) {
   const { N, vertices, vertex_colors: colours } = surface;
-  const part = connectedParts(surface.faces, N);
+  const part = partsOf(surface);
   const boxes = boxesOf(part, vertices, N);
   const isLeaf = leafTest(geometry.boundingBox);
   const crown = new THREE.Box3();
@@ -57,15 +57,24 @@ function leafTest({ min, max }) {
 /** The bounding box and the number of vertices of each part. */
 function boxesOf(part, vertices, N) {
   const boxes = new Map();
-  const point = new THREE.Vector3();
   for (let v = 0; v < N; v++) {
     let entry = boxes.get(part[v]);
     if (!entry) boxes.set(part[v], (entry = { box: new THREE.Box3(), count: 0 }));
-    entry.box.expandByPoint(point.fromArray(vertices, 3 * v));
+    const { min, max } = entry.box;
+    const [x, y, z] = [vertices[3 * v], vertices[3 * v + 1], vertices[3 * v + 2]];
+    if (x < min.x) min.x = x;
+    if (x > max.x) max.x = x;
+    if (y < min.y) min.y = y;
+    if (y > max.y) max.y = y;
+    if (z < min.z) min.z = z;
+    if (z > max.z) max.z = z;
     entry.count++;
   }
   return boxes;
 }
+
+/** `connectedParts` of a surface, found once. */
+export const partsOf = (surface) => (surface.parts ??= connectedParts(surface.faces, surface.N));
 
 /** The connected part of each vertex: union-find over the faces. */
 export function connectedParts(faces, N) {

@@ -158,8 +158,7 @@ export class Stage {
     const ratio = Math.min(globalThis.devicePixelRatio, 2) * scale;
     const size = this.renderer.getSize(new THREE.Vector2());
     if (size.x === width && size.y === height && this.renderer.getPixelRatio() === ratio) return;
-    this.renderer.setPixelRatio(ratio);
-    this.renderer.setSize(width, height, false);
+    this.renderer.setDrawingBufferSize(width, height, ratio); // once: software waits for each new size
   }
 
   /** Where a place in the window is on the canvas, -1 to 1. */
