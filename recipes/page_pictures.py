@@ -1,0 +1,99 @@
+"""Take the pictures of docs/viewer.md: opens the page in Chromium, with a motion made by a service of its own.
+
+    python -m recipes.page_pictures
+
+Needs playwright and a Chromium (Debian's, or of `BROWSER_PATH`). WebGL is drawn in software, so any machine can do it;
+the pictures are taken of paused trees with all pixels and shadows.
+"""
+
+import io
+import os
+import shutil
+import tempfile
+from pathlib import Path
+
+import httpx
+from PIL import Image
+from playwright.sync_api import Browser, Page, sync_playwright
+
+from recipes.demo import checked, served
+
+ROOT = Path(__file__).parents[1]
+EXAMPLE = ROOT / "web" / "examples" / "round-broadleaf.glb"
+PICTURES = ROOT / "docs" / "pictures"
+NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+FLAGS = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
+DESKTOP, PHONE = (1280, 800), (390, 760)
+PHASE = 0.48
+"""Of the loop, at which both trees of the first picture are far from rest."""
+LONGEST_MS = 300_000
+WEBP_QUALITY = 84
+
+
+def main() -> None:
+    browser_path = os.environ.get("BROWSER_PATH") or next(filter(None, map(shutil.which, NAMES)), None)
+    if browser_path is None:
+        raise SystemExit(f"no browser found: install one of {', '.join(NAMES)}, or set BROWSER_PATH")
+    flags = [*FLAGS, "--no-sandbox"] if os.getuid() == 0 else list(FLAGS)
+    with (
+        tempfile.TemporaryDirectory(prefix="dynamictree-") as folder,
+        served(Path(folder) / "state", Path(folder) / "serve.log") as url,
+        sync_playwright() as driver,
+    ):
+        job_id = _animated(url)
+        browser = driver.chromium.launch(executable_path=browser_path, args=flags)
+        _take(_opened(browser, url, DESKTOP), "viewer-welcome", state="[data-live=true]")
+        page = _opened(browser, f"{url}/#job={job_id}", DESKTOP)
+        page.wait_for_selector("body[data-state=moving]", state="attached", timeout=LONGEST_MS)
+        page.locator("#company input[value=pair]").check(force=True)
+        _take(page, "viewer", state="[data-state=moving]", phase=PHASE)
+        _take(_opened(browser, f"{url}/#job={job_id}", PHONE), "viewer-phone", state="[data-state=moving]", phase=PHASE)
+        browser.close()
+
+
+def _animated(url: str) -> str:
+    """A job on the example tree that has ended."""
+    with httpx.Client(base_url=url, timeout=120) as client:
+        asset = checked(client.post("/v1/assets", files={"file": (EXAMPLE.name, EXAMPLE.read_bytes())}))
+        request = {"type": "animate", "asset_id": asset["id"], "seed": 7, "params": {"formats": ["glb"]}}
+        job = checked(client.post("/v1/jobs", json=request))
+        while job["state"] in ("queued", "running"):
+            job = checked(client.get(f"/v1/jobs/{job['id']}", headers={"Prefer": "wait=30"}))
+    if job["state"] != "succeeded":
+        raise SystemExit(f"the job {job['state']}: {job['error']}")
+    return str(job["id"])
+
+
+def _opened(browser: Browser, address: str, size: tuple[int, int]) -> Page:
+    touch = size[0] < 600
+    viewport = {"width": size[0], "height": size[1]}
+    context = browser.new_context(viewport=viewport, has_touch=touch, is_mobile=touch)  # type: ignore[arg-type]
+    context.set_default_timeout(LONGEST_MS)
+    page = context.new_page()
+    page.goto(address)
+    return page
+
+
+def _take(page: Page, name: str, *, state: str, phase: float | None = None) -> None:
+    """Write a picture of the page at rest: paused, drawn with all pixels, hints gone."""
+    page.wait_for_selector(f"body{state}", state="attached")
+    if phase is None:
+        page.locator("#canvas").focus()
+        page.keyboard.press("Space")
+        page.evaluate("document.activeElement.blur()")
+    else:
+        page.locator("#time").evaluate(
+            "(slider, share) => { slider.value = share; slider.dispatchEvent(new Event('input')); }", phase
+        )
+        page.wait_for_selector("#hint.going", state="attached")
+    page.wait_for_timeout(3000)  # the wind of the other tree eases in, the hint fades
+    page.wait_for_selector("body[data-sharp=true]", state="attached")
+    path = PICTURES / f"{name}.webp"
+    with Image.open(io.BytesIO(page.screenshot())) as picture:
+        picture.convert("RGB").save(path, quality=WEBP_QUALITY, method=6)
+    print(f"{path}  {path.stat().st_size / 1e3:.0f} kB")
+    page.context.close()
+
+
+if __name__ == "__main__":
+    main()
