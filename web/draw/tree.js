@@ -7,6 +7,7 @@ import { buildCubes, disposeCubes } from "./cubes.js";
 import { Field, PoseTexture, voxelFieldOf, zeroTexture } from "./field.js";
 import { ghostOf, surfaceMaterials } from "./follow.js";
 import { topVoxel } from "./pick.js";
+import { LEAST } from "./resolution.js";
 
 export class Tree {
   constructor(stage) {
@@ -131,7 +132,7 @@ export class Tree {
     const { SplatView, carriersOf } = await import("./splat.js");
     const view = await SplatView.make(this.stage, splat, carriersOf(splat, this.surface, this.modes), this.uniforms);
     if (this.disposed) return view.dispose();
-    this.stage.resolution.stillScale = 1; // Gaussians have soft edges
+    Object.assign(this.stage.resolution, { stillScale: 1, least: LEAST }); // Gaussians have soft edges, and cost by pixels
     this.splat = view;
     this.setView(this.view);
   }
