@@ -128,3 +128,26 @@ def test_metal_roughness_and_normals_are_read_from_a_glb(view: Open, url: str) -
     assert looks() == [[0, 0.7, True, False, [0.5, -0.5]], None, None]
     del bark["metallicRoughnessTexture"]["texCoord"]
     assert looks() == [[1, 0.7, True, True, [0.5, -0.5]], None, None]
+
+
+SEEN = """async (still) => {
+    const { seenBox } = await import("/web/draw/surface.js");
+    const { Box3, Vector3 } = await import("three");
+    const plant = [[-1, -1, 0], [1, 1, 4]];
+    const vertices = new Float32Array([...plant, ...still].flat());
+    const whole = new Box3().setFromPoints([...plant, ...still].map((point) => new Vector3(...point)));
+    const marks = new Uint8Array([...plant.map(() => 0), ...still.map(() => 1)]);
+    const { min, max } = seenBox({ vertices, still: still.length ? marks : undefined, N: marks.length }, whole);
+    return [min.toArray(), max.toArray()];
+}"""
+
+
+def test_the_view_holds_the_plant_with_its_pot_and_not_the_sea_around_it(view: Open, url: str) -> None:
+    viewer = view(640, 480)
+    viewer.open(url)
+    assert viewer.page.evaluate(SEEN, []) == [[-1, -1, 0], [1, 1, 4]]
+    pot = [[-0.5, -0.5, -0.8], [0.5, 0.5, 0.1]]
+    assert viewer.page.evaluate(SEEN, pot) == [[-1, -1, -0.8], [1, 1, 4]]
+    low, high = viewer.page.evaluate(SEEN, [[-200, -200, -0.2], [200, 200, -0.2]])
+    assert (low[2], high[2]) == pytest.approx((-0.2, 4))
+    assert -3.5 < low[0] < -1 < 1 < high[0] < 3.5

@@ -26,13 +26,13 @@ export function setCards(surface) {
 
 /** Rows of three vertices that say how the card of a vertex moves, the first where it moves least; −1 without a card. */
 export function cardCorners(surface) {
-  const { N, vertices, shapes, scale_m: scale } = surface;
+  const { N, vertices, shapes, scale_m: scale, box } = surface;
   const parts = new Map();
   partsOf(surface).forEach((part, v) => {
     if (!parts.has(part)) parts.set(part, []);
     parts.get(part).push(v);
   });
-  const largest = (SMALL_VOXELS / 128) * extentOf(vertices, Array(N).keys());
+  const largest = (SMALL_VOXELS / 128) * Math.max(...box.getSize(new THREE.Vector3()).toArray());
   const corners = new Float32Array(3 * N).fill(-1);
   for (const rows of parts.values()) {
     if (rows.length > MOST_VERTICES && extentOf(vertices, rows) > largest) continue;

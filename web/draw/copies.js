@@ -9,7 +9,7 @@ export class Copies {
    * another motion, which the copies have in place of the tree's.
    */
   constructor({ surface, field, box, still, uniforms: { greyStill } }, places, other = null) {
-    Object.assign(this, { places, other });
+    Object.assign(this, { places, other, one: box });
     const source = other ?? field;
     this.field = source.copied(places.length);
     const uniforms = {
@@ -38,7 +38,7 @@ export class Copies {
     const at = new THREE.Matrix4();
     this.places.forEach((_, i) => {
       this.mesh.getMatrixAt(i, at);
-      all.union(this.mesh.geometry.boundingBox.clone().applyMatrix4(at));
+      all.union(this.one.clone().applyMatrix4(at));
     });
     return all;
   }

@@ -10,7 +10,7 @@ export function softenFoliage(geometry, surface) {
   const { N, vertices, vertex_colors: colours } = surface;
   const part = partsOf(surface);
   const boxes = boxesOf(part, vertices, N);
-  const isLeaf = leafTest(geometry.boundingBox);
+  const isLeaf = leafTest(surface.box);
   const crown = new THREE.Box3();
   for (const { box, count } of boxes.values()) if (isLeaf(box, count)) crown.union(box);
   const middle = crown.getCenter(new THREE.Vector3());

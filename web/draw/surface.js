@@ -5,7 +5,9 @@ import { readTensors } from "../motion/tensors.js";
 import { noCards } from "./cards.js";
 import { softenFoliage } from "./foliage.js";
 
-/** `{ geometry, materials, ... }` of the body of …/surface. */
+const BESIDE = 0.4; // of the plant's size
+
+/** `{ geometry, materials, box, ... }` of the body of …/surface. */
 export async function readSurface(buffer) {
   const { tensors, shape, metadata } = readTensors(buffer);
   const surface = { ...tensors, N: shape.vertices[0], F: shape.faces[0], materials: JSON.parse(metadata.materials) };
@@ -38,8 +40,20 @@ function buildGeometry(surface) {
   for (const group of groups) geometry.addGroup(...group);
   geometry.computeVertexNormals();
   geometry.computeBoundingBox();
+  surface.box = seenBox(surface, geometry.boundingBox);
   softenFoliage(geometry, surface);
   return geometry;
+}
+
+/** The box of the plant, and of what stands still as far as it is near: a pot whole, of a sea a little. */
+export function seenBox({ vertices, still, N }, whole) {
+  if (!still) return whole;
+  const plant = new THREE.Box3();
+  const at = new THREE.Vector3();
+  for (let v = 0; v < N; v++) if (!still[v]) plant.expandByPoint(at.fromArray(vertices, 3 * v));
+  if (plant.isEmpty()) return whole;
+  const near = plant.clone().expandByScalar(BESIDE * plant.getSize(at).length());
+  return near.intersect(whole).union(plant);
 }
 
 function setBones(geometry, surface) {

@@ -51,11 +51,10 @@ export class Tree {
 
   /** The mesh; `hidden` where a cloud is drawn in its place and the mesh only casts the shadow. */
   setSurface(surface, { hidden = false } = {}) {
-    const { boundingBox } = surface.geometry;
-    const same = this.box && this.box.max.distanceTo(boundingBox.max) < 1e-4;
+    const same = this.box && this.box.max.distanceTo(surface.box.max) < 1e-4;
     this._dropMesh();
     this.surface = surface;
-    this.box = boundingBox;
+    this.box = surface.box;
     this.hidden = hidden;
     this.mesh = new THREE.Mesh(surface.geometry);
     this.mesh.castShadow = this.mesh.receiveShadow = true;
@@ -63,7 +62,7 @@ export class Tree {
     this.ghost = ghostOf(surface.geometry);
     this.group.add(this.mesh, this.ghost);
     this._setMaterials();
-    if (!same) this.stage.frame(boundingBox);
+    if (!same) this.stage.frame(this.box);
     this.stage.stale = true;
   }
 
