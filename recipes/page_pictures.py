@@ -1,4 +1,4 @@
-"""Take the pictures of docs/viewer.md: opens the page in Chromium, with a motion made by a service of its own.
+"""Take the pictures of docs/viewer.md, and those of the page's examples: opens the page in Chromium, with a service.
 
     python -m recipes.page_pictures
 
@@ -19,11 +19,13 @@ from playwright.sync_api import Browser, Page, sync_playwright
 from recipes.demo import checked, served
 
 ROOT = Path(__file__).parents[1]
-EXAMPLE = ROOT / "web" / "examples" / "round-broadleaf.glb"
+EXAMPLES = ROOT / "web" / "examples"
+EXAMPLE = "round-broadleaf"
 PICTURES = ROOT / "docs" / "pictures"
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 FLAGS = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
-DESKTOP, PHONE = (1280, 800), (390, 760)
+DESKTOP, PHONE, SQUARE = (1280, 800), (390, 760), (1000, 760)
+THUMBNAIL_PX, MARGIN = 256, 0.04
 PHASE = 0.48
 """Of the loop, at which both trees of the first picture are far from rest."""
 LONGEST_MS = 300_000
@@ -40,9 +42,11 @@ def main() -> None:
         served(Path(folder) / "state", Path(folder) / "serve.log") as url,
         sync_playwright() as driver,
     ):
-        job_id = _animated(url)
         browser = driver.chromium.launch(executable_path=browser_path, args=flags)
+        for path in sorted(EXAMPLES.glob("*.glb")):
+            _take_example(_opened(browser, f"{url}/#job={_animated(url, path, num_steps=1)}", SQUARE), path.stem)
         _take(_opened(browser, url, DESKTOP), "viewer-welcome", state="[data-live=true]")
+        job_id = _animated(url, EXAMPLES / f"{EXAMPLE}.glb")
         page = _opened(browser, f"{url}/#job={job_id}", DESKTOP)
         page.wait_for_selector("body[data-state=moving]", state="attached", timeout=LONGEST_MS)
         page.locator("#company input[value=pair]").check(force=True)
@@ -51,11 +55,11 @@ def main() -> None:
         browser.close()
 
 
-def _animated(url: str) -> str:
-    """A job on the example tree that has ended."""
+def _animated(url: str, mesh: Path, **params: int) -> str:
+    """A job on a mesh that has ended."""
     with httpx.Client(base_url=url, timeout=120) as client:
-        asset = checked(client.post("/v1/assets", files={"file": (EXAMPLE.name, EXAMPLE.read_bytes())}))
-        request = {"type": "animate", "asset_id": asset["id"], "seed": 7, "params": {"formats": ["glb"]}}
+        asset = checked(client.post("/v1/assets", files={"file": (mesh.name, mesh.read_bytes())}))
+        request = {"type": "animate", "asset_id": asset["id"], "seed": 7, "params": {"formats": ["glb"], **params}}
         job = checked(client.post("/v1/jobs", json=request))
         while job["state"] in ("queued", "running"):
             job = checked(client.get(f"/v1/jobs/{job['id']}", headers={"Prefer": "wait=30"}))
@@ -91,6 +95,27 @@ def _take(page: Page, name: str, *, state: str, phase: float | None = None) -> N
     path = PICTURES / f"{name}.webp"
     with Image.open(io.BytesIO(page.screenshot())) as picture:
         picture.convert("RGB").save(path, quality=WEBP_QUALITY, method=6)
+    print(f"{path}  {path.stat().st_size / 1e3:.0f} kB")
+    page.context.close()
+
+
+def _take_example(page: Page, name: str) -> None:
+    """Write the picture of an example, without ground and background: it lies on light and dark buttons."""
+    page.wait_for_selector("body[data-state=moving]", state="attached")
+    page.locator("#speed").fill("0")  # no arrow on the ground
+    page.locator("#light-section summary").click()
+    page.locator("#ground").uncheck()
+    page.locator("#background").select_option("none")
+    page.wait_for_timeout(3000)  # the wind dies down
+    with page.expect_download() as download:
+        page.locator("#save-picture").click()
+    path = EXAMPLES / f"{name}.webp"
+    with Image.open(download.value.path()) as picture:
+        tree = picture.crop(picture.getchannel("A").getbbox())
+    side = round((1 + 2 * MARGIN) * max(tree.size))
+    square = Image.new("RGBA", (side, side))
+    square.paste(tree, ((side - tree.width) // 2, side - tree.height - round(MARGIN * side)))
+    square.resize((THUMBNAIL_PX, THUMBNAIL_PX), Image.Resampling.LANCZOS).save(path, quality=WEBP_QUALITY, method=6)
     print(f"{path}  {path.stat().st_size / 1e3:.0f} kB")
     page.context.close()
 
