@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float32
+from jaxtyping import Bool, Float32, Float64
+from scipy.spatial import cKDTree
 
 from dynamictree.gaussian.rotation import quaternion_matrices
 from dynamictree.reconstruct.adam import AdamState
@@ -21,6 +22,7 @@ class DensityRules:
     min_opacity: float = 0.005
     too_large: float = 0.1  # of the extent, or of the distance from the origin for what is farther away
     max_gaussians: int = 60_000
+    free_distance: float = 0.08  # of the cameras' median distance from the origin: nothing is so near to a camera
 
 
 class Pull:
@@ -69,6 +71,16 @@ def densified(
     new = np.concatenate([twins, halves])
     rows = np.flatnonzero(survives)
     return np.concatenate([table[rows], new]), moments.rows(rows, len(new))
+
+
+def before_cameras(
+    table: Float32[np.ndarray, "G P"], cameras: Float64[np.ndarray, "V 3"], rules: DensityRules
+) -> Bool[np.ndarray, " G"]:
+    """Gaussians where a camera was: one photo alone shows them, as fog in all others from near there."""
+    free = rules.free_distance * float(np.median(np.linalg.norm(cameras, axis=1)))
+    distance = np.asarray(cKDTree(cameras).query(table[:, MEAN], distance_upper_bound=free)[0])
+    near: Bool[np.ndarray, " G"] = np.isfinite(distance)
+    return near
 
 
 def fainter(table: Float32[np.ndarray, "G P"], moments: AdamState, opacity: float = 0.01) -> None:

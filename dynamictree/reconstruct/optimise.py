@@ -8,11 +8,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, Float64
 from PIL import Image
 
 from dynamictree.reconstruct.adam import AdamState, AdamStep, adam_step
-from dynamictree.reconstruct.densify import DensityRules, Pull, densified, fainter
+from dynamictree.reconstruct.densify import DensityRules, Pull, before_cameras, densified, fainter
 from dynamictree.reconstruct.gradient import draw, gradients_of
 from dynamictree.reconstruct.picture_loss import SSIM_SHARE, picture_loss, psnr
 from dynamictree.reconstruct.splat_table import LOG_SCALE, LOGIT, MEAN, QUATERNION, REST, shapes_of, unit_quaternions
@@ -82,9 +82,13 @@ def optimise(
     schedule: Schedule,
     *,
     extent: float,
+    cameras: Float64[np.ndarray, "V 3"] | None = None,
     on_step: Callable[[SplatProgress], None] = lambda progress: None,
 ) -> SplatProgress:
-    """Optimise, split and prune Gaussians; `on_step` may save the state, or raise to stop."""
+    """Optimise, split and prune Gaussians; `on_step` may save the state, or raise to stop.
+
+    Where `cameras` were is free space, also where those of other photos were.
+    """
     levels = _Levels(targets, choosing, schedule)
     pull = start.pull or Pull(len(start.table))
     progress = replace(start, pull=pull)
@@ -100,6 +104,8 @@ def optimise(
         share = progress.step / schedule.num_steps
         if schedule.densify[0] <= share < schedule.densify[1] and progress.step % schedule.densify_every == 0:
             rules = _rules(schedule, shrink, cut_out=targets[0].alpha is not None)
+            if cameras is not None:
+                progress.table[before_cameras(progress.table, cameras, rules), LOGIT] = _DISCARDED_LOGIT
             table, moments = densified(progress.table, progress.moments, pull.mean, rules, extent=extent, rng=rng)
             pull = Pull(len(table))
             progress = replace(progress, table=table, moments=moments, pull=pull)

@@ -120,7 +120,9 @@ def fit_splat(
 
     targets = [_target(model.views[view], None if depths is None else depths.depths[view]) for view in learned]
     choosing = [_target(model.views[view], None) for view in choosing_rows]
-    end = optimise(start, targets, choosing, schedule, extent=camera_extent(model.views), on_step=step)
+    cameras = np.array([view.camera.position_m for view in model.views])
+    extent = camera_extent(model.views)
+    end = optimise(start, targets, choosing, schedule, extent=extent, cameras=cameras, on_step=step)
     if saved is not None:
         save_progress(end, saved)
     fit = _judged(end, [model.views[view] for view in held_out_rows], schedule)

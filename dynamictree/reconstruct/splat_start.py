@@ -1,4 +1,4 @@
-"""Initial Gaussians: at points of structure from motion, stereo and masks, and on a far dome."""
+"""Initial Gaussians: at points of structure from motion, stereo, masks and textured parts, and on a far dome."""
 
 from collections.abc import Sequence
 
@@ -8,10 +8,12 @@ from scipy.spatial import cKDTree
 
 from dynamictree.reconstruct.depth import DepthMaps
 from dynamictree.reconstruct.splat_table import table_of_points
+from dynamictree.reconstruct.texture_hull import texture_points
 from dynamictree.reconstruct.views import SparseModel, View
 from dynamictree.reconstruct.visual_hull import hull_points
 
 _OPACITY, _DOME_OPACITY = 0.1, 0.95  # Kerbl et al. begin with 0.1; stereo's errors then fade before they settle
+_CROWN_SHARE = 0.4  # of the other points: in a thin crown there are none of them
 _WIDEST_SHARE = 0.1  # of the cameras' distance, for a point far from all others
 _DOME_POINTS, _DOME_DISTANCE = 3000, 12.0  # of the radius of the region that the pictures hold
 _GOLDEN = np.pi * (3 - np.sqrt(5))
@@ -32,6 +34,10 @@ def first_table(
     points, colors = np.concatenate([points, hull]), np.concatenate([colors, hull_colors])
     rows = thinned(points, number, rng)
     points, colors = points[rows].astype(np.float32), colors[rows].astype(np.float32)
+    if all(view.alpha is None for view in model.views):
+        crown, crown_colors = texture_points(model.views, round(_CROWN_SHARE * number), rng)
+        points = np.concatenate([points, crown.astype(np.float32)])
+        colors = np.concatenate([colors, crown_colors])
     table = table_of_points(points, colors, spacing(points), opacity=_OPACITY, sh_degree=sh_degree)
     if not dome:
         return table

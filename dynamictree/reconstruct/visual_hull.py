@@ -47,13 +47,23 @@ def hull_points(
     masked = [view for view in views if view.alpha is not None]
     if not masked:
         return np.zeros((0, 3)), np.zeros((0, 3), np.float32)
+    points, colors = points_in_masks(masked, number, rng)
+    if len(points) == 0:
+        raise _nothing_left(len(masked))
+    return points, colors
+
+
+def points_in_masks(
+    masked: list[View], number: int, rng: np.random.Generator
+) -> tuple[Float64[np.ndarray, "P 3"], Float32[np.ndarray, "P 3"]]:
+    """As `hull_points`, of photos that all have masks; no points where the masks agree on no place."""
     pyramids = [_pyramid(view) for view in masked]
     centres, half = _refined(pyramids, number)
+    if len(centres) == 0:
+        return np.zeros((0, 3)), np.zeros((0, 3), np.float32)
     chosen = centres[rng.integers(len(centres), size=_CANDIDATES * number)]
     points = chosen + rng.uniform(-half, half, (len(chosen), 3))
     points = points[_agreed(pyramids, points, 0.0)]
-    if len(points) == 0:
-        raise _nothing_left(len(masked))
     exact = _inside_all(pyramids, points)
     if exact.sum() >= number:
         points = points[exact]
@@ -68,7 +78,7 @@ def _refined(pyramids: list[_MaskPyramid], number: int) -> tuple[Float64[np.ndar
     while True:
         cells = cells[_agreed(pyramids, cells, half)]
         if len(cells) == 0:
-            raise _nothing_left(len(pyramids))
+            return cells, half
         fine = 2 * half * _pixels_per_unit(pyramids, cells) <= _FINEST_CELL_PX
         if fine or len(cells) >= max(number, _MAX_CELLS // 8):
             return cells, half

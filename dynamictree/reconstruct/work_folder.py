@@ -18,6 +18,7 @@ from dynamictree.files import replacing
 from dynamictree.reconstruct.optimise import Schedule
 
 _VERSION = 2  # of the files in the folder
+_SPLAT_VERSION = 1  # of the way in which it is learned
 _OF_PHOTOS = (
     *("photos", "sparse", "chosen", "undistorted", "masks", "undistorted-masks"),
     *("features.db", "pairs.txt", "views.json", "points.npz", "depths.npz"),
@@ -83,7 +84,9 @@ def _photos_key(sources: Iterable[Path]) -> str:
 
 
 def _schedule_key(photos_key: str, schedule: Schedule) -> str:
-    return sha256((photos_key + json.dumps(asdict(schedule), sort_keys=True)).encode()).hexdigest()
+    return sha256(
+        (f"{photos_key} {_SPLAT_VERSION} " + json.dumps(asdict(schedule), sort_keys=True)).encode()
+    ).hexdigest()
 
 
 def _delete_unless(folder: Path, name: str, key: str, results: tuple[str, ...]) -> None:
