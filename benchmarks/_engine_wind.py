@@ -25,8 +25,8 @@ class EngineWind:
 
     @property
     def in_card(self) -> np.ndarray:
-        """Whether a vertex turns about a pivot [N]."""
-        return np.asarray((self.arms != 0).any(axis=1))
+        """Whether a vertex turns about a pivot, or is one [N]."""
+        return np.asarray((self.turns != 0).any(axis=(0, 2)))
 
     def displacement(self, seconds: float, speed_m_s: float | None = None) -> np.ndarray:
         """Of the vertices in a mean wind, by default the motion's own [N, 3], m."""

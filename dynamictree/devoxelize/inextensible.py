@@ -37,6 +37,8 @@ from dynamictree.mesh import edges_of, weld
 from dynamictree.parallel import compiled, in_bands
 from dynamictree.spectrum import from_motion, iter_motion
 
+CARD_VERTICES = 8
+"""With so few, a part that hangs is a card at any size; one of more bends where it is large."""
 LARGEST_STRETCH = 0.01
 """99th percentile of the edges' stretch in a loop; a motion with less is left as it is."""
 ROUNDS = 10
@@ -45,7 +47,6 @@ _SOLVED_ROWS = 150_000
 _ANCHOR = 0.01  # a of a vertex with the mean motion, see docs/decisions/core.md
 _ANCHOR_SHARES = (0.01, 100.0)  # of the motion over its mean
 _SHORTEST_EDGE = 0.05  # in voxels; shorter edges are no stiffer
-_CARD_VERTICES = 8  # with so few, a part that hangs is a card at any size
 _CLOSE, _SHARE_APART = 0.001, 0.01
 """A pose is good enough where all but this share of its edges have their lengths to this accuracy."""
 _FRAMES_AT_ONCE = 10  # two bands of the solver
@@ -297,7 +298,7 @@ def _cards(attachments: Attachments, rest: Float64[np.ndarray, "n 3"], voxel_m: 
     small = (high - low).max(axis=1) < SMALL_PART_VOXELS * voxel_m
     hangs = np.zeros(num_parts, bool)
     hangs[attachments.children] = True
-    return np.asarray(hangs & (small | (np.bincount(part, minlength=num_parts) <= _CARD_VERTICES)))
+    return np.asarray(hangs & (small | (np.bincount(part, minlength=num_parts) <= CARD_VERTICES)))
 
 
 def _batches(frames: Iterable[Float32[np.ndarray, "N 3"]], size: int) -> Iterator[list[Float32[np.ndarray, "N 3"]]]:

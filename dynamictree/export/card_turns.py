@@ -11,10 +11,14 @@ than a right angle. With c = 1 / sqrt(1 + |θ|²), an arm r from the pivot becom
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Complex64, Float32, Int64
+from jaxtyping import Complex64, Float32, Int64
 
-from dynamictree.devoxelize.attachment import FEW_VERTICES, SMALL_PART_VOXELS
+from dynamictree.devoxelize.attachment import SMALL_PART_VOXELS
+from dynamictree.devoxelize.inextensible import CARD_VERTICES
 from dynamictree.mesh import TriangleMesh, connected_parts, part_bounds, weld
+
+FINENESS = 128
+"""Voxels along the tree that say which parts are small, whatever the grid of the motion."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,17 +29,10 @@ class CardTurns:
     turn: Complex64[np.ndarray, "N K 3"]  # θ; 0 in no card
     arm_m: Float32[np.ndarray, "N 3"]  # from the pivot; 0 in no card
 
-    @property
-    def in_card(self) -> Bool[np.ndarray, " N"]:
-        """Whether a vertex moves with a card."""
-        return np.asarray((self.arm_m != 0).any(axis=1))
 
-
-def card_turns(
-    mesh: TriangleMesh, coefficients: Complex64[np.ndarray, "N K 3"], voxel_size_m: float
-) -> CardTurns | None:
+def card_turns(mesh: TriangleMesh, coefficients: Complex64[np.ndarray, "N K 3"]) -> CardTurns | None:
     """Split the modes of the mesh's cards [m]; `None` where it has none."""
-    part = _card_of(mesh, voxel_size_m)
+    part = _card_of(mesh)
     rows = np.flatnonzero(part >= 0)
     if len(rows) == 0:
         return None
@@ -57,13 +54,14 @@ def card_turns(
     return CardTurns(moved=moved, turn=turn, arm_m=arm_m)
 
 
-def _card_of(mesh: TriangleMesh, voxel_size_m: float) -> Int64[np.ndarray, " N"]:
+def _card_of(mesh: TriangleMesh) -> Int64[np.ndarray, " N"]:
     """Number of the small part that a vertex is in; -1 for wood, and for a part that stands on the ground."""
     surface, vertex = weld(mesh)
     part = connected_parts(surface.faces, surface.num_vertices)
     low, high = part_bounds(part, surface.vertices)
-    small = (high - low).max(axis=1) < SMALL_PART_VOXELS * voxel_size_m
-    stands = ~small & (low[:, 2] < low[:, 2].min() + voxel_size_m)
-    is_card = (small | (np.bincount(part) <= FEW_VERTICES)) & ~stands
+    voxel_m = float((high.max(axis=0) - low.min(axis=0)).max()) / FINENESS
+    small = (high - low).max(axis=1) < SMALL_PART_VOXELS * voxel_m
+    stands = ~small & (low[:, 2] < low[:, 2].min() + voxel_m)
+    is_card = (small | (np.bincount(part) <= CARD_VERTICES)) & ~stands
     card: Int64[np.ndarray, " N"] = np.where(is_card[part], part, -1)[vertex].astype(np.int64)
     return card

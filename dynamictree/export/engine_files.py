@@ -103,7 +103,7 @@ def write_engine_wind(tree: MovingTree, stream: BinaryIO, report: Report) -> Non
     report(0.5)
     wind = turbulent_wind(tree.spectrum, seed=tree.spectrum.seed)
     num_frames = tree.spectrum.num_frames
-    cards = card_turns(tree.mesh, tree.coefficients, tree.spectrum.grid.voxel_size_m)
+    cards = card_turns(tree.mesh, tree.coefficients)
     stream.writelines(iter_engine_wind_zip(tree.mesh, tree.coefficients, wind, pivots, cards, num_frames=num_frames))
 
 

@@ -69,7 +69,7 @@ def test_cards_keep_their_size_in_a_storm(view: Open, url: str) -> None:
         if rigid:
             rows = np.array(answer["rows"]).reshape(-1, 3).astype(int)
             in_card, bent = rows[faces[:, 0], 0] >= 0, moved
-            assert in_card.mean() > 0.5  # most of the example are leaves
+            assert in_card.mean() > 0.1  # its leaves; branches bend
         faces = faces[in_card]
         before = areas(faces, rest)
         large = before > np.median(before) / 10

@@ -3,7 +3,7 @@
 import * as THREE from "three";
 import { partsOf } from "./foliage.js";
 
-const MOST_VERTICES = 24; // with no more, a part is a card of any size, as in the products
+const MOST_VERTICES = 8; // with no more, a part is a card of any size, as in the products
 const SMALL_VOXELS = 8;
 const WIDTH = 2048; // of the texture, as of the field's
 
