@@ -33,14 +33,21 @@ def train(
         typer.Option(help="Folder of shards from `dynamictree dataset generate`; of several, in turn."),
     ],
     preset: Annotated[str, typer.Option(help=f"Which network: {', '.join(PRESETS)}.")] = "small",
-    foliage_trees: Annotated[int, typer.Option(min=1, max=MAX, help="Small: trees of the foliage network.")] = 800,
-    foliage_steps: Annotated[int, typer.Option(min=1, max=MAX, help="Small: steps of the foliage network.")] = 5000,
+    foliage_trees: Annotated[int, typer.Option(min=0, max=MAX, help="Small: trees of the foliage network.")] = 800,
+    foliage_steps: Annotated[
+        int, typer.Option(min=0, max=MAX, help="Small: steps of the foliage network; 0 keeps that of --foliage-from.")
+    ] = 5000,
     amplitude_trees: Annotated[int, typer.Option(min=1, max=MAX, help="Small: trees of the amplitude network.")] = 1200,
     amplitude_steps: Annotated[int, typer.Option(min=1, max=MAX, help="Small: steps of the amplitude network.")] = 3000,
     denoiser_trees: Annotated[int, typer.Option(min=1, max=MAX, help="Small: trees of the diffusion.")] = 160,
-    denoiser_steps: Annotated[int, typer.Option(min=1, max=MAX, help="Small: steps of the diffusion.")] = 1600,
+    denoiser_steps: Annotated[
+        int, typer.Option(min=0, max=MAX, help="Small: steps of the diffusion; 0 keeps that of --denoiser-from.")
+    ] = 1600,
     foliage_from: Annotated[
         str | None, typer.Option(help="Small: weights file whose foliage network the training starts from.")
+    ] = None,
+    amplitude_from: Annotated[
+        str | None, typer.Option(help="Small: weights file whose amplitude network the training starts from.")
     ] = None,
     denoiser_from: Annotated[
         str | None, typer.Option(help="Small: weights file whose denoiser the training starts from.")
@@ -91,12 +98,16 @@ def train(
         raise InputError(f"there is no device {device!r}; choose {', '.join(DEVICES)}")
     if predict not in (None, *PREDICTIONS):
         raise InputError(f"no network predicts {predict!r}; choose {' or '.join(PREDICTIONS)}")
+    if (foliage_steps == 0 and foliage_from is None) or (denoiser_steps == 0 and denoiser_from is None):
+        raise InputError("0 steps keep a network; give it with --foliage-from or --denoiser-from, or ask for steps")
+    if foliage_trees == 0 and foliage_steps > 0:
+        raise InputError("the foliage network has steps and no trees; raise --foliage-trees, or give --foliage-steps 0")
     plan: SmallTraining | PaperTraining
     if preset == "small":
         numbers = foliage_steps, amplitude_steps, denoiser_steps
         trees = foliage_trees, amplitude_trees, denoiser_trees
         plan = _small_training(
-            numbers, trees, (foliage_from, denoiser_from), bf16=bf16 is not False, accumulate=accumulate
+            numbers, trees, (foliage_from, amplitude_from, denoiser_from), bf16=bf16 is not False, accumulate=accumulate
         )
     else:
         plan = _paper_training(
@@ -135,7 +146,7 @@ def _in_turn(folders: list[list[str]]) -> list[str]:
 def _small_training(
     steps: tuple[int, int, int],
     trees: tuple[int, int, int],
-    started_from: tuple[str | None, str | None],
+    started_from: tuple[str | None, str | None, str | None],
     *,
     bf16: bool,
     accumulate: int,
@@ -149,7 +160,8 @@ def _small_training(
         amplitude_trees=trees[1],
         denoiser_trees=trees[2],
         foliage_from=started_from[0],
-        denoiser_from=started_from[1],
+        amplitude_from=started_from[1],
+        denoiser_from=started_from[2],
         foliage=replace(plain.foliage.with_steps(steps[0]), bf16=bf16),
         amplitude=replace(plain.amplitude.with_steps(steps[1]), bf16=bf16),
         denoiser=replace(plain.denoiser.with_steps(steps[2]), bf16=bf16, accumulate=accumulate),

@@ -22,6 +22,7 @@ from dynamictree.models.small.examples import Example, iter_training, make_examp
 from dynamictree.models.small.generate import SmallModel
 from dynamictree.models.small.network import SmallNetwork, SmallPreset
 from dynamictree.models.small.training_steps import VOXELS_A_TREE, amplitude_rows, read_rows, write_rows
+from dynamictree.weights import weights_path
 
 SEED = 1005
 
@@ -83,6 +84,22 @@ def test_an_unknown_preset_is_refused(commands: Typer, tmp_path: Path) -> None:
     assert "no network predicts 'x'" in str(other.exception)
 
 
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--foliage-steps", "0"], "0 steps keep a network"),
+        (["--denoiser-steps", "0"], "0 steps keep a network"),
+        (["--foliage-trees", "0", "--foliage-from", "x"], "has steps and no trees"),
+    ],
+)
+def test_a_network_without_training_must_come_from_a_file(
+    commands: Typer, tmp_path: Path, arguments: list[str], message: str
+) -> None:
+    result = CliRunner().invoke(commands, ["train", str(tmp_path), "--dataset", str(tmp_path), *arguments])
+    assert isinstance(result.exception, InputError)
+    assert message in str(result.exception)
+
+
 def test_a_folder_without_shards_is_refused_and_too_few_trees_are(
     commands: Typer, shards: Path, tmp_path: Path
 ) -> None:
@@ -129,6 +146,22 @@ def test_training_ends_in_weights_that_load_and_goes_on_where_it_was(
     third = small_network(tmp_path / "other" / "small.safetensors")
     assert changed(second.denoiser, third.denoiser)
     assert (second.denoiser.embed_frequency.weight - third.denoiser.embed_frequency.weight).abs().max() < 0.01
+
+
+@pytest.mark.slow
+def test_parts_without_steps_stay_and_the_others_go_on(commands: Typer, shards: Path, tmp_path: Path) -> None:
+    shipped = weights_path("small")
+    arguments = ["train", str(tmp_path), "--dataset", str(shards), "--foliage-trees", "0", "--amplitude-trees", "1"]
+    steps = ["--foliage-steps", "0", "--denoiser-steps", "0", "--amplitude-steps", "1", "--denoiser-trees", "1"]
+    from_shipped = [word for part in ("foliage", "amplitude", "denoiser") for word in (f"--{part}-from", str(shipped))]
+    result = CliRunner().invoke(commands, [*arguments, *steps, *from_shipped, "--json"], catch_exceptions=False)
+    ours, trained = small_network(shipped), small_network(Path(json.loads(result.stdout)["weights"]))
+    for part in ("foliage", "denoiser"):
+        for name, value in getattr(ours, part).state_dict().items():
+            assert (getattr(trained, part).state_dict()[name] == value).all(), name
+    assert changed(ours.amplitude, trained.amplitude)
+    torch.testing.assert_close(trained.amplitude.mean, ours.amplitude.mean)
+    torch.testing.assert_close(trained.amplitude.head[2].weight, ours.amplitude.head[2].weight, atol=0.01, rtol=0)
 
 
 def small_network(weights: Path) -> SmallNetwork:

@@ -4,7 +4,7 @@ Each part has its checkpoint and can be gone on with; the amplitude network's ro
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 
@@ -37,6 +37,9 @@ from dynamictree.training.trainer import Trainer, TrainerOptions
 OnTrainingStep = Callable[[str, int, int, float], None]
 """Called with the part, the step, the steps in all, and the loss."""
 TREES_A_FILE = 25
+GOING_ON_RATE = 0.25
+"""Of the learning rate, where the amplitude network goes on from weights: at the full rate it forgot what it knew of
+unseen species (docs/decisions/diffusion.md)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,8 +71,9 @@ class SmallTraining:
             schedule=LearningRateSchedule(num_steps=1600, learning_rate=2e-3), ema_decay=0.995, bf16=True
         )
     )
-    foliage_from: str | None = None  # weights whose foliage network is gone on from
-    denoiser_from: str | None = None  # weights whose denoiser is gone on from
+    foliage_from: str | None = None  # weights whose foliage network is gone on from; with 0 steps, it stays
+    amplitude_from: str | None = None  # weights whose amplitude network is gone on from
+    denoiser_from: str | None = None  # weights whose denoiser is gone on from; with 0 steps, it stays
 
 
 def train_small(
@@ -89,7 +93,7 @@ def train_small(
         write_weights(
             network,
             folder / "small.safetensors",
-            Provenance(step=plan.denoiser.schedule.num_steps, data_sha256=shards_sha256(shards)),
+            Provenance(step=plan.denoiser.schedule.num_steps or None, data_sha256=shards_sha256(shards)),
         )
     return network
 
@@ -144,8 +148,14 @@ def _rows(
 def _train_amplitude(
     network: SmallNetwork, plan: SmallTraining, rows: AmplitudeRows, checkpoint: Path, on_step: OnTrainingStep | None
 ) -> None:
-    standardise(network.amplitude, rows)
-    trainer = Trainer(network.amplitude, plan.amplitude)
+    options = plan.amplitude
+    if plan.amplitude_from is not None:
+        load_part(network.amplitude, load_file(plan.amplitude_from), "amplitude")
+        rate = GOING_ON_RATE * options.schedule.learning_rate
+        options = replace(options, schedule=replace(options.schedule, learning_rate=rate))
+    else:
+        standardise(network.amplitude, rows)
+    trainer = Trainer(network.amplitude, options)
     trainer.resume(checkpoint)
     for step, loss in trainer.run(lambda rng: amplitude_step(network.amplitude, rows, rng), checkpoint):
         _tell(on_step, "amplitude", step, plan.amplitude.schedule.num_steps, loss)
