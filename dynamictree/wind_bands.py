@@ -14,7 +14,9 @@ from dynamictree.errors import InputError
 
 BANDS_M_S = {"calm": 1.0, "breeze": 4.0, "wind": 8.0, "gale": 14.0, "storm": 20.0}
 """Mean speeds that the model is asked for [m/s]."""
-DRAG_EXPONENT = 1.4  # of the speed: plants bend out of the way, Vogel 1989
+DRAG_EXPONENT = 1.4
+"""Of the speed: plants bend out of the way, Vogel 1989. The simulator's U^1.6 and its saturation together are nearest
+to this law from 5 to 30 m/s (docs/decisions/diffusion.md)."""
 SLOWEST_M_S, FASTEST_M_S = 0.1, 30.0
 MAX_BANDS = 64
 

@@ -13,7 +13,7 @@ from dynamictree.dataset.species import SPECIES, Foliage, LeafKind, Level, Speci
 CROSSED = "crossed"
 DEPTHS = ((2, 0.25), (3, 0.6), (4, 0.15))
 """Levels of branching, the trunk's included, and how often."""
-BARE_SHARE = 0.07
+BARE_SHARE = 0.15
 LEAF_SIZE, LEAF_ASPECT = (0.016, 0.08), (0.1, 1.0)
 """Of the tree's height, and width over length; evenly in logarithms."""
 KINDS: tuple[LeafKind, ...] = ("leaf", "cluster", "needle")

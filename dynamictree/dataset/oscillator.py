@@ -7,7 +7,8 @@ gusts drive it around that, and so does the motion of its base on the parent. Th
     q_k = H(k) (gust a_k θ e^{iψ_k} + (k / k_s)² u_k / L),    H(k) = 1 / (1 − (k / k_s)² + 2iζ k / k_s),
 
 k_s the stem's own bin, u_k the motion of its base [m], ψ_k a phase: near the same for all stems at low k, of each
-stem's own at high k. Geometry and wind fix the amplitude, chance the phase.
+stem's own at high k. Geometry and wind fix the amplitude, chance the phase. A tree without leaves is lighter, so that
+its stems are faster, and has little to brake it (`modal.real_trees`).
 """
 
 from dataclasses import dataclass
@@ -15,17 +16,18 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Complex64, Float32, Float64
 
+from dynamictree.modal.real_trees import BARE_DAMPING_RATIO, LEAF_SLOWING
 from dynamictree.spectrum import FPS, NUM_FRAMES, NUM_FREQUENCIES, Wind
 
-FREQUENCY_AT_1M_HZ = 24 / (8 * np.pi)  # 0.955, times 1 / √L
+FREQUENCY_AT_1M_HZ = 24 / (8 * np.pi)  # 0.955, times 1 / √L; of a tree in leaf
 TALL_M, TALL_EXPONENT = 17.0, 1.02  # measured frequencies of trees fall as H^-1.02; no trunk of the dataset is longer
 REFERENCE_SPEED_M_S = 5.0
-DRAG_EXPONENT = 1.4  # of the speed: leaves and twigs fold, so drag grows slower than its square (Vogel)
+DRAG_EXPONENT = 1.6  # of the speed: leaves and twigs fold; `MAX_LEAN_RAD` takes its share of the answer too
 LEAN_RAD = np.deg2rad(1.5)  # whole bend of a stem of REFERENCE_SLENDERNESS at the reference speed
 REFERENCE_SLENDERNESS = 60.0  # L / r
 LEAF_LEAN_RAD = np.deg2rad(6.0)
 MAX_LEAN_RAD = np.deg2rad(20.0)  # approached, never passed
-DAMPING_RATIO = 0.15  # of a tree in leaf, mostly aerodynamic
+DAMPING_RATIO = 0.15  # of a tree in leaf, mostly aerodynamic; 0.13 was measured
 TURBULENCE_EXPONENT = 0.5  # a_k ~ k^-0.5: wakes in the crown make the spectrum flatter than the free stream's
 PHASE_SPREAD_RAD = 0.12  # a bin and a level: how far a stem's phase strays from its parent's
 DRIVE = np.array([1.0, 0.5, 0.35], np.float32)  # along the wind, level across it, and vertical
@@ -64,11 +66,16 @@ def gusts_of(wind: Wind, rng: np.random.Generator, *, loop: bool = True, times: 
     )
 
 
-def stem_bin(length_m: Float32[np.ndarray, " M"]) -> Float64[np.ndarray, " M"]:
+def damping_ratio(*, bare: bool) -> float:
+    """ζ of every stem of a tree."""
+    return BARE_DAMPING_RATIO if bare else DAMPING_RATIO
+
+
+def stem_bin(length_m: Float32[np.ndarray, " M"], *, bare: bool = False) -> Float64[np.ndarray, " M"]:
     """k_s: natural frequency of a stem in units of a bin; falls with length, as 1 / L above `TALL_M`."""
     length = length_m.astype(np.float64)
     frequency_hz = FREQUENCY_AT_1M_HZ / np.sqrt(length) * np.minimum(TALL_M / length, 1) ** (TALL_EXPONENT - 0.5)
-    return frequency_hz * NUM_FRAMES / FPS
+    return frequency_hz / (LEAF_SLOWING if bare else 1.0) * NUM_FRAMES / FPS
 
 
 def lean_angle(
@@ -91,10 +98,12 @@ def answer(
     own_bin: Float64[np.ndarray, " M"],
     phase: Float32[np.ndarray, "M J 3"],
     base_angle: Complex64[np.ndarray, "M J 3"],
+    *,
+    damping: float = DAMPING_RATIO,
 ) -> Complex64[np.ndarray, "M J 3"]:
     """q_k at the gusts' frequencies, in wind axes: `2 |q|` is an amplitude [rad]. `base_angle` is u_k / L."""
     ratio = gusts.bins / own_bin[:, None]  # [M, J]
-    transfer = 1 / (1 - ratio**2 + 2j * DAMPING_RATIO * ratio)
+    transfer = 1 / (1 - ratio**2 + 2j * damping * ratio)
     drive = (gusts.wind.gust * gusts.amplitude * lean[:, None])[:, :, None] * DRIVE * np.exp(1j * phase)
     reply: Complex64[np.ndarray, "M J 3"] = transfer[:, :, None] * (drive + (ratio**2)[:, :, None] * base_angle)
     return reply.astype(np.complex64)

@@ -17,7 +17,8 @@ from dynamictree.mesh import TriangleMesh
 from dynamictree.spectrum import NUM_FREQUENCIES, SparseVoxelSpectrum, Wind
 from dynamictree.voxel.voxelize import SurfaceVoxels, surface_average, voxelize
 
-VERSION = 1  # of the generator: a seed means the same tree as long as this stands
+VERSION = 2  # of the generator: a seed means the same motion as long as this stands
+GROWTH = 1  # a seed means the same tree, wind and gusts as long as this stands
 SPEED_M_S = (2.0, 10.0)
 GUST = (0.15, 0.45)
 HELD_OUT_WEIGHT = 1 / 3  # species that are only for evaluation come up more rarely
@@ -83,7 +84,7 @@ def split_of(seed: int, species: Species) -> Split:
 
 def is_training_seed(seed: int) -> bool:
     """Whether the tree of a seed is for training; draws its species, which comes first, without growing the tree."""
-    rng = np.random.default_rng([VERSION, seed])
+    rng = np.random.default_rng([GROWTH, seed])
     weights = np.array([HELD_OUT_WEIGHT if species.held_out else 1.0 for species in SPECIES.values()])
     drawn = list(SPECIES.values())[int(rng.choice(len(weights), p=weights / weights.sum()))]
     return split_of(seed, drawn) == "train"
@@ -111,7 +112,7 @@ def _drawn(seed: int, species: str | None, wind: Wind | None) -> tuple[Species, 
         raise InputError(f"the seed is {seed}; it must be 0 or more")
     if species is not None and species not in (*SPECIES, CROSSED):
         raise InputError(f"there is no species {species!r}; choose one of {', '.join((*SPECIES, CROSSED))}")
-    rng = np.random.default_rng([VERSION, seed])
+    rng = np.random.default_rng([GROWTH, seed])
     names = list(SPECIES)
     weights = np.array([HELD_OUT_WEIGHT if SPECIES[name].held_out else 1.0 for name in names])
     drawn = names[int(rng.choice(len(names), p=weights / weights.sum()))]

@@ -26,6 +26,11 @@ class Tree:
     part: Int8[np.ndarray, " N"]
     node: Int32[np.ndarray, " N"]  # whose motion a vertex follows
 
+    @property
+    def bare(self) -> bool:
+        """Whether it has no leaves."""
+        return not self.leaves
+
 
 def grow_tree(species: Species, rng: np.random.Generator) -> Tree:
     """Grow one tree of a species, with this tree's own parameters."""

@@ -16,6 +16,7 @@ from dynamictree.dataset.oscillator import (
     Gusts,
     answer,
     clock,
+    damping_ratio,
     delay,
     gusts_of,
     leaf_lean_angle,
@@ -82,7 +83,7 @@ def sway(
     motions = []
     with single_thread():
         for stems in tree.stems:
-            levels.append(_move(stems, levels[-1] if levels else None, gusts, ticks, rng))
+            levels.append(_move(stems, levels[-1] if levels else None, gusts, ticks, rng, bare=tree.bare))
             motions.append(_ring_motion(stems, levels[-1]))
         for leaves in tree.leaves:
             motions.append(_flutter(leaves, levels[leaves.level], gusts, ticks, rng))
@@ -99,11 +100,13 @@ def _move(
     gusts: Gusts,
     ticks: Complex64[np.ndarray, "J T"],
     rng: np.random.Generator,
+    *,
+    bare: bool,
 ) -> _Moving:
     """Walk all stems of a level from ring to ring, turning each segment by what came before and its own bend."""
     base_radius = stems.radii[np.arange(len(stems.points)), stems.first]
     lean = lean_angle(stems.length_m, base_radius, gusts.wind.speed_m_s)
-    own_bin = stem_bin(stems.length_m)
+    own_bin, damping = stem_bin(stems.length_m, bare=bare), damping_ratio(bare=bare)
     share = _bending_share(stems, still_root=parent is None)
     pose = _upright(stems.points[:, 0], ticks)
     angle = np.zeros_like(pose.linear)
@@ -116,7 +119,8 @@ def _move(
             pose.phase[born] += stray(gusts, len(born), rng)
             driven = pose.phase[born] + gusts.phase - delay(gusts, stems.points[born, ring])
             base_angle = pose.linear[born] @ gusts.axes.T / stems.length_m[born][:, None, None]
-            angle[born] = answer(gusts, lean[born], own_bin[born], driven, base_angle) @ gusts.axes
+            reply = answer(gusts, lean[born], own_bin[born], driven, base_angle, damping=damping)
+            angle[born] = reply @ gusts.axes
             deflection[:, born] = _in_time(angle[born], lean[born], gusts, ticks)
         place.append(pose.place.copy())
         linear.append(pose.linear.copy())

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Complex64, Float64
 
 from dynamictree.dataset.motion import vertex_spectrum
-from dynamictree.dataset.oscillator import DAMPING_RATIO, stem_bin
+from dynamictree.dataset.oscillator import damping_ratio, stem_bin
 from dynamictree.dataset.sapling import Tree, grow_tree
 from dynamictree.dataset.species import SPECIES
 from dynamictree.dataset.wind import sway
@@ -66,9 +66,9 @@ def measure_tree(species: str, height_m: float, seed: int) -> TreeLaws:
     return TreeLaws(
         species=species,
         height_m=height,
-        frequency_hz=float(stem_bin(tree.stems[0].length_m).min() * FPS / NUM_FRAMES),
+        frequency_hz=float(stem_bin(tree.stems[0].length_m, bare=tree.bare).min() * FPS / NUM_FRAMES),
         released_hz=natural_frequency_hz(height, foliage),
-        damping_ratio=DAMPING_RATIO,
+        damping_ratio=damping_ratio(bare=tree.bare),
         spectral_slope=_slope(motions[1]),
         orbit=_orbit(motions[1]),
         response=float(exponents[0]),

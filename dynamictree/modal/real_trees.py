@@ -15,9 +15,13 @@ BARE_DAMPING_RATIO, LEAF_DAMPING_RATIO = 0.039, 0.13
 MEASURED_HEIGHTS_M = (4.0, 50.0)  # the fit is not extrapolated: a shrub of 1 m has the frequency of 4 m
 LEAF_SLOWING = 0.85  # frequency in leaf over bare
 FLUTTER_ABOVE_HZ = 1.4  # leaves move here, stems of trees hardly
-FLUTTER_SHARE = (0.005, 0.010)
-"""Share of the energy above it: bare generated trees have at most the first, trees in leaf at least the second."""
-FILLED_OF_27 = (11.8, 12.4)  # likewise; ten bare trees have 10.5 to 11.8, six pines 12.2 to 13.4
+FLUTTER_SHARE = (0.0035, 0.005)
+"""Share of a voxel's energy above it, median over the half that moves most: bare trees of the dataset have at most the
+first, trees in leaf at least the second."""
+THIN_OF_27 = 5
+"""Occupied voxels of the 27 around one: so few are a line, a twig. Leaves are patches."""
+THIN_SHARE = (0.051, 0.077)
+"""Of the voxels: trees in leaf have at most the first, bare ones at least the second."""
 LEAST_BINS = 2
 """Of a loop's spectrum, the lean not counted, up to the lowest natural frequency."""
 MAX_LOOP_TIMES = 4
@@ -50,19 +54,20 @@ def loop_period_s(height_m: float) -> float:
 def foliage_of(spectrum: SparseVoxelSpectrum) -> float:
     """Estimate foliage in [0, 1]: a tree is in leaf unless both its motion and its shape say that it is bare.
 
-    Leaves flutter at frequencies at which stems hardly move, and they fill the space between twigs. Calibrated on
-    generated trees at 128³ in winds of 2 to 10 m/s; coarser voxels look filled and count as leaf.
+    Leaves flutter at frequencies at which stems hardly move, and they hide the thin twigs that bear them. Calibrated on
+    generated trees at 128³ in winds of 2 to 10 m/s; twigs of coarser voxels look thick and count as leaf.
     """
-    return 1 - (1 - _flutter(spectrum)) * (1 - _filling(spectrum.grid))
+    return 1 - (1 - _flutter(spectrum)) * (1 - _hiding(spectrum.grid))
 
 
-def _filling(grid: VoxelGrid) -> float:
-    """From how many of the 27 voxels around each voxel are occupied, on average."""
+def _hiding(grid: VoxelGrid) -> float:
+    """From the share of voxels that lie in a thin line."""
     keys = np.sort(_keys(grid.coords.astype(np.int64)))
     shifts = _keys(np.stack(np.meshgrid(*[np.arange(-1, 2)] * 3), axis=-1).reshape(-1, 3), origin=0)
-    occupied = sum(int(np.isin(keys + shift, keys, assume_unique=True).sum()) for shift in shifts)
-    bare, leaf = FILLED_OF_27
-    return float(np.clip((occupied / max(len(keys), 1) - bare) / (leaf - bare), 0, 1))
+    occupied = sum(np.isin(keys + shift, keys, assume_unique=True).astype(np.int64) for shift in shifts)
+    leaf, bare = THIN_SHARE
+    thin = np.count_nonzero(occupied <= THIN_OF_27) / max(len(keys), 1)
+    return float(np.clip((bare - thin) / (bare - leaf), 0, 1))
 
 
 def _keys(coords: Int64[np.ndarray, "n 3"], *, origin: int = 1) -> Int64[np.ndarray, " n"]:
@@ -72,16 +77,17 @@ def _keys(coords: Int64[np.ndarray, "n 3"], *, origin: int = 1) -> Int64[np.ndar
 
 
 def _flutter(spectrum: SparseVoxelSpectrum) -> float:
-    """From the share of the energy at high frequencies."""
+    """From the share of the energy at high frequencies in the voxels that move."""
     fast = spectrum.frequencies_hz > FLUTTER_ABOVE_HZ
     if not fast.any():
         return 1.0
-    energy = (np.abs(spectrum.coefficients) ** 2).sum(axis=(0, 2), dtype=np.float64)  # [K]
-    total = float(energy[1:].sum())
-    if total == 0:
+    energy = (np.abs(spectrum.coefficients) ** 2).sum(axis=2)  # [V, K]
+    total = energy[:, 1:].sum(axis=1)
+    moving = (total >= np.median(total)) & (total > 0)
+    if not moving.any():
         return 1.0
     bare, leaf = FLUTTER_SHARE
-    share = max(float(energy[fast].sum()) / total, np.finfo(np.float64).tiny)
+    share = max(float(np.median(energy[moving][:, fast].sum(axis=1) / total[moving])), np.finfo(np.float64).tiny)
     return float(np.clip(np.log(share / bare) / np.log(leaf / bare), 0, 1))
 
 

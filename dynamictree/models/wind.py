@@ -8,7 +8,9 @@ from jaxtyping import Float32
 from dynamictree.spectrum import Wind
 
 REFERENCE_SPEED = 5.0  # [m/s]
-DRAG_EXPONENT = 1.4  # of the speed: plants bend out of the way, Vogel 1989
+DRAG_EXPONENT = 1.4
+"""Of the speed: what sizes are divided by before a network learns them (Vogel 1989). The simulator's drag goes with
+U^1.6; networks that see the speed learn the rest, and weights of either data set load alike."""
 MIN_SPEED = 0.1  # [m/s]
 MIN_GUST = 0.01
 

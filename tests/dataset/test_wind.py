@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -56,13 +58,14 @@ def test_lean_grows_with_speed_and_slenderness_and_stays_below_its_bound():
     assert leaf_lean_angle(8.0) > leaf_lean_angle(4.0) > 0
 
 
-def test_the_answer_solves_the_oscillators_equation(rng):
+@pytest.mark.parametrize("damping", [0.15, 0.039])
+def test_the_answer_solves_the_oscillators_equation(rng, damping):
     """Integrate q̈ + 2ζωq̇ + ω²q = ω²·drive − ü / L over many periods, and compare with the closed form."""
     gusts = gusts_of(Wind(gust=0.3), rng)
     own_bin, lean = np.array([4.3]), np.array([0.05])
     phase = rng.uniform(0, 6, (1, NUM_FREQUENCIES - 1, 3)).astype(np.float32)
     base = (0.01 * (rng.normal(size=phase.shape) + 1j * rng.normal(size=phase.shape))).astype(np.complex64)
-    reply = answer(gusts, lean, own_bin, phase, base)[0, :, 0]
+    reply = answer(gusts, lean, own_bin, phase, base, damping=damping)[0, :, 0]
     at_rest = answer(gusts, lean, np.array([1e6]), phase, 0 * base)[0, :, 0]  # an infinitely stiff stem follows at once
     period = NUM_FRAMES / FPS
     omega, turns = 2 * np.pi * own_bin[0] / period, 2 * np.pi * gusts.bins / period
@@ -70,12 +73,24 @@ def test_the_answer_solves_the_oscillators_equation(rng):
     def slope(time, state):
         wave = 2 * np.exp(1j * turns * time)
         push = omega**2 * (at_rest * wave).real.sum() + (turns**2 * base[0, :, 0] * wave).real.sum()
-        return [state[1], push - 2 * 0.15 * omega * state[1] - omega**2 * state[0]]
+        return [state[1], push - 2 * damping * omega * state[1] - omega**2 * state[0]]
 
-    times = 6 * period + np.linspace(0, period, 25)
+    times = round(0.9 / damping) * period + np.linspace(0, period, 25)  # what was there at first has rung down
     solved = solve_ivp(slope, (0, times[-1]), [0.0, 0.0], t_eval=times, rtol=1e-7, atol=1e-9).y[0]
     expected = [(reply * 2 * np.exp(1j * turns * time)).real.sum() for time in times]
     np.testing.assert_allclose(solved, expected, atol=2e-4 * np.abs(expected).max())
+
+
+def test_a_bare_tree_sways_faster_than_in_leaf_and_its_stems_ring():
+    """The same stems, with and without leaves."""
+    tree = grow_tree(SPECIES["birch"], np.random.default_rng(0))
+    without = replace(tree, leaves=())
+    leaf, bare = (sway(one, Wind(), np.random.default_rng(1)).shift for one in (tree, without))
+    leaf = leaf[:, : bare.shape[1]]  # stems come first
+    power = [(np.abs(np.fft.rfft(shift, axis=0)) ** 2).sum(axis=(1, 2))[1:NUM_FREQUENCIES] for shift in (leaf, bare)]
+    bins = np.arange(1, NUM_FREQUENCIES)
+    assert (power[1] @ bins) / power[1].sum() > (power[0] @ bins) / power[0].sum()
+    assert power[1][3:10].sum() > 2 * power[0][3:10].sum()
 
 
 def test_a_stem_answers_most_near_its_own_frequency(rng):

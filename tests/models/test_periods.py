@@ -1,12 +1,14 @@
 """Law: a tree sways as slowly as its height wants, whatever the period that the model learned from."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from dynamictree import method
-from dynamictree.dataset.oscillator import answer, gusts_of, stem_bin
+from dynamictree.dataset.oscillator import answer, damping_ratio, gusts_of, stem_bin
 from dynamictree.modal.real_trees import LEAST_BINS, loop_period_s, natural_frequency_hz
 from dynamictree.models.motion_model import OnStep
 from dynamictree.models.periods import PERIOD_S, in_period, period_by_height, spread_bins
@@ -27,33 +29,35 @@ def rod(height_m: float) -> SurfaceVoxels:
     return SurfaceVoxels(grid=grid, normals=np.tile(np.float32([1, 0, 0]), (SIDE, 1)))
 
 
-def simulated(height_m: float, *, times: int = 1) -> np.ndarray:
+def simulated(height_m: float, *, times: int = 1, bare: bool = False) -> np.ndarray:
     """|q_k| of a stem in the simulator, in a loop of so many times 100 frames [rad]."""
     gusts = gusts_of(Wind(), np.random.default_rng(0), times=times)
     zero = np.zeros((1, len(gusts.bins), 3), np.float32)
-    q = answer(gusts, LEAN_RAD, stem_bin(np.float32([height_m])), zero, zero.astype(np.complex64))
+    own_bin = stem_bin(np.float32([height_m]), bare=bare)
+    q = answer(gusts, LEAN_RAD, own_bin, zero, zero.astype(np.complex64), damping=damping_ratio(bare=bare))
     return np.abs(q[0, :, 0])
 
 
 def of_simulator(
-    voxels: SurfaceVoxels, *, seed: int, lowest_bin: int = 1, on_step: OnStep | None = None
+    voxels: SurfaceVoxels, *, seed: int, lowest_bin: int = 1, on_step: OnStep | None = None, bare: bool = False
 ) -> SparseVoxelSpectrum:
     """A model that knows the simulator by heart, but bins not needed: a voxel moves by angle times height."""
     grid = voxels.grid
     height_m = (np.ptp(grid.coords[:, 2]) + 1) * grid.voxel_size_m
     coefficients = np.zeros((len(grid), NUM_FREQUENCIES, 3), np.complex64)
-    coefficients[:, 1:, 0] = grid.centres_m[:, 2:] * simulated(height_m)
+    coefficients[:, 1:, 0] = grid.centres_m[:, 2:] * simulated(height_m, bare=bare)
     coefficients[:, 1:lowest_bin] = 1e6
     if on_step is not None:
         on_step(1, 1)
     return SparseVoxelSpectrum(grid=grid, coefficients=coefficients, seed=seed)
 
 
+@pytest.mark.parametrize("bare", [False, True])
 @pytest.mark.parametrize(("height_m", "times"), [(10.0, 2), (16.0, 3), (28.0, 4)])
-def test_the_motion_is_that_of_the_simulator_with_the_longer_period(height_m: float, times: int) -> None:
-    spectrum = in_period(of_simulator, times * PERIOD_S)(rod(height_m), seed=0)
+def test_the_motion_is_that_of_the_simulator_with_the_longer_period(height_m: float, times: int, bare: bool) -> None:
+    spectrum = in_period(partial(of_simulator, bare=bare), times * PERIOD_S)(rod(height_m), seed=0)
     moved = np.abs(spectrum.coefficients[-1, 1:NUM_FREQUENCIES, 0])
-    truth = simulated(height_m, times=times)[: NUM_FREQUENCIES - 1] * rod(height_m).grid.centres_m[-1, 2]
+    truth = simulated(height_m, times=times, bare=bare)[: NUM_FREQUENCIES - 1] * rod(height_m).grid.centres_m[-1, 2]
     # the gusts of a loop share one variance, so in a longer one each is weaker
     np.testing.assert_allclose(moved / moved.max(), truth / truth.max(), rtol=1e-4)
 
