@@ -224,6 +224,7 @@ $("new").onclick = () => leave();
 $("cancel").onclick = () => leave({ cancel: true });
 $("problem-close").onclick = () => (machine.state === "failed" ? leave() : hideProblem());
 $("open-jobs").onclick = () => jobs.show();
+$("mark-plant").onclick = async () => (await import("./page/strokes.js")).cutPlant(client, session).catch(onProblem);
 $("theme").onclick = () => {
   switchTheme();
   look();

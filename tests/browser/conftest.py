@@ -4,7 +4,7 @@ import io
 import os
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -21,6 +21,7 @@ FLAGS = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu
 LOUD = frozenset({"error", "warning"})
 MOVING = "body[data-state=moving]"
 JOB_MS = 240_000.0
+AXE = Path(__file__).parents[2] / ".cache/js-tools/node_modules/axe-core/axe.min.js"
 PICTURES = Path(__file__).parents[2] / "build" / "browser"
 """Where screenshots go."""
 
@@ -186,3 +187,17 @@ def view(browser: Browser, request: pytest.FixtureRequest) -> Iterator[object]:
     yield open_page
     for viewer in opened:
         viewer.page.context.close()
+
+
+@pytest.fixture
+def axe(request: pytest.FixtureRequest) -> Callable[[Page], list[str]]:
+    """Violations of the accessibility rules, of what the page shows now."""
+    if not AXE.is_file():
+        pytest.skip("axe-core is not installed: make js-tools")
+
+    def violations(page: Page) -> list[str]:
+        page.evaluate(AXE.read_text())  # the page's policy allows no other script; the driver may evaluate
+        report = page.evaluate("async () => (await axe.run()).violations")
+        return [f"{item['id']}: {item['nodes'][0]['html'][:200]}" for item in report]
+
+    return violations

@@ -12,6 +12,7 @@ import { relativePaths, sortFiles, treesAmong } from "../../web/page/bundles.js"
 import { readDrop } from "../../web/page/drop.js";
 import { Machine, TRANSITIONS } from "../../web/page/machine.js";
 import { Session, stem } from "../../web/page/session.js";
+import { StrokeList } from "../../web/page/stroke_list.js";
 import de from "../../web/texts/de.js";
 import en from "../../web/texts/en.js";
 
@@ -366,4 +367,37 @@ test("a voxel that moves in one bin alone sways at its frequency", () => {
   const modes = { K, shapes, scale_m: [0, 1, 1, 1], frequencies_hz: [0, 0.5, 1, 1.5] };
   assert.equal(swayFrequency(modes, 1), 1);
   assert.equal(swayFrequency(modes, 0), 0.5);
+});
+
+test("a stroke stays on its photo, keeps its distance between points, and can be taken back", () => {
+  const strokes = new StrokeList();
+  assert.deepEqual(strokes.params, { scribbles: null, only_plant: true });
+  strokes.begin("a.jpg", true, [0.5, 1.4]);
+  for (let i = 0; i <= 10_000; i++) strokes.extend([0.5 + i / 30_000, 0.5]);
+  strokes.begin("b.jpg", false, [0.25, -0.1]);
+  const { scribbles, only_plant: alone } = strokes.params;
+  assert.equal(alone, false);
+  assert.deepEqual(scribbles[1], { photo: "b.jpg", plant: false, points: [[0.25, 0]] });
+  const { points } = scribbles[0];
+  assert.deepEqual(points.slice(0, 2), [
+    [0.5, 1],
+    [0.5, 0.5],
+  ]);
+  const steps = points.slice(2).map(([x], i) => x - points[i + 1][0]);
+  assert.ok(Math.min(...steps) >= 0.004 && Math.max(...steps) < 0.0042);
+  strokes.undo("a.jpg");
+  strokes.undo("a.jpg");
+  assert.deepEqual(
+    strokes.all.map(({ photo }) => photo),
+    ["b.jpg"],
+  );
+});
+
+test("a stroke and their number stay as small as the service takes them", () => {
+  const strokes = new StrokeList([{ photo: "a.jpg", plant: true, points: [[0, 0]] }]);
+  for (let i = 0; i < 5000; i++) strokes.extend([i % 2, (i % 97) / 97]);
+  assert.ok(strokes.all[0].points.length <= 1000 && strokes.all[0].points.length > 400);
+  for (let i = 0; i < 300; i++) strokes.begin("a.jpg", true, [0.1, 0.1]);
+  assert.ok(strokes.isFull);
+  assert.equal(strokes.params.scribbles.length, 200);
 });

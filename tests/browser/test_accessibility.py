@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 from playwright.sync_api import Page, expect
@@ -12,22 +11,7 @@ from tests.browser.conftest import JOB_MS, MOVING, Viewer
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 
 Open = Callable[..., Viewer]
-AXE = Path(__file__).parents[2] / ".cache/js-tools/node_modules/axe-core/axe.min.js"
 SIZES = [(1100, 720, "light"), (390, 760, "dark"), (780, 360, "light")]
-
-
-@pytest.fixture
-def axe(request: pytest.FixtureRequest) -> Callable[[Page], list[str]]:
-    """Violations of the accessibility rules, of what the page shows now."""
-    if not AXE.is_file():
-        pytest.skip("axe-core is not installed: make js-tools")
-
-    def violations(page: Page) -> list[str]:
-        page.evaluate(AXE.read_text())  # the page's policy allows no other script; the driver may evaluate
-        report = page.evaluate("async () => (await axe.run()).violations")
-        return [f"{item['id']}: {item['nodes'][0]['html'][:200]}" for item in report]
-
-    return violations
 
 
 @pytest.mark.parametrize(("width", "height", "scheme"), SIZES)

@@ -1,6 +1,6 @@
 """Photos of a thing whose shape and cameras are known: taken by the project's own renderer."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path
 
@@ -13,6 +13,7 @@ from dynamictree.mesh import Material, TriangleMesh
 from dynamictree.render import Camera, Look, Renderer
 
 WIDTH, HEIGHT = 400, 300
+POT_M = 0.55
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,8 +34,8 @@ def patterned_png(rng: np.random.Generator, tint: tuple[int, int, int], side: in
     return stream.getvalue()
 
 
-def stump_and_ground(rng: np.random.Generator) -> tuple[TriangleMesh, TriangleMesh]:
-    """A bulging column with a flat top, 1.2 m high, alone and with 6 m of ground."""
+def stump_and_ground(rng: np.random.Generator, *, potted: bool = False) -> tuple[TriangleMesh, TriangleMesh]:
+    """A bulging column with a flat top, 1.2 m high, alone and with 6 m of ground; its lower half blue if potted."""
     turn, level = np.meshgrid(np.linspace(0, 1, 97), np.linspace(0, 1, 41), indexing="ij")
     radius = (0.42 + 0.06 * np.sin(6 * np.pi * turn) - 0.12 * level) * np.minimum(1, 6 * (1 - level) ** 0.5)
     angle = 2 * np.pi * turn
@@ -51,14 +52,19 @@ def stump_and_ground(rng: np.random.Generator) -> tuple[TriangleMesh, TriangleMe
         face_material=np.zeros(len(faces), np.int32),
         materials=(bark, lawn),
     )
+    if potted:
+        glaze = Material(base_color=(1.0, 1.0, 1.0, 1.0), texture_png=patterned_png(rng, (110, 140, 235)))
+        low = points[faces].mean(axis=1)[:, 2] < POT_M
+        stump = replace(stump, face_material=2 * low.astype(np.int32), materials=(bark, lawn, glaze))
     corners = 3 * np.float32([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     ground = np.int32([[0, 1, 2], [0, 2, 3]]) + len(points)
     assert stump.uv is not None
+    assert stump.face_material is not None
     both = TriangleMesh(
         vertices=np.concatenate([stump.vertices, corners]),
         faces=np.concatenate([faces, ground]),
         uv=np.concatenate([stump.uv, np.float32([[0, 1], [1, 1], [1, 0], [0, 0]])]),
-        face_material=np.concatenate([np.zeros(len(faces), np.int32), np.ones(2, np.int32)]),
+        face_material=np.concatenate([stump.face_material, np.ones(2, np.int32)]),
         materials=stump.materials,
     )
     return stump, both
@@ -69,9 +75,9 @@ def orbit(tmp_path_factory: pytest.TempPathFactory) -> Orbit:
     return photographed(tmp_path_factory.mktemp("photos"))
 
 
-def photographed(folder: Path) -> Orbit:
+def photographed(folder: Path, *, potted: bool = False) -> Orbit:
     """Fourteen photos from around and a little above."""
-    stump, scene = stump_and_ground(np.random.default_rng(5))
+    stump, scene = stump_and_ground(np.random.default_rng(5), potted=potted)
     renderer = Renderer(scene, Look(width=WIDTH, height=HEIGHT, ground=False))
     cameras, photos = [], []
     for number in range(14):

@@ -66,7 +66,10 @@ export class Session {
       "open",
       begin,
       () => this.animate(request),
-      (run) => this._animate(asset, request, run),
+      (run) => {
+        if (files) this.scene.photos(files);
+        return this._animate(asset, request, run);
+      },
     );
   }
 

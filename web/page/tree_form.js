@@ -42,6 +42,7 @@ export class TreeForm {
     const canReread = asset.kind === "photos" || Boolean(files);
     for (const id of ["tree-height", "up-axis"]) $(id).disabled = !canReread;
     $("up-box").hidden = asset.kind === "photos";
+    $("plant-section").hidden = asset.kind !== "photos";
     $("reread-note").hidden = canReread;
     $("crop-box").hidden = asset.kind !== "cloud";
     this._setBox(job?.params.box_m);

@@ -142,6 +142,24 @@ export default {
   "crop.z-low": "Unten",
   "crop.z-high": "Oben",
 
+  "strokes.section": "Was die Pflanze ist",
+  "strokes.why": "Bewegt sich auch ein Topf, ein Tisch oder der Boden? Auf einem Foto zeigen, was die Pflanze ist.",
+  "strokes.open": "Die Pflanze auf einem Foto zeigen",
+  "strokes.title": "Was ist die Pflanze?",
+  "strokes.note":
+    "Einen Strich auf die Pflanze zeichnen, und Striche auf das, was keine ist, wie ihren Topf. Ein Strich auf einem Foto gilt in allen. Ohne Strich gilt, was in der Mitte der Fotos steht.",
+  "strokes.full": "Mehr Striche sind nicht möglich.",
+  "strokes.plant": "Pflanze",
+  "strokes.other": "Nicht die Pflanze",
+  "strokes.undo": "Zurücknehmen",
+  "strokes.before": "Voriges Foto",
+  "strokes.next": "Nächstes Foto",
+  "strokes.nth": "Foto {n} von {all}",
+  "strokes.count": "Striche: {n}",
+  "strokes.canvas": "Darauf zeichnen, oder das Kreuz mit den Pfeiltasten bewegen und mit der Leertaste markieren.",
+  "strokes.cut": "Nur diese Pflanze",
+  "strokes.whole": "Wieder alles",
+
   "share.section": "Teilen",
   "share.open-dialog": "Baum teilen",
   "share.title": "Diesen Baum teilen",
@@ -292,4 +310,6 @@ export default {
   "problem.only-voxelize.do": "Ein weiterer Auftrag gibt dem Baum seine Bewegung.",
   "problem.only-reconstruct": "Dieser Auftrag hat nur ein Mesh gemacht",
   "problem.only-reconstruct.do": "Ein weiterer Auftrag gibt dem Baum seine Bewegung.",
+  "problem.no-photos": "Dieser Baum wurde rekonstruiert, bevor Striche möglich waren",
+  "problem.no-photos.do": "Die Fotos noch einmal ablegen.",
 };

@@ -142,6 +142,24 @@ export default {
   "crop.z-low": "Bottom",
   "crop.z-high": "Top",
 
+  "strokes.section": "What is the plant",
+  "strokes.why": "Does a pot, a table or the ground move as well? Say on a photo what is the plant.",
+  "strokes.open": "Mark the plant on a photo",
+  "strokes.title": "What is the plant?",
+  "strokes.note":
+    "Draw a stroke on the plant, and strokes on what is none, such as its pot. A stroke on one photo counts in all of them. Without a stroke, what stands in the middle of the photos is taken.",
+  "strokes.full": "More strokes are not possible.",
+  "strokes.plant": "Plant",
+  "strokes.other": "Not the plant",
+  "strokes.undo": "Undo",
+  "strokes.before": "Photo before",
+  "strokes.next": "Next photo",
+  "strokes.nth": "Photo {n} of {all}",
+  "strokes.count": "strokes: {n}",
+  "strokes.canvas": "Draw on it, or move the cross with the arrow keys and mark with space.",
+  "strokes.cut": "Only this plant",
+  "strokes.whole": "Everything again",
+
   "share.section": "Share",
   "share.open-dialog": "Share the tree",
   "share.title": "Share this tree",
@@ -292,4 +310,6 @@ export default {
   "problem.only-voxelize.do": "Another job gives the tree its motion.",
   "problem.only-reconstruct": "This job made a mesh only",
   "problem.only-reconstruct.do": "Another job gives the tree its motion.",
+  "problem.no-photos": "This tree was reconstructed before strokes could be drawn",
+  "problem.no-photos.do": "Drop its photos again.",
 };
