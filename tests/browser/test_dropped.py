@@ -81,3 +81,17 @@ def test_it_is_drawn_while_its_upload_has_not_begun(view: Open, url: str, files:
     page.locator("#cancel").click()
     expect(page.locator("#height-note")).to_have_text("")
     assert [text for text in viewer.complaints if "Failed to load resource" not in text] == []
+
+
+def test_a_height_that_no_tree_has_is_doubted(view: Open, url: str, tmp_path: Path) -> None:
+    mesh = make_sample(3, "sapling").mesh
+    with (tmp_path / "millimetres.glb").open("wb") as stream:
+        write_glb(mesh.with_vertices(1000 * mesh.vertices), stream)
+    viewer = view(900, 620)
+    viewer.open(url)
+    viewer.page.set_input_files("#files", str(tmp_path / "millimetres.glb"))
+    expect(viewer.page.locator("#size-doubt")).to_contain_text("The file’s unit is doubtful")
+    expect(viewer.page.locator("#tree-height")).to_be_visible()
+    viewer.picture()
+    viewer.page.locator("#cancel").click()
+    assert viewer.complaints == []

@@ -6,6 +6,8 @@ import { makeUpright } from "./upright.js";
 const LARGEST_BYTES = 150e6;
 /** Which way is up where nothing says so; the service looks at the shape as well. */
 const UP = { glb: "+Y", gltf: "+Y", obj: "+Y", stl: "+Z", ply: "+Z", splat: "-Y", spz: "-Y", ksplat: "-Y", sog: "-Y" };
+const MAPS = ["map", "alphaMap", "bumpMap", "normalMap", "specularMap"];
+const NOTHING = "data:,";
 const SPLATS = new Set(["splat", "spz", "ksplat", "sog"]);
 const CLAY = { color: 0xb9b3a4, side: THREE.DoubleSide };
 const load = (name) => import(`three/addons/loaders/${name}Loader.js`);
@@ -31,12 +33,12 @@ export async function readDropped(files, stage) {
   }
 }
 
-/** The address of a companion: by its path, else by its name alone. */
+/** The address of a companion: by its path, else by its name alone; an empty one of what was not dropped along. */
 function addressOf(path, files, addresses) {
   const wanted = decodeURIComponent(path).replace(/^\.\//, "");
   const base = (of) => of.split(/[/\\]/).pop().toLowerCase();
   const file = files.find((one) => one.path === wanted) ?? files.find((one) => base(one.path) === base(wanted));
-  if (!file) return path;
+  if (!file) return NOTHING;
   if (!addresses.has(file)) addresses.set(file, URL.createObjectURL(file.content));
   return addresses.get(file);
 }
@@ -65,7 +67,7 @@ async function readObj([{ content }, ...others], { address }) {
     materials.preload();
     const all = Object.values(materials.materials);
     if (all.some(({ map }) => map)) await done;
-    for (const material of all) if (!material.map?.image) material.map = null; // it was not dropped along
+    for (const material of all) for (const slot of MAPS) if (!material[slot]?.image) material[slot] = null; // not dropped along
     loader.setMaterials(materials);
   }
   const object = loader.parse(await content.text());

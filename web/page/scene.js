@@ -9,6 +9,7 @@ import { readTensors } from "../motion/tensors.js";
 import { $, element } from "./dom.js";
 
 const MOST_PHOTOS = 24;
+const TALLEST_M = 120; // of trees
 const OTHER_WIND = 1; // seed of the endless wind beside the tree
 
 export class Scene {
@@ -53,8 +54,9 @@ export class Scene {
     this.stage.scene.add(draft.object);
     this.stage.frame(draft.box);
     this.person ??= new Person(this.stage);
-    this.person.show(!draft.sizeless, 1);
-    if (!draft.sizeless) this.onDraft(this.stage.height);
+    const sized = !draft.sizeless && this.stage.height <= TALLEST_M; // else the file means another unit
+    this.person.show(sized, 1);
+    if (sized) this.onDraft(this.stage.height);
   }
 
   _dropDraft() {

@@ -44,10 +44,20 @@ export class TreeForm {
     $("up-box").hidden = asset.kind === "photos";
     $("plant-section").hidden = asset.kind !== "photos";
     $("reread-note").hidden = canReread;
+    this._showDoubt(asset.summary.warnings ?? []);
     $("crop-box").hidden = asset.kind !== "cloud";
     this._setBox(job?.params.box_m);
     this._showGust();
     this._preview();
+  }
+
+  /** Say it where the file's unit makes no usual tree, and open the form. */
+  _showDoubt(warnings) {
+    const doubtful = warnings.some(({ code }) => code === "size-doubtful");
+    $("size-doubt").hidden = !doubtful;
+    if (!doubtful) return;
+    fill($("size-doubt"), text("tree.doubt", { height: length(this.height) }));
+    $("tree-details").open = true;
   }
 
   clear() {
