@@ -5,6 +5,7 @@ nerfstudio docs/quickstart/data_conventions.md; COLMAP doc/format.rst; LLFF (Mil
 
 import json
 import math
+import re
 import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -31,6 +32,8 @@ _MODELS = {  # COLMAP's number, name, number of parameters
     5: ("OPENCV_FISHEYE", 8),
 }
 _LENGTHS = dict(_MODELS.values())
+
+_NUMBERED = re.compile("image_?([0-9]{1,6})")  # the names of LLFF's reduced photos
 
 Size = tuple[int, int]
 Sizes = dict[str, tuple[Size, Size]]
@@ -173,10 +176,11 @@ def _llff(content: bytes, sizes: Sizes) -> tuple[GivenCamera, ...]:
         rows = np.load(BytesIO(content), allow_pickle=False)
     except (ValueError, EOFError, OSError) as error:
         raise FormatError(f"{LLFF} cannot be read: {error}; write it with numpy.save") from error
-    if rows.ndim != 2 or rows.shape[1] != 17 or len(rows) != len(sizes) or rows.dtype.kind != "f":
+    if rows.ndim != 2 or rows.shape[1] != 17 or rows.dtype.kind != "f":
         raise FormatError(f"{LLFF} has the shape {rows.shape}; ({len(sizes)}, 17) is needed: a row a photo")
     cameras = []
-    for row, (name, either) in zip(rows.astype(np.float64), sizes.items(), strict=True):
+    chosen = rows[_rows_of_photos(list(sizes), len(rows))]
+    for row, (name, either) in zip(chosen.astype(np.float64), sizes.items(), strict=True):
         pose = row[:15].reshape(3, 5)
         height, width, focal = pose[:, 4]
         down, right, back, position = pose[:, :4].T
@@ -184,8 +188,8 @@ def _llff(content: bytes, sizes: Sizes) -> tuple[GivenCamera, ...]:
             raise FormatError(f"{LLFF} says that {name} has {width:g} x {height:g} pixels; give its size")
         camera = GivenCamera(
             photo=name,
-            model="SIMPLE_PINHOLE",
-            params=(float(focal), float(width) / 2, float(height) / 2),
+            model="SIMPLE_RADIAL",  # the file drops the lens's distortion, which refinement may find again
+            params=(float(focal), float(width) / 2, float(height) / 2, 0.0),
             width=int(width),
             height=int(height),
             world_to_camera=_inverted(np.stack([right, down, -back], axis=1), position),
@@ -193,6 +197,23 @@ def _llff(content: bytes, sizes: Sizes) -> tuple[GivenCamera, ...]:
         _check(camera, either, LLFF)
         cameras.append(camera)
     return tuple(cameras)
+
+
+def _rows_of_photos(names: list[str], number: int) -> list[int]:
+    """LLFF's rows are in the order of the photos; of some of them, named as `image007.png`, by their numbers from 0.
+
+    Raises:
+        FormatError: it is unclear which photos are missing.
+    """
+    if len(names) == number:
+        return list(range(number))
+    numbers = [int(match[1]) for name in names if (match := _NUMBERED.fullmatch(PurePosixPath(name).stem))]
+    if len(names) < number and len(numbers) == len(set(numbers)) == len(names) and max(numbers) < number:
+        return numbers
+    raise FormatError(
+        f"{LLFF} has {number} rows and there are {len(names)} photos; give all, or some named image000, image001, … "
+        "by their rows"
+    )
 
 
 def _inverted(rotation: Float64[np.ndarray, "3 3"], position: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "3 4"]:

@@ -21,6 +21,7 @@ import pycolmap
 from PIL import Image
 
 from dynamictree.reconstruct.marker_detection import MarkerFinder
+from dynamictree.reconstruct.refine_poses import refined
 
 MAX_MEMORY_BYTES = 12 * 2**30
 EXHAUSTIVE_UP_TO = 60  # photos; beyond, each is matched with the next ones and with some at growing distances
@@ -31,6 +32,10 @@ _SEED = 1
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 _POSE_INLIERS = ((30, 0.25), (15, 0.1))  # COLMAP's defaults; then, measured on 16 photos of an orbit: 14 instead of 8
 _ENOUGH = 0.9  # of the photos
+_POINT_THRESHOLDS = (  # of COLMAP's triangulation
+    *("create_max_angle_error", "continue_max_angle_error"),
+    *("merge_max_reproj_error", "complete_max_reproj_error"),
+)
 _LEAST_POINTS = 50  # that a photo must see; those of that orbit see 200 and more
 
 
@@ -163,7 +168,7 @@ def _map(folder: Path, number: int, threads: int) -> pycolmap.Reconstruction | N
 
 
 def _with_points(folder: Path, given: list[MappingCamera], threads: int) -> pycolmap.Reconstruction:
-    """The known cameras, and what of the matches fits them."""
+    """The known cameras, refined where the photos disagree with them, and what of the matches fits them."""
     _tell("cameras", 0, 1)
     model = pycolmap.Reconstruction()
     poses = {camera["name"]: np.array(camera["world_to_camera"]) for camera in given}
@@ -175,11 +180,20 @@ def _with_points(folder: Path, given: list[MappingCamera], threads: int) -> pyco
             model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(poses[seen.name]))
     sparse = folder / "sparse"
     sparse.mkdir(exist_ok=True)
-    options = pycolmap.IncrementalPipelineOptions()
-    options.num_threads, options.random_seed = threads, _SEED
-    result: pycolmap.Reconstruction = pycolmap.triangulate_points(
-        model, folder / "features.db", folder / "photos", sparse, options=options
-    )
+
+    def triangulated(posed: pycolmap.Reconstruction, slack: float = 1.0) -> pycolmap.Reconstruction:
+        options = pycolmap.IncrementalPipelineOptions()
+        options.num_threads, options.random_seed = threads, _SEED
+        options.mapper.filter_max_reproj_error *= slack
+        for name in _POINT_THRESHOLDS:
+            setattr(options.triangulation, name, slack * getattr(options.triangulation, name))
+        result: pycolmap.Reconstruction = pycolmap.triangulate_points(
+            posed, folder / "features.db", folder / "photos", sparse, options=options
+        )
+        return result
+
+    positions = {name: -pose[:, :3].T @ pose[:, 3] for name, pose in poses.items()}
+    result = refined(triangulated(model), positions, triangulated)
     _tell("cameras", 1, 1)
     return result
 

@@ -112,7 +112,7 @@ def test_every_format_gives_the_cameras_back(tmp_path, orbit, name):
         assert np.allclose(-camera.world_to_camera[:, :3].T @ camera.world_to_camera[:, 3], true.position_m, atol=1e-6)
         assert camera.params[0] == pytest.approx(FOCAL)
         assert (camera.width, camera.height) == (WIDTH, HEIGHT)
-        assert camera.params[-2:] == (WIDTH / 2, HEIGHT / 2)
+        assert (WIDTH / 2, HEIGHT / 2) in (camera.params[-2:], camera.params[1:3])
 
 
 def test_a_downloaded_llff_folder_of_reduced_photos_takes_the_poses_in_order(tmp_path, orbit):
@@ -123,6 +123,31 @@ def test_a_downloaded_llff_folder_of_reduced_photos_takes_the_poses_in_order(tmp
     assert given is not None
     assert [camera.photo for camera in given] == list(sizes)
     assert {camera.model for camera in find_given(tmp_path, sizes_of(orbit)) or ()} == {"PINHOLE"}  # names lead
+
+
+def test_some_of_llffs_reduced_photos_take_their_own_rows(tmp_path, orbit):
+    write_llff(tmp_path / "llff", orbit)
+    either = ((WIDTH, HEIGHT), (WIDTH, HEIGHT))
+    given = find_given(tmp_path, {f"images_8/image{number:03}.png": either for number in (1, 5, 13)})
+    assert given is not None
+    for camera, number in zip(given, (1, 5, 13), strict=True):
+        assert np.allclose(camera.world_to_camera[:, :3], orbit.cameras[number].world_to_camera, atol=1e-6)
+    for names in (("IMG_1.jpg", "IMG_7.jpg"), ("image001.png", "image014.png"), ("a/image001.png", "b/image001.png")):
+        with pytest.raises(FormatError, match=f"14 rows and there are {len(names)} photos; give all, or some named"):
+            find_given(tmp_path, dict.fromkeys(names, either))
+
+
+def test_frames_without_photos_are_left_out_and_each_camera_keeps_its_lens(tmp_path, orbit):
+    path = write_transforms(tmp_path, orbit)
+    document = json.loads(path.read_text())
+    for number, frame in enumerate(document["frames"]):
+        frame["fl_x"], frame["fl_y"] = FOCAL + number, FOCAL + 2 * number
+    path.write_text(json.dumps(document))
+    some = dict(list(sizes_of(orbit).items())[2:9])
+    given = find_given(tmp_path, some)
+    assert given is not None
+    assert [camera.photo for camera in given] == list(some)
+    assert [camera.params[:2] for camera in given] == [(FOCAL + n, FOCAL + 2 * n) for n in range(2, 9)]
 
 
 def test_no_cameras_are_none(tmp_path, orbit):
@@ -183,7 +208,8 @@ BROKEN = {
     "cut name": (lambda root, orbit: broken_colmap(root, orbit, 75), "COLMAP model cannot be read"),
     "model": (lens_of_unknown_model, "PERISCOPE"),
     "half": (only_cameras, "cameras.txt is there and images.txt is not"),
-    "rows": (lambda root, orbit: poses_of_shape(root, (3, 17)), r"shape \(3, 17\); \(14, 17\) is needed"),
+    "rows": (lambda root, orbit: poses_of_shape(root, (3, 17)), "has 3 rows and there are 14 photos"),
+    "shape": (lambda root, orbit: poses_of_shape(root, (14, 15)), r"shape \(14, 15\); \(14, 17\) is needed"),
     "size": (lambda root, orbit: poses_of_shape(root, (14, 17), 0.5), "0.5 x 0.5 pixels; give its size"),
     "nan": (lambda root, orbit: poses_of_shape(root, (14, 17), np.nan), "nan x nan pixels"),
     "no npy": (lambda root, orbit: (root / "poses_bounds.npy").write_bytes(b"x" * 99), "cannot be read"),

@@ -1,0 +1,81 @@
+"""Given poses refined by bundle adjustment, where the photos disagree with them; runs in the process of `mapping`."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pycolmap
+from jaxtyping import Float64
+
+ENOUGH_PX = 0.5
+"""Mean reprojection error up to which given cameras are left as they are."""
+
+_MAX_ROUNDS = 8
+_PRIOR_SHARE = 0.1  # of the cameras' spread, standard deviation of a given position: weak, photos decide
+_LEAST_GAIN = 0.95  # of the error, or the last round was the last
+
+_SLACK = 4.0  # times COLMAP's thresholds of points, at first: by strict ones, a photo far off keeps next to none
+
+Triangulate = Callable[[pycolmap.Reconstruction, float], pycolmap.Reconstruction]
+
+
+def refined(
+    model: pycolmap.Reconstruction, positions: dict[str, Float64[np.ndarray, "3"]], triangulate: Triangulate
+) -> pycolmap.Reconstruction:
+    """Adjust poses if the mean reprojection error is above 0.5 px; if it stays above, focal lengths and distortion too.
+
+    Given positions hold frame and scale. Points are matched anew after each round: wrong poses let few agree.
+
+    Args:
+        model: triangulated with the given cameras.
+        positions: given, by image name.
+        triangulate: makes the points of a model anew, cameras fixed; its thresholds are COLMAP's times the number.
+    """
+    for lenses in (False, True):
+        if model.compute_mean_reprojection_error() > ENOUGH_PX and model.num_points3D() > 0:
+            model = _best(model, positions, triangulate, lenses=lenses)
+    return model
+
+
+def _best(
+    model: pycolmap.Reconstruction,
+    positions: dict[str, Float64[np.ndarray, "3"]],
+    triangulate: Triangulate,
+    *,
+    lenses: bool,
+) -> pycolmap.Reconstruction:
+    """Adjust and match in turn until the error stays."""
+    error_px = model.compute_mean_reprojection_error()
+    start = triangulate(pycolmap.Reconstruction(model), _SLACK)
+    for _ in range(_MAX_ROUNDS):
+        adjusted = triangulate(_adjusted(start, positions, lenses=lenses), 1.0)
+        adjusted_px = adjusted.compute_mean_reprojection_error()
+        gained = adjusted.compute_num_observations() > model.compute_num_observations()
+        if adjusted_px > _LEAST_GAIN * error_px and not gained:
+            break
+        model = start = adjusted
+        error_px = adjusted_px
+    return model
+
+
+def _adjusted(
+    model: pycolmap.Reconstruction, positions: dict[str, Float64[np.ndarray, "3"]], *, lenses: bool
+) -> pycolmap.Reconstruction:
+    model = pycolmap.Reconstruction(model)
+    config = pycolmap.BundleAdjustmentConfig()
+    priors = []
+    places = np.array(list(positions.values()))
+    deviation = _PRIOR_SHARE * float(np.linalg.norm(places - places.mean(axis=0), axis=1).mean())
+    for image in model.images.values():
+        config.add_image(image.image_id)
+        prior = pycolmap.PosePrior(
+            position=positions[image.name],
+            position_covariance=deviation**2 * np.eye(3),
+            coordinate_system=pycolmap.PosePriorCoordinateSystem.CARTESIAN,
+        )
+        prior.corr_data_id = image.data_id
+        priors.append(prior)
+    options, prior_options = pycolmap.BundleAdjustmentOptions(), pycolmap.PosePriorBundleAdjustmentOptions()
+    options.refine_focal_length = options.refine_extra_params = lenses
+    options.print_summary = False
+    pycolmap.create_pose_prior_bundle_adjuster(options, prior_options, config, priors, model).solve()
+    return model

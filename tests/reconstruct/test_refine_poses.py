@@ -1,0 +1,61 @@
+"""Given poses that the photos disagree with are refined, in their own frame and scale; exact ones stay."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from dynamictree.reconstruct.cameras import find_cameras
+from dynamictree.reconstruct.given import GivenCamera
+from dynamictree.reconstruct.photos import list_photos, prepare_photos
+from dynamictree.reconstruct.refine_poses import ENOUGH_PX
+from dynamictree.reconstruct.views import SparseModel
+from tests.reconstruct.conftest import HEIGHT, WIDTH, Orbit
+from tests.reconstruct.test_given import FOCAL
+from tests.reconstruct.test_reconstruct import aligned
+
+NUM_PHOTOS = 8
+LENS = {"model": "SIMPLE_RADIAL", "params": (FOCAL, WIDTH / 2, HEIGHT / 2, 0.0), "width": WIDTH, "height": HEIGHT}
+
+
+def given_by(orbit: Orbit, rng: np.random.Generator, *, off_m: float, off_deg: float) -> list[GivenCamera]:
+    cameras = []
+    for path, camera in zip(orbit.photos[:NUM_PHOTOS], orbit.cameras, strict=False):
+        turn = Rotation.from_rotvec(np.radians(off_deg) * rng.normal(size=3)).as_matrix() @ camera.world_to_camera
+        place = camera.position_m + off_m * rng.normal(size=3)
+        pose = np.concatenate([turn, -(turn @ place)[:, None]], axis=1)
+        cameras.append(GivenCamera(photo=path.name, world_to_camera=pose, **LENS))
+    return cameras
+
+
+def triangulated(orbit: Orbit, given: list[GivenCamera], folder: Path) -> SparseModel:
+    prepared = prepare_photos(list_photos(orbit.photos[:NUM_PHOTOS]), folder / "photos")
+    by_name = {camera.photo: camera for camera in given}
+    return find_cameras(prepared, folder, given=[replace(by_name[photo.source]) for photo in prepared])
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_wrong_poses_are_refined_and_exact_ones_stay(orbit, rng, tmp_path):
+    true = np.array([camera.position_m for camera in orbit.cameras[:NUM_PHOTOS]])
+    exact = triangulated(orbit, given_by(orbit, rng, off_m=0, off_deg=0), tmp_path / "exact")
+    assert exact.reprojection_error_px < ENOUGH_PX
+    np.testing.assert_allclose([view.camera.position_m for view in exact.views], true, atol=1e-9)
+
+    wrong = given_by(orbit, rng, off_m=0.03, off_deg=0.4)
+    model = triangulated(orbit, wrong, tmp_path / "wrong")
+    assert model.reprojection_error_px < 2 * exact.reprojection_error_px  # it was 1.5 px, on a fifth of the points
+    assert len(model.points) > 0.7 * len(exact.points)
+    places = np.array([-camera.world_to_camera[:, :3].T @ camera.world_to_camera[:, 3] for camera in wrong])
+    refined = np.array([view.camera.position_m for view in model.views])
+    assert off(refined, true) < 0.6 * off(places, true)
+    scale = aligned(refined, true)[0]
+    assert scale == pytest.approx(1, abs=0.02)  # the frame is still the given one
+    np.testing.assert_allclose(refined.mean(axis=0), true.mean(axis=0), atol=0.05)
+
+
+def off(places: np.ndarray, true: np.ndarray) -> float:
+    scale, rotation, shift = aligned(places, true)
+    return float(np.linalg.norm(scale * places @ rotation.T + shift - true, axis=1).mean())
