@@ -16,6 +16,8 @@ from dynamictree.reconstruct.recut import pack, recut, unpack
 from dynamictree.reconstruct.video_frames import write_sharp_frames
 from dynamictree.requests import ReconstructParams
 
+_LEARNING = 0.95  # of the progress; the rest is the cut
+
 Recall = Callable[[Literal["reconstruction"], Callable[[Path], None]], Path]
 WriteFrames = Callable[[Path, Path, int, Callable[[], None]], list[Path]]
 
@@ -70,7 +72,7 @@ def reconstruct_capture(
             root=top,
             work=resume_dir,
             read_photos=read_photos,
-            on_progress=lambda progress: on_progress(progress.total),
+            on_progress=lambda progress: on_progress(_LEARNING * progress.total),
             on_file=on_file,
         )
         pack(folder, archive)
@@ -79,7 +81,7 @@ def reconstruct_capture(
     cut = CutParams.part_of(params.model_dump())
     capture = recut(folder, folder, CutParams(height_m=params.height_m, marker_m=params.marker_m))
     if cut.cuts:
-        capture = recut(folder, folder, cut)
+        capture = recut(folder, folder, cut, on_progress=lambda share: on_progress(_LEARNING + (1 - _LEARNING) * share))
     capture = with_still_parts(capture)
     return replace(capture, mesh=carrying_mesh(capture))
 

@@ -5,7 +5,7 @@ in colour they are. Strokes decide for what is seen under them; all else is deci
 smallest sum of edges that the cut severs.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int8, Int64
@@ -37,17 +37,29 @@ _STROKE_REACH = 20.0  # steps between neighbours of one colour, after which they
 _COLOR_STEP = 8.0  # CIELAB: a difference that makes a step twice as long
 
 
-def plant_of(cloud: GaussianCloud, views: list[SeenFrom], scribbles: Sequence[Scribble] = ()) -> Bool[np.ndarray, " G"]:
+def plant_of(
+    cloud: GaussianCloud,
+    views: list[SeenFrom],
+    scribbles: Sequence[Scribble] = (),
+    *,
+    on_progress: Callable[[float], None] = lambda share: None,
+) -> Bool[np.ndarray, " G"]:
     """Which Gaussians are the plant: by strokes, and by what the photos circle and the ground is.
+
+    `on_progress` gets the share that is done, between strokes and between rounds of the cut; what it raises passes
+    through.
 
     Raises:
         InputError: a stroke names no photo with a camera, or nothing is seen below all strokes of the plant.
     """
+    on_progress(0.0)
     proposal = propose(cloud, views)
-    strokes = marked(cloud, views, scribbles)
+    strokes = marked(cloud, views, scribbles, on_stroke=lambda done: on_progress(0.2 + 0.2 * done / len(scribbles)))
     rows = np.flatnonzero(proposal.near | (strokes != 0))
     own = np.zeros(cloud.num_gaussians, np.bool_)
-    own[rows] = _cut(cloud.subset(rows), _rows_of(proposal, rows), strokes[rows])
+    own[rows] = _cut(
+        cloud.subset(rows), _rows_of(proposal, rows), strokes[rows], lambda share: on_progress(0.4 + 0.6 * share)
+    )
     return own
 
 
@@ -55,13 +67,16 @@ def _rows_of(proposal: Proposal, rows: Int64[np.ndarray, " M"]) -> Proposal:
     return Proposal(near=proposal.near[rows], background=proposal.background[rows], central=proposal.central[rows])
 
 
-def _cut(cloud: GaussianCloud, proposal: Proposal, strokes: Int8[np.ndarray, " G"]) -> Bool[np.ndarray, " G"]:
+def _cut(
+    cloud: GaussianCloud, proposal: Proposal, strokes: Int8[np.ndarray, " G"], on_progress: Callable[[float], None]
+) -> Bool[np.ndarray, " G"]:
     color = lab_of(cloud)
     edges, weights = _edges(cloud, color)
     prior = np.where(proposal.central, _PROPOSED, 0.0) - np.where(proposal.background, _REJECTED, 0.0)
     prior += _stroke_odds(cloud, color, edges, strokes)
     own = proposal.central & (strokes >= 0) | (strokes > 0)
-    for _ in range(_ROUNDS):
+    for done in range(_ROUNDS):
+        on_progress(done / _ROUNDS)
         odds = prior + _color_odds(color, cloud.opacity, own)
         odds = np.where(strokes == 0, odds, _CERTAIN * strokes)
         previous, own = own, minimum_cut(odds, edges, weights)

@@ -2,6 +2,7 @@
 
 import json
 import zipfile
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -58,7 +59,9 @@ class Finished:
         )
 
 
-def recut(source: Path, target: Path, choice: CutParams) -> Capture:
+def recut(
+    source: Path, target: Path, choice: CutParams, *, on_progress: Callable[[float], None] = lambda share: None
+) -> Capture:
     """Write the files of a finished reconstruction again, of the plant alone, and as high as asked for.
 
     The plant is what is in a box, what strokes on photos say (`plant_of`), or both. What is cut out stands on z = 0
@@ -69,12 +72,14 @@ def recut(source: Path, target: Path, choice: CutParams) -> Capture:
         target: folder for the files; may be the same.
         choice: the box, in the frame of the files in `source`; strokes; and the height of the plant: of the mesh
             without pots, ground and what else is found to be no plant.
+        on_progress: gets the share that is done; what it raises passes through, and no file is written.
 
     Raises:
         InputError: the folder holds no reconstruction, or box and strokes no plant.
     """
     finished = _read(source)
-    own, mesh = _cut_out(finished, choice)
+    own, mesh = _cut_out(finished, choice, lambda share: on_progress(0.1 + 0.8 * share))
+    on_progress(0.9)
     scale, origin_of_scale = _scale(finished, choice, own, mesh)
     ground = np.array([0.0, 0.0, mesh.vertices[:, 2].min() if choice.cuts else 0.0])
     moved = replace(finished, mesh=mesh).moved(scale, ground)
@@ -94,16 +99,20 @@ def recut(source: Path, target: Path, choice: CutParams) -> Capture:
     return Capture(cloud=plant, mesh=moved.mesh)
 
 
-def _cut_out(finished: Finished, choice: CutParams) -> tuple[Bool[np.ndarray, " G"], TriangleMesh]:
+def _cut_out(
+    finished: Finished, choice: CutParams, on_progress: Callable[[float], None]
+) -> tuple[Bool[np.ndarray, " G"], TriangleMesh]:
     """The plant's Gaussians and its mesh."""
     scene, radius_m = finished.scene, finished.report["radius_m"]
     mesh, places = finished.mesh, finished.mesh.vertices
     own = np.ones(scene.num_gaussians, np.bool_) if choice.box_m is None else in_box(scene, *choice.box_m)
     if choice.scribbles or choice.only_plant:
         views = read_cameras(finished.cameras)
-        own &= plant_of(scene, views, choice.scribbles or ())
+        own &= plant_of(scene, views, choice.scribbles or (), on_progress=lambda share: on_progress(0.6 * share))
         _require_plant(own)
+        on_progress(0.6)
         own &= ~soot_of(scene, own, views)
+        on_progress(0.8)
         mesh = plant_mesh(mesh, scene, own, beside_m=BESIDE * radius_m)
     else:
         if choice.box_m is not None:

@@ -1,6 +1,6 @@
 """Strokes on photos, and the Gaussians that are seen under them."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -18,7 +18,13 @@ _MOST_PIXELS = 1000  # of a stroke, evenly along it: each costs a look at every 
 _LEAST_WEIGHT = 0.15  # of a pixel: a Gaussian with less is not what was meant
 
 
-def marked(cloud: GaussianCloud, views: list[SeenFrom], scribbles: Sequence[Scribble]) -> Int8[np.ndarray, " G"]:
+def marked(
+    cloud: GaussianCloud,
+    views: list[SeenFrom],
+    scribbles: Sequence[Scribble],
+    *,
+    on_stroke: Callable[[int], None] = lambda done: None,
+) -> Int8[np.ndarray, " G"]:
     """1 for Gaussians seen under strokes of the plant, -1 under other strokes, 0 elsewhere.
 
     A Gaussian under both belongs to the stroke in whose pixels it has the larger share.
@@ -27,7 +33,8 @@ def marked(cloud: GaussianCloud, views: list[SeenFrom], scribbles: Sequence[Scri
         InputError: a stroke names no photo with a camera, or nothing is seen below all strokes of the plant.
     """
     weights = {True: np.zeros(cloud.num_gaussians, np.float32), False: np.zeros(cloud.num_gaussians, np.float32)}
-    for scribble in scribbles:
+    for done, scribble in enumerate(scribbles):
+        on_stroke(done)
         view = view_of_photo(views, scribble.photo).reduced(_SIDE_PX)
         pixels = _pixels(scribble, view.width, view.height)
         under = weights_at(cloud, view.camera, pixels, width=view.width, height=view.height)

@@ -9,14 +9,15 @@ import pytest
 from typer.testing import CliRunner
 
 from dynamictree.cli import app
-from dynamictree.errors import InputError
+from dynamictree.errors import Cancelled, InputError
 from dynamictree.formats.mesh.ply import read_ply_mesh
 from dynamictree.formats.splat.ply import read_gaussian_ply
 from dynamictree.gaussian.rasterize import render_on_cpu
 from dynamictree.gaussian.visibility import weights_at
-from dynamictree.photo_requests import Scribble
+from dynamictree.photo_requests import CutParams, Scribble
 from dynamictree.reconstruct.plant_cut import minimum_cut, plant_of
 from dynamictree.reconstruct.plant_proposal import propose
+from dynamictree.reconstruct.recut import recut
 from dynamictree.reconstruct.scribbles import marked
 from tests.reconstruct.planted import Planted, coloured, on_lawn, potted, stroke_across, write_planted
 
@@ -131,3 +132,26 @@ def test_the_command_cuts_by_strokes_and_meshes_the_plant_alone(tmp_path: Path) 
     assert np.ptp(mesh.vertices, axis=0).max() < 3 * 1.1 * np.ptp(true, axis=0).max() / np.ptp(true[:, 2])
     wrong = CliRunner().invoke(app, [*arguments[:-1], "0.5,0.5"])
     assert "a photo, plant or other, and places are needed" in str(wrong.exception)
+
+
+def test_a_cut_reports_how_far_it_is_and_can_be_stopped_between_rounds(tmp_path: Path) -> None:
+    planted, folder = potted(), tmp_path / "finished"
+    write_planted(planted, folder)
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    shares: list[float] = []
+
+    def cancel(share: float) -> None:
+        shares.append(share)
+        if share > 0.5:
+            raise Cancelled("asked to stop")
+
+    strokes = (stroke_across(planted, 0), stroke_across(planted, 2))
+    with pytest.raises(Cancelled):
+        recut(folder, folder, CutParams(scribbles=strokes), on_progress=cancel)
+    assert shares == sorted(shares)
+    assert len(shares) >= 5  # each stroke and each round of the cut
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+    shares.clear()
+    recut(folder, folder, CutParams(scribbles=strokes), on_progress=shares.append)
+    assert shares == sorted(shares)
+    assert 0.89 < shares[-1] <= 1
