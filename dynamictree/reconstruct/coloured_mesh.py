@@ -1,5 +1,6 @@
 """Coloured mesh of the subject, standing on the ground, from depth maps or from the splat."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import fast_simplification
@@ -12,9 +13,10 @@ from dynamictree.errors import InputError, ReconstructionError
 from dynamictree.gaussian.cloud_mesh import mesh_of_cloud
 from dynamictree.mesh import TriangleMesh, edges_of, vertex_normals
 from dynamictree.reconstruct.cameras import ADVICE
-from dynamictree.reconstruct.fusion import NOTHING, Surface, above, fuse, main_cluster
+from dynamictree.reconstruct.fusion import NOTHING, Box, Surface, above, fuse, main_cluster
 from dynamictree.reconstruct.scene import GAP, LEAST_FACES, Scene
 from dynamictree.reconstruct.splat_table import cloud_of
+from dynamictree.reconstruct.surface_choice import best_mesh
 from dynamictree.reconstruct.views import SparseModel, View
 from dynamictree.render import Look, Renderer
 
@@ -24,6 +26,7 @@ _SMOOTHING = (0.5, -0.53)  # Taubin's pair of steps, which smooths and does not 
 _SMOOTHING_ROUNDS = 4
 _COLOR_SIDE_PX = 640
 _SPLAT_CELLS = 320  # along the longest side
+_REGION = Box(low=np.array([-1.0, -1.0, -1.0]), high=np.array([1.0, 1.0, 2.0]))  # that the pictures hold
 _WIDEST, _FAINTEST = 0.15, 0.1  # Gaussians that count for the surface: of the region's radius, and of opacity
 
 
@@ -49,12 +52,15 @@ def stereo_surface(scene: Scene) -> Surface:
 def splat_surface(table: Float32[np.ndarray, "G P"], scene: Scene) -> Surface:
     """Surface of the subject from its Gaussians: opacity on a grid, then marching cubes.
 
+    Above a ground that was found it may be anywhere in the region: stereo's box lacks crowns that stereo does not see.
+
     Raises:
         ReconstructionError: no Gaussian is opaque enough.
     """
     cloud = cloud_of(table)
-    low = np.maximum(scene.box.low, [-np.inf, -np.inf, scene.cut])
-    inside = ((cloud.means > low) & (cloud.means < scene.box.high)).all(axis=1)
+    box = _REGION if scene.ground_found else scene.box
+    low = np.maximum(box.low, [-np.inf, -np.inf, scene.cut])
+    inside = ((cloud.means > low) & (cloud.means < box.high)).all(axis=1)
     inside &= (cloud.scales.max(axis=1) < _WIDEST) & (cloud.opacity > _FAINTEST)
     try:
         mesh = mesh_of_cloud(cloud.subset(inside), cells_along=_SPLAT_CELLS, max_faces=2 * MAX_FACES)
@@ -64,33 +70,50 @@ def splat_surface(table: Float32[np.ndarray, "G P"], scene: Scene) -> Surface:
     return main_cluster(Surface(mesh.vertices, mesh.faces), GAP)
 
 
-def best_surface(table: Float32[np.ndarray, "G P"], scene: Scene) -> tuple[Surface, str]:
-    """Choose the surface of stereo or of the splat; the name says which (`stereo`, `splat`)."""
+def best_mesh_of(table: Float32[np.ndarray, "G P"], scene: Scene, apart: Sequence[str]) -> tuple[TriangleMesh, str]:
+    """Choose the mesh of stereo or of the splat by the photos named in `apart`; gives its name too.
+
+    Raises:
+        ReconstructionError: there is no surface.
+    """
+    meshes = {}
     stereo = stereo_surface(scene)
     if len(stereo.faces) >= LEAST_FACES:
-        return stereo, "stereo"
-    return splat_surface(table, scene), "splat"
+        meshes["stereo"] = coloured(stereo, scene)
+    try:
+        meshes["splat"] = coloured(splat_surface(table, scene), scene)
+    except ReconstructionError:
+        if not meshes:
+            raise
+    views = [view for view in scene.matched.views if view.source in apart]
+    name = best_mesh(meshes, cloud_of(table), views, radius=1.0)
+    return meshes[name], name
 
 
-def finished_shape(surface: Surface, scene: Scene, *, height_m: float, unit_m: float | None = None) -> Shape:
-    """Decimate, smooth, scale and colour a surface, and place it on the ground.
-
-    A unit of the scene is `unit_m` long where that is known; if not, the surface becomes `height_m` high.
+def coloured(surface: Surface, scene: Scene) -> TriangleMesh:
+    """Decimate, smooth and colour a surface, in the scene's frame.
 
     Raises:
         ReconstructionError: there is no surface.
     """
     _check(surface, scene.model)
     surface = _smoothed(_decimated(surface))
-    bottom = surface.vertices.min(axis=0).astype(np.float64)
-    middle = np.median(surface.vertices, axis=0).astype(np.float64)
+    mesh = TriangleMesh(vertices=surface.vertices, faces=surface.faces)
+    return replace(mesh, vertex_colors=photo_colors(mesh, scene.model.views))
+
+
+def finished_shape(mesh: TriangleMesh, scene: Scene, *, height_m: float, unit_m: float | None = None) -> Shape:
+    """Scale a mesh of the scene, and place it on the ground.
+
+    A unit of the scene is `unit_m` long where that is known; if not, the mesh becomes `height_m` high.
+    """
+    bottom = mesh.vertices.min(axis=0).astype(np.float64)
+    middle = np.median(mesh.vertices, axis=0).astype(np.float64)
     origin = np.array([middle[0], middle[1], bottom[2]])
-    scale = unit_m or height_m / float(np.ptp(surface.vertices[:, 2]))
+    scale = unit_m or height_m / float(np.ptp(mesh.vertices[:, 2]))
     model = scene.model.transformed(scale, np.eye(3), origin)
-    vertices = (scale * (surface.vertices - origin)).astype(np.float32)
-    mesh = TriangleMesh(vertices=vertices, faces=surface.faces)
-    mesh = replace(mesh, vertex_colors=photo_colors(mesh, model.views))
-    return Shape(mesh=mesh, model=model, ground_found=scene.ground_found, scale=scale, origin=origin)
+    metric = mesh.with_vertices((scale * (mesh.vertices - origin)).astype(np.float32))
+    return Shape(mesh=metric, model=model, ground_found=scene.ground_found, scale=scale, origin=origin)
 
 
 def photo_colors(mesh: TriangleMesh, views: tuple[View, ...]) -> UInt8[np.ndarray, "N 4"]:

@@ -6,9 +6,13 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+from jaxtyping import Bool
+
 from dynamictree.errors import InputError, ReconstructionError
+from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.reconstruct.cameras import ADVICE, find_cameras
-from dynamictree.reconstruct.coloured_mesh import Shape, best_surface, finished_shape
+from dynamictree.reconstruct.coloured_mesh import Shape, best_mesh_of, finished_shape
 from dynamictree.reconstruct.cut import cloud_in_metres, of_the_tree
 from dynamictree.reconstruct.given import files_with_cameras
 from dynamictree.reconstruct.markers import Marker, find_markers, metres_per_unit
@@ -86,10 +90,10 @@ def reconstruct(
         with clock.stage("splat") as report:
             fit = fit_splat(scene.matched, scene.coarse, options.schedule, saved=space.splat, on_progress=report)
     with clock.stage("mesh"):
-        surface, mesh_by = best_surface(fit.table, scene)
+        mesh, mesh_by = best_mesh_of(fit.table, scene, (*fit.held_out, *fit.chosen_by))
         markers = find_markers(scene.model.views)
         unit_m = None if options.height_m else metres_per_unit(markers)
-        shape = finished_shape(surface, scene, height_m=options.height_m or UNKNOWN_HEIGHT_M, unit_m=unit_m)
+        shape = finished_shape(mesh, scene, height_m=options.height_m or UNKNOWN_HEIGHT_M, unit_m=unit_m)
     origin_of_scale = "given" if options.height_m else "marker" if unit_m else "unknown"
     result = _result(listed, model, fit, shape, markers, clock, mesh_by=mesh_by, scale=origin_of_scale)
     write_result(result, fit, folder)
@@ -114,6 +118,21 @@ def _find_cameras(
         return model or find_cameras(prepared, work.path, given=given, on_progress=report)
 
 
+def own_gaussians(scene: GaussianCloud, shape: Shape) -> Bool[np.ndarray, " G"]:
+    """Which Gaussians of the scene are the thing.
+
+    Raises:
+        ReconstructionError: next to none, since the cameras are wrong: what they saw fits at no place.
+    """
+    own = of_the_tree(scene, shape.mesh.vertices, radius_m=shape.scale)
+    if own.sum() < _LEAST_GAUSSIANS:
+        raise ReconstructionError(
+            f"{int(own.sum())} Gaussians lie on the mesh; at least {_LEAST_GAUSSIANS} must; "
+            f"the cameras may be wrong; {ADVICE}"
+        )
+    return own
+
+
 def _result(
     photos: list[PhotoFile],
     model: SparseModel,
@@ -126,13 +145,8 @@ def _result(
     scale: str,
 ) -> Reconstruction:
     whole = cloud_in_metres(fit.table, shape.scale, shape.origin)
-    own = of_the_tree(whole, shape.mesh.vertices, radius_m=shape.scale)
     mesh = shape.mesh
-    if own.sum() < _LEAST_GAUSSIANS:
-        raise ReconstructionError(
-            f"{int(own.sum())} Gaussians lie on the mesh; at least {_LEAST_GAUSSIANS} must; "
-            f"the cameras may be wrong; {ADVICE}"
-        )
+    own = own_gaussians(whole, shape)
     registered = {view.source for view in shape.model.views}
     report = Report(
         num_photos=len(photos),

@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from dynamictree.errors import ReconstructionError
 from dynamictree.mesh import TriangleMesh
-from dynamictree.reconstruct.coloured_mesh import finished_shape, photo_colors, stereo_surface
+from dynamictree.reconstruct.coloured_mesh import coloured, photo_colors, stereo_surface
 from dynamictree.reconstruct.depth import rays_through, stereo_view
 from dynamictree.reconstruct.fusion import Box, Surface, above, fuse, main_cluster
 from dynamictree.reconstruct.scene import find_scene
@@ -262,7 +262,7 @@ def test_photos_without_any_pattern_show_no_surface(orbit, rng):
     )
     scene = find_scene(plain)
     with pytest.raises(ReconstructionError, match=r"14 photos fit together, but they agree on 0 triangles"):
-        finished_shape(stereo_surface(scene), scene, height_m=1.0)
+        coloured(stereo_surface(scene), scene)
 
 
 def test_what_masks_show_remains_where_stereo_sees_only_a_part(orbit, rng):
