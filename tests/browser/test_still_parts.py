@@ -52,6 +52,18 @@ DISPLACEMENTS = """async (spectrum) => {
     return most;
 }"""
 
+FRAMED = """async ([asset, spectrum]) => {
+    const load = (path) => import(`/web/${path}.js`);
+    const [{ Client }, { Stage }, { Tree }, { Points }, { readSurface }] = await Promise.all(
+        ["client", "draw/stage", "draw/tree", "draw/points", "draw/surface"].map(load));
+    const client = new Client();
+    const stage = new Stage(document.createElement("canvas"));
+    const tree = new Tree(stage);
+    tree.setPoints(new Points(await client.bytes(`/v1/assets/${asset}/points`)));
+    tree.setSurface(await readSurface(await client.surface(spectrum)), { hidden: true });
+    return [tree.surface.box.max.x, stage.box.max.x];
+}"""
+
 
 def animated(url: str, path: Path, fields: dict[str, str], params: dict[str, Any]) -> dict[str, Any]:
     """The job of a file, which has ended."""
@@ -159,6 +171,9 @@ def test_still_gaussians_stand_still_in_the_splat_shader(view: Open, url: str, s
     viewer.open(f"{url}/#job={job['id']}")
     viewer.page.wait_for_selector(MOVING, timeout=JOB_MS)
     expect(viewer.page.locator("#grey-still")).to_be_visible(timeout=JOB_MS)
+    plant, seen = viewer.page.evaluate(FRAMED, [job["asset_id"], job["result"]["spectrum_id"]])
+    assert plant < 0.4
+    assert seen > 1.2, "the ball is not in the view"
     stands_grey_and_still(viewer)
     assert viewer.complaints == []
 

@@ -26,8 +26,12 @@ export async function readDropped(files, stage) {
   try {
     const read = SPLATS.has(suffix) || (suffix === "ply" && (await isSplat(content))) ? readSplat : READERS[suffix];
     const address = (path) => addressOf(path, files, addresses);
-    const { object, box, sizeless = false } = await read(files, { stage, address });
-    return { ...makeUpright(object, UP[suffix], box), sizeless, dispose: () => dispose(object) };
+    const { object, box, sizeless = false, release = () => {} } = await read(files, { stage, address });
+    const leave = () => {
+      release();
+      dispose(object);
+    };
+    return { ...makeUpright(object, UP[suffix], box), sizeless, dispose: leave };
   } finally {
     for (const address of addresses.values()) URL.revokeObjectURL(address);
   }
@@ -112,7 +116,11 @@ async function readSplat([{ name, content }], { stage }) {
   await object.initialized;
   const renderer = sparkRenderer(spark, stage);
   object.add(renderer);
-  return { object, box: object.getBoundingBox(true), sizeless: true };
+  const release = () => {
+    object.remove(renderer);
+    renderer.activeSplats = 0; // else it goes on drawing this one until it has sorted the next
+  };
+  return { object, box: object.getBoundingBox(true), sizeless: true, release };
 }
 
 function dispose(object) {

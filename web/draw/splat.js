@@ -46,6 +46,7 @@ export class SplatView {
     view.stage = stage;
     view.field = fieldOf(splat);
     view.uniforms = uniforms;
+    view.box = new THREE.Box3().setFromArray(splat.means);
     view.standsInPart = splat.face_of.some((face) => face < 0);
     view.harmonics = harmonicsThatFit(splat, stage.renderer.capabilities.maxTextureSize);
     view.textures = texturesOf(splat, carriers, view.harmonics);

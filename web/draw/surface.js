@@ -51,9 +51,13 @@ export function seenBox({ vertices, still, N }, whole) {
   const plant = new THREE.Box3();
   const at = new THREE.Vector3();
   for (let v = 0; v < N; v++) if (!still[v]) plant.expandByPoint(at.fromArray(vertices, 3 * v));
-  if (plant.isEmpty()) return whole;
-  const near = plant.clone().expandByScalar(BESIDE * plant.getSize(at).length());
-  return near.intersect(whole).union(plant);
+  return plant.isEmpty() ? whole : nearBox(plant, whole);
+}
+
+/** A box, and as much of a larger one as is near it. */
+export function nearBox(box, whole) {
+  const near = box.clone().expandByScalar(BESIDE * box.getSize(new THREE.Vector3()).length());
+  return near.intersect(whole).union(box);
 }
 
 function setBones(geometry, surface) {

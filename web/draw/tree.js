@@ -8,6 +8,7 @@ import { Field, PoseTexture, voxelFieldOf, zeroTexture } from "./field.js";
 import { ghostOf, surfaceMaterials } from "./follow.js";
 import { topVoxel } from "./pick.js";
 import { LEAST } from "./resolution.js";
+import { nearBox } from "./surface.js";
 
 export class Tree {
   constructor(stage) {
@@ -51,19 +52,24 @@ export class Tree {
 
   /** The mesh; `hidden` where a cloud is drawn in its place and the mesh only casts the shadow. */
   setSurface(surface, { hidden = false } = {}) {
-    const same = this.box && this.box.max.distanceTo(surface.box.max) < 1e-4;
     this._dropMesh();
-    this.surface = surface;
-    this.box = surface.box;
-    this.hidden = hidden;
+    Object.assign(this, { surface, hidden });
     this.mesh = new THREE.Mesh(surface.geometry);
     this.mesh.castShadow = this.mesh.receiveShadow = true;
     this.mesh.frustumCulled = false;
     this.ghost = ghostOf(surface.geometry);
     this.group.add(this.mesh, this.ghost);
     this._setMaterials();
-    if (!same) this.stage.frame(this.box);
+    this._frame();
     this.stage.stale = true;
+  }
+
+  /** The camera on what is seen: a cloud has still parts, such as a pot, that its mesh does not have. */
+  _frame() {
+    const { surface, box } = this;
+    const cloud = this.points ?? this.splat;
+    this.box = surface && cloud ? nearBox(surface.box, cloud.box) : (surface ?? cloud).box;
+    if (!box || box.max.distanceTo(this.box.max) > 1e-4) this.stage.frame(this.box);
   }
 
   _setMaterials() {
@@ -112,8 +118,7 @@ export class Tree {
   setPoints(points) {
     this.points = points;
     this.group.add(points.object);
-    if (!this.box) this.stage.frame(points.box);
-    this.box ??= points.box;
+    this._frame();
     this.setView(this.view);
   }
 
@@ -133,6 +138,7 @@ export class Tree {
     if (this.disposed) return view.dispose();
     Object.assign(this.stage.resolution, { stillScale: 1, least: LEAST }); // Gaussians have soft edges, and cost by pixels
     this.splat = view;
+    this._frame();
     this.setView(this.view);
   }
 
