@@ -38,13 +38,17 @@ def stl_of(mesh: TriangleMesh) -> bytes:
 def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """One sapling in every format, and a splat."""
     mesh, folder = make_sample(3, "sapling").mesh, tmp_path_factory.mktemp("dropped")
-    paths = {kind: folder / f"tree.{kind}" for kind in ("glb", "obj", "stl", "ply")} | {"splat": folder / "splat.ply"}
+    paths = {kind: folder / f"tree.{kind}" for kind in ("glb", "obj", "stl", "ply", "xyz")} | {
+        "splat": folder / "splat.ply"
+    }
     with paths["glb"].open("wb") as stream:
         write_glb(mesh, stream)
     with paths["ply"].open("wb") as stream:
         write_ply(mesh, stream)
     paths["obj"].write_bytes(obj_of(mesh))
     paths["stl"].write_bytes(stl_of(mesh))
+    scanned = mesh.vertices + np.array([512_000.0, 5_400_000.0, 310.0])  # as a surveyor's coordinates
+    paths["xyz"].write_text("X Y Z\n" + "\n".join(f"{x:.4f} {y:.4f} {z:.4f}" for x, y, z in scanned))
     rng = np.random.default_rng(0)
     cloud = GaussianCloud(
         means=rng.uniform([-0.3, -1.5, -0.3], [0.3, 1.5, 0.3], (3000, 3)).astype(np.float32),
@@ -58,7 +62,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return paths
 
 
-@pytest.mark.parametrize("kind", ["glb", "obj", "stl", "ply", "splat"])
+@pytest.mark.parametrize("kind", ["glb", "obj", "stl", "ply", "xyz", "splat"])
 def test_it_is_drawn_while_its_upload_has_not_begun(view: Open, url: str, files: dict[str, Path], kind: str) -> None:
     viewer = view(900, 620)
     page = viewer.page
