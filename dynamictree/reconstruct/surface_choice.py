@@ -15,6 +15,7 @@ from dynamictree.render import Look, Renderer
 
 _SIDE_PX = 320
 _OPAQUE = 0.5
+_LEAST_GAIN_DB = 0.5  # of a later mesh over the first one
 
 
 def best_mesh(meshes: Mapping[str, TriangleMesh], scene: GaussianCloud, views: Sequence[View], radius: float) -> str:
@@ -24,7 +25,8 @@ def best_mesh(meshes: Mapping[str, TriangleMesh], scene: GaussianCloud, views: S
     PSNR counts where a mesh or those Gaussians are seen. So what a mesh lacks costs as much as what it has too much.
 
     Args:
-        meshes: candidates, at least one, with vertex colours, in the frame of the scene and the cameras.
+        meshes: candidates, at least one, with vertex colours, in the frame of the scene and the cameras; the first one
+            is taken unless another is better by half a decibel.
         scene: all Gaussians.
         views: photos that were not learned from.
         radius: of the region.
@@ -43,7 +45,9 @@ def best_mesh(meshes: Mapping[str, TriangleMesh], scene: GaussianCloud, views: S
         for name, (color, there) in drawn.items():
             picture = np.where(there[..., None], color, behind.astype(np.float32) / 255)
             scores[name].append(psnr(picture[counted], photo[counted]) if counted.any() else 0.0)
-    return max(scores, key=lambda name: float(np.mean(scores[name])))
+    first = next(iter(meshes))
+    mean = {name: float(np.mean(values)) - (0 if name == first else _LEAST_GAIN_DB) for name, values in scores.items()}
+    return max(mean, key=lambda name: mean[name])
 
 
 def _resized(view: View, width: int, height: int) -> Float32[np.ndarray, "h w 3"]:
