@@ -117,8 +117,12 @@ def publish_stage(
         if current.state == "succeeded":
             return  # asked again, because the answer to the first commit was lost
         offered = (t.artifacts.c.job_id == claimed.job.id) & (t.artifacts.c.stage == stage)
-        connection.execute(t.artifacts.delete().where(offered))
-        _add_artifacts(connection, claimed, stage, files, now=now, retention_s=retention_s)
+        columns = (t.artifacts.c.name, t.artifacts.c.sha256)
+        there = {(row.name, row.sha256) for row in connection.execute(sa.select(*columns).where(offered))}
+        there &= {(file.name, file.sha256) for file in files}  # their ids are known to clients, and stay
+        connection.execute(t.artifacts.delete().where(offered & t.artifacts.c.name.not_in([name for name, _ in there])))
+        new = tuple(file for file in files if (file.name, file.sha256) not in there)
+        _add_artifacts(connection, claimed, stage, new, now=now, retention_s=retention_s)
         entry = {"key": key, "stage": stage, "files": [asdict(file) for file in files], "used_at": now}
         upsert(connection, t.stage_cache, entry)
         done = {"state": "succeeded", "progress": 1.0, "cached": cached, "finished_at": now}

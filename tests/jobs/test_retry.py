@@ -59,8 +59,13 @@ def test_what_was_committed_may_be_asked_again(store: Store) -> None:
     start_stage(store, lease, "voxelize")
     file = OutputFile(name="a", media_type="x/y", sha256="c" * 64, bytes=1)
     for _ in range(2):
-        offer(store, lease, "voxelize", (replace(file, name="b"),), retention_s=100)
+        offer(store, lease, "voxelize", (file, replace(file, name="b")), retention_s=100)
+    early = {artifact.name: artifact.id for artifact in store.artifacts_of(job.id)}
+    changed = replace(file, name="b", sha256="d" * 64)
     for _ in range(2):
-        publish_stage(store, lease, "voxelize", (file,), key="k", cached=False, retention_s=100)
-    assert [artifact.name for artifact in store.artifacts_of(job.id)] == ["b", "a"]
+        publish_stage(store, lease, "voxelize", (file, changed), key="k", cached=False, retention_s=100)
+    final = {artifact.name: artifact for artifact in store.artifacts_of(job.id)}
+    assert (sorted(final), final["b"].sha256) == (["a", "b"], changed.sha256)
+    assert final["a"].id == early["a"], "a client may hold the id of a file that did not change"
+    assert final["b"].id != early["b"]
     assert succeed(store, lease) == JobState.SUCCEEDED
