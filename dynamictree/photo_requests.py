@@ -2,7 +2,8 @@
 
 from typing import Annotated
 
-from pydantic import Field, model_validator
+from pydantic import ConfigDict, Field, model_validator
+from pydantic.config import JsonDict
 
 from dynamictree.request_model import Box, Finite, Request, Share
 
@@ -53,8 +54,19 @@ class LearningParams(Request):
     )
 
 
+_NUMBER: JsonDict = {"type": "number"}
+_ONE_SCALE = ConfigDict(
+    json_schema_extra={
+        "not": {"required": ["height_m", "marker_m"], "properties": {"height_m": _NUMBER, "marker_m": _NUMBER}}
+    }
+)
+"""Both give the scale: one of them is allowed."""
+
+
 class PhotoParams(LearningParams):
     """How to reconstruct a tree from photos."""
+
+    model_config = _ONE_SCALE
 
     height_m: Finite | None = Field(
         default=None,
@@ -74,6 +86,8 @@ class PhotoParams(LearningParams):
 
 class CutParams(Request):
     """How to cut the plant out of a finished reconstruction."""
+
+    model_config = _ONE_SCALE
 
     box_m: Box | None = Field(
         default=None,
