@@ -25,6 +25,7 @@ class Scribble(Request):
     )
 
 
+_NUMBER: JsonDict = {"type": "number"}
 MarkerEdge = Annotated[Finite, Field(gt=0, lt=10)]
 Scribbles = Annotated[tuple[Scribble, ...], Field(min_length=1, max_length=200)]
 _SCRIBBLES = (
@@ -54,19 +55,14 @@ class LearningParams(Request):
     )
 
 
-_NUMBER: JsonDict = {"type": "number"}
-_ONE_SCALE = ConfigDict(
-    json_schema_extra={
-        "not": {"required": ["height_m", "marker_m"], "properties": {"height_m": _NUMBER, "marker_m": _NUMBER}}
-    }
-)
-"""Both give the scale: one of them is allowed."""
+class PlantParams(Request):
+    """What in the photos is the plant, and how large it is. Height and marker both give the scale: one is allowed."""
 
-
-class PhotoParams(LearningParams):
-    """How to reconstruct a tree from photos."""
-
-    model_config = _ONE_SCALE
+    model_config = ConfigDict(
+        json_schema_extra={
+            "not": {"required": ["height_m", "marker_m"], "properties": {"height_m": _NUMBER, "marker_m": _NUMBER}}
+        }
+    )
 
     height_m: Finite | None = Field(
         default=None,
@@ -79,15 +75,18 @@ class PhotoParams(LearningParams):
     only_plant: bool = Field(default=False, description=_ONLY_PLANT)
 
     @model_validator(mode="after")
-    def _one_scale(self) -> "PhotoParams":
-        _require_one_scale(self.height_m, self.marker_m)
+    def _one_scale(self) -> "PlantParams":
+        if self.height_m is not None and self.marker_m is not None:
+            raise ValueError("height_m and marker_m both give the scale; send one of them")
         return self
 
 
-class CutParams(Request):
-    """How to cut the plant out of a finished reconstruction."""
+class PhotoParams(PlantParams, LearningParams):
+    """How to reconstruct a tree from photos."""
 
-    model_config = _ONE_SCALE
+
+class CutParams(PlantParams):
+    """How to cut the plant out of a finished reconstruction."""
 
     box_m: Box | None = Field(
         default=None,
@@ -96,14 +95,6 @@ class CutParams(Request):
     height_m: Finite | None = Field(
         default=None, gt=0, lt=1000, description="The plant's height [m]; if unset the scale stays"
     )
-    marker_m: MarkerEdge | None = Field(default=None, description=_MARKER)
-    scribbles: Scribbles | None = Field(default=None, description=_SCRIBBLES)
-    only_plant: bool = Field(default=False, description=_ONLY_PLANT)
-
-    @model_validator(mode="after")
-    def _one_scale(self) -> "CutParams":
-        _require_one_scale(self.height_m, self.marker_m)
-        return self
 
     @property
     def cuts(self) -> bool:
@@ -114,8 +105,3 @@ class CutParams(Request):
     def scales(self) -> bool:
         """Whether a scale is asked for."""
         return self.height_m is not None or self.marker_m is not None
-
-
-def _require_one_scale(height_m: float | None, marker_m: float | None) -> None:
-    if height_m is not None and marker_m is not None:
-        raise ValueError("height_m and marker_m both give the scale; send one of them")
