@@ -7,8 +7,6 @@ against the sky, read back from the canvas, differs from that of its first pictu
     python -m benchmarks first_motion
 """
 
-import os
-import shutil
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -19,8 +17,6 @@ from recipes.demo import served
 TARGET_S = 1.0
 RUNS = 5
 SIZE = {"width": 1280, "height": 800}
-NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-FLAGS = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
 CHANGED = 128  # of 255: the tree is opaque, the sky behind it transparent
 LEAST_PIXELS = 30
 POLL_MS = 200
@@ -56,18 +52,19 @@ WATCH = """({ changed, least }) => {
 def run() -> dict[str, object]:
     try:
         from playwright.sync_api import sync_playwright
+
+        from recipes.software_browser import launched
     except ImportError:
         raise SystemExit("benchmarks: playwright is not installed") from None
-    browser_path = os.environ.get("BROWSER_PATH") or next(filter(None, map(shutil.which, NAMES)), None)
-    if browser_path is None:
-        raise SystemExit(f"benchmarks: no browser; one of {', '.join(NAMES)}, or BROWSER_PATH")
-    flags = [*FLAGS, "--no-sandbox"] if os.getuid() == 0 else list(FLAGS)
     with (
         tempfile.TemporaryDirectory() as state,
         served(Path(state), Path(state) / "serve.log") as url,
         sync_playwright() as driver,
     ):
-        browser = driver.chromium.launch(executable_path=browser_path, args=flags)
+        try:
+            browser = launched(driver)
+        except FileNotFoundError as error:
+            raise SystemExit(f"benchmarks: {error}") from None
         whole = browser.new_browser_cdp_session()
         visits = []
         for _ in range(RUNS + 1):

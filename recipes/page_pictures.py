@@ -7,8 +7,6 @@ the pictures are taken of paused trees with all pixels and shadows.
 """
 
 import io
-import os
-import shutil
 import tempfile
 from pathlib import Path
 
@@ -17,13 +15,12 @@ from PIL import Image
 from playwright.sync_api import Browser, Page, sync_playwright
 
 from recipes.demo import checked, served
+from recipes.software_browser import launched
 
 ROOT = Path(__file__).parents[1]
 EXAMPLES = ROOT / "web" / "examples"
 EXAMPLE = "round-broadleaf"
 PICTURES = ROOT / "docs" / "pictures"
-NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-FLAGS = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
 DESKTOP, PHONE, SQUARE = (1280, 800), (390, 760), (1000, 760)
 THUMBNAIL_PX, MARGIN = 256, 0.04
 PHASE = 0.48
@@ -33,16 +30,12 @@ WEBP_QUALITY = 84
 
 
 def main() -> None:
-    browser_path = os.environ.get("BROWSER_PATH") or next(filter(None, map(shutil.which, NAMES)), None)
-    if browser_path is None:
-        raise SystemExit(f"no browser found: install one of {', '.join(NAMES)}, or set BROWSER_PATH")
-    flags = [*FLAGS, "--no-sandbox"] if os.getuid() == 0 else list(FLAGS)
     with (
         tempfile.TemporaryDirectory(prefix="dynamictree-") as folder,
         served(Path(folder) / "state", Path(folder) / "serve.log") as url,
         sync_playwright() as driver,
     ):
-        browser = driver.chromium.launch(executable_path=browser_path, args=flags)
+        browser = launched(driver)
         for path in sorted(EXAMPLES.glob("*.glb")):
             _take_example(_opened(browser, f"{url}/#job={_animated(url, path, num_steps=1)}", SQUARE), path.stem)
         _take(_opened(browser, url, DESKTOP), "viewer-welcome", state="[data-live=true]")

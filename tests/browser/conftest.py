@@ -1,8 +1,6 @@
 """A real service and a real browser: Debian's Chromium, drawing in software. `make browser` runs these."""
 
 import io
-import os
-import shutil
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -15,9 +13,8 @@ from PIL import Image
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from recipes.demo import served
+from recipes.software_browser import launched
 
-NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-FLAGS = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
 LOUD = frozenset({"error", "warning"})
 MOVING = "body[data-state=moving]"
 JOB_MS = 240_000.0
@@ -57,14 +54,8 @@ def job_id(url: str, tree: Path) -> str:
 
 @pytest.fixture(scope="session")
 def browser() -> Iterator[Browser]:
-    installed = os.environ.get("BROWSER_PATH") or next(filter(None, map(shutil.which, NAMES)), None)
-    flags = [*FLAGS, "--no-sandbox"] if os.getuid() == 0 else FLAGS
     with sync_playwright() as driver:
-        executable = installed or driver.chromium.executable_path  # what `playwright install` has fetched
-        assert Path(executable).is_file(), (
-            f"no browser: install Debian's chromium (of {', '.join(NAMES)}) or set BROWSER_PATH"
-        )
-        browser = driver.chromium.launch(executable_path=executable, args=list(flags))
+        browser = launched(driver)
         yield browser
         browser.close()
 

@@ -10,15 +10,18 @@ from tests.browser.conftest import JOB_MS, MOVING, Viewer
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 
-Open = Callable[..., Viewer]
-SIZES = [(1100, 720, "light"), (390, 760, "dark"), (780, 360, "light")]
+SIZES = ((1100, 720, "light"), (390, 760, "dark"), (780, 360, "light"))
 
 
-@pytest.mark.parametrize(("width", "height", "scheme"), SIZES)
+@pytest.fixture(params=SIZES, ids=lambda size: f"{size[0]}x{size[1]}-{size[2]}")
+def viewer(view: Callable[..., Viewer], request: pytest.FixtureRequest) -> Viewer:
+    width, height, scheme = request.param
+    return view(width, height, scheme=scheme, touch=width < 800)
+
+
 def test_no_rule_of_accessibility_is_broken(
-    view: Open, url: str, job_id: str, axe: Callable[[Page], list[str]], width: int, height: int, scheme: str
+    viewer: Viewer, url: str, job_id: str, axe: Callable[[Page], list[str]]
 ) -> None:
-    viewer = view(width, height, scheme=scheme, touch=width < 800)
     page = viewer.page
     viewer.open(url)
     assert axe(page) == [], "welcome"
@@ -35,7 +38,8 @@ def test_no_rule_of_accessibility_is_broken(
     expect(page.locator("#more-formats li").first).to_be_attached()
     viewer.picture()
     assert axe(page) == [], "moving"
-    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    assert page.viewport_size
+    assert page.evaluate("document.documentElement.scrollWidth") <= page.viewport_size["width"]
     page.locator("#share").click()
     expect(page.locator("#share-embed")).to_have_value(re.compile(job_id))
     assert axe(page) == [], "share"
@@ -44,11 +48,9 @@ def test_no_rule_of_accessibility_is_broken(
     assert axe(page) == [], "embed"
 
 
-@pytest.mark.parametrize(("width", "height", "scheme"), SIZES)
 def test_company_and_the_question_before_a_delete_break_no_rule(
-    view: Open, url: str, job_id: str, axe: Callable[[Page], list[str]], width: int, height: int, scheme: str
+    viewer: Viewer, url: str, job_id: str, axe: Callable[[Page], list[str]]
 ) -> None:
-    viewer = view(width, height, scheme=scheme, touch=width < 800)
     page = viewer.page
     viewer.open(f"{url}/#job={job_id}")
     page.wait_for_selector(MOVING, state="attached", timeout=JOB_MS)
