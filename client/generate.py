@@ -18,6 +18,7 @@ PAGE = FOLDER.parent / "openapi" / "openapi.json"
 HEAD = '"""{what} Made by client/generate.py; do not edit."""\n\n'
 
 Schema = dict[str, Any]
+_LEAST_SHARED = 5  # fields; fewer are alike by chance: a name and a size
 _PLAIN = {"string": "str", "integer": "int", "number": "float", "boolean": "bool", "null": "None"}
 
 # one token of the asynchronous client a line, and what it is in the other
@@ -91,17 +92,37 @@ def models(schemas: dict[str, Schema]) -> str:
             lines.append(
                 f"{class_name(name)} = {python_type(schema)}\n{_quoted(schema.get('description', name))}\n\n\n"
             )
-    for name, schema in schemas.items():
-        if schema.get("type") == "object":
-            lines += _model(name, schema)
+    objects = {name: schema for name, schema in schemas.items() if schema.get("type") == "object"}
+    for name in sorted(objects, key=lambda name: len(_ancestors(name, objects))):
+        lines += _model(name, objects)
     return "".join(lines)
 
 
-def _model(name: str, schema: Schema) -> list[str]:
-    lines = [f"class {class_name(name)}(Model):\n    {_quoted(schema.get('description', name))}\n\n"]
+def _ancestors(name: str, objects: dict[str, Schema]) -> list[str]:
+    """Models whose fields are all in this one, as in the service's own classes; the largest first."""
+    own = _fields(objects[name])
+    some = [other for other, schema in objects.items() if _LEAST_SHARED <= len(_fields(schema)) < len(own)]
+    return sorted(
+        (other for other in some if _fields(objects[other]).items() <= own.items()),
+        key=lambda other: -len(_fields(objects[other])),
+    )
+
+
+def _fields(schema: Schema) -> dict[str, str]:
+    """Each field's schema as text, by its name."""
+    required = schema.get("required", [])
+    return {name: f"{name in required} {json.dumps(kind)}" for name, kind in schema.get("properties", {}).items()}
+
+
+def _model(name: str, objects: dict[str, Schema]) -> list[str]:
+    schema, base = objects[name], next(iter(_ancestors(name, objects)), None)
+    parent = "Model" if base is None else class_name(base)
+    lines = [f"class {class_name(name)}({parent}):\n    {_quoted(schema.get('description', name))}\n\n"]
     if schema.get("additionalProperties") is True:
         lines.append('    model_config = ConfigDict(frozen=True, extra="allow", defer_build=True)\n\n')
     for field, kind in schema.get("properties", {}).items():
+        if base is not None and field in objects[base]["properties"]:
+            continue
         optional = field not in schema.get("required", [])
         default = f" = {_default(kind)}" if optional else ""
         lines += [f"    # {line}\n" for line in textwrap.wrap(kind.get("description", ""), 110)]

@@ -16,102 +16,6 @@ JobState = Literal["queued", "running", "canceling", "succeeded", "failed", "can
 """States of a job. The last four are final."""
 
 
-class AnimateParams(Model):
-    """Parameters of a job that writes a motion. The service writes png besides the formats that are asked for."""
-
-    # Only what is inside moves: low and high corner [m], +Z up; all of the plant if unset. Of photos: only what is
-    # inside is the plant, in the frame of the job that had the same height_m and no box
-    box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
-    # Parts that stand still: nodes and materials of a mesh, still_parts of a splat or scan; * fits any letters, ?
-    # one
-    still: list[str] | None = None
-    # Parts that move although they were detected as no plant, named as in still
-    moving: list[str] | None = None
-    # What is inside stands still: low and high corner [m]
-    still_box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
-    # What is inside moves although it was detected as no plant: low and high corner [m]
-    moving_box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
-    # Of a file of several trees only this one, as `trees` numbers them; if unset all, each by itself
-    tree: int | None = None
-    # Of photos: training steps of the splat; 3000 if unset
-    splat_steps: int | None = None
-    # Of a film: sharp frames that are taken as photos; 40 if unset
-    video_frames: int | None = None
-    # Of photos: the tree's height [m], which they do not show; 1 m if unset
-    height_m: float | None = None
-    # Of photos that show a printed marker (AprilTag 36h11): edge of its black square [m], which gives the scale; a
-    # marker of the sheet in the documentation gives it without this
-    marker_m: float | None = None
-    # Strokes on photos that say what is the plant and what is not; all else is decided by them and by what the
-    # photos show of it
-    scribbles: "list[Scribble] | None" = None
-    # Cut out the plant without strokes: not the ground, not what is far, but what stands in the middle of the
-    # photos
-    only_plant: bool = False
-    wind: "Wind | None" = None
-    # Sampler steps; the number of the preset if unset
-    num_steps: int | None = None
-    # Length of the loop [s]; if unset by the tree's height: 4.17 s up to 7 m, 16.7 s from 22 m; 4.17 s where
-    # num_frames is set or the preset is the paper's
-    period_s: float | None = None
-    # Ask the model for winds of 1, 4, 8, 14 and 20 m/s as well: how strong each mode is in any wind
-    wind_bands: bool = False
-    # Motion that repeats after one period, or in turbulent wind that never repeats
-    wind_mode: Literal["loop", "turbulent"] = "loop"
-    # Number of the first frame to write
-    first_frame: int = 0
-    # Number of frames to write, at most 1000 of a loop; if unset one period, or 10 s of turbulent wind
-    num_frames: int | None = None
-    # Frames per second; does not change the speed of the motion
-    fps: float = 24.0
-    # Speed of the motion over its natural speed
-    speed: float = 1.0
-    # Refuse a number of frames that is not a whole number of periods; not if turbulent
-    loop: bool = True
-    # Files to write; if unset ply, glb, png of a mesh or photos, splat, png of a splat or scan
-    formats: (
-        list[
-            Literal[
-                "ply",
-                "glb",
-                "glb-reduced",
-                "glb-skinned",
-                "lod",
-                "rig",
-                "wind",
-                "html",
-                "usd",
-                "usd-skinned",
-                "alembic",
-                "vat",
-                "motion",
-                "splat-ply",
-                "splat",
-                "html-splat",
-                "usd-splat",
-                "png",
-                "webp",
-                "mp4",
-            ]
-        ]
-        | None
-    ) = None
-    # Share of a splat's Gaussians to write
-    share: float = 1.0
-    # Highest degree of a splat's spherical harmonics to write
-    sh_degree: int = 3
-    # Write normals that move: as targets of glb and glb-reduced, as a texture of vat
-    normals: bool = False
-    # Compression of glb and glb-reduced: meshopt needs a reader of EXT_meshopt_compression
-    glb_compression: Literal["none", "meshopt"] = "none"
-    # Textures of glb, glb-reduced and glb-skinned: PNG and JPEG as in the source, or WebP where that is smaller,
-    # which needs a reader of EXT_texture_webp
-    glb_textures: Literal["source", "webp"] = "source"
-    # Joints of glb-skinned and usd-skinned, at most
-    joints: Literal[32, 64, 256] = 64
-    shot: "Shot | None" = None
-
-
 class AnimateRequest(Model):
     """Generate a motion and write it as files."""
 
@@ -224,48 +128,6 @@ class Delivery(Model):
     created_at: datetime
 
 
-class DiffuseParams(Model):
-    """Parameters of a job that generates a spectrum."""
-
-    # Only what is inside moves: low and high corner [m], +Z up; all of the plant if unset. Of photos: only what is
-    # inside is the plant, in the frame of the job that had the same height_m and no box
-    box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
-    # Parts that stand still: nodes and materials of a mesh, still_parts of a splat or scan; * fits any letters, ?
-    # one
-    still: list[str] | None = None
-    # Parts that move although they were detected as no plant, named as in still
-    moving: list[str] | None = None
-    # What is inside stands still: low and high corner [m]
-    still_box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
-    # What is inside moves although it was detected as no plant: low and high corner [m]
-    moving_box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
-    # Of a file of several trees only this one, as `trees` numbers them; if unset all, each by itself
-    tree: int | None = None
-    # Of photos: training steps of the splat; 3000 if unset
-    splat_steps: int | None = None
-    # Of a film: sharp frames that are taken as photos; 40 if unset
-    video_frames: int | None = None
-    # Of photos: the tree's height [m], which they do not show; 1 m if unset
-    height_m: float | None = None
-    # Of photos that show a printed marker (AprilTag 36h11): edge of its black square [m], which gives the scale; a
-    # marker of the sheet in the documentation gives it without this
-    marker_m: float | None = None
-    # Strokes on photos that say what is the plant and what is not; all else is decided by them and by what the
-    # photos show of it
-    scribbles: "list[Scribble] | None" = None
-    # Cut out the plant without strokes: not the ground, not what is far, but what stands in the middle of the
-    # photos
-    only_plant: bool = False
-    wind: "Wind | None" = None
-    # Sampler steps; the number of the preset if unset
-    num_steps: int | None = None
-    # Length of the loop [s]; if unset by the tree's height: 4.17 s up to 7 m, 16.7 s from 22 m; 4.17 s where
-    # num_frames is set or the preset is the paper's
-    period_s: float | None = None
-    # Ask the model for winds of 1, 4, 8, 14 and 20 m/s as well: how strong each mode is in any wind
-    wind_bands: bool = False
-
-
 class DiffuseRequest(Model):
     """Generate a spectrum."""
 
@@ -314,19 +176,6 @@ class EndpointRequest(Model):
         "job.canceled",
         "job.aborted",
     ]
-
-
-class EndpointWithSecret(Model):
-    """An endpoint with its secret, which is returned only once."""
-
-    id: str
-    url: str
-    events: list[Literal["job.succeeded", "job.failed", "job.canceled", "job.aborted"]]
-    disabled_reason: str | None
-    # RFC 3339, UTC
-    created_at: datetime
-    # whsec_ and base64: the key of HMAC-SHA256 over id.timestamp.body
-    secret: str
 
 
 class Estimate(Model):
@@ -927,42 +776,6 @@ class Usage(Model):
     limits: dict[str, int] | None
 
 
-class VoxelizeParams(Model):
-    """Parameters of a job that makes the voxels of a surface."""
-
-    # Only what is inside moves: low and high corner [m], +Z up; all of the plant if unset. Of photos: only what is
-    # inside is the plant, in the frame of the job that had the same height_m and no box
-    box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
-    # Parts that stand still: nodes and materials of a mesh, still_parts of a splat or scan; * fits any letters, ?
-    # one
-    still: list[str] | None = None
-    # Parts that move although they were detected as no plant, named as in still
-    moving: list[str] | None = None
-    # What is inside stands still: low and high corner [m]
-    still_box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
-    # What is inside moves although it was detected as no plant: low and high corner [m]
-    moving_box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
-    # Of a file of several trees only this one, as `trees` numbers them; if unset all, each by itself
-    tree: int | None = None
-    # Of photos: training steps of the splat; 3000 if unset
-    splat_steps: int | None = None
-    # Of a film: sharp frames that are taken as photos; 40 if unset
-    video_frames: int | None = None
-    # Of photos: the tree's height [m], which they do not show; 1 m if unset
-    height_m: float | None = None
-    # Of photos that show a printed marker (AprilTag 36h11): edge of its black square [m], which gives the scale; a
-    # marker of the sheet in the documentation gives it without this
-    marker_m: float | None = None
-    # Strokes on photos that say what is the plant and what is not; all else is decided by them and by what the
-    # photos show of it
-    scribbles: "list[Scribble] | None" = None
-    # Cut out the plant without strokes: not the ground, not what is far, but what stands in the middle of the
-    # photos
-    only_plant: bool = False
-    # Voxels along the side of the cube
-    resolution: Literal[32, 64, 128, 256, 512] = 128
-
-
 class VoxelizeRequest(Model):
     """Compute the occupied voxels and their normals."""
 
@@ -1010,3 +823,89 @@ class WindBands(Model):
     speeds_m_s: list[float]
     # [B][K] over the size in the spectrum's own wind; bin 0 is the lean
     gains: list[list[float]]
+
+
+class DiffuseParams(ReconstructParams):
+    """Parameters of a job that generates a spectrum."""
+
+    wind: "Wind | None" = None
+    # Sampler steps; the number of the preset if unset
+    num_steps: int | None = None
+    # Length of the loop [s]; if unset by the tree's height: 4.17 s up to 7 m, 16.7 s from 22 m; 4.17 s where
+    # num_frames is set or the preset is the paper's
+    period_s: float | None = None
+    # Ask the model for winds of 1, 4, 8, 14 and 20 m/s as well: how strong each mode is in any wind
+    wind_bands: bool = False
+
+
+class EndpointWithSecret(Endpoint):
+    """An endpoint with its secret, which is returned only once."""
+
+    # whsec_ and base64: the key of HMAC-SHA256 over id.timestamp.body
+    secret: str
+
+
+class VoxelizeParams(ReconstructParams):
+    """Parameters of a job that makes the voxels of a surface."""
+
+    # Voxels along the side of the cube
+    resolution: Literal[32, 64, 128, 256, 512] = 128
+
+
+class AnimateParams(DiffuseParams):
+    """Parameters of a job that writes a motion. The service writes png besides the formats that are asked for."""
+
+    # Motion that repeats after one period, or in turbulent wind that never repeats
+    wind_mode: Literal["loop", "turbulent"] = "loop"
+    # Number of the first frame to write
+    first_frame: int = 0
+    # Number of frames to write, at most 1000 of a loop; if unset one period, or 10 s of turbulent wind
+    num_frames: int | None = None
+    # Frames per second; does not change the speed of the motion
+    fps: float = 24.0
+    # Speed of the motion over its natural speed
+    speed: float = 1.0
+    # Refuse a number of frames that is not a whole number of periods; not if turbulent
+    loop: bool = True
+    # Files to write; if unset ply, glb, png of a mesh or photos, splat, png of a splat or scan
+    formats: (
+        list[
+            Literal[
+                "ply",
+                "glb",
+                "glb-reduced",
+                "glb-skinned",
+                "lod",
+                "rig",
+                "wind",
+                "html",
+                "usd",
+                "usd-skinned",
+                "alembic",
+                "vat",
+                "motion",
+                "splat-ply",
+                "splat",
+                "html-splat",
+                "usd-splat",
+                "png",
+                "webp",
+                "mp4",
+            ]
+        ]
+        | None
+    ) = None
+    # Share of a splat's Gaussians to write
+    share: float = 1.0
+    # Highest degree of a splat's spherical harmonics to write
+    sh_degree: int = 3
+    # Write normals that move: as targets of glb and glb-reduced, as a texture of vat
+    normals: bool = False
+    # Compression of glb and glb-reduced: meshopt needs a reader of EXT_meshopt_compression
+    glb_compression: Literal["none", "meshopt"] = "none"
+    # Textures of glb, glb-reduced and glb-skinned: PNG and JPEG as in the source, or WebP where that is smaller,
+    # which needs a reader of EXT_texture_webp
+    glb_textures: Literal["source", "webp"] = "source"
+    # Joints of glb-skinned and usd-skinned, at most
+    joints: Literal[32, 64, 256] = 64
+    shot: "Shot | None" = None
