@@ -7,7 +7,7 @@ Weber and Penn's (1 − z) / r, and children inherit. Turns are exact, so that n
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Complex64, Float32, Float64, Int32, Int64
+from jaxtyping import Complex64, Float32, Float64, Int, Int32, Int64
 
 from dynamictree.dataset.branching import Stems
 from dynamictree.dataset.leaves import Leaves
@@ -40,6 +40,16 @@ class _Pose:
     linear: Complex64[np.ndarray, "M J 3"]  # first-order motion of the centre [m], for what sits on it
     linear_turn: Complex64[np.ndarray, "M J 3"]
     phase: Float32[np.ndarray, "M J 3"]  # how far the gusts' phases strayed
+
+    def of(self, rows: Int[np.ndarray, " C"]) -> "_Pose":
+        """The pose of some of the stems."""
+        return _Pose(
+            place=self.place[:, rows],
+            turn=self.turn[:, rows],
+            linear=self.linear[rows],
+            linear_turn=self.linear_turn[rows],
+            phase=self.phase[rows],
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,22 +164,10 @@ def _begin(stems: Stems, born: Int64[np.ndarray, " C"], pose: _Pose, parent: _Mo
     """Pose at the base of stems: on the stem they split from, on the parent's segment, or on the ground (trunk)."""
     source = stems.parent[born]
     if stems.first[born[0]] > 0:
-        return _Pose(
-            place=pose.place[:, source],
-            turn=pose.turn[:, source],
-            linear=pose.linear[source],
-            linear_turn=pose.linear_turn[source],
-            phase=pose.phase[source],
-        )
+        return pose.of(source)
     if parent is not None:
         return parent.at(source, stems.parent_ring[born])
-    return _Pose(
-        place=pose.place[:, born],
-        turn=pose.turn[:, born],
-        linear=pose.linear[born],
-        linear_turn=pose.linear_turn[born],
-        phase=pose.phase[born],
-    )
+    return pose.of(born)
 
 
 def _take_over(pose: _Pose, born: Int64[np.ndarray, " C"], begin: _Pose) -> None:
