@@ -5,6 +5,7 @@ import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
+from typing import BinaryIO, TypeVar
 
 from dynamictree import method
 from dynamictree.export.moving_tree import Facts
@@ -25,6 +26,8 @@ from dynamictree.trees.of_mesh import only_tree_of
 from jobs.records import JobRecord
 from jobs.stage_files import CLOUD_BUNDLE, MESH, MESH_BUNDLE, SPECTRUM, VOXELS
 from jobs.states import JobType
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,10 +68,8 @@ def reconstruct(given: StageInput) -> Iterable[Path]:
         on_file=given.publish,
     )
     assert capture.mesh is not None
-    with (given.folder / MESH_BUNDLE).open("xb") as stream:
-        write_mesh_bundle(capture.mesh, stream)
-    with (given.folder / CLOUD_BUNDLE).open("xb") as stream:
-        write_cloud_bundle(capture, stream)
+    _written(capture.mesh, write_mesh_bundle, given.folder / MESH_BUNDLE)
+    _written(capture, write_cloud_bundle, given.folder / CLOUD_BUNDLE)
     return sorted(path for path in given.folder.iterdir() if not path.name.startswith("."))
 
 
@@ -83,11 +84,10 @@ def _mesh_of_cloud(given: StageInput) -> Iterable[Path]:
     capture = _capture(given)
     assert capture is not None
     mesh = carrying_mesh(capture, CloudParams.part_of(given.job.params))
-    with (given.folder / MESH).open("xb") as stream:
-        write_ply(mesh, stream)
-    with (given.folder / MESH_BUNDLE).open("xb") as stream:
-        write_mesh_bundle(mesh, stream)
-    return given.folder / MESH, given.folder / MESH_BUNDLE
+    return (
+        _written(mesh, write_ply, given.folder / MESH),
+        _written(mesh, write_mesh_bundle, given.folder / MESH_BUNDLE),
+    )
 
 
 def voxelize(given: StageInput) -> Iterable[Path]:
@@ -95,9 +95,7 @@ def voxelize(given: StageInput) -> Iterable[Path]:
     given.report(0.0)
     resolution = GridParams.part_of(given.job.params).resolution
     voxels = method.voxelize(_mesh(given), resolution=resolution, source_sha256=given.source_sha256)
-    with (given.folder / VOXELS).open("xb") as stream:
-        write_voxels(voxels, stream)
-    return [given.folder / VOXELS]
+    return [_written(voxels, write_voxels, given.folder / VOXELS)]
 
 
 def diffuse(given: StageInput) -> Iterable[Path]:
@@ -116,9 +114,7 @@ def diffuse(given: StageInput) -> Iterable[Path]:
         wind_bands=params.wind_bands,
         on_step=lambda done, total: given.report(done / total),
     )
-    with (given.folder / SPECTRUM).open("xb") as stream:
-        write_spectrum(spectrum, stream)
-    return [given.folder / SPECTRUM]
+    return [_written(spectrum, write_spectrum, given.folder / SPECTRUM)]
 
 
 def animate(given: StageInput) -> Iterable[Path]:
@@ -146,6 +142,12 @@ STAGES: dict[JobType, Callable[[StageInput], Iterable[Path]]] = {
     "diffuse": diffuse,
     "animate": animate,
 }
+
+
+def _written(product: T, write: Callable[[T, BinaryIO], None], path: Path) -> Path:
+    with path.open("xb") as stream:
+        write(product, stream)
+    return path
 
 
 def photo_name(index: int, name: str) -> str:
