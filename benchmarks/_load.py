@@ -15,8 +15,6 @@ import httpx
 from benchmarks._machine import machine
 from recipes.demo import grow_demo_tree, served
 
-BUSY_JOBS = 40
-
 
 @dataclass(frozen=True, kw_only=True)
 class Load:
@@ -72,6 +70,9 @@ def load(url: str, *, rate: int, connections: int, seconds: int, body: str | Non
         p99_ms=taken_ms[len(taken_ms) * 99 // 100],
         statuses=dict(Counter(status)),
     )
+
+
+BUSY_JOBS = 40
 
 
 @contextmanager

@@ -21,9 +21,6 @@ Limit = Literal[
 LIMITS: tuple[Limit, ...] = get_args(Limit)
 """Each is a setting `limit_…`; a key may have its own."""
 
-USE_WRITTEN_S = 3600.0
-"""So rarely a key's use is written: a write per request would cost more than most requests."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class KeyRecord:
@@ -89,6 +86,10 @@ def key_of_id(store: Store, key_id: str) -> KeyRecord | None:
     with store.reading() as connection:
         row = connection.execute(sa.select(t.api_keys).where(t.api_keys.c.id == key_id)).one_or_none()
     return None if row is None else _key(row)
+
+
+USE_WRITTEN_S = 3600.0
+"""So rarely a key's use is written: a write per request would cost more than most requests."""
 
 
 def note_use(store: Store, key: KeyRecord) -> None:

@@ -25,9 +25,6 @@ from service.open_streams import OpenStreams
 from service.ready_tree import ReadyTree
 from service.uploads.upload_writer import ActiveWriters
 
-LARGE_ANSWERS = 3
-"""Answers in voxels, vertices or Gaussians, up to 128 MiB each, that are computed or sent at once."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Services:
@@ -62,6 +59,10 @@ class Owned:
     services: Services
     caller: Caller
     store: Store
+
+
+LARGE_ANSWERS = 3
+"""Answers in voxels, vertices or Gaussians, up to 128 MiB each, that are computed or sent at once."""
 
 
 @contextmanager

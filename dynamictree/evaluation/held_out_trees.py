@@ -26,9 +26,6 @@ GUST = (0.15, 0.45)
 SAPLING_WIND = Wind(speed_m_s=7.5, direction_deg=WIND_BLOWS_TO_DEG)
 """What we take the add-on's wind 1 for: at this speed our stems bend as far, see docs/decisions/dataset.md."""
 
-SpeciesGroup = Literal["seen-species", "unseen-species"]
-Group = Literal["seen-species", "unseen-species", "sapling"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class HeldOutTree:
@@ -59,6 +56,10 @@ def iter_sapling(files: Sequence[Path], *, resolution: int = 128) -> Iterator[He
             bones=tree.bones,
             bone=tree.bone,
         )
+
+
+SpeciesGroup = Literal["seen-species", "unseen-species"]
+Group = Literal["seen-species", "unseen-species", "sapling"]
 
 
 def iter_held_out(group: SpeciesGroup, count: int, *, resolution: int = 128) -> Iterator[HeldOutTree]:

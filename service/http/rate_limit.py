@@ -15,10 +15,6 @@ from service.http.caller import Caller
 
 logger = logging.getLogger(__name__)
 
-REDIS_TIMEOUT_S = 1.0
-AWAY_S = 5.0
-"""How long Redis is not asked after it did not answer."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Policy:
@@ -63,6 +59,11 @@ def policy_of(method: str, path: str) -> Policy:
     if method in {"GET", "HEAD", "OPTIONS"}:
         return READS
     return CHUNKS if method == "PATCH" else CREATES
+
+
+REDIS_TIMEOUT_S = 1.0
+AWAY_S = 5.0
+"""How long Redis is not asked after it did not answer."""
 
 
 class RateLimiter:

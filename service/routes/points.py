@@ -20,14 +20,12 @@ MAX_POINTS = 200_000
 FAINTEST = 0.1
 """Gaussians of a lower opacity are left out: alone they are not seen."""
 
-_FILE = file_of(SAFETENSORS, "safetensors; see docs/viewer.md")
-
 
 @router.get(
     "/assets/{id}/points",
     operation_id="getAssetPoints",
     response_class=Response,
-    responses=refusals("not-found", "conflict", "expired") | _FILE,
+    responses=refusals("not-found", "conflict", "expired") | file_of(SAFETENSORS, "safetensors; see docs/viewer.md"),
 )
 def get_asset_points(id: Id, owned: OwnedDep) -> Response:
     """A splat or scan as it was read: metres, +Z up. Something to look at while its job runs."""
