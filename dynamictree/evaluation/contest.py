@@ -15,18 +15,10 @@ import numpy as np
 from jaxtyping import Complex64
 
 from dynamictree.devoxelize.length_preserving import length_preserving
+from dynamictree.evaluation import metrics
 from dynamictree.evaluation.figures import TreeReference
 from dynamictree.evaluation.frame_distances import ImageEmbedder, motion_distances
 from dynamictree.evaluation.held_out_trees import HeldOutTree, iter_held_out, iter_sapling
-from dynamictree.evaluation.metrics import (
-    amplitude,
-    edge_stretch,
-    energy_by_frequency,
-    loop_jump,
-    phase_agreement,
-    root_share,
-    roughness,
-)
 from dynamictree.evaluation.procedural_wind import sway_as_sapling
 from dynamictree.evaluation.report import generate_for, mean_of
 from dynamictree.evaluation.sapling_file import read_sapling
@@ -66,18 +58,18 @@ class Showing:
 def show(motion: Motion, reference: TreeReference, *, seconds: float) -> Showing:
     """Measure a motion."""
     vertices = reference.tree.mesh.vertices
-    median, extreme = edge_stretch(motion, vertices, reference.edges)
-    shares = energy_by_frequency(motion)
+    median, extreme = metrics.edge_stretch(motion, vertices, reference.edges)
+    shares = metrics.energy_by_frequency(motion)
     some = shares[shares > 0]
     return Showing(
         smoothness_loss=reference.smoothness(motion),
-        roughness=roughness(motion, reference.edges),
-        phase_agreement=phase_agreement(motion, reference.edges),
+        roughness=metrics.roughness(motion, reference.edges),
+        phase_agreement=metrics.phase_agreement(motion, reference.edges),
         stretch_median=median,
         stretch_p99=extreme,
-        root_share=root_share(motion, vertices),
-        loop_jump=loop_jump(motion),
-        size_share=float(np.median(amplitude(motion)) / reference.tree.mesh.height_m),
+        root_share=metrics.root_share(motion, vertices),
+        loop_jump=metrics.loop_jump(motion),
+        size_share=float(np.median(metrics.amplitude(motion)) / reference.tree.mesh.height_m),
         effective_frequencies=float(np.exp(-(some * np.log(some)).sum())),
         mean_frequency_hz=float(shares @ np.arange(1, len(shares) + 1) * FPS / NUM_FRAMES),
         cpu_seconds=seconds,
