@@ -5,8 +5,6 @@ import copy
 import io
 import json
 import os
-import shutil
-import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
@@ -35,9 +33,8 @@ from tests.formats.looks import (
     through_the_parser,
     without_motion,
 )
+from tests.js_tools import validated
 
-ROOT = Path(__file__).parents[2]
-JS_TOOLS = ROOT / ".cache" / "js-tools"
 SAMPLES = Path(os.environ.get("DYNAMICTREE_SAMPLES", "/nowhere"))
 
 
@@ -168,9 +165,6 @@ def test_a_damaged_part_that_the_motion_needs_not_refuses_no_file() -> None:
 
 @pytest.mark.slow
 def test_khronos_validator_finds_in_the_animated_what_it_finds_in_the_source(tmp_path: Path) -> None:
-    """Needs `make js-tools`."""
-    if not (JS_TOOLS / "node_modules" / "gltf-validator").exists() or shutil.which("node") is None:
-        pytest.skip("gltf-validator is not there: make js-tools, with node and npm")
     paths = []
     for number, model in enumerate(MODELS):
         paths += [tmp_path / f"{number}-before.glb", tmp_path / f"{number}-after.glb"]
@@ -178,9 +172,7 @@ def test_khronos_validator_finds_in_the_animated_what_it_finds_in_the_source(tmp
         mesh = read_mesh(io.BytesIO(model().glb()), file_type="glb")
         with paths[-1].open("wb") as stream:
             write_motion_glb(mesh, coefficients_of(mesh), stream, num_frames=10, with_normals=True)
-    command = ["node", str(ROOT / "tests" / "js" / "validate_gltf.cjs"), str(JS_TOOLS), *map(str, paths)]
-    reports = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
-    issues = [(report["numErrors"], report["numWarnings"]) for report in reports]
+    issues = [(report["numErrors"], report["numWarnings"]) for report in validated(paths)]
     assert issues[1::2] == issues[::2]
 
 

@@ -2,8 +2,6 @@
 
 import io
 import json
-import shutil
-import subprocess
 import sys
 from pathlib import Path
 
@@ -23,9 +21,8 @@ from dynamictree.spectrum import SparseVoxelSpectrum
 from tests.formats import artists
 from tests.formats.artists import document_of
 from tests.formats.meshes import gltf_bytes
+from tests.js_tools import by_node
 
-JS = Path(__file__).parents[1] / "js"
-JS_TOOLS = Path(__file__).parents[2] / ".cache" / "js-tools"
 LARGEST_M = 1e-3
 """Of a compressed GLB's vertices to those of the plain one, in any frame."""
 Tree = tuple[TriangleMesh, SparseVoxelSpectrum]
@@ -154,10 +151,7 @@ def test_fallback_buffers_alone_have_no_bytes() -> None:
 
 
 def by_gltf_transform(*arguments: str | Path) -> str:
-    if not (JS_TOOLS / "node_modules" / "@gltf-transform").exists() or shutil.which("node") is None:
-        pytest.skip("glTF-Transform is not there: make js-tools, with node and npm")
-    command = ["node", str(JS / "meshopt_gltf.mjs"), str(JS_TOOLS), *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    return by_node("meshopt_gltf.mjs", *arguments, package="@gltf-transform")
 
 
 @pytest.mark.slow
