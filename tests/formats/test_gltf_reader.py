@@ -28,6 +28,11 @@ def read_gltf(**changes: object) -> TriangleMesh:
     return read(gltf_bytes(root, binary), "glb")
 
 
+def floats(view: int, kind: str, *, count: int = 3) -> dict[str, object]:
+    """An accessor of single precision."""
+    return {"bufferView": view, "componentType": 5126, "count": count, "type": kind}
+
+
 def with_data(extra: bytes, *views: dict[str, object], **changes: object) -> TriangleMesh:
     """The triangle's document with more bytes, and more views that begin behind its 42."""
     root, binary = triangle_gltf(**changes)
@@ -82,9 +87,9 @@ def test_gpu_instances_stand_where_they_are_put() -> None:
         {"byteOffset": 44, "byteLength": 24},
         nodes=[{"mesh": 0, "extensions": {"EXT_mesh_gpu_instancing": {"attributes": {"TRANSLATION": 2}}}}],
         accessors=[
-            {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"},
+            floats(0, "VEC3"),
             {"bufferView": 1, "componentType": 5123, "count": 3, "type": "SCALAR"},
-            {"bufferView": 2, "componentType": 5126, "count": 2, "type": "VEC3"},
+            floats(2, "VEC3", count=2),
         ],
     )
     np.testing.assert_allclose(mesh.vertices[[0, 3], 0], [0, 4])
@@ -101,10 +106,10 @@ def test_nodes_outside_of_the_scene_are_left_out_and_without_a_scene_all_are_in(
 def test_a_skin_at_rest_places_its_mesh_by_its_joints_alone() -> None:
     joints, weights = np.zeros((3, 4), np.uint8), np.tile(np.float32([1, 0, 0, 0]), (3, 1))
     accessors = [
-        {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"},
+        floats(0, "VEC3"),
         {"bufferView": 2, "componentType": 5121, "count": 3, "type": "VEC4"},
-        {"bufferView": 3, "componentType": 5126, "count": 3, "type": "VEC4"},
-        {"bufferView": 4, "componentType": 5126, "count": 1, "type": "MAT4"},
+        floats(3, "VEC4"),
+        floats(4, "MAT4", count=1),
     ]
     bind = np.eye(4, dtype=np.float32)
     bind[3, :3] = [0, -1, 0]  # by columns: moves down by 1
@@ -134,7 +139,7 @@ def test_strips_and_fans_become_triangles(mode: int, expected: list[list[int]]) 
     mesh = with_data(
         square.tobytes(),
         {"byteOffset": 44, "byteLength": 48},
-        accessors=[{"bufferView": 2, "componentType": 5126, "count": 4, "type": "VEC3"}],
+        accessors=[floats(2, "VEC3", count=4)],
         meshes=[{"primitives": [{"attributes": {"POSITION": 0}, "mode": mode}]}],
     )
     np.testing.assert_array_equal(mesh.faces, expected)
@@ -206,10 +211,7 @@ def test_a_texture_s_transform_moves_its_coordinates() -> None:
     mesh = with_data(
         places.tobytes(),
         {"byteOffset": 44, "byteLength": 24},
-        accessors=[
-            {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"},
-            {"bufferView": 2, "componentType": 5126, "count": 3, "type": "VEC2"},
-        ],
+        accessors=[floats(0, "VEC3"), floats(2, "VEC2")],
         meshes=[{"primitives": [{"attributes": {"POSITION": 0, "TEXCOORD_1": 1}, "material": 0}]}],
         materials=[{"pbrMetallicRoughness": {"baseColorTexture": texture}, "alphaMode": "BLEND"}],
         textures=[{"source": 0}],
@@ -266,10 +268,7 @@ def test_a_part_without_colours_is_white_beside_one_with() -> None:
     mesh = with_data(
         colors.tobytes(),
         {"byteOffset": 44, "byteLength": 36},
-        accessors=[
-            {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"},
-            {"bufferView": 2, "componentType": 5126, "count": 3, "type": "VEC3"},
-        ],
+        accessors=[floats(0, "VEC3"), floats(2, "VEC3")],
         meshes=[{"primitives": [{"attributes": {"POSITION": 0}}, {"attributes": {"POSITION": 0, "COLOR_0": 1}}]}],
     )
     assert mesh.vertex_colors is not None

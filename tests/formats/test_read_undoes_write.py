@@ -16,6 +16,8 @@ from dynamictree.mesh import TriangleMesh, unit_vectors
 from dynamictree.requests import Reading
 from tests.formats.meshes import trunk_and_crown
 
+WRITERS = {"glb": write_glb, "ply": write_ply, "obj": write_obj}
+
 shapes = given(
     seed=st.integers(0, 2**32),
     sizes=st.tuples(st.integers(3, 40), st.integers(1, 60)),
@@ -34,25 +36,18 @@ def random_mesh(seed: int, sizes: tuple[int, int], has: tuple[bool, bool]) -> Tr
     )
 
 
+@pytest.mark.parametrize(("kind", "uv_error"), [("glb", 0.0), ("ply", 1e-6)])
 @settings(max_examples=10, deadline=None)
 @shapes
-def test_glb(seed: int, sizes: tuple[int, int], has: tuple[bool, bool]) -> None:
+def test_corners_coordinates_and_colours(
+    kind: str, uv_error: float, seed: int, sizes: tuple[int, int], has: tuple[bool, bool]
+) -> None:
     mesh, stream = random_mesh(seed, sizes, has), io.BytesIO()
-    write_glb(mesh, stream)
-    result = read_mesh(io.BytesIO(stream.getvalue()), file_type="glb")
+    WRITERS[kind](mesh, stream)
+    reading = None if kind == "glb" else Reading(up_axis="+Z", unit_m=1.0)
+    result = read_mesh(io.BytesIO(stream.getvalue()), file_type=kind, reading=reading)
     assert_geometry(result, mesh)
-    assert_optional(result.uv, mesh.uv, atol=0)
-    assert_optional(result.vertex_colors, mesh.vertex_colors, atol=0)
-
-
-@settings(max_examples=10, deadline=None)
-@shapes
-def test_ply(seed: int, sizes: tuple[int, int], has: tuple[bool, bool]) -> None:
-    mesh, stream = random_mesh(seed, sizes, has), io.BytesIO()
-    write_ply(mesh, stream)
-    result = read_mesh(io.BytesIO(stream.getvalue()), file_type="ply", reading=Reading(up_axis="+Z", unit_m=1.0))
-    assert_geometry(result, mesh)
-    assert_optional(result.uv, mesh.uv, atol=1e-6)
+    assert_optional(result.uv, mesh.uv, atol=uv_error)
     assert_optional(result.vertex_colors, mesh.vertex_colors, atol=0)
 
 
@@ -127,8 +122,8 @@ def test_an_obj_without_its_library_keeps_the_names_of_its_materials(rng: np.ran
     assert [material.name for material in result.materials] == ["bark", "leaf"]
 
 
-@pytest.mark.parametrize("kind", ["glb", "ply", "obj"])
+@pytest.mark.parametrize("kind", WRITERS)
 def test_what_is_written_is_recognised_by_its_first_bytes(rng: np.random.Generator, kind: str) -> None:
     stream = io.BytesIO()
-    {"glb": write_glb, "ply": write_ply, "obj": write_obj}[kind](trunk_and_crown(rng), stream)
+    WRITERS[kind](trunk_and_crown(rng), stream)
     assert sniff_file_type(stream.getvalue()[:1024]) == kind
