@@ -1,6 +1,7 @@
 """Pages that play from disk in a real Chromium, without a server, where the spectrum has vertices and Gaussians."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +11,11 @@ from playwright.sync_api import Browser, Page
 
 from benchmarks._played import z_up
 from dynamictree import method
-from dynamictree.dataset.sample import Sample, make_sample, voxel_spectrum
+from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.export.write import write_products
 from dynamictree.gaussian.animate import iter_poses, lighter
 from dynamictree.gaussian.from_mesh import splats_of_mesh
+from dynamictree.mesh import TriangleMesh
 from dynamictree.requests import ExportParams
 from dynamictree.spectrum import SparseVoxelSpectrum, iter_motion
 
@@ -54,19 +56,20 @@ GAUSSIANS = """async (time) => {
 }"""
 
 
-@pytest.fixture(scope="module")
-def sample() -> Sample:
-    return make_sample(3, "sapling")
+@dataclass(frozen=True, kw_only=True)
+class Swaying:
+    """A tree, and its motion in voxels and at its vertices."""
+
+    mesh: TriangleMesh
+    spectrum: SparseVoxelSpectrum
+    coefficients: Complex64[np.ndarray, "N K 3"]
 
 
 @pytest.fixture(scope="module")
-def spectrum(sample: Sample) -> SparseVoxelSpectrum:
-    return voxel_spectrum(sample, 32)[1]
-
-
-@pytest.fixture(scope="module")
-def coefficients(sample: Sample, spectrum: SparseVoxelSpectrum) -> Complex64[np.ndarray, "N K 3"]:
-    return method.devoxelize(spectrum, sample.mesh)
+def swaying() -> Swaying:
+    sample = make_sample(3, "sapling")
+    spectrum = voxel_spectrum(sample, 32)[1]
+    return Swaying(mesh=sample.mesh, spectrum=spectrum, coefficients=method.devoxelize(spectrum, sample.mesh))
 
 
 @pytest.fixture
@@ -87,33 +90,21 @@ def opened(browser: Browser) -> Iterator[Opened]:
     assert not problems
 
 
-def test_the_page_plays_the_motion_from_disk(
-    opened: Opened,
-    sample: Sample,
-    spectrum: SparseVoxelSpectrum,
-    coefficients: Complex64[np.ndarray, "N K 3"],
-    tmp_path: Path,
-) -> None:
-    path = write_products(sample.mesh, spectrum, ExportParams(formats=("html",)), tmp_path)["html"]
+def test_the_page_plays_the_motion_from_disk(opened: Opened, swaying: Swaying, tmp_path: Path) -> None:
+    path = write_products(swaying.mesh, swaying.spectrum, ExportParams(formats=("html",)), tmp_path)["html"]
     page = opened(path)
-    truth = list(iter_motion(coefficients, np.arange(100) / 100))
+    truth = list(iter_motion(swaying.coefficients, np.arange(100) / 100))
     for frame in FRAMES:
-        moved = z_up(np.array(page.evaluate(PLACES, frame / 24))) - sample.mesh.vertices
+        moved = z_up(np.array(page.evaluate(PLACES, frame / 24))) - swaying.mesh.vertices
         assert np.abs(moved - truth[frame]).max() < 1e-4
 
 
-def test_the_page_plays_a_splat_from_disk(
-    opened: Opened,
-    sample: Sample,
-    spectrum: SparseVoxelSpectrum,
-    coefficients: Complex64[np.ndarray, "N K 3"],
-    tmp_path: Path,
-) -> None:
+def test_the_page_plays_a_splat_from_disk(opened: Opened, swaying: Swaying, tmp_path: Path) -> None:
     params = ExportParams(formats=("html-splat",), share=0.1)
-    page = opened(write_products(sample.mesh, spectrum, params, tmp_path)["html-splat"])
+    page = opened(write_products(swaying.mesh, swaying.spectrum, params, tmp_path)["html-splat"])
     page.wait_for_function("player.gaussians.drawn", timeout=60_000)
-    binding = lighter(splats_of_mesh(sample.mesh, rng=np.random.default_rng(0)).binding, share=0.1)
-    truth = list(iter_poses(binding, iter_motion(coefficients, np.array(FRAMES) / 100)))
+    binding = lighter(splats_of_mesh(swaying.mesh, rng=np.random.default_rng(0)).binding, share=0.1)
+    truth = list(iter_poses(binding, iter_motion(swaying.coefficients, np.array(FRAMES) / 100)))
     assert np.linalg.norm(truth[1].means - truth[2].means, axis=1).max() > 0.05
     for frame, pose in zip(FRAMES, truth, strict=True):
         places = np.array(page.evaluate(GAUSSIANS, frame / 24))

@@ -17,12 +17,18 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 Open = Callable[..., Viewer]
 
 
-def test_a_second_wind_and_a_forest_stand_beside_the_tree(view: Open, url: str, job_id: str) -> None:
+@pytest.fixture
+def paused(view: Open, url: str, job_id: str) -> Viewer:
+    """The tree of a job that has ended; its playback is paused."""
     viewer = view(900, 620)
-    page = viewer.page
     viewer.open(f"{url}/#job={job_id}")
-    page.wait_for_selector(MOVING, timeout=JOB_MS)
-    page.locator("#play").click()
+    viewer.page.wait_for_selector(MOVING, timeout=JOB_MS)
+    viewer.page.locator("#play").click()
+    return viewer
+
+
+def test_a_second_wind_and_a_forest_stand_beside_the_tree(paused: Viewer) -> None:
+    viewer, page = paused, paused.page
     steady(viewer)
     alone = scrub(viewer, 0.0)
     page.locator("#company input[value=pair]").check(force=True)
@@ -41,12 +47,8 @@ def test_a_second_wind_and_a_forest_stand_beside_the_tree(view: Open, url: str, 
     assert viewer.complaints == []
 
 
-def test_other_gusts_stand_beside_the_tree(view: Open, url: str, job_id: str) -> None:
-    viewer = view(900, 620)
-    page = viewer.page
-    viewer.open(f"{url}/#job={job_id}")
-    page.wait_for_selector(MOVING, timeout=JOB_MS)
-    page.locator("#play").click()
+def test_other_gusts_stand_beside_the_tree(paused: Viewer) -> None:
+    viewer, page = paused, paused.page
     page.locator("#company input[value=pair]").check(force=True)
     plates = page.locator("#plates span")
     expect(plates).to_have_text(["5.0 m/s", "12.0 m/s"])
@@ -83,12 +85,8 @@ def crowns(picture: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return picture[: int(0.6 * height), : width // 2], picture[: int(0.6 * height), width // 2 :]
 
 
-def test_the_sun_moves_and_the_background_goes(view: Open, url: str, job_id: str, tmp_path: Path) -> None:
-    viewer = view(900, 620)
-    page = viewer.page
-    viewer.open(f"{url}/#job={job_id}")
-    page.wait_for_selector(MOVING, timeout=JOB_MS)
-    page.locator("#play").click()
+def test_the_sun_moves_and_the_background_goes(paused: Viewer, tmp_path: Path) -> None:
+    viewer, page = paused, paused.page
     before = steady(viewer)
     page.locator("#light-section summary").click()
     page.locator("#sun-from").fill("135")

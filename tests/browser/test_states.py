@@ -28,6 +28,15 @@ def state(page: Page, name: str) -> None:
     page.wait_for_selector(f"body[data-state={name}]", state="attached", timeout=JOB_MS)
 
 
+@pytest.fixture
+def moving(view: Open, url: str, job_id: str) -> Viewer:
+    """The tree of a job that has ended, in motion."""
+    viewer = view(900, 620)
+    viewer.open(f"{url}/#job={job_id}")
+    state(viewer.page, "moving")
+    return viewer
+
+
 def test_two_trees_dropped_both_begin(view: Open, url: str, tree: Path, tmp_path: Path) -> None:
     second = tmp_path / "second.glb"
     second.write_bytes(tree.read_bytes())
@@ -178,11 +187,8 @@ def test_a_job_is_deleted_by_the_second_press(view: Open, url: str, tree: Path) 
     assert [text for text in viewer.complaints if "410" not in text] == []
 
 
-def test_the_graphics_context_is_lost_and_comes_back(view: Open, url: str, job_id: str) -> None:
-    viewer = view(900, 620)
-    page = viewer.page
-    viewer.open(f"{url}/#job={job_id}")
-    state(page, "moving")
+def test_the_graphics_context_is_lost_and_comes_back(moving: Viewer) -> None:
+    viewer, page = moving, moving.page
     viewer.wait_frames(2)
     page.evaluate(LIT)
     expect(page.locator("#context-lost")).to_be_visible()
@@ -211,11 +217,8 @@ def test_another_language_and_feet(view: Open, url: str, job_id: str) -> None:
     assert viewer.complaints == []
 
 
-def test_sliders_say_their_values(view: Open, url: str, job_id: str) -> None:
-    viewer = view(900, 620)
-    page = viewer.page
-    viewer.open(f"{url}/#job={job_id}")
-    state(page, "moving")
+def test_sliders_say_their_values(moving: Viewer) -> None:
+    viewer, page = moving, moving.page
     expect(page.locator("#artifacts a").first).to_be_visible(timeout=JOB_MS)
     names = page.evaluate("[...document.querySelectorAll('input[type=range]')].map((i) => [i.id, i.ariaValueText])")
     silent = [name for name, words in json.loads(json.dumps(names)) if not words and not name.startswith("crop")]
@@ -231,11 +234,8 @@ def test_sliders_say_their_values(view: Open, url: str, job_id: str) -> None:
     assert viewer.complaints == []
 
 
-def test_the_model_is_asked_for_all_winds(view: Open, url: str, job_id: str) -> None:
-    viewer = view(900, 620)
-    page = viewer.page
-    viewer.open(f"{url}/#job={job_id}")
-    state(page, "moving")
+def test_the_model_is_asked_for_all_winds(moving: Viewer) -> None:
+    viewer, page = moving, moving.page
     page.locator("#wind-presets button", has_text="Storm").click()
     expect(page.locator("#wind-note")).to_contain_text("speed to the power 1.4")
     page.get_by_role("button", name="Ask the model for all winds").click()
