@@ -1,19 +1,15 @@
 """Pictures and films of a moving mesh or splat."""
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
-from jaxtyping import Bool, Float32, UInt8
+from jaxtyping import UInt8
 
-from dynamictree.color import STILL_SHARE, greyed, linear_to_srgb
 from dynamictree.export.moving_tree import MovingTree, Report
-from dynamictree.gaussian.animate import iter_poses, lighter
+from dynamictree.export.splat_scene import SplatScene
+from dynamictree.gaussian.animate import iter_poses
 from dynamictree.gaussian.binding import Binding
-from dynamictree.gaussian.cloud import GaussianCloud, area_m2
-from dynamictree.gaussian.deform import Pose
-from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.render.camera import Camera
 from dynamictree.render.shot import cameras_of
 
@@ -22,11 +18,6 @@ if TYPE_CHECKING:
 
 Picture = UInt8[np.ndarray, "H W 3"]
 Film = UInt8[np.ndarray, "M H W 3"]
-
-PREVIEW_GAUSSIANS = 200_000
-"""A larger cloud is drawn at a lower level of detail: 0.2 s per picture on two cores."""
-_MOST = 0.95  # of the Gaussians; a few may be as large as the scene
-_STRAYS = 0.001  # share of the Gaussians, the lowest, that may lie below the floor
 
 
 def write_sheet(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
@@ -83,65 +74,3 @@ def _draw_splat(tree: MovingTree, binding: Binding, report: Report) -> Iterator[
         if behind is None or behind[0] is not camera:
             behind = (camera, scene.backdrop(camera, (side, side)))
         yield scene.picture(camera, (side, side), pose, behind[1])
-
-
-@dataclass(frozen=True, kw_only=True)
-class SplatScene:
-    """A bound splat over a floor, to be drawn."""
-
-    binding: Binding
-    bounds: Float32[np.ndarray, "M 3"]  # what a picture must contain [m]
-    covered_m2: Float32[np.ndarray, " moving"]  # how much light each Gaussian that moves takes
-    ground: bool  # whether there is a floor
-
-    @classmethod
-    def of(cls, binding: Binding, *, ground: bool, grey_still: bool = False) -> "SplatScene":
-        """Prepare; a large cloud at a lower level of detail, what stands still in grey if asked."""
-        binding = lighter(binding, share=min(1.0, PREVIEW_GAUSSIANS / binding.cloud.num_gaussians))
-        if grey_still:
-            binding = replace(binding, cloud=_grey_where(binding.cloud, ~binding.moving))
-        cloud = binding.cloud
-        covered = (np.pi * area_m2(cloud) * cloud.opacity)[binding.moving]
-        bounds = _bounding_points(cloud.subset(binding.moving))
-        return cls(binding=binding, bounds=bounds, covered_m2=covered, ground=ground)
-
-    def backdrop(self, camera: Camera, size_px: tuple[int, int]) -> "Backdrop":
-        """Sky and floor behind it, for one camera."""
-        from dynamictree.render import Backdrop
-
-        floor = float(np.quantile(self.bounds[:, 2], _STRAYS)) if self.ground else -np.inf
-        centre, radius = _footprint(self.bounds)
-        return Backdrop(camera, size_px=size_px, ground_m=floor, centre_m=centre, radius_m=radius)
-
-    def picture(
-        self, camera: Camera, size_px: tuple[int, int], pose: Pose, backdrop: "Backdrop", *, shadow: bool = True
-    ) -> Picture:
-        """One picture of a pose."""
-        from dynamictree.gaussian.rasterize import render_cloud
-
-        moving = self.binding.moving
-        behind = backdrop.picture(pose.means[moving], self.covered_m2) if shadow and self.ground else backdrop.picture()
-        width, height = size_px
-        return render_cloud(self.binding.cloud, camera, width=width, height=height, pose=pose).over(behind)
-
-
-def _grey_where(cloud: GaussianCloud, still: Bool[np.ndarray, " G"]) -> GaussianCloud:
-    """Take the colours out of Gaussians, and darken them to `STILL_SHARE`; 0.5 + Σ sh Y is a display value."""
-    share = linear_to_srgb(np.array([STILL_SHARE], np.float32))
-    sh = cloud.sh.copy()
-    sh[still] = share * greyed(sh[still])
-    sh[still, 0] -= (1 - share) * 0.5 / np.float32(SH_0)
-    return replace(cloud, sh=sh)
-
-
-def _bounding_points(cloud: GaussianCloud) -> Float32[np.ndarray, "M 3"]:
-    """Points that a picture must contain: the centres of the Gaussians, extended by their usual size [m]."""
-    sigma = cloud.scales.max(axis=1, keepdims=True)
-    reach = np.minimum(sigma, np.quantile(sigma, _MOST).astype(np.float32))
-    return np.concatenate([cloud.means - reach, cloud.means + reach])
-
-
-def _footprint(points: Float32[np.ndarray, "G 3"]) -> tuple[Float32[np.ndarray, "2"], float]:
-    """Centre of the points seen from above, and the radius of a ball around them [m]."""
-    low, high = points.min(axis=0), points.max(axis=0)
-    return (low[:2] + high[:2]) / np.float32(2), max(float(np.linalg.norm(high - low)) / 2, 1e-6)

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from dynamictree.export.moving_tree import MovingTree, Report
-from dynamictree.export.pictures import SplatScene
+from dynamictree.export.splat_scene import SplatScene
 from dynamictree.gaussian.animate import AnimatedSplat, iter_poses
 from dynamictree.gaussian.binding import Binding
 from dynamictree.gaussian.deform import Deformer

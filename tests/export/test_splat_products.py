@@ -13,8 +13,8 @@ from pxr import Usd, UsdGeom, UsdVol
 
 from dynamictree.commands.source import load_capture
 from dynamictree.errors import FormatError, InputError
-from dynamictree.export.pictures import SplatScene
 from dynamictree.export.size import splat_bytes
+from dynamictree.export.splat_scene import SplatScene
 from dynamictree.export.vertex_motion import vertex_motion
 from dynamictree.export.write import write_products
 from dynamictree.formats.axes import up_rotation
