@@ -188,14 +188,7 @@ def _blend_one(e, left, top, from_row, to_row, b):
         start = np.uint32(row * TILE)
         for j in range(_LANES):
             dx = across + np.float32(j)
-            y = (constant + dx * (slope - half_a * dx)) * _SIXTEENTH
-            # exp(16 y): a polynomial, squared four times; to 5e-5 where alpha is not below its least
-            y = max(y, -_ONE)
-            p = ((((_EXP[0] * y + _EXP[1]) * y + _EXP[2]) * y + _EXP[3]) * y + _EXP[4]) * y + _EXP[5]
-            p = p * p
-            p = p * p
-            p = p * p
-            alpha = min(opacity * (p * p), _MAX)
+            alpha = min(opacity * falloff(constant + dx * (slope - half_a * dx)), _MAX)
             alpha = alpha if alpha >= _MIN else np.float32(0)
             contribution = alpha * b[_LIGHT + start + j]
             b[start + j] += contribution * red
@@ -203,6 +196,18 @@ def _blend_one(e, left, top, from_row, to_row, b):
             b[_BLUE + start + j] += contribution * blue
             b[_DEPTH + start + j] += contribution * depth
             b[_LIGHT + start + j] -= contribution
+
+
+@compiled_fused
+@no_type_check
+def falloff(x):
+    """exp(x) for x in [-16, 0]: a polynomial of x / 16, squared four times; to 5e-5 where alpha is above its least."""
+    y = max(x * _SIXTEENTH, -_ONE)
+    p = ((((_EXP[0] * y + _EXP[1]) * y + _EXP[2]) * y + _EXP[3]) * y + _EXP[4]) * y + _EXP[5]
+    p = p * p
+    p = p * p
+    p = p * p
+    return p * p
 
 
 @compiled_fused

@@ -16,6 +16,7 @@ from dynamictree.gaussian.rasterize_kernel import (
     TILE,
     covariance,
     cross,
+    falloff,
     half_axis,
     rotation_axes,
 )
@@ -33,8 +34,6 @@ _SIZE = TILE * TILE
 # unsigned, so that no index can wrap around and LLVM makes vectors of the loop
 _LANES = np.uint32(TILE)
 _TO_COME, _RED, _GREEN, _BLUE, _DEPTH = (np.uint32(plane * _SIZE) for plane in range(1, 6))
-_EXP = tuple(np.float32(c) for c in (1 / 120, 1 / 24, 1 / 6, 1 / 2, 1, 1))
-_SIXTEENTH = np.float32(1 / 16)
 _SH = tuple(
     np.float32(c)
     for c in (
@@ -93,13 +92,7 @@ def _one_back(e, left, top, from_row, to_row, b, out):
         h0, h1, h2 = _ZERO, _ZERO, _ZERO
         for j in range(_LANES):
             dx = across + np.float32(j)
-            y = (constant + dx * (slope - half_a * dx)) * _SIXTEENTH
-            y = max(y, -_ONE)
-            p = ((((_EXP[0] * y + _EXP[1]) * y + _EXP[2]) * y + _EXP[3]) * y + _EXP[4]) * y + _EXP[5]
-            p = p * p
-            p = p * p
-            p = p * p
-            whole = opacity * (p * p)
+            whole = opacity * falloff(constant + dx * (slope - half_a * dx))
             alpha = min(whole, _MAX)
             alpha = alpha if alpha >= _MIN else _ZERO
             light = b[start + j]
