@@ -30,8 +30,6 @@ DATABASE, BLOBS = "database.jsonl.gz", "blobs"
 NOT_SAVED = frozenset({"leases"})
 """Who holds what now, which says nothing to another day's processes."""
 
-BATCH_ROWS = 500
-
 
 @dataclass(frozen=True, kw_only=True)
 class BackupReport:
@@ -98,8 +96,8 @@ def restore(store: Store, artifacts: ArtifactStore, folder: Path) -> BackupRepor
         connection.execute(t.tallies.delete())
         for table in t.metadata.sorted_tables:
             rows = [row for name, row in saved if name == table.name and _is_restored(name, row)]
-            for start in range(0, len(rows), BATCH_ROWS):
-                connection.execute(table.insert(), rows[start : start + BATCH_ROWS])
+            if rows:
+                connection.execute(table.insert(), rows)
         connection.execute(t.outbox.update().values(sent_at=None))  # the queue of that day is gone
         if connection.dialect.name == "postgresql":
             newest = sa.select(sa.func.max(t.job_logs.c.id)).scalar_subquery()
