@@ -5,11 +5,12 @@ import { $, element, fill, keyedChildren } from "./dom.js";
 import { duration, number, percent, text, textOrNull } from "./texts.js";
 
 /** Show what the facts of the machine say. */
-export function showProgress(state, { name, job, share = 0, away, files }) {
+export function showProgress(state, { name, job, share = 0, away, files, asset }) {
   const visible = state === "uploading" || state === "queued" || state === "running";
   $("progress").hidden = !visible;
   if (!visible) return;
-  fill($("progress-title"), name || text("tree.photos", { n: number(files?.length ?? 0) }));
+  const count = (files ?? asset?.parts)?.length;
+  fill($("progress-title"), name || (count ? text("tree.photos", { n: number(count) }) : text("tree.one")));
   fill($("progress-eta"), etaWords(job));
   $("away").hidden = !away;
   const stages = [{ name: "upload", state: share < 1 && !job ? "running" : "succeeded", progress: share }];
