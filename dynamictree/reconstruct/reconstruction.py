@@ -14,6 +14,7 @@ from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.reconstruct.cameras import ADVICE, find_cameras
 from dynamictree.reconstruct.coloured_mesh import Shape, best_mesh_of, finished_shape
 from dynamictree.reconstruct.cut import cloud_in_metres, of_the_tree
+from dynamictree.reconstruct.draft import Draft
 from dynamictree.reconstruct.given import files_with_cameras
 from dynamictree.reconstruct.markers import Marker, find_markers, metres_per_unit
 from dynamictree.reconstruct.optimise import Schedule
@@ -58,7 +59,8 @@ def reconstruct(
 
     The files are `cameras.json`; `photos.safetensors` (some of the photos, to draw strokes on); `splat.ply` (the tree)
     and `scene.ply` (everything); `mesh.ply`; `report.json` and `report.png`. Without a height, or a marker of
-    the sheet in the photos, the mesh is 1 m high and the report calls its scale unknown.
+    the sheet in the photos, the mesh is 1 m high and the report calls its scale unknown. Meanwhile `draft.splat` shows
+    the splat so far; it is replaced as learning goes on, and deleted at the end.
 
     Args:
         photos: JPEG, PNG, WebP or TIFF files.
@@ -70,14 +72,14 @@ def reconstruct(
         read_photos: reads photos and camera files; a service does it in a confined process.
         on_progress: called at least every quarter of a second, except while the mesh is made. An exception in it stops
             the work, ends child processes, and passes through.
-        on_file: called with each product as soon as it is complete.
+        on_file: called with each product as soon as it is complete, and with each draft.
 
     Raises:
         InputError: too few or too many photos, one that cannot be used, or another process uses `work`.
         ReconstructionError: the photos do not fit together or show no surface.
     """
     options = options or ReconstructOptions()
-    clock = StageClock(on_progress)
+    clock, draft = StageClock(on_progress), Draft(folder=folder, on_file=on_file)
     listed = list_photos(photos, root)
     with ExitStack() as stack:
         path = work or Path(stack.enter_context(tempfile.TemporaryDirectory(dir=folder, prefix="work-")))
@@ -86,9 +88,16 @@ def reconstruct(
         write_cameras(model.views, folder, scale="unknown")
         on_file(folder / "cameras.json")
         with clock.stage("depth") as report:
-            scene = find_scene(model, saved=space.depths, on_progress=report)
+            scene = find_scene(model, saved=space.depths, on_model=draft.show_points, on_progress=report)
         with clock.stage("splat") as report:
-            fit = fit_splat(scene.matched, scene.coarse, options.schedule, saved=space.splat, on_progress=report)
+            fit = fit_splat(
+                scene.matched,
+                scene.coarse,
+                options.schedule,
+                saved=space.splat,
+                on_progress=report,
+                on_table=draft.show,
+            )
     with clock.stage("mesh"):
         mesh, mesh_by = best_mesh_of(fit.table, scene, (*fit.held_out, *fit.chosen_by))
         markers = find_markers(scene.model.views)
@@ -97,6 +106,7 @@ def reconstruct(
     origin_of_scale = "given" if options.height_m else "marker" if unit_m else "unknown"
     result = _result(listed, model, fit, shape, markers, clock, mesh_by=mesh_by, scale=origin_of_scale)
     write_result(result, fit, folder)
+    draft.delete()
     on_progress(Progress(stage="mesh", share=1.0, total=1.0))
     return result
 

@@ -33,18 +33,24 @@ class Scene:
 
 
 def find_scene(
-    model: SparseModel, *, saved: Path | None = None, on_progress: Callable[[float], None] = lambda share: None
+    model: SparseModel,
+    *,
+    saved: Path | None = None,
+    on_model: Callable[[SparseModel], None] = lambda model: None,
+    on_progress: Callable[[float], None] = lambda share: None,
 ) -> Scene:
     """Find up and the subject, and match all views: coarse depths locate the subject, fine ones are of it alone.
 
     Args:
         model: as structure from motion gives it.
         saved: a file for the depth maps; those of an earlier call with the same model are read from it.
+        on_model: gets the model in the stage's frame before the views are matched.
         on_progress: gets the share that is done; what it raises passes through.
     """
     cut_out = all(view.alpha is not None for view in model.views)
     stage = find_stage(model, np.random.default_rng(0), ground=not cut_out)
     model = model.transformed(1 / stage.radius, stage.rotation, stage.origin)
+    on_model(model)
     matched = _evenly_chosen(model)
     cut = _GROUND_CUT if stage.ground_found else -np.inf
     if saved is not None and saved.exists():

@@ -75,6 +75,7 @@ def fit_splat(
     *,
     saved: Path | None = None,
     on_progress: Callable[[float, float | None], None] = lambda share, psnr_db: None,
+    on_table: Callable[[Float32[np.ndarray, "G P"], int], None] = lambda table, step: None,
 ) -> SplatFit:
     """Fit Gaussians to all photos but those that choose the best state, and those held out, which judge it.
 
@@ -85,6 +86,7 @@ def fit_splat(
         saved: a file for the state, every 20 s and when `on_progress` raises; the run continues from it if it exists.
         on_progress: gets the share that is done and the PSNR [dB] of the choosing photos at the last check, every
             quarter of a second; what it raises passes through.
+        on_table: gets the Gaussians and the number of steps behind them as often.
     """
     held_out_rows = held_out_views(len(model.views))
     choosing_rows = choosing_views(len(model.views))
@@ -113,6 +115,7 @@ def fit_splat(
             reported_at = now
             try:
                 on_progress(progress.step / schedule.num_steps, progress.checks[-1][2] if progress.checks else None)
+                on_table(progress.table, progress.step)
             except BaseException:
                 if saved is not None:
                     save_progress(progress, saved)

@@ -24,7 +24,7 @@ const ORDER = [
   "tree.spectrum.safetensors",
   "tree.voxels.safetensors",
 ];
-const INNER = new Set(["mesh.safetensors", "cloud.safetensors", "photos.safetensors"]); // between stages, and for strokes
+const INNER = new Set(["mesh.safetensors", "cloud.safetensors", "photos.safetensors", "draft.splat"]); // for stages, strokes, a first look
 
 export class Files {
   constructor(client, { onProblem }) {

@@ -11,6 +11,8 @@ import { $, element } from "./dom.js";
 const MOST_PHOTOS = 24;
 const TALLEST_M = 120; // of trees
 const OTHER_WIND = 1; // seed of the endless wind beside the tree
+const DRAFT = "draft.splat";
+const DRAFT_MS = 5000; // so often it is asked for
 
 export class Scene {
   /**
@@ -32,6 +34,11 @@ export class Scene {
     this.tree = null;
     this._dropDraft();
     this.complete = false; // the job's files are on the stage
+    this.nextDraft = 0;
+    this._dropPhotos();
+  }
+
+  _dropPhotos() {
     for (const picture of $("photos").children) URL.revokeObjectURL(picture.src);
     $("photos").replaceChildren();
   }
@@ -44,15 +51,28 @@ export class Scene {
     $("photos").replaceChildren(...blobs.map((blob) => element("img", { src: URL.createObjectURL(blob), alt: "" })));
   }
 
+  /** The splat of the photos so far, in their place, while it is learned. */
+  async learned(job, signal) {
+    if (this.tree || Date.now() < this.nextDraft) return;
+    this.nextDraft = Date.now() + DRAFT_MS;
+    const file = (await this.client.artifacts(job.id)).find(({ name }) => name === DRAFT);
+    if (!file || file.id === this.draft?.id) return;
+    const content = new Blob([await this.client.bytes(file.url, { signal })]);
+    await this.dropped([{ name: DRAFT, path: DRAFT, content }], { signal, id: file.id });
+    if (this.draft) this._dropPhotos();
+  }
+
   /** What was dropped, from the files themselves, with a person beside it; until the service has read them. */
-  async dropped(files, { signal }) {
+  async dropped(files, { signal, id }) {
     const { readDropped } = await import("../draw/dropped.js");
     const draft = await readDropped(files, this.stage);
     if (!draft || draft.box.isEmpty()) return;
     if (signal.aborted || this.tree) return draft.dispose();
-    this.draft = draft;
+    const isFirst = !this.draft;
+    this._dropDraft();
+    this.draft = { ...draft, id };
     this.stage.scene.add(draft.object);
-    this.stage.frame(draft.box);
+    if (isFirst) this.stage.frame(draft.box);
     this.person ??= new Person(this.stage);
     const sized = !draft.sizeless && this.stage.height <= TALLEST_M; // else the file means another unit
     this.person.show(sized, 1);
@@ -104,7 +124,7 @@ export class Scene {
     ]);
     const read = await readSurface(surface);
     if (signal.aborted) return;
-    $("photos").replaceChildren();
+    this._dropPhotos();
     this.onMotion(this.stand(read, new Modes(modes)), spectrum, job);
   }
 

@@ -8,7 +8,7 @@ const FIRST_FORMATS = { mesh: ["glb"], cloud: ["splat"], photos: ["glb", "splat"
 
 export class Session {
   /**
-   * `scene` draws: `clear()`, `photos(files)`, `dropped(files, run)`, `rest(asset, signal)`, `motion(job, signal)`, `products(job, signal)`.
+   * `scene` draws: `clear()`, `photos(files)`, `dropped(files, run)`, `learned(job, signal)`, `rest(asset, signal)`, `motion(job, signal)`, `products(job, signal)`.
    * `onJob(id)` is called with the job that is followed; `onKey(again)` where the service requires an API key.
    */
   constructor(client, machine, scene, { onJob = () => {}, onKey = () => {} } = {}) {
@@ -156,8 +156,10 @@ export class Session {
         if (job.result?.spectrum_id) {
           motion ??= this._showMotion(job, run);
           motion.catch(() => {}); // awaited below, unless the watch is left before
-        } else if (job.state === "running") run.send("started");
-        else if (job.state === "queued" && this.machine.state === "running") run.send("waiting");
+        } else if (job.state === "running") {
+          run.send("started");
+          if (this.machine.facts.asset?.kind === "photos") this.scene.learned(job, run.signal).catch(() => {}); // only a preview
+        } else if (job.state === "queued" && this.machine.state === "running") run.send("waiting");
       }
     };
     await patiently(watch, run);

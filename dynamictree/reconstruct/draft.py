@@ -1,0 +1,65 @@
+"""The splat so far, for those who wait: first the points that the cameras share, then what is learned from them."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32
+
+from dynamictree.files import replacing
+from dynamictree.formats.splat.splat import write_splat
+from dynamictree.reconstruct.cut import cloud_in_metres
+from dynamictree.reconstruct.splat_start import spacing, thinned
+from dynamictree.reconstruct.splat_table import LOG_SCALE, LOGIT, MEAN, table_of_points
+from dynamictree.reconstruct.views import SparseModel
+
+DRAFT = "draft.splat"
+EVERY_S = 20.0
+_MOST_POINTS = 20_000
+_LEAST_POINTS = 4  # that have neighbours
+_SUBJECT = 1.2  # of the region's radius: what is farther away is background
+_WIDEST = 0.3  # of the region's radius
+_OPAQUE_LOGIT = np.float32(2)
+_UNKNOWN_SIZE_M = 1.0  # of the region's radius
+
+
+@dataclass(kw_only=True)
+class Draft:
+    """A small splat of the region around the subject, upright and of unknown size; each takes the last one's place."""
+
+    folder: Path
+    on_file: Callable[[Path], None]
+    _written_at: float = field(default=-np.inf, init=False)
+
+    def show_points(self, model: SparseModel) -> None:
+        """Show the points that the photos share; the model is in the stage's frame."""
+        rows = thinned(model.points, _MOST_POINTS, np.random.default_rng(0))
+        points, colors = model.points[rows].astype(np.float32), model.colors[rows] / np.float32(255)
+        if len(points) >= _LEAST_POINTS:
+            self._write(table_of_points(points, colors, spacing(points), opacity=0.9, sh_degree=0))
+
+    def show(self, table: Float32[np.ndarray, "G P"], step: int) -> None:
+        """Show Gaussians after a step of learning, unless the last ones are younger than `EVERY_S`."""
+        if step > 0 and time.monotonic() - self._written_at < EVERY_S:
+            return
+        if step == 0:  # learning begins with a mist
+            table = table.copy()
+            table[:, LOGIT] = np.maximum(table[:, LOGIT], _OPAQUE_LOGIT)
+        self._write(table)
+
+    def delete(self) -> None:
+        """Delete the file: the result has taken its place."""
+        (self.folder / DRAFT).unlink(missing_ok=True)
+
+    def _write(self, table: Float32[np.ndarray, "G P"]) -> None:
+        near = np.linalg.norm(table[:, MEAN], axis=1) < _SUBJECT
+        table = table[near & (table[:, LOG_SCALE].max(axis=1) < np.log(_WIDEST))]
+        if len(table) == 0:
+            return
+        path = self.folder / DRAFT
+        with replacing(path) as stream:
+            write_splat(cloud_in_metres(table, _UNKNOWN_SIZE_M, np.zeros(3)), stream)
+        self._written_at = time.monotonic()
+        self.on_file(path)
