@@ -15,6 +15,8 @@ CELLS_TALL = 200
 MAX_CELLS_ALONG = 1500
 _WINDOW = 1 / 6  # of the height: the lowest point so near is on the ground
 _TILE = 5  # cells: the ground's height is judged on tiles so wide
+_STEEPEST = 1.0  # ground rises at most so much over its length
+_AFLOAT = 0.1  # of the height: what is so much higher than such ground hangs above nothing
 _GAP = 2.5  # cells: what is farther apart does not hang together
 _NEIGHBOURS = 12
 _GROUND = 0.02  # of the height: what is lower is ground, where there is ground
@@ -28,6 +30,7 @@ class OccupiedCells:
     coords: Int64[np.ndarray, "V 3"]
     above: Float64[np.ndarray, " V"]  # height above the ground near by [cells]
     ground: Bool[np.ndarray, " V"]  # which are ground, not plant
+    afloat: Bool[np.ndarray, " V"]  # which have leaves below them that hang far out, in place of ground
     size_m: float  # of a cell
     low_m: Float64[np.ndarray, "3"]  # low corner of cell (0, 0, 0)
     cell_of_point: Int64[np.ndarray, " P"]
@@ -56,6 +59,7 @@ def occupy(points: Float64[np.ndarray, "P 3"]) -> OccupiedCells:
         coords=coords,
         above=above,
         ground=low_cells & (cover >= _GROUND_COVER),
+        afloat=(lowest - _no_steeper(lowest, _STEEPEST * _TILE) > _AFLOAT * tall)[tile],
         size_m=size,
         low_m=low,
         cell_of_point=cell.ravel().astype(np.int64),
@@ -75,6 +79,18 @@ def _lowest_near(
     near[~np.isfinite(near)] = near[np.isfinite(near)].min()
     smooth: Float64[np.ndarray, "X Y"] = uniform_filter(near, size=2 * _reach(tall) + 1, mode="nearest")
     return smooth, tile
+
+
+def _no_steeper(lowest: Float64[np.ndarray, "X Y"], rise: float) -> Float64[np.ndarray, "X Y"]:
+    """The highest surface below one that rises from tile to tile, also across, by at most so much."""
+    from scipy.ndimage import grey_erosion
+
+    across = np.hypot(*np.meshgrid((-1, 0, 1), (-1, 0, 1)))
+    while True:
+        lower = grey_erosion(lowest, structure=-rise * across, mode="nearest")
+        if np.array_equal(lower, lowest):
+            return lowest
+        lowest = lower
 
 
 def _reach(tall: int) -> int:

@@ -86,7 +86,8 @@ def _seeds(cells: OccupiedCells, plant: Int64[np.ndarray, " M"], graph: "scipy.s
             middle = np.median(cells.coords[foot, :2], axis=0)
             own = [Stem(cells=foot, middle=middle, higher=middle, radius=1.0)]
         stems += own
-    return join_stems(stems, tall)
+    standing = [stem for stem in stems if not cells.afloat[stem.cells].mean() > 0.5]
+    return join_stems(standing or stems, tall)
 
 
 def _grow(

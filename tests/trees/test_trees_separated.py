@@ -13,6 +13,7 @@ from dynamictree.errors import InputError
 from dynamictree.mesh import TriangleMesh, joined
 from dynamictree.trees.of_mesh import only_tree_of, surface_points, with_trees
 from dynamictree.trees.segment import segment_trees
+from tests.devoxelize.test_interpolation import tube
 from tests.trees.stand import HEIGHTS_M, PLACES_M, on_ground, scattered, share_right, stand_of_five, tree
 
 
@@ -79,6 +80,20 @@ def test_stems_that_grow_from_one_foot_are_of_one_tree() -> None:
             moved[:, :2] += out * (apart + lean * moved[:, 2:])
             stems.append(one.with_vertices(moved.astype(np.float32)))
         assert num_trees(joined(stems)) == 1
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.5])
+def test_leaves_that_hang_far_out_stand_on_no_ground_of_their_own(turn: float) -> None:
+    """A palm: the ends of its fronds hang as thick as its trunk, above nothing."""
+    trunk = tube([0, 0, 0], [0, 0, 4.6], 0.15)
+    fronds = []
+    for one in turn + 2 * np.pi * np.arange(7) / 7:
+        out = np.array([np.cos(one), np.sin(one), 0])
+        fronds += [
+            tube([0, 0, 4.6], 2.8 * out + [0, 0, 4.9], 0.05),
+            tube(2.8 * out + [0, 0, 4.9], 2.9 * out + [0, 0, 3.6], 0.15),
+        ]
+    assert num_trees(joined([trunk, *fronds])) == 1
 
 
 def test_a_canopy_without_stems_is_refused_with_a_reason() -> None:
