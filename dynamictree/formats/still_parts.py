@@ -2,9 +2,10 @@
 
 A face stands still by the name of its material, node or group, or as part of a connected part of the mesh that
 
-- is flat and wide: a plane, a patch of ground, an island;
+- is flat and wide: a plane, a patch of ground, an island, at the bottom, or higher where it is vast;
 - lies low and apart: all of it in the lowest fifth of the height, away from whatever reaches higher;
-- is a vessel: it stands at the bottom, encloses the foot of a part that rises out of it, and is wide all the way up.
+- is a vessel: it stands at the bottom, is wide all the way up, and either holds named soil, or what rises out of it or
+  stands on it is narrower there and just above: a trunk below a crown is no pot.
 """
 
 import re
@@ -29,17 +30,23 @@ STILL_NAMES = frozenset(
 """Words in the names of materials and nodes of what is no plant."""
 _OF_SHAPES = frozenset({"plane", "plate", "island", "earth", "wall"})
 """Of nodes these are names that modelling programs give, or of a scene's root."""
+SOIL_NAMES = frozenset(("soil", "dirt", "earth", "erde", "terre"))
 _GROUND = StillPart(name="ground", why="flat and wide, at the bottom")
 _THINGS = StillPart(name="things", why="low, and apart from what rises higher")
 _POT = StillPart(name="pot", why="a vessel around the foot of what rises out of it")
 
 _FLAT = 0.2  # height over the narrower width of what is flat
 _WIDE = 0.5  # its width, of the height of what reaches higher
+_VAST = 3.0  # its width where it lies up to the middle of that height
 _LOW = 0.2  # of the height
 _APART = 0.05  # of the height
 _VESSEL_HEIGHT = 0.5  # of the whole, at most
 _VESSEL_FOOT = 0.05  # of the whole: it stands at most so high
 _VESSEL_WIDTH = 1.5  # over that of what it encloses
+_WITH_SOIL_HEIGHT = 0.75  # of the whole, at most, of a vessel that holds soil
+_SOIL_SIZE = 0.5  # of the vessel's width, and of its height, at least, so wide and so high lies soil in it
+_ON_TOP = 0.01  # of the whole: what begins so near to the top stands on it
+_ABOVE = (0.03, 0.06, 0.1)  # of the height of what rises: here, over the rim, it is narrower than the vessel
 _SPOTS = np.array(
     [(6, 0, 0), (0, 6, 0), (0, 0, 6), (2, 2, 2), (3, 3, 0), (0, 3, 3), (3, 0, 3), (4, 1, 1), (1, 4, 1), (1, 1, 4)]
 ) / np.float64(6)  # barycentric
@@ -60,6 +67,14 @@ class _Parts:
         of_face = _part_of_face(mesh)
         low, high = part_bounds(np.repeat(of_face, 3), mesh.vertices[mesh.faces.ravel()])
         return cls(mesh=mesh, of_face=of_face, low=low, high=high)
+
+    @property
+    def material(self) -> Int64[np.ndarray, " parts"]:
+        """Number of the material of each part; of a mesh without any, -1."""
+        of_part = np.full(len(self.low), -1, np.int64)
+        if self.mesh.face_material is not None:
+            of_part[self.of_face] = self.mesh.face_material
+        return of_part
 
 
 def find_still_parts(mesh: TriangleMesh) -> tuple[tuple[StillPart, ...], Bool[np.ndarray, " F"] | None]:
@@ -84,8 +99,11 @@ def find_still_faces(mesh: TriangleMesh) -> Bool[np.ndarray, " F"] | None:
 
 def is_still_name(name: str, *, but: frozenset[str] = frozenset()) -> bool:
     """Whether a word in a name, split at capitals, digits and signs, names what is no plant; `but` do not."""
-    words = re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", name)
-    return any(word.lower() in STILL_NAMES - but for word in words)
+    return not _words(name).isdisjoint(STILL_NAMES - but)
+
+
+def _words(name: str) -> frozenset[str]:
+    return frozenset(word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", name))
 
 
 def _named(mesh: TriangleMesh) -> tuple[Bool[np.ndarray, " F"], list[StillPart]]:
@@ -123,8 +141,9 @@ def _flat(parts: _Parts, gone: Bool[np.ndarray, " parts"]) -> Bool[np.ndarray, "
     if not rest.any():
         return np.zeros_like(flat)
     floor, top = low[rest, 2].min(), high[rest, 2].max()
-    beneath = (low[:, 2] + high[:, 2]) / 2 < floor + 0.1 * (top - floor)
-    detected: Bool[np.ndarray, " parts"] = flat & beneath & (narrow > _WIDE * (top - floor))
+    share = ((low[:, 2] + high[:, 2]) / 2 - floor) / (top - floor)
+    width = narrow / (top - floor)
+    detected: Bool[np.ndarray, " parts"] = flat & ((share < 0.1) & (width > _WIDE) | (share < 0.5) & (width > _VAST))
     return detected
 
 
@@ -164,17 +183,59 @@ def _vessels(parts: _Parts, gone: Bool[np.ndarray, " parts"]) -> Bool[np.ndarray
     mesh, part, low, high = parts.mesh, parts.of_face, parts.low, parts.high
     floor, top = low[~gone, 2].min(), high[~gone, 2].max()
     height = top - floor
-    stands = ~gone & (low[:, 2] < floor + _VESSEL_FOOT * height) & (high[:, 2] < floor + _VESSEL_HEIGHT * height)
+    stands = ~gone & (low[:, 2] < floor + _VESSEL_FOOT * height) & (high[:, 2] < floor + _WITH_SOIL_HEIGHT * height)
+    soil, material = _soil(parts), parts.material
     detected = np.zeros(len(low), np.bool_)
     for one in np.flatnonzero(stands)[np.argsort(-(high - low)[stands, :2].max(axis=1))][:50]:
-        rises = ~gone & (high[:, 2] > high[one, 2] + (high[one, 2] - low[one, 2])) & (low[:, 2] < high[one, 2])
-        foot = _feet(mesh, part, np.flatnonzero(rises), float(high[one, 2]))
-        if foot is None:
+        width, rim = (high - low)[one, :2].min(), float(high[one, 2])
+        holds = _holds(low[one], high[one], low[soil], high[soil])
+        if not holds and rim > floor + _VESSEL_HEIGHT * height:
             continue
-        inside = ((foot[0] >= low[one, :2]) & (foot[1] <= high[one, :2])).all()
-        wider = (high - low)[one, :2].min() > _VESSEL_WIDTH * (foot[1] - foot[0]).max()
-        detected[one] = inside and wider and _wide_all_the_way(mesh.vertices[np.unique(mesh.faces[part == one])])
+        if not holds:
+            base = rim + _ON_TOP * height * (material != material[one])  # what is of one material is one thing
+            rises = np.flatnonzero(~gone & (high[:, 2] > 2 * rim - low[one, 2]) & (low[:, 2] < base))
+            foot = _feet(mesh, part, rises, float(base.max()))
+            if foot is None or not ((foot[0] >= low[one, :2]) & (foot[1] <= high[one, :2])).all():
+                continue
+            above = rim + np.array(_ABOVE) * (high[rises, 2].max() - rim)
+            widest = max(_width_at(mesh, np.isin(part, rises), float(level)) for level in above)
+            if width <= max(_VESSEL_WIDTH * (foot[1] - foot[0]).max(), widest):
+                continue
+        detected[one] = _wide_all_the_way(mesh.vertices[np.unique(mesh.faces[part == one])])
     return detected
+
+
+def _soil(parts: _Parts) -> Int64[np.ndarray, " M"]:
+    """Parts whose material is named as soil."""
+    named = [not SOIL_NAMES.isdisjoint(_words(material.name)) for material in parts.mesh.materials]
+    return np.flatnonzero(np.array([*named, False])[parts.material])
+
+
+def _holds(
+    low: Float64[np.ndarray, "3"],
+    high: Float64[np.ndarray, "3"],
+    inner_low: Float64[np.ndarray, "M 3"],
+    inner_high: Float64[np.ndarray, "M 3"],
+) -> bool:
+    """Whether a box has, in its upper half, one of others in it that is about as wide."""
+    extent, slack = high - low, 0.1 * (high - low)
+    inside = ((inner_low >= low - slack) & (inner_high <= high + slack)).all(axis=1)
+    lies_high = (inner_low + inner_high)[:, 2] / 2 > low[2] + _SOIL_SIZE * extent[2]
+    wide = ((inner_high - inner_low)[:, :2] > _SOIL_SIZE * extent[:2]).all(axis=1)
+    return bool((inside & lies_high & wide).any())
+
+
+def _width_at(mesh: TriangleMesh, rows: Bool[np.ndarray, " F"], level: float) -> float:
+    """The longer side, seen from above, of the cut of some faces at a height, without outlying twigs."""
+    corners = mesh.vertices[mesh.faces[rows]].astype(np.float64)
+    start, end = corners.reshape(-1, 3), np.roll(corners, -1, axis=1).reshape(-1, 3)
+    cut = (start[:, 2] < level) != (end[:, 2] < level)
+    start, end = start[cut], end[cut]
+    if len(start) == 0:
+        return 0.0
+    places = start + (end - start) * ((level - start[:, 2]) / (end - start)[:, 2])[:, None]
+    low, high = np.quantile(places[:, :2], [0.1, 0.9], axis=0)
+    return float((high - low).max())
 
 
 def _feet(

@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from trimesh.creation import icosphere
+from trimesh.geometry import align_vectors
 
 from dynamictree.dataset.sapling import grow_tree
 from dynamictree.dataset.species import SPECIES
@@ -64,6 +66,48 @@ def test_a_plant_in_a_scene_moves_as_it_does_alone_and_the_scene_stands_still() 
     assert not moved[owner > 0].any()
     largest = np.abs(by_itself).max()
     np.testing.assert_allclose(moved[owner == 0], by_itself, atol=0.02 * largest)
+
+
+@pytest.mark.parametrize("detail", [1, 2, 3])
+@pytest.mark.parametrize("radius", [0.15, 0.4])
+@pytest.mark.parametrize("overlap", [-0.01, 0.05, 0.1, 0.3])
+def test_a_trunk_below_a_round_crown_is_no_pot(detail: int, radius: float, overlap: float) -> None:
+    """A tree of few faces: a tube, and a ball that it reaches into or touches with a corner."""
+    ball = icosphere(subdivisions=detail, radius=2.0)
+    ball.apply_transform(align_vectors(ball.vertices[0], [0, 0, -1]))
+    ball.apply_translation([0, 0, 4 - overlap])
+    crown = TriangleMesh(vertices=ball.vertices.astype(np.float32), faces=ball.faces.astype(np.int32))
+    scene, owner = merged(tube([0, 0, 0], [0, 0, 2], radius), crown)
+    materials = (Material(name="Material.001"), Material(name="Material.002"))
+    named = replace(scene, face_material=owner[scene.faces[:, 0]].astype(np.int32), materials=materials)
+    assert find_still_faces(scene) is None
+    assert find_still_faces(named) is None
+
+
+def test_a_stem_that_stands_on_a_solid_pot_leaves_it_still() -> None:
+    stem, crown = tube([0, 0, 0], [0, 0, 3], 0.1), tube([0, 0, 2.5], [0, 0, 4], 1.0)
+    scene, owner = merged(stem, crown, pot(0.6, 0.8, -0.8))
+    face_material = (owner[scene.faces[:, 0]] == 2).astype(np.int32)
+    materials = (Material(name="Material"), Material(name="Material.001"))
+    result = find_still_faces(replace(scene, face_material=face_material, materials=materials))
+    np.testing.assert_array_equal(result, face_material == 1)
+
+
+def test_a_pot_higher_than_its_plant_stands_still_with_its_soil() -> None:
+    rosette = tube([0, 0, 0.62], [0, 0, 1.1], 0.5)
+    scene, owner = merged(rosette, pot(0.4, 0.65, 0), tube([0, 0, 0.55], [0, 0, 0.6], 0.36))
+    face_material = owner[scene.faces[:, 0]].astype(np.int32)
+    materials = (Material(name="green_1"), Material(name="phong7"), Material(name="dirt"))
+    result = find_still_faces(replace(scene, face_material=face_material, materials=materials))
+    np.testing.assert_array_equal(result, face_material > 0)
+
+
+@pytest.mark.parametrize("height", [0.0, 0.3])
+def test_a_vast_plane_is_ground_also_where_a_plant_reaches_below_it(height: float) -> None:
+    plant = tree()
+    scene, owner = merged(plant, plane(40 * plant.height_m, height * plant.height_m))
+    result = find_still_faces(scene)
+    np.testing.assert_array_equal(result, owner[scene.faces[:, 0]] == 1)
 
 
 def test_names_of_things_are_words() -> None:
