@@ -1,6 +1,7 @@
 """Scans become Gaussians as wide as their points are apart."""
 
 import io
+import re
 from dataclasses import replace
 
 import laspy  # type: ignore[import-untyped]
@@ -179,6 +180,16 @@ def test_columns_of_text_are_found_by_their_names() -> None:
     cloud = read_cloud(io.BytesIO(text.encode()), file_type="csv")
     np.testing.assert_allclose(cloud.means, [[1, 2, 9], [3, 4, 8], [5, 6, 7]])
     assert np.argmax(cloud.sh[:, 0], axis=1).tolist() == [0, 1, 2]
+
+
+@pytest.mark.parametrize(
+    "names", ["Easting,Northing,Elevation", "Rechtswert;Hochwert;Höhe", "X_coord\tY_coord\tZ_coord"]
+)
+def test_surveyors_names_of_columns_are_positions(names: str) -> None:
+    delimiter = re.sub(r"\w", "", names)[0]
+    text = "\n".join([names, *(line.replace(" ", delimiter) for line in ("1 2 9", "3 4 8", "5 6 7"))])
+    cloud = read_cloud(io.BytesIO(text.encode()), file_type="csv")
+    np.testing.assert_allclose(cloud.means, [[1, 2, 9], [3, 4, 8], [5, 6, 7]])
 
 
 def test_a_table_without_positions_is_refused_with_its_columns() -> None:

@@ -20,10 +20,11 @@ UP_AXIS = "+Z"
 """Surveying instruments stand level and count heights upward."""
 _COLORS = (("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue"), ("r", "g", "b"))
 _AXIS_NAMES = (
-    ("x", "xm", "px", "posx", "pointx", "easting", "east"),
-    ("y", "ym", "py", "posy", "pointy", "northing", "north"),
-    ("z", "zm", "pz", "posz", "pointz", "height", "elevation", "altitude"),
+    ("x", "xm", "px", "posx", "pointx", "xcoord", "xcoordinate", "coordx", "easting", "east", "rechtswert"),
+    ("y", "ym", "py", "posy", "pointy", "ycoord", "ycoordinate", "coordy", "northing", "north", "hochwert"),
+    ("z", "zm", "pz", "posz", "pointz", "zcoord", "zcoordinate", "coordz", "height", "elevation", "altitude", "hoehe"),
 )
+_UMLAUTS = {ord("ä"): "ae", ord("ö"): "oe", ord("ü"): "ue"}
 _NUM_NEIGHBOURS = 3  # Kerbl et al. 2023, section 5.2: a Gaussian as wide as its three nearest neighbours are far
 _LARGEST_SPACING = 4.0  # in medians: a stray point stays small
 _OPACITY = 0.9  # surfaces that were scanned are solid; below 1, neighbours blend
@@ -106,7 +107,7 @@ def _column_names(line: bytes) -> list[str]:
     """The words of a table's first line, without units, quotes and signs, in lower case."""
     text = re.sub(r"\(.*?\)|\[.*?\]", "", line.decode("utf-8", "replace"))
     delimiter = next((sign for sign in ",;\t" if sign in text), None)
-    words = [re.sub(r"[^a-z0-9]", "", word.lower()) for word in text.split(delimiter)]
+    words = [re.sub(r"[^a-z0-9]", "", word.lower().translate(_UMLAUTS)) for word in text.split(delimiter)]
     return words if delimiter is not None else [word for word in words if word]
 
 
