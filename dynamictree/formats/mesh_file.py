@@ -45,8 +45,6 @@ _NOT_MESHES = {
 }
 _MAGIC = (
     (b"glTF", "glb"),
-    (b"ply\n", "ply"),
-    (b"ply\r", "ply"),
     (b"LASF", "las"),
     (b"# .PCD", "pcd"),
     (b"PK\x03\x04", "zip"),
@@ -55,6 +53,7 @@ _MAGIC = (
 )
 _3MF_ENTRY = b"3D/3dmodel.model"
 _OBJ_LINE = re.compile(rb"^[ \t]*(v|vt|vn|f|o|g|s|usemtl|mtllib)[ \t]+\S", re.MULTILINE)
+_PLY_START = re.compile(rb"(\xef\xbb\xbf)?ply[ \t]*[\r\n]")  # some writers leave blanks at the end
 _POINT_LINE = re.compile(rb"^[ \t]*[-+0-9.eE]+([ \t,;]+[-+0-9.eE]+){2,}[ \t]*\r?$", re.MULTILINE)
 
 
@@ -136,6 +135,8 @@ def sniff_file_type(head: bytes, filename: str = "") -> str:
             if kind == "zip" and (advice := advice_for(head, ending)) is not None:  # USDZ
                 raise FormatError(f"{advice}; {ACCEPTED}")
             return kind
+    if _PLY_START.match(head):
+        return "ply"
     if head[:2] == b"\x1f\x8b" and ending == "spz":
         return "spz"
     if head[8:9] == b"{" and int.from_bytes(head[:8], "little") < 1 << 32:

@@ -65,8 +65,12 @@ class PlyHeader:
 
     @property
     def up_axis(self) -> str | None:
-        """Up axis that a comment names, as our own writers do; None if none does."""
-        return next((axis for axis in self._comment_values("up_axis") if axis in UP_AXES), None)
+        """Up axis that a comment names, as our own writers and Nerfstudio do; None if none does.
+
+        A `Vertical axis: y` says nothing: Brush writes it into every splat, also where -Y is up.
+        """
+        named = next((axis for axis in self._comment_values("up_axis") if axis in UP_AXES), None)
+        return named or ("+Z" if "vertical axis: z" in (comment.lower() for comment in self.comments) else None)
 
     @property
     def unit_m(self) -> float | None:
@@ -182,7 +186,7 @@ def _ascii_rows(stream: SeekableReader, element: PlyElement, layout: np.dtype[np
 
 
 def _header_lines(stream: SeekableReader) -> list[str]:
-    if stream.readline(8).strip() != b"ply":
+    if stream.readline(64).removeprefix(b"\xef\xbb\xbf").strip() != b"ply":
         raise FormatError("the file does not begin with 'ply'; it is no PLY file")
     lines, size = list[str](), 4
     while True:

@@ -98,6 +98,16 @@ def test_ply_of_every_encoding(form: str, mixed: bool) -> None:
     np.testing.assert_array_equal(mesh.vertex_colors[0], [1, 2, 3, 255])
 
 
+@pytest.mark.parametrize(("start", "end"), [(b"ply", b" \r\n "), (b"\xef\xbb\xbfply", b"\n"), (b"ply", b"\t\n")])
+def test_blanks_around_the_lines_of_a_ply_mean_nothing(start: bytes, end: bytes) -> None:
+    axes = [b"property float " + axis for axis in (b"x", b"y", b"z")]
+    header = [start, b"format ascii 1.0", b"element vertex 3", *axes, b"element face 1"]
+    rows = [b"0 0 0", b"1 0 0", b"0 0 5", b"3 0 1 2", b""]
+    content = end.join([*header, b"property list uchar int vertex_index", b"end_header", *rows])
+    assert sniff_file_type(content, "a.ply") == "ply"
+    assert read(content, "ply").num_faces == 1
+
+
 def test_ply_takes_the_texture_that_its_comment_names(rng: np.random.Generator) -> None:
     stream = io.BytesIO()
     write_ply(trunk_and_crown(rng), stream)
