@@ -1,6 +1,7 @@
 """OBJ, PLY and STL: parts, materials, encodings. And of every mesh file its axes and units."""
 
 import io
+import re
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +29,14 @@ def test_an_obj_whose_texture_was_not_sent_along_keeps_its_colour(rng: np.random
     mesh = read(stream.getvalue(), "obj", companions={"tree.mtl": library})
     assert mesh.materials[1].texture_png is None
     assert mesh.materials[1].base_color == (0.1, 0.5, 0.1, 1.0)
+
+
+def test_a_texture_that_several_materials_miss_is_warned_of_once(rng: np.random.Generator) -> None:
+    stream = io.BytesIO()
+    library = write_obj(trunk_and_crown(rng), stream, library="tree.mtl")["tree.mtl"]
+    without = re.sub(rb"(newmtl .*)", rb"\1\nmap_Kd null", re.sub(rb"map_Kd .*", b"", library))
+    warnings = read(stream.getvalue(), "obj", companions={"tree.mtl": without}).warnings
+    assert [warning.code for warning in warnings if "'null'" in warning.message] == ["texture-missing"]
 
 
 def test_obj_polygons_seams_negative_numbers_and_colours() -> None:

@@ -294,7 +294,8 @@ def _material(
         content = find_companion(texture, companions)
     if texture and content is None:
         message = f"texture {texture[:120]!r} was not sent along; the model is used without it"
-        warnings.append(SourceWarning(code="texture-missing", message=message))
+        if message not in (warning.message for warning in warnings):
+            warnings.append(SourceWarning(code="texture-missing", message=message))
     if content is not None and texture not in images:
         images[texture] = texture_as_png(content, texture[:80])
         refuse_many_pixels(images.values())
