@@ -117,6 +117,17 @@ def test_blanks_around_the_lines_of_a_ply_mean_nothing(start: bytes, end: bytes)
     assert read(content, "ply").num_faces == 1
 
 
+@pytest.mark.parametrize(("trunk", "colors"), [("9 8 7 255", [[9, 8, 7, 255], [255] * 4]), ("0 0 0 0", None)])
+def test_vertices_of_a_ply_that_were_given_no_colour_are_not_black(trunk: str, colors: list[list[int]] | None) -> None:
+    names = [*(f"float {axis}" for axis in "xyz"), *(f"uchar {name}" for name in ("red", "green", "blue", "alpha"))]
+    header = ["ply", "format ascii 1.0", "element vertex 6", *(f"property {name}" for name in names), "element face 2"]
+    places = ("0 0 0", "1 0 0", "0 0 5", "0 0 5", "1 0 5", "0 0 9")
+    rows = [f"{place} {trunk if row < 3 else '0 0 0 0'}" for row, place in enumerate(places)]
+    lines = [*header, "property list uchar int vertex_indices", "end_header", *rows, "3 0 1 2", "3 3 4 5", ""]
+    result = read("\n".join(lines).encode(), "ply").vertex_colors
+    assert (None if result is None else result[[0, 3]].tolist()) == colors
+
+
 def test_ply_takes_the_texture_that_its_comment_names(rng: np.random.Generator) -> None:
     stream = io.BytesIO()
     write_ply(trunk_and_crown(rng), stream)

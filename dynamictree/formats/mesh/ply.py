@@ -214,7 +214,9 @@ def _colors(rows: Shaped[np.ndarray, " N"]) -> UInt8[np.ndarray, "N 4"] | None:
             values = rows[name]
             scaled = np.nan_to_num(values.astype(np.float64)) * (255 if values.dtype.kind == "f" else 1)
             colors[:, i] = np.round(np.clip(scaled, 0, 255))
-    return colors
+    unset = ~colors.any(axis=1)  # 0 0 0 0: Blender writes it for objects without colours beside others that have some
+    colors[unset] = 255
+    return None if unset.all() else colors
 
 
 def _material(content: bytes, companions: Mapping[str, bytes]) -> Material | None:
