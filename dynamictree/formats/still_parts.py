@@ -140,10 +140,12 @@ def _flat(parts: _Parts, gone: Bool[np.ndarray, " parts"]) -> Bool[np.ndarray, "
     rest = ~(flat | gone)
     if not rest.any():
         return np.zeros_like(flat)
-    floor, top = low[rest, 2].min(), high[rest, 2].max()
-    share = ((low[:, 2] + high[:, 2]) / 2 - floor) / (top - floor)
-    width = narrow / (top - floor)
-    detected: Bool[np.ndarray, " parts"] = flat & ((share < 0.1) & (width > _WIDE) | (share < 0.5) & (width > _VAST))
+    floor = low[rest, 2].min()
+    height = high[rest, 2].max() - floor
+    middle = (low[:, 2] + high[:, 2]) / 2 - floor
+    beneath = (middle < 0.1 * height) & (narrow > _WIDE * height)
+    vast = (middle < 0.5 * height) & (narrow > _VAST * height)
+    detected: Bool[np.ndarray, " parts"] = flat & (beneath | vast)
     return detected
 
 

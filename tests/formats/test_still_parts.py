@@ -110,6 +110,12 @@ def test_a_vast_plane_is_ground_also_where_a_plant_reaches_below_it(height: floa
     np.testing.assert_array_equal(result, owner[scene.faces[:, 0]] == 1)
 
 
+def test_faces_without_height_beside_none_that_rise_are_no_ground() -> None:
+    """Warnings of numpy are errors here: nothing is divided by a height of 0."""
+    point = TriangleMesh(vertices=np.float32([[1, 2, 3]]), faces=np.zeros((1, 3), np.int32))
+    assert find_still_faces(point) is None
+
+
 def test_names_of_things_are_words() -> None:
     assert all(map(is_still_name, ("Flower_Pot.001", "potMaterial", "Ground", "waterSurface", "M_Soil")))
     assert not any(map(is_still_name, ("Bark_Mat", "Leaves", "Potentilla", "basecolor", "tree_material", "")))
