@@ -2,7 +2,7 @@
 
 _BLENDER = "open it in Blender and choose File, Export, glTF 2.0"
 _SCAN = "save it as LAZ, PLY or XYZ, for instance with CloudCompare"
-_ASSIMP = "convert it to glTF, for instance with Assimp: `assimp export tree.x tree.glb`"
+_ASSIMP = "convert it to glTF, for instance with Assimp: `assimp export tree.ac tree.glb`"
 _TILE = "it is a tile of a map (3D Tiles); take the glTF out of it with `npx 3d-tiles-tools i3dmToGlb` or `b3dmToGlb`"
 _CAD = "export it as STL, OBJ or glTF from the program that made it"
 _UNPACK = "unpack it and give the folder or the file in it"
@@ -11,7 +11,7 @@ _BY_ENDING = {
     **dict.fromkeys(
         ("max", "ma", "mb", "c4d", "skp", "spm", "st", "st9"), "export it as glTF from the program it is of"
     ),
-    **dict.fromkeys(("ac", "lwo", "x", "b3d", "ms3d", "md2", "md3", "ase"), _ASSIMP),
+    **dict.fromkeys(("ac", "lwo", "b3d", "ms3d", "md2", "md3", "ase"), _ASSIMP),
     **dict.fromkeys(("i3dm", "b3dm", "cmpt"), _TILE),
     "pnts": "it is a tile of a point cloud (3D Tiles); give the LAS or LAZ file that it was made from",
     **dict.fromkeys(("dxf", "dwg", "step", "stp", "iges", "igs"), _CAD),
@@ -30,6 +30,8 @@ _BY_BYTES = (
     (b"Kaydara FBX Binary", "FBX", _BLENDER),
     (b"; FBX ", "FBX", _BLENDER),
     (b"BLENDER", "Blender", _BLENDER),
+    (b"xof 0", "DirectX", _ASSIMP),
+    (b"AC3D", "AC3D", _ASSIMP),
     (b"PXR-USDC", "USD", _BLENDER),
     (b"#usda", "USD", _BLENDER),
     (b"Ogawa", "Alembic", _BLENDER),
