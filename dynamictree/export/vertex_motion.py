@@ -64,7 +64,7 @@ class MotionSource:
 
     def pose(self, motion: VertexMotion) -> InextensiblePose | TreesPose:
         """What makes each frame of this motion bend where it would stretch."""
-        return pose_of(self._ties, motion.linear)
+        return self._pose_of(motion.linear)
 
     def _computed(self, on_progress: OnProgress) -> VertexMotion:
         on_progress(0.0)
@@ -78,9 +78,19 @@ class MotionSource:
             return VertexMotion(linear=linear)
         frames = FRAMES_A_FREQUENCY * self.spectrum.num_frequencies
         bent = without_stretch(
-            pose_of(ties, linear), linear, frames, lambda done: on_progress(_LINEAR_SHARE + done * (1 - _LINEAR_SHARE))
+            self._pose_of(linear), linear, frames, lambda done: on_progress(_LINEAR_SHARE + done * (1 - _LINEAR_SHARE))
         )
         return VertexMotion(linear=linear, bent=bent)
+
+    def _pose_of(self, linear: Complex64[np.ndarray, "N K 3"]) -> InextensiblePose | TreesPose:
+        """The pose of a motion; the last one is reused, as its factors take as long as many frames."""
+        if not self._last_pose or self._last_pose[0][0] is not linear:
+            self._last_pose[:] = [(linear, pose_of(self._ties, linear))]
+        return self._last_pose[0][1]
+
+    @cached_property
+    def _last_pose(self) -> list[tuple[Complex64[np.ndarray, "N K 3"], InextensiblePose | TreesPose]]:
+        return []
 
     @cached_property
     def _ties(self) -> LengthPreservingInterpolation | TreesInterpolation:

@@ -10,6 +10,7 @@ from dynamictree import method
 from dynamictree.devoxelize.inextensible import typical_stretch
 from dynamictree.devoxelize.length_preserving import length_preserving
 from dynamictree.errors import Cancelled
+from dynamictree.export import vertex_motion
 from dynamictree.export.write import write_products
 from dynamictree.mesh import TriangleMesh
 from dynamictree.modal import fitted_skin
@@ -57,6 +58,15 @@ def test_products_of_two_requests_are_those_of_one(tmp_path: Path, lean_m: float
         written[formats] = {name: path.read_bytes() for name, path in paths.items()}
     assert written["motion",] | written["ply",] == written["motion", "ply"]
     assert sorted(stored.computed) == ["motion", "ties"]
+
+
+def test_what_keeps_lengths_is_factored_once_for_all_products(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    mesh, _ = two_close_twigs()
+    factored: list[int] = []
+    whole = vertex_motion.pose_of
+    monkeypatch.setattr(vertex_motion, "pose_of", lambda ties, linear: factored.append(1) or whole(ties, linear))
+    write_products(mesh, spectrum_of(mesh, lean_m=1.0), ExportParams(formats=("motion", "ply", "glb")), tmp_path)
+    assert len(factored) == 1
 
 
 def test_another_wind_of_a_tree_shares_what_ties_its_vertices(tmp_path: Path) -> None:
