@@ -253,7 +253,7 @@ def _warn_of_motion(document: GltfDocument) -> None:
         return
     names = ", ".join(repr(str(entry.get("name", "unnamed"))[:40]) for entry in animations[:5])
     message = (
-        f"the file has {len(animations)} animations of its own ({names}), which are not part of the motion; GLB export "
+        f"the file comes with animations ({len(animations)}: {names}), which are not part of the motion; GLB export "
         "leaves them in the file after 'sway', without those of its own morph targets; other formats drop them"
     )
     document.warnings.append(SourceWarning(code="animations-ignored", message=message))
