@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dynamictree.errors import FormatError
-from dynamictree.formats.companions import KTX2_MAGIC, beside_model, find_companion
+from dynamictree.formats.companions import beside_model, find_companion
 from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle, write_mesh_bundle
 from dynamictree.mesh import TriangleMesh
@@ -74,12 +74,6 @@ def test_a_missing_texture_is_a_warning_with_its_name() -> None:
     stream = io.BytesIO()
     write_mesh_bundle(mesh, stream)
     assert read_mesh_bundle(io.BytesIO(stream.getvalue())).warnings == mesh.warnings
-
-
-def test_a_ktx2_texture_is_left_out_with_a_warning() -> None:
-    content, binary = textured("bark.ktx2")
-    mesh = read(content, {"scene.bin": binary, "bark.ktx2": KTX2_MAGIC + bytes(100)})
-    assert [warning.code for warning in mesh.warnings] == ["texture-not-read"]
 
 
 def test_a_missing_buffer_is_still_an_error() -> None:

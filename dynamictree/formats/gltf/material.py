@@ -9,6 +9,7 @@ from jaxtyping import Float32, Shaped
 from dynamictree.errors import FormatError
 from dynamictree.formats.companions import KTX2_MAGIC, find_companion
 from dynamictree.formats.gltf.document import GltfDocument, uri_bytes
+from dynamictree.formats.gltf.ktx2 import has_ktx2, ktx2_as_png
 from dynamictree.formats.json_fields import (
     JsonObject,
     index_field,
@@ -122,7 +123,12 @@ def _image(document: GltfDocument, image: JsonObject, name: str) -> bytes | None
         document.warnings.append(SourceWarning(code="texture-missing", message=message))
         return None
     if content.startswith(KTX2_MAGIC):
-        message = f"texture {name!r} is KTX2, which is not decoded; the model is used without it; send PNG or WebP"
+        if has_ktx2():
+            return ktx2_as_png(content, name)
+        message = (
+            f"texture {name!r} is KTX2, which is not decoded here; the model is used without it; send PNG or WebP, or "
+            "pip install 'dynamictree[ktx2]'"
+        )
         document.warnings.append(SourceWarning(code="texture-not-read", message=message))
         return None
     return texture_as_png(content, name)
