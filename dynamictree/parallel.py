@@ -5,7 +5,8 @@ Kernels are plain numba functions that release the GIL and own some rows of thei
 """
 
 import os
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager
 from functools import cache
@@ -17,8 +18,11 @@ import numpy as np
 from threadpoolctl import ThreadpoolController
 
 Kernel = TypeVar("Kernel", bound=Callable[..., object])
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 _BANDS = 12  # more than cores, so that an empty sky at one end leaves no core idle
+_this_thread = threading.local()
 
 
 def compiled(kernel: Kernel) -> Kernel:
@@ -48,11 +52,27 @@ def in_bands(kernel: Callable[..., object], num_rows: int, *arguments: object) -
 
     A kernel writes to its own rows only, so the result does not depend on the number of threads.
     """
+    if num_rows == 1 or getattr(_this_thread, "has_a_call", False):
+        kernel(0, num_rows, *arguments)
+        return
     edges = np.linspace(0, num_rows, min(_BANDS, num_rows) + 1).astype(int).tolist()
     with ThreadPoolExecutor(num_cores()) as pool:
         calls = [pool.submit(kernel, first, end, *arguments) for first, end in pairwise(edges)]
         for call in calls:
             call.result()
+
+
+def on_cores(call: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
+    """Results of `call` for each item, in order, on all cores; kernels in a call stay on its thread.
+
+    So many small pictures cost no threads of their own: four kernels each, in twelve bands, would.
+    """
+
+    def take_calls() -> None:
+        _this_thread.has_a_call = True
+
+    with ThreadPoolExecutor(num_cores(), initializer=take_calls) as pool:
+        return list(pool.map(call, items))
 
 
 def single_thread() -> AbstractContextManager[object]:

@@ -1,18 +1,19 @@
 """Render a mesh from a camera to a picture."""
 
+from collections.abc import Iterable
 from copy import copy
 from dataclasses import dataclass, replace
 from io import BytesIO
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int32, UInt8
+from jaxtyping import Float32, Float64, Int32, Int64, UInt8
 from PIL import Image
 
 from dynamictree.byte_stream import ByteWriter
 from dynamictree.errors import InputError
 from dynamictree.mesh import TriangleMesh, validate_mesh, vertex_normals
-from dynamictree.parallel import in_bands
+from dynamictree.parallel import in_bands, on_cores
 from dynamictree.render.appearance import Appearance, appearance_of
 from dynamictree.render.camera import Camera
 from dynamictree.render.light import BARE_SUN, OPEN_SKY, SkyVolume, SunMap, sky_volume, sun_map
@@ -50,8 +51,9 @@ class Buffers(NamedTuple):
 
 
 class _Surface(NamedTuple):
-    """Faces that are drawn, all of a mesh or some."""
+    """Vertices and faces that are drawn, all of a mesh or some."""
 
+    vertices: Float32[np.ndarray, "N 3"]  # [m]
     faces: Int32[np.ndarray, "F 3"]
     appearance: Appearance
 
@@ -70,7 +72,8 @@ class Renderer:
         self.look = look or Look()
         visible = mesh.vertices[~mesh.still_vertices]  # the plant, not the plane that it stands on
         self.camera = Camera.orbit(visible, aspect=self.look.width / self.look.height)
-        self._appearance = appearance_of(mesh, grey_still=self.look.grey_still)
+        appearance = appearance_of(mesh, grey_still=self.look.grey_still)
+        self._surface = _Surface(mesh.vertices, mesh.faces, appearance)
         low, high = mesh.vertices.min(axis=0).astype(np.float64), mesh.vertices.max(axis=0).astype(np.float64)
         self._centre = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
         self._radius_m = float(np.linalg.norm(high - low)) / 2
@@ -87,33 +90,48 @@ class Renderer:
         return other
 
     def picture(
-        self,
-        displacement: Float32[np.ndarray, "N 3"] | None = None,
-        *,
-        camera: Camera | None = None,
-        rows: range | None = None,
+        self, displacement: Float32[np.ndarray, "N 3"] | None = None, *, camera: Camera | None = None
     ) -> UInt8[np.ndarray, "H W 3"]:
-        """Draw the mesh, its vertices displaced [m]; only some rows of the picture if asked.
+        """Draw the mesh, its vertices displaced [m]."""
+        if displacement is None:
+            surface, sun = self._surface, self._sun
+        else:
+            surface = self._surface._replace(vertices=self.mesh.vertices + displacement)
+            sun = self._shadow_of(surface.vertices)
+        return self._drawn(surface, sun, camera or self.camera, range(self.look.height))
 
-        Rows alone keep the shadows of the rest pose: a slice of a motion costs a fraction of its pictures.
+    def row_over_time(
+        self,
+        frames: Iterable[Float32[np.ndarray, "N 3"]],
+        row: int,
+        *,
+        reach_m: Float32[np.ndarray, " N"],
+        camera: Camera | None = None,
+    ) -> UInt8[np.ndarray, "T W 3"]:
+        """One row of the picture of each frame, in the shadows of the rest pose.
+
+        Args:
+            frames: displacements of the vertices [m].
+            row: from the top.
+            reach_m: how far each vertex moves at most; what stays away from the row is left out once for all frames.
+            camera: instead of the renderer's own.
         """
-        look, camera = self.look, camera or self.camera
-        rows = rows or range(look.height)
-        vertices = self.mesh.vertices if displacement is None else self.mesh.vertices + displacement
-        whole = len(rows) == look.height
-        surface = _Surface(self.mesh.faces, self._appearance)
-        if not whole:
-            surface = self._near_rows(surface, vertices, camera, rows)
-        triangles, visible = self._see(surface, vertices, camera, rows, look.supersampling)
-        moved = displacement is not None and whole
-        positions = vertices.astype(np.float64)
+        camera, rows = camera or self.camera, range(row, row + 1)
+        used, surface = self._near_rows(camera, rows, reach_m)
+        moved = (surface._replace(vertices=surface.vertices + displacement[used]) for displacement in frames)
+        return np.concatenate(on_cores(lambda moment: self._drawn(moment, self._sun, camera, rows), moved))
+
+    def _drawn(self, surface: "_Surface", sun: SunMap, camera: Camera, rows: range) -> UInt8[np.ndarray, "R W 3"]:
+        look = self.look
+        triangles, visible = self._see(surface, camera, rows, look.supersampling)
+        positions = surface.vertices.astype(np.float64)
         scene = Scene(
             vertices=positions,
             normals=vertex_normals(positions, surface.faces),
             faces=surface.faces,
             appearance=surface.appearance,
             sun_direction=self._sun_direction,
-            sun=self._shadow_of(vertices) if moved else self._sun,
+            sun=sun,
             sky=self._sky,
             shadows=look.shadows,
             ground=look.ground,
@@ -130,8 +148,7 @@ class Renderer:
     def buffers(self, camera: Camera | None = None) -> Buffers:
         """Depth, normals and faces of the rest pose, one sample a pixel."""
         camera = camera or self.camera
-        surface = _Surface(self.mesh.faces, self._appearance)
-        _, visible = self._see(surface, self.mesh.vertices, camera, range(self.look.height), 1)
+        _, visible = self._see(self._surface, camera, range(self.look.height), 1)
         seen = visible.face >= 0
         depth = np.where(seen, 1 / np.where(seen, visible.nearness, 1), np.inf).astype(np.float32)
         a, b, c = (self.mesh.vertices[self.mesh.faces[:, corner]].astype(np.float64) for corner in range(3))
@@ -145,43 +162,47 @@ class Renderer:
     def _shadow_of(self, vertices: Float32[np.ndarray, "N 3"]) -> SunMap:
         if not self.look.shadows:
             return BARE_SUN
-        return sun_map(vertices, self.mesh.faces, self._appearance, self._sun_direction)
+        return sun_map(vertices, self.mesh.faces, self._surface.appearance, self._sun_direction)
 
     def _near_rows(
-        self, surface: "_Surface", vertices: Float32[np.ndarray, "N 3"], camera: Camera, rows: range
-    ) -> "_Surface":
-        """The faces that may be seen in some rows, and those around their vertices, which bend their normals."""
-        _, y, depth = self._homogeneous(vertices, camera, rows, 1).T
-        row = y / np.where(depth > 0, depth, 1)
-        above, below, behind = row < 0, row > len(rows), depth <= 0
-        corners = surface.faces
-        outside = above[corners].all(axis=1) | below[corners].all(axis=1)
-        seen = ~outside | behind[corners].any(axis=1)
-        used = np.zeros(len(vertices), np.bool_)
-        used[corners[seen]] = True
-        near = used[corners].any(axis=1)
-        material = surface.appearance.face_material[near]
-        return _Surface(corners[near], surface.appearance._replace(face_material=material))
+        self, camera: Camera, rows: range, reach_m: Float32[np.ndarray, " N"]
+    ) -> tuple[Int64[np.ndarray, " M"], "_Surface"]:
+        """Faces that some rows may show, with those around their vertices, which bend their normals; and the vertices.
 
-    def _homogeneous(
-        self, vertices: Float32[np.ndarray, "N 3"], camera: Camera, rows: range, supersampling: int
-    ) -> Float64[np.ndarray, "N 3"]:
-        to_sample = _samples(camera, self.look, rows, supersampling)
-        to_rows: Float64[np.ndarray, "3 3"] = to_sample @ camera.world_to_camera
-        homogeneous: Float64[np.ndarray, "N 3"] = (vertices - camera.position_m) @ to_rows.T
-        return homogeneous
+        Homogeneous coordinates are linear in the position: within its reach a vertex changes them by at most the reach
+        times the length of their gradient.
+        """
+        to_rows = _to_samples(camera, self.look, rows, 1)
+        _, y, depth = ((self.mesh.vertices - camera.position_m) @ to_rows.T).T
+        beyond = y - len(rows) * depth  # positive below the last row
+        per_y, per_beyond, per_depth = np.linalg.norm(
+            [to_rows[1], to_rows[1] - len(rows) * to_rows[2], to_rows[2]], axis=1
+        )
+        in_front = depth > per_depth * reach_m
+        above, below = in_front & (y < -per_y * reach_m), in_front & (beyond > per_beyond * reach_m)
+        corners, appearance = self.mesh.faces, self._surface.appearance
+        seen = ~(above[corners].all(axis=1) | below[corners].all(axis=1))
+        around = np.zeros(len(y), np.bool_)
+        around[corners[seen]] = True
+        near = around[corners].any(axis=1)
+        used, place = np.unique(corners[near], return_inverse=True)
+        return used.astype(np.int64), _Surface(
+            vertices=self.mesh.vertices[used],
+            faces=place.reshape(-1, 3).astype(np.int32),
+            appearance=appearance._replace(
+                uv=appearance.uv[used],
+                vertex_rgb=appearance.vertex_rgb[used],
+                face_material=appearance.face_material[near],
+            ),
+        )
 
     def _see(
-        self,
-        surface: "_Surface",
-        vertices: Float32[np.ndarray, "N 3"],
-        camera: Camera,
-        rows: range,
-        supersampling: int,
+        self, surface: "_Surface", camera: Camera, rows: range, supersampling: int
     ) -> tuple[ScreenTriangles, Visible]:
         size = {"width": self.look.width * supersampling, "height": len(rows) * supersampling}
-        homogeneous = np.ascontiguousarray(self._homogeneous(vertices, camera, rows, supersampling))
-        ones = np.ones(len(vertices), np.float32)
+        to_sample = _to_samples(camera, self.look, rows, supersampling)
+        homogeneous = np.ascontiguousarray((surface.vertices - camera.position_m) @ to_sample.T)
+        ones = np.ones(len(surface.vertices), np.float32)
         triangles = screen_triangles(homogeneous, surface.faces, surface.appearance, **size)
         return triangles, rasterise(triangles, surface.faces, ones, surface.appearance, **size)
 
@@ -210,4 +231,10 @@ def _samples(camera: Camera, look: Look, rows: range, supersampling: int) -> Flo
     matrix = camera.intrinsics_px(look.width, look.height)
     matrix[1, 2] -= rows.start
     matrix[:2] *= supersampling
+    return matrix
+
+
+def _to_samples(camera: Camera, look: Look, rows: range, supersampling: int) -> Float64[np.ndarray, "3 3"]:
+    """World axes to samples of the rows."""
+    matrix: Float64[np.ndarray, "3 3"] = _samples(camera, look, rows, supersampling) @ camera.world_to_camera
     return matrix

@@ -8,6 +8,7 @@ from jaxtyping import Bool, Complex64, Float32, Float64, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from dynamictree.mesh import Material, TriangleMesh
+from dynamictree.parallel import on_cores
 from dynamictree.render.camera import Camera
 from dynamictree.render.picture import Look, Renderer
 from dynamictree.spectrum import NUM_FRAMES, bin_weights, displacement_at, iter_motion
@@ -192,9 +193,9 @@ def _space_time_slice(
     renderer: Renderer, coefficients: Complex64[np.ndarray, "N K 3"], num_frames: int, window: Camera
 ) -> UInt8[np.ndarray, "T W 3"]:
     renderer = renderer.with_size(width=SIDE_PX, height=SIDE_PX)
-    middle = range(SIDE_PX // 2, SIDE_PX // 2 + 1)
     frames = iter_motion(coefficients, slice_phases(num_frames), num_frames)
-    return np.concatenate([renderer.picture(frame, camera=window, rows=middle) for frame in frames])
+    reach_m = np.linalg.norm(np.abs(coefficients), axis=2) @ bin_weights(coefficients.shape[1], num_frames)
+    return renderer.row_over_time(frames, SIDE_PX // 2, reach_m=reach_m, camera=window)
 
 
 def _frames_in_a_row(
@@ -203,4 +204,4 @@ def _frames_in_a_row(
     renderer = renderer.with_size(width=STRIP_PX[0], height=STRIP_PX[1])
     phases = np.arange(NUM_STRIP) / NUM_STRIP
     frames = iter_motion(coefficients, phases, num_frames)
-    return np.concatenate([renderer.picture(frame) for frame in frames], axis=1)
+    return np.concatenate(on_cores(renderer.picture, frames), axis=1)

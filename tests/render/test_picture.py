@@ -158,10 +158,14 @@ def test_two_pictures_are_the_same_byte_for_byte(two_balls):
     assert np.array_equal(render_mesh(two_balls), render_mesh(two_balls))
 
 
-def test_rows_are_those_of_the_whole_picture(two_balls):
+@pytest.mark.parametrize("row", [0, 20, 33, 63])
+def test_a_row_over_time_is_that_of_each_whole_picture(two_balls, row):
     renderer = Renderer(two_balls, PLAIN)
-    whole = renderer.picture()
-    assert np.array_equal(renderer.picture(rows=range(20, 44)), whole[20:44])
+    sway_m = np.float32([[0.0, 0, 0], [0.3, 0, 0.4], [-0.2, 0, -0.5]])
+    frames = [np.tile(shift, (two_balls.num_vertices, 1)) for shift in sway_m]
+    reach_m = np.full(two_balls.num_vertices, np.linalg.norm(sway_m, axis=1).max(), np.float32)
+    stacked = renderer.row_over_time(frames, row, reach_m=reach_m)
+    assert np.array_equal(stacked, np.stack([renderer.picture(frame)[row] for frame in frames]))
 
 
 def test_a_displacement_moves_what_is_seen(two_balls):
