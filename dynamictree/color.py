@@ -1,7 +1,5 @@
 """The sRGB transfer curve, IEC 61966-2-1: display values to linear light and back, both in [0, 1]; greys."""
 
-from typing import no_type_check
-
 import numpy as np
 from jaxtyping import Float, Float32, UInt8
 
@@ -44,10 +42,3 @@ def srgb_slope(linear: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape
     """Derivative of `linear_to_srgb`."""
     curved = 1.055 / 2.4 * np.maximum(linear, LINEAR_END) ** (1 / 2.4 - 1)
     return np.where(linear <= LINEAR_END, 12.92, curved).astype(linear.dtype)
-
-
-@no_type_check  # numba compiles no checked function
-def srgb_of(linear):
-    """Encode one value; plain arithmetic, which numba compiles."""
-    value = min(max(linear, 0.0), 1.0)
-    return 12.92 * value if value <= LINEAR_END else 1.055 * value ** (1 / 2.4) - 0.055

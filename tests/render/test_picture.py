@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from dynamictree.color import linear_from_bytes
+from dynamictree.color import linear_from_bytes, linear_to_srgb
 from dynamictree.errors import FormatError, InputError, MeshError
 from dynamictree.mesh import Material, TriangleMesh
 from dynamictree.render import Camera, Look, Renderer, render_mesh, write_png
@@ -166,6 +166,12 @@ def test_a_row_over_time_is_that_of_each_whole_picture(two_balls, row):
     reach_m = np.full(two_balls.num_vertices, np.linalg.norm(sway_m, axis=1).max(), np.float32)
     stacked = renderer.row_over_time(frames, row, reach_m=reach_m)
     assert np.array_equal(stacked, np.stack([renderer.picture(frame)[row] for frame in frames]))
+
+
+def test_bytes_are_the_nearest_to_the_srgb_curve(rng):
+    linear = np.concatenate([np.linspace(-0.1, 1.1, 20_001), rng.random(20_000) ** 3])
+    shaded = np.array([light._srgb_byte(value) for value in linear])
+    assert np.array_equal(shaded, np.floor(255 * linear_to_srgb(linear) + 0.5))
 
 
 def test_a_displacement_moves_what_is_seen(two_balls):
