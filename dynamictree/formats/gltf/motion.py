@@ -145,12 +145,13 @@ def _reduced(
     """The mean with the best parts of that number (Eckart and Young 1936); squared sums of the motion and the loss."""
     swaying, swaying_weights = parts[1:], weights[:, 1:]
     gram = (swaying @ swaying.T).astype(np.float64)
+    swing = float(np.einsum("ti,tj,ij->", swaying_weights, swaying_weights, gram, optimize=True))
+    total = swing + len(weights) * float((parts[0].astype(np.float64) ** 2).sum())
+    if count == len(parts):
+        return parts, weights, (total, 0.0)
     values, vectors = np.linalg.eigh(gram)
     root = vectors * np.sqrt(np.maximum(values, 0))  # gram = root rootᵀ
     u, s, _ = np.linalg.svd(swaying_weights @ root, full_matrices=False)
-    total = float((s**2).sum() + len(weights) * (parts[0].astype(np.float64) ** 2).sum())
-    if count == len(parts):
-        return parts, weights, (total, 0.0)
     u, lost = u[:, : count - 1], float((s[count - 1 :] ** 2).sum())
     largest = np.abs(u).max(axis=0, initial=0)  # weights then stay within -1 and 1
     best = (u.T @ swaying_weights).astype(np.float32) @ swaying * largest[:, None].astype(np.float32)
