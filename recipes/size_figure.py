@@ -40,7 +40,7 @@ def main() -> None:
         frames = iter_turbulent_motion(vertex_spectrum, wind, times_s, spectrum.num_frames)
         top = np.argsort(mesh.vertices[:, 2])[-max(round(TOP_SHARE * mesh.num_vertices), 1) :]
         highest: list[np.ndarray] = []
-        slices.append(np.concatenate(list(_lines(mesh, frames, top, highest))))
+        slices.append(_lines(mesh, frames, top, highest))
         print(
             f"{mesh.height_m:.1f} m, period {spectrum.period_s:.3g} s: {_frequencies(np.stack(highest), mesh.height_m)}"
         )
@@ -52,13 +52,17 @@ def main() -> None:
 
 def _lines(
     mesh: TriangleMesh, frames: Iterator[Float32[np.ndarray, "N 3"]], top: np.ndarray, highest: list[np.ndarray]
-) -> Iterator[UInt8[np.ndarray, "1 W 3"]]:
+) -> UInt8[np.ndarray, "T W 3"]:
     """One row of the picture of every frame; the displacement of the vertices `top` goes to `highest`."""
+
+    def noted() -> Iterator[Float32[np.ndarray, "N 3"]]:
+        for frame in frames:
+            highest.append(frame[top])
+            yield frame
+
     renderer = Renderer(mesh, Look(width=SIDE_PX, height=SIDE_PX))
-    row = round(LINE * SIDE_PX)
-    for frame in frames:
-        highest.append(frame[top])
-        yield renderer.picture(frame, rows=range(row, row + 1))
+    anywhere = np.full(mesh.num_vertices, np.inf, np.float32)
+    return renderer.row_over_time(noted(), round(LINE * SIDE_PX), reach_m=anywhere)
 
 
 def _frequencies(motion: Float32[np.ndarray, "T N 3"], height_m: float) -> str:

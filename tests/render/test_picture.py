@@ -166,6 +166,8 @@ def test_a_row_over_time_is_that_of_each_whole_picture(two_balls, row):
     reach_m = np.full(two_balls.num_vertices, np.linalg.norm(sway_m, axis=1).max(), np.float32)
     stacked = renderer.row_over_time(frames, row, reach_m=reach_m)
     assert np.array_equal(stacked, np.stack([renderer.picture(frame)[row] for frame in frames]))
+    anywhere = np.full(two_balls.num_vertices, np.inf, np.float32)
+    assert np.array_equal(stacked, renderer.row_over_time(frames, row, reach_m=anywhere))
 
 
 def test_bytes_are_the_nearest_to_the_srgb_curve(rng):
