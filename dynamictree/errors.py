@@ -8,6 +8,7 @@
     ├── NumericsError           a result that is not finite or not stable
     │   └── UnstableTimestep    an integrator's step is too long; `max_dt_s` is the longest
     ├── ReconstructionError     photos from which no shape can be made
+    ├── CameraSearchError       the program that looks for cameras ended by itself
     └── Cancelled               the caller asked to stop
 
 Each class has a `code` (stable, kebab-case), by which the service chooses status and problem type. A message says
@@ -67,6 +68,12 @@ class ReconstructionError(DynamicTreeError):
     """Photos from which no shape can be made; the message says how many fitted together and what would help."""
 
     code = "reconstruction-failed"
+
+
+class CameraSearchError(DynamicTreeError):
+    """The program that looks for cameras ended by itself: it, not the photos, is at fault."""
+
+    code = "camera-search-failed"
 
 
 class Cancelled(DynamicTreeError):

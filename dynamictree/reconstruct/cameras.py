@@ -13,7 +13,7 @@ from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 
-from dynamictree.errors import ReconstructionError
+from dynamictree.errors import CameraSearchError, ReconstructionError
 from dynamictree.reconstruct.given import GivenCamera
 from dynamictree.reconstruct.photos import Photo
 from dynamictree.reconstruct.views import SparseModel, read_model
@@ -44,7 +44,8 @@ def find_cameras(
     What the callback raises ends the process and passes through.
 
     Raises:
-        ReconstructionError: too few photos fit together, or the process failed or took too long.
+        ReconstructionError: too few photos fit together, or the process took too long.
+        CameraSearchError: the process failed.
     """
     prepared_cameras = None if given is None else _at_prepared_size(given, photos)
     job = json.dumps({"folder": str(folder), "photos": [asdict(photo) for photo in photos], "given": prepared_cameras})
@@ -65,7 +66,7 @@ def find_cameras(
         finally:
             _end(child)
         if child.returncode != 0:
-            raise ReconstructionError(f"the search for cameras ended with {child.returncode}: {_last_line(log.name)}")
+            raise CameraSearchError(f"the search for cameras ended with {child.returncode}: {_last_line(log.name)}")
     model = read_model(folder, {photo.name: photo.source for photo in photos})
     registered = len(model.views) if model is not None else 0
     if model is None or registered < MIN_REGISTERED:

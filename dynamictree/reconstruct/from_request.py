@@ -58,6 +58,7 @@ def reconstruct_capture(
     Raises:
         InputError: a file is no photo or film, or there are too few or too many.
         ReconstructionError: the photos do not fit together.
+        CameraSearchError: the program that looks for cameras failed.
     """
 
     def learn(archive: Path) -> None:

@@ -77,6 +77,7 @@ def reconstruct(
     Raises:
         InputError: too few or too many photos, one that cannot be used, or another process uses `work`.
         ReconstructionError: the photos do not fit together or show no surface.
+        CameraSearchError: the program that looks for cameras failed.
     """
     options = options or ReconstructOptions()
     clock, draft = StageClock(on_progress), Draft(folder=folder, on_file=on_file)

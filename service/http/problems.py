@@ -111,6 +111,12 @@ KINDS: dict[str, Kind] = {
     "reconstruction-failed": Kind(
         status=422, title="The photos do not fit together", suggestion="Take more photos, with more overlap."
     ),
+    "camera-search-failed": Kind(
+        status=500,
+        title="The search for cameras failed",
+        suggestion="Try again; report the job's id if it stays.",
+        retryable=True,
+    ),
     "start-deadline": Kind(
         status=503, title="Not started in time", suggestion="Ask later, or with a later deadline.", retryable=True
     ),

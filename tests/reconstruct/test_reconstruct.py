@@ -14,7 +14,7 @@ import pytest
 from PIL import Image
 from scipy.spatial import cKDTree
 
-from dynamictree.errors import Cancelled, InputError, ReconstructionError
+from dynamictree.errors import CameraSearchError, Cancelled, InputError, ReconstructionError
 from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.formats.splat.ply import read_gaussian_ply
 from dynamictree.reconstruct import Progress, ReconstructOptions, reconstruct
@@ -210,7 +210,7 @@ def test_a_search_that_takes_too_long_is_ended(orbit, tmp_path):
 def test_a_search_that_dies_tells_why(orbit, tmp_path):
     prepared = prepare_photos(list_photos(orbit.photos), tmp_path / "photos")
     (tmp_path / "photos" / prepared[0].name).unlink()
-    with pytest.raises(ReconstructionError, match="the search for cameras ended with"):
+    with pytest.raises(CameraSearchError, match="the search for cameras ended with"):
         find_cameras(prepared, tmp_path)
 
 
