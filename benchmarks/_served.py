@@ -100,9 +100,9 @@ def published(services: Services, spectrum: SparseVoxelSpectrum, mesh: TriangleM
 
 
 def processor_s(process_id: int) -> float:
-    """Processor time that a process has used so far, user and system [s]; Linux."""
+    """Processor time that a process and its children that have ended used so far, user and system [s]; Linux."""
     after_name = Path(f"/proc/{process_id}/stat").read_text().rpartition(")")[2].split()
-    return (int(after_name[11]) + int(after_name[12])) / os.sysconf("SC_CLK_TCK")
+    return sum(map(int, after_name[11:15])) / os.sysconf("SC_CLK_TCK")
 
 
 def _stored(services: Services, name: str, content: bytes) -> tuple[str, int]:
