@@ -30,9 +30,9 @@ def test_the_notice_names_every_vendored_library(library) -> None:
         library.name, library.name
     )
     assert f"{name} {library.version}" in notice
-    for target in library.files.values():
-        if "LICENSE" in target:
-            assert f"web/vendor/{library.target(target)}" in notice
+    for path in library.targets:
+        if "LICENSE" in path:
+            assert f"web/vendor/{path}" in notice
 
 
 def test_citation_and_changelog_name_the_version() -> None:

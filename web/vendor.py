@@ -14,8 +14,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 MINIFY = ("npx", "--yes", "esbuild@0.28.2", "--minify", "--legal-comments=inline", "--target=es2022", "--loader=js")
+MODULE = "--format=esm"
 FOLDER = Path(__file__).parent / "vendor"
 SUMS = "SHA256SUMS"
+OWN_LICENCE = Path(__file__).parents[1] / "LICENSE"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,6 +29,12 @@ class Library:
     sha512: str  # npm's `dist.integrity`, base64
     files: dict[str, str]  # path in the package to path in the library's folder
     folder: str = ""  # in `vendor/`; name and version if unset
+    apache: bool = False  # its licence is this project's, whose text the package lacks
+
+    @property
+    def targets(self) -> list[str]:
+        """Paths in `vendor/` of its files."""
+        return [self.target(path) for path in (*self.files.values(), *(["LICENSE"] if self.apache else []))]
 
     def target(self, path: str) -> str:
         """Path in `vendor/` of a file. It holds the version, so that browsers may cache it for ever."""
@@ -67,6 +75,13 @@ LIBRARIES = (
         folder="spark-2.2.0",
         files={"LICENSE": "LICENSE.fflate"},
     ),
+    Library(  # laser scans
+        name="laz-perf",
+        version="0.0.7",
+        sha512="2xRqm/f/2UqDS5qqkjOyDb6uVIjkVw6SGmQlMoTQliVWkZhPfIbUJTubUl3mTloaWqKcjlS/urmP1CYoxelsEg==",
+        files={"lib/web/laz-perf.js": "laz-perf.js", "lib/web/laz-perf.wasm": "laz-perf.wasm"},
+        apache=True,
+    ),
     Library(  # the page of the API, /docs
         name="swagger-ui-dist",
         version="5.35.0",
@@ -91,7 +106,7 @@ def main() -> None:
             target.parent.mkdir(parents=True, exist_ok=True)
             target.write_bytes(content)
             lines.append(f"{hashlib.sha256(content).hexdigest()}  {path}\n")
-        sys.stdout.write(f"{library.name} {library.version}: {len(library.files)} files\n")
+        sys.stdout.write(f"{library.name} {library.version}: {len(library.targets)} files\n")
     (FOLDER / SUMS).write_text("".join(lines))
 
 
@@ -112,13 +127,16 @@ def fetch(library: Library) -> dict[str, bytes]:
             )
         with tarfile.open(tarball) as archive:
             contents = {target: _content(archive, f"package/{path}") for path, target in library.files.items()}
+    if library.apache:
+        contents["LICENSE"] = OWN_LICENCE.read_bytes()
     return {library.target(path): _minified(path, content) for path, content in contents.items()}
 
 
 def _minified(path: str, content: bytes) -> bytes:
     if not path.endswith(".js") or path.endswith((".min.js", "-bundle.js")):
         return content
-    minified: bytes = subprocess.run(MINIFY, input=content, check=True, capture_output=True).stdout
+    command = (*MINIFY, MODULE) if b"module.exports" in content else MINIFY
+    minified: bytes = subprocess.run(command, input=content, check=True, capture_output=True).stdout
     return minified
 
 

@@ -25,6 +25,7 @@ MEDIA_TYPES = {
     "webp": "image/webp",
     "glb": "model/gltf-binary",
     "safetensors": SAFETENSORS,
+    "wasm": "application/wasm",
 }
 TEXT_LEVEL = 6
 TENSORS_LEVEL = 1

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 
+import laspy
 import numpy as np
 import pytest
 from playwright.sync_api import expect
@@ -38,7 +39,7 @@ def stl_of(mesh: TriangleMesh) -> bytes:
 def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """One sapling in every format, and a splat."""
     mesh, folder = make_sample(3, "sapling").mesh, tmp_path_factory.mktemp("dropped")
-    paths = {kind: folder / f"tree.{kind}" for kind in ("glb", "obj", "stl", "ply", "xyz")} | {
+    paths = {kind: folder / f"tree.{kind}" for kind in ("glb", "obj", "stl", "ply", "xyz", "las", "laz")} | {
         "splat": folder / "splat.ply"
     }
     with paths["glb"].open("wb") as stream:
@@ -49,6 +50,12 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     paths["stl"].write_bytes(stl_of(mesh))
     scanned = mesh.vertices + np.array([512_000.0, 5_400_000.0, 310.0])  # as a surveyor's coordinates
     paths["xyz"].write_text("X Y Z\n" + "\n".join(f"{x:.4f} {y:.4f} {z:.4f}" for x, y, z in scanned))
+    scan = laspy.create(point_format=7, file_version="1.4")
+    scan.header.scales, scan.header.offsets = [1e-3] * 3, [512_000.0, 5_400_000.0, 310.0]
+    scan.x, scan.y, scan.z = scanned.T
+    scan.red, scan.green, scan.blue = np.tile(np.uint16([[20_000], [40_000], [10_000]]), len(scanned))
+    scan.write(paths["las"])
+    scan.write(paths["laz"])
     rng = np.random.default_rng(0)
     cloud = GaussianCloud(
         means=rng.uniform([-0.3, -1.5, -0.3], [0.3, 1.5, 0.3], (3000, 3)).astype(np.float32),
@@ -62,7 +69,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return paths
 
 
-@pytest.mark.parametrize("kind", ["glb", "obj", "stl", "ply", "xyz", "splat"])
+@pytest.mark.parametrize("kind", ["glb", "obj", "stl", "ply", "xyz", "las", "laz", "splat"])
 def test_it_is_drawn_while_its_upload_has_not_begun(view: Open, url: str, files: dict[str, Path], kind: str) -> None:
     viewer = view(900, 620)
     page = viewer.page

@@ -132,8 +132,8 @@ def test_vendored_files_are_those_of_the_list() -> None:
         if path.is_file() and path.name != SUMS
     }
     assert present == listed
-    assert set(listed) == {library.target(path) for library in LIBRARIES for path in library.files.values()}
-    assert all(any("LICENSE" in path for path in library.files.values()) for library in LIBRARIES)
+    assert set(listed) == {path for library in LIBRARIES for path in library.targets}
+    assert all(any("LICENSE" in path for path in library.targets) for library in LIBRARIES)
 
 
 def test_files_are_packed_and_not_sent_twice(client: TestClient) -> None:

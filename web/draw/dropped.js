@@ -1,25 +1,22 @@
 // What was dropped, drawn from the files themselves: something to look at before the service has read them.
 
 import * as THREE from "three";
+import { pointsOf, readLas, readText } from "./scan.js";
 import { makeUpright } from "./upright.js";
 
 const LARGEST_BYTES = 150e6;
 /** Which way is up where nothing says so; the service looks at the shape as well. */
 const UP = { glb: "+Y", gltf: "+Y", obj: "+Y", stl: "+Z", ply: "+Z", splat: "-Y", spz: "-Y", ksplat: "-Y", sog: "-Y" };
 const TEXTS = ["txt", "xyz", "asc", "csv", "pts"];
-const TEXT_BYTES = 30e6; // of a scan: its beginning, where it is longer
-const MOST_POINTS = 200_000;
 const MAPS = ["map", "alphaMap", "bumpMap", "normalMap", "specularMap"];
 const NOTHING = "data:,";
 const SPLATS = new Set(["splat", "spz", "ksplat", "sog"]);
 const CLAY = { color: 0xb9b3a4, side: THREE.DoubleSide };
 const load = (name) => import(`three/addons/loaders/${name}Loader.js`);
 
-const READERS = { glb: readGltf, gltf: readGltf, obj: readObj, stl: readStl, ply: readPly };
-for (const suffix of TEXTS) {
-  READERS[suffix] = readText;
-  UP[suffix] = "+Z";
-}
+const READERS = { glb: readGltf, gltf: readGltf, obj: readObj, stl: readStl, ply: readPly, las: readLas, laz: readLas };
+for (const suffix of TEXTS) READERS[suffix] = readText;
+for (const suffix of [...TEXTS, "las", "laz"]) UP[suffix] = "+Z";
 
 /**
  * `{ object, box, sizeless, dispose }` of the first of `files`, `{ name, path, content }` with paths relative to it; null for
@@ -97,30 +94,6 @@ async function readPly([{ content }]) {
   const { PLYLoader } = await load("PLY");
   const geometry = new PLYLoader().parse(await content.arrayBuffer());
   return { object: geometry.index ? clay(geometry) : pointsOf(geometry) };
-}
-
-function pointsOf(geometry) {
-  const vertexColors = Boolean(geometry.attributes.color);
-  const material = { size: 2, sizeAttenuation: false, vertexColors, color: vertexColors ? 0xffffff : 0x6b756f };
-  return new THREE.Points(geometry, new THREE.PointsMaterial(material));
-}
-
-/** A scan as text: lines whose first three numbers are x, y, z [m]; from the first point, since they may be millions. */
-async function readText([{ content }]) {
-  const lines = (await content.slice(0, TEXT_BYTES).text()).split("\n");
-  const step = Math.ceil(lines.length / MOST_POINTS);
-  const points = lines
-    .filter((_, i) => i % step === 0)
-    .map((line) =>
-      line
-        .trim()
-        .split(/[\s,;]+/, 3)
-        .map(Number),
-    );
-  const read = points.filter((point) => point.length === 3 && point.every(Number.isFinite));
-  const places = read.flatMap((point) => point.map((x, c) => x - read[0][c]));
-  const geometry = new THREE.BufferGeometry();
-  return { object: pointsOf(geometry.setAttribute("position", new THREE.Float32BufferAttribute(places, 3))) };
 }
 
 function clay(geometry) {
