@@ -1,11 +1,12 @@
-"""Additions to the paper's recipe, one at a time, in small: `paper-small` with 100 steps on 24 trees, three seeds.
+"""The paper's recipe in small with additions, one at a time, and on other grids: 100 steps on 24 trees, three seeds.
 
 Enough to tell the direction of large effects, not their size. Judged by voxel on a weeping tree, a palm and a pine,
 which are never trained on: sizes and frequencies of the voxels against the truth's, and how much neighbours differ.
-A line per training goes to standard error.
+A line per training goes to standard error. DYNAMICTREE_BENCHMARK_VARIANTS names those to run, separated by semicolons.
 """
 
 import json
+import os
 import resource
 import sys
 from collections.abc import Iterator, Sequence
@@ -33,7 +34,7 @@ from dynamictree.evaluation.metrics import (
     smoothness_loss,
 )
 from dynamictree.models import MotionModel, load_model
-from dynamictree.models.paper.network import ADDITIONS, with_additions
+from dynamictree.models.paper.network import ADDITIONS, PaperPreset, with_additions
 from dynamictree.models.paper.train import paper_small_training, train_paper
 from dynamictree.spectrum import SparseVoxelSpectrum
 from dynamictree.voxel.graph import voxel_graph
@@ -50,10 +51,13 @@ class Variant:
     additions: tuple[str, ...] = ()
     prediction: Prediction = "velocity"
     smoothness_from: int = STEPS
+    resolution: int = 32
 
 
 VARIANTS = {
     "plain, ε": Variant(prediction="noise"),
+    "plain, ε, 16³": Variant(prediction="noise", resolution=16),
+    "plain, ε, 64³": Variant(prediction="noise", resolution=64),
     "plain": Variant(),
     "wind": Variant(additions=("wind",)),
     "amplitude": Variant(additions=("amplitude",)),
@@ -68,13 +72,14 @@ VARIANTS = {
 def run() -> dict[str, object]:
     torch.set_num_threads(1)
     rows: dict[str, list[dict[str, float]]] = {}
+    chosen = os.environ.get("DYNAMICTREE_BENCHMARK_VARIANTS", ";".join(VARIANTS)).split(";")
     with TemporaryDirectory() as name:
         folder = Path(name)
         with (folder / "shard.safetensors").open("wb") as stream:
             write_shard(list(islice(_training_trees(), NUM_TREES)), stream)
         for seed in range(SEEDS):
-            for variant, recipe in VARIANTS.items():
-                row = _figures(_trained(folder, recipe, seed))
+            for variant in chosen:
+                row = _figures(_trained(folder, VARIANTS[variant], seed))
                 rows.setdefault(variant, []).append(row)
                 print(json.dumps({"variant": variant, "seed": seed, **row}), file=sys.stderr, flush=True)
     return {
@@ -94,9 +99,10 @@ def _training_trees() -> Iterator[StoredTree]:
 
 def _trained(folder: Path, recipe: Variant, seed: int) -> MotionModel:
     plain = paper_small_training()
+    preset = on_grid(plain.preset, recipe.resolution)
     plan = replace(
         plain,
-        preset=replace(with_additions(plain.preset, recipe.additions), prediction=recipe.prediction),
+        preset=replace(with_additions(preset, recipe.additions), prediction=recipe.prediction),
         num_steps=STEPS,
         smoothness_from=recipe.smoothness_from,
         time_shifts="amplitude" in recipe.additions,
@@ -108,6 +114,13 @@ def _trained(folder: Path, recipe: Variant, seed: int) -> MotionModel:
     train_paper(plan, [str(folder / "shard.safetensors")], folder, weights=folder / "trained.safetensors")
     (folder / "checkpoint.safetensors").unlink()
     return load_model(str(folder / "trained.safetensors"))
+
+
+def on_grid(preset: PaperPreset, resolution: int) -> PaperPreset:
+    """A preset whose spectra lie on another grid, and whose encoder reads the same one as before."""
+    levels = (preset.condition_resolution // resolution).bit_length()
+    widths = tuple(preset.encoder_base << level for level in range(levels))
+    return replace(preset, resolution=resolution, encoder_widths=widths)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
