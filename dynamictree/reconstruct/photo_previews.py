@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 from PIL import Image
-from safetensors.numpy import save_file
 
+from dynamictree.formats.tensors.container import write_tensors
 from dynamictree.reconstruct.views import View
 
 PHOTO_PREVIEWS = "photos.safetensors"
@@ -32,7 +32,8 @@ def write_photo_previews(views: Sequence[View], folder: Path) -> None:
     chosen = [views[row] for row in rows]
     tensors = {f"photo_{number}": _jpeg(view.image) for number, view in enumerate(chosen)}
     names = json.dumps([view.source for view in chosen])
-    save_file(tensors, folder / PHOTO_PREVIEWS, {"format": "tree-photos", "version": "1", "photos": names})
+    with (folder / PHOTO_PREVIEWS).open("wb") as stream:
+        write_tensors(stream, tensors, {"format": "tree-photos", "version": "1", "photos": names})
 
 
 def _jpeg(pixels: UInt8[np.ndarray, "H W 3"]) -> UInt8[np.ndarray, " _"]:

@@ -54,3 +54,11 @@ def test_of_many_photos_some_are_written_evenly(tmp_path: Path) -> None:
     assert (numbers[0], numbers[-1]) == (0, 99)
     assert set(np.diff(numbers)) <= {4, 5}
     assert [int(np.median(picture)) for picture in pictures] == pytest.approx(numbers, abs=3)
+
+
+def test_the_same_photos_give_the_same_bytes(tmp_path: Path) -> None:
+    contents = set()
+    for _ in range(8):
+        write_photo_previews(views(3, 40, 30), tmp_path)
+        contents.add((tmp_path / "photos.safetensors").read_bytes())
+    assert len(contents) == 1
