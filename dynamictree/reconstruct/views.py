@@ -51,15 +51,19 @@ class SparseModel:
         return replace(self, views=views, points=scale * (self.points - origin) @ rotation.T)
 
 
-def _mask(path: Path) -> UInt8[np.ndarray, "H W"] | None:
+def _pixels(path: Path, mode: str, size: tuple[int, int]) -> UInt8[np.ndarray, "..."] | None:
     if not path.exists():
         return None
     with Image.open(path) as image:
-        return np.array(image.convert("L"))
+        converted = image.convert(mode)
+    return np.array(converted if converted.size == size else converted.resize(size, Image.Resampling.LANCZOS))
 
 
 def read_model(folder: Path, sources: dict[str, str]) -> SparseModel | None:
-    """Read what `mapping` wrote; None where no two photos fitted together. `sources` gives each photo's own name."""
+    """Read what `mapping` wrote; None where no two photos fitted together. `sources` gives each photo's own name.
+
+    Photos whose pixels are not square (two focal lengths) are stretched until they are: cameras have one focal length.
+    """
     if not (folder / "views.json").exists():
         return None
     document = json.loads((folder / "views.json").read_text())
@@ -68,17 +72,22 @@ def read_model(folder: Path, sources: dict[str, str]) -> SparseModel | None:
     views = []
     for view in document["views"]:
         rotation = np.array(view["rotation"])
+        focal_x, focal_y = view["focal_px"]
+        width, height = view["width"], round(view["height"] * focal_x / focal_y)
         camera = Camera(
             position_m=-rotation.T @ np.array(view["translation"]),
             world_to_camera=rotation,
-            focal=float(np.mean(view["focal_px"])) / view["height"],
-            centre=(view["principal_px"][0] / view["width"], view["principal_px"][1] / view["height"]),
+            focal=focal_y / view["height"],
+            centre=(view["principal_px"][0] / width, view["principal_px"][1] / view["height"]),
         )
-        with Image.open(folder / "undistorted" / "images" / view["name"]) as image:
-            pixels = np.array(image.convert("RGB"))
-        alpha = _mask(folder / "undistorted-masks" / "images" / view["name"])
-        markers = {marker["number"]: np.array(marker["corners_px"]) for marker in view.get("markers", ())}
-        views.append(View(source=sources[view["name"]], image=pixels, camera=camera, alpha=alpha, markers=markers))
+        image = _pixels(folder / "undistorted" / "images" / view["name"], "RGB", (width, height))
+        assert image is not None
+        alpha = _pixels(folder / "undistorted-masks" / "images" / view["name"], "L", (width, height))
+        markers = {
+            marker["number"]: np.array(marker["corners_px"]) * [1, height / view["height"]]
+            for marker in view.get("markers", ())
+        }
+        views.append(View(source=sources[view["name"]], image=image, camera=camera, alpha=alpha, markers=markers))
     return SparseModel(
         views=tuple(views),
         points=positions,
