@@ -9,6 +9,9 @@ from jaxtyping import Float64
 ENOUGH_PX = 0.5
 """Mean reprojection error up to which given cameras are left as they are."""
 
+ENOUGH_POINTS = 50
+"""That a photo sees, for its pose to be adjusted: the few of a thin plant before a plain background are often wrong."""
+
 _MAX_ROUNDS = 8
 _PRIOR_SHARE = 0.1  # of the cameras' spread, standard deviation of a given position: weak, photos decide
 _LEAST_GAIN = 0.95  # of the error, or the last round was the last
@@ -23,7 +26,8 @@ def refined(
 ) -> pycolmap.Reconstruction:
     """Adjust poses if the mean reprojection error is above 0.5 px; if it stays above, focal lengths and distortion too.
 
-    Given positions hold frame and scale. Points are matched anew after each round: wrong poses let few agree.
+    Given positions hold frame and scale. Points are matched anew after each round: wrong poses let few agree. A photo
+    that sees fewer than 50 points keeps the pose that was given.
 
     Args:
         model: triangulated with the given cameras.
@@ -47,6 +51,8 @@ def _best(
     error_px = model.compute_mean_reprojection_error()
     start = triangulate(pycolmap.Reconstruction(model), _SLACK)
     for _ in range(_MAX_ROUNDS):
+        if not _well_seen(start):
+            break
         adjusted = triangulate(_adjusted(start, positions, lenses=lenses), 1.0)
         adjusted_px = adjusted.compute_mean_reprojection_error()
         gained = adjusted.compute_num_observations() > model.compute_num_observations()
@@ -57,6 +63,11 @@ def _best(
     return model
 
 
+def _well_seen(model: pycolmap.Reconstruction) -> set[int]:
+    """Images that see enough points."""
+    return {image.image_id for image in model.images.values() if image.num_points3D >= ENOUGH_POINTS}
+
+
 def _adjusted(
     model: pycolmap.Reconstruction, positions: dict[str, Float64[np.ndarray, "3"]], *, lenses: bool
 ) -> pycolmap.Reconstruction:
@@ -65,8 +76,12 @@ def _adjusted(
     priors = []
     places = np.array(list(positions.values()))
     deviation = _PRIOR_SHARE * float(np.linalg.norm(places - places.mean(axis=0), axis=1).mean())
+    adjustable = _well_seen(model)
     for image in model.images.values():
         config.add_image(image.image_id)
+        if image.image_id not in adjustable:
+            config.set_constant_rig_from_world_pose(image.frame_id)
+            continue
         prior = pycolmap.PosePrior(
             position=positions[image.name],
             position_covariance=deviation**2 * np.eye(3),

@@ -4,13 +4,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pycolmap
 import pytest
 from scipy.spatial.transform import Rotation
 
 from dynamictree.reconstruct.cameras import find_cameras
 from dynamictree.reconstruct.given import GivenCamera
 from dynamictree.reconstruct.photos import list_photos, prepare_photos
-from dynamictree.reconstruct.refine_poses import ENOUGH_PX
+from dynamictree.reconstruct.refine_poses import ENOUGH_POINTS, ENOUGH_PX, refined
 from dynamictree.reconstruct.views import SparseModel
 from tests.reconstruct.conftest import HEIGHT, WIDTH, Orbit
 from tests.reconstruct.test_given import FOCAL
@@ -59,3 +60,25 @@ def test_wrong_poses_are_refined_and_exact_ones_stay(orbit, rng, tmp_path):
 def off(places: np.ndarray, true: np.ndarray) -> float:
     scale, rotation, shift = aligned(places, true)
     return float(np.linalg.norm(scale * places @ rotation.T + shift - true, axis=1).mean())
+
+
+@pytest.mark.parametrize(("num_points", "moved"), [(ENOUGH_POINTS // 2, False), (4 * ENOUGH_POINTS, True)])
+def test_few_points_move_no_camera(num_points: int, moved: bool) -> None:
+    pycolmap.set_random_seed(1)
+    options = pycolmap.SyntheticDatasetOptions()
+    options.num_rigs, options.num_cameras_per_rig, options.num_frames_per_rig = 1, 1, NUM_PHOTOS
+    options.num_points3D = num_points
+    model = pycolmap.synthesize_dataset(options)
+    noise = pycolmap.SyntheticNoiseOptions()
+    noise.point2D_stddev, noise.rig_from_world_translation_stddev = 0.5, 0.05
+    pycolmap.synthesize_noise(noise, model)
+    given = {image.name: image.projection_center() for image in model.images.values()}
+
+    def same_points(posed: pycolmap.Reconstruction, slack: float = 1.0) -> pycolmap.Reconstruction:
+        posed.update_point_3d_errors()
+        return posed
+
+    result = refined(same_points(model), given, same_points)
+    change = [np.linalg.norm(image.projection_center() - given[image.name]) for image in result.images.values()]
+    assert (max(change) > 1e-4) == moved
+    assert max(change) < 1
