@@ -11,6 +11,7 @@ from dynamictree.errors import ReconstructionError
 from dynamictree.reconstruct.views import View
 from dynamictree.render.camera import Camera
 
+_COVERED = 32  # of 255, the alpha of what counts as masked: a twig narrower than a pixel covers part of it only
 DILATION_PX = 2  # of the masks: a stem one pixel wide is lost to cameras that are off by a pixel
 _MAX_DISAGREEING = 1 / 8  # of the photos that see a place: one bad mask must not cut a hole into the plant
 _LEAST_SEEN = 1 / 2  # of the photos
@@ -112,7 +113,7 @@ def _agreed(pyramids: list[_MaskPyramid], centres: Float64[np.ndarray, "C 3"], h
 def _pyramid(view: View) -> _MaskPyramid:
     assert view.alpha is not None
     height, width = view.alpha.shape
-    levels: list[Bool[np.ndarray, "h w"]] = [binary_dilation(view.alpha >= 128, iterations=DILATION_PX)]
+    levels: list[Bool[np.ndarray, "h w"]] = [binary_dilation(view.alpha >= _COVERED, iterations=DILATION_PX)]
     while max(levels[-1].shape) > 1:
         padded = np.pad(levels[-1], [(0, side % 2) for side in levels[-1].shape])
         quads = padded.reshape(padded.shape[0] // 2, 2, padded.shape[1] // 2, 2)
@@ -135,7 +136,7 @@ def _inside_all(pyramids: list[_MaskPyramid], points: Float64[np.ndarray, "P 3"]
         x, y, depth = pyramid.camera.project(points, pyramid.width, pyramid.height).T
         visible = (depth > 0) & (x >= 0) & (y >= 0) & (x < pyramid.width) & (y < pyramid.height)
         row, column = np.where(visible, y, 0).astype(int), np.where(visible, x, 0).astype(int)
-        inside &= visible & (pyramid.exact[row, column] >= 128)
+        inside &= visible & (pyramid.exact[row, column] >= _COVERED)
     return inside
 
 
@@ -148,7 +149,7 @@ def _mean_colors(views: list[View], points: Float64[np.ndarray, "P 3"]) -> Float
         x, y, depth = view.camera.project(points, width, height).T
         visible = (depth > 0) & (x >= 0) & (y >= 0) & (x < width) & (y < height)
         at = np.where(visible, y, 0).astype(int), np.where(visible, x, 0).astype(int)
-        share = visible * np.where(view.alpha[at] >= 128, 1, 1e-3).astype(np.float32)
+        share = visible * np.where(view.alpha[at] >= _COVERED, 1, 1e-3).astype(np.float32)
         total += share[:, None] * (view.image[at] / np.float32(255))
         weight += share
     colors: Float32[np.ndarray, "P 3"] = total / np.maximum(weight, 1e-6)[:, None]
