@@ -9,23 +9,28 @@ from PIL import Image
 from scipy.spatial import cKDTree
 
 from dynamictree.dataset.sample import make_sample
+from dynamictree.dataset.stem_skeleton import Skeleton
+from dynamictree.gaussian.nearest import nearest_faces
 from dynamictree.mesh import TriangleMesh
 from dynamictree.render import Camera, Look, Renderer
 
 _SAMPLES = 3  # along a pixel's side, colour and cover alike, so that edges keep no sky
 _SURFACE_POINTS = 150_000
+_FARTHEST = 0.1  # of the height, that a surface is looked for around a stem's axis
 
 
 @dataclass(frozen=True, kw_only=True)
 class PhotoSet:
     tree: TriangleMesh
+    skeleton: Skeleton
     photos: tuple[Path, ...]
     cameras: tuple[Camera, ...]
 
 
 def photograph(folder: Path, *, number: int, side: int, species: str = "round-broadleaf", seed: int = 7) -> PhotoSet:
     """An orbit around a tree with speckled bark and leaves; photos and `transforms.json` go into the folder."""
-    tree = make_sample(seed, species).mesh
+    sample = make_sample(seed, species)
+    tree = sample.mesh
     shades = np.clip(np.random.default_rng(1).normal(0.7, 0.3, (tree.num_vertices, 3)), 0.1, 1)
     colors = np.concatenate([255 * shades, np.full((len(shades), 1), 255)], axis=1).astype(np.uint8)
     bright = tuple(
@@ -51,7 +56,7 @@ def photograph(folder: Path, *, number: int, side: int, species: str = "round-br
     focal = cameras[0].focal * side
     lens = {"fl_x": focal, "fl_y": focal, "cx": side / 2, "cy": side / 2, "w": side, "h": side}
     (folder / "transforms.json").write_text(json.dumps({**lens, "frames": frames}))
-    return PhotoSet(tree=tree, photos=tuple(photos), cameras=tuple(cameras))
+    return PhotoSet(tree=tree, skeleton=sample.skeleton, photos=tuple(photos), cameras=tuple(cameras))
 
 
 def surface_score(
@@ -67,6 +72,27 @@ def surface_score(
     recall = float((cKDTree(ours).query(theirs)[0] < near).mean())
     both = max(precision + recall, 1e-9)
     return {"precision": round(precision, 3), "recall": round(recall, 3), "f": round(2 * precision * recall / both, 3)}
+
+
+def stem_widths(
+    result: TriangleMesh, taken: PhotoSet, result_cameras: np.ndarray, true_cameras: np.ndarray
+) -> dict[str, float]:
+    """Distance of the surface from the middles of stem segments against their radius, where it encloses them."""
+    scale, rotation, shift = _aligned(result_cameras, true_cameras)
+    vertices = (scale * result.vertices @ rotation.T + shift).astype(np.float32)
+    stems = taken.skeleton
+    upper = np.flatnonzero(stems.parent >= 0)
+    lower = stems.parent[upper]
+    middle = (0.5 * (stems.position[upper] + stems.position[lower])).astype(np.float32)
+    radius = 0.5 * (stems.radius[upper] + stems.radius[lower])
+    near = nearest_faces(middle, vertices, result.faces, _FARTHEST * taken.tree.height_m)
+    rows = np.flatnonzero(near.faces >= 0)
+    a, b, c = vertices[result.faces[near.faces[rows]]].astype(np.float64).transpose(1, 0, 2)
+    foot = np.einsum("gk,kgd->gd", near.weights[rows], np.stack([a, b, c]))
+    within = ((middle[rows] - foot) * np.cross(b - a, c - a)).sum(axis=1) < 0
+    ratio = (np.linalg.norm(middle[rows] - foot, axis=1) / radius[rows])[within]
+    low, median, high = (round(float(np.quantile(ratio, q)), 2) for q in (0.1, 0.5, 0.9))
+    return {"p10": low, "median": median, "p90": high, "enclosed": round(float(within.sum() / len(upper)), 3)}
 
 
 def _cut_out(renderer: Renderer, camera: Camera, side: int) -> np.ndarray:

@@ -9,12 +9,13 @@ import tempfile
 import time
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import binary_dilation
 
 from benchmarks._machine import machine, timed
-from benchmarks._photo_set import photograph, surface_score
+from benchmarks._photo_set import photograph, stem_widths, surface_score
 from dynamictree.gaussian.rasterize import render_cloud
 from dynamictree.reconstruct import Reconstruction, ReconstructOptions, reconstruct
 from dynamictree.reconstruct.gradient import Shapes, draw, gradients_of
@@ -23,12 +24,14 @@ from dynamictree.render.camera import Camera
 
 SETS = ((32, 640), (60, 1000))
 """Photos and their side in pixels."""
+THIN_SET = 30, 720
 DILATED_PX = 5
 TARGET_MINUTES, TARGET_DB, TARGET_F, TARGET_REAL_DB = 20.0, 27.0, 0.8, 22.0
 
 
 def run() -> dict[str, object]:
     trees = [generated_tree(number, side_px) for number, side_px in SETS]
+    thin = generated_tree(*THIN_SET, species="sapling", seed=3)
     return {
         "value": trees[-1]["minutes"],
         "unit": "min",
@@ -36,16 +39,17 @@ def run() -> dict[str, object]:
         "held_out_target_db": TARGET_DB,
         "surface_target_f": TARGET_F,
         "trees": trees,
+        "thin_plant": thin,
         "step": step_ms(),
         "real": real_photos(),
         **machine("numpy", "numba"),
     }
 
 
-def generated_tree(number: int, side_px: int) -> dict[str, object]:
+def generated_tree(number: int, side_px: int, **tree: Any) -> dict[str, object]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        taken = photograph(folder, number=number, side=side_px)
+        taken = photograph(folder, number=number, side=side_px, **tree)
         start = time.perf_counter()
         out = folder / "out"
         out.mkdir()
@@ -64,7 +68,9 @@ def generated_tree(number: int, side_px: int) -> dict[str, object]:
         "held_out": result.report["held_out"],
         "held_out_in_mask_db": splat_psnr_db,
         "blank_in_mask_db": blank,
+        "surface_at_half_percent": surface_score(result.mesh, taken.tree, ours, true, 0.005),
         "surface_at_1_percent": surface_score(result.mesh, taken.tree, ours, true, 0.01),
+        "stem_width_ratio": stem_widths(result.mesh, taken, ours, true),
         "num_gaussians": result.report["num_gaussians"],
         "num_faces": result.report["num_faces"],
     }
