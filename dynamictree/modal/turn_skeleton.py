@@ -1,0 +1,231 @@
+"""A skeleton of a mesh whose bones only turn: pieces of its stems, and a bone for each leaf card.
+
+A part of the mesh that bends is cut where the way along its surface from its foot is a whole number of bones long. The
+connected vertices between two cuts are a node, and a bone leads to it from the node before, from centre to centre. A
+card, or another small part, is one bone. The first bone of a part begins where the part is attached to another, which
+carries it; that of a trunk begins on the ground.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse
+from jaxtyping import Bool, Float32, Float64, Int32, Int64
+from scipy.sparse.csgraph import connected_components, dijkstra
+
+from dynamictree.devoxelize.attachment import SMALL_PART_VOXELS, find_attachments
+from dynamictree.devoxelize.inextensible import CARD_VERTICES
+from dynamictree.mesh import TriangleMesh, connected_parts, edges_of, part_bounds, weld
+from dynamictree.voxel.grid import VoxelGrid
+
+FINENESS = 128
+"""Voxels along the tree that say how long a bone is and which parts are small, whatever the grid of the motion."""
+BONE_VOXELS = 2.0
+SMALLEST_NODE, NEAR_VOXELS = 3, 6.0
+"""A node with fewer vertices that is this near to its parent is a part of it."""
+WIDE_VOXELS, PATCH_VOXELS = 12.0, 6.0
+"""A node that is wider, as in a crown that is one surface, is cut into patches."""
+GROUND = 0
+"""The bone that never moves. It carries what is no plant."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TurnSkeleton:
+    """B bones, parents before children. Built by `turn_skeleton`."""
+
+    parent: Int32[np.ndarray, " B"]  # -1 of the ground
+    foot_m: Float32[np.ndarray, "B 3"]  # about which a bone turns; its parent carries it
+    reach_m: Float32[np.ndarray, "B 3"]  # from the foot to the bone's end
+    bone: Int32[np.ndarray, " N"]  # that carries each vertex
+    parent_share: Float32[np.ndarray, " N"]  # of the turn that a vertex has, the parent's
+    in_card: Bool[np.ndarray, " N"]
+
+    @property
+    def depths(self) -> Int64[np.ndarray, " B"]:
+        """Number of ancestors of each bone."""
+        depth = np.zeros(len(self.parent), np.int64)
+        for bone in range(1, len(depth)):
+            depth[bone] = depth[self.parent[bone]] + 1
+        return depth
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Parts:
+    """The P connected parts of a welded surface of n vertices."""
+
+    of: Int64[np.ndarray, " n"]
+    is_card: Bool[np.ndarray, " P"]
+    stands: Bool[np.ndarray, " P"]
+    above: Int64[np.ndarray, " P"]  # the vertex that a part hangs on; -1 without one
+    foot_m: Float64[np.ndarray, "P 3"]
+    begins: Bool[np.ndarray, " n"]  # where a part that bends begins
+
+
+def turn_skeleton(mesh: TriangleMesh, grid: VoxelGrid) -> TurnSkeleton:
+    """Find the bones of a mesh; `grid` is that of its motion."""
+    surface, vertex = weld(mesh.moving_part)
+    places = surface.vertices.astype(np.float64)
+    voxel_m = float(np.ptp(places, axis=0).max()) / FINENESS
+    parts = _parts_of(surface, grid, voxel_m)
+    node, parent, first = _nodes(surface, parts, voxel_m)
+    part = parts.of[first]
+    is_base = parent < 0
+    centre = _means(node, places, len(parent))
+    foot = np.where(is_base[:, None], parts.foot_m[part], centre[parent])
+    bone, share = _carriers(places, node, parent, foot, centre - foot)
+    hangs = is_base & (parts.above[part] >= 0)
+    share[hangs[bone] & (share <= 0.5)] = 0  # a twig turns by itself from its foot on
+
+    above = parts.above[part[hangs]]
+    low = share[above] > 0.5
+    parent[hangs] = np.where(low & (parent[bone[above]] >= 0), parent[bone[above]], bone[above])
+    standing = is_base & parts.stands[part]
+    floating = np.flatnonzero(is_base & ~hangs & ~standing)
+    ground = places[places[:, 2] <= places[:, 2].min() + voxel_m].mean(axis=0)
+    num_nodes, num_floating = len(parent), len(floating)
+    # then a bone to the foot of each floating part from the ground, and the ground itself
+    parent[standing] = num_nodes + num_floating
+    parent[floating] = num_nodes + np.arange(num_floating)
+    parent = np.concatenate([parent, np.full(num_floating, num_nodes + num_floating), [-1]])
+    reach = np.concatenate([centre - foot, foot[floating] - ground, [[0, 0, voxel_m]]])
+    foot = np.concatenate([foot, np.tile(ground, (num_floating + 1, 1))])
+
+    order = np.argsort(_depths(parent), kind="stable")
+    number = np.empty(len(order), np.int64)
+    number[order] = np.arange(len(order))
+    still = mesh.still_vertices | ~np.isin(np.arange(len(places)), surface.faces)[vertex]
+    return TurnSkeleton(
+        parent=np.where(parent < 0, -1, number[parent])[order].astype(np.int32),
+        foot_m=foot[order].astype(np.float32),
+        reach_m=reach[order].astype(np.float32),
+        bone=np.where(still, GROUND, number[bone][vertex]).astype(np.int32),
+        parent_share=np.where(still, 0, share[vertex]).astype(np.float32),
+        in_card=parts.is_card[parts.of][vertex] & ~still,
+    )
+
+
+def _parts_of(surface: TriangleMesh, grid: VoxelGrid, voxel_m: float) -> _Parts:
+    attached = find_attachments(surface, grid)
+    of = connected_parts(surface.faces, surface.num_vertices).astype(np.int64)
+    low, high = part_bounds(of, surface.vertices)
+    small = (high - low).max(axis=1) < SMALL_PART_VOXELS * voxel_m
+    stands = ~small & (low[:, 2] < low[:, 2].min() + voxel_m)
+    is_card = (small | (np.bincount(of) <= CARD_VERTICES)) & ~stands
+    near_foot = surface.vertices[:, 2] <= low[of, 2] + voxel_m
+    foot = _means(of[near_foot], surface.vertices[near_foot].astype(np.float64), len(low))
+    own, other = attached.corners[:, 0], attached.corners[:, 1]
+    foot[attached.children] = np.einsum("bi,bic->bc", attached.weights[:, 0], surface.vertices[own])
+    above = np.full(len(low), -1, np.int64)
+    above[attached.children] = np.take_along_axis(other, attached.weights[:, 1].argmax(axis=1)[:, None], axis=1)[:, 0]
+    begins = near_foot & (above[of] < 0)
+    begins[np.take_along_axis(own, attached.weights[:, 0].argmax(axis=1)[:, None], axis=1)] = True
+    return _Parts(of=of, is_card=is_card, stands=stands, above=above, foot_m=foot, begins=begins & ~is_card[of])
+
+
+def _nodes(
+    surface: TriangleMesh, parts: _Parts, voxel_m: float
+) -> tuple[Int64[np.ndarray, " n"], Int64[np.ndarray, " B"], Int64[np.ndarray, " B"]]:
+    """Node of each vertex; of each node, the one before it in its part, or -1, and its vertex nearest to the foot."""
+    places, count = surface.vertices.astype(np.float64), surface.num_vertices
+    bends = ~parts.is_card[parts.of]
+    edges = edges_of(surface.faces)
+    edges = edges[bends[edges[:, 0]]]
+    start, end = edges.T
+    way, before = np.zeros(count), np.full(count, -1, np.int64)
+    if parts.begins.any():
+        length = np.linalg.norm(places[start] - places[end], axis=1)
+        graph = scipy.sparse.csr_array((length, (start, end)), shape=(count, count))
+        ways = dijkstra(
+            graph, directed=False, indices=np.flatnonzero(parts.begins), min_only=True, return_predecessors=True
+        )
+        way, before = np.where(bends, ways[0], 0), np.where(bends, ways[1], -1)
+    ring = np.floor(way / (BONE_VOXELS * voxel_m)).astype(np.int64)
+    together = ring[start] == ring[end]
+    node = _connected(edges[together], count)
+    low, high = part_bounds(node, surface.vertices)
+    wide = ((high - low).max(axis=1) > WIDE_VOXELS * voxel_m)[node]
+    patch = np.where(wide[:, None], np.floor(places / (PATCH_VOXELS * voxel_m)), 0)
+    node = _connected(edges[together & (patch[start] == patch[end]).all(axis=1)], count).astype(np.int64)
+    base = (ring == 0) | ~bends
+    node = np.unique(np.where(base, count + parts.of, node), return_inverse=True)[1].ravel()
+
+    first = _first_of_each(node, way)
+    parent = np.where(base[first], -1, node[np.maximum(before[first], 0)])
+    size, centre = np.bincount(node), _means(node, places, len(first))
+    near = np.linalg.norm(centre - centre[parent], axis=1) < NEAR_VOXELS * voxel_m
+    target = np.arange(len(first))
+    for this in np.argsort(way[first], kind="stable"):
+        if parent[this] >= 0 and size[this] < SMALLEST_NODE and near[this]:
+            target[this] = target[parent[this]]
+    remaining = np.flatnonzero(target == np.arange(len(first)))
+    number = np.zeros(len(first), np.int64)
+    number[remaining] = np.arange(len(remaining))
+    parent = np.where(parent[remaining] < 0, -1, number[target[parent[remaining]]])
+    return number[target[node]], parent, first[remaining]
+
+
+def _carriers(
+    places: Float64[np.ndarray, "n 3"],
+    node: Int64[np.ndarray, " n"],
+    parent: Int64[np.ndarray, " B"],
+    foot: Float64[np.ndarray, "B 3"],
+    reach: Float64[np.ndarray, "B 3"],
+) -> tuple[Int64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
+    """Bone of each vertex and its parent's share: 1/2 at the foot of a bone, 0 from its middle on.
+
+    Beyond the middle, a vertex belongs to the next bone already, and the share goes from 1 to 1/2.
+    """
+
+    def along(bone: Int64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
+        arm = places - foot[bone]
+        return np.asarray((arm * reach[bone]).sum(axis=1) / np.maximum((reach[bone] ** 2).sum(axis=1), 1e-12))
+
+    own = along(node)
+    after, best, share_there = np.full(len(places), -1), np.full(len(places), np.inf), np.zeros(len(places))
+    children = np.flatnonzero(parent >= 0)
+    children = children[np.argsort(parent[children], kind="stable")]
+    rank = np.arange(len(children)) - np.searchsorted(parent[children], parent[children])
+    for turn in range(int(rank.max()) + 1 if len(rank) else 0):  # the nearest of the bones that begin at the node
+        child = np.full(len(parent), -1)
+        child[parent[children[rank == turn]]] = children[rank == turn]
+        rows = np.flatnonzero(child[node] >= 0)
+        candidate = child[node[rows]]
+        there = along(np.where(child[node] >= 0, child[node], 0))[rows]
+        nearest = foot[candidate] + np.clip(there, 0, 1)[:, None] * reach[candidate]
+        distance = np.linalg.norm(places[rows] - nearest, axis=1)
+        better = distance < best[rows]
+        after[rows[better]], best[rows[better]] = candidate[better], distance[better]
+        share_there[rows[better]] = there[better]
+    beyond = (after >= 0) & (share_there > 0) & (own > 1)
+    towards = (after >= 0) & ~beyond & (own > 0.5)
+    bone = np.where(beyond | towards, after, node)
+    share = np.where(towards, np.clip(1.5 - own, 0.5, 1), np.clip(0.5 - np.where(beyond, share_there, own), 0, 0.5))
+    return bone, share
+
+
+def _connected(edges: Int32[np.ndarray, "E 2"], count: int) -> Int32[np.ndarray, " n"]:
+    joined = scipy.sparse.coo_array((np.ones(len(edges), np.int8), edges.T), shape=(count, count))
+    label: Int32[np.ndarray, " n"] = connected_components(joined, directed=False)[1].astype(np.int32)
+    return label
+
+
+def _first_of_each(group: Int64[np.ndarray, " n"], way: Float64[np.ndarray, " n"]) -> Int64[np.ndarray, " B"]:
+    order = np.argsort(way, kind="stable")
+    first: Int64[np.ndarray, " B"] = order[np.unique(group[order], return_index=True)[1]]
+    return first
+
+
+def _means(
+    group: Int64[np.ndarray, " n"], places: Float64[np.ndarray, "n 3"], count: int
+) -> Float64[np.ndarray, "B 3"]:
+    total = np.stack([np.bincount(group, column, count) for column in places.T], axis=1)
+    return np.asarray(total / np.maximum(np.bincount(group, minlength=count), 1)[:, None])
+
+
+def _depths(parent: Int64[np.ndarray, " B"]) -> Int64[np.ndarray, " B"]:
+    """Number of ancestors, in any order of the bones."""
+    depth = np.where(parent < 0, 0, 1)
+    above = parent.copy()
+    while (above := np.where(above < 0, -1, parent[above])).max(initial=-1) >= 0:
+        depth += above >= 0
+    return depth
