@@ -1,4 +1,4 @@
-"""The product `wind` as an engine evaluates it: mode shapes out of the texture, coordinates by the reference."""
+"""The product `wind` as an engine evaluates it: bones out of the texture, coordinates by the reference."""
 
 import json
 import tempfile
@@ -11,35 +11,35 @@ import numpy as np
 import pygltflib
 
 from benchmarks._played import accessor, z_up
-from recipes.wind_reference import coordinates, turned, wave_at
+from recipes.wind_reference import coordinates, feet, half_turns, turned, wave_at
 
 
 @dataclass(frozen=True, kw_only=True)
 class EngineWind:
-    """What the files hold of each vertex, +Z up."""
+    """What the files hold of B bones and N vertices, +Z up."""
 
     wind: dict[str, Any]
-    modes: np.ndarray  # [2K - 1, N, 3], m
-    turns: np.ndarray  # [2K - 1, N, 3], rad
-    arms: np.ndarray  # [N, 3], m
-
-    @property
-    def in_card(self) -> np.ndarray:
-        """Whether a vertex turns about a pivot, or is one [N]."""
-        return np.asarray((self.turns != 0).any(axis=(0, 2)))
+    turns: np.ndarray  # modes [2K - 1, B, 3], rad
+    foot_m: np.ndarray  # [B, 3]
+    direction: np.ndarray  # [B, 3]
+    parent: np.ndarray  # [B]
+    vertices: np.ndarray  # [N, 3], m
+    bone: np.ndarray  # [N]
+    parent_share: np.ndarray  # [N]
 
     def displacement(self, seconds: float, speed_m_s: float | None = None) -> np.ndarray:
         """Of the vertices in a mean wind, by default the motion's own [N, 3], m."""
-        q = coordinates(self.wind, seconds, speed_m_s)
-        turn = wave_at(self.wind["turn_rad"], seconds)
-        cosine, sine = np.cos(turn), np.sin(turn)
-        around = np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]])
+        return self.pose(coordinates(self.wind, seconds, speed_m_s), wave_at(self.wind["turn_rad"], seconds))
 
-        def added(parts: np.ndarray) -> np.ndarray:
-            total = parts[0] * q[0].real + np.einsum("k,knc->nc", q[1:].real, parts[1::2])
-            return np.asarray((total - np.einsum("k,knc->nc", q[1:].imag, parts[2::2])) @ around)
-
-        return added(self.modes) + turned(added(self.turns), self.arms) - self.arms
+    def pose(self, q: np.ndarray, wind_turn: float = 0.0) -> np.ndarray:
+        """Displacement for coordinates [K] of the modes and a turn of the wind's direction [N, 3], m."""
+        theta = self.turns[0] * q[0].real + np.einsum("k,kbc->bc", q[1:].real, self.turns[1::2])
+        theta -= np.einsum("k,kbc->bc", q[1:].imag, self.turns[2::2])
+        half = half_turns(theta, self.direction, wind_turn)
+        moved = feet(half, self.foot_m, self.parent)[self.bone]
+        share, arm = self.parent_share[:, None], self.vertices - self.foot_m[self.bone]
+        own = (1 - share) * half[self.bone] + share * half[np.maximum(self.parent, 0)[self.bone]]
+        return np.asarray(moved + turned(own, arm) - arm)
 
 
 def read_engine_wind(archive: zipfile.ZipFile) -> EngineWind:
@@ -48,18 +48,22 @@ def read_engine_wind(archive: zipfile.ZipFile) -> EngineWind:
 
     facts = json.loads(archive.read("wind.json"))
     with tempfile.TemporaryDirectory() as folder:
-        (picture := Path(folder) / "modes.exr").write_bytes(archive.read("modes.exr"))
+        (picture := Path(folder) / facts["texture"]).write_bytes(archive.read(facts["texture"]))
         texels = OpenEXR.File(str(picture)).channels()["RGB"].pixels.astype(np.float64)
-    document = pygltflib.GLTF2().load_from_bytes(archive.read("tree-modes.glb"))
-    u, v = accessor(document, document.meshes[0].primitives[0].attributes.TEXCOORD_1).T
-    column, step = np.floor(u * facts["width"]).astype(int), facts["rows_per_part"] / facts["height"]
-
-    def parts(first: int, count: int) -> np.ndarray:
-        rows = [np.floor((v + part * step) * facts["height"]).astype(int) for part in range(first, first + count)]
-        return z_up(np.stack([texels[row, column] for row in rows]))
-
-    count, cards = facts["num_parts"], facts["cards"]
-    modes = parts(0, count)
-    turns = np.zeros_like(modes) if cards is None else parts(cards["turns"], count)
-    arms = np.zeros_like(modes[0]) if cards is None else parts(cards["arm"], 2).sum(axis=0)
-    return EngineWind(wind=facts["wind"], modes=modes, turns=turns, arms=arms)
+    width, rows, count = facts["width"], facts["rows_per_part"], facts["num_bones"]
+    parts = texels.reshape(facts["num_parts"], rows * width, 3)[:, :count]
+    *turns, foot, direction, parent = parts
+    column, row = np.floor(parent[:, 0] * width), np.floor(parent[:, 1] * rows)
+    document = pygltflib.GLTF2().load_from_bytes(archive.read(facts["mesh"]))
+    attributes = document.meshes[0].primitives[0].attributes
+    u, share = accessor(document, attributes.TEXCOORD_1).T
+    return EngineWind(
+        wind=facts["wind"],
+        turns=z_up(np.stack(turns)),
+        foot_m=z_up(foot),
+        direction=z_up(direction),
+        parent=np.where(parent[:, 0] < 0, -1, row * width + column).astype(int),
+        vertices=z_up(accessor(document, attributes.POSITION)),
+        bone=np.floor(u.astype(np.float64) * count).astype(int),
+        parent_share=share,
+    )

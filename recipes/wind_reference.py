@@ -29,8 +29,31 @@ def coordinates(wind: dict[str, Any], seconds: float, speed_m_s: float | None = 
     return gains(wind["bands"], speed) * np.concatenate([[wave_at(wind["lean"], seconds)], sway])
 
 
-def turned(theta: np.ndarray, arm_m: np.ndarray) -> np.ndarray:
-    """Arms [N, 3] from the pivots of leaf cards, turned by atan |θ| about θ [N, 3]: they keep their lengths."""
-    c = 1 / np.sqrt(1 + (theta**2).sum(axis=1, keepdims=True))
-    along = (theta * arm_m).sum(axis=1, keepdims=True)
-    return c * arm_m + c * np.cross(theta, arm_m) + c**2 / (1 + c) * along * theta
+def half_turns(theta: np.ndarray, direction: np.ndarray, wind_turn: float) -> np.ndarray:
+    """Turns of bones as axis times the sine of half the angle [B, 3], +Z up, for Re Σ_k θ_k q_k [B, 3].
+
+    The end of a bone, whose unit vectors are `direction`, swings in the direction of the wind, which has
+    turned by `wind_turn`.
+    """
+    cosine, sine = np.cos(wind_turn), np.sin(wind_turn)
+    around = np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]])
+    along = (theta * direction).sum(axis=1, keepdims=True) * direction
+    theta = np.cross(direction, np.cross(theta, direction) @ around) + along
+    c = 1 / np.sqrt(1 + (theta**2).sum(axis=1, keepdims=True))  # of the angle, atan |θ|
+    return theta * c / np.sqrt(2 + 2 * c)
+
+
+def turned(half: np.ndarray, arm_m: np.ndarray) -> np.ndarray:
+    """Arms [N, 3] after turns as `half_turns` gives them [N, 3]: they keep their lengths."""
+    real = np.sqrt(1 - (half**2).sum(axis=1, keepdims=True))
+    return arm_m + 2 * np.cross(half, np.cross(half, arm_m) + real * arm_m)
+
+
+def feet(half: np.ndarray, foot_m: np.ndarray, parent: np.ndarray) -> np.ndarray:
+    """How far the foot of each bone moves [B, 3]; parents come before children, -1 is the ground's."""
+    above = np.maximum(parent, 0)
+    arm = foot_m - foot_m[above]
+    moved = turned(half[above], arm) - arm
+    for bone in np.flatnonzero(parent >= 0):
+        moved[bone] += moved[parent[bone]]
+    return moved

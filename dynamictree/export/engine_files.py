@@ -89,22 +89,24 @@ def write_rig(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
 
 
 def write_engine_wind(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
-    """Wind that an engine evaluates itself: mode shapes, cosines, shaders, and baked vertex attributes.
+    """Wind that an engine evaluates itself: bones, cosines, shaders, and baked vertex attributes.
 
     Raises:
-        InputError: no texture holds the mode shapes.
+        InputError: no texture holds the bones.
     """
-    from dynamictree.export.card_turns import card_turns
     from dynamictree.export.engine_wind import iter_engine_wind_zip
     from dynamictree.modal.branch_pivots import branch_pivots
     from dynamictree.modal.turbulence import turbulent_wind
+    from dynamictree.modal.turn_modes import turn_modes
+    from dynamictree.modal.turn_skeleton import turn_skeleton
 
     pivots = branch_pivots(tree.spectrum, tree.mesh, tree.coefficients)
     report(0.5)
     wind = turbulent_wind(tree.spectrum, seed=tree.spectrum.seed)
     num_frames = tree.spectrum.num_frames
-    cards = card_turns(tree.mesh, tree.coefficients)
-    stream.writelines(iter_engine_wind_zip(tree.mesh, tree.coefficients, wind, pivots, cards, num_frames=num_frames))
+    skeleton = turn_skeleton(tree.mesh, tree.spectrum.grid)
+    bones = skeleton, turn_modes(skeleton, tree.mesh.vertices, tree.coefficients, num_frames)
+    stream.writelines(iter_engine_wind_zip(tree.mesh, tree.coefficients, wind, pivots, bones, num_frames=num_frames))
 
 
 def dynamic_wind(skin: "Skin") -> dict[str, object]:

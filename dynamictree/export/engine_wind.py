@@ -1,41 +1,70 @@
-"""Wind that engines evaluate: mode shapes in a texture, coordinates as cosines, shaders, baked vertex attributes.
+"""Wind that engines evaluate: turn modes of bones in a texture, coordinates as cosines, shaders, baked attributes.
 
-A ZIP of `tree-modes.glb` (at rest; TEXCOORD_1 is the lookup), `modes.exr` (Re c_0, then w_k Re c_k and w_k Im c_k of
-each further bin, laid out as the frames of a vertex texture; those of leaf cards are followed by turns and arms, see
-`card_turns.py`), `wind.json`, a shader per engine that has the wind's
-numbers inside, `tree-wind.glb`, whose vertex colours and texture coordinates a foliage shader reads, and the files of
-`pivot_painter.py`.
+A ZIP of `tree-bones.glb` (at rest; TEXCOORD_1 names the bone of each vertex), `bones.exr` (of each bone Re θ_0, then
+w_k Re θ_k and w_k Im θ_k of each further bin, its foot and its parent), `wind.json`, shaders per engine that have the
+wind's numbers inside, `tree-wind.glb`, whose vertex colours and texture coordinates a foliage shader reads, and the
+files of `pivot_painter.py`.
 """
 
 import io
 import json
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from importlib.resources import files
 
 import numpy as np
 from jaxtyping import Complex64, Float32
 
-from dynamictree.export.card_turns import CardTurns
-from dynamictree.export.pivot_painter import PIVOT_PAINTER, pivot_painter_files
+from dynamictree.export.pivot_painter import PIVOT_PAINTER, pivot_painter_files, rest_glb
 from dynamictree.formats.axes import up_rotation
 from dynamictree.formats.gltf.motion import loop_parts
 from dynamictree.formats.gltf.writer import VERTEX_BUFFER, GlbWriter, add_mesh
-from dynamictree.formats.motion.vertex_texture import TextureLayout, plain_vertex_texture, texture_layout
+from dynamictree.formats.motion.exr import write_exr
+from dynamictree.formats.motion.vertex_texture import TextureLayout, texture_layout
 from dynamictree.formats.stored_zip import iter_stored_zip
 from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.branch_pivots import BranchPivots
 from dynamictree.modal.turbulence import TurbulentWind
+from dynamictree.modal.turn_skeleton import TurnSkeleton
 from dynamictree.wind_bands import DRAG_EXPONENT
 
-VERSION = 3
-_CARDS = (
-    "#define TURN(part) MODE((part) + 2 * NUM_BINS + 1)",
-    "#define ARM (MODE(4 * NUM_BINS + 2) + MODE(4 * NUM_BINS + 3))",
+VERSION = 4
+SHADERS = (
+    "wind-three.js",
+    "wind-godot.gd",
+    "wind-godot-poses.gdshader",
+    "wind-godot.gdshader",
+    "wind-unity.shader",
+    "wind-unity.hlsl",
+    "wind-unreal-poses.hlsl",
+    "wind-unreal.hlsl",
 )
-_NO_CARDS = ("#define TURN(part) vec3(0.0, 0.0, 0.0)", "#define ARM vec3(0.0, 0.0, 0.0)")
-SHADERS = ("wind-three.js", "wind-godot.gdshader", "wind-unity.hlsl", "wind-unreal.hlsl")
+_FIXED_PARTS = 3  # foot, direction, parent
+POSE_PARTS = 4
+"""Of the texture that a shader computes each frame: how far feet move, turns, feet, turns of the parents."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoneTexture:
+    """Layout of `bones.exr`, with bones for vertices and parts for frames, and what shaders need to know of it."""
+
+    layout: TextureLayout
+    num_bones: int
+    most_ancestors: int
+    farthest_m: float  # no foot is, or moves, farther than this along any axis
+
+    @property
+    def facts(self) -> dict[str, int]:
+        """Fields of `wind.json`."""
+        return {
+            "width": self.layout.width,
+            "height": self.layout.height,
+            "rows_per_part": self.layout.rows_per_frame,
+            "num_parts": self.layout.num_frames,
+            "num_bones": self.num_bones,
+            "most_ancestors": self.most_ancestors,
+        }
 
 
 def iter_engine_wind_zip(
@@ -43,70 +72,80 @@ def iter_engine_wind_zip(
     coefficients: Complex64[np.ndarray, "N K 3"],
     wind: TurbulentWind,
     pivots: BranchPivots,
-    cards: CardTurns | None,
+    bones: tuple[TurnSkeleton, Complex64[np.ndarray, "B K 3"]],
     *,
     num_frames: int,
 ) -> Iterator[bytes]:
-    """Chunks of the archive; `num_frames` is T of the spectrum, `cards` are those of the mesh.
+    """Chunks of the archive; `num_frames` is T of the spectrum, `bones` are a skeleton and its turn modes [rad].
 
     Raises:
-        InputError: no texture holds the mode shapes.
+        InputError: no texture holds the bones.
     """
-
-    def parts_of(modes: Complex64[np.ndarray, "N K 3"]) -> Float32[np.ndarray, "M N 3"]:
-        return loop_parts(modes, num_frames).reshape(-1, mesh.num_vertices, 3)
-
-    moved = parts_of(coefficients if cards is None else cards.moved)
-    turned = [] if cards is None else [parts_of(cards.turn), _in_halves(cards.arm_m)]
-    layout = texture_layout(mesh.num_vertices, len(moved) + sum(map(len, turned)))
-    rest, picture, rounding = plain_vertex_texture(mesh, layout, moved, *turned)
+    skeleton, turns = bones
+    parts = loop_parts(turns, num_frames).reshape(-1, len(turns), 3)
+    texture = BoneTexture(
+        layout=texture_layout(len(turns), len(parts) + _FIXED_PARTS),
+        num_bones=len(turns),
+        most_ancestors=int(skeleton.depths.max()),
+        farthest_m=2 * float(np.linalg.norm(mesh.vertices, axis=1).max()),
+    )
+    lookup = np.stack([(skeleton.bone + 0.5) / texture.num_bones, skeleton.parent_share], axis=1).astype(np.float32)
     facts = {
         "format": "engine-wind",
         "version": VERSION,
-        "mesh": "tree-modes.glb",
-        "texture": "modes.exr",
+        "mesh": "tree-bones.glb",
+        "texture": "bones.exr",
         "baked": "tree-wind.glb",
         "pivot_painter": PIVOT_PAINTER,
-        "width": layout.width,
-        "height": layout.height,
-        "rows_per_part": layout.rows_per_frame,
-        "num_parts": len(moved),
-        "parts": "Re c_0, then w_k Re c_k and w_k Im c_k of bins 1 to K - 1",
-        "cards": None if cards is None else {"turns": len(moved), "arm": 2 * len(moved), "rounding_rad": rounding[1]},
+        **texture.facts,
+        "parts": "Re theta_0, then w_k Re theta_k and w_k Im theta_k of bins 1 to K - 1; foot; direction; parent",
         "unit": "m",
         "axes": "+Y up, right-handed, as in glTF",
-        "half_float_error_m": rounding[0],
         "wind": _described(wind),
     }
-    shaders = ((name, [shader(name, wind, layout, cards=cards is not None).encode()]) for name in SHADERS)
     yield from iter_stored_zip(
         [
             ("wind.json", [json.dumps(facts, indent=1).encode()]),
-            ("tree-modes.glb", [rest]),
-            ("modes.exr", [picture]),
+            ("tree-bones.glb", [rest_glb(mesh, lookup)]),
+            ("bones.exr", [_picture(skeleton, parts, texture.layout)]),
             ("tree-wind.glb", [baked_glb(mesh, coefficients, wind, pivots)]),
             *((name, [content]) for name, content in pivot_painter_files(mesh, pivots).items()),
-            *shaders,
+            *((name, [shader(name, wind, texture).encode()]) for name in SHADERS),
         ]
     )
 
 
-def _in_halves(vectors: Float32[np.ndarray, "N 3"]) -> Float32[np.ndarray, "2 N 3"]:
-    """The vectors as halves hold them, and what is missing then."""
-    rounded = vectors.astype(np.float16).astype(np.float32)
-    return np.stack([rounded, vectors - rounded])
+def _picture(skeleton: TurnSkeleton, parts: Float32[np.ndarray, "M B 3"], layout: TextureLayout) -> bytes:
+    """All parts in glTF's axes; the parent is its place in a part, in [0, 1], and -1 without one."""
+    y_up = up_rotation("+Y").astype(np.float32)  # from the right it turns +Z up into +Y up
+    length = np.linalg.norm(skeleton.reach_m, axis=1, keepdims=True)
+    direction = np.where(length > 0, skeleton.reach_m / np.maximum(length, 1e-9), np.array([0, 0, 1], np.float32))
+    column, row = skeleton.parent % layout.width, skeleton.parent // layout.width
+    parent = np.stack(
+        [(column + 0.5) / layout.width, (row + 0.5) / layout.rows_per_frame, np.zeros(len(column))], axis=1
+    )
+    parent[skeleton.parent < 0] = -1
+    texels = np.full((layout.num_frames, layout.rows_per_frame * layout.width, 3), -1, np.float16)
+    texels[:, : len(parent)] = np.concatenate([parts @ y_up, [skeleton.foot_m @ y_up, direction @ y_up, parent]])
+    stream = io.BytesIO()
+    write_exr(texels.reshape(layout.height, layout.width, 3), stream)
+    return stream.getvalue()
 
 
-def shader(name: str, wind: TurbulentWind, layout: TextureLayout, *, cards: bool) -> str:
-    """Code for one engine with the wind's numbers and the texture's layout inside; `cards`: whether it holds turns."""
+def shader(name: str, wind: TurbulentWind, texture: BoneTexture) -> str:
+    """Code for one engine with the wind's numbers and the texture's layout inside."""
     folder = files(__package__) / "wind_shaders"
-    text = (folder / name).read_text(encoding="utf-8").rstrip()
-    text = text.replace("CORE", (folder / "core.glsl").read_text(encoding="utf-8").rstrip())
+    text, core, surface = (
+        (folder / part).read_text(encoding="utf-8").rstrip() for part in (name, "core.glsl", "surface.glsl")
+    )
+    text = text.replace("CORE", core).replace("SURFACE", surface)
     waves = (wind.strength, wind.lean, wind.turn_rad)
     gusts = np.concatenate([np.stack([w.frequency_hz, w.amplitude, w.phase_rad], axis=1) for w in waves])
     partials = np.stack([wind.partial_hz[1:], wind.partial_phase_rad[1:]], axis=-1).reshape(-1, 2)
+    num_parts = texture.layout.num_frames
     numbers = {
         "NUM_BINS": len(wind.frequencies_hz) - 1,
+        "NUM_COORDINATES": len(wind.frequencies_hz),
         "NUM_PARTIALS": wind.partial_hz.shape[1],
         "NUM_GUSTS": len(wind.strength.frequency_hz),
         "NUM_BANDS": len(wind.bands.speeds_m_s),
@@ -115,19 +154,40 @@ def shader(name: str, wind: TurbulentWind, layout: TextureLayout, *, cards: bool
         "LEAN_MEAN": wind.lean.mean,
         "LEAN_LIMIT": wind.lean.limit,
         "TURN_LIMIT": wind.turn_rad.limit,
-        "PART_STEP": layout.rows_per_frame / layout.height,
+        "FOOT": num_parts - 3,
+        "DIRECTION": num_parts - 2,
+        "PARENT": num_parts - 1,
+        "MOST_ANCESTORS": texture.most_ancestors,
     }
-    lines = [f"#define {key} {value if isinstance(value, int) else _number(value)}" for key, value in numbers.items()]
-    lines += _CARDS if cards else _NO_CARDS
-    text = text.replace("CONSTANTS", "\n".join(lines))
-    hlsl = name.endswith(".hlsl")
-    text = text.replace("TEXTURE", "Texture2D modes, SamplerState point_sampler, " if hlsl else "")
+    layout = {
+        "NUM_BONES": float(texture.num_bones),
+        "NUM_PARTS": float(num_parts),
+        "WIDTH": float(texture.layout.width),
+        "ROWS": float(texture.layout.rows_per_frame),
+        "FARTHEST": texture.farthest_m,
+    }
+    text = text.replace("CONSTANTS", _defined(numbers | layout)).replace("LAYOUT", _defined(layout))
+    text = text.replace("POSES_WIDTH", str(texture.layout.width))
+    text = text.replace("POSES_HEIGHT", str(POSE_PARTS * texture.layout.rows_per_frame))
+    hlsl = name.endswith((".hlsl", ".shader"))
+    source = "bones" if "BONE(" in text else "poses"
+    text = text.replace("TEXTUREvec2", f"Texture2D {source}, SamplerState point_sampler, vec2" if hlsl else "vec2")
+    text = text.replace("TEXTURES ", f"{source}, point_sampler, " if hlsl else "")
     gains = np.asarray(wind.bands.gains).reshape(-1, 1)
     drags = np.asarray(wind.bands.speeds_m_s)[:, None] ** DRAG_EXPONENT
     for table, rows in (("GUSTS", gusts), ("PARTIALS", partials), ("DRAGS", drags), ("GAINS", gains)):
         text = text.replace(f"{table}_TABLE", _table(table, rows, hlsl=hlsl))
     text = text.replace("OWN_M_S", _number(wind.wind.speed_m_s))
-    return (re.sub(r"\bvec([23])\b", r"float\1", text) if hlsl else text) + "\n"
+    if hlsl:
+        for word, other in ((r"\bvec([23])\b", r"float\1"), (r"\bmix\(", "lerp("), (r"\bfract\(", "frac(")):
+            text = re.sub(word, other, text)
+    return text + "\n"
+
+
+def _defined(numbers: Mapping[str, int | float]) -> str:
+    return "\n".join(
+        f"#define {key} {value if isinstance(value, int) else _number(value)}" for key, value in numbers.items()
+    )
 
 
 def _table(name: str, rows: np.ndarray, *, hlsl: bool) -> str:

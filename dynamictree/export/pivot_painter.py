@@ -49,7 +49,7 @@ def pivot_painter_files(mesh: TriangleMesh, pivots: BranchPivots) -> dict[str, b
     Image.fromarray(direction.reshape(height, width, 4)).save(png, "PNG")
     column, row = pivots.branch % width, pivots.branch // width
     lookup = np.stack([(column + 0.5) / width, (row + 0.5) / height], axis=1).astype(np.float32)
-    return {MESH: _glb(mesh, lookup), POSITION: exr.getvalue(), DIRECTION: png.getvalue()}
+    return {MESH: rest_glb(mesh, lookup), POSITION: exr.getvalue(), DIRECTION: png.getvalue()}
 
 
 def branch_axes(
@@ -72,7 +72,8 @@ def _unreal(vectors: Float32[np.ndarray, "E 3"] | Float64[np.ndarray, "E 3"]) ->
     return turned
 
 
-def _glb(mesh: TriangleMesh, lookup: Float32[np.ndarray, "N 2"]) -> bytes:
+def rest_glb(mesh: TriangleMesh, lookup: Float32[np.ndarray, "N 2"]) -> bytes:
+    """The mesh at rest in one node, with the lookup as TEXCOORD_1."""
     writer, stream = GlbWriter(), io.BytesIO()
     attributes = {}
     if mesh.uv is None:

@@ -1,4 +1,4 @@
-"""The GLSL that the product `wind` ships moves vertices in a real browser where the reference has them."""
+"""The product `wind` moves vertices in three.js, in a real browser, where the reference has them."""
 
 import io
 import zipfile
@@ -15,71 +15,72 @@ from benchmarks._played import accessor, z_up
 from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.export.write import write_products
 from dynamictree.requests import ExportParams
-from tests.browser.shaders import COMPILER
 from tests.export.test_engine_wind import with_gains
 
-RUN = (
-    """
-async ([module, width, height, texels, lookup, times, speeds]) => {
-  const { wind } = await import(URL.createObjectURL(new Blob([module], { type: "text/javascript" })));
-"""
-    + COMPILER
-    + """  const program = gl.createProgram();
-  const main = "in vec2 at; uniform float t, speed; out vec3 moved; void main() { moved = wind(at, t, speed); }";
-  gl.attachShader(program, compile(gl.VERTEX_SHADER, "#define ROW(v) (v)\\n" + wind + main));
-  gl.attachShader(program, compile(gl.FRAGMENT_SHADER, "out vec4 c; void main() { c = vec4(1.0); }"));
-  gl.transformFeedbackVaryings(program, ["moved"], gl.INTERLEAVED_ATTRIBS);
-  gl.linkProgram(program);
-  gl.useProgram(program);
-  gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
-  const content = new Float32Array(texels);
-  gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32F, width, height, 0, gl.RGBA, gl.FLOAT, content);
-  for (const name of ["MIN", "MAG"]) gl.texParameteri(gl.TEXTURE_2D, gl[`TEXTURE_${name}_FILTER`], gl.NEAREST);
-  gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
-  gl.bufferData(gl.ARRAY_BUFFER, new Float32Array(lookup), gl.STATIC_DRAW);
-  gl.enableVertexAttribArray(gl.getAttribLocation(program, "at"));
-  gl.vertexAttribPointer(gl.getAttribLocation(program, "at"), 2, gl.FLOAT, false, 0, 0);
-  const count = lookup.length / 2;
-  gl.bindBufferBase(gl.TRANSFORM_FEEDBACK_BUFFER, 0, gl.createBuffer());
-  gl.bufferData(gl.TRANSFORM_FEEDBACK_BUFFER, count * 12, gl.STREAM_READ);
-  gl.enable(gl.RASTERIZER_DISCARD);
-  return times.map((seconds, number) => {
-    gl.uniform1f(gl.getUniformLocation(program, "t"), seconds);
-    gl.uniform1f(gl.getUniformLocation(program, "speed"), speeds[number]);
-    gl.beginTransformFeedback(gl.POINTS);
-    gl.drawArrays(gl.POINTS, 0, count);
-    gl.endTransformFeedback();
-    const moved = new Float32Array(3 * count);
-    gl.getBufferSubData(gl.TRANSFORM_FEEDBACK_BUFFER, 0, moved);
+RUN = """
+async ([module, width, height, texels, places, lookup, runs]) => {
+  const THREE = await import("three");
+  const { treeWind } = await import(URL.createObjectURL(new Blob([module], { type: "text/javascript" })));
+  const bones = new THREE.DataTexture(new Float32Array(texels), width, height, THREE.RGBAFormat, THREE.FloatType);
+  const tree = treeWind(bones, "first");
+  const geometry = new THREE.BufferGeometry();
+  geometry.setAttribute("position", new THREE.BufferAttribute(new Float32Array(places), 3));
+  geometry.setAttribute("uv1", new THREE.BufferAttribute(new Float32Array(lookup), 2));
+  const material = tree.windy(new THREE.PointsMaterial());
+  const shipped = material.onBeforeCompile;
+  const rows = Math.ceil(places.length / 3 / 64);
+  material.onBeforeCompile = (shader) => { // one pixel a vertex
+    shipped(shader);
+    shader.vertexShader = shader.vertexShader
+      .replace("void main() {", "varying vec3 moved;\\nvoid main() {")
+      .replace(/}\\s*$/, `moved = transformed - position;
+        gl_PointSize = 1.0;
+        vec2 pixel = vec2(float(gl_VertexID % 64), float(gl_VertexID / 64)) + 0.5;
+        gl_Position = vec4(pixel / vec2(64.0, ${rows}.0) * 2.0 - 1.0, 0.0, 1.0);
+      }`);
+    shader.fragmentShader = shader.fragmentShader
+      .replace("void main() {", "varying vec3 moved;\\nvoid main() {")
+      .replace(/}\\s*$/, "gl_FragColor = vec4(moved, 1.0);\\n}");
+  };
+  const points = new THREE.Points(geometry, material);
+  points.frustumCulled = false;
+  const renderer = new THREE.WebGLRenderer();
+  const target = new THREE.WebGLRenderTarget(64, rows, { type: THREE.FloatType });
+  return runs.map(([seconds, speed]) => {
+    tree.move(renderer, seconds, speed);
+    renderer.setRenderTarget(target);
+    renderer.render(points, new THREE.Camera());
+    const moved = new Float32Array(4 * 64 * rows);
+    renderer.readRenderTargetPixels(target, 0, 0, 64, rows, moved);
     return Array.from(moved);
   });
 }
 """
-)
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(300)
-def test_the_shipped_shader_moves_vertices_as_the_reference_does(browser: Browser, tmp_path: Path) -> None:
+def test_three_moves_vertices_as_the_reference_does(browser: Browser, tmp_path: Path) -> None:
     sample = make_sample(3, "sapling")
     spectrum = with_gains(voxel_spectrum(sample, 32)[1])
-    path = write_products(sample.mesh, spectrum, ExportParams(formats=("wind",)), tmp_path)["wind"]
-    archive = zipfile.ZipFile(io.BytesIO(path.read_bytes()))
-    texels = OpenEXR.File(archive.extract("modes.exr", tmp_path)).channels()["RGB"].pixels.astype(np.float32)
+    paths = write_products(sample.mesh, spectrum, ExportParams(formats=("wind", "html")), tmp_path)
+    archive = zipfile.ZipFile(io.BytesIO(paths["wind"].read_bytes()))
+    texels = OpenEXR.File(archive.extract("bones.exr", tmp_path)).channels()["RGB"].pixels.astype(np.float32)
     height, width, _ = texels.shape
-    document = pygltflib.GLTF2().load_from_bytes(archive.read("tree-modes.glb"))
-    lookup = accessor(document, document.meshes[0].primitives[0].attributes.TEXCOORD_1)
+    document = pygltflib.GLTF2().load_from_bytes(archive.read("tree-bones.glb"))
+    attributes = document.meshes[0].primitives[0].attributes
+    places, lookup = accessor(document, attributes.POSITION), accessor(document, attributes.TEXCOORD_1)
     assert spectrum.wind is not None
-    times, speeds = np.array([0.0, 3.7, 120.0]), (spectrum.wind.speed_m_s, 1.0, 20.0)
-    page = browser.new_page()
+    runs = [(0.0, spectrum.wind.speed_m_s), (3.7, 1.0), (120.0, 20.0)]
+    page = browser.new_page(offline=True)
+    page.goto(paths["html"].as_uri(), timeout=120_000)  # brings three.js
     colours = np.concatenate([texels, np.ones((height, width, 1), np.float32)], axis=2).ravel().tolist()
     module = archive.read("wind-three.js").decode()
-    given = [module, width, height, colours, lookup.ravel().tolist(), times.tolist(), list(speeds)]
-    there = page.evaluate(RUN, given)
+    given = [module, width, height, colours, places.ravel().tolist(), lookup.ravel().tolist(), runs]
+    there = np.array(page.evaluate(RUN, given)).reshape(len(runs), -1, 4)[:, : len(places), :3]
     page.close()
     engine = read_engine_wind(archive)
-    moments = zip(times.tolist(), speeds, strict=True)
-    truth = np.stack([engine.displacement(seconds, speed) for seconds, speed in moments])
-    gap = np.linalg.norm(z_up(np.array(there).reshape(truth.shape)) - truth, axis=2)
+    truth = np.stack([engine.displacement(seconds, speed) for seconds, speed in runs])
+    gap = np.linalg.norm(z_up(there) - truth, axis=2)
     assert gap.max() < 1e-3
     assert np.linalg.norm(truth, axis=2).max() > 0.02

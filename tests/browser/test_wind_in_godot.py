@@ -1,4 +1,4 @@
-"""The shader for Godot of the product `wind`, in Godot itself: its build for browsers."""
+"""The script and the shaders for Godot of the product `wind`, in Godot itself: its build for browsers."""
 
 import base64
 import io
@@ -35,12 +35,11 @@ const canvas = document.getElementById("canvas");
 const onPrintError = (...words) => window.errors.push(words.join(" "));
 new Engine({ canvas, executable: "index", mainPack: "game.zip", canvasResizePolicy: 0, onPrintError }).startGame();
 </script>"""
-PROBE = """uniform float moment;
-uniform int axis;
+PROBE = """uniform int axis;
 uniform vec2 picture;
 varying vec3 moved;
 void vertex() {
-  moved = wind(UV2, moment, speed);
+  moved = wind(UV2, VERTEX);
   vec2 pixel = vec2(float(VERTEX_ID % int(picture.x)), float(VERTEX_ID / int(picture.x))) + 0.5;
   POSITION = vec4(pixel / picture * 2.0 - 1.0, 0.5, 1.0);
   POINT_SIZE = 1.0;
@@ -82,18 +81,18 @@ def serve() -> Iterator[Any]:
 
 
 def game(product: zipfile.ZipFile, runs: list[tuple[float, float]], folder: Path) -> bytes:
-    """A Godot project as a pack: the product's files, and its shader once more, drawn as bytes."""
+    """A Godot project as a pack: the product's files, and its shader of the surface once more, drawn as bytes."""
     shipped = product.read("wind-godot.gdshader").decode()
     probe = shipped[: shipped.index("void vertex()")].replace("cull_disabled", "unshaded, depth_test_disabled") + PROBE
-    texels = OpenEXR.File(product.extract("modes.exr", folder)).channels()["RGB"].pixels.astype(np.float32)
+    texels = OpenEXR.File(product.extract("bones.exr", folder)).channels()["RGB"].pixels.astype(np.float32)
     pack = io.BytesIO()
     with zipfile.ZipFile(pack, "w") as archive:
         for path in PROJECT.iterdir():
             archive.write(path, path.name)
-        for name in ("tree-modes.glb", "wind-godot.gdshader"):
+        for name in ("tree-bones.glb", "wind-godot.gd", "wind-godot-poses.gdshader", "wind-godot.gdshader"):
             archive.writestr(name, product.read(name))
         archive.writestr("probe.gdshader", probe)
-        archive.writestr("modes.bin", np.uint32(texels.shape[1]).tobytes() + texels.tobytes())
+        archive.writestr("bones.bin", np.uint32(texels.shape[1]).tobytes() + texels.tobytes())
         archive.writestr("runs.json", json.dumps(runs))
     return pack.getvalue()
 
@@ -121,7 +120,7 @@ def test_godot_moves_vertices_as_the_reference_does(browser: Browser, serve: Any
     readings, errors = page.evaluate("[window.readings, window.errors]")
     page.close()
     assert [line for line in errors if re.search("SHADER|SCRIPT", line)] == []
-    assert {"modes", "albedo", "speed"} <= set(readings["uniforms"])
+    assert {"poses", "albedo", "bones", "seconds", "speed"} <= set(readings["uniforms"])
     vertices = z_up(np.frombuffer(base64.b64decode(readings["vertices"]), np.float32).reshape(-1, 3))
     distance, rows = cKDTree(sample.mesh.vertices).query(vertices)
     assert distance.max() < 1e-3

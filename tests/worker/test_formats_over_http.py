@@ -75,7 +75,7 @@ def require_openable(name: Format, content: bytes, folder: Path) -> None:
     elif name == "wind":
         archive = zipfile.ZipFile(io.BytesIO(content))
         assert archive.testzip() is None
-        assert {"wind.json", "modes.exr", "wind-godot.gdshader"} <= set(archive.namelist())
+        assert {"wind.json", "bones.exr", "wind-godot.gdshader"} <= set(archive.namelist())
     else:
         assert content.startswith(b"<!doctype html>")
 

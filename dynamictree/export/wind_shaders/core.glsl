@@ -11,25 +11,45 @@ float gain(int k, float mean_speed) { // of bin k over its size at the speed the
     sum += (GAINS[row + NUM_BINS + 1] - GAINS[row]) * clamp((drag - DRAGS[b - 1]) / (DRAGS[b] - DRAGS[b - 1]), 0.0, 1.0);
   return sum;
 }
-vec3 wind(TEXTUREvec2 lookup, float t, float mean_speed) { // displacement [m] in glTF's axes, of the vertex with this TEXCOORD_1
+vec2 coordinate(int k, float t, float mean_speed) { // of bin k = 1 to NUM_BINS, without the strength of the gusts
   PARTIALS_TABLE
-  float lean = gain(0, mean_speed) * wave(NUM_GUSTS, LEAN_MEAN, LEAN_LIMIT, t);
-  vec3 moved = MODE(0) * lean, theta = TURN(0) * lean;
-  float strength = wave(0, STRENGTH_MEAN, STRENGTH_LIMIT, t) / sqrt(float(NUM_PARTIALS));
-  for (int k = 0; k < NUM_BINS; k++) {
-    vec2 q = vec2(0.0, 0.0);
-    for (int j = 0; j < NUM_PARTIALS; j++) {
-      float angle = 6.2831853 * PARTIALS[NUM_PARTIALS * k + j].x * t + PARTIALS[NUM_PARTIALS * k + j].y;
-      q += vec2(cos(angle), sin(angle));
-    }
-    q *= strength * gain(k + 1, mean_speed);
-    moved += MODE(2 * k + 1) * q.x - MODE(2 * k + 2) * q.y;
-    theta += TURN(2 * k + 1) * q.x - TURN(2 * k + 2) * q.y;
+  vec2 q = vec2(0.0, 0.0);
+  for (int j = NUM_PARTIALS * (k - 1); j < NUM_PARTIALS * k; j++) {
+    float angle = 6.2831853 * PARTIALS[j].x * t + PARTIALS[j].y;
+    q += vec2(cos(angle), sin(angle));
   }
-  float turn = wave(2 * NUM_GUSTS, 0.0, TURN_LIMIT, t);
-  moved = vec3(cos(turn) * moved.x + sin(turn) * moved.z, moved.y, cos(turn) * moved.z - sin(turn) * moved.x);
-  theta = vec3(cos(turn) * theta.x + sin(turn) * theta.z, theta.y, cos(turn) * theta.z - sin(turn) * theta.x);
-  vec3 arm = ARM; // from the pivot of this vertex' leaf card, which turns by atan |theta| and keeps its size
-  float c = 1.0 / sqrt(1.0 + dot(theta, theta));
-  return moved + (c - 1.0) * arm + c * cross(theta, arm) + c * c / (1.0 + c) * dot(theta, arm) * theta;
+  return q * gain(k, mean_speed);
+}
+vec3 turned(vec3 turn, vec3 arm) { // a turn is its axis times the sine of half the angle
+  return arm + 2.0 * cross(turn, cross(turn, arm) + sqrt(1.0 - dot(turn, turn)) * arm);
+}
+vec3 turn_of(TEXTUREvec2 bone, vec2 q[NUM_COORDINATES], vec2 direction) {
+  vec3 theta = BONE(bone, 0) * q[0].x, reach = BONE(bone, DIRECTION);
+  for (int k = 1; k <= NUM_BINS; k++) theta += BONE(bone, 2 * k - 1) * q[k].x - BONE(bone, 2 * k) * q[k].y;
+  vec3 swing = cross(theta, reach); // of the bone's end; it follows the direction of the wind
+  swing = vec3(direction.x * swing.x + direction.y * swing.z, swing.y, direction.x * swing.z - direction.y * swing.x);
+  theta = cross(reach, swing) + dot(theta, reach) * reach;
+  float c = 1.0 / sqrt(1.0 + dot(theta, theta)); // cosine of the angle, which is atan |theta|
+  return theta * c / sqrt(2.0 + 2.0 * c);
+}
+vec3 pose(TEXTUREvec2 texel, float t, float mean_speed) { // of bones: how far the foot moves [m], turn, foot, turn of the parent
+  int part = int(4.0 * texel.y);
+  vec2 bone = vec2(texel.x, fract(4.0 * texel.y)), parent = BONE(bone, PARENT).xy;
+  vec3 foot = BONE(bone, FOOT), moved = vec3(0.0, 0.0, 0.0);
+  if (part == 2) return foot;
+  vec2 q[NUM_COORDINATES];
+  q[0] = vec2(gain(0, mean_speed) * wave(NUM_GUSTS, LEAN_MEAN, LEAN_LIMIT, t), 0.0);
+  float strength = wave(0, STRENGTH_MEAN, STRENGTH_LIMIT, t) / sqrt(float(NUM_PARTIALS));
+  for (int k = 1; k <= NUM_BINS; k++) q[k] = strength * coordinate(k, t, mean_speed);
+  float angle = wave(2 * NUM_GUSTS, 0.0, TURN_LIMIT, t);
+  vec2 direction = vec2(cos(angle), sin(angle));
+  if (part == 1) return turn_of(TEXTURES bone, q, direction);
+  if (part == 3) return turn_of(TEXTURES parent, q, direction);
+  for (int i = 0; i < MOST_ANCESTORS && parent.x > 0.0; i++) {
+    vec3 arm = foot - BONE(parent, FOOT);
+    foot = BONE(parent, FOOT);
+    moved += turned(turn_of(TEXTURES parent, q, direction), arm) - arm;
+    parent = BONE(parent, PARENT).xy;
+  }
+  return moved;
 }

@@ -1,11 +1,11 @@
 // Unreal: the code of a Custom node in World Position Offset, behind TransformVector (local to world).
-// Inputs: Modes (texture object: HDR RGBA16F, no mips, Nearest), Lookup (TexCoord[1]), Seconds (Time + an offset per tree),
-// Speed (of the wind, m/s; made for OWN_M_S).
-CONSTANTS
-#define MODE(part) modes.SampleLevel(point_sampler, lookup + vec2(0.0, (part) * PART_STEP), 0).xyz
+// Inputs: Poses (texture object: the render target of wind-unreal-poses.hlsl, Nearest), Lookup (TexCoord[1], full precision
+// UVs), Place (PreSkinnedLocalPosition).
+LAYOUT
+#define POSE(at, part) poses.SampleLevel(point_sampler, vec2((at).x, ((at).y + (part)) / 4.0), 0).xyz
 struct TreeWind
 {
-CORE
+SURFACE
 };
 TreeWind tree;
-return 100 * tree.wind(Modes, ModesSampler, Lookup, Seconds, Speed).xzy; // centimetres, y and z swapped
+return 100 * tree.wind(Poses, PosesSampler, Lookup, Place.xzy / 100).xzy; // centimetres, y and z swapped

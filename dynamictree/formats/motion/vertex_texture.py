@@ -114,23 +114,6 @@ def iter_vertex_texture_zip(
     )
 
 
-def plain_vertex_texture(
-    mesh: TriangleMesh, layout: TextureLayout, *parts: Float32[np.ndarray, "_ N 3"]
-) -> tuple[bytes, bytes, tuple[float, ...]]:
-    """A GLB of one node, whose TEXCOORD_1 is the lookup; an EXR of vectors in its axes; and its rounding of each part.
-
-    The vectors of the parts follow each other; a rounding is in the unit of its part.
-    """
-    uv = np.zeros((mesh.num_vertices, 2), np.float32) if mesh.uv is None else mesh.uv
-    template = open_template(replace(mesh, source_gltf=None, uv=uv))
-    assert template.attach_texture_coordinates(_lookup(layout, mesh.num_vertices)) == "TEXCOORD_1"
-    texels = [_Texels(replace(layout, num_frames=len(part)), template.slots, MorphSlot.local) for part in parts]
-    picture = _picture(np.concatenate([one.of(part) for one, part in zip(texels, parts, strict=True)]))
-    rest = io.BytesIO()
-    template.writer.finish(rest)
-    return rest.getvalue(), picture, tuple(one.error_m for one in texels)
-
-
 def _template(mesh: TriangleMesh) -> Template:
     """The mesh's document; a new one where the source's units are so small or large that halves do not hold them."""
     template = open_template(mesh)

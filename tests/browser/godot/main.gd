@@ -4,29 +4,37 @@ extends Node3D
 const WIDTH := 64
 
 func _ready() -> void:
-	var arrays := first_surface("res://tree-modes.glb")
+	var arrays := first_surface("res://tree-bones.glb")
 	var count: int = arrays[Mesh.ARRAY_VERTEX].size()
 	var size := Vector2i(WIDTH, ceili(float(count) / WIDTH))
 	var material := ShaderMaterial.new()
 	material.shader = shader_of("res://probe.gdshader")
-	material.set_shader_parameter("modes", ImageTexture.create_from_image(texels("res://modes.bin")))
 	material.set_shader_parameter("picture", Vector2(size))
 	var view := viewport(size)
 	view.add_child(points(arrays, material))
+	var wind: SubViewport = load("res://wind-godot.gd").new()
+	wind.bones = ImageTexture.create_from_image(texels("res://bones.bin"))
+	wind.shader = shader_of("res://wind-godot-poses.gdshader")
+	wind.materials = [material] as Array[ShaderMaterial]
+	add_child(wind)
+	wind.set_process(false)
 	var pictures := []
 	for run in JSON.parse_string(FileAccess.get_file_as_string("res://runs.json")):
 		for axis in 3:
-			material.set_shader_parameter("moment", run[0])
-			material.set_shader_parameter("speed", run[1])
+			wind.seconds = run[0]
+			wind.speed = run[1]
+			wind._process(0.0)
 			material.set_shader_parameter("axis", axis)
 			await RenderingServer.frame_post_draw
 			await RenderingServer.frame_post_draw
 			pictures.append(encoded(view.get_texture().get_image()))
-	var shipped := shader_of("res://wind-godot.gdshader").get_shader_uniform_list()
+	var uniforms := []
+	for name in ["wind-godot.gdshader", "wind-godot-poses.gdshader"]:
+		uniforms.append_array(shader_of("res://" + name).get_shader_uniform_list().map(func(uniform): return uniform.name))
 	var readings := {
 		"pictures": pictures,
 		"vertices": Marshalls.raw_to_base64(arrays[Mesh.ARRAY_VERTEX].to_byte_array()),
-		"uniforms": shipped.map(func(uniform): return uniform.name),
+		"uniforms": uniforms,
 	}
 	JavaScriptBridge.eval("window.readings = " + JSON.stringify(readings))
 
