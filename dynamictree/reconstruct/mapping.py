@@ -20,6 +20,7 @@ import numpy as np
 import pycolmap
 from PIL import Image
 
+from dynamictree.reconstruct.left_out import reasons
 from dynamictree.reconstruct.marker_detection import MarkerFinder
 from dynamictree.reconstruct.refine_poses import refined
 
@@ -280,7 +281,10 @@ def _write_model(folder: Path, model: pycolmap.Reconstruction, masked: list[str]
     )
     error_px = model.compute_mean_reprojection_error()
     being_written = folder / "views.part"
-    being_written.write_text(json.dumps({"reprojection_error_px": error_px, "views": views}))
+    with pycolmap.Database.open(folder / "features.db") as database:
+        left_out = reasons(database, {str(view["name"]) for view in views})
+    document = {"reprojection_error_px": error_px, "views": views, "left_out": left_out}
+    being_written.write_text(json.dumps(document))
     being_written.replace(folder / "views.json")
     _tell("undistort", 1, 1)
 

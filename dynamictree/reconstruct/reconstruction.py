@@ -163,6 +163,7 @@ def _result(
         num_photos=len(photos),
         num_registered=len(shape.model.views),
         left_out=[photo.name for photo in photos if photo.name not in registered],
+        left_out_because=dict(shape.model.left_out),
         reprojection_error_px=model.reprojection_error_px,
         num_points=len(model.points),
         ground_found=shape.ground_found,

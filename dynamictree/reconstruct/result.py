@@ -22,6 +22,7 @@ class Report(TypedDict):
     num_photos: int
     num_registered: int
     left_out: list[str]  # photos without a camera
+    left_out_because: dict[str, str]  # a sentence on each
     reprojection_error_px: float
     num_points: int
     ground_found: bool

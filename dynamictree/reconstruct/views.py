@@ -32,6 +32,7 @@ class SparseModel:
     colors: UInt8[np.ndarray, "P 3"]
     seen: Int64[np.ndarray, "M 2"]  # pairs of a view's and a point's row
     reprojection_error_px: float
+    left_out: Mapping[str, str] = field(default_factory=dict)  # why a photo has no camera, by its name as given
 
     def transformed(
         self, scale: float, rotation: Float64[np.ndarray, "3 3"], origin: Float64[np.ndarray, "3"]
@@ -94,4 +95,5 @@ def read_model(folder: Path, sources: dict[str, str]) -> SparseModel | None:
         colors=colors,
         seen=seen,
         reprojection_error_px=float(document["reprojection_error_px"]),
+        left_out={sources[name]: reason for name, reason in document.get("left_out", {}).items()},
     )

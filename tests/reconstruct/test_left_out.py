@@ -1,0 +1,35 @@
+"""Whoever loses a photo reads why."""
+
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+import pytest
+
+from dynamictree.reconstruct.left_out import reasons
+
+
+@pytest.fixture
+def database(tmp_path: Path):
+    """Six photos of 300 points, one with 500 features of nothing that the others show, and a dark one."""
+    pycolmap.set_random_seed(1)
+    options = pycolmap.SyntheticDatasetOptions()
+    options.num_rigs, options.num_cameras_per_rig, options.num_frames_per_rig = 1, 1, 6
+    options.num_points3D = 300
+    with pycolmap.Database.open(tmp_path / "features.db") as database:
+        pycolmap.synthesize_dataset(options, database)
+        camera_id = database.read_all_cameras()[0].camera_id
+        for name, number in (("stranger.png", 500), ("dark.png", 3)):
+            image_id = database.write_image(pycolmap.Image(name=name, camera_id=camera_id))
+            database.write_keypoints(image_id, np.random.default_rng(0).random((number, 2)).astype(np.float32))
+        yield database
+
+
+def test_each_photo_without_a_camera_has_its_reason(database: pycolmap.Database) -> None:
+    names = [image.name for image in database.read_all_images()]
+    placed = set(names) - {names[0], "stranger.png", "dark.png"}
+    sentences = reasons(database, placed)
+    assert set(sentences) == set(names) - placed
+    assert "it has 3 features" in sentences["dark.png"]
+    assert "it shares 0 points" in sentences["stranger.png"]
+    assert "fits at no place" in sentences[names[0]]
