@@ -89,7 +89,7 @@ def _tree(seed: int, species: str, rng: np.random.Generator) -> list[dict[str, o
     system = modal_system(spectrum)
     tree, grid, mesh = InteractiveTree(system), system.grid, sample.mesh
     ties = smooth(grid, mesh)
-    carried = attach_mesh(tree.bones, mesh, rows=ties.rows, weights=ties.weights, voxel_size_m=grid.voxel_size_m)
+    carried = attach_mesh(tree.bones, mesh, ties, voxel_size_m=grid.voxel_size_m)
     owner = stem_of_voxels(sample, system)
     level_of_stem = np.zeros(len(sample.skeleton.stem_length_m), int)
     level_of_stem[sample.skeleton.stem] = sample.skeleton.level

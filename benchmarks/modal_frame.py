@@ -34,7 +34,7 @@ def run() -> dict[str, object]:
         return deformer.pose(plain())
 
     bones = bones_of(system)
-    carried = attach_mesh(bones, mesh, rows=ties.rows, weights=ties.weights, voxel_size_m=grid.voxel_size_m)
+    carried = attach_mesh(bones, mesh, ties, voxel_size_m=grid.voxel_size_m)
     everywhere = np.ones((1, len(bones.parent)), np.float32)
 
     def bent() -> np.ndarray:

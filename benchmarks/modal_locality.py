@@ -116,7 +116,7 @@ def _push(sample: Sample, system: ModalSystem) -> dict[str, float]:
         system, generalised_force(system, Drag(at=at, force_n=tuple(softest.tolist())), dt_s=0.1, num_frames=1)
     ).q
     bones, ties = bones_of(system), smooth(grid, mesh)
-    carried = attach_mesh(bones, mesh, rows=ties.rows, weights=ties.weights, voxel_size_m=grid.voxel_size_m)
+    carried = attach_mesh(bones, mesh, ties, voxel_size_m=grid.voxel_size_m)
     everywhere, highest = np.ones((1, len(bones.parent)), np.float32), int(np.argmax(mesh.vertices[:, 2]))
 
     def bent_by(strength: float) -> np.ndarray:

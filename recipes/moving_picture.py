@@ -108,7 +108,7 @@ def pull_frames(
     groups = group_forces([drag], falloff_m=FALLOFF_SHARE * float(np.ptp(mesh.vertices[:, 2])))
     tree = InteractiveTree(system)
     ties = smooth(system.grid, mesh)
-    carried = attach_mesh(tree.bones, mesh, rows=ties.rows, weights=ties.weights, voxel_size_m=system.grid.voxel_size_m)
+    carried = attach_mesh(tree.bones, mesh, ties, voxel_size_m=system.grid.voxel_size_m)
     yield from tree.bent(Answer(groups=groups, q=q[::finer], final=state), mesh.vertices, carried)
 
 

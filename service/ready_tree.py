@@ -75,7 +75,5 @@ def bone_ties(ready: ReadyTree, mesh: TriangleMesh) -> BoneAttachment:
     if ready.attachment is None:
         ties = vertex_ties(ready, mesh)
         grid = ready.tree.system.grid
-        ready.attachment = attach_mesh(
-            ready.tree.bones, mesh, rows=ties.rows, weights=ties.weights, voxel_size_m=grid.voxel_size_m
-        )
+        ready.attachment = attach_mesh(ready.tree.bones, mesh, ties, voxel_size_m=grid.voxel_size_m)
     return ready.attachment

@@ -202,5 +202,5 @@ def _vertex_frames(
     if not warp:
         yield from tree.superposed(answer, VertexFrames(tree.system, ties))
         return
-    carried = attach_mesh(tree.bones, mesh, rows=ties.rows, weights=ties.weights, voxel_size_m=grid.voxel_size_m)
+    carried = attach_mesh(tree.bones, mesh, ties, voxel_size_m=grid.voxel_size_m)
     yield from tree.bent(answer, mesh.vertices, carried)

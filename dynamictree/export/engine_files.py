@@ -68,12 +68,13 @@ def write_rig(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
     from dynamictree.export.levels import wood_vertices
     from dynamictree.modal.bones import bones_of
     from dynamictree.modal.branch_groups import capsules
-    from dynamictree.modal.branch_skin import branch_skin
+    from dynamictree.modal.branch_skin import JOINT_VOXELS, branch_skin
     from dynamictree.modal.system import modal_system
 
     skin, summary = branch_skin(tree.spectrum, tree.mesh, tree.coefficients)
     report(0.5)
-    shapes = capsules(bones_of(modal_system(tree.spectrum)), skin, tree.mesh.vertices, wood_vertices(tree.mesh))
+    bones = bones_of(modal_system(tree.spectrum), length_voxels=JOINT_VOXELS)
+    shapes = capsules(bones, skin, tree.mesh.vertices, wood_vertices(tree.mesh))
     rig, collision = io.BytesIO(), io.BytesIO()
     write_skinned_glb(tree.mesh, skin, summary, rig, fps=tree.loop_fps)
     parts = {capsule.joint: _capsule_mesh(capsule) for capsule in shapes}

@@ -1,18 +1,24 @@
 """From bones to a mesh: which bones carry each vertex."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy  # its parts come in when they are used: the service starts without them
-from jaxtyping import Float32, Int32
+from jaxtyping import Bool, Float32, Int32, Int64
 
-from dynamictree.mesh import TriangleMesh, connected_parts, edges_of, part_bounds
+from dynamictree.mesh import TriangleMesh, edges_of, part_bounds
 from dynamictree.modal.bones import Bones
 
+if TYPE_CHECKING:
+    from dynamictree.devoxelize.attachment import Attachments  # brings numba
+    from dynamictree.devoxelize.interpolation import VoxelInterpolation  # likewise
+
 BONES_A_VERTEX = 6
-STIFF_VOXELS = 12.0  # a part of the mesh that is smaller moves as one: a leaf keeps its shape
+STIFF_VOXELS = 12.0  # a part of the mesh that is smaller has one bone: a leaf keeps its shape
+STEM_SHARE = 0.3  # of a part that one chain of bones carries: it is a stem, and has no bones of others
 SPREAD = 80  # edges over which a vertex shares its bones; a part then follows its own stem, not what touches it
-LONG_VOXELS = 2.0  # edges that are longer share less, so that a coarse trunk does not share its crown's bones
+LONG_VOXELS = 0.4  # edges that are longer share less: in 80 steps, bones blend over 4 voxels and not over a whole twig
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,53 +29,124 @@ class BoneAttachment:
     weights: Float32[np.ndarray, "N W"]
 
 
-def attach_mesh(
-    bones: Bones,
-    mesh: TriangleMesh,
-    *,
-    rows: Int32[np.ndarray, "N M"],
-    weights: Float32[np.ndarray, "N M"],
-    voxel_size_m: float,
-) -> BoneAttachment:
-    """Give each vertex the bones of its voxels (`rows` and `weights`), spread along the edges of what may move."""
-    mesh = mesh.moving_part
-    num_vertices, width = rows.shape
-    points = np.repeat(np.arange(num_vertices), width)
-    shape = (num_vertices, len(bones.parent))
-    carried = scipy.sparse.csr_array((weights.ravel(), (points, bones.bone_of_voxel[rows.ravel()])), shape=shape)
-    graph = _shared(mesh, LONG_VOXELS * voxel_size_m)
-    spread = scipy.sparse.diags_array(1 / graph.sum(axis=1)) @ graph
-    carried = _stiffen(carried, mesh, STIFF_VOXELS * voxel_size_m)
-    for _ in range(SPREAD):
-        carried = spread @ carried
-    return _strongest(carried.tocsr())
+def attach_mesh(bones: Bones, mesh: TriangleMesh, ties: "VoxelInterpolation", *, voxel_size_m: float) -> BoneAttachment:
+    """Give each vertex the bones of its voxels, spread along the edges of what may move.
 
+    A stem shares voxels with what it touches, so it keeps only the bones of its own chain; what is small has the
+    strongest bone of the place where it hangs. Vertices at one position have the same bones.
 
-def _shared(mesh: TriangleMesh, long_m: float) -> "scipy.sparse.csr_array":
-    """How much neighbours share: 1 with themselves and over short edges, (long / length)² over longer ones [N, N].
-
-    So in n steps they share over sqrt(n) times `long_m`, however long the edges are.
+    Args:
+        bones: of the grid's voxels.
+        mesh: at rest.
+        ties: from `devoxelize.smooth`, of this mesh and grid.
+        voxel_size_m: of the grid.
     """
-    start, end = edges_of(mesh.faces).T
-    length = np.linalg.norm(mesh.vertices[start] - mesh.vertices[end], axis=1)
+    assert ties.fitted is not None
+    assert ties.attachments is not None
+    vertex, part = ties.fitted, ties.attachments.part  # of the welded mesh
+    sample = np.zeros(len(part), np.int64)  # one of the vertices at a place, a moving one if there is any
+    order = np.argsort(ties.weights.any(axis=1), kind="stable")
+    sample[vertex[order]] = order
+    points = mesh.vertices[sample]
+    low, high = part_bounds(part, points)
+    small = (high - low).max(axis=1) < STIFF_VOXELS * voxel_size_m
+    member = _matrix(np.ones(len(part)), np.arange(len(part)), part, (len(part), len(small)))
+    rows, weights = ties.rows[sample], ties.weights[sample]
+    own = np.repeat(np.arange(len(part)), rows.shape[1])
+    carried = _matrix(weights.ravel(), own, bones.bone_of_voxel[rows.ravel()], (len(part), len(bones.parent)))
+    start, end = edges_of(vertex[mesh.moving_part.faces]).T
+    graph = _shared(points, start[start != end], end[start != end], LONG_VOXELS * voxel_size_m)
+    carried = _filled(_along_stems(carried, member, bones.parent, ~small), graph)
+    for _ in range(SPREAD):
+        carried = graph @ carried
+    bone_of_part = _bone_of_part(carried, member, ties.attachments, small)
+    single = np.flatnonzero(small[part] & (carried.sum(axis=1) > 0))
+    carried = scipy.sparse.diags_array((~small[part]).astype(np.float64)) @ carried
+    carried += _matrix(np.ones(len(single)), single, bone_of_part[part[single]], carried.shape)
+    strongest = _strongest(carried.tocsr())
+    moving = ties.weights.any(axis=1, keepdims=True)
+    return BoneAttachment(rows=strongest.rows[vertex], weights=np.where(moving, strongest.weights[vertex], 0))
+
+
+def _matrix(
+    values: np.ndarray, row: np.ndarray, column: np.ndarray, shape: tuple[int, int]
+) -> "scipy.sparse.csr_array":
+    return scipy.sparse.csr_array((values, (row, column)), shape=shape)
+
+
+def _shared(
+    points: Float32[np.ndarray, "n 3"], start: Int32[np.ndarray, " E"], end: Int32[np.ndarray, " E"], long_m: float
+) -> "scipy.sparse.csr_array":
+    """How much neighbours share: 1 with themselves and over short edges, (long / length)² over longer ones [n, n].
+
+    Rows sum to 1. So in k steps they share over sqrt(k) times `long_m`, however long the edges are.
+    """
+    length = np.linalg.norm(points[start] - points[end], axis=1)
     share = (long_m / np.maximum(length, long_m)) ** 2
-    loops = np.arange(mesh.num_vertices)
-    pairs = (np.concatenate([start, end, loops]), np.concatenate([end, start, loops]))
-    values = np.concatenate([share, share, np.ones(len(loops))]).astype(np.float32)
-    return scipy.sparse.csr_array((values, pairs), shape=(len(loops), len(loops)))
+    loops = np.arange(len(points))
+    rows, columns = np.concatenate([start, end, loops]), np.concatenate([end, start, loops])
+    graph = _matrix(np.concatenate([share, share, np.ones(len(loops))]), rows, columns, (len(points),) * 2)
+    to_one: scipy.sparse.csr_array = (scipy.sparse.diags_array(1 / graph.sum(axis=1)) @ graph).tocsr()
+    return to_one
 
 
-def _stiffen(carried: "scipy.sparse.csr_array", mesh: TriangleMesh, size_m: float) -> "scipy.sparse.csr_array":
-    """One mean for all vertices of a connected part that is small."""
-    part = connected_parts(mesh.faces, mesh.num_vertices)
-    low, high = part_bounds(part, mesh.vertices)
-    small = ((high - low).max(axis=1) < size_m)[part]  # [N]
-    every = np.arange(len(part))
-    member = scipy.sparse.csr_array((np.ones(small.sum()), (every[small], part[small])), shape=(len(part), len(low)))
-    mean = scipy.sparse.diags_array(1 / np.maximum(member.sum(axis=0), 1)) @ (member.T @ carried)
-    large_parts = scipy.sparse.diags_array((~small).astype(np.float64)) @ carried
-    together: scipy.sparse.csr_array = (member @ mean + large_parts).tocsr()
-    return together
+def _along_stems(
+    carried: "scipy.sparse.csr_array",
+    member: "scipy.sparse.csr_array",
+    parent: Int32[np.ndarray, " B"],
+    large: Bool[np.ndarray, " parts"],
+) -> "scipy.sparse.csr_array":
+    """Leave stems the bones between the root and one other bone, the one with which most of the stem stays carried."""
+    stems = np.flatnonzero(large)
+    along = (member.T @ carried)[stems].toarray()  # [S, B]
+    total = along.sum(axis=1)
+    line = np.eye(len(parent), dtype=bool)  # of each bone, itself and its ancestors
+    for bone, above in enumerate(parent):
+        if above >= 0:  # parents come before children
+            along[:, bone] += along[:, above]
+            line[bone] |= line[above]
+    allowed = np.ones((len(large), len(parent)), bool)
+    is_stem = along.max(axis=1, initial=0) >= STEM_SHARE * total
+    allowed[stems[is_stem]] = line[along[is_stem].argmax(axis=1)]
+    entries = carried.tocoo()
+    part = member.indices  # one entry a row
+    chosen = allowed[part[entries.row], entries.col]
+    return _matrix(entries.data[chosen], entries.row[chosen], entries.col[chosen], carried.shape)
+
+
+def _filled(carried: "scipy.sparse.csr_array", graph: "scipy.sparse.csr_array") -> "scipy.sparse.csr_array":
+    """Give vertices that have no bone those of their neighbours, ring after ring."""
+    while True:
+        empty = np.flatnonzero(carried.sum(axis=1) == 0)
+        near = graph[empty] @ carried
+        reached = near.sum(axis=1) > 0
+        if not reached.any():
+            return carried
+        into = _matrix(
+            1 / near.sum(axis=1)[reached], empty[reached], np.flatnonzero(reached), (len(graph.indptr) - 1, len(empty))
+        )
+        carried = carried + into @ near
+
+
+def _bone_of_part(
+    carried: "scipy.sparse.csr_array",
+    member: "scipy.sparse.csr_array",
+    attachments: "Attachments",
+    small: Bool[np.ndarray, " parts"],
+) -> Int64[np.ndarray, " parts"]:
+    """The strongest bone of each part, or of the place where a small part hangs."""
+    bone: Int64[np.ndarray, " parts"] = np.asarray((member.T @ carried).argmax(axis=1)).ravel()
+    hangs = small[attachments.children]
+    children, corners = attachments.children[hangs], attachments.corners[hangs, 1]
+    place = np.repeat(np.arange(len(children)), 3)
+    there = _matrix(attachments.weights[hangs, 1].ravel(), place, corners.ravel(), (len(children), carried.shape[0]))
+    at_place = np.asarray((there @ carried).argmax(axis=1)).ravel()
+    on = attachments.part[corners[:, 0]]
+    while True:  # a part may hang on one that hangs
+        carrier = np.where(small[on], bone[on], at_place)
+        if np.array_equal(bone[children], carrier):
+            return bone
+        bone[children] = carrier
 
 
 def _strongest(carried: "scipy.sparse.csr_array") -> BoneAttachment:

@@ -18,6 +18,7 @@ from dynamictree.modal.system import modal_system
 from dynamictree.skin import JOINTS_PER_VERTEX, Skin, SkinSummary
 from dynamictree.spectrum import SparseVoxelSpectrum, iter_motion
 
+JOINT_VOXELS = 10.0  # from one joint to the next: twice as far as in a pull, because engines pay for each
 ROUNDS = 2  # a third gains less than a hundredth of the error
 FITTED_VERTICES = 40_000  # of a larger mesh, evenly chosen; all count in the reported error
 _UPRIGHT = 1e-6  # [m²] of a vertex: bones with too few points to fix a rotation do not turn
@@ -31,11 +32,11 @@ def branch_skin(
     Raises:
         InputError: the spectrum tells of no branches.
     """
-    bones = bones_of(modal_system(spectrum))
+    bones = bones_of(modal_system(spectrum), length_voxels=JOINT_VOXELS)
     if len(bones.parent) < 2:
         raise InputError("no skeleton was found: the tree moves as one piece; ask for glb instead of glb-skinned")
     ties = smooth(spectrum.grid, mesh)
-    tied = attach_mesh(bones, mesh, rows=ties.rows, weights=ties.weights, voxel_size_m=spectrum.grid.voxel_size_m)
+    tied = attach_mesh(bones, mesh, ties, voxel_size_m=spectrum.grid.voxel_size_m)
     weights = tied.weights[:, :JOINTS_PER_VERTEX]  # the strongest come first
     total = weights.sum(axis=1, keepdims=True)
     weights = weights / np.where(total > 0, total, 1)

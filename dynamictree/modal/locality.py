@@ -25,7 +25,7 @@ from dynamictree.voxel.graph import root_distance, voxel_graph
 
 OUTWARD = 32.0
 SIDEWAYS = 0.25
-STRANGER = 1000.0  # an edge is as many times longer whose ends move as unlike as strangers do
+STRANGER = 1000.0  # an edge is as many times longer whose ends move as unlike as strangers do; cubed for less
 FALLOFF_SHARE = 0.15  # of the tree's height: the default falloff
 REACH = 3.0  # falloffs, beyond which a weight (1e-4) is zero
 
@@ -52,7 +52,7 @@ def branching(system: ModalSystem) -> Branching:
     """Find the branching structure from the voxels and their motion."""
     edges = voxel_graph(system.grid).tocoo()
     start, end = edges.row, edges.col
-    length = edges.data * (1 + STRANGER * strangeness(system, start, end))  # [E]
+    length = edges.data * (1 + STRANGER * unlikeness(system, start, end) ** 3)  # [E]
     num_voxels = len(system.grid)
     stretched = scipy.sparse.csr_array((length, (start, end)), shape=(num_voxels, num_voxels))
     out = root_distance(stretched, system.grid).astype(np.float64)
@@ -86,14 +86,13 @@ def poke_weights(tree: Branching, seed_voxel: int, falloff_m: float) -> Float32[
     return weights
 
 
-def strangeness(
+def unlikeness(
     system: ModalSystem, start: Int[np.ndarray, " E"], end: Int[np.ndarray, " E"]
 ) -> Float64[np.ndarray, " E"]:
-    """How unlike two voxels move: (|φ_a − φ_b|² / |φ_a||φ_b|)³, at most 1, with all modes scaled to one strength.
+    """How unlike two voxels move: |φ_a − φ_b|² / |φ_a||φ_b|, at most 1, with all modes scaled to one strength.
 
     The slow modes are the trunk's, which all twigs share; it is by the fast ones that two twigs differ. Of touching
-    voxels on dataset trees, those of one stem have a median of 0.003 before the cube, leaves on it of 0.1, those of
-    two branches of 1.
+    voxels on dataset trees, those of one stem have a median of 0.003, leaves on it of 0.1, those of two branches of 1.
     """
     strength = np.sqrt((np.abs(system.shapes) ** 2).mean(axis=(0, 2), keepdims=True))  # [1, M, 1]
     scaled = system.shapes / np.maximum(strength, np.finfo(np.float32).tiny)
@@ -101,5 +100,5 @@ def strangeness(
     norm = np.linalg.norm(flat, axis=1)
     apart = np.linalg.norm(flat[start] - flat[end], axis=1)
     similar = np.maximum(norm[start] * norm[end], np.finfo(np.float32).tiny)
-    unlike: Float64[np.ndarray, " E"] = (np.minimum(apart**2 / similar, 1) ** 3).astype(np.float64)
+    unlike: Float64[np.ndarray, " E"] = np.minimum(apart**2 / similar, 1).astype(np.float64)
     return unlike

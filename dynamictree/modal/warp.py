@@ -1,10 +1,10 @@
 """Warp: rotate bones under large pushes, where linear modes would stretch the tree.
 
 A mode moves each point along a straight line, so a branch that is pushed far grows longer. Here the plain answer
-turns bones instead. The centre of bone b wants to go by u_b = Σ_g w_g(b) Re Σ_k φ_k(b) q_{g,k}, w and φ the means
-over its voxels; with r its reach from its parent a at rest, it turns by the smallest rotation that carries r along,
+turns bones instead. The centre of bone b wants to go by u_b = Σ_g w_g(b) Re Σ_k φ_k(b) q_{g,k}, w the mean over its
+voxels; with r its reach from its parent a at rest, it turns by the smallest rotation that carries r along,
 
-    θ_b = r × (u_b − u_a) / (|r|² + h²),        R_b = exp [θ_b]×,        h a voxel's size,
+    θ_b = r × (u_b − u_a) / (|r|² + h²),        R_b = exp [θ_b]×,        h half a voxel,
 
 about its joint, the parent's centre, which the parent carries:
 

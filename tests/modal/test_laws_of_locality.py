@@ -6,7 +6,7 @@ import pytest
 from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.errors import InputError
 from dynamictree.modal.force import Impulse, contact_at_voxel, generalised_force
-from dynamictree.modal.locality import branching, default_falloff_m, poke_weights, strangeness
+from dynamictree.modal.locality import branching, default_falloff_m, poke_weights, unlikeness
 from dynamictree.modal.step import State, exact_step, run
 from dynamictree.modal.system import displacement, modal_system
 from tests.modal.trees import fork
@@ -57,8 +57,8 @@ def test_an_endless_falloff_is_the_whole_tree(forked):
 def test_voxels_of_one_stem_are_no_strangers_and_those_of_two_are(forked):
     system, _, parts = forked
     one = parts["right"].astype(np.int32)
-    assert np.median(strangeness(system, one[:-1], one[1:])) < 0.05
-    assert strangeness(system, one[-3:], parts["left"][-3:].astype(np.int32)).min() > 0.25
+    assert np.median(unlikeness(system, one[:-1], one[1:]) ** 3) < 0.05
+    assert (unlikeness(system, one[-3:], parts["left"][-3:].astype(np.int32)) ** 3).min() > 0.25
 
 
 @pytest.mark.parametrize(("row", "falloff_m"), [(-1, 1.0), (150, 1.0), (0, 0.0), (0, float("nan"))])

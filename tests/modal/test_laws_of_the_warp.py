@@ -118,9 +118,7 @@ def test_a_strong_drag_bends_a_grown_tree_and_does_not_stretch_it():
     q = q * 0.2 * mesh.height_m / np.linalg.norm(displacement(system.shapes, q)[0, top])
 
     bones, interpolation = bones_of(system), smooth(voxels.grid, mesh)
-    carried = attach_mesh(
-        bones, mesh, rows=interpolation.rows, weights=interpolation.weights, voxel_size_m=voxels.grid.voxel_size_m
-    )
+    carried = attach_mesh(bones, mesh, interpolation, voxel_size_m=voxels.grid.voxel_size_m)
     bent = bend(bones, posed(bones, q), mesh.vertices, carried.rows, carried.weights)
     plain = interpolation.apply(displacement(system.shapes, q)[0])
 
@@ -145,7 +143,7 @@ def test_a_coarse_pole_bends_as_its_voxels_do_and_its_foot_stands():
     coefficients = np.zeros((len(grid), 2, 3), np.complex64)
     coefficients[:, 1, 1] = (grid.centres_m[:, 2] / mesh.height_m) ** 2
     bones, ties = bones_of(modal_system(SparseVoxelSpectrum(grid=grid, coefficients=coefficients))), smooth(grid, mesh)
-    carried = attach_mesh(bones, mesh, rows=ties.rows, weights=ties.weights, voxel_size_m=grid.voxel_size_m)
+    carried = attach_mesh(bones, mesh, ties, voxel_size_m=grid.voxel_size_m)
     stance = posed(bones, np.array([[1.5]], np.complex128))
     bent = bend(bones, stance, mesh.vertices, carried.rows, carried.weights)
     of_voxels = bend(bones, stance, mesh.vertices, bones.bone_of_voxel[ties.rows], ties.weights)

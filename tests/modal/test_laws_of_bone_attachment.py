@@ -1,0 +1,85 @@
+"""What a pull must do to a grown tree's mesh: bones meet at their joints, and what they carry keeps its shape."""
+
+import numpy as np
+import pytest
+
+from dynamictree.dataset.sample import make_sample, voxel_spectrum
+from dynamictree.devoxelize.smooth import smooth
+from dynamictree.mesh import connected_parts, edges_of, part_bounds
+from dynamictree.modal.bone_attachment import STIFF_VOXELS, attach_mesh
+from dynamictree.modal.bones import bones_of
+from dynamictree.modal.force import Drag, contact_at_voxel
+from dynamictree.modal.interactive_tree import InteractiveTree
+from dynamictree.modal.locality import default_falloff_m
+from dynamictree.modal.response import group_forces, respond
+from dynamictree.modal.system import modal_system
+from tests.modal.trees import fork
+
+NUM_PULLS = 12
+PULL = 0.1  # of the height
+
+
+@pytest.fixture(scope="module")
+def pulled():
+    """A grown tree, its mesh, and where the vertices and the places where parts hang are under each pull."""
+    sample = make_sample(13, "round-broadleaf")
+    _, spectrum = voxel_spectrum(sample)
+    tree, mesh = InteractiveTree(modal_system(spectrum)), sample.mesh
+    ties, voxel_m = smooth(spectrum.grid, mesh), spectrum.grid.voxel_size_m
+    carried = attach_mesh(tree.bones, mesh, ties, voxel_size_m=voxel_m)
+    rng = np.random.default_rng(0)
+    moved = []
+    for row in rng.choice(np.flatnonzero(tree.bones.bone_of_voxel), NUM_PULLS, replace=False):
+        direction = rng.normal(size=3)
+        x, y, z = (PULL * tree.system.height_m * direction / np.linalg.norm(direction)).tolist()
+        drag = Drag(at=contact_at_voxel(spectrum.grid, int(row)), displacement_m=(x, y, z))
+        groups = group_forces([drag], falloff_m=default_falloff_m(tree.system))
+        answer = respond(tree.system, groups, dt_s=1 / 60, num_frames=1, start="held", bent=tree)
+        moved.append(next(tree.bent(answer, mesh.vertices, carried)))
+    return mesh, ties, voxel_m, np.stack(moved)
+
+
+def stretch(mesh, moved, chosen=slice(None)):
+    start, end = edges_of(mesh.faces)[chosen].T
+    rest = np.linalg.norm(mesh.vertices[start] - mesh.vertices[end], axis=1)
+    now = np.linalg.norm((mesh.vertices + moved)[start] - (mesh.vertices + moved)[end], axis=1)
+    return np.abs(now / rest - 1)[rest > 1e-3]
+
+
+def test_bones_meet_at_the_joints_between_them():
+    spectrum, parts = fork(fineness=3)
+    bones, voxel_m = bones_of(modal_system(spectrum)), spectrum.grid.voxel_size_m
+    for part in ("stem", "right", "left"):
+        rows = parts[part]
+        bone = bones.bone_of_voxel[rows]
+        changes = np.flatnonzero((bone[1:] != bone[:-1]) & (bones.parent[bone[1:]] == bone[:-1])) + 1
+        assert len(changes) >= 3
+        gaps = np.linalg.norm(spectrum.grid.centres_m[rows[changes]] - bones.joint_m[bone[changes]], axis=1)
+        assert gaps.max() < 2 * voxel_m
+
+
+def test_edges_hardly_stretch(pulled):
+    mesh, _, _, moved = pulled
+    p99 = [np.percentile(stretch(mesh, frame), 99) for frame in moved]
+    assert np.median(p99) < 0.005
+    assert max(p99) < 0.02
+
+
+def test_leaves_and_twigs_keep_their_shape(pulled):
+    mesh, _, voxel_m, moved = pulled
+    part = connected_parts(mesh.faces, mesh.num_vertices)
+    low, high = part_bounds(part, mesh.vertices)
+    small = (high - low).max(axis=1) < STIFF_VOXELS * voxel_m
+    inside = small[part[edges_of(mesh.faces)[:, 0]]]
+    assert 0.1 < inside.mean() < 1
+    assert max(stretch(mesh, frame, inside).max() for frame in moved) < 1e-3
+
+
+def test_what_hangs_on_a_branch_stays_on_it(pulled):
+    _, ties, voxel_m, moved = pulled
+    at = ties.attachments
+    vertex = np.zeros(len(at.part), np.int64)
+    vertex[ties.fitted] = np.arange(len(ties.fitted))
+    places = np.einsum("bsi,tbsic->tbsc", at.weights, moved[:, vertex[at.corners]])
+    gaps = np.linalg.norm(places[:, :, 1] - places[:, :, 0], axis=2) / voxel_m  # growth [voxels]
+    assert np.percentile(gaps, 99) < 1
