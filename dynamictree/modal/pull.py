@@ -23,13 +23,13 @@ from dynamictree.modal.force import Contact, compliance, generalised
 from dynamictree.modal.system import ModalSystem
 from dynamictree.modal.warp import bone_turns
 
-BEND_SHARE = 40.0  # β makes the chain so many times as compliant at the point as the modes
+BEND_SHARE = 400.0  # β makes the chain so many times as compliant at the point as the modes
 STIFFENING = 1.0  # p
 LARGEST_TURN = 0.4  # of one bone by the modes [rad]; beyond it they stiffen
 LARGEST_BEND = 0.5  # κ_max, of one joint [rad]
 TOLERANCE = 1e-6  # ε over the compliance of the softest direction
 SOFT = 1e-3  # directions that give way by a smaller share of the softest are stiff
-ROUNDS = 60
+ROUNDS = 120
 SETTLED = 3e-4  # of the target: a step that changes the point by less is the last
 STEP_RAD = 0.5
 _ACCEPT, _REFUSE = 0.25, 6.0  # factors of Levenberg's damping
