@@ -4,7 +4,7 @@ import numpy as np
 
 from benchmarks._machine import machine, timed
 from benchmarks._scene import sheet
-from dynamictree.gaussian.deform import Deformer, shape_error
+from dynamictree.gaussian.deform import Deformer, Pose, shape_error
 from dynamictree.gaussian.from_mesh import splats_of_mesh
 from dynamictree.gaussian.turn import turn_sh_fast
 
@@ -18,7 +18,7 @@ def run() -> dict[str, object]:
     binding = splats_of_mesh(mesh, at_least=NUM_GAUSSIANS, rng=np.random.default_rng(0)).binding
     displacement = (0.2 * np.sin(mesh.vertices[:, [1, 2, 0]])).astype(np.float32)
     deformer = Deformer(binding)
-    out = np.empty((binding.cloud.num_gaussians, 10), np.float32)
+    out = Pose.empty(binding.cloud.num_gaussians)
     posed = timed(lambda: deformer.pose(displacement, out=out))
     floor = _memory_floor_ms(binding.cloud.num_gaussians, len(binding.triangles))
     shuffled = Deformer(_shuffled(binding))

@@ -10,7 +10,7 @@ is the readable one, which the tests compare it with.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64
+from jaxtyping import Bool, Float32, Float64, Int32
 
 from dynamictree.errors import InputError
 from dynamictree.gaussian.binding import STILL, Binding
@@ -23,6 +23,7 @@ from dynamictree.gaussian.rotation import (
     quaternion_products,
 )
 from dynamictree.gaussian.turn import turn_sh_fast
+from dynamictree.gaussian.vector_rows import CACHE_LINE_BYTES, LANES
 from dynamictree.parallel import in_bands
 
 
@@ -33,6 +34,12 @@ class Pose:
     means: Float32[np.ndarray, "G 3"]  # [m]
     quaternions: Float32[np.ndarray, "G 4"]  # wxyz
     scales: Float32[np.ndarray, "G 3"]  # [m]
+
+    @classmethod
+    def empty(cls, num_gaussians: int) -> "Pose":
+        """Memory for a pose, which `Deformer.pose` writes fastest to."""
+        means, quaternions, scales = (_at_cache_line((num_gaussians, width)) for width in (3, 4, 3))
+        return cls(means=means, quaternions=quaternions, scales=scales)
 
 
 class Deformer:
@@ -55,17 +62,21 @@ class Deformer:
             axis=1,
         )  # [U, 13]
         self._face_rest = _blocked(face_rest)
-        self._faces = np.zeros((num_faces + 1, 16), np.float32)  # as they are now; the last one rests, for the still
-        self._faces[num_faces, 9] = 1  # w of no rotation
-        self._face_of = np.where(binding.face_of == STILL, num_faces, binding.face_of).astype(np.int32)
-        self._rest = _blocked(self._gaussian_rest(frames))
+        self._triangles = _filled(binding.triangles)
+        still = len(self._triangles)
+        self._faces = _at_cache_line((still + 1, LANES))  # as they are now; the last one rests, for the still
+        self._faces[:] = 0
+        self._faces[still, 9] = 1  # w of no rotation
+        face_of = np.where(binding.face_of == STILL, num_faces, binding.face_of).astype(np.int32)
+        self._rest = _blocked(self._gaussian_rest(frames, face_of))
+        self._face_of = _filled(np.where(binding.face_of == STILL, np.int32(still), face_of))
 
-    def pose(self, displacement: Float32[np.ndarray, "N 3"], *, out: Float32[np.ndarray, "G 10"] | None = None) -> Pose:
+    def pose(self, displacement: Float32[np.ndarray, "N 3"], *, out: Pose | None = None) -> Pose:
         """Where the Gaussians are when the mesh's vertices are displaced.
 
         Args:
             displacement: of every vertex from its rest [m].
-            out: memory to write to, which the pose then shows; fresh by default.
+            out: memory to write to, contiguous, which is also the result; fresh by default.
 
         Raises:
             InputError: the displacement is not that of the mesh's vertices.
@@ -75,15 +86,21 @@ class Deformer:
                 f"the displacement is of {len(displacement)} vertices; the mesh has {len(self.binding.vertices)}"
             )
         moved = np.ascontiguousarray(displacement)
-        in_bands(turn_faces, len(self._face_rest), self._face_rest, self.binding.triangles, moved, self._faces)
-        posed = np.empty((self.binding.cloud.num_gaussians, 10), np.float32) if out is None else out
-        in_bands(turn_gaussians, len(self._rest), self._rest, self._face_of, self._faces, posed)
-        return Pose(means=posed[:, 0:3], quaternions=posed[:, 3:7], scales=posed[:, 7:10])
+        in_bands(turn_faces, len(self._face_rest), self._face_rest, self._triangles, moved, self._faces)
+        posed = Pose.empty(self.binding.cloud.num_gaussians) if out is None else out
+        parts = posed.means, posed.quaternions, posed.scales
+        assert all(part.flags.c_contiguous for part in parts)
+        flat = [part.reshape(-1) for part in parts]
+        streamed = all(part.ctypes.data % CACHE_LINE_BYTES == 0 for part in flat)
+        in_bands(turn_gaussians, len(self._rest), self._rest, self._face_of, self._faces, *flat, streamed)
+        return posed
 
-    def _gaussian_rest(self, frames: Float64[np.ndarray, "U 3 3"]) -> Float64[np.ndarray, "G 15"]:
+    def _gaussian_rest(
+        self, frames: Float64[np.ndarray, "U 3 3"], face_of: Int32[np.ndarray, " G"]
+    ) -> Float64[np.ndarray, "G 15"]:
         """Weights 1 and 2, offset along the face's axes, place on the face, rotation from the face's axes, scales."""
         binding, cloud = self.binding, self.binding.cloud
-        all_frames = np.concatenate([frames, np.eye(3)[None]])[self._face_of]  # [G, 3, 3]
+        all_frames = np.concatenate([frames, np.eye(3)[None]])[face_of]  # [G, 3, 3]
         means = cloud.means.astype(np.float64)
         offsets = np.where(binding.moving[:, None], means - _places(binding), 0)
         frame_turn = matrix_quaternions(all_frames) * np.array([1, -1, -1, -1])  # undone
@@ -227,3 +244,17 @@ def _blocked(rows: Float64[np.ndarray, "M W"]) -> Float32[np.ndarray, "blocks WB
     num_blocks = -(-len(rows) // BLOCK)
     padded = np.pad(rows.astype(np.float32), ((0, num_blocks * BLOCK - len(rows)), (0, 0)), mode="edge")
     return np.ascontiguousarray(padded.reshape(num_blocks, BLOCK, -1).transpose(0, 2, 1)).reshape(num_blocks, -1)
+
+
+def _filled(rows: Int32[np.ndarray, "..."]) -> Int32[np.ndarray, "..."]:
+    """Rows filled up to whole blocks with the last one."""
+    missing = -len(rows) % BLOCK
+    return np.pad(rows, [(0, missing)] + [(0, 0)] * (rows.ndim - 1), mode="edge")
+
+
+def _at_cache_line(shape: tuple[int, int]) -> Float32[np.ndarray, "rows width"]:
+    """Memory that begins at a cache line."""
+    num_bytes = 4 * shape[0] * shape[1]
+    raw = np.empty(num_bytes + CACHE_LINE_BYTES, np.uint8)
+    start = -raw.ctypes.data % CACHE_LINE_BYTES
+    return raw[start : start + num_bytes].view(np.float32).reshape(shape)

@@ -1,13 +1,23 @@
 """The two loops of `deform.Deformer`, written so that the compiler turns them into vector instructions.
 
 Each works on blocks: it gathers what a block needs into one flat buffer, column after column, computes there without a
-branch, and writes rows. Columns of the buffers are numbered in the order in which they are named.
+branch, and writes rows. Columns of the buffers are numbered in the order in which they are named. The last block is
+filled up: its rows in `triangles` and `face_of` are those of a still face.
 """
 
 from typing import no_type_check
 
 import numpy as np
 
+from dynamictree.gaussian.vector_rows import (
+    LANES,
+    gather_columns,
+    interleave3,
+    interleave4,
+    scatter_columns,
+    stream3,
+    stream4,
+)
 from dynamictree.parallel import compiled_fused
 
 BLOCK = 64  # rows; buffers of 41 columns stay in the first-level cache
@@ -32,26 +42,23 @@ def turn_faces(first, end, rest, triangles, moved, out):
 
     rest: edges 01 and 02, quaternion of the axes, 1/L, X, 1/Y (see `deform.rest_frames`).
     """
-    num_faces = len(triangles)
     b = np.empty(22 * _B, np.float32)
     o = np.empty(16 * _B, np.float32)
     for block in range(first, end):
         start = block * _B
-        count = min(_B, num_faces - start)
         for i in range(13 * _B):
             b[i] = rest[block, i]
-        for j in range(count):
+        for j in range(_B):
             for corner in range(3):
                 vertex = triangles[start + j, corner]
                 for c in range(3):
                     b[(13 + 3 * corner + c) * _B + j] = moved[vertex, c]
         _turn_block(b, o)
-        for j in range(count):
+        for j in range(_B):
             if o[12 * _B + j] != o[12 * _B + j]:  # not a number: collapsed
                 _turn_collapsed(b, o, j)
-        for j in range(count):
-            for k in range(16):
-                out[start + j, k] = o[k * _B + j]
+        for j in range(0, _B, LANES):
+            scatter_columns(o, j, _B, out, start + j)
 
 
 @compiled_fused
@@ -145,12 +152,14 @@ def _turn_collapsed(b, o, j):
 
 @compiled_fused
 @no_type_check
-def turn_gaussians(first, end, rest, face_of, faces, out):
-    """For each Gaussian: mean, quaternion, scales.
+def turn_gaussians(first, end, rest, face_of, faces, means, quaternions, scales, streamed):
+    """For each Gaussian: mean, quaternion, scales, one after the other in flat arrays.
+
+    Where `streamed`, these begin at cache lines and are written past the caches, which else would first read them.
 
     rest: weights 1 and 2, offset in the face's axes, place on the face, quaternion from the face's axes, scales.
     """
-    num_gaussians = len(face_of)
+    num_gaussians = len(means) // 3
     b = np.empty(31 * _B, np.float32)
     o = np.empty(10 * _B, np.float32)
     for block in range(first, end):
@@ -158,13 +167,8 @@ def turn_gaussians(first, end, rest, face_of, faces, out):
         count = min(_B, num_gaussians - start)
         for i in range(15 * _B):
             b[i] = rest[block, i]
-        for j in range(count):  # both ends of the rows first: so many cache misses are under way at once
-            face = face_of[start + j]
-            b[15 * _B + j], b[30 * _B + j] = faces[face, 0], faces[face, 15]
-        for j in range(count):
-            face = face_of[start + j]
-            for k in range(1, 15):
-                b[(15 + k) * _B + j] = faces[face, k]
+        for j in range(0, _B, LANES):
+            gather_columns(faces, face_of, start + j, b, 15 * _B + j, _B)
         for j in range(_B):
             w1, w2 = b[j], b[_B + j]
             dx, dy, dz = b[2 * _B + j], b[3 * _B + j], b[4 * _B + j]
@@ -196,6 +200,20 @@ def turn_gaussians(first, end, rest, face_of, faces, out):
             o[7 * _B + j] = b[12 * _B + j] * np.sqrt(min(max(c0, _LOW), _HIGH))
             o[8 * _B + j] = b[13 * _B + j] * np.sqrt(min(max(c1, _LOW), _HIGH))
             o[9 * _B + j] = b[14 * _B + j] * np.sqrt(min(max(c2, _LOW), _HIGH))
-        for j in range(count):
-            for k in range(10):
-                out[start + j, k] = o[k * _B + j]
+        if count < _B:
+            for j in range(count):
+                for k in range(3):
+                    means[3 * (start + j) + k] = o[k * _B + j]
+                    scales[3 * (start + j) + k] = o[(7 + k) * _B + j]
+                for k in range(4):
+                    quaternions[4 * (start + j) + k] = o[(3 + k) * _B + j]
+        elif streamed:
+            for j in range(0, _B, LANES):
+                stream3(o, j, _B, means, 3 * (start + j))
+                stream4(o, 3 * _B + j, _B, quaternions, 4 * (start + j))
+                stream3(o, 7 * _B + j, _B, scales, 3 * (start + j))
+        else:
+            for j in range(0, _B, LANES):
+                interleave3(o, j, _B, means, 3 * (start + j))
+                interleave4(o, 3 * _B + j, _B, quaternions, 4 * (start + j))
+                interleave3(o, 7 * _B + j, _B, scales, 3 * (start + j))

@@ -242,19 +242,18 @@ def _iter_vertices(
 
 def _gaussians(body: InteractRequest, ready: ReadyTree, owned: Owned, answer: Answer) -> dict[str, np.ndarray]:
     """Where the Gaussians are that move: `rows` [M] in the cloud, `means`, `quaternions`, `scales` [T, M, 3 or 4]."""
+    from dynamictree.gaussian.deform import Pose  # brings numba
+
     moving = moving_gaussians(owned, ready, body.spectrum_id)
     _refuse_large(body.num_frames, len(moving.rows), 40)
     mesh = with_mesh(owned, ready, body.spectrum_id)
-    posed = np.empty((body.num_frames, len(moving.rows), 10), np.float32)
+    shape = body.num_frames, len(moving.rows)
+    means, quaternions, scales = (np.empty((*shape, width), np.float32) for width in (3, 4, 3))
     with moving.alone:
-        for out, frame in zip(posed, _iter_vertices(body, ready, mesh, answer), strict=True):
-            moving.deformer.pose(frame, out=out)
-    return {
-        "rows": moving.rows,
-        "means": posed[..., 0:3],
-        "quaternions": posed[..., 3:7],
-        "scales": posed[..., 7:10],
-    }
+        for frame, vertices in enumerate(_iter_vertices(body, ready, mesh, answer)):
+            out = Pose(means=means[frame], quaternions=quaternions[frame], scales=scales[frame])
+            moving.deformer.pose(vertices, out=out)
+    return {"rows": moving.rows, "means": means, "quaternions": quaternions, "scales": scales}
 
 
 def _refuse_large(num_frames: int, num_points: int, bytes_a_point: int) -> None:

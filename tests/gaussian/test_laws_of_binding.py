@@ -25,6 +25,7 @@ from dynamictree.gaussian.harmonics import harmonics, turn_sh
 from dynamictree.gaussian.nearest import nearest_faces
 from dynamictree.gaussian.rotation import quaternion_matrices
 from dynamictree.gaussian.turn import harmonic_values, turn_sh_fast
+from dynamictree.gaussian.vector_rows import CACHE_LINE_BYTES
 from dynamictree.mesh import TriangleMesh
 
 
@@ -123,11 +124,28 @@ def test_fast_and_slow_agree(binding: Binding, rng: np.random.Generator) -> None
 
 
 def test_a_pose_can_be_written_to_memory_that_is_there(binding: Binding) -> None:
-    out = np.full((binding.cloud.num_gaussians, 10), np.nan, np.float32)
+    out = Pose.empty(binding.cloud.num_gaussians)
+    out.means[:] = np.nan
     deformer = Deformer(binding)
     pose = deformer.pose(sway(binding.vertices), out=out)
-    assert np.shares_memory(pose.means, out)
+    assert pose is out
     np.testing.assert_array_equal(pose.means, deformer.pose(sway(binding.vertices)).means)
+
+
+def test_a_pose_is_the_same_wherever_it_is_written(binding: Binding) -> None:
+    """Memory at a cache line is written past the caches, other memory through them."""
+    count, deformer = binding.cloud.num_gaussians, Deformer(binding)
+    whole = np.empty((10, 3 * count + 1), np.float32)
+    means, quaternions, scales = (
+        memory[1 : 1 + width * count].reshape(count, width)
+        for memory, width in zip((whole[0], whole[2:4].ravel(), whole[5]), (3, 4, 3), strict=True)
+    )
+    beside = deformer.pose(sway(binding.vertices), out=Pose(means=means, quaternions=quaternions, scales=scales))
+    aligned = deformer.pose(sway(binding.vertices))
+    for name in ("means", "quaternions", "scales"):
+        assert getattr(aligned, name).ctypes.data % CACHE_LINE_BYTES == 0
+        assert getattr(beside, name).ctypes.data % CACHE_LINE_BYTES != 0
+        np.testing.assert_array_equal(getattr(beside, name), getattr(aligned, name))
 
 
 def test_no_motion_blows_a_gaussian_up(binding: Binding, cloud: GaussianCloud, rng: np.random.Generator) -> None:
