@@ -56,8 +56,16 @@ def in_bands(kernel: Callable[..., object], num_rows: int, *arguments: object) -
         kernel(0, num_rows, *arguments)
         return
     edges = np.linspace(0, num_rows, min(_BANDS, num_rows) + 1).astype(int).tolist()
-    with ThreadPoolExecutor(num_cores()) as pool:
-        calls = [pool.submit(kernel, first, end, *arguments) for first, end in pairwise(edges)]
+    bands = iter(list(pairwise(edges)))
+
+    def take_bands() -> None:
+        for first, end in bands:
+            kernel(first, end, *arguments)
+
+    others = num_cores() - 1  # the calling thread takes bands too: starting threads is a tenth of a fast kernel's time
+    with ThreadPoolExecutor(max(others, 1)) as pool:
+        calls = [pool.submit(take_bands) for _ in range(others)]
+        take_bands()
         for call in calls:
             call.result()
 
