@@ -41,6 +41,7 @@ class ReadyTree:
     frames: "VertexFrames | None" = None
     attachment: BoneAttachment | None = None
     gaussians: MovingGaussians | None = None
+    wind_bones: dict[str, np.ndarray] = field(default_factory=dict)  # as the surface file has them
 
     @property
     def num_bytes(self) -> int:
@@ -49,7 +50,8 @@ class ReadyTree:
         gaussians = 0 if self.gaussians is None else len(self.gaussians.rows)
         extra_bytes = BYTES_A_VERTEX * vertices + BYTES_A_GAUSSIAN * gaussians
         basis_bytes = 0 if self.frames is None else self.frames.num_bytes
-        return BYTES_A_VOXEL * len(self.tree.system.grid) + extra_bytes + basis_bytes
+        bone_bytes = sum(tensor.nbytes for tensor in self.wind_bones.values())
+        return BYTES_A_VOXEL * len(self.tree.system.grid) + extra_bytes + basis_bytes + bone_bytes
 
 
 def vertex_ties(ready: ReadyTree, mesh: TriangleMesh) -> "VoxelInterpolation":

@@ -118,15 +118,15 @@ def iter_engine_wind_zip(
 def _picture(skeleton: TurnSkeleton, parts: Float32[np.ndarray, "M B 3"], layout: TextureLayout) -> bytes:
     """All parts in glTF's axes; the parent is its place in a part, in [0, 1], and -1 without one."""
     y_up = up_rotation("+Y").astype(np.float32)  # from the right it turns +Z up into +Y up
-    length = np.linalg.norm(skeleton.reach_m, axis=1, keepdims=True)
-    direction = np.where(length > 0, skeleton.reach_m / np.maximum(length, 1e-9), np.array([0, 0, 1], np.float32))
     column, row = skeleton.parent % layout.width, skeleton.parent // layout.width
     parent = np.stack(
         [(column + 0.5) / layout.width, (row + 0.5) / layout.rows_per_frame, np.zeros(len(column))], axis=1
     )
     parent[skeleton.parent < 0] = -1
     texels = np.full((layout.num_frames, layout.rows_per_frame * layout.width, 3), -1, np.float16)
-    texels[:, : len(parent)] = np.concatenate([parts @ y_up, [skeleton.foot_m @ y_up, direction @ y_up, parent]])
+    texels[:, : len(parent)] = np.concatenate(
+        [parts @ y_up, [skeleton.foot_m @ y_up, skeleton.directions @ y_up, parent]]
+    )
     stream = io.BytesIO()
     write_exr(texels.reshape(layout.height, layout.width, 3), stream)
     return stream.getvalue()

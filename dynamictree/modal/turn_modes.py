@@ -56,8 +56,8 @@ def posed(
     above, foot = np.maximum(skeleton.parent, 0), skeleton.foot_m.astype(np.float64)
     arm = foot - foot[above]
     moved = turned(half[above], arm) - arm
-    for bone in range(1, len(moved)):
-        moved[bone] += moved[above[bone]]
+    for level in skeleton.levels:
+        moved[level] += moved[above[level]]
     arms = vertices - foot[skeleton.bone]
     share = skeleton.parent_share[:, None].astype(np.float64)
     own = (1 - share) * half[skeleton.bone] + share * half[above[skeleton.bone]]

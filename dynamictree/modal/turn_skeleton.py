@@ -7,13 +7,15 @@ carries it; that of a trunk begins on the ground.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 import scipy.sparse
 from jaxtyping import Bool, Float32, Float64, Int32, Int64
 from scipy.sparse.csgraph import connected_components, dijkstra
 
-from dynamictree.devoxelize.attachment import SMALL_PART_VOXELS, find_attachments
+from dynamictree.devoxelize.attachment import SMALL_PART_VOXELS, Attachments, find_attachments
 from dynamictree.devoxelize.inextensible import CARD_VERTICES
 from dynamictree.mesh import TriangleMesh, connected_parts, edges_of, part_bounds, weld
 from dynamictree.voxel.grid import VoxelGrid
@@ -31,7 +33,7 @@ GROUND = 0
 
 @dataclass(frozen=True, kw_only=True)
 class TurnSkeleton:
-    """B bones, parents before children. Built by `turn_skeleton`."""
+    """B bones in the order of their depth, so parents before children. Built by `turn_skeleton`."""
 
     parent: Int32[np.ndarray, " B"]  # -1 of the ground
     foot_m: Float32[np.ndarray, "B 3"]  # about which a bone turns; its parent carries it
@@ -43,10 +45,20 @@ class TurnSkeleton:
     @property
     def depths(self) -> Int64[np.ndarray, " B"]:
         """Number of ancestors of each bone."""
-        depth = np.zeros(len(self.parent), np.int64)
-        for bone in range(1, len(depth)):
-            depth[bone] = depth[self.parent[bone]] + 1
-        return depth
+        return _depths(self.parent.astype(np.int64))
+
+    @property
+    def directions(self) -> Float32[np.ndarray, "B 3"]:
+        """Unit vector from each foot to the bone's end; up where both are one."""
+        length = np.linalg.norm(self.reach_m, axis=1, keepdims=True)
+        upward = np.array([0, 0, 1], np.float32)
+        return np.asarray(np.where(length > 0, self.reach_m / np.maximum(length, 1e-12), upward), np.float32)
+
+    @cached_property
+    def levels(self) -> list[slice]:
+        """Bones of each depth, from 1."""
+        edges = np.append(np.flatnonzero(np.diff(self.depths)) + 1, len(self.parent)).tolist()
+        return [slice(first, end) for first, end in pairwise(edges)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,12 +73,12 @@ class _Parts:
     begins: Bool[np.ndarray, " n"]  # where a part that bends begins
 
 
-def turn_skeleton(mesh: TriangleMesh, grid: VoxelGrid) -> TurnSkeleton:
-    """Find the bones of a mesh; `grid` is that of its motion."""
+def turn_skeleton(mesh: TriangleMesh, grid: VoxelGrid, attached: Attachments | None = None) -> TurnSkeleton:
+    """Find the bones of a mesh; `grid` is that of its motion, `attached` are its attachments, if at hand."""
     surface, vertex = weld(mesh.moving_part)
     places = surface.vertices.astype(np.float64)
     voxel_m = float(np.ptp(places, axis=0).max()) / FINENESS
-    parts = _parts_of(surface, grid, voxel_m)
+    parts = _parts_of(surface, attached or find_attachments(surface, grid), voxel_m)
     node, parent, first = _nodes(surface, parts, voxel_m)
     part = parts.of[first]
     is_base = parent < 0
@@ -104,8 +116,7 @@ def turn_skeleton(mesh: TriangleMesh, grid: VoxelGrid) -> TurnSkeleton:
     )
 
 
-def _parts_of(surface: TriangleMesh, grid: VoxelGrid, voxel_m: float) -> _Parts:
-    attached = find_attachments(surface, grid)
+def _parts_of(surface: TriangleMesh, attached: Attachments, voxel_m: float) -> _Parts:
     of = connected_parts(surface.faces, surface.num_vertices).astype(np.int64)
     low, high = part_bounds(of, surface.vertices)
     small = (high - low).max(axis=1) < SMALL_PART_VOXELS * voxel_m

@@ -10,7 +10,7 @@ from safetensors.numpy import save
 
 from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.modes import quantised
-from dynamictree.spectrum import bin_weights
+from dynamictree.spectrum import SparseVoxelSpectrum, bin_weights
 from service.http.negotiation import SAFETENSORS
 from service.http.routing import CACHED, Id, file_of, refusals
 from service.ready_tree import ReadyTree, bone_ties, vertex_ties
@@ -78,6 +78,7 @@ def _own_motion(owned: Owned, spectrum_id: str, ready: ReadyTree, mesh: Triangle
     """A spectrum for each vertex, and the bones that carry it."""
     spectrum = load_spectrum(owned, spectrum_id)
     constrained = _motion_of_products(owned, spectrum_id, ready, mesh)  # [N, K, 3]
+    ready.wind_bones = ready.wind_bones or _wind_bones(spectrum, ready, mesh, constrained)
     weights = bin_weights(spectrum.num_frequencies, spectrum.num_frames)
     shapes, scale = quantised(constrained * weights[:, None])  # bin 0 is the lean, the others φ_k = 2 c_k
     carried = bone_ties(ready, mesh)
@@ -87,6 +88,29 @@ def _own_motion(owned: Owned, spectrum_id: str, ready: ReadyTree, mesh: Triangle
         "scale_m": scale,
         "bone_rows": np.take_along_axis(carried.rows, strongest, axis=1).astype(np.uint16),
         "bone_weights": _bytes(np.take_along_axis(carried.weights, strongest, axis=1)),
+        **ready.wind_bones,
+    }
+
+
+def _wind_bones(
+    spectrum: SparseVoxelSpectrum, ready: ReadyTree, mesh: TriangleMesh, coefficients: Complex64[np.ndarray, "N K 3"]
+) -> dict[str, np.ndarray]:
+    """Bones that turn in the wind, so that branches bend; docs/viewer.md names the tensors."""
+    from dynamictree.modal.turn_modes import turn_modes  # imports numba
+    from dynamictree.modal.turn_skeleton import turn_skeleton
+
+    skeleton = turn_skeleton(mesh, spectrum.grid, vertex_ties(ready, mesh).attachments)
+    turns = turn_modes(skeleton, mesh.vertices, coefficients, spectrum.num_frames)
+    weights = bin_weights(spectrum.num_frequencies, spectrum.num_frames)
+    shapes, scale = quantised(turns * weights[:, None])
+    return {
+        "turn_shapes": shapes,
+        "turn_scale_rad": scale,
+        "turn_parent": skeleton.parent,
+        "turn_foot_m": skeleton.foot_m,
+        "turn_direction": skeleton.directions,
+        "turn_bone": skeleton.bone,
+        "turn_share": skeleton.parent_share,
     }
 
 

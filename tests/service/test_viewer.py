@@ -24,6 +24,8 @@ from safetensors.numpy import load
 
 import web
 from dynamictree import method
+from dynamictree.modal.turn_modes import turn_modes
+from dynamictree.modal.turn_skeleton import turn_skeleton
 from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.records import AssetRecord
 from jobs.settings import Settings
@@ -209,7 +211,7 @@ def test_an_asset_is_shown_as_it_was_read(client: TestClient, spectrum_id: str, 
     tensors = load(client.get(f"/v1/assets/{ASSET_ID}/surface").content)
     np.testing.assert_array_equal(tensors["vertices"], grown.mesh.vertices)
     np.testing.assert_array_equal(tensors["faces"], grown.mesh.faces)
-    assert "shapes" not in tensors
+    assert not {"shapes", "turn_shapes"} & set(tensors)
 
 
 def test_a_surface_names_the_vertices_that_stand_still(grown) -> None:
@@ -241,12 +243,30 @@ def test_a_surface_moves_as_the_library_moves_it(
     assert tensors["bone_rows"].max() < num_bones
 
 
+def test_a_surface_has_the_bones_that_turn_in_the_wind(
+    client: TestClient, spectrum_id: str, grown, spectrum: SparseVoxelSpectrum
+) -> None:
+    tensors = load(client.get(f"/v1/spectra/{spectrum_id}/surface").content)
+    skeleton = turn_skeleton(grown.mesh, spectrum.grid)
+    turns = turn_modes(skeleton, grown.mesh.vertices, method.devoxelize(spectrum, grown.mesh), spectrum.num_frames)
+    turns[:, 1:] *= 2
+    parts = tensors["turn_shapes"] * tensors["turn_scale_rad"][:, None, None]  # [B, K, 3, 2]
+    apart = np.abs(parts[..., 0] + 1j * parts[..., 1] - turns).max(axis=(0, 2))
+    assert (apart <= 1e-3 * np.abs(turns).max(axis=(0, 2)) + 1e-6).all()
+    for name, expected in (("parent", skeleton.parent), ("bone", skeleton.bone), ("share", skeleton.parent_share)):
+        np.testing.assert_allclose(tensors[f"turn_{name}"], expected, atol=1e-6)
+    np.testing.assert_allclose(tensors["turn_foot_m"], skeleton.foot_m, atol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(tensors["turn_direction"], axis=1), 1, atol=1e-6)
+    again = load(client.get(f"/v1/spectra/{spectrum_id}/surface").content)
+    np.testing.assert_array_equal(again["turn_shapes"], tensors["turn_shapes"])
+
+
 def test_a_large_surface_hangs_on_the_voxels(
     client: TestClient, spectrum_id: str, spectrum: SparseVoxelSpectrum, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(surface, "MAX_OWN_SHAPES", 10)
     tensors = load(client.get(f"/v1/spectra/{spectrum_id}/surface").content)
-    assert "shapes" not in tensors
+    assert not {"shapes", "turn_shapes"} & set(tensors)
     assert (tensors["tie_weights"].astype(int).sum(axis=1) == 255).all()
     near = spectrum.grid.centres_m[tensors["tie_rows"][:, 0]] - tensors["vertices"]
     assert np.linalg.norm(near, axis=1).max() <= np.sqrt(0.75) * spectrum.grid.voxel_size_m * 1.001
