@@ -18,6 +18,7 @@ export class Copies {
       poses: { value: still },
       bent: { value: 0 },
       coloured: { value: 0 },
+      restAt: { value: still }, // a sampler without a texture spoils every draw
       greyStill,
     };
     const ties = source.byVoxel ? surface.geometry.attributes.tieRows : null;

@@ -136,7 +136,7 @@ const PLAIN = { base_color: [0.5, 0.5, 0.5, 1], alpha_cutoff: null };
 /** One material for each of the surface's, and the one that the sun's shadow map is drawn with. */
 export function surfaceMaterials(surface, uniforms) {
   const kind = surface.tie_rows ? "nearVoxels" : "vertices";
-  if (surface.shapes) uniforms.restAt = { value: (surface.restAt ??= setCards(surface)) };
+  if (surface.shapes && !surface.turn_parent) uniforms.restAt = { value: (surface.restAt ??= setCards(surface)) };
   const all = surface.materials.length ? surface.materials : [PLAIN];
   const lit = all.map(({ base_color: [r, g, b], alpha_cutoff: cutoff }, index) => {
     const shiny = surface.looks?.[index];

@@ -2,9 +2,10 @@
 
 import * as THREE from "three";
 import { carried, largestSwing } from "../motion/modes.js";
+import { fieldOf } from "./bone_field.js";
 import { Copies } from "./copies.js";
 import { buildCubes, disposeCubes } from "./cubes.js";
-import { Field, PoseTexture, voxelFieldOf, zeroTexture } from "./field.js";
+import { PoseTexture, voxelFieldOf, zeroTexture } from "./field.js";
 import { ghostOf, surfaceMaterials } from "./follow.js";
 import { topVoxel } from "./pick.js";
 import { LEAST } from "./resolution.js";
@@ -26,8 +27,7 @@ export class Tree {
     };
     this.view = "surface";
     this.groups = []; // of pushes: { q, perBone }
-    this.q = null;
-    this.turn = 0;
+    Object.assign(this, { q: null, turn: 0 });
   }
 
   get moves() {
@@ -86,16 +86,16 @@ export class Tree {
     const { surface } = this;
     this.poses = new PoseTexture(modes.B);
     this.uniforms.poses.value = this.poses.texture;
-    if (surface?.shapes) this.field = new Field(surface.shapes, surface.scale_m, surface.N);
+    if (surface?.shapes) this.field = fieldOf(surface, modes);
     if (this.usesNearVoxels) this.field = this._voxelField();
     if (this.field) this.uniforms.moved.value = this.field.texture;
     this.largest = largestSwing(surface?.shapes ? surface : modes);
   }
 
   /** A large mesh's own motion in place of its nearest voxels', once the job's files contain it. */
-  setShapes({ shapes, scale_m }) {
-    Object.assign(this.surface, { shapes, scale_m, tie_rows: null });
-    this.field = new Field(shapes, scale_m, this.surface.N);
+  setShapes(shapes) {
+    Object.assign(this.surface, shapes, { tie_rows: null });
+    this.field = fieldOf(this.surface);
     this.uniforms.moved.value = this.field.texture;
     this.largest = largestSwing(this.surface);
     this._setMaterials();

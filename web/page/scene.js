@@ -1,6 +1,6 @@
 // What stands on the stage: photos, the tree at rest, in motion, and what the job's files add.
 
-import { fieldOf } from "../draw/field.js";
+import { fieldOf } from "../draw/bone_field.js";
 import { Person } from "../draw/person.js";
 import { readSurface } from "../draw/surface.js";
 import { Tree } from "../draw/tree.js";

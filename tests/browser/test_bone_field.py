@@ -1,0 +1,67 @@
+"""The page bends a tree as the library does, in wind that has turned, in several copies; and stretches nothing."""
+
+from collections.abc import Callable
+
+import httpx
+import numpy as np
+import pytest
+from safetensors.numpy import load
+
+from recipes.wind_reference import feet, half_turns, turned
+from tests.browser.conftest import Viewer
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
+
+Open = Callable[..., Viewer]
+STORM_GAIN = 7.0  # of the drag from 5 to 20 m/s
+TURN_RAD = 0.7
+DISPLACED = """async ({ path, q, turn }) => {
+    const THREE = await import("three");
+    const [{ readSurface }, { fieldOf }] = await Promise.all(
+        ["surface", "bone_field"].map((name) => import(`/web/draw/${name}.js`)));
+    const surface = await readSurface(await (await fetch(path)).arrayBuffer());
+    const renderer = new THREE.WebGLRenderer();
+    const still = q.map(() => 0);
+    const own = fieldOf(surface);
+    const copies = own.copied(2);
+    own.evaluate(renderer, q, turn);
+    copies.evaluateAll(renderer, [{ q: still, turn: 0 }, { q, turn }]);
+    const read = (field, row) => {
+        const texels = new Float32Array(4 * 2048 * field.rows);
+        renderer.readRenderTargetPixels(field.target, 0, row * field.rows, 2048, field.rows, texels);
+        return [...texels.subarray(0, 4 * surface.N)];
+    };
+    return [read(own, 0), read(copies, 0), read(copies, 1)];
+}"""
+
+
+def test_the_page_bends_as_the_library_does(view: Open, url: str, job_id: str) -> None:
+    viewer = view(640, 480)
+    viewer.open(url)
+    with httpx.Client(base_url=url, timeout=60) as client:
+        spectrum = client.get(f"/v1/jobs/{job_id}").json()["result"]["spectrum_id"]
+        path = f"/v1/spectra/{spectrum}/surface"
+        tensors = load(client.get(path).content)
+    num_bins = len(tensors["turn_scale_rad"])
+    q = STORM_GAIN * np.exp(2j * np.pi * 0.3 * np.arange(num_bins))
+    given = {"path": path, "q": np.stack([q.real, q.imag], axis=1).ravel().tolist(), "turn": TURN_RAD}
+    there = np.array(viewer.page.evaluate(DISPLACED, given)).reshape(3, -1, 4)[:, :, :3]
+
+    modes = tensors["turn_shapes"] * tensors["turn_scale_rad"][:, None, None].astype(np.float64)
+    theta = np.einsum("bkc,k->bc", modes[..., 0] + 1j * modes[..., 1], q).real
+    half = half_turns(theta, tensors["turn_direction"].astype(np.float64), TURN_RAD)
+    parent, foot = tensors["turn_parent"], tensors["turn_foot_m"].astype(np.float64)
+    bone, share = tensors["turn_bone"], tensors["turn_share"][:, None]
+    own = (1 - share) * half[bone] + share * half[np.maximum(parent, 0)[bone]]
+    arm = tensors["vertices"] - foot[bone]
+    expected = feet(half, foot, parent)[bone] + turned(own, arm) - arm
+    assert np.linalg.norm(expected, axis=1).max() > 0.1
+    for moved in (there[0], there[2]):
+        assert np.abs(moved - expected).max() < 1e-3 * np.abs(expected).max()
+    assert np.abs(there[1]).max() == 0
+
+    start, end = tensors["faces"][:, 0], tensors["faces"][:, 1]
+    rest = np.linalg.norm(tensors["vertices"][start] - tensors["vertices"][end], axis=1)
+    now = tensors["vertices"] + there[0]
+    longer = np.abs(np.linalg.norm(now[start] - now[end], axis=1) / np.maximum(rest, 1e-9) - 1)
+    assert np.percentile(longer[rest > 0], 99) < 0.04
