@@ -1,7 +1,8 @@
 """Many small trees at once: jobs per minute with one and with two worker processes, beside single jobs one by one.
 
-Every worker has one thread. Fairness between owners is a law of the store's tests. DYNAMICTREE_BENCHMARK_BATCH shortens
-a run.
+Every worker has one thread. Then the same with two workers that share PostgreSQL, Redis and S3 and no disk, as on many
+machines, where PostgreSQL is installed. Fairness between owners is a law of the store's tests.
+DYNAMICTREE_BENCHMARK_BATCH shortens a run.
 """
 
 import os
@@ -10,13 +11,19 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
-from benchmarks._machine import machine
+import httpx
+import pytest
+
+from benchmarks._machine import machine as this_machine
 from benchmarks._trees import demo_mesh
 from benchmarks._whole_service import WholeService, whole_service
 from dynamictree.mesh import TriangleMesh
 from jobs.states import queues_of
+from tests.servers import machines
 
 VERTICES = 2000
 SINGLE, BATCH = 5, int(os.environ.get("DYNAMICTREE_BENCHMARK_BATCH", "100"))
@@ -33,16 +40,33 @@ def run() -> dict[str, object]:
         with second_worker(service):
             service.run(mesh, 999, **PARAMS)
             two = _batch(service, mesh, 2000)
+    shared = _on_servers(mesh)
     return {
         "value": round(two["jobs_per_minute"], 1),
         "unit": "jobs/min",
         "one_worker": one,
         "two_workers": two,
+        "two_workers_on_servers": shared,
         "single_job_s": round(single_s, 2),
         "single_jobs_per_minute": round(60 / single_s, 1),
         "sizes": {"vertices": mesh.num_vertices, "batch": BATCH, **PARAMS},
-        **machine("torch", "numpy"),
+        **this_machine("torch", "numpy"),
     }
+
+
+def _on_servers(mesh: TriangleMesh) -> dict[str, float] | None:
+    """Two workers on real servers; None where PostgreSQL is not installed."""
+    with TemporaryDirectory() as name, ExitStack() as running:
+        folder = Path(name)
+        try:
+            many = running.enter_context(machines(folder, {"DYNAMICTREE_MAX_QUEUED_JOBS": "100000"}))
+        except pytest.skip.Exception:
+            return None
+        client = running.enter_context(httpx.Client(base_url=many.url, timeout=60))
+        service = WholeService(client, folder)
+        service.run(mesh, 0, **PARAMS)
+        service.run(mesh, 1, **PARAMS)
+        return _batch(service, mesh, 1000)
 
 
 def _batch(service: WholeService, mesh: TriangleMesh, first: int) -> dict[str, float]:

@@ -9,8 +9,8 @@ import sys
 import tempfile
 import time
 import urllib.request
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -87,6 +87,40 @@ class Server:
 
     def tail(self) -> str:
         return self.log.read_text(errors="replace")[-4000:]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Machines:
+    """Servers by name, all of them running."""
+
+    servers: Mapping[str, Server]
+    url: str  # of the API
+    database_url: str
+
+
+@contextmanager
+def machines(folder: Path, settings: Mapping[str, str]) -> Iterator[Machines]:
+    """API, workers `one` and `two`, and a housekeeper, which share PostgreSQL, Redis and S3 and no disk."""
+    database, database_url = postgres(folder)
+    queue, redis_url = valkey(folder)
+    objects, environment = object_storage(folder)
+    environment |= dict(settings) | {"DYNAMICTREE_DATABASE_URL": database_url, "DYNAMICTREE_REDIS_URL": redis_url}
+
+    def on(machine: str) -> dict[str, str]:
+        return environment | {"DYNAMICTREE_STATE_DIR": str(folder / machine)}
+
+    front, url = api(folder, on("front"))
+    parts = {"database": database, "queue": queue, "objects": objects, "api": front}
+    parts |= {name: worker(folder, on(name), name) for name in ("one", "two")}
+    parts["housekeeper"] = housekeeper(folder, on("keeper"))
+    with ExitStack() as running:
+        running.callback(shutil.rmtree, database.cwd or "")
+        for part in parts.values():
+            part.start(wait=part is database)
+            running.callback(part.stop, 20)
+        for part in parts.values():
+            part.wait_ready()
+        yield Machines(servers=parts, url=url, database_url=database_url)
 
 
 def free_port() -> int:

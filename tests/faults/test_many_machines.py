@@ -1,7 +1,6 @@
 """API, two workers and a housekeeper that share no disk: PostgreSQL, Redis and S3 are all that they have in common."""
 
-import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from hashlib import sha256
@@ -27,7 +26,7 @@ MULTIPART_BYTES = 5 * 1024**2
 class Machines:
     """The parts, and a client of the API."""
 
-    parts: dict[str, servers.Server]
+    parts: Mapping[str, servers.Server]
     client: httpx.Client
     engine: sa.Engine
 
@@ -47,31 +46,13 @@ class Machines:
 
 @pytest.fixture(scope="module")
 def machines(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Machines]:
-    folder = tmp_path_factory.mktemp("machines")
-    database, database_url = servers.postgres(folder)
-    queue, redis_url = servers.valkey(folder)
-    objects, environment = servers.object_storage(folder)
-    environment |= SHORT | {"DYNAMICTREE_DATABASE_URL": database_url, "DYNAMICTREE_REDIS_URL": redis_url}
-
-    def on(machine: str) -> dict[str, str]:
-        return environment | {"DYNAMICTREE_STATE_DIR": str(folder / machine)}
-
-    front, url = servers.api(folder, on("front"))
-    parts = {"database": database, "queue": queue, "objects": objects, "api": front}
-    parts |= {name: servers.worker(folder, on(name), name) for name in ("one", "two")}
-    parts["housekeeper"] = servers.housekeeper(folder, on("keeper"))
     with ExitStack() as running:
-        running.callback(shutil.rmtree, database.cwd or "")
-        for part in parts.values():
-            part.start(wait=part is database)
-            running.callback(part.stop, 20)
-        for part in parts.values():
-            part.wait_ready()
-        client = running.enter_context(httpx.Client(base_url=url, timeout=30))
+        many = running.enter_context(servers.machines(tmp_path_factory.mktemp("machines"), SHORT))
+        client = running.enter_context(httpx.Client(base_url=many.url, timeout=30))
         wait_for(lambda: client.get("/readyz").json()["workers"] == "ok", "a worker")
-        engine = open_engine(database_url)
+        engine = open_engine(many.database_url)
         running.callback(engine.dispose)
-        yield Machines(parts=parts, client=client, engine=engine)
+        yield Machines(parts=many.servers, client=client, engine=engine)
 
 
 def upload(machines: Machines, content: bytes) -> str:
