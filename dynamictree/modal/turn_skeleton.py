@@ -6,7 +6,7 @@ card, or another small part, is one bone. The first bone of a part begins where 
 carries it; that of a trunk begins on the ground.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 
 from dynamictree.devoxelize.attachment import SMALL_PART_VOXELS, Attachments, find_attachments
 from dynamictree.devoxelize.inextensible import CARD_VERTICES
-from dynamictree.mesh import TriangleMesh, connected_parts, edges_of, part_bounds, weld
+from dynamictree.mesh import TriangleMesh, edges_of, part_bounds, weld
 from dynamictree.voxel.grid import VoxelGrid
 
 FINENESS = 128
@@ -76,9 +76,11 @@ class _Parts:
 def turn_skeleton(mesh: TriangleMesh, grid: VoxelGrid, attached: Attachments | None = None) -> TurnSkeleton:
     """Find the bones of a mesh; `grid` is that of its motion, `attached` are its attachments, if at hand."""
     surface, vertex = weld(mesh.moving_part)
+    surface, attached, row = _without_loose_vertices(surface, attached or find_attachments(surface, grid))
+    vertex = row[vertex]
     places = surface.vertices.astype(np.float64)
     voxel_m = float(np.ptp(places, axis=0).max()) / FINENESS
-    parts = _parts_of(surface, attached or find_attachments(surface, grid), voxel_m)
+    parts = _parts_of(surface, attached, voxel_m)
     node, parent, first = _nodes(surface, parts, voxel_m)
     part = parts.of[first]
     is_base = parent < 0
@@ -105,7 +107,7 @@ def turn_skeleton(mesh: TriangleMesh, grid: VoxelGrid, attached: Attachments | N
     order = np.argsort(_depths(parent), kind="stable")
     number = np.empty(len(order), np.int64)
     number[order] = np.arange(len(order))
-    still = mesh.still_vertices | ~np.isin(np.arange(len(places)), surface.faces)[vertex]
+    still = mesh.still_vertices | (vertex < 0)
     return TurnSkeleton(
         parent=np.where(parent < 0, -1, number[parent])[order].astype(np.int32),
         foot_m=foot[order].astype(np.float32),
@@ -116,8 +118,26 @@ def turn_skeleton(mesh: TriangleMesh, grid: VoxelGrid, attached: Attachments | N
     )
 
 
+def _without_loose_vertices(
+    surface: TriangleMesh, attached: Attachments
+) -> tuple[TriangleMesh, Attachments, Int64[np.ndarray, " n"]]:
+    """The same without vertices of no face, such as those of a pot; and the row of each vertex, -1 of these."""
+    used = np.unique(surface.faces)
+    row = np.full(surface.num_vertices, -1, np.int64)
+    row[used] = np.arange(len(used))
+    parts, part = np.unique(attached.part[used], return_inverse=True)
+    attached = replace(
+        attached,
+        part=part.ravel().astype(np.int32),
+        children=np.searchsorted(parts, attached.children).astype(np.int32),
+        corners=row[attached.corners].astype(np.int32),
+    )
+    faces = row[surface.faces].astype(np.int32)
+    return TriangleMesh(vertices=surface.vertices[used], faces=faces), attached, row
+
+
 def _parts_of(surface: TriangleMesh, attached: Attachments, voxel_m: float) -> _Parts:
-    of = connected_parts(surface.faces, surface.num_vertices).astype(np.int64)
+    of = attached.part.astype(np.int64)
     low, high = part_bounds(of, surface.vertices)
     small = (high - low).max(axis=1) < SMALL_PART_VOXELS * voxel_m
     stands = ~small & (low[:, 2] < low[:, 2].min() + voxel_m)

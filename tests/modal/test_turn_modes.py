@@ -90,6 +90,21 @@ def test_what_is_no_plant_stands_still(tree: Tree) -> None:
     assert np.abs(turns[GROUND]).max() < 1e-4
 
 
+def test_a_floor_that_stands_still_changes_no_bone(tree: Tree) -> None:
+    mesh, spectrum, skeleton, _, _ = tree
+    floor = np.array([[-50, -50, 0], [50, -50, 0], [0, 50, 0]], np.float32)
+    faces = np.concatenate([mesh.faces, [[mesh.num_vertices, mesh.num_vertices + 1, mesh.num_vertices + 2]]])
+    wide = TriangleMesh(
+        vertices=np.concatenate([mesh.vertices, floor]),
+        faces=faces.astype(np.int32),
+        still_faces=np.arange(len(faces)) == len(mesh.faces),
+    )
+    there = turn_skeleton(wide, spectrum.grid)
+    np.testing.assert_array_equal(there.parent, skeleton.parent)
+    np.testing.assert_array_equal(there.bone[: mesh.num_vertices], skeleton.bone)
+    assert (there.bone[mesh.num_vertices :] == GROUND).all()
+
+
 def _error(
     mesh: TriangleMesh, skeleton: TurnSkeleton, turns: np.ndarray, coefficients: np.ndarray, num_frames: int
 ) -> float:
