@@ -12,6 +12,8 @@ from dynamictree.parallel import compiled_reordered, in_bands
 _STEPS = np.iinfo(np.int16).max
 _BLOCK = 1024
 """Values that are summed together: they and their rows of the basis stay in a core's first cache."""
+_AT_ONCE = 6
+"""Rows of the basis that are added in one pass over a block: as many loads and stores of the sum are saved."""
 
 
 class VertexFrames:
@@ -26,7 +28,8 @@ class VertexFrames:
         parts = np.concatenate([at_vertices.real, -at_vertices.imag], axis=1)  # Re φq = Re φ Re q - Im φ Im q
         flat = parts.transpose(1, 0, 2).reshape(2 * system.num_modes, -1)  # [2M, 3N]
         self._scale = np.maximum(np.abs(flat).max(axis=1, initial=0), np.finfo(np.float32).tiny) / _STEPS
-        self._basis = np.round(flat / self._scale[:, None]).astype(np.int16)
+        missing = -len(flat) % _AT_ONCE  # rows of zeros, which `displacement` gives no coordinate
+        self._basis = np.pad(np.round(flat / self._scale[:, None]).astype(np.int16), ((0, missing), (0, 0)))
         self._interpolation = interpolation
 
     @property
@@ -47,13 +50,13 @@ class VertexFrames:
             q: modal coordinates, a row per group of forces.
             weights: w_g of each vertex; by default every group moves the whole tree.
         """
-        coordinates = np.concatenate([q.real, q.imag], axis=1) * self._scale  # [G, 2M]
+        coordinates = np.zeros((len(q), len(self._basis)), np.float32)
+        coordinates[:, : len(self._scale)] = np.concatenate([q.real, q.imag], axis=1) * self._scale  # [G, 2M]
         moved = np.zeros(self._basis.shape[1], np.float32)
         if weights is None:
-            whole = np.ascontiguousarray(coordinates.sum(axis=0), np.float32)
-            in_bands(_superpose, -(-len(moved) // _BLOCK), self._basis, whole, moved)
+            in_bands(_superpose, -(-len(moved) // _BLOCK), self._basis, coordinates.sum(axis=0), moved)
         else:
-            for row, weight in zip(coordinates.astype(np.float32), weights, strict=True):
+            for row, weight in zip(coordinates, weights, strict=True):
                 part = np.zeros_like(moved)
                 in_bands(_superpose, -(-len(moved) // _BLOCK), self._basis, row, part)
                 moved += part * np.repeat(weight, 3)
@@ -66,8 +69,20 @@ def _superpose(first, end, basis, coordinates, moved):
     for block in range(first, end):
         low = block * _BLOCK
         values = moved[low : low + _BLOCK]
-        for k in range(len(coordinates)):
-            amount = coordinates[k]
-            shape = basis[k, low : low + _BLOCK]
+        for k in range(0, len(coordinates), _AT_ONCE):
+            high = low + _BLOCK
+            q0, s0 = coordinates[k], basis[k, low:high]
+            q1, s1 = coordinates[k + 1], basis[k + 1, low:high]
+            q2, s2 = coordinates[k + 2], basis[k + 2, low:high]
+            q3, s3 = coordinates[k + 3], basis[k + 3, low:high]
+            q4, s4 = coordinates[k + 4], basis[k + 4, low:high]
+            q5, s5 = coordinates[k + 5], basis[k + 5, low:high]
             for i in range(len(values)):
-                values[i] += amount * np.float32(shape[i])
+                values[i] += (
+                    q0 * np.float32(s0[i])
+                    + q1 * np.float32(s1[i])
+                    + q2 * np.float32(s2[i])
+                    + q3 * np.float32(s3[i])
+                    + q4 * np.float32(s4[i])
+                    + q5 * np.float32(s5[i])
+                )
