@@ -9,6 +9,10 @@ from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
 
+import numpy as np
+
+from dynamictree.parallel import in_bands
+
 
 @dataclass(frozen=True, kw_only=True)
 class Timing:
@@ -58,3 +62,24 @@ def timed(call: Callable[[], object], *, runs: int = 60, warm_ups: int = 1) -> T
         worst_ms=max(wall),
         cpu_ms=statistics.median(spent),
     )
+
+
+def copied(num_bytes: int) -> Timing:
+    """Time to read and write that many bytes, half of them each, on all cores: what the memory alone takes."""
+    source = np.ones(num_bytes // 8, np.float32)  # memory never written is one page of zeros, read from the cache
+    target = np.empty_like(source)
+
+    def copy(first: int, end: int) -> None:
+        target[first:end] = source[first:end]
+
+    return timed(lambda: in_bands(copy, len(source)), runs=30)
+
+
+def over_floor(frame: Timing, floor: Timing) -> dict[str, float]:
+    """A frame against the copy of its bytes; processor time is what others' work cannot hide."""
+    return {
+        "floor_ms": round(floor.median_ms, 3),
+        "over_floor": round(frame.median_ms / floor.median_ms, 2),
+        "processor_over_floor": round(frame.cpu_ms / floor.cpu_ms, 2),
+        "share_of_peak_bandwidth": round(floor.median_ms / frame.median_ms, 3),
+    }
