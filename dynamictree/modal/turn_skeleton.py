@@ -88,12 +88,12 @@ def turn_skeleton(mesh: TriangleMesh, grid: VoxelGrid, attached: Attachments | N
     foot = np.where(is_base[:, None], parts.foot_m[part], centre[parent])
     bone, share = _carriers(places, node, parent, foot, centre - foot)
     hangs = is_base & (parts.above[part] >= 0)
-    share[hangs[bone] & (share <= 0.5)] = 0  # a twig turns by itself from its foot on
+    standing = is_base & parts.stands[part]
+    share[(is_base & ~standing)[bone] & (share <= 0.5)] = 0  # a twig or a card turns by itself from its foot on
 
     above = parts.above[part[hangs]]
     low = share[above] > 0.5
     parent[hangs] = np.where(low & (parent[bone[above]] >= 0), parent[bone[above]], bone[above])
-    standing = is_base & parts.stands[part]
     floating = np.flatnonzero(is_base & ~hangs & ~standing)
     ground = places[places[:, 2] <= places[:, 2].min() + voxel_m].mean(axis=0)
     num_nodes, num_floating = len(parent), len(floating)

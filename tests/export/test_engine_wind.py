@@ -46,7 +46,7 @@ def with_gains(spectrum: SparseVoxelSpectrum) -> SparseVoxelSpectrum:
 @pytest.fixture(scope="module")
 def tree() -> Tree:
     sample = make_sample(3, "sapling")
-    return sample.mesh, with_gains(voxel_spectrum(sample, 32)[1])
+    return sample.mesh, with_gains(voxel_spectrum(sample, 64)[1])
 
 
 @pytest.fixture(scope="module")
