@@ -235,6 +235,7 @@ def test_few_photos_are_all_paired_and_many_form_a_chain():
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)  # five minutes on two free cores
 def test_real_photos_of_a_thing_on_a_carpet(samples, tmp_path):
     photos = sorted((samples / "photos" / "banana").glob("*.JPG"))
     result = reconstruct(photos, tmp_path)
