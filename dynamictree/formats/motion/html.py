@@ -33,6 +33,7 @@ _SPLAT = {
     "spark": f"vendor/{_SPARK.target('spark.module.min.js')}",
     "tensors": "motion/tensors.js",
     "modes": "motion/modes.js",
+    "pass": "draw/pass.js",
     "field": "draw/field.js",
     "luminance": "draw/luminance.js",
     "splat-shader": "draw/splat_shader.js",
