@@ -29,7 +29,9 @@ class BoneAttachment:
     weights: Float32[np.ndarray, "N W"]
 
 
-def attach_mesh(bones: Bones, mesh: TriangleMesh, ties: "VoxelInterpolation", *, voxel_size_m: float) -> BoneAttachment:
+def attach_mesh(
+    bones: Bones, mesh: TriangleMesh, ties: "VoxelInterpolation", *, voxel_size_m: float, parts_hang: bool = True
+) -> BoneAttachment:
     """Give each vertex the bones of its voxels, spread along the edges of what may move.
 
     A stem shares voxels with what it touches, so it keeps only the bones of its own chain; what is small has the
@@ -40,6 +42,7 @@ def attach_mesh(bones: Bones, mesh: TriangleMesh, ties: "VoxelInterpolation", *,
         mesh: at rest.
         ties: from `devoxelize.smooth`, of this mesh and grid.
         voxel_size_m: of the grid.
+        parts_hang: if not, what is small has its own strongest bone, so that a twig's joint carries the twig.
     """
     assert ties.fitted is not None
     assert ties.attachments is not None
@@ -59,7 +62,9 @@ def attach_mesh(bones: Bones, mesh: TriangleMesh, ties: "VoxelInterpolation", *,
     carried = _filled(_along_stems(carried, member, bones.parent, ~small), graph)
     for _ in range(SPREAD):
         carried = graph @ carried
-    bone_of_part = _bone_of_part(carried, member, ties.attachments, small)
+    bone_of_part: Int64[np.ndarray, " parts"] = np.asarray((member.T @ carried).argmax(axis=1)).ravel()
+    if parts_hang:
+        bone_of_part = _where_parts_hang(bone_of_part, carried, ties.attachments, small)
     single = np.flatnonzero(small[part] & (carried.sum(axis=1) > 0))
     carried = scipy.sparse.diags_array((~small[part]).astype(np.float64)) @ carried
     carried += _matrix(np.ones(len(single)), single, bone_of_part[part[single]], carried.shape)
@@ -128,14 +133,14 @@ def _filled(carried: "scipy.sparse.csr_array", graph: "scipy.sparse.csr_array") 
         carried = carried + into @ near
 
 
-def _bone_of_part(
+def _where_parts_hang(
+    strongest: Int64[np.ndarray, " parts"],
     carried: "scipy.sparse.csr_array",
-    member: "scipy.sparse.csr_array",
     attachments: "Attachments",
     small: Bool[np.ndarray, " parts"],
 ) -> Int64[np.ndarray, " parts"]:
-    """The strongest bone of each part, or of the place where a small part hangs."""
-    bone: Int64[np.ndarray, " parts"] = np.asarray((member.T @ carried).argmax(axis=1)).ravel()
+    """The bone of the place where each small part hangs; the strongest bone of the others."""
+    bone = strongest.copy()
     hangs = small[attachments.children]
     children, corners = attachments.children[hangs], attachments.corners[hangs, 1]
     place = np.repeat(np.arange(len(children)), 3)

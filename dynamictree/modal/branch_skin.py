@@ -36,7 +36,7 @@ def branch_skin(
     if len(bones.parent) < 2:
         raise InputError("no skeleton was found: the tree moves as one piece; ask for glb instead of glb-skinned")
     ties = smooth(spectrum.grid, mesh)
-    tied = attach_mesh(bones, mesh, ties, voxel_size_m=spectrum.grid.voxel_size_m)
+    tied = attach_mesh(bones, mesh, ties, voxel_size_m=spectrum.grid.voxel_size_m, parts_hang=False)
     weights = tied.weights[:, :JOINTS_PER_VERTEX]  # the strongest come first
     total = weights.sum(axis=1, keepdims=True)
     weights = weights / np.where(total > 0, total, 1)
