@@ -196,10 +196,19 @@ def test_a_tree_that_moves_as_one_piece_turns_about_its_foot(tree: Tree) -> None
     assert (pivots.parent.tolist(), pivots.branch.max()) == ([0], 0)
 
 
+MOST_LINES = {
+    "wind-three.js": 120,
+    "wind-godot-poses.gdshader": 70,
+    "wind-unity.shader": 90,
+    "wind-unreal-poses.hlsl": 70,
+}
+"""Of what computes the bones; 60 of what is put into a tree's material."""
+
+
 def test_shaders_are_short_and_have_the_numbers_inside(archive: zipfile.ZipFile) -> None:
     for name in SHADERS:
         text = archive.read(name).decode()
-        assert len([line for line in text.splitlines() if not line.startswith("#define")]) <= 120
+        assert len([line for line in text.splitlines() if not line.startswith("#define")]) <= MOST_LINES.get(name, 60)
         assert not re.search("CORE|SURFACE|CONSTANTS|LAYOUT|_TABLE|TEXTURE|POSES_|OWN_M_S", text)
         assert not re.search(r"\b(vec[23]|mix|fract)\b", text) or not name.endswith((".hlsl", ".shader"))
 
