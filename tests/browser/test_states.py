@@ -22,8 +22,6 @@ JOB_MS = 300_000.0
 LIT = """() => { const gl = document.getElementById("canvas").getContext("webgl2");
     window.loss = gl.getExtension("WEBGL_lose_context"); window.loss.loseContext(); }"""
 
-ACCEPTED = "body:is([data-state=queued], [data-state=running], [data-state=moving])"
-
 
 def state(page: Page, name: str) -> None:
     """Wait for a state of the page."""
@@ -71,7 +69,7 @@ def test_a_folder_keeps_its_paths(view: Open, url: str, tree: Path, tmp_path: Pa
     viewer = view(900, 620)
     viewer.open(url)
     viewer.page.set_input_files("#folder", str(folder))
-    viewer.page.wait_for_selector(ACCEPTED, state="attached", timeout=JOB_MS)
+    state(viewer.page, "moving")
     expect(viewer.page.locator("#progress-title")).to_have_text("oak")
     assert viewer.complaints == []
 
