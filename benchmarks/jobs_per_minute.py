@@ -18,12 +18,12 @@ from tempfile import TemporaryDirectory
 import httpx
 import pytest
 
-from benchmarks._machine import machine as this_machine
+from benchmarks._machine import machine
 from benchmarks._trees import demo_mesh
 from benchmarks._whole_service import WholeService, whole_service
 from dynamictree.mesh import TriangleMesh
 from jobs.states import queues_of
-from tests.servers import machines
+from tests import servers
 
 VERTICES = 2000
 SINGLE, BATCH = 5, int(os.environ.get("DYNAMICTREE_BENCHMARK_BATCH", "100"))
@@ -50,7 +50,7 @@ def run() -> dict[str, object]:
         "single_job_s": round(single_s, 2),
         "single_jobs_per_minute": round(60 / single_s, 1),
         "sizes": {"vertices": mesh.num_vertices, "batch": BATCH, **PARAMS},
-        **this_machine("torch", "numpy"),
+        **machine("torch", "numpy"),
     }
 
 
@@ -59,7 +59,7 @@ def _on_servers(mesh: TriangleMesh) -> dict[str, float] | None:
     with TemporaryDirectory() as name, ExitStack() as running:
         folder = Path(name)
         try:
-            many = running.enter_context(machines(folder, {"DYNAMICTREE_MAX_QUEUED_JOBS": "100000"}))
+            many = running.enter_context(servers.machines(folder, {"DYNAMICTREE_MAX_QUEUED_JOBS": "100000"}))
         except pytest.skip.Exception:
             return None
         client = running.enter_context(httpx.Client(base_url=many.url, timeout=60))
