@@ -14,7 +14,8 @@ from dynamictree.gaussian.nearest import nearest_faces
 from dynamictree.mesh import TriangleMesh
 from dynamictree.render import Camera, Look, Renderer
 
-_SAMPLES = 3  # along a pixel's side, colour and cover alike, so that edges keep no sky
+SAMPLES = 3
+"""Along a pixel's side, colour and cover alike, so that edges keep no sky."""
 _SURFACE_POINTS = 150_000
 _FARTHEST = 0.1  # of the height, that a surface is looked for around a stem's axis
 
@@ -30,33 +31,49 @@ class PhotoSet:
 def photograph(folder: Path, *, number: int, side: int, species: str = "round-broadleaf", seed: int = 7) -> PhotoSet:
     """An orbit around a tree with speckled bark and leaves; photos and `transforms.json` go into the folder."""
     sample = make_sample(seed, species)
-    tree = sample.mesh
+    tree = speckled(sample.mesh)
+    renderer = fine_renderer(tree, side)
+    photos, frames = [], []
+    cameras = orbit(tree, number)
+    for place, camera in enumerate(cameras):
+        path = folder / f"tree_{place:02d}.png"
+        Image.fromarray(cut_out(renderer, camera, side)).save(path)
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = camera.world_to_camera.T * [1, -1, -1], camera.position_m
+        frames.append({"file_path": path.name, "transform_matrix": matrix.tolist()})
+        photos.append(path)
+    focal = cameras[0].focal * side
+    lens = {"fl_x": focal, "fl_y": focal, "cx": side / 2, "cy": side / 2, "w": side, "h": side}
+    (folder / "transforms.json").write_text(json.dumps({**lens, "frames": frames}))
+    return PhotoSet(tree=tree, skeleton=sample.skeleton, photos=tuple(photos), cameras=cameras)
+
+
+def speckled(tree: TriangleMesh) -> TriangleMesh:
+    """The same tree, brighter, with a colour of its own at each vertex, so that features are found on it."""
     shades = np.clip(np.random.default_rng(1).normal(0.7, 0.3, (tree.num_vertices, 3)), 0.1, 1)
     colors = np.concatenate([255 * shades, np.full((len(shades), 1), 255)], axis=1).astype(np.uint8)
     bright = tuple(
         replace(m, base_color=(*(min(1.0, 2 * c) for c in m.base_color[:3]), m.base_color[3])) for m in tree.materials
     )
-    tree = replace(tree, vertex_colors=colors, materials=bright)
-    fine = side * _SAMPLES
-    renderer = Renderer(tree, Look(width=fine, height=fine, ground=False, supersampling=1))
+    return replace(tree, vertex_colors=colors, materials=bright)
+
+
+def orbit(tree: TriangleMesh, number: int) -> tuple[Camera, ...]:
+    """Cameras around a tree, by turns lower and higher."""
     height = tree.height_m
     middle = np.array([*tree.vertices.mean(axis=0)[:2], 0.5 * height], np.float64)
-    photos, cameras, frames = [], [], []
+    cameras = []
     for place in range(number):
         turn = 2 * np.pi * place / number
         away = height * np.array([1.9 * np.cos(turn), 1.9 * np.sin(turn), 0.25 * (place % 2) - 0.1])
-        camera = Camera.look_at(middle + away, middle, vertical_fov_deg=36.0)
-        path = folder / f"tree_{place:02d}.png"
-        Image.fromarray(_cut_out(renderer, camera, side)).save(path)
-        matrix = np.eye(4)
-        matrix[:3, :3], matrix[:3, 3] = camera.world_to_camera.T * [1, -1, -1], camera.position_m
-        frames.append({"file_path": path.name, "transform_matrix": matrix.tolist()})
-        photos.append(path)
-        cameras.append(camera)
-    focal = cameras[0].focal * side
-    lens = {"fl_x": focal, "fl_y": focal, "cx": side / 2, "cy": side / 2, "w": side, "h": side}
-    (folder / "transforms.json").write_text(json.dumps({**lens, "frames": frames}))
-    return PhotoSet(tree=tree, skeleton=sample.skeleton, photos=tuple(photos), cameras=tuple(cameras))
+        cameras.append(Camera.look_at(middle + away, middle, vertical_fov_deg=36.0))
+    return tuple(cameras)
+
+
+def fine_renderer(mesh: TriangleMesh, side: int) -> Renderer:
+    """Draws every pixel of a square photo as SAMPLES × SAMPLES pixels."""
+    fine = side * SAMPLES
+    return Renderer(mesh, Look(width=fine, height=fine, ground=False, supersampling=1))
 
 
 def surface_score(
@@ -95,10 +112,11 @@ def stem_widths(
     return {"p10": low, "median": median, "p90": high, "enclosed": round(float(within.sum() / len(upper)), 3)}
 
 
-def _cut_out(renderer: Renderer, camera: Camera, side: int) -> np.ndarray:
+def cut_out(renderer: Renderer, camera: Camera, side: int) -> np.ndarray:
+    """An RGBA photo of what a renderer of `fine_renderer` shows."""
     color = renderer.picture(camera=camera).astype(np.float64)
     cover = np.isfinite(renderer.buffers(camera).depth_m).astype(np.float64)[..., None]
-    cells = (side, _SAMPLES, side, _SAMPLES, -1)
+    cells = (side, SAMPLES, side, SAMPLES, -1)
     alpha = cover.reshape(cells).mean(axis=(1, 3))
     seen = (color * cover).reshape(cells).mean(axis=(1, 3)) / np.maximum(alpha, 1e-9)
     return np.concatenate([seen, 255 * alpha], axis=2).round().astype(np.uint8)

@@ -55,9 +55,9 @@ class WholeService:
         job: str = self.client.post("/v1/jobs", json=body).raise_for_status().json()["id"]
         return job
 
-    def wait(self, job: str) -> dict[str, Any]:
+    def wait(self, job: str, patience_s: float = PATIENCE_S) -> dict[str, Any]:
         """The job once it has ended well."""
-        deadline = time.monotonic() + PATIENCE_S
+        deadline = time.monotonic() + patience_s
         while time.monotonic() < deadline:
             answer: dict[str, Any] = self.client.get(f"/v1/jobs/{job}").raise_for_status().json()
             if answer["state"] == "succeeded":
@@ -65,7 +65,7 @@ class WholeService:
             if answer["state"] not in ("queued", "running"):
                 raise RuntimeError(f"job {job} is {answer['state']}: {answer['error']}")
             time.sleep(POLL_S)
-        raise TimeoutError(f"job {job} did not end within {PATIENCE_S:g} s")
+        raise TimeoutError(f"job {job} did not end within {patience_s:g} s")
 
     def run(self, mesh: TriangleMesh, number: int, **params: object) -> Ended:
         """Send a mesh, wait for its products and download them."""

@@ -1,0 +1,119 @@
+"""Photos to a swaying splat of the plant alone, over HTTP: four sets as people have them, and what came out.
+
+A tree on a lawn below a cloudy sky in changing light; a thin sapling with a mask per photo; RGBA pictures of a 3D
+program with their cameras; with DYNAMICTREE_SAMPLES set, 16 real photos of a banana. `plant_iou` compares, in the
+photos that the splat was not learned from, the pixels of the plant with those that the result covers;
+DYNAMICTREE_BENCHMARK_OUTPUT names a folder for what each job gave.
+"""
+
+import json
+import os
+import tempfile
+import time
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from benchmarks._machine import machine
+from benchmarks._photo_lawn import photograph_on_lawn
+from benchmarks._photo_set import photograph
+from benchmarks._whole_service import WholeService, stage_seconds, whole_service
+from dynamictree.formats.splat.ply import read_gaussian_ply
+from dynamictree.gaussian.rasterize import render_cloud
+from dynamictree.reconstruct.seen_from import read_cameras
+
+TARGET_IOU = 0.9
+PHOTOS, SIDE_PX = 30, 640
+FORMATS = ["splat", "png"]
+PATIENCE_S = 7200.0
+Masks = dict[str, np.ndarray]
+"""Of each photo, by its name, the pixels that show the plant."""
+
+
+def run() -> dict[str, object]:
+    sets = {"lawn": _lawn, "thin": _thin, "rgba": _rgba}
+    if os.environ.get("DYNAMICTREE_SAMPLES"):
+        sets["banana"] = _banana
+    chosen = os.environ.get("DYNAMICTREE_BENCHMARK_SETS", ",".join(sets)).split(",")
+    rows = {}
+    with whole_service() as service:
+        for name in chosen:
+            with tempfile.TemporaryDirectory() as folder:
+                rows[name] = _through_http(service, name, Path(folder), sets[name](Path(folder)))
+    iou = [row["plant_iou"] for row in rows.values() if row["plant_iou"] is not None]
+    return {"value": min(iou, default=None), "unit": "IoU", "target": TARGET_IOU, "sets": rows, **machine("numpy")}
+
+
+def _lawn(folder: Path) -> Masks:
+    return photograph_on_lawn(folder, number=36, side=SIDE_PX)
+
+
+def _thin(folder: Path) -> Masks:
+    """RGB photos, a mask of each beside them, and no cameras."""
+    taken = photograph(folder, number=PHOTOS, side=SIDE_PX, species="sapling", seed=3)
+    (folder / "transforms.json").unlink()
+    (folder / "masks").mkdir()
+    masks = {}
+    for path in taken.photos:
+        rgba = np.asarray(Image.open(path))
+        Image.fromarray(rgba[..., :3]).save(path)
+        Image.fromarray(np.where(rgba[..., 3] > 127, 255, 0).astype(np.uint8)).save(folder / "masks" / path.name)
+        masks[path.name] = rgba[..., 3] > 127
+    return masks
+
+
+def _rgba(folder: Path) -> Masks:
+    taken = photograph(folder, number=PHOTOS, side=SIDE_PX)
+    return {path.name: np.asarray(Image.open(path))[..., 3] > 127 for path in taken.photos}
+
+
+def _banana(folder: Path) -> Masks:
+    for path in (Path(os.environ["DYNAMICTREE_SAMPLES"]) / "photos" / "banana").glob("*.JPG"):
+        (folder / path.name).write_bytes(path.read_bytes())
+    return {}
+
+
+def _through_http(service: WholeService, name: str, folder: Path, masks: Masks) -> dict[str, Any]:
+    """Upload the folder, ask for the moving plant, and judge the splat that came."""
+    began, before_s = time.perf_counter(), service.worker_s()
+    paths = sorted(path for path in folder.rglob("*") if path.is_file())
+    files = [("file", (str(path.relative_to(folder)), path.read_bytes())) for path in paths]
+    asset = service.client.post("/v1/assets", files=files).raise_for_status().json()["id"]
+    job = service.wait(service.submit(asset, only_plant=True, formats=FORMATS), PATIENCE_S)
+    artifacts = service.client.get(f"/v1/jobs/{job['id']}/artifacts").raise_for_status().json()["artifacts"]
+    got = {file["name"]: service.client.get(file["url"]).raise_for_status().content for file in artifacts}
+    wall_s = time.perf_counter() - began
+    if output := os.environ.get("DYNAMICTREE_BENCHMARK_OUTPUT"):
+        for file, content in got.items():
+            path = Path(output) / name / file
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(content)
+    report = json.loads(got["report.json"])
+    return {
+        "minutes": round(wall_s / 60, 2),
+        "worker_s": round(service.worker_s() - before_s, 1),
+        "stages_s": stage_seconds(job),
+        "num_photos": report["num_photos"],
+        "num_registered": report["num_registered"],
+        "held_out_psnr_db": report["held_out_psnr_db"],
+        "held_out_masked_psnr_db": report["held_out_masked_psnr_db"],
+        "num_gaussians": report["num_gaussians"],
+        "plant_iou": _plant_iou(got, report["held_out"], masks) if masks else None,
+        "warnings": [warning["code"] for warning in job["result"]["warnings"]],
+    }
+
+
+def _plant_iou(got: dict[str, bytes], held_out: list[str], masks: Masks) -> float:
+    """Of all photos held out together."""
+    plant = read_gaussian_ply(BytesIO(got["splat.ply"]))
+    both = either = 0
+    for view in read_cameras(json.loads(got["cameras.json"])):
+        if view.photo not in held_out:
+            continue
+        drawn = render_cloud(plant, view.camera, width=view.width, height=view.height).alpha > 0.5
+        both += int((drawn & masks[view.photo]).sum())
+        either += int((drawn | masks[view.photo]).sum())
+    return round(both / either, 3)
