@@ -18,9 +18,10 @@ from dynamictree.commands.source import load_mesh
 from dynamictree.dataset.sapling import grow_tree
 from dynamictree.dataset.species import SPECIES
 from dynamictree.formats.axes import up_rotation
-from dynamictree.formats.upright import AXES, CERTAIN, judge_up_axis
+from dynamictree.formats.upright import CERTAIN, judge_up_axis
 from dynamictree.mesh import TriangleMesh
 from dynamictree.requests import Reading
+from dynamictree.up_axis import AXES
 
 SEEDS = (11, 12, 13)
 TARGET = 0.98

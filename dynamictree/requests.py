@@ -13,6 +13,7 @@ from dynamictree.errors import InputError
 from dynamictree.loop_frames import is_whole, nearest_loops
 from dynamictree.photo_requests import PhotoParams
 from dynamictree.request_model import LARGEST, Box, Finite, Request
+from dynamictree.up_axis import DIRECTION_PATTERN
 
 MAX_FRAMES = 1_000
 """Of one loop, as 16.7 s at 60 fps, or of a turbulent motion in a format that is written at once."""
@@ -77,17 +78,19 @@ GlbTextures = Literal["source", "webp"]
 Resolution = Literal[32, 64, 128, 256, 512]
 UpAxis = Annotated[
     str,
-    StringConstraints(pattern="^[+-]?[XYZxyz]$"),
-    AfterValidator(lambda axis: axis.upper() if axis[0] in "+-" else f"+{axis.upper()}"),
+    StringConstraints(max_length=80, pattern=f"^([+-]?[XYZxyz]|{DIRECTION_PATTERN})$"),
+    AfterValidator(lambda axis: f"+{axis.upper()}" if len(axis) == 1 else axis.upper()),
 ]
-"""Read as one of +X, -X, +Y, -Y, +Z and -Z; a sign may be missing."""
+"""One of +X, -X, +Y, -Y, +Z and -Z, where the + may be missing, or a direction."""
 
 
 class Reading(Request):
     """How to read a file whose format does not say its axes or unit."""
 
     up_axis: UpAxis | None = Field(
-        default=None, description="Up axis of the file: X, Y or Z, with + or - before it; detected if unset"
+        default=None,
+        description="Up axis of the file: X, Y or Z, with + or - before it, or a direction in its axes such as "
+        "0.17,-0.97,0.17; detected if unset",
     )
     unit_m: Finite | None = Field(
         default=None,

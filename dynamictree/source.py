@@ -8,6 +8,6 @@ class Source:
     """A file of a tree's shape. Empty and None where it is not known."""
 
     sha256: str = ""  # of the file's bytes
-    up_axis: str = ""  # of the file, such as "+Y"
+    up_axis: str = ""  # of the file, such as "+Y"; see `up_axis.py`
     up_confidence: float | None = None  # in [0, 1]; below 1 the axis was found from the shape
     scale: float | None = None  # metres in a unit of the file

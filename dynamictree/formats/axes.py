@@ -16,6 +16,7 @@ from jaxtyping import Float32, Float64
 from dynamictree.errors import InputError
 from dynamictree.formats.upright import CERTAIN, UpAxis, judge_up_axis
 from dynamictree.mesh import SourceWarning, TriangleMesh
+from dynamictree.up_axis import AXES, direction_of
 
 TALLEST_TREE_M = 120.0  # Hyperion, the tallest tree known, is 116 m
 USUAL_HEIGHT_M = (0.2, 60.0)
@@ -36,14 +37,23 @@ _TO_Z_UP = {
 
 
 def up_rotation(up_axis: str) -> Float64[np.ndarray, "3 3"]:
-    """Matrix that takes a file's axes to +Z up.
+    """Matrix that takes a file's axes to +Z up; for a direction, by the nearest axis and the smallest turn from there.
 
     Raises:
-        InputError: an axis that is none of ±X, ±Y, ±Z.
+        InputError: a name that `up_axis.direction_of` does not know.
     """
-    if up_axis not in _TO_Z_UP:
-        raise InputError(f"up_axis is {up_axis!r}; choose from {', '.join(_TO_Z_UP)}")
-    return np.array(_TO_Z_UP[up_axis], np.float64)
+    direction = np.array(direction_of(up_axis))
+    nearest = max(AXES, key=lambda axis: float(np.array(direction_of(axis)) @ direction))
+    rotation = np.array(_TO_Z_UP[nearest], np.float64)
+    return turn_to_z(rotation @ direction) @ rotation
+
+
+def turn_to_z(direction: Float64[np.ndarray, " 3"]) -> Float64[np.ndarray, "3 3"]:
+    """The smallest turn from a unit vector, not -Z, to +Z (Rodrigues)."""
+    x, y, z = direction
+    tilt = np.array([[0, 0, -x], [0, 0, -y], [x, y, 0]])
+    turn: Float64[np.ndarray, "3 3"] = np.eye(3) + tilt + tilt @ tilt / (1 + z)
+    return turn
 
 
 def mesh_to_z_up(

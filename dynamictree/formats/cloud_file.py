@@ -82,6 +82,16 @@ def cloud_kind(stream: SeekableReader, *, file_type: str) -> CloudKind:
     return kind
 
 
+def says_up_axis(stream: SeekableReader, *, file_type: str) -> bool:
+    """Whether a comment names the up axis, or the file is no splat: scanners know it. Stream left at its start."""
+    stream.seek(0)
+    stated = file_type not in (*SPLAT_TYPES, "glb", "ply")
+    if file_type == "ply":
+        stated = read_header(stream).up_axis is not None
+    stream.seek(0)
+    return stated
+
+
 def says_unit(stream: SeekableReader, *, file_type: str) -> bool:
     """Whether lengths have a unit, as scans and some PLY do; the stream is left at its start."""
     stream.seek(0)

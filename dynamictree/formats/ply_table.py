@@ -5,6 +5,7 @@ Only what clouds need: lists (faces) are recognised in the header and refused as
 
 import io
 import math
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,8 +13,8 @@ from jaxtyping import Shaped
 
 from dynamictree.errors import FormatError
 from dynamictree.formats.seekable import SeekableReader, remaining_bytes
+from dynamictree.up_axis import UP_AXIS_PATTERN
 
-UP_AXES = ("+X", "-X", "+Y", "-Y", "+Z", "-Z")
 _MAX_HEADER = 65_536  # bytes; the largest in use, 3DGS with SH 3, is 1.5 kB
 _TYPES = {
     "char": "i1",
@@ -69,7 +70,7 @@ class PlyHeader:
 
         A `Vertical axis: y` says nothing: Brush writes it into every splat, also where -Y is up.
         """
-        named = next((axis for axis in self._comment_values("up_axis") if axis in UP_AXES), None)
+        named = next((axis for axis in self._comment_values("up_axis") if re.fullmatch(UP_AXIS_PATTERN, axis)), None)
         return named or ("+Z" if "vertical axis: z" in (comment.lower() for comment in self.comments) else None)
 
     @property

@@ -9,9 +9,10 @@ import numpy as np
 import scipy  # its parts come in when they are used: the service starts without them
 
 from dynamictree.errors import FormatError
-from dynamictree.formats.axes import axis_doubts
-from dynamictree.formats.cloud_file import CLOUD_TYPES, SPLAT_TYPES, cloud_kind, read_cloud, says_unit
+from dynamictree.formats.axes import axis_doubts, up_rotation
+from dynamictree.formats.cloud_file import CLOUD_TYPES, SPLAT_TYPES, cloud_kind, read_cloud, says_unit, says_up_axis
 from dynamictree.formats.cloud_size import sized
+from dynamictree.formats.level import up_of_standing
 from dynamictree.formats.mesh_file import read_mesh, sniff_file_type
 from dynamictree.formats.seekable import SeekableReader
 from dynamictree.formats.splat.mask import read_mask
@@ -24,6 +25,7 @@ from dynamictree.mesh import SourceWarning
 from dynamictree.requests import Reading
 from dynamictree.trees.choose import several_trees
 from dynamictree.trees.segment import segment_trees
+from dynamictree.up_axis import name_of
 
 SourceKind = Literal["mesh", "cloud"]
 HEAD_BYTES = 64 * 1024
@@ -73,8 +75,8 @@ def read_capture(
     Args:
         stream: the cloud's file, at its start.
         file_type: such as `source_kind` gives.
-        reading: the file's axis and unit; if unset its format's habit and, for scans, 1 m. A splat of unknown unit
-            is made 5 m tall.
+        reading: the file's axis and unit; if unset its format's habit and, for scans, 1 m. A splat of unknown axes
+            is levelled, one of unknown unit made 5 m tall.
         mask: which Gaussians may move (`names.MASK_NAME`).
         mesh: name and content of a mesh that lies where the cloud lies, in the same axes and units.
         companions: files that the mesh, or the `meta.json` of a SOG folder, may name.
@@ -87,8 +89,9 @@ def read_capture(
     stated = reading.unit_m is not None or says_unit(stream, file_type=file_type)
     if file_type == "sog" and is_folder_file(stream):
         stream = bundled(stream, companions or {})
-    as_it_is = read_cloud(stream, file_type=file_type, up_axis=reading.up_axis, unit_m=reading.unit_m)
+    as_it_is, levelled = _upright(stream, file_type, reading)
     cloud, doubts = sized(as_it_is, height_m=reading.height_m, stated=stated)
+    doubts += levelled
     capture = with_still_parts(Capture(cloud=cloud, mask=None if mask is None else read_mask(mask), warnings=doubts))
     sides = () if reading.up_axis else _doubt_axis(capture)
     capture = replace(capture, warnings=(*doubts, *sides, *_doubt_plant(capture)))
@@ -108,6 +111,28 @@ def read_capture(
             reading=Reading(up_axis=cloud.source_up_axis, unit_m=cloud.source_scale),
             companions=companions,
         ),
+    )
+
+
+def _upright(
+    stream: SeekableReader, file_type: str, reading: Reading
+) -> tuple[GaussianCloud, tuple[SourceWarning, ...]]:
+    """Read a cloud; a splat of unknown axes is turned until what it stands on is level, which a warning says."""
+    up_axis, unit_m = reading.up_axis, reading.unit_m
+    stated = up_axis is not None or says_up_axis(stream, file_type=file_type)
+    cloud = read_cloud(stream, file_type=file_type, up_axis=up_axis, unit_m=unit_m)
+    up = None if stated else up_of_standing(cloud.means[cloud.opacity >= _VISIBLE].astype(np.float64))
+    if up is None:
+        return cloud, ()
+    usual, level = cloud.source_up_axis, name_of((up_rotation(cloud.source_up_axis).T @ up).tolist())
+    stream.seek(0)
+    tilt_deg = np.degrees(np.arccos(up[2]))
+    message = (
+        f"what the plant stands on is {tilt_deg:.0f}° from level if {usual} is up, so {level} was taken as up; "
+        f"set up_axis to {usual} if the plant stood upright before"
+    )
+    return read_cloud(stream, file_type=file_type, up_axis=level, unit_m=unit_m), (
+        SourceWarning(code="levelled", message=message),
     )
 
 

@@ -23,8 +23,8 @@ from jaxtyping import Bool, Float32, Float64, Int64
 from dynamictree.formats.still_parts import find_still_faces
 from dynamictree.gaussian.still_gaussians import touching_groups
 from dynamictree.mesh import TriangleMesh, connected_parts, part_bounds, weld
+from dynamictree.up_axis import AXES
 
-AXES = ("+X", "-X", "+Y", "-Y", "+Z", "-Z")
 CERTAIN = 0.8
 """Below this probability the axis is a guess, and the reader warns of it."""
 
@@ -138,6 +138,12 @@ def judge_up_axis_of_points(points: Float32[np.ndarray, "P 3"]) -> UpAxis:
     drawn = drawn[((drawn >= low) & (drawn <= high)).all(axis=1)]
     unknown = np.zeros(len(drawn), np.int64)
     return _likeliest(_cues_of_points(drawn, unknown, unknown, AXES), None)
+
+
+def standing_score(points: Float64[np.ndarray, "P 3"]) -> float:
+    """How much points look like a tree that stands on +Z: the larger, the likelier (a logit, for comparisons)."""
+    unknown = np.zeros(len(points), np.int64)
+    return float((_cues_of_points(points, unknown, unknown, ("+Z",)) @ WEIGHTS)[0])
 
 
 def axis_cues(mesh: TriangleMesh, axes: tuple[str, ...] = AXES) -> Float64[np.ndarray, "A C"] | None:

@@ -16,8 +16,18 @@ const FLAT = 0.1; // height of what lies, in its own width or the tree's height
 
 export const AXES = Object.keys(TO_Z_UP);
 
-/** The rotation of a file whose `axis` is up. */
-export const toZUp = (axis) => new THREE.Matrix3().set(...TO_Z_UP[axis]);
+/** The rotation of a file whose `axis`, or direction such as "0.17,-0.97,0.17", is up. */
+export function toZUp(axis) {
+  if (axis in TO_Z_UP) return new THREE.Matrix3().set(...TO_Z_UP[axis]);
+  const up = new THREE.Vector3(...axis.split(",").map(Number)).normalize();
+  const along = (name) => "XYZ".indexOf(name[1]);
+  const share = (name) => (name[0] === "+" ? 1 : -1) * up.getComponent(along(name));
+  const nearest = toZUp(AXES.reduce((best, name) => (share(name) > share(best) ? name : best)));
+  const z = new THREE.Vector3(0, 0, 1);
+  const turn = new THREE.Quaternion().setFromUnitVectors(up.applyMatrix3(nearest), z);
+  const matrix = new THREE.Matrix4().makeRotationFromQuaternion(turn);
+  return new THREE.Matrix3().setFromMatrix4(matrix).multiply(nearest);
+}
 
 /** `{ object, box }`: an object of a file whose `axis` is up, turned; `box` is its own where three.js knows none. */
 export function makeUpright(object, axis, box = null) {

@@ -12,7 +12,7 @@ export class TreeForm {
   /** `onApply({ reading, request, newUpload })`; `tree()` gives the tree on the stage. */
   constructor(stage, { onApply, tree }) {
     Object.assign(this, { stage, onApply, tree });
-    $("up-axis").replaceChildren(...AXES.map((axis) => element("option", { value: axis }, axis)));
+    this._listAxes();
     $("crop").replaceChildren(...SIDES.map(cropSlider));
     $("crop").oninput = () => this._showBox();
     $("crop-on").onchange = () => this._showBox();
@@ -36,6 +36,7 @@ export class TreeForm {
     this.height = extent ? extent[2] : (job?.params.height_m ?? 1);
     $("tree-height").value = toUnit(this.height).toFixed(2);
     fill($("tree-unit"), lengthUnit);
+    this._listAxes(up);
     $("up-axis").value = up ?? "+Z";
     $("gust").value = job?.params.wind?.gust ?? 0.3;
     this._listTrees(asset.summary.trees ?? [], job?.params.tree);
@@ -80,6 +81,13 @@ export class TreeForm {
     if (Object.keys(reading).length) reading.upAxis = axis;
     if (reading.upAxis && !reading.unitM) reading.unitM = scale;
     return reading;
+  }
+
+  /** The six axes, and the direction along which the file was levelled. */
+  _listAxes(up = "+Z") {
+    const names = AXES.includes(up) ? AXES : [up, ...AXES];
+    const words = (axis) => (AXES.includes(axis) ? axis : text("tree.level"));
+    $("up-axis").replaceChildren(...names.map((axis) => element("option", { value: axis }, words(axis))));
   }
 
   /** Of a file of several trees one can be chosen; otherwise each moves by itself. */

@@ -126,6 +126,7 @@ export default {
   "tree.title": "Größe, Lage, Zufall",
   "tree.height": "Höhe dieses Baums",
   "tree.doubt": "Die Einheit der Datei ist zweifelhaft: Dieser Baum wäre damit {height} hoch. Hier seine Höhe angeben.",
+  "tree.level": "wie ausgerichtet",
   "tree.person": "Der Mensch daneben ist {height} groß.",
   "tree.up": "Oben in der Datei",
   "tree.reread": "Die Dateien noch einmal ablegen, um Größe oder Lage zu ändern.",

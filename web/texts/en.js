@@ -126,6 +126,7 @@ export default {
   "tree.title": "Size, direction, chance",
   "tree.height": "Height of this tree",
   "tree.doubt": "The file’s unit is doubtful: it would make this tree {height} high. Set its height here.",
+  "tree.level": "as levelled",
   "tree.person": "The person beside it is {height} tall.",
   "tree.up": "Up in the file",
   "tree.reread": "Drop the files again to change its size or direction.",

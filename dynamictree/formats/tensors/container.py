@@ -13,6 +13,7 @@ from dynamictree.byte_stream import ByteReader, ByteWriter, read_all
 from dynamictree.errors import FormatError
 from dynamictree.formats.seekable import SeekableReader
 from dynamictree.source import Source
+from dynamictree.up_axis import UP_AXIS_PATTERN
 from dynamictree.voxel.grid import VoxelGrid
 
 MAX_FILE_BYTES = 1 << 30
@@ -167,7 +168,7 @@ def source_of(metadata: Mapping[str, str]) -> Source:
     )
     return Source(
         sha256=text(metadata, "source_sha256", r"([0-9a-f]{64})?"),
-        up_axis=text(metadata, "source_up_axis", r"([+-][XYZ])?"),
+        up_axis=text(metadata, "source_up_axis", rf"({UP_AXIS_PATTERN})?"),
         up_confidence=confidence,
         scale=scale,
     )
