@@ -15,7 +15,7 @@ from dynamictree.render import Camera
 
 Color = tuple[float, float, float]
 _EYES_M = 1.6
-_CELLS, _TILE_M = 2048, 12.0  # along a side of what is repeated
+_CELLS = 4096  # along the lawn, and around the hedge: nothing is there twice
 _CLOUD_CELLS = 256, 1024  # up and around
 _GRAINS = 0.8, 2.5, 8.0, 25.0, 80.0  # in cells
 _HEDGE_RADIUS, _HEDGE_HEIGHT = 4.0, 0.35  # of the tree's height
@@ -74,15 +74,16 @@ class _Garden:
         to_hedge = (np.sqrt(b**2 - a * (start[:2] @ start[:2] - self.hedge_radius_m**2)) - b) / a
         place = start + to_hedge[..., None] * ray
         on_hedge = (place[..., 2] > 0) & (place[..., 2] < self.hedge_height_m)
+        around_m = 2 * np.pi * self.hedge_radius_m
         along = self.hedge_radius_m * np.arctan2(place[..., 1], place[..., 0])
         pixel_m = to_hedge / (camera.focal * side)
-        color[on_hedge] = self._grained(along, place[..., 2], pixel_m, _HEDGE, _SHADE)[on_hedge]
+        color[on_hedge] = self._grained(along, place[..., 2], pixel_m, around_m, _HEDGE, _SHADE)[on_hedge]
         down = np.minimum(ray[..., 2], -1e-6)
         to_lawn = -start[2] / down
         place = start + to_lawn[..., None] * ray
-        on_lawn = to_lawn < to_hedge
+        on_lawn, across_m = to_lawn < to_hedge, 2 * self.hedge_radius_m
         pixel_m = to_lawn / (camera.focal * side * -down)
-        color[on_lawn] = self._grained(place[..., 0], place[..., 1], pixel_m, _GRASS, _SOIL)[on_lawn]
+        color[on_lawn] = self._grained(place[..., 0], place[..., 1], pixel_m, across_m, _GRASS, _SOIL)[on_lawn]
         return color
 
     def _grained(
@@ -90,11 +91,12 @@ class _Garden:
         x_m: Float64[np.ndarray, "H W"],
         y_m: Float64[np.ndarray, "H W"],
         pixel_m: Float64[np.ndarray, "H W"],
+        whole_m: float,
         light: Color,
         dark: Color,
     ) -> Float64[np.ndarray, "H W 3"]:
         """Blades and tufts of all sizes; what is smaller than a pixel is not seen."""
-        per_m = _CELLS / _TILE_M
+        per_m = _CELLS / whole_m
         shade = np.full(x_m.shape, 0.5)
         for layer, size in zip(self.grain, _GRAINS, strict=True):
             seen = np.exp(-((per_m * pixel_m / (4 * size)) ** 2))
