@@ -32,6 +32,7 @@ SOFT = 1e-3  # directions that give way by a smaller share of the softest are st
 ROUNDS = 120
 SETTLED = 3e-4  # of the target: a step that changes the point by less is the last
 STEP_RAD = 0.5
+SLACK = 0.03  # of the pull: a drag ends so far within the length of the branches
 _ACCEPT, _REFUSE = 0.25, 6.0  # factors of Levenberg's damping
 
 
@@ -109,13 +110,14 @@ def pull_to(grip: Grip, target_m: Float64[np.ndarray, " 3"], *, near: Pull | Non
     if n == 0 or grip.tolerance_m2_j <= 0:
         still = np.zeros(3)
         return Pull(force_n=still, bend=np.zeros((n, 3)), unknowns=y, reached_m=still, beyond_m=0.0)
+    within, beyond = _within_length(grip.chain, target_m)
     damping = 0.1
-    now = _Linear(grip, y, target_m)
+    now = _Linear(grip, y, within)
     settled = SETTLED * float(np.linalg.norm(target_m))
     for _ in range(ROUNDS):
         step = now.step(damping)
         largest = float(np.abs(np.concatenate([grip.turns_per_unit @ step[:num_soft], step[num_soft:]])).max())
-        tried = _Linear(grip, y + step * min(1.0, STEP_RAD / max(largest, 1e-12)), target_m)
+        tried = _Linear(grip, y + step * min(1.0, STEP_RAD / max(largest, 1e-12)), within)
         if not tried.cost < now.cost:
             damping *= _REFUSE
             if damping > 1e8:
@@ -126,15 +128,29 @@ def pull_to(grip: Grip, target_m: Float64[np.ndarray, " 3"], *, near: Pull | Non
         damping = max(damping * _ACCEPT, 1e-9)
         if moved < settled and last < 1e-2:
             break
-    segments = grip.chain.segments_m
-    distance = np.linalg.norm(segments.sum(axis=0) + target_m)
     return Pull(
         force_n=grip.force_per_unit @ y[:num_soft],
         bend=y[num_soft:].reshape(n, 3),
         unknowns=y,
         reached_m=now.reached,
-        beyond_m=float(max(0.0, distance - np.linalg.norm(segments, axis=1).sum())),
+        beyond_m=beyond,
     )
+
+
+def _within_length(chain: Chain, target_m: Float64[np.ndarray, " 3"]) -> tuple[Float64[np.ndarray, " 3"], float]:
+    """The place nearest to a target that the chain reaches with some slack, and how far the target is beyond it [m].
+
+    Towards a place at the whole length or beyond, forces grow without bounds. A straight chain that bends evenly
+    until its chord has turned by φ is as short as sin φ / φ of its length.
+    """
+    chord = chain.segments_m.sum(axis=0)
+    arm = chord + target_m  # from the root to the target
+    distance, length = float(np.linalg.norm(arm)), float(np.linalg.norm(chain.segments_m, axis=1).sum())
+    straight = float(np.linalg.norm(chord))
+    turned = float(np.arctan2(np.linalg.norm(np.cross(chord, arm)), chord @ arm))  # φ
+    longest = max(length - SLACK * float(np.linalg.norm(target_m)), straight * float(np.sinc(turned / np.pi)))
+    within = target_m - max(1 - longest / max(distance, 1e-12), 0.0) * arm
+    return within, max(0.0, distance - length)
 
 
 class _Linear:

@@ -55,6 +55,16 @@ def test_a_pull_along_a_stem_is_not_followed_and_says_so(forked):
     assert answer.reached[0].reached_m[2] < 0.1
 
 
+def test_a_target_beyond_the_branches_is_approached_without_folding_them(forked):
+    tree, parts = forked
+    row, vector = parts["stem"][6], (0.0, 0.3, 0.1)
+    answer = pulled(tree, row, vector)
+    assert answer.reached[0].beyond_m > 0.2
+    assert np.linalg.norm(answer.bends[0][0], axis=1).max() < 0.75
+    left = np.linalg.norm(path_of(tree, row, answer)[0] - vector) - answer.reached[0].beyond_m
+    assert 0 <= left < 0.05 * np.linalg.norm(vector)
+
+
 def test_the_other_branch_only_rides_on_the_stem(forked):
     tree, parts = forked
     answer = pulled(tree, parts["right"][-1], (0.0, 0.3, 0.0))
