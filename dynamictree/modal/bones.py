@@ -20,6 +20,10 @@ from dynamictree.voxel.graph import root_rows, voxel_graph
 
 BONE_VOXELS = 5.0  # length of a bone, in voxels
 DETOUR = 100.0  # an edge is as many times longer whose ends move as unlike as strangers do
+WAY_POWER = (
+    0.5  # on the way to the root, slow modes count more: in fast ones, leaves on a stem are as unlike as strangers
+)
+WAY_FLOOR = 0.1  # of the mean motion; at the foot, which hardly moves, noise is no sign of another stem
 APART = 0.5  # unlikeness above which touching voxels are no neighbours
 SMALLEST_NODE = 2.4  # voxels per voxel of length; smaller ones, mostly leaves and twigs, are part of their parent
 SOFTENING_VOXELS = 0.5  # a bone much shorter than this does not turn: its direction is chance
@@ -128,7 +132,8 @@ def _nodes(system: ModalSystem, length_voxels: float) -> tuple[_Paths, _Nodes]:
     grid = system.grid
     edges = voxel_graph(grid).tocoo()
     unlike = unlikeness(system, edges.row, edges.col)
-    length = edges.data * (1 + DETOUR * unlike)
+    way = unlikeness(system, edges.row, edges.col, strength_power=WAY_POWER, floor=WAY_FLOOR)
+    length = edges.data * (1 + DETOUR * way)
     graph = scipy.sparse.csr_array((length, (edges.row, edges.col)), shape=(len(grid), len(grid)))
     roots = root_rows(graph, grid)
     distance, before, _ = dijkstra(graph, indices=roots, min_only=True, return_predecessors=True)

@@ -87,18 +87,30 @@ def poke_weights(tree: Branching, seed_voxel: int, falloff_m: float) -> Float32[
 
 
 def unlikeness(
-    system: ModalSystem, start: Int[np.ndarray, " E"], end: Int[np.ndarray, " E"]
+    system: ModalSystem,
+    start: Int[np.ndarray, " E"],
+    end: Int[np.ndarray, " E"],
+    *,
+    strength_power: float = 0.0,
+    floor: float = 0.0,
 ) -> Float64[np.ndarray, " E"]:
-    """How unlike two voxels move: |φ_a − φ_b|² / |φ_a||φ_b|, at most 1, with all modes scaled to one strength.
+    """How unlike two voxels move: |φ_a − φ_b|² / |φ_a||φ_b|, at most 1, with modes scaled to comparable strengths.
 
     The slow modes are the trunk's, which all twigs share; it is by the fast ones that two twigs differ. Of touching
     voxels on dataset trees, those of one stem have a median of 0.003, leaves on it of 0.1, those of two branches of 1.
+
+    Args:
+        system: the modes.
+        start: one voxel of each pair.
+        end: the other.
+        strength_power: of a mode's strength that is left after the scaling: 0 makes all modes as strong, 1 scales none.
+        floor: share of the tree's mean |φ| below which a voxel stands still, and is like its neighbours.
     """
     strength = np.sqrt((np.abs(system.shapes) ** 2).mean(axis=(0, 2), keepdims=True))  # [1, M, 1]
-    scaled = system.shapes / np.maximum(strength, np.finfo(np.float32).tiny)
-    flat = scaled.reshape(len(system.grid), -1).view(np.float32)  # [V, 6M]
+    scaled = system.shapes * np.maximum(strength, np.finfo(np.float32).tiny) ** (strength_power - 1)
+    flat = scaled.astype(np.complex64).reshape(len(system.grid), -1).view(np.float32)  # [V, 6M]
     norm = np.linalg.norm(flat, axis=1)
     apart = np.linalg.norm(flat[start] - flat[end], axis=1)
-    similar = np.maximum(norm[start] * norm[end], np.finfo(np.float32).tiny)
-    unlike: Float64[np.ndarray, " E"] = np.minimum(apart**2 / similar, 1).astype(np.float64)
-    return unlike
+    least = max(floor**2 * float((norm**2).mean()), float(np.finfo(np.float32).tiny))
+    unlike: Float64[np.ndarray, " E"] = np.minimum(apart**2 / np.maximum(norm[start] * norm[end], least), 1)
+    return unlike.astype(np.float64)

@@ -1,10 +1,13 @@
 """What a poke may reach."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.errors import InputError
+from dynamictree.modal.bones import WAY_FLOOR
 from dynamictree.modal.force import Impulse, contact_at_voxel, generalised_force
 from dynamictree.modal.locality import branching, default_falloff_m, poke_weights, unlikeness
 from dynamictree.modal.step import State, exact_step, run
@@ -59,6 +62,16 @@ def test_voxels_of_one_stem_are_no_strangers_and_those_of_two_are(forked):
     one = parts["right"].astype(np.int32)
     assert np.median(unlikeness(system, one[:-1], one[1:]) ** 3) < 0.05
     assert (unlikeness(system, one[-3:], parts["left"][-3:].astype(np.int32)) ** 3).min() > 0.25
+
+
+def test_noise_where_hardly_anything_moves_makes_no_strangers(forked, rng):
+    system, _, parts = forked
+    foot = parts["stem"][:4].astype(np.int32)
+    shapes = system.shapes.copy()
+    shapes[foot] = 1e-3 * np.abs(shapes).max() * rng.normal(size=shapes[foot].shape)
+    trembling = replace(system, shapes=shapes)
+    assert unlikeness(trembling, foot[:-1], foot[1:]).min() > 0.5
+    assert unlikeness(trembling, foot[:-1], foot[1:], floor=WAY_FLOOR).max() < 0.1
 
 
 @pytest.mark.parametrize(("row", "falloff_m"), [(-1, 1.0), (150, 1.0), (0, 0.0), (0, float("nan"))])
