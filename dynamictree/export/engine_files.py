@@ -106,7 +106,7 @@ def write_engine_wind(tree: MovingTree, stream: BinaryIO, report: Report) -> Non
     wind = turbulent_wind(tree.spectrum, seed=tree.spectrum.seed)
     num_frames = tree.spectrum.num_frames
     skeleton = turn_skeleton(tree.mesh, tree.spectrum.grid)
-    bones = skeleton, turn_modes(skeleton, tree.mesh.vertices, tree.coefficients, num_frames)
+    bones = skeleton, turn_modes(skeleton, tree.mesh, tree.coefficients, num_frames)
     stream.writelines(iter_engine_wind_zip(tree.mesh, tree.coefficients, wind, pivots, bones, num_frames=num_frames))
 
 

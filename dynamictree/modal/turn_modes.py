@@ -6,17 +6,19 @@ parent of bone b, a vertex x with the share s of the parent goes to
 
     f'_b + R((1 - s) v_b + s v_a) (x - f_b),        f'_b = f'_a + R(v_a) (f_b - f_a).
 
-θ_k are the least squares of the vertices' modes in the linear motion, with a price on what neighbours turn apart. The
-motion's own loop is then played, and what is missing in its K frequencies is fitted and added, `ROUNDS` times.
+θ_k are the least squares of the vertices' modes in the linear motion, with a price on what neighbours turn apart and
+on the stretch of the mesh's edges: stretch of first order grows with the wind. The motion's own loop is then played,
+and what is missing in its K frequencies is fitted and added, `ROUNDS` times.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse
-from jaxtyping import Complex64, Float32, Float64, Int
+from jaxtyping import Complex64, Complex128, Float32, Float64, Int, Int32
 
 from dynamictree.devoxelize.symmetric_factor import SymmetricFactor, factored
+from dynamictree.mesh import TriangleMesh, edges_of
 from dynamictree.modal.turn_skeleton import FINENESS, GROUND, TurnSkeleton
 from dynamictree.spectrum import iter_motion
 
@@ -24,28 +26,32 @@ ROUNDS = 3
 """A fourth gains less than a tenth of the error."""
 FRAMES_A_FREQUENCY = 3
 _APART = 1.0  # price of a bone's turn against its parent's, as that of moving a vertex at its end
-_CHAINED = 1e6  # price of leaving the parent, likewise
+_APART_BESIDE = 10.0  # likewise, against another bone that edges join it to, as in a crown that is one surface
+_STRETCH = 2000.0  # price of an edge that grows by its own length, as that of moving a vertex by a voxel
+_SHORTEST_EDGE = 0.25  # in voxels; shorter edges cost no more
+_CHAINED = 1e6  # price of leaving the parent, as that of moving a vertex
 
 
 def turn_modes(
     skeleton: TurnSkeleton,
-    vertices: Float32[np.ndarray, "N 3"],
+    mesh: TriangleMesh,
     coefficients: Complex64[np.ndarray, "N K 3"],
     num_frames: int,
 ) -> Complex64[np.ndarray, "B K 3"]:
-    """Turn modes [rad] for modes of the vertices [m]; `num_frames` is T of the spectrum."""
-    fit = _fit(skeleton, vertices)
+    """Turn modes [rad] for modes of the mesh's vertices [m]; `num_frames` is T of the spectrum."""
+    fit = _fit(skeleton, mesh)
     num_frequencies = coefficients.shape[1]
     wanted = fit.pull @ _by_axis(coefficients)  # [6B, K]
-    turns = fit.turns(wanted)
+    solution = fit.solve(wanted)
     phases = np.arange(FRAMES_A_FREQUENCY * num_frequencies) / (FRAMES_A_FREQUENCY * num_frequencies)
     for _ in range(ROUNDS):
         frames = [
-            fit.pull @ posed(skeleton, vertices, theta).ravel() for theta in iter_motion(turns, phases, num_frames)
+            fit.pull @ posed(skeleton, mesh.vertices, theta).ravel()
+            for theta in iter_motion(_turns(solution), phases, num_frames)
         ]
         reached = np.fft.rfft(np.stack(frames), axis=0, norm="forward")[:num_frequencies].T  # [6B, K]
-        turns = turns + fit.turns(wanted - reached)
-    return turns
+        solution = solution + fit.solve(wanted - reached - fit.stretch @ solution)
+    return _turns(solution)
 
 
 def posed(
@@ -78,20 +84,24 @@ def turned(half: Float64[np.ndarray, "n 3"], arm: Float64[np.ndarray, "n 3"]) ->
 
 @dataclass(frozen=True, kw_only=True)
 class _Fit:
-    """Least squares of the linear motion in 6B unknowns: displacements of feet, then turns."""
+    """Least squares of the linear motion in U = 6B unknowns: displacements of feet, then turns."""
 
-    pull: scipy.sparse.csr_array  # [6B, 3N], from displacements of the vertices to the right-hand side
+    pull: scipy.sparse.csr_array  # [U, 3N], from displacements of the vertices to the right-hand side
+    stretch: scipy.sparse.csr_array  # [U, U], the price of stretch
     factor: SymmetricFactor
 
-    def turns(self, right: np.ndarray) -> Complex64[np.ndarray, "B K 3"]:
-        solved = self.factor.solve(np.concatenate([right.real, right.imag], axis=1))
-        solved = solved[len(solved) // 2 :].reshape(len(solved) // 6, 3, 2, -1)  # [B, 3, 2, K]
-        turns = (solved[:, :, 0] + 1j * solved[:, :, 1]).transpose(0, 2, 1)
-        return np.ascontiguousarray(turns).astype(np.complex64)
+    def solve(self, right: np.ndarray) -> Complex128[np.ndarray, "U K"]:
+        real, imaginary = np.split(self.factor.solve(np.concatenate([right.real, right.imag], axis=1)), 2, axis=1)
+        return np.asarray(real + 1j * imaginary)
 
 
-def _fit(skeleton: TurnSkeleton, vertices: Float32[np.ndarray, "N 3"]) -> _Fit:
-    num_bones = len(skeleton.parent)
+def _turns(solution: Complex128[np.ndarray, "U K"]) -> Complex64[np.ndarray, "B K 3"]:
+    turns = solution[len(solution) // 2 :].reshape(len(solution) // 6, 3, -1)
+    return np.ascontiguousarray(turns.transpose(0, 2, 1)).astype(np.complex64)
+
+
+def _fit(skeleton: TurnSkeleton, mesh: TriangleMesh) -> _Fit:
+    num_bones, vertices = len(skeleton.parent), mesh.vertices
     bone, above = skeleton.bone, np.maximum(skeleton.parent, 0)
     share = skeleton.parent_share[:, None, None].astype(np.float64)
     foot = skeleton.foot_m.astype(np.float64)
@@ -112,17 +122,43 @@ def _fit(skeleton: TurnSkeleton, vertices: Float32[np.ndarray, "N 3"]) -> _Fit:
         (each, num_bones + above, has_parent * _cross(foot - foot[above])),
     )
     voxel_m = float(np.ptp(vertices, axis=0).max()) / FINENESS
-    lever_m = np.sqrt((skeleton.reach_m.astype(np.float64) ** 2).sum(axis=1) + voxel_m**2)[:, None, None]
-    apart = _blocks(
-        (num_bones, num_bones),
-        (each, num_bones + each, lever_m * one),
-        (each, num_bones + above, -lever_m * has_parent * one),
-    )
+    edges = edges_of(mesh.faces)
+    apart = _apart(skeleton, edges, voxel_m)
     still = np.zeros(6 * num_bones)
     still[3 * (num_bones + GROUND) : 3 * (num_bones + GROUND + 1)] = _CHAINED
     pull = moves.T.tocsr()
-    system = pull @ moves + _CHAINED * (chain.T @ chain) + _APART * (apart.T @ apart) + scipy.sparse.diags_array(still)
-    return _Fit(pull=pull, factor=factored(system.tocsc()))
+    growth = _growth(vertices, edges, voxel_m) @ moves
+    stretch = _STRETCH * (growth.T @ growth)
+    system = pull @ moves + _CHAINED * (chain.T @ chain) + apart.T @ apart + stretch + scipy.sparse.diags_array(still)
+    return _Fit(pull=pull, stretch=stretch.tocsr(), factor=factored(system.tocsc()))
+
+
+def _apart(skeleton: TurnSkeleton, edges: Int32[np.ndarray, "E 2"], voxel_m: float) -> scipy.sparse.csr_array:
+    """What neighbours turn apart times the length of the shorter bone, weighted [m]; 6B columns."""
+    num_bones, parent = len(skeleton.parent), skeleton.parent
+    joined = np.unique(np.sort(skeleton.bone[edges], axis=1), axis=0)
+    first, second = joined[(parent[joined[:, 0]] != joined[:, 1]) & (parent[joined[:, 1]] != joined[:, 0])].T
+    child = np.arange(1, num_bones)
+    one, other = np.concatenate([child, first]), np.concatenate([parent[1:], second])
+    price = np.repeat([_APART, _APART_BESIDE], [len(child), len(first)])
+    length = (skeleton.reach_m.astype(np.float64) ** 2).sum(axis=1)
+    lever_m = np.sqrt(price * (np.minimum(length[one], length[other]) + voxel_m**2))[:, None, None] * np.eye(3)
+    rows = np.arange(len(one))
+    return _blocks((len(one), num_bones), (rows, num_bones + one, lever_m), (rows, num_bones + other, -lever_m))
+
+
+def _growth(
+    vertices: Float32[np.ndarray, "N 3"], edges: Int32[np.ndarray, "E 2"], voxel_m: float
+) -> scipy.sparse.csr_array:
+    """From displacements [m] to first-order growth of the edges, as a share of a length, in voxels [E, 3N]."""
+    across = (vertices[edges[:, 0]] - vertices[edges[:, 1]]).astype(np.float64)
+    length = np.linalg.norm(across, axis=1)
+    edges, across, length = edges[length > 0], across[length > 0], length[length > 0]
+    values = across * (voxel_m / (length * np.maximum(length, _SHORTEST_EDGE * voxel_m)))[:, None]
+    columns = 3 * edges[:, :, None] + np.arange(3)  # [E, 2, 3]
+    ends = 6 * np.arange(len(edges) + 1)
+    signed = np.stack([values, -values], axis=1)
+    return scipy.sparse.csr_array((signed.ravel(), columns.ravel(), ends), shape=(len(edges), 3 * len(vertices)))
 
 
 def _blocks(

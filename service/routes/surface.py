@@ -100,7 +100,7 @@ def _wind_bones(
     from dynamictree.modal.turn_skeleton import turn_skeleton
 
     skeleton = turn_skeleton(mesh, spectrum.grid, vertex_ties(ready, mesh).attachments)
-    turns = turn_modes(skeleton, mesh.vertices, coefficients, spectrum.num_frames)
+    turns = turn_modes(skeleton, mesh, coefficients, spectrum.num_frames)
     weights = bin_weights(spectrum.num_frequencies, spectrum.num_frames)
     shapes, scale = quantised(turns * weights[:, None])
     return {

@@ -59,7 +59,7 @@ def test_bones_in_the_file_are_the_librarys(archive: zipfile.ZipFile, tree: Tree
     mesh, spectrum = tree
     engine = read_engine_wind(archive)
     skeleton = turn_skeleton(mesh, spectrum.grid)
-    turns = turn_modes(skeleton, mesh.vertices, method.devoxelize(spectrum, mesh), spectrum.num_frames)
+    turns = turn_modes(skeleton, mesh, method.devoxelize(spectrum, mesh), spectrum.num_frames)
     np.testing.assert_array_equal(engine.parent, skeleton.parent)
     np.testing.assert_array_equal(engine.bone, skeleton.bone)
     np.testing.assert_allclose(engine.parent_share, skeleton.parent_share, atol=1e-6)

@@ -7,7 +7,7 @@ import pytest
 
 from dynamictree import method
 from dynamictree.dataset.sample import make_sample, voxel_spectrum
-from dynamictree.mesh import TriangleMesh
+from dynamictree.mesh import TriangleMesh, edges_of
 from dynamictree.modal.turn_modes import half_turns, posed, turn_modes, turned
 from dynamictree.modal.turn_skeleton import GROUND, TurnSkeleton, turn_skeleton
 from dynamictree.spectrum import SparseVoxelSpectrum, iter_motion
@@ -21,7 +21,7 @@ def tree() -> Tree:
     spectrum = voxel_spectrum(sample, 32)[1]
     skeleton = turn_skeleton(sample.mesh, spectrum.grid)
     coefficients = method.devoxelize(spectrum, sample.mesh)
-    turns = turn_modes(skeleton, sample.mesh.vertices, coefficients, spectrum.num_frames)
+    turns = turn_modes(skeleton, sample.mesh, coefficients, spectrum.num_frames)
     return sample.mesh, spectrum, skeleton, coefficients, turns
 
 
@@ -65,7 +65,7 @@ def test_a_turn_is_by_the_arc_tangent(rng: np.random.Generator) -> None:
 def test_a_breeze_is_a_sum_of_modes(tree: Tree) -> None:
     mesh, spectrum, skeleton, coefficients, _ = tree
     breeze = (0.01 * coefficients).astype(np.complex64)
-    turns = turn_modes(skeleton, mesh.vertices, breeze, spectrum.num_frames)
+    turns = turn_modes(skeleton, mesh, breeze, spectrum.num_frames)
     assert _error(mesh, skeleton, turns, breeze, spectrum.num_frames) < 0.04
     # and linear: twice the turns move vertices twice as far
     theta = next(iter_motion(turns, np.array([0.3]), spectrum.num_frames))
@@ -78,6 +78,17 @@ def test_the_loop_of_the_motion_comes_back(tree: Tree) -> None:
     assert _error(mesh, skeleton, turns, coefficients, spectrum.num_frames) < 0.04
 
 
+def test_edges_keep_their_lengths_in_a_storm(tree: Tree) -> None:
+    mesh, spectrum, skeleton, _, turns = tree
+    edges = edges_of(mesh.faces)
+    rest = np.linalg.norm(mesh.vertices[edges[:, 0]] - mesh.vertices[edges[:, 1]], axis=1)
+    growth = []
+    for theta in iter_motion(turns, np.arange(8) / 8, spectrum.num_frames):
+        moved = mesh.vertices + posed(skeleton, mesh.vertices, np.float32(4) * theta)
+        growth.append(np.abs(np.linalg.norm(moved[edges[:, 0]] - moved[edges[:, 1]], axis=1) / rest - 1))
+    assert np.percentile(growth, 99) < 0.003
+
+
 def test_what_is_no_plant_stands_still(tree: Tree) -> None:
     mesh, spectrum, _, coefficients, _ = tree
     pot = mesh.vertices[:, 2] < 0.1 * mesh.vertices[:, 2].max()
@@ -86,7 +97,7 @@ def test_what_is_no_plant_stands_still(tree: Tree) -> None:
     potted = replace(mesh, still_faces=still_faces)
     skeleton = turn_skeleton(potted, spectrum.grid)
     assert (skeleton.bone[potted.still_vertices] == GROUND).all()
-    turns = turn_modes(skeleton, mesh.vertices, coefficients, spectrum.num_frames)
+    turns = turn_modes(skeleton, mesh, coefficients, spectrum.num_frames)
     assert np.abs(turns[GROUND]).max() < 1e-4
 
 

@@ -248,7 +248,7 @@ def test_a_surface_has_the_bones_that_turn_in_the_wind(
 ) -> None:
     tensors = load(client.get(f"/v1/spectra/{spectrum_id}/surface").content)
     skeleton = turn_skeleton(grown.mesh, spectrum.grid)
-    turns = turn_modes(skeleton, grown.mesh.vertices, method.devoxelize(spectrum, grown.mesh), spectrum.num_frames)
+    turns = turn_modes(skeleton, grown.mesh, method.devoxelize(spectrum, grown.mesh), spectrum.num_frames)
     turns[:, 1:] *= 2
     parts = tensors["turn_shapes"] * tensors["turn_scale_rad"][:, None, None]  # [B, K, 3, 2]
     apart = np.abs(parts[..., 0] + 1j * parts[..., 1] - turns).max(axis=(0, 2))
