@@ -5,9 +5,7 @@ minutes of 20 m/s; the motion is the model's for 8 m/s. And how far the bones ar
 of that motion's own wind, in per cent of the motion.
 """
 
-import os
 import zipfile
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -16,13 +14,11 @@ import numpy as np
 
 from benchmarks._engine_wind import read_engine_wind
 from benchmarks._machine import machine
-from benchmarks.part_gaps import MESHES
+from benchmarks._stretch import Sizes, trees
 from dynamictree import method
-from dynamictree.commands.source import load_mesh
-from dynamictree.dataset.sample import make_sample
 from dynamictree.export.vertex_motion import vertex_motion
 from dynamictree.export.write import write_products
-from dynamictree.mesh import TriangleMesh, edges_of
+from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.turbulence import iter_turbulent_motion, turbulent_wind
 from dynamictree.modal.turn_skeleton import turn_skeleton
 from dynamictree.requests import ExportParams, Wind
@@ -30,11 +26,10 @@ from dynamictree.spectrum import iter_motion
 
 STORM_M_S, SECONDS = 20.0, np.linspace(0, 120, 25)
 LOOP_FRAMES = 24
-SPECIES = ("weeping", "palm", "pine", "round-broadleaf")
 
 
 def run() -> dict[str, object]:
-    rows = {name: _compared(mesh) for name, mesh in _meshes()}
+    rows = {name: _compared(mesh) for name, mesh in trees()}
     return {
         "value": max(row["edges_percent"] for row in rows.values()),
         "unit": "% of an edge, 99th percentile in a storm, worst tree",
@@ -42,14 +37,6 @@ def run() -> dict[str, object]:
         "trees": rows,
         **machine("numpy", "torch", "OpenEXR"),
     }
-
-
-def _meshes() -> Iterator[tuple[str, TriangleMesh]]:
-    for seed, species in enumerate(SPECIES):
-        yield species, make_sample(seed, species).mesh
-    samples = os.environ.get("DYNAMICTREE_SAMPLES")
-    for name in MESHES if samples else ():
-        yield name, load_mesh(Path(str(samples)) / name)
 
 
 def _compared(mesh: TriangleMesh) -> dict[str, float]:
@@ -65,14 +52,10 @@ def _compared(mesh: TriangleMesh) -> dict[str, float]:
     summed = iter_turbulent_motion(coefficients, storm, SECONDS, spectrum.num_frames)
     shipped = (engine.displacement(seconds, STORM_M_S) for seconds in SECONDS.tolist())
     skeleton = turn_skeleton(mesh, spectrum.grid)
-    in_card = skeleton.in_card[mesh.faces].all(axis=1)
+    sizes = Sizes.of(mesh, skeleton.in_card)
     row = {"vertices": mesh.num_vertices, "in_cards_percent": round(100 * float(skeleton.in_card.mean()), 1)}
     for suffix, motion in (("", shipped), ("_summed", summed)):
-        frames = [mesh.vertices + frame for frame in motion]
-        row["edges_percent" + suffix] = _growth([_lengths(mesh, frame) for frame in [mesh.vertices, *frames]])
-        row["cards_percent" + suffix] = _growth(
-            [_areas(frame[mesh.faces[in_card]]) for frame in [mesh.vertices, *frames]]
-        )
+        row["edges_percent" + suffix], row["cards_percent" + suffix] = sizes.growth_percent(motion)
     phases = np.arange(LOOP_FRAMES) / LOOP_FRAMES
     linear = iter_motion(coefficients, phases, spectrum.num_frames)
     error = power = 0.0
@@ -94,23 +77,3 @@ def _look_ups(depths: np.ndarray, num_modes: int) -> int:
     """Of the pass that computes the bones: of each texel the bone itself, then its modes and those of each ancestor."""
     turn = num_modes + 1  # and the direction
     return int(len(depths) * (4 * 2 + 2 * turn) + depths.sum() * (turn + 3))
-
-
-def _growth(sizes: list[np.ndarray]) -> float:
-    """99th percentile of the change against the first [%]."""
-    rest = sizes[0]
-    if not (rest > 0).any():
-        return 0.0
-    change = [np.abs(size[rest > 0] / rest[rest > 0] - 1) for size in sizes[1:]]
-    return round(100 * float(np.percentile(change, 99)), 2)
-
-
-def _lengths(mesh: TriangleMesh, places: np.ndarray) -> np.ndarray:
-    start, end = edges_of(mesh.faces).T
-    return np.asarray(np.linalg.norm(places[start].astype(np.float64) - places[end], axis=1))
-
-
-def _areas(corners: np.ndarray) -> np.ndarray:
-    corners = corners.astype(np.float64)
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return np.asarray(np.linalg.norm(across, axis=1) / 2)
