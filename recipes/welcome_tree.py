@@ -4,7 +4,7 @@
 
 Runs a service of its own on one of the page's examples, with the shipped model. The files are thinned for a download:
 every eighth voxel, since voxels only say where a pull takes hold; the bins that move no point by a pixel left out, and
-the bones that turn in a storm; and shapes in steps of 8 bits, which gzip halves.
+the modes of the vertices, which bones carry; and shapes in steps of 8 bits, which gzip halves.
 """
 
 import argparse
@@ -25,6 +25,8 @@ EVERY_VOXEL = 8
 STEP = 256
 BINS = 10
 """Bins that stay, 0 to 2.2 Hz: on a screen the tree is 600 pixels high, and the next moves no point by 0.5."""
+SHAPES = {"shapes", "bone_shapes", "turn_shapes"}
+PER_BIN = {"scale_m", "turn_scale_rad", "frequencies_hz"}
 PER_VOXEL = ("coords", "shapes", "bone_of_voxel", "lean_m")
 
 
@@ -62,15 +64,16 @@ def write_motion(client: httpx.Client, mesh: Path, output: Path) -> None:
 def thinned(path: Path) -> bytes:
     """Every eighth voxel of a modes file, and 16-bit shapes rounded to 8 bits."""
     with safe_open(path, "np") as file:
-        metadata, names = file.metadata(), [name for name in file.keys() if not name.startswith("turn_")]  # noqa: SIM118
-        tensors = {name: file.get_tensor(name) for name in names}
+        metadata, tensors = file.metadata(), {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    if "turn_shapes" in tensors:
+        del tensors["shapes"]
     if "coords" in tensors:
         tensors |= {name: np.ascontiguousarray(tensors[name][::EVERY_VOXEL]) for name in PER_VOXEL}
-    for name in tensors.keys() & {"shapes", "bone_shapes"}:
+    for name in tensors.keys() & SHAPES:
         tensors[name] = np.ascontiguousarray(tensors[name][:, :BINS])
-    for name in tensors.keys() & {"scale_m", "frequencies_hz"}:
+    for name in tensors.keys() & PER_BIN:
         tensors[name] = tensors[name][:BINS].copy()
-    for name in tensors.keys() & {"shapes", "bone_shapes"}:
+    for name in tensors.keys() & SHAPES:
         largest = 32767 // STEP
         tensors[name] = (np.clip(np.rint(tensors[name] / STEP), -largest, largest) * STEP).astype(np.int16)
     return save(tensors, metadata)

@@ -143,7 +143,7 @@ function texturesOf({ shapes, scale_m, N, vertices, turn_shapes, turn_parent, tu
     turn_bone[v] + Math.min(turn_share[v] / 2, 0.499),
   ]);
   return {
-    shapes: shapesTexture(shapes, 3 * N * K),
+    shapes: shapes ? shapesTexture(shapes, 3 * N * K) : shapesTexture([], 1), // only read where a bin's share is shown
     turns: shapesTexture(turn_shapes, 3 * B * K),
     bones: floats(bones.flat()),
     places: floats(places.flat()),

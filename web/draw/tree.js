@@ -86,7 +86,7 @@ export class Tree {
     const { surface } = this;
     this.poses = new PoseTexture(modes.B);
     this.uniforms.poses.value = this.poses.texture;
-    if (surface?.shapes) this.field = fieldOf(surface, modes);
+    if (surface?.shapes || surface?.turn_parent) this.field = fieldOf(surface, modes);
     if (this.usesNearVoxels) this.field = this._voxelField();
     if (this.field) this.uniforms.moved.value = this.field.texture;
     this.largest = largestSwing(surface?.shapes ? surface : modes);
