@@ -7,7 +7,10 @@ import { Problem, patiently } from "../../web/client.js";
 import { Resolution } from "../../web/draw/resolution.js";
 import { bandGains, powerLaw } from "../../web/motion/bands.js";
 import { forestMotions, forestPlaces, gustAt } from "../../web/motion/company.js";
+import { carriedPoint } from "../../web/motion/grip.js";
 import { ringing, swayFrequency } from "../../web/motion/local.js";
+import { Modes } from "../../web/motion/modes.js";
+import { Pin } from "../../web/motion/pin.js";
 import { relativePaths, sortFiles, treesAmong } from "../../web/page/bundles.js";
 import { readDrop } from "../../web/page/drop.js";
 import { Machine, TRANSITIONS } from "../../web/page/machine.js";
@@ -400,4 +403,28 @@ test("a stroke and their number stay as small as the service takes them", () => 
   for (let i = 0; i < 300; i++) strokes.begin("a.jpg", true, [0.1, 0.1]);
   assert.ok(strokes.isFull);
   assert.equal(strokes.params.scribbles.length, 200);
+});
+
+/** A root and three bones of 1 m above each other, a voxel at the end of each. */
+function pole() {
+  return Object.assign(Object.create(Modes.prototype), {
+    ...{ B: 4, V: 4, K: 1, voxelSize: 0.1 },
+    bone_parent: [-1, 0, 1, 2],
+    bone_joint_m: Float32Array.from([0, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 2]),
+    bone_reach_m: Float32Array.from([0, 0, 0, 0, 0, 1, 0, 0, 1, 0, 0, 1]),
+    bone_lever_m2: Float32Array.from([1, 1, 1, 1]),
+    bone_of_voxel: [0, 1, 2, 3],
+    centres: Float32Array.from([0, 0, 0, 0, 0, 1, 0, 0, 2, 0, 0, 3]),
+  });
+}
+
+const distance = (a, b) => Math.hypot(...a.map((x, i) => x - b[i]));
+
+test("a pull holds the point that is drawn, whichever bones carry it", () => {
+  const modes = pole();
+  const leaf = { voxel: 2, rest: [0.1, 0, 2.6], bones: [1, 2, 3, 0], weights: [0.3, 0.5, 0.2, 0] };
+  const pin = new Pin(modes, leaf);
+  const target = [0.9, 0.3, 2.3];
+  for (let frame = 0; frame < 3; frame++) pin.hold([], leaf.rest, target);
+  assert.ok(distance(carriedPoint(modes.poses([pin.group]), leaf, leaf.rest), target) < 0.002);
 });

@@ -1,6 +1,7 @@
 // Pulls that the page answers by itself, without a service: the bends of the joints that carry the pulled place, which
 // ring out after the release. What motion/remote.js asks of the service is a whole tree's response; this is one branch's.
 
+import { gripOfVoxel } from "./grip.js";
 import { Pin } from "./pin.js";
 
 const DAMPING = 0.13; // share of critical damping of a tree in leaf: docs/laws.md
@@ -20,7 +21,7 @@ class LocalPush {
 
   drag({ voxel }, displacement_m) {
     this.began = null;
-    if (this.pin?.voxel !== voxel) this.pin = new Pin(this.modes, voxel);
+    if (this.pin?.voxel !== voxel) this.pin = new Pin(this.modes, gripOfVoxel(this.modes, voxel));
     const rest = Array.from(this.modes.centres.subarray(3 * voxel, 3 * voxel + 3));
     this.pin.hold(
       [],

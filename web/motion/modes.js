@@ -75,6 +75,13 @@ export class Modes {
     return rows;
   }
 
+  /** Whether a bone is `above` or hangs on it. */
+  isUnder(bone, above) {
+    let b = bone;
+    while (b > above) b = this.bone_parent[b]; // parents come before children
+    return b === above;
+  }
+
   /** Number of voxels that each bone carries, its own included. */
   carriedVoxels() {
     const count = new Float64Array(this.B);
@@ -84,10 +91,13 @@ export class Modes {
   }
 
   /** A vector of a bone's frame A_b in the world, and the reverse, as of the last `poses`. */
-  inFrame = (b, v) =>
-    [0, 1, 2].map((i) => [0, 1, 2].reduce((sum, j) => sum + this.frames[9 * b + 3 * i + j] * v[j], 0));
-  fromFrame = (b, v) =>
-    [0, 1, 2].map((j) => [0, 1, 2].reduce((sum, i) => sum + this.frames[9 * b + 3 * i + j] * v[i], 0));
+  inFrame(b, v) {
+    return [0, 1, 2].map((i) => [0, 1, 2].reduce((sum, j) => sum + this.frames[9 * b + 3 * i + j] * v[j], 0));
+  }
+
+  fromFrame(b, v) {
+    return [0, 1, 2].map((j) => [0, 1, 2].reduce((sum, i) => sum + this.frames[9 * b + 3 * i + j] * v[i], 0));
+  }
 
   /** Bends κ of all bones, the sum over the groups. */
   _bends(groups) {

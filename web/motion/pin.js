@@ -4,6 +4,7 @@
 // between the place and the root that make up for it are those of least energy, Σ |κ_b|² / g_b, as in
 // dynamictree/modal/pull.py; each round solves a 3 × 3 system for the force λ that holds the place.
 
+import { carriedPoint } from "./grip.js";
 import { carried } from "./modes.js";
 
 const ROUNDS = 4;
@@ -13,33 +14,46 @@ const TOLERANCE = 1e-4; // of the compliance: a direction in which nothing gives
 const LET_GO_S = 0.15; // in which the bend goes, once nothing is pinned
 
 export class Pin {
-  constructor(modes, voxel) {
-    this.modes = modes;
-    this.voxel = voxel;
+  /** Of a place as of motion/grip.js. */
+  constructor(modes, grip) {
+    const { voxel } = grip;
+    Object.assign(this, { modes, grip, voxel });
     this.chain = modes.chain(voxel);
     const size = modes.carriedVoxels();
     const ends = [modes.centres.subarray(3 * voxel, 3 * voxel + 3), ...this.chain.map((b) => jointOf(modes, b))];
     this.give = this.chain.map((b, i) => length(minus(ends[i], jointOf(modes, b))) / size[b]);
+    this.under = this.chain.map((b) => grip.weights.map((w, i) => (modes.isUnder(grip.bones[i], b) ? w : 0)));
     this.group = { seed: voxel, bend: this.chain.map(() => [0, 0, 0]) };
     this.poses = new Float32Array(12 * modes.B);
   }
 
   /** Bend so that `point`, where the wind has it, is carried to `target`; `groups` are those of the service. */
   hold(groups, point, target) {
-    const { modes, chain, give, group } = this;
+    const { modes, chain, give, group, grip } = this;
     if (!chain.length) return;
     for (let round = 0; round < ROUNDS; round++) {
       modes.poses([...groups, group], this.poses);
-      const at = carried(this.poses, chain[0], point);
+      const at = carriedPoint(this.poses, grip, point);
       const gap = minus(target, at);
       if (length(gap) < 0.01 * modes.voxelSize) return;
-      const arms = chain.map((b) => minus(at, carried(this.poses, b, jointOf(modes, b))));
+      const arms = chain.map((b, i) => this._arm(b, this.under[i], point));
       const old = group.bend.map((k, i) => modes.inFrame(this._parent(i), k));
       const aim = old.reduce((sum, turn, i) => plus(sum, cross(turn, arms[i])), gap);
       const force = solved(compliance(arms, give), aim);
       const wanted = arms.map((arm, i) => modes.fromFrame(this._parent(i), scaled(cross(arm, force), give[i])));
       this._approach(wanted);
     }
+  }
+
+  /** How the point moves where the joint of bone b turns: Σ w (x − joint), over the bones that turn with it. */
+  _arm(b, weights, point) {
+    const joint = carried(this.poses, b, jointOf(this.modes, b));
+    return this.grip.bones.reduce(
+      (sum, bone, i) => {
+        return weights[i] ? plus(sum, scaled(minus(carried(this.poses, bone, point), joint), weights[i])) : sum;
+      },
+      [0, 0, 0],
+    );
   }
 
   _parent(i) {

@@ -2,6 +2,7 @@
 
 import * as THREE from "three";
 import { pickVoxel } from "../draw/pick.js";
+import { gripAt, gripInWind, gripNow } from "../motion/grip.js";
 import { Pin } from "../motion/pin.js";
 
 const EASE_S = 0.1; // in which a grip that was picked beside the pointer comes under it
@@ -13,7 +14,7 @@ export class Hand {
     Object.assign(this, { stage, onGrab, onProblem });
     this.tree = null;
     this.push = null;
-    this.grip = null; // { voxel, pointer, plane, target, beside, at }
+    this.grip = null; // { place, voxel, pointer, plane, target, beside, at }
     this.pin = null; // keeps the grip under the pointer; after the release it fades
     this.groups = [];
     this.frame = 0;
@@ -91,7 +92,7 @@ export class Hand {
     if (!pin) return this.groups;
     if (grip) {
       grip.beside.multiplyScalar(Math.exp(-seconds / EASE_S));
-      const inWind = tree.modes.voxelInWind(grip.voxel, q, turn);
+      const inWind = gripInWind(tree, grip.place, q, turn);
       const target = grip.target.clone().add(grip.beside);
       grip.displacement = target.toArray().map((x, i) => x - inWind[i]);
       const missing = this.missing ?? [0, 0, 0]; // how far the service says that the tree does not go
@@ -114,7 +115,7 @@ export class Hand {
       this.push.drag({ voxel: grip.voxel }, grip.displacement);
       grip.displacement = null;
     }
-    if (grip) this.onGrab(this.tree.voxelNow(grip.voxel), grip.at);
+    if (grip) this.onGrab(gripNow(this.tree, grip.place), grip.at);
     if (this.frame) {
       this.push?.drawn(this.frame);
       this.frame = 0;
@@ -124,20 +125,22 @@ export class Hand {
   _down(event) {
     const other = event.button !== 0 || event.shiftKey || event.target !== this.stage.canvas;
     if (!this.tree?.moves || this.grip || other) return;
-    const voxel = pickVoxel(this.tree, event);
-    if (voxel === null) return;
+    const picked = pickVoxel(this.tree, event);
+    if (picked === null) return;
+    const place = gripAt(this.tree, picked);
+    const { voxel } = place;
     const { camera, canvas, controls } = this.stage;
     controls.enabled = false;
     canvas.setPointerCapture(event.pointerId);
-    const start = new THREE.Vector3(...this.tree.voxelNow(voxel));
+    const start = new THREE.Vector3(...gripNow(this.tree, place));
     const facing = camera.getWorldDirection(new THREE.Vector3());
     const plane = new THREE.Plane().setFromNormalAndCoplanarPoint(facing, start);
     const at = { x: event.clientX, y: event.clientY };
     const target = this._onPlane(event, plane) ?? start.clone();
     const beside = start.clone().sub(target);
-    this.grip = { voxel, pointer: event.pointerId, plane, target, beside, at };
+    this.grip = { place, voxel, pointer: event.pointerId, plane, target, beside, at };
     this.missing = null;
-    this.pin = new Pin(this.tree.modes, voxel);
+    this.pin = new Pin(this.tree.modes, place);
     this.onGrab(start.toArray(), at);
   }
 

@@ -1,0 +1,68 @@
+// A place of the tree that is pulled: the point that is drawn there, and the bones that carry it.
+
+import { carried } from "./modes.js";
+
+/** The place to pull at a voxel of a Tree. */
+export function gripAt({ modes, surface, hidden, splat }, voxel) {
+  return surface && !hidden && !splat ? gripOfSurface(modes, surface.geometry, voxel) : gripOfVoxel(modes, voxel);
+}
+
+/** Where the wind alone has a place that is pulled [m]. */
+export function gripInWind({ modes }, { voxel, rest }, q, turn) {
+  const centre = modes.centres.subarray(3 * voxel, 3 * voxel + 3);
+  return modes.voxelInWind(voxel, q, turn).map((x, i) => x + rest[i] - centre[i]);
+}
+
+/** Where it is now [m]. */
+export function gripNow(tree, place) {
+  const at = gripInWind(tree, place, tree.q, tree.turn);
+  return tree.groups.length ? carriedPoint(tree.boneMotion, place, at) : at;
+}
+
+/** The voxel itself, where no surface is drawn. */
+export const gripOfVoxel = (modes, voxel) => ({
+  voxel,
+  rest: Array.from(modes.centres.subarray(3 * voxel, 3 * voxel + 3)),
+  bones: [modes.bone_of_voxel[voxel]],
+  weights: [1],
+});
+
+/**
+ * The drawn vertex nearest to a voxel: `{ voxel, vertex, rest, bones, weights }`. Leaves and twigs move with the bone of
+ * the place where they hang, so the voxel to pull at is the nearest of the vertex' strongest bone.
+ */
+function gripOfSurface(modes, geometry, voxel) {
+  const own = gripOfVoxel(modes, voxel);
+  const vertex = nearest(geometry.getAttribute("position").array, own.rest);
+  const [bones, weights] = ["boneRows", "boneWeights"].map((name) => {
+    const values = geometry.getAttribute(name);
+    return ["getX", "getY", "getZ", "getW"].map((get) => values[get](vertex));
+  });
+  const strongest = bones[weights.indexOf(Math.max(...weights))];
+  if (!Math.max(...weights)) return own;
+  const rest = Array.from(geometry.getAttribute("position").array.subarray(3 * vertex, 3 * vertex + 3));
+  const pulled = nearest(modes.centres, rest, (v) => modes.bone_of_voxel[v] === strongest) ?? voxel;
+  return { voxel: pulled, vertex, rest, bones, weights };
+}
+
+/** Where the bones carry a point [m]; what no bone carries stays. */
+export function carriedPoint(poses, { bones, weights }, point) {
+  const left = 1 - weights.reduce((sum, w) => sum + w, 0);
+  return bones.reduce(
+    (sum, b, i) => {
+      const at = carried(poses, b, point);
+      return sum.map((x, c) => x + weights[i] * at[c]);
+    },
+    point.map((x) => left * x),
+  );
+}
+
+/** Row of the nearest of points [3N], among those that `isOne(row)`. */
+function nearest(points, [x, y, z], isOne = () => true) {
+  let [best, least] = [null, Infinity];
+  for (let i = 0; i < points.length / 3; i++) {
+    const distance = (points[3 * i] - x) ** 2 + (points[3 * i + 1] - y) ** 2 + (points[3 * i + 2] - z) ** 2;
+    if (distance < least && isOne(i)) [best, least] = [i, distance];
+  }
+  return best;
+}
