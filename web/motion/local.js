@@ -55,7 +55,7 @@ class LocalPush {
 
   _end() {
     this.close();
-    this.onRest();
+    this.onRest({ frame: this.frame });
   }
 
   _give(share) {

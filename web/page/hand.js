@@ -51,7 +51,7 @@ export class Hand {
     this.push = this.source.push({
       damping_ratio: this.damping,
       onFrame: (message) => this._frame(message),
-      onRest: () => this._settled(),
+      onRest: (message) => this._settled(message),
       onProblem: this.onProblem,
     });
   }
@@ -178,9 +178,10 @@ export class Hand {
     this.groups = ready.filter(({ perBone }) => perBone);
   }
 
-  _settled() {
+  /** The tree has come to rest, maybe just as it is pulled again; without a message, the connection has ended. */
+  _settled(message) {
     this.groups = [];
-    if (this.grip) this.letGo();
+    if (this.grip && !message) this.letGo();
   }
 
   /** Weights of a group's bones; null until they have come. */
