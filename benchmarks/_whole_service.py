@@ -21,6 +21,7 @@ from recipes.demo import served
 
 POLL_S = 0.1
 PATIENCE_S = 900.0
+_LOG_TAIL = 6000  # characters of the service's log that an error shows
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +64,8 @@ class WholeService:
             if answer["state"] == "succeeded":
                 return answer
             if answer["state"] not in ("queued", "running"):
-                raise RuntimeError(f"job {job} is {answer['state']}: {answer['error']}")
+                log = (self.state.parent / "serve.log").read_text()
+                raise RuntimeError(f"job {job} is {answer['state']}: {answer['error']}\n{log[-_LOG_TAIL:]}")
             time.sleep(POLL_S)
         raise TimeoutError(f"job {job} did not end within {patience_s:g} s")
 

@@ -7,6 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import settings
+
+settings.register_profile("any-machine", deadline=None)  # an example may be slow on a busy one
+settings.load_profile("any-machine")
 
 
 @pytest.fixture(scope="session")

@@ -29,7 +29,7 @@ def small_grid(num_voxels: int = 7) -> VoxelGrid:
     return VoxelGrid(coords=coords, origin_m=(0.0, 0.0, 0.0), voxel_size_m=0.1, resolution=32)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(num_frames=st.integers(1, 64), seed=st.integers(0, 2**32))
 def test_a_full_spectrum_round_trips(num_frames: int, seed: int) -> None:
     motion = np.random.default_rng(seed).normal(size=(num_frames, 3, 3)).astype(np.float32)
@@ -37,7 +37,7 @@ def test_a_full_spectrum_round_trips(num_frames: int, seed: int) -> None:
     np.testing.assert_allclose(back, motion, atol=1e-5)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(num_frames=st.integers(3, 200), data=st.data())
 def test_a_sway_of_amplitude_a_has_2_c_k_equal_a_whatever_t(num_frames: int, data: st.DataObject) -> None:
     k = data.draw(st.integers(1, (num_frames - 1) // 2))

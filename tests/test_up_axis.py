@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from dynamictree.errors import InputError
@@ -15,7 +15,6 @@ DIRECTION = st.tuples(COORDINATE, COORDINATE, COORDINATE).filter(lambda numbers:
 HUNDREDTH_DEG = np.radians(0.01)
 
 
-@settings(deadline=None)
 @given(DIRECTION)
 def test_a_name_is_its_direction(numbers: tuple[float, float, float]) -> None:
     unit = np.array(numbers) / np.linalg.norm(numbers)
@@ -23,7 +22,6 @@ def test_a_name_is_its_direction(numbers: tuple[float, float, float]) -> None:
     assert Reading(up_axis=name_of(numbers)).up_axis == name_of(numbers)
 
 
-@settings(deadline=None)
 @given(DIRECTION)
 def test_a_turn_takes_the_direction_up_and_is_the_nearest_axis_turned_least(
     numbers: tuple[float, float, float],

@@ -47,7 +47,7 @@ def most_of_voxels_around(points: np.ndarray, grid: VoxelGrid, reached: np.ndarr
     return most
 
 
-@settings(max_examples=12, deadline=None, derandomize=True)
+@settings(max_examples=12, derandomize=True)
 @given(
     seed=st.integers(0, 1000),
     num_cards=st.integers(1, 60),

@@ -37,7 +37,7 @@ def random_mesh(seed: int, sizes: tuple[int, int], has: tuple[bool, bool]) -> Tr
 
 
 @pytest.mark.parametrize(("kind", "uv_error"), [("glb", 0.0), ("ply", 1e-6)])
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @shapes
 def test_corners_coordinates_and_colours(
     kind: str, uv_error: float, seed: int, sizes: tuple[int, int], has: tuple[bool, bool]
@@ -51,7 +51,7 @@ def test_corners_coordinates_and_colours(
     assert_optional(result.vertex_colors, mesh.vertex_colors, atol=0)
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @shapes
 def test_obj(seed: int, sizes: tuple[int, int], has: tuple[bool, bool]) -> None:
     mesh, stream = random_mesh(seed, sizes, has), io.BytesIO()

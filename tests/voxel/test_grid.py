@@ -35,7 +35,7 @@ def test_rows_of_voxels_that_are_not_there_are_minus_one() -> None:
     np.testing.assert_array_equal(grid.rows_of(wanted), [1, -1, -1, -1, -1, -1])
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(seed=st.integers(0, 2**32), scale=st.sampled_from([1e-3, 1.0, 1e3]), resolution=st.sampled_from([32, 128, 512]))
 def test_the_frame_holds_all_points_and_stands_centred_under_them(seed: int, scale: float, resolution: int) -> None:
     points = (np.random.default_rng(seed).normal(size=(50, 3)) * scale + 5 * scale).astype(np.float32)
