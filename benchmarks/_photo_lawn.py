@@ -8,13 +8,13 @@ from jaxtyping import Bool, Float32, Float64
 from PIL import Image
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from benchmarks._photo_set import cut_out, fine_renderer, speckled
+from benchmarks._photo_set import cut_out, fine_renderer, solid_noise, speckled
 from dynamictree.dataset.sample import make_sample
 from dynamictree.mesh import TriangleMesh
 from dynamictree.render import Camera
 
 Color = tuple[float, float, float]
-_EYES_M = 1.6
+_HEIGHT_M, _EYES_M = 3.5, 1.6  # of the tree, and of the camera
 _CELLS = 4096  # along the lawn, and around the hedge: nothing is there twice
 _CLOUD_CELLS = 256, 1024  # up and around
 _GRAINS = 0.8, 2.5, 8.0, 25.0, 80.0  # in cells
@@ -25,13 +25,15 @@ _HORIZON, _ZENITH, _CLOUD = (0.80, 0.87, 0.93), (0.30, 0.50, 0.80), (0.97, 0.97,
 
 def photograph_on_lawn(folder: Path, *, number: int, side: int) -> dict[str, Bool[np.ndarray, "H W"]]:
     """Write JPEG photos of a walk around the tree; gives for each photo's name the pixels that show the tree."""
-    tree = speckled(make_sample(7, "round-broadleaf").mesh)
+    grown = speckled(make_sample(7, "round-broadleaf").mesh)
+    tree = grown.with_vertices((grown.vertices * (_HEIGHT_M / grown.height_m)).astype(np.float32))
     renderer, garden = fine_renderer(tree, side), _Garden(tree)
     rng = np.random.default_rng(4)
+    bark = solid_noise(rng)
     masks = {}
     for place, camera in enumerate(_walk(tree, number)):
         behind = 255 * garden.seen_along(_rays(camera, side), camera, side)
-        rgba = cut_out(renderer, camera, side).astype(np.float64)
+        rgba = cut_out(renderer, camera, side, bark).astype(np.float64)
         cover = rgba[..., 3:] / 255
         scene = cover * rgba[..., :3] + (1 - cover) * behind
         name = f"IMG_{place:04d}.jpg"

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image
+from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.spatial import cKDTree
 
 from dynamictree.dataset.sample import make_sample
@@ -16,6 +17,8 @@ from dynamictree.render import Camera, Look, Renderer
 
 SAMPLES = 3
 """Along a pixel's side, colour and cover alike, so that edges keep no sky."""
+GRAIN_M, GRAIN = 0.01, 0.4
+"""Size of the grain of bark and leaves, and how strong it is."""
 _SURFACE_POINTS = 150_000
 _FARTHEST = 0.1  # of the height, that a surface is looked for around a stem's axis
 
@@ -112,10 +115,25 @@ def stem_widths(
     return {"p10": low, "median": median, "p90": high, "enclosed": round(float(within.sum() / len(upper)), 3)}
 
 
-def cut_out(renderer: Renderer, camera: Camera, side: int) -> np.ndarray:
-    """An RGBA photo of what a renderer of `fine_renderer` shows."""
+def solid_noise(rng: np.random.Generator) -> np.ndarray:
+    """A block of noise without seams, of standard deviation 1; a cell is GRAIN_M wide."""
+    block = gaussian_filter(rng.normal(size=(96, 96, 96)), 0.7, mode="wrap")
+    return (block / block.std()).astype(np.float32)
+
+
+def cut_out(renderer: Renderer, camera: Camera, side: int, solid: np.ndarray | None = None) -> np.ndarray:
+    """An RGBA photo of a scene by `fine_renderer`; `solid` gives its surfaces a grain."""
     color = renderer.picture(camera=camera).astype(np.float64)
-    cover = np.isfinite(renderer.buffers(camera).depth_m).astype(np.float64)[..., None]
+    depth = renderer.buffers(camera).depth_m
+    seen_at = np.isfinite(depth)
+    if solid is not None:
+        row, column = np.nonzero(seen_at)
+        pixels = np.stack([column + 0.5, row + 0.5, np.ones(len(row))], axis=1)
+        to_ray = camera.world_to_camera.T @ np.linalg.inv(camera.intrinsics_px(*depth.shape[::-1]))
+        places = camera.position_m + depth[row, column, None] * (pixels @ to_ray.T)
+        grain = map_coordinates(solid, (places / GRAIN_M).T, order=1, mode="grid-wrap")
+        color[seen_at] = np.clip(color[seen_at] * (1 + GRAIN * grain[:, None]), 0, 255)
+    cover = seen_at.astype(np.float64)[..., None]
     cells = (side, SAMPLES, side, SAMPLES, -1)
     alpha = cover.reshape(cells).mean(axis=(1, 3))
     seen = (color * cover).reshape(cells).mean(axis=(1, 3)) / np.maximum(alpha, 1e-9)
