@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 
+import httpx
 import numpy as np
 import pytest
 
@@ -11,12 +12,12 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
 Open = Callable[..., Viewer]
 GALE_GAIN = 7.0  # of the drag from 5 to 20 m/s
-POINTS = """async ({ gain, rigid }) => {
+POINTS = """async ({ path, gain, rigid }) => {
     const load = (path) => import(`/web/${path}.js`);
     const THREE = await import("three");
     const [{ readSurface }, { Field, DISPLACE }, { setCards, noCards, CARDS }, { windCoordinates }] = await Promise.all(
         ["draw/surface", "draw/field", "draw/cards", "motion/modes"].map(load));
-    const file = await fetch("/web/examples/round-broadleaf.surface.safetensors");
+    const file = await fetch(path);
     const surface = await readSurface(await file.arrayBuffer());
     const { geometry, N, scale_m, shapes } = surface;
     const restAt = { value: setCards(surface) };
@@ -57,13 +58,14 @@ def areas(faces: np.ndarray, vertices: np.ndarray) -> np.ndarray:
     return np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
 
 
-def test_cards_keep_their_size_in_a_storm(view: Open, url: str) -> None:
+def test_cards_keep_their_size_in_a_storm(view: Open, url: str, job_id: str) -> None:
     viewer = view(640, 480)
     viewer.open(url)
     page = viewer.page
+    spectrum = httpx.get(f"{url}/v1/jobs/{job_id}").json()["result"]["spectrum_id"]
     growth = {}
     for rigid in (True, False):
-        answer = page.evaluate(POINTS, {"gain": GALE_GAIN, "rigid": rigid})
+        answer = page.evaluate(POINTS, {"path": f"/v1/spectra/{spectrum}/surface", "gain": GALE_GAIN, "rigid": rigid})
         rest, moved = (np.array(answer[name]).reshape(-1, size) for name, size in (("rest", 3), ("texels", 4)))
         faces = np.array(answer["faces"]).reshape(-1, 3)
         if rigid:
