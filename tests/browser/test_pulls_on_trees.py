@@ -22,7 +22,7 @@ REAL = {
     "common-tree": "mesh/quaternius_common_tree/CommonTree_2.obj",
     "tree-splat": "splat/tree_10k.splat",
 }
-CRUMPLED = pytest.mark.xfail(reason="bones that turn in the wind crumple this scan's trunk: 42 px (p95) from the hand")
+BARE_POLE = pytest.mark.xfail(reason="a pull along this bare trunk is taken for possible: 19 px (p95) from the hand")
 TOUCHED = ("sapling", "lime")
 WINDS_M_S = (0, 8)
 CLOSE_PX = 5
@@ -101,7 +101,7 @@ PLACE = """() => {
 REST_CROSSES = "() => { window.hand.push.onRest({ type: 'rest', frame: 0 }); return Boolean(window.hand.grip); }"
 
 
-@pytest.mark.parametrize("name", [*GROWN, *REAL, pytest.param("tls-tree", marks=CRUMPLED)])
+@pytest.mark.parametrize("name", [*GROWN, *REAL, pytest.param("tls-tree", marks=BARE_POLE)])
 def test_hand_and_branch_stay_together(view: Open, url: str, name: str, tmp_path: Path, samples: Path) -> None:
     job = animated(url, file_of(name, tmp_path, samples))
     touch = name in TOUCHED
