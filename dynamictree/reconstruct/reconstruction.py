@@ -15,6 +15,7 @@ from dynamictree.reconstruct.cameras import ADVICE, find_cameras
 from dynamictree.reconstruct.coloured_mesh import Shape, best_mesh_of, finished_shape
 from dynamictree.reconstruct.cut import cloud_in_metres, of_the_tree
 from dynamictree.reconstruct.draft import Draft
+from dynamictree.reconstruct.exposure import evenly_exposed
 from dynamictree.reconstruct.given import files_with_cameras
 from dynamictree.reconstruct.markers import Marker, find_markers, metres_per_unit
 from dynamictree.reconstruct.optimise import Schedule
@@ -88,6 +89,7 @@ def reconstruct(
         model = _find_cameras(listed, root, space, clock, read_photos)
         write_cameras(model.views, folder, scale="unknown")
         on_file(folder / "cameras.json")
+        model = evenly_exposed(model)
         with clock.stage("depth") as report:
             scene = find_scene(model, saved=space.depths, on_model=draft.show_points, on_progress=report)
         with clock.stage("splat") as report:

@@ -1,0 +1,81 @@
+"""Photos of a scene in one light: cameras set exposure and white balance anew, so the same leaf is brighter in some.
+
+A splat has one colour for a thing; what photos disagree about becomes fog before the cameras. So each photo's channels
+are divided by a gain of its own, found from the points that photos share (gain compensation, Brown and Lowe 2007).
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Bool, Float64, UInt8
+from scipy.ndimage import uniform_filter
+
+from dynamictree.reconstruct.views import SparseModel, View
+
+_WINDOW_PX = 3
+_DARK, _BRIGHT = 12, 243  # of 255: outside, a pixel may be cut off
+_ROUNDS = 200  # photos of a walk share points with their neighbours only, so differences spread slowly
+_OUTLIER = 0.3  # of the logarithm: moving shadows, gloss and wrong pairs count as little as this
+_FEWEST = 30  # points that a photo must show in range, to be changed
+_SAME, _MOST = np.log(1.03), np.log(2.5)
+"""Gains that no photo exceeds make no difference; and what is no exposure any more."""
+
+
+def evenly_exposed(model: SparseModel) -> SparseModel:
+    """The same model, its photos in one exposure and white balance; unchanged where they have that within 3 %."""
+    log_gain = log_gains(model)
+    if np.abs(log_gain).max(initial=0) < _SAME:
+        return model
+    views = (replace(view, image=_divided(view, gain)) for view, gain in zip(model.views, log_gain, strict=True))
+    return replace(model, views=tuple(views))
+
+
+def log_gains(model: SparseModel) -> Float64[np.ndarray, "V 3"]:
+    """Logarithm of each photo's gain by channel, by alternating weighted means; 0 in the mean over the photos."""
+    color = np.zeros((len(model.seen), 3))
+    for row, view in enumerate(model.views):
+        mine = model.seen[:, 0] == row
+        color[mine] = _colors_at(view, model.points[model.seen[mine, 1]])
+    result = np.zeros((len(model.views), 3))
+    for channel in range(3):
+        result[:, channel] = _log_gains_of(model, color[:, channel])
+    return np.clip(result, -_MOST, _MOST)
+
+
+def _log_gains_of(model: SparseModel, color: Float64[np.ndarray, " M"]) -> Float64[np.ndarray, " V"]:
+    usable = (color >= _DARK) & (color <= _BRIGHT)
+    view, point = model.seen[usable].T
+    value = np.log(color[usable])
+    number = len(model.views), len(model.points)
+    gain, weight = np.zeros(number[0]), np.ones(len(value))
+    for _ in range(_ROUNDS):
+        own = _mean(value - gain[view], point, weight, number[1])
+        gain = _mean(value - own[point], view, weight, number[0])
+        weight = 1 / np.maximum(1, np.abs(value - own[point] - gain[view]) / _OUTLIER)
+    judged = np.bincount(view, minlength=number[0]) >= _FEWEST
+    if not judged.any():
+        return np.zeros(number[0])
+    return np.where(judged, gain - gain[judged].mean(), 0)
+
+
+def _mean(
+    values: Float64[np.ndarray, " M"], group: np.ndarray, weight: Float64[np.ndarray, " M"], number: int
+) -> Float64[np.ndarray, " N"]:
+    total = np.bincount(group, weight * values, number)
+    result: Float64[np.ndarray, " N"] = total / np.maximum(np.bincount(group, weight, number), 1e-12)
+    return result
+
+
+def _colors_at(view: View, points: Float64[np.ndarray, "P 3"]) -> Float64[np.ndarray, "P 3"]:
+    """Mean colour of a small window; 0 of a point outside of the picture."""
+    height, width = view.image.shape[:2]
+    x, y, depth = view.camera.project(points, width, height).T
+    inside: Bool[np.ndarray, " P"] = (depth > 0) & (x >= 0) & (y >= 0) & (x < width) & (y < height)
+    smooth = uniform_filter(view.image.astype(np.float32), size=(_WINDOW_PX, _WINDOW_PX, 1))
+    column, row = (np.where(inside, at, 0).astype(int) for at in (x, y))
+    return np.where(inside[:, None], smooth[row, column], 0).astype(np.float64)
+
+
+def _divided(view: View, log_gain: Float64[np.ndarray, " 3"]) -> UInt8[np.ndarray, "H W 3"]:
+    image: UInt8[np.ndarray, "H W 3"] = np.clip(np.rint(view.image * np.exp(-log_gain)), 0, 255).astype(np.uint8)
+    return image
