@@ -3,7 +3,8 @@
 A tree on a lawn below a cloudy sky in changing light; a thin sapling with a mask per photo; RGBA pictures of a 3D
 program with their cameras; with DYNAMICTREE_SAMPLES set, 16 real photos of a banana. `plant_iou` compares, in the
 photos that the splat was not learned from, the pixels of the plant with those that the result covers;
-DYNAMICTREE_BENCHMARK_OUTPUT names a folder for what each job gave.
+DYNAMICTREE_BENCHMARK_SETS names some of lawn, thin, rgba and banana, and DYNAMICTREE_BENCHMARK_OUTPUT a folder for what
+each job gave.
 """
 
 import json

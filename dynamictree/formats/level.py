@@ -37,6 +37,8 @@ def up_of_standing(points: Points) -> Float64[np.ndarray, " 3"] | None:
     Args:
         points: of visible Gaussians, +Z up but for a tilt of 50° at most.
     """
+    if len(points) < _LEAST_SAMPLED:
+        return None
     low, high = np.quantile(points, [_STRAYS, 1 - _STRAYS], axis=0)
     points = points[((points >= low) & (points <= high)).all(axis=1)]
     diagonal = float(np.linalg.norm(high - low))
@@ -97,5 +99,5 @@ def _lowest_plane(
 def _one_per_cell(points: Points, cell: float) -> Points:
     if cell <= 0:
         return points
-    _, first = np.unique(np.floor(points / cell).astype(np.int64), axis=0, return_index=True)
+    _, first = np.unique(np.floor((points - points.min(axis=0)) / cell).astype(np.int64), axis=0, return_index=True)
     return points[np.sort(first)]

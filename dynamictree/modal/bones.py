@@ -20,10 +20,9 @@ from dynamictree.voxel.graph import root_rows, voxel_graph
 
 BONE_VOXELS = 5.0  # length of a bone, in voxels
 DETOUR = 100.0  # an edge is as many times longer whose ends move as unlike as strangers do
-WAY_POWER = (
-    0.5  # on the way to the root, slow modes count more: in fast ones, leaves on a stem are as unlike as strangers
-)
-WAY_FLOOR = 0.1  # of the mean motion; at the foot, which hardly moves, noise is no sign of another stem
+WAY_POWER, WAY_FLOOR = 0.5, 0.1
+"""On the way to the root slow modes count more, since in fast ones the leaves of a stem are as unlike as strangers; and
+below this share of the mean motion, as at the foot, noise is no sign of another stem."""
 APART = 0.5  # unlikeness above which touching voxels are no neighbours
 SMALLEST_NODE = 2.4  # voxels per voxel of length; smaller ones, mostly leaves and twigs, are part of their parent
 SOFTENING_VOXELS = 0.5  # a bone much shorter than this does not turn: its direction is chance

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from dynamictree.formats.axes import up_rotation
 from dynamictree.formats.cloud_axes import to_source_axes, transformed
+from dynamictree.formats.level import up_of_standing
 from dynamictree.formats.source_file import read_capture
 from dynamictree.formats.splat.ply import write_gaussian_ply
 from dynamictree.formats.splat.splat import write_splat
@@ -94,6 +95,16 @@ def test_who_names_the_axis_is_right() -> None:
     again = read_capture(io.BytesIO(stream.getvalue()), file_type="ply")
     assert not levelled(again)
     assert tilt_left_deg(again, tilt_deg) < 2
+
+
+@pytest.mark.parametrize("opacity", [0.05, 0.5])
+def test_what_shows_nothing_or_one_point_stays_as_it_is(opacity: float) -> None:
+    tree = plant("shrub")
+    faint = replace(
+        tree, opacity=np.full_like(tree.opacity, opacity), means=np.zeros_like(tree.means) + np.float32(1e6)
+    )
+    assert up_of_standing(faint.means[faint.opacity > 0.1].astype(np.float64)) is None
+    assert not levelled(read(replace(tree, opacity=faint.opacity), (0, 0)))
 
 
 def test_what_is_written_lies_as_the_file_lay() -> None:
