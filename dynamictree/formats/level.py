@@ -1,83 +1,123 @@
 """Which way is up in a splat whose file does not say: what the plant stands on is level.
 
 A scene that is reconstructed from photos often has the axes of its first camera, which looked down on the plant, so
-that all stands 10° to 40° aslant. The widest plane that nearly all lies above is what it stands on: ground, table, or
-the bottom of its pot (as in Fu et al. 2008). On a slope the ground is aslant and the tree is not: the plane counts only
-if the plant rises along its normal rather than along the axis taken before. A small plane, such as the bottom of a pot,
-counts only if the plant looks clearly more upright on it.
+that all stands 10° to 40° aslant. The widest plane that nearly all lies above is the ground or table that it stands on,
+if the middle of all is over it (as in Fu et al. 2008). On a slope the ground is aslant and the tree is not: the plane
+counts only if the plant rises along its normal rather than along the axis taken before. Where there is no such plane, a
+pot at the bottom is upright.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
 
 from dynamictree.formats.axes import turn_to_z
-from dynamictree.formats.upright import standing_score
 from dynamictree.gaussian.flat_points import FlatPoints, flat_points
+from dynamictree.gaussian.still_gaussians import height_of
+from dynamictree.gaussian.still_pot import axis_of_pot, find_pot
 
 Points = Float64[np.ndarray, "_ 3"]
+Direction = Float64[np.ndarray, " 3"]
 
 _LEAST_DEG, _MOST_DEG = 6.0, 50.0
 """Tilt that is worth a turn; and beyond which another axis is up."""
-_STRAYS = 0.01  # of the points at each end of an axis
+_STRAYS, _STRAYS_OF_POT = 0.01, 0.001  # of the points at each end of an axis
 _CELL = 0.008  # of the scene's diagonal: one point each counts, however dense they lie
-_LEAST_SAMPLED, _SAMPLED = 2_000, 12_000
+_LEAST_SAMPLED, _SAMPLED, _SAMPLED_OF_POT = 2_000, 12_000, 20_000
 _TRIALS = 500
 _THICKNESS = 0.012  # of the diagonal
 _BELOW = 0.07  # of the points, at most
 _FEWEST = 12  # points on a plane
-_NARROWEST = 0.03  # of the diagonal
 _FOOT = 0.12  # of the height of what stands on the plane
-_WIDE, _GAIN = 0.02, 0.4
-"""Share of the points on a plane that is ground; and by how much the score must rise for a smaller one."""
+_WIDE = 0.02  # of the points on a plane that is ground
+_STEP_DEG, _TILTED_DEG = 15.0, 45.0
+"""Between the directions in which a pot is looked for, and the last of them; it is found 15° from upright."""
+_ALONG_RISE, _MOST_TRIED = 0.94, 8
+"""Cosine between such a direction and the way from the foot to the middle; and how many, the best first."""
 
 
-def up_of_standing(points: Points) -> Float64[np.ndarray, " 3"] | None:
+class _Plane(NamedTuple):
+    """What a scene may stand on."""
+
+    middle: Float64[np.ndarray, " 3"]
+    normal: Direction  # upward
+    share: float  # of the points
+    width: float  # the lesser
+
+
+def up_of_standing(points: Points) -> Direction | None:
     """The upward normal of what a scene stands on; None where that is level within 6°, not found or in doubt.
 
     Args:
         points: of visible Gaussians, +Z up but for a tilt of 50° at most.
     """
-    if len(points) < _LEAST_SAMPLED:
-        return None
-    low, high = np.quantile(points, [_STRAYS, 1 - _STRAYS], axis=0)
-    points = points[((points >= low) & (points <= high)).all(axis=1)]
-    diagonal = float(np.linalg.norm(high - low))
     rng = np.random.default_rng(0)
-    thinned = _one_per_cell(points, _CELL * diagonal)
-    thinned = thinned[rng.permutation(len(thinned))[:_SAMPLED]]
+    thinned = _thinned(points, _STRAYS, _SAMPLED, rng)
     if len(thinned) < _LEAST_SAMPLED:
         return None
-    plane = _lowest_plane(thinned, flat_points(thinned), _THICKNESS * diagonal, rng)
-    if plane is None:
+    thickness = _THICKNESS * float(np.linalg.norm(np.ptp(thinned, axis=0)))
+    plane = _lowest_plane(thinned, flat_points(thinned), thickness, rng)
+    above = thinned[:0] if plane is None else thinned[(thinned - plane.middle) @ plane.normal > 2 * thickness]
+    if plane is None or not _carries(plane, above):
+        up = _up_of_pot(_thinned(points, _STRAYS_OF_POT, _SAMPLED_OF_POT, rng), rng)
+    else:
+        rise = _rise(above, above @ plane.normal)
+        up = plane.normal if rise @ plane.normal > rise[2] else None
+    if up is None or not np.cos(np.radians(_MOST_DEG)) < up[2] < np.cos(np.radians(_LEAST_DEG)):
         return None
-    middle, normal, width, share = plane
-    if not np.cos(np.radians(_MOST_DEG)) < normal[2] < np.cos(np.radians(_LEAST_DEG)) or width < _NARROWEST * diagonal:
-        return None
-    height = (thinned - middle) @ normal
-    above = height > 2 * _THICKNESS * diagonal
-    if above.sum() < _FEWEST:
-        return None
-    stands = _rises_along if share >= _WIDE else _looks_upright
-    return normal if stands(thinned[above], normal, height[above]) else None
+    return up
 
 
-def _rises_along(points: Points, normal: Float64[np.ndarray, " 3"], height: Float64[np.ndarray, " P"]) -> bool:
-    """Whether the way from the foot of a plant to its middle is along a normal rather than along +Z."""
+def _carries(plane: _Plane, above: Points) -> bool:
+    """Whether much of a scene is on a plane, and the middle of what is above it is above it at its normal."""
+    if plane.share < _WIDE or len(above) < _FEWEST:
+        return False
+    way = above.mean(axis=0) - plane.middle
+    return bool(np.linalg.norm(way - way @ plane.normal * plane.normal) < plane.width)
+
+
+def _rise(points: Points, height: Float64[np.ndarray, " P"]) -> Direction:
+    """From the foot of a plant to its middle."""
     low, top = height.min(), np.quantile(height, 0.98)
-    foot = points[height <= low + _FOOT * (top - low)]
-    rise = points.mean(axis=0) - foot.mean(axis=0)
-    return bool(rise @ normal > rise[2])
+    rise = points.mean(axis=0) - points[height <= low + _FOOT * (top - low)].mean(axis=0)
+    return np.asarray(rise / max(float(np.linalg.norm(rise)), 1e-12))
 
 
-def _looks_upright(points: Points, normal: Float64[np.ndarray, " 3"], height: Float64[np.ndarray, " P"]) -> bool:
-    """Whether a plant that is turned until a normal is up looks clearly more like one that stands."""
-    return standing_score(points @ turn_to_z(normal).T) - standing_score(points) >= _GAIN
+def _up_of_pot(points: Points, rng: np.random.Generator) -> Direction | None:
+    """The axis of the pot that is found in one of several directions; None without one."""
+    directions = _directions()
+    along = np.array([_rise(points, points @ up) @ up for up in directions])
+    for row in np.argsort(-along)[:_MOST_TRIED]:
+        up, axis = directions[row], None
+        if along[row] < _ALONG_RISE:
+            break
+        for _ in range(2):  # nearer to upright, a pot is seen better
+            turn = turn_to_z(up)
+            turned = points @ turn.T
+            pot = find_pot(turned, height_of(turned), rng)
+            upright = None if pot is None else axis_of_pot(turned, pot)
+            if upright is None:
+                break
+            up = axis = turn.T @ upright
+        if axis is not None:
+            return np.asarray(axis)
+    return None
 
 
-def _lowest_plane(
-    points: Points, surface: FlatPoints, thickness: float, rng: np.random.Generator
-) -> tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"], float, float] | None:
-    """Middle, upward normal, lesser width and share of the points of the plane that holds most, by RANSAC."""
+def _directions() -> list[Direction]:
+    """Unit vectors spread over the directions that are not far from +Z."""
+    spread: list[Direction] = [np.array([0.0, 0.0, 1.0])]
+    for tilt in np.radians(np.arange(_STEP_DEG, _TILTED_DEG + 1, _STEP_DEG)):
+        count = round(2 * np.pi * np.sin(tilt) / np.radians(_STEP_DEG))
+        turn = np.arange(count) * 2 * np.pi / count
+        level = np.stack([np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn)], axis=1)
+        spread += list(np.column_stack([level, np.full(count, np.cos(tilt))]))
+    return spread
+
+
+def _lowest_plane(points: Points, surface: FlatPoints, thickness: float, rng: np.random.Generator) -> _Plane | None:
+    """The plane that holds most points, by RANSAC."""
     steep = np.abs(surface.normals[:, 2]) < np.cos(np.radians(_MOST_DEG))
     best, best_count = None, _FEWEST - 1
     for row in rng.permutation(np.flatnonzero(surface.flat & ~steep))[:_TRIALS]:
@@ -93,7 +133,17 @@ def _lowest_plane(
     middle = points[best].mean(axis=0)
     _, sizes, axes = np.linalg.svd(points[best] - middle, full_matrices=False)
     width = float(np.sqrt(12 / best_count) * sizes[1])  # of a square of the same spread
-    return middle, axes[2] * np.sign(axes[2, 2]), width, best_count / len(points)
+    return _Plane(middle, axes[2] * np.sign(axes[2, 2]), best_count / len(points), width)
+
+
+def _thinned(points: Points, strays: float, most: int, rng: np.random.Generator) -> Points:
+    """Points without strays, one in each cell; none where they are too few."""
+    if len(points) < _LEAST_SAMPLED:
+        return points[:0]
+    low, high = np.quantile(points, [strays, 1 - strays], axis=0)
+    points = points[((points >= low) & (points <= high)).all(axis=1)]
+    points = _one_per_cell(points, _CELL * float(np.linalg.norm(high - low)))
+    return points[rng.permutation(len(points))[:most]]
 
 
 def _one_per_cell(points: Points, cell: float) -> Points:

@@ -140,12 +140,6 @@ def judge_up_axis_of_points(points: Float32[np.ndarray, "P 3"]) -> UpAxis:
     return _likeliest(_cues_of_points(drawn, unknown, unknown, AXES), None)
 
 
-def standing_score(points: Float64[np.ndarray, "P 3"]) -> float:
-    """How much points look like a tree that stands on +Z: the larger, the likelier (a logit, for comparisons)."""
-    unknown = np.zeros(len(points), np.int64)
-    return float((_cues_of_points(points, unknown, unknown, ("+Z",)) @ WEIGHTS)[0])
-
-
 def axis_cues(mesh: TriangleMesh, axes: tuple[str, ...] = AXES) -> Float64[np.ndarray, "A C"] | None:
     """The cues of each axis, in the order of `CUES`; None of a mesh without surface."""
     sampled = surface_points(mesh)

@@ -51,11 +51,11 @@ def find_still_gaussians(cloud: GaussianCloud) -> tuple[tuple[StillPart, ...], U
     rng = np.random.default_rng(0)
     for _ in range(2):  # a floor, and a table on it
         points = _thinned(means[solid & (part_of == 0)])
-        plane = find_ground(points, _height(points), rng)
+        plane = find_ground(points, height_of(points), rng)
         if plane is None:
             break
         take(GROUND, means @ np.array([-plane[0], -plane[1], 1.0]) <= plane[2])
-    height_m = _height(means[solid & (part_of == 0)])
+    height_m = height_of(means[solid & (part_of == 0)])
     if not height_m > 0:
         return tuple(parts), part_of
     apart = _apart(means, solid & (part_of == 0), height_m)
@@ -72,7 +72,7 @@ def _thinned(points: Points) -> Points:
     return points[:: -(-len(points) // _MOST_POINTS)]
 
 
-def _height(points: Points) -> float:
+def height_of(points: Points) -> float:
     """Extent along +Z without strays [m]."""
     low, high = np.quantile(points[:, 2], [_STRAYS, 1 - _STRAYS])
     return float(high - low)

@@ -27,6 +27,7 @@ _SOIL = 0.85  # of the cells inside, at least, are filled by soil
 _RISING = 0.65  # of them, at most, by what rises out of it; and by what is below
 _CELLS = 8  # along the outline's radius
 _OUTSIDE = 1.12  # of the outline: so far out something is still of the pot
+_SLICES_OF_AXIS, _LEAST_OF_AXIS = 6, 3  # from the bottom to the soil, and with a wall
 _SAUCER = (1.6, 0.15)  # of the outline, and of the height of the soil
 
 
@@ -68,6 +69,19 @@ def find_pot(points: Points, height_m: float, rng: np.random.Generator) -> Pot |
         axis, outline = _joined(below + [one for one in walls[soil:rim] if one is not None and _goes_on(one, wall)])
         return Pot(axis=axis, outline=outline, low=low, soil=low + top * side, rim=low + rim * side)
     return None
+
+
+def axis_of_pot(points: Points, pot: Pot) -> Float64[np.ndarray, "3"] | None:
+    """The upward direction through the middles of its walls (Theil 1950, Sen 1968); None where too few are seen."""
+    ends = np.linspace(pot.low, pot.soil, _SLICES_OF_AXIS + 1)
+    sides = [_wall(points[(points[:, 2] >= a) & (points[:, 2] < b)]) for a, b in pairwise(ends)]
+    middles = np.array([[*side[0], (a + b) / 2] for side, (a, b) in zip(sides, pairwise(ends), strict=True) if side])
+    if len(middles) < _LEAST_OF_AXIS:
+        return None
+    one, other = np.triu_indices(len(middles), 1)
+    way = middles[other] - middles[one]
+    along = np.array([*np.median(way[:, :2] / way[:, 2:], axis=0), 1.0])
+    return np.asarray(along / np.linalg.norm(along))
 
 
 def in_pot(pot: Pot, points: Points) -> Bool[np.ndarray, " P"]:

@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from dynamictree.dataset.sapling import grow_tree
+from dynamictree.dataset.species import SPECIES
 from dynamictree.formats.axes import up_rotation
 from dynamictree.formats.cloud_axes import to_source_axes, transformed
 from dynamictree.formats.level import up_of_standing
 from dynamictree.formats.source_file import read_capture
 from dynamictree.formats.splat.ply import write_gaussian_ply
 from dynamictree.formats.splat.splat import write_splat
+from dynamictree.formats.upright import surface_points
 from dynamictree.gaussian.capture import Capture, moving_part
 from dynamictree.gaussian.cloud import GaussianCloud, joined
 from dynamictree.requests import Reading
@@ -69,20 +72,32 @@ def test_a_tree_without_ground_stays_as_it_is(species: str) -> None:
     assert not levelled(read(standing(species, ground=False), (12, 0)))
 
 
+@pytest.mark.parametrize("species", ["spreading-broadleaf", "spire-conifer", "acacia"])
+def test_the_side_of_a_crown_is_nothing_that_a_tree_stands_on(species: str) -> None:
+    """Points spread evenly over leaves and wood, tilted to eight sides."""
+    sampled = surface_points(grow_tree(SPECIES[species], np.random.default_rng(4)).mesh)
+    assert sampled is not None
+    for turn in np.arange(8) * np.pi / 4:
+        tilt = Rotation.from_rotvec(np.radians(40) * np.array([np.cos(turn), np.sin(turn), 0]))
+        assert up_of_standing(tilt.apply(sampled[0])) is None
+
+
 @pytest.mark.parametrize("species", ["maple", "palm"])
 def test_a_tree_on_a_slope_is_not_tipped(species: str) -> None:
     assert not levelled(read(standing(species, ground=True, slope_deg=15), (0, 0)))
 
 
-def test_a_pot_that_stands_on_nothing_is_levelled_by_its_bottom() -> None:
+@pytest.mark.parametrize("tilt_deg", [(10, 0), (20, 15), (-25, 25)])
+@pytest.mark.parametrize("bottom", [True, False])
+def test_a_pot_that_stands_on_nothing_is_upright(tilt_deg: tuple[float, float], *, bottom: bool) -> None:
     tree = plant("sapling")
     height = float(np.ptp(tree.means[:, 2]))
-    wall = splat_of(*pot(0.15 * height, 0.25 * height))
     side = 0.2 * height
-    bottom = sheet([-side / 2, -side / 2, -0.25 * height], [side, 0, 0], [0, side, 0], 40)
-    capture = read(joined([tree, wall, bottom]), (20, 15))
+    below = sheet([-side / 2, -side / 2, -0.25 * height], [side, 0, 0], [0, side, 0], 40)
+    wall = splat_of(*pot(0.15 * height, 0.25 * height))
+    capture = read(joined([tree, wall, below] if bottom else [tree, wall]), tilt_deg)
     assert levelled(capture)
-    assert tilt_left_deg(capture, (20, 15)) < 6
+    assert tilt_left_deg(capture, tilt_deg) < 5
 
 
 def test_who_names_the_axis_is_right() -> None:
