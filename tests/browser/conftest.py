@@ -105,6 +105,22 @@ class Viewer:
         )
 
 
+def press(page: Page, x: float, y: float, *, touch: bool) -> tuple[Callable[[float, float], None], Callable[[], None]]:
+    """Press with the mouse or a finger; gives what moves it to a place, and what lifts it."""
+    if not touch:
+        page.mouse.move(x, y)
+        page.mouse.down()
+        return page.mouse.move, page.mouse.up
+    session = page.context.new_cdp_session(page)
+
+    def send(kind: str, *points: tuple[float, float]) -> None:
+        dots = [{"x": px, "y": py} for px, py in points]
+        session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": dots})
+
+    send("touchStart", (x, y))
+    return (lambda px, py: send("touchMove", (px, py))), (lambda: send("touchEnd"))
+
+
 def picture_of(viewer: Viewer, part: dict[str, float]) -> np.ndarray:
     """A part of the window, [H, W, 3]."""
     shot = viewer.page.screenshot(clip=part)  # type: ignore[arg-type]

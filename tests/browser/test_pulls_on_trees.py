@@ -11,7 +11,7 @@ from PIL import Image, ImageDraw
 
 from dynamictree.dataset.sample import make_sample
 from dynamictree.formats.gltf.writer import write_glb
-from tests.browser.conftest import JOB_MS, MOVING, PICTURES, Viewer, animated, picture_of
+from tests.browser.conftest import JOB_MS, MOVING, PICTURES, Viewer, animated, picture_of, press
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 
@@ -164,19 +164,7 @@ def pulled(viewer: Viewer, pictures: list[Image.Image], *, touch: bool) -> list[
     """Pull along WAY, hold, and let go; a picture of each, with the pointer in it."""
     page = viewer.page
     x, y = page.evaluate(PLACE)
-    if touch:
-        finger = page.context.new_cdp_session(page)
-
-        def put(kind: str, *points: tuple[float, float]) -> None:
-            dots = [{"x": px, "y": py} for px, py in points]
-            finger.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": dots})
-
-        put("touchStart", (x, y))
-        move, lift = (lambda px, py: put("touchMove", (px, py))), (lambda: put("touchEnd"))
-    else:
-        page.mouse.move(x, y)
-        page.mouse.down()
-        move, lift = page.mouse.move, page.mouse.up
+    move, lift = press(page, x, y, touch=touch)
     viewer.wait_turns(3)
     pictures.append(pictured(viewer, (x, y)))
     assert page.evaluate(REST_CROSSES), "the rest after the last pull ends this one"

@@ -8,7 +8,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from dynamictree.formats.splat.ply import read_gaussian_ply
-from tests.browser.conftest import JOB_MS, MOVING, Viewer
+from tests.browser.conftest import JOB_MS, MOVING, Viewer, press
 from tests.reconstruct.conftest import photographed
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(1800)]
@@ -48,13 +48,11 @@ def drag(page: Page, start: tuple[float, float], end: tuple[float, float]) -> No
 
 def swipe(page: Page, start: tuple[float, float], end: tuple[float, float]) -> None:
     """A finger on the screen: the browser makes pointer events of touches."""
-    session = page.context.new_cdp_session(page)
     (x, y), (right, down) = place(page, *start), place(page, *end)
-    session.send("Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": [{"x": x, "y": y}]})
+    move, lift = press(page, x, y, touch=True)
     for step in range(1, 9):
-        at = {"x": x + step / 8 * (right - x), "y": y + step / 8 * (down - y)}
-        session.send("Input.dispatchTouchEvent", {"type": "touchMove", "touchPoints": [at]})
-    session.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+        move(x + step / 8 * (right - x), y + step / 8 * (down - y))
+    lift()
 
 
 def blue_gaussians(url: str, job_id: str) -> int:

@@ -15,7 +15,7 @@ from dynamictree.formats.splat.ply import write_gaussian_ply
 from dynamictree.gaussian.cloud import GaussianCloud
 from jobs.keys import create_key
 from jobs.store import Store
-from tests.browser.conftest import JOB_MS, MOVING, PICTURES, Viewer, changed, pixels, scrub, steady
+from tests.browser.conftest import JOB_MS, MOVING, PICTURES, Viewer, changed, pixels, press, scrub, steady
 from tests.servers import api
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
@@ -123,20 +123,8 @@ def test_the_branch_stays_under_the_pointer(view: Open, job_url: str, touch: boo
     page.locator("#play").click()
     steady(viewer)
     still = pixels(viewer)
-    if touch:
-        finger = page.context.new_cdp_session(page)
-        x, y = on_the_tree(viewer)
-
-        def put(kind: str, *points: tuple[float, float]) -> None:
-            dots = [{"x": px, "y": py} for px, py in points]
-            finger.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": dots})
-
-        put("touchStart", (x, y))
-        move, lift = (lambda px, py: put("touchMove", (px, py))), (lambda: put("touchEnd"))
-    else:
-        x, y = on_the_tree(viewer)
-        page.mouse.down()
-        move, lift = page.mouse.move, page.mouse.up
+    x, y = on_the_tree(viewer)
+    move, lift = press(page, x, y, touch=touch)
     expect(page.locator("#grip")).to_be_visible()
     page.wait_for_timeout(800)
     page.evaluate(FOLLOWED, [x, y])
