@@ -1,49 +1,38 @@
-// The page: wires states, scene, panels and addresses together.
+// The page: wires states, scene, panels and addresses together. What is drawn has begun in page/begin.js.
 
 import { Client, Problem } from "./client.js";
-import { Stage } from "./draw/stage.js";
 import { remoteSource } from "./motion/remote.js";
+import { frames, hand, live, player, scene, stage } from "./page/begin.js";
 import { relativePaths, treesAmong } from "./page/bundles.js";
 import { CompanyPanel, makeOther } from "./page/company.js";
 import { $, ask, fill, paintRanges } from "./page/dom.js";
 import { watchDrops } from "./page/drop.js";
 import { linkedJob } from "./page/example.js";
 import { Files } from "./page/files.js";
-import { runFrames } from "./page/frames.js";
-import { Hand } from "./page/hand.js";
 import { JobList } from "./page/jobs.js";
 import { watchKeys } from "./page/keyboard.js";
-import { layOut, showGrip, showHint } from "./page/layout.js";
+import { layOut, showHint } from "./page/layout.js";
 import { LightPanel } from "./page/light.js";
-import { LiveTree } from "./page/live.js";
 import { Machine } from "./page/machine.js";
-import { Player } from "./page/player.js";
 import { hideProblem, showNotice, showProblem } from "./page/problem.js";
 import { showProgress, tabTitle } from "./page/progress.js";
 import { buildPushPanel } from "./page/push_panel.js";
 import { Recorder } from "./page/record.js";
 import { watchRoom } from "./page/room.js";
-import { Scene } from "./page/scene.js";
 import { Session, stem } from "./page/session.js";
 import { buildSettings } from "./page/settings.js";
 import { ShareDialog } from "./page/share.js";
-import { length, number, text, translate } from "./page/texts.js";
-import { applyTheme, currentTheme, onSystemTheme, switchTheme } from "./page/theme.js";
+import { length, number, text } from "./page/texts.js";
+import { currentTheme, onSystemTheme, switchTheme } from "./page/theme.js";
 import { TreeForm } from "./page/tree_form.js";
 import { ViewPanel } from "./page/views.js";
 import { buildWelcome, exampleFile, showFormats } from "./page/welcome.js";
 import { WindPanel } from "./page/wind.js";
 
-translate();
-applyTheme();
 const client = new Client({ key: sessionStorage.getItem("key"), storage: globalThis.localStorage });
 const limits = client.json("GET", "/v1/limits");
-const stage = newStage();
 const machine = new Machine(onState);
-const hand = new Hand(stage, { onGrab: (point, pointer) => showGrip(stage, point, pointer), onProblem: showProblem });
-const player = new Player(hand);
-const scene = new Scene(stage, client, { onMotion, onComplete: showViews, onDraft, onClear });
-const live = new LiveTree(scene, { onMotion: onLive });
+scene.connect(client, { onMotion, onComplete: showViews, onDraft, onClear });
 const session = new Session(client, machine, scene, { onJob: (id) => setAddress(`#job=${id}`), onKey: askKey });
 const files = new Files(client, { onProblem: (error) => onProblem(error) });
 const jobs = new JobList(client, {
@@ -70,7 +59,7 @@ function onState(state, facts, before) {
   if (facts.job) files.follow(facts.job, facts.name);
   if (state !== "welcome") form.set(facts);
   if (state !== "welcome") leaveLive();
-  else if (!linkedJob()) live.show().catch(() => {}); // the page works without it
+  else if (before && !linkedJob()) live.show().catch(() => {}); // the page works without it
   if (state === "failed" && facts.problem !== shownProblem)
     showProblem(facts.problem, isGone(facts.problem) ? null : () => session.retry());
   shownProblem = facts.problem;
@@ -88,17 +77,9 @@ function leaveLive() {
 
 const treeName = () => machine.facts.name || text("tree.one");
 
-function onLive({ tree, source, spectrum }) {
-  hand.take(tree, source);
-  player.start(tree, spectrum, { atRest: false });
-  wind.wind = player.made;
-  document.body.dataset.live = true;
-}
-
 function onMotion(tree, spectrum, job) {
   hand.take(tree, remoteSource(client, spectrum.id, tree.modes.V));
   player.start(tree, spectrum);
-  wind.wind = player.made;
   wind.start(() => client.wind(spectrum.id)).catch((error) => onProblem(error));
   showViews();
   const { name } = machine.facts;
@@ -201,15 +182,6 @@ function leave(options) {
 
 // ---- wiring
 
-function newStage() {
-  try {
-    return new Stage($("canvas"), { onContext: (lost) => ($("context-lost").hidden = !lost) });
-  } catch (error) {
-    showProblem(new Problem({ code: "no-webgl", detail: error.message }));
-    throw error;
-  }
-}
-
 function look() {
   stage.look(currentTheme());
   wind.show();
@@ -245,6 +217,6 @@ buildPushPanel(hand);
 paintRanges();
 look();
 onState("welcome", {}, null);
-runFrames({ stage, player, scene, hand, onDraw: () => company.place() });
+frames.onDraw = () => company.place();
 route();
 document.body.dataset.ready = "true";

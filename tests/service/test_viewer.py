@@ -108,7 +108,7 @@ def test_every_module_that_the_page_begins_with_is_loaded_at_once() -> None:
     page = (WEB / "index.html").read_text()
     listed = re.findall(r'<link rel="modulepreload" href="./web/([^"]+)">', page)
     ours = {path for path in listed if not path.startswith("vendor/")}
-    assert ours == {str(path.relative_to(WEB)) for path in imported(WEB / "app.js", set())} - {"app.js"}
+    assert ours == {str(path.relative_to(WEB)) for path in imported(WEB / "page/begin.js", set())}
     assert len(listed) == len(ours) + 3 == len(set(listed))
 
 

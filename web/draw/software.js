@@ -1,16 +1,22 @@
-// Whether WebGL runs on the processor, where each sample of a pixel costs time.
+// The canvas's WebGL context: with multisampling on a graphics card, without it where WebGL runs on the processor.
 
 const NAMES = /swiftshader|llvmpipe|softpipe|software|basic render/i;
+const ATTRIBUTES = { alpha: true, powerPreference: "high-performance" };
 
-let known = null;
+/**
+ * `{ canvas, context, soft }`. A canvas keeps its first context, which alone says where it runs; in software that is
+ * the right one, since there each takes a tenth of a second. On a card another canvas takes the place of `first`.
+ */
+export function contextOf(first) {
+  const context = first.getContext("webgl2", { ...ATTRIBUTES, antialias: false });
+  if (!context || runsInSoftware(context)) return { canvas: first, context, soft: true };
+  context.getExtension("WEBGL_lose_context")?.loseContext();
+  const canvas = first.cloneNode();
+  first.replaceWith(canvas);
+  return { canvas, context: canvas.getContext("webgl2", { ...ATTRIBUTES, antialias: true }), soft: false };
+}
 
-/** Asked once: the first context of a page takes a tenth of a second, in which files can be loaded. */
-export const drawsInSoftware = () => (known ??= asksItsName());
-
-function asksItsName() {
-  const gl = document.createElement("canvas").getContext("webgl2");
-  const names = gl?.getExtension("WEBGL_debug_renderer_info");
-  const name = names ? gl.getParameter(names.UNMASKED_RENDERER_WEBGL) : "";
-  gl?.getExtension("WEBGL_lose_context")?.loseContext();
-  return NAMES.test(name);
+function runsInSoftware(gl) {
+  const names = gl.getExtension("WEBGL_debug_renderer_info");
+  return NAMES.test(names ? gl.getParameter(names.UNMASKED_RENDERER_WEBGL) : "");
 }

@@ -3,7 +3,7 @@
 import * as THREE from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { Resolution } from "./resolution.js";
-import { drawsInSoftware } from "./software.js";
+import { contextOf } from "./software.js";
 import { Surroundings } from "./surroundings.js";
 
 const FIELD_OF_VIEW = 30;
@@ -11,15 +11,12 @@ const FIRST_VIEW = new THREE.Vector3(-0.38, -1, 0.2).normalize();
 
 export class Stage {
   /** `onContext(lost)` is called when the graphics context is lost and when it is back. */
-  constructor(canvas, { onContext = () => {} } = {}) {
+  constructor(first, { onContext = () => {} } = {}) {
+    const { canvas, context, soft } = contextOf(first);
     this.canvas = canvas;
-    const soft = drawsInSoftware();
-    this.renderer = new THREE.WebGLRenderer({
-      canvas,
-      antialias: !soft, // it costs half of the frames there
-      alpha: true,
-      powerPreference: "high-performance",
-    });
+    if (!context) throw new Error("this browser has no WebGL 2");
+    this.renderer = new THREE.WebGLRenderer({ canvas, context });
+    this.renderer.debug.checkShaderErrors = false; // each of its questions waits for the card; WebGL itself warns
     if (!this.renderer.extensions.has("EXT_color_buffer_float")) {
       throw new Error("this browser's WebGL cannot draw into textures of floating-point numbers");
     }

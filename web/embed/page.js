@@ -33,7 +33,7 @@ async function begin() {
   const stage = new Stage($("canvas"));
   const hand = new Hand(stage, { onGrab: (point, pointer) => showGrip(stage, point, pointer) });
   const player = new Player(hand);
-  const scene = new Scene(stage, client);
+  const scene = new Scene(stage);
   stage.surroundings.groundVisible = !options.has("transparent");
   stage.controls.autoRotate = options.has("turntable");
   stage.look(theme());

@@ -1,10 +1,10 @@
-// Runs before the page's other modules are there: where the page opens with the welcome, its tree is loaded meanwhile,
-// and the browser's graphics begin to run.
+// Runs before the page's other modules are there: where the page opens with the welcome, its tree is loaded meanwhile.
+// What a script imports by itself, the page's load event does not wait for. Until that event a browser turns a circle in
+// its tab, and where it draws in software, each picture of the circle stops all of WebGL.
 
-import { drawsInSoftware } from "../draw/software.js";
 import { fetchExample, linkedJob } from "./example.js";
 
 /** The files of the welcome's tree; null where the page opens with a job. */
 export const early = linkedJob() ? null : fetchExample();
 early?.catch(() => {}); // the page works without it
-drawsInSoftware();
+import("./begin.js");

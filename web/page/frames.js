@@ -2,8 +2,9 @@
 
 const LONGEST_S = 0.5; // a tab that was in the background goes on from where it was
 
-/** Draw the scene's tree for ever; `body[data-frames]` and `body[data-sharp]` say how far it is; `onDraw()` follows each. */
-export function runFrames({ stage, player, scene, hand, onDraw = () => {} }) {
+/** Draw the scene's tree for ever; `body[data-frames]` and `body[data-sharp]` say how far it is; `parts.onDraw()` follows each. */
+export function runFrames(parts) {
+  const { stage, player, scene, hand } = parts;
   const { dataset } = document.body;
   stage.prepare = (renderer) => scene.tree?.prepare(renderer);
   let last = performance.now();
@@ -14,7 +15,7 @@ export function runFrames({ stage, player, scene, hand, onDraw = () => {} }) {
     player.advance(seconds);
     if (stage.draw(now)) {
       dataset.frames = Number(dataset.frames ?? 0) + 1;
-      onDraw();
+      parts.onDraw?.();
     }
     dataset.sharp = stage.resolution.sharp && !stage.stale;
     hand.tick();

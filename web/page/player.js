@@ -14,6 +14,7 @@ const MOST_TURNS = 3; // of a mode alone in one loop, slow enough for the eye
 export class Player {
   constructor(hand) {
     this.hand = hand;
+    this.onStart = () => {}; // a tree's motion begins
     this.playing = true;
     this.phase = 0;
     this.seconds = 0; // of endless wind
@@ -42,6 +43,7 @@ export class Player {
     this.other = null;
     this.setTurbulent(null);
     this.setPlaying(!matchMedia("(prefers-reduced-motion: reduce)").matches);
+    this.onStart();
   }
 
   stop() {

@@ -15,17 +15,17 @@ const DRAFT = "draft.splat";
 const DRAFT_MS = 5000; // so often it is asked for
 
 export class Scene {
-  /**
-   * `onMotion(tree, spectrum, job)` is called once there is a tree that moves, `onComplete()` with all of its
-   * files, `onDraft(height_m)` once what was dropped is drawn, null when it goes.
-   */
-  constructor(
-    stage,
-    client,
-    { onMotion = () => {}, onComplete = () => {}, onDraft = () => {}, onClear = () => {} } = {},
-  ) {
-    Object.assign(this, { stage, client, onMotion, onComplete, onDraft, onClear });
+  constructor(stage) {
+    this.stage = stage;
     this.tree = null;
+  }
+
+  /**
+   * Give it the service. `onMotion(tree, spectrum, job)` is called once there is a tree that moves, `onComplete()` with
+   * all of its files, `onDraft(height_m)` once what was dropped is drawn, null when it goes.
+   */
+  connect(client, { onMotion, onComplete, onDraft, onClear }) {
+    Object.assign(this, { client, onMotion, onComplete, onDraft, onClear });
   }
 
   clear() {

@@ -25,6 +25,10 @@ export class WindPanel {
     $("make-wind").onclick = () => onMake(this.wind);
     $("make-bands").onclick = () => onMake(this.player.made, true);
     this._watchDial();
+    player.onStart = () => {
+      this.wind = player.made;
+    };
+    if (player.tree) player.onStart();
   }
 
   /** Begin with a motion; `turbulent()` asks for its endless wind. */
