@@ -1,6 +1,7 @@
 """Time from opening the page to the first picture in which the welcome's tree has moved, in Chromium with software GL.
 
-Each visit has an empty cache, in a window whose own parts have loaded: Chromium fills a new one with pages of its own. The page is served by `dynamictree serve` on the same machine, so the network costs
+Each visit has an empty cache, in a window whose own parts have loaded: Chromium fills a new one with pages of its own.
+The page is served by `dynamictree serve` on the same machine, so the network costs
 nothing; what it sends is stated in bytes. Judged by pixels: the time of the first frame in which the tree's outline
 against the sky, read back from the canvas, differs from that of its first picture. A shadow changes no outline.
 
