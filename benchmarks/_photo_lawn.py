@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64
+from jaxtyping import Float32, Float64, UInt8
 from PIL import Image
 from scipy.ndimage import gaussian_filter, map_coordinates
 
@@ -23,8 +23,8 @@ _GRASS, _SOIL, _HEDGE, _SHADE = (0.50, 0.68, 0.28), (0.18, 0.15, 0.07), (0.36, 0
 _HORIZON, _ZENITH, _CLOUD = (0.80, 0.87, 0.93), (0.30, 0.50, 0.80), (0.97, 0.97, 0.98)
 
 
-def photograph_on_lawn(folder: Path, *, number: int, side: int) -> dict[str, Bool[np.ndarray, "H W"]]:
-    """Write JPEG photos of a walk around the tree; gives for each photo's name the pixels that show the tree."""
+def photograph_on_lawn(folder: Path, *, number: int, side: int) -> dict[str, UInt8[np.ndarray, "H W"]]:
+    """Write JPEG photos of a walk around the tree; gives for each photo's name how much of each pixel is tree."""
     grown = speckled(make_sample(7, "round-broadleaf").mesh)
     tree = grown.with_vertices((grown.vertices * (_HEIGHT_M / grown.height_m)).astype(np.float32))
     renderer, garden = fine_renderer(tree, side), _Garden(tree)
@@ -39,7 +39,7 @@ def photograph_on_lawn(folder: Path, *, number: int, side: int) -> dict[str, Boo
         name = f"IMG_{place:04d}.jpg"
         photo = np.clip(np.exp(0.15 * rng.normal()) * scene, 0, 255).round().astype(np.uint8)
         Image.fromarray(photo).save(folder / name, quality=92)
-        masks[name] = cover[..., 0] >= 0.5
+        masks[name] = rgba[..., 3].astype(np.uint8)
     return masks
 
 

@@ -31,7 +31,7 @@ PHOTOS, SIDE_PX = 30, 640
 FORMATS = ["splat", "png"]
 PATIENCE_S = 7200.0
 Masks = dict[str, np.ndarray]
-"""Of each photo, by its name, the pixels that show the plant."""
+"""Of each photo, by its name, how much of each pixel is plant: 0 to 255."""
 
 
 def run() -> dict[str, object]:
@@ -62,13 +62,13 @@ def _thin(folder: Path) -> Masks:
         rgba = np.asarray(Image.open(path))
         Image.fromarray(rgba[..., :3]).save(path)
         Image.fromarray(np.where(rgba[..., 3] > 127, 255, 0).astype(np.uint8)).save(folder / "masks" / path.name)
-        masks[path.name] = rgba[..., 3] > 127
+        masks[path.name] = rgba[..., 3]
     return masks
 
 
 def _rgba(folder: Path) -> Masks:
     taken = photograph(folder, number=PHOTOS, side=SIDE_PX)
-    return {path.name: np.asarray(Image.open(path))[..., 3] > 127 for path in taken.photos}
+    return {path.name: np.asarray(Image.open(path))[..., 3] for path in taken.photos}
 
 
 def _banana(folder: Path) -> Masks:
@@ -115,7 +115,8 @@ def _plant_iou(got: dict[str, bytes], held_out: list[str], masks: Masks) -> floa
         if view.photo not in held_out:
             continue
         drawn = render_cloud(plant, view.camera, width=view.width, height=view.height).alpha > 0.5
-        true = Image.fromarray(masks[view.photo]).resize((view.width, view.height))  # without distortion: 1 px less
-        both += int((drawn & np.asarray(true)).sum())
-        either += int((drawn | np.asarray(true)).sum())
+        size = view.width, view.height  # without distortion: 1 px less, and half a pixel aside
+        true = np.asarray(Image.fromarray(masks[view.photo]).resize(size, Image.Resampling.BILINEAR)) > 127
+        both += int((drawn & true).sum())
+        either += int((drawn | true).sum())
     return round(both / either, 3)
