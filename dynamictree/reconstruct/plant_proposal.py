@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.still_gaussians import find_still_gaussians, touching_groups
-from dynamictree.reconstruct.scene_planes import behind_planes
+from dynamictree.reconstruct.scene_planes import THICKNESS, wide_planes
 from dynamictree.reconstruct.seen_from import SeenFrom, focus_of
 
 _NEAR = 0.85  # of the cameras' distance from what they look at: farther away is background
@@ -20,6 +20,8 @@ _WHOLE = 0.7  # of a thing's Gaussians must lie in most photos
 _CENTRAL = 0.5  # of half the picture: things farther from the middle count little
 _APART_CELLS = 4.0  # between the plant and a loose piece of it
 _MOST_VIEWS = 40
+_LEVEL = 0.9  # +Z part of the normal of a ground
+_IN_GROUND, _BELOW = 0.2, 0.7  # of the thickness of the ground: above it, and aside of what stands there
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +46,9 @@ def propose(cloud: GaussianCloud, views: list[SeenFrom]) -> Proposal:
     coverage, middle = _places_in_pictures(means, chosen)
     rows = np.flatnonzero(near)
     cameras = np.array([view.camera.position_m for view in chosen])
-    background[rows] = behind_planes(means[rows], cameras, focus, distance)
+    planes = wide_planes(means[rows], cameras, focus, distance)
+    height = means @ planes[:, :3].T - planes[:, 3]
+    background[rows] = (height[rows] < THICKNESS * distance).any(axis=1)
     rows = np.flatnonzero(near & ~background & (coverage >= _IN_PICTURE))
     if len(rows):
         background[rows] = find_still_gaussians(cloud.subset(rows))[1] > 0
@@ -52,7 +56,27 @@ def propose(cloud: GaussianCloud, views: list[SeenFrom]) -> Proposal:
     inside = _inside_groups(means[rows], coverage[rows] >= _IN_PICTURE, middle[rows], cell_m=_CELL * distance)
     background[rows] = ~inside
     central = near & ~background & (coverage >= _IN_PICTURE)
+    for plane, above in zip(planes, height.T, strict=True):
+        if plane[2] > _LEVEL:
+            central |= near & _feet(means, above, central, THICKNESS * distance)
+    background &= ~central
     return Proposal(near=near, background=background | (near & (coverage < _IN_PICTURE)), central=central)
+
+
+def _feet(
+    points: Float64[np.ndarray, "G 3"],
+    above_m: Float64[np.ndarray, " G"],
+    plant: Bool[np.ndarray, " G"],
+    thickness_m: float,
+) -> Bool[np.ndarray, " G"]:
+    """Points within the ground's thickness straight below the plant: a trunk goes down to the ground."""
+    feet = np.zeros(len(points), np.bool_)
+    lowest = np.flatnonzero(plant & (above_m < 2 * thickness_m))
+    rows = np.flatnonzero((above_m > _IN_GROUND * thickness_m) & (above_m < thickness_m))
+    if len(lowest) and len(rows):
+        aside = cKDTree(points[lowest, :2]).query(points[rows, :2])[0]
+        feet[rows] = aside < _BELOW * thickness_m
+    return feet
 
 
 def _places_in_pictures(

@@ -1,7 +1,7 @@
 """Wide planes in a scene of points that all cameras are in front of: floors, tables, walls, cloths."""
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Float64
 
 from dynamictree.gaussian.flat_points import NEIGHBOURS, FlatPoints, flat_points
 
@@ -10,27 +10,28 @@ Points = Float64[np.ndarray, "_ 3"]
 _SAMPLED = 8000  # points that planes are sought in
 _TRIALS = 400
 _MOST_PLANES = 4
-_THICKNESS = 0.015  # of the cameras' distance
+THICKNESS = 0.015  # of the cameras' distance
 _LEAST_SHARE = 0.04  # of the points
 _LEAST_WIDTH = 0.3  # of the cameras' distance, in both directions
 _IN_FRONT = 0.95  # of the cameras
 _FOCUS_GAP = 0.03  # of the cameras' distance: the plane does not pass through what the cameras look at
 
 
-def behind_planes(
+def wide_planes(
     points: Points, cameras: Points, focus: Float64[np.ndarray, "3"], distance_m: float
-) -> Bool[np.ndarray, " P"]:
-    """Points on or behind a plane that is wide and flat, and that cameras and what they look at are in front of.
+) -> Float64[np.ndarray, "L 4"]:
+    """Normal and offset of each plane that is wide and flat, and that cameras and what they look at are in front of.
 
-    Planes are sought by RANSAC among the points' own normals, so that a crown's points, which have all normals, are
-    no plane.
+    Points nearer than `THICKNESS` times the distance are on it. Planes are sought by RANSAC among the points' own
+    normals, so that a crown's points, which have all normals, are no plane.
     """
     rng = np.random.default_rng(0)
     rest = np.sort(rng.permutation(len(points))[:_SAMPLED])
-    thickness = _THICKNESS * distance_m
+    thickness = THICKNESS * distance_m
+    planes = []
     behind = np.zeros(len(points), np.bool_)
     if len(rest) <= NEIGHBOURS:
-        return behind
+        return np.zeros((0, 4))
     surface = flat_points(points[rest])
     least = _LEAST_SHARE * len(rest)
     for _ in range(_MOST_PLANES):
@@ -38,8 +39,9 @@ def behind_planes(
         plane = _best_plane(points[rest[left]], surface.subset(left), cameras, focus, thickness, least, rng)
         if plane is None:
             break
+        planes.append(plane)
         behind |= points @ plane[:3] - plane[3] < thickness
-    return behind
+    return np.array(planes).reshape(-1, 4)
 
 
 def _best_plane(
@@ -75,9 +77,9 @@ def _is_wall(
     thickness: float,
 ) -> bool:
     middle = points.mean(axis=0)
-    if (focus - middle) @ normal < thickness * _FOCUS_GAP / _THICKNESS:
+    if (focus - middle) @ normal < thickness * _FOCUS_GAP / THICKNESS:
         return False
     if ((cameras - middle) @ normal > 0).mean() < _IN_FRONT:
         return False
     spread = np.sqrt(np.linalg.eigvalsh(np.cov((points - middle).T)))
-    return bool(np.sqrt(12) * spread[1] > _LEAST_WIDTH * thickness / _THICKNESS)
+    return bool(np.sqrt(12) * spread[1] > _LEAST_WIDTH * thickness / THICKNESS)

@@ -31,6 +31,17 @@ def test_a_potted_plant_is_cut_out_without_help() -> None:
     assert (own & planted.plant).sum() > 0.97 * planted.plant.sum()
 
 
+def test_a_trunk_goes_down_to_the_ground() -> None:
+    """The lawn is 1 % of the height rough; what counts as ground is nearly three times as thick."""
+    planted = on_lawn()
+    plant = planted.scene.means[planted.plant]
+    height = float(np.ptp(plant[:, 2]))
+    own = propose(planted.scene, list(planted.views)).central
+    foot = planted.plant & (planted.scene.means[:, 2] > 0.01 * height) & (planted.scene.means[:, 2] < 0.03 * height)
+    assert own[foot].mean() > 0.7
+    assert own[~planted.plant & (planted.scene.means[:, 2] < 0.03 * height)].mean() < 0.001
+
+
 def test_one_stroke_takes_away_what_leans_on_the_trunk() -> None:
     planted = on_lawn()
     views = list(planted.views)
