@@ -1,6 +1,6 @@
 """Depth maps of all views: coarse ones of whole pictures, fine ones of the subject."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from dynamictree.files import replacing
 from dynamictree.reconstruct.fusion import Box
+from dynamictree.reconstruct.sky import Foreground
 from dynamictree.reconstruct.stereo import (
     DepthRange,
     Hypotheses,
@@ -24,6 +25,7 @@ from dynamictree.reconstruct.views import SparseModel, View
 COARSE_SIDE_PX, FINE_SIDE_PX = 256, 720
 _COARSE_ITERATIONS, _FINE_ITERATIONS = 3, 2
 _DEPTH_PERCENTILES, _DEPTH_SLACK = (1.0, 99.0), 1.25  # of a view's points
+_MOSTLY = 0.5
 _MIN_POINTS = 12  # that a view must see to be matched
 
 
@@ -93,6 +95,15 @@ def load_depths(model: SparseModel, path: Path) -> tuple[DepthMaps, DepthMaps | 
     coarse_maps = DepthMaps(views=[stereo_view(view, COARSE_SIDE_PX) for view in model.views], depths=coarse)
     fine_maps = DepthMaps(views=[stereo_view(view, FINE_SIDE_PX) for view in model.views], depths=fine)
     return coarse_maps, fine_maps if fine else None, Box(low=low, high=high)
+
+
+def outside_sky(maps: DepthMaps, sky: Sequence[Foreground]) -> DepthMaps:
+    """The same maps, unknown where more than half of a pixel is sky."""
+    depths = []
+    for depth, view in zip(maps.depths, sky, strict=True):
+        cover = Image.fromarray(view.cover).resize(depth.shape[::-1], Image.Resampling.BOX)
+        depths.append(np.where(np.asarray(cover) > _MOSTLY, depth, 0).astype(np.float32))
+    return DepthMaps(views=maps.views, depths=depths)
 
 
 def stereo_view(view: View, side_px: int) -> StereoView:

@@ -82,12 +82,14 @@ def optimise(
     schedule: Schedule,
     *,
     extent: float,
+    cut_out: bool = False,
     cameras: Float64[np.ndarray, "V 3"] | None = None,
     on_step: Callable[[SplatProgress], None] = lambda progress: None,
 ) -> SplatProgress:
     """Optimise, split and prune Gaussians; `on_step` may save the state, or raise to stop.
 
-    Where `cameras` were is free space, also where those of other photos were.
+    Photos that are `cut_out` show the subject alone, by masks. Where `cameras` were is free space, also where those of
+    other photos were.
     """
     levels = _Levels(targets, choosing, schedule)
     pull = start.pull or Pull(len(start.table))
@@ -98,12 +100,12 @@ def optimise(
         shrink = _shrink(schedule, progress.step)
         target = levels.target(progress.step, shrink)
         degree = min(schedule.sh_degree, progress.step // schedule.degree_every)
-        stepped = _one_step(progress, target, pull, schedule, degree=degree, extent=extent, rng=rng)
+        stepped = _one_step(progress, target, pull, schedule, degree=degree, extent=extent, cut_out=cut_out, rng=rng)
         num_discarded = progress.num_discarded + int(stepped.skipped.sum())
         progress = replace(progress, moments=stepped.state, step=progress.step + 1, num_discarded=num_discarded)
         share = progress.step / schedule.num_steps
         if schedule.densify[0] <= share < schedule.densify[1] and progress.step % schedule.densify_every == 0:
-            rules = _rules(schedule, shrink, cut_out=targets[0].alpha is not None)
+            rules = _rules(schedule, shrink, cut_out=cut_out)
             if cameras is not None:
                 progress.table[before_cameras(progress.table, cameras, rules), LOGIT] = _DISCARDED_LOGIT
             table, moments = densified(progress.table, progress.moments, pull.mean, rules, extent=extent, rng=rng)
@@ -124,6 +126,7 @@ def _one_step(
     *,
     degree: int,
     extent: float,
+    cut_out: bool,
     rng: np.random.Generator,
 ) -> AdamStep:
     height, width = target.photo.shape[:2]
@@ -144,7 +147,7 @@ def _one_step(
     gradients = gradients_of(drawing, gradient, width=progress.table.shape[1])
     seen = drawing.bounds[:, 1] > drawing.bounds[:, 0]
     pull.add(gradients.centres_px, seen, width, height)
-    rates = _rates(schedule, progress.step, progress.table.shape[1], extent, cut_out=target.alpha is not None)
+    rates = _rates(schedule, progress.step, progress.table.shape[1], extent, cut_out=cut_out)
     stepped = adam_step(progress.table, gradients.table, progress.moments, rates)
     progress.table[stepped.skipped, LOGIT] = _DISCARDED_LOGIT
     unit_quaternions(progress.table)
@@ -202,7 +205,7 @@ def _checked(progress: SplatProgress, levels: "_Levels", schedule: Schedule, deg
 
 def mean_psnr(table: Float32[np.ndarray, "G P"], targets: Sequence[Target], sh_degree: int) -> float:
     """Mean over the photos [dB]."""
-    return float(np.mean([psnr(drawn(table, target, sh_degree), cut_out(target)) for target in targets]))
+    return float(np.mean([psnr(drawn(table, target, sh_degree), on_black(target)) for target in targets]))
 
 
 def drawn(table: Float32[np.ndarray, "G P"], target: Target, sh_degree: int) -> Float32[np.ndarray, "H W 3"]:
@@ -213,7 +216,7 @@ def drawn(table: Float32[np.ndarray, "G P"], target: Target, sh_degree: int) -> 
     return result
 
 
-def cut_out(target: Target) -> Float32[np.ndarray, "H W 3"]:
+def on_black(target: Target) -> Float32[np.ndarray, "H W 3"]:
     """The target's photo on black."""
     return target.photo if target.alpha is None else target.photo * target.alpha[..., None]
 

@@ -97,6 +97,7 @@ def reconstruct(
                 scene.matched,
                 scene.coarse,
                 options.schedule,
+                sky=scene.sky,
                 saved=space.splat,
                 on_progress=report,
                 on_table=draft.show,

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from dynamictree.reconstruct.depth import DepthMaps, coarse_depths, fine_depths, load_depths, save_depths
+from dynamictree.reconstruct.depth import DepthMaps, coarse_depths, fine_depths, load_depths, outside_sky, save_depths
 from dynamictree.reconstruct.fusion import Box, above, fuse, main_cluster
+from dynamictree.reconstruct.sky import Foreground, without_sky
 from dynamictree.reconstruct.stage import find_stage
 from dynamictree.reconstruct.views import SparseModel
 
@@ -30,6 +31,7 @@ class Scene:
     box: Box  # around the subject
     cut: float  # height below which is ground
     ground_found: bool
+    sky: list[Foreground] | None = None  # of the matched views, where they show one
 
 
 def find_scene(
@@ -40,6 +42,8 @@ def find_scene(
     on_progress: Callable[[float], None] = lambda share: None,
 ) -> Scene:
     """Find up and the subject, and match all views: coarse depths locate the subject, fine ones are of it alone.
+
+    Where photos show sky, its depths are left out: stereo gives it those of the leaves before it.
 
     Args:
         model: as structure from motion gives it.
@@ -59,9 +63,19 @@ def find_scene(
         coarse, fine, box = _depths(matched, cut, on_progress)
         if saved is not None:
             save_depths(coarse, fine, box, saved)
+    sky = None if cut_out else without_sky(matched.views, coarse.depths)
+    if sky is not None:
+        coarse, fine = outside_sky(coarse, sky), None if fine is None else outside_sky(fine, sky)
     on_progress(1.0)
     return Scene(
-        model=model, matched=matched, coarse=coarse, fine=fine, box=box, cut=cut, ground_found=stage.ground_found
+        model=model,
+        matched=matched,
+        coarse=coarse,
+        fine=fine,
+        box=box,
+        cut=cut,
+        ground_found=stage.ground_found,
+        sky=sky,
     )
 
 

@@ -19,14 +19,15 @@ from dynamictree.reconstruct.optimise import (
     Schedule,
     SplatProgress,
     Target,
-    cut_out,
     drawn,
+    on_black,
     optimise,
     planes_of,
     smaller,
 )
 from dynamictree.reconstruct.picture_loss import psnr, ssim
-from dynamictree.reconstruct.splat_start import first_table
+from dynamictree.reconstruct.sky import Foreground
+from dynamictree.reconstruct.splat_start import first_table, sky_table
 from dynamictree.reconstruct.views import SparseModel, View
 
 START_GAUSSIANS = 25_000
@@ -73,6 +74,7 @@ def fit_splat(
     depths: DepthMaps | None,
     schedule: Schedule,
     *,
+    sky: Sequence[Foreground] | None = None,
     saved: Path | None = None,
     on_progress: Callable[[float, float | None], None] = lambda share, psnr_db: None,
     on_table: Callable[[Float32[np.ndarray, "G P"], int], None] = lambda table, step: None,
@@ -83,6 +85,7 @@ def fit_splat(
         model: in the stage's frame.
         depths: of the same views, where stereo has some; only those of photos that are learned from are used.
         schedule: how long and how fine.
+        sky: the photos without their sky, where they show one; it is put behind what was learned.
         saved: a file for the state, every 20 s and when `on_progress` raises; the run continues from it if it exists.
         on_progress: gets the share that is done and the PSNR [dB] of the choosing photos at the last check, every
             quarter of a second; what it raises passes through.
@@ -95,6 +98,7 @@ def fit_splat(
     table = first_table(
         _some_views(model, learned),
         None if depths is None else _some_depths(depths, learned),
+        sky=None if sky is None else [sky[view] for view in learned],
         number=min(START_GAUSSIANS, schedule.rules.max_gaussians // 2),
         sh_degree=schedule.sh_degree,
         dome=not cut,
@@ -121,14 +125,21 @@ def fit_splat(
                     save_progress(progress, saved)
                 raise
 
-    targets = [_target(model.views[view], None if depths is None else depths.depths[view]) for view in learned]
-    choosing = [_target(model.views[view], None) for view in choosing_rows]
+    def target(view: int, depth: Float32[np.ndarray, "h w"] | None) -> Target:
+        return _target(model.views[view], depth, None if sky is None else sky[view])
+
+    targets = [target(view, None if depths is None else depths.depths[view]) for view in learned]
+    choosing = [target(view, None) for view in choosing_rows]
     cameras = np.array([view.camera.position_m for view in model.views])
     extent = camera_extent(model.views)
-    end = optimise(start, targets, choosing, schedule, extent=extent, cameras=cameras, on_step=step)
+    end = optimise(start, targets, choosing, schedule, extent=extent, cut_out=cut, cameras=cameras, on_step=step)
     if saved is not None:
         save_progress(end, saved)
-    fit = _judged(end, [model.views[view] for view in held_out_rows], schedule)
+    table = end.result
+    if sky is not None:
+        behind = sky_table([model.views[view] for view in learned], [sky[view] for view in learned], schedule.sh_degree)
+        table = np.concatenate([table, behind])
+    fit = _judged(end, table, [model.views[view] for view in held_out_rows], schedule)
     return replace(fit, chosen_by=tuple(model.views[view].source for view in choosing_rows))
 
 
@@ -138,13 +149,13 @@ def camera_extent(views: Sequence[View]) -> float:
     return 1.1 * float(np.linalg.norm(positions - positions.mean(axis=0), axis=1).max())
 
 
-def _judged(end: SplatProgress, views: list[View], schedule: Schedule) -> SplatFit:
-    targets = [smaller(_target(view, None), schedule.side_px) for view in views]
-    pictures = [drawn(end.result, target, schedule.sh_degree) for target in targets]
-    photos = [cut_out(target) for target in targets]
+def _judged(end: SplatProgress, table: Float32[np.ndarray, "G P"], views: list[View], schedule: Schedule) -> SplatFit:
+    targets = [smaller(_target(view, None, None), schedule.side_px) for view in views]
+    pictures = [drawn(table, target, schedule.sh_degree) for target in targets]
+    photos = [on_black(target) for target in targets]
     pairs = [np.concatenate([photo, picture], axis=1) for photo, picture in zip(photos, pictures, strict=True)]
     return SplatFit(
-        table=end.result,
+        table=table,
         held_out=tuple(view.source for view in views),
         chosen_by=(),
         psnr_db=tuple(psnr(picture, photo) for picture, photo in zip(pictures, photos, strict=True)),
@@ -163,9 +174,12 @@ def _judged(end: SplatProgress, views: list[View], schedule: Schedule) -> SplatF
     )
 
 
-def _target(view: View, depth: Float32[np.ndarray, "h w"] | None) -> Target:
-    photo = view.image.astype(np.float32) / 255
-    alpha = None if view.alpha is None else view.alpha.astype(np.float32) / 255
+def _target(view: View, depth: Float32[np.ndarray, "h w"] | None, sky: Foreground | None) -> Target:
+    if sky is None:
+        photo = view.image.astype(np.float32) / 255
+        alpha = None if view.alpha is None else view.alpha.astype(np.float32) / 255
+    else:
+        photo, alpha = sky.color, sky.cover
     if depth is None:
         return Target(camera=view.camera, photo=photo, alpha=alpha)
     height, width = photo.shape[:2]

@@ -7,6 +7,7 @@ from jaxtyping import Float32, Float64, Int64
 from scipy.spatial import cKDTree
 
 from dynamictree.reconstruct.depth import DepthMaps
+from dynamictree.reconstruct.sky import Foreground
 from dynamictree.reconstruct.splat_table import table_of_points
 from dynamictree.reconstruct.texture_hull import texture_points
 from dynamictree.reconstruct.views import SparseModel, View
@@ -16,16 +17,29 @@ _OPACITY, _DOME_OPACITY = 0.1, 0.95  # Kerbl et al. begin with 0.1; stereo's err
 _CROWN_SHARE = 0.4  # of the other points: in a thin crown there are none of them
 _WIDEST_SHARE = 0.1  # of the cameras' distance, for a point far from all others
 _DOME_POINTS, _DOME_DISTANCE = 3000, 12.0  # of the radius of the region that the pictures hold
+_SKY_POINTS, _SKY_WIDTH = 12_000, 1.5  # on a whole sphere; of the dome's Gaussians
+_SKY_DISTANCE, _BESIDE_SKY = 100.0, 0.15  # of the region's radius; of that distance, how far it goes on unseen
+_LEAST_SOLID, _LEAST_SKY = 0.8, 0.02  # of the photos that see a place of the dome
+_COVERED = 0.9  # of a pixel whose colour counts
 _GOLDEN = np.pi * (3 - np.sqrt(5))
+Cover = Float32[np.ndarray, "H W"]
 
 
 def first_table(
-    model: SparseModel, depths: DepthMaps | None, *, number: int, sh_degree: int, dome: bool, rng: np.random.Generator
+    model: SparseModel,
+    depths: DepthMaps | None,
+    *,
+    number: int,
+    sh_degree: int,
+    dome: bool,
+    rng: np.random.Generator,
+    sky: Sequence[Foreground] | None = None,
 ) -> Float32[np.ndarray, "G P"]:
     """Up to about `number` round Gaussians as wide as their neighbours are near; and with `dome`, some far away.
 
     The model is in the stage's frame, in which the region has the radius 1; its views are those of the depth maps.
     """
+    covers = None if sky is None else [view.cover for view in sky]
     points, colors = model.points, model.colors / np.float32(255)
     if depths is not None:
         dense, dense_colors = points_of_depths(model, depths)
@@ -35,16 +49,33 @@ def first_table(
     rows = thinned(points, number, rng)
     points, colors = points[rows].astype(np.float32), colors[rows].astype(np.float32)
     if all(view.alpha is None for view in model.views):
-        crown, crown_colors = texture_points(model.views, round(_CROWN_SHARE * number), rng)
+        crown, crown_colors = texture_points(model.views, round(_CROWN_SHARE * number), rng, covers)
         points = np.concatenate([points, crown.astype(np.float32)])
         colors = np.concatenate([colors, crown_colors])
     table = table_of_points(points, colors, spacing(points), opacity=_OPACITY, sh_degree=sh_degree)
     if not dome:
         return table
-    far, far_colors = dome_points(model.views)
-    size = np.full(len(far), _DOME_DISTANCE * np.sqrt(4 * np.pi / _DOME_POINTS) / 2, np.float32)
-    behind = table_of_points(far, far_colors, size, opacity=_DOME_OPACITY, sh_degree=sh_degree)
-    return np.concatenate([table, behind])
+    far, far_colors, share = dome_points(model.views, covers)
+    solid = share >= _LEAST_SOLID
+    return np.concatenate([table, _dome_table(far[solid], far_colors[solid], 1.0, _DOME_POINTS, sh_degree)])
+
+
+def sky_table(views: Sequence[View], sky: Sequence[Foreground], sh_degree: int) -> Float32[np.ndarray, "S P"]:
+    """Opaque Gaussians behind all else, where photos show sky and a little beyond; they are not learned."""
+    points, colors, share = dome_points(views, [1 - view.cover for view in sky], _SKY_POINTS, _SKY_DISTANCE)
+    clear = np.flatnonzero(share >= _LEAST_SKY)
+    away, nearest = (np.asarray(part) for part in cKDTree(points[clear]).query(points))
+    beside = away < _BESIDE_SKY * _SKY_DISTANCE
+    width = _SKY_WIDTH * _SKY_DISTANCE / _DOME_DISTANCE
+    return _dome_table(points[beside], colors[clear[nearest[beside]]], width, _SKY_POINTS, sh_degree)
+
+
+def _dome_table(
+    points: Float32[np.ndarray, "D 3"], colors: Float32[np.ndarray, "D 3"], width: float, number: int, sh_degree: int
+) -> Float32[np.ndarray, "D P"]:
+    """Gaussians as wide as half the distance between neighbours, times `width`, of `number` on a whole sphere."""
+    size = np.full(len(points), width * _DOME_DISTANCE * np.sqrt(4 * np.pi / number) / 2, np.float32)
+    return table_of_points(points, colors, size, opacity=_DOME_OPACITY, sh_degree=sh_degree)
 
 
 def points_of_depths(
@@ -87,18 +118,31 @@ def spacing(points: Float32[np.ndarray, "G 3"]) -> Float32[np.ndarray, " G"]:
     return limited
 
 
-def dome_points(views: Sequence[View]) -> tuple[Float32[np.ndarray, "D 3"], Float32[np.ndarray, "D 3"]]:
-    """Points on a far sphere that a photo shows, with the mean colour of those photos."""
-    place = np.arange(_DOME_POINTS) + 0.5
-    z = 1 - 2 * place / _DOME_POINTS
+def dome_points(
+    views: Sequence[View],
+    covers: Sequence[Cover] | None = None,
+    number: int = _DOME_POINTS,
+    distance: float = _DOME_DISTANCE,
+) -> tuple[Float32[np.ndarray, "D 3"], Float32[np.ndarray, "D 3"], Float64[np.ndarray, " D"]]:
+    """Points on a far sphere that a photo shows, their mean colour there, and the share of photos that count.
+
+    With `covers` a photo counts where a pixel is covered.
+    """
+    place = np.arange(number) + 0.5
+    z = 1 - 2 * place / number
     side = np.sqrt(1 - z * z)
-    points = _DOME_DISTANCE * np.stack([side * np.cos(_GOLDEN * place), side * np.sin(_GOLDEN * place), z], axis=1)
-    total, weight = np.zeros((len(points), 3)), np.zeros(len(points))
-    for view in views:
+    points = distance * np.stack([side * np.cos(_GOLDEN * place), side * np.sin(_GOLDEN * place), z], axis=1)
+    total, weight, seen = np.zeros((number, 3)), np.zeros(number), np.zeros(number)
+    for row, view in enumerate(views):
         height, width = view.image.shape[:2]
         x, y, depth = view.camera.project(points, width, height).T
         inside = (depth > 0) & (x >= 0) & (y >= 0) & (x < width) & (y < height)
-        total[inside] += view.image[y[inside].astype(int), x[inside].astype(int)] / 255
-        weight += inside
-    seen = weight > 0
-    return points[seen].astype(np.float32), (total[seen] / weight[seen, None]).astype(np.float32)
+        at = y[inside].astype(int), x[inside].astype(int)
+        counts = np.ones(len(at[0])) if covers is None else covers[row][at] > _COVERED
+        total[inside] += counts[:, None] * view.image[at] / 255
+        weight[inside] += counts
+        seen += inside
+    some = seen > 0
+    colors = total / np.maximum(weight, 1e-9)[:, None]
+    share = weight / np.maximum(seen, 1)
+    return points[some].astype(np.float32), colors[some].astype(np.float32), share[some]

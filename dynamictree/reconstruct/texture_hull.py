@@ -21,10 +21,19 @@ _LOW, _HIGH, _RADIUS = 0.02, 2.0, 1.0  # of the stage's region, in whose middle 
 
 
 def texture_points(
-    views: Sequence[View], number: int, rng: np.random.Generator
+    views: Sequence[View],
+    number: int,
+    rng: np.random.Generator,
+    covers: Sequence[Float32[np.ndarray, "H W"]] | None = None,
 ) -> tuple[Float64[np.ndarray, "P 3"], Float32[np.ndarray, "P 3"]]:
-    """Up to `number` random points of the region that photos show as textured, with the photos' mean colours."""
+    """Up to `number` random points of the region that photos show as textured, with the photos' mean colours.
+
+    `covers` are the shares of pixels that are not sky.
+    """
     textured = [replace(view, alpha=textured_mask(view.image)) for view in views]
+    if covers is not None:
+        pairs = zip(textured, covers, strict=True)
+        textured = [replace(view, alpha=(view.alpha * cover).astype(np.uint8)) for view, cover in pairs]
     points, colors = points_in_masks(textured, 4 * number, rng)
     height, away = points[:, 2], np.linalg.norm(points[:, :2], axis=1)
     rows = np.flatnonzero((away < _RADIUS) & (height > _LOW) & (height < _HIGH))

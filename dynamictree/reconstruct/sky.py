@@ -1,0 +1,122 @@
+"""Sky in photos. It has no place, so a splat that seeks one for it puts fog between the leaves.
+
+Plain sky is a large bright piece without texture at the photo's rim, above the horizon. All other pixels there are
+divided by where their colour lies between that of the plain sky nearby and that of what is unlike it, as mattes are.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float32
+from PIL import Image
+from scipy.ndimage import binary_dilation, gaussian_filter, label
+
+from dynamictree.reconstruct.texture_hull import textured_mask
+from dynamictree.reconstruct.views import View
+
+Mask = Bool[np.ndarray, "H W"]
+Picture = Float32[np.ndarray, "H W 3"]
+
+_LEAST_PIECE = 0.01  # of a photo, plain and at its rim
+_LEAST_SKY = 0.04  # of a photo, in half of those that look up: a window or a lamp is no sky
+_HORIZON = -0.1  # sine of an elevation: eyes are above low hedges, and up is found within some degrees
+_LEAST_BLUE = 0.9  # of red and of green: sky is blue, grey or white
+_BRIGHTER = 1.1  # than the median of what is not plain sky
+_UNLIKE = 0.3  # distance of colours in [0, 1]³: what differs so much from the sky is none
+_LEAST_CONTRAST = 0.15  # between sky and plant: with less they cannot be separated
+_NOISE = 0.15  # of a cover, nearer to 0 or 1
+_RIM = 4 / 320  # of the longer side: so near to trees and roofs sky looks textured
+_REACH = 1 / 16  # of the longer side, standard deviation of the window in which colours are averaged
+_COARSER = 4  # pixels, for those means
+_FAR_WEIGHT = 1e-4  # of pixels all over the photo, against those near
+
+
+@dataclass(frozen=True, kw_only=True)
+class Foreground:
+    """A photo without its sky."""
+
+    cover: Float32[np.ndarray, "H W"]  # share of each pixel that is not sky
+    color: Picture  # of that share, in [0, 1]
+
+
+def without_sky(views: Sequence[View], depths: Sequence[Float32[np.ndarray, "_ _"]]) -> list[Foreground] | None:
+    """Each photo without its sky, or None where fewer than half of the photos that look up show one.
+
+    Args:
+        views: in a frame with +Z up.
+        depths: of each view, of any size, 0 where unknown.
+    """
+    elevations = [_elevation(view) for view in views]
+    plain = [_plain_sky(view, up, depth) for view, up, depth in zip(views, elevations, depths, strict=True)]
+    num_looking_up = sum(float(up.max()) > 0 for up in elevations)
+    num_sky = sum(float(sky.mean()) >= _LEAST_SKY for sky in plain)
+    if num_sky < max(1, 0.5 * num_looking_up):
+        return None
+    return [_foreground(view, up, sky) for view, up, sky in zip(views, elevations, plain, strict=True)]
+
+
+def _elevation(view: View) -> Float32[np.ndarray, "H W"]:
+    """Sine of the angle between each pixel's ray and the horizon."""
+    height, width = view.image.shape[:2]
+    to_world = view.camera.world_to_camera.T @ np.linalg.inv(view.camera.intrinsics_px(width, height))
+    column, row = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    rays = np.stack([column, row, np.ones_like(row)], axis=2) @ to_world.T
+    sine: Float32[np.ndarray, "H W"] = (rays[..., 2] / np.linalg.norm(rays, axis=2)).astype(np.float32)
+    return sine
+
+
+def _plain_sky(view: View, elevation: Float32[np.ndarray, "H W"], depth: Float32[np.ndarray, "h w"]) -> Mask:
+    """Large bright pieces at the rim without texture and depth."""
+    measured = np.asarray(Image.fromarray(depth > 0).resize(elevation.shape[::-1], Image.Resampling.NEAREST))
+    piece, number = label((elevation > _HORIZON) & (textured_mask(view.image) == 0) & ~measured)
+    if number == 0:
+        return np.zeros(elevation.shape, np.bool_)
+    size = np.bincount(piece.ravel(), minlength=number + 1)
+    total = [np.bincount(piece.ravel(), view.image[..., channel].ravel(), number + 1) for channel in range(3)]
+    color = np.stack(total, axis=1) / np.maximum(size, 1)[:, None]
+    sky = np.isin(np.arange(number + 1), np.concatenate([piece[0], piece[:, 0], piece[:, -1]]))
+    sky &= (size >= _LEAST_PIECE * piece.size) & (color[:, 2] >= _LEAST_BLUE * color[:, :2].max(axis=1))
+    sky &= np.bincount(piece.ravel(), elevation.ravel(), number + 1) > 0
+    sky[0] = False
+    rest = ~sky[piece]
+    if rest.any():
+        sky &= color.mean(axis=1) > _BRIGHTER * np.median(view.image.mean(axis=2)[rest])
+    return np.asarray(sky[piece])
+
+
+def _foreground(view: View, elevation: Float32[np.ndarray, "H W"], sky: Mask) -> Foreground:
+    photo = view.image.astype(np.float32) / 255
+    if not sky.any():
+        return Foreground(cover=np.ones(sky.shape, np.float32), color=photo)
+    sky_color = _mean_nearby(photo, sky)
+    own_color = _mean_nearby(photo, ~sky & (np.linalg.norm(photo - sky_color, axis=2) > _UNLIKE))
+    way = own_color - sky_color
+    length2 = (way**2).sum(axis=2)
+    place = ((photo - sky_color) * way).sum(axis=2) / np.maximum(length2, 1e-6)
+    cover = np.clip((place - _NOISE) / (1 - 2 * _NOISE), 0, 1)
+    lowest = elevation[binary_dilation(sky, iterations=max(4, round(_RIM * max(sky.shape))))].min()
+    cover = np.where((elevation >= lowest) & (length2 > _LEAST_CONTRAST**2), cover, 1)
+    cover = np.where(sky, 0, cover).astype(np.float32)
+    share = np.where(cover < 1, np.clip(place, 0, 1), 1)[..., None]
+    color = np.where(share > _NOISE, (photo - (1 - share) * sky_color) / np.maximum(share, _NOISE), own_color)
+    return Foreground(cover=cover, color=np.clip(color, 0, 1).astype(np.float32))
+
+
+def _mean_nearby(photo: Picture, chosen: Mask) -> Picture:
+    """Mean colour of the chosen pixels around each pixel; where none is near, of all of them."""
+    weight = chosen.astype(np.float32)
+    height, width = chosen.shape
+    size = max(1, width // _COARSER), max(1, height // _COARSER)
+    sums = [
+        _resized(plane, size, Image.Resampling.BOX) for plane in (weight, *np.moveaxis(photo * weight[..., None], 2, 0))
+    ]
+    near = [gaussian_filter(plane, _REACH * max(size)) + np.float32(_FAR_WEIGHT * plane.mean()) for plane in sums]
+    means = [plane / np.maximum(near[0], np.float32(1e-12)) for plane in near[1:]]
+    return np.stack([_resized(mean, (width, height), Image.Resampling.BILINEAR) for mean in means], axis=2)
+
+
+def _resized(
+    plane: Float32[np.ndarray, "H W"], size: tuple[int, int], how: Image.Resampling
+) -> Float32[np.ndarray, "h w"]:
+    return np.array(Image.fromarray(np.ascontiguousarray(plane)).resize(size, how), np.float32)
