@@ -68,7 +68,13 @@ WATCH = """async () => {
         const [now, wind] = [tree.voxelNow(v), tree.modes.voxelInWind(v, tree.q, tree.turn)];
         return Math.hypot(...now.map((x, i) => x - wind[i])) / tree.modes.voxelSize;
     };
-    let grasp = null, feet = null, rows = [];
+    let grasp = null, feet = null, rows = [], shadow = true;
+    const watchShadow = ({ shadowMap }) => { // whether each picture has its own
+        if (shadowMap.watched) return;
+        const { render } = shadowMap;
+        shadowMap.render = (...scene) => { shadow = shadowMap.needsUpdate; render.apply(shadowMap, scene); };
+        shadowMap.watched = true;
+    };
     const { tick } = Hand.prototype; // the last call of each turn: what it finds is what was drawn
     Hand.prototype.tick = function () {
         window.hand = this;
@@ -76,11 +82,12 @@ WATCH = """async () => {
         if (tree?.q) {
             grasp ??= grip?.place;
             feet ??= low(tree.modes);
+            watchShadow(stage.renderer);
             const at = grasp && (grasp.vertex === undefined ? gripNow(tree, grasp) : drawn(tree, grasp.vertex));
             const { x, y } = grasp ? stage.onScreen(at) : {};
             if (grasp) rows.push({
                 seconds: performance.now() / 1000, at: [x, y], pointer: [pointer.x, pointer.y], pulling: Boolean(grip),
-                within: !this.missing, feet: Math.max(...feet.map((v) => away(tree, v))),
+                within: !this.missing, shadow: shadow || !tree.groups.length, feet: Math.max(...feet.map((v) => away(tree, v))),
             });
         }
         tick.call(this);
@@ -123,6 +130,7 @@ def test_hand_and_branch_stay_together(view: Open, url: str, name: str, tmp_path
         seen = figures(of)
         assert seen["gap_p95_px"] < CLOSE_PX, (wind_m_s, seen)
         assert seen["feet_voxels"] < 0.1, "the foot moves"
+        assert all(row["shadow"] for row in of), "it moves away under its shadow"
         assert seen["release_px"] <= seen["largest_step_px"] + 2, "it jumps where it is let go"
     assert figures(rows[0])["left_px"] < 0.5 * PULL_PX, "it does not ring out"
     assert viewer.complaints == []

@@ -205,7 +205,7 @@ export class Tree {
       this.boneMotion ??= new Float32Array(12 * this.modes.B);
       this.poses.set(this.modes.poses(groups, this.boneMotion));
     }
-    this.stage.stale = true;
+    Object.assign(this.stage, { stale: true, swift: groups.length > 0 });
   }
 
   /** Before each draw. */
@@ -245,6 +245,6 @@ export class Tree {
     if (this.cubes) disposeCubes(this.cubes);
     for (const resource of new Set([this.field, this.voxelField, this.poses, this.still])) resource?.dispose();
     this.stage.scene.remove(this.group);
-    this.stage.stale = true;
+    Object.assign(this.stage, { stale: true, swift: false });
   }
 }
