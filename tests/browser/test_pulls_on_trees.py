@@ -87,7 +87,8 @@ WATCH = """async () => {
             const { x, y } = grasp ? stage.onScreen(at) : {};
             if (grasp) rows.push({
                 seconds: performance.now() / 1000, at: [x, y], pointer: [pointer.x, pointer.y], pulling: Boolean(grip),
-                within: !this.missing, shadow: shadow || !tree.groups.length, feet: Math.max(...feet.map((v) => away(tree, v))),
+                within: !this.missing, shadow: shadow || !tree.groups.length,
+                feet: Math.max(...feet.map((v) => away(tree, v))),
             });
         }
         tick.call(this);
