@@ -6,19 +6,23 @@ from pathlib import Path
 import laspy
 import numpy as np
 import pytest
+import trimesh
 from playwright.sync_api import expect
 
 from dynamictree.dataset.sample import make_sample
 from dynamictree.formats.gltf.writer import write_glb
+from dynamictree.formats.mesh.obj_writer import write_obj
 from dynamictree.formats.mesh.ply_writer import write_ply
 from dynamictree.formats.splat.ply import write_gaussian_ply
 from dynamictree.gaussian.cloud import GaussianCloud
-from dynamictree.mesh import TriangleMesh
+from dynamictree.mesh import Material, TriangleMesh
 from tests.browser.conftest import Viewer, changed, pixels
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 
 Open = Callable[..., Viewer]
+GREEN = (0.07, 0.12, 0.05, 1.0)
+"""Linear."""
 
 
 def obj_of(mesh: TriangleMesh) -> bytes:
@@ -92,6 +96,57 @@ def test_it_is_drawn_while_its_upload_has_not_begun(view: Open, url: str, files:
     page.locator("#cancel").click()
     expect(page.locator("#height-note")).to_have_text("")
     assert [text for text in viewer.complaints if "Failed to load resource" not in text] == []
+
+
+def test_an_obj_has_the_colours_of_the_same_mesh_as_glb(view: Open, url: str, tmp_path: Path) -> None:
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=2)
+    mesh = TriangleMesh(
+        vertices=np.float32(ball.vertices), faces=np.int32(ball.faces), materials=(Material(base_color=GREEN),)
+    )
+    with (tmp_path / "ball.obj").open("wb") as stream:
+        [library] = write_obj(mesh, stream, library="ball.mtl").values()
+    (tmp_path / "ball.mtl").write_bytes(library + b"Ks 0.5 0.5 0.5\nNs 96\n")  # as Blender writes
+    with (tmp_path / "ball.glb").open("wb") as stream:
+        write_glb(mesh, stream)
+    seen = []
+    for names in (("ball.glb",), ("ball.obj", "ball.mtl")):
+        viewer = view(900, 620)
+        viewer.page.route("**/v1/assets", lambda route: None)  # it waits for ever
+        viewer.open(url)
+        viewer.page.set_input_files("#files", [str(tmp_path / name) for name in names])
+        expect(viewer.page.locator("#height-note")).to_contain_text("4.0 m high")
+        viewer.wait_turns()
+        viewer.wait_sharp()
+        viewer.picture()
+        seen.append(pixels(viewer))
+    assert changed(*seen) < 0.005
+
+
+WATCH_PERSON = """async () => {
+    const { Person } = await import("/web/draw/person.js");
+    const { show } = Person.prototype;
+    Person.prototype.show = function (...how) { window.person = this; show.apply(this, how); };
+}"""
+
+PERSON_PX = """() => {
+    const { mesh, stage } = window.person, { x, y, z } = mesh.position, half = 0.165 * mesh.scale.x;
+    return [-half, half].map((d) => stage.onScreen([x + d, y, z]).x);
+}"""
+
+
+@pytest.mark.parametrize(("width", "height"), [(390, 760), (1100, 720)])
+def test_the_whole_person_is_seen_beside_a_wide_tree(
+    view: Open, url: str, samples: Path, width: int, height: int
+) -> None:
+    viewer = view(width, height)
+    viewer.page.route("**/v1/assets", lambda route: None)  # it waits for ever
+    viewer.open(url)
+    viewer.page.evaluate(WATCH_PERSON)
+    viewer.page.set_input_files("#files", str(samples / "mesh/tree-lime.glb"))
+    expect(viewer.page.locator("#height-note")).to_contain_text("the person is")
+    left, right = viewer.page.evaluate(PERSON_PX)
+    viewer.picture()
+    assert 0.5 * width < left < right < width
 
 
 def test_a_height_that_no_tree_has_is_doubted(view: Open, url: str, tmp_path: Path) -> None:

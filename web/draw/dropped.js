@@ -76,6 +76,10 @@ async function readObj([{ content }, ...others], { address }) {
     const all = Object.values(materials.materials);
     if (all.some(({ map }) => map)) await done;
     for (const material of all) for (const slot of MAPS) if (!material[slot]?.image) material[slot] = null; // not dropped along
+    for (const { color, specular } of all) {
+      color.convertLinearToSRGB(); // the loader took it for sRGB
+      specular.set(0); // as the tree is drawn later
+    }
     loader.setMaterials(materials);
   }
   const object = loader.parse(await content.text());

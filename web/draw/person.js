@@ -3,6 +3,7 @@
 import * as THREE from "three";
 
 const HEIGHT_M = 1.75;
+const SEEN_SHARE = 0.85; // of the half width; the first view is turned
 /** Half of the outline from the feet up, as shares of the height: distance from the middle, height. */
 const OUTLINE = [
   [0.02, 0], [0.07, 0], [0.08, 0.03], [0.075, 0.3], [0.1, 0.5], [0.09, 0.6], [0.14, 0.56], [0.165, 0.6],
@@ -29,13 +30,14 @@ export class Person {
     stage.scene.add(this.mesh);
   }
 
-  /** Stand to the right of the tree, facing the first view; `scale` where the tree is drawn in another size. */
+  /** Stand to the right of the tree as far as that is seen, facing the first view; `scale` where the tree is drawn in another size. */
   show(visible, scale) {
-    const { box, middle, radius } = this.stage;
+    const { box, middle, radius, halfWidth } = this.stage;
     const height = HEIGHT_M * scale;
+    const beside = Math.min(box.max.x + 0.1 * radius, middle.x + SEEN_SHARE * halfWidth - 0.4 * height);
     this.mesh.visible = visible;
     this.mesh.scale.setScalar(height);
-    this.mesh.position.set(box.max.x + 0.1 * radius + 0.2 * height, middle.y - 0.3 * radius, box.min.z);
+    this.mesh.position.set(beside + 0.2 * height, middle.y - 0.3 * radius, box.min.z);
     this.mesh.rotation.set(Math.PI / 2, 0, 0);
     this.stage.stale = true;
   }

@@ -92,7 +92,8 @@ export class Stage {
     const across = Math.max(wide.x, wide.y, Math.hypot(wide.x, wide.y) * 0.85);
     const tall = (0.55 * this.height) / half;
     const distance = Math.max(tall, ((0.55 * across) / half) * (free.height / free.width)) + 0.3 * across;
-    this.surroundings.bringArrowNear((distance * half * free.width) / free.height);
+    this.halfWidth = (distance * half * free.width) / free.height; // of what is seen beside the middle [m]
+    this.surroundings.bringArrowNear(this.halfWidth);
     this.controls.target.copy(this.middle);
     this.camera.position.copy(this.middle).addScaledVector(FIRST_VIEW, distance);
     this.controls.minDistance = 0.3 * this.radius;
