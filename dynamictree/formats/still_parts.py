@@ -6,6 +6,8 @@ A face stands still by the name of its material, node or group, or as part of a 
 - lies low and apart: all of it in the lowest fifth of the height, away from whatever reaches higher;
 - is a vessel: it stands at the bottom, is wide all the way up, and either holds named soil, or what rises out of it or
   stands on it is narrower there and just above: a trunk below a crown is no pot.
+
+Of a part that is plant and base at once, as a mesh made from a picture is, the base stands still: see `fused_base.py`.
 """
 
 import re
@@ -15,6 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
 from scipy.spatial import cKDTree
 
+from dynamictree.formats.fused_base import find_fused_base
 from dynamictree.mesh import StillPart, TriangleMesh, connected_parts, part_bounds, weld
 
 STILL_NAMES = frozenset(
@@ -89,6 +92,10 @@ def find_still_parts(mesh: TriangleMesh) -> tuple[tuple[StillPart, ...], Bool[np
             still_parts += [detected] if (tried & ~gone).any() else []
             gone = tried
     still: Bool[np.ndarray, " F"] = gone[parts.of_face]
+    fused = _fused(parts, gone)
+    if fused is not None and (~(still | fused[1])).mean() >= _LEAST_PLANT:
+        still_parts += [fused[0]]
+        still |= fused[1]
     return (tuple(still_parts), still) if still.any() and not still.all() else ((), None)
 
 
@@ -205,6 +212,23 @@ def _vessels(parts: _Parts, gone: Bool[np.ndarray, " parts"]) -> Bool[np.ndarray
                 continue
         detected[one] = _wide_all_the_way(mesh.vertices[np.unique(mesh.faces[part == one])])
     return detected
+
+
+def _fused(parts: _Parts, gone: Bool[np.ndarray, " parts"]) -> tuple[StillPart, Bool[np.ndarray, " F"]] | None:
+    """The base of the largest part that stands at the bottom and rises."""
+    floor, top = parts.low[~gone, 2].min(), parts.high[~gone, 2].max()
+    height = top - floor
+    rises = ~gone & (parts.low[:, 2] < floor + _VESSEL_FOOT * height) & (parts.high[:, 2] > floor + 0.5 * height)
+    if not rises.any():
+        return None
+    size = np.bincount(parts.of_face, minlength=len(gone)) * rises
+    own = parts.of_face == int(size.argmax())
+    base = find_fused_base(TriangleMesh(vertices=parts.mesh.vertices, faces=parts.mesh.faces[own]))
+    if base is None:
+        return None
+    still = np.zeros(parts.mesh.num_faces, np.bool_)
+    still[own] = base[1]
+    return base[0], still
 
 
 def _soil(parts: _Parts) -> Int64[np.ndarray, " M"]:

@@ -22,6 +22,7 @@ _LEAST_SLICES = 4  # of wall below the soil
 _WALLED = 0.6  # of the sectors, and of the slices below the soil
 _THIN = 0.1  # spread of a wall over its distance from the axis
 _LEAST_RADIUS = 0.04  # of the height
+_NARROWEST, _FEW_NARROW = 0.4, 0.2  # of the outline: a stem below a crown is narrower; and share of slices that may be
 _INSIDE = 0.8  # of the outline: here the soil is seen
 _SOIL = 0.85  # of the cells inside, at least, are filled by soil
 _RISING = 0.65  # of them, at most, by what rises out of it; and by what is below
@@ -42,26 +43,39 @@ class Pot:
     rim: float
 
 
-def find_pot(points: Points, height_m: float, rng: np.random.Generator) -> Pot | None:
+def find_pot(
+    points: Points,
+    height_m: float,
+    rng: np.random.Generator,
+    *,
+    soil_seen: float = _SOIL,
+    upward: Bool[np.ndarray, " P"] | None = None,
+) -> Pot | None:
     """The pot that the lowest of the points are of, or None where none is to be seen for sure.
 
-    A trunk is a closed wall as well, but nothing level fills it.
+    A trunk is a closed wall as well, but nothing level fills it. `soil_seen` is the share of a pot's inside where
+    soil must be seen; `upward` says which points may be of soil, where that is known.
     """
     low = float(np.quantile(points[:, 2], _STRAYS))
     side = height_m / _SLICES
     order = np.argsort(points[:, 2])
     ends = np.searchsorted(points[order, 2], low + side * np.arange(int(_SLICES * _HIGHEST) + 1))
     rows = [points[order[a:b]] for a, b in pairwise(ends)]
+    layers = rows if upward is None else [points[order[a:b]][upward[order[a:b]]] for a, b in pairwise(ends)]
     walls = [_wall(row) for row in rows]
     for soil in range(_LEAST_SLICES, len(rows) - 1):
         below = [wall for wall in walls[:soil] if wall is not None]
         if len(below) < max(_LEAST_SLICES, _WALLED * soil):
             continue
         wall = _joined(below)
-        if np.median(wall[1]) < _LEAST_RADIUS * height_m:
+        radius = float(np.median(wall[1]))
+        lower = float(np.quantile([np.median(outline) for _, outline in below], _FEW_NARROW))
+        if radius < _LEAST_RADIUS * height_m or lower < _NARROWEST * radius:
+            continue
+        if _filled(np.concatenate(layers[soil : soil + 2]), wall) < soil_seen:
             continue
         top = _top_of_soil(rows, soil, wall)
-        if top is None or not _is_soil(rows[soil:top], wall, rng):
+        if top is None or not _is_soil(layers[soil:top], wall, rng):
             continue
         rim = top
         while rim < len(rows) and _goes_on(walls[rim], wall):
@@ -158,8 +172,6 @@ def _goes_on(one: Wall | None, wall: Wall) -> bool:
 def _top_of_soil(rows: Sequence[Points], soil: int, wall: Wall) -> int | None:
     """The slice above a layer that fills the outline and begins at a slice; None if it is no thin layer."""
     if any(_filled(row, wall) > _RISING for row in rows[soil - 2 : soil]):
-        return None
-    if _filled(np.concatenate(rows[soil : soil + 2]), wall) < _SOIL:
         return None
     for top in range(soil + 1, min(soil + _THICKEST, len(rows) - 1) + 1):
         if _filled(rows[top], wall) <= _RISING:

@@ -1,0 +1,131 @@
+"""A base that is one surface with its plant stands still, and nothing of a plant is taken for one."""
+
+from collections.abc import Callable
+from functools import cache
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.ndimage import gaussian_filter, label
+from skimage.measure import marching_cubes
+
+from dynamictree.dataset.sapling import grow_tree
+from dynamictree.dataset.species import SPECIES
+from dynamictree.formats.still_parts import find_still_parts
+from dynamictree.mesh import TriangleMesh, connected_parts
+
+CELLS = 130
+_THICK = 0.012  # of the height: standard deviation of what thickens stems and leaves
+
+Solid = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+
+
+def plate(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+    return (np.hypot(x, y) < 0.22) & (z < 0.015) & (z > -0.04)
+
+
+def block(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+    return (np.abs(x) < 0.3) & (np.abs(y) < 0.25) & (z < 0.015) & (z > -0.06)
+
+
+def pot(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+    away, wall = np.hypot(x, y), 0.16 + 0.16 * z
+    return (away < wall) & (z > -0.28) & ((z < 0.015) | ((away > wall - 0.03) & (z < 0.06)))
+
+
+def nothing(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+    return np.zeros(np.broadcast_shapes(x.shape, y.shape, z.shape), np.bool_)
+
+
+def ball(x: np.ndarray, y: np.ndarray, z: np.ndarray, *, middle: float = 0.7, radius: float = 0.3) -> np.ndarray:
+    return x**2 + y**2 + (z - middle) ** 2 < radius**2
+
+
+def frustum(
+    below: float, above: float, low: float, high: float, at: tuple[float, float] = (0, 0)
+) -> Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]:
+    """Radii at two heights."""
+    return lambda x, y, z: (
+        (np.hypot(x - at[0], y - at[1]) < below + (above - below) * (z - low) / (high - low)) & (z > low) & (z < high)
+    )
+
+
+def flare(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+    return (np.hypot(x, y) < 0.06 + 0.15 * np.exp(-np.maximum(z, 0) / 0.04)) & (z > 0) & (z < 0.5)
+
+
+STEMS = np.random.default_rng(0).uniform(-0.15, 0.15, (15, 2))
+PLANTS: dict[str, tuple[Solid, ...]] = {
+    "a thin trunk below a ball": (frustum(0.05, 0.05, 0, 0.5), ball),
+    "a thick trunk below a ball": (frustum(0.2, 0.2, 0, 0.5), ball),
+    "a trunk shaped like a bottle": (frustum(0.25, 0.08, 0, 0.5), ball),
+    "roots that widen the foot": (flare, ball),
+    "fifteen stems from the ground": (*(frustum(0.025, 0.02, 0, 0.6, (x, y)) for x, y in STEMS), ball),
+    "a flat crown": (frustum(0.06, 0.06, 0, 0.3), frustum(0.4, 0.4, 0.3, 0.36), frustum(0.2, 0.05, 0.36, 1)),
+    "a flat tier near the ground": (frustum(0.05, 0.05, 0, 1), frustum(0.4, 0.4, 0.15, 0.25), frustum(0.3, 0, 0.25, 1)),
+    "branches in tiers": (
+        frustum(0.05, 0.05, 0, 0.3),
+        *(frustum(0.4 - 0.07 * tier, 0.1, 0.05 + 0.18 * tier, 0.3 + 0.18 * tier) for tier in range(5)),
+    ),
+    "a cone from the ground": (frustum(0.4, 0.02, 0, 1),),
+    "a ball on the ground": (lambda x, y, z: ball(x, y, z, middle=0.5, radius=0.5),),
+}
+
+
+@cache
+def skin(species: str, solid: Solid) -> TriangleMesh:
+    """One closed surface around a grown tree and a solid below it, as meshes from pictures are; 1 m high."""
+    grown = grow_tree(SPECIES[species], np.random.default_rng(4)).mesh
+    foot = grown.vertices[:, 2].min()
+    sampled = trimesh.Trimesh(grown.vertices, grown.faces, process=False).sample(300_000, seed=0)
+    points = (sampled - [0, 0, foot]) / (grown.vertices[:, 2].max() - foot)
+    low, high = np.minimum(points.min(axis=0), -0.35) - 0.06, np.maximum(points.max(axis=0), 0.35) + 0.06
+    cell = float((high - low).max()) / CELLS
+    centre = centres(low, high, cell)
+    density = np.zeros(np.broadcast_shapes(*(axis.shape for axis in centre)), np.float32)
+    row = tuple(np.floor((points - low) / cell).astype(int).T)
+    density[row] = 1
+    density = gaussian_filter(density, _THICK / cell)
+    density = np.minimum(density / (0.5 * np.quantile(density[row], 0.1)), 3)
+    density = np.maximum(density, 2 * gaussian_filter(solid(*centre).astype(np.float32), 0.7))
+    pieces, _ = label(density > 1)
+    density[pieces != 1 + np.argmax(np.bincount(pieces.ravel())[1:])] *= 0.3
+    mesh = surface(density, low, cell)
+    part = connected_parts(mesh.faces, mesh.num_vertices)[mesh.faces[:, 0]]
+    return TriangleMesh(vertices=mesh.vertices, faces=mesh.faces[part == np.argmax(np.bincount(part))])
+
+
+def centres(low: np.ndarray, high: np.ndarray, cell: float) -> list[np.ndarray]:
+    places = np.ogrid[tuple(slice(count) for count in np.ceil((high - low) / cell).astype(int))]
+    return [low[axis] + (place + 0.5) * cell for axis, place in enumerate(places)]
+
+
+def surface(density: np.ndarray, low: np.ndarray, cell: float) -> TriangleMesh:
+    places, faces, _, _ = marching_cubes(density, 1.0, gradient_direction="descent")
+    return TriangleMesh(vertices=(low + (places + 0.5) * cell).astype(np.float32), faces=faces.astype(np.int32))
+
+
+@pytest.mark.parametrize("solid", [plate, block, pot])
+@pytest.mark.parametrize("species", ["round-broadleaf", "sapling", "shrub", "pine"])
+def test_a_base_of_one_surface_with_its_plant_stands_still(species: str, solid: Solid) -> None:
+    mesh = skin(species, solid)
+    parts, still = find_still_parts(mesh)
+    assert [part.name for part in parts] == ["pot" if solid is pot else "ground"]
+    assert still is not None
+    middle = mesh.vertices[mesh.faces].mean(axis=1)
+    below = middle[:, 2] < -0.02
+    assert still[below].all()
+    assert not still[middle[:, 2] > 0.12].any()
+
+
+@pytest.mark.parametrize("species", SPECIES)
+def test_nothing_of_a_plant_that_is_one_surface_is_taken_for_a_base(species: str) -> None:
+    assert find_still_parts(skin(species, nothing)) == ((), None)
+
+
+@pytest.mark.parametrize("name", PLANTS)
+def test_no_shape_of_a_plant_is_taken_for_a_base(name: str) -> None:
+    low = np.array([-0.6, -0.6, -0.1])
+    centre = centres(low, low + 1.2, 0.008)
+    solid = np.logical_or.reduce(np.broadcast_arrays(*(part(*centre) for part in PLANTS[name])))
+    assert find_still_parts(surface(2 * gaussian_filter(solid.astype(np.float32), 1.0), low, 0.008)) == ((), None)
