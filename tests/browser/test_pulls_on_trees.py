@@ -21,8 +21,8 @@ REAL = {
     "lime": "mesh/tree-lime.glb",
     "common-tree": "mesh/quaternius_common_tree/CommonTree_2.obj",
     "tree-splat": "splat/tree_10k.splat",
+    "tls-tree": "scan/tls_tree_1.txt",
 }
-BARE_POLE = pytest.mark.xfail(reason="a pull along this bare trunk is taken for possible: 19 px (p95) from the hand")
 TOUCHED = ("sapling", "lime")
 WINDS_M_S = (0, 8)
 CLOSE_PX = 5
@@ -109,7 +109,7 @@ PLACE = """() => {
 REST_CROSSES = "() => { window.hand.push.onRest({ type: 'rest', frame: 0 }); return Boolean(window.hand.grip); }"
 
 
-@pytest.mark.parametrize("name", [*GROWN, *REAL, pytest.param("tls-tree", marks=BARE_POLE)])
+@pytest.mark.parametrize("name", [*GROWN, *REAL])
 def test_hand_and_branch_stay_together(view: Open, url: str, name: str, tmp_path: Path, samples: Path) -> None:
     job = animated(url, file_of(name, tmp_path, samples))
     touch = name in TOUCHED
@@ -138,8 +138,6 @@ def test_hand_and_branch_stay_together(view: Open, url: str, name: str, tmp_path
 
 
 def file_of(name: str, folder: Path, samples: Path) -> Path:
-    if name == "tls-tree":
-        return samples / "scan/tls_tree_1.txt"
     if name in REAL:
         return samples / REAL[name]
     path = folder / f"{name}.glb"
