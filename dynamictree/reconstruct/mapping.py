@@ -32,7 +32,7 @@ _PAIRS_AT_ONCE = 12
 _SEED = 1
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 _POSE_INLIERS = ((30, 0.25), (15, 0.1))  # COLMAP's defaults; then, measured on 16 photos of an orbit: 14 instead of 8
-_ENOUGH = 0.9  # of the photos
+_ENOUGH, _FEW = 0.9, 0.5  # of the photos
 _POINT_THRESHOLDS = (  # of COLMAP's triangulation
     *("create_max_angle_error", "continue_max_angle_error"),
     *("merge_max_reproj_error", "complete_max_reproj_error"),
@@ -70,11 +70,32 @@ class MappingJob(TypedDict):
 
 
 def map_photos(job: MappingJob) -> None:
-    """From photos to undistorted photos with cameras: `undistorted/`, `points.npz` and, last of all, `views.json`."""
-    folder, photos = Path(job["folder"]), job["photos"]
-    database, images = folder / "features.db", folder / "photos"
+    """From photos to undistorted photos with cameras: `undistorted/`, `points.npz` and, last of all, `views.json`.
+
+    Features are sought within masks, since a plant on a turntable moves and its background does not; but where they
+    leave out most photos, as with thin stems, everywhere.
+    """
+    folder, photos, given = Path(job["folder"]), job["photos"], job["given"]
     threads = len(os.sched_getaffinity(0))
-    cameras_by_name = {camera["name"]: camera for camera in job["given"] or ()}
+    model = _model_of(folder, photos, given, threads)
+    masked = [photo["name"] for photo in photos if photo["masked"]]
+    if given is None and masked and (model is None or _num_registered(model) < _FEW * len(photos)):
+        (folder / "features.db").rename(folder / "features-masked.db")
+        whole = _model_of(folder, [{**photo, "masked": False} for photo in photos], None, threads)
+        if model is None or (whole is not None and _num_registered(whole) > _num_registered(model)):
+            model = whole
+            (folder / "features-masked.db").unlink()
+        else:
+            (folder / "features-masked.db").replace(folder / "features.db")
+    if model is not None:
+        _write_model(folder, model, masked, threads)
+
+
+def _model_of(
+    folder: Path, photos: list[MappingPhoto], given: list[MappingCamera] | None, threads: int
+) -> pycolmap.Reconstruction | None:
+    database, images = folder / "features.db", folder / "photos"
+    cameras_by_name = {camera["name"]: camera for camera in given or ()}
     _extract(database, images, photos, cameras_by_name, threads)
     pairs = pairs_to_match(len(photos))
     matching = pycolmap.FeatureMatchingOptions()
@@ -87,10 +108,7 @@ def map_photos(job: MappingJob) -> None:
         pairing = pycolmap.ImportedPairingOptions(match_list_path=str(listing))
         pycolmap.match_image_pairs(database, matching, pairing, device=pycolmap.Device.cpu)
     _tell("matches", len(pairs), len(pairs))
-    given = job["given"]
-    model = _map(folder, len(photos), threads) if given is None else _with_points(folder, given, threads)
-    if model is not None:
-        _write_model(folder, model, [photo["name"] for photo in photos if photo["masked"]], threads)
+    return _map(folder, len(photos), threads) if given is None else _with_points(folder, given, threads)
 
 
 def pairs_to_match(number: int) -> list[tuple[int, int]]:

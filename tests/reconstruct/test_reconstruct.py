@@ -199,6 +199,21 @@ def test_cameras_that_are_given_are_taken(orbit, tmp_path):
     assert np.linalg.norm(scale * positions @ rotation.T + shift - true, axis=1).max() < 1e-6
 
 
+@pytest.mark.slow
+def test_masks_of_a_thin_stem_do_not_lose_the_cameras(orbit, tmp_path):
+    """What is within the masks is too little to find a camera by; what is around it is enough."""
+    mask = np.zeros((300, 400), np.uint8)
+    mask[100:200, 198:202] = 255
+    (tmp_path / "masks").mkdir()
+    photos = [Path(shutil.copy(path, tmp_path)) for path in orbit.photos]
+    for photo in photos:
+        Image.fromarray(mask).save(tmp_path / "masks" / f"{photo.stem}.png")
+    prepared = prepare_photos(list_photos(photos, tmp_path), tmp_path / "work" / "photos")
+    model = find_cameras(prepared, tmp_path / "work")
+    assert len(model.views) == len(orbit.photos)
+    assert all(view.alpha is not None and view.alpha.mean() < 10 for view in model.views)
+
+
 def test_a_search_that_takes_too_long_is_ended(orbit, tmp_path):
     prepared = prepare_photos(list_photos(orbit.photos), tmp_path / "photos")
     start = time.monotonic()
