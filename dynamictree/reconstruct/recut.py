@@ -24,7 +24,7 @@ from dynamictree.reconstruct.cut_mesh import mesh_in_box, plant_mesh
 from dynamictree.reconstruct.photo_previews import PHOTO_PREVIEWS
 from dynamictree.reconstruct.plant_cut import plant_of
 from dynamictree.reconstruct.seen_from import read_cameras
-from dynamictree.reconstruct.soot import soot_of
+from dynamictree.reconstruct.soot import fog_of, soot_of
 
 _LEAST_GAUSSIANS = 50
 _PICTURES = ("report.png", PHOTO_PREVIEWS)
@@ -112,6 +112,7 @@ def _cut_out(
         _require_plant(own)
         on_progress(0.6)
         own &= ~soot_of(scene, own, views)
+        own &= ~fog_of(scene, own)
         on_progress(0.8)
         mesh = plant_mesh(mesh, scene, own, beside_m=BESIDE * radius_m)
     else:

@@ -1,6 +1,6 @@
-"""Gaussians of the background's colour around a plant, which show once it stands before another background ("soot").
+"""What learning leaves around a plant, and shows once it stands before another background: soot and fog.
 
-Photos do not tell them from what is behind them: without masks, learning leaves them where they do no harm.
+Soot has the colour of what is behind it, so photos do not separate it; fog hangs in the air, faint.
 """
 
 import numpy as np
@@ -18,6 +18,9 @@ _LEAST_VIEWS = 3  # that see a Gaussian, to judge it by
 _ALIKE = 0.12  # distance of colours in [0, 1]³ that counts as the background's own
 _UNLIKE = 1.5  # times that: what differs so much from the background is the plant for sure
 _SHARE = 0.7  # of the views in which it must be like what is behind it
+_OPAQUE, _LEAST_OPAQUE = 0.5, 0.2  # what is no fog; of the plant's Gaussians
+_TOGETHER, _STRAY = 4, 0.08  # opaque ones within this share of the plant's extent: fewer are strays
+_BESIDE = 0.01  # of the plant's extent
 _NEIGHBOURS = 8  # of the plant for sure, whose colours the plant has at a place
 
 
@@ -42,6 +45,25 @@ def soot_of(cloud: GaussianCloud, own: Bool[np.ndarray, " G"], views: list[SeenF
     apart = np.linalg.norm(color[sure][near] - color[:, None], axis=2).min(axis=1) * SH_0
     soot[rows] = like_background & ~sure & (apart > np.minimum(off, _ALIKE))
     return soot
+
+
+def fog_of(cloud: GaussianCloud, own: Bool[np.ndarray, " G"]) -> Bool[np.ndarray, " G"]:
+    """Which of the chosen Gaussians hang in the air around the plant: faint ones away from all opaque ones, and strays.
+
+    Learning leaves them before a textured background that it shows not quite right. Where few are opaque, none is fog.
+    """
+    rows = np.flatnonzero(own)
+    fog = np.zeros(cloud.num_gaussians, np.bool_)
+    opaque = rows[cloud.opacity[rows] > _OPAQUE]
+    if len(opaque) < max(_NEIGHBOURS, _LEAST_OPAQUE * len(rows)):
+        return fog
+    low, high = np.quantile(cloud.means[opaque], [0.01, 0.99], axis=0)
+    extent = float((high - low).max())
+    next_ones = np.asarray(cKDTree(cloud.means[opaque]).query(cloud.means[opaque], k=_TOGETHER)[0])
+    body = opaque[next_ones[:, -1] < _STRAY * extent]
+    if len(body):
+        fog[rows] = cKDTree(cloud.means[body]).query(cloud.means[rows])[0] > _BESIDE * extent
+    return fog
 
 
 def _against_background(
