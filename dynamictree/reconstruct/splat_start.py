@@ -42,7 +42,7 @@ def first_table(
     covers = None if sky is None else [view.cover for view in sky]
     points, colors = model.points, model.colors / np.float32(255)
     if depths is not None:
-        dense, dense_colors = points_of_depths(model, depths)
+        dense, dense_colors = points_of_depths(model, depths, sky)
         points, colors = np.concatenate([points, dense]), np.concatenate([colors, dense_colors])
     hull, hull_colors = hull_points(model.views, number, rng)
     points, colors = np.concatenate([points, hull]), np.concatenate([colors, hull_colors])
@@ -79,17 +79,17 @@ def _dome_table(
 
 
 def points_of_depths(
-    model: SparseModel, depths: DepthMaps
+    model: SparseModel, depths: DepthMaps, sky: Sequence[Foreground] | None = None
 ) -> tuple[Float64[np.ndarray, "P 3"], Float32[np.ndarray, "P 3"]]:
-    """Back-project every pixel that has a depth, with the photo's colour."""
+    """Back-project every pixel that has a depth, with the photo's colour, of which sky is no part."""
     points, colors = [], []
-    for view, stereo, depth in zip(model.views, depths.views, depths.depths, strict=True):
+    whole = [view.image / np.float32(255) for view in model.views] if sky is None else [view.color for view in sky]
+    for photo, stereo, depth in zip(whole, depths.views, depths.depths, strict=True):
         row, column = np.nonzero(depth > 0)
         pixels = np.stack([column + 0.5, row + 0.5, np.ones(len(row))], axis=1)
         points.append(stereo.position + depth[row, column, None] * (pixels @ stereo.to_ray.T))
-        height, width = view.image.shape[:2]
-        at = (row * height // depth.shape[0], column * width // depth.shape[1])
-        colors.append(view.image[at] / np.float32(255))
+        height, width = photo.shape[:2]
+        colors.append(photo[row * height // depth.shape[0], column * width // depth.shape[1]])
     return np.concatenate(points), np.concatenate(colors)
 
 
@@ -124,7 +124,7 @@ def dome_points(
     number: int = _DOME_POINTS,
     distance: float = _DOME_DISTANCE,
 ) -> tuple[Float32[np.ndarray, "D 3"], Float32[np.ndarray, "D 3"], Float64[np.ndarray, " D"]]:
-    """Points on a far sphere that a photo shows, their mean colour there, and the share of photos that count.
+    """Points on a far sphere, their mean colour in the photos, and the share of those that count; 0 where none does.
 
     With `covers` a photo counts where a pixel is covered.
     """
@@ -142,7 +142,5 @@ def dome_points(
         total[inside] += counts[:, None] * view.image[at] / 255
         weight[inside] += counts
         seen += inside
-    some = seen > 0
     colors = total / np.maximum(weight, 1e-9)[:, None]
-    share = weight / np.maximum(seen, 1)
-    return points[some].astype(np.float32), colors[some].astype(np.float32), share[some]
+    return points.astype(np.float32), colors.astype(np.float32), weight / np.maximum(seen, 1)

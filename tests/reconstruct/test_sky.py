@@ -11,7 +11,7 @@ from dynamictree.reconstruct.depth import DepthMaps, outside_sky, stereo_view
 from dynamictree.reconstruct.optimise import Schedule
 from dynamictree.reconstruct.sky import without_sky
 from dynamictree.reconstruct.splat import fit_splat
-from dynamictree.reconstruct.splat_start import first_table
+from dynamictree.reconstruct.splat_start import first_table, sky_table
 from dynamictree.reconstruct.splat_table import COLOR, MEAN, cloud_of
 from dynamictree.reconstruct.views import SparseModel, View
 from dynamictree.render.camera import Camera
@@ -115,6 +115,18 @@ def test_a_splat_begins_without_sky() -> None:
     assert len(far) > 50
     red, _, blue = far[:, COLOR].T
     assert (blue < red).mean() > 0.97
+
+
+def test_the_sky_goes_on_beyond_the_photos() -> None:
+    views, _ = leaves_in_the_open(BLUE)
+    sky = without_sky(views, unmeasured(views))
+    assert sky is not None
+    behind = cloud_of(sky_table(views, sky, 0))
+    wider = replace(views[0].camera, focal=0.8 * views[0].camera.focal)
+    picture = render_cloud(behind, wider, width=SIDE, height=SIDE)
+    assert picture.alpha[: SIDE // 2].min() > 0.9
+    red, _, blue = (picture.color[: SIDE // 2] / picture.alpha[: SIDE // 2, :, None]).mean(axis=(0, 1))
+    assert blue - red == pytest.approx((BLUE[2] - BLUE[0]) / 255, abs=0.05)
 
 
 def test_what_is_learned_before_a_sky_is_leaves_alone() -> None:

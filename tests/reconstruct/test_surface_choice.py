@@ -21,7 +21,8 @@ def scene(orbit: Orbit) -> GaussianCloud:
     """Gaussians of the stump, its ground and the sky."""
     _, both = stump_and_ground(np.random.default_rng(5))
     near = splats_of_mesh(both, per_face=1, at_least=30_000, rng=np.random.default_rng(0)).cloud
-    points, colors, _ = dome_points(views_of(orbit))
+    points, colors, share = dome_points(views_of(orbit))
+    points, colors = points[share > 0], colors[share > 0]
     size = np.full(len(points), 0.4, np.float32)
     sky = cloud_of(table_of_points(points, colors, size, opacity=0.95, sh_degree=0))
     return joined([replace(near, sh=near.sh[:, :1]), sky])
