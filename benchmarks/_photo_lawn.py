@@ -14,7 +14,7 @@ from dynamictree.mesh import TriangleMesh
 from dynamictree.render import Camera
 
 Color = tuple[float, float, float]
-_HEIGHT_M, _EYES_M = 3.5, 1.6  # of the tree, and of the camera
+_EYES_M = 1.6
 _CELLS = 4096  # along the lawn, and around the hedge: nothing is there twice
 _CLOUD_CELLS = 256, 1024  # up and around
 _GRAINS = 0.8, 2.5, 8.0, 25.0, 80.0  # in cells
@@ -23,10 +23,12 @@ _GRASS, _SOIL, _HEDGE, _SHADE = (0.50, 0.68, 0.28), (0.18, 0.15, 0.07), (0.36, 0
 _HORIZON, _ZENITH, _CLOUD = (0.80, 0.87, 0.93), (0.30, 0.50, 0.80), (0.97, 0.97, 0.98)
 
 
-def photograph_on_lawn(folder: Path, *, number: int, side: int) -> dict[str, UInt8[np.ndarray, "H W"]]:
+def photograph_on_lawn(
+    folder: Path, *, number: int, side: int, species: str = "round-broadleaf", height_m: float = 3.5, seed: int = 7
+) -> dict[str, UInt8[np.ndarray, "H W"]]:
     """Write JPEG photos of a walk around the tree; gives for each photo's name how much of each pixel is tree."""
-    grown = speckled(make_sample(7, "round-broadleaf").mesh)
-    tree = grown.with_vertices((grown.vertices * (_HEIGHT_M / grown.height_m)).astype(np.float32))
+    grown = speckled(make_sample(seed, species).mesh)
+    tree = grown.with_vertices((grown.vertices * (height_m / grown.height_m)).astype(np.float32))
     renderer, garden = fine_renderer(tree, side), _Garden(tree)
     rng = np.random.default_rng(4)
     bark = solid_noise(rng)
