@@ -19,8 +19,8 @@ _ALIKE = 0.12  # distance of colours in [0, 1]³ that counts as the background's
 _UNLIKE = 1.5  # times that: what differs so much from the background is the plant for sure
 _SHARE = 0.7  # of the views in which it must be like what is behind it
 _OPAQUE, _LEAST_OPAQUE = 0.5, 0.2  # what is no fog; of the plant's Gaussians
-_TOGETHER, _STRAY = 4, 0.08  # opaque ones within this share of the plant's extent: fewer are strays
-_BESIDE = 0.01  # of the plant's extent
+_TOGETHER, _STRAY = 8, 3.0  # the opaque ones that tell how dense they lie; times the usual distance: strays
+_BESIDE = 0.5  # of that distance
 _NEIGHBOURS = 8  # of the plant for sure, whose colours the plant has at a place
 
 
@@ -55,14 +55,12 @@ def fog_of(cloud: GaussianCloud, own: Bool[np.ndarray, " G"]) -> Bool[np.ndarray
     rows = np.flatnonzero(own)
     fog = np.zeros(cloud.num_gaussians, np.bool_)
     opaque = rows[cloud.opacity[rows] > _OPAQUE]
-    if len(opaque) < max(_NEIGHBOURS, _LEAST_OPAQUE * len(rows)):
+    if len(opaque) < max(_TOGETHER, _LEAST_OPAQUE * len(rows)):
         return fog
-    low, high = np.quantile(cloud.means[opaque], [0.01, 0.99], axis=0)
-    extent = float((high - low).max())
-    next_ones = np.asarray(cKDTree(cloud.means[opaque]).query(cloud.means[opaque], k=_TOGETHER)[0])
-    body = opaque[next_ones[:, -1] < _STRAY * extent]
-    if len(body):
-        fog[rows] = cKDTree(cloud.means[body]).query(cloud.means[rows])[0] > _BESIDE * extent
+    spacing = np.asarray(cKDTree(cloud.means[opaque]).query(cloud.means[opaque], k=_TOGETHER)[0])[:, -1]
+    usual = float(np.median(spacing))
+    body = opaque[spacing <= _STRAY * usual]
+    fog[rows] = cKDTree(cloud.means[body]).query(cloud.means[rows])[0] > _BESIDE * usual
     return fog
 
 
