@@ -31,5 +31,6 @@ def _reason(num_features: int, num_shared: int) -> str:
             "it was taken from too far aside, or shows something else"
         )
     return (
-        f"it shares {num_shared} points with another photo and fits at no place: something moved or looks alike twice"
+        f"it shares {num_shared} points with another photo and fits at no place: something moved, looks "
+        "alike twice, or only what is far away is seen in both"
     )

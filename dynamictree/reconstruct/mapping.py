@@ -38,6 +38,7 @@ _POINT_THRESHOLDS = (  # of COLMAP's triangulation
     *("merge_max_reproj_error", "complete_max_reproj_error"),
 )
 _LEAST_POINTS = 50  # that a photo must see; those of that orbit see 200 and more
+_FLOWN = 30  # times as far from the middle of all cameras as half of them are
 
 
 class MappingPhoto(TypedDict):
@@ -179,7 +180,7 @@ def _map(folder: Path, number: int, threads: int) -> pycolmap.Reconstruction | N
     for min_inliers, min_ratio in _POSE_INLIERS:
         models = _map_once(folder, number, threads, min_inliers, min_ratio)
         for model in models.values():
-            _leave_out_loose(model)
+            leave_out_loose(model)
         best = max([*models.values(), *([best] if best else [])], key=_num_registered, default=None)
         if best is not None and _num_registered(best) >= _ENOUGH * number:
             break
@@ -217,10 +218,15 @@ def _with_points(folder: Path, given: list[MappingCamera], threads: int) -> pyco
     return result
 
 
-def _leave_out_loose(model: pycolmap.Reconstruction) -> None:
-    """Take out photos that hang on few points: their cameras may be anywhere."""
-    for image in list(model.images.values()):
-        if image.has_pose and image.num_points3D < _LEAST_POINTS:
+def leave_out_loose(model: pycolmap.Reconstruction) -> None:
+    """Take out photos that hang on few points, or on a far hedge or clouds alone: their cameras may be anywhere."""
+    posed = [image for image in model.images.values() if image.has_pose]
+    if not posed:
+        return
+    positions = np.array([image.projection_center() for image in posed])
+    away = np.linalg.norm(positions - np.median(positions, axis=0), axis=1)
+    for image, flown in zip(posed, away > _FLOWN * np.median(away), strict=True):
+        if flown or image.num_points3D < _LEAST_POINTS:
             model.deregister_frame(image.frame_id)
 
 

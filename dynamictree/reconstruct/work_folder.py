@@ -18,10 +18,10 @@ from dynamictree.files import replacing
 from dynamictree.reconstruct.optimise import Schedule
 
 _VERSION = 2  # of the files in the folder
-_SPLAT_VERSION = 2  # of the way in which it is learned
+_SPLAT_VERSION = 3  # of the way in which it is learned
 _OF_PHOTOS = (
     *("photos", "sparse", "chosen", "undistorted", "masks", "undistorted-masks"),
-    *("features.db", "pairs.txt", "views.json", "points.npz", "depths.npz"),
+    *("features.db", "features-masked.db", "pairs.txt", "views.json", "points.npz", "depths.npz"),
 )
 _OF_SPLAT = ("splat.npz",)
 
