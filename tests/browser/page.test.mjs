@@ -11,6 +11,7 @@ import { carriedPoint } from "../../web/motion/grip.js";
 import { ringing, swayFrequency } from "../../web/motion/local.js";
 import { Modes } from "../../web/motion/modes.js";
 import { Pin } from "../../web/motion/pin.js";
+import { vertexInWind } from "../../web/motion/vertex.js";
 import { relativePaths, sortFiles, treesAmong } from "../../web/page/bundles.js";
 import { readDrop } from "../../web/page/drop.js";
 import { Machine, TRANSITIONS } from "../../web/page/machine.js";
@@ -427,4 +428,21 @@ test("a pull holds the point that is drawn, whichever bones carry it", () => {
   const target = [0.9, 0.3, 2.3];
   for (let frame = 0; frame < 3; frame++) pin.hold([], leaf.rest, target);
   assert.ok(distance(carriedPoint(modes.poses([pin.group]), leaf, leaf.rest), target) < 0.002);
+});
+
+test("a vertex of a large mesh moves with the mean of its voxels, and stands still where it hangs on none", () => {
+  const K = 2;
+  const shapes = Int16Array.from({ length: 2 * K * 6 }, (_, i) => (7 * i) % 11);
+  const modes = Object.assign(Object.create(Modes.prototype), { V: 2, K, shapes, scale_m: [0.5, 2] });
+  modes.centres = new Float32Array(6);
+  const surface = {
+    tie_rows: Int32Array.from([0, 1, 0, 0, 0, 1, 0, 1]),
+    tie_weights: Uint8Array.from([204, 51, 0, 0, 0, 0, 0, 0]),
+  };
+  const [q, turn] = [[1, 0, 0.3, -0.8], 0.6];
+  const [a, b] = [0, 1].map((v) => modes.voxelInWind(v, q, turn));
+  const mean = a.map((x, i) => 0.8 * x + 0.2 * b[i]);
+  assert.ok(distance(mean, [0, 0, 0]) > 1);
+  assert.ok(distance(vertexInWind({ surface, modes }, 0, q, turn), mean) < 1e-9);
+  assert.deepEqual(vertexInWind({ surface, modes }, 1, q, turn), [0, 0, 0]);
 });

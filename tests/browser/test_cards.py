@@ -12,11 +12,13 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
 Open = Callable[..., Viewer]
 GALE_GAIN = 7.0  # of the drag from 5 to 20 m/s
-POINTS = """async ({ path, gain, rigid }) => {
+TURN_RAD = 0.7
+POINTS = """async ({ path, gain, turn, rigid }) => {
     const load = (path) => import(`/web/${path}.js`);
     const THREE = await import("three");
-    const [{ readSurface }, { Field, DISPLACE }, { setCards, noCards, CARDS }, { windCoordinates }] = await Promise.all(
-        ["draw/surface", "draw/field", "draw/cards", "motion/modes"].map(load));
+    const names = ["draw/surface", "draw/field", "draw/cards", "motion/modes", "motion/vertex"];
+    const [{ readSurface }, { Field, DISPLACE }, { setCards, noCards, CARDS }, { windCoordinates }, { vertexInWind }] =
+        await Promise.all(names.map(load));
     const file = await fetch(path);
     const surface = await readSurface(await file.arrayBuffer());
     const { geometry, N, scale_m, shapes } = surface;
@@ -24,7 +26,8 @@ POINTS = """async ({ path, gain, rigid }) => {
     if (!rigid) geometry.setAttribute("cardRows", noCards(N));
     const renderer = new THREE.WebGLRenderer();
     const field = new Field(shapes, scale_m, N);
-    field.evaluate(renderer, windCoordinates(scale_m.length, 0.3, Array(scale_m.length).fill(gain)), 0);
+    const q = windCoordinates(scale_m.length, 0.3, Array(scale_m.length).fill(gain));
+    field.evaluate(renderer, q, turn);
     const side = Math.ceil(Math.sqrt(N));
     const target = new THREE.WebGLRenderTarget(side, side, { type: THREE.FloatType });
     const material = new THREE.ShaderMaterial({
@@ -48,8 +51,10 @@ POINTS = """async ({ path, gain, rigid }) => {
     renderer.render(scene, new THREE.Camera());
     const texels = new Float32Array(4 * side * side);
     renderer.readRenderTargetPixels(target, 0, 0, side, side, texels);
-    return { texels: [...texels.subarray(0, 4 * N)], rest: [...surface.vertices], faces: [...surface.faces],
-             rows: [...geometry.attributes.cardRows.array] };
+    const unbent = { surface: { ...surface, turn_parent: null } };
+    const byOne = Array.from({ length: N }, (_, v) => vertexInWind(unbent, v, q, turn));
+    return { texels: [...texels.subarray(0, 4 * N)], byOne: byOne.flat(), rest: [...surface.vertices],
+             faces: [...surface.faces], rows: [...geometry.attributes.cardRows.array] };
 }"""
 
 
@@ -65,9 +70,12 @@ def test_cards_keep_their_size_in_a_storm(view: Open, url: str, job_id: str) -> 
     spectrum = httpx.get(f"{url}/v1/jobs/{job_id}").json()["result"]["spectrum_id"]
     growth = {}
     for rigid in (True, False):
-        answer = page.evaluate(POINTS, {"path": f"/v1/spectra/{spectrum}/surface", "gain": GALE_GAIN, "rigid": rigid})
+        given = {"path": f"/v1/spectra/{spectrum}/surface", "gain": GALE_GAIN, "turn": TURN_RAD, "rigid": rigid}
+        answer = page.evaluate(POINTS, given)
         rest, moved = (np.array(answer[name]).reshape(-1, size) for name, size in (("rest", 3), ("texels", 4)))
         faces = np.array(answer["faces"]).reshape(-1, 3)
+        by_one = rest + np.array(answer["byOne"]).reshape(-1, 3)
+        assert np.abs(by_one - moved[:, :3]).max() < 1e-3 * np.abs(moved[:, :3] - rest).max(), "one vertex alone"
         if rigid:
             rows = np.array(answer["rows"]).reshape(-1, 3).astype(int)
             in_card, bent = rows[faces[:, 0], 0] >= 0, moved

@@ -1,6 +1,8 @@
 // A place of the tree that is pulled: the point that is drawn there, and the bones that carry it.
 
 import { carried } from "./modes.js";
+import { plus } from "./vectors.js";
+import { vertexInWind } from "./vertex.js";
 
 /** The place to pull at a voxel of a Tree. */
 export function gripAt({ modes, surface, hidden, splat }, voxel) {
@@ -8,9 +10,9 @@ export function gripAt({ modes, surface, hidden, splat }, voxel) {
 }
 
 /** Where the wind alone has a place that is pulled [m]. */
-export function gripInWind({ modes }, { voxel, rest }, q, turn) {
-  const centre = modes.centres.subarray(3 * voxel, 3 * voxel + 3);
-  return modes.voxelInWind(voxel, q, turn).map((x, i) => x + rest[i] - centre[i]);
+export function gripInWind(tree, { voxel, vertex, rest }, q, turn) {
+  if (vertex === undefined) return tree.modes.voxelInWind(voxel, q, turn);
+  return plus(rest, vertexInWind(tree, vertex, q, turn));
 }
 
 /** Where it is now [m]. */

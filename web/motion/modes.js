@@ -1,6 +1,7 @@
 // A tree's motion as numbers: the file of /v1/spectra/{id}/modes, evaluated as docs/interaction.md says.
 
 import { readTensors } from "./tensors.js";
+import { plus, rowOf, turnedUpright } from "./vectors.js";
 
 /**
  * Coordinates of the wind's own loop: the lean, and q_k = e^{2πik·phase}. Real and imaginary part of K bins. `gains` are
@@ -14,6 +15,18 @@ export function windCoordinates(K, phase, gains = null, gust = 1) {
     q[2 * k + 1] = size * Math.sin(2 * Math.PI * k * phase);
   }
   return q;
+}
+
+/** Re Σ_k φ_k q_k of one row of `shapes` [rows, K, 3, 2], in steps of `scale` [K]; q is [2K]. */
+export function modeSum(shapes, scale, row, q) {
+  const sum = [0, 0, 0];
+  const K = scale.length;
+  for (let k = 0; k < K; k++)
+    for (let c = 0; c < 3; c++) {
+      const at = 2 * ((row * K + k) * 3 + c);
+      sum[c] += scale[k] * (shapes[at] * q[2 * k] - shapes[at + 1] * q[2 * k + 1]);
+    }
+  return sum;
 }
 
 /** Voxels and bones. `lean` is put into bin 0 of `shapes`, whose place is empty in the file. */
@@ -40,21 +53,12 @@ export class Modes {
 
   /** Displacement of one voxel under the wind [m]. */
   voxelAt(v, q) {
-    const u = [0, 0, 0];
-    for (let k = 0; k < this.K; k++)
-      for (let c = 0; c < 3; c++) {
-        const at = 2 * ((v * this.K + k) * 3 + c);
-        u[c] += this.scale_m[k] * (this.shapes[at] * q[2 * k] - this.shapes[at + 1] * q[2 * k + 1]);
-      }
-    return u;
+    return modeSum(this.shapes, this.scale_m, v, q);
   }
 
   /** Where the wind alone has a voxel [m]. */
   voxelInWind(v, q, turn) {
-    const [x, y, z] = this.voxelAt(v, q);
-    const [c, s] = [Math.cos(turn), Math.sin(turn)];
-    const [cx, cy, cz] = this.centres.subarray(3 * v, 3 * v + 3);
-    return [cx + c * x - s * y, cy + s * x + c * y, cz + z];
+    return plus(rowOf(this.centres, v), turnedUpright(this.voxelAt(v, q), turn));
   }
 
   /** Mean weight of each bone's voxels in a group, once a group. */

@@ -6,6 +6,7 @@
 
 import { carriedPoint } from "./grip.js";
 import { carried } from "./modes.js";
+import { cross, dot, length, minus, plus, scaled } from "./vectors.js";
 
 const ROUNDS = 4;
 const STEP_RAD = 0.3;
@@ -78,12 +79,6 @@ export class Pin {
 }
 
 const jointOf = (modes, b) => modes.bone_joint_m.subarray(3 * b, 3 * b + 3);
-const minus = (a, b) => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
-const plus = (a, b) => [a[0] + b[0], a[1] + b[1], a[2] + b[2]];
-const scaled = (a, s) => [a[0] * s, a[1] * s, a[2] * s];
-const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
-const length = (a) => Math.sqrt(dot(a, a));
 
 /** Σ g (|d|² I − d dᵀ), with a small share of its trace added: displacement of the place over the force there. */
 function compliance(arms, give) {

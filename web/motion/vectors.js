@@ -1,0 +1,15 @@
+// Vectors [x, y, z] as arrays.
+
+export const minus = (a, b) => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
+export const plus = (a, b) => [a[0] + b[0], a[1] + b[1], a[2] + b[2]];
+export const scaled = (a, s) => [a[0] * s, a[1] * s, a[2] * s];
+export const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+export const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+export const length = (a) => Math.sqrt(dot(a, a));
+export const rowOf = (values, i) => [values[3 * i], values[3 * i + 1], values[3 * i + 2]];
+
+/** About the vertical axis. */
+export function turnedUpright([x, y, z], angle) {
+  const [c, s] = [Math.cos(angle), Math.sin(angle)];
+  return [c * x - s * y, s * x + c * y, z];
+}
