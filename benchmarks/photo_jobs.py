@@ -112,8 +112,12 @@ def _plant_iou(got: dict[str, bytes], held_out: list[str], masks: Masks) -> floa
         if view.photo not in held_out:
             continue
         drawn = render_cloud(plant, view.camera, width=view.width, height=view.height).alpha > 0.5
-        size = view.width, view.height  # without distortion: 1 px less, and half a pixel aside
-        true = np.asarray(Image.fromarray(masks[view.photo]).resize(size, Image.Resampling.BILINEAR)) > 127
+        mask = Image.fromarray(masks[view.photo])
+        aside = [(whole - part) / 2 for whole, part in zip(mask.size, drawn.shape[::-1], strict=True)]
+        cropped = mask.transform(  # as the photo is, without distortion: about its middle
+            drawn.shape[::-1], Image.Transform.AFFINE, (1, 0, aside[0], 0, 1, aside[1]), Image.Resampling.BILINEAR
+        )
+        true = np.asarray(cropped) > 127
         both += int((drawn & true).sum())
         either += int((drawn | true).sum())
     return round(both / either, 3)

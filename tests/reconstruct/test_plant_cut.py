@@ -1,6 +1,7 @@
 """The plant is cut out of splats whose truth is known: without help, and with one stroke on one photo."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from dynamictree.cli import app
 from dynamictree.errors import Cancelled, InputError
 from dynamictree.formats.mesh.ply import read_ply_mesh
 from dynamictree.formats.splat.ply import read_gaussian_ply
+from dynamictree.gaussian.cloud import joined
 from dynamictree.gaussian.rasterize import render_on_cpu
 from dynamictree.gaussian.visibility import weights_at
 from dynamictree.photo_requests import CutParams, Scribble
@@ -166,3 +168,24 @@ def test_a_cut_reports_how_far_it_is_and_can_be_stopped_between_rounds(tmp_path:
     recut(folder, folder, CutParams(scribbles=strokes), on_progress=shares.append)
     assert shares == sorted(shares)
     assert 0.89 < shares[-1] <= 1
+
+
+def test_photos_with_masks_keep_twigs_that_look_like_fog(tmp_path: Path) -> None:
+    planted = potted()
+    tree = planted.scene.subset(planted.plant)
+    tree = replace(tree, opacity=np.full_like(tree.opacity, 0.9))
+    twigs = tree.subset(np.arange(0, tree.num_gaussians, 20))
+    aside = (twigs.means + np.float32([0.05, 0, 0]) * np.ptp(tree.means[:, 2])).astype(np.float32)
+    scene = joined([tree, replace(twigs, means=aside, opacity=0.3 * twigs.opacity)])
+    alone = replace(planted, scene=scene, owner=np.zeros(scene.num_gaussians, np.int64))
+    left = {}
+    for name, inside_masks_db in (("masked", [25.0]), ("whole", [])):
+        folder = tmp_path / name
+        write_planted(alone, folder)
+        report = json.loads((folder / "report.json").read_text())
+        (folder / "report.json").write_text(json.dumps({**report, "held_out_masked_psnr_db": inside_masks_db}))
+        recut(folder, folder, CutParams(only_plant=True))
+        with (folder / "splat.ply").open("rb") as stream:
+            left[name] = read_gaussian_ply(stream).num_gaussians
+    assert left["masked"] == plant_of(scene, list(planted.views)).sum()
+    assert left["whole"] < left["masked"]
