@@ -62,9 +62,12 @@ def find_pot(
     ends = np.searchsorted(points[order, 2], low + side * np.arange(int(_SLICES * _HIGHEST) + 1))
     rows = [points[order[a:b]] for a, b in pairwise(ends)]
     layers = rows if upward is None else [points[order[a:b]][upward[order[a:b]]] for a, b in pairwise(ends)]
-    walls = [_wall(row) for row in rows]
+    walls = [_wall(row) for row in rows[:_LEAST_SLICES]]
     for soil in range(_LEAST_SLICES, len(rows) - 1):
-        below = [wall for wall in walls[:soil] if wall is not None]
+        below = [wall for wall in walls if wall is not None]
+        walls.append(_wall(rows[soil]))
+        if len(below) + len(rows) - soil < _WALLED * len(rows):
+            return None  # too few, were all slices above walled
         if len(below) < max(_LEAST_SLICES, _WALLED * soil):
             continue
         wall = _joined(below)
@@ -77,6 +80,7 @@ def find_pot(
         top = _top_of_soil(rows, soil, wall)
         if top is None or not _is_soil(layers[soil:top], wall, rng):
             continue
+        walls += [_wall(row) for row in rows[soil + 1 :]]
         rim = top
         while rim < len(rows) and _goes_on(walls[rim], wall):
             rim += 1
