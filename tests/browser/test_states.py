@@ -12,7 +12,7 @@ from playwright.sync_api import Page, expect
 
 from dynamictree.formats.mesh.ply_writer import write_ply
 from dynamictree.mesh import joined
-from tests.browser.conftest import Viewer
+from tests.browser.conftest import Viewer, animated
 from tests.trees import stand
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
@@ -117,18 +117,24 @@ def test_voxels_only_are_said_to_be_that(view: Open, url: str, tree: Path) -> No
     state(viewer.page, "moving")
 
 
-def test_links_and_back_lead_where_they_say(view: Open, url: str, job_id: str) -> None:
+@pytest.fixture
+def new_job(url: str, tree: Path) -> str:
+    """A job at the top of the list, whatever else ran before."""
+    return animated(url, tree)
+
+
+def test_links_and_back_lead_where_they_say(view: Open, url: str, new_job: str) -> None:
     viewer = view(900, 620)
     page = viewer.page
     viewer.open(url)
     page.locator("#open-jobs").click()
-    page.locator(f"#job-list [data-key='{job_id}'] .open").click()
+    page.locator(f"#job-list [data-key='{new_job}'] .open").click()
     state(page, "moving")
-    assert page.url.endswith(f"#job={job_id}")
+    assert page.url.endswith(f"#job={new_job}")
     expect(page).to_have_title(re.compile("sapling"))
     page.go_back()
     state(page, "welcome")
-    page.goto(f"{url}/#job={job_id}")
+    page.goto(f"{url}/#job={new_job}")
     state(page, "moving")
     link = page.locator("#artifacts a", has_text="Animated GLB")
     expect(link).to_have_attribute("download", "sapling.glb")
@@ -145,12 +151,12 @@ def test_an_empty_file_is_called_empty(view: Open, url: str, tmp_path: Path) -> 
     assert viewer.complaints == []
 
 
-def test_the_job_list_stays_while_it_is_refreshed(view: Open, url: str, job_id: str) -> None:
+def test_the_job_list_stays_while_it_is_refreshed(view: Open, url: str, new_job: str) -> None:
     viewer = view(900, 620)
     page = viewer.page
     viewer.open(url)
     page.locator("#open-jobs").click()
-    item = page.locator(f"#job-list [data-key='{job_id}']")
+    item = page.locator(f"#job-list [data-key='{new_job}']")
     expect(item.locator("img")).to_have_attribute("src", re.compile("^blob:"))
     item.evaluate("(node) => { node.mark = true; }")
     item.locator(".open").focus()
