@@ -32,6 +32,7 @@ _SPLAT = {
     "three/addons/postprocessing/Pass.js": f"vendor/{_THREE.target('addons/postprocessing/Pass.js')}",
     "spark": f"vendor/{_SPARK.target('spark.module.min.js')}",
     "tensors": "motion/tensors.js",
+    "vectors": "motion/vectors.js",
     "modes": "motion/modes.js",
     "pass": "draw/pass.js",
     "field": "draw/field.js",
