@@ -20,6 +20,7 @@ _HIGHEST = 0.6  # of the height: the soil lies below
 _THICKEST = 5  # slices that the soil may fill
 _LEAST_SLICES = 4  # of wall below the soil
 _WALLED = 0.6  # of the sectors, and of the slices below the soil
+_ROUNDS, _SETTLED = 6, 0.001  # of the search for a wall's axis: at most; and its last step over the radius
 _THIN = 0.1  # spread of a wall over its distance from the axis
 _LEAST_RADIUS = 0.04  # of the height
 _NARROWEST, _FEW_NARROW = 0.4, 0.2  # of the outline: a stem below a crown is narrower; and share of slices that may be
@@ -128,8 +129,9 @@ def _wall(points: Points) -> Wall | None:
         return None
     points = points[:: -(-len(points) // _MOST_OF_A_SLICE)]
     axis = np.asarray(points[:, :2].mean(axis=0))
-    for _ in range(6):
-        distance, spread = _by_sector(points, axis)
+    for _ in range(_ROUNDS):
+        away, sector = _polar(points, axis)
+        distance = _middle(away, sector)
         seen = np.isfinite(distance)
         if seen.sum() < _WALLED * _SECTORS:
             return None
@@ -137,19 +139,13 @@ def _wall(points: Points) -> Wall | None:
         on = distance[seen, None] * np.column_stack([np.cos(turn), np.sin(turn)])
         circle = np.linalg.lstsq(np.column_stack([2 * on, np.ones(len(on))]), (on**2).sum(axis=1), rcond=None)[0]
         axis = axis + circle[:2]
+        if np.hypot(*circle[:2]) < _SETTLED * np.median(distance[seen]):
+            break
+    spread = _middle(np.abs(away - np.nan_to_num(distance)[sector]), sector)
     thin = spread < _THIN * distance  # not where unseen
     if thin.sum() < _WALLED * _SECTORS:
         return None
     return axis, np.where(thin, distance, np.median(distance[thin]))
-
-
-def _by_sector(
-    points: Points, axis: Float64[np.ndarray, "2"]
-) -> tuple[Float64[np.ndarray, " S"], Float64[np.ndarray, " S"]]:
-    """Median distance from the axis in each sector, and the median deviation from it; NaN where nothing is [m]."""
-    away, sector = _polar(points, axis)
-    distance = _middle(away, sector)
-    return distance, _middle(np.abs(away - np.nan_to_num(distance)[sector]), sector)
 
 
 def _middle(values: Float64[np.ndarray, " P"], sector: Int64[np.ndarray, " P"]) -> Float64[np.ndarray, " S"]:
