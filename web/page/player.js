@@ -42,6 +42,7 @@ export class Player {
     this.company = "one";
     this.other = null;
     this.setTurbulent(null);
+    this._showTime();
     this.setPlaying(!matchMedia("(prefers-reduced-motion: reduce)").matches);
     this.onStart();
   }
