@@ -33,12 +33,12 @@ def url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         yield url
 
 
-def animated(url: str, mesh: Path, *, key: str | None = None) -> str:
-    """Make a mesh move in few steps; gives the id of the job, which has ended."""
+def animated(url: str, mesh: Path, *, key: str | None = None, formats: tuple[str, ...] = ("glb",)) -> str:
+    """Make a tree move in few steps; gives the id of the job, which has ended."""
     headers = {"Authorization": f"Bearer {key}"} if key else {}
     with httpx.Client(base_url=url, timeout=60, headers=headers) as client:
         asset = client.post("/v1/assets", files={"file": (mesh.name, mesh.read_bytes())}).json()
-        request = {"type": "animate", "asset_id": asset["id"], "params": {"formats": ["glb"], "num_steps": 1}}
+        request = {"type": "animate", "asset_id": asset["id"], "params": {"formats": formats, "num_steps": 1}}
         job = client.post("/v1/jobs", json=request).json()
         while job["state"] in {"queued", "running"}:
             job = client.get(f"/v1/jobs/{job['id']}", headers={"Prefer": "wait=30"}).json()

@@ -23,13 +23,15 @@ REAL = {
     "tree-splat": "splat/tree_10k.splat",
     "tls-tree": "scan/tls_tree_1.txt",
 }
+DRAWN_AS_GAUSSIANS = "gaussians"  # the page's own job for a splat; "tree-splat" asks for the mesh that carries them
 TOUCHED = ("sapling", "lime")
 WINDS_M_S = (0, 8)
 CLOSE_PX = 5
 PULL_PX = 45
 WAY = ((1.0, 0.3), (-0.6, -0.5))  # of the hand, in shares of the pull
 
-# Frame by frame: the pointer and the vertex that is pulled, as web/draw/follow.js draws it from textures of the GPU
+# Frame by frame: the pointer and what is pulled. A vertex as web/draw/follow.js draws it from textures of the GPU; a
+# Gaussian as Spark has put it into its own texture, whose bits are floats
 WATCH = """async () => {
     const { Hand } = await import("/web/page/hand.js");
     const { gripNow } = await import("/web/motion/grip.js");
@@ -58,6 +60,19 @@ WATCH = """async () => {
             return sum + weights[i] * (m[0] * at[0] + m[1] * at[1] + m[2] * at[2] + m[3]);
         }, left * x));
     };
+    const gaussian = ({ stage, splat }, row) => {
+        const gl = stage.renderer.getContext(), { target } = splat.renderer.current, bits = new Uint32Array(4);
+        stage.renderer.setRenderTarget(target, 0);
+        gl.readBuffer(gl.COLOR_ATTACHMENT0);
+        const at = [row % target.width, Math.floor(row / target.width)];
+        gl.readPixels(...at, 1, 1, gl.RGBA_INTEGER, gl.UNSIGNED_INT, bits);
+        stage.renderer.setRenderTarget(null);
+        return [...new Float32Array(bits.buffer).subarray(0, 3)];
+    };
+    const pulled = (tree, place) => {
+        if (place.gaussian !== undefined) return gaussian(tree, place.gaussian);
+        return place.vertex === undefined ? gripNow(tree, place) : drawn(tree, place.vertex);
+    };
     const low = ({ V, centres, voxelSize, bone_joint_m: [x, y] }) => { // of the trunk, not of branches that hang low
         const all = [...Array(V).keys()], at = (v) => centres.subarray(3 * v, 3 * v + 3);
         const least = all.reduce((least, v) => Math.min(least, at(v)[2]), Infinity);
@@ -69,10 +84,10 @@ WATCH = """async () => {
         return Math.hypot(...now.map((x, i) => x - wind[i])) / tree.modes.voxelSize;
     };
     let grasp = null, feet = null, rows = [], shadow = true;
-    const watchShadow = ({ shadowMap }) => { // whether each picture has its own
+    const watchShadow = ({ shadowMap }) => { // whether each turn has its own; Spark draws more than once in a turn
         if (shadowMap.watched) return;
         const { render } = shadowMap;
-        shadowMap.render = (...scene) => { shadow = shadowMap.needsUpdate; render.apply(shadowMap, scene); };
+        shadowMap.render = (...scene) => { shadow ||= shadowMap.needsUpdate; render.apply(shadowMap, scene); };
         shadowMap.watched = true;
     };
     const { tick } = Hand.prototype; // the last call of each turn: what it finds is what was drawn
@@ -83,7 +98,7 @@ WATCH = """async () => {
             grasp ??= grip?.place;
             feet ??= low(tree.modes);
             watchShadow(stage.renderer);
-            const at = grasp && (grasp.vertex === undefined ? gripNow(tree, grasp) : drawn(tree, grasp.vertex));
+            const at = grasp && pulled(tree, grasp);
             const { x, y } = grasp ? stage.onScreen(at) : {};
             if (grasp) rows.push({
                 seconds: performance.now() / 1000, at: [x, y], pointer: [pointer.x, pointer.y], pulling: Boolean(grip),
@@ -91,6 +106,7 @@ WATCH = """async () => {
                 feet: Math.max(...feet.map((v) => away(tree, v))),
             });
         }
+        shadow = false;
         tick.call(this);
     };
     window.takeRows = () => { const all = rows; [grasp, rows] = [null, []]; return all; };
@@ -106,18 +122,26 @@ PLACE = """() => {
     return [best.x, best.y];
 }"""
 
+SORTED = """async () => {
+    while (!window.hand?.tree?.splat?.drawn) await new Promise(requestAnimationFrame);
+}"""
+
 REST_CROSSES = "() => { window.hand.push.onRest({ type: 'rest', frame: 0 }); return Boolean(window.hand.grip); }"
 
 
-@pytest.mark.parametrize("name", [*GROWN, *REAL])
+@pytest.mark.parametrize("name", [*GROWN, *REAL, DRAWN_AS_GAUSSIANS])
 def test_hand_and_branch_stay_together(view: Open, url: str, name: str, tmp_path: Path, samples: Path) -> None:
-    job = animated(url, file_of(name, tmp_path, samples))
+    job = animated(
+        url, file_of(name, tmp_path, samples), formats=("splat",) if name == DRAWN_AS_GAUSSIANS else ("glb",)
+    )
     touch = name in TOUCHED
     viewer = view(700, 520, touch=touch)
     page = viewer.page
     viewer.open(f"{url}/#job={job}")
     page.wait_for_selector(MOVING, timeout=JOB_MS)
     page.evaluate(WATCH)
+    if name == DRAWN_AS_GAUSSIANS:
+        page.evaluate(SORTED)
     pictures: list[Image.Image] = []
     rows: dict[int, list[dict[str, Any]]] = {}
     for wind_m_s in WINDS_M_S:
@@ -138,6 +162,8 @@ def test_hand_and_branch_stay_together(view: Open, url: str, name: str, tmp_path
 
 
 def file_of(name: str, folder: Path, samples: Path) -> Path:
+    if name == DRAWN_AS_GAUSSIANS:
+        return samples / REAL["tree-splat"]
     if name in REAL:
         return samples / REAL[name]
     path = folder / f"{name}.glb"

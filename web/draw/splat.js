@@ -44,7 +44,8 @@ export class SplatView {
     const spark = await import("spark");
     const view = new SplatView();
     view.stage = stage;
-    view.field = fieldOf(splat);
+    view.ride = { ...rideOf(splat), ...stepsOf(splat), carriers };
+    view.field = new Field(view.ride.shapes, view.ride.scale_m, splat.N);
     view.uniforms = uniforms;
     view.box = new THREE.Box3().setFromArray(splat.means);
     view.standsInPart = splat.face_of.some((face) => face < 0);
@@ -135,8 +136,11 @@ export class SplatView {
   }
 }
 
+/** How Gaussians ride on the faces of their mesh: what a pull needs of them (motion/gaussian.js). */
+const rideOf = ({ means, face_of, triangles, weights, vertices }) => ({ means, face_of, triangles, weights, vertices });
+
 /** Float16 coefficients as 16-bit steps a bin, weighted as the spectrum's sum wants them. */
-function fieldOf({ coefficients, N, K, frames }) {
+function stepsOf({ coefficients, K, frames }) {
   const scale = new Float32Array(K);
   const shapes = new Int16Array(coefficients.length);
   const bin = (i) => Math.floor(i / 6) % K;
@@ -147,7 +151,7 @@ function fieldOf({ coefficients, N, K, frames }) {
     shapes[i] = Math.round((32767 * value) / Math.max(scale[bin(i)], 1e-12));
   });
   const weighted = scale.map((most, k) => (Math.max(most, 1e-12) / 32767) * (k === 0 || 2 * k === frames ? 1 : 2));
-  return new Field(shapes, weighted, N);
+  return { shapes, scale_m: weighted };
 }
 
 /** As many degrees as one texture holds: all four up to some millions of Gaussians. */

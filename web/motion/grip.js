@@ -1,16 +1,19 @@
 // A place of the tree that is pulled: the point that is drawn there, and the bones that carry it.
 
+import { bonesOfGaussian, gaussianInWind } from "./gaussian.js";
 import { carried } from "./modes.js";
-import { plus } from "./vectors.js";
+import { plus, rowOf } from "./vectors.js";
 import { vertexInWind } from "./vertex.js";
 
 /** The place to pull at a voxel of a Tree. */
 export function gripAt({ modes, surface, hidden, splat }, voxel) {
+  if (splat?.visible) return gripOfGaussian(modes, splat.ride, voxel);
   return surface && !hidden && !splat ? gripOfSurface(modes, surface.geometry, voxel) : gripOfVoxel(modes, voxel);
 }
 
 /** Where the wind alone has a place that is pulled [m]. */
-export function gripInWind(tree, { voxel, vertex, rest }, q, turn) {
+export function gripInWind(tree, { voxel, vertex, gaussian, rest }, q, turn) {
+  if (gaussian !== undefined) return gaussianInWind(tree.splat.ride, gaussian, q, turn);
   if (vertex === undefined) return tree.modes.voxelInWind(voxel, q, turn);
   return plus(rest, vertexInWind(tree, vertex, q, turn));
 }
@@ -40,11 +43,26 @@ function gripOfSurface(modes, geometry, voxel) {
     const values = geometry.getAttribute(name);
     return ["getX", "getY", "getZ", "getW"].map((get) => values[get](vertex));
   });
-  const strongest = bones[weights.indexOf(Math.max(...weights))];
   if (!Math.max(...weights)) return own;
-  const rest = Array.from(geometry.getAttribute("position").array.subarray(3 * vertex, 3 * vertex + 3));
-  const pulled = nearest(modes.centres, rest, (v) => modes.bone_of_voxel[v] === strongest) ?? voxel;
-  return { voxel: pulled, vertex, rest, bones, weights };
+  const rest = rowOf(geometry.getAttribute("position").array, vertex);
+  return { voxel: pulledBy(modes, rest, { bones, weights }) ?? voxel, vertex, rest, bones, weights };
+}
+
+/** The drawn Gaussian nearest to a voxel: `{ voxel, gaussian, rest, bones, weights }`. */
+function gripOfGaussian(modes, ride, voxel) {
+  const own = gripOfVoxel(modes, voxel);
+  const gaussian = nearest(ride.means, own.rest, (g) => ride.face_of[g] >= 0);
+  if (gaussian === null) return own;
+  const carriers = bonesOfGaussian(ride, gaussian);
+  if (!carriers.bones.length) return own;
+  const rest = rowOf(ride.means, gaussian);
+  return { voxel: pulledBy(modes, rest, carriers) ?? voxel, gaussian, rest, ...carriers };
+}
+
+/** The voxel at which the service pulls: the nearest of those that the strongest bone carries. */
+function pulledBy(modes, rest, { bones, weights }) {
+  const strongest = bones[weights.indexOf(Math.max(...weights))];
+  return nearest(modes.centres, rest, (v) => modes.bone_of_voxel[v] === strongest);
 }
 
 /** Where the bones carry a point [m]; what no bone carries stays. */

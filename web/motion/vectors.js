@@ -8,6 +8,14 @@ export const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * 
 export const length = (a) => Math.sqrt(dot(a, a));
 export const rowOf = (values, i) => [values[3 * i], values[3 * i + 1], values[3 * i + 2]];
 
+const unit = (v) => scaled(v, 1 / length(v));
+
+/** Axes of a plane through two directions: along the first, across it in the plane, and the normal. */
+export function frameOf(along, other) {
+  const z = unit(cross(along, other));
+  return [unit(along), cross(z, unit(along)), z];
+}
+
 /** About the vertical axis. */
 export function turnedUpright([x, y, z], angle) {
   const [c, s] = [Math.cos(angle), Math.sin(angle)];

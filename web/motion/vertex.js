@@ -1,7 +1,7 @@
 // One vertex in the wind as numbers: what the shaders of draw/ compute for all of them.
 
 import { modeSum } from "./modes.js";
-import { cross, dot, length, minus, plus, rowOf, scaled, turnedUpright } from "./vectors.js";
+import { cross, dot, frameOf, minus, plus, rowOf, scaled, turnedUpright } from "./vectors.js";
 
 /** Displacement of a vertex of a Tree's surface by the wind [m]; `turn` is the wind's direction against its motion's. */
 export function vertexInWind({ surface, modes }, vertex, q, turn) {
@@ -28,13 +28,6 @@ function withCard(places, corners, vertex, inWind) {
   const carried = rest.reduce((sum, axis, i) => plus(sum, scaled(frame[i], dot(axis, arm))), now);
   return minus(carried, rowOf(places, vertex));
 }
-
-function frameOf(along, other) {
-  const z = unit(cross(along, other));
-  return [unit(along), cross(z, unit(along)), z];
-}
-
-const unit = (v) => scaled(v, 1 / length(v));
 
 /** By the bones that turn in the wind. draw/bone_field.js and docs/engines.md have the equations. */
 function bentBy(surface, vertex, q, turn) {
