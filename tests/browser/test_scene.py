@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 from playwright.sync_api import expect
 
-from tests.browser.conftest import JOB_MS, MOVING, Viewer, changed, scrub, steady
+from tests.browser.conftest import JOB_MS, MOVING, Viewer, animated, changed, scrub, steady
 from tests.formats.artists import wooded
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
@@ -44,6 +44,49 @@ def test_a_second_wind_and_a_forest_stand_beside_the_tree(paused: Viewer) -> Non
     assert changed(forest, scrub(viewer, 1.0)) == 0, "the forest's loop does not close"
     page.locator("#company input[value=one]").check(force=True)
     assert changed(alone, scrub(viewer, 0.0)) == 0, "the tree is not as before"
+    assert viewer.complaints == []
+
+
+# In each turn: the share of pixels that a shadow drawn in this moment would make lighter or darker than what is seen
+SHADOWS = """async (turns) => {
+    const { Hand } = await import("/web/page/hand.js");
+    const { tick } = Hand.prototype;
+    const shares = [];
+    const seen = ({ renderer }) => {
+        const gl = renderer.getContext(), [width, height] = [gl.drawingBufferWidth, gl.drawingBufferHeight];
+        const bytes = new Uint8Array(4 * width * height);
+        gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, bytes);
+        return bytes;
+    };
+    return new Promise((done) => {
+        Hand.prototype.tick = function () {
+            const { stage } = this, { scale } = stage.resolution;
+            const drawn = seen(stage);
+            stage.renderer.shadowMap.needsUpdate = true;
+            stage.renderer.render(stage.scene, stage.camera);
+            const fresh = seen(stage);
+            let other = 0;
+            for (let i = 1; i < drawn.length; i += 4) other += Math.abs(drawn[i] - fresh[i]) > 24;
+            if (scale === stage.resolution.scale) shares.push((4 * other) / drawn.length);
+            if (shares.length === turns) {
+                Hand.prototype.tick = tick;
+                done(shares);
+            }
+            tick.call(this);
+        };
+    });
+}"""
+
+
+def test_no_old_shadow_lies_on_a_tree_in_a_storm(view: Open, url: str, samples: Path) -> None:
+    job = animated(url, samples / "mesh/quaternius_common_tree/CommonTree_2.obj")
+    viewer = view(700, 520)
+    viewer.open(f"{url}/#job={job}")
+    viewer.page.wait_for_selector(MOVING, timeout=JOB_MS)
+    viewer.page.locator("#wind-presets button", has_text="Storm").click()
+    viewer.page.wait_for_timeout(3000)
+    shares = viewer.page.evaluate(SHADOWS, 40)
+    assert max(shares) < 0.002, shares
     assert viewer.complaints == []
 
 

@@ -3,6 +3,7 @@
 import * as THREE from "three";
 import { environmentOf } from "./environment.js";
 import { Ground } from "./ground.js";
+import { SLACK } from "./shadow.js";
 
 const SUN = { from_deg: 312, height_deg: 50 }; // +Y is north, 0° is east
 const REFLECTED = 0.4; // of the environment: the sky lights all materials besides
@@ -82,7 +83,7 @@ export class Surroundings {
     const box = { left: -reach, right: reach, top: reach, bottom: -reach, near: radius, far: 8 * radius };
     Object.assign(this.sun.shadow.camera, box);
     this.sun.shadow.camera.updateProjectionMatrix();
-    this.sun.shadow.normalBias = radius * 0.012;
+    this.sun.shadow.normalBias = radius * SLACK;
     this.sun.shadow.bias = -0.0008;
   }
 

@@ -9,12 +9,12 @@ import { PoseTexture, voxelFieldOf, zeroTexture } from "./field.js";
 import { ghostOf, surfaceMaterials } from "./follow.js";
 import { topVoxel } from "./pick.js";
 import { LEAST } from "./resolution.js";
+import { leavesItsShadow } from "./shadow.js";
 import { nearBox } from "./surface.js";
 
 export class Tree {
   constructor(stage) {
-    this.stage = stage;
-    this.group = new THREE.Group();
+    Object.assign(this, { stage, group: new THREE.Group() });
     stage.scene.add(this.group);
     this.still = zeroTexture();
     this.uniforms = {
@@ -25,9 +25,8 @@ export class Tree {
       greyStill: { value: 1 },
       restAt: { value: this.still }, // a sampler without a texture spoils every draw
     };
-    this.view = "surface";
     this.groups = []; // of pushes: { q, perBone }
-    Object.assign(this, { q: null, turn: 0 });
+    Object.assign(this, { view: "surface", q: null, turn: 0 });
   }
 
   get moves() {
@@ -124,8 +123,8 @@ export class Tree {
 
   /** The mesh in place of points. */
   showMesh() {
-    this.points?.dispose();
     if (this.points) this.group.remove(this.points.object);
+    this.points?.dispose();
     this.points = null;
     this.hidden = false;
     this.setView(this.view);
@@ -205,13 +204,14 @@ export class Tree {
       this.boneMotion ??= new Float32Array(12 * this.modes.B);
       this.poses.set(this.modes.poses(groups, this.boneMotion));
     }
-    Object.assign(this.stage, { stale: true, swift: groups.length > 0 });
+    Object.assign(this.stage, { stale: true, swift: groups.length > 0 || leavesItsShadow(this) });
   }
 
   /** Before each draw. */
   prepare(renderer) {
     if (this.splat) this._showOne();
     if (!this.q) return;
+    if (renderer.shadowMap.needsUpdate) this.shadowed = { q: this.q.slice(), turn: this.turn };
     const cubes = this.cubes?.visible;
     if (this.field && (this.field !== this.voxelField || !cubes)) this.field.evaluate(renderer, this.q, this.turn);
     this.copies?.prepare(renderer);
