@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy  # its parts come in when they are used: the service starts without them
-from jaxtyping import Bool, Float32, Int32, Int64
+from jaxtyping import Bool, Float32, Float64, Int32, Int64
 
 from dynamictree.mesh import TriangleMesh, edges_of, part_bounds
 from dynamictree.modal.bones import Bones
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 BONES_A_VERTEX = 6
 STIFF_VOXELS = 12.0  # a part of the mesh that is smaller has one bone: a leaf keeps its shape
+TRUNK_VOXELS = 24.0  # but for one that carries more than a twig does: a trunk may consist of short pieces
 STEM_SHARE = 0.3  # of a part that one chain of bones carries: it is a stem, and has no bones of others
 SPREAD = 80  # edges over which a vertex shares its bones; a part then follows its own stem, not what touches it
 LONG_VOXELS = 0.4  # edges that are longer share less: in 80 steps, bones blend over 4 voxels and not over a whole twig
@@ -52,7 +53,9 @@ def attach_mesh(
     sample[vertex[order]] = order
     points = mesh.vertices[sample]
     low, high = part_bounds(part, points)
+    carried_low, carried_high = _with_what_hangs(low, high, ties.attachments)
     small = (high - low).max(axis=1) < STIFF_VOXELS * voxel_size_m
+    small &= (carried_high - carried_low).max(axis=1) < TRUNK_VOXELS * voxel_size_m
     member = _matrix(np.ones(len(part)), np.arange(len(part)), part, (len(part), len(small)))
     rows, weights = ties.rows[sample], ties.weights[sample]
     own = np.repeat(np.arange(len(part)), rows.shape[1])
@@ -71,6 +74,20 @@ def attach_mesh(
     strongest = _strongest(carried.tocsr())
     moving = ties.weights.any(axis=1, keepdims=True)
     return BoneAttachment(rows=strongest.rows[vertex], weights=np.where(moving, strongest.weights[vertex], 0))
+
+
+def _with_what_hangs(
+    low: Float64[np.ndarray, "parts 3"], high: Float64[np.ndarray, "parts 3"], attachments: "Attachments"
+) -> tuple[Float64[np.ndarray, "parts 3"], Float64[np.ndarray, "parts 3"]]:
+    """Bounds of each part together with all that hangs on it."""
+    children, on = attachments.children, attachments.part[attachments.corners[:, 1, 0]]
+    while True:
+        lower, higher = low.copy(), high.copy()
+        np.minimum.at(lower, on, low[children])
+        np.maximum.at(higher, on, high[children])
+        if np.array_equal(lower, low) and np.array_equal(higher, high):
+            return low, high
+        low, high = lower, higher
 
 
 def _matrix(

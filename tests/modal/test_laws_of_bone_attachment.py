@@ -1,11 +1,14 @@
 """What a pull must do to a grown tree's mesh: bones meet at their joints, and what they carry keeps its shape."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.devoxelize.smooth import smooth
-from dynamictree.mesh import connected_parts, edges_of, part_bounds
+from dynamictree.mesh import TriangleMesh, connected_parts, edges_of, part_bounds
 from dynamictree.modal.bone_attachment import STIFF_VOXELS, attach_mesh
 from dynamictree.modal.bones import bones_of
 from dynamictree.modal.force import Drag, contact_at_voxel
@@ -83,3 +86,54 @@ def test_what_hangs_on_a_branch_stays_on_it(pulled):
     places = np.einsum("bsi,tbsic->tbsc", at.weights, moved[:, vertex[at.corners]])
     gaps = np.linalg.norm(places[:, :, 1] - places[:, :, 0], axis=2) / voxel_m  # growth [voxels]
     assert np.percentile(gaps, 99) < 1
+
+
+def test_a_trunk_of_short_pieces_bends_as_one():
+    """Palms are often modelled so: rings, each put over the end of the one below."""
+    sample = make_sample(12, "palm")
+    mesh, source, ends = with_trunk_of_rings(sample.mesh)
+    of_vertex = {name: getattr(sample, name)[source] for name in ("part", "node", "coefficients")}
+    _, spectrum = voxel_spectrum(replace(sample, mesh=mesh, **of_vertex))
+    tree, voxel_m = InteractiveTree(modal_system(spectrum)), spectrum.grid.voxel_size_m
+    carried = attach_mesh(tree.bones, mesh, smooth(spectrum.grid, mesh), voxel_size_m=voxel_m)
+    top = int(spectrum.grid.centres_m[:, 2].argmax())
+    drag = Drag(at=contact_at_voxel(spectrum.grid, top), displacement_m=(0.25 * tree.system.height_m, 0.0, 0.0))
+    groups = group_forces([drag], falloff_m=default_falloff_m(tree.system))
+    answer = respond(tree.system, groups, dt_s=1 / 60, num_frames=1, start="held", bent=tree)
+    moved = next(tree.bent(answer, mesh.vertices, carried))
+    lower, upper = moved[ends].mean(axis=2).transpose(1, 0, 2)  # the ends of all rings
+    assert np.linalg.norm(upper, axis=1).max() > 10 * voxel_m
+    assert np.linalg.norm(lower[1:] - upper[:-1], axis=1).max() < voxel_m
+
+
+def with_trunk_of_rings(mesh, num_rings=18, num_sides=7):
+    """Tapering tubes in place of the largest part; whose motion each vertex has; rows of the rings' ends [R, 2, S]."""
+    part = connected_parts(mesh.faces, mesh.num_vertices)
+    trunk = np.flatnonzero(part == np.bincount(part[mesh.faces[:, 0]]).argmax())
+    place = mesh.vertices[trunk]
+    low, high = place[:, 2].min(), place[:, 2].max()
+    step = (high - low) / num_rings
+    turn = 2 * np.pi * np.arange(num_sides) / num_sides
+    circle = np.stack([np.cos(turn), np.sin(turn), np.zeros(num_sides)], axis=1)
+    vertices = []
+    for ring in range(num_rings):
+        for end in (ring - 0.1, ring + 1.1):
+            height = np.clip(low + end * step, low, high)
+            near = place[np.abs(place[:, 2] - height) <= np.abs(place[:, 2] - height).min() + 0.5 * step]
+            middle = np.array([*near[:, :2].mean(axis=0), height])
+            vertices.append(middle + 0.05 * (high - low) * (1 - 0.5 * ring / num_rings) * circle)
+    first = np.arange(num_sides)
+    one = np.concatenate([np.stack([first, np.roll(first, -1), first + num_sides], axis=1)] * 2)
+    one[num_sides:] = np.stack([np.roll(first, -1), np.roll(first, -1) + num_sides, first + num_sides], axis=1)
+    added = np.concatenate(vertices).astype(np.float32)
+    crown = np.flatnonzero(part != part[trunk[0]])
+    new_row = np.full(mesh.num_vertices, -1)
+    new_row[crown] = np.arange(len(crown))
+    rings = len(crown) + (2 * num_sides * np.arange(num_rings)[:, None, None] + one).reshape(-1, 3)
+    leaves = new_row[mesh.faces[(new_row[mesh.faces] >= 0).all(axis=1)]]
+    nearest = trunk[cKDTree(place).query(added)[1]]
+    ringed = TriangleMesh(
+        vertices=np.concatenate([mesh.vertices[crown], added]), faces=np.concatenate([leaves, rings]).astype(np.int32)
+    )
+    ends = len(crown) + np.arange(len(added)).reshape(num_rings, 2, num_sides)
+    return ringed, np.concatenate([crown, nearest]), ends
