@@ -45,7 +45,7 @@ $(READY): requirements.lock pyproject.toml
 	@$(BIN)/uv pip install -q --python $(BIN)/python --no-deps -e . -e ./client
 	@echo "== compiling kernels (once)"
 	@$(BIN)/python -m dynamictree.warm_up & kernels=$$!; \
-	  $(BIN)/python -c 'import uvicorn.main, service.app, worker.parse, worker.housekeeper, worker.tasks' && wait $$kernels
+	  $(BIN)/python -c 'import uvicorn.main, service.app, worker.parse_server, worker.housekeeper, worker.tasks' && wait $$kernels
 	@touch $@
 
 demo: $(READY)  ## a tree goes in over HTTP and comes out swaying (INPUT=file for your own)

@@ -17,7 +17,7 @@ MODULES = (
     "worker.tasks",
     "worker.stages",
     "worker.housekeeper",
-    "worker.parse",
+    "worker.parse_server",
     "uvicorn.main",
     "pycolmap",
     "pyapriltags",

@@ -1,11 +1,13 @@
-"""Call the child process that reads uploaded files (`worker.parse`): its request and its answer."""
+"""Call the process that reads uploaded files (`worker.parse`): its request and its answer."""
 
 import asyncio
 import logging
 import os
-import signal
+import socket
+import subprocess
 import sys
 import tempfile
+import threading
 from collections.abc import Mapping
 from pathlib import Path
 from typing import IO
@@ -17,7 +19,7 @@ from jobs.states import AssetKind
 
 logger = logging.getLogger(__name__)
 
-CHILD = ("-P", "-m", "worker.parse")
+SERVER = ("-P", "-m", "worker.parse_server")
 """-P: neither the current folder nor that of a script is searched for modules."""
 
 FOLDER = "/"
@@ -61,33 +63,88 @@ def child_environment() -> dict[str, str]:
     return inherited | {"HOME": FOLDER, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
+class _Server:
+    """The process that forks for each upload (`worker.parse_server`): started when first needed, ends with this one."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._process: subprocess.Popen[bytes] | None = None
+        self._control: socket.socket | None = None
+
+    def read(self, connection: socket.socket, errors: IO[bytes]) -> None:
+        """Have an upload read: its request and answer go over the connection, tracebacks to `errors`."""
+        passed = (connection.fileno(), errors.fileno())
+        with self._lock:
+            try:
+                socket.send_fds(self._running(), [b"u"], passed)
+            except OSError:  # it has just ended
+                socket.send_fds(self._started(), [b"u"], passed)
+
+    def _running(self) -> socket.socket:
+        """Its control socket."""
+        if self._process is None or self._control is None or self._process.poll() is not None:
+            return self._started()
+        return self._control
+
+    def _started(self) -> socket.socket:
+        if self._process is not None and self._control is not None:
+            self._control.close()
+            self._process.kill()
+            self._process.wait()
+        self._control, theirs = socket.socketpair()
+        with theirs:
+            self._process = subprocess.Popen(
+                [sys.executable, *SERVER],
+                stdin=theirs.fileno(),
+                stdout=subprocess.DEVNULL,
+                env=child_environment(),
+                cwd=FOLDER,
+                start_new_session=True,
+            )
+        return self._control
+
+
+_server = _Server()
+
+
 async def parse(request: ParseRequest, settings: Settings) -> ParseAnswer:
-    """Run the child. Whatever happens to it, there is an answer, and no process is left."""
+    """Have the files read. Whatever happens to the process that does it, there is an answer, and it ends."""
     with tempfile.TemporaryFile() as errors:
-        child = await asyncio.create_subprocess_exec(
-            sys.executable,
-            *CHILD,
-            stdin=asyncio.subprocess.PIPE,
-            stdout=asyncio.subprocess.PIPE,
-            stderr=errors,
-            env=child_environment(),
-            cwd=FOLDER,
-            start_new_session=True,
-        )
+        # a process that sleeps uses no CPU time, so the wall clock is bounded too
+        content = await _content(request, errors, settings.parser_cpu_s * 2)
+        if content == b"":  # not even an exit code: the server has ended
+            request.prepared.unlink(missing_ok=True)
+            content = await _content(request, errors, settings.parser_cpu_s * 2)
+        answered, _, status = (content or b"").rpartition(b"\n")
         try:
-            # a child that sleeps uses no CPU time, so the wall clock is bounded too
-            sent = request.model_dump_json().encode()
-            answered, _ = await asyncio.wait_for(child.communicate(sent), settings.parser_cpu_s * 2)
-        except TimeoutError:
-            answered = b""
-        finally:
-            if child.returncode is None:
-                os.killpg(child.pid, signal.SIGKILL)
-                await child.wait()
-        try:
-            return ParseAnswer.model_validate_json(answered[:MAX_ANSWER_BYTES])
+            return ParseAnswer.model_validate_json(answered)
         except ValidationError:
-            return _no_answer(child.returncode, errors, settings)
+            return _no_answer(int(status) if status.removeprefix(b"-").isdigit() else None, errors, settings)
+
+
+async def _content(request: ParseRequest, errors: IO[bytes], wait_s: float) -> bytes | None:
+    """What was written for a request: the answer, and in a line of its own the exit code; None where time was up."""
+    ours, theirs = socket.socketpair()
+    with theirs:
+        await asyncio.to_thread(_server.read, theirs, errors)
+    reader, writer = await asyncio.open_unix_connection(sock=ours)
+    try:
+        writer.write(request.model_dump_json().encode())
+        writer.write_eof()
+        return await asyncio.wait_for(_all_of(reader), wait_s)
+    except TimeoutError:
+        return None
+    except ConnectionError:
+        return b""
+    finally:
+        writer.close()  # the process is ended if it still runs
+
+
+async def _all_of(reader: asyncio.StreamReader) -> bytes:
+    content = b""
+    while piece := await reader.read(MAX_ANSWER_BYTES):
+        content = (content + piece)[-MAX_ANSWER_BYTES:]
+    return content
 
 
 def _no_answer(returncode: int | None, errors: IO[bytes], settings: Settings) -> ParseAnswer:

@@ -1,4 +1,4 @@
-"""Child process that parses one upload: `python -m worker.parse`, request on stdin, answer on stdout.
+"""A process that reads one upload, forked by `worker.parse_server`: request on stdin, answer on stdout.
 
 It gives up what it does not need (memory, time, open files, the network, other programs and files) before it looks at
 the first byte.
@@ -56,7 +56,6 @@ def _limit(request: ParseRequest) -> None:
 
 def _model(request: ParseRequest) -> ParseAnswer:
     """A mesh, a cloud, or both."""
-    # numpy comes in only now, under the limits
     from dynamictree.formats.source_file import source_kind
 
     files = dict(zip(request.names, request.paths, strict=True))

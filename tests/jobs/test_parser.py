@@ -1,24 +1,23 @@
-"""The error that reports a child which gave no answer."""
+"""The process that reads uploads: what goes wrong in it is reported, and ends with it."""
 
 import asyncio
+import os
+import time
+from collections.abc import Callable
 from pathlib import Path
 
+import psutil
 import pytest
 
 from jobs.parser_process import ParseRequest, parse
 from jobs.settings import Settings
 
+OBJ = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
+
 
 def test_a_fault_of_ours_is_reported_as_one_and_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     settings = Settings(state_dir=tmp_path)
-    request = ParseRequest(
-        kind="mesh",
-        names=("tree.obj",),
-        paths=(tmp_path / "absent",),
-        prepared=tmp_path / "prepared",
-        memory_bytes=settings.parser_memory_bytes,
-        cpu_s=settings.parser_cpu_s,
-    )
+    request = _request(settings, tmp_path / "absent")
     answer = asyncio.run(parse(request, settings))
     assert (answer.code, answer.message) == ("internal-error", "The cause was logged.")
     assert "FileNotFoundError" in caplog.text
@@ -30,17 +29,85 @@ def test_modules_of_the_current_folder_are_not_run(tmp_path: Path, monkeypatch: 
     scene = tmp_path / "scene"
     scene.mkdir()
     tree = scene / "tree.obj"
-    tree.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    tree.write_text(OBJ)
     monkeypatch.chdir(tmp_path)
     settings = Settings(state_dir=tmp_path)
-    request = ParseRequest(
-        kind="mesh",
-        names=("tree.obj",),
-        paths=(tree,),
-        prepared=scene / "prepared",
-        memory_bytes=settings.parser_memory_bytes,
-        cpu_s=settings.parser_cpu_s,
-    )
+    request = _request(settings, tree)
     answer = asyncio.run(parse(request, settings))
     assert answer.kind == "mesh", answer
     assert not (tmp_path / "executed").exists()
+
+
+def test_a_reader_that_waits_for_ever_is_ended(tmp_path: Path) -> None:
+    settings = Settings(state_dir=tmp_path, parser_cpu_s=1)
+    answer = asyncio.run(parse(_request(settings, _pipe(tmp_path / "a")), settings))
+    assert answer.code == "input-too-costly"
+    _wait_until_no_upload_is_read()
+
+
+def test_an_upload_is_answered_while_another_is_read(tmp_path: Path) -> None:
+    settings = Settings(state_dir=tmp_path, parser_cpu_s=10)
+    first, second = _pipe(tmp_path / "a"), _pipe(tmp_path / "b")
+
+    async def both() -> None:
+        quick = asyncio.create_task(parse(_request(settings, first), settings))
+        await asyncio.to_thread(_wait_until, lambda: len(_readers()) == 1)
+        slow = asyncio.create_task(parse(_request(settings, second), settings))  # forked while the first is read
+        await asyncio.to_thread(_wait_until, lambda: len(_readers()) == 2)
+        await asyncio.to_thread(first.write_text, OBJ)
+        assert (await quick).code == "internal-error"  # a pipe cannot be read twice
+        assert not slow.done()
+        slow.cancel()
+
+    asyncio.run(both())
+    _wait_until_no_upload_is_read()
+
+
+def test_a_server_that_was_killed_is_started_again(tmp_path: Path) -> None:
+    settings = Settings(state_dir=tmp_path)
+    tree = tmp_path / "tree.obj"
+    tree.write_text(OBJ)
+    for place in ("before", "after"):
+        (tmp_path / place).mkdir()
+        request = _request(settings, tree).model_copy(update={"prepared": tmp_path / place / "prepared"})
+        assert asyncio.run(parse(request, settings)).kind == "mesh"
+        [server] = _servers()
+        server.kill()
+
+
+def _request(settings: Settings, tree: Path) -> ParseRequest:
+    return ParseRequest(
+        kind="mesh",
+        names=("tree.obj",),
+        paths=(tree,),
+        prepared=tree.parent / "prepared",
+        memory_bytes=settings.parser_memory_bytes,
+        cpu_s=settings.parser_cpu_s,
+    )
+
+
+def _pipe(folder: Path) -> Path:
+    """A file that is read for ever, until somebody writes into it."""
+    folder.mkdir()
+    os.mkfifo(folder / "tree.obj")
+    return folder / "tree.obj"
+
+
+def _servers() -> list[psutil.Process]:
+    alive = [one for one in psutil.Process().children() if one.status() != psutil.STATUS_ZOMBIE]
+    return [one for one in alive if "worker.parse_server" in one.cmdline()]
+
+
+def _readers() -> list[psutil.Process]:
+    return [fork for server in _servers() for fork in server.children()]
+
+
+def _wait_until_no_upload_is_read() -> None:
+    _wait_until(lambda: not _readers())
+
+
+def _wait_until(happened: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 30
+    while not happened():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)

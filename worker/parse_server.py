@@ -1,0 +1,130 @@
+"""Server that reads uploads: `python -m worker.parse_server`, its control socket on stdin.
+
+Python and the readers' libraries take ten times as long to load as a small tree takes to read. So they are loaded once,
+and each upload is read by a fork, which gives up what it does not need (`worker.parse`). The server itself sees no byte
+of an upload: it gets a connection and a file for errors, and tells by what exit code the fork ended.
+"""
+
+import gc
+import importlib
+import os
+import select
+import signal
+import socket
+import sys
+import traceback
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import NoReturn
+
+from worker import parse
+
+LIBRARIES = (
+    "PIL.Image",
+    "scipy.ndimage",
+    "scipy.sparse.csgraph",
+    "scipy.spatial",
+    "dynamictree.formats.companions",
+    "dynamictree.formats.description",
+    "dynamictree.formats.mesh_file",
+    "dynamictree.formats.source_file",
+    "dynamictree.formats.tensors.cloud_bundle",
+    "dynamictree.formats.tensors.mesh_bundle",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Server:
+    control: socket.socket
+    woken: socket.socket  # readable when a fork has ended
+    forks: dict[int, socket.socket] = field(default_factory=dict)  # connections by process id
+
+    def run(self) -> None:
+        """Fork for each connection that the control socket brings, until its other end is closed."""
+        poll = select.poll()
+        poll.register(self.control, select.POLLIN)
+        poll.register(self.woken, select.POLLIN)
+        while True:
+            for descriptor, _ in poll.poll():
+                if descriptor == self.control.fileno():
+                    _, passed, _, _ = socket.recv_fds(self.control, 1, 2)
+                    if not passed:
+                        return
+                    poll.register(self._fork(*passed), 0)  # 0: only when nobody waits for the answer any more
+                elif descriptor == self.woken.fileno():
+                    self.woken.recv(4096)
+                    for connection in self._ended():
+                        with suppress(KeyError):  # nobody waits any more
+                            poll.unregister(connection)
+                        connection.close()
+                else:
+                    poll.unregister(descriptor)
+                    self.end(descriptor)
+
+    def end(self, descriptor: int | None = None) -> None:
+        """End the fork of a connection, or all, and the programs that they run."""
+        for pid, connection in self.forks.items():
+            if descriptor in (None, connection.fileno()):
+                with suppress(ProcessLookupError):
+                    os.killpg(pid, signal.SIGKILL)
+
+    def _fork(self, connection: int, errors: int) -> socket.socket:
+        pid = os.fork()
+        if not pid:
+            _read_upload(connection, errors)
+        with suppress(PermissionError, ProcessLookupError):
+            os.setpgid(pid, pid)  # before anyone may want it ended
+        os.close(errors)
+        self.forks[pid] = socket.socket(fileno=connection)
+        return self.forks[pid]
+
+    def _ended(self) -> list[socket.socket]:
+        ended = []
+        for pid in list(self.forks):
+            ended_pid, status = os.waitpid(pid, os.WNOHANG)
+            if ended_pid:
+                connection = self.forks.pop(pid)
+                with suppress(OSError):  # nobody waits
+                    connection.send(b"\n%d" % os.waitstatus_to_exitcode(status), socket.MSG_DONTWAIT)
+                ended.append(connection)
+        return ended
+
+
+def main() -> None:
+    """Load, then serve until the control socket is closed."""
+    woken, wake = socket.socketpair()
+    wake.setblocking(False)
+    signal.set_wakeup_fd(wake.fileno(), warn_on_full_buffer=False)
+    signal.signal(signal.SIGCHLD, lambda *_: None)
+    for name in LIBRARIES:
+        importlib.import_module(name)
+    gc.freeze()
+    server = _Server(control=socket.socket(fileno=os.dup(0)), woken=woken)
+    try:
+        server.run()
+    finally:
+        server.end()
+
+
+def _read_upload(connection: int, errors: int) -> NoReturn:
+    """In a fork: read the request of a connection, answer it, and end."""
+    code = 1
+    try:
+        signal.set_wakeup_fd(-1)
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+        os.setpgid(0, 0)
+        for source, target in ((connection, 0), (connection, 1), (errors, 2)):
+            os.dup2(source, target)
+        os.closerange(3, os.sysconf("SC_OPEN_MAX"))
+        parse.main()
+        code = 0
+    except BaseException:
+        traceback.print_exc()
+        raise
+    finally:  # whatever was raised, the server's loop is not run here
+        sys.stderr.flush()
+        os._exit(code)
+
+
+if __name__ == "__main__":
+    main()
