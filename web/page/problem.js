@@ -8,18 +8,18 @@ export function showProblem(problem, again = null) {
   const { code = "page", title, detail, message, suggestion, errors = [], request_id: request } = problem;
   const words = textOrNull(`problem.${code}`, problem);
   fill($("problem-title"), words ?? title ?? text("problem.page"));
-  fill($("problem-suggestion"), textOrNull(`problem.${code}.do`, problem) ?? suggestion ?? "");
+  const said = detail || message;
+  const advice = textOrNull(`problem.${code}.do`, problem) ?? said ?? suggestion ?? "";
+  fill($("problem-suggestion"), advice);
   const ours = Boolean(words) && !detail && !problem.status; // the service has said nothing
-  const original = ours
-    ? ""
-    : [words ? title : "", detail || message, words ? suggestion : ""].filter(Boolean).join(". ");
-  fill($("problem-detail"), original);
+  const rest = ours ? [] : [words ? title : "", said, suggestion].filter((part) => part && part !== advice);
+  fill($("problem-detail"), rest.join(". "));
   const fields = errors.filter((error) => !detail?.includes(error.detail));
   const items = fields.map((error) => element("li", {}, `${error.pointer}: ${error.detail}`));
   $("problem-fields").replaceChildren(...items);
   fill($("problem-code"), [code, request].filter(Boolean).join(" · "));
-  $("problem-more").hidden = !original;
-  $("problem-more").open = !words;
+  $("problem-more").hidden = !rest.length && !fields.length;
+  $("problem-more").open = Boolean(fields.length);
   $("problem-retry").hidden = !again;
   fill($("problem-retry"), text(problem.offersMotion ? "problem.animate" : "problem.retry"));
   $("problem-retry").onclick = () => {
