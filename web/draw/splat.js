@@ -1,7 +1,9 @@
 // A cloud of Gaussians that hangs on a mesh, drawn by Spark: the rules of docs/formats-splat.md in Spark's own shader.
 
 import * as THREE from "three";
+import { modeSum } from "../motion/modes.js";
 import { readTensors } from "../motion/tensors.js";
+import { turnedUpright } from "../motion/vectors.js";
 import { Field } from "./field.js";
 import { halvesOf, modifier, WIDTH } from "./splat_shader.js";
 
@@ -39,18 +41,16 @@ export function sparkRenderer(spark, stage) {
 }
 
 export class SplatView {
-  /** `poses` and `bent` are the tree's uniforms, `carriers` four bones and weights of each vertex. */
-  static async make(stage, splat, carriers, uniforms) {
+  /** `ride` is that of draw/ride.js or `ownRide`; `poses` and `bent` are the tree's uniforms. */
+  static async make(stage, splat, ride, uniforms) {
     const spark = await import("spark");
     const view = new SplatView();
     view.stage = stage;
-    view.ride = { ...rideOf(splat), ...stepsOf(splat), carriers };
-    view.field = new Field(view.ride.shapes, view.ride.scale_m, splat.N);
-    view.uniforms = uniforms;
+    Object.assign(view, { ride, field: ride.field, uniforms });
     view.box = new THREE.Box3().setFromArray(splat.means);
     view.standsInPart = splat.face_of.some((face) => face < 0);
     view.harmonics = harmonicsThatFit(splat, stage.renderer.capabilities.maxTextureSize);
-    view.textures = texturesOf(splat, carriers, view.harmonics);
+    view.textures = texturesOf(splat, ride, view.harmonics);
     const cloud = new spark.ExtSplats({ maxSplats: splat.G }); // places in single precision: half would be 8 mm at 10 m
     const [at, scales, turn, grey] = [
       new THREE.Vector3(),
@@ -119,7 +119,7 @@ export class SplatView {
     const stays = this.values.eye.value.distanceTo(position) < SAME_PLACE * radius;
     if (now === this.before && stays && !this.uniforms.bent.value && !this.values.bent.value) return;
     this.before = now;
-    this.field.evaluate(renderer, q, turn);
+    if (!this.ride.borrowed) this.field.evaluate(renderer, q, turn);
     this.values.eye.value.copy(position);
     this.values.grey.value = grey;
     this.values.bent.value = this.uniforms.bent.value;
@@ -131,13 +131,19 @@ export class SplatView {
     this.stage.scene.remove(this.mesh, this.renderer);
     this.renderer.activeSplats = 0;
     this.mesh.dispose();
-    this.field.dispose();
+    if (!this.ride.borrowed) this.field.dispose();
     for (const texture of Object.values(this.textures)) texture.dispose();
   }
 }
 
-/** How Gaussians ride on the faces of their mesh: what a pull needs of them (motion/gaussian.js). */
-const rideOf = ({ means, face_of, triangles, weights, vertices }) => ({ means, face_of, triangles, weights, vertices });
+/** How Gaussians ride on the faces of a mesh that moves as their file says; `carriers`: four bones and weights a vertex. */
+export function ownRide(splat, carriers) {
+  const { means, face_of, triangles, weights, vertices, N } = splat;
+  const { shapes, scale_m } = stepsOf(splat);
+  const inWind = (row, q, turn) => turnedUpright(modeSum(shapes, scale_m, row, q), turn);
+  const field = new Field(shapes, scale_m, N);
+  return { means, face_of, triangles, weights, vertices, carriers, field, inWind };
+}
 
 /** Float16 coefficients as 16-bit steps a bin, weighted as the spectrum's sum wants them. */
 function stepsOf({ coefficients, K, frames }) {
@@ -167,19 +173,19 @@ function harmonicsTexture({ G, harmonics, sh }, count) {
   return asTexture(padded, THREE.HalfFloatType);
 }
 
-function texturesOf(splat, carriers, harmonics) {
+function texturesOf(splat, { triangles, vertices, carriers }, harmonics) {
   const corners = new Float32Array(8 * splat.G);
   for (let g = 0; g < splat.G; g++) {
     const face = splat.face_of[g];
     if (face < 0) continue; // stays still: its fourth number is 0
     for (let c = 0; c < 3; c++) {
-      corners[8 * g + c] = splat.triangles[3 * face + c];
+      corners[8 * g + c] = triangles[3 * face + c];
       corners[8 * g + 4 + c] = splat.weights[3 * g + c];
     }
     corners[8 * g + 3] = 1;
   }
-  const rest = new Float32Array(4 * splat.N);
-  for (let v = 0; v < splat.N; v++) rest.set(splat.vertices.subarray(3 * v, 3 * v + 3), 4 * v);
+  const rest = new Float32Array((4 * vertices.length) / 3);
+  for (let v = 0; v < vertices.length / 3; v++) rest.set(vertices.subarray(3 * v, 3 * v + 3), 4 * v);
   return {
     corners: texture(corners),
     rest: texture(rest),
@@ -198,36 +204,4 @@ function asTexture(padded, type) {
   const made = new THREE.DataTexture(padded, WIDTH, padded.length / 4 / WIDTH, THREE.RGBAFormat, type);
   made.needsUpdate = true;
   return made;
-}
-
-/** Four bones and four weights of each vertex: those of the same place on the surface, else the nearest voxel's bone. */
-export function carriersOf(splat, surface, modes) {
-  const at = new Map();
-  const carriers = new Float32Array(8 * splat.N);
-  const key = (x, v) => `${x[3 * v]} ${x[3 * v + 1]} ${x[3 * v + 2]}`;
-  for (let v = 0; v < surface.N; v++) at.set(key(surface.vertices, v), v);
-  for (let v = 0; v < splat.N; v++) {
-    const same = at.get(key(splat.vertices, v));
-    if (same === undefined) {
-      carriers[8 * v] = modes.bone_of_voxel[nearest(splat.vertices.subarray(3 * v, 3 * v + 3), modes)];
-      carriers[8 * v + 4] = 1;
-    } else {
-      for (let i = 0; i < 4; i++) {
-        carriers[8 * v + i] = surface.bone_rows[4 * same + i];
-        carriers[8 * v + 4 + i] = surface.bone_weights[4 * same + i] / 255;
-      }
-    }
-  }
-  return carriers;
-}
-
-function nearest(point, { centres, V }) {
-  let best = 0;
-  let least = Infinity;
-  for (let v = 0; v < V; v++) {
-    const far =
-      (centres[3 * v] - point[0]) ** 2 + (centres[3 * v + 1] - point[1]) ** 2 + (centres[3 * v + 2] - point[2]) ** 2;
-    if (far < least) [best, least] = [v, far];
-  }
-  return best;
 }

@@ -132,8 +132,8 @@ export class Tree {
 
   /** Gaussians in place of the mesh, which carries them and goes on casting the shadow. */
   async setSplat(splat) {
-    const { SplatView, carriersOf } = await import("./splat.js");
-    const view = await SplatView.make(this.stage, splat, carriersOf(splat, this.surface, this.modes), this.uniforms);
+    const [{ SplatView }, { rideOf }] = await Promise.all([import("./splat.js"), import("./ride.js")]);
+    const view = await SplatView.make(this.stage, splat, rideOf(splat, this), this.uniforms);
     if (this.disposed) return view.dispose();
     Object.assign(this.stage.resolution, { stillScale: 1, least: LEAST }); // Gaussians have soft edges, and cost by pixels
     this.splat = view;

@@ -1,14 +1,13 @@
 // One Gaussian that rides on its face, as numbers: what draw/splat_shader.js computes for all of them.
 
-import { modeSum } from "./modes.js";
-import { dot, frameOf, length, minus, plus, rowOf, scaled, turnedUpright } from "./vectors.js";
+import { dot, frameOf, length, minus, plus, rowOf, scaled } from "./vectors.js";
 
-/** Where the wind alone has the middle of a Gaussian of a `Ride` [m]. */
+/** Where the wind alone has the middle of a Gaussian of a ride (draw/ride.js) [m]. */
 export function gaussianInWind(ride, gaussian, q, turn) {
   const rows = cornersOf(ride, gaussian);
   const weights = rowOf(ride.weights, gaussian);
   const rest = rows.map((row) => rowOf(ride.vertices, row));
-  const now = rows.map((row, i) => plus(rest[i], turnedUpright(modeSum(ride.shapes, ride.scale_m, row, q), turn)));
+  const now = rows.map((row, i) => plus(rest[i], ride.inWind(row, q, turn)));
   const foot = (corners) => corners.reduce((sum, at, i) => plus(sum, scaled(at, weights[i])), [0, 0, 0]);
   return plus(foot(now), turnedWithFace(rest, now, minus(rowOf(ride.means, gaussian), foot(rest))));
 }

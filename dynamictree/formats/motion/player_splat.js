@@ -1,7 +1,7 @@
 // The scene of a page that plays the loop of an animated splat: +Z up, metres.
 
 import { windCoordinates } from "modes";
-import { readSplat, SplatView } from "splat";
+import { ownRide, readSplat, SplatView } from "splat";
 import * as THREE from "three";
 
 const TAIL = 0.01; // of the Gaussians, on each side: floaters do not decide what the camera looks at
@@ -13,7 +13,7 @@ export async function show(content, { scene, renderer, camera }) {
   const none = new THREE.DataTexture(new Float32Array(4), 1, 1, THREE.RGBAFormat, THREE.FloatType);
   none.needsUpdate = true;
   const uniforms = { poses: { value: none }, bent: { value: 0 }, greyStill: { value: 0 } };
-  const view = await SplatView.make(stage, splat, new Float32Array(8 * splat.N), uniforms);
+  const view = await SplatView.make(stage, splat, ownRide(splat, new Float32Array(8 * splat.N)), uniforms);
   const period = splat.frames / splat.fps;
   const seek = (seconds) => view.evaluate(renderer, windCoordinates(splat.K, (seconds / period) % 1), 0);
   return { box, view: new THREE.Vector3(0.38, -0.9, 0.2), up: new THREE.Vector3(0, 0, 1), seek, splat, gaussians: view };
