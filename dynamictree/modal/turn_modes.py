@@ -7,8 +7,9 @@ parent of bone b, a vertex x with the share s of the parent goes to
     f'_b + R((1 - s) v_b + s v_a) (x - f_b),        f'_b = f'_a + R(v_a) (f_b - f_a).
 
 θ_k are the least squares of the vertices' modes in the linear motion, with a price on what neighbours turn apart and
-on the stretch of the mesh's edges: stretch of first order grows with the wind. The motion's own loop is then played,
-and what is missing in its K frequencies is fitted and added, `ROUNDS` times.
+on the stretch of the mesh's edges: stretch of first order grows with the wind. In a wind that turned by α, the swing
+θ × d of a bone of direction d turns by α; so what edges grow in a wind from the side has a price too. The motion's own
+loop is then played, and what is missing in its K frequencies is fitted and added, `ROUNDS` times.
 """
 
 from dataclasses import dataclass
@@ -26,10 +27,12 @@ ROUNDS = 3
 """A fourth gains less than a tenth of the error."""
 FRAMES_A_FREQUENCY = 3
 _APART = 1.0  # price of a bone's turn against its parent's, as that of moving a vertex at its end
-_APART_BESIDE = 10.0  # likewise, against another bone that edges join it to, as in a crown that is one surface
-_STRETCH = 2000.0  # price of an edge that grows by its own length, as that of moving a vertex by a voxel
+_APART_BESIDE = 3.0  # likewise, against another bone that edges join it to, as in a crown that is one surface
+_STRETCH = 5000.0  # price of edges that grow by their own lengths, as that of moving as many vertices by a voxel
+_FROM_SIDE = 0.1  # of it in a wind at right angles to the motion's: sin² of how far the direction turns, 18°
 _SHORTEST_EDGE = 0.25  # in voxels; shorter edges cost no more
 _CHAINED = 1e6  # price of leaving the parent, as that of moving a vertex
+_QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])  # of a turn about the vertical
 
 
 def turn_modes(
@@ -41,7 +44,7 @@ def turn_modes(
     """Turn modes [rad] for modes of the mesh's vertices [m]; `num_frames` is T of the spectrum."""
     fit = _fit(skeleton, mesh)
     num_frequencies = coefficients.shape[1]
-    wanted = fit.pull @ _by_axis(coefficients)  # [6B, K]
+    wanted = fit.pull @ _by_axis(coefficients)  # [9B, K]
     solution = fit.solve(wanted)
     phases = np.arange(FRAMES_A_FREQUENCY * num_frequencies) / (FRAMES_A_FREQUENCY * num_frequencies)
     for _ in range(ROUNDS):
@@ -49,7 +52,7 @@ def turn_modes(
             fit.pull @ posed(skeleton, mesh.vertices, theta).ravel()
             for theta in iter_motion(_turns(solution), phases, num_frames)
         ]
-        reached = np.fft.rfft(np.stack(frames), axis=0, norm="forward")[:num_frequencies].T  # [6B, K]
+        reached = np.fft.rfft(np.stack(frames), axis=0, norm="forward")[:num_frequencies].T  # [9B, K]
         solution = solution + fit.solve(wanted - reached - fit.stretch @ solution)
     return _turns(solution)
 
@@ -84,7 +87,7 @@ def turned(half: Float64[np.ndarray, "n 3"], arm: Float64[np.ndarray, "n 3"]) ->
 
 @dataclass(frozen=True, kw_only=True)
 class _Fit:
-    """Least squares of the linear motion in U = 6B unknowns: displacements of feet, then turns."""
+    """Least squares of the linear motion in U = 9B unknowns: displacements of feet, turns, and feet in a side wind."""
 
     pull: scipy.sparse.csr_array  # [U, 3N], from displacements of the vertices to the right-hand side
     stretch: scipy.sparse.csr_array  # [U, U], the price of stretch
@@ -96,45 +99,61 @@ class _Fit:
 
 
 def _turns(solution: Complex128[np.ndarray, "U K"]) -> Complex64[np.ndarray, "B K 3"]:
-    turns = solution[len(solution) // 2 :].reshape(len(solution) // 6, 3, -1)
+    turns = np.split(solution, 3)[1].reshape(len(solution) // 9, 3, -1)
     return np.ascontiguousarray(turns.transpose(0, 2, 1)).astype(np.complex64)
 
 
 def _fit(skeleton: TurnSkeleton, mesh: TriangleMesh) -> _Fit:
     num_bones, vertices = len(skeleton.parent), mesh.vertices
-    bone, above = skeleton.bone, np.maximum(skeleton.parent, 0)
-    share = skeleton.parent_share[:, None, None].astype(np.float64)
-    foot = skeleton.foot_m.astype(np.float64)
-    arms, rows = vertices - foot[bone], np.arange(len(vertices))
-    moves = _blocks(
-        (len(vertices), num_bones),
-        (rows, bone, np.broadcast_to(np.eye(3), (len(rows), 3, 3))),
-        (rows, num_bones + bone, -(1 - share) * _cross(arms)),
-        (rows, num_bones + above[bone], -share * _cross(arms)),
-    )
-    each = np.arange(num_bones)
-    one = np.broadcast_to(np.eye(3), (num_bones, 3, 3))
-    has_parent = (skeleton.parent >= 0)[:, None, None].astype(np.float64)
-    chain = _blocks(
-        (num_bones, num_bones),
-        (each, each, one),
-        (each, above, -has_parent * one),
-        (each, num_bones + above, has_parent * _cross(foot - foot[above])),
-    )
     voxel_m = float(np.ptp(vertices, axis=0).max()) / FINENESS
     edges = edges_of(mesh.faces)
+    growth = _growth(vertices, edges, voxel_m)
+    same = np.broadcast_to(np.eye(3), (num_bones, 3, 3))
+    across = _cross(skeleton.directions.astype(np.float64))
+    moves, chain = _linear(skeleton, vertices, 0, same)
+    side_moves, side_chain = _linear(skeleton, vertices, 2, -across @ _QUARTER @ across)
+    along, aside = growth @ moves, growth @ side_moves
+    price = _STRETCH * len(vertices) / max(len(edges), 1)
+    stretch = price * (along.T @ along + _FROM_SIDE * (aside.T @ aside))
     apart = _apart(skeleton, edges, voxel_m)
-    still = np.zeros(6 * num_bones)
+    still = np.zeros(9 * num_bones)
     still[3 * (num_bones + GROUND) : 3 * (num_bones + GROUND + 1)] = _CHAINED
     pull = moves.T.tocsr()
-    growth = _growth(vertices, edges, voxel_m) @ moves
-    stretch = _STRETCH * (growth.T @ growth)
-    system = pull @ moves + _CHAINED * (chain.T @ chain) + apart.T @ apart + stretch + scipy.sparse.diags_array(still)
+    chained = _CHAINED * (chain.T @ chain + side_chain.T @ side_chain)
+    system = pull @ moves + chained + apart.T @ apart + stretch + scipy.sparse.diags_array(still)
     return _Fit(pull=pull, stretch=stretch.tocsr(), factor=factored(system.tocsc()))
 
 
+def _linear(
+    skeleton: TurnSkeleton, vertices: Float32[np.ndarray, "N 3"], feet: int, swing: Float64[np.ndarray, "B 3 3"]
+) -> tuple[scipy.sparse.csr_array, scipy.sparse.csr_array]:
+    """Displacements of the vertices [m] where each θ is `swing` θ, and what feet leave their parents by [m].
+
+    `feet` is the block of the unknowns that has the displacements of the feet.
+    """
+    num_bones, bone, above = len(skeleton.parent), skeleton.bone, np.maximum(skeleton.parent, 0)
+    share = skeleton.parent_share[:, None, None].astype(np.float64)
+    foot = skeleton.foot_m.astype(np.float64)
+    rows, each, one = np.arange(len(vertices)), np.arange(num_bones), np.eye(3)
+    across = _cross(vertices - foot[bone])
+    moves = _blocks(
+        (len(vertices), num_bones),
+        (rows, feet * num_bones + bone, np.broadcast_to(one, across.shape)),
+        (rows, num_bones + bone, -(1 - share) * across @ swing[bone]),
+        (rows, num_bones + above[bone], -share * across @ swing[above[bone]]),
+    )
+    has_parent = (skeleton.parent >= 0)[:, None, None].astype(np.float64)
+    chain = _blocks(
+        (num_bones, num_bones),
+        (each, feet * num_bones + each, np.broadcast_to(one, swing.shape)),
+        (each, feet * num_bones + above, -has_parent * one),
+        (each, num_bones + above, has_parent * _cross(foot - foot[above]) @ swing[above]),
+    )
+    return moves, chain
+
+
 def _apart(skeleton: TurnSkeleton, edges: Int32[np.ndarray, "E 2"], voxel_m: float) -> scipy.sparse.csr_array:
-    """What neighbours turn apart times the length of the shorter bone, weighted [m]; 6B columns."""
+    """What neighbours turn apart times the length of the shorter bone, weighted [m]; 9B columns."""
     num_bones, parent = len(skeleton.parent), skeleton.parent
     joined = np.unique(np.sort(skeleton.bone[edges], axis=1), axis=0)
     first, second = joined[(parent[joined[:, 0]] != joined[:, 1]) & (parent[joined[:, 1]] != joined[:, 0])].T
@@ -164,12 +183,12 @@ def _growth(
 def _blocks(
     shape: tuple[int, int], *blocks: tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"], Float64[np.ndarray, "n 3 3"]]
 ) -> scipy.sparse.csr_array:
-    """Sparse matrix [3 rows, 6 bones] of 3 x 3 blocks: row, column and values of each."""
+    """Sparse matrix [3 rows, 9 bones] of 3 x 3 blocks: row, column and values of each."""
     row, column = np.mgrid[0:3, 0:3]
     rows = np.concatenate([(3 * r[:, None, None] + row).ravel() for r, _, _ in blocks])
     columns = np.concatenate([(3 * c[:, None, None] + column).ravel() for _, c, _ in blocks])
     values = np.concatenate([v.ravel() for _, _, v in blocks])
-    return scipy.sparse.csr_array((values, (rows, columns)), shape=(3 * shape[0], 6 * shape[1]))
+    return scipy.sparse.csr_array((values, (rows, columns)), shape=(3 * shape[0], 9 * shape[1]))
 
 
 def _cross(vectors: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3 3"]:

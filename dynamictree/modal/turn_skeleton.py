@@ -25,7 +25,7 @@ FINENESS = 128
 BONE_VOXELS = 2.0
 SMALLEST_NODE, NEAR_VOXELS = 3, 6.0
 """A node with fewer vertices that is this near to its parent is a part of it."""
-WIDE_VOXELS, PATCH_VOXELS = 12.0, 6.0
+WIDE_VOXELS, PATCH_VOXELS = 8.0, 4.0
 """A node that is wider, as in a crown that is one surface, is cut into patches."""
 GROUND = 0
 """The bone that never moves. It carries what is no plant."""
@@ -38,6 +38,7 @@ class TurnSkeleton:
     parent: Int32[np.ndarray, " B"]  # -1 of the ground
     foot_m: Float32[np.ndarray, "B 3"]  # about which a bone turns; its parent carries it
     reach_m: Float32[np.ndarray, "B 3"]  # from the foot to the bone's end
+    in_surface: Bool[np.ndarray, " B"]  # of a crown that is one surface
     bone: Int32[np.ndarray, " N"]  # that carries each vertex
     parent_share: Float32[np.ndarray, " N"]  # of the turn that a vertex has, the parent's
     in_card: Bool[np.ndarray, " N"]
@@ -49,10 +50,14 @@ class TurnSkeleton:
 
     @property
     def directions(self) -> Float32[np.ndarray, "B 3"]:
-        """Unit vector from each foot to the bone's end; up where both are one."""
+        """Unit vector whose swing turns with the wind's direction: from each foot to the bone's end.
+
+        Up where both are one, and in a surface, so that all its bones turn alike and it does not tear.
+        """
         length = np.linalg.norm(self.reach_m, axis=1, keepdims=True)
-        upward = np.array([0, 0, 1], np.float32)
-        return np.asarray(np.where(length > 0, self.reach_m / np.maximum(length, 1e-12), upward), np.float32)
+        upward = (length == 0) | self.in_surface[:, None]
+        up = np.array([0, 0, 1], np.float32)
+        return np.asarray(np.where(upward, up, self.reach_m / np.maximum(length, 1e-12)), np.float32)
 
     @cached_property
     def levels(self) -> list[slice]:
@@ -81,7 +86,7 @@ def turn_skeleton(mesh: TriangleMesh, grid: VoxelGrid, attached: Attachments | N
     places = surface.vertices.astype(np.float64)
     voxel_m = float(np.ptp(places, axis=0).max()) / FINENESS
     parts = _parts_of(surface, attached, voxel_m)
-    node, parent, first = _nodes(surface, parts, voxel_m)
+    node, parent, first, is_surface = _nodes(surface, parts, voxel_m)
     part = parts.of[first]
     is_base = parent < 0
     centre = _means(node, places, len(parent))
@@ -103,6 +108,7 @@ def turn_skeleton(mesh: TriangleMesh, grid: VoxelGrid, attached: Attachments | N
     parent = np.concatenate([parent, np.full(num_floating, num_nodes + num_floating), [-1]])
     reach = np.concatenate([centre - foot, foot[floating] - ground, [[0, 0, voxel_m]]])
     foot = np.concatenate([foot, np.tile(ground, (num_floating + 1, 1))])
+    in_surface = np.concatenate([is_surface[part], np.zeros(num_floating + 1, bool)])
 
     order = np.argsort(_depths(parent), kind="stable")
     number = np.empty(len(order), np.int64)
@@ -112,6 +118,7 @@ def turn_skeleton(mesh: TriangleMesh, grid: VoxelGrid, attached: Attachments | N
         parent=np.where(parent < 0, -1, number[parent])[order].astype(np.int32),
         foot_m=foot[order].astype(np.float32),
         reach_m=reach[order].astype(np.float32),
+        in_surface=in_surface[order],
         bone=np.where(still, GROUND, number[bone][vertex]).astype(np.int32),
         parent_share=np.where(still, 0, share[vertex]).astype(np.float32),
         in_card=parts.is_card[parts.of][vertex] & ~still,
@@ -155,8 +162,11 @@ def _parts_of(surface: TriangleMesh, attached: Attachments, voxel_m: float) -> _
 
 def _nodes(
     surface: TriangleMesh, parts: _Parts, voxel_m: float
-) -> tuple[Int64[np.ndarray, " n"], Int64[np.ndarray, " B"], Int64[np.ndarray, " B"]]:
-    """Node of each vertex; of each node, the one before it in its part, or -1, and its vertex nearest to the foot."""
+) -> tuple[Int64[np.ndarray, " n"], Int64[np.ndarray, " B"], Int64[np.ndarray, " B"], Bool[np.ndarray, " P"]]:
+    """Node of each vertex; of each node, the one before it in its part, or -1, and its vertex nearest to the foot.
+
+    Last, which parts have nodes that were cut into patches.
+    """
     places, count = surface.vertices.astype(np.float64), surface.num_vertices
     bends = ~parts.is_card[parts.of]
     edges = edges_of(surface.faces)
@@ -192,7 +202,8 @@ def _nodes(
     number = np.zeros(len(first), np.int64)
     number[remaining] = np.arange(len(remaining))
     parent = np.where(parent[remaining] < 0, -1, number[target[parent[remaining]]])
-    return number[target[node]], parent, first[remaining]
+    is_surface = np.bincount(parts.of, wide, len(parts.stands)) > 0
+    return number[target[node]], parent, first[remaining], is_surface
 
 
 def _carriers(

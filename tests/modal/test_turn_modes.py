@@ -4,10 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 
 from dynamictree import method
 from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.mesh import TriangleMesh, edges_of
+from dynamictree.modal.turbulence import turned_about_z
 from dynamictree.modal.turn_modes import half_turns, posed, turn_modes, turned
 from dynamictree.modal.turn_skeleton import GROUND, TurnSkeleton, turn_skeleton
 from dynamictree.spectrum import SparseVoxelSpectrum, iter_motion
@@ -89,6 +91,26 @@ def test_edges_keep_their_lengths_in_a_storm(tree: Tree) -> None:
     assert np.percentile(growth, 99) < 0.003
 
 
+def test_a_crown_that_is_one_surface_keeps_its_edges_when_the_wind_turns() -> None:
+    mesh, coefficients = _shaking_crown()
+    skeleton = turn_skeleton(mesh, method.voxelize(mesh).grid)
+    assert skeleton.in_surface.mean() > 0.9
+    turns = turn_modes(skeleton, mesh, coefficients, num_frames=100)
+    edges, swing = edges_of(mesh.faces), skeleton.directions
+    rest = np.linalg.norm(mesh.vertices[edges[:, 0]] - mesh.vertices[edges[:, 1]], axis=1)
+    largest = []
+    for wind_turn in (0.0, np.radians(30)):
+        growth = []
+        for theta in iter_motion(turns, np.arange(8) / 8, 100):
+            along = (theta * swing).sum(axis=1, keepdims=True) * swing
+            blown = np.cross(swing, np.cross(theta, swing) @ turned_about_z(wind_turn).T) + along
+            moved = mesh.vertices + posed(skeleton, mesh.vertices, blown.astype(np.float32))
+            growth.append(np.abs(np.linalg.norm(moved[edges[:, 0]] - moved[edges[:, 1]], axis=1) / rest - 1))
+        largest.append(np.percentile(growth, 99))
+    assert largest[0] > 0.001
+    assert largest[1] < 1.2 * largest[0]
+
+
 def test_what_is_no_plant_stands_still(tree: Tree) -> None:
     mesh, spectrum, _, coefficients, _ = tree
     pot = mesh.vertices[:, 2] < 0.1 * mesh.vertices[:, 2].max()
@@ -114,6 +136,18 @@ def test_a_floor_that_stands_still_changes_no_bone(tree: Tree) -> None:
     np.testing.assert_array_equal(there.parent, skeleton.parent)
     np.testing.assert_array_equal(there.bone[: mesh.num_vertices], skeleton.bone)
     assert (there.bone[mesh.num_vertices :] == GROUND).all()
+
+
+def _shaking_crown() -> tuple[TriangleMesh, np.ndarray]:
+    """A ball of 2 m on the ground, which sways and whose boughs shake apart; its modes [N, 4, 3]."""
+    ball = trimesh.creation.icosphere(subdivisions=4)
+    vertices = np.add(ball.vertices, [0, 0, 1]).astype(np.float32)
+    x, y, z = vertices.T
+    modes = np.zeros((len(vertices), 4, 3), np.complex64)
+    modes[:, 0, 0], modes[:, 1, 0], modes[:, 1, 1] = 0.05 * z**2, 0.03 * z**2, 0.02j * z**2
+    modes[:, 2, 2] = 0.01 * z * np.exp(3j * x) * np.cos(2 * y)
+    modes[:, 3, 0] = 0.008 * z * np.exp(4j * y)
+    return TriangleMesh(vertices=vertices, faces=ball.faces.astype(np.int32)), modes
 
 
 def _error(
