@@ -48,9 +48,16 @@ def test_normals_of_obj_are_turned_upright_with_it() -> None:
     mesh = read_mesh(io.BytesIO((ROOF + faces).encode()), file_type="obj", reading=Reading(up_axis="+Y", unit_m=1.0))
     assert mesh.normals is not None
     half = np.sqrt(0.5)
-    np.testing.assert_allclose(mesh.normals[:2], [[0, -half, -half]] * 2, atol=1e-6)  # (0, -1, 1) of +Y up
-    np.testing.assert_allclose(mesh.normals[2:4], [[0, -1, 0]] * 2, atol=1e-6)  # the ridge has both
-    np.testing.assert_allclose(mesh.normals[4:], [[0, -half, half]] * 2, atol=1e-6)
+    of_corners = mesh.normals[mesh.faces]
+    np.testing.assert_allclose(of_corners[:2], np.full((2, 3, 3), [0, -half, -half]), atol=1e-6)  # (0, -1, 1) of +Y up
+    np.testing.assert_allclose(of_corners[2:], np.full((2, 3, 3), [0, -half, half]), atol=1e-6)
+    assert mesh.num_vertices == 8  # the ridge has both
+
+
+def test_one_direction_of_several_lines_in_an_obj_is_one_normal() -> None:
+    faces = "vn 0 0.7072 0.7071\nf 1//2 2//2 3//2 4//2\nf 4//3 3//3 5//3 6//3\n"
+    mesh = read_mesh(io.BytesIO((ROOF + faces).encode()), file_type="obj", reading=Reading(up_axis="+Y", unit_m=1.0))
+    assert mesh.num_vertices == 6
 
 
 @pytest.mark.parametrize("faces", ["f 1//9 2//9 3//9\n", "f 1//a 2//1 3//-7\n", "vn 0 1\nf 1//1 2//1 3//1\n"])

@@ -1,8 +1,7 @@
 """Wavefront OBJ with its MTL and textures, which are looked up only among the files that were sent along.
 
-Vertices follow the `v` lines. A vertex with several texture coordinates keeps its first; copies with the others
-follow after the last `v`. Polygons are cut into fans. A vertex has the mean
-normal of its corners.
+Vertices follow the `v` lines. A vertex with several texture coordinates or normals retains its first; copies with the
+others follow after the last `v`. Polygons are cut into fans.
 """
 
 from collections.abc import Mapping
@@ -55,22 +54,22 @@ def read_obj(content: bytes, *, companions: Mapping[str, bytes]) -> TriangleMesh
     directions = _directions(statements.normals)
     counts = (len(table), 0 if places is None else len(places), len(directions))
     rows, place_rows, normal_rows = _corner_rows(statements, counts)
-    original, place_of, corners = _split_by_texture(rows, place_rows, len(table))
+    original, looks, corners = _split(rows, np.stack([place_rows, _alike(directions)[normal_rows]], 1), len(table))
     faces, source_face = fans(corners, np.array(statements.face_sizes))
     warnings: list[SourceWarning] = []
     materials = _materials(statements, companions, warnings)
     uv = None
     if places is not None:
         uv = np.zeros((len(original), 2), np.float32)
-        placed = place_of >= 0
-        uv[placed, : min(places.shape[1], 2)] = places[place_of[placed], :2]
+        placed = looks[:, 0] >= 0
+        uv[placed, : min(places.shape[1], 2)] = places[looks[placed, 0], :2]
         uv[placed, 1] = 1 - uv[placed, 1]  # v upward in OBJ
     return TriangleMesh(
         vertices=table[original, :3].astype(np.float32),
         faces=faces,
         uv=uv,
         vertex_colors=_colors(table, original),
-        normals=_normals(directions, normal_rows, corners, len(original)),
+        normals=_normals(directions, looks[:, 1]),
         face_material=np.array(statements.face_materials, np.int32)[source_face] if materials else None,
         materials=materials,
         part_names=(*statements.part_names, "") if statements.part_names else (),
@@ -191,27 +190,33 @@ def _resolve(number: bytes, above: int, count: int, token: bytes) -> int:
     return row
 
 
-def _split_by_texture(
-    rows: Int64[np.ndarray, " C"], places: Int64[np.ndarray, " C"], num_vertices: int
-) -> tuple[Int64[np.ndarray, " N"], Int64[np.ndarray, " N"], Int32[np.ndarray, " C"]]:
-    """Source row and texture place of each vertex that is made, and the vertex at each corner."""
-    pairs, first, inverse = np.unique(np.stack([rows, places], 1), axis=0, return_index=True, return_inverse=True)
+def _alike(directions: Float64[np.ndarray, "n 3"]) -> Int64[np.ndarray, " m"]:
+    """Of each normal, the first that is the same within a degree; -1 after the last, for corners without one."""
+    units = np.round(unit_vectors(directions).astype(np.float64), 2) if len(directions) else directions
+    _, first, inverse = np.unique(units, axis=0, return_index=True, return_inverse=True)
+    return np.append(first[inverse.ravel()], -1).astype(np.int64)
+
+
+def _split(
+    rows: Int64[np.ndarray, " C"], looks: Int64[np.ndarray, "C 2"], num_vertices: int
+) -> tuple[Int64[np.ndarray, " N"], Int64[np.ndarray, "N 2"], Int32[np.ndarray, " C"]]:
+    """Source row, and texture place and normal, of each vertex that is made, and the vertex at each corner."""
+    keys, first, inverse = np.unique(np.column_stack([rows, looks]), axis=0, return_index=True, return_inverse=True)
     order = np.argsort(first, kind="stable")  # in the order of faces
     owner = np.full(num_vertices, -1, np.int64)
-    by_vertex = pairs[order, 0]
-    vertex, position = np.unique(by_vertex, return_index=True)
-    owner[vertex] = order[position]  # the pair that a vertex came with first
-    is_copy = np.ones(len(pairs), bool)
+    vertex, position = np.unique(keys[order, 0], return_index=True)
+    owner[vertex] = order[position]  # the look that a vertex came with first
+    is_copy = np.ones(len(keys), bool)
     is_copy[owner[vertex]] = False
     copies = order[is_copy[order]]
     if num_vertices + len(copies) > MAX_VERTICES:
         raise MeshError(f"the OBJ file needs {num_vertices + len(copies):,} vertices; {MAX_VERTICES:,} are allowed")
-    vertex_of_pair = np.empty(len(pairs), np.int32)
-    vertex_of_pair[owner[vertex]] = vertex
-    vertex_of_pair[copies] = num_vertices + np.arange(len(copies))
-    place_of = np.full(num_vertices + len(copies), -1, np.int64)
-    place_of[vertex_of_pair] = pairs[:, 1]
-    return np.concatenate([np.arange(num_vertices), pairs[copies, 0]]), place_of, vertex_of_pair[inverse.ravel()]
+    vertex_of_key = np.empty(len(keys), np.int32)
+    vertex_of_key[owner[vertex]] = vertex
+    vertex_of_key[copies] = num_vertices + np.arange(len(copies))
+    looks_of = np.full((num_vertices + len(copies), 2), -1, np.int64)
+    looks_of[vertex_of_key] = keys[:, 1:]
+    return np.concatenate([np.arange(num_vertices), keys[copies, 0]]), looks_of, vertex_of_key[inverse.ravel()]
 
 
 def fans(
@@ -226,18 +231,14 @@ def fans(
 
 
 def _normals(
-    directions: Float64[np.ndarray, "n 3"],
-    rows: Int64[np.ndarray, " C"],
-    corners: Int32[np.ndarray, " C"],
-    num_vertices: int,
+    directions: Float64[np.ndarray, "n 3"], rows: Int64[np.ndarray, " N"]
 ) -> Float32[np.ndarray, "N 3"] | None:
-    """The mean of the normals at each vertex' corners."""
     stated = rows >= 0
     if not stated.any():
         return None
-    units = unit_vectors(directions).astype(np.float64)[rows[stated]]
-    total = [np.bincount(corners[stated], units[:, axis], minlength=num_vertices) for axis in range(3)]
-    return unit_vectors(np.stack(total, axis=1))
+    normals = np.zeros((len(rows), 3), np.float32)
+    normals[stated] = unit_vectors(directions)[rows[stated]]
+    return normals
 
 
 def _colors(table: Float64[np.ndarray, "n width"], rows: Int64[np.ndarray, " N"]) -> UInt8[np.ndarray, "N 4"] | None:
