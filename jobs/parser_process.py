@@ -1,6 +1,7 @@
 """Call the process that reads uploaded files (`worker.parse`): its request and its answer."""
 
 import asyncio
+import atexit
 import logging
 import os
 import socket
@@ -24,6 +25,9 @@ SERVER = ("-P", "-m", "worker.parse_server")
 
 FOLDER = "/"
 """The child's current folder; nobody's files lie beside it."""
+
+END_S = 5.0
+"""For the server to end what it reads."""
 
 MAX_ANSWER_BYTES = 64 * 1024
 MAX_ERROR_BYTES = 4096
@@ -80,6 +84,16 @@ class _Server:
             except OSError:  # it has just ended
                 socket.send_fds(self._started(), [b"u"], passed)
 
+    def end(self) -> None:
+        """End it, and with it all that it has read."""
+        if self._process is not None and self._control is not None:
+            self._control.close()
+            try:
+                self._process.wait(END_S)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                self._process.wait()
+
     def _running(self) -> socket.socket:
         """Its control socket."""
         if self._process is None or self._control is None or self._process.poll() is not None:
@@ -87,10 +101,7 @@ class _Server:
         return self._control
 
     def _started(self) -> socket.socket:
-        if self._process is not None and self._control is not None:
-            self._control.close()
-            self._process.kill()
-            self._process.wait()
+        self.end()
         self._control, theirs = socket.socketpair()
         with theirs:
             self._process = subprocess.Popen(
@@ -105,6 +116,7 @@ class _Server:
 
 
 _server = _Server()
+atexit.register(_server.end)
 
 
 async def parse(request: ParseRequest, settings: Settings) -> ParseAnswer:

@@ -5,6 +5,7 @@ and each upload is read by a fork, which gives up what it does not need (`worker
 of an upload: it gets a connection and a file for errors, and tells by what exit code the fork ended.
 """
 
+import ctypes
 import gc
 import importlib
 import os
@@ -31,6 +32,8 @@ LIBRARIES = (
     "dynamictree.formats.tensors.cloud_bundle",
     "dynamictree.formats.tensors.mesh_bundle",
 )
+
+_PR_SET_PDEATHSIG = 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,6 +116,8 @@ def _read_upload(connection: int, errors: int) -> NoReturn:
         signal.set_wakeup_fd(-1)
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)
         os.setpgid(0, 0)
+        if sys.platform == "linux":
+            ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
         for source, target in ((connection, 0), (connection, 1), (errors, 2)):
             os.dup2(source, target)
         os.closerange(3, os.sysconf("SC_OPEN_MAX"))

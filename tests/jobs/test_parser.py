@@ -75,6 +75,22 @@ def test_a_server_that_was_killed_is_started_again(tmp_path: Path) -> None:
         server.kill()
 
 
+def test_a_reader_ends_with_its_server(tmp_path: Path) -> None:
+    settings = Settings(state_dir=tmp_path, parser_cpu_s=10)
+    request = _request(settings, _pipe(tmp_path / "a"))
+
+    async def cut_off() -> None:
+        reading = asyncio.create_task(parse(request, settings))
+        await asyncio.to_thread(_wait_until, lambda: len(_readers()) == 1)
+        [reader], [server] = _readers(), _servers()
+        server.kill()
+        await asyncio.to_thread(_wait_until, lambda: not reader.is_running())
+        reading.cancel()
+
+    asyncio.run(cut_off())
+    _wait_until_no_upload_is_read()
+
+
 def _request(settings: Settings, tree: Path) -> ParseRequest:
     return ParseRequest(
         kind="mesh",
