@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Literal, get_args
 
 import numpy as np
-from jaxtyping import Complex64, Float32, Float64
+from jaxtyping import Complex64, Float32, Float64, Int32
 
 from dynamictree.errors import InputError
 from dynamictree.requests import Wind as Wind
@@ -33,6 +33,7 @@ class SparseVoxelSpectrum:
 
     grid: VoxelGrid
     coefficients: Complex64[np.ndarray, "V K 3"]  # [m]
+    tree: Int32[np.ndarray, " V"] | None = None  # of several trees the one, from 0; None if there is one
     fps: float = FPS
     num_frames: int = NUM_FRAMES
     rest: Rest = "unloaded"  # what zero displacement means; by default c_0 is the lean
@@ -47,6 +48,8 @@ class SparseVoxelSpectrum:
             raise InputError(
                 f"{len(self.coefficients)} rows of coefficients for {len(self.grid)} voxels; they must be equal"
             )
+        if self.tree is not None and len(self.tree) != len(self.grid):
+            raise InputError(f"{len(self.tree)} numbers of trees for {len(self.grid)} voxels; they must be equal")
         if not 1 <= self.num_frequencies <= self.num_frames // 2 + 1:
             allowed = f"1 to {self.num_frames // 2 + 1} are allowed with {self.num_frames} frames"
             raise InputError(f"the spectrum has {self.num_frequencies} frequencies; {allowed}")

@@ -73,7 +73,7 @@ def write_rig(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
 
     skin, summary = branch_skin(tree.spectrum, tree.mesh, tree.coefficients)
     report(0.5)
-    bones = bones_of(modal_system(tree.spectrum), length_voxels=JOINT_VOXELS)
+    bones = bones_of(modal_system(tree.spectrum), length_voxels=JOINT_VOXELS, one_root=True)
     shapes = capsules(bones, skin, tree.mesh.vertices, wood_vertices(tree.mesh))
     rig, collision = io.BytesIO(), io.BytesIO()
     write_skinned_glb(tree.mesh, skin, summary, rig, fps=tree.loop_fps)

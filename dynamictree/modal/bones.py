@@ -16,7 +16,7 @@ from jaxtyping import Bool, Complex64, Float32, Float64, Int32, Int64
 
 from dynamictree.modal.locality import unlikeness
 from dynamictree.modal.system import ModalSystem
-from dynamictree.voxel.graph import root_rows, voxel_graph
+from dynamictree.voxel.graph import stand_graph, stand_roots
 
 BONE_VOXELS = 5.0  # length of a bone, in voxels
 DETOUR = 100.0  # an edge is as many times longer whose ends move as unlike as strangers do
@@ -32,7 +32,7 @@ SOFTENING_VOXELS = 0.5  # a bone much shorter than this does not turn: its direc
 class Bones:
     """B rigid bodies, parents before children. At rest a bone leads from `joint_m` to `joint_m + reach_m`."""
 
-    parent: Int32[np.ndarray, " B"]  # -1 at the root
+    parent: Int32[np.ndarray, " B"]  # -1 at a tree's root
     joint_m: Float32[np.ndarray, "B 3"]  # the parent's centre, about which the bone turns
     reach_m: Float32[np.ndarray, "B 3"]  # from the joint to the bone's own centre
     lever_m2: Float32[np.ndarray, " B"]  # |reach|² and some more, so that a very short bone hardly turns
@@ -58,9 +58,12 @@ class _Nodes:
     parent: Int32[np.ndarray, " B"]
 
 
-def bones_of(system: ModalSystem, *, length_voxels: float = BONE_VOXELS) -> Bones:
-    """Read bones of a length and their turning from a spectrum's voxels; a second or so for 30,000 voxels."""
-    paths, nodes = _nodes(system, length_voxels)
+def bones_of(system: ModalSystem, *, length_voxels: float = BONE_VOXELS, one_root: bool = False) -> Bones:
+    """Read bones of a length and their turning from a spectrum's voxels; a second or so for 30,000 voxels.
+
+    Each of several trees has a root, unless `one_root` is set for skeletons that must have one.
+    """
+    paths, nodes = _nodes(system, length_voxels, one_root=one_root)
     parent = nodes.parent
     flow = np.where(nodes.own, _flow(paths), 0)
     share = flow / np.bincount(nodes.of_voxel, flow)[nodes.of_voxel]
@@ -106,7 +109,9 @@ def _carriers(
     for bone, above in enumerate(nodes.parent):
         voxels, children = members[ends[bone] : ends[bone + 1]], np.flatnonzero(nodes.parent == bone)
         leaves_at = points[paths.before[first[children]]].astype(np.float64)  # where the children leave the node
-        start = np.concatenate([centre[[max(above, 0)]], np.repeat(centre[[bone]], len(children), axis=0)])
+        start = np.concatenate(
+            [centre[[bone if above < 0 else above]], np.repeat(centre[[bone]], len(children), axis=0)]
+        )
         gaps = _gaps(points[voxels], start, np.concatenate([centre[[bone]], leaves_at]))  # [n, 1 + children]
         carrier[voxels] = np.concatenate([[bone], children])[gaps.argmin(axis=1)]
     for voxel in paths.order[~nodes.own[paths.order]]:
@@ -124,18 +129,18 @@ def _gaps(
     return np.asarray(np.linalg.norm(arm - np.clip(share, 0, 1)[..., None] * along, axis=2))
 
 
-def _nodes(system: ModalSystem, length_voxels: float) -> tuple[_Paths, _Nodes]:
+def _nodes(system: ModalSystem, length_voxels: float, *, one_root: bool) -> tuple[_Paths, _Nodes]:
     """Which node each voxel is of, and each node's parent; nodes in order of their distance from the root."""
     from scipy.sparse.csgraph import connected_components, dijkstra
 
     grid = system.grid
-    edges = voxel_graph(grid).tocoo()
+    edges = stand_graph(grid, system.tree).tocoo()
     unlike = unlikeness(system, edges.row, edges.col)
     way = unlikeness(system, edges.row, edges.col, strength_power=WAY_POWER, floor=WAY_FLOOR)
     length = edges.data * (1 + DETOUR * way)
     graph = scipy.sparse.csr_array((length, (edges.row, edges.col)), shape=(len(grid), len(grid)))
-    roots = root_rows(graph, grid)
-    distance, before, _ = dijkstra(graph, indices=roots, min_only=True, return_predecessors=True)
+    roots = stand_roots(graph, grid, system.tree)
+    distance, before, _ = dijkstra(graph, indices=np.concatenate(roots), min_only=True, return_predecessors=True)
     order = np.argsort(distance, kind="stable")
     paths = _Paths(order=order, before=before, length_m=_plain_length(grid.centres_m, order, before))
     ring = np.floor(paths.length_m / (length_voxels * grid.voxel_size_m)).astype(np.int64)
@@ -144,7 +149,8 @@ def _nodes(system: ModalSystem, length_voxels: float) -> tuple[_Paths, _Nodes]:
         (np.ones(together.sum(), np.int8), (edges.row[together], edges.col[together])), shape=graph.shape
     )
     _, node = connected_components(same, directed=False)
-    node = np.where(before < 0, node[roots[0]], node)  # the root is one node, whatever its shape
+    for foot in [np.concatenate(roots)] if one_root else roots:
+        node[foot] = node[foot[0]]  # a root is one node, whatever its shape
     parent = _parents(node.astype(np.int64), paths)
     return paths, _merge_small(node.astype(np.int64), parent, distance, smallest=SMALLEST_NODE * length_voxels)
 

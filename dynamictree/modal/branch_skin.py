@@ -32,7 +32,7 @@ def branch_skin(
     Raises:
         InputError: the spectrum tells of no branches.
     """
-    bones = bones_of(modal_system(spectrum), length_voxels=JOINT_VOXELS)
+    bones = bones_of(modal_system(spectrum), length_voxels=JOINT_VOXELS, one_root=True)
     if len(bones.parent) < 2:
         raise InputError("no skeleton was found: the tree moves as one piece; ask for glb instead of glb-skinned")
     ties = smooth(spectrum.grid, mesh)

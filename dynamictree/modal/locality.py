@@ -9,7 +9,8 @@ The cost c_g(p) is the length of the cheapest way from the poked voxel to p alon
 - going outward again, after any way rootward, costs `OUTWARD` times its length: other branches barely move;
 - going around a stem costs `SIDEWAYS` times its length: a stem's faces move together.
 
-Twigs that touch are no way: an edge between voxels that the wind moves differently is longer by how much they differ.
+Another tree is no way, and twigs that touch are none: an edge between voxels that the wind moves differently is longer
+by how much they differ.
 """
 
 from dataclasses import dataclass
@@ -21,7 +22,7 @@ from jaxtyping import Float32, Float64, Int
 from dynamictree.errors import InputError
 from dynamictree.modal.system import ModalSystem
 from dynamictree.requests import SwingParams
-from dynamictree.voxel.graph import root_distance, voxel_graph
+from dynamictree.voxel.graph import root_distance, stand_graph
 
 OUTWARD = 32.0
 SIDEWAYS = 0.25
@@ -50,12 +51,12 @@ def chosen_falloff_m(system: ModalSystem, params: SwingParams) -> float | None:
 
 def branching(system: ModalSystem) -> Branching:
     """Find the branching structure from the voxels and their motion."""
-    edges = voxel_graph(system.grid).tocoo()
+    edges = stand_graph(system.grid, system.tree).tocoo()
     start, end = edges.row, edges.col
     length = edges.data * (1 + STRANGER * unlikeness(system, start, end) ** 3)  # [E]
     num_voxels = len(system.grid)
     stretched = scipy.sparse.csr_array((length, (start, end)), shape=(num_voxels, num_voxels))
-    out = root_distance(stretched, system.grid).astype(np.float64)
+    out = root_distance(stretched, system.grid, system.tree).astype(np.float64)
     rise = out[end] - out[start]
     outward, rootward = np.maximum(rise, 0), np.maximum(-rise, 0)
     around = SIDEWAYS * np.maximum(length - np.abs(rise), 0) + 1e-6  # a stored zero would be no edge

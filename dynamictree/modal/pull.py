@@ -63,7 +63,8 @@ def carried_voxels(bones: Bones) -> Int64[np.ndarray, " B"]:
     """Number of voxels that each bone carries, its own included."""
     count = np.bincount(bones.bone_of_voxel, minlength=len(bones.parent))
     for bone in range(len(count) - 1, 0, -1):  # parents come before children
-        count[bones.parent[bone]] += count[bone]
+        if bones.parent[bone] >= 0:
+            count[bones.parent[bone]] += count[bone]
     return np.asarray(count)
 
 

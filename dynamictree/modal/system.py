@@ -18,7 +18,7 @@ and for a single mode m is the modal mass of the textbook.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Complex64, Complex128, Float32, Float64
+from jaxtyping import Complex64, Complex128, Float32, Float64, Int32
 
 from dynamictree.errors import InputError
 from dynamictree.modal.real_trees import foliage_of, free_omega, natural_damping, natural_frequency_hz
@@ -33,6 +33,7 @@ class ModalSystem:
     """M = K - 1 modes on V voxels; complete when built, by `modal_system`."""
 
     grid: VoxelGrid
+    tree: Int32[np.ndarray, " V"] | None = None  # of several trees the one, from 0; None if there is one
     shapes: Complex64[np.ndarray, "V M 3"]  # φ [m], bins 1 to K - 1
     wind_omega: Float64[np.ndarray, " M"]  # of the bins: how fast the wind moved each mode [rad/s]
     omega: Float64[np.ndarray, " M"]  # natural frequencies [rad/s]
@@ -86,6 +87,7 @@ def modal_system(
     foliage = foliage_of(spectrum)
     return ModalSystem(
         grid=spectrum.grid,
+        tree=spectrum.tree,
         shapes=shapes,
         wind_omega=wind_omega,
         omega=_natural(wind_omega, frequency_hz, height, foliage),

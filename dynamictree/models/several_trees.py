@@ -38,7 +38,7 @@ def generate_trees(
     coefficients = np.zeros((len(voxels.grid), *spectra[0][1].shape[1:]), np.complex64)
     for rows, of_tree in spectra:
         coefficients[rows] = of_tree
-    return replace(spectrum, grid=voxels.grid, coefficients=coefficients, seed=seed)
+    return replace(spectrum, grid=voxels.grid, coefficients=coefficients, tree=voxels.tree, seed=seed)
 
 
 def tree_voxels(voxels: SurfaceVoxels, rows: Int64[np.ndarray, " M"]) -> SurfaceVoxels:

@@ -1,5 +1,7 @@
 """Graph of touching voxels, and distances along the tree from its root."""
 
+from dataclasses import replace
+
 import numpy as np
 import scipy  # its parts come in when they are used: the service starts without them
 from jaxtyping import Float32, Int32, Int64, Shaped
@@ -43,6 +45,38 @@ def voxel_graph(grid: VoxelGrid) -> "scipy.sparse.csr_array":
         graph = _graph(grid, np.concatenate([coo.row, bridge_starts]), np.concatenate([coo.col, bridge_ends]))
 
 
+def stand_graph(grid: VoxelGrid, tree: Int32[np.ndarray, " V"] | None) -> "scipy.sparse.csr_array":
+    """`voxel_graph` of each tree by itself: none touches another.
+
+    Args:
+        grid: voxels of all trees.
+        tree: the one of each voxel; None if there is one.
+    """
+    if tree is None:
+        return voxel_graph(grid)
+    starts, ends = [], []
+    for rows in rows_of_trees(tree):
+        own = voxel_graph(replace(grid, coords=grid.coords[rows])).tocoo()
+        starts.append(rows[own.row])
+        ends.append(rows[own.col])
+    return _graph(grid, np.concatenate(starts), np.concatenate(ends))
+
+
+def rows_of_trees(tree: Int32[np.ndarray, " V"]) -> list[Int64[np.ndarray, " M"]]:
+    """Rows of the voxels of each tree, those of the first first."""
+    return [np.flatnonzero(tree == number) for number in np.unique(tree)]
+
+
+def stand_roots(
+    graph: "scipy.sparse.csr_array", grid: VoxelGrid, tree: Int32[np.ndarray, " V"] | None
+) -> list[Int64[np.ndarray, " R"]]:
+    """`root_rows` of each tree, in the graph of all."""
+    if tree is None:
+        return [root_rows(graph, grid).astype(np.int64)]
+    every = rows_of_trees(tree)
+    return [rows[root_rows(graph[rows][:, rows], replace(grid, coords=grid.coords[rows]))] for rows in every]
+
+
 def root_rows(graph: "scipy.sparse.csr_array", grid: VoxelGrid) -> Int32[np.ndarray, " R"]:
     """Voxels that stand in the ground: the tree's foot, and those of other trunks.
 
@@ -62,12 +96,14 @@ def root_rows(graph: "scipy.sparse.csr_array", grid: VoxelGrid) -> Int32[np.ndar
     return low[np.isin(part, feet)]
 
 
-def root_distance(graph: "scipy.sparse.csr_array", grid: VoxelGrid) -> Float32[np.ndarray, " V"]:
-    """Length of the shortest way along the graph to the tree's root [m]."""
+def root_distance(
+    graph: "scipy.sparse.csr_array", grid: VoxelGrid, tree: Int32[np.ndarray, " V"] | None = None
+) -> Float32[np.ndarray, " V"]:
+    """Length of the shortest way along the graph to the tree's root [m], of several trees to its own."""
     from scipy.sparse.csgraph import dijkstra
 
     distance: Float32[np.ndarray, " V"] = dijkstra(
-        graph, directed=False, indices=root_rows(graph, grid), min_only=True
+        graph, directed=False, indices=np.concatenate(stand_roots(graph, grid, tree)), min_only=True
     ).astype(np.float32)
     return distance
 

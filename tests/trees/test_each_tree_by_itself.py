@@ -14,9 +14,17 @@ from dynamictree.errors import FormatError
 from dynamictree.export.write import write_products
 from dynamictree.formats.tensors.cloud_bundle import read_cloud_bundle, write_cloud_bundle
 from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle, write_mesh_bundle
+from dynamictree.formats.tensors.spectrum import read_spectrum, write_spectrum
 from dynamictree.formats.tensors.voxels import read_voxels, write_voxels
 from dynamictree.gaussian.capture import Capture, carrying_mesh, move_only_tree, moving_part, only_tree
 from dynamictree.mesh import StillPart, TriangleMesh, joined
+from dynamictree.modal.bones import bones_of
+from dynamictree.modal.force import Drag, contact_at_voxel
+from dynamictree.modal.interactive_tree import InteractiveTree
+from dynamictree.modal.locality import default_falloff_m
+from dynamictree.modal.pull import carried_voxels
+from dynamictree.modal.response import group_forces, respond
+from dynamictree.modal.system import modal_system
 from dynamictree.models.several_trees import tree_voxels
 from dynamictree.requests import CloudParams, ExportParams
 from dynamictree.spectrum import Wind
@@ -49,6 +57,42 @@ def test_a_tree_moves_as_it_does_alone_and_its_foot_stays(pair: TriangleMesh) ->
         up = pair.vertices[own, 2] / height_m
         assert motion[own][up < 0.02].max() < 1e-3 * height_m
         assert motion[own][up > 0.6].mean() > 20 * motion[own][up < 0.02].max()
+
+
+def test_a_pull_on_a_tree_leaves_the_others_still(pair: TriangleMesh) -> None:
+    voxels = method.voxelize(pair)
+    assert voxels.tree is not None
+    stream = io.BytesIO()
+    write_spectrum(method.generate(voxels, wind=Wind(), num_steps=1), stream)
+    system = modal_system(read_spectrum(io.BytesIO(stream.getvalue())))
+    pulled = int(np.argmax(np.where(voxels.tree == 0, voxels.grid.centres_m[:, 2], 0)))
+    drag = Drag(at=contact_at_voxel(system.grid, pulled), displacement_m=(1.0, 0.0, 0.0))
+    moved = []
+    for stand in (InteractiveTree(system), InteractiveTree(replace(system, tree=None))):
+        groups = group_forces([drag], falloff_m=default_falloff_m(system))
+        answer = respond(stand.system, groups, dt_s=1 / 30, num_frames=1, start="held", bent=stand)
+        moved.append(np.linalg.norm(next(iter(stand.voxels(answer, warp=True))), axis=1))
+    apart, together = moved
+    assert apart[pulled] > 0.8
+    assert apart[voxels.tree == 1].max() < 1e-6
+    assert together[voxels.tree == 1].max() > 0.05, "it says nothing: the crowns do not touch"
+
+
+def test_each_tree_has_a_root_unless_a_skeleton_must_have_one(pair: TriangleMesh) -> None:
+    voxels = method.voxelize(pair)
+    assert voxels.tree is not None
+    system = modal_system(method.generate(voxels, wind=Wind(), num_steps=1))
+    bones = bones_of(system)
+    root = np.arange(len(bones.parent))
+    for bone, above in enumerate(bones.parent):
+        root[bone] = bone if above < 0 else root[above]
+    of_voxel = root[bones.bone_of_voxel]
+    assert [set(voxels.tree[of_voxel == foot].tolist()) for foot in np.flatnonzero(bones.parent < 0)] in (
+        [{0}, {1}],
+        [{1}, {0}],
+    )
+    assert carried_voxels(bones)[bones.parent < 0].sum() == len(voxels.grid)
+    assert (bones_of(system, one_root=True).parent < 0).sum() == 1
 
 
 def test_the_products_of_a_stand_keep_lengths_in_each_tree(pair: TriangleMesh, tmp_path: Path) -> None:

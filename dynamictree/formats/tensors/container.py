@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping
 
 import numpy as np
-from jaxtyping import Shaped
+from jaxtyping import Int32, Shaped
 from safetensors import SafetensorError, deserialize
 
 from dynamictree.byte_stream import ByteReader, ByteWriter, read_all
@@ -142,6 +142,20 @@ def read_grid(tensors: Mapping[str, Shaped[np.ndarray, "..."]], metadata: Mappin
         voxel_size_m=number(metadata, "voxel_size_m"),
         resolution=integer(metadata, "resolution", low=1, high=MAX_RESOLUTION),
     )
+
+
+def tree_numbers(tensors: Mapping[str, Shaped[np.ndarray, "..."]], num_voxels: int) -> Int32[np.ndarray, " V"] | None:
+    """Of several trees the one that each voxel is of; None where the file names none.
+
+    Raises:
+        FormatError: a number is out of range.
+    """
+    if "tree" not in tensors:
+        return None
+    tree = take_tensor(tensors, "tree", dtypes=("int32",), shape=(num_voxels,))
+    if tree.min() < 0 or tree.max() >= num_voxels:
+        raise FormatError(f"trees are numbered from {tree.min()} to {tree.max()}; 0 to {num_voxels - 1} are allowed")
+    return tree
 
 
 def source_metadata(source: Source) -> dict[str, str]:

@@ -21,6 +21,7 @@ from dynamictree.formats.tensors.container import (
     source_of,
     take_tensor,
     text,
+    tree_numbers,
     write_tensors,
 )
 from dynamictree.spectrum import RESTS, Rest, SparseVoxelSpectrum, Wind
@@ -59,6 +60,8 @@ def write_spectrum(
         **source_metadata(spectrum.source),
     }
     tensors = {"coords": spectrum.grid.coords, "coefficients": parts.astype(dtype)}
+    if spectrum.tree is not None:
+        tensors["tree"] = spectrum.tree
     write_tensors(stream, tensors | _band_tensors(spectrum.bands), metadata)
 
 
@@ -75,6 +78,7 @@ def read_spectrum(stream: ByteReader) -> SparseVoxelSpectrum:
     return SparseVoxelSpectrum(
         grid=grid,
         coefficients=coefficients,
+        tree=tree_numbers(tensors, len(grid)),
         fps=number(metadata, "fps"),
         num_frames=integer(metadata, "num_frames", low=1, high=MAX_FRAMES),
         rest=_rest(metadata),

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 
 import numpy as np
-from jaxtyping import Float32, Int32, Shaped
+from jaxtyping import Float32, Shaped
 
 from dynamictree.byte_stream import ByteReader, ByteWriter
 from dynamictree.errors import FormatError
@@ -14,6 +14,7 @@ from dynamictree.formats.tensors.container import (
     source_metadata,
     source_of,
     take_tensor,
+    tree_numbers,
     write_tensors,
 )
 from dynamictree.voxel.moments import AREA, NUM_MOMENTS
@@ -46,17 +47,8 @@ def read_voxels(stream: ByteReader) -> SurfaceVoxels:
     longest = float(np.linalg.norm(normals, axis=1).max())
     if longest > _LONGEST_NORMAL:
         raise FormatError(f"a normal is {longest:.4g} long; normals have unit length")
-    moments, tree = _moments(tensors, len(grid)), _trees(tensors, len(grid))
+    moments, tree = _moments(tensors, len(grid)), tree_numbers(tensors, len(grid))
     return SurfaceVoxels(grid=grid, normals=normals, moments=moments, tree=tree, source=source_of(metadata))
-
-
-def _trees(tensors: Mapping[str, Shaped[np.ndarray, "..."]], num_voxels: int) -> Int32[np.ndarray, " V"] | None:
-    if "tree" not in tensors:
-        return None
-    tree = take_tensor(tensors, "tree", dtypes=("int32",), shape=(num_voxels,))
-    if tree.min() < 0 or tree.max() >= num_voxels:
-        raise FormatError(f"trees are numbered from {tree.min()} to {tree.max()}; 0 to {num_voxels - 1} are allowed")
-    return tree
 
 
 def _moments(tensors: Mapping[str, Shaped[np.ndarray, "..."]], num_voxels: int) -> Float32[np.ndarray, "V 16"] | None:
