@@ -133,6 +133,7 @@ const silent = {
   rest: async () => {},
   motion: async () => {},
   products: async () => {},
+  showMesh() {},
 };
 
 function begin({ jobs = [], ...client } = {}) {
@@ -236,8 +237,10 @@ test("a failure of the files leaves the tree moving", async () => {
   const { session, machine } = begin({
     jobs: [job("running", moving), job("failed", { ...moving, error: { code: "disk-full", title: "full" } })],
   });
+  let shown = 0;
+  session.scene = { ...silent, showMesh: () => shown++ };
   await session.open("J1");
-  assert.deepEqual([machine.state, machine.facts.problem.code], ["moving", "disk-full"]);
+  assert.deepEqual([machine.state, machine.facts.problem.code, shown], ["moving", "disk-full", 1]);
 });
 
 test("what was left does not come back", async () => {

@@ -13,6 +13,11 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(1800)]
 
 PARAMS = {"formats": ["splat"], "num_steps": 1, "splat_steps": 600, "height_m": 1.2}
 LONGEST_MS = 6 * JOB_MS
+MESH_IS_SEEN = """async () => {
+    const { tree } = (await import("/web/page/begin.js")).scene;
+    const mesh = [tree.mesh.material].flat().some(({ colorWrite }) => colorWrite);
+    return { mesh, splat: Boolean(tree.splat?.drawn) };
+}"""
 LEAST_DRAWN = 0.02  # of the stage's pixels
 
 
@@ -48,3 +53,11 @@ def test_the_splat_is_shown_while_it_is_learned_and_then_the_tree(
     viewer.picture()
     expect(page.locator("body")).to_have_attribute("data-state", "moving", timeout=LONGEST_MS)
     assert "draft.splat" not in artifacts(url, running_job)
+    assert not page.evaluate(MESH_IS_SEEN)["mesh"]
+    at_rest = pixels(viewer)
+    assert changed(at_rest, empty) > LEAST_DRAWN
+    while not (seen := page.evaluate(MESH_IS_SEEN))["splat"]:
+        assert not seen["mesh"]
+        page.wait_for_timeout(200)
+    assert not seen["mesh"]
+    assert viewer.complaints == []

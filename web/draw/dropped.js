@@ -19,11 +19,11 @@ for (const suffix of TEXTS) READERS[suffix] = readText;
 for (const suffix of [...TEXTS, "las", "laz"]) UP[suffix] = "+Z";
 
 /**
- * `{ object, box, sizeless, dispose }` of the first of `files`, `{ name, path, content }` with paths relative to it; null for
- * what no loader here reads. A splat, whose file states no size, needs the stage, which has Spark's renderer.
+ * `{ object, box, sizeless, dispose }` of the first of `files`, `{ name, path, content }` with paths relative to it, and `upAxis`
+ * where it is known; null for what no loader here reads. A splat, whose file states no size, needs the stage, which has Spark's renderer.
  */
 export async function readDropped(files, stage) {
-  const [{ name, content }] = files;
+  const [{ name, content, upAxis }] = files;
   const suffix = name.split(".").pop().toLowerCase();
   if (!(suffix in UP) || content.size > LARGEST_BYTES) return null;
   const addresses = new Map();
@@ -35,7 +35,7 @@ export async function readDropped(files, stage) {
       release();
       dispose(object);
     };
-    return { ...makeUpright(object, UP[suffix], box), sizeless, dispose: leave };
+    return { ...makeUpright(object, upAxis ?? UP[suffix], box), sizeless, dispose: leave };
   } finally {
     for (const address of addresses.values()) URL.revokeObjectURL(address);
   }

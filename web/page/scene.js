@@ -11,8 +11,10 @@ import { $, element } from "./dom.js";
 const MOST_PHOTOS = 24;
 const TALLEST_M = 120; // of trees
 const OTHER_WIND = 1; // seed of the endless wind beside the tree
-const DRAFT = "draft.splat";
-const DRAFT_MS = 5000; // so often it is asked for
+const DRAFT = "draft.splat"; // of photos, while it is learned
+const LEARNED = "splat.ply"; // of photos, at rest and in metres
+const DRAFT_MS = 5000; // so often they are asked for
+const MOVING_SPLAT = "tree.animated-splat.safetensors";
 
 export class Scene {
   constructor(stage) {
@@ -55,24 +57,30 @@ export class Scene {
   async learned(job, signal) {
     if (this.tree || Date.now() < this.nextDraft) return;
     this.nextDraft = Date.now() + DRAFT_MS;
-    const file = (await this.client.artifacts(job.id)).find(({ name }) => name === DRAFT);
+    const all = await this.client.artifacts(job.id);
+    const file = all.find(({ name }) => name === LEARNED) ?? all.find(({ name }) => name === DRAFT);
     if (!file || file.id === this.draft?.id) return;
+    const { id, name } = file;
     const content = new Blob([await this.client.bytes(file.url, { signal })]);
-    await this.dropped([{ name: DRAFT, path: DRAFT, content }], { signal, id: file.id });
+    const upAxis = name === LEARNED ? "+Z" : null;
+    await this.dropped([{ name, path: name, content, upAxis }], { signal, id, isTree: name === LEARNED });
     if (this.draft) this._dropPhotos();
   }
 
-  /** What was dropped, from the files themselves, with a person beside it; until the service has read them. */
-  async dropped(files, { signal, id }) {
+  /**
+   * What was dropped, from the files themselves, with a person beside it; until the service has read them. `isTree` where
+   * it stands as the tree that moves will.
+   */
+  async dropped(files, { signal, id, isTree = false }) {
     const { readDropped } = await import("../draw/dropped.js");
     const draft = await readDropped(files, this.stage);
     if (!draft || draft.box.isEmpty()) return;
     if (signal.aborted || this.tree) return draft.dispose();
     const isFirst = !this.draft;
     this._dropDraft();
-    this.draft = { ...draft, id };
+    this.draft = { ...draft, id, isTree };
     this.stage.scene.add(draft.object);
-    if (isFirst) this.stage.frame(draft.box);
+    if (isFirst || isTree) this.stage.frame(draft.box);
     this.person ??= new Person(this.stage);
     const sized = !draft.sizeless && this.stage.height <= TALLEST_M; // else the file means another unit
     this.person.show(sized, 1);
@@ -83,6 +91,10 @@ export class Scene {
     if (!this.draft) return;
     this.stage.scene.remove(this.draft.object);
     this.draft.dispose();
+    this._forgetDraft();
+  }
+
+  _forgetDraft() {
     this.draft = null;
     this.person.show(false, 1);
     this.onDraft(null);
@@ -106,16 +118,22 @@ export class Scene {
     return this.tree;
   }
 
-  /** A tree in motion from what is at hand: a surface that was read, and Modes. */
-  stand(surface, modes) {
+  /** A tree in motion from what is at hand: a surface that was read, and Modes; `hidden` where Gaussians will be seen. */
+  stand(surface, modes, { hidden = false } = {}) {
+    const learned = hidden && this.draft?.isTree ? this.draft : null;
+    if (learned) this._forgetDraft();
     const tree = this._tree();
-    tree.setSurface(surface, { hidden: Boolean(tree.points) });
+    if (learned) tree.setPoints(learned);
+    tree.setSurface(surface, { hidden: hidden || Boolean(tree.points) });
     tree.setModes(modes);
     return tree;
   }
 
-  /** The tree in motion, from the service's spectrum. */
-  async motion(job, signal) {
+  /** The tree in motion, from the service's spectrum; of photos, the splat is seen at rest until it moves as well. */
+  async motion(job, signal, { ofPhotos = false, hasEnded = false } = {}) {
+    const hidden = ofPhotos && Boolean(job.params.formats?.includes("splat"));
+    this.nextDraft = 0;
+    if (hidden && !hasEnded) await this.learned(job, signal).catch(() => {}); // only a preview
     const id = job.result.spectrum_id;
     const [spectrum, modes, surface] = await Promise.all([
       this.client.spectrum(id),
@@ -124,8 +142,11 @@ export class Scene {
     ]);
     const read = await readSurface(surface);
     if (signal.aborted) return;
-    this._dropPhotos();
-    this.onMotion(this.stand(read, new Modes(modes)), spectrum, job);
+    const tree = this.stand(read, new Modes(modes), { hidden });
+    if (hidden && hasEnded) await this._setGaussians(tree, await this.client.artifacts(job.id), signal);
+    if (signal.aborted) return;
+    if (!hidden || tree.points || tree.splat) this._dropPhotos();
+    this.onMotion(tree, spectrum, job);
   }
 
   /** Another motion of the tree on the stage, from its spectrum: `{ id, field, bands, wind }`; `wind()` asks for its endless wind. */
@@ -140,24 +161,40 @@ export class Scene {
   /** What only the job's files contain: Gaussians of a cloud or of photos, else the own motion of a large mesh. */
   async products(job, signal) {
     const { tree } = this;
-    if (!tree?.moves || tree.splat) return;
+    if (!tree?.moves || this.complete) return;
     this.complete = true;
     const artifacts = await this.client.artifacts(job.id);
-    const splat = artifacts.find(({ name }) => name === "tree.animated-splat.safetensors");
-    if (splat) {
-      const { isUncoloured, readSplat } = await import("../draw/splat.js");
-      const read = readSplat(await this.client.bytes(splat.url, { signal }));
-      if (signal.aborted) return;
-      if (isUncoloured(read)) tree.showMesh();
-      else await tree.setSplat(read);
-    } else if (tree.points) {
-      tree.showMesh(); // nothing else of this job moves
-    } else {
-      const file = artifacts.find(({ name }) => name === "tree.glb");
-      if (file && tree.usesNearVoxels) await this._ownMotion(tree, file, signal);
-      if (file) await this._looks(tree, file, signal).catch(() => {}); // matt without them
+    if (!tree.splat && !(await this._setGaussians(tree, artifacts, signal))) {
+      if (tree.hidden) this.showMesh();
+      else await this._addLooks(tree, artifacts, signal);
     }
-    if (!signal.aborted) this.onComplete();
+    if (signal.aborted) return;
+    this._dropPhotos();
+    this.onComplete();
+  }
+
+  /** The mesh in place of what would be seen if the job had more files. */
+  showMesh() {
+    this.tree.showMesh();
+    this._dropPhotos();
+  }
+
+  /** The job's Gaussians in place of the mesh; whether there are any. */
+  async _setGaussians(tree, artifacts, signal) {
+    const file = artifacts.find(({ name }) => name === MOVING_SPLAT);
+    if (!file) return false;
+    const { isUncoloured, readSplat } = await import("../draw/splat.js");
+    const splat = readSplat(await this.client.bytes(file.url, { signal }));
+    if (signal.aborted) return true;
+    if (isUncoloured(splat)) tree.showMesh();
+    else await tree.setSplat(splat);
+    return true;
+  }
+
+  async _addLooks(tree, artifacts, signal) {
+    const file = artifacts.find(({ name }) => name === "tree.glb");
+    if (file && tree.usesNearVoxels) await this._ownMotion(tree, file, signal);
+    if (file) await this._looks(tree, file, signal).catch(() => {}); // matt without them
   }
 
   async _ownMotion(tree, file, signal) {

@@ -8,7 +8,7 @@ const FIRST_FORMATS = { mesh: ["glb"], cloud: ["splat"], photos: ["glb", "splat"
 
 export class Session {
   /**
-   * `scene` draws: `clear()`, `photos(files)`, `dropped(files, run)`, `learned(job, signal)`, `rest(asset, signal)`, `motion(job, signal)`, `products(job, signal)`.
+   * `scene` draws: `clear()`, `photos(files)`, `dropped(files, run)`, `learned(job, signal)`, `rest(asset, signal)`, `motion(job, signal, options)`, `products(job, signal)`, `showMesh()`.
    * `onJob(id)` is called with the job that is followed; `onKey(again)` where the service requires an API key.
    */
   constructor(client, machine, scene, { onJob = () => {}, onKey = () => {} } = {}) {
@@ -158,19 +158,27 @@ export class Session {
           motion.catch(() => {}); // awaited below, unless the watch is left before
         } else if (job.state === "running") {
           run.send("started");
-          if (this.machine.facts.asset?.kind === "photos") this.scene.learned(job, run.signal).catch(() => {}); // only a preview
+          if (this._ofPhotos) this.scene.learned(job, run.signal).catch(() => {}); // only a preview
         } else if (job.state === "queued" && this.machine.state === "running") run.send("waiting");
       }
     };
     await patiently(watch, run);
     await motion;
+    if (motion && job.state !== "succeeded") this.scene.showMesh();
     if (job.state !== "succeeded") throw jobProblem(job);
     if (!motion) throw Object.assign(new Problem({ code: `only-${job.type}` }), { offersMotion: true });
     await this.scene.products(job, run.signal);
   }
 
+  get _ofPhotos() {
+    return this.machine.facts.asset?.kind === "photos";
+  }
+
   async _showMotion(job, run) {
-    await patiently(() => this.scene.motion(job, run.signal), run);
+    await patiently(
+      () => this.scene.motion(job, run.signal, { ofPhotos: this._ofPhotos, hasEnded: hasEnded(job) }),
+      run,
+    );
     run.send("moving");
   }
 }
