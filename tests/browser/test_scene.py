@@ -47,6 +47,28 @@ def test_a_second_wind_and_a_forest_stand_beside_the_tree(paused: Viewer) -> Non
     assert viewer.complaints == []
 
 
+def test_shadows_can_be_switched_off(paused: Viewer) -> None:
+    viewer, page = paused, paused.page
+    steady(viewer)
+    shaded = scrub(viewer, 0.0)
+    page.locator("#light-section summary").click()
+    page.locator("#shadows").uncheck(force=True)
+    lit = steady(viewer)
+    assert changed(shaded, lit) > 0.01
+    assert lit.mean() > shaded.mean()
+    page.locator("#shadows").check(force=True)
+    assert changed(shaded, steady(viewer)) == 0
+    assert viewer.complaints == []
+
+
+def test_the_samples_of_a_shadow_are_turned_together(view: Open, url: str) -> None:
+    viewer = view(640, 480)
+    viewer.open(url)
+    sampling = viewer.page.evaluate("async () => (await import('three')).ShaderChunk.shadowmap_pars_fragment")
+    assert "turned * vec2(" in sampling
+    assert "vogelDiskSample( 0" not in sampling, "three.js writes it otherwise now"
+
+
 # In each turn: the share of pixels that a shadow drawn in this moment would make lighter or darker than what is seen
 SHADOWS = """async (turns) => {
     const { Hand } = await import("/web/page/hand.js");

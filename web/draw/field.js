@@ -6,33 +6,30 @@ import { Pass } from "./pass.js";
 export const WIDTH = 2048; // of both textures: every WebGL 2 has it
 
 // φ is 16-bit steps, three texels (x, y, z) of real and imaginary part a bin, in the order of the file
-export const MODES = /* glsl */ `
+const SHAPES = /* glsl */ `
 precision highp isampler2D;
 uniform isampler2D shapes;
-uniform highp sampler2D q; // by bin and copy, times metres a step: a forest of tall trees has too many for uniforms
 ivec2 step3(int point, int k, int c) {
   int at = (point * BINS + k) * 3 + c;
   return texelFetch(shapes, ivec2(at % ${WIDTH}, at / ${WIDTH}), 0).xy;
-}
-vec3 modesOf(int point, int copy) {
-  vec3 sum = vec3(0.0);
-  for (int k = 0; k < BINS; k++) for (int c = 0; c < 3; c++) {
-    vec2 phi = vec2(step3(point, k, c));
-    vec2 now = texelFetch(q, ivec2(k, copy), 0).xy;
-    sum[c] += phi.x * now.x - phi.y * now.y;
-  }
-  return sum;
 }`;
-export const TURN = /* glsl */ `
+const SUM = /* glsl */ `
+uniform highp sampler2D q; // by bin and copy, times metres a step: a forest of tall trees has too many for uniforms
 uniform vec2 turn[COPIES]; // cosine and sine: the wind's direction against the one the motion was made for
-vec3 turnedWithWind(vec3 v, int copy) {
+vec3 motionOf(int point, int copy) {
+  vec3 sum = vec3(0.0);
+  for (int k = 0; k < BINS; k++) {
+    vec2 now = texelFetch(q, ivec2(k, copy), 0).xy;
+    for (int c = 0; c < 3; c++) {
+      vec2 phi = vec2(step3(point, k, c));
+      sum[c] += phi.x * now.x - phi.y * now.y;
+    }
+  }
   vec2 t = turn[copy];
-  return vec3(t.x * v.x - t.y * v.y, t.y * v.x + t.x * v.y, v.z);
+  return vec3(t.x * sum.x - t.y * sum.y, t.y * sum.x + t.x * sum.y, sum.z);
 }`;
-const SUM = `${TURN}
-vec3 motionOf(int point, int copy) { return turnedWithWind(modesOf(point, copy), copy); }`;
 
-const fragmentOf = (motion) => /* glsl */ `${MODES}
+const fragmentOf = (motion) => /* glsl */ `${SHAPES}
 uniform int shown;         // the bin whose size goes to alpha; -1 for none
 uniform float shownScale;
 ${motion}
@@ -116,12 +113,12 @@ export class Field {
 }
 
 /** Room for the coordinates of K bins of each copy. */
-export function coordinatesTexture(K, copies) {
+function coordinatesTexture(K, copies) {
   return new THREE.DataTexture(new Float32Array(2 * K * copies), K, copies, THREE.RGFormat, THREE.FloatType);
 }
 
 /** Coordinates of each copy, times what a step of the shapes is. */
-export function setCoordinates(texture, scale, motions) {
+function setCoordinates(texture, scale, motions) {
   motions.forEach(({ q }, copy) => {
     const row = texture.image.data.subarray(q.length * copy);
     for (let i = 0; i < q.length; i++) row[i] = q[i] * scale[i >> 1];

@@ -26,7 +26,11 @@ vec3 restPoint() { restNormal = normal; return position; }`;
  * it (`poseOfPoint`), and where it is at rest (`restPoint`, which sets `restNormal`).
  */
 const KINDS = {
-  /** Each vertex has its own displacement, those of a leaf card one together. */
+  /** Each vertex has its own displacement. */
+  bones: `${BONES}
+vec4 fieldOfPoint() { return movedAt(gl_VertexID); }`,
+
+  /** The same, those of a leaf card one together. */
   vertices: `${BONES}
 ${CARDS}
 vec4 fieldOfPoint() { vec4 own = movedAt(gl_VertexID); return vec4(cardMoved(own.xyz), own.w); }`,
@@ -135,7 +139,7 @@ const PLAIN = { base_color: [0.5, 0.5, 0.5, 1], alpha_cutoff: null };
 
 /** One material for each of the surface's, and the one that the sun's shadow map is drawn with. */
 export function surfaceMaterials(surface, uniforms) {
-  const kind = surface.tie_rows ? "nearVoxels" : "vertices";
+  const kind = surface.tie_rows ? "nearVoxels" : surface.turn_parent ? "bones" : "vertices";
   if (surface.shapes && !surface.turn_parent) uniforms.restAt = { value: (surface.restAt ??= setCards(surface)) };
   const all = surface.materials.length ? surface.materials : [PLAIN];
   const lit = all.map(({ base_color: [r, g, b], alpha_cutoff: cutoff }, index) => {

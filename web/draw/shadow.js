@@ -1,4 +1,6 @@
-// How far a tree may move before its shadow must be drawn anew: a shadow map that is too old darkens what throws it.
+// Shadows: how old one may be before it darkens what throws it, and soft edges that cost less than three.js' own.
+
+import * as THREE from "three";
 
 export const SLACK = 0.012; // of the stage's radius: so far a shadow stays off its surface
 
@@ -8,4 +10,19 @@ export function leavesItsShadow({ q, turn, shadowed, largest, stage }) {
   let squares = 0; // the bins' largest motions are taken to meet at one place, not at one time
   for (let i = 0; i < q.length; i++) squares += (largest[i >> 1] * (q[i] - shadowed.q[i])) ** 2;
   return Math.sqrt(squares) > SLACK * stage.radius;
+}
+
+const SAMPLES = 5;
+const GOLDEN_ANGLE = 2.399963229728653;
+
+/** The same samples of a shadow's edge, turned together by one sine and cosine a pixel where three.js takes one each. */
+export function turnSamplesTogether() {
+  const { shadowmap_pars_fragment: before } = THREE.ShaderChunk;
+  const place = (i) => {
+    const radius = Math.sqrt((i + 0.5) / SAMPLES);
+    return [Math.cos(i * GOLDEN_ANGLE), Math.sin(i * GOLDEN_ANGLE)].map((share) => (radius * share).toFixed(8));
+  };
+  THREE.ShaderChunk.shadowmap_pars_fragment = before
+    .replace(/(float phi = .*);/, "$1; mat2 turned = mat2(cos(phi), sin(phi), -sin(phi), cos(phi));")
+    .replace(/vogelDiskSample\( (\d), 5, phi \)/g, (_, i) => `turned * vec2(${place(Number(i))})`);
 }

@@ -3,11 +3,14 @@
 import * as THREE from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { Resolution } from "./resolution.js";
+import { turnSamplesTogether } from "./shadow.js";
 import { contextOf } from "./software.js";
 import { Surroundings } from "./surroundings.js";
 
 const FIELD_OF_VIEW = 30;
 const FIRST_VIEW = new THREE.Vector3(-0.38, -1, 0.2).normalize();
+
+turnSamplesTogether();
 
 export class Stage {
   /** `onContext(lost)` is called when the graphics context is lost and when it is back. */

@@ -99,6 +99,10 @@ export class Surroundings {
     this.arrow.material.opacity = 0.35 + 0.5 * Math.min(strength, 1);
   }
 
+  set shadows(cast) {
+    this.sun.castShadow = cast;
+  }
+
   set groundVisible(visible) {
     this.ground.visible = visible;
   }

@@ -19,14 +19,16 @@ export function windCoordinates(K, phase, gains = null, gust = 1) {
 
 /** Re Σ_k φ_k q_k of one row of `shapes` [rows, K, 3, 2], in steps of `scale` [K]; q is [2K]. */
 export function modeSum(shapes, scale, row, q) {
-  const sum = [0, 0, 0];
+  let [x, y, z] = [0, 0, 0];
   const K = scale.length;
-  for (let k = 0; k < K; k++)
-    for (let c = 0; c < 3; c++) {
-      const at = 2 * ((row * K + k) * 3 + c);
-      sum[c] += scale[k] * (shapes[at] * q[2 * k] - shapes[at + 1] * q[2 * k + 1]);
-    }
-  return sum;
+  for (let k = 0; k < K; k++) {
+    const [re, im] = [scale[k] * q[2 * k], scale[k] * q[2 * k + 1]];
+    const at = 6 * (row * K + k);
+    x += shapes[at] * re - shapes[at + 1] * im;
+    y += shapes[at + 2] * re - shapes[at + 3] * im;
+    z += shapes[at + 4] * re - shapes[at + 5] * im;
+  }
+  return [x, y, z];
 }
 
 /** Voxels and bones. `lean` is put into bin 0 of `shapes`, whose place is empty in the file. */

@@ -1,7 +1,8 @@
 // One vertex in the wind as numbers: what the shaders of draw/ compute for all of them.
 
 import { modeSum } from "./modes.js";
-import { cross, dot, frameOf, minus, plus, rowOf, scaled, turnedUpright } from "./vectors.js";
+import { halfTurnOf, swung } from "./swing.js";
+import { dot, frameOf, minus, plus, rowOf, scaled, turnedUpright } from "./vectors.js";
 
 /** Displacement of a vertex of a Tree's surface by the wind [m]; `turn` is the wind's direction against its motion's. */
 export function vertexInWind({ surface, modes }, vertex, q, turn) {
@@ -29,7 +30,7 @@ function withCard(places, corners, vertex, inWind) {
   return minus(carried, rowOf(places, vertex));
 }
 
-/** By the bones that turn in the wind. draw/bone_field.js and docs/engines.md have the equations. */
+/** By the bones that turn in the wind; see motion/swing.js. */
 function bentBy(surface, vertex, q, turn) {
   const { turn_parent: parent, turn_foot_m: feet, turn_bone, turn_share, vertices } = surface;
   const bone = turn_bone[vertex];
@@ -42,20 +43,4 @@ function bentBy(surface, vertex, q, turn) {
     moved = plus(moved, swung(halfTurn(parent[b]), minus(rowOf(feet, b), rowOf(feet, parent[b]))));
   }
   return moved;
-}
-
-/** A bone's turn: its axis times the sine of half the angle. */
-function halfTurnOf({ turn_shapes, turn_scale_rad, turn_direction }, b, q, turn) {
-  const direction = rowOf(turn_direction, b);
-  const own = modeSum(turn_shapes, turn_scale_rad, b, q);
-  const across = cross(direction, turnedUpright(cross(own, direction), turn));
-  const theta = plus(across, scaled(direction, dot(own, direction)));
-  const c = 1 / Math.sqrt(1 + dot(theta, theta)); // cosine of the angle, atan |theta|
-  return scaled(theta, c / Math.sqrt(2 + 2 * c));
-}
-
-/** How far an arm's end moves. */
-function swung(half, arm) {
-  const real = Math.sqrt(1 - dot(half, half));
-  return scaled(cross(half, plus(cross(half, arm), scaled(arm, real))), 2);
 }

@@ -1,4 +1,4 @@
-// The panel's light: where the sun stands, what lies under the tree and behind it.
+// The panel's light: where the sun stands, shadows, what lies under the tree and behind it.
 
 import { $, describe } from "./dom.js";
 import { degrees, text } from "./texts.js";
@@ -7,8 +7,9 @@ export class LightPanel {
   constructor(stage) {
     this.stage = stage;
     $("sun-from").oninput = $("sun-height").oninput = () => this._showSun();
-    $("ground").onchange = () => {
+    $("ground").onchange = $("shadows").onchange = () => {
       stage.surroundings.groundVisible = $("ground").checked;
+      stage.surroundings.shadows = $("shadows").checked;
       stage.stale = true;
     };
     $("background").onchange = () => {

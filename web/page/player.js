@@ -7,6 +7,7 @@ import { turbulentCoordinates } from "../motion/turbulence.js";
 import { $, describe } from "./dom.js";
 import { number, text } from "./texts.js";
 
+const SHOWN_EVERY_S = 0.1; // what the clock says while time goes on
 const EASE_S = 0.3; // in which the wind follows its slider
 const SHOWN_SHARE = 0.05; // of the height: a mode alone is enlarged to this
 const MOST_TURNS = 3; // of a mode alone in one loop, slow enough for the eye
@@ -111,8 +112,8 @@ export class Player {
       tree.move(q, turn, hand.groupsIn(q, turn, seconds));
     }
     if (changed && tree.copies) tree.copies.move(this._companyMotions(tree.copies.places));
-    if (time !== this.shownTime) this._showTime();
-    this.shownTime = time;
+    this.sinceShown += seconds;
+    if (time !== this.shownTime && (!this.playing || this.sinceShown > SHOWN_EVERY_S)) this._showTime();
     this.drawn = now;
   }
 
@@ -145,6 +146,7 @@ export class Player {
   }
 
   _showTime() {
+    Object.assign(this, { shownTime: this.turbulent ? this.seconds : this.phase, sinceShown: 0 });
     if (this.turbulent) {
       $("clock").textContent = text("time.seconds", { n: number(this.seconds, 1) });
       return;
