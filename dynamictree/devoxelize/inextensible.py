@@ -10,8 +10,9 @@ p those of the frame, l_ij the length of an edge at rest and h the edge of a vox
 
       Σ_ij w_ij |y_i - y_j - l_ij d_ij|² + Σ_i a_i |y_i - p_i|²,    w_ij = (h / l_ij)²,
 
-  and then `ROUNDS` times the same with y for p (projective dynamics, Bouaziz et al. 2014: one factorisation serves all
-  frames). a_i is small, and large where the tree hardly moves.
+  and then `ROUNDS` times the same with the directions of y, in the second half with y for p too (projective dynamics,
+  Bouaziz et al. 2014: one factorisation serves all frames), each round going further the way it goes (Chebyshev
+  weights, Wang 2015). a_i is small, and large where the tree hardly moves.
 
 A direction turns by less than a right angle however far the motion goes, so the motion saturates.
 """
@@ -41,9 +42,10 @@ CARD_VERTICES = 8
 """With so few, a part that hangs is a card at any size; one of more bends where it is large."""
 LARGEST_STRETCH = 0.01
 """99th percentile of the edges' stretch in a loop; a motion with less is left as it is."""
-ROUNDS = 10
+ROUNDS = 14
 """At most; fewer for meshes of more than `_SOLVED_ROWS` / 10 vertices, and at least two."""
 _SOLVED_ROWS = 150_000
+_PLAIN_ROUNDS, _SPECTRAL_RADIUS = 2, 0.98  # see docs/decisions/core.md
 _ANCHOR = 0.01  # a of a vertex with the mean motion, see docs/decisions/core.md
 _ANCHOR_SHARES = (0.01, 100.0)  # of the motion over its mean
 _SHORTEST_EDGE = 0.05  # in voxels; shorter edges are no stiffer
@@ -96,12 +98,16 @@ class InextensiblePose:
         start, end = self.edges.T
         length = np.linalg.norm(rest[start] - rest[end], axis=1)
         poses, directions = list(frames), [frame[start] - frame[end] for frame in frames]
-        left = list(range(len(poses)))
-        for _ in range(1 + min(ROUNDS, max(2, _SOLVED_ROWS // len(rest)))):
-            right = [self._drawn(poses[index], directions[index], length) for index in left]
+        left, earlier, weight = list(range(len(poses))), list(frames), 1.0
+        rounds = 1 + min(ROUNDS, max(2, _SOLVED_ROWS // len(rest)))
+        for number in range(rounds):
+            weight = _chebyshev_weight(number, weight)
+            near = frames if number < rounds // 2 else poses
+            right = [self._drawn(near[index], directions[index], length) for index in left]
             solved = self.factor.solve(np.concatenate(right, axis=1))
             for place, index in enumerate(left):
-                poses[index] = solved[:, 3 * place : 3 * place + 3]
+                nearer = earlier[index] + weight * (solved[:, 3 * place : 3 * place + 3] - earlier[index])
+                earlier[index], poses[index] = poses[index], nearer
                 directions[index] = poses[index][start] - poses[index][end]
             left = [index for index in left if not _fits(directions[index], length)]
             if not left:
@@ -129,6 +135,13 @@ class InextensiblePose:
         turn = nearest_rotations(_sums(part, products, num_parts).reshape(-1, 3, 3))
         turned: Float64[np.ndarray, "r 3"] = middle[part] + np.einsum("nij,nj->ni", turn[part], rest_offset)
         return turned
+
+
+def _chebyshev_weight(number: int, before: float) -> float:
+    """How far round `number` goes from the pose before the last towards its solution; 1 takes the solution."""
+    if number < _PLAIN_ROUNDS:
+        return 1.0
+    return 2 / (2 - _SPECTRAL_RADIUS**2) if number == _PLAIN_ROUNDS else 4 / (4 - _SPECTRAL_RADIUS**2 * before)
 
 
 def inextensible_pose(
