@@ -1,6 +1,8 @@
 """What is dropped is drawn at once, from the file itself: the service has not got a byte of it."""
 
+import io
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import laspy
@@ -13,7 +15,7 @@ from dynamictree.dataset.sample import make_sample
 from dynamictree.formats.gltf.writer import write_glb
 from dynamictree.formats.mesh.obj_writer import write_obj
 from dynamictree.formats.mesh.ply_writer import write_ply
-from dynamictree.formats.splat.ply import write_gaussian_ply
+from dynamictree.formats.splat.ply import read_gaussian_ply, write_gaussian_ply
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.mesh import Material, TriangleMesh
 from tests.browser.conftest import Viewer, changed, pixels
@@ -73,6 +75,12 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return paths
 
 
+SIZE_OF_DRAFT = """async () => {
+    const { draft } = (await import("/web/page/begin.js")).scene;
+    return draft && draft.box.max.clone().sub(draft.box.min).toArray();
+}"""
+
+
 @pytest.mark.parametrize("kind", ["glb", "obj", "stl", "ply", "xyz", "las", "laz", "splat"])
 def test_it_is_drawn_while_its_upload_has_not_begun(view: Open, url: str, files: dict[str, Path], kind: str) -> None:
     viewer = view(900, 620)
@@ -96,6 +104,23 @@ def test_it_is_drawn_while_its_upload_has_not_begun(view: Open, url: str, files:
     page.locator("#cancel").click()
     expect(page.locator("#height-note")).to_have_text("")
     assert [text for text in viewer.complaints if "Failed to load resource" not in text] == []
+
+
+@pytest.mark.parametrize("up_axis", ["-Y", "+Z"])
+def test_a_splat_stands_as_its_file_says(
+    view: Open, url: str, files: dict[str, Path], tmp_path: Path, up_axis: str
+) -> None:
+    lying = read_gaussian_ply(io.BytesIO(files["splat"].read_bytes()), up_axis="+Z")
+    tall = replace(lying, means=lying.means[:, [0, 2, 1]], source_up_axis=up_axis)
+    with (tmp_path / "tall.ply").open("wb") as stream:
+        write_gaussian_ply(tall, stream)
+    viewer = view(640, 480)
+    viewer.page.route("**/v1/assets", lambda route: None)  # it waits for ever
+    viewer.open(url)
+    viewer.page.set_input_files("#files", str(tmp_path / "tall.ply"))
+    while not (size := viewer.page.evaluate(SIZE_OF_DRAFT)):
+        viewer.page.wait_for_timeout(200)
+    assert size[2] > 3 * max(size[:2])
 
 
 def test_an_obj_has_the_colours_of_the_same_mesh_as_glb(view: Open, url: str, tmp_path: Path) -> None:

@@ -15,8 +15,9 @@ PARAMS = {"formats": ["splat"], "num_steps": 1, "splat_steps": 600, "height_m": 
 LONGEST_MS = 6 * JOB_MS
 MESH_IS_SEEN = """async () => {
     const { tree } = (await import("/web/page/begin.js")).scene;
+    const apart = tree.points && tree.points.box.max.distanceTo(tree.surface.box.max) / tree.surface.box.max.length();
     const mesh = [tree.mesh.material].flat().some(({ colorWrite }) => colorWrite);
-    return { mesh, splat: Boolean(tree.splat?.drawn) };
+    return { mesh, splat: Boolean(tree.splat?.drawn), apart };
 }"""
 LEAST_DRAWN = 0.02  # of the stage's pixels
 
@@ -53,7 +54,9 @@ def test_the_splat_is_shown_while_it_is_learned_and_then_the_tree(
     viewer.picture()
     expect(page.locator("body")).to_have_attribute("data-state", "moving", timeout=LONGEST_MS)
     assert "draft.splat" not in artifacts(url, running_job)
-    assert not page.evaluate(MESH_IS_SEEN)["mesh"]
+    seen = page.evaluate(MESH_IS_SEEN)
+    assert not seen["mesh"]
+    assert seen["apart"] < 0.3, "the splat at rest does not stand as the mesh does"
     at_rest = pixels(viewer)
     assert changed(at_rest, empty) > LEAST_DRAWN
     while not (seen := page.evaluate(MESH_IS_SEEN))["splat"]:

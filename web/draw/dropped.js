@@ -5,11 +5,14 @@ import { pointsOf, readLas, readText } from "./scan.js";
 import { makeUpright } from "./upright.js";
 
 const LARGEST_BYTES = 150e6;
-/** Which way is up where nothing says so; the service looks at the shape as well. */
-const UP = { glb: "+Y", gltf: "+Y", obj: "+Y", stl: "+Z", ply: "+Z", splat: "-Y", spz: "-Y", ksplat: "-Y", sog: "-Y" };
+/** Which way is up where nothing says so, as for the service, which looks at the shape as well. */
+const UP = { glb: "+Y", gltf: "+Y", obj: "+Y", stl: "+Z", ply: "+Z", splat: "-Y", spz: "+Y", ksplat: "-Y", sog: "-Y" };
 const TEXTS = ["txt", "xyz", "asc", "csv", "pts"];
 const MAPS = ["map", "alphaMap", "bumpMap", "normalMap", "specularMap"];
 const NOTHING = "data:,";
+const HEAD_BYTES = 4096;
+const SPLAT_PROPERTY = /property \w+ (f_dc_0|scale_0|packed_scale)/;
+const UP_COMMENT = /^comment up_axis ([+-][XYZ]|[-+\d.e]+,[-+\d.e]+,[-+\d.e]+)\s*$/m;
 const SPLATS = new Set(["splat", "spz", "ksplat", "sog"]);
 const CLAY = { color: 0xb9b3a4, side: THREE.DoubleSide };
 const load = (name) => import(`three/addons/loaders/${name}Loader.js`);
@@ -19,23 +22,26 @@ for (const suffix of TEXTS) READERS[suffix] = readText;
 for (const suffix of [...TEXTS, "las", "laz"]) UP[suffix] = "+Z";
 
 /**
- * `{ object, box, sizeless, dispose }` of the first of `files`, `{ name, path, content }` with paths relative to it, and `upAxis`
- * where it is known; null for what no loader here reads. A splat, whose file states no size, needs the stage, which has Spark's renderer.
+ * `{ object, box, sizeless, dispose }` of the first of `files`, `{ name, path, content }` with paths relative to it; null for
+ * what no loader here reads. A splat, whose file states no size, needs the stage, which has Spark's renderer.
  */
 export async function readDropped(files, stage) {
-  const [{ name, content, upAxis }] = files;
+  const [{ name, content }] = files;
   const suffix = name.split(".").pop().toLowerCase();
   if (!(suffix in UP) || content.size > LARGEST_BYTES) return null;
   const addresses = new Map();
   try {
-    const read = SPLATS.has(suffix) || (suffix === "ply" && (await isSplat(content))) ? readSplat : READERS[suffix];
+    const head = suffix === "ply" ? await content.slice(0, HEAD_BYTES).text() : "";
+    const isSplat = SPLATS.has(suffix) || SPLAT_PROPERTY.test(head);
+    const up = namedUp(head) ?? (isSplat && suffix === "ply" ? "-Y" : UP[suffix]);
+    const read = isSplat ? readSplat : READERS[suffix];
     const address = (path) => addressOf(path, files, addresses);
     const { object, box, sizeless = false, release = () => {} } = await read(files, { stage, address });
     const leave = () => {
       release();
       dispose(object);
     };
-    return { ...makeUpright(object, upAxis ?? UP[suffix], box), sizeless, dispose: leave };
+    return { ...makeUpright(object, up, box), sizeless, dispose: leave };
   } finally {
     for (const address of addresses.values()) URL.revokeObjectURL(address);
   }
@@ -109,9 +115,9 @@ function clay(geometry) {
   );
 }
 
-async function isSplat(content) {
-  const head = await content.slice(0, 4096).text();
-  return /property \w+ (f_dc_0|scale_0|packed_scale)/.test(head);
+/** What a comment in the head of a PLY file says is up; null if none does. */
+function namedUp(head) {
+  return UP_COMMENT.exec(head)?.[1] ?? (/^comment vertical axis: z\s*$/im.test(head) ? "+Z" : null);
 }
 
 async function readSplat([{ name, content }], { stage }) {

@@ -62,8 +62,7 @@ export class Scene {
     if (!file || file.id === this.draft?.id) return;
     const { id, name } = file;
     const content = new Blob([await this.client.bytes(file.url, { signal })]);
-    const upAxis = name === LEARNED ? "+Z" : null;
-    await this.dropped([{ name, path: name, content, upAxis }], { signal, id, isTree: name === LEARNED });
+    await this.dropped([{ name, path: name, content }], { signal, id, isTree: name === LEARNED });
     if (this.draft) this._dropPhotos();
   }
 
