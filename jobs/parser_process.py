@@ -67,6 +67,10 @@ def child_environment() -> dict[str, str]:
     return inherited | {"HOME": FOLDER, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
+class NoServerError(Exception):
+    """The process that reads uploads cannot be started."""
+
+
 class _Server:
     """The process that forks for each upload (`worker.parse_server`): started when first needed, ends with this one."""
 
@@ -123,10 +127,14 @@ async def parse(request: ParseRequest, settings: Settings) -> ParseAnswer:
     """Have the files read. Whatever happens to the process that does it, there is an answer, and it ends."""
     with tempfile.TemporaryFile() as errors:
         # a process that sleeps uses no CPU time, so the wall clock is bounded too
-        content = await _content(request, errors, settings.parser_cpu_s * 2)
-        if content == b"":  # not even an exit code: the server has ended
-            request.prepared.unlink(missing_ok=True)
+        try:
             content = await _content(request, errors, settings.parser_cpu_s * 2)
+            if content == b"":  # not even an exit code: the server has ended
+                request.prepared.unlink(missing_ok=True)
+                content = await _content(request, errors, settings.parser_cpu_s * 2)
+        except NoServerError as error:
+            logger.error("no process can be started that reads uploads: %s", error.__cause__)
+            return ParseAnswer(code="overloaded", message="no process can be started that reads the file")
         answered, _, status = (content or b"").rpartition(b"\n")
         try:
             return ParseAnswer.model_validate_json(answered)
@@ -135,10 +143,18 @@ async def parse(request: ParseRequest, settings: Settings) -> ParseAnswer:
 
 
 async def _content(request: ParseRequest, errors: IO[bytes], wait_s: float) -> bytes | None:
-    """What was written for a request: the answer, and in a line of its own the exit code; None where time was up."""
+    """What was written for a request: the answer, and in a line of its own the exit code; None where time was up.
+
+    Raises:
+        NoServerError: there is no process to read it.
+    """
     ours, theirs = socket.socketpair()
     with theirs:
-        await asyncio.to_thread(_server.read, theirs, errors)
+        try:
+            await asyncio.to_thread(_server.read, theirs, errors)
+        except OSError as error:
+            ours.close()
+            raise NoServerError from error
     reader, writer = await asyncio.open_unix_connection(sock=ours)
     try:
         writer.write(request.model_dump_json().encode())

@@ -2,6 +2,7 @@
 
 import asyncio
 import os
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 
 from jobs.parser_process import ParseRequest, parse
 from jobs.settings import Settings
+from service.http.problems import KINDS
 
 OBJ = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
 
@@ -73,6 +75,23 @@ def test_a_server_that_was_killed_is_started_again(tmp_path: Path) -> None:
         assert asyncio.run(parse(request, settings)).kind == "mesh"
         [server] = _servers()
         server.kill()
+
+
+def test_an_upload_that_no_process_can_read_may_be_sent_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    settings = Settings(state_dir=tmp_path)
+    tree = tmp_path / "tree.obj"
+    tree.write_text(OBJ)
+    for server in _servers():
+        server.kill()
+    _wait_until(lambda: not _servers())
+    with monkeypatch.context() as broken:
+        broken.setattr(sys, "executable", str(tmp_path / "absent"))
+        answer = asyncio.run(parse(_request(settings, tree), settings))
+    assert (answer.code, KINDS["overloaded"].status) == ("overloaded", 503)
+    assert "No such file" in caplog.text
+    assert asyncio.run(parse(_request(settings, tree), settings)).kind == "mesh"
 
 
 def test_a_reader_ends_with_its_server(tmp_path: Path) -> None:
