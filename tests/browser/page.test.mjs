@@ -433,6 +433,18 @@ test("a pull holds the point that is drawn, whichever bones carry it", () => {
   assert.ok(distance(carriedPoint(modes.poses([pin.group]), leaf, leaf.rest), target) < 0.002);
 });
 
+test("what is let go leaves the hand slowly, and goes all the way", () => {
+  const modes = pole();
+  const tip = { voxel: 3, rest: [0, 0, 3], bones: [3, 0, 0, 0], weights: [1, 0, 0, 0] };
+  const pin = new Pin(modes, tip);
+  for (let frame = 0; frame < 3; frame++) pin.hold([], tip.rest, [0.9, 0.3, 2.7]);
+  const places = [carriedPoint(modes.poses([pin.group]), tip, tip.rest)];
+  while (pin.fade(1 / 60)) places.push(carriedPoint(modes.poses([pin.group]), tip, tip.rest));
+  const steps = places.slice(1).map((place, i) => distance(place, places[i]));
+  assert.ok(steps[0] < 0.5 * Math.max(...steps));
+  assert.ok(distance(places.at(-1), tip.rest) < 0.01 && places.length < 90);
+});
+
 test("a vertex of a large mesh moves with the mean of its voxels, and stands still where it hangs on none", () => {
   const K = 2;
   const shapes = Int16Array.from({ length: 2 * K * 6 }, (_, i) => (7 * i) % 11);

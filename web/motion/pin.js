@@ -12,7 +12,7 @@ const ROUNDS = 4;
 const STEP_RAD = 0.3;
 const MOST_RAD = 1;
 const TOLERANCE = 1e-4; // of the compliance: a direction in which nothing gives way is not followed
-const LET_GO_S = 0.15; // in which the bend goes, once nothing is pinned
+const LET_GO_S = 0.08; // once nothing is pinned, the bend goes like a critically damped spring of this time
 
 export class Pin {
   /** Of a place as of motion/grip.js. */
@@ -70,10 +70,12 @@ export class Pin {
     });
   }
 
-  /** After the release: the bend goes; whether some is left. */
+  /** After the release: the bend goes, at first slowly, or the place would jump; whether some is left. */
   fade(seconds) {
-    const share = Math.exp(-seconds / LET_GO_S);
-    this.group.bend = this.group.bend.map((k) => scaled(k, share));
+    this.released ??= { seconds: 0, bend: this.group.bend };
+    this.released.seconds += seconds;
+    const times = this.released.seconds / LET_GO_S;
+    this.group.bend = this.released.bend.map((k) => scaled(k, (1 + times) * Math.exp(-times)));
     return this.group.bend.some((k) => length(k) > 1e-4);
   }
 }
