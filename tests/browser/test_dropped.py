@@ -174,6 +174,31 @@ def test_the_whole_person_is_seen_beside_a_wide_tree(
     assert 0.5 * width < left < right < width
 
 
+TOP_PX = """() => {
+    const { mesh, stage } = window.person, { x, y, z } = mesh.position;
+    return stage.onScreen([x, y, z + mesh.scale.x]).y;
+}"""
+
+
+@pytest.mark.parametrize(("width", "height"), [(390, 760), (1100, 720)])
+def test_the_whole_person_is_seen_beside_a_plant_of_one_metre(
+    view: Open, url: str, tmp_path: Path, width: int, height: int
+) -> None:
+    mesh = make_sample(3, "sapling").mesh
+    with (tmp_path / "small.glb").open("wb") as stream:
+        write_glb(mesh.with_vertices(mesh.vertices / mesh.height_m), stream)
+    viewer = view(width, height)
+    viewer.page.route("**/v1/assets", lambda route: None)  # it waits for ever
+    viewer.open(url)
+    viewer.page.evaluate(WATCH_PERSON)
+    viewer.page.set_input_files("#files", str(tmp_path / "small.glb"))
+    expect(viewer.page.locator("#height-note")).to_contain_text("1.0 m high")
+    left, right = viewer.page.evaluate(PERSON_PX)
+    viewer.picture()
+    assert 0 < left < right < width
+    assert 0 < viewer.page.evaluate(TOP_PX) < height
+
+
 def test_a_height_that_no_tree_has_is_doubted(view: Open, url: str, tmp_path: Path) -> None:
     mesh = make_sample(3, "sapling").mesh
     with (tmp_path / "millimetres.glb").open("wb") as stream:

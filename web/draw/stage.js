@@ -79,7 +79,8 @@ export class Stage {
 
   /** Put camera, ground and shadow around a box. */
   frame({ min, max }) {
-    this.box = { min: min.clone(), max: max.clone() };
+    this.box = new THREE.Box3(min.clone(), max.clone());
+    this.seen = this.box; // and what stands beside the tree
     this.middle = new THREE.Vector3().addVectors(min, max).multiplyScalar(0.5);
     this.radius = new THREE.Vector3().subVectors(max, min).length() / 2;
     this.height = max.z - min.z;
@@ -87,18 +88,26 @@ export class Stage {
     this.home();
   }
 
+  /** Look at what is in a box beside the tree as well; null for the tree alone. */
+  seeAlso(box) {
+    const seen = box ? this.box.clone().union(box) : this.box;
+    if (seen.equals(this.seen)) return;
+    this.seen = seen;
+    this.home();
+  }
+
   /** Look at the tree as at first. */
   home() {
     const free = this.free ?? { width: 1, height: 1 };
     const half = Math.tan(THREE.MathUtils.degToRad(FIELD_OF_VIEW / 2));
-    const wide = this.box.max.clone().sub(this.box.min);
+    const wide = this.seen.getSize(new THREE.Vector3());
     const across = Math.max(wide.x, wide.y, Math.hypot(wide.x, wide.y) * 0.85);
-    const tall = (0.55 * this.height) / half;
+    const tall = (0.55 * wide.z) / half;
     const distance = Math.max(tall, ((0.55 * across) / half) * (free.height / free.width)) + 0.3 * across;
     this.halfWidth = (distance * half * free.width) / free.height; // of what is seen beside the middle [m]
     this.surroundings.bringArrowNear(this.halfWidth);
-    this.controls.target.copy(this.middle);
-    this.camera.position.copy(this.middle).addScaledVector(FIRST_VIEW, distance);
+    const middle = this.seen.getCenter(this.controls.target);
+    this.camera.position.copy(middle).addScaledVector(FIRST_VIEW, distance);
     this.controls.minDistance = 0.3 * this.radius;
     this.controls.maxDistance = 6 * distance;
     this.camera.near = distance / 200;
