@@ -5,12 +5,13 @@ import json
 import numpy as np
 from fastapi import APIRouter
 from fastapi.responses import Response
-from jaxtyping import Complex64
+from jaxtyping import Complex64, Float64, Int32, Int64
 from safetensors.numpy import save
 
 from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.modes import quantised
 from dynamictree.spectrum import SparseVoxelSpectrum, bin_weights
+from dynamictree.voxel.grid import VoxelGrid
 from service.http.negotiation import SAFETENSORS
 from service.http.routing import CACHED, Id, file_of, refusals
 from service.ready_tree import ReadyTree, bone_ties, vertex_ties
@@ -135,10 +136,7 @@ def _motion_of_products(
 def _near_motion(ready: ReadyTree, mesh: TriangleMesh) -> dict[str, np.ndarray]:
     """Nearest voxels of each vertex and their bones: faster than `_own_motion`, for large meshes."""
     grid, bones = ready.tree.system.grid, ready.tree.bones
-    from scipy.spatial import cKDTree  # not at start: half a second
-
-    neighbours = cKDTree(grid.centres_m).query(mesh.vertices, k=np.arange(1, TIES + 1))
-    far, rows = np.asarray(neighbours[0]), np.asarray(neighbours[1])  # [N, TIES]
+    far, rows = nearest_voxels(grid, ready.tree.system.tree, mesh)
     weights = np.where(mesh.still_vertices[:, None], 0, 1 / (far**2 + grid.voxel_size_m**2))
     return {
         "tie_rows": rows.astype(np.int32),
@@ -146,6 +144,28 @@ def _near_motion(ready: ReadyTree, mesh: TriangleMesh) -> dict[str, np.ndarray]:
         "bone_rows": bones.bone_of_voxel[rows].astype(np.uint16),
         "bone_weights": _bytes(weights),
     }
+
+
+def nearest_voxels(
+    grid: VoxelGrid, tree: Int32[np.ndarray, " V"] | None, mesh: TriangleMesh
+) -> tuple[Float64[np.ndarray, "N T"], Int64[np.ndarray, "N T"]]:
+    """Distances [m] and rows of the voxels next to each vertex, of several trees those of its own."""
+    from scipy.spatial import cKDTree  # not at start: half a second
+
+    every = [(np.arange(mesh.num_vertices), np.arange(len(grid)))]
+    if tree is not None and mesh.face_tree is not None:
+        every += [
+            (np.unique(mesh.faces[mesh.face_tree == number]), np.flatnonzero(tree == number))
+            for number in np.unique(tree)
+        ]
+    far, rows = np.zeros((mesh.num_vertices, TIES)), np.zeros((mesh.num_vertices, TIES), np.int64)
+    for vertices, own in every:
+        distance, index = cKDTree(grid.centres_m[own]).query(mesh.vertices[vertices], k=np.arange(1, TIES + 1))
+        far[vertices], rows[vertices] = (
+            distance,
+            own[np.minimum(index, len(own) - 1)],
+        )  # where there are fewer: infinity
+    return far, rows
 
 
 def _bytes(weights: np.ndarray) -> np.ndarray:
