@@ -149,12 +149,13 @@ def _near_motion(ready: ReadyTree, mesh: TriangleMesh) -> dict[str, np.ndarray]:
 def nearest_voxels(
     grid: VoxelGrid, tree: Int32[np.ndarray, " V"] | None, mesh: TriangleMesh
 ) -> tuple[Float64[np.ndarray, "N T"], Int64[np.ndarray, "N T"]]:
-    """Distances [m] and rows of the voxels next to each vertex, of several trees those of its own."""
+    """Distances [m] and rows of the voxels next to each vertex; of several trees those of its own."""
     from scipy.spatial import cKDTree  # not at start: half a second
 
-    every = [(np.arange(mesh.num_vertices), np.arange(len(grid)))]
-    if tree is not None and mesh.face_tree is not None:
-        every += [
+    if tree is None or mesh.face_tree is None:
+        every = [(np.arange(mesh.num_vertices), np.arange(len(grid)))]
+    else:
+        every = [
             (np.unique(mesh.faces[mesh.face_tree == number]), np.flatnonzero(tree == number))
             for number in np.unique(tree)
         ]
