@@ -36,6 +36,7 @@ TOUCHING_VOXELS = 1.0
 """A branch that is a part of its own hangs on what its end touches."""
 
 _NEAR_PIECES = 32
+_PIECES_AT_ONCE = 100_000
 _CLEARLY_LARGER = 1.7
 """A part hangs on one that is this much larger if one is near, so that leaves hang on twigs and not on each other."""
 _CLASSES_PER_DOUBLING = 4  # of extents: each has a search tree of what is clearly larger
@@ -173,12 +174,17 @@ class _Surface:
             return _NO_PAIRS
         count = min(_NEAR_PIECES, len(above))
         reach_m = MAX_GAP_VOXELS * self.voxel_size_m
-        gap, nearest = _near(self.places[above], self.places[own], reach_m=reach_m, count=count)
-        other = above[np.minimum(nearest, len(above) - 1)]
-        gap = np.where(rank[self.owner[other]] > rank[self.owner[own]][:, None], gap, np.inf)
-        column = np.argmin(gap, axis=1)
-        best = _first_of_each(self.owner[own], gap[np.arange(len(own)), column])
-        return np.stack([own[best], other[best, column[best]]], axis=1)
+        tree = _tree(self.places[above])
+        smallest, there = np.empty(len(own)), np.empty(len(own), np.int64)
+        for start in range(0, len(own), _PIECES_AT_ONCE):
+            some = slice(start, start + _PIECES_AT_ONCE)
+            gap, nearest = _nearest(tree, self.places[own[some]], reach_m=reach_m, count=count)
+            other = above[np.minimum(nearest, len(above) - 1)]
+            gap = np.where(rank[self.owner[other]] > rank[self.owner[own[some]]][:, None], gap, np.inf)
+            column = np.argmin(gap, axis=1)[:, None]
+            smallest[some], there[some] = (np.take_along_axis(of, column, axis=1)[:, 0] for of in (gap, other))
+        best = _first_of_each(self.owner[own], smallest)
+        return np.stack([own[best], there[best]], axis=1)
 
     def touches_at_end(self, pairs: Int64[np.ndarray, "B 2"]) -> Bool[np.ndarray, " B"]:
         """Whether a part touches the other, and not with its middle, as branches that cross do."""
@@ -215,7 +221,16 @@ def _near(
     places: Float32[np.ndarray, "P 3"], points: Float32[np.ndarray, "M 3"], *, reach_m: float, count: int
 ) -> tuple[Float64[np.ndarray, "M count"], Int64[np.ndarray, "M count"]]:
     """Distance and row of the nearest places to each point, nearest first; infinite and P where there is none."""
-    tree = cKDTree(places, balanced_tree=False, compact_nodes=False)  # few queries: quick to build
+    return _nearest(_tree(places), points, reach_m=reach_m, count=count)
+
+
+def _tree(places: Float32[np.ndarray, "P 3"]) -> cKDTree:
+    return cKDTree(places, balanced_tree=False, compact_nodes=False)  # few queries: quick to build
+
+
+def _nearest(
+    tree: cKDTree, points: Float32[np.ndarray, "M 3"], *, reach_m: float, count: int
+) -> tuple[Float64[np.ndarray, "M count"], Int64[np.ndarray, "M count"]]:
     matches = tree.query(points, k=np.arange(1, count + 1), distance_upper_bound=reach_m, workers=num_cores())
     return np.asarray(matches[0]), np.asarray(matches[1])
 

@@ -75,6 +75,11 @@ def fit_surface(
 
     `average` is `surface_average` of the two, `smoothness` is λ.
     """
+    cluster = _clusters(mesh, grid, attachments.part) if mesh.num_vertices > MAX_NODES else None
+    if cluster is not None and cluster.max() >= MERGED * mesh.num_vertices and mesh.num_vertices <= max_factored:
+        cluster = None
+    if (mesh.num_vertices if cluster is None else cluster.max() + 1) > max_factored:
+        return None
     start, end = edges_of(mesh.faces).T
     ties = _edge_ties(mesh, start, end, grid.voxel_size_m)
     links = attachments.differences()
@@ -83,12 +88,9 @@ def fit_surface(
     weight = np.asarray(mean.sum(axis=1)).ravel()  # rows of a share are scaled, and so is what they should be
     values = scipy.sparse.csr_array((weight, rows, np.arange(len(rows) + 1)), shape=(len(rows), len(grid)))
     prolongation = None
-    cluster = _clusters(mesh, grid, attachments.part) if mesh.num_vertices > MAX_NODES else None
-    if cluster is not None and (cluster.max() < MERGED * mesh.num_vertices or mesh.num_vertices > max_factored):
+    if cluster is not None:
         prolongation = _prolongation(cluster, stiffness.tocsr())
         mean, stiffness = mean @ prolongation, prolongation.T @ stiffness @ prolongation
-    if mean.shape[1] > max_factored:
-        return None
     anchor = _ANCHOR * scipy.sparse.eye_array(mean.shape[1])
     system = (mean.T @ mean + smoothness * stiffness + anchor).tocsc()
     return SurfaceFit(pull=(mean.T @ values).tocsr(), factor=factored(system), prolongation=prolongation)
