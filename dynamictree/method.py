@@ -88,7 +88,8 @@ def generate(
 ) -> SparseVoxelSpectrum:
     """Generate the spectrum of a motion of these voxels. Paper section 3.4.
 
-    By default the period follows the tree's height: 4.17 s up to 7 m, 16.7 s from 22 m (a paper's model: 4.17 s).
+    By default the pace follows the tree's height: periods of 4.17 s up to 7 m and 16.7 s from 22 m, and trees below 8 m
+    are faster than the simulator's (a paper's model: 4.17 s, and no faster).
     With `wind_bands` the model is asked for five winds as well: how strong each mode is there.
     `on_step` gets the sampler steps done and their total; what it raises passes through.
     """
@@ -98,11 +99,12 @@ def generate(
 
     trained = motion_model(model)
     if period_s is None:
-        period_s = period_by_height(voxels) if trained.slower_when_tall else PERIOD_S
+        period_s = period_by_height(voxels) if trained.paced_by_height else PERIOD_S
 
     def in_wind(blowing: Wind, report: Callable[[int, int], None] | None) -> SparseVoxelSpectrum:
         of_one = partial(trained.generate, wind=blowing, num_steps=num_steps)
-        return generate_trees(in_period(of_one, period_s), voxels, seed=seed, on_step=report)
+        paced = in_period(of_one, period_s, quick_when_small=trained.paced_by_height)
+        return generate_trees(paced, voxels, seed=seed, on_step=report)
 
     own = wind or Wind()
     return replace(with_bands(in_wind, own, on_step) if wind_bands else in_wind(own, on_step), source=voxels.source)

@@ -12,9 +12,14 @@ from dynamictree.spectrum import FPS, NUM_FRAMES, SparseVoxelSpectrum
 from dynamictree.voxel.grid import VoxelGrid
 
 BARE_DAMPING_RATIO, LEAF_DAMPING_RATIO = 0.039, 0.13
-MEASURED_HEIGHTS_M = (4.0, 50.0)  # the fit is not extrapolated: a shrub of 1 m has the frequency of 4 m
+FITTED_HEIGHTS_M = (2.0, 50.0)
+"""Of the fit, which was measured from 4 m on. A plant of 1 m has the frequency of 2 m, 1.8 Hz: twice as much is above
+what 16 frequencies in 4.17 s can show."""
+SMALL_M = 8.0
+"""Below it the sway of trees in wind goes as 1 / H, through the measured median of 4 to 8 m (0.45 Hz)."""
+MAX_QUICKENING = 2.5
 LEAF_SLOWING = 0.85  # frequency in leaf over bare
-FLUTTER_ABOVE_HZ = 1.4  # leaves move here, stems of trees hardly
+FLUTTER_ABOVE_HZ = 1.4  # leaves move here, stems of trees hardly; times the quickening of a small tree
 FLUTTER_SHARE = (0.0035, 0.005)
 """Share of a voxel's energy above it, median over the half that moves most: bare trees of the dataset have at most the
 first, trees in leaf at least the second."""
@@ -31,8 +36,13 @@ _KEY_STRIDE = 1024
 
 def natural_frequency_hz(height_m: float, foliage: float) -> float:
     """Lowest natural frequency of a tree [Hz]; foliage is 0 for a bare tree and 1 for a tree in leaf."""
-    bounded = float(np.clip(height_m, *MEASURED_HEIGHTS_M))
+    bounded = float(np.clip(height_m, *FITTED_HEIGHTS_M))
     return float(3.69 * bounded**-1.02 * LEAF_SLOWING ** (foliage - 0.5))
+
+
+def quickening(height_m: float) -> float:
+    """How much faster a small tree sways than the simulator's 1 / √H says; 1 from `SMALL_M` on."""
+    return float(np.clip(np.sqrt(SMALL_M / max(height_m, 1e-3)), 1, MAX_QUICKENING))
 
 
 def natural_damping(foliage: float) -> float:
@@ -78,7 +88,9 @@ def _keys(coords: Int64[np.ndarray, "n 3"], *, origin: int = 1) -> Int64[np.ndar
 
 def _flutter(spectrum: SparseVoxelSpectrum) -> float:
     """From the share of the energy at high frequencies in the voxels that move."""
-    fast = spectrum.frequencies_hz > FLUTTER_ABOVE_HZ
+    grid = spectrum.grid
+    height_m = (int(np.ptp(grid.coords[:, 2])) + 1) * grid.voxel_size_m
+    fast = spectrum.frequencies_hz > FLUTTER_ABOVE_HZ * quickening(height_m)
     if not fast.any():
         return 1.0
     energy = (np.abs(spectrum.coefficients) ** 2).sum(axis=2)  # [V, K]

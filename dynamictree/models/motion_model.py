@@ -40,8 +40,8 @@ class MotionModel(ABC):
 
     name: str
     """File name of the weights without its suffix."""
-    slower_when_tall: bool
-    """Whether a spectrum's period is by default that of the tree's height; else 4.17 s."""
+    paced_by_height: bool
+    """Whether trees sway at the pace of their height: tall ones by default in longer periods, small ones quickened."""
 
     @property
     @abstractmethod

@@ -1,10 +1,13 @@
-"""Spectra of any period from a model of one: tall trees sway slowly, so their loop is longer.
+"""Spectra of any period from a model of one: tall trees sway slowly, so their loop is longer; small ones fast.
 
 In the simulator that the models learn from, the response of a stem at bin k depends on its slenderness and on k / (f P)
 alone, f its natural frequency and P the period. So a tree of height H moves with the period λP as the same tree of the
 height h with f(h) = λ f(H) does with P, enlarged H / h times: the model is asked for that smaller tree. What is faster
 than its K bins is flutter, of leaves that do not grow with the tree: the model is asked for the tree itself, and for
 these bins alone.
+
+A small tree is faster than the simulator's, by a factor that its height gives (`modal.real_trees.quickening`). As the
+response depends on k / (f P) alone, its bins are the model's at so many times the frequency.
 
 Where a bin of the model is wider than one of the spectrum, it becomes several of the same power together, each with a
 phase of its own, so that flutter does not repeat within the loop.
@@ -17,7 +20,7 @@ import numpy as np
 from jaxtyping import Complex64
 
 from dynamictree.dataset.oscillator import FREQUENCY_AT_1M_HZ, TALL_EXPONENT, TALL_M
-from dynamictree.modal.real_trees import loop_times
+from dynamictree.modal.real_trees import loop_times, quickening
 from dynamictree.models.motion_model import OnStep
 from dynamictree.models.several_trees import share_of_steps
 from dynamictree.spectrum import FPS, NUM_FRAMES, NUM_FREQUENCIES, SparseVoxelSpectrum, mode_sizes
@@ -26,9 +29,11 @@ from dynamictree.voxel.voxelize import SurfaceVoxels
 PERIOD_S = NUM_FRAMES / FPS
 """Of the motions that models learn from: 4.17 s."""
 MAX_FREQUENCIES = 48
-"""K of the longest periods: three times the memory and files of K = 16, and flutter up to 2.8 Hz at 16.7 s."""
+"""K of the longest periods: three times the memory and files of K = 16, and flutter up to 2.8 Hz at 16.7 s. A small
+tree has as many more as it is faster."""
 MAX_VALUES = 38_400_000
 """Voxels times frequencies, above which flutter is left out: 0.9 GB."""
+VOXELS_AT_ONCE = 65_536
 
 Generate = Callable[..., SparseVoxelSpectrum]
 """`MotionModel.generate` with wind and number of steps: takes voxels, seed, lowest_bin and on_step."""
@@ -40,19 +45,23 @@ def period_by_height(voxels: SurfaceVoxels) -> float:
     return PERIOD_S * max(loop_times(_height_m(voxels, numbers == number)) for number in np.unique(numbers))
 
 
-def in_period(generate: Generate, period_s: float) -> Generate:
-    """Generate spectra of this period, rounded to whole frames, of one tree each. 4.17 s are what the model gives."""
+def in_period(generate: Generate, period_s: float, *, quick_when_small: bool = True) -> Generate:
+    """Generate spectra of this period, rounded to whole frames, of one tree each.
+
+    In 4.17 s, trees that are not small move as the model says; `quick_when_small` is whether small ones are quickened.
+    """
     num_frames = round(period_s * FPS)
-    if num_frames == NUM_FRAMES:
-        return generate
 
     def generate_in_period(voxels: SurfaceVoxels, *, seed: int, on_step: OnStep | None = None) -> SparseVoxelSpectrum:
         longer, height_m = num_frames / NUM_FRAMES, _height_m(voxels)
+        quicker = quickening(height_m) if quick_when_small else 1.0
+        if longer == quicker == 1:
+            return generate(voxels, seed=seed, on_step=on_step)
         times = min(max(longer, 1.0), float(loop_times(height_m)))
         rng = np.random.default_rng(seed)
-        highest = min(MAX_FREQUENCIES, max(MAX_VALUES // len(voxels.grid), NUM_FREQUENCIES)) - 1
-        flutter_bins = spread_bins(longer, highest, rng)
-        enlarged = _enlargement(height_m, times)
+        highest = min(round(MAX_FREQUENCIES * quicker), max(MAX_VALUES // len(voxels.grid), NUM_FREQUENCIES)) - 1
+        flutter_bins = spread_bins(longer, highest, rng, quicker=quicker)
+        enlarged = _enlargement(height_m, times * quicker)
         sway_bins = enlarged * spread_bins(longer / times, highest, rng)
         own = flutter_bins[len(sway_bins) if times > 1 else 0 :].any(axis=0)
         lowest = max(int(own.argmax()), 1) if own.any() else NUM_FREQUENCIES
@@ -69,20 +78,24 @@ def in_period(generate: Generate, period_s: float) -> Generate:
     return generate_in_period
 
 
-def spread_bins(longer: float, highest: int, rng: np.random.Generator) -> Complex64[np.ndarray, "K J"]:
+def spread_bins(
+    longer: float, highest: int, rng: np.random.Generator, *, quicker: float = 1.0
+) -> Complex64[np.ndarray, "K J"]:
     """Matrix from the bins of one period to those of one `longer` times as long, up to bin `highest`; keeps the power.
 
-    A bin goes to the nearest frequencies; several that come from one, or make one, get phases of their own.
+    A bin goes to the nearest frequencies; several that come from one, or make one, get phases of their own. Of motion
+    that is `quicker`, what would be faster than the model's last frequency is left out.
     """
-    if longer == 1:
+    if longer == quicker == 1:
         return np.eye(NUM_FREQUENCIES, dtype=np.complex64)
-    last = NUM_FREQUENCIES - 1
-    if longer > 1:
-        target = np.arange(1, min(int(np.ceil((last + 0.5) * longer)) - 1, highest) + 1)
-        source = np.rint(target / longer).astype(np.int64)
+    last, scale = NUM_FREQUENCIES - 1, longer * quicker
+    top = min(max(int(np.ceil((last + 0.5) * longer)) - 1, 1), highest)
+    if scale > 1:
+        target = np.arange(1, top + 1)
+        source = np.rint(target / scale).astype(np.int64)
     else:
         source = np.arange(1, NUM_FREQUENCIES)
-        target = np.maximum(np.rint(source * longer).astype(np.int64), 1)
+        target = np.maximum(np.rint(source * scale).astype(np.int64), 1)
     target, source = target[source > 0], source[source > 0]
     phase = rng.uniform(0, 2 * np.pi, len(source))
     matrix = np.zeros((target.max() + 1, NUM_FREQUENCIES), np.complex64)
@@ -92,9 +105,18 @@ def spread_bins(longer: float, highest: int, rng: np.random.Generator) -> Comple
 
 
 def _mixed(spectrum: SparseVoxelSpectrum, matrix: Complex64[np.ndarray, "K J"]) -> Complex64[np.ndarray, "V K 3"]:
-    """Product of each voxel's spectrum with the matrix; sums of bins get the power of their parts."""
-    mixed = np.ascontiguousarray(np.einsum("vjc,kj->vkc", spectrum.coefficients, matrix, optimize=True))
-    parts = mode_sizes(spectrum.coefficients) ** 2 @ (np.abs(matrix) ** 2).T
+    """Product of each voxel's spectrum with the matrix; sums of bins get the power of their parts.
+
+    A square matrix overwrites the spectrum, which may be large.
+    """
+    own: Complex64[np.ndarray, "V J 3"] = spectrum.coefficients
+    parts = mode_sizes(own) ** 2 @ (np.abs(matrix) ** 2).T
+    mixed: Complex64[np.ndarray, "V K 3"] = (
+        own if len(matrix) == own.shape[1] else np.empty((len(own), len(matrix), 3), np.complex64)
+    )
+    for start in range(0, len(own), VOXELS_AT_ONCE):
+        some = slice(start, start + VOXELS_AT_ONCE)
+        mixed[some] = np.einsum("vjc,kj->vkc", own[some], matrix, optimize=True)
     power = mode_sizes(mixed) ** 2
     scale = np.sqrt(np.divide(parts, power, out=np.ones_like(parts), where=power > 0))
     mixed *= scale[:, None].astype(np.float32)

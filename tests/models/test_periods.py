@@ -8,8 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dynamictree import method
-from dynamictree.dataset.oscillator import answer, damping_ratio, gusts_of, stem_bin
-from dynamictree.modal.real_trees import LEAST_BINS, loop_period_s, natural_frequency_hz
+from dynamictree.dataset.oscillator import FREQUENCY_AT_1M_HZ, answer, damping_ratio, gusts_of, stem_bin
+from dynamictree.evaluation.laws import frequency_band
+from dynamictree.modal.real_trees import LEAST_BINS, loop_period_s, natural_frequency_hz, quickening
 from dynamictree.models.motion_model import OnStep
 from dynamictree.models.periods import PERIOD_S, in_period, period_by_height, spread_bins
 from dynamictree.models.several_trees import generate_trees
@@ -62,8 +63,10 @@ def test_the_motion_is_that_of_the_simulator_with_the_longer_period(height_m: fl
     np.testing.assert_allclose(moved / moved.max(), truth / truth.max(), rtol=1e-4)
 
 
-def test_the_period_of_the_model_gives_what_the_model_gives() -> None:
-    assert in_period(of_simulator, PERIOD_S) is of_simulator
+@pytest.mark.parametrize(("height_m", "quick_when_small"), [(9.0, True), (3.0, False)])
+def test_the_period_of_the_model_gives_what_the_model_gives(height_m: float, quick_when_small: bool) -> None:
+    spectrum = in_period(of_simulator, PERIOD_S, quick_when_small=quick_when_small)(rod(height_m), seed=0)
+    np.testing.assert_array_equal(spectrum.coefficients, of_simulator(rod(height_m), seed=0).coefficients)
     assert pytest.approx(PERIOD_S) == PAPER_PERIOD_S
 
 
@@ -85,12 +88,41 @@ def test_bins_keep_their_power(longer: float, seed: int) -> None:
 
 
 @pytest.mark.parametrize("period_s", [2.0, 3.0, 6.25, 30.0])
-def test_a_small_tree_in_any_period_keeps_its_size_and_its_frequency(period_s: float) -> None:
-    as_it_is, spectrum = (in_period(of_simulator, period)(rod(3.0), seed=0) for period in (PERIOD_S, period_s))
+def test_a_tree_in_any_period_keeps_its_size_and_its_frequency(period_s: float) -> None:
+    as_it_is, spectrum = (
+        in_period(of_simulator, period, quick_when_small=False)(rod(3.0), seed=0) for period in (PERIOD_S, period_s)
+    )
     assert spectrum.period_s == pytest.approx(period_s, abs=0.5 / 24)
     size, frequency = zip(*(moments(one) for one in (as_it_is, spectrum)), strict=True)
     assert size[1] == pytest.approx(size[0], rel=1e-3)
     assert frequency[1] == pytest.approx(frequency[0], abs=0.25 / period_s)  # of a bin's width
+
+
+@pytest.mark.parametrize("period_s", [2.0, 3.0, PERIOD_S, 6.25, 30.0])
+@pytest.mark.parametrize("height_m", [1.0, 2.0, 3.0, 5.0, 6.9])
+def test_a_small_tree_is_faster_by_what_its_height_gives(height_m: float, period_s: float) -> None:
+    size, frequency = zip(
+        *(
+            moments(in_period(of_simulator, period, quick_when_small=quick)(rod(height_m), seed=0))
+            for period, quick in ((PERIOD_S, False), (period_s, True))
+        ),
+        strict=True,
+    )
+    bin_width = max(1 / period_s, quickening(height_m) / PERIOD_S)  # of the spectrum, or of the model, quickened
+    assert frequency[1] == pytest.approx(quickening(height_m) * frequency[0], abs=bin_width / 2)
+    assert size[1] == pytest.approx(size[0], rel=0.02)  # less what is too fast for the bins
+
+
+@given(st.floats(0.3, 7.9), st.floats(1.01, 1.5))
+def test_the_smaller_of_two_trees_is_faster(height_m: float, taller: float) -> None:
+    paces = [quickening(height) / np.sqrt(height) for height in (height_m, height_m * taller)]
+    assert paces[0] > paces[1]
+
+
+def test_trees_of_four_to_eight_metres_sway_inside_the_measured_band() -> None:
+    for height_m in np.linspace(4, 8, 9):
+        low, high = frequency_band(min(float(height_m), 7.99)) or (0.0, 0.0)
+        assert low < FREQUENCY_AT_1M_HZ / np.sqrt(height_m) * quickening(float(height_m)) < high
 
 
 def moments(spectrum: SparseVoxelSpectrum) -> tuple[float, float]:

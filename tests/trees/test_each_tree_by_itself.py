@@ -48,9 +48,7 @@ def test_a_tree_moves_as_it_does_alone_and_its_foot_stays(pair: TriangleMesh) ->
     spectrum = method.generate(voxels, wind=Wind(), seed=3, num_steps=1)
     for number in (0, 1):
         rows = np.flatnonzero(voxels.tree == number)
-        alone = method.motion_model("small").generate(
-            tree_voxels(voxels, rows), wind=Wind(), seed=3 + number, num_steps=1
-        )
+        alone = method.generate(tree_voxels(voxels, rows), wind=Wind(), seed=3 + number, num_steps=1)
         assert (spectrum.coefficients[rows] == alone.coefficients).all()
     motion = np.abs(method.devoxelize(spectrum, pair)).max(axis=(1, 2))
     for number, height_m in ((0, 6.0), (1, 5.0)):

@@ -39,7 +39,7 @@ MAX_VOXELS = 150_000  # of the spectrum's grid
 class PaperModel(MotionModel):
     """The paper's network with its sampler, on the GPU where there is one."""
 
-    slower_when_tall = False  # the paper has one period
+    paced_by_height = False  # the paper has one period
 
     def __init__(self, network: PaperNetwork, *, name: str) -> None:
         self.network = network.eval().requires_grad_(False).to("cuda" if torch.cuda.is_available() else "cpu")

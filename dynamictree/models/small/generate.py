@@ -31,7 +31,7 @@ MAX_VOXELS = 2_400_000
 class SmallModel(MotionModel):
     """Amplitudes by regression, phases by diffusion."""
 
-    slower_when_tall = True
+    paced_by_height = True
 
     def __init__(self, network: SmallNetwork, *, name: str, max_network_voxels: int = MAX_NETWORK_VOXELS) -> None:
         self.network, self.name = network.eval().requires_grad_(False), name
