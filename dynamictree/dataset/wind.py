@@ -87,16 +87,33 @@ def sway(
     times: int = 1,
 ) -> Sway:
     """Move a tree in the wind for `num_frames` frames at 24 fps; a loop has `times` T of them."""
+    return sway_stems(
+        tree.stems, wind, rng, leaves=tree.leaves, bare=tree.bare, num_frames=num_frames, loop=loop, times=times
+    )
+
+
+def sway_stems(
+    levels: tuple[Stems, ...],
+    wind: Wind,
+    rng: np.random.Generator,
+    *,
+    bare: bool,
+    leaves: tuple[Leaves, ...] = (),
+    num_frames: int = NUM_FRAMES,
+    loop: bool = True,
+    times: int = 1,
+) -> Sway:
+    """Move stems, level after level, and the leaves on them. Nodes are the stems' own rings, then the leaves."""
     gusts = gusts_of(wind, rng, loop=loop, times=times)
     ticks = clock(gusts, num_frames)
-    levels: list[_Moving] = []
+    moving: list[_Moving] = []
     motions = []
     with single_thread():
-        for stems in tree.stems:
-            levels.append(_move(stems, levels[-1] if levels else None, gusts, ticks, rng, bare=tree.bare))
-            motions.append(_ring_motion(stems, levels[-1]))
-        for leaves in tree.leaves:
-            motions.append(_flutter(leaves, levels[leaves.level], gusts, ticks, rng))
+        for stems in levels:
+            moving.append(_move(stems, moving[-1] if moving else None, gusts, ticks, rng, bare=bare))
+            motions.append(_ring_motion(stems, moving[-1]))
+        for bunch in leaves:
+            motions.append(_flutter(bunch, moving[bunch.level], gusts, ticks, rng))
     return Sway(
         shift=np.concatenate([motion.shift for motion in motions], axis=1),
         turn=np.concatenate([motion.turn for motion in motions], axis=1),

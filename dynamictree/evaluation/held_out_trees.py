@@ -12,6 +12,7 @@ from dynamictree.dataset.motion import vertex_spectrum
 from dynamictree.dataset.sapling import grow_tree
 from dynamictree.dataset.species import SPECIES
 from dynamictree.dataset.wind import sway
+from dynamictree.evaluation.foreign_skeleton import simulated
 from dynamictree.evaluation.procedural_wind import WIND_BLOWS_TO_DEG, Bones, bones_of, sway_as_sapling
 from dynamictree.evaluation.sapling_file import read_sapling
 from dynamictree.mesh import TriangleMesh
@@ -37,6 +38,7 @@ class HeldOutTree:
     voxels: SurfaceVoxels
     truth: Complex64[np.ndarray, "N K 3"]  # [m]
     second: Complex64[np.ndarray, "N K 3"]
+    taught: Complex64[np.ndarray, "N K 3"] | None = None  # by the training data's wind, where the truth is another's
     bones: Bones
     bone: Int32[np.ndarray, " N"]  # that a vertex goes with
 
@@ -53,6 +55,7 @@ def iter_sapling(files: Sequence[Path], *, resolution: int = 128) -> Iterator[He
             voxels=voxelize(tree.mesh, resolution),
             truth=from_motion(tree.displacement),
             second=from_motion(again.displacement(tree.mesh.vertices, tree.bone)),
+            taught=simulated(tree.bones, tree.mesh.vertices, tree.bone, SAPLING_WIND, number),
             bones=tree.bones,
             bone=tree.bone,
         )

@@ -57,6 +57,8 @@ def iter_motions(
     - nearest tree: the motion of the training tree of the most similar shape
     - representation: the true motion, voxelized and back
     - second wind: the true motion of the same tree in other gusts, which is what chance makes
+    - 4dtree wind: that of the training data on the skeleton of a tree whose truth another simulator made; what a model
+      learned from it can know at best
     """
     tree, model = reference.tree, methods.model
     rng = np.random.default_rng([seed, 1])
@@ -70,6 +72,8 @@ def iter_motions(
     yield "nearest tree", interpolation.apply(nearest_tree(tree.voxels, tree.wind, methods.training_trees))
     yield "representation", interpolation.apply(reference.on_voxels(tree.truth))
     yield "second wind", tree.second
+    if tree.taught is not None:
+        yield "4dtree wind", tree.taught
 
 
 def generate_for(
