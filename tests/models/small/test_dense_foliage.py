@@ -1,7 +1,9 @@
 """Dense foliage is served: generated on a grid that the network can read, and raised to the one that was asked for."""
 
 import io
-import resource
+import re
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -72,6 +74,12 @@ def test_a_mesh_too_large_for_a_fit_moves_by_the_means_of_its_voxels() -> None:
 
 @pytest.mark.slow
 def test_a_million_voxels_are_served_in_bounded_memory() -> None:
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as alone:
+        assert alone.submit(peak_of_a_million_voxels).result() < MAX_BYTES
+
+
+def peak_of_a_million_voxels() -> int:
+    """Bytes that this process has had at most, once it moved a mesh of so many voxels."""
     mesh = bush(110_000, card_m=0.15)
     voxels = method.voxelize(mesh)
     assert 900_000 < len(voxels.grid) < 1_400_000
@@ -81,4 +89,6 @@ def test_a_million_voxels_are_served_in_bounded_memory() -> None:
     assert 0.01 < rms_m(spectrum) < 1.0
     motion = method.devoxelize(spectrum, mesh)
     assert np.abs(motion).max() <= 1.5 * np.abs(spectrum.coefficients).max()
-    assert 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss < MAX_BYTES
+    peak = re.search(r"VmHWM:\s+(\d+) kB", Path("/proc/self/status").read_text())
+    assert peak is not None
+    return 1024 * int(peak[1])
