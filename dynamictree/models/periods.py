@@ -7,7 +7,8 @@ than its K bins is flutter, of leaves that do not grow with the tree: the model 
 these bins alone.
 
 A small tree is faster than the simulator's, by a factor that its height gives (`modal.real_trees.quickening`). As the
-response depends on k / (f P) alone, its bins are the model's at so many times the frequency.
+response depends on k / (f P) alone, its bins are the model's at so many times the frequency. For one smaller than what
+the model learned from, the model is asked for the same tree enlarged, which is slower, and the motion is made smaller.
 
 Where a bin of the model is wider than one of the spectrum, it becomes several of the same power together, each with a
 phase of its own, so that flutter does not repeat within the loop.
@@ -33,6 +34,8 @@ MAX_FREQUENCIES = 48
 tree has as many more as it is faster."""
 MAX_VALUES = 38_400_000
 """Voxels times frequencies, above which flutter is left out: 0.9 GB."""
+LEARNED_FROM_M = 2.0
+"""Height below which the data has two species only."""
 VOXELS_AT_ONCE = 65_536
 
 Generate = Callable[..., SparseVoxelSpectrum]
@@ -60,20 +63,20 @@ def in_period(generate: Generate, period_s: float, *, quick_when_small: bool = T
         times = min(max(longer, 1.0), float(loop_times(height_m)))
         rng = np.random.default_rng(seed)
         highest = min(round(MAX_FREQUENCIES * quicker), max(MAX_VALUES // len(voxels.grid), NUM_FREQUENCIES)) - 1
-        flutter_bins = spread_bins(longer, highest, rng, quicker=quicker)
+        magnified = max(LEARNED_FROM_M / height_m, 1.0) if quick_when_small else 1.0
+        flutter_bins = spread_bins(longer, highest, rng, quicker=quicker * np.sqrt(magnified)) / magnified
         enlarged = _enlargement(height_m, times * quicker)
         sway_bins = enlarged * spread_bins(longer / times, highest, rng)
         own = flutter_bins[len(sway_bins) if times > 1 else 0 :].any(axis=0)
         lowest = max(int(own.argmax()), 1) if own.any() else NUM_FREQUENCIES
-        flutter = generate(
-            voxels, seed=seed, lowest_bin=lowest, on_step=share_of_steps(on_step, 0, 2 if times > 1 else 1)
-        )
+        steps = share_of_steps(on_step, 0, 2 if times > 1 else 1)
+        flutter = generate(_shrunk(voxels, 1 / magnified), seed=seed, lowest_bin=lowest, on_step=steps)
         coefficients = _mixed(flutter, flutter_bins)
         if times > 1:
             sway = generate(_shrunk(voxels, enlarged), seed=seed, on_step=share_of_steps(on_step, 1, 2))
             slow = _mixed(sway, sway_bins)
             coefficients[:, : slow.shape[1]] = slow
-        return replace(flutter, coefficients=coefficients, num_frames=num_frames)
+        return replace(flutter, grid=voxels.grid, coefficients=coefficients, num_frames=num_frames)
 
     return generate_in_period
 
@@ -84,7 +87,8 @@ def spread_bins(
     """Matrix from the bins of one period to those of one `longer` times as long, up to bin `highest`; keeps the power.
 
     A bin goes to the nearest frequencies; several that come from one, or make one, get phases of their own. Of motion
-    that is `quicker`, what would be faster than the model's last frequency is left out.
+    that is `quicker`, what would be faster than the last frequency is left out, and the slowest bin also makes what is
+    slower: so far below its own frequency a tree follows the gusts.
     """
     if longer == quicker == 1:
         return np.eye(NUM_FREQUENCIES, dtype=np.complex64)
@@ -92,7 +96,7 @@ def spread_bins(
     top = min(max(int(np.ceil((last + 0.5) * longer)) - 1, 1), highest)
     if scale > 1:
         target = np.arange(1, top + 1)
-        source = np.rint(target / scale).astype(np.int64)
+        source = np.maximum(np.rint(target / scale).astype(np.int64), int(quicker > 1))
     else:
         source = np.arange(1, NUM_FREQUENCIES)
         target = np.maximum(np.rint(source * scale).astype(np.int64), 1)
