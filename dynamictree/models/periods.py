@@ -76,7 +76,8 @@ def in_period(generate: Generate, period_s: float, *, quick_when_small: bool = T
             sway = generate(_shrunk(voxels, enlarged), seed=seed, on_step=share_of_steps(on_step, 1, 2))
             slow = _mixed(sway, sway_bins)
             coefficients[:, : slow.shape[1]] = slow
-        return replace(flutter, grid=voxels.grid, coefficients=coefficients, num_frames=num_frames)
+        grid = flutter.grid if magnified == 1 else voxels.grid
+        return replace(flutter, grid=grid, coefficients=coefficients, num_frames=num_frames)
 
     return generate_in_period
 

@@ -1,5 +1,6 @@
 """Law: a tree sways as slowly as its height wants, whatever the period that the model learned from."""
 
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -128,6 +129,17 @@ def test_a_tree_too_small_for_the_model_moves_as_a_larger_one_made_smaller(heigh
     sizes = [np.sqrt(moments(one)[0]) / height_m for one in (of_simulator(rod(height_m), seed=0), spectrum)]
     assert sizes[1] == pytest.approx(sizes[0], rel=0.3)  # less what is too fast for the bins
     assert (np.abs(spectrum.coefficients[-1, 1:, 0]) > 0).all()
+
+
+def test_the_grid_is_the_model_s() -> None:
+    """A paper's model answers on its own grid, which may be coarser than that of the request."""
+    coarse = rod(3.0)
+    fine = SurfaceVoxels(
+        grid=replace(coarse.grid, voxel_size_m=coarse.grid.voxel_size_m / 2, resolution=2 * SIDE),
+        normals=coarse.normals,
+    )
+    paced = in_period(lambda voxels, **how: of_simulator(coarse, **how), 6.25, quick_when_small=False)
+    assert paced(fine, seed=0).grid is coarse.grid
 
 
 @given(st.floats(0.3, 7.9), st.floats(1.01, 1.5))
