@@ -1,4 +1,4 @@
-"""The wind of the training data on a skeleton that our generator did not grow: what a model of it can know at best."""
+"""The wind of the training data on a skeleton that our generator did not grow: what a model learned of it should do."""
 
 import numpy as np
 from jaxtyping import Complex64, Float32, Int32, Int64

@@ -57,8 +57,8 @@ def iter_motions(
     - nearest tree: the motion of the training tree of the most similar shape
     - representation: the true motion, voxelized and back
     - second wind: the true motion of the same tree in other gusts, which is what chance makes
-    - 4dtree wind: that of the training data on the skeleton of a tree whose truth another simulator made; what a model
-      learned from it can know at best
+    - 4dtree wind: that of the training data, on the skeleton of a tree whose truth another simulator made: what a model
+      that learned from it should do
     """
     tree, model = reference.tree, methods.model
     rng = np.random.default_rng([seed, 1])

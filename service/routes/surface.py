@@ -162,10 +162,8 @@ def nearest_voxels(
     far, rows = np.zeros((mesh.num_vertices, TIES)), np.zeros((mesh.num_vertices, TIES), np.int64)
     for vertices, own in every:
         distance, index = cKDTree(grid.centres_m[own]).query(mesh.vertices[vertices], k=np.arange(1, TIES + 1))
-        far[vertices], rows[vertices] = (
-            distance,
-            own[np.minimum(index, len(own) - 1)],
-        )  # where there are fewer: infinity
+        far[vertices] = distance  # infinite where there are fewer
+        rows[vertices] = own[np.minimum(index, len(own) - 1)]
     return far, rows
 
 

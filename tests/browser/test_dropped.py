@@ -159,18 +159,23 @@ PERSON_PX = """() => {
 }"""
 
 
+def dropped(viewer: Viewer, url: str, file: Path, *, note: str) -> Viewer:
+    """A file whose upload never ends stands beside its person, once the note of its height says so."""
+    viewer.page.route("**/v1/assets", lambda route: None)
+    viewer.open(url)
+    viewer.page.evaluate(WATCH_PERSON)
+    viewer.page.set_input_files("#files", str(file))
+    expect(viewer.page.locator("#height-note")).to_contain_text(note)
+    viewer.picture()
+    return viewer
+
+
 @pytest.mark.parametrize(("width", "height"), [(390, 760), (1100, 720)])
 def test_the_whole_person_is_seen_beside_a_wide_tree(
     view: Open, url: str, samples: Path, width: int, height: int
 ) -> None:
-    viewer = view(width, height)
-    viewer.page.route("**/v1/assets", lambda route: None)  # it waits for ever
-    viewer.open(url)
-    viewer.page.evaluate(WATCH_PERSON)
-    viewer.page.set_input_files("#files", str(samples / "mesh/tree-lime.glb"))
-    expect(viewer.page.locator("#height-note")).to_contain_text("the person is")
+    viewer = dropped(view(width, height), url, samples / "mesh/tree-lime.glb", note="the person is")
     left, right = viewer.page.evaluate(PERSON_PX)
-    viewer.picture()
     assert 0.5 * width < left < right < width
 
 
@@ -187,14 +192,8 @@ def test_the_whole_person_is_seen_beside_a_plant_of_one_metre(
     mesh = make_sample(3, "sapling").mesh
     with (tmp_path / "small.glb").open("wb") as stream:
         write_glb(mesh.with_vertices(mesh.vertices / mesh.height_m), stream)
-    viewer = view(width, height)
-    viewer.page.route("**/v1/assets", lambda route: None)  # it waits for ever
-    viewer.open(url)
-    viewer.page.evaluate(WATCH_PERSON)
-    viewer.page.set_input_files("#files", str(tmp_path / "small.glb"))
-    expect(viewer.page.locator("#height-note")).to_contain_text("1.0 m high")
+    viewer = dropped(view(width, height), url, tmp_path / "small.glb", note="1.0 m high")
     left, right = viewer.page.evaluate(PERSON_PX)
-    viewer.picture()
     assert 0 < left < right < width
     assert 0 < viewer.page.evaluate(TOP_PX) < height
 
