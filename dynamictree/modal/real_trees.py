@@ -88,9 +88,7 @@ def _keys(coords: Int64[np.ndarray, "n 3"], *, origin: int = 1) -> Int64[np.ndar
 
 def _flutter(spectrum: SparseVoxelSpectrum) -> float:
     """From the share of the energy at high frequencies in the voxels that move."""
-    grid = spectrum.grid
-    height_m = (int(np.ptp(grid.coords[:, 2])) + 1) * grid.voxel_size_m
-    fast = spectrum.frequencies_hz > FLUTTER_ABOVE_HZ * quickening(height_m)
+    fast = spectrum.frequencies_hz > FLUTTER_ABOVE_HZ * quickening(spectrum.grid.height_m)
     if not fast.any():
         return 1.0
     energy = (np.abs(spectrum.coefficients) ** 2).sum(axis=2)  # [V, K]

@@ -83,7 +83,7 @@ def modal_system(
     sway = float((np.abs(shapes) ** 2).sum(dtype=np.float64)) / (2 * len(shapes))
     if sway == 0:
         raise InputError("every coefficient above bin 0 is zero; a spectrum that does not move has no modes")
-    height = (int(np.ptp(spectrum.grid.coords[:, 2])) + 1) * spectrum.grid.voxel_size_m
+    height = spectrum.grid.height_m
     foliage = foliage_of(spectrum)
     return ModalSystem(
         grid=spectrum.grid,

@@ -98,7 +98,7 @@ def turbulent_wind(spectrum: SparseVoxelSpectrum, *, seed: int = 0, wind: Wind |
     """
     rng = np.random.default_rng(seed)
     wind = wind or spectrum.wind or Wind()
-    height = (int(np.ptp(spectrum.grid.coords[:, 2])) + 1) * spectrum.grid.voxel_size_m
+    height = spectrum.grid.height_m
     foliage = foliage_of(spectrum)
     damping, natural = natural_damping(foliage), natural_frequency_hz(height, foliage)
     fastest_gust_hz = 0.5 / spectrum.period_s  # what is faster is in the spectrum

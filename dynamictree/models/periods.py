@@ -18,7 +18,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Complex64
+from jaxtyping import Bool, Complex64
 
 from dynamictree.dataset.oscillator import FREQUENCY_AT_1M_HZ, TALL_EXPONENT, TALL_M
 from dynamictree.modal.real_trees import loop_times, quickening
@@ -56,7 +56,7 @@ def in_period(generate: Generate, period_s: float, *, quick_when_small: bool = T
     num_frames = round(period_s * FPS)
 
     def generate_in_period(voxels: SurfaceVoxels, *, seed: int, on_step: OnStep | None = None) -> SparseVoxelSpectrum:
-        longer, height_m = num_frames / NUM_FRAMES, _height_m(voxels)
+        longer, height_m = num_frames / NUM_FRAMES, voxels.grid.height_m
         quicker = quickening(height_m) if quick_when_small else 1.0
         if longer == quicker == 1:
             return generate(voxels, seed=seed, on_step=on_step)
@@ -134,7 +134,7 @@ def _enlargement(height_m: float, times: float) -> float:
     return float(max(height_m * (times * frequency_hz / FREQUENCY_AT_1M_HZ) ** 2, 1.0))
 
 
-def _height_m(voxels: SurfaceVoxels, rows: np.ndarray | slice = slice(None)) -> float:
+def _height_m(voxels: SurfaceVoxels, rows: Bool[np.ndarray, " V"]) -> float:
     return (int(np.ptp(voxels.grid.coords[rows, 2])) + 1) * voxels.grid.voxel_size_m
 
 

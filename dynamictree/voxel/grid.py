@@ -61,6 +61,11 @@ class VoxelGrid:
         """Voxel centres [m]."""
         return (np.asarray(self.origin_m) + (self.coords + 0.5) * self.voxel_size_m).astype(np.float32)
 
+    @property
+    def height_m(self) -> float:
+        """From the bottom of the lowest voxel to the top of the highest [m]."""
+        return (int(np.ptp(self.coords[:, 2])) + 1) * self.voxel_size_m
+
     def coords_of(self, points: Float32[np.ndarray, "N 3"]) -> Int32[np.ndarray, "N 3"]:
         """Index of the voxel that each point lies in, occupied or not; may be outside of the cube."""
         coords: Int32[np.ndarray, "N 3"] = np.floor((points - np.asarray(self.origin_m)) / self.voxel_size_m).astype(

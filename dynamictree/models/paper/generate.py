@@ -80,7 +80,7 @@ class PaperModel(MotionModel):
         # frequency first, so that the noise of a bin does not depend on the others
         start = torch.randn(len(bins), count, CHANNELS, generator=sampling.generator).transpose(0, 1)
         unit = _complex_rows(self._sample(inputs, bins, start, sampling))
-        height_m = (int(np.ptp(fine.grid.coords[:, 2])) + 1) * fine.grid.voxel_size_m
+        height_m = fine.grid.height_m
         sizes = self.network.frequency_sizes.cpu().numpy() * wind_sizes(wind, preset.num_frequencies) * height_m
         coefficients = (unit * sizes[:, None]) @ wind_axes(wind)
         coefficients[:, 0].imag = 0

@@ -60,8 +60,7 @@ def tree_features(voxels: SurfaceVoxels) -> TreeFeatures:
     grids = pyramid(torch.from_numpy(grid.coords.astype(np.int64)), NUM_LEVELS)
     graph = _graph(grid, grids.levels[0])
     skeleton = skeleton_of(grid, graph)
-    extent = int(np.ptp(grid.coords[:, 2])) + 1
-    height_m = extent * grid.voxel_size_m
+    height_m = grid.height_m
     chain = _chain(grid, skeleton)
     chain_scalars, chain_vectors = _along_chain(grid, skeleton, chain, height_m)
     scalars = np.concatenate([_scalars(grid, skeleton, height_m), _crowding(grids), chain_scalars], axis=1)
