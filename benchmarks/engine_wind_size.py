@@ -46,10 +46,10 @@ def _compared(mesh: TriangleMesh) -> dict[str, float]:
         megabytes = path.stat().st_size / 1e6
         with zipfile.ZipFile(path) as archive:
             engine = read_engine_wind(archive)
-    coefficients, pose = vertex_motion(mesh, spectrum, every_frame=True, on_progress=lambda done: None)
+    vertices, pose = vertex_motion(mesh, spectrum, every_frame=True, on_progress=lambda done: None)
     own = turbulent_wind(spectrum, seed=spectrum.seed)
     storm = replace(own, wind=replace(own.wind, speed_m_s=STORM_M_S))
-    summed = iter_turbulent_motion(coefficients, storm, SECONDS, spectrum.num_frames)
+    summed = iter_turbulent_motion(vertices.coefficients, storm, SECONDS, spectrum.num_frames)
     shipped = (engine.displacement(seconds, STORM_M_S) for seconds in SECONDS.tolist())
     skeleton = turn_skeleton(mesh, spectrum.grid)
     sizes = Sizes.of(mesh, skeleton.in_card)
@@ -57,7 +57,7 @@ def _compared(mesh: TriangleMesh) -> dict[str, float]:
     for suffix, motion in (("", shipped), ("_summed", summed)):
         row["edges_percent" + suffix], row["cards_percent" + suffix] = sizes.growth_percent(motion)
     phases = np.arange(LOOP_FRAMES) / LOOP_FRAMES
-    linear = iter_motion(coefficients, phases, spectrum.num_frames)
+    linear = iter_motion(vertices.coefficients, phases, spectrum.num_frames)
     error = power = 0.0
     assert pose is not None
     for phase, frame in zip(phases.tolist(), pose.iter_poses(linear), strict=True):

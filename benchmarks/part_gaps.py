@@ -62,11 +62,11 @@ def _trees() -> Iterator[tuple[str, TriangleMesh]]:
 def gap_growth(mesh: TriangleMesh) -> dict[str, float]:
     """Growth of the gaps of a mesh's parts, largest over the loop, relative to the height."""
     spectrum = generate(voxelize(mesh), wind=Wind())
-    coefficients, _ = vertex_motion(mesh, spectrum, on_progress=lambda share: None)
+    motion_of_mesh, _ = vertex_motion(mesh, spectrum, on_progress=lambda share: None)
     moving, vertex = weld(mesh.moving_part)
     first = np.unique(vertex, return_index=True)[1]
     corners, weights, floating = nearest_larger(moving)
-    motion = to_motion(np.ascontiguousarray(coefficients[first]), spectrum.num_frames)  # [T, n, 3]
+    motion = to_motion(np.ascontiguousarray(motion_of_mesh.coefficients[first]), spectrum.num_frames)  # [T, n, 3]
     height = float(np.ptp(moving.vertices[np.unique(moving.faces), 2]))
     rest = _apart(moving.vertices, corners, weights)
     growth = np.max([_apart(moving.vertices + frame, corners, weights) - rest for frame in motion], axis=0) / height

@@ -1,10 +1,11 @@
 """How much a motion that the model makes for a storm stretches edges and leaf cards, tree by tree.
 
-99th percentiles in per cent over a loop of the motion: of frames as `vat`, `usd` and films have them, of the K
-frequencies of these frames as in `glb`, and of the voxels' frequencies added, as `/interact` does.
+99th percentiles in per cent over a loop of the motion: of frames as `vat`, `usd` and films have them, of the
+frequencies of these frames at the keys of a `glb` and halfway between, and of the voxels' frequencies added, as
+`/interact` does.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
@@ -39,12 +40,25 @@ def _stretch(mesh: TriangleMesh, speed_m_s: float) -> dict[str, float]:
     source = MotionSource(mesh=mesh, spectrum=spectrum)
     motion = source.motion(ignore_progress)
     phases = np.arange(LOOP_FRAMES) / LOOP_FRAMES
-    linear, bent = (iter_motion(modes, phases, spectrum.num_frames) for modes in (motion.linear, motion.coefficients))
+    linear = iter_motion(motion.linear, phases, spectrum.num_frames)
     again = iter_motion(motion.coefficients, phases, spectrum.num_frames)
     frames = again if motion.bent is None else source.pose(motion).iter_poses(again)
     sizes = Sizes.of(mesh, turn_skeleton(mesh, spectrum.grid).in_card)
-    kinds: dict[str, Iterable[np.ndarray]] = {"frames": frames, "glb": bent, "added": linear}
-    row = {}
+    kinds: dict[str, Iterable[np.ndarray]] = {
+        "frames": frames,
+        "glb": _keyed(motion.loop, spectrum.num_frames),
+        "added": linear,
+    }
+    row = {"glb_targets": 2 * motion.loop.shape[1] - 1.0}
     for kind, motion_of_kind in kinds.items():
         row[f"{kind}_edges"], row[f"{kind}_cards"] = sizes.growth_percent(motion_of_kind)
     return row
+
+
+def _keyed(loop: np.ndarray, num_frames: int) -> Iterator[np.ndarray]:
+    """What a player shows of linear keys: LOOP_FRAMES of them, and the middles to the next."""
+    first = np.arange(LOOP_FRAMES) * num_frames // LOOP_FRAMES
+    keys = (iter_motion(loop, (first + step) / num_frames, num_frames) for step in (0, 1))
+    for key, following in zip(*keys, strict=True):
+        yield key.copy()
+        yield (key + following) / 2

@@ -221,8 +221,10 @@ def without_stretch(
     coefficients: Complex64[np.ndarray, "N K 3"],
     num_frames: int,
     on_progress: OnProgress = ignore_progress,
-) -> Complex64[np.ndarray, "N K 3"]:
-    """The K frequencies of a loop whose frames do not stretch; some stretch comes back with the frequencies above K.
+    *,
+    num_frequencies: int | None = None,
+) -> Complex64[np.ndarray, "N L 3"]:
+    """L frequencies, by default K, of a loop whose frames do not stretch; some stretch comes back with those above L.
 
     `on_progress` gets the share done after each frame; what it raises passes through.
     """
@@ -231,7 +233,7 @@ def without_stretch(
     for index, frame in enumerate(pose.iter_poses(frames)):
         unstretched[index] = frame
         on_progress((index + 1) / num_frames)
-    return from_motion(unstretched, coefficients.shape[1])
+    return from_motion(unstretched, num_frequencies or coefficients.shape[1])
 
 
 def typical_stretch(

@@ -28,7 +28,7 @@ def write_displacements(tree: MovingTree, stream: BinaryIO, report: Report) -> N
 
 
 def write_glb(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts | None:
-    """GLB with two morph targets per frequency: the exact loop."""
+    """GLB with two morph targets per frequency: the exact loop. That of a storm has more frequencies."""
     params = tree.params
     summary = _write_glb(tree, stream, compression=params.glb_compression, textures=params.glb_textures)
     inexact = params.normals or params.glb_compression != "none"
@@ -46,7 +46,7 @@ def write_page(tree: MovingTree, stream: BinaryIO, report: Report) -> None:
 
 def write_reduced_glb(tree: MovingTree, stream: BinaryIO, report: Report) -> Facts:
     """GLB with the few morph targets that approximate the loop best."""
-    num_targets = min(REDUCED_TARGETS, 2 * tree.coefficients.shape[1] - 1)
+    num_targets = min(REDUCED_TARGETS, 2 * tree.loop.shape[1] - 1)
     params = tree.params
     return asdict(
         _write_glb(tree, stream, num_targets, compression=params.glb_compression, textures=params.glb_textures)
@@ -63,7 +63,7 @@ def _write_glb(
 ) -> MorphSummary:
     return write_motion_glb(
         tree.mesh,
-        tree.coefficients,
+        tree.loop,
         stream,
         num_frames=tree.spectrum.num_frames,
         fps=tree.loop_fps,

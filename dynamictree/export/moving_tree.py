@@ -37,6 +37,7 @@ class MovingTree:
     mesh: TriangleMesh
     spectrum: SparseVoxelSpectrum  # of the voxels
     coefficients: Complex64[np.ndarray, "N K 3"]  # of the vertices [m]
+    loop: Complex64[np.ndarray, "N L 3"]  # the same with the frequencies that a sum of them needs not to stretch
     params: ExportParams
     pose: InextensiblePose | TreesPose | None = None  # makes each frame bend where it would stretch
     binding: Binding | None = None

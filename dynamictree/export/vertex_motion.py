@@ -30,8 +30,10 @@ from dynamictree.spectrum import SparseVoxelSpectrum
 
 FRAMES_A_FREQUENCY = 3
 """From so many frames the loop without stretch is read; two would do, were there nothing above its frequencies."""
+LARGEST_LOOP_STRETCH = 0.02
+"""99th percentile of the edges' stretch in such a loop; one with more gets frequencies above K."""
 MAX_STORED_BYTES = 1 << 28
-"""Larger results are computed again: reading them would take as long."""
+"""Larger results are computed again: reading them would take as long. Loops get no more frequencies than fit."""
 _TIES_SHARE, _LINEAR_SHARE = 0.2, 0.5  # of the time of all, about
 
 Result = Literal["ties", "motion", "reconstruction"]
@@ -51,8 +53,7 @@ class MotionSource:
 
     def motion(self, on_progress: OnProgress) -> VertexMotion:
         """Spectrum of the vertices [m]; `on_progress` gets the share done, and what it raises passes through."""
-        num_values = self.mesh.num_vertices * self.spectrum.num_frequencies * 3
-        if self.recall is None or 16 * num_values > MAX_STORED_BYTES:
+        if self.recall is None or self._largest_stored < 2 * self.spectrum.num_frequencies:
             return self._computed(on_progress)
 
         def make(path: Path) -> None:
@@ -76,11 +77,24 @@ class MotionSource:
         on_progress(_LINEAR_SHARE)
         if typical_stretch(ties, linear) <= LARGEST_STRETCH:
             return VertexMotion(linear=linear)
-        frames = FRAMES_A_FREQUENCY * self.spectrum.num_frequencies
-        bent = without_stretch(
-            self._pose_of(linear), linear, frames, lambda done: on_progress(_LINEAR_SHARE + done * (1 - _LINEAR_SHARE))
+        fewest = self.spectrum.num_frequencies
+        most = max(fewest, min(self.spectrum.num_frames // 2, self._largest_stored - fewest))
+        loop = without_stretch(
+            self._pose_of(linear),
+            linear,
+            self.spectrum.num_frames if most > fewest else FRAMES_A_FREQUENCY * fewest,
+            lambda done: on_progress(_LINEAR_SHARE + done * (1 - _LINEAR_SHARE)),
+            num_frequencies=most,
         )
-        return VertexMotion(linear=linear, bent=bent)
+        for enough in (fewest, 2 * fewest):
+            if enough < most and typical_stretch(ties, loop[:, :enough]) <= LARGEST_LOOP_STRETCH:
+                return VertexMotion(linear=linear, bent=np.ascontiguousarray(loop[:, :enough]))
+        return VertexMotion(linear=linear, bent=loop)
+
+    @property
+    def _largest_stored(self) -> int:
+        """How many frequencies of all vertices are stored at most."""
+        return MAX_STORED_BYTES // (3 * np.dtype(np.complex64).itemsize * max(self.mesh.num_vertices, 1))
 
     def _pose_of(self, linear: Complex64[np.ndarray, "N K 3"]) -> InextensiblePose | TreesPose:
         """The pose of a motion; the last one is reused, as its factors take as long as many frames."""
@@ -117,13 +131,11 @@ def vertex_motion(
     every_frame: bool = False,
     recall: Recall | None = None,
     on_progress: OnProgress,
-) -> tuple[Complex64[np.ndarray, "N K 3"], InextensiblePose | TreesPose | None]:
-    """Spectrum of the vertices [m], and what preserves lengths in each frame where the motion is large.
+) -> tuple[VertexMotion, InextensiblePose | TreesPose | None]:
+    """Motion of the vertices, and what preserves lengths in each frame where it is large.
 
     `every_frame` asks for the latter whatever the size of the motion.
     """
     source = MotionSource(mesh=mesh, spectrum=spectrum, recall=recall)
     motion = source.motion(on_progress)
-    if motion.bent is None and not every_frame:
-        return motion.linear, None
-    return motion.coefficients, source.pose(motion)
+    return motion, source.pose(motion) if every_frame or motion.bent is not None else None

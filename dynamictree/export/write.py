@@ -55,7 +55,7 @@ def write_products(
     if binding is not None:
         splat_bytes(binding.cloud.num_gaussians, binding.cloud.sh_degree, num_frames, params)
     report = on_progress or (lambda done: None)
-    coefficients, pose = vertex_motion(
+    motion, pose = vertex_motion(
         mesh,
         spectrum,
         every_frame=params.wind_mode == "turbulent",
@@ -65,7 +65,8 @@ def write_products(
     tree = MovingTree(
         mesh=mesh,
         spectrum=spectrum,
-        coefficients=coefficients,
+        coefficients=motion.coefficients,
+        loop=motion.loop,
         pose=pose,
         params=params,
         binding=None if binding is None else lighter(binding, share=params.share, sh_degree=params.sh_degree),

@@ -34,11 +34,11 @@ class Folder:
         return path
 
 
-def spectrum_of(mesh: TriangleMesh, *, lean_m: float) -> SparseVoxelSpectrum:
+def spectrum_of(mesh: TriangleMesh, *, lean_m: float, at: int = 1) -> SparseVoxelSpectrum:
     grid = method.voxelize(mesh, resolution=64).grid
     coefficients = np.zeros((len(grid), 4, 3), np.complex64)
     height = grid.centres_m[:, 2] - grid.centres_m[:, 2].min()
-    coefficients[:, 1, 0] = lean_m * (height / height.max()) ** 2
+    coefficients[:, at, 0] = lean_m * (height / height.max()) ** 2
     return SparseVoxelSpectrum(grid=grid, coefficients=coefficients)
 
 
@@ -58,6 +58,26 @@ def test_products_of_two_requests_are_those_of_one(tmp_path: Path, lean_m: float
         written[formats] = {name: path.read_bytes() for name, path in paths.items()}
     assert written["motion",] | written["ply",] == written["motion", "ply"]
     assert sorted(stored.computed) == ["motion", "ties"]
+
+
+@pytest.mark.parametrize("lean_m", [0.01, 1.0], ids=["breeze", "storm"])
+def test_a_sum_of_frequencies_stretches_no_edge_in_a_storm(lean_m: float) -> None:
+    mesh, _ = two_close_twigs()
+    spectrum = spectrum_of(mesh, lean_m=lean_m, at=3)
+    motion, _ = vertex_motion.vertex_motion(mesh, spectrum, on_progress=lambda done: None)
+    ties = length_preserving(spectrum.grid, mesh)
+    assert typical_stretch(ties, motion.loop) <= 0.02
+    assert (typical_stretch(ties, motion.coefficients) > 0.02) == (lean_m == 1.0)
+    assert (motion.loop.shape[1] > spectrum.num_frequencies) == (lean_m == 1.0)
+    np.testing.assert_array_equal(motion.loop[:, : spectrum.num_frequencies], motion.coefficients)
+
+
+def test_a_loop_gets_no_more_frequencies_than_are_stored(monkeypatch: pytest.MonkeyPatch) -> None:
+    mesh, _ = two_close_twigs()
+    spectrum = spectrum_of(mesh, lean_m=1.0, at=3)
+    monkeypatch.setattr(vertex_motion, "MAX_STORED_BYTES", 24 * mesh.num_vertices * 11)
+    motion, _ = vertex_motion.vertex_motion(mesh, spectrum, on_progress=lambda done: None)
+    assert motion.loop.shape[1] == 11 - spectrum.num_frequencies
 
 
 def test_what_keeps_lengths_is_factored_once_for_all_products(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -309,9 +309,9 @@ def test_usd_has_every_pose_of_the_splat(
     assert splat.GetPositionsAttr().GetTimeSamples() == [0, 1, 2, 3]
     assert UsdGeom.GetStageMetersPerUnit(stage) == 1
     binding = bind_capture(capture, mesh, choice)
-    coefficients, bends = vertex_motion(mesh, spectrum, on_progress=lambda done: None)
+    motion, bends = vertex_motion(mesh, spectrum, on_progress=lambda done: None)
     assert bends is not None
-    poses = list(iter_poses(binding, bends.iter_poses(iter_motion(coefficients, np.arange(4) / 4, 4))))
+    poses = list(iter_poses(binding, bends.iter_poses(iter_motion(motion.coefficients, np.arange(4) / 4, 4))))
     assert np.abs(poses[0].means - poses[2].means).max() > 0.1
     for code, pose in enumerate(poses):
         np.testing.assert_allclose(np.array(splat.GetPositionsAttr().Get(code)), pose.means, atol=1e-6)

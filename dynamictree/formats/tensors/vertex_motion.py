@@ -16,11 +16,17 @@ class VertexMotion:
     """Spectra of the vertices of one mesh [m]."""
 
     linear: Complex64[np.ndarray, "N K 3"]  # as interpolated from voxels
-    bent: Complex64[np.ndarray, "N K 3"] | None = None  # of a large motion, the loop without stretch
+    bent: Complex64[np.ndarray, "N L 3"] | None = None
+    """Of a large motion, the loop without stretch; L is K or, where K frequencies would stretch, more."""
 
     @property
     def coefficients(self) -> Complex64[np.ndarray, "N K 3"]:
         """What products show."""
+        return self.linear if self.bent is None else np.ascontiguousarray(self.bent[:, : self.linear.shape[1]])
+
+    @property
+    def loop(self) -> Complex64[np.ndarray, "N L 3"]:
+        """What a product shows that adds frequencies and cannot bend."""
         return self.linear if self.bent is None else self.bent
 
 
