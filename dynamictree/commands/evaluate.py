@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -46,6 +47,10 @@ def evaluate(
     laws: Annotated[
         bool, typer.Option(help="Instead, check the simulator against measurements of real trees, from 1 to 35 m.")
     ] = False,
+    tree: Annotated[
+        Path | None,
+        typer.Option(help="With --laws: check the model's motion of this mesh, splat or scan.", exists=True),
+    ] = None,
     classifier_trees: Annotated[int, typer.Option(min=20, max=100_000, help="Of each side.")] = 200,
     max_voxels: Annotated[
         int, typer.Option(min=1000, max=150_000, help="Leave larger trees out of the classifier, on both sides.")
@@ -68,9 +73,15 @@ def evaluate(
         raise InputError(f"there is no rival {rival!r}; choose {', '.join(RIVALS)}")
     if (rival is not None) + classifier + laws > 1:
         raise InputError("--rival, --classifier and --laws are separate runs; give one of them")
+    if tree is not None and not laws:
+        raise InputError("--tree is for --laws; without it the model is measured on trees of known motion")
     if laws:
         from dynamictree.evaluation.laws import evaluate_laws
 
+        if tree is not None:
+            of_tree = _laws_of(tree, model, seed)
+            typer.echo(json.dumps(of_tree)) if as_json else print_tree_laws(of_tree)
+            return
         with bars(quiet=as_json) as on_step:
             report = evaluate_laws(trees, seed=seed, on_step=on_step)
         typer.echo(json.dumps(report)) if as_json else print_laws(report)
@@ -127,6 +138,17 @@ def _embedders(clip: Path | None, *, effnet: bool) -> "Sequence[ImageEmbedder]":
     return [*([load_clip(clip)] if clip is not None else []), *([load_effnet()] if effnet else [])]
 
 
+def _laws_of(path: Path, model: str, seed: int) -> dict[str, Any]:
+    from dynamictree import method
+    from dynamictree.commands.source import read_source
+    from dynamictree.evaluation.laws import judged, measure_generated
+    from dynamictree.requests import Reading
+
+    voxels = method.voxelize(read_source(path, Reading())[0])
+    measured = measure_generated(path.name, lambda wind: method.generate(voxels, wind=wind, seed=seed, model=model))
+    return {"tree": asdict(measured), "laws": judged(measured)}
+
+
 def _compare(
     model: str,
     trees: int,
@@ -180,6 +202,17 @@ def print_laws(report: dict[str, Any]) -> None:
     """Print the share of trees that satisfy each law, and medians."""
     _print_columns(f"share of {len(report['trees'])} trees", {"share": report["laws"]})
     _print_columns("medians", {"median": report["medians"]})
+
+
+def print_tree_laws(report: dict[str, Any]) -> None:
+    """Print what was measured of one tree's motion, and which laws it satisfies."""
+    tree = report["tree"]
+    measured = {name: value for name, value in tree.items() if name != "species"}
+    _print_columns(f"{tree['species']}: measured", {"value": measured})
+    for law, holds in report["laws"].items():
+        typer.echo(
+            f"{law}: {'not measured on real trees of this height' if holds is None else 'yes' if holds else 'no'}"
+        )
 
 
 def _print_columns(title: str, rows: Mapping[str, Mapping[str, float]]) -> None:

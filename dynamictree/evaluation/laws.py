@@ -1,15 +1,16 @@
-"""Laws of real trees' motion, checked on the simulator that makes the dataset, for heights of 1 to 35 m.
+"""Laws of real trees' motion, checked on the simulator that makes the dataset, for heights of 1 to 35 m, and on what a
+model generates of any one tree.
 
 Measurements: lowest frequency of 1,084 laser-scanned trees by height and pull-and-release damping
 (TobyDJackson/WindAndTrees_NaturalFrequencies); amplitude by frequency of plants in 818 videos falls as f^-1.07
 (fltwr/generative-image-dynamics); displacement grows as U^1.4 to U^2 and saturates.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
-from jaxtyping import Complex64, Float64
+from jaxtyping import Complex64, Float32, Float64, Int64
 
 from dynamictree.dataset.motion import vertex_spectrum
 from dynamictree.dataset.oscillator import damping_ratio, stem_bin
@@ -17,11 +18,13 @@ from dynamictree.dataset.sapling import Tree, grow_tree
 from dynamictree.dataset.species import SPECIES
 from dynamictree.dataset.wind import sway
 from dynamictree.modal.real_trees import BARE_DAMPING_RATIO, LEAF_DAMPING_RATIO, natural_frequency_hz
-from dynamictree.spectrum import FPS, NUM_FRAMES, Wind
+from dynamictree.modal.system import modal_system
+from dynamictree.spectrum import FPS, NUM_FRAMES, SparseVoxelSpectrum, Wind
 from dynamictree.training.progress import OnStep
 
 HEIGHTS_M = (1.0, 35.0)
 SPEEDS_M_S = (1.25, 2.5, 10.0, 20.0)
+GUST = 0.3
 FREQUENCY_BANDS_HZ = {
     (4, 8): (0.26, 1.24),
     (8, 12): (0.21, 0.55),
@@ -45,9 +48,9 @@ class TreeLaws:
 
     species: str
     height_m: float
-    frequency_hz: float  # the simulator's, of the longest trunk
+    frequency_hz: float  # the simulator's, of the longest trunk; of a generated motion the tip's mean by energy
     released_hz: float  # of a pull that is released through the modal response
-    damping_ratio: float  # the simulator's
+    damping_ratio: float  # the simulator's; of a generated motion that of a released pull
     spectral_slope: float  # of the amplitude from 1 Hz on: amplitude ~ f^slope
     orbit: float  # minor over major axis of the tip's horizontal motion
     response: float  # exponent of the tip's displacement with wind speed, 1.25 to 2.5 m/s
@@ -61,18 +64,45 @@ def measure_tree(species: str, height_m: float, seed: int) -> TreeLaws:
     height = float(np.ptp(tree.mesh.vertices[:, 2]))
     foliage = float(SPECIES[species].foliage.kind != "none")
     motions = [_motion(tree, speed, seed) for speed in SPEEDS_M_S]
-    moved = [float(np.sqrt((np.abs(motion) ** 2).sum(axis=(1, 2)).mean())) for motion in motions]
-    exponents = np.diff(np.log(moved)) / np.diff(np.log(SPEEDS_M_S))
+    response, response_in_storm = _exponents(motions)
+    frequencies_hz = np.arange(1, motions[0].shape[1] + 1) * FPS / NUM_FRAMES
     return TreeLaws(
         species=species,
         height_m=height,
         frequency_hz=float(stem_bin(tree.stems[0].length_m, bare=tree.bare).min() * FPS / NUM_FRAMES),
         released_hz=natural_frequency_hz(height, foliage),
         damping_ratio=damping_ratio(bare=tree.bare),
-        spectral_slope=_slope(motions[1]),
+        spectral_slope=_slope(motions[1], frequencies_hz),
         orbit=_orbit(motions[1]),
-        response=float(exponents[0]),
-        response_in_storm=float(exponents[-1]),
+        response=response,
+        response_in_storm=response_in_storm,
+    )
+
+
+def measure_generated(name: str, generate: Callable[[Wind], SparseVoxelSpectrum]) -> TreeLaws:
+    """Generate a tree's motion at four speeds, and measure its highest voxels.
+
+    Args:
+        name: of the tree.
+        generate: gives the spectrum of the tree's motion in a wind, in a period that fits its height.
+    """
+    spectra = [generate(Wind(speed_m_s=speed, gust=GUST)) for speed in SPEEDS_M_S]
+    grid = spectra[1].grid
+    top = _highest(grid.centres_m)
+    motions = [spectrum.coefficients[top, 1:] for spectrum in spectra]
+    response, response_in_storm = _exponents(motions)
+    frequencies_hz = spectra[1].frequencies_hz[1:]
+    system = modal_system(spectra[1])
+    return TreeLaws(
+        species=name,
+        height_m=grid.height_m,
+        frequency_hz=float(np.average(frequencies_hz, weights=(np.abs(motions[1]) ** 2).sum(axis=(0, 2)))),
+        released_hz=float(system.omega[0] / (2 * np.pi)),
+        damping_ratio=float(np.median(system.damping_ratio)),
+        spectral_slope=_slope(motions[1], frequencies_hz),
+        orbit=_orbit(motions[1]),
+        response=response,
+        response_in_storm=response_in_storm,
     )
 
 
@@ -97,7 +127,7 @@ def law_shares(trees: list[TreeLaws]) -> dict[str, float]:
         "bare trees less damped": [
             t.damping_ratio < (1 + bare) / 2 * LEAF_DAMPING_RATIO
             for t in trees
-            if SPECIES[t.species].foliage.kind == "none"
+            if t.species in SPECIES and SPECIES[t.species].foliage.kind == "none"
         ],
         "energy falls with frequency": [t.spectral_slope < 0 for t in trees],
         "orbit neither line nor circle": [_within(t.orbit, ORBIT_BAND) for t in trees],
@@ -105,6 +135,13 @@ def law_shares(trees: list[TreeLaws]) -> dict[str, float]:
         "response saturates in a storm": [t.response_in_storm < t.response for t in trees],
     }
     return {name: float(np.mean(of_trees)) if of_trees else float("nan") for name, of_trees in verdicts.items()}
+
+
+def judged(tree: TreeLaws) -> dict[str, bool | None]:
+    """Which laws one tree satisfies; None where nothing was measured of real trees of its height."""
+    shares = law_shares([tree])
+    shares.pop("bare trees less damped")
+    return {law: None if np.isnan(share) else bool(share) for law, share in shares.items()}
 
 
 def evaluate_laws(num_trees: int, *, seed: int = 0, on_step: OnStep | None = None) -> dict[str, object]:
@@ -129,16 +166,27 @@ def _within(value: float, band: tuple[float, float]) -> bool:
 def _motion(tree: Tree, speed_m_s: float, seed: int) -> Complex64[np.ndarray, "N J 3"]:
     """Spectrum of the highest vertices without their lean [m]."""
     rng = np.random.default_rng(seed)
-    motion = sway(tree, Wind(speed_m_s=speed_m_s, gust=0.3), rng)
-    top = np.argsort(tree.mesh.vertices[:, 2])[-max(round(TIP_SHARE * len(tree.mesh.vertices)), 1) :]
+    motion = sway(tree, Wind(speed_m_s=speed_m_s, gust=GUST), rng)
+    top = _highest(tree.mesh.vertices)
     return vertex_spectrum(motion, tree.mesh.vertices[top], tree.node[top])[:, 1:]
 
 
-def _slope(motion: Complex64[np.ndarray, "N J 3"]) -> float:
-    frequency = np.arange(1, motion.shape[1] + 1) * FPS / NUM_FRAMES
+def _highest(positions: Float32[np.ndarray, "N 3"]) -> Int64[np.ndarray, " M"]:
+    """Rows of the highest ones, the highest last."""
+    return np.argsort(positions[:, 2])[-max(round(TIP_SHARE * len(positions)), 1) :]
+
+
+def _exponents(motions: Sequence[Complex64[np.ndarray, "N J 3"]]) -> tuple[float, float]:
+    """Exponent of the displacement with wind speed between the two lowest speeds, and between the two highest."""
+    moved = [float(np.sqrt((np.abs(motion) ** 2).sum(axis=(1, 2)).mean())) for motion in motions]
+    exponents = np.diff(np.log(moved)) / np.diff(np.log(SPEEDS_M_S))
+    return float(exponents[0]), float(exponents[-1])
+
+
+def _slope(motion: Complex64[np.ndarray, "N J 3"], frequencies_hz: Float64[np.ndarray, " J"]) -> float:
     amplitude: Float64[np.ndarray, " J"] = np.sqrt((np.abs(motion) ** 2).sum(axis=2).mean(axis=0, dtype=np.float64))
-    fast = frequency > 1
-    return float(np.polyfit(np.log(frequency[fast]), np.log(np.maximum(amplitude[fast], 1e-12)), 1)[0])
+    fast = frequencies_hz > 1
+    return float(np.polyfit(np.log(frequencies_hz[fast]), np.log(np.maximum(amplitude[fast], 1e-12)), 1)[0])
 
 
 def _orbit(motion: Complex64[np.ndarray, "N J 3"]) -> float:

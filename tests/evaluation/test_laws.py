@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,8 +12,10 @@ from typer.testing import CliRunner
 from dynamictree.commands.evaluate import print_laws
 from dynamictree.dataset.oscillator import damping_ratio, stem_bin
 from dynamictree.dataset.sample import make_sample
+from dynamictree.dataset.sapling import grow_tree
 from dynamictree.dataset.species import SPECIES
 from dynamictree.evaluation.laws import FREQUENCY_BANDS_HZ, evaluate_laws, frequency_band, law_shares, measure_tree
+from dynamictree.formats.gltf.writer import write_glb
 
 
 @pytest.mark.parametrize(("bare", "slack"), [(False, 1.0), (True, 1.1)])
@@ -78,3 +81,22 @@ def test_the_command_reports_shares_and_trees(commands: Typer, capsys: pytest.Ca
     assert "orbit" in capsys.readouterr().out
     both = CliRunner().invoke(commands, ["--laws", "--classifier"])
     assert both.exit_code != 0
+
+
+def test_the_motion_that_a_model_generates_of_a_tree_satisfies_the_laws(commands: Typer, tmp_path: Path) -> None:
+    tree = grow_tree(replace(SPECIES["columnar"], height_m=(6.0, 6.0)), np.random.default_rng(2))
+    with (tmp_path / "columnar.glb").open("wb") as stream:
+        write_glb(tree.mesh, stream)
+    result = CliRunner().invoke(
+        commands, ["--laws", "--tree", str(tmp_path / "columnar.glb"), "--json"], catch_exceptions=False
+    )
+    report = json.loads(result.stdout)
+    assert report["tree"]["height_m"] == pytest.approx(6, rel=0.2)
+    assert set(report["laws"].values()) == {True}
+
+
+def test_a_tree_is_measured_for_the_laws_only(commands: Typer, tmp_path: Path) -> None:
+    path = tmp_path / "tree.glb"
+    path.touch()
+    result = CliRunner().invoke(commands, ["--tree", str(path)])
+    assert "--tree is for --laws" in str(result.exception)
