@@ -9,6 +9,7 @@ from dynamictree.dataset.tubes import own_rings
 from dynamictree.evaluation.foreign_skeleton import simulated, stems_of
 from dynamictree.evaluation.held_out_trees import SAPLING_WIND
 from dynamictree.evaluation.metrics import log_amplitude_agreement, root_share
+from dynamictree.evaluation.procedural_wind import Bones
 from dynamictree.evaluation.sapling_file import read_sapling
 from dynamictree.spectrum import from_motion
 
@@ -34,3 +35,28 @@ def test_an_add_on_s_tree_moves_much_as_in_its_own_wind(samples: Path, name: str
     assert correlation > 0.9
     assert rmse < 0.45
     assert root_share(motion, tree.mesh.vertices) < 0.01
+
+
+def test_a_branch_of_fewer_bones_than_others_is_divided_evenly() -> None:
+    """The add-on's presets mix them; a trunk of four bones, branches of four and of three."""
+    counts, starts = (4, 4, 3), ((0, 0, 0), (0, 0, 2), (0, 0, 3))
+    ways = ((0, 0, 1), (1, 0, 0), (0, 1, 0))
+    head = np.concatenate(
+        [start + np.arange(n)[:, None] * np.array(way) for n, start, way in zip(counts, starts, ways, strict=True)]
+    )
+    step = np.concatenate([np.arange(n) for n in counts])
+    bones = Bones(
+        head=head.astype(np.float32),
+        tail=(head + np.repeat(ways, counts, axis=0)).astype(np.float32),
+        parent=np.where(step > 0, np.arange(len(head)) - 1, np.repeat([-1, 1, 2], counts)).astype(np.int32),
+        stem=np.repeat(np.arange(3), counts).astype(np.int32),
+        step=step.astype(np.int32),
+        radius=np.linspace(0.2, 0.1, len(head), dtype=np.float32),
+        trunk=np.zeros(1, np.int32),
+    )
+    (trunk, branches), node = stems_of(bones)
+    assert len(trunk.points) == 1
+    np.testing.assert_allclose(branches.points[1, :, 1], np.linspace(0, 3, 5))
+    np.testing.assert_allclose(branches.parent_ring, [2, 3], atol=0.02)
+    position = np.concatenate([stems.points[own_rings(stems)] for stems in (trunk, branches)])
+    assert np.linalg.norm(position[node] - bones.head, axis=1).max() < 0.5
