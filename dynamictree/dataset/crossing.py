@@ -23,6 +23,10 @@ BARE_TRUNK, MAX_BRANCH = (0.05, 0.9), 0.9
 """Of the trunk's length, and of the parent's."""
 TRUNK_TAPER, BRANCH_TAPER = (0.25, 1.0), (0.6, 1.0)
 """Share of the radius lost from base to tip: what tapers little bends at its base, and carries its tip further."""
+RATIO_POWER = (0.9, 2.4)
+"""Exponent of a child's radius in its length over its parent's: from stout twigs to strands of a willow."""
+FLARE = (0.02, 0.8)
+"""Widening of the trunk at the ground: models of trees have any or none."""
 
 
 def crossed_species(rng: np.random.Generator) -> Species:
@@ -45,6 +49,8 @@ def crossed_species(rng: np.random.Generator) -> Species:
         ratio=frame.ratio * _factor(1.5, rng),
         levels=tuple(levels),
         foliage=_leaves(parents, stems, num_levels, rng),
+        ratio_power=_between(RATIO_POWER, rng),
+        flare=_between(FLARE, rng),
     )
 
 

@@ -17,7 +17,7 @@ from dynamictree.mesh import TriangleMesh
 from dynamictree.spectrum import NUM_FREQUENCIES, SparseVoxelSpectrum, Wind
 from dynamictree.voxel.voxelize import SurfaceVoxels, surface_average, voxelize
 
-VERSION = 2  # of the generator: a seed means the same motion as long as this stands
+VERSION = 3  # of the generator: a seed means the same motion as long as this stands
 GROWTH = 1  # a seed means the same tree, wind and gusts as long as this stands
 SPEED_M_S = (2.0, 10.0)
 GUST = (0.15, 0.45)

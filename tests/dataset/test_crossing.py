@@ -10,9 +10,11 @@ from dynamictree.dataset.crossing import (
     BARE_TRUNK,
     BRANCH_TAPER,
     CROSSED,
+    FLARE,
     MAX_BRANCH,
     MAX_LEAVES,
     MAX_STEMS,
+    RATIO_POWER,
     TRUNK_TAPER,
     crossed_species,
 )
@@ -31,6 +33,8 @@ def test_parts_are_of_species_for_training_and_bounded() -> None:
     for one in crossed:
         trunk, *branches = one.levels
         assert TRUNK_TAPER[0] <= trunk.taper <= TRUNK_TAPER[1]
+        assert FLARE[0] <= one.flare <= FLARE[1]
+        assert RATIO_POWER[0] <= one.ratio_power <= RATIO_POWER[1]
         assert all(BRANCH_TAPER[0] <= level.taper <= BRANCH_TAPER[1] for level in branches)
         assert all(level.length <= MAX_BRANCH for level in branches)
         assert BARE_TRUNK[0] <= one.base_size <= BARE_TRUNK[1]

@@ -23,7 +23,7 @@ from dynamictree.sparse.pool import pool_to
 from dynamictree.spectrum import Wind
 from dynamictree.voxel.graph import voxel_graph
 from dynamictree.voxel.grid import VoxelGrid
-from dynamictree.voxel.moments import moments_of_normals
+from dynamictree.voxel.moments import AREA, moments_of_normals
 from dynamictree.voxel.voxelize import SurfaceVoxels
 
 NUM_LEVELS = 5  # 128³ to 8³
@@ -66,9 +66,10 @@ def tree_features(voxels: SurfaceVoxels) -> TreeFeatures:
     scalars = np.concatenate([_scalars(grid, skeleton, height_m), _crowding(grids), chain_scalars], axis=1)
     vectors = np.concatenate([np.stack([*_vectors(grid, skeleton, height_m), normals], axis=1), chain_vectors], axis=1)
     chain = np.concatenate([chain, skeleton.foot[chain]], axis=1)
-    girth = np.log(section_radius(grid, graph, skeleton.distance_m) + grid.voxel_size_m / 2)[chain]
     has_moments = voxels.moments is not None
     moments = moments_of_normals(normals) if voxels.moments is None else voxels.moments
+    area_m2 = moments[:, AREA][:, 0].astype(np.float64) * grid.voxel_size_m**2 if has_moments else None
+    girth = np.log(section_radius(grid, graph, skeleton.distance_m, area_m2))[chain]
     surface, tensors = surface_features(grid, moments, touching(grids.levels[0]), has_moments=has_moments)
     return TreeFeatures(
         grids=grids,

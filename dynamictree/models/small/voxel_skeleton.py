@@ -16,6 +16,7 @@ FOOT_VOXELS = 4
 """So far out, a stem has left the surface of the one that bears it."""
 SECTION_VOXELS = 2
 """Thickness of a cross-section."""
+THINNEST_VOXELS = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,12 +79,23 @@ def skip_short(skeleton: Skeleton, rows: Int32[np.ndarray, " V"], length_m: floa
 
 
 def section_radius(
-    grid: VoxelGrid, graph: csr_array, distance_m: Float32[np.ndarray, " V"]
+    grid: VoxelGrid,
+    graph: csr_array,
+    distance_m: Float32[np.ndarray, " V"],
+    area_m2: Float64[np.ndarray, " V"] | None,
 ) -> Float64[np.ndarray, " V"]:
-    """RMS distance of the voxels of each voxel's cross-section from their middle [m]: the radius, where it is a ring.
+    """Radius of each voxel's cross-section [m].
 
     A cross-section is what hangs together of the voxels that are about as far from the root along the tree (Verroust
-    and Lazarus, Extracting skeletal curves from 3D scattered data, 1999).
+    and Lazarus, Extracting skeletal curves from 3D scattered data, 1999). The RMS distance of its voxels from their
+    middle is the radius where they are a ring. A twig thinner than a voxel is no ring: there the surface inside, over
+    the length of the section, is its circumference.
+
+    Args:
+        grid: of the voxels.
+        graph: touching voxels.
+        distance_m: along the tree to the root [m].
+        area_m2: of the surface in each voxel [m²]; None where no mesh is known.
     """
     slab = (distance_m / (SECTION_VOXELS * grid.voxel_size_m)).astype(np.int32)
     edges = graph.tocoo()
@@ -94,8 +106,12 @@ def section_radius(
     size = np.bincount(section)
     middle = np.stack([np.bincount(section, axis) / size for axis in grid.centres_m.T], axis=1)
     squares = ((grid.centres_m - middle[section]) ** 2).sum(axis=1)
-    radius: Float64[np.ndarray, " V"] = np.sqrt(np.bincount(section, squares, count) / size)[section]
-    return radius
+    radius = np.sqrt(np.bincount(section, squares, count) / size) + grid.voxel_size_m / 2
+    if area_m2 is not None:
+        circumference = np.bincount(section, area_m2, count) / (SECTION_VOXELS * grid.voxel_size_m)
+        radius = np.minimum(radius, np.maximum(circumference / (2 * np.pi), THINNEST_VOXELS * grid.voxel_size_m))
+    of_voxel: Float64[np.ndarray, " V"] = radius[section]
+    return of_voxel
 
 
 def _gather_from_tips(

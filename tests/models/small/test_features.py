@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+import trimesh
 
+from dynamictree.mesh import TriangleMesh
 from dynamictree.models.small.amplitude import amplitude_inputs, mirror_inputs
 from dynamictree.models.small.features import (
     TreeFeatures,
@@ -24,7 +26,7 @@ from dynamictree.spectrum import Wind
 from dynamictree.voxel.graph import voxel_graph
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.moments import AREA, NORMAL, OFFSET, SIX, SPREAD
-from dynamictree.voxel.voxelize import SurfaceVoxels
+from dynamictree.voxel.voxelize import SurfaceVoxels, voxelize
 
 WIND = wind_vector([Wind(speed_m_s=7.0, direction_deg=37.0, gust=0.2)])
 
@@ -167,8 +169,22 @@ def test_a_stem_is_as_thick_as_it_is(radius: int) -> None:
         np.concatenate([thick, twig]).astype(np.int32), origin_m=(-6.4, -6.4, 0.0), voxel_size_m=0.1, resolution=128
     )
     graph = voxel_graph(grid)
-    result = section_radius(grid, graph, skeleton_of(grid, graph).distance_m)
+    result = section_radius(grid, graph, skeleton_of(grid, graph).distance_m, None)
     middle = (grid.coords[:, 2] > 20) & (grid.coords[:, 2] < 50)
     on_twig = grid.coords[:, 0] == 64 + radius + 6
-    np.testing.assert_allclose(np.median(result[middle & ~on_twig]), radius * 0.1, rtol=0.1)
+    np.testing.assert_allclose(np.median(result[middle & ~on_twig]), (radius + 0.5) * 0.1, rtol=0.1)
     assert np.median(result[middle & on_twig]) < 0.1
+
+
+@pytest.mark.parametrize("radius_m", [0.003, 0.01, 0.3])
+def test_a_twig_thinner_than_a_voxel_is_as_thick_as_its_surface_says(radius_m: float) -> None:
+    """A vertical tube of 6 m in voxels of 0.1 m."""
+    tube = trimesh.creation.cylinder(radius_m, height=6.0, sections=16)
+    voxels = voxelize(TriangleMesh.from_trimesh(tube), 64)
+    graph = voxel_graph(voxels.grid)
+    distance_m = skeleton_of(voxels.grid, graph).distance_m
+    assert voxels.moments is not None
+    area_m2 = voxels.moments[:, 0].astype(np.float64) * voxels.grid.voxel_size_m**2
+    result = section_radius(voxels.grid, graph, distance_m, area_m2)
+    inside = (distance_m > 1) & (distance_m < 5)
+    assert np.median(result[inside]) == pytest.approx(radius_m, rel=0.3)
