@@ -122,11 +122,15 @@ def local_angles(
 
 
 def bend(bones: Bones) -> tuple[Float64[np.ndarray, " B"], Float64[np.ndarray, " B"]]:
-    """Length of each bone's stem [m], and how far the bone bends [rad]: 2 (L / P) (1 − n / (P + 1)) / r degrees."""
-    moving = bones.step >= 0
-    length = np.zeros(int(bones.stem.max()) + 1)
-    np.add.at(length, bones.stem[moving], np.linalg.norm(bones.tail - bones.head, axis=1)[moving])
-    number = np.bincount(bones.stem[moving], minlength=len(length))
+    """Length of each bone's stem [m], and how far the bone bends [rad]: 2 (L / P) (1 − n / (P + 1)) / r degrees.
+
+    As in the add-on, the length L is the number of bones P times the first one's, whatever the others' are.
+    """
+    moving, first = bones.step >= 0, bones.step == 0
+    number = np.bincount(bones.stem[moving], minlength=int(bones.stem.max()) + 1)
+    length = np.zeros(len(number))
+    length[bones.stem[first]] = np.linalg.norm(bones.tail - bones.head, axis=1)[first]
+    length *= number
     of_bone, count = np.maximum(length, 1e-3)[bones.stem], np.maximum(number, 1)[bones.stem]
     place = 1 - bones.step / (count + 1)
     size = np.deg2rad(2 * of_bone / count * place / np.maximum(bones.radius, MIN_RADIUS_M))
@@ -159,17 +163,20 @@ def _directions(bones: Bones) -> Float64[np.ndarray, "B 3"]:
 
 
 def _bones(skeleton: Skeleton) -> Bones:
-    """A bone from each node's parent to it; one that leads from a stem to its child's base only joins them."""
-    parent, level, stem = skeleton.parent, skeleton.level, skeleton.stem
+    """A bone from each node's parent to it; one that leads to a stem's base only joins it to what bears it.
+
+    At a fork that bone has no length, as the new stem's first ring is also a ring of the stem that divides.
+    """
+    position, parent, level, stem = skeleton.position, skeleton.parent, skeleton.level, skeleton.stem
     above = np.where(parent < 0, np.arange(len(parent)), parent)
-    own = (parent >= 0) & (level[above] == level)
+    own = (position != position[above]).any(axis=1) & (level[above] == level)
     begins = np.r_[True, stem[1:] != stem[:-1]]
     rank = np.arange(len(stem)) - np.maximum.accumulate(np.where(begins, np.arange(len(stem)), 0))
     joined = begins & ~own
     step = np.where(joined, -1, rank - joined[np.maximum.accumulate(np.where(begins, np.arange(len(stem)), 0))])
     return Bones(
-        head=skeleton.position[above],
-        tail=skeleton.position,
+        head=position[above],
+        tail=position,
         parent=parent.astype(np.int32),
         stem=stem.astype(np.int32),
         step=step.astype(np.int32),

@@ -8,7 +8,15 @@ import pytest
 
 from dynamictree.dataset.sapling import grow_tree
 from dynamictree.dataset.species import SPECIES
-from dynamictree.evaluation.procedural_wind import GUST_HZ, BoneMotion, bend, bones_of, rest_axes, sway_as_sapling
+from dynamictree.evaluation.procedural_wind import (
+    GUST_HZ,
+    BoneMotion,
+    Bones,
+    bend,
+    bones_of,
+    rest_axes,
+    sway_as_sapling,
+)
 from dynamictree.evaluation.sapling_file import SaplingTree, read_sapling, sapling_files
 from dynamictree.mesh import edges_of
 
@@ -98,6 +106,33 @@ def test_no_wind_moves_nothing_and_twigs_turn_farther_than_the_trunk() -> None:
     trunk = np.isin(bones.stem, bones.trunk)
     assert np.median(size[~trunk & (size > 0)]) > np.median(size[trunk & (size > 0)])
     assert (size[bones.step < 0] == 0).all()
+
+
+def test_a_stem_is_as_long_as_its_number_of_bones_times_the_first() -> None:
+    """The add-on's length, in the stem's frequency and in how far its bones bend."""
+    top = np.array([1, 3, 5], np.float32)  # a bone of 1 m, then two of 2 m
+    on_z = np.array([0, 0, 1], np.float32)
+    bones = Bones(
+        head=np.r_[0, top[:-1]].astype(np.float32)[:, None] * on_z,
+        tail=top[:, None] * on_z,
+        parent=np.array([-1, 0, 1], np.int32),
+        stem=np.zeros(3, np.int32),
+        step=np.arange(3, dtype=np.int32),
+        radius=np.full(3, 0.1, np.float32),
+        trunk=np.zeros(1, np.int32),
+    )
+    length, size = bend(bones)
+    np.testing.assert_allclose(length, 3)
+    np.testing.assert_allclose(size, [0, 0, np.deg2rad(2 * 1 * (1 - 2 / 4) / 0.1)], rtol=1e-6)
+
+
+def test_a_stem_that_forks_off_bends_by_its_own_bones_not_by_the_joint() -> None:
+    bones, _ = bones_of(grow_tree(SPECIES["weeping"], np.random.default_rng(4)))  # has seven forks
+    length, size = bend(bones)
+    of_bone = np.linalg.norm(bones.tail - bones.head, axis=1)
+    assert (of_bone[size > 0] > 0).all()
+    total = np.bincount(bones.stem, of_bone * (bones.step >= 0))[bones.stem]
+    np.testing.assert_allclose(length, total, rtol=0.02)
 
 
 def test_a_bones_axes_are_a_rotation_whichever_way_it_points() -> None:
