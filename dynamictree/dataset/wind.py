@@ -30,6 +30,10 @@ from dynamictree.dataset.tubes import own_rings
 from dynamictree.parallel import single_thread
 from dynamictree.spectrum import NUM_FRAMES, Wind
 
+ABOVE_FLARE = 0.15  # of a trunk's length; Weber and Penn's flare ends at 1/8
+TRUNK_BEND = 0.6
+"""Lean of a trunk, over that of a branch as slender: with the usual flare as much as by the radius at the ground."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class _Pose:
@@ -131,8 +135,7 @@ def _move(
     bare: bool,
 ) -> _Moving:
     """Walk all stems of a level from ring to ring, turning each segment by what came before and its own bend."""
-    base_radius = stems.radii[np.arange(len(stems.points)), stems.first]
-    lean = lean_angle(stems.length_m, base_radius, gusts.wind.speed_m_s)
+    lean = lean_angle(stems.length_m, _bending_radius(stems, is_trunk=parent is None), gusts.wind.speed_m_s)
     own_bin, damping = stem_bin(stems.length_m, bare=bare), damping_ratio(bare=bare)
     share = _bending_share(stems, still_root=parent is None)
     pose = _upright(stems.points[:, 0], ticks)
@@ -221,6 +224,18 @@ def _in_time(
     mean = (lean[:, None] * gusts.axes[0]).astype(np.float32)
     deflection: Float32[np.ndarray, "3 M T"] = (turning + mean.T[:, :, None]).astype(np.float32)
     return deflection
+
+
+def _bending_radius(stems: Stems, *, is_trunk: bool) -> Float32[np.ndarray, " M"]:
+    """Radius to which a stem's length is compared [m]: at its base, or of a trunk above its flare, as foresters do."""
+    base: Float32[np.ndarray, " M"] = stems.radii[np.arange(len(stems.points)), stems.first]
+    if not is_trunk:
+        return base
+    ring = ABOVE_FLARE * stems.segments
+    low, along = int(ring), ring - int(ring)
+    above_flare = (1 - along) * stems.radii[:, low] + along * stems.radii[:, low + 1]
+    radius: Float32[np.ndarray, " M"] = np.where(stems.first > 0, base, above_flare / TRUNK_BEND).astype(np.float32)
+    return radius
 
 
 def _bending_share(stems: Stems, *, still_root: bool) -> Float32[np.ndarray, "M R"]:

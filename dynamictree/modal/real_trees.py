@@ -20,7 +20,7 @@ SMALL_M = 8.0
 MAX_QUICKENING = 2.5
 LEAF_SLOWING = 0.85  # frequency in leaf over bare
 FLUTTER_ABOVE_HZ = 1.4  # leaves move here, stems of trees hardly; times the quickening of a small tree
-FLUTTER_SHARE = (0.0035, 0.005)
+FLUTTER_SHARE = (0.0043, 0.0055)
 """Share of a voxel's energy above it, median over the half that moves most: bare trees of the dataset have at most the
 first, trees in leaf at least the second."""
 THIN_OF_27 = 5

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from dynamictree.dataset.branching import grow_trunks
 from dynamictree.dataset.filter import edge_stretch
 from dynamictree.dataset.motion import vertex_spectrum
 from dynamictree.dataset.oscillator import (
@@ -19,7 +20,7 @@ from dynamictree.dataset.rotation import carried, cross, product, to_matrix, tur
 from dynamictree.dataset.sample import SPECIES, make_sample
 from dynamictree.dataset.sapling import LEAF, grow_tree
 from dynamictree.dataset.stats import tables_of
-from dynamictree.dataset.wind import sway
+from dynamictree.dataset.wind import _bending_radius, sway, sway_stems
 from dynamictree.spectrum import FPS, NUM_FRAMES, NUM_FREQUENCIES, Wind, from_motion
 
 METRE = np.ones(1, np.float32)
@@ -116,6 +117,29 @@ def test_roots_do_not_move_at_all(spreading):
     assert roots.any()
     assert (displacement[:, roots] == 0).all()
     assert (spreading.coefficients[roots] == 0).all()
+
+
+def trunk_motion(*, flare):
+    """Spectrum of the rings of a trunk of 10 m that bears nothing, [P, K, 3], and its radii above the ground."""
+    species = replace(SPECIES["palm"], flare=flare, height_m=(10.0, 10.0))
+    trunk = grow_trunks(species, np.random.default_rng(0))
+    motion = sway_stems((trunk,), Wind(), np.random.default_rng(1), bare=True)
+    return vertex_spectrum(motion, motion.position, np.arange(len(motion.position), dtype=np.int32)), trunk.radii[0, 1:]
+
+
+def test_a_flare_at_the_ground_does_not_change_how_a_trunk_sways():
+    (without, above), (flared, above_flare) = (trunk_motion(flare=flare) for flare in (0.0, 0.8))
+    np.testing.assert_allclose(above, above_flare, rtol=0.05)
+    np.testing.assert_allclose(np.abs(flared), np.abs(without), atol=0.03 * np.abs(without).max())
+
+
+def test_a_trunk_with_the_usual_flare_leans_as_by_its_radius_at_the_ground():
+    tree = grow_tree(SPECIES["round-broadleaf"], np.random.default_rng(0))
+    trunk = tree.stems[0]
+    assert _bending_radius(trunk, is_trunk=True)[0] == pytest.approx(trunk.radii[0, 0], rel=0.1)
+    branches = tree.stems[1]
+    rows = np.arange(len(branches.points))
+    np.testing.assert_array_equal(_bending_radius(branches, is_trunk=False), branches.radii[rows, branches.first])
 
 
 def test_nothing_is_torn_or_stretched(spreading, sapling):
