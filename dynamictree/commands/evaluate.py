@@ -10,6 +10,7 @@ import typer
 
 from dynamictree.commands.terminal import AsJson
 from dynamictree.errors import InputError
+from dynamictree.requests import Reading
 from dynamictree.training.progress import OnStep, bars
 
 if TYPE_CHECKING:
@@ -49,7 +50,14 @@ def evaluate(
     ] = False,
     tree: Annotated[
         Path | None,
-        typer.Option(help="With --laws: check the model's motion of this mesh, splat or scan.", exists=True),
+        typer.Option(
+            help="With --laws: check the model's motion of this mesh, splat or scan, or of the one in this folder.",
+            exists=True,
+        ),
+    ] = None,
+    height_m: Annotated[
+        float | None,
+        typer.Option(min=0.01, max=999.0, help="Height of that tree [m]; the file's if not given."),
     ] = None,
     classifier_trees: Annotated[int, typer.Option(min=20, max=100_000, help="Of each side.")] = 200,
     max_voxels: Annotated[
@@ -75,11 +83,13 @@ def evaluate(
         raise InputError("--rival, --classifier and --laws are separate runs; give one of them")
     if tree is not None and not laws:
         raise InputError("--tree is for --laws; without it the model is measured on trees of known motion")
+    if height_m is not None and tree is None:
+        raise InputError("--height-m is the height of --tree; give that too")
     if laws:
         from dynamictree.evaluation.laws import evaluate_laws
 
         if tree is not None:
-            of_tree = _laws_of(tree, model, seed)
+            of_tree = _laws_of(tree, Reading(height_m=height_m), model, seed)
             typer.echo(json.dumps(of_tree)) if as_json else print_tree_laws(of_tree)
             return
         with bars(quiet=as_json) as on_step:
@@ -138,13 +148,14 @@ def _embedders(clip: Path | None, *, effnet: bool) -> "Sequence[ImageEmbedder]":
     return [*([load_clip(clip)] if clip is not None else []), *([load_effnet()] if effnet else [])]
 
 
-def _laws_of(path: Path, model: str, seed: int) -> dict[str, Any]:
+def _laws_of(path: Path, reading: Reading, model: str, seed: int) -> dict[str, Any]:
     from dynamictree import method
+    from dynamictree.commands.options import shape_file
     from dynamictree.commands.source import read_source
     from dynamictree.evaluation.laws import judged, measure_generated
-    from dynamictree.requests import Reading
 
-    voxels = method.voxelize(read_source(path, Reading())[0])
+    path = shape_file(path)
+    voxels = method.voxelize(read_source(path, reading)[0])
     measured = measure_generated(path.name, lambda wind: method.generate(voxels, wind=wind, seed=seed, model=model))
     return {"tree": asdict(measured), "laws": judged(measured)}
 

@@ -88,10 +88,10 @@ def test_the_motion_that_a_model_generates_of_a_tree_satisfies_the_laws(commands
     with (tmp_path / "columnar.glb").open("wb") as stream:
         write_glb(tree.mesh, stream)
     result = CliRunner().invoke(
-        commands, ["--laws", "--tree", str(tmp_path / "columnar.glb"), "--json"], catch_exceptions=False
+        commands, ["--laws", "--tree", str(tmp_path), "--height-m", "7", "--json"], catch_exceptions=False
     )
     report = json.loads(result.stdout)
-    assert report["tree"]["height_m"] == pytest.approx(6, rel=0.2)
+    assert report["tree"]["height_m"] == pytest.approx(7, rel=0.02)
     assert set(report["laws"].values()) == {True}
 
 
@@ -100,3 +100,5 @@ def test_a_tree_is_measured_for_the_laws_only(commands: Typer, tmp_path: Path) -
     path.touch()
     result = CliRunner().invoke(commands, ["--tree", str(path)])
     assert "--tree is for --laws" in str(result.exception)
+    without = CliRunner().invoke(commands, ["--laws", "--height-m", "7"])
+    assert "give that too" in str(without.exception)
