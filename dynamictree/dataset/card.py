@@ -15,7 +15,7 @@ Made by `dynamictree dataset generate` (generator version {version}); {state}. E
 | motion | one period of 100 frames at 24 fps, {loop}; the first 16 coefficients of the discrete Fourier transform |
 | rest pose | the tree without wind: coefficient 0 is the lean |
 | stored | mesh, part labels, skeleton, voxel spectrum at {resolutions}³ (float16){vertex_spectrum} |
-| wind | speed 2 to 10 m/s, any direction, gust 0.15 to 0.45 of the speed; recorded with each tree |
+| wind | speed 1 to 25 m/s (log-uniform), any direction, gust 0.15 to 0.45 of the speed; recorded with each tree |
 | mean size | {mean_vertices:,.0f} vertices; {mean_voxels} |
 | splits | {splits} |
 

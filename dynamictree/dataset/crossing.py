@@ -14,6 +14,11 @@ CROSSED = "crossed"
 DEPTHS = ((2, 0.25), (3, 0.6), (4, 0.15))
 """Levels of branching, the trunk's included, and how often."""
 BARE_SHARE = 0.15
+CLUMP_SHARE = 0.2
+CLUMPS = (0.3, 40.0)  # branches with a clump each; below one, only the trunk has one
+CLUMP_SIZE = ((0.06, 0.25), (0.15, 0.35))  # radius over the tree's height; of one clump alone
+CLUMP_ASPECT = (0.6, 1.4)
+STOUTNESS = (0.7, 3.0)  # of a trunk that bears clumps, over a species' own
 LEAF_SIZE, LEAF_ASPECT = (0.016, 0.08), (0.1, 1.0)
 """Of the tree's height, and width over length; evenly in logarithms."""
 KINDS: tuple[LeafKind, ...] = ("leaf", "cluster", "needle")
@@ -33,6 +38,8 @@ def crossed_species(rng: np.random.Generator) -> Species:
     """Mix species: the trunk of one, each level of branches of another, and separate leaves."""
     parents = [species for species in SPECIES.values() if not species.held_out]
     frame = _one_of(parents, rng)
+    if rng.random() < CLUMP_SHARE:
+        return _clumped(frame, rng)
     num_levels = int(rng.choice([depth for depth, _ in DEPTHS], p=[share for _, share in DEPTHS]))
     levels, stems = [replace(frame.levels[0], taper=float(rng.uniform(*TRUNK_TAPER)))], 1.0
     for depth in range(1, num_levels):
@@ -49,6 +56,25 @@ def crossed_species(rng: np.random.Generator) -> Species:
         ratio=frame.ratio * _factor(1.5, rng),
         levels=tuple(levels),
         foliage=_leaves(parents, stems, num_levels, rng),
+        ratio_power=_between(RATIO_POWER, rng),
+        flare=_between(FLARE, rng),
+    )
+
+
+def _clumped(frame: Species, rng: np.random.Generator) -> Species:
+    """A low-poly tree: a trunk, some branches or none, and closed clumps of foliage."""
+    levels = [replace(frame.levels[0], taper=float(rng.uniform(*TRUNK_TAPER)))]
+    count = _between(CLUMPS, rng)
+    if count >= 1:
+        levels.append(replace(_changed(frame.levels[1], rng), count=count, splits=0.0))
+    size = CLUMP_SIZE[0] if count >= 1 else CLUMP_SIZE[1]
+    return replace(
+        frame,
+        name=CROSSED,
+        base_size=_between(BARE_TRUNK, rng),
+        ratio=frame.ratio * _between(STOUTNESS, rng),
+        levels=tuple(levels),
+        foliage=replace(frame.foliage, kind="clump", size=_between(size, rng), aspect=_between(CLUMP_ASPECT, rng)),
         ratio_power=_between(RATIO_POWER, rng),
         flare=_between(FLARE, rng),
     )

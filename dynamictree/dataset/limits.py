@@ -22,5 +22,5 @@ class DatasetLimits(Request):
         description="Reject where more than one edge in a thousand stretches by more than this share",
     )
     self_explosion: Finite = Field(
-        default=0.22, ge=0, le=10, description="Reject where a vertex moves more than this share of the height"
+        default=0.5, ge=0, le=10, description="Reject where a vertex moves more than this share of the height"
     )

@@ -17,9 +17,9 @@ from dynamictree.mesh import TriangleMesh
 from dynamictree.spectrum import NUM_FREQUENCIES, SparseVoxelSpectrum, Wind
 from dynamictree.voxel.voxelize import SurfaceVoxels, surface_average, voxelize
 
-VERSION = 3  # of the generator: a seed means the same motion as long as this stands
-GROWTH = 1  # a seed means the same tree, wind and gusts as long as this stands
-SPEED_M_S = (2.0, 10.0)
+VERSION = 4  # of the generator: a seed means the same motion as long as this stands
+GROWTH = 1  # a seed means the same tree and gusts as long as this stands
+SPEED_M_S = (1.0, 25.0)  # drawn evenly in the logarithm: from light air to a storm
 GUST = (0.15, 0.45)
 HELD_OUT_WEIGHT = 1 / 3  # species that are only for evaluation come up more rarely
 VALIDATION_EVERY = 20  # seeds
@@ -117,7 +117,7 @@ def _drawn(seed: int, species: str | None, wind: Wind | None) -> tuple[Species, 
     weights = np.array([HELD_OUT_WEIGHT if SPECIES[name].held_out else 1.0 for name in names])
     drawn = names[int(rng.choice(len(names), p=weights / weights.sum()))]
     own_wind = Wind(
-        speed_m_s=round(float(rng.uniform(*SPEED_M_S)), 3),
+        speed_m_s=round(float(np.exp(rng.uniform(*np.log(SPEED_M_S)))), 3),
         direction_deg=round(float(rng.uniform(0, 360)), 2),
         gust=round(float(rng.uniform(*GUST)), 4),
     )

@@ -6,9 +6,10 @@ import numpy as np
 from jaxtyping import Int8, Int32
 
 from dynamictree.dataset.branching import Stems, grow_children, grow_trunks
+from dynamictree.dataset.clumps import clumps
 from dynamictree.dataset.leaves import Leaves, cards, grow_leaves
 from dynamictree.dataset.species import Species
-from dynamictree.dataset.tubes import own_rings, tubes
+from dynamictree.dataset.tubes import Surface, own_rings, tubes
 from dynamictree.mesh import Material, TriangleMesh
 
 LEAF = 9  # part label of leaves; wood has its level, 0 to 3
@@ -29,7 +30,7 @@ class Tree:
     @property
     def bare(self) -> bool:
         """Whether it has no leaves."""
-        return not self.leaves
+        return self.species.foliage.kind == "none"
 
 
 def grow_tree(species: Species, rng: np.random.Generator) -> Tree:
@@ -39,6 +40,8 @@ def grow_tree(species: Species, rng: np.random.Generator) -> Tree:
     for depth in range(1, len(own.levels)):
         stems.append(grow_children(own, depth, stems[-1], rng))
     leaves = []
+    if own.foliage.kind == "clump":
+        return _surface(own, tuple(stems), (), clumps(own.foliage, own.height_m[0], stems, rng))
     if own.foliage.kind != "none":
         leaves.append(grow_leaves(own.foliage, own.height_m[0], stems[-1], len(stems) - 1, rng))
         if len(stems) > 2:
@@ -47,7 +50,10 @@ def grow_tree(species: Species, rng: np.random.Generator) -> Tree:
     return _surface(own, tuple(stems), tuple(leaves))
 
 
-def _surface(species: Species, stems: tuple[Stems, ...], leaves: tuple[Leaves, ...]) -> Tree:
+def _surface(
+    species: Species, stems: tuple[Stems, ...], leaves: tuple[Leaves, ...], on_stems: Surface | None = None
+) -> Tree:
+    """Put the surfaces together; `on_stems` is foliage that follows the stems' own nodes."""
     surfaces = [tubes(level, on_ground=depth == 0) for depth, level in enumerate(stems)]
     labels = list(range(len(stems)))
     num_nodes = [int(own_rings(level).sum()) for level in stems]
@@ -55,9 +61,13 @@ def _surface(species: Species, stems: tuple[Stems, ...], leaves: tuple[Leaves, .
         surfaces.append(cards(bunch, species.foliage))
         labels.append(LEAF)
         num_nodes.append(len(bunch.base))
+    first_node = np.cumsum([0, *num_nodes[:-1]]).tolist()
+    if on_stems is not None:
+        surfaces.append(on_stems)
+        labels.append(LEAF)
+        first_node.append(0)
     sizes = [len(surface.vertices) for surface in surfaces]
     first_vertex = np.cumsum([0, *sizes[:-1]])
-    first_node = np.cumsum([0, *num_nodes[:-1]])
     material = np.repeat(
         np.array([label == LEAF for label in labels], np.int32), [len(surface.faces) for surface in surfaces]
     )

@@ -10,7 +10,7 @@ Shape = Literal[
     "tend-flame", "shallow-cone",
 ]  # fmt: skip
 SHAPES: tuple[Shape, ...] = get_args(Shape)
-LeafKind = Literal["none", "leaf", "cluster", "needle", "frond"]
+LeafKind = Literal["none", "leaf", "cluster", "needle", "frond", "clump"]
 
 KEY_SPREAD = 0.25  # key parameters (height apart): uniform within this share of the preset's value
 REST_SPREAD = 0.05  # every other number: normal with this relative deviation
@@ -40,11 +40,11 @@ class Level:
 
 @dataclass(frozen=True, kw_only=True)
 class Foliage:
-    """Leaves, as cards, on the last level (and, thinner, on the one above)."""
+    """Leaves, as cards, on the last level (and, thinner, on the one above); or one closed clump a stem."""
 
     kind: LeafKind = "leaf"
-    count: float = 8.0  # on a stem of full length
-    size: float = 0.035  # length of a card, of the tree's height
+    count: float = 8.0  # on a stem of full length; a stem has one clump
+    size: float = 0.035  # length of a card or radius of a clump, of the tree's height
     aspect: float = 0.6  # width over length
     down: float = 50.0  # degrees from the stem
     droop: float = 0.2  # bend towards the ground, 0 to 1

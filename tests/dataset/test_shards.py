@@ -217,10 +217,10 @@ def test_the_card_tells_trees_rules_and_species(baked, tmp_path):
     card = (baked / "README.md").read_text()
     assert "2 animated trees" in card
     assert "| self-explosion | 0 | 0.00 % |" in card
-    assert "| 0.22 |" in card
+    assert "| 0.5 |" in card
     assert "voxels at 32³" in card
     options = "--trees 2 --first-seed 40 --trees-per-shard 2 --resolution 32 --high-frequency 0.001 --root-motion 0.001"
-    assert f"dynamictree dataset generate FOLDER {options} --edge-stretch 0.02 --self-explosion 0.22" in card
+    assert f"dynamictree dataset generate FOLDER {options} --edge-stretch 0.02 --self-explosion 0.5" in card
 
 
 def test_a_shard_can_be_written_to_any_stream(sapling):

@@ -19,6 +19,7 @@ from dynamictree.dataset.oscillator import (
 from dynamictree.dataset.rotation import carried, cross, product, to_matrix, turn_of
 from dynamictree.dataset.sample import SPECIES, make_sample
 from dynamictree.dataset.sapling import LEAF, grow_tree
+from dynamictree.dataset.species import Foliage
 from dynamictree.dataset.stats import tables_of
 from dynamictree.dataset.wind import _bending_radius, sway, sway_stems
 from dynamictree.spectrum import FPS, NUM_FRAMES, NUM_FREQUENCIES, Wind, from_motion
@@ -85,7 +86,7 @@ def test_the_answer_solves_the_oscillators_equation(rng, damping):
 def test_a_bare_tree_sways_faster_than_in_leaf_and_its_stems_ring():
     """The same stems, with and without leaves."""
     tree = grow_tree(SPECIES["birch"], np.random.default_rng(0))
-    without = replace(tree, leaves=())
+    without = replace(tree, leaves=(), species=replace(tree.species, foliage=Foliage(kind="none")))
     leaf, bare = (sway(one, Wind(), np.random.default_rng(1)).shift for one in (tree, without))
     leaf = leaf[:, : bare.shape[1]]  # stems come first
     power = [(np.abs(np.fft.rfft(shift, axis=0)) ** 2).sum(axis=(1, 2))[1:NUM_FREQUENCIES] for shift in (leaf, bare)]

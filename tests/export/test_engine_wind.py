@@ -28,7 +28,7 @@ from dynamictree.modal.turbulence import iter_turbulent_motion, turbulent_wind
 from dynamictree.modal.turn_modes import turn_modes
 from dynamictree.modal.turn_skeleton import turn_skeleton
 from dynamictree.requests import ExportParams
-from dynamictree.spectrum import SparseVoxelSpectrum, bin_weights
+from dynamictree.spectrum import SparseVoxelSpectrum, Wind, bin_weights
 from dynamictree.wind_bands import bands_of_sizes
 
 Tree = tuple[TriangleMesh, SparseVoxelSpectrum]
@@ -45,7 +45,7 @@ def with_gains(spectrum: SparseVoxelSpectrum) -> SparseVoxelSpectrum:
 
 @pytest.fixture(scope="module")
 def tree() -> Tree:
-    sample = make_sample(3, "sapling")
+    sample = make_sample(3, "sapling", wind=Wind(speed_m_s=3.0, direction_deg=160.0, gust=0.42))
     return sample.mesh, with_gains(voxel_spectrum(sample, 64)[1])
 
 
