@@ -10,7 +10,7 @@ from dynamictree.spectrum import Wind
 REFERENCE_SPEED = 5.0  # [m/s]
 DRAG_EXPONENT = 1.4
 """Of the speed: what sizes are divided by before a network learns them (Vogel 1989). The simulator's drag goes with
-U^1.6; networks that see the speed learn the rest, and weights of either data set load alike."""
+U^1.6: networks that see the speed learn the rest."""
 MIN_SPEED = 0.1  # [m/s]
 MIN_GUST = 0.01
 

@@ -1,8 +1,10 @@
 """Amplitude of each voxel at each frequency, and its lean: the deterministic part of a motion.
 
 The network gives, in the wind's frame and as a share of the tree's height, the mean displacement c_0 and the size A of
-every other coefficient. What is left, u = c / A, is what the diffusion model learns. Both grow with the drag, the
-second with the gusts too, before the network has its say.
+every other coefficient. What is left, u = c / A, is what the diffusion model learns. Both grow with the drag d = U^1.6
+as tanh(s d) / s, as a stem's lean does in the simulator, and the second with the gusts too: the network does not see
+the speed, it tells where each size saturates, so that no tree can answer a rising wind in another way. Of the vertical,
+what is sway times lean grows with d².
 """
 
 import math
@@ -24,26 +26,32 @@ from dynamictree.models.small.features import (
 from dynamictree.models.small.foliage import ARM, NUM_FOLIAGE_VALUES, STEM
 from dynamictree.models.small.surface_shape import NUM_SURFACE
 from dynamictree.models.threads import run_on_cores
-from dynamictree.models.wind import DRAG_EXPONENT, MIN_GUST, REFERENCE_SPEED
+from dynamictree.models.wind import MIN_GUST, REFERENCE_SPEED
 from dynamictree.sparse.pool import pool_to, upsample
 
-FLOOR = 1e-6
-"""Sizes below this share of the height (0.01 mm of a 10 m tree) count as no motion."""
+FLOOR = 3e-6
+"""Sizes below this share of the height count as no motion, at drag and gust 1: 0.01 mm of 10 m in a usual wind."""
 AXES = 3
 CONTEXT = (2, 4)  # levels of the pyramid
 NUM_OWN_SCALARS = NUM_SCALARS + NUM_SURFACE + NUM_FOLIAGE_VALUES - 3 + 2 * CHAIN * (3 + 1)
 NUM_OWN_VECTORS = NUM_VECTORS + 1
 NUM_OWN = NUM_OWN_SCALARS + 3 * NUM_OWN_VECTORS
-NUM_INPUTS = (len(CONTEXT) + 2) * NUM_OWN + NUM_WIND
+NUM_INPUTS = (len(CONTEXT) + 2) * NUM_OWN + 1  # and the gust
 CLIP = 5.0  # standard deviations
 BAND = 2048
 """Rows that one thread takes at a time: few enough that their hidden layers stay in a core's cache."""
-SEEN = 1e-5  # of the height: the least motion whose centroid and lean count
+SEEN = 3e-5  # of the height at drag and gust 1: the least motion whose centroid and lean count
 CENTROID_WEIGHT = 0.15
 LEAN_WEIGHT = 0.5
 LEAN = 0.5
 START = -7.0
 """Lean over the motion's size at gust 1, and ln A there, before training: their size in the dataset."""
+DRAG_EXPONENT = 1.6
+"""Of the speed, the simulator's: of how a size grows in a calm, where nothing saturates."""
+SATURATION = -1.9
+"""Ln s before training: that of a stem of mean slenderness in the simulator."""
+BENT_SIZE = 0.01  # of the height: sways above it come with a lean that lowers the crown
+BENT = (1e-6, 50.0)  # bounds of s d, in which tanh(s d) / (s d) is exact in float32
 
 
 class AmplitudeNetwork(nn.Module):
@@ -64,7 +72,13 @@ class AmplitudeNetwork(nn.Module):
             nn.Sequential(nn.LayerNorm(width), nn.Linear(width, 2 * width), nn.SiLU(), nn.Linear(2 * width, width))
             for _ in range(depth)
         )
-        self.head = nn.Sequential(nn.LayerNorm(width), nn.SiLU(), nn.Linear(width, AXES * num_frequencies))
+        self.head = nn.Sequential(nn.LayerNorm(width), nn.SiLU())
+        self.sizes = nn.Linear(width, AXES * num_frequencies)
+        self.saturation = nn.Linear(width, AXES * (num_frequencies - 1))
+        self.second_order = nn.Linear(width, 2)
+        for layer, start in ((self.saturation, SATURATION), (self.second_order, 0.0)):
+            nn.init.zeros_(layer.weight)
+            nn.init.constant_(layer.bias, start)
         self.register_buffer("mean", torch.zeros(NUM_INPUTS))
         self.register_buffer("deviation", torch.ones(NUM_INPUTS))
 
@@ -80,12 +94,19 @@ class AmplitudeNetwork(nn.Module):
         hidden = self.enter(((inputs - self.mean) / self.deviation).clamp(-CLIP, CLIP))
         for block in self.blocks:
             hidden = hidden + block(hidden)
-        out = self.head(hidden).view(len(inputs), self.num_frequencies, AXES)
-        drag = DRAG_EXPONENT * (wind[:, :1] - math.log(REFERENCE_SPEED))
-        gust = wind[:, 1:].clamp_min(MIN_GUST).log()
-        log_amplitude = START + out[:, 1:] + (drag + gust)[..., None]
-        size = (2 * (log_amplitude.detach() - gust[..., None])).exp().sum(dim=(1, 2)).sqrt()
-        return LEAN * out[:, 0] * size[:, None], log_amplitude
+        hidden = self.head(hidden)
+        sizes = self.sizes(hidden).view(len(inputs), self.num_frequencies, AXES)
+        saturation = self.saturation(hidden).view(len(inputs), self.num_frequencies - 1, AXES)
+        leant, dropped = self.second_order(hidden).float().T
+        zeros, ones = torch.zeros_like(leant), torch.ones_like(leant)
+        log_drag, log_gust = _log_wind(wind)
+        bent = (saturation.float() + log_drag[:, None]).exp().clamp(*BENT)
+        growth = log_drag[:, None] + (bent.tanh() / bent).log()
+        growth = growth * torch.stack([ones, ones, 1 + leant.sigmoid()], dim=1)[:, None]
+        log_amplitude = START + sizes[:, 1:] + growth + log_gust[:, None]
+        size = (2 * (log_amplitude.detach() - log_gust[:, None])).exp().sum(dim=(1, 2)).sqrt()
+        lean = sizes[:, 0] + torch.stack([zeros, zeros, dropped * size / BENT_SIZE], dim=1)
+        return LEAN * lean * size[:, None], log_amplitude
 
     def of_tree(
         self, tree: TreeFeatures, foliage_values: Float32[Tensor, "V O"], wind: Float32[Tensor, "B 4"]
@@ -130,19 +151,35 @@ def amplitude_inputs(
         columns.append(raised)
     sample = tree.grids.levels[0].sample_of_row
     whole = torch.stack([own[rows].mean(dim=0) for rows in tree.grids.levels[0].sample_slices])
-    return torch.cat([*columns, whole[sample], wind[sample, :NUM_WIND]], dim=1)
+    return torch.cat([*columns, whole[sample], wind[sample, 1:NUM_WIND]], dim=1)
 
 
 def mirror_inputs(inputs: Float32[Tensor, "R I"]) -> Float32[Tensor, "R I"]:
     """What `amplitude_inputs` gives of the mirrored tree: crosswind components change their sign."""
     signs = torch.ones(NUM_OWN)
     signs[NUM_OWN_SCALARS + NUM_OWN_VECTORS : NUM_OWN_SCALARS + 2 * NUM_OWN_VECTORS] = -1
-    return inputs * torch.cat([signs.repeat(len(CONTEXT) + 2), torch.ones(NUM_WIND)])
+    return inputs * torch.cat([signs.repeat(len(CONTEXT) + 2), torch.ones(1)])
 
 
-def moving(log_amplitude: Float32[Tensor, "V J 3"]) -> Float32[Tensor, "V J 3"]:
-    """A over the height, without the floor that ln A was learnt with: what stands still is exactly still."""
-    return ((2 * log_amplitude).exp() - FLOOR**2).clamp_min(0).sqrt()
+def moving(log_amplitude: Float32[Tensor, "V J 3"], wind: Float32[Tensor, "W 2"]) -> Float32[Tensor, "V J 3"]:
+    """A over the height, without the floor that ln A was learnt with: what stands still is exactly still.
+
+    Args:
+        log_amplitude: ln A.
+        wind: ln speed and gust, one for all or one a row.
+    """
+    return ((2 * log_amplitude).exp() - _floor(wind)[:, None, None] ** 2).clamp_min(0).sqrt()
+
+
+def _log_wind(wind: Float32[Tensor, "R 2"]) -> tuple[Float32[Tensor, "R 1"], Float32[Tensor, "R 1"]]:
+    """Ln of the drag, which is 1 at REFERENCE_SPEED, and ln of the gust."""
+    return DRAG_EXPONENT * (wind[:, :1] - math.log(REFERENCE_SPEED)), wind[:, 1:].clamp_min(MIN_GUST).log()
+
+
+def _floor(wind: Float32[Tensor, "R 2"], share: float = FLOOR) -> Float32[Tensor, " R"]:
+    """A share of the height in a wind: in a calm all is small, and the same tree still has the same shape of motion."""
+    log_drag, log_gust = _log_wind(wind)
+    return share * (log_drag + log_gust)[:, 0].exp()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,7 +198,10 @@ class AmplitudeLosses:
 
 
 def amplitude_losses(
-    lean: Float32[Tensor, "R 3"], log_amplitude: Float32[Tensor, "R J 3"], spectrum: Complex64[Tensor, "R K 3"]
+    lean: Float32[Tensor, "R 3"],
+    log_amplitude: Float32[Tensor, "R J 3"],
+    spectrum: Complex64[Tensor, "R K 3"],
+    wind: Float32[Tensor, "R 2"],
 ) -> AmplitudeLosses:
     """Four squared errors of a predicted amplitude and lean.
 
@@ -173,20 +213,22 @@ def amplitude_losses(
         lean: c_0 over the height.
         log_amplitude: ln A over the height.
         spectrum: the truth over the height, in the wind's frame.
+        wind: ln speed and gust at each row.
     """
+    floor, seen_from = _floor(wind), _floor(wind, SEEN)
     power = spectrum[:, 1:].abs().square()  # [R, J, 3]
     guessed_power = (2 * log_amplitude).exp()
-    size = (power + FLOOR**2).log() / 2
-    total = (power.sum(dim=(1, 2)) + FLOOR**2).log() / 2
+    size = (power + floor[:, None, None] ** 2).log() / 2
+    total = (power.sum(dim=(1, 2)) + floor**2).log() / 2
     guessed = guessed_power.sum(dim=(1, 2)).log() / 2
     truth = spectrum[:, 0].real
-    seen = power.sum(dim=(1, 2)) > SEEN**2
-    difference = _mean_bin(guessed_power.sum(dim=2)) - _mean_bin(power.sum(dim=2) + FLOOR**2)
+    seen = power.sum(dim=(1, 2)) > seen_from**2
+    difference = _mean_bin(guessed_power.sum(dim=2)) - _mean_bin(power.sum(dim=2) + floor[:, None] ** 2)
     return AmplitudeLosses(
         logarithmic=(log_amplitude - size).square().mean(),
         overall=(guessed - total).square().mean(),
         centroid=(difference * seen).square().mean(),
-        lean=((lean - truth).square().sum(dim=1) / (truth.square().sum(dim=1) + SEEN**2)).mean(),
+        lean=((lean - truth).square().sum(dim=1) / (truth.square().sum(dim=1) + seen_from**2)).mean(),
     )
 
 

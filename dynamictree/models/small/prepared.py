@@ -13,6 +13,7 @@ from dynamictree.diffusion.channels import unpack_channels
 from dynamictree.models.small.amplitude import moving
 from dynamictree.models.small.correlated_noise import NoiseBasis, noise_basis
 from dynamictree.models.small.features import (
+    NUM_WIND,
     ROOT_DISTANCE,
     TreeFeatures,
     coarsen_features,
@@ -112,7 +113,7 @@ def prepare_tree(
         neighbourhood=neighbourhood(nodes),
         node_log_amplitude=pool_to(log_amplitude, tree.grids, top),
         lean=smooth.apply(lean) * free[:, None],
-        amplitude=moving(log_amplitude) * network.energy_gain * free[:, None, None],
+        amplitude=moving(log_amplitude, air[:, :NUM_WIND]) * network.energy_gain * free[:, None, None],
         leaves=leaves_of(coarse.grid, foliage_values, free, height_m=height_m, axes=axes),
         lift=sparse_rows(raise_matrix(tree.grids, top, 0)),
         local=sparse_rows(unit_rows(raise_matrix(tree.grids, top - 1, 0))),

@@ -27,7 +27,7 @@ from dynamictree.models.small.training_steps import (
     standardise,
     write_rows,
 )
-from dynamictree.models.small.whitening import NUM_MEASURED, measure, white_example
+from dynamictree.models.small.whitening import MEASURED, NUM_MEASURED, measure, white_example
 from dynamictree.models.weights_file import Provenance, write_weights
 from dynamictree.training.checkpoints import load_part
 from dynamictree.training.distributed import num_processes, process_rank, wait_for_all
@@ -37,9 +37,12 @@ from dynamictree.training.trainer import Trainer, TrainerOptions
 OnTrainingStep = Callable[[str, int, int, float], None]
 """Called with the part, the step, the steps in all, and the loss."""
 TREES_A_FILE = 25
-GOING_ON_RATE = 0.25
-"""Of the learning rate, where the amplitude network goes on from weights: at the full rate it forgot what it knew of
+GOING_ON_RATE = 0.1
+"""Of the learning rate, where the amplitude network goes on from weights: the faster it goes, the more it forgets of
 unseen species (docs/decisions/diffusion.md)."""
+SHARE_BEFORE = 0.5
+"""Of the weights it went on from, in the mean with what it became (Wortsman et al. 2022, arXiv:2109.01903): that knows
+as much of what was learnt now, and forgets less. What tells where a motion saturates stays as learnt."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,7 +76,7 @@ class SmallTraining:
     )
     foliage_from: str | None = None  # weights whose foliage network is gone on from; with 0 steps, it stays
     amplitude_from: str | None = None  # weights whose amplitude network is gone on from
-    denoiser_from: str | None = None  # weights whose denoiser is gone on from; with 0 steps, it stays
+    denoiser_from: str | None = None  # weights whose denoiser is gone on from; with 0 steps, it and its scales stay
 
 
 def train_small(
@@ -159,7 +162,13 @@ def _train_amplitude(
     trainer.resume(checkpoint)
     for step, loss in trainer.run(lambda rng: amplitude_step(network.amplitude, rows, rng), checkpoint):
         _tell(on_step, "amplitude", step, plan.amplitude.schedule.num_steps, loss)
-    network.amplitude.load_state_dict(trainer.average.state_dict())
+    learnt = trainer.average.state_dict()
+    if plan.amplitude_from is not None:
+        before = load_file(plan.amplitude_from)
+        for name, now in learnt.items():
+            if not name.startswith(("saturation", "second_order")):
+                learnt[name] = now + SHARE_BEFORE * (before[f"amplitude.{name}"].to(now) - now)
+    network.amplitude.load_state_dict(learnt)
     network.amplitude.requires_grad_(False)
 
 
@@ -170,6 +179,12 @@ def _train_denoiser(
     checkpoint: Path,
     on_step: OnTrainingStep | None,
 ) -> None:
+    if plan.denoiser_from is not None and plan.denoiser.schedule.num_steps == 0:
+        before = load_file(plan.denoiser_from)
+        load_part(network.denoiser, before, "denoiser")
+        for name in MEASURED:
+            network.get_buffer(name).copy_(before[name])
+        return
     first = plan.foliage_trees + plan.amplitude_trees
     measured = map(example_of, iter_training(shards, first=first, count=min(NUM_MEASURED, plan.denoiser_trees)))
     measure(network, measured, np.random.default_rng(plan.denoiser.seed))

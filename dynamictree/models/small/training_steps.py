@@ -90,8 +90,9 @@ def amplitude_step(network: AmplitudeNetwork, rows: AmplitudeRows, rng: np.rando
     inputs, spectrum = rows.inputs[chosen].float(), rows.spectrum(chosen)
     if rng.random() < 0.5:
         inputs, spectrum = mirror_inputs(inputs), spectrum * torch.tensor([1.0, -1.0, 1.0])
-    lean, log_amplitude = network(inputs, rows.wind[chosen])
-    return amplitude_losses(lean.float(), log_amplitude.float(), spectrum).total()
+    wind = rows.wind[chosen]
+    lean, log_amplitude = network(inputs, wind)
+    return amplitude_losses(lean.float(), log_amplitude.float(), spectrum, wind).total()
 
 
 def denoising_step(

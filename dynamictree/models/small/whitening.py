@@ -11,7 +11,7 @@ from torch import Tensor
 from dynamictree.models.small.amplitude import moving
 from dynamictree.models.small.correlated_noise import NoiseBasis, fit_shares, noise_basis
 from dynamictree.models.small.examples import Example
-from dynamictree.models.small.features import TreeFeatures, coarsen_features, wind_vector
+from dynamictree.models.small.features import NUM_WIND, TreeFeatures, coarsen_features, wind_vector
 from dynamictree.models.small.mixer import Neighbourhood, neighbourhood
 from dynamictree.models.small.network import Regression
 from dynamictree.sparse.matrices import raise_matrix, sparse_rows
@@ -22,6 +22,7 @@ WHITE_SHARE = 0.7
 """Of the noise: white beside what is fitted to the data, so that smoothness distinguishes data from noise too."""
 RESIDUAL_SHARE = 0.1
 """Of the variance that nodes do not hold: all of it as noise makes mesh edges 1.6 times too rough, none 0.7 times."""
+MEASURED = ("node_scale", "residual_share", "noise_shares", "energy_gain")
 NUM_MEASURED = 24
 """Trees that scales and shares are measured on."""
 
@@ -52,7 +53,8 @@ def measure(network: Regression, examples: Iterable[Example], rng: np.random.Gen
     nodes, trees, power, energy = [], [], [], []
     for example in examples:
         field, log_amplitude = whiten(network, example)
-        energy.append(_energy_shares(example.spectrum, moving(log_amplitude)))
+        wind = wind_vector([example.wind])[:, :NUM_WIND]
+        energy.append(_energy_shares(example.spectrum, moving(log_amplitude, wind)))
         pooled = pool_to(field, example.tree.grids, top)
         lift = sparse_rows(raise_matrix(example.tree.grids, top, 0))
         lifted = torch.view_as_complex(lift.apply(torch.view_as_real(pooled)))

@@ -11,6 +11,7 @@ from dynamictree.dataset.sapling import LEAF
 from dynamictree.dataset.shards import StoredTree, store
 from dynamictree.models.small.amplitude import amplitude_losses
 from dynamictree.models.small.examples import example_of
+from dynamictree.models.small.features import NUM_WIND, wind_vector
 from dynamictree.models.small.foliage import ARM, NUM_FOLIAGE_VALUES, NUM_PARTS, FoliageNetwork
 from dynamictree.models.small.foliage_targets import ARM_SCALE, true_parts
 from dynamictree.models.small.train_foliage import (
@@ -92,11 +93,12 @@ def test_the_truth_has_no_amplitude_error_but_its_axes_scatter(stored: StoredTre
     spectrum = example_of(stored).spectrum
     spectrum = spectrum[spectrum.abs().amin(dim=(1, 2)) > 1e-4]  # far above the floor
     assert len(spectrum) > 100
+    wind = wind_vector([stored.wind])[:, :NUM_WIND].expand(len(spectrum), NUM_WIND)
     size = spectrum[:, 1:].abs().clamp_min(1e-7).log()
-    losses = amplitude_losses(spectrum[:, 0].real, size, spectrum)
+    losses = amplitude_losses(spectrum[:, 0].real, size, spectrum, wind)
     assert losses.lean == 0
     assert losses.overall < 1e-3
     assert losses.centroid < 1e-3
-    shifted = amplitude_losses(spectrum[:, 0].real, size + torch.linspace(0, 1, 15)[:, None], spectrum)
+    shifted = amplitude_losses(spectrum[:, 0].real, size + torch.linspace(0, 1, 15)[:, None], spectrum, wind)
     assert shifted.centroid > 100 * losses.centroid
     assert shifted.total() > losses.total()

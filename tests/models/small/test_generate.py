@@ -12,13 +12,14 @@ from safetensors.torch import save_file
 from dynamictree.diffusion.channels import pack_channels, unpack_channels
 from dynamictree.errors import Cancelled, CheckpointError, InputError
 from dynamictree.models import MotionModel, load_model
-from dynamictree.models.small.amplitude import FLOOR, NUM_INPUTS, moving
+from dynamictree.models.small.amplitude import DRAG_EXPONENT, FLOOR, NUM_INPUTS, moving
 from dynamictree.models.small.denoiser import DenoiserShape
 from dynamictree.models.small.generate import MAX_VOXELS, SmallModel
 from dynamictree.models.small.network import SmallNetwork, SmallPreset
 from dynamictree.models.small.prepared import soften
 from dynamictree.models.voxel_resolution import coarsened, halvings_served
 from dynamictree.models.weights_file import write_weights
+from dynamictree.models.wind import REFERENCE_SPEED
 from dynamictree.spectrum import NUM_FREQUENCIES, Wind
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import SurfaceVoxels
@@ -85,22 +86,41 @@ def test_the_motion_does_not_depend_on_the_number_of_cores(
 
 
 def test_what_is_at_the_floor_of_the_training_stands_exactly_still() -> None:
-    still = moving(torch.full((2, 15, 3), math.log(FLOOR)))
+    gust = torch.tensor([[math.log(REFERENCE_SPEED), 0.3]])  # where the drag is 1
+    still = moving(torch.full((2, 15, 3), math.log(0.299 * FLOOR)), gust)
     assert (still == 0).all()
-    assert moving(torch.full((1, 15, 3), -5.0)) == pytest.approx(math.exp(-5.0), rel=1e-4)
+    assert moving(torch.full((1, 15, 3), -5.0), gust) == pytest.approx(math.exp(-5.0), rel=1e-4)
 
 
 def test_what_hardly_moves_hardly_leans() -> None:
     network = tiny_network().amplitude
-    torch.nn.init.zeros_(network.head[2].weight)
-    torch.nn.init.ones_(network.head[2].bias)
+    torch.nn.init.zeros_(network.sizes.weight)
+    torch.nn.init.ones_(network.sizes.bias)
+    torch.nn.init.zeros_(network.second_order.bias)
+    torch.nn.init.zeros_(network.second_order.weight)
     inputs, wind = torch.zeros(1, NUM_INPUTS), torch.tensor([[math.log(6.0), 0.3]])
     lean, log_amplitude = network(inputs, wind)
     with torch.no_grad():
-        network.head[2].bias[3:] -= math.log(100.0)  # all but the lean's
+        network.sizes.bias[3:] -= math.log(100.0)  # all but the lean's
     smaller, hundredth = network(inputs, wind)
     torch.testing.assert_close(hundredth, log_amplitude - math.log(100.0))
     torch.testing.assert_close(100 * smaller, lean)
+
+
+def test_whatever_was_learnt_motion_grows_with_the_drag_at_most_and_ever_less() -> None:
+    network = tiny_network().amplitude
+    torch.nn.init.normal_(network.saturation.weight)
+    inputs = torch.randn(200, NUM_INPUTS)
+    speeds = [0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0]
+    winds = [torch.tensor([[math.log(speed), 0.3]]).expand(200, 2) for speed in speeds]
+    with torch.no_grad():
+        sizes = torch.stack([network(inputs, wind)[1][:, :, :2] for wind in winds])  # level motion
+    exponents = sizes.diff(dim=0) / math.log(2)
+    assert (exponents >= -1e-4).all()
+    assert (exponents <= DRAG_EXPONENT + 1e-4).all()
+    assert (exponents.diff(dim=0) <= 1e-4).all()
+    assert exponents[0].median() > 1.3
+    assert exponents[-1].median() < exponents[0].median()
 
 
 def test_every_sampler_step_is_reported_and_may_cancel(model: SmallModel, voxels: SurfaceVoxels) -> None:
