@@ -21,7 +21,9 @@ from dynamictree.models.small.denoiser import DenoiserShape
 from dynamictree.models.small.examples import Example, iter_training, make_example
 from dynamictree.models.small.generate import SmallModel
 from dynamictree.models.small.network import SmallNetwork, SmallPreset
+from dynamictree.models.small.train import mean_with_before
 from dynamictree.models.small.training_steps import VOXELS_A_TREE, amplitude_rows, read_rows, write_rows
+from dynamictree.models.small.whitening import MEASURED
 from dynamictree.weights import weights_path
 
 SEED = 1005
@@ -152,7 +154,7 @@ def test_training_ends_in_weights_that_load_and_goes_on_where_it_was(
 def test_parts_without_steps_stay_and_the_others_go_on(commands: Typer, shards: Path, tmp_path: Path) -> None:
     shipped = weights_path("small")
     arguments = ["train", str(tmp_path), "--dataset", str(shards), "--foliage-trees", "0", "--amplitude-trees", "1"]
-    steps = ["--foliage-steps", "0", "--denoiser-steps", "0", "--amplitude-steps", "1", "--denoiser-trees", "1"]
+    steps = ["--foliage-steps", "0", "--denoiser-steps", "0", "--amplitude-steps", "1"]
     from_shipped = [word for part in ("foliage", "amplitude", "denoiser") for word in (f"--{part}-from", str(shipped))]
     result = CliRunner().invoke(commands, [*arguments, *steps, *from_shipped, "--json"], catch_exceptions=False)
     ours, trained = small_network(shipped), small_network(Path(json.loads(result.stdout)["weights"]))
@@ -161,7 +163,19 @@ def test_parts_without_steps_stay_and_the_others_go_on(commands: Typer, shards: 
             assert (getattr(trained, part).state_dict()[name] == value).all(), name
     assert changed(ours.amplitude, trained.amplitude)
     torch.testing.assert_close(trained.amplitude.mean, ours.amplitude.mean)
-    torch.testing.assert_close(trained.amplitude.head[2].weight, ours.amplitude.head[2].weight, atol=0.01, rtol=0)
+    torch.testing.assert_close(trained.amplitude.sizes.weight, ours.amplitude.sizes.weight, atol=0.01, rtol=0)
+    for name in MEASURED:
+        assert (trained.get_buffer(name) == ours.get_buffer(name)).all(), name
+
+
+def test_an_amplitude_network_that_goes_on_keeps_half_of_what_it_was_but_for_saturation() -> None:
+    before, learnt = (SmallNetwork(SmallPreset(amplitude_width=8, amplitude_depth=1)) for _ in range(2))
+    torch.nn.init.normal_(learnt.amplitude.saturation.weight)
+    mean = mean_with_before(learnt.amplitude.state_dict(), before.state_dict())
+    assert mean.keys() == learnt.amplitude.state_dict().keys()
+    middle = (before.amplitude.sizes.weight + learnt.amplitude.sizes.weight) / 2
+    torch.testing.assert_close(mean["sizes.weight"], middle)
+    torch.testing.assert_close(mean["saturation.weight"], learnt.amplitude.saturation.weight)
 
 
 def small_network(weights: Path) -> SmallNetwork:

@@ -3,7 +3,7 @@
 Each part has its checkpoint and can be gone on with; the amplitude network's rows lie beside them.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
@@ -42,7 +42,9 @@ GOING_ON_RATE = 0.1
 unseen species (docs/decisions/diffusion.md)."""
 SHARE_BEFORE = 0.5
 """Of the weights it went on from, in the mean with what it became (Wortsman et al. 2022, arXiv:2109.01903): that knows
-as much of what was learnt now, and forgets less. What tells where a motion saturates stays as learnt."""
+as much of what was learnt now, and forgets less."""
+SATURATING = ("saturation", "second_order")
+"""Layers that tell where a motion saturates, which stay as learnt."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,12 +166,17 @@ def _train_amplitude(
         _tell(on_step, "amplitude", step, plan.amplitude.schedule.num_steps, loss)
     learnt = trainer.average.state_dict()
     if plan.amplitude_from is not None:
-        before = load_file(plan.amplitude_from)
-        for name, now in learnt.items():
-            if not name.startswith(("saturation", "second_order")):
-                learnt[name] = now + SHARE_BEFORE * (before[f"amplitude.{name}"].to(now) - now)
+        learnt = mean_with_before(learnt, load_file(plan.amplitude_from))
     network.amplitude.load_state_dict(learnt)
     network.amplitude.requires_grad_(False)
+
+
+def mean_with_before(learnt: Mapping[str, Tensor], before: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """SHARE_BEFORE of the weights before and the rest of those learnt; `before` has the names of a whole network."""
+    return {
+        name: now if name.startswith(SATURATING) else now.lerp(before[f"amplitude.{name}"].to(now), SHARE_BEFORE)
+        for name, now in learnt.items()
+    }
 
 
 def _train_denoiser(
