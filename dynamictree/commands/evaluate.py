@@ -1,8 +1,9 @@
 """`dynamictree evaluate`: compare a model with its baselines on held-out trees."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,6 +16,8 @@ from dynamictree.training.progress import OnStep, bars
 
 if TYPE_CHECKING:
     from dynamictree.evaluation.frame_distances import ImageEmbedder
+    from dynamictree.mesh import TriangleMesh
+    from dynamictree.spectrum import SparseVoxelSpectrum, Wind
 
 RIVALS = ("sapling",)
 
@@ -47,6 +50,9 @@ def evaluate(
     ] = False,
     laws: Annotated[
         bool, typer.Option(help="Instead, check the simulator against measurements of real trees, from 1 to 35 m.")
+    ] = False,
+    generated: Annotated[
+        bool, typer.Option(help="With --laws: check the model's motions of these trees, not the simulator's.")
     ] = False,
     tree: Annotated[
         Path | None,
@@ -81,8 +87,12 @@ def evaluate(
         raise InputError(f"there is no rival {rival!r}; choose {', '.join(RIVALS)}")
     if (rival is not None) + classifier + laws > 1:
         raise InputError("--rival, --classifier and --laws are separate runs; give one of them")
-    if tree is not None and not laws:
-        raise InputError("--tree is for --laws; without it the model is measured on trees of known motion")
+    if (tree is not None or generated) and not laws:
+        raise InputError(
+            "--tree and --generated are for --laws; without it the model is measured on trees of known motion"
+        )
+    if tree is not None and generated:
+        raise InputError("--generated takes trees that are grown, --tree one of yours; give one of them")
     if height_m is not None and tree is None:
         raise InputError("--height-m is the height of --tree; give that too")
     if laws:
@@ -93,7 +103,8 @@ def evaluate(
             typer.echo(json.dumps(of_tree)) if as_json else print_tree_laws(of_tree)
             return
         with bars(quiet=as_json) as on_step:
-            report = evaluate_laws(trees, seed=seed, on_step=on_step)
+            of_model = partial(_motion_of, model=model, seed=seed) if generated else None
+            report = evaluate_laws(trees, seed=seed, model=of_model, on_step=on_step)
         typer.echo(json.dumps(report)) if as_json else print_laws(report)
         return
     files, embedders = _sapling(samples), _embedders(clip, effnet=effnet)
@@ -149,15 +160,21 @@ def _embedders(clip: Path | None, *, effnet: bool) -> "Sequence[ImageEmbedder]":
 
 
 def _laws_of(path: Path, reading: Reading, model: str, seed: int) -> dict[str, Any]:
-    from dynamictree import method
     from dynamictree.commands.options import shape_file
     from dynamictree.commands.source import read_source
     from dynamictree.evaluation.laws import judged, measure_generated
 
     path = shape_file(path)
-    voxels = method.voxelize(read_source(path, reading)[0])
-    measured = measure_generated(path.name, lambda wind: method.generate(voxels, wind=wind, seed=seed, model=model))
+    measured = measure_generated(path.name, _motion_of(read_source(path, reading)[0], model=model, seed=seed))
     return {"tree": asdict(measured), "laws": judged(measured)}
+
+
+def _motion_of(shape: "TriangleMesh", *, model: str, seed: int) -> "Callable[[Wind], SparseVoxelSpectrum]":
+    """A function that generates the shape's motion in a wind."""
+    from dynamictree import method
+
+    voxels = method.voxelize(shape)
+    return lambda wind: method.generate(voxels, wind=wind, seed=seed, model=model)
 
 
 def _compare(

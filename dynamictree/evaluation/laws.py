@@ -17,11 +17,14 @@ from dynamictree.dataset.oscillator import damping_ratio, stem_bin
 from dynamictree.dataset.sapling import Tree, grow_tree
 from dynamictree.dataset.species import SPECIES
 from dynamictree.dataset.wind import sway
+from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.real_trees import BARE_DAMPING_RATIO, LEAF_DAMPING_RATIO, natural_frequency_hz
 from dynamictree.modal.system import modal_system
 from dynamictree.spectrum import FPS, NUM_FRAMES, SparseVoxelSpectrum, Wind
 from dynamictree.training.progress import OnStep
 
+ModelMotion = Callable[[TriangleMesh], Callable[[Wind], SparseVoxelSpectrum]]
+"""Of a mesh, a function that generates its motion in a wind."""
 HEIGHTS_M = (1.0, 35.0)
 SPEEDS_M_S = (1.25, 2.5, 10.0, 20.0)
 GUST = 0.3
@@ -59,8 +62,7 @@ class TreeLaws:
 
 def measure_tree(species: str, height_m: float, seed: int) -> TreeLaws:
     """Grow a tree of a height, move it at four speeds, measure."""
-    rng = np.random.default_rng([seed, round(1000 * height_m)])
-    tree = grow_tree(replace(SPECIES[species], height_m=(height_m, height_m)), rng)
+    tree = _grown(species, height_m, seed)
     height = float(np.ptp(tree.mesh.vertices[:, 2]))
     foliage = float(SPECIES[species].foliage.kind != "none")
     motions = [_motion(tree, speed, seed) for speed in SPEEDS_M_S]
@@ -106,12 +108,18 @@ def measure_generated(name: str, generate: Callable[[Wind], SparseVoxelSpectrum]
     )
 
 
-def measure_trees(num_trees: int, *, seed: int = 0, on_step: OnStep | None = None) -> Iterator[TreeLaws]:
-    """Trees of all species in turn, their heights evenly spaced in the logarithm."""
+def measure_trees(
+    num_trees: int, *, seed: int = 0, model: ModelMotion | None = None, on_step: OnStep | None = None
+) -> Iterator[TreeLaws]:
+    """Trees of all species in turn, their heights evenly spaced in the logarithm, as `evaluate_laws` measures them."""
     names = list(SPECIES)
     heights = np.geomspace(*HEIGHTS_M, num_trees)
     for number, height_m in enumerate(heights):
-        yield measure_tree(names[number % len(names)], float(height_m), seed + number)
+        species = names[number % len(names)]
+        if model is None:
+            yield measure_tree(species, float(height_m), seed + number)
+        else:
+            yield measure_generated(species, model(_grown(species, float(height_m), seed + number).mesh))
         if on_step is not None:
             on_step("trees", number + 1, num_trees, 0.0)
 
@@ -144,9 +152,18 @@ def judged(tree: TreeLaws) -> dict[str, bool | None]:
     return {law: None if np.isnan(share) else bool(share) for law, share in shares.items()}
 
 
-def evaluate_laws(num_trees: int, *, seed: int = 0, on_step: OnStep | None = None) -> dict[str, object]:
-    """Measure trees of 1 to 35 m; the share that satisfies each law, and every tree's figures."""
-    trees = list(measure_trees(num_trees, seed=seed, on_step=on_step))
+def evaluate_laws(
+    num_trees: int, *, seed: int = 0, model: ModelMotion | None = None, on_step: OnStep | None = None
+) -> dict[str, object]:
+    """Measure trees of 1 to 35 m; the share that satisfies each law, and every tree's figures.
+
+    Args:
+        num_trees: grown for this.
+        seed: of the first tree.
+        model: gives a mesh's motion, which is measured in place of the simulator's.
+        on_step: called after each tree.
+    """
+    trees = list(measure_trees(num_trees, seed=seed, model=model, on_step=on_step))
     medians = {name: float(np.median([getattr(tree, name) for tree in trees])) for name in MEDIANS}
     return {"laws": law_shares(trees), "medians": medians, "trees": [asdict(tree) for tree in trees]}
 
@@ -157,6 +174,11 @@ def frequency_band(height_m: float) -> tuple[float, float] | None:
         if low <= height_m < high:
             return band
     return None
+
+
+def _grown(species: str, height_m: float, seed: int) -> Tree:
+    rng = np.random.default_rng([seed, round(1000 * height_m)])
+    return grow_tree(replace(SPECIES[species], height_m=(height_m, height_m)), rng)
 
 
 def _within(value: float, band: tuple[float, float]) -> bool:

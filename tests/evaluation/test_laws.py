@@ -1,6 +1,7 @@
 """Laws of real trees on the simulator."""
 
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -95,10 +96,20 @@ def test_the_motion_that_a_model_generates_of_a_tree_satisfies_the_laws(commands
     assert set(report["laws"].values()) == {True}
 
 
+def test_motions_that_a_model_generates_of_grown_trees_satisfy_the_laws(commands: Typer) -> None:
+    arguments = ["--laws", "--generated", "--trees", "2", "--seed", "5", "--json"]
+    report = json.loads(CliRunner().invoke(commands, arguments, catch_exceptions=False).stdout)
+    assert [tree["species"] for tree in report["trees"]] == list(SPECIES)[:2]
+    of_sway = {law: share for law, share in report["laws"].items() if "band for the height" not in law}
+    assert all(share == 1 or math.isnan(share) for share in of_sway.values())
+    simulated = evaluate_laws(2, seed=5)["trees"]
+    assert all(one["response"] != other["response"] for one, other in zip(report["trees"], simulated, strict=True))
+
+
 def test_a_tree_is_measured_for_the_laws_only(commands: Typer, tmp_path: Path) -> None:
     path = tmp_path / "tree.glb"
     path.touch()
     result = CliRunner().invoke(commands, ["--tree", str(path)])
-    assert "--tree is for --laws" in str(result.exception)
+    assert "--tree and --generated are for --laws" in str(result.exception)
     without = CliRunner().invoke(commands, ["--laws", "--height-m", "7"])
     assert "give that too" in str(without.exception)
