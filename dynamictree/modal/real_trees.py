@@ -65,7 +65,8 @@ def foliage_of(spectrum: SparseVoxelSpectrum) -> float:
     """Estimate foliage in [0, 1]: a tree is in leaf unless both its motion and its shape say that it is bare.
 
     Leaves flutter at frequencies at which stems hardly move, and they hide the thin twigs that bear them. Calibrated on
-    generated trees at 128³ in winds of 2 to 10 m/s; twigs of coarser voxels look thick and count as leaf.
+    generated trees at 128³ in winds of 2 to 10 m/s, and no other in 1 to 25 m/s; twigs of coarser voxels look thick and
+    count as leaf.
     """
     return 1 - (1 - _flutter(spectrum)) * (1 - _hiding(spectrum.grid))
 
