@@ -25,4 +25,7 @@ def load_model(name_or_path: str = "small") -> MotionModel:
     if (stored.kind, stored.version) == (PaperNetwork.KIND, PaperNetwork.VERSION):
         return PaperModel(stored.network(PaperNetwork, path.stem), name=path.stem)
     needed = ", ".join(f"{kind.KIND} version {kind.VERSION}" for kind in (SmallNetwork, PaperNetwork))
-    raise CheckpointError(f"{path.name} is {stored.kind} version {stored.version}; {needed} can be loaded")
+    raise CheckpointError(
+        f"{path.name} is {stored.kind} version {stored.version}; {needed} can be loaded: "
+        "train again, or run the release that made it"
+    )

@@ -70,7 +70,7 @@ class Regression(StorableNetwork):
 class SmallNetwork(Regression):
     """The regression, and the denoiser of the whitened spectrum."""
 
-    KIND, VERSION, PRESET = "dynamictree-small", "5", SmallPreset
+    KIND, VERSION, PRESET = "dynamictree-small", "6", SmallPreset
 
     def __init__(self, preset: SmallPreset) -> None:
         super().__init__(preset)
