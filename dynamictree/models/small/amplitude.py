@@ -100,8 +100,7 @@ class AmplitudeNetwork(nn.Module):
         leant, dropped = self.second_order(hidden).float().T
         zeros, ones = torch.zeros_like(leant), torch.ones_like(leant)
         log_drag, log_gust = _log_wind(wind)
-        bent = (saturation.float() + log_drag[:, None]).exp().clamp(*BENT)
-        growth = log_drag[:, None] + (bent.tanh() / bent).log()
+        growth = _growth(saturation.float(), log_drag[:, None])
         growth = growth * torch.stack([ones, ones, 1 + leant.sigmoid()], dim=1)[:, None]
         log_amplitude = START + sizes[:, 1:] + growth + log_gust[:, None]
         size = (2 * (log_amplitude.detach() - log_gust[:, None])).exp().sum(dim=(1, 2)).sqrt()
@@ -123,8 +122,8 @@ def amplitude_inputs(
     tree: TreeFeatures, foliage_values: Float32[Tensor, "V O"], wind: Float32[Tensor, "B 4"]
 ) -> Float32[Tensor, "V I"]:
     """Features of each voxel in the wind's frame and what the foliage network tells of it and of the stems that bear
-    it, their means over its ancestors two and four levels up and over the tree, and the wind. The grid's own axes do
-    not enter.
+    it, their means over its ancestors two and four levels up and over the tree, and the gust. Neither the speed nor
+    the grid's own axes enter.
     """
     bearers = foliage_values[:, STEM][tree.chain].flatten(1)
     described = replace(
@@ -174,6 +173,12 @@ def moving(log_amplitude: Float32[Tensor, "V J 3"], wind: Float32[Tensor, "W 2"]
 def _log_wind(wind: Float32[Tensor, "R 2"]) -> tuple[Float32[Tensor, "R 1"], Float32[Tensor, "R 1"]]:
     """Ln of the drag, which is 1 at REFERENCE_SPEED, and ln of the gust."""
     return DRAG_EXPONENT * (wind[:, :1] - math.log(REFERENCE_SPEED)), wind[:, 1:].clamp_min(MIN_GUST).log()
+
+
+def _growth(log_saturation: Float32[Tensor, "R J 3"], log_drag: Float32[Tensor, "R 1 1"]) -> Float32[Tensor, "R J 3"]:
+    """Ln of tanh(s d) / s."""
+    bent = (log_saturation + log_drag).exp().clamp(*BENT)
+    return log_drag + (bent.tanh() / bent).log()
 
 
 def _floor(wind: Float32[Tensor, "R 2"], share: float = FLOOR) -> Float32[Tensor, " R"]:
