@@ -14,7 +14,7 @@ CROSSED = "crossed"
 DEPTHS = ((2, 0.25), (3, 0.6), (4, 0.15))
 """Levels of branching, the trunk's included, and how often."""
 BARE_SHARE = 0.15
-CLUMP_SHARE = 0.2
+CLUMP_SHARE = 0.2  # of the trees are low-poly: foliage in closed clumps
 CLUMPS = (0.3, 40.0)  # branches with a clump each; below one, only the trunk has one
 CLUMP_SIZE = ((0.06, 0.25), (0.15, 0.35))  # radius over the tree's height; of one clump alone
 CLUMP_ASPECT = (0.6, 1.4)
@@ -35,7 +35,7 @@ FLARE = (0.02, 0.8)
 
 
 def crossed_species(rng: np.random.Generator) -> Species:
-    """Mix species: the trunk of one, each level of branches of another, and separate leaves."""
+    """Mix species: the trunk of one, each level of branches of another, and other leaves; or make a low-poly tree."""
     parents = [species for species in SPECIES.values() if not species.held_out]
     frame = _one_of(parents, rng)
     if rng.random() < CLUMP_SHARE:

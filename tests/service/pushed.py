@@ -10,7 +10,7 @@ from fastapi.testclient import TestClient
 from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.formats.tensors.mesh_bundle import write_mesh_bundle
 from dynamictree.formats.tensors.spectrum import write_spectrum
-from dynamictree.spectrum import SparseVoxelSpectrum
+from dynamictree.spectrum import SparseVoxelSpectrum, Wind
 from jobs.assets import add_asset
 from jobs.attempts import succeed
 from service.services import Services
@@ -22,7 +22,7 @@ ASSET_ID = "01ARZ3NDEKTSV4RRFFQ69G5FAV"
 
 @pytest.fixture(scope="module")
 def grown():
-    return make_sample(4, "columnar")
+    return make_sample(4, "columnar", wind=Wind(speed_m_s=5.5, direction_deg=40.0))
 
 
 @pytest.fixture(scope="module")
