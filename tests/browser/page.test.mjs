@@ -433,6 +433,18 @@ test("a pull holds the point that is drawn, whichever bones carry it", () => {
   assert.ok(distance(carriedPoint(modes.poses([pin.group]), leaf, leaf.rest), target) < 0.002);
 });
 
+test("a pull along a crooked stem straightens it, to just below its length", () => {
+  const crooked = [0, 0, 0, 0, 0, 0, 0.25, 0, 1, -0.1, 0.2, 2];
+  const modes = Object.assign(pole(), { bone_joint_m: Float32Array.from(crooked) });
+  const tip = { voxel: 3, rest: [0, 0, 3], bones: [3, 2, 0, 0], weights: [0.55, 0.45, 0, 0] };
+  for (const high of [3.05, 3.075]) {
+    const pin = new Pin(modes, tip);
+    for (let frame = 0; frame < 20; frame++) pin.hold([], tip.rest, [0, 0, high]);
+    const at = carriedPoint(modes.poses([pin.group]), tip, tip.rest);
+    assert.ok(distance(at, [0, 0, high]) < 0.005, `${high}: ${at}`);
+  }
+});
+
 test("what is let go leaves the hand slowly, and goes all the way", () => {
   const modes = pole();
   const tip = { voxel: 3, rest: [0, 0, 3], bones: [3, 0, 0, 0], weights: [1, 0, 0, 0] };

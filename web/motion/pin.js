@@ -1,17 +1,20 @@
 // A place that stays under the pointer: a last small bend of its joints, on top of what the service answers.
 //
 // The service's answer is some milliseconds old and knows nothing of the wind on this page. The bends κ of the joints
-// between the place and the root that make up for it are those of least energy, Σ |κ_b|² / g_b, as in
-// dynamictree/modal/pull.py; each round solves a 3 × 3 system for the force λ that holds the place.
+// between the place and the root that make up for it are those of least cost, |gap|² / ε + Σ |κ_b|² / g_b, as in
+// dynamictree/modal/pull.py: Levenberg-Marquardt, in which each round solves a 3 × 3 system for the force λ that holds
+// the place.
 
 import { carriedPoint } from "./grip.js";
 import { carried } from "./modes.js";
 import { cross, dot, length, minus, plus, scaled } from "./vectors.js";
 
-const ROUNDS = 4;
+const ROUNDS = 12; // a frame; the next frame goes on from there
 const STEP_RAD = 0.3;
 const MOST_RAD = 1;
-const TOLERANCE = 1e-4; // of the compliance: a direction in which nothing gives way is not followed
+const TOLERANCE = 1e-6; // ε of the compliance: a direction in which nothing gives way is not followed
+const DAMPING = { least: 1e-3, first: 1e-2, most: 1e4 };
+const [ACCEPT, REFUSE] = [0.25, 6]; // factors of the damping
 const LET_GO_S = 0.08; // once nothing is pinned, the bend goes like a critically damped spring of this time
 
 export class Pin {
@@ -26,46 +29,60 @@ export class Pin {
     this.under = this.chain.map((b) => grip.weights.map((w, i) => (modes.isUnder(grip.bones[i], b) ? w : 0)));
     this.group = { seed: voxel, bend: this.chain.map(() => [0, 0, 0]) };
     this.poses = new Float32Array(12 * modes.B);
+    this.damping = DAMPING.first;
   }
 
   /** Bend so that `point`, where the wind has it, is carried to `target`; `groups` are those of the service. */
   hold(groups, point, target) {
-    const { modes, chain, give, group, grip } = this;
+    const { chain, group } = this;
     if (!chain.length) return;
-    for (let round = 0; round < ROUNDS; round++) {
-      modes.poses([...groups, group], this.poses);
-      const at = carriedPoint(this.poses, grip, point);
-      const gap = minus(target, at);
-      if (length(gap) < 0.01 * modes.voxelSize) return;
-      const arms = chain.map((b, i) => this._arm(b, this.under[i], point));
-      const old = group.bend.map((k, i) => modes.inFrame(this._parent(i), k));
-      const aim = old.reduce((sum, turn, i) => plus(sum, cross(turn, arms[i])), gap);
-      const force = solved(compliance(arms, give), aim);
-      const wanted = arms.map((arm, i) => modes.fromFrame(this._parent(i), scaled(cross(arm, force), give[i])));
-      this._approach(wanted);
+    let best = this._linear(groups, point, target);
+    for (let round = 1; round < ROUNDS && length(best.gap) > 0.01 * this.modes.voxelSize; round++) {
+      group.bend = this._stepped(best);
+      const tried = this._linear(groups, point, target, best.tolerance);
+      const better = tried.cost < best.cost;
+      this.damping = clamp(this.damping * (better ? ACCEPT : REFUSE), DAMPING.least, DAMPING.most);
+      if (better) best = tried;
     }
+    group.bend = best.bend;
   }
 
-  /** How the point moves where the joint of bone b turns: Σ w (x − joint), over the bones that turn with it. */
-  _arm(b, weights, point) {
-    const joint = carried(this.poses, b, jointOf(this.modes, b));
-    return this.grip.bones.reduce(
+  /** The problem around the bend of now: `arms[b]` are the three rows of ∂place/∂κ_b. */
+  _linear(groups, point, target, tolerance) {
+    const { modes, chain, give, group, grip } = this;
+    modes.poses([...groups, group], this.poses);
+    const gap = minus(target, carriedPoint(this.poses, grip, point));
+    const arms = chain.map((b, i) => this._arms(b, this.under[i], point));
+    const epsilon = tolerance ?? TOLERANCE * arms.reduce((sum, rows, i) => sum + give[i] * sumOfSquares(rows), 1e-30);
+    const energy = group.bend.reduce((sum, k, i) => sum + dot(k, k) / give[i], 0);
+    return { gap, arms, bend: group.bend, tolerance: epsilon, cost: dot(gap, gap) / epsilon + energy };
+  }
+
+  /** How the point moves where the joint of bone b turns: the arm is Σ w (x − joint), over the bones that turn with it. */
+  _arms(b, weights, point) {
+    const { modes, poses, grip } = this;
+    const joint = carried(poses, b, jointOf(modes, b));
+    const arm = grip.bones.reduce(
       (sum, bone, i) => {
-        return weights[i] ? plus(sum, scaled(minus(carried(this.poses, bone, point), joint), weights[i])) : sum;
+        return weights[i] ? plus(sum, scaled(minus(carried(poses, bone, point), joint), weights[i])) : sum;
       },
       [0, 0, 0],
     );
+    return AXES.map((axis) => modes.fromFrame(modes.bone_parent[b], cross(arm, axis)));
   }
 
-  _parent(i) {
-    return this.modes.bone_parent[this.chain[i]];
-  }
-
-  _approach(wanted) {
-    const steps = wanted.map((k, i) => minus(k, this.group.bend[i]));
-    const share = Math.min(1, STEP_RAD / Math.max(...steps.map(length), 1e-9));
-    this.group.bend = this.group.bend.map((k, i) => {
-      const next = plus(k, scaled(steps[i], share));
+  /** The bend after a step to the least cost of the linear problem plus `damping` times the energy of the step. */
+  _stepped({ gap, arms, bend, tolerance }) {
+    const share = 1 / (1 + this.damping);
+    const soft = this.give.map((g) => share * g);
+    const aim = arms.reduce((sum, rows, i) => plus(sum, scaled(applied(rows, bend[i]), share)), gap);
+    const force = solved(compliance(arms, soft, tolerance), aim);
+    const steps = arms.map((rows, i) =>
+      plus(scaled(applied(transposed(rows), force), soft[i]), scaled(bend[i], -share)),
+    );
+    const taken = Math.min(1, STEP_RAD / Math.max(...steps.map(length), 1e-9));
+    return bend.map((k, i) => {
+      const next = plus(k, scaled(steps[i], taken));
       return scaled(next, Math.min(1, MOST_RAD / Math.max(length(next), 1e-9)));
     });
   }
@@ -80,15 +97,19 @@ export class Pin {
   }
 }
 
-const jointOf = (modes, b) => modes.bone_joint_m.subarray(3 * b, 3 * b + 3);
+const AXES = [0, 1, 2].map((i) => [0, 1, 2].map((j) => Number(i === j)));
 
-/** Σ g (|d|² I − d dᵀ), with a small share of its trace added: displacement of the place over the force there. */
-function compliance(arms, give) {
-  const rows = [0, 1, 2].map((i) =>
-    [0, 1, 2].map((j) => arms.reduce((sum, d, n) => sum + give[n] * ((i === j ? dot(d, d) : 0) - d[i] * d[j]), 0)),
+const jointOf = (modes, b) => modes.bone_joint_m.subarray(3 * b, 3 * b + 3);
+const clamp = (x, low, high) => Math.min(Math.max(x, low), high);
+const applied = (rows, v) => rows.map((row) => dot(row, v));
+const transposed = (rows) => rows.map((_, j) => rows.map((row) => row[j]));
+const sumOfSquares = (rows) => rows.reduce((sum, row) => sum + dot(row, row), 0);
+
+/** Σ g J Jᵀ + ε I: displacement of the place over the force there. */
+function compliance(arms, give, tolerance) {
+  return [0, 1, 2].map((i) =>
+    [0, 1, 2].map((j) => arms.reduce((sum, rows, n) => sum + give[n] * dot(rows[i], rows[j]), i === j ? tolerance : 0)),
   );
-  const small = TOLERANCE * (rows[0][0] + rows[1][1] + rows[2][2]) + 1e-30;
-  return rows.map((row, i) => row.map((value, j) => value + (i === j ? small : 0)));
 }
 
 /** Cramer's rule for a symmetric matrix. */
