@@ -10,6 +10,7 @@ from playwright.sync_api import Browser
 from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.export.write import write_products
 from dynamictree.requests import ExportParams
+from dynamictree.spectrum import Wind
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 DECODER = Path(__file__).parents[2] / ".cache/js-tools/node_modules/meshoptimizer/meshopt_decoder.mjs"
@@ -48,7 +49,7 @@ PLAY = """async ({ files, decoder, times }) => {
 def test_three_plays_the_compressed_files_as_the_plain_ones(browser: Browser, tmp_path: Path) -> None:
     if not DECODER.exists():
         pytest.skip("meshoptimizer is not there: make js-tools, with node and npm")
-    sample = make_sample(3, "sapling")
+    sample = make_sample(3, "sapling", wind=Wind(speed_m_s=3.0, direction_deg=160.0, gust=0.42))
     spectrum = voxel_spectrum(sample, 32)[1]
     written = {}
     for compression in ("none", "meshopt"):

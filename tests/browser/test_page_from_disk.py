@@ -17,7 +17,7 @@ from dynamictree.gaussian.animate import iter_poses, lighter
 from dynamictree.gaussian.from_mesh import splats_of_mesh
 from dynamictree.mesh import TriangleMesh
 from dynamictree.requests import ExportParams
-from dynamictree.spectrum import SparseVoxelSpectrum, iter_motion
+from dynamictree.spectrum import SparseVoxelSpectrum, Wind, iter_motion
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 FRAMES = (0, 31, 77)
@@ -67,7 +67,7 @@ class Swaying:
 
 @pytest.fixture(scope="module")
 def swaying() -> Swaying:
-    sample = make_sample(3, "sapling")
+    sample = make_sample(3, "sapling", wind=Wind(speed_m_s=3.0, direction_deg=160.0, gust=0.42))
     spectrum = voxel_spectrum(sample, 32)[1]
     return Swaying(mesh=sample.mesh, spectrum=spectrum, coefficients=method.devoxelize(spectrum, sample.mesh))
 

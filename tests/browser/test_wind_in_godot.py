@@ -22,6 +22,7 @@ from benchmarks._played import z_up
 from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.export.write import write_products
 from dynamictree.requests import ExportParams
+from dynamictree.spectrum import Wind
 from tests.export.test_engine_wind import with_gains
 
 ROOT = Path(__file__).parents[2]
@@ -107,7 +108,7 @@ def decoded(picture: str, count: int) -> np.ndarray:
 def test_godot_moves_vertices_as_the_reference_does(browser: Browser, serve: Any, tmp_path: Path) -> None:
     if not ENGINE.exists():
         pytest.skip("Godot's build for browsers is missing; call `make js-tools`")
-    sample = make_sample(3, "sapling")
+    sample = make_sample(3, "sapling", wind=Wind(speed_m_s=3.0, direction_deg=160.0, gust=0.42))
     spectrum = with_gains(voxel_spectrum(sample, 32)[1])
     assert spectrum.wind is not None
     runs = [(0.0, spectrum.wind.speed_m_s), (3.7, 1.0), (120.0, 20.0)]
