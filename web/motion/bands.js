@@ -1,6 +1,6 @@
 // How much stronger each mode is in another wind: `wind_bands` of a spectrum, or a power law.
 
-/** Of the shipped model: a crown yields, so the wind's force grows with U^1.4, not U² (Vogel). */
+/** The power nearest to the shipped model's answer: a crown yields, so it grows with U^1.4, not U² (Vogel). */
 const DRAG_EXPONENT = 1.4;
 const FASTEST_M_S = 30;
 
