@@ -445,6 +445,15 @@ test("a pull along a crooked stem straightens it, to just below its length", () 
   }
 });
 
+test("a place in the very joint of its bone is held by the joints below", () => {
+  const modes = pole();
+  modes.centres = Float32Array.from([0, 0, 0, 0, 0, 1, 0, 0, 2, 0, 0, 2]);
+  const joint = { voxel: 3, rest: [0, 0, 2], bones: [3, 0, 0, 0], weights: [1, 0, 0, 0] };
+  const pin = new Pin(modes, joint);
+  for (let frame = 0; frame < 5; frame++) pin.hold([], joint.rest, [0.5, 0, 1.9]);
+  assert.ok(distance(carriedPoint(modes.poses([pin.group]), joint, joint.rest), [0.5, 0, 1.9]) < 0.005);
+});
+
 test("what is let go leaves the hand slowly, and goes all the way", () => {
   const modes = pole();
   const tip = { voxel: 3, rest: [0, 0, 3], bones: [3, 0, 0, 0], weights: [1, 0, 0, 0] };

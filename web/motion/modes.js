@@ -96,12 +96,8 @@ export class Modes {
     return count;
   }
 
-  /** A vector of a bone's frame A_b in the world, and the reverse, as of the last `poses`. */
+  /** A vector of the world in a bone's frame A_b, as of the last `poses`. */
   inFrame(b, v) {
-    return [0, 1, 2].map((i) => [0, 1, 2].reduce((sum, j) => sum + this.frames[9 * b + 3 * i + j] * v[j], 0));
-  }
-
-  fromFrame(b, v) {
     return [0, 1, 2].map((j) => [0, 1, 2].reduce((sum, i) => sum + this.frames[9 * b + 3 * i + j] * v[i], 0));
   }
 

@@ -54,7 +54,7 @@ export class Pin {
     const gap = minus(target, carriedPoint(this.poses, grip, point));
     const arms = chain.map((b, i) => this._arms(b, this.under[i], point));
     const epsilon = tolerance ?? TOLERANCE * arms.reduce((sum, rows, i) => sum + give[i] * sumOfSquares(rows), 1e-30);
-    const energy = group.bend.reduce((sum, k, i) => sum + dot(k, k) / give[i], 0);
+    const energy = group.bend.reduce((sum, k, i) => sum + (give[i] > 0 ? dot(k, k) / give[i] : 0), 0);
     return { gap, arms, bend: group.bend, tolerance: epsilon, cost: dot(gap, gap) / epsilon + energy };
   }
 
@@ -68,7 +68,7 @@ export class Pin {
       },
       [0, 0, 0],
     );
-    return AXES.map((axis) => modes.fromFrame(modes.bone_parent[b], cross(arm, axis)));
+    return AXES.map((axis) => modes.inFrame(modes.bone_parent[b], cross(arm, axis)));
   }
 
   /** The bend after a step to the least cost of the linear problem plus `damping` times the energy of the step. */
