@@ -17,11 +17,10 @@ from benchmarks._machine import machine
 from dynamictree.commands.source import load_mesh
 from dynamictree.dataset.sapling import grow_tree
 from dynamictree.dataset.species import SPECIES
-from dynamictree.formats.axes import up_rotation
-from dynamictree.formats.upright import CERTAIN, judge_up_axis
 from dynamictree.mesh import TriangleMesh
+from dynamictree.plant.upright import CERTAIN, judge_up_axis
 from dynamictree.requests import Reading
-from dynamictree.up_axis import AXES
+from dynamictree.up_axis import AXES, up_rotation
 
 SEEDS = (11, 12, 13)
 TARGET = 0.98

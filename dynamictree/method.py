@@ -21,9 +21,9 @@ from dynamictree.gaussian.animate import iter_splat_frames
 from dynamictree.gaussian.binding import bind
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.mesh import TriangleMesh
+from dynamictree.plant.trees.of_mesh import stand_resolution
 from dynamictree.requests import GridParams, Resolution, Wind
 from dynamictree.spectrum import SparseVoxelSpectrum, iter_motion
-from dynamictree.trees.of_mesh import stand_resolution
 from dynamictree.voxel.voxelize import SurfaceVoxels
 from dynamictree.voxel.voxelize import voxelize as voxelize_surface
 

@@ -15,11 +15,11 @@ from dynamictree import method
 from dynamictree.export.write import write_products
 from dynamictree.gaussian.animate import iter_poses
 from dynamictree.gaussian.binding import bind
-from dynamictree.gaussian.capture import Capture
 from dynamictree.gaussian.cloud_mesh import mesh_of_cloud
 from dynamictree.gaussian.from_mesh import splats_of_mesh
 from dynamictree.gaussian.rasterize import render_cloud
 from dynamictree.mesh import TriangleMesh
+from dynamictree.plant.capture import Capture
 from dynamictree.render.shot import cameras_of
 from dynamictree.requests import ExportParams, Shot
 

@@ -4,13 +4,13 @@ from io import BytesIO
 from typing import Literal
 
 from dynamictree.formats.tensors.spectrum import read_spectrum
-from dynamictree.gaussian.capture import Capture, move_only_tree
 from dynamictree.gaussian.cloud import GaussianCloud
-from dynamictree.gaussian.part_choice import with_choice
 from dynamictree.mesh import TriangleMesh
+from dynamictree.plant.capture import Capture, move_only_tree
+from dynamictree.plant.choice import with_choice
+from dynamictree.plant.trees.of_mesh import only_tree_of
 from dynamictree.requests import CloudParams
 from dynamictree.spectrum import SparseVoxelSpectrum
-from dynamictree.trees.of_mesh import only_tree_of
 from jobs.assets import read_asset
 from jobs.errors import ConflictError, GoneError, NotFoundError
 from jobs.intermediates import RESULT_SOURCES, find_intermediate, intermediate_key

@@ -78,13 +78,14 @@ def moving_gaussians(owned: Owned, ready: ReadyTree, spectrum_id: str) -> Moving
         GoneError: the asset has expired.
         ProblemError: the source is no cloud.
     """
-    from dynamictree.gaussian.binding import bind_capture
+    from dynamictree.gaussian.binding import bind
     from dynamictree.gaussian.deform import Deformer
+    from dynamictree.plant.capture import moving_part
 
     mesh = with_mesh(owned, ready, spectrum_id)
     if ready.gaussians is None:
         capture, choice = load_source_cloud(owned, spectrum_id)
-        binding = bind_capture(capture, mesh, choice)
+        binding = bind(capture.cloud, mesh, mask=moving_part(capture, choice))
         rows = np.flatnonzero(binding.moving).astype(np.int32)
         moving = replace(
             binding,

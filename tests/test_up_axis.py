@@ -6,9 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dynamictree.errors import InputError
-from dynamictree.formats.axes import up_rotation
 from dynamictree.requests import Reading
-from dynamictree.up_axis import AXES, direction_of, name_of
+from dynamictree.up_axis import AXES, direction_of, name_of, up_rotation
 
 COORDINATE = st.floats(-1, 1, allow_subnormal=False)
 DIRECTION = st.tuples(COORDINATE, COORDINATE, COORDINATE).filter(lambda numbers: np.linalg.norm(numbers) > 0.1)

@@ -18,11 +18,11 @@ from dynamictree.formats.tensors.cloud_bundle import read_cloud_bundle, write_cl
 from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle, write_mesh_bundle
 from dynamictree.formats.tensors.spectrum import read_spectrum, write_spectrum
 from dynamictree.formats.tensors.voxels import read_voxels, write_voxels
-from dynamictree.gaussian.capture import Capture, carrying_mesh, only_tree
-from dynamictree.gaussian.part_choice import with_choice
 from dynamictree.mesh import TriangleMesh
+from dynamictree.plant.capture import Capture, carrying_mesh, only_tree
+from dynamictree.plant.choice import with_choice
+from dynamictree.plant.trees.of_mesh import only_tree_of
 from dynamictree.requests import CloudParams, ExportParams, GridParams, ReconstructParams, SpectrumParams
-from dynamictree.trees.of_mesh import only_tree_of
 from jobs.records import JobRecord
 from jobs.stage_files import CLOUD_BUNDLE, MESH, MESH_BUNDLE, SPECTRUM, VOXELS
 from jobs.states import JobType

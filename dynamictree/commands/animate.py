@@ -14,7 +14,7 @@ from dynamictree.requests import CloudParams, ExportParams, GeneratorGridParams,
 
 if TYPE_CHECKING:
     from dynamictree.export.moving_tree import Facts
-    from dynamictree.gaussian.capture import Capture
+    from dynamictree.plant.capture import Capture
 
 
 @with_request_options

@@ -13,8 +13,8 @@ from dynamictree.files import Companions, opened
 from dynamictree.requests import CloudParams, Reading
 
 if TYPE_CHECKING:
-    from dynamictree.gaussian.capture import Capture
     from dynamictree.mesh import SourceWarning, TriangleMesh
+    from dynamictree.plant.capture import Capture
 
 
 def is_tensor_file(path: Path, file_format: str, ending: str) -> bool:
@@ -54,9 +54,9 @@ def read_source(
     Raises:
         InputError: a file cannot be read, or they do not fit together.
     """
-    from dynamictree.gaussian.capture import carrying_mesh, only_tree
-    from dynamictree.gaussian.part_choice import with_choice
-    from dynamictree.trees.of_mesh import only_tree_of
+    from dynamictree.plant.capture import carrying_mesh, only_tree
+    from dynamictree.plant.choice import with_choice
+    from dynamictree.plant.trees.of_mesh import only_tree_of
 
     number = None if choice is None else choice.tree
     if not is_cloud(path):

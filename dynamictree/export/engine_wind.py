@@ -17,7 +17,6 @@ import numpy as np
 from jaxtyping import Complex64, Float32
 
 from dynamictree.export.pivot_painter import PIVOT_PAINTER, pivot_painter_files, rest_glb
-from dynamictree.formats.axes import up_rotation
 from dynamictree.formats.gltf.motion import loop_parts
 from dynamictree.formats.gltf.writer import VERTEX_BUFFER, GlbWriter, add_mesh
 from dynamictree.formats.motion.exr import write_exr
@@ -27,6 +26,7 @@ from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.branch_pivots import BranchPivots
 from dynamictree.modal.turbulence import TurbulentWind
 from dynamictree.modal.turn_skeleton import TurnSkeleton
+from dynamictree.up_axis import up_rotation
 from dynamictree.wind_bands import DRAG_EXPONENT
 
 VERSION = 4

@@ -12,9 +12,9 @@ from dynamictree.export.size import splat_bytes, turbulent_bytes
 from dynamictree.export.table import PRODUCTS, require_available
 from dynamictree.export.vertex_motion import Recall, vertex_motion
 from dynamictree.gaussian.animate import lighter
-from dynamictree.gaussian.binding import Binding, bind_capture
-from dynamictree.gaussian.capture import Capture
+from dynamictree.gaussian.binding import Binding, bind
 from dynamictree.mesh import TriangleMesh
+from dynamictree.plant.capture import Capture, moving_part
 from dynamictree.requests import MAX_FRAMES, CloudParams, ExportParams, Format
 from dynamictree.spectrum import SparseVoxelSpectrum
 
@@ -89,7 +89,7 @@ def _binding(
     from dynamictree.gaussian.from_mesh import splats_of_mesh
 
     if capture is not None:
-        return bind_capture(capture, mesh, choice)
+        return bind(capture.cloud, mesh, mask=moving_part(capture, choice))
     if all(PRODUCTS[name].shows != "splat" for name in formats):
         return None
     return splats_of_mesh(mesh, rng=np.random.default_rng(0)).binding

@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32, Int32
 
-from dynamictree.gaussian.capture import Capture, moving_part
-from dynamictree.gaussian.part_choice import part_names
 from dynamictree.mesh import TriangleMesh
+from dynamictree.plant.capture import Capture, moving_part
+from dynamictree.plant.choice import part_names
+from dynamictree.plant.trees.of_mesh import mesh_points
 from dynamictree.spectrum import SparseVoxelSpectrum
-from dynamictree.trees.of_mesh import mesh_points
 from dynamictree.voxel.grid import VoxelGrid
 
 _MOST_NAMES = 50  # of parts

@@ -7,20 +7,20 @@ from dataclasses import replace
 
 from dynamictree.byte_stream import ByteReader, read_all
 from dynamictree.errors import FormatError
-from dynamictree.formats.axes import UNITS_M, axis_doubts, mesh_to_z_up
 from dynamictree.formats.gltf.reader import read_gltf
 from dynamictree.formats.mesh.foreign import read_foreign_mesh
 from dynamictree.formats.mesh.obj import read_obj
 from dynamictree.formats.mesh.ply import read_ply_mesh
 from dynamictree.formats.mesh.stl import is_ascii_stl, read_stl
-from dynamictree.formats.plant_likeness import doubt_plant
 from dynamictree.formats.ply_table import read_header
 from dynamictree.formats.refused import advice_for
-from dynamictree.formats.still_parts import find_still_parts
-from dynamictree.formats.upright import judge_each_standing, judge_standing
 from dynamictree.mesh import TriangleMesh, validate_mesh
+from dynamictree.plant.axes import UNITS_M, axis_doubts, mesh_to_z_up
+from dynamictree.plant.likeness import doubt_plant
+from dynamictree.plant.still_parts import find_still_parts
+from dynamictree.plant.trees.of_mesh import with_trees
+from dynamictree.plant.upright import judge_each_standing, judge_standing
 from dynamictree.requests import Reading
-from dynamictree.trees.of_mesh import with_trees
 
 MESH_TYPES = ("obj", "ply", "glb", "gltf", "stl", "off", "3mf", "dae")
 MAX_FILE_BYTES = 1 << 30

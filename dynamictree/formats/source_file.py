@@ -9,23 +9,23 @@ import numpy as np
 import scipy  # its parts come in when they are used: the service starts without them
 
 from dynamictree.errors import FormatError
-from dynamictree.formats.axes import axis_doubts, up_rotation
 from dynamictree.formats.cloud_file import CLOUD_TYPES, SPLAT_TYPES, cloud_kind, read_cloud, says_unit, says_up_axis
-from dynamictree.formats.cloud_size import sized
-from dynamictree.formats.level import up_of_standing
 from dynamictree.formats.mesh_file import read_mesh, sniff_file_type
 from dynamictree.formats.seekable import SeekableReader
 from dynamictree.formats.splat.mask import read_mask
 from dynamictree.formats.splat.sog import bundled, is_folder_file
-from dynamictree.formats.upright import judge_up_axis_of_points
-from dynamictree.gaussian.capture import Capture, moving_part, with_still_parts
 from dynamictree.gaussian.cloud import GaussianCloud
-from dynamictree.gaussian.still_gaussians import touching_groups
 from dynamictree.mesh import SourceWarning
+from dynamictree.plant.axes import axis_doubts
+from dynamictree.plant.capture import Capture, moving_part, with_still_parts
+from dynamictree.plant.cloud_size import sized
+from dynamictree.plant.level import up_of_standing
+from dynamictree.plant.still_gaussians import touching_groups
+from dynamictree.plant.trees.choose import several_trees
+from dynamictree.plant.trees.segment import segment_trees
+from dynamictree.plant.upright import judge_up_axis_of_points
 from dynamictree.requests import Reading
-from dynamictree.trees.choose import several_trees
-from dynamictree.trees.segment import segment_trees
-from dynamictree.up_axis import name_of
+from dynamictree.up_axis import name_of, up_rotation
 
 SourceKind = Literal["mesh", "cloud"]
 HEAD_BYTES = 64 * 1024

@@ -10,12 +10,10 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int32
 
 from dynamictree.errors import InputError
-from dynamictree.gaussian.capture import Capture, moving_part
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.nearest import nearest_faces
 from dynamictree.gaussian.rotation import quaternion_matrices
 from dynamictree.mesh import TriangleMesh
-from dynamictree.requests import CloudParams
 
 STILL = -1
 FLOATER_SHARE = 0.06
@@ -92,15 +90,6 @@ def _own_reach(scales: Float32[np.ndarray, "G 3"], extent: float) -> Float64[np.
     surface = _SIGMAS * scales.max(axis=1).astype(np.float64)
     result: Float64[np.ndarray, " G"] = np.clip(surface, FLOATER_SHARE * extent, _INSIDE_SHARE * extent)
     return result
-
-
-def bind_capture(capture: Capture, mesh: TriangleMesh, choice: CloudParams | None = None) -> Binding:
-    """Bind the moving part of a capture to the mesh; the rest stands still.
-
-    Raises:
-        InputError: the cloud is not where the mesh is.
-    """
-    return bind(capture.cloud, mesh, mask=moving_part(capture, choice))
 
 
 def bind_to_faces(

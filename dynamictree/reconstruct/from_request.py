@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Literal
 
 from dynamictree.formats.suffixes import FILM_SUFFIXES, PHOTO_SUFFIXES
-from dynamictree.gaussian.capture import Capture, carrying_mesh, with_still_parts
 from dynamictree.photo_requests import PHOTOS_OF_VIDEO, CutParams, LearningParams
+from dynamictree.plant.capture import Capture, carrying_mesh, with_still_parts
 from dynamictree.reconstruct import ReconstructOptions, reconstruct
 from dynamictree.reconstruct.optimise import Schedule
 from dynamictree.reconstruct.photo_input import ReadPhotos, read_photos

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float64
 from scipy.spatial import cKDTree
 
 from dynamictree.gaussian.cloud import GaussianCloud
-from dynamictree.gaussian.still_gaussians import find_still_gaussians, touching_groups
+from dynamictree.plant.still_gaussians import find_still_gaussians, touching_groups
 from dynamictree.reconstruct.scene_planes import THICKNESS, wide_planes
 from dynamictree.reconstruct.seen_from import SeenFrom, focus_of
 

@@ -15,10 +15,10 @@ from dynamictree.files import opened
 from dynamictree.formats.mesh.ply import read_ply_mesh
 from dynamictree.formats.mesh.ply_writer import write_ply
 from dynamictree.formats.splat.ply import read_gaussian_ply, write_gaussian_ply
-from dynamictree.gaussian.capture import Capture, carrying_mesh, with_still_parts
 from dynamictree.gaussian.cloud import GaussianCloud, in_box
 from dynamictree.mesh import TriangleMesh
 from dynamictree.photo_requests import CutParams
+from dynamictree.plant.capture import Capture, carrying_mesh, with_still_parts
 from dynamictree.reconstruct.cut import BESIDE, of_the_tree
 from dynamictree.reconstruct.cut_mesh import mesh_in_box, plant_mesh
 from dynamictree.reconstruct.photo_previews import PHOTO_PREVIEWS

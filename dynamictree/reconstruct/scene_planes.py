@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float64
 
-from dynamictree.gaussian.flat_points import NEIGHBOURS, FlatPoints, flat_points
+from dynamictree.flat_points import NEIGHBOURS, FlatPoints, flat_points
 
 Points = Float64[np.ndarray, "_ 3"]
 

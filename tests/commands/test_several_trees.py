@@ -10,7 +10,7 @@ import pytest
 from dynamictree.formats.mesh.ply_writer import write_ply
 from dynamictree.formats.tensors.voxels import read_voxels
 from dynamictree.mesh import joined
-from tests.trees.stand import tree
+from tests.plant.stand import tree
 
 
 @pytest.fixture

@@ -17,7 +17,6 @@ from dynamictree.export.size import splat_bytes
 from dynamictree.export.splat_scene import SplatScene
 from dynamictree.export.vertex_motion import vertex_motion
 from dynamictree.export.write import write_products
-from dynamictree.formats.axes import up_rotation
 from dynamictree.formats.cloud_file import read_cloud
 from dynamictree.formats.mesh.ply_writer import write_ply
 from dynamictree.formats.motion.splat_sequence import requested_bytes
@@ -26,13 +25,14 @@ from dynamictree.formats.splat.splat import write_splat
 from dynamictree.formats.tensors.animated_splat import read_animated_splat
 from dynamictree.formats.tensors.cloud_bundle import read_cloud_bundle, write_cloud_bundle
 from dynamictree.gaussian.animate import iter_poses
-from dynamictree.gaussian.binding import bind_capture
-from dynamictree.gaussian.capture import Capture, carrying_mesh, moving_part
+from dynamictree.gaussian.binding import bind
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.cloud_mesh import FACES_PER_GAUSSIAN, LEAST_FACES
 from dynamictree.mesh import TriangleMesh
+from dynamictree.plant.capture import Capture, carrying_mesh, moving_part
 from dynamictree.requests import CloudParams, ExportParams, Format, Shot
 from dynamictree.spectrum import SparseVoxelSpectrum, iter_motion
+from dynamictree.up_axis import up_rotation
 from dynamictree.voxel.voxelize import voxelize
 
 BOX = ((-0.3, -0.3, -0.1), (0.3, 0.3, 1.1))
@@ -171,7 +171,7 @@ def test_films_show_what_stands_still_in_grey(
     near = beside_the_post(capture)
     colours = {}
     for grey in (True, False):
-        scene = SplatScene.of(bind_capture(near, mesh), ground=False, grey_still=grey)
+        scene = SplatScene.of(bind(near.cloud, mesh, mask=moving_part(near)), ground=False, grey_still=grey)
         still = ~scene.binding.moving
         assert still.sum() == 1000
         assert (scene.binding.cloud.sh[~still] == capture.cloud.sh[~still]).all()
@@ -308,7 +308,7 @@ def test_usd_has_every_pose_of_the_splat(
     splat = UsdVol.ParticleField3DGaussianSplat(stage.GetPrimAtPath("/Tree/Splat"))
     assert splat.GetPositionsAttr().GetTimeSamples() == [0, 1, 2, 3]
     assert UsdGeom.GetStageMetersPerUnit(stage) == 1
-    binding = bind_capture(capture, mesh, choice)
+    binding = bind(capture.cloud, mesh, mask=moving_part(capture, choice))
     motion, bends = vertex_motion(mesh, spectrum, on_progress=lambda done: None)
     assert bends is not None
     poses = list(iter_poses(binding, bends.iter_poses(iter_motion(motion.coefficients, np.arange(4) / 4, 4))))

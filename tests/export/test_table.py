@@ -14,9 +14,9 @@ from dynamictree.export.size import turbulent_bytes
 from dynamictree.export.table import PRODUCTS, available_products
 from dynamictree.export.write import MOTION_SHARE, write_products
 from dynamictree.formats.tensors.motion import read_motion
-from dynamictree.gaussian.capture import Capture
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.mesh import Material, TriangleMesh
+from dynamictree.plant.capture import Capture
 from dynamictree.requests import MAX_FRAMES, TURBULENT_FRAMES, ExportParams, Format, Shot
 from dynamictree.spectrum import SparseVoxelSpectrum
 from dynamictree.voxel.voxelize import voxelize

@@ -10,7 +10,6 @@ from typing import BinaryIO
 import numpy as np
 import pytest
 
-from dynamictree.formats.cloud_axes import to_source_axes, to_z_up
 from dynamictree.formats.cloud_file import cloud_kind, read_cloud
 from dynamictree.formats.gltf.gaussian import write_gltf_gaussian
 from dynamictree.formats.splat.codebook import palette_of
@@ -18,6 +17,7 @@ from dynamictree.formats.splat.ply import property_names, write_gaussian_ply
 from dynamictree.formats.splat.sog import write_sog
 from dynamictree.formats.splat.splat import write_splat
 from dynamictree.formats.splat.spz import write_spz
+from dynamictree.gaussian.axes import to_source_axes, to_z_up
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.harmonics import harmonics
 from dynamictree.gaussian.rotation import quaternion_matrices

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from dynamictree.formats.axes import up_rotation
 from dynamictree.formats.gltf.writer import write_glb
 from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.mesh import TriangleMesh
 from dynamictree.requests import Reading
+from dynamictree.up_axis import up_rotation
 from tests.formats.meshes import gltf_bytes, image_bytes, triangle_gltf, trunk_and_crown
 
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 0, 1]], np.float32)  # of triangle_gltf, +Z up

@@ -9,13 +9,14 @@ import pytest
 import trimesh
 from PIL import Image
 
-from dynamictree.formats.axes import guess_unit_m, up_rotation
 from dynamictree.formats.mesh.obj_writer import write_obj
 from dynamictree.formats.mesh.ply_writer import write_ply
 from dynamictree.formats.mesh_file import read_mesh, sniff_file_type
-from dynamictree.formats.upright import CERTAIN, judge_up_axis
 from dynamictree.mesh import TriangleMesh
+from dynamictree.plant.axes import guess_unit_m
+from dynamictree.plant.upright import CERTAIN, judge_up_axis
 from dynamictree.requests import Reading
+from dynamictree.up_axis import up_rotation
 from tests.formats.meshes import image_bytes, trunk_and_crown
 
 

@@ -8,13 +8,13 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from dynamictree.formats.axes import up_rotation
 from dynamictree.formats.gltf.motion import ShadedMorphSummary, write_motion_glb
 from dynamictree.formats.gltf.normals import angles_rad, iter_normals, turn_normals
 from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.formats.motion.vertex_texture import iter_vertex_texture_zip
 from dynamictree.mesh import TriangleMesh
 from dynamictree.spectrum import to_motion
+from dynamictree.up_axis import up_rotation
 from tests.formats import artists
 from tests.formats.artists import Document, document_of
 from tests.formats.looks import local_matrix

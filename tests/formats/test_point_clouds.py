@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from dynamictree.errors import FormatError, InputError
-from dynamictree.formats.axes import up_rotation
 from dynamictree.formats.cloud_file import cloud_kind, read_cloud
 from dynamictree.formats.scan.points import cloud_of_points
 from dynamictree.formats.source_file import _doubt_plant, source_kind
-from dynamictree.gaussian.capture import Capture
 from dynamictree.gaussian.harmonics import SH_0
+from dynamictree.plant.capture import Capture
+from dynamictree.up_axis import up_rotation
 
 
 def _lattice(spacing: float, count: int = 8) -> np.ndarray:

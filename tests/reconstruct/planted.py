@@ -16,7 +16,7 @@ from dynamictree.gaussian.rasterize import render_on_cpu
 from dynamictree.photo_requests import Scribble
 from dynamictree.reconstruct.seen_from import SeenFrom
 from dynamictree.render.camera import Camera
-from tests.gaussian.test_still_gaussians import plant, pot, splat_of
+from tests.plant.test_still_gaussians import plant, pot, splat_of
 
 WIDTH, HEIGHT = 240, 180
 _NOISE_OF_COLOR = 0.04

@@ -14,9 +14,9 @@ from dynamictree.formats.tensors.cloud_bundle import write_cloud_bundle
 from dynamictree.formats.tensors.mesh_bundle import write_mesh_bundle
 from dynamictree.formats.tensors.spectrum import write_spectrum
 from dynamictree.gaussian.binding import bind
-from dynamictree.gaussian.capture import Capture
 from dynamictree.gaussian.deform import Deformer
 from dynamictree.gaussian.from_mesh import splats_of_mesh
+from dynamictree.plant.capture import Capture
 from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.assets import add_asset, delete_asset, read_asset
 from jobs.attempts import succeed

@@ -7,8 +7,8 @@ from fastapi.testclient import TestClient
 
 from dynamictree.formats.mesh.ply_writer import write_ply
 from dynamictree.mesh import joined
+from tests.plant.stand import tree
 from tests.service.test_clouds import send
-from tests.trees.stand import tree
 
 
 def test_an_asset_lists_its_trees_and_a_job_takes_one(client: TestClient) -> None:

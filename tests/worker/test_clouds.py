@@ -12,7 +12,7 @@ from dynamictree.formats.cloud_file import read_cloud
 from dynamictree.formats.tensors.animated_splat import read_animated_splat
 from dynamictree.formats.tensors.cloud_bundle import write_cloud_bundle
 from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle
-from dynamictree.gaussian.capture import Capture
+from dynamictree.plant.capture import Capture
 from jobs.assets import add_asset
 from jobs.records import AssetRecord
 from jobs.states import JobState

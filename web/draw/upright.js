@@ -2,7 +2,7 @@
 
 import * as THREE from "three";
 
-/** Rows are where a file's axes go; the same table as in dynamictree/formats/axes.py. */
+/** Rows are where a file's axes go; the same table as in dynamictree/up_axis.py. */
 const TO_Z_UP = {
   "+X": [0, 1, 0, 0, 0, 1, 1, 0, 0],
   "-X": [0, 0, 1, 0, 1, 0, -1, 0, 0],

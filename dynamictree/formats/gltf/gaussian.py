@@ -8,16 +8,16 @@ from jaxtyping import Float32, Float64
 from dynamictree.byte_stream import ByteReader, ByteWriter, read_all
 from dynamictree.color import linear_to_srgb, srgb_slope
 from dynamictree.errors import FormatError
-from dynamictree.formats.axes import up_rotation
-from dynamictree.formats.cloud_axes import to_source_axes, to_z_up, transformed
 from dynamictree.formats.gltf.document import GltfDocument, accessor_layout, open_gltf
 from dynamictree.formats.gltf.scene import mesh_instances
 from dynamictree.formats.gltf.writer import GlbWriter
 from dynamictree.formats.json_fields import JsonObject, index_field, integer_field, object_field, object_list
 from dynamictree.formats.splat.activations import scales_from_log
+from dynamictree.gaussian.axes import to_source_axes, to_z_up, transformed
 from dynamictree.gaussian.cloud import SH_DEGREES, GaussianCloud, check_count, joined, validate_cloud
 from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.gaussian.rotation import polar_rotations, unit_quaternions
+from dynamictree.up_axis import up_rotation
 
 UP_AXIS = "+Y"
 EXTENSION = "KHR_gaussian_splatting"

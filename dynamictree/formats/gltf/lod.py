@@ -6,10 +6,10 @@ import numpy as np
 from jaxtyping import Complex64
 
 from dynamictree.byte_stream import ByteWriter
-from dynamictree.formats.axes import up_rotation
 from dynamictree.formats.gltf.motion import clipped_targets, clipped_weights, loop_parts, loop_weights
 from dynamictree.formats.gltf.writer import VERTEX_BUFFER, GlbWriter, add_mesh
 from dynamictree.mesh import TriangleMesh
+from dynamictree.up_axis import up_rotation
 
 EXTENSION = "MSFT_lod"
 

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float32, Float64
 
-from dynamictree.formats.axes import up_rotation
 from dynamictree.formats.gltf.normals import NormalError, NormalErrors, turn_normals
 from dynamictree.formats.gltf.writer import VERTEX_BUFFER, GlbWriter, add_mesh
 from dynamictree.mesh import SourceGltf, TriangleMesh
+from dynamictree.up_axis import up_rotation
 
 _Matrices = Float64[np.ndarray, "3 3"] | Float64[np.ndarray, "n 3 3"]
 

@@ -10,9 +10,9 @@ from jaxtyping import Float32, Shaped, UInt8
 
 from dynamictree.byte_stream import ByteWriter
 from dynamictree.color import srgb_to_linear
-from dynamictree.formats.axes import up_rotation, vertices_in_source_axes
 from dynamictree.formats.gltf.normals import rest_normals
 from dynamictree.mesh import Material, TriangleMesh
+from dynamictree.up_axis import up_rotation, vertices_in_source_axes
 
 GENERATOR = "dynamictree"
 
@@ -105,7 +105,7 @@ def add_mesh(
     Gives the indices of its materials, which the next mesh may share.
     """
     attributes = {
-        "POSITION": writer.add_accessor(vertices_in_source_axes(mesh, "+Y"), target=VERTEX_BUFFER, bounds=True)
+        "POSITION": writer.add_accessor(vertices_in_source_axes(mesh.vertices, "+Y"), target=VERTEX_BUFFER, bounds=True)
     }
     normals = rest_normals(mesh) @ up_rotation("+Y").astype(np.float32)
     attributes["NORMAL"] = writer.add_accessor(normals, target=VERTEX_BUFFER)

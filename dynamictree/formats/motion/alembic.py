@@ -12,8 +12,8 @@ from typing import Any, BinaryIO
 import numpy as np
 from jaxtyping import Float32
 
-from dynamictree.formats.axes import up_rotation, vertices_in_source_axes
 from dynamictree.mesh import TriangleMesh
+from dynamictree.up_axis import up_rotation, vertices_in_source_axes
 
 
 def write_motion_alembic(
@@ -36,7 +36,7 @@ def _write_archive(mesh: TriangleMesh, frames: Iterable[Float32[np.ndarray, "N 3
     schema = AbcGeom.OPolyMesh(archive.getTop(), "tree", clock).getSchema()
     corners = _integers(mesh.faces[:, ::-1])  # Alembic's faces run clockwise
     counts = _integers(np.full(mesh.num_faces, 3))
-    rest, rotation = vertices_in_source_axes(mesh, "+Y"), up_rotation("+Y").astype(np.float32)
+    rest, rotation = vertices_in_source_axes(mesh.vertices, "+Y"), up_rotation("+Y").astype(np.float32)
     for frame, displacement in enumerate(frames):
         points = imath.V3fArrayFromBuffer(np.ascontiguousarray(rest + displacement @ rotation, np.float32))
         if frame:

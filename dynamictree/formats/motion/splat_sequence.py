@@ -11,16 +11,16 @@ import numpy as np
 from jaxtyping import Float32, Float64
 
 from dynamictree.errors import InputError
-from dynamictree.formats.axes import up_rotation
-from dynamictree.formats.cloud_axes import to_source_axes
 from dynamictree.formats.splat.activations import log_from_scales
 from dynamictree.formats.splat.ply import ply_header, ply_rows
 from dynamictree.formats.stored_zip import iter_stored_zip, stored_zip_bytes
 from dynamictree.gaussian.animate import iter_poses
+from dynamictree.gaussian.axes import to_source_axes
 from dynamictree.gaussian.binding import Binding
 from dynamictree.gaussian.cloud import MAX_SEQUENCE_BYTES, level_count
 from dynamictree.gaussian.deform import Pose
 from dynamictree.requests import ExportParams
+from dynamictree.up_axis import up_rotation
 
 
 def iter_splat_sequence_zip(

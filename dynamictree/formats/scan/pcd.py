@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import UInt8
 
 from dynamictree.errors import FormatError
-from dynamictree.formats.cloud_axes import to_z_up
 from dynamictree.formats.scan.points import cloud_of_points
 from dynamictree.formats.seekable import SeekableReader, remaining_bytes
+from dynamictree.gaussian.axes import to_z_up
 from dynamictree.gaussian.cloud import GaussianCloud, check_count
 
 MAGIC = b"# .PCD"

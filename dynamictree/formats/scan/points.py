@@ -8,13 +8,14 @@ import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
 from dynamictree.errors import FormatError, InputError
-from dynamictree.formats.cloud_axes import to_z_up, up_rotation
 from dynamictree.formats.ply_table import PlyHeader, read_elements, read_header
 from dynamictree.formats.scan.las_header import HEADER_BYTES, check_las_header
 from dynamictree.formats.scan.shading import shaded_colors
 from dynamictree.formats.seekable import SeekableReader, remaining_bytes
 from dynamictree.formats.splat.activations import harmonic_from_color
+from dynamictree.gaussian.axes import to_z_up
 from dynamictree.gaussian.cloud import MAX_GAUSSIANS, GaussianCloud, check_count, validate_cloud
+from dynamictree.up_axis import up_rotation
 
 UP_AXIS = "+Z"
 """Surveying instruments stand level and count heights upward."""

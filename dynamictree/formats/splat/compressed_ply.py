@@ -4,11 +4,11 @@ import numpy as np
 from jaxtyping import Float32, Shaped, UInt32
 
 from dynamictree.errors import FormatError
-from dynamictree.formats.cloud_axes import to_z_up
 from dynamictree.formats.ply_table import PlyHeader, read_elements, read_header
 from dynamictree.formats.seekable import SeekableReader
 from dynamictree.formats.splat.activations import harmonic_from_color, scales_from_log
 from dynamictree.formats.splat.ply import UP_AXIS, rest_names
+from dynamictree.gaussian.axes import to_z_up
 from dynamictree.gaussian.cloud import GaussianCloud, check_count, validate_cloud
 from dynamictree.gaussian.rotation import unit_quaternions
 

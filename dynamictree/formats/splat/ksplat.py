@@ -11,9 +11,9 @@ import numpy as np
 from jaxtyping import Float32, Int64
 
 from dynamictree.errors import FormatError
-from dynamictree.formats.cloud_axes import to_z_up
 from dynamictree.formats.seekable import SeekableReader, remaining_bytes
 from dynamictree.formats.splat.activations import harmonic_from_color
+from dynamictree.gaussian.axes import to_z_up
 from dynamictree.gaussian.cloud import GaussianCloud, check_count, joined, validate_cloud
 from dynamictree.gaussian.rotation import unit_quaternions
 

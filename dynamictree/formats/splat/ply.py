@@ -8,7 +8,6 @@ from jaxtyping import Float32, Shaped
 
 from dynamictree.byte_stream import ByteWriter
 from dynamictree.errors import FormatError
-from dynamictree.formats.cloud_axes import to_source_axes, to_z_up
 from dynamictree.formats.ply_table import PlyHeader, axis_comments, read_elements, read_header
 from dynamictree.formats.seekable import SeekableReader
 from dynamictree.formats.splat.activations import (
@@ -17,6 +16,7 @@ from dynamictree.formats.splat.activations import (
     opacity_from_logit,
     scales_from_log,
 )
+from dynamictree.gaussian.axes import to_source_axes, to_z_up
 from dynamictree.gaussian.cloud import GaussianCloud, check_count, validate_cloud
 from dynamictree.gaussian.rotation import unit_quaternions
 

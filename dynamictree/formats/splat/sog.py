@@ -16,8 +16,6 @@ from PIL import Image, UnidentifiedImageError
 
 from dynamictree.byte_stream import ByteWriter, read_all
 from dynamictree.errors import FormatError
-from dynamictree.formats.axes import up_rotation
-from dynamictree.formats.cloud_axes import to_source_axes, to_z_up, transformed
 from dynamictree.formats.companions import find_companion
 from dynamictree.formats.json_fields import (
     JsonObject,
@@ -31,8 +29,10 @@ from dynamictree.formats.seekable import SeekableReader, remaining_bytes
 from dynamictree.formats.splat.activations import log_from_scales, scales_from_log
 from dynamictree.formats.splat.codebook import CODES, codes_of, palette_of
 from dynamictree.formats.suffixes import SOG_FOLDER_FILE
+from dynamictree.gaussian.axes import to_source_axes, to_z_up, transformed
 from dynamictree.gaussian.cloud import GaussianCloud, check_count, validate_cloud
 from dynamictree.gaussian.rotation import unit_quaternions
+from dynamictree.up_axis import up_rotation
 
 META = SOG_FOLDER_FILE
 UP_AXIS = "-Y"

@@ -4,9 +4,9 @@ import numpy as np
 
 from dynamictree.byte_stream import ByteWriter
 from dynamictree.errors import FormatError
-from dynamictree.formats.cloud_axes import to_source_axes, to_z_up
 from dynamictree.formats.seekable import SeekableReader, remaining_bytes
 from dynamictree.formats.splat.activations import color_from_harmonic, harmonic_from_color
+from dynamictree.gaussian.axes import to_source_axes, to_z_up
 from dynamictree.gaussian.cloud import GaussianCloud, check_count, validate_cloud
 from dynamictree.gaussian.rotation import unit_quaternions
 

@@ -12,8 +12,6 @@ from jaxtyping import Float32, Float64, Num, UInt8
 
 from dynamictree.byte_stream import ByteWriter
 from dynamictree.errors import FormatError
-from dynamictree.formats.axes import up_rotation
-from dynamictree.formats.cloud_axes import to_source_axes, to_z_up, transformed
 from dynamictree.formats.seekable import SeekableReader
 from dynamictree.formats.splat.activations import (
     color_from_harmonic,
@@ -21,9 +19,11 @@ from dynamictree.formats.splat.activations import (
     log_from_scales,
     scales_from_log,
 )
+from dynamictree.gaussian.axes import to_source_axes, to_z_up, transformed
 from dynamictree.gaussian.cloud import GaussianCloud, check_count, validate_cloud
 from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.gaussian.rotation import unit_quaternions
+from dynamictree.up_axis import up_rotation
 
 UP_AXIS = "+Y"
 _MAGIC = 0x5053474E  # "NGSP"

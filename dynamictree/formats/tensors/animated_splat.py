@@ -11,12 +11,12 @@ from jaxtyping import Float32, Shaped
 
 from dynamictree.byte_stream import ByteReader, ByteWriter
 from dynamictree.errors import FormatError, NumericsError
-from dynamictree.formats.axes import up_rotation
 from dynamictree.formats.tensors.container import MAX_FRAMES, integer, number, read_tensors, take_tensor, write_tensors
 from dynamictree.gaussian.animate import AnimatedSplat, without_idle_vertices
 from dynamictree.gaussian.binding import Binding
 from dynamictree.gaussian.cloud import SH_DEGREES, GaussianCloud, check_count, validate_cloud
 from dynamictree.gaussian.rotation import unit_quaternions
+from dynamictree.up_axis import up_rotation
 
 FORMAT = "animated-splat"
 VERSION = "1"

@@ -13,9 +13,9 @@ from jaxtyping import Shaped
 from dynamictree.byte_stream import ByteReader, ByteWriter
 from dynamictree.formats.tensors.container import number, read_tensors, take_tensor, write_tensors
 from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle, write_mesh_bundle
-from dynamictree.gaussian.capture import Capture
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.mesh import StillPart
+from dynamictree.plant.capture import Capture
 
 FORMAT, VERSION = "cloud-bundle", "1"
 MAX_BYTES = 3 << 30

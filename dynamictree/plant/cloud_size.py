@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from dynamictree.formats.axes import scale_to, size_warnings
-from dynamictree.formats.cloud_axes import transformed
+from dynamictree.gaussian.axes import transformed
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.mesh import SourceWarning
+from dynamictree.plant.axes import scale_to, size_warnings
 
 DEFAULT_HEIGHT_M = 5.0
 """Of a splat whose file does not say its unit."""

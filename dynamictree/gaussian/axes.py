@@ -6,10 +6,10 @@ import numpy as np
 from jaxtyping import Float64
 
 from dynamictree.errors import InputError
-from dynamictree.formats.axes import up_rotation as up_rotation
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.harmonics import turn_sh
 from dynamictree.gaussian.rotation import matrix_quaternions, quaternion_products
+from dynamictree.up_axis import up_rotation
 
 
 def to_z_up(cloud: GaussianCloud, *, up_axis: str, unit_m: float) -> GaussianCloud:

@@ -8,9 +8,9 @@ from jaxtyping import Float32, Float64, Int32, Int64
 
 from dynamictree.errors import InputError
 from dynamictree.mesh import TriangleMesh, connected_parts, weld
-from dynamictree.trees.cells import CELLS_TALL
-from dynamictree.trees.choose import require_tree, several_trees
-from dynamictree.trees.segment import segment_trees
+from dynamictree.plant.trees.cells import CELLS_TALL
+from dynamictree.plant.trees.choose import require_tree, several_trees
+from dynamictree.plant.trees.segment import segment_trees
 
 MAX_POINTS = 500_000
 MAX_RESOLUTION = 512

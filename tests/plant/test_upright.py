@@ -11,13 +11,12 @@ import trimesh
 
 from dynamictree.dataset.sapling import grow_tree
 from dynamictree.dataset.species import SPECIES
-from dynamictree.formats.axes import up_rotation
 from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.formats.source_file import read_capture
-from dynamictree.formats.upright import CERTAIN, judge_up_axis
 from dynamictree.mesh import TriangleMesh, joined
+from dynamictree.plant.upright import CERTAIN, judge_up_axis
 from dynamictree.requests import Reading
-from dynamictree.up_axis import AXES
+from dynamictree.up_axis import AXES, up_rotation
 
 
 def trees(samples: Path | None) -> Iterator[TriangleMesh]:

@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Float64
 from PIL import Image
 
-from dynamictree.formats.upright import LEAF, WOOD, surface_points
 from dynamictree.mesh import Material, SourceWarning, TriangleMesh
+from dynamictree.plant.upright import LEAF, WOOD, surface_points
 
 _FEWEST_FACES = 40
 _TURNED = 0.2  # sectors that differ by less are of a body of revolution

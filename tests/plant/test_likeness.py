@@ -11,7 +11,7 @@ from dynamictree.commands.source import load_mesh
 from dynamictree.dataset.sapling import grow_tree
 from dynamictree.dataset.species import SPECIES
 from dynamictree.formats.mesh_file import read_mesh
-from dynamictree.formats.plant_likeness import doubt_plant
+from dynamictree.plant.likeness import doubt_plant
 from dynamictree.requests import Reading
 
 GREEN, GREY = (60, 140, 50, 255), (150, 150, 150, 255)

@@ -11,10 +11,10 @@ from dynamictree.dataset.sapling import grow_tree
 from dynamictree.dataset.species import SPECIES
 from dynamictree.errors import InputError
 from dynamictree.mesh import TriangleMesh, joined
-from dynamictree.trees.of_mesh import only_tree_of, surface_points, with_trees
-from dynamictree.trees.segment import segment_trees
+from dynamictree.plant.trees.of_mesh import only_tree_of, surface_points, with_trees
+from dynamictree.plant.trees.segment import segment_trees
 from tests.devoxelize.test_interpolation import tube
-from tests.trees.stand import HEIGHTS_M, PLACES_M, on_ground, scattered, share_right, stand_of_five, tree
+from tests.plant.stand import HEIGHTS_M, PLACES_M, on_ground, scattered, share_right, stand_of_five, tree
 
 
 def num_trees(mesh: TriangleMesh) -> int:

@@ -17,8 +17,8 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
 from scipy.spatial import cKDTree
 
-from dynamictree.formats.fused_base import find_fused_base
 from dynamictree.mesh import StillPart, TriangleMesh, connected_parts, part_bounds, weld
+from dynamictree.plant.fused_base import find_fused_base
 
 STILL_NAMES = frozenset(
     " ".join(

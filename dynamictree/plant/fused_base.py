@@ -8,10 +8,10 @@ layer in it.
 import numpy as np
 from jaxtyping import Bool
 
-from dynamictree.gaussian.still_gaussians import height_of
-from dynamictree.gaussian.still_ground import find_ground
-from dynamictree.gaussian.still_pot import find_pot, in_pot
 from dynamictree.mesh import StillPart, TriangleMesh, connected_parts, part_bounds, weld
+from dynamictree.plant.ground import find_ground
+from dynamictree.plant.pot import find_pot, in_pot
+from dynamictree.plant.still_gaussians import height_of
 
 PLATE = StillPart(name="ground", why="a level base of one surface with the plant")
 POT = StillPart(name="pot", why="a closed wall at the bottom, filled with soil, of one surface with the plant")

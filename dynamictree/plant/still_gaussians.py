@@ -8,9 +8,9 @@ import scipy  # its parts come in when they are used: the service starts without
 from jaxtyping import Bool, Float64, Int32, Int64, UInt8
 
 from dynamictree.gaussian.cloud import GaussianCloud
-from dynamictree.gaussian.still_ground import Points, find_ground
-from dynamictree.gaussian.still_pot import find_pot, in_pot
 from dynamictree.mesh import StillPart
+from dynamictree.plant.ground import Points, find_ground
+from dynamictree.plant.pot import find_pot, in_pot
 
 _SOLID = 0.05  # opacity
 _LARGE = 0.1  # of the extent: Gaussians of the background

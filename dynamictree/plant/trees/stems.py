@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from dynamictree.trees.cells import parts_of
+from dynamictree.plant.trees.cells import parts_of
 
 SLICE = (0.03, 0.10)
 """Of the height above the ground: where stems are looked for, and 1 to 2 m of a tree of 20 m."""

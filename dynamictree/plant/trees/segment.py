@@ -13,8 +13,8 @@ import scipy  # its parts come in when they are used: the service starts without
 from jaxtyping import Float64, Int32, Int64
 
 from dynamictree.errors import InputError
-from dynamictree.trees.cells import OccupiedCells, join, occupy
-from dynamictree.trees.stems import Stem, find_stems, join_stems
+from dynamictree.plant.trees.cells import OccupiedCells, join, occupy
+from dynamictree.plant.trees.stems import Stem, find_stems, join_stems
 
 SHORTEST = 0.3
 """Of the height of the tallest tree: what is lower is undergrowth."""

@@ -10,17 +10,17 @@ from scipy.spatial.transform import Rotation
 
 from dynamictree.dataset.sapling import grow_tree
 from dynamictree.dataset.species import SPECIES
-from dynamictree.formats.axes import up_rotation
-from dynamictree.formats.cloud_axes import to_source_axes, transformed
-from dynamictree.formats.level import up_of_standing
 from dynamictree.formats.source_file import read_capture
 from dynamictree.formats.splat.ply import write_gaussian_ply
 from dynamictree.formats.splat.splat import write_splat
-from dynamictree.formats.upright import surface_points
-from dynamictree.gaussian.capture import Capture, moving_part
+from dynamictree.gaussian.axes import to_source_axes, transformed
 from dynamictree.gaussian.cloud import GaussianCloud, joined
+from dynamictree.plant.capture import Capture, moving_part
+from dynamictree.plant.level import up_of_standing
+from dynamictree.plant.upright import surface_points
 from dynamictree.requests import Reading
-from tests.gaussian.test_still_gaussians import plant, pot, splat_of
+from dynamictree.up_axis import up_rotation
+from tests.plant.test_still_gaussians import plant, pot, splat_of
 from tests.reconstruct.planted import sheet
 
 TILTS_DEG = [(0, 0), (10, 0), (-20, 15), (30, -20)]

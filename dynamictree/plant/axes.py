@@ -11,12 +11,11 @@ neither, so both are worked out, and what was found is recorded in `source_up_ax
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float32, Float64
 
 from dynamictree.errors import InputError
-from dynamictree.formats.upright import CERTAIN, UpAxis, judge_up_axis
 from dynamictree.mesh import SourceWarning, TriangleMesh
-from dynamictree.up_axis import AXES, direction_of
+from dynamictree.plant.upright import CERTAIN, UpAxis, judge_up_axis
+from dynamictree.up_axis import up_rotation
 
 TALLEST_TREE_M = 120.0  # Hyperion, the tallest tree known, is 116 m
 USUAL_HEIGHT_M = (0.2, 60.0)
@@ -24,36 +23,6 @@ OTHERWISE = 0.95
 """How sure the shape must be of another axis than that of the format to be worth a warning."""
 UNITS_M = (1.0, 0.01, 0.001)
 UNIT_NAMES = {"centimetres": 0.01, "inches": 0.0254, "millimetres": 0.001, "metres": 1.0}
-
-# rows are where the file's axes go; +Y is glTF's, −Y that of a scene reconstructed from photos (x right, y down)
-_TO_Z_UP = {
-    "+X": ((0, 1, 0), (0, 0, 1), (1, 0, 0)),
-    "-X": ((0, 0, 1), (0, 1, 0), (-1, 0, 0)),
-    "+Y": ((1, 0, 0), (0, 0, -1), (0, 1, 0)),
-    "-Y": ((1, 0, 0), (0, 0, 1), (0, -1, 0)),
-    "+Z": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
-    "-Z": ((1, 0, 0), (0, -1, 0), (0, 0, -1)),
-}
-
-
-def up_rotation(up_axis: str) -> Float64[np.ndarray, "3 3"]:
-    """Matrix that takes a file's axes to +Z up; for a direction, by the nearest axis and the smallest turn from there.
-
-    Raises:
-        InputError: a name that `up_axis.direction_of` does not know.
-    """
-    direction = np.array(direction_of(up_axis))
-    nearest = max(AXES, key=lambda axis: float(np.array(direction_of(axis)) @ direction))
-    rotation = np.array(_TO_Z_UP[nearest], np.float64)
-    return turn_to_z(rotation @ direction) @ rotation
-
-
-def turn_to_z(direction: Float64[np.ndarray, " 3"]) -> Float64[np.ndarray, "3 3"]:
-    """The smallest turn from a unit vector, not -Z, to +Z (Rodrigues)."""
-    x, y, z = direction
-    tilt = np.array([[0, 0, -x], [0, 0, -y], [x, y, 0]])
-    turn: Float64[np.ndarray, "3 3"] = np.eye(3) + tilt + tilt @ tilt / (1 + z)
-    return turn
 
 
 def mesh_to_z_up(
@@ -154,12 +123,6 @@ def size_warnings(height_m: float, scale: float) -> tuple[SourceWarning, ...]:
     low, high = USUAL_HEIGHT_M
     message = f"the model is {height_m:.4g} m tall, outside of the usual {low:g} to {high:g} m{proposal}"
     return (SourceWarning(code="size-doubtful", message=message),)
-
-
-def vertices_in_source_axes(mesh: TriangleMesh, up_axis: str) -> Float32[np.ndarray, "N 3"]:
-    """Positions with another axis up, still in metres: for writers."""
-    positions: Float32[np.ndarray, "N 3"] = (mesh.vertices @ up_rotation(up_axis)).astype(np.float32)
-    return positions
 
 
 def guess_unit_m(height: float, units_m: tuple[float, ...] = UNITS_M) -> float:

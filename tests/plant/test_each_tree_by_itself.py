@@ -16,7 +16,6 @@ from dynamictree.formats.tensors.cloud_bundle import read_cloud_bundle, write_cl
 from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle, write_mesh_bundle
 from dynamictree.formats.tensors.spectrum import read_spectrum, write_spectrum
 from dynamictree.formats.tensors.voxels import read_voxels, write_voxels
-from dynamictree.gaussian.capture import Capture, carrying_mesh, move_only_tree, moving_part, only_tree
 from dynamictree.mesh import StillPart, TriangleMesh, joined
 from dynamictree.modal.bones import bones_of
 from dynamictree.modal.force import Drag, contact_at_voxel
@@ -26,12 +25,13 @@ from dynamictree.modal.pull import carried_voxels
 from dynamictree.modal.response import group_forces, respond
 from dynamictree.modal.system import modal_system
 from dynamictree.models.several_trees import tree_voxels
+from dynamictree.plant.capture import Capture, carrying_mesh, move_only_tree, moving_part, only_tree
+from dynamictree.plant.trees.of_mesh import stand_resolution
 from dynamictree.requests import CloudParams, ExportParams
 from dynamictree.spectrum import Wind
-from dynamictree.trees.of_mesh import stand_resolution
 from service.routes.surface import nearest_voxels
+from tests.plant.stand import tree
 from tests.service.test_clouds import post_cloud
-from tests.trees.stand import tree
 
 
 @pytest.fixture(scope="module")

@@ -8,11 +8,11 @@ from jaxtyping import Bool, Int32, UInt8
 
 from dynamictree.errors import InputError
 from dynamictree.gaussian.cloud import GaussianCloud
-from dynamictree.gaussian.part_choice import choose_gaussians
-from dynamictree.gaussian.still_gaussians import find_still_gaussians
 from dynamictree.mesh import SourceWarning, StillPart, TriangleMesh
+from dynamictree.plant.choice import choose_gaussians
+from dynamictree.plant.still_gaussians import find_still_gaussians
+from dynamictree.plant.trees.choose import require_tree
 from dynamictree.requests import CloudParams
-from dynamictree.trees.choose import require_tree
 
 _VISIBLE = 0.1  # opacity of Gaussians that decide on the faces near them
 

@@ -11,8 +11,8 @@ from skimage.measure import marching_cubes
 
 from dynamictree.dataset.sapling import grow_tree
 from dynamictree.dataset.species import SPECIES
-from dynamictree.formats.still_parts import find_still_parts
 from dynamictree.mesh import TriangleMesh, connected_parts
+from dynamictree.plant.still_parts import find_still_parts
 
 CELLS = 130
 _THICK = 0.012  # of the height: standard deviation of what thickens stems and leaves

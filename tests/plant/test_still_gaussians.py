@@ -13,12 +13,12 @@ from dynamictree.devoxelize.length_preserving import length_preserving
 from dynamictree.formats.description import describe_capture
 from dynamictree.formats.tensors.cloud_bundle import read_cloud_bundle, write_cloud_bundle
 from dynamictree.gaussian.animate import iter_poses
-from dynamictree.gaussian.binding import bind_capture
-from dynamictree.gaussian.capture import Capture, carrying_mesh, moving_part, with_still_parts
+from dynamictree.gaussian.binding import bind
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.from_mesh import splats_of_mesh
-from dynamictree.gaussian.still_gaussians import find_still_gaussians
 from dynamictree.mesh import TriangleMesh
+from dynamictree.plant.capture import Capture, carrying_mesh, moving_part, with_still_parts
+from dynamictree.plant.still_gaussians import find_still_gaussians
 from dynamictree.voxel.voxelize import voxelize
 from tests.devoxelize.test_interpolation import tube
 
@@ -114,7 +114,7 @@ def test_still_gaussians_do_not_move_at_all() -> None:
     grid = voxelize(mesh, 64).grid
     spectrum = np.full((len(grid), 3, 3), 0.05, np.complex64)
     vertices = length_preserving(grid, mesh).apply(spectrum)
-    binding = bind_capture(capture, mesh)
+    binding = bind(capture.cloud, mesh, mask=moving_part(capture))
     still = ~moving_part(capture)
     assert still[owner == 1].mean() > 0.97
     (pose,) = iter_poses(binding, iter([vertices[:, 1].real]))

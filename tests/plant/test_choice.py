@@ -11,8 +11,8 @@ from dynamictree.cli import app
 from dynamictree.errors import InputError
 from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle, write_mesh_bundle
-from dynamictree.gaussian.part_choice import choose_gaussians, with_choice
 from dynamictree.mesh import TriangleMesh
+from dynamictree.plant.choice import choose_gaussians, with_choice
 from dynamictree.requests import CloudParams, Reading
 
 

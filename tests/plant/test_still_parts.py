@@ -10,8 +10,8 @@ from trimesh.geometry import align_vectors
 from dynamictree.dataset.sapling import grow_tree
 from dynamictree.dataset.species import SPECIES
 from dynamictree.devoxelize.length_preserving import length_preserving
-from dynamictree.formats.still_parts import find_still_faces, is_still_name
 from dynamictree.mesh import Material, TriangleMesh
+from dynamictree.plant.still_parts import find_still_faces, is_still_name
 from dynamictree.voxel.voxelize import voxelize
 from tests.devoxelize.test_interpolation import merged, tube
 

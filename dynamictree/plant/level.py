@@ -12,10 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from dynamictree.formats.axes import turn_to_z
-from dynamictree.gaussian.flat_points import FlatPoints, flat_points
-from dynamictree.gaussian.still_gaussians import height_of
-from dynamictree.gaussian.still_pot import axis_of_pot, find_pot
+from dynamictree.flat_points import FlatPoints, flat_points
+from dynamictree.plant.pot import axis_of_pot, find_pot
+from dynamictree.plant.still_gaussians import height_of
+from dynamictree.up_axis import turn_to_z
 
 Points = Float64[np.ndarray, "_ 3"]
 Direction = Float64[np.ndarray, " 3"]

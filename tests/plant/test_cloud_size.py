@@ -5,8 +5,8 @@ import io
 import numpy as np
 import pytest
 
-from dynamictree.formats.cloud_size import DEFAULT_HEIGHT_M, cloud_height
 from dynamictree.formats.source_file import read_capture
+from dynamictree.plant.cloud_size import DEFAULT_HEIGHT_M, cloud_height
 from dynamictree.requests import Reading
 
 
