@@ -4,14 +4,12 @@ import errno
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
 from dynamictree.errors import InputError
-
-COMPANION_SUFFIXES = (".mtl", ".bin", ".png", ".jpg", ".jpeg", ".webp", ".ktx2", ".tga", ".bmp")
 
 
 @contextmanager
@@ -29,36 +27,6 @@ def opened(path: Path) -> Iterator[BinaryIO]:
         raise InputError(f"{path} cannot be read: {error.strerror}") from None
     with stream:
         yield stream
-
-
-class Companions(Mapping[str, bytes]):
-    """Files that a mesh may name (MTL, buffers, textures): those in its folder, and by relative path those below it."""
-
-    def __init__(self, mesh: Path) -> None:
-        beside = (path for path in mesh.parent.iterdir() if path.suffix.lower() in COMPANION_SUFFIXES and path != mesh)
-        self._paths = {path.name: path for path in beside if path.is_file()}
-        self._folder = mesh.parent.resolve()
-
-    def __getitem__(self, name: str) -> bytes:
-        path = self._paths.get(name) or self._below(name)
-        if path is None:
-            raise KeyError(name)
-        return path.read_bytes()
-
-    def __contains__(self, name: object) -> bool:
-        return isinstance(name, str) and (name in self._paths or self._below(name) is not None)
-
-    def _below(self, name: str) -> Path | None:
-        """A file below the folder; a symbolic link that leads outside is not followed."""
-        path = (self._folder / name).resolve()
-        allowed = path.suffix.lower() in COMPANION_SUFFIXES and path.is_relative_to(self._folder)
-        return path if allowed and path.is_file() else None
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._paths)
-
-    def __len__(self) -> int:
-        return len(self._paths)
 
 
 @contextmanager

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from dynamictree.errors import InputError
-from dynamictree.files import Companions, opened, published
+from dynamictree.files import opened, published
 
 
 def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
@@ -43,26 +43,3 @@ def test_a_full_disk_is_reported_and_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no room"), published(tmp_path / "out"):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     assert list(tmp_path.iterdir()) == []
-
-
-def test_companions_are_files_of_the_folder_that_a_mesh_may_name(tmp_path: Path) -> None:
-    for name in ("tree.obj", "tree.mtl", "bark.PNG", "notes.txt"):
-        (tmp_path / name).write_bytes(name.encode())
-    (tmp_path / "folder.png").mkdir()
-    companions = Companions(tmp_path / "tree.obj")
-    assert dict(companions) == {"tree.mtl": b"tree.mtl", "bark.PNG": b"bark.PNG"}
-    assert len(companions) == 2
-
-
-def test_a_companion_may_lie_in_a_folder_below_and_nowhere_else(tmp_path: Path) -> None:
-    model = tmp_path / "model"
-    (model / "textures").mkdir(parents=True)
-    (model / "textures" / "bark.png").write_bytes(b"bark")
-    (tmp_path / "secret.png").write_bytes(b"secret")
-    (model / "link.png").symlink_to(tmp_path / "secret.png")
-    (model / "textures" / "up.png").symlink_to(tmp_path / "secret.png")
-    companions = Companions(model / "tree.gltf")
-    assert companions["textures/bark.png"] == b"bark"
-    assert "textures/bark.png" in companions
-    for name in ("../secret.png", str(tmp_path / "secret.png"), "textures/up.png", "textures/none.png", "textures"):
-        assert name not in companions

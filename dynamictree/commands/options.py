@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from dynamictree.errors import InputError
+from dynamictree.formats.companions import is_system_file
 from dynamictree.formats.suffixes import (
     CLOUD_SUFFIXES,
     MESH_SUFFIXES,
@@ -29,6 +30,7 @@ def shape_file(path: Path) -> Path:
     if not path.is_dir():
         return path
     entries = sorted(entry for pattern in ("*", "*/*") for entry in path.glob(pattern) if entry.is_file())
+    entries = [entry for entry in entries if not is_system_file(entry.relative_to(path).as_posix())]
     shapes = [entry for entry in entries if entry.suffix.lower() in _SHAPE_SUFFIXES or entry.name == SOG_FOLDER_FILE]
     shapes = [entry for entry in shapes if entry.parent == path] or shapes
     shapes = shapes or [entry for entry in entries if entry.suffix.lower() in POINT_SUFFIXES]

@@ -16,6 +16,7 @@ from dynamictree.commands.request_options import with_request_options
 from dynamictree.commands.terminal import AsJson, tell
 from dynamictree.errors import InputError
 from dynamictree.files import published
+from dynamictree.formats.companions import is_system_file
 from dynamictree.formats.suffixes import PHOTO_SUFFIXES
 from dynamictree.photo_requests import PHOTOS_OF_VIDEO, CutParams, PhotoParams
 
@@ -55,7 +56,13 @@ def reconstruct(
             stage_progress(as_json=as_json) as report,
             published(output) as folder,
         ):
-            paths = sorted(path for path in root.rglob("*") if path.is_file() and path.suffix.lower() in PHOTO_SUFFIXES)
+            paths = sorted(
+                path
+                for path in root.rglob("*")
+                if path.suffix.lower() in PHOTO_SUFFIXES
+                and path.is_file()
+                and not is_system_file(path.relative_to(root).as_posix())
+            )
 
             def on_progress(progress: Progress) -> None:
                 report(progress)

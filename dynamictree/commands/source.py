@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import typer
 
 from dynamictree.errors import InputError
-from dynamictree.files import Companions, opened
+from dynamictree.files import opened
+from dynamictree.formats.companions import Companions
 from dynamictree.requests import CloudParams, Reading
 
 if TYPE_CHECKING:

@@ -1,28 +1,77 @@
-"""Find files that a model refers to: by relative path, or by a unique base name."""
+"""Names of files: those that operating systems add to an upload, and the file that a model means by a name."""
 
-from collections.abc import Mapping
-from pathlib import PurePosixPath
+import os
+import unicodedata
+from collections.abc import Iterator, Mapping
+from functools import cached_property, lru_cache
+from pathlib import Path, PurePosixPath
 from urllib.parse import unquote
 
+_SUFFIXES = frozenset(
+    [".mtl", ".bin", ".png", ".jpg", ".jpeg", ".webp", ".ktx2", ".tga", ".bmp", ".tif", ".tiff", ".dds"]
+)
+_MOST_ENTRIES = 10_000
+"""Files and folders below a model's folder that are looked at: listing them takes 0.1 s."""
 KTX2_MAGIC = b"\xabKTX 20\xbb\r\n\x1a\n"
+_SYSTEM_NAMES = frozenset({"__macosx", "thumbs.db", "ehthumbs.db", "desktop.ini", "icon\r", "@eadir", "$recycle.bin"})
+"""What Finder, Windows and Synology put into folders and zips; hidden files begin with a dot."""
+_CODE_PAGES = ("utf-8", "cp932", "gbk", "cp949", "big5", "cp1251", "cp866", "cp850", "cp1252")
+"""In which names stand in zips without the UTF-8 flag and in MTL files: Windows' code pages by language."""
+_Path = tuple[str, ...]
+
+
+class Companions(Mapping[str, bytes]):
+    """Files that a model may name (MTL, buffers, textures): those in its folder and below, by relative path."""
+
+    def __init__(self, model: Path) -> None:
+        self._model = model
+        self._folder = model.parent.resolve()
+
+    @cached_property
+    def _paths(self) -> dict[str, Path]:
+        """A symbolic link that leads outside is not followed."""
+        paths: dict[str, Path] = {}
+        looked_at = 0
+        for folder, folders, names in os.walk(self._folder):
+            folders[:] = sorted(name for name in folders if not is_system_file(name))
+            looked_at += len(folders) + len(names)
+            for path in (Path(folder, name) for name in sorted(names) if not is_system_file(name)):
+                if path.suffix.lower() in _SUFFIXES and path.resolve().is_relative_to(self._folder):
+                    paths[path.relative_to(self._folder).as_posix()] = path
+            if looked_at > _MOST_ENTRIES:
+                break
+        paths.pop(self._model.name, None)
+        return paths
+
+    def __getitem__(self, name: str) -> bytes:
+        return self._paths[name].read_bytes()
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._paths)
+
+    def __len__(self) -> int:
+        return len(self._paths)
+
+
+def is_system_file(name: str) -> bool:
+    """Whether an operating system put the file there: hidden files, `__MACOSX`, `Thumbs.db` and their like."""
+    parts = name.replace("\\", "/").split("/")
+    return any(part.lower() in _SYSTEM_NAMES or (part.startswith(".") and part not in (".", "..")) for part in parts)
 
 
 def find_companion(name: str, companions: Mapping[str, bytes]) -> bytes | None:
-    """Content of a file that a model refers to; None if it was not uploaded.
+    """Content of a file that a model refers to; None if it was not sent along, or if several could be meant.
 
-    Backslashes, `./` and percent codes are understood. A path that leads outside of the model's folder, or an absolute
-    one, is never followed.
+    The end of the path decides, so that absolute paths of the artist's machine are understood: the file that shares
+    the most folders with the name is taken. Case, backslashes, percent codes, accents as one or two characters and
+    names in another code page make no difference. Nothing but `companions` is looked at.
     """
-    plain = name.strip().replace("\\", "/")
-    for spelling in (plain, unquote(plain)):
-        path = PurePosixPath(spelling)
-        if path.is_absolute() or ".." in path.parts or "\0" in spelling or ":" in spelling:
-            continue
-        if str(path) in companions:
-            return companions[str(path)]
-    base = PurePosixPath(unquote(plain)).name.lower()
-    same = [other for other in companions if PurePosixPath(other).name.lower() == base]
-    return companions[same[0]] if base and len(same) == 1 else None
+    by_base = _by_base_name(tuple(companions))
+    for path in _spellings(name.strip(), "latin-1"):
+        companion = _nearest(path, by_base.get(path[-1], []))
+        if companion is not None:
+            return companions[companion]
+    return None
 
 
 def beside_model(model: str, files: Mapping[str, bytes]) -> dict[str, bytes]:
@@ -33,3 +82,40 @@ def beside_model(model: str, files: Mapping[str, bytes]) -> dict[str, bytes]:
         path = PurePosixPath(name)
         named[str(path.relative_to(folder) if path.is_relative_to(folder) else path)] = content
     return named
+
+
+def _nearest(path: _Path, candidates: list[tuple[_Path, str]]) -> str | None:
+    """The one that shares the longest end with a path; of equals the one that has nothing before it, if it is one."""
+    ranked: dict[tuple[int, bool], set[str]] = {}
+    for other, name in candidates:
+        shared = next((i for i, (a, b) in enumerate(zip(path[::-1], other[::-1], strict=False)) if a != b), None)
+        length = min(len(path), len(other)) if shared is None else shared
+        ranked.setdefault((length, length == len(other)), set()).add(name)
+    best = ranked[max(ranked)] if ranked else set[str]()
+    return best.pop() if len(best) == 1 else None
+
+
+@lru_cache(maxsize=4)
+def _by_base_name(names: tuple[str, ...]) -> dict[str, list[tuple[_Path, str]]]:
+    """The files that end in each base name, in all spellings."""
+    index: dict[str, list[tuple[_Path, str]]] = {}
+    for name in names:
+        for path in _spellings(name, "cp437"):
+            index.setdefault(path[-1], []).append((path, name))
+    return index
+
+
+def _spellings(name: str, misread_as: str) -> Iterator[_Path]:
+    """The parts of a path as it stands, with percent codes decoded, and as other code pages read its bytes."""
+    texts = [name, unquote(name)]
+    if not name.isascii():
+        try:
+            raw = name.encode(misread_as)
+        except UnicodeEncodeError:
+            raw = b""
+        texts += [raw.decode(page, "ignore") for page in _CODE_PAGES]
+    for text in dict.fromkeys(texts):
+        plain = unicodedata.normalize("NFC", text).casefold().replace("\\", "/")
+        path = tuple(part.strip() for part in plain.split("/") if part.strip() not in ("", ".", ".."))
+        if path and "\0" not in plain:
+            yield path

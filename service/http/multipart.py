@@ -1,11 +1,15 @@
 """Stream multipart/form-data to files on disk and hash them; no part is ever whole in memory."""
 
 import asyncio
-from collections.abc import AsyncIterator
+import re
+from collections.abc import AsyncIterator, Mapping
 from dataclasses import dataclass, field
+from email.errors import HeaderParseError
+from email.header import decode_header, make_header
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
+from urllib.parse import unquote_to_bytes
 
 from python_multipart.exceptions import FormParserError
 from python_multipart.multipart import MultipartParser, parse_options_header
@@ -19,6 +23,8 @@ BATCH_BYTES = 1024**2
 MAX_PARTS = 320  # 300 photos and the fields
 MAX_FIELD_BYTES = 4096
 MAX_NAME_CHARS = 255
+_EXTENDED_NAME = re.compile(rb";\s*filename\*\s*=\s*utf-8'[^';]*'([^;\s]+)", re.IGNORECASE)
+_ENCODED_WORD = re.compile(r"(=\?[^?\s]+\?[BbQq]\?[^?\s]*\?=\s*)+")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,11 +142,12 @@ class _Receiver:
         self._header_name = self._header_value = b""
 
     def _open(self) -> None:
-        _, options = parse_options_header(self._headers.get(b"content-disposition", b""))
+        disposition = self._headers.get(b"content-disposition", b"")
+        _, options = parse_options_header(disposition)
         if b"name" not in options:
             raise ProblemError("bad-request", f"part {self._parts} has no name in its Content-Disposition; give it one")
         self._field = _text(options[b"name"], "name")
-        self._filename = _text(options[b"filename"], "filename") if b"filename" in options else None
+        self._filename = _file_name(disposition, options)
         if self._filename is not None:
             self._digest = sha256()
             self._stream = (self.folder / f"part-{len(self.form.files)}").open("xb")
@@ -171,6 +178,25 @@ class _Receiver:
 
     def _finish(self) -> None:
         self.ended = True
+
+
+def _file_name(disposition: bytes, options: Mapping[bytes, bytes]) -> str | None:
+    """What a part's file is called; None where it is a field.
+
+    `filename*` (RFC 8187) comes first; .NET's HttpClient writes an encoded word (RFC 2047) into `filename` beside it.
+    """
+    extended = _EXTENDED_NAME.search(disposition)
+    if extended is not None:
+        return _text(unquote_to_bytes(extended[1]), "filename")
+    if b"filename" not in options:
+        return None
+    name = _text(options[b"filename"], "filename")
+    if not _ENCODED_WORD.fullmatch(name):
+        return name
+    try:
+        return _text(str(make_header(decode_header(name))).encode(), "filename")
+    except (LookupError, ValueError, HeaderParseError) as error:
+        raise ProblemError("bad-request", f"the filename {name!r} cannot be decoded; send it as UTF-8") from error
 
 
 def _text(content: bytes, what: str) -> str:

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from hashlib import sha256
 from pathlib import Path, PurePosixPath
 
+from dynamictree.formats.companions import is_system_file
 from service.http.multipart import ReceivedFile
 from service.http.problems import ProblemError
 
@@ -30,6 +31,7 @@ UNREADABLE = (
 )
 """What zipfile raises where a file lies."""
 
+_UTF8_NAME = 0x800  # PKWARE's APPNOTE 6.3, section 4.4.4, bit 11
 ARCHIVE_SUFFIXES = frozenset({".zip", ".tar", ".gz", ".tgz", ".7z", ".rar", ".xz", ".bz2", ".zst"})
 
 
@@ -54,7 +56,13 @@ def unpack(
     """
     try:
         with zipfile.ZipFile(archive.path) as opened:
-            entries = [entry for entry in opened.infolist() if not entry.filename.endswith("/")]
+            for entry in opened.infolist():
+                entry.filename = _name(entry)
+            entries = [
+                entry
+                for entry in opened.infolist()
+                if not entry.filename.endswith("/") and not is_system_file(entry.filename)
+            ]
             require_room(_check(entries, archive.bytes))
             left = MAX_UNPACKED_BYTES
             files = []
@@ -70,6 +78,17 @@ def unpack(
     return files
 
 
+def _name(entry: zipfile.ZipInfo) -> str:
+    """The entry's path with slashes; UTF-8 also where the flag for it is not set, as Finder leaves it."""
+    name = entry.filename.replace("\\", "/")
+    if entry.flag_bits & _UTF8_NAME:
+        return name
+    try:
+        return name.encode("cp437").decode()
+    except UnicodeError:
+        return name  # `find_companion` tries the code pages
+
+
 def _unreadable(error: Exception) -> ProblemError:
     return _rejected(f"the zip cannot be read: {error}; pack it again without a password, deflated or stored")
 
@@ -82,7 +101,7 @@ def _check(entries: list[zipfile.ZipInfo], archive_bytes: int) -> int:
     if len(set(names)) < len(names):
         raise _rejected("the zip names a file twice; pack each once")
     for entry in entries:
-        path = PurePosixPath(entry.filename.replace("\\", "/"))
+        path = PurePosixPath(entry.filename)
         if (
             not path.parts
             or path.is_absolute()

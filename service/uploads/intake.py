@@ -10,6 +10,7 @@ from pathlib import Path, PurePosixPath
 from pydantic import ValidationError
 from starlette.concurrency import run_in_threadpool
 
+from dynamictree.formats.companions import is_system_file
 from dynamictree.formats.film import MAX_FILM_BYTES
 from dynamictree.formats.suffixes import (
     CLOUD_SUFFIXES,
@@ -84,6 +85,7 @@ def sort_out(owned: Owned, form: Form, folder: Path) -> Upload:
     files = form.files
     if len(files) == 1 and is_zip(files[0].path) and _suffix(files[0]) not in (".sog", ".3mf"):
         files = unpack(files[0], folder, require_room=partial(require_room, owned))
+    files = [file for file in files if not is_system_file(file.name)] or files
     if not files:
         raise ProblemError("validation-failed", "the form has no file; send at least one part with a filename")
     with_photos = [file for file in files if _suffix(file) in PHOTO_SUFFIXES or _is_camera_file(file)]

@@ -31,7 +31,7 @@ def test_a_file_is_described_by_its_bytes(
 def test_a_folder_stands_for_the_one_shape_in_it(
     dynamictree: Callable[..., int], name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for other in ("textures/bark.png", "license.txt", name):
+    for other in ("textures/bark.png", "license.txt", "._tree.obj", "__MACOSX/._tree.obj", name):
         (tmp_path / other).parent.mkdir(exist_ok=True)
         (tmp_path / other).write_bytes(TRIANGLE)
     assert dynamictree("info", tmp_path) == 0

@@ -3,12 +3,13 @@
 import io
 import json
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from dynamictree.errors import FormatError
-from dynamictree.formats.companions import beside_model, find_companion
+from dynamictree.formats.companions import Companions, beside_model, find_companion, is_system_file
 from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle, write_mesh_bundle
 from dynamictree.mesh import TriangleMesh
@@ -28,12 +29,43 @@ FILES = {"scene.bin": b"1", "textures/My Bark.png": b"2", "a/leaf.png": b"3", "b
         ("C:\\art\\my bark.png", b"2"),  # a path of the artist's machine: the base name is unique
         ("leaf.png", None),  # two of that name
         ("b/leaf.png", b"4"),
+        ("C:\\art\\b\\leaf.png", b"4"),  # the longest end that is shared decides
+        ("../TEXTURES/my bark.PNG", b"2"),
         ("none.png", None),
+        ("../..", None),
         ("", None),
     ],
 )
-def test_a_file_is_found_by_its_path_or_else_by_a_unique_name(name: str, content: bytes | None) -> None:
+def test_a_file_is_found_by_the_end_of_its_path(name: str, content: bytes | None) -> None:
     assert find_companion(name, FILES) == content
+
+
+@pytest.mark.parametrize(
+    ("sent", "named"),
+    [
+        ("Ba\u0308ume.png", "B\u00e4ume.png"),  # macOS takes accents apart
+        ("B\u00e4ume.png", "Ba\u0308ume.png"),
+        ("\u8449.png".encode("cp932").decode("cp437"), "\u8449.png"),  # a zip of Windows in Japanese, an MTL in UTF-8
+        ("\u8449.png", "\u8449.png".encode("cp932").decode("latin-1")),  # the MTL in Shift-JIS
+        ("\u8449.png".encode("gbk").decode("cp437"), "\u8449.png".encode("gbk").decode("latin-1")),
+        ("B\u00e4ume.png".encode("cp850").decode("cp437"), "B\u00e4ume.png".encode("cp1252").decode("latin-1")),
+        ("\u043a\u043e\u0440\u0430.png".encode("cp866").decode("cp437"), "\u043a\u043e\u0440\u0430.png"),
+    ],
+)
+def test_a_name_in_another_code_page_is_the_same_name(sent: str, named: str) -> None:
+    assert find_companion(named, {sent: b"1", "other.png": b"2"}) == b"1"
+
+
+@pytest.mark.parametrize(
+    ("name", "added"),
+    [
+        *((name, True) for name in ("__MACOSX/tree/._bark.png", "tree/.DS_Store", "._tree.obj", "a/Thumbs.db")),
+        *((name, True) for name in ("photos\\desktop.ini", "@eaDir/p1.jpg/SYNOPHOTO_THUMB_M.jpg")),
+        *((name, False) for name in ("./tree.obj", "../tree.obj", "tree v1.2/tree.obj", "thumbs/db.png")),
+    ],
+)
+def test_what_operating_systems_add_is_known(name: str, added: bool) -> None:
+    assert is_system_file(name) == added
 
 
 def test_paths_in_an_upload_count_from_the_model_s_folder() -> None:
@@ -105,3 +137,27 @@ def test_a_size_that_trees_do_not_have_is_doubted(scale: float, unit_m: float | 
     else:
         assert [warning.code for warning in mesh.warnings] == ["size-doubtful"]
         assert re.search(proposal, mesh.warnings[0].message)
+
+
+def test_companions_are_files_of_the_folder_that_a_mesh_may_name(tmp_path: Path) -> None:
+    for name in ("tree.obj", "tree.mtl", "bark.PNG", "notes.txt"):
+        (tmp_path / name).write_bytes(name.encode())
+    (tmp_path / "folder.png").mkdir()
+    companions = Companions(tmp_path / "tree.obj")
+    assert dict(companions) == {"tree.mtl": b"tree.mtl", "bark.PNG": b"bark.PNG"}
+    assert len(companions) == 2
+
+
+def test_a_companion_may_lie_in_a_folder_below_and_nowhere_else(tmp_path: Path) -> None:
+    model = tmp_path / "model"
+    (model / "textures").mkdir(parents=True)
+    (model / "textures" / "bark.png").write_bytes(b"bark")
+    (tmp_path / "secret.png").write_bytes(b"secret")
+    (model / "link.png").symlink_to(tmp_path / "secret.png")
+    (model / "textures" / "up.png").symlink_to(tmp_path / "secret.png")
+    companions = Companions(model / "tree.gltf")
+    (model / "textures" / "._bark.png").write_bytes(b"Finder's")
+    assert dict(companions) == {"textures/bark.png": b"bark"}
+    assert "textures/bark.png" in companions
+    for name in ("../secret.png", str(tmp_path / "secret.png"), "textures/up.png", "textures/none.png", "textures"):
+        assert name not in companions

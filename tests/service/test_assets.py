@@ -80,6 +80,46 @@ def test_photos_become_one_asset(client: TestClient) -> None:
     assert (response.json()["kind"], response.json()["summary"]["num_photos"]) == ("photos", 8)
 
 
+def test_what_operating_systems_add_is_left_out(client: TestClient) -> None:
+    hidden = (("__MACOSX/._tree.obj", b"\0\5\26\7"), (".DS_Store", b"\0"), ("Thumbs.db", b"\xd0\xcf"))
+    plain = send(client, ("tree.obj", OBJ), ("tree.mtl", MTL)).json()
+    packed = send(client, ("all.zip", zipped(("tree.obj", OBJ), *hidden, ("tree.mtl", MTL))))
+    assert packed.status_code == 200, packed.text  # the same asset
+    assert packed.json()["id"] == plain["id"]
+    parts = send(client, ("tree.obj", OBJ), *((name.rpartition("/")[2], content) for name, content in hidden))
+    assert parts.status_code == 201, parts.text
+    photos = [(f"p{i}.jpg", photo(i)) for i in range(8)]
+    with_thumbnails = send(client, ("photos.zip", zipped(*photos, *hidden, ("__MACOSX/._p0.jpg", b"\0"))))
+    assert with_thumbnails.status_code == 201, with_thumbnails.text
+    assert with_thumbnails.json()["summary"]["num_photos"] == 8
+
+
+def test_a_zip_of_windows_is_read_with_its_folders_and_code_page(client: TestClient) -> None:
+    obj = OBJ.replace(b"tree.mtl", "素材\\木.mtl".encode("cp932"))
+    raw = "素材\\木.mtl".encode("cp932").decode("cp437")
+    stored = zipped(("tree\\tree.obj", obj), ("~" * len(raw), MTL)).replace(b"~" * len(raw), raw.encode("cp437"))
+    response = send(client, ("木.zip", stored), up_axis="+Z")
+    assert response.status_code == 201, response.text
+    assert "not sent along" not in response.text
+
+
+@pytest.mark.parametrize(
+    "disposition",
+    [
+        "form-data; name=file; filename=\"=?utf-8?B?QsOkdW1lLm9iag==?=\"; filename*=utf-8''B%C3%A4ume.obj",  # .NET
+        'form-data; name=file; filename="=?utf-8?B?QsOkdW1lLm9iag==?="',
+        "form-data; name=file; filename*=UTF-8''B%C3%A4ume.obj",
+        "form-data; name=file; filename=\"Ba.obj\"; filename*=utf-8'de'B%C3%A4ume.obj",
+    ],
+)
+def test_a_file_name_may_be_encoded(client: TestClient, disposition: str) -> None:
+    body = b"--B\r\nContent-Disposition: " + disposition.encode() + b"\r\n\r\n" + OBJ + b"\r\n--B--\r\n"
+    headers = {"Content-Type": "multipart/form-data; boundary=B"}
+    response = client.post("/v1/assets", content=body, headers=headers)
+    assert response.status_code == 201, response.text
+    assert [part["name"] for part in response.json()["parts"]] == ["Bäume.obj"]
+
+
 BAD_MESHES = {
     "not a mesh": (("tree.obj", b"hello world\n"), 415),
     "empty": (("tree.obj", b""), 415),

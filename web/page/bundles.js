@@ -17,7 +17,7 @@ const pathOf = (file) => file.path ?? file.name;
 export function sortFiles(files, limits) {
   const mesh = new Set(limits.mesh_formats);
   const cloud = new Set(limits.cloud_formats);
-  const used = files.filter((file) => !/(^|\/)(\.|__MACOSX)/.test(pathOf(file)));
+  const used = files.filter((file) => !/(^|\/)(\.|__MACOSX|@eaDir|(eh)?thumbs\.db$|desktop\.ini$)/i.test(pathOf(file)));
   const isModel = (file) => mesh.has(suffixOf(file.name)) || cloud.has(suffixOf(file.name));
   const strong = used.filter((file) => isModel(file) && !WEAK.has(suffixOf(file.name)));
   const films = used.filter((file) => limits.film_formats.includes(suffixOf(file.name)));
