@@ -16,12 +16,12 @@ from dynamictree.formats.tensors.mesh_bundle import write_mesh_bundle
 from dynamictree.formats.tensors.spectrum import write_spectrum
 from dynamictree.mesh import TriangleMesh
 from dynamictree.spectrum import SparseVoxelSpectrum
-from jobs.artifacts import hash_file
-from jobs.assets import add_asset
-from jobs.attempts import claim, publish_stage, start_stage, succeed
+from jobs.lifecycle.attempts import claim, publish_stage, start_stage, succeed
 from jobs.records import AssetPart, AssetRecord, JobRecord, OutputFile
 from jobs.settings import Settings
 from jobs.states import JobState
+from jobs.storage.artifacts import hash_file
+from jobs.storage.assets import add_asset
 from jobs.store import new_id
 from service.services import Services
 

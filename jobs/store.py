@@ -12,14 +12,14 @@ from dataclasses import replace
 import sqlalchemy as sa
 from ulid import ULID
 
-from jobs import rows
-from jobs import tables as t
-from jobs.database import insert_new, open_engine
+from jobs.database import tables as t
+from jobs.database.engine import insert_new, open_engine
+from jobs.database.migrations import migrate
+from jobs.database.retry import patient
 from jobs.errors import ConflictError, GoneError, NotFoundError, QuotaError
-from jobs.job_log import LogLine, lines, note
-from jobs.migrations import migrate
+from jobs.lifecycle import rows
+from jobs.lifecycle.job_log import LogLine, lines, note
 from jobs.records import ArtifactRecord, ClientKey, JobRecord, StageRecord
-from jobs.retry import patient
 from jobs.states import ACTIVE, JobState, JobType
 
 

@@ -6,13 +6,13 @@ from fastapi import Response, status
 
 from dynamictree.photo_requests import PHOTOS_OF_VIDEO, PhotoParams
 from dynamictree.requests import AnimateParams, CloudParams, Format
-from jobs.assets import read_asset
+from jobs.clients.usage import count_jobs
+from jobs.clients.webhooks import endpoint
 from jobs.errors import ConflictError
 from jobs.records import AssetRecord, ClientKey, JobRecord, Json
 from jobs.states import JobState, JobType, queue_of, stages_of
+from jobs.storage.assets import read_asset
 from jobs.store import new_id
-from jobs.usage import count_jobs
-from jobs.webhooks import endpoint
 from service.http.problems import ProblemError, wrong_field
 from service.http.request_context import RequestOrigin
 from service.http.routing import is_id

@@ -4,8 +4,8 @@ from hashlib import sha256
 
 from fastapi import Response
 
-from jobs.assets import asset_summary
 from jobs.records import ArtifactRecord, JobRecord
+from jobs.storage.assets import asset_summary
 from service.schemas.jobs import JobPayload, job_payload
 from service.services import Owned
 

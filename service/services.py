@@ -10,19 +10,19 @@ from fastapi import Depends
 from starlette.requests import HTTPConnection
 
 from dynamictree.spectrum import SparseVoxelSpectrum
-from jobs.artifacts import ArtifactStore, open_artifacts
-from jobs.outbound import Outbound
-from jobs.secret_box import SecretBox
+from jobs.clients.outbound import Outbound
+from jobs.database.secret_box import SecretBox
 from jobs.settings import Settings
+from jobs.storage.artifacts import ArtifactStore, open_artifacts
+from jobs.storage.upload_parts import PartStore, open_parts
 from jobs.store import Store
-from jobs.upload_parts import PartStore, open_parts
-from service.fair_slots import FairSlots
 from service.http.caller import ANYONE, CALLER, Caller
+from service.http.fair_slots import FairSlots
+from service.http.open_streams import OpenStreams
+from service.interact.lru_cache import LruCache
+from service.interact.ready_tree import ReadyTree
 from service.job_durations import JobDurations
 from service.job_notifier import JobNotifier
-from service.lru_cache import LruCache
-from service.open_streams import OpenStreams
-from service.ready_tree import ReadyTree
 from service.uploads.upload_writer import ActiveWriters
 
 

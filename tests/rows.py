@@ -3,9 +3,9 @@
 from pathlib import Path
 from typing import Any
 
-from jobs.artifacts import ArtifactStore, hash_file
 from jobs.records import AssetPart, AssetRecord, JobRecord
 from jobs.states import JobState, JobType
+from jobs.storage.artifacts import ArtifactStore, hash_file
 from jobs.store import new_id
 
 

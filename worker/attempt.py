@@ -16,13 +16,13 @@ from dynamictree.photo_requests import LearningParams
 from dynamictree.request_model import Request
 from dynamictree.requests import CloudParams, ExportParams, GridParams, ReconstructParams, SpectrumParams
 from dynamictree.weights import list_weights
-from jobs.artifacts import hash_file
-from jobs.assets import read_asset
-from jobs.attempts import cached_stage, offer, publish_stage, start_stage, touch_blob
-from jobs.intermediates import RESULT_SOURCES, find_intermediate, intermediate_key, remember_intermediate
+from jobs.lifecycle.attempts import cached_stage, offer, publish_stage, start_stage, touch_blob
 from jobs.records import AssetRecord, JobRecord, OutputFile
-from jobs.stage_files import CLOUD_BUNDLE, MESH_BUNDLE, SPECTRUM, STAGE_VERSION, VOXELS
 from jobs.states import JOB_TYPES, JobType
+from jobs.storage.artifacts import hash_file
+from jobs.storage.assets import read_asset
+from jobs.storage.intermediates import RESULT_SOURCES, find_intermediate, intermediate_key, remember_intermediate
+from jobs.storage.stage_files import CLOUD_BUNDLE, MESH_BUNDLE, SPECTRUM, STAGE_VERSION, VOXELS
 from worker.cancellation import Watch
 from worker.half_done import alone_in, empty, half_done_folder
 from worker.runtime import Runtime

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from types import TracebackType
 
 from dynamictree.errors import Cancelled
-from jobs.attempts import canceling, report_progress
 from jobs.errors import StorageFullError
+from jobs.lifecycle.attempts import canceling, report_progress
 from jobs.records import Claim
 from jobs.settings import Settings
 from jobs.states import JobType

@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from pydantic import BaseModel
 
 from dynamictree.errors import FormatError, InputError
-from jobs.parser_process import FOLDER, child_environment
+from jobs.storage.parser_process import FOLDER, child_environment
 
 ERRORS = {error.code: error for error in (FormatError, InputError)}
 """What a child may say of the files, by its code."""

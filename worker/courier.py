@@ -10,12 +10,12 @@ from datetime import UTC, datetime
 import sqlalchemy as sa
 from standardwebhooks import Webhook
 
+from jobs.clients.outbound import Outbound
+from jobs.clients.webhooks import Delivery, Endpoint, Try, claim_due, record_try
+from jobs.database.secret_box import SecretBox
 from jobs.errors import OutboundError, SecretKeyError
-from jobs.outbound import Outbound
-from jobs.secret_box import SecretBox
 from jobs.settings import Settings
 from jobs.store import Store
-from jobs.webhooks import Delivery, Endpoint, Try, claim_due, record_try
 
 logger = logging.getLogger(__name__)
 

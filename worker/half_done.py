@@ -17,7 +17,7 @@ from dynamictree.errors import DynamicTreeError
 from dynamictree.photo_requests import PHOTOS_OF_VIDEO, LearningParams
 from jobs.records import JobRecord
 from jobs.settings import Settings
-from jobs.stage_files import HALF_DONE
+from jobs.storage.stage_files import HALF_DONE
 
 _CAMERAS = "views.json"  # what `dynamictree.reconstruct` writes once cameras are found
 _LOOK_S = 0.5

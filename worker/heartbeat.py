@@ -16,10 +16,10 @@ from dataclasses import dataclass
 
 import sqlalchemy as sa
 
-from jobs.attempts import renew
 from jobs.errors import FencedError
+from jobs.lifecycle.attempts import renew
+from jobs.lifecycle.maintenance import WORKER_LEASES, hold_lease, release_lease
 from jobs.logging_setup import set_up_logging
-from jobs.maintenance import WORKER_LEASES, hold_lease, release_lease
 from jobs.records import Claim
 from jobs.settings import Settings, read_settings
 from jobs.store import Store

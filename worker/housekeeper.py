@@ -21,12 +21,8 @@ import sqlalchemy as sa
 from celery import Celery
 from kombu.exceptions import OperationalError
 
-from jobs.artifacts import ArtifactStore, open_artifacts
-from jobs.assets import read_asset
-from jobs.backup import BACKUP_LEASE
 from jobs.errors import GoneError, NotFoundError, StorageAwayError
-from jobs.logging_setup import set_up_logging
-from jobs.maintenance import (
+from jobs.lifecycle.maintenance import (
     HOUSEKEEPER_LEASE,
     WORKER_LEASES,
     abort_overdue,
@@ -42,12 +38,16 @@ from jobs.maintenance import (
     unreferenced_blobs,
     unsent,
 )
-from jobs.messages import RUN_JOB, RunJob
+from jobs.lifecycle.messages import RUN_JOB, RunJob
+from jobs.logging_setup import set_up_logging
 from jobs.settings import Settings, read_settings
-from jobs.stage_files import HALF_DONE
+from jobs.storage.artifacts import ArtifactStore, open_artifacts
+from jobs.storage.assets import read_asset
+from jobs.storage.backup import BACKUP_LEASE
+from jobs.storage.stage_files import HALF_DONE
+from jobs.storage.upload_parts import PartStore, open_parts
+from jobs.storage.uploads import bury, expired_uploads
 from jobs.store import Store
-from jobs.upload_parts import PartStore, open_parts
-from jobs.uploads import bury, expired_uploads
 from worker.courier import Courier
 from worker.disk_reserve import DiskReserve
 from worker.half_done import asset_of, discard

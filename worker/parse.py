@@ -15,7 +15,7 @@ from pathlib import Path, PurePosixPath
 from dynamictree.errors import DynamicTreeError
 from dynamictree.formats.suffixes import FILM_SUFFIXES
 from dynamictree.requests import Reading
-from jobs.parser_process import ParseAnswer, ParseRequest
+from jobs.storage.parser_process import ParseAnswer, ParseRequest
 from worker.confine import confine
 
 MAX_FILES = 512

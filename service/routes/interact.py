@@ -29,9 +29,7 @@ from dynamictree.modal.system import ModalSystem, with_physics
 from service.http.negotiation import JSON, NPZ, SAFETENSORS, chosen
 from service.http.problems import ProblemError
 from service.http.routing import refusals
-from service.ready_tree import ReadyTree, bone_ties, vertex_frames
-from service.schemas.base import Payload
-from service.schemas.forces import (
+from service.interact.forces import (
     MAX_GROUPS,
     Complex,
     InteractRequest,
@@ -45,8 +43,10 @@ from service.schemas.forces import (
     state_payload,
     with_state,
 )
+from service.interact.ready_tree import ReadyTree, bone_ties, vertex_frames
+from service.interact.tree_cache import living_tree, moving_gaussians, ready_tree, with_mesh
+from service.schemas.base import Payload
 from service.services import Owned, OwnedDep
-from service.tree_cache import living_tree, moving_gaussians, ready_tree, with_mesh
 
 router = APIRouter(prefix="/v1/interact", tags=["interact"])
 logger = logging.getLogger(__name__)

@@ -42,15 +42,15 @@ from dynamictree.modal.locality import chosen_falloff_m
 from dynamictree.modal.step import exact_step
 from dynamictree.modal.system import with_physics
 from dynamictree.requests import SwingParams
+from service.http.open_streams import until_revoked
 from service.http.problems import REFUSALS, ProblemError, Refusal, problem_body, problem_of
 from service.http.validation_errors import field_errors, summed_up
-from service.interact_session import Grips, Session, force_of
-from service.open_streams import until_revoked
-from service.ready_tree import ReadyTree
+from service.interact.forces import ForcePayload
+from service.interact.ready_tree import ReadyTree
+from service.interact.session import Grips, Session, force_of
+from service.interact.tree_cache import ready_tree, with_mesh
 from service.schemas.base import Finite, Payload
-from service.schemas.forces import ForcePayload
 from service.services import Owned, owned_by_caller
-from service.tree_cache import ready_tree, with_mesh
 
 router = APIRouter(prefix="/v1/interact")
 logger = logging.getLogger(__name__)

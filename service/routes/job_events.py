@@ -9,9 +9,9 @@ from fastapi import APIRouter, Header, Response
 from sse_starlette import EventSourceResponse, ServerSentEvent
 from starlette.concurrency import run_in_threadpool
 
+from service.http.open_streams import until_revoked
 from service.http.routing import Id, refusals
 from service.job_responses import tell
-from service.open_streams import until_revoked
 from service.services import Owned, OwnedDep
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])

@@ -6,8 +6,8 @@ from typing import Annotated
 from fastapi import APIRouter, Response, status
 from pydantic import Field
 
-from jobs.assets import read_asset
-from jobs.keys import key_of_id
+from jobs.clients.keys import key_of_id
+from jobs.storage.assets import read_asset
 from service.http.problems import ProblemError
 from service.http.routing import refusals
 from service.http.signed_links import LINKABLE, signed

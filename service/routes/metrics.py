@@ -21,10 +21,10 @@ from prometheus_client import (
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily, Metric
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from jobs.artifacts import ArtifactStore
-from jobs.counters import SECONDS, tallies
-from jobs.service_statistics import Census, census
+from jobs.database.counters import SECONDS, tallies
+from jobs.lifecycle.service_statistics import Census, census
 from jobs.states import JobState, queues_of
+from jobs.storage.artifacts import ArtifactStore
 from jobs.store import Store
 from service.http.problems import ProblemError
 from service.http.routing import refusals

@@ -12,9 +12,9 @@ from dynamictree.modal.modes import mode_metadata, mode_tensors
 from dynamictree.request_model import LARGEST
 from service.http.negotiation import SAFETENSORS
 from service.http.routing import CACHED, Id, file_of, refusals
+from service.interact.stored_trees import load_spectrum
+from service.interact.tree_cache import ready_tree
 from service.services import OwnedDep
-from service.stored_trees import load_spectrum
-from service.tree_cache import ready_tree
 
 router = APIRouter(prefix="/v1/spectra", tags=["spectra"])
 

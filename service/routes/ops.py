@@ -7,8 +7,8 @@ from typing import Literal
 
 from fastapi import APIRouter, Response
 
-from jobs.counters import tallies
-from jobs.service_statistics import census
+from jobs.database.counters import tallies
+from jobs.lifecycle.service_statistics import census
 from service.http.routing import refusals
 from service.schemas.base import Payload
 from service.services import OwnedDep

@@ -9,8 +9,8 @@ from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.harmonics import SH_0
 from service.http.negotiation import SAFETENSORS
 from service.http.routing import CACHED, Id, file_of, refusals
+from service.interact.stored_trees import load_asset_cloud
 from service.services import OwnedDep
-from service.stored_trees import load_asset_cloud
 
 router = APIRouter(prefix="/v1", tags=["assets"])
 

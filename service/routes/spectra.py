@@ -10,9 +10,9 @@ from dynamictree.modal.turbulence import Wave, turbulent_wind
 from dynamictree.requests import MAX_SEED, Wind
 from dynamictree.wind_bands import WindBands
 from service.http.routing import Id, refusals
+from service.interact.stored_trees import load_spectrum
 from service.schemas.base import Payload
 from service.services import OwnedDep
-from service.stored_trees import load_spectrum
 
 router = APIRouter(prefix="/v1/spectra", tags=["spectra"])
 

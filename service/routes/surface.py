@@ -14,10 +14,10 @@ from dynamictree.spectrum import SparseVoxelSpectrum, bin_weights
 from dynamictree.voxel.grid import VoxelGrid
 from service.http.negotiation import SAFETENSORS
 from service.http.routing import CACHED, Id, file_of, refusals
-from service.ready_tree import ReadyTree, bone_ties, vertex_ties
+from service.interact.ready_tree import ReadyTree, bone_ties, vertex_ties
+from service.interact.stored_trees import load_asset_mesh, load_result, load_spectrum
+from service.interact.tree_cache import ready_tree, with_mesh
 from service.services import Owned, OwnedDep
-from service.stored_trees import load_asset_mesh, load_result, load_spectrum
-from service.tree_cache import ready_tree, with_mesh
 
 router = APIRouter(prefix="/v1", tags=["spectra"])
 

@@ -10,9 +10,9 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Header, Request, Response, status
 from starlette.concurrency import run_in_threadpool
 
-from jobs.artifacts import hash_file
+from jobs.storage.artifacts import hash_file
+from jobs.storage.uploads import UploadRecord, add_upload, change_upload, delete_upload, upload
 from jobs.store import new_id
-from jobs.uploads import UploadRecord, add_upload, change_upload, delete_upload, upload
 from service.http.middleware import TUS_VERSION
 from service.http.multipart import MAX_NAME_CHARS, is_name
 from service.http.prefer_wait import LOOK_S, WaitS

@@ -2,8 +2,8 @@
 
 from fastapi import APIRouter
 
-from jobs.keys import Limit
-from jobs.usage import count_active, stored_bytes
+from jobs.clients.keys import Limit
+from jobs.clients.usage import count_active, stored_bytes
 from service.http.routing import refusals
 from service.schemas.base import Payload
 from service.services import OwnedDep

@@ -6,8 +6,8 @@ from fastapi import APIRouter, Query, Response, status
 from pydantic import Field
 from starlette.concurrency import run_in_threadpool
 
-from jobs import webhooks
-from jobs.webhook_events import EVENTS, DeliveryState, Event
+from jobs.clients import webhooks
+from jobs.clients.webhook_events import EVENTS, DeliveryState, Event
 from service.http.routing import Cursor, Id, headers, refusals
 from service.schemas.base import Payload, Time
 from service.services import OwnedDep

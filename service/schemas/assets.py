@@ -7,7 +7,7 @@ from pydantic import Field, model_validator
 from dynamictree.requests import Reading
 from jobs.records import AssetRecord
 from jobs.states import AssetKind
-from jobs.uploads import UploadRecord, UploadState
+from jobs.storage.uploads import UploadRecord, UploadState
 from service.schemas.base import ULID_PATTERN, Payload, Problem, Time, problem_of
 
 

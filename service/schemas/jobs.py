@@ -4,10 +4,10 @@ from typing import Literal
 
 from pydantic import Field
 
-from jobs.job_log import Level, LogLine
+from jobs.lifecycle.job_log import Level, LogLine
 from jobs.records import ArtifactRecord, JobRecord
-from jobs.stage_files import MESH, SPECTRUM, VOXELS
 from jobs.states import JobState, JobType, Priority, StageState
+from jobs.storage.stage_files import MESH, SPECTRUM, VOXELS
 from service.schemas.assets import AssetSummary
 from service.schemas.base import Payload, Problem, Time, problem_of
 

@@ -9,7 +9,7 @@ import zlib
 from dataclasses import replace
 from pathlib import Path
 
-from jobs.artifacts import hash_file
+from jobs.storage.artifacts import hash_file
 from service.http.multipart import ReceivedFile
 from service.http.problems import ProblemError
 

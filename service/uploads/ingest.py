@@ -11,13 +11,13 @@ from urllib.parse import unquote, urlsplit
 import sqlalchemy as sa
 from starlette.concurrency import run_in_threadpool
 
-from jobs.artifacts import hash_file, is_full
-from jobs.assets import read_asset
+from jobs.clients.keys import Limit
 from jobs.errors import ConflictError, GoneError, OutboundError
-from jobs.keys import Limit
 from jobs.records import AssetRecord
+from jobs.storage.artifacts import hash_file, is_full
+from jobs.storage.assets import read_asset
+from jobs.storage.uploads import UploadRecord, change_upload, claim_uploads
 from jobs.store import new_id
-from jobs.uploads import UploadRecord, change_upload, claim_uploads
 from service.http.caller import Caller
 from service.http.multipart import Form, ReceivedFile
 from service.http.problems import REFUSALS, ProblemError, problem_of

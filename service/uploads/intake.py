@@ -23,13 +23,13 @@ from dynamictree.formats.suffixes import (
 )
 from dynamictree.photo_requests import MAX_PHOTOS, MIN_PHOTOS
 from dynamictree.requests import Reading
-from jobs.artifacts import hash_file
-from jobs.assets import add_asset, find_asset
-from jobs.attempts import touch_blob
-from jobs.parser_process import ParseRequest, parse
+from jobs.lifecycle.attempts import touch_blob
 from jobs.records import AssetPart, AssetRecord, Json
-from jobs.stage_files import CLOUD_BUNDLE, MESH_BUNDLE
 from jobs.states import ASSET_KINDS, AssetKind
+from jobs.storage.artifacts import hash_file
+from jobs.storage.assets import add_asset, find_asset
+from jobs.storage.parser_process import ParseRequest, parse
+from jobs.storage.stage_files import CLOUD_BUNDLE, MESH_BUNDLE
 from jobs.store import new_id
 from service.http.multipart import Form, ReceivedFile
 from service.http.problems import ProblemError, wrong_field

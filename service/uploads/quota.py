@@ -2,8 +2,8 @@
 
 import shutil
 
-from jobs.uploads import receiving_uploads
-from jobs.usage import stored_bytes
+from jobs.clients.usage import stored_bytes
+from jobs.storage.uploads import receiving_uploads
 from service.http.problems import ProblemError
 from service.services import Owned
 

@@ -12,10 +12,10 @@ from typing import Protocol
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect
 
-from jobs.artifacts import is_full
+from jobs.storage.artifacts import is_full
+from jobs.storage.upload_parts import PartStore, PartWriter
+from jobs.storage.uploads import UploadRecord, change_upload, upload
 from jobs.store import Store
-from jobs.upload_parts import PartStore, PartWriter
-from jobs.uploads import UploadRecord, change_upload, upload
 from service.http.problems import ProblemError
 
 BATCH_BYTES = 4 * 1024**2

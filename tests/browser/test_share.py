@@ -14,7 +14,7 @@ import pytest
 from PIL import Image
 from playwright.sync_api import Browser, Page, expect
 
-from jobs.keys import create_key
+from jobs.clients.keys import create_key
 from jobs.store import Store
 from recipes.demo import served
 from tests.browser.conftest import PICTURES, Viewer, animated

@@ -13,7 +13,7 @@ from playwright.sync_api import expect
 
 from dynamictree.formats.splat.ply import write_gaussian_ply
 from dynamictree.gaussian.cloud import GaussianCloud
-from jobs.keys import create_key
+from jobs.clients.keys import create_key
 from jobs.store import Store
 from tests.browser.conftest import JOB_MS, MOVING, PICTURES, Viewer, changed, pixels, press, scrub, steady
 from tests.servers import api

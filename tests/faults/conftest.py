@@ -46,7 +46,7 @@ class Service:
 
     def worker_pid(self) -> int:
         """The process in which a task runs."""
-        from jobs.maintenance import living
+        from jobs.lifecycle.maintenance import living
 
         store = self.store()
         names = wait_for(lambda: living(store, "worker:"), "a worker")

@@ -26,9 +26,9 @@ import psutil
 import sqlalchemy as sa
 from kombu.exceptions import OperationalError
 
-from jobs import tables as t
-from jobs.database import open_engine
-from jobs.messages import RUN_JOB
+from jobs.database import tables as t
+from jobs.database.engine import open_engine
+from jobs.lifecycle.messages import RUN_JOB
 from tests import servers
 from tests.faults.conftest import SHORT
 from tests.faults.drill import parse, tell

@@ -18,7 +18,7 @@ from pathlib import Path
 import httpx
 import sqlalchemy as sa
 
-from jobs.database import open_engine
+from jobs.database.engine import open_engine
 from tests import servers
 from tests.faults.conftest import SHORT, wait_for
 from tests.faults.shapes import bumpy_sphere

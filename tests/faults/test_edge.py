@@ -16,7 +16,7 @@ import httpx
 import pytest
 from websockets.asyncio.client import connect
 
-from jobs.keys import create_key
+from jobs.clients.keys import create_key
 from jobs.store import Store
 from tests import servers
 

@@ -9,8 +9,8 @@ import httpx
 import pytest
 import sqlalchemy as sa
 
-from jobs import tables as t
-from jobs.database import open_engine
+from jobs.database import tables as t
+from jobs.database.engine import open_engine
 from tests import servers
 from tests.faults.conftest import SHORT, wait_for
 from tests.faults.shapes import bumpy_sphere

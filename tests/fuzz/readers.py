@@ -12,7 +12,7 @@ from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle
 from dynamictree.formats.tensors.motion import read_motion
 from dynamictree.formats.tensors.spectrum import read_spectrum
 from dynamictree.formats.tensors.voxels import read_voxels
-from jobs.parser_process import ParseRequest
+from jobs.storage.parser_process import ParseRequest
 from service.http.multipart import ReceivedFile
 from service.uploads.archives import is_zip, unpack
 from worker import parse

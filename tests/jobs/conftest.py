@@ -5,14 +5,14 @@ from pathlib import Path
 
 import pytest
 
-from jobs import attempts
-from jobs.assets import add_asset
+from jobs.database.tables import metadata
 from jobs.errors import StorageAwayError
+from jobs.lifecycle import attempts
 from jobs.records import AssetPart, AssetRecord, Claim, JobRecord, OutputFile
 from jobs.states import JobType, stages_of
+from jobs.storage.assets import add_asset
+from jobs.storage.upload_parts import FolderParts
 from jobs.store import Store
-from jobs.tables import metadata
-from jobs.upload_parts import FolderParts
 from tests.rows import asset_row, job_row
 from tests.servers import postgres
 

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from jobs.artifacts import ArtifactStore, hash_file, open_artifacts
 from jobs.errors import StorageAwayError
 from jobs.settings import read_settings
-from jobs.upload_parts import OBJECT_BYTES, open_parts
+from jobs.storage.artifacts import ArtifactStore, hash_file, open_artifacts
+from jobs.storage.upload_parts import OBJECT_BYTES, open_parts
 from tests.servers import Server, object_storage
 
 
@@ -193,7 +193,7 @@ def test_a_full_disk_leaves_nothing_and_is_reported(source: Path, tmp_path: Path
     """In a mount namespace of its own, where it may have a disk of one megabyte."""
     program = f"""
 from pathlib import Path
-from jobs.artifacts import FolderArtifacts, hash_file
+from jobs.storage.artifacts import FolderArtifacts, hash_file
 from jobs.errors import StorageFullError
 source = Path({str(source)!r})
 artifacts = FolderArtifacts(Path({str(tmp_path / "disk")!r}))

@@ -8,22 +8,22 @@ from pathlib import Path
 import pytest
 import sqlalchemy as sa
 
-from jobs import tables as t
-from jobs.artifacts import FolderArtifacts
-from jobs.assets import add_asset, read_asset
-from jobs.attempts import claim, finish_cancel, publish_stage, start_stage, succeed, touch_blob
-from jobs.backup import BACKUP_LEASE, BLOBS, back_up, restore
-from jobs.erasure import erase_owner
+from jobs.clients.keys import create_key
+from jobs.clients.webhooks import add_endpoint
+from jobs.database import tables as t
+from jobs.database.secret_box import SecretBox
 from jobs.errors import BackupError, ConflictError, NotFoundError
-from jobs.keys import create_key
-from jobs.maintenance import hold_lease, living, unreferenced_blobs
+from jobs.lifecycle.attempts import claim, finish_cancel, publish_stage, start_stage, succeed, touch_blob
+from jobs.lifecycle.maintenance import hold_lease, living, unreferenced_blobs
 from jobs.records import AssetPart, Claim, JobRecord, OutputFile
-from jobs.scrub import scrub
-from jobs.secret_box import SecretBox
+from jobs.storage.artifacts import FolderArtifacts
+from jobs.storage.assets import add_asset, read_asset
+from jobs.storage.backup import BACKUP_LEASE, BLOBS, back_up, restore
+from jobs.storage.erasure import erase_owner
+from jobs.storage.scrub import scrub
+from jobs.storage.upload_parts import FolderParts
+from jobs.storage.uploads import UploadRecord, add_upload
 from jobs.store import Store
-from jobs.upload_parts import FolderParts
-from jobs.uploads import UploadRecord, add_upload
-from jobs.webhooks import add_endpoint
 from tests.jobs.conftest import add_job, make_asset
 from tests.rows import asset_row
 

@@ -3,8 +3,8 @@
 import pytest
 import sqlalchemy as sa
 
-from jobs import postgres_connection
-from jobs.database import open_engine
+from jobs.database import postgres_connection
+from jobs.database.engine import open_engine
 
 
 def test_a_statement_without_an_answer_ends_and_the_next_one_has_its_own(

@@ -6,13 +6,13 @@ from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
 
-import jobs.migrations
-from jobs.assets import add_asset
-from jobs.attempts import claim, succeed
-from jobs.database import open_engine
-from jobs.migrations import migrate, step_back
+import jobs.database.migrations
+from jobs.database.engine import open_engine
+from jobs.database.migrations import migrate, step_back
+from jobs.database.tables import HEAD, metadata
+from jobs.lifecycle.attempts import claim, succeed
+from jobs.storage.assets import add_asset
 from jobs.store import Store
-from jobs.tables import HEAD, metadata
 from tests.jobs.conftest import add_job, make_asset
 
 
@@ -22,7 +22,7 @@ def test_the_revisions_make_the_tables(store: Store) -> None:
 
 
 def test_head_is_the_newest_revision() -> None:
-    assert ScriptDirectory(str(Path(jobs.migrations.__file__).parent)).get_current_head() == HEAD
+    assert ScriptDirectory(str(Path(jobs.database.migrations.__file__).parent)).get_current_head() == HEAD
 
 
 def test_many_may_migrate_at_once(tmp_path: Path) -> None:

@@ -11,8 +11,8 @@ from urllib.parse import urlsplit
 
 import pytest
 
+from jobs.clients.outbound import Outbound, Target, is_public
 from jobs.errors import OutboundError
-from jobs.outbound import Outbound, Target, is_public
 
 PRIVATE = (
     *(

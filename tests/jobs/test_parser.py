@@ -10,8 +10,8 @@ from pathlib import Path
 import psutil
 import pytest
 
-from jobs.parser_process import ParseRequest, parse
 from jobs.settings import Settings
+from jobs.storage.parser_process import ParseRequest, parse
 from service.http.problems import KINDS
 
 OBJ = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"

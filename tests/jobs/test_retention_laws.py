@@ -4,11 +4,11 @@ from functools import partial
 
 import pytest
 
-from jobs import attempts, maintenance
-from jobs.assets import add_asset, delete_asset, read_asset
 from jobs.errors import ConflictError, GoneError, NotFoundError, StorageAwayError
-from jobs.intermediates import remember_intermediate
+from jobs.lifecycle import attempts, maintenance
 from jobs.records import AssetPart, AssetRecord, OutputFile
+from jobs.storage.assets import add_asset, delete_asset, read_asset
+from jobs.storage.intermediates import remember_intermediate
 from jobs.store import Store
 from tests.jobs.conftest import FILE, Clock, add_job, claim, make_asset, publish
 from tests.rows import asset_row

@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 import sqlalchemy as sa
 
-from jobs.assets import add_asset
-from jobs.attempts import claim, offer, publish_stage, start_stage, succeed
+from jobs.lifecycle.attempts import claim, offer, publish_stage, start_stage, succeed
 from jobs.records import OutputFile
 from jobs.states import JobState
+from jobs.storage.assets import add_asset
 from jobs.store import Store
 from tests.jobs.conftest import add_job, make_asset
 

@@ -5,15 +5,15 @@ import threading
 
 import pytest
 
-from jobs import attempts, maintenance
-from jobs.assets import delete_asset
+from jobs.clients.usage import count_jobs
 from jobs.errors import ConflictError, FencedError
+from jobs.lifecycle import attempts, maintenance
+from jobs.lifecycle.rows import end, move
 from jobs.records import AssetRecord, Claim, ClientKey
-from jobs.rows import end, move
 from jobs.states import TERMINAL, TRANSITIONS, JobState, stages_of, states_before
+from jobs.storage.assets import delete_asset
+from jobs.storage.uploads import UploadRecord, add_upload, claim_uploads
 from jobs.store import Store
-from jobs.uploads import UploadRecord, add_upload, claim_uploads
-from jobs.usage import count_jobs
 from tests.jobs.conftest import FILE, Clock, add_job, claim, publish
 from tests.rows import job_row
 

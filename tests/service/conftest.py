@@ -5,11 +5,11 @@ from pathlib import Path
 import pytest
 from fastapi.testclient import TestClient
 
-from jobs.assets import add_asset
-from jobs.attempts import claim, publish_stage, start_stage
+from jobs.lifecycle.attempts import claim, publish_stage, start_stage
 from jobs.records import AssetPart, AssetRecord, Claim, OutputFile
 from jobs.settings import Settings
 from jobs.states import JobType
+from jobs.storage.assets import add_asset
 from service.app import create_app
 from service.services import Services
 from tests.rows import asset_row, stored_part

@@ -11,8 +11,8 @@ from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.formats.tensors.mesh_bundle import write_mesh_bundle
 from dynamictree.formats.tensors.spectrum import write_spectrum
 from dynamictree.spectrum import SparseVoxelSpectrum, Wind
-from jobs.assets import add_asset
-from jobs.attempts import succeed
+from jobs.lifecycle.attempts import succeed
+from jobs.storage.assets import add_asset
 from service.services import Services
 from tests.rows import asset_row, job_row, stored_part
 from tests.service.conftest import hold, publish

@@ -8,7 +8,7 @@ from fastapi.testclient import TestClient
 from PIL import Image
 
 from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle
-from jobs.assets import read_asset
+from jobs.storage.assets import read_asset
 from service.services import Services
 from tests.formats.meshes import image_bytes, triangle_gltf
 from tests.service.conftest import change_services

@@ -9,8 +9,8 @@ from fastapi.testclient import TestClient
 from typer.testing import CliRunner
 
 from jobs.audit import FILES, AuditLog
-from jobs.keys import create_key
-from jobs.keys import keys as all_keys
+from jobs.clients.keys import create_key
+from jobs.clients.keys import keys as all_keys
 from jobs.settings import Settings
 from service.app import create_app
 from service.local.keys import app as keys

@@ -9,11 +9,10 @@ import sqlalchemy as sa
 from fastapi.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
-from jobs.keys import Limit, Scope, create_key, revoke_key
+from jobs.clients.keys import Limit, Scope, create_key, revoke_key
 from jobs.settings import Settings
-from service import open_streams
 from service.app import create_app
-from service.http import authentication
+from service.http import authentication, open_streams
 from service.routes import job_events
 from service.services import Services
 from tests.service.conftest import hold, publish

@@ -14,9 +14,9 @@ from dynamictree.formats.splat.splat import write_splat
 from dynamictree.formats.tensors.cloud_bundle import read_cloud_bundle
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.plant.capture import Capture, carrying_mesh
-from jobs.assets import read_asset
 from jobs.records import AssetRecord
 from jobs.states import stages_of
+from jobs.storage.assets import read_asset
 from service.routes import points
 from service.services import Services
 from tests.service.test_assets import left_behind, photo, send, zipped

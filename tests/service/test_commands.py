@@ -9,7 +9,7 @@ import typer
 from typer.testing import CliRunner
 
 from jobs.settings import Settings
-from jobs.stage_files import HALF_DONE
+from jobs.storage.stage_files import HALF_DONE
 from service.local.doctor import doctor, examine
 from service.local.keys import app as keys
 from service.local.serve import (

@@ -2,7 +2,7 @@
 
 from fastapi.testclient import TestClient
 
-from jobs.attempts import cached_stage, publish_stage, start_stage
+from jobs.lifecycle.attempts import cached_stage, publish_stage, start_stage
 from jobs.records import AssetRecord, OutputFile
 from service.services import Services
 from tests.service.conftest import hold

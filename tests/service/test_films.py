@@ -7,7 +7,7 @@ from fastapi.testclient import TestClient
 
 from dynamictree.formats import film
 from dynamictree.formats.film import film_facts
-from jobs.assets import read_asset
+from jobs.storage.assets import read_asset
 from service.services import Services
 from service.uploads import intake
 from tests.formats.films import DEVICE, PLACES, write_film

@@ -19,14 +19,14 @@ from dynamictree.modal.locality import default_falloff_m
 from dynamictree.modal.response import group_forces, respond
 from dynamictree.modal.system import modal_system
 from dynamictree.spectrum import SparseVoxelSpectrum
-from jobs.assets import delete_asset
 from jobs.settings import Settings
+from jobs.storage.assets import delete_asset
 from service.app import create_app
 from service.http.caller import ANYONE
-from service.ready_tree import ReadyTree, bone_ties, vertex_frames
-from service.schemas.forces import MAX_FORCES
+from service.interact.forces import MAX_FORCES
+from service.interact.ready_tree import ReadyTree, bone_ties, vertex_frames
+from service.interact.tree_cache import living_tree
 from service.services import Services
-from service.tree_cache import living_tree
 from tests.service.pushed import ASSET_ID, grown, poke, post, spectrum, spectrum_id  # noqa: F401
 
 

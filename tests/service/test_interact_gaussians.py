@@ -18,8 +18,8 @@ from dynamictree.gaussian.deform import Deformer
 from dynamictree.gaussian.from_mesh import splats_of_mesh
 from dynamictree.plant.capture import Capture
 from dynamictree.spectrum import SparseVoxelSpectrum
-from jobs.assets import add_asset, delete_asset, read_asset
-from jobs.attempts import succeed
+from jobs.lifecycle.attempts import succeed
+from jobs.storage.assets import add_asset, delete_asset, read_asset
 from service.services import Services
 from tests.rows import asset_row, job_row, stored_part
 from tests.service.conftest import hold, publish

@@ -17,13 +17,14 @@ from dynamictree.modal.response import group_forces, respond
 from dynamictree.modal.step import exact_step
 from dynamictree.modal.system import modal_system
 from dynamictree.spectrum import SparseVoxelSpectrum
-from jobs.keys import create_key, revoke_key
+from jobs.clients.keys import create_key, revoke_key
+from jobs.database.tables import assets, jobs
 from jobs.settings import Settings
-from jobs.tables import assets, jobs
-from service import interact_session, open_streams
 from service.app import create_app
+from service.http import open_streams
+from service.interact import session as interact_session
+from service.interact.forces import ForcePayload
 from service.routes import interact_stream
-from service.schemas.forces import ForcePayload
 from service.services import Services
 from tests.service.pushed import grown, poke, spectrum, spectrum_id  # noqa: F401
 

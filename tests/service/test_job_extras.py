@@ -7,9 +7,9 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 import pytest
 from fastapi.testclient import TestClient
 
-from jobs.attempts import report_progress, start_stage, succeed
-from jobs.maintenance import forget_expired, hold_lease
-from jobs.outbound import Outbound
+from jobs.clients.outbound import Outbound
+from jobs.lifecycle.attempts import report_progress, start_stage, succeed
+from jobs.lifecycle.maintenance import forget_expired, hold_lease
 from jobs.records import AssetRecord
 from jobs.settings import Settings
 from service.app import create_app

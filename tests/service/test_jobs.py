@@ -4,8 +4,8 @@ import threading
 import pytest
 from fastapi.testclient import TestClient
 
-from jobs.attempts import fail, report_progress, start_stage, succeed
-from jobs.maintenance import abort_overdue
+from jobs.lifecycle.attempts import fail, report_progress, start_stage, succeed
+from jobs.lifecycle.maintenance import abort_overdue
 from jobs.records import AssetRecord, Claim
 from jobs.store import new_id
 from service.job_creation import KEY_EXPIRES_S

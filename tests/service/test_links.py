@@ -8,11 +8,11 @@ from urllib.parse import urlsplit
 import pytest
 from fastapi.testclient import TestClient
 
-from jobs.assets import add_asset
-from jobs.attempts import succeed
-from jobs.keys import KeyRecord, create_key, revoke_key
+from jobs.clients.keys import KeyRecord, create_key, revoke_key
+from jobs.lifecycle.attempts import succeed
 from jobs.records import AssetPart
 from jobs.settings import Settings
+from jobs.storage.assets import add_asset
 from service.app import create_app
 from service.http.authentication import REMEMBERED_S
 from service.services import Services

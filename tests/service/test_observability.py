@@ -6,7 +6,7 @@ import pytest
 from fastapi.testclient import TestClient
 from prometheus_client.parser import text_string_to_metric_families
 
-from jobs.attempts import succeed
+from jobs.lifecycle.attempts import succeed
 from jobs.records import AssetRecord
 from service.services import Services
 from tests.service.conftest import hold, publish

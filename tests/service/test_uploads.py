@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from fastapi.testclient import TestClient
 
-from jobs.uploads import bury, expired_uploads
+from jobs.storage.uploads import bury, expired_uploads
 from service.services import Services
 from tests.jobs.conftest import PartsAway
 from tests.service.conftest import change_services

@@ -8,11 +8,11 @@ import pytest
 
 from dynamictree.formats.tensors.mesh_bundle import write_mesh_bundle
 from dynamictree.mesh import TriangleMesh
-from jobs.assets import add_asset
-from jobs.attempts import claim
+from jobs.lifecycle.attempts import claim
 from jobs.records import AssetRecord, Claim, JobRecord
 from jobs.settings import Settings
 from jobs.states import JobType, stages_of
+from jobs.storage.assets import add_asset
 from tests.rows import asset_row, job_row, stored_part
 from worker.cancellation import Watch
 from worker.runtime import Runtime, close_runtime, open_runtime

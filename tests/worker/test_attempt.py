@@ -21,17 +21,17 @@ from dynamictree.formats.tensors.spectrum import write_spectrum
 from dynamictree.formats.tensors.voxels import read_voxels
 from dynamictree.requests import AnimateParams, VoxelizeParams
 from dynamictree.spectrum import SparseVoxelSpectrum
-from jobs import tables as t
-from jobs.artifacts import hash_file
-from jobs.assets import read_asset
-from jobs.attempts import hand_back, publish_stage, start_stage, succeed
-from jobs.erasure import _forget_cached
+from jobs.database import tables as t
 from jobs.errors import FencedError, GoneError
-from jobs.intermediates import RESULT_SOURCES
-from jobs.maintenance import living, reap
+from jobs.lifecycle.attempts import hand_back, publish_stage, start_stage, succeed
+from jobs.lifecycle.maintenance import living, reap
 from jobs.records import AssetRecord, Claim, JobRecord, OutputFile
-from jobs.stage_files import MESH_BUNDLE, SPECTRUM, VOXELS
 from jobs.states import JobState, JobType
+from jobs.storage.artifacts import hash_file
+from jobs.storage.assets import read_asset
+from jobs.storage.erasure import _forget_cached
+from jobs.storage.intermediates import RESULT_SOURCES
+from jobs.storage.stage_files import MESH_BUNDLE, SPECTRUM, VOXELS
 from tests.worker.conftest import add_job, hold, watch
 from worker.attempt import PARAMS, model_sha256, run_stages, stage_key
 from worker.cancellation import HandedBack

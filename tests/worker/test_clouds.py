@@ -13,9 +13,9 @@ from dynamictree.formats.tensors.animated_splat import read_animated_splat
 from dynamictree.formats.tensors.cloud_bundle import write_cloud_bundle
 from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle
 from dynamictree.plant.capture import Capture
-from jobs.assets import add_asset
 from jobs.records import AssetRecord
 from jobs.states import JobState
+from jobs.storage.assets import add_asset
 from tests.rows import asset_row, stored_part
 from tests.service.test_clouds import post_cloud
 from tests.worker.conftest import add_job, hold, wedge

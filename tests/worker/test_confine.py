@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import worker.confine
-from jobs.parser_process import FOLDER, child_environment
+from jobs.storage.parser_process import FOLDER, child_environment
 
 ATTEMPTS = """
 import json, os, socket, subprocess, sys

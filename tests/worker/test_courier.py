@@ -15,15 +15,15 @@ import sqlalchemy as sa
 from standardwebhooks import Webhook
 from standardwebhooks.webhooks import WebhookVerificationError
 
-from jobs import tables as t
-from jobs import webhooks
-from jobs.assets import add_asset
-from jobs.attempts import claim, fail, succeed
+from jobs.clients import webhooks
+from jobs.clients.webhook_events import EVENTS
+from jobs.database import tables as t
+from jobs.database.secret_box import SecretBox
 from jobs.errors import ConflictError, NotFoundError, SecretKeyError, SettingsError
-from jobs.secret_box import SecretBox
+from jobs.lifecycle.attempts import claim, fail, succeed
 from jobs.settings import Settings, read_settings
+from jobs.storage.assets import add_asset
 from jobs.store import Store
-from jobs.webhook_events import EVENTS
 from tests.jobs.conftest import add_job, make_asset
 from worker.courier import Courier
 

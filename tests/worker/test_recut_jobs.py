@@ -13,10 +13,10 @@ from dynamictree.errors import ReconstructionError
 from dynamictree.formats.splat.ply import read_gaussian_ply
 from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle
 from dynamictree.reconstruct.recut import pack
-from jobs.assets import add_asset
 from jobs.records import AssetRecord, JobRecord
-from jobs.stage_files import MESH_BUNDLE
 from jobs.states import stages_of
+from jobs.storage.assets import add_asset
+from jobs.storage.stage_files import MESH_BUNDLE
 from tests.reconstruct.finished import BOX, NUM_STEM, write_finished
 from tests.reconstruct.planted import potted, stroke_across, write_planted
 from tests.rows import asset_row, job_row, stored_part

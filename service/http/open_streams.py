@@ -8,7 +8,7 @@ from contextlib import contextmanager
 import sqlalchemy as sa
 from starlette.concurrency import run_in_threadpool
 
-from jobs.keys import is_valid
+from jobs.clients.keys import is_valid
 from jobs.store import Store
 from service.http.caller import Caller
 from service.http.problems import ProblemError

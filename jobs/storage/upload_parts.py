@@ -11,7 +11,7 @@ import obstore
 from obstore.exceptions import AlreadyExistsError
 from obstore.store import ObjectStore
 
-from jobs.object_storage import open_objects, reporting_refusals
+from jobs.storage.object_storage import open_objects, reporting_refusals
 
 PREFIX = "uploads"
 SYNC_BYTES = 64 * 1024**2

@@ -5,8 +5,8 @@ A counter has a name and a label, such as `jobs` and `succeeded`; `service/route
 
 import sqlalchemy as sa
 
-from jobs import tables as t
-from jobs.database import add_up
+from jobs.database import tables as t
+from jobs.database.engine import add_up
 
 SECONDS = (0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0, 120.0, 300.0, 600.0, 1800.0, 3600.0)
 """Upper bounds of the classes into which durations are sorted [s]."""

@@ -4,13 +4,13 @@ from dataclasses import dataclass
 
 import sqlalchemy as sa
 
-from jobs import tables as t
-from jobs.artifacts import ArtifactStore
+from jobs.database import tables as t
 from jobs.errors import ConflictError
-from jobs.maintenance import referenced
+from jobs.lifecycle.maintenance import referenced
 from jobs.states import ACTIVE, JobState
+from jobs.storage.artifacts import ArtifactStore
+from jobs.storage.upload_parts import PartStore
 from jobs.store import Store
-from jobs.upload_parts import PartStore
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,10 +17,10 @@ from typing import Any
 
 import sqlalchemy as sa
 
-from jobs import tables as t
-from jobs.artifacts import ArtifactStore
+from jobs.database import tables as t
 from jobs.errors import BackupError, ConflictError
-from jobs.maintenance import hold_lease, referenced, release_lease
+from jobs.lifecycle.maintenance import hold_lease, referenced, release_lease
+from jobs.storage.artifacts import ArtifactStore
 from jobs.store import Store, new_id
 
 BACKUP_LEASE = "backup"

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import sqlalchemy as sa
 
-from jobs import tables as t
-from jobs.maintenance import HOUSEKEEPER_LEASE, WORKER_LEASES
+from jobs.database import tables as t
+from jobs.lifecycle.maintenance import HOUSEKEEPER_LEASE, WORKER_LEASES
 from jobs.states import ACTIVE, JobState
 
 

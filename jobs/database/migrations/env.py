@@ -2,7 +2,7 @@
 
 from alembic import context
 
-from jobs.tables import metadata
+from jobs.database.tables import metadata
 
 connection = context.config.attributes["connection"]
 context.configure(connection=connection, target_metadata=metadata)

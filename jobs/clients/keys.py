@@ -8,7 +8,7 @@ from typing import Literal, get_args
 
 import sqlalchemy as sa
 
-from jobs import tables as t
+from jobs.database import tables as t
 from jobs.errors import NotFoundError
 from jobs.store import Store, new_id
 

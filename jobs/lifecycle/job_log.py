@@ -6,7 +6,7 @@ from typing import Literal
 
 import sqlalchemy as sa
 
-from jobs import tables as t
+from jobs.database import tables as t
 from jobs.records import Json
 
 Level = Literal["info", "warning", "error"]

@@ -5,12 +5,12 @@ from collections.abc import Callable, Iterator
 
 import sqlalchemy as sa
 
-from jobs import tables as t
-from jobs.attempts import begin_next_attempt
-from jobs.counters import count
-from jobs.database import upsert
-from jobs.messages import RunJob
-from jobs.rows import bury, end
+from jobs.database import tables as t
+from jobs.database.counters import count
+from jobs.database.engine import upsert
+from jobs.lifecycle.attempts import begin_next_attempt
+from jobs.lifecycle.messages import RunJob
+from jobs.lifecycle.rows import bury, end
 from jobs.states import JobState
 from jobs.store import Store
 

@@ -7,7 +7,7 @@ from typing import Literal, get_args
 import sqlalchemy as sa
 from ulid import ULID
 
-from jobs import tables as t
+from jobs.database import tables as t
 from jobs.states import JobState
 
 Event = Literal["job.succeeded", "job.failed", "job.canceled", "job.aborted"]

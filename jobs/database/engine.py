@@ -20,7 +20,7 @@ BUSY_TIMEOUT_S = 10.0
 def open_engine(url: str) -> sa.Engine:
     """Make an engine whose transactions may write from their first statement on."""
     if make_url(url).get_backend_name() != "sqlite":
-        from jobs.postgres_connection import connect  # psycopg is not imported where the store is a file
+        from jobs.database.postgres_connection import connect  # psycopg is not imported where the store is a file
 
         engine = sa.create_engine(_with_psycopg(url), pool_pre_ping=True, pool_size=10, max_overflow=30)
         event.listen(engine, "do_connect", connect)

@@ -21,7 +21,7 @@ from dynamictree.modal.response import group_forces, with_bin_zero
 from dynamictree.modal.step import State, Step, exact_oscillator, run
 from dynamictree.modal.system import ModalSystem
 from service.http.problems import ProblemError
-from service.schemas.forces import MAX_GROUPS, ForcePayload, library_force, locality_payload, reached_payload
+from service.interact.forces import MAX_GROUPS, ForcePayload, library_force, locality_payload, reached_payload
 
 if TYPE_CHECKING:
     from dynamictree.modal.pull import Grip, Pull

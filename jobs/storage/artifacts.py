@@ -15,7 +15,7 @@ import obstore
 from obstore.store import ObjectStore
 
 from jobs.errors import StorageFullError
-from jobs.object_storage import REQUEST_PATIENCE_S, open_objects, reporting_refusals
+from jobs.storage.object_storage import REQUEST_PATIENCE_S, open_objects, reporting_refusals
 
 CHUNK_BYTES = 1024 * 1024
 FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})

@@ -8,11 +8,11 @@ from dataclasses import asdict, dataclass, field
 import sqlalchemy as sa
 from ulid import ULID
 
-from jobs import tables as t
+from jobs.clients.webhook_events import DeliveryState, Event
+from jobs.database import tables as t
+from jobs.database.secret_box import SecretBox
 from jobs.errors import ConflictError, NotFoundError
-from jobs.secret_box import SecretBox
 from jobs.store import Store
-from jobs.webhook_events import DeliveryState, Event
 
 SECRET_PREFIX = "whsec_"
 SECRET_BYTES = 24

@@ -5,14 +5,14 @@ from dataclasses import asdict
 
 import sqlalchemy as sa
 
-from jobs import tables as t
-from jobs.counters import count, count_seconds
-from jobs.database import upsert
+from jobs.database import tables as t
+from jobs.database.counters import count, count_seconds
+from jobs.database.engine import upsert
+from jobs.database.retry import patient
 from jobs.errors import FencedError
-from jobs.job_log import note
+from jobs.lifecycle.job_log import note
+from jobs.lifecycle.rows import end, read_job
 from jobs.records import Claim, OutputFile
-from jobs.retry import patient
-from jobs.rows import end, read_job
 from jobs.states import JobState, JobType
 from jobs.store import Store, new_id
 

@@ -6,9 +6,9 @@ from hashlib import sha256
 
 import sqlalchemy as sa
 
-from jobs import tables as t
-from jobs.artifacts import ArtifactStore
-from jobs.maintenance import referenced
+from jobs.database import tables as t
+from jobs.lifecycle.maintenance import referenced
+from jobs.storage.artifacts import ArtifactStore
 from jobs.store import Store
 
 

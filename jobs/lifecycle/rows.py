@@ -4,13 +4,13 @@ from collections.abc import Mapping
 
 import sqlalchemy as sa
 
-from jobs import tables as t
-from jobs.counters import count
+from jobs.clients.webhook_events import announce
+from jobs.database import tables as t
+from jobs.database.counters import count
 from jobs.errors import NotFoundError, ReusedKeyError
-from jobs.job_log import note
+from jobs.lifecycle.job_log import note
 from jobs.records import ArtifactRecord, ClientKey, JobRecord, StageRecord
 from jobs.states import JobState, JobType, states_before
-from jobs.webhook_events import announce
 
 HIDDEN = frozenset({"lease_owner", "lease_until", "lost_stages", "client_key", "body_sha256"})
 """Columns of a job that its record does not show."""

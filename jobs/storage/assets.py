@@ -6,11 +6,11 @@ from typing import Any
 
 import sqlalchemy as sa
 
-from jobs import tables as t
-from jobs.database import insert_new
+from jobs.database import tables as t
+from jobs.database.engine import insert_new
+from jobs.database.retry import patient
 from jobs.errors import ConflictError, GoneError, NotFoundError
 from jobs.records import AssetPart, AssetRecord
-from jobs.retry import patient
 from jobs.states import ACTIVE
 from jobs.store import Store
 

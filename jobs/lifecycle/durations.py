@@ -2,7 +2,7 @@
 
 import sqlalchemy as sa
 
-from jobs import tables as t
+from jobs.database import tables as t
 from jobs.states import JobState, JobType
 from jobs.store import Store
 

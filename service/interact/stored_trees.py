@@ -11,11 +11,11 @@ from dynamictree.plant.choice import with_choice
 from dynamictree.plant.trees.of_mesh import only_tree_of
 from dynamictree.requests import CloudParams
 from dynamictree.spectrum import SparseVoxelSpectrum
-from jobs.assets import read_asset
 from jobs.errors import ConflictError, GoneError, NotFoundError
-from jobs.intermediates import RESULT_SOURCES, find_intermediate, intermediate_key
 from jobs.records import ArtifactRecord
-from jobs.stage_files import MESH_BUNDLE, SPECTRUM
+from jobs.storage.assets import read_asset
+from jobs.storage.intermediates import RESULT_SOURCES, find_intermediate, intermediate_key
+from jobs.storage.stage_files import MESH_BUNDLE, SPECTRUM
 from service.http.problems import ProblemError
 from service.http.routing import is_id
 from service.services import Owned

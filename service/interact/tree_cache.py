@@ -8,16 +8,16 @@ import numpy as np
 from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.interactive_tree import InteractiveTree
 from dynamictree.modal.system import modal_system
-from jobs.assets import read_asset
-from service.ready_tree import MovingGaussians, ReadyTree
-from service.services import Owned
-from service.stored_trees import (
+from jobs.storage.assets import read_asset
+from service.interact.ready_tree import MovingGaussians, ReadyTree
+from service.interact.stored_trees import (
     load_result,
     load_source_cloud,
     load_source_mesh,
     load_spectrum,
     spectrum_artifact,
 )
+from service.services import Owned
 
 if TYPE_CHECKING:
     from dynamictree.devoxelize.interpolation import VoxelInterpolation

@@ -9,13 +9,13 @@ from dataclasses import asdict
 from hashlib import sha256
 from importlib.metadata import version
 
-from jobs import tables as t
-from jobs.artifacts import ArtifactStore
-from jobs.attempts import cached_stage, touch_blob
-from jobs.database import upsert
+from jobs.database import tables as t
+from jobs.database.engine import upsert
+from jobs.database.retry import patient
+from jobs.lifecycle.attempts import cached_stage, touch_blob
 from jobs.records import JobRecord, OutputFile
-from jobs.retry import patient
-from jobs.stage_files import MESH_BUNDLE, SPECTRUM, STAGE_VERSION, VOXELS
+from jobs.storage.artifacts import ArtifactStore
+from jobs.storage.stage_files import MESH_BUNDLE, SPECTRUM, STAGE_VERSION, VOXELS
 from jobs.store import Store
 
 RESULT_SOURCES = {"ties": (VOXELS, MESH_BUNDLE), "motion": (SPECTRUM, MESH_BUNDLE)}

@@ -7,7 +7,7 @@ from typing import Literal
 
 import sqlalchemy as sa
 
-from jobs import tables as t
+from jobs.database import tables as t
 from jobs.errors import ConflictError, GoneError, NotFoundError
 from jobs.records import Json
 from jobs.store import Store

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import sqlalchemy as sa
 
-from jobs.tables import HEAD
+from jobs.database.tables import HEAD
 
 if TYPE_CHECKING:
     from alembic.config import Config

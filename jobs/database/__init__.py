@@ -1,0 +1,1 @@
+"""Tables, their migrations, and how to connect to them."""

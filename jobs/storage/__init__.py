@@ -1,0 +1,1 @@
+"""Bytes and what refers to them: artifacts, assets, uploads, backups."""

@@ -1,0 +1,1 @@
+"""How a tree answers a push: trees in memory, forces, streams."""
