@@ -16,11 +16,15 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Complex64, Float32, Float64
 
-from dynamictree.modal.real_trees import BARE_DAMPING_RATIO, LEAF_SLOWING
+from dynamictree.modal.real_trees import (
+    BARE_DAMPING_RATIO,
+    FREQUENCY_AT_1M_HZ,
+    LEAF_SLOWING,
+    TALL_EXPONENT,
+    TALL_M,
+)
 from dynamictree.spectrum import FPS, NUM_FRAMES, NUM_FREQUENCIES, Wind
 
-FREQUENCY_AT_1M_HZ = 24 / (8 * np.pi)  # 0.955, times 1 / √L; of a tree in leaf
-TALL_M, TALL_EXPONENT = 17.0, 1.02  # measured frequencies of trees fall as H^-1.02; no trunk of the dataset is longer
 REFERENCE_SPEED_M_S = 5.0
 DRAG_EXPONENT = 1.6  # of the speed: leaves and twigs fold; `MAX_LEAN_RAD` takes its share of the answer too
 LEAN_RAD = np.deg2rad(1.5)  # whole bend of a stem of REFERENCE_SLENDERNESS at the reference speed

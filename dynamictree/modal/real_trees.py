@@ -18,6 +18,9 @@ what 16 frequencies in 4.17 s can show."""
 SMALL_M = 8.0
 """Below it the sway of trees in wind goes as 1 / H, through the measured median of 4 to 8 m (0.45 Hz)."""
 MAX_QUICKENING = 2.5
+FREQUENCY_AT_1M_HZ = 24 / (8 * np.pi)
+"""Of a stem of the simulator, in leaf: 0.955 Hz, times 1 / √L (Sapling's b = 1 / (4 √L) rad per frame of 1/24 s)."""
+TALL_M, TALL_EXPONENT = 17.0, 1.02  # measured frequencies of trees fall as H^-1.02; no trunk of the dataset is longer
 LEAF_SLOWING = 0.85  # frequency in leaf over bare
 FLUTTER_ABOVE_HZ = 1.4  # leaves move here, stems of trees hardly; times the quickening of a small tree
 FLUTTER_SHARE = (0.0043, 0.0055)

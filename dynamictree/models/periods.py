@@ -20,8 +20,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool, Complex64
 
-from dynamictree.dataset.oscillator import FREQUENCY_AT_1M_HZ, TALL_EXPONENT, TALL_M
-from dynamictree.modal.real_trees import loop_times, quickening
+from dynamictree.modal.real_trees import FREQUENCY_AT_1M_HZ, TALL_EXPONENT, TALL_M, loop_times, quickening
 from dynamictree.models.motion_model import OnStep
 from dynamictree.models.several_trees import share_of_steps
 from dynamictree.spectrum import FPS, NUM_FRAMES, NUM_FREQUENCIES, SparseVoxelSpectrum, mode_sizes

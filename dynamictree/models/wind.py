@@ -30,3 +30,10 @@ def log_drag(wind: Wind) -> float:
 def log_wind_scale(wind: Wind) -> float:
     """Ln of the motion's size over its size at drag and gust 1."""
     return log_drag(wind) + math.log(max(wind.gust, MIN_GUST))
+
+
+def wind_sizes(wind: Wind, num_frequencies: int) -> Float32[np.ndarray, " K"]:
+    """Size of each coefficient in this wind over its size at drag and gust 1: the mean pose feels the drag alone."""
+    sizes = np.full(num_frequencies, np.exp(log_wind_scale(wind)), np.float32)
+    sizes[0] = np.exp(log_drag(wind))
+    return sizes

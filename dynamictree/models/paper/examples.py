@@ -21,15 +21,14 @@ from torch.nn import functional
 from dynamictree.dataset.shards import StoredTree, iter_shard
 from dynamictree.diffusion.loss import LocalSmoothness, nearest_voxels
 from dynamictree.errors import InputError
-from dynamictree.models.paper.network import PaperInputs, PaperPreset
+from dynamictree.models.paper.network import PaperInputs, PaperPreset, unit_positions
 from dynamictree.models.small.correlated_noise import NoiseBasis, noise_basis
 from dynamictree.models.small.examples import example_of
 from dynamictree.models.small.features import node_features, wind_vector
 from dynamictree.models.small.network import Regression
 from dynamictree.models.small.whitening import WhiteExample, white_example
-from dynamictree.models.wind import log_drag, log_wind_scale, wind_axes
+from dynamictree.models.wind import wind_axes, wind_sizes
 from dynamictree.sparse.level import Pyramid, batch_pyramids, pyramid
-from dynamictree.spectrum import Wind
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import voxelize
 
@@ -107,18 +106,6 @@ def _seen(vectors: Float32[Tensor, "X 3"], example: PaperExample, preset: PaperP
 def node_grids(grids: Pyramid, preset: PaperPreset) -> Pyramid:
     """The pyramid from the spectrum's grid on."""
     return Pyramid(levels=grids.levels[preset.num_halvings :], parents=grids.parents[preset.num_halvings :])
-
-
-def unit_positions(coords: Int64[Tensor, "X 3"], resolution: int) -> Float32[Tensor, "X 3"]:
-    """Voxel centres in [-1, 1] of the grid's cube."""
-    return (2 * coords + 1).float() / resolution - 1
-
-
-def wind_sizes(wind: Wind, num_frequencies: int) -> Float32[np.ndarray, " K"]:
-    """Size of each coefficient in this wind over its size at drag and gust 1: the mean pose feels the drag alone."""
-    sizes = np.full(num_frequencies, np.exp(log_wind_scale(wind)), np.float32)
-    sizes[0] = np.exp(log_drag(wind))
-    return sizes
 
 
 def paper_example(stored: StoredTree, preset: PaperPreset, regression: Regression | None = None) -> PaperExample:

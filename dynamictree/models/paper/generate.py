@@ -14,13 +14,12 @@ from dynamictree.diffusion.schedule import schedule_of
 from dynamictree.errors import InputError
 from dynamictree.models.motion_model import MotionModel, Sampling
 from dynamictree.models.paper.denoise import denoise
-from dynamictree.models.paper.examples import unit_positions, wind_sizes
-from dynamictree.models.paper.network import PaperInputs, PaperNetwork
+from dynamictree.models.paper.network import PaperInputs, PaperNetwork, unit_positions
 from dynamictree.models.small.features import node_features
 from dynamictree.models.small.prepared import prepare_tree
 from dynamictree.models.threads import run_on_cores
 from dynamictree.models.voxel_resolution import coarsened, halvings_between
-from dynamictree.models.wind import wind_axes
+from dynamictree.models.wind import wind_axes, wind_sizes
 from dynamictree.sparse.level import Pyramid, pyramid
 from dynamictree.sparse.matrices import raise_matrix
 from dynamictree.spectrum import Wind

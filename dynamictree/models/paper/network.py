@@ -131,6 +131,11 @@ class PaperInputs:
         )
 
 
+def unit_positions(coords: Int64[Tensor, "X 3"], resolution: int) -> Float32[Tensor, "X 3"]:
+    """Voxel centres in [-1, 1] of the grid's cube."""
+    return (2 * coords + 1).float() / resolution - 1
+
+
 class PaperNetwork(StorableNetwork):
     """Encoder and U-Net, and what spectra are divided by."""
 

@@ -16,11 +16,11 @@ from dynamictree.dataset.sample import make_sample
 from dynamictree.dataset.shards import StoredTree, shards_sha256, store, write_shard
 from dynamictree.errors import InputError
 from dynamictree.models import load_model
-from dynamictree.models.paper.examples import ExampleCache, paper_example, wind_sizes
+from dynamictree.models.paper.examples import ExampleCache, paper_example
 from dynamictree.models.paper.network import PaperNetwork, paper_preset
 from dynamictree.models.paper.train import PaperTraining, frequency_sizes, train_paper
 from dynamictree.models.weights_file import read_weights
-from dynamictree.models.wind import wind_axes
+from dynamictree.models.wind import wind_axes, wind_sizes
 
 SEEDS = (1, 2)
 RUN = PaperTraining(
