@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.gaussian.binding import Binding, bind_to_faces
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.mesh import TriangleMesh, edges_of
 from dynamictree.modal.system import ModalSystem, modal_system
 from dynamictree.spectrum import SparseVoxelSpectrum
+from lab.dataset.sample import make_sample, voxel_spectrum
 
 SEED, SPECIES = 9, "columnar"
 NUM_VERTICES = 100_000

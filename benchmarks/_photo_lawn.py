@@ -9,9 +9,9 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from benchmarks._photo_set import cut_out, fine_renderer, solid_noise, speckled
-from dynamictree.dataset.sample import make_sample
 from dynamictree.mesh import TriangleMesh
 from dynamictree.render import Camera
+from lab.dataset.sample import make_sample
 
 Color = tuple[float, float, float]
 _EYES_M = 1.6

@@ -9,11 +9,11 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.spatial import cKDTree
 
-from dynamictree.dataset.sample import make_sample
-from dynamictree.dataset.stem_skeleton import Skeleton
 from dynamictree.gaussian.nearest import nearest_faces
 from dynamictree.mesh import TriangleMesh
 from dynamictree.render import Camera, Look, Renderer
+from lab.dataset.sample import make_sample
+from lab.dataset.stem_skeleton import Skeleton
 
 SAMPLES = 3
 """Along a pixel's side, colour and cover alike, so that edges keep no sky."""

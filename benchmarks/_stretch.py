@@ -9,8 +9,8 @@ import numpy as np
 
 from benchmarks.part_gaps import MESHES
 from dynamictree.commands.source import load_mesh
-from dynamictree.dataset.sample import make_sample
 from dynamictree.mesh import TriangleMesh, edges_of
+from lab.dataset.sample import make_sample
 
 SPECIES = ("weeping", "palm", "pine", "round-broadleaf")
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from dynamictree.dataset.sample import make_sample
 from dynamictree.mesh import TriangleMesh, edges_of
+from lab.dataset.sample import make_sample
 from recipes.demo import SEED, SPECIES
 
 

@@ -21,11 +21,16 @@ import torch
 from jaxtyping import Int32
 
 from benchmarks._machine import machine
-from dynamictree.dataset.sample import Sample, is_training_seed, make_sample, voxel_spectrum
-from dynamictree.dataset.shards import StoredTree, store, write_shard
 from dynamictree.diffusion.loss import LocalSmoothness, nearest_voxels
 from dynamictree.diffusion.prediction import Prediction
-from dynamictree.evaluation.metrics import (
+from dynamictree.models import MotionModel, load_model
+from dynamictree.models.paper.network import ADDITIONS, PaperPreset, with_additions
+from dynamictree.spectrum import SparseVoxelSpectrum
+from dynamictree.voxel.graph import voxel_graph
+from dynamictree.voxel.voxelize import SurfaceVoxels
+from lab.dataset.sample import Sample, is_training_seed, make_sample, voxel_spectrum
+from lab.dataset.shards import StoredTree, store, write_shard
+from lab.evaluation.metrics import (
     amplitude,
     centroid_correlation,
     log_amplitude_agreement,
@@ -33,12 +38,7 @@ from dynamictree.evaluation.metrics import (
     roughness,
     smoothness_loss,
 )
-from dynamictree.models import MotionModel, load_model
-from dynamictree.models.paper.network import ADDITIONS, PaperPreset, with_additions
-from dynamictree.models.paper.train import paper_small_training, train_paper
-from dynamictree.spectrum import SparseVoxelSpectrum
-from dynamictree.voxel.graph import voxel_graph
-from dynamictree.voxel.voxelize import SurfaceVoxels
+from lab.paper.train import paper_small_training, train_paper
 
 NUM_TREES, STEPS, SEEDS = 24, 100, 3
 JUDGED = ((5, "weeping"), (3, "palm"), (7, "pine"))

@@ -14,15 +14,15 @@ import numpy as np
 import torch
 
 from benchmarks._machine import machine
-from dynamictree.dataset.sample import make_sample
-from dynamictree.dataset.shards import store, write_shard
 from dynamictree.models import load_model
-from dynamictree.models.paper.examples import PaperExample, paper_example
 from dynamictree.models.paper.generate import PaperModel
 from dynamictree.models.paper.network import PaperNetwork, PaperPreset
-from dynamictree.models.paper.sample_figures import sample_figures
-from dynamictree.models.paper.train import PaperTraining, train_paper
 from dynamictree.models.paper.unet import UNetShape
+from lab.dataset.sample import make_sample
+from lab.dataset.shards import store, write_shard
+from lab.paper.examples import PaperExample, paper_example
+from lab.paper.sample_figures import sample_figures
+from lab.paper.train import PaperTraining, train_paper
 
 NUM_TREES, NUM_JUDGED, STEPS, BATCH, RESOLUTION = 16, 4, 1200, 16, 16
 SMOOTHNESS_FROM = STEPS * 4 // 7  # as the paper's 40,000 of 70,000

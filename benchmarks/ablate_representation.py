@@ -7,16 +7,16 @@ unseen species, by vertex.
 import numpy as np
 
 from benchmarks._machine import machine
-from dynamictree.dataset.motion import vertex_spectrum
-from dynamictree.dataset.sample import make_sample
 from dynamictree.devoxelize.interpolation import VoxelInterpolation
 from dynamictree.devoxelize.length_preserving import preserve_lengths
 from dynamictree.devoxelize.nearest import nearest
 from dynamictree.devoxelize.smooth import smooth
-from dynamictree.evaluation.metrics import centroid_correlation, edge_stretch, log_amplitude_agreement, roughness
 from dynamictree.mesh import edges_of
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import surface_average, voxelize
+from lab.dataset.motion import vertex_spectrum
+from lab.dataset.sample import make_sample
+from lab.evaluation.metrics import centroid_correlation, edge_stretch, log_amplitude_agreement, roughness
 
 TREES = ((2, "weeping"), (3, "palm"))
 ALL = 24  # frequencies

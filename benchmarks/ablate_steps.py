@@ -5,10 +5,10 @@ from time import perf_counter
 import numpy as np
 
 from benchmarks._machine import machine
-from dynamictree.dataset.sample import make_sample, voxel_spectrum
-from dynamictree.evaluation.metrics import log_amplitude_agreement, roughness
 from dynamictree.models import load_model
 from dynamictree.voxel.graph import voxel_graph
+from lab.dataset.sample import make_sample, voxel_spectrum
+from lab.evaluation.metrics import log_amplitude_agreement, roughness
 
 TREES = ((3, "palm"), (5, "weeping"), (7, "pine"), (11, "maple"), (13, "round-broadleaf"))
 STEPS = (2, 3, 4, 8, 16)

@@ -19,13 +19,13 @@ from jaxtyping import Complex64
 
 from benchmarks._machine import machine
 from dynamictree.devoxelize.length_preserving import length_preserving
-from dynamictree.evaluation.baselines import fit_by_height, nearest_tree
-from dynamictree.evaluation.figures import TreeReference, figures_of
-from dynamictree.evaluation.held_out_trees import Group, HeldOutTree, iter_held_out, iter_sapling
-from dynamictree.evaluation.report import generate_for, mean_of, training_trees
-from dynamictree.evaluation.sapling_file import sapling_files
 from dynamictree.models import MotionModel, load_model
 from dynamictree.weights import list_weights
+from lab.evaluation.baselines import fit_by_height, nearest_tree
+from lab.evaluation.figures import TreeReference, figures_of
+from lab.evaluation.held_out_trees import Group, HeldOutTree, iter_held_out, iter_sapling
+from lab.evaluation.report import generate_for, mean_of, training_trees
+from lab.evaluation.sapling_file import sapling_files
 
 TREES, TRAINING_TREES, FIRST_SEED = 6, 12, 1000
 SEED = 0

@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 from benchmarks._machine import machine
-from dynamictree.dataset.generate import Recipe, generate
+from lab.dataset.generate import Recipe, generate
 
 TARGET = 5.0  # trees a second on two cores: 8,786 trees in half an hour
 WORKERS = 2

@@ -8,12 +8,12 @@ import torch
 
 from benchmarks._machine import machine, timed
 from benchmarks._trees import demo_mesh
-from dynamictree.dataset.sample import make_sample
 from dynamictree.models import load_model
 from dynamictree.models.small.generate import NUM_STEPS
 from dynamictree.spectrum import Wind
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import SurfaceVoxels, voxelize
+from lab.dataset.sample import make_sample
 
 TARGET_S = 10.0
 NUM_VOXELS = 7000

@@ -14,7 +14,6 @@ import numpy as np
 
 from benchmarks._machine import machine
 from benchmarks.modal_locality import line_of, stem_of_voxels
-from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.devoxelize.smooth import smooth
 from dynamictree.mesh import edges_of
 from dynamictree.modal.bone_attachment import BoneAttachment, attach_mesh
@@ -23,6 +22,7 @@ from dynamictree.modal.interactive_tree import Answer, InteractiveTree
 from dynamictree.modal.locality import default_falloff_m
 from dynamictree.modal.response import group_forces, respond
 from dynamictree.modal.system import modal_system
+from lab.dataset.sample import make_sample, voxel_spectrum
 
 TREES = (
     (3, "sapling"),

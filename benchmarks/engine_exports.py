@@ -9,10 +9,10 @@ import numpy as np
 from benchmarks._machine import machine
 from benchmarks._played import played_alembic, played_morphs, played_skin, played_usdz, played_vertex_texture
 from dynamictree import method
-from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.export.write import write_products
 from dynamictree.requests import ExportParams
 from dynamictree.spectrum import iter_motion
+from lab.dataset.sample import make_sample, voxel_spectrum
 
 FORMATS = ("glb", "glb-reduced", "glb-skinned", "usd", "alembic", "vat")
 

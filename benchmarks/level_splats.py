@@ -15,12 +15,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from benchmarks._machine import machine
-from dynamictree.dataset.sapling import grow_tree
-from dynamictree.dataset.species import SPECIES
 from dynamictree.formats.cloud_file import read_cloud
 from dynamictree.plant.level import up_of_standing
 from dynamictree.plant.upright import surface_points
 from dynamictree.up_axis import turn_to_z
+from lab.dataset.sapling import grow_tree
+from lab.dataset.species import SPECIES
 
 TILTS_DEG, AXES_A_TILT = (0, 12, 25, 40), 3
 FILE_TILTS_DEG = (0, 5, 10, 25, 40)

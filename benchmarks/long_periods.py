@@ -10,14 +10,14 @@ from jaxtyping import Complex64, Float64
 
 from benchmarks._machine import machine
 from dynamictree import method
-from dynamictree.dataset.motion import vertex_spectrum
-from dynamictree.dataset.sample import surface_average
-from dynamictree.dataset.sapling import grow_tree
-from dynamictree.dataset.species import SPECIES
-from dynamictree.dataset.wind import sway
 from dynamictree.models.periods import PERIOD_S, period_by_height
 from dynamictree.requests import Wind
 from dynamictree.spectrum import NUM_FRAMES, NUM_FREQUENCIES
+from lab.dataset.motion import vertex_spectrum
+from lab.dataset.sample import surface_average
+from lab.dataset.sapling import grow_tree
+from lab.dataset.species import SPECIES
+from lab.dataset.wind import sway
 
 TREES = (
     ("round-broadleaf", 9.0),

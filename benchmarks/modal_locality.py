@@ -8,9 +8,6 @@ import numpy as np
 import scipy.sparse
 
 from benchmarks._machine import machine
-from dynamictree.dataset.sample import Sample, make_sample, voxel_spectrum
-from dynamictree.dataset.sapling import LEAF
-from dynamictree.dataset.stem_skeleton import Skeleton
 from dynamictree.devoxelize.smooth import smooth
 from dynamictree.mesh import edges_of
 from dynamictree.modal.bone_attachment import attach_mesh
@@ -22,6 +19,9 @@ from dynamictree.modal.step import run as run_modes
 from dynamictree.modal.system import ModalSystem, displacement, modal_system
 from dynamictree.modal.warp import bend, bone_turns, pose
 from dynamictree.voxel.voxelize import surface_average
+from lab.dataset.sample import Sample, make_sample, voxel_spectrum
+from lab.dataset.sapling import LEAF
+from lab.dataset.stem_skeleton import Skeleton
 
 TARGET = 0.05
 TREES = ((3, "round-broadleaf"), (4, "maple"), (5, "conical-conifer"), (6, "weeping"), (9, "columnar"))

@@ -22,7 +22,6 @@ from scipy.spatial import cKDTree
 
 from benchmarks._machine import machine
 from dynamictree.commands.source import load_mesh
-from dynamictree.dataset.sample import make_sample
 from dynamictree.export.vertex_motion import vertex_motion
 from dynamictree.mesh import TriangleMesh, connected_parts, part_bounds, weld
 from dynamictree.method import generate, voxelize
@@ -30,6 +29,7 @@ from dynamictree.requests import Wind
 from dynamictree.spectrum import to_motion
 from dynamictree.voxel.grid import grid_frame
 from dynamictree.voxel.voxelize import surface_pieces
+from lab.dataset.sample import make_sample
 
 TREES = ((3, "round-broadleaf"), (4, "maple"), (5, "conical-conifer"), (6, "weeping"))
 MESHES = ("mesh/tree-lime.glb", "mesh/quaternius_common_tree/CommonTree_2.obj")

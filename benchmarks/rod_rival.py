@@ -10,11 +10,11 @@ import numpy as np
 from benchmarks._interaction import SEED, SPECIES, gaussians_on, scene
 from benchmarks._machine import machine, timed
 from benchmarks.modal_frame import knocked
-from dynamictree.dataset.sample import make_sample
-from dynamictree.dataset.stem_skeleton import Skeleton
 from dynamictree.devoxelize.smooth import smooth
 from dynamictree.gaussian.deform import Deformer
 from dynamictree.modal.frames import VertexFrames
+from lab.dataset.sample import make_sample
+from lab.dataset.stem_skeleton import Skeleton
 
 try:
     import newton

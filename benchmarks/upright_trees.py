@@ -15,12 +15,12 @@ import numpy as np
 
 from benchmarks._machine import machine
 from dynamictree.commands.source import load_mesh
-from dynamictree.dataset.sapling import grow_tree
-from dynamictree.dataset.species import SPECIES
 from dynamictree.mesh import TriangleMesh
 from dynamictree.plant.upright import CERTAIN, judge_up_axis
 from dynamictree.requests import Reading
 from dynamictree.up_axis import AXES, up_rotation
+from lab.dataset.sapling import grow_tree
+from lab.dataset.species import SPECIES
 
 SEEDS = (11, 12, 13)
 TARGET = 0.98

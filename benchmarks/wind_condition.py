@@ -3,11 +3,11 @@
 import numpy as np
 
 from benchmarks._machine import machine
-from dynamictree.dataset.sample import make_sample, voxel_spectrum
-from dynamictree.evaluation.metrics import amplitude
 from dynamictree.mesh import TriangleMesh
 from dynamictree.models import load_model
 from dynamictree.spectrum import Wind
+from lab.dataset.sample import make_sample, voxel_spectrum
+from lab.evaluation.metrics import amplitude
 
 SEED, SPECIES = 2, "weeping"
 WINDS = (

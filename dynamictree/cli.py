@@ -1,6 +1,6 @@
 """The command line `dynamictree`: every command by name, imported only when it is called.
 
-Those of other packages (`serve`, `doctor`, …) come from the entry-point group `dynamictree.commands`.
+Those of other packages (`serve`, `train`, …) come from the entry-point group `dynamictree.commands`.
 """
 
 import importlib
@@ -18,14 +18,11 @@ PLUGIN_GROUP = "dynamictree.commands"
 OWN_COMMANDS = {
     "animate": "dynamictree.commands.animate:animate",
     "convert": "dynamictree.commands.convert:convert",
-    "dataset": "dynamictree.commands.dataset:app",
     "diffuse": "dynamictree.commands.diffuse:diffuse",
-    "evaluate": "dynamictree.commands.evaluate:evaluate",
     "info": "dynamictree.commands.info:info",
     "interact": "dynamictree.commands.interact:interact",
     "reconstruct": "dynamictree.commands.reconstruct:reconstruct",
     "recut": "dynamictree.commands.recut:recut",
-    "train": "dynamictree.commands.train:train",
     "voxelize": "dynamictree.commands.voxelize:voxelize",
 }
 

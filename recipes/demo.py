@@ -59,8 +59,8 @@ def main() -> None:
 
 def grow_demo_tree(path: Path) -> Path:
     """Write a tree from the project's own generator."""
-    from dynamictree.dataset.sample import make_sample
     from dynamictree.formats.gltf.writer import write_glb
+    from lab.dataset.sample import make_sample
 
     print(f"== growing a tree: species {SPECIES}, seed {SEED}")
     with path.open("wb") as stream:

@@ -7,7 +7,7 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 
-from dynamictree.evaluation.laws import FREQUENCY_BANDS_HZ
+from lab.evaluation.laws import FREQUENCY_BANDS_HZ
 
 PICTURE = Path(__file__).parent.parent / "docs" / "pictures" / "laws.png"
 MEASURED_SLOPE = -1.07

@@ -5,7 +5,7 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 
-from dynamictree.dataset.sample import make_sample, voxel_spectrum
+from lab.dataset.sample import make_sample, voxel_spectrum
 
 PICTURE = Path(__file__).parent.parent / "docs" / "pictures" / "spectrum.png"
 BINS = (1, 4, 12)

@@ -11,7 +11,6 @@ from jaxtyping import Float32, Float64, UInt8
 from PIL import Image, ImageDraw
 
 from dynamictree import method
-from dynamictree.dataset.sample import make_sample
 from dynamictree.devoxelize.smooth import smooth
 from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.bone_attachment import attach_mesh
@@ -24,6 +23,7 @@ from dynamictree.modal.system import ModalSystem, modal_system
 from dynamictree.render import Camera, Look, Renderer
 from dynamictree.requests import PAPER_PERIOD_S
 from dynamictree.spectrum import SparseVoxelSpectrum, Wind, iter_motion
+from lab.dataset.sample import make_sample
 
 PICTURE = Path(__file__).parent.parent / "docs" / "pictures" / "moving.webp"
 SPECIES, SEED = "round-broadleaf", 7

@@ -12,12 +12,12 @@ from jaxtyping import Float32, UInt8
 from PIL import Image
 
 from dynamictree import method
-from dynamictree.dataset.sapling import grow_tree
-from dynamictree.dataset.species import SPECIES
 from dynamictree.mesh import TriangleMesh
 from dynamictree.modal.turbulence import iter_turbulent_motion, turbulent_wind
 from dynamictree.render.picture import Look, Renderer
 from dynamictree.requests import Wind
+from lab.dataset.sapling import grow_tree
+from lab.dataset.species import SPECIES
 
 PICTURE = Path(__file__).parent.parent / "docs" / "pictures" / "size.webp"
 TREES = (("shrub", 3.0), ("round-broadleaf", 8.0), ("round-broadleaf", 25.6))

@@ -25,8 +25,8 @@ def samples() -> Path:
 @pytest.fixture(scope="session")
 def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A small tree as a GLB."""
-    from dynamictree.dataset.sample import make_sample
     from dynamictree.formats.gltf.writer import write_glb
+    from lab.dataset.sample import make_sample
 
     path = tmp_path_factory.mktemp("trees") / "sapling.glb"
     with path.open("wb") as stream:

@@ -30,7 +30,7 @@ def test_the_paper_map_has_every_equation() -> None:
 
 def test_the_readme_maps_folders_that_exist() -> None:
     drawn = re.findall(r"^    (\S.*?/.*?)  ", (ROOT / "README.md").read_text(), re.MULTILINE)
-    assert len(drawn) == 11
+    assert len(drawn) == 12
     for path in ", ".join(drawn).split(", "):
         assert (ROOT / path.strip()).is_dir(), path
 

@@ -11,13 +11,13 @@ import pytest
 import trimesh
 from playwright.sync_api import expect
 
-from dynamictree.dataset.sample import make_sample
 from dynamictree.formats.gltf.writer import write_glb
 from dynamictree.formats.mesh.obj_writer import write_obj
 from dynamictree.formats.mesh.ply_writer import write_ply
 from dynamictree.formats.splat.ply import read_gaussian_ply, write_gaussian_ply
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.mesh import Material, TriangleMesh
+from lab.dataset.sample import make_sample
 from tests.browser.conftest import Viewer, changed, pixels
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]

@@ -12,9 +12,9 @@ from playwright.sync_api import Browser
 
 from benchmarks._engine_wind import read_engine_wind
 from benchmarks._played import accessor, z_up
-from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.export.write import write_products
 from dynamictree.requests import ExportParams
+from lab.dataset.sample import make_sample, voxel_spectrum
 from tests.export.test_engine_wind import with_gains
 
 RUN = """

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from playwright.sync_api import Browser
 
-from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.export.write import write_products
 from dynamictree.requests import ExportParams
 from dynamictree.spectrum import Wind
+from lab.dataset.sample import make_sample, voxel_spectrum
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 DECODER = Path(__file__).parents[2] / ".cache/js-tools/node_modules/meshoptimizer/meshopt_decoder.mjs"

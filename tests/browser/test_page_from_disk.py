@@ -11,13 +11,13 @@ from playwright.sync_api import Browser, Page
 
 from benchmarks._played import z_up
 from dynamictree import method
-from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.export.write import write_products
 from dynamictree.gaussian.animate import iter_poses, lighter
 from dynamictree.gaussian.from_mesh import splats_of_mesh
 from dynamictree.mesh import TriangleMesh
 from dynamictree.requests import ExportParams
 from dynamictree.spectrum import SparseVoxelSpectrum, Wind, iter_motion
+from lab.dataset.sample import make_sample, voxel_spectrum
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 FRAMES = (0, 31, 77)

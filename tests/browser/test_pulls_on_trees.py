@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from PIL import Image, ImageDraw
 
-from dynamictree.dataset.sample import make_sample
 from dynamictree.formats.gltf.writer import write_glb
+from lab.dataset.sample import make_sample
 from tests.browser.conftest import JOB_MS, MOVING, PICTURES, Viewer, animated, picture_of, press
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]

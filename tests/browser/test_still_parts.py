@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from playwright.sync_api import expect
 
-from dynamictree.dataset.sample import make_sample
 from dynamictree.formats.gltf.writer import write_glb
 from dynamictree.formats.splat.ply import write_gaussian_ply
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.mesh import Material
+from lab.dataset.sample import make_sample
 from tests.browser.conftest import JOB_MS, MOVING, Viewer, changed, picture_of, scrub
 from tests.devoxelize.test_interpolation import merged, tube
 

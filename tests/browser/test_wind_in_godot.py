@@ -19,10 +19,10 @@ from scipy.spatial import cKDTree
 
 from benchmarks._engine_wind import read_engine_wind
 from benchmarks._played import z_up
-from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.export.write import write_products
 from dynamictree.requests import ExportParams
 from dynamictree.spectrum import Wind
+from lab.dataset.sample import make_sample, voxel_spectrum
 from tests.export.test_engine_wind import with_gains
 
 ROOT = Path(__file__).parents[2]

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from dynamictree_client import Client, models, operations
 
-from dynamictree.dataset.sample import make_sample
 from dynamictree.formats.gltf.writer import write_glb
+from lab.dataset.sample import make_sample
 from recipes import batch
 
 ROOT = Path(__file__).parents[2]

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 from mcp import Client, StdioServerParameters
 
-from dynamictree.dataset.sample import make_sample
 from dynamictree.formats.gltf.writer import write_glb
+from lab.dataset.sample import make_sample
 
 TOOLS = {"upload", "animate", "wait_for_job", "download", "interact"}
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from safetensors.numpy import load_file
 
-from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.formats.mesh.obj_writer import write_obj
 from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.formats.tensors.motion import read_motion
 from dynamictree.formats.tensors.spectrum import write_spectrum
 from dynamictree.requests import Reading
+from lab.dataset.sample import make_sample, voxel_spectrum
 
 
 @pytest.fixture(scope="module")

@@ -4,10 +4,6 @@ import numpy as np
 import pytest
 from jaxtyping import Complex64, Float32
 
-from dynamictree.dataset.motion import vertex_spectrum
-from dynamictree.dataset.sapling import grow_tree
-from dynamictree.dataset.species import SPECIES
-from dynamictree.dataset.wind import sway
 from dynamictree.devoxelize.inextensible import (
     InextensiblePose,
     inextensible_pose,
@@ -20,6 +16,10 @@ from dynamictree.mesh import TriangleMesh, edges_of
 from dynamictree.modal.turbulence import iter_turbulent_motion, turbulent_wind
 from dynamictree.spectrum import SparseVoxelSpectrum, Wind, to_motion
 from dynamictree.voxel.voxelize import voxelize
+from lab.dataset.motion import vertex_spectrum
+from lab.dataset.sapling import grow_tree
+from lab.dataset.species import SPECIES
+from lab.dataset.wind import sway
 
 Motion = Float32[np.ndarray, "T N 3"]
 

@@ -18,7 +18,6 @@ from PIL import Image
 from benchmarks._engine_wind import read_engine_wind
 from benchmarks._played import accessor, z_up
 from dynamictree import method
-from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.export.engine_wind import SHADERS
 from dynamictree.export.write import write_products
 from dynamictree.mesh import TriangleMesh, edges_of
@@ -30,6 +29,7 @@ from dynamictree.modal.turn_skeleton import turn_skeleton
 from dynamictree.requests import ExportParams
 from dynamictree.spectrum import SparseVoxelSpectrum, Wind, bin_weights
 from dynamictree.wind_bands import bands_of_sizes
+from lab.dataset.sample import make_sample, voxel_spectrum
 
 Tree = tuple[TriangleMesh, SparseVoxelSpectrum]
 SECONDS = (0.0, 3.7, 412.0)

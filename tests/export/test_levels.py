@@ -13,13 +13,13 @@ from PIL import Image
 
 from benchmarks._played import accessor, played_morphs, z_up
 from dynamictree import method
-from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.export.levels import SHARES
 from dynamictree.export.moving_tree import Facts
 from dynamictree.export.write import MOTION_SHARE, write_products
 from dynamictree.mesh import TriangleMesh, connected_parts
 from dynamictree.requests import ExportParams
 from dynamictree.spectrum import iter_motion
+from lab.dataset.sample import make_sample, voxel_spectrum
 
 Written = tuple[TriangleMesh, np.ndarray, zipfile.ZipFile, Facts]
 

@@ -26,7 +26,6 @@ from benchmarks._played import (
     z_up,
 )
 from dynamictree import method
-from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.errors import InputError
 from dynamictree.export.moving_tree import Facts
 from dynamictree.export.table import PRODUCTS
@@ -38,6 +37,7 @@ from dynamictree.modal.fitted_skin import fitted_skin
 from dynamictree.requests import ExportParams
 from dynamictree.spectrum import SparseVoxelSpectrum, iter_motion
 from dynamictree.voxel.voxelize import voxelize
+from lab.dataset.sample import make_sample, voxel_spectrum
 from tests.js_tools import validated
 
 FORMATS = tuple(name for name, product in PRODUCTS.items() if product.shows == "mesh")

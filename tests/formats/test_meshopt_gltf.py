@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.errors import FormatError, InputError
 from dynamictree.export.write import write_products
 from dynamictree.formats.gltf import meshopt as packing
@@ -18,6 +17,7 @@ from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.mesh import TriangleMesh
 from dynamictree.requests import ExportParams
 from dynamictree.spectrum import SparseVoxelSpectrum
+from lab.dataset.sample import make_sample, voxel_spectrum
 from tests.formats import artists
 from tests.formats.artists import document_of
 from tests.formats.meshes import gltf_bytes

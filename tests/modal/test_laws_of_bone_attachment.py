@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.devoxelize.smooth import smooth
 from dynamictree.mesh import TriangleMesh, connected_parts, edges_of, part_bounds
 from dynamictree.modal.bone_attachment import STIFF_VOXELS, attach_mesh
@@ -16,6 +15,7 @@ from dynamictree.modal.interactive_tree import InteractiveTree
 from dynamictree.modal.locality import default_falloff_m
 from dynamictree.modal.response import group_forces, respond
 from dynamictree.modal.system import modal_system
+from lab.dataset.sample import make_sample, voxel_spectrum
 from tests.modal.trees import fork
 
 NUM_PULLS = 12

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.errors import InputError
 from dynamictree.modal.bones import WAY_FLOOR
 from dynamictree.modal.force import Impulse, contact_at_voxel, generalised_force
 from dynamictree.modal.locality import branching, default_falloff_m, poke_weights, unlikeness
 from dynamictree.modal.step import State, exact_step, run
 from dynamictree.modal.system import displacement, modal_system
+from lab.dataset.sample import make_sample, voxel_spectrum
 from tests.modal.trees import fork
 
 

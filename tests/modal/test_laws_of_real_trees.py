@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.errors import InputError
 from dynamictree.modal.force import Drag, contact_at_voxel
 from dynamictree.modal.real_trees import foliage_of, free_omega, natural_damping, natural_frequency_hz
@@ -13,6 +12,7 @@ from dynamictree.modal.response import group_forces, respond
 from dynamictree.modal.system import modal_system, with_physics
 from dynamictree.spectrum import SparseVoxelSpectrum
 from dynamictree.voxel.grid import VoxelGrid
+from lab.dataset.sample import make_sample, voxel_spectrum
 
 # height class [m], 10th and 90th percentile [Hz] of 1,084 laser-scanned trees
 BANDS = [

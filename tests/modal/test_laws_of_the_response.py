@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.devoxelize.smooth import smooth
 from dynamictree.errors import InputError
 from dynamictree.modal.force import Drag, Impulse, WindField, contact_at_voxel
@@ -12,6 +11,7 @@ from dynamictree.modal.interactive_tree import ForceGroup, InteractiveTree, Loca
 from dynamictree.modal.response import answer_tensors, group_forces, respond
 from dynamictree.modal.step import State
 from dynamictree.modal.system import displacement, modal_system, with_physics
+from lab.dataset.sample import make_sample, voxel_spectrum
 from tests.modal.trees import fork
 
 DT_S = 1 / 60

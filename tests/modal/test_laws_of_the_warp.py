@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.devoxelize.smooth import smooth
 from dynamictree.mesh import TriangleMesh, edges_of
 from dynamictree.modal.bone_attachment import attach_mesh
@@ -14,6 +13,7 @@ from dynamictree.modal.system import displacement, modal_system
 from dynamictree.modal.warp import bend, bone_turns, bone_weights, pose
 from dynamictree.spectrum import SparseVoxelSpectrum
 from dynamictree.voxel.voxelize import voxelize
+from lab.dataset.sample import make_sample, voxel_spectrum
 from tests.modal.trees import VOXEL_M, fork
 
 FINENESS = 3  # so that a branch has some bones

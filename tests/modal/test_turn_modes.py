@@ -7,12 +7,12 @@ import pytest
 import trimesh
 
 from dynamictree import method
-from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.mesh import TriangleMesh, edges_of
 from dynamictree.modal.turbulence import turned_about_z
 from dynamictree.modal.turn_modes import half_turns, posed, turn_modes, turned
 from dynamictree.modal.turn_skeleton import GROUND, TurnSkeleton, turn_skeleton
 from dynamictree.spectrum import SparseVoxelSpectrum, iter_motion
+from lab.dataset.sample import make_sample, voxel_spectrum
 
 Tree = tuple[TriangleMesh, SparseVoxelSpectrum, TurnSkeleton, np.ndarray, np.ndarray]
 

@@ -10,8 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dynamictree import method
-from dynamictree.dataset.oscillator import FREQUENCY_AT_1M_HZ, answer, damping_ratio, gusts_of, stem_bin
-from dynamictree.evaluation.laws import frequency_band
 from dynamictree.modal.real_trees import LEAST_BINS, loop_period_s, natural_frequency_hz, quickening
 from dynamictree.models.motion_model import OnStep
 from dynamictree.models.periods import LEARNED_FROM_M, PERIOD_S, in_period, period_by_height, spread_bins
@@ -20,6 +18,8 @@ from dynamictree.requests import PAPER_PERIOD_S, AnimateParams, ExportParams
 from dynamictree.spectrum import NUM_FREQUENCIES, SparseVoxelSpectrum, Wind
 from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import SurfaceVoxels
+from lab.dataset.oscillator import FREQUENCY_AT_1M_HZ, answer, damping_ratio, gusts_of, stem_bin
+from lab.evaluation.laws import frequency_band
 
 SIDE = 16
 LEAN_RAD = np.array([0.05])

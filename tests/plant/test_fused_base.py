@@ -9,10 +9,10 @@ import trimesh
 from scipy.ndimage import gaussian_filter, label
 from skimage.measure import marching_cubes
 
-from dynamictree.dataset.sapling import grow_tree
-from dynamictree.dataset.species import SPECIES
 from dynamictree.mesh import TriangleMesh, connected_parts
 from dynamictree.plant.still_parts import find_still_parts
+from lab.dataset.sapling import grow_tree
+from lab.dataset.species import SPECIES
 
 CELLS = 130
 _THICK = 0.012  # of the height: standard deviation of what thickens stems and leaves

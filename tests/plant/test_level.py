@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dynamictree.dataset.sapling import grow_tree
-from dynamictree.dataset.species import SPECIES
 from dynamictree.formats.source_file import read_capture
 from dynamictree.formats.splat.ply import write_gaussian_ply
 from dynamictree.formats.splat.splat import write_splat
@@ -20,6 +18,8 @@ from dynamictree.plant.level import up_of_standing
 from dynamictree.plant.upright import surface_points
 from dynamictree.requests import Reading
 from dynamictree.up_axis import up_rotation
+from lab.dataset.sapling import grow_tree
+from lab.dataset.species import SPECIES
 from tests.plant.test_still_gaussians import plant, pot, splat_of
 from tests.reconstruct.planted import sheet
 

@@ -8,11 +8,11 @@ import pytest
 import trimesh
 
 from dynamictree.commands.source import load_mesh
-from dynamictree.dataset.sapling import grow_tree
-from dynamictree.dataset.species import SPECIES
 from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.plant.likeness import doubt_plant
 from dynamictree.requests import Reading
+from lab.dataset.sapling import grow_tree
+from lab.dataset.species import SPECIES
 
 GREEN, GREY = (60, 140, 50, 255), (150, 150, 150, 255)
 

@@ -7,8 +7,6 @@ from io import BytesIO
 import numpy as np
 import pytest
 
-from dynamictree.dataset.sapling import grow_tree
-from dynamictree.dataset.species import SPECIES
 from dynamictree.devoxelize.length_preserving import length_preserving
 from dynamictree.formats.description import describe_capture
 from dynamictree.formats.tensors.cloud_bundle import read_cloud_bundle, write_cloud_bundle
@@ -20,6 +18,8 @@ from dynamictree.mesh import TriangleMesh
 from dynamictree.plant.capture import Capture, carrying_mesh, moving_part, with_still_parts
 from dynamictree.plant.still_gaussians import find_still_gaussians
 from dynamictree.voxel.voxelize import voxelize
+from lab.dataset.sapling import grow_tree
+from lab.dataset.species import SPECIES
 from tests.devoxelize.test_interpolation import tube
 
 

@@ -7,12 +7,12 @@ import pytest
 from trimesh.creation import icosphere
 from trimesh.geometry import align_vectors
 
-from dynamictree.dataset.sapling import grow_tree
-from dynamictree.dataset.species import SPECIES
 from dynamictree.devoxelize.length_preserving import length_preserving
 from dynamictree.mesh import Material, TriangleMesh
 from dynamictree.plant.still_parts import find_still_faces, is_still_name
 from dynamictree.voxel.voxelize import voxelize
+from lab.dataset.sapling import grow_tree
+from lab.dataset.species import SPECIES
 from tests.devoxelize.test_interpolation import merged, tube
 
 

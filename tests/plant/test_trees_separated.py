@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from dynamictree.commands.source import is_cloud, load_capture, load_mesh
-from dynamictree.dataset.sapling import grow_tree
-from dynamictree.dataset.species import SPECIES
 from dynamictree.errors import InputError
 from dynamictree.mesh import TriangleMesh, joined
 from dynamictree.plant.trees.of_mesh import only_tree_of, surface_points, with_trees
 from dynamictree.plant.trees.segment import segment_trees
+from lab.dataset.sapling import grow_tree
+from lab.dataset.species import SPECIES
 from tests.devoxelize.test_interpolation import tube
 from tests.plant.stand import HEIGHTS_M, PLACES_M, on_ground, scattered, share_right, stand_of_five, tree
 

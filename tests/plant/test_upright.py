@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 import trimesh
 
-from dynamictree.dataset.sapling import grow_tree
-from dynamictree.dataset.species import SPECIES
 from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.formats.source_file import read_capture
 from dynamictree.mesh import TriangleMesh, joined
 from dynamictree.plant.upright import CERTAIN, judge_up_axis
 from dynamictree.requests import Reading
 from dynamictree.up_axis import AXES, up_rotation
+from lab.dataset.sapling import grow_tree
+from lab.dataset.species import SPECIES
 
 
 def trees(samples: Path | None) -> Iterator[TriangleMesh]:

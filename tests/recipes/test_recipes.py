@@ -16,7 +16,6 @@ from pxr import Usd, UsdGeom
 from benchmarks._played import accessor, played_morphs, z_up
 from dynamictree import method
 from dynamictree.commands.source import load_mesh
-from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.errors import InputError
 from dynamictree.formats.gltf.forest import TravellingGusts, plant_forest
 from dynamictree.formats.gltf.motion import loop_parts, loop_weights, write_motion_glb
@@ -24,6 +23,7 @@ from dynamictree.formats.gltf.writer import write_glb
 from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.formats.tensors.spectrum import read_spectrum, write_spectrum
 from dynamictree.spectrum import iter_motion
+from lab.dataset.sample import make_sample, voxel_spectrum
 from recipes import blender_import, forest, gallery
 
 COUNT = 9

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
-from dynamictree.dataset.sample import make_sample, voxel_spectrum
 from dynamictree.formats.tensors.mesh_bundle import write_mesh_bundle
 from dynamictree.formats.tensors.spectrum import write_spectrum
 from dynamictree.spectrum import SparseVoxelSpectrum, Wind
 from jobs.lifecycle.attempts import succeed
 from jobs.storage.assets import add_asset
+from lab.dataset.sample import make_sample, voxel_spectrum
 from service.services import Services
 from tests.rows import asset_row, job_row, stored_part
 from tests.service.conftest import hold, publish

@@ -1,1 +1,1 @@
-"""The paper's model (section 3.4 and appendix B): encoder, U-Net, loss, generation and training."""
+"""The paper's model (section 3.4 and appendix B): encoder, U-Net and generation."""

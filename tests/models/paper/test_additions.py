@@ -7,13 +7,9 @@ import numpy as np
 import pytest
 import torch
 
-from dynamictree.dataset.sample import make_sample
-from dynamictree.dataset.shards import store, write_shard
 from dynamictree.errors import CheckpointError, InputError
 from dynamictree.models import load_model
-from dynamictree.models.paper.examples import PaperExample, batch_of, paper_example
 from dynamictree.models.paper.generate import PaperModel
-from dynamictree.models.paper.loss import batch_noise
 from dynamictree.models.paper.network import (
     ADDITIONS,
     PaperNetwork,
@@ -22,13 +18,17 @@ from dynamictree.models.paper.network import (
     paper_small_preset,
     with_additions,
 )
-from dynamictree.models.paper.train import PaperTraining, clean_channels, load_regression, train_paper
 from dynamictree.models.paper.unet import UNetShape
 from dynamictree.models.small.denoiser import DenoiserShape
 from dynamictree.models.small.network import SmallNetwork, SmallPreset
 from dynamictree.models.weights_file import write_weights
 from dynamictree.spectrum import Wind
 from dynamictree.voxel.voxelize import SurfaceVoxels
+from lab.dataset.sample import make_sample
+from lab.dataset.shards import store, write_shard
+from lab.paper.examples import PaperExample, batch_of, paper_example
+from lab.paper.loss import batch_noise
+from lab.paper.train import PaperTraining, clean_channels, load_regression, train_paper
 
 SMALL = SmallPreset(
     foliage_widths=(8, 8, 8),

@@ -10,13 +10,13 @@ from dynamictree.diffusion.loss import LocalSmoothness, local_smoothness, neares
 from dynamictree.diffusion.prediction import Prediction
 from dynamictree.diffusion.schedule import schedule_of
 from dynamictree.models.paper.encoder import POSITION_FEATURES, fourier_features
-from dynamictree.models.paper.examples import PaperExample, batch_of
-from dynamictree.models.paper.loss import paper_loss
 from dynamictree.models.paper.network import PaperInputs, PaperNetwork, PaperPreset, paper_small_preset
-from dynamictree.models.paper.train import PaperTraining, clean_channels
 from dynamictree.models.paper.unet import UNetShape
 from dynamictree.sparse.level import pyramid
 from dynamictree.voxel.voxelize import SurfaceVoxels
+from lab.paper.examples import PaperExample, batch_of
+from lab.paper.loss import paper_loss
+from lab.paper.train import PaperTraining, clean_channels
 
 SMALL = PaperPreset(
     encoder_base=8,

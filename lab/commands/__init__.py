@@ -1,0 +1,1 @@
+"""The commands of `dynamictree` that this package adds: `dataset`, `train` and `evaluate`."""

@@ -1,0 +1,246 @@
+"""`dynamictree dataset`: generate, filter, sheet, stats, export."""
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from dynamictree.commands.request_options import with_request_options
+from dynamictree.commands.terminal import AsJson, tell
+from dynamictree.errors import InputError
+from lab.dataset.limits import DatasetLimits
+
+app = typer.Typer(
+    no_args_is_help=True, help="4DTree: animated trees from seeds; generate, filter, sheet, stats, export."
+)
+
+Folder = Annotated[Path, typer.Argument(help="Folder of the dataset.")]
+BakedFolder = Annotated[
+    Path | None,
+    typer.Argument(help="A baked folder: all its trees, from its records. Trees from seeds if not given.", exists=True),
+]
+FirstSeed = Annotated[int, typer.Option(min=0, max=2**40, help="Seed of the first tree.")]
+Workers = Annotated[int, typer.Option(min=1, max=256, help="Processes; the bytes do not depend on their number.")]
+SpeciesName = Annotated[str | None, typer.Option(help="Only this species; drawn from the seed if not given.")]
+
+
+@app.command()
+@with_request_options
+def generate(
+    folder: Folder,
+    limits: DatasetLimits,
+    trees: Annotated[int, typer.Option(min=1, max=10_000_000, help="Accepted trees wanted.")] = 8786,
+    first_seed: FirstSeed = 0,
+    trees_per_shard: Annotated[int, typer.Option(min=1, max=1000, help="Trees in a file.")] = 25,
+    resolution: Annotated[
+        list[int], typer.Option(help="Voxels along the largest extent, 32 to 512; may be given several times.")
+    ] = [128],  # noqa: B006 typer copies it
+    vertex_spectrum: Annotated[bool, typer.Option(help="Keep the spectrum of every vertex too (2 MB a tree).")] = False,
+    loop: Annotated[bool, typer.Option(help="All gusts on bins of the period, so that the motion loops.")] = True,
+    review: Annotated[
+        Path | None,
+        typer.Option(help="Verdicts to honour, as `dataset sheet` writes them.", exists=True, dir_okay=False),
+    ] = None,
+    shard: Annotated[str, typer.Option(help="i/n: bake only every n-th shard from the i-th (0 to n-1) on.")] = "0/1",
+    species: Annotated[
+        str | None, typer.Option(help="Only this species, or `crossed`: parts of several; drawn if not given.")
+    ] = None,
+    workers: Workers = 1,
+    as_json: AsJson = False,
+) -> None:
+    """Generate a dataset into a folder; an interrupted run continues."""
+    from lab.dataset import generate as baking
+    from lab.dataset.review import read_review
+
+    verdicts = {}
+    if review is not None:
+        with review.open("rb") as stream:
+            verdicts = read_review(stream)
+    recipe = baking.Recipe(
+        trees=trees,
+        first_seed=first_seed,
+        trees_per_shard=trees_per_shard,
+        resolutions=tuple(resolution),
+        vertex_spectrum=vertex_spectrum,
+        loop=loop,
+        species=species,
+        limits=limits,
+        review=verdicts,
+    )
+    with _progress("generate", quiet=as_json) as report:
+        manifest = baking.generate(recipe, folder, workers=workers, part=_part(shard), on_shard=report)
+    facts = {name: value for name, value in manifest.items() if name != "shards"}
+    tell({"folder": str(folder), **facts}, as_json=as_json)
+
+
+@app.command(name="filter")
+@with_request_options
+def filter_trees(
+    limits: DatasetLimits,
+    folder: BakedFolder = None,
+    trees: Annotated[int, typer.Option(min=1, max=1_000_000, help="Trees to look at, from seeds.")] = 100,
+    first_seed: FirstSeed = 0,
+    species: SpeciesName = None,
+    as_json: AsJson = False,
+) -> None:
+    """Print how many trees each rule would reject, and the worst of each measure; writes nothing."""
+    from dataclasses import asdict
+
+    from lab.dataset.filter import measure, rejections
+    from lab.dataset.records import iter_seen
+    from lab.dataset.sample import make_sample
+
+    if folder is not None:
+        measures = [tree.measures for tree in iter_seen(folder) if species in (None, tree.species)]
+        trees = len(measures)
+        if trees == 0:
+            raise InputError(f"no tree in {folder} is of species {species!r}; leave --species out to see all")
+    else:
+        measures = []
+        with _progress("filter", quiet=as_json) as report:
+            for index in range(trees):
+                measures.append(measure(make_sample(first_seed + index, species), limits))
+                report(index + 1, trees)
+    counts = rejections(one.broken(limits) for one in measures)
+    rates = {f"rejected {rule}": f"{count} of {trees} ({100 * count / trees:.2f} %)" for rule, count in counts.items()
+             if rule not in ("seen", "accepted")}  # fmt: skip
+    worst = {name: max(getattr(one, name) for one in measures) for name in asdict(measures[0])}
+    if as_json:
+        tell({**counts, "worst": worst, "limits": limits.model_dump()}, as_json=True)
+    else:
+        worst_rows = {f"worst {name}": f"{value:.3g}" for name, value in worst.items()}
+        tell({"trees": trees, "accepted": counts["accepted"], **rates, **worst_rows}, as_json=False)
+
+
+@app.command()
+def sheet(
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the pages and the review file.")],
+    folder: BakedFolder = None,
+    trees: Annotated[int, typer.Option(min=1, max=100_000, help="Trees to draw.")] = 24,
+    first_seed: FirstSeed = 0,
+    species: SpeciesName = None,
+    rows: Annotated[int, typer.Option(min=1, max=50, help="Trees on a page.")] = 12,
+    as_json: AsJson = False,
+) -> None:
+    """Draw pages of trees with motion strips, and a review file to mark trees as rejected in."""
+    from dynamictree.render import write_png
+    from lab.dataset.records import iter_seen
+    from lab.dataset.review import all_accepted, write_review
+    from lab.dataset.sample import make_sample
+    from lab.dataset.sheet import page
+
+    output.mkdir(parents=True, exist_ok=True)
+    seeds: Sequence[int] = range(first_seed, first_seed + trees)
+    if folder is not None:
+        accepted = (tree for tree in iter_seen(folder) if not tree.broken and species in (None, tree.species))
+        seeds = [tree.seed for tree in accepted if tree.seed >= first_seed][:trees]
+    notes: dict[int, str] = {}
+    files = []
+    with _progress("sheet", quiet=as_json) as report:
+        for start in range(0, len(seeds), rows):
+            samples = [make_sample(seed, species) for seed in seeds[start : start + rows]]
+            notes |= {sample.seed: sample.species for sample in samples}
+            files.append(output / f"sheet-{start // rows:04d}.png")
+            with files[-1].open("wb") as stream:
+                write_png(page(samples), stream)
+            report(min(start + rows, len(seeds)), len(seeds))
+    review = output / "review.txt"
+    if not review.exists():  # never write over what a person wrote
+        with review.open("wb") as stream:
+            write_review(all_accepted(seeds), stream, notes=notes)
+    tell({"pages": [str(path) for path in files], "review": str(review)}, as_json=as_json)
+
+
+@app.command()
+def stats(
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for stats.json and the plots.")],
+    folder: BakedFolder = None,
+    trees: Annotated[int, typer.Option(min=1, max=100_000, help="Trees to measure, from seeds.")] = 100,
+    first_seed: FirstSeed = 0,
+    species: SpeciesName = None,
+    plots: Annotated[bool, typer.Option(help="Draw plots (needs the extra `plots`).")] = True,
+    as_json: AsJson = False,
+) -> None:
+    """Measure heights, lengths, frequencies and amplitudes by level, with plots."""
+    from lab.dataset.records import iter_seen
+    from lab.dataset.sample import make_sample
+    from lab.dataset.stats import draw_plots, numbers_of, tables_of
+
+    output.mkdir(parents=True, exist_ok=True)
+    if folder is not None:
+        seen = (tree.stems for tree in iter_seen(folder) if species in (None, tree.species))
+        tables = [stems for stems in seen if stems is not None]
+        if not tables:
+            raise InputError(f"no tree in {folder} is of species {species!r}; leave --species out to see all")
+    else:
+        tables = []
+        with _progress("stats", quiet=as_json) as report:
+            for index in range(trees):
+                tables.append(tables_of(make_sample(first_seed + index, species)))
+                report(index + 1, trees)
+    numbers = numbers_of(tables)
+    (output / "stats.json").write_text(json.dumps(numbers, indent=1))
+    files = [output / "stats.json"]
+    if plots:
+        files.append(output / "stats.png")
+        with files[-1].open("wb") as stream:
+            draw_plots(tables, stream)
+    tell({"files": [str(path) for path in files], **numbers}, as_json=as_json)
+
+
+@app.command()
+def export(
+    seed: Annotated[int, typer.Argument(min=0, help="The tree's seed.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the files.")],
+    species: SpeciesName = None,
+    formats: Annotated[str, typer.Option("--format", help="Comma-separated: glb, ply (zip of frames), usd.")] = "glb",
+    as_json: AsJson = False,
+) -> None:
+    """Write one tree of the dataset and its motion as files for other programs."""
+    from lab.dataset.export import EXPORTS, export_sample
+    from lab.dataset.sample import make_sample
+
+    names = [name.strip() for name in formats.split(",")]
+    unknown = [name for name in names if name not in EXPORTS]
+    if unknown:
+        raise InputError(f"there is no format {unknown[0]!r}; choose from {', '.join(EXPORTS)}")
+    sample = make_sample(seed, species)
+    output.mkdir(parents=True, exist_ok=True)
+    files = [export_sample(sample, name, output) for name in names]
+    tell({"files": [str(path) for path in files], "species": sample.species}, as_json=as_json)
+
+
+def _part(text: str) -> tuple[int, int]:
+    """Parse `i/n` as two numbers."""
+    index, slash, count = text.partition("/")
+    if not (slash and index.isdigit() and count.isdigit()):
+        raise InputError(f"--shard is {text!r}; write i/n, 0/1 for all of the work")
+    return int(index), int(count)
+
+
+@contextmanager
+def _progress(stage: str, *, quiet: bool) -> Iterator[Callable[[int, int], None]]:
+    """Progress bar on standard error that counts trees."""
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = (
+        TextColumn("{task.description:<12}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), disable=quiet) as progress:
+        bar = progress.add_task(stage, total=None)
+        yield lambda done, total: progress.update(bar, completed=done, total=total)

@@ -1,0 +1,243 @@
+"""`dynamictree train`: train a model on a dataset's shards."""
+
+import json
+from dataclasses import asdict, replace
+from functools import partial
+from itertools import zip_longest
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from dynamictree.commands.terminal import AsJson
+
+if TYPE_CHECKING:
+    import torch
+
+    from lab.paper.train import PaperTraining
+    from lab.small.train import SmallTraining
+    from lab.training.progress import OnStep
+
+PRESETS = ("small", "paper", "paper-small")
+DEVICES = ("auto", "cpu", "cuda")
+PREDICTIONS = ("noise", "velocity")
+MAX = 10_000_000
+
+
+def train(
+    folder: Annotated[
+        Path, typer.Argument(help="Folder for checkpoints and weights; a run that was stopped there continues.")
+    ],
+    dataset: Annotated[
+        list[Path],
+        typer.Option(help="Folder of shards from `dynamictree dataset generate`; of several, in turn."),
+    ],
+    preset: Annotated[str, typer.Option(help=f"Which network: {', '.join(PRESETS)}.")] = "small",
+    foliage_trees: Annotated[int, typer.Option(min=0, max=MAX, help="Small: trees of the foliage network.")] = 800,
+    foliage_steps: Annotated[
+        int, typer.Option(min=0, max=MAX, help="Small: steps of the foliage network; 0 keeps that of --foliage-from.")
+    ] = 5000,
+    amplitude_trees: Annotated[int, typer.Option(min=1, max=MAX, help="Small: trees of the amplitude network.")] = 1200,
+    amplitude_steps: Annotated[int, typer.Option(min=1, max=MAX, help="Small: steps of the amplitude network.")] = 3000,
+    denoiser_trees: Annotated[int, typer.Option(min=1, max=MAX, help="Small: trees of the diffusion.")] = 160,
+    denoiser_steps: Annotated[
+        int, typer.Option(min=0, max=MAX, help="Small: steps of the diffusion; 0 keeps that of --denoiser-from.")
+    ] = 1600,
+    foliage_from: Annotated[
+        str | None, typer.Option(help="Small: weights file whose foliage network the training starts from.")
+    ] = None,
+    amplitude_from: Annotated[
+        str | None, typer.Option(help="Small: weights file whose amplitude network the training starts from.")
+    ] = None,
+    denoiser_from: Annotated[
+        str | None, typer.Option(help="Small: weights file whose denoiser the training starts from.")
+    ] = None,
+    accumulate: Annotated[int, typer.Option(min=1, max=1024, help="Small: batches per step of the diffusion.")] = 1,
+    steps: Annotated[int | None, typer.Option(min=1, max=MAX, help="Paper: steps; the preset's if not given.")] = None,
+    smoothness_from: Annotated[
+        int | None, typer.Option(min=0, max=MAX, help="Paper: first step with L_LSS; the preset's if not given.")
+    ] = None,
+    smoothness_weight: Annotated[
+        float | None, typer.Option(min=0.0, max=1000.0, help="Paper: of L_LSS beside L_DM, 1 if not given.")
+    ] = None,
+    width: Annotated[
+        int | None, typer.Option(min=8, max=1024, help="Paper: channels of the U-Net's first level, 128 if not given.")
+    ] = None,
+    resolution: Annotated[
+        int | None,
+        typer.Option(min=8, max=128, help="Paper: grid of the spectrum, 128 if not given; condition 4 times."),
+    ] = None,
+    batch: Annotated[
+        int | None, typer.Option(min=1, max=4096, help="Paper: pairs of tree and frequency per step.")
+    ] = None,
+    micro_trees: Annotated[int, typer.Option(min=1, max=4096, help="Paper: trees per pass and process.")] = 1,
+    frequencies: Annotated[
+        int | None, typer.Option(min=1, max=16, help="Paper: frequencies of each of these trees per pass.")
+    ] = None,
+    add: Annotated[
+        list[str] | None,
+        typer.Option(help="Paper: what to add to the paper's recipe: wind, amplitude, stems, noise; may be repeated."),
+    ] = None,
+    predict: Annotated[
+        str | None,
+        typer.Option(help=f"Paper: {' or '.join(PREDICTIONS)}, what the network predicts; the preset's if not given."),
+    ] = None,
+    workers: Annotated[int, typer.Option(min=0, max=256, help="Paper: processes that load trees.")] = 0,
+    bf16: Annotated[bool | None, typer.Option(help="Multiply in bfloat16; the preset's if not given.")] = None,
+    device: Annotated[str, typer.Option(help=f"{', '.join(DEVICES)}; small trains on the CPU.")] = "auto",
+    threads: Annotated[int, typer.Option(min=1, max=256, help="Of each process.")] = 1,
+    dry_run: Annotated[bool, typer.Option(help="Print the resolved run and stop.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Train a model from a dataset's shards; under `torchrun` on many processes or machines."""
+    from dynamictree.errors import InputError
+
+    if preset not in PRESETS:
+        raise InputError(f"there is no training for preset {preset!r}; choose {' or '.join(PRESETS)}")
+    if device not in DEVICES:
+        raise InputError(f"there is no device {device!r}; choose {', '.join(DEVICES)}")
+    if predict not in (None, *PREDICTIONS):
+        raise InputError(f"no network predicts {predict!r}; choose {' or '.join(PREDICTIONS)}")
+    if (foliage_steps == 0 and foliage_from is None) or (denoiser_steps == 0 and denoiser_from is None):
+        raise InputError("0 steps keep a network; give it with --foliage-from or --denoiser-from, or ask for steps")
+    if foliage_trees == 0 and foliage_steps > 0:
+        raise InputError("the foliage network has steps and no trees; raise --foliage-trees, or give --foliage-steps 0")
+    plan: SmallTraining | PaperTraining
+    if preset == "small":
+        numbers = foliage_steps, amplitude_steps, denoiser_steps
+        trees = foliage_trees, amplitude_trees, denoiser_trees
+        plan = _small_training(
+            numbers, trees, (foliage_from, amplitude_from, denoiser_from), bf16=bf16 is not False, accumulate=accumulate
+        )
+    else:
+        plan = _paper_training(
+            preset,
+            width,
+            resolution,
+            add or [],
+            predict,
+            num_steps=steps,
+            smoothness_from=smoothness_from,
+            smoothness_weight=smoothness_weight,
+            batch_size=batch,
+            frequencies_per_tree=frequencies,
+            micro_trees=micro_trees,
+            num_workers=workers,
+            bf16=bf16,
+        )
+    resolved = json.dumps(asdict(plan), indent=None if as_json else 2)
+    if dry_run:
+        typer.echo(resolved)
+        return
+    shards = _in_turn([sorted(map(str, folder.glob("*.safetensors"))) for folder in dataset])
+    if not shards:
+        raise InputError(f"there are no shards in {dataset[0]}; bake some with `dynamictree dataset generate`")
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "run.json").write_text(resolved)
+    weights = str(_run(plan, preset, shards, folder, device=device, threads=threads, quiet=as_json))
+    typer.echo(json.dumps({"weights": weights}) if as_json else weights)
+
+
+def _in_turn(folders: list[list[str]]) -> list[str]:
+    """Interleave lists: the first item of each, then the second of each, until the longest ends."""
+    return [shard for row in zip_longest(*folders) for shard in row if shard is not None]
+
+
+def _small_training(
+    steps: tuple[int, int, int],
+    trees: tuple[int, int, int],
+    started_from: tuple[str | None, str | None, str | None],
+    *,
+    bf16: bool,
+    accumulate: int,
+) -> "SmallTraining":
+    from lab.small.train import SmallTraining
+
+    plain = SmallTraining()
+    return replace(
+        plain,
+        foliage_trees=trees[0],
+        amplitude_trees=trees[1],
+        denoiser_trees=trees[2],
+        foliage_from=started_from[0],
+        amplitude_from=started_from[1],
+        denoiser_from=started_from[2],
+        foliage=replace(plain.foliage.with_steps(steps[0]), bf16=bf16),
+        amplitude=replace(plain.amplitude.with_steps(steps[1]), bf16=bf16),
+        denoiser=replace(plain.denoiser.with_steps(steps[2]), bf16=bf16, accumulate=accumulate),
+    )
+
+
+def _paper_training(
+    preset: str,
+    width: int | None,
+    resolution: int | None,
+    additions: list[str],
+    predict: str | None,
+    **changes: int | float | None,
+) -> "PaperTraining":
+    from dynamictree.errors import InputError
+    from dynamictree.models.paper.network import paper_preset, with_additions
+    from lab.paper.train import PaperTraining, paper_small_training
+
+    if preset == "paper-small":
+        if width is not None or resolution is not None:
+            raise InputError("paper-small has its own --width and --resolution; leave them out, or train preset paper")
+        plain = paper_small_training()
+    else:
+        plain = PaperTraining(preset=paper_preset(width or 128, resolution or 128))
+    chosen = {name: value for name, value in changes.items() if value is not None}
+    network = with_additions(plain.preset, additions)
+    if predict is not None:
+        network = replace(network, prediction=predict)  # type: ignore[arg-type]
+    return replace(plain, preset=network, time_shifts="amplitude" in additions, **chosen)  # type: ignore[arg-type]
+
+
+def _run(
+    plan: "SmallTraining | PaperTraining",
+    preset: str,
+    shards: list[str],
+    folder: Path,
+    *,
+    device: str,
+    threads: int,
+    quiet: bool,
+) -> Path:
+    """Train and return the path of the weights file."""
+    import torch
+
+    from lab.small.train import SmallTraining
+    from lab.training.distributed import training_processes
+    from lab.training.progress import bars
+
+    torch.set_num_threads(threads)
+    on_cpu = isinstance(plan, SmallTraining) or device == "cpu" or (device == "auto" and not torch.cuda.is_available())
+    weights = folder / f"{preset}.safetensors"
+    with training_processes(torch.device("cpu" if on_cpu else "cuda")) as own_device, bars(quiet=quiet) as on_step:
+        _train(plan, shards, folder, weights, own_device, on_step)
+    return weights
+
+
+def _train(
+    plan: "SmallTraining | PaperTraining",
+    shards: list[str],
+    folder: Path,
+    weights: Path,
+    device: "torch.device",
+    on_step: "OnStep",
+) -> None:
+    from lab.paper.train import PaperTraining, train_paper
+    from lab.small.train import train_small
+
+    if isinstance(plan, PaperTraining):
+        train_paper(
+            plan,
+            shards,
+            folder,
+            weights=weights,
+            device=device,
+            on_step=on_step,
+            on_figures=partial(typer.echo, err=True),
+        )
+    else:
+        train_small(plan, shards, folder, on_step=on_step)

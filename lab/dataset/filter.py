@@ -1,0 +1,97 @@
+"""Select training trees by four rules on their motion. Paper appendix A, step 2."""
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float32, Int32
+
+from dynamictree.mesh import edges_of
+from dynamictree.parallel import single_thread
+from dynamictree.spectrum import FPS
+from lab.dataset.limits import DatasetLimits
+from lab.dataset.sample import Sample
+
+Rule = Literal["high-frequency", "root-motion", "edge-stretch", "self-explosion"]
+
+
+DEFAULT_LIMITS = DatasetLimits()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measures:
+    """Measured values of a motion that the rules compare with limits."""
+
+    high_frequency: float
+    root_motion: float
+    edge_stretch: float
+    self_explosion: float
+
+    def broken(self, limits: DatasetLimits) -> tuple[Rule, ...]:
+        """The rules that this motion breaks; a measure that is not finite breaks its rule."""
+        checks: tuple[tuple[Rule, float, float], ...] = (
+            ("high-frequency", self.high_frequency, limits.high_frequency),
+            ("root-motion", self.root_motion, limits.root_motion),
+            ("edge-stretch", self.edge_stretch, limits.edge_stretch),
+            ("self-explosion", self.self_explosion, limits.self_explosion),
+        )
+        return tuple(rule for rule, value, allowed in checks if not value <= allowed)
+
+
+def measure(sample: Sample, limits: DatasetLimits = DEFAULT_LIMITS, *, frame_step: int = 10) -> Measures:
+    """Measure a sample: energies on its nodes at every frame, the rest on its vertices at every `frame_step`-th."""
+    step = sample.motion.every(frame_step)
+    displacement = step.displacement(sample.mesh.vertices, sample.node)
+    return Measures(
+        high_frequency=high_frequency_energy(sample.motion.shift, fps=FPS, above_hz=limits.above_hz),
+        root_motion=root_motion(sample.mesh.vertices, displacement),
+        edge_stretch=edge_stretch(sample.mesh.vertices, sample.mesh.faces, displacement),
+        self_explosion=float(np.linalg.norm(displacement, axis=2).max()) / sample.mesh.height_m,
+    )
+
+
+def high_frequency_energy(displacement: Float32[np.ndarray, "T N 3"], *, fps: float, above_hz: float) -> float:
+    """Share of a motion's energy above `above_hz`, the mean left out; 0 for a still tree."""
+    frames = len(displacement)
+    series = displacement.reshape(frames, -1)
+    turn = np.exp(-2j * np.pi * np.outer(np.arange(frames // 2 + 1), np.arange(frames)) / frames)
+    with single_thread():
+        real, imaginary = turn.real.astype(np.float32) @ series, turn.imag.astype(np.float32) @ series
+    power = (real**2 + imaginary**2).sum(axis=1)
+    frequency_hz = np.fft.rfftfreq(frames, d=1 / fps)
+    total = power[1:].sum()
+    return float(power[frequency_hz > above_hz].sum() / total) if total != 0 else 0.0
+
+
+def root_motion(vertices: Float32[np.ndarray, "N 3"], displacement: Float32[np.ndarray, "T N 3"]) -> float:
+    """Largest displacement of what stands on the ground, of the height."""
+    low, height = vertices[:, 2].min(), np.ptp(vertices[:, 2])
+    on_ground = vertices[:, 2] <= low + 1e-4 * height
+    return float(np.linalg.norm(displacement[:, on_ground], axis=2).max() / height)
+
+
+def edge_stretch(
+    vertices: Float32[np.ndarray, "N 3"],
+    faces: Int32[np.ndarray, "F 3"],
+    displacement: Float32[np.ndarray, "T N 3"],
+    *,
+    percentile: float = 99.9,
+) -> float:
+    """How much edges grow or shrink, of their length: a percentile over edges and frames."""
+    first, second = edges_of(faces).T
+    at_rest = vertices[first] - vertices[second]
+    length = np.linalg.norm(at_rest, axis=1)
+    moved = np.linalg.norm(at_rest + displacement[:, first] - displacement[:, second], axis=2)  # [T, E]
+    return float(np.percentile(np.abs(moved / length - 1), percentile))
+
+
+def rejections(verdicts: Iterable[tuple[str, ...]]) -> dict[str, int]:
+    """Count the trees, the accepted ones, and the violations of each rule."""
+    rules: Counter[str] = Counter(
+        {"high-frequency": 0, "root-motion": 0, "edge-stretch": 0, "self-explosion": 0, "accepted": 0, "seen": 0}
+    )
+    for broken in verdicts:
+        rules.update(["seen", *broken] if broken else ["seen", "accepted"])
+    return dict(rules)

@@ -1,0 +1,125 @@
+"""One animated tree of the dataset, from its seed alone."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Complex64, Float32, Int8, Int32
+
+from dynamictree.errors import InputError
+from dynamictree.mesh import TriangleMesh
+from dynamictree.spectrum import NUM_FREQUENCIES, SparseVoxelSpectrum, Wind
+from dynamictree.voxel.voxelize import SurfaceVoxels, surface_average, voxelize
+from lab.dataset.crossing import CROSSED, crossed_species
+from lab.dataset.motion import Sway, vertex_spectrum
+from lab.dataset.sapling import Tree, grow_tree
+from lab.dataset.species import SPECIES, Species
+from lab.dataset.stem_skeleton import Skeleton, skeleton_of
+from lab.dataset.wind import sway
+
+VERSION = 4  # of the generator: a seed means the same motion as long as this stands
+GROWTH = 1  # a seed means the same tree and gusts as long as this stands
+SPEED_M_S = (1.0, 25.0)  # drawn evenly in the logarithm: from light air to a storm
+GUST = (0.15, 0.45)
+HELD_OUT_WEIGHT = 1 / 3  # species that are only for evaluation come up more rarely
+VALIDATION_EVERY = 20  # seeds
+
+Split = Literal["train", "validation", "unseen-species"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sample:
+    """A tree, its wind, and its motion."""
+
+    seed: int
+    species: str
+    split: Split
+    wind: Wind
+    mesh: TriangleMesh
+    part: Int8[np.ndarray, " N"]  # stem level, or `sapling.LEAF`
+    node: Int32[np.ndarray, " N"]  # whose motion a vertex follows
+    skeleton: Skeleton
+    motion: Sway  # of the nodes, every frame
+    coefficients: Complex64[np.ndarray, "N K 3"]  # of every vertex [m]; zero is the tree without wind
+
+    def displacement(self) -> Float32[np.ndarray, "T N 3"]:
+        """Every vertex at every frame, with what lies beyond the K frequencies [m]."""
+        return self.motion.displacement(self.mesh.vertices, self.node)
+
+
+def make_sample(seed: int, species: str | None = None, *, wind: Wind | None = None, loop: bool = True) -> Sample:
+    """Generate the tree and motion of a seed; the result is identical on every run and machine.
+
+    Args:
+        seed: 0 or more.
+        species: name in `SPECIES`, or CROSSED; by default drawn from the seed, among SPECIES.
+        wind: by default drawn from the seed.
+        loop: whether all gusts lie on bins of the period, so that the last frame leads to the first.
+
+    Raises:
+        InputError: no such species, or a negative seed.
+    """
+    chosen, own_wind, tree, rng = _drawn(seed, species, wind)
+    motion = sway(tree, own_wind, rng, loop=loop)
+    return Sample(
+        seed=seed,
+        species=chosen.name,
+        split=split_of(seed, chosen),
+        wind=own_wind,
+        mesh=tree.mesh,
+        part=tree.part,
+        node=tree.node,
+        skeleton=skeleton_of(tree.stems),
+        motion=motion,
+        coefficients=vertex_spectrum(motion, tree.mesh.vertices, tree.node, NUM_FREQUENCIES),
+    )
+
+
+def split_of(seed: int, species: Species) -> Split:
+    """Which part of the dataset a tree belongs to."""
+    if species.held_out:
+        return "unseen-species"
+    return "validation" if seed % VALIDATION_EVERY == 0 else "train"
+
+
+def is_training_seed(seed: int) -> bool:
+    """Whether the tree of a seed is for training; draws its species, which comes first, without growing the tree."""
+    rng = np.random.default_rng([GROWTH, seed])
+    weights = np.array([HELD_OUT_WEIGHT if species.held_out else 1.0 for species in SPECIES.values()])
+    drawn = list(SPECIES.values())[int(rng.choice(len(weights), p=weights / weights.sum()))]
+    return split_of(seed, drawn) == "train"
+
+
+def voxel_spectrum(sample: Sample, resolution: int = 128) -> tuple[SurfaceVoxels, SparseVoxelSpectrum]:
+    """The sample's motion on its voxel grid: in each voxel the mean of the surface inside."""
+    voxels = voxelize(sample.mesh, resolution)
+    weights = surface_average(sample.mesh, voxels.grid)  # [V, N]
+    count, num_frequencies, _ = sample.coefficients.shape
+    flat = sample.coefficients.reshape(count, -1).view(np.float32)  # [N, 6K]
+    averaged = np.ascontiguousarray(weights.astype(np.float32) @ flat).view(np.complex64)
+    spectrum = SparseVoxelSpectrum(
+        grid=voxels.grid,
+        coefficients=averaged.reshape(-1, num_frequencies, 3),
+        model=f"4dtree-{VERSION}",
+        seed=sample.seed,
+        wind=sample.wind,
+    )
+    return voxels, spectrum
+
+
+def _drawn(seed: int, species: str | None, wind: Wind | None) -> tuple[Species, Wind, Tree, np.random.Generator]:
+    if seed < 0:
+        raise InputError(f"the seed is {seed}; it must be 0 or more")
+    if species is not None and species not in (*SPECIES, CROSSED):
+        raise InputError(f"there is no species {species!r}; choose one of {', '.join((*SPECIES, CROSSED))}")
+    rng = np.random.default_rng([GROWTH, seed])
+    names = list(SPECIES)
+    weights = np.array([HELD_OUT_WEIGHT if SPECIES[name].held_out else 1.0 for name in names])
+    drawn = names[int(rng.choice(len(names), p=weights / weights.sum()))]
+    own_wind = Wind(
+        speed_m_s=round(float(np.exp(rng.uniform(*np.log(SPEED_M_S)))), 3),
+        direction_deg=round(float(rng.uniform(0, 360)), 2),
+        gust=round(float(rng.uniform(*GUST)), 4),
+    )
+    chosen = crossed_species(rng) if species == CROSSED else SPECIES[species or drawn]
+    return chosen, wind or own_wind, grow_tree(chosen, rng), rng

@@ -1,0 +1,193 @@
+"""Shards: safetensors files of several trees each; the same seeds give the same bytes.
+
+Tensors of tree SEED are named `SEED/name`, the seed in seven digits or more:
+
+    vertices float32 [N, 3] (m) · faces int32 [F, 3] · part int8 [N] (stem level, 9 is leaf)
+    skeleton.position, .radius, .parent, .level, .stem, .stem_length_m
+    r128.coords int16 [V, 3] · r128.normals float16 [V, 3] · r128.spectrum float16 [V, K, 3, 2] (re, im; m), and so on
+    vertex_spectrum float16 [N, K, 3, 2], on request
+
+The one metadata entry `4dtree` is JSON: version, fps, num_frames, and of each tree seed, species, split, wind, grids.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+import safetensors.numpy
+from jaxtyping import Complex64, Float16, Float32
+
+from dynamictree.byte_stream import ByteWriter
+from dynamictree.errors import FormatError
+from dynamictree.mesh import TriangleMesh
+from dynamictree.spectrum import FPS, NUM_FRAMES, SparseVoxelSpectrum, Wind
+from dynamictree.voxel.grid import VoxelGrid
+from dynamictree.voxel.voxelize import SurfaceVoxels
+from lab.dataset.sample import VERSION, Sample, Split, voxel_spectrum
+from lab.dataset.stem_skeleton import Skeleton
+
+METADATA = "4dtree"
+
+
+@dataclass(frozen=True, kw_only=True)
+class StoredTree:
+    """One tree in a shard; its mesh is read on demand."""
+
+    seed: int
+    species: str
+    split: Split
+    wind: Wind
+    tensors: dict[str, np.ndarray]
+    grids: dict[int, tuple[tuple[float, float, float], float]]  # resolution: origin and voxel size [m]
+
+    def voxels(self, resolution: int = 128) -> SurfaceVoxels:
+        """Occupied voxels with normals, at one of the stored resolutions."""
+        origin_m, voxel_size_m = self.grids[resolution]
+        grid = VoxelGrid(
+            coords=self.tensors[f"r{resolution}.coords"].astype(np.int32),
+            origin_m=origin_m,
+            voxel_size_m=voxel_size_m,
+            resolution=resolution,
+        )
+        return SurfaceVoxels(grid=grid, normals=self.tensors[f"r{resolution}.normals"].astype(np.float32))
+
+    def mesh(self) -> TriangleMesh:
+        """Vertices and faces."""
+        return TriangleMesh(vertices=self.tensors["vertices"], faces=self.tensors["faces"])
+
+    def spectrum(self, resolution: int = 128) -> SparseVoxelSpectrum:
+        """Spectrum of the motion, at one of the stored resolutions."""
+        return SparseVoxelSpectrum(
+            grid=self.voxels(resolution).grid,
+            coefficients=unpacked(self.tensors[f"r{resolution}.spectrum"]),
+            model=f"{METADATA}-{VERSION}",
+            seed=self.seed,
+            wind=self.wind,
+        )
+
+    def skeleton(self) -> Skeleton:
+        """Nodes and their parents."""
+        fields = ("position", "radius", "parent", "level", "stem", "stem_length_m")
+        return Skeleton(**{name: self.tensors[f"skeleton.{name}"] for name in fields})
+
+
+def packed(coefficients: Complex64[np.ndarray, "N K 3"]) -> Float16[np.ndarray, "N K 3 2"]:
+    """Complex to float16 (re, im)."""
+    return to_half(np.ascontiguousarray(coefficients).view(np.float32)).reshape(*coefficients.shape, 2)
+
+
+def to_half(values: Float32[np.ndarray, "..."]) -> Float16[np.ndarray, "..."]:
+    """`values.astype(np.float16)`, up to five times as fast where many are below 6e-5, as coefficients are.
+
+    Integer arithmetic on the bits, after "Half-precision conversion" by F. Giesen; numpy takes a slow path there.
+    """
+    bits = values.view(np.uint32)
+    magnitude = bits & np.uint32(0x7FFFFFFF)
+    assert not (magnitude >= np.uint32(143 << 23)).any(), "a value of 65536 or more has no float16"
+    half = np.array(0.5, np.float32).view(np.uint32)
+    small = (magnitude.view(np.float32) + np.float32(0.5)).view(np.uint32) - half  # the sum's rounding does the work
+    even = (magnitude >> np.uint32(13)) & np.uint32(1)  # ties go to even
+    large = (magnitude + np.uint32(0xC8000FFF) + even) >> np.uint32(13)
+    sign = (bits >> np.uint32(16)) & np.uint32(0x8000)
+    chosen: Float16[np.ndarray, ...] = np.where(magnitude < np.uint32(113 << 23), small, large) | sign
+    return chosen.astype(np.uint16).view(np.float16)
+
+
+def unpacked(pairs: Float16[np.ndarray, "N K 3 2"]) -> Complex64[np.ndarray, "N K 3"]:
+    """Undo `packed`, up to float16."""
+    return np.ascontiguousarray(pairs.astype(np.float32)).view(np.complex64)[..., 0]
+
+
+def store(sample: Sample, *, resolutions: tuple[int, ...], vertex_spectrum: bool = False) -> StoredTree:
+    """Convert a sample to what a shard stores."""
+    tensors: dict[str, np.ndarray] = {
+        "vertices": sample.mesh.vertices,
+        "faces": sample.mesh.faces,
+        "part": sample.part,
+        **{f"skeleton.{name}": value for name, value in asdict(sample.skeleton).items()},
+    }
+    grids = {}
+    for resolution in resolutions:
+        voxels, spectrum = voxel_spectrum(sample, resolution)
+        tensors[f"r{resolution}.coords"] = voxels.grid.coords.astype(np.int16)
+        tensors[f"r{resolution}.normals"] = voxels.normals.astype(np.float16)
+        tensors[f"r{resolution}.spectrum"] = packed(spectrum.coefficients)
+        grids[resolution] = (voxels.grid.origin_m, voxels.grid.voxel_size_m)
+    if vertex_spectrum:
+        tensors["vertex_spectrum"] = packed(sample.coefficients)
+    return StoredTree(
+        seed=sample.seed,
+        species=sample.species,
+        split=sample.split,
+        wind=sample.wind,
+        tensors=tensors,
+        grids=grids,
+    )
+
+
+def write_shard(trees: list[StoredTree], stream: ByteWriter) -> None:
+    """Write trees in the order given."""
+    records = [
+        {
+            "seed": tree.seed,
+            "species": tree.species,
+            "split": tree.split,
+            "wind": asdict(tree.wind),
+            "grids": {str(resolution): [list(origin), size] for resolution, (origin, size) in tree.grids.items()},
+        }
+        for tree in trees
+    ]
+    head = {"version": VERSION, "fps": FPS, "num_frames": NUM_FRAMES, "trees": records}
+    tensors = {
+        f"{tree.seed:07d}/{name}": np.ascontiguousarray(value) for tree in trees for name, value in tree.tensors.items()
+    }
+    # one entry only: safetensors gives several in no fixed order
+    stream.write(safetensors.numpy.save(tensors, metadata={METADATA: json.dumps(head, sort_keys=True)}))
+
+
+def iter_shard(path: str, *, names: tuple[str, ...] | None = None) -> Iterator[StoredTree]:
+    """Trees of a shard one by one, each read when its turn comes.
+
+    Args:
+        path: of the file; a shard is mapped, not read whole.
+        names: tensors wanted, all by default.
+
+    Raises:
+        FormatError: not a shard of this version.
+    """
+    try:
+        source = safetensors.safe_open(path, framework="numpy")
+    except safetensors.SafetensorError as error:
+        raise FormatError(f"{path} is no safetensors file ({error}); write it again") from error
+    with source as shard:
+        head = json.loads((shard.metadata() or {}).get(METADATA, "{}"))
+        if head.get("version") != VERSION:
+            raise FormatError(
+                f"{path} is a shard of version {head.get('version')}; this program reads {VERSION}; generate it again"
+            )
+        keys = list(shard.keys())
+        for record in head["trees"]:
+            prefix = f"{record['seed']:07d}/"
+            own = [key.removeprefix(prefix) for key in keys if key.startswith(prefix)]
+            yield StoredTree(
+                seed=record["seed"],
+                species=record["species"],
+                split=record["split"],
+                wind=Wind(**record["wind"]),
+                tensors={name: shard.get_tensor(prefix + name) for name in own if names is None or name in names},
+                grids={
+                    int(resolution): ((origin[0], origin[1], origin[2]), size)
+                    for resolution, (origin, size) in record["grids"].items()
+                },
+            )
+
+
+def shards_sha256(paths: Sequence[str]) -> str:
+    """Hash of the heads of shards, in their order: seeds, winds and grids decide what is in them."""
+    digest = hashlib.sha256()
+    for path in paths:
+        with safetensors.safe_open(path, framework="numpy") as shard:
+            digest.update((shard.metadata() or {}).get(METADATA, "").encode())
+    return digest.hexdigest()

@@ -1,0 +1,127 @@
+"""Baselines that a model has to beat; each gives a spectrum [V, K, 3] in metres for a held-out tree."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Complex64, Float32, Float64, Int32
+from scipy.spatial import cKDTree
+
+from dynamictree.diffusion.channels import CHANNELS
+from dynamictree.models.small.generate import SmallModel
+from dynamictree.models.wind import wind_axes
+from dynamictree.spectrum import Wind
+from dynamictree.voxel.grid import VoxelGrid
+from dynamictree.voxel.voxelize import SurfaceVoxels
+from lab.dataset.sample import make_sample, voxel_spectrum
+
+NUM_BINS = 20  # of height
+FLOOR = 1e-6  # of the tree's height, before a logarithm
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainingTree:
+    """A tree of the training set, as the baselines use it."""
+
+    coords: Int32[np.ndarray, "V 3"]
+    spectrum: Complex64[np.ndarray, "V K 3"]  # over the tree's height, in the wind's frame
+
+
+def training_tree(seed: int, resolution: int = 128) -> TrainingTree:
+    """The dataset's tree of a seed."""
+    sample = make_sample(seed)
+    voxels, spectrum = voxel_spectrum(sample, resolution)
+    _, height_m = _unit_coords(voxels.grid.coords)
+    turned = spectrum.coefficients @ wind_axes(sample.wind).T / (height_m * voxels.grid.voxel_size_m)
+    return TrainingTree(coords=voxels.grid.coords, spectrum=turned.astype(np.complex64))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ByHeight:
+    """Geometric mean of |c| over the training trees, by height above the ground."""
+
+    log_size: Float64[np.ndarray, "H J 3"]  # over the tree's height, in the wind's frame
+    lean: Float64[np.ndarray, "H 3"]
+
+    def spectrum(self, grid: VoxelGrid, wind: Wind, rng: np.random.Generator) -> Complex64[np.ndarray, "V K 3"]:
+        """The mean spectrum with one random phase a frequency and axis."""
+        above = grid.coords[:, 2] - grid.coords[:, 2].min()
+        height_m = (above.max() + 1) * grid.voxel_size_m
+        place = (above + 0.5) / (above.max() + 1) * NUM_BINS - 0.5
+        low = np.clip(np.floor(place).astype(int), 0, NUM_BINS - 2)
+        share = np.clip(place - low, 0, 1)[:, None, None]
+        log_size = (1 - share) * self.log_size[low] + share * self.log_size[low + 1]
+        lean = (1 - share[:, 0]) * self.lean[low] + share[:, 0] * self.lean[low + 1]
+        field = np.exp(log_size) * one_phase(log_size.shape[1], rng)
+        return _in_metres(np.concatenate([lean[:, None], field], axis=1), wind, height_m)
+
+
+def fit_by_height(trees: Sequence[TrainingTree]) -> ByHeight:
+    """Average the training trees."""
+    num_frequencies = trees[0].spectrum.shape[1]
+    total = np.zeros((NUM_BINS, num_frequencies, 3))
+    count = np.zeros(NUM_BINS)
+    for one in trees:
+        above = one.coords[:, 2] - one.coords[:, 2].min()
+        place = (above * NUM_BINS // (above.max() + 1)).astype(int)
+        values = np.log(np.abs(one.spectrum).astype(np.float64) + FLOOR)
+        values[:, 0] = one.spectrum[:, 0].real
+        np.add.at(total, place, values)
+        count += np.bincount(place, minlength=NUM_BINS)
+    mean = total / np.maximum(count, 1)[:, None, None]
+    return ByHeight(log_size=mean[:, 1:], lean=mean[:, 0])
+
+
+def nearest_tree(voxels: SurfaceVoxels, wind: Wind, trees: Sequence[TrainingTree]) -> Complex64[np.ndarray, "V K 3"]:
+    """The motion of the training tree of most like shape, copied to the nearest voxels, both scaled to height 1."""
+    ours, height_m = _unit_coords(voxels.grid.coords)
+    height_m *= voxels.grid.voxel_size_m
+    seen = ours[:: max(1, len(ours) // 1000)]
+    best: tuple[float, TrainingTree, cKDTree] | None = None
+    for one in trees:
+        theirs, _ = _unit_coords(one.coords)
+        tree = cKDTree(theirs)
+        other = theirs[:: max(1, len(theirs) // 1000)]
+        distance = float(np.mean(tree.query(seen)[0]) + np.mean(cKDTree(seen).query(other)[0]))
+        if best is None or distance < best[0]:
+            best = distance, one, tree
+    assert best is not None, "there must be training trees to copy from"
+    rows = best[2].query(ours)[1]
+    return _in_metres(best[1].spectrum[rows], wind, height_m)
+
+
+def regression(
+    model: SmallModel, voxels: SurfaceVoxels, wind: Wind, rng: np.random.Generator
+) -> Complex64[np.ndarray, "V K 3"]:
+    """The amplitude network alone: A, and one random phase a frequency and axis."""
+    with torch.no_grad():
+        prepared = model.prepare(voxels, wind)
+    phase = torch.from_numpy(one_phase(prepared.amplitude.shape[1], rng).astype(np.complex64))
+    return prepared.to_metres(prepared.moved(phase.expand(prepared.amplitude.shape)))
+
+
+def noise_only(model: SmallModel, voxels: SurfaceVoxels, wind: Wind, seed: int) -> Complex64[np.ndarray, "V K 3"]:
+    """Amplitude A times the initial noise of the sampler: the model without its diffusion."""
+    generator = torch.Generator().manual_seed(seed)
+    with torch.no_grad():
+        prepared = model.prepare(voxels, wind)
+        start = prepared.noise.draw(model.network.noise_shares, generator, channels=CHANNELS)
+        return prepared.to_metres(prepared.assemble(start, generator))
+
+
+def one_phase(num_moving: int, rng: np.random.Generator) -> Complex64[np.ndarray, "J 3"]:
+    """A random phase for each frequency and axis."""
+    turn: Complex64[np.ndarray, "J 3"] = np.exp(2j * np.pi * rng.random((num_moving, 3))).astype(np.complex64)
+    return turn
+
+
+def _unit_coords(coords: np.ndarray) -> tuple[Float32[np.ndarray, "V 3"], float]:
+    height = int(np.ptp(coords[:, 2])) + 1
+    centre = np.array([*coords[:, :2].mean(axis=0), coords[:, 2].min()])
+    return ((coords - centre) / height).astype(np.float32), float(height)
+
+
+def _in_metres(relative: np.ndarray, wind: Wind, height_m: float) -> Complex64[np.ndarray, "V K 3"]:
+    turned: Complex64[np.ndarray, "V K 3"] = (relative @ wind_axes(wind) * height_m).astype(np.complex64)
+    return turned

@@ -1,0 +1,279 @@
+"""Train the paper's network on a dataset's shards: L_DM, then L_DM + L_LSS; on one process or many (`torchrun`).
+
+A step's batch is pairs of a tree and a frequency. Each pass takes `micro_trees` trees with `frequencies_per_tree`
+frequencies each; as many passes per step and process as make up the batch. Trees come from a cache on disk through
+worker processes, so that no step voxelizes.
+"""
+
+import json
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Complex64, Float32, Int64
+from torch import Tensor
+from torch.utils.data import DataLoader
+
+from dynamictree.diffusion.channels import pack_channels
+from dynamictree.diffusion.loss import LocalSmoothness
+from dynamictree.diffusion.schedule import schedule_of
+from dynamictree.errors import CheckpointError
+from dynamictree.models.paper.network import PaperNetwork, PaperPreset, additions_of, paper_small_preset
+from dynamictree.models.small.network import Regression, SmallNetwork
+from dynamictree.models.weights_file import Provenance, read_weights, write_weights
+from dynamictree.weights import weights_path
+from lab.dataset.shards import shards_sha256
+from lab.paper.examples import ExampleCache, PaperBatch, PaperExample, batch_of
+from lab.paper.loss import paper_loss
+from lab.paper.sample_figures import sample_figures
+from lab.training.checkpoints import load_part
+from lab.training.distributed import num_processes, process_rank, wait_for_all
+from lab.training.progress import OnStep
+from lab.training.schedules import LearningRateSchedule
+from lab.training.trainer import Trainer, TrainerOptions
+
+NUM_MEASURED = 50  # trees that the sizes of frequencies are measured on
+FIGURES_STEPS = 20  # of DDIM
+
+
+@dataclass(frozen=True, kw_only=True)
+class PaperTraining:
+    """Resolved run. Learning rate, batch and stages are the paper's (section 6); the optimizer is XCube's."""
+
+    preset: PaperPreset = field(default_factory=PaperPreset)
+    num_steps: int = 70_000
+    smoothness_from: int = 40_000  # first step with L_LSS
+    batch_size: int = 48
+    learning_rate: float = 1e-4
+    halve_every: int = 20_000
+    ema_decay: float = 0.9999
+    smoothness: LocalSmoothness = field(default_factory=LocalSmoothness)
+    smoothness_weight: float = 1.0  # of L_LSS beside L_DM
+    micro_trees: int = 1
+    frequencies_per_tree: int = 1
+    bf16: bool = True
+    by_frequency: bool = True  # divide each frequency by its own size; else all by one, for the ablation
+    num_workers: int = 0  # processes that load trees
+    save_every: int = 500
+    save_every_s: float = 60.0
+    time_shifts: bool = False  # turn the phases of each frequency at random
+    figures_every_s: float | None = 180.0  # generate a tree and log its figures; None: never
+    regression_from: str = "small"  # model whose amplitudes are used, where the preset has a regression
+    seed: int = 0
+
+    def options(self) -> TrainerOptions:
+        """As many passes per step and process as give the batch."""
+        per_pass = self.micro_trees * self.frequencies_per_tree * num_processes()
+        return TrainerOptions(
+            schedule=LearningRateSchedule(
+                num_steps=self.num_steps,
+                learning_rate=self.learning_rate,
+                halve_every=self.halve_every,
+                warmup_steps=1,
+            ),
+            weight_decay=1e-2,
+            gradient_clip=0.5,
+            ema_decay=self.ema_decay,
+            accumulate=max(1, round(self.batch_size / per_pass)),
+            bf16=self.bf16,
+            save_every=self.save_every,
+            save_every_s=self.save_every_s,
+            seed=self.seed,
+        )
+
+
+def paper_small_training() -> PaperTraining:
+    """Settings for `paper_small_preset` on a CPU: 8 frequencies of one tree per step, a shorter schedule."""
+    return PaperTraining(
+        preset=paper_small_preset(),
+        num_steps=2400,
+        smoothness_from=1400,
+        batch_size=8,
+        frequencies_per_tree=8,
+        learning_rate=2e-3,
+        halve_every=400,
+        ema_decay=0.99,
+        bf16=False,
+    )
+
+
+def train_paper(
+    plan: PaperTraining,
+    shards: Sequence[str],
+    folder: Path,
+    *,
+    weights: Path | None = None,
+    device: torch.device | None = None,
+    on_step: OnStep | None = None,
+    on_figures: Callable[[str], None] | None = None,
+) -> PaperNetwork:
+    """Train into a folder: `cache/`, `checkpoint.safetensors` to resume from, `figures.jsonl`, and the weights.
+
+    The weights are a moving average. They are written at the end and whenever figures are, so that a run that is
+    stopped leaves a model too.
+
+    Args:
+        plan: the resolved run.
+        shards: training trees, see `dataset.shards`.
+        folder: of the run.
+        weights: file of the weights; `paper.safetensors` in the folder if not given.
+        device: the CPU if not given.
+        on_step: called with "paper", the step, the number of steps and the loss.
+        on_figures: called with each line of `figures.jsonl`.
+    """
+    weights = weights or folder / "paper.safetensors"
+    device = device or torch.device("cpu")
+    torch.manual_seed(plan.seed)
+    network = PaperNetwork(plan.preset)
+    if network.regression is not None:
+        load_regression(network.regression, plan.regression_from)
+    if process_rank() == 0:
+        ExampleCache(shards, plan.preset, folder / "cache", network.regression)
+    wait_for_all()
+    cache = ExampleCache(shards, plan.preset, folder / "cache", network.regression)
+    if network.regression is None:  # else spectra have unit size
+        network.frequency_sizes.copy_(frequency_sizes(cache, plan))
+    trainer = Trainer(network.to(device), plan.options())
+    trainer.resume(folder / "checkpoint.safetensors")
+    batches = _batches(cache, plan, first_pass=trainer.step * trainer.options.accumulate)
+    schedule = schedule_of(plan.preset.prediction).to(device)
+
+    def loss_of(rng: np.random.Generator) -> Float32[Tensor, ""]:
+        batch = next(batches)
+        shape = (plan.micro_trees, plan.frequencies_per_tree)
+        moving = np.arange(0 if network.regression is None else 1, plan.preset.num_frequencies)
+        bins = [rng.permutation(moving)[: shape[1]] for _ in range(shape[0])]
+        frequency = torch.from_numpy(np.stack(bins)).to(device)
+        batch = batch.to(device)
+        return paper_loss(
+            network,
+            batch,
+            clean_channels(batch, frequency, network, _time_shifts(frequency, rng) if plan.time_shifts else None),
+            frequency,
+            schedule=schedule,
+            generator=torch.Generator().manual_seed(int(rng.integers(2**62))),
+            smoothness=plan.smoothness if trainer.step >= plan.smoothness_from else None,
+            smoothness_weight=plan.smoothness_weight,
+        )
+
+    data_sha256, reported_at = shards_sha256(shards), time.monotonic()
+
+    def write(loss: float) -> None:
+        card = training_card(weights.stem, plan, trees=len(cache), step=trainer.step, loss=loss)
+        provenance = Provenance(step=trainer.step, data_sha256=data_sha256, card=card)
+        average = trainer.average
+        assert isinstance(average, PaperNetwork)
+        write_weights(average, weights, provenance)
+
+    for step, loss in trainer.run(loss_of, folder / "checkpoint.safetensors"):
+        if on_step is not None:
+            on_step("paper", step, plan.num_steps, loss)
+        due = plan.figures_every_s is not None and time.monotonic() - reported_at > plan.figures_every_s
+        if process_rank() == 0 and (due or step == plan.num_steps):
+            write(loss)
+            if due:
+                figures = sample_figures(trainer.average, cache[0], num_steps=FIGURES_STEPS)
+                line = json.dumps({"step": step, "loss": round(loss, 4), **figures})
+                with (folder / "figures.jsonl").open("a") as log:
+                    log.write(line + "\n")
+                if on_figures is not None:
+                    on_figures(line)
+            reported_at = time.monotonic()
+    return network
+
+
+def training_card(name: str, plan: PaperTraining, *, trees: int, step: int, loss: float) -> str:
+    """What the run itself knows of its weights, in Markdown; how good they are is for `dynamictree evaluate`."""
+    additions = ", ".join(additions_of(plan.preset)) or "none"
+    facts = {
+        "network": f"the paper's on {plan.preset.resolution}³, {plan.preset.unet.base} channels at its first level",
+        "additions": additions,
+        "predicts": plan.preset.prediction,
+        "data": f"{trees} trees",
+        "steps": f"{step} of batch {plan.batch_size}; with L_LSS from step {plan.smoothness_from}",
+        "loss of the last step": f"{loss:.3f}",
+    }
+    rows = "".join(f"| {name} | {value} |\n" for name, value in facts.items())
+    return f"# {name}\n\n| | |\n|---|---|\n{rows}"
+
+
+def frequency_sizes(cache: ExampleCache, plan: PaperTraining) -> Float32[Tensor, " K"]:
+    """Root mean square of the components at each frequency: what spectra are divided by."""
+    trees = [cache[number].spectrum for number in range(min(NUM_MEASURED, len(cache)))]
+    power = torch.stack([one.abs().square().mean(dim=(0, 2)) / 2 for one in trees]).mean(dim=0)
+    sizes = power.sqrt()
+    if plan.by_frequency:
+        return sizes
+    return sizes[1:].square().mean().sqrt().expand(len(sizes)).contiguous()
+
+
+def clean_channels(
+    batch: PaperBatch,
+    frequency: Int64[Tensor, "B J"],
+    network: PaperNetwork,
+    factors: Complex64[Tensor, "B J"] | None = None,
+) -> Float32[Tensor, "V J 6"]:
+    """Each tree's spectrum at its frequencies, of unit size; `factors` of size 1 turn their phases."""
+    sample = batch.inputs.grids.levels[network.preset.num_halvings].sample_of_row
+    bins = frequency[sample]  # [V, J]
+    chosen = batch.spectrum.gather(1, bins[..., None].expand(-1, -1, 3))
+    if factors is not None:
+        chosen = chosen * factors[sample][..., None]
+    return pack_channels(chosen) / network.frequency_sizes[bins][..., None]
+
+
+def _time_shifts(frequency: Int64[Tensor, "B J"], rng: np.random.Generator) -> Complex64[Tensor, "B J"]:
+    """A random phase per tree and frequency; the mean pose has none."""
+    angles = torch.from_numpy(rng.uniform(0, 2 * np.pi, frequency.shape).astype(np.float32)).to(frequency.device)
+    return torch.polar(torch.ones_like(angles), angles * (frequency > 0))
+
+
+def load_regression(regression: Regression, model: str) -> None:
+    """Fill a regression from the weights of a model of kind `small`.
+
+    Raises:
+        CheckpointError: the model is of another kind, or of another shape.
+    """
+    stored = read_weights(weights_path(model))
+    own = regression.state_dict()
+    if stored.kind != SmallNetwork.KIND or own.keys() - stored.tensors.keys():
+        raise CheckpointError(f"{model} is {stored.kind}; amplitudes are taken from {SmallNetwork.KIND}")
+    load_part(regression, {f"regression.{name}": stored.tensors[name] for name in own}, "regression")
+
+
+class _TreeDraws(torch.utils.data.Sampler[list[int]]):
+    """Indices of the trees of every pass; a pass depends on its number alone, so that a resumed run repeats them."""
+
+    def __init__(self, count: int, plan: PaperTraining, first_pass: int) -> None:
+        self.count, self.plan, self.first_pass = count, plan, first_pass
+
+    def __iter__(self) -> Iterator[list[int]]:
+        number = self.first_pass
+        while True:
+            rng = np.random.default_rng([self.plan.seed, 1, number, process_rank()])
+            yield rng.integers(self.count, size=self.plan.micro_trees).tolist()
+            number += 1
+
+
+class _Collate:
+    """`batch_of` in the worker processes: building neighbour pairs is the slow part."""
+
+    def __init__(self, preset: PaperPreset) -> None:
+        self.preset = preset
+
+    def __call__(self, examples: list[PaperExample]) -> PaperBatch:
+        return batch_of(examples, self.preset)
+
+
+def _batches(cache: ExampleCache, plan: PaperTraining, *, first_pass: int) -> Iterator[PaperBatch]:
+    loader = DataLoader(
+        cache,
+        batch_sampler=_TreeDraws(len(cache), plan, first_pass),
+        num_workers=plan.num_workers,
+        collate_fn=_Collate(plan.preset),
+        multiprocessing_context="spawn" if plan.num_workers else None,
+    )
+    return iter(loader)

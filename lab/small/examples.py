@@ -1,0 +1,62 @@
+"""Training examples of the small model, made from the dataset's trees."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+
+import numpy as np
+import torch
+from jaxtyping import Complex64
+from torch import Tensor
+
+from dynamictree.errors import InputError
+from dynamictree.models.small.features import TreeFeatures, tree_features
+from dynamictree.models.wind import wind_axes
+from dynamictree.spectrum import Wind
+from dynamictree.voxel.voxelize import surface_moments
+from lab.dataset.sample import make_sample, voxel_spectrum
+from lab.dataset.shards import StoredTree, iter_shard
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Example:
+    """One tree, its wind, and its motion as a share of its height in the wind's frame."""
+
+    tree: TreeFeatures
+    wind: Wind
+    spectrum: Complex64[Tensor, "V K 3"]
+
+
+def iter_training(paths: Sequence[str], *, first: int, count: int) -> Iterator[StoredTree]:
+    """`count` trees for training from the `first` on, in the shards' order; what is held out is passed over.
+
+    Raises:
+        InputError: the shards hold fewer.
+    """
+    trees = (tree for path in paths for tree in iter_shard(path) if tree.split == "train")
+    taken = 0
+    for tree in islice(trees, first, first + count):
+        taken += 1
+        yield tree
+    if taken < count:
+        raise InputError(
+            f"the shards hold {first + taken} trees for training; {first + count} are needed: "
+            "bake more with `dynamictree dataset generate`, or ask for fewer"
+        )
+
+
+def example_of(stored: StoredTree, resolution: int = 128, *, with_mesh: bool = True) -> Example:
+    """Convert a tree of a shard; `with_mesh=False` treats it as voxels without moments."""
+    voxels, coefficients = stored.voxels(resolution), stored.spectrum(resolution).coefficients
+    tree = tree_features(replace(voxels, moments=surface_moments(stored.mesh(), voxels.grid)) if with_mesh else voxels)
+    turned = coefficients @ wind_axes(stored.wind).T / float(tree.height_m[0])
+    return Example(tree=tree, wind=stored.wind, spectrum=torch.from_numpy(turned.astype(np.complex64)))
+
+
+def make_example(seed: int, resolution: int = 128) -> Example:
+    """Generate the dataset's tree of a seed, and convert it."""
+    sample = make_sample(seed)
+    voxels, spectrum = voxel_spectrum(sample, resolution)
+    tree = tree_features(voxels)
+    turned = spectrum.coefficients @ wind_axes(sample.wind).T / float(tree.height_m[0])
+    return Example(tree=tree, wind=sample.wind, spectrum=torch.from_numpy(turned.astype(np.complex64)))

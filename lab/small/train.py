@@ -1,0 +1,213 @@
+"""Preset `small` from a dataset's shards to weights: foliage network, amplitude network, whitening, denoiser.
+
+Each part has its checkpoint and can be gone on with; the amplitude network's rows lie beside them.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float32
+from safetensors.torch import load_file
+from torch import Tensor
+
+from dynamictree.models.small.network import SmallNetwork, SmallPreset
+from dynamictree.models.weights_file import Provenance, write_weights
+from lab.dataset.shards import shards_sha256
+from lab.small.examples import example_of, iter_training
+from lab.small.train_foliage import STANDARDISED_ON, foliage_examples, foliage_step, standardise_foliage
+from lab.small.training_steps import (
+    AmplitudeRows,
+    amplitude_rows,
+    amplitude_step,
+    denoising_step,
+    read_rows,
+    standardise,
+    write_rows,
+)
+from lab.small.whitening import MEASURED, NUM_MEASURED, measure, white_example
+from lab.training.checkpoints import load_part
+from lab.training.distributed import num_processes, process_rank, wait_for_all
+from lab.training.schedules import LearningRateSchedule
+from lab.training.trainer import Trainer, TrainerOptions
+
+OnTrainingStep = Callable[[str, int, int, float], None]
+"""Called with the part, the step, the steps in all, and the loss."""
+TREES_A_FILE = 25
+GOING_ON_RATE = 0.1
+"""Of the learning rate, where the amplitude network goes on from weights: the faster it goes, the more it forgets of
+unseen species (docs/decisions/diffusion.md)."""
+SHARE_BEFORE = 0.5
+"""Of the weights it went on from, in the mean with what it became (Wortsman et al. 2022, arXiv:2109.01903): that knows
+as much of what was learnt now, and forgets less."""
+SATURATING = ("saturation", "second_order")
+"""Layers that tell where a motion saturates, which stay as learnt."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SmallTraining:
+    """Settings of a training run. Each part takes other trees, so that none is measured on its training data."""
+
+    foliage_trees: int = 800
+    amplitude_trees: int = 1200
+    denoiser_trees: int = 160
+    preset: SmallPreset = field(default_factory=SmallPreset)
+    foliage: TrainerOptions = field(
+        default_factory=lambda: TrainerOptions(
+            schedule=LearningRateSchedule(num_steps=5000, learning_rate=3e-3, cooldown_steps=500),
+            bf16=True,
+            save_every=100,
+            seed=1,
+        )
+    )
+    amplitude: TrainerOptions = field(
+        default_factory=lambda: TrainerOptions(
+            schedule=LearningRateSchedule(num_steps=3000, learning_rate=2e-3),
+            weight_decay=1e-2,
+            ema_decay=0.995,
+            bf16=True,
+        )
+    )
+    denoiser: TrainerOptions = field(
+        default_factory=lambda: TrainerOptions(
+            schedule=LearningRateSchedule(num_steps=1600, learning_rate=2e-3), ema_decay=0.995, bf16=True
+        )
+    )
+    foliage_from: str | None = None  # weights whose foliage network is gone on from; with 0 steps, it stays
+    amplitude_from: str | None = None  # weights whose amplitude network is gone on from
+    denoiser_from: str | None = None  # weights whose denoiser is gone on from; with 0 steps, it and its scales stay
+
+
+def train_small(
+    plan: SmallTraining, shards: Sequence[str], folder: Path, *, on_step: OnTrainingStep | None = None
+) -> SmallNetwork:
+    """Train into a folder: `rows/`, a checkpoint a part, `small.safetensors`. What is there is not done again.
+
+    Under `torchrun` every process takes its own batches, and gradients are shared.
+    """
+    torch.manual_seed(plan.preset.num_frequencies)
+    network = SmallNetwork(plan.preset)
+    _train_foliage(network, plan, shards, folder / "foliage.safetensors", on_step)
+    rows = _rows(network, plan, shards, folder / "rows", on_step)
+    _train_amplitude(network, plan, rows, folder / "amplitude.safetensors", on_step)
+    _train_denoiser(network, plan, shards, folder / "denoiser.safetensors", on_step)
+    if process_rank() == 0:
+        write_weights(
+            network,
+            folder / "small.safetensors",
+            Provenance(step=plan.denoiser.schedule.num_steps or None, data_sha256=shards_sha256(shards)),
+        )
+    return network
+
+
+def _train_foliage(
+    network: SmallNetwork,
+    plan: SmallTraining,
+    shards: Sequence[str],
+    checkpoint: Path,
+    on_step: OnTrainingStep | None,
+) -> None:
+    if plan.foliage_from is not None:
+        load_part(network.foliage, load_file(plan.foliage_from), "foliage")
+    trainer = Trainer(network.foliage, plan.foliage)
+    trainer.resume(checkpoint)
+    if not trainer.finished:
+        measured = foliage_examples(iter_training(shards, first=0, count=plan.foliage_trees))
+        trees = list(islice(measured, STANDARDISED_ON + trainer.step))
+        if trainer.step == 0 and plan.foliage_from is None:
+            standardise_foliage(network.foliage, trees)
+            trainer.average.load_state_dict(network.foliage.state_dict())
+
+        def loss_of(rng: np.random.Generator) -> Float32[Tensor, ""]:
+            trees.extend(islice(measured, 1))  # one more a step, so that measuring them is no wait
+            return foliage_step(network.foliage, trees, rng)
+
+        for step, loss in trainer.run(loss_of, checkpoint):
+            _tell(on_step, "foliage", step, plan.foliage.schedule.num_steps, loss)
+    network.foliage.load_state_dict(trainer.average.state_dict())
+    network.foliage.requires_grad_(False)
+
+
+def _rows(
+    network: SmallNetwork, plan: SmallTraining, shards: Sequence[str], folder: Path, on_step: OnTrainingStep | None
+) -> AmplitudeRows:
+    """Training rows of the amplitude network: written by the first process, read by all."""
+    paths = [folder / f"{first:06d}.safetensors" for first in range(0, plan.amplitude_trees, TREES_A_FILE)]
+    if process_rank() == 0:
+        folder.mkdir(parents=True, exist_ok=True)
+        if not all(path.exists() for path in paths):
+            trees = iter_training(shards, first=plan.foliage_trees, count=plan.amplitude_trees)
+            for path in paths:
+                some = list(islice(trees, TREES_A_FILE))
+                if not path.exists():
+                    rng = np.random.default_rng([plan.amplitude.seed, int(path.stem)])
+                    write_rows(amplitude_rows(network.foliage, map(example_of, some), rng), path)
+                _tell(on_step, "trees", int(path.stem) + len(some), plan.amplitude_trees, 0.0)
+    wait_for_all()
+    return read_rows(paths)
+
+
+def _train_amplitude(
+    network: SmallNetwork, plan: SmallTraining, rows: AmplitudeRows, checkpoint: Path, on_step: OnTrainingStep | None
+) -> None:
+    options = plan.amplitude
+    if plan.amplitude_from is not None:
+        load_part(network.amplitude, load_file(plan.amplitude_from), "amplitude")
+        rate = GOING_ON_RATE * options.schedule.learning_rate
+        options = replace(options, schedule=replace(options.schedule, learning_rate=rate))
+    else:
+        standardise(network.amplitude, rows)
+    trainer = Trainer(network.amplitude, options)
+    trainer.resume(checkpoint)
+    for step, loss in trainer.run(lambda rng: amplitude_step(network.amplitude, rows, rng), checkpoint):
+        _tell(on_step, "amplitude", step, plan.amplitude.schedule.num_steps, loss)
+    learnt = trainer.average.state_dict()
+    if plan.amplitude_from is not None:
+        learnt = mean_with_before(learnt, load_file(plan.amplitude_from))
+    network.amplitude.load_state_dict(learnt)
+    network.amplitude.requires_grad_(False)
+
+
+def mean_with_before(learnt: Mapping[str, Tensor], before: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """SHARE_BEFORE of the weights before and the rest of those learnt; `before` has the names of a whole network."""
+    return {
+        name: now if name.startswith(SATURATING) else now.lerp(before[f"amplitude.{name}"].to(now), SHARE_BEFORE)
+        for name, now in learnt.items()
+    }
+
+
+def _train_denoiser(
+    network: SmallNetwork,
+    plan: SmallTraining,
+    shards: Sequence[str],
+    checkpoint: Path,
+    on_step: OnTrainingStep | None,
+) -> None:
+    if plan.denoiser_from is not None and plan.denoiser.schedule.num_steps == 0:
+        before = load_file(plan.denoiser_from)
+        load_part(network.denoiser, before, "denoiser")
+        for name in MEASURED:
+            network.get_buffer(name).copy_(before[name])
+        return
+    first = plan.foliage_trees + plan.amplitude_trees
+    measured = map(example_of, iter_training(shards, first=first, count=min(NUM_MEASURED, plan.denoiser_trees)))
+    measure(network, measured, np.random.default_rng(plan.denoiser.seed))
+    if plan.denoiser_from is not None:
+        load_part(network.denoiser, load_file(plan.denoiser_from), "denoiser")
+    trainer = Trainer(network.denoiser, plan.denoiser)
+    trainer.resume(checkpoint)
+    if not trainer.finished:
+        trees = iter_training(shards, first=first, count=plan.denoiser_trees)
+        own = islice(trees, process_rank(), None, num_processes())
+        white = [white_example(network, example_of(tree)) for tree in own]
+        for step, loss in trainer.run(lambda rng: denoising_step(network, white, rng), checkpoint):
+            _tell(on_step, "denoiser", step, plan.denoiser.schedule.num_steps, loss)
+    network.denoiser.load_state_dict(trainer.average.state_dict())
+
+
+def _tell(on_step: OnTrainingStep | None, part: str, done: int, total: int, loss: float) -> None:
+    if on_step is not None:
+        on_step(part, done, total, loss)

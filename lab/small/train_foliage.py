@@ -1,0 +1,101 @@
+"""Training of the foliage network: one whole tree per step, in one of eight symmetries."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from jaxtyping import Float16, Float32
+from torch import Tensor
+
+from dynamictree.models.small.features import TreeFeatures, turn_features
+from dynamictree.models.small.foliage import ARM, NUM_PARTS, FoliageNetwork, seen
+from dynamictree.models.small.quarter_turns import SIDES
+from dynamictree.sparse.level import Pyramid
+from lab.dataset.shards import StoredTree
+from lab.small.examples import example_of
+from lab.small.foliage_targets import foliage_targets_of
+
+NUM_LEVELS = 3
+STANDARDISED_ON = 40  # trees
+MIN_DEVIATION = 0.01
+BLIND_EVERY = 11
+"""Every so many trees are seen without the surface's moments, as files of voxels are that have none."""
+SIZE_WEIGHT = 0.5  # of ln sizes beside parts
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FoliageExample:
+    """Features of a tree and the targets of its voxels; float16, since many lie in memory."""
+
+    scalars: Float16[Tensor, "V S"]
+    vectors: Float16[Tensor, "V A 3"]
+    surface: Float16[Tensor, "V I"]
+    tensors: Float16[Tensor, "V R 3 3"]
+    targets: Float16[Tensor, "V O"]
+    bare: TreeFeatures  # without these
+
+    def tree(self) -> TreeFeatures:
+        """Features for the network, without the chain of stems."""
+        count = len(self.scalars)
+        return replace(
+            self.bare,
+            scalars=self.scalars.float(),
+            vectors=self.vectors.float(),
+            chain=torch.empty(count, 0, dtype=torch.int64),
+            girth=torch.empty(count, 0),
+            surface=self.surface.float(),
+            tensors=self.tensors.float(),
+        )
+
+
+def foliage_examples(stored: Iterable[StoredTree], *, resolution: int = 128) -> Iterator[FoliageExample]:
+    """Compute features and targets of trees."""
+    for one in stored:
+        example = example_of(one, resolution, with_mesh=one.seed % BLIND_EVERY != 0)
+        tree = example.tree
+        bare = replace(
+            tree,
+            grids=Pyramid(levels=tree.grids.levels[:NUM_LEVELS], parents=tree.grids.parents[: NUM_LEVELS - 1]),
+            scalars=torch.empty(0, 0),  # a slice would keep all of it alive
+            vectors=torch.empty(0, 0, 3),
+            chain=torch.empty(0, 0, dtype=torch.int64),
+            girth=torch.empty(0, 0),
+            surface=torch.empty(0, 0),
+            tensors=torch.empty(0, 0, 3, 3),
+        )
+        targets = foliage_targets_of(one, example.spectrum, resolution=resolution)
+        yield FoliageExample(
+            scalars=tree.scalars.half(),
+            vectors=tree.vectors.half(),
+            surface=tree.surface.half(),
+            tensors=tree.tensors.half(),
+            targets=targets.half(),
+            bare=bare,
+        )
+
+
+def standardise_foliage(network: FoliageNetwork, trees: Sequence[FoliageExample]) -> None:
+    """Set the means and deviations of the inputs and the targets."""
+    some = trees[:STANDARDISED_ON]
+    inputs = torch.cat([seen(one.tree())[::7] for one in some])
+    targets = torch.cat([one.targets[::7].float() for one in some])
+    network.mean.copy_(inputs.mean(dim=0))
+    network.deviation.copy_(inputs.std(dim=0) + MIN_DEVIATION)
+    network.told_mean.copy_(targets.mean(dim=0))
+    network.told_deviation.copy_(targets.std(dim=0) + MIN_DEVIATION)
+    network.told_mean[ARM] = 0  # what is a vector has no mean, and one size for all axes
+    network.told_deviation[ARM] = targets[:, ARM].square().mean().sqrt()
+
+
+def foliage_step(
+    network: FoliageNetwork, trees: Sequence[FoliageExample], rng: np.random.Generator
+) -> Float32[Tensor, ""]:
+    """Squared error over one tree's voxels."""
+    example = trees[int(rng.integers(len(trees)))]
+    axes, signs = SIDES[int(rng.integers(len(SIDES)))]
+    targets = example.targets.float()
+    targets[:, ARM] = targets[:, ARM][:, list(axes)] * torch.tensor(signs, dtype=torch.float32)
+    target = (targets - network.told_mean) / network.told_deviation
+    error = (network.standard(turn_features(example.tree(), axes, signs)) - target).square().mean(dim=0)
+    return error[:NUM_PARTS].mean() + SIZE_WEIGHT * error[NUM_PARTS:].mean()

@@ -1,0 +1,129 @@
+"""Training steps of the small model: the amplitude network, then the denoiser of the whitened residual."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Complex64, Float16, Float32, Int64
+from safetensors.torch import load_file, save_file
+from torch import Tensor
+
+from dynamictree.diffusion.channels import CHANNELS, pack_channels
+from dynamictree.diffusion.loss import denoising_loss
+from dynamictree.models.small.amplitude import AmplitudeNetwork, amplitude_inputs, amplitude_losses, mirror_inputs
+from dynamictree.models.small.denoiser import denoise
+from dynamictree.models.small.features import NUM_WIND, batch_features, wind_vector
+from dynamictree.models.small.foliage import FoliageNetwork
+from dynamictree.models.small.mixer import batch_neighbourhoods
+from dynamictree.models.small.network import SmallNetwork
+from lab.small.examples import Example
+from lab.small.whitening import WhiteExample
+
+TREES_A_STEP = 4
+VOXELS_A_TREE = 600  # that the amplitude network learns from
+ROWS_A_STEP = 3072
+STANDARDISED_ON = 20_000  # rows
+MIN_DEVIATION = 0.01
+FREQUENCIES_A_TREE = 4
+LOW_FREQUENCY_BIAS = 1.0  # k is drawn with probability ~ 1 / k: low ones carry the motion, high ones are near noise
+HALF_SCALE = 1000.0
+"""Spectra over the height are 1e-5 to 0.1; times this they sit well in float16."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class AmplitudeRows:
+    """Inputs and targets of voxels drawn from many trees; float16 to save memory."""
+
+    inputs: Float16[Tensor, "R I"]
+    wind: Float32[Tensor, "R 2"]
+    scaled: Float16[Tensor, "R K 3 2"]  # spectrum over the height times HALF_SCALE
+
+    def __len__(self) -> int:
+        return len(self.inputs)
+
+    def spectrum(self, rows: Int64[Tensor, " S"]) -> Complex64[Tensor, "S K 3"]:
+        """Spectrum divided by the height, in the wind's frame."""
+        return torch.view_as_complex(self.scaled[rows].float() / HALF_SCALE)
+
+
+@torch.no_grad()
+def amplitude_rows(foliage: FoliageNetwork, examples: Iterable[Example], rng: np.random.Generator) -> AmplitudeRows:
+    """Draw VOXELS_A_TREE voxels of each tree."""
+    inputs, winds, spectra = [], [], []
+    for example in examples:
+        wind = wind_vector([example.wind])
+        with torch.autocast("cpu", torch.bfloat16):
+            foliage_values = foliage(example.tree)
+        rows = torch.from_numpy(rng.integers(0, len(example.tree.scalars), VOXELS_A_TREE))
+        inputs.append(amplitude_inputs(example.tree, foliage_values, wind)[rows].half())
+        winds.append(wind[:, :NUM_WIND].expand(VOXELS_A_TREE, NUM_WIND))
+        spectra.append(torch.view_as_real(example.spectrum[rows] * HALF_SCALE).half())
+    return AmplitudeRows(inputs=torch.cat(inputs), wind=torch.cat(winds), scaled=torch.cat(spectra))
+
+
+def write_rows(rows: AmplitudeRows, path: Path) -> None:
+    """Write rows atomically."""
+    partial = path.with_suffix(".partial")
+    save_file({"inputs": rows.inputs, "wind": rows.wind, "scaled": rows.scaled}, partial)
+    partial.rename(path)
+
+
+def read_rows(paths: Sequence[Path]) -> AmplitudeRows:
+    """Undo `write_rows`, of several files."""
+    stored = [load_file(path) for path in paths]
+    inputs, wind, scaled = (torch.cat([one[name] for one in stored]) for name in ("inputs", "wind", "scaled"))
+    return AmplitudeRows(inputs=inputs, wind=wind, scaled=scaled)
+
+
+def standardise(network: AmplitudeNetwork, rows: AmplitudeRows) -> None:
+    """Set the mean and deviation by which the network normalises its inputs."""
+    some = rows.inputs[:: max(1, len(rows) // STANDARDISED_ON)].float()
+    network.mean.copy_(some.mean(dim=0))
+    network.deviation.copy_(some.std(dim=0) + MIN_DEVIATION)
+
+
+def amplitude_step(network: AmplitudeNetwork, rows: AmplitudeRows, rng: np.random.Generator) -> Float32[Tensor, ""]:
+    """Loss of one batch for the amplitude network; half of the batches are mirrored."""
+    chosen = torch.from_numpy(rng.integers(0, len(rows), ROWS_A_STEP))
+    inputs, spectrum = rows.inputs[chosen].float(), rows.spectrum(chosen)
+    if rng.random() < 0.5:
+        inputs, spectrum = mirror_inputs(inputs), spectrum * torch.tensor([1.0, -1.0, 1.0])
+    wind = rows.wind[chosen]
+    lean, log_amplitude = network(inputs, wind)
+    return amplitude_losses(lean.float(), log_amplitude.float(), spectrum, wind).total()
+
+
+def denoising_step(
+    network: SmallNetwork, examples: Sequence[WhiteExample], rng: np.random.Generator, *, trees: int = TREES_A_STEP
+) -> Float32[Tensor, ""]:
+    """Loss of one batch for the denoiser: every tree at some frequencies, each with its own noise level."""
+    preset = network.preset
+    bins = np.arange(1, preset.num_frequencies)
+    chance = bins**-LOW_FREQUENCY_BIAS / (bins**-LOW_FREQUENCY_BIAS).sum()
+    generator = torch.Generator().manual_seed(int(rng.integers(2**62)))
+    trees = min(trees, len(examples))
+    chosen_trees = [examples[index] for index in rng.choice(len(examples), trees, replace=False)]
+    clean, sizes, noises, frequencies = [], [], [], []
+    for white in chosen_trees:
+        chosen = torch.from_numpy(np.sort(rng.choice(bins, FREQUENCIES_A_TREE, replace=False, p=chance)))
+        phase = torch.exp(2j * torch.pi * torch.rand(len(chosen), generator=generator))  # a time shift, bin by bin
+        clean.append(pack_channels(white.whitened[:, chosen - 1] * phase[:, None]))
+        noises.append(white.noise.draw(network.noise_shares[chosen - 1], generator, channels=CHANNELS))
+        sizes.append(white.log_amplitude[:, chosen - 1])
+        frequencies.append(chosen)
+    nodes = batch_features([white.nodes for white in chosen_trees])
+    wind, signal = wind_vector([white.wind for white in chosen_trees]), torch.cat(clean)
+    low, high = np.log(preset.sigma_min), np.log(preset.sigma_max)
+    sigma = (low + (high - low) * torch.rand(trees, FREQUENCIES_A_TREE, generator=generator)).exp()
+    condition = network.denoiser.condition(
+        nodes,
+        wind,
+        frequency=torch.stack(frequencies),
+        log_amplitude=torch.cat(sizes),
+        neighbourhood=batch_neighbourhoods([white.neighbourhood for white in chosen_trees]),
+    )
+    at_node = sigma[condition.tree_of_node][..., None]
+    denoised = denoise(network.denoiser, signal + at_node * torch.cat(noises), sigma, condition)
+    return denoising_loss(denoised, signal, at_node).mean()

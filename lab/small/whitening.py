@@ -1,0 +1,96 @@
+"""Whitening: divide spectra by the predicted amplitude, average on the nodes, and measure the statistics."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Complex64, Float32
+from torch import Tensor
+
+from dynamictree.models.small.amplitude import moving
+from dynamictree.models.small.correlated_noise import NoiseBasis, fit_shares, noise_basis
+from dynamictree.models.small.features import NUM_WIND, TreeFeatures, coarsen_features, wind_vector
+from dynamictree.models.small.mixer import Neighbourhood, neighbourhood
+from dynamictree.models.small.network import Regression
+from dynamictree.sparse.matrices import raise_matrix, sparse_rows
+from dynamictree.sparse.pool import pool_to
+from dynamictree.spectrum import Wind
+from lab.small.examples import Example
+
+WHITE_SHARE = 0.7
+"""Of the noise: white beside what is fitted to the data, so that smoothness distinguishes data from noise too."""
+RESIDUAL_SHARE = 0.1
+"""Of the variance that nodes do not hold: all of it as noise makes mesh edges 1.6 times too rough, none 0.7 times."""
+MEASURED = ("node_scale", "residual_share", "noise_shares", "energy_gain")
+NUM_MEASURED = 24
+"""Trees that scales and shares are measured on."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class WhiteExample:
+    """Training example of the denoiser: a tree's whitened spectrum on its nodes."""
+
+    nodes: TreeFeatures
+    wind: Wind
+    whitened: Complex64[Tensor, "W J 3"]
+    log_amplitude: Float32[Tensor, "W J 3"]
+    noise: NoiseBasis
+    neighbourhood: Neighbourhood
+
+
+@torch.no_grad()
+def whiten(network: Regression, example: Example) -> tuple[Complex64[Tensor, "V J 3"], Float32[Tensor, "V J 3"]]:
+    """C / A at every voxel for k >= 1, and ln A."""
+    _, log_amplitude = network.amplitude_of(example.tree, wind_vector([example.wind]))
+    return example.spectrum[:, 1:] * (-log_amplitude).exp(), log_amplitude
+
+
+@torch.no_grad()
+def measure(network: Regression, examples: Iterable[Example], rng: np.random.Generator) -> None:
+    """Set the network's node scale, residual share, noise shares and energy gain."""
+    top = network.preset.top
+    nodes, trees, power, energy = [], [], [], []
+    for example in examples:
+        field, log_amplitude = whiten(network, example)
+        wind = wind_vector([example.wind])[:, :NUM_WIND]
+        energy.append(_energy_shares(example.spectrum, moving(log_amplitude, wind)))
+        pooled = pool_to(field, example.tree.grids, top)
+        lift = sparse_rows(raise_matrix(example.tree.grids, top, 0))
+        lifted = torch.view_as_complex(lift.apply(torch.view_as_real(pooled)))
+        power.append(torch.stack([one.abs().square().mean(dim=0) for one in (lifted, pooled)]))
+        nodes.append(pooled)
+        trees.append(coarsen_features(example.tree, top))
+    true, guessed = torch.stack(energy).mean(dim=0)
+    network.energy_gain.copy_((true / guessed.clamp_min(torch.finfo(torch.float32).tiny) * guessed.sum()).sqrt())
+    share, pooled_power = torch.stack(power).mean(dim=0)
+    network.node_scale.copy_((pooled_power / 2).sqrt())  # real and imaginary part of variance one each
+    network.residual_share.copy_(RESIDUAL_SHARE * (1 - share).clamp(0, 1))
+    unit = [(pooled / network.node_scale).numpy() for pooled in nodes]
+    fitted = torch.from_numpy(fit_shares(unit, trees, rng)) * (1 - WHITE_SHARE)
+    fitted[:, 0] += WHITE_SHARE
+    network.noise_shares.copy_(fitted)
+
+
+def _energy_shares(
+    spectrum: Complex64[Tensor, "V K 3"], amplitude: Float32[Tensor, "V J 3"]
+) -> Float32[Tensor, "2 J 3"]:
+    """Energy of a tree and of its prediction, divided by the tree's total energy."""
+    energies = torch.stack([one.square().sum(dim=0) for one in (spectrum[:, 1:].abs(), amplitude)])
+    return energies / energies[0].sum()
+
+
+@torch.no_grad()
+def white_example(network: Regression, example: Example) -> WhiteExample:
+    """One tree for the denoiser's training."""
+    field, log_amplitude = whiten(network, example)
+    grids, top = example.tree.grids, network.preset.top
+    nodes = coarsen_features(example.tree, top)
+    return WhiteExample(
+        nodes=nodes,
+        wind=example.wind,
+        whitened=pool_to(field, grids, top) / network.node_scale,
+        log_amplitude=pool_to(log_amplitude, grids, top),
+        noise=noise_basis(nodes.grids, nodes.links),
+        neighbourhood=neighbourhood(nodes),
+    )

@@ -1,0 +1,229 @@
+"""`train` from end to end, with networks small enough for a test."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from typer import Typer
+from typer.testing import CliRunner
+
+from dynamictree.errors import InputError
+from dynamictree.models import load_model
+from dynamictree.models.small.denoiser import DenoiserShape
+from dynamictree.models.small.generate import SmallModel
+from dynamictree.models.small.network import SmallNetwork, SmallPreset
+from dynamictree.weights import weights_path
+from lab.commands.train import train
+from lab.dataset.sample import is_training_seed, make_sample
+from lab.dataset.shards import store, write_shard
+from lab.evaluation.baselines import fit_by_height, nearest_tree, noise_only, regression, training_tree
+from lab.evaluation.held_out_trees import iter_held_out
+from lab.small.examples import Example, iter_training, make_example
+from lab.small.train import mean_with_before
+from lab.small.training_steps import VOXELS_A_TREE, amplitude_rows, read_rows, write_rows
+from lab.small.whitening import MEASURED
+
+SEED = 1005
+
+
+@pytest.fixture(scope="module")
+def commands() -> Typer:
+    app = Typer(pretty_exceptions_enable=False)
+    app.command()(train)
+    app.callback()(lambda: None)  # so that the command keeps its name
+    return app
+
+
+@pytest.fixture(scope="module")
+def example() -> Example:
+    return make_example(SEED)
+
+
+@pytest.fixture(scope="module")
+def shards(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with one shard: three small trees for training and, between them, one that is not."""
+    folder = tmp_path_factory.mktemp("shards")
+    sample = make_sample(1, "sapling")
+    small = store(sample, resolutions=(128,))
+    trees = [replace(small, seed=1), replace(small, seed=20, split="validation")]
+    trees += [replace(small, seed=2), replace(small, seed=3)]
+    with (folder / "4dtree-00000.safetensors").open("wb") as stream:
+        write_shard(trees, stream)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def tiny() -> SmallNetwork:
+    torch.manual_seed(0)
+    return SmallNetwork(
+        SmallPreset(amplitude_width=8, amplitude_depth=1, denoiser=DenoiserShape(width=8, embedding=8, num_blocks=1))
+    )
+
+
+def test_a_dry_run_prints_the_resolved_run_and_does_nothing(commands: Typer, tmp_path: Path) -> None:
+    arguments = ["train", str(tmp_path / "run"), "--dataset", str(tmp_path), "--dry-run", "--json"]
+    plan = json.loads(CliRunner().invoke(commands, [*arguments, "--denoiser-steps", "7"]).stdout)
+    assert plan["denoiser"]["schedule"]["num_steps"] == 7
+    assert plan["preset"]["denoiser"]["width"] == DenoiserShape().width
+    paper = json.loads(CliRunner().invoke(commands, [*arguments, "--preset", "paper", "--micro-trees", "4"]).stdout)
+    assert (paper["num_steps"], paper["smoothness_from"]) == (70_000, 40_000)
+    assert (paper["batch_size"], paper["micro_trees"]) == (48, 4)
+    assert paper["preset"]["encoder_widths"] == [32, 64, 128]
+    assert paper["preset"]["prediction"] == "noise"
+    changed = CliRunner().invoke(commands, [*arguments, "--preset", "paper", "--predict", "velocity"]).stdout
+    assert json.loads(changed)["preset"]["prediction"] == "velocity"
+    assert not (tmp_path / "run").exists()
+
+
+def test_an_unknown_preset_is_refused(commands: Typer, tmp_path: Path) -> None:
+    result = CliRunner().invoke(commands, ["train", str(tmp_path), "--dataset", str(tmp_path), "--preset", "huge"])
+    assert isinstance(result.exception, InputError)
+    assert "'huge'" in str(result.exception)
+    other = CliRunner().invoke(commands, ["train", str(tmp_path), "--dataset", str(tmp_path), "--predict", "x"])
+    assert "no network predicts 'x'" in str(other.exception)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--foliage-steps", "0"], "0 steps keep a network"),
+        (["--denoiser-steps", "0"], "0 steps keep a network"),
+        (["--foliage-trees", "0", "--foliage-from", "x"], "has steps and no trees"),
+    ],
+)
+def test_a_network_without_training_must_come_from_a_file(
+    commands: Typer, tmp_path: Path, arguments: list[str], message: str
+) -> None:
+    result = CliRunner().invoke(commands, ["train", str(tmp_path), "--dataset", str(tmp_path), *arguments])
+    assert isinstance(result.exception, InputError)
+    assert message in str(result.exception)
+
+
+def test_a_folder_without_shards_is_refused_and_too_few_trees_are(
+    commands: Typer, shards: Path, tmp_path: Path
+) -> None:
+    empty = CliRunner().invoke(commands, ["train", str(tmp_path / "run"), "--dataset", str(tmp_path)])
+    assert "no shards" in str(empty.exception)
+    paths = [str(path) for path in shards.iterdir()]
+    assert [tree.seed for tree in iter_training(paths, first=1, count=2)] == [2, 3]
+    with pytest.raises(InputError, match="hold 3 trees for training; 5 are needed"):
+        list(iter_training(paths, first=1, count=4))
+
+
+def test_shards_of_several_folders_come_in_turn(
+    commands: Typer, shards: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for number in (0, 1):
+        (tmp_path / f"4dtree-{number:05d}.safetensors").write_bytes((shards / "4dtree-00000.safetensors").read_bytes())
+    order: list[str] = []
+    monkeypatch.setattr("lab.small.train.train_small", lambda plan, paths, *_, **__: order.extend(paths))
+    folders = [word for folder in (shards, tmp_path) for word in ("--dataset", str(folder))]
+    CliRunner().invoke(commands, ["train", str(tmp_path / "run"), *folders, "--json"], catch_exceptions=False)
+    assert [Path(path).parent for path in order] == [shards, tmp_path, tmp_path]
+    assert [Path(path).name[-17:-12] for path in order] == ["00000", "00000", "00001"]
+
+
+@pytest.mark.slow
+def test_training_ends_in_weights_that_load_and_goes_on_where_it_was(
+    commands: Typer, shards: Path, tmp_path: Path
+) -> None:
+    trees = [word for part in ("foliage", "amplitude", "denoiser") for word in (f"--{part}-trees", "1")]
+    steps = ["--foliage-steps", "2", "--amplitude-steps", "2"]
+    arguments = ["train", str(tmp_path), "--dataset", str(shards), *trees, *steps, "--json"]
+    result = CliRunner().invoke(commands, [*arguments, "--denoiser-steps", "1"], catch_exceptions=False)
+    weights = Path(json.loads(result.stdout)["weights"])
+    first = small_network(weights)
+    assert [path.name for path in (tmp_path / "rows").iterdir()] == ["000000.safetensors"]
+    result = CliRunner().invoke(commands, [*arguments, "--denoiser-steps", "2"], catch_exceptions=False)
+    second = small_network(weights)
+    for part in ("foliage", "amplitude"):
+        for name, value in getattr(first, part).state_dict().items():
+            assert (getattr(second, part).state_dict()[name] == value).all()
+    assert changed(first.denoiser, second.denoiser)
+    other = [*arguments[:1], str(tmp_path / "other"), *arguments[2:], "--denoiser-steps", "1"]
+    CliRunner().invoke(commands, [*other, "--denoiser-from", str(weights)], catch_exceptions=False)
+    third = small_network(tmp_path / "other" / "small.safetensors")
+    assert changed(second.denoiser, third.denoiser)
+    assert (second.denoiser.embed_frequency.weight - third.denoiser.embed_frequency.weight).abs().max() < 0.01
+
+
+@pytest.mark.slow
+def test_parts_without_steps_stay_and_the_others_go_on(commands: Typer, shards: Path, tmp_path: Path) -> None:
+    shipped = weights_path("small")
+    arguments = ["train", str(tmp_path), "--dataset", str(shards), "--foliage-trees", "0", "--amplitude-trees", "1"]
+    steps = ["--foliage-steps", "0", "--denoiser-steps", "0", "--amplitude-steps", "1"]
+    from_shipped = [word for part in ("foliage", "amplitude", "denoiser") for word in (f"--{part}-from", str(shipped))]
+    result = CliRunner().invoke(commands, [*arguments, *steps, *from_shipped, "--json"], catch_exceptions=False)
+    ours, trained = small_network(shipped), small_network(Path(json.loads(result.stdout)["weights"]))
+    for part in ("foliage", "denoiser"):
+        for name, value in getattr(ours, part).state_dict().items():
+            assert (getattr(trained, part).state_dict()[name] == value).all(), name
+    assert changed(ours.amplitude, trained.amplitude)
+    torch.testing.assert_close(trained.amplitude.mean, ours.amplitude.mean)
+    torch.testing.assert_close(trained.amplitude.sizes.weight, ours.amplitude.sizes.weight, atol=0.01, rtol=0)
+    for name in MEASURED:
+        assert (trained.get_buffer(name) == ours.get_buffer(name)).all(), name
+
+
+def test_an_amplitude_network_that_goes_on_keeps_half_of_what_it_was_but_for_saturation() -> None:
+    before, learnt = (SmallNetwork(SmallPreset(amplitude_width=8, amplitude_depth=1)) for _ in range(2))
+    torch.nn.init.normal_(learnt.amplitude.saturation.weight)
+    mean = mean_with_before(learnt.amplitude.state_dict(), before.state_dict())
+    assert mean.keys() == learnt.amplitude.state_dict().keys()
+    middle = (before.amplitude.sizes.weight + learnt.amplitude.sizes.weight) / 2
+    torch.testing.assert_close(mean["sizes.weight"], middle)
+    torch.testing.assert_close(mean["saturation.weight"], learnt.amplitude.saturation.weight)
+
+
+def small_network(weights: Path) -> SmallNetwork:
+    model = load_model(str(weights))
+    assert isinstance(model, SmallModel)
+    return model.network
+
+
+def changed(one: torch.nn.Module, other: torch.nn.Module) -> bool:
+    return any(not torch.equal(a, b) for a, b in zip(one.parameters(), other.parameters(), strict=True))
+
+
+def test_rows_round_trip_to_half_precision(tiny: SmallNetwork, example: Example, tmp_path: Path) -> None:
+    rows = amplitude_rows(tiny.foliage, [example], np.random.default_rng(0))
+    for number in (0, 1):
+        write_rows(rows, tmp_path / f"{number}.safetensors")
+    again = read_rows([tmp_path / "0.safetensors", tmp_path / "1.safetensors"])
+    assert len(rows) == VOXELS_A_TREE
+    assert len(again) == 2 * len(rows)
+    assert (again.inputs[len(rows) :] == rows.inputs).all()
+    chosen = np.random.default_rng(0).integers(0, len(example.spectrum), VOXELS_A_TREE)
+    spectrum = example.spectrum[torch.from_numpy(chosen)]
+    error = (again.spectrum(torch.arange(len(rows))) - spectrum).abs().square().sum() / spectrum.abs().square().sum()
+    assert error < 1e-6
+
+
+def test_training_seeds_are_the_datasets_own_split(example: Example) -> None:
+    seeds = range(1000, 1012)
+    assert [is_training_seed(seed) for seed in seeds] == [make_sample(seed).split == "train" for seed in seeds]
+
+
+def test_baselines_are_what_they_say(example: Example, tiny: SmallNetwork) -> None:
+    tree = next(iter_held_out("seen-species", 1))
+    own = training_tree(SEED)
+    np.testing.assert_allclose(own.spectrum, example.spectrum.numpy(), atol=1e-7)
+    by_height = fit_by_height([own])
+    rng = np.random.default_rng(0)
+    mean = by_height.spectrum(tree.voxels.grid, tree.wind, rng)
+    level = tree.voxels.grid.coords[:, 2] == 60
+    assert np.ptp(np.abs(mean[level, 1:]), axis=0).max() < 1e-6  # one spectrum a height
+    copied = nearest_tree(tree.voxels, tree.wind, [own])
+    assert len(np.unique(np.abs(copied[:, 1, 2]))) <= len(example.spectrum)
+    model = SmallModel(tiny, name="tiny")
+    alone = regression(model, tree.voxels, tree.wind, rng)
+    swings = model.prepare(tree.voxels, tree.wind).leaves.share.numpy() > 0  # and so mixes the axes
+    upright = alone[~swings, 3, 2]
+    angles = np.angle(upright[upright != 0])  # roots stand still
+    assert len(angles) > 100
+    assert np.abs(np.exp(1j * (angles - angles[0])) - 1).max() < 1e-3  # one phase a frequency and axis
+    noise = noise_only(model, tree.voxels, tree.wind, 0)
+    assert np.abs(noise_only(model, tree.voxels, tree.wind, 1) - noise).max() > 0

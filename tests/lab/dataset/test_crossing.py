@@ -1,0 +1,100 @@
+"""Crossed trees: parts of species that are for training, never of those held out."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial.distance import pdist
+
+from lab.dataset.crossing import (
+    BARE_TRUNK,
+    BRANCH_TAPER,
+    CLUMP_ASPECT,
+    CLUMPS,
+    CROSSED,
+    FLARE,
+    MAX_BRANCH,
+    MAX_LEAVES,
+    MAX_STEMS,
+    RATIO_POWER,
+    STOUTNESS,
+    TRUNK_TAPER,
+    crossed_species,
+)
+from lab.dataset.generate import Recipe, generate
+from lab.dataset.sample import Sample, make_sample
+from lab.dataset.sapling import LEAF
+from lab.dataset.species import SPECIES
+
+
+def test_parts_are_of_species_for_training_and_bounded() -> None:
+    rng = np.random.default_rng(0)
+    crossed = [one for one in (crossed_species(rng) for _ in range(300)) if one.foliage.kind != "clump"]
+    trunks = {replace(species.levels[0], taper=0.0) for species in SPECIES.values() if not species.held_out}
+    assert {replace(one.levels[0], taper=0.0) for one in crossed} <= trunks
+    assert {one.foliage.kind for one in crossed} == {"none", "leaf", "cluster", "needle"}
+    assert {len(one.levels) for one in crossed} == {2, 3, 4}
+    for one in crossed:
+        trunk, *branches = one.levels
+        assert TRUNK_TAPER[0] <= trunk.taper <= TRUNK_TAPER[1]
+        assert FLARE[0] <= one.flare <= FLARE[1]
+        assert RATIO_POWER[0] <= one.ratio_power <= RATIO_POWER[1]
+        assert all(BRANCH_TAPER[0] <= level.taper <= BRANCH_TAPER[1] for level in branches)
+        assert all(level.length <= MAX_BRANCH for level in branches)
+        assert BARE_TRUNK[0] <= one.base_size <= BARE_TRUNK[1]
+        stems = np.prod([level.count for level in one.levels[1:]])
+        assert stems <= MAX_STEMS + 1e-6
+        assert one.foliage.kind == "none" or stems * one.foliage.count <= MAX_LEAVES + 1e-6
+
+
+def test_low_poly_trees_have_few_branches_and_a_clump_each() -> None:
+    rng = np.random.default_rng(0)
+    low_poly = [one for one in (crossed_species(rng) for _ in range(300)) if one.foliage.kind == "clump"]
+    thickest = max(species.ratio for species in SPECIES.values() if not species.held_out)
+    assert 30 <= len(low_poly) <= 90
+    assert {len(one.levels) for one in low_poly} == {1, 2}
+    for one in low_poly:
+        assert one.ratio <= STOUTNESS[1] * thickest
+        assert CLUMP_ASPECT[0] <= one.foliage.aspect <= CLUMP_ASPECT[1]
+        assert all(1 <= level.count <= CLUMPS[1] for level in one.levels[1:])
+
+
+def test_clumps_are_closed_and_each_is_rigid() -> None:
+    sample = _low_poly_sample()
+    faces = sample.mesh.faces
+    crown = np.flatnonzero(sample.part == LEAF)
+    assert trimesh.Trimesh(sample.mesh.vertices, faces[np.isin(faces[:, 0], crown)], process=False).is_watertight
+    moved = sample.mesh.vertices + sample.displacement()[37]
+    for node in np.unique(sample.node[crown]):
+        own = crown[sample.node[crown] == node]
+        before, after = (pdist(where[own]) for where in (sample.mesh.vertices, moved))
+        np.testing.assert_allclose(after, before, rtol=1e-3, atol=1e-4)
+
+
+def _low_poly_sample() -> Sample:
+    """The first of the crossed trees whose foliage follows the stems' own nodes."""
+    samples = (make_sample(seed, CROSSED) for seed in range(5000, 5100))
+    return next(
+        one for one in samples if (one.part == LEAF).any() and len(one.motion.position) == len(one.skeleton.position)
+    )
+
+
+def test_a_seed_is_a_tree_and_says_that_it_is_crossed() -> None:
+    first, again, other = (make_sample(seed, CROSSED) for seed in (3, 3, 5))
+    assert first.species == CROSSED
+    assert first.split == "train"
+    np.testing.assert_array_equal(first.coefficients, again.coefficients)
+    assert first.mesh.num_vertices != other.mesh.num_vertices
+    assert make_sample(3).species in SPECIES
+
+
+@pytest.mark.parametrize("species", [None, CROSSED])
+def test_the_recipe_of_a_shard_tells_the_species_where_it_is_asked_for(species, tmp_path) -> None:
+    recipe = Recipe(trees=1, resolutions=(32,), species=species)
+    manifest = generate(recipe, tmp_path)
+    record = json.loads((tmp_path / "4dtree-00000.json").read_text())
+    assert record["recipe"].get("species") == species
+    assert (manifest["species"] == {CROSSED: 1}) == (species == CROSSED)
+    assert ("--species crossed" in (tmp_path / "README.md").read_text()) == (species == CROSSED)

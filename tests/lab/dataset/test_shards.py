@@ -1,0 +1,261 @@
+import hashlib
+import io
+import json
+import subprocess
+import sys
+import time
+from dataclasses import asdict, replace
+
+import numpy as np
+import psutil
+import pytest
+import safetensors.numpy
+
+from dynamictree.errors import FormatError, InputError
+from lab.dataset.generate import Recipe, bake_shard, generate, is_baked, manifest_of, shard_name
+from lab.dataset.limits import DatasetLimits
+from lab.dataset.sample import VALIDATION_EVERY, make_sample, split_of, voxel_spectrum
+from lab.dataset.shards import iter_shard, packed, store, to_half, unpacked, write_shard
+from lab.dataset.species import SPECIES
+
+TINY = Recipe(trees=3, trees_per_shard=2, resolutions=(32,), first_seed=40)
+
+
+@pytest.fixture(scope="module")
+def baked(tmp_path_factory):
+    """A tiny dataset, baked in this process."""
+    folder = tmp_path_factory.mktemp("4dtree")
+    for index in range(TINY.num_shards):
+        bake_shard(TINY, index, folder)
+    return folder
+
+
+def contents(folder):
+    return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
+
+
+def test_a_sample_follows_from_its_seed_alone():
+    first, second = make_sample(11), make_sample(11)
+    assert first.coefficients.tobytes() == second.coefficients.tobytes()
+    assert first.mesh.vertices.tobytes() == second.mesh.vertices.tobytes()
+    assert (first.species, first.wind, first.split) == (second.species, second.wind, second.split)
+    assert make_sample(12).wind != first.wind
+
+
+def test_species_and_wind_can_be_chosen():
+    sample = make_sample(11, "palm", wind=make_sample(1).wind)
+    assert sample.species == "palm"
+    assert sample.wind == make_sample(1).wind
+
+
+def test_an_unknown_species_or_seed_is_refused():
+    with pytest.raises(InputError, match="no species 'oak'"):
+        make_sample(0, "oak")
+    with pytest.raises(InputError, match="seed is -1"):
+        make_sample(-1)
+
+
+def test_held_out_species_are_never_trained_on():
+    for species in SPECIES.values():
+        splits = {split_of(seed, species) for seed in range(2 * VALIDATION_EVERY)}
+        assert splits == ({"unseen-species"} if species.held_out else {"train", "validation"})
+
+
+def test_a_voxel_has_the_motion_of_the_surface_inside(sapling):
+    voxels, spectrum = voxel_spectrum(sapling, 64)
+    assert spectrum.grid is voxels.grid
+    low = voxels.grid.centres_m[:, 2] < 0.01 * sapling.mesh.height_m
+    still, moving = (np.abs(spectrum.coefficients[rows]).max() for rows in (low, ~low))
+    assert still < 0.01 * moving
+    assert moving <= np.abs(sapling.coefficients).max() * 1.001
+
+
+def test_reading_undoes_writing(sapling, tmp_path):
+    stored = store(sapling, resolutions=(32, 64), vertex_spectrum=True)
+    path = tmp_path / "one.safetensors"
+    with path.open("wb") as stream:
+        write_shard([stored], stream)
+    (tree,) = iter_shard(str(path))
+    assert (tree.seed, tree.species, tree.wind, tree.split) == (7, "sapling", sapling.wind, "train")
+    np.testing.assert_array_equal(tree.tensors["vertices"], sapling.mesh.vertices)
+    np.testing.assert_array_equal(tree.tensors["faces"], sapling.mesh.faces)
+    for name, value in asdict(sapling.skeleton).items():
+        np.testing.assert_array_equal(getattr(tree.skeleton(), name), value)
+    for resolution in (32, 64):
+        voxels, spectrum = voxel_spectrum(sapling, resolution)
+        np.testing.assert_array_equal(tree.voxels(resolution).grid.coords, voxels.grid.coords)
+        assert tree.voxels(resolution).grid.origin_m == voxels.grid.origin_m
+        np.testing.assert_allclose(tree.voxels(resolution).normals, voxels.normals, atol=1e-3)
+        scale = np.abs(spectrum.coefficients).max()
+        np.testing.assert_allclose(tree.spectrum(resolution).coefficients, spectrum.coefficients, atol=1e-3 * scale)
+    np.testing.assert_allclose(unpacked(tree.tensors["vertex_spectrum"]), sapling.coefficients, atol=1e-3)
+
+
+def test_unpacking_undoes_packing(rng):
+    whole = (rng.integers(-9, 9, (4, 5, 3)) + 1j * rng.integers(-9, 9, (4, 5, 3))).astype(np.complex64)
+    np.testing.assert_array_equal(unpacked(packed(whole)), whole)
+
+
+def test_the_fast_half_is_numpys(rng):
+    scales = np.float32(10.0) ** np.arange(-12, 5, dtype=np.float32)
+    values = np.concatenate([(rng.normal(size=5000) * scale).astype(np.float32) for scale in scales])
+    values = np.concatenate([values, np.array([0.0, -0.0, 2**-14, 2**-24, 2**-25, 65503.0, 1.00048828125], np.float32)])
+    values = values[np.abs(values) < 65504]
+    np.testing.assert_array_equal(to_half(values).view(np.uint16), values.astype(np.float16).view(np.uint16))
+
+
+def test_only_the_tensors_asked_for_are_read(baked):
+    path = baked / f"{shard_name(0)}.safetensors"
+    trees = list(iter_shard(str(path), names=("r32.coords",)))
+    assert len(trees) == 2
+    assert all(set(tree.tensors) == {"r32.coords"} for tree in trees)
+
+
+def test_what_is_no_shard_is_refused(tmp_path):
+    path = tmp_path / "no.safetensors"
+    path.write_bytes(b"not at all")
+    with pytest.raises(FormatError, match="no safetensors file"):
+        list(iter_shard(str(path)))
+    path.write_bytes(safetensors.numpy.save({"a": np.zeros(1)}, metadata={"4dtree": '{"version": 99}'}))
+    with pytest.raises(FormatError, match="version 99"):
+        list(iter_shard(str(path)))
+
+
+def test_the_bytes_do_not_depend_on_the_number_of_workers(baked, tmp_path):
+    generate(TINY, tmp_path / "two", workers=2)
+    contents_of_two = contents(tmp_path / "two")
+    for name, content in contents(baked).items():
+        assert contents_of_two[name] == content, name
+
+
+def test_a_run_goes_on_where_it_was_cut_off(baked, tmp_path):
+    folder = tmp_path / "again"
+    folder.mkdir()
+    for name, content in contents(baked).items():
+        if name.startswith(shard_name(0)):
+            (folder / name).write_bytes(content)
+    (folder / f"{shard_name(1)}.safetensors").write_bytes(b"half a shard")
+    stored = (folder / f"{shard_name(0)}.safetensors").stat().st_mtime_ns
+    reports = []
+    manifest = generate(TINY, folder, on_shard=lambda done, total: reports.append((done, total)))
+    assert reports == [(2, 3), (3, 3)]
+    assert manifest["complete"]
+    assert (folder / f"{shard_name(0)}.safetensors").stat().st_mtime_ns == stored
+    for name, content in contents(baked).items():
+        assert (folder / name).read_bytes() == content
+
+
+def test_parts_share_the_work(baked, tmp_path):
+    assert not generate(TINY, tmp_path, part=(1, 2))["complete"]
+    assert not (tmp_path / f"{shard_name(0)}.safetensors").exists()
+    assert (tmp_path / f"{shard_name(1)}.safetensors").read_bytes() == contents(baked)[f"{shard_name(1)}.safetensors"]
+    for ending in (".safetensors", ".json"):
+        name = f"{shard_name(0)}{ending}"
+        (tmp_path / name).write_bytes((baked / name).read_bytes())
+    assert generate(TINY, tmp_path, part=(1, 2))["complete"]
+
+
+def test_a_part_that_does_not_exist_is_refused(tmp_path):
+    with pytest.raises(InputError, match="part is 2/2"):
+        generate(TINY, tmp_path, part=(2, 2))
+
+
+def test_the_manifest_tells_what_is_there(baked):
+    manifest = manifest_of(TINY, baked)
+    assert manifest["complete"]
+    assert manifest["trees"] == 3
+    for shard in manifest["shards"]:
+        content = (baked / shard["file"]).read_bytes()
+        assert hashlib.sha256(content).hexdigest() == shard["sha256"]
+        assert len(list(iter_shard(str(baked / shard["file"]), names=()))) == shard["trees"]
+    assert sum(manifest["species"].values()) == sum(manifest["splits"].values()) == 3
+
+
+def test_a_shard_whose_record_tells_no_measures_is_baked_anew(baked, tmp_path):
+    for ending in (".safetensors", ".json"):
+        (tmp_path / f"{shard_name(0)}{ending}").write_bytes((baked / f"{shard_name(0)}{ending}").read_bytes())
+    assert is_baked(TINY, 0, tmp_path)
+    record = json.loads((tmp_path / f"{shard_name(0)}.json").read_bytes())
+    del record["trees"][0]["measures"]
+    (tmp_path / f"{shard_name(0)}.json").write_text(json.dumps(record))
+    assert not is_baked(TINY, 0, tmp_path)
+
+
+def test_another_recipe_is_baked_anew(baked):
+    assert is_baked(TINY, 0, baked)
+    assert not is_baked(replace(TINY, resolutions=(64,)), 0, baked)
+    assert not is_baked(replace(TINY, review={40: "reject"}), 0, baked)
+    assert is_baked(replace(TINY, review={4000: "reject"}), 0, baked)  # a verdict on a tree of another shard
+
+
+def test_rejected_trees_are_replaced_by_the_next(baked, tmp_path):
+    bake_shard(replace(TINY, review={40: "reject"}), 0, tmp_path)
+    record = json.loads((tmp_path / f"{shard_name(0)}.json").read_bytes())
+    assert record["rejected"] == {"40": {"rules": ["curation"]}}
+    assert [tree["seed"] for tree in record["trees"]] == [41, 42]
+    assert record["verdicts"]["curation"] == 1
+
+
+def test_an_accepted_tree_is_stored_whatever_the_filter_says(tmp_path):
+    impossible = DatasetLimits(self_explosion=0.0)
+    recipe = replace(TINY, trees=1, limits=impossible, review={43: "accept"})
+    bake_shard(recipe, 0, tmp_path)
+    record = json.loads((tmp_path / f"{shard_name(0)}.json").read_bytes())
+    assert [tree["seed"] for tree in record["trees"]] == [43]
+    assert set(record["rejected"]) == {"40", "41", "42"}
+
+
+def test_limits_that_let_nothing_through_are_reported(tmp_path):
+    recipe = replace(TINY, trees=1, trees_per_shard=1, limits=DatasetLimits(self_explosion=0.0))
+    with pytest.raises(InputError, match="only 0 of 4 trees"):
+        bake_shard(recipe, 0, tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_card_tells_trees_rules_and_species(baked, tmp_path):
+    generate(replace(TINY, trees=2), baked)
+    card = (baked / "README.md").read_text()
+    assert "2 animated trees" in card
+    assert "| self-explosion | 0 | 0.00 % |" in card
+    assert "| 0.5 |" in card
+    assert "voxels at 32³" in card
+    options = "--trees 2 --first-seed 40 --trees-per-shard 2 --resolution 32 --high-frequency 0.001 --root-motion 0.001"
+    assert f"dynamictree dataset generate FOLDER {options} --edge-stretch 0.02 --self-explosion 0.5" in card
+
+
+def test_a_shard_can_be_written_to_any_stream(sapling):
+    first, second = io.BytesIO(), io.BytesIO()
+    for stream in (first, second):
+        write_shard([store(sapling, resolutions=(32,))], stream)
+    assert first.getvalue() == second.getvalue()
+
+
+@pytest.mark.slow
+def test_workers_end_with_a_killed_parent(tmp_path):
+    program = [
+        sys.executable,
+        "-m",
+        "dynamictree.cli",
+        "dataset",
+        "generate",
+        str(tmp_path),
+        "--trees",
+        "400",
+        "--workers",
+        "2",
+    ]
+    parent = subprocess.Popen(program, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        workers = []
+        until = time.monotonic() + 60
+        while len(workers) < 2 and time.monotonic() < until:
+            time.sleep(0.1)
+            children = psutil.Process(parent.pid).children()
+            workers = [child for child in children if "spawn_main" in " ".join(child.cmdline())]
+        assert len(workers) == 2
+    finally:
+        parent.kill()
+        parent.wait()
+    gone, alive = psutil.wait_procs(workers, timeout=60)
+    assert not alive
+    assert len(gone) == 2

@@ -1,0 +1,278 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from dynamictree.spectrum import FPS, NUM_FRAMES, NUM_FREQUENCIES, Wind, from_motion
+from lab.dataset.branching import grow_trunks
+from lab.dataset.filter import edge_stretch
+from lab.dataset.motion import vertex_spectrum
+from lab.dataset.oscillator import (
+    FREQUENCY_AT_1M_HZ,
+    MAX_LEAN_RAD,
+    answer,
+    gusts_of,
+    leaf_lean_angle,
+    lean_angle,
+    stem_bin,
+)
+from lab.dataset.rotation import carried, cross, product, to_matrix, turn_of
+from lab.dataset.sample import SPECIES, make_sample
+from lab.dataset.sapling import LEAF, grow_tree
+from lab.dataset.species import Foliage
+from lab.dataset.stats import tables_of
+from lab.dataset.wind import _bending_radius, sway, sway_stems
+
+METRE = np.ones(1, np.float32)
+
+
+def column(*values):
+    return np.array(values, np.float32)
+
+
+def test_a_quaternion_chain_is_a_matrix_chain(rng):
+    vectors = rng.normal(0, 0.4, (2, 3, 7)).astype(np.float32)
+    first, second = (turn_of(vector) for vector in vectors)
+    np.testing.assert_allclose(np.linalg.norm(first, axis=0), 1, atol=1e-6)
+    eye = np.eye(3)[:, :, None]
+    chained = np.einsum("xyn,yzn->xzn", to_matrix(first) + eye, to_matrix(second) + eye)
+    np.testing.assert_allclose(to_matrix(product(first, second)) + eye, chained, atol=1e-5)
+    point = rng.normal(0, 1, (3, 7)).astype(np.float32)
+    np.testing.assert_allclose(carried(first, point), np.einsum("xyn,yn->xn", to_matrix(first) + eye, point), atol=1e-5)
+    np.testing.assert_allclose(cross(vectors[0], point), np.cross(vectors[0].T, point.T).T, atol=1e-5)
+    small = np.float32(1e-3) * vectors[0]
+    np.testing.assert_allclose(carried(turn_of(small), point) - point, cross(small, point), atol=1e-5)
+
+
+def test_natural_frequency_falls_with_length_as_saplings_does():
+    np.testing.assert_allclose(stem_bin(column(1.0)) * FPS / NUM_FRAMES, FREQUENCY_AT_1M_HZ)
+    np.testing.assert_allclose(stem_bin(column(13.0, 1.0, 0.3)), [1.10, 3.98, 7.26], atol=0.01)  # method facts, 8
+    assert (np.diff(stem_bin(np.linspace(0.05, 15, 50, dtype=np.float32))) < 0).all()
+
+
+def test_lean_grows_with_speed_and_slenderness_and_stays_below_its_bound():
+    speeds = [lean_angle(METRE, 0.01 * METRE, speed).item() for speed in (0.0, 2.0, 5.0, 10.0, 40.0)]
+    assert speeds[0] == 0
+    assert (np.diff(speeds) > 0).all()
+    assert speeds[-1] <= MAX_LEAN_RAD
+    assert lean_angle(METRE, 0.005 * METRE, 5.0) > lean_angle(METRE, 0.02 * METRE, 5.0)
+    assert leaf_lean_angle(8.0) > leaf_lean_angle(4.0) > 0
+
+
+@pytest.mark.parametrize("damping", [0.15, 0.039])
+def test_the_answer_solves_the_oscillators_equation(rng, damping):
+    """Integrate q̈ + 2ζωq̇ + ω²q = ω²·drive − ü / L over many periods, and compare with the closed form."""
+    gusts = gusts_of(Wind(gust=0.3), rng)
+    own_bin, lean = np.array([4.3]), np.array([0.05])
+    phase = rng.uniform(0, 6, (1, NUM_FREQUENCIES - 1, 3)).astype(np.float32)
+    base = (0.01 * (rng.normal(size=phase.shape) + 1j * rng.normal(size=phase.shape))).astype(np.complex64)
+    reply = answer(gusts, lean, own_bin, phase, base, damping=damping)[0, :, 0]
+    at_rest = answer(gusts, lean, np.array([1e6]), phase, 0 * base)[0, :, 0]  # an infinitely stiff stem follows at once
+    period = NUM_FRAMES / FPS
+    omega, turns = 2 * np.pi * own_bin[0] / period, 2 * np.pi * gusts.bins / period
+
+    def slope(time, state):
+        wave = 2 * np.exp(1j * turns * time)
+        push = omega**2 * (at_rest * wave).real.sum() + (turns**2 * base[0, :, 0] * wave).real.sum()
+        return [state[1], push - 2 * damping * omega * state[1] - omega**2 * state[0]]
+
+    times = round(0.9 / damping) * period + np.linspace(0, period, 25)  # what was there at first has rung down
+    solved = solve_ivp(slope, (0, times[-1]), [0.0, 0.0], t_eval=times, rtol=1e-7, atol=1e-9).y[0]
+    expected = [(reply * 2 * np.exp(1j * turns * time)).real.sum() for time in times]
+    np.testing.assert_allclose(solved, expected, atol=2e-4 * np.abs(expected).max())
+
+
+def test_a_bare_tree_sways_faster_than_in_leaf_and_its_stems_ring():
+    """The same stems, with and without leaves."""
+    tree = grow_tree(SPECIES["birch"], np.random.default_rng(0))
+    without = replace(tree, leaves=(), species=replace(tree.species, foliage=Foliage(kind="none")))
+    leaf, bare = (sway(one, Wind(), np.random.default_rng(1)).shift for one in (tree, without))
+    leaf = leaf[:, : bare.shape[1]]  # stems come first
+    power = [(np.abs(np.fft.rfft(shift, axis=0)) ** 2).sum(axis=(1, 2))[1:NUM_FREQUENCIES] for shift in (leaf, bare)]
+    bins = np.arange(1, NUM_FREQUENCIES)
+    assert (power[1] @ bins) / power[1].sum() > (power[0] @ bins) / power[0].sum()
+    assert power[1][3:10].sum() > 2 * power[0][3:10].sum()
+
+
+def test_a_stem_answers_most_near_its_own_frequency(rng):
+    gusts = gusts_of(Wind(), rng)
+    zero = np.zeros((2, NUM_FREQUENCIES - 1, 3), np.float32)
+    reply = answer(gusts, np.full(2, 0.1), np.array([3.0, 9.0]), zero, zero.astype(np.complex64))
+    assert gusts.bins[np.abs(reply[0, :, 0]).argmax()] == 3
+    assert gusts.bins[np.abs(reply[1, :, 0]).argmax()] == 9
+
+
+def test_gusts_have_unit_variance_and_whole_bins_only_in_a_loop(rng):
+    gusts = gusts_of(Wind(), rng)
+    np.testing.assert_allclose((gusts.amplitude**2).sum() / 2, 1)
+    np.testing.assert_array_equal(gusts.bins, np.arange(1, NUM_FREQUENCIES))
+    free = gusts_of(Wind(), rng, loop=False).bins
+    assert (np.abs(free - np.round(free)) > 0.01).any()
+    assert free.min() > 0
+
+
+def test_roots_do_not_move_at_all(spreading):
+    displacement = spreading.displacement()
+    roots = spreading.mesh.vertices[:, 2] == 0
+    assert roots.any()
+    assert (displacement[:, roots] == 0).all()
+    assert (spreading.coefficients[roots] == 0).all()
+
+
+def trunk_motion(*, flare):
+    """Spectrum of the rings of a trunk of 10 m that bears nothing, [P, K, 3], and its radii above the ground."""
+    species = replace(SPECIES["palm"], flare=flare, height_m=(10.0, 10.0))
+    trunk = grow_trunks(species, np.random.default_rng(0))
+    motion = sway_stems((trunk,), Wind(), np.random.default_rng(1), bare=True)
+    return vertex_spectrum(motion, motion.position, np.arange(len(motion.position), dtype=np.int32)), trunk.radii[0, 1:]
+
+
+def test_a_flare_at_the_ground_does_not_change_how_a_trunk_sways():
+    (without, above), (flared, above_flare) = (trunk_motion(flare=flare) for flare in (0.0, 0.8))
+    np.testing.assert_allclose(above, above_flare, rtol=0.05)
+    np.testing.assert_allclose(np.abs(flared), np.abs(without), atol=0.03 * np.abs(without).max())
+
+
+def test_a_trunk_with_the_usual_flare_leans_as_by_its_radius_at_the_ground():
+    tree = grow_tree(SPECIES["round-broadleaf"], np.random.default_rng(0))
+    trunk = tree.stems[0]
+    assert _bending_radius(trunk, is_trunk=True)[0] == pytest.approx(trunk.radii[0, 0], rel=0.1)
+    branches = tree.stems[1]
+    rows = np.arange(len(branches.points))
+    np.testing.assert_array_equal(_bending_radius(branches, is_trunk=False), branches.radii[rows, branches.first])
+
+
+def test_nothing_is_torn_or_stretched(spreading, sapling):
+    for sample in (spreading, sapling):
+        displacement = sample.motion.every(9).displacement(sample.mesh.vertices, sample.node)
+        stretch = edge_stretch(sample.mesh.vertices, sample.mesh.faces, displacement, percentile=100.0)
+        assert stretch < 0.03
+
+
+def test_a_child_stays_on_its_parent(spreading):
+    """In every frame a stem's first ring keeps its distance to both parent rings beside it."""
+    skeleton = spreading.skeleton
+    first = np.flatnonzero((skeleton.parent >= 0) & (skeleton.stem != skeleton.stem[skeleton.parent]))
+    moved = skeleton.position + spreading.motion.shift[:, : len(skeleton.position)]
+    for node, rest in (
+        (skeleton.parent[first], skeleton.position),
+        (skeleton.parent[first] + 1, skeleton.position),
+    ):
+        before = np.linalg.norm(rest[first] - rest[node], axis=1)
+        after = np.linalg.norm(moved[:, first] - moved[:, node], axis=2)
+        np.testing.assert_allclose(after, np.broadcast_to(before, after.shape), atol=2e-4)
+
+
+def test_the_vertex_spectrum_is_that_of_the_motion(sapling):
+    np.testing.assert_allclose(sapling.coefficients, from_motion(sapling.displacement()), atol=1e-6)
+
+
+def leak(motion):
+    """Share of the moving energy beyond the K-th bin."""
+    power = (np.abs(np.fft.rfft(motion.shift, axis=0)) ** 2).sum(axis=(1, 2))
+    return power[NUM_FREQUENCIES:].sum() / power[1:].sum()
+
+
+def test_a_loop_stays_on_its_bins_and_a_free_motion_leaks(rng):
+    tree = grow_tree(SPECIES["birch"], np.random.default_rng(0))
+    looped = leak(sway(tree, Wind(speed_m_s=8.0), np.random.default_rng(1)))
+    free = leak(sway(tree, Wind(speed_m_s=8.0), np.random.default_rng(1), loop=False))
+    assert looped < 1e-4  # what the turns' second order couples
+    assert free > 10 * looped
+
+
+def test_a_loop_closes_and_a_free_motion_does_not():
+    tree = grow_tree(SPECIES["sapling"], np.random.default_rng(0))
+    for loop in (True, False):
+        motion = sway(tree, Wind(), np.random.default_rng(1), num_frames=NUM_FRAMES + 1, loop=loop)
+        jump = np.abs(motion.shift[-1] - motion.shift[0]).max()
+        assert (jump < 1e-5) == loop
+
+
+def test_sway_and_lean_grow_with_wind_speed():
+    tree = grow_tree(SPECIES["round-broadleaf"], np.random.default_rng(0))
+    swaying, leaning = [], []
+    for speed in (1.0, 3.0, 6.0, 10.0):
+        motion = sway(tree, Wind(speed_m_s=speed), np.random.default_rng(1))
+        swaying.append(motion.shift.std(axis=0).mean())
+        leaning.append(motion.shift.mean(axis=0)[:, 0].mean())
+    assert (np.diff(swaying) > 0).all()
+    assert (np.diff(leaning) > 0).all()
+
+
+def test_no_wind_no_motion():
+    tree = grow_tree(SPECIES["sapling"], np.random.default_rng(0))
+    motion = sway(tree, Wind(speed_m_s=0.0), np.random.default_rng(1))
+    np.testing.assert_allclose(motion.shift, 0, atol=1e-6)
+
+
+def test_gusts_drive_the_sway_and_not_the_lean():
+    tree = grow_tree(SPECIES["sapling"], np.random.default_rng(0))
+    still, gusty = (sway(tree, Wind(gust=gust), np.random.default_rng(1)).shift for gust in (0.0, 0.4))
+    assert still.std(axis=0).max() < 1e-5
+    assert gusty.std(axis=0).max() > 1e-2
+    np.testing.assert_allclose(gusty.mean(axis=0), still.mean(axis=0), atol=0.1 * np.abs(still).max())
+
+
+@pytest.mark.parametrize("direction_deg", [0.0, 90.0, 215.0])
+def test_the_tree_leans_downwind(direction_deg):
+    tree = grow_tree(SPECIES["columnar"], np.random.default_rng(0))
+    mean = sway(tree, Wind(direction_deg=direction_deg), np.random.default_rng(1)).shift.mean(axis=(0, 1))
+    heading = np.deg2rad(direction_deg)
+    downwind = mean[0] * np.cos(heading) + mean[1] * np.sin(heading)
+    assert downwind > 0.9 * np.linalg.norm(mean[:2]) > 0
+
+
+def test_tips_go_a_few_percent_of_the_height_in_a_fresh_breeze():
+    for name in ("round-broadleaf", "conical-conifer", "palm", "sapling"):
+        sample = make_sample(3, name, wind=Wind(speed_m_s=5.0))
+        farthest = np.linalg.norm(sample.displacement(), axis=2).max() / sample.mesh.height_m
+        assert 0.01 < farthest < 0.15
+
+
+def test_trunks_are_slow_twigs_faster_and_leaves_fastest():
+    table = tables_of(make_sample(2, "round-broadleaf"))
+    medians = [np.median(table.frequency_hz[table.level == depth]) for depth in range(3)]
+    assert medians[0] < medians[1] < medians[2]
+    sample = make_sample(2, "round-broadleaf")
+    energy = (np.abs(sample.coefficients[:, 1:]) ** 2).sum(axis=2)
+    pitch = (energy * np.arange(1, NUM_FREQUENCIES)).sum(axis=1) / np.maximum(energy.sum(axis=1), 1e-30)
+    trunk = pitch[(sample.part == 0) & (energy.sum(axis=1) > 0)].mean()
+    assert trunk < pitch[sample.part == LEAF].mean()
+
+
+def test_longer_stems_sway_slower_within_a_tree():
+    table = tables_of(make_sample(5, "bare-winter"))
+    order = np.argsort(table.length_m)
+    quarter = len(order) // 4
+    assert table.frequency_hz[order[:quarter]].mean() > 1.5 * table.frequency_hz[order[-quarter:]].mean()
+
+
+def test_leaves_are_rigid(sapling):
+    tree_faces = sapling.mesh.faces[(sapling.part[sapling.mesh.faces] == LEAF).all(axis=1)]
+    displacement = sapling.motion.every(10).displacement(sapling.mesh.vertices, sapling.node)
+    assert edge_stretch(sapling.mesh.vertices, tree_faces, displacement, percentile=100.0) < 1e-3
+
+
+def test_amplitude_is_fixed_by_geometry_and_phase_by_chance():
+    tree = grow_tree(SPECIES["bare-winter"], np.random.default_rng(0))
+    node = np.arange(len(sway(tree, Wind(), np.random.default_rng(0)).position), dtype=np.int32)
+    spectra = []
+    for seed in (1, 2):
+        motion = sway(tree, Wind(), np.random.default_rng(seed))
+        spectra.append(vertex_spectrum(motion, motion.position, node))
+    first, second = (np.linalg.norm(spectrum[:, 1:6], axis=2).ravel() for spectrum in spectra)
+    moving = first > np.percentile(first, 30)
+    assert np.corrcoef(np.log(first[moving]), np.log(second[moving]))[0, 1] > 0.95
+    turned = spectra[0][:, 1:6] * np.conj(spectra[1][:, 1:6])
+    assert np.std(np.angle(turned.sum(axis=(0, 2)))) > 0.3
+
+
+def test_gusts_arrive_later_downwind(rng):
+    from lab.dataset.oscillator import delay
+
+    gusts = gusts_of(Wind(speed_m_s=4.0, direction_deg=90.0), rng)
+    late = delay(gusts, np.array([[0, 0, 0], [0, 2, 0], [2, 0, 0]], np.float32))[:, :, 0]
+    np.testing.assert_allclose(late[1], 2 * np.pi * gusts.bins * FPS / NUM_FRAMES * 0.5, rtol=1e-5)
+    np.testing.assert_allclose(late[[0, 2]], 0, atol=1e-5)
