@@ -75,7 +75,6 @@ class JobRecord:
     error_message: str | None = None
     start_deadline: float | None = None
     retry_of: str | None = None
-    fresh_from: JobType | None = None  # this stage and those after it take nothing from the cache
     created_at: float
     started_at: float | None = None
     finished_at: float | None = None
@@ -92,7 +91,7 @@ class ClientKey:
 
     key: str
     body_sha256: str
-    expires_s: float | None = None  # after which the key may mean another job [s]
+    expires_s: float  # after which the key may mean another job [s]
 
 
 @dataclass(frozen=True, kw_only=True)

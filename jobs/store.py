@@ -85,8 +85,6 @@ class Store:
     ) -> tuple[JobRecord, bool]:
         """Store a new job, its stages and message in one transaction; return whether it is new.
 
-        The client's key passes from the job that is run again (`job.retry_of`) to the new one.
-
         Raises:
             GoneError: its asset has gone in the meantime.
             ReusedKeyError: the client's key means a job with another body.
@@ -104,7 +102,7 @@ class Store:
                 connection.execute(t.jobs.insert().values(**row))
             else:
                 client_key = self._own_key(client_key)
-                self._free_key(connection, client_key, job.retry_of)
+                self._free_key(connection, client_key)
                 row |= {"client_key": client_key.key, "body_sha256": client_key.body_sha256}
                 if not insert_new(connection, t.jobs, row, unique="client_key"):
                     return rows.read_job(connection, rows.same_job(connection, client_key)), False
@@ -121,9 +119,8 @@ class Store:
             ReusedKeyError: its request had another body.
         """
         client_key = self._own_key(client_key)
-        this = t.jobs.c.client_key == client_key.key
-        if client_key.expires_s is not None:
-            this &= t.jobs.c.created_at >= self.clock() - client_key.expires_s
+        fresh = t.jobs.c.created_at >= self.clock() - client_key.expires_s
+        this = (t.jobs.c.client_key == client_key.key) & fresh
         with self.reading() as connection:
             if connection.execute(sa.select(t.jobs.c.id).where(this)).one_or_none() is None:
                 return None
@@ -144,13 +141,10 @@ class Store:
                 f"{matches} of your jobs have not ended, {max_active} are allowed; wait for one, or cancel"
             )
 
-    def _free_key(self, connection: sa.Connection, client_key: ClientKey, retry_of: str | None) -> None:
-        free = t.jobs.c.id == retry_of if retry_of is not None else sa.false()
-        if client_key.expires_s is not None:
-            free |= t.jobs.c.created_at < self.clock() - client_key.expires_s
-        connection.execute(
-            t.jobs.update().where((t.jobs.c.client_key == client_key.key) & free).values(client_key=None)
-        )
+    def _free_key(self, connection: sa.Connection, client_key: ClientKey) -> None:
+        """Let a key go whose time is over."""
+        old = t.jobs.c.created_at < self.clock() - client_key.expires_s
+        connection.execute(t.jobs.update().where((t.jobs.c.client_key == client_key.key) & old).values(client_key=None))
 
     @patient
     def job(self, job_id: str) -> JobRecord:

@@ -16,11 +16,13 @@ AT_ONCE = 8  # uploads and jobs under way
 
 
 async def sway(client: AsyncClient, path: Path, folder: Path, params: AnimateParams) -> None:
-    """One tree: its job has a name made of what goes in, so sending it twice makes one job."""
+    """One tree: its job has a key made of what goes in, so sending it twice in a day makes one job."""
     asset = await client.upload(path)
     request = AnimateRequest(type="animate", asset_id=asset.id, params=params)
     digest = hashlib.sha256(request.model_dump_json().encode()).hexdigest()
-    job = await client.send(operations.put_job(f"batch-{digest}", request))
+    job = await client.create_job(request, key=f"batch-{digest}")
+    if job.state in ("failed", "aborted"):
+        job = await client.send(operations.retry_job(job.id))
     await client.download_all(await client.wait(job), folder)
 
 

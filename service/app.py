@@ -123,7 +123,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.add_exception_handler(sa.exc.OperationalError, _on_database_away)
     app.add_middleware(BodyLimit, settings=settings)
     app.add_middleware(Authentication, settings=settings)
-    app.add_middleware(Audited, settings=settings)
+    app.add_middleware(Audited)
     if settings.cors_origins:
         app.add_middleware(
             CORSMiddleware,

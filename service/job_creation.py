@@ -1,8 +1,9 @@
 """Create jobs: check the request, quotas and disk space; return the earlier job for a repeated key."""
 
+from dataclasses import replace
 from hashlib import sha256
 
-from fastapi import Response, status
+from fastapi import Response
 
 from dynamictree.photo_requests import PHOTOS_OF_VIDEO, PhotoParams
 from dynamictree.requests import AnimateParams, CloudParams, Format
@@ -26,88 +27,60 @@ from service.uploads.quota import require_bytes, require_room
 KEY_EXPIRES_S = 86400.0
 
 
-def accept(
-    owned: Owned,
-    body: JobRequest,
-    origin: RequestOrigin,
-    response: Response,
-    *,
-    key: str | None,
-    expires_s: float | None = None,
-    resume_failed: bool = False,
-) -> JobPayload:
-    """Validate a request and store its job, or return the job created with the same key.
-
-    With `resume_failed`, a job of that key that failed or was aborted is run again, and the new one takes the key.
-    """
+def accept(owned: Owned, body: JobRequest, origin: RequestOrigin, response: Response, *, key: str | None) -> JobPayload:
+    """Validate a request and store its job, or return the job created with the same key."""
     named = None
     if key is not None:
-        named = ClientKey(key=key, body_sha256=_fingerprint(body), expires_s=expires_s)
+        named = ClientKey(key=key, body_sha256=_fingerprint(body), expires_s=KEY_EXPIRES_S)
         earlier = owned.store.job_of_key(named)  # first: its asset may have gone, and the queue be full
-        if earlier is not None and resume_failed and earlier.state in (JobState.FAILED, JobState.ABORTED):
-            return _keep(owned, _again(owned, earlier, None, origin), _stage_names(earlier), named, response)
         if earlier is not None:
-            return _answer(owned, earlier, False, named, response)
+            return _answer(owned, earlier, response)
     asset, stages = require_possible(owned, body)
     return _keep(owned, _record(owned, body, asset, origin), stages, named, response)
 
 
-def accept_again(
-    owned: Owned, old: JobRecord, from_stage: JobType | None, origin: RequestOrigin, response: Response
-) -> JobPayload:
-    """Store a new job with an old one's request; stages from `from_stage` on ignore the cache.
+def accept_again(owned: Owned, old: JobRecord, origin: RequestOrigin, response: Response) -> JobPayload:
+    """Store a new job with an old one's request.
 
     Raises:
         ConflictError: the old one has not ended.
-        ProblemError: it has no such stage, or there is no place for another.
+        ProblemError: there is no place for another.
     """
     if not old.terminal:
         raise ConflictError(f"job {old.id} is {old.state}; only one that has ended can be run again")
-    stages = _stage_names(old)
-    if from_stage is not None and from_stage not in stages:
-        detail = f"job {old.id} has no stage {from_stage}; it has {', '.join(stages)}"
-        raise wrong_field("/from_stage", "unknown-stage", detail)
-    return _keep(owned, _again(owned, old, from_stage, origin), stages, None, response)
-
-
-def _stage_names(job: JobRecord) -> tuple[JobType, ...]:
-    return tuple(stage.name for stage in job.stages)
-
-
-def _again(owned: Owned, old: JobRecord, from_stage: JobType | None, origin: RequestOrigin) -> JobRecord:
     _require_place(owned)
     require_bytes(owned, 0)
-    return JobRecord(
+    again = replace(
+        old,
         id=new_id(),
-        type=old.type,
         state=JobState.QUEUED,
         asset_id=read_asset(owned.store, old.asset_id).id,
-        preset=old.preset,
-        seed=old.seed,
-        params=old.params,
-        queue=old.queue,
-        priority=old.priority,
-        webhook_id=old.webhook_id,
         request_id=origin.request_id,
         traceparent=origin.traceparent,
+        stages=(),
+        attempt=1,
+        version=1,
+        error_code=None,
+        error_message=None,
+        start_deadline=None,
         retry_of=old.id,
-        fresh_from=from_stage,
         created_at=owned.store.clock(),
+        started_at=None,
+        finished_at=None,
     )
+    return _keep(owned, again, tuple(stage.name for stage in old.stages), None, response)
 
 
 def _keep(
     owned: Owned, job: JobRecord, stages: tuple[JobType, ...], key: ClientKey | None, response: Response
 ) -> JobPayload:
     most = owned.caller.limits.get("active_jobs")
-    stored, new = owned.store.add_job(job, stages=stages, client_key=key, max_active=most)
-    return _answer(owned, stored, new, key, response)
+    stored = owned.store.add_job(job, stages=stages, client_key=key, max_active=most)[0]
+    return _answer(owned, stored, response)
 
 
-def _answer(owned: Owned, stored: JobRecord, new: bool, key: ClientKey | None, response: Response) -> JobPayload:
+def _answer(owned: Owned, stored: JobRecord, response: Response) -> JobPayload:
     response.headers["Location"] = f"/v1/jobs/{stored.id}"
-    if not new and key is not None and key.key.startswith("put:"):
-        response.status_code = status.HTTP_200_OK
     return tell(owned, stored, response)
 
 

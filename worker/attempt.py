@@ -18,13 +18,13 @@ from dynamictree.requests import CloudParams, ExportParams, GridParams, Reconstr
 from dynamictree.weights import list_weights
 from jobs.lifecycle.attempts import cached_stage, offer, publish_stage, start_stage, touch_blob
 from jobs.records import AssetRecord, JobRecord, OutputFile
-from jobs.states import JOB_TYPES, JobType
+from jobs.states import JobType
 from jobs.storage.artifacts import hash_file
 from jobs.storage.assets import read_asset
 from jobs.storage.intermediates import RESULT_SOURCES, find_intermediate, intermediate_key, remember_intermediate
 from jobs.storage.stage_files import CLOUD_BUNDLE, MESH_BUNDLE, SPECTRUM, STAGE_VERSION, VOXELS
 from worker.cancellation import Watch
-from worker.half_done import alone_in, empty, half_done_folder
+from worker.half_done import alone_in, half_done_folder
 from worker.runtime import Runtime
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ def run_stages(runtime: Runtime, watch: Watch) -> None:
             watch.check()
             outputs = _finished(runtime, job, stage.name)
             key = "" if outputs else stage_key(job, stage.name, hashes)
-            if outputs is None and not _fresh(job, stage.name):
+            if outputs is None:
                 outputs = _from_cache(runtime, watch, stage.name, key)
             if outputs is None:
                 start_stage(runtime.store, watch.claimed, stage.name)
@@ -186,7 +186,7 @@ def _recall(
         choice = CloudParams.part_of(job.params).model_dump(mode="json")
     key = intermediate_key(name, job, [file.sha256 for file in used], choice)
     find = partial(find_intermediate, runtime.store, runtime.artifacts, key)
-    file = None if _fresh(job, stage) else find()
+    file = find()
     if file is not None:
         runtime.artifacts.fetch(file.sha256, path)
     elif name == "reconstruction":
@@ -210,9 +210,7 @@ def _learn(
     job = watch.claimed.job
     folder = half_done_folder(runtime.settings, job)
     with alone_in(folder, partial(watch.report, stage, 0.0)) as waited:
-        if _fresh(job, stage) and job.attempt == 1:
-            empty(folder)
-        elif waited and (file := find()) is not None:
+        if waited and (file := find()) is not None:
             runtime.artifacts.fetch(file.sha256, path)
             return file
         make(path)
@@ -239,11 +237,6 @@ def _fetch_photos(
         runtime.artifacts.fetch(part.sha256, path)
         paths.append(path)
     return tuple(paths)
-
-
-def _fresh(job: JobRecord, stage: JobType) -> bool:
-    """Whether the client asked to run this stage anew."""
-    return job.fresh_from is not None and JOB_TYPES.index(stage) >= JOB_TYPES.index(job.fresh_from)
 
 
 def _finished(runtime: Runtime, job: JobRecord, stage: JobType) -> tuple[OutputFile, ...] | None:

@@ -62,12 +62,6 @@ def alone_in(folder: Path, wait: Callable[[], None]) -> Iterator[bool]:
         _delete(folder)
 
 
-def empty(folder: Path) -> None:
-    """Delete what is in a folder that `alone_in` gave."""
-    shutil.rmtree(folder)
-    folder.mkdir()
-
-
 def discard(folder: Path) -> None:
     """Delete a folder, unless a job is at work there."""
     lock = _taken(folder)

@@ -159,13 +159,12 @@ class AsyncClient:
         )
         return await self.create_job(request)
 
-    async def create_job(self, request: Any, *, key: str | None = None, resume_failed: bool = False) -> Job:
+    async def create_job(self, request: Any, *, key: str | None = None) -> Job:
         """Create a job; the request is repeated with the same key if the answer is lost.
 
-        With a key of your own the same job answers for a day, also to another process; with `resume_failed` a job of
-        that key that failed is run again.
+        With a key of your own the same job answers for a day, also to another process.
         """
-        call = operations.create_job(request, idempotency_key=key or uuid4().hex, resume_failed=resume_failed or None)
+        call = operations.create_job(request, idempotency_key=key or uuid4().hex)
         job = await self.send(call)
         assert isinstance(job, Job)  # an estimate only comes where one is asked for
         return job

@@ -621,13 +621,6 @@ class Result(Model):
     artifacts_url: str
 
 
-class RetryRequest(Model):
-    """How to run a job again."""
-
-    # this stage and those after it run anew; without it, what is cached is taken
-    from_stage: Literal["reconstruct", "voxelize", "diffuse", "animate"] | None = None
-
-
 class Scribble(Model):
     """A stroke on a photo, or a click, that says what is seen under it."""
 

@@ -31,7 +31,6 @@ from dynamictree_client.models import (
     PresetList,
     Ready,
     ReconstructRequest,
-    RetryRequest,
     Spectrum,
     TurbulentWind,
     Upload,
@@ -147,7 +146,6 @@ def create_job(
     body: ReconstructRequest | VoxelizeRequest | DiffuseRequest | AnimateRequest,
     *,
     validate_only: bool | None = None,
-    resume_failed: bool | None = None,
     idempotency_key: str | None = None,
 ) -> Call[Job | Estimate]:
     """Create a job for voxels, a spectrum, a motion, or a mesh of photos. Earlier stages run first or are cached."""
@@ -155,7 +153,7 @@ def create_job(
         method="POST",
         path="/v1/jobs",
         answer=Job | Estimate,
-        query={"validate_only": validate_only, "resume_failed": resume_failed},
+        query={"validate_only": validate_only},
         headers={"idempotency-key": idempotency_key},
         body=body,
     )
@@ -177,20 +175,9 @@ def list_jobs(
     )
 
 
-def put_job(
-    id: str,
-    body: ReconstructRequest | VoxelizeRequest | DiffuseRequest | AnimateRequest,
-    *,
-    resume_failed: bool | None = None,
-) -> Call[Job]:
-    """Create a job under a name of the client's; sending it again is harmless. The job's id is in the answer."""
-    return Call(
-        method="PUT",
-        path=path_of("/v1/jobs/{id}", {"id": id}),
-        answer=Job,
-        query={"resume_failed": resume_failed},
-        body=body,
-    )
+def retry_job(id: str) -> Call[Job]:
+    """Run a job that has ended again, as a new job; stages that finished are taken from the cache."""
+    return Call(method="POST", path=path_of("/v1/jobs/{id}/retry", {"id": id}), answer=Job)
 
 
 def get_job(id: str, *, if_none_match: str | None = None, prefer: str | None = None) -> Call[Job]:
@@ -208,11 +195,6 @@ def get_job(id: str, *, if_none_match: str | None = None, prefer: str | None = N
 def delete_job(id: str) -> Call[None]:
     """Forget a job that has ended, its log and its files. Other jobs keep what they share with it."""
     return Call(method="DELETE", path=path_of("/v1/jobs/{id}", {"id": id}), answer=None)
-
-
-def retry_job(id: str, body: RetryRequest | None = None) -> Call[Job]:
-    """Run a job that has ended again, as a new job."""
-    return Call(method="POST", path=path_of("/v1/jobs/{id}/retry", {"id": id}), answer=Job, body=body)
 
 
 def cancel_job(id: str) -> Call[Job]:

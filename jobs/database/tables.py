@@ -68,7 +68,7 @@ jobs = sa.Table(
     sa.Column("body_sha256", _hash),
     sa.Column("start_deadline", sa.Double),
     sa.Column("retry_of", _id),
-    sa.Column("fresh_from", sa.String(16)),  # this stage and those after it take nothing from the cache
+    sa.Column("fresh_from", sa.String(16)),  # unused; revisions only add
     sa.Column("created_at", sa.Double, nullable=False, index=True),
     sa.Column("started_at", sa.Double),
     sa.Column("finished_at", sa.Double, index=True),

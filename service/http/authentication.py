@@ -32,7 +32,6 @@ FORWARDED = ("forwarded", "x-forwarded-", "x-real-ip", "via", "cf-connecting-ip"
 LINK_HEADERS = {"Access-Control-Allow-Origin": "*", "Cross-Origin-Resource-Policy": "cross-origin"}
 """Of an answer to a signed link, which is the permission itself: a page of any site may show the file."""
 
-OVERRIDABLE = frozenset({"PATCH", "DELETE"})
 POLICY_VIOLATION = 1008
 PROTOCOL_KEY = "bearer."
 
@@ -53,7 +52,6 @@ class Authentication:
             return
         standing: Standing | None = None
         try:
-            _override_method(scope)
             caller = await self._caller(scope)
             policy = policy_of(scope.get("method", "GET"), scope["path"])
             standing = None if self._limiter is None else await self._limiter.count(caller, policy)
@@ -150,13 +148,6 @@ def _address(text: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
         return ipaddress.ip_address(text)
     except ValueError:
         return None
-
-
-def _override_method(scope: Scope) -> None:
-    """What tus asks for clients whose network lets neither PATCH nor DELETE through."""
-    override = Headers(scope=scope).get("x-http-method-override", "").upper()
-    if scope.get("method") == "POST" and override in OVERRIDABLE and scope["path"].startswith("/v1/uploads/"):
-        scope["method"] = override
 
 
 def _bearer(headers: Headers) -> str:

@@ -21,7 +21,7 @@ SECURITY_HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Content-Security-Policy": "default-src 'none'; frame-ancestors 'none'",
 }
-API_VERSION = "1.2"
+API_VERSION = "1.3"
 """Of the HTTP contract, not of the program. The second number is raised with each addition: docs/api-changes.md."""
 
 TUS_VERSION = "1.0.0"

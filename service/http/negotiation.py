@@ -6,7 +6,6 @@ from service.http.problems import ProblemError
 
 JSON = "application/json"
 SAFETENSORS = "application/vnd.safetensors"
-NPZ = "application/x-npz"
 
 
 def chosen(accept: str | None, offered: Sequence[str]) -> str:

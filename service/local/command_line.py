@@ -1,6 +1,5 @@
-"""Shared by the commands of operators: options, settings, one-line errors, audit."""
+"""Shared by the commands of operators: options, settings, one-line errors."""
 
-import getpass
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -9,7 +8,6 @@ from typing import Annotated, NoReturn
 import sqlalchemy as sa
 import typer
 
-from jobs.audit import audit_log
 from jobs.errors import JobsError
 from jobs.settings import Settings, read_settings
 
@@ -25,13 +23,6 @@ def settings_of(**given: object) -> Settings:
         SettingsError: a value is not allowed.
     """
     return read_settings(**{name: value for name, value in given.items() if value is not None})
-
-
-def audit(action: str, state_dir: Path | None, *, target: str, owner: str = "") -> None:
-    """Write what an operator did to the audit log of this machine's state folder."""
-    settings = settings_of(state_dir=state_dir)
-    log = audit_log(settings.state_dir, settings.audit_log_bytes)
-    log.write(action, actor=f"operator:{getpass.getuser()}", target=target, owner=owner)
 
 
 @contextmanager

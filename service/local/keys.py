@@ -12,7 +12,7 @@ import typer
 from jobs.clients.keys import LIMITS, SCOPES, KeyRecord, Limit, Scope, create_key, revoke_key
 from jobs.clients.keys import keys as all_keys
 from jobs.store import Store
-from service.local.command_line import StateDir, audit, one_line, settings_of
+from service.local.command_line import StateDir, one_line, settings_of
 
 app = typer.Typer(no_args_is_help=True, help="Make API keys, list them, revoke them.")
 
@@ -41,7 +41,6 @@ def create(
     with _store(state_dir) as store:
         expires_s = None if expires_days is None else expires_days * 86400
         record, key = create_key(store, name=name, owner=owner, scopes=scopes, limits=limits, expires_s=expires_s)
-    audit("keys create", state_dir, target=record.id, owner=record.owner)
     if as_json:
         typer.echo(json.dumps({"id": record.id, "owner": record.owner, "key": key}))
         return
@@ -69,7 +68,6 @@ def revoke(key_id: Annotated[str, typer.Argument(help="as `keys list` shows it")
     """Let a key open nothing any more, within two seconds."""
     with _store(state_dir) as store:
         revoke_key(store, key_id)
-    audit("keys revoke", state_dir, target=key_id)
 
 
 def _key_facts(key: KeyRecord) -> dict[str, object]:

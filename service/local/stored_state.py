@@ -18,7 +18,7 @@ from jobs.storage.erasure import erase_owner
 from jobs.storage.scrub import scrub as read_again
 from jobs.storage.upload_parts import open_parts
 from jobs.store import Store
-from service.local.command_line import StateDir, audit, one_line, settings_of
+from service.local.command_line import StateDir, one_line, settings_of
 
 Folder = Annotated[Path, typer.Argument(help="folder of the backup")]
 
@@ -27,7 +27,6 @@ def backup(folder: Folder, state_dir: StateDir = None) -> None:
     """Save database and bytes into a folder, while the service runs. Bytes that are there already are not copied."""
     with _opened("backup", state_dir) as (store, artifacts):
         report = back_up(store, artifacts, folder)
-    audit("backup", state_dir, target=str(folder))
     typer.echo(json.dumps(asdict(report)))
     if report.damaged:
         typer.echo(f"{len(report.damaged)} files are missing or damaged, and are not in the backup", err=True)
@@ -38,7 +37,6 @@ def restore(folder: Folder, state_dir: StateDir = None) -> None:
     """Fill an empty state with a backup. Stop the service first; jobs that ran are begun anew."""
     with _opened("restore", state_dir, must_exist=False) as (store, artifacts):
         report = restore_backup(store, artifacts, folder)
-    audit("restore", state_dir, target=str(folder))
     typer.echo(json.dumps(asdict(report)))
 
 
@@ -63,7 +61,6 @@ def erase(
         settings = settings_of(state_dir=state_dir)
         parts = open_parts(settings.resolved_artifacts_url, credentials=settings.s3_credentials)
         report = erase_owner(store, artifacts, parts, owner)
-    audit("erase", state_dir, target=owner)
     typer.echo(json.dumps(asdict(report)))
 
 

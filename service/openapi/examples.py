@@ -34,8 +34,6 @@ _PULL_AND_RELEASE = {
 
 REQUESTS: dict[str, dict[str, Any]] = {
     "createJob": _JOB_REQUESTS,
-    "putJob": _JOB_REQUESTS,
-    "retryJob": {"anew": {"summary": "Other chance from the spectrum on", "value": {"from_stage": "diffuse"}}},
     "createAsset": {
         "uploads": {"summary": "Of uploads that are whole", "value": {"upload_ids": [_FILE]}},
         "address": {"summary": "From an address", "value": {"url": "https://example.com/tree.glb", "sha256": _SHA}},

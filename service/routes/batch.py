@@ -8,7 +8,7 @@ from pydantic import Field
 from service.http.problems import REFUSALS, problem_body, problem_of, request_id_of
 from service.http.request_context import Origin, RequestOrigin
 from service.http.routing import refusals
-from service.job_creation import KEY_EXPIRES_S, accept
+from service.job_creation import accept
 from service.schemas.base import Payload, Problem
 from service.schemas.job_requests import JobRequest
 from service.schemas.jobs import JobPayload
@@ -68,7 +68,7 @@ def _one(
     owned: Owned, wanted: JobRequest, origin: RequestOrigin, key: str | None, request: Request
 ) -> BatchItemPayload:
     try:
-        payload = accept(owned, wanted, origin, Response(), key=key, expires_s=KEY_EXPIRES_S)
+        payload = accept(owned, wanted, origin, Response(), key=key)
     except REFUSALS as error:
         refusal = problem_of(error)
         body = problem_body(

@@ -5,7 +5,6 @@ import json
 import logging
 from collections.abc import Iterator
 from contextlib import AsyncExitStack
-from io import BytesIO
 from typing import Annotated
 
 import numpy as np
@@ -26,7 +25,7 @@ from dynamictree.modal.locality import chosen_falloff_m
 from dynamictree.modal.response import Start, answer_tensors, group_forces, respond, with_bin_zero
 from dynamictree.modal.step import State
 from dynamictree.modal.system import ModalSystem, with_physics
-from service.http.negotiation import JSON, NPZ, SAFETENSORS, chosen
+from service.http.negotiation import JSON, SAFETENSORS, chosen
 from service.http.problems import ProblemError
 from service.http.routing import refusals
 from service.interact.forces import (
@@ -110,13 +109,13 @@ class InteractPayload(Payload):
     | {
         200: {
             "description": "modal coordinates; voxels, vertices and gaussians in binary only (see docs/interaction.md)",
-            "content": {kind: {"schema": {"type": "string", "format": "binary"}} for kind in (SAFETENSORS, NPZ)},
+            "content": {SAFETENSORS: {"schema": {"type": "string", "format": "binary"}}},
         }
     },
 )
 async def interact(body: InteractRequest, owned: OwnedDep, accept: Annotated[str | None, Header()] = None) -> Response:
     """Push a tree, and read how it swings."""
-    offered = (JSON, SAFETENSORS, NPZ) if body.output == "modal" else (SAFETENSORS, NPZ)
+    offered = (JSON, SAFETENSORS) if body.output == "modal" else (SAFETENSORS,)
     media_type = chosen(accept, offered)
     ready = living_tree(owned, body.spectrum_id)
     if ready is not None and _is_short(body):
@@ -182,7 +181,7 @@ def _response(body: InteractRequest, ready: ReadyTree, owned: Owned, media_type:
         arrays |= _gaussians(body, ready, owned, answer)
     elif body.output != "modal":
         arrays["displacement"] = _displacement(body, ready, owned, answer)
-    return Response(_packed(arrays, _facts(body, system), media_type), 200, None, media_type)
+    return Response(_packed(arrays, _facts(body, system)), 200, None, media_type)
 
 
 def answer_of(body: InteractRequest, ready: ReadyTree, owned: Owned) -> tuple[ModalSystem, Answer]:
@@ -299,10 +298,6 @@ def _interact_payload(body: InteractRequest, system: ModalSystem, answer: Answer
     }
 
 
-def _packed(arrays: dict[str, np.ndarray], facts: dict[str, object], media_type: str) -> bytes:
-    coordinates = {name: value if isinstance(value, str) else json.dumps(value) for name, value in facts.items()}
-    if media_type == SAFETENSORS:
-        return save({name: np.ascontiguousarray(array) for name, array in arrays.items()}, coordinates)
-    stream = BytesIO()
-    np.savez(stream, allow_pickle=False, **arrays, facts=np.array(json.dumps(coordinates)))
-    return stream.getvalue()
+def _packed(arrays: dict[str, np.ndarray], facts: dict[str, object]) -> bytes:
+    header = {name: value if isinstance(value, str) else json.dumps(value) for name, value in facts.items()}
+    return save({name: np.ascontiguousarray(array) for name, array in arrays.items()}, header)

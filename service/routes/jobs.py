@@ -3,18 +3,17 @@
 import time
 from typing import Annotated
 
-from fastapi import APIRouter, Header, Path, Query, Request, Response, status
+from fastapi import APIRouter, Header, Query, Request, Response, status
 from starlette.concurrency import run_in_threadpool
 
-from jobs.errors import ConflictError, ReusedKeyError
 from jobs.states import JobState, JobType
 from service.http.prefer_wait import WaitS
 from service.http.ranges import matches
 from service.http.request_context import Origin
 from service.http.routing import Cursor, Id, headers, refusals
-from service.job_creation import KEY_EXPIRES_S, accept, accept_again, format_bytes, require_possible
+from service.job_creation import accept, accept_again, format_bytes, require_possible
 from service.job_responses import listed, look, tell
-from service.schemas.job_requests import JobRequest, RetryRequest
+from service.schemas.job_requests import JobRequest
 from service.schemas.jobs import (
     EstimatePayload,
     JobListPayload,
@@ -31,10 +30,6 @@ router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 MAX_PAGE = 100
 _QUOTAS = ("forbidden", "quota-exceeded", "too-many-active-jobs")
 _REFUSALS = ("not-found", "conflict", "expired", "idempotency-key-reused", "queue-full", "disk-full", *_QUOTAS)
-ResumeFailed = Annotated[
-    bool,
-    Query(description="if the job of this key failed or was aborted, run it again as a new job that takes the key"),
-]
 _ACCEPTED = {
     "description": "Accepted",
     **headers(Location="the job", Retry_After="seconds until it is worth a look"),
@@ -60,7 +55,6 @@ def create_job(
     idempotency_key: Annotated[
         str | None, Header(min_length=1, max_length=128, description="the same key within 24 h gives the same job")
     ] = None,
-    resume_failed: ResumeFailed = False,
 ) -> JobPayload | Response:
     """Create a job for voxels, a spectrum, a motion, or a mesh of photos. Earlier stages run first or are cached."""
     if validate_only:
@@ -72,31 +66,7 @@ def create_job(
         )
         return Response(estimate.model_dump_json(), media_type="application/json")
     key = None if idempotency_key is None else f"post:{idempotency_key}"
-    return accept(owned, body, origin, response, key=key, expires_s=KEY_EXPIRES_S, resume_failed=resume_failed)
-
-
-@router.put(
-    "/{id}",
-    operation_id="putJob",
-    status_code=status.HTTP_202_ACCEPTED,
-    responses=refusals(*_REFUSALS)
-    | {200: {"description": "The same was sent before; the same job", "model": JobPayload}, 202: _ACCEPTED},
-)
-def put_job(
-    client_id: Annotated[
-        str, Path(alias="id", pattern=r"^[A-Za-z0-9._-]{1,128}$", description="the client's own name for the job")
-    ],
-    body: JobRequest,
-    response: Response,
-    owned: OwnedDep,
-    origin: Origin,
-    resume_failed: ResumeFailed = False,
-) -> JobPayload:
-    """Create a job under a name of the client's; sending it again is harmless. The job's id is in the answer."""
-    try:
-        return accept(owned, body, origin, response, key=f"put:{client_id}", resume_failed=resume_failed)
-    except ReusedKeyError as error:
-        raise ConflictError(str(error)) from error
+    return accept(owned, body, origin, response, key=key)
 
 
 @router.post(
@@ -105,12 +75,9 @@ def put_job(
     status_code=status.HTTP_202_ACCEPTED,
     responses=refusals(*_REFUSALS) | {202: _ACCEPTED},
 )
-def retry_job(
-    id: Id, response: Response, owned: OwnedDep, origin: Origin, body: RetryRequest | None = None
-) -> JobPayload:
-    """Run a job that has ended again, as a new job."""
-    from_stage = body.from_stage if body is not None else None
-    return accept_again(owned, owned.store.job(id), from_stage, origin, response)
+def retry_job(id: Id, response: Response, owned: OwnedDep, origin: Origin) -> JobPayload:
+    """Run a job that has ended again, as a new job; stages that finished are taken from the cache."""
+    return accept_again(owned, owned.store.job(id), origin, response)
 
 
 @router.get("", operation_id="listJobs", responses=refusals())

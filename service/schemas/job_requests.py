@@ -5,8 +5,8 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from dynamictree.requests import AnimateParams, DiffuseParams, ModelParams, ReconstructParams, VoxelizeParams
-from jobs.states import JobType, Priority
-from service.schemas.base import ULID_PATTERN, Payload
+from jobs.states import Priority
+from service.schemas.base import ULID_PATTERN
 
 
 class _JobRequest(ModelParams):
@@ -53,11 +53,3 @@ class AnimateRequest(_JobRequest):
 JobRequest = Annotated[
     ReconstructRequest | VoxelizeRequest | DiffuseRequest | AnimateRequest, Field(discriminator="type")
 ]
-
-
-class RetryRequest(Payload):
-    """How to run a job again."""
-
-    from_stage: JobType | None = Field(
-        default=None, description="this stage and those after it run anew; without it, what is cached is taken"
-    )

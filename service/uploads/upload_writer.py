@@ -7,7 +7,6 @@ import hashlib
 import time
 from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
-from typing import Protocol
 
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect
@@ -25,42 +24,24 @@ LOOK_S = 0.5
 """How often a request asks whether another one has taken over, which matters where there are several replicas."""
 
 TAKE_OVER_S = 5.0
-CHECKSUMS = ("sha1", "sha256")
+CHECKSUM = "sha256"
 
 
-class Hash(Protocol):
-    """Protocol of hashlib's hash objects."""
+def expected_sha256(header: str | None) -> bytes | None:
+    """The checksum that a client declares for one PATCH by `Upload-Checksum`; None without that header.
 
-    def update(self, content: bytes, /) -> None:
-        """Add bytes to the hash."""
-
-    def digest(self) -> bytes:
-        """Give the hash so far."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Checksum:
-    """Checksum that the client declares for one PATCH."""
-
-    algorithm: str
-    expected: bytes
-
-    @classmethod
-    def of_header(cls, header: str | None) -> "Checksum | None":
-        """Read `Upload-Checksum`.
-
-        Raises:
-            ProblemError: it cannot be read, or names no algorithm that is known.
-        """
-        if header is None:
-            return None
-        algorithm, _, encoded = header.strip().partition(" ")
-        if algorithm not in CHECKSUMS:
-            raise ProblemError("bad-request", f"Upload-Checksum names {algorithm!r}; {', '.join(CHECKSUMS)} are known")
-        try:
-            return cls(algorithm=algorithm, expected=base64.b64decode(encoded, validate=True))
-        except (binascii.Error, ValueError) as error:
-            raise ProblemError("bad-request", "Upload-Checksum is ALGORITHM and base64; it cannot be read") from error
+    Raises:
+        ProblemError: it cannot be read, or is of another algorithm.
+    """
+    if header is None:
+        return None
+    algorithm, _, encoded = header.strip().partition(" ")
+    if algorithm != CHECKSUM:
+        raise ProblemError("bad-request", f"Upload-Checksum names {algorithm!r}; {CHECKSUM} is known")
+    try:
+        return base64.b64decode(encoded, validate=True)
+    except (binascii.Error, ValueError) as error:
+        raise ProblemError("bad-request", f"Upload-Checksum is {CHECKSUM} and base64; it cannot be read") from error
 
 
 def stands_elsewhere(offset: int, size: int) -> ProblemError:
@@ -72,7 +53,7 @@ def stands_elsewhere(offset: int, size: int) -> ProblemError:
 class UploadWriter:
     """Appends the body of one request to one upload."""
 
-    def __init__(self, store: Store, parts: PartStore, record: UploadRecord, checksum: Checksum | None) -> None:
+    def __init__(self, store: Store, parts: PartStore, record: UploadRecord, checksum: bytes | None) -> None:
         assert record.length is not None
         self.store = store
         self.parts = parts
@@ -80,7 +61,7 @@ class UploadWriter:
         self.length = record.length
         self.checksum = checksum
         self.token = hashlib.sha256(f"{record.id}{time.monotonic_ns()}{id(self)}".encode()).hexdigest()
-        self.digest: Hash | None = None if checksum is None else hashlib.new(checksum.algorithm)
+        self.digest = None if checksum is None else hashlib.sha256()
 
     async def append(self, body: AsyncIterator[bytes], offset: int) -> int:
         """Write the body; keep or discard it at the end."""
@@ -159,7 +140,7 @@ class UploadWriter:
 
     async def _close(self, writer: PartWriter, whole: bool) -> None:
         checked = self.digest is None or self.checksum is None
-        if checked or (whole and self.digest.digest() == self.checksum.expected):  # type: ignore[union-attr]
+        if checked or (whole and self.digest.digest() == self.checksum):  # type: ignore[union-attr]
             try:
                 await run_in_threadpool(writer.keep)
             except BlockingIOError as error:

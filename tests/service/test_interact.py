@@ -2,7 +2,6 @@
 
 # ruff: noqa: F811
 
-import io
 import json
 
 import numpy as np
@@ -23,6 +22,7 @@ from jobs.settings import Settings
 from jobs.storage.assets import delete_asset
 from service.app import create_app
 from service.http.caller import ANYONE
+from service.http.negotiation import SAFETENSORS
 from service.interact.forces import MAX_FORCES
 from service.interact.ready_tree import ReadyTree, bone_ties, vertex_frames
 from service.interact.tree_cache import living_tree
@@ -70,11 +70,10 @@ def test_the_same_request_gives_the_same_bytes(client: TestClient, spectrum_id: 
     assert post(client, spectrum_id, poke).content == post(client, spectrum_id, poke).content
 
 
-@pytest.mark.parametrize("media_type", ["application/vnd.safetensors", "application/x-npz"])
-def test_binary_and_json_say_the_same(client: TestClient, spectrum_id: str, poke: dict, media_type: str) -> None:
+def test_binary_and_json_say_the_same(client: TestClient, spectrum_id: str, poke: dict) -> None:
     payload = post(client, spectrum_id, poke, accept="application/json").json()
-    response = post(client, spectrum_id, poke, accept=media_type)
-    assert response.headers["Content-Type"] == media_type
+    response = post(client, spectrum_id, poke, accept=SAFETENSORS)
+    assert response.headers["Content-Type"] == SAFETENSORS
     arrays = read_binary(response)
     np.testing.assert_allclose(arrays["q"][0] @ [1, 1j], coordinates(payload["groups"][0]), rtol=1e-12)
     final = payload["final_state"]["groups"][0]
@@ -85,9 +84,6 @@ def test_binary_and_json_say_the_same(client: TestClient, spectrum_id: str, poke
 
 def read_binary(response) -> dict[str, np.ndarray]:
     assert response.status_code == 200, response.text
-    if response.headers["Content-Type"] == "application/x-npz":
-        with np.load(io.BytesIO(response.content), allow_pickle=False) as arrays:
-            return dict(arrays)
     return load(response.content)
 
 
@@ -185,7 +181,7 @@ def test_a_broken_accept_is_refused(client: TestClient, spectrum_id: str, poke: 
     [
         (None, "application/json"),
         ("*/*", "application/json"),
-        ("application/json;q=0.5, application/x-npz", "application/x-npz"),
+        ("application/json;q=0.5, application/vnd.safetensors", "application/vnd.safetensors"),
         ("application/*;q=0.1, application/vnd.safetensors;q=0.2", "application/vnd.safetensors"),
         ("*/*, application/json;q=0", "application/vnd.safetensors"),
     ],

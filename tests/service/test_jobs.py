@@ -199,59 +199,15 @@ def test_an_idempotency_key_makes_one_job(client: TestClient, asset: AssetRecord
     assert later.json()["id"] != first.json()["id"]
 
 
-@pytest.mark.parametrize(
-    ("method", "url", "headers", "repeated"),
-    [("POST", "/v1/jobs", {"Idempotency-Key": "k"}, 202), ("PUT", "/v1/jobs/my-tree", {}, 200)],
-)
-def test_the_key_of_a_failed_job_resumes_it_only_if_asked(
-    client: TestClient,
-    asset: AssetRecord,
-    services: Services,
-    method: str,
-    url: str,
-    headers: dict[str, str],
-    repeated: int,
-) -> None:
-    def send(**query: bool) -> tuple[int, dict[str, object]]:
-        body = {"type": "voxelize", "asset_id": asset.id, "seed": 4}
-        response = client.request(method, url, json=body, headers=headers, params=query)
-        return response.status_code, response.json()
-
-    first = send()[1]
-    assert send(resume_failed=True)[1]["id"] == first["id"]  # it has not failed
-    fail(services.store, hold(services, str(first["id"])), code="out-of-memory", message="found, allowed")
-    assert send()[1]["id"] == first["id"]
-    code, second = send(resume_failed=True)
-    assert (code, second["retry_of"], second["seed"], second["state"]) == (202, first["id"], 4, "queued")
-    for query in ({}, {"resume_failed": True}):
-        code, third = send(**query)
-        assert (code, third["id"]) == (repeated, second["id"])
-    assert services.store.job(str(first["id"])).state == "failed"
-
-
-def test_putting_a_job_twice_makes_one(client: TestClient, asset: AssetRecord) -> None:
-    body = {"type": "voxelize", "asset_id": asset.id}
-    first, again = (client.put("/v1/jobs/my-tree.1", json=body) for _ in range(2))
-    assert (first.status_code, again.status_code) == (202, 200)
-    assert first.json() == again.json()
-    assert first.headers["Location"] == again.headers["Location"] == f"/v1/jobs/{first.json()['id']}"
-    assert client.put("/v1/jobs/my-tree.1", json=body | {"seed": 5}).json()["code"] == "conflict"
-    assert client.put("/v1/jobs/my-tree.2", json=body).json()["id"] != first.json()["id"]
-    assert client.put("/v1/jobs/my%20tree", json=body).status_code == 422
-
-
 def test_an_ended_job_runs_again_as_a_new_one(client: TestClient, asset: AssetRecord, services: Services) -> None:
     old = create(client, asset, seed=3)
     url = f"/v1/jobs/{old['id']}/retry"
     assert client.post(url).status_code == 409
     fail(services.store, hold(services, str(old["id"])), code="out-of-memory", message="found, allowed")
-    new = client.post(url, json={"from_stage": "voxelize"})
+    new = client.post(url)
     assert new.status_code == 202
     assert (new.json()["retry_of"], new.json()["seed"]) == (old["id"], 3)
-    assert services.store.job(new.json()["id"]).fresh_from == "voxelize"
-    assert services.store.job(client.post(url).json()["id"]).fresh_from is None
-    unknown = client.post(url, json={"from_stage": "animate"})
-    assert [error["pointer"] for error in unknown.json()["errors"]] == ["/from_stage"]
+    assert (new.json()["state"], new.json()["error"], new.json()["attempt"]) == ("queued", None, 1)
 
 
 def test_a_request_can_be_tried_first(client: TestClient, asset: AssetRecord, services: Services) -> None:

@@ -62,12 +62,10 @@ def add_job(
     runtime: Runtime,
     asset: AssetRecord,
     job_type: JobType = "voxelize",
-    *,
-    fresh_from: JobType | None = None,
     **params: object,
 ) -> JobRecord:
     given = PARAMS[job_type] | params  # type: ignore[operator]
-    job = job_row(asset, job_type, now=runtime.store.clock(), params=given, fresh_from=fresh_from)
+    job = job_row(asset, job_type, now=runtime.store.clock(), params=given)
     return runtime.store.add_job(job, stages=stages_of(job_type, asset.kind))[0]
 
 

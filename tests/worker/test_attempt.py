@@ -104,13 +104,6 @@ def test_the_same_stage_runs_once(runtime: Runtime, asset: AssetRecord) -> None:
     assert content(runtime, other.id, VOXELS) != content(runtime, first.id, VOXELS)
 
 
-def test_a_stage_runs_anew_where_that_is_asked(runtime: Runtime, asset: AssetRecord) -> None:
-    run(runtime, hold(runtime, add_job(runtime, asset)))
-    job = add_job(runtime, asset, fresh_from="voxelize")
-    run(runtime, hold(runtime, job))
-    assert not runtime.store.job(job.id).stages[0].cached
-
-
 def test_a_cached_stage_whose_bytes_are_gone_runs_again(runtime: Runtime, asset: AssetRecord) -> None:
     first, second = add_job(runtime, asset), add_job(runtime, asset)
     run(runtime, hold(runtime, first))

@@ -7,7 +7,6 @@ import time
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import pytest
@@ -192,23 +191,6 @@ def test_photos_that_cannot_be_used_leave_nothing(work: Path) -> None:
         (work / "views.json").touch()
         raise InputError("cameras, but no surface")
     assert work.is_dir()
-
-
-def test_a_stage_that_is_run_anew_begins_at_once_with_nothing(
-    runtime: Runtime, film: AssetRecord, tmp_path: Path
-) -> None:
-    job = job_row(film, "reconstruct", now=0.0, params={"video_frames": FRAMES}, fresh_from="reconstruct")
-    job = runtime.store.add_job(job, stages=stages_of("reconstruct", "photos"))[0]
-    work = half_done_folder(runtime.settings, job)
-    work.mkdir(parents=True)
-    (work / "views.json").touch()
-
-    def make(path: Path) -> None:
-        assert not list(work.iterdir())
-        path.touch()
-
-    recall = partial(_recall, runtime, watch(runtime, hold(runtime, job)), "reconstruct", tmp_path)
-    recall(_prepared_sources(film), "reconstruction", make)
 
 
 def test_what_was_offered_is_replaced(runtime: Runtime, film: AssetRecord) -> None:
