@@ -11,8 +11,9 @@ import socket
 import sys
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
 
@@ -26,7 +27,6 @@ from jobs.lifecycle.maintenance import (
     HOUSEKEEPER_LEASE,
     WORKER_LEASES,
     abort_overdue,
-    forget_blob,
     forget_deliveries,
     forget_expired,
     hold_lease,
@@ -35,7 +35,6 @@ from jobs.lifecycle.maintenance import (
     reap,
     release_lease,
     unclaimed,
-    unreferenced_blobs,
     unsent,
 )
 from jobs.lifecycle.messages import RUN_JOB, RunJob
@@ -44,6 +43,7 @@ from jobs.settings import Settings, read_settings
 from jobs.storage.artifacts import ArtifactStore, open_artifacts
 from jobs.storage.assets import read_asset
 from jobs.storage.backup import BACKUP_LEASE
+from jobs.storage.references import forget_blob, unreferenced_blobs
 from jobs.storage.stage_files import HALF_DONE
 from jobs.storage.upload_parts import PartStore, open_parts
 from jobs.storage.uploads import bury, expired_uploads
@@ -58,6 +58,12 @@ Thing = TypeVar("Thing")
 SCRATCH_AGE_S = 86400.0
 SENT_AHEAD = 2
 """Messages in the queue beyond one per worker, so that none waits for the housekeeper."""
+
+FORGET_S = 0.5
+"""How long a turn removes bytes, so that messages and the lease wait no longer; the next turn goes on at once."""
+
+FORGET_AT_ONCE = 1000
+"""Of what the database says is to be removed, so much is asked for in one query."""
 
 MAX_FAILURES = 5
 """Removals that may fail in one turn; then the storage is taken to be away."""
@@ -81,6 +87,7 @@ class Housekeeper:
     parts: PartStore
     queue: Celery
     redis: redis.Redis
+    unreferenced: deque[str] = field(default_factory=deque)  # bytes to remove
 
     def send(self) -> None:
         """Send messages of waiting jobs, up to the window that workers will soon take."""
@@ -103,18 +110,29 @@ class Housekeeper:
             logger.warning("job %s was left by its worker; it is %s now", job_id, state)
         abort_overdue(self.store)
 
-    def forget(self) -> None:
-        """Delete expired records, and bytes without references."""
-        settings = self.settings
+    def forget(self) -> float | None:
+        """Delete expired records, and bytes without references; return 0 where the time did not suffice."""
+        settings, until = self.settings, time.monotonic() + FORGET_S
         forget_expired(
             self.store, job_retention_s=settings.job_retention_s, cache_retention_s=settings.artifact_retention_s
         )
         forget_deliveries(self.store, retention_s=settings.webhook_retention_s)
-        _each(expired_uploads(self.store), self._forget_upload)
-        if not living(self.store, BACKUP_LEASE):  # it copies bytes of rows that may have gone meanwhile
-            _each(unreferenced_blobs(self.store), lambda digest: forget_blob(self.store, digest, self.artifacts.delete))
-        if settings.scratch_dir.is_dir():
-            _each(settings.scratch_dir.iterdir(), self._forget_scratch)
+        finished = _each(expired_uploads(self.store, limit=FORGET_AT_ONCE), self._forget_upload, until)
+        if finished and not living(self.store, BACKUP_LEASE):  # it copies bytes of rows that may have gone meanwhile
+            finished = self._forget_blobs(until)
+        if finished and settings.scratch_dir.is_dir():
+            finished = _each(settings.scratch_dir.iterdir(), self._forget_scratch, until)
+        return None if finished else 0.0
+
+    def _forget_blobs(self, until: float) -> bool:
+        """Go on with the bytes that an earlier turn found: to look takes a second where there are 200,000 blobs."""
+        looked = not self.unreferenced
+        if looked:
+            self.unreferenced.extend(unreferenced_blobs(self.store, limit=FORGET_AT_ONCE))
+        full = looked and len(self.unreferenced) == FORGET_AT_ONCE
+        taken = (self.unreferenced.popleft() for _ in range(len(self.unreferenced)))
+        tried = _each(taken, lambda digest: forget_blob(self.store, digest, self.artifacts.delete), until)
+        return looked and tried and not full
 
     def _forget_upload(self, upload_id: str) -> None:
         self.parts.delete(upload_id)
@@ -146,10 +164,12 @@ class Housekeeper:
         mark_sent(self.store, message)
 
 
-def _each(things: Iterable[Thing], remove: Callable[[Thing], None]) -> None:
-    """Remove items one by one; a failure does not stop the others."""
+def _each(things: Iterable[Thing], remove: Callable[[Thing], None], until: float) -> bool:
+    """Remove items one by one until a time; a failure does not stop the others. Return whether all were tried."""
     failed = 0
     for thing in things:
+        if time.monotonic() >= until:
+            return False
         try:
             remove(thing)
         except (StorageAwayError, OSError) as error:
@@ -157,6 +177,7 @@ def _each(things: Iterable[Thing], remove: Callable[[Thing], None]) -> None:
             failed += 1
             if failed == MAX_FAILURES:  # the storage is away
                 raise
+    return True
 
 
 def open_housekeeper(settings: Settings) -> Housekeeper:
@@ -201,16 +222,21 @@ class PauseDetector:
 
 @dataclass(kw_only=True)
 class Turn:
-    """A duty and its next due time."""
+    """A duty and its next due time. It may return the seconds to its next turn, where these are not the usual."""
 
-    duty: Callable[[], None]
+    duty: Callable[[], float | None]
     every_s: float
     due: float = 0.0
 
     def take(self, now: float) -> None:
         """Run the duty if it is due; retry soon if a service did not respond."""
         if now >= self.due:
-            self.due = now + (self.every_s if _done(self.duty) else max(self.every_s, AWAY_PAUSE_S))
+            try:
+                pause_s = self.duty()
+            except AWAY as error:
+                _warn(error)
+                pause_s = max(self.every_s, AWAY_PAUSE_S)
+            self.due = now + (self.every_s if pause_s is None else pause_s)
 
 
 def run(keeper: Housekeeper, stopped: threading.Event) -> None:
@@ -248,8 +274,12 @@ def _done(duty: Callable[[], bool | None]) -> bool:
     try:
         return duty() is not False
     except AWAY as error:
-        logger.warning("something is away, the housekeeper tries again: %s: %s", type(error).__name__, error)
+        _warn(error)
         return False
+
+
+def _warn(error: Exception) -> None:
+    logger.warning("something is away, the housekeeper tries again: %s: %s", type(error).__name__, error)
 
 
 def main() -> None:

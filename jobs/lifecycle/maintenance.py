@@ -1,7 +1,6 @@
 """The housekeeper's changes to the store: messages to send, expired leases, deadlines, retention."""
 
 from collections import Counter
-from collections.abc import Callable, Iterator
 
 import sqlalchemy as sa
 
@@ -16,10 +15,6 @@ from jobs.store import Store
 
 TOMBSTONE_S = 90 * 86400.0
 """So long it is known that there was a job or an upload of some id: 410, not 404."""
-
-BLOB_GRACE_S = 3600.0
-"""Bytes are put before the row that refers to them; nothing takes an hour between the two."""
-
 
 WORKER_LEASES = "worker:"
 """What the name of every worker's own lease begins with."""
@@ -178,33 +173,3 @@ def forget_deliveries(store: Store, *, retention_s: float) -> None:
     old = (t.deliveries.c.created_at < store.clock() - retention_s) & t.deliveries.c.next_at.is_(None)
     with store.writing() as connection:
         connection.execute(t.deliveries.delete().where(old))
-
-
-def unreferenced_blobs(store: Store, *, limit: int = 100) -> list[str]:
-    """Hashes of bytes that nothing refers to any more."""
-    now = store.clock()
-    with store.reading() as connection:
-        aged = t.blobs.c.touched_at < now - BLOB_GRACE_S
-        candidates = connection.execute(sa.select(t.blobs.c.sha256).where(aged)).scalars().all()
-        in_use = set(referenced(connection, now)) if candidates else set()
-    return [sha256 for sha256 in candidates if sha256 not in in_use][:limit]
-
-
-def referenced(connection: sa.Connection, now: float) -> Iterator[str]:
-    """Hashes of all bytes that a row refers to; some more than once."""
-    yield from connection.execute(sa.select(t.artifacts.c.sha256).where(t.artifacts.c.expires_at > now)).scalars()
-    for files in connection.execute(sa.select(t.stage_cache.c.files)).scalars():
-        yield from (file["sha256"] for file in files if not file.get("source"))
-    query = sa.select(t.assets.c.parts, t.assets.c.prepared).where(t.assets.c.deleted_at.is_(None))
-    for row in connection.execute(query):
-        yield from (part["sha256"] for part in row.parts)
-        if row.prepared is not None:
-            yield row.prepared["sha256"]
-
-
-def forget_blob(store: Store, sha256: str, delete: Callable[[str], None]) -> None:
-    """Delete bytes and their record, unless `touch_blob` has announced a new reference."""
-    with store.writing() as connection:
-        aged = (t.blobs.c.sha256 == sha256) & (t.blobs.c.touched_at < store.clock() - BLOB_GRACE_S)
-        if connection.execute(t.blobs.delete().where(aged)).rowcount:
-            delete(sha256)  # before the commit: who touches them now waits for it, and then puts them anew

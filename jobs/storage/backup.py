@@ -19,8 +19,9 @@ import sqlalchemy as sa
 
 from jobs.database import tables as t
 from jobs.errors import BackupError, ConflictError
-from jobs.lifecycle.maintenance import hold_lease, referenced, release_lease
+from jobs.lifecycle.maintenance import hold_lease, release_lease
 from jobs.storage.artifacts import ArtifactStore
+from jobs.storage.references import referenced
 from jobs.store import Store, new_id
 
 BACKUP_LEASE = "backup"
@@ -55,7 +56,7 @@ def back_up(store: Store, artifacts: ArtifactStore, folder: Path) -> BackupRepor
     try:
         with store.snapshot() as connection:
             rows = _write_rows(connection, folder / f"{DATABASE}.part")
-            digests = sorted(set(referenced(connection, store.clock())))
+            digests = referenced(connection, store.clock())
         copied, total, damaged = 0, 0, []
         for digest in digests:
             hold_lease(store, BACKUP_LEASE, owner=owner, lease_s=LEASE_S)

@@ -6,9 +6,9 @@ import sqlalchemy as sa
 
 from jobs.database import tables as t
 from jobs.errors import ConflictError
-from jobs.lifecycle.maintenance import referenced
 from jobs.states import ACTIVE, JobState
 from jobs.storage.artifacts import ArtifactStore
+from jobs.storage.references import referenced
 from jobs.storage.upload_parts import PartStore
 from jobs.store import Store
 

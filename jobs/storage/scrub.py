@@ -7,8 +7,8 @@ from hashlib import sha256
 import sqlalchemy as sa
 
 from jobs.database import tables as t
-from jobs.lifecycle.maintenance import referenced
 from jobs.storage.artifacts import ArtifactStore
+from jobs.storage.references import is_referenced, referenced
 from jobs.store import Store
 
 
@@ -27,7 +27,7 @@ def scrub(
 ) -> ScrubReport:
     """Read every blob that a row refers to; `on_blob` gets how many were read, of how many."""
     with store.reading() as connection:
-        digests = sorted(set(referenced(connection, store.clock())))
+        digests = referenced(connection, store.clock())
     size, missing, different = 0, [], []
     for number, digest in enumerate(digests, 1):
         checksum = sha256()
@@ -48,4 +48,4 @@ def scrub(
 def _is_referenced(store: Store, digest: str) -> bool:
     with store.reading() as connection:
         there = connection.execute(sa.select(t.blobs.c.sha256).where(t.blobs.c.sha256 == digest)).one_or_none()
-        return there is not None and digest in set(referenced(connection, store.clock()))
+        return there is not None and is_referenced(connection, digest, store.clock())

@@ -114,7 +114,7 @@ def receiving_uploads(store: Store) -> list[tuple[str, int]]:
         return [(row.id, row.length or 0) for row in rows]
 
 
-def expired_uploads(store: Store, *, limit: int = 100) -> list[str]:
+def expired_uploads(store: Store, *, limit: int) -> list[str]:
     """Uploads past their time."""
     with store.reading() as connection:
         old = sa.select(t.uploads.c.id).where(t.uploads.c.expires_at < store.clock()).limit(limit)

@@ -7,6 +7,7 @@ import pytest
 from jobs.errors import ConflictError, GoneError, NotFoundError, StorageAwayError
 from jobs.lifecycle import attempts, maintenance
 from jobs.records import AssetPart, AssetRecord, OutputFile
+from jobs.storage import references
 from jobs.storage.assets import add_asset, delete_asset, read_asset
 from jobs.storage.intermediates import remember_intermediate
 from jobs.store import Store
@@ -77,19 +78,19 @@ def test_retention_keeps_what_is_referred_to(store: Store, asset: AssetRecord, c
     for digest in ("a" * 64, "b" * 64, FILE.sha256, "d" * 64):
         attempts.touch_blob(store, digest, 5)
     publish(store, lease)
-    assert maintenance.unreferenced_blobs(store) == []  # all too young
+    assert references.unreferenced_blobs(store, limit=9) == []  # all too young
     attempts.succeed(store, lease)
-    clock.now += maintenance.BLOB_GRACE_S + 1
-    assert maintenance.unreferenced_blobs(store) == ["d" * 64]
+    clock.now += references.BLOB_GRACE_S + 1
+    assert references.unreferenced_blobs(store, limit=9) == ["d" * 64]
     deleted: list[str] = []
-    maintenance.forget_blob(store, "d" * 64, deleted.append)
+    references.forget_blob(store, "d" * 64, deleted.append)
     assert deleted == ["d" * 64]
     maintenance.forget_expired(store, job_retention_s=10, cache_retention_s=10)
     with pytest.raises(GoneError):
         read_asset(store, asset.id)
     with pytest.raises(GoneError):
         store.job(lease.job.id)
-    assert sorted(maintenance.unreferenced_blobs(store)) == ["a" * 64, "b" * 64, FILE.sha256]
+    assert sorted(references.unreferenced_blobs(store, limit=9)) == ["a" * 64, "b" * 64, FILE.sha256]
 
 
 def test_a_shared_result_does_not_retain_the_upload_it_was_computed_from(store: Store, clock: Clock) -> None:
@@ -97,8 +98,8 @@ def test_a_shared_result_does_not_retain_the_upload_it_was_computed_from(store: 
     for digest in (FILE.sha256, upload.sha256):
         attempts.touch_blob(store, digest, 5)
     remember_intermediate(store, "k" * 64, "motion", FILE, [upload])
-    clock.now += maintenance.BLOB_GRACE_S + 1
-    assert maintenance.unreferenced_blobs(store) == [upload.sha256]
+    clock.now += references.BLOB_GRACE_S + 1
+    assert references.unreferenced_blobs(store, limit=9) == [upload.sha256]
     assert attempts.cached_stage(store, "k" * 64) == (FILE,)
 
 
@@ -107,20 +108,20 @@ def test_referenced_bytes_hide_nothing_from_retention(store: Store, clock: Clock
     add_asset(store, asset_row(referenced[0], now=clock.now, parts=referenced))
     for digest in (*(part.sha256 for part in referenced), "f" * 64):
         attempts.touch_blob(store, digest, 1)
-    clock.now += maintenance.BLOB_GRACE_S + 1
-    assert maintenance.unreferenced_blobs(store, limit=1) == ["f" * 64]
+    clock.now += references.BLOB_GRACE_S + 1
+    assert references.unreferenced_blobs(store, limit=1) == ["f" * 64]
 
 
 def test_bytes_that_are_sent_again_are_not_deleted(store: Store, clock: Clock) -> None:
     attempts.touch_blob(store, "d" * 64, 5)
-    clock.now += maintenance.BLOB_GRACE_S + 1
-    assert maintenance.unreferenced_blobs(store) == ["d" * 64]
+    clock.now += references.BLOB_GRACE_S + 1
+    assert references.unreferenced_blobs(store, limit=9) == ["d" * 64]
     attempts.touch_blob(store, "d" * 64, 5)
     deleted: list[str] = []
-    maintenance.forget_blob(store, "d" * 64, deleted.append)
+    references.forget_blob(store, "d" * 64, deleted.append)
     assert deleted == []
-    clock.now += maintenance.BLOB_GRACE_S + 1
-    assert maintenance.unreferenced_blobs(store) == ["d" * 64]
+    clock.now += references.BLOB_GRACE_S + 1
+    assert references.unreferenced_blobs(store, limit=9) == ["d" * 64]
 
 
 def test_bytes_that_could_not_be_deleted_stay_known(store: Store, clock: Clock) -> None:
@@ -128,7 +129,7 @@ def test_bytes_that_could_not_be_deleted_stay_known(store: Store, clock: Clock) 
         raise StorageAwayError("away")
 
     attempts.touch_blob(store, "d" * 64, 5)
-    clock.now += maintenance.BLOB_GRACE_S + 1
+    clock.now += references.BLOB_GRACE_S + 1
     with pytest.raises(StorageAwayError):
-        maintenance.forget_blob(store, "d" * 64, away)
-    assert maintenance.unreferenced_blobs(store) == ["d" * 64]
+        references.forget_blob(store, "d" * 64, away)
+    assert references.unreferenced_blobs(store, limit=9) == ["d" * 64]
