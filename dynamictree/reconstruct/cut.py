@@ -15,10 +15,10 @@ _FAINTEST = 0.02
 
 
 def cloud_in_metres(table: Float32[np.ndarray, "G P"], scale: float, origin: Float64[np.ndarray, "3"]) -> GaussianCloud:
-    """Convert Gaussians from the stage's frame to metres; PLY files of them have y down, as viewers expect."""
+    """Convert Gaussians from the stage's frame to metres."""
     cloud = cloud_of(table)
     means = (scale * (cloud.means - origin)).astype(np.float32)
-    return replace(cloud, means=means, scales=(cloud.scales * np.float32(scale)), source_up_axis="-Y")
+    return replace(cloud, means=means, scales=(cloud.scales * np.float32(scale)))
 
 
 def of_the_tree(

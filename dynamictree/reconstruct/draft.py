@@ -2,13 +2,14 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float32
 
 from dynamictree.files import replacing
+from dynamictree.formats.splat.ply import UP_AXIS
 from dynamictree.formats.splat.splat import write_splat
 from dynamictree.reconstruct.cut import cloud_in_metres
 from dynamictree.reconstruct.splat_start import spacing, thinned
@@ -60,6 +61,7 @@ class Draft:
             return
         path = self.folder / DRAFT
         with replacing(path) as stream:
-            write_splat(cloud_in_metres(table, _UNKNOWN_SIZE_M, np.zeros(3)), stream)
+            cloud = cloud_in_metres(table, _UNKNOWN_SIZE_M, np.zeros(3))
+            write_splat(replace(cloud, source_up_axis=UP_AXIS), stream)  # a .splat file cannot say another axis
         self._written_at = time.monotonic()
         self.on_file(path)

@@ -1,7 +1,7 @@
 """Some of the photos of a reconstruction as their cameras see them: what strokes are drawn on."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from io import BytesIO
 from pathlib import Path
 
@@ -9,17 +9,19 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import Image
 
-from dynamictree.formats.tensors.container import write_tensors
+from dynamictree.files import opened
+from dynamictree.formats.tensors.container import read_tensors, write_tensors
 from dynamictree.reconstruct.views import View
 
 PHOTO_PREVIEWS = "photos.safetensors"
+_FORMAT, _VERSION = "tree-photos", "1"
 MOST_PHOTOS = 24
 """One per 15° of a walk around the plant: each side of it is seen in some."""
 SIDE_PX = 960
 _JPEG_QUALITY = 82
 
 
-def write_photo_previews(views: Sequence[View], folder: Path) -> None:
+def write_photo_previews(views: Sequence[View], folder: Path, *, needed: Collection[str] = ()) -> None:
     """Write `photos.safetensors`: JPEG bytes `photo_0`, …, and their names in the metadata.
 
     The pictures are undistorted, and a place on one is the same share of its width and height as in `Scribble`.
@@ -27,13 +29,29 @@ def write_photo_previews(views: Sequence[View], folder: Path) -> None:
     Args:
         views: all photos with a camera; at most 24 of them are written, evenly chosen.
         folder: for the file.
+        needed: names of photos that are written in any case.
     """
-    rows = np.unique(np.linspace(0, len(views) - 1, min(len(views), MOST_PHOTOS)).round().astype(int))
-    chosen = [views[row] for row in rows]
+    named = {row for row, view in enumerate(views) if view.source in needed}
+    others = [row for row in range(len(views)) if row not in named]
+    even = np.linspace(0, len(others) - 1, min(len(others), max(MOST_PHOTOS - len(named), 0))).round().astype(int)
+    chosen = [views[row] for row in sorted(named | {others[place] for place in even})]
     tensors = {f"photo_{number}": _jpeg(view.image) for number, view in enumerate(chosen)}
     names = json.dumps([view.source for view in chosen])
     with (folder / PHOTO_PREVIEWS).open("wb") as stream:
-        write_tensors(stream, tensors, {"format": "tree-photos", "version": "1", "photos": names})
+        write_tensors(stream, tensors, {"format": _FORMAT, "version": _VERSION, "photos": names})
+
+
+def read_photo_previews(folder: Path) -> dict[str, UInt8[np.ndarray, "H W 3"]]:
+    """Pictures that `write_photo_previews` wrote, by the names of their photos; none if there is no file."""
+    if not (folder / PHOTO_PREVIEWS).exists():
+        return {}
+    with opened(folder / PHOTO_PREVIEWS) as stream:
+        tensors, metadata = read_tensors(stream, file_format=_FORMAT, version=_VERSION)
+    pictures = {}
+    for number, name in enumerate(json.loads(metadata["photos"])):
+        with Image.open(BytesIO(tensors[f"photo_{number}"].tobytes())) as image:
+            pictures[name] = np.asarray(image.convert("RGB"))
+    return pictures
 
 
 def _jpeg(pixels: UInt8[np.ndarray, "H W 3"]) -> UInt8[np.ndarray, " _"]:

@@ -11,6 +11,7 @@ from jaxtyping import Bool
 
 from dynamictree.errors import InputError, ReconstructionError
 from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.reconstruct.camera_circle import camera_circle, coverage_warnings
 from dynamictree.reconstruct.cameras import ADVICE, find_cameras
 from dynamictree.reconstruct.coloured_mesh import Shape, best_mesh_of, finished_shape
 from dynamictree.reconstruct.cut import cloud_in_metres, of_the_tree
@@ -109,7 +110,7 @@ def reconstruct(
         shape = finished_shape(mesh, scene, height_m=options.height_m or UNKNOWN_HEIGHT_M, unit_m=unit_m)
     origin_of_scale = "given" if options.height_m else "marker" if unit_m else "unknown"
     result = _result(listed, model, fit, shape, markers, clock, mesh_by=mesh_by, scale=origin_of_scale)
-    write_result(result, fit, folder)
+    write_result(result, folder)
     draft.delete()
     on_progress(Progress(stage="mesh", share=1.0, total=1.0))
     return result
@@ -161,11 +162,12 @@ def _result(
     whole = cloud_in_metres(fit.table, shape.scale, shape.origin)
     mesh = shape.mesh
     own = own_gaussians(whole, shape)
-    registered = {view.source for view in shape.model.views}
+    cameras = {view.source: view.camera for view in shape.model.views}
+    circle = camera_circle(cameras)
     report = Report(
         num_photos=len(photos),
         num_registered=len(shape.model.views),
-        left_out=[photo.name for photo in photos if photo.name not in registered],
+        left_out=[photo.name for photo in photos if photo.name not in cameras],
         left_out_because=dict(shape.model.left_out),
         reprojection_error_px=model.reprojection_error_px,
         num_points=len(model.points),
@@ -189,7 +191,13 @@ def _result(
         held_out_ssim=[round(value, 4) for value in fit.ssim],
         held_out_blank_psnr_db=[round(value, 2) for value in fit.blank_db],
         held_out_size_px=list(fit.size_px),
-        warnings=quality_warnings(fit.psnr_db, fit.blank_db),
+        camera_azimuths_deg=dict(zip(circle.photos, circle.azimuths_deg.round(1).tolist(), strict=True)),
+        largest_gap_deg=round(circle.largest_gap_deg, 1),
+        beside_largest_gap=list(circle.beside_gap),
+        warnings=[
+            *coverage_warnings(circle, len(cameras), len(photos)),
+            *quality_warnings(fit.psnr_db, fit.blank_db),
+        ],
         splat_steps=fit.num_steps,
         num_gaussians_discarded=fit.num_discarded,
         seconds={part: round(taken, 2) for part, taken in clock.seconds.items()},

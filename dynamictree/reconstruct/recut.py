@@ -14,7 +14,8 @@ from dynamictree.errors import InputError
 from dynamictree.files import opened
 from dynamictree.formats.mesh.ply import read_ply_mesh
 from dynamictree.formats.mesh.ply_writer import write_ply
-from dynamictree.formats.splat.ply import read_gaussian_ply, write_gaussian_ply
+from dynamictree.formats.ply_table import read_header
+from dynamictree.formats.splat.ply import UP_AXIS, read_gaussian_ply, write_gaussian_ply
 from dynamictree.gaussian.cloud import GaussianCloud, in_box
 from dynamictree.mesh import TriangleMesh
 from dynamictree.photo_requests import CutParams
@@ -23,11 +24,11 @@ from dynamictree.reconstruct.cut import BESIDE, of_the_tree
 from dynamictree.reconstruct.cut_mesh import mesh_in_box, plant_mesh
 from dynamictree.reconstruct.photo_previews import PHOTO_PREVIEWS
 from dynamictree.reconstruct.plant_cut import plant_of
+from dynamictree.reconstruct.report import PlantQuality, photos_to_compare, plant_quality, write_report_picture
 from dynamictree.reconstruct.seen_from import read_cameras
 from dynamictree.reconstruct.soot import fog_of, soot_of
 
 _LEAST_GAUSSIANS = 50
-_PICTURES = ("report.png", PHOTO_PREVIEWS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,12 +92,40 @@ def recut(
         num_faces=moved.mesh.num_faces,
         num_gaussians=int(own.sum()),
     )
-    plant = moved.scene.subset(own)
-    _write(moved, plant, target)
-    for name in _PICTURES:
+    for name in (PHOTO_PREVIEWS, "report.png"):
         if source != target and (source / name).exists():  # earlier versions wrote no previews of photos
             (target / name).write_bytes((source / name).read_bytes())
+    cameras = {view.photo: view.camera for view in read_cameras(moved.cameras)}
+    compared = photos_to_compare(moved.report.get("held_out", []))
+    if choice.cuts:
+        _judge_plant(moved, plant_quality(target, moved.scene, own, cameras, compared), choice)
+    plant = moved.scene.subset(own)
+    _write(moved, plant, target)
+    if choice.cuts:
+        write_report_picture(target, moved.mesh, moved.scene, cameras, compared)
     return Capture(cloud=plant, mesh=moved.mesh)
+
+
+def _judge_plant(finished: Finished, quality: PlantQuality | None, choice: CutParams) -> None:
+    """Add to the report how well held-out photos show the plant, or refuse a plant that they do not show.
+
+    Raises:
+        InputError: nobody has marked the plant, and photos held out look hardly worse without what was found.
+    """
+    if quality is None:
+        return
+    with_db, without_db, one_color_db = (round(value, 2) for value in quality)
+    finished.report.update(plant_psnr_db=with_db, without_plant_psnr_db=without_db, plant_blank_psnr_db=one_color_db)
+    if quality.is_plant:
+        return
+    problem = (
+        f"where the plant was found, photos held out are shown with {with_db:.1f} dB, with {without_db:.1f} dB "
+        f"without it and with {one_color_db:.1f} dB by one colour: the splat shows no plant there"
+    )
+    if not choice.scribbles and choice.box_m is None:
+        advice = " ".join(finished.report.get("warnings", ())) or "take more photos, sharp and in even light"
+        raise InputError(f"{problem}; draw strokes on the plant, or reconstruct without only_plant to look; {advice}")
+    finished.report["warnings"] = [*finished.report.get("warnings", ()), problem]
 
 
 def _cut_out(
@@ -171,7 +200,9 @@ def _read(folder: Path) -> Finished:
     with opened(folder / "mesh.ply") as stream:
         mesh = read_ply_mesh(stream.read(), companions={})
     with opened(folder / "scene.ply") as stream:
-        scene = read_gaussian_ply(stream)
+        up_axis = read_header(stream).up_axis or UP_AXIS  # earlier versions wrote -Y
+        stream.seek(0)
+        scene = read_gaussian_ply(stream, up_axis=up_axis)
     return Finished(mesh=mesh, scene=scene, cameras=json.loads((folder / "cameras.json").read_text()), report=report)
 
 

@@ -1,32 +1,38 @@
 """Files of a reconstruction: products, numbers, cameras, and held-out photos beside the splat and the mesh."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Bool, UInt8
 from PIL import Image
 
 from dynamictree.formats.mesh.ply_writer import write_ply
 from dynamictree.formats.splat.ply import write_gaussian_ply
+from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.gaussian.rasterize import render_cloud
 from dynamictree.mesh import TriangleMesh
-from dynamictree.reconstruct.photo_previews import write_photo_previews
+from dynamictree.reconstruct.camera_circle import camera_circle, circle_picture
+from dynamictree.reconstruct.photo_previews import read_photo_previews, write_photo_previews
+from dynamictree.reconstruct.picture_loss import psnr
 from dynamictree.reconstruct.result import Reconstruction
-from dynamictree.reconstruct.splat import SplatFit
 from dynamictree.reconstruct.views import View
 from dynamictree.render import Camera, Look, Renderer, write_png
 
+LEAST_GAIN_DB = 3.0
+"""Above a picture of one colour, or the splat shows nothing: half of the variance that a plain colour leaves."""
 _REPORT_SIDE_PX = 640
-
-
-_LEAST_GAIN_DB = 3.0  # above a picture of one colour, or the splat shows nothing
+_MOST_ROWS = 6  # held-out photos of 50 photos; a picture of 37 rows is looked at by nobody
+_PLANT_SIDE_PX = 320
+_INSIDE = 0.5  # alpha
 
 
 def quality_warnings(psnr_db: Sequence[float], blank_psnr_db: Sequence[float]) -> list[str]:
     """Warn if the held-out photos are shown hardly better than by pictures of one colour."""
     reached, blank = float(np.mean(psnr_db)), float(np.mean(blank_psnr_db))
-    if reached >= blank + _LEAST_GAIN_DB:
+    if reached >= blank + LEAST_GAIN_DB:
         return []
     return [
         f"photos held out are shown with {reached:.1f} dB, a picture of one colour has {blank:.1f} dB: do not trust "
@@ -34,7 +40,7 @@ def quality_warnings(psnr_db: Sequence[float], blank_psnr_db: Sequence[float]) -
     ]
 
 
-def write_result(result: Reconstruction, fit: SplatFit, folder: Path) -> None:
+def write_result(result: Reconstruction, folder: Path) -> None:
     """Write `mesh.ply`, `splat.ply`, `scene.ply`, cameras, previews of photos, `report.json` and `report.png`."""
     with (folder / "mesh.ply").open("wb") as stream:
         write_ply(result.mesh, stream)
@@ -43,17 +49,79 @@ def write_result(result: Reconstruction, fit: SplatFit, folder: Path) -> None:
     with (folder / "scene.ply").open("wb") as stream:
         write_gaussian_ply(result.scene, stream)
     write_cameras(result.views, folder, scale=result.report["scale"])
-    write_photo_previews(result.views, folder)
+    compared = photos_to_compare(result.report["held_out"])
+    write_photo_previews(result.views, folder, needed=compared)
     (folder / "report.json").write_text(json.dumps(result.report, indent=1))
-    by_name = {view.source: view for view in result.views}
-    rows = [
-        comparison_row(result.mesh, by_name[name].camera, pair)
-        for name, pair in zip(fit.held_out, fit.pictures, strict=True)
-    ]
+    cameras = {view.source: view.camera for view in result.views}
+    write_report_picture(folder, result.mesh, result.scene, cameras, compared)
+
+
+def photos_to_compare(held_out: Sequence[str]) -> list[str]:
+    """The held-out photos that `report.png` shows, evenly chosen."""
+    rows = np.linspace(0, len(held_out) - 1, min(len(held_out), _MOST_ROWS)).round().astype(int)
+    return [held_out[row] for row in rows]
+
+
+def write_report_picture(
+    folder: Path, mesh: TriangleMesh, scene: GaussianCloud, cameras: Mapping[str, Camera], compared: Sequence[str]
+) -> None:
+    """Write `report.png`: photos beside the splat and the mesh, and the circle of the cameras from above.
+
+    Args:
+        folder: where the previews of the photos are, and where the picture goes.
+        mesh: that is delivered.
+        scene: in the frame of the mesh.
+        cameras: by the names of their photos, in the same frame.
+        compared: names of photos; one without a preview is left out.
+    """
+    previews = read_photo_previews(folder)
+    rows = [comparison_row(mesh, scene, cameras[name], previews[name]) for name in compared if name in previews]
+    rows.append(circle_picture(camera_circle(cameras), _REPORT_SIDE_PX))
     width = max(row.shape[1] for row in rows)
     padded = [np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0)), constant_values=255) for row in rows]
     with (folder / "report.png").open("wb") as stream:
         write_png(np.concatenate(padded), stream)
+
+
+class PlantQuality(NamedTuple):
+    """PSNR of held-out photos where the plant's Gaussians are seen [dB]; 0 where they are seen in none."""
+
+    with_db: float  # by the whole scene
+    without_db: float  # by the scene without the plant
+    one_color_db: float  # by the photo's mean colour there
+
+    @property
+    def is_plant(self) -> bool:
+        """Whether the photos need the plant's Gaussians, and show more of them than one colour."""
+        return self.with_db >= max(self.without_db + LEAST_GAIN_DB, self.one_color_db) > 0
+
+
+def plant_quality(
+    folder: Path,
+    scene: GaussianCloud,
+    plant: Bool[np.ndarray, " G"],
+    cameras: Mapping[str, Camera],
+    compared: Sequence[str],
+) -> PlantQuality | None:
+    """Compare held-out photos with the scene where the plant is seen; None where no photo has a preview."""
+    previews = read_photo_previews(folder)
+    photos = [(cameras[name], _shrunk(previews[name], _PLANT_SIDE_PX)) for name in compared if name in previews]
+    values = []
+    for camera, photo in photos:
+        height, width = photo.shape[:2]
+        alone, whole, others = (
+            render_cloud(cloud, camera, width=width, height=height)
+            for cloud in (scene.subset(plant), scene, scene.subset(~plant))
+        )
+        mask = alone.alpha > _INSIDE
+        if mask.any():
+            wanted, *pictures = (
+                picture[mask].astype(np.float32) / 255
+                for picture in (photo, whole.over((0.0, 0.0, 0.0)), others.over((0.0, 0.0, 0.0)))
+            )
+            pictures.append(np.broadcast_to(wanted.mean(axis=0), wanted.shape))
+            values.append([psnr(picture, wanted) for picture in pictures])
+    return PlantQuality(*np.mean(values or [[0.0] * 3], axis=0).tolist()) if photos else None
 
 
 def write_cameras(views: Sequence[View], folder: Path, *, scale: str) -> None:
@@ -66,11 +134,15 @@ def write_cameras(views: Sequence[View], folder: Path, *, scale: str) -> None:
     (folder / "cameras.json").write_text(json.dumps(cameras, indent=1))
 
 
-def comparison_row(mesh: TriangleMesh, camera: Camera, pair: UInt8[np.ndarray, "H W 3"]) -> UInt8[np.ndarray, "h w 3"]:
-    """A photo and the splat's picture side by side (`pair`), and the mesh from the same camera at the same size."""
-    shrunk = _shrunk(pair, 2 * _REPORT_SIDE_PX)
-    look = Look(width=shrunk.shape[1] // 2, height=shrunk.shape[0], ground=False)
-    return np.concatenate([shrunk, Renderer(mesh, look).picture(camera=camera)], axis=1)
+def comparison_row(
+    mesh: TriangleMesh, scene: GaussianCloud, camera: Camera, photo: UInt8[np.ndarray, "H W 3"]
+) -> UInt8[np.ndarray, "h w 3"]:
+    """A photo, the splat and the mesh side by side, from the same camera and at the same size."""
+    shrunk = _shrunk(photo, _REPORT_SIDE_PX)
+    height, width = shrunk.shape[:2]
+    splat = render_cloud(scene, camera, width=width, height=height).over((0.0, 0.0, 0.0))
+    surface = Renderer(mesh, Look(width=width, height=height, ground=False)).picture(camera=camera)
+    return np.concatenate([shrunk, splat, surface], axis=1)
 
 
 def _shrunk(picture: UInt8[np.ndarray, "H W 3"], width: int) -> UInt8[np.ndarray, "h w 3"]:

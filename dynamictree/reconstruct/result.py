@@ -42,6 +42,9 @@ class Report(TypedDict):
     held_out_ssim: list[float]
     held_out_blank_psnr_db: list[float]  # of a picture of one colour, for comparison
     held_out_size_px: list[int]
+    camera_azimuths_deg: dict[str, float]  # seen from above, counter-clockwise, in that order; by photo
+    largest_gap_deg: float  # between neighbouring cameras around the plant
+    beside_largest_gap: list[str]  # the two photos at its ends
     warnings: list[str]  # what makes the result doubtful, and what to do
     splat_steps: int
     num_gaussians_discarded: int  # since their gradient was not finite

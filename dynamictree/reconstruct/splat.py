@@ -10,7 +10,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32, UInt8
+from jaxtyping import Float32
 
 from dynamictree.reconstruct.adam import AdamState
 from dynamictree.reconstruct.checkpoint import load_progress, save_progress
@@ -48,7 +48,6 @@ class SplatFit:
     masked_db: tuple[float, ...]  # PSNR inside the mask; none without masks
     ssim: tuple[float, ...]
     blank_db: tuple[float, ...]  # of a picture of one colour, the photo's mean, beside it
-    pictures: tuple[UInt8[np.ndarray, "H W 3"], ...]  # each photo, and beside it what the splat shows
     size_px: tuple[int, int]  # width and height of the first
     num_steps: int
     num_discarded: int  # Gaussians whose gradient was not finite
@@ -153,7 +152,6 @@ def _judged(end: SplatProgress, table: Float32[np.ndarray, "G P"], views: list[V
     targets = [smaller(_target(view, None, None), schedule.side_px) for view in views]
     pictures = [drawn(table, target, schedule.sh_degree) for target in targets]
     photos = [on_black(target) for target in targets]
-    pairs = [np.concatenate([photo, picture], axis=1) for photo, picture in zip(photos, pictures, strict=True)]
     return SplatFit(
         table=table,
         held_out=tuple(view.source for view in views),
@@ -166,7 +164,6 @@ def _judged(end: SplatProgress, table: Float32[np.ndarray, "G P"], views: list[V
         ),
         ssim=tuple(ssim(planes_of(picture), planes_of(photo)) for picture, photo in zip(pictures, photos, strict=True)),
         blank_db=tuple(psnr(np.broadcast_to(photo.mean(axis=(0, 1)), photo.shape), photo) for photo in photos),
-        pictures=tuple(np.rint(pair * 255).astype(np.uint8) for pair in pairs),
         size_px=(photos[0].shape[1], photos[0].shape[0]),
         num_steps=end.step,
         num_discarded=end.num_discarded,

@@ -8,10 +8,17 @@ import numpy as np
 from dynamictree.formats.mesh.ply_writer import write_ply
 from dynamictree.formats.splat.ply import write_gaussian_ply
 from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.gaussian.rasterize import render_on_cpu
 from dynamictree.mesh import TriangleMesh
+from dynamictree.reconstruct.photo_previews import write_photo_previews
+from dynamictree.reconstruct.report import write_cameras
+from dynamictree.reconstruct.seen_from import SeenFrom as PhotoCamera
+from dynamictree.reconstruct.views import View
+from dynamictree.render.camera import Camera
 
 BOX = ((-0.3, -0.3, 0.2), (0.3, 0.3, 1.5))
 NUM_STEM, NUM_FLOOR, NUM_LAMP = 200, 300, 100
+CAMERA = Camera.look_at(np.array([2.0, 0.5, 1.0]), np.array([0.0, 0.0, 0.8]), vertical_fov_deg=60.0)
 
 
 def tube(radius: float, low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
@@ -45,12 +52,23 @@ def write_finished(folder: Path) -> None:
         quaternions=np.tile(np.float32([1, 0, 0, 0]), (number, 1)),
         scales=np.full((number, 3), 0.02, np.float32),
         opacity=np.full(number, 0.9, np.float32),
-        sh=np.zeros((number, 1, 3), np.float32),
-        source_up_axis="-Y",
+        sh=rng.normal(size=(number, 1, 3)).astype(np.float32),
     )
     with (folder / "scene.ply").open("wb") as stream:
         write_gaussian_ply(scene, stream)
-    camera = {"photo": "a.jpg", "position_m": [2.0, 0.5, 1.0], "world_to_camera": np.eye(3).tolist()}
-    (folder / "cameras.json").write_text(json.dumps({"scale": "unknown", "cameras": [camera]}))
-    (folder / "report.json").write_text(json.dumps({"scale": "unknown", "radius_m": 2.0, "num_photos": 1}))
+    write_photos(folder, scene, [PhotoCamera(photo="a.jpg", camera=CAMERA, width=160, height=120)])
+    report = {"scale": "unknown", "radius_m": 2.0, "num_photos": 1, "held_out": ["a.jpg"]}
+    (folder / "report.json").write_text(json.dumps(report))
+
+
+def write_photos(folder: Path, scene: GaussianCloud, cameras: list[PhotoCamera]) -> None:
+    """`cameras.json`, previews that show the scene exactly, and a report picture of nothing."""
+    pictures = [
+        render_on_cpu(scene, one.camera, width=one.width, height=one.height).over((0.0, 0.0, 0.0)) for one in cameras
+    ]
+    views = [
+        View(source=one.photo, image=picture, camera=one.camera) for one, picture in zip(cameras, pictures, strict=True)
+    ]
+    write_cameras(views, folder, scale="unknown")
+    write_photo_previews(views, folder, needed=[view.source for view in views])
     (folder / "report.png").write_bytes(b"picture")

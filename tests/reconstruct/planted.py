@@ -17,6 +17,7 @@ from dynamictree.photo_requests import Scribble
 from dynamictree.reconstruct.seen_from import SeenFrom
 from dynamictree.render.camera import Camera
 from tests.plant.test_still_gaussians import plant, pot, splat_of
+from tests.reconstruct.finished import write_photos
 
 WIDTH, HEIGHT = 240, 180
 _NOISE_OF_COLOR = 0.04
@@ -183,17 +184,9 @@ def write_planted(planted: Planted, folder: Path) -> None:
     with (folder / "mesh.ply").open("wb") as stream:
         write_ply(mesh, stream)
     with (folder / "scene.ply").open("wb") as stream:
-        write_gaussian_ply(replace(planted.scene, source_up_axis="-Y"), stream)
-    cameras = []
-    for view in planted.views:
-        matrix = view.camera.intrinsics_px(view.width, view.height)
-        pose = {
-            "position_m": view.camera.position_m.tolist(),
-            "world_to_camera": view.camera.world_to_camera.tolist(),
-        }
-        lens = {"focal_px": matrix[0, 0], "principal_px": matrix[:2, 2].tolist()}
-        cameras.append({"photo": view.photo, "width": view.width, "height": view.height, **lens, **pose})
-    (folder / "cameras.json").write_text(json.dumps({"scale": "unknown", "cameras": cameras}))
+        write_gaussian_ply(planted.scene, stream)
+    write_photos(folder, planted.scene, list(planted.views))
     radius_m = float(np.ptp(planted.scene.means[planted.plant], axis=0).max())
-    (folder / "report.json").write_text(json.dumps({"scale": "unknown", "radius_m": radius_m, "num_photos": 16}))
-    (folder / "report.png").write_bytes(b"picture")
+    held_out = [planted.views[4].photo, planted.views[11].photo]
+    report = {"scale": "unknown", "radius_m": radius_m, "num_photos": 16, "held_out": held_out}
+    (folder / "report.json").write_text(json.dumps(report))

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 from typer.testing import CliRunner
 
 from dynamictree.cli import app
@@ -13,8 +14,11 @@ from dynamictree.formats.mesh.ply import read_ply_mesh
 from dynamictree.formats.splat.ply import read_gaussian_ply
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.photo_requests import CutParams
+from dynamictree.reconstruct.photo_previews import write_photo_previews
 from dynamictree.reconstruct.recut import pack, recut, unpack
+from dynamictree.reconstruct.views import View
 from tests.reconstruct.finished import BOX, NUM_FLOOR, NUM_LAMP, NUM_STEM, write_finished
+from tests.reconstruct.planted import potted, stroke_across, write_planted
 
 
 @pytest.fixture
@@ -25,7 +29,7 @@ def finished(tmp_path: Path) -> Path:
 
 def cloud(path: Path) -> GaussianCloud:
     with path.open("rb") as stream:
-        return read_gaussian_ply(stream)
+        return read_gaussian_ply(stream, up_axis="+Z")
 
 
 def test_only_the_plant_is_left_and_has_the_height_that_is_asked_for(finished: Path, tmp_path: Path) -> None:
@@ -44,7 +48,34 @@ def test_only_the_plant_is_left_and_has_the_height_that_is_asked_for(finished: P
     np.testing.assert_allclose(mesh.vertices, capture.mesh.vertices, atol=1e-6)
     report = json.loads((target / "report.json").read_text())
     assert (report["scale"], report["num_photos"], report["num_gaussians"]) == ("given", 1, NUM_STEM)
-    assert (target / "report.png").read_bytes() == b"picture"
+
+
+def test_the_report_shows_the_mesh_that_is_delivered(finished: Path, tmp_path: Path) -> None:
+    """The floor was on the picture of a mesh that has none."""
+    recut(finished, finished, CutParams(box_m=BOX))
+    picture = np.asarray(Image.open(finished / "report.png"))
+    photo, splat, mesh = (picture[:120, first : first + 160].astype(int) for first in (0, 160, 320))
+    assert np.abs(photo - splat).mean() < 6  # JPEG
+    seen = np.abs(mesh - mesh[:, :1]).max(axis=2) > 12  # the background is as bright all along a row
+    assert seen.any(axis=1).sum() > 40
+    assert seen.any(axis=0).sum() < 12  # a stem, 6 cm wide
+
+
+def test_a_plant_that_the_photos_do_not_show_is_refused_unless_someone_marked_it(tmp_path: Path) -> None:
+    """8 of 24 photos made black fog, which was delivered as the plant."""
+    write_planted(potted(), tmp_path / "finished")
+    (tmp_path / "cut").mkdir()
+    recut(tmp_path / "finished", tmp_path / "cut", CutParams(only_plant=True))
+    report = json.loads((tmp_path / "cut" / "report.json").read_text())
+    assert report["plant_psnr_db"] > report["without_plant_psnr_db"] + 10
+    noise = np.random.default_rng(0).integers(0, 255, (180, 240, 3)).astype(np.uint8)
+    views = [View(source=view.photo, image=noise, camera=view.camera) for view in potted().views]
+    write_photo_previews(views, tmp_path / "finished")
+    with pytest.raises(InputError, match="the splat shows no plant there; draw strokes"):
+        recut(tmp_path / "finished", tmp_path / "cut", CutParams(only_plant=True))
+    recut(tmp_path / "finished", tmp_path / "cut", CutParams(scribbles=[stroke_across(potted(), 0)]))
+    [warning] = json.loads((tmp_path / "cut" / "report.json").read_text())["warnings"]
+    assert "the splat shows no plant there" in warning
 
 
 def test_cameras_look_at_what_they_saw(finished: Path, tmp_path: Path) -> None:
