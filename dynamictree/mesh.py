@@ -82,6 +82,7 @@ class TriangleMesh:
     source_up_axis: str = "+Z"
     source_up_confidence: float = 1.0  # in [0, 1]; below 1 the axis was worked out from the shape
     source_scale: float = 1.0  # metres a unit of the source
+    source_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)  # subtracted from its coordinates, in its axes and unit
     warnings: tuple[SourceWarning, ...] = ()
     part_names: tuple[str, ...] = ()  # of nodes or groups, with those above them: "Pot/Cylinder"
     face_part: Int32[np.ndarray, " F"] | None = None  # index into part_names

@@ -3,7 +3,6 @@
 Only what clouds need: lists (faces) are recognised in the header and refused as data.
 """
 
-import io
 import math
 import re
 from dataclasses import dataclass
@@ -12,6 +11,8 @@ import numpy as np
 from jaxtyping import Shaped
 
 from dynamictree.errors import FormatError
+from dynamictree.formats.number_text import rows_of
+from dynamictree.formats.origin import Offset
 from dynamictree.formats.seekable import SeekableReader, remaining_bytes
 from dynamictree.up_axis import UP_AXIS_PATTERN
 
@@ -94,9 +95,10 @@ class PlyHeader:
         return next((element for element in self.elements if element.name == name), None)
 
 
-def axis_comments(up_axis: str, unit_m: float) -> list[str]:
-    """Header lines that say which axis is up and how long a unit is; `PlyHeader` reads them back."""
-    return [f"comment up_axis {up_axis}", f"comment unit_m {unit_m:.9g}"]
+def axis_comments(up_axis: str, unit_m: float, offset: Offset = (0.0, 0.0, 0.0)) -> list[str]:
+    """Header lines that say the up axis and the unit, which `PlyHeader` reads back, and how the source was shifted."""
+    shift = [f"comment source_offset {' '.join(f'{number:.0f}' for number in offset)}"] if any(offset) else []
+    return [f"comment up_axis {up_axis}", f"comment unit_m {unit_m:.9g}", *shift]
 
 
 def read_header(stream: SeekableReader) -> PlyHeader:
@@ -175,14 +177,13 @@ def _ascii_rows(stream: SeekableReader, element: PlyElement, layout: np.dtype[np
             f"but {remaining_bytes(stream):,} are left in the file; it is truncated or its header is wrong"
         )
     text = b"".join(stream.readline() for _ in range(element.count))
-    try:
-        rows = np.loadtxt(io.BytesIO(text), layout, ndmin=1, comments=None) if element.count else np.empty(0, layout)
-    except ValueError as error:
-        raise FormatError(f"element {element.name!r} of the PLY file does not fit its header: {error}") from error
-    if len(rows) != element.count:
-        raise FormatError(
-            f"element {element.name!r} of the PLY file has {len(rows):,} rows, its header says {element.count:,}"
-        )
+    table = rows_of(text, max(len(element.properties), 1))
+    if table is None or len(table) != element.count:
+        raise FormatError(f"the rows of element {element.name!r} of the PLY file do not fit its header")
+    rows = np.empty(element.count, layout)
+    with np.errstate(over="ignore", invalid="ignore"):
+        for column, (name, _) in enumerate(element.properties):
+            rows[name] = table[:, column]
     return rows
 
 

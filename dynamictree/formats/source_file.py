@@ -11,6 +11,7 @@ import scipy  # its parts come in when they are used: the service starts without
 from dynamictree.errors import FormatError
 from dynamictree.formats.cloud_file import CLOUD_TYPES, SPLAT_TYPES, cloud_kind, read_cloud, says_unit, says_up_axis
 from dynamictree.formats.mesh_file import read_mesh, sniff_file_type
+from dynamictree.formats.origin import offset_warnings
 from dynamictree.formats.seekable import SeekableReader
 from dynamictree.formats.splat.mask import read_mask
 from dynamictree.formats.splat.sog import bundled, is_folder_file
@@ -91,7 +92,7 @@ def read_capture(
         stream = bundled(stream, companions or {})
     as_it_is, levelled = _upright(stream, file_type, reading)
     cloud, doubts = sized(as_it_is, height_m=reading.height_m, stated=stated)
-    doubts += levelled
+    doubts += levelled + offset_warnings(cloud.source_offset)
     capture = with_still_parts(Capture(cloud=cloud, mask=None if mask is None else read_mask(mask), warnings=doubts))
     sides = () if reading.up_axis else _doubt_axis(capture)
     capture = replace(capture, warnings=(*doubts, *sides, *_doubt_plant(capture)))
@@ -103,14 +104,17 @@ def read_capture(
         raise FormatError(
             f"{name!r} is a cloud, and so is the file beside it; send one cloud, and a mesh if you have one"
         )
+    beside = read_mesh(
+        BytesIO(content.read()),
+        file_type=mesh_type,
+        reading=Reading(up_axis=cloud.source_up_axis, unit_m=cloud.source_scale),
+        companions=companions,
+    )
+    apart = np.subtract(beside.source_offset, cloud.source_offset)  # each file was moved to the origin by itself
+    moved = beside.vertices + (up_rotation(cloud.source_up_axis) @ apart * cloud.source_scale)
     return replace(
         capture,
-        mesh=read_mesh(
-            BytesIO(content.read()),
-            file_type=mesh_type,
-            reading=Reading(up_axis=cloud.source_up_axis, unit_m=cloud.source_scale),
-            companions=companions,
-        ),
+        mesh=replace(beside, vertices=moved.astype(np.float32), source_offset=cloud.source_offset),
     )
 
 

@@ -32,6 +32,7 @@ class GaussianCloud:
     sh: Float32[np.ndarray, "G H 3"]
     source_up_axis: str = "+Z"
     source_scale: float = 1.0  # metres a unit of the source
+    source_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)  # subtracted from its coordinates, in its axes and unit
 
     @property
     def num_gaussians(self) -> int:

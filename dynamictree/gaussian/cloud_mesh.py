@@ -71,6 +71,7 @@ def mesh_of_cloud(cloud: GaussianCloud, *, cells_along: int = CELLS_ALONG, max_f
         vertex_colors=_colors(visible, vertices),
         source_up_axis=cloud.source_up_axis,
         source_scale=cloud.source_scale,
+        source_offset=cloud.source_offset,
     )
 
 
@@ -88,8 +89,13 @@ def mesh_of_trees(cloud: GaussianCloud, tree: Int32[np.ndarray, " G"] | None = N
         mesh_of_cloud(cloud.subset(tree == number), cells_along=CELLS_ALONG_TREE, max_faces=most) for number in numbers
     ]
     face_tree = np.repeat(np.arange(len(parts), dtype=np.int32), [part.num_faces for part in parts])
-    axis, scale = cloud.source_up_axis, cloud.source_scale
-    return replace(joined(parts), face_tree=face_tree, source_up_axis=axis, source_scale=scale)
+    return replace(
+        joined(parts),
+        face_tree=face_tree,
+        source_up_axis=cloud.source_up_axis,
+        source_scale=cloud.source_scale,
+        source_offset=cloud.source_offset,
+    )
 
 
 def _fill(density: Float32[np.ndarray, "X Y Z"]) -> None:

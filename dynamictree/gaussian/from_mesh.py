@@ -62,6 +62,7 @@ def splats_of_mesh(
         sh=((colors - 0.5) / SH_0).astype(np.float32)[:, None],
         source_up_axis=mesh.source_up_axis,
         source_scale=mesh.source_scale,
+        source_offset=mesh.source_offset,
     )
     return MeshSplat(cloud=cloud, binding=bind_to_faces(cloud, mesh, faces, weights))
 

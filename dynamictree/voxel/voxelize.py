@@ -71,6 +71,7 @@ def voxelize(mesh: TriangleMesh, resolution: int = 128, *, source_sha256: str = 
         up_axis=mesh.source_up_axis,
         up_confidence=mesh.source_up_confidence,
         scale=mesh.source_scale,
+        offset=mesh.source_offset,
     )
     return SurfaceVoxels(grid=grid, normals=normals, moments=moments, tree=tree, source=source)
 

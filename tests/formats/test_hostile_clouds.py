@@ -77,9 +77,9 @@ def ply(count: int, names: list[str], body: bytes = b"") -> bytes:
         (ASCII + b"element vertex 9\n" + XYZ + b"1 2 3\n",
          "9 rows in 'vertex', at least 54 bytes"),
         (ASCII + b"element vertex 1\n" + XYZ + b"1 2 a\n",
-         "does not fit its header"),
+         "do not fit its header"),
         (ASCII + b"element vertex 2\n" + XYZ + b"1 2 3\n"
-         b"        \n", "has 1 rows, its header says 2"),
+         b"        \n", "do not fit its header"),
         (HEAD.encode() + b"element vertex 3\nproperty float x\nelement face 1\nproperty list uchar int i\nend_header\n",
          "it is a mesh"),
     ],

@@ -50,7 +50,8 @@ def read_gltf(content: bytes, *, companions: Mapping[str, bytes]) -> TriangleMes
     with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is found by validate_mesh
         parts, placed = _placed_parts(document, drawn)
         source = keep_source(document, placed)
-    return replace(join_parts(parts, materials), source_gltf=source, warnings=tuple(document.warnings))
+    mesh = join_parts(parts, materials)
+    return replace(mesh, source_gltf=source, warnings=(*mesh.warnings, *document.warnings))
 
 
 def _triangle_primitives(mesh: JsonObject) -> list[tuple[int, JsonObject]]:
@@ -141,7 +142,7 @@ def _part(
         faces = np.ascontiguousarray(faces[:, ::-1])
     entry = None if material is None else object_list(document.root, "materials")[material]
     part = MeshPart(
-        vertices=placed.astype(np.float32),
+        vertices=placed,
         faces=faces,
         uv=texture_coordinates(read.attributes, entry, len(positions)),
         vertex_colors=_colors(read.attributes, len(positions)),

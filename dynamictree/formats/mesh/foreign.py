@@ -4,10 +4,13 @@ import io
 import re
 import zipfile
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from dynamictree.errors import FormatError, MeshError
 from dynamictree.formats.companions import find_companion
+from dynamictree.formats.origin import near_origin, offset_warnings
 from dynamictree.mesh import MAX_FACES, MAX_VERTICES, TriangleMesh
 
 MAX_XML_BYTES = 1 << 30  # of all entries of a 3MF together; the largest mesh that is allowed takes 0.5 GB
@@ -95,7 +98,9 @@ def _parsed(content: bytes, file_type: str, companions: Mapping[str, bytes]) -> 
     total = sum(len(scene.geometry[scene.graph[node][1]].vertices) for node in scene.graph.nodes_geometry)
     if total > MAX_VERTICES:
         raise MeshError(f"the file has {total:,} vertices with all instances; at most {MAX_VERTICES:,} are allowed")
-    return TriangleMesh.from_trimesh(scene)
+    _, offset = near_origin(np.asarray(scene.bounds, np.float64))
+    scene.apply_translation([-number for number in offset])
+    return replace(TriangleMesh.from_trimesh(scene), source_offset=offset, warnings=offset_warnings(offset))
 
 
 def _check_off(content: bytes) -> int:

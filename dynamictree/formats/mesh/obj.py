@@ -1,9 +1,10 @@
 """Wavefront OBJ with its MTL and textures, which are looked up only among the files that were sent along.
 
 Vertices follow the `v` lines. A vertex with several texture coordinates or normals retains its first; copies with the
-others follow after the last `v`. Polygons are cut into fans.
+others follow after the last `v`. Polygons are cut into fans; points, lines and faces of two corners are left out.
 """
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -11,22 +12,25 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int32, Int64, UInt8
 
 from dynamictree.errors import FormatError, MeshError
-from dynamictree.formats.companions import find_companion
-from dynamictree.formats.texture import refuse_many_pixels, texture_as_png
+from dynamictree.formats.mesh.mtl import read_materials, text_of
+from dynamictree.formats.number_text import numbers_of
+from dynamictree.formats.origin import near_origin, offset_warnings
 from dynamictree.mesh import MAX_FACES, MAX_VERTICES, Material, SourceWarning, TriangleMesh, unit_vectors
 
-_CUTOFF = 0.5  # of a material with a map_d
+_CONTINUED = re.compile(rb"\\[ \t]*\r?\n")
+_FACE = re.compile(rb"((-?[0-9]{1,18})(/(-?[0-9]{1,18})?){0,2} )+")
 
 
 @dataclass(kw_only=True)
 class _Statements:
-    """The lines of a file by their keyword, corners and faces still text."""
+    """The lines of a file by their keyword, numbers still text."""
 
     vertices: list[bytes] = field(default_factory=list)
     texture_places: list[bytes] = field(default_factory=list)
     normals: list[bytes] = field(default_factory=list)
-    corners: list[tuple[bytes, int, int, int]] = field(default_factory=list)  # token, number of v, vt, vn lines above
+    faces: list[bytes] = field(default_factory=list)  # corners as "v/vt/vn ", 0 for what a corner has not
     face_sizes: list[int] = field(default_factory=list)
+    above: dict[int, tuple[int, int, int]] = field(default_factory=dict)  # v, vt, vn lines above a face that needs them
     face_materials: list[int] = field(default_factory=list)
     material_names: dict[str, int] = field(default_factory=dict)
     face_parts: list[int] = field(default_factory=list)
@@ -41,40 +45,37 @@ def read_obj(content: bytes, *, companions: Mapping[str, bytes]) -> TriangleMesh
         FormatError: a line that cannot be read, a face that names what is not there, a damaged texture.
         MeshError: no faces, or more than `mesh.py` allows.
     """
-    lines = content.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines()
-    statements = _sort_lines(lines)
+    statements = _sort_lines(_CONTINUED.sub(b" ", content.removeprefix(b"\xef\xbb\xbf")).splitlines())
     if not statements.face_sizes:
         raise MeshError(
             f"the OBJ file has {len(statements.vertices):,} vertices and no faces; a triangle mesh is needed"
         )
     if not statements.vertices:
         raise FormatError("the OBJ file has faces but no vertices; it is damaged")
-    table = _numbers(statements.vertices, "v", (3, 4, 6, 7))
-    places = _numbers(statements.texture_places, "vt", (1, 2, 3)) if statements.texture_places else None
+    table, widths = _numbers(statements.vertices, "v", 3)
+    places = _numbers(statements.texture_places, "vt", 1)[0]
     directions = _directions(statements.normals)
-    counts = (len(table), 0 if places is None else len(places), len(directions))
-    rows, place_rows, normal_rows = _corner_rows(statements, counts)
-    original, looks, corners = _split(rows, np.stack([place_rows, _alike(directions)[normal_rows]], 1), len(table))
+    rows = _corner_rows(statements, (len(table), len(places), len(directions)))  # [C, 3]
+    looks = np.stack([rows[:, 1], _alike(directions)[rows[:, 2]]], 1)
+    original, looks, corners = _split(rows[:, 0], looks, len(table))
     faces, source_face = fans(corners, np.array(statements.face_sizes))
+    materials: tuple[Material, ...] = ()
     warnings: list[SourceWarning] = []
-    materials = _materials(statements, companions, warnings)
-    uv = None
-    if places is not None:
-        uv = np.zeros((len(original), 2), np.float32)
-        placed = looks[:, 0] >= 0
-        uv[placed, : min(places.shape[1], 2)] = places[looks[placed, 0], :2]
-        uv[placed, 1] = 1 - uv[placed, 1]  # v upward in OBJ
+    if set(statements.material_names) != {""}:
+        materials, warnings = read_materials(tuple(statements.material_names), statements.libraries, companions)
+    vertices, offset = near_origin(table[:, :3])
     return TriangleMesh(
-        vertices=table[original, :3].astype(np.float32),
+        vertices=vertices[original],
         faces=faces,
-        uv=uv,
-        vertex_colors=_colors(table, original),
+        uv=_uv(places, looks[:, 0]),
+        vertex_colors=_colors(table, widths, original),
         normals=_normals(directions, looks[:, 1]),
         face_material=np.array(statements.face_materials, np.int32)[source_face] if materials else None,
         materials=materials,
         part_names=(*statements.part_names, "") if statements.part_names else (),
         face_part=_parts(statements)[source_face] if statements.part_names else None,
-        warnings=tuple(warnings),
+        source_offset=offset,
+        warnings=(*warnings, *offset_warnings(offset)),
     )
 
 
@@ -85,109 +86,106 @@ def _parts(statements: _Statements) -> Int32[np.ndarray, " P"]:
 
 
 def _sort_lines(lines: list[bytes]) -> _Statements:
-    lines_by_kind = _Statements()
-    material, part = -1, -1
-    num_triangles = 0
+    statements = _Statements()
+    numbers = {b"v": statements.vertices, b"vt": statements.texture_places, b"vn": statements.normals}
+    material, part, num_triangles = -1, -1, 0
     for line in lines:
-        keyword, _, rest = line.strip().partition(b" ")
-        if keyword == b"v":
-            lines_by_kind.vertices.append(rest)
-        elif keyword == b"vt":
-            lines_by_kind.texture_places.append(rest)
-        elif keyword == b"vn":
-            lines_by_kind.normals.append(rest)
-        elif keyword == b"f":
-            tokens = rest.split()
-            if len(tokens) < 3:
-                raise FormatError(f"a face of the OBJ file has {len(tokens)} corners; at least 3 are needed")
-            num_triangles += len(tokens) - 2
-            if num_triangles > MAX_FACES or len(lines_by_kind.vertices) > MAX_VERTICES:
+        keyword, rest = (*line.split(None, 1), b"", b"")[:2]
+        if not rest:
+            continue
+        if keyword in numbers:
+            numbers[keyword].append(rest.partition(b"#")[0])
+        elif keyword in (b"f", b"fo"):
+            corners = rest.partition(b"#")[0].split()
+            if len(corners) < 3:
+                continue
+            num_triangles += len(corners) - 2
+            if num_triangles > MAX_FACES or len(statements.vertices) > MAX_VERTICES:
                 raise MeshError(
                     f"the OBJ file has more than {MAX_FACES:,} triangles or {MAX_VERTICES:,} vertices; decimate it"
                 )
-            above = (len(lines_by_kind.vertices), len(lines_by_kind.texture_places), len(lines_by_kind.normals))
-            lines_by_kind.corners += [(token, *above) for token in tokens]
-            lines_by_kind.face_sizes.append(len(tokens))
+            if b"-" in rest:
+                above = (len(statements.vertices), len(statements.texture_places), len(statements.normals))
+                statements.above[len(statements.faces)] = above
+            statements.faces.append(_three_numbers(corners))
+            statements.face_sizes.append(len(corners))
             if material < 0:
-                material = lines_by_kind.material_names.setdefault("", len(lines_by_kind.material_names))
-            lines_by_kind.face_materials.append(material)
-            lines_by_kind.face_parts.append(part)
+                material = statements.material_names.setdefault("", len(statements.material_names))
+            statements.face_materials.append(material)
+            statements.face_parts.append(part)
         elif keyword == b"usemtl":
-            name = _text(rest.strip())[:200]
-            material = lines_by_kind.material_names.setdefault(name, len(lines_by_kind.material_names))
+            name = text_of(rest.strip())[:200]
+            material = statements.material_names.setdefault(name, len(statements.material_names))
         elif keyword in (b"o", b"g"):
-            name = _text(rest.strip())[:200]
-            part = lines_by_kind.part_names.setdefault(name, len(lines_by_kind.part_names))
+            name = text_of(rest.strip())[:200]
+            part = statements.part_names.setdefault(name, len(statements.part_names))
         elif keyword == b"mtllib":
-            lines_by_kind.libraries.append(_text(rest.strip()))
-    return lines_by_kind
+            statements.libraries.append(text_of(rest.strip()))
+    return statements
 
 
-def _text(content: bytes) -> str:
-    """UTF-8, or Latin-1 as programs on Windows write names with umlauts."""
-    try:
-        return content.decode("utf-8")
-    except UnicodeDecodeError:
-        return content.decode("latin-1")
+def _three_numbers(corners: list[bytes]) -> bytes:
+    """The corners with 0 for each number that is not there."""
+    given = {corner.count(b"/") for corner in corners}
+    if len(given) > 1:
+        return b"".join(corner + b"/0" * (2 - corner.count(b"/")) + b" " for corner in corners)
+    end = b"/0" * (2 - given.pop()) + b" "
+    return end.join(corners) + end
 
 
-def _numbers(lines: list[bytes], keyword: str, widths: tuple[int, ...]) -> Float64[np.ndarray, "n width"]:
-    width = len(lines[0].split())
-    tokens = b" ".join(lines).split()
-    if width not in widths or len(tokens) != width * len(lines):
-        odd = next((i for i, line in enumerate(lines) if len(line.split()) != width), 0)
-        raise FormatError(
-            f"line {odd + 1} of the `{keyword}` lines of the OBJ file is {lines[odd][:60]!r}; "
-            f"{', '.join(map(str, widths))} numbers are allowed, the same on all lines"
-        )
-    try:
-        return np.array(tokens, dtype=np.bytes_).astype(np.float64).reshape(-1, width)
-    except ValueError as error:
-        raise FormatError(f"a `{keyword}` line of the OBJ file holds what is no number: {error}") from error
+def _numbers(
+    lines: list[bytes], keyword: str, fewest: int
+) -> tuple[Float64[np.ndarray, "n w"], Int64[np.ndarray, " n"]]:
+    """The numbers of lines, not a number where a line is shorter than others, and how many each has."""
+    if not lines:
+        return np.zeros((0, fewest)), np.zeros(0, np.int64)
+    widths = np.fromiter((len(line.split()) for line in lines), np.int64, len(lines))
+    values = numbers_of(b" ".join(lines).replace(b",", b"."))  # some programs write a comma in Germany
+    if values is None or len(values) != widths.sum() or widths.min() < fewest:
+        odd = next((line for line in lines if not _is_row(line, fewest)), lines[0])
+        raise FormatError(f"a `{keyword}` line of the OBJ file is {odd[:60]!r}; {fewest} numbers or more are needed")
+    table = np.full((len(lines), int(widths.max())), np.nan)
+    table[np.arange(table.shape[1]) < widths[:, None]] = values
+    return table, widths
 
 
-def _corner_rows(
-    statements: _Statements, counts: tuple[int, int, int]
-) -> tuple[Int64[np.ndarray, " C"], Int64[np.ndarray, " C"], Int64[np.ndarray, " C"]]:
-    """Row of the vertex, the texture place and the normal of every corner; -1 where it has none."""
-    resolved: dict[tuple[bytes, int, int, int], tuple[int, int, int]] = {}
-    rows = np.empty((len(statements.corners), 3), np.int64)
-    for i, corner in enumerate(statements.corners):
-        token, *above = corner
-        key = corner if b"-" in token else (token, 0, 0, 0)  # negative numbers count back from where they stand
-        if key not in resolved:
-            parts = [*token.split(b"/"), b"", b""]
-            vertex = _resolve(parts[0], above[0], counts[0], token)
-            place = _resolve(parts[1], above[1], counts[1], token) if parts[1] else -1
-            resolved[key] = (vertex, place, _normal_row(parts[2], above[2], counts[2]))
-        rows[i] = resolved[key]
-    return rows[:, 0], rows[:, 1], rows[:, 2]
-
-
-def _normal_row(number: bytes, above: int, count: int) -> int:
-    """As `_resolve`, but -1 for what is not there: a shape needs no normals."""
-    try:
-        return _resolve(number, above, count, number)
-    except FormatError:
-        return -1
+def _is_row(line: bytes, fewest: int) -> bool:
+    values = numbers_of(line.replace(b",", b"."))
+    return values is not None and len(values) >= fewest
 
 
 def _directions(lines: list[bytes]) -> Float64[np.ndarray, "n 3"]:
     """The `vn` lines; none where they cannot be read, as a shape needs no normals."""
     try:
-        return _numbers(lines, "vn", (3,)) if lines else np.zeros((0, 3))
+        return _numbers(lines, "vn", 3)[0][:, :3]
     except FormatError:
         return np.zeros((0, 3))
 
 
-def _resolve(number: bytes, above: int, count: int, token: bytes) -> int:
-    digits = number.removeprefix(b"-")
-    if not digits.isdigit() or len(digits) > 9:
-        raise FormatError(f"a face of the OBJ file has the corner {token[:40]!r}, which is not understood")
-    row = above - int(digits) if number.startswith(b"-") else int(digits) - 1
-    if not 0 <= row < count:
-        raise FormatError(f"a face of the OBJ file has the corner {token[:40]!r}, but there are {count} to choose from")
-    return row
+def _corner_rows(statements: _Statements, counts: tuple[int, int, int]) -> Int64[np.ndarray, "C 3"]:
+    """Row of the vertex, the texture place and the normal of every corner; -1 where it has none."""
+    text = b"".join(statements.faces).replace(b"//", b"/0/").replace(b"/ ", b"/0 ").replace(b"/", b" ")
+    numbers = numbers_of(text, np.int64)
+    sizes = np.array(statements.face_sizes)
+    if numbers is None or len(numbers) != 3 * sizes.sum():
+        odd = next((face for face in statements.faces if not _FACE.fullmatch(face)), b"")
+        raise FormatError(f"a face of the OBJ file is {odd[:60]!r}, which is not understood")
+    rows = numbers.reshape(-1, 3)
+    if statements.above:  # negative numbers count back from where they stand
+        above = np.zeros((len(sizes), 3), np.int64)
+        above[list(statements.above)] = list(statements.above.values())
+        rows = np.where(rows < 0, rows + np.repeat(above, sizes, axis=0) + 1, rows)
+    stated = numbers.reshape(-1, 3) != 0
+    beyond = (rows < 1) | (rows > counts)
+    wrong = beyond[:, 0] | (beyond[:, 1] & stated[:, 1])
+    if wrong.any():
+        corner = "/".join(map(str, numbers.reshape(-1, 3)[int(np.argmax(wrong))]))
+        raise FormatError(
+            f"a face of the OBJ file has the corner {corner}, but there are {counts[0]:,} vertices and {counts[1]:,} "
+            "texture coordinates to choose from"
+        )
+    rows[beyond] = 0  # a normal that is not there
+    return rows - 1
 
 
 def _alike(directions: Float64[np.ndarray, "n 3"]) -> Int64[np.ndarray, " m"]:
@@ -241,78 +239,30 @@ def _normals(
     return normals
 
 
-def _colors(table: Float64[np.ndarray, "n width"], rows: Int64[np.ndarray, " N"]) -> UInt8[np.ndarray, "N 4"] | None:
-    """Colours after the position, in [0, 1], as some scanners write them."""
-    if table.shape[1] < 6:
+def _uv(places: Float64[np.ndarray, "n w"], rows: Int64[np.ndarray, " N"]) -> Float32[np.ndarray, "N 2"] | None:
+    """Texture coordinates with v downward, 0 where a vertex has none."""
+    if not len(places):
         return None
-    rgb = np.clip(np.nan_to_num(table[rows, -3:]), 0, 1)
-    return np.concatenate([np.round(rgb * 255), np.full((len(rows), 1), 255)], axis=1).astype(np.uint8)
+    uv = np.zeros((len(rows), 2), np.float32)
+    placed = rows >= 0
+    uv[placed, : min(places.shape[1], 2)] = np.nan_to_num(places[rows[placed], :2])
+    uv[placed, 1] = 1 - uv[placed, 1]
+    return uv
 
 
-def _materials(
-    statements: _Statements, companions: Mapping[str, bytes], warnings: list[SourceWarning]
-) -> tuple[Material, ...]:
-    if set(statements.material_names) == {""}:
-        return ()
-    described: dict[str, Material] = {}
-    for library in statements.libraries:
-        content = find_companion(library, companions)
-        if content is None:
-            message = f"material library {library[:120]!r} was not sent along; its materials are grey"
-            warnings.append(SourceWarning(code="material-library-missing", message=message))
-        else:
-            described |= _read_mtl(content, companions, warnings)
-    return tuple(described.get(name, Material(name=name)) for name in statements.material_names)
+def _colors(
+    table: Float64[np.ndarray, "n width"], widths: Int64[np.ndarray, " n"], rows: Int64[np.ndarray, " N"]
+) -> UInt8[np.ndarray, "N 4"] | None:
+    """Colours behind the position, from 0 to 1 or to 255, as scanners write them; white where a line has none.
 
-
-def _read_mtl(content: bytes, companions: Mapping[str, bytes], warnings: list[SourceWarning]) -> dict[str, Material]:
-    fields: dict[str, dict[str, str]] = {}
-    current: dict[str, str] = {}
-    for line in _text(content).splitlines():
-        keyword, _, rest = line.strip().partition(" ")
-        if keyword == "newmtl":
-            current = fields.setdefault(rest.strip()[:200], {})
-        elif keyword:
-            current[keyword] = rest.strip()
-    images: dict[str, bytes] = {}
-    return {name: _material(name, entry, companions, images, warnings) for name, entry in fields.items()}
-
-
-def _material(
-    name: str,
-    entry: Mapping[str, str],
-    companions: Mapping[str, bytes],
-    images: dict[str, bytes],
-    warnings: list[SourceWarning],
-) -> Material:
-    """Build one material; `images` has the textures that are decoded already."""
-    red, green, blue = _floats(entry.get("Kd", "0.8 0.8 0.8"), 3, "Kd")
-    opaque = _floats(entry["d"], 1, "d")[0] if "d" in entry else 1 - _floats(entry.get("Tr", "0"), 1, "Tr")[0]
-    texture = entry.get("map_Kd", "")
-    content = find_companion(texture, companions)  # names may have spaces
-    if content is None:
-        texture = texture.split(" ")[-1]  # options come before it
-        content = find_companion(texture, companions)
-    if texture and content is None:
-        message = f"texture {texture[:120]!r} was not sent along; the model is used without it"
-        if message not in (warning.message for warning in warnings):
-            warnings.append(SourceWarning(code="texture-missing", message=message))
-    if content is not None and texture not in images:
-        images[texture] = texture_as_png(content, texture[:80])
-        refuse_many_pixels(images.values())
-    return Material(
-        name=name,
-        base_color=(red, green, blue, opaque),
-        texture_png=images.get(texture),
-        alpha_cutoff=_CUTOFF if "map_d" in entry else None,
-    )
-
-
-def _floats(text: str, count: int, keyword: str) -> list[float]:
-    try:
-        values = [float(token) for token in text.split()[:count]]
-    except ValueError as error:
-        raise FormatError(f"{keyword} of a material is {text[:60]!r}; {count} numbers are needed") from error
-    if len(values) != count:
-        raise FormatError(f"{keyword} of a material is {text[:60]!r}; {count} numbers are needed")
-    return [min(max(value, 0.0), 1.0) for value in values]
+    Of four numbers behind the position the first is a weight if it is 1 everywhere, else the last is an alpha.
+    """
+    colored = widths >= 6
+    if not colored.any():
+        return None
+    first = 4 if (widths[colored] == 7).all() and (table[colored, 3] == 1).all() else 3
+    rgb = np.nan_to_num(table[colored, first : first + 3])
+    colors = np.full((len(table), 4), 255, np.uint8)
+    colors[colored, :3] = np.round(np.clip(rgb if rgb.max() > 1 else rgb * 255, 0, 255))
+    of_vertices: UInt8[np.ndarray, "N 4"] = colors[rows]
+    return of_vertices

@@ -4,8 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float32, Int32, UInt8
+from jaxtyping import Float32, Float64, Int32, UInt8
 
+from dynamictree.formats.origin import near_origin, offset_warnings
 from dynamictree.mesh import Material, TriangleMesh
 
 _WHITE = 255
@@ -16,7 +17,7 @@ _DEFAULT_MATERIAL = Material(name="default", base_color=(1.0, 1.0, 1.0, 1.0), do
 class MeshPart:
     """One primitive of a file; `vertices_of` is the earlier part whose vertices it uses, if it brings none."""
 
-    vertices: Float32[np.ndarray, "N 3"]
+    vertices: Float64[np.ndarray, "N 3"]
     faces: Int32[np.ndarray, "F 3"]
     uv: Float32[np.ndarray, "N 2"] | None
     vertex_colors: UInt8[np.ndarray, "N 4"] | None
@@ -30,7 +31,7 @@ def join_parts(parts: Sequence[MeshPart], materials: tuple[Material, ...]) -> Tr
     """One mesh; what has no material gets a white one, a vertex without texture place 0, one without colour white."""
     own, starts = [part for part in parts if part.vertices_of is None], first_vertices(parts)
     has_normals = any(p.normals is not None for p in own)
-    normals = [np.zeros_like(p.vertices) if p.normals is None else p.normals for p in own]
+    normals = [np.zeros(p.vertices.shape, np.float32) if p.normals is None else p.normals for p in own]
     has_uv, has_colors = any(p.uv is not None for p in own), any(p.vertex_colors is not None for p in own)
     uv = [np.zeros((len(p.vertices), 2), np.float32) if p.uv is None else p.uv for p in own]
     colors = [
@@ -40,10 +41,13 @@ def join_parts(parts: Sequence[MeshPart], materials: tuple[Material, ...]) -> Tr
     face_material = [np.full(len(p.faces), p.material if p.material >= 0 else default, np.int32) for p in parts]
     names = tuple(dict.fromkeys(part.name for part in parts))
     face_part = [np.full(len(part.faces), names.index(part.name), np.int32) for part in parts] if any(names) else None
+    vertices, offset = near_origin(np.concatenate([part.vertices for part in own]))
     return TriangleMesh(
         part_names=names if face_part else (),
         face_part=np.concatenate(face_part) if face_part else None,
-        vertices=np.concatenate([part.vertices for part in own]),
+        vertices=vertices,
+        source_offset=offset,
+        warnings=offset_warnings(offset),
         faces=np.concatenate([part.faces + np.int32(start) for part, start in zip(parts, starts, strict=True)]),
         uv=np.concatenate(uv) if has_uv else None,
         vertex_colors=np.concatenate(colors) if has_colors else None,

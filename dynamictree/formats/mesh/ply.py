@@ -11,6 +11,8 @@ from jaxtyping import Float32, Int32, Int64, Shaped, UInt8
 from dynamictree.errors import FormatError, MeshError
 from dynamictree.formats.companions import find_companion
 from dynamictree.formats.mesh.obj import fans
+from dynamictree.formats.number_text import numbers_of
+from dynamictree.formats.origin import near_origin, offset_warnings
 from dynamictree.formats.ply_table import PlyElement, PlyHeader, read_elements, read_header
 from dynamictree.formats.texture import texture_as_png
 from dynamictree.mesh import MAX_FACES, MAX_VERTICES, Material, TriangleMesh, unit_vectors
@@ -57,8 +59,7 @@ def read_ply_mesh(content: bytes, *, companions: Mapping[str, bytes]) -> Triangl
     if len(faces) > MAX_FACES:
         raise MeshError(f"the PLY file has {len(faces):,} triangles; {MAX_FACES:,} are allowed; decimate it first")
     material = _material(content, companions)
-    with np.errstate(over="ignore"):  # a double beyond float32 becomes inf, which validate_mesh refuses
-        vertices = np.stack([rows[name].astype(np.float32) for name in "xyz"], axis=1)
+    vertices, offset = near_origin(np.stack([rows[name].astype(np.float64) for name in "xyz"], axis=1))
     return TriangleMesh(
         vertices=vertices,
         faces=faces,
@@ -67,6 +68,8 @@ def read_ply_mesh(content: bytes, *, companions: Mapping[str, bytes]) -> Triangl
         normals=_normals(rows),
         face_material=np.zeros(len(faces), np.int32) if material else None,
         materials=(material,) if material else (),
+        source_offset=offset,
+        warnings=offset_warnings(offset),
     )
 
 
@@ -162,10 +165,10 @@ def _ascii_polygons(
                 corners += words[at : at + length]
                 sizes[row] = length
             at += length
-    try:
-        return np.array(corners, dtype=np.bytes_).astype(np.int64).astype(np.int32), sizes
-    except (ValueError, OverflowError) as error:
-        raise FormatError(f"a face of the PLY file holds what is no whole number: {error}") from error
+    numbers = numbers_of(b" ".join(corners), np.int64)
+    if numbers is None or len(numbers) != len(corners) or np.abs(numbers).max(initial=0) >= 2**31:
+        raise FormatError("a face of the PLY file holds what is no index of a vertex")
+    return numbers.astype(np.int32), sizes
 
 
 def _whole(word: bytes, row: int) -> int:

@@ -17,7 +17,7 @@ def write_ply(mesh: TriangleMesh, stream: ByteWriter) -> None:
 
 def ply_head(mesh: TriangleMesh) -> bytes:
     """The header, with the up axis and the unit in comments."""
-    lines = ["ply", "format binary_little_endian 1.0", *axis_comments("+Z", 1.0)]
+    lines = ["ply", "format binary_little_endian 1.0", *axis_comments("+Z", 1.0, mesh.source_offset)]
     lines += [f"element vertex {mesh.num_vertices}"]
     lines += [f"property float {name}" for name in "xyz"]
     lines += [f"property float {name}" for name in "st" if mesh.uv is not None]

@@ -1,9 +1,11 @@
 """STL, binary and ASCII. Its triangles share no vertices; equal positions are made one, in their order in the file."""
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, Float64
 
 from dynamictree.errors import FormatError, MeshError
+from dynamictree.formats.number_text import rows_of
+from dynamictree.formats.origin import near_origin, offset_warnings
 from dynamictree.mesh import MAX_FACES, TriangleMesh
 
 _HEADER_BYTES = 84
@@ -18,17 +20,16 @@ def read_stl(content: bytes) -> TriangleMesh:
         MeshError: more faces than `mesh.py` allows.
     """
     corners = _ascii_corners(content) if is_ascii_stl(content) else _binary_corners(content)
+    points, offset = near_origin(corners.reshape(-1, 3).astype(np.float64))
     # adding zero makes -0 and 0 the same bytes
-    positions, first, inverse = np.unique(
-        np.ascontiguousarray(corners.reshape(-1, 3) + np.float32(0)).view("V12").ravel(),
-        return_index=True,
-        return_inverse=True,
-    )
+    keys = np.ascontiguousarray(points + np.float32(0)).view("V12").ravel()
+    positions, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
     order = np.argsort(first, kind="stable")
     rank = np.empty(len(order), np.int32)
     rank[order] = np.arange(len(order))
     vertices = positions[order].view(np.float32).reshape(-1, 3)
-    return TriangleMesh(vertices=vertices, faces=rank[inverse.ravel()].reshape(-1, 3))
+    faces = rank[inverse.ravel()].reshape(-1, 3)
+    return TriangleMesh(vertices=vertices, faces=faces, source_offset=offset, warnings=offset_warnings(offset))
 
 
 def is_ascii_stl(head: bytes) -> bool:
@@ -51,20 +52,16 @@ def _binary_corners(content: bytes) -> Float32[np.ndarray, "F 3 3"]:
     return np.ascontiguousarray(records["corners"]).astype(np.float32)
 
 
-def _ascii_corners(content: bytes) -> Float32[np.ndarray, "F 3 3"]:
+def _ascii_corners(content: bytes) -> Float64[np.ndarray, "F 3 3"]:
     words = content.lower().split(b"vertex")
     _refuse_too_many((len(words) - 1) // 3)
-    numbers = [word.split(maxsplit=3)[:3] for word in words[1:]]
-    if len(numbers) % 3 or any(len(row) != 3 for row in numbers):
+    rows = [word.split(maxsplit=3)[:3] for word in words[1:]]
+    corners = rows_of(b" ".join(number for row in rows for number in row), 9)
+    if corners is None or len(rows) % 3 or len(corners) != len(rows) // 3:
         raise FormatError(
             "the ASCII STL file has facets that have not three vertices of three numbers; it is truncated"
         )
-    try:
-        corners = np.array(numbers, dtype=np.bytes_).astype(np.float64) if numbers else np.zeros((0, 3))
-    except ValueError as error:
-        raise FormatError(f"the ASCII STL file has a vertex that is no number: {error}") from error
-    with np.errstate(over="ignore"):
-        return corners.astype(np.float32).reshape(-1, 3, 3)
+    return corners.reshape(-1, 3, 3)
 
 
 def _refuse_too_many(count: int) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
 from dynamictree.errors import FormatError, InputError
+from dynamictree.formats.origin import near_origin
 from dynamictree.formats.ply_table import PlyHeader, read_elements, read_header
 from dynamictree.formats.scan.las_header import HEADER_BYTES, check_las_header
 from dynamictree.formats.scan.shading import shaded_colors
@@ -29,7 +30,6 @@ _UMLAUTS = {ord("ä"): "ae", ord("ö"): "oe", ord("ü"): "ue"}
 _NUM_NEIGHBOURS = 3  # Kerbl et al. 2023, section 5.2: a Gaussian as wide as its three nearest neighbours are far
 _LARGEST_SPACING = 4.0  # in medians: a stray point stays small
 _OPACITY = 0.9  # surfaces that were scanned are solid; below 1, neighbours blend
-_MAX_OFFSET_SIZES = 100.0  # in extents: farther from the origin, float32 would round what was measured
 
 
 def read_points_ply(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: float = 1.0) -> GaussianCloud:
@@ -173,18 +173,19 @@ def cloud_of_points(
     extent = float(np.ptp(points, axis=0).max())
     if extent == 0:
         raise InputError(f"all {len(points):,} points are at one place; the cloud needs an extent")
-    if np.abs(points).max() > _MAX_OFFSET_SIZES * extent:
-        points = points - np.floor(points.mean(axis=0))
+    means, offset = near_origin(points)
+    points = means.astype(np.float64)
     scales = np.repeat(_spacing(points)[:, None], 3, axis=1)
     if colors is None:
         colors = shaded_colors(points @ up_rotation(up_axis).T, spacing=2 * float(np.median(scales)))
     return validate_cloud(
         GaussianCloud(
-            means=points.astype(np.float32),
+            means=means,
             quaternions=np.tile(np.array([1, 0, 0, 0], np.float32), (len(points), 1)),
             scales=scales,
             opacity=np.full(len(points), _OPACITY, np.float32),
             sh=harmonic_from_color(colors / np.float32(255))[:, None],
+            source_offset=offset,
         )
     )
 

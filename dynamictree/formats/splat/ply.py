@@ -69,7 +69,7 @@ def read_gaussian_rows(stream: SeekableReader, header: PlyHeader, *, up_axis: st
 
 def write_gaussian_ply(cloud: GaussianCloud, stream: ByteWriter) -> None:
     """Write what every splat viewer reads, in the source's axes and units; undone by `read_gaussian_ply`."""
-    comments = axis_comments(cloud.source_up_axis, cloud.source_scale)
+    comments = axis_comments(cloud.source_up_axis, cloud.source_scale, cloud.source_offset)
     stream.write(ply_header(cloud.num_gaussians, cloud.sh.shape[1], comments=comments))
     stream.write(ply_rows(to_source_axes(cloud)).tobytes())
 

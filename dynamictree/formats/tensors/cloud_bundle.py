@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Shaped
 
 from dynamictree.byte_stream import ByteReader, ByteWriter
-from dynamictree.formats.tensors.container import number, read_tensors, take_tensor, write_tensors
+from dynamictree.formats.tensors.container import number, offset_of, read_tensors, take_tensor, write_tensors
 from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle, write_mesh_bundle
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.mesh import StillPart
@@ -43,6 +43,7 @@ def write_cloud_bundle(capture: Capture, stream: ByteWriter) -> None:
     if capture.part_of is not None:
         tensors["part_of"] = capture.part_of
     source = {"source_up_axis": cloud.source_up_axis, "source_scale": repr(float(cloud.source_scale))}
+    source["source_offset"] = json.dumps(cloud.source_offset)
     source["still_parts"] = json.dumps([asdict(part) for part in capture.still_parts])
     write_tensors(stream, tensors, {"format": FORMAT, "version": VERSION} | source)
 
@@ -61,7 +62,10 @@ def read_cloud_bundle(stream: ByteReader) -> Capture:
     part_of = take_tensor(tensors, "part_of", dtypes=("uint8",), shape=(None,)) if "part_of" in tensors else None
     return Capture(
         cloud=GaussianCloud(
-            **parts, source_up_axis=metadata["source_up_axis"], source_scale=number(metadata, "source_scale")
+            **parts,
+            source_up_axis=metadata["source_up_axis"],
+            source_scale=number(metadata, "source_scale"),
+            source_offset=offset_of(metadata),
         ),
         mask=None if mask is None else mask.astype(np.bool_),
         tree=take_tensor(tensors, "tree", dtypes=("int32",), shape=(None,)) if "tree" in tensors else None,

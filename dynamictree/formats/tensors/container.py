@@ -11,6 +11,7 @@ from safetensors import SafetensorError, deserialize
 
 from dynamictree.byte_stream import ByteReader, ByteWriter, read_all
 from dynamictree.errors import FormatError
+from dynamictree.formats.json_fields import numbers_field, parse_object
 from dynamictree.formats.seekable import SeekableReader
 from dynamictree.source import Source
 from dynamictree.up_axis import UP_AXIS_PATTERN
@@ -167,6 +168,7 @@ def source_metadata(source: Source) -> dict[str, str]:
         "source_up_axis": source.up_axis,
         "source_up_confidence": json.dumps(source.up_confidence),
         "source_scale": json.dumps(source.scale),
+        "source_offset": json.dumps(source.offset),
     }
 
 
@@ -185,7 +187,21 @@ def source_of(metadata: Mapping[str, str]) -> Source:
         up_axis=text(metadata, "source_up_axis", rf"({UP_AXIS_PATTERN})?"),
         up_confidence=confidence,
         scale=scale,
+        offset=offset_of(metadata),
     )
+
+
+def offset_of(metadata: Mapping[str, str]) -> tuple[float, float, float]:
+    """What was subtracted from a source's coordinates; 0 in files of before it was written.
+
+    Raises:
+        FormatError: it is not three finite numbers.
+    """
+    values = parse_object(
+        b'{"source_offset": ' + metadata.get("source_offset", "[0, 0, 0]").encode() + b"}", "metadata"
+    )
+    x, y, z = numbers_field(values, "source_offset", 3, ())
+    return x, y, z
 
 
 def text(metadata: Mapping[str, str], name: str, allowed: str) -> str:

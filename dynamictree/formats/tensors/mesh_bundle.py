@@ -35,6 +35,7 @@ def write_mesh_bundle(mesh: TriangleMesh, stream: ByteWriter) -> None:
         "source_up_axis": mesh.source_up_axis,
         "source_up_confidence": mesh.source_up_confidence,
         "source_scale": mesh.source_scale,
+        "source_offset": mesh.source_offset,
         "warnings": [asdict(warning) for warning in mesh.warnings],
         "part_names": mesh.part_names,
         "still_parts": [asdict(part) for part in mesh.still_parts],
@@ -112,5 +113,6 @@ def _mesh(tensors: Mapping[str, Shaped[np.ndarray, "..."]], rest: Mapping[str, A
         source_up_axis=rest["source_up_axis"],
         source_up_confidence=rest.get("source_up_confidence", 1.0),
         source_scale=rest["source_scale"],
+        source_offset=tuple(rest.get("source_offset", (0.0, 0.0, 0.0))),
         warnings=tuple(SourceWarning(**entry) for entry in rest.get("warnings", ())),
     )
