@@ -178,6 +178,11 @@ class TriangleMesh:
         return replace(self, vertices=vertices, normals=None, source_gltf=None)
 
 
+def triangle_mesh(mesh: "TriangleMesh | trimesh.Trimesh | trimesh.Scene") -> TriangleMesh:
+    """The mesh itself, or what an object of trimesh holds."""
+    return mesh if isinstance(mesh, TriangleMesh) else TriangleMesh.from_trimesh(mesh)
+
+
 def validate_mesh(mesh: TriangleMesh) -> TriangleMesh:
     """Give the mesh back if the method can work on it.
 

@@ -20,7 +20,7 @@ from dynamictree.devoxelize.length_preserving import length_preserving
 from dynamictree.gaussian.animate import iter_splat_frames
 from dynamictree.gaussian.binding import bind
 from dynamictree.gaussian.cloud import GaussianCloud
-from dynamictree.mesh import TriangleMesh
+from dynamictree.mesh import TriangleMesh, triangle_mesh
 from dynamictree.plant.trees.of_mesh import stand_resolution
 from dynamictree.requests import GridParams, Resolution, Wind
 from dynamictree.spectrum import SparseVoxelSpectrum, iter_motion
@@ -126,11 +126,6 @@ def displace(
     """
     num_frames = spectrum.num_frames if num_frames is None else num_frames
     return iter_motion(vertex_spectrum, np.arange(num_frames) / num_frames, spectrum.num_frames)
-
-
-def triangle_mesh(mesh: "TriangleMesh | trimesh.Trimesh | trimesh.Scene") -> TriangleMesh:
-    """The mesh itself, or what an object of trimesh holds."""
-    return mesh if isinstance(mesh, TriangleMesh) else TriangleMesh.from_trimesh(mesh)
 
 
 @lru_cache(maxsize=2)

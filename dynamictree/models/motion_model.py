@@ -4,7 +4,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Complex64
@@ -19,6 +19,25 @@ if TYPE_CHECKING:
 
 OnStep = Callable[[int, int], None]
 """Called after each sampler step with the steps done and their total; an exception that it raises cancels the run."""
+
+
+@runtime_checkable
+class Generate(Protocol):
+    """Function that generates the spectrum of one tree."""
+
+    def __call__(self, voxels: SurfaceVoxels, *, seed: int, on_step: OnStep | None = None) -> SparseVoxelSpectrum:
+        """The same seed gives the same motion."""
+
+
+@runtime_checkable
+class GenerateFromBin(Protocol):
+    """Function that generates the swaying bins of one tree's spectrum from `lowest_bin` on: `MotionModel.generate`."""
+
+    def __call__(
+        self, voxels: SurfaceVoxels, *, seed: int, lowest_bin: int = 1, on_step: OnStep | None = None
+    ) -> SparseVoxelSpectrum:
+        """What is below `lowest_bin`, the lean excepted, may hold anything."""
+
 
 SPEEDS_M_S = (0.0, 30.0)
 GUSTS = (0.0, 2.0)

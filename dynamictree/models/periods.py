@@ -14,14 +14,13 @@ Where a bin of the model is wider than one of the spectrum, it becomes several o
 phase of its own, so that flutter does not repeat within the loop.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Complex64
 
 from dynamictree.modal.real_trees import FREQUENCY_AT_1M_HZ, TALL_EXPONENT, TALL_M, loop_times, quickening
-from dynamictree.models.motion_model import OnStep
+from dynamictree.models.motion_model import Generate, GenerateFromBin, OnStep
 from dynamictree.models.several_trees import share_of_steps
 from dynamictree.spectrum import FPS, NUM_FRAMES, NUM_FREQUENCIES, SparseVoxelSpectrum, mode_sizes
 from dynamictree.voxel.voxelize import SurfaceVoxels
@@ -37,9 +36,6 @@ LEARNED_FROM_M = 2.0
 """Height below which the data has two species only."""
 VOXELS_AT_ONCE = 65_536
 
-Generate = Callable[..., SparseVoxelSpectrum]
-"""`MotionModel.generate` with wind and number of steps: takes voxels, seed, lowest_bin and on_step."""
-
 
 def period_by_height(voxels: SurfaceVoxels) -> float:
     """Period of a spectrum of these voxels [s]; of several trees, that of the tallest."""
@@ -47,7 +43,7 @@ def period_by_height(voxels: SurfaceVoxels) -> float:
     return PERIOD_S * max(loop_times(_height_m(voxels, numbers == number)) for number in np.unique(numbers))
 
 
-def in_period(generate: Generate, period_s: float, *, quick_when_small: bool = True) -> Generate:
+def in_period(generate: GenerateFromBin, period_s: float, *, quick_when_small: bool = True) -> Generate:
     """Generate spectra of this period, rounded to whole frames, of one tree each.
 
     In 4.17 s, trees that are not small move as the model says; `quick_when_small` is whether small ones are quickened.

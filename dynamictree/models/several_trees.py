@@ -1,44 +1,53 @@
-"""Several trees in one grid: each is generated separately, with its own root and seed."""
+"""Split the voxels of several trees, generate each tree by itself, and join the spectra."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Int64
 
-from dynamictree.models.motion_model import OnStep
+from dynamictree.models.motion_model import Generate, OnStep
 from dynamictree.spectrum import SparseVoxelSpectrum
+from dynamictree.voxel.grid import VoxelGrid
 from dynamictree.voxel.voxelize import SurfaceVoxels
 
 RESOLUTIONS = (128, 256, 512)
 
 
 def generate_trees(
-    generate: Callable[..., SparseVoxelSpectrum], voxels: SurfaceVoxels, *, seed: int, on_step: OnStep | None = None
+    generate: Generate, voxels: SurfaceVoxels, *, seed: int, on_step: OnStep | None = None
 ) -> SparseVoxelSpectrum:
     """Generate the spectrum of one motion of one tree or of several.
 
     Tree n of several gets the seed `seed` + n. What a tree is given does not depend on the others.
 
     Args:
-        generate: `MotionModel.generate` of a model, with wind and number of steps.
+        generate: gives the spectrum of one tree; all in the same period, each with as many frequencies as it needs.
         voxels: of all trees.
         seed: of the first tree.
         on_step: see OnStep; steps are counted over all trees.
     """
     if voxels.tree is None:
         return generate(voxels, seed=seed, on_step=on_step)
-    numbers = np.unique(voxels.tree).tolist()
+    rows_of_tree = {int(number): np.flatnonzero(voxels.tree == number) for number in np.unique(voxels.tree)}
     spectra = []
-    for index, number in enumerate(numbers):
-        rows = np.flatnonzero(voxels.tree == number)
-        own_steps = share_of_steps(on_step, index, len(numbers))
-        spectrum = generate(tree_voxels(voxels, rows), seed=seed + int(number), on_step=own_steps)
-        spectra.append((rows, spectrum.coefficients))
-    coefficients = np.zeros((len(voxels.grid), *spectra[0][1].shape[1:]), np.complex64)
-    for rows, of_tree in spectra:
-        coefficients[rows] = of_tree
-    return replace(spectrum, grid=voxels.grid, coefficients=coefficients, tree=voxels.tree, seed=seed)
+    for index, (number, rows) in enumerate(rows_of_tree.items()):
+        own, own_steps = tree_voxels(voxels, rows), share_of_steps(on_step, index, len(rows_of_tree))
+        spectra.append(_on_grid(generate(own, seed=seed + number, on_step=own_steps), own.grid))
+    num_frequencies = max(spectrum.num_frequencies for spectrum in spectra)
+    coefficients = np.zeros((len(voxels.grid), num_frequencies, 3), np.complex64)
+    for rows, spectrum in zip(rows_of_tree.values(), spectra, strict=True):
+        coefficients[rows, : spectrum.num_frequencies] = spectrum.coefficients
+    return replace(spectra[0], grid=voxels.grid, coefficients=coefficients, tree=voxels.tree, seed=seed)
+
+
+def _on_grid(spectrum: SparseVoxelSpectrum, grid: VoxelGrid) -> SparseVoxelSpectrum:
+    """A spectrum that may be on a coarser grid than its tree: each voxel gets that of the one around it."""
+    coarser = grid.resolution // spectrum.grid.resolution
+    if coarser == 1:
+        return spectrum
+    return replace(
+        spectrum, grid=grid, coefficients=spectrum.coefficients[spectrum.grid.rows_of(grid.coords // coarser)]
+    )
 
 
 def tree_voxels(voxels: SurfaceVoxels, rows: Int64[np.ndarray, " M"]) -> SurfaceVoxels:
