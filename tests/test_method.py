@@ -1,12 +1,16 @@
 """The method on one page, called as a reader of it would."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import trimesh
 
 from dynamictree import method
+from dynamictree.export.write import write_products
 from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.mesh import TriangleMesh
+from dynamictree.requests import ExportParams, Format, Wind
 from dynamictree.spectrum import SparseVoxelSpectrum
 
 NUM_FRAMES = 6
@@ -62,3 +66,16 @@ def test_a_shape_becomes_a_loop(post: trimesh.Trimesh) -> None:
     assert len(frames) == 4
     assert all(frame.shape == post.vertices.shape and np.isfinite(frame).all() for frame in frames)
     assert np.abs(frames[0] - frames[2]).max() > 1e-6
+
+
+def test_the_readme_s_lines_take_a_mesh_of_trimesh_to_its_files(post: trimesh.Trimesh, tmp_path: Path) -> None:
+    voxels = method.voxelize(post)
+    spectrum = method.generate(voxels, seed=0, wind=Wind(speed_m_s=6.0), num_steps=1)
+    formats: tuple[Format, ...] = ("png", "motion", "ply", "glb", "vat")
+    of_trimesh, ours = tmp_path / "trimesh", tmp_path / "ours"
+    for folder, mesh in ((of_trimesh, post), (ours, TriangleMesh.from_trimesh(post))):
+        folder.mkdir()
+        write_products(mesh, spectrum, ExportParams(formats=formats, fps=6.0), folder)
+    assert len(list(ours.iterdir())) == len(formats)
+    for path in ours.iterdir():
+        assert (of_trimesh / path.name).read_bytes() == path.read_bytes()

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,10 +14,13 @@ from dynamictree.export.table import PRODUCTS, require_available
 from dynamictree.export.vertex_motion import Recall, vertex_motion
 from dynamictree.gaussian.animate import lighter
 from dynamictree.gaussian.binding import Binding, bind
-from dynamictree.mesh import TriangleMesh
+from dynamictree.mesh import TriangleMesh, triangle_mesh
 from dynamictree.plant.capture import Capture, moving_part
 from dynamictree.requests import MAX_FRAMES, CloudParams, ExportParams, Format
 from dynamictree.spectrum import SparseVoxelSpectrum
+
+if TYPE_CHECKING:
+    import trimesh
 
 MOTION_SHARE = 0.4
 """Of the progress: the motion of the vertices, before the first file."""
@@ -25,7 +29,7 @@ OnFacts = Callable[[Format, Facts], None]
 
 
 def write_products(
-    mesh: TriangleMesh,
+    mesh: "TriangleMesh | trimesh.Trimesh | trimesh.Scene",
     spectrum: SparseVoxelSpectrum,
     params: ExportParams,
     folder: Path,
@@ -46,6 +50,7 @@ def write_products(
         InputError: the frames do not make a loop, though one is asked for; the capture is not where the mesh is;
             a sequence of splats would be too large; or a format's library is not installed.
     """
+    mesh = triangle_mesh(mesh)
     formats = params.chosen_formats(cloud=capture is not None)
     require_available(formats)
     num_frames = params.count_frames(spectrum.period_s)
