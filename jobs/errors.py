@@ -5,7 +5,8 @@
     ├── GoneError           there was one; it expired or was deleted
     ├── ConflictError       the state forbids it
     ├── ReusedKeyError      the client's key means another request
-    ├── QuotaError          the owner has as much as is allowed
+    ├── QuotaError          the owner has as many jobs as are allowed
+    ├── BytesQuotaError     the owner has as many bytes as are allowed
     ├── StorageAwayError    the storage of the bytes does not answer
     ├── StorageFullError    it has no room
     ├── FencedError         another attempt owns the job; this one must stop
@@ -53,6 +54,12 @@ class QuotaError(JobsError):
     """The owner has as much as is allowed."""
 
     code = "too-many-active-jobs"
+
+
+class BytesQuotaError(JobsError):
+    """The owner has as many bytes as are allowed."""
+
+    code = "quota-exceeded"
 
 
 class StorageAwayError(JobsError):

@@ -35,8 +35,8 @@ class AssetRecord:
 
     @property
     def bytes(self) -> int:
-        """Size of all files [bytes]."""
-        return sum(part.bytes for part in self.parts)
+        """Size of all files, the prepared one included [bytes]."""
+        return sum(part.bytes for part in (*self.parts, *([self.prepared] if self.prepared else [])))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,6 +75,9 @@ class JobRecord:
     error_message: str | None = None
     start_deadline: float | None = None
     retry_of: str | None = None
+    external_id: str | None = None
+    metadata: Mapping[str, str] = field(default_factory=dict)
+    cancel_at: float | None = None
     created_at: float
     started_at: float | None = None
     finished_at: float | None = None

@@ -5,7 +5,7 @@ running job is in `attempts.py`, what the housekeeper does in `maintenance.py`.
 """
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 
@@ -75,6 +75,11 @@ class Store:
         with self.engine.begin() as connection:
             yield connection
 
+    def take_turns(self, connection: sa.Connection) -> None:
+        """Let this owner's transactions that count what the owner has go on one after another."""
+        if connection.dialect.name == "postgresql":  # those of SQLite do so anyway
+            connection.execute(sa.select(sa.func.pg_advisory_xact_lock(sa.func.hashtext(self.owner or ""))))
+
     def add_job(
         self,
         job: JobRecord,
@@ -132,8 +137,7 @@ class Store:
     def _require_quota(self, connection: sa.Connection, max_active: int | None, *, counted: int = 0) -> None:
         if max_active is None:
             return
-        if connection.dialect.name == "postgresql":  # one owner's jobs are counted one after another
-            connection.execute(sa.select(sa.func.pg_advisory_xact_lock(sa.func.hashtext(self.owner or ""))))
+        self.take_turns(connection)
         active = t.jobs.c.state.in_(ACTIVE) & (t.jobs.c.owner == (self.owner or ""))
         matches = connection.execute(sa.select(sa.func.count()).where(active)).scalar_one() - counted
         if matches >= max_active:
@@ -227,6 +231,11 @@ class Store:
         """How many jobs of its queue were there before a job, None once it has begun; and what it offers so far."""
         with self.reading() as connection:
             return rows.standing(connection, job)
+
+    def standing_of(self, page: Sequence[JobRecord]) -> dict[str, tuple[int | None, list[ArtifactRecord]]]:
+        """`standing` of several jobs by id, in two queries."""
+        with self.reading() as connection:
+            return rows.standing_of(connection, page)
 
     def cancel(self, job_id: str) -> JobRecord:
         """Cancel a job, at once if no worker runs it; repeating it changes nothing.

@@ -85,7 +85,8 @@ def _answer(owned: Owned, stored: JobRecord, response: Response) -> JobPayload:
 
 
 def _fingerprint(body: JobRequest) -> str:
-    return sha256(body.model_dump_json().encode()).hexdigest()
+    """Of what was sent: defaults change with releases."""
+    return sha256(body.model_dump_json(exclude_unset=True).encode()).hexdigest()
 
 
 def _require_frames(wanted: int, asset: AssetRecord) -> None:

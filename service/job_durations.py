@@ -22,6 +22,11 @@ class JobDurations:
 
     store: Store
     _medians: TTLCache[tuple[str, str], float] = field(default_factory=lambda: TTLCache(64, REMEMBERED_S))
+    _unknown: set[tuple[str, str]] | None = None
+
+    def for_one_answer(self) -> "JobDurations":
+        """These medians, which look no second time for what has no history."""
+        return JobDurations(self.store, self._medians, set())
 
     def stage_seconds(self, stages: Sequence[JobType]) -> float | None:
         """What stages take together [s]; None where one never ran here."""
@@ -63,6 +68,10 @@ class JobDurations:
 
     def _median(self, what: str, of: str, look: Callable[[], Sequence[float]]) -> float | None:
         value = self._medians.get((what, of))
-        if value is None and (samples := look()):
+        if value is not None or (self._unknown is not None and (what, of) in self._unknown):
+            return value
+        if samples := look():
             value = self._medians[what, of] = float(median(samples))
+        elif self._unknown is not None:
+            self._unknown.add((what, of))
         return value

@@ -5,7 +5,7 @@ from hashlib import sha256
 from fastapi import Response
 
 from jobs.records import ArtifactRecord, JobRecord
-from jobs.storage.assets import asset_summary
+from jobs.storage.assets import asset_summaries
 from service.schemas.jobs import JobPayload, job_payload
 from service.services import Owned
 
@@ -27,29 +27,36 @@ def look(owned: Owned, job_id: str, response: Response) -> tuple[JobRecord, JobP
     return job, _job_response(owned, job, position, artifacts, response)
 
 
-def listed(owned: Owned, job: JobRecord) -> JobPayload:
-    """Response body of a job in a list."""
-    return _payload(owned, job, *owned.store.standing(job))
+def listed(owned: Owned, page: list[JobRecord]) -> list[JobPayload]:
+    """Response bodies of a page of jobs, with as many queries as for one of them."""
+    seen = owned.store.standing_of(page)
+    sources = asset_summaries(owned.store, {job.asset_id for job in page if seen[job.id][1]})
+    durations = owned.services.job_durations.for_one_answer()
+    retention_s = owned.services.settings.job_retention_s
+    payloads = []
+    for job in page:
+        position, artifacts = seen[job.id]
+        source, eta_s = sources.get(job.asset_id), durations.eta_s(job, position)
+        payloads.append(
+            job_payload(job, artifacts, source=source, queue_position=position, eta_s=eta_s, retention_s=retention_s)
+        )
+    return payloads
 
 
 def _job_response(
     owned: Owned, job: JobRecord, position: int | None, artifacts: list[ArtifactRecord], response: Response
 ) -> JobPayload:
-    payload = _payload(owned, job, position, artifacts)
-    seen = f"{job.id} {job.version} {position} {payload.eta_s}"
+    source = asset_summaries(owned.store, {job.asset_id}).get(job.asset_id) if artifacts else None
+    seen = f"{job.id} {job.version} {position}"  # not eta_s: each process has medians of its own
     response.headers["ETag"] = '"' + sha256(seen.encode()).hexdigest()[:32] + '"'
     if not job.terminal:
         response.headers["Retry-After"] = str(POLL_AFTER_S)
     elif "Retry-After" in response.headers:  # of an earlier look in the same answer
         del response.headers["Retry-After"]
-    return payload
-
-
-def _payload(owned: Owned, job: JobRecord, position: int | None, artifacts: list[ArtifactRecord]) -> JobPayload:
     return job_payload(
         job,
         artifacts,
-        source=asset_summary(owned.store, job.asset_id) if artifacts else None,
+        source=source,
         queue_position=position,
         eta_s=owned.services.job_durations.eta_s(job, position),
         retention_s=owned.services.settings.job_retention_s,

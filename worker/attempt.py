@@ -194,7 +194,7 @@ def _recall(
     else:
         make(path)
         file = _stored(runtime, path, name)
-    remember_intermediate(runtime.store, key, name, file, used)
+    remember_intermediate(runtime.store, key, name, file, used, owner=job.owner)
     return path
 
 

@@ -355,7 +355,8 @@ class Limits(Model):
     max_film_s: float
     # width times height
     max_film_pixels: int
-    max_archive_entries: int
+    # of one asset: parts of a form, entries of a zip, or uploads
+    max_files: int
     max_archive_ratio: int
     max_vertices: int
     max_faces: int

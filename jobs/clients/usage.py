@@ -8,18 +8,23 @@ from jobs.store import Store
 
 
 def stored_bytes(store: Store) -> int:
-    """What the owner's assets, uploads and products take [bytes]."""
-    now = store.clock()
+    """What the owner's assets, uploads, products and intermediates take [bytes]."""
+    with store.reading() as connection:
+        return stored_bytes_in(connection, store)
+
+
+def stored_bytes_in(connection: sa.Connection, store: Store) -> int:
+    """`stored_bytes` as a transaction sees them, in one statement."""
     live = t.assets.c.deleted_at.is_(None) & store.mine(t.assets)
     sums = (
         sa.select(sa.func.sum(t.assets.c.bytes)).where(live),
         sa.select(sa.func.sum(t.uploads.c.length)).where(t.uploads.c.asset_id.is_(None) & store.mine(t.uploads)),
+        sa.select(sa.func.sum(t.stage_cache.c.bytes)).where(store.mine(t.stage_cache)),
         sa.select(sa.func.sum(t.artifacts.c.bytes))
         .join(t.jobs, t.jobs.c.id == t.artifacts.c.job_id)
-        .where((t.artifacts.c.expires_at > now) & store.mine(t.jobs)),
+        .where((t.artifacts.c.expires_at > store.clock()) & store.mine(t.jobs)),
     )
-    with store.reading() as connection:
-        return sum(int(connection.execute(query).scalar_one() or 0) for query in sums)
+    return sum(int(value or 0) for value in connection.execute(sa.select(*(s.scalar_subquery() for s in sums))).one())
 
 
 def count_active(store: Store) -> int:

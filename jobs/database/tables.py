@@ -2,7 +2,7 @@
 
 import sqlalchemy as sa
 
-HEAD = "0005"
+HEAD = "0006"
 """The newest revision in `migrations/versions`."""
 
 metadata = sa.MetaData()
@@ -68,12 +68,16 @@ jobs = sa.Table(
     sa.Column("body_sha256", _hash),
     sa.Column("start_deadline", sa.Double),
     sa.Column("retry_of", _id),
+    sa.Column("external_id", sa.String(128)),  # the client's own name for it
+    sa.Column("metadata", sa.JSON, nullable=False, server_default="{}"),  # the client's, returned as they are
+    sa.Column("cancel_at", sa.Double),
     sa.Column("fresh_from", sa.String(16)),  # unused; revisions only add
     sa.Column("created_at", sa.Double, nullable=False, index=True),
     sa.Column("started_at", sa.Double),
     sa.Column("finished_at", sa.Double, index=True),
     sa.Index("ix_jobs_state_lease", "state", "lease_until"),
     sa.Index("ix_jobs_owner_id", "owner", "id"),
+    sa.Index("ix_jobs_owner_external_id", "owner", "external_id"),
 )
 
 stages = sa.Table(
@@ -112,6 +116,8 @@ stage_cache = sa.Table(
     sa.Column("stage", sa.String(16), nullable=False),
     sa.Column("files", sa.JSON, nullable=False),
     sa.Column("used_at", sa.Double, nullable=False, index=True),
+    sa.Column("owner", _id, nullable=False, server_default=""),
+    sa.Column("bytes", sa.BigInteger, nullable=False, server_default="0"),  # of files that no job offers
 )
 
 outbox = sa.Table(
@@ -144,7 +150,7 @@ uploads = sa.Table(
     metadata,
     sa.Column("id", _id, primary_key=True),
     sa.Column("owner", _id, nullable=False, server_default="", index=True),
-    sa.Column("state", sa.String(16), nullable=False),
+    sa.Column("state", sa.String(16), nullable=False, index=True),
     sa.Column("filename", sa.String(255), nullable=False),
     sa.Column("options", sa.JSON, nullable=False),  # how to read it: kind, up_axis, unit_m
     sa.Column("length", sa.BigInteger),  # null while an address does not tell

@@ -1,6 +1,6 @@
 """Jobs, stages and artifacts within a transaction: rows to records, and state transitions."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import sqlalchemy as sa
 
@@ -87,6 +87,29 @@ def standing(connection: sa.Connection, job: JobRecord) -> tuple[int | None, lis
     """How many jobs of its queue were there before a job, None once it has begun; and what it offers so far."""
     begun = any(stage.state != "queued" for stage in job.stages)  # the usual poll of a waiting job asks once less
     return _position(connection, job), artifacts_of(connection, job.id) if begun else []
+
+
+def standing_of(
+    connection: sa.Connection, page: Sequence[JobRecord]
+) -> dict[str, tuple[int | None, list[ArtifactRecord]]]:
+    """`standing` of several jobs by id."""
+    waiting = {job.id: job.queue for job in page if job.state == JobState.QUEUED}
+    positions: dict[str, int] = {}
+    if waiting:
+        queued = t.jobs.c.queue.in_(set(waiting.values())) & (t.jobs.c.state == JobState.QUEUED)
+        place = sa.func.row_number().over(partition_by=(t.jobs.c.queue, t.jobs.c.owner), order_by=t.jobs.c.id)
+        placed = sa.select(t.jobs.c.id, t.jobs.c.queue, place.label("place")).where(queued).subquery()
+        turn = sa.func.row_number().over(partition_by=placed.c.queue, order_by=(placed.c.place, placed.c.id))
+        turns = sa.select(placed.c.id, turn.label("turn")).subquery()
+        wanted = sa.select(turns).where(turns.c.id.in_(waiting))
+        positions = {row.id: row.turn - 1 for row in connection.execute(wanted)}
+    begun = [job.id for job in page if any(stage.state != "queued" for stage in job.stages)]
+    offered: dict[str, list[ArtifactRecord]] = {}
+    if begun:
+        artifacts = sa.select(t.artifacts).where(t.artifacts.c.job_id.in_(begun)).order_by(t.artifacts.c.id)
+        for row in connection.execute(artifacts):
+            offered.setdefault(row.job_id, []).append(ArtifactRecord(**row._mapping))
+    return {job.id: (positions.get(job.id), offered.get(job.id, [])) for job in page}
 
 
 def _position(connection: sa.Connection, job: JobRecord) -> int | None:

@@ -1,5 +1,6 @@
 """Rows of assets (checked uploads). The same files of the same owner are the same asset."""
 
+from collections.abc import Collection
 from dataclasses import asdict, replace
 from hashlib import sha256
 from typing import Any
@@ -60,12 +61,12 @@ def read_asset(store: Store, asset_id: str) -> AssetRecord:
     return asset
 
 
-def asset_summary(store: Store, asset_id: str) -> dict[str, Any] | None:
-    """What was found in an asset, deleted or not; None once its record is removed."""
+def asset_summaries(store: Store, asset_ids: Collection[str]) -> dict[str, dict[str, Any]]:
+    """What was found in assets, deleted or not, by id; none of those whose record is removed."""
+    these = t.assets.c.id.in_(asset_ids) & store.mine(t.assets)
     with store.reading() as connection:
-        this = (t.assets.c.id == asset_id) & store.mine(t.assets)
-        summary: dict[str, Any] | None = connection.execute(sa.select(t.assets.c.summary).where(this)).scalar()
-    return summary
+        rows = connection.execute(sa.select(t.assets.c.id, t.assets.c.summary).where(these)) if asset_ids else ()
+        return {row.id: row.summary for row in rows}
 
 
 def delete_asset(store: Store, asset_id: str) -> None:

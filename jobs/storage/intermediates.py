@@ -38,8 +38,11 @@ def find_intermediate(store: Store, artifacts: ArtifactStore, key: str) -> Outpu
 
 
 @patient
-def remember_intermediate(store: Store, key: str, name: str, file: OutputFile, sources: Iterable[OutputFile]) -> None:
-    """Remember a result, and that it is used now."""
+def remember_intermediate(
+    store: Store, key: str, name: str, file: OutputFile, sources: Iterable[OutputFile], *, owner: str = ""
+) -> None:
+    """Remember a result of an owner's job, and that it is used now."""
     files = [asdict(file), *({"name": each.name, "sha256": each.sha256, "source": True} for each in sources)]
     with store.writing() as connection:
-        upsert(connection, t.stage_cache, {"key": key, "stage": name, "files": files, "used_at": store.clock()})
+        entry = {"key": key, "stage": name, "files": files, "owner": owner, "bytes": file.bytes}
+        upsert(connection, t.stage_cache, entry | {"used_at": store.clock()})

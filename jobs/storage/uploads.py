@@ -7,8 +7,9 @@ from typing import Literal
 
 import sqlalchemy as sa
 
+from jobs.clients.usage import stored_bytes_in
 from jobs.database import tables as t
-from jobs.errors import ConflictError, GoneError, NotFoundError
+from jobs.errors import BytesQuotaError, ConflictError, GoneError, NotFoundError
 from jobs.records import Json
 from jobs.store import Store
 
@@ -39,12 +40,50 @@ class UploadRecord:
     expires_at: float
 
 
-def add_upload(store: Store, upload: UploadRecord) -> UploadRecord:
-    """Store a new upload."""
+MAX_OPEN = 1000
+"""Uploads of one owner that may have begun at once: one set of photos with masks and cameras has 640 files."""
+
+
+def add_upload(store: Store, upload: UploadRecord, *, max_bytes: int | None = None) -> UploadRecord:
+    """Store a new upload; the announcement of its length counts as bytes.
+
+    Of too many uploads that have begun, the oldest one without a byte is removed.
+
+    Raises:
+        BytesQuotaError: with it the owner has more than `max_bytes`, or too many uploads have begun.
+    """
     upload = replace(upload, owner=store.owner or "")
     with store.writing() as connection:
+        store.take_turns(connection)
+        if max_bytes is not None:
+            require_bytes_in(connection, store, upload.length or 0, max_bytes)
+        begun = (t.uploads.c.state == "receiving") & (t.uploads.c.owner == upload.owner)
+        if connection.execute(sa.select(sa.func.count()).where(begun)).scalar_one() >= MAX_OPEN:
+            idle = begun & (t.uploads.c.received == 0) & t.uploads.c.writer.is_(None)
+            oldest = sa.select(t.uploads).where(idle).order_by(t.uploads.c.id).limit(1)
+            row = connection.execute(oldest).one_or_none()
+            if row is None:
+                raise BytesQuotaError(f"{MAX_OPEN} of your uploads have begun, which is the limit; end some")
+            _bury(connection, UploadRecord(**row._mapping), now=store.clock())
         connection.execute(t.uploads.insert().values(**asdict(upload)))
     return upload
+
+
+def require_bytes_in(connection: sa.Connection, store: Store, wanted: int, allowed: int) -> None:
+    """Refuse bytes beyond an owner's quota, as a transaction sees it.
+
+    Raises:
+        BytesQuotaError: with `wanted` more bytes the owner has more than `allowed`.
+    """
+    stored = stored_bytes_in(connection, store)
+    if stored + wanted > allowed:
+        raise BytesQuotaError(f"you keep {stored:,} bytes, {wanted:,} more pass the {allowed:,} allowed")
+
+
+def drop_upload(store: Store, upload_id: str) -> None:
+    """Delete the row of an upload that no client knows."""
+    with store.writing() as connection:
+        connection.execute(t.uploads.delete().where(t.uploads.c.id == upload_id))
 
 
 def upload(store: Store, upload_id: str) -> UploadRecord:
@@ -106,12 +145,15 @@ def claim_uploads(store: Store, *, lease_s: float, limit: int, per_owner: int) -
     return claimed
 
 
-def receiving_uploads(store: Store) -> list[tuple[str, int]]:
-    """Uploads of which bytes are still to come, with the length that was promised."""
+def announced_bytes(store: Store) -> list[int]:
+    """What is still to come of uploads that have begun, a sum for each owner [bytes]."""
+    begun = (t.uploads.c.state == "receiving") & (t.uploads.c.expires_at >= store.clock())
+    left = sa.func.sum(t.uploads.c.length - t.uploads.c.received)
     with store.reading() as connection:
-        open_ = (t.uploads.c.state == "receiving") & (t.uploads.c.expires_at >= store.clock())
-        rows = connection.execute(sa.select(t.uploads.c.id, t.uploads.c.length).where(open_))
-        return [(row.id, row.length or 0) for row in rows]
+        return [
+            int(sum_ or 0)
+            for sum_ in connection.execute(sa.select(left).where(begun).group_by(t.uploads.c.owner)).scalars()
+        ]
 
 
 def expired_uploads(store: Store, *, limit: int) -> list[str]:

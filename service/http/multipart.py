@@ -14,13 +14,17 @@ from urllib.parse import unquote_to_bytes
 from python_multipart.exceptions import FormParserError
 from python_multipart.multipart import MultipartParser, parse_options_header
 
+from dynamictree.photo_requests import MAX_PHOTOS
 from service.http.problems import ProblemError
 
 if TYPE_CHECKING:
     from python_multipart.multipart import MultipartCallbacks
 
 BATCH_BYTES = 1024**2
-MAX_PARTS = 320  # 300 photos and the fields
+MAX_FILES = 2 * MAX_PHOTOS + 40
+"""Of one asset, however it is sent: photos, a mask for each, and the files of known cameras."""
+
+MAX_PARTS = MAX_FILES + 20  # and the fields
 MAX_FIELD_BYTES = 4096
 MAX_NAME_CHARS = 255
 _EXTENDED_NAME = re.compile(rb";\s*filename\*\s*=\s*utf-8'[^';]*'([^;\s]+)", re.IGNORECASE)

@@ -58,7 +58,8 @@ def policy_of(method: str, path: str) -> Policy:
         return INTERACT
     if method in {"GET", "HEAD", "OPTIONS"}:
         return READS
-    return CHUNKS if method == "PATCH" else CREATES
+    # photos are uploads of one asset each: to announce one counts like a piece of one
+    return CHUNKS if method == "PATCH" or (method, path) == ("POST", "/v1/uploads") else CREATES
 
 
 REDIS_TIMEOUT_S = 1.0

@@ -1,8 +1,10 @@
 """/v1/assets: upload, read and delete the inputs of jobs."""
 
 import shutil
+from contextlib import AsyncExitStack
 
 from fastapi import APIRouter, Request, Response, status
+from fastapi.concurrency import contextmanager_in_threadpool
 from fastapi.exceptions import RequestValidationError
 from pydantic import ValidationError
 from starlette.concurrency import run_in_threadpool
@@ -21,7 +23,7 @@ from service.schemas.assets import AssetPayload, AssetRequest, UploadPayload, as
 from service.services import Owned, OwnedDep
 from service.uploads.ingest import BYTES_ALLOWED, make_asset, name_of_url
 from service.uploads.intake import FIELDS, admit, sort_out
-from service.uploads.quota import require_bytes, require_room
+from service.uploads.quota import reserved
 
 router = APIRouter(prefix="/v1/assets", tags=["assets"])
 
@@ -96,18 +98,21 @@ _FORM = {
 async def create_asset(request: Request, response: Response, owned: OwnedDep) -> AssetPayload | Response:
     """Send a mesh, photos or a film, name uploads that hold them, or an address to fetch them from."""
     length = int(request.headers.get("content-length", "0"))
-    await run_in_threadpool(require_room, owned, length)
     if request.headers.get("content-type", "").partition(";")[0].strip() == "application/json":
         return await _of_uploads_or_address(request, response, owned)
-    await run_in_threadpool(require_bytes, owned, length)
-    folder = owned.services.settings.scratch_dir / f"upload-{new_id()}"
-    await run_in_threadpool(folder.mkdir, parents=True)
-    try:
-        form = await receive_form(request.headers.get("content-type", ""), request.stream(), folder)
-        sorted_out = await run_in_threadpool(sort_out, owned, form, folder)
-        asset, new = await admit(owned, sorted_out, folder)
-    finally:
-        await run_in_threadpool(shutil.rmtree, folder)
+    async with AsyncExitStack() as room:
+        await room.enter_async_context(contextmanager_in_threadpool(reserved(owned, length)))
+        folder = owned.services.settings.scratch_dir / f"upload-{new_id()}"
+        await run_in_threadpool(folder.mkdir, parents=True)
+        try:
+            form = await receive_form(request.headers.get("content-type", ""), request.stream(), folder)
+            if not length:  # sent without its size: it counts once it is here
+                sent = sum(file.bytes for file in form.files)
+                await room.enter_async_context(contextmanager_in_threadpool(reserved(owned, sent)))
+            sorted_out = await run_in_threadpool(sort_out, owned, form, folder)
+            asset, new = await admit(owned, sorted_out, folder)
+        finally:
+            await run_in_threadpool(shutil.rmtree, folder)
     return _asset_response(asset, new, response)
 
 

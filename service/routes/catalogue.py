@@ -9,6 +9,7 @@ from dynamictree.formats import film, suffixes
 from dynamictree.photo_requests import MAX_PHOTOS, MIN_PHOTOS
 from dynamictree.requests import MAX_FRAMES, MAX_TURBULENT_FRAMES, Format
 from dynamictree.weights import list_weights
+from service.http import multipart
 from service.http.problems import wrong_field
 from service.http.routing import refusals
 from service.interact import forces
@@ -61,7 +62,7 @@ class LimitsPayload(Payload):
     max_film_bytes: int
     max_film_s: float
     max_film_pixels: int = Field(description="width times height")
-    max_archive_entries: int
+    max_files: int = Field(description="of one asset: parts of a form, entries of a zip, or uploads")
     max_archive_ratio: int
     max_vertices: int
     max_faces: int
@@ -127,7 +128,7 @@ def get_limits(owned: OwnedDep) -> LimitsPayload:
         max_film_bytes=film.MAX_FILM_BYTES,
         max_film_s=film.MAX_FILM_S,
         max_film_pixels=film.MAX_FILM_PIXELS,
-        max_archive_entries=archives.MAX_ENTRIES,
+        max_files=multipart.MAX_FILES,
         max_archive_ratio=archives.MAX_RATIO,
         max_vertices=MAX_VERTICES,
         max_faces=MAX_FACES,

@@ -97,7 +97,7 @@ def list_jobs(
     if next_cursor is not None:
         query = request.url.include_query_params(cursor=next_cursor).query
         response.headers["Link"] = f'<{request.url.path}?{query}>; rel="next"'
-    return JobListPayload(data=[listed(owned, job) for job in page], next_cursor=next_cursor)
+    return JobListPayload(data=listed(owned, page), next_cursor=next_cursor)
 
 
 @router.get(

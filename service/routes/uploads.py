@@ -11,7 +11,7 @@ from fastapi import APIRouter, Header, Request, Response, status
 from starlette.concurrency import run_in_threadpool
 
 from jobs.storage.artifacts import hash_file
-from jobs.storage.uploads import UploadRecord, add_upload, change_upload, delete_upload, upload
+from jobs.storage.uploads import UploadRecord, change_upload, delete_upload, upload
 from jobs.store import new_id
 from service.http.middleware import TUS_VERSION
 from service.http.multipart import MAX_NAME_CHARS, is_name
@@ -21,7 +21,7 @@ from service.http.routing import Id, headers, refusals
 from service.schemas.assets import UploadPayload, upload_payload
 from service.services import Owned, OwnedDep
 from service.uploads.intake import FIELDS, reading_options
-from service.uploads.quota import require_bytes, require_room
+from service.uploads.quota import announce, require_room
 from service.uploads.upload_writer import CHECKSUM, UploadWriter, expected_sha256, stands_elsewhere
 
 router = APIRouter(prefix="/v1/uploads", tags=["uploads"])
@@ -86,7 +86,6 @@ async def create_upload(
     metadata = _metadata(upload_metadata)
     with_bytes = content_type is not None and content_type.partition(";")[0].strip() == CONTENT_TYPE
     checksum = expected_sha256(upload_checksum)
-    await run_in_threadpool(_require_place, owned, length)
     now = owned.store.clock()
     record = UploadRecord(
         id=new_id(),
@@ -97,9 +96,9 @@ async def create_upload(
         sha256=metadata.get("sha256"),
         make_asset=metadata.get("asset") == "auto",
         created_at=now,
-        expires_at=now + owned.services.settings.upload_retention_s,
+        expires_at=now + owned.services.settings.upload_begin_s,
     )
-    record = await run_in_threadpool(add_upload, owned.store, record)
+    record = await run_in_threadpool(announce, owned, record)
     size = 0
     if with_bytes:
         size = await _append(owned, record, request, 0, checksum)
@@ -201,16 +200,16 @@ async def delete_upload_(id: Id, owned: OwnedDep, tus_resumable: _Version = None
 
 
 async def _append(owned: Owned, record: UploadRecord, request: Request, offset: int, checksum: bytes | None) -> int:
-    writer = UploadWriter(owned.store, owned.services.upload_parts, record, checksum)
+    retention_s = owned.services.settings.upload_retention_s
+    writer = UploadWriter(owned.store, owned.services.upload_parts, record, checksum, retention_s=retention_s)
     return await owned.services.upload_writers.append(writer, request.stream(), offset)
 
 
 async def _record_progress(owned: Owned, record: UploadRecord, size: int) -> UploadRecord:
     """Write down that bytes came; an upload that is whole is closed, and checked against its sha256."""
-    changes: dict[str, Any] = {
-        "received": size,
-        "expires_at": owned.store.clock() + owned.services.settings.upload_retention_s,
-    }
+    changes: dict[str, Any] = {"received": size}
+    if size:
+        changes["expires_at"] = owned.store.clock() + owned.services.settings.upload_retention_s
     if size == record.length:
         changes["state"] = "received"
         if record.sha256 is not None:
@@ -283,11 +282,6 @@ def _metadata(header: str | None) -> dict[str, str]:
 
 def _wrong(name: str, code: str, detail: str) -> ProblemError:
     return wrong_field(f"metadata:{name}", code, detail)
-
-
-def _require_place(owned: Owned, length: int) -> None:
-    require_room(owned, length)
-    require_bytes(owned, length)
 
 
 def _standing(record: UploadRecord, size: int) -> dict[str, str]:

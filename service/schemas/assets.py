@@ -8,6 +8,7 @@ from dynamictree.requests import Reading
 from jobs.records import AssetRecord
 from jobs.states import AssetKind
 from jobs.storage.uploads import UploadRecord, UploadState
+from service.http.multipart import MAX_FILES
 from service.schemas.base import ULID_PATTERN, Payload, Problem, Time, problem_of
 
 
@@ -43,7 +44,7 @@ class AssetRequest(Reading):
     """What to make an asset of: uploads that are whole, or an address."""
 
     upload_ids: list[Annotated[str, Field(pattern=ULID_PATTERN)]] | None = Field(
-        default=None, min_length=1, max_length=320, description="a mesh and what it names, photos, or one zip"
+        default=None, min_length=1, max_length=MAX_FILES, description="a mesh and what it names, photos, or one zip"
     )
     url: str | None = Field(default=None, max_length=2048, description="https; fetched once, redirects are checked too")
     sha256: str | None = Field(default=None, pattern="^[0-9a-f]{64}$", description="of the file at the address")

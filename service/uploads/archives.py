@@ -11,10 +11,9 @@ from hashlib import sha256
 from pathlib import Path, PurePosixPath
 
 from dynamictree.formats.companions import is_system_file
-from service.http.multipart import ReceivedFile
+from service.http.multipart import MAX_FILES, ReceivedFile
 from service.http.problems import ProblemError
 
-MAX_ENTRIES = 500
 MAX_RATIO = 100
 MAX_UNPACKED_BYTES = 4 * 1024**3
 CHUNK_BYTES = 1024 * 1024
@@ -95,8 +94,8 @@ def _unreadable(error: Exception) -> ProblemError:
 
 def _check(entries: list[zipfile.ZipInfo], archive_bytes: int) -> int:
     """Refuse what an upload never needs; return the declared size, which `_unpack_one` holds each entry to."""
-    if not 1 <= len(entries) <= MAX_ENTRIES:
-        raise _rejected(f"the zip has {len(entries)} files; 1 to {MAX_ENTRIES} are allowed")
+    if not 1 <= len(entries) <= MAX_FILES:
+        raise _rejected(f"the zip has {len(entries)} files; 1 to {MAX_FILES} are allowed")
     names = [entry.filename for entry in entries]
     if len(set(names)) < len(names):
         raise _rejected("the zip names a file twice; pack each once")

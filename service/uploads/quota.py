@@ -1,29 +1,64 @@
 """Checks before bytes arrive: free disk space, and the storage quota of one owner."""
 
 import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 
-from jobs.clients.usage import stored_bytes
-from jobs.storage.uploads import receiving_uploads
+from jobs.storage.uploads import UploadRecord, add_upload, announced_bytes, drop_upload, require_bytes_in
+from jobs.store import new_id
+from service.http.connections import REQUEST_TIMEOUT_S
 from service.http.problems import ProblemError
 from service.services import Owned
+
+OWNERS_SHARE, ALL_SHARE = 4, 2
+"""Uploads that were only announced reserve at most a quarter of the free room for one owner, half of it for all."""
 
 
 def require_bytes(owned: Owned, wanted: int) -> None:
     """Refuse bytes beyond the owner's quota.
 
     Raises:
-        ProblemError: with `wanted` more bytes they would keep more than is allowed.
+        BytesQuotaError: with `wanted` more bytes they would keep more than is allowed.
     """
     allowed = owned.caller.limits.get("bytes")
-    if allowed is None:
-        return
-    stored = stored_bytes(owned.store)
-    if stored + wanted > allowed:
-        raise ProblemError("quota-exceeded", f"you keep {stored:,} bytes, {wanted:,} more pass the {allowed:,} allowed")
+    if allowed is not None:
+        with owned.store.reading() as connection:
+            require_bytes_in(connection, owned.store, wanted, allowed)
+
+
+def announce(owned: Owned, upload: UploadRecord) -> UploadRecord:
+    """Begin an upload, if there is room for it.
+
+    Raises:
+        ProblemError, BytesQuotaError: on the disk, or in the owner's quota, there is not.
+    """
+    require_room(owned, upload.length or 0)
+    return add_upload(owned.store, upload, max_bytes=owned.caller.limits.get("bytes"))
+
+
+@contextmanager
+def reserved(owned: Owned, length: int) -> Iterator[None]:
+    """Context manager that holds room for a body of this length, as an upload that was announced does."""
+    now = owned.store.clock()
+    row = UploadRecord(
+        id=new_id(),
+        state="receiving",
+        filename="form",
+        options={},
+        length=length,
+        writer="form",
+        created_at=now,
+        expires_at=now + REQUEST_TIMEOUT_S,
+    )
+    announce(owned, row)
+    try:
+        yield
+    finally:
+        drop_upload(owned.store, row.id)
 
 
 def require_room(owned: Owned, wanted: int = 0) -> None:
-    """Refuse what would fill the disk, together with the rest of every upload that was begun.
+    """Refuse what would fill the disk, together with what uploads that have begun announce.
 
     Raises:
         ProblemError: less than `min_free_bytes` would be left after `wanted` more.
@@ -33,15 +68,12 @@ def require_room(owned: Owned, wanted: int = 0) -> None:
     free = shutil.disk_usage(settings.scratch_dir).free
     in_storage = owned.services.artifacts.free_bytes()
     promised = 0
+    room = free - settings.min_free_bytes
     if in_storage is not None:  # a folder, where parts of uploads lie too; object storage has no end that we can see
         free = min(free, in_storage)
-        promised = _promised_bytes(owned)
-    if free - promised - wanted < settings.min_free_bytes:
+        room = free - settings.min_free_bytes
+        shares = (min(announced, room // OWNERS_SHARE) for announced in announced_bytes(owned.services.store))
+        promised = min(sum(shares), room // ALL_SHARE)
+    if room - promised < wanted:
         detail = f"{free:,} bytes are free, {promised:,} of them promised to uploads, {wanted:,} wanted"
         raise ProblemError("disk-full", f"{detail}; {settings.min_free_bytes:,} are reserved")
-
-
-def _promised_bytes(owned: Owned) -> int:
-    """What is still to come of uploads that were begun, everybody's."""
-    begun = receiving_uploads(owned.services.store)
-    return sum(max(length - owned.services.upload_parts.size(upload_id), 0) for upload_id, length in begun)

@@ -53,13 +53,16 @@ def stands_elsewhere(offset: int, size: int) -> ProblemError:
 class UploadWriter:
     """Appends the body of one request to one upload."""
 
-    def __init__(self, store: Store, parts: PartStore, record: UploadRecord, checksum: bytes | None) -> None:
+    def __init__(
+        self, store: Store, parts: PartStore, record: UploadRecord, checksum: bytes | None, *, retention_s: float
+    ) -> None:
         assert record.length is not None
         self.store = store
         self.parts = parts
         self.record = record
         self.length = record.length
         self.checksum = checksum
+        self.retention_s = retention_s
         self.token = hashlib.sha256(f"{record.id}{time.monotonic_ns()}{id(self)}".encode()).hexdigest()
         self.digest = None if checksum is None else hashlib.sha256()
 
@@ -105,6 +108,8 @@ class UploadWriter:
         loop = asyncio.get_running_loop()
         try:
             async for chunk in body:
+                if chunk and not (size or unwritten):
+                    await self._stay()
                 unwritten += len(chunk)
                 if size + unwritten > self.length:
                     detail = f"the upload has {self.length:,} bytes as announced, and more were sent"
@@ -132,6 +137,11 @@ class UploadWriter:
         if self.digest is not None:
             for chunk in batch:
                 self.digest.update(chunk)
+
+    async def _stay(self) -> None:
+        """With its first byte, an upload stays longer than one that was only announced."""
+        until = self.store.clock() + self.retention_s
+        await run_in_threadpool(change_upload, self.store, self.record.id, expires_at=until)
 
     async def _require_ours(self) -> None:
         now = await run_in_threadpool(upload, self.store, self.record.id)

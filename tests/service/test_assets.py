@@ -9,9 +9,11 @@ from PIL import Image
 
 from dynamictree.formats.tensors.mesh_bundle import read_mesh_bundle
 from jobs.storage.assets import read_asset
+from service.http.multipart import MAX_FILES, MAX_PARTS
 from service.services import Services
 from tests.formats.meshes import image_bytes, triangle_gltf
 from tests.service.conftest import change_services
+from tests.service.tus import whole
 
 OBJ = b"""mtllib tree.mtl
 v 0 0 0
@@ -62,6 +64,22 @@ def test_a_mesh_becomes_an_asset(client: TestClient, services: Services) -> None
     mesh = read_mesh_bundle(io.BytesIO(b"".join(services.artifacts.read(prepared.sha256))))
     assert mesh.materials[0].name == "bark"
     assert left_behind(services) == []
+
+
+@pytest.mark.parametrize("way", ["zip", "form", "uploads"])
+def test_as_many_photos_as_are_allowed_come_with_masks_and_cameras(client: TestClient, way: str) -> None:
+    pictures = [(f"{n:03}.jpg", photo(n % 200, (400, 300 + n // 200))) for n in range(300)]
+    masks = [(f"masks/{name}", photo(255)) for name, _ in pictures]
+    files = [*pictures, *masks, *((f"{name}.txt", b"#") for name in ("cameras", "images", "points3D"))]
+    if way == "zip":
+        response = send(client, ("walk.zip", zipped(*files)))
+    elif way == "form":
+        response = send(client, *files)
+    else:
+        ids = [whole(client, content, filename=name) for name, content in files]
+        response = client.post("/v1/assets", json={"upload_ids": ids})
+    assert response.status_code == 201, response.text
+    assert len(response.json()["parts"]) == 603
 
 
 def test_the_same_files_are_the_same_asset(client: TestClient) -> None:
@@ -155,7 +173,7 @@ BAD_ZIPS = {
     "dot": [("tree.obj", OBJ), (".", b"x")],
     "nested": [("tree.obj", OBJ), ("more.zip", zipped(("a", b"b")))],
     "bomb": [("tree.obj", OBJ), ("zeros", bytes(50_000_000))],
-    "many": [(f"f{i}", b"x") for i in range(501)],
+    "many": [(f"f{i}", b"x") for i in range(MAX_FILES + 1)],
     "none": [],
 }
 
@@ -232,7 +250,7 @@ def raw(client: TestClient, body: bytes) -> object:
             "payload-too-large",
         ),
         (
-            b'--B\r\nContent-Disposition: form-data; name="kind"\r\n\r\nmesh\r\n' * 321 + b"--B--\r\n",
+            b'--B\r\nContent-Disposition: form-data; name="kind"\r\n\r\nmesh\r\n' * (MAX_PARTS + 1) + b"--B--\r\n",
             "payload-too-large",
         ),
     ],

@@ -17,7 +17,7 @@ from service.routes import job_events
 from service.services import Services
 from tests.service.conftest import hold, publish
 from tests.service.test_assets import OBJ, send
-from tests.service.test_uploads import TUS
+from tests.service.tus import TUS
 
 TREE = ("tree.obj", OBJ.replace(b"mtllib tree.mtl\n", b"").replace(b"usemtl bark\n", b""))
 

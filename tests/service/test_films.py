@@ -11,7 +11,7 @@ from jobs.storage.assets import read_asset
 from service.services import Services
 from service.uploads import intake
 from tests.formats.films import DEVICE, PLACES, write_film
-from tests.service.test_uploads import append, begin
+from tests.service.tus import append, begin
 
 
 def send(client: TestClient, *paths: Path, **fields: str) -> object:

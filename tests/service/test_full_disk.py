@@ -17,7 +17,6 @@ from jobs.settings import Settings
 from service.app import create_app
 
 MIB = 1024**2
-TUS = {"Tus-Resumable": "1.0.0"}
 TREE = b"v 0 0 0\nv 1 0 0\nv 0 0 1\nf 1 2 3\n"
 
 
@@ -67,20 +66,6 @@ def test_a_fetch_stops_before_the_disk_is_full(small_disk: Path, settings: Setti
             sent = client.post("/v1/assets", json={"url": f"http://{where}/tree.obj"})
             upload = client.get(sent.headers["Location"], headers={"Prefer": "wait=30"}).json()
             assert upload["state"] == "ready", upload
-
-
-def test_what_uploads_were_promised_is_not_promised_twice(small_disk: Path, settings: Settings) -> None:
-    own = {"state_dir": small_disk, "min_free_bytes": 8 * MIB}
-    with TestClient(create_app(settings.model_copy(update=own)), "http://localhost") as client:
-        first = client.post("/v1/uploads", headers=TUS | {"Upload-Length": str(30 * MIB)})
-        assert first.status_code == 201
-        second = client.post("/v1/uploads", headers=TUS | {"Upload-Length": str(30 * MIB)})
-        assert (second.status_code, second.json()["code"]) == (503, "disk-full")
-        body = bytes(30 * MIB)
-        form = client.post("/v1/assets", files={"file": ("tree.obj", body)})
-        assert (form.status_code, form.json()["code"]) == (503, "disk-full")
-        assert client.delete(first.headers["Location"], headers=TUS).status_code == 204
-        assert client.post("/v1/uploads", headers=TUS | {"Upload-Length": str(30 * MIB)}).status_code == 201
 
 
 def test_a_zip_is_refused_before_it_is_unpacked_onto_a_full_disk(small_disk: Path, settings: Settings) -> None:

@@ -2,13 +2,17 @@ import json
 import threading
 
 import pytest
+import sqlalchemy as sa
 from fastapi.testclient import TestClient
+from pydantic import create_model
 
 from jobs.lifecycle.attempts import fail, report_progress, start_stage, succeed
 from jobs.lifecycle.maintenance import abort_overdue
 from jobs.records import AssetRecord, Claim
 from jobs.store import new_id
-from service.job_creation import KEY_EXPIRES_S
+from service.job_creation import KEY_EXPIRES_S, _fingerprint
+from service.job_durations import JobDurations
+from service.schemas.job_requests import VoxelizeRequest
 from service.services import Services
 from tests.service.conftest import change_services, hold, publish
 
@@ -37,6 +41,45 @@ def test_a_job_is_accepted_and_reported(client: TestClient, asset: AssetRecord) 
     assert job["queue_position"] == 0
     assert [stage["name"] for stage in job["stages"]] == ["voxelize"]
     assert client.get(f"/v1/jobs/{job['id']}").json() == job
+
+
+def test_a_key_survives_a_release_that_adds_a_field() -> None:
+    later = create_model("Later", __base__=VoxelizeRequest, tempo=(float, 1.0))
+    sent = {"type": "voxelize", "asset_id": "a", "seed": 3}
+    now = _fingerprint(VoxelizeRequest.model_validate(sent))
+    assert now == _fingerprint(later.model_validate(sent))  # type: ignore[arg-type]
+    assert now != _fingerprint(VoxelizeRequest.model_validate(sent | {"seed": 4}))
+
+
+def test_replicas_of_different_history_give_the_same_etag(
+    client: TestClient, asset: AssetRecord, services: Services
+) -> None:
+    url = f"/v1/jobs/{create(client, asset)['id']}"
+    estimates, tags = set(), set()
+    for seconds in (5.0, 9.0):
+        durations = JobDurations(services.store)
+        durations._medians["seconds", "voxelize"] = seconds
+        change_services(client, job_durations=durations)
+        answer = client.get(url)
+        estimates.add(answer.json()["eta_s"])
+        tags.add(answer.headers["ETag"])
+    assert (len(estimates), len(tags)) == (2, 1)
+
+
+def test_a_page_of_jobs_takes_as_many_queries_as_one(
+    client: TestClient, asset: AssetRecord, services: Services
+) -> None:
+    ids = [str(create(client, asset)["id"]) for _ in range(12)]
+    for job_id in ids[:6]:
+        publish(services, hold(services, job_id), "voxelize", f"{job_id}.bin", job_id.encode())
+    single = [client.get(f"/v1/jobs/{job_id}").json() for job_id in reversed(ids)]
+    statements: list[str] = []
+    listen = (services.store.engine, "before_cursor_execute", lambda *args: statements.append(args[2]))
+    sa.event.listen(*listen)
+    page = client.get("/v1/jobs?limit=100").json()["data"]
+    sa.event.remove(*listen)
+    assert page == single
+    assert sum(text != "BEGIN" for text in statements) <= 8, statements
 
 
 def test_an_unknown_format_is_one_error(client: TestClient, asset: AssetRecord) -> None:

@@ -20,7 +20,7 @@ from tusclient.client import TusClient
 from jobs.settings import Settings
 from tests.servers import Server, api, object_storage
 from tests.service.test_assets import MTL, OBJ, zipped
-from tests.service.test_uploads import BYTES, TUS
+from tests.service.tus import BYTES, TUS
 
 LENGTH = 24_000_000
 CONTENT = np.random.default_rng(5).bytes(LENGTH)
