@@ -194,18 +194,18 @@ class SwingParams(Request):
     )
     frequency_hz: Finite | None = Field(
         default=None,
-        gt=0,
+        ge=1e-3,
         le=100,
         description="Lowest natural frequency [Hz]; measured for the tree's height if unset",
     )
     mass_kg: Finite | None = Field(
-        default=None, gt=0, le=LARGEST, description="Mass that moves [kg]; by the tree's height if unset"
+        default=None, ge=1e-3, le=LARGEST, description="Mass that moves [kg]; by the tree's height if unset"
     )
     locality: Literal["none", "geodesic"] = Field(
         default="geodesic", description="What a push may reach: the whole tree, or its branch and less of what bears it"
     )
     falloff_m: Finite | None = Field(
-        default=None, gt=0, le=LARGEST, description="Length over which a push fades [m]; 15 % of the height if unset"
+        default=None, ge=1e-3, le=LARGEST, description="Length over which a push fades [m]; 15 % of the height if unset"
     )
 
 

@@ -2,6 +2,7 @@
 
 import json
 import logging
+import re
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -43,6 +44,16 @@ class JsonLines(logging.Formatter):
         return json.dumps(line, default=str)
 
 
+_SIGNATURE = re.compile(r"(signature=)[^&\s\"]+")
+
+
+def _without_signature(record: logging.LogRecord) -> bool:
+    """Take the signature out of a line of the access log: a signed link opens a file for whoever reads it."""
+    if isinstance(record.args, tuple):
+        record.args = tuple(_SIGNATURE.sub(r"\1…", each) if isinstance(each, str) else each for each in record.args)
+    return True
+
+
 def set_up_logging(settings: Settings) -> None:
     """Send every line of this process to stderr in the format of the settings: uvicorn's, Celery's and warnings too."""
     stream = logging.StreamHandler(sys.stderr)
@@ -52,5 +63,6 @@ def set_up_logging(settings: Settings) -> None:
     for name in ("uvicorn", "uvicorn.error", "uvicorn.access"):  # uvicorn gives its own handlers before the application
         logging.getLogger(name).handlers.clear()
         logging.getLogger(name).propagate = True
+    logging.getLogger("uvicorn.access").addFilter(_without_signature)
     for name in ("alembic", "httpx"):  # httpx tells whole URLs, and secrets of webhooks and storages are in them
         logging.getLogger(name).setLevel("WARNING")

@@ -13,6 +13,7 @@ import sys
 import threading
 import time
 from dataclasses import dataclass
+from pathlib import Path
 
 import sqlalchemy as sa
 
@@ -115,11 +116,22 @@ class Beat:
         return True
 
     def say_present(self) -> None:
-        """Renew the worker's own lease."""
+        """Renew the worker's own lease, unless the worker is stopped and does nothing."""
+        if is_stopped(os.getppid()):
+            return
         try:
             hold_lease(self.store, WORKER_LEASES + self.owner, owner=self.owner, lease_s=3 * PRESENCE_S)
         except sa.exc.SQLAlchemyError:
             logger.warning("the database is away; this worker cannot say that it is there", exc_info=True)
+
+
+def is_stopped(pid: int) -> bool:
+    """Whether a process was stopped by a signal or a debugger; false where the system does not tell."""
+    try:
+        stat = Path(f"/proc/{pid}/stat").read_text()
+    except OSError:
+        return False
+    return stat.rpartition(")")[2].split()[0] in {"T", "t"}
 
 
 def main() -> None:

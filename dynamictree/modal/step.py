@@ -49,11 +49,16 @@ def exact_step(system: ModalSystem, dt_s: float) -> Step:
 def exact_oscillator(omega: Float64[np.ndarray, " M"], zeta: Float64[np.ndarray, " M"], dt_s: float) -> Step:
     """`exact_step` of oscillators with these natural frequencies [rad/s] and damping ratios."""
     h = _positive(dt_s)
-    root = np.sqrt(1 - zeta.astype(np.complex128) ** 2)  # imaginary where overdamped
+    angle = omega * h * np.sqrt(np.abs(1 - zeta**2))
+    swings = zeta <= 1
     decay = np.exp(-zeta * omega * h)
-    # of the decayed cosine and sine the real part: overdamped they are cosh and sinh, whose growth the decay outweighs
-    C = (decay * np.cos(omega * root * h)).real
-    S = (decay * h * np.sinc(omega * root * h / np.pi)).real  # sin(ω_d h) / ω_d [s], its limit h at ω_d = 0
+    # Overdamped, cosine and sine are cosh and sinh. Their growth and the decay become one exponential: each alone
+    # overflows or vanishes in long steps.
+    slow = np.exp(np.where(swings, 0.0, angle - zeta * omega * h))
+    C = np.where(swings, decay * np.cos(angle), slow * (1 + np.exp(-2 * angle)) / 2)
+    # sin(ω_d h) / ω_d and sinh(ω_d h) / ω_d [s], their limit h at ω_d = 0
+    sinh = -np.expm1(-2 * angle) / np.where(angle > 0, 2 * angle, 1)
+    S = h * np.where(swings, decay * np.sinc(angle / np.pi), slow * sinh)
     A = np.array([[C + zeta * omega * S, S], [-(omega**2) * S, C - zeta * omega * S]])
     B = np.array([(1 - A[0, 0]) / omega**2, S])
     return Step(A=A, B=B, dt_s=h)

@@ -64,6 +64,11 @@ class Authentication:
             await _refuse(away, scope, receive, send)
             return
         except ProblemError as error:
+            if error.code == "unauthorized" and self._limiter is not None:
+                wrong = await self._limiter.count_wrong_key((scope.get("client") or ("",))[0])
+                if not wrong.allowed:
+                    detail = f"{wrong.quota} requests with a wrong key in {wrong.policy.window_s} s are allowed"
+                    error = ProblemError("rate-limited", detail, headers=wrong.headers)
             await _refuse(error, scope, receive, send)
             return
         scope[CALLER] = caller

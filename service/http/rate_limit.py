@@ -28,6 +28,10 @@ class Policy:
 READS = Policy(name="reads", limit="reads_per_min", window_s=60)
 CREATES = Policy(name="creates", limit="creates_per_min", window_s=60)
 CHUNKS = Policy(name="chunks", limit="chunks_per_min", window_s=60)
+WRONG_KEYS = Policy(name="wrong-keys", limit="creates_per_min", window_s=60)
+WRONG_KEYS_PER_MIN = 30
+"""From one address: a client with a wrong key tries now and then, who guesses tries without end."""
+
 INTERACT = Policy(name="interact", limit="interact_per_s", window_s=1)
 
 
@@ -80,15 +84,20 @@ class RateLimiter:
     async def count(self, caller: Caller, policy: Policy) -> Standing | None:
         """Count one request; None where the caller has no limit."""
         quota = caller.limits.get(policy.limit)
-        if quota is None:
-            return None
+        return None if quota is None else await self._count(caller.key_id, policy, quota)
+
+    async def count_wrong_key(self, address: str) -> Standing:
+        """Count one request with a wrong key."""
+        return await self._count(address, WRONG_KEYS, WRONG_KEYS_PER_MIN)
+
+    async def _count(self, who: str, policy: Policy, quota: int) -> Standing:
         if time.monotonic() >= self._away_until:
             try:
-                return await run_in_threadpool(_hit, self._shared, caller.key_id, policy, quota)
+                return await run_in_threadpool(_hit, self._shared, who, policy, quota)
             except StorageError as error:
                 logger.warning("redis is away; requests are counted in this process: %s", error)
                 self._away_until = time.monotonic() + AWAY_S
-        return _hit(self._local, caller.key_id, policy, quota)
+        return _hit(self._local, who, policy, quota)
 
 
 def _hit(limiter: FixedWindowRateLimiter, key_id: str, policy: Policy, quota: int) -> Standing:

@@ -8,12 +8,14 @@ from service.http.problems import FieldError
 
 MAX_VALUE_CHARS = 60
 MAX_ERRORS = 20
+MAX_SEEN = 200
+"""Of the errors of a body so many are looked at."""
 MAX_POINTER = 200
 
 
 def field_errors(raw_errors: Sequence[Mapping[str, Any]]) -> list[FieldError]:
     """First wrong fields of `ValidationError.errors()` or FastAPI's errors."""
-    raw_errors = _own(raw_errors)
+    raw_errors = _own(raw_errors[:MAX_SEEN])
     errors: list[FieldError] = [
         {"pointer": _pointer(error), "code": error["type"].replace("_", "-"), "detail": _detail(error)}
         for error in raw_errors[:MAX_ERRORS]

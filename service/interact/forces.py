@@ -62,7 +62,7 @@ class ForcePayload(Payload):
     displacement_m: Vector | None = Field(
         default=None, description="[m], of a drag: where the point comes to rest, in the bent shape with warp"
     )
-    wind_m_s: Vector | list[Vector] | None = Field(
+    wind_m_s: Vector | Annotated[list[Vector], Field(min_length=1, max_length=MAX_WIND_SAMPLES)] | None = Field(
         default=None, description="[m/s], of wind; several are samples, evenly spaced over the duration"
     )
     start_s: Finite = Field(default=0.0, ge=-1e6, le=1e6, description="from the first frame of this call [s]")
@@ -81,8 +81,6 @@ class ForcePayload(Payload):
             )
         if (self.at is None) != (self.kind == "wind"):
             raise ValueError("impulse and drag need at, the place where they act; wind takes none")
-        if isinstance(self.wind_m_s, list) and not 1 <= len(self.wind_m_s) <= MAX_WIND_SAMPLES:
-            raise ValueError(f"{len(self.wind_m_s)} samples of wind; 1 to {MAX_WIND_SAMPLES} are allowed")
         return self
 
 
@@ -116,7 +114,7 @@ class InteractRequest(InteractParams):
 
     spectrum_id: str = Field(max_length=64, description="from a job's result")
     forces: list[ForcePayload] = Field(default_factory=list, max_length=MAX_FORCES)
-    dt_s: Finite = Field(default=1 / 60, gt=0, le=10, description="of a step, which is a frame [s]")
+    dt_s: Finite = Field(default=1 / 60, ge=1e-6, le=10, description="of a step, which is a frame [s]")
     num_frames: int = Field(default=60, ge=1, le=MAX_FRAMES)
     start: Start = Field(
         default="rest", description="without initial_state: at rest, in equilibrium with the forces, or Davis'"

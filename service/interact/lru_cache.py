@@ -22,12 +22,19 @@ class LruCache(Generic[T]):
         with self._lock:
             if key in self._entries:
                 self._entries.move_to_end(key)
-            return self._entries.get(key)
+            found = self._entries.get(key)
+        self.trim()
+        return found
 
     def put(self, key: str, thing: T) -> None:
-        """Store a value and evict the least recently used ones. Sizes are measured again, since values may grow."""
+        """Store a value and evict the least recently used ones."""
         with self._lock:
             self._entries[key] = thing
+        self.trim()
+
+    def trim(self) -> None:
+        """Evict the least recently used values. Call it after a value has grown: sizes are measured again."""
+        with self._lock:
             while len(self._entries) > 1 and sum(map(self._num_bytes, self._entries.values())) > self.max_bytes:
                 self._entries.popitem(last=False)
 

@@ -16,7 +16,7 @@ from jobs.states import ASSET_KINDS
 from jobs.storage import assets as asset_rows
 from jobs.storage.uploads import UploadRecord, add_upload, upload
 from jobs.store import new_id
-from service.http.multipart import receive_form
+from service.http.multipart import MAX_FILES, receive_form
 from service.http.problems import ProblemError
 from service.http.routing import Id, headers, refusals
 from service.schemas.assets import AssetPayload, AssetRequest, UploadPayload, asset_payload, upload_payload
@@ -46,6 +46,7 @@ _FORM = {
                         "file": {
                             "type": "array",
                             "minItems": 1,
+                            "maxItems": MAX_FILES,
                             "items": {"type": "string", "contentMediaType": "application/octet-stream"},
                         },
                         "kind": {

@@ -37,6 +37,7 @@ import orjson
 from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 from pydantic import Field, TypeAdapter, ValidationError
 from starlette.concurrency import run_in_threadpool
+from starlette.websockets import WebSocketState
 
 from dynamictree.modal.locality import chosen_falloff_m
 from dynamictree.modal.step import exact_step
@@ -60,7 +61,7 @@ IDLE_S = 60.0  # after which a client that says nothing is let go
 MAX_MESSAGE = 16_384  # characters
 LATE_S = 0.25  # after a longer stall the clock begins anew
 
-INVALID, TOO_LARGE, DONE, BUSY = 1008, 1009, 1000, 1013
+INVALID, TOO_LARGE, DONE, BUSY, UNSUPPORTED = 1008, 1009, 1000, 1013, 1003
 PROTOCOL = "dynamictree"
 
 
@@ -212,7 +213,13 @@ async def _send_frames(socket: WebSocket, session: Session) -> None:
 
 
 async def _text(socket: WebSocket) -> str:
-    text = await socket.receive_text()
+    message = await socket.receive()
+    if message["type"] == "websocket.disconnect":
+        raise WebSocketDisconnect(message.get("code", DONE))
+    text: str | None = message.get("text")
+    if text is None:
+        await socket.close(UNSUPPORTED, "messages are text: one JSON object each")
+        raise WebSocketDisconnect(UNSUPPORTED)
     if len(text) > MAX_MESSAGE:
         await socket.close(TOO_LARGE, f"messages have at most {MAX_MESSAGE:,} characters")
         raise WebSocketDisconnect(TOO_LARGE)
@@ -220,6 +227,8 @@ async def _text(socket: WebSocket) -> str:
 
 
 async def _send(socket: WebSocket, message: dict[str, object]) -> None:
+    if socket.application_state == WebSocketState.DISCONNECTED:  # closed by another task of this stream
+        raise WebSocketDisconnect(DONE)
     await socket.send_text(orjson.dumps(message, option=orjson.OPT_SERIALIZE_NUMPY).decode())
 
 

@@ -2,12 +2,12 @@
 
 import asyncio
 from collections.abc import AsyncIterator
-from contextlib import ExitStack
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Header, Response
 from sse_starlette import EventSourceResponse, ServerSentEvent
 from starlette.concurrency import run_in_threadpool
+from starlette.types import Receive, Scope, Send
 
 from service.http.open_streams import until_revoked
 from service.http.routing import Id, refusals
@@ -43,10 +43,9 @@ async def stream_job(
     """Follow a job. Each event is the whole job, so a client that reconnects late misses nothing that matters."""
     await run_in_threadpool(owned.store.job, id)
     seen = last_event_id if last_event_id is not None and last_event_id.isdecimal() else ""
-    place = ExitStack()
-    place.enter_context(owned.services.streams.opened(owned.caller))
-    return EventSourceResponse(
-        _events(owned, id, seen, place),
+    return CountedStream(
+        _events(owned, id, seen),
+        owned,
         ping=HEARTBEAT_S,
         send_timeout=SEND_TIMEOUT_S,
         sep="\n",
@@ -54,18 +53,30 @@ async def stream_job(
     )
 
 
-async def _events(owned: Owned, job_id: str, seen: str, place: ExitStack) -> AsyncIterator[ServerSentEvent]:
-    with place:
-        revoked = asyncio.create_task(until_revoked(owned.services.store, owned.caller))
-        try:
-            while not revoked.done():
-                job = await run_in_threadpool(owned.store.job, job_id)
-                if str(job.version) != seen:
-                    payload = await run_in_threadpool(tell, owned, job, Response())
-                    seen = str(job.version)
-                    yield ServerSentEvent(payload.model_dump_json(), id=seen, event="job", sep="\n")
-                if job.terminal:
-                    return
-                await owned.services.job_notifier.changed(job_id, job.version, HEARTBEAT_S)
-        finally:
-            revoked.cancel()
+class CountedStream(EventSourceResponse):
+    """Server-sent events that hold one of the caller's streams while they are sent, however that ends."""
+
+    def __init__(self, events: AsyncIterator[ServerSentEvent], owned: Owned, **options: Any) -> None:
+        super().__init__(events, **options)
+        self.owned = owned
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send the events. Refused with a ProblemError before the head where the caller has too many streams."""
+        with self.owned.services.streams.opened(self.owned.caller):
+            await super().__call__(scope, receive, send)
+
+
+async def _events(owned: Owned, job_id: str, seen: str) -> AsyncIterator[ServerSentEvent]:
+    revoked = asyncio.create_task(until_revoked(owned.services.store, owned.caller))
+    try:
+        while not revoked.done():
+            job = await run_in_threadpool(owned.store.job, job_id)
+            if str(job.version) != seen:
+                payload = await run_in_threadpool(tell, owned, job, Response())
+                seen = str(job.version)
+                yield ServerSentEvent(payload.model_dump_json(), id=seen, event="job", sep="\n")
+            if job.terminal:
+                return
+            await owned.services.job_notifier.changed(job_id, job.version, HEARTBEAT_S)
+    finally:
+        revoked.cancel()

@@ -5,6 +5,7 @@ from typing import Annotated, Self
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from dynamictree.request_model import Bounded
 from dynamictree.request_model import Finite as Finite
 from service.http.problems import KINDS, problem_body
 
@@ -13,7 +14,7 @@ ULID_PATTERN = "^[0-9A-HJKMNP-TV-Z]{26}$"
 Time = Annotated[datetime, Field(description="RFC 3339, UTC")]
 
 
-class Payload(BaseModel):
+class Payload(Bounded):
     """Base class of all bodies."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)

@@ -114,7 +114,8 @@ def reading_options(fields: Mapping[str, str], *, where: str = "form") -> Readin
     if fields.get("kind", "mesh") not in ASSET_KINDS:
         raise _wrong(where, "kind", "not-allowed", f"kind is {fields['kind']!r}; {', '.join(ASSET_KINDS)} are allowed")
     try:
-        return Reading.part_of(fields)
+        own = {name: fields[name] for name in Reading.model_fields if name in fields}
+        return Reading.model_validate(own, strict=False)  # a form has texts only
     except ValidationError as error:
         wrong = field_errors([one | {"loc": (where, *one["loc"])} for one in error.errors()])
         raise ProblemError("validation-failed", summed_up(wrong), errors=wrong) from None

@@ -7,6 +7,7 @@ from fastapi.testclient import TestClient
 
 from jobs.clients.keys import create_key
 from jobs.clients.keys import keys as all_keys
+from jobs.logging_setup import set_up_logging
 from jobs.settings import Settings
 from service.app import create_app
 
@@ -34,3 +35,17 @@ def test_changes_and_refused_keys_are_logged(settings: Settings, caplog: pytest.
     assert (refused["actor"], refused["outcome"]) == ("anyone", 401)
     assert key not in caplog.text
     assert response.json()["secret"] not in caplog.text
+
+
+def test_the_access_log_tells_no_signature(
+    settings: Settings, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    root = logging.getLogger()
+    monkeypatch.setattr(root, "handlers", [])
+    monkeypatch.setattr(root, "level", root.level)
+    set_up_logging(settings)
+    line = ("127.0.0.1:9", "GET", "/v1/artifacts/A?key_id=K&expires=9&signature=abcdef0123", "1.1", 200)
+    logging.getLogger("uvicorn.access").info('%s - "%s %s HTTP/%s" %d', *line)
+    logged = capsys.readouterr().err
+    assert "/v1/artifacts/A?key_id=K&expires=9&signature=" in logged
+    assert "abcdef" not in logged

@@ -11,8 +11,10 @@ from starlette.websockets import WebSocketDisconnect
 
 from jobs.clients.keys import Limit, Scope, create_key, revoke_key
 from jobs.settings import Settings
+from jobs.storage.assets import read_asset
 from service.app import create_app
 from service.http import authentication, open_streams
+from service.http.rate_limit import WRONG_KEYS_PER_MIN
 from service.routes import job_events
 from service.services import Services
 from tests.service.conftest import hold, publish
@@ -38,6 +40,14 @@ def keyed(
     chosen = {"scopes": scopes} if scopes else {}
     _, key = create_key(opened[1].store, name="test", owner=owner, limits=named, **chosen)  # type: ignore[arg-type]
     return TestClient(opened[0].app, "http://trees.example", headers={"Authorization": f"Bearer {key}"})
+
+
+def test_an_address_may_send_few_wrong_keys(app_services: tuple[TestClient, Services]) -> None:
+    client, _ = app_services
+    codes = [client.get("/v1/jobs", headers={"Authorization": f"Bearer dt_{n}"}).status_code for n in range(40)]
+    assert codes == [401] * WRONG_KEYS_PER_MIN + [429] * (40 - WRONG_KEYS_PER_MIN)
+    assert "Retry-After" in client.get("/v1/jobs").headers
+    assert keyed(app_services, "ann").get("/v1/jobs").status_code == 200
 
 
 def test_without_a_key_nothing_opens(app_services: tuple[TestClient, Services]) -> None:
@@ -138,7 +148,7 @@ def test_what_others_own_is_not_there(app_services: tuple[TestClient, Services])
 
 
 def test_an_owner_has_quotas(app_services: tuple[TestClient, Services]) -> None:
-    ann = keyed(app_services, "ann", active_jobs=2, bytes=500)
+    ann = keyed(app_services, "ann", active_jobs=2, bytes=9_000)
     asset = send(ann, TREE).json()["id"]
     body = {"type": "voxelize", "asset_id": asset}
     first, _ = (ann.post("/v1/jobs", json=body).json() for _ in range(2))
@@ -147,11 +157,13 @@ def test_an_owner_has_quotas(app_services: tuple[TestClient, Services]) -> None:
     assert third.headers["Retry-After"]
     ann.post(f"/v1/jobs/{first['id']}/cancel")
     assert ann.post("/v1/jobs", json=body).status_code == 202
-    large = ann.post("/v1/uploads", headers=TUS | {"Upload-Length": "500"})
+    large = ann.post("/v1/uploads", headers=TUS | {"Upload-Length": "9000"})
     assert (large.status_code, large.json()["code"]) == (429, "quota-exceeded")
     used = ann.get("/v1/usage").json()
-    assert (used["active_jobs"], used["limits"]["bytes"]) == (2, 500)
-    assert used["bytes"] == len(TREE[1])
+    assert (used["active_jobs"], used["limits"]["bytes"]) == (2, 9_000)
+    prepared = read_asset(app_services[1].store, asset).prepared
+    assert prepared is not None
+    assert used["bytes"] == len(TREE[1]) + prepared.bytes
 
 
 def test_a_key_has_a_rate_and_its_responses_state_it(app_services: tuple[TestClient, Services]) -> None:

@@ -3,6 +3,9 @@
 # ruff: noqa: F811
 
 import json
+import time
+from collections.abc import Iterator
+from unittest.mock import AsyncMock
 
 import numpy as np
 import pytest
@@ -217,7 +220,7 @@ def test_a_place_that_is_none_is_refused(
         ({"at": None}, "need at"),
         ({"at": {"voxel": 1, "vertex": 1}}, "exactly one of point_m"),
         ({"kind": "wind", "impulse_n_s": None, "wind_m_s": [1.0, 0.0, 0.0]}, "takes none"),
-        ({"kind": "wind", "impulse_n_s": None, "at": None, "wind_m_s": []}, "1 to 600"),
+        ({"kind": "wind", "impulse_n_s": None, "at": None, "wind_m_s": []}, "at least 1 item"),
         ({"sideways": 1}, "/sideways: there is no such field"),
     ],
 )
@@ -353,3 +356,35 @@ def test_a_skin_does_not_move_still_parts(grown, spectrum: SparseVoxelSpectrum) 
     np.testing.assert_allclose(skin.weights.sum(axis=1), 1, atol=1e-5)
     assert not skin.displacement(mesh.vertices, 10)[-4:].any()
     assert np.abs(skin.displacement(mesh.vertices, 10)[:-4]).max() > 1e-3
+
+
+def test_the_work_of_an_answer_is_bounded(
+    client: TestClient, spectrum_id: str, spectrum: SparseVoxelSpectrum, poke: dict, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    forces = [poke | {"at": {"voxel": voxel}} for voxel in (0, 1, 2)]
+    monkeypatch.setattr("service.routes.interact.MAX_WORK", 3 * 10 * len(spectrum.grid))
+    assert post(client, spectrum_id, *forces, output="voxels", num_frames=10).status_code == 200
+    refused = refusal(post(client, spectrum_id, *forces, output="voxels", num_frames=11), 422, "validation-failed")
+    assert "ask for 10 frames" in refused["detail"]
+    assert post(client, spectrum_id, *forces, num_frames=11).status_code == 200
+
+
+def test_an_answer_stops_once_its_client_has_left(
+    client: TestClient, spectrum_id: str, poke: dict, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frames = []
+
+    def slowly(*_: object, **__: object) -> Iterator[np.ndarray]:
+        for number in range(600):
+            time.sleep(0.01)
+            frames.append(number)
+            yield np.zeros((1, 3), np.float32)
+
+    monkeypatch.setattr(InteractiveTree, "voxels", slowly)
+    body = json.dumps({"spectrum_id": spectrum_id, "forces": [poke], "num_frames": 600, "output": "voxels"}).encode()
+    headers = [(b"host", b"localhost"), (b"content-type", b"application/json")]
+    scope = {"type": "http", "method": "POST", "path": "/v1/interact", "raw_path": b"/v1/interact", "headers": headers}
+    scope |= {"query_string": b"", "scheme": "http", "http_version": "1.1", "client": ("127.0.0.1", 1), "state": {}}
+    messages = [{"type": "http.request", "body": body}, {"type": "http.disconnect"}]
+    client.portal.call(client.app, scope, AsyncMock(side_effect=messages), AsyncMock())
+    assert 0 < len(frames) < 100

@@ -2,14 +2,16 @@
 
 # ruff: noqa: F811
 
+import asyncio
 import threading
 import time
 from functools import partial
+from unittest.mock import AsyncMock
 
 import numpy as np
 import pytest
 from fastapi.testclient import TestClient
-from starlette.websockets import WebSocketDisconnect
+from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from dynamictree.modal.force import Drag, Impulse, contact_at_voxel
 from dynamictree.modal.interactive_tree import Answer, ForceGroup, InteractiveTree, Locality
@@ -70,6 +72,27 @@ def test_frames_are_those_of_the_library(client: TestClient, spectrum_id: str, s
         np.testing.assert_allclose(coordinates(frame)[1:], expected[frame["frame"]], rtol=1e-9)
         assert frame["groups"][0]["locality"] == {"seed_voxel": 40, "falloff_m": 1.0}
     assert [frame["frame"] for frame in taken] == sorted({frame["frame"] for frame in taken})
+
+
+def test_a_binary_message_ends_the_stream_with_its_reason(client: TestClient, spectrum_id: str) -> None:
+    with client.websocket_connect(URL) as socket:
+        opened(socket, spectrum_id)
+        socket.send_bytes(b"{}")
+        with pytest.raises(WebSocketDisconnect) as ended:
+            socket.receive_json()
+    assert ended.value.code == 1003
+
+
+def test_a_frame_after_the_close_of_another_task_is_no_error() -> None:
+    async def close_then_send() -> None:
+        messages = [{"type": "websocket.connect"}]
+        socket = WebSocket({"type": "websocket"}, AsyncMock(side_effect=messages), AsyncMock())
+        await socket.accept()
+        await socket.close()
+        with pytest.raises(WebSocketDisconnect):
+            await interact_stream._send(socket, {"type": "frame"})
+
+    asyncio.run(close_then_send())
 
 
 def test_a_knock_is_one(client: TestClient, spectrum_id: str, spectrum: SparseVoxelSpectrum, poke: dict) -> None:

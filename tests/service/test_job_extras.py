@@ -3,7 +3,9 @@
 import threading
 import time
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from unittest.mock import AsyncMock
 
+import anyio
 import pytest
 from fastapi.testclient import TestClient
 
@@ -13,6 +15,8 @@ from jobs.lifecycle.maintenance import forget_expired, hold_lease
 from jobs.records import AssetRecord
 from jobs.settings import Settings
 from service.app import create_app
+from service.http.caller import ANYONE
+from service.routes import job_events
 from service.services import Services
 from tests.service.conftest import change_services, hold, publish
 from tests.service.test_assets import OBJ, left_behind
@@ -209,3 +213,17 @@ def test_an_address_inside_is_not_fetched(client: TestClient) -> None:
     for url in ("https://169.254.169.254/latest/meta-data/", "http://127.0.0.1:6379/", "file:///etc/passwd"):
         refused = client.post("/v1/assets", json={"url": url})
         assert (refused.status_code, refused.json()["code"]) == (422, "fetch-failed")
+
+
+def test_a_stream_whose_head_is_not_taken_gives_its_place_back(client: TestClient, services: Services) -> None:
+    async def gone(_: object) -> None:
+        raise OSError("the connection is gone")
+
+    async def connected() -> dict[str, str]:  # a mock that answers at once would be asked without end
+        await anyio.sleep_forever()
+        return {"type": "http.disconnect"}
+
+    stream = job_events.CountedStream(AsyncMock(), services.owned_by(ANYONE))
+    with pytest.raises(BaseException, match=r"unhandled errors|gone"):
+        client.portal.call(stream, {"type": "http", "method": "GET", "asgi": {}}, connected, gone)
+    assert services.streams.num_open == 0

@@ -82,6 +82,39 @@ def test_a_page_of_jobs_takes_as_many_queries_as_one(
     assert sum(text != "BEGIN" for text in statements) <= 8, statements
 
 
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"seed": True},
+        {"seed": "1"},
+        {"start_deadline_s": "60"},
+        {"params": {"resolution": "64"}},
+        {"type": "animate", "params": {"wind": {"speed_m_s": "5"}}},
+        {"type": "animate", "params": {"wind": {"gust": True}}},
+        {"type": "animate", "params": {"loop": 1}},
+    ],
+)
+def test_texts_and_truth_values_are_no_numbers(
+    client: TestClient, asset: AssetRecord, wrong: dict[str, object]
+) -> None:
+    response = client.post("/v1/jobs", json={"type": "voxelize", "asset_id": asset.id} | wrong)
+    assert (response.status_code, response.json()["code"]) == (422, "validation-failed")
+
+
+@pytest.mark.parametrize(
+    "flood",
+    [
+        {f"k{number}": 1 for number in range(50_000)},
+        {"params": {"formats": ["x"] * 50_000}},
+        {"params": {"scribbles": [1] * 50_000}},
+    ],
+)
+def test_a_flood_of_errors_is_one_error(client: TestClient, asset: AssetRecord, flood: dict[str, object]) -> None:
+    problem = client.post("/v1/jobs", json={"type": "animate", "asset_id": asset.id} | flood).json()
+    assert (problem["code"], len(problem["errors"])) == ("validation-failed", 1)
+    assert "50,0" in problem["detail"]
+
+
 def test_an_unknown_format_is_one_error(client: TestClient, asset: AssetRecord) -> None:
     request = {"type": "animate", "asset_id": asset.id, "params": {"formats": ["sog"]}}
     problem = client.post("/v1/jobs", json=request).json()

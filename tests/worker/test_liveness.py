@@ -1,10 +1,17 @@
 """What a container's engine sees of our processes: a file that says a worker lives, and lines of JSON only."""
 
 import json
+import signal
+import subprocess
+import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
+from jobs.lifecycle.maintenance import WORKER_LEASES, living
+from jobs.store import Store
 from tests.servers import api, valkey, worker
+from worker.heartbeat import PRESENCE_S
 
 
 def test_a_worker_renews_its_file_and_every_line_of_worker_and_api_is_json(tmp_path: Path) -> None:
@@ -46,3 +53,32 @@ def _lines(path: Path) -> list[dict[str, str]]:
     """Every line but the one that Celery's signal handler writes past all logging."""
     lines = [line for line in path.read_text().splitlines() if line and line != "worker: Warm shutdown (MainProcess)"]
     return [json.loads(line) for line in lines]
+
+
+def test_a_stopped_worker_does_not_say_that_it_is_there(tmp_path: Path) -> None:
+    store = Store.open(f"sqlite:///{tmp_path / 'jobs.sqlite'}")
+    first = {"database_url": str(store.engine.url), "owner": "w", "lease_s": 60, "heartbeat_s": 0.2}
+    parent = "import subprocess, sys\n"
+    parent += "child = subprocess.Popen([sys.executable, '-m', 'worker.heartbeat'], stdin=subprocess.PIPE)\n"
+    parent += f"child.stdin.write({(json.dumps(first) + chr(10)).encode()!r}); child.stdin.flush(); child.wait()"
+    worker_process = subprocess.Popen([sys.executable, "-c", parent], stdout=subprocess.DEVNULL)
+    try:
+        until(lambda: living(store, WORKER_LEASES))
+        worker_process.send_signal(signal.SIGSTOP)
+        store.clock = lambda: time.time() + 3 * PRESENCE_S  # what was said before it was stopped has passed
+        time.sleep(PRESENCE_S + 1)
+        assert not living(store, WORKER_LEASES)
+        worker_process.send_signal(signal.SIGCONT)
+        store.clock = time.time
+        until(lambda: living(store, WORKER_LEASES))
+    finally:
+        worker_process.kill()
+        worker_process.wait()
+        store.close()
+
+
+def until(holds: Callable[[], object]) -> None:
+    deadline = time.monotonic() + 60
+    while not holds():
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
