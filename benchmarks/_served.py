@@ -23,7 +23,7 @@ from jobs.states import JobState
 from jobs.storage.artifacts import hash_file
 from jobs.storage.assets import add_asset
 from jobs.store import new_id
-from service.services import Services
+from service.services import Services, open_services
 
 START_S = 90.0
 
@@ -31,7 +31,8 @@ START_S = 90.0
 @contextmanager
 def serving(state: Path, spectrum: SparseVoxelSpectrum, mesh: TriangleMesh) -> Iterator[tuple[str, str, int]]:
     """Base URL, spectrum id and process id of an API that knows this tree."""
-    spectrum_id = published(Services(Settings(state_dir=state)), spectrum, mesh)
+    with open_services(Settings(state_dir=state)) as services:
+        spectrum_id = published(services, spectrum, mesh)
     with started(state) as (url, process_id):
         yield url, spectrum_id, process_id
 

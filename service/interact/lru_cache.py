@@ -22,9 +22,9 @@ class LruCache(Generic[T]):
         with self._lock:
             if key in self._entries:
                 self._entries.move_to_end(key)
-            found = self._entries.get(key)
+            value = self._entries.get(key)
         self.trim()
-        return found
+        return value
 
     def put(self, key: str, thing: T) -> None:
         """Store a value and evict the least recently used ones."""
