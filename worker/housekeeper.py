@@ -257,6 +257,8 @@ def run(keeper: Housekeeper, stopped: threading.Event) -> None:
         now = time.monotonic()
         reserve.take(now)  # before the lease, which a full disk would refuse
         if now >= renew_at:
+            if settings.worker_alive_file is not None:
+                settings.worker_alive_file.touch()
             ours = _done(lambda: hold_lease(keeper.store, HOUSEKEEPER_LEASE, owner=owner, lease_s=lease_s))
             renew_at = now + lease_s / 3
             if not ours:

@@ -106,6 +106,9 @@ def _matched(cameras: list[GivenCamera], sizes: Sizes, source: str) -> tuple[Giv
         raise FormatError(f"{source} names {first!r} and no photo that is there; give the photos that it names")
     for camera in matched:
         _check(camera, sizes[camera.photo], source)
+    places = np.stack([-camera.world_to_camera[:, :3].T @ camera.world_to_camera[:, 3] for camera in matched])
+    if len(matched) > 1 and not np.ptp(places, axis=0).max() > 0:
+        raise FormatError(f"{source} puts all cameras at one place, from which no depth is seen; export it again")
     return tuple(matched)
 
 
@@ -144,7 +147,7 @@ def _transforms(content: bytes, sizes: Sizes) -> list[GivenCamera]:
         document = json.loads(content)
         frames = [{**{k: v for k, v in document.items() if k != "frames"}, **frame} for frame in document["frames"]]
         return [_from_frame(frame, sizes) for frame in frames]
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, ArithmeticError) as error:
         raise FormatError(f"{TRANSFORMS} cannot be read: {error!r}; see nerfstudio's data conventions") from error
 
 

@@ -101,6 +101,20 @@ def _value_of(trigger: Any, waiting: Mapping[str, int]) -> float:
     return float(value)
 
 
+def test_what_is_not_ours_is_still_reached() -> None:
+    """A policy for all pods of the namespace would cut the API off from a Redis that stands beside it."""
+    policies = [o["spec"] for o in OBJECTS if o["kind"] == "NetworkPolicy"]
+    assert all(policy["podSelector"] for policy in policies)
+    [closed] = [policy for policy in policies if "ingress" not in policy]
+    [chosen] = closed["podSelector"]["matchExpressions"]
+    assert set(chosen["values"]) == {o["metadata"]["name"] for o in OBJECTS if o["kind"] == "Deployment"} - {"api"}
+
+
+@pytest.mark.parametrize("name", ["api", "worker", "housekeeper"])
+def test_a_pod_that_hangs_is_noticed(name: str) -> None:
+    assert "livenessProbe" in _container(name)
+
+
 def test_selectors_choose_their_pods() -> None:
     names = {o["metadata"]["name"] for o in OBJECTS if o["kind"] == "Deployment"}
     for name in names:

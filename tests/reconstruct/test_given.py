@@ -240,3 +240,13 @@ def test_refuses_a_file_of_too_many_bytes(tmp_path, orbit):
         stream.truncate(2**30)
     with pytest.raises(FormatError, match="1,073,741,824 bytes; at most"):
         find_given(tmp_path, sizes_of(orbit))
+
+
+def test_cameras_that_are_all_the_same_are_refused(orbit: Orbit, tmp_path: Path) -> None:
+    frames = [{"file_path": name, "transform_matrix": np.eye(4).tolist()} for name in names_of(orbit)]
+    path = write_transforms(tmp_path, orbit, frames=frames)
+    with pytest.raises(FormatError, match="at one place"):
+        find_given(tmp_path, sizes_of(orbit))
+    path.write_text(json.dumps({"camera_angle_x": 0, "frames": frames}))
+    with pytest.raises(FormatError, match="cannot be read"):
+        find_given(tmp_path, sizes_of(orbit))
