@@ -15,15 +15,14 @@ MAX_POINTER = 200
 
 def field_errors(raw_errors: Sequence[Mapping[str, Any]]) -> list[FieldError]:
     """First wrong fields of `ValidationError.errors()` or FastAPI's errors."""
+    left = max(len(raw_errors) - MAX_SEEN, 0)
     raw_errors = _own(raw_errors[:MAX_SEEN])
     errors: list[FieldError] = [
         {"pointer": _pointer(error), "code": error["type"].replace("_", "-"), "detail": _detail(error)}
         for error in raw_errors[:MAX_ERRORS]
     ]
-    if len(raw_errors) > MAX_ERRORS:
-        errors.append(
-            {"pointer": "", "code": "more", "detail": f"{len(raw_errors) - MAX_ERRORS} more fields are wrong"}
-        )
+    if (more := len(raw_errors) + left - MAX_ERRORS) > 0:
+        errors.append({"pointer": "", "code": "more", "detail": f"{more} more fields are wrong"})
     return errors
 
 
