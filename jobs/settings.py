@@ -11,6 +11,7 @@ from pydantic import Field, SecretStr, ValidationError, field_validator, model_v
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from jobs.errors import SettingsError
+from jobs.states import AUTO, CPU, GPU
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
@@ -40,7 +41,7 @@ class Settings(BaseSettings):
     s3_secret_access_key: SecretStr | None = None
     secret_key: SecretStr | None = None
 
-    queue: str = Field(default="cpu", pattern=r"^[a-z][a-z0-9-]{0,25}$")
+    queue: str = Field(default="auto", pattern=r"^[a-z][a-z0-9-]{0,25}$")
     lease_s: float = Field(default=60.0, gt=0)
     heartbeat_s: float = Field(default=10.0, gt=0)
     max_lost_attempts: int = Field(default=2, ge=0, le=20)
@@ -130,6 +131,16 @@ class Settings(BaseSettings):
     def share_of(self, total: int) -> int:
         """Slots of `total` that one owner may hold at once: a quarter, at least one; all where there are no keys."""
         return max(1, total // 4) if self.keys == "required" else total
+
+    @property
+    def worker_queue(self) -> str:
+        """The queue that a worker of these settings serves."""
+        return CPU if self.queue == AUTO else self.queue
+
+    @property
+    def job_queues(self) -> tuple[str, ...]:
+        """The queues that jobs may go to."""
+        return (CPU, GPU) if self.queue == AUTO else (self.queue,)
 
     @property
     def resolved_database_url(self) -> str:

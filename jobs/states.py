@@ -59,6 +59,10 @@ def stages_of(job_type: JobType, asset_kind: AssetKind) -> tuple[JobType, ...]:
     return JOB_TYPES[first : JOB_TYPES.index(job_type) + 1]
 
 
+AUTO, CPU, GPU = "auto", "cpu", "gpu"
+"""Queues: by what a job needs and which workers there are; of workers without and with a GPU."""
+
+
 def queue_of(base: str, priority: Priority) -> str:
     """The queue of a priority: workers empty `cpu-high` before `cpu`, and that before `cpu-low`."""
     return base if priority == "normal" else f"{base}-{priority}"

@@ -10,8 +10,9 @@ from dynamictree.requests import AnimateParams, CloudParams, Format
 from jobs.clients.usage import count_jobs
 from jobs.clients.webhooks import endpoint
 from jobs.errors import ConflictError
+from jobs.lifecycle.maintenance import is_served
 from jobs.records import AssetRecord, ClientKey, JobRecord, Json
-from jobs.states import JobState, JobType, queue_of, stages_of
+from jobs.states import AUTO, CPU, GPU, JobState, JobType, queue_of, stages_of
 from jobs.storage.assets import read_asset
 from jobs.store import new_id
 from service.http.problems import ProblemError, wrong_field
@@ -25,6 +26,8 @@ from service.services import Owned
 from service.uploads.quota import require_bytes, require_room
 
 KEY_EXPIRES_S = 86400.0
+PAPER = "paper"
+"""The preset that takes minutes without a GPU."""
 
 
 def accept(owned: Owned, body: JobRequest, origin: RequestOrigin, response: Response, *, key: str | None) -> JobPayload:
@@ -158,7 +161,7 @@ def _record(owned: Owned, body: JobRequest, asset: AssetRecord, origin: RequestO
         preset=body.preset,
         seed=body.seed,
         params=_resolved(body, asset),
-        queue=queue_of(owned.services.settings.queue, body.priority),
+        queue=queue_of(_queue(owned, body, asset), body.priority),
         priority=body.priority,
         webhook_id=body.webhook,
         request_id=origin.request_id,
@@ -166,6 +169,14 @@ def _record(owned: Owned, body: JobRequest, asset: AssetRecord, origin: RequestO
         start_deadline=None if body.start_deadline_s is None else now + body.start_deadline_s,
         created_at=now,
     )
+
+
+def _queue(owned: Owned, body: JobRequest, asset: AssetRecord) -> str:
+    """The queue whose workers a job is for: those with a GPU where it needs one and they are there."""
+    if owned.services.settings.queue != AUTO:
+        return owned.services.settings.queue
+    learns = asset.kind == "photos" or (body.type in ("diffuse", "animate") and body.preset == PAPER)
+    return GPU if is_served(owned.store, GPU) and (learns or not is_served(owned.store, CPU)) else CPU
 
 
 def _require_place(owned: Owned) -> None:

@@ -29,7 +29,7 @@ def make_app(settings: Settings) -> Celery:
         task_acks_on_failure_or_timeout=True,
         task_soft_time_limit=settings.soft_time_limit_s,
         task_time_limit=settings.time_limit_s,
-        task_default_queue=settings.queue,
+        task_default_queue=settings.worker_queue,
         task_store_errors_even_if_ignored=False,
         broker_transport_options={
             "visibility_timeout": settings.visibility_timeout_s,

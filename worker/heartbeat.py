@@ -19,7 +19,7 @@ import sqlalchemy as sa
 
 from jobs.errors import FencedError
 from jobs.lifecycle.attempts import renew
-from jobs.lifecycle.maintenance import WORKER_LEASES, hold_lease, release_lease
+from jobs.lifecycle.maintenance import hold_lease, release_lease, worker_lease
 from jobs.logging_setup import set_up_logging
 from jobs.records import Claim
 from jobs.settings import Settings, read_settings
@@ -39,6 +39,7 @@ class Heartbeat:
         self._first: dict[str, str | int | float] = {
             "database_url": settings.resolved_database_url,
             "owner": owner,
+            "queue": settings.worker_queue,
             "lease_s": settings.lease_s,
             "heartbeat_s": settings.heartbeat_s,
         }
@@ -102,7 +103,13 @@ class Beat:
 
     store: Store
     owner: str
+    queue: str
     lease_s: float
+
+    @property
+    def presence(self) -> str:
+        """Name of the worker's own lease."""
+        return worker_lease(self.queue, self.owner)
 
     def renew(self, job_id: str, attempt: int) -> bool:
         """Renew an attempt's lease; return whether to continue."""
@@ -120,7 +127,7 @@ class Beat:
         if is_stopped(os.getppid()):
             return
         try:
-            hold_lease(self.store, WORKER_LEASES + self.owner, owner=self.owner, lease_s=3 * PRESENCE_S)
+            hold_lease(self.store, self.presence, owner=self.owner, lease_s=3 * PRESENCE_S)
         except sa.exc.SQLAlchemyError:
             logger.warning("the database is away; this worker cannot say that it is there", exc_info=True)
 
@@ -139,7 +146,7 @@ def main() -> None:
     set_up_logging(read_settings())
     first = json.loads(sys.stdin.buffer.readline())
     store = Store.open(first["database_url"])
-    beat = Beat(store=store, owner=first["owner"], lease_s=first["lease_s"])
+    beat = Beat(store=store, owner=first["owner"], queue=first["queue"], lease_s=first["lease_s"])
     claimed: dict[str, str | int] = {}
     present_at = renewed_at = -1e9
     pending = b""
@@ -162,7 +169,7 @@ def main() -> None:
         *lines, pending = pending.split(b"\n")
         if lines:
             claimed = json.loads(lines[-1])
-    release_lease(store, WORKER_LEASES + first["owner"], owner=first["owner"])
+    release_lease(store, beat.presence, owner=first["owner"])
 
 
 if __name__ == "__main__":

@@ -34,12 +34,14 @@ from jobs.lifecycle.maintenance import (
     mark_sent,
     reap,
     release_lease,
+    reroute,
     unclaimed,
     unsent,
 )
 from jobs.lifecycle.messages import RUN_JOB, RunJob
 from jobs.logging_setup import set_up_logging
 from jobs.settings import Settings, read_settings
+from jobs.states import AUTO
 from jobs.storage.artifacts import ArtifactStore, open_artifacts
 from jobs.storage.assets import read_asset
 from jobs.storage.backup import BACKUP_LEASE
@@ -109,6 +111,8 @@ class Housekeeper:
         for job_id, state in reap(self.store, max_lost_attempts=self.settings.max_lost_attempts):
             logger.warning("job %s was left by its worker; it is %s now", job_id, state)
         abort_overdue(self.store)
+        if self.settings.queue == AUTO:
+            reroute(self.store)
 
     def forget(self) -> float | None:
         """Delete expired records, and bytes without references; return 0 where the time did not suffice."""

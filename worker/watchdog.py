@@ -42,7 +42,7 @@ class Idleness:
 
 def watch(settings: Settings, stopped: threading.Event) -> None:
     """Check every few seconds until stopped; end this process and its forks if it is idle for too long."""
-    queues = queues_of(settings.queue)
+    queues = queues_of(settings.worker_queue)
     idle = Idleness(limit_s=settings.idle_limit_s)
     client = redis.Redis.from_url(
         settings.resolved_redis_url, socket_timeout=REDIS_TIMEOUT_S, socket_connect_timeout=REDIS_TIMEOUT_S
@@ -53,7 +53,7 @@ def watch(settings: Settings, stopped: threading.Event) -> None:
         except redis.RedisError:
             waiting = 0  # a queue that is away is not our fault
         if idle.too_long(waiting=waiting, busy=bool(state.reserved_requests), now=time.monotonic()):
-            detail = f"{waiting} messages wait in {settings.queue!r} and none was taken for {settings.idle_limit_s:g} s"
+            detail = f"{waiting} messages wait in {settings.worker_queue!r}, none taken for {settings.idle_limit_s:g} s"
             logger.critical("%s; this worker ends, to be started again", detail)
             os.kill(os.getpid(), signal.SIGQUIT)  # Celery's cold shutdown
             if not stopped.wait(settings.shutdown_grace_s):

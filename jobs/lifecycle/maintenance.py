@@ -10,7 +10,7 @@ from jobs.database.engine import upsert
 from jobs.lifecycle.attempts import begin_next_attempt
 from jobs.lifecycle.messages import RunJob
 from jobs.lifecycle.rows import bury, end
-from jobs.states import JobState
+from jobs.states import CPU, GPU, JobState, queues_of
 from jobs.store import Store
 
 TOMBSTONE_S = 90 * 86400.0
@@ -18,6 +18,9 @@ TOMBSTONE_S = 90 * 86400.0
 
 WORKER_LEASES = "worker:"
 """What the name of every worker's own lease begins with."""
+
+REROUTE_S = 60.0
+"""So long a job waits for a worker of its queue before one of another queue may take it: workers start again."""
 
 HOUSEKEEPER_LEASE = "housekeeper"
 
@@ -41,6 +44,37 @@ def living(store: Store, prefix: str) -> list[str]:
     active = t.leases.c.name.startswith(prefix, autoescape=True) & (t.leases.c.until > store.clock())
     with store.reading() as connection:
         return list(connection.execute(sa.select(t.leases.c.name).where(active)).scalars())
+
+
+def worker_lease(queue: str, owner: str) -> str:
+    """Name of the lease by which a worker of a queue says that it is there."""
+    return f"{WORKER_LEASES}{queue}:{owner}"
+
+
+def is_served(store: Store, queue: str) -> bool:
+    """Whether a worker of a queue is there."""
+    return bool(living(store, worker_lease(queue, "")))
+
+
+def reroute(store: Store) -> int:
+    """Move jobs that wait in a queue without workers to the other one, if it has some; return how many."""
+    served = {queue: is_served(store, queue) for queue in (CPU, GPU)}
+    if sum(served.values()) != 1:
+        return 0
+    left, to = (GPU, CPU) if served[CPU] else (CPU, GPU)
+    free = t.jobs.c.state.in_([JobState.QUEUED, JobState.RUNNING]) & t.jobs.c.lease_owner.is_(None)
+    waiting = free & (t.jobs.c.created_at < store.clock() - REROUTE_S)
+    moved = 0
+    with store.writing() as connection:
+        for old, new in zip(queues_of(left), queues_of(to), strict=True):
+            these = sa.select(t.jobs.c.id).where(waiting & (t.jobs.c.queue == old))
+            ids = list(connection.execute(these).scalars())
+            if ids:
+                connection.execute(t.outbox.update().where(t.outbox.c.job_id.in_(ids)).values(sent_at=None))
+                changes = {"queue": new, "version": t.jobs.c.version + 1}
+                connection.execute(t.jobs.update().where(t.jobs.c.id.in_(ids)).values(**changes))
+            moved += len(ids)
+    return moved
 
 
 def unsent(store: Store, *, window: int) -> list[RunJob]:

@@ -115,7 +115,7 @@ def plans(settings: Settings, listening: socket.socket) -> list[ChildPlan]:
         if folder := os.environ.get(name):
             environment[name] = str(Path(folder).resolve())
     threads = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), str(settings.worker_threads))
-    worker_name = f"{settings.queue}-{os.getpid()}@%h"
+    worker_name = f"{settings.worker_queue}-{os.getpid()}@%h"
     # Celery imports the application with the current folder ahead of all others
     celery = [
         sys.executable,
@@ -134,7 +134,7 @@ def plans(settings: Settings, listening: socket.socket) -> list[ChildPlan]:
     ]
     celery += [
         "-Q",
-        ",".join(queues_of(settings.queue)),
+        ",".join(queues_of(settings.worker_queue)),
         "-n",
         worker_name,
         "--without-gossip",

@@ -53,7 +53,11 @@ ON_ANSWER = Counter("dynamictree_answers", "Answers by status", ["status"], regi
 def get_metrics(owned: OwnedDep) -> Response:
     """Counts, ages and durations for Prometheus."""
     registry = CollectorRegistry()
-    store_metrics = StoreMetrics(owned.store, owned.services.artifacts, queues_of(owned.services.settings.queue))
+    store_metrics = StoreMetrics(
+        owned.store,
+        owned.services.artifacts,
+        tuple(queue for base in owned.services.settings.job_queues for queue in queues_of(base)),
+    )
     for own in (ON_REQUEST, ON_ANSWER, store_metrics):
         registry.register(own)
     ProcessCollector(registry=registry)

@@ -310,3 +310,22 @@ def test_uploads_of_owners_take_turns(store: Store, clock: Clock) -> None:
     assert claim_uploads(store, lease_s=60, limit=8, per_owner=2) == []
     begin("b", 1)
     assert [u.id for u in claim_uploads(store, lease_s=60, limit=8, per_owner=2)] == ["b1"]
+
+
+def test_a_job_whose_queue_has_no_worker_goes_where_there_is_one(
+    store: Store, asset: AssetRecord, clock: Clock
+) -> None:
+    job = add_job(store, asset)
+    maintenance.mark_sent(store, maintenance.unsent(store, window=9)[0])
+    assert maintenance.hold_lease(store, maintenance.worker_lease("gpu", "w"), owner="w", lease_s=1000)
+    assert maintenance.reroute(store) == 0  # its own worker may only be starting again
+    clock.now += maintenance.REROUTE_S + 1
+    assert maintenance.reroute(store) == 1
+    assert store.job(job.id).queue == "gpu"
+    assert [message.queue for message in maintenance.unsent(store, window=9)] == ["gpu"]
+    assert maintenance.hold_lease(store, maintenance.worker_lease("cpu", "v"), owner="v", lease_s=1000)
+    assert maintenance.reroute(store) == 0  # both are there
+    maintenance.release_lease(store, maintenance.worker_lease("gpu", "w"), owner="w")
+    assert maintenance.reroute(store) == 1
+    assert claim(store, job.id).job.queue == "cpu"
+    assert maintenance.reroute(store) == 0

@@ -2,22 +2,28 @@
 
 import threading
 import time
+from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
 from unittest.mock import AsyncMock
 
 import anyio
+import httpx
 import pytest
 from fastapi.testclient import TestClient
 
 from jobs.clients.outbound import Outbound
 from jobs.lifecycle.attempts import report_progress, start_stage, succeed
-from jobs.lifecycle.maintenance import forget_expired, hold_lease
-from jobs.records import AssetRecord
+from jobs.lifecycle.maintenance import forget_expired, hold_lease, worker_lease
+from jobs.records import AssetPart, AssetRecord
 from jobs.settings import Settings
+from jobs.storage.assets import add_asset
 from service.app import create_app
 from service.http.caller import ANYONE
 from service.routes import job_events
 from service.services import Services
+from tests import servers
+from tests.rows import asset_row
 from tests.service.conftest import change_services, hold, publish
 from tests.service.test_assets import OBJ, left_behind
 from tests.service.test_jobs import claimed, create
@@ -29,6 +35,9 @@ def ended(services: Services, client: TestClient, asset: AssetRecord) -> str:
     publish(services, lease, "voxelize", f"{job['id']}.safetensors", b"voxels")
     succeed(services.store, lease)
     return str(job["id"])
+
+
+PLAIN_OBJ = OBJ.replace(b"mtllib tree.mtl\n", b"").replace(b"usemtl bark\n", b"")
 
 
 def test_a_poll_may_wait_for_the_end(client: TestClient, asset: AssetRecord, services: Services) -> None:
@@ -227,3 +236,46 @@ def test_a_stream_whose_head_is_not_taken_gives_its_place_back(client: TestClien
     with pytest.raises(BaseException, match=r"unhandled errors|gone"):
         client.portal.call(stream, {"type": "http", "method": "GET", "asgi": {}}, connected, gone)
     assert services.streams.num_open == 0
+
+
+def test_a_job_goes_to_the_workers_that_it_needs(client: TestClient, asset: AssetRecord, services: Services) -> None:
+    part = AssetPart(name="a.jpg", sha256="c" * 64, bytes=9)
+    row = asset_row(part, now=services.store.clock(), kind="photos", prepared=None)
+    photos = add_asset(services.store, row)[0]
+
+    def queues() -> list[str]:
+        made = [create(client, photos, type="reconstruct"), create(client, asset)]
+        return [services.store.job(str(job["id"])).queue for job in made]
+
+    assert queues() == ["cpu", "cpu"]  # nobody is there yet
+    assert hold_lease(services.store, worker_lease("gpu", "two"), owner="two", lease_s=60)
+    assert queues() == ["gpu", "gpu"]
+    assert hold_lease(services.store, worker_lease("cpu", "one"), owner="one", lease_s=60)
+    assert queues() == ["gpu", "cpu"]
+
+
+@pytest.mark.slow
+def test_a_worker_of_the_queue_gpu_gets_jobs(tmp_path: Path) -> None:
+    queue, redis_url = servers.valkey(tmp_path)
+    environment = {"DYNAMICTREE_STATE_DIR": str(tmp_path / "state"), "DYNAMICTREE_REDIS_URL": redis_url}
+    front, url = servers.api(tmp_path, environment)
+    works = servers.worker(tmp_path, environment | {"DYNAMICTREE_QUEUE": "gpu"}, base="gpu")
+    parts = (queue, front, works, servers.housekeeper(tmp_path, environment))
+    try:
+        for part in parts:
+            part.start()
+        with httpx.Client(base_url=url, timeout=60) as http:
+            wait_until(lambda: http.get("/readyz").json()["workers"] == "ok")
+            asset_id = http.post("/v1/assets", files={"file": ("tree.obj", PLAIN_OBJ)}).json()["id"]
+            job = http.post("/v1/jobs", json={"type": "voxelize", "asset_id": asset_id}).json()
+            wait_until(lambda: http.get(f"/v1/jobs/{job['id']}").json()["state"] == "succeeded")
+    finally:
+        for part in reversed(parts):
+            part.stop()
+
+
+def wait_until(holds: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 120
+    while not holds():
+        assert time.monotonic() < deadline
+        time.sleep(0.2)
