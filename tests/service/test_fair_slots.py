@@ -39,3 +39,19 @@ def test_an_owner_holds_at_most_its_share_and_a_place_given_up_is_free_again() -
             pass
 
     asyncio.run(main())
+
+
+def test_a_slot_that_was_granted_to_whom_is_cancelled_is_free_again() -> None:
+    async def main() -> None:
+        slots = FairSlots(1, per_owner=1)
+        holder = slots.slot("a")
+        await holder.__aenter__()
+        waiting = asyncio.create_task(slots.slot("b").__aenter__())
+        await asyncio.sleep(0)
+        await holder.__aexit__(None, None, None)  # grants it to b, who has not gone on yet
+        waiting.cancel()
+        await asyncio.gather(waiting, return_exceptions=True)
+        async with asyncio.timeout(1), slots.slot("c"):
+            pass
+
+    asyncio.run(main())

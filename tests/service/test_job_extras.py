@@ -244,8 +244,8 @@ def test_a_job_goes_to_the_workers_that_it_needs(client: TestClient, asset: Asse
     photos = add_asset(services.store, row)[0]
 
     def queues() -> list[str]:
-        made = [create(client, photos, type="reconstruct"), create(client, asset)]
-        return [services.store.job(str(job["id"])).queue for job in made]
+        jobs = [create(client, photos, type="reconstruct"), create(client, asset)]
+        return [services.store.job(str(job["id"])).queue for job in jobs]
 
     assert queues() == ["cpu", "cpu"]  # nobody is there yet
     assert hold_lease(services.store, worker_lease("gpu", "two"), owner="two", lease_s=60)

@@ -1,12 +1,18 @@
 """The tus protocol at /v1/uploads, request by request. A real client and broken connections: test_uploads_served.py."""
 
+import asyncio
 import base64
 import hashlib
+from collections.abc import AsyncIterator
 
 import pytest
 from fastapi.testclient import TestClient
 
+from jobs.storage.uploads import upload
+from service.http.problems import ProblemError
 from service.services import Services
+from service.uploads import upload_writer
+from service.uploads.upload_writer import ActiveWriters, UploadWriter
 from tests.service.test_assets import MTL, OBJ, left_behind, zipped
 from tests.service.tus import BYTES, TUS, append, begin, metadata, whole
 
@@ -139,3 +145,39 @@ def test_a_wrong_continuation_is_refused(client: TestClient) -> None:
     assert client.head(unknown, headers=TUS).status_code == 404
     early = client.post("/v1/assets", json={"upload_ids": [url.rpartition("/")[2]]})
     assert (early.status_code, early.json()["code"]) == (409, "conflict")
+
+
+def test_another_replica_takes_an_upload_over(
+    client: TestClient, services: Services, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(upload_writer, "LOOK_S", 0.0)
+    monkeypatch.setattr(upload_writer, "BATCH_BYTES", 4)
+    record = upload(services.store, begin(client, 80).rpartition("/")[2])
+
+    async def endless() -> AsyncIterator[bytes]:
+        while True:
+            yield b"1234"
+            await asyncio.sleep(0.05)
+
+    async def rest(offset: int) -> AsyncIterator[bytes]:
+        yield b"x" * (80 - offset)
+
+    def writer() -> UploadWriter:
+        return UploadWriter(services.store, services.upload_parts, record, None, retention_s=60)
+
+    async def two_replicas() -> int:
+        first = asyncio.create_task(ActiveWriters().append(writer(), endless(), 0))
+        await asyncio.sleep(0.2)
+        offset = -1
+        while True:  # as a client does: it asks where the upload stands, until it has it
+            try:
+                size = await ActiveWriters().append(writer(), rest(offset), offset)
+                break
+            except ProblemError as error:
+                offset = int((error.headers or {})["Upload-Offset"])
+        with pytest.raises(ProblemError, match="another request goes on"):
+            await first
+        return size
+
+    assert asyncio.run(two_replicas()) == 80
+    assert services.upload_parts.size(record.id) == 80

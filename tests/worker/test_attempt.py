@@ -216,6 +216,16 @@ def test_a_lost_lease_is_no_error_of_the_job(
     assert caplog.records == []
 
 
+def test_a_worker_that_was_only_paused_counts_as_no_loss(runtime: Runtime, asset: AssetRecord) -> None:
+    lease = hold(runtime, add_job(runtime, asset))
+    runtime.store.clock = lambda: time.time() + runtime.settings.lease_s + 1
+    assert reap(runtime.store, max_lost_attempts=2) == [(lease.job.id, JobState.RUNNING)]
+    with pytest.raises(FencedError):
+        end_attempt(runtime, lease, FencedError("the lease went"))
+    with runtime.store.reading() as connection:
+        assert connection.execute(sa.select(t.jobs.c.lost_stages)).scalar_one() == []
+
+
 @pytest.mark.parametrize(
     ("error", "code", "message"),
     [
