@@ -14,11 +14,12 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks._machine import machine
+from dynamictree.axis_names import AXES
 from dynamictree.commands.source import load_mesh
 from dynamictree.mesh import TriangleMesh
 from dynamictree.plant.upright import CERTAIN, judge_up_axis
 from dynamictree.requests import Reading
-from dynamictree.up_axis import AXES, up_rotation
+from dynamictree.up_axis import up_rotation
 from lab.dataset.sapling import grow_tree
 from lab.dataset.species import SPECIES
 

@@ -9,11 +9,11 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, ConfigDict, Field, StringConstraints
 
+from dynamictree.axis_names import DIRECTION_PATTERN
 from dynamictree.errors import InputError
 from dynamictree.loop_frames import is_whole, nearest_loops
 from dynamictree.photo_requests import PhotoParams
 from dynamictree.request_model import LARGEST, Box, Finite, Request
-from dynamictree.up_axis import DIRECTION_PATTERN
 
 MAX_FRAMES = 1_000
 """Of one loop, as 16.7 s at 60 fps, or of a turbulent motion in a format that is written at once."""

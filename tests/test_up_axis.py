@@ -5,9 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dynamictree.axis_names import AXES, direction_of, name_of
 from dynamictree.errors import InputError
 from dynamictree.requests import Reading
-from dynamictree.up_axis import AXES, direction_of, name_of, up_rotation
+from dynamictree.up_axis import up_rotation
 
 COORDINATE = st.floats(-1, 1, allow_subnormal=False)
 DIRECTION = st.tuples(COORDINATE, COORDINATE, COORDINATE).filter(lambda numbers: np.linalg.norm(numbers) > 0.1)

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Shaped
 
+from dynamictree.axis_names import UP_AXIS_PATTERN
 from dynamictree.errors import FormatError
 from dynamictree.formats.number_text import rows_of
 from dynamictree.formats.origin import Offset
 from dynamictree.formats.seekable import SeekableReader, remaining_bytes
-from dynamictree.up_axis import UP_AXIS_PATTERN
 
 _MAX_HEADER = 65_536  # bytes; the largest in use, 3DGS with SH 3, is 1.5 kB
 _TYPES = {

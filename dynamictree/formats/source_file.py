@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 import scipy  # its parts come in when they are used: the service starts without them
 
+from dynamictree.axis_names import name_of
 from dynamictree.errors import FormatError
 from dynamictree.formats.cloud_file import CLOUD_TYPES, SPLAT_TYPES, cloud_kind, read_cloud, says_unit, says_up_axis
 from dynamictree.formats.mesh_file import read_mesh, sniff_file_type
@@ -26,7 +27,7 @@ from dynamictree.plant.trees.choose import several_trees
 from dynamictree.plant.trees.segment import segment_trees
 from dynamictree.plant.upright import judge_up_axis_of_points
 from dynamictree.requests import Reading
-from dynamictree.up_axis import name_of, up_rotation
+from dynamictree.up_axis import up_rotation
 
 SourceKind = Literal["mesh", "cloud"]
 HEAD_BYTES = 64 * 1024

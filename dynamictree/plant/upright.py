@@ -20,10 +20,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
 
+from dynamictree.axis_names import AXES
 from dynamictree.mesh import TriangleMesh, connected_parts, part_bounds, weld
 from dynamictree.plant.still_gaussians import touching_groups
 from dynamictree.plant.still_parts import find_still_faces
-from dynamictree.up_axis import AXES
 
 CERTAIN = 0.8
 """Below this probability the axis is a guess, and the reader warns of it."""

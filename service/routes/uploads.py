@@ -22,7 +22,7 @@ from service.schemas.assets import UploadPayload, upload_payload
 from service.services import Owned, OwnedDep
 from service.uploads.intake import FIELDS, reading_options
 from service.uploads.quota import announce, require_room
-from service.uploads.upload_writer import CHECKSUM, UploadWriter, expected_sha256, stands_elsewhere
+from service.uploads.upload_writer import CHECKSUMS, Checksum, UploadWriter, stands_elsewhere
 
 router = APIRouter(prefix="/v1/uploads", tags=["uploads"])
 
@@ -32,7 +32,7 @@ MAX_METADATA_CHARS = 8192
 _HEX = frozenset("0123456789abcdef")
 
 _Version = Annotated[str | None, Header(alias="Tus-Resumable", description="1.0.0")]
-_Checksum = Annotated[str | None, Header(alias="Upload-Checksum", description="sha256, a space, base64")]
+_Checksum = Annotated[str | None, Header(alias="Upload-Checksum", description="sha1 or sha256, a space, base64")]
 _BODY = {
     "requestBody": {
         "content": {CONTENT_TYPE: {"schema": {"type": "string", "format": "binary"}}},
@@ -53,7 +53,7 @@ async def get_protocol(owned: OwnedDep) -> Response:
     protocol_headers = {
         "Tus-Version": TUS_VERSION,
         "Tus-Extension": ",".join(EXTENSIONS),
-        "Tus-Checksum-Algorithm": CHECKSUM,
+        "Tus-Checksum-Algorithm": ",".join(CHECKSUMS),
         "Tus-Max-Size": str(owned.services.settings.max_upload_bytes),
     }
     return Response(status_code=status.HTTP_204_NO_CONTENT, headers=protocol_headers)
@@ -85,7 +85,7 @@ async def create_upload(
     length = _length(upload_length, owned)
     metadata = _metadata(upload_metadata)
     with_bytes = content_type is not None and content_type.partition(";")[0].strip() == CONTENT_TYPE
-    checksum = expected_sha256(upload_checksum)
+    checksum = Checksum.of_header(upload_checksum)
     now = owned.store.clock()
     record = UploadRecord(
         id=new_id(),
@@ -153,7 +153,7 @@ async def append_to_upload(
         raise ProblemError(
             "bad-request", f"Upload-Offset is {upload_offset!r}; send the number of bytes that are there"
         )
-    checksum = expected_sha256(upload_checksum)
+    checksum = Checksum.of_header(upload_checksum)
     record = await run_in_threadpool(upload, owned.store, id)
     offset = int(upload_offset)
     if record.state != "receiving":
@@ -199,7 +199,7 @@ async def delete_upload_(id: Id, owned: OwnedDep, tus_resumable: _Version = None
     return Response(status_code=status.HTTP_204_NO_CONTENT)
 
 
-async def _append(owned: Owned, record: UploadRecord, request: Request, offset: int, checksum: bytes | None) -> int:
+async def _append(owned: Owned, record: UploadRecord, request: Request, offset: int, checksum: Checksum | None) -> int:
     retention_s = owned.services.settings.upload_retention_s
     writer = UploadWriter(owned.store, owned.services.upload_parts, record, checksum, retention_s=retention_s)
     return await owned.services.upload_writers.append(writer, request.stream(), offset)

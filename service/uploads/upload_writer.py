@@ -7,6 +7,7 @@ import hashlib
 import time
 from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
+from typing import Self
 
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect
@@ -24,24 +25,33 @@ LOOK_S = 0.5
 """How often a request asks whether another one has taken over, which matters where there are several replicas."""
 
 TAKE_OVER_S = 5.0
-CHECKSUM = "sha256"
+CHECKSUMS = ("sha1", "sha256")
+"""Algorithms of `Upload-Checksum`. A server of tus' checksum extension has to know sha1, which common clients send."""
 
 
-def expected_sha256(header: str | None) -> bytes | None:
-    """The checksum that a client declares for one PATCH by `Upload-Checksum`; None without that header.
+@dataclass(frozen=True)
+class Checksum:
+    """What a client declares of the bytes of one PATCH."""
 
-    Raises:
-        ProblemError: it cannot be read, or is of another algorithm.
-    """
-    if header is None:
-        return None
-    algorithm, _, encoded = header.strip().partition(" ")
-    if algorithm != CHECKSUM:
-        raise ProblemError("bad-request", f"Upload-Checksum names {algorithm!r}; {CHECKSUM} is known")
-    try:
-        return base64.b64decode(encoded, validate=True)
-    except (binascii.Error, ValueError) as error:
-        raise ProblemError("bad-request", f"Upload-Checksum is {CHECKSUM} and base64; it cannot be read") from error
+    algorithm: str
+    expected: bytes
+
+    @classmethod
+    def of_header(cls, header: str | None) -> Self | None:
+        """Value of `Upload-Checksum`; None without that header.
+
+        Raises:
+            ProblemError: it cannot be read, or is of another algorithm.
+        """
+        if header is None:
+            return None
+        algorithm, _, encoded = header.strip().partition(" ")
+        if algorithm not in CHECKSUMS:
+            raise ProblemError("bad-request", f"Upload-Checksum names {algorithm!r}; {', '.join(CHECKSUMS)} are known")
+        try:
+            return cls(algorithm, base64.b64decode(encoded, validate=True))
+        except (binascii.Error, ValueError) as error:
+            raise ProblemError("bad-request", "Upload-Checksum is not an algorithm and base64") from error
 
 
 def stands_elsewhere(offset: int, size: int) -> ProblemError:
@@ -54,7 +64,7 @@ class UploadWriter:
     """Appends the body of one request to one upload."""
 
     def __init__(
-        self, store: Store, parts: PartStore, record: UploadRecord, checksum: bytes | None, *, retention_s: float
+        self, store: Store, parts: PartStore, record: UploadRecord, checksum: Checksum | None, *, retention_s: float
     ) -> None:
         assert record.length is not None
         self.store = store
@@ -64,7 +74,7 @@ class UploadWriter:
         self.checksum = checksum
         self.retention_s = retention_s
         self.token = hashlib.sha256(f"{record.id}{time.monotonic_ns()}{id(self)}".encode()).hexdigest()
-        self.digest = None if checksum is None else hashlib.sha256()
+        self.digest = None if checksum is None else hashlib.new(checksum.algorithm)
 
     async def append(self, body: AsyncIterator[bytes], offset: int) -> int:
         """Write the body; keep or discard it at the end."""
@@ -150,7 +160,7 @@ class UploadWriter:
 
     async def _close(self, writer: PartWriter, whole: bool) -> None:
         checked = self.digest is None or self.checksum is None
-        if checked or (whole and self.digest.digest() == self.checksum):  # type: ignore[union-attr]
+        if checked or (whole and self.digest.digest() == self.checksum.expected):  # type: ignore[union-attr]
             try:
                 await run_in_threadpool(writer.keep)
             except BlockingIOError as error:

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from PIL import Image
 from playwright.sync_api import Page, Route, expect
-from tests.trees import stand
 
 from tests.browser.conftest import JOB_MS, MOVING, Viewer, pixels
+from tests.plant import stand
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 

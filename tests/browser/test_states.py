@@ -9,11 +9,11 @@ import httpx
 import numpy as np
 import pytest
 from playwright.sync_api import Page, expect
-from tests.trees import stand
 
 from dynamictree.formats.mesh.ply_writer import write_ply
 from dynamictree.mesh import joined
 from tests.browser.conftest import Viewer, animated
+from tests.plant import stand
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 

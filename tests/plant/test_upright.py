@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 import trimesh
 
+from dynamictree.axis_names import AXES
 from dynamictree.formats.mesh_file import read_mesh
 from dynamictree.formats.source_file import read_capture
 from dynamictree.mesh import TriangleMesh, joined
 from dynamictree.plant.upright import CERTAIN, judge_up_axis
 from dynamictree.requests import Reading
-from dynamictree.up_axis import AXES, up_rotation
+from dynamictree.up_axis import up_rotation
 from lab.dataset.sapling import grow_tree
 from lab.dataset.species import SPECIES
 

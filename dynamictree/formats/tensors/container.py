@@ -9,12 +9,12 @@ import numpy as np
 from jaxtyping import Int32, Shaped
 from safetensors import SafetensorError, deserialize
 
+from dynamictree.axis_names import UP_AXIS_PATTERN
 from dynamictree.byte_stream import ByteReader, ByteWriter, read_all
 from dynamictree.errors import FormatError
 from dynamictree.formats.json_fields import numbers_field, parse_object
 from dynamictree.formats.seekable import SeekableReader
 from dynamictree.source import Source
-from dynamictree.up_axis import UP_AXIS_PATTERN
 from dynamictree.voxel.grid import VoxelGrid
 
 MAX_FILE_BYTES = 1 << 30
