@@ -5,7 +5,7 @@ running job is in `attempts.py`, what the housekeeper does in `maintenance.py`.
 """
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 
@@ -195,18 +195,19 @@ class Store:
 
     def jobs(
         self,
+        chosen: Mapping[str, str | None] | None = None,
         *,
-        state: JobState | None = None,
-        job_type: JobType | None = None,
+        since: float | None = None,
         before: str | None = None,
         limit: int = 20,
     ) -> list[JobRecord]:
-        """Jobs, newest first, those older than the id `before`."""
+        """Jobs whose columns have the chosen values, newest first: from a time on, older than the id `before`."""
         query = sa.select(t.jobs).where(self.mine(t.jobs)).order_by(t.jobs.c.id.desc()).limit(limit)
-        if state is not None:
-            query = query.where(t.jobs.c.state == state)
-        if job_type is not None:
-            query = query.where(t.jobs.c.type == job_type)
+        for name, value in (chosen or {}).items():
+            if value is not None:
+                query = query.where(t.jobs.c[name] == value)
+        if since is not None:
+            query = query.where(t.jobs.c.created_at >= since)
         if before is not None:
             query = query.where(t.jobs.c.id < before)
         with self.reading() as connection:

@@ -21,7 +21,7 @@ from service.http.audit import Audited
 from service.http.authentication import Authentication
 from service.http.middleware import BodyLimit, RequestFrame
 from service.http.problems import problem_response, request_id_of
-from service.openapi.document import DESCRIPTION, SERVERS, described
+from service.openapi.document import CONTACT, DESCRIPTION, LICENSE, SERVERS, described
 from service.routes import (
     artifacts,
     assets,
@@ -114,7 +114,10 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         redirect_slashes=False,  # it would send the key on to the request's own Host, without TLS behind a proxy
         description=DESCRIPTION,
         servers=SERVERS,
+        license_info=LICENSE,
+        contact=CONTACT,
     )
+    webhooks.describe_events(app)
     app.openapi = partial(described, app)  # type: ignore[method-assign]
     app.state.settings = settings
     for router in ROUTERS:

@@ -66,6 +66,7 @@ def accept_again(owned: Owned, old: JobRecord, origin: RequestOrigin, response: 
         error_code=None,
         error_message=None,
         start_deadline=None,
+        cancel_at=None,
         retry_of=old.id,
         created_at=owned.store.clock(),
         started_at=None,
@@ -166,6 +167,9 @@ def _record(owned: Owned, body: JobRequest, asset: AssetRecord, origin: RequestO
         webhook_id=body.webhook,
         request_id=origin.request_id,
         traceparent=origin.traceparent,
+        external_id=body.external_id,
+        metadata=body.metadata,
+        cancel_at=None if body.cancel_after_s is None else now + body.cancel_after_s,
         start_deadline=None if body.start_deadline_s is None else now + body.start_deadline_s,
         created_at=now,
     )

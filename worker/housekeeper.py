@@ -13,6 +13,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
@@ -22,7 +23,7 @@ import sqlalchemy as sa
 from celery import Celery
 from kombu.exceptions import OperationalError
 
-from jobs.errors import GoneError, NotFoundError, StorageAwayError
+from jobs.errors import ConflictError, GoneError, NotFoundError, StorageAwayError
 from jobs.lifecycle.maintenance import (
     HOUSEKEEPER_LEASE,
     WORKER_LEASES,
@@ -32,6 +33,7 @@ from jobs.lifecycle.maintenance import (
     hold_lease,
     living,
     mark_sent,
+    overdue,
     reap,
     release_lease,
     reroute,
@@ -111,6 +113,9 @@ class Housekeeper:
         for job_id, state in reap(self.store, max_lost_attempts=self.settings.max_lost_attempts):
             logger.warning("job %s was left by its worker; it is %s now", job_id, state)
         abort_overdue(self.store)
+        for job_id in overdue(self.store):
+            with suppress(ConflictError):  # it has ended meanwhile
+                self.store.cancel(job_id)
         if self.settings.queue == AUTO:
             reroute(self.store)
 

@@ -29,6 +29,12 @@ class AnimateRequest(Model):
     webhook: str | None = None
     # what POST /v1/assets gave
     asset_id: str
+    # your name for the job, by which lists can be filtered
+    external_id: str | None = None
+    # texts of yours, returned as they are
+    metadata: dict[str, str] | None = None
+    # canceled if it has not ended by then, running or not [s]
+    cancel_after_s: float | None = None
     # aborted if no worker has begun by then [s]
     start_deadline_s: float | None = None
     type: Literal["animate"]
@@ -141,6 +147,12 @@ class DiffuseRequest(Model):
     webhook: str | None = None
     # what POST /v1/assets gave
     asset_id: str
+    # your name for the job, by which lists can be filtered
+    external_id: str | None = None
+    # texts of yours, returned as they are
+    metadata: dict[str, str] | None = None
+    # canceled if it has not ended by then, running or not [s]
+    cancel_after_s: float | None = None
     # aborted if no worker has begun by then [s]
     start_deadline_s: float | None = None
     type: Literal["diffuse"]
@@ -244,6 +256,12 @@ class GroupState(Model):
     bend_rate: list[tuple[float, float, float]] | None = None
 
 
+class HTTPValidationError(Model):
+    """HTTPValidationError"""
+
+    detail: "list[ValidationError] | None" = None
+
+
 class Interact(Model):
     """Modal coordinates. With φ_k = 2c_k of the spectrum, u(p) = Σ_g w_g(p) Re Σ_k φ_k(p) q_{g,k}."""
 
@@ -295,6 +313,30 @@ class InteractRequest(Model):
     output: Literal["modal", "voxels", "vertices", "gaussians"] = "modal"
 
 
+class JobEventData(Model):
+    """The job that an event is about."""
+
+    id: str
+    type: Literal["reconstruct", "voxelize", "diffuse", "animate"]
+    state: "JobState"
+    asset_id: str
+    retry_of: str | None
+    external_id: str | None
+    metadata: dict[str, str]
+    error_code: str | None
+    # path of the job
+    url: str
+
+
+class JobEvent(Model):
+    """What an endpoint receives, signed."""
+
+    type: Literal["job.succeeded", "job.failed", "job.canceled", "job.aborted"]
+    # RFC 3339, UTC
+    timestamp: datetime
+    data: "JobEventData"
+
+
 class JobList(Model):
     """A page of jobs, newest first."""
 
@@ -326,7 +368,10 @@ class Job(Model):
     priority: Literal["high", "normal", "low"]
     webhook: str | None
     retry_of: str | None
+    external_id: str | None
+    metadata: dict[str, str]
     start_deadline_at: datetime | None
+    cancel_at: datetime | None
     # RFC 3339, UTC
     created_at: datetime
     started_at: datetime | None
@@ -599,6 +644,12 @@ class ReconstructRequest(Model):
     webhook: str | None = None
     # what POST /v1/assets gave
     asset_id: str
+    # your name for the job, by which lists can be filtered
+    external_id: str | None = None
+    # texts of yours, returned as they are
+    metadata: dict[str, str] | None = None
+    # canceled if it has not ended by then, running or not [s]
+    cancel_after_s: float | None = None
     # aborted if no worker has begun by then [s]
     start_deadline_s: float | None = None
     type: Literal["reconstruct"]
@@ -770,6 +821,16 @@ class Usage(Model):
     limits: dict[str, int] | None
 
 
+class ValidationError(Model):
+    """ValidationError"""
+
+    loc: list[str | int]
+    msg: str
+    type: str
+    input: Any | None = None
+    ctx: dict[str, Any] | None = None
+
+
 class VoxelizeRequest(Model):
     """Compute the occupied voxels and their normals."""
 
@@ -783,6 +844,12 @@ class VoxelizeRequest(Model):
     webhook: str | None = None
     # what POST /v1/assets gave
     asset_id: str
+    # your name for the job, by which lists can be filtered
+    external_id: str | None = None
+    # texts of yours, returned as they are
+    metadata: dict[str, str] | None = None
+    # canceled if it has not ended by then, running or not [s]
+    cancel_after_s: float | None = None
     # aborted if no worker has begun by then [s]
     start_deadline_s: float | None = None
     type: Literal["voxelize"]

@@ -1,5 +1,6 @@
 """A function an operation: what is sent, and what comes back. Made by client/generate.py; do not edit."""
 
+from datetime import datetime
 from typing import Any, Literal
 
 from dynamictree_client.call import Call, path_of
@@ -163,6 +164,9 @@ def list_jobs(
     *,
     state: JobState | None = None,
     type: Literal["reconstruct", "voxelize", "diffuse", "animate"] | None = None,
+    asset_id: str | None = None,
+    external_id: str | None = None,
+    since: datetime | None = None,
     cursor: str | None = None,
     limit: int | None = None,
 ) -> Call[JobList]:
@@ -171,7 +175,15 @@ def list_jobs(
         method="GET",
         path="/v1/jobs",
         answer=JobList,
-        query={"state": state, "type": type, "cursor": cursor, "limit": limit},
+        query={
+            "state": state,
+            "type": type,
+            "asset_id": asset_id,
+            "external_id": external_id,
+            "since": since,
+            "cursor": cursor,
+            "limit": limit,
+        },
     )
 
 

@@ -29,6 +29,8 @@ def announce(connection: sa.Connection, job_id: str, state: JobState, *, now: fl
             "state": state,
             "asset_id": job.asset_id,
             "retry_of": job.retry_of,
+            "external_id": job.external_id,
+            "metadata": job.metadata,
             "error_code": job.error_code,
             "url": f"/v1/jobs/{job_id}",
         },

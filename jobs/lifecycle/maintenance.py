@@ -190,6 +190,13 @@ def abort_overdue(store: Store) -> int:
     return ended
 
 
+def overdue(store: Store) -> list[str]:
+    """Jobs that have not ended and were to be canceled by now."""
+    late = t.jobs.c.state.in_([JobState.QUEUED, JobState.RUNNING]) & (t.jobs.c.cancel_at < store.clock())
+    with store.reading() as connection:
+        return list(connection.execute(sa.select(t.jobs.c.id).where(late)).scalars())
+
+
 def forget_expired(store: Store, *, job_retention_s: float, cache_retention_s: float) -> None:
     """Delete expired assets, jobs and cached stages. Artifact records stay with their job, for status 410."""
     now = store.clock()

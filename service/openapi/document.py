@@ -29,6 +29,14 @@ TAGS = [
 ]
 KEY = {"type": "http", "scheme": "bearer", "description": "where the service asks for keys"}
 DOORS = ("unauthorized", "forbidden", "rate-limited")  # what every route under /v1 may answer before it is asked
+LICENSE = {"name": "Apache License 2.0", "identifier": "Apache-2.0"}
+CONTACT = {"name": "The maintainers of DynamicTree"}
+HEADERS = {
+    "X-Request-Id": "id of the request, as it was sent or made here; the log names it",
+    "Retry-After": "seconds until the request may succeed",
+    "RateLimit": "what is left of the rate, and until when (IETF draft)",
+    "RateLimit-Policy": "the rate of the key (IETF draft)",
+}
 SERVERS = [{"url": "/", "description": "where this page came from"}]
 
 Page = dict[str, Any]
@@ -42,6 +50,12 @@ def described(app: FastAPI) -> Page:
         for path, item in page["paths"].items():
             if path.startswith("/v1"):
                 _add_doors(item)
+        page["components"]["headers"] = {
+            name: {"description": text, "schema": {"type": "string"}} for name, text in HEADERS.items()
+        }
+        for operation in _operations(page):
+            for status, response in operation["responses"].items():
+                _add_headers(str(status), response)
         page["components"]["securitySchemes"] = {"key": KEY}
         page["security"] = [{}, {"key": []}]  # keys are asked for where the operator wants them
         page["components"]["examples"] = _problems_named_in(page)
@@ -67,6 +81,15 @@ def _add_doors(item: Page) -> None:
             if response is not entry:
                 response["description"] = f"{response['description']}; {entry['description']}"
                 response["content"][MEDIA_TYPE]["examples"] |= entry["content"][MEDIA_TYPE]["examples"]
+
+
+def _add_headers(status: str, response: Page) -> None:
+    """Name the headers that every response has, and those of a refusal for now."""
+    names = ["X-Request-Id", *(["Retry-After"] if status in ("429", "503") else [])]
+    names += ["RateLimit", "RateLimit-Policy"] if status == "429" else []
+    own = response.setdefault("headers", {})
+    for name in names:
+        own.setdefault(name, {"$ref": f"#/components/headers/{name}"})
 
 
 def _problems_named_in(page: Page) -> Page:

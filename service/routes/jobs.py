@@ -1,6 +1,7 @@
 """/v1/jobs: create, read, list, cancel and retry jobs; list their artifacts."""
 
 import time
+from datetime import datetime
 from typing import Annotated
 
 from fastapi import APIRouter, Header, Query, Request, Response, status
@@ -87,11 +88,16 @@ def list_jobs(
     owned: OwnedDep,
     state: Annotated[JobState | None, Query(description="only jobs in this state")] = None,
     type: Annotated[JobType | None, Query(description="only jobs of this type")] = None,
+    asset_id: Annotated[str | None, Query(max_length=64, description="only jobs of this asset")] = None,
+    external_id: Annotated[str | None, Query(max_length=128, description="only jobs that you named so")] = None,
+    since: Annotated[datetime | None, Query(description="only jobs created at this time or later")] = None,
     cursor: Cursor = None,
     limit: Annotated[int, Query(ge=1, le=MAX_PAGE, description="jobs a page")] = 20,
 ) -> JobListPayload:
     """Jobs, newest first."""
-    records = owned.store.jobs(state=state, job_type=type, before=cursor, limit=limit + 1)
+    since_s = None if since is None else since.timestamp()
+    chosen = {"state": state, "type": type, "asset_id": asset_id, "external_id": external_id}
+    records = owned.store.jobs(chosen, since=since_s, before=cursor, limit=limit + 1)
     page, more = records[:limit], len(records) > limit
     next_cursor = page[-1].id if more else None
     if next_cursor is not None:

@@ -2,12 +2,13 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Query, Response, status
+from fastapi import APIRouter, FastAPI, Query, Response, status
 from pydantic import Field
 from starlette.concurrency import run_in_threadpool
 
 from jobs.clients import webhooks
 from jobs.clients.webhook_events import EVENTS, DeliveryState, Event
+from jobs.states import JobState, JobType
 from service.http.routing import Cursor, Id, headers, refusals
 from service.schemas.base import Payload, Time
 from service.services import OwnedDep
@@ -66,6 +67,41 @@ class DeliveryPayload(Payload):
     tries: list[TryPayload]
     next_at: Time | None = Field(description="the next attempt; null once it is over")
     created_at: Time
+
+
+class JobEventData(Payload):
+    """The job that an event is about."""
+
+    id: str
+    type: JobType
+    state: JobState
+    asset_id: str
+    retry_of: str | None
+    external_id: str | None
+    metadata: dict[str, str]
+    error_code: str | None
+    url: str = Field(description="path of the job")
+
+
+class JobEventPayload(Payload):
+    """What an endpoint receives, signed."""
+
+    type: Event
+    timestamp: Time
+    data: JobEventData
+
+
+def describe_events(app: FastAPI) -> None:
+    """Name every event in the OpenAPI document, with the body that is sent to endpoints."""
+    for event in EVENTS:
+        name = event.title().replace(".", "")
+
+        async def receive(body: JobEventPayload) -> None:
+            """A job has ended. Answer with any status of 2xx; see docs/webhooks.md for the signature."""
+
+        app.webhooks.add_api_route(
+            event, receive, methods=["POST"], operation_id=f"on{name}", status_code=204, tags=["webhooks"]
+        )
 
 
 class DeliveryListPayload(Payload):

@@ -17,6 +17,18 @@ class _JobRequest(ModelParams):
         default=None, pattern=ULID_PATTERN, description="id of a webhook endpoint to tell of the end"
     )
     asset_id: str = Field(max_length=64, description="what POST /v1/assets gave")
+    external_id: str | None = Field(
+        default=None,
+        min_length=1,
+        max_length=128,
+        description="your name for the job, by which lists can be filtered",
+    )
+    metadata: dict[Annotated[str, Field(max_length=64)], Annotated[str, Field(max_length=512)]] = Field(
+        default_factory=dict, max_length=16, description="texts of yours, returned as they are"
+    )
+    cancel_after_s: Annotated[float, Field(gt=0, le=604_800, allow_inf_nan=False)] | None = Field(
+        default=None, description="canceled if it has not ended by then, running or not [s]"
+    )
     start_deadline_s: Annotated[float, Field(gt=0, le=604_800, allow_inf_nan=False)] | None = Field(
         default=None, description="aborted if no worker has begun by then [s]"
     )

@@ -56,7 +56,10 @@ class JobPayload(Payload):
     priority: Priority
     webhook: str | None
     retry_of: str | None
+    external_id: str | None
+    metadata: dict[str, str]
     start_deadline_at: Time | None
+    cancel_at: Time | None
     created_at: Time
     started_at: Time | None
     finished_at: Time | None

@@ -8,6 +8,7 @@ from typing import Any
 import jsonschema
 import pytest
 
+from jobs.clients.webhook_events import EVENTS
 from service.http.problems import KINDS
 
 PAGE = json.loads((Path(__file__).parents[2] / "openapi" / "openapi.json").read_text())
@@ -79,3 +80,17 @@ def test_operation_ids_are_unique_and_every_union_is_resolved() -> None:
             node = node[step]
     schema = OPERATIONS["createJob"][1]["requestBody"]["content"]["application/json"]["schema"]
     assert set(schema["discriminator"]["mapping"]) == {"reconstruct", "voxelize", "diffuse", "animate"}
+
+
+def test_every_event_of_a_webhook_has_its_body() -> None:
+    assert set(PAGE["webhooks"]) == set(EVENTS)
+    for event in PAGE["webhooks"].values():
+        schema = event["post"]["requestBody"]["content"]["application/json"]["schema"]
+        assert schema == {"$ref": "#/components/schemas/JobEventPayload"}
+
+
+def test_who_is_refused_for_now_is_told_when_to_come_again() -> None:
+    for _, operation in OPERATIONS.values():
+        for status, response in operation["responses"].items():
+            assert "X-Request-Id" in response["headers"]
+            assert ("Retry-After" in response["headers"]) >= (status in ("429", "503"))

@@ -209,8 +209,8 @@ def test_jobs_come_newest_first_in_pages(store: Store, asset: AssetRecord) -> No
     ids = sorted((add_job(store, asset).id for _ in range(5)), reverse=True)
     assert [job.id for job in store.jobs(limit=3)] == ids[:3]
     assert [job.id for job in store.jobs(before=ids[2], limit=3)] == ids[3:]
-    assert store.jobs(state=JobState.RUNNING) == []
-    assert len(store.jobs(job_type="diffuse")) == 5
+    assert store.jobs({"state": JobState.RUNNING}) == []
+    assert len(store.jobs({"type": "diffuse"})) == 5
     assert [store.standing(store.job(job_id))[0] for job_id in reversed(ids)] == [0, 1, 2, 3, 4]
     claim(store, ids[0])
     assert store.standing(store.job(ids[0]))[0] is None

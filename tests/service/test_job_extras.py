@@ -14,7 +14,7 @@ from fastapi.testclient import TestClient
 
 from jobs.clients.outbound import Outbound
 from jobs.lifecycle.attempts import report_progress, start_stage, succeed
-from jobs.lifecycle.maintenance import forget_expired, hold_lease, worker_lease
+from jobs.lifecycle.maintenance import forget_expired, hold_lease, overdue, worker_lease
 from jobs.records import AssetPart, AssetRecord
 from jobs.settings import Settings
 from jobs.storage.assets import add_asset
@@ -279,3 +279,32 @@ def wait_until(holds: Callable[[], bool]) -> None:
     while not holds():
         assert time.monotonic() < deadline
         time.sleep(0.2)
+
+
+def test_a_client_names_its_jobs_and_finds_them_again(client: TestClient, asset: AssetRecord) -> None:
+    labels = {"external_id": "tree-7", "metadata": {"batch": "spring", "row": "3"}}
+    job = create(client, asset, **labels)
+    create(client, asset, type="diffuse")
+    assert {name: job[name] for name in labels} == labels
+    for query in ("external_id=tree-7", f"asset_id={asset.id}&type=voxelize", "state=queued&external_id=tree-7"):
+        assert [one["id"] for one in client.get(f"/v1/jobs?{query}").json()["data"]] == [job["id"]], query
+    later = {"since": "2100-01-01T00:00:00Z"}
+    assert client.get("/v1/jobs", params=later).json()["data"] == []
+    assert len(client.get("/v1/jobs", params={"since": job["created_at"]}).json()["data"]) == 2
+    many = {f"k{number}": "v" for number in range(17)}
+    body = {"type": "voxelize", "asset_id": asset.id, "metadata": many}
+    assert client.post("/v1/jobs", json=body).status_code == 422
+
+
+def test_a_job_is_canceled_after_its_time_running_or_not(
+    client: TestClient, asset: AssetRecord, services: Services
+) -> None:
+    late, in_time = (str(create(client, asset, cancel_after_s=seconds)["id"]) for seconds in (10, 1000))
+    hold(services, late)
+    now = services.store.clock()
+    services.store.clock = lambda: now + 11
+    assert overdue(services.store) == [late]
+    services.store.cancel(late)
+    assert overdue(services.store) == []
+    assert client.get(f"/v1/jobs/{late}").json()["state"] == "canceling"
+    assert client.get(f"/v1/jobs/{in_time}").json()["state"] == "queued"
