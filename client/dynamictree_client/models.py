@@ -256,12 +256,6 @@ class GroupState(Model):
     bend_rate: list[tuple[float, float, float]] | None = None
 
 
-class HTTPValidationError(Model):
-    """HTTPValidationError"""
-
-    detail: "list[ValidationError] | None" = None
-
-
 class Interact(Model):
     """Modal coordinates. With φ_k = 2c_k of the spectrum, u(p) = Σ_g w_g(p) Re Σ_k φ_k(p) q_{g,k}."""
 
@@ -819,16 +813,6 @@ class Usage(Model):
     active_jobs: int
     bytes: int
     limits: dict[str, int] | None
-
-
-class ValidationError(Model):
-    """ValidationError"""
-
-    loc: list[str | int]
-    msg: str
-    type: str
-    input: Any | None = None
-    ctx: dict[str, Any] | None = None
 
 
 class VoxelizeRequest(Model):

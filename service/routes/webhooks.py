@@ -100,7 +100,13 @@ def describe_events(app: FastAPI) -> None:
             """A job has ended. Answer with any status of 2xx; see docs/webhooks.md for the signature."""
 
         app.webhooks.add_api_route(
-            event, receive, methods=["POST"], operation_id=f"on{name}", status_code=204, tags=["webhooks"]
+            event,
+            receive,
+            methods=["POST"],
+            operation_id=f"on{name}",
+            status_code=204,
+            tags=["webhooks"],
+            responses={"default": {"description": "Anything else: it is sent again later"}},
         )
 
 

@@ -89,7 +89,7 @@ def test_every_event_of_a_webhook_has_its_body() -> None:
         assert schema == {"$ref": "#/components/schemas/JobEventPayload"}
 
 
-def test_who_is_refused_for_now_is_told_when_to_come_again() -> None:
+def test_a_refusal_for_now_states_when_to_come_again() -> None:
     for _, operation in OPERATIONS.values():
         for status, response in operation["responses"].items():
             assert "X-Request-Id" in response["headers"]

@@ -1,0 +1,27 @@
+"""Run jobs one after another without Redis, until stdin ends: what `service.testing` starts.
+
+`python -m worker.inline`.
+"""
+
+import select
+
+from jobs.lifecycle.maintenance import unsent
+from jobs.logging_setup import set_up_logging
+from worker.runtime import close_runtime, runtime
+from worker.tasks import run_job
+
+LOOK_S = 0.1
+
+
+def main() -> None:
+    """Take each job that waits, until stdin ends."""
+    resources = runtime()
+    set_up_logging(resources.settings)
+    while not select.select([0], [], [], LOOK_S)[0]:
+        for message in unsent(resources.store, window=1):
+            run_job.apply(args=message.args)
+    close_runtime(resources)
+
+
+if __name__ == "__main__":
+    main()
