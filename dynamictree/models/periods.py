@@ -19,7 +19,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool, Complex64
 
-from dynamictree.modal.real_trees import FREQUENCY_AT_1M_HZ, TALL_EXPONENT, TALL_M, loop_times, quickening
+from dynamictree.modal.real_trees import height_law_hz, learned_law_hz, loop_times, quickening
 from dynamictree.models.motion_model import Generate, GenerateFromBin, OnStep
 from dynamictree.models.several_trees import share_of_steps
 from dynamictree.spectrum import FPS, NUM_FRAMES, NUM_FREQUENCIES, SparseVoxelSpectrum, mode_sizes
@@ -60,7 +60,7 @@ def in_period(generate: GenerateFromBin, period_s: float, *, quick_when_small: b
         highest = min(round(MAX_FREQUENCIES * quicker), max(MAX_VALUES // len(voxels.grid), NUM_FREQUENCIES)) - 1
         magnified = max(LEARNED_FROM_M / height_m, 1.0) if quick_when_small else 1.0
         flutter_bins = spread_bins(longer, highest, rng, quicker=quicker * np.sqrt(magnified)) / magnified
-        enlarged = _enlargement(height_m, times * quicker)
+        enlarged = _enlargement(height_m, times)
         sway_bins = enlarged * spread_bins(longer / times, highest, rng)
         own = flutter_bins[len(sway_bins) if times > 1 else 0 :].any(axis=0)
         lowest = max(int(own.argmax()), 1) if own.any() else NUM_FREQUENCIES
@@ -124,9 +124,9 @@ def _mixed(spectrum: SparseVoxelSpectrum, matrix: Complex64[np.ndarray, "K J"]) 
 
 
 def _enlargement(height_m: float, times: float) -> float:
-    """H / h: how much smaller the tree is that is `times` as fast, by the simulator's law of frequency and length."""
-    frequency_hz = FREQUENCY_AT_1M_HZ / np.sqrt(height_m) * min(TALL_M / height_m, 1) ** (TALL_EXPONENT - 0.5)
-    return float(max(height_m * (times * frequency_hz / FREQUENCY_AT_1M_HZ) ** 2, 1.0))
+    """H / h: how much smaller the tree is that the model moves `times` as fast as a real tree of this height sways."""
+    shorter_m = (learned_law_hz(1.0) / (times * height_law_hz(height_m))) ** 2
+    return max(height_m / float(shorter_m), 1.0)
 
 
 def _height_m(voxels: SurfaceVoxels, rows: Bool[np.ndarray, " V"]) -> float:

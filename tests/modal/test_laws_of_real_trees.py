@@ -14,15 +14,13 @@ from dynamictree.spectrum import SparseVoxelSpectrum
 from dynamictree.voxel.grid import VoxelGrid
 from lab.dataset.sample import make_sample, voxel_spectrum
 
-# height class [m], 10th and 90th percentile [Hz] of 1,084 laser-scanned trees
+# height class [m], 10th and 90th percentile [Hz]; of models of scanned trees to 12 m, then of measured broadleaves
 BANDS = [
     ((4, 8), 0.26, 1.24),
     ((8, 12), 0.21, 0.55),
-    ((12, 16), 0.17, 0.36),
-    ((16, 20), 0.15, 0.31),
-    ((20, 25), 0.10, 0.26),
-    ((25, 30), 0.07, 0.18),
-    ((30, 60), 0.06, 0.14),
+    ((16, 20), 0.167, 0.242),
+    ((20, 25), 0.125, 0.218),
+    ((25, 56), 0.111, 0.210),
 ]
 DT_S = 1 / 60
 
