@@ -14,10 +14,10 @@ from dynamictree.formats.tensors.spectrum import read_spectrum, write_spectrum
 from dynamictree.modal.turbulence import turbulent_wind
 from dynamictree.models.motion_model import OnStep
 from dynamictree.models.several_winds import with_bands
+from dynamictree.models.small.amplitude import DRAG_EXPONENT
 from dynamictree.requests import Wind
 from dynamictree.spectrum import SparseVoxelSpectrum, mode_sizes
 from dynamictree.wind_bands import BANDS_M_S, WindBands, bands_of_sizes, power_law
-from lab.dataset.oscillator import DRAG_EXPONENT
 from lab.dataset.sample import make_sample
 from tests.formats.test_tensor_files import with_changes
 from tests.modal.conftest import rod_spectrum

@@ -30,6 +30,9 @@ TRUNK_TAPER, BRANCH_TAPER = (0.25, 1.0), (0.6, 1.0)
 """Share of the radius lost from base to tip: what tapers little bends at its base, and carries its tip further."""
 RATIO_POWER = (0.9, 2.4)
 """Exponent of a child's radius in its length over its parent's: from stout twigs to strands of a willow."""
+HANGING_SHARE = 0.15
+"""Of the trees have strands that hang, as willows do."""
+HANGING_TROPISM, STRAND_LENGTH, STRAND_SEGMENTS = (1.2, 3.5), (0.4, MAX_BRANCH), 7
 FLARE = (0.02, 0.8)
 """Widening of the trunk at the ground: models of trees have any or none."""
 
@@ -48,6 +51,9 @@ def crossed_species(rng: np.random.Generator) -> Species:
         level = replace(level, count=min(level.count, MAX_STEMS / stems))
         levels.append(level)
         stems *= level.count
+    if rng.random() < HANGING_SHARE:
+        strands = (-_between(HANGING_TROPISM, rng), _between(STRAND_LENGTH, rng))
+        levels[-1] = replace(levels[-1], tropism=strands[0], length=strands[1], segments=STRAND_SEGMENTS, sides=3)
     return replace(
         frame,
         name=CROSSED,

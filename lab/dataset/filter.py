@@ -42,7 +42,7 @@ class Measures:
 
 def measure(sample: Sample, limits: DatasetLimits = DEFAULT_LIMITS, *, frame_step: int = 10) -> Measures:
     """Measure a sample: energies on its nodes at every frame, the rest on its vertices at every `frame_step`-th."""
-    step = sample.motion.every(frame_step)
+    step = sample.motion.frames(np.arange(0, len(sample.motion.shift), frame_step))
     displacement = step.displacement(sample.mesh.vertices, sample.node)
     return Measures(
         high_frequency=high_frequency_energy(sample.motion.shift, fps=FPS, above_hz=limits.above_hz),

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Complex64, Float32, Int32
+from jaxtyping import Complex64, Float32, Int, Int32
 
 from dynamictree.parallel import single_thread
 from dynamictree.spectrum import NUM_FREQUENCIES
@@ -17,9 +17,9 @@ class Sway:
     turn: Float32[np.ndarray, "T B 3 3"]  # rotation less the identity
     position: Float32[np.ndarray, "B 3"]  # of nodes at rest [m]
 
-    def every(self, step: int) -> "Sway":
-        """Leave out all but each `step`-th frame."""
-        return Sway(shift=self.shift[::step], turn=self.turn[::step], position=self.position)
+    def frames(self, chosen: Int[np.ndarray, " S"]) -> "Sway":
+        """Some of the frames."""
+        return Sway(shift=self.shift[chosen], turn=self.turn[chosen], position=self.position)
 
     def displacement(
         self, vertices: Float32[np.ndarray, "N 3"], node: Int32[np.ndarray, " N"]

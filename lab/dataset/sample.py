@@ -17,7 +17,7 @@ from lab.dataset.species import SPECIES, Species
 from lab.dataset.stem_skeleton import Skeleton, skeleton_of
 from lab.dataset.wind import sway
 
-VERSION = 4  # of the generator: a seed means the same motion as long as this stands
+VERSION = 5  # of the generator: a seed means the same motion as long as this stands
 GROWTH = 1  # a seed means the same tree and gusts as long as this stands
 SPEED_M_S = (1.0, 25.0)  # drawn evenly in the logarithm: from light air to a storm
 GUST = (0.15, 0.45)

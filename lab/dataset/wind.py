@@ -1,30 +1,37 @@
-"""Wind simulation: each stem is an elastic rod on its moving parent; leaves are rigid cards on springs.
+"""Wind simulation: each stem is an elastic rod on its moving parent; leaves are cards on springs that flutter.
 
-`oscillator` gives each stem's deflection. Here it becomes a chain of turns: every segment takes its share of the bend,
-Weber and Penn's (1 − z) / r, and children inherit. Turns are exact, so that nothing stretches.
+`oscillator` gives each stem's deflection in the air at its place. Here it becomes a chain of turns: every segment takes
+its share of the bend, Weber and Penn's (1 − z) / r, and of the twist, and children inherit. Turns are exact, so that
+nothing stretches.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Complex64, Float32, Float64, Int, Int32, Int64
+from jaxtyping import Float, Float32, Float64, Int, Int32, Int64
+from scipy.fft import irfft, rfft
 
 from dynamictree.parallel import single_thread
-from dynamictree.spectrum import NUM_FRAMES, Wind
+from dynamictree.spectrum import FPS, NUM_FRAMES, NUM_FREQUENCIES, Wind
+from dynamictree.wind.air import Air, single_gust, turbulent_air
+from dynamictree.wind.flutter import FLAP_RAD, TWIST_RAD, critical_speeds, leaf_frequencies, line, onset
 from lab.dataset.branching import Stems
 from lab.dataset.leaves import Leaves
+from lab.dataset.load import base_radius, loads_of
 from lab.dataset.motion import Sway
 from lab.dataset.oscillator import (
-    Gusts,
-    answer,
-    clock,
-    damping_ratio,
-    delay,
-    gusts_of,
-    leaf_lean_angle,
-    lean_angle,
-    stem_bin,
-    stray,
+    CENTRE_OF_DRAG,
+    LEAF_LEAN_RAD,
+    LEAF_OWN_DAMPING,
+    MAX_LEAN_RAD,
+    TWIST_OVER_BEND,
+    Load,
+    bounded,
+    drag,
+    filtered,
+    frequencies,
+    oscillators,
+    simulated_law_hz,
 )
 from lab.dataset.rotation import carried, cross, product, to_matrix, turn_of
 from lab.dataset.sapling import Tree
@@ -33,6 +40,10 @@ from lab.dataset.tubes import own_rings
 ABOVE_FLARE = 0.15  # of a trunk's length; Weber and Penn's flare ends at 1/8
 TRUNK_BEND = 0.6
 """Lean of a trunk, over that of a branch as slender: with the usual flare as much as by the radius at the ground."""
+FREE_TIMES = 4
+"""Motion that does not loop is a part of a loop so many times as long."""
+TWIG_SHARE = 0.5
+"""Of a leaf's flutter: what all leaves of its twig do together."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,19 +52,10 @@ class _Pose:
 
     place: Float32[np.ndarray, "3 M T"]  # of the ring's centre [m]
     turn: Float32[np.ndarray, "4 M T"]  # quaternion
-    linear: Complex64[np.ndarray, "M J 3"]  # first-order motion of the centre [m], for what sits on it
-    linear_turn: Complex64[np.ndarray, "M J 3"]
-    phase: Float32[np.ndarray, "M J 3"]  # how far the gusts' phases strayed
 
     def of(self, rows: Int[np.ndarray, " C"]) -> "_Pose":
         """The pose of some of the stems."""
-        return _Pose(
-            place=self.place[:, rows],
-            turn=self.turn[:, rows],
-            linear=self.linear[rows],
-            linear_turn=self.linear_turn[rows],
-            phase=self.phase[rows],
-        )
+        return _Pose(place=self.place[:, rows], turn=self.turn[:, rows])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,22 +64,14 @@ class _Moving:
 
     place: Float32[np.ndarray, "P 3 M T"]  # by ring
     turn: Float32[np.ndarray, "R 4 M T"]  # by segment
-    linear: Complex64[np.ndarray, "P M J 3"]
-    linear_turn: Complex64[np.ndarray, "R M J 3"]
-    phase: Float32[np.ndarray, "M J 3"]
 
     def at(self, row: Int32[np.ndarray, " C"], ring: Float32[np.ndarray, " C"]) -> _Pose:
         """The pose of points on stems, `ring` in rings: rigid on the segment they lie in."""
         on = np.minimum(ring.astype(np.int32), len(self.turn) - 1)
         along = (ring - on).astype(np.float32)[:, None, None]
         low, high = self.place[on, :, row], self.place[on + 1, :, row]  # [C, 3, T]
-        base = self.linear[on, row]
         return _Pose(
-            place=(low + along * (high - low)).transpose(1, 0, 2),
-            turn=self.turn[on, :, row].transpose(1, 0, 2),
-            linear=base + along * (self.linear[on + 1, row] - base),
-            linear_turn=self.linear_turn[on, row],
-            phase=self.phase[row],
+            place=(low + along * (high - low)).transpose(1, 0, 2), turn=self.turn[on, :, row].transpose(1, 0, 2)
         )
 
 
@@ -91,9 +85,9 @@ def sway(
     times: int = 1,
 ) -> Sway:
     """Move a tree in the wind for `num_frames` frames at 24 fps; a loop has `times` T of them."""
-    return sway_stems(
-        tree.stems, wind, rng, leaves=tree.leaves, bare=tree.bare, num_frames=num_frames, loop=loop, times=times
-    )
+    times = times if loop else FREE_TIMES
+    motion = sway_stems(tree.stems, wind, rng, leaves=tree.leaves, bare=tree.bare, times=times)
+    return motion if num_frames == len(motion.shift) else motion.frames(np.arange(num_frames) % len(motion.shift))
 
 
 def sway_stems(
@@ -103,21 +97,21 @@ def sway_stems(
     *,
     bare: bool,
     leaves: tuple[Leaves, ...] = (),
-    num_frames: int = NUM_FRAMES,
-    loop: bool = True,
     times: int = 1,
 ) -> Sway:
     """Move stems, level after level, and the leaves on them. Nodes are the stems' own rings, then the leaves."""
-    gusts = gusts_of(wind, rng, loop=loop, times=times)
-    ticks = clock(gusts, num_frames)
+    times_s = np.arange(times * NUM_FRAMES) / FPS
+    bins_hz = np.arange(1, NUM_FREQUENCIES * times) * FPS / NUM_FRAMES / times
+    height_m = float(max(stems.points[:, :, 2].max() for stems in levels))
+    air = turbulent_air(wind, height_m, bins_hz, times_s, rng)
     moving: list[_Moving] = []
     motions = []
     with single_thread():
-        for stems in levels:
-            moving.append(_move(stems, moving[-1] if moving else None, gusts, ticks, rng, bare=bare))
+        for stems, load in zip(levels, loads_of(levels, leaves, bare=bare), strict=True):
+            moving.append(_move(stems, moving[-1] if moving else None, load, air))
             motions.append(_ring_motion(stems, moving[-1]))
         for bunch in leaves:
-            motions.append(_flutter(bunch, moving[bunch.level], gusts, ticks, rng))
+            motions.append(_leaf_motion(bunch, moving[bunch.level], air, rng))
     return Sway(
         shift=np.concatenate([motion.shift for motion in motions], axis=1),
         turn=np.concatenate([motion.turn for motion in motions], axis=1),
@@ -125,59 +119,62 @@ def sway_stems(
     )
 
 
-def _move(
-    stems: Stems,
-    parent: _Moving | None,
-    gusts: Gusts,
-    ticks: Complex64[np.ndarray, "J T"],
-    rng: np.random.Generator,
-    *,
-    bare: bool,
-) -> _Moving:
+def released(tree: Tree, times: int = 16) -> Float64[np.ndarray, " T"]:
+    """Downwind displacement of the top of the longest trunk after one gust of a second in still air [m].
+
+    In a loop of `times` T frames, in which the motion has come to rest before the next gust.
+    """
+    stems, load = tree.stems[0], loads_of(tree.stems, tree.leaves, bare=tree.bare)[0]
+    moving = _move(stems, None, load, single_gust(np.arange(times * NUM_FRAMES) / FPS))
+    longest = int(stems.length_m.argmax())
+    return np.asarray(moving.place[-1, 0, longest] - stems.points[longest, -1, 0], np.float64)
+
+
+def _move(stems: Stems, parent: _Moving | None, load: Load, air: Air) -> _Moving:
     """Walk all stems of a level from ring to ring, turning each segment by what came before and its own bend."""
-    lean = lean_angle(stems.length_m, _bending_radius(stems, is_trunk=parent is None), gusts.wind.speed_m_s)
-    own_bin, damping = stem_bin(stems.length_m, bare=bare), damping_ratio(bare=bare)
+    radius = _bending_radius(stems, is_trunk=parent is None)
     share = _bending_share(stems, still_root=parent is None)
-    pose = _upright(stems.points[:, 0], ticks)
-    angle = np.zeros_like(pose.linear)
+    pose = _upright(stems.points[:, 0], air.ticks.shape[1])
     deflection = np.zeros_like(pose.place)
-    place, turn, linear, linear_turn = [], [], [], []
+    twist = np.zeros_like(pose.place[0])
+    place, turn = [], []
     for ring in range(stems.segments):
         born = np.flatnonzero(stems.first == ring)
         if len(born):
-            _take_over(pose, born, _begin(stems, born, pose, parent))
-            pose.phase[born] += stray(gusts, len(born), rng)
-            driven = pose.phase[born] + gusts.phase - delay(gusts, stems.points[born, ring])
-            base_angle = pose.linear[born] @ gusts.axes.T / stems.length_m[born][:, None, None]
-            reply = answer(gusts, lean[born], own_bin[born], driven, base_angle, damping=damping)
-            angle[born] = reply @ gusts.axes
-            deflection[:, born] = _in_time(angle[born], lean[born], gusts, ticks)
+            begin = _begin(stems, born, pose, parent)
+            pose.place[:, born], pose.turn[:, born] = begin.place, begin.turn
+            own = Load(foliage=load.foliage[born], branches=load.branches[born], offset=load.offset[born])
+            whole = stems.length_m[born] * stems.segments / (stems.segments - stems.first[born])
+            stem = oscillators(stems.length_m[born], radius[born], own, whole if parent is None else None)
+            passing = air.velocity(_centre_of_drag(stems, born)) + _mean_wind(air)
+            base = begin.place - stems.points[born, ring].T[:, :, None]
+            deflection[:, born] = stem.respond(passing, base)
+            axis = stems.points[born, -1] - stems.points[born, ring]
+            axis /= np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-9)
+            torque = np.einsum("cx,xct->ct", np.cross(axis, own.offset), stem.lean[:, None] * drag(passing))
+            turned = filtered(TWIST_OVER_BEND * torque, 2 * stem.omega, stem.damping_ratio)
+            twist[born] = MAX_LEAN_RAD * np.tanh(turned / MAX_LEAN_RAD)
         place.append(pose.place.copy())
-        linear.append(pose.linear.copy())
-        _step(pose, stems.points[:, ring + 1] - stems.points[:, ring], share[:, ring], deflection, angle)
+        _step(pose, stems.points[:, ring + 1] - stems.points[:, ring], share[:, ring], deflection, twist)
         turn.append(pose.turn.copy())
-        linear_turn.append(pose.linear_turn.copy())
-    return _Moving(
-        place=np.stack([*place, pose.place]),
-        turn=np.stack(turn),
-        linear=np.stack([*linear, pose.linear]),
-        linear_turn=np.stack(linear_turn),
-        phase=pose.phase,
-    )
+    return _Moving(place=np.stack([*place, pose.place]), turn=np.stack(turn))
 
 
-def _upright(base: Float32[np.ndarray, "M 3"], ticks: Complex64[np.ndarray, "J T"]) -> _Pose:
+def _mean_wind(air: Air) -> Float32[np.ndarray, "3 1 1"]:
+    return np.asarray(air.wind.speed_m_s * air.axes[0], np.float32)[:, None, None]
+
+
+def _centre_of_drag(stems: Stems, rows: Int64[np.ndarray, " C"]) -> Float32[np.ndarray, "C 3"]:
+    first = stems.first[rows]
+    ring = np.round(first + CENTRE_OF_DRAG * (stems.segments - first)).astype(np.int64)
+    return np.asarray(stems.points[rows, ring])
+
+
+def _upright(base: Float32[np.ndarray, "M 3"], num_frames: int) -> _Pose:
     """Pose of all stems at rest."""
-    count, (num_bins, num_frames) = len(base), ticks.shape
-    turn = np.zeros((4, count, num_frames), np.float32)
+    turn = np.zeros((4, len(base), num_frames), np.float32)
     turn[0] = 1
-    return _Pose(
-        place=np.broadcast_to(base.T[:, :, None], (3, count, num_frames)).copy(),
-        turn=turn,
-        linear=np.zeros((count, num_bins, 3), np.complex64),
-        linear_turn=np.zeros((count, num_bins, 3), np.complex64),
-        phase=np.zeros((count, num_bins, 3), np.float32),
-    )
+    return _Pose(place=np.broadcast_to(base.T[:, :, None], (3, len(base), num_frames)).copy(), turn=turn)
 
 
 def _begin(stems: Stems, born: Int64[np.ndarray, " C"], pose: _Pose, parent: _Moving | None) -> _Pose:
@@ -190,45 +187,23 @@ def _begin(stems: Stems, born: Int64[np.ndarray, " C"], pose: _Pose, parent: _Mo
     return pose.of(born)
 
 
-def _take_over(pose: _Pose, born: Int64[np.ndarray, " C"], begin: _Pose) -> None:
-    pose.place[:, born], pose.turn[:, born] = begin.place, begin.turn
-    pose.linear[born], pose.linear_turn[born] = begin.linear, begin.linear_turn
-    pose.phase[born] = begin.phase
-
-
 def _step(
     pose: _Pose,
     segment: Float32[np.ndarray, "M 3"],
     share: Float32[np.ndarray, " M"],
     deflection: Float32[np.ndarray, "3 M T"],
-    angle: Complex64[np.ndarray, "M J 3"],
+    twist: Float32[np.ndarray, "M T"],
 ) -> None:
-    """Rotate by one segment's share of the bend, and move to the end of the segment."""
-    axis = segment / np.maximum(np.linalg.norm(segment, axis=1, keepdims=True), 1e-9)
-    bend = share[None, :, None] * cross(axis.T[:, :, None], deflection)
+    """Rotate by one segment's share of bend and twist, and move to the end of the segment."""
+    axis = (segment / np.maximum(np.linalg.norm(segment, axis=1, keepdims=True), 1e-9)).T[:, :, None]
+    bend = share[None, :, None] * (cross(axis, deflection) + axis * twist)
     pose.turn[:] = product(pose.turn, turn_of(bend))
-    pose.linear_turn[:] = pose.linear_turn + share[:, None, None] * np.cross(axis[:, None], angle)
     pose.place[:] = pose.place + carried(pose.turn, segment.T[:, :, None])
-    pose.linear[:] = pose.linear + np.cross(pose.linear_turn, segment[:, None])
-
-
-def _in_time(
-    angle: Complex64[np.ndarray, "M J 3"],
-    lean: Float64[np.ndarray, " M"],
-    gusts: Gusts,
-    ticks: Complex64[np.ndarray, "J T"],
-) -> Float32[np.ndarray, "3 M T"]:
-    """Deflection of each stem along x, y, z at each frame, about the lean downwind [rad]."""
-    stacked = np.concatenate([angle.real, -angle.imag], axis=1).transpose(2, 0, 1)  # [3, M, 2J]
-    turning = stacked @ np.concatenate([ticks.real, ticks.imag])
-    mean = (lean[:, None] * gusts.axes[0]).astype(np.float32)
-    deflection: Float32[np.ndarray, "3 M T"] = (turning + mean.T[:, :, None]).astype(np.float32)
-    return deflection
 
 
 def _bending_radius(stems: Stems, *, is_trunk: bool) -> Float32[np.ndarray, " M"]:
     """Radius to which a stem's length is compared [m]: at its base, or of a trunk above its flare, as foresters do."""
-    base: Float32[np.ndarray, " M"] = stems.radii[np.arange(len(stems.points)), stems.first]
+    base = base_radius(stems)
     if not is_trunk:
         return base
     ring = ABOVE_FLARE * stems.segments
@@ -264,20 +239,42 @@ def _ring_motion(stems: Stems, moving: _Moving) -> Sway:
     )
 
 
-def _flutter(
-    leaves: Leaves, bearer: _Moving, gusts: Gusts, ticks: Complex64[np.ndarray, "J T"], rng: np.random.Generator
-) -> Sway:
-    """Motion of leaves: each an oscillator of its own length on the stem's segment."""
+def _leaf_motion(leaves: Leaves, bearer: _Moving, air: Air, rng: np.random.Generator) -> Sway:
+    """Motion of leaves: each hangs in the air that passes it, and flutters when that is fast enough."""
     begin = bearer.at(leaves.row, leaves.ring)
-    lean = np.full(len(leaves.base), leaf_lean_angle(gusts.wind.speed_m_s))
-    driven = begin.phase + stray(gusts, len(lean), rng) + gusts.phase - delay(gusts, leaves.base)
-    # a leaf is so much faster than what bears it that it follows at once
-    angle = answer(gusts, lean, stem_bin(leaves.length_m), driven, np.zeros_like(begin.linear)) @ gusts.axes
-    bend = cross(leaves.axis.T[:, :, None], _in_time(angle, lean, gusts, ticks))
-    turn = to_matrix(product(begin.turn, turn_of(bend)))  # [3, 3, Q, T]
     shift = begin.place - leaves.base.T[:, :, None]
+    num_frames = shift.shape[2]
+    # a leaf is so much faster than what bears it that it follows at once
+    bearer_velocity = irfft(1j * frequencies(num_frames) * rfft(shift, axis=2), n=num_frames, axis=2)
+    passing = air.velocity(leaves.base) + _mean_wind(air) - bearer_velocity
+    angle = bounded(LEAF_LEAN_RAD * drag(passing))
+    omega = 2 * np.pi * simulated_law_hz(leaves.length_m.astype(np.float64))
+    lean = np.stack([filtered(component, omega, LEAF_OWN_DAMPING) for component in angle])
+    flap, twist = _flutter(leaves, np.sqrt((passing**2).sum(axis=0)), rng)
+    axis, across = leaves.axis.T[:, :, None], leaves.normal.T[:, :, None]
+    bend = cross(axis, (lean + across * flap).astype(np.float32)) + axis * twist
+    turn = to_matrix(product(begin.turn, turn_of(bend)))  # [3, 3, Q, T]
     return Sway(
         shift=np.ascontiguousarray(shift.transpose(2, 1, 0)),
         turn=np.ascontiguousarray(turn.transpose(3, 2, 0, 1)),
         position=leaves.base,
     )
+
+
+def _flutter(
+    leaves: Leaves, speed_m_s: Float[np.ndarray, "Q T"], rng: np.random.Generator
+) -> tuple[Float32[np.ndarray, "Q T"], Float32[np.ndarray, "Q T"]]:
+    """Turns of leaves across and about their axes [rad]: half of it the twig's, half each leaf's own."""
+    count, num_frames = speed_m_s.shape
+    twig, of_leaf = np.unique(leaves.row, return_inverse=True)
+    own_hz = leaf_frequencies(len(twig), rng)[of_leaf]
+    bins_hz = np.fft.rfftfreq(num_frames, d=1 / FPS)
+    twigs, leaf = (
+        rng.standard_normal((rows, 2, len(bins_hz), 2), np.float32) @ np.array([1, 1j], np.complex64)
+        for rows in (len(twig), count)
+    )
+    amplitude = line(bins_hz, own_hz)[:, None]
+    hat = (np.sqrt(TWIG_SHARE) * twigs[of_leaf] + np.sqrt(1 - TWIG_SHARE) * leaf) * amplitude
+    unit = 0.5 * irfft(hat, n=num_frames, axis=2, norm="forward")  # [Q, 2, T], of unit variance
+    unit = unit * onset(speed_m_s, critical_speeds(count, rng))[:, None]
+    return (FLAP_RAD * unit[:, 0]).astype(np.float32), (TWIST_RAD * unit[:, 1]).astype(np.float32)

@@ -2,33 +2,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
-from dynamictree.spectrum import FPS, NUM_FRAMES, NUM_FREQUENCIES, Wind, from_motion
+from dynamictree.spectrum import NUM_FRAMES, NUM_FREQUENCIES, Wind, from_motion
 from lab.dataset.branching import grow_trunks
 from lab.dataset.filter import edge_stretch
 from lab.dataset.motion import vertex_spectrum
-from lab.dataset.oscillator import (
-    FREQUENCY_AT_1M_HZ,
-    MAX_LEAN_RAD,
-    answer,
-    gusts_of,
-    leaf_lean_angle,
-    lean_angle,
-    stem_bin,
-)
 from lab.dataset.rotation import carried, cross, product, to_matrix, turn_of
 from lab.dataset.sample import SPECIES, make_sample
 from lab.dataset.sapling import LEAF, grow_tree
 from lab.dataset.species import Foliage
 from lab.dataset.stats import tables_of
 from lab.dataset.wind import _bending_radius, sway, sway_stems
-
-METRE = np.ones(1, np.float32)
-
-
-def column(*values):
-    return np.array(values, np.float32)
 
 
 def test_a_quaternion_chain_is_a_matrix_chain(rng):
@@ -45,44 +29,6 @@ def test_a_quaternion_chain_is_a_matrix_chain(rng):
     np.testing.assert_allclose(carried(turn_of(small), point) - point, cross(small, point), atol=1e-5)
 
 
-def test_natural_frequency_falls_with_length_as_saplings_does():
-    np.testing.assert_allclose(stem_bin(column(1.0)) * FPS / NUM_FRAMES, FREQUENCY_AT_1M_HZ)
-    np.testing.assert_allclose(stem_bin(column(13.0, 1.0, 0.3)), [1.10, 3.98, 7.26], atol=0.01)  # method facts, 8
-    assert (np.diff(stem_bin(np.linspace(0.05, 15, 50, dtype=np.float32))) < 0).all()
-
-
-def test_lean_grows_with_speed_and_slenderness_and_stays_below_its_bound():
-    speeds = [lean_angle(METRE, 0.01 * METRE, speed).item() for speed in (0.0, 2.0, 5.0, 10.0, 40.0)]
-    assert speeds[0] == 0
-    assert (np.diff(speeds) > 0).all()
-    assert speeds[-1] <= MAX_LEAN_RAD
-    assert lean_angle(METRE, 0.005 * METRE, 5.0) > lean_angle(METRE, 0.02 * METRE, 5.0)
-    assert leaf_lean_angle(8.0) > leaf_lean_angle(4.0) > 0
-
-
-@pytest.mark.parametrize("damping", [0.15, 0.039])
-def test_the_answer_solves_the_oscillators_equation(rng, damping):
-    """Integrate q̈ + 2ζωq̇ + ω²q = ω²·drive − ü / L over many periods, and compare with the closed form."""
-    gusts = gusts_of(Wind(gust=0.3), rng)
-    own_bin, lean = np.array([4.3]), np.array([0.05])
-    phase = rng.uniform(0, 6, (1, NUM_FREQUENCIES - 1, 3)).astype(np.float32)
-    base = (0.01 * (rng.normal(size=phase.shape) + 1j * rng.normal(size=phase.shape))).astype(np.complex64)
-    reply = answer(gusts, lean, own_bin, phase, base, damping=damping)[0, :, 0]
-    at_rest = answer(gusts, lean, np.array([1e6]), phase, 0 * base)[0, :, 0]  # an infinitely stiff stem follows at once
-    period = NUM_FRAMES / FPS
-    omega, turns = 2 * np.pi * own_bin[0] / period, 2 * np.pi * gusts.bins / period
-
-    def slope(time, state):
-        wave = 2 * np.exp(1j * turns * time)
-        push = omega**2 * (at_rest * wave).real.sum() + (turns**2 * base[0, :, 0] * wave).real.sum()
-        return [state[1], push - 2 * damping * omega * state[1] - omega**2 * state[0]]
-
-    times = round(0.9 / damping) * period + np.linspace(0, period, 25)  # what was there at first has rung down
-    solved = solve_ivp(slope, (0, times[-1]), [0.0, 0.0], t_eval=times, rtol=1e-7, atol=1e-9).y[0]
-    expected = [(reply * 2 * np.exp(1j * turns * time)).real.sum() for time in times]
-    np.testing.assert_allclose(solved, expected, atol=2e-4 * np.abs(expected).max())
-
-
 def test_a_bare_tree_sways_faster_than_in_leaf_and_its_stems_ring():
     """The same stems, with and without leaves."""
     tree = grow_tree(SPECIES["birch"], np.random.default_rng(0))
@@ -93,23 +39,6 @@ def test_a_bare_tree_sways_faster_than_in_leaf_and_its_stems_ring():
     bins = np.arange(1, NUM_FREQUENCIES)
     assert (power[1] @ bins) / power[1].sum() > (power[0] @ bins) / power[0].sum()
     assert power[1][3:10].sum() > 2 * power[0][3:10].sum()
-
-
-def test_a_stem_answers_most_near_its_own_frequency(rng):
-    gusts = gusts_of(Wind(), rng)
-    zero = np.zeros((2, NUM_FREQUENCIES - 1, 3), np.float32)
-    reply = answer(gusts, np.full(2, 0.1), np.array([3.0, 9.0]), zero, zero.astype(np.complex64))
-    assert gusts.bins[np.abs(reply[0, :, 0]).argmax()] == 3
-    assert gusts.bins[np.abs(reply[1, :, 0]).argmax()] == 9
-
-
-def test_gusts_have_unit_variance_and_whole_bins_only_in_a_loop(rng):
-    gusts = gusts_of(Wind(), rng)
-    np.testing.assert_allclose((gusts.amplitude**2).sum() / 2, 1)
-    np.testing.assert_array_equal(gusts.bins, np.arange(1, NUM_FREQUENCIES))
-    free = gusts_of(Wind(), rng, loop=False).bins
-    assert (np.abs(free - np.round(free)) > 0.01).any()
-    assert free.min() > 0
 
 
 def test_roots_do_not_move_at_all(spreading):
@@ -145,7 +74,7 @@ def test_a_trunk_with_the_usual_flare_leans_as_by_its_radius_at_the_ground():
 
 def test_nothing_is_torn_or_stretched(spreading, sapling):
     for sample in (spreading, sapling):
-        displacement = sample.motion.every(9).displacement(sample.mesh.vertices, sample.node)
+        displacement = sample.motion.frames(np.arange(0, 100, 9)).displacement(sample.mesh.vertices, sample.node)
         stretch = edge_stretch(sample.mesh.vertices, sample.mesh.faces, displacement, percentile=100.0)
         assert stretch < 0.03
 
@@ -251,28 +180,5 @@ def test_longer_stems_sway_slower_within_a_tree():
 
 def test_leaves_are_rigid(sapling):
     tree_faces = sapling.mesh.faces[(sapling.part[sapling.mesh.faces] == LEAF).all(axis=1)]
-    displacement = sapling.motion.every(10).displacement(sapling.mesh.vertices, sapling.node)
+    displacement = sapling.motion.frames(np.arange(0, 100, 10)).displacement(sapling.mesh.vertices, sapling.node)
     assert edge_stretch(sapling.mesh.vertices, tree_faces, displacement, percentile=100.0) < 1e-3
-
-
-def test_amplitude_is_fixed_by_geometry_and_phase_by_chance():
-    tree = grow_tree(SPECIES["bare-winter"], np.random.default_rng(0))
-    node = np.arange(len(sway(tree, Wind(), np.random.default_rng(0)).position), dtype=np.int32)
-    spectra = []
-    for seed in (1, 2):
-        motion = sway(tree, Wind(), np.random.default_rng(seed))
-        spectra.append(vertex_spectrum(motion, motion.position, node))
-    first, second = (np.linalg.norm(spectrum[:, 1:6], axis=2).ravel() for spectrum in spectra)
-    moving = first > np.percentile(first, 30)
-    assert np.corrcoef(np.log(first[moving]), np.log(second[moving]))[0, 1] > 0.95
-    turned = spectra[0][:, 1:6] * np.conj(spectra[1][:, 1:6])
-    assert np.std(np.angle(turned.sum(axis=(0, 2)))) > 0.3
-
-
-def test_gusts_arrive_later_downwind(rng):
-    from lab.dataset.oscillator import delay
-
-    gusts = gusts_of(Wind(speed_m_s=4.0, direction_deg=90.0), rng)
-    late = delay(gusts, np.array([[0, 0, 0], [0, 2, 0], [2, 0, 0]], np.float32))[:, :, 0]
-    np.testing.assert_allclose(late[1], 2 * np.pi * gusts.bins * FPS / NUM_FRAMES * 0.5, rtol=1e-5)
-    np.testing.assert_allclose(late[[0, 2]], 0, atol=1e-5)

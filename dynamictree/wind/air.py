@@ -1,0 +1,123 @@
+"""Turbulent air around a tree: a random velocity field that repeats after a period.
+
+At each bin the velocity is a complex normal field: its size is random, so that there are gusts and lulls, and two
+places agree only as far as Davenport's root coherence exp(-c f d / U) goes, d their distance. It is a sum of plane
+waves whose wave vectors follow a Cauchy law, the spectral density of that exponential. The field travels downwind at
+the mean speed (Taylor's frozen turbulence). Bins share the variance of the gusts by the von Kármán spectrum.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Complex64, Float32, Float64
+
+from dynamictree.requests import Wind
+
+DECAY_ACROSS, DECAY_ALONG = 10.0, 3.0
+"""c of Davenport's coherence; measured are 8 to 15 across the wind and 2 to 10 along it (Davenport 1961)."""
+COMPONENTS = np.array([1.0, 0.75, 0.5])
+"""Standard deviations along the wind, level across it, and upright, over that along it. ESDU 85020."""
+SKEW = 0.1
+"""x + s (x² - 1) in place of a normal x: skewness 6 s. At the top of canopies 0.5 to 1 was measured (Raupach, Finnigan
+and Brunet 1996): gusts are shorter and stronger than lulls."""
+ROUGHNESS_M = 0.3
+"""Of open country with trees and hedges, EN 1991-1-4."""
+SLOWEST_CARRIER_M_S = 1.0
+"""The field travels no slower, or its phase would wind up in a calm."""
+GUST_M_S, GUST_LENGTH_S = 3.0, 1.0  # of a single gust
+NUM_WAVES = 64
+"""Per bin: the coherence of one draw is off by 1 / √64 rms."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Air:
+    """One draw of the field. Built by `turbulent_air`."""
+
+    wind: Wind
+    frequency_hz: Float64[np.ndarray, " J"]
+    axes: Float32[np.ndarray, "3 3"]  # rows: downwind, level across, up
+    wave: Float32[np.ndarray, "J F 3"]  # wave vectors [rad/m]
+    size: Complex64[np.ndarray, "J F 3"]  # of each wave [m/s], in wind axes
+    ticks: Float32[np.ndarray, "D T"]  # from re and im of the bins to frames
+
+    def velocity(self, points: Float32[np.ndarray, "M 3"]) -> Float32[np.ndarray, "3 M T"]:
+        """Velocity less the mean at places, at every frame [m/s]; x, y, z."""
+        phase = np.einsum("mx,jfx->jmf", points, self.wave, optimize=True)
+        waves = np.cos(phase) + 1j * np.sin(phase)  # [J, M, F]
+        hat = (waves @ self.size).transpose(2, 1, 0)  # [3, M, J]
+        series = np.concatenate([hat.real, hat.imag], axis=2) @ self.ticks  # [3, M, T], in wind axes
+        spread = self.wind.gust * self.wind.speed_m_s
+        if spread > 0:
+            along = series[0] / spread
+            series[0] += np.float32(spread * SKEW) * (along * along - 1)
+        velocity: Float32[np.ndarray, "3 M T"] = np.einsum("cx,cmt->xmt", self.axes, series, optimize=True)
+        return velocity.astype(np.float32, copy=False)
+
+
+def turbulent_air(
+    wind: Wind,
+    height_m: float,
+    frequency_hz: Float64[np.ndarray, " J"],
+    times_s: Float64[np.ndarray, " T"],
+    rng: np.random.Generator,
+) -> Air:
+    """Draw a field whose gusts lie on these frequencies.
+
+    Args:
+        wind: its gust is the standard deviation of the speed over the mean.
+        height_m: of the tree; sets the length of the gusts.
+        frequency_hz: at least one, above 0.
+        times_s: of the frames.
+        rng: of amplitudes, phases and wave vectors.
+    """
+    heading = np.deg2rad(wind.direction_deg)
+    cosine, sine = np.cos(heading), np.sin(heading)
+    axes = np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]], np.float32)
+    carrier = max(wind.speed_m_s, SLOWEST_CARRIER_M_S)
+    shape = (len(frequency_hz), NUM_WAVES)
+    cauchy = rng.standard_normal((*shape, 3)) / np.abs(rng.standard_normal((*shape, 1)))
+    decay = np.array([DECAY_ALONG, DECAY_ACROSS, DECAY_ACROSS]) / carrier * frequency_hz[:, None, None]
+    wave = cauchy * decay  # [J, F, 3], in wind axes
+    wave[:, :, 0] -= 2 * np.pi * frequency_hz[:, None] / carrier  # later downwind
+    chance = rng.standard_normal((*shape, 3, 2)) @ [1, 1j]
+    power = von_karman_shares(frequency_hz, turbulence_length_m(height_m) / carrier)
+    spread = np.sqrt(power[:, None] / 4 / NUM_WAVES)[:, :, None] * COMPONENTS * wind.gust * wind.speed_m_s
+    turn = 2 * np.pi * np.outer(frequency_hz, times_s)
+    return Air(
+        wind=wind,
+        frequency_hz=frequency_hz,
+        axes=axes,
+        wave=(wave @ axes).astype(np.float32),
+        size=(spread * chance).astype(np.complex64),
+        ticks=(2 * np.concatenate([np.cos(turn), -np.sin(turn)])).astype(np.float32),
+    )
+
+
+def single_gust(times_s: Float64[np.ndarray, " T"], speed_m_s: float = GUST_M_S) -> Air:
+    """Still air but for one gust along +x at time 0, everywhere at once, GUST_LENGTH_S long; it repeats after T."""
+    period_s = times_s[1] * len(times_s)
+    frequency_hz = np.arange(1, len(times_s) // 2) / period_s
+    spectrum = np.exp(-((np.pi * frequency_hz * GUST_LENGTH_S / 2) ** 2)) * GUST_LENGTH_S / period_s
+    size = np.zeros((len(frequency_hz), 1, 3), np.complex64)
+    size[:, 0, 0] = speed_m_s * np.sqrt(np.pi) / 2 * spectrum
+    turn = 2 * np.pi * np.outer(frequency_hz, times_s)
+    return Air(
+        wind=Wind(speed_m_s=0.0, gust=0.0),
+        frequency_hz=frequency_hz,
+        axes=np.eye(3, dtype=np.float32),
+        wave=np.zeros((len(frequency_hz), 1, 3), np.float32),
+        size=size,
+        ticks=(2 * np.concatenate([np.cos(turn), -np.sin(turn)])).astype(np.float32),
+    )
+
+
+def von_karman_shares(frequency_hz: Float64[np.ndarray, " J"], duration_s: float) -> Float64[np.ndarray, " J"]:
+    """Share of the variance at each frequency; `duration_s` is how long a gust takes to pass, length over speed."""
+    density = (1 + 70.8 * (frequency_hz * duration_s) ** 2) ** (-5 / 6)
+    shares: Float64[np.ndarray, " J"] = density / density.sum()
+    return shares
+
+
+def turbulence_length_m(height_m: float) -> float:
+    """Length of the gusts at the top of a tree [m]; EN 1991-1-4, annex B."""
+    return float(300 * (max(height_m, 2.0) / 200) ** (0.67 + 0.05 * np.log(ROUGHNESS_M)))
