@@ -7,7 +7,8 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 
-from lab.evaluation.laws import FREQUENCY_BANDS_HZ
+from dynamictree.modal.real_trees import height_law_hz
+from lab.evaluation.laws import MEASURED_FROM_M, MEASURED_SPREAD, MEASURED_TO_M, MODEL_BANDS_HZ
 
 PICTURE = Path(__file__).parent.parent / "docs" / "pictures" / "laws.png"
 MEASURED_SLOPE = -1.07
@@ -18,16 +19,19 @@ def main() -> None:
     from matplotlib import pyplot as plt
 
     trees = json.loads(Path(sys.argv[1]).read_text())["trees"]
-    height, frequency, released, slope, response, storm = (
+    height, frequency, slope, response, storm = (
         np.array([tree[name] for tree in trees])
-        for name in ("height_m", "frequency_hz", "released_hz", "spectral_slope", "response", "response_in_storm")
+        for name in ("height_m", "frequency_hz", "spectral_slope", "response", "response_in_storm")
     )
     figure, (left, middle, right) = plt.subplots(1, 3, figsize=(13, 4), facecolor="white", layout="constrained")
-    for (low, high), band in FREQUENCY_BANDS_HZ.items():
-        left.fill_between([low, high], *band, color="tab:green", alpha=0.2, lw=0)
-    left.loglog(height, frequency, ".", ms=4, label="simulator, trunk")
-    left.loglog(height, released, ".", ms=4, label="released pull")
-    left.set(xlabel="height [m]", ylabel="lowest frequency [Hz]", title="green: 10 to 90 % of real trees")
+    for (low, high), band in MODEL_BANDS_HZ.items():
+        left.fill_between([low, high], *band, color="tab:gray", alpha=0.2, lw=0)
+    tall = np.geomspace(MEASURED_FROM_M, MEASURED_TO_M, 50)
+    low, high = (spread * height_law_hz(tall) for spread in MEASURED_SPREAD)
+    left.fill_between(tall, low, high, color="tab:green", alpha=0.2, lw=0)
+    left.loglog(height, frequency, ".", ms=4, label="simulator, ring-down")
+    title = "10 to 90 %, green: measured trees, grey: finite-element models"
+    left.set(xlabel="height [m]", ylabel="lowest frequency [Hz]", title=title)
     left.legend()
     middle.hist(slope, 25)
     middle.axvline(MEASURED_SLOPE, color="tab:green", label="plant videos")
