@@ -24,6 +24,7 @@ PAGES = [
 ]
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 KINDS_OF_BLOCK = {
+    "cs",
     "python",
     "sh",
     "json",
