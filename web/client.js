@@ -95,8 +95,8 @@ export class Client {
   }
 
   /** Run a job that has ended again, as a new job. */
-  retry(id, body = {}) {
-    return this.json("POST", `/v1/jobs/${id}/retry`, body);
+  retry(id) {
+    return this.json("POST", `/v1/jobs/${id}/retry`);
   }
 
   /** Forget a job that has ended, with its files. */
