@@ -50,14 +50,14 @@ def test_the_check_finds_a_misspelt_field() -> None:
         kubernetes_validate.validate(wrong, SERVED, strict=True)
 
 
-@pytest.mark.parametrize("name", ["api", "worker", "housekeeper"])
+@pytest.mark.parametrize("name", ["api", "worker", "worker-gpu", "housekeeper"])
 def test_a_pod_is_restricted(name: str) -> None:
     pod, container = _named("Deployment", name)["spec"]["template"]["spec"], _container(name)
     assert pod["securityContext"]["runAsNonRoot"] is True
     assert pod["automountServiceAccountToken"] is False
     assert container["securityContext"]["readOnlyRootFilesystem"] is True
     assert container["securityContext"]["capabilities"] == {"drop": ["ALL"]}
-    assert set(container["resources"]["limits"]) == {"cpu", "memory"}
+    assert set(container["resources"]["limits"]) - {"nvidia.com/gpu"} == {"cpu", "memory"}
     assert container.get("args", []) == COMPOSE[name].get("command", [])
 
 
@@ -101,6 +101,13 @@ def _value_of(trigger: Any, waiting: Mapping[str, int]) -> float:
     return float(value)
 
 
+def test_a_worker_with_a_gpu_serves_its_queue() -> None:
+    container = _container("worker-gpu")
+    assert container["resources"]["limits"]["nvidia.com/gpu"] == "1"
+    assert {"name": "DYNAMICTREE_QUEUE", "value": "gpu"} in container["env"]
+    assert ",".join(queues_of("gpu")) in container["args"]
+
+
 def test_what_is_not_ours_is_still_reached() -> None:
     """A policy for all pods of the namespace would cut the API off from a Redis that stands beside it."""
     policies = [o["spec"] for o in OBJECTS if o["kind"] == "NetworkPolicy"]
@@ -110,7 +117,7 @@ def test_what_is_not_ours_is_still_reached() -> None:
     assert set(chosen["values"]) == {o["metadata"]["name"] for o in OBJECTS if o["kind"] == "Deployment"} - {"api"}
 
 
-@pytest.mark.parametrize("name", ["api", "worker", "housekeeper"])
+@pytest.mark.parametrize("name", ["api", "worker", "worker-gpu", "housekeeper"])
 def test_a_pod_that_hangs_is_noticed(name: str) -> None:
     assert "livenessProbe" in _container(name)
 
