@@ -17,12 +17,13 @@ from pydantic import BaseModel, Field
 
 from dynamictree_client.asynchronous import AsyncClient
 from dynamictree_client.errors import ClientError, WaitTimeoutError
-from dynamictree_client.models import AnimateParams, AnimateRequest, At, Force, InteractRequest, Job, Wind
-from dynamictree_client.operations import get_job
+from dynamictree_client.models import AnimateParams, AnimateRequest, At, Force, InteractRequest, Job, LinkRequest, Wind
+from dynamictree_client.operations import cancel_job, create_link, get_job, list_jobs
 
 MAX_WAIT_S = 600.0
 INSTRUCTIONS = (
     "Makes captured or modelled trees sway. Order: upload, animate, wait_for_job (repeat while it runs), download. "
+    "cancel stops a job, list_recent_jobs and download_link find jobs and files again. "
     "interact pushes a tree whose job has succeeded. Lengths are in metres, +Z is up."
 )
 Axes = tuple[float, float, float]
@@ -127,6 +128,29 @@ def make_server(url: str, folder: Path, *, api_key: str | None = None) -> MCPSer
         with _refusals():
             paths = await clients[-1].download_all(job_id, below(folder), names=names)
         return [str(path.relative_to(root)) for path in paths.values()]
+
+    @server.tool()
+    async def cancel(job_id: str) -> JobReport:
+        """Stop a job that waits or runs."""
+        with _refusals():
+            return await report(await clients[-1].send(cancel_job(job_id)))
+
+    @server.tool()
+    async def list_recent_jobs(limit: Annotated[int, Field(ge=1, le=20)] = 10) -> list[JobReport]:
+        """The last jobs, newest first."""
+        with _refusals():
+            page = await clients[-1].send(list_jobs(limit=limit))
+            return [await report(job) for job in page.data]
+
+    @server.tool()
+    async def download_link(job_id: str, file: Annotated[str, Field(description="of the job's files")]) -> str:
+        """An address of one file, which opens without a key for a while where the service asks for keys."""
+        with _refusals():
+            named = {artifact.name: artifact for artifact in await clients[-1].artifacts(job_id)}
+            if file not in named:
+                raise ToolError(f"the job has no file {file}; it has {', '.join(named) or 'none'}")
+            link = await clients[-1].send(create_link(LinkRequest(path=named[file].url)))
+        return url.rstrip("/") + link.url
 
     @server.tool()
     async def interact(

@@ -6,13 +6,14 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import httpx
 import pytest
 from mcp import Client, StdioServerParameters
 
 from dynamictree.formats.gltf.writer import write_glb
 from lab.dataset.sample import make_sample
 
-TOOLS = {"upload", "animate", "wait_for_job", "download", "interact"}
+TOOLS = {"upload", "animate", "wait_for_job", "download", "interact", "cancel", "list_recent_jobs", "download_link"}
 
 
 async def _call(client: Client, name: str, **arguments: Any) -> Any:
@@ -68,6 +69,11 @@ def test_a_model_uploads_animates_waits_downloads_and_pushes(url: str, tmp_path:
             paths = await _call(client, "download", job_id=job["job_id"], folder="out", names=["tree.glb"])
             assert paths == {"result": ["out/tree.glb"]}
             assert (tmp_path / "out" / "tree.glb").read_bytes()[:4] == b"glTF"
+            listed = await _call(client, "list_recent_jobs", limit=1)
+            assert [one["job_id"] for one in listed["result"]] == [job["job_id"]]
+            link = await _call(client, "download_link", job_id=job["job_id"], file="tree.glb")
+            assert httpx.get(link["result"]).content[:4] == b"glTF"
+            assert "has succeeded" in await _refused(client, "cancel", job_id=job["job_id"])
             soft, hard = [
                 await _call(client, "interact", spectrum_id=job["spectrum_id"], vector=[newtons, 0, 0], seconds=1)
                 for newtons in (1.0, 2.0)
