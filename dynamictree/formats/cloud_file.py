@@ -1,14 +1,13 @@
 """Readers of splats and scans, chosen by file type."""
 
-from collections.abc import Callable
-from typing import Literal, get_args
+from typing import Literal, Protocol, get_args
 
 from dynamictree.errors import FormatError
 from dynamictree.formats.gltf import gaussian as gltf_gaussian
 from dynamictree.formats.gltf.document import glb_json
 from dynamictree.formats.json_fields import object_field, object_list
 from dynamictree.formats.ply_table import PlyHeader, read_header
-from dynamictree.formats.scan import pcd, points
+from dynamictree.formats.scan import las, pcd, points, text
 from dynamictree.formats.seekable import SeekableReader
 from dynamictree.formats.splat import compressed_ply, ksplat, sog, splat, spz
 from dynamictree.formats.splat import ply as gaussian_ply
@@ -22,15 +21,20 @@ CLOUD_TYPES: tuple[CloudType, ...] = get_args(CloudType)
 SPLAT_TYPES: tuple[CloudType, ...] = ("splat", "spz", "sog", "ksplat")
 """Those whose ending decides: all that is in them are Gaussians."""
 
-_READERS: dict[str, tuple[Callable[..., GaussianCloud], str]] = {
+
+class _Reader(Protocol):
+    def __call__(self, stream: SeekableReader, *, up_axis: str, unit_m: float) -> GaussianCloud: ...
+
+
+_READERS: dict[str, tuple[_Reader, str]] = {
     "splat": (splat.read_splat, splat.UP_AXIS),
     "spz": (spz.read_spz, spz.UP_AXIS),
     "sog": (sog.read_sog, sog.UP_AXIS),
     "ksplat": (ksplat.read_ksplat, ksplat.UP_AXIS),
     "glb": (gltf_gaussian.read_gltf_gaussian, gltf_gaussian.UP_AXIS),
-    **dict.fromkeys(("xyz", "txt", "csv", "asc", "pts"), (points.read_points_text, points.UP_AXIS)),
+    **dict.fromkeys(("xyz", "txt", "csv", "asc", "pts"), (text.read_points_text, points.UP_AXIS)),
     "pcd": (pcd.read_pcd, pcd.UP_AXIS),
-    **dict.fromkeys(("las", "laz"), (points.read_las, points.UP_AXIS)),
+    **dict.fromkeys(("las", "laz"), (las.read_las, points.UP_AXIS)),
 }
 
 
@@ -44,7 +48,7 @@ def read_cloud(
         file_type: the file name's ending, without a dot and in lower case.
         up_axis: the file's; by default what a PLY comment says, else its format's habit:
             −Y for splats, +Y for SPZ and GLB, +Z for scans.
-        unit_m: metres a unit of the file, by default 1.
+        unit_m: metres per unit of the file, by default 1, or what a LAS file's coordinate system says.
 
     Raises:
         FormatError: a type that is not understood, or a file that is not of its type.
@@ -52,11 +56,12 @@ def read_cloud(
     """
     if file_type == "ply":
         return _read_ply(stream, up_axis, unit_m)
-    unit = 1.0 if unit_m is None else unit_m
+    if unit_m is None and file_type in ("las", "laz"):
+        return las.read_las(stream, up_axis=up_axis or points.UP_AXIS)
     if file_type not in _READERS:
         raise FormatError(f"no cloud is read from .{file_type[:20]} files; choose from {', '.join(CLOUD_TYPES)}")
     read, usual_up = _READERS[file_type]
-    return read(stream, up_axis=up_axis or usual_up, unit_m=unit)
+    return read(stream, up_axis=up_axis or usual_up, unit_m=1.0 if unit_m is None else unit_m)
 
 
 def cloud_kind(stream: SeekableReader, *, file_type: str) -> CloudKind:

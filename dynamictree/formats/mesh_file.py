@@ -54,7 +54,7 @@ _MAGIC = (
 _3MF_ENTRY = b"3D/3dmodel.model"
 _OBJ_LINE = re.compile(rb"^[ \t]*(v|vt|vn|f|o|g|s|usemtl|mtllib)[ \t]+\S", re.MULTILINE)
 _PLY_START = re.compile(rb"(\xef\xbb\xbf)?ply[ \t]*[\r\n]")  # some writers leave blanks at the end
-_POINT_LINE = re.compile(rb"^[ \t]*[-+0-9.eE]+([ \t,;]+[-+0-9.eE]+){2,}[ \t]*\r?$", re.MULTILINE)
+_POINT_LINE = re.compile(rb"^[ \t]*[-+0-9.eE]+([ \t,;|]+[-+0-9.eE]+){2,}[ \t]*\r?$", re.MULTILINE)
 
 
 def read_mesh(

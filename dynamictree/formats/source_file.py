@@ -93,7 +93,7 @@ def read_capture(
         stream = bundled(stream, companions or {})
     as_it_is, levelled = _upright(stream, file_type, reading)
     cloud, doubts = sized(as_it_is, height_m=reading.height_m, stated=stated)
-    doubts += levelled + offset_warnings(cloud.source_offset)
+    doubts += levelled + offset_warnings(cloud.source_offset) + _remarks(cloud, file_type, reading)
     capture = with_still_parts(Capture(cloud=cloud, mask=None if mask is None else read_mask(mask), warnings=doubts))
     sides = () if reading.up_axis else _doubt_axis(capture)
     capture = replace(capture, warnings=(*doubts, *sides, *_doubt_plant(capture)))
@@ -117,6 +117,21 @@ def read_capture(
         capture,
         mesh=replace(beside, vertices=moved.astype(np.float32), source_offset=cloud.source_offset),
     )
+
+
+def _remarks(cloud: GaussianCloud, file_type: str, reading: Reading) -> tuple[SourceWarning, ...]:
+    """What was left out of a cloud, and the unit that a scan says itself."""
+    remarks = []
+    if cloud.dropped:
+        message = f"{cloud.dropped:,} rows that are not finite, or that the file marks as noise, were left out"
+        remarks.append(SourceWarning(code="rows-left-out", message=message))
+    if file_type in ("las", "laz") and cloud.source_scale != 1 and reading.unit_m is None and not reading.height_m:
+        message = (
+            f"the scan's coordinate system is in units of {cloud.source_scale:.7g} m, which became metres; set unit_m "
+            "to 1 if its numbers are metres all the same"
+        )
+        remarks.append(SourceWarning(code="unit-of-the-file", message=message))
+    return tuple(remarks)
 
 
 def _upright(

@@ -33,6 +33,7 @@ class GaussianCloud:
     source_up_axis: str = "+Z"
     source_scale: float = 1.0  # metres a unit of the source
     source_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)  # subtracted from its coordinates, in its axes and unit
+    dropped: int = 0  # rows of the source that are not finite or marked as noise
 
     @property
     def num_gaussians(self) -> int:

@@ -11,7 +11,7 @@ import pytest
 from dynamictree.errors import FormatError, InputError
 from dynamictree.formats.cloud_file import cloud_kind, read_cloud
 from dynamictree.formats.scan.points import cloud_of_points
-from dynamictree.formats.source_file import _doubt_plant, source_kind
+from dynamictree.formats.source_file import _doubt_plant, read_capture, source_kind
 from dynamictree.gaussian.harmonics import SH_0
 from dynamictree.plant.capture import Capture
 from dynamictree.up_axis import up_rotation
@@ -59,9 +59,72 @@ def test_las_and_laz_keep_positions_and_colours(rng: np.random.Generator, packed
     stream = _las(points, colors, packed=packed)
     assert cloud_kind(stream, file_type="laz") == "points"
     cloud = read_cloud(stream, file_type="laz" if packed else "las")
-    moved = points - np.floor(points.mean(axis=0))
-    np.testing.assert_allclose(cloud.means, moved, atol=1e-3)
+    np.testing.assert_allclose(cloud.means, points - cloud.source_offset, atol=1e-3)
     np.testing.assert_allclose(cloud.sh[:, 0] * SH_0 + 0.5, colors / 255, atol=1e-6)
+
+
+FOOT = 'UNIT["US survey foot",0.304800609601219]'
+WKT = 'PROJCS["NAD83",GEOGCS["NAD83",DATUM["D",SPHEROID["GRS",6378137,298.25]],UNIT["degree",0.0174532925199433]],'
+
+
+@pytest.mark.parametrize(
+    ("wkt", "keys", "metres"),
+    [
+        (WKT + FOOT + "]", (), (0.3048006, 0.3048006)),
+        (f'COMPD_CS["a",{WKT}{FOOT}],VERT_CS["NAVD88",UNIT["metre",1]]]', (), (0.3048006, 1.0)),
+        ('PROJCRS["a",BASEGEOGCRS["b",DATUM["c",ELLIPSOID["d",6378137,298,LENGTHUNIT["metre",1]]]],CS[Cartesian,2],'
+         'AXIS["e",east],LENGTHUNIT["foot",0.3048]]', (), (0.3048, 0.3048)),
+        (WKT + 'UNIT["metre",1]]', (), (1.0, 1.0)),
+        ("", ((1024, 1), (3076, 9002)), (0.3048, 0.3048)),
+        ("", ((1024, 1), (3076, 9003), (4099, 9001)), (0.3048006, 1.0)),
+        ("", ((1024, 1), (3072, 32632)), (1.0, 1.0)),
+    ],
+)  # fmt: skip
+def test_the_coordinate_system_says_the_unit(
+    wkt: str, keys: tuple[tuple[int, int], ...], metres: tuple[float, float]
+) -> None:
+    stream = _las_with_system(wkt, keys)
+    cloud = read_cloud(stream, file_type="las")
+    np.testing.assert_allclose(np.ptp(cloud.means, axis=0), 1.4 * np.array(metres)[[0, 0, 1]], rtol=1e-4)
+    stream.seek(0)
+    capture = read_capture(stream, file_type="las")
+    assert ("unit-of-the-file" in [warning.code for warning in capture.warnings]) == (metres[0] != 1)
+    stream.seek(0)
+    assert read_cloud(stream, file_type="las", unit_m=2.0).source_scale == 2
+
+
+@pytest.mark.parametrize("system", [('GEOGCS["WGS 84",UNIT["degree",0.0174]]', ()), ("", ((1024, 2),))])
+def test_scans_in_degrees_are_refused_with_advice(system: tuple[str, tuple[tuple[int, int], ...]]) -> None:
+    with pytest.raises(InputError, match="degrees of longitude and latitude; project them"):
+        read_cloud(_las_with_system(*system), file_type="las")
+
+
+def _las_with_system(wkt: str, keys: tuple[tuple[int, int], ...]) -> io.BytesIO:
+    las = laspy.read(_las(_lattice(0.2), None, packed=False))
+    values = [1, 1, 0, len(keys), *(number for name, value in keys for number in (name, 0, 1, value))]
+    record = (2112, wkt.encode() + b"\0") if wkt else (34735, np.array(values, "<u2").tobytes())
+    las.header.vlrs.append(laspy.VLR("LASF_Projection", record[0], "", record[1]))
+    stream = io.BytesIO()
+    las.write(stream)
+    stream.seek(0)
+    return stream
+
+
+def test_noise_and_withheld_points_are_left_out() -> None:
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = _lattice(0.2).T
+    las.classification[:3], las.withheld[5] = [7, 18, 4], 1
+    stream = io.BytesIO()
+    las.write(stream)
+    stream.seek(0)
+    cloud = read_cloud(stream, file_type="las")
+    assert (cloud.num_gaussians, cloud.dropped) == (512 - 3, 3)
+
+
+def test_las_with_colours_of_zero_is_shaded() -> None:
+    cloud = read_cloud(_las(_lattice(0.2), np.zeros((512, 3)), packed=False), file_type="las")
+    assert (cloud.sh[:, 0] * SH_0 + 0.5).min() > 0.1
 
 
 def test_las_without_colours_is_grey() -> None:
@@ -103,8 +166,6 @@ def test_a_ply_without_faces_is_a_point_cloud(encoding: str) -> None:
 def test_points_that_are_no_cloud_are_refused() -> None:
     with pytest.raises(InputError, match="at one place"):
         cloud_of_points(np.zeros((10, 3)))
-    with pytest.raises(InputError, match="point 3"):
-        cloud_of_points(np.where(np.arange(10)[:, None] == 3, np.nan, _lattice(1.0)[:10]))
     with pytest.raises(InputError, match="empty"):
         read_cloud(io.BytesIO(b"# nothing\n"), file_type="txt")
     with pytest.raises(FormatError, match="2 numbers"):
@@ -118,7 +179,7 @@ def test_points_that_are_no_cloud_are_refused() -> None:
 
 
 def test_a_text_larger_than_any_cloud_is_refused_unread(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dynamictree.formats.scan.points.MAX_GAUSSIANS", 1)
+    monkeypatch.setattr("dynamictree.formats.scan.text.MAX_GAUSSIANS", 1)
     with pytest.raises(InputError, match="at most 1 points"):
         read_cloud(io.BytesIO(b"1 2 3\n" * 100), file_type="txt")
 

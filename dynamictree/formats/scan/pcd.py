@@ -39,12 +39,10 @@ def read_pcd(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: float = 
     check_count(header.count)
     rows = _rows(stream, header)
     points = np.stack([rows[name].astype(np.float64) for name in "xyz"], axis=1)
-    measured = np.isfinite(points).all(axis=1)
-    check_count(int(measured.sum()))
     single = [name for name in header.fields.names or () if header.fields[name].shape == ()]
     name = next((name for name in _COLOR if name in single), None)
-    colors = None if name is None else _colors(rows[name])[measured]
-    return to_z_up(cloud_of_points(points[measured], colors, up_axis=up_axis), up_axis=up_axis, unit_m=unit_m)
+    colors = None if name is None else _colors(rows[name])
+    return to_z_up(cloud_of_points(points, colors, up_axis=up_axis), up_axis=up_axis, unit_m=unit_m)
 
 
 def _read_header(stream: SeekableReader) -> _Header:

@@ -1,35 +1,26 @@
-"""Point clouds of scans: PLY without faces, XYZ text, LAS and LAZ. A Gaussian a point, sized by its neighbours."""
-
-import io
-import re
-import struct
+"""Points of a scan as Gaussians: one per point, as wide as its neighbours are far; and PLY without faces."""
 
 import numpy as np
-from jaxtyping import Float32, Float64, UInt8
+from jaxtyping import Float32, Float64, Shaped, UInt8
 
 from dynamictree.errors import FormatError, InputError
 from dynamictree.formats.origin import near_origin
 from dynamictree.formats.ply_table import PlyHeader, read_elements, read_header
-from dynamictree.formats.scan.las_header import HEADER_BYTES, check_las_header
 from dynamictree.formats.scan.shading import shaded_colors
-from dynamictree.formats.seekable import SeekableReader, remaining_bytes
+from dynamictree.formats.seekable import SeekableReader
 from dynamictree.formats.splat.activations import harmonic_from_color
 from dynamictree.gaussian.axes import to_z_up
-from dynamictree.gaussian.cloud import MAX_GAUSSIANS, GaussianCloud, check_count, validate_cloud
+from dynamictree.gaussian.cloud import GaussianCloud, check_count, validate_cloud
 from dynamictree.up_axis import up_rotation
 
 UP_AXIS = "+Z"
 """Surveying instruments stand level and count heights upward."""
 _COLORS = (("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue"), ("r", "g", "b"))
-_AXIS_NAMES = (
-    ("x", "xm", "px", "posx", "pointx", "xcoord", "xcoordinate", "coordx", "easting", "east", "rechtswert"),
-    ("y", "ym", "py", "posy", "pointy", "ycoord", "ycoordinate", "coordy", "northing", "north", "hochwert"),
-    ("z", "zm", "pz", "posz", "pointz", "zcoord", "zcoordinate", "coordz", "height", "elevation", "altitude", "hoehe"),
-)
-_UMLAUTS = {ord("ä"): "ae", ord("ö"): "oe", ord("ü"): "ue"}
 _NUM_NEIGHBOURS = 3  # Kerbl et al. 2023, section 5.2: a Gaussian as wide as its three nearest neighbours are far
 _LARGEST_SPACING = 4.0  # in medians: a stray point stays small
 _OPACITY = 0.9  # surfaces that were scanned are solid; below 1, neighbours blend
+_DEGREES = 1e-3  # width over height: a tree of 10 m is 1e-4 degrees wide, a pole of 10 m 1e-2 of that high
+_ALIKE = 8.0  # the largest of three channels of one colour in the smallest, at most
 
 
 def read_points_ply(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: float = 1.0) -> GaussianCloud:
@@ -37,7 +28,7 @@ def read_points_ply(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: f
 
     Raises:
         FormatError: not PLY, no positions, shorter than its header says.
-        InputError: values that are not finite, too many points, all at one place.
+        InputError: too many points, all at one place.
     """
     return read_points_rows(stream, read_header(stream), up_axis=up_axis, unit_m=unit_m)
 
@@ -51,143 +42,90 @@ def read_points_rows(stream: SeekableReader, header: PlyHeader, *, up_axis: str,
     (rows,) = read_elements(stream, header, "vertex")
     points = np.stack([rows[name].astype(np.float64) for name in "xyz"], axis=1)
     names = next((names for names in _COLORS if vertex.names.issuperset(names)), None)
-    colors = None if names is None else np.stack([_byte_color(rows[name]) for name in names], axis=1)
-    return to_z_up(cloud_of_points(points, colors, up_axis=up_axis), up_axis=up_axis, unit_m=unit_m)
-
-
-def read_points_text(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: float = 1.0) -> GaussianCloud:
-    """Read lines of x y z, divided by blanks, commas or semicolons; of six or more columns the last three are a colour.
-
-    A first line that names the columns says which are x, y and z; other first lines that are not numbers, and lines
-    that begin with # or //, are passed over.
-
-    Raises:
-        FormatError: lines that are not numbers, or of less than three; columns that are named, none of them x, y or z.
-        InputError: values that are not finite, too many points, all at one place.
-    """
-    size = remaining_bytes(stream)
-    if size > 100 * MAX_GAUSSIANS:
-        raise InputError(f"the text is {size:,} bytes; at most {MAX_GAUSSIANS:,} points are allowed; decimate it first")
-    raw = _with_decimal_points(stream.read())
-    content = raw.translate(bytes.maketrans(b",;\t", b"   "))
-    lines = [line for line in content.splitlines() if line.strip() and not _is_comment(line)]
-    if lines and lines[0].strip().isdigit():  # PTS: the number of points stands before each scan
-        lines = [line for line in lines if len(line.split()) > 1]
-    names = list[str]()
-    if lines and not _is_numbers(lines[0]):
-        names = _column_names(next(line for line in raw.splitlines() if line.strip() and not _is_comment(line)))
-        lines = lines[1:]
-    check_count(len(lines))
-    try:
-        table = np.loadtxt(io.BytesIO(b"\n".join(lines)), np.float64, ndmin=2, comments=None)
-    except ValueError as error:
-        raise FormatError(f"the file is no table of numbers: {error}") from error
-    if table.shape[1] < 3:
-        raise FormatError(f"the lines have {table.shape[1]} numbers; at least x, y and z are needed")
-    if len(names) == table.shape[1]:
-        table = _named_columns(table, names)
-    colors = _byte_color(table[:, -3:]) if table.shape[1] >= 6 and _looks_like_color(table[:, -3:]) else None
-    return to_z_up(cloud_of_points(table[:, :3], colors, up_axis=up_axis), up_axis=up_axis, unit_m=unit_m)
-
-
-def _with_decimal_points(text: bytes) -> bytes:
-    """The text with points for decimal commas, where its first line of numbers has them."""
-    lines = text[: 1 << 16].splitlines()
-    first = next((line for line in lines if not _is_comment(line) and line[:1].strip(b"-+ \t0123456789") == b""), b"")
-    words = re.split(rb"[;\s]+", first.strip())
-    commas = sum(b"," in word for word in words)
-    is_number = all(re.fullmatch(rb"[-+]?[0-9]+(,[0-9]+)?([eE][-+]?[0-9]+)?", word) for word in words)
-    return text.replace(b",", b".") if commas and is_number and len(words) >= 3 else text
-
-
-def _is_comment(line: bytes) -> bool:
-    return line.lstrip().startswith((b"#", b"//"))
-
-
-def _column_names(line: bytes) -> list[str]:
-    """The words of a table's first line, without units, quotes and signs, in lower case."""
-    text = re.sub(r"\(.*?\)|\[.*?\]", "", line.decode("utf-8", "replace"))
-    delimiter = next((sign for sign in ",;\t" if sign in text), None)
-    words = [re.sub(r"[^a-z0-9]", "", word.lower().translate(_UMLAUTS)) for word in text.split(delimiter)]
-    return words if delimiter is not None else [word for word in words if word]
-
-
-def _named_columns(table: Float64[np.ndarray, "G columns"], names: list[str]) -> Float64[np.ndarray, "G width"]:
-    """The columns of positions, and of colours if there are any.
-
-    Raises:
-        FormatError: no x, y or z is named, or the rows are Gaussians.
-    """
-    if {"scale0", "rot0"} <= set(names):
-        raise FormatError("the table is of Gaussians; convert it with `splat-transform tree.csv tree.ply`")
-    places = [next((names.index(name) for name in options if name in names), None) for options in _AXIS_NAMES]
-    if any(place is None for place in places):
-        raise FormatError(
-            f"the table's columns are {', '.join(names)[:300]}; a point cloud has columns x, y and z. Is it a table of "
-            "cylinders or of measurements (QSM)? Send the points that it was made from"
-        )
-    color = next(([names.index(name) for name in three] for three in _COLORS if set(three) <= set(names)), [])
-    columns: Float64[np.ndarray, "G width"] = table[:, [place for place in places if place is not None] + color]
-    return columns
-
-
-def read_las(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: float = 1.0) -> GaussianCloud:
-    """Read LAS, or LAZ, with colours if the points have them.
-
-    Raises:
-        FormatError: not LAS, truncated, damaged.
-        InputError: too many points, all at one place.
-    """
-    import laspy  # type: ignore[import-untyped]
-
-    size = remaining_bytes(stream)
-    if size < HEADER_BYTES:
-        raise FormatError(f"the file is {size} bytes; a LAS header alone is {HEADER_BYTES}; it is truncated")
-    check_las_header(stream, size)
-    try:
-        with laspy.open(stream, closefd=False, laz_backend=laspy.LazBackend.Lazrs) as reader:  # its one-thread twin
-            check_count(reader.header.point_count)
-            las = reader.read()
-    except (laspy.LaspyException, struct.error, ValueError, OSError, RuntimeError) as error:
-        raise FormatError(f"the LAS file cannot be read: {error}") from error
-    check_count(len(las.points))
-    points = np.stack([np.asarray(las.x), np.asarray(las.y), np.asarray(las.z)], axis=1).astype(np.float64)
-    colors = None
-    if {"red", "green", "blue"} <= set(las.point_format.dimension_names):
-        colors = _byte_color(np.stack([las.red, las.green, las.blue], axis=1).astype(np.float64))
+    colors = None if names is None else np.stack([rows[name] for name in names], axis=1)
     return to_z_up(cloud_of_points(points, colors, up_axis=up_axis), up_axis=up_axis, unit_m=unit_m)
 
 
 def cloud_of_points(
-    points: Float64[np.ndarray, "G 3"], colors: UInt8[np.ndarray, "G 3"] | None = None, *, up_axis: str = UP_AXIS
+    points: Float64[np.ndarray, "G 3"],
+    colors: Shaped[np.ndarray, "G 3"] | None = None,
+    *,
+    up_axis: str = UP_AXIS,
+    dropped: int = 0,
 ) -> GaussianCloud:
-    """A round Gaussian a point, as wide as its neighbours are far; points far from the origin are moved to it.
+    """A round Gaussian per point that is finite; points far from the origin are moved to it.
+
+    Colours are bytes, 16 bits, or floats in [0, 1]; where all are 0, as of LAS files that have none, the points are
+    shaded. `dropped` counts points that the caller has left out already.
 
     Raises:
-        InputError: a value that is not finite, or all points at one place.
+        InputError: no point, all points at one place, or positions in degrees.
     """
+    finite = np.isfinite(points).all(axis=1)
+    points, dropped = points[finite], dropped + int((~finite).sum())
     check_count(len(points))
-    if not np.isfinite(points).all():
-        index = int(np.argmin(np.isfinite(points).all(axis=1)))
-        raise InputError(f"point {index} is at {points[index].tolist()}; positions must be finite; remove it")
-    extent = float(np.ptp(points, axis=0).max())
-    if extent == 0:
+    extent = np.ptp(points, axis=0)
+    if extent.max() == 0:
         raise InputError(f"all {len(points):,} points are at one place; the cloud needs an extent")
+    refuse_degrees(points, extent)
     means, offset = near_origin(points)
     points = means.astype(np.float64)
     scales = np.repeat(_spacing(points)[:, None], 3, axis=1)
-    if colors is None:
-        colors = shaded_colors(points @ up_rotation(up_axis).T, spacing=2 * float(np.median(scales)))
+    if colors is None or not colors.any():
+        rgb = shaded_colors(points @ up_rotation(up_axis).T, spacing=2 * float(np.median(scales)))
+    else:
+        rgb = _byte_color(colors[finite])
     return validate_cloud(
         GaussianCloud(
             means=means,
             quaternions=np.tile(np.array([1, 0, 0, 0], np.float32), (len(points), 1)),
             scales=scales,
             opacity=np.full(len(points), _OPACITY, np.float32),
-            sh=harmonic_from_color(colors / np.float32(255))[:, None],
+            sh=harmonic_from_color(rgb / np.float32(255))[:, None],
             source_offset=offset,
+            dropped=dropped,
         )
     )
+
+
+def refuse_degrees(points: Float64[np.ndarray, "G 3"], extent: Float64[np.ndarray, " 3"]) -> None:
+    """Refuse longitude and latitude: in two axes the points lie within the globe's degrees, and are hardly apart.
+
+    Raises:
+        InputError: they do.
+    """
+    largest = np.abs(points[:, :2]).max(axis=0)
+    on_globe = (largest <= 180).all() and largest.min() <= 90 and largest.max() > 1
+    if on_globe and 0 < extent[:2].max() < _DEGREES * extent[2]:
+        raise InputError(
+            f"the points are {extent[0]:.2g} x {extent[1]:.2g} x {extent[2]:.4g} in size: x and y are degrees of "
+            "longitude and latitude; project them to metres (UTM), for instance with CloudCompare or "
+            "`pdal translate in.las out.las reprojection --filters.reprojection.out_srs=EPSG:32632`"
+        )
+
+
+def color_columns(table: Float64[np.ndarray, "G columns"], labels: float) -> list[int] | None:
+    """Three columns behind x, y and z that are a colour by their range; None if none are.
+
+    Whole numbers to 255 or 65,535 of like size that reach beyond `labels`, or shares between 0 and 1 that are no unit
+    vectors. Of four columns the last three are taken, as in PTS, unless the last is an alpha.
+    """
+    last = table.shape[1] - 3
+    first = [column for column in range(3, last + 1) if _is_color(table[:, column : column + 3], labels)]
+    if not first:
+        return None
+    is_pts = table.shape[1] == 7 and first == [3, 4] and not np.isin(table[:, 6], (0, 255, 65_535)).all()
+    best = last if is_pts else first[0]
+    return [best, best + 1, best + 2]
+
+
+def _is_color(values: Float64[np.ndarray, "G 3"], labels: float) -> bool:
+    low, high = float(values.min(initial=0)), values.max(axis=0, initial=0)
+    if low < 0 or not np.isfinite(high).all() or high.max() > 65_535:
+        return False
+    if high.max() <= 1:
+        return bool(high.min() > 0 and not np.allclose((values**2).sum(axis=1), 1, atol=0.01))
+    return bool(labels < high.max() <= _ALIKE * high.min() and (values == np.round(values)).all())
 
 
 def _spacing(points: Float64[np.ndarray, "G 3"]) -> Float32[np.ndarray, " G"]:
@@ -204,24 +142,12 @@ def _spacing(points: Float64[np.ndarray, "G 3"]) -> Float32[np.ndarray, " G"]:
     return result
 
 
-def _byte_color(values: np.ndarray) -> UInt8[np.ndarray, "..."]:
+def _byte_color(values: Shaped[np.ndarray, "G 3"]) -> UInt8[np.ndarray, "G 3"]:
     """Colours of 16 bits and of floats in [0, 1] to 8 bits; the largest value decides which they are."""
     largest = float(values.max(initial=0))
     if values.dtype.kind == "f" and largest <= 1:
         values = values * 255.0
     elif largest > 255:
         values = values / 257.0
-    result: UInt8[np.ndarray, ...] = np.clip(np.nan_to_num(values), 0, 255).astype(np.uint8)
+    result: UInt8[np.ndarray, "G 3"] = np.clip(np.nan_to_num(values), 0, 255).astype(np.uint8)
     return result
-
-
-def _looks_like_color(values: Float64[np.ndarray, "G 3"]) -> bool:
-    return bool(values.min() >= 0 and values.max() <= 65_535)
-
-
-def _is_numbers(line: bytes) -> bool:
-    try:
-        [float(word) for word in line.split()]
-    except ValueError:
-        return False
-    return True

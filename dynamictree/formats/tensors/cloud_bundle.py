@@ -62,7 +62,7 @@ def read_cloud_bundle(stream: ByteReader) -> Capture:
     part_of = take_tensor(tensors, "part_of", dtypes=("uint8",), shape=(None,)) if "part_of" in tensors else None
     return Capture(
         cloud=GaussianCloud(
-            **parts,
+            **parts,  # type: ignore[arg-type]  # their names are those of arrays
             source_up_axis=metadata["source_up_axis"],
             source_scale=number(metadata, "source_scale"),
             source_offset=offset_of(metadata),

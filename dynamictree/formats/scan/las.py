@@ -1,0 +1,151 @@
+"""LAS and LAZ scans: points that are no noise, in metres by the file's coordinate system.
+
+False counts in a header cost laspy and lazrs minutes, all memory, or a crash, so they are checked first (LAS 1.4 R15,
+sections 2.4 and 2.5; the chunk table is LASzip's).
+"""
+
+import re
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+
+from dynamictree.errors import FormatError, InputError
+from dynamictree.formats.scan.points import UP_AXIS, cloud_of_points
+from dynamictree.formats.seekable import SeekableReader, remaining_bytes
+from dynamictree.gaussian.axes import to_z_up
+from dynamictree.gaussian.cloud import GaussianCloud, check_count
+
+_HEADER_BYTES = 227  # of version 1.2, the shortest that is read
+_VLR_BYTES, _EVLR_BYTES = 54, 60
+_EVLRS_AT, _HEADER_1_4_BYTES = 235, 375
+_COMPRESSED = 0x80  # set in the point format of LAZ
+_NOISE = (7, 18)  # classes of low and of high noise: LAS 1.4 R15, table 17
+_PROJECTION = "LASF_Projection"  # LAS 1.4 R15, section 3
+_WKT_RECORD, _KEYS_RECORD = 2112, 34735
+_MODEL_KEY, _UNIT_KEY, _VERTICAL_UNIT_KEY = 1024, 3076, 4099  # GeoTIFF 1.1, section 7
+_GEOGRAPHIC = 2
+_UNIT_CODES = {9001: 1.0, 9002: 0.3048, 9003: 1200 / 3937}  # metre, foot, US survey foot: EPSG
+_LINEAR_UNIT = re.compile(r"(?<!ANGLE)(?:LENGTH)?UNIT\s*[\[(]\s*\"([^\"]*)\"\s*,\s*([0-9.eE+-]+)", re.IGNORECASE)
+_ANGLES = re.compile(r"deg|rad|grad|gon", re.IGNORECASE)
+_VERTICAL = re.compile(r"VERT_?CS|VERTCRS", re.IGNORECASE)
+_GEOGRAPHIC_WKT = re.compile(r"\s*(GEOGCS|GEOGCRS|GEODCRS|GEOGRAPHICCRS|COMPD_?CS\[[^,]*,\s*GEOGCS)", re.IGNORECASE)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Units:
+    """Metres in a unit of x and y, and of z."""
+
+    horizontal_m: float = 1.0
+    vertical_m: float = 1.0
+
+
+def read_las(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: float | None = None) -> GaussianCloud:
+    """Read LAS, or LAZ, with colours if the points have them.
+
+    Points of the classes of noise, and those that are marked as withheld, are left out. `unit_m` comes before what the
+    file's coordinate system (WKT or GeoTIFF keys) says.
+
+    Raises:
+        FormatError: not LAS, truncated, damaged.
+        InputError: too many points, all at one place, coordinates in degrees.
+    """
+    import laspy  # type: ignore[import-untyped]
+
+    size = remaining_bytes(stream)
+    if size < _HEADER_BYTES:
+        raise FormatError(f"the file is {size} bytes; a LAS header alone is {_HEADER_BYTES}; it is truncated")
+    check_las_header(stream, size)
+    try:
+        with laspy.open(stream, closefd=False, laz_backend=laspy.LazBackend.Lazrs) as reader:  # its one-thread twin
+            check_count(reader.header.point_count)
+            las = reader.read()
+        records = {
+            vlr.record_id: bytes(vlr.record_data_bytes())
+            for vlr in [*las.header.vlrs, *(las.header.evlrs or [])]
+            if vlr.user_id == _PROJECTION
+        }
+    except (laspy.LaspyException, struct.error, ValueError, OSError, RuntimeError) as error:
+        raise FormatError(f"the LAS file cannot be read: {error}") from error
+    check_count(len(las.points))
+    units = _Units() if unit_m is not None else _units(records)
+    points = np.stack([np.asarray(las.x), np.asarray(las.y), np.asarray(las.z)], axis=1).astype(np.float64)
+    points[:, 2] *= units.vertical_m / units.horizontal_m
+    names = set(las.point_format.dimension_names)
+    colors = np.stack([las.red, las.green, las.blue], axis=1) if {"red", "green", "blue"} <= names else None
+    noise = np.isin(np.asarray(las.classification), _NOISE) | (np.asarray(las.withheld) != 0)
+    if not noise.all():
+        points, colors = points[~noise], None if colors is None else colors[~noise]
+    cloud = cloud_of_points(points, colors, up_axis=up_axis, dropped=len(noise) - len(points))
+    return to_z_up(cloud, up_axis=up_axis, unit_m=units.horizontal_m if unit_m is None else unit_m)
+
+
+def _units(records: dict[int, bytes]) -> _Units:
+    """What the coordinate system says of its units; metres where it says nothing.
+
+    Raises:
+        InputError: they are degrees.
+    """
+    wkt = records.get(_WKT_RECORD, b"").rstrip(b"\0").decode("utf-8", "replace")
+    keys = np.frombuffer(records.get(_KEYS_RECORD, b"")[: len(records.get(_KEYS_RECORD, b"")) // 8 * 8], "<u2")
+    key = {int(name): int(value) for name, place, _, value in keys.reshape(-1, 4)[1:] if place == 0}
+    if _GEOGRAPHIC_WKT.match(wkt) or (not wkt and key.get(_MODEL_KEY) == _GEOGRAPHIC):
+        raise InputError(
+            "the scan's coordinates are degrees of longitude and latitude; project them to metres (UTM), for instance "
+            "with `pdal translate in.las out.las reprojection --filters.reprojection.out_srs=EPSG:32632`"
+        )
+    if wkt:
+        horizontal, *vertical = _VERTICAL.split(wkt)
+        across = _last_unit(horizontal) or 1.0
+        return _Units(horizontal_m=across, vertical_m=_last_unit("".join(vertical)) or across)
+    across = _UNIT_CODES.get(key.get(_UNIT_KEY, 0), 1.0)
+    return _Units(horizontal_m=across, vertical_m=_UNIT_CODES.get(key.get(_VERTICAL_UNIT_KEY, 0), across))
+
+
+def _last_unit(wkt: str) -> float | None:
+    """Metres of the last unit of length: a system names those of its parts before its own."""
+    units = [float(metres) for name, metres in _LINEAR_UNIT.findall(wkt) if not _ANGLES.match(name)]
+    return units[-1] if units and 1e-6 < units[-1] < 1e6 else None
+
+
+def check_las_header(stream: SeekableReader, size: int) -> None:
+    """Hold the header's counts against the file's size; the stream is left where it stood.
+
+    Raises:
+        FormatError: a count that the file has no room for.
+    """
+    start = stream.tell()
+    head = stream.read(_HEADER_1_4_BYTES)
+    if len(head) < _HEADER_BYTES or head[:4] != b"LASF":
+        raise FormatError(f"the file is {size} bytes and begins with {head[:4]!r}; it is no LAS file, or truncated")
+    header_bytes, points_at, num_vlrs, point_format, row_bytes = struct.unpack_from("<HIIBH", head, 94)
+    if not header_bytes <= points_at <= size:
+        raise FormatError(f"the points begin at byte {points_at:,} of {size:,}; the LAS header is damaged")
+    _require_room("records", num_vlrs, _VLR_BYTES, points_at - header_bytes)
+    if head[25] >= 4 and header_bytes >= _HEADER_1_4_BYTES and len(head) == _HEADER_1_4_BYTES:
+        evlrs_at, num_evlrs = struct.unpack_from("<QI", head, _EVLRS_AT)
+        _require_room("extended records", num_evlrs, _EVLR_BYTES, max(size - evlrs_at, 0))
+    if point_format & _COMPRESSED:
+        _check_chunks(stream, start, points_at, row_bytes, size)
+    stream.seek(start)
+
+
+def _check_chunks(stream: SeekableReader, start: int, points_at: int, row_bytes: int, size: int) -> None:
+    stream.seek(start + points_at)
+    stored = stream.read(8)
+    table_at = int.from_bytes(stored, "little", signed=True)
+    if len(stored) == 8 and table_at == -1:  # written to a pipe: the offset stands at the end
+        stream.seek(start + size - 8)
+        table_at = int.from_bytes(stream.read(8), "little", signed=True)
+    if not points_at + len(stored) <= table_at <= size - 8:
+        raise FormatError(f"the chunks of the LAZ file are listed at byte {table_at:,} of {size:,}; it is damaged")
+    stream.seek(start + table_at + 4)
+    num_chunks = int.from_bytes(stream.read(4), "little")
+    _require_room("chunks", num_chunks, max(row_bytes, 1), table_at - points_at)  # each begins with a whole point
+
+
+def _require_room(what: str, count: int, each: int, room: int) -> None:
+    if count * each > room:
+        raise FormatError(
+            f"the LAS header tells of {count:,} {what}; in {room:,} bytes there is no room; it is damaged"
+        )
