@@ -14,8 +14,8 @@ from dynamictree.voxel.grid import VoxelGrid, grid_frame
 from dynamictree.voxel.moments import moments_of
 
 MIN_RESOLUTION, MAX_RESOLUTION = 32, 512
-MAX_PIECES = 60_000_000
-"""Of faces in voxels: 2 GB. A mesh at the caps of `mesh.py` has about 10 million at 512³."""
+MAX_PIECES = 30_000_000
+"""Of faces in voxels: 3 GB at 100 bytes per piece, measured. A mesh at the caps of `mesh.py` has 10 million at 512³."""
 
 _LEAST_AREA = 1e-16
 """Of the cube's face. A smaller piece of surface is rounding: a face that only touches the voxel."""

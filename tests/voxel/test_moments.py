@@ -1,12 +1,14 @@
 """Moments of the surface in a voxel: exact where they can be reckoned by hand, and they tell a card from a tube."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
 from dynamictree.mesh import TriangleMesh
 from dynamictree.voxel.grid import VoxelGrid
-from dynamictree.voxel.moments import AREA, NORMAL, OFFSET, SIX, SPREAD, coarse_moments
-from dynamictree.voxel.voxelize import surface_moments, voxelize
+from dynamictree.voxel.moments import AREA, NORMAL, OFFSET, SIX, SPREAD, coarse_moments, moments_of
+from dynamictree.voxel.voxelize import grid_pieces, surface_moments, voxelize
 
 
 def tube(radius_m: float, height_m: float, sides: int) -> TriangleMesh:
@@ -83,3 +85,17 @@ def test_moments_of_larger_voxels_follow_from_the_finer_ones(mesh: TriangleMesh)
     # within a piece the spread is taken for a square's; finer pieces come closer to the truth, and none is larger
     assert raised[:, SPREAD][:, :3].min() > -1e-5
     assert raised[:, SPREAD][:, :3].sum(axis=1).max() < 0.5
+
+
+def test_moments_of_many_pieces_take_little_memory() -> None:
+    vertices = np.random.default_rng(0).normal(size=(6000, 3)).astype(np.float32)
+    mesh = TriangleMesh(vertices=vertices, faces=np.arange(6000, dtype=np.int32).reshape(-1, 3))
+    grid = voxelize(mesh, 64).grid
+    pieces = grid_pieces(mesh, grid)
+    rows = np.searchsorted(grid.keys, pieces.keys)
+    tracemalloc.start()
+    moments_of(mesh, grid, pieces, rows)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert len(rows) > 300_000
+    assert peak < 200 * len(rows)  # 340 with all columns at once
