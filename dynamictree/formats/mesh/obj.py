@@ -19,6 +19,7 @@ from dynamictree.mesh import MAX_FACES, MAX_VERTICES, Material, SourceWarning, T
 
 _CONTINUED = re.compile(rb"\\[ \t]*\r?\n")
 _FACE = re.compile(rb"((-?[0-9]{1,18})(/(-?[0-9]{1,18})?){0,2} )+")
+_UNREADABLE_NORMAL = re.compile(rb"(/[^/ ]*/)(?!-?[0-9]+ )[^ ]*")
 
 
 @dataclass(kw_only=True)
@@ -162,11 +163,17 @@ def _directions(lines: list[bytes]) -> Float64[np.ndarray, "n 3"]:
         return np.zeros((0, 3))
 
 
+def _corner_numbers(text: bytes) -> Int64[np.ndarray, " n"] | None:
+    """The numbers of corners such as `1/2/3`, 0 for those that are missing; None if something is no number."""
+    return numbers_of(text.replace(b"//", b"/0/").replace(b"/ ", b"/0 ").replace(b"/", b" "), np.int64)
+
+
 def _corner_rows(statements: _Statements, counts: tuple[int, int, int]) -> Int64[np.ndarray, "C 3"]:
     """Row of the vertex, the texture place and the normal of every corner; -1 where it has none."""
-    text = b"".join(statements.faces).replace(b"//", b"/0/").replace(b"/ ", b"/0 ").replace(b"/", b" ")
-    numbers = numbers_of(text, np.int64)
-    sizes = np.array(statements.face_sizes)
+    text, sizes = b"".join(statements.faces), np.array(statements.face_sizes)
+    numbers = _corner_numbers(text)
+    if numbers is None:  # a shape needs no normals
+        numbers = _corner_numbers(_UNREADABLE_NORMAL.sub(rb"\g<1>0", text))
     if numbers is None or len(numbers) != 3 * sizes.sum():
         odd = next((face for face in statements.faces if not _FACE.fullmatch(face)), b"")
         raise FormatError(f"a face of the OBJ file is {odd[:60]!r}, which is not understood")

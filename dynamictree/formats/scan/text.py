@@ -28,6 +28,7 @@ _COLOR_NAMES = tuple(
 _UMLAUTS = {ord("ä"): "ae", ord("ö"): "oe", ord("ü"): "ue"}
 _COMMENT = re.compile(rb"[ \t]*(#|//|;|%|!|\")+")
 _LABELS = 16.0  # whole numbers up to here are classes or returns, not colours
+_APART = 0.02  # of the extent: neighbouring points of a scan are nearer than this to each other
 _MANY = 0.05  # of the rows: more points at the very origin than a scan has there
 _HEAD_BYTES = 1 << 16
 
@@ -74,7 +75,10 @@ def _is_empty(points: Float64[np.ndarray, "G 3"]) -> Bool[np.ndarray, " G"]:
     """Rows of zeros, where they are many or lie apart from all other points."""
     empty: Bool[np.ndarray, " G"] = (points == 0).all(axis=1)
     others = points[~empty]
-    apart = len(others) > 0 and bool((others.min(axis=0) > 0).any() or (others.max(axis=0) < 0).any())
+    if len(others) == 0:
+        return np.zeros_like(empty)
+    low, high = others.min(axis=0), others.max(axis=0)
+    apart = bool(np.maximum(low, -high).max() > _APART * (high - low).max())
     return empty if apart or empty.mean() > _MANY else np.zeros_like(empty)
 
 
