@@ -95,7 +95,7 @@ def list_jobs(
     limit: Annotated[int, Query(ge=1, le=MAX_PAGE, description="jobs a page")] = 20,
 ) -> JobListPayload:
     """Jobs, newest first."""
-    since_s = None if since is None else since.timestamp()
+    since_s = None if since is None else since.timestamp() - 1e-6  # times are sent rounded to microseconds
     chosen = {"state": state, "type": type, "asset_id": asset_id, "external_id": external_id}
     records = owned.store.jobs(chosen, since=since_s, before=cursor, limit=limit + 1)
     page, more = records[:limit], len(records) > limit

@@ -24,7 +24,7 @@ from dynamictree.spectrum import SparseVoxelSpectrum
 from jobs.database import tables as t
 from jobs.errors import FencedError, GoneError
 from jobs.lifecycle.attempts import hand_back, publish_stage, start_stage, succeed
-from jobs.lifecycle.maintenance import living, reap
+from jobs.lifecycle.maintenance import living, reap, worker_lease
 from jobs.records import AssetRecord, Claim, JobRecord, OutputFile
 from jobs.states import JobState, JobType
 from jobs.storage.artifacts import hash_file
@@ -276,7 +276,7 @@ def test_a_worker_says_that_it_is_there(runtime: Runtime) -> None:
     deadline = time.monotonic() + 20
     while not living(runtime.store, "worker:") and time.monotonic() < deadline:
         time.sleep(0.02)
-    assert living(runtime.store, "worker:") == [f"worker:{runtime.owner}"]
+    assert living(runtime.store, "worker:") == [worker_lease("cpu", runtime.owner)]
     runtime.heartbeat.leave()
     assert living(runtime.store, "worker:") == []
 
@@ -312,7 +312,7 @@ def test_a_heartbeat_that_dies_before_its_first_beat_starts_again(runtime: Runti
     waiting.join(60)
     assert not waiting.is_alive()
     assert runtime.heartbeat.pid != first
-    assert living(runtime.store, "worker:") == [f"worker:{runtime.owner}"]
+    assert living(runtime.store, "worker:") == [worker_lease("cpu", runtime.owner)]
 
 
 def test_every_parameter_of_a_job_is_part_of_the_key_of_a_stage() -> None:
