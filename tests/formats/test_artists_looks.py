@@ -68,6 +68,10 @@ def test_draco_streams_become_accessors_and_all_else_stays() -> None:
     for name, identity in extension["attributes"].items():
         decoded = stream.get_attribute_by_unique_id(identity)["data"]
         np.testing.assert_array_equal(document.accessor(primitive["attributes"][name]), decoded)
+        accessor = document.root["accessors"][primitive["attributes"][name]]
+        if "min" in accessor:
+            np.testing.assert_array_equal(accessor["min"], decoded.min(axis=0))
+            np.testing.assert_array_equal(accessor["max"], decoded.max(axis=0))
     np.testing.assert_array_equal(document.accessor(primitive["indices"]).reshape(-1, 3), stream.faces)
     assert new.pop("material") == old.pop("material")
     assert before.pop("extensionsRequired") == ["KHR_draco_mesh_compression"]

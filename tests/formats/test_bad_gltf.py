@@ -18,6 +18,22 @@ def read(content: bytes, file_type: str, **companions: bytes) -> TriangleMesh:
     return read_mesh(io.BytesIO(content), file_type=file_type, companions=companions)
 
 
+@pytest.mark.timeout(20)
+@pytest.mark.parametrize("named", [False, True])
+def test_nodes_outside_of_the_scene_may_form_a_circle(named: bool) -> None:
+    name = {"name": "a"} if named else {}
+    root, binary = triangle_gltf(nodes=[{"mesh": 0}, {"children": [2], **name}, {"children": [1]}])
+    assert read(gltf_bytes(root, binary), "glb").num_faces == 1
+
+
+@pytest.mark.timeout(20)
+def test_a_long_chain_of_nameless_nodes_is_read_in_linear_time() -> None:
+    count = 30_000
+    nodes = [{"mesh": 0, "name": "leaf"}, *({"children": [index]} for index in range(count))]
+    root, binary = triangle_gltf(nodes=nodes, scenes=[{"nodes": [count]}])
+    assert read(gltf_bytes(root, binary), "glb").part_names == ("leaf",)
+
+
 def test_instances_count_against_the_cap() -> None:
     nodes = [{"mesh": 0, "translation": [i, 0, 0]} for i in range(1000)]
     accessors = [

@@ -19,7 +19,7 @@ from dynamictree.formats.splat.splat import write_splat
 from dynamictree.formats.splat.spz import write_spz
 from dynamictree.gaussian.axes import to_source_axes, to_z_up
 from dynamictree.gaussian.cloud import GaussianCloud
-from dynamictree.gaussian.harmonics import harmonics
+from dynamictree.gaussian.harmonics import SH_0, harmonics
 from dynamictree.gaussian.rotation import quaternion_matrices
 from tests.formats.ksplat_bytes import ksplat_bytes
 
@@ -235,3 +235,33 @@ def test_the_conformance_matrix_reads_the_same_value_from_every_type(samples: Pa
     np.testing.assert_allclose(covariances(cloud)[:3], covariances(cloud)[[0, 0, 0]], rtol=1e-3)
     np.testing.assert_allclose(cloud.means, np.tile([[1, -3, 2]], (15, 1)))
     np.testing.assert_allclose(np.log(cloud.scales[4]), [1, -2, 3], rtol=1e-5)
+
+
+def _plain_ply(names: list[str], rows: np.ndarray) -> io.BytesIO:
+    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(rows)}"]
+    lines += [f"property float {name}" for name in names]
+    camera = "element intrinsic 2\nproperty float intrinsic\nend_header\n"  # SHARP writes its camera behind
+    return io.BytesIO("\n".join([*lines, camera]).encode() + rows.astype("<f4").tobytes() + bytes(8))
+
+
+PLACE, TURN = ["x", "y", "z", "opacity"], [f"rot_{i}" for i in range(4)]
+DISC, HARMONIC = ["scale_0", "scale_1"], [f"f_dc_{i}" for i in range(3)]
+
+
+def test_rows_of_a_splat_that_are_not_finite_are_left_out_and_counted() -> None:
+    names = [*PLACE, *TURN, *DISC, "scale_2", *HARMONIC]
+    rows = np.random.default_rng(0).normal(size=(9, len(names)))
+    rows[2, 0], rows[4, 5], rows[6, -1], rows[7, 4:8] = np.nan, np.inf, -np.inf, 0
+    cloud = read_cloud(_plain_ply(names, rows), file_type="ply", up_axis="+Z")
+    assert (cloud.num_gaussians, cloud.dropped) == (5, 4)
+    np.testing.assert_allclose(cloud.means, rows[[0, 1, 3, 5, 8], :3], rtol=1e-6)
+
+
+def test_discs_with_two_scales_and_plain_colours_are_read() -> None:
+    names = [*PLACE, *TURN, *DISC, "red", "green", "blue"]
+    rows = np.random.default_rng(0).normal(size=(9, len(names)))
+    rows[:, -3:] = (110, 75, 45)
+    cloud = read_cloud(_plain_ply(names, rows), file_type="ply", up_axis="+Z")
+    np.testing.assert_allclose(cloud.scales[:, :2], np.exp(rows[:, 8:10]), rtol=1e-5)
+    assert cloud.scales[:, 2].max() < 1e-9
+    np.testing.assert_allclose(cloud.sh[:, 0] * SH_0 + 0.5, np.tile(np.array([110, 75, 45]) / 255, (9, 1)), atol=1e-5)

@@ -337,3 +337,25 @@ def test_a_written_glb_is_read_by_trimesh(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(
         np.sort([low, high], axis=0), [mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)], atol=1e-5
     )
+
+
+def test_what_names_an_image_that_was_not_sent_is_not_written_back() -> None:
+    root, binary = triangle_gltf(
+        materials=[
+            {
+                "pbrMetallicRoughness": {"baseColorTexture": {"index": 0}, "metallicRoughnessTexture": {"index": 1}},
+                "extensions": {"KHR_materials_x": {"xTexture": {"index": 0}}},
+            }
+        ],
+        textures=[{"source": 0}, {"source": 1}],
+        images=[{"uri": "gone.png"}, {"uri": "here.png"}],
+    )
+    root["meshes"][0]["primitives"][0]["material"] = 0  # type: ignore[index]
+    mesh = read_mesh(io.BytesIO(gltf_bytes(root, binary)), file_type="glb", companions={"here.png": image_bytes()})
+    assert mesh.source_gltf is not None
+    written = json.loads(mesh.source_gltf.document)
+    assert [("uri" in image, "bufferView" in image) for image in written["images"]] == [(False, True)] * 2
+    assert written["materials"] == [
+        {"pbrMetallicRoughness": {"metallicRoughnessTexture": {"index": 1}}, "extensions": {"KHR_materials_x": {}}}
+    ]
+    assert "texture-missing" in [warning.code for warning in mesh.warnings]

@@ -1,6 +1,6 @@
 """Nodes of a glTF scene: which mesh stands where, and skins at rest."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +18,7 @@ from dynamictree.formats.json_fields import (
 )
 
 _INSTANCE_WIDTHS = {"TRANSLATION": 3, "ROTATION": 4, "SCALE": 3}
-_MOST_STEPS = 16  # of a node's path
+_MOST_NAMES = 16  # of a node's path
 MAX_INSTANCES = 200_000
 """Places of EXT_mesh_gpu_instancing in a scene. Each is a matrix and a part of the mesh."""
 
@@ -45,7 +45,7 @@ def mesh_instances(document: GltfDocument) -> Iterator[MeshInstance]:
     nodes, meshes = object_list(document.root, "nodes"), object_list(document.root, "meshes")
     skins = object_list(document.root, "skins")
     world = _world_transforms(document, nodes)
-    paths = _paths(nodes)
+    paths = _paths(nodes, world.keys())
     _refuse_many_instances(document, [nodes[index] for index in world])
     for index, transform in world.items():
         mesh = index_field(nodes[index], "mesh", meshes, "meshes")
@@ -66,20 +66,15 @@ def mesh_instances(document: GltfDocument) -> Iterator[MeshInstance]:
             )
 
 
-def _paths(nodes: list[JsonObject]) -> list[str]:
-    """Path of names from the root to each node. A slash in a name becomes a space."""
-    above = {child: index for index, node in enumerate(nodes) for child in index_list(node, "children", nodes)}
-    paths = []
-    for index in range(len(nodes)):
-        names: list[str] = []
-        step: int | None = index
-        while step is not None and len(names) < _MOST_STEPS:
-            name = nodes[step].get("name")
-            if isinstance(name, str) and name.strip():
-                names.append(name.strip().replace("/", " ")[:200])
-            step = above.get(step)
-        paths.append("/".join(reversed(names)))
-    return paths
+def _paths(nodes: list[JsonObject], order: Iterable[int]) -> dict[int, str]:
+    """Path of names from the root to each node of the scene, parents first. A slash in a name becomes a space."""
+    above = {child: index for index in order for child in index_list(nodes[index], "children", nodes)}
+    names: dict[int, tuple[str, ...]] = {}
+    for index in order:
+        name = nodes[index].get("name")
+        own = (name.strip().replace("/", " ")[:200],) if isinstance(name, str) and name.strip() else ()
+        names[index] = ((names[above[index]] if index in above else ()) + own)[-_MOST_NAMES:]
+    return {index: "/".join(path) for index, path in names.items()}
 
 
 def _world_transforms(document: GltfDocument, nodes: list[JsonObject]) -> dict[int, Float64[np.ndarray, "4 4"]]:
@@ -104,6 +99,8 @@ def _world_transforms(document: GltfDocument, nodes: list[JsonObject]) -> dict[i
 def _local_transform(node: JsonObject) -> Float64[np.ndarray, "4 4"]:
     if "matrix" in node:
         return np.array(numbers_field(node, "matrix", 16, ())).reshape(4, 4, order="F")  # stored by columns
+    if not node.keys() & {"translation", "rotation", "scale"}:
+        return np.eye(4)
     local: Float64[np.ndarray, "4 4"] = _compose(
         np.array([numbers_field(node, "translation", 3, (0.0, 0.0, 0.0))]),
         np.array([numbers_field(node, "rotation", 4, (0.0, 0.0, 0.0, 1.0))]),

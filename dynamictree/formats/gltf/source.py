@@ -4,6 +4,7 @@ Buffers become one, images move into it, Draco streams become plain accessors, a
 else changes: materials, textures, attributes, nodes, names, extras, extensions, skins and animations stay as they are.
 """
 
+import base64
 import json
 import mimetypes
 from collections.abc import Mapping, Sequence
@@ -25,6 +26,10 @@ MAX_SOURCE_BYTES = 256 << 20
 MAX_SOURCE_PRIMITIVES = 4000
 """Primitives with 31 targets each are 30 MB of JSON; players take seconds to parse it."""
 INSTANCING, DRACO = "EXT_mesh_gpu_instancing", "KHR_draco_mesh_compression"
+_PIXEL = base64.b64decode(
+    "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAAAAAA6fptVAAAACklEQVR4nGP4DwABAQEAsTj2FAAAAABJRU5ErkJggg=="
+)
+"""A white pixel that stands where an image was not sent along, so that the others keep their numbers."""
 _IMAGE_MAGIC = (
     (b"\x89PNG\r\n\x1a\n", "image/png"),
     (b"\xff\xd8\xff", "image/jpeg"),
@@ -89,6 +94,7 @@ def _source(document: GltfDocument, placed: Sequence[PlacedPrimitive], files: Ma
     merged = _Merged(root=json.loads(json.dumps(document.root, allow_nan=False), parse_float=_number))
     _merge_buffers(document, merged)
     _embed_images(merged, files)
+    _drop_dead_images(merged, files)
     _decode_draco(merged, placed)
     nodes = _instances_as_nodes(merged, placed)
     if not merged.root.get("scenes"):
@@ -141,6 +147,38 @@ def _embed_images(merged: _Merged, files: Mapping[int, bytes]) -> None:
         image["bufferView"] = merged.add_view(content)
 
 
+def _drop_dead_images(merged: _Merged, files: Mapping[int, bytes]) -> None:
+    """Take the textures of images that were not sent along from the materials: a name without a file is an error."""
+    images = merged.root.get("images", [])
+    dead = {index for index, image in enumerate(images) if "uri" in image and index not in files}
+    if not dead:
+        return
+    unusable = set()
+    for number, texture in enumerate(merged.root.get("textures", [])):
+        extensions = texture.get("extensions", {})
+        for name in [name for name, entry in extensions.items() if entry.get("source") in dead]:
+            del extensions[name]
+        if texture.get("source") in dead:
+            del texture["source"]
+        if "source" not in texture and not any("source" in entry for entry in extensions.values()):
+            unusable.add(number)
+    for material in merged.root.get("materials", []):
+        _forget_textures(material, unusable)
+    view = merged.add_view(_PIXEL)
+    for index in dead:
+        images[index] = {"name": str(images[index].get("name", images[index]["uri"])), "mimeType": "image/png"}
+        images[index]["bufferView"] = view
+
+
+def _forget_textures(entry: dict[str, Any], numbers: set[int]) -> None:
+    for name, below in list(entry.items()):
+        if isinstance(below, dict):
+            if name.endswith("Texture") and below.get("index") in numbers:
+                del entry[name]
+            else:
+                _forget_textures(below, numbers)
+
+
 def _mime_type(content: bytes, stated: str, uri: str) -> str:
     if content[:4] == b"RIFF" and content[8:12] == b"WEBP":
         return "image/webp"
@@ -180,6 +218,8 @@ def _add_accessor(merged: _Merged, old: Mapping[str, Any], elements: Shaped[np.n
     if padding:
         merged.root["bufferViews"][view]["byteStride"] = stored.itemsize * stored.shape[1] + padding
     entry = {name: value for name, value in old.items() if name not in ("byteOffset", "sparse")}
+    if "min" in entry or "max" in entry:  # those of the file are of the mesh before Draco rounded it
+        entry |= {"min": stored.min(axis=0).tolist(), "max": stored.max(axis=0).tolist()} if len(stored) else {}
     merged.root["accessors"].append(entry | {"bufferView": view, "count": len(stored)})
     return len(merged.root["accessors"]) - 1
 

@@ -11,6 +11,8 @@ from dynamictree.errors import FormatError
 from dynamictree.formats.ply_table import PlyHeader, axis_comments, read_elements, read_header
 from dynamictree.formats.seekable import SeekableReader
 from dynamictree.formats.splat.activations import (
+    MIN_SCALE,
+    harmonic_from_color,
     log_from_scales,
     logit_from_opacity,
     opacity_from_logit,
@@ -25,6 +27,7 @@ UP_AXIS = "-Y"
 _NORMALS = ("nx", "ny", "nz")
 _POSITION = ("x", "y", "z")
 _COLOR = ("f_dc_0", "f_dc_1", "f_dc_2")
+_BYTE_COLOR = ("red", "green", "blue")  # in place of harmonics, as nerfstudio can export
 _SCALE = ("scale_0", "scale_1", "scale_2")
 _ROTATION = ("rot_0", "rot_1", "rot_2", "rot_3")
 REQUIRED = (*_POSITION, *_COLOR, "opacity", *_SCALE, *_ROTATION)
@@ -45,26 +48,45 @@ def read_gaussian_rows(stream: SeekableReader, header: PlyHeader, *, up_axis: st
     """The same, from behind the header."""
     vertex = header.element("vertex")
     names = vertex.names if vertex else frozenset[str]()
-    missing = [name for name in REQUIRED if name not in names]
+    color = _COLOR if names.issuperset(_COLOR) or not names.issuperset(_BYTE_COLOR) else _BYTE_COLOR
+    missing = [name for name in REQUIRED if name not in names | {"scale_2"} | (set(_COLOR) - set(color))]
     if vertex is None or missing:
         raise FormatError(f"the PLY file is no Gaussian splat: its vertices have no {', '.join(missing)}")
     check_count(vertex.count)
     rest = rest_names(names)
     (rows,) = read_elements(stream, header, "vertex")
+    rows, dropped = _sound(rows)
     num_rest = len(rest) // 3
     sh = np.empty((len(rows), 1 + num_rest, 3), np.float32)
-    sh[:, 0] = _columns(rows, _COLOR)
+    stored = _columns(rows, color)
+    sh[:, 0] = stored if color == _COLOR else harmonic_from_color(stored / np.float32(255))
     # channel-major: all of red, then green, then blue
     for index, name in enumerate(rest):
         sh[:, 1 + index % num_rest, index // num_rest] = rows[name]
     cloud = GaussianCloud(
         means=_columns(rows, _POSITION),
         quaternions=unit_quaternions(_columns(rows, _ROTATION)),
-        scales=scales_from_log(_columns(rows, _SCALE)),
+        scales=scales_from_log(_scales(rows)),
         opacity=opacity_from_logit(rows["opacity"].astype(np.float32)),
         sh=sh,
+        dropped=dropped,
     )
     return to_z_up(validate_cloud(cloud), up_axis=up_axis, unit_m=unit_m)
+
+
+def _sound(rows: Shaped[np.ndarray, " G"]) -> tuple[Shaped[np.ndarray, " M"], int]:
+    """The rows that are finite and have a rotation, as training leaves some without; all of them if none is sound."""
+    sound = np.linalg.norm(_columns(rows, _ROTATION), axis=1) > 0
+    for name in rows.dtype.names or ():
+        sound &= np.isfinite(rows[name])
+    return (rows[sound], int((~sound).sum())) if sound.any() else (rows, 0)
+
+
+def _scales(rows: Shaped[np.ndarray, " G"]) -> Float32[np.ndarray, "G 3"]:
+    """Logarithms of scales; those of 2D Gaussian splatting (Huang et al. 2024) are two, of a disc."""
+    if "scale_2" in (rows.dtype.names or ()):
+        return _columns(rows, _SCALE)
+    return np.pad(_columns(rows, _SCALE[:2]), ((0, 0), (0, 1)), constant_values=np.float32(np.log(MIN_SCALE)))
 
 
 def write_gaussian_ply(cloud: GaussianCloud, stream: ByteWriter) -> None:

@@ -28,6 +28,8 @@ def read_splat(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: float 
         )
     check_count(size // _RECORD.itemsize)
     rows = np.frombuffer(stream.read(size), _RECORD)
+    sound = np.isfinite(rows["mean"]).all(axis=1) & np.isfinite(rows["scale"]).all(axis=1)
+    rows = rows[sound] if sound.any() else rows
     color = rows["rgba"][:, :3] / np.float32(255)
     cloud = GaussianCloud(
         means=rows["mean"].astype(np.float32),
@@ -35,6 +37,7 @@ def read_splat(stream: SeekableReader, *, up_axis: str = UP_AXIS, unit_m: float 
         scales=rows["scale"].astype(np.float32),
         opacity=rows["rgba"][:, 3].astype(np.float32) / np.float32(255),
         sh=harmonic_from_color(color)[:, None],
+        dropped=len(sound) - len(rows),
     )
     return to_z_up(validate_cloud(cloud), up_axis=up_axis, unit_m=unit_m)
 
