@@ -20,7 +20,7 @@ from dynamictree.gaussian.cloud import GaussianCloud, in_box
 from dynamictree.mesh import TriangleMesh
 from dynamictree.photo_requests import CutParams
 from dynamictree.plant.capture import Capture, carrying_mesh, with_still_parts
-from dynamictree.reconstruct.cut import BESIDE, of_the_tree
+from dynamictree.reconstruct.cut import of_the_tree
 from dynamictree.reconstruct.cut_mesh import mesh_in_box, plant_mesh
 from dynamictree.reconstruct.photo_previews import PHOTO_PREVIEWS
 from dynamictree.reconstruct.plant_cut import plant_of
@@ -144,7 +144,7 @@ def _cut_out(
         if not finished.report.get("held_out_masked_psnr_db"):  # masks leave no fog, but twigs that look like it
             own &= ~fog_of(scene, own)
         on_progress(0.8)
-        mesh = plant_mesh(mesh, scene, own, beside_m=BESIDE * radius_m)
+        mesh = plant_mesh(mesh, scene, own, radius_m=radius_m)
     else:
         if choice.box_m is not None:
             mesh, places = mesh_in_box(choice.box_m, mesh, scene.subset(own))
