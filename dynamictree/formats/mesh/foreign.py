@@ -5,6 +5,7 @@ import re
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from xml.etree import ElementTree
 
 import numpy as np
 
@@ -24,6 +25,8 @@ _3MF_UNITS_M = {  # 3MF core specification 1.3, section 3.4
     b"foot": 0.3048,
     b"meter": 1.0,
 }
+_Names = dict[str, list[tuple[str, str]]]
+_MOST_NAMES = 16  # of a node's path, as of glTF
 _DAE_UP = re.compile(rb"<up_axis>\s*([XYZ])_UP\s*</up_axis>")
 _DAE_UNIT = re.compile(rb"<unit\b[^>]*\bmeter\s*=\s*[\"']([-+0-9.eE]+)[\"']")
 
@@ -57,13 +60,13 @@ def read_foreign_mesh(content: bytes, *, file_type: str, companions: Mapping[str
         declared = _DAE_UNIT.search(content)
         axis = "+Y" if up is None else f"+{up[1].decode()}"
         unit = _positive(declared[1]) if declared else 1.0
-    mesh = _parsed(content, file_type, companions)
+    mesh = _parsed(content, file_type, companions, _dae_names(content) if file_type == "dae" else {})
     if mesh.num_faces < num_faces:  # trimesh reads what is there
         raise FormatError(f"the OFF header says {num_faces:,} faces, but {mesh.num_faces:,} are there; it is truncated")
     return ForeignMesh(mesh=mesh, up_axis=axis, unit_m=unit)
 
 
-def _parsed(content: bytes, file_type: str, companions: Mapping[str, bytes]) -> TriangleMesh:
+def _parsed(content: bytes, file_type: str, companions: Mapping[str, bytes], names: _Names) -> TriangleMesh:
     import trimesh
 
     class Beside(trimesh.resolvers.Resolver):  # type: ignore[misc]
@@ -100,7 +103,64 @@ def _parsed(content: bytes, file_type: str, companions: Mapping[str, bytes]) -> 
         raise MeshError(f"the file has {total:,} vertices with all instances; at most {MAX_VERTICES:,} are allowed")
     _, offset = near_origin(np.asarray(scene.bounds, np.float64))
     scene.apply_translation([-number for number in offset])
-    return replace(TriangleMesh.from_trimesh(scene), source_offset=offset, warnings=offset_warnings(offset))
+    mesh = replace(TriangleMesh.from_trimesh(scene), source_offset=offset, warnings=offset_warnings(offset))
+    geometries = [scene.graph[node][1] for node in scene.graph.nodes_geometry]
+    sizes = [(name, len(scene.geometry[name].faces)) for name in geometries if hasattr(scene.geometry[name], "faces")]
+    return _with_names(mesh, sizes, names)
+
+
+def _with_names(mesh: TriangleMesh, sizes: list[tuple[str, int]], names: _Names) -> TriangleMesh:
+    """The mesh with the names of its parts, which have the geometries and numbers of faces of `sizes`."""
+    if not names:
+        return mesh
+    waiting = {geometry: list(pairs) for geometry, pairs in names.items()}
+    parts = []
+    for geometry, _ in sizes:
+        own = geometry if geometry in waiting else geometry.rpartition("_")[0]  # trimesh numbers those after the first
+        parts.append(waiting[own].pop(0) if waiting.get(own) else ("", ""))
+    part_names = tuple(dict.fromkeys(name for name, _ in parts))
+    numbers = np.array([part_names.index(name) for name, _ in parts], np.int32)
+    materials = mesh.materials
+    if len(materials) == len(parts):
+        pairs = zip(materials, parts, strict=True)
+        materials = tuple(replace(material, name=name or material.name) for material, (_, name) in pairs)
+    face_part = np.repeat(numbers, [size for _, size in sizes])
+    return replace(mesh, materials=materials, part_names=part_names, face_part=face_part)
+
+
+def _dae_names(content: bytes) -> _Names:
+    """By the identity of a geometry, the path and the material of each of its primitives, as often as it is placed."""
+    try:
+        root = ElementTree.fromstring(content)
+    except ElementTree.ParseError as error:
+        raise FormatError(f"the DAE file cannot be read: {str(error)[:160]}") from error
+    labels = {one.get("id", ""): one.get("name") or one.get("id", "") for one in root.iter() if one.get("id")}
+    symbols = {
+        one.get("id", ""): [
+            primitive.get("material", "")
+            for primitive in one.iter()
+            if primitive.tag.rpartition("}")[2] in ("triangles", "polylist", "polygons")
+        ]
+        for one in root.iterfind(".//{*}geometry")
+    }
+    names: _Names = {}
+    waiting = [(node, "") for node in root.findall(".//{*}visual_scene/{*}node")[::-1]]
+    while waiting:
+        node, above = waiting.pop()
+        label = (node.get("name") or node.get("id") or "").replace("/", " ")[:200]
+        path = "/".join(filter(None, (*above.split("/"), label)[-_MOST_NAMES:]))
+        waiting += [(child, path) for child in node.findall("{*}node")[::-1]]
+        for placed in node.findall("{*}instance_geometry"):
+            geometry = placed.get("url", "").removeprefix("#")
+            bound = {
+                one.get("symbol", ""): labels.get(one.get("target", "").removeprefix("#"), "")
+                for one in placed.iterfind(".//{*}instance_material")
+            }
+            full = path if labels.get(geometry, path) in (label, geometry) else f"{path}/{labels[geometry]}"
+            names.setdefault(geometry, []).extend(
+                (full, bound.get(symbol, "")[:200]) for symbol in symbols.get(geometry, [])
+            )
+    return names
 
 
 def _check_off(content: bytes) -> int:
