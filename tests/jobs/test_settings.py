@@ -39,7 +39,7 @@ def test_settings_are_frozen_and_closed() -> None:
 
 def test_a_variable_that_is_no_setting_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DYNAMICTREE_LEESE_S", "5")
-    monkeypatch.setenv("DYNAMICTREE_URL", "http://localhost:8000")  # the client's, see docs/client.md
+    monkeypatch.setenv("DYNAMICTREE_URL", "http://localhost:8000")  # the client's, see docs/client-programmer.md
     monkeypatch.setenv("DYNAMICTREE_API_KEY", "secret")
     assert unknown_variables() == ["DYNAMICTREE_LEESE_S"]
 
