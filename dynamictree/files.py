@@ -11,6 +11,9 @@ from typing import BinaryIO
 
 from dynamictree.errors import InputError
 
+_PARTIAL = ".partial-"
+"""Of folders that a process writes in; its number follows."""
+
 
 @contextmanager
 def opened(path: Path) -> Iterator[BinaryIO]:
@@ -39,7 +42,8 @@ def published(folder: Path) -> Iterator[Path]:
     is_new = not folder.exists()
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        written = Path(tempfile.mkdtemp(prefix=".partial-", dir=folder))
+        _delete_abandoned(folder)
+        written = Path(tempfile.mkdtemp(prefix=f"{_PARTIAL}{os.getpid()}-", dir=folder))
     except OSError as error:
         raise InputError(f"nothing can be written to {folder}: {error.strerror}; choose another folder") from None
     try:
@@ -54,6 +58,24 @@ def published(folder: Path) -> Iterator[Path]:
             raise InputError(f"there is no room in {folder}: {error.strerror}; free some, or choose another") from None
         raise
     written.rmdir()
+
+
+def _delete_abandoned(folder: Path) -> None:
+    """Delete what processes wrote in a folder that were killed before they could delete it."""
+    for path in folder.glob(f"{_PARTIAL}*-*"):
+        pid = path.name.removeprefix(_PARTIAL).partition("-")[0]
+        if pid.isdecimal() and os.name == "posix" and not _is_alive(int(pid)):
+            shutil.rmtree(path, ignore_errors=True)
+
+
+def _is_alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)  # sends nothing
+    except ProcessLookupError:
+        return False
+    except OSError:
+        return True  # someone else's
+    return True
 
 
 @contextmanager

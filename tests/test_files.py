@@ -1,5 +1,7 @@
 import errno
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -43,3 +45,17 @@ def test_a_full_disk_is_reported_and_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no room"), published(tmp_path / "out"):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     assert list(tmp_path.iterdir()) == []
+
+
+def test_what_a_killed_process_left_is_deleted_and_what_others_write_is_not(tmp_path: Path) -> None:
+    code = (
+        "import os, sys; from pathlib import Path; from dynamictree.files import published\n"
+        "with published(Path(sys.argv[1])) as folder:\n"
+        "    (folder / 'half').write_bytes(b'x'); os.kill(os.getpid(), 9)\n"
+    )
+    subprocess.run([sys.executable, "-c", code, str(tmp_path / "out")], check=False)
+    assert len(list((tmp_path / "out").glob(".partial-*/half"))) == 1
+    with published(tmp_path / "out") as first, published(tmp_path / "out") as second:
+        assert sorted((tmp_path / "out").glob(".partial-*")) == sorted([first, second])
+        (first / "whole").write_bytes(b"y")
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["whole"]
