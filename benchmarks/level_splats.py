@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from benchmarks._machine import machine
 from dynamictree.formats.cloud_file import read_cloud
 from dynamictree.plant.level import up_of_standing
-from dynamictree.plant.upright import surface_points
+from dynamictree.plant.sample import surface_points
 from dynamictree.up_axis import turn_to_z
 from lab.dataset.sapling import grow_tree
 from lab.dataset.species import SPECIES
@@ -75,7 +75,7 @@ def _tally(scenes: dict[str, np.ndarray], tilts_deg: tuple[int, ...], rng: np.ra
 
 
 def _tree(species: str) -> np.ndarray:
-    sampled = surface_points(grow_tree(SPECIES[species], np.random.default_rng(4)).mesh)
+    sampled = surface_points(grow_tree(SPECIES[species], np.random.default_rng(4)).mesh, 20_000)
     assert sampled is not None
     points = sampled[0]
     return points - [0, 0, points[:, 2].min()]

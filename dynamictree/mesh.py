@@ -269,7 +269,7 @@ def connected_parts(faces: Int32[np.ndarray, "F 3"], num_vertices: int) -> Int32
 
 
 def part_bounds(
-    part: Int[np.ndarray, " N"], points: Float32[np.ndarray, "N 3"]
+    part: Int[np.ndarray, " N"], points: Float[np.ndarray, "N 3"]
 ) -> tuple[Float64[np.ndarray, "parts 3"], Float64[np.ndarray, "parts 3"]]:
     """Low and high corner of the points of each part [m]."""
     low, high = np.full((int(part.max()) + 1, 3), np.inf), np.full((int(part.max()) + 1, 3), -np.inf)

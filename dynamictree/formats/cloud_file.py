@@ -12,6 +12,7 @@ from dynamictree.formats.seekable import SeekableReader
 from dynamictree.formats.splat import compressed_ply, ksplat, sog, splat, spz
 from dynamictree.formats.splat import ply as gaussian_ply
 from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.plant.find import CloudFacts
 
 CloudKind = Literal["gaussians", "compressed-gaussians", "points", "mesh"]
 CloudType = Literal[
@@ -64,6 +65,9 @@ def read_cloud(
     return read(stream, up_axis=up_axis or usual_up, unit_m=1.0 if unit_m is None else unit_m)
 
 
+_OF_PHOTOS = frozenset(("x", "y", "z", "nx", "ny", "nz", "red", "green", "blue", "alpha"))
+
+
 def cloud_kind(stream: SeekableReader, *, file_type: str) -> CloudKind:
     """Describe a file by its header alone; the stream is left at its start.
 
@@ -87,25 +91,27 @@ def cloud_kind(stream: SeekableReader, *, file_type: str) -> CloudKind:
     return kind
 
 
-def says_up_axis(stream: SeekableReader, *, file_type: str) -> bool:
-    """Whether a comment names the up axis, or the file is no splat: scanners know it. Stream left at its start."""
-    stream.seek(0)
-    stated = file_type not in (*SPLAT_TYPES, "glb", "ply")
-    if file_type == "ply":
-        stated = read_header(stream).up_axis is not None
-    stream.seek(0)
-    return stated
+def cloud_facts(stream: SeekableReader, *, file_type: str) -> CloudFacts:
+    """What a file says of its origin, axis and unit; the stream is left at its start.
 
-
-def says_unit(stream: SeekableReader, *, file_type: str) -> bool:
-    """Whether lengths have a unit, as scans and some PLY do; the stream is left at its start."""
+    Points of a PLY with normals and colours and nothing else were made from photos, as COLMAP and Open3D write them:
+    scanners write intensities, and other formats of scans have a unit.
+    """
+    if file_type in (*SPLAT_TYPES, "glb"):
+        return CloudFacts(origin="splat")
+    if file_type != "ply":
+        return CloudFacts(origin="scan", says_axis=True, says_unit=True)
     stream.seek(0)
-    stated = file_type not in (*SPLAT_TYPES, "glb")
-    if file_type == "ply":
-        header = read_header(stream)
-        stated = header.unit_m is not None or _ply_kind(header) == "points"
+    header = read_header(stream)
     stream.seek(0)
-    return stated
+    vertex = header.element("vertex")
+    names = frozenset[str]() if vertex is None else vertex.names
+    says_axis, says_unit = header.up_axis is not None, header.unit_m is not None
+    if _ply_kind(header) != "points":
+        return CloudFacts(origin="splat", says_axis=says_axis, says_unit=says_unit)
+    if names >= {"nx", "ny", "nz", "red", "green", "blue"} and names <= _OF_PHOTOS:
+        return CloudFacts(origin="photos", says_axis=says_axis, says_unit=says_unit)
+    return CloudFacts(origin="scan", says_axis=says_axis, says_unit=True)
 
 
 def _ply_kind(header: PlyHeader) -> CloudKind:

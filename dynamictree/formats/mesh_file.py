@@ -15,11 +15,8 @@ from dynamictree.formats.mesh.stl import is_ascii_stl, read_stl
 from dynamictree.formats.ply_table import read_header
 from dynamictree.formats.refused import advice_for
 from dynamictree.mesh import TriangleMesh, validate_mesh
-from dynamictree.plant.axes import UNITS_M, axis_doubts, mesh_to_z_up
-from dynamictree.plant.likeness import doubt_plant
-from dynamictree.plant.still_parts import find_still_parts
-from dynamictree.plant.trees.of_mesh import with_trees
-from dynamictree.plant.upright import judge_each_standing, judge_standing
+from dynamictree.plant.find import plant_of_mesh
+from dynamictree.plant.place import Conventions
 from dynamictree.requests import Reading
 
 MESH_TYPES = ("obj", "ply", "glb", "gltf", "stl", "off", "3mf", "dae")
@@ -70,7 +67,7 @@ def read_mesh(
         stream: the file's bytes.
         file_type: one of `MESH_TYPES`, such as `sniff_file_type` gives.
         reading: the file's axis and unit; what is unset is as glTF or a PLY comment says, or is worked out
-            (see `axes.py`).
+            (see `plant/place.py`).
         companions: content of the files that the mesh may name (MTL, textures, buffers), by the names it uses.
 
     Raises:
@@ -81,42 +78,24 @@ def read_mesh(
         raise FormatError(f"the file is {what}; {ACCEPTED}")
     content = read_all(stream, MAX_FILE_BYTES)
     reading = reading or Reading()
-    up_axis, unit_m = reading.up_axis, reading.unit_m
-    doubt_size = unit_m is None  # what the format says of its unit is a habit, not a measurement
     beside = companions or {}
+    file = Conventions(usual_up_axis=_HABITS.get(file_type))
     if file_type in ("glb", "gltf"):
         mesh = read_gltf(content, companions=beside)
-        up_axis, unit_m = up_axis or _GLTF_UP_AXIS, unit_m or _GLTF_UNIT_M
+        file = Conventions(up_axis=_GLTF_UP_AXIS, unit_m=_GLTF_UNIT_M)
     elif file_type == "obj":
         mesh = read_obj(content, companions=beside)
     elif file_type == "ply":
         mesh = read_ply_mesh(content, companions=beside)
         header = read_header(io.BytesIO(content))
-        up_axis = up_axis or header.up_axis
-        unit_m = header.unit_m if unit_m is None else unit_m
+        file = replace(file, up_axis=header.up_axis, unit_m=header.unit_m)
     elif file_type == "stl":
         mesh = read_stl(content)
+        file = replace(file, usual_units_m=(1.0, 0.001))
     else:
         foreign = read_foreign_mesh(content, file_type=file_type, companions=beside)
-        mesh, up_axis, unit_m = foreign.mesh, up_axis or foreign.up_axis, unit_m or foreign.unit_m
-    validate_mesh(mesh)  # before its values are used to find axis and unit
-    upright = mesh_to_z_up(
-        mesh,
-        up_axis=up_axis,
-        unit_m=unit_m,
-        height_m=reading.height_m,
-        habit=_HABITS.get(file_type),
-        doubt_size=doubt_size,
-        units_m=(1.0, 0.001) if file_type == "stl" else UNITS_M,
-    )
-    validate_mesh(upright)
-    parts, still = find_still_parts(upright)
-    whole = replace(upright, still_parts=parts, still_faces=still)
-    if reading.up_axis is None and file_type in ("glb", "gltf", "dae", "3mf"):  # these state an axis
-        standing = judge_each_standing(whole.moving_part) or judge_standing(whole.moving_part)
-        doubts = axis_doubts(standing, upright.source_up_axis)
-        whole = replace(whole, warnings=whole.warnings + doubts)
-    return with_trees(replace(whole, warnings=whole.warnings + doubt_plant(whole)))
+        mesh, file = foreign.mesh, replace(file, up_axis=foreign.up_axis, unit_m=foreign.unit_m)
+    return plant_of_mesh(validate_mesh(mesh), reading, file)
 
 
 def sniff_file_type(head: bytes, filename: str = "") -> str:

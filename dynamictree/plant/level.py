@@ -12,14 +12,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from dynamictree.flat_points import FlatPoints, flat_points
+from dynamictree.planes import Direction, Plane, Points, best_plane, fit_plane, flat_points
+from dynamictree.plant.likeness import one_per_cell
 from dynamictree.plant.pot import axis_of_pot, find_pot
-from dynamictree.plant.still_gaussians import height_of
+from dynamictree.plant.still import height_of
 from dynamictree.up_axis import turn_to_z
 
-Points = Float64[np.ndarray, "_ 3"]
-Direction = Float64[np.ndarray, " 3"]
-
+_UP = np.array([0.0, 0.0, 1.0])
 _LEAST_DEG, _MOST_DEG = 6.0, 50.0
 """Tilt that is worth a turn; and beyond which another axis is up."""
 _STRAYS, _STRAYS_OF_POT = 0.01, 0.001  # of the points at each end of an axis
@@ -37,11 +36,11 @@ _ALONG_RISE, _MOST_TRIED = 0.94, 8
 """Cosine between such a direction and the way from the foot to the middle; and how many, the best first."""
 
 
-class _Plane(NamedTuple):
+class _Ground(NamedTuple):
     """What a scene may stand on."""
 
-    middle: Float64[np.ndarray, " 3"]
-    normal: Direction  # upward
+    middle: Direction
+    plane: Plane  # its normal upward
     share: float  # of the points
     width: float  # the lesser
 
@@ -57,24 +56,25 @@ def up_of_standing(points: Points) -> Direction | None:
     if len(thinned) < _LEAST_SAMPLED:
         return None
     thickness = _THICKNESS * float(np.linalg.norm(np.ptp(thinned, axis=0)))
-    plane = _lowest_plane(thinned, flat_points(thinned), thickness, rng)
-    above = thinned[:0] if plane is None else thinned[(thinned - plane.middle) @ plane.normal > 2 * thickness]
-    if plane is None or not _carries(plane, above):
+    ground = _lowest_plane(thinned, thickness, rng)
+    above = thinned[:0] if ground is None else thinned[ground.plane.above(thinned) > 2 * thickness]
+    if ground is None or not _carries(ground, above):
         up = _up_of_pot(_thinned(points, _STRAYS_OF_POT, _SAMPLED_OF_POT, rng), rng)
     else:
-        rise = _rise(above, above @ plane.normal)
-        up = plane.normal if rise @ plane.normal > rise[2] else None
+        normal = ground.plane.normal
+        rise = _rise(above, above @ normal)
+        up = normal if rise @ normal > rise[2] else None
     if up is None or not np.cos(np.radians(_MOST_DEG)) < up[2] < np.cos(np.radians(_LEAST_DEG)):
         return None
     return up
 
 
-def _carries(plane: _Plane, above: Points) -> bool:
+def _carries(ground: _Ground, above: Points) -> bool:
     """Whether much of a scene is on a plane, and the middle of what is above it is above it at its normal."""
-    if plane.share < _WIDE or len(above) < _FEWEST:
+    if ground.share < _WIDE or len(above) < _FEWEST:
         return False
-    way = above.mean(axis=0) - plane.middle
-    return bool(np.linalg.norm(way - way @ plane.normal * plane.normal) < plane.width)
+    way, normal = above.mean(axis=0) - ground.middle, ground.plane.normal
+    return bool(np.linalg.norm(way - way @ normal * normal) < ground.width)
 
 
 def _rise(points: Points, height: Float64[np.ndarray, " P"]) -> Direction:
@@ -116,24 +116,24 @@ def _directions() -> list[Direction]:
     return spread
 
 
-def _lowest_plane(points: Points, surface: FlatPoints, thickness: float, rng: np.random.Generator) -> _Plane | None:
-    """The plane that holds most points, by RANSAC."""
-    steep = np.abs(surface.normals[:, 2]) < np.cos(np.radians(_MOST_DEG))
-    best, best_count = None, _FEWEST - 1
-    for row in rng.permutation(np.flatnonzero(surface.flat & ~steep))[:_TRIALS]:
-        normal = surface.normals[row] * np.sign(surface.normals[row, 2])
-        offset = float(normal @ points[row])
-        if (points @ normal < offset - 2 * thickness).mean() > _BELOW:
-            continue
-        on = surface.on_plane(points, normal, offset, thickness)
-        if on.sum() > best_count:
-            best, best_count = on, int(on.sum())
+def _lowest_plane(points: Points, thickness: float, rng: np.random.Generator) -> _Ground | None:
+    """The plane that holds most points and has few below it."""
+    surface = flat_points(points)
+
+    def score(plane: Plane) -> float:
+        plane = plane.facing(_UP)
+        steep = plane.normal[2] < np.cos(np.radians(_MOST_DEG))
+        if steep or (plane.above(points) < -2 * thickness).mean() > _BELOW:
+            return 0.0
+        return float(surface.on(plane, thickness).sum())
+
+    best = best_plane(surface.planes(_TRIALS, rng), score, _FEWEST - 0.5)
     if best is None:
         return None
-    middle = points[best].mean(axis=0)
-    _, sizes, axes = np.linalg.svd(points[best] - middle, full_matrices=False)
-    width = float(np.sqrt(12 / best_count) * sizes[1])  # of a square of the same spread
-    return _Plane(middle, axes[2] * np.sign(axes[2, 2]), best_count / len(points), width)
+    on = points[surface.on(best, thickness)]
+    sizes = np.linalg.svd(on - on.mean(axis=0), compute_uv=False)
+    width = float(np.sqrt(12 / len(on)) * sizes[1])  # of a square of the same spread
+    return _Ground(on.mean(axis=0), fit_plane(on).facing(_UP), len(on) / len(points), width)
 
 
 def _thinned(points: Points, strays: float, most: int, rng: np.random.Generator) -> Points:
@@ -142,12 +142,5 @@ def _thinned(points: Points, strays: float, most: int, rng: np.random.Generator)
         return points[:0]
     low, high = np.quantile(points, [strays, 1 - strays], axis=0)
     points = points[((points >= low) & (points <= high)).all(axis=1)]
-    points = _one_per_cell(points, _CELL * float(np.linalg.norm(high - low)))
+    points = one_per_cell(points, _CELL * float(np.linalg.norm(high - low)))
     return points[rng.permutation(len(points))[:most]]
-
-
-def _one_per_cell(points: Points, cell: float) -> Points:
-    if cell <= 0:
-        return points
-    _, first = np.unique(np.floor((points - points.min(axis=0)) / cell).astype(np.int64), axis=0, return_index=True)
-    return points[np.sort(first)]

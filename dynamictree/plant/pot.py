@@ -7,7 +7,8 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from dynamictree.plant.ground import Points, is_level
+from dynamictree.planes import Points
+from dynamictree.plant.ground import is_level
 
 Wall = tuple[Float64[np.ndarray, "2"], Float64[np.ndarray, " S"]]
 """Axis, and distance from it in each sector [m]."""

@@ -14,7 +14,6 @@ Each of the six axes is a candidate. The cues of one, from points spread evenly 
 Their weights are those of a conditional logit (McFadden 1974) over trees of known axis, see docs/decisions/core.md.
 """
 
-import re
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,11 +21,16 @@ from jaxtyping import Bool, Float32, Float64, Int64
 
 from dynamictree.axis_names import AXES
 from dynamictree.mesh import TriangleMesh, connected_parts, part_bounds, weld
-from dynamictree.plant.still_gaussians import touching_groups
-from dynamictree.plant.still_parts import find_still_faces
+from dynamictree.plant.names import LEAF, WOOD
+from dynamictree.plant.sample import surface_points
+from dynamictree.plant.still import touching_groups
+from dynamictree.plant.still_mesh import find_still_parts
 
 CERTAIN = 0.8
 """Below this probability the axis is a guess, and the reader warns of it."""
+
+SURE_OF_POINTS = 0.95
+"""Points alone know less than a surface: those of conifers stand on their tips with 0.91."""
 
 CUES = (
     "foot", "foot-over-top", "trunk", "trunk-from-top", "balance", "wood", "wood-foot", "stem", "taper", "mass",
@@ -37,9 +41,6 @@ HABIT = 0.7
 """Added to the logit of the axis that is usual in a format: it decides where the shape says nothing."""
 USUAL, LIKELY = ("+Y", "+Z"), 0.65
 """Where none of the six is likely, the likelier of these: hardly any file stands on its head or side."""
-
-WOOD = re.compile(r"bark|trunk|wood|stem|branch|log\b|stamm|rinde|tronc|holz|twig|limb", re.IGNORECASE)
-LEAF = re.compile(r"lea[fv]|foliage|crown|needle|blatt|laub|feuill|frond|canopy|flower|blossom|petal", re.IGNORECASE)
 
 _POINTS = 20_000
 _APART, _SHARE = 0.03, 0.05
@@ -59,6 +60,7 @@ class UpAxis:
 
     axis: str
     confidence: float  # in [0, 1]
+    upright: float = 0.0  # probability of +Z
 
 
 def judge_up_axis(mesh: TriangleMesh, *, habit: str | None = None) -> UpAxis:
@@ -80,7 +82,7 @@ def judge_up_axis(mesh: TriangleMesh, *, habit: str | None = None) -> UpAxis:
 def judge_standing(mesh: TriangleMesh) -> UpAxis | None:
     """The most likely of the six axes of a mesh that stands on +Z as its file says; None of one without surface."""
     cues = axis_cues(mesh)
-    return None if cues is None else _likeliest(cues, "+Z")
+    return None if cues is None else _likeliest(cues, "+Z", any_axis=True)
 
 
 def judge_each_standing(mesh: TriangleMesh) -> UpAxis | None:
@@ -88,7 +90,7 @@ def judge_each_standing(mesh: TriangleMesh) -> UpAxis | None:
 
     Together they are wide, and say nothing.
     """
-    sampled = surface_points(mesh)
+    sampled = surface_points(mesh, _POINTS)
     if sampled is None:
         return None
     points, faces = sampled
@@ -107,17 +109,19 @@ def judge_each_standing(mesh: TriangleMesh) -> UpAxis | None:
     axis = max(AXES, key=lambda one: len(chances[one]))
     if 2 * len(chances[axis]) <= len(judged):
         return None
-    return UpAxis(axis=axis, confidence=float(np.mean(chances[axis])))
+    upright = float(np.mean([own.upright for own in judged]))
+    return UpAxis(axis=axis, confidence=float(np.mean(chances[axis])), upright=upright)
 
 
-def _likeliest(cues: Float64[np.ndarray, "6 C"], habit: str | None) -> UpAxis:
+def _likeliest(cues: Float64[np.ndarray, "6 C"], habit: str | None, *, any_axis: bool = False) -> UpAxis:
+    """The likeliest axis; where it is a guess, the likelier of the usual ones, unless any may be named."""
     logits = cues @ WEIGHTS + np.array([HABIT * (axis == habit) for axis in AXES])
     chances = np.exp(logits - logits.max())
     chances /= chances.sum()
     best = int(np.argmax(chances))
-    if chances[best] < LIKELY:
+    if chances[best] < LIKELY and not any_axis:
         best = max((AXES.index(axis) for axis in USUAL), key=lambda row: float(chances[row]))
-    return UpAxis(axis=AXES[best], confidence=float(chances[best]))
+    return UpAxis(axis=AXES[best], confidence=float(chances[best]), upright=float(chances[AXES.index("+Z")]))
 
 
 def _cues_of_plant(mesh: TriangleMesh, axis: str, cues: Float64[np.ndarray, " C"]) -> Float64[np.ndarray, " C"]:
@@ -125,24 +129,25 @@ def _cues_of_plant(mesh: TriangleMesh, axis: str, cues: Float64[np.ndarray, " C"
     column, sign = "XYZ".index(axis[1]), 1 if axis[0] == "+" else -1
     others = [other for other in range(3) if other != column]
     standing = np.stack([mesh.vertices[:, others[0]], mesh.vertices[:, others[1]], sign * mesh.vertices[:, column]], 1)
-    still = find_still_faces(mesh.with_vertices(np.ascontiguousarray(standing)))
+    still = find_still_parts(mesh.with_vertices(np.ascontiguousarray(standing)))[1]
     plant = None if still is None else axis_cues(replace(mesh, still_faces=still).moving_part, axes=(axis,))
     own: Float64[np.ndarray, " C"] = cues if plant is None else plant[0]
     return own
 
 
-def judge_up_axis_of_points(points: Float32[np.ndarray, "P 3"]) -> UpAxis:
-    """The most likely of the six axes by the points of a splat or scan alone; outlying ones do not count."""
+def judge_up_axis_of_points(points: Float32[np.ndarray, "P 3"]) -> UpAxis | None:
+    """The axis that the points of a splat or scan say for sure, else None; outlying ones do not count."""
     drawn = points[np.random.default_rng(0).permutation(len(points))[:_POINTS]].astype(np.float64)
     low, high = np.quantile(drawn, _OUTLIERS, axis=0)
     drawn = drawn[((drawn >= low) & (drawn <= high)).all(axis=1)]
     unknown = np.zeros(len(drawn), np.int64)
-    return _likeliest(_cues_of_points(drawn, unknown, unknown, AXES), None)
+    judged = _likeliest(_cues_of_points(drawn, unknown, unknown, AXES), "+Z", any_axis=True)
+    return judged if judged.confidence >= SURE_OF_POINTS else None
 
 
 def axis_cues(mesh: TriangleMesh, axes: tuple[str, ...] = AXES) -> Float64[np.ndarray, "A C"] | None:
     """The cues of each axis, in the order of `CUES`; None of a mesh without surface."""
-    sampled = surface_points(mesh)
+    sampled = surface_points(mesh, _POINTS)
     if sampled is None:
         return None
     points, faces = sampled
@@ -226,24 +231,6 @@ def _spreads(
     x, y = (column - (np.bincount(number, column, count) / size)[number] for column in across.T)
     spreads: Float64[np.ndarray, " S"] = np.bincount(number, np.sqrt(x * x + y * y), count) / size
     return spreads
-
-
-def surface_points(
-    mesh: TriangleMesh,
-) -> tuple[Float64[np.ndarray, "P 3"], Int64[np.ndarray, " P"]] | None:
-    """Points evenly over the surface, always the same ones, and their faces."""
-    corners = mesh.vertices[mesh.faces].astype(np.float64)
-    doubled = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    total = doubled.sum()
-    if not total > 0:
-        return None
-    rng = np.random.default_rng(0)
-    at = (np.arange(_POINTS) + rng.random(_POINTS)) / _POINTS * total
-    faces = np.minimum(np.searchsorted(np.cumsum(doubled), at), len(doubled) - 1)
-    u, v = np.sqrt(rng.random(_POINTS)), rng.random(_POINTS)
-    weights = np.stack([1 - u, u * (1 - v), u * v], axis=1)
-    points: Float64[np.ndarray, "P 3"] = np.einsum("pi,pic->pc", weights, corners[faces])
-    return points, faces
 
 
 def _kinds(mesh: TriangleMesh) -> Int64[np.ndarray, " F"]:

@@ -5,19 +5,19 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from hashlib import sha256
 from pathlib import Path
 
 from PIL import Image, ImageOps, UnidentifiedImageError
 
 from dynamictree.errors import FormatError, InputError
-from dynamictree.formats.photo import PHOTO_FORMATS, open_photo
 from dynamictree.formats.suffixes import MASKS
-from dynamictree.photo_requests import MAX_PHOTOS, MIN_PHOTOS, QUALITIES
+from dynamictree.photo_requests import MAX_PHOTOS, MIN_PHOTOS
 
+FORMATS = ("JPEG", "PNG", "WEBP", "TIFF")
 MAX_PHOTO_BYTES = 64 * 2**20
 MAX_PHOTO_PIXELS = 64_000_000  # the largest common camera's; decoding takes 200 MB
 MIN_SIDE_PX = 240
+LONG_SIDE_PX = 1200  # to which photos are reduced: two cores match a pair in a fraction of a second
 
 _EXIF_IFD, _FOCAL_35MM, _ORIENTATION = 0x8769, 0xA405, 0x0112
 _SIDEWAYS = (5, 6, 7, 8)
@@ -32,7 +32,7 @@ class Photo:
     """A photo ready for matching."""
 
     source: str  # the file's name as given
-    name: str  # of the prepared file, below its folder; the same whatever other photos there are
+    name: str  # of the prepared file, below its folder
     width: int
     height: int
     focal_px: float | None  # as EXIF tells it, or None
@@ -46,13 +46,10 @@ class PhotoFile:
     path: Path
     name: str  # its own; with its folders where two have the same
     mask: Path | None = None  # a picture of the same size, white where the tree is
-    side_px: int = QUALITIES["standard"].photo_px  # to which its long side is reduced
     as_stored: bool = False  # a given camera is of the picture as it is stored, whatever EXIF says of its top
 
 
-def list_photos(
-    paths: Sequence[Path], root: Path | None = None, *, side_px: int = QUALITIES["standard"].photo_px
-) -> list[PhotoFile]:
+def list_photos(paths: Sequence[Path], root: Path | None = None) -> list[PhotoFile]:
     """Name the photos, and find their masks: of the same name, or stem, in a folder `masks`."""
     masks: dict[str, Path] = {}
     if root is not None:
@@ -65,7 +62,7 @@ def list_photos(
     for path in photo_paths:
         name = path.relative_to(root).as_posix() if root is not None and alike else path.name
         mask = masks.get(path.name) or masks.get(path.stem)
-        photos.append(PhotoFile(path=path, name=name, mask=mask, side_px=side_px))
+        photos.append(PhotoFile(path=path, name=name, mask=mask))
     if masks and not all(photo.mask for photo in photos):
         bare = next(photo.name for photo in photos if photo.mask is None)
         raise InputError(f"there are masks, but none for {bare}; give one a photo, of the same name, or none at all")
@@ -107,20 +104,17 @@ def prepare_photos(
 
     Raises:
         InputError: too few or too many photos.
-        FormatError: a file that is no JPEG, PNG, WebP, TIFF or HEIC, is truncated, too large or too small; a mask of
-            another size than its photo.
+        FormatError: a file that is no JPEG, PNG, WebP or TIFF, is truncated, too large or too small; a mask of another
+            size than its photo.
     """
-    advice = "walk around the tree and take one every 10 to 20 degrees"
     if not MIN_PHOTOS <= len(photos) <= MAX_PHOTOS:
+        advice = "walk around the tree and take one every 10 to 20 degrees"
         raise InputError(f"{len(photos)} photos were given; {MIN_PHOTOS} to {MAX_PHOTOS} are needed; {advice}")
-    different = len({sha256(photo.path.read_bytes()).digest() for photo in photos})
-    if different < MIN_PHOTOS:
-        raise InputError(f"{len(photos)} photos were given and {different} of them differ; {MIN_PHOTOS} must; {advice}")
     folder.mkdir(parents=True, exist_ok=True)
     prepared = []
     for number, photo in enumerate(photos):
         on_photo(number, len(photos))
-        prepared.append(_prepare(photo, folder, f"{sha256(photo.name.encode()).hexdigest()[:16]}.jpg"))
+        prepared.append(_prepare(photo, folder, f"{number:04d}.jpg"))
     on_photo(len(photos), len(photos))
     return prepared if _any_transparent(prepared, folder) else [replace(photo, masked=False) for photo in prepared]
 
@@ -149,8 +143,8 @@ def _prepare(photo: PhotoFile, folder: Path, name: str) -> Photo:
             problem = f"the mask of {photo.name} has {alpha.width} x {alpha.height} pixels"
             raise FormatError(f"{problem}, its photo another shape; make masks of the photos as they are")
     upright = upright.convert("RGB")
-    if max(upright.size) > photo.side_px:
-        upright.thumbnail((photo.side_px, photo.side_px), Image.Resampling.LANCZOS)
+    if max(upright.size) > LONG_SIDE_PX:
+        upright.thumbnail((LONG_SIDE_PX, LONG_SIDE_PX), Image.Resampling.LANCZOS)
     upright.save(folder / name, format="JPEG", quality=95, subsampling=0, exif=b"")
     if alpha is not None:
         alpha.resize(upright.size, Image.Resampling.BOX).save(folder / f"{name}.png")
@@ -167,7 +161,7 @@ def _prepare(photo: PhotoFile, folder: Path, name: str) -> Photo:
 
 def _decoded(image: Image.Image, photo: PhotoFile, *, reduced: bool) -> Image.Image:
     if reduced:
-        image.draft("RGB", (photo.side_px, photo.side_px))  # a JPEG is decoded at the next larger of 1/2, 1/4, 1/8
+        image.draft("RGB", (LONG_SIDE_PX, LONG_SIDE_PX))  # a JPEG is decoded at the next larger of 1/2, 1/4, 1/8
     try:
         turned = image.copy() if photo.as_stored else ImageOps.exif_transpose(image)
         return turned.convert("RGBA" if "A" in turned.getbands() or "transparency" in turned.info else "RGB")
@@ -187,9 +181,9 @@ def _opened(path: Path, name: str) -> Iterator[Image.Image]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # our own cap, below, is tighter
-            image = open_photo(path, name)
+            image = Image.open(path, formats=FORMATS)
     except UnidentifiedImageError as error:
-        raise FormatError(f"{name} is none of {', '.join(PHOTO_FORMATS)}; convert it to one of them") from error
+        raise FormatError(f"{name} is none of {', '.join(FORMATS)}; convert it to one of them") from error
     except Image.DecompressionBombError as error:
         raise FormatError(f"{name}: {error}; {MAX_PHOTO_PIXELS:,} pixels are allowed") from error
     with image:

@@ -7,7 +7,8 @@ from jaxtyping import Bool, Float64
 from scipy.spatial import cKDTree
 
 from dynamictree.gaussian.cloud import GaussianCloud
-from dynamictree.plant.still_gaussians import find_still_gaussians, touching_groups
+from dynamictree.plant.still import touching_groups
+from dynamictree.plant.still_cloud import find_still_gaussians
 from dynamictree.reconstruct.scene_planes import THICKNESS, wide_planes
 from dynamictree.reconstruct.seen_from import SeenFrom, focus_of
 
@@ -47,8 +48,9 @@ def propose(cloud: GaussianCloud, views: list[SeenFrom]) -> Proposal:
     rows = np.flatnonzero(near)
     cameras = np.array([view.camera.position_m for view in chosen])
     planes = wide_planes(means[rows], cameras, focus, distance)
-    height = means @ planes[:, :3].T - planes[:, 3]
-    background[rows] = (height[rows] < THICKNESS * distance).any(axis=1)
+    heights = [plane.above(means) for plane in planes]
+    for height in heights:
+        background[rows] |= height[rows] < THICKNESS * distance
     rows = np.flatnonzero(near & ~background & (coverage >= _IN_PICTURE))
     if len(rows):
         background[rows] = find_still_gaussians(cloud.subset(rows))[1] > 0
@@ -56,9 +58,9 @@ def propose(cloud: GaussianCloud, views: list[SeenFrom]) -> Proposal:
     inside = _inside_groups(means[rows], coverage[rows] >= _IN_PICTURE, middle[rows], cell_m=_CELL * distance)
     background[rows] = ~inside
     central = near & ~background & (coverage >= _IN_PICTURE)
-    for plane, above in zip(planes, height.T, strict=True):
-        if plane[2] > _LEVEL:
-            central |= near & _feet(means, above, central, THICKNESS * distance)
+    for plane, height in zip(planes, heights, strict=True):
+        if plane.normal[2] > _LEVEL:
+            central |= near & _feet(means, height, central, THICKNESS * distance)
     background &= ~central
     return Proposal(near=near, background=background | (near & (coverage < _IN_PICTURE)), central=central)
 

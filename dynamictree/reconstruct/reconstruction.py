@@ -11,7 +11,6 @@ from jaxtyping import Bool
 
 from dynamictree.errors import InputError, ReconstructionError
 from dynamictree.gaussian.cloud import GaussianCloud
-from dynamictree.photo_requests import QUALITIES
 from dynamictree.reconstruct.camera_circle import camera_circle, coverage_warnings
 from dynamictree.reconstruct.cameras import ADVICE, find_cameras
 from dynamictree.reconstruct.coloured_mesh import Shape, best_mesh_of, finished_shape
@@ -31,7 +30,6 @@ from dynamictree.reconstruct.splat import SplatFit, fit_splat
 from dynamictree.reconstruct.views import SparseModel, read_model
 from dynamictree.reconstruct.work_folder import WorkFolder, opened_work
 
-MorePhotos = Callable[[SparseModel], Sequence[Path]]
 UNKNOWN_HEIGHT_M = 1.0  # of a mesh whose scale is unknown
 _LEAST_GAUSSIANS = 50
 
@@ -42,8 +40,6 @@ class ReconstructOptions:
 
     height_m: float | None = None  # of the tree; photos alone tell no size
     schedule: Schedule = field(default_factory=Schedule)
-    photo_px: int = QUALITIES["standard"].photo_px  # long side to which photos are reduced
-    max_views: int = QUALITIES["standard"].max_views  # that depths and splat are made of, evenly chosen
 
     def __post_init__(self) -> None:
         if self.height_m is not None and not 0 < self.height_m < 1000:
@@ -57,7 +53,6 @@ def reconstruct(
     options: ReconstructOptions | None = None,
     root: Path | None = None,
     work: Path | None = None,
-    more_photos: MorePhotos | None = None,
     read_photos: ReadPhotos = read_photos,
     on_progress: OnProgress = ignore_progress,
     on_file: Callable[[Path], None] = lambda path: None,
@@ -76,7 +71,6 @@ def reconstruct(
         root: the folder that contains the photos, searched for cameras (`given`) and masks (`photos`).
         work: a folder for the results of finished stages; a later call with the same photos continues there. None:
             nothing is saved.
-        more_photos: gets the cameras that were found, and gives all photos to go on with, or none if these suffice.
         read_photos: reads photos and camera files; a service does it in a confined process.
         on_progress: called at least every quarter of a second, except while the mesh is made. An exception in it stops
             the work, ends child processes, and passes through.
@@ -89,33 +83,16 @@ def reconstruct(
     """
     options = options or ReconstructOptions()
     clock, draft = StageClock(on_progress), Draft(folder=folder, on_file=on_file)
-    listed = list_photos(photos, root, side_px=options.photo_px)
+    listed = list_photos(photos, root)
     with ExitStack() as stack:
         path = work or Path(stack.enter_context(tempfile.TemporaryDirectory(dir=folder, prefix="work-")))
-        work_folder = opened_work(
-            path,
-            _sources(listed, root),
-            options.schedule,
-            photo_px=options.photo_px,
-            max_views=options.max_views,
-        )
-        space = stack.enter_context(work_folder)
+        space = stack.enter_context(opened_work(path, _sources(listed, root), options.schedule))
         model = _find_cameras(listed, root, space, clock, read_photos)
-        if more_photos is not None and (all_photos := more_photos(model)):
-            listed = list_photos(all_photos, root, side_px=options.photo_px)
-            space.extend(_sources(listed, root))
-            model = _find_cameras(listed, root, space, clock, read_photos)
         write_cameras(model.views, folder, scale="unknown")
         on_file(folder / "cameras.json")
         model = evenly_exposed(model)
         with clock.stage("depth") as report:
-            scene = find_scene(
-                model,
-                max_views=options.max_views,
-                saved=space.depths,
-                on_model=draft.show_points,
-                on_progress=report,
-            )
+            scene = find_scene(model, saved=space.depths, on_model=draft.show_points, on_progress=report)
         with clock.stage("splat") as report:
             fit = fit_splat(
                 scene.matched,

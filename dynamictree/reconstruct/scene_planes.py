@@ -1,11 +1,8 @@
 """Wide planes in a scene of points that all cameras are in front of: floors, tables, walls, cloths."""
 
 import numpy as np
-from jaxtyping import Float64
 
-from dynamictree.flat_points import NEIGHBOURS, FlatPoints, flat_points
-
-Points = Float64[np.ndarray, "_ 3"]
+from dynamictree.planes import NEIGHBOURS, Direction, Plane, Points, best_plane, fit_plane, flat_points
 
 _SAMPLED = 8000  # points that planes are sought in
 _TRIALS = 400
@@ -17,69 +14,40 @@ _IN_FRONT = 0.95  # of the cameras
 _FOCUS_GAP = 0.03  # of the cameras' distance: the plane does not pass through what the cameras look at
 
 
-def wide_planes(
-    points: Points, cameras: Points, focus: Float64[np.ndarray, "3"], distance_m: float
-) -> Float64[np.ndarray, "L 4"]:
-    """Normal and offset of each plane that is wide and flat, and that cameras and what they look at are in front of.
+def wide_planes(points: Points, cameras: Points, focus: Direction, distance_m: float) -> list[Plane]:
+    """Each plane that is wide and flat, and that cameras and what they look at are in front of.
 
     Points nearer than `THICKNESS` times the distance are on it. Planes are sought by RANSAC among the points' own
     normals, so that a crown's points, which have all normals, are no plane.
     """
+    if len(points) <= NEIGHBOURS:
+        return []
     rng = np.random.default_rng(0)
-    rest = np.sort(rng.permutation(len(points))[:_SAMPLED])
-    thickness = THICKNESS * distance_m
-    planes = []
-    behind = np.zeros(len(points), np.bool_)
-    if len(rest) <= NEIGHBOURS:
-        return np.zeros((0, 4))
-    surface = flat_points(points[rest])
-    least = _LEAST_SHARE * len(rest)
-    for _ in range(_MOST_PLANES):
-        left = ~behind[rest]
-        plane = _best_plane(points[rest[left]], surface.subset(left), cameras, focus, thickness, least, rng)
-        if plane is None:
+    surface = flat_points(points[np.sort(rng.permutation(len(points))[:_SAMPLED])])
+    least, thickness = _LEAST_SHARE * len(surface.places), THICKNESS * distance_m
+    planes: list[Plane] = []
+
+    def score(plane: Plane) -> float:
+        plane = plane.facing(focus - plane.offset * plane.normal)
+        on = surface.on(plane, thickness)
+        wide = on.sum() > least and _is_wall(surface.places[on], plane.normal, cameras, focus, distance_m)
+        return float(on.sum()) if wide else 0.0
+
+    while len(planes) < _MOST_PLANES and len(surface.places):
+        best = best_plane(surface.planes(_TRIALS, rng), score, least)
+        if best is None:
             break
-        planes.append(plane)
-        behind |= points @ plane[:3] - plane[3] < thickness
-    return np.array(planes).reshape(-1, 4)
+        plane = fit_plane(surface.places[surface.on(best, thickness)])
+        planes.append(plane.facing(focus - plane.offset * plane.normal))
+        surface = surface.subset(planes[-1].above(surface.places) >= thickness)
+    return planes
 
 
-def _best_plane(
-    points: Points,
-    surface: FlatPoints,
-    cameras: Points,
-    focus: Float64[np.ndarray, "3"],
-    thickness: float,
-    least: float,
-    rng: np.random.Generator,
-) -> Float64[np.ndarray, "4"] | None:
-    """Normal towards the cameras and offset of the plane with most flat points along it; None if none is enough."""
-    candidates = np.flatnonzero(surface.flat)
-    best, best_count = None, least
-    for row in rng.permutation(candidates)[:_TRIALS]:
-        normal = surface.normals[row] * np.sign((focus - points[row]) @ surface.normals[row])
-        on = surface.on_plane(points, normal, float(normal @ points[row]), thickness)
-        if on.sum() > best_count and _is_wall(points[on], normal, cameras, focus, thickness):
-            best, best_count = on, int(on.sum())
-    if best is None:
-        return None
-    middle = points[best].mean(axis=0)
-    normal = np.linalg.svd(points[best] - middle, full_matrices=False)[2][2]
-    normal = normal * np.sign((focus - middle) @ normal)
-    return np.append(normal, normal @ middle)
-
-
-def _is_wall(
-    points: Points,
-    normal: Float64[np.ndarray, "3"],
-    cameras: Points,
-    focus: Float64[np.ndarray, "3"],
-    thickness: float,
-) -> bool:
+def _is_wall(points: Points, normal: Direction, cameras: Points, focus: Direction, distance_m: float) -> bool:
     middle = points.mean(axis=0)
-    if (focus - middle) @ normal < thickness * _FOCUS_GAP / THICKNESS:
+    if (focus - middle) @ normal < _FOCUS_GAP * distance_m:
         return False
     if ((cameras - middle) @ normal > 0).mean() < _IN_FRONT:
         return False
     spread = np.sqrt(np.linalg.eigvalsh(np.cov((points - middle).T)))
-    return bool(np.sqrt(12) * spread[1] > _LEAST_WIDTH * thickness / THICKNESS)
+    return bool(np.sqrt(12) * spread[1] > _LEAST_WIDTH * distance_m)

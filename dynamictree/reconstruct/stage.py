@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
+from dynamictree.planes import Plane, best_plane, fit_plane, planes_of_triples, support
 from dynamictree.reconstruct.views import SparseModel
 
 _TRIALS = 400
@@ -104,29 +105,18 @@ def _ground_plane(
     """Normal and offset of the plane with most points on it, few below, and all cameras above (RANSAC)."""
     if len(points) < 50:
         return None
-    best, best_score = None, _GROUND_SHARE * len(points)
     least_up = np.cos(np.radians(_CLEAR_GROUND_DEG)) if cues_agree else _LEAST_UP
-    for corners in rng.integers(0, len(points), (_TRIALS, 3)):
-        a, b, c = points[corners]
-        normal = np.cross(b - a, c - a)
-        length = np.linalg.norm(normal)
-        if length == 0:
-            continue
-        normal *= np.sign(normal @ up) / length
-        if normal @ up < least_up or (cameras @ normal - normal @ a).min() < 0:
-            continue
-        score = _support(points @ normal - normal @ a, thickness)
-        leans = cues_agree and normal @ up < np.cos(np.radians(_AGREE_DEG))
-        if score > best_score and not (leans and score < _CLEAR_GROUND_SHARE * len(points)):
-            best, best_score = (normal, float(normal @ a)), score
+
+    def score(plane: Plane) -> float:
+        plane = plane.facing(up)
+        if plane.normal @ up < least_up or plane.above(cameras).min() < 0:
+            return -np.inf
+        own = support(plane.above(points), thickness)
+        leans = cues_agree and plane.normal @ up < np.cos(np.radians(_AGREE_DEG))
+        return -np.inf if leans and own < _CLEAR_GROUND_SHARE * len(points) else own
+
+    best = best_plane(planes_of_triples(points, _TRIALS, rng), score, _GROUND_SHARE * len(points))
     if best is None:
         return None
-    on_plane = np.abs(points @ best[0] - best[1]) < thickness
-    middle = points[on_plane].mean(axis=0)
-    normal = np.linalg.svd(points[on_plane] - middle, full_matrices=False)[2][2]
-    normal *= np.sign(normal @ up)
-    return normal, float(normal @ middle)
-
-
-def _support(height: Float64[np.ndarray, " P"], thickness: float) -> float:
-    return float((np.abs(height) < thickness).sum() - 2 * (height < -thickness).sum())
+    ground = fit_plane(points[np.abs(best.above(points)) < thickness]).facing(up)
+    return ground.normal, ground.offset

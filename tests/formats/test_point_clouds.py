@@ -11,9 +11,9 @@ import pytest
 from dynamictree.errors import FormatError, InputError
 from dynamictree.formats.cloud_file import cloud_kind, read_cloud
 from dynamictree.formats.scan.points import cloud_of_points
-from dynamictree.formats.source_file import _doubt_plant, read_capture, source_kind
+from dynamictree.formats.source_file import read_capture, source_kind
 from dynamictree.gaussian.harmonics import SH_0
-from dynamictree.plant.capture import Capture
+from dynamictree.plant.likeness import doubt_cloud
 from dynamictree.up_axis import up_rotation
 
 
@@ -269,7 +269,7 @@ def test_what_does_not_look_like_a_plant_is_doubted(
     count: int, height: float, doubted: bool, rng: np.random.Generator
 ) -> None:
     lines = rng.uniform([-1, -1, 0], [1, 1, height], size=(count, 3))
-    warnings = _doubt_plant(Capture(cloud=cloud_of_points(lines)))
+    warnings = doubt_cloud(cloud_of_points(lines))
     assert ("not-like-a-plant" in [warning.code for warning in warnings]) == doubted
 
 
@@ -277,11 +277,11 @@ def test_specks_far_from_each_other_are_doubted(rng: np.random.Generator) -> Non
     places = rng.uniform([-1, -1, 0], [1, 1, 2], size=(2000, 3))
     solid = cloud_of_points(places)
     specks = replace(solid, scales=solid.scales / 20)
-    codes = [[warning.code for warning in _doubt_plant(Capture(cloud=cloud))] for cloud in (solid, specks)]
+    codes = [[warning.code for warning in doubt_cloud(cloud)] for cloud in (solid, specks)]
     assert codes == [[], ["not-like-a-plant"]]
     along = np.stack([np.zeros(2000), np.zeros(2000), np.linspace(0, 5, 2000)], axis=1)
     stem = cloud_of_points(along + rng.normal(0, 0.01, along.shape))
-    assert _doubt_plant(Capture(cloud=replace(stem, scales=stem.scales / 20))) == ()  # small, but they hang together
+    assert doubt_cloud(replace(stem, scales=stem.scales / 20)) == ()  # small, but they hang together
 
 
 @pytest.mark.parametrize("up_axis", ["+Z", "-Y"])

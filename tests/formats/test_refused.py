@@ -39,7 +39,7 @@ def usdz() -> bytes:
         ("tree.glb", LFS, "git lfs pull"),
         ("tree.glb", b"<!DOCTYPE html><title>404</title>", "web page"),
         ("tree.glb", b"", "empty"),
-        ("photo.heic", b"\0\0\0\x18ftypheic", "dynamictree reconstruct"),
+        ("photo.heic", b"\0\0\0\x18ftypheic", "JPEG"),
         ("walk.mov", b"\0\0\0\x14ftypqt  ", "dynamictree reconstruct"),
         ("tree.mtl", b"newmtl leaf\nKd 1 1 1\n", "give the OBJ"),
     ],

@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter, label
 from skimage.measure import marching_cubes
 
 from dynamictree.mesh import TriangleMesh, connected_parts
-from dynamictree.plant.still_parts import find_still_parts
+from dynamictree.plant.still_mesh import find_still_parts
 from lab.dataset.sapling import grow_tree
 from lab.dataset.species import SPECIES
 

@@ -15,7 +15,7 @@ from dynamictree.gaussian.axes import to_source_axes, transformed
 from dynamictree.gaussian.cloud import GaussianCloud, joined
 from dynamictree.plant.capture import Capture, moving_part
 from dynamictree.plant.level import up_of_standing
-from dynamictree.plant.upright import surface_points
+from dynamictree.plant.sample import surface_points
 from dynamictree.requests import Reading
 from dynamictree.up_axis import up_rotation
 from lab.dataset.sapling import grow_tree
@@ -75,7 +75,7 @@ def test_a_tree_without_ground_stays_as_it_is(species: str) -> None:
 @pytest.mark.parametrize("species", ["spreading-broadleaf", "spire-conifer", "acacia"])
 def test_the_side_of_a_crown_is_nothing_that_a_tree_stands_on(species: str) -> None:
     """Points spread evenly over leaves and wood, tilted to eight sides."""
-    sampled = surface_points(grow_tree(SPECIES[species], np.random.default_rng(4)).mesh)
+    sampled = surface_points(grow_tree(SPECIES[species], np.random.default_rng(4)).mesh, 20_000)
     assert sampled is not None
     for turn in np.arange(8) * np.pi / 4:
         tilt = Rotation.from_rotvec(np.radians(40) * np.array([np.cos(turn), np.sin(turn), 0]))

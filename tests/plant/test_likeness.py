@@ -9,7 +9,7 @@ import trimesh
 
 from dynamictree.commands.source import load_mesh
 from dynamictree.formats.mesh_file import read_mesh
-from dynamictree.plant.likeness import doubt_plant
+from dynamictree.plant.likeness import doubt_mesh
 from dynamictree.requests import Reading
 from lab.dataset.sapling import grow_tree
 from lab.dataset.species import SPECIES
@@ -55,7 +55,7 @@ def test_turned_bodies_and_boxes_are_doubted_where_nothing_is_green(parts: objec
 @pytest.mark.parametrize("name", ["conical-conifer", "spire-conifer", "columnar", "palm", "bare-winter"])
 def test_trees_without_colours_are_not_doubted(name: str) -> None:
     mesh = grow_tree(SPECIES[name], np.random.default_rng([5, len(name)])).mesh
-    assert doubt_plant(mesh) == ()
+    assert doubt_mesh(mesh) == ()
 
 
 def test_artists_trees_are_not_doubted(samples: Path) -> None:

@@ -16,7 +16,7 @@ from dynamictree.gaussian.cloud import GaussianCloud
 from dynamictree.gaussian.from_mesh import splats_of_mesh
 from dynamictree.mesh import TriangleMesh
 from dynamictree.plant.capture import Capture, carrying_mesh, moving_part, with_still_parts
-from dynamictree.plant.still_gaussians import find_still_gaussians
+from dynamictree.plant.still_cloud import find_still_gaussians
 from dynamictree.voxel.voxelize import voxelize
 from lab.dataset.sapling import grow_tree
 from lab.dataset.species import SPECIES

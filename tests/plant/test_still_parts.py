@@ -9,11 +9,16 @@ from trimesh.geometry import align_vectors
 
 from dynamictree.devoxelize.length_preserving import length_preserving
 from dynamictree.mesh import Material, TriangleMesh
-from dynamictree.plant.still_parts import find_still_faces, is_still_name
+from dynamictree.plant.names import is_still_name
+from dynamictree.plant.still_mesh import find_still_parts
 from dynamictree.voxel.voxelize import voxelize
 from lab.dataset.sapling import grow_tree
 from lab.dataset.species import SPECIES
 from tests.devoxelize.test_interpolation import merged, tube
+
+
+def still_faces_of(mesh: TriangleMesh) -> np.ndarray | None:
+    return find_still_parts(mesh)[1]
 
 
 def tree(species: str = "round-broadleaf") -> TriangleMesh:
@@ -43,20 +48,20 @@ THINGS = {
 def test_what_is_no_plant_is_found_and_nothing_else(name: str) -> None:
     plant = tree()
     scene, owner = merged(plant, THINGS[name](plant.height_m))
-    result = find_still_faces(scene)
+    result = still_faces_of(scene)
     assert result is not None
     np.testing.assert_array_equal(result, owner[scene.faces[:, 0]] == 1)
 
 
 @pytest.mark.parametrize("species", SPECIES)
 def test_nothing_of_a_plant_is_taken_for_a_thing(species: str) -> None:
-    assert find_still_faces(tree(species)) is None
+    assert still_faces_of(tree(species)) is None
 
 
 def test_a_plant_in_a_scene_moves_as_it_does_alone_and_the_scene_stands_still() -> None:
     plant = tree()
     scene, owner = merged(plant, plane(40 * plant.height_m, 0.01), pot(0.1 * plant.height_m, 0.8, -0.7))
-    scene = replace(scene, still_faces=find_still_faces(scene))
+    scene = replace(scene, still_faces=still_faces_of(scene))
     grid, alone = voxelize(scene, 64).grid, voxelize(plant, 64).grid
     np.testing.assert_array_equal(grid.coords, alone.coords)  # all voxels are the plant's
     rng = np.random.default_rng(0)
@@ -80,8 +85,8 @@ def test_a_trunk_below_a_round_crown_is_no_pot(detail: int, radius: float, overl
     scene, owner = merged(tube([0, 0, 0], [0, 0, 2], radius), crown)
     materials = (Material(name="Material.001"), Material(name="Material.002"))
     named = replace(scene, face_material=owner[scene.faces[:, 0]].astype(np.int32), materials=materials)
-    assert find_still_faces(scene) is None
-    assert find_still_faces(named) is None
+    assert still_faces_of(scene) is None
+    assert still_faces_of(named) is None
 
 
 def test_a_stem_that_stands_on_a_solid_pot_leaves_it_still() -> None:
@@ -89,7 +94,7 @@ def test_a_stem_that_stands_on_a_solid_pot_leaves_it_still() -> None:
     scene, owner = merged(stem, crown, pot(0.6, 0.8, -0.8))
     face_material = (owner[scene.faces[:, 0]] == 2).astype(np.int32)
     materials = (Material(name="Material"), Material(name="Material.001"))
-    result = find_still_faces(replace(scene, face_material=face_material, materials=materials))
+    result = still_faces_of(replace(scene, face_material=face_material, materials=materials))
     np.testing.assert_array_equal(result, face_material == 1)
 
 
@@ -98,7 +103,7 @@ def test_a_pot_higher_than_its_plant_stands_still_with_its_soil() -> None:
     scene, owner = merged(rosette, pot(0.4, 0.65, 0), tube([0, 0, 0.55], [0, 0, 0.6], 0.36))
     face_material = owner[scene.faces[:, 0]].astype(np.int32)
     materials = (Material(name="green_1"), Material(name="phong7"), Material(name="dirt"))
-    result = find_still_faces(replace(scene, face_material=face_material, materials=materials))
+    result = still_faces_of(replace(scene, face_material=face_material, materials=materials))
     np.testing.assert_array_equal(result, face_material > 0)
 
 
@@ -106,14 +111,14 @@ def test_a_pot_higher_than_its_plant_stands_still_with_its_soil() -> None:
 def test_a_vast_plane_is_ground_also_where_a_plant_reaches_below_it(height: float) -> None:
     plant = tree()
     scene, owner = merged(plant, plane(40 * plant.height_m, height * plant.height_m))
-    result = find_still_faces(scene)
+    result = still_faces_of(scene)
     np.testing.assert_array_equal(result, owner[scene.faces[:, 0]] == 1)
 
 
 def test_faces_without_height_beside_none_that_rise_are_no_ground() -> None:
     """Warnings of numpy are errors here: nothing is divided by a height of 0."""
     point = TriangleMesh(vertices=np.float32([[1, 2, 3]]), faces=np.zeros((1, 3), np.int32))
-    assert find_still_faces(point) is None
+    assert still_faces_of(point) is None
 
 
 def test_names_of_things_are_words() -> None:
@@ -126,6 +131,6 @@ def test_a_named_part_stands_still_whatever_its_shape() -> None:
     scene, owner = merged(plant, tube([1, 0, 0], [1, 0, 3], 0.1))
     face_material = owner[scene.faces[:, 0]].astype(np.int32)
     materials = (Material(name="Oak"), Material(name="garden_fence"))
-    result = find_still_faces(replace(scene, face_material=face_material, materials=materials))
+    result = still_faces_of(replace(scene, face_material=face_material, materials=materials))
     assert result is not None
     np.testing.assert_array_equal(result, face_material == 1)

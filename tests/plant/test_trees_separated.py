@@ -9,7 +9,7 @@ import pytest
 from dynamictree.commands.source import is_cloud, load_capture, load_mesh
 from dynamictree.errors import InputError
 from dynamictree.mesh import TriangleMesh, joined
-from dynamictree.plant.trees.of_mesh import only_tree_of, surface_points, with_trees
+from dynamictree.plant.trees.of_mesh import dense_points, only_tree_of, with_trees
 from dynamictree.plant.trees.segment import segment_trees
 from lab.dataset.sapling import grow_tree
 from lab.dataset.species import SPECIES
@@ -18,7 +18,7 @@ from tests.plant.stand import HEIGHTS_M, PLACES_M, on_ground, scattered, share_r
 
 
 def num_trees(mesh: TriangleMesh) -> int:
-    return len(segment_trees(surface_points(mesh)[0]).trees)
+    return len(segment_trees(dense_points(mesh)[0]).trees)
 
 
 def test_five_trees_in_a_mesh_are_separated_by_face() -> None:
@@ -42,7 +42,7 @@ def test_five_trees_in_a_scan_are_separated_by_point_and_the_ground_is_of_none()
 
 def test_trees_are_numbered_from_left_to_right_with_their_feet_and_heights() -> None:
     mesh, _ = stand_of_five()
-    trees = segment_trees(surface_points(mesh)[0]).trees
+    trees = segment_trees(dense_points(mesh)[0]).trees
     order = sorted(range(5), key=lambda number: PLACES_M[number])
     for number, result in zip(order, trees, strict=True):
         np.testing.assert_allclose(result.foot_m[:2], PLACES_M[number], atol=0.3)

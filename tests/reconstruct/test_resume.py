@@ -10,17 +10,12 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-import pycolmap
 import pytest
 
 from dynamictree.errors import InputError
 from dynamictree.files import replacing
-from dynamictree.photo_requests import MIN_PHOTOS, LearningParams, Quality
-from dynamictree.reconstruct import mapping
-from dynamictree.reconstruct.from_request import options_of
-from dynamictree.reconstruct.mapping import MappingPhoto
+from dynamictree.photo_requests import MIN_PHOTOS
 from dynamictree.reconstruct.optimise import Schedule
-from dynamictree.reconstruct.photos import list_photos, prepare_photos
 from dynamictree.reconstruct.work_folder import opened_work
 from tests.reconstruct.conftest import Orbit
 from tests.reconstruct.test_given import write_transforms
@@ -126,23 +121,6 @@ def test_results_of_other_photos_are_deleted_and_those_of_another_schedule(tmp_p
         assert not work.depths.exists()
 
 
-def test_a_better_quality_goes_on_with_the_cameras_of_the_draft_unless_it_reads_larger_photos(tmp_path):
-    def left(quality: Quality) -> set[str]:
-        options = options_of(LearningParams(quality=quality))
-        folder = opened_work(tmp_path, [], options.schedule, photo_px=options.photo_px, max_views=options.max_views)
-        results = ("views.json", "depths.npz", "splat.npz")
-        with folder as work:
-            there = {name for name in results if (work.path / name).exists()}
-            for name in results:
-                (work.path / name).touch()
-        return there
-
-    assert left("draft") == set()
-    assert left("draft") == {"views.json", "depths.npz", "splat.npz"}
-    assert left("standard") == {"views.json"}
-    assert left("high") == set()
-
-
 def test_two_runs_do_not_share_a_work_folder(tmp_path):
     with (
         opened_work(tmp_path / "work", [], Schedule()),
@@ -193,28 +171,3 @@ def _mapping_in(folder: Path) -> bool:
         except OSError:
             continue
     return False
-
-
-def test_features_of_an_ended_search_are_not_sought_again(orbit, tmp_path):
-    prepared = prepare_photos(list_photos(orbit.photos), tmp_path / "photos")
-    photos: list[MappingPhoto] = [
-        {"name": one.name, "width": one.width, "height": one.height, "focal_px": one.focal_px, "masked": False}
-        for one in prepared
-    ]
-
-    def features(number: int) -> dict[str, tuple[int, int, bytes]]:
-        search = mapping._Search(folder=tmp_path, photos=photos[:number], given=None, threads=2)
-        mapping._extract(search)
-        with pycolmap.Database.open(search.database) as database:
-            return {
-                image.name: (image.image_id, image.camera_id, database.read_keypoints(image.image_id).tobytes())
-                for image in database.read_all_images()
-            }
-
-    first = features(4)
-    (tmp_path / "photos" / prepared[0].name).unlink()  # nobody reads it again
-    again = features(7)
-    assert len(first) == 4
-    assert len(again) == 7
-    assert all(again[name] == first[name] for name in first)
-    assert len({camera for _, camera, _ in again.values()}) == 1

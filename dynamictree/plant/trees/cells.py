@@ -160,14 +160,3 @@ def _near_pairs(coords: Int64[np.ndarray, "V 3"]) -> dict[tuple[int, int, int], 
 
 def _squared(offset: tuple[int, int, int]) -> int:
     return sum(along * along for along in offset)
-
-
-def parts_of(coords: Int64[np.ndarray, "V 3"]) -> Int64[np.ndarray, " V"]:
-    """Number of the part that each cell belongs to, by face, edge or corner."""
-    from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import cKDTree
-
-    pairs = cKDTree(coords).query_pairs(1.8, output_type="ndarray")
-    joined = scipy.sparse.coo_array((np.ones(len(pairs), np.int8), pairs.T), shape=(len(coords),) * 2)
-    part: Int64[np.ndarray, " V"] = connected_components(joined, directed=False)[1].astype(np.int64)
-    return part

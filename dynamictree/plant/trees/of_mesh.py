@@ -8,6 +8,7 @@ from jaxtyping import Float32, Float64, Int32, Int64
 
 from dynamictree.errors import InputError
 from dynamictree.mesh import TriangleMesh, connected_parts, weld
+from dynamictree.plant.sample import face_areas, on_faces
 from dynamictree.plant.trees.cells import CELLS_TALL
 from dynamictree.plant.trees.choose import require_tree, several_trees
 from dynamictree.plant.trees.segment import segment_trees
@@ -15,14 +16,13 @@ from dynamictree.plant.trees.segment import segment_trees
 MAX_POINTS = 500_000
 MAX_RESOLUTION = 512
 _DENSITY = 1.5  # points per cell of surface
-_STEPS = 0.7548776662466927, 0.5698402909980532  # the plastic number's, which fill a square evenly
 _ONE_TREE = 0.9  # of a connected part's points in one tree: then all of it is
 
 
 def with_trees(mesh: TriangleMesh) -> TriangleMesh:
     """The same mesh, with the trees in it separated if there are several."""
     moving = mesh.moving_part
-    points, face = surface_points(moving)
+    points, face = dense_points(moving)
     if len(points) == 0 or np.ptp(points[:, 2]) <= 0:
         return mesh
     segmentation = segment_trees(points)
@@ -35,22 +35,15 @@ def with_trees(mesh: TriangleMesh) -> TriangleMesh:
     return replace(mesh, face_tree=face_tree, warnings=(*mesh.warnings, several_trees(count)))
 
 
-def surface_points(mesh: TriangleMesh) -> tuple[Float64[np.ndarray, "P 3"], Int64[np.ndarray, " P"]]:
+def dense_points(mesh: TriangleMesh) -> tuple[Float64[np.ndarray, "P 3"], Int64[np.ndarray, " P"]]:
     """Points over the surface, as dense as the cells in which trees are separated; and the face of each."""
     corners = mesh.vertices[mesh.faces].astype(np.float64)
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     size = float(np.ptp(corners[:, :, 2])) / CELLS_TALL
     if size <= 0:
         return np.zeros((0, 3)), np.zeros(0, np.int64)
-    count = np.ceil(_DENSITY * np.maximum(area / size**2, longest / size)) + 1
-    count = np.ceil(count * min(1.0, MAX_POINTS / count.sum())).astype(np.int64)
-    face = np.repeat(np.arange(mesh.num_faces), count)
-    u, v = (np.arange(len(face)) * step % 1 for step in _STEPS)
-    root = np.sqrt(u)
-    weights = np.stack([1 - root, root * (1 - v), root * v], axis=1)
-    points: Float64[np.ndarray, "P 3"] = np.einsum("pi,pic->pc", weights, corners[face])
-    return points, face.astype(np.int64)
+    count = np.ceil(_DENSITY * np.maximum(face_areas(mesh) / size**2, longest / size)) + 1
+    return on_faces(mesh, np.ceil(count * min(1.0, MAX_POINTS / count.sum())).astype(np.int64))
 
 
 def mesh_points(mesh: TriangleMesh) -> tuple[Float32[np.ndarray, "P 3"], Int32[np.ndarray, " P"] | None]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from dynamictree.plant.trees.cells import parts_of
+from dynamictree.plant.still import groups_of_cells
 
 SLICE = (0.03, 0.10)
 """Of the height above the ground: where stems are looked for, and 1 to 2 m of a tree of 20 m."""
@@ -71,7 +71,7 @@ def _columns(
     inside = rows[(above[rows] >= low) & (above[rows] < high)]
     if len(inside) == 0:
         return []
-    part = parts_of(coords[inside])
+    part = groups_of_cells(coords[inside])
     columns = []
     for one in np.flatnonzero(np.bincount(part) >= _THROUGH * (high - low)):
         cells = inside[part == one]

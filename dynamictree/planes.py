@@ -1,0 +1,94 @@
+"""Planes in points: least squares, RANSAC, and which points lie flat among their neighbours."""
+
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float64
+from scipy.spatial import cKDTree
+
+Points = Float64[np.ndarray, "_ 3"]
+Direction = Float64[np.ndarray, " 3"]
+
+NEIGHBOURS = 12
+"""Whose spread gives a point's normal; fewer points have none."""
+_FLAT = 0.25  # standard deviation across over that along a surface
+_ALONG = 0.85  # cosine between a plane's normal and a point's
+
+
+class Plane(NamedTuple):
+    """Points p with normal · p = offset."""
+
+    normal: Direction  # of unit length
+    offset: float  # [m]
+
+    def above(self, points: Points) -> Float64[np.ndarray, " P"]:
+        """Distance of points on the side of the normal, negative on the other [m]."""
+        return np.asarray(points @ self.normal - self.offset)
+
+    def facing(self, direction: Direction) -> "Plane":
+        """The same plane with its normal on the side of a direction."""
+        sign = 1.0 if self.normal @ direction >= 0 else -1.0
+        return Plane(self.normal * sign, self.offset * sign)
+
+
+def fit_plane(points: Points) -> Plane:
+    """The plane of least squared distances."""
+    middle = points.mean(axis=0)
+    normal = np.linalg.svd(points - middle, full_matrices=False)[2][2]
+    return Plane(normal, float(normal @ middle))
+
+
+def best_plane(candidates: Iterator[Plane], score: Callable[[Plane], float], least: float) -> Plane | None:
+    """RANSAC: the candidate of the highest score above the least (Fischler and Bolles 1981)."""
+    best, best_score = None, least
+    for plane in candidates:
+        own = score(plane)
+        if own > best_score:
+            best, best_score = plane, own
+    return best
+
+
+def planes_of_triples(points: Points, trials: int, rng: np.random.Generator) -> Iterator[Plane]:
+    """Planes through three points each, drawn at random."""
+    for a, b, c in points[rng.integers(0, len(points), (trials, 3))]:
+        normal = np.cross(b - a, c - a)
+        length = float(np.linalg.norm(normal))
+        if length > 0:
+            yield Plane(normal / length, float(normal @ a) / length)
+
+
+def support(above: Float64[np.ndarray, " P"], thickness: float) -> float:
+    """Points on a plane less twice those below it, as ground has nothing below."""
+    return float((np.abs(above) < thickness).sum() - 2 * (above < -thickness).sum())
+
+
+class FlatPoints(NamedTuple):
+    """Points on surfaces, and what the neighbours of each say."""
+
+    places: Points
+    normals: Points  # of either sign
+    flat: Bool[np.ndarray, " P"]
+
+    def on(self, plane: Plane, thickness: float) -> Bool[np.ndarray, " P"]:
+        """Flat points within a distance of a plane whose normals are along the plane's."""
+        chosen: Bool[np.ndarray, " P"] = self.flat & (np.abs(plane.above(self.places)) < thickness)
+        chosen &= np.abs(self.normals @ plane.normal) > _ALONG
+        return chosen
+
+    def planes(self, trials: int, rng: np.random.Generator) -> Iterator[Plane]:
+        """Planes through single flat points along their own surface, drawn at random."""
+        for row in rng.permutation(np.flatnonzero(self.flat))[:trials]:
+            yield Plane(self.normals[row], float(self.normals[row] @ self.places[row]))
+
+    def subset(self, rows: Bool[np.ndarray, " P"]) -> "FlatPoints":
+        """The same of some points."""
+        return FlatPoints(self.places[rows], self.normals[rows], self.flat[rows])
+
+
+def flat_points(points: Points) -> FlatPoints:
+    """Normals by the neighbours' principal axes (Hoppe 1992)."""
+    near = np.asarray(cKDTree(points).query(points, k=NEIGHBOURS)[1])
+    around = points[near] - points[near].mean(axis=1, keepdims=True)  # [P, K, 3]
+    spread, axes = np.linalg.eigh(np.einsum("pki,pkj->pij", around, around))
+    return FlatPoints(points, axes[:, :, 0], spread[:, 0] < _FLAT**2 * spread[:, 1])

@@ -1,0 +1,125 @@
+"""Find the plant in what a reader gives: upright, in metres, with what stands still and the trees separated."""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Bool
+
+from dynamictree.axis_names import name_of
+from dynamictree.gaussian.axes import to_source_axes, to_z_up
+from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.mesh import SourceWarning, TriangleMesh, validate_mesh
+from dynamictree.plant.capture import Capture, moving_part, with_still_parts
+from dynamictree.plant.level import up_of_standing
+from dynamictree.plant.likeness import FEWEST_GAUSSIANS, VISIBLE, doubt_cloud, doubt_mesh
+from dynamictree.plant.place import Conventions, axis_doubts, mesh_to_z_up, size_doubts, sized
+from dynamictree.plant.still_cloud import find_sky
+from dynamictree.plant.still_mesh import find_still_parts
+from dynamictree.plant.trees.choose import several_trees
+from dynamictree.plant.trees.of_mesh import with_trees
+from dynamictree.plant.trees.segment import segment_trees
+from dynamictree.plant.upright import judge_each_standing, judge_standing, judge_up_axis_of_points
+from dynamictree.requests import Reading
+from dynamictree.up_axis import up_rotation
+
+
+def plant_of_mesh(source: TriangleMesh, reading: Reading, file: Conventions) -> TriangleMesh:
+    """The plant in a mesh that lies in its file's axes and unit.
+
+    Raises:
+        InputError: the method cannot work on the mesh as it is to be read.
+    """
+    upright = validate_mesh(mesh_to_z_up(source, reading, file))
+    parts, still = find_still_parts(upright)
+    mesh = replace(upright, still_parts=parts, still_faces=still)
+    doubts: tuple[SourceWarning, ...] = ()
+    if reading.up_axis is None and file.up_axis is not None:
+        standing = judge_each_standing(mesh.moving_part) or judge_standing(mesh.moving_part)
+        doubts += axis_doubts(standing, mesh.source_up_axis)
+    mesh = with_trees(replace(mesh, warnings=mesh.warnings + doubts + doubt_mesh(mesh)))
+    if reading.unit_m is None and reading.height_m is None and mesh.face_tree is None:
+        sizes = size_doubts(mesh.moving_part, file_unit=file.unit_m is not None)
+        mesh = replace(mesh, warnings=mesh.warnings + sizes)
+    return mesh
+
+
+@dataclass(frozen=True, kw_only=True)
+class CloudFacts:
+    """What a file of a cloud says of itself."""
+
+    origin: Literal["scan", "photos", "splat"]  # a scanner knows up and the metre; points made from photos do not
+    says_axis: bool = False
+    says_unit: bool = False
+
+
+def plant_of_cloud(
+    cloud: GaussianCloud,
+    reading: Reading,
+    file: CloudFacts,
+    *,
+    mask: Bool[np.ndarray, " G"] | None = None,
+    tell_trees: bool = True,
+) -> Capture:
+    """The plant in a splat or scan that was read with the axis and unit of the caller, its file or its format.
+
+    Args:
+        cloud: in metres and +Z up, as far as these are known.
+        reading: what the caller says.
+        file: what the file says.
+        mask: which Gaussians may move, if the caller knows.
+        tell_trees: whether to tell several trees apart.
+
+    Raises:
+        InputError: a scan of more than one tree shows no stems, or the mask does not fit.
+    """
+    turned: tuple[SourceWarning, ...] = ()
+    if not (reading.up_axis or file.says_axis):
+        cloud, turned = _upright(cloud, by_shape=file.origin == "photos")
+    stated = reading.unit_m is not None or file.says_unit
+    cloud, sizes = sized(cloud, height_m=reading.height_m, stated=stated, keep=file.origin == "photos")
+    capture = with_still_parts(Capture(cloud=cloud, mask=mask, warnings=sizes + turned))
+    if not reading.up_axis:
+        capture = replace(capture, warnings=capture.warnings + _doubt_axis(capture))
+    capture = replace(capture, warnings=capture.warnings + doubt_cloud(cloud.subset(moving_part(capture))))
+    return _with_trees(capture, is_scan=file.origin == "scan") if tell_trees else capture
+
+
+def _upright(cloud: GaussianCloud, *, by_shape: bool) -> tuple[GaussianCloud, tuple[SourceWarning, ...]]:
+    """Turn a cloud until what it stands on is level, and `by_shape` first until the shape stands; a warning says so."""
+    usual, seen = cloud.source_up_axis, (cloud.opacity >= VISIBLE) & ~find_sky(cloud)
+    judged = judge_up_axis_of_points(cloud.means[seen]) if by_shape and seen.sum() >= FEWEST_GAUSSIANS else None
+    shape = judged is not None and judged.axis != "+Z"
+    way = up_rotation(judged.axis) if judged is not None and shape else np.eye(3)
+    level = up_of_standing(cloud.means[seen].astype(np.float64) @ way.T)
+    if level is None and not shape:
+        message = f"points made from photos do not say which way is up; {usual} was taken; set up_axis if it is another"
+        unsure = by_shape and judged is None
+        return cloud, (SourceWarning(code="orientation-uncertain", message=message),) if unsure else ()
+    up = way.T @ (np.array([0.0, 0.0, 1.0]) if level is None else level)
+    name = name_of((up_rotation(usual).T @ up).tolist())
+    tilt_deg = np.degrees(np.arccos(np.clip(up[2], -1, 1)))
+    message = (
+        f"{'the plant' if level is None else 'what the plant stands on'} is {tilt_deg:.0f}° from level if {usual} is "
+        f"up, so {name} was taken as up; set up_axis to {usual} if the plant stood upright before"
+    )
+    turned = to_z_up(to_source_axes(cloud), up_axis=name, unit_m=cloud.source_scale)
+    return turned, (SourceWarning(code="levelled", message=message),)
+
+
+def _doubt_axis(capture: Capture) -> tuple[SourceWarning, ...]:
+    """A warning if the shape of what moves stands upright along another axis than the one taken."""
+    points = capture.cloud.means[moving_part(capture) & (capture.cloud.opacity >= VISIBLE)]
+    judged = judge_up_axis_of_points(points) if len(points) >= FEWEST_GAUSSIANS else None
+    return axis_doubts(judged, capture.cloud.source_up_axis)
+
+
+def _with_trees(capture: Capture, *, is_scan: bool) -> Capture:
+    moving = np.flatnonzero(moving_part(capture))
+    points = capture.cloud.means[moving].astype(np.float64)
+    segmentation = segment_trees(points, is_scan=is_scan)
+    if len(segmentation.trees) == 1:
+        return capture
+    tree = np.full(capture.cloud.num_gaussians, -1, np.int32)
+    tree[moving] = segmentation.tree_of_point
+    return replace(capture, tree=tree, warnings=(*capture.warnings, several_trees(len(segmentation.trees))))

@@ -1,0 +1,30 @@
+"""What the names of materials and nodes say: wood, leaves, soil, and what is no plant."""
+
+import re
+
+WOOD = re.compile(r"bark|trunk|wood|stem|branch|log\b|stamm|rinde|tronc|holz|twig|limb", re.IGNORECASE)
+LEAF = re.compile(r"lea[fv]|foliage|crown|needle|blatt|laub|feuill|frond|canopy|flower|blossom|petal", re.IGNORECASE)
+STILL_NAMES = frozenset(
+    " ".join(
+        (
+            "pot pots flowerpot plantpot vase planter soil dirt earth ground terrain table desk plate saucer dish",
+            "water sea ocean lake river pond rock rocks stone stones pebble pebbles sand beach floor concrete",
+            "road path pavement glass ceramic terracotta clay island plane wall fence bench trellis topf erde boden",
+            "tisch wasser stein terre",
+        )
+    ).split()
+)
+"""Words in the names of materials and nodes of what is no plant."""
+OF_SHAPES = frozenset({"plane", "plate", "island", "earth", "wall", "path"})
+"""Of nodes these are names that modelling programs give (`Plane`, `NurbsPath`), or of a scene's root."""
+SOIL_NAMES = frozenset(("soil", "dirt", "earth", "erde", "terre"))
+
+
+def words(name: str) -> frozenset[str]:
+    """The words of a name, split at capitals, digits and signs, in small letters."""
+    return frozenset(word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", name))
+
+
+def is_still_name(name: str, *, but: frozenset[str] = frozenset()) -> bool:
+    """Whether a word in a name names what is no plant; `but` do not."""
+    return not words(name).isdisjoint(STILL_NAMES - but)

@@ -1,0 +1,182 @@
+"""Axes and units of sources: given by the caller or the format, or inferred from the shape of the tree.
+
+Inside, everything is in metres and +Z up. glTF is +Y up and in metres by its specification. OBJ, PLY and STL say
+neither, so both are worked out, and what was found is recorded in `source_up_axis` and `source_scale`:
+
+- up is the likeliest of the six axes by several cues, see `upright.py`;
+- the unit is the first of metre, centimetre and millimetre (STL: metre and millimetre) in which the tree is at most
+  120 m tall. The scale of a splat is arbitrary: it is made 5 m tall where nobody says more.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dynamictree.errors import InputError
+from dynamictree.gaussian.axes import transformed
+from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.mesh import SourceWarning, TriangleMesh
+from dynamictree.plant.still import height_of
+from dynamictree.plant.still_cloud import find_sky
+from dynamictree.plant.upright import CERTAIN, USUAL, UpAxis, judge_up_axis
+from dynamictree.requests import Reading
+from dynamictree.up_axis import up_rotation
+
+TALLEST_TREE_M = 120.0  # Hyperion, the tallest tree known, is 116 m
+USUAL_HEIGHT_M = (0.2, 60.0)
+WIDEST_CROWN_M = 30.0
+"""A crown is seldom wider: broadleaf trees of 30 m and more in the open are (docs/decisions/plant.md)."""
+DEFAULT_HEIGHT_M = 5.0
+"""Of a splat whose file does not say its unit."""
+UNITS_M = (1.0, 0.01, 0.001)
+UNIT_NAMES = {"centimetres": 0.01, "inches": 0.0254, "feet": 0.3048, "millimetres": 0.001, "metres": 1.0}
+_PROBABLY = 0.5
+"""Of the axis that is usual in a format this probability is enough: of 224 readings 1 is wrong below `CERTAIN`."""
+_OTHERWISE = 5.0
+"""So many times likelier than a stated axis another must be to be said: of 14 species none, of lying ones all."""
+_CUBES, _OF_CUBE = (1.0, 2.0), 1e-3  # longest sides of meshes that a tool scaled, and how exactly
+
+
+@dataclass(frozen=True, kw_only=True)
+class Conventions:
+    """What a file says of its axes and unit, and what is usual in its format where it does not."""
+
+    up_axis: str | None = None
+    unit_m: float | None = None
+    usual_up_axis: str | None = None
+    usual_units_m: tuple[float, ...] = UNITS_M
+
+
+def mesh_to_z_up(mesh: TriangleMesh, reading: Reading, file: Conventions) -> TriangleMesh:
+    """Turn and scale a mesh as the caller or the file says; what neither does is inferred.
+
+    Raises:
+        InputError: an unknown axis, or a model without height that is to have one.
+    """
+    stated = reading.up_axis or file.up_axis
+    judged = UpAxis(axis=stated, confidence=1.0) if stated else judge_up_axis(mesh, habit=file.usual_up_axis)
+    turned = mesh.vertices @ up_rotation(judged.axis).T  # [N, 3] float64
+    height = float(np.ptp(turned[:, 2])) if len(turned) else 0.0
+    given = reading.unit_m or file.unit_m
+    scale = scale_to(reading.height_m, height) or given or guess_unit_m(height, file.usual_units_m)
+    normals = None if mesh.normals is None else (mesh.normals @ up_rotation(judged.axis).T).astype(np.float32)
+    return replace(
+        mesh,
+        vertices=(turned * scale).astype(np.float32),
+        normals=normals,
+        source_up_axis=judged.axis,
+        source_up_confidence=round(judged.confidence, 3),
+        source_scale=scale * mesh.source_scale,
+        warnings=mesh.warnings + axis_warnings(judged, file.usual_up_axis),
+    )
+
+
+def sized(
+    cloud: GaussianCloud, *, height_m: float | None, stated: bool, keep: bool = False
+) -> tuple[GaussianCloud, tuple[SourceWarning, ...]]:
+    """Scale a cloud to a height, or to the default where its unit is not `stated`; and say what is doubtful.
+
+    `keep` leaves the units of a file as metres where they give a usual height: that of points made from photos.
+    """
+    detected = cloud_height(cloud)
+    if height_m is None and (stated or detected == 0):
+        return cloud, height_warnings(detected, cloud.source_scale) if detected > 0 else ()
+    keep &= USUAL_HEIGHT_M[0] <= detected <= USUAL_HEIGHT_M[1]
+    scale = scale_to(height_m or (detected if keep else DEFAULT_HEIGHT_M), detected)
+    assert scale is not None
+    scaled = replace(transformed(cloud, np.eye(3), scale), source_scale=cloud.source_scale * scale)
+    if height_m is not None:
+        return scaled, ()
+    message = (
+        f"the file of a {'cloud made from photos' if keep else 'splat'} does not say how large it is; {detected:.3g} "
+        f"units were taken for {detected if keep else DEFAULT_HEIGHT_M:.3g} m; set height_m to its height, or unit_m "
+        "to the metres in one unit of the file"
+    )
+    return scaled, (SourceWarning(code="size-unknown", message=message),)
+
+
+def cloud_height(cloud: GaussianCloud) -> float:
+    """Extent along +Z without sky and strays [m]."""
+    return height_of(cloud.means[~find_sky(cloud)].astype(np.float64))
+
+
+def scale_to(height_m: float | None, height: float) -> float | None:
+    """Metres per unit for which a height in the file's units becomes the requested height.
+
+    Raises:
+        InputError: the model has no height.
+    """
+    if height_m is None:
+        return None
+    if not height > 0:
+        raise InputError(f"height_m is {height_m:g}, but the model has no height along its up axis; set up_axis")
+    return height_m / height
+
+
+def guess_unit_m(height: float, units_m: tuple[float, ...] = UNITS_M) -> float:
+    """Guess the metres per unit, by the rule above."""
+    return next((unit for unit in units_m if height * unit <= TALLEST_TREE_M), 1.0)
+
+
+def axis_warnings(judged: UpAxis, usual: str | None) -> tuple[SourceWarning, ...]:
+    """Says an up axis that the shape leaves uncertain, or that few files have."""
+    if judged.confidence >= (_PROBABLY if judged.axis == usual else CERTAIN) and judged.axis in (*USUAL, usual):
+        return ()
+    message = (
+        f"the file does not say which way is up; {judged.axis} was taken with a confidence of "
+        f"{judged.confidence:.0%}; set up_axis if the tree lies on its side"
+    )
+    return (SourceWarning(code="orientation-uncertain", message=message),)
+
+
+def axis_doubts(judged: UpAxis | None, taken: str) -> tuple[SourceWarning, ...]:
+    """A warning if a shape that was turned from `taken` up to +Z up is far likelier to stand along another axis."""
+    if judged is None or judged.axis == "+Z" or judged.confidence < _OTHERWISE * judged.upright:
+        return ()
+    direction = up_rotation(taken).T @ up_rotation(judged.axis)[2]
+    column = int(np.argmax(np.abs(direction)))
+    axis = ("+" if direction[column] > 0 else "-") + "XYZ"[column]
+    message = (
+        f"{taken} was taken as up, as is usual in such files, but the shape stands upright along {axis} with a "
+        f"confidence of {judged.confidence:.0%}; set up_axis to {axis} if the plant lies on its side"
+    )
+    return (SourceWarning(code="orientation-uncertain", message=message),)
+
+
+def size_doubts(plant: TriangleMesh, *, file_unit: bool) -> tuple[SourceWarning, ...]:
+    """Says an unlikely size of one plant in metres, and a unit that was guessed; `file_unit`: the file has one."""
+    scale, sides = plant.source_scale, np.ptp(plant.vertices[plant.faces.ravel()], axis=0).tolist()
+    height, longest = sides[2], max(sides)
+    unlikely = height_warnings(height, scale)
+    if unlikely:
+        return unlikely
+    if max(sides[:2]) > WIDEST_CROWN_M:
+        what = f"the plant is {height:.3g} m tall and {max(sides[:2]):.3g} m wide, and few crowns are so wide"
+    elif not file_unit and scale != 1.0:
+        names = {unit: name for name, unit in UNIT_NAMES.items()}
+        taken = f"taken for {names.get(scale, f'{scale:g} m each')} ({height:.3g} m)"
+        what = f"the file does not say its unit; {height / scale:.4g} units were {taken}"
+    elif not file_unit and any(abs(longest / side - 1) < _OF_CUBE for side in _CUBES):
+        what = f"the longest side is {longest:.3g} units, as of meshes that a tool scaled to a cube, taken for metres"
+    else:
+        return ()
+    message = f"{what}; it would be {_in_other_units(height / scale, scale)}: set unit_m, or height_m to its height"
+    return (SourceWarning(code="size-doubtful", message=message),)
+
+
+def height_warnings(height_m: float, scale: float) -> tuple[SourceWarning, ...]:
+    """Says an unlikely height, with the units that would make it usual."""
+    low, high = USUAL_HEIGHT_M
+    if low <= height_m <= high:
+        return ()
+    message = (
+        f"the model is {height_m:.4g} m tall, outside of the usual {low:g} to {high:g} m; it would be "
+        f"{_in_other_units(height_m / scale, scale)}: set unit_m, or height_m to its height"
+    )
+    return (SourceWarning(code="size-doubtful", message=message),)
+
+
+def _in_other_units(height: float, scale: float) -> str:
+    heights = {name: (unit, height * unit) for name, unit in UNIT_NAMES.items() if unit != scale}
+    usual = {name: own for name, own in heights.items() if USUAL_HEIGHT_M[0] <= own[1] <= USUAL_HEIGHT_M[1]} or heights
+    return " or ".join(f"{own:.3g} m in {name} (unit_m {unit:g})" for name, (unit, own) in usual.items())

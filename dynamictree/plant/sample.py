@@ -1,0 +1,41 @@
+"""Points over the surface of a mesh: what judges splats and scans judges meshes by these."""
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from dynamictree.mesh import TriangleMesh
+from dynamictree.planes import Points
+
+_STEPS = 0.7548776662466927, 0.5698402909980532  # the plastic number's, which fill a square evenly (Roberts 2018)
+
+
+def surface_points(mesh: TriangleMesh, num_points: int) -> tuple[Points, Int64[np.ndarray, " P"]] | None:
+    """Points evenly over the surface, always the same ones, and their faces; None of a mesh without surface."""
+    area = face_areas(mesh)
+    total = float(area.sum())
+    if not total > 0:
+        return None
+    ends = np.floor(np.cumsum(area) / total * num_points + 0.5).astype(np.int64)
+    return on_faces(mesh, np.diff(ends, prepend=0))
+
+
+def on_faces(mesh: TriangleMesh, counts: Int64[np.ndarray, " F"]) -> tuple[Points, Int64[np.ndarray, " P"]]:
+    """So many points on each face, and the face of each."""
+    face = np.repeat(np.arange(mesh.num_faces), counts)
+    u, v = (np.arange(len(face)) * step % 1 for step in _STEPS)
+    root = np.sqrt(u)
+    weights = np.stack([1 - root, root * (1 - v), root * v], axis=1)
+    points: Points = np.einsum("pi,pic->pc", weights, mesh.vertices[mesh.faces[face]].astype(np.float64))
+    return points, face
+
+
+def face_normals(mesh: TriangleMesh) -> Float64[np.ndarray, "F 3"]:
+    """Normals of the faces, as long as twice their areas."""
+    a, b, c = (mesh.vertices[mesh.faces[:, corner]].astype(np.float64) for corner in range(3))
+    return np.cross(b - a, c - a)
+
+
+def face_areas(mesh: TriangleMesh) -> Float64[np.ndarray, " F"]:
+    """Area of each face [m²]."""
+    areas: Float64[np.ndarray, " F"] = np.linalg.norm(face_normals(mesh), axis=1) / 2
+    return areas

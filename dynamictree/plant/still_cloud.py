@@ -1,0 +1,126 @@
+"""Detect what of a splat or scan is not the plant and stands still: sky, ground, tables, pots, things, floaters.
+
+Each is taken only where its shape leaves no doubt; what is not lying can be named with a box or a mask.
+"""
+
+import numpy as np
+import scipy  # its parts come in when they are used: the service starts without them
+from jaxtyping import Bool, UInt8
+
+from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.mesh import StillPart, part_bounds
+from dynamictree.planes import Points
+from dynamictree.plant.ground import find_ground
+from dynamictree.plant.pot import find_pot, in_pot
+from dynamictree.plant.still import (
+    APART,
+    GROUND,
+    LEAST_PLANT,
+    LOW,
+    POT,
+    THINGS,
+    Scene,
+    height_of,
+    low_and_apart,
+    touching_groups,
+)
+
+SKY = StillPart(name="sky", why="far around everything that hangs together")
+FLOATERS = StillPart(name="floaters", why="a few Gaussians far from all others")
+_SOLID = 0.05  # opacity
+_LARGE = 0.1  # of the extent: Gaussians of the background
+_MOST_POINTS = 200_000
+_FEWEST_POINTS = 500
+_CELL = 0.03  # of the height
+_SMALL = 0.2  # of the points: all that lies apart
+_FEW = 0.02  # of the points: floaters
+_SKY_CELL, _SKY_AWAY, _NOT_SKY = 0.1, 3.0, 0.5
+"""Of the median distance from the middle: what is so near hangs together; sky is so many times farther out than what
+hangs together, which must be so much of the whole."""
+
+
+def find_still_gaussians(cloud: GaussianCloud) -> tuple[tuple[StillPart, ...], UInt8[np.ndarray, " G"]]:
+    """The parts of a cloud in metres and +Z up that stand still, and of each Gaussian its part from 1, or 0."""
+    part_of = np.zeros(cloud.num_gaussians, np.uint8)
+    parts: list[StillPart] = []
+
+    def take(part: StillPart, rows: Bool[np.ndarray, " G"]) -> None:
+        rows = rows & (part_of == 0)
+        left = solid & (part_of == 0) & ~rows
+        if rows.any() and left.sum() >= max(LEAST_PLANT * solid.sum(), _FEWEST_POINTS / 10):
+            if part not in parts:
+                parts.append(part)
+            part_of[rows] = 1 + parts.index(part)
+
+    means = cloud.means.astype(np.float64)
+    sky = find_sky(cloud)
+    solid = ~sky & (cloud.opacity >= _SOLID)
+    solid &= cloud.scales.max(axis=1) <= _LARGE * np.ptp(means[~sky], axis=0).max()
+    if solid.sum() < _FEWEST_POINTS:
+        return (), part_of
+    take(SKY, sky)
+    rng = np.random.default_rng(0)
+    for _ in range(2):  # a floor, and a table on it
+        points = _thinned(means[solid & (part_of == 0)])
+        plane = find_ground(points, height_of(points), rng)
+        if plane is None:
+            break
+        take(GROUND, (plane.above(means) <= 0) & ~sky)
+    free = solid & (part_of == 0)
+    height_m = height_of(means[free])
+    if not height_m > 0:
+        return tuple(parts), part_of
+    things, floaters = _apart(means[free], height_m)
+    for part, lying in ((THINGS, things), (FLOATERS, floaters)):
+        if lying.mean() <= _SMALL and (part == FLOATERS or GROUND in parts):
+            rows = np.zeros(len(means), np.bool_)
+            rows[free] = lying
+            take(part, rows)
+    pot = find_pot(_thinned(means[solid & (part_of == 0)]), height_m, rng)
+    if pot is not None:
+        take(POT, in_pot(pot, means))
+    return tuple(parts), part_of
+
+
+def find_sky(cloud: GaussianCloud) -> Bool[np.ndarray, " G"]:
+    """Gaussians far outside of what hangs together, such as a dome that was learned for the sky."""
+    means = cloud.means.astype(np.float64)
+    solid = np.flatnonzero(cloud.opacity >= _SOLID)
+    nothing = np.zeros(len(means), np.bool_)
+    if len(solid) < _FEWEST_POINTS:
+        return nothing
+    away = np.linalg.norm(means[solid] - np.median(means[solid], axis=0), axis=1)
+    if not np.median(away) > 0:
+        return nothing
+    near = solid[away < away.max() / _SKY_AWAY]  # a wide scene without sky has most points farther out
+    if len(near) < _NOT_SKY * len(solid):
+        return nothing
+    _, cell, count, group = touching_groups(means[near], _SKY_CELL * float(np.median(away)))
+    together = near[(group == np.bincount(group, count).argmax())[cell]]
+    if len(together) < _NOT_SKY * len(solid):
+        return nothing
+    middle = np.median(means[together], axis=0)
+    radius = float(np.linalg.norm(means[together] - middle, axis=1).max())
+    return np.asarray(np.linalg.norm(means - middle, axis=1) > _SKY_AWAY * radius)
+
+
+def _thinned(points: Points) -> Points:
+    return points[:: -(-len(points) // _MOST_POINTS)]
+
+
+def _apart(points: Points, height_m: float) -> tuple[Bool[np.ndarray, " P"], Bool[np.ndarray, " P"]]:
+    """What lies low and apart from what rises, and few points far from the largest group."""
+    side = _CELL * height_m
+    cells, cell, count, group = touching_groups(points, side)
+    size = np.bincount(group, count)
+    unknown = np.full(len(size), -1)
+    places, thing = cells * side, group.astype(np.int64)
+    bounds = part_bounds(thing, places)
+    scene = Scene(points=places, thing=thing, low=bounds[0], high=bounds[1], material=unknown, soil=unknown > 0)
+    low = low_and_apart(scene, np.zeros(len(size), np.bool_), slack_m=side)
+    main = cells[group == size.argmax()]
+    gap = np.full(len(size), np.inf)
+    np.minimum.at(gap, group, scipy.spatial.cKDTree(main).query(cells)[0] * side)
+    above = bounds[1][:, 2] >= main[:, 2].min() * side + LOW * height_m  # lower ones may lie on the ground
+    few = above & (gap > APART * height_m + side) & (size < _FEW * size.sum())
+    return low[group][cell], few[group][cell]
