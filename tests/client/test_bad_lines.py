@@ -67,6 +67,7 @@ def job(state: str, **changes: object) -> bytes:
         "preset": "small",
         "seed": 0,
         "params": {},
+        "metadata": {},
         "attempt": 1,
         "progress": 0.5,
         "stages": [],
