@@ -23,7 +23,11 @@ SMALL_PART_VOXELS = 8.0
 """Largest extent of a part that hangs on another, in voxels. The voxels of a larger one say how it moves."""
 
 FEW_VERTICES = 24
-"""A part with no more is a card, which hangs on another whatever its extent: low-poly crowns are made of large ones."""
+"""A part with no more hangs on another whatever its extent: low-poly crowns are made of large ones."""
+
+CARD_VERTICES = 8
+"""A part with no more is a card. It hangs on the nearest part that is none, of any size, and carries a stem only where
+nothing else is near."""
 
 MAX_GAP_VOXELS = 2.0
 """Farther from any larger part, a part moves by its own voxels; nearer ones may share voxels with it."""
@@ -107,17 +111,18 @@ def find_attachments(mesh: TriangleMesh, grid: VoxelGrid, pieces: SurfacePieces 
     if len(extent) == 1:
         return _attachments(mesh, part, None, _NO_PAIRS, _NO_PAIRS)
     rank = np.empty(len(extent), np.int64)
-    rank[np.argsort(extent, kind="stable")] = np.arange(len(extent))
-    small, card = extent < SMALL_PART_VOXELS, np.bincount(part) <= FEW_VERTICES
+    num_vertices = np.bincount(part)
+    small, few, card = extent < SMALL_PART_VOXELS, num_vertices <= FEW_VERTICES, num_vertices <= CARD_VERTICES
+    rank[np.lexsort((extent, ~card))] = np.arange(len(extent))  # whatever its size, a stem carries cards
     stands = ~small & (low[:, 2] < low[:, 2].min() + grid.voxel_size_m)  # a trunk never hangs on its crown
-    loose = (small | card) & ~stands
+    loose = (small | few) & ~stands
     pieces = pieces or grid_pieces(mesh, grid)
     owner = part[mesh.faces[pieces.faces, 0]]
     places = np.einsum("pi,pic->pc", pieces.centroids, mesh.vertices[mesh.faces[pieces.faces]])
     everything = np.ones(len(extent), bool)
     surface = _Surface(places=places, owner=owner, extent=extent, voxel_size_m=grid.voxel_size_m)
 
-    on_larger = surface.near_larger(~stands, everything, MAX_GAP_VOXELS)
+    on_larger = surface.near_larger(~stands & ~card, ~card, MAX_GAP_VOXELS)
     hangs = loose[owner[on_larger[:, 0]]]
     branch = ~hangs & surface.touches_at_end(on_larger)
     seams = surface.around(on_larger[branch])
@@ -130,9 +135,10 @@ def find_attachments(mesh: TriangleMesh, grid: VoxelGrid, pieces: SurfacePieces 
         return remaining
 
     pairs.append(surface.near_any_larger(left(), ~card, rank))  # a twig of about the same size
-    pairs.append(surface.near_larger(left() & card, ~card, TWIG_GAP_VOXELS))
+    pairs.append(surface.near_larger(left() & few, ~card, TWIG_GAP_VOXELS))
+    pairs.append(surface.near_larger(left(), everything, MAX_GAP_VOXELS))
     pairs.append(surface.near_any_larger(left(), everything, rank))  # another card
-    pairs.append(surface.near_larger(left() & card, everything, TWIG_GAP_VOXELS))
+    pairs.append(surface.near_larger(left() & few, everything, TWIG_GAP_VOXELS))
     return _attachments(mesh, part, pieces, np.concatenate(pairs), seams)
 
 

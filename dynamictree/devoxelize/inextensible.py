@@ -26,7 +26,7 @@ import numpy as np
 import scipy.sparse
 from jaxtyping import Bool, Complex64, Float32, Float64, Int32, Int64
 
-from dynamictree.devoxelize.attachment import SMALL_PART_VOXELS, Attachments
+from dynamictree.devoxelize.attachment import CARD_VERTICES, SMALL_PART_VOXELS, Attachments
 from dynamictree.devoxelize.length_preserving import (
     LengthPreservingInterpolation,
     OnProgress,
@@ -38,8 +38,6 @@ from dynamictree.mesh import edges_of, weld
 from dynamictree.parallel import compiled, in_bands
 from dynamictree.spectrum import from_motion, iter_motion
 
-CARD_VERTICES = 8
-"""With so few, a part that hangs is a card at any size; one of more bends where it is large."""
 LARGEST_STRETCH = 0.01
 """99th percentile of the edges' stretch in a loop; a motion with less is left as it is."""
 ROUNDS = 14

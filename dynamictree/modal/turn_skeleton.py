@@ -15,8 +15,7 @@ import scipy.sparse
 from jaxtyping import Bool, Float32, Float64, Int32, Int64
 from scipy.sparse.csgraph import connected_components, dijkstra
 
-from dynamictree.devoxelize.attachment import SMALL_PART_VOXELS, Attachments, find_attachments
-from dynamictree.devoxelize.inextensible import CARD_VERTICES
+from dynamictree.devoxelize.attachment import CARD_VERTICES, SMALL_PART_VOXELS, Attachments, find_attachments
 from dynamictree.mesh import TriangleMesh, edges_of, part_bounds, weld
 from dynamictree.voxel.grid import VoxelGrid
 

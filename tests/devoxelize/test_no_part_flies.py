@@ -116,6 +116,23 @@ def test_a_card_hangs_on_the_twig_near_it_and_not_on_the_next_card() -> None:
     assert attached(mesh, owner) == dict.fromkeys(range(1, 6), 0)
 
 
+def test_a_card_hangs_on_the_small_twig_that_it_touches_and_not_on_the_branch_beside_it() -> None:
+    """A card of 0.4 m on a twig of 0.3 m, 1.5 voxels from a branch that is clearly larger."""
+    branch = tube([0.3, 0, 6], [2.5, 0, 6], 0.05)
+    twig = tube([1.0, 0.05, 6], [1.0, 0.35, 6], 0.02, rings=3, sides=6)
+    leaf = card(np.array([1.2, 0.34, 6]), 0.2 * np.eye(3)[:2] @ np.array([[1, 1, 0], [1, -1, 0], [0, 0, 1.0]]))
+    mesh, owner = merged(tube([0, 0, 0], [0, 0, 10], 0.2), branch, twig, leaf)
+    assert attached(mesh, owner)[3] == 2
+
+
+def test_a_twig_hangs_on_a_branch_and_not_on_the_large_leaf_that_it_touches() -> None:
+    branch = tube([0.3, 0, 6], [2.5, 0, 6], 0.05)
+    twig = tube([1.0, 0.12, 6], [1.0, 0.4, 6], 0.02, rings=3, sides=6)
+    leaf = card(np.array([1.0, 0.3, 6.01]), 0.6 * np.eye(3)[:2])
+    mesh, owner = merged(tube([0, 0, 0], [0, 0, 10], 0.2), branch, twig, leaf)
+    assert attached(mesh, owner)[2] == 1
+
+
 def test_a_branch_hangs_where_its_foot_is_and_not_where_it_crosses() -> None:
     trunk = tube([0, 0, 0], [0, 0, 10], 0.2, rings=40, sides=12)
     foot = tube([0.15, 0, 6], [2.5, 0, 7], 0.08, rings=10, sides=8)
