@@ -80,6 +80,14 @@ def test_the_loop_of_the_motion_comes_back(tree: Tree) -> None:
     assert _error(mesh, skeleton, turns, coefficients, spectrum.num_frames) < 0.04
 
 
+def test_no_fit_runs_away(tree: Tree) -> None:
+    """However large the motion is, the loop is nearer to it than bones that stand still."""
+    mesh, spectrum, skeleton, coefficients, _ = tree
+    huge = (20 * coefficients).astype(np.complex64)
+    turns = turn_modes(skeleton, mesh, huge, spectrum.num_frames)
+    assert _error(mesh, skeleton, turns, huge, spectrum.num_frames) < 0.9
+
+
 def test_edges_keep_their_lengths_in_a_storm(tree: Tree) -> None:
     mesh, spectrum, skeleton, _, turns = tree
     edges = edges_of(mesh.faces)
