@@ -76,7 +76,7 @@ def num_holes(mesh: TriangleMesh) -> int:
         return 0
     first, second = rows.reshape(-1, 2).T
     graph = coo_array((np.ones(len(first)), (first, second)), shape=(len(nodes), len(nodes)))
-    return int(connected_components(graph, directed=False, return_labels=False))
+    return int(connected_components(graph, directed=False)[0])
 
 
 def _closed_mesh(plant: GaussianCloud, whole: TriangleMesh, radius_m: float) -> TriangleMesh:
