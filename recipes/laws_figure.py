@@ -30,7 +30,7 @@ def main() -> None:
     low, high = (spread * height_law_hz(tall) for spread in MEASURED_SPREAD)
     left.fill_between(tall, low, high, color="tab:green", alpha=0.2, lw=0)
     left.loglog(height, frequency, ".", ms=4, label="simulator, ring-down")
-    title = "10 to 90 %, green: measured trees, grey: finite-element models"
+    title = "green: measured, grey: models"
     left.set(xlabel="height [m]", ylabel="lowest frequency [Hz]", title=title)
     left.legend()
     middle.hist(slope, 25)
