@@ -10,9 +10,9 @@ import numpy as np
 
 from dynamictree import method
 from dynamictree.commands.source import load_mesh
-from dynamictree.formats.gltf.forest import TravellingGusts, plant_forest, write_forest_glb
-from dynamictree.formats.motion.usd_forest import write_forest_usdz
 from dynamictree.formats.tensors.spectrum import read_spectrum
+from recipes.forest_glb import TravellingGusts, plant_forest, write_forest_glb
+from recipes.forest_usd import write_forest_usdz
 
 USD_MOTIONS = 12
 """Of a forest as USD, where no number is asked for: its file grows with them."""

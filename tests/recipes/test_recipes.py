@@ -17,7 +17,6 @@ from benchmarks._played import accessor, played_morphs, z_up
 from dynamictree import method
 from dynamictree.commands.source import load_mesh
 from dynamictree.errors import InputError
-from dynamictree.formats.gltf.forest import TravellingGusts, plant_forest
 from dynamictree.formats.gltf.motion import loop_parts, loop_weights, write_motion_glb
 from dynamictree.formats.gltf.writer import write_glb
 from dynamictree.formats.mesh_file import read_mesh
@@ -25,6 +24,7 @@ from dynamictree.formats.tensors.spectrum import read_spectrum, write_spectrum
 from dynamictree.spectrum import iter_motion
 from lab.dataset.sample import make_sample, voxel_spectrum
 from recipes import blender_import, forest, gallery
+from recipes.forest_glb import TravellingGusts, plant_forest
 
 COUNT = 9
 ROOT = Path(__file__).parents[2]

@@ -12,12 +12,12 @@ import numpy as np
 from jaxtyping import Complex64
 
 from dynamictree.errors import InputError
-from dynamictree.formats.gltf.forest import StandingTree, by_motion
 from dynamictree.formats.motion.usd import define_looks, define_surface, new_stage, set_points, texture_files
 from dynamictree.formats.motion.usdz import pack_usdz
 from dynamictree.gaussian.cloud import MAX_SEQUENCE_BYTES
 from dynamictree.mesh import TriangleMesh
 from dynamictree.spectrum import iter_motion
+from recipes.forest_glb import StandingTree, by_motion
 
 _FOREST = "/Forest"
 _MOTIONS = f"{_FOREST}/Motions"
