@@ -23,6 +23,7 @@ _BY_ENDING = {
         ("avi", "mkv", "webm"),
         "a film of a walk around the tree is for `dynamictree reconstruct`; to upload it, export it as MP4",
     ),
+    **dict.fromkeys(("lcc", "lci"), "convert it with `splat-transform scene.lcc scene.ply`"),
     "mtl": "these are the materials of an OBJ, which lie beside it: give the OBJ",
     "bin": "this is the buffer of a glTF, which lies beside it: give the .gltf",
 }
@@ -54,6 +55,8 @@ def advice_for(head: bytes, ending: str) -> str | None:
     for first, name, advice in _BY_BYTES:
         if start[: len(first)].lower() == first.lower():
             return f"{name} files are not read; {advice}"
+    if start.startswith(b"{") and b'"lodLevels"' in head:
+        return "splats in levels of detail (lod-meta.json) are not read; `splat-transform lod-meta.json tree.ply`"
     if ending in _BY_ENDING:
         return f".{ending} files are not read; {_BY_ENDING[ending]}"
     return None

@@ -53,9 +53,15 @@ def texture_as_png(content: bytes, name: str) -> bytes:
         raise FormatError(f"texture {name!r} is damaged: {str(error)[:120]}") from error
     if image.format == "PNG" and image.mode in ("RGB", "RGBA", "L", "LA", "P"):
         return content
-    if image.mode[0] in _LARGEST:  # Pillow would clip them at 255
-        share = np.asarray(image, np.float64) / _LARGEST[image.mode[0]]
-        image = Image.fromarray(np.round(np.nan_to_num(share).clip(0, 1) * 255).astype(np.uint8))
+    image = in_eight_bits(image)
     stream = io.BytesIO()
     image.convert("RGBA" if "A" in image.getbands() else "RGB").save(stream, "PNG")
     return stream.getvalue()
+
+
+def in_eight_bits(image: Image.Image) -> Image.Image:
+    """A grey picture of 16 bits or of floats scaled to its range, at which Pillow would clip; others as they are."""
+    if image.mode[0] not in _LARGEST:
+        return image
+    share = np.asarray(image, np.float64) / _LARGEST[image.mode[0]]
+    return Image.fromarray(np.round(np.nan_to_num(share).clip(0, 1) * 255).astype(np.uint8))

@@ -11,6 +11,7 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 
 from dynamictree.errors import FormatError, InputError
 from dynamictree.formats.suffixes import MASKS
+from dynamictree.formats.texture import in_eight_bits
 from dynamictree.photo_requests import MAX_PHOTOS, MIN_PHOTOS
 
 FORMATS = ("JPEG", "PNG", "WEBP", "TIFF")
@@ -163,7 +164,7 @@ def _decoded(image: Image.Image, photo: PhotoFile, *, reduced: bool) -> Image.Im
     if reduced:
         image.draft("RGB", (LONG_SIDE_PX, LONG_SIDE_PX))  # a JPEG is decoded at the next larger of 1/2, 1/4, 1/8
     try:
-        turned = image.copy() if photo.as_stored else ImageOps.exif_transpose(image)
+        turned = in_eight_bits(image.copy() if photo.as_stored else ImageOps.exif_transpose(image))
         return turned.convert("RGBA" if "A" in turned.getbands() or "transparency" in turned.info else "RGB")
     except (OSError, SyntaxError) as error:
         raise _undecodable(photo, error) from error

@@ -41,6 +41,8 @@ def usdz() -> bytes:
         ("tree.glb", b"", "empty"),
         ("photo.heic", b"\0\0\0\x18ftypheic", "JPEG"),
         ("walk.mov", b"\0\0\0\x14ftypqt  ", "dynamictree reconstruct"),
+        ("meta.lcc", b'{"version": "4.0", "guid": 1}', "splat-transform scene.lcc"),
+        ("lod-meta.json", b'{"lodLevels": 4, "filenames": [], "tree": {}}', "splat-transform lod-meta.json"),
         ("tree.mtl", b"newmtl leaf\nKd 1 1 1\n", "give the OBJ"),
     ],
 )

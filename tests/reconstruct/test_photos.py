@@ -202,3 +202,13 @@ def test_sizes_are_reported_as_stored_and_as_turned(tmp_path):
     exif[0x0112] = 6
     (photo,) = list_photos([save_photo(tmp_path / "turned.jpg", exif=exif)])
     assert sizes_of(photo) == ((400, 300), (300, 400))
+
+
+def test_grey_photos_of_16_bits_are_scaled_to_their_range(tmp_path, eight):
+    ramp = np.tile(np.linspace(0, 65_535, 400).astype(np.uint16), (300, 1))
+    Image.fromarray(ramp).save(eight[0].with_suffix(".png"))
+    prepared = prepare_photos([eight[0].with_suffix(".png"), *eight[1:]], tmp_path / "out")
+    with Image.open(tmp_path / "out" / prepared[0].name) as image:
+        pixels = np.asarray(image.convert("L"), float)
+    assert abs(pixels.mean() - 127.5) < 2
+    assert abs(pixels[:, 100].mean() - 64) < 3
