@@ -1,7 +1,8 @@
-"""How far products, and bones that only turn, are from the simulator's truth: six grown trees in three winds.
+"""How far products, bones that only turn, and a rig are from the simulator's truth: six grown trees in three winds.
 
 The truth's own spectrum goes through 128³ voxels and back, so no model takes part. Errors are root mean squares over
 all vertices and frames, as shares of the truth's sway; stretch is the 99th percentile of the edges' over all frames.
+The rig is a prototype (`_rig`): the same bones, fitted straight to the voxels and blended as skins of engines are.
 """
 
 import time
@@ -10,13 +11,16 @@ from collections.abc import Callable
 import numpy as np
 
 from benchmarks._machine import machine
+from benchmarks._rig.pose import bones_of, carried, poses
+from benchmarks._rig.turn_fit import Target, fit_turns
 from dynamictree.export.moving_tree import MovingTree
 from dynamictree.export.vertex_motion import vertex_motion
 from dynamictree.mesh import TriangleMesh, edges_of
 from dynamictree.modal.turn_modes import posed, turn_modes
-from dynamictree.modal.turn_skeleton import turn_skeleton
+from dynamictree.modal.turn_skeleton import FINENESS, turn_skeleton
 from dynamictree.requests import ExportParams, Wind
 from dynamictree.spectrum import SparseVoxelSpectrum, iter_motion
+from dynamictree.voxel.voxelize import surface_average
 from lab.dataset.sample import make_sample, voxel_spectrum
 
 TREES = (("round-broadleaf", 7), ("weeping", 2), ("palm", 3), ("pine", 4), ("shrub", 5), ("conical-conifer", 6))
@@ -47,6 +51,7 @@ def _row(species: str, seed: int, speed_m_s: float) -> dict[str, float]:
     ways: dict[str, Callable[[TriangleMesh, SparseVoxelSpectrum], np.ndarray]] = {
         "products": _products,
         "bones": _bones,
+        "rig": _rig,
     }
     for name, way in ways.items():
         begun = time.process_time()
@@ -76,6 +81,22 @@ def _bones(mesh: TriangleMesh, spectrum: SparseVoxelSpectrum) -> np.ndarray:
     turns = turn_modes(skeleton, mesh, motion.linear, spectrum.num_frames)
     frames = iter_motion(turns, np.arange(NUM_FRAMES) / NUM_FRAMES, spectrum.num_frames)
     return np.stack([posed(skeleton, mesh.vertices, theta) for theta in frames])
+
+
+def _rig(mesh: TriangleMesh, spectrum: SparseVoxelSpectrum) -> np.ndarray:
+    skeleton, weights = bones_of(turn_skeleton(mesh, spectrum.grid))
+    target = Target(
+        points=mesh.vertices,
+        edges=edges_of(mesh.faces),
+        mean=surface_average(mesh, spectrum.grid).astype(np.float64),
+        coefficients=spectrum.coefficients,
+        num_frames=spectrum.num_frames,
+        voxel_m=float(np.ptp(mesh.vertices, axis=0).max()) / FINENESS,
+    )
+    turns = fit_turns(skeleton, weights, target)
+    phases = np.arange(NUM_FRAMES) / NUM_FRAMES
+    stance = poses(skeleton, np.stack(list(iter_motion(turns, phases, spectrum.num_frames))))
+    return np.stack([carried(skeleton, stance, frame, mesh.vertices, weights) for frame in range(NUM_FRAMES)])
 
 
 def _stretch(mesh: TriangleMesh, motion: np.ndarray) -> float:

@@ -1,0 +1,122 @@
+"""Forward kinematics of a skeleton, and where its bones carry points. The equations are in the package's docstring."""
+
+from dataclasses import dataclass
+from typing import no_type_check
+
+import numpy as np
+from jaxtyping import Float32, Float64, Int32
+
+from dynamictree.modal.turn_skeleton import TurnSkeleton
+from dynamictree.parallel import compiled, in_bands
+
+GROUND = 0
+"""The bone that never moves. It carries what is no plant."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Skeleton:
+    """B bones in the order of their depth, so parents before children; the first is the ground."""
+
+    parent: Int32[np.ndarray, " B"]  # -1 of the ground
+    foot_m: Float32[np.ndarray, "B 3"]  # about which a bone turns; its parent carries it
+    reach_m: Float32[np.ndarray, "B 3"]  # from the foot to the bone's end
+    directions: Float32[np.ndarray, "B 3"]  # whose swing turns with the wind's direction
+    levels: list[slice]  # bones of each depth, from 1
+
+    def __len__(self) -> int:
+        return len(self.parent)
+
+    @property
+    def above(self) -> Int32[np.ndarray, " B"]:
+        """Parent of each bone; the ground's own is itself."""
+        return np.asarray(np.maximum(self.parent, 0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Weights:
+    """Bones that carry each of n points, and their shares, which sum to 1."""
+
+    rows: Int32[np.ndarray, "n W"]
+    shares: Float32[np.ndarray, "n W"]
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Poses:
+    """Poses of all bones at T moments: a point x of bone b goes to rotation (x - foot) + place."""
+
+    rotation: Float64[np.ndarray, "T B 3 3"]
+    place_m: Float64[np.ndarray, "T B 3"]
+
+
+def bones_of(turning: TurnSkeleton) -> tuple[Skeleton, Weights]:
+    """The bones of a mesh, and the two that carry each vertex."""
+    skeleton = Skeleton(
+        parent=turning.parent,
+        foot_m=turning.foot_m,
+        reach_m=turning.reach_m,
+        directions=turning.directions,
+        levels=turning.levels,
+    )
+    rows = np.stack([turning.bone, skeleton.above[turning.bone]], axis=1)
+    shares = np.stack([1 - turning.parent_share, turning.parent_share], axis=1)
+    return skeleton, Weights(rows=rows, shares=shares)
+
+
+def poses(skeleton: Skeleton, theta: Float32[np.ndarray, "T B 3"]) -> Poses:
+    """Poses of the bones where they turn by these θ [rad]."""
+    foot, turns = skeleton.foot_m.astype(np.float64), np.ascontiguousarray(theta, np.float64)
+    rotation, place = np.empty((*theta.shape, 3)), np.empty(theta.shape)
+    in_bands(_pose, len(theta), skeleton.above, foot, turns, rotation, place)
+    return Poses(rotation=rotation, place_m=place)
+
+
+def carried(
+    skeleton: Skeleton, stance: Poses, moment: int, points: Float32[np.ndarray, "n 3"], weights: Weights
+) -> Float32[np.ndarray, "n 3"]:
+    """Displacement of points at one moment of the poses [m]."""
+    rotation = stance.rotation[moment]
+    shift = stance.place_m[moment] - np.einsum("bij,bj->bi", rotation, skeleton.foot_m)  # x' = Σ w (R x + shift)
+    moved = np.empty((len(points), 3), np.float32)
+    less_one = rotation - np.eye(3)  # (R - 1) x + shift keeps the digits of small motions
+    in_bands(_carry, len(points), less_one, shift, points, weights.rows, weights.shares, moved)
+    return moved
+
+
+@compiled
+@no_type_check  # numba compiles no checked function
+def _pose(first, end, above, foot, theta, rotation, place):
+    for t in range(first, end):
+        for b in range(len(foot)):
+            x, y, z = theta[t, b]
+            c = 1 / np.sqrt(1 + x * x + y * y + z * z)
+            d = c * c / (1 + c)
+            r = rotation[t, b]
+            r[0, 0], r[0, 1], r[0, 2] = c + d * x * x, d * x * y - c * z, d * x * z + c * y
+            r[1, 0], r[1, 1], r[1, 2] = d * x * y + c * z, c + d * y * y, d * y * z - c * x
+            r[2, 0], r[2, 1], r[2, 2] = d * x * z - c * y, d * y * z + c * x, c + d * z * z
+            a = above[b]
+            for i in range(3):
+                if a == b:
+                    place[t, b, i] = foot[b, i]
+                    continue
+                q = rotation[t, a, i]
+                u, v, w = foot[b, 0] - foot[a, 0], foot[b, 1] - foot[a, 1], foot[b, 2] - foot[a, 2]
+                place[t, b, i] = place[t, a, i] + q[0] * u + q[1] * v + q[2] * w
+
+
+@compiled
+@no_type_check
+def _carry(first, end, less_one, shift, points, rows, shares, moved):
+    for n in range(first, end):
+        x, y, z = points[n]
+        for i in range(3):
+            total = 0.0
+            for j in range(rows.shape[1]):
+                w = shares[n, j]
+                if w > 0:
+                    r = less_one[rows[n, j], i]
+                    total += w * (r[0] * x + r[1] * y + r[2] * z + shift[rows[n, j], i])
+            moved[n, i] = total
