@@ -26,8 +26,8 @@ _FOOT = 0.03  # of the height: so near to a stem's middle, what lies on the grou
 _OWN_TOP = 0.02
 """Of its height, at least, a tree rises above the highest place where its crown touches a neighbour's.
 
-Tips of hanging branches (of 42 variants of species, 31 tips): 0 to 0.01, seldom 0.03, as the branch goes on upward in
-its tree; trees in stands: 0.06 and more, with crowns half in one another 0.02 (docs/decisions/plant.md)."""
+Tips of hanging branches (of seven trees that were cut into pieces): 0 to 0.01, seldom 0.03, as the branch goes on
+upward in its tree; trees in stands: 0.06 and more, with crowns half in one another 0.02 (docs/decisions/plant.md)."""
 _THICKER = 1.5  # times the cells of the thickest tip in the slice: less is a tip as well
 
 
