@@ -184,7 +184,16 @@ def _stroke(name: str, text: str) -> Schema:
         problem = f'a photo, {_PLANT} or {_OTHER}, and places are needed, as "IMG_3.jpg {_PLANT} 0.5,0.4 0.5,0.7"'
         raise InputError(f"{_option_name(name)} is {text!r}: {problem}")
     photo, what, places = parts.groups()
-    return {"photo": photo, "plant": what == _PLANT, "points": [place.split(",") for place in places.split()]}
+    points = [[_number_of(value) for value in place.split(",")] for place in places.split()]
+    return {"photo": photo, "plant": what == _PLANT, "points": points}
+
+
+def _number_of(text: str) -> float | str:
+    """The number that a text is; other text as it is, which the model refuses."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
 
 
 def _names(values: list[str]) -> list[str]:
