@@ -99,6 +99,11 @@ def test_map_coordinates_with_commas_keep_their_millimetres() -> None:
     )
 
 
+def test_positions_beyond_single_precision_are_refused() -> None:
+    with pytest.raises(InputError, match="beyond 3e38"):
+        cloud_of(table() + "1e200 0 0\n")
+
+
 def test_rows_that_are_left_out_are_counted() -> None:
     assert cloud_of(table() + "nan 1 2\n1 inf 2\n").dropped == 2
 

@@ -69,6 +69,8 @@ def cloud_of_points(
         raise InputError(f"all {len(points):,} points are at one place; the cloud needs an extent")
     refuse_degrees(points, extent)
     means, offset = near_origin(points)
+    if not np.isfinite(means).all():
+        raise InputError("positions of the cloud are beyond 3e38, which is no place; remove them")
     points = means.astype(np.float64)
     scales = np.repeat(_spacing(points)[:, None], 3, axis=1)
     if colors is None or not colors.any():
