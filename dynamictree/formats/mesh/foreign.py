@@ -134,7 +134,7 @@ def _dae_names(content: bytes) -> _Names:
         root = ElementTree.fromstring(content)
     except ElementTree.ParseError as error:
         raise FormatError(f"the DAE file cannot be read: {str(error)[:160]}") from error
-    labels = {one.get("id", ""): one.get("name") or one.get("id", "") for one in root.iter() if one.get("id")}
+    labels = {key: one.get("name") or key for one in root.iter() if (key := one.get("id"))}
     symbols = {
         one.get("id", ""): [
             primitive.get("material", "")
