@@ -12,14 +12,12 @@ import typer
 from dynamictree.commands.terminal import AsJson
 from dynamictree.errors import InputError
 from dynamictree.requests import Reading
-from lab.training.progress import OnStep, bars
+from lab.training.progress import bars
 
 if TYPE_CHECKING:
     from dynamictree.mesh import TriangleMesh
     from dynamictree.spectrum import SparseVoxelSpectrum, Wind
     from lab.evaluation.frame_distances import ImageEmbedder
-
-RIVALS = ("sapling",)
 
 
 def evaluate(
@@ -41,9 +39,6 @@ def evaluate(
             file_okay=False,
             help="Folder of trees (.npz) that Blender's Sapling add-on baked: a third group.",
         ),
-    ] = None,
-    rival: Annotated[
-        str | None, typer.Option(help="Instead, move the same meshes by our model and by a rival: sapling.")
     ] = None,
     classifier: Annotated[
         bool, typer.Option(help="Instead, train a classifier to tell generated motions from true ones (long).")
@@ -83,10 +78,8 @@ def evaluate(
     import torch
 
     torch.set_num_threads(threads)
-    if rival is not None and rival not in RIVALS:
-        raise InputError(f"there is no rival {rival!r}; choose {', '.join(RIVALS)}")
-    if (rival is not None) + classifier + laws > 1:
-        raise InputError("--rival, --classifier and --laws are separate runs; give one of them")
+    if classifier and laws:
+        raise InputError("--classifier and --laws are separate runs; give one of them")
     if (tree is not None or generated) and not laws:
         raise InputError(
             "--tree and --generated are for --laws; without it the model is measured on trees of known motion"
@@ -109,9 +102,7 @@ def evaluate(
         return
     files, embedders = _sapling(samples), _embedders(clip, effnet=effnet)
     with bars(quiet=as_json) as on_step:
-        if rival is not None:
-            report = _compare(model, trees, seed, files, embedders, on_step)
-        elif classifier:
+        if classifier:
             from lab.evaluation.classifier import classify
 
             report = classify(model, num_trees=classifier_trees, max_voxels=max_voxels, seed=seed, on_step=on_step)
@@ -131,8 +122,6 @@ def evaluate(
             )
     if as_json:
         typer.echo(json.dumps(report))
-    elif rival is not None:
-        print_rivals(report)
     elif classifier:
         print_classifier(report)
     else:
@@ -177,19 +166,6 @@ def _motion_of(shape: "TriangleMesh", *, model: str, seed: int) -> "Callable[[Wi
     return lambda wind: method.generate(voxels, wind=wind, seed=seed, model=model)
 
 
-def _compare(
-    model: str,
-    trees: int,
-    seed: int,
-    files: Sequence[Path],
-    embedders: "Sequence[ImageEmbedder]",
-    on_step: OnStep,
-) -> dict[str, Any]:
-    from lab.evaluation.contest import compare
-
-    return compare(model, num_trees=trees, seed=seed, sapling=files, embedders=embedders, on_step=on_step)
-
-
 def print_figures(report: dict[str, Any]) -> None:
     """Print the figures of each group, the targets, and whether the model passes."""
     for group, rows in report["groups"].items():
@@ -206,16 +182,6 @@ def print_figures(report: dict[str, Any]) -> None:
         typer.echo(f"{name} {target['wanted']}: {value}, {verdict}; better baselines: {better}")
     verdict = "passes" if report["passes"] else "does not pass"
     typer.echo(f"{report['model']} {verdict}: {report['rule']}")
-
-
-def print_rivals(report: dict[str, Any]) -> None:
-    """Print the comparison with procedural wind, one table per set of trees."""
-    from lab.evaluation.contest import CONTESTANTS
-
-    for kind, rows in report["sets"].items():
-        _print_columns(f"{kind}: mean over {report['trees'][kind]} trees", rows)
-    for name, meaning in CONTESTANTS.items():
-        typer.echo(f"{name}: {meaning}")
 
 
 def print_classifier(report: dict[str, Any]) -> None:

@@ -115,6 +115,7 @@ def classify(
     rows: dict[str, list[dict[str, float]]] = {kind: [] for kind in ("truth", *KINDS)}
     voxels: list[int] = []
     for tree in _small_trees(num_trees, max_voxels, tries):
+        assert tree.second is not None, "grown trees have one"
         own_seed = seed + len(voxels)
         rng = np.random.default_rng([own_seed, 1])
         reference, interpolation = TreeReference.of(tree), length_preserving(tree.voxels.grid, tree.mesh)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Complex64, Int32
+from jaxtyping import Complex64
 
 from dynamictree.mesh import TriangleMesh
 from dynamictree.spectrum import Wind, from_motion
@@ -15,8 +15,6 @@ from lab.dataset.motion import vertex_spectrum
 from lab.dataset.sapling import grow_tree
 from lab.dataset.species import SPECIES
 from lab.dataset.wind import sway
-from lab.evaluation.foreign_skeleton import simulated
-from lab.evaluation.procedural_wind import WIND_BLOWS_TO_DEG, Bones, bones_of, sway_as_sapling
 from lab.evaluation.sapling_file import read_sapling
 
 STREAM = 7_000_001
@@ -24,40 +22,32 @@ STREAM = 7_000_001
 SPEED_M_S = (2.0, 10.0)
 GUST = (0.15, 0.45)
 
-SAPLING_WIND = Wind(speed_m_s=7.5, direction_deg=WIND_BLOWS_TO_DEG)
-"""What we take the add-on's wind 1 for: at this speed our stems bend as far, see docs/decisions/dataset.md."""
+SAPLING_WIND = Wind(speed_m_s=7.5, direction_deg=-90.0)
+"""What we take the add-on's wind 1 for: it blows along −Y; our stems bend as far, see docs/decisions/dataset.md."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class HeldOutTree:
-    """A tree and two simulated motions: the same mean wind, different gusts."""
+    """A tree and its true motion; of the grown trees also one in other gusts of the same mean wind."""
 
     species: str
     wind: Wind
     mesh: TriangleMesh
     voxels: SurfaceVoxels
     truth: Complex64[np.ndarray, "N K 3"]  # [m]
-    second: Complex64[np.ndarray, "N K 3"]
-    taught: Complex64[np.ndarray, "N K 3"] | None = None  # by the training data's wind, where the truth is another's
-    bones: Bones
-    bone: Int32[np.ndarray, " N"]  # that a vertex goes with
+    second: Complex64[np.ndarray, "N K 3"] | None = None
 
 
 def iter_sapling(files: Sequence[Path], *, resolution: int = 128) -> Iterator[HeldOutTree]:
-    """Trees of Blender's Sapling add-on; their second wind is the add-on's formula with other phases."""
-    for number, path in enumerate(files):
+    """Trees of Blender's Sapling add-on, which another simulator moves."""
+    for path in files:
         tree = read_sapling(path)
-        again = sway_as_sapling(tree.bones, np.random.default_rng([STREAM, number]), loop=False)
         yield HeldOutTree(
             species=tree.name,
             wind=SAPLING_WIND,
             mesh=tree.mesh,
             voxels=voxelize(tree.mesh, resolution),
             truth=from_motion(tree.displacement),
-            second=from_motion(again.displacement(tree.mesh.vertices, tree.bone)),
-            taught=simulated(tree.bones, tree.mesh.vertices, tree.bone, SAPLING_WIND, number),
-            bones=tree.bones,
-            bone=tree.bone,
         )
 
 
@@ -79,7 +69,6 @@ def iter_held_out(group: SpeciesGroup, count: int, *, resolution: int = 128) -> 
         )
         tree = grow_tree(chosen, rng)
         truth, second = (vertex_spectrum(sway(tree, wind, rng), tree.mesh.vertices, tree.node) for _ in range(2))
-        bones, bone = bones_of(tree)
         yield HeldOutTree(
             species=chosen.name,
             wind=wind,
@@ -87,6 +76,4 @@ def iter_held_out(group: SpeciesGroup, count: int, *, resolution: int = 128) -> 
             voxels=voxelize(tree.mesh, resolution),
             truth=truth,
             second=second,
-            bones=bones,
-            bone=bone,
         )

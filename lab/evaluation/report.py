@@ -56,9 +56,7 @@ def iter_motions(
     - by-height mean: geometric mean of the training trees by height
     - nearest tree: the motion of the training tree of the most similar shape
     - representation: the true motion, voxelized and back
-    - second wind: the true motion of the same tree in other gusts, which is what chance makes
-    - 4dtree wind: that of the training data, on the skeleton of a tree whose truth another simulator made: what a model
-      that learned from it should do
+    - second wind: the true motion of the same tree in other gusts, which is what chance makes; only of grown trees
     """
     tree, model = reference.tree, methods.model
     rng = np.random.default_rng([seed, 1])
@@ -71,9 +69,8 @@ def iter_motions(
     yield "by-height mean", interpolation.apply(methods.by_height.spectrum(tree.voxels.grid, tree.wind, rng))
     yield "nearest tree", interpolation.apply(nearest_tree(tree.voxels, tree.wind, methods.training_trees))
     yield "representation", interpolation.apply(reference.on_voxels(tree.truth))
-    yield "second wind", tree.second
-    if tree.taught is not None:
-        yield "4dtree wind", tree.taught
+    if tree.second is not None:
+        yield "second wind", tree.second
 
 
 def generate_for(
@@ -85,8 +82,10 @@ def generate_for(
     return model.generate(voxels, wind=tree.wind, seed=seed, num_steps=num_steps)
 
 
-def seed_difference(tree: HeldOutTree, model: MotionModel, num_steps: int | None) -> tuple[float, float]:
-    """Relative difference of two seeds, and of two true winds; √2 where they have nothing in common."""
+def seed_difference(tree: HeldOutTree, model: MotionModel, num_steps: int | None) -> tuple[float, float] | None:
+    """Relative difference of two seeds, and of two true winds if known; √2 where they have nothing in common."""
+    if tree.second is None:
+        return None
     first, second = (generate_for(tree, model, seed=seed, num_steps=num_steps).coefficients for seed in (0, 1))
     return relative_difference(first, second), relative_difference(tree.truth, tree.second)
 
@@ -125,7 +124,7 @@ def evaluate_model(
         for group in get_args(Group)
         if (own := trees_of_group(group, num_trees, sapling)).count
     }
-    between = np.mean([one.seed_difference for one in reports.values()], axis=0)
+    between = np.mean([one.seed_difference for one in reports.values() if one.seed_difference is not None], axis=0)
     return {
         "model": model.name,
         "trees": {group: one.count for group, one in reports.items()},
@@ -148,7 +147,7 @@ class GroupReport:
     figures: dict[str, dict[str, float]]
     energies: dict[str, list[float]]
     frame_distances: dict[str, dict[str, float]]
-    seed_difference: tuple[float, float]
+    seed_difference: tuple[float, float] | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,7 +172,7 @@ def evaluate_group(
     rows: dict[str, list[dict[str, float]]] = {}
     drawn: dict[str, list[dict[str, float]]] = {}
     shares: dict[str, list[Float64[np.ndarray, " J"]]] = {}
-    difference = (0.0, 0.0)
+    difference = None
     for index, tree in enumerate(group.trees):
         reference = TreeReference.of(tree)
         true_distances: dict[str, tuple[float, float]] = {}

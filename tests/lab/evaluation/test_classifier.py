@@ -55,10 +55,7 @@ def test_a_limit_that_no_tree_meets_is_reported(untrained: Path) -> None:
 
 
 def test_two_kinds_of_run_at_once_are_refused(commands: Typer, untrained: Path) -> None:
-    arguments = ["--model", str(untrained), "--rival", "sapling", "--classifier", "--json"]
+    arguments = ["--model", str(untrained), "--laws", "--classifier", "--json"]
     result = CliRunner().invoke(commands, arguments)
     assert isinstance(result.exception, InputError)
     assert "give one of them" in str(result.exception)
-    result = CliRunner().invoke(commands, ["--rival", "speedtree"])
-    assert isinstance(result.exception, InputError)
-    assert "'speedtree'" in str(result.exception)

@@ -9,7 +9,7 @@ from typer import Typer
 from typer.testing import CliRunner
 
 from dynamictree.spectrum import to_motion
-from lab.commands.evaluate import print_classifier, print_figures, print_rivals
+from lab.commands.evaluate import print_classifier, print_figures
 from lab.evaluation.figures import TreeReference, figures_of
 from lab.evaluation.held_out_trees import HeldOutTree, iter_sapling
 from lab.evaluation.sapling_file import read_sapling, sapling_files
@@ -69,8 +69,7 @@ def test_the_add_ons_trees_are_a_third_group(commands: Typer, untrained: Path, s
     rows = report["groups"]["sapling"]
     assert report["trees"]["sapling"] == 2
     assert rows["representation"]["log_amplitude_correlation"] > 0.97
-    assert rows["second wind"]["log_amplitude_rmse"] < 0.4
-    assert rows["second wind"]["log_amplitude_correlation"] > rows["by-height mean"]["log_amplitude_correlation"]
+    assert "second wind" not in rows
 
 
 def test_the_add_ons_trees_are_judged_by_their_own_frames(samples: Path) -> None:
@@ -79,25 +78,6 @@ def test_the_add_ons_trees_are_judged_by_their_own_frames(samples: Path) -> None
         motion = to_motion(tree.truth)
         baked = read_sapling(path).displacement
         assert np.linalg.norm(motion - baked) < 0.05 * np.linalg.norm(baked)
-        figures = figures_of(tree.second, TreeReference.of(tree))
-        assert figures.log_amplitude_correlation > 0.9
-        assert figures.lean_ratio == pytest.approx(1, abs=0.3)
-
-
-@pytest.mark.slow
-def test_rivals_move_the_same_meshes_and_only_the_bake_jumps(commands: Typer, untrained: Path, samples: Path) -> None:
-    report, said = ran(
-        commands, "--model", str(untrained), "--rival", "sapling", "--trees", "1", "--samples", str(samples)
-    )
-    assert "--samples" not in said
-    theirs, ours = report["sets"]["sapling trees"], report["sets"]["unseen species"]
-    assert set(theirs) == {"model", "sapling", "sapling, as baked"}
-    assert set(ours) == {"model", "sapling", "4dtree wind"}
-    assert theirs["sapling, as baked"]["loop_jump"] > 2
-    assert theirs["sapling"]["loop_jump"] < 1.05
-    for rows in (theirs, ours):
-        assert rows["sapling"]["stretch_p99"] < 0.01
-        assert rows["sapling"]["cpu_seconds"] < rows["model"]["cpu_seconds"]
 
 
 def test_figures_and_verdicts_are_printed_for_people(capsys: pytest.CaptureFixture[str]) -> None:
@@ -120,7 +100,5 @@ def test_figures_and_verdicts_are_printed_for_people(capsys: pytest.CaptureFixtu
     assert "stretch p99 at most 0.05: 0.500 (a second true wind 0.500), missed by 0.450; better baselines: none" in text
     assert "loop jump at most 1: 0.500 (a second true wind 0.500), met" in text
     assert "small does not pass: the rule" in text
-    print_rivals({"sets": {"unseen species": {"model": {"roughness": 0.25}}}, "trees": {"unseen species": 2}})
-    assert "unseen species: mean over 2 trees" in capsys.readouterr().out
     print_classifier({"right": {"model": 0.613}, "valid": True, "rule": "a rule", "trees": 20, "mean_voxels": 9000.0})
     assert "true motion and model separated in 61.3 % of cases\nvalid: a rule; 20 trees" in capsys.readouterr().out
