@@ -2,7 +2,6 @@
 
 import { Client, Problem } from "./client.js";
 import { remoteSource } from "./motion/remote.js";
-import { frames, hand, live, player, scene, stage } from "./page/begin.js";
 import { relativePaths, treesAmong } from "./page/bundles.js";
 import { CompanyPanel, makeOther } from "./page/company.js";
 import { $, ask, fill, paintRanges } from "./page/dom.js";
@@ -29,194 +28,221 @@ import { ViewPanel } from "./page/views.js";
 import { buildWelcome, exampleFile, showFormats } from "./page/welcome.js";
 import { WindPanel } from "./page/wind.js";
 
-const client = new Client({ key: sessionStorage.getItem("key"), storage: globalThis.localStorage });
-const limits = client.json("GET", "/v1/limits");
-const machine = new Machine(onState);
-scene.connect(client, { onMotion, onComplete: showViews, onDraft, onClear });
-const session = new Session(client, machine, scene, { onJob: (id) => setAddress(`#job=${id}`), onKey: askKey });
-const files = new Files(client, { onProblem: (error) => onProblem(error) });
-const jobs = new JobList(client, {
-  onOpen: (id) => open(id),
-  onDeleted: (id) => id === session.jobId && session.deleted(),
-  onProblem: (error) => onProblem(error, () => jobs.show()),
-});
-const company = new CompanyPanel(stage, player, {
-  otherMotion: (run) => makeOther(client, scene, machine.facts.job, run),
-  onProblem,
-});
-const wind = new WindPanel(stage, player, { onMake: makeForWind, onEndless: () => company.takeWind(), onProblem });
-const views = new ViewPanel(stage, player);
-const form = new TreeForm(stage, { onApply: remake, tree: () => scene.tree });
+export class App {
+  /** `parts` are those that page/begin.js made: stage, hand, player, scene, live. */
+  constructor(parts) {
+    Object.assign(this, parts);
+    const { stage, player, scene } = parts;
+    const onProblem = (error) => this.onProblem(error);
+    const name = () => this.treeName;
+    this.client = new Client({ key: sessionStorage.getItem("key"), storage: globalThis.localStorage });
+    this.limits = this.client.json("GET", "/v1/limits");
+    this.machine = new Machine((...change) => this.onState(...change));
+    this.shownProblem = null; // one that was closed stays closed
+    scene.connect(this.client, {
+      onMotion: (...motion) => this.onMotion(...motion),
+      onComplete: () => this.showViews(),
+      onDraft: showDraftHeight,
+      onClear: () => this.onClear(),
+    });
+    this.session = new Session(this.client, this.machine, scene, {
+      onJob: (id) => setAddress(`#job=${id}`),
+      onKey: (again) => this.askKey(again),
+    });
+    this.files = new Files(this.client, { onProblem });
+    this.jobs = new JobList(this.client, {
+      onOpen: (id) => this.open(id),
+      onDeleted: (id) => id === this.session.jobId && this.session.deleted(),
+      onProblem: (error) => this.onProblem(error, () => this.jobs.show()),
+    });
+    this.company = new CompanyPanel(stage, player, {
+      otherMotion: (run) => makeOther(this.client, scene, this.machine.facts.job, run),
+      onProblem,
+    });
+    this.wind = new WindPanel(stage, player, {
+      onMake: (...wind) => this.makeForWind(...wind),
+      onEndless: () => this.company.takeWind(),
+      onProblem,
+    });
+    this.views = new ViewPanel(stage, player);
+    this.form = new TreeForm(stage, { onApply: (wanted) => this.remake(wanted), tree: () => scene.tree });
+    new ShareDialog(this.client, { tree: () => ({ job: this.machine.facts.job, name: name() }), onProblem });
+    new LightPanel(stage);
+    new Recorder(stage, player, { name, onProblem });
+    buildPushPanel(parts.hand);
+    this._watch(parts);
+    paintRanges();
+    this.look();
+    this.onState("welcome", {}, null);
+    parts.onDraw = () => this.company.place();
+    this.route();
+    document.body.dataset.ready = "true";
+  }
 
-// ---- states
+  _watch({ stage, hand, player }) {
+    const { client, session } = this;
+    const layAgain = () => layOut(stage, this.machine.state);
+    watchRoom(layAgain);
+    $("new").onclick = () => this.leave();
+    $("cancel").onclick = () => this.leave({ cancel: true });
+    $("problem-close").onclick = () => (this.machine.state === "failed" ? this.leave() : hideProblem());
+    $("open-jobs").onclick = () => this.jobs.show();
+    $("mark-plant").onclick = async () => {
+      const { cutPlant } = await import("./page/strokes.js");
+      return cutPlant(client, session).catch((error) => this.onProblem(error));
+    };
+    $("theme").onclick = () => {
+      switchTheme();
+      this.look();
+    };
+    onSystemTheme(() => this.look());
+    addEventListener("resize", layAgain);
+    addEventListener("popstate", () => this.route());
+    addEventListener("hashchange", () => this.route());
+    const onFiles = (given) => this.begin(given);
+    watchDrops({ onFiles, onProblem: () => showProblem(new Problem({ code: "unreadable-drop" })) });
+    watchKeys({ stage, hand, player });
+    buildSettings();
+    const onExample = async (example) => this.start([await exampleFile(example)], text(example.name));
+    buildWelcome({ onFiles, onExample });
+    this.limits.then(showFormats, () => {});
+  }
 
-let shownProblem = null; // one that was closed stays closed
+  // ---- states
 
-function onState(state, facts, before) {
-  document.body.dataset.state = state;
-  document.title = tabTitle(state, facts);
-  showProgress(state, facts);
-  if (facts.job) files.follow(facts.job, facts.name);
-  if (state !== "welcome") form.set(facts);
-  if (state !== "welcome") leaveLive();
-  else if (before && !linkedJob()) live.show().catch(() => {}); // the page works without it
-  if (state === "failed" && facts.problem !== shownProblem)
-    showProblem(facts.problem, isGone(facts.problem) ? null : () => session.retry());
-  shownProblem = facts.problem;
-  if (state === "moving" && facts.problem) showProblem(facts.problem, () => session.retry());
-  if (state !== before || state === "queued") layOut(stage, state);
-  if (state === "moving" && before !== "moving") showHint();
+  onState(state, facts, before) {
+    document.body.dataset.state = state;
+    document.title = tabTitle(state, facts);
+    showProgress(state, facts);
+    if (facts.job) this.files.follow(facts.job, facts.name);
+    if (state !== "welcome") this.form.set(facts);
+    if (state !== "welcome") this._leaveLive();
+    else if (before && !linkedJob()) this.live.show().catch(() => {}); // the page works without it
+    if (state === "failed" && facts.problem !== this.shownProblem)
+      showProblem(facts.problem, isGone(facts.problem) ? null : () => this.session.retry());
+    this.shownProblem = facts.problem;
+    if (state === "moving" && facts.problem) showProblem(facts.problem, () => this.session.retry());
+    if (state !== before || state === "queued") layOut(this.stage, state);
+    if (state === "moving" && before !== "moving") showHint();
+  }
+
+  _leaveLive() {
+    this.live.leave();
+    delete document.body.dataset.live;
+  }
+
+  get treeName() {
+    return this.machine.facts.name || text("tree.one");
+  }
+
+  onMotion(tree, spectrum, job) {
+    this.hand.take(tree, remoteSource(this.client, spectrum.id, tree.modes.V));
+    this.player.start(tree, spectrum);
+    this.wind.start(() => this.client.wind(spectrum.id)).catch((error) => this.onProblem(error));
+    this.showViews();
+    const voxels = text("caption.voxels", { n: number(spectrum.num_voxels) });
+    fill($("caption"), [this.treeName, length(this.stage.height), voxels].join(" · "));
+    this.files.follow(job, this.machine.facts.name);
+  }
+
+  showViews() {
+    this.views.show();
+    this.company.show();
+  }
+
+  onClear() {
+    hideProblem();
+    this.hand.leave();
+    this.player.stop();
+    this.company.clear();
+    this.files.clear();
+    this.form.clear();
+    fill($("caption"), "");
+  }
+
+  onProblem(error, again = null) {
+    if (error.status === 401) this.askKey(again ?? (() => {}));
+    else showProblem(error, again);
+  }
+
+  async askKey(again) {
+    const key = await ask($("key-dialog"), $("key"));
+    if (!key) return;
+    this.client.key = key;
+    sessionStorage.setItem("key", key);
+    again();
+  }
+
+  look() {
+    this.stage.look(currentTheme());
+    this.wind.show();
+    if (this.scene.tree?.moves) this.showViews();
+  }
+
+  // ---- beginnings
+
+  /** Begin with files: the first tree is shown, the others run beside it. */
+  async begin(given) {
+    try {
+      const [first, ...others] = treesAmong(given, await this.limits.catch(() => null));
+      this.start(first);
+      if (others.length) showNotice(text("begin.others", { n: number(others.length + 1) }));
+      for (const bundle of others)
+        this.session.uploadInBackground(relativePaths(bundle)).catch((error) => this.onProblem(error));
+    } catch (error) {
+      showProblem(error);
+    }
+  }
+
+  start(bundle, name = bundle.length > 1 && isPhotos(bundle) ? "" : stem(bundle[0].path ?? bundle[0].name)) {
+    setAddress("#new", true);
+    this.session.upload(relativePaths(bundle), { name });
+  }
+
+  open(jobId) {
+    setAddress(`#job=${jobId}`, true);
+    this.session.open(jobId);
+  }
+
+  makeForWind(value, bands = false) {
+    const { job } = this.machine.facts;
+    const params = { ...job.params, wind: { ...job.params.wind, ...value } };
+    if (bands) params.wind_bands = true;
+    this.session.animate({ seed: job.seed, preset: job.preset, params });
+  }
+
+  remake({ reading, request, newUpload }) {
+    const { files: given, name, reading: before, job } = this.machine.facts;
+    if (job) this.client.cancel(job.id).catch(() => {}); // it may have ended
+    if (newUpload) this.session.upload(given, { name, reading: { ...before, ...reading }, request });
+    else this.session.animate(request);
+  }
+
+  // ---- addresses: #job=… opens a job, Back leads to the page before
+
+  route() {
+    const id = linkedJob();
+    if (id && id !== this.session.jobId) this.session.open(id);
+    else if (!id && this.machine.state !== "welcome") this.session.leave();
+  }
+
+  leave(options) {
+    setAddress(location.pathname, true);
+    this.session.leave(options);
+  }
 }
 
 const isGone = ({ code }) => code === "job-deleted" || code === "expired";
 
-function leaveLive() {
-  live.leave();
-  delete document.body.dataset.live;
-}
+const isPhotos = (bundle) => bundle.every(({ name }) => /\.(jpe?g|png|webp|heic)$/i.test(name));
 
-const treeName = () => machine.facts.name || text("tree.one");
-
-function onMotion(tree, spectrum, job) {
-  hand.take(tree, remoteSource(client, spectrum.id, tree.modes.V));
-  player.start(tree, spectrum);
-  wind.start(() => client.wind(spectrum.id)).catch((error) => onProblem(error));
-  showViews();
-  const { name } = machine.facts;
-  const voxels = text("caption.voxels", { n: number(spectrum.num_voxels) });
-  fill($("caption"), [name || text("tree.one"), length(stage.height), voxels].join(" · "));
-  files.follow(job, name);
-}
-
-function showViews() {
-  views.show();
-  company.show();
-}
-
-function onDraft(height) {
+function showDraftHeight(height) {
   const words = height === null ? "" : text("draft.height", { height: length(height), person: length(1.75) });
   fill($("height-note"), words);
 }
-
-function onClear() {
-  hideProblem();
-  hand.leave();
-  player.stop();
-  company.clear();
-  files.clear();
-  form.clear();
-  fill($("caption"), "");
-}
-
-function onProblem(error, again = null) {
-  if (error.status === 401) askKey(again ?? (() => {}));
-  else showProblem(error, again);
-}
-
-async function askKey(again) {
-  const key = await ask($("key-dialog"), $("key"));
-  if (!key) return;
-  client.key = key;
-  sessionStorage.setItem("key", key);
-  again();
-}
-
-// ---- beginnings
-
-/** Begin with files: the first tree is shown, the others run beside it. */
-async function begin(given) {
-  try {
-    const [first, ...others] = treesAmong(given, await limits.catch(() => null));
-    start(first);
-    if (others.length) showNotice(text("begin.others", { n: number(others.length + 1) }));
-    for (const bundle of others) session.uploadInBackground(relativePaths(bundle)).catch((error) => onProblem(error));
-  } catch (error) {
-    showProblem(error);
-  }
-}
-
-function start(bundle, name = bundle.length > 1 && isPhotos(bundle) ? "" : stem(bundle[0].path ?? bundle[0].name)) {
-  setAddress("#new", true);
-  session.upload(relativePaths(bundle), { name });
-}
-
-const isPhotos = (bundle) => bundle.every(({ name }) => /\.(jpe?g|png|webp|heic)$/i.test(name));
-
-function open(jobId) {
-  setAddress(`#job=${jobId}`, true);
-  session.open(jobId);
-}
-
-function makeForWind(value, bands = false) {
-  const { job } = machine.facts;
-  const params = { ...job.params, wind: { ...job.params.wind, ...value } };
-  if (bands) params.wind_bands = true;
-  session.animate({ seed: job.seed, preset: job.preset, params });
-}
-
-function remake({ reading, request, newUpload }) {
-  const { files: given, name, reading: before, job } = machine.facts;
-  if (job) client.cancel(job.id).catch(() => {}); // it may have ended
-  if (newUpload) session.upload(given, { name, reading: { ...before, ...reading }, request });
-  else session.animate(request);
-}
-
-// ---- addresses: #job=… opens a job, Back leads to the page before
 
 function setAddress(hash, push = false) {
   if (location.hash === hash) return;
   if (push) history.pushState(null, "", hash);
   else history.replaceState(null, "", hash);
 }
-
-function route() {
-  const id = linkedJob();
-  if (id && id !== session.jobId) session.open(id);
-  else if (!id && machine.state !== "welcome") session.leave();
-}
-
-function leave(options) {
-  setAddress(location.pathname, true);
-  session.leave(options);
-}
-
-// ---- wiring
-
-function look() {
-  stage.look(currentTheme());
-  wind.show();
-  if (scene.tree?.moves) showViews();
-}
-
-new ShareDialog(client, { tree: () => ({ job: machine.facts.job, name: treeName() }), onProblem });
-new LightPanel(stage);
-new Recorder(stage, player, { name: treeName, onProblem });
-watchRoom(() => layOut(stage, machine.state));
-$("new").onclick = () => leave();
-$("cancel").onclick = () => leave({ cancel: true });
-$("problem-close").onclick = () => (machine.state === "failed" ? leave() : hideProblem());
-$("open-jobs").onclick = () => jobs.show();
-$("mark-plant").onclick = async () => (await import("./page/strokes.js")).cutPlant(client, session).catch(onProblem);
-$("theme").onclick = () => {
-  switchTheme();
-  look();
-};
-onSystemTheme(look);
-addEventListener("resize", () => layOut(stage, machine.state));
-addEventListener("popstate", route);
-addEventListener("hashchange", route);
-watchDrops({ onFiles: begin, onProblem: () => showProblem(new Problem({ code: "unreadable-drop" })) });
-watchKeys({ stage, hand, player });
-buildSettings();
-buildWelcome({
-  onFiles: begin,
-  onExample: async (example) => start([await exampleFile(example)], text(example.name)),
-});
-limits.then(showFormats, () => {});
-buildPushPanel(hand);
-paintRanges();
-look();
-onState("welcome", {}, null);
-frames.onDraw = () => company.place();
-route();
-document.body.dataset.ready = "true";

@@ -76,7 +76,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 SIZE_OF_DRAFT = """async () => {
-    const { draft } = (await import("/web/page/begin.js")).scene;
+    const { draft } = (await (await import("/web/page/early.js")).page).scene;
     return draft && draft.box.max.clone().sub(draft.box.min).toArray();
 }"""
 

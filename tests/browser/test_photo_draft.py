@@ -14,7 +14,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(1800)]
 PARAMS = {"formats": ["splat"], "num_steps": 1, "splat_steps": 600, "height_m": 1.2}
 LONGEST_MS = 6 * JOB_MS
 MESH_IS_SEEN = """async () => {
-    const { tree } = (await import("/web/page/begin.js")).scene;
+    const { tree } = (await (await import("/web/page/early.js")).page).scene;
     const apart = tree.points && tree.points.box.max.distanceTo(tree.surface.box.max) / tree.surface.box.max.length();
     const mesh = [tree.mesh.material].flat().some(({ colorWrite }) => colorWrite);
     return { mesh, splat: Boolean(tree.splat?.drawn), apart };

@@ -11,6 +11,7 @@ import shutil
 import subprocess
 import webbrowser
 from dataclasses import replace
+from graphlib import CycleError, TopologicalSorter
 from html.parser import HTMLParser
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
@@ -108,8 +109,24 @@ def test_every_module_that_the_page_begins_with_is_loaded_at_once() -> None:
     page = (WEB / "index.html").read_text()
     listed = re.findall(r'<link rel="modulepreload" href="./web/([^"]+)">', page)
     ours = {path for path in listed if not path.startswith("vendor/")}
-    assert ours == {str(path.relative_to(WEB)) for path in imported(WEB / "page/begin.js", set())}
+    modules = imported(WEB / "page/begin.js", imported(WEB / "page/early.js", set()))
+    assert ours == {str(path.relative_to(WEB)) for path in modules}
     assert len(listed) == len(ours) + 3 == len(set(listed))
+
+
+ANY_IMPORT = re.compile(r'''(?:from|import)\s*\(?\s*"(\.[^"]+)"''')
+
+
+def test_no_module_of_the_page_imports_itself() -> None:
+    """Neither at once nor later: a part that others need is given to them."""
+    modules = [path.resolve() for path in WEB.rglob("*.js") if FOLDER not in path.parents]
+    needs = {
+        path: {(path.parent / name).resolve() for name in ANY_IMPORT.findall(path.read_text())} for path in modules
+    }
+    try:
+        assert len(tuple(TopologicalSorter(needs).static_order())) >= len(modules)
+    except CycleError as cycle:
+        raise AssertionError(" → ".join(path.name for path in cycle.args[1])) from None
 
 
 def test_addresses_that_do_not_exist_take_no_memory(client: TestClient) -> None:

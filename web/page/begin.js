@@ -16,17 +16,36 @@ import { applyTheme, currentTheme } from "./theme.js";
 
 const LATEST_MS = 2000; // neither picture nor rest waits longer for the tree, without which the page works as well
 
-translate();
-applyTheme();
-export const stage = newStage();
-export const hand = new Hand(stage, {
-  onGrab: (point, pointer) => showGrip(stage, point, pointer),
-  onProblem: showProblem,
-});
-export const player = new Player(hand);
-export const scene = new Scene(stage);
-export const live = new LiveTree(scene, { onMotion: begin });
-export const frames = { stage, player, scene, hand, onDraw: loadRest };
+/** Draw the welcome's tree from its `files` (null where a job is opened); gives the page's parts. */
+export async function begin(files) {
+  translate();
+  applyTheme();
+  const stage = newStage();
+  const onGrab = (point, pointer) => showGrip(stage, point, pointer);
+  const hand = new Hand(stage, { onGrab, onProblem: showProblem });
+  const player = new Player(hand);
+  const scene = new Scene(stage);
+  const live = new LiveTree(scene, files, {
+    onMotion: ({ tree, source, spectrum }) => {
+      hand.take(tree, source);
+      player.start(tree, spectrum, { atRest: false });
+      document.body.dataset.live = true;
+    },
+  });
+  const parts = { stage, hand, player, scene, live };
+  parts.onDraw = async () => {
+    parts.onDraw = () => {};
+    const { App } = await import("../app.js");
+    new App(parts);
+  };
+  stage.look(currentTheme());
+  layOut(stage, "welcome");
+  setTimeout(() => parts.onDraw(), LATEST_MS);
+  if (linkedJob()) parts.onDraw();
+  else await Promise.race([live.show(), new Promise((resolve) => setTimeout(resolve, LATEST_MS))]).catch(() => {});
+  runFrames(parts);
+  return parts;
+}
 
 function newStage() {
   try {
@@ -36,20 +55,3 @@ function newStage() {
     throw error;
   }
 }
-
-function begin({ tree, source, spectrum }) {
-  hand.take(tree, source);
-  player.start(tree, spectrum, { atRest: false });
-  document.body.dataset.live = true;
-}
-
-function loadRest() {
-  import("../app.js");
-}
-
-stage.look(currentTheme());
-layOut(stage, "welcome");
-setTimeout(loadRest, LATEST_MS);
-if (linkedJob()) loadRest();
-else await Promise.race([live.show(), new Promise((resolve) => setTimeout(resolve, LATEST_MS))]).catch(() => {});
-runFrames(frames);

@@ -5,6 +5,8 @@
 import { fetchExample, linkedJob } from "./example.js";
 
 /** The files of the welcome's tree; null where the page opens with a job. */
-export const early = linkedJob() ? null : fetchExample();
-early?.catch(() => {}); // the page works without it
-import("./begin.js");
+const files = linkedJob() ? null : fetchExample();
+files?.catch(() => {}); // the page works without it
+
+/** The page's parts, for tests. */
+export const page = import("./begin.js").then(({ begin }) => begin(files));

@@ -1,13 +1,12 @@
 // The tree behind the welcome: it sways and answers a pull before anything is uploaded, and no job is made for it.
 
-import { early } from "./early.js";
 import { fetchExample } from "./example.js";
 import { standParts } from "./parts.js";
 
 export class LiveTree {
-  /** `onMotion({ tree, source, spectrum })` is called once it stands. */
-  constructor(scene, { onMotion }) {
-    Object.assign(this, { scene, onMotion, files: early });
+  /** `files` are those of the tree, or null; `onMotion({ tree, source, spectrum })` is called once it stands. */
+  constructor(scene, files, { onMotion }) {
+    Object.assign(this, { scene, files, onMotion });
     this.visit = 0;
   }
 
