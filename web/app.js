@@ -2,23 +2,28 @@
 
 import { Client, Problem } from "./client.js";
 import { remoteSource } from "./motion/remote.js";
+import { bandsOf } from "./page/all_winds.js";
 import { relativePaths, treesAmong } from "./page/bundles.js";
 import { CompanyPanel, makeOther } from "./page/company.js";
 import { $, ask, fill, paintRanges } from "./page/dom.js";
+import { SizeDoubt } from "./page/doubt.js";
 import { watchDrops } from "./page/drop.js";
 import { linkedJob } from "./page/example.js";
 import { Files } from "./page/files.js";
+import { checkContent } from "./page/first_bytes.js";
 import { JobList } from "./page/jobs.js";
 import { watchKeys } from "./page/keyboard.js";
+import { KitDialog } from "./page/kits.js";
 import { layOut, showHint } from "./page/layout.js";
 import { LightPanel } from "./page/light.js";
 import { Machine } from "./page/machine.js";
-import { hideProblem, showNotice, showProblem } from "./page/problem.js";
+import { nameTag, stem } from "./page/names.js";
+import { hideProblem, showNotice, showProblem, UNUSABLE } from "./page/problem.js";
 import { showProgress, tabTitle } from "./page/progress.js";
 import { buildPushPanel } from "./page/push_panel.js";
 import { Recorder } from "./page/record.js";
 import { watchRoom } from "./page/room.js";
-import { Session, stem } from "./page/session.js";
+import { Session } from "./page/session.js";
 import { buildSettings } from "./page/settings.js";
 import { ShareDialog } from "./page/share.js";
 import { length, number, text } from "./page/texts.js";
@@ -41,7 +46,7 @@ export class App {
     this.shownProblem = null; // one that was closed stays closed
     scene.connect(this.client, {
       onMotion: (...motion) => this.onMotion(...motion),
-      onComplete: () => this.showViews(),
+      onComplete: (...motion) => this.onComplete(...motion),
       onDraft: showDraftHeight,
       onClear: () => this.onClear(),
     });
@@ -60,13 +65,19 @@ export class App {
       onProblem,
     });
     this.wind = new WindPanel(stage, player, {
-      onMake: (...wind) => this.makeForWind(...wind),
+      onMake: (wind) => this.makeForWind(wind),
       onEndless: () => this.company.takeWind(),
       onProblem,
     });
     this.views = new ViewPanel(stage, player);
     this.form = new TreeForm(stage, { onApply: (wanted) => this.remake(wanted), tree: () => scene.tree });
+    this.doubt = new SizeDoubt({ onHeight: (height_m) => this.form.makeHigh(height_m) });
     new ShareDialog(this.client, { tree: () => ({ job: this.machine.facts.job, name: name() }), onProblem });
+    new KitDialog(this.client, {
+      tree: () => ({ job: this.machine.facts.job, name: name(), kind: this.machine.facts.asset?.kind }),
+      onMade: (job) => this.files.made(job),
+      onProblem,
+    });
     new LightPanel(stage);
     new Recorder(stage, player, { name, onProblem });
     buildPushPanel(parts.hand);
@@ -116,14 +127,21 @@ export class App {
     showProgress(state, facts);
     if (facts.job) this.files.follow(facts.job, facts.name);
     if (state !== "welcome") this.form.set(facts);
+    this.doubt.set(state === "failed" ? {} : facts);
     if (state !== "welcome") this._leaveLive();
     else if (before && !linkedJob()) this.live.show().catch(() => {}); // the page works without it
     if (state === "failed" && facts.problem !== this.shownProblem)
-      showProblem(facts.problem, isGone(facts.problem) ? null : () => this.session.retry());
+      showProblem(facts.problem, this._wayOut(facts.problem));
     this.shownProblem = facts.problem;
     if (state === "moving" && facts.problem) showProblem(facts.problem, () => this.session.retry());
     if (state !== before || state === "queued") layOut(this.stage, state);
     if (state === "moving" && before !== "moving") showHint();
+  }
+
+  /** What a button can do about a problem of a tree: nothing, other files, or the same again. */
+  _wayOut({ code }) {
+    if (GONE.has(code)) return null;
+    return UNUSABLE.has(code) ? () => $("files").click() : () => this.session.retry();
   }
 
   _leaveLive() {
@@ -140,9 +158,16 @@ export class App {
     this.player.start(tree, spectrum);
     this.wind.start(() => this.client.wind(spectrum.id)).catch((error) => this.onProblem(error));
     this.showViews();
-    const voxels = text("caption.voxels", { n: number(spectrum.num_voxels) });
-    fill($("caption"), [this.treeName, length(this.stage.height), voxels].join(" · "));
+    $("caption").replaceChildren(nameTag(this.treeName), ` · ${length(this.stage.height)}`);
     this.files.follow(job, this.machine.facts.name);
+  }
+
+  /** All files are there: the service is free to compute what the slider of the wind says. */
+  async onComplete(job, signal) {
+    this.showViews();
+    if (this.player.hasBands) return;
+    const bands = await bandsOf(this.client, job, signal).catch(() => null); // the power law serves as well
+    if (bands && !signal.aborted) this.wind.takeBands(bands);
   }
 
   showViews() {
@@ -185,18 +210,22 @@ export class App {
   async begin(given) {
     try {
       const [first, ...others] = treesAmong(given, await this.limits.catch(() => null));
-      this.start(first);
+      await this.start(first);
       if (others.length) showNotice(text("begin.others", { n: number(others.length + 1) }));
-      for (const bundle of others)
-        this.session.uploadInBackground(relativePaths(bundle)).catch((error) => this.onProblem(error));
+      for (const files of others.map(relativePaths)) {
+        const sent = checkContent(files).then(() => this.session.uploadInBackground(files));
+        sent.catch((error) => this.onProblem(error));
+      }
     } catch (error) {
       showProblem(error);
     }
   }
 
-  start(bundle, name = bundle.length > 1 && isPhotos(bundle) ? "" : stem(bundle[0].path ?? bundle[0].name)) {
+  async start(bundle, name = bundle.length > 1 && isPhotos(bundle) ? "" : stem(bundle[0].path ?? bundle[0].name)) {
+    const files = relativePaths(bundle);
+    await checkContent(files);
     setAddress("#new", true);
-    this.session.upload(relativePaths(bundle), { name });
+    this.session.upload(files, { name });
   }
 
   open(jobId) {
@@ -204,10 +233,9 @@ export class App {
     this.session.open(jobId);
   }
 
-  makeForWind(value, bands = false) {
+  makeForWind(value) {
     const { job } = this.machine.facts;
     const params = { ...job.params, wind: { ...job.params.wind, ...value } };
-    if (bands) params.wind_bands = true;
     this.session.animate({ seed: job.seed, preset: job.preset, params });
   }
 
@@ -232,7 +260,8 @@ export class App {
   }
 }
 
-const isGone = ({ code }) => code === "job-deleted" || code === "expired";
+/** Codes of what is not there any more. */
+const GONE = new Set(["job-deleted", "expired", "not-found"]);
 
 const isPhotos = (bundle) => bundle.every(({ name }) => /\.(jpe?g|png|webp|heic)$/i.test(name));
 

@@ -4,6 +4,7 @@ import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { test } from "node:test";
 import { Problem, patiently } from "../../web/client.js";
+import { Gust } from "../../web/draw/gust.js";
 import { Resolution } from "../../web/draw/resolution.js";
 import { bandGains, powerLaw } from "../../web/motion/bands.js";
 import { forestMotions, forestPlaces, gustAt } from "../../web/motion/company.js";
@@ -13,9 +14,12 @@ import { Modes } from "../../web/motion/modes.js";
 import { Pin } from "../../web/motion/pin.js";
 import { vertexInWind } from "../../web/motion/vertex.js";
 import { relativePaths, sortFiles, treesAmong } from "../../web/page/bundles.js";
+import { proposals } from "../../web/page/doubt.js";
 import { readDrop } from "../../web/page/drop.js";
+import { checkContent } from "../../web/page/first_bytes.js";
 import { Machine, TRANSITIONS } from "../../web/page/machine.js";
-import { Session, stem } from "../../web/page/session.js";
+import { fileName, shortened, stem } from "../../web/page/names.js";
+import { Session } from "../../web/page/session.js";
 import { StrokeList } from "../../web/page/stroke_list.js";
 import de from "../../web/texts/de.js";
 import en from "../../web/texts/en.js";
@@ -130,6 +134,7 @@ const silent = {
   clear() {},
   photos() {},
   dropped: async () => {},
+  poster: async () => {},
   rest: async () => {},
   motion: async () => {},
   products: async () => {},
@@ -481,4 +486,59 @@ test("a vertex of a large mesh moves with the mean of its voxels, and stands sti
   assert.ok(distance(mean, [0, 0, 0]) > 1);
   assert.ok(distance(vertexInWind({ surface, modes }, 0, q, turn), mean) < 1e-9);
   assert.deepEqual(vertexInWind({ surface, modes }, 1, q, turn), [0, 0, 0]);
+});
+
+// ---- names, sizes, first bytes, gusts
+
+test("a name of any length and script stays a name, on the page and in file systems", () => {
+  const long = "Baum ".repeat(50);
+  assert.ok([...new Intl.Segmenter().segment(shortened(long))].length <= 48);
+  assert.ok(shortened(long).startsWith("Baum") && shortened(long).includes("…"));
+  assert.equal(fileName("Oak 🌳", ".glb"), "Oak 🌳.glb");
+  assert.equal(fileName("שלום עץ", ".png"), "שלום עץ.png");
+  assert.equal(fileName('../a:b"c', "-preview.png"), "abc-preview.png");
+  assert.equal(fileName("...", ".glb"), "tree.glb");
+  assert.ok(Buffer.byteLength(fileName("🌳".repeat(100), "-tree.spectrum.safetensors")) <= 255);
+});
+
+test("a doubtful size is proposed in the units that make a plant of it", () => {
+  const heights = Object.fromEntries(proposals(2470, 1).map(({ unit, height_m }) => [unit, height_m]));
+  assert.deepEqual(Object.keys(heights), ["cm", "mm", "in"]);
+  assert.ok(Math.abs(heights.cm - 24.7) < 1e-9);
+  assert.deepEqual(
+    proposals(0.0247, 0.001).map(({ unit }) => unit),
+    ["m", "cm", "in", "ft"],
+  );
+  assert.deepEqual(
+    proposals(0.024, 1).map(({ unit }) => unit),
+    ["× 10", "× 100", "× 1000"],
+  );
+});
+
+test("what is no tree is told by its first bytes, before it is sent", async () => {
+  const file = (name, ...parts) => [{ name, content: new Blob(parts) }];
+  const glb = Buffer.alloc(2000, 1);
+  glb.write("glTF");
+  glb.writeUInt32LE(5000, 8);
+  await assert.rejects(checkContent(file("oak.glb", glb)), { code: "cut-off", size: 2000, whole: 5000 });
+  await assert.rejects(checkContent(file("oak.ply", Buffer.alloc(1_000_000))), { code: "zeros" });
+  const zip = ["PK\u0003\u0004[Content_Types].xml", "x".repeat(100_000)];
+  await assert.rejects(checkContent(file("oak.docx", ...zip, "word/document.xml")), { code: "foreign", kind: "docx" });
+  await assert.rejects(checkContent(file("oak.glb", "<!DOCTYPE html><title>")), { code: "foreign", kind: "html" });
+  await checkContent(file("oak.3mf", ...zip, "3D/3dmodel.model"));
+  await checkContent(file("oak.obj", "v 0 0 0\n"));
+  glb.writeUInt32LE(2000, 8);
+  await checkContent(file("oak.glb", glb));
+});
+
+test("a gust comes from one side, is stronger than the wind, and leaves the wind alone", () => {
+  const crown = { angle: 0, middle: { x: 0, y: 0 }, radius: 4, speed_m_s: 5 };
+  const gust = new Gust({ ...crown, first: true });
+  const late = ({ gust: [x, y, t] }, px) => t - x * px - y * 0;
+  const early = gust.after(0.5);
+  assert.ok(late(early, -4) > 0 && late(early, 4) < 0, "it reaches the windward side first");
+  assert.ok(early.calm < 1 && early.gust[3] > 0.5);
+  while (!gust.isOver) gust.after(0.1);
+  assert.deepEqual(gust.after(0.1), { gust: [0, 0, 0, 0], calm: 1 });
+  assert.ok(new Gust({ ...crown, speed_m_s: 20 }).isOver, "a storm needs none");
 });

@@ -40,6 +40,9 @@ def test_no_rule_of_accessibility_is_broken(
     assert axe(page) == [], "moving"
     assert page.viewport_size
     assert page.evaluate("document.documentElement.scrollWidth") <= page.viewport_size["width"]
+    page.locator("#download").click()
+    assert axe(page) == [], "kits"
+    page.locator("#kits .close").click()
     page.locator("#share").click()
     expect(page.locator("#share-embed")).to_have_value(re.compile(job_id))
     assert axe(page) == [], "share"

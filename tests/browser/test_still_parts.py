@@ -1,4 +1,4 @@
-"""What stands still because it is no plant, in a mesh and in a splat: it is grey, and does not move."""
+"""What stands still because it is no plant, in a mesh and in a splat: it does not move."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -8,7 +8,6 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
-from playwright.sync_api import expect
 
 from dynamictree.formats.gltf.writer import write_glb
 from dynamictree.formats.splat.ply import write_gaussian_ply
@@ -117,8 +116,7 @@ def splat(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def where_red(viewer: Viewer) -> tuple[dict[str, float], np.ndarray]:
-    """The box of the lower red pixels of the stage [px], a little smaller, once the colours are shown."""
-    viewer.page.locator("#grey-still").uncheck()
+    """The box of the lower red pixels of the stage [px], a little smaller."""
     scrub(viewer, 0.0)
     canvas = viewer.page.locator("#canvas").bounding_box()
     assert canvas
@@ -132,8 +130,8 @@ def where_red(viewer: Viewer) -> tuple[dict[str, float], np.ndarray]:
     return box, picture_of(viewer, box)
 
 
-def stands_grey_and_still(viewer: Viewer) -> None:
-    """Of the red thing: with its colours it is the same at two places of the loop, and without them it is grey."""
+def stands_still(viewer: Viewer) -> None:
+    """Of the red thing: it is the same at two places of the loop."""
     page = viewer.page
     page.locator("#play").click()
     page.locator("#light-section summary").click()
@@ -144,13 +142,10 @@ def stands_grey_and_still(viewer: Viewer) -> None:
     assert changed(whole, moved) > 0.002, "the plant does not move"
     assert changed(before, picture_of(viewer, box)) == 0, "it moves"
     assert np.median(np.ptp(before, axis=2)) > 60
-    page.locator("#grey-still").check()
-    scrub(viewer, 0.4)
     viewer.picture()
-    assert np.median(np.ptp(picture_of(viewer, box), axis=2)) < 25
 
 
-def test_the_pot_of_a_mesh_is_grey_and_its_vertices_do_not_move(view: Open, url: str, potted: Path) -> None:
+def test_the_pot_of_a_mesh_does_not_move(view: Open, url: str, potted: Path) -> None:
     job = animated(url, potted, {}, {"formats": ["glb"]})
     viewer = view(900, 620)
     viewer.open(f"{url}/#job={job['id']}")
@@ -159,8 +154,7 @@ def test_the_pot_of_a_mesh_is_grey_and_its_vertices_do_not_move(view: Open, url:
     assert most["count"] > 90
     assert most["still"] == most["bones"] == 0
     assert most["others"] > 0.005
-    expect(viewer.page.locator("#grey-still")).to_be_visible()
-    stands_grey_and_still(viewer)
+    stands_still(viewer)
     assert viewer.complaints == []
 
 
@@ -170,17 +164,8 @@ def test_still_gaussians_stand_still_in_the_splat_shader(view: Open, url: str, s
     viewer = view(900, 620)
     viewer.open(f"{url}/#job={job['id']}")
     viewer.page.wait_for_selector(MOVING, timeout=JOB_MS)
-    expect(viewer.page.locator("#grey-still")).to_be_visible(timeout=JOB_MS)
     plant, seen = viewer.page.evaluate(FRAMED, [job["asset_id"], job["result"]["spectrum_id"]])
     assert plant < 0.4
     assert seen > 1.2, "the ball is not in the view"
-    stands_grey_and_still(viewer)
+    stands_still(viewer)
     assert viewer.complaints == []
-
-
-def test_a_tree_without_a_pot_has_no_such_switch(view: Open, url: str, job_id: str) -> None:
-    viewer = view(900, 620)
-    viewer.open(f"{url}/#job={job_id}")
-    viewer.page.wait_for_selector(MOVING, timeout=JOB_MS)
-    expect(viewer.page.locator("#artifacts li")).not_to_have_count(0)
-    expect(viewer.page.locator("#grey-still")).to_be_hidden()

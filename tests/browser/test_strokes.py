@@ -114,7 +114,7 @@ def test_a_drag_on_a_photo_cuts_out_the_plant(
     page.wait_for_selector(MOVING, state="attached", timeout=LONGEST_MS)
     cut = page.url.partition("#job=")[2]
     assert cut != photos_job
-    expect(page.locator("#artifacts a", has_text="Animated splat")).to_be_visible(timeout=LONGEST_MS)
+    expect(page.locator("#artifacts a", has_text="Animated splat")).to_be_attached(timeout=LONGEST_MS)
     assert blue_gaussians(url, cut) < 0.2 * blue_gaussians(url, photos_job), "the pot is still there"
     page.locator("#mark-plant").click()
     expect(page.locator("#strokes-nth")).to_have_text("Photo 1 of 14 · strokes: 2")

@@ -195,7 +195,7 @@ def test_on_a_phone_everything_is_within_reach(view: Open, job_url: str) -> None
     viewer.wait_frames(3)
     viewer.picture()
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
-    for name in ("#speed", "#damping", "#artifacts a"):
+    for name in ("#speed", "#damping", "#download"):
         page.locator(name).first.scroll_into_view_if_needed()
         expect(page.locator(name).first).to_be_in_viewport()
     small = page.evaluate(SMALL_BUTTONS)

@@ -7,8 +7,11 @@ import { sleep } from "./wait.js";
 const FIRST_EVENT_MS = 5000; // a proxy that buffers is noticed after this
 const LONGEST_WAIT_S = 60;
 
-/** Yield the job whenever it changes, until it has ended. */
-export async function* watchJob(client, id, { signal, events = true } = {}) {
+/**
+ * Yield the job whenever it changes, until it has ended. With `again` set to false, a request that does not get through
+ * throws at once.
+ */
+export async function* watchJob(client, id, { signal, events = true, again = true } = {}) {
   let job = null;
   if (events) {
     try {
@@ -20,7 +23,7 @@ export async function* watchJob(client, id, { signal, events = true } = {}) {
   }
   for (let etag = null; ; ) {
     const headers = etag ? { "If-None-Match": etag } : {};
-    const response = await client.send("GET", `/v1/jobs/${id}`, { headers, signal });
+    const response = await client.send("GET", `/v1/jobs/${id}`, { headers, signal, again });
     if (response.status !== 304) yield (job = await response.json());
     if (hasEnded(job)) return;
     etag = response.headers.get("ETag");

@@ -2,18 +2,17 @@
 
 import * as THREE from "three";
 import { swingBones } from "../motion/swing.js";
-import { Field, shapesTexture, voxelFieldOf, WIDTH } from "./field.js";
+import { Field, placesTexture, shapesTexture, voxelFieldOf, WIDTH } from "./field.js";
 
 const MOTION = /* glsl */ `
 uniform highp sampler2D feet;   // by bone: place at rest, parent
-uniform highp sampler2D places; // by vertex: place at rest, its bone plus half the parent's share
 uniform highp sampler2D swings; // by bone and copy two texels: half turn, how far the foot is moved
 vec3 swingOf(int b, int i, int copy) {
   int at = 2 * b + i;
   return texelFetch(swings, ivec2(at % ${WIDTH}, at / ${WIDTH} + copy * BONE_ROWS), 0).xyz;
 }
 vec3 motionOf(int point, int copy) {
-  vec4 place = texelFetch(places, ivec2(point % ${WIDTH}, point / ${WIDTH}), 0);
+  vec4 place = placeOf(point); // its fourth number: its bone plus half the parent's share
   int b = int(place.w);
   vec4 foot = texelFetch(feet, ivec2(b % ${WIDTH}, b / ${WIDTH}), 0);
   vec3 arm = place.xyz - foot.xyz;
@@ -30,9 +29,9 @@ export class BoneField extends Field {
     const { scale_m, turn_parent, N } = surface;
     const rows = Math.ceil((2 * turn_parent.length) / WIDTH);
     const swings = texture(floats(rows * copies));
-    const [feet, places] = [{ value: own.feet }, { value: own.places }];
     const motion = MOTION.replaceAll("BONE_ROWS", rows);
-    super(own.shapes, scale_m, N, copies, { motion, uniforms: { feet, places, swings: { value: swings } } });
+    const uniforms = { feet: { value: own.feet }, swings: { value: swings } };
+    super(own.shapes, scale_m, N, copies, { motion, uniforms, places: own.places });
     Object.assign(this, { surface, own, swings, boneRows: rows, isCopy: Boolean(textures) });
   }
 
@@ -49,8 +48,9 @@ export class BoneField extends Field {
   }
 
   dispose() {
+    if (this.isCopy) this.places = null; // those of the field that it was made of
     super.dispose();
-    const shared = this.isCopy ? [] : Object.values(this.own);
+    const shared = this.isCopy ? [] : [this.own.shapes, this.own.feet];
     for (const resource of [this.swings, ...shared]) resource.dispose();
   }
 }
@@ -59,15 +59,11 @@ export class BoneField extends Field {
 export function fieldOf(surface, modes) {
   const N = surface.vertices.length / 3;
   if (surface.turn_parent) return new BoneField({ ...surface, N });
-  return surface.shapes ? new Field(surface.shapes, surface.scale_m, N) : voxelFieldOf(modes);
+  if (!surface.shapes) return voxelFieldOf(modes);
+  return new Field(surface.shapes, surface.scale_m, N, 1, { places: placesTexture(surface.vertices) });
 }
 
 function texturesOf({ shapes, scale_m, N, vertices, turn_parent, turn_foot_m, turn_bone, turn_share }) {
-  const places = floats(Math.ceil(N / WIDTH));
-  for (let v = 0; v < N; v++) {
-    places.set(vertices.subarray(3 * v, 3 * v + 3), 4 * v);
-    places[4 * v + 3] = turn_bone[v] + Math.min(turn_share[v] / 2, 0.499);
-  }
   const feet = floats(Math.ceil(turn_parent.length / WIDTH));
   for (let b = 0; b < turn_parent.length; b++) {
     feet.set(turn_foot_m.subarray(3 * b, 3 * b + 3), 4 * b);
@@ -76,7 +72,7 @@ function texturesOf({ shapes, scale_m, N, vertices, turn_parent, turn_foot_m, tu
   return {
     shapes: shapes ? shapesTexture(shapes, 3 * N * scale_m.length) : shapesTexture([], 1), // only read where a bin's share is shown
     feet: texture(feet),
-    places: texture(places),
+    places: placesTexture(vertices, (v) => turn_bone[v] + Math.min(turn_share[v] / 2, 0.499)),
   };
 }
 

@@ -8,7 +8,7 @@ export class Copies {
    * `field` holds the tree's shapes; `places` are `{ x, y, yaw, size }` as of motion/company.js. `other` is the field of
    * another motion, which the copies have in place of the tree's.
    */
-  constructor({ surface, field, box, still, uniforms: { greyStill } }, places, other = null) {
+  constructor({ surface, field, box, still }, places, other = null) {
     Object.assign(this, { places, other, one: box });
     const source = other ?? field;
     this.field = source.copied(places.length);
@@ -19,7 +19,6 @@ export class Copies {
       bent: { value: 0 },
       coloured: { value: 0 },
       restAt: { value: still }, // a sampler without a texture spoils every draw
-      greyStill,
     };
     const ties = source.byVoxel ? surface.geometry.attributes.tieRows : null;
     const { lit, depth } = surfaceMaterials({ ...surface, tie_rows: ties }, uniforms);

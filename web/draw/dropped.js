@@ -1,6 +1,7 @@
 // What was dropped, drawn from the files themselves: something to look at before the service has read them.
 
 import * as THREE from "three";
+import { connectedParts, softenFoliage } from "./foliage.js";
 import { pointsOf, readLas, readText } from "./scan.js";
 import { makeUpright } from "./upright.js";
 
@@ -37,6 +38,7 @@ export async function readDropped(files, stage) {
     const read = isSplat ? readSplat : READERS[suffix];
     const address = (path) => addressOf(path, files, addresses);
     const { object, box, sizeless = false, release = () => {} } = await read(files, { stage, address });
+    if (!isSplat) drawAsTrees(object);
     const leave = () => {
       release();
       dispose(object);
@@ -62,9 +64,6 @@ async function readGltf([{ content }], { address }) {
   const manager = new THREE.LoadingManager();
   manager.setURLModifier((url) => (/^(blob|data):/.test(url) ? url : address(url)));
   const { scene } = await new GLTFLoader(manager).parseAsync(await content.arrayBuffer(), "");
-  scene.traverse(({ material }) => {
-    for (const one of [material ?? []].flat()) if (one.metalness) one.metalness = 0; // metal is black under no sky
-  });
   return { object: scene };
 }
 
@@ -89,9 +88,6 @@ async function readObj([{ content }, ...others], { address }) {
     loader.setMaterials(materials);
   }
   const object = loader.parse(await content.text());
-  object.traverse((node) => {
-    for (const material of [node.material ?? []].flat()) material.side = THREE.DoubleSide;
-  });
   return { object };
 }
 
@@ -104,6 +100,49 @@ async function readPly([{ content }]) {
   const { PLYLoader } = await load("PLY");
   const geometry = new PLYLoader().parse(await content.arrayBuffer());
   return { object: geometry.index ? clay(geometry) : pointsOf(geometry) };
+}
+
+/** In the light and the soft foliage in which the tree that moves is drawn, so that nothing jumps. */
+function drawAsTrees(object) {
+  const whole = new THREE.Box3().setFromObject(object);
+  object.traverse((node) => {
+    if (!node.isMesh) return;
+    const { geometry } = node;
+    if (!geometry.attributes.normal) geometry.computeVertexNormals();
+    const own = geometry.attributes.color;
+    const { array: vertices } = geometry.attributes.position;
+    const N = vertices.length / 3;
+    const box = whole.clone().applyMatrix4(node.matrixWorld.clone().invert());
+    if (!own && vertices instanceof Float32Array) {
+      softenFoliage(geometry, { N, vertices, parts: partsByPlace(vertices, geometry.index?.array, N), box });
+    }
+    const lit = [node.material].flat().map((material) => {
+      const { color, map, alphaTest, transparent } = material;
+      material.dispose();
+      return new THREE.MeshLambertMaterial({
+        color,
+        map,
+        vertexColors: Boolean(geometry.attributes.color),
+        alphaTest: alphaTest || (transparent && map ? 0.5 : 0),
+        side: THREE.DoubleSide,
+        shadowSide: THREE.DoubleSide,
+      });
+    });
+    node.material = lit.length === 1 ? lit[0] : lit;
+    node.castShadow = node.receiveShadow = true;
+  });
+}
+
+/** The connected part of each vertex, where vertices in one place are one: a file may have one for each corner of a face. */
+function partsByPlace(vertices, index, N) {
+  const first = new Map();
+  const same = Uint32Array.from({ length: N }, (_, v) => {
+    const key = `${vertices[3 * v]} ${vertices[3 * v + 1]} ${vertices[3 * v + 2]}`;
+    if (!first.has(key)) first.set(key, v);
+    return first.get(key);
+  });
+  const parts = connectedParts(index ? Array.from(index, (v) => same[v]) : same, N);
+  return parts.map((_, v) => parts[same[v]]);
 }
 
 function clay(geometry) {

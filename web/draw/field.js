@@ -1,6 +1,7 @@
 // Displacement of many points at once, on the GPU: u = Re Σ_k φ_k q_k for every point, into a texture that shaders read.
 
 import * as THREE from "three";
+import { GUST, still } from "./gust.js";
 import { Pass } from "./pass.js";
 
 export const WIDTH = 2048; // of both textures: every WebGL 2 has it
@@ -32,6 +33,13 @@ vec3 motionOf(int point, int copy) {
 const fragmentOf = (motion) => /* glsl */ `${SHAPES}
 uniform int shown;         // the bin whose size goes to alpha; -1 for none
 uniform float shownScale;
+#ifdef HAS_PLACES
+uniform highp sampler2D places; // by point: place at rest, and what a motion keeps there
+vec4 placeOf(int point) { return texelFetch(places, ivec2(point % ${WIDTH}, point / ${WIDTH}), 0); }
+#else
+vec4 placeOf(int point) { return vec4(0.0); }
+#endif
+${GUST}
 ${motion}
 void main() {
   int copy = int(gl_FragCoord.y) / ROWS;
@@ -42,14 +50,17 @@ void main() {
     for (int c = 0; c < 3; c++) { vec2 phi = vec2(step3(point, shown, c)); size += dot(phi, phi); }
     size = sqrt(size) * shownScale;
   }
-  gl_FragColor = vec4(motionOf(point, copy), size);
+  gl_FragColor = vec4(gustAt(placeOf(point).xy) * motionOf(point, copy), size);
 }`;
 
 export class Field {
-  /** Shapes [P, K, 3, 2] in steps of `scale` [K] metres, or the texture of a field that has them. */
-  constructor(shapes, scale, P, copies = 1, { motion = SUM, uniforms = {} } = {}) {
+  /**
+   * Shapes [P, K, 3, 2] in steps of `scale` [K] metres, or the texture of a field that has them. `places` is a texture of
+   * the points at rest, without which a gust reaches all of them at once.
+   */
+  constructor(shapes, scale, P, copies = 1, { motion = SUM, uniforms = {}, places = null } = {}) {
     const K = scale.length;
-    Object.assign(this, { K, scale, P });
+    Object.assign(this, { K, scale, P, places });
     this.rows = Math.ceil(P / WIDTH); // of one copy
     this.borrowed = shapes.isTexture;
     this.shapes = this.borrowed ? shapes : shapesTexture(shapes, P * K * 3);
@@ -59,13 +70,16 @@ export class Field {
       width: WIDTH,
       height: copies * this.rows,
       fragmentShader: fragmentOf(motion),
-      defines: { BINS: K, POINTS: P, COPIES: copies, ROWS: this.rows },
+      defines: { BINS: K, POINTS: P, COPIES: copies, ROWS: this.rows, ...(places && { HAS_PLACES: 1 }) },
       uniforms: {
         shapes: { value: this.shapes },
         q: { value: this.q },
         turn: { value: this.turn },
         shown: { value: -1 },
         shownScale: { value: 1 },
+        places: { value: places },
+        gust: { value: new THREE.Vector4() },
+        gustCalm: { value: 1 },
         ...uniforms,
       },
     });
@@ -91,6 +105,13 @@ export class Field {
     uniforms.shownScale.value = k === null ? 0 : this.scale[k] / largest;
   }
 
+  /** See Gust.after. */
+  blow({ gust, calm } = still()) {
+    const { uniforms } = this.pass.material;
+    uniforms.gust.value.set(...gust);
+    uniforms.gustCalm.value = calm;
+  }
+
   /** Coordinates [2K] and the wind's turn [rad] to displacements. */
   evaluate(renderer, q, angle = 0) {
     this.evaluateAll(renderer, [{ q, turn: angle }]);
@@ -108,6 +129,7 @@ export class Field {
   dispose() {
     if (!this.borrowed) this.shapes.dispose();
     this.q.dispose();
+    this.places?.dispose();
     this.pass.dispose();
   }
 }
@@ -126,8 +148,21 @@ function setCoordinates(texture, scale, motions) {
   texture.needsUpdate = true;
 }
 
-export const voxelFieldOf = ({ shapes, scale_m: scale, V }) =>
-  Object.assign(new Field(shapes, scale, V), { byVoxel: true });
+export const voxelFieldOf = ({ shapes, scale_m: scale, V, centres }) =>
+  Object.assign(new Field(shapes, scale, V, 1, { places: placesTexture(centres) }), { byVoxel: true });
+
+/** Places [P, 3] as a texture; `fourth(row)` goes to alpha. */
+export function placesTexture(places, fourth = () => 0) {
+  const P = places.length / 3;
+  const texels = new Float32Array(4 * WIDTH * Math.ceil(P / WIDTH));
+  for (let row = 0; row < P; row++) {
+    texels.set(places.subarray(3 * row, 3 * row + 3), 4 * row);
+    texels[4 * row + 3] = fourth(row);
+  }
+  const texture = new THREE.DataTexture(texels, WIDTH, texels.length / 4 / WIDTH, THREE.RGBAFormat, THREE.FloatType);
+  texture.needsUpdate = true;
+  return texture;
+}
 
 export function shapesTexture(shapes, texels) {
   const rows = Math.ceil(texels / WIDTH);

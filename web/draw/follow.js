@@ -2,8 +2,8 @@
 
 import * as THREE from "three";
 import { CARDS, setCards } from "./cards.js";
+import { replaced } from "./chunks.js";
 import { DISPLACE } from "./field.js";
-import { LUMINANCE } from "./luminance.js";
 
 /** Weighted mean of the four bones of a vertex. */
 const BONES = /* glsl */ `
@@ -87,10 +87,12 @@ vec3 ramp(float s) {
   return s < 0.33 ? mix(a, b, s / 0.33) : s < 0.66 ? mix(b, c, (s - 0.33) / 0.33) : mix(c, d, (s - 0.66) / 0.34);
 }`;
 
-// what stands still because it is no plant, as dynamictree/color.py draws it in films
-const GREY = /* glsl */ `
-const float STILL_SHARE = 0.5;
-vec3 greyed(vec3 rgb) { return vec3(STILL_SHARE * dot(rgb, ${LUMINANCE})); }`;
+// normals of foliage look outward on both sides
+const OUTWARD = /* glsl */ `
+float faceDirection = 1.0; vec3 normal = normalize(vNormal); vec3 nonPerturbedNormal = normal;
+#ifdef USE_NORMALMAP_TANGENTSPACE
+  mat3 tbn = getTangentFrame(-vViewPosition, normal, vNormalMapUv);
+#endif`;
 
 const COLOURS = {
   cubes: "diffuseColor.rgb = mix(vec3(0.22, 0.42, 0.30), vec3(0.62, 0.74, 0.55), 0.5 + 0.5 * normalize(vNormal).y);",
@@ -102,34 +104,18 @@ export function makeFollow(material, uniforms, kind) {
   const declared = kind === "cubes" ? "attribute float voxelRow;" : "";
   material.onBeforeCompile = (shader) => {
     Object.assign(shader.uniforms, uniforms);
-    shader.vertexShader = shader.vertexShader
-      .replace(
-        "#include <common>",
-        `#include <common>\n${declared}\nvec3 restNormal;\n${DISPLACE}\n${KINDS[kind]}\n${FOLLOW}`,
-      )
-      .replace(
-        "#include <beginnormal_vertex>",
-        "vec3 followed = follow();\nvec3 objectNormal = mat3(pose) * restNormal;",
-      )
-      .replace("#include <begin_vertex>", `vec3 transformed = ${lit ? "followed" : "follow()"};`);
-    shader.fragmentShader = shader.fragmentShader
-      .replace(
-        "#include <common>",
-        `#include <common>\nuniform float coloured, greyStill; varying float vShare, vStill;\n${RAMP}\n${GREY}`,
-      )
-      .replace(
-        "#include <color_fragment>",
-        `#include <color_fragment>\n${(lit && COLOURS[kind]) ?? ""}\nif (coloured > 0.5) diffuseColor.rgb = mix(ramp(vShare), vec3(STILL_SHARE), vStill);
-else if (greyStill > 0.5) diffuseColor.rgb = mix(diffuseColor.rgb, greyed(diffuseColor.rgb), vStill);`,
-      )
-      // normals of foliage look outward on both sides
-      .replace(
-        "#include <normal_fragment_begin>",
-        `float faceDirection = 1.0; vec3 normal = normalize(vNormal); vec3 nonPerturbedNormal = normal;
-#ifdef USE_NORMALMAP_TANGENTSPACE
-  mat3 tbn = getTangentFrame(-vViewPosition, normal, vNormalMapUv);
-#endif`,
-      );
+    shader.vertexShader = replaced(shader.vertexShader, {
+      common: `$&\n${declared}\nvec3 restNormal;\n${DISPLACE}\n${KINDS[kind]}\n${FOLLOW}`,
+      ...(lit && { beginnormal_vertex: "vec3 followed = follow();\nvec3 objectNormal = mat3(pose) * restNormal;" }),
+      begin_vertex: `vec3 transformed = ${lit ? "followed" : "follow()"};`,
+    });
+    if (!lit) return; // a shadow has no colour
+    shader.fragmentShader = replaced(shader.fragmentShader, {
+      common: `$&\nuniform float coloured; varying float vShare, vStill;\n${RAMP}`,
+      color_fragment: `$&\n${COLOURS[kind] ?? ""}
+if (coloured > 0.5) diffuseColor.rgb = mix(ramp(vShare), vec3(0.5), vStill);`,
+      normal_fragment_begin: OUTWARD,
+    });
   };
   material.customProgramCacheKey = () => `follow-${material.type}-${kind}`;
   return material;
@@ -165,10 +151,16 @@ export function surfaceMaterials(surface, uniforms) {
   return { lit: lit.length === 1 ? lit[0] : lit, depth: makeFollow(depth, uniforms, kind) };
 }
 
-/** The tree at rest, to be laid over the one that moves. */
+/** The tree at rest, to be laid over the one that moves: its outline filled once, however many leaves lie behind each other. */
 export function ghostOf(geometry) {
-  const faint = { transparent: true, opacity: 0.22, depthWrite: false, side: THREE.DoubleSide };
-  const ghost = new THREE.Mesh(geometry, new THREE.MeshBasicMaterial(faint));
+  const once = {
+    stencilWrite: true,
+    stencilFunc: THREE.NotEqualStencilFunc,
+    stencilRef: 1,
+    stencilZPass: THREE.ReplaceStencilOp,
+  };
+  const faint = { transparent: true, opacity: 0.3, depthWrite: false, side: THREE.DoubleSide };
+  const ghost = new THREE.Mesh(geometry, new THREE.MeshBasicMaterial({ ...faint, ...once }));
   ghost.visible = false;
   return ghost;
 }

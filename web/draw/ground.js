@@ -1,6 +1,7 @@
 // The ground: a disc that fades outward, and the shadow on it, in one draw.
 
 import * as THREE from "three";
+import { replaced } from "./chunks.js";
 
 // opacity by distance from the middle, in shares of the radius
 const FADE = /* glsl */ `
@@ -16,7 +17,9 @@ const SHADE_GROUND = /* glsl */ `
 float shade = opacity * (1.0 - getShadowMask());
 float soil = max(fade(), 0.0);
 float covered = soil + shade - soil * shade;
-gl_FragColor = vec4(ground * (soil * (1.0 - shade) / max(covered, 1e-4)), covered);`;
+// noise of half a step of the screen's colours, or the slow fade shows its steps
+float grain = fract(52.9829189 * fract(dot(gl_FragCoord.xy, vec2(0.06711056, 0.00583715)))) - 0.5;
+gl_FragColor = vec4(ground * (soil * (1.0 - shade) / max(covered, 1e-4)) + grain / 255.0, covered + 1.5 * grain / 255.0);`;
 
 export class Ground extends THREE.Mesh {
   constructor() {
@@ -27,13 +30,15 @@ export class Ground extends THREE.Mesh {
     this.renderOrder = -1;
     material.onBeforeCompile = (shader) => {
       shader.uniforms.ground = { value: this.tint };
-      shader.vertexShader = shader.vertexShader
-        .replace("#include <common>", "#include <common>\nvarying vec2 onDisc;")
-        .replace("#include <begin_vertex>", "#include <begin_vertex>\nonDisc = position.xy;");
-      shader.fragmentShader = shader.fragmentShader
-        .replace("#include <common>", `#include <common>\n${FADE}`)
-        .replace(/gl_FragColor = .*;/, SHADE_GROUND)
-        .replace("#include <colorspace_fragment>", ""); // discs are blended as the screen blends them
+      shader.vertexShader = replaced(shader.vertexShader, {
+        common: "$&\nvarying vec2 onDisc;",
+        begin_vertex: "$&\nonDisc = position.xy;",
+      });
+      shader.fragmentShader = replaced(shader.fragmentShader, {
+        common: `$&\n${FADE}`,
+        "gl_FragColor = vec4( color, opacity * ( 1.0 - getShadowMask() ) );": SHADE_GROUND,
+        colorspace_fragment: "", // discs are blended as the screen blends them
+      });
     };
   }
 

@@ -2,6 +2,7 @@
 
 import * as THREE from "three";
 import { readTensors } from "../motion/tensors.js";
+import { replaced } from "./chunks.js";
 
 export class Points {
   /** `buffer` is the body of …/points: `points` [P, 3] m, `colours` uint8 [P, 3], `radius_m` [P]. */
@@ -27,14 +28,15 @@ export class Points {
 function roundMaterial() {
   const material = new THREE.PointsMaterial({ size: 1, sizeAttenuation: true, vertexColors: true });
   material.onBeforeCompile = (shader) => {
-    shader.vertexShader = shader.vertexShader
-      .replace("#include <common>", "#include <common>\nattribute float radius;")
-      .replace("gl_PointSize = size;", "gl_PointSize = 2.0 * radius * projectionMatrix[1][1];")
-      .replace("#include <fog_vertex>", "gl_PointSize = max(gl_PointSize, 1.5);\n#include <fog_vertex>");
-    shader.fragmentShader = shader.fragmentShader.replace(
-      "#include <color_fragment>",
-      "#include <color_fragment>\nif (length(gl_PointCoord - 0.5) > 0.5) discard;\ndiffuseColor.rgb = pow(diffuseColor.rgb, vec3(2.2));",
-    );
+    shader.vertexShader = replaced(shader.vertexShader, {
+      common: "$&\nattribute float radius;",
+      "gl_PointSize = size;": "gl_PointSize = 2.0 * radius * projectionMatrix[1][1];",
+      fog_vertex: "gl_PointSize = max(gl_PointSize, 1.5);\n$&",
+    });
+    shader.fragmentShader = replaced(shader.fragmentShader, {
+      color_fragment:
+        "$&\nif (length(gl_PointCoord - 0.5) > 0.5) discard;\ndiffuseColor.rgb = pow(diffuseColor.rgb, vec3(2.2));",
+    });
   };
   return material;
 }

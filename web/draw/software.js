@@ -1,7 +1,7 @@
 // The canvas's WebGL context: with multisampling on a graphics card, without it where WebGL runs on the processor.
 
 const NAMES = /swiftshader|llvmpipe|softpipe|software|basic render/i;
-const ATTRIBUTES = { alpha: true, powerPreference: "high-performance" };
+const ATTRIBUTES = { alpha: true, stencil: true, powerPreference: "high-performance" };
 
 /**
  * `{ canvas, context, soft }`. A canvas keeps its first context, which alone says where it runs; in software that is

@@ -4,7 +4,7 @@ import * as THREE from "three";
 import { modeSum } from "../motion/modes.js";
 import { readTensors } from "../motion/tensors.js";
 import { turnedUpright } from "../motion/vectors.js";
-import { Field } from "./field.js";
+import { Field, placesTexture } from "./field.js";
 import { halvesOf, modifier, WIDTH } from "./splat_shader.js";
 
 const SAME_PLACE = 1e-6; // of the tree's size: a camera that has moved less stands still
@@ -48,7 +48,6 @@ export class SplatView {
     view.stage = stage;
     Object.assign(view, { ride, field: ride.field, uniforms });
     view.box = new THREE.Box3().setFromArray(splat.means);
-    view.standsInPart = splat.face_of.some((face) => face < 0);
     view.harmonics = harmonicsThatFit(splat, stage.renderer.capabilities.maxTextureSize);
     view.textures = texturesOf(splat, ride, view.harmonics);
     const cloud = new spark.ExtSplats({ maxSplats: splat.G }); // places in single precision: half would be 8 mm at 10 m
@@ -94,7 +93,6 @@ export class SplatView {
       bones: dynoSampler2D(this.textures.bones),
       sh: dynoSampler2D(this.textures.sh),
       eye: dynoVec3(new THREE.Vector3()),
-      grey: dynoFloat(this.uniforms.greyStill.value),
     };
   }
 
@@ -113,15 +111,13 @@ export class SplatView {
   evaluate(renderer, q, turn) {
     const { camera, radius } = this.stage;
     const { position } = camera;
-    const grey = this.uniforms.greyStill.value;
-    const now = [grey, turn, ...q].join();
+    const now = [turn, ...q].join();
     // the controls compute the camera's place anew in each frame, which moves it in its last digits
     const stays = this.values.eye.value.distanceTo(position) < SAME_PLACE * radius;
     if (now === this.before && stays && !this.uniforms.bent.value && !this.values.bent.value) return;
     this.before = now;
     if (!this.ride.borrowed) this.field.evaluate(renderer, q, turn);
     this.values.eye.value.copy(position);
-    this.values.grey.value = grey;
     this.values.bent.value = this.uniforms.bent.value;
     this.values.poses.value = this.uniforms.poses.value;
     this.mesh.updateVersion();
@@ -141,7 +137,7 @@ export function ownRide(splat, carriers) {
   const { means, face_of, triangles, weights, vertices, N } = splat;
   const { shapes, scale_m } = stepsOf(splat);
   const inWind = (row, q, turn) => turnedUpright(modeSum(shapes, scale_m, row, q), turn);
-  const field = new Field(shapes, scale_m, N);
+  const field = new Field(shapes, scale_m, N, 1, { places: placesTexture(vertices) });
   return { means, face_of, triangles, weights, vertices, carriers, field, inWind };
 }
 

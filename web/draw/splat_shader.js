@@ -1,8 +1,5 @@
 // The deformation of Gaussians in Spark's own shader: the rules of docs/formats-splat.md.
 
-import { LUMINANCE } from "./luminance.js";
-
-const STILL_SHARE = "0.735"; // of display values: half of the light
 /** Texels of a row of every texture that the shader reads. */
 export const WIDTH = 2048;
 
@@ -75,11 +72,10 @@ vec4 treeTurn(mat3 m) { // rotation to quaternion x, y, z, w
   return normalize(vec4(m[2][0] + m[0][2], m[1][2] + m[2][1], s.z, m[0][1] - m[1][0]));
 }
 ${colourShader(harmonics)}
-Gsplat treeDeform(Gsplat g, sampler2D moved, sampler2D poses, float bent, sampler2D corners, sampler2D rest, sampler2D bones, sampler2D sh, vec3 eye, float grey) {
+Gsplat treeDeform(Gsplat g, sampler2D moved, sampler2D poses, float bent, sampler2D corners, sampler2D rest, sampler2D bones, sampler2D sh, vec3 eye) {
   vec4 corner = treeTexel(corners, 2 * g.index);
   if (corner.w < 0.5) {
-    vec3 colour = treeColour(sh, g.index, g.center, mat3(1.0), eye);
-    g.rgba.rgb = grey > 0.5 ? vec3(${STILL_SHARE} * dot(colour, ${LUMINANCE})) : colour;
+    g.rgba.rgb = treeColour(sh, g.index, g.center, mat3(1.0), eye);
     return g;
   }
   vec3 weight = treeTexel(corners, 2 * g.index + 1).xyz;
@@ -120,7 +116,6 @@ const INPUTS = {
   bones: "sampler2D",
   sh: "sampler2D",
   eye: "vec3",
-  grey: "float",
 };
 
 export function modifier({ Dyno, Gsplat, dynoBlock }, values, harmonics) {

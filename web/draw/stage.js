@@ -8,6 +8,8 @@ import { contextOf } from "./software.js";
 import { Surroundings } from "./surroundings.js";
 
 const FIELD_OF_VIEW = 30;
+const ROUND = Math.SQRT1_2 / 2; // corners of the square in a crown's circle, in shares of its width
+const FILLED = 0.94; // of the free part's half
 const FIRST_VIEW = new THREE.Vector3(-0.38, -1, 0.2).normalize();
 
 turnSamplesTogether();
@@ -18,7 +20,7 @@ export class Stage {
     const { canvas, context, soft } = contextOf(first);
     this.canvas = canvas;
     if (!context) throw new Error("this browser has no WebGL 2");
-    this.renderer = new THREE.WebGLRenderer({ canvas, context });
+    this.renderer = new THREE.WebGLRenderer({ canvas, context, stencil: true });
     this.renderer.debug.checkShaderErrors = false; // each of its questions waits for the card; WebGL itself warns
     if (!this.renderer.extensions.has("EXT_color_buffer_float")) {
       throw new Error("this browser's WebGL cannot draw into textures of floating-point numbers");
@@ -103,7 +105,8 @@ export class Stage {
     const wide = this.seen.getSize(new THREE.Vector3());
     const across = Math.max(wide.x, wide.y, Math.hypot(wide.x, wide.y) * 0.85);
     const tall = (0.55 * wide.z) / half;
-    const distance = Math.max(tall, ((0.55 * across) / half) * (free.height / free.width)) + 0.3 * across;
+    const upright = Math.max(tall, ((0.55 * across) / half) * (free.height / free.width)) + 0.3 * across;
+    const distance = Math.max(upright, this._distanceOfWhole(wide, half, free.width / free.height));
     this.halfWidth = (distance * half * free.width) / free.height; // of what is seen beside the middle [m]
     this.surroundings.bringArrowNear(this.halfWidth);
     const middle = this.seen.getCenter(this.controls.target);
@@ -114,6 +117,19 @@ export class Stage {
     this.camera.far = distance * 20;
     this.controls.update();
     this.resize();
+  }
+
+  /** So far the first view sees the whole of a round crown of this size: what is low and wide reaches towards the camera. */
+  _distanceOfWhole(size, half, aspect) {
+    const right = new THREE.Vector3(0, 0, 1).cross(FIRST_VIEW).normalize();
+    const up = new THREE.Vector3().crossVectors(FIRST_VIEW, right);
+    const corners = [-ROUND, ROUND].flatMap((x) => [-ROUND, ROUND].flatMap((y) => [-0.5, 0.5].map((z) => [x, y, z])));
+    const needed = corners.map((shares) => {
+      const at = new THREE.Vector3(...shares).multiply(size);
+      const beside = Math.max(Math.abs(at.dot(right)) / aspect, Math.abs(at.dot(up)));
+      return beside / (FILLED * half) + at.dot(FIRST_VIEW);
+    });
+    return Math.max(...needed);
   }
 
   /** Turn by angles [rad]; zoom is a factor of the distance. */
@@ -203,8 +219,12 @@ export class Stage {
 
   /** Draw with all pixels, for a picture that is taken in the same turn. */
   drawNow() {
+    const { arrow } = this.surroundings;
+    const shown = arrow.visible;
+    arrow.visible = false; // a picture is of the tree
     this._render(1, true);
-    this.resolution.sharp = true;
+    Object.assign(arrow, { visible: shown });
+    this.resolution.sharp = !shown; // the screen's own picture has the arrow
   }
 
   _render(scale, shadow) {

@@ -22,7 +22,6 @@ export class Tree {
       poses: { value: this.still },
       bent: { value: 0 },
       coloured: { value: 0 },
-      greyStill: { value: 1 },
       restAt: { value: this.still }, // a sampler without a texture spoils every draw
     };
     this.groups = []; // of pushes: { q, perBone }
@@ -35,11 +34,6 @@ export class Tree {
 
   get usesNearVoxels() {
     return Boolean(this.surface?.tie_rows);
-  }
-
-  /** Whether parts of it stand still because they are no plant. */
-  get standsInPart() {
-    return this.splat?.standsInPart ?? Boolean(this.surface?.still);
   }
 
   /** The voxel that stands highest. */
@@ -204,7 +198,13 @@ export class Tree {
       this.boneMotion ??= new Float32Array(12 * this.modes.B);
       this.poses.set(this.modes.poses(groups, this.boneMotion));
     }
-    Object.assign(this.stage, { stale: true, swift: groups.length > 0 || leavesItsShadow(this) });
+    Object.assign(this.stage, { stale: true, swift: groups.length > 0 || this.blown || leavesItsShadow(this) });
+  }
+
+  /** A gust over the wind: see Gust.after. */
+  blow(gust) {
+    this.blown = Boolean(gust);
+    for (const field of [this.field, this.voxelField, this.splat?.field]) field?.blow(gust);
   }
 
   /** Before each draw. */

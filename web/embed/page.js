@@ -8,7 +8,7 @@ import { runFrames } from "../page/frames.js";
 import { Hand } from "../page/hand.js";
 import { watchKeys } from "../page/keyboard.js";
 import { showGrip, showHint } from "../page/layout.js";
-import { fetchParts, partsIn, partsOf, standParts } from "../page/parts.js";
+import { fetchFolder, fetchParts, partsIn, partsOf, standParts } from "../page/parts.js";
 import { Player } from "../page/player.js";
 import { Scene } from "../page/scene.js";
 import { text, textOrNull, translate } from "../page/texts.js";
@@ -50,6 +50,8 @@ async function begin() {
 
 /** The files of what the address names: parts, a job, or nothing, which is the example. */
 async function chosenFiles() {
+  const { tree: folder, parts: names } = document.body.dataset; // of a page that stands alone on a web server
+  if (folder) return fetchFolder(folder, names.split(" "));
   const id = options.get("job");
   const parts = partsIn(options) ?? (id && (await partsOf(client, await client.job(id))));
   return parts ? fetchParts(client, parts) : fetchExample();

@@ -12,7 +12,7 @@ export async function fetchExample() {
   return Object.fromEntries(await Promise.all(files));
 }
 
-async function bytesOf(path) {
+export async function bytesOf(path) {
   const response = await fetch(path);
   if (!response.ok) throw new Error(`${path}: ${response.status}`);
   return response.arrayBuffer();

@@ -2,6 +2,8 @@
 
 import { hasEnded } from "../client.js";
 import { $, button, element, keyedChildren, saveBlob } from "./dom.js";
+import { fileName, nameTag } from "./names.js";
+import { store, stored } from "./storage.js";
 import { bytes, percent, text, textOrNull } from "./texts.js";
 
 /** In the order in which they are listed. */
@@ -24,6 +26,7 @@ const ORDER = [
   "tree.spectrum.safetensors",
   "tree.voxels.safetensors",
 ];
+const MOST_BESIDE = 24; // as many formats as there are
 const INNER = new Set(["mesh.safetensors", "cloud.safetensors", "photos.safetensors", "draft.splat"]); // for stages, strokes, a first look
 
 export class Files {
@@ -49,10 +52,22 @@ export class Files {
     const key = JSON.stringify(job.result);
     if (!job.result || (this.seen === key && !hasEnded(job))) return;
     this.seen = key;
-    const artifacts = await this.client.artifacts(job.id).catch(() => []);
+    const ids = new Set([...this._beside(), job.id]);
+    const lists = await Promise.all([...ids].map((id) => this.client.artifacts(id).catch(() => [])));
     if (owner !== this.job) return; // another tree is on the stage by now
-    for (const artifact of artifacts) if (!INNER.has(artifact.name)) this.listed.set(artifact.name, artifact);
+    for (const artifact of lists.flat()) if (!INNER.has(artifact.name)) this.listed.set(artifact.name, artifact);
     this._show();
+  }
+
+  /** A job has written other formats of the tree of job `id`. */
+  made(job, id = this.job.id) {
+    store(`formats ${id}`, JSON.stringify([...this._beside(id), job.id].slice(-MOST_BESIDE)));
+    if (this.job.id === id) this.client.job(job.id).then((ended) => this.follow(ended));
+  }
+
+  /** Jobs that this browser has asked for other formats of the same tree; these are kept for when it is opened again. */
+  _beside(id = this.job.id) {
+    return JSON.parse(stored(`formats ${id}`) ?? "[]");
   }
 
   _show() {
@@ -63,15 +78,14 @@ export class Files {
 
   /** "oak.glb" for the tree.glb of oak.obj, "oak-preview.png" for its preview.png. */
   _fileName(name) {
-    const tree = this.treeName.replace(/[^\p{L}\p{N} ._-]/gu, "") || "tree";
-    return name.startsWith("tree") ? tree + name.slice(4) : `${tree}-${name}`;
+    return fileName(this.treeName, name.startsWith("tree") ? name.slice(4) : `-${name}`);
   }
 
   _link({ name, bytes: size, url }) {
     const download = this._fileName(name);
     const href = `${url}?filename=${encodeURIComponent(download)}`;
     const title = element("b", {}, textOrNull(`file.${name}`) ?? name);
-    const words = [title, element("small", {}, bytes(size)), element("small", {}, download)];
+    const words = [title, element("small", {}, bytes(size)), element("small", {}, nameTag(download))];
     const link = element("a", { href, download }, ...words);
     link.onclick = (event) => {
       if (!this.client.key) return; // a link sends no key
@@ -117,6 +131,7 @@ export class Files {
       const request = { type: "animate", asset_id, preset, seed, params: { ...params, formats: [format] } };
       const job = await this.client.createJob(request);
       await this.client.wait(job.id, { onJob });
+      this.made(job, owner.id);
     } catch (error) {
       if (this.job === owner) this.onProblem(error);
     }

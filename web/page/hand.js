@@ -6,6 +6,7 @@ import { gripAt, gripInWind, gripNow } from "../motion/grip.js";
 import { Pin } from "../motion/pin.js";
 
 const EASE_S = 0.1; // in which a grip that was picked beside the pointer comes under it
+const FLING = { share: 0.3, px_per_ms: 1.5, pause_ms: 60 }; // of the stage's width, at such a speed, without a pause
 const KNOCK = { share: 0.06, seconds: 0.3 }; // of the height, and how long it lasts
 
 export class Hand {
@@ -16,6 +17,8 @@ export class Hand {
     this.push = null;
     this.grip = null; // { place, voxel, pointer, plane, target, beside, at }
     this.pin = null; // keeps the grip under the pointer; after the release it fades
+    this.onFling = () => {}; // with the direction [rad] in which the mouse was flung past the tree
+    this.flung = { px: 0, at: 0 };
     this.groups = [];
     this.frame = 0;
     this.damping = undefined; // until it is set, the service takes that of real trees
@@ -160,9 +163,22 @@ export class Hand {
 
   _hover(event) {
     if (event.pointerType !== "mouse" || event.buttons) return;
+    this._fling(event);
     const { canvas } = this.stage;
     const over = event.target === canvas && this.tree?.moves && pickVoxel(this.tree, event, { exact: false }) !== null;
     canvas.classList.toggle("over", Boolean(over));
+  }
+
+  /** A fast sweep to one side over the stage is a fling; it blows along the ground as the camera sees it. */
+  _fling({ movementX: px, timeStamp: at }) {
+    const { flung, stage } = this;
+    const goesOn = at - flung.at < FLING.pause_ms && Math.sign(px) === Math.sign(flung.px);
+    this.flung = { px: (goesOn ? flung.px : 0) + px, at, since: goesOn ? flung.since : at };
+    const speed = Math.abs(this.flung.px) / Math.max(at - this.flung.since, 1);
+    if (Math.abs(this.flung.px) < FLING.share * stage.canvas.clientWidth || speed < FLING.px_per_ms) return;
+    const right = new THREE.Vector3().setFromMatrixColumn(stage.camera.matrixWorld, 0).multiplyScalar(Math.sign(px));
+    this.flung = { px: 0, at };
+    this.onFling(Math.atan2(right.y, right.x));
   }
 
   _up(event) {

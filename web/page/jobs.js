@@ -1,8 +1,10 @@
 // The list of jobs: live, without rebuilding what has not changed.
 
 import { hasEnded } from "../client.js";
+import { isBehind } from "./all_winds.js";
 import { $, button, element, fill, keyedChildren } from "./dom.js";
-import { nameOf } from "./session.js";
+import { nameOf, nameTag } from "./names.js";
+import { PREVIEW, stillOf } from "./still.js";
 import { date, duration, number, percent, speed, text } from "./texts.js";
 
 const REFRESH_MS = 2000;
@@ -64,7 +66,7 @@ export class JobList {
   }
 
   _set(jobs) {
-    this.jobs = new Map(jobs.map((job) => [job.id, job]));
+    this.jobs = new Map(jobs.filter((job) => !isBehind(job)).map((job) => [job.id, job]));
   }
 
   async _try(task) {
@@ -102,7 +104,7 @@ export class JobList {
     const retry = button(text("jobs.retry"), () => this._act(this.client.retry(job.id)), { className: "retry" });
     const remove = button(text("jobs.delete"), () => this._delete(job.id, remove), { className: "delete" });
     for (const node of [open, cancel, retry, remove]) nameFully(node, `${name}, ${date(job.created_at)}`);
-    const title = element("b", {}, name);
+    const title = element("b", {}, nameTag(name));
     const picture = element("img", { alt: "", width: 56, height: 56 });
     const state = element("small", { className: "state" });
     const line = element("small", {}, state, ` · ${date(job.created_at)}`);
@@ -128,10 +130,10 @@ export class JobList {
     if (this.pictures.has(id)) return;
     this.pictures.set(id, null);
     const artifacts = await this.client.artifacts(id).catch(() => []);
-    const preview = artifacts.find(({ name }) => name === "preview.png");
+    const preview = artifacts.find(({ name }) => name === PREVIEW);
     if (!preview) return;
     const blob = await this.client.bytes(preview.url).catch(() => null);
-    if (blob) picture.src = URL.createObjectURL(new Blob([blob], { type: "image/png" }));
+    if (blob) picture.src = await stillOf(blob);
   }
 
   /** The first press asks, the second deletes. */

@@ -3,6 +3,7 @@
 import { readSurface } from "../draw/surface.js";
 import { localSource } from "../motion/local.js";
 import { Modes } from "../motion/modes.js";
+import { bytesOf } from "./example.js";
 
 const NAMES = ["surface", "modes", "splat"];
 const READABLE = /^\/v1\/(spectra|artifacts)\/[0-9A-Z]{26}(\/surface|\/modes)?(\?[\w=&-]*)?$/;
@@ -35,6 +36,12 @@ export function partsIn(fragment) {
 /** The contents of parts. */
 export async function fetchParts(client, parts) {
   const files = Object.entries(parts).map(async ([name, path]) => [name, await client.bytes(path)]);
+  return Object.fromEntries(await Promise.all(files));
+}
+
+/** The contents of a folder on any web server: see page/web_folder.js. */
+export async function fetchFolder(folder, names) {
+  const files = names.map(async (name) => [name, await bytesOf(`${folder}${name}.safetensors`)]);
   return Object.fromEntries(await Promise.all(files));
 }
 

@@ -1,5 +1,6 @@
 // Time: the wind's loop is played, paused and scrubbed, endless wind goes on; what is pushed goes on in real time.
 
+import { Gust } from "../draw/gust.js";
 import { bandGains, powerLaw } from "../motion/bands.js";
 import { forestMotions, forestPlaces, gustAt, pairPlaces } from "../motion/company.js";
 import { windCoordinates } from "../motion/modes.js";
@@ -15,10 +16,12 @@ const MOST_TURNS = 3; // of a mode alone in one loop, slow enough for the eye
 export class Player {
   constructor(hand) {
     this.hand = hand;
+    hand.onFling = (angle) => this.blow({ angle });
     this.onStart = () => {}; // a tree's motion begins
     this.playing = true;
     this.phase = 0;
     this.seconds = 0; // of endless wind
+    this.gust = null;
     this.turbulent = null; // its table of cosines; null plays the loop
     this.windSpeed = 0; // as it is shown; follows `speed`, the slider's
     this.speed = 0;
@@ -37,15 +40,40 @@ export class Player {
     const made = wind ?? { speed_m_s: 5, direction_deg: 0 };
     const windSpeed = atRest ? 0 : made.speed_m_s;
     Object.assign(this, { tree, period, made, windSpeed, speed: made.speed_m_s, phase: 0 });
+    this.direction_rad = (made.direction_deg * Math.PI) / 180;
     this.bands = bands ?? powerLaw(tree.modes.K, made.speed_m_s);
     this.hasBands = Boolean(bands);
-    this.drawn = this.shownTime = null;
+    this.drawn = this.shownTime = this.gust = null;
     this.company = "one";
     this.other = null;
     this.setTurbulent(null);
     this._showTime();
     this.setPlaying(!matchMedia("(prefers-reduced-motion: reduce)").matches);
+    this.blow({ first: true });
     this.onStart();
+  }
+
+  /** Let a gust run through the crown, in the wind's direction or another [rad]. */
+  blow({ angle = this.direction_rad, first = false } = {}) {
+    if (!this.tree?.moves || !this.playing || this.gust || this.alone) return;
+    const { box } = this.tree;
+    const middle = { x: (box.min.x + box.max.x) / 2, y: (box.min.y + box.max.y) / 2 };
+    const radius = Math.max(box.max.x - box.min.x, box.max.y - box.min.y) / 2;
+    this.gust = new Gust({ angle, middle, radius, speed_m_s: this.speed, first });
+  }
+
+  /** What is pulled, paused or recorded shows the wind alone. */
+  _gustNow(seconds) {
+    if (!this.gust) return false;
+    if (!this.playing || this.scripted || this.hand.grip || this.gust.isOver) this.gust = null;
+    this.tree.blow(this.gust?.after(seconds));
+    return true;
+  }
+
+  /** The model's gains in all winds, in place of a power law. */
+  takeBands(bands) {
+    Object.assign(this, { bands, hasBands: true });
+    this.drawn = null;
   }
 
   stop() {
@@ -106,7 +134,8 @@ export class Player {
     const windless = !this.windSpeed && !this.alone && !(this.company === "pair" && this.otherSpeed);
     const beside = [this.company, this.otherSpeed, this.other?.id, Boolean(this.other?.turbulent)];
     const now = JSON.stringify([windless || time, this.windSpeed, this.turn, this.alone, ...beside]);
-    const changed = now !== this.drawn;
+    const blown = this._gustNow(seconds);
+    const changed = now !== this.drawn || blown;
     if (changed || hand.moving || tree.groups.length) {
       const { q, turn } = this._coordinates();
       tree.move(q, turn, hand.groupsIn(q, turn, seconds));

@@ -1,15 +1,21 @@
 // The card that says what went wrong: in the reader's words first, in the service's below.
 
 import { $, element, fill } from "./dom.js";
-import { text, textOrNull } from "./texts.js";
+import { shortened } from "./names.js";
+import { bytes, text, textOrNull } from "./texts.js";
+
+/** Codes of what the same files would meet again. */
+export const UNUSABLE = new Set(["unsupported-format", "invalid-geometry", "invalid-input", "payload-too-large"]);
 
 /** `again` is called by "Try again"; without it there is no such button. */
 export function showProblem(problem, again = null) {
   const { code = "page", title, detail, message, suggestion, errors = [], request_id: request } = problem;
-  const words = textOrNull(`problem.${code}`, problem);
+  const values = { ...problem, name: shortened(problem.name ?? ""), kind: text(`kind.${problem.kind}`) };
+  for (const field of ["size", "whole"]) if (problem[field]) values[field] = bytes(problem[field]);
+  const words = textOrNull(`problem.${code}`, values);
   fill($("problem-title"), words ?? title ?? text("problem.page"));
   const said = detail || message;
-  const advice = textOrNull(`problem.${code}.do`, problem) ?? said ?? suggestion ?? "";
+  const advice = textOrNull(`problem.${code}.do`, values) ?? said ?? suggestion ?? "";
   fill($("problem-suggestion"), advice);
   const ours = Boolean(words) && !detail && !problem.status; // the service has said nothing
   const rest = ours ? [] : [words ? title : "", said, suggestion].filter((part) => part && part !== advice);
@@ -21,7 +27,8 @@ export function showProblem(problem, again = null) {
   $("problem-more").hidden = !rest.length && !fields.length;
   $("problem-more").open = Boolean(fields.length);
   $("problem-retry").hidden = !again;
-  fill($("problem-retry"), text(problem.offersMotion ? "problem.animate" : "problem.retry"));
+  const retry = problem.offersMotion ? "animate" : UNUSABLE.has(code) ? "other" : "retry";
+  fill($("problem-retry"), text(`problem.${retry}`));
   $("problem-retry").onclick = () => {
     hideProblem();
     again();

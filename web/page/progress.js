@@ -2,19 +2,23 @@
 
 import { hasEnded } from "../client.js";
 import { $, element, fill, keyedChildren } from "./dom.js";
+import { shortened } from "./names.js";
 import { duration, number, percent, text, textOrNull } from "./texts.js";
 
 /** Show what the facts of the machine say. */
-export function showProgress(state, { name, job, share = 0, away, files, asset }) {
+export function showProgress(state, { name, job, share = 0, away, files, asset, drawing }) {
   const visible = state === "uploading" || state === "queued" || state === "running";
   $("progress").hidden = !visible;
   if (!visible) return;
   const count = (files ?? asset?.parts)?.length;
-  fill($("progress-title"), name || (count ? text("tree.photos", { n: number(count) }) : text("tree.one")));
-  fill($("progress-eta"), etaWords(job));
+  const title = name || (count ? text("tree.photos", { n: number(count) }) : text("tree.one"));
+  $("progress-title").title = title;
+  fill($("progress-title"), shortened(title));
+  fill($("progress-eta"), away ? "" : etaWords(job));
   $("away").hidden = !away;
   const stages = [{ name: "upload", state: share < 1 && !job ? "running" : "succeeded", progress: share }];
   const all = [...(state === "uploading" || !job ? stages : []), ...(job?.stages ?? [])];
+  if (drawing) all.push({ name: "draw", state: "running", progress: null });
   const names = all.map((stage) => stage.name);
   keyedChildren($("stages"), names, newStage);
   for (const stage of all) showStage($("stages").querySelector(`[data-key="${stage.name}"]`), stage);
@@ -34,15 +38,22 @@ function newStage(name) {
 
 function showStage(item, { state, progress, cached }) {
   item.className = state;
-  const words = cached ? text("stage.cached") : state === "running" ? percent(progress) : textOrNull(`stage.${state}`);
-  fill(item.querySelector(".status"), words ?? state);
-  item.querySelector("progress").value = state === "succeeded" ? 1 : progress;
+  const bar = item.querySelector("progress");
+  if (progress === null)
+    bar.removeAttribute("value"); // it is not known how far it is
+  else bar.value = state === "succeeded" ? 1 : progress;
+  const running = state === "running";
+  const words = cached ? text("stage.cached") : running ? percent(bar.value) : textOrNull(`stage.${state}`);
+  fill(item.querySelector(".status"), progress === null ? "" : (words ?? state));
 }
+
+/** Words that stand among others whichever way they are written. */
+const isolated = (words) => `\u2068${words}\u2069`;
 
 /** "45 % · Oak", "Oak is ready": what a tab in the background says. */
 export function tabTitle(state, { name, job, share = 0 }) {
   const page = "DynamicTree";
-  const tree = name || text("tree.one");
+  const tree = isolated(shortened(name || text("tree.one")));
   if (state === "uploading") return `${percent(share)} · ${tree} · ${page}`;
   if (state === "queued") return `${text("title.queued")} · ${tree} · ${page}`;
   if (state === "running") return `${percent(job?.progress ?? 0)} · ${tree} · ${page}`;

@@ -1,6 +1,7 @@
 // Pictures and videos of the view: what the canvas shows beside the panels, on the page's sky or on nothing.
 
 import { $, fill, saveBlob } from "./dom.js";
+import { fileName } from "./names.js";
 import { percent, text } from "./texts.js";
 import { webm } from "./webm.js";
 
@@ -16,11 +17,12 @@ export class Recorder {
   constructor(stage, player, { name, onProblem }) {
     Object.assign(this, { stage, player });
     this.recording = false;
-    $("save-picture").onclick = () => this.picture().then((blob) => saveBlob(`${name()}.png`, blob), onProblem);
+    $("save-picture").onclick = () =>
+      this.picture().then((blob) => saveBlob(fileName(name(), ".png"), blob), onProblem);
     $("save-video").onclick = () => {
       if (this.recording)
         this.recording = false; // the second press gives it up
-      else this.video().then((blob) => blob && saveBlob(`${name()}.webm`, blob), onProblem);
+      else this.video().then((blob) => blob && saveBlob(fileName(name(), ".webm"), blob), onProblem);
     };
     $("save-video").hidden = !globalThis.VideoEncoder; // only browsers of late, over https or on localhost
   }

@@ -7,6 +7,7 @@ import { Tree } from "../draw/tree.js";
 import { Modes } from "../motion/modes.js";
 import { readTensors } from "../motion/tensors.js";
 import { $, element } from "./dom.js";
+import { PREVIEW, stillOf } from "./still.js";
 
 const MOST_PHOTOS = 24;
 const TALLEST_M = 120; // of trees
@@ -23,7 +24,7 @@ export class Scene {
   }
 
   /**
-   * Give it the service. `onMotion(tree, spectrum, job)` is called once there is a tree that moves, `onComplete()` with
+   * Give it the service. `onMotion(tree, spectrum, job)` is called once there is a tree that moves, `onComplete(job, signal)` with
    * all of its files, `onDraft(height_m)` once what was dropped is drawn, null when it goes.
    */
   connect(client, { onMotion, onComplete, onDraft, onClear }) {
@@ -38,6 +39,7 @@ export class Scene {
     this.complete = false; // the job's files are on the stage
     this.nextDraft = 0;
     this._dropPhotos();
+    this._dropPoster();
   }
 
   _dropPhotos() {
@@ -51,6 +53,23 @@ export class Scene {
     if (pictures.length < files.length / 2) return;
     const blobs = pictures.slice(0, MOST_PHOTOS).map((file) => file.content ?? file);
     $("photos").replaceChildren(...blobs.map((blob) => element("img", { src: URL.createObjectURL(blob), alt: "" })));
+  }
+
+  /** The still of a job that has ended, until its tree is drawn. */
+  async poster(job, signal) {
+    const still = (await this.client.artifacts(job.id)).find(({ name }) => name === PREVIEW);
+    if (!still || this.tree || signal.aborted) return;
+    const address = await stillOf(await this.client.bytes(still.url, { signal }));
+    if (this.tree || signal.aborted) return URL.revokeObjectURL(address);
+    this.still = $("poster").src = address;
+    $("poster").hidden = false;
+  }
+
+  _dropPoster() {
+    if (!this.still) return;
+    URL.revokeObjectURL(this.still);
+    this.still = null;
+    $("poster").hidden = true;
   }
 
   /** The splat of the photos so far, in their place, while it is learned. */
@@ -113,6 +132,7 @@ export class Scene {
 
   _tree() {
     this._dropDraft();
+    this._dropPoster();
     this.tree ??= new Tree(this.stage);
     return this.tree;
   }
@@ -169,7 +189,7 @@ export class Scene {
     }
     if (signal.aborted) return;
     this._dropPhotos();
-    this.onComplete();
+    this.onComplete(job, signal);
   }
 
   /** The mesh in place of what would be seen if the job had more files. */

@@ -2,6 +2,7 @@
 
 import { randomKey } from "../client/keys.js";
 import { hasEnded, Problem, patiently } from "../client.js";
+import { nameOf } from "./names.js";
 
 /** Files that the first job writes; others are written when they are wanted. */
 const FIRST_FORMATS = { mesh: ["glb"], cloud: ["splat"], photos: ["glb", "splat"] };
@@ -51,6 +52,7 @@ export class Session {
         const job = await patiently(() => this.client.job(jobId), run);
         const asset = await this.client.asset(job.asset_id).catch(() => null); // it may have expired
         run.update({ job, asset, name: asset ? nameOf(asset) : "" });
+        this.scene.poster(job, run.signal).catch(() => {}); // only a preview
         // a cloud's points also stand in for its Gaussians, which come last
         if (asset && (asset.kind === "cloud" || !job.result?.spectrum_id)) this._showRest(asset, run);
         await this._follow(jobId, run);
@@ -151,7 +153,8 @@ export class Session {
     let motion = null;
     this.onJob(jobId);
     const watch = async () => {
-      for await (job of this.client.watch(jobId, run)) {
+      // a break is told of at once, so the watch does not try again by itself
+      for await (job of this.client.watch(jobId, { ...run, again: false })) {
         run.update({ job, away: null });
         if (job.result?.spectrum_id) {
           motion ??= this._showMotion(job, run);
@@ -175,23 +178,13 @@ export class Session {
   }
 
   async _showMotion(job, run) {
+    run.update({ drawing: true });
     await patiently(
       () => this.scene.motion(job, run.signal, { ofPhotos: this._ofPhotos, hasEnded: hasEnded(job) }),
       run,
     );
-    run.send("moving");
+    run.send("moving", { drawing: false });
   }
 }
 
 const jobProblem = (job) => new Problem(job.error ?? { title: `The job is ${job.state}`, code: `job-${job.state}` });
-
-/** What an upload is called: its file's name without folder and suffix; empty for photos, of which a film is one file. */
-export function nameOf({ kind, parts }) {
-  return kind === "photos" && parts.length > 1 ? "" : stem(parts[0].name);
-}
-
-export function stem(path) {
-  const parts = path.split("/");
-  const base = parts.pop().replace(/\.[^.]+$/, "");
-  return base === "scene" && parts.length ? parts.pop() : base; // Sketchfab calls every file so
-}

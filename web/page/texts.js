@@ -8,9 +8,10 @@ export const LANGUAGES = { en: { name: "English", texts: en }, de: { name: "Deut
 const FEET = 3.28084; // a metre
 const MILES_PER_HOUR = 2.23694; // a metre per second
 
-const preferred = stored("language") ?? navigator.languages.find((tag) => tag.slice(0, 2) in LANGUAGES);
+const languages = globalThis.navigator?.languages ?? ["en"]; // node has none
+const preferred = stored("language") ?? languages.find((tag) => tag.slice(0, 2) in LANGUAGES);
 export const language = (preferred ?? "en").slice(0, 2) in LANGUAGES ? (preferred ?? "en").slice(0, 2) : "en";
-const locale = navigator.languages.find((tag) => tag.startsWith(language)) ?? language;
+const locale = languages.find((tag) => tag.startsWith(language)) ?? language;
 
 /** "m" or "ft". */
 export let lengthUnit = stored("unit") ?? "m";

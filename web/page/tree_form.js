@@ -6,6 +6,8 @@ import { AXES, toZUp } from "../draw/upright.js";
 import { $, describe, element, fill } from "./dom.js";
 import { fromUnit, length, lengthUnit, number, text, toUnit } from "./texts.js";
 
+const PERSON_M = 1.75; // as draw/person.js draws it
+const LEAST_SEEN = 0.015; // of the tree's height: ten pixels of a usual window
 const SIDES = ["x", "y", "z"].flatMap((axis) => [`${axis}-low`, `${axis}-high`]);
 
 export class TreeForm {
@@ -45,20 +47,16 @@ export class TreeForm {
     $("up-box").hidden = asset.kind === "photos";
     $("plant-section").hidden = asset.kind !== "photos";
     $("reread-note").hidden = canReread;
-    this._showDoubt(asset.summary.warnings ?? []);
     $("crop-box").hidden = asset.kind !== "cloud";
     this._setBox(job?.params.box_m);
     this._showGust();
     this._preview();
   }
 
-  /** Say it where the file's unit makes no usual tree, and open the form. */
-  _showDoubt(warnings) {
-    const doubtful = warnings.some(({ code }) => code === "size-doubtful");
-    $("size-doubt").hidden = !doubtful;
-    if (!doubtful) return;
-    fill($("size-doubt"), text("tree.doubt", { height: length(this.height) }));
-    $("tree-details").open = true;
+  /** Make the tree again, so high. */
+  makeHigh(height_m) {
+    $("tree-height").value = toUnit(height_m);
+    this._apply(this._reading());
   }
 
   clear() {
@@ -156,7 +154,8 @@ export class TreeForm {
     this.person ??= new Person(this.stage);
     const wanted = fromUnit(Number($("tree-height").value)) || this.height;
     this.person.show(visible, this.height ? this.height / wanted : 1);
-    fill($("person-note"), visible ? text("tree.person", { height: length(1.75) }) : "");
+    const seen = visible && PERSON_M > LEAST_SEEN * wanted;
+    fill($("person-note"), seen ? text("tree.person", { height: length(PERSON_M) }) : "");
   }
 
   // ---- crop box

@@ -10,7 +10,6 @@ export class ViewPanel {
     $("views").onchange = () => this.show();
     $("mode").oninput = $("mode-alone").onchange = () => this._showMode();
     $("rest").onchange = () => this._showRest();
-    $("grey-still").onchange = () => this._showGrey();
     $("turntable").onchange = () => {
       stage.controls.autoRotate = $("turntable").checked;
     };
@@ -25,7 +24,6 @@ export class ViewPanel {
     this.player.tree?.setView(this.view);
     this._showMode();
     this._showRest();
-    this._showGrey();
   }
 
   _showMode() {
@@ -40,13 +38,6 @@ export class ViewPanel {
     const words = [length(tree.largest[k])];
     if (times > 1.05) words.push(text("mode.times", { n: number(times, times < 10 ? 1 : 0) }));
     fill($("mode-most"), words.join(", "));
-  }
-
-  _showGrey() {
-    const { tree } = this.player;
-    $("grey-box").hidden = !tree?.standsInPart;
-    if (tree) tree.uniforms.greyStill.value = $("grey-still").checked ? 1 : 0;
-    this.stage.stale = true;
   }
 
   _showRest() {

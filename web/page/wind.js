@@ -9,8 +9,8 @@ const FULL_M_S = 12; // from here on the arrow is at its darkest
 
 export class WindPanel {
   /**
-   * `onMake(wind, bands)` is called with the wind that a motion is to be made for, and whether the model is to be asked for
-   * all winds; `onEndless()` once endless wind is played; a problem of the service to `onProblem`.
+   * `onMake(wind)` is called with the wind that a motion is to be made for; `onEndless()` once endless wind is played; a
+   * problem of the service to `onProblem`.
    */
   constructor(stage, player, { onMake, onEndless, onProblem }) {
     Object.assign(this, { stage, player, onEndless });
@@ -23,7 +23,6 @@ export class WindPanel {
     $("speed").oninput = () => this.show();
     $("direction").oninput = () => this.show();
     $("make-wind").onclick = () => onMake(this.wind);
-    $("make-bands").onclick = () => onMake(this.player.made, true);
     this._watchDial();
     player.onStart = () => {
       this.wind = player.made;
@@ -35,6 +34,12 @@ export class WindPanel {
   start(turbulent) {
     this.turbulent = turbulent;
     return this._setMode();
+  }
+
+  /** The model's answer to all winds has come. */
+  takeBands(bands) {
+    this.player.takeBands(bands);
+    this.show();
   }
 
   async _setMode() {
@@ -83,7 +88,6 @@ export class WindPanel {
 
   _note(speed, direction, times) {
     const { made, hasBands } = this.player;
-    $("make-bands").hidden = hasBands;
     const turn = Math.abs(((direction - made.direction_deg + 540) % 360) - 180);
     const sameSpeed = Math.abs(speed - made.speed_m_s) < 0.01;
     const same = sameSpeed && turn < 0.01;

@@ -35,8 +35,8 @@ _SPLAT = {
     "vectors": "motion/vectors.js",
     "modes": "motion/modes.js",
     "pass": "draw/pass.js",
+    "gust": "draw/gust.js",
     "field": "draw/field.js",
-    "luminance": "draw/luminance.js",
     "splat-shader": "draw/splat_shader.js",
     "splat": "draw/splat.js",
 }

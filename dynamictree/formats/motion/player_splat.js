@@ -12,7 +12,7 @@ export async function show(content, { scene, renderer, camera }) {
   const stage = { scene, renderer, camera, radius: box.getSize(new THREE.Vector3()).length() / 2 };
   const none = new THREE.DataTexture(new Float32Array(4), 1, 1, THREE.RGBAFormat, THREE.FloatType);
   none.needsUpdate = true;
-  const uniforms = { poses: { value: none }, bent: { value: 0 }, greyStill: { value: 0 } };
+  const uniforms = { poses: { value: none }, bent: { value: 0 } };
   const view = await SplatView.make(stage, splat, ownRide(splat, new Float32Array(8 * splat.N)), uniforms);
   const period = splat.frames / splat.fps;
   const seek = (seconds) => view.evaluate(renderer, windCoordinates(splat.K, (seconds / period) % 1), 0);

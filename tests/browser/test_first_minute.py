@@ -1,0 +1,183 @@
+"""The first minute of a stranger: odd names, wrong sizes, broken files, waits. In a real browser."""
+
+import io
+import re
+import zipfile
+from collections.abc import Callable
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from threading import Thread
+
+import numpy as np
+import pytest
+from playwright.sync_api import expect
+
+from dynamictree.formats.mesh.ply_writer import write_ply
+from tests.browser.conftest import JOB_MS, MOVING, Viewer
+from tests.plant import stand
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
+
+Open = Callable[..., Viewer]
+LONG = "a tree whose name does not end " * 7
+
+
+def named(tree: Path, folder: Path, name: str) -> str:
+    path = folder / f"{name}{tree.suffix}"
+    path.write_bytes(tree.read_bytes())
+    return str(path)
+
+
+@pytest.mark.parametrize(("width", "height", "touch"), [(1280, 800, False), (390, 760, True)])
+def test_names_leave_everything_in_its_place(
+    view: Open, url: str, tree: Path, tmp_path: Path, width: int, height: int, touch: bool
+) -> None:
+    viewer = view(width, height, touch=touch)
+    page = viewer.page
+    page.route("**/v1/assets", lambda route: None)  # it waits for ever
+    viewer.open(url)
+    for name in (LONG, "שלום עץ", "x" * 200):
+        page.set_input_files("#files", named(tree, tmp_path, name))
+        expect(page.locator("#progress-title")).to_have_attribute("title", name)
+        expect(page.locator("#progress-title")).to_have_attribute("dir", "auto")
+        expect(page.locator("#cancel")).to_be_in_viewport(ratio=1)
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        viewer.picture()
+        page.locator("#cancel").click()
+    assert viewer.complaints == []
+
+
+def test_what_is_no_tree_is_told_before_it_is_sent(view: Open, url: str, tree: Path, tmp_path: Path) -> None:
+    document = io.BytesIO()
+    with zipfile.ZipFile(document, "w") as archive:
+        archive.writestr("[Content_Types].xml", "<Types/>")
+        archive.writestr("word/document.xml", "<w/>")
+    contents = {
+        "cut.glb": (tree.read_bytes()[:-500], "is cut off after"),
+        "zeros.glb": (bytes(200_000), "nothing but zeros"),
+        "oak.docx": (document.getvalue(), "is a Word document"),
+    }
+    viewer = view(900, 620)
+    page = viewer.page
+    sent: list[str] = []
+    page.on("request", lambda request: request.method == "POST" and sent.append(request.url))
+    viewer.open(url)
+    for name, (content, words) in contents.items():
+        (tmp_path / name).write_bytes(content)
+        page.set_input_files("#files", str(tmp_path / name))
+        expect(page.get_by_role("alert")).to_contain_text(words)
+        expect(page.locator("#problem-retry")).to_be_hidden()
+        expect(page.locator("body")).to_have_attribute("data-state", "welcome")
+        viewer.picture()
+        page.locator("#problem-close").click()
+    assert sent == []
+    assert viewer.complaints == []
+
+
+def test_a_doubtful_size_is_mended_by_one_click(view: Open, url: str, tmp_path: Path) -> None:
+    mesh = stand.tree(6.0, num_cards=60)
+    with (tmp_path / "giant.ply").open("wb") as stream:
+        write_ply(mesh.with_vertices(mesh.vertices * np.float32(400)), stream)
+    viewer = view(900, 620)
+    page = viewer.page
+    viewer.open(url)
+    page.set_input_files("#files", str(tmp_path / "giant.ply"))
+    chip = page.locator("#doubt-chips button", has_text="mm: 2.")
+    expect(chip).to_be_visible(timeout=JOB_MS)
+    viewer.picture()
+    with page.expect_response(lambda answer: answer.url.endswith("/v1/assets")) as read:
+        chip.click()
+    assert read.value.json()["summary"]["source_scale"] == pytest.approx(0.001)
+    page.locator("#cancel").click()
+    expect(page.locator("#doubt")).to_be_hidden()
+
+
+def test_the_model_answers_all_winds_while_the_tree_moves(view: Open, url: str, job_id: str) -> None:
+    viewer = view(900, 620)
+    page = viewer.page
+    viewer.open(url)
+    left: list[str] = []
+    page.expose_function("left", lambda state: left.append(str(state)))
+    page.goto(f"{url}/#job={job_id}")
+    page.wait_for_selector(MOVING, state="attached", timeout=JOB_MS)
+    page.evaluate(
+        """new MutationObserver(() => left(document.body.dataset.state))
+            .observe(document.body, { attributeFilter: ["data-state"] })"""
+    )
+    page.locator("#wind-presets button", has_text="Storm").click()
+    expect(page.locator("#wind-note")).to_have_text(re.compile(r"motion, \d[\d.]* times as far"), timeout=JOB_MS)
+    assert left == [], "the tree went away meanwhile"
+    page.locator("#open-jobs").click()
+    expect(page.locator("#job-list li").first).to_be_visible()
+    assert "Spectrum" not in page.locator("#job-list").inner_text()
+    assert viewer.complaints == []
+
+
+def test_an_opened_job_shows_its_still_and_says_what_it_waits_for(view: Open, url: str, job_id: str) -> None:
+    viewer = view(900, 620)
+    page = viewer.page
+    held: list[object] = []
+    page.route("**/v1/spectra/*/modes", lambda route: held.append(route) or None)
+    page.goto(f"{url}/#job={job_id}")
+    expect(page.locator("#poster")).to_be_visible()
+    expect(page.locator("#stages")).to_contain_text("Draw the tree in motion")
+    viewer.picture()
+    while not held:
+        page.wait_for_timeout(100)
+    for route in held:
+        route.continue_()  # type: ignore[attr-defined]
+    page.wait_for_selector(MOVING, state="attached", timeout=JOB_MS)
+    expect(page.locator("#poster")).to_be_hidden()
+    assert viewer.complaints == []
+
+
+def test_formats_that_were_asked_for_are_there_again(view: Open, url: str, job_id: str) -> None:
+    viewer = view(900, 620)
+    page = viewer.page
+    viewer.open(f"{url}/#job={job_id}")
+    page.wait_for_selector(MOVING, state="attached", timeout=JOB_MS)
+    expect(page.locator("#artifacts")).to_contain_text("Animated GLB")
+    page.locator("#more summary").click()
+    page.locator("#more-formats button", has_text="Motion").click()
+    expect(page.locator("#artifacts")).to_contain_text("Motion, every frame", timeout=JOB_MS)
+    page.reload()
+    page.wait_for_selector(MOVING, state="attached", timeout=JOB_MS)
+    expect(page.locator("#artifacts")).to_contain_text("Motion, every frame")
+    assert viewer.complaints == []
+
+
+def test_a_kit_for_the_web_stands_on_any_server(view: Open, url: str, job_id: str, tmp_path: Path) -> None:
+    viewer = view(900, 620)
+    page = viewer.page
+    viewer.open(f"{url}/#job={job_id}")
+    page.wait_for_selector(MOVING, state="attached", timeout=JOB_MS)
+    page.locator("#download").click()
+    viewer.picture()
+    with page.expect_download() as blender:
+        page.locator("#kit-list button", has_text="Blender").click()
+    with zipfile.ZipFile(blender.value.path()) as archive:
+        assert archive.testzip() is None
+        assert archive.namelist() == ["README.txt", "tree.glb"]
+        assert archive.read("tree.glb")[:4] == b"glTF"
+    with page.expect_download() as web:
+        page.locator("#kit-list button", has_text="Web").click()
+    assert web.value.suggested_filename == "sapling-web.zip"
+    with zipfile.ZipFile(web.value.path()) as archive:
+        archive.extractall(tmp_path / "any" / "folder")
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(Silent, directory=str(tmp_path / "any"))) as server:
+        Thread(target=server.serve_forever, daemon=True).start()
+        alone = view(700, 500)
+        alone.page.goto(f"http://127.0.0.1:{server.server_port}/folder/")
+        alone.page.wait_for_selector(MOVING, state="attached")
+        alone.wait_frames(4)
+        alone.picture()
+        server.shutdown()
+    assert viewer.complaints == alone.complaints == []
+
+
+class Silent(SimpleHTTPRequestHandler):
+    """A plain file server that prints nothing."""
+
+    def log_message(self, *_: object) -> None:
+        pass
