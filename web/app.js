@@ -3,12 +3,12 @@
 import { Client, Problem } from "./client.js";
 import { remoteSource } from "./motion/remote.js";
 import { bandsOf } from "./page/all_winds.js";
-import { relativePaths, treesAmong } from "./page/bundles.js";
+import { isPhotos, relativePaths, treesAmong } from "./page/bundles.js";
 import { CompanyPanel, makeOther } from "./page/company.js";
 import { $, ask, fill, paintRanges } from "./page/dom.js";
 import { SizeDoubt } from "./page/doubt.js";
 import { watchDrops } from "./page/drop.js";
-import { linkedJob } from "./page/example.js";
+import { linkedJob, setAddress } from "./page/example.js";
 import { Files } from "./page/files.js";
 import { checkContent } from "./page/first_bytes.js";
 import { JobList } from "./page/jobs.js";
@@ -18,8 +18,8 @@ import { layOut, showHint } from "./page/layout.js";
 import { LightPanel } from "./page/light.js";
 import { Machine } from "./page/machine.js";
 import { nameTag, stem } from "./page/names.js";
-import { hideProblem, showNotice, showProblem, UNUSABLE } from "./page/problem.js";
-import { showProgress, tabTitle } from "./page/progress.js";
+import { hideProblem, showNotice, showProblem, wayOut } from "./page/problem.js";
+import { showDraftHeight, showProgress, tabTitle } from "./page/progress.js";
 import { buildPushPanel } from "./page/push_panel.js";
 import { Recorder } from "./page/record.js";
 import { watchRoom } from "./page/room.js";
@@ -98,18 +98,16 @@ export class App {
     $("cancel").onclick = () => this.leave({ cancel: true });
     $("problem-close").onclick = () => (this.machine.state === "failed" ? this.leave() : hideProblem());
     $("open-jobs").onclick = () => this.jobs.show();
-    $("mark-plant").onclick = async () => {
-      const { cutPlant } = await import("./page/strokes.js");
-      return cutPlant(client, session).catch((error) => this.onProblem(error));
-    };
+    const onProblem = (error) => this.onProblem(error);
+    $("mark-plant").onclick = async () =>
+      (await import("./page/strokes.js")).cutPlant(client, session).catch(onProblem);
     $("theme").onclick = () => {
       switchTheme();
       this.look();
     };
     onSystemTheme(() => this.look());
     addEventListener("resize", layAgain);
-    addEventListener("popstate", () => this.route());
-    addEventListener("hashchange", () => this.route());
+    for (const name of ["popstate", "hashchange"]) addEventListener(name, () => this.route());
     const onFiles = (given) => this.begin(given);
     watchDrops({ onFiles, onProblem: () => showProblem(new Problem({ code: "unreadable-drop" })) });
     watchKeys({ stage, hand, player });
@@ -126,27 +124,18 @@ export class App {
     document.title = tabTitle(state, facts);
     showProgress(state, facts);
     if (facts.job) this.files.follow(facts.job, facts.name);
-    if (state !== "welcome") this.form.set(facts);
     this.doubt.set(state === "failed" ? {} : facts);
-    if (state !== "welcome") this._leaveLive();
-    else if (before && !linkedJob()) this.live.show().catch(() => {}); // the page works without it
+    if (state !== "welcome") {
+      this.form.set(facts);
+      this.live.leave();
+      delete document.body.dataset.live;
+    } else if (before && !linkedJob()) this.live.show().catch(() => {}); // the page works without it
     if (state === "failed" && facts.problem !== this.shownProblem)
-      showProblem(facts.problem, this._wayOut(facts.problem));
+      showProblem(facts.problem, wayOut(facts.problem, this.session));
     this.shownProblem = facts.problem;
     if (state === "moving" && facts.problem) showProblem(facts.problem, () => this.session.retry());
     if (state !== before || state === "queued") layOut(this.stage, state);
     if (state === "moving" && before !== "moving") showHint();
-  }
-
-  /** What a button can do about a problem of a tree: nothing, other files, or the same again. */
-  _wayOut({ code }) {
-    if (GONE.has(code)) return null;
-    return UNUSABLE.has(code) ? () => $("files").click() : () => this.session.retry();
-  }
-
-  _leaveLive() {
-    this.live.leave();
-    delete document.body.dataset.live;
   }
 
   get treeName() {
@@ -258,20 +247,4 @@ export class App {
     setAddress(location.pathname, true);
     this.session.leave(options);
   }
-}
-
-/** Codes of what is not there any more. */
-const GONE = new Set(["job-deleted", "expired", "not-found"]);
-
-const isPhotos = (bundle) => bundle.every(({ name }) => /\.(jpe?g|png|webp|heic)$/i.test(name));
-
-function showDraftHeight(height) {
-  const words = height === null ? "" : text("draft.height", { height: length(height), person: length(1.75) });
-  fill($("height-note"), words);
-}
-
-function setAddress(hash, push = false) {
-  if (location.hash === hash) return;
-  if (push) history.pushState(null, "", hash);
-  else history.replaceState(null, "", hash);
 }

@@ -48,7 +48,7 @@ def test_names_leave_everything_in_its_place(
     assert viewer.complaints == []
 
 
-def test_what_is_no_tree_is_told_before_it_is_sent(view: Open, url: str, tree: Path, tmp_path: Path) -> None:
+def test_what_is_no_tree_is_reported_before_it_is_sent(view: Open, url: str, tree: Path, tmp_path: Path) -> None:
     document = io.BytesIO()
     with zipfile.ZipFile(document, "w") as archive:
         archive.writestr("[Content_Types].xml", "<Types/>")
@@ -117,15 +117,15 @@ def test_the_model_answers_all_winds_while_the_tree_moves(view: Open, url: str, 
 def test_an_opened_job_shows_its_still_and_says_what_it_waits_for(view: Open, url: str, job_id: str) -> None:
     viewer = view(900, 620)
     page = viewer.page
-    held: list[object] = []
-    page.route("**/v1/spectra/*/modes", lambda route: held.append(route) or None)
+    waiting: list[object] = []
+    page.route("**/v1/spectra/*/modes", lambda route: waiting.append(route) or None)
     page.goto(f"{url}/#job={job_id}")
     expect(page.locator("#poster")).to_be_visible()
     expect(page.locator("#stages")).to_contain_text("Draw the tree in motion")
     viewer.picture()
-    while not held:
+    while not waiting:
         page.wait_for_timeout(100)
-    for route in held:
+    for route in waiting:
         route.continue_()  # type: ignore[attr-defined]
     page.wait_for_selector(MOVING, state="attached", timeout=JOB_MS)
     expect(page.locator("#poster")).to_be_hidden()

@@ -81,3 +81,5 @@ export function relativePaths(bundle) {
     };
   });
 }
+
+export const isPhotos = (bundle) => bundle.every(({ name }) => PHOTOS.has(suffixOf(name)));

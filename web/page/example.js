@@ -17,3 +17,10 @@ export async function bytesOf(path) {
   if (!response.ok) throw new Error(`${path}: ${response.status}`);
   return response.arrayBuffer();
 }
+
+/** Name a job in the address, or none; `push` makes it a step for Back. */
+export function setAddress(hash, push = false) {
+  if (location.hash === hash) return;
+  if (push) history.pushState(null, "", hash);
+  else history.replaceState(null, "", hash);
+}

@@ -65,7 +65,7 @@ export class Files {
     if (this.job.id === id) this.client.job(job.id).then((ended) => this.follow(ended));
   }
 
-  /** Jobs that this browser has asked for other formats of the same tree; these are kept for when it is opened again. */
+  /** Jobs that this browser has asked for other formats of the same tree; these are stored for when it is opened again. */
   _beside(id = this.job.id) {
     return JSON.parse(stored(`formats ${id}`) ?? "[]");
   }

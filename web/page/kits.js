@@ -9,7 +9,7 @@ import { webFolder } from "./web_folder.js";
 import { zipped } from "./zip.js";
 
 export class KitDialog {
-  /** `tree()` gives `{ job, name, kind }` of what is on the stage; `onMade(job)` is told of jobs that write formats. */
+  /** `tree()` gives `{ job, name, kind }` of what is on the stage; `onMade(job)` is called with jobs that write formats. */
   constructor(client, { tree, onMade, onProblem }) {
     Object.assign(this, { client, tree, onMade, onProblem });
     $("download").onclick = () => this.show();

@@ -4,8 +4,10 @@ import { $, element, fill } from "./dom.js";
 import { shortened } from "./names.js";
 import { bytes, text, textOrNull } from "./texts.js";
 
+/** Codes of what is not there any more. */
+const GONE = new Set(["job-deleted", "expired", "not-found"]);
 /** Codes of what the same files would meet again. */
-export const UNUSABLE = new Set(["unsupported-format", "invalid-geometry", "invalid-input", "payload-too-large"]);
+const UNUSABLE = new Set(["unsupported-format", "invalid-geometry", "invalid-input", "payload-too-large"]);
 
 /** `again` is called by "Try again"; without it there is no such button. */
 export function showProblem(problem, again = null) {
@@ -49,4 +51,10 @@ export function showNotice(words) {
   showNotice.timer = setTimeout(() => {
     notice.hidden = true;
   }, 6000);
+}
+
+/** What a button can do about a problem of a tree: nothing, other files, or the same again. */
+export function wayOut({ code }, session) {
+  if (GONE.has(code)) return null;
+  return UNUSABLE.has(code) ? () => $("files").click() : () => session.retry();
 }

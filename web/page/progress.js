@@ -3,7 +3,7 @@
 import { hasEnded } from "../client.js";
 import { $, element, fill, keyedChildren } from "./dom.js";
 import { shortened } from "./names.js";
-import { duration, number, percent, text, textOrNull } from "./texts.js";
+import { duration, length, number, percent, text, textOrNull } from "./texts.js";
 
 /** Show what the facts of the machine say. */
 export function showProgress(state, { name, job, share = 0, away, files, asset, drawing }) {
@@ -60,4 +60,10 @@ export function tabTitle(state, { name, job, share = 0 }) {
   if (state === "failed") return `${text("title.failed")} · ${page}`;
   if (state === "moving") return `${job && hasEnded(job) ? "✓ " : ""}${tree} · ${page}`;
   return page;
+}
+
+/** What the dropped file says of the height; nothing for null. */
+export function showDraftHeight(height) {
+  const words = height === null ? "" : text("draft.height", { height: length(height), person: length(1.75) });
+  fill($("height-note"), words);
 }

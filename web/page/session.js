@@ -153,7 +153,7 @@ export class Session {
     let motion = null;
     this.onJob(jobId);
     const watch = async () => {
-      // a break is told of at once, so the watch does not try again by itself
+      // a break is reported at once, so the watch does not try again by itself
       for await (job of this.client.watch(jobId, { ...run, again: false })) {
         run.update({ job, away: null });
         if (job.result?.spectrum_id) {

@@ -27,7 +27,7 @@ export async function webFolder(parts, read) {
 
 /** Where a module lies that another imports: beside it, or where the import map has its name. Null for what is not needed. */
 function placeOf(name, from, map, left) {
-  if (name.startsWith(".")) return new URL(name, `http://a/${from}`).pathname.slice(1);
+  if (name.startsWith(".")) return new URL(name, new URL(from, "file:///")).pathname.slice(1);
   const prefix = Object.keys(map).find((one) => name === one || (one.endsWith("/") && name.startsWith(one)));
   if (!prefix || left.includes(prefix)) return null;
   return (map[prefix] + name.slice(prefix.length)).replace(/^\.\//, "");

@@ -54,7 +54,7 @@ export default {
       "1. Copy this folder to any web server: no program runs there, files are enough.",
       "2. Open its address. The tree sways, and a branch can be pulled.",
       "To try it here: python3 -m http.server, then http://localhost:8000",
-      "In a page of yours: <iframe src='https://your.site/this-folder/'></iframe>",
+      "In a page of yours: <iframe src='this-folder/'></iframe>",
       "After a # in the address: turntable=1, theme=light or theme=dark, transparent=1.",
       "tree/ is the tree, web/ the viewer and its libraries with their licences.",
     ]),
