@@ -82,8 +82,8 @@ export class Client {
   // ---- jobs
 
   /** The key makes a request that is sent twice one job. */
-  createJob(request, { key = randomKey(), signal } = {}) {
-    return this.json("POST", "/v1/jobs", request, { headers: { "Idempotency-Key": key }, again: true, signal });
+  createJob(request, { key = randomKey(), signal, again = true } = {}) {
+    return this.json("POST", "/v1/jobs", request, { headers: { "Idempotency-Key": key }, again, signal });
   }
 
   job(id) {

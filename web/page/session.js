@@ -140,7 +140,7 @@ export class Session {
     const wanted = { formats: FIRST_FORMATS[asset.kind], ...params };
     const request = { type: "animate", asset_id: asset.id, ...fields, params: wanted };
     const key = randomKey(); // the same in each attempt: one job
-    return patiently(() => this.client.createJob(request, { key, signal: options?.signal }), options);
+    return patiently(() => this.client.createJob(request, { key, signal: options?.signal, again: false }), options);
   }
 
   _showRest(asset, { signal }) {
