@@ -67,7 +67,7 @@ class Swaying:
 
 @pytest.fixture(scope="module")
 def swaying() -> Swaying:
-    sample = make_sample(3, "sapling", wind=Wind(speed_m_s=3.0, direction_deg=160.0, gust=0.42))
+    sample = make_sample(3, "sapling", wind=Wind(speed_m_s=6.0, direction_deg=160.0, gust=0.42))
     spectrum = voxel_spectrum(sample, 32)[1]
     return Swaying(mesh=sample.mesh, spectrum=spectrum, coefficients=method.devoxelize(spectrum, sample.mesh))
 
