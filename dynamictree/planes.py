@@ -4,8 +4,8 @@ from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
+import scipy  # its parts come in when they are used: the service starts without them
 from jaxtyping import Bool, Float64
-from scipy.spatial import cKDTree
 
 Points = Float64[np.ndarray, "_ 3"]
 Direction = Float64[np.ndarray, " 3"]
@@ -88,7 +88,7 @@ class FlatPoints(NamedTuple):
 
 def flat_points(points: Points) -> FlatPoints:
     """Normals by the neighbours' principal axes (Hoppe 1992)."""
-    near = np.asarray(cKDTree(points).query(points, k=NEIGHBOURS)[1])
+    near = np.asarray(scipy.spatial.cKDTree(points).query(points, k=NEIGHBOURS)[1])
     around = points[near] - points[near].mean(axis=1, keepdims=True)  # [P, K, 3]
     spread, axes = np.linalg.eigh(np.einsum("pki,pkj->pij", around, around))
     return FlatPoints(points, axes[:, :, 0], spread[:, 0] < _FLAT**2 * spread[:, 1])

@@ -34,6 +34,7 @@ _PROBABLY = 0.5
 """Of the axis that is usual in a format this probability is enough: of 224 readings 1 is wrong below `CERTAIN`."""
 _OTHERWISE = 5.0
 """So many times likelier than a stated axis another must be to be said: of 14 species none, of lying ones all."""
+_SURELY = 0.8  # and so likely: below it, small low-poly trees are doubted that stand as their file says
 _CUBES, _OF_CUBE = (1.0, 2.0), 1e-3  # longest sides of meshes that a tool scaled, and how exactly
 
 
@@ -131,7 +132,7 @@ def axis_warnings(judged: UpAxis, usual: str | None) -> tuple[SourceWarning, ...
 
 def axis_doubts(judged: UpAxis | None, taken: str) -> tuple[SourceWarning, ...]:
     """A warning if a shape that was turned from `taken` up to +Z up is far likelier to stand along another axis."""
-    if judged is None or judged.axis == "+Z" or judged.confidence < _OTHERWISE * judged.upright:
+    if judged is None or judged.axis == "+Z" or judged.confidence < max(_OTHERWISE * judged.upright, _SURELY):
         return ()
     direction = up_rotation(taken).T @ up_rotation(judged.axis)[2]
     column = int(np.argmax(np.abs(direction)))

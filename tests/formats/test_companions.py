@@ -117,7 +117,7 @@ def test_a_missing_buffer_is_still_an_error() -> None:
 @pytest.mark.parametrize(
     ("scale", "unit_m", "proposal"),
     [
-        (2470.0, None, r"centimetres, set unit_m to 0\.01 \(24\.7 m\)"),
+        (2470.0, None, r"24\.7 m in centimetres \(unit_m 0\.01\)"),
         (0.01, None, "unit_m"),
         (10.0, None, None),
         (2470.0, 1.0, None),

@@ -79,6 +79,6 @@ def test_every_product_shows_a_tall_tree_and_a_small_one(
 ) -> None:
     mesh = pair_of(*heights_m)
     spectrum = method.generate(method.voxelize(mesh), num_steps=1)
-    params = ExportParams(formats=formats, fps=3.0, share=0.1, shot=Shot(side_px=64))
+    params = ExportParams(formats=formats, fps=6.0, share=0.1, shot=Shot(side_px=64))
     paths = write_products(mesh, spectrum, params, tmp_path)
     assert {name for name, path in paths.items() if path.stat().st_size > 100} == set(formats)

@@ -33,7 +33,9 @@ def photos(tmp_path: Path) -> list[Path]:
 
 
 def _give_cameras(root: Path) -> None:
-    frames = [{"file_path": f"{number}.png", "transform_matrix": np.eye(4).tolist()} for number in range(8)]
+    poses = np.tile(np.eye(4), (8, 1, 1))
+    poses[:, 0, 3] = np.arange(8)  # cameras at one place are refused
+    frames = [{"file_path": f"{number}.png", "transform_matrix": pose.tolist()} for number, pose in enumerate(poses)]
     lens = {"fl_x": 300.0, "fl_y": 300.0, "cx": 200.0, "cy": 150.0, "w": 400, "h": 300}
     (root / "transforms.json").write_text(json.dumps(lens | {"frames": frames}))
 
