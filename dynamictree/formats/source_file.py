@@ -72,9 +72,9 @@ def read_capture(
     """
     assert file_type in CLOUD_TYPES
     reading = reading or Reading()
-    facts = cloud_facts(stream, file_type=file_type)
     if file_type == "sog" and is_folder_file(stream):
         stream = bundled(stream, companions or {})
+    facts = cloud_facts(stream, file_type=file_type)
     cloud = read_cloud(stream, file_type=file_type, up_axis=reading.up_axis, unit_m=reading.unit_m)
     movable = None if mask is None else read_mask(mask)
     capture = plant_of_cloud(cloud, reading, facts, mask=movable, tell_trees=mesh is None)

@@ -45,7 +45,7 @@ def with_gains(spectrum: SparseVoxelSpectrum) -> SparseVoxelSpectrum:
 
 @pytest.fixture(scope="module")
 def tree() -> Tree:
-    sample = make_sample(3, "sapling", wind=Wind(speed_m_s=6.0, direction_deg=160.0, gust=0.42))
+    sample = make_sample(3, "sapling", wind=Wind(speed_m_s=5.3, direction_deg=160.0, gust=0.42))
     return sample.mesh, with_gains(voxel_spectrum(sample, 64)[1])
 
 

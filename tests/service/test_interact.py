@@ -339,7 +339,7 @@ def test_vertices_of_still_parts_do_not_move_under_pushes(
 ) -> None:
     mesh = on_a_plane(grown.mesh)
     ready = ReadyTree(InteractiveTree(modal_system(spectrum)), expires_at=0.0)
-    push = Impulse(at=contact_at_voxel(spectrum.grid, poke["at"]["voxel"]), impulse_n_s=(30.0, 1.0, 0.0))
+    push = Impulse(at=contact_at_voxel(spectrum.grid, poke["at"]["voxel"]), impulse_n_s=(60.0, 1.0, 0.0))
     for falloff_m in (None, 2.0):
         answer = respond(ready.tree.system, group_forces([push], falloff_m=falloff_m), dt_s=1 / 60, num_frames=3)
         if warp:

@@ -76,7 +76,7 @@ def read_gaussian_rows(stream: SeekableReader, header: PlyHeader, *, up_axis: st
 
 def _sound(rows: Shaped[np.ndarray, " G"]) -> tuple[Shaped[np.ndarray, " M"], int]:
     """The rows that are finite and have a rotation, as training leaves some without; all of them if none is sound."""
-    sound = np.linalg.norm(_columns(rows, _ROTATION), axis=1) > 0
+    sound = (_columns(rows, _ROTATION) != 0).any(axis=1)
     for name in rows.dtype.names or ():
         sound &= np.isfinite(rows[name])
     return (rows[sound], int((~sound).sum())) if sound.any() else (rows, 0)

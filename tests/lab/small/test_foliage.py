@@ -91,7 +91,7 @@ def test_the_foliage_network_learns_a_tree(example: FoliageExample) -> None:
 
 def test_the_truth_has_no_amplitude_error_but_its_axes_scatter(stored: StoredTree) -> None:
     spectrum = example_of(stored).spectrum
-    spectrum = spectrum[spectrum.abs().amin(dim=(1, 2)) > 1e-4]  # far above the floor
+    spectrum = spectrum[spectrum.abs().amin(dim=(1, 2)) > 1e-6]  # far above the floor
     assert len(spectrum) > 100
     wind = wind_vector([stored.wind])[:, :NUM_WIND].expand(len(spectrum), NUM_WIND)
     size = spectrum[:, 1:].abs().clamp_min(1e-7).log()
