@@ -33,7 +33,7 @@ ROOT = Path(__file__).parents[2]
 @pytest.fixture(scope="module")
 def planted(tmp_path_factory: pytest.TempPathFactory) -> pygltflib.GLTF2:
     folder = tmp_path_factory.mktemp("forest")
-    sample = make_sample(3, "sapling")
+    sample = make_sample(5, "sapling")
     with (folder / "tree.glb").open("wb") as stream:
         write_glb(sample.mesh, stream)
     with (folder / "tree.spectrum.safetensors").open("wb") as stream:
