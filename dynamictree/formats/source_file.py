@@ -36,10 +36,10 @@ def source_kind(stream: SeekableReader, name: str) -> tuple[SourceKind, str]:
         return "cloud", ending
     stream.seek(0)
     head = stream.read(HEAD_BYTES)
+    stream.seek(0)
     if head.lstrip().startswith(b"{") and all(word in head for word in (b'"means"', b'"quats"', b'"scales"')):
         return "cloud", "sog"
     file_type = sniff_file_type(head, name)
-    stream.seek(0)
     if file_type in ("points", "las", "pcd"):
         return "cloud", "txt" if file_type == "points" else file_type
     if file_type in ("ply", "glb") and cloud_kind(stream, file_type=file_type) != "mesh":

@@ -57,7 +57,7 @@ def _lines(path: Path) -> list[dict[str, str]]:
 
 def test_a_stopped_worker_does_not_say_that_it_is_there(tmp_path: Path) -> None:
     store = Store.open(f"sqlite:///{tmp_path / 'jobs.sqlite'}")
-    first = {"database_url": str(store.engine.url), "owner": "w", "lease_s": 60, "heartbeat_s": 0.2}
+    first = {"database_url": str(store.engine.url), "owner": "w", "queue": "cpu", "lease_s": 60, "heartbeat_s": 0.2}
     parent = "import subprocess, sys\n"
     parent += "child = subprocess.Popen([sys.executable, '-m', 'worker.heartbeat'], stdin=subprocess.PIPE)\n"
     parent += f"child.stdin.write({(json.dumps(first) + chr(10)).encode()!r}); child.stdin.flush(); child.wait()"
