@@ -6,7 +6,7 @@
 import resource
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict
 
 from dynamictree.errors import DynamicTreeError, InputError
 from dynamictree.formats.film import ffmpeg_program
-from dynamictree.reconstruct.video_frames import write_sharp_frames
+from dynamictree.reconstruct.video_frames import Stretch, write_sharp_frames
 from worker.confine import confine
 from worker.confined_child import ERRORS, answering, answers
 
@@ -29,7 +29,7 @@ class FilmRequest(BaseModel):
 
     video: Path
     folder: Path
-    count: int
+    wanted: int | tuple[Stretch, ...]
 
 
 class FilmAnswer(BaseModel):
@@ -42,14 +42,17 @@ class FilmAnswer(BaseModel):
     message: str = ""
 
 
-def write_confined_frames(video: Path, folder: Path, count: int, on_work: Callable[[], None]) -> list[Path]:
+def write_confined_frames(
+    video: Path, folder: Path, wanted: int | Sequence[Stretch], on_work: Callable[[], None]
+) -> list[Path]:
     """`write_sharp_frames` in a confined child. An exception of `on_work` ends the child and passes through.
 
     Raises:
         InputError: as `write_sharp_frames`, or the child died of the film.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    request = FilmRequest(video=video.resolve(), folder=folder, count=count)
+    frames = wanted if isinstance(wanted, int) else tuple(wanted)
+    request = FilmRequest(video=video.resolve(), folder=folder, wanted=frames)
     with closing(answers("worker.confined_film", request)) as lines:
         while True:
             answer = FilmAnswer.model_validate_json(next(lines))
@@ -68,7 +71,7 @@ def main() -> None:
     tempfile.tempdir = str(request.folder)
     with answering() as tell:
         try:
-            frames = write_sharp_frames(request.video, request.folder, request.count, lambda: tell(FilmAnswer()))
+            frames = write_sharp_frames(request.video, request.folder, request.wanted, lambda: tell(FilmAnswer()))
         except DynamicTreeError as error:
             tell(FilmAnswer(code=error.code, message=str(error)))
         else:

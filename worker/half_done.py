@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
-from dynamictree.errors import DynamicTreeError
+from dynamictree.errors import InputError, ReconstructionError
 from dynamictree.photo_requests import PHOTOS_OF_VIDEO, LearningParams
 from jobs.records import JobRecord
 from jobs.settings import Settings
@@ -55,7 +55,7 @@ def alone_in(folder: Path, wait: Callable[[], None]) -> Iterator[bool]:
         folder.mkdir(exist_ok=True)
         try:
             yield waited
-        except DynamicTreeError:
+        except (InputError, ReconstructionError):
             if not (folder / _CAMERAS).exists():
                 _delete(folder)
             raise

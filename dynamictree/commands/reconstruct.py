@@ -2,9 +2,6 @@
 
 import json
 import shutil
-import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
@@ -17,8 +14,10 @@ from dynamictree.commands.terminal import AsJson, tell
 from dynamictree.errors import InputError
 from dynamictree.files import published
 from dynamictree.formats.companions import is_system_file
-from dynamictree.formats.suffixes import PHOTO_SUFFIXES
-from dynamictree.photo_requests import PHOTOS_OF_VIDEO, CutParams, PhotoParams
+from dynamictree.formats.suffixes import FILM_SUFFIXES, OTHER_FILM_SUFFIXES, PHOTO_SUFFIXES
+from dynamictree.photo_requests import CutParams, PhotoParams
+
+ALL_FILM_SUFFIXES = (*FILM_SUFFIXES, *OTHER_FILM_SUFFIXES)
 
 
 @with_request_options
@@ -42,40 +41,32 @@ def reconstruct(
     """
     from dynamictree.commands.stage_progress import stage_progress
     from dynamictree.reconstruct import Progress
-    from dynamictree.reconstruct import reconstruct as reconstruct_photos
-    from dynamictree.reconstruct.from_request import options_of
+    from dynamictree.reconstruct.from_request import learn_scene
     from dynamictree.reconstruct.recut import recut
 
+    files = _input_files(photos)
     work = output.resolve().with_name(f"{output.resolve().name}.unfinished")
     if fresh:
         shutil.rmtree(work, ignore_errors=True)
     try:
         with (
-            _photo_folder(photos, params.video_frames or PHOTOS_OF_VIDEO) as root,
             stopping_on_signals() as check,
             stage_progress(as_json=as_json) as report,
             published(output) as folder,
         ):
-            paths = sorted(
-                path
-                for path in root.rglob("*")
-                if path.suffix.lower() in PHOTO_SUFFIXES
-                and path.is_file()
-                and not is_system_file(path.relative_to(root).as_posix())
-            )
 
             def on_progress(progress: Progress) -> None:
                 report(progress)
                 check()
 
-            reconstruct_photos(paths, folder, options=options_of(params), root=root, work=work, on_progress=on_progress)
+            learn_scene(files, folder, params, root=photos, work=work, on_progress=on_progress)
             cut = CutParams.part_of(params.model_dump())
             if cut.cuts or cut.scales:
                 recut(folder, folder, cut)
             names = sorted(path.name for path in folder.iterdir())
             facts = json.loads((folder / "report.json").read_text())
     except BaseException as error:
-        if (work / "views.json").exists():
+        if (work / "features.db").exists():
             typer.echo(f"finished stages are in {work}; run the same command again to continue", err=True)
         else:
             shutil.rmtree(work, ignore_errors=True)
@@ -87,20 +78,16 @@ def reconstruct(
     tell({"files": [str(output / name) for name in names], **facts}, as_json=as_json)
 
 
-@contextmanager
-def _photo_folder(source: Path, video_frames: int) -> Iterator[Path]:
-    """The folder itself; of a film, one with its sharpest frames, which are the same in every run.
+def _input_files(source: Path) -> list[Path]:
+    """The photos in a folder and below it, or a film.
 
     Raises:
         InputError: neither a folder nor a film.
     """
     if source.is_dir():
-        yield source
-        return
-    from dynamictree.reconstruct.video_frames import SUFFIXES, write_sharp_frames
-
-    if source.suffix.lower() not in SUFFIXES:
-        raise InputError(f"{source} is no folder of photos and no film ({', '.join(SUFFIXES)}); give one of them")
-    with tempfile.TemporaryDirectory() as folder:
-        write_sharp_frames(source, Path(folder), video_frames)
-        yield Path(folder)
+        files = sorted(path for path in source.rglob("*") if path.suffix.lower() in PHOTO_SUFFIXES and path.is_file())
+        return [path for path in files if not is_system_file(path.relative_to(source).as_posix())]
+    if source.suffix.lower() not in ALL_FILM_SUFFIXES:
+        films = ", ".join(ALL_FILM_SUFFIXES)
+        raise InputError(f"{source} is no folder of photos and no film ({films}); give one of them")
+    return [source]

@@ -76,9 +76,8 @@ def find_cameras(
 
 
 def _delete_leftovers(folder: Path) -> None:
-    """Delete what an interrupted search wrote: COLMAP adds to its database, and copies over no photo that is there."""
-    for name in ("features.db", "features-masked.db"):
-        (folder / name).unlink(missing_ok=True)
+    """Delete what an interrupted search wrote, but for its features: COLMAP copies over no photo that is there."""
+    (folder / "views.json").unlink(missing_ok=True)
     for name in ("sparse", "chosen", "undistorted", "masks", "undistorted-masks"):
         shutil.rmtree(folder / name, ignore_errors=True)
 

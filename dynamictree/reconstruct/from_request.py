@@ -1,17 +1,18 @@
 """Reconstruction as the command line and a job request it."""
 
-import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
-from dynamictree.formats.suffixes import FILM_SUFFIXES, PHOTO_SUFFIXES
+from dynamictree.formats.suffixes import FILM_SUFFIXES, OTHER_FILM_SUFFIXES, PHOTO_SUFFIXES
 from dynamictree.photo_requests import PHOTOS_OF_VIDEO, CutParams, LearningParams
 from dynamictree.plant.capture import Capture, carrying_mesh, with_still_parts
-from dynamictree.reconstruct import ReconstructOptions, reconstruct
+from dynamictree.reconstruct import Progress, Reconstruction, ReconstructOptions, reconstruct
+from dynamictree.reconstruct.film_photos import FilmPhotos, WriteFrames
 from dynamictree.reconstruct.optimise import Schedule
 from dynamictree.reconstruct.photo_input import ReadPhotos, read_photos
+from dynamictree.reconstruct.progress import OnProgress
 from dynamictree.reconstruct.recut import pack, recut, unpack
 from dynamictree.reconstruct.video_frames import write_sharp_frames
 from dynamictree.requests import ReconstructParams
@@ -19,13 +20,47 @@ from dynamictree.requests import ReconstructParams
 _LEARNING = 0.95  # of the progress; the rest is the cut
 
 Recall = Callable[[Literal["reconstruction"], Callable[[Path], None]], Path]
-WriteFrames = Callable[[Path, Path, int, Callable[[], None]], list[Path]]
 
 
 def options_of(params: LearningParams) -> ReconstructOptions:
     """Options of the reconstruction that a request asks for; box and height come after it."""
     schedule = Schedule() if params.splat_steps is None else Schedule(num_steps=params.splat_steps)
     return ReconstructOptions(schedule=schedule)
+
+
+def learn_scene(
+    files: Sequence[Path],
+    folder: Path,
+    params: LearningParams,
+    *,
+    root: Path,
+    work: Path,
+    read_photos: ReadPhotos = read_photos,
+    write_frames: WriteFrames = write_sharp_frames,
+    on_progress: OnProgress,
+    on_file: Callable[[Path], None] = lambda path: None,
+) -> Reconstruction:
+    """Reconstruct photos, or the sharp frames of a film, as a request asks for it; arguments as of `reconstruct`."""
+    more_photos = None
+    if files[0].suffix.lower() in (*FILM_SUFFIXES, *OTHER_FILM_SUFFIXES):
+        film, count = files[0], params.video_frames or PHOTOS_OF_VIDEO
+        root = work / f"frames-{count}-{film.stat().st_size}"
+        beginning = Progress(stage="photos", share=0.0, total=0.0)
+        frames = FilmPhotos(
+            film=film, folder=root, count=count, on_work=lambda: on_progress(beginning), write_frames=write_frames
+        )
+        files, more_photos = frames.first(), frames.more
+    return reconstruct(
+        [path for path in files if path.suffix.lower() in PHOTO_SUFFIXES],
+        folder,
+        options=options_of(params),
+        root=root,
+        work=work,
+        more_photos=more_photos,
+        read_photos=read_photos,
+        on_progress=on_progress,
+        on_file=on_file,
+    )
 
 
 def reconstruct_capture(
@@ -62,17 +97,14 @@ def reconstruct_capture(
     """
 
     def learn(archive: Path) -> None:
-        sources, top = files, root
-        if files[0].suffix.lower() in FILM_SUFFIXES:
-            top = resume_dir / "frames"
-            sources = _frames(files[0], top, params, write_frames, lambda: on_progress(0.0))
-        reconstruct(
-            [path for path in sources if path.suffix.lower() in PHOTO_SUFFIXES],
+        learn_scene(
+            files,
             folder,
-            options=options_of(params),
-            root=top,
+            params,
+            root=root,
             work=resume_dir,
             read_photos=read_photos,
+            write_frames=write_frames,
             on_progress=lambda progress: on_progress(_LEARNING * progress.total),
             on_file=on_file,
         )
@@ -85,15 +117,3 @@ def reconstruct_capture(
         capture = recut(folder, folder, cut, on_progress=lambda share: on_progress(_LEARNING + (1 - _LEARNING) * share))
     capture = with_still_parts(capture)
     return replace(capture, mesh=carrying_mesh(capture))
-
-
-def _frames(
-    film: Path, folder: Path, params: LearningParams, write_frames: WriteFrames, on_work: Callable[[], None]
-) -> list[Path]:
-    """The film's sharp frames in a folder, which an interrupted attempt may have finished."""
-    if not folder.exists():
-        unfinished = folder.with_suffix(".unfinished")
-        shutil.rmtree(unfinished, ignore_errors=True)
-        write_frames(film, unfinished, params.video_frames or PHOTOS_OF_VIDEO, on_work)
-        unfinished.rename(folder)
-    return sorted(folder.iterdir())

@@ -12,6 +12,7 @@ import shutil
 import signal
 import sys
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from itertools import combinations
 from pathlib import Path
 from typing import TypedDict
@@ -24,6 +25,11 @@ from dynamictree.reconstruct.left_out import reasons
 from dynamictree.reconstruct.marker_detection import MarkerFinder
 from dynamictree.reconstruct.refine_poses import refined
 
+DATABASES = ("features.db", "features-whole.db")
+"""Of features within masks (everywhere without masks), and everywhere in spite of masks."""
+USE_GPU = bool(pycolmap.has_cuda)
+DEVICE = pycolmap.Device.auto
+"""A pycolmap that was built with CUDA uses the GPU."""
 MAX_MEMORY_BYTES = 12 * 2**30
 EXHAUSTIVE_UP_TO = 60  # photos; beyond, each is matched with the next ones and with some at growing distances
 _NEXT_PHOTOS = 8
@@ -77,39 +83,56 @@ def map_photos(job: MappingJob) -> None:
     leave out most photos, as with thin stems, everywhere.
     """
     folder, photos, given = Path(job["folder"]), job["photos"], job["given"]
-    threads = len(os.sched_getaffinity(0))
-    model = _model_of(folder, photos, given, threads)
+    search = _Search(folder=folder, photos=photos, given=given)
+    model = search.model()
     masked = [photo["name"] for photo in photos if photo["masked"]]
     if given is None and masked and (model is None or _num_registered(model) < _FEW * len(photos)):
-        (folder / "features.db").rename(folder / "features-masked.db")
-        whole = _model_of(folder, [{**photo, "masked": False} for photo in photos], None, threads)
+        unmasked: list[MappingPhoto] = [{**photo, "masked": False} for photo in photos]
+        whole_search = _Search(folder=folder, photos=unmasked, given=None, database_name=DATABASES[1])
+        whole = whole_search.model()
         if model is None or (whole is not None and _num_registered(whole) > _num_registered(model)):
-            model = whole
-            (folder / "features-masked.db").unlink()
-        else:
-            (folder / "features-masked.db").replace(folder / "features.db")
+            model, search = whole, whole_search
     if model is not None:
-        _write_model(folder, model, masked, threads)
+        _write_model(search, model, masked)
 
 
-def _model_of(
-    folder: Path, photos: list[MappingPhoto], given: list[MappingCamera] | None, threads: int
-) -> pycolmap.Reconstruction | None:
-    database, images = folder / "features.db", folder / "photos"
-    cameras_by_name = {camera["name"]: camera for camera in given or ()}
-    _extract(database, images, photos, cameras_by_name, threads)
+@dataclass(frozen=True, kw_only=True)
+class _Search:
+    """One search for cameras. Features and matches stay in its database: another search with it goes on there."""
+
+    folder: Path
+    photos: list[MappingPhoto]
+    given: list[MappingCamera] | None
+    database_name: str = DATABASES[0]
+    threads: int = field(default_factory=lambda: len(os.sched_getaffinity(0)))
+
+    @property
+    def database(self) -> Path:
+        return self.folder / self.database_name
+
+    @property
+    def images(self) -> Path:
+        return self.folder / "photos"
+
+    def model(self) -> pycolmap.Reconstruction | None:
+        _extract(self)
+        _match(self)
+        return _map(self) if self.given is None else _with_points(self, self.given)
+
+
+def _match(search: _Search) -> None:
+    photos = search.photos
     pairs = pairs_to_match(len(photos))
     matching = pycolmap.FeatureMatchingOptions()
-    matching.num_threads, matching.use_gpu = threads, False
+    matching.num_threads, matching.use_gpu = search.threads, USE_GPU
     for first in range(0, len(pairs), _PAIRS_AT_ONCE):
         _tell("matches", first, len(pairs))
         chunk = pairs[first : first + _PAIRS_AT_ONCE]
-        listing = folder / "pairs.txt"
+        listing = search.folder / "pairs.txt"
         listing.write_text("".join(f"{photos[i]['name']} {photos[j]['name']}\n" for i, j in chunk))
         pairing = pycolmap.ImportedPairingOptions(match_list_path=str(listing))
-        pycolmap.match_image_pairs(database, matching, pairing, device=pycolmap.Device.cpu)
+        pycolmap.match_image_pairs(search.database, matching, pairing, device=DEVICE)
     _tell("matches", len(pairs), len(pairs))
-    return _map(folder, len(photos), threads) if given is None else _with_points(folder, given, threads)
 
 
 def pairs_to_match(number: int) -> list[tuple[int, int]]:
@@ -125,40 +148,57 @@ def _tell(step: str, done: int, total: int) -> None:
     sys.stdout.flush()
 
 
-def _extract(
-    database: Path, images: Path, photos: list[MappingPhoto], cameras_by_name: dict[str, MappingCamera], threads: int
-) -> None:
+def _extract(search: _Search) -> None:
     """SIFT by groups of photos of one size and focal length, or of one known lens, which share a camera."""
     extraction = pycolmap.FeatureExtractionOptions()
-    extraction.num_threads, extraction.use_gpu = threads, False
+    extraction.num_threads, extraction.use_gpu = search.threads, USE_GPU
     extraction.sift.max_num_features = _MAX_FEATURES
-    done = 0
-    for photo, names in _camera_groups(photos, cameras_by_name):
-        reader = pycolmap.ImageReaderOptions(camera_model="SIMPLE_RADIAL")
-        camera = cameras_by_name.get(photo["name"])
-        if photo["masked"]:
-            reader.mask_path = images  # of a photo `name` the mask is `name.png`: no features where it is black
-        if camera is not None:
-            reader.camera_model = camera["model"]
-            reader.camera_params = ",".join(str(value) for value in camera["params"])
-        elif photo["focal_px"] is not None:
-            values = (photo["focal_px"], photo["width"] / 2, photo["height"] / 2, 0.0)
-            reader.camera_params = ",".join(str(value) for value in values)
-        for chunk in (names[:1], *(names[first : first + threads] for first in range(1, len(names), threads))):
-            _tell("features", done, len(photos))
+    cameras_by_name = {camera["name"]: camera for camera in search.given or ()}
+    done = _camera_ids(search.database)  # those of an interrupted search
+    for photo, names in _camera_groups(search.photos, cameras_by_name):
+        reader = _reader(search, photo, cameras_by_name.get(photo["name"]))
+        missing = [name for name in names if name not in done]
+        while missing:
+            _tell("features", len(done), len(search.photos))
+            shared = next((done[name] for name in names if name in done), None)
+            if shared is not None:
+                reader.existing_camera_id = shared
+            chunk = missing[: 1 if shared is None else search.threads]
             pycolmap.extract_features(
-                database,
-                images,
+                search.database,
+                search.images,
                 chunk,
                 pycolmap.CameraMode.SINGLE,
                 reader,
                 extraction,
-                device=pycolmap.Device.cpu,
+                device=DEVICE,
             )
-            done += len(chunk)
-            with pycolmap.Database.open(database) as opened:
-                reader.existing_camera_id = max(camera.camera_id for camera in opened.read_all_cameras())
-    _tell("features", done, len(photos))
+            missing = missing[len(chunk) :]
+            done = _camera_ids(search.database)
+    _tell("features", len(search.photos), len(search.photos))
+
+
+def _camera_ids(database: Path) -> dict[str, int]:
+    """The camera of each image whose features are stored, by the image's name."""
+    with pycolmap.Database.open(database) as opened:
+        return {
+            image.name: image.camera_id
+            for image in opened.read_all_images()
+            if opened.exists_descriptors(image.image_id)
+        }
+
+
+def _reader(search: _Search, photo: MappingPhoto, camera: MappingCamera | None) -> pycolmap.ImageReaderOptions:
+    reader = pycolmap.ImageReaderOptions(camera_model="SIMPLE_RADIAL")
+    if photo["masked"]:
+        reader.mask_path = search.images  # of a photo `name` the mask is `name.png`: no features where it is black
+    if camera is not None:
+        reader.camera_model = camera["model"]
+        reader.camera_params = ",".join(str(value) for value in camera["params"])
+    elif photo["focal_px"] is not None:
+        values = (photo["focal_px"], photo["width"] / 2, photo["height"] / 2, 0.0)
+        reader.camera_params = ",".join(str(value) for value in values)
+    return reader
 
 
 def _camera_groups(
@@ -174,41 +214,41 @@ def _camera_groups(
         yield group[0], [photo["name"] for photo in group]
 
 
-def _map(folder: Path, number: int, threads: int) -> pycolmap.Reconstruction | None:
+def _map(search: _Search) -> pycolmap.Reconstruction | None:
     """The model of most photos: by COLMAP's own thresholds or, where they leave out many, by lower ones."""
     best = None
     for min_inliers, min_ratio in _POSE_INLIERS:
-        models = _map_once(folder, number, threads, min_inliers, min_ratio)
+        models = _map_once(search, min_inliers, min_ratio)
         for model in models.values():
             leave_out_loose(model)
         best = max([*models.values(), *([best] if best else [])], key=_num_registered, default=None)
-        if best is not None and _num_registered(best) >= _ENOUGH * number:
+        if best is not None and _num_registered(best) >= _ENOUGH * len(search.photos):
             break
     return best
 
 
-def _with_points(folder: Path, given: list[MappingCamera], threads: int) -> pycolmap.Reconstruction:
+def _with_points(search: _Search, given: list[MappingCamera]) -> pycolmap.Reconstruction:
     """The known cameras, refined where the photos disagree with them, and what of the matches fits them."""
     _tell("cameras", 0, 1)
     model = pycolmap.Reconstruction()
     poses = {camera["name"]: np.array(camera["world_to_camera"]) for camera in given}
-    with pycolmap.Database.open(folder / "features.db") as database:
+    with pycolmap.Database.open(search.database) as database:
         for camera in database.read_all_cameras():
             model.add_camera_with_trivial_rig(camera)
         for seen in database.read_all_images():
             image = pycolmap.Image(name=seen.name, camera_id=seen.camera_id, image_id=seen.image_id)
             model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(poses[seen.name]))
-    sparse = folder / "sparse"
+    sparse = search.folder / "sparse"
     sparse.mkdir(exist_ok=True)
 
     def triangulated(posed: pycolmap.Reconstruction, slack: float = 1.0) -> pycolmap.Reconstruction:
         options = pycolmap.IncrementalPipelineOptions()
-        options.num_threads, options.random_seed = threads, _SEED
+        options.num_threads, options.random_seed = search.threads, _SEED
         options.mapper.filter_max_reproj_error *= slack
         for name in _POINT_THRESHOLDS:
             setattr(options.triangulation, name, slack * getattr(options.triangulation, name))
         result: pycolmap.Reconstruction = pycolmap.triangulate_points(
-            posed, folder / "features.db", folder / "photos", sparse, options=options
+            posed, search.database, search.images, sparse, options=options
         )
         return result
 
@@ -234,12 +274,11 @@ def _num_registered(model: pycolmap.Reconstruction) -> int:
     return int(model.num_reg_images())
 
 
-def _map_once(
-    folder: Path, number: int, threads: int, min_inliers: int, min_ratio: float
-) -> dict[int, pycolmap.Reconstruction]:
+def _map_once(search: _Search, min_inliers: int, min_ratio: float) -> dict[int, pycolmap.Reconstruction]:
+    number = len(search.photos)
     options = pycolmap.IncrementalPipelineOptions()
     options.mapper.abs_pose_min_num_inliers, options.mapper.abs_pose_min_inlier_ratio = min_inliers, min_ratio
-    options.num_threads, options.random_seed, options.mapper.random_seed = threads, _SEED, _SEED
+    options.num_threads, options.random_seed, options.mapper.random_seed = search.threads, _SEED, _SEED
     options.min_model_size = 3
     options.multiple_models = True
     registered = [2]
@@ -248,18 +287,20 @@ def _map_once(
         registered[0] += 1
         _tell("cameras", min(registered[0], number), number)
 
-    sparse = folder / "sparse"
+    sparse = search.folder / "sparse"
     sparse.mkdir(exist_ok=True)
     _tell("cameras", 0, number)
     models: dict[int, pycolmap.Reconstruction] = pycolmap.incremental_mapping(
-        folder / "features.db", folder / "photos", sparse, options, next_image_callback=count
+        search.database, search.images, sparse, options, next_image_callback=count
     )
     _tell("cameras", number, number)
     return models
 
 
-def _write_model(folder: Path, model: pycolmap.Reconstruction, masked: list[str], threads: int) -> None:
+def _write_model(search: _Search, model: pycolmap.Reconstruction, masked: list[str]) -> None:
     _tell("undistort", 0, 1)
+    folder, threads = search.folder, search.threads
+    place = {photo["name"]: row for row, photo in enumerate(search.photos)}
     chosen, undistorted = folder / "chosen", folder / "undistorted"
     chosen.mkdir(exist_ok=True)
     model.write(chosen)
@@ -276,7 +317,7 @@ def _write_model(folder: Path, model: pycolmap.Reconstruction, masked: list[str]
     views: list[dict[str, object]] = []
     seen: list[tuple[int, int]] = []
     finder = MarkerFinder()
-    for image in sorted(pinholes.images.values(), key=lambda image: image.name):
+    for image in sorted(pinholes.images.values(), key=lambda image: place[image.name]):
         if not image.has_pose:
             continue
         camera = pinholes.cameras[image.camera_id]
@@ -305,7 +346,7 @@ def _write_model(folder: Path, model: pycolmap.Reconstruction, masked: list[str]
     )
     error_px = model.compute_mean_reprojection_error()
     being_written = folder / "views.part"
-    with pycolmap.Database.open(folder / "features.db") as database:
+    with pycolmap.Database.open(search.database) as database:
         left_out = reasons(database, {str(view["name"]) for view in views})
     document = {"reprojection_error_px": error_px, "views": views, "left_out": left_out}
     being_written.write_text(json.dumps(document))
@@ -321,5 +362,6 @@ def _end_with_parent() -> None:
 
 if __name__ == "__main__":
     _end_with_parent()
-    resource.setrlimit(resource.RLIMIT_AS, (MAX_MEMORY_BYTES, MAX_MEMORY_BYTES))
+    if not USE_GPU:  # CUDA reserves more addresses than any limit of memory
+        resource.setrlimit(resource.RLIMIT_AS, (MAX_MEMORY_BYTES, MAX_MEMORY_BYTES))
     map_photos(json.load(sys.stdin))

@@ -5,6 +5,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from hashlib import sha256
 from pathlib import Path
 
 from PIL import Image, ImageOps, UnidentifiedImageError
@@ -33,7 +34,7 @@ class Photo:
     """A photo ready for matching."""
 
     source: str  # the file's name as given
-    name: str  # of the prepared file, below its folder
+    name: str  # of the prepared file, below its folder; the same whatever other photos there are
     width: int
     height: int
     focal_px: float | None  # as EXIF tells it, or None
@@ -115,7 +116,7 @@ def prepare_photos(
     prepared = []
     for number, photo in enumerate(photos):
         on_photo(number, len(photos))
-        prepared.append(_prepare(photo, folder, f"{number:04d}.jpg"))
+        prepared.append(_prepare(photo, folder, f"{sha256(photo.name.encode()).hexdigest()[:16]}.jpg"))
     on_photo(len(photos), len(photos))
     return prepared if _any_transparent(prepared, folder) else [replace(photo, masked=False) for photo in prepared]
 

@@ -41,6 +41,7 @@ class StageClock:
 
     def __init__(self, on_progress: OnProgress) -> None:
         self._on_progress = on_progress
+        self._total = 0.0
         self.seconds: dict[str, float] = {}
         self.processor_seconds: dict[str, float] = {}  # of all cores, ended child processes included
 
@@ -51,14 +52,14 @@ class StageClock:
         before = sum(STAGES[earlier] for earlier in names[: names.index(name)])
 
         def report(share: float, psnr_db: float | None = None) -> None:
-            total = min(before + STAGES[name] * share, 1.0)
-            self._on_progress(Progress(stage=name, share=share, total=total, psnr_db=psnr_db))
+            self._total = max(self._total, min(before + STAGES[name] * share, 1.0))
+            self._on_progress(Progress(stage=name, share=share, total=self._total, psnr_db=psnr_db))
 
         start, processor_start = time.perf_counter(), _processor_s()
         report(0.0)
         yield report
-        self.seconds[name] = time.perf_counter() - start
-        self.processor_seconds[name] = _processor_s() - processor_start
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+        self.processor_seconds[name] = self.processor_seconds.get(name, 0.0) + _processor_s() - processor_start
 
 
 def _processor_s() -> float:

@@ -30,6 +30,7 @@ from dynamictree.reconstruct.splat import SplatFit, fit_splat
 from dynamictree.reconstruct.views import SparseModel, read_model
 from dynamictree.reconstruct.work_folder import WorkFolder, opened_work
 
+MorePhotos = Callable[[SparseModel], Sequence[Path]]
 UNKNOWN_HEIGHT_M = 1.0  # of a mesh whose scale is unknown
 _LEAST_GAUSSIANS = 50
 
@@ -53,6 +54,7 @@ def reconstruct(
     options: ReconstructOptions | None = None,
     root: Path | None = None,
     work: Path | None = None,
+    more_photos: MorePhotos | None = None,
     read_photos: ReadPhotos = read_photos,
     on_progress: OnProgress = ignore_progress,
     on_file: Callable[[Path], None] = lambda path: None,
@@ -71,6 +73,7 @@ def reconstruct(
         root: the folder that contains the photos, searched for cameras (`given`) and masks (`photos`).
         work: a folder for the results of finished stages; a later call with the same photos continues there. None:
             nothing is saved.
+        more_photos: gets the cameras that were found, and gives all photos to go on with, or none if these suffice.
         read_photos: reads photos and camera files; a service does it in a confined process.
         on_progress: called at least every quarter of a second, except while the mesh is made. An exception in it stops
             the work, ends child processes, and passes through.
@@ -88,6 +91,10 @@ def reconstruct(
         path = work or Path(stack.enter_context(tempfile.TemporaryDirectory(dir=folder, prefix="work-")))
         space = stack.enter_context(opened_work(path, _sources(listed, root), options.schedule))
         model = _find_cameras(listed, root, space, clock, read_photos)
+        if more_photos is not None and (all_photos := more_photos(model)):
+            listed = list_photos(all_photos, root)
+            space.extend(_sources(listed, root))
+            model = _find_cameras(listed, root, space, clock, read_photos)
         write_cameras(model.views, folder, scale="unknown")
         on_file(folder / "cameras.json")
         model = evenly_exposed(model)

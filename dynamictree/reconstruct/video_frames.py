@@ -1,6 +1,8 @@
 """Photos of a film: the sharpest frame of each of equal stretches of time, as someone walks around the tree."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -9,50 +11,103 @@ from jaxtyping import Float64, Int64
 
 from dynamictree.errors import FormatError, InputError
 from dynamictree.formats.film import MAX_FILM_FRAMES, decoded
-from dynamictree.formats.suffixes import FILM_SUFFIXES, OTHER_FILM_SUFFIXES
 from dynamictree.photo_requests import MAX_PHOTOS, MIN_PHOTOS, PHOTOS_OF_VIDEO
 from dynamictree.reconstruct.photos import LONG_SIDE_PX
 
-SUFFIXES = (*FILM_SUFFIXES, *OTHER_FILM_SUFFIXES)
 PROBE_PX = 256  # side of the squares on which sharpness is judged; their ratio is the same for all frames of a film
 _REDUCED = "force_original_aspect_ratio=decrease:flags=lanczos"
+_WIDE_DEG, _FILLED_DEG = 20.0, 10.0  # between neighbouring frames, of the 10 to 20° that photos should have
 _CENTRE = 0.7  # of a stretch, in whose middle its frame is chosen, so that two chosen ones are not neighbours
 
 
-def write_sharp_frames(
-    video: Path, folder: Path, count: int = PHOTOS_OF_VIDEO, on_work: Callable[[], None] = lambda: None
-) -> list[Path]:
-    """Write the sharpest frames of a film as PNG files, upright as players show it; gives their paths in order.
+@dataclass(frozen=True)
+class Stretch:
+    """Frames of a film from `first` up to `end`, of which `count` are wanted."""
 
-    `on_work` is called while ffmpeg works; what it raises ends ffmpeg and passes through.
+    first: int
+    end: int
+    count: int
+
+
+def write_sharp_frames(
+    video: Path,
+    folder: Path,
+    wanted: int | Sequence[Stretch] = PHOTOS_OF_VIDEO,
+    on_work: Callable[[], None] = lambda: None,
+) -> list[Path]:
+    """Write sharp frames of a film as `frame-00123.png` (its number), upright as players show it, and return them.
 
     Needs the extra `video`.
+
+    Args:
+        video: the film.
+        folder: for the frames.
+        wanted: a number of frames, spread evenly over the film; or parts of the film.
+        on_work: called while ffmpeg works; an exception in it ends ffmpeg.
 
     Raises:
         InputError: too few frames, a count that is not possible, or the extra is not installed.
         FormatError: not a film that ffmpeg reads.
     """
-    if not MIN_PHOTOS <= count <= MAX_PHOTOS:
-        raise InputError(f"{count} frames are asked for; a reconstruction takes {MIN_PHOTOS} to {MAX_PHOTOS} photos")
+    if isinstance(wanted, int) and not MIN_PHOTOS <= wanted <= MAX_PHOTOS:
+        raise InputError(f"{wanted} frames are asked for; a reconstruction takes {MIN_PHOTOS} to {MAX_PHOTOS} photos")
     sharpness = _sharpness(video, on_work)
-    if len(sharpness) < count:
+    stretches = [Stretch(0, len(sharpness), wanted)] if isinstance(wanted, int) else wanted
+    if isinstance(wanted, int) and len(sharpness) < wanted:
         raise InputError(
-            f"{video.name} has {len(sharpness)} frames, {count} are to be chosen; "
+            f"{video.name} has {len(sharpness)} frames, {wanted} are to be chosen; "
             "film a slow walk around the tree of half a minute or more"
         )
-    frames = chosen_frames(sharpness, count)
+    frames = [
+        part.first + int(frame)
+        for part in stretches
+        for frame in chosen_frames(sharpness[part.first : part.end], part.count)
+    ]
     picked = "+".join(f"eq(n,{frame})" for frame in frames)
     folder.mkdir(parents=True, exist_ok=True)
     chosen = f"select='{picked}',scale='min({LONG_SIDE_PX},iw)':'min({LONG_SIDE_PX},ih)':{_REDUCED}"
     output = ("-vf", chosen, "-fps_mode", "passthrough", "-pix_fmt", "rgb24")  # phones film in 10 bits
-    with decoded(video, *output, str(folder / "frame-%04d.png"), "-progress", "-", "-stats_period", "0.25") as progress:
+    with decoded(
+        video, *output, str(folder / "chosen-%04d.png"), "-progress", "-", "-stats_period", "0.25"
+    ) as progress:
         for _ in progress:
             on_work()
-    return sorted(folder.glob("frame-*.png"))
+    written = sorted(folder.glob("chosen-*.png"))
+    return [path.rename(folder / frame_name(frame)) for frame, path in zip(sorted(frames), written, strict=True)]
+
+
+def frame_name(frame: int) -> str:
+    """Name of the file of a film's frame, counted from 0."""
+    return f"frame-{frame:05d}.png"
+
+
+def frame_of(name: str) -> int:
+    """The number in a name of `frame_name`."""
+    return int(name.removeprefix("frame-").removesuffix(".png"))
+
+
+def stretches_to_fill(frames: Sequence[int], azimuths_deg: Mapping[int, float]) -> list[Stretch]:
+    """Parts of a film from which more frames are needed: beside frames without a camera, and where the walk was fast.
+
+    Args:
+        frames: numbers of the frames so far, in order.
+        azimuths_deg: of the cameras that were found, by frame.
+    """
+    stretches = []
+    for first, second in pairwise(frames):
+        angle = _FILLED_DEG
+        if first in azimuths_deg and second in azimuths_deg:
+            angle = abs((azimuths_deg[second] - azimuths_deg[first] + 180) % 360 - 180)
+            if angle <= _WIDE_DEG:
+                continue
+        count = min(max(2, int(angle / _FILLED_DEG)), second - first - 1)
+        if count > 0:
+            stretches.append(Stretch(first + 1, second, count))
+    return stretches
 
 
 def chosen_frames(sharpness: Float64[np.ndarray, " F"], count: int) -> Int64[np.ndarray, " C"]:
-    """Numbers of the sharpest frame about the middle of each of `count` stretches of equal length."""
+    """Numbers of the sharpest frame about the middle of each of `count` parts of equal length."""
     edges = np.linspace(0, len(sharpness), count + 1)
     margin = (edges[1] - edges[0]) * (1 - _CENTRE) / 2
     chosen = []

@@ -17,11 +17,11 @@ from dynamictree.errors import InputError
 from dynamictree.files import replacing
 from dynamictree.reconstruct.optimise import Schedule
 
-_VERSION = 2  # of the files in the folder
+_VERSION = 3  # of the files in the folder
 _SPLAT_VERSION = 3  # of the way in which it is learned
 _OF_PHOTOS = (
     *("photos", "sparse", "chosen", "undistorted", "masks", "undistorted-masks"),
-    *("features.db", "features-masked.db", "pairs.txt", "views.json", "points.npz", "depths.npz"),
+    *("features.db", "features-whole.db", "pairs.txt", "views.json", "points.npz", "depths.npz"),
 )
 _OF_SPLAT = ("splat.npz",)
 
@@ -31,6 +31,14 @@ class WorkFolder:
     """Where each stage saves its result."""
 
     path: Path
+    schedule: Schedule
+
+    def extend(self, sources: Iterable[Path]) -> None:
+        """Go on with more photos: features of the earlier ones stay, cameras are to be found anew."""
+        (self.path / "views.json").unlink(missing_ok=True)
+        photos_key = _photos_key(sources)
+        _write_key(self.path / "photos.key", photos_key)
+        _write_key(self.path / "splat.key", _schedule_key(photos_key, self.schedule))
 
     @property
     def photos(self) -> Path:
@@ -69,7 +77,7 @@ def opened_work(path: Path, sources: Iterable[Path], schedule: Schedule) -> Iter
         photos_key = _photos_key(sources)
         _delete_unless(path, "photos.key", photos_key, (*_OF_PHOTOS, *_OF_SPLAT))
         _delete_unless(path, "splat.key", _schedule_key(photos_key, schedule), _OF_SPLAT)
-        yield WorkFolder(path=path)
+        yield WorkFolder(path=path, schedule=schedule)
 
 
 def _photos_key(sources: Iterable[Path]) -> str:
@@ -99,5 +107,9 @@ def _delete_unless(folder: Path, name: str, key: str, results: tuple[str, ...]) 
             shutil.rmtree(folder / result)
         else:
             (folder / result).unlink(missing_ok=True)
-    with replacing(folder / name) as stream:
+    _write_key(folder / name, key)
+
+
+def _write_key(path: Path, key: str) -> None:
+    with replacing(path) as stream:
         stream.write(key.encode())

@@ -139,7 +139,7 @@ def test_masks_and_alpha_are_stored_beside_the_photo(tmp_path, eight):
     assert [photo.name for photo in photos] == [path.name for path in eight]
     prepared = prepare_listed(photos, tmp_path / "out")
     assert all(photo.masked for photo in prepared)
-    with Image.open(tmp_path / "out" / "0003.jpg.png") as mask:
+    with Image.open(tmp_path / "out" / f"{prepared[3].name}.png") as mask:
         assert np.array_equal(np.asarray(mask), cut)
     (tmp_path / "masks" / "5.png").unlink()
     with pytest.raises(InputError, match=r"masks, but none for 5\.jpg"):
@@ -171,7 +171,7 @@ def test_an_alpha_channel_is_a_mask(tmp_path, eight):
     Image.fromarray(pixels).save(eight[1])
     prepared = prepare_photos(eight, tmp_path / "out")
     assert [photo.masked for photo in prepared] == [number == 1 for number in range(8)]
-    with Image.open(tmp_path / "out" / "0001.jpg.png") as mask:
+    with Image.open(tmp_path / "out" / f"{prepared[1].name}.png") as mask:
         assert np.array_equal(np.asarray(mask), pixels[..., 3])
 
 

@@ -10,12 +10,16 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import pycolmap
 import pytest
 
 from dynamictree.errors import InputError
 from dynamictree.files import replacing
 from dynamictree.photo_requests import MIN_PHOTOS
+from dynamictree.reconstruct import mapping
+from dynamictree.reconstruct.mapping import MappingPhoto
 from dynamictree.reconstruct.optimise import Schedule
+from dynamictree.reconstruct.photos import list_photos, prepare_photos
 from dynamictree.reconstruct.work_folder import opened_work
 from tests.reconstruct.conftest import Orbit
 from tests.reconstruct.test_given import write_transforms
@@ -171,3 +175,28 @@ def _mapping_in(folder: Path) -> bool:
         except OSError:
             continue
     return False
+
+
+def test_features_of_an_ended_search_are_not_sought_again(orbit, tmp_path):
+    prepared = prepare_photos(list_photos(orbit.photos), tmp_path / "photos")
+    photos: list[MappingPhoto] = [
+        {"name": one.name, "width": one.width, "height": one.height, "focal_px": one.focal_px, "masked": False}
+        for one in prepared
+    ]
+
+    def features(number: int) -> dict[str, tuple[int, int, bytes]]:
+        search = mapping._Search(folder=tmp_path, photos=photos[:number], given=None, threads=2)
+        mapping._extract(search)
+        with pycolmap.Database.open(search.database) as database:
+            return {
+                image.name: (image.image_id, image.camera_id, database.read_keypoints(image.image_id).tobytes())
+                for image in database.read_all_images()
+            }
+
+    first = features(4)
+    (tmp_path / "photos" / prepared[0].name).unlink()  # nobody reads it again
+    again = features(7)
+    assert len(first) == 4
+    assert len(again) == 7
+    assert all(again[name] == first[name] for name in first)
+    assert len({camera for _, camera, _ in again.values()}) == 1

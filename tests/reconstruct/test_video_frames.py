@@ -40,7 +40,7 @@ def grey(path: Path) -> np.ndarray:
 
 
 def test_the_photos_of_a_film_are_its_sharp_frames_in_order_and_spread_over_it(film: Path, tmp_path: Path) -> None:
-    photos = write_sharp_frames(film, tmp_path / "photos", count=NUM_CHOSEN)
+    photos = write_sharp_frames(film, tmp_path / "photos", NUM_CHOSEN)
     pictures = [grey(path) for path in photos]
     levels = np.array([picture.mean() for picture in pictures])
     numbers = np.round(levels - levels[0]).astype(int)
@@ -52,7 +52,7 @@ def test_the_photos_of_a_film_are_its_sharp_frames_in_order_and_spread_over_it(f
 
 
 def test_a_film_gives_the_same_photos_again(film: Path, tmp_path: Path) -> None:
-    first, again = (write_sharp_frames(film, tmp_path / name, count=NUM_CHOSEN) for name in ("first", "again"))
+    first, again = (write_sharp_frames(film, tmp_path / name, NUM_CHOSEN) for name in ("first", "again"))
     assert [path.read_bytes() for path in first] == [path.read_bytes() for path in again]
 
 
@@ -66,9 +66,9 @@ def test_each_stretch_gives_one_frame_and_no_two_are_neighbours(rng: np.random.G
 
 def test_what_is_no_film_or_too_short_is_refused(film: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="has 80 frames, 100 are to be chosen"):
-        write_sharp_frames(film, tmp_path / "photos", count=100)
+        write_sharp_frames(film, tmp_path / "photos", 100)
     with pytest.raises(InputError, match="8 to 300"):
-        write_sharp_frames(film, tmp_path / "photos", count=7)
+        write_sharp_frames(film, tmp_path / "photos", 7)
     broken = tmp_path / "broken.mp4"
     broken.write_bytes(film.read_bytes()[:2000])
     with pytest.raises(FormatError, match="cannot be read as a film"):
