@@ -21,7 +21,6 @@ from worker.confine import confine
 MAX_FILES = 512
 MAX_PIXELS = 50_000_000
 MIN_PHOTO_PIXELS = 320 * 240
-PHOTO_FORMATS = ("JPEG", "PNG", "TIFF", "WEBP")
 CAMERA_SUFFIXES = (".json", ".npy", ".txt", ".bin")
 
 
@@ -123,6 +122,7 @@ def _mesh(request: ParseRequest, name: str, file_type: str, beside: Mapping[str,
 def _photos(request: ParseRequest) -> ParseAnswer:
     from PIL import Image, UnidentifiedImageError
 
+    from dynamictree.formats.photo import PHOTO_FORMATS, open_photo
     from dynamictree.formats.suffixes import MASKS
 
     Image.MAX_IMAGE_PIXELS = None  # counted here, from the header
@@ -132,7 +132,7 @@ def _photos(request: ParseRequest) -> ParseAnswer:
             continue  # read with the photos, by the job
         number += PurePosixPath(name).parent.name != MASKS
         try:
-            with Image.open(path, formats=PHOTO_FORMATS) as image:
+            with open_photo(path, name) as image:
                 sizes.add(image.size)
                 pixels = image.size[0] * image.size[1]
                 if not MIN_PHOTO_PIXELS <= pixels <= MAX_PIXELS:

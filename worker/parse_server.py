@@ -28,6 +28,7 @@ LIBRARIES = (
     "dynamictree.formats.companions",
     "dynamictree.formats.description",
     "dynamictree.formats.mesh_file",
+    "dynamictree.formats.photo",
     "dynamictree.formats.source_file",
     "dynamictree.formats.tensors.cloud_bundle",
     "dynamictree.formats.tensors.mesh_bundle",

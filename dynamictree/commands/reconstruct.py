@@ -17,6 +17,7 @@ from dynamictree.formats.companions import is_system_file
 from dynamictree.formats.suffixes import FILM_SUFFIXES, OTHER_FILM_SUFFIXES, PHOTO_SUFFIXES
 from dynamictree.photo_requests import CutParams, PhotoParams
 
+_BESIDE_PHOTOS = (".json", ".npy", ".txt", ".bin")  # cameras
 ALL_FILM_SUFFIXES = (*FILM_SUFFIXES, *OTHER_FILM_SUFFIXES)
 
 
@@ -25,7 +26,7 @@ def reconstruct(
     photos: Annotated[
         Path,
         typer.Argument(
-            help="A folder of 8 to 300 photos (JPEG, PNG, WebP, TIFF), taken around the tree; cameras in it "
+            help="A folder of 8 to 300 photos (JPEG, PNG, WebP, TIFF, HEIC), taken around the tree; cameras in it "
             "(transforms.json, a COLMAP model, poses_bounds.npy) and a folder `masks` are heeded. Or a film (MP4, MOV, "
             "WebM) of a walk around the tree."
         ),
@@ -85,8 +86,12 @@ def _input_files(source: Path) -> list[Path]:
         InputError: neither a folder nor a film.
     """
     if source.is_dir():
-        files = sorted(path for path in source.rglob("*") if path.suffix.lower() in PHOTO_SUFFIXES and path.is_file())
-        return [path for path in files if not is_system_file(path.relative_to(source).as_posix())]
+        files = sorted(path for path in source.rglob("*") if path.is_file())
+        files = [path for path in files if not is_system_file(path.relative_to(source).as_posix())]
+        unused = [path.name for path in files if path.suffix.lower() not in (*PHOTO_SUFFIXES, *_BESIDE_PHOTOS)]
+        if unused:
+            typer.echo(f"{len(unused)} files are no photos and are not used: {', '.join(unused[:5])}", err=True)
+        return [path for path in files if path.suffix.lower() in PHOTO_SUFFIXES]
     if source.suffix.lower() not in ALL_FILM_SUFFIXES:
         films = ", ".join(ALL_FILM_SUFFIXES)
         raise InputError(f"{source} is no folder of photos and no film ({films}); give one of them")

@@ -17,7 +17,8 @@ _BY_ENDING = {
     **dict.fromkeys(("dxf", "dwg", "step", "stp", "iges", "igs"), _CAD),
     **dict.fromkeys(("e57", "ptx", "rcp", "rcs", "fls", "zfs"), _SCAN),
     **dict.fromkeys(("rar", "7z", "tar", "tgz", "gz", "bz2", "xz"), _UNPACK),
-    **dict.fromkeys(("heic", "heif", "avif"), "save the photos as JPEG"),
+    **dict.fromkeys(("heic", "heif"), "8 or more photos of a walk around the tree are for `dynamictree reconstruct`"),
+    "avif": "save the photos as JPEG",
     **dict.fromkeys(("mp4", "mov", "m4v"), "a film of a walk around the tree is for `dynamictree reconstruct`"),
     **dict.fromkeys(
         ("avi", "mkv", "webm"),

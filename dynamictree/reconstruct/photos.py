@@ -11,11 +11,11 @@ from pathlib import Path
 from PIL import Image, ImageOps, UnidentifiedImageError
 
 from dynamictree.errors import FormatError, InputError
+from dynamictree.formats.photo import PHOTO_FORMATS, open_photo
 from dynamictree.formats.suffixes import MASKS
 from dynamictree.formats.texture import in_eight_bits
 from dynamictree.photo_requests import MAX_PHOTOS, MIN_PHOTOS
 
-FORMATS = ("JPEG", "PNG", "WEBP", "TIFF")
 MAX_PHOTO_BYTES = 64 * 2**20
 MAX_PHOTO_PIXELS = 64_000_000  # the largest common camera's; decoding takes 200 MB
 MIN_SIDE_PX = 240
@@ -106,12 +106,15 @@ def prepare_photos(
 
     Raises:
         InputError: too few or too many photos.
-        FormatError: a file that is no JPEG, PNG, WebP or TIFF, is truncated, too large or too small; a mask of another
-            size than its photo.
+        FormatError: a file that is no JPEG, PNG, WebP, TIFF or HEIC, is truncated, too large or too small; a mask of
+            another size than its photo.
     """
+    advice = "walk around the tree and take one every 10 to 20 degrees"
     if not MIN_PHOTOS <= len(photos) <= MAX_PHOTOS:
-        advice = "walk around the tree and take one every 10 to 20 degrees"
         raise InputError(f"{len(photos)} photos were given; {MIN_PHOTOS} to {MAX_PHOTOS} are needed; {advice}")
+    different = len({sha256(photo.path.read_bytes()).digest() for photo in photos})
+    if different < MIN_PHOTOS:
+        raise InputError(f"{len(photos)} photos were given and {different} of them differ; {MIN_PHOTOS} must; {advice}")
     folder.mkdir(parents=True, exist_ok=True)
     prepared = []
     for number, photo in enumerate(photos):
@@ -183,9 +186,9 @@ def _opened(path: Path, name: str) -> Iterator[Image.Image]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # our own cap, below, is tighter
-            image = Image.open(path, formats=FORMATS)
+            image = open_photo(path, name)
     except UnidentifiedImageError as error:
-        raise FormatError(f"{name} is none of {', '.join(FORMATS)}; convert it to one of them") from error
+        raise FormatError(f"{name} is none of {', '.join(PHOTO_FORMATS)}; convert it to one of them") from error
     except Image.DecompressionBombError as error:
         raise FormatError(f"{name}: {error}; {MAX_PHOTO_PIXELS:,} pixels are allowed") from error
     with image:

@@ -6,9 +6,11 @@ In place and of the same length: pixels, orientation and focal length stay as th
 import re
 import struct
 import zlib
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
+from dynamictree.formats.photo import is_heif
 from jobs.storage.artifacts import hash_file
 from service.http.multipart import ReceivedFile
 from service.http.problems import ProblemError
@@ -22,12 +24,16 @@ _TIFF_TEXT = frozenset({700, 33723, 34377})  # XMP, IPTC, Photoshop's
 _EXIF_CHUNKS = (b"eXIf", b"EXIF")
 _TEXT_CHUNKS = (b"XMP ", b"iTXt", b"tEXt", b"zTXt")
 _PLACE_TEXT = re.compile(rb"XML:com\.adobe\.xmp\0|Raw profile type ", re.DOTALL)
+_TIFF_HEAD = re.compile(rb"II\*\0|MM\0\*")
+_XMP_PACKET = re.compile(rb"<x:xmpmeta.*?</x:xmpmeta>", re.DOTALL)
+MAX_EXIF_BYTES = 2**20
+"""Of the EXIF of a HEIC file: sixteen times what a JPEG can hold."""
 MAX_CHUNKS, MAX_PAGES = 10_000, 1_000
 _SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8}  # bytes of a TIFF type
 
 
 def without_place(file: ReceivedFile) -> ReceivedFile:
-    """The same photo without the place where it was taken, in JPEG, PNG, WebP and TIFF.
+    """The same photo without the place where it was taken, in JPEG, PNG, WebP, TIFF and HEIC.
 
     Raises:
         ProblemError: it is a BigTIFF, whose directories have another form.
@@ -42,6 +48,8 @@ def without_place(file: ReceivedFile) -> ReceivedFile:
         changed = _blank_chunks(file.path, start=12, is_png=False)
     elif head[:4] in (b"II*\0", b"MM\0*"):
         changed = _blank_tiff_file(file.path)
+    elif is_heif(file.path):
+        changed = _blank_heif(file.path)
     elif head[:4] in (b"II+\0", b"MM\0+"):
         raise ProblemError("unsupported-format", f"photo {file.name!r} is a BigTIFF; save it as TIFF, JPEG or PNG")
     else:
@@ -106,6 +114,23 @@ def _blanked_chunk(name: bytes, content: bytes) -> bytes:
         keyword = content.partition(b"\0")[0] + b"\0" if name != b"XMP " else b""
         return keyword + bytes(len(content) - len(keyword))
     return content
+
+
+def _blank_heif(path: Path) -> bool:
+    """Blank the GPS of EXIF, which lies in a HEIC file as a TIFF does, and XMP; wherever they stand."""
+    content = bytearray(path.read_bytes())
+    before = bytes(content)
+    for match in _TIFF_HEAD.finditer(before):
+        tiff = bytearray(before[match.start() : match.start() + MAX_EXIF_BYTES])
+        with suppress(struct.error, KeyError):  # these bytes are of the coded picture
+            _blank_gps(tiff)
+            content[match.start() : match.start() + len(tiff)] = tiff
+    for match in _XMP_PACKET.finditer(before):
+        _zero(content, match.start(), match.end() - match.start())
+    if content == before:
+        return False
+    path.write_bytes(content)
+    return True
 
 
 def _blank_tiff_file(path: Path) -> bool:

@@ -56,6 +56,7 @@ class Upload:
     num_models: int = 1
     files: tuple[ReceivedFile, ...]
     reading: Reading = field(default_factory=Reading)
+    unused: tuple[str, ...] = ()  # names of files that came with photos and are not stored
 
     @property
     def is_film(self) -> bool:
@@ -94,6 +95,11 @@ def sort_out(owned: Owned, form: Form, folder: Path) -> Upload:
     of_photos = films or (pictures and len(with_photos) == len(files))
     kind = form.fields.get("kind") or ("photos" if of_photos else "mesh")
     if kind == "photos":
+        stems = {PurePosixPath(_beside(file.name)).with_suffix("") for file in pictures}
+        live = [file for file in films if PurePosixPath(_beside(file.name)).with_suffix("") in stems]
+        if films and len(live) == len(films):  # each is the film of a Live Photo, beside it
+            stills = [file for file in files if file not in live]
+            return Upload(kind="photos", files=_photos(stills), unused=tuple(file.name for file in live))
         return Upload(kind="photos", files=_film(files) if films else _photos(files))
     models = _models(files)
     beside = tuple(file for file in files if file not in models)
@@ -136,6 +142,10 @@ def _photos(files: list[ReceivedFile]) -> tuple[ReceivedFile, ...]:
     photos = [file for file in files if not _is_camera_file(file) and not _is_mask(file)]
     if not MIN_PHOTOS <= len(photos) <= MAX_PHOTOS:
         raise ProblemError("invalid-input", f"there are {len(photos)} photos; {MIN_PHOTOS} to {MAX_PHOTOS} are allowed")
+    different = len({file.sha256 for file in photos})
+    if different < MIN_PHOTOS:
+        reason = f"there are {len(photos)} photos and {different} of them differ; at least {MIN_PHOTOS} must"
+        raise ProblemError("invalid-input", f"{reason}; walk around the tree and take one every 10 to 20 degrees")
     for file in files:
         if _is_camera_file(file):
             continue
@@ -158,7 +168,8 @@ def _models(files: list[ReceivedFile]) -> tuple[ReceivedFile, ...]:
     if certain and points and all(_suffix(file) != ".txt" for file in points):
         models = certain + points
     if not models:
-        raise _unsupported(files[0], (*MESH_SUFFIXES, *CLOUD_SUFFIXES))
+        suffixes = dict.fromkeys((*MESH_SUFFIXES, *CLOUD_SUFFIXES, *PHOTO_SUFFIXES, *FILM_SUFFIXES))
+        raise _unsupported(files[0], tuple(suffixes))
     if len(models) > 2:
         reason = ", ".join(repr(file.name) for file in models[:5])
         raise ProblemError(
@@ -195,7 +206,13 @@ async def admit(owned: Owned, upload: Upload, folder: Path) -> tuple[AssetRecord
     if answer.summary is None:
         raise ProblemError(answer.code or "invalid-input", answer.message)
     upload = replace(upload, kind=answer.kind or upload.kind)
-    return await run_in_threadpool(_keep, owned, upload, prepared, answer.summary, expires_at)
+    summary = dict(answer.summary)
+    if upload.unused:
+        message = (
+            f"{len(upload.unused)} films of Live Photos were not used, {upload.unused[0]} first: the photos suffice"
+        )
+        summary["warnings"] = [{"code": "films-unused", "message": message}]
+    return await run_in_threadpool(_keep, owned, upload, prepared, summary, expires_at)
 
 
 def _keep(

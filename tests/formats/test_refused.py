@@ -39,7 +39,7 @@ def usdz() -> bytes:
         ("tree.glb", LFS, "git lfs pull"),
         ("tree.glb", b"<!DOCTYPE html><title>404</title>", "web page"),
         ("tree.glb", b"", "empty"),
-        ("photo.heic", b"\0\0\0\x18ftypheic", "JPEG"),
+        ("photo.heic", b"\0\0\0\x18ftypheic", "dynamictree reconstruct"),
         ("walk.mov", b"\0\0\0\x14ftypqt  ", "dynamictree reconstruct"),
         ("meta.lcc", b'{"version": "4.0", "guid": 1}', "splat-transform scene.lcc"),
         ("lod-meta.json", b'{"lodLevels": 4, "filenames": [], "tree": {}}', "splat-transform lod-meta.json"),

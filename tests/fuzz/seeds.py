@@ -126,8 +126,8 @@ def motion() -> bytes:
     return written(lambda m, s: write_motion(m, frames, s, num_frames=2, fps=24.0), mesh)
 
 
-def photo(kind: str, mode: str = "RGB") -> bytes:
-    pixels = np.random.default_rng(7).integers(0, 256, (240, 320, 3), np.uint8)
+def photo(kind: str, mode: str = "RGB", seed: int = 7) -> bytes:
+    pixels = np.random.default_rng(seed).integers(0, 256, (240, 320, 3), np.uint8)
     stream = io.BytesIO()
     picture = Image.fromarray(pixels).resize((40, 30)).resize((320, 240)).convert(mode)
     picture.save(stream, kind, quality=40) if kind == "JPEG" else picture.save(stream, kind)
@@ -149,7 +149,7 @@ def obj_zip() -> bytes:
 
 
 def photo_zip() -> bytes:
-    return zipped({f"{number}.jpg": photo("JPEG") for number in range(8)})
+    return zipped({f"{number}.jpg": photo("JPEG", seed=number) for number in range(8)})
 
 
 def spz4() -> bytes:

@@ -16,7 +16,7 @@ def prepare_photos(paths: list[Path], folder: Path, **options: object) -> list[P
 
 
 def save_photo(path: Path, size: tuple[int, int] = (400, 300), **options: object) -> Path:
-    rng = np.random.default_rng(len(path.name))
+    rng = np.random.default_rng(zlib.crc32(path.name.encode()))
     pixels = rng.integers(0, 255, (size[1], size[0], 3)).astype(np.uint8)
     Image.fromarray(pixels).save(path, **options)
     return path
@@ -66,6 +66,38 @@ def test_exif_turns_the_photo_gives_its_focal_length_and_is_left_behind(tmp_path
     assert b"Exif" not in (tmp_path / "out" / photo.name).read_bytes()
 
 
+def test_heic_is_read_upright_with_its_focal_length(tmp_path, eight):
+    """A folder of HEIC was "0 photos", and beside JPEG they vanished."""
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    exif.get_ifd(0x8769)[0xA405] = 26
+    pixels = np.zeros((300, 400, 3), np.uint8)
+    pixels[:, :100, 0] = 255
+    eight[2] = tmp_path / "IMG_0002.HEIC"
+    Image.fromarray(pixels).save(eight[2], format="HEIF", exif=exif.tobytes())
+    photo = prepare_photos(eight, tmp_path / "out")[2]
+    assert (photo.width, photo.height) == (300, 400)
+    assert photo.focal_px == pytest.approx(26 / 36 * 400)
+    with Image.open(tmp_path / "out" / photo.name) as image:
+        assert np.asarray(image)[:90, :, 0].min() > 200  # what was left is on top
+        assert not image.getexif()
+
+
+def test_heic_without_its_reader_says_what_to_install(tmp_path, eight, monkeypatch):
+    save_photo(tmp_path / "a.heic", format="HEIF")
+    monkeypatch.delitem(Image.OPEN, "HEIF")
+    with pytest.raises(FormatError, match=r"a\.heic is HEIC.*dynamictree\[photos\]"):
+        prepare_photos([*eight, tmp_path / "a.heic"], tmp_path / "out")
+
+
+def test_refuses_copies_of_one_photo(tmp_path, eight):
+    copies = [tmp_path / f"copy{number}.jpg" for number in range(40)]
+    for copy in copies:
+        copy.write_bytes(eight[0].read_bytes())
+    with pytest.raises(InputError, match="46 photos were given and 7 of them differ; 8 must"):
+        prepare_photos([*eight[:6], *copies[:39], eight[6]], tmp_path / "out")
+
+
 def test_a_photo_without_exif_has_no_focal_length(tmp_path, eight):
     assert prepare_photos(eight, tmp_path / "out")[0].focal_px is None
 
@@ -86,13 +118,13 @@ def test_refuses_too_few_and_too_many(tmp_path, eight, number):
 
 def test_refuses_what_is_no_photo(tmp_path, eight):
     eight[2].write_text("solid tree")
-    with pytest.raises(FormatError, match=r"2\.jpg is none of JPEG, PNG, WEBP, TIFF"):
+    with pytest.raises(FormatError, match=r"2\.jpg is none of JPEG, PNG, WEBP, TIFF, HEIF"):
         prepare_photos(eight, tmp_path / "out")
 
 
 def test_refuses_another_format_of_picture(tmp_path, eight):
     eight[2] = save_photo(tmp_path / "tree.bmp")
-    with pytest.raises(FormatError, match="is none of JPEG, PNG, WEBP, TIFF"):
+    with pytest.raises(FormatError, match="is none of JPEG, PNG, WEBP, TIFF, HEIF"):
         prepare_photos(eight, tmp_path / "out")
 
 
@@ -178,8 +210,10 @@ def test_an_alpha_channel_is_a_mask(tmp_path, eight):
 def test_an_opaque_alpha_channel_is_no_mask(tmp_path):
     """Exported as RGBA without anything cut out: the whole picture would count as the tree."""
     paths = [tmp_path / f"{number}.png" for number in range(8)]
-    for path in paths:
-        Image.fromarray(np.full((300, 400, 4), 255, np.uint8)).save(path)
+    for number, path in enumerate(paths):
+        pixels = np.full((300, 400, 4), 255, np.uint8)
+        pixels[..., 0] = number
+        Image.fromarray(pixels).save(path)
     prepared = prepare_photos(paths, tmp_path / "out")
     assert not any(photo.masked for photo in prepared)
     assert not list((tmp_path / "out").glob("*.png"))

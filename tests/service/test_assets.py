@@ -157,6 +157,33 @@ def test_a_bad_mesh_is_refused(client: TestClient, services: Services, what: str
     assert left_behind(services) == []
 
 
+def heic(number: int) -> bytes:
+    stream = io.BytesIO()
+    Image.new("RGB", (400, 300), (25 * number, 100, 50)).save(stream, "HEIF")
+    return stream.getvalue()
+
+
+def test_live_photos_are_taken_without_their_films(client: TestClient) -> None:
+    photos = [(f"IMG_{number}.HEIC", heic(number)) for number in range(8)]
+    response = send(client, *photos, *((f"IMG_{number}.MOV", b"film") for number in range(3)))
+    assert response.status_code == 201, response.text
+    assert (response.json()["kind"], response.json()["summary"]["num_photos"]) == ("photos", 8)
+    [warning] = response.json()["summary"]["warnings"]
+    assert warning["message"].startswith("3 films of Live Photos were not used, IMG_0.MOV first")
+    assert "by itself" in send(client, *photos, ("walk.mov", b"film")).json()["detail"]
+
+
+def test_what_is_accepted_instead_names_photos_and_films(client: TestClient) -> None:
+    refused = send(client, ("a.cr2", b"x"), ("b.cr2", b"y")).json()
+    assert refused["code"] == "unsupported-format"
+    assert all(f" {suffix}" in refused["detail"] for suffix in ("jpg", "heic", "mov", "glb"))
+
+
+def test_copies_of_one_photo_are_refused(client: TestClient) -> None:
+    response = send(client, *((f"{number}.jpg", photo(1)) for number in range(40)))
+    assert "there are 40 photos and 1 of them differ" in response.json()["detail"]
+
+
 def test_a_photo_is_checked(client: TestClient) -> None:
     good = [(f"p{i}.jpg", photo(i)) for i in range(7)]
     assert send(client, *good).json()["code"] == "invalid-input"

@@ -54,6 +54,29 @@ def test_a_photo_that_tells_none_is_left_alone(tmp_path):
     assert without_place(before) == before
 
 
+def test_a_heic_tells_no_place(tmp_path):
+    exif = Image.Exif()
+    exif.get_ifd(0x8769)[FOCAL] = 50
+    exif.get_ifd(GPS).update({1: "N", 2: (48.0, 8.0, 13.25), 29: "2026:11:21"})
+    pixels = np.random.default_rng(0).integers(0, 255, (480, 640, 3)).astype(np.uint8)
+    path = tmp_path / "a.heic"
+    xmp = b'<x:xmpmeta xmlns:x="adobe:ns:meta/">GPSLatitude 48.13</x:xmpmeta>'
+    Image.fromarray(pixels).save(path, format="HEIF", exif=exif.tobytes(), xmp=xmp)
+    before = received(path)
+    picture = np.asarray(Image.open(path))
+    assert b"2026:11:21" in path.read_bytes()
+    assert b"GPSLatitude" in path.read_bytes()
+    after = without_place(before)
+    assert b"2026:11:21" not in path.read_bytes()
+    assert b"GPSLatitude" not in path.read_bytes()
+    assert after.sha256 == sha256(path.read_bytes()).hexdigest() != before.sha256
+    with Image.open(path) as image:
+        assert not image.getexif().get_ifd(GPS)
+        assert image.getexif().get_ifd(0x8769)[FOCAL] == 50
+        assert np.array_equal(np.asarray(image), picture)
+    assert without_place(after) == after
+
+
 @pytest.mark.parametrize("name", ["a.png", "a.webp"])
 def test_the_place_is_gone_from_other_formats(tmp_path, name):
     before = photo(tmp_path / name)

@@ -1,0 +1,38 @@
+"""Photos as Pillow reads them, HEIC by pillow-heif (extra `photos`) among them."""
+
+from importlib.util import find_spec
+from pathlib import Path
+
+from PIL import Image
+
+from dynamictree.errors import FormatError
+
+PHOTO_FORMATS = ("JPEG", "PNG", "WEBP", "TIFF", "HEIF")
+"""As Pillow names them; HEIF is what phones write as HEIC."""
+_HEIF_BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"mif1", b"msf1")
+"""Of `ftyp`, ISO/IEC 23008-12, annex B; an iPhone writes `heic`."""
+
+if find_spec("pillow_heif") is not None:
+    from pillow_heif import register_heif_opener
+
+    # one picture per file: no thumbnails, no depth; decoding in this thread, which a confined process may not leave
+    register_heif_opener(thumbnails=False, depth_images=False, aux_images=False, decode_threads=1)
+
+
+def open_photo(path: Path, name: str) -> Image.Image:
+    """Open a photo without decoding its pixels; `name` is for messages.
+
+    Raises:
+        FormatError: it is HEIC and the extra `photos` is not installed.
+        PIL.UnidentifiedImageError: it is of none of `PHOTO_FORMATS`.
+    """
+    if is_heif(path) and "HEIF" not in Image.OPEN:
+        raise FormatError(f"{name} is HEIC, which pillow-heif reads; install dynamictree[photos], or save it as JPEG")
+    return Image.open(path, formats=[each for each in PHOTO_FORMATS if each != "HEIF" or each in Image.OPEN])
+
+
+def is_heif(path: Path) -> bool:
+    """Whether the file begins as HEIC photos do."""
+    with path.open("rb") as stream:
+        head = stream.read(12)
+    return head[4:8] == b"ftyp" and head[8:] in _HEIF_BRANDS
