@@ -1,6 +1,7 @@
 """Request parameters of a reconstruction from photos, with range, default, unit and meaning."""
 
-from typing import Annotated
+from dataclasses import dataclass
+from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field, model_validator
 from pydantic.config import JsonDict
@@ -11,6 +12,35 @@ MIN_PHOTOS, MAX_PHOTOS = 8, 300
 """Of one reconstruction."""
 PHOTOS_OF_VIDEO = 40
 """Of a walk of 360°, one per 9°: neighbours match, and two cores match all pairs in minutes."""
+
+
+Quality = Literal["draft", "standard", "high"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class QualityLimits:
+    """What a reconstruction uses of its photos, and how large its splat may become."""
+
+    photo_px: int  # long side to which photos are reduced before features are sought
+    splat_px: int  # long side of the pictures that the splat is learned from
+    max_gaussians: int
+    sh_degree: int  # of the splat's colours
+    max_views: int  # photos that depths and splat are made of, evenly chosen; cameras are found for all
+    num_steps: int  # of training, unless `splat_steps` says otherwise
+
+
+QUALITIES: dict[Quality, QualityLimits] = {
+    "draft": QualityLimits(
+        photo_px=1200, splat_px=320, max_gaussians=30_000, sh_degree=0, max_views=40, num_steps=1000
+    ),
+    "standard": QualityLimits(
+        photo_px=1200, splat_px=640, max_gaussians=60_000, sh_degree=1, max_views=80, num_steps=3000
+    ),
+    "high": QualityLimits(
+        photo_px=1600, splat_px=1600, max_gaussians=300_000, sh_degree=2, max_views=MAX_PHOTOS, num_steps=6000
+    ),
+}
+"""Standard is what two cores learn in minutes (docs/decisions/reconstruct.md); high keeps what 1,600 pixels show."""
 
 
 class Scribble(Request):
@@ -44,8 +74,12 @@ _ONLY_PLANT = (
 class LearningParams(Request):
     """What decides on the scene that is learned from photos, before the tree is cut out of it."""
 
+    quality: Quality = Field(
+        default="standard",
+        description="Of photos: how much of them is used and how fine the splat becomes; numbers are in /v1/limits",
+    )
     splat_steps: int | None = Field(
-        default=None, ge=100, le=30_000, description="Of photos: training steps of the splat; 3000 if unset"
+        default=None, ge=100, le=30_000, description="Of photos: training steps of the splat; by the quality if unset"
     )
     video_frames: int | None = Field(
         default=None,

@@ -390,6 +390,8 @@ class Limits(Model):
     min_photos: int
     max_photos: int
     max_photo_bytes: int
+    # what quality of a job on photos may be
+    photo_qualities: "list[PhotoQuality]"
     max_film_bytes: int
     max_film_s: float
     # width times height
@@ -495,6 +497,23 @@ class Part(Model):
     name: str
     sha256: str
     bytes: int
+
+
+class PhotoQuality(Model):
+    """What a reconstruction of one `quality` uses of its photos, and how large its splat may become."""
+
+    quality: Literal["draft", "standard", "high"]
+    # long side to which photos are reduced before features are sought
+    photo_px: int
+    # long side of the pictures that the splat is learned from
+    splat_px: int
+    max_gaussians: int
+    # of the splat's colours
+    sh_degree: int
+    # photos that depths and splat are made of; cameras are found for all
+    max_views: int
+    # of training, unless splat_steps says otherwise
+    num_steps: int
 
 
 class PresetList(Model):
@@ -608,7 +627,9 @@ class ReconstructParams(Model):
     moving_box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
     # Of a file of several trees only this one, as `trees` numbers them; if unset all, each by itself
     tree: int | None = None
-    # Of photos: training steps of the splat; 3000 if unset
+    # Of photos: how much of them is used and how fine the splat becomes; numbers are in /v1/limits
+    quality: Literal["draft", "standard", "high"] = "standard"
+    # Of photos: training steps of the splat; by the quality if unset
     splat_steps: int | None = None
     # Of a film: sharp frames that are taken as photos; 40 if unset
     video_frames: int | None = None

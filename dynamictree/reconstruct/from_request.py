@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import Literal
 
 from dynamictree.formats.suffixes import FILM_SUFFIXES, OTHER_FILM_SUFFIXES, PHOTO_SUFFIXES
-from dynamictree.photo_requests import PHOTOS_OF_VIDEO, CutParams, LearningParams
+from dynamictree.photo_requests import PHOTOS_OF_VIDEO, QUALITIES, CutParams, LearningParams
 from dynamictree.plant.capture import Capture, carrying_mesh, with_still_parts
 from dynamictree.reconstruct import Progress, Reconstruction, ReconstructOptions, reconstruct
+from dynamictree.reconstruct.densify import DensityRules
 from dynamictree.reconstruct.film_photos import FilmPhotos, WriteFrames
 from dynamictree.reconstruct.optimise import Schedule
 from dynamictree.reconstruct.photo_input import ReadPhotos, read_photos
@@ -24,8 +25,14 @@ Recall = Callable[[Literal["reconstruction"], Callable[[Path], None]], Path]
 
 def options_of(params: LearningParams) -> ReconstructOptions:
     """Options of the reconstruction that a request asks for; box and height come after it."""
-    schedule = Schedule() if params.splat_steps is None else Schedule(num_steps=params.splat_steps)
-    return ReconstructOptions(schedule=schedule)
+    limits = QUALITIES[params.quality]
+    schedule = Schedule(
+        num_steps=params.splat_steps or limits.num_steps,
+        side_px=limits.splat_px,
+        sh_degree=limits.sh_degree,
+        rules=DensityRules(max_gaussians=limits.max_gaussians),
+    )
+    return ReconstructOptions(schedule=schedule, photo_px=limits.photo_px, max_views=limits.max_views)
 
 
 def learn_scene(

@@ -103,6 +103,8 @@ def optimise(
         stepped = _one_step(progress, target, pull, schedule, degree=degree, extent=extent, cut_out=cut_out, rng=rng)
         num_discarded = progress.num_discarded + int(stepped.skipped.sum())
         progress = replace(progress, moments=stepped.state, step=progress.step + 1, num_discarded=num_discarded)
+        if choosing and progress.step % schedule.check_every == 0:
+            progress = _checked(progress, levels, schedule, degree)
         share = progress.step / schedule.num_steps
         if schedule.densify[0] <= share < schedule.densify[1] and progress.step % schedule.densify_every == 0:
             rules = _rules(schedule, shrink, cut_out=cut_out)
@@ -113,8 +115,6 @@ def optimise(
             progress = replace(progress, table=table, moments=moments, pull=pull)
         if schedule.reset_at is not None and progress.step == round(schedule.reset_at * schedule.num_steps):
             fainter(progress.table, progress.moments)
-        if choosing and progress.step % schedule.check_every == 0:
-            progress = _checked(progress, levels, schedule, degree)
     return progress
 
 

@@ -14,12 +14,11 @@ from dynamictree.errors import FormatError, InputError
 from dynamictree.formats.photo import PHOTO_FORMATS, open_photo
 from dynamictree.formats.suffixes import MASKS
 from dynamictree.formats.texture import in_eight_bits
-from dynamictree.photo_requests import MAX_PHOTOS, MIN_PHOTOS
+from dynamictree.photo_requests import MAX_PHOTOS, MIN_PHOTOS, QUALITIES
 
 MAX_PHOTO_BYTES = 64 * 2**20
 MAX_PHOTO_PIXELS = 64_000_000  # the largest common camera's; decoding takes 200 MB
 MIN_SIDE_PX = 240
-LONG_SIDE_PX = 1200  # to which photos are reduced: two cores match a pair in a fraction of a second
 
 _EXIF_IFD, _FOCAL_35MM, _ORIENTATION = 0x8769, 0xA405, 0x0112
 _SIDEWAYS = (5, 6, 7, 8)
@@ -48,10 +47,13 @@ class PhotoFile:
     path: Path
     name: str  # its own; with its folders where two have the same
     mask: Path | None = None  # a picture of the same size, white where the tree is
+    side_px: int = QUALITIES["standard"].photo_px  # to which its long side is reduced
     as_stored: bool = False  # a given camera is of the picture as it is stored, whatever EXIF says of its top
 
 
-def list_photos(paths: Sequence[Path], root: Path | None = None) -> list[PhotoFile]:
+def list_photos(
+    paths: Sequence[Path], root: Path | None = None, *, side_px: int = QUALITIES["standard"].photo_px
+) -> list[PhotoFile]:
     """Name the photos, and find their masks: of the same name, or stem, in a folder `masks`."""
     masks: dict[str, Path] = {}
     if root is not None:
@@ -64,7 +66,7 @@ def list_photos(paths: Sequence[Path], root: Path | None = None) -> list[PhotoFi
     for path in photo_paths:
         name = path.relative_to(root).as_posix() if root is not None and alike else path.name
         mask = masks.get(path.name) or masks.get(path.stem)
-        photos.append(PhotoFile(path=path, name=name, mask=mask))
+        photos.append(PhotoFile(path=path, name=name, mask=mask, side_px=side_px))
     if masks and not all(photo.mask for photo in photos):
         bare = next(photo.name for photo in photos if photo.mask is None)
         raise InputError(f"there are masks, but none for {bare}; give one a photo, of the same name, or none at all")
@@ -148,8 +150,8 @@ def _prepare(photo: PhotoFile, folder: Path, name: str) -> Photo:
             problem = f"the mask of {photo.name} has {alpha.width} x {alpha.height} pixels"
             raise FormatError(f"{problem}, its photo another shape; make masks of the photos as they are")
     upright = upright.convert("RGB")
-    if max(upright.size) > LONG_SIDE_PX:
-        upright.thumbnail((LONG_SIDE_PX, LONG_SIDE_PX), Image.Resampling.LANCZOS)
+    if max(upright.size) > photo.side_px:
+        upright.thumbnail((photo.side_px, photo.side_px), Image.Resampling.LANCZOS)
     upright.save(folder / name, format="JPEG", quality=95, subsampling=0, exif=b"")
     if alpha is not None:
         alpha.resize(upright.size, Image.Resampling.BOX).save(folder / f"{name}.png")
@@ -166,7 +168,7 @@ def _prepare(photo: PhotoFile, folder: Path, name: str) -> Photo:
 
 def _decoded(image: Image.Image, photo: PhotoFile, *, reduced: bool) -> Image.Image:
     if reduced:
-        image.draft("RGB", (LONG_SIDE_PX, LONG_SIDE_PX))  # a JPEG is decoded at the next larger of 1/2, 1/4, 1/8
+        image.draft("RGB", (photo.side_px, photo.side_px))  # a JPEG is decoded at the next larger of 1/2, 1/4, 1/8
     try:
         turned = in_eight_bits(image.copy() if photo.as_stored else ImageOps.exif_transpose(image))
         return turned.convert("RGBA" if "A" in turned.getbands() or "transparency" in turned.info else "RGB")

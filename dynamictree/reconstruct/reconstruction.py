@@ -11,6 +11,7 @@ from jaxtyping import Bool
 
 from dynamictree.errors import InputError, ReconstructionError
 from dynamictree.gaussian.cloud import GaussianCloud
+from dynamictree.photo_requests import QUALITIES
 from dynamictree.reconstruct.camera_circle import camera_circle, coverage_warnings
 from dynamictree.reconstruct.cameras import ADVICE, find_cameras
 from dynamictree.reconstruct.coloured_mesh import Shape, best_mesh_of, finished_shape
@@ -41,6 +42,8 @@ class ReconstructOptions:
 
     height_m: float | None = None  # of the tree; photos alone tell no size
     schedule: Schedule = field(default_factory=Schedule)
+    photo_px: int = QUALITIES["standard"].photo_px  # long side to which photos are reduced
+    max_views: int = QUALITIES["standard"].max_views  # that depths and splat are made of, evenly chosen
 
     def __post_init__(self) -> None:
         if self.height_m is not None and not 0 < self.height_m < 1000:
@@ -86,20 +89,33 @@ def reconstruct(
     """
     options = options or ReconstructOptions()
     clock, draft = StageClock(on_progress), Draft(folder=folder, on_file=on_file)
-    listed = list_photos(photos, root)
+    listed = list_photos(photos, root, side_px=options.photo_px)
     with ExitStack() as stack:
         path = work or Path(stack.enter_context(tempfile.TemporaryDirectory(dir=folder, prefix="work-")))
-        space = stack.enter_context(opened_work(path, _sources(listed, root), options.schedule))
+        work_folder = opened_work(
+            path,
+            _sources(listed, root),
+            options.schedule,
+            photo_px=options.photo_px,
+            max_views=options.max_views,
+        )
+        space = stack.enter_context(work_folder)
         model = _find_cameras(listed, root, space, clock, read_photos)
         if more_photos is not None and (all_photos := more_photos(model)):
-            listed = list_photos(all_photos, root)
+            listed = list_photos(all_photos, root, side_px=options.photo_px)
             space.extend(_sources(listed, root))
             model = _find_cameras(listed, root, space, clock, read_photos)
         write_cameras(model.views, folder, scale="unknown")
         on_file(folder / "cameras.json")
         model = evenly_exposed(model)
         with clock.stage("depth") as report:
-            scene = find_scene(model, saved=space.depths, on_model=draft.show_points, on_progress=report)
+            scene = find_scene(
+                model,
+                max_views=options.max_views,
+                saved=space.depths,
+                on_model=draft.show_points,
+                on_progress=report,
+            )
         with clock.stage("splat") as report:
             fit = fit_splat(
                 scene.matched,

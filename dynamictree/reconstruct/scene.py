@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from dynamictree.photo_requests import QUALITIES
 from dynamictree.reconstruct.depth import DepthMaps, coarse_depths, fine_depths, load_depths, outside_sky, save_depths
 from dynamictree.reconstruct.fusion import Box, above, fuse, main_cluster
 from dynamictree.reconstruct.sky import Foreground, without_sky
@@ -17,7 +18,6 @@ GAP = 0.06  # of the region's radius: pieces nearer to one another belong togeth
 _COARSE_VOXELS = 128  # along the longest side
 _GROUND_CUT = 0.02  # of the region's radius: lower parts count as ground
 _BOX_MARGIN = 0.08  # of the coarse shape's extent: thin ends show in the fine maps only
-_MAX_VIEWS = 80  # that are matched, evenly chosen: bounds time and memory
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,6 +37,7 @@ class Scene:
 def find_scene(
     model: SparseModel,
     *,
+    max_views: int = QUALITIES["standard"].max_views,
     saved: Path | None = None,
     on_model: Callable[[SparseModel], None] = lambda model: None,
     on_progress: Callable[[float], None] = lambda share: None,
@@ -47,6 +48,7 @@ def find_scene(
 
     Args:
         model: as structure from motion gives it.
+        max_views: that are matched, evenly chosen: bounds time and memory.
         saved: a file for the depth maps; those of an earlier call with the same model are read from it.
         on_model: gets the model in the stage's frame before the views are matched.
         on_progress: gets the share that is done; what it raises passes through.
@@ -55,7 +57,7 @@ def find_scene(
     stage = find_stage(model, np.random.default_rng(0), ground=not cut_out)
     model = model.transformed(1 / stage.radius, stage.rotation, stage.origin)
     on_model(model)
-    matched = _evenly_chosen(model)
+    matched = _evenly_chosen(model, max_views)
     cut = _GROUND_CUT if stage.ground_found else -np.inf
     if saved is not None and saved.exists():
         coarse, fine, box = load_depths(matched, saved)
@@ -96,11 +98,11 @@ def _depths(
     return coarse, fine_depths(matched, matches, box, lambda done, total: on_progress(0.5 + 0.5 * done / total)), box
 
 
-def _evenly_chosen(model: SparseModel) -> SparseModel:
+def _evenly_chosen(model: SparseModel, max_views: int) -> SparseModel:
     number = len(model.views)
-    if number <= _MAX_VIEWS:
+    if number <= max_views:
         return model
-    chosen = np.linspace(0, number - 1, _MAX_VIEWS).round().astype(int)
+    chosen = np.linspace(0, number - 1, max_views).round().astype(int)
     row_of = np.full(number, -1)
     row_of[chosen] = np.arange(len(chosen))
     seen = model.seen[row_of[model.seen[:, 0]] >= 0]

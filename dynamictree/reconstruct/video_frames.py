@@ -11,8 +11,7 @@ from jaxtyping import Float64, Int64
 
 from dynamictree.errors import FormatError, InputError
 from dynamictree.formats.film import MAX_FILM_FRAMES, decoded
-from dynamictree.photo_requests import MAX_PHOTOS, MIN_PHOTOS, PHOTOS_OF_VIDEO
-from dynamictree.reconstruct.photos import LONG_SIDE_PX
+from dynamictree.photo_requests import MAX_PHOTOS, MIN_PHOTOS, PHOTOS_OF_VIDEO, QUALITIES
 
 PROBE_PX = 256  # side of the squares on which sharpness is judged; their ratio is the same for all frames of a film
 _REDUCED = "force_original_aspect_ratio=decrease:flags=lanczos"
@@ -65,7 +64,8 @@ def write_sharp_frames(
     ]
     picked = "+".join(f"eq(n,{frame})" for frame in frames)
     folder.mkdir(parents=True, exist_ok=True)
-    chosen = f"select='{picked}',scale='min({LONG_SIDE_PX},iw)':'min({LONG_SIDE_PX},ih)':{_REDUCED}"
+    side_px = QUALITIES["high"].photo_px
+    chosen = f"select='{picked}',scale='min({side_px},iw)':'min({side_px},ih)':{_REDUCED}"
     output = ("-vf", chosen, "-fps_mode", "passthrough", "-pix_fmt", "rgb24")  # phones film in 10 bits
     with decoded(
         video, *output, str(folder / "chosen-%04d.png"), "-progress", "-", "-stats_period", "0.25"

@@ -1,7 +1,7 @@
 """Results of finished stages in a folder, so that an interrupted reconstruction continues where it was.
 
-`photos.key` says which photos, masks and cameras the results belong to, `splat.key` with which schedule the splat was
-learned. Results with another key are deleted before the work begins.
+`photos.key` says which photos, masks and cameras the results belong to, `depths.key` how many views the depths are of,
+`splat.key` with which schedule the splat was learned. Results with another key are deleted before the work begins.
 """
 
 import fcntl
@@ -15,15 +15,17 @@ from pathlib import Path
 
 from dynamictree.errors import InputError
 from dynamictree.files import replacing
+from dynamictree.photo_requests import QUALITIES
 from dynamictree.reconstruct.optimise import Schedule
 
 _VERSION = 3  # of the files in the folder
 _SPLAT_VERSION = 3  # of the way in which it is learned
 _OF_PHOTOS = (
     *("photos", "sparse", "chosen", "undistorted", "masks", "undistorted-masks"),
-    *("features.db", "features-whole.db", "pairs.txt", "views.json", "points.npz", "depths.npz"),
+    *("features.db", "features-whole.db", "pairs.txt", "views.json", "points.npz"),
 )
-_OF_SPLAT = ("splat.npz",)
+_RESULTS = {"photos.key": _OF_PHOTOS, "depths.key": ("depths.npz",), "splat.key": ("splat.npz",)}
+"""Files of each stage; one whose key differs is deleted, with all later ones."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,14 +33,13 @@ class WorkFolder:
     """Where each stage saves its result."""
 
     path: Path
-    schedule: Schedule
+    settings: tuple[int, int, Schedule]  # long side of the photos, number of views, schedule of the splat
 
     def extend(self, sources: Iterable[Path]) -> None:
         """Go on with more photos: features of the earlier ones stay, cameras are to be found anew."""
         (self.path / "views.json").unlink(missing_ok=True)
-        photos_key = _photos_key(sources)
-        _write_key(self.path / "photos.key", photos_key)
-        _write_key(self.path / "splat.key", _schedule_key(photos_key, self.schedule))
+        for name, key in _keys(sources, *self.settings).items():
+            _write_key(self.path / name, key)
 
     @property
     def photos(self) -> Path:
@@ -57,13 +58,22 @@ class WorkFolder:
 
 
 @contextmanager
-def opened_work(path: Path, sources: Iterable[Path], schedule: Schedule) -> Iterator[WorkFolder]:
+def opened_work(
+    path: Path,
+    sources: Iterable[Path],
+    schedule: Schedule,
+    *,
+    photo_px: int = QUALITIES["standard"].photo_px,
+    max_views: int = QUALITIES["standard"].max_views,
+) -> Iterator[WorkFolder]:
     """Use a folder alone, with what an earlier call with the same inputs left there.
 
     Args:
         path: the folder.
         sources: photos, masks and files with cameras, in order.
         schedule: of the splat.
+        photo_px: long side to which photos are reduced.
+        max_views: that depths are made of.
 
     Raises:
         InputError: another process uses the folder.
@@ -74,10 +84,17 @@ def opened_work(path: Path, sources: Iterable[Path], schedule: Schedule) -> Iter
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise InputError(f"another process is at work in {path}; wait for it, or choose another output") from None
-        photos_key = _photos_key(sources)
-        _delete_unless(path, "photos.key", photos_key, (*_OF_PHOTOS, *_OF_SPLAT))
-        _delete_unless(path, "splat.key", _schedule_key(photos_key, schedule), _OF_SPLAT)
-        yield WorkFolder(path=path, schedule=schedule)
+        settings = (photo_px, max_views, schedule)
+        _delete_others(path, _keys(sources, *settings))
+        yield WorkFolder(path=path, settings=settings)
+
+
+def _keys(sources: Iterable[Path], photo_px: int, max_views: int, schedule: Schedule) -> dict[str, str]:
+    photos = f"{_photos_key(sources)} {photo_px}"
+    depths = f"{photos} {max_views}"
+    splat = f"{depths} {_SPLAT_VERSION} {json.dumps(asdict(schedule), sort_keys=True)}"
+    keys = zip(_RESULTS, (photos, depths, splat), strict=True)
+    return {name: sha256(meaning.encode()).hexdigest() for name, meaning in keys}
 
 
 def _photos_key(sources: Iterable[Path]) -> str:
@@ -91,23 +108,18 @@ def _photos_key(sources: Iterable[Path]) -> str:
     return digest.hexdigest()
 
 
-def _schedule_key(photos_key: str, schedule: Schedule) -> str:
-    return sha256(
-        (f"{photos_key} {_SPLAT_VERSION} " + json.dumps(asdict(schedule), sort_keys=True)).encode()
-    ).hexdigest()
-
-
-def _delete_unless(folder: Path, name: str, key: str, results: tuple[str, ...]) -> None:
-    """Delete results that belong to another key, then write the key."""
-    if (folder / name).is_file() and (folder / name).read_text() == key:
-        return
-    (folder / name).unlink(missing_ok=True)
-    for result in results:
-        if (folder / result).is_dir():
-            shutil.rmtree(folder / result)
-        else:
-            (folder / result).unlink(missing_ok=True)
-    _write_key(folder / name, key)
+def _delete_others(folder: Path, keys: dict[str, str]) -> None:
+    """Delete results that belong to another key, then write the keys."""
+    for name, results in _RESULTS.items():  # a later key contains what the earlier ones do
+        if (folder / name).is_file() and (folder / name).read_text() == keys[name]:
+            continue
+        (folder / name).unlink(missing_ok=True)
+        for result in results:
+            if (folder / result).is_dir():
+                shutil.rmtree(folder / result)
+            else:
+                (folder / result).unlink(missing_ok=True)
+        _write_key(folder / name, keys[name])
 
 
 def _write_key(path: Path, key: str) -> None:

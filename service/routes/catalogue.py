@@ -6,7 +6,7 @@ from fastapi import APIRouter
 from pydantic import Field
 
 from dynamictree.formats import film, suffixes
-from dynamictree.photo_requests import MAX_PHOTOS, MIN_PHOTOS
+from dynamictree.photo_requests import MAX_PHOTOS, MIN_PHOTOS, QUALITIES, Quality
 from dynamictree.requests import MAX_FRAMES, MAX_TURBULENT_FRAMES, Format
 from dynamictree.weights import list_weights
 from service.http import multipart
@@ -45,6 +45,18 @@ class ProductPayload(Payload):
     options: list[str] = Field(description="parameters of an animate job that this file depends on")
 
 
+class PhotoQualityPayload(Payload):
+    """What a reconstruction of one `quality` uses of its photos, and how large its splat may become."""
+
+    quality: Quality
+    photo_px: int = Field(description="long side to which photos are reduced before features are sought")
+    splat_px: int = Field(description="long side of the pictures that the splat is learned from")
+    max_gaussians: int
+    sh_degree: int = Field(description="of the splat's colours")
+    max_views: int = Field(description="photos that depths and splat are made of; cameras are found for all")
+    num_steps: int = Field(description="of training, unless splat_steps says otherwise")
+
+
 class LimitsPayload(Payload):
     """Limits of requests and uploads. Sizes in bytes."""
 
@@ -59,6 +71,7 @@ class LimitsPayload(Payload):
     min_photos: int
     max_photos: int
     max_photo_bytes: int
+    photo_qualities: list[PhotoQualityPayload] = Field(description="what quality of a job on photos may be")
     max_film_bytes: int
     max_film_s: float
     max_film_pixels: int = Field(description="width times height")
@@ -124,6 +137,7 @@ def get_limits(owned: OwnedDep) -> LimitsPayload:
         ],
         min_photos=MIN_PHOTOS,
         max_photos=MAX_PHOTOS,
+        photo_qualities=[PhotoQualityPayload.of(limits, quality=name) for name, limits in QUALITIES.items()],
         max_photo_bytes=intake.MAX_PHOTO_BYTES,
         max_film_bytes=film.MAX_FILM_BYTES,
         max_film_s=film.MAX_FILM_S,

@@ -211,7 +211,8 @@ async def admit(owned: Owned, upload: Upload, folder: Path) -> tuple[AssetRecord
         message = (
             f"{len(upload.unused)} films of Live Photos were not used, {upload.unused[0]} first: the photos suffice"
         )
-        summary["warnings"] = [{"code": "films-unused", "message": message}]
+        warning: dict[str, str | int | float] = {"code": "films-unused", "message": message}
+        summary["warnings"] = [warning]
     return await run_in_threadpool(_keep, owned, upload, prepared, summary, expires_at)
 
 

@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from dynamictree.errors import FormatError, InputError
-from dynamictree.reconstruct.photos import LONG_SIDE_PX, MAX_PHOTO_BYTES, Photo, list_photos, sizes_of
+from dynamictree.reconstruct.photos import MAX_PHOTO_BYTES, Photo, list_photos, sizes_of
 from dynamictree.reconstruct.photos import prepare_photos as prepare_listed
 
 
@@ -43,7 +43,9 @@ def test_photos_keep_their_order_and_are_reduced(tmp_path, eight):
     sizes = []
     prepared = prepare_photos(eight, tmp_path / "out", on_photo=lambda done, total: sizes.append((done, total)))
     assert [photo.source for photo in prepared] == [path.name for path in eight]
-    assert (prepared[3].width, prepared[3].height) == (LONG_SIDE_PX, LONG_SIDE_PX // 2)
+    assert (prepared[3].width, prepared[3].height) == (1200, 600)
+    [fine] = prepare_listed(list_photos(eight, side_px=1600), tmp_path / "fine")[3:4]
+    assert (fine.width, fine.height) == (1600, 800)
     assert (prepared[0].width, prepared[0].height) == (400, 300)
     assert sizes == [(number, 8) for number in range(9)]
     for photo in prepared:

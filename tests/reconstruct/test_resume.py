@@ -15,8 +15,9 @@ import pytest
 
 from dynamictree.errors import InputError
 from dynamictree.files import replacing
-from dynamictree.photo_requests import MIN_PHOTOS
+from dynamictree.photo_requests import MIN_PHOTOS, LearningParams, Quality
 from dynamictree.reconstruct import mapping
+from dynamictree.reconstruct.from_request import options_of
 from dynamictree.reconstruct.mapping import MappingPhoto
 from dynamictree.reconstruct.optimise import Schedule
 from dynamictree.reconstruct.photos import list_photos, prepare_photos
@@ -123,6 +124,23 @@ def test_results_of_other_photos_are_deleted_and_those_of_another_schedule(tmp_p
     photo.write_bytes(b"two")
     with opened_work(tmp_path / "work", [photo], Schedule(num_steps=100)) as work:
         assert not work.depths.exists()
+
+
+def test_a_better_quality_goes_on_with_the_cameras_of_the_draft_unless_it_reads_larger_photos(tmp_path):
+    def left(quality: Quality) -> set[str]:
+        options = options_of(LearningParams(quality=quality))
+        folder = opened_work(tmp_path, [], options.schedule, photo_px=options.photo_px, max_views=options.max_views)
+        results = ("views.json", "depths.npz", "splat.npz")
+        with folder as work:
+            there = {name for name in results if (work.path / name).exists()}
+            for name in results:
+                (work.path / name).touch()
+        return there
+
+    assert left("draft") == set()
+    assert left("draft") == {"views.json", "depths.npz", "splat.npz"}
+    assert left("standard") == {"views.json"}
+    assert left("high") == set()
 
 
 def test_two_runs_do_not_share_a_work_folder(tmp_path):

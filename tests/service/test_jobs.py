@@ -344,12 +344,24 @@ def test_a_format_without_its_library_is_neither_offered_nor_accepted(
     assert "pip install 'dynamictree[usd]'" in response.json()["detail"]
 
 
+def test_limits_tell_what_each_quality_of_photos_means(client: TestClient, asset: AssetRecord) -> None:
+    """640 px, 60,000 Gaussians, SH 1 and 80 views were the limits, and nothing said so."""
+    draft, standard, high = client.get("/v1/limits").json()["photo_qualities"]
+    assert [each["quality"] for each in (draft, standard, high)] == ["draft", "standard", "high"]
+    for name in ("photo_px", "splat_px", "max_gaussians", "sh_degree", "max_views", "num_steps"):
+        assert draft[name] <= standard[name] <= high[name]
+    assert (high["splat_px"], high["max_gaussians"], high["sh_degree"], high["max_views"]) == (1600, 300_000, 2, 300)
+    body = {"type": "reconstruct", "asset_id": asset.id, "params": {"quality": "best"}}
+    assert client.post("/v1/jobs", json=body).status_code == 422
+
+
 @pytest.mark.parametrize(
     ("name", "value"),
     [
         ("scribbles", [{"photo": "a.jpg", "plant": True, "points": [[0.5, 0.5]]}]),
         ("only_plant", True),
         ("splat_steps", 500),
+        ("quality", "high"),
         ("video_frames", 20),
     ],
 )
@@ -362,5 +374,5 @@ def test_what_only_photos_have_is_refused_of_a_mesh(
     [error] = refused.json()["errors"]
     assert (error["pointer"], error["code"]) == (f"/params/{name}", "not-allowed")
     assert f"of kind mesh; {name} is allowed with photos or a film only" in error["detail"]
-    unset = {"scribbles": None, "only_plant": False, "splat_steps": None, "video_frames": None}
+    unset = {"scribbles": None, "only_plant": False, "splat_steps": None, "video_frames": None, "quality": "standard"}
     assert client.post("/v1/jobs", json=body | {"params": unset}).status_code == 202

@@ -78,7 +78,7 @@ def test_another_job_goes_on_after_a_time_limit(runtime: Runtime, film: AssetRec
     failed = ended(runtime, first, 0.03)
     assert (failed.state, failed.error_code) == (JobState.FAILED, "time-limit")
     assert "run it again: it goes on where it was" in (failed.error_message or "")
-    frames = half_done_folder(runtime.settings, first) / "frames"
+    [frames] = half_done_folder(runtime.settings, first).glob("frames-*")
     written = {path.name: path.stat().st_mtime_ns for path in frames.iterdir()}
     assert len(written) == FRAMES
     ended(runtime, second, 0.03)
