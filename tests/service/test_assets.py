@@ -42,7 +42,7 @@ def zipped(*entries: tuple[str, bytes]) -> bytes:
 
 def photo(number: int, size: tuple[int, int] = (400, 300)) -> bytes:
     stream = io.BytesIO()
-    Image.new("RGB", size, (number, 100, 50)).save(stream, "JPEG")
+    Image.new("RGB", size, (25 * number % 256, 100, 50)).save(stream, "JPEG")
     return stream.getvalue()
 
 
