@@ -3,6 +3,8 @@
 import gc
 import hashlib
 import io
+import os
+import re
 import socket
 import subprocess
 import time
@@ -143,11 +145,15 @@ def test_an_upload_goes_on_after_the_server_was_killed(server: tuple[Server, str
 def test_the_commands_of_the_page_work(server: tuple[Server, str], tmp_path: Path, cut: int) -> None:
     """As a new user would type them, the second time after a line that broke."""
     page = (Path(__file__).parents[2] / "docs" / "uploads.md").read_text()
-    commands = page.split("```sh\n")[1].split("```")[0].replace("http://127.0.0.1:8000", server[1])
+    [commands] = [block for block in re.findall(r"```sh\n(.*?)```", page, re.DOTALL) if "Upload-Offset" in block]
+    commands = commands.replace("file=tree.glb", "file=tree.zip").replace(" | jq -r .id", "")
     (tmp_path / "tree.zip").write_bytes(zipped(("tree.obj", OBJ), ("tree.mtl", MTL)))
     if cut:
         begun, rest = commands.split("offset=", 1)
         commands = f"{begun}head -c {cut} $file | curl -s -X PATCH $upload -H \"$tus\" -H 'Upload-Offset: 0' "
         commands += f"-H 'Content-Type: application/offset+octet-stream' --data-binary @-\noffset={rest}"
-    done = subprocess.run(["bash", "-c", commands], cwd=tmp_path, capture_output=True, text=True, check=True)
+    environment = os.environ | {"URL": server[1]}
+    done = subprocess.run(
+        ["bash", "-c", commands], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
+    )
     assert '"kind":"mesh"' in done.stdout, done.stdout + done.stderr
