@@ -74,7 +74,9 @@ def test_modules_that_are_named_exist() -> None:
 
 
 def test_every_problem_has_an_entry_and_every_entry_is_a_problem() -> None:
-    entries = re.findall(r"^\| `([a-z-]+)` \|", (ROOT / "docs" / "troubleshooting.md").read_text(), re.MULTILINE)
+    entries = re.findall(
+        r"^\| `([a-z-]+)`\{ #\1 \} \|", (ROOT / "docs" / "troubleshooting.md").read_text(), re.MULTILINE
+    )
     assert sorted(entries) == sorted(KINDS)
 
 
