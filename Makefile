@@ -29,7 +29,7 @@ endif
 # Dozens of processes would each compile hundreds of modules anew where the shell forbids Python to write bytecode.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo test slow train-gpu docs live js-tools web-check web-format openapi-lint scale-out compose check format openapi lock lock-versions lock-image bench clean browser serve sbom gallery
+.PHONY: help setup demo test slow train-gpu docs results live js-tools web-check web-format openapi-lint scale-out compose check format openapi lock lock-versions lock-image bench clean browser serve sbom gallery
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -103,6 +103,10 @@ train-gpu: $(READY)  ## bake the dataset where it is missing, then train the pap
 docs: $(READY)  ## the documentation's site, in site/ (links are checked, nothing is fetched)
 	@$(BIN)/python -m recipes.api_reference docs/api.md
 	@$(BIN)/zensical build --strict
+
+NAMES ?=
+results: $(READY)  ## measure what docs/results.md states and write it (1 h; NAMES="motion storm_stretch" for parts, "write" for none)
+	@$(BIN)/python -m benchmarks._results $(NAMES)
 
 live: $(READY)  ## client, recipes and the documents' own commands against a real service
 	@$(BIN)/python -m pytest -q tests/client tests/recipes tests/export/test_products_in_engines.py

@@ -1,13 +1,13 @@
-"""Results that the documents tell: recorded as JSON, filled into `results/page.md`, written to docs/results.md.
+"""Results that the documentation states: recorded as JSON, filled into `results/page.md`, written to docs/results.md.
 
-`python -m benchmarks._results record NAME [COMMAND …]` runs a benchmark, or any command whose last line is a JSON
-object, and writes that object to `benchmarks/results/NAME.json`. `python -m benchmarks._results write` makes the page.
+`python -m benchmarks._results NAME …` measures the named results (all of COMMANDS without a name), stores the JSON
+object of each one's last line as `benchmarks/results/NAME.json`, and writes the page; `write` alone writes the page.
 """
 
 import json
+import shlex
 import subprocess
 import sys
-from collections.abc import Sequence
 from hashlib import sha256
 from pathlib import Path
 
@@ -16,11 +16,25 @@ from benchmarks._machine import machine
 FOLDER = Path(__file__).with_name("results")
 PAGE = Path(__file__).parent.parent / "docs" / "results.md"
 WEIGHTS = Path(__file__).parent.parent / "dynamictree" / "weights" / "small.safetensors"
+EVALUATE = "-m dynamictree.cli evaluate --json"
+COMMANDS = {
+    "motion": f"{EVALUATE} --trees 6 --training-trees 12",
+    "classifier": f"{EVALUATE} --classifier --classifier-trees 60 --max-voxels 20000",
+    **{name: f"-m benchmarks {name}" for name in ("wind_condition", "storm_stretch", "engine_exports")},
+    **{name: f"-m benchmarks {name}" for name in ("plant_verdicts", "modal_coordinates", "modal_frame")},
+    **{name: f"-m benchmarks {name}" for name in ("deform_gaussians", "bind_gaussians", "render_frame")},
+    **{name: f"-m benchmarks {name}" for name in ("interact_latency", "import_service", "serve_start")},
+    "animate_service": "-m benchmarks animate_service",
+}
+"""Arguments of Python that measure each result."""
+OF_THE_WEIGHTS = ("motion", "classifier", "wind_condition", "storm_stretch")
+"""Results that other weights change."""
 
 
-def record(name: str, command: Sequence[str]) -> None:
-    """Run a command, by default the benchmark of this name, and store the JSON object of its last line."""
-    run = subprocess.run(command or [sys.executable, "-m", "benchmarks", name], stdout=subprocess.PIPE, check=True)
+def record(name: str) -> None:
+    """Measure one result and store it."""
+    command = [sys.executable, *shlex.split(COMMANDS[name])]
+    run = subprocess.run(command, stdout=subprocess.PIPE, check=True)
     result = json.loads(run.stdout.decode().splitlines()[-1])
     stored = {"weights": weights_hash(), **machine(), **result}
     FOLDER.mkdir(exist_ok=True)
@@ -30,7 +44,34 @@ def record(name: str, command: Sequence[str]) -> None:
 def rendered() -> str:
     """The page: each `{name[key]…:format}` of the template is a value of the recorded result of that name."""
     results = {path.stem: json.loads(path.read_text()) for path in sorted(FOLDER.glob("*.json"))}
-    return (FOLDER / "page.md").read_text().format(**results)
+    older = [name for name in OF_THE_WEIGHTS if results[name]["weights"] != weights_hash()]
+    weights = f"Of earlier weights: {', '.join(older)}." if older else "All are of the shipped weights."
+    return (
+        (FOLDER / "page.md")
+        .read_text()
+        .format(
+            weights=weights,
+            wind_rows="\n".join(_wind_row(row) for row in results["wind_condition"]["value"]),
+            storm_rows="\n".join(_storm_row(name, row) for name, row in results["storm_stretch"]["trees"].items()),
+            num_kinds=len(results["plant_verdicts"]["kinds"]),
+            num_features=len(results["classifier"]["features"]),
+            **results,
+        )
+    )
+
+
+def _wind_row(row: dict[str, float]) -> str:
+    return (
+        "| {speed_m_s:.0f} | {gust} | {direction_deg:.0f}° | {model_amplitude:.4f} ({truth_amplitude:.4f}) | "
+        "{model_lean:.4f} ({truth_lean:.4f}) | {model_lean_direction_deg:.0f}° ({truth_lean_direction_deg:.0f}°) |"
+    ).format(**row)
+
+
+def _storm_row(name: str, row: dict[str, dict[str, float]]) -> str:
+    storm, hurricane = row["20_m_s"], row["30_m_s"]
+    cells = (storm["frames_edges"], hurricane["frames_edges"], storm["glb_edges"], hurricane["glb_edges"])
+    stretch = " | ".join(f"{cell:.1f}" for cell in cells)
+    return f"| {Path(name).name} | {stretch} | {storm['glb_targets']:.0f} | {storm['added_edges']:.0f} |"
 
 
 def weights_hash() -> str:
@@ -39,14 +80,14 @@ def weights_hash() -> str:
 
 
 def main() -> None:
-    """Record one result, or write the page."""
-    match sys.argv[1:]:
-        case ["write"]:
-            PAGE.write_text(rendered())
-        case ["record", name, *command]:
-            record(name, command)
-        case _:
-            raise SystemExit(__doc__)
+    """Measure what is named, then write the page."""
+    names = sys.argv[1:] or list(COMMANDS)
+    if unknown := set(names) - {*COMMANDS, "write"}:
+        raise SystemExit(f"no such results: {', '.join(sorted(unknown))}; there are {', '.join(COMMANDS)}")
+    for name in names:
+        if name != "write":
+            record(name)
+    PAGE.write_text(rendered())
 
 
 if __name__ == "__main__":
