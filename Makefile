@@ -100,7 +100,8 @@ train-gpu: $(READY)  ## bake the dataset where it is missing, then train the pap
 	@$(BIN)/dynamictree dataset generate $(TRAIN_DATA) --trees $(TRAIN_TREES) --workers $$(nproc)
 	@$(BIN)/dynamictree train $(TRAIN_FOLDER) --preset paper --dataset $(TRAIN_DATA) $(TRAIN_OPTIONS)
 
-docs: $(READY)  ## the documentation's site, in site/ (links are checked, nothing is fetched)
+docs: $(READY)  ## the documentation's site, in site/; spelling and links are checked
+	@$(BIN)/uv tool run -q --from 'codespell==2.4.*' codespell -L firs,lod --skip docs/api.md *.md docs client/README.md web/embed/README.md
 	@$(BIN)/python -m recipes.api_reference docs/api.md
 	@$(BIN)/zensical build --strict
 

@@ -1,6 +1,7 @@
 """The command line as a user or a script meets it: real files, and one real process for all."""
 
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -42,6 +43,8 @@ def test_every_command_has_a_name_and_every_option_has_help() -> None:
         assert command.help, name
         for parameter in command.params:
             assert parameter.help, f"{name}: {parameter.name}"
+            assert not re.search(r"(?<!\\)\[", parameter.help), f"rich reads a unit as markup, {name}: {parameter.help}"
+            assert parameter.nargs <= 1 or parameter.metavar, f"{name}: {parameter.name} needs a metavar per word"
 
 
 def leaves(command: Any, name: str = "") -> Iterator[tuple[str, Any]]:

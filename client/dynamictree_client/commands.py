@@ -39,9 +39,9 @@ def animate(
     num_steps: Annotated[int | None, typer.Option(min=1, max=1000, help="Sampler steps; the preset's own.")] = None,
     seed: Annotated[int, typer.Option(min=0, max=2**53 - 1, help="The same seed gives the same motion.")] = 0,
     preset: Annotated[str, typer.Option(help="The model that generates the motion.")] = "small",
-    wind_speed: Annotated[float, typer.Option(min=0, max=30, help="Mean wind speed [m/s].")] = 5.0,
+    wind_speed: Annotated[float, typer.Option(min=0, max=30, help="Mean wind speed \\[m/s].")] = 5.0,
     wind_direction: Annotated[
-        float, typer.Option(min=-360, max=360, help="Where it blows to [° from +X to +Y].")
+        float, typer.Option(min=-360, max=360, help="Where it blows to \\[° from +X to +Y].")
     ] = 0.0,
     gust: Annotated[float, typer.Option(min=0, max=2, help="Standard deviation of the speed over its mean.")] = 0.3,
     url: Url = LOCAL,

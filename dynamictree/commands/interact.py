@@ -26,6 +26,7 @@ FORMATS = ("modal", "motion", "ply")
 FILE_NAMES = {"modal": "modal.safetensors", "motion": "motion.safetensors", "ply": "frames-ply.zip"}
 
 Vector = tuple[float, float, float]
+"""Three numbers after an option. In help texts units are escaped, since rich would read `[m]` as markup."""
 
 
 @with_request_options
@@ -40,18 +41,21 @@ def interact(
     formats: Annotated[
         str, typer.Option("--format", help="Comma-separated: modal (coordinates), motion, ply.")
     ] = "modal",
-    impulse: Annotated[Vector | None, typer.Option(help="A knock at the place [N s], x y z.")] = None,
-    force: Annotated[Vector | None, typer.Option(help="A pull at the place [N], x y z.")] = None,
+    impulse: Annotated[Vector | None, typer.Option(metavar="X Y Z", help="A knock at the place \\[N s].")] = None,
+    force: Annotated[Vector | None, typer.Option(metavar="X Y Z", help="A pull at the place \\[N].")] = None,
     displacement: Annotated[
-        Vector | None, typer.Option(help="A pull that would hold the place so far off [m], x y z.")
+        Vector | None, typer.Option(metavar="X Y Z", help="A pull that would hold the place so far off \\[m].")
     ] = None,
-    wind: Annotated[Vector | None, typer.Option(help="Wind over the whole tree [m/s], x y z.")] = None,
-    point: Annotated[Vector | None, typer.Option(help="The place [m], x y z, +Z up; the top if none is given.")] = None,
+    wind: Annotated[Vector | None, typer.Option(metavar="X Y Z", help="Wind over the whole tree \\[m/s].")] = None,
+    point: Annotated[
+        Vector | None, typer.Option(metavar="X Y Z", help="The place \\[m], +Z up; the top if none is given.")
+    ] = None,
     voxel: Annotated[int | None, typer.Option(min=0, help="The place as a row of the spectrum's voxels.")] = None,
-    radius: Annotated[float, typer.Option(min=0, max=1000, help="Spread the push over this radius [m].")] = 0.0,
-    start: Annotated[float, typer.Option(min=0, max=1e6, help="When the push begins [s].")] = 0.0,
+    radius: Annotated[float, typer.Option(min=0, max=1000, help="Spread the push over this radius \\[m].")] = 0.0,
+    start: Annotated[float, typer.Option(min=0, max=1e6, help="When the push begins \\[s].")] = 0.0,
     duration: Annotated[
-        float | None, typer.Option(min=0, max=1e6, help="How long it lasts [s]; a knock one frame, others to the end.")
+        float | None,
+        typer.Option(min=0, max=1e6, help="How long it lasts \\[s]; a knock one frame, others to the end."),
     ] = None,
     held: Annotated[bool, typer.Option(help="Begin in equilibrium with the pull, to be let go.")] = False,
     frames: Annotated[int, typer.Option(min=1, max=6000, help="Frames to write.")] = 120,

@@ -58,7 +58,7 @@ def evaluate(
     ] = None,
     height_m: Annotated[
         float | None,
-        typer.Option(min=0.01, max=999.0, help="Height of that tree [m]; the file's if not given."),
+        typer.Option(min=0.01, max=999.0, help="Height of that tree \\[m]; the file's if not given."),
     ] = None,
     classifier_trees: Annotated[int, typer.Option(min=20, max=100_000, help="Of each side.")] = 200,
     max_voxels: Annotated[
