@@ -114,7 +114,7 @@ def list_jobs(
     | {
         200: {
             "description": "The job",
-            **headers(ETag="of the state, the stages and the place in the queue", Retry_After="seconds, until it has ended"),
+            **headers(ETag="of state, stages and place in the queue", Retry_After="seconds, until it has ended"),
         },
         304: {"description": "Unchanged since the ETag that was sent"},
     },
