@@ -1,10 +1,11 @@
-"""Results that the documentation states: recorded as JSON, filled into `results/page.md`, written to docs/results.md.
+"""Results that the documentation states: recorded as JSON, filled into templates, written to its page and the README.
 
 `python -m benchmarks._results NAME …` measures the named results (all of COMMANDS without a name), stores the JSON
-object of each one's last line as `benchmarks/results/NAME.json`, and writes the page; `write` alone writes the page.
+object of each one's last line as `benchmarks/results/NAME.json`, and writes both; `write` alone measures nothing.
 """
 
 import json
+import os
 import shlex
 import subprocess
 import sys
@@ -13,9 +14,10 @@ from pathlib import Path
 
 from benchmarks._machine import machine
 
+ROOT = Path(__file__).parent.parent
 FOLDER = Path(__file__).with_name("results")
-PAGE = Path(__file__).parent.parent / "docs" / "results.md"
-WEIGHTS = Path(__file__).parent.parent / "dynamictree" / "weights" / "small.safetensors"
+PAGE, README = ROOT / "docs" / "results.md", ROOT / "README.md"
+WEIGHTS = ROOT / "dynamictree" / "weights" / "small.safetensors"
 EVALUATE = "-m dynamictree.cli evaluate --json"
 COMMANDS = {
     "motion": f"{EVALUATE} --trees 6 --training-trees 12",
@@ -27,6 +29,8 @@ COMMANDS = {
     "animate_service": "-m benchmarks animate_service",
 }
 """Arguments of Python that measure each result."""
+SHORT = {"DYNAMICTREE_BENCHMARK_SIZES": "1964", "DYNAMICTREE_BENCHMARK_RUNS": "3"}
+"""Environment of the benchmarks: the demo tree and one size, three times each."""
 OF_THE_WEIGHTS = ("motion", "classifier", "wind_condition", "storm_stretch")
 """Results that other weights change."""
 
@@ -34,30 +38,33 @@ OF_THE_WEIGHTS = ("motion", "classifier", "wind_condition", "storm_stretch")
 def record(name: str) -> None:
     """Measure one result and store it."""
     command = [sys.executable, *shlex.split(COMMANDS[name])]
-    run = subprocess.run(command, stdout=subprocess.PIPE, check=True)
+    run = subprocess.run(command, stdout=subprocess.PIPE, check=True, env=SHORT | os.environ)
     result = json.loads(run.stdout.decode().splitlines()[-1])
     stored = {"weights": weights_hash(), **machine(), **result}
     FOLDER.mkdir(exist_ok=True)
     (FOLDER / f"{name}.json").write_text(json.dumps(stored, indent=1, ensure_ascii=False) + "\n")
 
 
-def rendered() -> str:
-    """The page: each `{name[key]…:format}` of the template is a value of the recorded result of that name."""
+def rendered(template: str) -> str:
+    """Fill a template: each `{name[key]…:format}` is a value of the recorded result of that name."""
     results = {path.stem: json.loads(path.read_text()) for path in sorted(FOLDER.glob("*.json"))}
     older = [name for name in OF_THE_WEIGHTS if results[name]["weights"] != weights_hash()]
     weights = f"Of earlier weights: {', '.join(older)}." if older else "All are of the shipped weights."
-    return (
-        (FOLDER / "page.md")
-        .read_text()
-        .format(
-            weights=weights,
-            wind_rows="\n".join(_wind_row(row) for row in results["wind_condition"]["value"]),
-            storm_rows="\n".join(_storm_row(name, row) for name, row in results["storm_stretch"]["trees"].items()),
-            num_kinds=len(results["plant_verdicts"]["kinds"]),
-            num_features=len(results["classifier"]["features"]),
-            **results,
-        )
+    text = (FOLDER / template).read_text()
+    return text.format(
+        weights=weights,
+        wind_rows="\n".join(_wind_row(row) for row in results["wind_condition"]["value"]),
+        storm_rows="\n".join(_storm_row(name, row) for name, row in results["storm_stretch"]["trees"].items()),
+        num_kinds=len(results["plant_verdicts"]["kinds"]),
+        num_features=len(results["classifier"]["features"]),
+        **results,
     )
+
+
+def readme() -> str:
+    """The README, with its section on results filled in."""
+    before, _, after = README.read_text().partition("## Results\n")
+    return before + rendered("readme.md") + after[after.index("## ") :]
 
 
 def _wind_row(row: dict[str, float]) -> str:
@@ -87,7 +94,8 @@ def main() -> None:
     for name in names:
         if name != "write":
             record(name)
-    PAGE.write_text(rendered())
+    PAGE.write_text(rendered("page.md"))
+    README.write_text(readme())
 
 
 if __name__ == "__main__":
